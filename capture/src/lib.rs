@@ -1,0 +1,1 @@
+//! Devices to one Recording: clock, sync, recorder, replay, health.

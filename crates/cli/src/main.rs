@@ -1,0 +1,2 @@
+//! The `lsfb` binary.
+fn main() {}

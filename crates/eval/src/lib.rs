@@ -1,0 +1,1 @@
+//! Trajectory errors, alignment and reports.

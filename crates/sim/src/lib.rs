@@ -1,0 +1,1 @@
+//! A simulated world with devices that speak the real wire formats.

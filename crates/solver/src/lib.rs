@@ -1,0 +1,1 @@
+//! Least squares on manifolds: residuals, robust kernels, Levenberg-Marquardt, Schur elimination.

@@ -1,0 +1,16 @@
+//! What every crate shares: [`Timestamp`], [`Packet`], the samples, and [`Progress`].
+//!
+//! No dependency, no logic beyond exact integer time. Vectors are plain arrays here; `lsfb-geometry` gives them algebra.
+//!
+//! Samples carry no time of their own: a decoder knows only device ticks. [`Stamped`] adds the three stamps
+//! (device, arrival, synchronized) that the recording keeps side by side and never overwrites.
+
+mod packet;
+mod progress;
+mod sample;
+mod timestamp;
+
+pub use packet::Packet;
+pub use progress::{Progress, ProgressFn, no_progress};
+pub use sample::{Image, ImuSample, LidarPoint, LidarScan, Stamped};
+pub use timestamp::Timestamp;

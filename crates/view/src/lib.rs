@@ -1,0 +1,1 @@
+//! Recordings, maps and trajectories for the Rerun viewer.

@@ -1,0 +1,1 @@
+//! Sensor drivers: bytes to packets to samples, and back.

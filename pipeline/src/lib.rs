@@ -1,0 +1,1 @@
+//! Recording and Rig to Trajectory and Map.
