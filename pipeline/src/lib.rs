@@ -1,1 +1,10 @@
 //! Recording and Rig to Trajectory and Map.
+//!
+//! The mapping half turns a backpack's recording into an HD map; the localization half turns a device's images into
+//! poses in that map. Stages meet in files: the HD map is a folder of Arrow IPC files.
+//!
+//! Everything here is deterministic: same input, config and seed give bit-identical results on any number of threads.
+
+mod error;
+
+pub use error::Error;
