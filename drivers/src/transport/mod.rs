@@ -1,0 +1,14 @@
+//! How bytes travel: sockets, serial lines, capture files. What they mean is the drivers' business.
+
+use std::time::Duration;
+
+use lsfb_types::Packet;
+
+use crate::Error;
+
+/// Where packets come from. Live, replay, simulation and tests differ only in this.
+pub trait PacketSource {
+    /// Waits up to `timeout`. `None` means nothing arrived yet, not that the stream ended; the end is
+    /// [`Error::EndOfStream`], and so is every later call.
+    fn recv(&mut self, timeout: Duration) -> Result<Option<Packet>, Error>;
+}
