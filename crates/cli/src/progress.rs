@@ -1,0 +1,98 @@
+//! Progress on stderr: a bar with ETA on a terminal, a line every few seconds elsewhere.
+
+use std::io::IsTerminal;
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use lsfb_types::Progress;
+
+/// Seconds between two lines where there is no terminal.
+const LINE_EVERY: Duration = Duration::from_secs(5);
+
+/// Shows [`Progress`]; one per command, shared by its stages.
+pub struct Display {
+    state: Mutex<State>,
+    terminal: bool,
+}
+
+struct State {
+    stage: &'static str,
+    bar: Option<ProgressBar>,
+    started: Instant,
+    last_line: Instant,
+}
+
+impl Display {
+    /// Draws on stderr, so that stdout stays clean for `--json`.
+    pub fn new() -> Self {
+        let now = Instant::now();
+        Self {
+            state: Mutex::new(State { stage: "", bar: None, started: now, last_line: now }),
+            terminal: std::io::stderr().is_terminal(),
+        }
+    }
+
+    /// What stages call.
+    pub fn show(&self, progress: Progress) {
+        let Ok(mut state) = self.state.lock() else { return };
+        if state.stage != progress.stage {
+            self.begin(&mut state, progress);
+        }
+        match &state.bar {
+            Some(bar) => {
+                bar.set_length(progress.total);
+                bar.set_position(progress.done);
+            }
+            None if state.last_line.elapsed() >= LINE_EVERY => {
+                state.last_line = Instant::now();
+                line(&state, progress);
+            }
+            None => {}
+        }
+    }
+
+    /// Ends the current stage's bar; call before printing results.
+    pub fn finish(&self) {
+        if let Ok(mut state) = self.state.lock() {
+            end(&mut state);
+        }
+    }
+
+    fn begin(&self, state: &mut State, progress: Progress) {
+        end(state);
+        state.stage = progress.stage;
+        state.started = Instant::now();
+        state.last_line = state.started;
+        if self.terminal {
+            let bar = ProgressBar::with_draw_target(Some(progress.total), ProgressDrawTarget::stderr());
+            let template = "{msg:<28} {bar:32} {pos}/{len} {elapsed} (ETA {eta})";
+            bar.set_style(ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()));
+            bar.set_message(progress.stage);
+            state.bar = Some(bar);
+        } else {
+            state.bar = None;
+        }
+    }
+}
+
+fn end(state: &mut State) {
+    if state.stage.is_empty() {
+        return;
+    }
+    if let Some(bar) = state.bar.take() {
+        bar.finish_and_clear();
+    }
+    eprintln!("{:<28} {:6.1} s", state.stage, state.started.elapsed().as_secs_f64());
+    state.stage = "";
+}
+
+fn line(state: &State, progress: Progress) {
+    let elapsed = state.started.elapsed().as_secs_f64();
+    if progress.total > 0 && progress.done > 0 {
+        let eta = elapsed * (progress.total.saturating_sub(progress.done)) as f64 / progress.done as f64;
+        eprintln!("{:<28} {}/{} ETA {eta:.0} s", progress.stage, progress.done, progress.total);
+    } else {
+        eprintln!("{:<28} {} after {elapsed:.0} s", progress.stage, progress.done);
+    }
+}
