@@ -1,1 +1,46 @@
-//! Trajectory errors, alignment and reports.
+//! Trajectory errors, alignment and reports. The judge: this crate alone opens files of ground truth, and it knows no
+//! estimator, so that any program's trajectory is judged the same way.
+//!
+//! Definitions are those of evo 1.38, figure for figure (`tests/evo/README.md`): poses are paired by nearest stamps,
+//! the estimate is aligned to the truth, and the errors of pairs become statistics.
+//!
+//! ```
+//! use lsfb_eval::{EvalConfig, evaluate};
+//! use lsfb_geometry::{Se3, StampedPose, UnitQuaternion, Vector3};
+//! use lsfb_types::Timestamp;
+//! let truth: Vec<StampedPose> = (0..50)
+//!     .map(|i| StampedPose {
+//!         time: Timestamp::from_nanos(i * 100_000_000),
+//!         world_from_rig: Se3::new(
+//!             UnitQuaternion::identity(),
+//!             Vector3::new((i as f64 * 0.1).cos(), (i as f64 * 0.1).sin(), 0.01 * i as f64),
+//!         ),
+//!     })
+//!     .collect();
+//! let shift = Se3::new(UnitQuaternion::identity(), Vector3::new(5.0, 0.0, 0.0));
+//! let estimate: Vec<StampedPose> = truth
+//!     .iter()
+//!     .map(|p| StampedPose { world_from_rig: shift * p.world_from_rig, ..*p })
+//!     .collect();
+//! let found = evaluate(&truth, &estimate, &EvalConfig::default())?;
+//! assert!(found.ate_translation_m.rmse < 1e-9); // SE(3) alignment takes the shift away
+//! # Ok::<(), lsfb_eval::Error>(())
+//! ```
+
+pub mod alignment;
+pub mod association;
+mod compare;
+mod error;
+mod evaluation;
+pub mod metrics;
+pub mod pairs;
+mod read;
+mod statistics;
+
+pub use compare::{Comparison, Contender, compare};
+pub use error::Error;
+pub use evaluation::{
+    Coverage, DuplicateStamps, EvalConfig, Evaluation, PoseError, RpeConfig, RpeFigures, evaluate,
+};
+pub use read::{read_kitti_poses, read_poses};
+pub use statistics::Statistics;

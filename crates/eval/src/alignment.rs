@@ -1,0 +1,88 @@
+//! Which transform takes the estimate's world to the truth's.
+
+use lsfb_geometry::align::{Alignment, Scale, umeyama};
+use lsfb_geometry::{Se3, Vector3};
+
+use crate::Error;
+use crate::association::PosePair;
+
+/// What may be taken away before errors are measured.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum AlignmentMode {
+    /// Nothing: both share one world.
+    None,
+    /// The rotation and translation that bring the matched positions closest.
+    #[default]
+    Se3,
+    /// As `Se3`, with one scale: for a monocular estimate.
+    Sim3,
+    /// The transform that makes the first matched poses equal.
+    Origin,
+    /// A transform known beforehand, `truth_from_estimate`.
+    Given(Se3),
+}
+
+impl AlignmentMode {
+    /// As a reader knows it.
+    pub fn label(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Se3 => "SE(3)",
+            Self::Sim3 => "Sim(3)",
+            Self::Origin => "origin",
+            Self::Given(_) => "given",
+        }
+    }
+}
+
+/// The alignment of matched poses, as a transform of the estimate.
+pub fn align(pairs: &[PosePair], mode: AlignmentMode) -> Result<Alignment, Error> {
+    match mode {
+        AlignmentMode::None => Ok(rigid(Se3::identity())),
+        AlignmentMode::Given(truth_from_estimate) => Ok(rigid(truth_from_estimate)),
+        AlignmentMode::Se3 => fit(pairs, Scale::Fixed),
+        AlignmentMode::Sim3 => fit(pairs, Scale::Free),
+        AlignmentMode::Origin => {
+            let first = pairs.first().ok_or(Error::TooFewMatches {
+                matched: 0,
+                needed: 1,
+                purpose: "origin alignment",
+            })?;
+            Ok(rigid(
+                first.truth.world_from_rig * first.estimate.world_from_rig.inverse(),
+            ))
+        }
+    }
+}
+
+/// `pose` of the estimate in the world of the truth.
+pub fn apply(alignment: &Alignment, pose: &Se3) -> Se3 {
+    Se3::new(
+        alignment.target_from_source.rotation * pose.rotation,
+        alignment.apply(&pose.translation),
+    )
+}
+
+fn rigid(target_from_source: Se3) -> Alignment {
+    Alignment {
+        target_from_source,
+        scale: 1.0,
+    }
+}
+
+fn fit(pairs: &[PosePair], scale: Scale) -> Result<Alignment, Error> {
+    if pairs.len() < 3 {
+        return Err(Error::TooFewMatches {
+            matched: pairs.len(),
+            needed: 3,
+            purpose: "alignment",
+        });
+    }
+    let positions = |of: fn(&PosePair) -> Vector3<f64>| pairs.iter().map(of).collect::<Vec<_>>();
+    umeyama(
+        &positions(|p| p.estimate.world_from_rig.translation),
+        &positions(|p| p.truth.world_from_rig.translation),
+        scale,
+    )
+    .ok_or(Error::Degenerate)
+}

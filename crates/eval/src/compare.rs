@@ -1,0 +1,66 @@
+use serde::Serialize;
+
+use crate::evaluation::Evaluation;
+use crate::pairs::DeltaUnit;
+
+/// An estimate with its name.
+#[derive(Clone, Copy, Debug)]
+pub struct Contender<'a> {
+    /// As the table calls it.
+    pub name: &'a str,
+    /// How it was judged.
+    pub evaluation: &'a Evaluation,
+}
+
+/// One row of a comparison.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Comparison {
+    /// As the table calls it.
+    pub name: String,
+    /// Root mean square of the absolute translation error, metres.
+    pub ate_rmse_m: f64,
+    /// Largest absolute translation error, metres.
+    pub ate_max_m: f64,
+    /// Root mean square of the absolute rotation error, degrees.
+    pub ate_rotation_rmse_deg: f64,
+    /// Delta of the relative errors.
+    pub rpe_delta: Option<f64>,
+    /// Unit of that delta.
+    pub rpe_delta_unit: Option<DeltaUnit>,
+    /// Root mean square of the relative translation error, metres; absent where none was asked for.
+    pub rpe_translation_rmse_m: Option<f64>,
+    /// Root mean square of the relative rotation error, degrees.
+    pub rpe_rotation_rmse_deg: Option<f64>,
+    /// By how many per cent the estimate is too large.
+    pub scale_error_percent: Option<f64>,
+    /// Share of the truth it speaks about, 0 to 1.
+    pub coverage: f64,
+    /// Poses that matched.
+    pub matched_poses: usize,
+}
+
+/// One row per contender, the smallest translation error first; of equal ones in the order given.
+pub fn compare(contenders: &[Contender<'_>]) -> Vec<Comparison> {
+    let mut rows: Vec<Comparison> = contenders
+        .iter()
+        .map(|contender| {
+            let e = contender.evaluation;
+            let rpe = e.rpe.first();
+            Comparison {
+                name: contender.name.to_owned(),
+                ate_rmse_m: e.ate_translation_m.rmse,
+                ate_max_m: e.ate_translation_m.max,
+                ate_rotation_rmse_deg: e.ate_rotation_deg.rmse,
+                rpe_delta: rpe.map(|r| r.delta),
+                rpe_delta_unit: rpe.map(|r| r.delta_unit),
+                rpe_translation_rmse_m: rpe.map(|r| r.translation_m.rmse),
+                rpe_rotation_rmse_deg: rpe.map(|r| r.rotation_deg.rmse),
+                scale_error_percent: e.scale_error_percent,
+                coverage: e.coverage.fraction,
+                matched_poses: e.matched_poses,
+            }
+        })
+        .collect();
+    rows.sort_by(|a, b| a.ate_rmse_m.total_cmp(&b.ate_rmse_m));
+    rows
+}

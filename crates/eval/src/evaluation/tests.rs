@@ -1,0 +1,212 @@
+use super::*;
+use lsfb_geometry::{Se3, Vector3, Vector6};
+
+const STEP_NANOS: i64 = 100_000_000;
+
+/// A rising curl, ten poses per second.
+fn curl(count: i64) -> Vec<StampedPose> {
+    (0..count)
+        .map(|i| {
+            let t = i as f64 * 0.1;
+            StampedPose {
+                time: Timestamp::from_nanos(i * STEP_NANOS),
+                world_from_rig: Se3::exp(&Vector6::new(0.1 * t, 0.05, 0.3 * t, 0.0, 0.0, 0.0))
+                    * Se3::new(
+                        Default::default(),
+                        Vector3::new(2.0 + 0.3 * t, 0.1 * t, t.sin()),
+                    ),
+            }
+        })
+        .collect()
+}
+
+fn changed(poses: &[StampedPose], change: impl Fn(usize, &mut StampedPose)) -> Vec<StampedPose> {
+    let mut poses = poses.to_vec();
+    for (i, pose) in poses.iter_mut().enumerate() {
+        change(i, pose);
+    }
+    poses
+}
+
+#[test]
+fn alignment_takes_away_what_it_says() {
+    let truth = curl(100);
+    let shift = Se3::exp(&Vector6::new(0.3, -0.2, 0.9, 4.0, -7.0, 2.0));
+    let estimate = changed(&truth, |_, p| {
+        p.world_from_rig = shift * p.world_from_rig;
+        p.world_from_rig.translation *= 0.8;
+    });
+    let rmse = |alignment| {
+        let config = EvalConfig {
+            alignment,
+            ..EvalConfig::default()
+        };
+        evaluate(&truth, &estimate, &config).expect("valid")
+    };
+    let sim3 = rmse(AlignmentMode::Sim3);
+    assert!(sim3.ate_translation_m.max < 1e-9 && sim3.ate_rotation_deg.max < 1e-6);
+    assert!((sim3.alignment_scale - 1.25).abs() < 1e-12);
+    assert!((sim3.scale_error_percent.expect("curved") + 20.0).abs() < 1e-9);
+    assert!(sim3.rpe[0].translation_m.max < 1e-9 && sim3.rpe[0].rotation_deg.max < 1e-6);
+    assert!(rmse(AlignmentMode::Se3).ate_translation_m.rmse > 0.1);
+    assert!(rmse(AlignmentMode::None).ate_translation_m.rmse > 3.0);
+    let origin = rmse(AlignmentMode::Origin);
+    assert!(origin.errors[0].translation_m < 1e-12 && origin.ate_rotation_deg.max < 1e-6);
+
+    let unscaled = changed(&truth, |_, p| p.world_from_rig = shift * p.world_from_rig);
+    let config = EvalConfig {
+        alignment: AlignmentMode::Given(shift.inverse()),
+        ..EvalConfig::default()
+    };
+    let given = evaluate(&truth, &unscaled, &config).expect("valid");
+    assert!(
+        given.ate_translation_m.max < 1e-12,
+        "{:?}",
+        given.ate_translation_m
+    );
+    let end = given
+        .aligned_estimate
+        .poses()
+        .last()
+        .expect("poses")
+        .world_from_rig
+        .translation;
+    assert!((end - truth[99].world_from_rig.translation).norm() < 1e-12);
+}
+
+#[test]
+fn seconds_equal_frames_where_poses_are_evenly_timed() {
+    let truth = curl(300);
+    let estimate = changed(&truth, |i, p| {
+        p.world_from_rig.translation.x += 0.01 * (i as f64).sin()
+    });
+    let figures = |delta, unit, selection| {
+        let rpe = vec![RpeConfig {
+            delta,
+            unit,
+            selection,
+        }];
+        evaluate(
+            &truth,
+            &estimate,
+            &EvalConfig {
+                rpe,
+                ..EvalConfig::default()
+            },
+        )
+        .expect("valid")
+        .rpe[0]
+    };
+    for selection in [PairSelection::Consecutive, PairSelection::All] {
+        let frames = figures(7.0, DeltaUnit::Frames, selection);
+        let seconds = figures(0.7, DeltaUnit::Seconds, selection);
+        assert_eq!(
+            frames.translation_m.count,
+            if selection == PairSelection::All {
+                293
+            } else {
+                42
+            }
+        );
+        // All pairs at the very end reach for the last pose, which is at most a tenth too near.
+        assert_eq!(frames.translation_m, seconds.translation_m);
+        assert_eq!(frames.rotation_deg, seconds.rotation_deg);
+    }
+}
+
+#[test]
+fn coverage_knows_gaps_and_ends() {
+    let truth = curl(100);
+    let mut estimate = truth.clone();
+    estimate.drain(40..60);
+    estimate.truncate(60);
+    let found = evaluate(&truth, &estimate, &EvalConfig::default()).expect("valid");
+    assert_eq!((found.matched_poses, found.coverage.fraction), (60, 0.6));
+    assert!((found.coverage.longest_gap_secs - 2.1).abs() < 1e-12);
+    let wide = EvalConfig {
+        coverage_gap_secs: 3.0,
+        ..EvalConfig::default()
+    };
+    assert_eq!(
+        evaluate(&truth, &estimate, &wide)
+            .expect("valid")
+            .coverage
+            .fraction,
+        0.8
+    );
+}
+
+#[test]
+fn refuses_bad_input_and_says_why() {
+    let truth = curl(50);
+    let refused = |truth: &[StampedPose], estimate: &[StampedPose], config: &EvalConfig| {
+        evaluate(truth, estimate, config)
+            .expect_err("bad input")
+            .to_string()
+    };
+    let default = EvalConfig::default();
+    assert_eq!(
+        refused(&[], &truth, &default),
+        "the truth trajectory has no pose"
+    );
+    assert_eq!(
+        refused(&truth, &[], &default),
+        "the estimate trajectory has no pose"
+    );
+
+    let nan = changed(&truth, |i, p| {
+        if i == 3 {
+            p.world_from_rig.translation.z = f64::NAN
+        }
+    });
+    assert_eq!(
+        refused(&truth, &nan, &default),
+        "estimate trajectory: pose 3 (t = 0.300000000 s) is not finite"
+    );
+
+    let mut reordered = truth.clone();
+    reordered.swap(7, 8);
+    assert!(refused(&truth, &reordered, &default).contains("pose 8 (t = 0.700000000 s) is older"));
+
+    let late = changed(&truth, |_, p| p.time = p.time.plus_secs(100.0));
+    assert!(refused(&truth, &late, &default).contains("no pose of the estimate is within 0.01 s"));
+
+    assert_eq!(
+        refused(&truth, &truth[..2], &default),
+        "only 2 poses match, 3 are needed for alignment"
+    );
+
+    let line = changed(&truth, |i, p| {
+        p.world_from_rig.translation = Vector3::new(i as f64, 0.0, 0.0)
+    });
+    assert!(refused(&line, &line, &default).contains("on one line"));
+
+    let still = EvalConfig {
+        alignment: AlignmentMode::None,
+        ..EvalConfig::default()
+    };
+    assert!(
+        refused(&truth, &truth[..2], &still).contains("no two of 2 matched poses are 1 m apart")
+    );
+}
+
+#[test]
+fn duplicates_count_or_are_refused() {
+    let truth = curl(50);
+    let mut estimate = truth.clone();
+    estimate.insert(10, estimate[10]);
+    estimate.insert(30, estimate[30]);
+    let found = evaluate(&truth, &estimate, &EvalConfig::default()).expect("kept");
+    assert_eq!(found.duplicate_stamps, 2);
+    let config = EvalConfig {
+        duplicates: DuplicateStamps::Refuse,
+        ..EvalConfig::default()
+    };
+    let error = evaluate(&truth, &estimate, &config)
+        .expect_err("refused")
+        .to_string();
+    assert!(
+        error.contains("2 stamps occur twice, first at t = 1.000000000 s"),
+        "{error}"
+    );
+}

@@ -1,0 +1,169 @@
+//! The error of one pose, and of one step between two.
+
+use std::fmt;
+
+use lsfb_geometry::{Matrix3, Se3, StampedPose, so3};
+use serde::Serialize;
+
+use crate::Error;
+use crate::association::PosePair;
+use crate::pairs::{DeltaUnit, IndexPair, PairSelection, select};
+
+/// Which part of a pose's error counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PoseRelation {
+    /// Length of the translation.
+    TranslationPart,
+    /// Frobenius norm of rotation matrix minus identity.
+    RotationPart,
+    /// Frobenius norm of the 4×4 matrix minus identity.
+    FullTransformation,
+    /// Rotation angle in radians.
+    RotationAngleRad,
+    /// Rotation angle in degrees.
+    RotationAngleDeg,
+    /// Difference of two distances; for an absolute error the distance itself.
+    PointDistance,
+    /// `PointDistance` in percent of the true distance; relative errors only.
+    PointDistanceErrorRatio,
+}
+
+impl PoseRelation {
+    /// Unit of the errors.
+    pub fn unit(self) -> Unit {
+        match self {
+            Self::TranslationPart | Self::PointDistance => Unit::Metres,
+            Self::RotationAngleDeg => Unit::Degrees,
+            Self::RotationAngleRad => Unit::Radians,
+            Self::PointDistanceErrorRatio => Unit::Percent,
+            Self::RotationPart | Self::FullTransformation => Unit::None,
+        }
+    }
+}
+
+impl fmt::Display for PoseRelation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::TranslationPart => "translation",
+            Self::RotationPart => "rotation part",
+            Self::FullTransformation => "full transformation",
+            Self::RotationAngleRad | Self::RotationAngleDeg => "rotation",
+            Self::PointDistance => "point distance",
+            Self::PointDistanceErrorRatio => "point distance ratio",
+        })
+    }
+}
+
+/// Unit of an error.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Unit {
+    /// A pure number.
+    None,
+    /// Metres.
+    Metres,
+    /// Degrees.
+    Degrees,
+    /// Radians.
+    Radians,
+    /// Per cent.
+    Percent,
+}
+
+impl fmt::Display for Unit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::None => "",
+            Self::Metres => "m",
+            Self::Degrees => "°",
+            Self::Radians => "rad",
+            Self::Percent => "%",
+        })
+    }
+}
+
+/// Absolute pose errors of aligned pairs, one per pair (ATE).
+pub fn absolute_errors(pairs: &[PosePair], relation: PoseRelation) -> Result<Vec<f64>, Error> {
+    if relation == PoseRelation::PointDistanceErrorRatio {
+        return Err(Error::RelativeOnly { relation });
+    }
+    Ok(pairs
+        .iter()
+        .map(|pair| {
+            let (truth, estimate) = (&pair.truth.world_from_rig, &pair.estimate.world_from_rig);
+            match relation {
+                PoseRelation::TranslationPart | PoseRelation::PointDistance => {
+                    (estimate.translation - truth.translation).norm()
+                }
+                _ => magnitude(&(estimate.inverse() * *truth), relation),
+            }
+        })
+        .collect())
+}
+
+/// What a relative error compares.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RelativeSpec {
+    /// Which part of the error counts.
+    pub relation: PoseRelation,
+    /// How far apart the two poses of a pair are.
+    pub delta: f64,
+    /// What `delta` counts.
+    pub unit: DeltaUnit,
+    /// Which pairs are taken.
+    pub selection: PairSelection,
+}
+
+/// Errors of the motion between two poses `delta` apart along the estimate (RPE); aligned or not makes no difference but
+/// for the scale. Pairs that truly did not move have no `PointDistanceErrorRatio` and are left out of it.
+pub fn relative_errors(pairs: &[PosePair], spec: RelativeSpec) -> Result<Vec<f64>, Error> {
+    let estimates: Vec<StampedPose> = pairs.iter().map(|p| p.estimate).collect();
+    let selected = select(&estimates, spec.delta, spec.unit, spec.selection)?;
+    let errors: Vec<f64> = selected
+        .iter()
+        .filter_map(|&indices| relative_error(pairs, indices, spec.relation))
+        .collect();
+    if errors.is_empty() {
+        return Err(Error::NoPairs {
+            poses: pairs.len(),
+            delta: spec.delta,
+            unit: spec.unit,
+        });
+    }
+    Ok(errors)
+}
+
+fn relative_error(pairs: &[PosePair], indices: IndexPair, relation: PoseRelation) -> Option<f64> {
+    let (from, to) = (pairs.get(indices.from)?, pairs.get(indices.to)?);
+    let distance = |a: &Se3, b: &Se3| (a.translation - b.translation).norm();
+    let (truth_from, truth_to) = (from.truth.world_from_rig, to.truth.world_from_rig);
+    let (estimate_from, estimate_to) = (from.estimate.world_from_rig, to.estimate.world_from_rig);
+    let true_m = distance(&truth_from, &truth_to);
+    let off_m = (true_m - distance(&estimate_from, &estimate_to)).abs();
+    match relation {
+        PoseRelation::PointDistance => Some(off_m),
+        PoseRelation::PointDistanceErrorRatio => (true_m > 0.0).then(|| 100.0 * off_m / true_m),
+        _ => {
+            let truth_step = truth_from.inverse() * truth_to;
+            let estimate_step = estimate_from.inverse() * estimate_to;
+            Some(magnitude(&(truth_step.inverse() * estimate_step), relation))
+        }
+    }
+}
+
+/// Size of an error transform; distances are no matter of one transform and count as its translation.
+fn magnitude(error: &Se3, relation: PoseRelation) -> f64 {
+    let off_identity = || (error.rotation_matrix() - Matrix3::identity()).norm_squared();
+    match relation {
+        PoseRelation::RotationPart => off_identity().sqrt(),
+        PoseRelation::FullTransformation => {
+            (off_identity() + error.translation.norm_squared()).sqrt()
+        }
+        PoseRelation::RotationAngleRad => so3::log(&error.rotation).norm(),
+        PoseRelation::RotationAngleDeg => so3::log(&error.rotation).norm().to_degrees(),
+        PoseRelation::TranslationPart
+        | PoseRelation::PointDistance
+        | PoseRelation::PointDistanceErrorRatio => error.translation.norm(),
+    }
+}

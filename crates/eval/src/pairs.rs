@@ -1,0 +1,245 @@
+//! Which two poses a relative error compares.
+
+use std::fmt;
+
+use lsfb_geometry::{Se3, StampedPose, so3};
+use serde::Serialize;
+
+use crate::Error;
+
+/// What a delta counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DeltaUnit {
+    /// Poses.
+    Frames,
+    /// Metres of path.
+    Metres,
+    /// Seconds.
+    Seconds,
+    /// Degrees of rotation.
+    Degrees,
+    /// Radians of rotation.
+    Radians,
+}
+
+impl fmt::Display for DeltaUnit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Frames => "frames",
+            Self::Metres => "m",
+            Self::Seconds => "s",
+            Self::Degrees => "deg",
+            Self::Radians => "rad",
+        })
+    }
+}
+
+/// Which pairs are taken.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PairSelection {
+    /// One after the other: each pair begins where the last one ended.
+    #[default]
+    Consecutive,
+    /// A pair may begin at every pose; its delta may be off by [`ALL_PAIRS_TOLERANCE`].
+    All,
+}
+
+/// By how much of the delta a pair of [`PairSelection::All`] may miss it.
+pub const ALL_PAIRS_TOLERANCE: f64 = 0.1;
+
+/// Two indices into the matched poses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct IndexPair {
+    /// The earlier.
+    pub from: usize,
+    /// The later.
+    pub to: usize,
+}
+
+/// The pairs of `poses` that are `delta` apart. Path and angle are those of `poses`, accumulated along the way; only
+/// [`PairSelection::All`] with an angle takes the direct angle between two poses.
+pub fn select(
+    poses: &[StampedPose],
+    delta: f64,
+    unit: DeltaUnit,
+    selection: PairSelection,
+) -> Result<Vec<IndexPair>, Error> {
+    check(delta, unit)?;
+    let pairs = match (unit, selection) {
+        (DeltaUnit::Frames, PairSelection::Consecutive) => {
+            let step = delta as usize;
+            (0..poses.len().saturating_sub(step))
+                .step_by(step)
+                .map(|from| IndexPair {
+                    from,
+                    to: from + step,
+                })
+                .collect()
+        }
+        (DeltaUnit::Frames, PairSelection::All) => {
+            let step = delta as usize;
+            (0..poses.len().saturating_sub(step))
+                .map(|from| IndexPair {
+                    from,
+                    to: from + step,
+                })
+                .collect()
+        }
+        (DeltaUnit::Metres, PairSelection::Consecutive) => chain(&steps(poses, path_step), delta),
+        (DeltaUnit::Metres, PairSelection::All) => nearest(&sums(&steps(poses, path_step)), delta),
+        (DeltaUnit::Seconds, PairSelection::Consecutive) => chain_by_time(poses, delta),
+        (DeltaUnit::Seconds, PairSelection::All) => nearest(&seconds(poses), delta),
+        (DeltaUnit::Degrees, _) => by_angle(poses, delta.to_radians(), selection),
+        (DeltaUnit::Radians, _) => by_angle(poses, delta, selection),
+    };
+    if pairs.is_empty() {
+        return Err(Error::NoPairs {
+            poses: poses.len(),
+            delta,
+            unit,
+        });
+    }
+    Ok(pairs)
+}
+
+fn check(delta: f64, unit: DeltaUnit) -> Result<(), Error> {
+    let (valid, expected) = match unit {
+        DeltaUnit::Frames => (
+            (1.0..1e15).contains(&delta) && delta.fract() == 0.0,
+            "a whole number of frames, 1 or more",
+        ),
+        DeltaUnit::Metres | DeltaUnit::Seconds => (
+            delta > 0.0 && delta.is_finite(),
+            "a finite number above zero",
+        ),
+        DeltaUnit::Degrees => (delta > 0.0 && delta <= 180.0, "above 0 and up to 180"),
+        DeltaUnit::Radians => (
+            delta > 0.0 && delta <= std::f64::consts::PI,
+            "above 0 and up to pi",
+        ),
+    };
+    if valid {
+        Ok(())
+    } else {
+        Err(Error::BadDelta {
+            delta,
+            unit,
+            expected,
+        })
+    }
+}
+
+fn path_step(a: &Se3, b: &Se3) -> f64 {
+    (b.translation - a.translation).norm()
+}
+
+fn angle_step(a: &Se3, b: &Se3) -> f64 {
+    so3::log(&(a.rotation.inverse() * b.rotation)).norm()
+}
+
+fn steps(poses: &[StampedPose], step: fn(&Se3, &Se3) -> f64) -> Vec<f64> {
+    poses
+        .windows(2)
+        .map(|w| step(&w[0].world_from_rig, &w[1].world_from_rig))
+        .collect()
+}
+
+fn sums(steps: &[f64]) -> Vec<f64> {
+    let mut total = 0.0;
+    std::iter::once(0.0)
+        .chain(steps.iter().map(|s| {
+            total += s;
+            total
+        }))
+        .collect()
+}
+
+fn seconds(poses: &[StampedPose]) -> Vec<f64> {
+    let Some(first) = poses.first() else {
+        return Vec::new();
+    };
+    poses
+        .iter()
+        .map(|p| p.time.secs_since(first.time))
+        .collect()
+}
+
+/// Cuts a chain wherever `delta` has come together since the last cut.
+fn chain(steps: &[f64], delta: f64) -> Vec<IndexPair> {
+    let mut pairs = Vec::new();
+    let (mut from, mut since) = (0, 0.0);
+    for (i, step) in steps.iter().enumerate() {
+        since += step;
+        if since >= delta {
+            pairs.push(IndexPair { from, to: i + 1 });
+            (from, since) = (i + 1, 0.0);
+        }
+    }
+    pairs
+}
+
+/// As [`chain`], in whole nanoseconds: sums of seconds in `f64` would miss a cut by one rounding.
+fn chain_by_time(poses: &[StampedPose], delta_secs: f64) -> Vec<IndexPair> {
+    let delta_nanos = (delta_secs * 1e9).round() as i64;
+    let mut pairs = Vec::new();
+    let mut from = 0;
+    for (to, pose) in poses.iter().enumerate() {
+        if to > from && pose.time - poses[from].time >= delta_nanos {
+            pairs.push(IndexPair { from, to });
+            from = to;
+        }
+    }
+    pairs
+}
+
+/// For each place the later one whose distance is nearest to `delta`; of two equally near the earlier.
+fn nearest(places: &[f64], delta: f64) -> Vec<IndexPair> {
+    let mut pairs = Vec::new();
+    for from in 0..places.len().saturating_sub(1) {
+        let rest = &places[from + 1..];
+        let distance = |i: usize| (rest[i] - places[from] - delta).abs();
+        let above = rest.partition_point(|p| p - places[from] < delta);
+        let mut best = above.min(rest.len() - 1);
+        if above > 0 && distance(above - 1) <= distance(best) {
+            // Poses that stand still share one place: the first of them counts.
+            best = rest.partition_point(|p| *p < rest[above - 1]);
+        }
+        if distance(best) <= delta * ALL_PAIRS_TOLERANCE {
+            pairs.push(IndexPair {
+                from,
+                to: from + 1 + best,
+            });
+        }
+    }
+    pairs
+}
+
+fn by_angle(poses: &[StampedPose], delta_rad: f64, selection: PairSelection) -> Vec<IndexPair> {
+    match selection {
+        PairSelection::Consecutive => chain(&steps(poses, angle_step), delta_rad),
+        PairSelection::All => {
+            let tolerance = delta_rad * ALL_PAIRS_TOLERANCE;
+            // |q · q'| is the cosine of half the angle between two rotations: no arc tangent for millions of pairs.
+            let half_cosines =
+                ((delta_rad + tolerance) * 0.5).cos()..=((delta_rad - tolerance) * 0.5).cos();
+            let rotations: Vec<_> = poses
+                .iter()
+                .map(|p| p.world_from_rig.rotation.into_inner().coords)
+                .collect();
+            let mut pairs = Vec::new();
+            for (from, a) in rotations.iter().enumerate() {
+                for (to, b) in rotations.iter().enumerate().skip(from + 1) {
+                    if half_cosines.contains(&a.dot(b).abs()) {
+                        pairs.push(IndexPair { from, to });
+                    }
+                }
+            }
+            pairs
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
