@@ -1,5 +1,7 @@
 use std::path::{Path, PathBuf};
 
+use lsfb_types::Timestamp;
+
 /// What can go wrong in this crate: what, where, and what to do about it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -29,6 +31,30 @@ pub enum Error {
         camera: String,
         /// The rig's name.
         rig: String,
+    },
+    /// A scan holds no return at all.
+    #[error("the LiDAR scan at {time} s is empty: was the sensor covered, or its power cut?")]
+    EmptyScan {
+        /// Time of the scan.
+        time: Timestamp,
+    },
+    /// Scans came out of order.
+    #[error(
+        "a LiDAR scan ends at {time} s, not after the one before it ({previous} s): sort the scans by time"
+    )]
+    ScanOrder {
+        /// End of the scan.
+        time: Timestamp,
+        /// End of the scan before.
+        previous: Timestamp,
+    },
+    /// The first scan came before any inertial sample.
+    #[error(
+        "no inertial sample before {time} s: start the odometry without IMU, or with scans the IMU covers"
+    )]
+    ImuMissing {
+        /// End of the scan.
+        time: Timestamp,
     },
 }
 

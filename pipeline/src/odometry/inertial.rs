@@ -1,0 +1,283 @@
+//! The inertial half: an error-state filter that predicts the pose between scans and learns velocity, biases and
+//! gravity from the registered poses.
+//!
+//! Error state, in this order: rotation and translation of the pose (right perturbation), velocity, gyroscope bias,
+//! accelerometer bias, gravity; three components each. Model as in Xu et al., "FAST-LIO2", eq. (1)–(8), with the pose
+//! error in the tangent of SE(3).
+
+use lsfb_geometry::{
+    Matrix3, Matrix6, RigImu, Se3, StampedPose, UnitQuaternion, Vector3, Vector6, so3,
+};
+use lsfb_types::{ImuSample, Stamped, Timestamp};
+use nalgebra::{SMatrix, SVector};
+
+use super::registration::PosePrior;
+
+type Matrix18 = SMatrix<f64, 18, 18>;
+
+const VELOCITY: usize = 6;
+const GYRO_BIAS: usize = 9;
+const ACCEL_BIAS: usize = 12;
+const GRAVITY: usize = 15;
+
+/// Standard gravity, m/s².
+pub const GRAVITY_M_S2: f64 = 9.80665;
+
+/// What the filter estimates.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InertialState {
+    /// Pose of the rig.
+    pub world_from_rig: Se3,
+    /// Velocity of the rig in the world, m/s.
+    pub velocity_m_s: Vector3<f64>,
+    /// Gyroscope bias, rad/s.
+    pub gyro_bias_rad_s: Vector3<f64>,
+    /// Accelerometer bias, m/s².
+    pub accel_bias_m_s2: Vector3<f64>,
+    /// Gravity in the world, m/s²: close to (0, 0, −9.81), and exactly known only as the walk goes on.
+    pub gravity_m_s2: Vector3<f64>,
+}
+
+/// The filter.
+#[derive(Clone, Debug)]
+pub struct InertialFilter {
+    state: InertialState,
+    covariance: Matrix18,
+    time: Timestamp,
+    noise: RigImu,
+}
+
+/// Angular velocity and specific force at one time.
+#[derive(Clone, Copy)]
+struct Reading {
+    time: Timestamp,
+    angular_velocity: Vector3<f64>,
+    specific_force: Vector3<f64>,
+}
+
+impl From<&Stamped<ImuSample>> for Reading {
+    fn from(s: &Stamped<ImuSample>) -> Self {
+        Self {
+            time: s.time,
+            angular_velocity: s.sample.angular_velocity_rad_s.into(),
+            specific_force: s.sample.specific_force_m_s2.into(),
+        }
+    }
+}
+
+impl Reading {
+    fn between(a: &Self, b: &Self, time: Timestamp) -> Self {
+        let span = b.time.secs_since(a.time);
+        let fraction = if span > 0.0 {
+            (time.secs_since(a.time) / span).clamp(0.0, 1.0)
+        } else {
+            1.0
+        };
+        Self {
+            time,
+            angular_velocity: a.angular_velocity.lerp(&b.angular_velocity, fraction),
+            specific_force: a.specific_force.lerp(&b.specific_force, fraction),
+        }
+    }
+}
+
+/// Reading at `time`, linear between samples, the nearest one outside them.
+fn reading_at(samples: &[Stamped<ImuSample>], time: Timestamp) -> Option<Reading> {
+    let next = samples.partition_point(|s| s.time < time);
+    match (
+        next.checked_sub(1).and_then(|i| samples.get(i)),
+        samples.get(next),
+    ) {
+        (Some(a), Some(b)) => Some(Reading::between(&a.into(), &b.into(), time)),
+        (Some(only), None) | (None, Some(only)) => Some(Reading {
+            time,
+            ..only.into()
+        }),
+        (None, None) => None,
+    }
+}
+
+impl InertialFilter {
+    /// Starts at the world's origin at `time`, level by the mean specific force of `samples`, heading along x.
+    /// While the carrier stands the mean angular velocity is the gyroscope bias. `None` without samples.
+    pub fn start(samples: &[Stamped<ImuSample>], time: Timestamp, noise: &RigImu) -> Option<Self> {
+        if samples.is_empty() {
+            return None;
+        }
+        let n = samples.len() as f64;
+        let mean = |f: fn(&ImuSample) -> [f64; 3]| -> Vector3<f64> {
+            samples
+                .iter()
+                .map(|s| Vector3::from(f(&s.sample)))
+                .sum::<Vector3<f64>>()
+                / n
+        };
+        let force = mean(|s| s.specific_force_m_s2);
+        let rate = mean(|s| s.angular_velocity_rad_s);
+        let spread = |f: fn(&ImuSample) -> [f64; 3], mean: &Vector3<f64>| -> f64 {
+            let squares: f64 = samples
+                .iter()
+                .map(|s| (Vector3::from(f(&s.sample)) - mean).norm_squared())
+                .sum();
+            (squares / n).sqrt()
+        };
+        let stands = rate.norm() < 0.05
+            && spread(|s| s.angular_velocity_rad_s, &rate) < 0.05
+            && spread(|s| s.specific_force_m_s2, &force) < 0.5;
+
+        // Only the horizontal part of the rotation is known from gravity; the shortest arc leaves the heading at 0.
+        let rotation = UnitQuaternion::rotation_between(&force, &Vector3::z())
+            .unwrap_or_else(UnitQuaternion::identity);
+        let forward = rotation * Vector3::x();
+        let heading = so3::exp(&Vector3::new(0.0, 0.0, -forward.y.atan2(forward.x)));
+        let mut variance = SVector::<f64, 18>::zeros();
+        let mut set = |at: usize, sigma: f64| variance.fixed_rows_mut::<3>(at).fill(sigma * sigma);
+        // The start defines the world, so its pose is exact; what is uncertain is where gravity points in it.
+        set(0, 1e-5);
+        set(3, 1e-5);
+        set(VELOCITY, if stands { 0.05 } else { 2.0 });
+        set(GYRO_BIAS, if stands { 0.003 } else { 0.02 });
+        set(ACCEL_BIAS, 0.1);
+        set(GRAVITY, if stands { 0.1 } else { 1.0 });
+        // The length of gravity is known.
+        variance[GRAVITY + 2] = 0.01f64.powi(2);
+        Some(Self {
+            state: InertialState {
+                world_from_rig: Se3::new(heading * rotation, Vector3::zeros()),
+                velocity_m_s: Vector3::zeros(),
+                gyro_bias_rad_s: if stands { rate } else { Vector3::zeros() },
+                accel_bias_m_s2: Vector3::zeros(),
+                gravity_m_s2: Vector3::new(0.0, 0.0, -GRAVITY_M_S2),
+            },
+            covariance: Matrix18::from_diagonal(&variance),
+            time,
+            noise: noise.clone(),
+        })
+    }
+
+    /// The estimate at [`InertialFilter::time`].
+    pub fn state(&self) -> &InertialState {
+        &self.state
+    }
+
+    /// Time of the estimate.
+    pub fn time(&self) -> Timestamp {
+        self.time
+    }
+
+    /// Moves the estimate to `end` with the samples around that span; returns the poses on the way, both ends included.
+    pub fn predict(&mut self, samples: &[Stamped<ImuSample>], end: Timestamp) -> Vec<StampedPose> {
+        let mut knots = vec![self.knot()];
+        let first = samples.partition_point(|s| s.time <= self.time);
+        let last = samples.partition_point(|s| s.time < end).max(first);
+        let Some(mut from) = reading_at(samples, self.time) else {
+            return knots;
+        };
+        let inside = samples[first..last].iter().map(Reading::from);
+        for to in inside.chain(reading_at(samples, end)) {
+            self.integrate(&from, &to);
+            knots.push(self.knot());
+            from = to;
+        }
+        knots
+    }
+
+    fn knot(&self) -> StampedPose {
+        StampedPose {
+            time: self.time,
+            world_from_rig: self.state.world_from_rig,
+        }
+    }
+
+    fn integrate(&mut self, from: &Reading, to: &Reading) {
+        let dt = to.time.secs_since(from.time);
+        if !(dt > 0.0) {
+            return;
+        }
+        let s = &self.state;
+        let rate = (from.angular_velocity + to.angular_velocity) * 0.5 - s.gyro_bias_rad_s;
+        let turn = so3::exp(&(rate * dt));
+        // Force at mid-time in the attitude of mid-time.
+        let force = (from.specific_force + to.specific_force) * 0.5 - s.accel_bias_m_s2;
+        let middle = (s.world_from_rig.rotation * so3::exp(&(rate * (0.5 * dt))))
+            .to_rotation_matrix()
+            .into_inner();
+        let acceleration = middle * force + s.gravity_m_s2;
+        let start = s.world_from_rig;
+        let mut end_rotation = start.rotation * turn;
+        end_rotation.renormalize_fast();
+        let end = Se3::new(
+            end_rotation,
+            start.translation + s.velocity_m_s * dt + acceleration * (0.5 * dt * dt),
+        );
+
+        let start_from_end = turn.inverse().to_rotation_matrix().into_inner();
+        let end_from_world = end.rotation_matrix().transpose();
+        let force_by_rotation = middle * so3::hat(&force);
+        let mut f = Matrix18::identity();
+        let mut set = |row: usize, column: usize, block: Matrix3<f64>| {
+            f.fixed_view_mut::<3, 3>(row, column).copy_from(&block);
+        };
+        set(0, 0, start_from_end);
+        set(0, GYRO_BIAS, so3::right_jacobian(&(rate * dt)) * -dt);
+        set(3, 0, end_from_world * force_by_rotation * (-0.5 * dt * dt));
+        set(3, 3, start_from_end);
+        set(3, VELOCITY, end_from_world * dt);
+        set(3, ACCEL_BIAS, end_from_world * middle * (-0.5 * dt * dt));
+        set(3, GRAVITY, end_from_world * (0.5 * dt * dt));
+        set(VELOCITY, 0, -force_by_rotation * dt);
+        set(VELOCITY, ACCEL_BIAS, middle * -dt);
+        set(VELOCITY, GRAVITY, Matrix3::identity() * dt);
+
+        let mut noise = SVector::<f64, 18>::zeros();
+        let mut add = |at: usize, density: f64| {
+            noise.fixed_rows_mut::<3>(at).fill(density * density * dt);
+        };
+        add(0, self.noise.gyro_noise_density);
+        add(VELOCITY, self.noise.accel_noise_density);
+        add(GYRO_BIAS, self.noise.gyro_bias_walk);
+        add(ACCEL_BIAS, self.noise.accel_bias_walk);
+
+        self.covariance = f * self.covariance * f.transpose() + Matrix18::from_diagonal(&noise);
+        self.state.world_from_rig = end;
+        self.state.velocity_m_s += acceleration * dt;
+        self.time = to.time;
+    }
+
+    /// The predicted pose as a prior for registration.
+    pub fn pose_prior(&self) -> PosePrior {
+        let covariance: Matrix6<f64> = self.covariance.fixed_view::<6, 6>(0, 0).into();
+        PosePrior {
+            world_from_rig: self.state.world_from_rig,
+            information: covariance
+                .cholesky()
+                .map_or_else(Matrix6::zeros, |c| c.inverse()),
+        }
+    }
+
+    /// Takes in the pose found from [`InertialFilter::pose_prior`] and a scan that gave `information` on it.
+    pub fn correct(&mut self, world_from_rig: &Se3, information: &Matrix6<f64>) {
+        let p = &self.covariance;
+        let prior: Matrix6<f64> = p.fixed_view::<6, 6>(0, 0).into();
+        let Some(prior_cholesky) = prior.cholesky() else {
+            return;
+        };
+        // The pose is already the best of prior and scan; the rest of the state follows it by its correlation.
+        let deviation: Vector6<f64> = (self.state.world_from_rig.inverse() * *world_from_rig).log();
+        let all_by_pose = p.fixed_view::<18, 6>(0, 0) * prior_cholesky.inverse();
+        let delta = all_by_pose * deviation;
+        let s = &mut self.state;
+        s.world_from_rig = *world_from_rig;
+        s.velocity_m_s += delta.fixed_rows::<3>(VELOCITY);
+        s.gyro_bias_rad_s += delta.fixed_rows::<3>(GYRO_BIAS);
+        s.accel_bias_m_s2 += delta.fixed_rows::<3>(ACCEL_BIAS);
+        s.gravity_m_s2 += delta.fixed_rows::<3>(GRAVITY);
+        // P⁺ = P − P_:p P_pp⁻¹ (P_pp − (P_pp⁻¹ + H)⁻¹) P_pp⁻¹ P_p:
+        let Some(posterior) = (prior_cholesky.inverse() + information).cholesky() else {
+            return;
+        };
+        let reduced = prior - posterior.inverse();
+        let updated = p - all_by_pose * reduced * all_by_pose.transpose();
+        self.covariance = (updated + updated.transpose()) * 0.5;
+    }
+}

@@ -1,0 +1,261 @@
+//! The map scans are registered to: Gaussians of the points in cubic cells at several sizes, with the plane each cell
+//! shows where it is flat.
+//!
+//! A cell keeps the two sides of a thin wall apart: a point belongs to the surface that faces the sensor it was seen
+//! from. The grid is turned against the world, because floors and walls parallel to cell faces would be cut along them.
+
+use std::collections::HashMap;
+
+use lsfb_geometry::{Se3, Vector3};
+use nalgebra::{Matrix3, Rotation3, SymmetricEigen};
+
+use crate::preprocess::{CellState, cell_key, neighbour_key};
+
+/// Sizes and tolerances of a [`LocalMap`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LocalMapConfig {
+    /// Edge of the coarsest cell, metres; each further level halves it.
+    pub cell_size_m: f64,
+    /// Number of cell sizes.
+    pub levels: u32,
+    /// Standard deviation of one range, metres.
+    pub range_noise_m: f64,
+}
+
+/// A flat piece of surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Plane {
+    /// Mean of its points, in the world.
+    pub point: Vector3<f64>,
+    /// Unit normal in the world, towards the side it was seen from.
+    pub normal: Vector3<f64>,
+    /// Standard deviation of its points along the normal, metres.
+    pub thickness_m: f64,
+}
+
+/// What a point of a scan is registered to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Match {
+    /// The plane of the cell it falls into.
+    Plane(Plane),
+    /// The mean of the nearest cell of the finest level, where nothing is flat.
+    Point(Vector3<f64>),
+}
+
+/// Beyond this a cell is known well enough; later scans would only smear it with their own pose errors.
+const MAX_POINTS_PER_SURFACE: u32 = 1000;
+/// Fewer points do not make a plane.
+const MIN_POINTS_PER_PLANE: u32 = 6;
+/// The farthest neighbour searched, in cells of the finest level.
+const MAX_NEIGHBOUR_CELLS: i64 = 4;
+
+/// Moments of the points of one surface in one cell.
+#[derive(Clone, Debug, Default)]
+struct Surface {
+    count: u32,
+    /// `count` at the last plane fit.
+    fitted_count: u32,
+    /// Sum and sum of squares, relative to `origin` (the first point): world coordinates would cost digits.
+    origin: Vector3<f64>,
+    sum: Vector3<f64>,
+    squares: Matrix3<f64>,
+    /// Sum of the unit directions towards the sensor.
+    towards_sensor: Vector3<f64>,
+    plane: Option<Plane>,
+}
+
+/// The surfaces of one cell: the first seen, and one that faces the other way.
+#[derive(Clone, Debug, Default)]
+struct Cell {
+    sides: [Surface; 2],
+}
+
+type Level = HashMap<u64, Cell, CellState>;
+
+/// The map of the surroundings.
+#[derive(Clone, Debug)]
+pub struct LocalMap {
+    config: LocalMapConfig,
+    grid_from_world: Matrix3<f64>,
+    levels: Vec<Level>,
+}
+
+impl Surface {
+    fn mean(&self) -> Vector3<f64> {
+        self.origin + self.sum / f64::from(self.count.max(1))
+    }
+
+    /// Direction that tells its points from those of the other side.
+    fn facing(&self) -> Vector3<f64> {
+        self.plane.map_or(self.towards_sensor, |p| p.normal)
+    }
+
+    fn add(&mut self, point: &Vector3<f64>, towards_sensor: &Vector3<f64>) {
+        if self.count == 0 {
+            self.origin = *point;
+        }
+        let d = point - self.origin;
+        self.count += 1;
+        self.sum += d;
+        self.squares += d * d.transpose();
+        self.towards_sensor += towards_sensor;
+    }
+
+    fn needs_fit(&self) -> bool {
+        self.count >= MIN_POINTS_PER_PLANE && self.count * 10 >= self.fitted_count * 12
+    }
+
+    fn fit(&mut self, cell_size_m: f64, range_noise_m: f64) {
+        self.fitted_count = self.count;
+        let n = f64::from(self.count);
+        let mean = self.sum / n;
+        let eigen = SymmetricEigen::new(self.squares / n - mean * mean.transpose());
+        let mut order = [0, 1, 2];
+        order.sort_by(|a, b| eigen.eigenvalues[*a].total_cmp(&eigen.eigenvalues[*b]));
+        let thickness_m = eigen.eigenvalues[order[0]].max(0.0).sqrt();
+        let breadth_m = eigen.eigenvalues[order[1]].max(0.0).sqrt();
+        let limit_m = (1.5 * range_noise_m).hypot(0.02 * cell_size_m);
+        // A line, or a patch narrower than the noise, has no normal.
+        let flat =
+            thickness_m < limit_m && breadth_m > 0.1 * cell_size_m && breadth_m > 2.0 * thickness_m;
+        let normal: Vector3<f64> = eigen.eigenvectors.column(order[0]).into();
+        let sign = if normal.dot(&self.towards_sensor) < 0.0 {
+            -1.0
+        } else {
+            1.0
+        };
+        self.plane = flat.then(|| Plane {
+            point: self.origin + mean,
+            normal: normal * sign,
+            thickness_m,
+        });
+    }
+}
+
+impl Cell {
+    /// The side seen from direction `towards_sensor`.
+    fn side(&self, towards_sensor: &Vector3<f64>) -> usize {
+        let first = &self.sides[0];
+        usize::from(first.count > 0 && first.facing().dot(towards_sensor) < 0.0)
+    }
+}
+
+impl LocalMap {
+    /// An empty map.
+    pub fn new(config: LocalMapConfig) -> Self {
+        // takes z to (1, 1, 1)/√3: floor, ceiling and most walls then cross the cells at a slant
+        let axis_angle = Vector3::new(-1.0, 1.0, 0.0) / 2f64.sqrt() * (1.0 / 3f64.sqrt()).acos();
+        let grid_from_world = Rotation3::from_scaled_axis(axis_angle);
+        Self {
+            config,
+            grid_from_world: grid_from_world.into_inner(),
+            levels: vec![Level::default(); config.levels.max(1) as usize],
+        }
+    }
+
+    /// Whether nothing was inserted yet.
+    pub fn is_empty(&self) -> bool {
+        self.levels.iter().all(HashMap::is_empty)
+    }
+
+    /// Number of cells of the finest level.
+    pub fn cell_count(&self) -> usize {
+        self.levels.last().map_or(0, HashMap::len)
+    }
+
+    fn size_m(&self, level: usize) -> f64 {
+        self.config.cell_size_m / f64::from(1u32 << level.min(16))
+    }
+
+    /// Adds the points of a scan taken at `world_from_rig` with its sensor at `sensor_in_rig`.
+    pub fn insert(
+        &mut self,
+        points_in_rig: &[Vector3<f64>],
+        world_from_rig: &Se3,
+        sensor_in_rig: &Vector3<f64>,
+    ) {
+        let sensor = *world_from_rig * *sensor_in_rig;
+        let rotation = world_from_rig.rotation_matrix();
+        let points: Vec<_> = points_in_rig
+            .iter()
+            .map(|p| rotation * p + world_from_rig.translation)
+            .collect();
+        for level in 0..self.levels.len() {
+            let size_m = self.size_m(level);
+            let cells = &mut self.levels[level];
+            for point in &points {
+                let towards_sensor = (sensor - point).normalize();
+                let key = cell_key(&(self.grid_from_world * point), 1.0 / size_m);
+                let cell = cells.entry(key).or_default();
+                let side = cell.side(&towards_sensor);
+                let surface = &mut cell.sides[side];
+                if surface.count >= MAX_POINTS_PER_SURFACE {
+                    continue;
+                }
+                surface.add(point, &towards_sensor);
+                if surface.needs_fit() {
+                    surface.fit(size_m, self.config.range_noise_m);
+                }
+            }
+        }
+    }
+
+    /// What a point seen from `sensor` belongs to, at most `gate_m` away: the largest plane it lies on, else the
+    /// nearest mean of the finest level. `None` where the map is empty.
+    pub fn find(
+        &self,
+        point: &Vector3<f64>,
+        towards_sensor: &Vector3<f64>,
+        gate_m: f64,
+    ) -> Option<Match> {
+        let in_grid = self.grid_from_world * point;
+        for (level, cells) in self.levels.iter().enumerate() {
+            let key = cell_key(&in_grid, 1.0 / self.size_m(level));
+            let plane = cells
+                .get(&key)
+                .and_then(|cell| cell.sides[cell.side(towards_sensor)].plane);
+            if let Some(plane) = plane {
+                let distance = plane.normal.dot(&(point - plane.point)).abs();
+                if distance < gate_m {
+                    return Some(Match::Plane(plane));
+                }
+            }
+        }
+        self.nearest_mean(point, &in_grid, gate_m).map(Match::Point)
+    }
+
+    fn nearest_mean(
+        &self,
+        point: &Vector3<f64>,
+        in_grid: &Vector3<f64>,
+        gate_m: f64,
+    ) -> Option<Vector3<f64>> {
+        let finest = self.levels.last()?;
+        let size_m = self.size_m(self.levels.len() - 1);
+        let reach = ((gate_m / size_m).ceil() as i64).clamp(1, MAX_NEIGHBOUR_CELLS);
+        let key = cell_key(in_grid, 1.0 / size_m);
+        let mut best: Option<(f64, Vector3<f64>)> = None;
+        for dx in -reach..=reach {
+            for dy in -reach..=reach {
+                for dz in -reach..=reach {
+                    let Some(cell) = finest.get(&neighbour_key(key, [dx, dy, dz])) else {
+                        continue;
+                    };
+                    let mean = cell.sides[0].mean();
+                    let squared = (mean - point).norm_squared();
+                    if squared < best.map_or(gate_m * gate_m, |b| b.0) {
+                        best = Some((squared, mean));
+                    }
+                }
+            }
+        }
+        best.map(|b| b.1)
+    }
+
+    /// Forgets what is farther than `range_m` from `centre`.
+    pub fn forget_beyond(&mut self, centre: &Vector3<f64>, range_m: f64) {
+        for cells in &mut self.levels {
+            cells.retain(|_, cell| (cell.sides[0].origin - centre).norm() < range_m);
+        }
+    }
+}

@@ -1,0 +1,481 @@
+//! LiDAR-inertial odometry: scans are deskewed with the predicted motion, registered to a local map of planes, and
+//! inserted into it.
+//!
+//! With an IMU the prediction comes from a filter that learns velocity, biases and gravity (tightly coupled through the
+//! prior of the registration). Without one, motion is taken to continue as in the last scan, and the start defines a
+//! world that is not level.
+
+mod inertial;
+mod local_map;
+mod registration;
+
+#[cfg(test)]
+mod tests;
+
+use std::collections::VecDeque;
+
+use lsfb_geometry::{Matrix6, RigImu, RigLidar, Se3, StampedPose, Vector3, Vector6};
+use lsfb_types::{ImuSample, LidarScan, Stamped, Timestamp};
+use serde::{Deserialize, Serialize};
+
+pub use inertial::{GRAVITY_M_S2, InertialFilter, InertialState};
+pub use local_map::{LocalMap, LocalMapConfig, Match, Plane};
+pub use registration::{PosePrior, Registration, RegistrationConfig, register};
+
+use crate::Error;
+use crate::preprocess::{MotionKnot, RangeWindow, deskew, voxel_downsample};
+
+/// Parameters of the odometry. The defaults suit rooms and corridors; outdoors take cells of 2 m and keypoints of 1 m.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct OdometryConfig {
+    /// Nearest range used, metres: nearer returns are the carrier.
+    pub min_range_m: f64,
+    /// Farthest range used, metres; the map is kept to 1.5 times as far.
+    pub max_range_m: f64,
+    /// Edge of the largest map cell, metres.
+    pub cell_size_m: f64,
+    /// Number of cell sizes, each half the one before.
+    pub cell_levels: u32,
+    /// Edge of the voxels a scan is reduced to for registration, metres.
+    pub keypoint_voxel_m: f64,
+    /// Edge of the voxels a scan is reduced to for insertion into the map, metres.
+    pub insert_voxel_m: f64,
+    /// Farthest correspondence while the motion is still unknown, metres.
+    pub initial_gate_m: f64,
+    /// Gauss–Newton iterations per scan at most.
+    pub max_iterations: u32,
+    /// How many neighbouring points share their errors and count as one measurement.
+    pub points_per_independent: f64,
+    /// Share of points that must agree with the map; below it the scan is reported as lost.
+    pub min_inlier_ratio: f64,
+}
+
+impl Default for OdometryConfig {
+    fn default() -> Self {
+        Self {
+            min_range_m: 0.7,
+            max_range_m: 80.0,
+            cell_size_m: 1.0,
+            cell_levels: 3,
+            keypoint_voxel_m: 0.2,
+            insert_voxel_m: 0.05,
+            initial_gate_m: 2.0,
+            max_iterations: 30,
+            points_per_independent: 4.0,
+            min_inlier_ratio: 0.2,
+        }
+    }
+}
+
+impl OdometryConfig {
+    fn check(&self) -> Result<(), Error> {
+        let positive = [
+            ("odometry.max_range_m", self.max_range_m),
+            ("odometry.cell_size_m", self.cell_size_m),
+            ("odometry.keypoint_voxel_m", self.keypoint_voxel_m),
+            ("odometry.insert_voxel_m", self.insert_voxel_m),
+            ("odometry.initial_gate_m", self.initial_gate_m),
+            (
+                "odometry.points_per_independent",
+                self.points_per_independent,
+            ),
+        ];
+        for (field, value) in positive {
+            if !(value > 0.0 && value.is_finite()) {
+                return Err(Error::Config {
+                    field,
+                    value: value.to_string(),
+                    expected: "a positive number",
+                });
+            }
+        }
+        if !(1..=8).contains(&self.cell_levels) {
+            return Err(Error::Config {
+                field: "odometry.cell_levels",
+                value: self.cell_levels.to_string(),
+                expected: "1 to 8",
+            });
+        }
+        if self.max_iterations == 0 {
+            return Err(Error::Config {
+                field: "odometry.max_iterations",
+                value: "0".to_owned(),
+                expected: "at least 1",
+            });
+        }
+        Ok(())
+    }
+}
+
+/// What one scan gave.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OdometryStep {
+    /// The instant the scan was deskewed to: its last firing.
+    pub time: Timestamp,
+    /// Pose of the rig then.
+    pub world_from_rig: Se3,
+    /// Poses since the scan before, oldest first, ending with this scan's: at IMU rate where there is an IMU.
+    pub poses: Vec<StampedPose>,
+    /// The deskewed keypoints, in the rig frame at [`OdometryStep::time`].
+    pub keypoints_in_rig: Vec<Vector3<f64>>,
+    /// Share of the keypoints that agree with the map.
+    pub inlier_ratio: f64,
+    /// Root mean square distance of those to the planes of the map, metres.
+    pub plane_rms_m: f64,
+    /// Gauss–Newton iterations taken.
+    pub iterations: u32,
+    /// Whether the scan was registered, or the prediction had to do.
+    pub outcome: StepOutcome,
+}
+
+/// Whether a scan found its place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StepOutcome {
+    /// The first scan: it defines the map.
+    First,
+    /// Registered to the map.
+    Registered,
+    /// Too few points agreed with the map: the pose is the prediction, and the map was left alone.
+    Lost,
+}
+
+/// How motion between scans is predicted.
+#[derive(Clone, Debug)]
+enum Motion {
+    /// From the IMU.
+    Inertial(InertialMotion),
+    /// As in the scan before.
+    Constant {
+        /// `[rotation, translation]` per second, in the rig frame.
+        twist_per_s: Vector6<f64>,
+    },
+}
+
+#[derive(Clone, Debug)]
+struct InertialMotion {
+    noise: RigImu,
+    samples: Vec<Stamped<ImuSample>>,
+    filter: Option<Box<InertialFilter>>,
+}
+
+/// The odometry of one walk.
+#[derive(Clone, Debug)]
+pub struct Odometry {
+    config: OdometryConfig,
+    lidar: RigLidar,
+    motion: Motion,
+    map: LocalMap,
+    /// Pose at the end of the last scan.
+    last: Option<StampedPose>,
+    /// How far registrations moved from their predictions lately, metres.
+    corrections_m: VecDeque<f64>,
+}
+
+/// A scan deskewed to its end, reduced twice.
+struct ReducedScan {
+    insert_points: Vec<Vector3<f64>>,
+    keypoints: Vec<Vector3<f64>>,
+}
+
+/// Smallest gate: the noise of a scan needs this much room, metres.
+const MIN_GATE_M: f64 = 0.3;
+/// Predictions looked back at for the gate.
+const CORRECTIONS: usize = 10;
+/// Distance of the knots by which scans are deskewed without an IMU, nanoseconds.
+const KNOT_NS: i64 = 5_000_000;
+
+impl Odometry {
+    /// Odometry for a rig with this LiDAR and, if there is one, this IMU.
+    pub fn new(
+        config: &OdometryConfig,
+        lidar: &RigLidar,
+        imu: Option<&RigImu>,
+    ) -> Result<Self, Error> {
+        config.check()?;
+        let motion = match imu {
+            Some(noise) => Motion::Inertial(InertialMotion {
+                noise: noise.clone(),
+                samples: Vec::new(),
+                filter: None,
+            }),
+            None => Motion::Constant {
+                twist_per_s: Vector6::zeros(),
+            },
+        };
+        Ok(Self {
+            map: LocalMap::new(LocalMapConfig {
+                cell_size_m: config.cell_size_m,
+                levels: config.cell_levels,
+                range_noise_m: lidar.range_noise_m.max(0.005),
+            }),
+            config: config.clone(),
+            lidar: lidar.clone(),
+            motion,
+            last: None,
+            corrections_m: VecDeque::new(),
+        })
+    }
+
+    /// The inertial estimate at the end of the last scan; `None` without IMU or before the first scan.
+    pub fn inertial_state(&self) -> Option<&InertialState> {
+        match &self.motion {
+            Motion::Inertial(inertial) => inertial.filter.as_ref().map(|f| f.state()),
+            Motion::Constant { .. } => None,
+        }
+    }
+
+    /// Takes one inertial sample. Samples must come in order of time, and all up to the end of a scan before the scan.
+    /// Ignored by an odometry without IMU.
+    pub fn push_imu(&mut self, sample: &Stamped<ImuSample>) {
+        if let Motion::Inertial(inertial) = &mut self.motion
+            && inertial.samples.last().is_none_or(|s| s.time < sample.time)
+        {
+            inertial.samples.push(sample.clone());
+        }
+    }
+
+    /// Takes one scan and gives the pose at its last firing.
+    pub fn push_scan(&mut self, scan: &Stamped<LidarScan>) -> Result<OdometryStep, Error> {
+        let end = self.end_of(scan)?;
+        let mut path = self.predict(scan.time, end)?;
+        let mut reduced = self.reduce(scan, &path);
+        let mut found = self.register(&reduced, &path);
+        if let (Motion::Constant { .. }, true) = (&self.motion, end > scan.time) {
+            // Without an IMU a first pass finds the motion by which the second deskews.
+            path = constant_path(self.last, scan.time, end, &found.world_from_rig);
+            reduced = self.reduce(scan, &path);
+            found = self.register(&reduced, &path);
+        }
+        let outcome = self.judge(&found);
+        if outcome == StepOutcome::Registered {
+            self.correct(&mut path, &found);
+        }
+        if outcome != StepOutcome::Lost {
+            self.insert(&reduced, &path);
+        }
+        self.finish(&path);
+        Ok(OdometryStep {
+            time: end,
+            world_from_rig: end_pose(&path),
+            poses: path,
+            keypoints_in_rig: reduced.keypoints,
+            inlier_ratio: found.inlier_ratio,
+            plane_rms_m: found.plane_rms_m,
+            iterations: found.iterations,
+            outcome,
+        })
+    }
+
+    fn end_of(&self, scan: &Stamped<LidarScan>) -> Result<Timestamp, Error> {
+        let last_offset_ns = scan
+            .sample
+            .points
+            .iter()
+            .map(|p| p.time_offset_ns)
+            .max()
+            .ok_or(Error::EmptyScan { time: scan.time })?;
+        let end = scan.time.plus_nanos(i64::from(last_offset_ns));
+        match self.last {
+            Some(last) if last.time >= end => Err(Error::ScanOrder {
+                time: end,
+                previous: last.time,
+            }),
+            _ => Ok(end),
+        }
+    }
+
+    /// Poses from the end of the last scan (or the start of the first) to `end`.
+    fn predict(&mut self, start: Timestamp, end: Timestamp) -> Result<Vec<StampedPose>, Error> {
+        match &mut self.motion {
+            Motion::Inertial(inertial) => inertial.predict(start, end),
+            Motion::Constant { twist_per_s } => {
+                let predicted = self.last.map_or_else(Se3::identity, |last| {
+                    last.world_from_rig * Se3::exp(&(*twist_per_s * end.secs_since(last.time)))
+                });
+                Ok(constant_path(self.last, start, end, &predicted))
+            }
+        }
+    }
+
+    fn reduce(&self, scan: &Stamped<LidarScan>, path: &[StampedPose]) -> ReducedScan {
+        let end_from_world = end_pose(path).inverse();
+        let knots: Vec<_> = path
+            .iter()
+            .map(|p| MotionKnot {
+                offset_ns: p.time - scan.time,
+                reference_from_rig: end_from_world * p.world_from_rig,
+            })
+            .collect();
+        let window = RangeWindow {
+            min_m: self.config.min_range_m,
+            max_m: self.config.max_range_m,
+        };
+        let cloud = deskew(&scan.sample, &self.lidar.rig_from_lidar, &knots, window);
+        let insert_points = voxel_downsample(&cloud, self.config.insert_voxel_m);
+        let keypoints = voxel_downsample(&insert_points, self.config.keypoint_voxel_m);
+        ReducedScan {
+            insert_points,
+            keypoints,
+        }
+    }
+
+    fn register(&self, reduced: &ReducedScan, path: &[StampedPose]) -> Registration {
+        let prior = match &self.motion {
+            Motion::Inertial(InertialMotion {
+                filter: Some(filter),
+                ..
+            }) => filter.pose_prior(),
+            _ => PosePrior {
+                world_from_rig: end_pose(path),
+                // Keeps a scan without structure where it is predicted, and weighs nothing against one with.
+                information: Matrix6::identity(),
+            },
+        };
+        let noise_m = self.lidar.range_noise_m.max(0.005);
+        let finest_m = self.config.cell_size_m / f64::from(1u32 << (self.config.cell_levels - 1));
+        let config = RegistrationConfig {
+            max_iterations: self.config.max_iterations,
+            gate_m: self.gate_m(),
+            min_kernel_m: (3.0 * noise_m).max(0.03),
+            range_noise_m: noise_m,
+            point_noise_m: noise_m.hypot(0.3 * finest_m),
+            points_per_independent: self.config.points_per_independent,
+        };
+        let sensor_in_rig = self.lidar.rig_from_lidar.translation;
+        register(
+            &reduced.keypoints,
+            &sensor_in_rig,
+            &self.map,
+            &prior,
+            &config,
+        )
+    }
+
+    /// Farthest correspondence: three times what predictions were lately wrong by.
+    fn gate_m(&self) -> f64 {
+        if self.corrections_m.len() < 3 {
+            return self.config.initial_gate_m;
+        }
+        let squares: f64 = self.corrections_m.iter().map(|c| c * c).sum();
+        let rms_m = (squares / self.corrections_m.len() as f64).sqrt();
+        (3.0 * rms_m).clamp(
+            MIN_GATE_M.min(self.config.initial_gate_m),
+            self.config.initial_gate_m,
+        )
+    }
+
+    fn judge(&self, found: &Registration) -> StepOutcome {
+        if self.map.is_empty() {
+            StepOutcome::First
+        } else if found.inlier_ratio < self.config.min_inlier_ratio {
+            StepOutcome::Lost
+        } else {
+            StepOutcome::Registered
+        }
+    }
+
+    /// Takes in the registered pose and bends the path so that it ends there.
+    fn correct(&mut self, path: &mut [StampedPose], found: &Registration) {
+        let correction = (end_pose(path).inverse() * found.world_from_rig).log();
+        // What the error does to a point at a usual range of 10 m.
+        let moved_m =
+            correction.fixed_rows::<3>(3).norm() + 10.0 * correction.fixed_rows::<3>(0).norm();
+        self.corrections_m.push_back(moved_m);
+        if self.corrections_m.len() > CORRECTIONS {
+            self.corrections_m.pop_front();
+        }
+        if let Motion::Inertial(InertialMotion {
+            filter: Some(filter),
+            ..
+        }) = &mut self.motion
+        {
+            filter.correct(&found.world_from_rig, &found.information);
+        }
+        let (Some(first), Some(last)) = (path.first().copied(), path.last().copied()) else {
+            return;
+        };
+        let span = last.time.secs_since(first.time);
+        for pose in path {
+            // A wrong velocity or turn rate moves the pose in proportion to time.
+            let fraction = if span > 0.0 {
+                pose.time.secs_since(first.time) / span
+            } else {
+                1.0
+            };
+            pose.world_from_rig = pose.world_from_rig * Se3::exp(&(correction * fraction));
+        }
+    }
+
+    fn insert(&mut self, reduced: &ReducedScan, path: &[StampedPose]) {
+        let world_from_rig = end_pose(path);
+        let sensor_in_rig = self.lidar.rig_from_lidar.translation;
+        self.map
+            .insert(&reduced.insert_points, &world_from_rig, &sensor_in_rig);
+        let range_m = 1.5 * self.config.max_range_m;
+        self.map.forget_beyond(&world_from_rig.translation, range_m);
+    }
+
+    fn finish(&mut self, path: &[StampedPose]) {
+        let Some(end) = path.last().copied() else {
+            return;
+        };
+        match &mut self.motion {
+            Motion::Inertial(inertial) => {
+                // The sample before the next span is its left neighbour.
+                let used = inertial.samples.partition_point(|s| s.time <= end.time);
+                inertial.samples.drain(..used.saturating_sub(1));
+            }
+            Motion::Constant { twist_per_s } => {
+                if let Some(last) = self.last {
+                    let moved = last.world_from_rig.inverse() * end.world_from_rig;
+                    *twist_per_s = moved.log() / end.time.secs_since(last.time);
+                }
+            }
+        }
+        self.last = Some(end);
+    }
+}
+
+impl InertialMotion {
+    fn predict(&mut self, start: Timestamp, end: Timestamp) -> Result<Vec<StampedPose>, Error> {
+        let filter = match &mut self.filter {
+            Some(filter) => filter,
+            none => {
+                let before_end = self.samples.partition_point(|s| s.time <= end);
+                let begun = InertialFilter::start(&self.samples[..before_end], start, &self.noise)
+                    .ok_or(Error::ImuMissing { time: end })?;
+                none.insert(Box::new(begun))
+            }
+        };
+        Ok(filter.predict(&self.samples, end))
+    }
+}
+
+/// Where a path ends.
+fn end_pose(path: &[StampedPose]) -> Se3 {
+    path.last()
+        .map_or_else(Se3::identity, |end| end.world_from_rig)
+}
+
+/// A path of constant twist from the last pose through the scan's start to `end_pose` at `end`.
+fn constant_path(
+    last: Option<StampedPose>,
+    start: Timestamp,
+    end: Timestamp,
+    end_pose: &Se3,
+) -> Vec<StampedPose> {
+    let begin = last.unwrap_or(StampedPose {
+        time: start,
+        world_from_rig: *end_pose,
+    });
+    let twist = (begin.world_from_rig.inverse() * *end_pose).log();
+    let span_ns = end - begin.time;
+    let steps = (span_ns / KNOT_NS).clamp(1, 100);
+    (0..=steps)
+        .map(|i| StampedPose {
+            time: begin.time.plus_nanos(span_ns * i / steps),
+            world_from_rig: begin.world_from_rig * Se3::exp(&(twist * (i as f64 / steps as f64))),
+        })
+        .collect()
+}

@@ -1,0 +1,190 @@
+//! A furnished room in closed form: boxes, a walk with known derivatives, a VLP-32C and an IMU in it.
+
+use lsfb_geometry::{RigImu, RigLidar, Se3, Vector3, Vector6, so3};
+use lsfb_types::{ImuSample, LidarPoint, LidarScan, Stamped, Timestamp};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+/// VLP-32C elevations in firing order, degrees (User Manual 63-9325, table 9-2).
+const ELEVATIONS_DEG: [f64; 32] = [
+    -25.0, -1.0, -1.667, -15.639, -11.31, 0.0, -0.667, -8.843, -7.254, 0.333, -0.333, -6.148,
+    -5.333, 1.333, 0.667, -4.0, -4.667, 1.667, 1.0, -3.667, -3.333, 3.333, 2.333, -2.667, -3.0,
+    7.0, 4.667, -2.333, -2.0, 15.0, 10.333, -1.333,
+];
+
+struct Solid {
+    low: Vector3<f64>,
+    high: Vector3<f64>,
+}
+
+pub struct Room {
+    /// The first is the room itself, seen from inside; the rest stand in it.
+    solids: Vec<Solid>,
+}
+
+impl Room {
+    /// 9 m × 4 m × 2.6 m, divided by a thin wall with a door, with some furniture.
+    pub fn furnished() -> Self {
+        let solid = |l: [f64; 3], h: [f64; 3]| Solid {
+            low: l.into(),
+            high: h.into(),
+        };
+        Self {
+            solids: vec![
+                solid([-2.5, -2.0, 0.0], [6.5, 2.0, 2.6]),
+                solid([2.5, -2.0, 0.0], [2.6, 0.3, 2.6]),
+                solid([2.5, 1.3, 0.0], [2.6, 2.0, 2.6]),
+                solid([-2.5, -2.0, 0.0], [-1.7, -0.8, 0.75]),
+                solid([-2.5, 1.2, 0.0], [-2.1, 2.0, 1.9]),
+                solid([0.5, -2.0, 0.0], [1.7, -1.5, 0.9]),
+                solid([5.2, 1.4, 0.0], [6.5, 2.0, 1.2]),
+                solid([4.0, -2.0, 0.0], [4.3, -1.7, 2.6]),
+            ],
+        }
+    }
+
+    /// Distance along a unit ray to the first surface.
+    fn cast(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
+        let mut nearest = f64::INFINITY;
+        for (i, solid) in self.solids.iter().enumerate() {
+            let (mut enter, mut leave) = (0.0f64, f64::INFINITY);
+            for axis in 0..3 {
+                let a = (solid.low[axis] - origin[axis]) / direction[axis];
+                let b = (solid.high[axis] - origin[axis]) / direction[axis];
+                enter = enter.max(a.min(b));
+                leave = leave.min(a.max(b));
+            }
+            if i == 0 {
+                nearest = nearest.min(leave);
+            } else if enter < leave && enter > 0.0 {
+                nearest = nearest.min(enter);
+            }
+        }
+        nearest
+    }
+}
+
+/// A walk that stands for a second, then wanders through the door and back while turning and swaying.
+pub fn world_from_rig(t: f64) -> Se3 {
+    let w = (t - 1.0).max(0.0);
+    // starts with zero velocity and acceleration
+    let s = w - 1.0 + (-w).exp() * (1.0 + 0.5 * w * w);
+    let position = Vector3::new(
+        2.0 * (1.0 - (0.5 * s).cos()),
+        0.6 * (0.4 * s).sin(),
+        1.5 + 0.03 * (2.0 * s).sin(),
+    );
+    let yaw = Vector3::new(0.0, 0.0, 1.5 * (0.45 * s).sin());
+    let sway = Vector3::new(0.05 * (1.9 * s).sin(), 0.08 * (1.3 * s).sin(), 0.0);
+    Se3::new(so3::exp(&yaw) * so3::exp(&sway), position)
+}
+
+pub fn lidar() -> RigLidar {
+    RigLidar {
+        rig_from_lidar: Se3::exp(&Vector6::new(0.02, -0.03, 0.5, 0.05, 0.02, 0.35)),
+        range_noise_m: 0.03,
+    }
+}
+
+pub fn imu() -> RigImu {
+    RigImu {
+        gyro_noise_density: 1e-4,
+        accel_noise_density: 1e-3,
+        gyro_bias_walk: 1e-5,
+        accel_bias_walk: 1e-4,
+    }
+}
+
+fn gaussian(rng: &mut ChaCha8Rng) -> f64 {
+    let (u, v): (f64, f64) = (rng.random(), rng.random());
+    (-2.0 * (1.0 - u).ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+}
+
+pub fn time(t: f64) -> Timestamp {
+    Timestamp::from_nanos(1_772_359_200_000_000_000).plus_secs(t)
+}
+
+/// One revolution that begins at `t`, a firing each 111 µs.
+pub fn scan(room: &Room, t: f64, seed: u64) -> Stamped<LidarScan> {
+    const FIRINGS: u64 = 900;
+    let lidar = lidar();
+    let points = (0..FIRINGS)
+        .into_par_iter()
+        .flat_map_iter(|firing| {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed * FIRINGS + firing);
+            let offset_ns = firing * 100_000_000 / FIRINGS;
+            let world_from_lidar =
+                world_from_rig(t + offset_ns as f64 * 1e-9) * lidar.rig_from_lidar;
+            let azimuth = -std::f64::consts::TAU * firing as f64 / FIRINGS as f64;
+            let points: Vec<_> = ELEVATIONS_DEG
+                .iter()
+                .map(|elevation| {
+                    let e = elevation.to_radians();
+                    let ray =
+                        Vector3::new(e.cos() * azimuth.cos(), e.cos() * azimuth.sin(), e.sin());
+                    let range = room.cast(
+                        &world_from_lidar.translation,
+                        &(world_from_lidar.rotation * ray),
+                    );
+                    let p = ray * (range + lidar.range_noise_m * gaussian(&mut rng));
+                    LidarPoint {
+                        position_m: [p.x as f32, p.y as f32, p.z as f32],
+                        intensity: 10,
+                        ring: 0,
+                        time_offset_ns: offset_ns as u32,
+                    }
+                })
+                .collect();
+            points
+        })
+        .collect();
+    Stamped {
+        time: time(t),
+        arrival: time(t + 0.1),
+        device_ticks: 0,
+        sample: LidarScan { points },
+    }
+}
+
+/// Inertial samples at 200 Hz with constant biases and white noise.
+pub fn imu_samples(duration_s: f64, seed: u64) -> Vec<Stamped<ImuSample>> {
+    const RATE_HZ: f64 = 200.0;
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let gyro_bias = Vector3::new(0.004, -0.003, 0.006);
+    let accel_bias = Vector3::new(0.04, -0.03, 0.05);
+    let noise = imu();
+    let h = 1e-4;
+    (0..(duration_s * RATE_HZ) as usize)
+        .map(|i| {
+            let t = i as f64 / RATE_HZ;
+            let (a, b, c) = (
+                world_from_rig(t - h),
+                world_from_rig(t),
+                world_from_rig(t + h),
+            );
+            let rate = so3::log(&(a.rotation.inverse() * c.rotation)) / (2.0 * h);
+            let acceleration = (a.translation - b.translation * 2.0 + c.translation) / (h * h);
+            let force = b.rotation.inverse() * (acceleration + Vector3::new(0.0, 0.0, 9.80665));
+            let mut white = |density: f64| {
+                let sigma = density * RATE_HZ.sqrt();
+                Vector3::new(
+                    sigma * gaussian(&mut rng),
+                    sigma * gaussian(&mut rng),
+                    sigma * gaussian(&mut rng),
+                )
+            };
+            let rate = rate + gyro_bias + white(noise.gyro_noise_density);
+            let force = force + accel_bias + white(noise.accel_noise_density);
+            Stamped {
+                time: time(t),
+                arrival: time(t),
+                device_ticks: i as u64,
+                sample: ImuSample {
+                    angular_velocity_rad_s: rate.into(),
+                    specific_force_m_s2: force.into(),
+                },
+            }
+        })
+        .collect()
+}
