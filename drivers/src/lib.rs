@@ -11,6 +11,7 @@
 mod decoded;
 mod error;
 pub mod transport;
+pub mod velodyne;
 
 pub use decoded::Decoded;
 pub use error::{Error, WireError};

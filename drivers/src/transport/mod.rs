@@ -1,5 +1,9 @@
 //! How bytes travel: sockets, serial lines, capture files. What they mean is the drivers' business.
 
+pub mod pcap;
+pub mod rosbag2;
+pub mod udp;
+
 use std::time::Duration;
 
 use lsfb_types::Packet;

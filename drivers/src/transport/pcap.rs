@@ -1,0 +1,224 @@
+//! UDP payloads out of pcap and pcapng captures: Ethernet with any VLAN tags, Linux cooked, raw IP.
+//!
+//! Old Velodyne firmware writes the IP length of a data packet into its position packets, so that a socket would drop
+//! them. Here the UDP length counts, bounded by what was captured.
+
+use std::collections::VecDeque;
+use std::fs::File;
+use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use etherparse::{LaxSlicedPacket, LinuxSllSlice, TransportSlice};
+use lsfb_types::{Packet, Timestamp};
+use pcap_file::pcap::PcapReader;
+use pcap_file::pcapng::blocks::interface_description::InterfaceDescriptionOption;
+use pcap_file::pcapng::{Block, PcapNgReader};
+use pcap_file::{DataLink, PcapError, TsResolution};
+
+use super::PacketSource;
+use crate::Error;
+
+const PCAPNG_MAGIC: [u8; 4] = [0x0A, 0x0D, 0x0D, 0x0A];
+const LINUX_SLL_LEN: usize = 16;
+
+/// UDP payloads of a capture, in its order, as fast as they are asked for.
+pub struct PcapSource {
+    path: PathBuf,
+    reader: Reader,
+    ports: Vec<u16>,
+    frames: u64,
+    skipped: u64,
+    ended: bool,
+    // Frames are read one at a time; the queue only bridges the borrow of the reader's buffer.
+    waiting: VecDeque<Packet>,
+}
+
+enum Reader {
+    Pcap(PcapReader<BufReader<File>>),
+    PcapNg(PcapNgReader<BufReader<File>>),
+}
+
+impl PcapSource {
+    /// Opens a capture. Only datagrams to `ports` come out; to any port where the list is empty.
+    pub fn open(path: &Path, ports: &[u16]) -> Result<Self, Error> {
+        let opened = |cause| Error::Open {
+            device: path.display().to_string(),
+            action: "open",
+            cause,
+        };
+        let mut file = File::open(path).map_err(opened)?;
+        let mut magic = [0; 4];
+        let is_pcapng = match file.read_exact(&mut magic) {
+            Ok(()) => magic == PCAPNG_MAGIC,
+            Err(_) => {
+                return Err(damaged(
+                    path,
+                    "byte 0".into(),
+                    "too short for a capture".into(),
+                ));
+            }
+        };
+        file.seek(SeekFrom::Start(0)).map_err(opened)?;
+        let no_capture = |error: PcapError| {
+            damaged(
+                path,
+                "byte 0".into(),
+                format!("neither pcap nor pcapng ({})", describe(&error)),
+            )
+        };
+        let file = BufReader::new(file);
+        let reader = if is_pcapng {
+            Reader::PcapNg(PcapNgReader::new(file).map_err(no_capture)?)
+        } else {
+            Reader::Pcap(PcapReader::new(file).map_err(no_capture)?)
+        };
+        Ok(Self {
+            path: path.to_owned(),
+            reader,
+            ports: ports.to_owned(),
+            frames: 0,
+            skipped: 0,
+            ended: false,
+            waiting: VecDeque::new(),
+        })
+    }
+
+    /// Frames passed over: no UDP, a fragment, another port.
+    pub fn skipped(&self) -> u64 {
+        self.skipped
+    }
+
+    /// Reads one frame. `false` at the end of the file.
+    fn read_frame(&mut self) -> Result<bool, PcapError> {
+        let ports = &self.ports;
+        let datagram = match &mut self.reader {
+            Reader::Pcap(reader) => {
+                let header = reader.header();
+                let Some(frame) = reader.next_raw_packet() else {
+                    return Ok(false);
+                };
+                let frame = frame?;
+                let unit_ns = match header.ts_resolution {
+                    TsResolution::MicroSecond => 1_000,
+                    TsResolution::NanoSecond => 1,
+                };
+                let nanos =
+                    i64::from(frame.ts_sec) * 1_000_000_000 + i64::from(frame.ts_frac) * unit_ns;
+                datagram(header.datalink, &frame.data, ports).map(|bytes| (nanos, bytes.to_vec()))
+            }
+            Reader::PcapNg(reader) => {
+                let Some(block) = reader.next_block() else {
+                    return Ok(false);
+                };
+                let Block::EnhancedPacket(frame) = block?.into_owned() else {
+                    return Ok(true);
+                };
+                let interface = reader
+                    .interfaces()
+                    .get(frame.interface_id as usize)
+                    .ok_or(PcapError::InvalidInterfaceId(frame.interface_id))?;
+                let resolution = interface.options.iter().find_map(|option| match option {
+                    InterfaceDescriptionOption::IfTsResol(code) => Some(*code),
+                    _ => None,
+                });
+                // pcap-file hands the raw counter over as if it were nanoseconds.
+                let nanos = nanos_of(frame.timestamp.as_nanos(), resolution.unwrap_or(6));
+                datagram(interface.linktype, &frame.data, ports)
+                    .map(|bytes| (nanos, bytes.to_vec()))
+            }
+        };
+        self.frames += 1;
+        match datagram {
+            Some((nanos, bytes)) => {
+                self.waiting.push_back(Packet {
+                    arrival: Timestamp::from_nanos(nanos),
+                    bytes,
+                });
+            }
+            None => self.skipped += 1,
+        }
+        Ok(true)
+    }
+}
+
+impl PacketSource for PcapSource {
+    fn recv(&mut self, _timeout: Duration) -> Result<Option<Packet>, Error> {
+        loop {
+            if let Some(packet) = self.waiting.pop_front() {
+                return Ok(Some(packet));
+            }
+            if self.ended {
+                return Err(Error::EndOfStream {
+                    device: self.path.display().to_string(),
+                });
+            }
+            match self.read_frame() {
+                Ok(true) => {}
+                Ok(false) => self.ended = true,
+                Err(error) => {
+                    self.ended = true;
+                    let position = format!("frame {}", self.frames);
+                    let problem =
+                        format!("{}; the frames before it are complete", describe(&error));
+                    return Err(damaged(&self.path, position, problem));
+                }
+            }
+        }
+    }
+}
+
+/// The UDP payload of a frame, where there is one for a wanted port.
+fn datagram<'a>(link: DataLink, frame: &'a [u8], ports: &[u16]) -> Option<&'a [u8]> {
+    let sliced = match link {
+        DataLink::ETHERNET => LaxSlicedPacket::from_ethernet(frame).ok()?,
+        DataLink::RAW | DataLink::IPV4 | DataLink::IPV6 => LaxSlicedPacket::from_ip(frame).ok()?,
+        DataLink::LINUX_SLL => {
+            LinuxSllSlice::from_slice(frame).ok()?;
+            LaxSlicedPacket::from_ip(frame.get(LINUX_SLL_LEN..)?).ok()?
+        }
+        _ => return None,
+    };
+    match sliced.transport? {
+        TransportSlice::Udp(udp) if ports.is_empty() || ports.contains(&udp.destination_port()) => {
+            Some(udp.payload())
+        }
+        _ => None,
+    }
+}
+
+/// A pcapng counter in nanoseconds; the resolution is a negative power of ten, or of two where the top bit is set.
+fn nanos_of(ticks: u128, resolution: u8) -> i64 {
+    let exponent = u32::from(resolution & 0x7F);
+    let nanos = if resolution & 0x80 == 0 {
+        match exponent {
+            0..=9 => ticks.saturating_mul(10u128.pow(9 - exponent)),
+            10..=38 => ticks / 10u128.pow(exponent - 9),
+            _ => 0,
+        }
+    } else {
+        ticks.saturating_mul(1_000_000_000) >> exponent.min(127)
+    };
+    i64::try_from(nanos).unwrap_or(i64::MAX)
+}
+
+fn describe(error: &PcapError) -> String {
+    match error {
+        PcapError::IoError(cause) if cause.kind() == std::io::ErrorKind::UnexpectedEof => {
+            "the file is cut off or the frame's length is wrong".into()
+        }
+        PcapError::IoError(cause) => cause.to_string(),
+        other => other.to_string(),
+    }
+}
+
+fn damaged(path: &Path, position: String, problem: String) -> Error {
+    Error::File {
+        path: path.to_owned(),
+        position,
+        problem,
+    }
+}
+
+#[cfg(test)]
+mod tests;

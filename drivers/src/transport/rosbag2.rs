@@ -1,0 +1,185 @@
+//! Velodyne packets out of rosbag2 sqlite files: CDR messages of type `velodyne_msgs/msg/VelodyneScan`.
+
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use lsfb_types::{Packet, Timestamp};
+use rusqlite::{Connection, OpenFlags, OptionalExtension};
+
+use super::PacketSource;
+use crate::Error;
+
+const SCAN_TYPE: &str = "velodyne_msgs/msg/VelodyneScan";
+const PACKET_LEN: usize = 1206;
+const CDR_LITTLE_ENDIAN: [u8; 4] = [0, 1, 0, 0];
+
+/// One message: the packets of a revolution, as the recording driver grouped them.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct VelodyneScan {
+    /// When the bag recorded it.
+    pub recorded: Timestamp,
+    /// The message's own stamp.
+    pub stamp: Timestamp,
+    /// Its frame of reference.
+    pub frame_id: String,
+    /// The packets, each with the driver's receive stamp.
+    pub packets: Vec<Packet>,
+}
+
+/// The scans of one topic, in the order of recording.
+#[derive(Debug)]
+pub struct Rosbag2Source {
+    path: PathBuf,
+    database: Connection,
+    rows: VecDeque<i64>,
+    waiting: VecDeque<Packet>,
+}
+
+impl Rosbag2Source {
+    /// Opens a `.db3` file and its one topic of scans.
+    pub fn open(path: &Path) -> Result<Self, Error> {
+        let damaged = |position: &str, problem: String| Error::File {
+            path: path.to_owned(),
+            position: position.to_owned(),
+            problem,
+        };
+        // sqlite would report a missing file without its cause.
+        std::fs::metadata(path).map_err(|cause| Error::Open {
+            device: path.display().to_string(),
+            action: "open",
+            cause,
+        })?;
+        let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+        let database = Connection::open_with_flags(path, flags)
+            .map_err(|error| damaged("the start", format!("no sqlite database ({error})")))?;
+        let topics = || -> rusqlite::Result<Vec<i64>> {
+            let mut query = database
+                .prepare("SELECT id FROM topics WHERE type = ?1 AND serialization_format = 'cdr' ORDER BY id")?;
+            query.query_map([SCAN_TYPE], |row| row.get(0))?.collect()
+        };
+        let topics = topics()
+            .map_err(|error| damaged("table topics", format!("no rosbag2 database ({error})")))?;
+        let [topic] = topics[..] else {
+            let problem = format!(
+                "{} topics of {SCAN_TYPE} where one was expected",
+                topics.len()
+            );
+            return Err(damaged("table topics", problem));
+        };
+        let rows = || -> rusqlite::Result<VecDeque<i64>> {
+            let mut query = database
+                .prepare("SELECT id FROM messages WHERE topic_id = ?1 ORDER BY timestamp, id")?;
+            query.query_map([topic], |row| row.get(0))?.collect()
+        };
+        let rows = rows().map_err(|error| damaged("table messages", error.to_string()))?;
+        Ok(Self {
+            path: path.to_owned(),
+            database,
+            rows,
+            waiting: VecDeque::new(),
+        })
+    }
+
+    /// The next message whole, or `None` after the last.
+    pub fn next_scan(&mut self) -> Result<Option<VelodyneScan>, Error> {
+        let Some(row) = self.rows.pop_front() else {
+            return Ok(None);
+        };
+        let damaged = |problem: String| Error::File {
+            path: self.path.clone(),
+            position: format!("message {row}"),
+            problem,
+        };
+        let message: Option<(i64, Vec<u8>)> = self
+            .database
+            .query_row(
+                "SELECT timestamp, data FROM messages WHERE id = ?1",
+                [row],
+                |row| Ok((row.get(0)?, row.get(1)?)),
+            )
+            .optional()
+            .map_err(|error| damaged(error.to_string()))?;
+        let (recorded, data) = message.ok_or_else(|| damaged("row is gone".into()))?;
+        let scan = parse_scan(Timestamp::from_nanos(recorded), &data)
+            .ok_or_else(|| damaged(format!("{} bytes are no CDR {SCAN_TYPE}", data.len())))?;
+        Ok(Some(scan))
+    }
+}
+
+impl PacketSource for Rosbag2Source {
+    fn recv(&mut self, _timeout: Duration) -> Result<Option<Packet>, Error> {
+        loop {
+            if let Some(packet) = self.waiting.pop_front() {
+                return Ok(Some(packet));
+            }
+            match self.next_scan()? {
+                Some(scan) => self.waiting.extend(scan.packets),
+                None => {
+                    return Err(Error::EndOfStream {
+                        device: self.path.display().to_string(),
+                    });
+                }
+            }
+        }
+    }
+}
+
+fn parse_scan(recorded: Timestamp, data: &[u8]) -> Option<VelodyneScan> {
+    let body = data.strip_prefix(&CDR_LITTLE_ENDIAN)?;
+    let mut cdr = Cdr { body, at: 0 };
+    let stamp = cdr.time()?;
+    let length = cdr.u32()? as usize;
+    let frame_id = cdr.take(length)?.strip_suffix(&[0])?;
+    let frame_id = std::str::from_utf8(frame_id).ok()?.to_owned();
+    let count = cdr.u32()? as usize;
+    // Each packet takes more than its payload: a larger count is damage, and must not reserve memory.
+    if count > body.len() / PACKET_LEN {
+        return None;
+    }
+    let mut packets = Vec::with_capacity(count);
+    for _ in 0..count {
+        let arrival = cdr.time()?;
+        packets.push(Packet {
+            arrival,
+            bytes: cdr.take(PACKET_LEN)?.to_vec(),
+        });
+    }
+    Some(VelodyneScan {
+        recorded,
+        stamp,
+        frame_id,
+        packets,
+    })
+}
+
+/// A reader of plain CDR: numbers are aligned to their size, counted from the end of the encapsulation header.
+struct Cdr<'a> {
+    body: &'a [u8],
+    at: usize,
+}
+
+impl<'a> Cdr<'a> {
+    fn take(&mut self, length: usize) -> Option<&'a [u8]> {
+        let bytes = self.body.get(self.at..self.at.checked_add(length)?)?;
+        self.at += length;
+        Some(bytes)
+    }
+
+    fn u32(&mut self) -> Option<u32> {
+        self.at = self.at.next_multiple_of(4);
+        let bytes = self.take(4)?;
+        Some(u32::from_le_bytes(bytes.try_into().ok()?))
+    }
+
+    fn time(&mut self) -> Option<Timestamp> {
+        let secs = self.u32()? as i32;
+        let nanos = self.u32()?;
+        Some(Timestamp::from_nanos(
+            i64::from(secs) * 1_000_000_000 + i64::from(nanos),
+        ))
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,25 @@
+//! Velodyne LiDARs over UDP: VLP-32C (Ultra Puck), VLP-16 (Puck), HDL-32E.
+//!
+//! **What it is.** A spinning multi-beam LiDAR. It sends data packets of 1206 bytes to UDP port 2368 (1507 per second for
+//! a VLP-32C with single returns) and position packets of 512 bytes to port 8308, with the state of its PPS input and the
+//! last NMEA sentence it received.
+//!
+//! **How to wire it up.** Factory address 192.168.1.201, sending to 255.255.255.255 or to what its web page says: give the
+//! host's interface 192.168.1.100/24. For UTC time, feed PPS and GPRMC (9600 8N1, status `A`) into the interface box.
+//! It needs no udev rule; the receive buffer wants `sysctl net.core.rmem_max=33554432` or `CAP_NET_ADMIN`.
+//!
+//! **What is refused by name.** VLS-128, HDL-64E, VLP-32A/B, Puck Hi-Res and Velarray; and a VLP-16 whose factory bytes
+//! claim an HDL-32E, told by its packet rate.
+//!
+//! The frame is x forward (the sensor's azimuth 0), y left, z up.
+
+mod decode;
+mod device;
+mod layout;
+pub mod model;
+pub mod nmea;
+pub mod wire;
+
+pub use decode::{Counters, DecodeError, Decoder, DecoderConfig, ModelChoice, OpticalOffset};
+pub use device::{VelodyneConfig, open};
+pub use layout::{Echo, PacketLayout, Return, returns};
