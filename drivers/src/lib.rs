@@ -8,8 +8,12 @@
 //!
 //! Setters and `emit` exist for everything that can be read, so that the simulator speaks the real protocols.
 
+pub mod camera;
 mod decoded;
 mod error;
+pub mod imu;
+#[cfg(test)]
+mod test_random;
 pub mod transport;
 pub mod velodyne;
 

@@ -1,8 +1,13 @@
 //! How bytes travel: sockets, serial lines, capture files. What they mean is the drivers' business.
 
+pub mod camera_socket;
+mod host_clock;
 pub mod pcap;
 pub mod rosbag2;
+pub mod serial;
 pub mod udp;
+
+pub(crate) use host_clock::arrival_now;
 
 use std::time::Duration;
 

@@ -1,0 +1,13 @@
+//! Frames, their trailer, and extension unit transactions: bytes to structs and back.
+
+mod frame;
+mod imu;
+mod info;
+mod options;
+mod xu;
+
+pub use frame::{Frame, Side, TimeSource, Trailer, emit_frame};
+pub use imu::{ImuProtocol, ImuRequest, ImuResponse, ImuSegment, ImuValues};
+pub use info::{DeviceInfo, Version};
+pub use options::{CameraOption, OptionCommand, OptionRange, OptionTable};
+pub use xu::{XuDevice, XuQuery, XuRefusal, XuSelector};

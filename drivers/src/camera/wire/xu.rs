@@ -1,0 +1,198 @@
+//! Extension unit transactions, and the device's side of them.
+
+use std::collections::VecDeque;
+
+use super::imu::{ImuProtocol, ImuRequest, ImuResponse, ImuSegment};
+use super::info::DeviceInfo;
+use super::options::{OptionCommand, OptionTable};
+use crate::camera::model::LARGE_TRANSFER_BYTES;
+
+/// A channel of the extension unit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum XuSelector {
+    /// Camera options.
+    CamCtrl,
+    /// Zero drift, erase, time synchronization.
+    HalfDuplex,
+    /// IMU request.
+    ImuWrite,
+    /// IMU answer.
+    ImuRead,
+    /// Device information and calibration.
+    File,
+}
+
+impl XuSelector {
+    /// Its number.
+    pub fn id(self) -> u8 {
+        match self {
+            Self::CamCtrl => 1,
+            Self::HalfDuplex => 2,
+            Self::ImuWrite => 3,
+            Self::ImuRead => 4,
+            Self::File => 5,
+        }
+    }
+
+    /// The channel with that number.
+    pub fn from_id(id: u8) -> Option<Self> {
+        [
+            Self::CamCtrl,
+            Self::HalfDuplex,
+            Self::ImuWrite,
+            Self::ImuRead,
+            Self::File,
+        ]
+        .into_iter()
+        .find(|selector| selector.id() == id)
+    }
+
+    /// Bytes of each of its transactions.
+    pub fn len_bytes(self) -> usize {
+        match self {
+            Self::CamCtrl => 3,
+            Self::HalfDuplex => 20,
+            Self::ImuWrite => 5,
+            Self::ImuRead | Self::File => LARGE_TRANSFER_BYTES,
+        }
+    }
+}
+
+/// Request codes of the USB Video Class, table A-8.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum XuQuery {
+    /// Write.
+    SetCur,
+    /// Read the value.
+    GetCur,
+    /// Read the smallest value.
+    GetMin,
+    /// Read the largest value.
+    GetMax,
+    /// Read the value after power-up.
+    GetDef,
+}
+
+impl XuQuery {
+    /// Its code.
+    pub fn code(self) -> u8 {
+        match self {
+            Self::SetCur => 0x01,
+            Self::GetCur => 0x81,
+            Self::GetMin => 0x82,
+            Self::GetMax => 0x83,
+            Self::GetDef => 0x87,
+        }
+    }
+
+    /// The query with that code.
+    pub fn from_code(code: u8) -> Option<Self> {
+        [
+            Self::SetCur,
+            Self::GetCur,
+            Self::GetMin,
+            Self::GetMax,
+            Self::GetDef,
+        ]
+        .into_iter()
+        .find(|query| query.code() == code)
+    }
+}
+
+/// The unit does not carry out a transaction: on USB, a stalled request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct XuRefusal;
+
+/// The device's side of the extension unit, byte for byte: a mock unit holds one and asks it for every answer.
+#[derive(Clone, Debug)]
+pub struct XuDevice {
+    options: OptionTable,
+    info: DeviceInfo,
+    protocol: ImuProtocol,
+    pending: VecDeque<ImuSegment>,
+    request: Option<ImuRequest>,
+    file: Option<Vec<u8>>,
+}
+
+impl XuDevice {
+    /// A unit that has just powered up. `protocol`: layout of its IMU segments.
+    pub fn new(info: DeviceInfo, protocol: ImuProtocol) -> Self {
+        Self {
+            options: OptionTable::default(),
+            info,
+            protocol,
+            pending: VecDeque::new(),
+            request: None,
+            file: None,
+        }
+    }
+
+    /// Current options.
+    pub fn options(&self) -> &OptionTable {
+        &self.options
+    }
+
+    /// Puts a segment, in the unit's layout, into the queue that the host polls.
+    pub fn push_imu(&mut self, segment: ImuSegment) {
+        self.pending.push_back(segment);
+    }
+
+    /// Carries out a write.
+    pub fn set(&mut self, selector: XuSelector, bytes: &[u8]) -> Result<(), XuRefusal> {
+        if bytes.len() != selector.len_bytes() {
+            return Err(XuRefusal);
+        }
+        match selector {
+            XuSelector::CamCtrl => {
+                let command = OptionCommand::parse(bytes).map_err(|_| XuRefusal)?;
+                self.options.apply(command).map_err(|_| XuRefusal)
+            }
+            XuSelector::ImuWrite => {
+                let request = ImuRequest::parse(self.protocol, bytes).map_err(|_| XuRefusal)?;
+                if request.protocol() != self.protocol {
+                    return Err(XuRefusal);
+                }
+                if let ImuRequest::After(serial) = request {
+                    // Protocol 1 repeats what the host has not confirmed. Zero asks for everything.
+                    while let Some(first) = self.pending.front()
+                        && serial != 0
+                        && first.serial <= serial
+                    {
+                        self.pending.pop_front();
+                    }
+                }
+                self.request = Some(request);
+                Ok(())
+            }
+            XuSelector::File if bytes.first() == Some(&DeviceInfo::REQUEST) => {
+                self.file = Some(self.info.emit());
+                Ok(())
+            }
+            XuSelector::File | XuSelector::HalfDuplex | XuSelector::ImuRead => Err(XuRefusal),
+        }
+    }
+
+    /// Answers a read with exactly the bytes of its channel.
+    pub fn get(&mut self, selector: XuSelector, query: XuQuery) -> Result<Vec<u8>, XuRefusal> {
+        let mut bytes = match (selector, query) {
+            (XuSelector::CamCtrl, query) => self.options.answer(query).ok_or(XuRefusal)?.to_vec(),
+            (XuSelector::ImuRead, XuQuery::GetCur) => self.imu_answer()?,
+            (XuSelector::File, XuQuery::GetCur) => self.file.take().ok_or(XuRefusal)?,
+            _ => return Err(XuRefusal),
+        };
+        bytes.resize(selector.len_bytes(), 0);
+        Ok(bytes)
+    }
+
+    fn imu_answer(&mut self) -> Result<Vec<u8>, XuRefusal> {
+        let request = self.request.take().ok_or(XuRefusal)?;
+        let count = ImuResponse::capacity(self.protocol).min(self.pending.len());
+        let segments = match request {
+            ImuRequest::After(_) => self.pending.iter().take(count).copied().collect(),
+            ImuRequest::Single | ImuRequest::Paired => self.pending.drain(..count).collect(),
+        };
+        ImuResponse { segments }
+            .emit(self.protocol)
+            .map_err(|_| XuRefusal)
+    }
+}

@@ -1,0 +1,207 @@
+//! The unit's side, for mocks.
+
+use std::io;
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use super::message::{self, Header, Kind, MessageReader, StreamRequest};
+use crate::Error;
+use crate::camera::model::FrameFormat;
+use crate::camera::wire::{XuDevice, XuQuery, XuRefusal, XuSelector};
+
+/// Waits for hosts at a socket path. The file at the path is removed when this is dropped.
+#[derive(Debug)]
+pub struct CameraListener {
+    listener: UnixListener,
+    path: std::path::PathBuf,
+}
+
+impl CameraListener {
+    /// Makes the socket at `path`, which must not exist.
+    pub fn bind(path: &Path) -> Result<Self, Error> {
+        let listener = UnixListener::bind(path).map_err(|cause| Error::Open {
+            device: path.display().to_string(),
+            action: "make the camera socket",
+            cause,
+        })?;
+        Ok(Self {
+            listener,
+            path: path.to_owned(),
+        })
+    }
+
+    /// Waits for the next host.
+    pub fn accept(&self) -> Result<CameraUnit, Error> {
+        let (socket, _) = self.listener.accept().map_err(|cause| Error::Open {
+            device: self.path.display().to_string(),
+            action: "accept a host",
+            cause,
+        })?;
+        Ok(CameraUnit {
+            socket,
+            device: self.path.display().to_string(),
+            reader: MessageReader::default(),
+        })
+    }
+}
+
+impl Drop for CameraListener {
+    fn drop(&mut self) {
+        // Whoever removed the file first has done the work.
+        let _ = std::fs::remove_file(&self.path);
+    }
+}
+
+/// What a host asks for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum UnitRequest {
+    /// Send frames of this format at this rate.
+    Start {
+        /// Size of the frames.
+        format: FrameFormat,
+        /// Frames per second.
+        rate_hz: u32,
+    },
+    /// A write to the extension unit; answer it with [`CameraUnit::reply_set`].
+    XuSet {
+        /// Channel.
+        selector: XuSelector,
+        /// What is written.
+        bytes: Vec<u8>,
+    },
+    /// A read; answer it with [`CameraUnit::reply_get`].
+    XuGet {
+        /// Channel.
+        selector: XuSelector,
+        /// What is asked.
+        query: XuQuery,
+    },
+}
+
+/// A unit with one host.
+#[derive(Debug)]
+pub struct CameraUnit {
+    socket: UnixStream,
+    device: String,
+    reader: MessageReader,
+}
+
+impl CameraUnit {
+    /// The host's next request, waiting up to `timeout`. A host that closed is [`Error::Lost`].
+    pub fn next_request(&mut self, timeout: Duration) -> Result<Option<UnitRequest>, Error> {
+        let deadline = Instant::now() + timeout;
+        let read = self.reader.read(&self.socket, deadline);
+        let Some((header, packet)) = read.map_err(|cause| self.lost(cause))? else {
+            return Ok(None);
+        };
+        let selector = || {
+            XuSelector::from_id(header.selector).ok_or_else(|| {
+                self.protocol(format!("selector {} does not exist", header.selector))
+            })
+        };
+        match header.kind {
+            Kind::Start => {
+                let request = StreamRequest::parse(&packet.bytes);
+                let request = request.map_err(|e| self.protocol(e.to_string()))?;
+                Ok(Some(UnitRequest::Start {
+                    format: request.format,
+                    rate_hz: request.rate_hz,
+                }))
+            }
+            Kind::Transaction => match XuQuery::from_code(header.query) {
+                Some(XuQuery::SetCur) => Ok(Some(UnitRequest::XuSet {
+                    selector: selector()?,
+                    bytes: packet.bytes,
+                })),
+                Some(query) => Ok(Some(UnitRequest::XuGet {
+                    selector: selector()?,
+                    query,
+                })),
+                None => Err(self.protocol(format!("query {:#04x} does not exist", header.query))),
+            },
+            _ => Err(self.protocol(format!("a message that no host sends: {header:?}"))),
+        }
+    }
+
+    /// Answers one request from `device`: the usual way to serve. A start is left to the caller and given back.
+    pub fn serve(
+        &mut self,
+        device: &mut XuDevice,
+        timeout: Duration,
+    ) -> Result<Option<UnitRequest>, Error> {
+        let request = self.next_request(timeout)?;
+        match &request {
+            Some(UnitRequest::XuSet { selector, bytes }) => {
+                self.reply_set(*selector, device.set(*selector, bytes))?;
+            }
+            Some(UnitRequest::XuGet { selector, query }) => {
+                self.reply_get(*selector, *query, device.get(*selector, *query))?;
+            }
+            Some(UnitRequest::Start { .. }) | None => {}
+        }
+        Ok(request)
+    }
+
+    /// Answers a write.
+    pub fn reply_set(
+        &mut self,
+        selector: XuSelector,
+        outcome: Result<(), XuRefusal>,
+    ) -> Result<(), Error> {
+        self.reply(selector, XuQuery::SetCur, outcome.map(|()| Vec::new()))
+    }
+
+    /// Answers a read.
+    pub fn reply_get(
+        &mut self,
+        selector: XuSelector,
+        query: XuQuery,
+        outcome: Result<Vec<u8>, XuRefusal>,
+    ) -> Result<(), Error> {
+        self.reply(selector, query, outcome)
+    }
+
+    /// Sends a frame, waiting until the host has room for it.
+    pub fn send_frame(&mut self, frame: &[u8]) -> Result<(), Error> {
+        self.send(Header::new(Kind::Frame), frame)
+    }
+
+    /// Says that there is nothing more to come, and closes.
+    pub fn finish(mut self) -> Result<(), Error> {
+        self.send(Header::new(Kind::End), &[])
+    }
+
+    fn reply(
+        &mut self,
+        selector: XuSelector,
+        query: XuQuery,
+        outcome: Result<Vec<u8>, XuRefusal>,
+    ) -> Result<(), Error> {
+        let header = Header {
+            selector: selector.id(),
+            query: query.code(),
+            refused: outcome.is_err(),
+            ..Header::new(Kind::Reply)
+        };
+        self.send(header, &outcome.unwrap_or_default())
+    }
+
+    fn send(&mut self, header: Header, body: &[u8]) -> Result<(), Error> {
+        message::write(&mut self.socket, header, body).map_err(|cause| self.lost(cause))
+    }
+
+    fn lost(&self, cause: io::Error) -> Error {
+        Error::Lost {
+            device: self.device.clone(),
+            cause,
+        }
+    }
+
+    fn protocol(&self, problem: String) -> Error {
+        Error::Protocol {
+            device: self.device.clone(),
+            problem,
+        }
+    }
+}
