@@ -6,6 +6,7 @@
 //! Everything here is deterministic: same input, config and seed give bit-identical results on any number of threads.
 
 mod error;
+pub mod features;
 pub mod odometry;
 pub mod preprocess;
 

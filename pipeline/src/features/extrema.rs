@@ -1,0 +1,120 @@
+//! Extrema of the difference of Gaussians, located between pixels and between scales.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::scale_space::{Octave, Plane};
+
+/// An extremum in the coordinates of its octave.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Extremum {
+    pub x: f32,
+    pub y: f32,
+    /// Level of the difference with its fraction: blur is `sigma * 2^(level / scales)`.
+    pub level: f32,
+    pub response: f32,
+}
+
+/// What counts as an extremum.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Limits {
+    pub contrast: f32,
+    pub edge_ratio: f32,
+    /// Pixels at the border of the octave that are not looked at.
+    pub border: usize,
+}
+
+/// All extrema of an octave, by level, row and column.
+pub(crate) fn find_extrema(octave: &Octave, limits: &Limits) -> Vec<Extremum> {
+    let mut found = Vec::new();
+    let levels = octave.differences.len();
+    let (width, height) = (octave.differences[0].width, octave.differences[0].height);
+    if width <= 2 * limits.border || height <= 2 * limits.border {
+        return found;
+    }
+    // Half the contrast on the grid: the peak between pixels is higher.
+    let floor = 0.5 * limits.contrast;
+    for level in 1..levels - 1 {
+        let [below, here, above] = [level - 1, level, level + 1].map(|l| &octave.differences[l]);
+        for y in limits.border..height - limits.border {
+            let row = here.row(y);
+            for x in limits.border..width - limits.border {
+                let value = row[x];
+                if value.abs() > floor && is_extremum(value, [here, below, above], x, y) {
+                    found.extend(refine(octave, level, x, y, limits));
+                }
+            }
+        }
+    }
+    found
+}
+
+fn is_extremum(value: f32, planes: [&Plane; 3], x: usize, y: usize) -> bool {
+    let sign = value.signum();
+    let value = value * sign;
+    for (i, plane) in planes.into_iter().enumerate() {
+        for dy in 0..3 {
+            let row = &plane.row(y + dy - 1)[x - 1..x + 2];
+            for (dx, neighbour) in row.iter().enumerate() {
+                // Of two equal neighbours the later one wins, so that plateaus give one extremum.
+                let itself = i == 0 && dx == 1 && dy == 1;
+                let later = i == 0 && (dy, dx) > (1, 1);
+                let neighbour = neighbour * sign;
+                if !itself && (neighbour > value || (later && neighbour == value)) {
+                    return false;
+                }
+            }
+        }
+    }
+    true
+}
+
+/// Fits a quadric (Lowe, section 4) and tests contrast and edge response at its peak.
+fn refine(octave: &Octave, level: usize, x: usize, y: usize, limits: &Limits) -> Option<Extremum> {
+    let planes = &octave.differences;
+    let (width, height) = (planes[0].width, planes[0].height);
+    let (mut level, mut x, mut y) = (level, x, y);
+    for _ in 0..5 {
+        let at = |l: usize, x: usize, y: usize| planes[l].values[y * width + x];
+        let centre = at(level, x, y);
+        let gradient = Vector3::new(
+            at(level, x + 1, y) - at(level, x - 1, y),
+            at(level, x, y + 1) - at(level, x, y - 1),
+            at(level + 1, x, y) - at(level - 1, x, y),
+        ) * 0.5;
+        let xx = at(level, x + 1, y) + at(level, x - 1, y) - 2.0 * centre;
+        let yy = at(level, x, y + 1) + at(level, x, y - 1) - 2.0 * centre;
+        let ss = at(level + 1, x, y) + at(level - 1, x, y) - 2.0 * centre;
+        let xy = 0.25
+            * (at(level, x + 1, y + 1) - at(level, x - 1, y + 1) - at(level, x + 1, y - 1)
+                + at(level, x - 1, y - 1));
+        let xs = 0.25
+            * (at(level + 1, x + 1, y) - at(level + 1, x - 1, y) - at(level - 1, x + 1, y)
+                + at(level - 1, x - 1, y));
+        let ys = 0.25
+            * (at(level + 1, x, y + 1) - at(level + 1, x, y - 1) - at(level - 1, x, y + 1)
+                + at(level - 1, x, y - 1));
+        let hessian = Matrix3::new(xx, xy, xs, xy, yy, ys, xs, ys, ss);
+        let offset = -(hessian.try_inverse()? * gradient);
+        if offset.iter().all(|o| o.abs() <= 0.5) {
+            let response = (centre + 0.5 * gradient.dot(&offset)).abs();
+            let (trace, determinant) = (xx + yy, xx * yy - xy * xy);
+            let ratio = limits.edge_ratio;
+            let on_edge = determinant <= 0.0
+                || trace * trace * ratio >= (ratio + 1.0) * (ratio + 1.0) * determinant;
+            return (response >= limits.contrast && !on_edge).then(|| Extremum {
+                x: x as f32 + offset.x,
+                y: y as f32 + offset.y,
+                level: level as f32 + offset.z,
+                response,
+            });
+        }
+        let moved = |index: usize, offset: f32, low: usize, high: usize| {
+            let to = index as f32 + offset.clamp(-1.0, 1.0).round();
+            (to >= low as f32 && to < high as f32).then_some(to as usize)
+        };
+        x = moved(x, offset.x, limits.border, width - limits.border)?;
+        y = moved(y, offset.y, limits.border, height - limits.border)?;
+        level = moved(level, offset.z, 1, planes.len() - 1)?;
+    }
+    None
+}

@@ -1,0 +1,219 @@
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use lsfb_types::{Image, Progress, ProgressFn};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::descriptor::Lattice;
+use super::extrema::{Extremum, Limits, find_extrema};
+use super::orientation::orientations;
+use super::scale_space::Octave;
+use super::selection::{Candidate, select};
+use super::{Features, Keypoint};
+use crate::Error;
+
+/// Where the scale space begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum FirstOctave {
+    /// With the image enlarged twice: finds the finest features, at four times the work.
+    Doubled,
+    /// With the image as it is.
+    Full,
+}
+
+/// Configuration of [`SiftDetector`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SiftConfig {
+    /// Most features per image.
+    pub max_features: usize,
+    /// Where the scale space begins.
+    pub first_octave: FirstOctave,
+    /// Detection levels per octave.
+    pub scales_per_octave: usize,
+    /// Blur of the first level of each octave, pixels of the octave.
+    pub base_blur_px: f32,
+    /// Least contrast of an extremum, 0–1.
+    pub min_contrast: f32,
+    /// Largest ratio of principal curvatures; beyond it lies on an edge.
+    pub max_edge_ratio: f32,
+    /// Further directions of a keypoint reach this share of the strongest.
+    pub orientation_peak_ratio: f32,
+    /// Most directions per keypoint.
+    pub max_orientations: usize,
+}
+
+impl Default for SiftConfig {
+    fn default() -> Self {
+        Self {
+            max_features: 900,
+            first_octave: FirstOctave::Doubled,
+            scales_per_octave: 3,
+            base_blur_px: 1.6,
+            min_contrast: 0.007,
+            max_edge_ratio: 10.0,
+            orientation_peak_ratio: 0.8,
+            max_orientations: 2,
+        }
+    }
+}
+
+impl SiftConfig {
+    fn validate(&self) -> Result<(), Error> {
+        let refuse = |field, value: String, expected| Error::Config {
+            field,
+            value,
+            expected,
+        };
+        if !(1..=8).contains(&self.scales_per_octave) {
+            let value = self.scales_per_octave.to_string();
+            return Err(refuse("sift.scales_per_octave", value, "1 to 8"));
+        }
+        if !(self.base_blur_px > 1.0 && self.base_blur_px < 10.0) {
+            let value = self.base_blur_px.to_string();
+            return Err(refuse("sift.base_blur_px", value, "between 1 and 10"));
+        }
+        if !(self.min_contrast > 0.0) {
+            let value = self.min_contrast.to_string();
+            return Err(refuse("sift.min_contrast", value, "above 0"));
+        }
+        if !(self.max_edge_ratio >= 1.0) {
+            let value = self.max_edge_ratio.to_string();
+            return Err(refuse("sift.max_edge_ratio", value, "at least 1"));
+        }
+        Ok(())
+    }
+}
+
+/// Finds and describes features. Keeps its scale space between images: use one per thread.
+#[derive(Clone, Debug)]
+pub struct SiftDetector {
+    config: SiftConfig,
+    lattice: Lattice,
+    octaves: Vec<Octave>,
+}
+
+/// Smallest side of an octave that is still searched, pixels.
+const MIN_SIDE_PX: usize = 24;
+/// Rim of an octave that is not searched, pixels.
+const BORDER_PX: usize = 5;
+
+impl SiftDetector {
+    /// A detector; refuses a configuration without meaning.
+    pub fn new(config: &SiftConfig) -> Result<Self, Error> {
+        config.validate()?;
+        Ok(Self {
+            config: config.clone(),
+            lattice: Lattice::new(),
+            octaves: Vec::new(),
+        })
+    }
+
+    /// The features of `image`, by octave, level, row and column. An image whose pixels do not fill its size, or too
+    /// small for one octave, has none.
+    pub fn detect(&mut self, image: &Image) -> Features {
+        let (width, height) = (image.width as usize, image.height as usize);
+        if width.min(height) < MIN_SIDE_PX || image.pixels.len() != width * height {
+            return Features::default();
+        }
+        let doubled = self.config.first_octave == FirstOctave::Doubled;
+        self.build_octaves(image, doubled);
+        let mut found: Vec<(usize, Extremum)> = Vec::new();
+        let limits = Limits {
+            contrast: self.config.min_contrast,
+            edge_ratio: self.config.max_edge_ratio,
+            border: BORDER_PX,
+        };
+        for (index, octave) in self.octaves.iter().enumerate() {
+            found.extend(
+                find_extrema(octave, &limits)
+                    .into_iter()
+                    .map(|e| (index, e)),
+            );
+        }
+        let pixel_size = |octave: usize| {
+            let exponent = octave as i32 - i32::from(doubled);
+            2.0f32.powi(exponent)
+        };
+        let candidates: Vec<Candidate> = found
+            .iter()
+            .map(|(octave, e)| Candidate {
+                x: e.x * pixel_size(*octave),
+                y: e.y * pixel_size(*octave),
+                response: e.response,
+            })
+            .collect();
+        let mut features = Features::default();
+        for index in select(
+            &candidates,
+            image.width,
+            image.height,
+            self.config.max_features,
+        ) {
+            let (octave, extremum) = &found[index];
+            self.describe(*octave, extremum, pixel_size(*octave), &mut features);
+        }
+        features
+    }
+
+    fn build_octaves(&mut self, image: &Image, doubled: bool) {
+        let (scales, sigma) = (self.config.scales_per_octave, self.config.base_blur_px);
+        let mut side = image.width.min(image.height) as usize * if doubled { 2 } else { 1 };
+        let mut count = 0;
+        while side >= MIN_SIDE_PX {
+            count += 1;
+            side /= 2;
+        }
+        self.octaves.resize_with(count, Octave::default);
+        for index in 0..count {
+            let (done, rest) = self.octaves.split_at_mut(index);
+            match done.last() {
+                None => rest[0].start(image, doubled, sigma),
+                Some(previous) => rest[0].halve(previous, scales),
+            }
+            rest[0].fill(scales, sigma);
+        }
+    }
+
+    fn describe(&self, octave: usize, e: &Extremum, pixel_size: f32, features: &mut Features) {
+        let config = &self.config;
+        let level = (e.level.round() as usize).clamp(1, config.scales_per_octave);
+        let plane = &self.octaves[octave].gaussians[level];
+        let sigma = config.base_blur_px * 2.0f32.powf(e.level / config.scales_per_octave as f32);
+        let (ratio, limit) = (config.orientation_peak_ratio, config.max_orientations);
+        for angle in orientations(plane, e.x, e.y, sigma, ratio, limit) {
+            features.keypoints.push(Keypoint {
+                pixel: [e.x * pixel_size, e.y * pixel_size],
+                scale_px: sigma * pixel_size,
+                angle_rad: angle,
+                response: e.response,
+            });
+            let descriptor = self.lattice.describe(plane, e.x, e.y, sigma, angle);
+            features.descriptors.push(descriptor);
+        }
+    }
+}
+
+/// Features of many images, in their order, on all threads.
+pub fn detect_all(
+    images: &[&Image],
+    config: &SiftConfig,
+    progress: ProgressFn,
+) -> Result<Vec<Features>, Error> {
+    let prototype = SiftDetector::new(config)?;
+    let done = AtomicU64::new(0);
+    let features = images.par_iter().map_init(
+        || prototype.clone(),
+        |detector, image| {
+            let features = detector.detect(image);
+            progress(Progress {
+                stage: "image features",
+                done: done.fetch_add(1, Ordering::Relaxed) + 1,
+                total: images.len() as u64,
+            });
+            features
+        },
+    );
+    Ok(features.collect())
+}
