@@ -37,8 +37,8 @@ pub(crate) fn find_extrema(octave: &Octave, limits: &Limits) -> Vec<Extremum> {
         let [below, here, above] = [level - 1, level, level + 1].map(|l| &octave.differences[l]);
         for y in limits.border..height - limits.border {
             let row = here.row(y);
-            for x in limits.border..width - limits.border {
-                let value = row[x];
+            let inner = row.iter().enumerate().take(width - limits.border);
+            for (x, &value) in inner.skip(limits.border) {
                 if value.abs() > floor && is_extremum(value, [here, below, above], x, y) {
                     found.extend(refine(octave, level, x, y, limits));
                 }
