@@ -1,1 +1,43 @@
-//! Recordings: MCAP files of raw packets and samples, their topics, schemas, reader and writer.
+#![doc = include_str!("../FORMAT.md")]
+//!
+//! # Example
+//!
+//! ```
+//! use lsfb_recording::{Recording, Writer, WriterConfig};
+//! use lsfb_types::{Image, Stamped, Timestamp};
+//!
+//! # let folder = tempfile::tempdir()?;
+//! # let path = folder.path().join("scan.mcap");
+//! let mut writer = Writer::create(&path, &WriterConfig::default())?;
+//! let time = Timestamp::from_nanos(1_772_359_200_000_000_000);
+//! let sample = Image { width: 4, height: 2, pixels: vec![128; 8], exposure_ns: 5_000_000, frame_id: 1 };
+//! writer.write_image("cam0", &Stamped { time, arrival: time + 2_000_000, device_ticks: 17, sample })?;
+//! writer.finish()?;
+//!
+//! let recording = Recording::open(&path)?;
+//! for image in recording.images("cam0")? {
+//!     assert_eq!(image?.sample.exposure_ns, 5_000_000);
+//! }
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod cdr;
+mod chunk;
+mod error;
+mod index;
+pub mod message;
+mod provenance;
+mod reader;
+mod record;
+mod sink;
+mod summary;
+mod topic;
+mod tum;
+mod writer;
+
+pub use error::{Damage, Error};
+pub use provenance::{Provenance, sha256_of};
+pub use reader::{ArrivalRange, CameraImage, CdrMessage, RecordedPacket, Recording};
+pub use topic::LIDAR_POSITION;
+pub use tum::{read_tum, write_tum};
+pub use writer::{Channel, Compression, Durability, Summary, TopicSummary, Writer, WriterConfig};

@@ -1,0 +1,33 @@
+//! The messages of a recording: their CDR bytes, both ways, and their `ros2msg` schemas.
+//!
+//! Each `encode_*` gives the bytes that ROS 2 would serialise; each `decode_*` checks every length. Topics that carry
+//! them are listed in `FORMAT.md`.
+
+mod image;
+mod imu;
+mod lsfb;
+mod points;
+mod schema;
+mod transform;
+mod velodyne;
+
+#[cfg(test)]
+mod tests;
+
+pub use image::{decode_image, encode_camera_info, encode_image};
+pub use imu::{
+    TimeReference, decode_imu, decode_time_reference, encode_imu, encode_time_reference,
+};
+pub use lsfb::{
+    FrameMeta, RawPacket, decode_frame_meta, decode_raw_packet, encode_frame_meta,
+    encode_raw_packet,
+};
+pub use points::{decode_points, encode_points};
+pub use schema::{
+    CAMERA_INFO, FRAME_META, IMAGE, IMU, POINT_CLOUD, RAW_PACKET, Schema, TF_MESSAGE,
+    TIME_REFERENCE, VELODYNE_SCAN,
+};
+pub use transform::{StaticTransform, encode_static_transforms};
+pub use velodyne::{VELODYNE_PACKET_BYTES, decode_velodyne_scan, encode_velodyne_scan};
+
+pub use crate::cdr::CdrError;

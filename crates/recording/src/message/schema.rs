@@ -1,0 +1,157 @@
+/// A message type: its ROS 2 name and its `ros2msg` text, self-contained.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Schema {
+    /// `package/msg/Type`.
+    pub name: &'static str,
+    /// The definition, followed by those it depends on.
+    pub text: &'static str,
+}
+
+macro_rules! dependency {
+    ($name:literal, $text:literal) => {
+        concat!(
+            "================================================================================\nMSG: ",
+            $name,
+            "\n",
+            $text
+        )
+    };
+}
+
+macro_rules! header {
+    () => {
+        concat!(
+            dependency!(
+                "std_msgs/Header",
+                "builtin_interfaces/Time stamp\nstring frame_id\n"
+            ),
+            time!()
+        )
+    };
+}
+
+macro_rules! time {
+    () => {
+        dependency!("builtin_interfaces/Time", "int32 sec\nuint32 nanosec\n")
+    };
+}
+
+macro_rules! vector3_and_quaternion {
+    () => {
+        concat!(
+            dependency!("geometry_msgs/Vector3", "float64 x\nfloat64 y\nfloat64 z\n"),
+            dependency!(
+                "geometry_msgs/Quaternion",
+                "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n"
+            )
+        )
+    };
+}
+
+/// Camera images.
+pub const IMAGE: Schema = Schema {
+    name: "sensor_msgs/msg/Image",
+    text: concat!(
+        "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\n",
+        "uint8[] data\n",
+        header!()
+    ),
+};
+
+/// Inertial samples.
+pub const IMU: Schema = Schema {
+    name: "sensor_msgs/msg/Imu",
+    text: concat!(
+        "std_msgs/Header header\ngeometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n",
+        "geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n",
+        "geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n",
+        header!(),
+        vector3_and_quaternion!()
+    ),
+};
+
+/// Device counters.
+pub const TIME_REFERENCE: Schema = Schema {
+    name: "sensor_msgs/msg/TimeReference",
+    text: concat!(
+        "std_msgs/Header header\nbuiltin_interfaces/Time time_ref\nstring source\n",
+        header!()
+    ),
+};
+
+/// LiDAR scans.
+pub const POINT_CLOUD: Schema = Schema {
+    name: "sensor_msgs/msg/PointCloud2",
+    text: concat!(
+        "std_msgs/Header header\nuint32 height\nuint32 width\nsensor_msgs/PointField[] fields\nbool is_bigendian\n",
+        "uint32 point_step\nuint32 row_step\nuint8[] data\nbool is_dense\n",
+        dependency!(
+            "sensor_msgs/PointField",
+            "string name\nuint32 offset\nuint8 datatype\nuint32 count\n"
+        ),
+        header!()
+    ),
+};
+
+/// Camera intrinsics.
+pub const CAMERA_INFO: Schema = Schema {
+    name: "sensor_msgs/msg/CameraInfo",
+    text: concat!(
+        "std_msgs/Header header\nuint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\nfloat64[9] k\n",
+        "float64[9] r\nfloat64[12] p\nuint32 binning_x\nuint32 binning_y\nsensor_msgs/RegionOfInterest roi\n",
+        dependency!(
+            "sensor_msgs/RegionOfInterest",
+            "uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool do_rectify\n"
+        ),
+        header!()
+    ),
+};
+
+/// Frames of the rig.
+pub const TF_MESSAGE: Schema = Schema {
+    name: "tf2_msgs/msg/TFMessage",
+    text: concat!(
+        "geometry_msgs/TransformStamped[] transforms\n",
+        dependency!(
+            "geometry_msgs/TransformStamped",
+            "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n"
+        ),
+        dependency!(
+            "geometry_msgs/Transform",
+            "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n"
+        ),
+        header!(),
+        vector3_and_quaternion!()
+    ),
+};
+
+/// LiDAR data packets.
+pub const VELODYNE_SCAN: Schema = Schema {
+    name: "velodyne_msgs/msg/VelodyneScan",
+    text: concat!(
+        "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets\n",
+        dependency!(
+            "velodyne_msgs/VelodynePacket",
+            "builtin_interfaces/Time stamp\nuint8[1206] data\n"
+        ),
+        header!()
+    ),
+};
+
+/// Bytes as a device sent them.
+pub const RAW_PACKET: Schema = Schema {
+    name: "lsfb_msgs/msg/RawPacket",
+    text: concat!(
+        "std_msgs/Header header\nstring source\nuint16 kind\nuint64 seq\nuint8[] data\n",
+        header!()
+    ),
+};
+
+/// What a camera says about a frame.
+pub const FRAME_META: Schema = Schema {
+    name: "lsfb_msgs/msg/FrameMeta",
+    text: concat!(
+        "std_msgs/Header header\nuint32 frame_id\nuint64 device_ticks\nuint32 exposure_ns\nuint8[] trailer\n",
+        header!()
+    ),
+};

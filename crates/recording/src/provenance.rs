@@ -1,0 +1,133 @@
+//! Where a result comes from: written beside it, so that it can be made again.
+
+use std::collections::BTreeMap;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use crate::error::Error;
+
+/// What made a result: program, effective configuration and inputs. Times and host names are left out on purpose: equal
+/// inputs give equal bytes.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Provenance {
+    /// Name and version of the program, and of formats where they have one: `lsfb` → `0.1.0`.
+    pub versions: BTreeMap<String, String>,
+    /// The configuration with every default filled in.
+    pub config: serde_json::Value,
+    /// SHA-256 of each input by the name of its file, in hexadecimal.
+    pub inputs: BTreeMap<String, String>,
+}
+
+impl Provenance {
+    /// Of a result of this version of the program with this effective configuration.
+    pub fn new(config: &impl Serialize) -> Self {
+        Self {
+            versions: BTreeMap::from([("lsfb".to_owned(), env!("CARGO_PKG_VERSION").to_owned())]),
+            // A configuration that is no JSON (a map with odd keys) is noted as missing rather than failing the stage.
+            config: serde_json::to_value(config).unwrap_or_default(),
+            inputs: BTreeMap::new(),
+        }
+    }
+
+    /// Adds the hash of an input file.
+    pub fn add_input(&mut self, path: &Path) -> Result<(), Error> {
+        let name = path
+            .file_name()
+            .unwrap_or(path.as_os_str())
+            .to_string_lossy()
+            .into_owned();
+        self.inputs.insert(name, sha256_of(path)?);
+        Ok(())
+    }
+
+    /// Writes `<result>.provenance.json` beside `result` and gives its path.
+    pub fn write(&self, result: &Path) -> Result<PathBuf, Error> {
+        let path = provenance_path(result);
+        let mut text = serde_json::to_vec_pretty(self).map_err(|source| Error::Io {
+            path: path.clone(),
+            action: "write the provenance",
+            source: source.into(),
+        })?;
+        text.push(b'\n');
+        replace_file(&path, &text)?;
+        Ok(path)
+    }
+}
+
+fn provenance_path(result: &Path) -> PathBuf {
+    let mut name = result.file_name().unwrap_or_default().to_os_string();
+    name.push(".provenance.json");
+    result.with_file_name(name)
+}
+
+/// SHA-256 of a file in hexadecimal.
+pub fn sha256_of(path: &Path) -> Result<String, Error> {
+    let io = |source| Error::Io {
+        path: path.to_owned(),
+        action: "hash the file",
+        source,
+    };
+    let mut file = std::fs::File::open(path).map_err(io)?;
+    let mut hasher = Sha256::new();
+    let mut buffer = vec![0; 1 << 20];
+    loop {
+        let read = file.read(&mut buffer).map_err(io)?;
+        if read == 0 {
+            break;
+        }
+        hasher.update(&buffer[..read]);
+    }
+    Ok(hasher
+        .finalize()
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect())
+}
+
+/// Writes a file under a temporary name first, so that an interruption leaves the old one or the new one.
+pub(crate) fn replace_file(path: &Path, bytes: &[u8]) -> Result<(), Error> {
+    let mut name = path.file_name().unwrap_or_default().to_os_string();
+    name.push(".part");
+    let part = path.with_file_name(name);
+    std::fs::write(&part, bytes)
+        .and_then(|()| std::fs::rename(&part, path))
+        .map_err(|source| Error::Io {
+            path: path.to_owned(),
+            action: "write",
+            source,
+        })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hash_of_the_standard_and_provenance_round_trip() {
+        let dir = tempfile::tempdir().unwrap();
+        let input = dir.path().join("abc.txt");
+        std::fs::write(&input, "abc").unwrap();
+        // FIPS 180-2, appendix B.1
+        let expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        assert_eq!(sha256_of(&input).unwrap(), expected);
+
+        let mut provenance = Provenance::new(&BTreeMap::from([("voxel_size_m", 0.25)]));
+        provenance.add_input(&input).unwrap();
+        let path = provenance.write(&dir.path().join("walk.tum")).unwrap();
+        assert_eq!(path.file_name().unwrap(), "walk.tum.provenance.json");
+        let text = std::fs::read_to_string(&path).unwrap();
+        let back: Provenance = serde_json::from_str(&text).unwrap();
+        assert_eq!(back, provenance);
+        assert_eq!(back.inputs["abc.txt"], expected);
+        assert_eq!(back.config["voxel_size_m"], 0.25);
+
+        let missing = sha256_of(&dir.path().join("gone.mcap"))
+            .unwrap_err()
+            .to_string();
+        assert!(missing.contains("gone.mcap"), "{missing}");
+    }
+}

@@ -1,0 +1,62 @@
+//! Names of topics, in one place for writer and reader.
+
+/// LiDAR data packets.
+pub(crate) const LIDAR_PACKETS: &str = "/lidar/packets";
+/// LiDAR scans.
+pub(crate) const LIDAR_POINTS: &str = "/lidar/points";
+/// The LiDAR's own clock at each scan.
+pub(crate) const LIDAR_TIME_REF: &str = "/lidar/time_ref";
+/// Frames of the rig.
+pub(crate) const TF_STATIC: &str = "/tf_static";
+/// Frame of the LiDAR.
+pub(crate) const LIDAR_FRAME: &str = "lidar";
+/// Frame of the rig.
+pub(crate) const RIG_FRAME: &str = "rig";
+
+/// Source of the LiDAR's position packets, which have a topic of their own.
+pub const LIDAR_POSITION: &str = "lidar/position";
+
+pub(crate) fn image(camera: &str) -> String {
+    format!("/{camera}/image")
+}
+
+pub(crate) fn frame_meta(image_topic: &str) -> String {
+    companion(image_topic, "/image", "frame_meta")
+}
+
+pub(crate) fn camera_info(image_topic: &str) -> String {
+    companion(image_topic, "/image", "camera_info")
+}
+
+/// The camera's name in an image topic: its last but one segment.
+pub(crate) fn camera_of(image_topic: &str) -> Option<&str> {
+    image_topic
+        .strip_suffix("/image")?
+        .rsplit('/')
+        .next()
+        .filter(|name| !name.is_empty())
+}
+
+pub(crate) fn imu(imu: &str) -> String {
+    format!("/{imu}/data_raw")
+}
+
+/// Topic of an IMU's counter: `/imu0/time_ref` for `/imu0/data_raw`, `/sidecar/x/time_ref` for `/sidecar/x/imu`.
+pub(crate) fn imu_time_ref(imu_topic: &str) -> String {
+    match imu_topic.rsplit_once('/') {
+        Some((prefix, _)) => format!("{prefix}/time_ref"),
+        None => format!("{imu_topic}/time_ref"),
+    }
+}
+
+/// Raw bytes: `/raw/<source>`, but `/lidar/position` for position packets.
+pub(crate) fn raw(source: &str) -> String {
+    match source {
+        LIDAR_POSITION => format!("/{source}"),
+        _ => format!("/raw/{source}"),
+    }
+}
+
+fn companion(topic: &str, suffix: &str, name: &str) -> String {
+    format!("{}/{name}", topic.strip_suffix(suffix).unwrap_or(topic))
+}

@@ -1,0 +1,418 @@
+//! What is written is read back, whole and in order, and the file is an MCAP file like any other.
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use lsfb_geometry::camera::Lens;
+use lsfb_geometry::{Camera, Rig, RigCamera, RigImu, RigLidar, Se3, Vector6};
+use lsfb_recording::{
+    Channel, Compression, LIDAR_POSITION, Recording, Summary, Writer, WriterConfig, message,
+};
+use lsfb_types::{
+    Image, ImuSample, LidarPoint, LidarScan, Packet, Stamped, Timestamp, no_progress,
+};
+
+const START: Timestamp = Timestamp::from_nanos(1_772_359_200_000_000_000);
+
+fn rig() -> Rig {
+    let camera = Camera {
+        width: 32,
+        height: 20,
+        lens: Lens::KannalaBrandt {
+            focal_px: [17.5; 2],
+            principal_px: [15.5, 9.5],
+            distortion: [0.01, -0.02, 0.003, 0.0],
+        },
+    };
+    let pose = |x: f64| Se3::exp(&Vector6::new(0.1, 0.2, x, 0.05, -0.03, x));
+    let cameras = (0..2).map(|i| {
+        let rig_from_camera = pose(f64::from(i));
+        (
+            format!("cam{i}"),
+            RigCamera {
+                camera,
+                rig_from_camera,
+            },
+        )
+    });
+    Rig {
+        name: "backpack".into(),
+        cameras: cameras.collect(),
+        imu: Some(RigImu {
+            gyro_noise_density: 1e-3,
+            accel_noise_density: 1e-2,
+            gyro_bias_walk: 1e-5,
+            accel_bias_walk: 1e-4,
+        }),
+        lidar: Some(RigLidar {
+            rig_from_lidar: pose(0.3),
+            range_noise_m: 0.02,
+        }),
+    }
+}
+
+fn image(camera: u8, n: u32) -> Stamped<Image> {
+    let time = START + i64::from(n) * 100_000_000;
+    Stamped {
+        time,
+        arrival: time + 7_000_000 + i64::from(camera),
+        device_ticks: 171_323_050 + u64::from(n),
+        sample: Image {
+            width: 32,
+            height: 20,
+            pixels: (0..640u32)
+                .map(|i| (i * (n + 1) + u32::from(camera)) as u8)
+                .collect(),
+            exposure_ns: 4_000_000 + n,
+            frame_id: n,
+        },
+    }
+}
+
+fn imu(n: u32) -> Stamped<ImuSample> {
+    let time = START + i64::from(n) * 5_000_000;
+    Stamped {
+        time,
+        arrival: time + 1_000_000,
+        device_ticks: u64::from(n) * 50 + 1,
+        sample: ImuSample {
+            angular_velocity_rad_s: [f64::from(n) * 1e-3, -0.1, 0.2],
+            specific_force_m_s2: [0.1, 0.2, 9.81],
+        },
+    }
+}
+
+fn scan(n: u32) -> Stamped<LidarScan> {
+    let time = START + i64::from(n) * 100_000_000;
+    let points = (0..50u16).map(|i| LidarPoint {
+        position_m: [f32::from(i) * 0.1, n as f32, 0.5],
+        intensity: i as u8,
+        ring: i % 32,
+        time_offset_ns: u32::from(i) * 2304,
+    });
+    Stamped {
+        time,
+        arrival: time + 101_000_000,
+        device_ticks: 0,
+        sample: LidarScan {
+            points: points.collect(),
+        },
+    }
+}
+
+fn data_packets(n: u32) -> Vec<Packet> {
+    let start = START + i64::from(n) * 100_000_000;
+    (0..4u8)
+        .map(|i| Packet {
+            arrival: start + i64::from(i) * 660_000,
+            bytes: vec![i.wrapping_add(n as u8); message::VELODYNE_PACKET_BYTES],
+        })
+        .collect()
+}
+
+/// Three seconds of everything.
+fn write_walk(path: &Path, config: &WriterConfig) -> Summary {
+    let mut writer = Writer::create(path, config).unwrap();
+    writer.attach_rig(&rig()).unwrap();
+    for n in 0..30 {
+        for k in 0..20 {
+            writer.write_imu("imu0", &imu(n * 20 + k)).unwrap();
+        }
+        writer
+            .write_velodyne_packets(START + i64::from(n) * 100_000_000, &data_packets(n))
+            .unwrap();
+        writer.write_scan(&scan(n)).unwrap();
+        writer.write_image("cam0", &image(0, n)).unwrap();
+        writer
+            .write_image_with_trailer("cam1", &image(1, n), &[0x3b, n as u8])
+            .unwrap();
+        let position = Packet {
+            arrival: image(0, n).arrival,
+            bytes: vec![n as u8; 512],
+        };
+        writer
+            .write_raw(LIDAR_POSITION, 0, u64::from(n), &position, position.arrival)
+            .unwrap();
+        writer
+            .write_raw("imu0", 54, u64::from(n), &position, position.arrival)
+            .unwrap();
+    }
+    writer.finish().unwrap()
+}
+
+fn check_walk(recording: &Recording) {
+    assert_eq!(recording.damage(), []);
+    let images: Result<Vec<_>, _> = recording.images("cam0").unwrap().collect();
+    assert_eq!(
+        images.unwrap(),
+        (0..30).map(|n| image(0, n)).collect::<Vec<_>>()
+    );
+    let images: Result<Vec<_>, _> = recording.images_of(&["cam1", "cam0"]).unwrap().collect();
+    let images: Vec<_> = images
+        .unwrap()
+        .into_iter()
+        .map(|i| (i.camera, i.image))
+        .collect();
+    assert_eq!(
+        images,
+        (0..30)
+            .flat_map(|n| [(1, image(0, n)), (0, image(1, n))])
+            .collect::<Vec<_>>()
+    );
+    let trailers: Result<Vec<_>, _> = recording.frame_meta("cam1").unwrap().collect();
+    let trailers: Vec<_> = trailers
+        .unwrap()
+        .into_iter()
+        .map(|m| m.sample.trailer)
+        .collect();
+    assert_eq!(trailers, (0..30).map(|n| vec![0x3b, n]).collect::<Vec<_>>());
+    let samples: Result<Vec<_>, _> = recording.imu().unwrap().collect();
+    assert_eq!(samples.unwrap(), (0..600).map(imu).collect::<Vec<_>>());
+    let scans: Result<Vec<_>, _> = recording.scans().unwrap().collect();
+    assert_eq!(scans.unwrap(), (0..30).map(scan).collect::<Vec<_>>());
+    let packets: Result<Vec<_>, _> = recording.packets("lidar/packets").unwrap().collect();
+    let packets = packets.unwrap();
+    assert_eq!(packets[119].sequence, 119);
+    let packets: Vec<_> = packets.into_iter().map(|p| p.packet).collect();
+    assert_eq!(packets, (0..30).flat_map(data_packets).collect::<Vec<_>>());
+    let positions: Result<Vec<_>, _> = recording.packets(LIDAR_POSITION).unwrap().collect();
+    let positions = positions.unwrap();
+    assert_eq!(
+        (
+            positions.len(),
+            positions[29].sequence,
+            positions[29].packet.bytes.len()
+        ),
+        (30, 29, 512)
+    );
+    assert_eq!(
+        recording
+            .packets("imu0")
+            .unwrap()
+            .next()
+            .unwrap()
+            .unwrap()
+            .kind,
+        54
+    );
+}
+
+#[test]
+fn everything_comes_back_with_every_compression() {
+    let dir = tempfile::tempdir().unwrap();
+    for compression in [Compression::None, Compression::Lz4, Compression::Zstd] {
+        let path = dir.path().join("walk.mcap");
+        let session = BTreeMap::from([("seed".to_owned(), "7".to_owned())]);
+        let config = WriterConfig {
+            compression,
+            session,
+            ..WriterConfig::default()
+        };
+        let summary = write_walk(&path, &config);
+        assert_eq!(summary.bytes, std::fs::metadata(&path).unwrap().len());
+
+        let recording = Recording::open(&path).unwrap();
+        check_walk(&recording);
+        assert_eq!(recording.topics(), summary.topics);
+        let count = |topic: &str| {
+            recording
+                .topics()
+                .iter()
+                .find(|t| t.topic == topic)
+                .unwrap()
+                .messages
+        };
+        assert_eq!(
+            (
+                count("/imu0/data_raw"),
+                count("/imu0/time_ref"),
+                count("/tf_static")
+            ),
+            (600, 600, 1)
+        );
+        assert_eq!(count("/cam0/camera_info"), 3, "once a second");
+        assert_eq!(recording.verify(&no_progress).unwrap(), []);
+        assert_eq!(recording.metadata("lsfb.session").unwrap()["seed"], "7");
+        assert!(recording.metadata("lsfb.session").unwrap()["software"].starts_with("lsfb "));
+        let range = recording.arrival_range().unwrap();
+        assert_eq!(range.start, data_packets(0)[3].arrival.min(imu(0).arrival));
+        let (read, written) = (recording.rig().unwrap(), rig());
+        assert_eq!(read.cameras.len(), 2);
+        let difference = read.cameras["cam1"].rig_from_camera.inverse()
+            * written.cameras["cam1"].rig_from_camera;
+        assert!(difference.log().norm() < 1e-12);
+    }
+}
+
+#[test]
+fn same_samples_same_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    for compression in [Compression::Lz4, Compression::Zstd] {
+        let config = WriterConfig {
+            compression,
+            ..WriterConfig::default()
+        };
+        let files: Vec<_> = (0..4)
+            .map(|i| {
+                let path = dir.path().join(format!("{i}.mcap"));
+                write_walk(&path, &config);
+                std::fs::read(path).unwrap()
+            })
+            .collect();
+        assert!(files.iter().all(|f| *f == files[0]), "{compression:?}");
+    }
+}
+
+#[test]
+fn the_mcap_crate_reads_it_and_chunks_are_bounded() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("walk.mcap");
+    let config = WriterConfig {
+        chunk_bytes: 20_000,
+        ..WriterConfig::default()
+    };
+    let written = write_walk(&path, &config);
+    let bytes = std::fs::read(&path).unwrap();
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    assert!(summary.chunk_indexes.len() > 10);
+    for chunk in &summary.chunk_indexes {
+        // Intrinsics and frames come on top: small, and once a second.
+        assert!(
+            chunk.uncompressed_size < 24_000,
+            "{}",
+            chunk.uncompressed_size
+        );
+        assert!(chunk.message_end_time - chunk.message_start_time < 1_300_000_000);
+        assert_eq!(chunk.compression, "lz4");
+    }
+    let messages: Result<Vec<_>, _> = mcap::MessageStream::new(&bytes).unwrap().collect();
+    let messages = messages.unwrap();
+    assert_eq!(messages.len() as u64, written.messages);
+    let first = messages
+        .iter()
+        .find(|m| m.channel.topic == "/cam0/image")
+        .unwrap();
+    assert_eq!(first.publish_time, START.nanos() as u64);
+    assert_eq!(first.log_time, image(0, 0).arrival.nanos() as u64);
+    check_walk(&Recording::open(&path).unwrap());
+}
+
+#[test]
+fn a_sidecar_is_found_by_its_camera() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("glasses.mcap");
+    let mut writer = Writer::create(&path, &WriterConfig::default()).unwrap();
+    writer.attach_rig(&rig()).unwrap();
+    for n in 0..3 {
+        let (frame, sample) = (image(0, n), imu(n));
+        let meta = message::FrameMeta {
+            frame_id: n,
+            exposure_ns: 4_000_000 + n,
+            ..Default::default()
+        };
+        let pairs = [
+            (
+                "/sidecar/glasses/cam0/frame_meta",
+                message::FRAME_META,
+                message::encode_frame_meta(frame.time, "cam0", &meta),
+            ),
+            (
+                "/sidecar/glasses/cam0/image",
+                message::IMAGE,
+                message::encode_image(frame.time, "cam0", &frame.sample),
+            ),
+            (
+                "/sidecar/glasses/imu",
+                message::IMU,
+                message::encode_imu(sample.time, "imu", &sample.sample),
+            ),
+        ];
+        for (topic, schema, bytes) in pairs {
+            let channel = Channel {
+                topic,
+                schema_name: schema.name,
+                schema_text: schema.text,
+            };
+            writer
+                .write_cdr(&channel, frame.time, frame.arrival, &bytes)
+                .unwrap();
+        }
+    }
+    writer.finish().unwrap();
+    let recording = Recording::open(&path).unwrap();
+    let images: Result<Vec<_>, _> = recording.images("cam0").unwrap().collect();
+    let expected = (0..3).map(|n| Stamped {
+        device_ticks: 0,
+        ..image(0, n)
+    });
+    assert_eq!(images.unwrap(), expected.collect::<Vec<_>>());
+    assert_eq!(recording.imu().unwrap().count(), 3);
+    assert_eq!(
+        recording
+            .messages("/sidecar/glasses/cam0/camera_info")
+            .unwrap()
+            .count(),
+        1
+    );
+    assert_eq!(recording.messages("/tf_static").unwrap().count(), 1);
+}
+
+#[test]
+fn what_is_not_there_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("walk.mcap");
+    let mut writer = Writer::create(&path, &WriterConfig::default()).unwrap();
+    writer.write_imu("imu0", &imu(0)).unwrap();
+    writer.write_imu("imu1", &imu(0)).unwrap();
+    let error = writer
+        .write_imu(
+            "imu0",
+            &Stamped {
+                time: START + i64::MAX / 2,
+                ..imu(0)
+            },
+        )
+        .unwrap_err();
+    assert!(
+        error.to_string().contains("check the device's clock"),
+        "{error}"
+    );
+    let mut wrong = image(0, 0);
+    wrong.sample.width = 31;
+    let error = writer.write_image("cam0", &wrong).unwrap_err();
+    assert!(
+        error.to_string().contains("640 pixels in a 31×20 image"),
+        "{error}"
+    );
+    let short = Packet {
+        arrival: START,
+        bytes: vec![0; 512],
+    };
+    let error = writer.write_velodyne_packets(START, &[short]).unwrap_err();
+    assert!(error.to_string().contains("1206 bytes"), "{error}");
+    writer.finish().unwrap();
+
+    let recording = Recording::open(&path).unwrap();
+    let message = |error: lsfb_recording::Error| {
+        let message = error.to_string();
+        assert!(message.contains("walk.mcap"), "{message}");
+        message
+    };
+    let text = message(recording.images("cam0").err().unwrap());
+    assert!(
+        text.contains("no topic for `cam0`") && text.contains("/imu0/data_raw"),
+        "{text}"
+    );
+    let text = message(recording.imu().err().unwrap());
+    assert!(text.contains("/imu0/data_raw, /imu1/data_raw"), "{text}");
+    let text = message(recording.images("/imu0/data_raw").err().unwrap());
+    assert!(
+        text.contains("carries cdr sensor_msgs/msg/Imu, expected cdr sensor_msgs/msg/Image"),
+        "{text}"
+    );
+    let text = message(recording.rig().unwrap_err());
+    assert!(text.contains("no attachment `rig.toml`"), "{text}");
+    assert!(message(recording.scans().err().unwrap()).contains("/lidar/points"));
+    assert!(recording.metadata("nothing").unwrap().is_empty());
+}
