@@ -48,6 +48,25 @@ pub enum Error {
         /// End of the scan before.
         previous: Timestamp,
     },
+    /// A sensor is needed that the rig does not have.
+    #[error("rig {rig} has no {sensor}: give the rig file of the device that recorded this")]
+    SensorMissing {
+        /// The sensor.
+        sensor: &'static str,
+        /// The rig's name.
+        rig: String,
+    },
+    /// No scan of a recording could be used.
+    #[error("{path}: none of the {scans} LiDAR scans could be used: check the LiDAR and its time against the IMU's", path = path.display())]
+    NoScan {
+        /// The recording.
+        path: PathBuf,
+        /// Scans in it.
+        scans: u64,
+    },
+    /// A recording could not be read.
+    #[error(transparent)]
+    Recording(#[from] lsfb_recording::Error),
     /// The first scan came before any inertial sample.
     #[error(
         "no inertial sample before {time} s: start the odometry without IMU, or with scans the IMU covers"

@@ -6,7 +6,7 @@ use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
 
 use lsfb_geometry::{Se3, Vector3};
-use lsfb_types::LidarScan;
+use lsfb_types::{LidarPoint, LidarScan};
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 
@@ -38,6 +38,37 @@ pub fn deskew(
     knots: &[MotionKnot],
     window: RangeWindow,
 ) -> Vec<Vector3<f64>> {
+    deskew_each(scan, rig_from_lidar, knots, window, |_, p| p)
+}
+
+/// [`deskew`], with the returns of each ring apart, in firing order.
+pub fn deskew_rings(
+    scan: &LidarScan,
+    rig_from_lidar: &Se3,
+    knots: &[MotionKnot],
+    window: RangeWindow,
+) -> Vec<Vec<Vector3<f64>>> {
+    let points = deskew_each(scan, rig_from_lidar, knots, window, |return_, p| {
+        (return_.ring, p)
+    });
+    let mut rings: Vec<Vec<Vector3<f64>>> = Vec::new();
+    for (ring, point) in points {
+        let ring = usize::from(ring);
+        if rings.len() <= ring {
+            rings.resize(ring + 1, Vec::new());
+        }
+        rings[ring].push(point);
+    }
+    rings
+}
+
+fn deskew_each<T: Send + Clone>(
+    scan: &LidarScan,
+    rig_from_lidar: &Se3,
+    knots: &[MotionKnot],
+    window: RangeWindow,
+    make: impl Fn(&LidarPoint, Vector3<f64>) -> T + Sync,
+) -> Vec<T> {
     // Rigid transforms as matrices: 60 000 quaternion products per scan cost more than the registration.
     let transforms: Vec<(i64, Matrix3<f64>, Vector3<f64>)> = knots
         .iter()
@@ -61,7 +92,7 @@ pub fn deskew(
                 let time = i64::from(point.time_offset_ns);
                 let next = transforms.partition_point(|t| t.0 < time);
                 let at = |index: usize| transforms.get(index).map(|(_, r, t)| r * p + t);
-                kept.push(match (next.checked_sub(1), at(next)) {
+                let moved = match (next.checked_sub(1), at(next)) {
                     (Some(before), Some(end)) => {
                         let span = (transforms[next].0 - transforms[before].0) as f64;
                         let fraction = (time - transforms[before].0) as f64 / span;
@@ -70,7 +101,8 @@ pub fn deskew(
                     (None, Some(only)) => only,
                     (Some(before), None) => at(before).unwrap_or(p),
                     (None, None) => still.0 * p + still.1,
-                });
+                };
+                kept.push(make(point, moved));
             }
             kept
         })
@@ -138,7 +170,6 @@ pub(crate) type CellState = BuildHasherDefault<CellHasher>;
 mod tests {
     use super::*;
     use lsfb_geometry::Vector6;
-    use lsfb_types::LidarPoint;
 
     const ALL: RangeWindow = RangeWindow {
         min_m: 0.0,

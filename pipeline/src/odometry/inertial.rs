@@ -23,6 +23,12 @@ const GRAVITY: usize = 15;
 /// Standard gravity, m/s².
 pub const GRAVITY_M_S2: f64 = 9.80665;
 
+/// Beyond this the motion between two samples is not what they say, seconds.
+const MAX_SAMPLE_GAP_S: f64 = 0.04;
+/// What a walker may do unseen: turn rate, rad/s, and acceleration, m/s².
+const UNSEEN_RATE_RAD_S: f64 = 0.5;
+const UNSEEN_ACCELERATION_M_S2: f64 = 2.0;
+
 /// What the filter estimates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct InertialState {
@@ -195,6 +201,7 @@ impl InertialFilter {
             return;
         }
         let s = &self.state;
+        let blind = dt > MAX_SAMPLE_GAP_S;
         let rate = (from.angular_velocity + to.angular_velocity) * 0.5 - s.gyro_bias_rad_s;
         let turn = so3::exp(&(rate * dt));
         // Force at mid-time in the attitude of mid-time.
@@ -202,7 +209,11 @@ impl InertialFilter {
         let middle = (s.world_from_rig.rotation * so3::exp(&(rate * (0.5 * dt))))
             .to_rotation_matrix()
             .into_inner();
-        let acceleration = middle * force + s.gravity_m_s2;
+        let acceleration = if blind {
+            Vector3::zeros()
+        } else {
+            middle * force + s.gravity_m_s2
+        };
         let start = s.world_from_rig;
         let mut end_rotation = start.rotation * turn;
         end_rotation.renormalize_fast();
@@ -230,13 +241,20 @@ impl InertialFilter {
         set(VELOCITY, GRAVITY, Matrix3::identity() * dt);
 
         let mut noise = SVector::<f64, 18>::zeros();
-        let mut add = |at: usize, density: f64| {
-            noise.fixed_rows_mut::<3>(at).fill(density * density * dt);
+        let mut add = |at: usize, density: f64, unseen: f64| {
+            let sigma = if blind { unseen * dt } else { 0.0 };
+            let variance = density * density * dt + sigma * sigma;
+            noise.fixed_rows_mut::<3>(at).fill(variance);
         };
-        add(0, self.noise.gyro_noise_density);
-        add(VELOCITY, self.noise.accel_noise_density);
-        add(GYRO_BIAS, self.noise.gyro_bias_walk);
-        add(ACCEL_BIAS, self.noise.accel_bias_walk);
+        add(0, self.noise.gyro_noise_density, UNSEEN_RATE_RAD_S);
+        add(3, 0.0, 0.5 * UNSEEN_ACCELERATION_M_S2 * dt);
+        add(
+            VELOCITY,
+            self.noise.accel_noise_density,
+            UNSEEN_ACCELERATION_M_S2,
+        );
+        add(GYRO_BIAS, self.noise.gyro_bias_walk, 0.0);
+        add(ACCEL_BIAS, self.noise.accel_bias_walk, 0.0);
 
         self.covariance = f * self.covariance * f.transpose() + Matrix18::from_diagonal(&noise);
         self.state.world_from_rig = end;

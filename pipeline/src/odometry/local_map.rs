@@ -163,6 +163,45 @@ impl LocalMap {
         self.levels.last().map_or(0, HashMap::len)
     }
 
+    /// The planes of the finest level, in order of their cells.
+    pub fn finest_planes(&self) -> Vec<Plane> {
+        let Some(finest) = self.levels.last() else {
+            return Vec::new();
+        };
+        let mut keyed: Vec<_> = finest
+            .iter()
+            .flat_map(|(key, cell)| {
+                cell.sides
+                    .iter()
+                    .filter_map(move |s| Some((*key, s.plane?)))
+            })
+            .collect();
+        keyed.sort_by_key(|(key, _)| *key);
+        keyed.into_iter().map(|(_, plane)| plane).collect()
+    }
+
+    /// The largest plane within `gate_m` of `point` whose normal has a cosine above
+    /// `min_normal_cosine` with `normal`.
+    pub fn find_plane(
+        &self,
+        point: &Vector3<f64>,
+        normal: &Vector3<f64>,
+        gate_m: f64,
+        min_normal_cosine: f64,
+    ) -> Option<Plane> {
+        let in_grid = self.grid_from_world * point;
+        self.levels.iter().enumerate().find_map(|(level, cells)| {
+            let cell = cells.get(&cell_key(&in_grid, 1.0 / self.size_m(level)))?;
+            cell.sides
+                .iter()
+                .filter_map(|side| side.plane)
+                .find(|plane| {
+                    plane.normal.dot(normal) > min_normal_cosine
+                        && plane.normal.dot(&(point - plane.point)).abs() < gate_m
+                })
+        })
+    }
+
     fn size_m(&self, level: usize) -> f64 {
         self.config.cell_size_m / f64::from(1u32 << level.min(16))
     }

@@ -8,9 +8,10 @@
 mod inertial;
 mod local_map;
 mod registration;
+mod run;
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 use std::collections::VecDeque;
 
@@ -21,6 +22,7 @@ use serde::{Deserialize, Serialize};
 pub use inertial::{GRAVITY_M_S2, InertialFilter, InertialState};
 pub use local_map::{LocalMap, LocalMapConfig, Match, Plane};
 pub use registration::{PosePrior, Registration, RegistrationConfig, register};
+pub use run::{DeskewedCloud, OdometryReport, OdometryResult, run_odometry};
 
 use crate::Error;
 use crate::preprocess::{MotionKnot, RangeWindow, deskew, voxel_downsample};
@@ -251,7 +253,10 @@ impl Odometry {
         if outcome == StepOutcome::Registered {
             self.correct(&mut path, &found);
         }
-        if outcome != StepOutcome::Lost {
+        if outcome == StepOutcome::Lost {
+            // It may be anywhere near: look as far as at the start.
+            self.corrections_m.clear();
+        } else {
             self.insert(&reduced, &path);
         }
         self.finish(&path);

@@ -5,7 +5,8 @@ use lsfb_types::LidarPoint;
 use super::*;
 use room::Room;
 
-mod room;
+mod recorded;
+pub(crate) mod room;
 
 fn test_data(test: &str, relative: &str) -> Option<PathBuf> {
     let root = std::env::var_os("LSFB_TEST_DATA").map_or_else(

@@ -120,6 +120,8 @@ pub fn scan(room: &Room, t: f64, seed: u64) -> Stamped<LidarScan> {
             let points: Vec<_> = ELEVATIONS_DEG
                 .iter()
                 .map(|elevation| {
+                    let below = ELEVATIONS_DEG.iter().filter(|e| *e < elevation);
+                    let ring = below.count() as u16;
                     let e = elevation.to_radians();
                     let ray =
                         Vector3::new(e.cos() * azimuth.cos(), e.cos() * azimuth.sin(), e.sin());
@@ -131,7 +133,7 @@ pub fn scan(room: &Room, t: f64, seed: u64) -> Stamped<LidarScan> {
                     LidarPoint {
                         position_m: [p.x as f32, p.y as f32, p.z as f32],
                         intensity: 10,
-                        ring: 0,
+                        ring,
                         time_offset_ns: offset_ns as u32,
                     }
                 })

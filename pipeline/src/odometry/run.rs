@@ -1,0 +1,251 @@
+//! The odometry as a batch stage: a recording in, a trajectory out.
+
+use lsfb_geometry::{Rig, Se3, StampedPose, Trajectory, UnitQuaternion, Vector3};
+use lsfb_recording::Recording;
+use lsfb_types::{ImuSample, Progress, ProgressFn, Stamped, Timestamp};
+use serde::{Deserialize, Serialize};
+
+use super::{InertialState, Odometry, OdometryConfig, StepOutcome};
+use crate::Error;
+
+/// The reduced scans and the trajectory of a recording.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OdometryResult {
+    /// Pose of the rig at the end of every scan, and between scans at the rate of the IMU.
+    pub trajectory: Trajectory,
+    /// Every scan that found its place.
+    pub clouds: Vec<DeskewedCloud>,
+    /// What happened.
+    pub report: OdometryReport,
+}
+
+/// A scan deskewed to its last firing and downsampled.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DeskewedCloud {
+    /// Time of the last firing.
+    pub time: Timestamp,
+    /// Points in the rig frame at that time, metres.
+    pub points_in_rig: Vec<[f32; 3]>,
+}
+
+/// What the odometry says about its own result.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct OdometryReport {
+    /// Scans in the recording.
+    pub scans: u64,
+    /// Scans registered to the map, the first included.
+    pub registered: u64,
+    /// Scans that found no place in the map; their poses are predictions.
+    pub lost: u64,
+    /// Scans left out: empty, out of order, or before the first inertial sample.
+    pub skipped: u64,
+    /// Inertial samples used.
+    pub imu_samples: u64,
+    /// Length of the path, metres.
+    pub path_length_m: f64,
+    /// Mean share of keypoints that agreed with the map.
+    pub mean_inlier_ratio: f64,
+    /// Root mean square distance of keypoints to the planes of the map, metres.
+    pub plane_rms_m: f64,
+    /// Gyroscope bias at the end, rad/s; absent without IMU.
+    pub gyro_bias_rad_s: Option<[f64; 3]>,
+    /// Accelerometer bias at the end, m/s²; absent without IMU.
+    pub accel_bias_m_s2: Option<[f64; 3]>,
+    /// What the reader should know: missing sensors, damage, lost stretches.
+    pub warnings: Vec<String>,
+}
+
+/// Damaged messages named in the report; the rest are counted.
+const NAMED_DAMAGES: u64 = 5;
+
+/// Runs the odometry over a recording.
+///
+/// Without inertial samples it works from the scans alone and warns that the world is not level; without LiDAR it is an
+/// error.
+pub fn run_odometry(
+    recording: &Recording,
+    config: &OdometryConfig,
+    progress: ProgressFn<'_>,
+) -> Result<OdometryResult, Error> {
+    let rig = recording.rig()?;
+    let lidar = rig.lidar.as_ref().ok_or_else(|| Error::SensorMissing {
+        sensor: "LiDAR",
+        rig: rig.name.clone(),
+    })?;
+    let mut damages = Damages::default();
+    let samples = imu_samples(recording, &rig, &mut damages);
+    let noise = rig.imu.as_ref().filter(|_| !samples.is_empty());
+    let mut odometry = Odometry::new(config, lidar, noise)?;
+    let mut run = Run::default();
+    let mut waiting = samples.iter().peekable();
+    let total = scan_count(recording);
+    for scan in recording.scans()? {
+        let Some(scan) = damages.keep(scan) else {
+            continue;
+        };
+        progress(Progress {
+            stage: "lidar odometry",
+            done: run.report.scans,
+            total,
+        });
+        // Half a second ahead: more than one revolution of the slowest LiDAR.
+        let ahead = scan.time.plus_nanos(500_000_000);
+        while let Some(sample) = waiting.next_if(|s| s.time <= ahead) {
+            odometry.push_imu(sample);
+        }
+        run.take(odometry.push_scan(&scan))?;
+    }
+    let mut result = run.finish(odometry.inertial_state());
+    if noise.is_some() {
+        result.report.imu_samples = samples.len() as u64;
+    } else {
+        result.report.warnings.push(
+            "no IMU: scans were deskewed by the motion between them, and the world is not level"
+                .to_owned(),
+        );
+    }
+    damages.report(&mut result.report.warnings);
+    if result.trajectory.is_empty() {
+        return Err(Error::NoScan {
+            path: recording.path().to_owned(),
+            scans: result.report.scans,
+        });
+    }
+    Ok(result)
+}
+
+/// Inertial samples in order of time; none where the rig or the recording has no IMU.
+fn imu_samples(recording: &Recording, rig: &Rig, damages: &mut Damages) -> Vec<Stamped<ImuSample>> {
+    if rig.imu.is_none() {
+        return Vec::new();
+    }
+    let Ok(stream) = recording.imu() else {
+        return Vec::new();
+    };
+    let mut samples: Vec<_> = stream.filter_map(|s| damages.keep(s)).collect();
+    samples.sort_by_key(|s| s.time);
+    samples
+}
+
+fn scan_count(recording: &Recording) -> u64 {
+    recording
+        .topics()
+        .iter()
+        .filter(|t| t.topic == "/lidar/points")
+        .map(|t| t.messages)
+        .sum()
+}
+
+/// Parts of a recording that could not be read: reported, not fatal.
+#[derive(Default)]
+pub(crate) struct Damages {
+    count: u64,
+    first: Vec<String>,
+}
+
+impl Damages {
+    /// The item, or `None` after noting why there is none.
+    pub(crate) fn keep<T>(&mut self, item: Result<T, lsfb_recording::Error>) -> Option<T> {
+        item.map_err(|error| {
+            self.count += 1;
+            if self.count <= NAMED_DAMAGES {
+                self.first.push(error.to_string());
+            }
+        })
+        .ok()
+    }
+
+    /// Adds what was noted to the warnings of a report.
+    pub(crate) fn report(self, warnings: &mut Vec<String>) {
+        warnings.extend(self.first);
+        if self.count > NAMED_DAMAGES {
+            let more = self.count - NAMED_DAMAGES;
+            warnings.push(format!("{more} more messages could not be read"));
+        }
+    }
+}
+
+/// What has come together so far.
+#[derive(Default)]
+struct Run {
+    poses: Vec<StampedPose>,
+    clouds: Vec<DeskewedCloud>,
+    report: OdometryReport,
+    inlier_ratios: f64,
+    plane_squares: f64,
+    measured: u64,
+}
+
+impl Run {
+    fn take(&mut self, step: Result<super::OdometryStep, Error>) -> Result<(), Error> {
+        self.report.scans += 1;
+        let step = match step {
+            Ok(step) => step,
+            Err(Error::EmptyScan { .. } | Error::ScanOrder { .. } | Error::ImuMissing { .. }) => {
+                self.report.skipped += 1;
+                return Ok(());
+            }
+            Err(other) => return Err(other),
+        };
+        match step.outcome {
+            StepOutcome::Lost => self.report.lost += 1,
+            StepOutcome::First => self.report.registered += 1,
+            StepOutcome::Registered => {
+                self.report.registered += 1;
+                self.measured += 1;
+                self.inlier_ratios += step.inlier_ratio;
+                self.plane_squares += step.plane_rms_m * step.plane_rms_m;
+            }
+        }
+        if step.outcome != StepOutcome::Lost {
+            let points = step.keypoints_in_rig.iter();
+            self.clouds.push(DeskewedCloud {
+                time: step.time,
+                points_in_rig: points
+                    .map(|p| [p.x as f32, p.y as f32, p.z as f32])
+                    .collect(),
+            });
+        }
+        self.poses.extend(step.poses);
+        Ok(())
+    }
+
+    fn finish(self, state: Option<&InertialState>) -> OdometryResult {
+        let mut report = self.report;
+        let mut poses = self.poses;
+        if let Some(state) = state {
+            // Gravity is known best at the end of the walk; the whole walk is turned level with it.
+            let down = -Vector3::z();
+            let level = UnitQuaternion::rotation_between(&state.gravity_m_s2, &down)
+                .unwrap_or_else(UnitQuaternion::identity);
+            let level = Se3::new(level, Vector3::zeros());
+            for pose in &mut poses {
+                pose.world_from_rig = level * pose.world_from_rig;
+            }
+            report.gyro_bias_rad_s = Some(state.gyro_bias_rad_s.into());
+            report.accel_bias_m_s2 = Some(state.accel_bias_m_s2.into());
+        }
+        let trajectory = Trajectory::new(poses);
+        let measured = self.measured.max(1) as f64;
+        report.path_length_m = trajectory.path_length_m();
+        report.mean_inlier_ratio = self.inlier_ratios / measured;
+        report.plane_rms_m = (self.plane_squares / measured).sqrt();
+        if report.lost > 0 {
+            report.warnings.push(format!(
+                "{} of {} scans found no place in the map; their poses are predictions",
+                report.lost, report.scans
+            ));
+        }
+        if report.skipped > 0 {
+            report.warnings.push(format!(
+                "{} of {} scans were empty, out of order, or before the first inertial sample",
+                report.skipped, report.scans
+            ));
+        }
+        OdometryResult {
+            trajectory,
+            clouds: self.clouds,
+            report,
+        }
+    }
+}
