@@ -1,0 +1,119 @@
+/// What is wrong with a problem. Values stay as they were before the call that failed.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A residual names a block of another problem.
+    #[error("block {block} is not in this problem, which has {blocks}: use the handles that its own add functions returned")]
+    UnknownBlock {
+        /// Index of the block.
+        block: usize,
+        /// Blocks in the problem.
+        blocks: usize,
+    },
+    /// A residual was given another number of blocks than it reads.
+    #[error("residual {residual} reads {expected} blocks and was given {got}")]
+    BlockCount {
+        /// Index of the residual.
+        residual: usize,
+        /// Blocks it reads.
+        expected: usize,
+        /// Blocks given.
+        got: usize,
+    },
+    /// A residual was given a block of another type than it reads.
+    #[error("residual {residual} reads a block of {expected:?} at position {position} and was given {got:?}")]
+    BlockShape {
+        /// Index of the residual.
+        residual: usize,
+        /// Position among its blocks.
+        position: usize,
+        /// What it reads.
+        expected: crate::Shape,
+        /// What was given.
+        got: crate::Shape,
+    },
+    /// A residual without rows.
+    #[error("residual {residual} has dimension 0: leave it out")]
+    EmptyResidual {
+        /// Index of the residual.
+        residual: usize,
+    },
+    /// The same block twice in one residual.
+    #[error("residual {residual} was given block {block} twice: write it as a residual of the distinct blocks")]
+    RepeatedBlock {
+        /// Index of the residual.
+        residual: usize,
+        /// Index of the block.
+        block: usize,
+    },
+    /// Two eliminated points in one residual, which the Schur complement by points excludes.
+    #[error("residual {residual} touches two eliminated points, {first} and {second}: add one of them with add_block")]
+    TwoEliminated {
+        /// Index of the residual.
+        residual: usize,
+        /// Index of a block.
+        first: usize,
+        /// Index of the other block.
+        second: usize,
+    },
+    /// A block starts at NaN or infinity.
+    #[error("block {block} starts at a value that is not finite: check what it was initialised from")]
+    BlockNotFinite {
+        /// Index of the block.
+        block: usize,
+    },
+    /// A residual is NaN or infinite at the starting values or, with its Jacobian, at an accepted step.
+    #[error("residual {residual} (blocks {blocks:?}) is not finite: its measurement or weight is, or its domain check is missing")]
+    ResidualNotFinite {
+        /// Index of the residual.
+        residual: usize,
+        /// Indices of its blocks.
+        blocks: Vec<usize>,
+    },
+    /// A setting outside its domain.
+    #[error("solver setting {name} is {value}: it must be {expected}")]
+    Config {
+        /// Name of the field.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// What is allowed.
+        expected: &'static str,
+    },
+    /// The reduced system has more entries than memory allows.
+    #[error("the reduced system of dimension {dimension} with {entries} entries could not be set up: eliminate points, or solve in parts")]
+    TooLarge {
+        /// Rows of the reduced system.
+        dimension: usize,
+        /// Entries of its lower triangle.
+        entries: usize,
+    },
+    /// The normal matrix has no inverse, so that there is no covariance.
+    #[error("the problem does not determine its free blocks (reduced dimension {dimension}): hold one pose constant or add a prior")]
+    Undetermined {
+        /// Rows of the reduced system.
+        dimension: usize,
+    },
+    /// An analytic Jacobian differs from the numeric one.
+    #[error("residual {residual}, block at position {position}: Jacobian entry ({row}, {column}) is {analytic}, by differences {numeric}")]
+    JacobianMismatch {
+        /// Index of the residual.
+        residual: usize,
+        /// Position among its blocks.
+        position: usize,
+        /// Row.
+        row: usize,
+        /// Column.
+        column: usize,
+        /// What the residual wrote.
+        analytic: f64,
+        /// Central difference.
+        numeric: f64,
+    },
+    /// A residual is undefined where its Jacobian should be checked.
+    #[error("residual {residual} is undefined at or near its values: check Jacobians inside the domain")]
+    Undefined {
+        /// Index of the residual.
+        residual: usize,
+    },
+}

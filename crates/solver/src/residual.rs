@@ -1,0 +1,94 @@
+use nalgebra::{SMatrix, SVector};
+
+use crate::{Manifold, Shape};
+
+/// One term of a least-squares problem: `½ ρ(‖r(x)‖²)` over the blocks `x` it reads.
+///
+/// A residual holds its measurement and its weight (as a square root of the information), never its blocks: the
+/// problem joins the two. It keeps no cache, and gives the same numbers on every call.
+pub trait Residual: Send + Sync {
+    /// Rows of the residual.
+    fn dimension(&self) -> usize;
+
+    /// The blocks it reads, in the order of [`Parameters`] and of the Jacobians.
+    fn blocks(&self) -> &[Shape];
+
+    /// Writes the residual and, where wanted, its derivative by the tangent of each block.
+    ///
+    /// [`Undefined`] where the model has no value, a point behind the camera say.
+    fn evaluate(
+        &self,
+        parameters: &Parameters<'_>,
+        out: &mut Linearization<'_>,
+    ) -> Result<(), Undefined>;
+}
+
+/// The residual has no value here.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Undefined;
+
+/// Where a residual's block lies: in the values, and in its record.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Slot {
+    /// Index of the block.
+    pub block: usize,
+    /// First stored number of the block.
+    pub value: usize,
+    /// First number of the Jacobian in the record; [`CONSTANT`] where none is wanted.
+    pub jacobian: usize,
+}
+
+/// [`Slot::jacobian`] of a constant block.
+pub(crate) const CONSTANT: usize = usize::MAX;
+
+/// The values of the blocks a residual reads.
+pub struct Parameters<'a> {
+    pub(crate) values: &'a [f64],
+    pub(crate) slots: &'a [Slot],
+}
+
+impl Parameters<'_> {
+    /// Value of the block at `position`, of the type that [`Residual::blocks`] says.
+    pub fn get<M: Manifold>(&self, position: usize) -> M {
+        let start = self.slots[position].value;
+        M::load(&self.values[start..start + M::STORED])
+    }
+}
+
+/// Where a residual writes its value and its Jacobians.
+pub struct Linearization<'a> {
+    /// Residual, then the Jacobians of the free blocks, each row by row.
+    pub(crate) record: &'a mut [f64],
+    pub(crate) slots: &'a [Slot],
+    pub(crate) with_jacobians: bool,
+}
+
+impl Linearization<'_> {
+    /// Writes the residual.
+    pub fn set_residual<const D: usize>(&mut self, residual: &SVector<f64, D>) {
+        self.record[..D].copy_from_slice(residual.as_slice());
+    }
+
+    /// Whether the derivative by the block at `position` is wanted: not so for constant blocks and while only the cost is.
+    pub fn wants_jacobian(&self, position: usize) -> bool {
+        self.with_jacobians && self.slots[position].jacobian != CONSTANT
+    }
+
+    /// Writes the derivative by the tangent of the block at `position`; nothing happens where it is not wanted.
+    pub fn set_jacobian<const D: usize, const N: usize>(
+        &mut self,
+        position: usize,
+        jacobian: &SMatrix<f64, D, N>,
+    ) {
+        if !self.wants_jacobian(position) {
+            return;
+        }
+        let start = self.slots[position].jacobian;
+        let rows = &mut self.record[start..start + D * N];
+        for (r, row) in rows.chunks_exact_mut(N).enumerate() {
+            for (c, entry) in row.iter_mut().enumerate() {
+                *entry = jacobian[(r, c)];
+            }
+        }
+    }
+}

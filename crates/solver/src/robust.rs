@@ -1,0 +1,106 @@
+/// A robust kernel: the cost of a residual with squared norm `s` is `½ ρ(s)`. Scales are in units of the residual's
+/// norm, after its own weight.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Kernel {
+    /// `ρ = s`.
+    #[default]
+    Squared,
+    /// `s` up to `scale²`, linear in the norm beyond.
+    Huber {
+        /// Norm at which the cost turns linear.
+        scale: f64,
+    },
+    /// `scale² ln(1 + s/scale²)`.
+    Cauchy {
+        /// Norm at which the weight has fallen to one half.
+        scale: f64,
+    },
+    /// `s / (1 + s/scale²)`, never above `scale²`.
+    GemanMcClure {
+        /// Norm at which the weight has fallen to one quarter.
+        scale: f64,
+    },
+}
+
+/// A kernel's value and slope.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Robust {
+    /// `ρ(s)`.
+    pub cost: f64,
+    /// `ρ'(s)`: the weight of the squared residual.
+    pub weight: f64,
+}
+
+impl Kernel {
+    /// `ρ` and `ρ'` at the squared norm `s`.
+    pub fn at(&self, s: f64) -> Robust {
+        match *self {
+            Kernel::Squared => Robust {
+                cost: s,
+                weight: 1.0,
+            },
+            Kernel::Huber { scale } => {
+                if s <= scale * scale {
+                    Robust {
+                        cost: s,
+                        weight: 1.0,
+                    }
+                } else {
+                    let norm = s.sqrt();
+                    Robust {
+                        cost: scale * (2.0 * norm - scale),
+                        weight: scale / norm,
+                    }
+                }
+            }
+            Kernel::Cauchy { scale } => {
+                let ratio = s / (scale * scale);
+                Robust {
+                    cost: scale * scale * ratio.ln_1p(),
+                    weight: 1.0 / (1.0 + ratio),
+                }
+            }
+            Kernel::GemanMcClure { scale } => {
+                let weight = 1.0 / (1.0 + s / (scale * scale));
+                Robust {
+                    cost: s * weight,
+                    weight: weight * weight,
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn weight_is_the_slope_and_small_residuals_are_squared() {
+        for kernel in [
+            Kernel::Squared,
+            Kernel::Huber { scale: 1.3 },
+            Kernel::Cauchy { scale: 1.3 },
+            Kernel::GemanMcClure { scale: 1.3 },
+        ] {
+            for s in [0.01, 0.5, 1.6, 1.8, 10.0, 1e4] {
+                let h = 1e-6 * s;
+                let slope = (kernel.at(s + h).cost - kernel.at(s - h).cost) / (2.0 * h);
+                assert!(
+                    (slope - kernel.at(s).weight).abs() < 1e-7,
+                    "{kernel:?} at {s}"
+                );
+            }
+            let tiny = kernel.at(1e-9);
+            assert!((tiny.cost - 1e-9).abs() < 1e-17 && (tiny.weight - 1.0).abs() < 1e-8);
+        }
+    }
+
+    #[test]
+    fn scales_mean_what_they_say() {
+        assert_eq!(Kernel::Huber { scale: 2.0 }.at(16.0).weight, 0.5);
+        assert_eq!(Kernel::Cauchy { scale: 2.0 }.at(4.0).weight, 0.5);
+        assert_eq!(Kernel::GemanMcClure { scale: 2.0 }.at(4.0).weight, 0.25);
+        assert!(Kernel::GemanMcClure { scale: 2.0 }.at(1e12).cost <= 4.0);
+    }
+}
