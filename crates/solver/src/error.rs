@@ -3,7 +3,9 @@
 #[non_exhaustive]
 pub enum Error {
     /// A residual names a block of another problem.
-    #[error("block {block} is not in this problem, which has {blocks}: use the handles that its own add functions returned")]
+    #[error(
+        "block {block} is not in this problem, which has {blocks}: use the handles that its own add functions returned"
+    )]
     UnknownBlock {
         /// Index of the block.
         block: usize,
@@ -21,7 +23,9 @@ pub enum Error {
         got: usize,
     },
     /// A residual was given a block of another type than it reads.
-    #[error("residual {residual} reads a block of {expected:?} at position {position} and was given {got:?}")]
+    #[error(
+        "residual {residual} reads a block of {expected:?} at position {position} and was given {got:?}"
+    )]
     BlockShape {
         /// Index of the residual.
         residual: usize,
@@ -39,7 +43,9 @@ pub enum Error {
         residual: usize,
     },
     /// The same block twice in one residual.
-    #[error("residual {residual} was given block {block} twice: write it as a residual of the distinct blocks")]
+    #[error(
+        "residual {residual} was given block {block} twice: write it as a residual of the distinct blocks"
+    )]
     RepeatedBlock {
         /// Index of the residual.
         residual: usize,
@@ -47,7 +53,9 @@ pub enum Error {
         block: usize,
     },
     /// Two eliminated points in one residual, which the Schur complement by points excludes.
-    #[error("residual {residual} touches two eliminated points, {first} and {second}: add one of them with add_block")]
+    #[error(
+        "residual {residual} touches two eliminated points, {first} and {second}: add one of them with add_block"
+    )]
     TwoEliminated {
         /// Index of the residual.
         residual: usize,
@@ -57,13 +65,17 @@ pub enum Error {
         second: usize,
     },
     /// A block starts at NaN or infinity.
-    #[error("block {block} starts at a value that is not finite: check what it was initialised from")]
+    #[error(
+        "block {block} starts at a value that is not finite: check what it was initialised from"
+    )]
     BlockNotFinite {
         /// Index of the block.
         block: usize,
     },
     /// A residual is NaN or infinite at the starting values or, with its Jacobian, at an accepted step.
-    #[error("residual {residual} (blocks {blocks:?}) is not finite: its measurement or weight is, or its domain check is missing")]
+    #[error(
+        "residual {residual} (blocks {blocks:?}) is not finite: its measurement or weight is, or its domain check is missing"
+    )]
     ResidualNotFinite {
         /// Index of the residual.
         residual: usize,
@@ -81,7 +93,9 @@ pub enum Error {
         expected: &'static str,
     },
     /// The reduced system has more entries than memory allows.
-    #[error("the reduced system of dimension {dimension} with {entries} entries could not be set up: eliminate points, or solve in parts")]
+    #[error(
+        "the reduced system of dimension {dimension} with {entries} entries could not be set up: eliminate points, or solve in parts"
+    )]
     TooLarge {
         /// Rows of the reduced system.
         dimension: usize,
@@ -89,13 +103,17 @@ pub enum Error {
         entries: usize,
     },
     /// The normal matrix has no inverse, so that there is no covariance.
-    #[error("the problem does not determine its free blocks (reduced dimension {dimension}): hold one pose constant or add a prior")]
+    #[error(
+        "the problem does not determine its free blocks (reduced dimension {dimension}): hold one pose constant or add a prior"
+    )]
     Undetermined {
         /// Rows of the reduced system.
         dimension: usize,
     },
     /// An analytic Jacobian differs from the numeric one.
-    #[error("residual {residual}, block at position {position}: Jacobian entry ({row}, {column}) is {analytic}, by differences {numeric}")]
+    #[error(
+        "residual {residual}, block at position {position}: Jacobian entry ({row}, {column}) is {analytic}, by differences {numeric}"
+    )]
     JacobianMismatch {
         /// Index of the residual.
         residual: usize,
@@ -111,7 +129,9 @@ pub enum Error {
         numeric: f64,
     },
     /// A residual is undefined where its Jacobian should be checked.
-    #[error("residual {residual} is undefined at or near its values: check Jacobians inside the domain")]
+    #[error(
+        "residual {residual} is undefined at or near its values: check Jacobians inside the domain"
+    )]
     Undefined {
         /// Index of the residual.
         residual: usize,

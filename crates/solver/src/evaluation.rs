@@ -73,27 +73,24 @@ impl Evaluation {
         values: &[f64],
         costs: &mut [f64],
     ) -> TotalCost {
-        costs
-            .par_chunks_mut(CHUNK)
-            .enumerate()
-            .for_each_init(
-                || vec![0.0; self.longest],
-                |record, (chunk, costs)| {
-                    for (offset, cost) in costs.iter_mut().enumerate() {
-                        let k = chunk * CHUNK + offset;
-                        if !self.active[k] {
-                            *cost = 0.0;
-                            continue;
-                        }
-                        let entry = &problem.residuals[k];
-                        let record = &mut record[..entry.dimension];
-                        *cost = match evaluate(problem, layout, k, values, record, false) {
-                            Ok(()) => 0.5 * entry.kernel.at(squared_norm(record)).cost,
-                            Err(Undefined) => self.costs[k],
-                        };
+        costs.par_chunks_mut(CHUNK).enumerate().for_each_init(
+            || vec![0.0; self.longest],
+            |record, (chunk, costs)| {
+                for (offset, cost) in costs.iter_mut().enumerate() {
+                    let k = chunk * CHUNK + offset;
+                    if !self.active[k] {
+                        *cost = 0.0;
+                        continue;
                     }
-                },
-            );
+                    let entry = &problem.residuals[k];
+                    let record = &mut record[..entry.dimension];
+                    *cost = match evaluate(problem, layout, k, values, record, false) {
+                        Ok(()) => 0.5 * entry.kernel.at(squared_norm(record)).cost,
+                        Err(Undefined) => self.costs[k],
+                    };
+                }
+            },
+        );
         sum(costs)
     }
 
@@ -124,8 +121,8 @@ impl Evaluation {
                     let record = &mut records
                         [layout.record_start[k] - base..layout.record_start[k + 1] - base];
                     let entry = &problem.residuals[k];
-                    let defined = active[k]
-                        && evaluate(problem, layout, k, values, record, true).is_ok();
+                    let defined =
+                        active[k] && evaluate(problem, layout, k, values, record, true).is_ok();
                     if !defined {
                         record.fill(0.0);
                         undefined += usize::from(active[k]);

@@ -224,7 +224,12 @@ fn minimise(
                 normal.back_substitute(layout, &system, &mut step);
                 let length = step.length();
                 if length <= config.step_tolerance * (norm(&values) + config.step_tolerance) {
-                    report.termination = Termination::StepTolerance;
+                    // Short from the start of this iteration, or only after longer steps were refused?
+                    report.termination = if growth > 2.0 {
+                        Termination::NoDecrease
+                    } else {
+                        Termination::StepTolerance
+                    };
                     return Ok(values);
                 }
                 step.apply(problem, layout, &values, &mut trial_values);

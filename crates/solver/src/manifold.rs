@@ -128,7 +128,10 @@ mod tests {
     #[test]
     fn every_manifold_stores_and_moves_back() {
         let delta = [0.3, -0.2, 0.5, 1.0, -2.0, 0.7];
-        laws(Se3::exp(&Vector6::new(0.4, 0.1, -0.9, 3.0, 2.0, 1.0)), &delta);
+        laws(
+            Se3::exp(&Vector6::new(0.4, 0.1, -0.9, 3.0, 2.0, 1.0)),
+            &delta,
+        );
         laws(so3::exp(&Vector3::new(0.4, 0.1, -0.9)), &delta[..3]);
         laws(Vector3::new(4.0, 5.0, 6.0), &delta[..3]);
         laws(SVector::<f64, 1>::new(4.0), &delta[..1]);

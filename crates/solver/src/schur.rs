@@ -62,8 +62,10 @@ impl NormalEquations {
             .point_hessian
             .iter()
             .flat_map(|h| [h[(0, 0)], h[(1, 1)], h[(2, 2)]]);
-        self.floor =
-            SMALLEST_DAMPED_SHARE * points.chain(self.diagonal.iter().copied()).fold(0.0, f64::max);
+        self.floor = SMALLEST_DAMPED_SHARE
+            * points
+                .chain(self.diagonal.iter().copied())
+                .fold(0.0, f64::max);
     }
 
     fn assemble_points(&mut self, problem: &Problem, layout: &Layout, records: &[f64]) {
@@ -120,11 +122,16 @@ impl NormalEquations {
     }
 
     fn assemble_reduced(&mut self, problem: &Problem, layout: &Layout, records: &[f64]) {
-        let tasks: Vec<_> = split_by_blocks(layout, &mut self.hessian, |i| layout.values_of(i).len())
-            .into_iter()
-            .zip(split_by_blocks(layout, &mut self.gradient, |i| layout.tangent(i)))
-            .zip(split_by_blocks(layout, &mut self.diagonal, |i| layout.tangent(i)))
-            .collect();
+        let tasks: Vec<_> =
+            split_by_blocks(layout, &mut self.hessian, |i| layout.values_of(i).len())
+                .into_iter()
+                .zip(split_by_blocks(layout, &mut self.gradient, |i| {
+                    layout.tangent(i)
+                }))
+                .zip(split_by_blocks(layout, &mut self.diagonal, |i| {
+                    layout.tangent(i)
+                }))
+                .collect();
         tasks.into_par_iter().enumerate().for_each_init(
             || vec![0; layout.reduced.len()],
             |row_of, (i, ((hessian, gradient), diagonal))| {
@@ -266,7 +273,8 @@ impl NormalEquations {
                     let point = chunk * CHUNK + offset;
                     let mut right = -self.point_gradient[point];
                     for pair in layout.pairs_at(point) {
-                        let rows = layout.row_start[pair.reduced]..layout.row_start[pair.reduced + 1];
+                        let rows =
+                            layout.row_start[pair.reduced]..layout.row_start[pair.reduced + 1];
                         let n = rows.len();
                         let coupling = &self.coupling[pair.start..][..POINT * n];
                         for (entry, column) in right.iter_mut().zip(coupling.chunks_exact(n)) {
@@ -311,16 +319,6 @@ impl ReducedSystem {
             point_inverse: vec![Matrix3::zeros(); layout.points.len()],
             gain: vec![0.0; layout.pair_len],
         }
-    }
-
-    /// Inverse of the damped `H` of a point.
-    pub fn point_inverse(&self, point: usize) -> &Matrix3<f64> {
-        &self.point_inverse[point]
-    }
-
-    /// Coupling times inverse of a pair, `tangent × 3`, columns first.
-    pub fn gain(&self, start: usize, tangent: usize) -> &[f64] {
-        &self.gain[start..start + POINT * tangent]
     }
 }
 

@@ -67,7 +67,11 @@ impl Residual for BalObservation {
         let inverse_z = 1.0 / p.z;
         let n = Vector2::new(-p.x * inverse_z, -p.y * inverse_z);
         let squared = n.norm_squared();
-        let (f, k1, k2) = (camera.intrinsics.x, camera.intrinsics.y, camera.intrinsics.z);
+        let (f, k1, k2) = (
+            camera.intrinsics.x,
+            camera.intrinsics.y,
+            camera.intrinsics.z,
+        );
         let distortion = 1.0 + squared * (k1 + k2 * squared);
         out.set_residual(&(n * (f * distortion) - self.pixel));
         if !out.wants_jacobian(0) && !out.wants_jacobian(1) {
@@ -108,10 +112,16 @@ pub fn parse(text: &str) -> Problem {
     let mut next = || numbers.next().expect("BAL file goes on");
     let (cameras, points, observations) = (next() as usize, next() as usize, next() as usize);
     let seen: Vec<(usize, usize, Vector2<f64>)> = (0..observations)
-        .map(|_| (next() as usize, next() as usize, Vector2::new(next(), next())))
+        .map(|_| {
+            (
+                next() as usize,
+                next() as usize,
+                Vector2::new(next(), next()),
+            )
+        })
         .collect();
     let mut problem = Problem::new();
-    let mut vector = |next: &mut dyn FnMut() -> f64| Vector3::new(next(), next(), next());
+    let vector = |next: &mut dyn FnMut() -> f64| Vector3::new(next(), next(), next());
     let cameras: Vec<_> = (0..cameras)
         .map(|_| {
             problem.add_block(BalCamera {
@@ -163,15 +173,22 @@ fn ladybug_reaches_the_known_optimum() {
 
     let started = std::time::Instant::now();
     let report = solve(&mut problem, &SolveConfig::default()).expect("solves");
-    println!("solved in {:.3} s: {report:?}", started.elapsed().as_secs_f64());
+    println!(
+        "solved in {:.3} s: {report:?}",
+        started.elapsed().as_secs_f64()
+    );
     assert!((report.initial_cost - 4_185_659.518).abs() < 1e-2);
     assert!((report.final_cost / 18_033.9 - 1.0).abs() < 1e-3);
     assert_eq!(report.undefined_at_start, 0);
-    assert_eq!((report.reduced_dimension, report.eliminated_points), (144, 22_106));
+    assert_eq!(
+        (report.reduced_dimension, report.eliminated_points),
+        (144, 22_106)
+    );
 }
 
 #[test]
 fn bal_jacobians_match_differences() {
-    let text = "1 1 1  0 0 -300.0 120.0  0.1 -0.2 0.3  0.5 -0.4 -5.0  500.0 -0.1 0.02  1.0 2.0 -3.0";
+    let text =
+        "1 1 1  0 0 -300.0 120.0  0.1 -0.2 0.3  0.5 -0.4 -5.0  500.0 -0.1 0.02  1.0 2.0 -3.0";
     check_jacobians(&parse(text), 1e-7).expect("Jacobians match");
 }

@@ -60,7 +60,9 @@ impl Residual for Seen {
         let seen = pose.inverse() * point;
         out.set_residual(&(seen - self.measured));
         let mut by_pose = SMatrix::<f64, 3, 6>::zeros();
-        by_pose.fixed_view_mut::<3, 3>(0, 0).copy_from(&so3::hat(&seen));
+        by_pose
+            .fixed_view_mut::<3, 3>(0, 0)
+            .copy_from(&so3::hat(&seen));
         by_pose
             .fixed_view_mut::<3, 3>(0, 3)
             .copy_from(&-Matrix3::identity());
@@ -110,7 +112,10 @@ fn robust_kernels_find_the_middle_of_many() {
         let pulls = targets.map(|t| (Pull::to(t), kernel)).into();
         let (mut problem, x) = one(1.3, pulls);
         let report = solve(&mut problem, &SolveConfig::default()).expect("solves");
-        assert!((problem.value(x)[0] - 1.0).abs() < 0.02, "{kernel:?} {report:?}");
+        assert!(
+            (problem.value(x)[0] - 1.0).abs() < 0.02,
+            "{kernel:?} {report:?}"
+        );
     }
 }
 
@@ -182,7 +187,10 @@ fn what_is_not_finite_is_named() {
     };
     assert!(matches!(
         solve(&mut problem, &config),
-        Err(Error::Config { name: "initial_damping", .. })
+        Err(Error::Config {
+            name: "initial_damping",
+            ..
+        })
     ));
 }
 
@@ -205,7 +213,13 @@ fn undefined_residuals_are_left_out_and_counted() {
     };
     let pulls = vec![
         (edge, Kernel::Squared),
-        (Pull { weight: 10.0, ..Pull::to(1.0) }, Kernel::Squared),
+        (
+            Pull {
+                weight: 10.0,
+                ..Pull::to(1.0)
+            },
+            Kernel::Squared,
+        ),
     ];
     let (mut problem, x) = one(5.0, pulls);
     let report = solve(&mut problem, &SolveConfig::default()).expect("solves");
@@ -220,7 +234,9 @@ fn wrong_blocks_are_refused() {
     let pose = problem.add_block(Se3::identity());
     let point = problem.add_eliminated_point(Vector3::zeros());
     let mut other = Problem::new();
-    let far = (0..9).map(|k| other.add_block(Scalar::new(k as f64))).last();
+    let far = (0..9)
+        .map(|k| other.add_block(Scalar::new(k as f64)))
+        .last();
     let far = far.expect("nine blocks");
     let seen = || Seen {
         measured: Vector3::zeros(),
@@ -228,17 +244,32 @@ fn wrong_blocks_are_refused() {
     let squared = Kernel::Squared;
     assert!(matches!(
         problem.add_residual(Pull::to(0.0), &[pose.id()], squared),
-        Err(Error::BlockShape { residual: 0, position: 0, .. })
+        Err(Error::BlockShape {
+            residual: 0,
+            position: 0,
+            ..
+        })
     ));
     assert!(matches!(
         problem.add_residual(Pull::to(0.0), &[x.id(), x.id()], squared),
-        Err(Error::BlockCount { expected: 1, got: 2, .. })
+        Err(Error::BlockCount {
+            expected: 1,
+            got: 2,
+            ..
+        })
     ));
     assert!(matches!(
         problem.add_residual(Pull::to(0.0), &[far.id()], squared),
-        Err(Error::UnknownBlock { block: 8, blocks: 3 })
+        Err(Error::UnknownBlock {
+            block: 8,
+            blocks: 3
+        })
     ));
-    assert!(problem.add_residual(seen(), &[pose.id(), point.id()], squared).is_ok());
+    assert!(
+        problem
+            .add_residual(seen(), &[pose.id(), point.id()], squared)
+            .is_ok()
+    );
     assert_eq!(problem.residual_count(), 1);
 }
 
@@ -251,7 +282,13 @@ fn wrong_jacobians_are_found() {
         .expect("blocks fit");
     assert!(matches!(
         check_jacobians(&problem, 1e-6),
-        Err(Error::JacobianMismatch { residual: 0, position: 0, row: 0, column: 0, .. })
+        Err(Error::JacobianMismatch {
+            residual: 0,
+            position: 0,
+            row: 0,
+            column: 0,
+            ..
+        })
     ));
     // And solving with it ends, without a step.
     let report = solve(&mut problem, &SolveConfig::default()).expect("ends");
@@ -264,7 +301,14 @@ fn wrong_jacobians_are_found() {
 fn free_gauge_and_separate_groups_are_solved() {
     let truth = |group: usize, k: usize| {
         let s = (group * 7 + k * 3) as f64;
-        Se3::exp(&Vector6::new(0.1 * s.sin(), 0.2 * s.cos(), 0.05 * s, s.sin(), 0.1 * s, 0.3))
+        Se3::exp(&Vector6::new(
+            0.1 * s.sin(),
+            0.2 * s.cos(),
+            0.05 * s,
+            s.sin(),
+            0.1 * s,
+            0.3,
+        ))
     };
     let mut finals = Vec::new();
     for eliminate in [false, true] {
@@ -301,13 +345,22 @@ fn free_gauge_and_separate_groups_are_solved() {
             ..Default::default()
         };
         let report = solve(&mut problem, &config).expect("solves");
-        assert!(report.final_cost < 1e-16 * report.initial_cost, "{report:?}");
+        assert!(
+            report.final_cost < 1e-16 * report.initial_cost,
+            "{report:?}"
+        );
         for (group, own) in poses.iter().enumerate() {
             let found = problem.value(own[0]).inverse() * problem.value(own[2]);
             let expected = truth(group, 0).inverse() * truth(group, 2);
             assert!((expected.inverse() * found).log().norm() < 1e-8);
         }
-        finals.push(poses.iter().flatten().map(|p| problem.value(*p)).collect::<Vec<_>>());
+        finals.push(
+            poses
+                .iter()
+                .flatten()
+                .map(|p| problem.value(*p))
+                .collect::<Vec<_>>(),
+        );
     }
     // Eliminating points is only algebra: the same steps, the same result.
     for (a, b) in finals[0].iter().zip(&finals[1]) {
