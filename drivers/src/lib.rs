@@ -12,6 +12,7 @@ pub mod camera;
 mod decoded;
 mod error;
 pub mod imu;
+pub mod phone;
 #[cfg(test)]
 mod test_random;
 pub mod transport;

@@ -154,3 +154,6 @@ impl Decoder {
         Some(continued)
     }
 }
+
+#[cfg(test)]
+mod tests;

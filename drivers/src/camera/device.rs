@@ -147,3 +147,6 @@ fn garbled(link: &CameraLink, what: &str, error: WireError) -> Error {
         problem: format!("answer to the request for {what}: {error}"),
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -85,6 +85,11 @@ impl ImuDecoder {
         self.counters
     }
 
+    /// The last segment that arrived safely, 0 before the first: what protocol 1 asks the unit to continue from.
+    pub fn last_serial(&self) -> u32 {
+        self.last_serial.unwrap_or(0)
+    }
+
     fn is_new(&mut self, serial: u32) -> bool {
         let step = self.last_serial.map_or(1, |last| serial.wrapping_sub(last));
         // Protocol 1 repeats segments until they are confirmed; going backwards by more is a restart.
@@ -183,3 +188,6 @@ fn interpolate(before: Reading, after: Reading, at_us: u64) -> [f64; 3] {
     let weight = at_us.saturating_sub(before.timestamp_us) as f64 / span_us as f64;
     std::array::from_fn(|i| before.xyz[i] + weight * (after.xyz[i] - before.xyz[i]))
 }
+
+#[cfg(test)]
+mod tests;

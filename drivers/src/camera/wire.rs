@@ -4,6 +4,8 @@ mod frame;
 mod imu;
 mod info;
 mod options;
+#[cfg(test)]
+mod tests;
 mod xu;
 
 pub use frame::{Frame, Side, TimeSource, Trailer, emit_frame};

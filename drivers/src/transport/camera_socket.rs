@@ -23,6 +23,8 @@
 //! slow host blocks the unit: nothing is dropped. A socket that closes without an end is a lost unit.
 
 mod message;
+#[cfg(test)]
+mod tests;
 mod unit;
 
 use std::collections::VecDeque;

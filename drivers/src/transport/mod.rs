@@ -6,6 +6,7 @@ pub mod pcap;
 pub mod rosbag2;
 pub mod serial;
 pub mod udp;
+pub mod websocket;
 
 pub(crate) use host_clock::arrival_now;
 

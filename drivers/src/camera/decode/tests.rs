@@ -1,0 +1,130 @@
+use lsfb_types::Timestamp;
+
+use super::*;
+use crate::camera::wire::{Trailer, emit_frame};
+use crate::test_random::Random;
+
+const FORMAT: FrameFormat = FrameFormat {
+    width: 40,
+    height: 2,
+};
+
+fn config() -> DecoderConfig {
+    DecoderConfig {
+        format: FORMAT,
+        ..Default::default()
+    }
+}
+
+fn frame(frame_id: u16) -> Packet {
+    let trailer = Trailer {
+        time_source: TimeSource::External,
+        frame_id,
+        timestamp_us: 1_772_359_200_000_000 + u64::from(frame_id),
+        exposure_steps: 45,
+        checksum: 0,
+    };
+    let mut bytes = Vec::new();
+    let trailer = trailer.with_checksum();
+    emit_frame(FORMAT, &[7; 40], &[9; 40], &trailer, &mut bytes).unwrap();
+    Packet {
+        arrival: Timestamp::from_nanos(11),
+        bytes,
+    }
+}
+
+#[test]
+fn every_field_of_a_pair() {
+    let mut decoder = Decoder::new(config());
+    let image = |value| Image {
+        width: 20,
+        height: 2,
+        pixels: vec![value; 40],
+        exposure_ns: 4_500_000,
+        frame_id: 3,
+    };
+    assert_eq!(
+        decoder.push(&frame(3)),
+        Ok(Some(Decoded {
+            arrival: Timestamp::from_nanos(11),
+            device_ticks: 1_772_359_200_000_003,
+            sample: StereoFrame {
+                left: image(7),
+                right: image(9),
+                time_source: TimeSource::External,
+            },
+        }))
+    );
+}
+
+#[test]
+fn faults_are_named_counted_and_survived() {
+    let mut decoder = Decoder::new(config());
+    let mut ids = Vec::new();
+    let mut push = |packet: Packet| {
+        let result = decoder.push(&packet);
+        if let Ok(Some(decoded)) = &result {
+            ids.push(decoded.sample.left.frame_id);
+        }
+        result.map(|decoded| decoded.is_some())
+    };
+    assert_eq!(push(frame(65_534)), Ok(true));
+    assert_eq!(push(frame(65_534)), Ok(false));
+    // The id wraps.
+    assert_eq!(push(frame(1)), Ok(true));
+
+    let mut bad_header = frame(2);
+    *bad_header.bytes.last_mut().unwrap() = 0x3F;
+    assert!(matches!(push(bad_header), Err(WireError::Constant { .. })));
+    let mut bad_checksum = frame(3);
+    let at = bad_checksum.bytes.len() - 5;
+    bad_checksum.bytes[at] ^= 4;
+    assert!(matches!(
+        push(bad_checksum),
+        Err(WireError::Checksum { .. })
+    ));
+    let mut short = frame(4);
+    short.bytes.pop();
+    assert!(matches!(push(short), Err(WireError::Length { .. })));
+
+    assert_eq!(push(frame(5)), Ok(true));
+    assert_eq!(push(frame(0)), Ok(true));
+    assert_eq!(ids, [65_534, 65_537, 65_541, 131_072]);
+    assert_eq!(
+        decoder.counters(),
+        FrameCounters {
+            frames: 4,
+            bad_length: 1,
+            bad_header: 1,
+            bad_checksum: 1,
+            // 65 535 and 0, then 2, 3 and 4.
+            missing: 5,
+            duplicated: 1,
+            restarts: 1,
+        }
+    );
+}
+
+#[test]
+fn firmware_with_another_checksum_can_be_read() {
+    let mut packet = frame(1);
+    let at = packet.bytes.len() - 15;
+    packet.bytes[at] ^= 0xFF;
+    assert!(Decoder::new(config()).push(&packet).is_err());
+    let mut lenient = Decoder::new(DecoderConfig {
+        checksum: ChecksumRule::Ignored,
+        ..config()
+    });
+    assert!(lenient.push(&packet).unwrap().is_some());
+}
+
+#[test]
+fn no_frame_makes_the_decoder_panic() {
+    let mut random = Random::new(5);
+    let mut decoder = Decoder::new(config());
+    for id in 0..5000 {
+        let mut packet = frame(id);
+        random.mutate(&mut packet.bytes);
+        let _ = decoder.push(&packet);
+    }
+}

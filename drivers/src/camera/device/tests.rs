@@ -1,0 +1,163 @@
+use std::thread;
+
+use tempfile::TempDir;
+
+use super::*;
+use crate::camera::wire::{ImuSegment, ImuValues, TimeSource, Trailer, XuDevice, emit_frame};
+use crate::camera::{Decoder, DecoderConfig, ImuDecoder};
+use crate::transport::camera_socket::{CameraListener, CameraUnit, UnitRequest};
+
+const FRAMES: u16 = 20;
+
+fn listen() -> (TempDir, CameraListener, CameraConfig) {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("mynt");
+    let listener = CameraListener::bind(&path).unwrap();
+    let config = CameraConfig {
+        path,
+        serial: "07C41A19".to_owned(),
+        options: vec![(CameraOption::ImuFrequency, 250)],
+        ..Default::default()
+    };
+    (dir, listener, config)
+}
+
+fn new_device() -> XuDevice {
+    let info = DeviceInfo {
+        serial: "07C41A19".to_owned(),
+        spec: FLOAT_IMU_SPEC,
+        ..Default::default()
+    };
+    XuDevice::new(info, ImuProtocol::Float)
+}
+
+fn serve_until_start(unit: &mut CameraUnit, device: &mut XuDevice) -> Result<u32, Error> {
+    loop {
+        if let Some(UnitRequest::Start { format, rate_hz }) =
+            unit.serve(device, Duration::from_secs(5))?
+        {
+            assert_eq!(format, FrameFormat::S2_1280X400);
+            return Ok(rate_hz);
+        }
+    }
+}
+
+fn spawn<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> thread::JoinHandle<T> {
+    thread::Builder::new()
+        .name("mock-camera".to_owned())
+        .spawn(work)
+        .unwrap()
+}
+
+#[test]
+fn a_unit_is_configured_streams_and_ends() {
+    let (_dir, listener, config) = listen();
+    let mock = spawn(move || -> Result<u16, Error> {
+        let mut device = new_device();
+        let mut unit = listener.accept()?;
+        assert_eq!(serve_until_start(&mut unit, &mut device)?, 10);
+        let pixels = vec![50; 640 * 400];
+        let mut bytes = Vec::new();
+        for frame_id in 0..FRAMES {
+            let trailer = Trailer {
+                frame_id,
+                timestamp_us: 100_000 * u64::from(frame_id),
+                ..Default::default()
+            };
+            let trailer = trailer.with_checksum();
+            emit_frame(
+                FrameFormat::S2_1280X400,
+                &pixels,
+                &pixels,
+                &trailer,
+                &mut bytes,
+            )
+            .unwrap();
+            for (serial, values) in [
+                (1, ImuValues::AccelerometerG([0.0, 0.0, 1.0])),
+                (2, ImuValues::GyroscopeDegS([0.0; 3])),
+            ] {
+                device.push_imu(ImuSegment {
+                    serial: 2 * u32::from(frame_id) + serial,
+                    timestamp_us: trailer.timestamp_us,
+                    time_source: TimeSource::Device,
+                    temperature: 30.0,
+                    values,
+                });
+            }
+            // Requests that have come meanwhile.
+            while unit.serve(&mut device, Duration::ZERO)?.is_some() {}
+            unit.send_frame(&bytes)?;
+        }
+        // The host's last requests.
+        while unit
+            .serve(&mut device, Duration::from_millis(50))?
+            .is_some()
+        {}
+        unit.finish()?;
+        Ok(device.options().value(CameraOption::ImuFrequency))
+    });
+
+    let mut camera = MyntCamera::open(&config).unwrap();
+    assert_eq!(camera.info().serial, "07C41A19");
+    let mut frames = Decoder::new(DecoderConfig::default());
+    let mut imu = ImuDecoder::new(camera.imu_protocol());
+    let mut samples = 0;
+    for expected in 0..u32::from(FRAMES) {
+        if expected % 5 == 0 {
+            // Frames that come before the answer are kept.
+            let answer = camera.poll_imu(imu.last_serial()).unwrap();
+            samples += imu.push(&answer).unwrap().len();
+        }
+        let packet = camera.recv(Duration::from_secs(5)).unwrap().unwrap();
+        let pair = frames.push(&packet).unwrap().unwrap();
+        assert_eq!(pair.sample.left.frame_id, expected);
+        assert_eq!(pair.sample.left.pixels, vec![50; 640 * 400]);
+        assert_eq!(pair.device_ticks, 100_000 * u64::from(expected));
+    }
+    assert_eq!(camera.option(CameraOption::ImuFrequency).unwrap(), 250);
+    let answer = camera.poll_imu(imu.last_serial()).unwrap();
+    samples += imu.push(&answer).unwrap().len();
+    assert_eq!((imu.counters().segments, imu.counters().missing), (40, 0));
+    assert!(samples >= 19, "{samples}");
+    for _ in 0..2 {
+        assert!(matches!(
+            camera.recv(Duration::from_secs(5)),
+            Err(Error::EndOfStream { .. })
+        ));
+    }
+    assert_eq!(mock.join().unwrap().unwrap(), 250);
+}
+
+#[test]
+fn swapped_units_and_refused_options_are_errors() {
+    for (change, expected) in [
+        (
+            CameraConfig {
+                serial: "OTHER".to_owned(),
+                ..Default::default()
+            },
+            "are the cables swapped",
+        ),
+        (
+            CameraConfig {
+                options: vec![(CameraOption::ImuFrequency, 9000)],
+                ..Default::default()
+            },
+            "refuses query 0x01 of selector 1",
+        ),
+    ] {
+        let (_dir, listener, config) = listen();
+        let mock = spawn(move || {
+            let mut unit = listener.accept()?;
+            serve_until_start(&mut unit, &mut new_device())
+        });
+        let config = CameraConfig {
+            path: config.path,
+            ..change
+        };
+        let error = MyntCamera::open(&config).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+        assert!(matches!(mock.join().unwrap(), Err(Error::Lost { .. })));
+    }
+}
