@@ -75,6 +75,18 @@ pub enum Error {
         /// End of the scan.
         time: Timestamp,
     },
+    /// The IMU leaves a time open that is to be integrated over.
+    #[error(
+        "no IMU samples from {from} s to {to} s: at most {longest_secs} s may be missing, record the IMU without pauses"
+    )]
+    ImuGap {
+        /// Last instant before the gap.
+        from: Timestamp,
+        /// First instant after it.
+        to: Timestamp,
+        /// Longest gap that is bridged, seconds.
+        longest_secs: f64,
+    },
 }
 
 impl Error {

@@ -8,6 +8,8 @@
 mod error;
 pub mod features;
 pub mod odometry;
+pub mod preintegration;
 pub mod preprocess;
+pub mod residuals;
 
 pub use error::Error;

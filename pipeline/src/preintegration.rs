@@ -1,0 +1,299 @@
+//! IMU samples between two instants, summed up once so that the optimisation need not go through them again.
+//!
+//! Forster, Carlone, Dellaert, Scaramuzza, "On-Manifold Preintegration for Real-Time Visual-Inertial Odometry",
+//! TRO 2017. Between samples angular velocity and specific force are straight lines; each piece is integrated with its
+//! middle value and the rotation in its middle, which leaves an error of third order in the sample period.
+
+use lsfb_geometry::{Matrix3, RigImu, Se3, UnitQuaternion, Vector3, so3};
+use lsfb_types::{ImuSample, Stamped, Timestamp};
+use nalgebra::SMatrix;
+
+use crate::Error;
+
+/// 9 × 9, ordered rotation, velocity, position.
+pub type Matrix9 = SMatrix<f64, 9, 9>;
+
+/// Gravity in the world, z up, m/s².
+pub const GRAVITY_M_S2: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
+
+/// Constant errors of the IMU over a short time.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ImuBias {
+    /// Added to every angular velocity, rad/s.
+    pub gyro_rad_s: Vector3<f64>,
+    /// Added to every specific force, m/s².
+    pub accel_m_s2: Vector3<f64>,
+}
+
+/// Pose and velocity of the rig.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NavState {
+    /// Pose of the rig, whose frame is the IMU's.
+    pub world_from_rig: Se3,
+    /// Velocity in the world, m/s.
+    pub velocity_m_s: Vector3<f64>,
+}
+
+/// Derivatives of the preintegrated changes by the bias.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BiasJacobians {
+    /// Tangent of the rotation by the gyroscope's bias.
+    pub rotation_by_gyro: Matrix3<f64>,
+    /// Velocity by the gyroscope's bias.
+    pub velocity_by_gyro: Matrix3<f64>,
+    /// Velocity by the accelerometer's bias.
+    pub velocity_by_accel: Matrix3<f64>,
+    /// Position by the gyroscope's bias.
+    pub position_by_gyro: Matrix3<f64>,
+    /// Position by the accelerometer's bias.
+    pub position_by_accel: Matrix3<f64>,
+}
+
+/// What the IMU says about the motion from one instant to another, in the rig frame of the first, without gravity.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PreintegratedImu {
+    /// From the first instant to the second, seconds.
+    pub duration_secs: f64,
+    /// Rotation of the rig, `start_from_end`.
+    pub rotation: UnitQuaternion<f64>,
+    /// Change of velocity, m/s.
+    pub velocity_m_s: Vector3<f64>,
+    /// Change of position beyond that of constant velocity, metres.
+    pub position_m: Vector3<f64>,
+    /// The bias that was subtracted.
+    pub bias: ImuBias,
+    /// How the changes depend on it.
+    pub by_bias: BiasJacobians,
+    /// Covariance of `[rotation, velocity, position]` from the white noise.
+    pub covariance: Matrix9,
+}
+
+/// The preintegrated changes corrected to another bias, to first order.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CorrectedChange {
+    /// Rotation of the rig, `start_from_end`.
+    pub rotation: UnitQuaternion<f64>,
+    /// Tangent by which the rotation was corrected.
+    pub rotation_correction: Vector3<f64>,
+    /// Change of velocity, m/s.
+    pub velocity_m_s: Vector3<f64>,
+    /// Change of position, metres.
+    pub position_m: Vector3<f64>,
+}
+
+/// A sample as vectors.
+#[derive(Clone, Copy)]
+struct Reading {
+    time: Timestamp,
+    gyro: Vector3<f64>,
+    accel: Vector3<f64>,
+}
+
+impl Reading {
+    fn of(sample: &Stamped<ImuSample>) -> Self {
+        Self {
+            time: sample.time,
+            gyro: sample.sample.angular_velocity_rad_s.into(),
+            accel: sample.sample.specific_force_m_s2.into(),
+        }
+    }
+
+    /// On the straight line to `next`; held outside.
+    fn towards(&self, next: &Self, time: Timestamp) -> Self {
+        let span = next.time.secs_since(self.time);
+        let share = if span > 0.0 {
+            (time.secs_since(self.time) / span).clamp(0.0, 1.0)
+        } else {
+            0.0
+        };
+        Self {
+            time,
+            gyro: self.gyro + (next.gyro - self.gyro) * share,
+            accel: self.accel + (next.accel - self.accel) * share,
+        }
+    }
+}
+
+/// Longest pause between samples that is bridged by a straight line, seconds.
+const LONGEST_PAUSE_SECS: f64 = 0.05;
+
+impl PreintegratedImu {
+    /// Nothing yet, at the beginning.
+    fn start(bias: ImuBias) -> Self {
+        Self {
+            duration_secs: 0.0,
+            rotation: UnitQuaternion::identity(),
+            velocity_m_s: Vector3::zeros(),
+            position_m: Vector3::zeros(),
+            bias,
+            by_bias: BiasJacobians {
+                rotation_by_gyro: Matrix3::zeros(),
+                velocity_by_gyro: Matrix3::zeros(),
+                velocity_by_accel: Matrix3::zeros(),
+                position_by_gyro: Matrix3::zeros(),
+                position_by_accel: Matrix3::zeros(),
+            },
+            covariance: Matrix9::zeros(),
+        }
+    }
+
+    /// Integrates `samples`, which are in order of time and reach from `start` to `end`.
+    ///
+    /// [`Error::ImuGap`] where they leave more than 50 ms open, at an end or between.
+    pub fn integrate(
+        samples: &[Stamped<ImuSample>],
+        start: Timestamp,
+        end: Timestamp,
+        bias: ImuBias,
+        noise: &RigImu,
+    ) -> Result<Self, Error> {
+        let first = samples
+            .partition_point(|s| s.time <= start)
+            .saturating_sub(1);
+        let last = samples.partition_point(|s| s.time < end);
+        let readings: Vec<Reading> = samples
+            .get(first..(last + 1).min(samples.len()))
+            .unwrap_or_default()
+            .iter()
+            .map(Reading::of)
+            .collect();
+        check_coverage(&readings, start, end)?;
+
+        let mut sum = Self::start(bias);
+        for (k, pair) in readings.windows(2).enumerate() {
+            // The first and last pieces are held where the samples begin or stop just inside.
+            let from = if k == 0 { start } else { pair[0].time };
+            let to = if k + 2 == readings.len() {
+                end
+            } else {
+                pair[1].time
+            };
+            if to > from {
+                let a = pair[0].towards(&pair[1], from);
+                let b = pair[0].towards(&pair[1], to);
+                sum.advance(
+                    to.secs_since(from),
+                    &((a.gyro + b.gyro) * 0.5),
+                    &((a.accel + b.accel) * 0.5),
+                    noise,
+                );
+            }
+        }
+        Ok(sum)
+    }
+
+    /// Adds one piece of constant angular velocity and specific force. Eq. (35)–(43), (A.9) with the middle rotation.
+    fn advance(&mut self, dt: f64, gyro: &Vector3<f64>, accel: &Vector3<f64>, noise: &RigImu) {
+        let angle = (gyro - self.bias.gyro_rad_s) * dt;
+        let half = angle * 0.5;
+        let force = accel - self.bias.accel_m_s2;
+        let turn = so3::exp(&angle).to_rotation_matrix().into_inner();
+        let half_turn = so3::exp(&half);
+        let middle = (self.rotation * half_turn)
+            .to_rotation_matrix()
+            .into_inner();
+        let turned_half = half_turn.to_rotation_matrix().into_inner().transpose();
+        let force_by_rotation = -middle * so3::hat(&force);
+        let turn_by_rate = so3::right_jacobian(&angle) * dt;
+        let half_by_rate = so3::right_jacobian(&half) * (0.5 * dt);
+
+        let b = &mut self.by_bias;
+        let force_by_gyro = force_by_rotation * (turned_half * b.rotation_by_gyro - half_by_rate);
+        b.position_by_gyro += b.velocity_by_gyro * dt + force_by_gyro * (0.5 * dt * dt);
+        b.position_by_accel += b.velocity_by_accel * dt - middle * (0.5 * dt * dt);
+        b.velocity_by_gyro += force_by_gyro * dt;
+        b.velocity_by_accel -= middle * dt;
+        b.rotation_by_gyro = turn.transpose() * b.rotation_by_gyro - turn_by_rate;
+
+        let mut transition = Matrix9::identity();
+        let force_by_start = force_by_rotation * turned_half;
+        set(&mut transition, 0, 0, &turn.transpose());
+        set(&mut transition, 3, 0, &(force_by_start * dt));
+        set(&mut transition, 6, 0, &(force_by_start * (0.5 * dt * dt)));
+        set(&mut transition, 6, 3, &(Matrix3::identity() * dt));
+        let mut by_noise = SMatrix::<f64, 9, 6>::zeros();
+        let force_by_rate = force_by_rotation * half_by_rate;
+        let gyro_deviation = noise.gyro_noise_density / dt.sqrt();
+        let accel_deviation = noise.accel_noise_density / dt.sqrt();
+        for (row, by_gyro, by_accel) in [
+            (0, turn_by_rate, Matrix3::zeros()),
+            (3, force_by_rate * dt, middle * dt),
+            (6, force_by_rate * (0.5 * dt * dt), middle * (0.5 * dt * dt)),
+        ] {
+            by_noise
+                .fixed_view_mut::<3, 3>(row, 0)
+                .copy_from(&(by_gyro * gyro_deviation));
+            by_noise
+                .fixed_view_mut::<3, 3>(row, 3)
+                .copy_from(&(by_accel * accel_deviation));
+        }
+        self.covariance =
+            transition * self.covariance * transition.transpose() + by_noise * by_noise.transpose();
+
+        self.position_m += self.velocity_m_s * dt + middle * force * (0.5 * dt * dt);
+        self.velocity_m_s += middle * force * dt;
+        self.rotation *= so3::exp(&angle);
+        self.rotation.renormalize_fast();
+        self.duration_secs += dt;
+    }
+
+    /// The changes as they would be with another bias. Eq. (44).
+    pub fn corrected(&self, bias: &ImuBias) -> CorrectedChange {
+        let gyro = bias.gyro_rad_s - self.bias.gyro_rad_s;
+        let accel = bias.accel_m_s2 - self.bias.accel_m_s2;
+        let b = &self.by_bias;
+        let rotation_correction = b.rotation_by_gyro * gyro;
+        CorrectedChange {
+            rotation: self.rotation * so3::exp(&rotation_correction),
+            rotation_correction,
+            velocity_m_s: self.velocity_m_s
+                + b.velocity_by_gyro * gyro
+                + b.velocity_by_accel * accel,
+            position_m: self.position_m + b.position_by_gyro * gyro + b.position_by_accel * accel,
+        }
+    }
+
+    /// State at the second instant, given that at the first.
+    pub fn predict(&self, start: &NavState, bias: &ImuBias) -> NavState {
+        let change = self.corrected(bias);
+        let dt = self.duration_secs;
+        let rotation = start.world_from_rig.rotation;
+        NavState {
+            world_from_rig: Se3::new(
+                rotation * change.rotation,
+                start.world_from_rig.translation
+                    + start.velocity_m_s * dt
+                    + GRAVITY_M_S2 * (0.5 * dt * dt)
+                    + rotation * change.position_m,
+            ),
+            velocity_m_s: start.velocity_m_s + GRAVITY_M_S2 * dt + rotation * change.velocity_m_s,
+        }
+    }
+}
+
+fn set(matrix: &mut Matrix9, row: usize, column: usize, block: &Matrix3<f64>) {
+    matrix.fixed_view_mut::<3, 3>(row, column).copy_from(block);
+}
+
+fn check_coverage(readings: &[Reading], start: Timestamp, end: Timestamp) -> Result<(), Error> {
+    let gap = |from: Timestamp, to: Timestamp| Error::ImuGap {
+        from,
+        to,
+        longest_secs: LONGEST_PAUSE_SECS,
+    };
+    if readings.len() < 2 || end <= start {
+        return Err(gap(start, end));
+    }
+    let mut edges = vec![start];
+    edges.extend(readings.iter().map(|r| r.time.clamp(start, end)));
+    edges.push(end);
+    for pair in edges.windows(2) {
+        if pair[1].secs_since(pair[0]) > LONGEST_PAUSE_SECS {
+            return Err(gap(pair[0], pair[1]));
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests;

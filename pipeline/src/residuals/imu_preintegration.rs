@@ -1,0 +1,205 @@
+use lsfb_geometry::{Matrix3, Se3, Vector3, so3};
+use lsfb_solver::{Linearization, Parameters, Residual, Shape, Undefined};
+use nalgebra::{SMatrix, SVector};
+
+use crate::preintegration::{GRAVITY_M_S2, ImuBias, Matrix9, PreintegratedImu};
+
+/// The IMU's samples between two states, `h` of eq. (5). Blocks: pose, velocity, gyroscope bias, accelerometer bias of the
+/// first state; pose and velocity of the second.
+///
+/// Forster et al. 2017, eq. (45), whitened by `L⁻¹` of the preintegrated covariance `L Lᵀ`:
+///
+/// - `r_R = log(ΔR(b)ᵀ R_iᵀ R_j)`
+/// - `r_v = R_iᵀ (v_j − v_i − g Δt) − Δv(b)`
+/// - `r_p = R_iᵀ (p_j − p_i − v_i Δt − ½ g Δt²) − Δp(b)`
+///
+/// Perturbing `R exp(φ)`, `p + R ρ`:
+///
+/// | | φ_i | ρ_i | v_i | b_g | b_a | φ_j | ρ_j | v_j |
+/// |---|---|---|---|---|---|---|---|---|
+/// | r_R | −J_r⁻¹ R_jᵀ R_i | | | −J_r⁻¹ exp(r_R)ᵀ J_r(ΔR_b δb) ΔR_b | | J_r⁻¹ | | |
+/// | r_v | \[R_iᵀ(…)\]ₓ | | −R_iᵀ | −Δv_bg | −Δv_ba | | | R_iᵀ |
+/// | r_p | \[R_iᵀ(…)\]ₓ | −I | −R_iᵀ Δt | −Δp_bg | −Δp_ba | | R_iᵀ R_j | |
+#[derive(Clone, Debug)]
+pub struct ImuPreintegration {
+    preintegrated: PreintegratedImu,
+    sqrt_information: Matrix9,
+}
+
+type Block<const N: usize> = SMatrix<f64, 9, N>;
+
+impl ImuPreintegration {
+    /// `None` where the covariance is not positive definite: the IMU's noise densities must not be zero.
+    pub fn new(preintegrated: PreintegratedImu) -> Option<Self> {
+        let factor = preintegrated.covariance.cholesky()?.l();
+        let sqrt_information = factor.solve_lower_triangular(&Matrix9::identity())?;
+        Some(Self {
+            preintegrated,
+            sqrt_information,
+        })
+    }
+
+    /// The summed samples.
+    pub fn preintegrated(&self) -> &PreintegratedImu {
+        &self.preintegrated
+    }
+}
+
+impl Residual for ImuPreintegration {
+    fn dimension(&self) -> usize {
+        9
+    }
+
+    fn blocks(&self) -> &[Shape] {
+        const {
+            &[
+                Shape::of::<Se3>(),
+                Shape::of::<Vector3<f64>>(),
+                Shape::of::<Vector3<f64>>(),
+                Shape::of::<Vector3<f64>>(),
+                Shape::of::<Se3>(),
+                Shape::of::<Vector3<f64>>(),
+            ]
+        }
+    }
+
+    fn evaluate(&self, parameters: &Parameters, out: &mut Linearization) -> Result<(), Undefined> {
+        let (pose_i, velocity_i): (Se3, Vector3<f64>) = (parameters.get(0), parameters.get(1));
+        let (pose_j, velocity_j): (Se3, Vector3<f64>) = (parameters.get(4), parameters.get(5));
+        let change = self.preintegrated.corrected(&ImuBias {
+            gyro_rad_s: parameters.get(2),
+            accel_m_s2: parameters.get(3),
+        });
+        let dt = self.preintegrated.duration_secs;
+        let i_from_world = pose_i.rotation_matrix().transpose();
+        let j_from_i = pose_j.rotation.inverse() * pose_i.rotation;
+        let velocity = i_from_world * (velocity_j - velocity_i - GRAVITY_M_S2 * dt);
+        let position = i_from_world
+            * (pose_j.translation
+                - pose_i.translation
+                - velocity_i * dt
+                - GRAVITY_M_S2 * (0.5 * dt * dt));
+        let rotation = so3::log(&(change.rotation.inverse() * j_from_i.inverse()));
+
+        let mut residual = SVector::<f64, 9>::zeros();
+        residual.fixed_rows_mut::<3>(0).copy_from(&rotation);
+        residual
+            .fixed_rows_mut::<3>(3)
+            .copy_from(&(velocity - change.velocity_m_s));
+        residual
+            .fixed_rows_mut::<3>(6)
+            .copy_from(&(position - change.position_m));
+        out.set_residual(&(self.sqrt_information * residual));
+        if !(0..6).any(|k| out.wants_jacobian(k)) {
+            return Ok(());
+        }
+
+        let log_by_turn = so3::right_jacobian_inverse(&rotation);
+        let j_from_i = j_from_i.to_rotation_matrix().into_inner();
+        let by = &self.preintegrated.by_bias;
+        let rotation_by_gyro = -log_by_turn
+            * so3::exp(&-rotation).to_rotation_matrix().into_inner()
+            * so3::right_jacobian(&change.rotation_correction)
+            * by.rotation_by_gyro;
+        let zero = Matrix3::zeros();
+        let mut by_pose_i = Block::<6>::zeros();
+        by_pose_i.fixed_view_mut::<9, 3>(0, 0).copy_from(&stack(
+            &(-log_by_turn * j_from_i),
+            &so3::hat(&velocity),
+            &so3::hat(&position),
+        ));
+        by_pose_i
+            .fixed_view_mut::<3, 3>(6, 3)
+            .copy_from(&-Matrix3::identity());
+        let mut by_pose_j = Block::<6>::zeros();
+        by_pose_j
+            .fixed_view_mut::<3, 3>(0, 0)
+            .copy_from(&log_by_turn);
+        by_pose_j
+            .fixed_view_mut::<3, 3>(6, 3)
+            .copy_from(&j_from_i.transpose());
+        let by_velocity_i = stack(&zero, &-i_from_world, &(-i_from_world * dt));
+        let by_gyro = stack(
+            &rotation_by_gyro,
+            &-by.velocity_by_gyro,
+            &-by.position_by_gyro,
+        );
+        let by_accel = stack(&zero, &-by.velocity_by_accel, &-by.position_by_accel);
+        let by_velocity_j = stack(&zero, &i_from_world, &zero);
+        out.set_jacobian(0, &(self.sqrt_information * by_pose_i));
+        out.set_jacobian(1, &(self.sqrt_information * by_velocity_i));
+        out.set_jacobian(2, &(self.sqrt_information * by_gyro));
+        out.set_jacobian(3, &(self.sqrt_information * by_accel));
+        out.set_jacobian(4, &(self.sqrt_information * by_pose_j));
+        out.set_jacobian(5, &(self.sqrt_information * by_velocity_j));
+        Ok(())
+    }
+}
+
+fn stack(rotation: &Matrix3<f64>, velocity: &Matrix3<f64>, position: &Matrix3<f64>) -> Block<3> {
+    let mut block = Block::<3>::zeros();
+    for (row, part) in [(0, rotation), (3, velocity), (6, position)] {
+        block.fixed_view_mut::<3, 3>(row, 0).copy_from(part);
+    }
+    block
+}
+
+#[cfg(test)]
+mod tests {
+    use lsfb_geometry::{RigImu, Vector6};
+    use lsfb_solver::{Kernel, Problem, check_jacobians};
+    use lsfb_types::{ImuSample, Stamped, Timestamp};
+
+    use super::*;
+
+    #[test]
+    fn jacobians_match_differences() {
+        let samples: Vec<_> = (0..41)
+            .map(|k| {
+                let t = k as f64 * 0.005;
+                let time = Timestamp::from_nanos(k * 5_000_000);
+                Stamped {
+                    time,
+                    arrival: time,
+                    device_ticks: 0,
+                    sample: ImuSample {
+                        angular_velocity_rad_s: [t.sin(), 1.0 - t, (3.0 * t).cos()],
+                        specific_force_m_s2: [t, 2.0 * t.sin(), 9.8 + t],
+                    },
+                }
+            })
+            .collect();
+        let noise = RigImu {
+            gyro_noise_density: 0.05,
+            accel_noise_density: 0.3,
+            gyro_bias_walk: 1e-5,
+            accel_bias_walk: 1e-4,
+        };
+        let preintegrated = PreintegratedImu::integrate(
+            &samples,
+            samples[0].time,
+            samples[40].time,
+            ImuBias::default(),
+            &noise,
+        )
+        .expect("covered");
+        let mut problem = Problem::new();
+        let blocks = [
+            problem
+                .add_block(Se3::exp(&Vector6::new(0.4, -0.1, 0.9, 3.0, -2.0, 1.0)))
+                .id(),
+            problem.add_block(Vector3::new(0.5, -0.7, 0.1)).id(),
+            problem.add_block(Vector3::new(0.1, -0.2, 0.15)).id(),
+            problem.add_block(Vector3::new(-0.3, 0.2, 0.1)).id(),
+            problem
+                .add_block(Se3::exp(&Vector6::new(0.2, 0.3, 0.7, 3.3, -2.1, 1.2)))
+                .id(),
+            problem.add_block(Vector3::new(0.8, -0.2, 0.3)).id(),
+        ];
+        let residual = ImuPreintegration::new(preintegrated).expect("noise is not zero");
+        problem
+            .add_residual(residual, &blocks, Kernel::Squared)
+            .expect("blocks fit");
+        check_jacobians(&problem, 1e-6).expect("Jacobians match");
+    }
+}

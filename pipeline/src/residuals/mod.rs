@@ -1,0 +1,15 @@
+//! The terms of the optimisation problems, one file each: formula, Jacobian, test against numeric differences.
+
+mod bias_walk;
+mod fixed_point_reprojection;
+mod imu_preintegration;
+mod pose_prior;
+mod relative_pose;
+mod reprojection;
+
+pub use bias_walk::BiasWalk;
+pub use fixed_point_reprojection::FixedPointReprojection;
+pub use imu_preintegration::ImuPreintegration;
+pub use pose_prior::PosePrior;
+pub use relative_pose::RelativePose;
+pub use reprojection::{ObservingCamera, Reprojection};
