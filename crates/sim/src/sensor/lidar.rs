@@ -1,0 +1,203 @@
+//! A spinning VLP-32C: every laser fired from where the sensor is at that microsecond.
+
+use rayon::prelude::*;
+use wide::f32x8;
+
+use lsfb_geometry::{Se3, Vector3};
+
+use crate::config::LidarConfig;
+use crate::noise::{gaussian, hash, unit};
+use crate::walk::Walk;
+use crate::world::vector::dot;
+use crate::world::{LANES, NO_FACET, RayPacket, World};
+
+/// Lasers of a VLP-32C.
+pub const LASERS: usize = 32;
+/// Firing cycles in a data packet.
+pub const CYCLES_PER_PACKET: usize = 12;
+/// Duration of a firing cycle, nanoseconds (VLP-32C manual 63-9325, p. 59).
+pub const CYCLE_NS: i64 = 55_296;
+/// Time between one pair of lasers and the next, nanoseconds (same page).
+pub const PAIR_NS: i64 = 2_304;
+/// Length of one count of a range, metres.
+pub const RANGE_UNIT_M: f64 = 0.004;
+
+/// Elevation and azimuth offset in degrees by laser number (VLP-32C manual 63-9325, pp. 54–56).
+const BEAMS_DEG: [[f64; 2]; LASERS] = [
+    [-25.0, 1.4],
+    [-1.0, -4.2],
+    [-1.667, 1.4],
+    [-15.639, -1.4],
+    [-11.31, 1.4],
+    [0.0, -1.4],
+    [-0.667, 4.2],
+    [-8.843, -1.4],
+    [-7.254, 1.4],
+    [0.333, -4.2],
+    [-0.333, 1.4],
+    [-6.148, -1.4],
+    [-5.333, 4.2],
+    [1.333, -1.4],
+    [0.667, 4.2],
+    [-4.0, -1.4],
+    [-4.667, 1.4],
+    [1.667, -4.2],
+    [1.0, 1.4],
+    [-3.667, -4.2],
+    [-3.333, 4.2],
+    [3.333, -1.4],
+    [2.333, 1.4],
+    [-2.667, -1.4],
+    [-3.0, 1.4],
+    [7.0, -1.4],
+    [4.667, 1.4],
+    [-2.333, -4.2],
+    [-2.0, 4.2],
+    [15.0, -1.4],
+    [10.333, 1.4],
+    [-1.333, -1.4],
+];
+
+/// One range as sent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Return {
+    /// Range in units of 4 mm, 0 for no return.
+    pub range_count: u16,
+    /// Diffuse reflectivity, percent.
+    pub reflectivity: u8,
+}
+
+/// All lasers fired once.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FiringCycle {
+    /// First firing, nanoseconds after the start of the walk.
+    pub offset_ns: i64,
+    /// Encoder angle at the first firing, 0.01°.
+    pub azimuth_centideg: u16,
+    /// By laser.
+    pub returns: [Return; LASERS],
+}
+
+/// Fires the lasers of a LiDAR on a rig.
+#[derive(Clone, Debug)]
+pub struct LidarSim {
+    rig_from_lidar: Se3,
+    config: LidarConfig,
+    seed: u64,
+}
+
+impl LidarSim {
+    /// A LiDAR at a place on the rig.
+    pub fn new(rig_from_lidar: Se3, config: &LidarConfig, seed: u64) -> Self {
+        Self {
+            rig_from_lidar,
+            config: config.clone(),
+            seed,
+        }
+    }
+
+    /// Exact encoder angle, degrees; 0 at the start of the walk, growing clockwise seen from above.
+    fn azimuth_deg(&self, offset_ns: i64) -> f64 {
+        let per_turn_ns = 60_000_000_000 / i64::from(self.config.rpm);
+        360.0 * (offset_ns % per_turn_ns) as f64 / per_turn_ns as f64
+    }
+
+    /// Fires cycles `first .. first + count`.
+    pub fn fire(&self, world: &World, walk: &Walk, first: u64, count: usize) -> Vec<FiringCycle> {
+        (0..count.div_ceil(LANES))
+            .into_par_iter()
+            .flat_map_iter(|group| {
+                let start = group * LANES;
+                let length = LANES.min(count - start);
+                self.fire_group(world, walk, first + start as u64).into_iter().take(length)
+            })
+            .collect()
+    }
+
+    /// Eight cycles in a row. A laser's eight rays are neighbours, so they go through the world together.
+    fn fire_group(&self, world: &World, walk: &Walk, first: u64) -> [FiringCycle; LANES] {
+        let mut cycles: [FiringCycle; LANES] = std::array::from_fn(|lane| {
+            let offset_ns = (first as i64 + lane as i64) * CYCLE_NS;
+            FiringCycle {
+                offset_ns,
+                azimuth_centideg: ((self.azimuth_deg(offset_ns) * 100.0).round() as u32 % 36_000) as u16,
+                returns: [Return::default(); LASERS],
+            }
+        });
+        let motions: [_; LANES] =
+            std::array::from_fn(|lane| walk.at(cycles[lane].offset_ns as f64 * 1e-9));
+        for pair in 0..LASERS / 2 {
+            let delay_ns = pair as i64 * PAIR_NS;
+            let poses: [Se3; LANES] = std::array::from_fn(|lane| {
+                motions[lane].coasted(delay_ns as f64 * 1e-9) * self.rig_from_lidar
+            });
+            for laser in [2 * pair, 2 * pair + 1] {
+                let mut origin = [[0.0_f32; LANES]; 3];
+                let mut direction = [[0.0_f32; LANES]; 3];
+                for lane in 0..LANES {
+                    let azimuth = self.azimuth_deg(cycles[lane].offset_ns + delay_ns);
+                    let ray = poses[lane].rotation * beam_direction(laser, azimuth);
+                    for axis in 0..3 {
+                        origin[axis][lane] = poses[lane].translation[axis] as f32;
+                        direction[axis][lane] = ray[axis] as f32;
+                    }
+                }
+                let hit = world.cast_packet(&RayPacket {
+                    origin: origin.map(f32x8::new),
+                    direction: direction.map(f32x8::new),
+                });
+                let distance = hit.distance.to_array();
+                for (lane, cycle) in cycles.iter_mut().enumerate() {
+                    if hit.facet[lane] != NO_FACET {
+                        let facet = hit.facet[lane] as usize;
+                        let ray = std::array::from_fn(|axis| direction[axis][lane]);
+                        let cosine = -dot(world.facets()[facet].normal, ray);
+                        let number = (first + lane as u64) * LASERS as u64 + laser as u64;
+                        cycle.returns[laser] = self.measure(
+                            f64::from(distance[lane]),
+                            f64::from(cosine),
+                            world.reflectance(facet),
+                            number,
+                        );
+                    }
+                }
+            }
+        }
+        cycles
+    }
+
+    /// Turns a distance into what is sent: noise, lost returns, 4 mm steps.
+    fn measure(&self, distance_m: f64, cosine: f64, reflectance: f32, number: u64) -> Return {
+        let bits = hash(self.seed ^ hash(number));
+        let survival = (cosine / self.config.grazing_cosine).clamp(0.0, 1.0);
+        let lost = unit(hash(bits)) > survival * (1.0 - self.config.dropout);
+        let range_m = distance_m + self.config.range_noise_m * gaussian(bits);
+        if lost || range_m < self.config.min_range_m || range_m > self.config.max_range_m {
+            return Return::default();
+        }
+        Return {
+            range_count: (range_m / RANGE_UNIT_M).round() as u16,
+            reflectivity: (100.0 * reflectance) as u8,
+        }
+    }
+}
+
+/// Direction of a laser in the LiDAR frame (x forward, y left, z up) at an encoder angle.
+pub fn beam_direction(laser: usize, azimuth_deg: f64) -> Vector3<f64> {
+    let [elevation, offset] = BEAMS_DEG[laser].map(f64::to_radians);
+    let (sin, cos) = (azimuth_deg.to_radians() + offset).sin_cos();
+    Vector3::new(
+        elevation.cos() * cos,
+        -elevation.cos() * sin,
+        elevation.sin(),
+    )
+}
+
+/// Rank of a laser by elevation, 0 lowest.
+pub fn ring(laser: usize) -> u16 {
+    let own = BEAMS_DEG[laser][0];
+    BEAMS_DEG.iter().filter(|beam| beam[0] < own).count() as u16
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,255 @@
+//! A world, two rigs in it, and what their sensors measure: the offline way to the data, without devices.
+
+use std::path::Path;
+
+use lsfb_geometry::{Rig, Se3, Vector3};
+use lsfb_types::{Image, LidarPoint, LidarScan, ProgressFn, Stamped, Timestamp};
+
+use crate::config::{CameraConfig, ImuConfig, SimConfig, WalkConfig};
+use crate::noise::hash;
+use crate::sensor::camera::CameraSim;
+use crate::sensor::imu::{self, BiasedSample};
+use crate::sensor::lidar::{
+    CYCLE_NS, FiringCycle, LidarSim, PAIR_NS, RANGE_UNIT_M, beam_direction, ring,
+};
+use crate::walk::{Walk, Walker};
+use crate::world::World;
+use crate::{Error, rigs, truth};
+
+/// When the scan begins: 2026-03-01T10:00:00Z.
+pub const EPOCH: Timestamp = Timestamp::from_nanos(1_772_359_200_000_000_000);
+/// When the walk with the glasses begins: ten minutes later.
+pub const GLASSES_EPOCH: Timestamp = Timestamp::from_nanos(1_772_359_800_000_000_000);
+
+/// A whole session.
+#[derive(Clone, Debug)]
+pub struct Simulation {
+    config: SimConfig,
+    world: World,
+    scan: RigSim,
+    glasses: RigSim,
+}
+
+/// A rig on its walk.
+#[derive(Clone, Debug)]
+pub struct RigSim {
+    rig: Rig,
+    start: Timestamp,
+    seed: u64,
+    walk: Walk,
+    imu: Vec<BiasedSample>,
+    cameras: Vec<CameraSim>,
+    camera_rate_hz: u32,
+    lidar: Option<LidarSim>,
+    lidar_rpm: u32,
+}
+
+impl Simulation {
+    /// Builds the world and both walks. Takes seconds at the default resolution.
+    pub fn new(config: &SimConfig, progress: ProgressFn) -> Result<Self, Error> {
+        config.check()?;
+        let world = World::build(config.seed, config.texel_m, progress);
+        let mut scan = RigSim::new(
+            rigs::backpack(config),
+            EPOCH,
+            Walk::new(world.plan(), Walker::Backpack, &config.scan, config.seed),
+            &config.scan_cameras,
+            &config.scan_imu,
+            config.seed,
+        )?;
+        scan.lidar = scan.rig.lidar.as_ref().map(|lidar| {
+            LidarSim::new(lidar.rig_from_lidar, &config.lidar, hash(config.seed ^ 0x11da))
+        });
+        scan.lidar_rpm = config.lidar.rpm;
+        let glasses = RigSim::new(
+            rigs::glasses(config),
+            GLASSES_EPOCH,
+            Walk::new(world.plan(), Walker::Glasses, &config.glasses, config.seed),
+            &config.glasses_cameras,
+            &config.glasses_imu,
+            hash(config.seed ^ 0x61a5),
+        )?;
+        Ok(Self {
+            config: config.clone(),
+            world,
+            scan,
+            glasses,
+        })
+    }
+
+    /// What it was made from.
+    pub fn config(&self) -> &SimConfig {
+        &self.config
+    }
+
+    /// The building.
+    pub fn world(&self) -> &World {
+        &self.world
+    }
+
+    /// The backpack.
+    pub fn scan(&self) -> &RigSim {
+        &self.scan
+    }
+
+    /// The glasses.
+    pub fn glasses(&self) -> &RigSim {
+        &self.glasses
+    }
+
+    /// Writes `truth_scan.tum`, `truth_walk.tum`, their `.json` files and `world.ply` into a folder.
+    pub fn write_truth(&self, folder: &Path) -> Result<(), Error> {
+        self.scan
+            .write_truth(&folder.join("truth_scan.tum"), &folder.join("truth_scan.json"))?;
+        self.glasses
+            .write_truth(&folder.join("truth_walk.tum"), &folder.join("truth_walk.json"))?;
+        truth::write(&folder.join("world.ply"), &self.world.to_ply())
+    }
+}
+
+impl RigSim {
+    fn new(
+        rig: Rig,
+        start: Timestamp,
+        walk: Walk,
+        cameras: &CameraConfig,
+        imu: &ImuConfig,
+        seed: u64,
+    ) -> Result<Self, Error> {
+        let imu = imu::simulate(&walk, imu, seed);
+        let camera_rate_hz = cameras.rate_hz;
+        let cameras = rig
+            .cameras
+            .values()
+            .enumerate()
+            .map(|(k, camera)| CameraSim::new(camera, cameras, hash(seed ^ hash(k as u64 + 1))))
+            .collect::<Result<_, _>>()?;
+        Ok(Self {
+            rig,
+            start,
+            seed,
+            walk,
+            imu,
+            cameras,
+            camera_rate_hz,
+            lidar: None,
+            lidar_rpm: 600,
+        })
+    }
+
+    /// The rig as built: the truth about its calibration.
+    pub fn rig(&self) -> &Rig {
+        &self.rig
+    }
+
+    /// Its motion.
+    pub fn walk(&self) -> &Walk {
+        &self.walk
+    }
+
+    /// Its inertial samples.
+    pub fn imu(&self) -> &[BiasedSample] {
+        &self.imu
+    }
+
+    /// When its recording begins.
+    pub fn start(&self) -> Timestamp {
+        self.start
+    }
+
+    /// The seed of its noise.
+    pub fn seed(&self) -> u64 {
+        self.seed
+    }
+
+    /// `offset_ns` after the beginning.
+    pub fn time(&self, offset_ns: i64) -> Timestamp {
+        self.start.plus_nanos(offset_ns)
+    }
+
+    /// Number of images that each camera takes.
+    pub fn frame_count(&self) -> u32 {
+        (self.walk.duration_s() * f64::from(self.camera_rate_hz)) as u32
+    }
+
+    /// Middle of the exposure of a frame, nanoseconds after the beginning.
+    pub fn frame_offset_ns(&self, frame: u32) -> i64 {
+        // Half a period after the second, so that the first exposure lies inside the recording.
+        let period_ns = 1_000_000_000 / i64::from(self.camera_rate_hz);
+        period_ns / 2 + i64::from(frame) * period_ns
+    }
+
+    /// The image of camera number `camera` at a frame; `None` where there is no such camera.
+    pub fn image(&self, world: &World, camera: usize, frame: u32) -> Option<Stamped<Image>> {
+        let offset_ns = self.frame_offset_ns(frame);
+        let pose = self.walk.at(offset_ns as f64 * 1e-9).world_from_rig;
+        let sample = self.cameras.get(camera)?.render(world, &pose, frame);
+        let time = self.time(offset_ns);
+        Some(Stamped {
+            time,
+            arrival: time,
+            device_ticks: offset_ns as u64 / 1000,
+            sample,
+        })
+    }
+
+    /// Number of whole revolutions of the LiDAR.
+    pub fn revolution_count(&self) -> u32 {
+        (self.walk.duration_s() * f64::from(self.lidar_rpm) / 60.0 + 1e-9) as u32
+    }
+
+    /// The firing cycles of a revolution; empty without a LiDAR.
+    pub fn revolution(&self, world: &World, number: u32) -> Vec<FiringCycle> {
+        let turn_ns = 60_000_000_000 / i64::from(self.lidar_rpm);
+        let first = (i64::from(number) * turn_ns + CYCLE_NS - 1) / CYCLE_NS;
+        let next = ((i64::from(number) + 1) * turn_ns + CYCLE_NS - 1) / CYCLE_NS;
+        self.fire(world, first as u64, (next - first) as usize)
+    }
+
+    /// Firing cycles by number since the beginning; empty without a LiDAR.
+    pub fn fire(&self, world: &World, first: u64, count: usize) -> Vec<FiringCycle> {
+        self.lidar
+            .as_ref()
+            .map(|lidar| lidar.fire(world, &self.walk, first, count))
+            .unwrap_or_default()
+    }
+
+    /// A revolution as a decoder would give it; `None` without a LiDAR or without a return.
+    pub fn scan(&self, world: &World, number: u32) -> Option<Stamped<LidarScan>> {
+        let cycles = self.revolution(world, number);
+        let first_ns = cycles.first()?.offset_ns;
+        let turn_ns = 60e9 / f64::from(self.lidar_rpm);
+        let mut points = Vec::with_capacity(cycles.len() * 32);
+        for cycle in &cycles {
+            for (laser, echo) in cycle.returns.iter().enumerate() {
+                if echo.range_count == 0 {
+                    continue;
+                }
+                let delay_ns = PAIR_NS * (laser as i64 / 2);
+                let azimuth_deg = f64::from(cycle.azimuth_centideg) * 0.01
+                    + 360.0 * delay_ns as f64 / turn_ns;
+                let range_m = f64::from(echo.range_count) * RANGE_UNIT_M;
+                let position: Vector3<f64> = beam_direction(laser, azimuth_deg) * range_m;
+                points.push(LidarPoint {
+                    position_m: position.map(|v| v as f32).into(),
+                    intensity: echo.reflectivity,
+                    ring: ring(laser),
+                    time_offset_ns: (cycle.offset_ns + delay_ns - first_ns) as u32,
+                });
+            }
+        }
+        let time = self.time(first_ns);
+        Some(Stamped {
+            time,
+            arrival: time,
+            device_ticks: (first_ns / 1000) as u64,
+            sample: LidarScan { points },
+        })
+    }
+
+    /// Pose of the LiDAR at a time, for comparisons; the rig's where there is no LiDAR.
+    pub fn world_from_lidar(&self, offset_s: f64) -> Se3 {
+        let rig_from_lidar = self.rig.lidar.as_ref().map_or(Se3::identity(), |l| l.rig_from_lidar);
+        self.walk.at(offset_s).world_from_rig * rig_from_lidar
+    }
+}

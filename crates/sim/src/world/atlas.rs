@@ -1,0 +1,105 @@
+//! Textures with mip levels: what a ray sees is averaged over the width of its cone, so that nothing aliases.
+
+use super::canvas::Canvas;
+
+/// All textures of a world in one block.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Atlas {
+    texels: Vec<u8>,
+    textures: Vec<Texture>,
+}
+
+/// One texture: where its levels begin, and how large the first is.
+#[derive(Clone, Debug)]
+struct Texture {
+    size: [f32; 2],
+    /// One over the edge of a texel, 1/m.
+    texels_per_m: f32,
+    levels: Vec<Level>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Level {
+    first: u32,
+    width: u32,
+    height: u32,
+}
+
+impl Atlas {
+    /// Appends a picture of brightnesses in 0–1; its index is the number of pictures before it.
+    pub(crate) fn push(&mut self, canvas: &Canvas) {
+        let (mut width, mut height) = (canvas.width, canvas.height);
+        let mut values: Vec<f32> = canvas.values.clone();
+        let mut levels = Vec::new();
+        loop {
+            levels.push(Level {
+                first: self.texels.len() as u32,
+                width: width as u32,
+                height: height as u32,
+            });
+            self.texels
+                .extend(values.iter().map(|v| (v * 255.0 + 0.5) as u8));
+            if width.max(height) <= 2 {
+                break;
+            }
+            let (w, h) = (width.div_ceil(2), height.div_ceil(2));
+            let at = |x: usize, y: usize| values[y.min(height - 1) * width + x.min(width - 1)];
+            let mut halved = Vec::with_capacity(w * h);
+            for y in 0..h {
+                for x in 0..w {
+                    let (x, y) = (2 * x, 2 * y);
+                    let sum = at(x, y) + at(x + 1, y) + at(x, y + 1) + at(x + 1, y + 1);
+                    halved.push(0.25 * sum);
+                }
+            }
+            (width, height, values) = (w, h, halved);
+        }
+        self.textures.push(Texture {
+            size: [canvas.width as f32, canvas.height as f32],
+            texels_per_m: 1.0 / canvas.texel_m[0].max(canvas.texel_m[1]),
+            levels,
+        });
+    }
+
+    /// Brightness 0–255 at `(a, b)`, averaged over about `footprint_m`.
+    #[inline]
+    pub(crate) fn sample(&self, texture: usize, a: f32, b: f32, footprint_m: f32) -> f32 {
+        let texture = &self.textures[texture];
+        let ratio = (footprint_m * texture.texels_per_m).max(1.0);
+        // log2 from the bits of the float: exact at powers of two and linear between, which is all a blend needs.
+        let bits = ratio.to_bits();
+        let level = ((bits >> 23) as i32 - 127) as usize;
+        let blend = (bits & 0x7f_ffff) as f32 / 8_388_608.0;
+        let last = texture.levels.len() - 1;
+        let (x, y) = (a * texture.size[0], b * texture.size[1]);
+        if level >= last {
+            return self.bilinear(&texture.levels[last], x, y, last);
+        }
+        let fine = self.bilinear(&texture.levels[level], x, y, level);
+        let coarse = self.bilinear(&texture.levels[level + 1], x, y, level + 1);
+        fine + blend * (coarse - fine)
+    }
+
+    /// Bytes held.
+    pub(crate) fn bytes(&self) -> usize {
+        self.texels.len()
+    }
+
+    #[inline(always)]
+    fn bilinear(&self, level: &Level, x: f32, y: f32, number: usize) -> f32 {
+        // Scaled by the power of two, not by the rounded size: odd sizes must not shift the picture.
+        let shrink = f32::from_bits((127 - number as u32) << 23);
+        let (w, h) = (level.width as usize, level.height as usize);
+        let x = (x * shrink - 0.5).clamp(0.0, (w - 1) as f32);
+        let y = (y * shrink - 0.5).clamp(0.0, (h - 1) as f32);
+        let (i, j) = (x as usize, y as usize);
+        let (u, v) = (x - i as f32, y - j as f32);
+        let right = usize::from(i + 1 < w);
+        let down = if j + 1 < h { w } else { 0 };
+        let k = level.first as usize + j * w + i;
+        let at = |k: usize| f32::from(self.texels[k]);
+        let top = at(k) + u * (at(k + right) - at(k));
+        let low = at(k + down) + u * (at(k + down + right) - at(k + down));
+        top + v * (low - top)
+    }
+}

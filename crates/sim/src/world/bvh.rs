@@ -1,0 +1,310 @@
+//! Bounding volume hierarchy over facets, split by the surface area heuristic, traversed eight rays at a time.
+
+use wide::f32x8;
+
+use super::facet::Facet;
+use super::ray::{LANES, NO_FACET, PacketHit, RayPacket};
+
+/// Facets per leaf at most, unless they cannot be told apart by their centres.
+const LEAF_FACETS: usize = 4;
+const BINS: usize = 16;
+/// Cost of visiting a node, in units of one facet test.
+const NODE_COST: f32 = 1.0;
+/// Deep enough for any tree over 2³² facets that halves at least now and then; deeper branches become leaves.
+const MAX_DEPTH: usize = 48;
+/// Facets reach this much over their outline, so that no ray slips between neighbours.
+const EDGE_SLACK: f32 = 1e-5;
+
+#[derive(Clone, Copy, Debug)]
+struct Bounds {
+    min: [f32; 3],
+    max: [f32; 3],
+}
+
+impl Bounds {
+    const EMPTY: Self = Self {
+        min: [f32::INFINITY; 3],
+        max: [f32::NEG_INFINITY; 3],
+    };
+
+    fn include(&mut self, other: &Self) {
+        for i in 0..3 {
+            self.min[i] = self.min[i].min(other.min[i]);
+            self.max[i] = self.max[i].max(other.max[i]);
+        }
+    }
+
+    fn half_area(&self) -> f32 {
+        let d: [f32; 3] = std::array::from_fn(|i| (self.max[i] - self.min[i]).max(0.0));
+        d[0] * d[1] + d[1] * d[2] + d[2] * d[0]
+    }
+
+    fn of(facet: &Facet) -> Self {
+        let mut bounds = Self::EMPTY;
+        for v in facet.vertices() {
+            bounds.include(&Self { min: v, max: v });
+        }
+        for i in 0..3 {
+            bounds.min[i] -= 1e-4;
+            bounds.max[i] += 1e-4;
+        }
+        bounds
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Node {
+    bounds: Bounds,
+    /// Leaf: first facet. Inner node: left child; the right one follows it.
+    first: u32,
+    /// Facets of a leaf, 0 for an inner node.
+    count: u32,
+}
+
+/// The hierarchy. Its facets are in its own order.
+#[derive(Clone, Debug)]
+pub(crate) struct Bvh {
+    nodes: Vec<Node>,
+}
+
+impl Bvh {
+    /// Builds the tree and returns it with the order it wants its facets in.
+    pub(crate) fn build(facets: &[Facet]) -> (Self, Vec<usize>) {
+        let bounds: Vec<Bounds> = facets.iter().map(Bounds::of).collect();
+        let mut order: Vec<usize> = (0..facets.len()).collect();
+        let mut nodes = vec![Node {
+            bounds: Bounds::EMPTY,
+            first: 0,
+            count: 0,
+        }];
+        split(&mut nodes, 0, &bounds, &mut order, 0, 0);
+        (Self { nodes }, order)
+    }
+
+    /// The nearest facet hit by each ray, seen from its front, closer than `limit`.
+    pub(crate) fn cast(&self, facets: &[Facet], rays: &RayPacket, limit: f32x8) -> PacketHit {
+        let tiny = f32x8::splat(1e-12);
+        let inverse = rays.direction.map(|d| {
+            f32x8::splat(1.0) / d.abs().simd_lt(tiny).bitselect(tiny, d)
+        });
+        let mut best = limit;
+        let mut found = [NO_FACET; LANES];
+        let mut stack = [(0_u32, 0.0_f32); MAX_DEPTH + 2];
+        let mut depth = 0;
+        let mut farthest = largest(best);
+        let mut current = 0_u32;
+        loop {
+            let node = &self.nodes[current as usize];
+            if node.count > 0 {
+                for index in node.first..node.first + node.count {
+                    test_facet(&facets[index as usize], index, rays, &mut best, &mut found);
+                }
+                farthest = largest(best);
+            } else {
+                let (left, right) = (node.first, node.first + 1);
+                let near_left = entry(&self.nodes[left as usize].bounds, rays, &inverse, best);
+                let near_right = entry(&self.nodes[right as usize].bounds, rays, &inverse, best);
+                match (near_left, near_right) {
+                    (Some(l), Some(r)) => {
+                        let (near, far, far_entry) =
+                            if l <= r { (left, right, r) } else { (right, left, l) };
+                        stack[depth] = (far, far_entry);
+                        depth += 1;
+                        current = near;
+                        continue;
+                    }
+                    (Some(_), None) => {
+                        current = left;
+                        continue;
+                    }
+                    (None, Some(_)) => {
+                        current = right;
+                        continue;
+                    }
+                    (None, None) => {}
+                }
+            }
+            loop {
+                if depth == 0 {
+                    return PacketHit {
+                        distance: best,
+                        facet: found,
+                    };
+                }
+                depth -= 1;
+                if stack[depth].1 <= farthest {
+                    current = stack[depth].0;
+                    break;
+                }
+            }
+        }
+    }
+}
+
+fn largest(v: f32x8) -> f32 {
+    v.to_array().into_iter().fold(0.0, f32::max)
+}
+
+/// Smallest distance at which a ray enters the box; `None` if no ray does before its best hit.
+#[inline(always)]
+fn entry(bounds: &Bounds, rays: &RayPacket, inverse: &[f32x8; 3], best: f32x8) -> Option<f32> {
+    let mut enter = f32x8::splat(0.0);
+    let mut leave = best;
+    for i in 0..3 {
+        let a = (f32x8::splat(bounds.min[i]) - rays.origin[i]) * inverse[i];
+        let b = (f32x8::splat(bounds.max[i]) - rays.origin[i]) * inverse[i];
+        enter = enter.fast_max(a.fast_min(b));
+        leave = leave.fast_min(a.fast_max(b));
+    }
+    let inside = enter.simd_le(leave);
+    if inside.to_bitmask() == 0 {
+        return None;
+    }
+    let masked = inside.bitselect(enter, f32x8::splat(f32::INFINITY));
+    Some(masked.to_array().into_iter().fold(f32::INFINITY, f32::min))
+}
+
+#[inline(always)]
+fn dot8(a: &[f32; 3], b: &[f32x8; 3]) -> f32x8 {
+    f32x8::splat(a[0]) * b[0] + f32x8::splat(a[1]) * b[1] + f32x8::splat(a[2]) * b[2]
+}
+
+#[inline(always)]
+fn test_facet(
+    facet: &Facet,
+    index: u32,
+    rays: &RayPacket,
+    best: &mut f32x8,
+    found: &mut [u32; LANES],
+) {
+    let zero = f32x8::splat(0.0);
+    let slope = dot8(&facet.normal, &rays.direction);
+    let height = f32x8::splat(facet.offset) - dot8(&facet.normal, &rays.origin);
+    // The origin must lie in front (height < 0) and the ray come down on it (slope < 0).
+    let facing = slope.simd_lt(zero) & height.simd_lt(zero);
+    if facing.to_bitmask() == 0 {
+        return;
+    }
+    let distance = height / slope;
+    let closer = facing & distance.simd_lt(*best);
+    if closer.to_bitmask() == 0 {
+        return;
+    }
+    let point: [f32x8; 3] =
+        std::array::from_fn(|i| rays.origin[i] + distance * rays.direction[i]);
+    let a = dot8(&facet.dual_a, &point) - f32x8::splat(facet.dual_a_offset);
+    let b = dot8(&facet.dual_b, &point) - f32x8::splat(facet.dual_b_offset);
+    let low = f32x8::splat(-EDGE_SLACK);
+    let high = f32x8::splat(1.0 + EDGE_SLACK);
+    let inside = closer
+        & a.simd_ge(low)
+        & b.simd_ge(low)
+        & a.simd_le(high)
+        & b.simd_le(high)
+        & (a + b).simd_le(f32x8::splat(facet.sum_limit));
+    let mask = inside.to_bitmask();
+    if mask == 0 {
+        return;
+    }
+    *best = inside.bitselect(distance, *best);
+    for (lane, slot) in found.iter_mut().enumerate() {
+        if mask >> lane & 1 == 1 {
+            *slot = index;
+        }
+    }
+}
+
+fn split(
+    nodes: &mut Vec<Node>,
+    at: usize,
+    bounds: &[Bounds],
+    order: &mut [usize],
+    first: usize,
+    depth: usize,
+) {
+    let mut all = Bounds::EMPTY;
+    let mut centres = Bounds::EMPTY;
+    for &i in order.iter() {
+        all.include(&bounds[i]);
+        let c = centre(&bounds[i]);
+        centres.include(&Bounds { min: c, max: c });
+    }
+    nodes[at].bounds = all;
+    let plane = if order.len() > LEAF_FACETS / 2 && depth < MAX_DEPTH {
+        best_plane(bounds, order, &all, &centres)
+    } else {
+        None
+    };
+    let Some((axis, position)) = plane else {
+        nodes[at].first = first as u32;
+        nodes[at].count = order.len() as u32;
+        return;
+    };
+    let mut middle = 0;
+    for i in 0..order.len() {
+        if centre(&bounds[order[i]])[axis] < position {
+            order.swap(i, middle);
+            middle += 1;
+        }
+    }
+    let left = nodes.len();
+    nodes[at].first = left as u32;
+    nodes.extend([nodes[at]; 2]);
+    let (l, r) = order.split_at_mut(middle);
+    split(nodes, left, bounds, l, first, depth + 1);
+    split(nodes, left + 1, bounds, r, first + middle, depth + 1);
+}
+
+fn centre(b: &Bounds) -> [f32; 3] {
+    std::array::from_fn(|i| 0.5 * (b.min[i] + b.max[i]))
+}
+
+/// Axis and position of the cheapest of the binned planes; `None` where a leaf is cheaper.
+fn best_plane(
+    bounds: &[Bounds],
+    order: &[usize],
+    all: &Bounds,
+    centres: &Bounds,
+) -> Option<(usize, f32)> {
+    let mut best_cost = if order.len() <= LEAF_FACETS {
+        order.len() as f32
+    } else {
+        f32::INFINITY
+    };
+    let mut best = None;
+    for axis in 0..3 {
+        let (low, extent) = (centres.min[axis], centres.max[axis] - centres.min[axis]);
+        if extent <= 1e-6 {
+            continue;
+        }
+        let mut bins = [(Bounds::EMPTY, 0_usize); BINS];
+        let edge = |k: usize| low + extent * k as f32 / BINS as f32;
+        for &i in order {
+            let c = centre(&bounds[i])[axis];
+            // Binned by the very comparison that partitions, so that no side can end up empty.
+            let k = (1..BINS).take_while(|&k| c >= edge(k)).count();
+            bins[k].0.include(&bounds[i]);
+            bins[k].1 += 1;
+        }
+        for k in 1..BINS {
+            let mut sides = [(Bounds::EMPTY, 0_usize); 2];
+            for (j, bin) in bins.iter().enumerate() {
+                let side = &mut sides[usize::from(j >= k)];
+                side.0.include(&bin.0);
+                side.1 += bin.1;
+            }
+            if sides[0].1 == 0 || sides[1].1 == 0 {
+                continue;
+            }
+            let cost = NODE_COST
+                + (sides[0].0.half_area() * sides[0].1 as f32
+                    + sides[1].0.half_area() * sides[1].1 as f32)
+                    / all.half_area();
+            if cost < best_cost {
+                best_cost = cost;
+                best = Some((axis, edge(k)));
+            }
+        }
+    }
+    best
+}

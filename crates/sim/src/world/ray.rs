@@ -1,0 +1,42 @@
+//! Eight rays at a time.
+
+use wide::f32x8;
+
+/// Rays in one packet.
+pub const LANES: usize = 8;
+
+/// Eight rays; coherent ones are cheap, any are right.
+#[derive(Clone, Copy, Debug)]
+pub struct RayPacket {
+    /// Origins, metres in the world.
+    pub origin: [f32x8; 3],
+    /// Directions; distances count in their lengths.
+    pub direction: [f32x8; 3],
+}
+
+impl RayPacket {
+    /// Eight rays from one point.
+    pub fn from_point(origin: [f32; 3], direction: [f32x8; 3]) -> Self {
+        Self {
+            origin: origin.map(f32x8::splat),
+            direction,
+        }
+    }
+
+    /// One ray in every lane.
+    pub fn splat(origin: [f32; 3], direction: [f32; 3]) -> Self {
+        Self::from_point(origin, direction.map(f32x8::splat))
+    }
+}
+
+/// What the rays of a packet hit.
+#[derive(Clone, Copy, Debug)]
+pub struct PacketHit {
+    /// Distance along each ray in lengths of its direction; the limit given where nothing was hit.
+    pub distance: f32x8,
+    /// Index of the facet hit; [`NO_FACET`] where none was.
+    pub facet: [u32; LANES],
+}
+
+/// No facet was hit.
+pub const NO_FACET: u32 = u32::MAX;
