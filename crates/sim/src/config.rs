@@ -226,30 +226,65 @@ impl SimConfig {
             }
         };
         let texel = self.texel_m;
-        require("texel_m", &texel, "0.001 to 0.1", (0.001..=0.1).contains(&texel))?;
+        require(
+            "texel_m",
+            &texel,
+            "0.001 to 0.1",
+            (0.001..=0.1).contains(&texel),
+        )?;
         for walk in [&self.scan, &self.glasses] {
             let (d, rest) = (walk.duration_s, walk.rest_s + walk.final_rest_s);
             require("duration_s", &d, "0.1 to 3600", (0.1..=3600.0).contains(&d))?;
-            require("rest_s", &rest, "not negative", walk.rest_s >= 0.0 && walk.final_rest_s >= 0.0)?;
-            require("speed_m_s", &walk.speed_m_s, "0.1 to 3", (0.1..=3.0).contains(&walk.speed_m_s))?;
+            require(
+                "rest_s",
+                &rest,
+                "not negative",
+                walk.rest_s >= 0.0 && walk.final_rest_s >= 0.0,
+            )?;
+            require(
+                "speed_m_s",
+                &walk.speed_m_s,
+                "0.1 to 3",
+                (0.1..=3.0).contains(&walk.speed_m_s),
+            )?;
             let turn = walk.turn_rate_rad_s;
-            require("turn_rate_rad_s", &turn, "0.1 to 6", (0.1..=6.0).contains(&turn))?;
-            require("height_m", &walk.height_m, "0.3 to 2", (0.3..=2.0).contains(&walk.height_m))?;
+            require(
+                "turn_rate_rad_s",
+                &turn,
+                "0.1 to 6",
+                (0.1..=6.0).contains(&turn),
+            )?;
+            require(
+                "height_m",
+                &walk.height_m,
+                "0.3 to 2",
+                (0.3..=2.0).contains(&walk.height_m),
+            )?;
         }
         for cameras in [&self.scan_cameras, &self.glasses_cameras] {
             let even = cameras.width % 8 == 0 && (16..=4096).contains(&cameras.width);
-            require("width", &cameras.width, "a multiple of 8 from 16 to 4096", even)?;
+            require(
+                "width",
+                &cameras.width,
+                "a multiple of 8 from 16 to 4096",
+                even,
+            )?;
             let tall = (8..=4096).contains(&cameras.height);
             require("height", &cameras.height, "8 to 4096", tall)?;
             let focal = cameras.focal_per_width;
-            require("focal_per_width", &focal, "0.3 to 5", (0.3..=5.0).contains(&focal))?;
+            require(
+                "focal_per_width",
+                &focal,
+                "0.3 to 5",
+                (0.3..=5.0).contains(&focal),
+            )?;
             rate(cameras.rate_hz)?;
         }
         for imu in [&self.scan_imu, &self.glasses_imu] {
             rate(imu.rate_hz)?;
         }
         let rpm = self.lidar.rpm;
-        let whole = rpm % 60 == 0 && (300..=1200).contains(&rpm);
+        let whole = rpm.is_multiple_of(60) && (300..=1200).contains(&rpm);
         require("rpm", &rpm, "a multiple of 60 from 300 to 1200", whole)
     }
 }

@@ -1,18 +1,30 @@
 //! Random numbers: ChaCha streams for what is drawn in order, a counter hash for what is drawn per ray or pixel, where
 //! the order of the threads must not matter.
 
+use std::cell::RefCell;
+
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+/// A stream of random numbers that can be drawn from in the middle of an expression.
+pub(crate) struct Dice(RefCell<ChaCha8Rng>);
+
+impl Dice {
+    /// 64 random bits.
+    pub(crate) fn bits(&self) -> u64 {
+        self.0.borrow_mut().next_u64()
+    }
+}
+
 /// The stream named `purpose`, number `index`, of a seed. Streams of different names or numbers are independent.
-pub(crate) fn stream(seed: u64, purpose: &str, index: u64) -> ChaCha8Rng {
+pub(crate) fn stream(seed: u64, purpose: &str, index: u64) -> Dice {
     let mut key = [0_u8; 32];
     key[..8].copy_from_slice(&seed.to_le_bytes());
     key[8..16].copy_from_slice(&index.to_le_bytes());
     for (slot, byte) in key[16..].iter_mut().zip(purpose.bytes()) {
         *slot = byte;
     }
-    ChaCha8Rng::from_seed(key)
+    Dice(RefCell::new(ChaCha8Rng::from_seed(key)))
 }
 
 /// The finaliser of SplitMix64: a bijection whose output bits look independent.
@@ -35,18 +47,18 @@ pub(crate) fn gaussian(bits: u64) -> f64 {
 }
 
 /// Standard normal from a stream.
-pub(crate) fn next_gaussian(rng: &mut ChaCha8Rng) -> f64 {
-    gaussian(rng.next_u64())
+pub(crate) fn next_gaussian(rng: &Dice) -> f64 {
+    gaussian(rng.bits())
 }
 
 /// Uniform in `[low, high)`.
-pub(crate) fn uniform(rng: &mut ChaCha8Rng, low: f32, high: f32) -> f32 {
-    low + (high - low) * unit(rng.next_u64()) as f32
+pub(crate) fn uniform(rng: &Dice, low: f32, high: f32) -> f32 {
+    low + (high - low) * unit(rng.bits()) as f32
 }
 
 /// Uniform among `0..count`; 0 where `count` is 0.
-pub(crate) fn below(rng: &mut ChaCha8Rng, count: usize) -> usize {
-    (unit(rng.next_u64()) * count as f64) as usize
+pub(crate) fn below(rng: &Dice, count: usize) -> usize {
+    (unit(rng.bits()) * count as f64) as usize
 }
 
 #[cfg(test)]
@@ -65,7 +77,7 @@ mod tests {
 
     #[test]
     fn streams_differ_by_name_and_number() {
-        let first = |purpose, index| stream(7, purpose, index).next_u64();
+        let first = |purpose, index| stream(7, purpose, index).bits();
         assert_eq!(first("walk", 0), first("walk", 0));
         assert_ne!(first("walk", 0), first("walk", 1));
         assert_ne!(first("walk", 0), first("world", 0));

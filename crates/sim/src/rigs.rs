@@ -22,13 +22,14 @@ pub fn backpack(config: &SimConfig) -> Rig {
     ];
     Rig {
         name: "backpack".into(),
-        cameras: cameras(&mounts, &config.scan_cameras, [-0.021, 0.0061, -0.0032, 0.0004]),
+        cameras: cameras(
+            &mounts,
+            &config.scan_cameras,
+            [-0.021, 0.0061, -0.0032, 0.0004],
+        ),
         imu: Some(imu(&config.scan_imu)),
         lidar: Some(RigLidar {
-            rig_from_lidar: Se3::new(
-                angles([0.7, 3.2, -1.1]),
-                Vector3::new(-0.015, 0.006, 0.35),
-            ),
+            rig_from_lidar: Se3::new(angles([0.7, 3.2, -1.1]), Vector3::new(-0.015, 0.006, 0.35)),
             range_noise_m: config.lidar.range_noise_m,
         }),
     }
@@ -42,7 +43,11 @@ pub fn glasses(config: &SimConfig) -> Rig {
     ];
     Rig {
         name: "glasses".into(),
-        cameras: cameras(&mounts, &config.glasses_cameras, [-0.013, 0.0042, -0.0024, 0.0003]),
+        cameras: cameras(
+            &mounts,
+            &config.glasses_cameras,
+            [-0.013, 0.0042, -0.0024, 0.0003],
+        ),
         imu: Some(imu(&config.glasses_imu)),
         lidar: None,
     }

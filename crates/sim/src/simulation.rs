@@ -5,7 +5,7 @@ use std::path::Path;
 use lsfb_geometry::{Rig, Se3, Vector3};
 use lsfb_types::{Image, LidarPoint, LidarScan, ProgressFn, Stamped, Timestamp};
 
-use crate::config::{CameraConfig, ImuConfig, SimConfig, WalkConfig};
+use crate::config::{CameraConfig, ImuConfig, SimConfig};
 use crate::noise::hash;
 use crate::sensor::camera::CameraSim;
 use crate::sensor::imu::{self, BiasedSample};
@@ -58,7 +58,11 @@ impl Simulation {
             config.seed,
         )?;
         scan.lidar = scan.rig.lidar.as_ref().map(|lidar| {
-            LidarSim::new(lidar.rig_from_lidar, &config.lidar, hash(config.seed ^ 0x11da))
+            LidarSim::new(
+                lidar.rig_from_lidar,
+                &config.lidar,
+                hash(config.seed ^ 0x11da),
+            )
         });
         scan.lidar_rpm = config.lidar.rpm;
         let glasses = RigSim::new(
@@ -99,10 +103,14 @@ impl Simulation {
 
     /// Writes `truth_scan.tum`, `truth_walk.tum`, their `.json` files and `world.ply` into a folder.
     pub fn write_truth(&self, folder: &Path) -> Result<(), Error> {
-        self.scan
-            .write_truth(&folder.join("truth_scan.tum"), &folder.join("truth_scan.json"))?;
-        self.glasses
-            .write_truth(&folder.join("truth_walk.tum"), &folder.join("truth_walk.json"))?;
+        self.scan.write_truth(
+            &folder.join("truth_scan.tum"),
+            &folder.join("truth_scan.json"),
+        )?;
+        self.glasses.write_truth(
+            &folder.join("truth_walk.tum"),
+            &folder.join("truth_walk.json"),
+        )?;
         truth::write(&folder.join("world.ply"), &self.world.to_ply())
     }
 }
@@ -226,8 +234,8 @@ impl RigSim {
                     continue;
                 }
                 let delay_ns = PAIR_NS * (laser as i64 / 2);
-                let azimuth_deg = f64::from(cycle.azimuth_centideg) * 0.01
-                    + 360.0 * delay_ns as f64 / turn_ns;
+                let azimuth_deg =
+                    f64::from(cycle.azimuth_centideg) * 0.01 + 360.0 * delay_ns as f64 / turn_ns;
                 let range_m = f64::from(echo.range_count) * RANGE_UNIT_M;
                 let position: Vector3<f64> = beam_direction(laser, azimuth_deg) * range_m;
                 points.push(LidarPoint {
@@ -249,7 +257,11 @@ impl RigSim {
 
     /// Pose of the LiDAR at a time, for comparisons; the rig's where there is no LiDAR.
     pub fn world_from_lidar(&self, offset_s: f64) -> Se3 {
-        let rig_from_lidar = self.rig.lidar.as_ref().map_or(Se3::identity(), |l| l.rig_from_lidar);
+        let rig_from_lidar = self
+            .rig
+            .lidar
+            .as_ref()
+            .map_or(Se3::identity(), |l| l.rig_from_lidar);
         self.walk.at(offset_s).world_from_rig * rig_from_lidar
     }
 }

@@ -21,7 +21,11 @@ const BEFORE: i64 = 2;
 
 impl<const N: usize> QuinticSpline<N> {
     /// The curve that follows (and smooths) `target`, asked at multiples of `knot_s`.
-    pub(crate) fn following(duration_s: f64, knot_s: f64, target: impl Fn(f64) -> [f64; N]) -> Self {
+    pub(crate) fn following(
+        duration_s: f64,
+        knot_s: f64,
+        target: impl Fn(f64) -> [f64; N],
+    ) -> Self {
         let intervals = (duration_s / knot_s).ceil() as i64;
         let control = (-BEFORE..=intervals + 3)
             .map(|k| target(k as f64 * knot_s))
@@ -89,11 +93,11 @@ impl Basis {
             }
         }
         // d/du N_{k,p} = N_{k-1,p-1} − N_{k,p-1} in this numbering.
-        let before = |a: &[f64; 6], k: usize, back: usize| k.checked_sub(back).map_or(0.0, |i| a[i]);
+        let before =
+            |a: &[f64; 6], k: usize, back: usize| k.checked_sub(back).map_or(0.0, |i| a[i]);
         let first = std::array::from_fn(|k| before(&quartic, k, 1) - quartic[k]);
-        let second = std::array::from_fn(|k| {
-            before(&cubic, k, 2) - 2.0 * before(&cubic, k, 1) + cubic[k]
-        });
+        let second =
+            std::array::from_fn(|k| before(&cubic, k, 2) - 2.0 * before(&cubic, k, 1) + cubic[k]);
         Self {
             value: n,
             first,
@@ -115,7 +119,9 @@ mod tests {
             assert!((jet.value[0] - (3.0 * t - 1.0)).abs() < 1e-12, "{t}");
             assert!((jet.rate[0] - 3.0).abs() < 1e-11 && jet.acceleration[0].abs() < 1e-9);
             // A B-spline of control values t² is t² plus a constant.
-            assert!((jet.rate[1] - 2.0 * t).abs() < 1e-11 && (jet.acceleration[1] - 2.0).abs() < 1e-9);
+            assert!(
+                (jet.rate[1] - 2.0 * t).abs() < 1e-11 && (jet.acceleration[1] - 2.0).abs() < 1e-9
+            );
         }
     }
 

@@ -41,15 +41,15 @@ impl CameraSim {
         for y in 0..height {
             for first in (0..width).step_by(LANES) {
                 let mut lanes = [[0.0_f32; LANES]; 3];
-                for lane in 0..LANES {
-                    let pixel = Vector2::new((first + lane) as f64, y as f64);
+                for (lane, x) in (first..first + LANES).enumerate() {
+                    let pixel = Vector2::new(x as f64, y as f64);
                     let ray = camera.camera.unproject(&pixel).ok_or(Error::Config {
                         field: "focal_per_width",
                         got: config.focal_per_width.to_string(),
                         expected: "a lens that sees through every pixel",
                     })?;
-                    for axis in 0..3 {
-                        lanes[axis][lane] = ray[axis] as f32;
+                    for (lanes, component) in lanes.iter_mut().zip(ray.iter()) {
+                        lanes[lane] = *component as f32;
                     }
                     // sin² of the angle off the axis is ½ at 45°.
                     let sine_squared = (1.0 - ray.z * ray.z) as f32;
@@ -137,7 +137,10 @@ impl CameraSim {
                 let lane = 2 * half + side;
                 let value = values[lane] * vignette[lane];
                 // The sum of four bytes is close to normal: mean 510, standard deviation 147.8.
-                let sum: f32 = bits[4 * side..4 * side + 4].iter().map(|b| f32::from(*b)).sum();
+                let sum: f32 = bits[4 * side..4 * side + 4]
+                    .iter()
+                    .map(|b| f32::from(*b))
+                    .sum();
                 let noise = (sum - 510.0) / 147.8 * self.noise[(value as usize).min(255)];
                 out[lane] = (value + noise + 0.5).clamp(0.0, 255.0) as u8;
             }

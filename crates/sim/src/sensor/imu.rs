@@ -36,10 +36,9 @@ pub fn exact_sample(motion: &Motion) -> ImuSample {
 
 /// All samples of a walk, from its start to its end.
 pub fn simulate(walk: &Walk, config: &ImuConfig, seed: u64) -> Vec<BiasedSample> {
-    let mut rng = stream(seed, "imu", 0);
-    let mut draw = |sigma: f64| -> Vector3<f64> {
-        Vector3::from_fn(|_, _| sigma * next_gaussian(&mut rng))
-    };
+    let rng = stream(seed, "imu", 0);
+    let draw =
+        |sigma: f64| -> Vector3<f64> { Vector3::from_fn(|_, _| sigma * next_gaussian(&rng)) };
     let rate = f64::from(config.rate_hz);
     let step_ns = 1_000_000_000 / i64::from(config.rate_hz);
     let mut gyro_bias = draw(config.gyro_bias);

@@ -109,7 +109,9 @@ impl LidarSim {
             .flat_map_iter(|group| {
                 let start = group * LANES;
                 let length = LANES.min(count - start);
-                self.fire_group(world, walk, first + start as u64).into_iter().take(length)
+                self.fire_group(world, walk, first + start as u64)
+                    .into_iter()
+                    .take(length)
             })
             .collect()
     }
@@ -120,7 +122,8 @@ impl LidarSim {
             let offset_ns = (first as i64 + lane as i64) * CYCLE_NS;
             FiringCycle {
                 offset_ns,
-                azimuth_centideg: ((self.azimuth_deg(offset_ns) * 100.0).round() as u32 % 36_000) as u16,
+                azimuth_centideg: ((self.azimuth_deg(offset_ns) * 100.0).round() as u32 % 36_000)
+                    as u16,
                 returns: [Return::default(); LASERS],
             }
         });

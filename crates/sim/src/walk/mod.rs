@@ -51,8 +51,8 @@ impl Walk {
     /// The walk of one wearer through a building.
     pub fn new(plan: &FloorPlan, walker: Walker, config: &WalkConfig, seed: u64) -> Self {
         let tour = Tour::new(plan, seed);
-        let mut rng = stream(seed, "gait", u64::from(walker == Walker::Glasses));
-        let mut phase = || f64::from(uniform(&mut rng, 0.0, std::f32::consts::TAU));
+        let rng = stream(seed, "gait", u64::from(walker == Walker::Glasses));
+        let phase = || f64::from(uniform(&rng, 0.0, std::f32::consts::TAU));
         let phases: [f64; 8] = std::array::from_fn(|_| phase());
         let start = match walker {
             Walker::Backpack => 0.0,
@@ -83,7 +83,8 @@ impl Walk {
                     0.06 + 0.1 * wave(0.17, phases[3]) + 0.05 * wave(0.37, phases[4]),
                 ),
             };
-            let roll = 0.022 * pace * (0.5 * step + phases[5]).sin() + 0.02 * awake * wave(0.4, phases[6]);
+            let roll =
+                0.022 * pace * (0.5 * step + phases[5]).sin() + 0.02 * awake * wave(0.4, phases[6]);
             let pitch = 0.02 * pace * (step + phases[7]).sin() + awake * look_pitch;
             [
                 x - sway * heading.sin(),
@@ -116,9 +117,15 @@ impl Walk {
         let (sr, cr) = roll.sin_cos();
         let (sp, cp) = pitch.sin_cos();
         let body_by_rates = Matrix3::new(
-            1.0, 0.0, -sp, //
-            0.0, cr, sr * cp, //
-            0.0, -sr, cr * cp,
+            1.0,
+            0.0,
+            -sp, //
+            0.0,
+            cr,
+            sr * cp, //
+            0.0,
+            -sr,
+            cr * cp,
         );
         Motion {
             world_from_rig: Se3::new(rotation, Vector3::new(x, y, z)),
@@ -164,7 +171,9 @@ impl Travel {
         let mut allowed: Vec<f64> = (0..(reach / spacing) as usize)
             .map(|k| {
                 let bend = tour.curvature(start + k as f64 * spacing).abs();
-                config.speed_m_s.min(config.turn_rate_rad_s / bend.max(1e-6))
+                config
+                    .speed_m_s
+                    .min(config.turn_rate_rad_s / bend.max(1e-6))
             })
             .collect();
         // No faster than one can have become since, or can still get rid of.

@@ -20,8 +20,8 @@ pub(crate) struct Tour {
 impl Tour {
     /// The tour of a building; `seed` varies it a little.
     pub(crate) fn new(plan: &FloorPlan, seed: u64) -> Self {
-        let mut rng = stream(seed, "tour", 0);
-        let mut jitter = |spread: f32| f64::from(uniform(&mut rng, -spread, spread));
+        let rng = stream(seed, "tour", 0);
+        let jitter = |spread: f32| f64::from(uniform(&rng, -spread, spread));
         let [cx, cy] = plan.table_centre().map(f64::from);
         let door_x = f64::from(plan.doorway_x_m);
         let [y0, y1] = plan.corridor_y_m.map(f64::from);
@@ -29,7 +29,7 @@ impl Tour {
         let end = f64::from(plan.corridor_x_m[1]) - 1.35;
         let (rx, ry) = (1.42, 1.16);
         let mut corners: Vec<[f64; 2]> = Vec::new();
-        let mut around = |corners: &mut Vec<[f64; 2]>, from: i32, to: i32| {
+        let around = |corners: &mut Vec<[f64; 2]>, from: i32, to: i32| {
             for degrees in (from..=to).step_by(20) {
                 let (s, c) = f64::from(degrees).to_radians().sin_cos();
                 corners.push([cx + rx * c + jitter(0.03), cy + ry * s + jitter(0.03)]);
@@ -107,7 +107,8 @@ impl Tour {
         for k in 0..count {
             let (p, q) = (points[k], points[(k + 1) % count]);
             let raw = (q[1] - p[1]).atan2(q[0] - p[0]);
-            let heading = raw + std::f64::consts::TAU * ((previous - raw) / std::f64::consts::TAU).round();
+            let heading =
+                raw + std::f64::consts::TAU * ((previous - raw) / std::f64::consts::TAU).round();
             headings.push(heading);
             previous = heading;
         }

@@ -66,7 +66,13 @@ impl Builder {
     }
 
     /// One triangle.
-    pub(crate) fn triangle(&mut self, corner: [f32; 3], a: [f32; 3], b: [f32; 3], material: Material) {
+    pub(crate) fn triangle(
+        &mut self,
+        corner: [f32; 3],
+        a: [f32; 3],
+        b: [f32; 3],
+        material: Material,
+    ) {
         self.surfaces.push(Surface {
             facet: Facet::new(corner, a, b, Outline::Triangle),
             material,
@@ -105,10 +111,20 @@ impl Builder {
         self.quad(at(low[0], high[1], low[2]), scale(back, -1.0), up, material);
         self.quad(at(low[0], low[1], high[2]), right, back, material);
         if faces != Faces::Standing {
-            self.quad(at(low[0], high[1], low[2]), right, scale(back, -1.0), material);
+            self.quad(
+                at(low[0], high[1], low[2]),
+                right,
+                scale(back, -1.0),
+                material,
+            );
         }
         if faces != Faces::Hanging {
-            self.quad(at(high[0], high[1], low[2]), scale(right, -1.0), up, material);
+            self.quad(
+                at(high[0], high[1], low[2]),
+                scale(right, -1.0),
+                up,
+                material,
+            );
         }
     }
 
@@ -146,7 +162,17 @@ impl Builder {
     pub(crate) fn leaf(&mut self, stem: [f32; 3], along: [f32; 3], width: f32, material: Material) {
         let side = cross(along, [0.3, 0.2, 1.0]);
         let side = scale(side, width / norm(side).max(1e-6));
-        self.triangle(stem, add(along, scale(side, 0.5)), add(along, scale(side, -0.5)), material);
-        self.triangle(stem, add(along, scale(side, -0.5)), add(along, scale(side, 0.5)), material);
+        self.triangle(
+            stem,
+            add(along, scale(side, 0.5)),
+            add(along, scale(side, -0.5)),
+            material,
+        );
+        self.triangle(
+            stem,
+            add(along, scale(side, -0.5)),
+            add(along, scale(side, 0.5)),
+            material,
+        );
     }
 }

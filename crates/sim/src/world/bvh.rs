@@ -84,9 +84,9 @@ impl Bvh {
     /// The nearest facet hit by each ray, seen from its front, closer than `limit`.
     pub(crate) fn cast(&self, facets: &[Facet], rays: &RayPacket, limit: f32x8) -> PacketHit {
         let tiny = f32x8::splat(1e-12);
-        let inverse = rays.direction.map(|d| {
-            f32x8::splat(1.0) / d.abs().simd_lt(tiny).bitselect(tiny, d)
-        });
+        let inverse = rays
+            .direction
+            .map(|d| f32x8::splat(1.0) / d.abs().simd_lt(tiny).bitselect(tiny, d));
         let mut best = limit;
         let mut found = [NO_FACET; LANES];
         let mut stack = [(0_u32, 0.0_f32); MAX_DEPTH + 2];
@@ -106,8 +106,11 @@ impl Bvh {
                 let near_right = entry(&self.nodes[right as usize].bounds, rays, &inverse, best);
                 match (near_left, near_right) {
                     (Some(l), Some(r)) => {
-                        let (near, far, far_entry) =
-                            if l <= r { (left, right, r) } else { (right, left, l) };
+                        let (near, far, far_entry) = if l <= r {
+                            (left, right, r)
+                        } else {
+                            (right, left, l)
+                        };
                         stack[depth] = (far, far_entry);
                         depth += 1;
                         current = near;
@@ -150,9 +153,9 @@ fn largest(v: f32x8) -> f32 {
 fn entry(bounds: &Bounds, rays: &RayPacket, inverse: &[f32x8; 3], best: f32x8) -> Option<f32> {
     let mut enter = f32x8::splat(0.0);
     let mut leave = best;
-    for i in 0..3 {
-        let a = (f32x8::splat(bounds.min[i]) - rays.origin[i]) * inverse[i];
-        let b = (f32x8::splat(bounds.max[i]) - rays.origin[i]) * inverse[i];
+    for (i, inverse) in inverse.iter().enumerate() {
+        let a = (f32x8::splat(bounds.min[i]) - rays.origin[i]) * *inverse;
+        let b = (f32x8::splat(bounds.max[i]) - rays.origin[i]) * *inverse;
         enter = enter.fast_max(a.fast_min(b));
         leave = leave.fast_min(a.fast_max(b));
     }
@@ -190,8 +193,7 @@ fn test_facet(
     if closer.to_bitmask() == 0 {
         return;
     }
-    let point: [f32x8; 3] =
-        std::array::from_fn(|i| rays.origin[i] + distance * rays.direction[i]);
+    let point: [f32x8; 3] = std::array::from_fn(|i| rays.origin[i] + distance * rays.direction[i]);
     let a = dot8(&facet.dual_a, &point) - f32x8::splat(facet.dual_a_offset);
     let b = dot8(&facet.dual_b, &point) - f32x8::splat(facet.dual_b_offset);
     let low = f32x8::splat(-EDGE_SLACK);

@@ -1,8 +1,6 @@
 //! A grey picture being painted: fractal noise, shapes at all scales, strokes.
 
-use rand_chacha::ChaCha8Rng;
-
-use crate::noise::{below, hash, uniform};
+use crate::noise::{Dice, below, hash, uniform};
 
 /// A picture of reflectances, row by row; shapes are placed in metres from its corner.
 #[derive(Clone, Debug)]
@@ -48,7 +46,13 @@ impl Canvas {
     }
 
     /// Adds noise of equal amplitude in every octave up to `longest_m`, drawn out by `stretch` along the two axes.
-    pub(crate) fn add_noise(&mut self, amplitude: f32, longest_m: f32, stretch: [f32; 2], seed: u64) {
+    pub(crate) fn add_noise(
+        &mut self,
+        amplitude: f32,
+        longest_m: f32,
+        stretch: [f32; 2],
+        seed: u64,
+    ) {
         if amplitude <= 0.0 {
             return;
         }
@@ -74,10 +78,12 @@ impl Canvas {
     }
 
     /// Scatters shapes: triangles to hexagons, and ellipses.
-    pub(crate) fn scatter(&mut self, leaves: &Leaves, rng: &mut ChaCha8Rng) {
+    pub(crate) fn scatter(&mut self, leaves: &Leaves, rng: &Dice) {
         let [w, h] = self.size_m();
         let mut radius = leaves.largest_m.min(0.35 * w.max(h));
-        let smallest = leaves.smallest_m.max(1.2 * self.texel_m[0].max(self.texel_m[1]));
+        let smallest = leaves
+            .smallest_m
+            .max(1.2 * self.texel_m[0].max(self.texel_m[1]));
         while radius >= smallest {
             let expected = leaves.coverage * w * h / (2.2 * radius * radius);
             let count = (expected + uniform(rng, 0.0, 1.0)) as usize;
@@ -94,8 +100,8 @@ impl Canvas {
                     let polygon: Vec<[f32; 2]> = (0..corners)
                         .map(|k| {
                             let jitter = uniform(rng, -0.3, 0.3);
-                            let angle = turn
-                                + (k as f32 + jitter) * std::f32::consts::TAU / corners as f32;
+                            let angle =
+                                turn + (k as f32 + jitter) * std::f32::consts::TAU / corners as f32;
                             [centre[0] + r * angle.cos(), centre[1] + r * angle.sin()]
                         })
                         .collect();
@@ -144,7 +150,10 @@ impl Canvas {
     /// Fills an axis-aligned rectangle.
     pub(crate) fn rectangle(&mut self, low: [f32; 2], high: [f32; 2], tone: f32) {
         self.fill(low, high, tone, |x, y| {
-            (low[0] - x).max(x - high[0]).max(low[1] - y).max(y - high[1])
+            (low[0] - x)
+                .max(x - high[0])
+                .max(low[1] - y)
+                .max(y - high[1])
         });
     }
 
@@ -172,14 +181,23 @@ impl Canvas {
             tone,
             |x, y| {
                 let (dx, dy) = (x - centre[0], y - centre[1]);
-                let (p, q) = ((cos * dx + sin * dy) / axes[0], (cos * dy - sin * dx) / axes[1]);
+                let (p, q) = (
+                    (cos * dx + sin * dy) / axes[0],
+                    (cos * dy - sin * dx) / axes[1],
+                );
                 ((p * p + q * q).sqrt() - 1.0) * axes[0].min(axes[1])
             },
         );
     }
 
     /// Paints where the signed distance to the outline, metres, is negative; half a texel of transition either way.
-    fn fill(&mut self, low: [f32; 2], high: [f32; 2], tone: f32, distance: impl Fn(f32, f32) -> f32) {
+    fn fill(
+        &mut self,
+        low: [f32; 2],
+        high: [f32; 2],
+        tone: f32,
+        distance: impl Fn(f32, f32) -> f32,
+    ) {
         let [tx, ty] = self.texel_m;
         let x0 = ((low[0] / tx).floor() - 1.0).max(0.0) as usize;
         let y0 = ((low[1] / ty).floor() - 1.0).max(0.0) as usize;
@@ -242,7 +260,10 @@ impl Grid {
 
     /// Bilinear; clamped at the border.
     fn at(&self, x: f32, y: f32) -> f32 {
-        let (i, j) = ((x as usize).min(self.width - 2), (y as usize).min(self.height - 2));
+        let (i, j) = (
+            (x as usize).min(self.width - 2),
+            (y as usize).min(self.height - 2),
+        );
         let (u, v) = ((x - i as f32).min(1.0), (y - j as f32).min(1.0));
         let k = j * self.width + i;
         let top = self.values[k] * (1.0 - u) + self.values[k + 1] * u;

@@ -4,7 +4,7 @@ use wide::f32x8;
 
 use super::bvh::Bvh;
 use super::facet::Facet;
-use super::ray::{NO_FACET, RayPacket};
+use super::ray::{LANES, NO_FACET, RayPacket};
 use super::vector::{add, cross, dot, norm, scale, sub};
 use crate::noise::{hash, unit};
 
@@ -35,7 +35,13 @@ pub(crate) struct LightGrid {
 
 impl LightGrid {
     /// Computes the light on `facet`.
-    pub(crate) fn bake(facet: &Facet, index: u64, bvh: &Bvh, facets: &[Facet], lamps: &[Lamp]) -> Self {
+    pub(crate) fn bake(
+        facet: &Facet,
+        index: u64,
+        bvh: &Bvh,
+        facets: &[Facet],
+        lamps: &[Lamp],
+    ) -> Self {
         let nodes = |edge: f32| ((edge / SPACING_M) as usize).clamp(2, 160);
         let columns = nodes(norm(facet.edge_a));
         let rows = nodes(norm(facet.edge_b));
@@ -62,7 +68,10 @@ impl LightGrid {
     pub(crate) fn at(&self, a: f32, b: f32) -> f32 {
         let x = (a * (self.columns - 1) as f32).clamp(0.0, (self.columns - 1) as f32);
         let y = (b * (self.rows - 1) as f32).clamp(0.0, (self.rows - 1) as f32);
-        let (i, j) = ((x as usize).min(self.columns - 2), (y as usize).min(self.rows - 2));
+        let (i, j) = (
+            (x as usize).min(self.columns - 2),
+            (y as usize).min(self.rows - 2),
+        );
         let (u, v) = (x - i as f32, y - j as f32);
         let k = j * self.columns + i;
         let top = self.values[k] * (1.0 - u) + self.values[k + 1] * u;
@@ -76,17 +85,17 @@ fn openness(point: [f32; 3], facet: &Facet, seed: u64, bvh: &Bvh, facets: &[Face
     let tangent = scale(facet.edge_a, 1.0 / norm(facet.edge_a));
     let bitangent = cross(facet.normal, tangent);
     let mut free = 0.0;
-    for packet in 0..FEELERS / 8 {
+    for packet in 0..FEELERS / LANES {
         let mut directions = [[0.0_f32; 8]; 3];
-        for lane in 0..8 {
-            let k = (packet * 8 + lane) as f64;
+        for lane in 0..LANES {
+            let k = (packet * LANES + lane) as f64;
             // Golden-angle spiral over the disc, turned at random from point to point, lifted to the hemisphere.
             let angle = (2.399_963_2 * k + std::f64::consts::TAU * unit(seed)) as f32;
             let radius = ((k as f32 + 0.5) / FEELERS as f32).sqrt();
             let up = (1.0 - radius * radius).sqrt();
-            for axis in 0..3 {
-                directions[axis][lane] = tangent[axis] * radius * angle.cos()
-                    + bitangent[axis] * radius * angle.sin()
+            let (sin, cos) = angle.sin_cos();
+            for (axis, lanes) in directions.iter_mut().enumerate() {
+                lanes[lane] = radius * (tangent[axis] * cos + bitangent[axis] * sin)
                     + facet.normal[axis] * up;
             }
         }
@@ -115,17 +124,17 @@ fn direct(point: [f32; 3], normal: [f32; 3], bvh: &Bvh, facets: &[Facet], lamps:
             if cosine > 0.0 && distance < 9.0 {
                 gain[lane] = lamp.power * cosine / (distance * distance + 0.1);
             }
-            for axis in 0..3 {
-                directions[axis][lane] = to[axis];
+            for (lanes, component) in directions.iter_mut().zip(to) {
+                lanes[lane] = component;
             }
         }
         let rays = RayPacket::from_point(point, directions.map(f32x8::new));
         let lit = f32x8::new(gain).simd_gt(f32x8::splat(0.0));
         let limit = lit.bitselect(f32x8::splat(1.0), f32x8::splat(0.0));
         let hit = bvh.cast(facets, &rays, limit);
-        for lane in 0..group.len() {
-            if hit.facet[lane] == NO_FACET {
-                sum += gain[lane];
+        for (facet, gain) in hit.facet.into_iter().zip(gain) {
+            if facet == NO_FACET {
+                sum += gain;
             }
         }
     }

@@ -1,9 +1,7 @@
 //! What surfaces look like. One recipe with parameters; the presets are the building's materials.
 
-use rand_chacha::ChaCha8Rng;
-
 use super::canvas::{Canvas, Leaves};
-use crate::noise::{below, stream, uniform};
+use crate::noise::{Dice, below, stream, uniform};
 
 /// Marks painted over the ground of a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -241,10 +239,10 @@ impl Material {
 
     /// Paints a surface of this material; `seed` tells apart what is of one material.
     pub(crate) fn paint(&self, size_m: [f32; 2], texel_m: f32, seed: u64) -> Canvas {
-        let mut rng = stream(seed, "material", 0);
+        let rng = stream(seed, "material", 0);
         let mut canvas = Canvas::new(size_m, texel_m, self.tone);
         if let Marks::Boards(board_m) = self.marks {
-            boards(&mut canvas, board_m, self.tone, &mut rng);
+            boards(&mut canvas, board_m, self.tone, &rng);
         }
         let inset = match self.marks {
             Marks::Poster(margin_m) => margin_m,
@@ -261,7 +259,7 @@ impl Material {
                         (self.tone + self.spread).min(0.92),
                     ],
                 },
-                &mut rng,
+                &rng,
             );
         }
         match self.marks {
@@ -270,10 +268,17 @@ impl Material {
                 let [w, h] = canvas.size_m();
                 let ink = if self.tone > 0.4 { 0.08 } else { 0.8 };
                 let margin = 0.06 * w.min(h);
-                text(&mut canvas, [margin; 2], [w - margin, h - margin], height_m, ink, &mut rng);
+                text(
+                    &mut canvas,
+                    [margin; 2],
+                    [w - margin, h - margin],
+                    height_m,
+                    ink,
+                    &rng,
+                );
             }
-            Marks::Poster(_) => poster(&mut canvas, inset, &mut rng),
-            Marks::Spine => spine(&mut canvas, self.tone, &mut rng),
+            Marks::Poster(_) => poster(&mut canvas, inset, &rng),
+            Marks::Spine => spine(&mut canvas, self.tone, &rng),
             Marks::Panel(margin_m) => panel(&mut canvas, margin_m, self.tone),
         }
         canvas.add_noise(self.noise, self.longest_m, self.stretch, seed);
@@ -285,7 +290,7 @@ impl Material {
 }
 
 /// Rows of boards, every row shifted, with dark joints.
-fn boards(canvas: &mut Canvas, board_m: [f32; 2], tone: f32, rng: &mut ChaCha8Rng) {
+fn boards(canvas: &mut Canvas, board_m: [f32; 2], tone: f32, rng: &Dice) {
     let [w, h] = canvas.size_m();
     canvas.values.fill(0.5 * tone);
     let joint = 0.0015;
@@ -310,14 +315,7 @@ fn boards(canvas: &mut Canvas, board_m: [f32; 2], tone: f32, rng: &mut ChaCha8Rn
 }
 
 /// Lines of made-up letters: each one to four strokes between the nine points of a grid.
-fn text(
-    canvas: &mut Canvas,
-    low: [f32; 2],
-    high: [f32; 2],
-    height_m: f32,
-    ink: f32,
-    rng: &mut ChaCha8Rng,
-) {
+fn text(canvas: &mut Canvas, low: [f32; 2], high: [f32; 2], height_m: f32, ink: f32, rng: &Dice) {
     let mut y = low[1];
     while y + height_m <= high[1] {
         let mut x = low[0];
@@ -343,7 +341,7 @@ fn text(
     }
 }
 
-fn poster(canvas: &mut Canvas, margin: f32, rng: &mut ChaCha8Rng) {
+fn poster(canvas: &mut Canvas, margin: f32, rng: &Dice) {
     let [w, h] = canvas.size_m();
     let paper = uniform(rng, 0.7, 0.88);
     let band = uniform(rng, 0.15, 0.3) * h;
@@ -373,7 +371,7 @@ fn poster(canvas: &mut Canvas, margin: f32, rng: &mut ChaCha8Rng) {
     );
 }
 
-fn spine(canvas: &mut Canvas, tone: f32, rng: &mut ChaCha8Rng) {
+fn spine(canvas: &mut Canvas, tone: f32, rng: &Dice) {
     let [w, h] = canvas.size_m();
     let ink = if tone > 0.4 { 0.06 } else { 0.85 };
     for _ in 0..1 + below(rng, 4) {

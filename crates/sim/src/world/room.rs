@@ -2,15 +2,13 @@
 
 use std::f32::consts::{FRAC_PI_2, PI};
 
-use rand_chacha::ChaCha8Rng;
-
 use super::builder::{Builder, Faces, Place};
 use super::furniture::{
     cabinet, chair, door, fill_board, notice_board, picture, plant, shelf, sofa, table,
 };
 use super::light::Lamp;
 use super::material::{Marks, Material};
-use crate::noise::{below, stream, uniform};
+use crate::noise::{Dice, below, stream, uniform};
 
 /// Thickness of the wall between room and corridor, metres.
 const WALL_M: f32 = 0.12;
@@ -37,14 +35,14 @@ pub struct FloorPlan {
 
 impl FloorPlan {
     pub(crate) fn new(seed: u64) -> Self {
-        let mut rng = stream(seed, "plan", 0);
-        let width = uniform(&mut rng, 4.85, 5.1);
-        let corridor_width = uniform(&mut rng, 1.75, 1.95);
+        let rng = stream(seed, "plan", 0);
+        let width = uniform(&rng, 4.85, 5.1);
+        let corridor_width = uniform(&rng, 1.75, 1.95);
         Self {
             room_m: [width, 20.0 / width],
-            doorway_x_m: uniform(&mut rng, 1.15, 1.3),
+            doorway_x_m: uniform(&rng, 1.15, 1.3),
             doorway_width_m: 1.2,
-            corridor_x_m: [uniform(&mut rng, -1.4, -0.9), uniform(&mut rng, 9.3, 9.8)],
+            corridor_x_m: [uniform(&rng, -1.4, -0.9), uniform(&rng, 9.3, 9.8)],
             corridor_y_m: [-WALL_M - corridor_width, -WALL_M],
             height_m: CEILING_M,
         }
@@ -60,10 +58,10 @@ impl FloorPlan {
 pub(crate) fn furnish(plan: &FloorPlan, seed: u64) -> (Builder, Vec<Lamp>) {
     let mut out = Builder::default();
     let mut lamps = Vec::new();
-    let mut rng = stream(seed, "room", 0);
+    let rng = stream(seed, "room", 0);
     shell(&mut out, plan);
-    room(&mut out, &mut rng, plan, &mut lamps);
-    corridor(&mut out, &mut stream(seed, "corridor", 0), plan, &mut lamps);
+    room(&mut out, &rng, plan, &mut lamps);
+    corridor(&mut out, &stream(seed, "corridor", 0), plan, &mut lamps);
     (out, lamps)
 }
 
@@ -77,7 +75,13 @@ fn walls([x0, x1]: [f32; 2], [y0, y1]: [f32; 2]) -> [Place; 4] {
     ]
 }
 
-fn wall(out: &mut Builder, place: &Place, [from, to]: [f32; 2], [z0, z1]: [f32; 2], material: Material) {
+fn wall(
+    out: &mut Builder,
+    place: &Place,
+    [from, to]: [f32; 2],
+    [z0, z1]: [f32; 2],
+    material: Material,
+) {
     let corner = place.point([from, 0.0, z0]);
     let end = place.point([to, 0.0, z0]);
     let along = std::array::from_fn(|i| end[i] - corner[i]);
@@ -88,11 +92,31 @@ fn shell(out: &mut Builder, plan: &FloorPlan) {
     let [w, d] = plan.room_m;
     let h = plan.height_m;
     let ([x0, x1], [y0, y1]) = (plan.corridor_x_m, plan.corridor_y_m);
-    out.quad([0.0, 0.0, 0.0], [w, 0.0, 0.0], [0.0, d, 0.0], Material::PARQUET);
-    out.quad([0.0, 0.0, h], [0.0, d, 0.0], [w, 0.0, 0.0], Material::CEILING);
+    out.quad(
+        [0.0, 0.0, 0.0],
+        [w, 0.0, 0.0],
+        [0.0, d, 0.0],
+        Material::PARQUET,
+    );
+    out.quad(
+        [0.0, 0.0, h],
+        [0.0, d, 0.0],
+        [w, 0.0, 0.0],
+        Material::CEILING,
+    );
     let (cw, cd) = (x1 - x0, y1 - y0);
-    out.quad([x0, y0, 0.0], [cw, 0.0, 0.0], [0.0, cd, 0.0], Material::LINOLEUM);
-    out.quad([x0, y0, h], [0.0, cd, 0.0], [cw, 0.0, 0.0], Material::CEILING);
+    out.quad(
+        [x0, y0, 0.0],
+        [cw, 0.0, 0.0],
+        [0.0, cd, 0.0],
+        Material::LINOLEUM,
+    );
+    out.quad(
+        [x0, y0, h],
+        [0.0, cd, 0.0],
+        [cw, 0.0, 0.0],
+        Material::CEILING,
+    );
 
     let half = 0.5 * plan.doorway_width_m;
     let (l, r) = (plan.doorway_x_m - half, plan.doorway_x_m + half);
@@ -117,22 +141,55 @@ fn shell(out: &mut Builder, plan: &FloorPlan) {
     // The doorway through the wall: sill, lintel, jambs, and a frame on either side.
     let frame = Material::WOOD.toned(0.5);
     out.quad([l, y1, 0.0], [r - l, 0.0, 0.0], [0.0, WALL_M, 0.0], frame);
-    out.quad([l, y1, DOOR_HEIGHT_M], [0.0, WALL_M, 0.0], [r - l, 0.0, 0.0], frame);
-    out.quad([l, y1, 0.0], [0.0, WALL_M, 0.0], [0.0, 0.0, DOOR_HEIGHT_M], frame);
-    out.quad([r, 0.0, 0.0], [0.0, -WALL_M, 0.0], [0.0, 0.0, DOOR_HEIGHT_M], frame);
+    out.quad(
+        [l, y1, DOOR_HEIGHT_M],
+        [0.0, WALL_M, 0.0],
+        [r - l, 0.0, 0.0],
+        frame,
+    );
+    out.quad(
+        [l, y1, 0.0],
+        [0.0, WALL_M, 0.0],
+        [0.0, 0.0, DOOR_HEIGHT_M],
+        frame,
+    );
+    out.quad(
+        [r, 0.0, 0.0],
+        [0.0, -WALL_M, 0.0],
+        [0.0, 0.0, DOOR_HEIGHT_M],
+        frame,
+    );
     let side = frame.turned().toned(0.35);
     for (place, a, b) in [
         (walls([0.0, w], [0.0, d])[2], w - r, w - l),
         (far, l - x0, r - x0),
     ] {
         let top = DOOR_HEIGHT_M;
-        out.cuboid(&place, [a - 0.08, -0.025, 0.0], [a, 0.0, top + 0.08], Faces::All, side);
-        out.cuboid(&place, [b, -0.025, 0.0], [b + 0.08, 0.0, top + 0.08], Faces::All, side);
-        out.cuboid(&place, [a, -0.025, top], [b, 0.0, top + 0.08], Faces::All, frame);
+        out.cuboid(
+            &place,
+            [a - 0.08, -0.025, 0.0],
+            [a, 0.0, top + 0.08],
+            Faces::All,
+            side,
+        );
+        out.cuboid(
+            &place,
+            [b, -0.025, 0.0],
+            [b + 0.08, 0.0, top + 0.08],
+            Faces::All,
+            side,
+        );
+        out.cuboid(
+            &place,
+            [a, -0.025, top],
+            [b, 0.0, top + 0.08],
+            Faces::All,
+            frame,
+        );
     }
 }
 
-fn room(out: &mut Builder, rng: &mut ChaCha8Rng, plan: &FloorPlan, lamps: &mut Vec<Lamp>) {
+fn room(out: &mut Builder, rng: &Dice, plan: &FloorPlan, lamps: &mut Vec<Lamp>) {
     let [w, d] = plan.room_m;
     let h = plan.height_m;
     let [far, right, near, left] = walls([0.0, w], [0.0, d]);
@@ -140,44 +197,125 @@ fn room(out: &mut Builder, rng: &mut ChaCha8Rng, plan: &FloorPlan, lamps: &mut V
 
     // In the middle: a rug, a table with a chair at either end.
     let centre = Place::new([cx, cy, 0.0], uniform(rng, -0.05, 0.05));
-    out.cuboid(&centre, [-0.95, -0.65, 0.0], [0.95, 0.65, 0.006], Faces::Standing, Material::RUG);
-    table(out, rng, &centre, [uniform(rng, 1.0, 1.1), uniform(rng, 0.55, 0.62), 0.74]);
+    out.cuboid(
+        &centre,
+        [-0.95, -0.65, 0.0],
+        [0.95, 0.65, 0.006],
+        Faces::Standing,
+        Material::RUG,
+    );
+    table(
+        out,
+        rng,
+        &centre,
+        [uniform(rng, 1.0, 1.1), uniform(rng, 0.55, 0.62), 0.74],
+    );
     for side in [-1.0, 1.0] {
         let yaw = -side * FRAC_PI_2 + uniform(rng, -0.15, 0.15);
-        chair(out, rng, &centre.moved([side * uniform(rng, 0.56, 0.62), 0.0, 0.0], yaw));
+        chair(
+            out,
+            rng,
+            &centre.moved([side * uniform(rng, 0.56, 0.62), 0.0, 0.0], yaw),
+        );
     }
 
     // Far wall: shelves with a picture between them.
     let first = uniform(rng, 1.5, 1.75);
     let second = uniform(rng, 1.2, 1.5);
     let tall = uniform(rng, 1.85, 2.1);
-    shelf(out, rng, &far.moved([0.12, 0.0, 0.0], 0.0), [first, 0.31, tall]);
+    shelf(
+        out,
+        rng,
+        &far.moved([0.12, 0.0, 0.0], 0.0),
+        [first, 0.31, tall],
+    );
     let low = uniform(rng, 1.1, 1.4);
-    shelf(out, rng, &far.moved([w - 0.4 - second, 0.0, 0.0], 0.0), [second, 0.3, low]);
+    shelf(
+        out,
+        rng,
+        &far.moved([w - 0.4 - second, 0.0, 0.0], 0.0),
+        [second, 0.3, low],
+    );
     let gap = [0.12 + first, w - 0.4 - second];
     let middle = 0.5 * (gap[0] + gap[1]);
     let wide = (gap[1] - gap[0] - 0.3).min(0.9);
-    picture(out, rng, &far, [middle, 1.55], [wide, uniform(rng, 0.6, 0.95)]);
+    picture(
+        out,
+        rng,
+        &far,
+        [middle, 1.55],
+        [wide, uniform(rng, 0.6, 0.95)],
+    );
     picture(out, rng, &far, [middle, 0.75], [0.7 * wide, 0.4]);
-    picture(out, rng, &far, [w - 0.4 - 0.5 * second, 1.95], [uniform(rng, 0.6, 1.0), 0.5]);
-    fill_board(out, rng, &far.moved([0.2, 0.0, tall], 0.0), [first - 0.2, 0.3, 0.3]);
-    fill_board(out, rng, &far.moved([w - 0.4 - second, 0.0, low], 0.0), [second, 0.28, 0.3]);
+    picture(
+        out,
+        rng,
+        &far,
+        [w - 0.4 - 0.5 * second, 1.95],
+        [uniform(rng, 0.6, 1.0), 0.5],
+    );
+    fill_board(
+        out,
+        rng,
+        &far.moved([0.2, 0.0, tall], 0.0),
+        [first - 0.2, 0.3, 0.3],
+    );
+    fill_board(
+        out,
+        rng,
+        &far.moved([w - 0.4 - second, 0.0, low], 0.0),
+        [second, 0.28, 0.3],
+    );
 
     // Right wall: a sofa under the window, a plant in the corner.
     let couch = uniform(rng, 1.7, 2.0);
     let start = 0.55;
-    sofa(out, rng, &right.moved([start, 0.0, 0.0], 0.0), [couch, 0.68, 0.78]);
-    window(out, rng, &right, [start + 0.5 * couch, 1.6], [uniform(rng, 1.2, 1.5), 1.1]);
+    sofa(
+        out,
+        rng,
+        &right.moved([start, 0.0, 0.0], 0.0),
+        [couch, 0.68, 0.78],
+    );
+    window(
+        out,
+        rng,
+        &right,
+        [start + 0.5 * couch, 1.6],
+        [uniform(rng, 1.2, 1.5), 1.1],
+    );
     let rest = d - start - couch;
-    picture(out, rng, &right, [start + couch + 0.5 * rest, 1.6], [0.55 * rest, 0.8]);
-    picture(out, rng, &right, [start + couch + 0.5 * rest, 0.85], [0.5 * rest, 0.4]);
-    plant(out, rng, right.point([d - 0.4, -0.36, 0.0]), uniform(rng, 1.0, 1.4), 0.34);
+    picture(
+        out,
+        rng,
+        &right,
+        [start + couch + 0.5 * rest, 1.6],
+        [0.55 * rest, 0.8],
+    );
+    picture(
+        out,
+        rng,
+        &right,
+        [start + couch + 0.5 * rest, 0.85],
+        [0.5 * rest, 0.4],
+    );
+    plant(
+        out,
+        rng,
+        right.point([d - 0.4, -0.36, 0.0]),
+        uniform(rng, 1.0, 1.4),
+        0.34,
+    );
     window_light(&right, [start + 0.5 * couch, 1.6], lamps);
 
     // Near wall, beside the doorway: a low cabinet with a screen and pictures above it.
     let free = w - plan.doorway_x_m - 0.5 * plan.doorway_width_m - 0.3;
     let wide = uniform(rng, 1.4, 1.7).min(free - 0.75);
-    cabinet(out, rng, &near.moved([0.85, 0.0, 0.0], 0.0), [wide, 0.42, uniform(rng, 0.6, 0.8)]);
+    cabinet(
+        out,
+        rng,
+        &near.moved([0.85, 0.0, 0.0], 0.0),
+        [wide, 0.42, uniform(rng, 0.6, 0.8)],
+    );
     let screen = 0.85 + 0.5 * wide;
     out.cuboid_with_front(
         &near,
@@ -193,12 +331,23 @@ fn room(out: &mut Builder, rng: &mut ChaCha8Rng, plan: &FloorPlan, lamps: &mut V
 
     // Left wall: a chest of drawers, a notice board, pictures.
     let chest = uniform(rng, 1.1, 1.4);
-    cabinet(out, rng, &left.moved([1.5, 0.0, 0.0], 0.0), [chest, 0.45, uniform(rng, 0.75, 0.95)]);
+    cabinet(
+        out,
+        rng,
+        &left.moved([1.5, 0.0, 0.0], 0.0),
+        [chest, 0.45, uniform(rng, 0.75, 0.95)],
+    );
     notice_board(out, rng, &left, [1.5 + 0.5 * chest, 1.7], [1.1, 0.8]);
     picture(out, rng, &left, [0.75, 1.55], [0.7, 0.95]);
     picture(out, rng, &left, [0.7, 0.65], [0.5, 0.5]);
     picture(out, rng, &left, [d - 0.55, 1.6], [0.45, 0.6]);
-    plant(out, rng, left.point([d - 0.62, -0.36, 0.0]), uniform(rng, 0.8, 1.1), 0.3);
+    plant(
+        out,
+        rng,
+        left.point([d - 0.62, -0.36, 0.0]),
+        uniform(rng, 0.8, 1.1),
+        0.3,
+    );
 
     skirting(out, &far, w);
     skirting(out, &right, d);
@@ -210,7 +359,7 @@ fn room(out: &mut Builder, rng: &mut ChaCha8Rng, plan: &FloorPlan, lamps: &mut V
     }
 }
 
-fn corridor(out: &mut Builder, rng: &mut ChaCha8Rng, plan: &FloorPlan, lamps: &mut Vec<Lamp>) {
+fn corridor(out: &mut Builder, rng: &Dice, plan: &FloorPlan, lamps: &mut Vec<Lamp>) {
     let h = plan.height_m;
     let length = plan.corridor_x_m[1] - plan.corridor_x_m[0];
     let width = plan.corridor_y_m[1] - plan.corridor_y_m[0];
@@ -240,7 +389,12 @@ fn corridor(out: &mut Builder, rng: &mut ChaCha8Rng, plan: &FloorPlan, lamps: &m
     door(out, rng, &far, x);
     x += 1.15;
     let wide = uniform(rng, 0.8, 1.0);
-    cabinet(out, rng, &far.moved([x, 0.0, 0.0], 0.0), [wide, 0.34, uniform(rng, 0.8, 1.1)]);
+    cabinet(
+        out,
+        rng,
+        &far.moved([x, 0.0, 0.0], 0.0),
+        [wide, 0.34, uniform(rng, 0.8, 1.1)],
+    );
     picture(out, rng, &far, [x + 0.5 * wide, 1.75], [wide, 0.6]);
     x += wide + 0.15;
     notice_board(out, rng, &far, [x + 0.75, 1.5], [1.3, 0.9]);
@@ -253,7 +407,12 @@ fn corridor(out: &mut Builder, rng: &mut ChaCha8Rng, plan: &FloorPlan, lamps: &m
         if end == 0 {
             picture(out, rng, place, [0.5 * width, 0.65], [0.6, 0.5]);
         } else {
-            cabinet(out, rng, &place.moved([0.5 * width - 0.4, 0.0, 0.0], 0.0), [0.8, 0.3, 0.7]);
+            cabinet(
+                out,
+                rng,
+                &place.moved([0.5 * width - 0.4, 0.0, 0.0], 0.0),
+                [0.8, 0.3, 0.7],
+            );
         }
         skirting(out, place, width);
     }
@@ -263,9 +422,23 @@ fn corridor(out: &mut Builder, rng: &mut ChaCha8Rng, plan: &FloorPlan, lamps: &m
     out.prism(spot, 0.075, 0.075, 0.48, 12, red);
     let bin = near.point([length - 0.25, -0.2, 0.0]);
     out.prism(bin, 0.13, 0.16, 0.55, 12, Material::METAL.toned(0.35));
-    let duct = Material::METAL.toned(0.45).marked(Marks::Boards([0.9, 0.3]));
-    out.cuboid(&near, [0.0, -0.22, h - 0.2], [length, 0.0, h - 0.04], Faces::All, duct);
-    out.cuboid(&far, [0.0, -0.08, h - 0.3], [length, 0.0, h - 0.24], Faces::All, duct);
+    let duct = Material::METAL
+        .toned(0.45)
+        .marked(Marks::Boards([0.9, 0.3]));
+    out.cuboid(
+        &near,
+        [0.0, -0.22, h - 0.2],
+        [length, 0.0, h - 0.04],
+        Faces::All,
+        duct,
+    );
+    out.cuboid(
+        &far,
+        [0.0, -0.08, h - 0.3],
+        [length, 0.0, h - 0.24],
+        Faces::All,
+        duct,
+    );
     skirting(out, &near, length);
     let count = 5;
     for k in 0..count {
@@ -276,14 +449,26 @@ fn corridor(out: &mut Builder, rng: &mut ChaCha8Rng, plan: &FloorPlan, lamps: &m
 }
 
 /// Posters side by side between two points along a wall, some over others.
-fn posters(out: &mut Builder, rng: &mut ChaCha8Rng, wall: &Place, [from, to]: [f32; 2]) {
+fn posters(out: &mut Builder, rng: &Dice, wall: &Place, [from, to]: [f32; 2]) {
     let mut x = from + 0.05;
     while x + 0.4 < to {
         let w = uniform(rng, 0.38, 0.75).min(to - x - 0.02);
         let h = w * uniform(rng, 1.1, 1.45);
-        picture(out, rng, wall, [x + 0.5 * w, uniform(rng, 1.55, 1.75)], [w - 0.06, h - 0.06]);
+        picture(
+            out,
+            rng,
+            wall,
+            [x + 0.5 * w, uniform(rng, 1.55, 1.75)],
+            [w - 0.06, h - 0.06],
+        );
         if below(rng, 3) > 0 {
-            picture(out, rng, wall, [x + 0.5 * w, uniform(rng, 0.6, 0.75)], [0.8 * w - 0.06, 0.4]);
+            picture(
+                out,
+                rng,
+                wall,
+                [x + 0.5 * w, uniform(rng, 0.6, 0.75)],
+                [0.8 * w - 0.06, 0.4],
+            );
         }
         x += w + uniform(rng, 0.06, 0.2);
     }
@@ -291,7 +476,13 @@ fn posters(out: &mut Builder, rng: &mut ChaCha8Rng, wall: &Place, [from, to]: [f
 
 fn skirting(out: &mut Builder, wall: &Place, length: f32) {
     let wood = Material::WOOD.toned(0.3);
-    out.cuboid(wall, [0.0, -0.015, 0.0], [length, 0.0, 0.08], Faces::Hanging, wood);
+    out.cuboid(
+        wall,
+        [0.0, -0.015, 0.0],
+        [length, 0.0, 0.08],
+        Faces::Hanging,
+        wood,
+    );
 }
 
 fn ceiling_lamp(
@@ -303,23 +494,29 @@ fn ceiling_lamp(
     power: f32,
 ) {
     let [x, y, z] = half;
-    out.cuboid(place, [-x, -y, ceiling - z], [x, y, ceiling], Faces::All, Material::LAMP);
+    out.cuboid(
+        place,
+        [-x, -y, ceiling - z],
+        [x, y, ceiling],
+        Faces::All,
+        Material::LAMP,
+    );
     lamps.push(Lamp {
         position: place.point([0.0, 0.0, ceiling - z - 0.05]),
         power,
     });
 }
 
-fn window(
-    out: &mut Builder,
-    rng: &mut ChaCha8Rng,
-    wall: &Place,
-    [right, up]: [f32; 2],
-    [w, h]: [f32; 2],
-) {
+fn window(out: &mut Builder, rng: &Dice, wall: &Place, [right, up]: [f32; 2], [w, h]: [f32; 2]) {
     let (x, z) = (right - 0.5 * w, up - 0.5 * h);
     let view = Material::WINDOW.toned(uniform(rng, 0.5, 0.65));
-    out.cuboid(wall, [x, -0.005, z], [x + w, 0.0, z + h], Faces::Hanging, view);
+    out.cuboid(
+        wall,
+        [x, -0.005, z],
+        [x + w, 0.0, z + h],
+        Faces::Hanging,
+        view,
+    );
     let bar = Material::WOOD.toned(0.75);
     let t = 0.05;
     for k in 0..3 {
@@ -328,7 +525,13 @@ fn window(
         let bz = z + 0.5 * h * k as f32 - 0.5 * t;
         out.cuboid(wall, [x, -0.035, bz], [x + w, 0.0, bz + t], Faces::All, bar);
     }
-    out.cuboid(wall, [x - 0.1, -0.16, z - 0.06], [x + w + 0.1, 0.0, z - 0.025], Faces::All, bar);
+    out.cuboid(
+        wall,
+        [x - 0.1, -0.16, z - 0.06],
+        [x + w + 0.1, 0.0, z - 0.025],
+        Faces::All,
+        bar,
+    );
 }
 
 fn window_light(wall: &Place, [right, up]: [f32; 2], lamps: &mut Vec<Lamp>) {

@@ -73,9 +73,18 @@ fn noise_and_biases_have_the_stated_densities() {
     let n = 3.0 * (samples.len() - 1) as f64;
     let rate = 200.0_f64;
     let near = |got: f64, expected: f64| (got / expected - 1.0).abs() < 0.03;
-    assert!(near((gyro / n).sqrt(), config.gyro_noise_density * rate.sqrt()));
-    assert!(near((accel / n).sqrt(), config.accel_noise_density * rate.sqrt()));
-    assert!(near((steps / n).sqrt(), config.gyro_bias_walk / rate.sqrt()));
+    assert!(near(
+        (gyro / n).sqrt(),
+        config.gyro_noise_density * rate.sqrt()
+    ));
+    assert!(near(
+        (accel / n).sqrt(),
+        config.accel_noise_density * rate.sqrt()
+    ));
+    assert!(near(
+        (steps / n).sqrt(),
+        config.gyro_bias_walk / rate.sqrt()
+    ));
     assert!(Vector3::from(samples[0].gyro_bias_rad_s).norm() > 1e-4);
 }
 

@@ -12,7 +12,10 @@ fn simulation(range_noise_m: f64) -> Simulation {
 
 /// Where each point of a scan lies along its own ray beyond the surface that the ray meets.
 fn residuals(simulation: &Simulation, number: u32) -> Vec<f64> {
-    let stamped = simulation.scan().scan(simulation.world(), number).expect("points");
+    let stamped = simulation
+        .scan()
+        .scan(simulation.world(), number)
+        .expect("points");
     let start = stamped.time - simulation.scan().start();
     stamped
         .sample
@@ -42,7 +45,10 @@ fn points_lie_on_the_surfaces_with_the_stated_noise() {
     let mean = noisy.iter().sum::<f64>() / n;
     let sigma = (noisy.iter().map(|r| r * r).sum::<f64>() / n - mean * mean).sqrt();
     let tail = noisy.iter().filter(|r| r.abs() > 1.96 * 0.03).count() as f64 / n;
-    assert!(mean.abs() < 5e-4 && (sigma - 0.03).abs() < 1e-3, "{mean} ± {sigma}");
+    assert!(
+        mean.abs() < 5e-4 && (sigma - 0.03).abs() < 1e-3,
+        "{mean} ± {sigma}"
+    );
     assert!((tail - 0.05).abs() < 0.006, "{tail}");
 }
 
@@ -62,12 +68,32 @@ fn time_of_a_point_follows_the_firing_sequence() {
         first.last().map(|c| c.offset_ns + CYCLE_NS),
         second.first().map(|c| c.offset_ns)
     );
-    assert!(first.windows(2).all(|w| w[1].offset_ns - w[0].offset_ns == CYCLE_NS));
-    assert!(first.windows(2).all(|w| w[1].azimuth_centideg > w[0].azimuth_centideg));
+    assert!(
+        first
+            .windows(2)
+            .all(|w| w[1].offset_ns - w[0].offset_ns == CYCLE_NS)
+    );
+    assert!(
+        first
+            .windows(2)
+            .all(|w| w[1].azimuth_centideg > w[0].azimuth_centideg)
+    );
     assert!((1808..=1809).contains(&first.len()));
-    let scan = simulation.scan().scan(simulation.world(), 3).expect("points").sample;
-    assert!(scan.points.windows(2).all(|w| w[0].time_offset_ns <= w[1].time_offset_ns));
-    assert!(scan.points.iter().all(|p| i64::from(p.time_offset_ns) % CYCLE_NS <= 15 * PAIR_NS));
+    let scan = simulation
+        .scan()
+        .scan(simulation.world(), 3)
+        .expect("points")
+        .sample;
+    assert!(
+        scan.points
+            .windows(2)
+            .all(|w| w[0].time_offset_ns <= w[1].time_offset_ns)
+    );
+    assert!(
+        scan.points
+            .iter()
+            .all(|p| i64::from(p.time_offset_ns) % CYCLE_NS <= 15 * PAIR_NS)
+    );
     let mut rings: Vec<u16> = (0..LASERS).map(ring).collect();
     assert_eq!([rings[0], rings[1], rings[29], rings[5]], [0, 17, 31, 20]);
     rings.sort_unstable();
