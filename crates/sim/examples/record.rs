@@ -2,6 +2,8 @@
 //!
 //! The folder receives `scan.mcap`, `walk.mcap`, `backpack.toml`, `glasses.toml`, and the truth beside them.
 
+#![allow(clippy::print_stdout, reason = "an example talks to who runs it")]
+
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -22,7 +24,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let began = Instant::now();
         std::fs::write(folder.join(name), rig.rig().to_toml())?;
         record(&simulation, rig, &folder.join(recording))?;
-        println!("{recording} written in {:.2} s", began.elapsed().as_secs_f64());
+        println!(
+            "{recording} written in {:.2} s",
+            began.elapsed().as_secs_f64()
+        );
     }
     simulation.write_truth(&folder)?;
     Ok(())
@@ -43,11 +48,18 @@ fn arguments() -> Result<(PathBuf, SimConfig), Box<dyn std::error::Error>> {
             _ => folder = Some(PathBuf::from(argument)),
         }
     }
-    Ok((folder.ok_or("usage: record FOLDER [--seed N] [--duration S]")?, config))
+    Ok((
+        folder.ok_or("usage: record FOLDER [--seed N] [--duration S]")?,
+        config,
+    ))
 }
 
 /// Everything a rig measures, in order of time.
-fn record(simulation: &Simulation, rig: &RigSim, path: &Path) -> Result<(), Box<dyn std::error::Error>> {
+fn record(
+    simulation: &Simulation,
+    rig: &RigSim,
+    path: &Path,
+) -> Result<(), Box<dyn std::error::Error>> {
     let world = simulation.world();
     let mut writer = Writer::create(path, &WriterConfig::default())?;
     writer.attach_rig(rig.rig())?;
@@ -59,12 +71,15 @@ fn record(simulation: &Simulation, rig: &RigSim, path: &Path) -> Result<(), Box<
         let end_ns = tenth * 100_000_000;
         while let Some(s) = imu.next_if(|s| s.offset_ns <= end_ns) {
             let time = rig.time(s.offset_ns);
-            writer.write_imu("imu0", &Stamped {
-                time,
-                arrival: time,
-                device_ticks: (s.offset_ns / 100_000) as u64,
-                sample: s.sample,
-            })?;
+            writer.write_imu(
+                "imu0",
+                &Stamped {
+                    time,
+                    arrival: time,
+                    device_ticks: (s.offset_ns / 100_000) as u64,
+                    sample: s.sample,
+                },
+            )?;
         }
         while frame < rig.frame_count() && rig.frame_offset_ns(frame) <= end_ns {
             for (camera, name) in rig.rig().cameras.keys().enumerate() {

@@ -1,5 +1,7 @@
 //! Renders a few images of both walks as PNG files: `snapshots FOLDER [SEED]`.
 
+#![allow(clippy::print_stdout, reason = "an example talks to who runs it")]
+
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::Path;

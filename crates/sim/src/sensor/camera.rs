@@ -1,5 +1,6 @@
 //! A global-shutter camera: every pixel one ray, the texture averaged over the pixel's cone.
 
+use nalgebra::Matrix3;
 use rayon::prelude::*;
 use wide::f32x8;
 
@@ -9,11 +10,41 @@ use lsfb_types::Image;
 use crate::Error;
 use crate::config::CameraConfig;
 use crate::noise::hash;
-use crate::world::vector::{dot, norm};
+use crate::world::vector::dot;
 use crate::world::{LANES, NO_FACET, RayPacket, World};
 
 /// Rows rendered by one task.
 const ROWS_PER_TASK: usize = 8;
+
+/// Where the four rays of a pixel on a border go, in pixels from its centre: no two share a row or a column.
+const SUBPIXELS: [[f32; 2]; 4] = [
+    [-0.375, -0.125],
+    [0.125, -0.375],
+    [0.375, 0.125],
+    [-0.125, 0.375],
+];
+
+/// A camera in the world.
+struct Eye {
+    origin: [f32; 3],
+    rotation: Matrix3<f32>,
+}
+
+/// What a ray met.
+#[derive(Clone, Copy)]
+struct Seen {
+    value: f32,
+    facet: u32,
+}
+
+impl Default for Seen {
+    fn default() -> Self {
+        Self {
+            value: 0.0,
+            facet: NO_FACET,
+        }
+    }
+}
 
 /// Renders what a camera on a rig sees.
 #[derive(Clone, Debug)]
@@ -77,25 +108,32 @@ impl CameraSim {
     /// The image taken at a pose. `frame_id` also numbers the noise.
     pub fn render(&self, world: &World, world_from_rig: &Se3, frame_id: u32) -> Image {
         let world_from_camera = *world_from_rig * self.rig_from_camera;
-        let rotation = world_from_camera.rotation_matrix().map(|v| v as f32);
-        let origin: [f32; 3] = world_from_camera.translation.map(|v| v as f32).into();
+        let eye = Eye {
+            origin: world_from_camera.translation.map(|v| v as f32).into(),
+            rotation: world_from_camera.rotation_matrix().map(|v| v as f32),
+        };
         let noise_seed = hash(self.seed ^ hash(u64::from(frame_id)));
-        let mut pixels = vec![0_u8; self.width * self.height];
-        let task = self.width * ROWS_PER_TASK;
-        pixels
-            .par_chunks_mut(task)
+        let groups = self.width / LANES;
+        let mut seen = vec![[Seen::default(); LANES]; self.directions.len()];
+        seen.par_chunks_mut(groups * ROWS_PER_TASK)
             .enumerate()
-            .for_each(|(k, rows)| {
-                for (j, group) in rows.chunks_exact_mut(LANES).enumerate() {
-                    let first = k * task / LANES + j;
-                    let d = &self.directions[first];
-                    let direction: [f32x8; 3] = std::array::from_fn(|i| {
-                        f32x8::splat(rotation[(i, 0)]) * d[0]
-                            + f32x8::splat(rotation[(i, 1)]) * d[1]
-                            + f32x8::splat(rotation[(i, 2)]) * d[2]
-                    });
-                    let values = self.look(world, origin, direction);
-                    self.expose(first, &values, noise_seed, group);
+            .for_each(|(task, out)| {
+                let first = task * groups * ROWS_PER_TASK;
+                for (group, out) in out.iter_mut().enumerate() {
+                    *out = self.look(world, &eye, &self.directions[first + group]);
+                }
+            });
+        let seen = seen.as_flattened();
+        let mut pixels = vec![0_u8; self.width * self.height];
+        pixels
+            .par_chunks_mut(self.width * ROWS_PER_TASK)
+            .enumerate()
+            .for_each(|(task, rows)| {
+                let mut values = vec![0.0; self.width];
+                for (k, row) in rows.chunks_exact_mut(self.width).enumerate() {
+                    let y = task * ROWS_PER_TASK + k;
+                    self.smooth_borders(world, &eye, seen, y, &mut values);
+                    self.expose(y, &values, noise_seed, row);
                 }
             });
         Image {
@@ -107,42 +145,120 @@ impl CameraSim {
         }
     }
 
-    /// Brightness along eight rays; black where there is nothing.
-    fn look(&self, world: &World, origin: [f32; 3], direction: [f32x8; 3]) -> [f32; LANES] {
-        let hit = world.cast_packet(&RayPacket::from_point(origin, direction));
+    /// What eight rays meet; black where there is nothing.
+    fn look(&self, world: &World, eye: &Eye, directions: &[f32x8; 3]) -> [Seen; LANES] {
+        let direction: [f32x8; 3] = std::array::from_fn(|i| {
+            f32x8::splat(eye.rotation[(i, 0)]) * directions[0]
+                + f32x8::splat(eye.rotation[(i, 1)]) * directions[1]
+                + f32x8::splat(eye.rotation[(i, 2)]) * directions[2]
+        });
+        let hit = world.cast_packet(&RayPacket::from_point(eye.origin, direction));
         let distance = hit.distance.to_array();
         let lanes = direction.map(|d| d.to_array());
-        let mut values = [0.0; LANES];
-        for lane in 0..LANES {
+        std::array::from_fn(|lane| {
             if hit.facet[lane] == NO_FACET {
-                continue;
+                return Seen::default();
             }
             let facet = hit.facet[lane] as usize;
             let ray = [lanes[0][lane], lanes[1][lane], lanes[2][lane]];
-            let point: [f32; 3] = std::array::from_fn(|i| origin[i] + distance[lane] * ray[i]);
+            let point = std::array::from_fn(|i| eye.origin[i] + distance[lane] * ray[i]);
             // The pixel's cone cuts the surface in an ellipse; its mean radius decides the mip level.
-            let cosine = (-dot(world.facets()[facet].normal, ray)).max(0.02) / norm(ray);
+            let cosine = (-dot(world.facets()[facet].normal, ray)).max(0.02);
             let footprint = distance[lane] * self.pixel_angle_rad / cosine.sqrt();
-            values[lane] = world.brightness(facet, point, footprint);
-        }
-        values
+            Seen {
+                value: world.brightness(facet, point, footprint),
+                facet: facet as u32,
+            }
+        })
     }
 
-    /// Vignetting, shot and read noise, quantisation.
-    fn expose(&self, group: usize, values: &[f32; LANES], seed: u64, out: &mut [u8]) {
-        let vignette = &self.vignette[group * LANES..(group + 1) * LANES];
-        for half in 0..LANES / 2 {
-            let bits = hash(seed.wrapping_add((group * LANES / 2 + half) as u64)).to_le_bytes();
-            for side in 0..2 {
-                let lane = 2 * half + side;
-                let value = values[lane] * vignette[lane];
+    /// Fills `values` with the brightness of row `y`. A texture is averaged over the pixel already; where two facets
+    /// share a pixel, four rays decide how much of it each gets.
+    fn smooth_borders(
+        &self,
+        world: &World,
+        eye: &Eye,
+        seen: &[Seen],
+        y: usize,
+        values: &mut [f32],
+    ) {
+        let row = &seen[y * self.width..(y + 1) * self.width];
+        let above = &seen[y.saturating_sub(1) * self.width..][..self.width];
+        let below = &seen[(y + 1).min(self.height - 1) * self.width..][..self.width];
+        let mut waiting = None;
+        for x in 0..self.width {
+            let own = row[x].facet;
+            let right = row[(x + 1).min(self.width - 1)].facet;
+            let left = row[x.saturating_sub(1)].facet;
+            values[x] = row[x].value;
+            if [left, right, above[x].facet, below[x].facet] != [own; 4] {
+                match waiting.take() {
+                    None => waiting = Some(x),
+                    Some(first) => self.look_closely(world, eye, y, [first, x], values),
+                }
+            }
+        }
+        if let Some(last) = waiting {
+            self.look_closely(world, eye, y, [last, last], values);
+        }
+    }
+
+    /// Brightness of two pixels of row `y`, each the mean of four rays.
+    fn look_closely(&self, world: &World, eye: &Eye, y: usize, xs: [usize; 2], values: &mut [f32]) {
+        let mut lanes = [[0.0_f32; LANES]; 3];
+        for (half, x) in xs.into_iter().enumerate() {
+            let centre = self.direction(x, y);
+            // Towards the neighbour inside the image.
+            let (nx, sx) = if x + 1 < self.width {
+                (x + 1, 1.0)
+            } else {
+                (x - 1, -1.0)
+            };
+            let (ny, sy) = if y + 1 < self.height {
+                (y + 1, 1.0)
+            } else {
+                (y - 1, -1.0)
+            };
+            let (beside, under) = (self.direction(nx, y), self.direction(x, ny));
+            for (k, [dx, dy]) in SUBPIXELS.into_iter().enumerate() {
+                for (axis, lanes) in lanes.iter_mut().enumerate() {
+                    lanes[4 * half + k] = centre[axis]
+                        + sx * dx * (beside[axis] - centre[axis])
+                        + sy * dy * (under[axis] - centre[axis]);
+                }
+            }
+        }
+        let seen = self.look(world, eye, &lanes.map(f32x8::new));
+        for (half, x) in xs.into_iter().enumerate() {
+            values[x] = seen[4 * half..4 * half + 4]
+                .iter()
+                .map(|s| 0.25 * s.value)
+                .sum();
+        }
+    }
+
+    /// Viewing direction of a pixel in the camera frame.
+    fn direction(&self, x: usize, y: usize) -> [f32; 3] {
+        let index = y * self.width + x;
+        self.directions[index / LANES].map(|lanes| lanes.as_array()[index % LANES])
+    }
+
+    /// Vignetting, shot and read noise, quantisation of row `y`.
+    fn expose(&self, y: usize, values: &[f32], seed: u64, out: &mut [u8]) {
+        let first = y * self.width;
+        let vignette = &self.vignette[first..first + self.width];
+        for (pair, out) in out.chunks_exact_mut(2).enumerate() {
+            let bits = hash(seed.wrapping_add((first / 2 + pair) as u64)).to_le_bytes();
+            for (side, out) in out.iter_mut().enumerate() {
+                let x = 2 * pair + side;
+                let value = values[x] * vignette[x];
                 // The sum of four bytes is close to normal: mean 510, standard deviation 147.8.
-                let sum: f32 = bits[4 * side..4 * side + 4]
+                let sum: u32 = bits[4 * side..4 * side + 4]
                     .iter()
-                    .map(|b| f32::from(*b))
+                    .map(|b| u32::from(*b))
                     .sum();
-                let noise = (sum - 510.0) / 147.8 * self.noise[(value as usize).min(255)];
-                out[lane] = (value + noise + 0.5).clamp(0.0, 255.0) as u8;
+                let noise = (sum as f32 - 510.0) / 147.8 * self.noise[(value as usize).min(255)];
+                *out = (value + noise + 0.5).clamp(0.0, 255.0) as u8;
             }
         }
     }

@@ -27,7 +27,7 @@ impl Tour {
         let [y0, y1] = plan.corridor_y_m.map(f64::from);
         let middle = 0.5 * (y0 + y1);
         let end = f64::from(plan.corridor_x_m[1]) - 1.35;
-        let (rx, ry) = (1.42, 1.16);
+        let (rx, ry) = (1.36, 1.16);
         let mut corners: Vec<[f64; 2]> = Vec::new();
         let around = |corners: &mut Vec<[f64; 2]>, from: i32, to: i32| {
             for degrees in (from..=to).step_by(20) {

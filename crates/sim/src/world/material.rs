@@ -58,25 +58,25 @@ impl Material {
         tone: 0.62,
         noise: 0.018,
         longest_m: 0.6,
-        coverage: 0.1,
-        spread: 0.17,
-        largest_m: 0.06,
+        coverage: 0.13,
+        spread: 0.25,
+        largest_m: 0.08,
         ..PLAIN
     };
     pub(crate) const PLASTER: Self = Self {
         tone: 0.66,
         noise: 0.016,
         longest_m: 0.8,
-        coverage: 0.04,
-        spread: 0.13,
-        largest_m: 0.04,
+        coverage: 0.08,
+        spread: 0.2,
+        largest_m: 0.06,
         ..PLAIN
     };
     pub(crate) const CEILING: Self = Self {
         tone: 0.72,
         noise: 0.012,
-        coverage: 0.03,
-        spread: 0.2,
+        coverage: 0.06,
+        spread: 0.3,
         largest_m: 0.02,
         marks: Marks::Boards([0.6, 0.6]),
         ..PLAIN
@@ -86,8 +86,8 @@ impl Material {
         noise: 0.02,
         longest_m: 0.2,
         stretch: [6.0, 1.0],
-        coverage: 0.02,
-        spread: 0.2,
+        coverage: 0.05,
+        spread: 0.25,
         largest_m: 0.02,
         marks: Marks::Boards([0.5, 0.08]),
         ..PLAIN
@@ -96,7 +96,7 @@ impl Material {
         tone: 0.42,
         noise: 0.02,
         coverage: 0.12,
-        spread: 0.16,
+        spread: 0.24,
         largest_m: 0.05,
         marks: Marks::Boards([0.5, 0.5]),
         ..PLAIN
@@ -106,8 +106,8 @@ impl Material {
         noise: 0.028,
         longest_m: 0.15,
         stretch: [8.0, 1.0],
-        coverage: 0.02,
-        spread: 0.15,
+        coverage: 0.03,
+        spread: 0.2,
         largest_m: 0.015,
         ..PLAIN
     };
@@ -115,8 +115,8 @@ impl Material {
         tone: 0.5,
         noise: 0.02,
         stretch: [1.0, 6.0],
-        coverage: 0.015,
-        spread: 0.2,
+        coverage: 0.03,
+        spread: 0.25,
         largest_m: 0.02,
         marks: Marks::Panel(0.03),
         ..PLAIN
@@ -125,7 +125,7 @@ impl Material {
         tone: 0.35,
         noise: 0.02,
         coverage: 0.15,
-        spread: 0.2,
+        spread: 0.25,
         largest_m: 0.06,
         ..PLAIN
     };
@@ -164,8 +164,8 @@ impl Material {
         tone: 0.3,
         noise: 0.02,
         stretch: [1.0, 5.0],
-        coverage: 0.02,
-        spread: 0.2,
+        coverage: 0.04,
+        spread: 0.25,
         largest_m: 0.02,
         ..PLAIN
     };

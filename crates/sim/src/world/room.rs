@@ -50,7 +50,7 @@ impl FloorPlan {
 
     /// The middle of what one can walk around in the room.
     pub(crate) fn table_centre(&self) -> [f32; 2] {
-        [0.5 * self.room_m[0] + 0.1, 0.5 * self.room_m[1]]
+        [0.5 * self.room_m[0], 0.5 * self.room_m[1]]
     }
 }
 

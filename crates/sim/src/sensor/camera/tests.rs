@@ -24,7 +24,8 @@ fn at(image: &Image, x: f64, y: f64) -> f64 {
 fn fitted_border(image: &Image, project: &dyn Fn(f64) -> Vector2<f64>) -> [f64; 2] {
     let mut sums = [0.0; 5];
     for k in 0..60 {
-        let s = (f64::from(k) + 0.5) / 60.0;
+        // Away from the ends, where the next border is near.
+        let s = 0.1 + 0.8 * (f64::from(k) + 0.5) / 60.0;
         let here = project(s);
         let along = (project(s + 0.01) - project(s - 0.01)).normalize();
         let normal = Vector2::new(-along.y, along.x);
