@@ -228,11 +228,11 @@ pub(super) fn group_returns<'a, T: AsRef<[u8]>>(
                 if packet.distance_raw(first, channel)
                     == packet.distance_raw(first + 1, channel) =>
             {
-                [Some(place(first + 1, Echo::Both)), None]
+                [Some(place(first, Echo::Both)), None]
             }
             ReturnMode::Dual => [
-                Some(place(first + 1, Echo::Strongest)),
                 Some(place(first, Echo::Last)),
+                Some(place(first + 1, Echo::Strongest)),
             ],
         };
         candidates

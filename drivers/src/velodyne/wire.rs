@@ -446,3 +446,6 @@ fn u32_at(bytes: &[u8], offset: usize) -> u32 {
 fn put(bytes: &mut [u8], offset: usize, value: &[u8]) {
     bytes[offset..offset + value.len()].copy_from_slice(value);
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,1 +1,397 @@
+use lsfb_types::Timestamp;
 
+use super::*;
+use crate::velodyne::layout::Echo;
+use crate::velodyne::wire::DATA_PACKET_LEN;
+
+const START_NS: i64 = 1_772_359_200_000_000_000;
+
+/// A VLP-32C that turns at a constant rate and sees every laser at 8 m.
+struct Twin {
+    time_ns: i64,
+    rate_centideg_s: f64,
+    mode: ReturnMode,
+    product: Product,
+    window: Option<(u16, u16)>,
+}
+
+impl Twin {
+    fn new(first_us: i64) -> Self {
+        Self {
+            time_ns: first_us * 1000,
+            rate_centideg_s: 360_000.0,
+            mode: ReturnMode::Strongest,
+            product: Product::Vlp32c,
+            window: None,
+        }
+    }
+
+    fn azimuth(&self) -> u16 {
+        (self.time_ns as f64 * 1e-9 * self.rate_centideg_s).rem_euclid(36_000.0) as u16
+    }
+
+    fn packet(&mut self) -> Packet {
+        let mut packet =
+            DataPacket::init(vec![0; DATA_PACKET_LEN], self.product, self.mode).unwrap();
+        let stride = if self.mode == ReturnMode::Dual { 2 } else { 1 };
+        let mut start_ns = None;
+        for block in 0..12 {
+            if block > 0 && block % stride == 0 {
+                self.time_ns += 55_296;
+            }
+            while self
+                .window
+                .is_some_and(|(from, to)| (from..to).contains(&self.azimuth()))
+            {
+                self.time_ns += 55_296;
+            }
+            start_ns.get_or_insert(self.time_ns);
+            packet.set_azimuth_centideg(block, self.azimuth());
+            for channel in 0..32 {
+                packet.set_return(block, channel, 2000, channel as u8);
+            }
+        }
+        self.time_ns += 55_296;
+        let start_ns = start_ns.unwrap();
+        packet.set_timestamp_us((start_ns.rem_euclid(HOUR_NS) / 1000) as u32);
+        Packet {
+            arrival: Timestamp::from_nanos(START_NS + start_ns),
+            bytes: packet.into_inner(),
+        }
+    }
+
+    fn packets(&mut self, count: usize) -> Vec<Packet> {
+        (0..count).map(|_| self.packet()).collect()
+    }
+}
+
+struct Run {
+    scans: Vec<Decoded<LidarScan>>,
+    counters: Counters,
+}
+
+fn run(config: DecoderConfig, packets: &[Packet]) -> Run {
+    let mut decoder = Decoder::new(config);
+    let mut scans: Vec<_> = packets
+        .iter()
+        .filter_map(|p| decoder.push(p).ok().flatten())
+        .collect();
+    while let Some(scan) = decoder.finish() {
+        scans.push(scan);
+    }
+    Run {
+        scans,
+        counters: *decoder.counters(),
+    }
+}
+
+#[test]
+fn our_vectors_decode_to_every_listed_point() {
+    let vectors: serde_json::Value =
+        serde_json::from_str(include_str!("../../../tests/vectors/velodyne_vectors.json")).unwrap();
+    let bytes: [&[u8]; 3] = [
+        include_bytes!("../../../tests/vectors/vlp32c_strongest_wrap.bin"),
+        include_bytes!("../../../tests/vectors/vlp32c_dual.bin"),
+        include_bytes!("../../../tests/vectors/vlp32c_last_onepoint.bin"),
+    ];
+    for (vector, bytes) in vectors.as_array().unwrap().iter().zip(bytes) {
+        let packet = DataPacket::new(bytes).unwrap();
+        let mode = ReturnMode::from_code(packet.return_mode_code()).unwrap();
+        let layout = PacketLayout::new(&packet, Model::Vlp32c, mode);
+        let hits: Vec<_> = crate::velodyne::returns(&packet, &layout).collect();
+        let expected = vector["points"].as_array().unwrap();
+        assert_eq!(hits.len(), expected.len());
+        let run = run(
+            DecoderConfig::default(),
+            &[Packet {
+                arrival: Timestamp::default(),
+                bytes: bytes.to_vec(),
+            }],
+        );
+        let points: Vec<_> = run
+            .scans
+            .iter()
+            .flat_map(|scan| &scan.sample.points)
+            .collect();
+        let ticks = run.scans[0].device_ticks;
+        assert_eq!(ticks, vector["toh_us"].as_u64().unwrap() * 1000);
+        assert_eq!(points.len(), expected.len());
+        for want in expected {
+            let number = |field: &str| want[field].as_f64().unwrap();
+            let at = hits
+                .iter()
+                .position(|h| {
+                    h.block as f64 == number("block") && h.channel as f64 == number("laser")
+                })
+                .unwrap();
+            let hit = &hits[at];
+            assert_eq!(f64::from(hit.reflectivity), number("refl"));
+            assert!((f64::from(hit.range_raw) * 0.004 - number("dist_m")).abs() < 1e-9);
+            assert!(
+                (f64::from(hit.azimuth_centideg) / 100.0 - number("az_deg")).abs() < 2e-4,
+                "{hit:?} {want}"
+            );
+            assert!((hit.time_ns as f64 / 1000.0 - number("t_us")).abs() < 1e-6);
+            match want["ret"].as_str().unwrap() {
+                "strongest" => assert_eq!(hit.echo, Echo::Strongest),
+                _ => assert!(matches!(hit.echo, Echo::Last | Echo::Both)),
+            }
+            let (azimuth, elevation) = (
+                number("az_deg").to_radians(),
+                number("elev_deg").to_radians(),
+            );
+            let flat = number("dist_m") * elevation.cos();
+            let position = [
+                flat * azimuth.cos(),
+                -flat * azimuth.sin(),
+                number("dist_m") * elevation.sin(),
+            ];
+            let point = points[at];
+            for axis in 0..3 {
+                assert!(
+                    (f64::from(point.position_m[axis]) - position[axis]).abs() < 3e-4,
+                    "{point:?} {want}"
+                );
+            }
+            assert_eq!((point.intensity, point.ring), (hit.reflectivity, hit.ring));
+        }
+    }
+}
+
+#[test]
+fn rings_rank_the_lasers_by_elevation() {
+    for model in Model::ALL {
+        let mut channels = model.table().channels;
+        channels.sort_by(|a, b| a.elevation_deg.total_cmp(&b.elevation_deg));
+        let mut rings: Vec<u16> = channels.iter().map(|c| c.ring).collect();
+        assert!(rings.is_sorted(), "{model}");
+        rings.dedup();
+        assert_eq!(rings.len(), if model == Model::Vlp16 { 16 } else { 32 });
+        assert!(
+            channels
+                .iter()
+                .all(|c| c.firing_ns < model.table().block_period_ns)
+        );
+    }
+}
+
+#[test]
+fn revolutions_are_cut_at_the_wrap_and_through_the_top_of_the_hour() {
+    let mut twin = Twin::new(3_599_950_000);
+    let packets = twin.packets(500);
+    let run = run(DecoderConfig::default(), &packets);
+    let expected = Counters {
+        packets: 500,
+        points: 500 * 384,
+        scans: 4,
+        ..Counters::default()
+    };
+    assert_eq!(run.counters, expected);
+    // The twin passes azimuth 0 at every tenth of a second: 3600.0 s is one of them.
+    let whole = &run.scans[1];
+    assert!(whole.device_ticks < 60_000, "{}", whole.device_ticks);
+    assert!((whole.sample.points.len() as i64 - 32 * 1808).abs() <= 32);
+    let offsets: Vec<u32> = whole
+        .sample
+        .points
+        .iter()
+        .map(|p| p.time_offset_ns)
+        .collect();
+    assert_eq!(offsets[0], 0);
+    assert!(offsets.is_sorted());
+    assert!((99_900_000..100_000_000).contains(offsets.last().unwrap()));
+    for scan in &run.scans {
+        // Arrival is that of the packet with the first firing: at most one packet earlier than the firing itself.
+        let device = (scan.device_ticks as i64 - 3_599_950_000_000).rem_euclid(HOUR_NS);
+        let arrival = scan.arrival.nanos() - START_NS - 3_599_950_000_000;
+        assert!(
+            (0..=663_552).contains(&(device - arrival)),
+            "{device} {arrival}"
+        );
+    }
+}
+
+#[test]
+fn a_missing_packet_is_counted_once_and_a_late_or_double_one_left_out() {
+    let packets = Twin::new(1_000_000).packets(200);
+    let mut faulty = packets.clone();
+    faulty.remove(50);
+    faulty.drain(100..103);
+    faulty.insert(20, packets[10].clone());
+    faulty.insert(30, faulty[29].clone());
+    let run = run(DecoderConfig::default(), &faulty);
+    let counters = run.counters;
+    assert_eq!(
+        (counters.lost, counters.late, counters.duplicates),
+        (4, 1, 1)
+    );
+    assert_eq!((counters.packets, counters.clock_jumps), (196, 0));
+}
+
+#[test]
+fn a_field_of_view_window_loses_nothing_and_times_both_sides() {
+    let mut twin = Twin::new(0);
+    twin.window = Some((9_000, 27_000));
+    let packets = twin.packets(2_000);
+    let config = DecoderConfig {
+        cut_azimuth_centideg: 18_000,
+        ..DecoderConfig::default()
+    };
+    let run = run(config, &packets);
+    assert_eq!((run.counters.packets, run.counters.malformed), (2_000, 0));
+    // Until the window has shown itself inside a packet, a gap between packets counts as loss: here it never comes first.
+    assert_eq!(run.counters.lost, 0);
+    for scan in &run.scans[1..run.scans.len() - 1] {
+        let points = &scan.sample.points;
+        // Dead from a quarter to three quarters of each tenth of a second; timestamps are cut to microseconds.
+        let start_ns = scan.device_ticks % 100_000_000;
+        assert!((75_000_000..75_057_000).contains(&start_ns), "{start_ns}");
+        let end_ns = points.last().unwrap().time_offset_ns;
+        assert!((49_940_000..50_040_000).contains(&end_ns), "{end_ns}");
+    }
+}
+
+#[test]
+fn a_change_of_mode_or_model_ends_the_scan() {
+    let mut twin = Twin::new(0);
+    let mut packets = twin.packets(40);
+    twin.mode = ReturnMode::Dual;
+    packets.extend(twin.packets(40));
+    twin.mode = ReturnMode::Last;
+    packets.extend(twin.packets(40));
+    let run = run(DecoderConfig::default(), &packets);
+    let sizes: Vec<usize> = run.scans.iter().map(|s| s.sample.points.len()).collect();
+    // In dual mode both echoes are equal here: one point each.
+    assert_eq!(sizes, [40 * 384, 40 * 192, 40 * 384]);
+    assert_eq!((run.counters.mode_changes, run.counters.lost), (2, 0));
+}
+
+#[test]
+fn other_sensors_are_refused_by_name() {
+    let mut twin = Twin::new(0);
+    let named = |config: ModelChoice, packet: &Packet| {
+        let mut decoder = Decoder::new(DecoderConfig {
+            model: config,
+            ..DecoderConfig::default()
+        });
+        let error = decoder.push(packet).unwrap_err();
+        assert_eq!(decoder.counters().refused, 1);
+        error.to_string()
+    };
+    for (product, name) in [
+        (Product::Vls128, "VLS-128"),
+        (Product::Vlp32ab, "VLP-32A/B"),
+        (Product::PuckHiRes, "Puck Hi-Res"),
+        (Product::Unknown(0x77), "unknown product 0x77"),
+    ] {
+        twin.product = product;
+        let text = named(ModelChoice::FromPackets, &twin.packet());
+        assert!(text.contains(name), "{text}");
+    }
+    twin.product = Product::Vlp16;
+    let text = named(ModelChoice::Expect(Model::Vlp32c), &twin.packet());
+    assert_eq!(text, "packets of a VLP-16 where a VLP-32C is configured");
+    let mut hdl64 = twin.packet();
+    for block in (1..12).step_by(2) {
+        hdl64.bytes[block * 100..block * 100 + 2].copy_from_slice(&[0xFF, 0xDD]);
+    }
+    assert!(named(ModelChoice::FromPackets, &hdl64).contains("HDL-64E"));
+    let mut modeless = twin.packet();
+    modeless.bytes[1204] = 0;
+    assert!(named(ModelChoice::FromPackets, &modeless).contains("0x00"));
+    let forced = ModelChoice::Force(Model::Vlp16, ReturnMode::Last);
+    assert_eq!(
+        run(
+            DecoderConfig {
+                model: forced,
+                ..DecoderConfig::default()
+            },
+            &[modeless]
+        )
+        .counters
+        .packets,
+        1
+    );
+}
+
+#[test]
+fn a_clock_that_is_set_ends_the_scan_and_counts_no_loss() {
+    let mut twin = Twin::new(5_000_000);
+    let mut packets = twin.packets(30);
+    // PPS locks: the counter jumps by twenty minutes while the host sees the usual pace.
+    let mut later = Twin::new(1_205_000_000);
+    packets.extend(later.packets(30).into_iter().map(|mut p| {
+        p.arrival = p.arrival.plus_nanos(-1_200_000_000_000 + 30 * 663_552);
+        p
+    }));
+    let mut back = Twin::new(4_000_000);
+    packets.extend(back.packets(30).into_iter().map(|mut p| {
+        p.arrival = p.arrival.plus_nanos(1_000_000_000 + 60 * 663_552);
+        p
+    }));
+    let run = run(DecoderConfig::default(), &packets);
+    assert_eq!(
+        (
+            run.counters.clock_jumps,
+            run.counters.lost,
+            run.counters.packets
+        ),
+        (2, 0, 90)
+    );
+}
+
+#[test]
+fn a_stopped_rotor_does_not_grow_one_scan_for_ever() {
+    let mut twin = Twin::new(0);
+    twin.rate_centideg_s = 0.0;
+    let run = run(DecoderConfig::default(), &twin.packets(4_000));
+    assert_eq!(run.counters.overlong, 2);
+    assert_eq!(run.scans.len(), 3);
+    assert_eq!(run.counters.points, 4_000 * 384);
+}
+
+#[test]
+fn random_and_mutated_packets_never_panic() {
+    // A small multiplicative generator: the test needs variety, not quality.
+    let mut state = 0x9E37_79B9_7F4A_7C15u64;
+    let mut random = move || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        state
+    };
+    let mut decoder = Decoder::new(DecoderConfig::default());
+    let mut forced = Decoder::new(DecoderConfig {
+        model: ModelChoice::Force(Model::Hdl32e, ReturnMode::Dual),
+        cut_azimuth_centideg: u16::MAX,
+        optical_offset: OpticalOffset::Applied,
+    });
+    let mut twin = Twin::new(0);
+    for round in 0..20_000 {
+        let mut packet = twin.packet();
+        if round % 3 == 0 {
+            let length = random() as usize % 1400;
+            packet.bytes = (0..length).map(|_| random() as u8).collect();
+        } else {
+            for _ in 0..random() % 6 {
+                let at = random() as usize % packet.bytes.len();
+                packet.bytes[at] = random() as u8;
+            }
+            if round % 5 == 0 {
+                packet.bytes.truncate(random() as usize % 1207);
+            }
+            packet.arrival = packet
+                .arrival
+                .plus_nanos(random() as i64 >> (random() % 64));
+        }
+        let _ = decoder.push(&packet);
+        let _ = forced.push(&packet);
+    }
+    let counters = *decoder.counters();
+    assert!(
+        counters.packets > 5_000 && counters.malformed > 5_000,
+        "{counters:?}"
+    );
+    while decoder.finish().is_some() {}
+    while forced.finish().is_some() {}
+}
