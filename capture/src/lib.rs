@@ -1,1 +1,38 @@
-//! Devices to one Recording: clock, sync, recorder, replay, health.
+//! Devices to one Recording.
+//!
+//! - [`Session`] opens the devices that a [`DevicesConfig`] names and records them until they end or are told to stop.
+//! - One named thread per device decodes what its driver yields and puts stamps on it; one thread writes. Between them is one
+//!   bounded queue: what does not fit is dropped, counted and reported (see [`Overflow`]).
+//! - [`replay`] sends the packets of a capture file through the very functions used live.
+//! - [`clock`] is the only place in the workspace that turns device ticks into a `Timestamp`.
+//!
+//! ```no_run
+//! use std::path::Path;
+//! use std::sync::atomic::AtomicBool;
+//! use lsfb_capture::{DevicesConfig, Session};
+//!
+//! let config = DevicesConfig::read(Path::new("devices.toml"))?;
+//! let report = Session::open(&config)?.run(Path::new("scan.mcap"), &AtomicBool::new(false), &lsfb_types::no_progress)?;
+//! println!("{} messages, {} lost", report.messages, report.lost);
+//! # Ok::<(), lsfb_capture::Error>(())
+//! ```
+
+mod camera;
+pub mod clock;
+mod config;
+mod error;
+mod health;
+mod imu;
+mod lidar;
+mod recorder;
+mod replay;
+mod session;
+mod sidecar;
+mod sync;
+
+pub use config::{CameraUnitConfig, DevicesConfig, ImuLineConfig, LidarNetConfig, Overflow, SidecarConfig};
+pub use error::Error;
+pub use health::{CaptureReport, Ending, StreamReport};
+pub use replay::{ReplayConfig, replay};
+pub use session::Session;
+pub use sync::GroupReport;

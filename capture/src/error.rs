@@ -1,0 +1,44 @@
+use std::path::PathBuf;
+
+/// Why a recording could not be made.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A device could not be opened.
+    #[error(transparent)]
+    Device(#[from] lsfb_drivers::Error),
+    /// The recording could not be written.
+    #[error(transparent)]
+    Recording(#[from] lsfb_recording::Error),
+    /// The rig file is unusable.
+    #[error(transparent)]
+    Rig(#[from] lsfb_geometry::RigError),
+    /// The list of devices is unusable.
+    #[error("{}: {message}", path.display())]
+    Config {
+        /// The file.
+        path: PathBuf,
+        /// Line and reason.
+        message: String,
+    },
+    /// A file could not be read.
+    #[error("{}: {cause}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        #[source]
+        cause: std::io::Error,
+    },
+    /// The list of devices names none.
+    #[error("no device is configured; name at least one of [lidar], [[camera]], [imu], [sidecar]")]
+    NoDevice,
+    /// No thread could be started, or one ended without a word.
+    #[error("thread {name}: {message}")]
+    Thread {
+        /// The thread.
+        name: String,
+        /// What happened.
+        message: String,
+    },
+}

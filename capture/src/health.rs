@@ -1,0 +1,83 @@
+//! What was received, written and lost.
+
+use std::path::PathBuf;
+
+use lsfb_drivers::WireError;
+use serde::Serialize;
+
+use crate::sync::GroupReport;
+
+/// Why a stream ended.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Ending {
+    /// The recording was stopped.
+    #[default]
+    Stopped,
+    /// The device said goodbye, or the file was read to its end.
+    EndOfStream,
+    /// The device was lost; the others went on.
+    Lost(String),
+}
+
+/// What one device sent, and what became of it.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct StreamReport {
+    /// Name of the device.
+    pub name: String,
+    /// Packets, frames or messages received.
+    pub received: u64,
+    /// Samples decoded.
+    pub decoded: u64,
+    /// Packets that could not be read; recorded raw where the device has a raw topic.
+    pub bad: u64,
+    /// What the device's own counters say never arrived.
+    pub missing: u64,
+    /// Repetitions left out.
+    pub duplicated: u64,
+    /// Samples dropped because the writer's queue was full.
+    pub dropped: u64,
+    /// The first packet that could not be read: number and reason.
+    pub first_bad: Option<String>,
+    /// What an operator should know.
+    pub notes: Vec<String>,
+    /// Why it ended.
+    pub ending: Ending,
+}
+
+impl StreamReport {
+    pub(crate) fn new(name: &str) -> Self {
+        Self { name: name.to_owned(), ..Self::default() }
+    }
+
+    /// Counts a packet that could not be read.
+    pub(crate) fn count_bad(&mut self, error: WireError) {
+        self.bad += 1;
+        if self.first_bad.is_none() {
+            self.first_bad = Some(format!("packet {}: {error}", self.received));
+        }
+    }
+
+    /// Whatever should have been recorded and was not.
+    pub fn lost(&self) -> u64 {
+        let gone = u64::from(matches!(self.ending, Ending::Lost(_)));
+        self.bad + self.missing + self.dropped + gone
+    }
+}
+
+/// What a recording session did.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CaptureReport {
+    /// The recording.
+    pub path: PathBuf,
+    /// Its size, bytes.
+    pub bytes: u64,
+    /// Messages in it.
+    pub messages: u64,
+    /// One entry per device.
+    pub streams: Vec<StreamReport>,
+    /// How the cameras' images fit together.
+    pub groups: GroupReport,
+    /// Sum of everything that should have been recorded and was not; 0 is the only good value.
+    pub lost: u64,
+}

@@ -1,0 +1,211 @@
+//! One recording session: opens devices, runs their threads, waits for the end.
+
+use std::net::SocketAddr;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use lsfb_drivers::camera::model::FrameFormat;
+use lsfb_drivers::camera::{CameraConfig, DecoderConfig, MyntCamera};
+use lsfb_drivers::imu::{ImuConfig, XsensImu};
+use lsfb_drivers::transport::udp::UdpSource;
+use lsfb_drivers::phone::{self, SidecarServer};
+use lsfb_drivers::velodyne::{self, VelodyneConfig};
+use lsfb_geometry::Rig;
+use lsfb_types::{Progress, ProgressFn};
+
+use crate::config::{CameraUnitConfig, DevicesConfig};
+use crate::health::StreamReport;
+use crate::recorder::{self, Inlet, Recorder};
+use crate::{CaptureReport, Error, camera, imu, lidar, sidecar};
+
+/// What device threads share.
+#[derive(Debug)]
+pub(crate) struct Control {
+    stop: AtomicBool,
+    /// Devices that end by themselves and have not ended yet.
+    running: AtomicUsize,
+    pub(crate) progress: Arc<Counts>,
+}
+
+impl Control {
+    pub(crate) fn is_stopping(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    /// Whether no device is left that says when it ends. A LiDAR alone never ends by itself.
+    pub(crate) fn others_ended(&self) -> bool {
+        self.running.load(Ordering::Relaxed) == 0
+    }
+}
+
+/// What has been handled so far, for progress and for senders that must not run ahead of the recording.
+#[derive(Debug, Default)]
+pub struct Counts {
+    /// LiDAR packets of both kinds.
+    pub lidar_packets: AtomicU64,
+    /// Images.
+    pub images: AtomicU64,
+    /// IMU samples.
+    pub imu_samples: AtomicU64,
+    /// Messages of sidecars.
+    pub sidecar_messages: AtomicU64,
+}
+
+/// Opened devices, not yet recording.
+pub struct Session {
+    config: DevicesConfig,
+    rig: Option<Rig>,
+    lidar: Option<UdpSource>,
+    cameras: Vec<(MyntCamera, CameraUnitConfig, FrameFormat)>,
+    imu: Option<XsensImu>,
+    sidecar: Option<SidecarServer>,
+    counts: Arc<Counts>,
+}
+
+impl Session {
+    /// Opens and configures every device; the first that refuses is the error.
+    pub fn open(config: &DevicesConfig) -> Result<Self, Error> {
+        if config.lidar.is_none() && config.cameras.is_empty() && config.imu.is_none() && config.sidecar.is_none() {
+            return Err(Error::NoDevice);
+        }
+        let rig = config.rig.as_deref().map(Rig::read).transpose()?;
+        let lidar = match &config.lidar {
+            Some(net) => Some(velodyne::open(&VelodyneConfig {
+                data_bind: net.data,
+                position_bind: net.position,
+                ..VelodyneConfig::default()
+            })?),
+            None => None,
+        };
+        let mut cameras = Vec::new();
+        for unit in &config.cameras {
+            let format = FrameFormat { width: unit.frame_px[0], height: unit.frame_px[1] };
+            let open = CameraConfig {
+                path: unit.path.clone(),
+                serial: unit.serial.clone(),
+                format,
+                rate_hz: unit.rate_hz,
+                ..CameraConfig::default()
+            };
+            cameras.push((MyntCamera::open(&open)?, unit.clone(), format));
+        }
+        let imu = match &config.imu {
+            Some(line) => {
+                Some(XsensImu::open(&ImuConfig { path: line.path.clone(), baud: line.baud, rate_hz: line.rate_hz })?)
+            }
+            None => None,
+        };
+        let sidecar = config.sidecar.as_ref().map(|s| SidecarServer::bind(&phone::SidecarConfig { address: s.listen, ..phone::SidecarConfig::default() })).transpose()?;
+        Ok(Self { config: config.clone(), rig, lidar, cameras, imu, sidecar, counts: Arc::default() })
+    }
+
+    /// Where LiDAR data packets and position packets are expected, in this order; empty without a LiDAR.
+    pub fn lidar_addresses(&self) -> Vec<SocketAddr> {
+        self.lidar.as_ref().map(UdpSource::local_addresses).unwrap_or_default()
+    }
+
+    /// Where sidecars connect.
+    pub fn sidecar_address(&self) -> Option<SocketAddr> {
+        self.sidecar.as_ref().map(SidecarServer::address)
+    }
+
+    /// Live counts; they go on counting while [`Session::run`] runs.
+    pub fn counts(&self) -> Arc<Counts> {
+        Arc::clone(&self.counts)
+    }
+
+    /// Records into `out` until every device has ended or `stop` is set; then closes the file properly.
+    pub fn run(self, out: &Path, stop: &AtomicBool, progress: ProgressFn<'_>) -> Result<CaptureReport, Error> {
+        recorder::make_folder(out)?;
+        let camera_names = self.config.cameras.iter().flat_map(|c| c.names.clone()).collect();
+        let recorder = Recorder::start(out, self.rig, camera_names, self.config.overflow)?;
+        let finite = self.cameras.len() + usize::from(self.imu.is_some()) + usize::from(self.sidecar.is_some());
+        let control = Arc::new(Control {
+            stop: AtomicBool::new(false),
+            // A LiDAR alone runs until it is stopped.
+            running: AtomicUsize::new(if finite == 0 { usize::MAX } else { finite }),
+            progress: Arc::clone(&self.counts),
+        });
+        let mut threads = Threads { control: Arc::clone(&control), running: Vec::new(), inlet: recorder.inlet() };
+        if let Some(source) = self.lidar {
+            threads.start("lidar", Ends::Never, |inlet, control| lidar::record(source, inlet, control))?;
+        }
+        for (index, (unit, config, format)) in self.cameras.into_iter().enumerate() {
+            let decoder = DecoderConfig { format, ..DecoderConfig::default() };
+            threads.start(&format!("camera{index}"), Ends::ByItself, move |inlet, control| {
+                camera::record(unit, &config, decoder, inlet, control)
+            })?;
+        }
+        if let Some(unit) = self.imu {
+            threads.start("imu", Ends::ByItself, |inlet, control| imu::record(unit, inlet, control))?;
+        }
+        if let Some(server) = self.sidecar {
+            threads.start("sidecar", Ends::ByItself, |inlet, control| sidecar::record(server, inlet, control))?;
+        }
+        let streams = threads.wait(stop, progress)?;
+        let written = recorder.finish()?;
+        let lost = streams.iter().map(StreamReport::lost).sum::<u64>() + written.groups.incomplete;
+        Ok(CaptureReport {
+            path: written.summary.path,
+            bytes: written.summary.bytes,
+            messages: written.summary.messages,
+            streams,
+            groups: written.groups,
+            lost,
+        })
+    }
+}
+
+/// Whether a device says when it has no more to send.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Ends {
+    ByItself,
+    Never,
+}
+
+struct Threads {
+    control: Arc<Control>,
+    running: Vec<(String, JoinHandle<StreamReport>)>,
+    inlet: Inlet,
+}
+
+impl Threads {
+    fn start(
+        &mut self,
+        name: &str,
+        ends: Ends,
+        work: impl FnOnce(&Inlet, &Control) -> StreamReport + Send + 'static,
+    ) -> Result<(), Error> {
+        let (inlet, control) = (self.inlet.clone(), Arc::clone(&self.control));
+        let thread = recorder::spawn(name, move || {
+            let report = work(&inlet, &control);
+            if ends == Ends::ByItself {
+                control.running.fetch_sub(1, Ordering::Relaxed);
+            }
+            report
+        })?;
+        self.running.push((name.to_owned(), thread));
+        Ok(())
+    }
+
+    fn wait(self, stop: &AtomicBool, progress: ProgressFn<'_>) -> Result<Vec<StreamReport>, Error> {
+        let mut last_shown = Instant::now();
+        while !self.running.iter().all(|(_, thread)| thread.is_finished()) {
+            if stop.load(Ordering::Relaxed) {
+                self.control.stop.store(true, Ordering::Relaxed);
+            }
+            if last_shown.elapsed() > Duration::from_millis(250) {
+                last_shown = Instant::now();
+                let c = &self.control.progress;
+                let counts = [&c.lidar_packets, &c.images, &c.imu_samples, &c.sidecar_messages];
+                let done = counts.iter().map(|c| c.load(Ordering::Relaxed)).sum();
+                progress(Progress { stage: "recording", done, total: 0 });
+            }
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        self.running.into_iter().map(|(name, thread)| recorder::join(&name, thread)).collect()
+    }
+}

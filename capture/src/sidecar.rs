@@ -1,0 +1,157 @@
+//! Phones and glasses: what they describe and send goes into the recording word for word.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use lsfb_drivers::phone::model::CLOCK_UTC;
+use lsfb_drivers::phone::wire::Advertise;
+use lsfb_drivers::phone::{SidecarCounters, SidecarEvent, SidecarMessage, SidecarServer};
+use lsfb_geometry::Rig;
+use lsfb_types::Timestamp;
+
+use crate::clock::OneWayClock;
+use crate::health::{Ending, StreamReport};
+use crate::recorder::{Entry, Inlet, WriterGone};
+use crate::session::Control;
+
+/// The only encoding a recording holds.
+const ENCODING: &str = "cdr";
+/// Key of the rig's TOML in a channel's static metadata.
+const RIG_KEY: &str = "rig_toml";
+
+/// One app.
+#[derive(Default)]
+struct App {
+    device: String,
+    channels: BTreeMap<u32, Channel>,
+    rig_seen: bool,
+}
+
+struct Channel {
+    advertised: Advertise,
+    /// For clocks that are not UTC.
+    clock: OneWayClock,
+}
+
+/// Records until every app that came has gone, or the session stops.
+pub(crate) fn record(mut server: SidecarServer, inlet: &Inlet, control: &Control) -> StreamReport {
+    let mut recording = Sidecars { apps: BTreeMap::new(), report: StreamReport::new("sidecar"), failure: None };
+    let mut seen = false;
+    let ending = loop {
+        match server.recv(Duration::from_millis(50)) {
+            Ok(Some(SidecarEvent::Message { connection, arrival, message })) => {
+                seen = true;
+                if recording.message(connection, arrival, message, inlet).is_err() {
+                    break Ending::Stopped;
+                }
+                control.progress.sidecar_messages.store(recording.report.decoded, Ordering::Relaxed);
+            }
+            Ok(Some(SidecarEvent::Closed { connection, counters, error })) => {
+                recording.closed(connection, counters, error);
+                if seen && recording.apps.is_empty() {
+                    break recording.failure.take().map_or(Ending::EndOfStream, Ending::Lost);
+                }
+            }
+            Ok(None) => {}
+            Err(error) => break Ending::Lost(error.to_string()),
+        }
+        if control.is_stopping() {
+            break Ending::Stopped;
+        }
+    };
+    recording.report.ending = ending;
+    recording.report
+}
+
+struct Sidecars {
+    apps: BTreeMap<u64, App>,
+    report: StreamReport,
+    failure: Option<String>,
+}
+
+impl Sidecars {
+    fn message(
+        &mut self,
+        connection: u64,
+        arrival: Timestamp,
+        message: SidecarMessage,
+        inlet: &Inlet,
+    ) -> Result<(), WriterGone> {
+        let app = self.apps.entry(connection).or_default();
+        match message {
+            SidecarMessage::Hello(hello) => app.device = hello.device,
+            SidecarMessage::Advertise(advertised) => {
+                if let Some(problem) = unfit(&advertised) {
+                    self.report.bad += 1;
+                    self.report.first_bad.get_or_insert(problem);
+                    return Ok(());
+                }
+                let rig = rig_of(&advertised).filter(|_| !app.rig_seen);
+                let owner = app.device.clone();
+                app.rig_seen |= rig.is_some();
+                app.channels
+                    .insert(advertised.channel, Channel { advertised, clock: OneWayClock::default() });
+                match rig {
+                    Some(Ok(rig)) => inlet.put(Entry::Rig { owner, rig: Box::new(rig) }, &mut self.report)?,
+                    Some(Err(problem)) => self.report.notes.push(problem),
+                    None => {}
+                }
+            }
+            SidecarMessage::Data { channel, device_time_ns, payload, .. } => {
+                self.report.received += 1;
+                // A channel whose description was refused; that is counted already.
+                let Some(channel) = app.channels.get_mut(&channel) else { return Ok(()) };
+                let time = if channel.advertised.clock_id == CLOCK_UTC {
+                    Timestamp::from_nanos(device_time_ns)
+                } else {
+                    channel.clock.push(device_time_ns, arrival);
+                    channel.clock.time(device_time_ns)
+                };
+                self.report.decoded += 1;
+                let entry = Entry::Cdr {
+                    topic: channel.advertised.topic.clone(),
+                    schema_name: channel.advertised.schema_name.clone(),
+                    schema_text: String::from_utf8_lossy(&channel.advertised.schema).into_owned(),
+                    time,
+                    arrival,
+                    bytes: payload,
+                };
+                inlet.put(entry, &mut self.report)?;
+            }
+            SidecarMessage::Bye { .. } => {}
+        }
+        Ok(())
+    }
+
+    fn closed(&mut self, connection: u64, counters: SidecarCounters, error: Option<lsfb_drivers::Error>) {
+        let app = self.apps.remove(&connection).unwrap_or_default();
+        self.report.bad += counters.bad_checksum + counters.malformed;
+        // Damaged envelopes are among the missing: their numbers never came.
+        self.report.missing += counters.missing.saturating_sub(counters.bad_checksum);
+        self.report.duplicated += counters.duplicated;
+        if let Some(error) = error {
+            self.failure = Some(format!("{}: {error}", app.device));
+        }
+    }
+}
+
+/// Why a channel cannot be recorded.
+fn unfit(advertised: &Advertise) -> Option<String> {
+    let Advertise { topic, encoding, .. } = advertised;
+    if encoding != ENCODING {
+        return Some(format!("channel {topic}: encoding {encoding:?}, a recording holds {ENCODING:?} only"));
+    }
+    let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '/' | '_' | '-' | '.');
+    if !topic.starts_with("/sidecar/") || !topic.chars().all(allowed) {
+        return Some(format!("channel {topic:?}: the topic must begin with /sidecar/ and be plain ASCII"));
+    }
+    None
+}
+
+/// The rig an app brings, if it does.
+fn rig_of(advertised: &Advertise) -> Option<Result<Rig, String>> {
+    let metadata: serde_json::Value = serde_json::from_str(&advertised.metadata_json).ok()?;
+    let text = metadata.get(RIG_KEY)?.as_str()?;
+    Some(Rig::from_toml(text, &advertised.topic).map_err(|e| e.to_string()))
+}
