@@ -101,34 +101,46 @@ pub(crate) struct Index {
 pub(crate) fn read(source: &Source, data_start: u64) -> Result<Index, Error> {
     match from_summary(source)? {
         FromSummary::Index(index) => Ok(index),
-        FromSummary::None => Scan::run(source, data_start, None),
-        FromSummary::Broken(reason) => Scan::run(source, data_start, Some(reason)),
+        FromSummary::None => Scan::run(source, data_start, NoSummary::ByIntent),
+        FromSummary::CutOff => Scan::run(source, data_start, NoSummary::CutOff),
+        FromSummary::Broken(reason) => Scan::run(source, data_start, NoSummary::Broken(reason)),
     }
 }
 
 enum FromSummary {
     Index(Index),
-    /// The file has none, by intent or because it was interrupted.
     None,
+    CutOff,
+    Broken(&'static str),
+}
+
+/// Why a file is walked over.
+#[derive(Clone, Copy)]
+enum NoSummary {
+    ByIntent,
+    CutOff,
     Broken(&'static str),
 }
 
 fn from_summary(source: &Source) -> Result<FromSummary, Error> {
     let tail_bytes = record::FOOTER_BYTES + mcap::MAGIC.len() as u64;
     let Some(footer_offset) = source.bytes.checked_sub(tail_bytes) else {
-        return Ok(FromSummary::None);
+        return Ok(FromSummary::CutOff);
     };
     let tail = source.read(footer_offset, tail_bytes)?;
     let mut records = tail.as_slice();
     let Some((opcode::FOOTER, footer)) = record::next_record(&mut records) else {
-        return Ok(FromSummary::None);
+        return Ok(FromSummary::CutOff);
     };
     let mut fields = record::Fields(footer);
     let (Some(start), Some(_offsets), Some(crc)) = (fields.u64(), fields.u64(), fields.u32())
     else {
-        return Ok(FromSummary::None);
+        return Ok(FromSummary::CutOff);
     };
-    if records != mcap::MAGIC || start == 0 {
+    if records != mcap::MAGIC {
+        return Ok(FromSummary::CutOff);
+    }
+    if start == 0 {
         return Ok(FromSummary::None);
     }
     if start >= footer_offset {
@@ -140,15 +152,13 @@ fn from_summary(source: &Source) -> Result<FromSummary, Error> {
         hasher.update(&summary);
         hasher.update(&tail[..(HEAD_BYTES + 16) as usize]);
         if hasher.finalize() != crc {
-            return Ok(FromSummary::Broken("the checksum of the summary differs"));
+            return Ok(FromSummary::Broken("its checksum differs"));
         }
     }
     match parse_summary(&summary, start) {
         Some(Parsed::Index(index)) => Ok(FromSummary::Index(index)),
         Some(Parsed::NoChunkIndex) => Ok(FromSummary::None),
-        None => Ok(FromSummary::Broken(
-            "the summary does not describe this file",
-        )),
+        None => Ok(FromSummary::Broken("it does not describe this file")),
     }
 }
 
@@ -242,11 +252,7 @@ enum Step {
 }
 
 impl<'a> Scan<'a> {
-    fn run(
-        source: &'a Source,
-        data_start: u64,
-        broken_summary: Option<&str>,
-    ) -> Result<Index, Error> {
+    fn run(source: &'a Source, data_start: u64, no_summary: NoSummary) -> Result<Index, Error> {
         let mut scan = Self {
             source,
             index: Index::default(),
@@ -299,14 +305,17 @@ impl<'a> Scan<'a> {
                 reason: "the recording has no end: its writer was interrupted".to_owned(),
             });
         }
-        if let Some(reason) = broken_summary {
-            scan.index.damage.push(Damage {
-                offset: source.bytes,
-                bytes: 0,
-                messages: None,
-                reason: format!("index rebuilt from the data: {reason}"),
-            });
-        }
+        let rebuilt = match no_summary {
+            NoSummary::Broken(reason) => Some(reason),
+            NoSummary::CutOff if found_end => Some("its end is cut off"),
+            NoSummary::CutOff | NoSummary::ByIntent => None,
+        };
+        scan.index.damage.extend(rebuilt.map(|reason| Damage {
+            offset: source.bytes,
+            bytes: 0,
+            messages: None,
+            reason: format!("the index was rebuilt from the data, since {reason}"),
+        }));
         scan.report_unknown_channels();
         Ok(scan.index)
     }

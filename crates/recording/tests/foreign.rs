@@ -1,0 +1,126 @@
+//! Readers written by others open our recordings and find the values we wrote.
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+#![allow(clippy::print_stderr, reason = "a skipped test says so")]
+
+use std::process::Command;
+
+use lsfb_geometry::{Camera, Rig, RigCamera, RigLidar, Se3, Vector6};
+use lsfb_recording::{Compression, LIDAR_POSITION, Writer, WriterConfig};
+use lsfb_types::{Image, ImuSample, LidarPoint, LidarScan, Packet, Stamped, Timestamp};
+
+const START: Timestamp = Timestamp::from_nanos(1_772_359_200_123_456_789);
+
+fn stamped<T>(n: u32, sample: T) -> Stamped<T> {
+    let time = START + i64::from(n) * 100_000_000;
+    Stamped {
+        time,
+        arrival: time + 3_000_000,
+        device_ticks: 5_000_000_000 + u64::from(n),
+        sample,
+    }
+}
+
+/// Values that `check.py` computes as well.
+fn write(path: &std::path::Path, compression: Compression) {
+    let config = WriterConfig {
+        compression,
+        chunk_secs: 0.5,
+        ..WriterConfig::default()
+    };
+    let mut writer = Writer::create(path, &config).unwrap();
+    let pose = Se3::exp(&Vector6::new(0.0, 0.0, 0.5, 0.25, -0.5, 1.0));
+    let camera = Camera::pinhole(6, 4, [5.0, 5.5], [2.5, 1.5]);
+    writer
+        .attach_rig(&Rig {
+            name: "backpack".into(),
+            cameras: [(
+                "cam0".to_owned(),
+                RigCamera {
+                    camera,
+                    rig_from_camera: pose,
+                },
+            )]
+            .into(),
+            imu: None,
+            lidar: Some(RigLidar {
+                rig_from_lidar: pose,
+                range_noise_m: 0.02,
+            }),
+        })
+        .unwrap();
+    for n in 0..20u32 {
+        let pixels = (0..24).map(|i| (i * 3 + n) as u8).collect();
+        let image = Image {
+            width: 6,
+            height: 4,
+            pixels,
+            exposure_ns: 4_000_000 + n,
+            frame_id: n,
+        };
+        writer
+            .write_image_with_trailer("cam0", &stamped(n, image), &[0x3b, n as u8])
+            .unwrap();
+        let sample = ImuSample {
+            angular_velocity_rad_s: [f64::from(n) * 0.25, -1.0, 0.5],
+            specific_force_m_s2: [0.125, f64::from(n), 9.75],
+        };
+        writer.write_imu("imu0", &stamped(n, sample)).unwrap();
+        let points = (0..3u16).map(|i| LidarPoint {
+            position_m: [f32::from(i) + 0.5, n as f32, -0.25],
+            intensity: 10 * i as u8,
+            ring: i,
+            time_offset_ns: 55_296 * u32::from(i),
+        });
+        writer
+            .write_scan(&stamped(
+                n,
+                LidarScan {
+                    points: points.collect(),
+                },
+            ))
+            .unwrap();
+        let time = stamped(n, ()).time;
+        let packet = |i: u8, bytes: usize| Packet {
+            arrival: time + i64::from(i),
+            bytes: vec![i + n as u8; bytes],
+        };
+        writer
+            .write_velodyne_packets(time, &[packet(0, 1206), packet(1, 1206), packet(2, 1206)])
+            .unwrap();
+        writer
+            .write_raw(LIDAR_POSITION, 0, u64::from(n), &packet(3, 512), time)
+            .unwrap();
+    }
+    writer.finish().unwrap();
+}
+
+#[test]
+fn mcap_and_rosbags_read_every_value() {
+    let Some(python) = std::env::var_os("LSFB_FOREIGN_PYTHON") else {
+        eprintln!(
+            "skipped: mcap_and_rosbags_read_every_value: LSFB_FOREIGN_PYTHON names no python"
+        );
+        return;
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/foreign/check.py");
+    for compression in [Compression::Lz4, Compression::Zstd, Compression::None] {
+        let path = dir.path().join("walk.mcap");
+        write(&path, compression);
+        let output = Command::new(&python)
+            .arg(script)
+            .arg(&path)
+            .output()
+            .unwrap();
+        let said = String::from_utf8_lossy(&output.stdout);
+        assert!(
+            output.status.success(),
+            "{said}{}",
+            String::from_utf8_lossy(&output.stderr)
+        );
+        assert!(
+            said.contains("mcap: 163 messages") && said.contains("rosbags: 163 messages"),
+            "{said}"
+        );
+    }
+}

@@ -1,0 +1,131 @@
+"""Reads the recording that tests/foreign.rs writes with PyPI `mcap` and `rosbags`, and compares every value.
+
+Usage: check.py RECORDING. Needs: mcap lz4 zstandard rosbags.
+"""
+
+import struct
+import sys
+
+from mcap.reader import SeekingReader, NonSeekingReader
+from rosbags.rosbag2.storage_mcap import McapReader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+START = 1_772_359_200_123_456_789
+
+
+def stamp_of(header):
+    return header.stamp.sec * 10**9 + header.stamp.nanosec
+
+
+def check(topic, n, message, publish_time, log_time):
+    """One message: its number on the topic tells what must be in it."""
+    time = START + n * 100_000_000
+    if topic == "/tf_static":
+        frames = [(t.header.frame_id, t.child_frame_id) for t in message.transforms]
+        assert frames == [("rig", "cam0"), ("rig", "lidar")], frames
+        rotation = message.transforms[0].transform.rotation
+        assert abs(rotation.z - 0.24740395925452294) < 1e-15 and abs(rotation.w - 0.9689124217106447) < 1e-15
+        return
+    if topic == "/cam0/camera_info":
+        assert (message.width, message.height, message.distortion_model) == (6, 4, "plumb_bob")
+        assert list(message.k) == [5.0, 0.0, 2.5, 0.0, 5.5, 1.5, 0.0, 0.0, 1.0]
+        assert list(message.p)[:8] == [5.0, 0.0, 2.5, 0.0, 0.0, 5.5, 1.5, 0.0] and len(message.d) == 5
+        return
+    assert stamp_of(message.header) == time == publish_time, (topic, n)
+    data = bytes(message.data) if hasattr(message, "data") else b""
+    if topic == "/lidar/packets":
+        assert log_time == time + 2
+        assert [p.stamp.sec * 10**9 + p.stamp.nanosec for p in message.packets] == [time, time + 1, time + 2]
+        assert [bytes(p.data) for p in message.packets] == [bytes([i + n]) * 1206 for i in range(3)]
+    elif topic == "/lidar/position":
+        assert log_time == time + 3
+        assert (message.source, message.kind, message.seq) == ("lidar/position", 0, n)
+        assert data == bytes([3 + n]) * 512
+    else:
+        assert log_time == time + 3_000_000
+        if topic == "/cam0/image":
+            assert (message.width, message.height, message.encoding, message.step) == (6, 4, "mono8", 6)
+            assert message.header.frame_id == "cam0" and data == bytes(i * 3 + n for i in range(24))
+        elif topic == "/cam0/frame_meta":
+            meta = (message.frame_id, message.device_ticks, message.exposure_ns, bytes(message.trailer))
+            assert meta == (n, 5_000_000_000 + n, 4_000_000 + n, bytes([0x3B, n]))
+        elif topic == "/imu0/data_raw":
+            rate, force = message.angular_velocity, message.linear_acceleration
+            assert (rate.x, rate.y, rate.z) == (n * 0.25, -1.0, 0.5)
+            assert (force.x, force.y, force.z) == (0.125, n, 9.75)
+            assert message.orientation_covariance[0] == -1.0
+        elif topic in ("/imu0/time_ref", "/lidar/time_ref"):
+            assert message.time_ref.sec * 10**9 + message.time_ref.nanosec == 5_000_000_000 + n
+        elif topic == "/lidar/points":
+            assert [f.name for f in message.fields] == ["x", "y", "z", "intensity", "ring", "t"]
+            points = [struct.unpack_from("<ffffHxxI", data, i * message.point_step) for i in range(message.width)]
+            assert points == [(i + 0.5, n, -0.25, 10.0 * i, i, 55_296 * i) for i in range(3)], points
+        else:
+            raise AssertionError(f"unexpected topic {topic}")
+
+
+def types_of(schemas):
+    """A type store that knows nothing but what the recording itself says."""
+    store = get_typestore(Stores.EMPTY)
+    for name, text in schemas:
+        types = get_types_from_msg(text, name)
+        store.register({k: v for k, v in types.items() if k not in store.fielddefs})
+    return store
+
+
+def check_all(reader_name, messages, deserialise):
+    counts = {}
+    for topic, kind, data, publish_time, log_time in messages:
+        n = counts.get(topic, 0)
+        check(topic, n, deserialise(data, kind), publish_time, log_time)
+        counts[topic] = n + 1
+    expected = {"/tf_static": 1, "/cam0/camera_info": 2}
+    for topic, count in counts.items():
+        assert count == expected.get(topic, 20), (topic, count)
+    print(f"{reader_name}: {sum(counts.values())} messages")
+
+
+def main(path):
+    with open(path, "rb") as stream:
+        reader = SeekingReader(stream, validate_crcs=True)
+        assert reader.get_header().profile == "ros2"
+        summary = reader.get_summary()
+        assert all(c.message_encoding == "cdr" for c in summary.channels.values())
+        assert all(s.encoding == "ros2msg" for s in summary.schemas.values())
+        store = types_of([(s.name, s.data.decode()) for s in summary.schemas.values()])
+        items = [
+            (c.topic, s.name, m.data, m.publish_time, m.log_time)
+            for s, c, m in reader.iter_messages(log_time_order=False)
+        ]
+        check_all("mcap", items, store.deserialize_cdr)
+        assert [a.name for a in reader.iter_attachments()] == ["rig.toml"]
+        metadata = {m.name: m.metadata for m in reader.iter_metadata()}
+        assert metadata["lsfb.session"]["software"].startswith("lsfb ")
+        stream.seek(0)
+        linear = NonSeekingReader(stream, validate_crcs=True)
+        assert len(list(linear.iter_messages())) == len(items)
+
+    from pathlib import Path
+
+    bag = McapReader(Path(path))
+    bag.open()
+    schemas = {s.name: s.data for s in bag.schemas.values()}
+    store = types_of(schemas.items())
+    publish_times = {}
+    for topic, _, _, publish_time, _ in items:
+        publish_times.setdefault(topic, []).append(publish_time)
+    taken = {}
+
+    def messages():
+        # rosbags gives the log time only.
+        for connection, log_time, data in bag.messages(bag.connections):
+            n = taken.get(connection.topic, 0)
+            taken[connection.topic] = n + 1
+            yield connection.topic, connection.msgtype, data, publish_times[connection.topic][n], log_time
+
+    check_all("rosbags", messages(), store.deserialize_cdr)
+    bag.close()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
