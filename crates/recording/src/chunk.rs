@@ -3,8 +3,9 @@
 use std::io::Read;
 
 use crate::error::Error;
-use crate::index::{ChunkEntry, Source};
+use crate::index::ChunkEntry;
 use crate::record::{self, HEAD_BYTES, Packing, opcode};
+use crate::source::Source;
 
 /// Larger chunks, packed or unpacked, are refused: nobody writes them, and length fields may lie.
 const MAX_CHUNK_BYTES: u64 = 1 << 30;

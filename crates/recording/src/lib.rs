@@ -23,21 +23,27 @@
 
 mod cdr;
 mod chunk;
+mod encoder;
 mod error;
 mod index;
+mod layout;
 pub mod message;
 mod provenance;
 mod reader;
 mod record;
+mod scan;
 mod sink;
+mod source;
 mod summary;
 mod topic;
 mod tum;
+mod walk;
 mod writer;
 
 pub use error::{Damage, Error};
+pub use layout::{Channel, Compression, Durability, Summary, TopicSummary, WriterConfig};
 pub use provenance::{Provenance, sha256_of};
 pub use reader::{ArrivalRange, CameraImage, CdrMessage, RecordedPacket, Recording};
 pub use topic::LIDAR_POSITION;
 pub use tum::{read_tum, write_tum};
-pub use writer::{Channel, Compression, Durability, Summary, TopicSummary, Writer, WriterConfig};
+pub use writer::Writer;

@@ -6,14 +6,13 @@ use lsfb_types::{Image, ImuSample, LidarScan, Packet, Progress, ProgressFn, Stam
 
 use crate::cdr::CdrError;
 use crate::error::{Damage, Error};
-use crate::index::{Index, Source};
+use crate::index::Index;
+use crate::layout::TopicSummary;
 use crate::message::{self, FrameMeta};
 use crate::record::{self, HEAD_BYTES, MessageRecord, NamedRecord, opcode};
-use crate::writer::TopicSummary;
+use crate::source::Source;
+use crate::walk::{Role, Waiting, Walk, stamped, timestamp, with_ticks};
 use crate::{chunk, index, topic};
-
-/// Companion messages waiting for their sample; more than this many are not waited for.
-const MAX_WAITING_COMPANIONS: usize = 4096;
 
 /// A recording, read chunk by chunk: memory holds one chunk per iterator.
 ///
@@ -350,14 +349,7 @@ impl Recording {
         roles: BTreeMap<u16, Role>,
         mut decode: impl FnMut(Role, &MessageRecord<'_>) -> Result<Option<T>, CdrError>,
     ) -> impl Iterator<Item = Result<T, Error>> {
-        let mut walk = Walk {
-            recording: self,
-            roles,
-            next_chunk: 0,
-            chunk_offset: 0,
-            records: Vec::new(),
-            position: 0,
-        };
+        let mut walk = Walk::new(&self.source, &self.index, roles);
         std::iter::from_fn(move || {
             loop {
                 let found = match walk.next_message()? {
@@ -501,139 +493,4 @@ fn topics(index: &Index) -> Vec<TopicSummary> {
             .unwrap_or(0);
     }
     topics.into_values().collect()
-}
-
-/// MCAP times are unsigned; what does not fit is far outside any recording.
-fn timestamp(nanos: u64) -> Timestamp {
-    Timestamp::from_nanos(i64::try_from(nanos).unwrap_or(i64::MAX))
-}
-
-fn stamped<T>(message: &MessageRecord<'_>, device_ticks: u64, sample: T) -> Stamped<T> {
-    Stamped {
-        time: timestamp(message.publish_time),
-        arrival: timestamp(message.log_time),
-        device_ticks,
-        sample,
-    }
-}
-
-/// What a channel is to an iterator.
-#[derive(Clone, Copy, Debug)]
-enum Role {
-    /// Carries the samples of the n-th thing asked for.
-    Sample(usize),
-    /// Carries what belongs to them.
-    Companion(usize),
-}
-
-/// Companions whose sample is still to come, by number and publish time.
-struct Waiting<T>(BTreeMap<(usize, u64), T>);
-
-impl<T> Default for Waiting<T> {
-    fn default() -> Self {
-        Self(BTreeMap::new())
-    }
-}
-
-impl<T> Waiting<T> {
-    fn put(&mut self, of: usize, publish_time: u64, companion: T) {
-        if self.0.len() >= MAX_WAITING_COMPANIONS {
-            self.0.pop_first();
-        }
-        self.0.insert((of, publish_time), companion);
-    }
-
-    fn take(&mut self, of: usize, publish_time: u64) -> Option<T> {
-        self.0.remove(&(of, publish_time))
-    }
-}
-
-/// Decodes samples whose device counter travels beside them in a time reference.
-fn with_ticks<T>(
-    decode: impl Fn(&[u8]) -> Result<T, CdrError>,
-) -> impl FnMut(Role, &MessageRecord<'_>) -> Result<Option<Stamped<T>>, CdrError> {
-    let mut ticks = Waiting::default();
-    move |role, message| match role {
-        Role::Companion(of) => {
-            let reference = message::decode_time_reference(message.data)?;
-            ticks.put(of, message.publish_time, reference.device_ticks);
-            Ok(None)
-        }
-        Role::Sample(of) => {
-            let sample = decode(message.data)?;
-            let device_ticks = ticks.take(of, message.publish_time).unwrap_or(0);
-            Ok(Some(stamped(message, device_ticks, sample)))
-        }
-    }
-}
-
-/// The messages of some channels, chunk after chunk.
-struct Walk<'a> {
-    recording: &'a Recording,
-    roles: BTreeMap<u16, Role>,
-    next_chunk: usize,
-    chunk_offset: u64,
-    records: Vec<u8>,
-    position: usize,
-}
-
-struct Found<'a> {
-    role: Role,
-    message: MessageRecord<'a>,
-}
-
-impl Walk<'_> {
-    fn next_message(&mut self) -> Option<Result<Found<'_>, Error>> {
-        let (role, start, end) = loop {
-            let rest = self.records.get(self.position..).unwrap_or_default();
-            if rest.is_empty() {
-                if let Err(error) = self.load_next_chunk()? {
-                    return Some(Err(error));
-                }
-                continue;
-            }
-            let mut records = rest;
-            let Some((opcode, body)) = record::next_record(&mut records) else {
-                let lost = rest.len() as u64;
-                let reason = "records inside a chunk are broken".to_owned();
-                self.records.clear();
-                return Some(Err(self.recording.source.damaged(
-                    self.chunk_offset,
-                    lost,
-                    None,
-                    reason,
-                )));
-            };
-            let end = self.records.len() - records.len();
-            let start = end - body.len();
-            self.position = end;
-            if opcode != opcode::MESSAGE {
-                continue;
-            }
-            let role = record::message(body).and_then(|m| self.roles.get(&m.channel_id));
-            if let Some(role) = role {
-                break (*role, start, end);
-            }
-        };
-        let message = record::message(self.records.get(start..end)?)?;
-        Some(Ok(Found { role, message }))
-    }
-
-    /// `None` after the last chunk.
-    fn load_next_chunk(&mut self) -> Option<Result<(), Error>> {
-        self.records.clear();
-        self.position = 0;
-        loop {
-            let entry = self.recording.index.chunks.get(self.next_chunk)?;
-            self.next_chunk += 1;
-            if self.roles.keys().any(|id| entry.channels.contains(id)) {
-                self.chunk_offset = entry.offset;
-                return Some(chunk::read(
-                    &self.recording.source,
-                    entry,
-                    &mut self.records,
-                ));
-            }
-        }
-    }
 }

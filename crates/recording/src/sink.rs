@@ -2,7 +2,7 @@ use std::fs::File;
 use std::io::{BufWriter, Error, ErrorKind, Result, Seek, SeekFrom, Write};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use crate::writer::Durability;
+use crate::layout::Durability;
 
 /// What the writer needs to know of the file while the MCAP encoder owns the [`Sink`].
 #[derive(Default)]

@@ -416,3 +416,19 @@ fn what_is_not_there_is_named() {
     assert!(message(recording.scans().err().unwrap()).contains("/lidar/points"));
     assert!(recording.metadata("nothing").unwrap().is_empty());
 }
+
+#[test]
+fn the_rig_in_the_specification_is_one() {
+    let page = include_str!("../FORMAT.md");
+    let (_, rest) = page.split_once("```toml\n").unwrap();
+    let (example, _) = rest.split_once("```").unwrap();
+    let rig = Rig::from_toml(example, "FORMAT.md").unwrap();
+    assert_eq!(
+        (
+            rig.cameras["cam0"].camera.width,
+            rig.lidar.unwrap().range_noise_m
+        ),
+        (640, 0.03)
+    );
+    assert_eq!(rig.imu.unwrap().accel_bias_walk, 1e-4);
+}

@@ -1,0 +1,159 @@
+//! Walking over the messages of some channels, and joining each sample with what was written beside it.
+
+use std::collections::BTreeMap;
+
+use lsfb_types::{Stamped, Timestamp};
+
+use crate::cdr::CdrError;
+use crate::error::Error;
+use crate::index::Index;
+use crate::record::{self, MessageRecord, opcode};
+use crate::source::Source;
+use crate::{chunk, message};
+
+/// Companion messages waiting for their sample; more than this many are not waited for.
+const MAX_WAITING_COMPANIONS: usize = 4096;
+
+/// MCAP times are unsigned; what does not fit is far outside any recording.
+pub(crate) fn timestamp(nanos: u64) -> Timestamp {
+    Timestamp::from_nanos(i64::try_from(nanos).unwrap_or(i64::MAX))
+}
+
+pub(crate) fn stamped<T>(message: &MessageRecord<'_>, device_ticks: u64, sample: T) -> Stamped<T> {
+    Stamped {
+        time: timestamp(message.publish_time),
+        arrival: timestamp(message.log_time),
+        device_ticks,
+        sample,
+    }
+}
+
+/// What a channel is to an iterator.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Role {
+    /// Carries the samples of the n-th thing asked for.
+    Sample(usize),
+    /// Carries what belongs to them.
+    Companion(usize),
+}
+
+/// Companions whose sample is still to come, by number and publish time.
+pub(crate) struct Waiting<T>(BTreeMap<(usize, u64), T>);
+
+impl<T> Default for Waiting<T> {
+    fn default() -> Self {
+        Self(BTreeMap::new())
+    }
+}
+
+impl<T> Waiting<T> {
+    pub fn put(&mut self, of: usize, publish_time: u64, companion: T) {
+        if self.0.len() >= MAX_WAITING_COMPANIONS {
+            self.0.pop_first();
+        }
+        self.0.insert((of, publish_time), companion);
+    }
+
+    pub fn take(&mut self, of: usize, publish_time: u64) -> Option<T> {
+        self.0.remove(&(of, publish_time))
+    }
+}
+
+/// Decodes samples whose device counter travels beside them in a time reference.
+pub(crate) fn with_ticks<T>(
+    decode: impl Fn(&[u8]) -> Result<T, CdrError>,
+) -> impl FnMut(Role, &MessageRecord<'_>) -> Result<Option<Stamped<T>>, CdrError> {
+    let mut ticks = Waiting::default();
+    move |role, message| match role {
+        Role::Companion(of) => {
+            let reference = message::decode_time_reference(message.data)?;
+            ticks.put(of, message.publish_time, reference.device_ticks);
+            Ok(None)
+        }
+        Role::Sample(of) => {
+            let sample = decode(message.data)?;
+            let device_ticks = ticks.take(of, message.publish_time).unwrap_or(0);
+            Ok(Some(stamped(message, device_ticks, sample)))
+        }
+    }
+}
+
+/// The messages of some channels, chunk after chunk.
+pub(crate) struct Walk<'a> {
+    source: &'a Source,
+    index: &'a Index,
+    roles: BTreeMap<u16, Role>,
+    next_chunk: usize,
+    chunk_offset: u64,
+    records: Vec<u8>,
+    position: usize,
+}
+
+pub(crate) struct Found<'a> {
+    pub role: Role,
+    pub message: MessageRecord<'a>,
+}
+
+impl<'a> Walk<'a> {
+    pub fn new(source: &'a Source, index: &'a Index, roles: BTreeMap<u16, Role>) -> Self {
+        Self {
+            source,
+            index,
+            roles,
+            next_chunk: 0,
+            chunk_offset: 0,
+            records: Vec::new(),
+            position: 0,
+        }
+    }
+
+    pub fn next_message(&mut self) -> Option<Result<Found<'_>, Error>> {
+        let (role, start, end) = loop {
+            let rest = self.records.get(self.position..).unwrap_or_default();
+            if rest.is_empty() {
+                if let Err(error) = self.load_next_chunk()? {
+                    return Some(Err(error));
+                }
+                continue;
+            }
+            let mut records = rest;
+            let Some((opcode, body)) = record::next_record(&mut records) else {
+                let lost = rest.len() as u64;
+                let reason = "records inside a chunk are broken".to_owned();
+                self.records.clear();
+                return Some(Err(self.source.damaged(
+                    self.chunk_offset,
+                    lost,
+                    None,
+                    reason,
+                )));
+            };
+            let end = self.records.len() - records.len();
+            let start = end - body.len();
+            self.position = end;
+            if opcode != opcode::MESSAGE {
+                continue;
+            }
+            let role = record::message(body).and_then(|m| self.roles.get(&m.channel_id));
+            if let Some(role) = role {
+                break (*role, start, end);
+            }
+        };
+        let message = record::message(self.records.get(start..end)?)?;
+        Some(Ok(Found { role, message }))
+    }
+
+    /// `None` after the last chunk.
+    fn load_next_chunk(&mut self) -> Option<Result<(), Error>> {
+        self.records.clear();
+        self.position = 0;
+        loop {
+            let entry = self.index.chunks.get(self.next_chunk)?;
+            self.next_chunk += 1;
+            if self.roles.keys().any(|id| entry.channels.contains(id)) {
+                self.chunk_offset = entry.offset;
+                return Some(chunk::read(self.source, entry, &mut self.records));
+            }
+        }
+    }
+}
