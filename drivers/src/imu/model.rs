@@ -29,8 +29,6 @@ pub mod message {
     pub const GO_TO_MEASUREMENT: u8 = 0x10;
     /// Stop sending data, accept settings.
     pub const GO_TO_CONFIG: u8 = 0x30;
-    /// Sent by the unit after power-up.
-    pub const WAKE_UP: u8 = 0x3E;
     /// Measurement data.
     pub const MT_DATA2: u8 = 0x36;
     /// The unit refuses a request or reports a fault; data is one code.

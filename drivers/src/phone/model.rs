@@ -13,9 +13,3 @@ pub const MAX_CONNECTIONS: usize = 16;
 
 /// Clock of a device disciplined to UTC: its stamps need no mapping.
 pub const CLOCK_UTC: &str = "utc";
-/// Android's clock of sensors, nanoseconds since boot.
-pub const CLOCK_ANDROID: &str = "android.elapsedRealtime";
-/// The host clock of iOS.
-pub const CLOCK_IOS: &str = "ios.hostTime";
-/// A browser page's clock.
-pub const CLOCK_BROWSER: &str = "performance.now";

@@ -56,6 +56,7 @@ fn a_unit_is_configured_streams_and_ends() {
         let mut device = new_device();
         let mut unit = listener.accept()?;
         assert_eq!(serve_until_start(&mut unit, &mut device)?, 10);
+        let mut reads = 0;
         let pixels = vec![50; 640 * 400];
         let mut bytes = Vec::new();
         for frame_id in 0..FRAMES {
@@ -86,14 +87,16 @@ fn a_unit_is_configured_streams_and_ends() {
                 });
             }
             // Requests that have come meanwhile.
-            while unit.serve(&mut device, Duration::ZERO)?.is_some() {}
+            while let Some(request) = unit.serve(&mut device, Duration::ZERO)? {
+                reads += u32::from(matches!(request, UnitRequest::XuGet { .. }));
+            }
             unit.send_frame(&bytes)?;
         }
-        // The host's last requests.
-        while unit
-            .serve(&mut device, Duration::from_millis(50))?
-            .is_some()
-        {}
+        // Five polls and one option.
+        while reads < 6 {
+            let request = unit.serve(&mut device, Duration::from_secs(5))?;
+            reads += u32::from(matches!(request, Some(UnitRequest::XuGet { .. })));
+        }
         unit.finish()?;
         Ok(device.options().value(CameraOption::ImuFrequency))
     });

@@ -1,0 +1,71 @@
+//! The rules in `udev/` name the devices that the drivers know.
+
+use std::fs;
+use std::path::PathBuf;
+
+use lsfb_drivers::{camera, imu};
+
+fn rules(name: &str) -> Vec<String> {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+        .join("../udev")
+        .join(name);
+    let text = fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    text.lines()
+        .filter(|line| !line.is_empty() && !line.starts_with('#'))
+        .map(str::to_owned)
+        .collect()
+}
+
+fn has_device(rule: &str, vendor: u16, product: Option<u16>) -> bool {
+    let has = |key: &str, id: u16| {
+        rule.contains(&format!("ATTR{{{key}}}==\"{id:04x}\""))
+            || rule.contains(&format!("ATTRS{{{key}}}==\"{id:04x}\""))
+    };
+    has("idVendor", vendor) && product.is_none_or(|product| has("idProduct", product))
+}
+
+#[test]
+fn every_camera_rule_is_about_the_units_the_driver_knows() {
+    let rules = rules("70-lsfb-camera.rules");
+    assert_eq!(rules.len(), 4);
+    for rule in &rules {
+        let (vendor, product) = (camera::model::USB_VENDOR, camera::model::USB_PRODUCT);
+        assert!(has_device(rule, vendor, Some(product)), "{rule}");
+    }
+}
+
+#[test]
+fn every_imu_rule_is_about_the_units_the_driver_knows_or_their_converters() {
+    let rules = rules("70-lsfb-imu.rules");
+    assert_eq!(rules.len(), 5);
+    for rule in &rules {
+        let of_unit = has_device(rule, imu::model::USB_VENDOR, None);
+        assert!(of_unit || rule.contains("DRIVER==\"ftdi_sio\""), "{rule}");
+    }
+}
+
+/// Each rule is a list of `KEY{attribute}op"value"` with at least one comparison and one assignment.
+#[test]
+fn rules_are_well_formed() {
+    for name in ["70-lsfb-camera.rules", "70-lsfb-imu.rules"] {
+        for rule in rules(name) {
+            let (mut comparisons, mut assignments) = (0, 0);
+            for term in rule.split(", ") {
+                let (left, value) = term.split_once('"').expect(term);
+                assert!(
+                    value.ends_with('"') && value.matches('"').count() == 1,
+                    "{term}"
+                );
+                let key = left.trim_end_matches(['=', '+']);
+                assert!(key.starts_with(|c: char| c.is_ascii_uppercase()), "{term}");
+                assert_eq!(key.contains('{'), key.ends_with('}'), "{term}");
+                match &left[key.len()..] {
+                    "==" => comparisons += 1,
+                    "=" | "+=" => assignments += 1,
+                    operator => panic!("{operator} in {rule}"),
+                }
+            }
+            assert!(comparisons > 0 && assignments > 0, "{rule}");
+        }
+    }
+}
