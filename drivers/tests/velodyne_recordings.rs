@@ -291,8 +291,8 @@ fn vlp16_dual_bag_equals_its_cloud_and_the_reference_counts() {
     let ours = points_by_encoder(config, Model::Vlp16, &revolution, |packet, azimuth| {
         packet < 150 || azimuth == 35_865
     });
-    // The other decoder leaves the rotor's motion out in the last blocks of a packet: 0.2° between their two firings.
-    assert_same_points(Model::Vlp16, &ours, &expected, 0.25);
+    // The other decoder leaves the rotor's motion out in the last blocks of a packet: up to 0.4° for the second firing.
+    assert_same_points(Model::Vlp16, &ours, &expected, 0.45);
 }
 
 #[test]

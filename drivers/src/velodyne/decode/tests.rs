@@ -147,11 +147,8 @@ fn our_vectors_decode_to_every_listed_point() {
                 number("dist_m") * elevation.sin(),
             ];
             let point = points[at];
-            for axis in 0..3 {
-                assert!(
-                    (f64::from(point.position_m[axis]) - position[axis]).abs() < 3e-4,
-                    "{point:?} {want}"
-                );
+            for (got, want) in point.position_m.into_iter().zip(position) {
+                assert!((f64::from(got) - want).abs() < 3e-4, "{point:?}");
             }
             assert_eq!((point.intensity, point.ring), (hit.reflectivity, hit.ring));
         }
