@@ -35,6 +35,7 @@ mod evaluation;
 pub mod metrics;
 pub mod pairs;
 mod read;
+pub mod report;
 mod statistics;
 
 pub use compare::{Comparison, Contender, compare};

@@ -1,0 +1,138 @@
+//! `report.html`: what a run achieved, on one page that opens anywhere. One file, no script, nothing fetched; it reads on
+//! a phone, prints, and follows the reader's light or dark setting.
+//!
+//! A [`Report`] is plain data, so that whoever ran the stages fills it in; sections without data are left out.
+
+use std::path::Path;
+
+use lsfb_geometry::{Trajectory, Vector3};
+
+use crate::compare::Comparison;
+use crate::error::Error;
+use crate::evaluation::{Evaluation, PoseError};
+
+mod chart;
+mod errors_over_time;
+mod figure;
+mod histogram;
+mod number;
+mod page;
+mod theme;
+mod top_view;
+
+pub use figure::{Figure, Standing, Threshold};
+
+/// All that the page shows.
+#[derive(Clone, Debug, Default)]
+pub struct Report {
+    /// What was run, in a few words.
+    pub title: String,
+    /// The figures of the run; their thresholds make the verdict.
+    pub figures: Vec<Figure>,
+    /// Map points in the world, metres; drawn thinned out.
+    pub map_points: Vec<Vector3<f64>>,
+    /// Trajectories in the world of the map.
+    pub tracks: Vec<Track>,
+    /// Several estimates in one table, best first.
+    pub comparison: Vec<Comparison>,
+    /// Distributions, one plot each: reprojection errors of map and glasses.
+    pub histograms: Vec<Distribution>,
+    /// How long each stage took, in the order they ran.
+    pub stages: Vec<StageTime>,
+    /// What the reader should know before trusting a figure.
+    pub warnings: Vec<String>,
+    /// Seed, versions, configuration, hashes of the inputs.
+    pub provenance: Vec<Provenance>,
+}
+
+/// One trajectory with what is known of its error.
+#[derive(Clone, Debug)]
+pub struct Track {
+    /// As the legend calls it: scanner, glasses.
+    pub name: String,
+    /// The estimate, in the world of the map.
+    pub estimate: Trajectory,
+    /// What it should have been; drawn dashed.
+    pub truth: Option<Trajectory>,
+    /// Errors pose by pose.
+    pub errors: Vec<PoseError>,
+}
+
+impl Track {
+    /// Of a judged estimate, in the world of its truth.
+    pub fn of(name: &str, evaluation: &Evaluation, truth: &Trajectory) -> Self {
+        Self {
+            name: name.to_owned(),
+            estimate: evaluation.aligned_estimate.clone(),
+            truth: Some(truth.clone()),
+            errors: evaluation.errors.clone(),
+        }
+    }
+}
+
+/// Values of which the page shows how they spread.
+#[derive(Clone, Debug)]
+pub struct Distribution {
+    /// Heading.
+    pub title: String,
+    /// What the values are, without the unit.
+    pub quantity: String,
+    /// Unit of the values.
+    pub unit: String,
+    /// The values, none below zero; what is not finite is left out.
+    pub values: Vec<f64>,
+}
+
+/// How long a stage took.
+#[derive(Clone, Debug)]
+pub struct StageTime {
+    /// Name of the stage.
+    pub name: String,
+    /// Wall-clock seconds.
+    pub wall_secs: f64,
+}
+
+/// One line of where the results come from.
+#[derive(Clone, Debug)]
+pub struct Provenance {
+    /// Seed, version, input.
+    pub name: String,
+    /// Shown in fixed width; may have several lines.
+    pub value: String,
+}
+
+impl Report {
+    /// The page of `lsfb eval`: one estimate against the truth.
+    pub fn of_evaluation(name: &str, evaluation: &Evaluation, truth: &Trajectory) -> Self {
+        let mut warnings = Vec::new();
+        if evaluation.duplicate_stamps > 0 {
+            warnings.push(format!(
+                "{} poses repeat the stamp of the pose before them; each counts.",
+                evaluation.duplicate_stamps
+            ));
+        }
+        Self {
+            title: format!("{name} against the truth"),
+            figures: figure::of_evaluation(evaluation),
+            tracks: vec![Track::of(name, evaluation, truth)],
+            warnings,
+            ..Self::default()
+        }
+    }
+
+    /// The page as text.
+    pub fn to_html(&self) -> Result<String, Error> {
+        page::render(self)
+    }
+
+    /// Writes the page.
+    pub fn write(&self, path: &Path) -> Result<(), Error> {
+        std::fs::write(path, self.to_html()?).map_err(|source| Error::Io {
+            path: path.to_owned(),
+            source,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests;

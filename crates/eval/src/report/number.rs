@@ -1,0 +1,120 @@
+//! Numbers as people read them.
+
+/// About four significant digits, no exponent between 0.0001 and a million.
+pub(super) fn significant(value: f64) -> String {
+    let magnitude = value.abs();
+    if value == 0.0 {
+        return "0".to_owned();
+    }
+    if !value.is_finite() {
+        return "–".to_owned();
+    }
+    if value.fract() == 0.0 && magnitude < 1e15 {
+        return grouped(value);
+    }
+    if !(1e-4..1e6).contains(&magnitude) {
+        return format!("{value:.2e}");
+    }
+    let decimals = (3 - magnitude.log10().floor() as i32).clamp(0, 7) as usize;
+    let text = format!("{value:.decimals$}");
+    let text = if text.contains('.') {
+        text.trim_end_matches('0').trim_end_matches('.').to_owned()
+    } else {
+        text
+    };
+    text.replace('-', "−")
+}
+
+/// Whole numbers with a thin space between thousands.
+fn grouped(value: f64) -> String {
+    let digits = format!("{:.0}", value.abs());
+    let mut text = String::new();
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) && digits.len() > 4 {
+            text.push('\u{202f}');
+        }
+        text.push(digit);
+    }
+    if value < 0.0 {
+        format!("−{text}")
+    } else {
+        text
+    }
+}
+
+/// Ticks at 1, 2 or 5 times a power of ten.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Ticks {
+    /// Where they stand.
+    pub at: Vec<f64>,
+    /// Digits behind the point that tell them apart.
+    pub decimals: usize,
+}
+
+/// At most `count + 1` ticks within the range.
+pub(super) fn ticks(low: f64, high: f64, count: usize) -> Ticks {
+    let step = tick_step(high - low, count);
+    let first = (low / step - 1e-9).ceil() as i64;
+    let last = (high / step + 1e-9).floor() as i64;
+    Ticks {
+        at: (first..=last).map(|i| i as f64 * step).collect(),
+        decimals: (-(step.log10() + 1e-9).floor()).clamp(0.0, 9.0) as usize,
+    }
+}
+
+/// The distance of [`ticks`] over `span`.
+pub(super) fn tick_step(span: f64, count: usize) -> f64 {
+    let rough = span.max(1e-9) / count.max(1) as f64;
+    let power = 10f64.powf(rough.log10().floor());
+    let factor = [1.0, 2.0, 5.0]
+        .into_iter()
+        .find(|f| f * power >= rough * (1.0 - 1e-9))
+        .unwrap_or(10.0);
+    factor * power
+}
+
+/// `value` with the digits its axis needs.
+pub(super) fn tick_label(value: f64, decimals: usize) -> String {
+    let text = format!("{value:.decimals$}");
+    if text.trim_start_matches(['-', '0', '.']).is_empty() {
+        return text.trim_start_matches('-').to_owned();
+    }
+    text.replace('-', "−")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn four_digits_where_they_matter() {
+        for (value, text) in [
+            (0.0, "0"),
+            (0.012_345_67, "0.01235"),
+            (1.5, "1.5"),
+            (-2.25, "−2.25"),
+            (123.456, "123.5"),
+            (48_213.0, "48\u{202f}213"),
+            (1234.0, "1234"),
+            (1e-7, "1.00e-7"),
+            (f64::NAN, "–"),
+        ] {
+            assert_eq!(significant(value), text);
+        }
+    }
+
+    #[test]
+    fn ticks_are_round() {
+        let t = ticks(-0.3, 1.05, 5);
+        assert_eq!(t.decimals, 1);
+        let labels: Vec<String> = t.at.iter().map(|&v| tick_label(v, t.decimals)).collect();
+        assert_eq!(labels, ["0.0", "0.5", "1.0"]);
+        assert_eq!(
+            ticks(0.0, 100.0, 5).at,
+            [0.0, 20.0, 40.0, 60.0, 80.0, 100.0]
+        );
+        assert_eq!(ticks(0.0, 0.0, 5).decimals, 9);
+        assert_eq!(tick_label(-0.5, 1), "−0.5");
+        assert_eq!(tick_label(-0.0, 1), "0.0");
+    }
+}
