@@ -16,12 +16,12 @@ use crate::error::Error;
 pub(super) const FINE: u32 = 4;
 
 /// Room left of the plot for labels, pixels.
-const LEFT: u32 = 58;
+const LEFT: u32 = 60;
 /// Room below the plot for labels, pixels.
-const BELOW: u32 = 44;
+const BELOW: u32 = 42;
 /// Room above and at the right.
 const MARGIN: u32 = 10;
-const FONT: u32 = 14;
+const FONT: u32 = 15;
 
 pub(super) type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<Scale, Scale>>;
 

@@ -1,6 +1,6 @@
 //! How values spread: shares of equally wide bins.
 
-use plotters::element::{PathElement, Rectangle};
+use plotters::element::{PathElement, Polygon};
 use plotters::style::Color;
 
 use super::chart::{self, Axis, Frame, stroke};
@@ -69,17 +69,16 @@ pub(super) fn draw(
     let svg = chart::draw(frame, |chart| {
         for (shares, series) in shares.iter().zip(series) {
             let color = theme::track(series.color);
-            let bars = shares.iter().enumerate().filter(|(_, share)| **share > 0.0);
-            chart
-                .draw_series(bars.map(|(i, &share)| {
-                    let corners = [(i as f64 * width, 0.0), ((i + 1) as f64 * width, share)];
-                    Rectangle::new(corners, color.mix(0.35).filled())
-                }))
-                .map_err(|e| e.to_string())?;
-            let outline = shares.iter().enumerate().flat_map(|(i, &share)| {
+            let steps = shares.iter().enumerate().flat_map(|(i, &share)| {
                 [(i as f64 * width, share), ((i + 1) as f64 * width, share)]
             });
-            let outline: Vec<(f64, f64)> = outline.collect();
+            let outline: Vec<(f64, f64)> = steps.collect();
+            // One shape: bars side by side would show seams.
+            let area = [(0.0, 0.0)].into_iter().chain(outline.iter().copied());
+            let area: Vec<(f64, f64)> = area.chain([(end, 0.0)]).collect();
+            chart
+                .draw_series([Polygon::new(area, color.mix(0.35).filled())])
+                .map_err(|e| e.to_string())?;
             chart
                 .draw_series([PathElement::new(outline, stroke(color, 1.4))])
                 .map_err(|e| e.to_string())?;

@@ -17,6 +17,7 @@ mod figure;
 mod histogram;
 mod number;
 mod page;
+mod sections;
 mod theme;
 mod top_view;
 

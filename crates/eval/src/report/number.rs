@@ -2,6 +2,15 @@
 
 /// About four significant digits, no exponent between 0.0001 and a million.
 pub(super) fn significant(value: f64) -> String {
+    digits(value, 4)
+}
+
+/// As [`significant`] with three digits, for running text.
+pub(super) fn rounded(value: f64) -> String {
+    digits(value, 3)
+}
+
+fn digits(value: f64, count: i32) -> String {
     let magnitude = value.abs();
     if value == 0.0 {
         return "0".to_owned();
@@ -15,7 +24,7 @@ pub(super) fn significant(value: f64) -> String {
     if !(1e-4..1e6).contains(&magnitude) {
         return format!("{value:.2e}");
     }
-    let decimals = (3 - magnitude.log10().floor() as i32).clamp(0, 7) as usize;
+    let decimals = (count - 1 - magnitude.log10().floor() as i32).clamp(0, 7) as usize;
     let text = format!("{value:.decimals$}");
     let text = if text.contains('.') {
         text.trim_end_matches('0').trim_end_matches('.').to_owned()
@@ -23,6 +32,16 @@ pub(super) fn significant(value: f64) -> String {
         text
     };
     text.replace('-', "−")
+}
+
+/// A value and its unit, never torn apart at the end of a line.
+pub(super) fn with_unit(number: &str, unit: &str) -> String {
+    let gap = if unit.is_empty() || unit == "°" {
+        ""
+    } else {
+        "\u{a0}"
+    };
+    format!("{number}{gap}{unit}")
 }
 
 /// Whole numbers with a thin space between thousands.

@@ -2,15 +2,12 @@
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-use super::errors_over_time::{self, Part};
 use super::figure::{Figure, Standing, Threshold};
-use super::histogram::{self, Histogram, Series};
-use super::number::significant;
-use super::{Report, theme, top_view};
+use super::number::{significant, with_unit};
+use super::{Report, sections};
 use crate::compare::Comparison;
 use crate::error::Error;
 use crate::pairs::DeltaUnit;
-use crate::statistics::Statistics;
 
 const STYLE: &str = include_str!("style.css");
 
@@ -28,11 +25,13 @@ pub(super) fn render(report: &Report) -> Result<String, Error> {
             body {
                 header { h1 { (report.title) } (verdict(&report.figures)) (warnings(&report.warnings)) }
                 main {
-                    div.overview { (from_above(report)?) (figures(&report.figures)) }
+                    div.overview { (sections::from_above(report)?) (figures(&report.figures)) }
                     (comparison(&report.comparison))
-                    (errors(report)?)
-                    (distributions(report)?)
-                    (stages(report))
+                    div.pair {
+                        (sections::errors(report)?)
+                        (sections::distributions(report)?)
+                        (sections::stages(report))
+                    }
                     (provenance(report))
                 }
             }
@@ -61,7 +60,7 @@ fn verdict(figures: &[Figure]) -> Markup {
                     (missed.len()) " of " (bound) @if bound == 1 { " threshold is missed: " } @else { " thresholds missed: " }
                     @for (i, figure) in missed.iter().enumerate() {
                         @if i > 0 { "; " }
-                        (figure.name) " " b { (with_unit(figure.value, &figure.unit)) }
+                        (figure.name) " " b { (with_unit(&significant(figure.value), &figure.unit)) }
                         @if let Some(threshold) = figure.threshold { " (" (bound_in_words(threshold, &figure.unit)) ")" }
                     }
                     "."
@@ -128,163 +127,9 @@ fn sign(threshold: Threshold) -> String {
 
 fn bound_in_words(threshold: Threshold, unit: &str) -> String {
     match threshold {
-        Threshold::AtMost(limit) => format!("at most {}", with_unit(limit, unit)),
-        Threshold::AtLeast(limit) => format!("at least {}", with_unit(limit, unit)),
+        Threshold::AtMost(limit) => format!("at most {}", with_unit(&significant(limit), unit)),
+        Threshold::AtLeast(limit) => format!("at least {}", with_unit(&significant(limit), unit)),
     }
-}
-
-fn with_unit(value: f64, unit: &str) -> String {
-    let gap = if unit.is_empty() || unit == "°" {
-        ""
-    } else {
-        "\u{a0}"
-    };
-    format!("{}{gap}{unit}", significant(value))
-}
-
-fn from_above(report: &Report) -> Result<Markup, Error> {
-    let Some(view) = top_view::draw(report)? else {
-        return Ok(html! {});
-    };
-    Ok(html! {
-        section.above {
-            h2 { "From above" }
-            figure {
-                (PreEscaped(view.svg))
-                figcaption {
-                    (legend(report))
-                    @if report.tracks.iter().any(|t| t.truth.is_some()) {
-                        span.key { span.line.truth { } "truth" }
-                    }
-                    @if let Some([low, high]) = view.heights_m {
-                        span.key {
-                            "map, height " (format!("{low:.1}").replace('-', "−")) "\u{a0}m "
-                            span.ramp { @for i in 0..theme::SHADES { span style=(format!("background:var(--shade{i})")) { } } }
-                            " " (format!("{high:.1}").replace('-', "−")) "\u{a0}m"
-                        }
-                    }
-                    span.key { "a dot marks the start" }
-                }
-            }
-        }
-    })
-}
-
-fn legend(report: &Report) -> Markup {
-    html! {
-        @for (i, track) in report.tracks.iter().enumerate() {
-            span.key { span.line style=(format!("border-color:{}", theme::track_variable(i))) { } (track.name) }
-        }
-    }
-}
-
-fn errors(report: &Report) -> Result<Markup, Error> {
-    let tracks = &report.tracks;
-    let translation = errors_over_time::draw(tracks, Part::Translation)?;
-    let rotation = errors_over_time::draw(tracks, Part::Rotation)?;
-    let centimetres: Vec<Vec<f64>> = tracks
-        .iter()
-        .map(|t| t.errors.iter().map(|e| 100.0 * e.translation_m).collect())
-        .collect();
-    let series: Vec<Series<'_>> = centimetres
-        .iter()
-        .enumerate()
-        .map(|(color, values)| Series { color, values })
-        .collect();
-    let spread = histogram::draw(
-        "how translation errors spread",
-        "translation error (cm)".to_owned(),
-        &series,
-    )?;
-    let plot = |heading: &str, svg: &str| {
-        html! {
-            section {
-                h2 { (heading) }
-                figure { (PreEscaped(svg)) figcaption { (legend(report)) } }
-            }
-        }
-    };
-    Ok(html! {
-        @if let (Some(translation), Some(rotation)) = (translation, rotation) {
-            div.pair {
-                (plot("Translation error over time", &translation))
-                (plot("Rotation error over time", &rotation))
-                @if let Some(spread) = spread {
-                    section {
-                        h2 { "How translation errors spread" }
-                        figure {
-                            (PreEscaped(&spread.svg))
-                            figcaption {
-                                @for (i, track) in tracks.iter().enumerate() {
-                                    span.key {
-                                        span.line style=(format!("border-color:{}", theme::track_variable(i))) { }
-                                        (track.name)
-                                        @if let Some(s) = spread.statistics.get(i).copied().flatten() { ": " (in_words(&s, "cm")) }
-                                    }
-                                }
-                                (beyond(&spread))
-                            }
-                        }
-                    }
-                }
-            }
-        }
-    })
-}
-
-fn in_words(s: &Statistics, unit: &str) -> String {
-    format!(
-        "rms {}, median {}, max {}",
-        with_unit(s.rmse, unit),
-        with_unit(s.median, unit),
-        with_unit(s.max, unit)
-    )
-}
-
-fn beyond(histogram: &Histogram) -> Markup {
-    html! {
-        @if histogram.beyond > 0.0 {
-            span.key { (significant(100.0 * histogram.beyond)) "\u{a0}% lie beyond the right edge" }
-        }
-    }
-}
-
-fn distributions(report: &Report) -> Result<Markup, Error> {
-    let mut drawn = Vec::new();
-    for (i, distribution) in report.histograms.iter().enumerate() {
-        let label = if distribution.unit.is_empty() {
-            distribution.quantity.clone()
-        } else {
-            format!("{} ({})", distribution.quantity, distribution.unit)
-        };
-        let series = [Series {
-            color: i,
-            values: &distribution.values,
-        }];
-        if let Some(histogram) = histogram::draw("how values spread", label, &series)? {
-            drawn.push((distribution, histogram));
-        }
-    }
-    Ok(html! {
-        @if !drawn.is_empty() {
-            div.pair {
-                @for (distribution, histogram) in &drawn {
-                    section {
-                        h2 { (distribution.title) }
-                        figure {
-                            (PreEscaped(&histogram.svg))
-                            figcaption {
-                                @if let Some(s) = histogram.statistics.first().copied().flatten() {
-                                    span.key { (in_words(&s, &distribution.unit)) " over " (significant(s.count as f64)) " values" }
-                                }
-                                (beyond(histogram))
-                            }
-                        }
-                    }
-                }
-            }
-        }
-    })
 }
 
 fn comparison(rows: &[Comparison]) -> Markup {
@@ -320,35 +165,6 @@ fn comparison(rows: &[Comparison]) -> Markup {
                         td.number { (significant(row.matched_poses as f64)) }
                     } } }
                 } }
-            }
-        }
-    }
-}
-
-fn stages(report: &Report) -> Markup {
-    let longest = report
-        .stages
-        .iter()
-        .map(|s| s.wall_secs)
-        .fold(0.0, f64::max)
-        .max(1e-9);
-    let total: f64 = report.stages.iter().map(|s| s.wall_secs).sum();
-    html! {
-        @if !report.stages.is_empty() {
-            section.stages {
-                h2 { "Time per stage" }
-                table {
-                    tbody {
-                        @for stage in &report.stages {
-                            tr {
-                                th scope="row" { (stage.name) }
-                                td.bar { span style=(format!("width:{:.1}%", (100.0 * stage.wall_secs / longest).clamp(0.0, 100.0))) { } }
-                                td.number { (format!("{:.1}", stage.wall_secs)) "\u{a0}s" }
-                            }
-                        }
-                    }
-                    tfoot { tr { th scope="row" { "in all" } td { } td.number { (format!("{total:.1}")) "\u{a0}s" } } }
-                }
             }
         }
     }

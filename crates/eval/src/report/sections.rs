@@ -1,0 +1,178 @@
+//! Sections of the page that show rather than list.
+
+use maud::{Markup, PreEscaped, html};
+
+use super::errors_over_time::{self, Part};
+use super::histogram::{self, Histogram, Series};
+use super::number::{rounded, significant, with_unit};
+use super::{Report, theme, top_view};
+use crate::error::Error;
+use crate::statistics::Statistics;
+
+pub(super) fn from_above(report: &Report) -> Result<Markup, Error> {
+    let Some(view) = top_view::draw(report)? else {
+        return Ok(html! {});
+    };
+    Ok(html! {
+        section.above {
+            h2 { "From above" }
+            figure {
+                (PreEscaped(view.svg))
+                figcaption {
+                    (legend(report))
+                    @if report.tracks.iter().any(|t| t.truth.is_some()) {
+                        span.key { span.line.truth { } "truth" }
+                    }
+                    @if let Some([low, high]) = view.heights_m {
+                        span.key {
+                            "map, height " (format!("{low:.1}").replace('-', "−")) "\u{a0}m "
+                            span.ramp { @for i in 0..theme::SHADES { span style=(format!("background:var(--shade{i})")) { } } }
+                            " " (format!("{high:.1}").replace('-', "−")) "\u{a0}m"
+                        }
+                    }
+                    span.key { "a dot marks the start" }
+                }
+            }
+        }
+    })
+}
+
+fn legend(report: &Report) -> Markup {
+    html! {
+        @for (i, track) in report.tracks.iter().enumerate() {
+            span.key { span.line style=(format!("border-color:{}", theme::track_variable(i))) { } (track.name) }
+        }
+    }
+}
+
+pub(super) fn errors(report: &Report) -> Result<Markup, Error> {
+    let tracks = &report.tracks;
+    let translation = errors_over_time::draw(tracks, Part::Translation)?;
+    let rotation = errors_over_time::draw(tracks, Part::Rotation)?;
+    let centimetres: Vec<Vec<f64>> = tracks
+        .iter()
+        .map(|t| t.errors.iter().map(|e| 100.0 * e.translation_m).collect())
+        .collect();
+    let series: Vec<Series<'_>> = centimetres
+        .iter()
+        .enumerate()
+        .map(|(color, values)| Series { color, values })
+        .collect();
+    let spread = histogram::draw(
+        "how translation errors spread",
+        "translation error (cm)".to_owned(),
+        &series,
+    )?;
+    let plot = |heading: &str, svg: &str| {
+        html! {
+            section {
+                h2 { (heading) }
+                figure { (PreEscaped(svg)) figcaption { (legend(report)) } }
+            }
+        }
+    };
+    Ok(html! {
+        @if let (Some(translation), Some(rotation)) = (translation, rotation) {
+                (plot("Translation error over time", &translation))
+                (plot("Rotation error over time", &rotation))
+                @if let Some(spread) = spread {
+                    section {
+                        h2 { "How translation errors spread" }
+                        figure {
+                            (PreEscaped(&spread.svg))
+                            figcaption {
+                                @for (i, track) in tracks.iter().enumerate() {
+                                    span.key {
+                                        span.line style=(format!("border-color:{}", theme::track_variable(i))) { }
+                                        (track.name)
+                                        @if let Some(s) = spread.statistics.get(i).copied().flatten() { ": " (in_words(&s, "cm")) }
+                                    }
+                                }
+                                (beyond(&spread))
+                            }
+                        }
+                    }
+                }
+        }
+    })
+}
+
+fn in_words(s: &Statistics, unit: &str) -> String {
+    format!(
+        "rms {}, median {}, max {}",
+        with_unit(&rounded(s.rmse), unit),
+        with_unit(&rounded(s.median), unit),
+        with_unit(&rounded(s.max), unit)
+    )
+}
+
+fn beyond(histogram: &Histogram) -> Markup {
+    html! {
+        @if histogram.beyond >= 5e-4 {
+            span.key { (format!("{:.1}", 100.0 * histogram.beyond)) "\u{a0}% lie beyond the right edge" }
+        }
+    }
+}
+
+pub(super) fn distributions(report: &Report) -> Result<Markup, Error> {
+    let mut drawn = Vec::new();
+    for (i, distribution) in report.histograms.iter().enumerate() {
+        let label = if distribution.unit.is_empty() {
+            distribution.quantity.clone()
+        } else {
+            format!("{} ({})", distribution.quantity, distribution.unit)
+        };
+        let series = [Series {
+            color: i,
+            values: &distribution.values,
+        }];
+        if let Some(histogram) = histogram::draw("how values spread", label, &series)? {
+            drawn.push((distribution, histogram));
+        }
+    }
+    Ok(html! {
+                @for (distribution, histogram) in &drawn {
+                    section {
+                        h2 { (distribution.title) }
+                        figure {
+                            (PreEscaped(&histogram.svg))
+                            figcaption {
+                                @if let Some(s) = histogram.statistics.first().copied().flatten() {
+                                    span.key { (in_words(&s, &distribution.unit)) " over " (significant(s.count as f64)) " values" }
+                                }
+                                (beyond(histogram))
+                            }
+                        }
+                    }
+                }
+    })
+}
+
+pub(super) fn stages(report: &Report) -> Markup {
+    let longest = report
+        .stages
+        .iter()
+        .map(|s| s.wall_secs)
+        .fold(0.0, f64::max)
+        .max(1e-9);
+    let total: f64 = report.stages.iter().map(|s| s.wall_secs).sum();
+    html! {
+        @if !report.stages.is_empty() {
+            section.stages {
+                h2 { "Time per stage" }
+                table {
+                    tbody {
+                        @for stage in &report.stages {
+                            tr {
+                                th scope="row" { (stage.name) }
+                                td.bar { span style=(format!("width:{:.1}%", (100.0 * stage.wall_secs / longest).clamp(0.0, 100.0))) { } }
+                                td.number { (format!("{:.1}", stage.wall_secs)) "\u{a0}s" }
+                            }
+                        }
+                    }
+                    tfoot { tr { th scope="row" { "in all" } td { } td.number { (format!("{total:.1}")) "\u{a0}s" } } }
+                }
+            }
+        }
+    }
+}
