@@ -64,3 +64,60 @@ pub fn compare(contenders: &[Contender<'_>]) -> Vec<Comparison> {
     rows.sort_by(|a, b| a.ate_rmse_m.total_cmp(&b.ate_rmse_m));
     rows
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{EvalConfig, evaluate};
+    use lsfb_geometry::{Se3, StampedPose, Vector3};
+    use lsfb_types::Timestamp;
+
+    #[test]
+    fn best_comes_first() {
+        let walk = |noise_m: f64| -> Vec<StampedPose> {
+            (0..200)
+                .map(|i| {
+                    let t = f64::from(i) * 0.05;
+                    let place = Vector3::new(3.0 * t.cos(), 3.0 * t.sin(), 0.1 * t)
+                        + Vector3::repeat(noise_m * (7.0 * t).sin());
+                    StampedPose {
+                        time: Timestamp::from_nanos(i64::from(i) * 50_000_000),
+                        world_from_rig: Se3::new(Default::default(), place),
+                    }
+                })
+                .collect()
+        };
+        let truth = walk(0.0);
+        let judged = |noise_m: f64, with_rpe: bool| {
+            let mut config = EvalConfig::default();
+            if !with_rpe {
+                config.rpe.clear();
+            }
+            evaluate(&truth, &walk(noise_m), &config).expect("valid")
+        };
+        let (rough, fine) = (judged(0.1, true), judged(0.01, false));
+        let rows = compare(&[
+            Contender {
+                name: "rough",
+                evaluation: &rough,
+            },
+            Contender {
+                name: "fine",
+                evaluation: &fine,
+            },
+        ]);
+        assert_eq!(
+            (rows[0].name.as_str(), rows[1].name.as_str()),
+            ("fine", "rough")
+        );
+        assert_eq!(rows[1].ate_max_m, rough.ate_translation_m.max);
+        assert_eq!(
+            rows[1].rpe_translation_rmse_m,
+            Some(rough.rpe[0].translation_m.rmse)
+        );
+        assert_eq!(
+            (rows[0].rpe_delta, rows[0].coverage, rows[0].matched_poses),
+            (None, 1.0, 200)
+        );
+    }
+}

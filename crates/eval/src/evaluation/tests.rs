@@ -210,3 +210,25 @@ fn duplicates_count_or_are_refused() {
         "{error}"
     );
 }
+
+#[test]
+fn json_has_every_figure_and_no_lists() {
+    let truth = curl(100);
+    let estimate = changed(&truth, |i, p| {
+        p.world_from_rig.translation.x += 0.01 * (i as f64).sin();
+    });
+    let found = evaluate(&truth, &estimate, &EvalConfig::default()).expect("valid");
+    let json = serde_json::to_value(&found).expect("serializable");
+    assert_eq!(json["matched_poses"], 100);
+    assert_eq!(json["alignment"], "SE(3)");
+    assert_eq!(
+        json["ate_translation_m"]["rmse"],
+        found.ate_translation_m.rmse
+    );
+    assert_eq!(json["rpe"][0]["delta_unit"], "metres");
+    assert_eq!(json["rpe"][0]["selection"], "consecutive");
+    assert!(json["scale_error_percent"].is_f64() && json["coverage"]["fraction"] == 1.0);
+    assert!(json.get("errors").is_none() && json.get("aligned_estimate").is_none());
+    let text = serde_json::to_string(&found).expect("serializable");
+    assert!(!text.contains("null"), "{text}");
+}

@@ -88,7 +88,7 @@ impl Bounds {
         let tracks = report
             .tracks
             .iter()
-            .flat_map(|t| path(&t.estimate).chain(t.truth.iter().flat_map(|truth| path(truth))));
+            .flat_map(|t| path(&t.estimate).chain(t.truth.iter().flat_map(path)));
         let (mut xs, mut ys): (Vec<f64>, Vec<f64>) = tracks.unzip();
         let map = |of: fn(&Vector3<f64>) -> f64| {
             let mut values: Vec<f64> = report
