@@ -15,6 +15,8 @@ use crate::{Decoded, WireError};
 pub struct Framer {
     max_data_len: usize,
     buffer: Vec<u8>,
+    /// Bytes of the buffer that are done with; removed when they outweigh the rest.
+    done: usize,
     /// Arrival of each pushed chunk still in the buffer, with the chunk's length.
     chunks: VecDeque<Chunk>,
     skipped_bytes: u64,
@@ -44,6 +46,7 @@ impl Framer {
         Self {
             max_data_len,
             buffer: Vec::new(),
+            done: 0,
             chunks: VecDeque::new(),
             skipped_bytes: 0,
             bad_checksums: 0,
@@ -63,7 +66,7 @@ impl Framer {
     pub fn next_message(&mut self) -> Option<FramedMessage> {
         let mut at = 0;
         let found = loop {
-            let rest = self.buffer.get(at..).unwrap_or_default();
+            let rest = self.buffer.get(self.done + at..).unwrap_or_default();
             match Message::parse(rest) {
                 _ if self.too_long(rest) => self.skipped_bytes += 1,
                 Ok(None) => break None,
@@ -100,7 +103,7 @@ impl Framer {
 
     /// For the end of the stream: gives up an unfinished message at the front, so that whole ones behind it are found.
     pub fn skip_unfinished(&mut self) -> bool {
-        if self.buffer.is_empty() {
+        if self.done == self.buffer.len() {
             return false;
         }
         self.skipped_bytes += 1;
@@ -111,7 +114,9 @@ impl Framer {
     /// The bytes not yet part of a message.
     pub fn take_rest(&mut self) -> Vec<u8> {
         self.chunks.clear();
-        std::mem::take(&mut self.buffer)
+        let mut rest = std::mem::take(&mut self.buffer);
+        rest.drain(..std::mem::take(&mut self.done));
+        rest
     }
 
     fn too_long(&self, rest: &[u8]) -> bool {
@@ -138,7 +143,11 @@ impl Framer {
     }
 
     fn drop_front(&mut self, mut count: usize) {
-        self.buffer.drain(..count);
+        self.done += count;
+        if 2 * self.done > self.buffer.len() {
+            self.buffer.drain(..self.done);
+            self.done = 0;
+        }
         while let Some(chunk) = self.chunks.front_mut() {
             if chunk.len > count {
                 chunk.len -= count;

@@ -5,12 +5,12 @@
 //! The unit stamps samples with `SampleTimeFine` (100 µs); with PPS on its SyncIn line it also sends exact UTC.
 //!
 //! [`XsensImu`] configures the unit and yields its bytes, [`Decoder`] turns them into samples, [`wire`] speaks the
-//! protocol in both directions.
+//! protocol in both directions. A mock unit finds the host's requests with a [`Framer`] of its own.
 
 mod decode;
 mod device;
 pub mod model;
 pub mod wire;
 
-pub use decode::{Decoder, DecoderConfig, ImuCounters, ImuReading};
+pub use decode::{Decoder, DecoderConfig, FramedMessage, Framer, ImuCounters, ImuReading};
 pub use device::{DeviceId, ImuConfig, XsensImu};

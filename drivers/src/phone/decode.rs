@@ -63,7 +63,7 @@ impl Decoder {
         Self::default()
     }
 
-    /// Decodes one envelope. `None`: a repetition. An error is counted here, and the connection may go on.
+    /// Decodes one envelope. `None`: a repetition, which changes nothing. An error is counted here, and the connection may go on.
     pub fn push(&mut self, bytes: &[u8]) -> Result<Option<SidecarMessage>, WireError> {
         let message = Envelope::parse(bytes).and_then(|envelope| self.message(&envelope));
         message.inspect_err(|error| {
@@ -98,13 +98,20 @@ impl Decoder {
             }
             EnvelopeKind::Advertise => {
                 let advertise = Advertise::parse(envelope.payload)?;
-                let known = self.channels.contains_key(&advertise.channel);
-                if !known && self.channels.len() == MAX_CHANNELS {
-                    return Err(WireError::Value {
-                        field: "channel beyond the limit",
+                let refused = |field| {
+                    Err(WireError::Value {
+                        field,
                         offset: 0,
                         got: advertise.channel.into(),
-                    });
+                    })
+                };
+                match self.channels.get(&advertise.channel) {
+                    Some(known) if *known == advertise => return Ok(None),
+                    Some(_) => return refused("channel described in two ways"),
+                    None if self.channels.len() == MAX_CHANNELS => {
+                        return refused("channel beyond the limit");
+                    }
+                    None => {}
                 }
                 self.channels.insert(advertise.channel, advertise.clone());
                 Ok(Some(SidecarMessage::Advertise(advertise)))

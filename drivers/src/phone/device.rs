@@ -27,6 +27,8 @@ pub(super) const ENDPOINT: Endpoint = Endpoint {
 
 /// How long a connection waits for a message before it looks whether there is something to acknowledge.
 const POLL: Duration = Duration::from_millis(10);
+/// How long the acceptor waits before it looks whether it shall stop.
+const ACCEPT_POLL: Duration = Duration::from_millis(50);
 /// Messages after which an acknowledgement does not wait.
 const ACK_EVERY: u64 = 32;
 /// How long after BYE the last acknowledgement may take: until the recorder has stored everything.
@@ -186,9 +188,14 @@ fn accept_all(
 ) {
     let mut connection = 0;
     while !shared.stop.load(Ordering::Acquire) {
-        // A failed accept concerns one app; the listener stays.
-        let Ok(Some(pending)) = listener.accept(Duration::from_millis(50)) else {
-            continue;
+        let pending = match listener.accept(ACCEPT_POLL) {
+            Ok(Some(pending)) => pending,
+            Ok(None) => continue,
+            Err(_) => {
+                // A failed accept, for want of file descriptors say, concerns one app; the listener stays.
+                thread::sleep(ACCEPT_POLL);
+                continue;
+            }
         };
         if shared.connections.load(Ordering::Acquire) >= MAX_CONNECTIONS {
             continue;

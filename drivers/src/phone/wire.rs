@@ -144,11 +144,11 @@ impl<'a> Envelope<'a> {
 /// Opens a session.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Hello {
-    /// Name of the session, unique among the device's: a UUID.
+    /// Name of the session, unique among the device's: a UUID. 1 to 64 letters, digits, `-` and `_`.
     pub session: String,
     /// First DATA that the device still holds, from 1.
     pub first_unacked: u64,
-    /// Name of the device: the `<id>` in `/sidecar/<id>/…`.
+    /// Name of the device: the `<id>` in `/sidecar/<id>/…`. As above.
     pub device: String,
 }
 
@@ -164,6 +164,8 @@ impl Hello {
                 _ => {}
             }
         }
+        check_name("session name", &hello.session)?;
+        check_name("device name", &hello.device)?;
         Ok(hello)
     }
 
@@ -235,6 +237,19 @@ fn channel_from(value: u64) -> Result<u32, WireError> {
         offset: 0,
         got: value,
     })
+}
+
+/// Names end up in topics and file names.
+fn check_name(field: &'static str, name: &str) -> Result<(), WireError> {
+    let bad = |c: char| !c.is_ascii_alphanumeric() && c != '-' && c != '_';
+    match name.find(bad) {
+        None if (1..=64).contains(&name.len()) => Ok(()),
+        found => Err(WireError::Value {
+            field,
+            offset: found.unwrap_or(0),
+            got: name.len() as u64,
+        }),
+    }
 }
 
 fn text(bytes: &[u8]) -> Result<String, WireError> {

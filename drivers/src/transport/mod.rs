@@ -3,6 +3,7 @@
 pub mod camera_socket;
 mod host_clock;
 pub mod pcap;
+mod poll;
 pub mod rosbag2;
 pub mod serial;
 pub mod udp;

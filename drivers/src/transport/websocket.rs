@@ -4,17 +4,16 @@
 
 use std::io;
 use std::net::{SocketAddr, TcpListener, TcpStream};
-use std::os::fd::AsFd;
 use std::time::{Duration, Instant};
 
 use lsfb_types::Packet;
-use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use tungstenite::handshake::server::{Callback, ErrorResponse, Request, Response};
 use tungstenite::http::{HeaderValue, StatusCode, Uri, header};
 use tungstenite::protocol::WebSocketConfig;
 use tungstenite::{Bytes, ClientRequestBuilder, HandshakeError, Message, WebSocket};
 
 use super::arrival_now;
+use super::poll::readable;
 use crate::Error;
 
 /// How long opening and closing handshakes may take.
@@ -343,15 +342,5 @@ fn handshake_failed<R: tungstenite::handshake::HandshakeRole>(
         HandshakeError::Failure(tungstenite::Error::Io(cause)) => cause,
         HandshakeError::Failure(e) => io::Error::other(e.to_string()),
         HandshakeError::Interrupted(_) => io::ErrorKind::TimedOut.into(),
-    }
-}
-
-fn readable(socket: &impl AsFd, timeout: Duration) -> io::Result<bool> {
-    let timeout = PollTimeout::try_from(timeout).unwrap_or(PollTimeout::MAX);
-    let mut fds = [PollFd::new(socket.as_fd(), PollFlags::POLLIN)];
-    match poll(&mut fds, timeout) {
-        Ok(ready) => Ok(ready > 0),
-        Err(nix::errno::Errno::EINTR) => Ok(false),
-        Err(e) => Err(e.into()),
     }
 }

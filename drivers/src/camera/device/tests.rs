@@ -54,7 +54,7 @@ fn a_unit_is_configured_streams_and_ends() {
     let (_dir, listener, config) = listen();
     let mock = spawn(move || -> Result<u16, Error> {
         let mut device = new_device();
-        let mut unit = listener.accept()?;
+        let mut unit = listener.accept(Duration::from_secs(5))?.unwrap();
         assert_eq!(serve_until_start(&mut unit, &mut device)?, 10);
         let mut reads = 0;
         let pixels = vec![50; 640 * 400];
@@ -152,7 +152,7 @@ fn swapped_units_and_refused_options_are_errors() {
     ] {
         let (_dir, listener, config) = listen();
         let mock = spawn(move || {
-            let mut unit = listener.accept()?;
+            let mut unit = listener.accept(Duration::from_secs(5))?.unwrap();
             serve_until_start(&mut unit, &mut new_device())
         });
         let config = CameraConfig {

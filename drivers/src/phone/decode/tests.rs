@@ -110,5 +110,18 @@ fn channels_are_limited() {
         decoder.push(&advertise(channel)).unwrap();
     }
     assert!(decoder.push(&advertise(64)).is_err());
-    assert!(decoder.push(&advertise(63)).is_ok());
+    // Described again in the same way is no news, in another way an error.
+    assert_eq!(decoder.push(&advertise(63)), Ok(None));
+    let other = Envelope {
+        payload: &Advertise {
+            channel: 63,
+            ..Default::default()
+        }
+        .emit(),
+        ..Envelope::bare(EnvelopeKind::Advertise, 0)
+    }
+    .emit()
+    .unwrap();
+    assert!(decoder.push(&other).is_err());
+    assert_eq!(decoder.counters().malformed, 2);
 }

@@ -141,7 +141,12 @@ fn nothing_is_acknowledged_before_it_is_stored() {
 /// A client that says whatever it likes.
 fn raw_client(server: &SidecarServer) -> WebSocketConnection {
     let mut socket = WebSocketConnection::connect(server.address(), ENDPOINT).unwrap();
-    let payload = Hello::default().emit();
+    let payload = Hello {
+        session: "s".to_owned(),
+        first_unacked: 1,
+        device: "d".to_owned(),
+    }
+    .emit();
     socket
         .send(envelope(EnvelopeKind::Hello, 0, &payload))
         .unwrap();

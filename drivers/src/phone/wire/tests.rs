@@ -118,6 +118,20 @@ fn damage_is_named() {
             got: 0xFF
         })
     );
+    for name in ["", "../rig", "a b", &"a".repeat(65)] {
+        let hello = Hello {
+            session: "s".to_owned(),
+            first_unacked: 1,
+            device: name.to_owned(),
+        };
+        assert!(matches!(
+            Hello::parse(&hello.emit()),
+            Err(WireError::Value {
+                field: "device name",
+                ..
+            })
+        ));
+    }
     let payload = vec![0; MAX_ENVELOPE_BYTES];
     let too_long = Envelope {
         payload: &payload,

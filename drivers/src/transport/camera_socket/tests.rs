@@ -45,7 +45,7 @@ const TIMEOUT: Duration = Duration::from_secs(5);
 fn a_slow_host_blocks_the_unit_and_loses_nothing() {
     let (_dir, path, listener) = listen();
     let mock = spawn(move || {
-        let mut unit = listener.accept().unwrap();
+        let mut unit = listener.accept(TIMEOUT).unwrap().unwrap();
         let mut frame = vec![0; 1_024_000];
         for i in 0..40u32 {
             frame[..4].copy_from_slice(&i.to_le_bytes());
@@ -118,7 +118,7 @@ fn broken_framing_is_an_error_and_no_allocation() {
 fn transactions_pass_and_are_refused() {
     let (_dir, path, listener) = listen();
     let mock = spawn(move || {
-        let mut unit = listener.accept().unwrap();
+        let mut unit = listener.accept(TIMEOUT).unwrap().unwrap();
         let mut requests = Vec::new();
         while let Ok(request) = unit.next_request(TIMEOUT) {
             match request.clone().unwrap() {
@@ -183,7 +183,7 @@ fn transactions_pass_and_are_refused() {
 fn a_host_that_vanishes_is_noticed() {
     let (_dir, path, listener) = listen();
     let link = CameraLink::connect(&path).unwrap();
-    let mut unit = listener.accept().unwrap();
+    let mut unit = listener.accept(TIMEOUT).unwrap().unwrap();
     assert_eq!(unit.next_request(Duration::from_millis(1)).unwrap(), None);
     drop(link);
     assert!(matches!(

@@ -2,19 +2,20 @@
 
 use std::io;
 use std::os::unix::net::{UnixListener, UnixStream};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use super::message::{self, Header, Kind, MessageReader, StreamRequest};
 use crate::Error;
 use crate::camera::model::FrameFormat;
 use crate::camera::wire::{XuDevice, XuQuery, XuRefusal, XuSelector};
+use crate::transport::poll::readable;
 
 /// Waits for hosts at a socket path. The file at the path is removed when this is dropped.
 #[derive(Debug)]
 pub struct CameraListener {
     listener: UnixListener,
-    path: std::path::PathBuf,
+    path: PathBuf,
 }
 
 impl CameraListener {
@@ -31,18 +32,25 @@ impl CameraListener {
         })
     }
 
-    /// Waits for the next host.
-    pub fn accept(&self) -> Result<CameraUnit, Error> {
-        let (socket, _) = self.listener.accept().map_err(|cause| Error::Open {
+    /// The next host, waiting up to `timeout`.
+    pub fn accept(&self, timeout: Duration) -> Result<Option<CameraUnit>, Error> {
+        let accepted = readable(&self.listener, timeout).and_then(|ready| {
+            if ready {
+                self.listener.accept().map(Some)
+            } else {
+                Ok(None)
+            }
+        });
+        let accepted = accepted.map_err(|cause| Error::Open {
             device: self.path.display().to_string(),
             action: "accept a host",
             cause,
         })?;
-        Ok(CameraUnit {
+        Ok(accepted.map(|(socket, _)| CameraUnit {
             socket,
             device: self.path.display().to_string(),
             reader: MessageReader::default(),
-        })
+        }))
     }
 }
 
