@@ -7,6 +7,28 @@
 //! - Decoders are pushed packets and return device ticks in [`Decoded`]; only `lsfb-capture` turns ticks into time.
 //!
 //! Setters and `emit` exist for everything that can be read, so that the simulator speaks the real protocols.
+//!
+//! ```
+//! use lsfb_drivers::imu::wire::{Item, Message, Vector};
+//! use lsfb_drivers::imu::{Decoder, DecoderConfig, model::message};
+//! use lsfb_types::{Packet, Timestamp};
+//!
+//! // What a simulated unit says …
+//! let mut data = Vec::new();
+//! Item::SampleTimeFine(50).emit(&mut data)?;
+//! Item::Acceleration(Vector::single([0.0, 0.0, 9.75])).emit(&mut data)?;
+//! Item::RateOfTurn(Vector::single([0.0, 0.5, 0.0])).emit(&mut data)?;
+//! let mut bytes = Vec::new();
+//! Message { id: message::MT_DATA2, data: &data }.emit(&mut bytes)?;
+//!
+//! // … is what the decoder of the real one reads.
+//! let mut decoder = Decoder::new(DecoderConfig::default());
+//! decoder.push(&Packet { arrival: Timestamp::from_nanos(0), bytes });
+//! let reading = decoder.next_reading().expect("one packet");
+//! assert_eq!(reading.device_ticks, 50);
+//! assert_eq!(reading.sample.sample.expect("a sample").specific_force_m_s2, [0.0, 0.0, 9.75]);
+//! # Ok::<(), lsfb_drivers::WireError>(())
+//! ```
 
 pub mod camera;
 mod decoded;

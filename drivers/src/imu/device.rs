@@ -84,8 +84,8 @@ impl XsensImu {
         };
         session.request(message::GO_TO_CONFIG, &[])?;
         let id = session.request(message::REQ_DID, &[])?;
-        // Four bytes, or eight in newer firmware whose first four are the product.
-        let Some(&[.., a, b, c, d]) = Some(id.data.as_slice()) else {
+        // Four bytes; where firmware sends eight, the last four are kept.
+        let &[.., a, b, c, d] = id.data.as_slice() else {
             return Err(session.protocol(format!(
                 "the device id has {} bytes instead of 4 or 8",
                 id.data.len()
