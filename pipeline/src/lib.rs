@@ -7,6 +7,7 @@
 
 mod error;
 pub mod features;
+pub mod lidar_features;
 pub mod odometry;
 pub mod preintegration;
 pub mod preprocess;

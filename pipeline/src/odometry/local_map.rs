@@ -46,6 +46,9 @@ pub enum Match {
 const MAX_POINTS_PER_SURFACE: u32 = 1000;
 /// Fewer points do not make a plane.
 const MIN_POINTS_PER_PLANE: u32 = 6;
+/// Sine of the least angle between a plane and the rays that see it: the returns of one ring alone spread along their
+/// rays by noise, and would show a plane through the sensor.
+const MIN_SLANT: f64 = 0.1;
 /// The farthest neighbour searched, in cells of the finest level.
 const MAX_NEIGHBOUR_CELLS: i64 = 4;
 
@@ -119,12 +122,9 @@ impl Surface {
         let flat =
             thickness_m < limit_m && breadth_m > 0.1 * cell_size_m && breadth_m > 2.0 * thickness_m;
         let normal: Vector3<f64> = eigen.eigenvectors.column(order[0]).into();
-        let sign = if normal.dot(&self.towards_sensor) < 0.0 {
-            -1.0
-        } else {
-            1.0
-        };
-        self.plane = flat.then(|| Plane {
+        let slant = normal.dot(&self.towards_sensor) / n;
+        let sign = if slant < 0.0 { -1.0 } else { 1.0 };
+        self.plane = (flat && slant.abs() > MIN_SLANT).then(|| Plane {
             point: self.origin + mean,
             normal: normal * sign,
             thickness_m,

@@ -3,6 +3,8 @@
 mod bias_walk;
 mod fixed_point_reprojection;
 mod imu_preintegration;
+mod lidar_edge;
+mod lidar_plane;
 mod pose_prior;
 mod relative_pose;
 mod reprojection;
@@ -10,6 +12,8 @@ mod reprojection;
 pub use bias_walk::BiasWalk;
 pub use fixed_point_reprojection::FixedPointReprojection;
 pub use imu_preintegration::ImuPreintegration;
+pub use lidar_edge::LidarEdge;
+pub use lidar_plane::LidarPlane;
 pub use pose_prior::PosePrior;
 pub use relative_pose::RelativePose;
 pub use reprojection::{ObservingCamera, Reprojection};

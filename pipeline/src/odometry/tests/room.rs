@@ -44,6 +44,24 @@ impl Room {
         }
     }
 
+    /// Distance of a point to the nearest edge of a solid that runs along `direction` (within 15°).
+    pub fn distance_to_edge(&self, point: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
+        let axis = direction.abs().imax();
+        if direction[axis].abs() < 0.966 {
+            return f64::INFINITY;
+        }
+        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        let off = |solid: &Solid| {
+            let beyond = (solid.low[axis] - point[axis]).max(point[axis] - solid.high[axis]);
+            let across = |k: usize| {
+                let to_low = (point[k] - solid.low[k]).abs();
+                to_low.min((point[k] - solid.high[k]).abs())
+            };
+            across(u).hypot(across(v)).hypot(beyond.max(0.0))
+        };
+        self.solids.iter().map(off).fold(f64::INFINITY, f64::min)
+    }
+
     /// Distance along a unit ray to the first surface.
     fn cast(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
         let mut nearest = f64::INFINITY;

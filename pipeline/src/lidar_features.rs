@@ -1,0 +1,400 @@
+//! LiDAR features of a keyframe for Eq. (4): planes, and edges where two straight pieces of a ring meet (Zhang and
+//! Singh, "LOAM", IV-A, with windows in metres instead of points), and their correspondences between keyframes.
+//!
+//! Ranges carry centimetres of noise while neighbouring returns lie a centimetre apart, so curvature from a few
+//! neighbours would find noise. Planes are fits to all points of a cell; an edge point is where lines fitted to
+//! both sides of it meet, and an edge is a line through such points of several rings.
+//!
+//! A keyframe joins the scans around it: indoors one or two rings of a single scan meet the floor, and lines on the floor
+//! are no plane.
+
+use lsfb_geometry::{Matrix3, Se3, Vector3};
+use nalgebra::SymmetricEigen;
+use serde::{Deserialize, Serialize};
+
+use crate::odometry::{LocalMap, LocalMapConfig, Plane};
+use crate::preprocess::voxel_downsample;
+
+/// What counts as a feature, and as a correspondence.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LidarFeatureConfig {
+    /// Edge of the largest plane cell, metres; the smallest is half of it.
+    pub plane_cell_m: f64,
+    /// Length of the straight pieces on both sides of an edge point, metres.
+    pub edge_window_m: f64,
+    /// Least angle between those pieces, degrees.
+    pub min_crease_deg: f64,
+    /// Farthest correspondence, metres.
+    pub gate_m: f64,
+    /// Largest angle between corresponding normals or edge directions, degrees.
+    pub max_angle_deg: f64,
+}
+
+impl Default for LidarFeatureConfig {
+    fn default() -> Self {
+        Self {
+            plane_cell_m: 0.8,
+            edge_window_m: 0.3,
+            min_crease_deg: 40.0,
+            gate_m: 0.15,
+            max_angle_deg: 20.0,
+        }
+    }
+}
+
+/// A straight edge.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Edge {
+    /// Mean of its points, in the rig frame of the keyframe, metres.
+    pub point: Vector3<f64>,
+    /// Unit direction, up to sign.
+    pub direction: Vector3<f64>,
+}
+
+/// Features of one keyframe, in the rig frame of the keyframe.
+#[derive(Clone, Debug)]
+pub struct LidarFeatures {
+    surfaces: LocalMap,
+    planes: Vec<Plane>,
+    edges: Vec<Edge>,
+}
+
+/// ⁿp on the plane (ᵐq, ᵐn).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlaneMatch {
+    /// Point in keyframe n.
+    pub point_in_n: Vector3<f64>,
+    /// Plane in keyframe m.
+    pub plane_in_m: Plane,
+}
+
+/// ⁿp on the edge (ᵐq, ᵐl).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EdgeMatch {
+    /// Point in keyframe n.
+    pub point_in_n: Vector3<f64>,
+    /// Edge in keyframe m.
+    pub edge_in_m: Edge,
+}
+
+/// What two keyframes see both.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Correspondences {
+    /// Planes.
+    pub planes: Vec<PlaneMatch>,
+    /// Edges.
+    pub edges: Vec<EdgeMatch>,
+}
+
+/// Points and rings an edge must have.
+const MIN_POINTS_PER_EDGE: usize = 5;
+const MIN_RINGS_PER_EDGE: usize = 4;
+
+/// What one scan adds to the keyframes around it, in the rig frame at the time the scan was deskewed to.
+#[derive(Clone, Debug)]
+pub struct ScanFeatures {
+    points: Vec<Vector3<f64>>,
+    creases: Vec<Crease>,
+    sensor_in_rig: Vector3<f64>,
+}
+
+/// A scan and where it was, seen from a keyframe.
+#[derive(Clone, Copy, Debug)]
+pub struct PlacedScan<'a> {
+    /// Takes the scan's rig frame to that of the keyframe.
+    pub keyframe_from_scan: Se3,
+    /// The scan.
+    pub scan: &'a ScanFeatures,
+}
+
+/// Edge of the voxels a scan is thinned to, metres.
+const THINNING_M: f64 = 0.05;
+
+impl ScanFeatures {
+    /// Of a scan given ring by ring in firing order, seen from `sensor_in_rig`.
+    pub fn extract(
+        rings: &[Vec<Vector3<f64>>],
+        sensor_in_rig: &Vector3<f64>,
+        range_noise_m: f64,
+        config: &LidarFeatureConfig,
+    ) -> Self {
+        let creases = rings
+            .iter()
+            .enumerate()
+            .flat_map(|(ring, points)| {
+                creases_of_ring(points, sensor_in_rig, range_noise_m, config)
+                    .into_iter()
+                    .map(move |point| Crease { ring, point })
+            })
+            .collect();
+        Self {
+            points: voxel_downsample(&rings.concat(), THINNING_M),
+            creases,
+            sensor_in_rig: *sensor_in_rig,
+        }
+    }
+}
+
+impl LidarFeatures {
+    /// Features of a keyframe from the scans around it.
+    pub fn join(scans: &[PlacedScan], range_noise_m: f64, config: &LidarFeatureConfig) -> Self {
+        let mut surfaces = LocalMap::new(LocalMapConfig {
+            cell_size_m: config.plane_cell_m,
+            levels: 2,
+            range_noise_m,
+        });
+        let mut creases = Vec::new();
+        for placed in scans {
+            let scan = placed.scan;
+            surfaces.insert(
+                &scan.points,
+                &placed.keyframe_from_scan,
+                &scan.sensor_in_rig,
+            );
+            creases.extend(scan.creases.iter().map(|c| Crease {
+                point: placed.keyframe_from_scan * c.point,
+                ..*c
+            }));
+        }
+        creases.sort_by_key(|c| c.ring);
+        Self {
+            planes: surfaces.finest_planes(),
+            edges: join_creases(&creases, range_noise_m),
+            surfaces,
+        }
+    }
+
+    /// Flat patches, each with the mean of its points.
+    pub fn planes(&self) -> &[Plane] {
+        &self.planes
+    }
+
+    /// Straight edges.
+    pub fn edges(&self) -> &[Edge] {
+        &self.edges
+    }
+}
+
+/// Pairs the features of keyframe n with those of keyframe m that they lie on, given where n is seen from m.
+pub fn correspond(
+    m: &LidarFeatures,
+    n: &LidarFeatures,
+    m_from_n: &Se3,
+    config: &LidarFeatureConfig,
+) -> Correspondences {
+    let min_cosine = config.max_angle_deg.to_radians().cos();
+    let planes = n.planes.iter().filter_map(|plane| {
+        let point = *m_from_n * plane.point;
+        let normal = m_from_n.rotation * plane.normal;
+        let plane_in_m = m
+            .surfaces
+            .find_plane(&point, &normal, config.gate_m, min_cosine)?;
+        Some(PlaneMatch {
+            point_in_n: plane.point,
+            plane_in_m,
+        })
+    });
+    let edges = n.edges.iter().filter_map(|edge| {
+        let point = *m_from_n * edge.point;
+        let direction = m_from_n.rotation * edge.direction;
+        let across = |e: &Edge| e.direction.cross(&(point - e.point)).norm();
+        let edge_in_m = m
+            .edges
+            .iter()
+            .filter(|e| {
+                e.direction.dot(&direction).abs() > min_cosine
+                    && across(e) < config.gate_m
+                    // Two edges on one line may be two things.
+                    && (point - e.point).norm() < 1.0
+            })
+            .min_by(|a, b| across(a).total_cmp(&across(b)))?;
+        Some(EdgeMatch {
+            point_in_n: edge.point,
+            edge_in_m: *edge_in_m,
+        })
+    });
+    Correspondences {
+        planes: planes.collect(),
+        edges: edges.collect(),
+    }
+}
+
+/// Where one ring bends.
+#[derive(Clone, Copy, Debug)]
+struct Crease {
+    ring: usize,
+    point: Vector3<f64>,
+}
+
+fn creases_of_ring(
+    points: &[Vector3<f64>],
+    sensor: &Vector3<f64>,
+    range_noise_m: f64,
+    config: &LidarFeatureConfig,
+) -> Vec<Vector3<f64>> {
+    let Some(step_rad) = azimuth_step_rad(points, sensor) else {
+        return Vec::new();
+    };
+    let mut sums = vec![Vector3::zeros()];
+    for p in points {
+        sums.push(sums[sums.len() - 1] + p);
+    }
+    let mean = |from: usize, to: usize| (sums[to] - sums[from]) / (to - from) as f64;
+    // How far each point sticks out of the line through the means of both its sides.
+    let bend: Vec<(f64, usize)> = points
+        .iter()
+        .enumerate()
+        .map(|(i, p)| {
+            let range_m = (p - sensor).norm();
+            let half = ((config.edge_window_m / (range_m * step_rad)) as usize).clamp(4, 60);
+            let centre = (half / 5).max(1);
+            if i < half || i + half >= points.len() {
+                return (0.0, half);
+            }
+            let reach_m = 2.0 * config.edge_window_m;
+            if (points[i - half] - p).norm() > reach_m || (points[i + half] - p).norm() > reach_m {
+                return (0.0, half);
+            }
+            let sides = (mean(i - half, i) + mean(i + 1, i + half + 1)) * 0.5;
+            let bend = (sides - mean(i - centre, i + centre + 1)).norm();
+            (bend, half)
+        })
+        .collect();
+    let min_bend_m = 0.15 * config.edge_window_m;
+    let is_peak = |i: usize, half: usize| {
+        let from = i.saturating_sub(half);
+        let to = (i + half + 1).min(points.len());
+        // Of equal bends the first is the peak.
+        bend[from..i].iter().all(|b| b.0 < bend[i].0)
+            && bend[i + 1..to].iter().all(|b| b.0 <= bend[i].0)
+    };
+    (0..points.len())
+        .filter(|&i| bend[i].0 > min_bend_m && is_peak(i, bend[i].1))
+        .filter_map(|i| {
+            let half = bend[i].1;
+            let left = Line::fit(&points[i - half..i], range_noise_m)?;
+            let right = Line::fit(&points[i + 1..i + half + 1], range_noise_m)?;
+            let meeting = left.meet(&right, config.min_crease_deg)?;
+            ((meeting - points[i]).norm() < 0.5 * config.edge_window_m).then_some(meeting)
+        })
+        .collect()
+}
+
+/// Usual angle between neighbouring returns.
+fn azimuth_step_rad(points: &[Vector3<f64>], sensor: &Vector3<f64>) -> Option<f64> {
+    let mut angles: Vec<f64> = points
+        .windows(2)
+        .map(|w| (w[0] - sensor).angle(&(w[1] - sensor)))
+        .collect();
+    if angles.len() < 20 {
+        return None;
+    }
+    let middle = angles.len() / 2;
+    let (_, median, _) = angles.select_nth_unstable_by(middle, f64::total_cmp);
+    (*median > 1e-5).then_some(*median)
+}
+
+/// A line fitted to points.
+struct Line {
+    point: Vector3<f64>,
+    direction: Vector3<f64>,
+    /// Root mean square distance of the points.
+    thickness_m: f64,
+    length_m: f64,
+}
+
+impl Line {
+    fn through(points: impl Iterator<Item = Vector3<f64>> + Clone) -> Self {
+        let n = points.clone().count().max(1) as f64;
+        let point = points.clone().sum::<Vector3<f64>>() / n;
+        let spread: Matrix3<f64> = points
+            .map(|p| (p - point) * (p - point).transpose())
+            .sum::<Matrix3<f64>>()
+            / n;
+        let eigen = SymmetricEigen::new(spread);
+        let largest = eigen.eigenvalues.imax();
+        let along = eigen.eigenvalues[largest].max(0.0);
+        Self {
+            point,
+            direction: eigen.eigenvectors.column(largest).into(),
+            thickness_m: (spread.trace() - along).max(0.0).sqrt(),
+            length_m: (12.0 * along).sqrt(),
+        }
+    }
+
+    /// The line through one side of an edge; `None` where the points are no line.
+    fn fit(points: &[Vector3<f64>], range_noise_m: f64) -> Option<Self> {
+        let line = Self::through(points.iter().copied());
+        (points.len() >= 4
+            && line.thickness_m < 1.5 * range_noise_m + 0.005
+            && line.length_m > 2.0 * line.thickness_m)
+            .then_some(line)
+    }
+
+    /// Middle of the shortest connection of two lines that meet at least at `min_angle_deg`.
+    fn meet(&self, other: &Self, min_angle_deg: f64) -> Option<Vector3<f64>> {
+        let cosine = self.direction.dot(&other.direction);
+        if cosine.abs() > min_angle_deg.to_radians().cos() {
+            return None;
+        }
+        let between = other.point - self.point;
+        let sine_squared = 1.0 - cosine * cosine;
+        let s =
+            (between.dot(&self.direction) - cosine * between.dot(&other.direction)) / sine_squared;
+        let t =
+            (cosine * between.dot(&self.direction) - between.dot(&other.direction)) / sine_squared;
+        let (a, b) = (
+            self.point + self.direction * s,
+            other.point + other.direction * t,
+        );
+        Some((a + b) * 0.5)
+    }
+}
+
+/// Lines through the creases of neighbouring rings.
+fn join_creases(creases: &[Crease], range_noise_m: f64) -> Vec<Edge> {
+    const RADIUS_M: f64 = 0.4;
+    let mut used = vec![false; creases.len()];
+    let mut edges = Vec::new();
+    for seed in 0..creases.len() {
+        if used[seed] {
+            continue;
+        }
+        let near: Vec<usize> = (0..creases.len())
+            .filter(|&i| !used[i] && (creases[i].point - creases[seed].point).norm() < RADIUS_M)
+            .collect();
+        let line = Line::through(near.iter().map(|&i| creases[i].point));
+        // Creases of another edge nearby are left out, once.
+        let members: Vec<usize> = near
+            .into_iter()
+            .filter(|&i| {
+                let off = line
+                    .direction
+                    .cross(&(creases[i].point - line.point))
+                    .norm();
+                off < 3.0 * range_noise_m
+            })
+            .collect();
+        let mut rings: Vec<usize> = members.iter().map(|&i| creases[i].ring).collect();
+        rings.dedup();
+        if members.len() < MIN_POINTS_PER_EDGE || rings.len() < MIN_RINGS_PER_EDGE {
+            continue;
+        }
+        let line = Line::through(members.iter().map(|&i| creases[i].point));
+        if line.thickness_m > 1.5 * range_noise_m || line.length_m < 4.0 * line.thickness_m {
+            continue;
+        }
+        for i in members {
+            used[i] = true;
+        }
+        edges.push(Edge {
+            point: line.point,
+            direction: line.direction,
+        });
+    }
+    edges
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,121 @@
+use super::*;
+use crate::odometry::tests::room::{self, Room};
+use crate::preprocess::{MotionKnot, RangeWindow, deskew_rings};
+use crate::residuals::{LidarEdge, LidarPlane};
+use lsfb_geometry::{RigLidar, Vector6};
+use lsfb_solver::{Kernel, Problem, SolveConfig, solve};
+
+/// Features at `t` from five scans before and after, placed with the true motion.
+fn features_at(room: &Room, t: f64) -> LidarFeatures {
+    let config = LidarFeatureConfig::default();
+    let lidar = room::lidar();
+    let scans: Vec<_> = (-5..=5)
+        .map(|i| {
+            let start = t + f64::from(i) * 0.1;
+            (start, scan_features(room, start, &lidar, &config))
+        })
+        .collect();
+    let placed: Vec<_> = scans
+        .iter()
+        .map(|(start, scan)| PlacedScan {
+            keyframe_from_scan: room::world_from_rig(t).inverse() * room::world_from_rig(*start),
+            scan,
+        })
+        .collect();
+    LidarFeatures::join(&placed, lidar.range_noise_m, &config)
+}
+
+fn scan_features(
+    room: &Room,
+    t: f64,
+    lidar: &RigLidar,
+    config: &LidarFeatureConfig,
+) -> ScanFeatures {
+    let scan = room::scan(room, t, (t * 1000.0) as u64);
+    let start_from_world = room::world_from_rig(t).inverse();
+    let knots: Vec<_> = (0..=20)
+        .map(|i| MotionKnot {
+            offset_ns: i * 5_000_000,
+            reference_from_rig: start_from_world * room::world_from_rig(t + i as f64 * 0.005),
+        })
+        .collect();
+    let window = RangeWindow {
+        min_m: 0.5,
+        max_m: 50.0,
+    };
+    let rings = deskew_rings(&scan.sample, &lidar.rig_from_lidar, &knots, window);
+    let sensor_in_rig = lidar.rig_from_lidar.translation;
+    ScanFeatures::extract(&rings, &sensor_in_rig, lidar.range_noise_m, config)
+}
+
+#[test]
+fn edges_lie_on_edges_of_the_room() {
+    let room = Room::furnished();
+    let features = features_at(&room, 2.0);
+    let world_from_rig = room::world_from_rig(2.0);
+    assert!(features.planes().len() > 100, "{}", features.planes().len());
+    assert!(features.edges().len() >= 6, "{}", features.edges().len());
+    let on_edge = features
+        .edges()
+        .iter()
+        .filter(|e| {
+            let point = world_from_rig * e.point;
+            let direction = world_from_rig.rotation * e.direction;
+            room.distance_to_edge(&point, &direction) < 0.05
+        })
+        .count();
+    let share = on_edge as f64 / features.edges().len() as f64;
+    assert!(share > 0.8, "{on_edge} of {}", features.edges().len());
+}
+
+#[test]
+fn eq4_terms_recover_a_pose_from_wrong_guesses() {
+    let room = Room::furnished();
+    let config = LidarFeatureConfig {
+        gate_m: 0.4,
+        ..Default::default()
+    };
+    let (m, n) = (features_at(&room, 2.0), features_at(&room, 4.0));
+    let truth = room::world_from_rig(2.0).inverse() * room::world_from_rig(4.0);
+    for sign in [-1.0, 1.0] {
+        let offset = Vector6::new(0.02, -0.02, 0.03, 0.1, 0.1, -0.05) * sign;
+        let mut m_from_n = truth * Se3::exp(&offset);
+        for _ in 0..5 {
+            let found = correspond(&m, &n, &m_from_n, &config);
+            assert!(found.planes.len() > 50 && !found.edges.is_empty());
+            let mut problem = Problem::new();
+            let pose_m = problem.add_block(Se3::identity());
+            problem.set_constant(pose_m);
+            let pose_n = problem.add_block(m_from_n);
+            let blocks = [pose_m.id(), pose_n.id()];
+            let kernel = Kernel::Cauchy { scale: 2.0 };
+            for f in &found.planes {
+                let residual = LidarPlane {
+                    point_in_n: f.point_in_n,
+                    point_in_m: f.plane_in_m.point,
+                    normal_in_m: f.plane_in_m.normal,
+                    sigma_m: 0.02,
+                };
+                problem
+                    .add_residual(residual, &blocks, kernel)
+                    .expect("blocks fit");
+            }
+            for f in &found.edges {
+                let residual = LidarEdge {
+                    point_in_n: f.point_in_n,
+                    point_in_m: f.edge_in_m.point,
+                    direction_in_m: f.edge_in_m.direction,
+                    sigma_m: 0.03,
+                };
+                problem
+                    .add_residual(residual, &blocks, kernel)
+                    .expect("blocks fit");
+            }
+            solve(&mut problem, &SolveConfig::default()).expect("solvable");
+            m_from_n = problem.value(pose_n);
+        }
+        let error = (truth.inverse() * m_from_n).log();
+        assert!(error.fixed_rows::<3>(0).norm() < 0.004, "{error}");
+        assert!(error.fixed_rows::<3>(3).norm() < 0.01, "{error}");
+    }
+}
