@@ -92,6 +92,11 @@ pub(super) fn frame_height(plot_height: u32) -> u32 {
     plot_height + BELOW + MARGIN
 }
 
+/// Neighbours further apart in time than this are not joined by a line: nobody knows what lies between.
+pub(super) fn break_secs(duration_secs: f64) -> f64 {
+    (duration_secs / 50.0).max(1.0)
+}
+
 /// A line as wide as `pixels` of the page.
 pub(super) fn stroke(color: impl Color, pixels: f64) -> ShapeStyle {
     color.stroke_width((pixels * f64::from(FINE)).round() as u32)

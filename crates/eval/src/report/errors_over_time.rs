@@ -2,7 +2,7 @@
 
 use plotters::series::LineSeries;
 
-use super::chart::{self, Axis, Frame, stroke};
+use super::chart::{self, Axis, Frame, break_secs, stroke};
 use super::number::ticks;
 use super::{Track, theme};
 use crate::error::Error;
@@ -15,13 +15,44 @@ pub(super) enum Part {
     Rotation,
 }
 
-/// A stamp and a value: a break is where the next pose comes much later than usual.
-const BREAK_SECS: f64 = 1.0;
+/// Unit of translation errors: centimetres, unless they exceed a few metres.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Length {
+    Centimetres,
+    Metres,
+}
+
+impl Length {
+    /// For all trajectories of a page.
+    pub(super) fn of(tracks: &[Track]) -> Self {
+        let far = |e: &PoseError| e.translation_m > 2.0;
+        if tracks.iter().flat_map(|t| &t.errors).any(far) {
+            Self::Metres
+        } else {
+            Self::Centimetres
+        }
+    }
+
+    pub(super) fn of_metres(self, metres: f64) -> f64 {
+        match self {
+            Self::Centimetres => 100.0 * metres,
+            Self::Metres => metres,
+        }
+    }
+
+    pub(super) fn unit(self) -> &'static str {
+        match self {
+            Self::Centimetres => "cm",
+            Self::Metres => "m",
+        }
+    }
+}
 
 /// `None` where no trajectory has errors.
 pub(super) fn draw(tracks: &[Track], part: Part) -> Result<Option<String>, Error> {
+    let length = Length::of(tracks);
     let value = |e: &PoseError| match part {
-        Part::Translation => 100.0 * e.translation_m,
+        Part::Translation => length.of_metres(e.translation_m),
         Part::Rotation => e.rotation_deg,
     };
     let series: Vec<Vec<(f64, f64)>> = tracks.iter().map(|t| places(&t.errors, value)).collect();
@@ -44,17 +75,16 @@ pub(super) fn draw(tracks: &[Track], part: Part) -> Result<Option<String>, Error
         },
         y: Axis {
             label: match part {
-                Part::Translation => "error (cm)",
-                Part::Rotation => "error (°)",
-            }
-            .to_owned(),
+                Part::Translation => format!("error ({})", length.unit()),
+                Part::Rotation => "error (°)".to_owned(),
+            },
             range: 0.0..top,
             ticks: ticks(0.0, top, 5),
         },
     };
     chart::draw(frame, |chart| {
         for (i, places) in series.iter().enumerate() {
-            for piece in places.chunk_by(|a, b| b.0 - a.0 <= BREAK_SECS.max(end / 50.0)) {
+            for piece in places.chunk_by(|a, b| b.0 - a.0 <= break_secs(end)) {
                 let line = LineSeries::new(piece.iter().copied(), stroke(theme::track(i), 1.6));
                 chart.draw_series(line).map_err(|e| e.to_string())?;
             }

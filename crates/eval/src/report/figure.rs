@@ -104,7 +104,11 @@ pub(super) fn of_evaluation(evaluation: &Evaluation) -> Vec<Figure> {
     figures.extend([
         Figure::new("Truth covered", covered, "%"),
         Figure::new("Longest gap", evaluation.coverage.longest_gap_secs, "s"),
-        Figure::new("Poses matched", evaluation.matched_poses as f64, ""),
+        Figure::new(
+            &format!("Poses matched, of {}", evaluation.estimate_poses),
+            evaluation.matched_poses as f64,
+            "",
+        ),
         Figure::new("Path of the truth", evaluation.truth_path_m, "m"),
         Figure::new(
             &format!("Scale of the alignment ({})", evaluation.alignment),

@@ -34,6 +34,8 @@ pub struct Report {
     pub map_points: Vec<Vector3<f64>>,
     /// Trajectories in the world of the map.
     pub tracks: Vec<Track>,
+    /// From where map and trajectories are seen.
+    pub view: View,
     /// Several estimates in one table, best first.
     pub comparison: Vec<Comparison>,
     /// Distributions, one plot each: reprojection errors of map and glasses.
@@ -44,6 +46,16 @@ pub struct Report {
     pub warnings: Vec<String>,
     /// Seed, versions, configuration, hashes of the inputs.
     pub provenance: Vec<Provenance>,
+}
+
+/// From where map and trajectories are seen.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum View {
+    /// From above: the worlds of this project have z up.
+    #[default]
+    Above,
+    /// Along the axis on which the trajectories extend least: the worlds of others have any axis up.
+    Widest,
 }
 
 /// One trajectory with what is known of its error.
@@ -106,16 +118,19 @@ impl Report {
     /// The page of `lsfb eval`: one estimate against the truth.
     pub fn of_evaluation(name: &str, evaluation: &Evaluation, truth: &Trajectory) -> Self {
         let mut warnings = Vec::new();
-        if evaluation.duplicate_stamps > 0 {
-            warnings.push(format!(
-                "{} poses repeat the stamp of the pose before them; each counts.",
-                evaluation.duplicate_stamps
-            ));
+        match evaluation.duplicate_stamps {
+            0 => {}
+            1 => warnings
+                .push("One pose repeats the stamp of the pose before it; both count.".to_owned()),
+            n => warnings.push(format!(
+                "{n} poses repeat the stamp of the pose before them; all count."
+            )),
         }
         Self {
             title: format!("{name} against the truth"),
             figures: figure::of_evaluation(evaluation),
             tracks: vec![Track::of(name, evaluation, truth)],
+            view: View::Widest,
             warnings,
             ..Self::default()
         }

@@ -2,7 +2,7 @@
 
 use maud::{Markup, PreEscaped, html};
 
-use super::errors_over_time::{self, Part};
+use super::errors_over_time::{self, Length, Part};
 use super::histogram::{self, Histogram, Series};
 use super::number::{rounded, significant, with_unit};
 use super::{Report, theme, top_view};
@@ -15,7 +15,7 @@ pub(super) fn from_above(report: &Report) -> Result<Markup, Error> {
     };
     Ok(html! {
         section.above {
-            h2 { "From above" }
+            h2 { @if let Some(axes) = &view.plane { "In the plane of " (axes) } @else { "From above" } }
             figure {
                 (PreEscaped(view.svg))
                 figcaption {
@@ -49,18 +49,24 @@ pub(super) fn errors(report: &Report) -> Result<Markup, Error> {
     let tracks = &report.tracks;
     let translation = errors_over_time::draw(tracks, Part::Translation)?;
     let rotation = errors_over_time::draw(tracks, Part::Rotation)?;
-    let centimetres: Vec<Vec<f64>> = tracks
+    let length = Length::of(tracks);
+    let lengths: Vec<Vec<f64>> = tracks
         .iter()
-        .map(|t| t.errors.iter().map(|e| 100.0 * e.translation_m).collect())
+        .map(|t| {
+            t.errors
+                .iter()
+                .map(|e| length.of_metres(e.translation_m))
+                .collect()
+        })
         .collect();
-    let series: Vec<Series<'_>> = centimetres
+    let series: Vec<Series<'_>> = lengths
         .iter()
         .enumerate()
         .map(|(color, values)| Series { color, values })
         .collect();
     let spread = histogram::draw(
         "how translation errors spread",
-        "translation error (cm)".to_owned(),
+        format!("translation error ({})", length.unit()),
         &series,
     )?;
     let plot = |heading: &str, svg: &str| {
@@ -85,7 +91,7 @@ pub(super) fn errors(report: &Report) -> Result<Markup, Error> {
                                     span.key {
                                         span.line style=(format!("border-color:{}", theme::track_variable(i))) { }
                                         (track.name)
-                                        @if let Some(s) = spread.statistics.get(i).copied().flatten() { ": " (in_words(&s, "cm")) }
+                                        @if let Some(s) = spread.statistics.get(i).copied().flatten() { ": " (in_words(&s, length.unit())) }
                                     }
                                 }
                                 (beyond(&spread))

@@ -134,6 +134,7 @@ fn made_up() -> Report {
             track("scanner", &scanner, &scanner_truth),
             track("glasses", &glasses, &glasses_truth),
         ],
+        view: View::Above,
         comparison: compare(&[
             crate::Contender {
                 name: "scanner",
@@ -280,4 +281,37 @@ fn hostile_text_and_odd_data_do_no_harm() {
     let page = report.to_html().expect("drawn");
     assert!(!page.contains("<script>"));
     assert!(Report::default().to_html().is_ok());
+}
+
+#[test]
+fn other_worlds_are_seen_where_they_are_widest() {
+    let turned = |poses: Vec<StampedPose>| -> Vec<StampedPose> {
+        // A camera's world: y down, z forward.
+        let camera_from_world = Se3::exp(&Vector6::new(
+            std::f64::consts::FRAC_PI_2,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+        ));
+        poses
+            .into_iter()
+            .map(|p| StampedPose {
+                world_from_rig: camera_from_world * p.world_from_rig,
+                ..p
+            })
+            .collect()
+    };
+    let truth = turned(walk(24.0, 10.0, glasses_place));
+    let evaluation = evaluate(&truth, &truth, &EvalConfig::default()).expect("valid");
+    let mut report = Report::of_evaluation("x", &evaluation, &Trajectory::new(truth));
+    assert!(
+        report
+            .to_html()
+            .expect("drawn")
+            .contains("In the plane of x and z")
+    );
+    report.view = View::Above;
+    assert!(report.to_html().expect("drawn").contains("From above"));
 }

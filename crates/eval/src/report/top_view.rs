@@ -1,15 +1,15 @@
-//! Map and trajectories from above, metres the same length on both axes.
+//! Map and trajectories in a plane, metres the same length on both axes.
 
 use std::collections::BTreeMap;
 
-use lsfb_geometry::{Trajectory, Vector3};
+use lsfb_geometry::{StampedPose, Trajectory, Vector3};
 use plotters::element::{Circle, EmptyElement};
 use plotters::series::LineSeries;
-use plotters::style::Color;
+use plotters::style::{Color, ShapeStyle};
 
-use super::chart::{self, Axis, Frame, frame_height, plot_width, stroke};
+use super::chart::{self, Axis, Chart, Frame, break_secs, frame_height, plot_width, stroke};
 use super::number::{tick_step, ticks};
-use super::{Report, theme};
+use super::{Report, View, theme};
 use crate::error::Error;
 
 const WIDTH: u32 = 680;
@@ -24,33 +24,89 @@ pub(super) struct TopView {
     pub svg: String,
     /// Lowest and highest map point drawn; absent without a map.
     pub heights_m: Option<[f64; 2]>,
+    /// Where the axes of the plane are not x and y: their names.
+    pub plane: Option<String>,
+}
+
+/// Which coordinates the plane shows.
+#[derive(Clone, Copy, PartialEq, Eq)]
+struct Plane {
+    right: usize,
+    up: usize,
+}
+
+const ABOVE: Plane = Plane { right: 0, up: 1 };
+
+impl Plane {
+    fn of(report: &Report) -> Self {
+        if report.view == View::Above {
+            return ABOVE;
+        }
+        let extent = |axis: usize| {
+            let values = report
+                .tracks
+                .iter()
+                .flat_map(|t| {
+                    t.estimate
+                        .poses()
+                        .iter()
+                        .chain(t.truth.iter().flat_map(|t| t.poses()))
+                })
+                .map(|p| p.world_from_rig.translation[axis]);
+            let (low, high) = values.fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(v), h.max(v)));
+            high - low
+        };
+        let [x, y, z] = [extent(0), extent(1), extent(2)];
+        if z <= x && z <= y {
+            ABOVE
+        } else if y <= x {
+            Self { right: 0, up: 2 }
+        } else {
+            Self { right: 1, up: 2 }
+        }
+    }
+
+    fn point(self, p: &Vector3<f64>) -> (f64, f64) {
+        (p[self.right], p[self.up])
+    }
+
+    fn path(self, poses: &[StampedPose]) -> impl Iterator<Item = (f64, f64)> {
+        poses
+            .iter()
+            .map(move |p| self.point(&p.world_from_rig.translation))
+            .filter(|(right, up)| right.is_finite() && up.is_finite())
+    }
+}
+
+fn axis_name(axis: usize) -> &'static str {
+    ["x", "y", "z"][axis.min(2)]
 }
 
 /// `None` where there is neither map nor trajectory.
 pub(super) fn draw(report: &Report) -> Result<Option<TopView>, Error> {
-    let Some(bounds) = Bounds::of(report) else {
+    let plane = Plane::of(report);
+    let Some(bounds) = Bounds::of(report, plane) else {
         return Ok(None);
     };
-    let dots = thinned(&report.map_points, bounds);
+    let dots = thinned(&report.map_points, plane, bounds);
     let heights_m = height_range(&dots);
-    let (frame, dot_px) = frame(bounds);
+    let frame = frame(plane, bounds);
     let svg = chart::draw(frame, |chart| {
         chart
             .draw_series(dots.iter().map(|dot| {
                 let color = theme::shade(shade(dot.z, heights_m));
-                EmptyElement::at((dot.x, dot.y)) + Circle::new((0, 0), dot_px, color.filled())
+                EmptyElement::at(plane.point(dot))
+                    + Circle::new((0, 0), chart::FINE, color.filled())
             }))
             .map_err(|e| e.to_string())?;
         for (i, track) in report.tracks.iter().enumerate() {
-            let line = LineSeries::new(path(&track.estimate), stroke(theme::track(i), 2.2));
-            chart.draw_series(line).map_err(|e| e.to_string())?;
+            draw_path(chart, plane, &track.estimate, stroke(theme::track(i), 2.2))?;
         }
         for (i, track) in report.tracks.iter().enumerate() {
             if let Some(truth) = &track.truth {
-                let line = LineSeries::new(path(truth), stroke(theme::TRUTH, 1.0));
-                chart.draw_series(line).map_err(|e| e.to_string())?;
+                draw_path(chart, plane, truth, stroke(theme::TRUTH, 1.0))?;
             }
-            let start = path(&track.estimate).next();
+            let start = plane.path(track.estimate.poses()).next();
             chart
                 .draw_series(start.map(|at| {
                     let (size, color) = (5 * chart::FINE, theme::track(i));
@@ -60,20 +116,31 @@ pub(super) fn draw(report: &Report) -> Result<Option<TopView>, Error> {
         }
         Ok(())
     })?;
-    Ok(Some(TopView { svg, heights_m }))
+    Ok(Some(TopView {
+        svg,
+        heights_m,
+        plane: (plane != ABOVE)
+            .then(|| format!("{} and {}", axis_name(plane.right), axis_name(plane.up))),
+    }))
 }
 
-fn path(trajectory: &Trajectory) -> impl Iterator<Item = (f64, f64)> {
-    trajectory
-        .poses()
-        .iter()
-        .map(|p| {
-            (
-                p.world_from_rig.translation.x,
-                p.world_from_rig.translation.y,
-            )
-        })
-        .filter(|(x, y)| x.is_finite() && y.is_finite())
+fn draw_path(
+    chart: &mut Chart<'_, '_>,
+    plane: Plane,
+    trajectory: &Trajectory,
+    style: ShapeStyle,
+) -> Result<(), String> {
+    let poses = trajectory.poses();
+    let (Some(first), Some(last)) = (poses.first(), poses.last()) else {
+        return Ok(());
+    };
+    let longest_secs = break_secs(last.time.secs_since(first.time));
+    for piece in poses.chunk_by(|a, b| b.time.secs_since(a.time) <= longest_secs) {
+        chart
+            .draw_series(LineSeries::new(plane.path(piece), style))
+            .map_err(|e| e.to_string())?;
+    }
+    Ok(())
 }
 
 #[derive(Clone, Copy)]
@@ -84,17 +151,17 @@ struct Bounds {
 
 impl Bounds {
     /// All of the trajectories, and the map but for its outermost half percent: a stray point must not shrink the rest.
-    fn of(report: &Report) -> Option<Self> {
-        let tracks = report
-            .tracks
-            .iter()
-            .flat_map(|t| path(&t.estimate).chain(t.truth.iter().flat_map(path)));
+    fn of(report: &Report, plane: Plane) -> Option<Self> {
+        let tracks = report.tracks.iter().flat_map(|t| {
+            let truth = t.truth.iter().flat_map(|truth| plane.path(truth.poses()));
+            plane.path(t.estimate.poses()).chain(truth)
+        });
         let (mut xs, mut ys): (Vec<f64>, Vec<f64>) = tracks.unzip();
-        let map = |of: fn(&Vector3<f64>) -> f64| {
+        let map = |axis: usize| {
             let mut values: Vec<f64> = report
                 .map_points
                 .iter()
-                .map(of)
+                .map(|p| p[axis])
                 .filter(|v| v.is_finite())
                 .collect();
             values.sort_by(f64::total_cmp);
@@ -103,8 +170,8 @@ impl Bounds {
             values.truncate(values.len() - beyond.min(values.len()));
             values
         };
-        xs.extend(map(|p| p.x));
-        ys.extend(map(|p| p.y));
+        xs.extend(map(plane.right));
+        ys.extend(map(plane.up));
         let range = |values: &[f64]| {
             let low = values.iter().copied().reduce(f64::min)?;
             let high = values.iter().copied().reduce(f64::max)?;
@@ -117,13 +184,13 @@ impl Bounds {
         })
     }
 
-    fn contains(&self, point: &Vector3<f64>) -> bool {
-        (self.x[0]..=self.x[1]).contains(&point.x) && (self.y[0]..=self.y[1]).contains(&point.y)
+    fn contains(&self, (x, y): (f64, f64)) -> bool {
+        (self.x[0]..=self.x[1]).contains(&x) && (self.y[0]..=self.y[1]).contains(&y)
     }
 }
 
-/// A frame of equal scale, and the radius of a dot in it.
-fn frame(bounds: Bounds) -> (Frame, u32) {
+/// A frame of equal scale.
+fn frame(plane: Plane, bounds: Bounds) -> Frame {
     let [mut x, mut y] = [bounds.x, bounds.y];
     let plot_w = f64::from(plot_width(WIDTH));
     let wanted = plot_w * (y[1] - y[0]) / (x[1] - x[0]);
@@ -135,8 +202,8 @@ fn frame(bounds: Bounds) -> (Frame, u32) {
     }
     // One distance of lines for both axes.
     let step = tick_step(x[1] - x[0], 8).max(tick_step(y[1] - y[0], 8));
-    let axis = |label: &str, range: [f64; 2]| Axis {
-        label: label.to_owned(),
+    let axis = |axis: usize, range: [f64; 2]| Axis {
+        label: format!("{} (m)", axis_name(axis)),
         range: range[0]..range[1],
         ticks: ticks(
             range[0],
@@ -144,27 +211,27 @@ fn frame(bounds: Bounds) -> (Frame, u32) {
             ((range[1] - range[0]) / step).ceil() as usize,
         ),
     };
-    let frame = Frame {
-        name: "map and trajectories from above",
+    Frame {
+        name: "map and trajectories",
         width: WIDTH,
         height: frame_height(plot_h as u32),
-        x: axis("x (m)", x),
-        y: axis("y (m)", y),
-    };
-    (frame, 4)
+        x: axis(plane.right, x),
+        y: axis(plane.up, y),
+    }
 }
 
 /// One point, the highest, of each cell of a grid that is as fine as [`MAX_DOTS`] allows.
-fn thinned(points: &[Vector3<f64>], bounds: Bounds) -> Vec<Vector3<f64>> {
+fn thinned(points: &[Vector3<f64>], plane: Plane, bounds: Bounds) -> Vec<Vector3<f64>> {
     let inside: Vec<&Vector3<f64>> = points
         .iter()
-        .filter(|p| p.iter().all(|v| v.is_finite()) && bounds.contains(p))
+        .filter(|p| p.iter().all(|v| v.is_finite()) && bounds.contains(plane.point(p)))
         .collect();
     let mut cell_m = (bounds.x[1] - bounds.x[0]).max(bounds.y[1] - bounds.y[0]) / 600.0;
     loop {
         let mut cells: BTreeMap<(i64, i64), Vector3<f64>> = BTreeMap::new();
         for p in &inside {
-            let cell = ((p.x / cell_m).floor() as i64, (p.y / cell_m).floor() as i64);
+            let (x, y) = plane.point(p);
+            let cell = ((x / cell_m).floor() as i64, (y / cell_m).floor() as i64);
             let kept = cells.entry(cell).or_insert(**p);
             if p.z > kept.z {
                 *kept = **p;
