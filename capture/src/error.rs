@@ -30,6 +30,14 @@ pub enum Error {
         #[source]
         cause: std::io::Error,
     },
+    /// A point cloud is unusable.
+    #[error("{}: {message}", path.display())]
+    Cloud {
+        /// The file or folder.
+        path: PathBuf,
+        /// What is wrong.
+        message: String,
+    },
     /// The list of devices names none.
     #[error("no device is configured; name at least one of [lidar], [[camera]], [imu], [sidecar]")]
     NoDevice,

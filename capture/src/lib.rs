@@ -19,20 +19,23 @@
 
 mod camera;
 pub mod clock;
+mod clouds;
 mod config;
 mod error;
 mod health;
 mod imu;
 mod lidar;
+mod pcd;
 mod recorder;
 mod replay;
 mod session;
 mod sidecar;
 mod sync;
 
+pub use clouds::{CloudsConfig, import_clouds};
 pub use config::{CameraUnitConfig, DevicesConfig, ImuLineConfig, LidarNetConfig, Overflow, SidecarConfig};
 pub use error::Error;
 pub use health::{CaptureReport, Ending, StreamReport};
 pub use replay::{ReplayConfig, replay};
-pub use session::Session;
+pub use session::{Counts, Session};
 pub use sync::GroupReport;

@@ -1,0 +1,71 @@
+//! A folder of point clouds → Recording, for datasets that keep scans as files.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use lsfb_geometry::{Rig, RigLidar, Se3};
+use lsfb_recording::{Summary, Writer, WriterConfig};
+use lsfb_types::{Progress, ProgressFn, Stamped, Timestamp};
+
+use crate::recorder::make_folder;
+use crate::{Error, pcd};
+
+/// What a folder of clouds does not say of itself.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CloudsConfig {
+    /// Scans per second; the files carry no time.
+    pub rate_hz: f64,
+    /// Standard deviation of one range, metres.
+    pub range_noise_m: f64,
+}
+
+impl Default for CloudsConfig {
+    fn default() -> Self {
+        Self { rate_hz: 10.0, range_noise_m: 0.02 }
+    }
+}
+
+/// Records the PCD files of `folder`, in order of name, as scans of a rig that is its LiDAR.
+pub fn import_clouds(
+    folder: &Path,
+    config: &CloudsConfig,
+    out: &Path,
+    stop: &AtomicBool,
+    progress: ProgressFn<'_>,
+) -> Result<Summary, Error> {
+    let files = cloud_files(folder)?;
+    make_folder(out)?;
+    let mut writer = Writer::create(out, &WriterConfig::default())?;
+    writer.attach_rig(&Rig {
+        name: "clouds".to_owned(),
+        cameras: Default::default(),
+        imu: None,
+        lidar: Some(RigLidar { rig_from_lidar: Se3::identity(), range_noise_m: config.range_noise_m }),
+    })?;
+    for (index, path) in files.iter().enumerate() {
+        if stop.load(Ordering::Relaxed) {
+            break;
+        }
+        progress(Progress { stage: "reading clouds", done: index as u64, total: files.len() as u64 });
+        let time = Timestamp::from_secs_f64(index as f64 / config.rate_hz);
+        let scan = Stamped { time, arrival: time, device_ticks: 0, sample: pcd::read(path)? };
+        writer.write_scan(&scan)?;
+    }
+    Ok(writer.finish()?)
+}
+
+fn cloud_files(folder: &Path) -> Result<Vec<PathBuf>, Error> {
+    let io = |cause| Error::Io { path: folder.to_owned(), cause };
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(io)? {
+        let path = entry.map_err(io)?.path();
+        if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("pcd")) {
+            files.push(path);
+        }
+    }
+    files.sort();
+    if files.is_empty() {
+        return Err(Error::Cloud { path: folder.to_owned(), message: "no .pcd file in this folder".to_owned() });
+    }
+    Ok(files)
+}

@@ -1,0 +1,215 @@
+//! Point clouds in PCD files, format 0.7, ASCII and binary: fields x y z, and intensity, ring, t where they are there.
+
+use std::path::Path;
+
+use lsfb_types::{LidarPoint, LidarScan};
+
+use crate::Error;
+
+/// Points in one file; more is a map, not a scan.
+const MAX_POINTS: usize = 20_000_000;
+const MAX_HEADER_BYTES: usize = 4096;
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Float,
+    Signed,
+    Unsigned,
+}
+
+struct Field {
+    name: String,
+    kind: Kind,
+    size: usize,
+    offset: usize,
+    column: usize,
+}
+
+struct Header {
+    fields: Vec<Field>,
+    point_bytes: usize,
+    points: usize,
+    binary: bool,
+    data_at: usize,
+}
+
+/// Reads one file. Points whose coordinates are not finite are left out.
+pub(crate) fn read(path: &Path) -> Result<LidarScan, Error> {
+    let bytes = std::fs::read(path).map_err(|cause| Error::Io { path: path.to_owned(), cause })?;
+    let fail = |message: String| Error::Cloud { path: path.to_owned(), message };
+    let header = header(&bytes).map_err(fail)?;
+    let data = bytes.get(header.data_at..).unwrap_or_default();
+    let rows: Vec<Vec<f64>> = if header.binary {
+        let need = header.points * header.point_bytes;
+        if data.len() < need {
+            return Err(fail(format!("{} bytes of points where the header announces {need}: truncated", data.len())));
+        }
+        data.chunks_exact(header.point_bytes).take(header.points).map(|row| binary_row(&header, row)).collect()
+    } else {
+        let text = String::from_utf8_lossy(data);
+        let lines = text.lines().filter(|line| !line.trim().is_empty());
+        let rows: Vec<_> = lines.take(header.points).map(|line| text_row(&header, line)).collect();
+        if rows.len() < header.points {
+            return Err(fail(format!("{} points where the header announces {}", rows.len(), header.points)));
+        }
+        rows
+    };
+    let column = |name: &str| header.fields.iter().position(|f| f.name == name);
+    let (Some(x), Some(y), Some(z)) = (column("x"), column("y"), column("z")) else {
+        return Err(fail("no fields x, y and z".to_owned()));
+    };
+    let (intensity, ring, offset) = (column("intensity"), column("ring"), column("t"));
+    let value = |row: &[f64], at: Option<usize>| at.and_then(|i| row.get(i)).copied().unwrap_or(0.0);
+    let points = rows.iter().filter_map(|row| {
+        let position_m = [x, y, z].map(|i| value(row, Some(i)) as f32);
+        position_m.iter().all(|c| c.is_finite()).then(|| LidarPoint {
+            position_m,
+            // Float casts saturate: what does not fit becomes the nearest that does.
+            intensity: value(row, intensity) as u8,
+            ring: value(row, ring) as u16,
+            time_offset_ns: value(row, offset) as u32,
+        })
+    });
+    Ok(LidarScan { points: points.collect() })
+}
+
+fn header(bytes: &[u8]) -> Result<Header, String> {
+    let mut names: Vec<String> = Vec::new();
+    let (mut sizes, mut kinds, mut counts) = (Vec::new(), Vec::new(), Vec::new());
+    let mut points = None;
+    let mut at = 0;
+    loop {
+        let rest = bytes.get(at..MAX_HEADER_BYTES.min(bytes.len())).unwrap_or_default();
+        let Some(end) = rest.iter().position(|&b| b == b'\n') else {
+            return Err("no PCD header: the line DATA is missing".to_owned());
+        };
+        let line = String::from_utf8_lossy(rest.get(..end).unwrap_or_default()).into_owned();
+        at += end + 1;
+        let mut words = line.split_whitespace();
+        let numbers = |words: std::str::SplitWhitespace<'_>| -> Result<Vec<usize>, String> {
+            words.map(|w| w.parse().map_err(|_| format!("{w:?} is no number in {line:?}"))).collect()
+        };
+        match words.next() {
+            Some("FIELDS") => names = words.map(str::to_owned).collect(),
+            Some("SIZE") => sizes = numbers(words)?,
+            Some("COUNT") => counts = numbers(words)?,
+            Some("TYPE") => {
+                kinds = words
+                    .map(|w| match w {
+                        "F" => Ok(Kind::Float),
+                        "I" => Ok(Kind::Signed),
+                        "U" => Ok(Kind::Unsigned),
+                        _ => Err(format!("unknown type {w:?}")),
+                    })
+                    .collect::<Result<_, _>>()?;
+            }
+            Some("POINTS") => points = numbers(words)?.first().copied(),
+            Some("DATA") => {
+                let binary = match words.next() {
+                    Some("ascii") => false,
+                    Some("binary") => true,
+                    other => return Err(format!("DATA {} is not supported, ascii and binary are", other.unwrap_or(""))),
+                };
+                let points = points.ok_or("no line POINTS")?;
+                if points > MAX_POINTS {
+                    return Err(format!("{points} points; a scan has at most {MAX_POINTS}"));
+                }
+                let (fields, point_bytes) = layout(&names, &sizes, &kinds, &counts)?;
+                return Ok(Header { fields, point_bytes, points, binary, data_at: at });
+            }
+            _ => {}
+        }
+    }
+}
+
+fn layout(
+    names: &[String],
+    sizes: &[usize],
+    kinds: &[Kind],
+    counts: &[usize],
+) -> Result<(Vec<Field>, usize), String> {
+    if names.is_empty() || sizes.len() != names.len() || kinds.len() != names.len() {
+        return Err("FIELDS, SIZE and TYPE do not name the same number of fields".to_owned());
+    }
+    let (mut offset, mut column) = (0, 0);
+    let mut fields = Vec::new();
+    for (i, ((name, &size), &kind)) in names.iter().zip(sizes).zip(kinds).enumerate() {
+        let count = counts.get(i).copied().unwrap_or(1);
+        if !matches!(size, 1 | 2 | 4 | 8) || count > 1024 {
+            return Err(format!("field {name}: size {size}, count {count}"));
+        }
+        fields.push(Field { name: name.clone(), kind, size, offset, column });
+        offset += size * count;
+        column += count;
+    }
+    Ok((fields, offset))
+}
+
+fn binary_row(header: &Header, row: &[u8]) -> Vec<f64> {
+    let value = |field: &Field| {
+        let mut wide = [0_u8; 8];
+        let bytes = row.get(field.offset..field.offset + field.size).unwrap_or_default();
+        for (to, from) in wide.iter_mut().zip(bytes) {
+            *to = *from;
+        }
+        let [a, b, c, d, ..] = wide;
+        match (field.kind, field.size) {
+            (Kind::Float, 4) => f64::from(f32::from_le_bytes([a, b, c, d])),
+            (Kind::Float, 8) => f64::from_le_bytes(wide),
+            (Kind::Float, _) => f64::NAN,
+            (Kind::Unsigned, _) => u64::from_le_bytes(wide) as f64,
+            (Kind::Signed, 1) => f64::from(i8::from_le_bytes([a])),
+            (Kind::Signed, 2) => f64::from(i16::from_le_bytes([a, b])),
+            (Kind::Signed, 4) => f64::from(i32::from_le_bytes([a, b, c, d])),
+            (Kind::Signed, _) => i64::from_le_bytes(wide) as f64,
+        }
+    };
+    header.fields.iter().map(value).collect()
+}
+
+fn text_row(header: &Header, line: &str) -> Vec<f64> {
+    let words: Vec<&str> = line.split_whitespace().collect();
+    let value = |field: &Field| words.get(field.column).and_then(|w| w.parse().ok()).unwrap_or(f64::NAN);
+    header.fields.iter().map(value).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HEADER: &str = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z intensity ring\nSIZE 4 4 4 4 2\nTYPE F F F F U\n\
+                          COUNT 1 1 1 1 1\nWIDTH 2\nHEIGHT 1\nPOINTS 2\n";
+
+    fn written(bytes: &[u8]) -> Result<LidarScan, Error> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.pcd");
+        std::fs::write(&path, bytes).unwrap();
+        read(&path)
+    }
+
+    #[test]
+    fn ascii_and_binary_say_the_same() {
+        let ascii = format!("{HEADER}DATA ascii\n1 2 3 40 5\n-1 -2 0.5 300 6\n");
+        let mut binary = format!("{HEADER}DATA binary\n").into_bytes();
+        for (xyzi, ring) in [([1.0_f32, 2.0, 3.0, 40.0], 5_u16), ([-1.0, -2.0, 0.5, 300.0], 6)] {
+            binary.extend(xyzi.iter().flat_map(|v| v.to_le_bytes()));
+            binary.extend(ring.to_le_bytes());
+        }
+        let point = |position_m, intensity, ring| LidarPoint { position_m, intensity, ring, time_offset_ns: 0 };
+        let expected = vec![point([1.0, 2.0, 3.0], 40, 5), point([-1.0, -2.0, 0.5], 255, 6)];
+        assert_eq!(written(ascii.as_bytes()).unwrap().points, expected);
+        assert_eq!(written(&binary).unwrap().points, expected);
+    }
+
+    #[test]
+    fn damage_is_named_and_never_panics() {
+        let whole = format!("{HEADER}DATA binary\n0123456789").into_bytes();
+        for cut in 0..whole.len() {
+            assert!(written(&whole[..cut]).is_err());
+        }
+        let message = written(&whole).unwrap_err().to_string();
+        assert!(message.contains("a.pcd") && message.contains("truncated"), "{message}");
+        let compressed = format!("{HEADER}DATA binary_compressed\n");
+        assert!(written(compressed.as_bytes()).unwrap_err().to_string().contains("binary_compressed"));
+    }
+}
