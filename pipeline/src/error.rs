@@ -32,6 +32,24 @@ pub enum Error {
         /// The rig's name.
         rig: String,
     },
+    /// A list of posed images is not what it should be.
+    #[error("{path}, line {line}: {reason}", path = path.display())]
+    PosedImages {
+        /// The file.
+        path: PathBuf,
+        /// Line, from 1.
+        line: usize,
+        /// What is wrong.
+        reason: &'static str,
+    },
+    /// An image file cannot be decoded.
+    #[error("{path}: not a readable image ({reason}); copy it again from its source", path = path.display())]
+    ImageFile {
+        /// The file.
+        path: PathBuf,
+        /// What the decoder says.
+        reason: String,
+    },
     /// A scan holds no return at all.
     #[error("the LiDAR scan at {time} s is empty: was the sensor covered, or its power cut?")]
     EmptyScan {

@@ -8,7 +8,9 @@
 mod error;
 pub mod features;
 pub mod lidar_features;
+pub mod localization;
 pub mod odometry;
+pub mod posed_images;
 pub mod preintegration;
 pub mod preprocess;
 pub mod residuals;

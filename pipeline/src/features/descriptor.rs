@@ -6,8 +6,7 @@
 
 use std::f32::consts::PI;
 
-use wide::f32x8;
-
+use super::orientation::fast_atan2;
 use super::scale_space::Plane;
 use super::{DESCRIPTOR_LEN, Descriptor};
 
@@ -73,31 +72,42 @@ impl Lattice {
 
     /// Descriptor of the patch around `(x, y)` of a level with blur `sigma`, turned by `angle`.
     pub fn describe(&self, plane: &Plane, x: f32, y: f32, sigma: f32, angle: f32) -> Descriptor {
-        let (sin, cos) = (angle.sin() * sigma, angle.cos() * sigma);
-        let mut cells = [f32x8::ZERO; CELLS * CELLS];
-        for place in &self.places {
-            let px = x + cos * place.u - sin * place.v;
-            let py = y + sin * place.u + cos * place.v;
-            let Some([dx, dy]) = gradient(plane, px, py) else {
-                continue;
-            };
-            let magnitude = (dx * dx + dy * dy).sqrt();
-            let direction = super::orientation::fast_atan2(dy, dx) - angle;
-            let turns = direction * (1.0 / (2.0 * PI));
-            let position = (turns - turns.floor()) * 8.0;
-            let low = position as usize;
-            let fraction = position - low as f32;
-            let mut bins = [0.0f32; 8];
-            bins[low & 7] = magnitude * (1.0 - fraction);
-            bins[(low + 1) & 7] = magnitude * fraction;
-            let bins = f32x8::from(bins);
+        let (sin, cos) = angle.sin_cos();
+        let mut along = [0.0f32; SIDE * SIDE];
+        let mut across = [0.0f32; SIDE * SIDE];
+        for ((along, across), place) in along.iter_mut().zip(&mut across).zip(&self.places) {
+            let px = x + sigma * (cos * place.u - sin * place.v);
+            let py = y + sigma * (sin * place.u + cos * place.v);
+            if let Some([dx, dy]) = gradient(plane, px, py) {
+                *along = cos * dx + sin * dy;
+                *across = cos * dy - sin * dx;
+            }
+        }
+        // Whole arrays at a time, so that the compiler takes several lanes at once.
+        let mut magnitudes = [0.0f32; SIDE * SIDE];
+        let mut positions = [0.0f32; SIDE * SIDE];
+        for i in 0..SIDE * SIDE {
+            magnitudes[i] = (along[i] * along[i] + across[i] * across[i]).sqrt();
+            positions[i] = 8.0 + fast_atan2(across[i], along[i]) * (8.0 / (2.0 * PI));
+        }
+        // One bin more per cell takes what goes round from the last to the first.
+        let mut cells = [[0.0f32; 9]; CELLS * CELLS];
+        for (place, (magnitude, position)) in
+            self.places.iter().zip(magnitudes.iter().zip(&positions))
+        {
+            let low = *position as usize;
+            let high_part = magnitude * (position - low as f32);
+            let low_part = magnitude - high_part;
             for (cell, weight) in &place.cells[..usize::from(place.count)] {
-                cells[usize::from(*cell)] += bins * f32x8::splat(*weight);
+                let bins = &mut cells[usize::from(*cell) & 15];
+                bins[low & 7] += low_part * weight;
+                bins[(low & 7) + 1] += high_part * weight;
             }
         }
         let mut histogram = [0.0f32; DESCRIPTOR_LEN];
-        for (to, cell) in histogram.chunks_exact_mut(8).zip(&cells) {
-            to.copy_from_slice(&cell.to_array());
+        for (to, bins) in histogram.chunks_exact_mut(8).zip(&cells) {
+            to.copy_from_slice(&bins[..8]);
+            to[0] += bins[8];
         }
         root_sift(&mut histogram)
     }

@@ -144,7 +144,7 @@ impl SiftDetector {
                 response: e.response,
             })
             .collect();
-        let mut features = Features::default();
+        let mut chosen = Vec::new();
         for index in select(
             &candidates,
             image.width,
@@ -152,9 +152,53 @@ impl SiftDetector {
             self.config.max_features,
         ) {
             let (octave, extremum) = &found[index];
-            self.describe(*octave, extremum, pixel_size(*octave), &mut features);
+            let angles = self.directions(*octave, extremum);
+            chosen.extend(angles.into_iter().map(|angle| (index, angle)));
+        }
+        chosen.truncate(self.config.max_features);
+        chosen.sort_by_key(|(index, _)| *index);
+        let mut features = Features::default();
+        for (index, angle) in chosen {
+            let (octave, extremum) = &found[index];
+            let plane = &self.octaves[*octave].gaussians[self.level(extremum)];
+            let (sigma, pixel_size) = (self.sigma(extremum), pixel_size(*octave));
+            features.keypoints.push(Keypoint {
+                pixel: [extremum.x * pixel_size, extremum.y * pixel_size],
+                scale_px: sigma * pixel_size,
+                angle_rad: angle,
+                response: extremum.response,
+            });
+            let (x, y) = (extremum.x, extremum.y);
+            features
+                .descriptors
+                .push(self.lattice.describe(plane, x, y, sigma, angle));
         }
         features
+    }
+
+    /// The level of the octave nearest to an extremum.
+    fn level(&self, extremum: &Extremum) -> usize {
+        (extremum.level.round() as usize).clamp(1, self.config.scales_per_octave)
+    }
+
+    /// Blur of an extremum, pixels of its octave.
+    fn sigma(&self, extremum: &Extremum) -> f32 {
+        let octaves = extremum.level / self.config.scales_per_octave as f32;
+        self.config.base_blur_px * 2.0f32.powf(octaves)
+    }
+
+    fn directions(&self, octave: usize, extremum: &Extremum) -> Vec<f32> {
+        let plane = &self.octaves[octave].gaussians[self.level(extremum)];
+        let (x, y, sigma) = (extremum.x, extremum.y, self.sigma(extremum));
+        let config = &self.config;
+        orientations(
+            plane,
+            x,
+            y,
+            sigma,
+            config.orientation_peak_ratio,
+            config.max_orientations,
+        )
     }
 
     fn build_octaves(&mut self, image: &Image, doubled: bool) {
@@ -173,24 +217,6 @@ impl SiftDetector {
                 Some(previous) => rest[0].halve(previous, scales),
             }
             rest[0].fill(scales, sigma);
-        }
-    }
-
-    fn describe(&self, octave: usize, e: &Extremum, pixel_size: f32, features: &mut Features) {
-        let config = &self.config;
-        let level = (e.level.round() as usize).clamp(1, config.scales_per_octave);
-        let plane = &self.octaves[octave].gaussians[level];
-        let sigma = config.base_blur_px * 2.0f32.powf(e.level / config.scales_per_octave as f32);
-        let (ratio, limit) = (config.orientation_peak_ratio, config.max_orientations);
-        for angle in orientations(plane, e.x, e.y, sigma, ratio, limit) {
-            features.keypoints.push(Keypoint {
-                pixel: [e.x * pixel_size, e.y * pixel_size],
-                scale_px: sigma * pixel_size,
-                angle_rad: angle,
-                response: e.response,
-            });
-            let descriptor = self.lattice.describe(plane, e.x, e.y, sigma, angle);
-            features.descriptors.push(descriptor);
         }
     }
 }

@@ -1,0 +1,376 @@
+//! Pose of a camera from three points and their viewing rays.
+//!
+//! The method is Persson and Nordberg's "Lambda Twist" (ECCV 2018): the three distances $\lambda$ along the unit rays
+//! $y_i$ satisfy, with $b_{ij} = y_i \cdot y_j$ and $a_{ij} = |x_i - x_j|^2$,
+//! $$\lambda_i^2 + \lambda_j^2 - 2 b_{ij} \lambda_i \lambda_j = a_{ij}.$$
+//! Two combinations of them are homogeneous; a root of a cubic makes a combination of these two a pair of planes, in
+//! each of which a quadratic remains.
+
+use lsfb_geometry::{Matrix3, Se3, UnitQuaternion, Vector3};
+use nalgebra::{Rotation3, SymmetricEigen};
+
+/// Poses `camera_from_world` that see the points along the rays: at most four, best-conditioned plane first. None for
+/// points on one line, coinciding rays, or rays no triangle fits.
+pub fn solve_p3p(rays: &[Vector3<f64>; 3], points_in_world: &[Vector3<f64>; 3]) -> Vec<Se3> {
+    let [x1, x2, x3] = points_in_world;
+    let squared = [x1 - x2, x1 - x3, x2 - x3].map(|d| d.norm_squared());
+    let scale = squared[0].max(squared[1]).max(squared[2]);
+    let area = (x2 - x1).cross(&(x3 - x1)).norm_squared();
+    if !(scale > 0.0) || !(area > 1e-14 * scale * scale) {
+        return Vec::new();
+    }
+    // Distances in units of the triangle's size, so that thresholds mean the same for every problem.
+    let a = squared.map(|s| s / scale);
+    let b = [
+        rays[0].dot(&rays[1]),
+        rays[0].dot(&rays[2]),
+        rays[1].dot(&rays[2]),
+    ];
+    if b.iter().any(|cosine| !cosine.is_finite()) {
+        return Vec::new();
+    }
+    let mut poses = Vec::with_capacity(4);
+    for lambda in distances(&a, &b) {
+        if let Some(pose) = pose_from_distances(rays, points_in_world, &(lambda * scale.sqrt())) {
+            poses.push(pose);
+        }
+    }
+    poses
+}
+
+/// The quadratic form of one distance equation: `λᵀ M λ = a`. Order of pairs: 12, 13, 23.
+fn form(pair: usize, b: f64) -> Matrix3<f64> {
+    match pair {
+        0 => Matrix3::new(1.0, -b, 0.0, -b, 1.0, 0.0, 0.0, 0.0, 0.0),
+        1 => Matrix3::new(1.0, 0.0, -b, 0.0, 0.0, 0.0, -b, 0.0, 1.0),
+        _ => Matrix3::new(0.0, 0.0, 0.0, 0.0, 1.0, -b, 0.0, -b, 1.0),
+    }
+}
+
+/// All positive solutions of the three distance equations.
+fn distances(a: &[f64; 3], b: &[f64; 3]) -> Vec<Vector3<f64>> {
+    let forms = [form(0, b[0]), form(1, b[1]), form(2, b[2])];
+    // Eliminate the largest side: the smallest could cancel.
+    let pivot = (0..3).max_by(|&i, &j| a[i].total_cmp(&a[j])).unwrap_or(0);
+    let [p, q] = match pivot {
+        0 => [1, 2],
+        1 => [0, 2],
+        _ => [0, 1],
+    };
+    let d1 = forms[p] * a[pivot] - forms[pivot] * a[p];
+    let d2 = forms[q] * a[pivot] - forms[pivot] * a[q];
+    let mut found: Vec<Vector3<f64>> = Vec::with_capacity(4);
+    for pencil in degenerate_members(&d1, &d2) {
+        let Some(planes) = split_into_planes(&pencil.member) else {
+            continue;
+        };
+        for normal in planes {
+            for lambda in on_plane(&normal, &pencil.other, &forms[pivot], a[pivot]) {
+                let lambda = polish(lambda, &forms, a);
+                let known = |l: &Vector3<f64>| (l - lambda).norm() < 1e-9 * lambda.norm();
+                if lambda.min() > 0.0 && !found.iter().any(known) {
+                    found.push(lambda);
+                }
+            }
+        }
+        // All common solutions lie in the planes of one real pair.
+        break;
+    }
+    found
+}
+
+/// A degenerate combination of two forms, and the one of the two that it is least like.
+struct Pencil {
+    member: Matrix3<f64>,
+    other: Matrix3<f64>,
+}
+
+/// Combinations of `d1` and `d2` whose determinant vanishes, real plane pairs with the best separation first.
+fn degenerate_members(d1: &Matrix3<f64>, d2: &Matrix3<f64>) -> Vec<Pencil> {
+    let column = |m: &Matrix3<f64>, i: usize| -> Vector3<f64> { m.column(i).into() };
+    let triple = |x: &Matrix3<f64>, y: &Matrix3<f64>, z: &Matrix3<f64>| {
+        column(x, 0).dot(&column(y, 1).cross(&column(z, 2)))
+    };
+    // det(d1 + γ d2)
+    let c0 = d1.determinant();
+    let c1 = triple(d2, d1, d1) + triple(d1, d2, d1) + triple(d1, d1, d2);
+    let c2 = triple(d2, d2, d1) + triple(d2, d1, d2) + triple(d1, d2, d2);
+    let c3 = d2.determinant();
+    let reversed = c3.abs() < c0.abs();
+    let roots = if reversed {
+        cubic_roots(c0, c1, c2, c3)
+    } else {
+        cubic_roots(c3, c2, c1, c0)
+    };
+    let mut members: Vec<(f64, Pencil)> = roots
+        .into_iter()
+        .filter(|root| root.is_finite())
+        .map(|root| {
+            let member = if reversed {
+                d1 * root + d2
+            } else {
+                d1 + d2 * root
+            };
+            // In a plane of the member, both forms vanish together: take the one with the smaller part in it.
+            let d1_part = if reversed { root.abs() } else { 1.0 };
+            let d2_part = if reversed { 1.0 } else { root.abs() };
+            let other = if d1_part * d1.norm() < d2_part * d2.norm() {
+                *d1
+            } else {
+                *d2
+            };
+            let eigenvalues = member.symmetric_eigenvalues();
+            let separation = -eigenvalues.max() * eigenvalues.min() / member.norm_squared();
+            (separation, Pencil { member, other })
+        })
+        .collect();
+    members.sort_by(|a, b| b.0.total_cmp(&a.0));
+    members.into_iter().map(|(_, pencil)| pencil).collect()
+}
+
+/// Real roots of `c3 x³ + c2 x² + c1 x + c0`, polished; three where there are three.
+fn cubic_roots(c3: f64, c2: f64, c1: f64, c0: f64) -> Vec<f64> {
+    if c3 == 0.0 {
+        return Vec::new();
+    }
+    let (a, b, c) = (c2 / c3, c1 / c3, c0 / c3);
+    let (q, r) = (
+        (a * a - 3.0 * b) / 9.0,
+        (2.0 * a * a * a - 9.0 * a * b + 27.0 * c) / 54.0,
+    );
+    let polished = |start: f64| {
+        let mut x = start;
+        for _ in 0..4 {
+            let value = ((x + a) * x + b) * x + c;
+            let slope = (3.0 * x + 2.0 * a) * x + b;
+            if slope.abs() < 1e-300 {
+                break;
+            }
+            let next = x - value / slope;
+            let next_value = ((next + a) * next + b) * next + c;
+            if !(next_value.abs() < value.abs()) {
+                break;
+            }
+            x = next;
+        }
+        x
+    };
+    if r * r < q * q * q {
+        let theta = (r / (q * q * q).sqrt()).clamp(-1.0, 1.0).acos();
+        [0.0, 1.0, -1.0]
+            .map(|k| {
+                let angle = (theta + k * std::f64::consts::TAU) / 3.0;
+                polished(-2.0 * q.sqrt() * angle.cos() - a / 3.0)
+            })
+            .to_vec()
+    } else {
+        let size = (r.abs() + (r * r - q * q * q).max(0.0).sqrt()).cbrt();
+        let s = -r.signum() * size;
+        let t = if s == 0.0 { 0.0 } else { q / s };
+        let simple = polished(s + t - a / 3.0);
+        // A double root touches the axis and may show as none: offer its place as well.
+        let double = -0.5 * (s + t) - a / 3.0;
+        let imaginary = (s - t).abs();
+        if imaginary < 1e-6 * (s.abs() + t.abs()) {
+            vec![simple, double]
+        } else {
+            vec![simple]
+        }
+    }
+}
+
+/// Normals of the two planes of which a degenerate form consists; `None` where they are not real.
+fn split_into_planes(member: &Matrix3<f64>) -> Option<[Vector3<f64>; 2]> {
+    let eigen = SymmetricEigen::new(*member);
+    let values = eigen.eigenvalues;
+    let (high, low) = (values.imax(), values.imin());
+    if !(values[high] > 0.0 && values[low] < 0.0) {
+        return None;
+    }
+    let e_high = eigen.eigenvectors.column(high) * values[high].sqrt();
+    let e_low = eigen.eigenvectors.column(low) * (-values[low]).sqrt();
+    Some([e_high - e_low, e_high + e_low])
+}
+
+/// Vectors of the plane where `other` vanishes, scaled so that `pivot` takes the value `a`, all components positive.
+fn on_plane(
+    normal: &Vector3<f64>,
+    other: &Matrix3<f64>,
+    pivot: &Matrix3<f64>,
+    a: f64,
+) -> Vec<Vector3<f64>> {
+    let axis = normal.iamin();
+    let mut unit = Vector3::zeros();
+    unit[axis] = 1.0;
+    let u = normal.cross(&unit).normalize();
+    let v = normal.cross(&u).normalize();
+    // (c u + s v)ᵀ other (c u + s v) = 0
+    let (uu, uv, vv) = (
+        u.dot(&(other * u)),
+        u.dot(&(other * v)),
+        v.dot(&(other * v)),
+    );
+    let discriminant = uv * uv - uu * vv;
+    let size = uu.abs().max(uv.abs()).max(vv.abs());
+    // A tangent is a solution too: rounding must not make it disappear.
+    if !(discriminant > -1e-10 * size * size) {
+        return Vec::new();
+    }
+    let root = discriminant.max(0.0).sqrt();
+    let k = -(uv + uv.signum() * root);
+    let directions = if k == 0.0 {
+        [v * uu, u * vv]
+    } else {
+        // Roots of uu c² + 2 uv c s + vv s², each from the form that does not cancel.
+        [u * k + v * uu, u * vv + v * k]
+    };
+    let mut solutions = Vec::with_capacity(2);
+    for direction in directions {
+        let sign = if direction.sum() < 0.0 { -1.0 } else { 1.0 };
+        let value = direction.dot(&(pivot * direction));
+        if value > 0.0 {
+            solutions.push(direction * (sign * (a / value).sqrt()));
+        }
+    }
+    solutions
+}
+
+/// Newton steps on the three distance equations.
+fn polish(start: Vector3<f64>, forms: &[Matrix3<f64>; 3], a: &[f64; 3]) -> Vector3<f64> {
+    let residual = |l: &Vector3<f64>| Vector3::from_fn(|i, _| l.dot(&(forms[i] * l)) - a[i]);
+    let mut lambda = start;
+    let mut error = residual(&lambda);
+    for _ in 0..5 {
+        let rows = [0, 1, 2].map(|i| (forms[i] * lambda * 2.0).transpose());
+        let Some(step) = Matrix3::from_rows(&rows).lu().solve(&error) else {
+            break;
+        };
+        let next = lambda - step;
+        let next_error = residual(&next);
+        if !(next_error.norm() < error.norm()) {
+            break;
+        }
+        (lambda, error) = (next, next_error);
+    }
+    lambda
+}
+
+fn pose_from_distances(
+    rays: &[Vector3<f64>; 3],
+    points: &[Vector3<f64>; 3],
+    lambda: &Vector3<f64>,
+) -> Option<Se3> {
+    let seen = [
+        rays[0] * lambda[0],
+        rays[1] * lambda[1],
+        rays[2] * lambda[2],
+    ];
+    let rotation = triangle_frame(&seen)? * triangle_frame(points)?.transpose();
+    let rotation =
+        UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
+    let centre = |p: &[Vector3<f64>; 3]| (p[0] + p[1] + p[2]) / 3.0;
+    let translation = centre(&seen) - rotation * centre(points);
+    let shape_error: f64 = (0..3)
+        .map(|i| (rotation * points[i] + translation - seen[i]).norm())
+        .sum();
+    (shape_error < 1e-4 * lambda.norm()).then(|| Se3::new(rotation, translation))
+}
+
+/// An orthonormal frame fixed to a triangle.
+fn triangle_frame(p: &[Vector3<f64>; 3]) -> Option<Matrix3<f64>> {
+    let x = (p[1] - p[0]).try_normalize(1e-300)?;
+    let z = x.cross(&(p[2] - p[0])).try_normalize(1e-300)?;
+    Some(Matrix3::from_columns(&[x, z.cross(&x), z]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    struct Problem {
+        truth: Se3,
+        rays: [Vector3<f64>; 3],
+        points: [Vector3<f64>; 3],
+    }
+
+    fn random_problem(rng: &mut ChaCha8Rng, depth: f64) -> Problem {
+        let mut number = |low: f64, high: f64| rng.random_range(low..high);
+        let delta: [f64; 6] = std::array::from_fn(|i| {
+            if i < 3 {
+                number(-1.8, 1.8)
+            } else {
+                number(-5.0, 5.0)
+            }
+        });
+        let truth = Se3::exp(&delta.into());
+        // Rays over more than a hemisphere: fisheye lenses see that much.
+        let rays: [Vector3<f64>; 3] = std::array::from_fn(|_| {
+            Vector3::new(number(-1.0, 1.0), number(-1.0, 1.0), number(-0.2, 1.0)).normalize()
+        });
+        let points = rays.map(|r| truth.inverse() * (r * number(0.1 * depth, depth)));
+        Problem {
+            truth,
+            rays,
+            points,
+        }
+    }
+
+    #[test]
+    fn the_true_pose_is_among_the_solutions() {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let (mut missed, mut wrong, mut count) = (0, 0, 0);
+        const TRIALS: usize = 20_000;
+        for trial in 0..TRIALS {
+            let depth = [1.0, 10.0, 1000.0][trial % 3];
+            let problem = random_problem(&mut rng, depth);
+            let poses = solve_p3p(&problem.rays, &problem.points);
+            assert!(poses.len() <= 4);
+            count += poses.len();
+            let best = poses
+                .iter()
+                .map(|p| (p.inverse() * problem.truth).log().norm())
+                .fold(f64::INFINITY, f64::min);
+            if best > 1e-5 * depth.max(1.0) {
+                missed += 1;
+            }
+            for pose in &poses {
+                for (ray, point) in problem.rays.iter().zip(&problem.points) {
+                    if ((*pose * *point).normalize() - ray).norm() > 1e-6 {
+                        wrong += 1;
+                    }
+                }
+            }
+        }
+        // Near-degenerate triangles lose digits; they must stay rare, and no returned pose may miss a ray.
+        assert!(missed <= TRIALS / 1000, "missed {missed} of {TRIALS}");
+        assert!(wrong <= TRIALS / 1000, "{wrong} rays missed");
+        let per_problem = count as f64 / TRIALS as f64;
+        assert!((1.0..2.5).contains(&per_problem), "{per_problem}");
+    }
+
+    #[test]
+    fn degenerate_problems_have_no_solution_or_a_right_one() {
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        let p = random_problem(&mut rng, 5.0);
+        let line = [
+            p.points[0],
+            p.points[1],
+            p.points[0] * 0.3 + p.points[1] * 0.7,
+        ];
+        assert!(solve_p3p(&p.rays, &line).is_empty());
+        assert!(solve_p3p(&p.rays, &[p.points[0]; 3]).is_empty());
+        for pose in solve_p3p(&[p.rays[0]; 3], &p.points) {
+            assert!(pose.translation.iter().all(|v| v.is_finite()));
+        }
+        // Three points of a cube's corner seen symmetrically: a double root.
+        let symmetric = [Vector3::x(), Vector3::y(), Vector3::z()];
+        let poses = solve_p3p(&symmetric, &symmetric);
+        let identity = |p: &Se3| p.log().norm() < 1e-5;
+        assert!(poses.iter().any(identity), "{poses:?}");
+        let nan = [Vector3::repeat(f64::NAN); 3];
+        assert!(solve_p3p(&nan, &symmetric).is_empty());
+        assert!(solve_p3p(&symmetric, &nan).is_empty());
+    }
+}

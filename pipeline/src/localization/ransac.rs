@@ -1,0 +1,346 @@
+//! Robust pose of a rig of cameras: P3P hypotheses with local optimisation (Chum, Matas, Kittler, "Locally optimized
+//! RANSAC", DAGM 2003), scored over the matches of all cameras.
+
+use lsfb_geometry::{Camera, Se3, Vector2, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+
+use super::p3p::solve_p3p;
+use super::refinement::{RefinementConfig, refine_pose};
+
+/// A camera with its place on the rig.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MountedCamera {
+    /// Size and lens.
+    pub camera: Camera,
+    /// Pose of the camera in the rig frame.
+    pub rig_from_camera: Se3,
+}
+
+/// A map point and the pixel that may show it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PointMatch {
+    /// Index of the camera among the mounted ones.
+    pub camera: usize,
+    /// Where it is seen.
+    pub pixel: Vector2<f64>,
+    /// The point, metres.
+    pub point_in_world: Vector3<f64>,
+}
+
+/// Configuration of [`estimate_pose`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RansacConfig {
+    /// Largest reprojection error of an inlier, pixels.
+    pub max_error_px: f64,
+    /// Most samples drawn.
+    pub max_samples: usize,
+    /// Fewest samples drawn, however good the best one looks.
+    pub min_samples: usize,
+    /// Probability with which a sample of inliers only must have been drawn before stopping.
+    pub confidence: f64,
+    /// Seed of the samples.
+    pub seed: u64,
+    /// The local optimisation.
+    pub refinement: RefinementConfig,
+}
+
+impl Default for RansacConfig {
+    fn default() -> Self {
+        Self {
+            max_error_px: 3.0,
+            max_samples: 2000,
+            min_samples: 30,
+            confidence: 0.9999,
+            seed: 1,
+            refinement: RefinementConfig::default(),
+        }
+    }
+}
+
+/// A pose with the matches that support it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PoseEstimate {
+    /// Pose of the rig.
+    pub world_from_rig: Se3,
+    /// Indices of the inliers, ascending.
+    pub inliers: Vec<usize>,
+    /// Samples drawn.
+    pub samples: usize,
+}
+
+/// A match prepared for scoring: everything in the rig frame, without a lens.
+struct Bearing {
+    match_index: usize,
+    camera: usize,
+    ray_in_camera: Vector3<f64>,
+    ray_in_rig: Vector3<f64>,
+    origin_in_rig: Vector3<f64>,
+    point_in_world: Vector3<f64>,
+    /// Squared sine of the largest angle of an inlier.
+    limit: f64,
+}
+
+/// The pose most matches agree with; `None` where no sample of three gives one that a fourth supports. The first three
+/// of a sample come from one camera. Same matches and seed give the same pose.
+pub fn estimate_pose(
+    cameras: &[MountedCamera],
+    matches: &[PointMatch],
+    config: &RansacConfig,
+) -> Option<PoseEstimate> {
+    let bearings = prepare(cameras, matches, config.max_error_px);
+    let groups: Vec<Vec<usize>> = (0..cameras.len())
+        .map(|c| {
+            (0..bearings.len())
+                .filter(|i| bearings[*i].camera == c)
+                .collect::<Vec<_>>()
+        })
+        .filter(|group: &Vec<usize>| group.len() >= 3)
+        .collect();
+    let samplable: usize = groups.iter().map(Vec::len).sum();
+    if samplable < 4 {
+        return None;
+    }
+    let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
+    let mut best: Option<(Se3, f64)> = None;
+    let mut needed = config.max_samples;
+    let mut samples = 0;
+    while samples < needed.max(config.min_samples).min(config.max_samples) {
+        samples += 1;
+        let group = choose_group(&groups, samplable, &mut rng);
+        let [a, b, c] = three_of(group, &mut rng).map(|i| &bearings[i]);
+        let rays = [a.ray_in_camera, b.ray_in_camera, c.ray_in_camera];
+        let points = [a.point_in_world, b.point_in_world, c.point_in_world];
+        for camera_from_world in solve_p3p(&rays, &points) {
+            let rig_from_world = cameras[a.camera].rig_from_camera * camera_from_world;
+            let bound = best.as_ref().map_or(f64::INFINITY, |(_, score)| *score);
+            let Some(score) = score(&bearings, &rig_from_world, bound) else {
+                continue;
+            };
+            let world_from_rig = rig_from_world.inverse();
+            best = Some(optimise(
+                cameras,
+                matches,
+                &bearings,
+                world_from_rig,
+                score,
+                config,
+            ));
+            let (pose, _) = best.as_ref()?;
+            let count = inliers(&bearings, &pose.inverse()).count();
+            needed = samples_needed(count as f64 / bearings.len() as f64, config.confidence);
+        }
+    }
+    let (world_from_rig, _) = best?;
+    let inliers: Vec<usize> = inliers(&bearings, &world_from_rig.inverse())
+        .map(|b| b.match_index)
+        .collect();
+    (inliers.len() >= 4).then_some(PoseEstimate {
+        world_from_rig,
+        inliers,
+        samples,
+    })
+}
+
+fn prepare(cameras: &[MountedCamera], matches: &[PointMatch], max_error_px: f64) -> Vec<Bearing> {
+    matches
+        .iter()
+        .enumerate()
+        .filter_map(|(match_index, m)| {
+            let mounted = cameras.get(m.camera)?;
+            let ray = mounted.camera.unproject(&m.pixel)?;
+            let seen = mounted.camera.project_with_jacobian(&ray)?;
+            // Pixels per radian here, the smaller of the two directions across the ray.
+            let stretch =
+                (seen.pixel_by_point * seen.pixel_by_point.transpose()).symmetric_eigenvalues();
+            let angle = max_error_px / stretch.min().max(1.0).sqrt();
+            Some(Bearing {
+                match_index,
+                camera: m.camera,
+                ray_in_camera: ray,
+                ray_in_rig: mounted.rig_from_camera.rotation * ray,
+                origin_in_rig: mounted.rig_from_camera.translation,
+                point_in_world: m.point_in_world,
+                limit: angle.min(1.0).sin().powi(2),
+            })
+        })
+        .collect()
+}
+
+fn choose_group<'a>(groups: &'a [Vec<usize>], total: usize, rng: &mut ChaCha8Rng) -> &'a [usize] {
+    let mut pick = rng.random_range(0..total);
+    for group in groups {
+        if pick < group.len() {
+            return group;
+        }
+        pick -= group.len();
+    }
+    &groups[0]
+}
+
+fn three_of(group: &[usize], rng: &mut ChaCha8Rng) -> [usize; 3] {
+    let n = group.len();
+    let i = rng.random_range(0..n);
+    let j = (i + rng.random_range(1..n)) % n;
+    loop {
+        let k = rng.random_range(0..n);
+        if k != i && k != j {
+            return [group[i], group[j], group[k]];
+        }
+    }
+}
+
+/// Squared sine of the angle between a bearing and where the pose expects its point; above 1 behind.
+fn squared_sine(b: &Bearing, rotation: &nalgebra::Matrix3<f64>, translation: &Vector3<f64>) -> f64 {
+    let direction = rotation * b.point_in_world + translation - b.origin_in_rig;
+    if direction.dot(&b.ray_in_rig) <= 0.0 {
+        return 2.0;
+    }
+    direction.cross(&b.ray_in_rig).norm_squared() / direction.norm_squared()
+}
+
+/// Sum of squared errors in units of the limit, each at most 1; `None` as soon as it reaches `bound`.
+fn score(bearings: &[Bearing], rig_from_world: &Se3, bound: f64) -> Option<f64> {
+    let rotation = rig_from_world.rotation_matrix();
+    let mut sum = 0.0;
+    for b in bearings {
+        sum += (squared_sine(b, &rotation, &rig_from_world.translation) / b.limit).min(1.0);
+        if sum >= bound {
+            return None;
+        }
+    }
+    (sum < bearings.len() as f64).then_some(sum)
+}
+
+fn inliers<'a>(
+    bearings: &'a [Bearing],
+    rig_from_world: &Se3,
+) -> impl Iterator<Item = &'a Bearing> + 'a {
+    let (rotation, translation) = (rig_from_world.rotation_matrix(), rig_from_world.translation);
+    bearings
+        .iter()
+        .filter(move |b| squared_sine(b, &rotation, &translation) <= b.limit)
+}
+
+/// Refines on the inliers while that lowers the score.
+fn optimise(
+    cameras: &[MountedCamera],
+    matches: &[PointMatch],
+    bearings: &[Bearing],
+    start: Se3,
+    start_score: f64,
+    config: &RansacConfig,
+) -> (Se3, f64) {
+    let mut best = (start, start_score);
+    for _ in 0..4 {
+        let support: Vec<PointMatch> = inliers(bearings, &best.0.inverse())
+            .map(|b| matches[b.match_index])
+            .collect();
+        let Some(refined) = refine_pose(cameras, &support, &best.0, &config.refinement) else {
+            break;
+        };
+        let Some(better) = score(bearings, &refined.world_from_rig.inverse(), best.1) else {
+            break;
+        };
+        best = (refined.world_from_rig, better);
+    }
+    best
+}
+
+/// Samples of three until one of inliers only has been drawn with the given probability.
+fn samples_needed(inlier_ratio: f64, confidence: f64) -> usize {
+    let good = inlier_ratio.powi(3);
+    if good >= 1.0 {
+        return 0;
+    }
+    let needed = (1.0 - confidence).max(1e-12).ln() / (1.0 - good).ln();
+    if needed.is_finite() {
+        needed.ceil() as usize
+    } else {
+        usize::MAX
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use lsfb_geometry::Vector6;
+    use lsfb_geometry::camera::Lens;
+
+    pub(crate) fn stereo() -> [MountedCamera; 2] {
+        let camera = Camera {
+            width: 640,
+            height: 400,
+            lens: Lens::KannalaBrandt {
+                focal_px: [290.0; 2],
+                principal_px: [319.5, 199.5],
+                distortion: [0.01, -0.005, 0.001, 0.0],
+            },
+        };
+        [0.06, -0.06].map(|y| MountedCamera {
+            camera,
+            rig_from_camera: Se3::exp(&Vector6::new(-1.2, 1.2, -1.2, 0.02, y, 0.0)),
+        })
+    }
+
+    /// Matches of a known pose: half-pixel noise, and a share of pixels anywhere.
+    fn problem(count: usize, outliers: f64, seed: u64) -> (Se3, Vec<PointMatch>) {
+        let cameras = stereo();
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let truth = Se3::exp(&Vector6::new(0.3, -0.4, 1.0, 2.0, -1.0, 0.5));
+        let mut matches = Vec::new();
+        while matches.len() < count {
+            let camera = matches.len() % 2;
+            let mounted = &cameras[camera];
+            let pixel = Vector2::new(rng.random_range(0.0..639.0), rng.random_range(0.0..399.0));
+            let Some(ray) = mounted.camera.unproject(&pixel) else {
+                continue;
+            };
+            let depth = rng.random_range(1.0..6.0);
+            let seen = if rng.random_bool(outliers) {
+                Vector2::new(rng.random_range(0.0..639.0), rng.random_range(0.0..399.0))
+            } else {
+                let mut noise = || rng.random_range(-0.8..0.8);
+                pixel + Vector2::new(noise(), noise())
+            };
+            matches.push(PointMatch {
+                camera,
+                pixel: seen,
+                point_in_world: truth * (mounted.rig_from_camera * (ray * depth)),
+            });
+        }
+        (truth, matches)
+    }
+
+    #[test]
+    fn finds_the_pose_among_many_outliers() {
+        for (outliers, seed) in [(0.0, 1), (0.5, 2), (0.8, 3)] {
+            let (truth, matches) = problem(400, outliers, seed);
+            let found =
+                estimate_pose(&stereo(), &matches, &RansacConfig::default()).expect("a pose");
+            let error = truth.inverse() * found.world_from_rig;
+            assert!(error.translation.norm() < 0.01, "{outliers}: {error:?}");
+            assert!(error.log().fixed_rows::<3>(0).norm() < 0.003, "{outliers}");
+            let share = found.inliers.len() as f64 / 400.0;
+            assert!(
+                (share - (1.0 - outliers)).abs() < 0.08,
+                "{outliers}: {share}"
+            );
+            let again = estimate_pose(&stereo(), &matches, &RansacConfig::default());
+            assert_eq!(again.as_ref(), Some(&found));
+        }
+    }
+
+    #[test]
+    fn nothing_comes_of_nothing() {
+        let (_, matches) = problem(3, 0.0, 4);
+        assert!(estimate_pose(&stereo(), &matches, &RansacConfig::default()).is_none());
+        assert!(estimate_pose(&[], &matches, &RansacConfig::default()).is_none());
+        let (_, noise) = problem(60, 1.0, 5);
+        if let Some(found) = estimate_pose(&stereo(), &noise, &RansacConfig::default()) {
+            assert!(found.inliers.len() < 12, "{}", found.inliers.len());
+        }
+    }
+}

@@ -1,0 +1,228 @@
+//! Folders of images whose poses are known: the input of a map without a backpack, and queries with an answer.
+
+use std::fs;
+use std::io::{BufReader, Cursor};
+use std::path::{Path, PathBuf};
+
+use lsfb_geometry::{Camera, Matrix3, Rig, RigCamera, Se3, UnitQuaternion, Vector3};
+use lsfb_types::Image;
+use nalgebra::Rotation3;
+
+use crate::Error;
+
+/// An image file with the pose at which it was taken.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PosedImage {
+    /// The file: PNG or JPEG.
+    pub path: PathBuf,
+    /// Name of the camera on the rig.
+    pub camera: String,
+    /// Pose of the rig.
+    pub world_from_rig: Se3,
+}
+
+/// Images with poses, in the order of their list, and the rig that took them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PosedImages {
+    /// The rig.
+    pub rig: Rig,
+    /// The images.
+    pub images: Vec<PosedImage>,
+}
+
+/// Intrinsics of the one camera: a 3 × 3 matrix.
+const INTRINSICS: &str = "K.txt";
+/// One line per image: file name and the rows of `world_from_camera`, 4 × 4.
+const POSES: &str = "poses_T_world_cam_rowmajor4x4.txt";
+
+impl PosedImages {
+    /// Reads a folder with `K.txt`, `poses_T_world_cam_rowmajor4x4.txt` and `images/`: an undistorted pinhole camera
+    /// (OpenCV axes) that is its own rig.
+    pub fn read(folder: &Path) -> Result<Self, Error> {
+        let poses_path = folder.join(POSES);
+        let text = fs::read_to_string(&poses_path).map_err(Error::io(&poses_path))?;
+        let mut images = Vec::new();
+        for (index, line) in text
+            .lines()
+            .enumerate()
+            .filter(|(_, l)| !l.trim().is_empty())
+        {
+            let refuse = |reason| Error::PosedImages {
+                path: poses_path.clone(),
+                line: index + 1,
+                reason,
+            };
+            let (name, rest) = line.trim().split_once(' ').ok_or(refuse("no pose"))?;
+            let rows: [f64; 16] = numbers(rest).ok_or(refuse("the pose needs 16 numbers"))?;
+            images.push(PosedImage {
+                path: folder.join("images").join(name),
+                camera: "cam0".to_owned(),
+                world_from_rig: rigid(&rows).ok_or(refuse("the pose is no rigid transform"))?,
+            });
+        }
+        let Some(first) = images.first() else {
+            return Err(Error::PosedImages {
+                path: poses_path,
+                line: 1,
+                reason: "the list is empty",
+            });
+        };
+        let size = read_image(&first.path)?;
+        let camera = read_pinhole(&folder.join(INTRINSICS), size.width, size.height)?;
+        let mounted = RigCamera {
+            camera,
+            rig_from_camera: Se3::identity(),
+        };
+        Ok(Self {
+            rig: Rig {
+                name: folder
+                    .file_name()
+                    .map_or_else(String::new, |n| n.to_string_lossy().into()),
+                cameras: [("cam0".to_owned(), mounted)].into(),
+                imu: None,
+                lidar: None,
+            },
+            images,
+        })
+    }
+}
+
+fn read_pinhole(path: &Path, width: u32, height: u32) -> Result<Camera, Error> {
+    let text = fs::read_to_string(path).map_err(Error::io(path))?;
+    let k: [f64; 9] = numbers(&text).ok_or(Error::PosedImages {
+        path: path.to_owned(),
+        line: 1,
+        reason: "the intrinsics need 9 numbers",
+    })?;
+    Ok(Camera::pinhole(width, height, [k[0], k[4]], [k[2], k[5]]))
+}
+
+/// Exactly `N` finite numbers.
+fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
+    let values: Vec<f64> = text
+        .split_whitespace()
+        .map(|word| word.parse().ok().filter(|v: &f64| v.is_finite()))
+        .collect::<Option<_>>()?;
+    values.try_into().ok()
+}
+
+fn rigid(rows: &[f64; 16]) -> Option<Se3> {
+    let matrix = Matrix3::new(
+        rows[0], rows[1], rows[2], rows[4], rows[5], rows[6], rows[8], rows[9], rows[10],
+    );
+    let off = (matrix * matrix.transpose() - Matrix3::identity()).norm();
+    let last_row_right = rows[12..] == [0.0, 0.0, 0.0, 1.0];
+    if !(off < 1e-2 && matrix.determinant() > 0.0 && last_row_right) {
+        return None;
+    }
+    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix(&matrix));
+    Some(Se3::new(rotation, Vector3::new(rows[3], rows[7], rows[11])))
+}
+
+/// Reads a PNG or JPEG file as grey values.
+pub fn read_image(path: &Path) -> Result<Image, Error> {
+    let bytes = fs::read(path).map_err(Error::io(path))?;
+    let decoded = match bytes.first() {
+        Some(0x89) => decode_png(&bytes),
+        Some(0xff) => decode_jpeg(&bytes),
+        _ => Err("neither PNG nor JPEG".to_owned()),
+    };
+    decoded.map_err(|reason| Error::ImageFile {
+        path: path.to_owned(),
+        reason,
+    })
+}
+
+fn decode_jpeg(bytes: &[u8]) -> Result<Image, String> {
+    use zune_jpeg::zune_core::{colorspace::ColorSpace, options::DecoderOptions};
+    let options = DecoderOptions::default().jpeg_set_out_colorspace(ColorSpace::Luma);
+    let cursor = zune_jpeg::zune_core::bytestream::ZCursor::new(bytes);
+    let mut decoder = zune_jpeg::JpegDecoder::new_with_options(cursor, options);
+    let pixels = decoder.decode().map_err(|e| format!("{e:?}"))?;
+    let info = decoder.info().ok_or("no size")?;
+    grey(u32::from(info.width), u32::from(info.height), pixels, 1)
+}
+
+fn decode_png(bytes: &[u8]) -> Result<Image, String> {
+    let mut decoder = png::Decoder::new(BufReader::new(Cursor::new(bytes)));
+    decoder.set_transformations(png::Transformations::normalize_to_color8());
+    let mut reader = decoder.read_info().map_err(|e| e.to_string())?;
+    let size = reader.output_buffer_size().ok_or("too large")?;
+    let mut pixels = vec![0; size];
+    let info = reader.next_frame(&mut pixels).map_err(|e| e.to_string())?;
+    pixels.truncate(info.buffer_size());
+    grey(info.width, info.height, pixels, info.color_type.samples())
+}
+
+/// Keeps the first of grey (and alpha), weighs red, green and blue as ITU-R BT.601 does.
+fn grey(width: u32, height: u32, samples: Vec<u8>, channels: usize) -> Result<Image, String> {
+    let pixels: Vec<u8> = match channels {
+        1 => samples,
+        2 => samples.chunks_exact(2).map(|p| p[0]).collect(),
+        _ => samples
+            .chunks_exact(channels)
+            .map(|p| {
+                let sum = 299 * u32::from(p[0]) + 587 * u32::from(p[1]) + 114 * u32::from(p[2]);
+                ((sum + 500) / 1000) as u8
+            })
+            .collect(),
+    };
+    if pixels.len() as u64 != u64::from(width) * u64::from(height) {
+        return Err(format!("{} pixels for {width}×{height}", pixels.len()));
+    }
+    Ok(Image {
+        width,
+        height,
+        pixels,
+        exposure_ns: 0,
+        frame_id: 0,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bad_folders_are_named_with_the_line() {
+        let folder = tempfile::tempdir().expect("scratch folder");
+        let message = |folder: &Path| PosedImages::read(folder).expect_err("unusable").to_string();
+        assert!(message(folder.path()).contains(POSES));
+        let poses = folder.path().join(POSES);
+        fs::write(&poses, "").expect("write");
+        assert!(message(folder.path()).contains("list is empty"));
+        fs::write(
+            &poses,
+            "a.png 1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\nb.png 1 0 0\n",
+        )
+        .expect("write");
+        assert!(message(folder.path()).contains("line 2"));
+        fs::write(&poses, "a.png 2 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n").expect("write");
+        assert!(message(folder.path()).contains("no rigid transform"));
+    }
+
+    #[test]
+    fn colour_and_damage_in_images() {
+        let folder = tempfile::tempdir().expect("scratch folder");
+        let path = folder.path().join("rgb.png");
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, 2, 1);
+        encoder.set_color(png::ColorType::Rgb);
+        let mut writer = encoder.write_header().expect("header");
+        writer
+            .write_image_data(&[255, 0, 0, 255, 255, 255])
+            .expect("pixels");
+        writer.finish().expect("end");
+        fs::write(&path, &bytes).expect("write");
+        let image = read_image(&path).expect("valid");
+        assert_eq!(
+            (image.width, image.height, image.pixels),
+            (2, 1, vec![76, 255])
+        );
+        for damaged in [&bytes[..bytes.len() / 2], b"\xff\xd8\xff", b"text", b""] {
+            fs::write(&path, damaged).expect("write");
+            let message = read_image(&path).expect_err("damaged").to_string();
+            assert!(message.contains("rgb.png"), "{message}");
+        }
+    }
+}
