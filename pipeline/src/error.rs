@@ -50,6 +50,46 @@ pub enum Error {
         /// What the decoder says.
         reason: String,
     },
+    /// A folder holds no map.
+    #[error("{folder}: no map here (map.toml is missing): give a folder written by `lsfb map`, or map again if that was interrupted", folder = folder.display())]
+    NoMap {
+        /// The folder.
+        folder: PathBuf,
+    },
+    /// A map was written by another version.
+    #[error("{path}: format version {found}, this program reads {expected}: map again, or use the program that wrote it", path = path.display())]
+    MapVersion {
+        /// The header file.
+        path: PathBuf,
+        /// The file's version.
+        found: u32,
+        /// Ours.
+        expected: u32,
+    },
+    /// A file of a map is damaged.
+    #[error("{path}: {reason}; the map is damaged: copy it again or map again", path = path.display())]
+    MapFile {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A map point refers to something that is not there.
+    #[error("map point {point}: {reason}")]
+    MapContent {
+        /// Index of the point.
+        point: usize,
+        /// What is wrong.
+        reason: &'static str,
+    },
+    /// An image belongs to a keyframe that is not there.
+    #[error("an image belongs to keyframe {keyframe}, but there are {count}")]
+    UnknownKeyframe {
+        /// The keyframe.
+        keyframe: usize,
+        /// How many there are.
+        count: usize,
+    },
     /// A scan holds no return at all.
     #[error("the LiDAR scan at {time} s is empty: was the sensor covered, or its power cut?")]
     EmptyScan {

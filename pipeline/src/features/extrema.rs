@@ -68,10 +68,11 @@ fn mark_peaks(plane: &Plane, y: usize, floor: f32, band: &mut Band, peaks: &mut 
     peaks.resize(width, false);
     let higher = |a: f32, b: f32| if a > b { a } else { b };
     let lower = |a: f32, b: f32| if a < b { a } else { b };
-    for x in 0..width {
-        let [a, b, c] = [rows[0][x], rows[1][x], rows[2][x]];
-        band.highest[x] = higher(higher(a, b), c);
-        band.lowest[x] = lower(lower(a, b), c);
+    let columns = rows[0].iter().zip(rows[1]).zip(rows[2]);
+    let bounds = band.highest.iter_mut().zip(&mut band.lowest);
+    for ((highest, lowest), ((a, b), c)) in bounds.zip(columns) {
+        *highest = higher(higher(*a, *b), *c);
+        *lowest = lower(lower(*a, *b), *c);
     }
     let (high, low) = (&band.highest[..width], &band.lowest[..width]);
     let triples = high.windows(3).zip(low.windows(3));

@@ -1,9 +1,18 @@
 //! Where in the HD map a rig is, from the features of its images.
+//!
+//! Each feature asks the map's index for its nearest descriptors; the points found vote for the map's images that saw
+//! them; around the images with most votes, features and points are paired and [`estimate_pose`] looks for the pose
+//! most pairs agree with; projecting the map with it finds the rest (Liu et al., section V-A).
 
+mod localizer;
 mod p3p;
 mod ransac;
 mod refinement;
+mod voting;
 
+pub use localizer::{
+    FeatureMatch, Localization, Localizer, LocalizerConfig, NotLocalized, NotLocalizedReason,
+};
 pub use p3p::solve_p3p;
 pub use ransac::{MountedCamera, PointMatch, PoseEstimate, RansacConfig, estimate_pose};
 pub use refinement::{RefinedPose, RefinementConfig, refine_pose};

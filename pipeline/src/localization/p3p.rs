@@ -87,38 +87,36 @@ struct Pencil {
 
 /// Combinations of `d1` and `d2` whose determinant vanishes, real plane pairs with the best separation first.
 fn degenerate_members(d1: &Matrix3<f64>, d2: &Matrix3<f64>) -> Vec<Pencil> {
+    // A basis whose second form is as far from degenerate as can be, so that the cubic keeps its degree.
+    let (d1, d2) = (d1 / d1.norm(), d2 / d2.norm());
+    let turned = |k: usize| {
+        let (sin, cos) = (k as f64 * std::f64::consts::FRAC_PI_8).sin_cos();
+        (d1 * cos + d2 * sin, d2 * cos - d1 * sin)
+    };
+    let size = |k: usize| {
+        let second = turned(k).1;
+        second.determinant().abs() / second.norm().powi(3)
+    };
+    let best = (0..8)
+        .max_by(|&i, &j| size(i).total_cmp(&size(j)))
+        .unwrap_or(0);
+    let (e1, e2) = turned(best);
     let column = |m: &Matrix3<f64>, i: usize| -> Vector3<f64> { m.column(i).into() };
     let triple = |x: &Matrix3<f64>, y: &Matrix3<f64>, z: &Matrix3<f64>| {
         column(x, 0).dot(&column(y, 1).cross(&column(z, 2)))
     };
-    // det(d1 + γ d2)
-    let c0 = d1.determinant();
-    let c1 = triple(d2, d1, d1) + triple(d1, d2, d1) + triple(d1, d1, d2);
-    let c2 = triple(d2, d2, d1) + triple(d2, d1, d2) + triple(d1, d2, d2);
-    let c3 = d2.determinant();
-    let reversed = c3.abs() < c0.abs();
-    let roots = if reversed {
-        cubic_roots(c0, c1, c2, c3)
-    } else {
-        cubic_roots(c3, c2, c1, c0)
-    };
-    let mut members: Vec<(f64, Pencil)> = roots
+    // det(e1 + γ e2)
+    let c0 = e1.determinant();
+    let c1 = triple(&e2, &e1, &e1) + triple(&e1, &e2, &e1) + triple(&e1, &e1, &e2);
+    let c2 = triple(&e1, &e2, &e2) + triple(&e2, &e1, &e2) + triple(&e2, &e2, &e1);
+    let c3 = e2.determinant();
+    let mut members: Vec<(f64, Pencil)> = cubic_roots(c3, c2, c1, c0)
         .into_iter()
         .filter(|root| root.is_finite())
         .map(|root| {
-            let member = if reversed {
-                d1 * root + d2
-            } else {
-                d1 + d2 * root
-            };
-            // In a plane of the member, both forms vanish together: take the one with the smaller part in it.
-            let d1_part = if reversed { root.abs() } else { 1.0 };
-            let d2_part = if reversed { 1.0 } else { root.abs() };
-            let other = if d1_part * d1.norm() < d2_part * d2.norm() {
-                *d1
-            } else {
-                *d2
-            };
+            let member = e1 + e2 * root;
+            // In a plane of the member, all forms vanish together: take the one that has least of the member.
+            let other = if root.abs() > 1.0 { e1 } else { e2 };
             let eigenvalues = member.symmetric_eigenvalues();
             let separation = -eigenvalues.max() * eigenvalues.min() / member.norm_squared();
             (separation, Pencil { member, other })

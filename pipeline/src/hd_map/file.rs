@@ -1,0 +1,423 @@
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use arrow_buffer::{Buffer, ScalarBuffer};
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use super::index::{CODEWORDS, DescriptorIndex, PARTS};
+use super::table::{Column, NamedColumn, map_table, read_table, write_table};
+use super::{DescriptorColumns, HdMap, KeyframeColumns, ObservationColumns, PointColumns};
+use crate::Error;
+use crate::features::DESCRIPTOR_LEN;
+
+/// Version of the folder's layout. Another one is refused.
+pub const FORMAT_VERSION: u32 = 1;
+
+const HEADER: &str = "map.toml";
+const TABLES: [&str; 7] = [
+    "points.arrow",
+    "keyframes.arrow",
+    "observations.arrow",
+    "descriptors.arrow",
+    "index_lists.arrow",
+    "index_entries.arrow",
+    "index_codebook.arrow",
+];
+const POINTS: [&str; 5] = ["x_m", "y_m", "z_m", "first_observation", "first_descriptor"];
+const KEYFRAMES: [&str; 8] = ["time_ns", "qx", "qy", "qz", "qw", "tx_m", "ty_m", "tz_m"];
+const OBSERVATIONS: [&str; 5] = ["point", "keyframe", "camera", "u_px", "v_px"];
+const DESCRIPTORS: [&str; 2] = ["point", "root_sift"];
+const LISTS: [&str; 2] = ["centroid", "first_entry"];
+const ENTRIES: [&str; 3] = ["descriptor", "code", "offset"];
+const CODEBOOK: [&str; 1] = ["words"];
+
+/// `map.toml`: only what decides whether the rest can be read comes first.
+#[derive(Serialize, Deserialize)]
+struct Version {
+    format_version: u32,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Header {
+    format_version: u32,
+    provenance: String,
+    cameras: Vec<String>,
+    points: usize,
+    keyframes: usize,
+    observations: usize,
+    descriptors: usize,
+    files: Vec<FileHash>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileHash {
+    name: String,
+    bytes: u64,
+    sha256: String,
+}
+
+fn sha256_hex(bytes: &[u8]) -> String {
+    Sha256::digest(bytes)
+        .iter()
+        .map(|b| format!("{b:02x}"))
+        .collect()
+}
+
+impl HdMap {
+    /// Writes the map into a folder, which is made if need be:
+    ///
+    /// | file | rows | columns |
+    /// |---|---|---|
+    /// | `map.toml` | | format version, provenance, cameras, counts, length and SHA-256 of each file |
+    /// | `points.arrow` | points | `x_m y_m z_m` f64, `first_observation first_descriptor` u32 |
+    /// | `keyframes.arrow` | keyframes | `time_ns` i64, `qx qy qz qw tx_m ty_m tz_m` f64 of `world_from_rig` |
+    /// | `observations.arrow` | by point | `point keyframe` u32, `camera` u16, `u_px v_px` f32 |
+    /// | `descriptors.arrow` | by point | `point` u32, `root_sift` 128 bytes |
+    /// | `index_lists.arrow` | inverted lists | `centroid` 128 f32, `first_entry` u32 |
+    /// | `index_entries.arrow` | by list | `descriptor` u32, `code` 16 bytes, `offset` f32 |
+    /// | `index_codebook.arrow` | dimensions | `words` 256 f32 |
+    ///
+    /// `map.toml` is removed first and written last: a folder without it is half a map. The same map gives the same
+    /// bytes.
+    pub fn write(&self, folder: &Path) -> Result<(), Error> {
+        fs::create_dir_all(folder).map_err(Error::io(folder))?;
+        let header_path = folder.join(HEADER);
+        match fs::remove_file(&header_path) {
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+                return Err(Error::io(&header_path)(e));
+            }
+            _ => {}
+        }
+        let mut files = Vec::new();
+        for (name, columns) in TABLES.iter().zip(self.tables()) {
+            let path = folder.join(name);
+            write_table(&path, &columns)?;
+            let bytes = map_table(&path)?;
+            files.push(FileHash {
+                name: (*name).to_owned(),
+                bytes: bytes.len() as u64,
+                sha256: sha256_hex(&bytes),
+            });
+        }
+        let header = Header {
+            format_version: FORMAT_VERSION,
+            provenance: self.provenance.clone(),
+            cameras: self.cameras.clone(),
+            points: self.point_count(),
+            keyframes: self.keyframe_count(),
+            observations: self.observation_count(),
+            descriptors: self.descriptor_count(),
+            files,
+        };
+        let text = toml::to_string(&header)
+            .map_err(|e| Error::io(&header_path)(std::io::Error::other(e)))?;
+        let partial = folder.join("map.toml.partial");
+        fs::write(&partial, text).map_err(Error::io(&partial))?;
+        fs::rename(&partial, &header_path).map_err(Error::io(&header_path))
+    }
+
+    fn tables(&self) -> [Vec<NamedColumn>; 7] {
+        let (p, k, o) = (&self.points, &self.keyframes, &self.observations);
+        let (d, i) = (&self.descriptors, &self.index);
+        let f64s = |v: &ScalarBuffer<f64>| Column::F64(v.clone());
+        let u32s = |v: &ScalarBuffer<u32>| Column::U32(v.clone());
+        let f32s = |v: &ScalarBuffer<f32>| Column::F32(v.clone());
+        let bytes = |width, values: &Buffer| Column::Bytes {
+            width,
+            values: values.clone(),
+        };
+        let list = |width, values: &ScalarBuffer<f32>| Column::F32List {
+            width,
+            values: values.clone(),
+        };
+        let mut keyframes = vec![Column::I64(k.time_ns.clone())];
+        keyframes.extend(k.pose.iter().map(f64s));
+        let named = |names: &[&'static str], columns: Vec<Column>| {
+            names
+                .iter()
+                .copied()
+                .zip(columns)
+                .collect::<Vec<NamedColumn>>()
+        };
+        [
+            named(
+                &POINTS,
+                vec![
+                    f64s(&p.x_m),
+                    f64s(&p.y_m),
+                    f64s(&p.z_m),
+                    u32s(&p.first_observation),
+                    u32s(&p.first_descriptor),
+                ],
+            ),
+            named(&KEYFRAMES, keyframes),
+            named(
+                &OBSERVATIONS,
+                vec![
+                    u32s(&o.point),
+                    u32s(&o.keyframe),
+                    Column::U16(o.camera.clone()),
+                    f32s(&o.u_px),
+                    f32s(&o.v_px),
+                ],
+            ),
+            named(
+                &DESCRIPTORS,
+                vec![u32s(&d.point), bytes(DESCRIPTOR_LEN, &d.values)],
+            ),
+            named(
+                &LISTS,
+                vec![list(DESCRIPTOR_LEN, &i.centroids), u32s(&i.first_entry)],
+            ),
+            named(
+                &ENTRIES,
+                vec![u32s(&i.entries), bytes(PARTS, &i.codes), f32s(&i.offsets)],
+            ),
+            named(&CODEBOOK, vec![list(CODEWORDS, &i.codebook)]),
+        ]
+    }
+
+    /// Opens the map in a folder: checks version, lengths, hashes and that every reference leads somewhere, and maps
+    /// the files into memory.
+    pub fn open(folder: &Path) -> Result<Self, Error> {
+        let header = read_header(folder)?;
+        let mut tables = Vec::new();
+        for name in TABLES {
+            tables.push(open_table(folder, &header, name)?);
+        }
+        let [
+            points,
+            keyframes,
+            observations,
+            descriptors,
+            lists,
+            entries,
+            codebook,
+        ] = &tables[..]
+        else {
+            return Err(broken(&folder.join(HEADER), "not all tables are there"));
+        };
+        let [x_m, y_m, z_m, first_observation, first_descriptor] = points.columns(POINTS)?;
+        let [time_ns, pose @ ..] = keyframes.columns(KEYFRAMES)?;
+        let [point, keyframe, camera, u_px, v_px] = observations.columns(OBSERVATIONS)?;
+        let [owner, values] = descriptors.columns(DESCRIPTORS)?;
+        let [centroids, first_entry] = lists.columns(LISTS)?;
+        let [entry, codes, offsets] = entries.columns(ENTRIES)?;
+        let [words] = codebook.columns(CODEBOOK)?;
+        let mut pose_columns = Vec::new();
+        for column in pose {
+            pose_columns.push(keyframes.f64(column)?);
+        }
+        let map = Self {
+            points: PointColumns {
+                x_m: points.f64(x_m)?,
+                y_m: points.f64(y_m)?,
+                z_m: points.f64(z_m)?,
+                first_observation: points.u32(first_observation)?,
+                first_descriptor: points.u32(first_descriptor)?,
+            },
+            keyframes: KeyframeColumns {
+                time_ns: keyframes.i64(time_ns)?,
+                pose: pose_columns
+                    .try_into()
+                    .map_err(|_| broken(&keyframes.path, "a pose has seven columns"))?,
+            },
+            observations: ObservationColumns {
+                point: observations.u32(point)?,
+                keyframe: observations.u32(keyframe)?,
+                camera: observations.u16(camera)?,
+                u_px: observations.f32(u_px)?,
+                v_px: observations.f32(v_px)?,
+            },
+            descriptors: DescriptorColumns {
+                point: descriptors.u32(owner)?,
+                values: descriptors.bytes(values, DESCRIPTOR_LEN)?,
+            },
+            index: DescriptorIndex {
+                centroids: lists.lists(centroids, DESCRIPTOR_LEN)?,
+                first_entry: lists.u32(first_entry)?,
+                entries: entries.u32(entry)?,
+                codes: entries.bytes(codes, PARTS)?,
+                offsets: entries.f32(offsets)?,
+                codebook: codebook.lists(words, CODEWORDS)?,
+            },
+            cameras: header.cameras.clone(),
+            provenance: header.provenance.clone(),
+        };
+        map.check(folder, &header)?;
+        Ok(map)
+    }
+
+    /// Every count and every reference, so that no later access can fail.
+    fn check(&self, folder: &Path, header: &Header) -> Result<(), Error> {
+        let within = |values: &[u32], limit: usize| values.iter().all(|v| (*v as usize) < limit);
+        let ascending = |first: &[u32], limit: usize| {
+            first.first().is_none_or(|v| *v == 0)
+                && first.windows(2).all(|w| w[0] <= w[1])
+                && first.last().is_none_or(|v| *v as usize <= limit)
+        };
+        let o = &self.observations;
+        let counts_agree = [
+            self.point_count() == header.points,
+            self.keyframe_count() == header.keyframes,
+            self.observation_count() == header.observations,
+            self.descriptor_count() == header.descriptors,
+            self.index.entries.len() == header.descriptors,
+            self.index.codebook.len() == DESCRIPTOR_LEN * CODEWORDS,
+        ];
+        let checks: [(&str, bool); 4] = [
+            (
+                TABLES[0],
+                ascending(&self.points.first_observation, header.observations)
+                    && ascending(&self.points.first_descriptor, header.descriptors),
+            ),
+            (
+                TABLES[2],
+                within(&o.point, header.points)
+                    && within(&o.keyframe, header.keyframes)
+                    && o.camera
+                        .iter()
+                        .all(|c| usize::from(*c) < header.cameras.len()),
+            ),
+            (TABLES[3], within(&self.descriptors.point, header.points)),
+            (
+                TABLES[5],
+                within(&self.index.entries, header.descriptors)
+                    && ascending(&self.index.first_entry, header.descriptors),
+            ),
+        ];
+        if counts_agree.contains(&false) {
+            return Err(broken(
+                &folder.join(HEADER),
+                "its counts are not those of the tables",
+            ));
+        }
+        match checks.iter().find(|(_, sound)| !sound) {
+            Some((name, _)) => Err(broken(&folder.join(name), "a row points to nothing")),
+            None => Ok(()),
+        }
+    }
+}
+
+fn broken(path: &Path, reason: &str) -> Error {
+    Error::MapFile {
+        path: path.to_owned(),
+        reason: reason.to_owned(),
+    }
+}
+
+fn read_header(folder: &Path) -> Result<Header, Error> {
+    let path = folder.join(HEADER);
+    let text = match fs::read_to_string(&path) {
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
+            return Err(Error::NoMap {
+                folder: folder.to_owned(),
+            });
+        }
+        other => other.map_err(Error::io(&path))?,
+    };
+    let version: Version = toml::from_str(&text).map_err(|e| broken(&path, e.message()))?;
+    if version.format_version != FORMAT_VERSION {
+        return Err(Error::MapVersion {
+            path,
+            found: version.format_version,
+            expected: FORMAT_VERSION,
+        });
+    }
+    toml::from_str(&text).map_err(|e| broken(&path, e.message()))
+}
+
+/// A table's columns, with its path for errors.
+struct Table {
+    path: PathBuf,
+    bytes: Buffer,
+}
+
+fn open_table(folder: &Path, header: &Header, name: &str) -> Result<Table, Error> {
+    let path = folder.join(name);
+    let Some(expected) = header.files.iter().find(|f| f.name == name) else {
+        return Err(broken(
+            &folder.join(HEADER),
+            &format!("does not list {name}"),
+        ));
+    };
+    let bytes = map_table(&path)?;
+    if bytes.len() as u64 != expected.bytes {
+        let reason = format!("has {} bytes instead of {}", bytes.len(), expected.bytes);
+        return Err(broken(&path, &reason));
+    }
+    if sha256_hex(&bytes) != expected.sha256 {
+        return Err(broken(&path, "its SHA-256 is not the one in map.toml"));
+    }
+    Ok(Table { path, bytes })
+}
+
+impl Table {
+    fn columns<const N: usize>(&self, names: [&'static str; N]) -> Result<[Column; N], Error> {
+        let columns = read_table(&self.path, &self.bytes, &names)?;
+        columns
+            .try_into()
+            .map_err(|_| broken(&self.path, "a column is missing"))
+    }
+
+    fn wrong_type(&self) -> Error {
+        broken(&self.path, "a column has another type")
+    }
+
+    fn f64(&self, column: Column) -> Result<ScalarBuffer<f64>, Error> {
+        if let Column::F64(v) = column {
+            Ok(v)
+        } else {
+            Err(self.wrong_type())
+        }
+    }
+
+    fn f32(&self, column: Column) -> Result<ScalarBuffer<f32>, Error> {
+        if let Column::F32(v) = column {
+            Ok(v)
+        } else {
+            Err(self.wrong_type())
+        }
+    }
+
+    fn i64(&self, column: Column) -> Result<ScalarBuffer<i64>, Error> {
+        if let Column::I64(v) = column {
+            Ok(v)
+        } else {
+            Err(self.wrong_type())
+        }
+    }
+
+    fn u32(&self, column: Column) -> Result<ScalarBuffer<u32>, Error> {
+        if let Column::U32(v) = column {
+            Ok(v)
+        } else {
+            Err(self.wrong_type())
+        }
+    }
+
+    fn u16(&self, column: Column) -> Result<ScalarBuffer<u16>, Error> {
+        if let Column::U16(v) = column {
+            Ok(v)
+        } else {
+            Err(self.wrong_type())
+        }
+    }
+
+    fn bytes(&self, column: Column, expected: usize) -> Result<Buffer, Error> {
+        match column {
+            Column::Bytes { width, values } if width == expected => Ok(values),
+            _ => Err(self.wrong_type()),
+        }
+    }
+
+    fn lists(&self, column: Column, expected: usize) -> Result<ScalarBuffer<f32>, Error> {
+        match column {
+            Column::F32List { width, values } if width == expected => Ok(values),
+            _ => Err(self.wrong_type()),
+        }
+    }
+}

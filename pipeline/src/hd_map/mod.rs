@@ -1,0 +1,213 @@
+//! The HD map: points with descriptors, the images that saw them, and an index over the descriptors.
+//!
+//! On disk it is a folder of Arrow IPC files and a `map.toml`, described in [`HdMap::write`]; in memory its columns
+//! are those files, mapped. Built by [`HdMap::build`] from points that [`reconstruct`] triangulated and an optimiser
+//! may have moved.
+
+mod build;
+mod file;
+mod index;
+mod kmeans;
+mod mapped_file;
+mod posed;
+mod reconstruction;
+mod table;
+#[cfg(test)]
+mod tests;
+
+use std::ops::Range;
+
+use arrow_buffer::{Buffer, ScalarBuffer};
+use lsfb_geometry::{Se3, StampedPose, UnitQuaternion, Vector3};
+use lsfb_types::Timestamp;
+use nalgebra::Quaternion;
+
+use crate::features::{DESCRIPTOR_LEN, Descriptor};
+
+pub use build::{HdMapConfig, MapContent};
+pub use file::FORMAT_VERSION;
+pub use index::IndexConfig;
+pub(crate) use index::SearchScratch;
+pub use posed::{PosedMapConfig, build_map_from_posed_images};
+pub use reconstruction::{
+    KeyframeImage, MapPoint, PointObservation, ReconstructionConfig, reconstruct, select_keyframes,
+};
+
+/// Points, keyframes, observations and descriptors, in columns. Cloning shares them.
+#[derive(Clone, Debug)]
+pub struct HdMap {
+    cameras: Vec<String>,
+    provenance: String,
+    points: PointColumns,
+    keyframes: KeyframeColumns,
+    observations: ObservationColumns,
+    descriptors: DescriptorColumns,
+    index: index::DescriptorIndex,
+}
+
+#[derive(Clone, Debug)]
+struct PointColumns {
+    x_m: ScalarBuffer<f64>,
+    y_m: ScalarBuffer<f64>,
+    z_m: ScalarBuffer<f64>,
+    first_observation: ScalarBuffer<u32>,
+    first_descriptor: ScalarBuffer<u32>,
+}
+
+#[derive(Clone, Debug)]
+struct KeyframeColumns {
+    time_ns: ScalarBuffer<i64>,
+    /// `qx qy qz qw tx ty tz` of `world_from_rig`.
+    pose: [ScalarBuffer<f64>; 7],
+}
+
+/// By point, then by keyframe and camera.
+#[derive(Clone, Debug)]
+struct ObservationColumns {
+    point: ScalarBuffer<u32>,
+    keyframe: ScalarBuffer<u32>,
+    camera: ScalarBuffer<u16>,
+    u_px: ScalarBuffer<f32>,
+    v_px: ScalarBuffer<f32>,
+}
+
+/// By point.
+#[derive(Clone, Debug)]
+struct DescriptorColumns {
+    point: ScalarBuffer<u32>,
+    values: Buffer,
+}
+
+/// A pixel in which a map point was seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MapObservation {
+    /// Index of the point.
+    pub point: u32,
+    /// Index of the keyframe.
+    pub keyframe: u32,
+    /// Index of the camera in [`HdMap::cameras`].
+    pub camera: u16,
+    /// Where, pixels.
+    pub pixel: [f32; 2],
+}
+
+/// A descriptor of the map near a query.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MapNeighbour {
+    /// The point it belongs to.
+    pub point: u32,
+    /// Exact squared distance.
+    pub distance_squared: u32,
+}
+
+impl HdMap {
+    /// Names of the cameras that saw the points.
+    pub fn cameras(&self) -> &[String] {
+        &self.cameras
+    }
+
+    /// What the map was made from: a hash its maker chose.
+    pub fn provenance(&self) -> &str {
+        &self.provenance
+    }
+
+    /// Number of points.
+    pub fn point_count(&self) -> usize {
+        self.points.x_m.len()
+    }
+
+    /// Number of keyframes.
+    pub fn keyframe_count(&self) -> usize {
+        self.keyframes.time_ns.len()
+    }
+
+    /// Number of observations.
+    pub fn observation_count(&self) -> usize {
+        self.observations.point.len()
+    }
+
+    /// Number of descriptors.
+    pub fn descriptor_count(&self) -> usize {
+        self.descriptors.point.len()
+    }
+
+    /// Position of a point in the world, metres; `None` where there is no such point.
+    pub fn position(&self, point: u32) -> Option<Vector3<f64>> {
+        let i = point as usize;
+        let p = &self.points;
+        Some(Vector3::new(*p.x_m.get(i)?, *p.y_m.get(i)?, *p.z_m.get(i)?))
+    }
+
+    /// A keyframe; `None` where there is no such keyframe.
+    pub fn keyframe(&self, keyframe: u32) -> Option<StampedPose> {
+        let i = keyframe as usize;
+        let time = Timestamp::from_nanos(*self.keyframes.time_ns.get(i)?);
+        let [x, y, z, w, tx, ty, tz] = self.keyframes.pose.each_ref().map(|column| column[i]);
+        let rotation = UnitQuaternion::new_unchecked(Quaternion::new(w, x, y, z));
+        Some(StampedPose {
+            time,
+            world_from_rig: Se3::new(rotation, Vector3::new(tx, ty, tz)),
+        })
+    }
+
+    /// The observations of a point; none where there is no such point.
+    pub fn observations(&self, point: u32) -> impl Iterator<Item = MapObservation> + '_ {
+        let total = self.observation_count();
+        range(&self.points.first_observation, point, total).map(move |i| {
+            let o = &self.observations;
+            MapObservation {
+                point,
+                keyframe: o.keyframe[i],
+                camera: o.camera[i],
+                pixel: [o.u_px[i], o.v_px[i]],
+            }
+        })
+    }
+
+    /// The descriptors of a point; none where there is no such point.
+    pub fn descriptors(&self, point: u32) -> &[Descriptor] {
+        let total = self.descriptor_count();
+        &self.all_descriptors()[range(&self.points.first_descriptor, point, total)]
+    }
+
+    fn all_descriptors(&self) -> &[Descriptor] {
+        self.descriptors.values.as_chunks::<DESCRIPTOR_LEN>().0
+    }
+
+    /// The `count` descriptors nearest to `query`, nearest first: found by their codes in the `probes` nearest lists,
+    /// ordered by their exact distances.
+    pub(crate) fn nearest(
+        &self,
+        query: &Descriptor,
+        count: usize,
+        probes: usize,
+        scratch: &mut SearchScratch,
+    ) -> Vec<MapNeighbour> {
+        // Codes are coarse: twice as many candidates keep those whose codes flatter others.
+        let candidates = self.index.search(query, 2 * count, probes, scratch);
+        let all = self.all_descriptors();
+        let mut found: Vec<MapNeighbour> = candidates
+            .iter()
+            .map(|c| MapNeighbour {
+                point: self.descriptors.point[c.descriptor as usize],
+                distance_squared: crate::features::matching::distance_squared(
+                    query,
+                    &all[c.descriptor as usize],
+                ),
+            })
+            .collect();
+        found.sort_unstable_by_key(|n| (n.distance_squared, n.point));
+        found.truncate(count);
+        found
+    }
+}
+
+/// Rows that belong to `owner` where `first` holds the first row of each; empty for an owner that is not there.
+fn range(first: &[u32], owner: u32, total: usize) -> Range<usize> {
+    let owner = owner as usize;
+    let Some(start) = first.get(owner) else {
+        return 0..0;
+    };
+    let end = first.get(owner + 1).map_or(total, |e| *e as usize);
+    *start as usize..end
+}

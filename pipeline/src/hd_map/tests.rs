@@ -1,0 +1,191 @@
+use std::fs;
+use std::path::Path;
+
+use lsfb_geometry::{Se3, StampedPose, Vector3};
+use lsfb_types::{Timestamp, no_progress};
+
+use super::*;
+use crate::Error;
+use crate::features::{Features, Keypoint};
+
+/// Two keyframes, two cameras, forty points; point `i` is keypoint `i` of all four images.
+fn small_map() -> HdMap {
+    let keyframes = [0, 1].map(|i| StampedPose {
+        time: Timestamp::from_nanos(1_000 * i),
+        world_from_rig: Se3::exp(&[0.0, 0.0, 0.1 * i as f64, i as f64, 0.5, 0.0].into()),
+    });
+    let features = |shift: u8| Features {
+        keypoints: (0..40)
+            .map(|i| Keypoint {
+                pixel: [10.0 * i as f32, f32::from(shift)],
+                scale_px: 2.0,
+                angle_rad: 0.0,
+                response: 0.1,
+            })
+            .collect(),
+        descriptors: (0..40u8)
+            .map(|i| std::array::from_fn(|d| ((d as u8 ^ i.wrapping_mul(37)) & 0x7f) + shift))
+            .collect(),
+    };
+    let images: Vec<KeyframeImage> = (0..4)
+        .map(|i| KeyframeImage {
+            keyframe: i / 2,
+            camera: format!("cam{}", i % 2),
+            features: features(3 * i as u8),
+        })
+        .collect();
+    let points: Vec<MapPoint> = (0..40)
+        .map(|i| MapPoint {
+            point_in_world: Vector3::new(f64::from(i), 2.0, 3.0),
+            observations: (0..4)
+                .map(|image| PointObservation {
+                    image,
+                    keypoint: i as u32,
+                })
+                .collect(),
+            reprojection_rms_px: 0.5,
+        })
+        .collect();
+    let content = MapContent {
+        keyframes: &keyframes,
+        images: &images,
+        points: &points,
+        provenance: "made up",
+    };
+    HdMap::build(&content, &HdMapConfig::default(), &no_progress).expect("consistent content")
+}
+
+fn bytes_of(folder: &Path) -> Vec<(String, Vec<u8>)> {
+    let mut files: Vec<_> = fs::read_dir(folder)
+        .expect("a folder")
+        .map(|entry| {
+            let path = entry.expect("an entry").path();
+            let name = path
+                .file_name()
+                .expect("a name")
+                .to_string_lossy()
+                .into_owned();
+            (name, fs::read(path).expect("readable"))
+        })
+        .collect();
+    files.sort();
+    files
+}
+
+#[test]
+fn what_is_written_is_opened_and_written_again_byte_for_byte() {
+    let [first, second] = [(), ()].map(|()| tempfile::tempdir().expect("scratch folder"));
+    let map = small_map();
+    map.write(first.path()).expect("written");
+    let opened = HdMap::open(first.path()).expect("opened");
+    assert_eq!(opened.point_count(), 40);
+    assert_eq!(opened.observation_count(), 160);
+    assert_eq!(opened.descriptor_count(), 160);
+    assert_eq!(opened.cameras(), ["cam0", "cam1"]);
+    assert_eq!(opened.provenance(), "made up");
+    assert_eq!(opened.position(7), Some(Vector3::new(7.0, 2.0, 3.0)));
+    assert_eq!(opened.position(40), None);
+    assert_eq!(opened.keyframe(1), map.keyframe(1));
+    assert_eq!(opened.descriptors(5), map.descriptors(5));
+    assert!(opened.descriptors(40).is_empty());
+    let seen: Vec<MapObservation> = opened.observations(39).collect();
+    assert_eq!(seen.len(), 4);
+    let last = MapObservation {
+        point: 39,
+        keyframe: 1,
+        camera: 1,
+        pixel: [390.0, 9.0],
+    };
+    assert_eq!(seen[3], last);
+    let query = opened.descriptors(12)[0];
+    let nearest = opened.nearest(&query, 25, 8, &mut SearchScratch::default());
+    assert_eq!((nearest[0].point, nearest[0].distance_squared), (12, 0));
+
+    opened.write(second.path()).expect("written again");
+    small_map()
+        .write(first.path())
+        .expect("written over the open map");
+    assert_eq!(bytes_of(first.path()), bytes_of(second.path()));
+    assert_eq!(opened.position(7), Some(Vector3::new(7.0, 2.0, 3.0)));
+}
+
+#[test]
+fn damage_is_named() {
+    let folder = tempfile::tempdir().expect("scratch folder");
+    let message = || {
+        HdMap::open(folder.path())
+            .expect_err("unusable")
+            .to_string()
+    };
+    assert!(message().contains("no map here"), "{}", message());
+    small_map().write(folder.path()).expect("written");
+    for (name, bytes) in bytes_of(folder.path()) {
+        let path = folder.path().join(&name);
+        fs::remove_file(&path).expect("removed");
+        let missing = if name == "map.toml" {
+            "no map here"
+        } else {
+            name.as_str()
+        };
+        assert!(message().contains(missing), "{}", message());
+        fs::write(&path, &bytes[..bytes.len() / 2]).expect("truncated");
+        assert!(message().contains(&name), "{}", message());
+        fs::write(&path, b"").expect("emptied");
+        assert!(message().contains(&name), "{}", message());
+        let mut flipped = bytes.clone();
+        flipped[bytes.len() / 2] ^= 0x20;
+        fs::write(&path, &flipped).expect("flipped");
+        if name != "map.toml" {
+            assert!(
+                message().contains(&name) && message().contains("damaged"),
+                "{}",
+                message()
+            );
+        }
+        fs::write(&path, &bytes).expect("restored");
+    }
+    assert!(HdMap::open(folder.path()).is_ok());
+
+    let header = folder.path().join("map.toml");
+    let text = fs::read_to_string(&header).expect("readable");
+    fs::write(
+        &header,
+        text.replace("format_version = 1", "format_version = 7"),
+    )
+    .expect("write");
+    let error = HdMap::open(folder.path()).expect_err("another version");
+    assert!(
+        matches!(error, Error::MapVersion { found: 7, .. }),
+        "{error}"
+    );
+    fs::write(&header, text.replace("points = 40", "points = 41")).expect("write");
+    assert!(message().contains("counts"), "{}", message());
+}
+
+#[test]
+fn content_must_fit_together() {
+    let content = MapContent {
+        keyframes: &[],
+        images: &[],
+        points: &[],
+        provenance: "",
+    };
+    let folder = tempfile::tempdir().expect("scratch folder");
+    let empty = HdMap::build(&content, &HdMapConfig::default(), &no_progress).expect("empty");
+    empty.write(folder.path()).expect("written");
+    assert_eq!(HdMap::open(folder.path()).expect("opened").point_count(), 0);
+    let lost = [MapPoint {
+        point_in_world: Vector3::zeros(),
+        observations: vec![PointObservation {
+            image: 3,
+            keypoint: 0,
+        }],
+        reprojection_rms_px: 0.0,
+    }];
+    let content = MapContent {
+        points: &lost,
+        ..content
+    };
+    let error = HdMap::build(&content, &HdMapConfig::default(), &no_progress).expect_err("lost");
+    assert!(error.to_string().contains("its image is missing"));
+}
