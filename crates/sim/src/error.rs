@@ -14,6 +14,30 @@ pub enum Error {
         /// What it must be.
         expected: &'static str,
     },
+    /// A simulated device could not talk to its host.
+    #[error("simulated device: {0}")]
+    Device(#[from] lsfb_drivers::Error),
+    /// A simulated device could not put its data into the wire format.
+    #[error("simulated device: {0}")]
+    Wire(#[from] lsfb_drivers::WireError),
+    /// The host takes no more packets.
+    #[error("{device}: the host has received {received} of {sent} packets and takes no more; is it still recording?")]
+    Stalled {
+        /// Which device.
+        device: &'static str,
+        /// Packets sent.
+        sent: u64,
+        /// Packets that the host says it has.
+        received: u64,
+    },
+    /// A thread of a device could not start, or died.
+    #[error("thread {name} of the simulator: {problem}")]
+    Thread {
+        /// Its name.
+        name: String,
+        /// What happened.
+        problem: String,
+    },
     /// A truth file could not be written.
     #[error("cannot write {}: {source}; check that the folder exists and has space left", path.display())]
     Write {

@@ -10,7 +10,7 @@ use crate::noise::hash;
 use crate::sensor::camera::CameraSim;
 use crate::sensor::imu::{self, BiasedSample};
 use crate::sensor::lidar::{
-    CYCLE_NS, FiringCycle, LidarSim, PAIR_NS, RANGE_UNIT_M, beam_direction, ring,
+    CYCLE_NS, FiringCycle, LidarSim, RANGE_UNIT_M, beam_direction, firing_delay_ns, ring,
 };
 use crate::walk::{Walk, Walker};
 use crate::world::World;
@@ -38,6 +38,7 @@ pub struct RigSim {
     seed: u64,
     walk: Walk,
     imu: Vec<BiasedSample>,
+    imu_rate_hz: u32,
     cameras: Vec<CameraSim>,
     camera_rate_hz: u32,
     lidar: Option<LidarSim>,
@@ -124,6 +125,7 @@ impl RigSim {
         imu: &ImuConfig,
         seed: u64,
     ) -> Result<Self, Error> {
+        let imu_rate_hz = imu.rate_hz;
         let imu = imu::simulate(&walk, imu, seed);
         let camera_rate_hz = cameras.rate_hz;
         let cameras = rig
@@ -138,6 +140,7 @@ impl RigSim {
             seed,
             walk,
             imu,
+            imu_rate_hz,
             cameras,
             camera_rate_hz,
             lidar: None,
@@ -173,6 +176,11 @@ impl RigSim {
     /// `offset_ns` after the beginning.
     pub fn time(&self, offset_ns: i64) -> Timestamp {
         self.start.plus_nanos(offset_ns)
+    }
+
+    /// Rate of its IMU, Hz.
+    pub fn imu_rate_hz(&self) -> u32 {
+        self.imu_rate_hz
     }
 
     /// Number of images that each camera takes.
@@ -233,7 +241,7 @@ impl RigSim {
                 if echo.range_count == 0 {
                     continue;
                 }
-                let delay_ns = PAIR_NS * (laser as i64 / 2);
+                let delay_ns = firing_delay_ns(laser);
                 let azimuth_deg =
                     f64::from(cycle.azimuth_centideg) * 0.01 + 360.0 * delay_ns as f64 / turn_ns;
                 let range_m = f64::from(echo.range_count) * RANGE_UNIT_M;

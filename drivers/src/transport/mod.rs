@@ -7,6 +7,7 @@ mod poll;
 pub mod rosbag2;
 pub mod serial;
 pub mod udp;
+pub mod udp_sender;
 pub mod websocket;
 
 pub(crate) use host_clock::arrival_now;

@@ -3,6 +3,8 @@
 use rayon::prelude::*;
 use wide::f32x8;
 
+use lsfb_drivers::velodyne::model::{Model, ModelTable};
+use lsfb_drivers::velodyne::wire::{BLOCKS, CHANNELS};
 use lsfb_geometry::{Se3, Vector3};
 
 use crate::config::LidarConfig;
@@ -11,52 +13,16 @@ use crate::walk::Walk;
 use crate::world::vector::dot;
 use crate::world::{LANES, NO_FACET, RayPacket, World};
 
+/// The sensor's constants.
+const TABLE: &ModelTable = Model::Vlp32c.table();
 /// Lasers of a VLP-32C.
-pub const LASERS: usize = 32;
+pub const LASERS: usize = CHANNELS;
 /// Firing cycles in a data packet.
-pub const CYCLES_PER_PACKET: usize = 12;
-/// Duration of a firing cycle, nanoseconds (VLP-32C manual 63-9325, p. 59).
-pub const CYCLE_NS: i64 = 55_296;
-/// Time between one pair of lasers and the next, nanoseconds (same page).
-pub const PAIR_NS: i64 = 2_304;
+pub const CYCLES_PER_PACKET: usize = BLOCKS;
+/// Duration of a firing cycle, nanoseconds.
+pub const CYCLE_NS: i64 = TABLE.block_period_ns as i64;
 /// Length of one count of a range, metres.
-pub const RANGE_UNIT_M: f64 = 0.004;
-
-/// Elevation and azimuth offset in degrees by laser number (VLP-32C manual 63-9325, pp. 54–56).
-const BEAMS_DEG: [[f64; 2]; LASERS] = [
-    [-25.0, 1.4],
-    [-1.0, -4.2],
-    [-1.667, 1.4],
-    [-15.639, -1.4],
-    [-11.31, 1.4],
-    [0.0, -1.4],
-    [-0.667, 4.2],
-    [-8.843, -1.4],
-    [-7.254, 1.4],
-    [0.333, -4.2],
-    [-0.333, 1.4],
-    [-6.148, -1.4],
-    [-5.333, 4.2],
-    [1.333, -1.4],
-    [0.667, 4.2],
-    [-4.0, -1.4],
-    [-4.667, 1.4],
-    [1.667, -4.2],
-    [1.0, 1.4],
-    [-3.667, -4.2],
-    [-3.333, 4.2],
-    [3.333, -1.4],
-    [2.333, 1.4],
-    [-2.667, -1.4],
-    [-3.0, 1.4],
-    [7.0, -1.4],
-    [4.667, 1.4],
-    [-2.333, -4.2],
-    [-2.0, 4.2],
-    [15.0, -1.4],
-    [10.333, 1.4],
-    [-1.333, -1.4],
-];
+pub const RANGE_UNIT_M: f64 = TABLE.distance_unit_mm as f64 * 1e-3;
 
 /// One range as sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -130,7 +96,7 @@ impl LidarSim {
         let motions: [_; LANES] =
             std::array::from_fn(|lane| walk.at(cycles[lane].offset_ns as f64 * 1e-9));
         for pair in 0..LASERS / 2 {
-            let delay_ns = pair as i64 * PAIR_NS;
+            let delay_ns = firing_delay_ns(2 * pair);
             let poses: [Se3; LANES] = std::array::from_fn(|lane| {
                 motions[lane].coasted(delay_ns as f64 * 1e-9) * self.rig_from_lidar
             });
@@ -187,8 +153,9 @@ impl LidarSim {
 
 /// Direction of a laser in the LiDAR frame (x forward, y left, z up) at an encoder angle.
 pub fn beam_direction(laser: usize, azimuth_deg: f64) -> Vector3<f64> {
-    let [elevation, offset] = BEAMS_DEG[laser].map(f64::to_radians);
-    let (sin, cos) = (azimuth_deg.to_radians() + offset).sin_cos();
+    let channel = &TABLE.channels[laser];
+    let elevation = channel.elevation_deg.to_radians();
+    let (sin, cos) = (azimuth_deg + channel.azimuth_offset_deg).to_radians().sin_cos();
     Vector3::new(
         elevation.cos() * cos,
         -elevation.cos() * sin,
@@ -196,10 +163,14 @@ pub fn beam_direction(laser: usize, azimuth_deg: f64) -> Vector3<f64> {
     )
 }
 
+/// Time at which a laser fires, after the beginning of its cycle, nanoseconds.
+pub fn firing_delay_ns(laser: usize) -> i64 {
+    TABLE.channels[laser].firing_ns.into()
+}
+
 /// Rank of a laser by elevation, 0 lowest.
 pub fn ring(laser: usize) -> u16 {
-    let own = BEAMS_DEG[laser][0];
-    BEAMS_DEG.iter().filter(|beam| beam[0] < own).count() as u16
+    TABLE.channels[laser].ring
 }
 
 #[cfg(test)]

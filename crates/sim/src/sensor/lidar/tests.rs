@@ -92,7 +92,7 @@ fn time_of_a_point_follows_the_firing_sequence() {
     assert!(
         scan.points
             .iter()
-            .all(|p| i64::from(p.time_offset_ns) % CYCLE_NS <= 15 * PAIR_NS)
+            .all(|p| i64::from(p.time_offset_ns) % CYCLE_NS <= 15 * 2304)
     );
     let mut rings: Vec<u16> = (0..LASERS).map(ring).collect();
     assert_eq!([rings[0], rings[1], rings[29], rings[5]], [0, 17, 31, 20]);

@@ -1,0 +1,203 @@
+//! A VLP-32C: data packets with returns, position packets with the clock's state, over UDP.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use lsfb_drivers::imu::wire::UtcTime;
+use lsfb_drivers::transport::udp_sender::UdpSender;
+use lsfb_drivers::velodyne::model::Product;
+use lsfb_drivers::velodyne::nmea::Rmc;
+use lsfb_drivers::velodyne::wire::{
+    DATA_PACKET_LEN, DataPacket, POSITION_PACKET_LEN, PositionPacket, PpsStatus, ReturnMode,
+};
+use lsfb_types::Timestamp;
+
+use super::clock::{SimClock, Turn};
+use crate::sensor::lidar::{CYCLE_NS, CYCLES_PER_PACKET, FiringCycle};
+use crate::{Error, RigSim, Simulation};
+
+/// Data packets fired at a time: 10.6 ms.
+const BATCH_PACKETS: usize = 16;
+/// Data packets per position packet (VLP-32C manual: about 14 to 1).
+const PACKETS_PER_POSITION: u64 = 14;
+/// A GPS receiver's sentence names the second that has begun, and is complete this long after its pulse.
+const SENTENCE_DELAY_NS: i64 = 300_000_000;
+const HOUR_US: i64 = 3_600_000_000;
+/// A host that takes no packet for this long is gone.
+const HOST_TIMEOUT: Duration = Duration::from_secs(30);
+const NAP: Duration = Duration::from_micros(200);
+
+/// Keeps a stream of datagrams, which nothing else holds back, from overrunning its host.
+#[derive(Clone, Debug)]
+pub struct FlowControl {
+    /// Datagrams of the LiDAR, of both kinds, that the host has received so far. The host counts them up.
+    pub received: Arc<AtomicU64>,
+    /// Datagrams that may be under way.
+    pub window: u64,
+}
+
+impl FlowControl {
+    /// At most 64 datagrams under way.
+    pub fn new(received: Arc<AtomicU64>) -> Self {
+        Self {
+            received,
+            window: 64,
+        }
+    }
+}
+
+/// What a LiDAR sent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct LidarTally {
+    pub data_packets: u64,
+    pub position_packets: u64,
+}
+
+/// Where the packets go.
+pub(crate) struct LidarDevice {
+    data: UdpSender,
+    position: UdpSender,
+    flow: Option<FlowControl>,
+    sent: u64,
+}
+
+impl LidarDevice {
+    pub(crate) fn new(
+        data: SocketAddr,
+        position: SocketAddr,
+        flow: Option<FlowControl>,
+    ) -> Result<Self, Error> {
+        Ok(Self {
+            data: UdpSender::aim(data)?,
+            position: UdpSender::aim(position)?,
+            flow,
+            sent: 0,
+        })
+    }
+
+    /// Sends the whole walk.
+    pub(crate) fn run(
+        mut self,
+        simulation: &Simulation,
+        clock: &SimClock,
+        device: usize,
+    ) -> Result<LidarTally, Error> {
+        let rig = simulation.scan();
+        let mut tally = LidarTally::default();
+        let packet_ns = CYCLE_NS * CYCLES_PER_PACKET as i64;
+        let total = (rig.walk().duration_s() * 1e9) as u64 / packet_ns as u64;
+        while tally.data_packets < total {
+            let first = tally.data_packets;
+            if clock.reach(device, first as i64 * packet_ns) == Turn::Stop {
+                break;
+            }
+            let count = BATCH_PACKETS.min((total - first) as usize);
+            let cycles = rig.fire(
+                simulation.world(),
+                first * CYCLES_PER_PACKET as u64,
+                count * CYCLES_PER_PACKET,
+            );
+            for cycles in cycles.chunks_exact(CYCLES_PER_PACKET) {
+                if tally.data_packets.is_multiple_of(PACKETS_PER_POSITION) {
+                    let offset_ns = cycles.first().map_or(0, |c| c.offset_ns);
+                    let packet = position_packet(rig, offset_ns)?;
+                    self.send(&packet, PacketKind::Position, clock)?;
+                    tally.position_packets += 1;
+                }
+                let packet = data_packet(rig, cycles)?;
+                self.send(&packet, PacketKind::Data, clock)?;
+                tally.data_packets += 1;
+            }
+        }
+        Ok(tally)
+    }
+
+    fn send(&mut self, packet: &[u8], kind: PacketKind, clock: &SimClock) -> Result<(), Error> {
+        if let Some(flow) = &self.flow {
+            let mut seen = flow.received.load(Ordering::Acquire);
+            let mut since = Instant::now();
+            while self.sent >= seen + flow.window && !clock.is_stopped() {
+                thread::sleep(NAP);
+                let now = flow.received.load(Ordering::Acquire);
+                if now != seen {
+                    (seen, since) = (now, Instant::now());
+                } else if since.elapsed() > HOST_TIMEOUT {
+                    return Err(Error::Stalled {
+                        device: "LiDAR",
+                        sent: self.sent,
+                        received: seen,
+                    });
+                }
+            }
+        }
+        match kind {
+            PacketKind::Data => self.data.send(packet)?,
+            PacketKind::Position => self.position.send(packet)?,
+        }
+        self.sent += 1;
+        Ok(())
+    }
+}
+
+#[derive(Clone, Copy)]
+enum PacketKind {
+    Data,
+    Position,
+}
+
+fn top_of_hour_us(time: Timestamp) -> u32 {
+    // The counter is truncated, as the sensor does.
+    time.nanos().div_euclid(1000).rem_euclid(HOUR_US) as u32
+}
+
+/// Twelve firing cycles as they are sent.
+pub(crate) fn data_packet(
+    rig: &RigSim,
+    cycles: &[FiringCycle],
+) -> Result<[u8; DATA_PACKET_LEN], Error> {
+    let bytes = [0; DATA_PACKET_LEN];
+    let mut packet = DataPacket::init(bytes, Product::Vlp32c, ReturnMode::Strongest)?;
+    for (block, cycle) in cycles.iter().enumerate() {
+        packet.set_azimuth_centideg(block, cycle.azimuth_centideg);
+        for (laser, echo) in cycle.returns.iter().enumerate() {
+            packet.set_return(block, laser, echo.range_count, echo.reflectivity);
+        }
+    }
+    let offset_ns = cycles.first().map_or(0, |c| c.offset_ns);
+    packet.set_timestamp_us(top_of_hour_us(rig.time(offset_ns)));
+    Ok(packet.into_inner())
+}
+
+/// The state of the clock: locked to the pulse, with the last sentence that came in.
+pub(crate) fn position_packet(
+    rig: &RigSim,
+    offset_ns: i64,
+) -> Result<[u8; POSITION_PACKET_LEN], Error> {
+    let time = rig.time(offset_ns);
+    let mut packet = PositionPacket::init([0; POSITION_PACKET_LEN])?;
+    packet.set_temperatures_celsius(46, 41, 24);
+    packet.set_timestamp_us(top_of_hour_us(time));
+    packet.set_pps_status(PpsStatus::Locked);
+    if let Some(utc) = UtcTime::from_unix_nanos(time.nanos() - SENTENCE_DELAY_NS) {
+        let sentence = Rmc {
+            hour: utc.hour,
+            minute: utc.minute,
+            second: utc.second,
+            millis: 0,
+            valid: true,
+            latitude_e5_min: Some(48 * 6_000_000 + 880_000),
+            longitude_e5_min: Some(11 * 6_000_000 + 3_450_000),
+            speed_e3_knots: Some(0),
+            course_e3_deg: Some(0),
+            day: utc.day,
+            month: utc.month,
+            year: utc.year,
+            mode: Some('A'),
+        };
+        packet.set_nmea(sentence.emit().as_bytes())?;
+    }
+    Ok(packet.into_inner())
+}

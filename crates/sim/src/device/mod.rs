@@ -1,0 +1,18 @@
+//! Simulated devices that speak real bytes: what the drivers would meet on real hardware.
+//!
+//! A [`SimSession`] runs one named thread per device. All follow one simulated clock: none runs further ahead of the
+//! slowest than a set time, and nothing starts before every device has its host.
+
+mod clock;
+mod feed;
+mod glasses;
+mod imu;
+mod lidar;
+mod mynt;
+mod session;
+
+pub use clock::Pace;
+pub use lidar::FlowControl;
+pub use session::{
+    GlassesEndpoint, MYNT_UNITS, ScanEndpoints, SessionReport, SimSession, StopHandle,
+};

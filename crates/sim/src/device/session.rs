@@ -1,0 +1,257 @@
+//! All devices of a walk, running.
+
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+use lsfb_drivers::transport::camera_socket::CameraLink;
+use lsfb_types::{Progress, ProgressFn};
+
+use super::clock::{Pace, SimClock};
+use super::glasses::GlassesDevice;
+use super::imu::ImuDevice;
+use super::lidar::{FlowControl, LidarDevice};
+use super::mynt::MyntDevice;
+use crate::{Error, Simulation};
+
+/// Stereo units on the backpack.
+pub const MYNT_UNITS: usize = 2;
+/// How far one device may run ahead of another, simulated nanoseconds.
+const SKEW_NS: i64 = 200_000_000;
+const REPORT_EVERY: Duration = Duration::from_millis(100);
+
+/// Where the host of the backpack listens, and where the devices are to appear.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ScanEndpoints {
+    /// The LiDAR's data packets go here.
+    pub lidar_data: SocketAddr,
+    /// The LiDAR's position packets go here.
+    pub lidar_position: SocketAddr,
+    /// Sockets that the stereo units make: `cam0` and `cam1`, `cam2` and `cam3`.
+    pub camera_sockets: [PathBuf; MYNT_UNITS],
+}
+
+/// Where the host of the glasses listens.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct GlassesEndpoint {
+    /// The sidecar server.
+    pub address: SocketAddr,
+    /// Name of the session that the app opens.
+    pub session: String,
+}
+
+/// What the devices have sent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SessionReport {
+    /// LiDAR data packets.
+    pub lidar_data_packets: u64,
+    /// LiDAR position packets.
+    pub lidar_position_packets: u64,
+    /// Stereo frames of both units together.
+    pub stereo_frames: u64,
+    /// Packets of the backpack's IMU.
+    pub imu_packets: u64,
+    /// Sidecar messages.
+    pub sidecar_messages: u64,
+}
+
+impl SessionReport {
+    fn plus(self, other: Self) -> Self {
+        Self {
+            lidar_data_packets: self.lidar_data_packets + other.lidar_data_packets,
+            lidar_position_packets: self.lidar_position_packets + other.lidar_position_packets,
+            stereo_frames: self.stereo_frames + other.stereo_frames,
+            imu_packets: self.imu_packets + other.imu_packets,
+            sidecar_messages: self.sidecar_messages + other.sidecar_messages,
+        }
+    }
+}
+
+/// Running devices. Dropping it stops them.
+#[derive(Debug)]
+pub struct SimSession {
+    clock: Arc<SimClock>,
+    threads: Vec<JoinHandle<Result<SessionReport, Error>>>,
+    imu_path: Option<PathBuf>,
+    camera_sockets: Vec<PathBuf>,
+    total_ns: i64,
+}
+
+/// Stops a session from another thread.
+#[derive(Clone, Debug)]
+pub struct StopHandle {
+    clock: Arc<SimClock>,
+    camera_sockets: Vec<PathBuf>,
+}
+
+impl StopHandle {
+    /// Ends the streams where they are; the hosts see the end of each.
+    pub fn stop(&self) {
+        self.clock.stop();
+        for path in &self.camera_sockets {
+            // A unit that nobody opened waits in `accept`; this wakes it. One that was opened has no socket to be met.
+            let _ = CameraLink::connect(path);
+        }
+    }
+}
+
+impl SimSession {
+    /// Starts the devices of the backpack. The host must already listen for the LiDAR; cameras and IMU may be opened
+    /// when it likes. Simulated time begins when all are.
+    pub fn start_scan(
+        simulation: &Arc<Simulation>,
+        endpoints: &ScanEndpoints,
+        pace: Pace,
+        flow: Option<FlowControl>,
+    ) -> Result<Self, Error> {
+        let lidar = LidarDevice::new(endpoints.lidar_data, endpoints.lidar_position, flow)?;
+        let imu = ImuDevice::new()?;
+        let [first, second] = &endpoints.camera_sockets;
+        let units = [MyntDevice::bind(0, first)?, MyntDevice::bind(1, second)?];
+        let duration_s = simulation.scan().walk().duration_s();
+        let mut session = Self::empty(2 + MYNT_UNITS, pace, duration_s);
+        session.imu_path = Some(imu.path());
+        session.camera_sockets = endpoints.camera_sockets.to_vec();
+        session.spawn("sim-lidar", 0, simulation, move |simulation, clock, device| {
+            let tally = lidar.run(simulation, clock, device)?;
+            Ok(SessionReport {
+                lidar_data_packets: tally.data_packets,
+                lidar_position_packets: tally.position_packets,
+                ..SessionReport::default()
+            })
+        })?;
+        session.spawn("sim-imu", 1, simulation, move |simulation, clock, device| {
+            Ok(SessionReport {
+                imu_packets: imu.run(simulation.scan(), clock, device)?,
+                ..SessionReport::default()
+            })
+        })?;
+        for (k, unit) in units.into_iter().enumerate() {
+            let name = format!("sim-mynt{k}");
+            session.spawn(&name, 2 + k, simulation, move |simulation, clock, device| {
+                Ok(SessionReport {
+                    stereo_frames: unit.run(simulation, clock, device)?,
+                    ..SessionReport::default()
+                })
+            })?;
+        }
+        Ok(session)
+    }
+
+    /// Starts the glasses, which connect to their host at once.
+    pub fn start_glasses(
+        simulation: &Arc<Simulation>,
+        endpoint: &GlassesEndpoint,
+        pace: Pace,
+    ) -> Result<Self, Error> {
+        let rig = simulation.glasses();
+        let glasses = GlassesDevice::connect(rig, endpoint.address, &endpoint.session)?;
+        let mut session = Self::empty(1, pace, rig.walk().duration_s());
+        session.spawn("sim-glasses", 0, simulation, move |simulation, clock, device| {
+            Ok(SessionReport {
+                sidecar_messages: glasses.run(simulation, clock, device)?,
+                ..SessionReport::default()
+            })
+        })?;
+        Ok(session)
+    }
+
+    /// The serial line of the backpack's IMU.
+    pub fn imu_path(&self) -> Option<&Path> {
+        self.imu_path.as_deref()
+    }
+
+    /// For stopping the session while another thread is in [`SimSession::join`].
+    pub fn stop_handle(&self) -> StopHandle {
+        StopHandle {
+            clock: Arc::clone(&self.clock),
+            camera_sockets: self.camera_sockets.clone(),
+        }
+    }
+
+    /// Waits until everything is sent. The first device that failed decides the error; the others have run to their
+    /// end all the same.
+    pub fn join(mut self, progress: ProgressFn) -> Result<SessionReport, Error> {
+        while self.threads.iter().any(|thread| !thread.is_finished()) {
+            let done_ns = self.clock.slowest_ns().unwrap_or(self.total_ns);
+            progress(Progress {
+                stage: "simulated walk",
+                done: done_ns as u64 / 1_000_000,
+                total: self.total_ns as u64 / 1_000_000,
+            });
+            thread::sleep(REPORT_EVERY);
+        }
+        let mut outcome = Ok(SessionReport::default());
+        for thread in self.threads.drain(..) {
+            let name = thread.thread().name().unwrap_or_default().to_owned();
+            let sent = thread.join().unwrap_or(Err(Error::Thread {
+                name,
+                problem: "panicked".to_owned(),
+            }));
+            outcome = match (outcome, sent) {
+                (Ok(report), Ok(sent)) => Ok(report.plus(sent)),
+                (Ok(_), Err(e)) | (Err(e), _) => Err(e),
+            };
+        }
+        outcome
+    }
+
+    fn empty(devices: usize, pace: Pace, duration_s: f64) -> Self {
+        Self {
+            clock: Arc::new(SimClock::new(devices, SKEW_NS, pace)),
+            threads: Vec::new(),
+            imu_path: None,
+            camera_sockets: Vec::new(),
+            total_ns: (duration_s * 1e9) as i64,
+        }
+    }
+
+    fn spawn(
+        &mut self,
+        name: &str,
+        device: usize,
+        simulation: &Arc<Simulation>,
+        run: impl FnOnce(&Arc<Simulation>, &SimClock, usize) -> Result<SessionReport, Error>
+        + Send
+        + 'static,
+    ) -> Result<(), Error> {
+        let clock = Arc::clone(&self.clock);
+        let simulation = Arc::clone(simulation);
+        let thread = spawn(name, move || {
+            let outcome = run(&simulation, &clock, device);
+            clock.finish(device);
+            outcome
+        })?;
+        self.threads.push(thread);
+        Ok(())
+    }
+}
+
+impl Drop for SimSession {
+    fn drop(&mut self) {
+        self.stop_handle().stop();
+        for thread in self.threads.drain(..) {
+            // A panic there has been reported by the panic hook already.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Starts a named thread.
+pub(crate) fn spawn<T: Send + 'static>(
+    name: &str,
+    run: impl FnOnce() -> T + Send + 'static,
+) -> Result<JoinHandle<T>, Error> {
+    thread::Builder::new()
+        .name(name.to_owned())
+        .spawn(run)
+        .map_err(|cause| Error::Thread {
+            name: name.to_owned(),
+            problem: cause.to_string(),
+        })
+}
+
+#[cfg(test)]
+mod tests;
