@@ -17,16 +17,24 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let simulation = Simulation::new(&config, &no_progress)?;
     println!("world: {:.2} s", began.elapsed().as_secs_f64());
     let world = simulation.world();
-    for (name, rig) in [("scan", simulation.scan()), ("glasses", simulation.glasses())] {
+    for (name, rig) in [
+        ("scan", simulation.scan()),
+        ("glasses", simulation.glasses()),
+    ] {
         let began = Instant::now();
         let mut rays = 0;
         for frame in (0..rig.frame_count()).step_by(20) {
             for camera in 0..rig.rig().cameras.len() {
-                rays += rig.image(world, camera, frame).map_or(0, |i| i.sample.pixels.len());
+                rays += rig
+                    .image(world, camera, frame)
+                    .map_or(0, |i| i.sample.pixels.len());
             }
         }
         let spent_s = began.elapsed().as_secs_f64();
-        println!("{name} cameras: {:.2} M rays/s", rays as f64 / spent_s / 1e6);
+        println!(
+            "{name} cameras: {:.2} M rays/s",
+            rays as f64 / spent_s / 1e6
+        );
     }
     let began = Instant::now();
     let mut rays = 0;

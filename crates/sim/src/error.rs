@@ -21,7 +21,9 @@ pub enum Error {
     #[error("simulated device: {0}")]
     Wire(#[from] lsfb_drivers::WireError),
     /// The host takes no more packets.
-    #[error("{device}: the host has received {received} of {sent} packets and takes no more; is it still recording?")]
+    #[error(
+        "{device}: the host has received {received} of {sent} packets and takes no more; is it still recording?"
+    )]
     Stalled {
         /// Which device.
         device: &'static str,

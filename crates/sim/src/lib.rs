@@ -25,14 +25,15 @@ pub mod world;
 
 pub use config::{CameraConfig, ImuConfig, LidarConfig, SimConfig, WalkConfig};
 pub use device::{
-    FlowControl, GlassesEndpoint, MYNT_UNITS, Pace, ScanEndpoints, SessionReport, SimSession, StopHandle,
+    FlowControl, GlassesEndpoint, MYNT_UNITS, Pace, ScanEndpoints, SessionReport, SimSession,
+    StopHandle,
 };
 pub use error::Error;
 pub use sensor::camera::CameraSim;
 pub use sensor::imu::{BiasedSample, GRAVITY_M_S2, exact_sample};
 pub use sensor::lidar::{
-    CYCLE_NS, CYCLES_PER_PACKET, FiringCycle, LASERS, LidarSim, RANGE_UNIT_M, Return, beam_direction,
-    firing_delay_ns, ring,
+    CYCLE_NS, CYCLES_PER_PACKET, FiringCycle, LASERS, LidarSim, RANGE_UNIT_M, Return,
+    beam_direction, firing_delay_ns, ring,
 };
 pub use simulation::{EPOCH, GLASSES_EPOCH, RigSim, Simulation};
 pub use truth::{TrueBias, Truth};

@@ -217,8 +217,11 @@ impl RigSim {
     /// The firing cycles of a revolution; empty without a LiDAR.
     pub fn revolution(&self, world: &World, number: u32) -> Vec<FiringCycle> {
         let turn_ns = 60_000_000_000 / i64::from(self.lidar_rpm);
-        let first = (i64::from(number) * turn_ns + CYCLE_NS - 1) / CYCLE_NS;
-        let next = ((i64::from(number) + 1) * turn_ns + CYCLE_NS - 1) / CYCLE_NS;
+        // The encoder rounds to 0.01°: the last 0.005° of a turn already read 0.
+        let early_ns = turn_ns / 72_000;
+        let cycle_at = |turn: i64| ((turn * turn_ns - early_ns).max(0) + CYCLE_NS - 1) / CYCLE_NS;
+        let first = cycle_at(number.into());
+        let next = cycle_at(i64::from(number) + 1);
         self.fire(world, first as u64, (next - first) as usize)
     }
 
@@ -258,7 +261,8 @@ impl RigSim {
         Some(Stamped {
             time,
             arrival: time,
-            device_ticks: (first_ns / 1000) as u64,
+            // As the driver counts: nanoseconds of the hour.
+            device_ticks: time.nanos().rem_euclid(3_600_000_000_000) as u64,
             sample: LidarScan { points },
         })
     }

@@ -177,7 +177,10 @@ mod tests {
                 }
                 clock.finish(0);
             };
-            thread::Builder::new().name("fast".into()).spawn(run).expect("thread")
+            thread::Builder::new()
+                .name("fast".into())
+                .spawn(run)
+                .expect("thread")
         };
         for offset in (0..500).step_by(50) {
             thread::yield_now();
@@ -194,7 +197,10 @@ mod tests {
         let waiting = {
             let clock = Arc::clone(&clock);
             let run = move || clock.reach(0, 0);
-            thread::Builder::new().name("waiting".into()).spawn(run).expect("thread")
+            thread::Builder::new()
+                .name("waiting".into())
+                .spawn(run)
+                .expect("thread")
         };
         clock.stop();
         assert_eq!(waiting.join().expect("no panic"), Turn::Stop);

@@ -25,11 +25,7 @@ pub(crate) struct GlassesDevice {
 
 impl GlassesDevice {
     /// Connects to the rig and describes the channels.
-    pub(crate) fn connect(
-        rig: &RigSim,
-        address: SocketAddr,
-        session: &str,
-    ) -> Result<Self, Error> {
+    pub(crate) fn connect(rig: &RigSim, address: SocketAddr, session: &str) -> Result<Self, Error> {
         let mut client = SidecarClient::connect(ClientConfig {
             address,
             device: DEVICE.to_owned(),

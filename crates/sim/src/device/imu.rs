@@ -44,7 +44,12 @@ impl ImuDevice {
     }
 
     /// Waits for the host to configure the unit, then sends the whole walk. Returns the packets sent.
-    pub(crate) fn run(mut self, rig: &RigSim, clock: &SimClock, device: usize) -> Result<u64, Error> {
+    pub(crate) fn run(
+        mut self,
+        rig: &RigSim,
+        clock: &SimClock,
+        device: usize,
+    ) -> Result<u64, Error> {
         if !self.configure(rig, clock)? {
             return Ok(0);
         }

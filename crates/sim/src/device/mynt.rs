@@ -115,12 +115,11 @@ impl MyntDevice {
 
     /// Serves one host after another until one starts the stream; `None`: the session was stopped before.
     fn wait_for_host(&self, xu: &mut XuDevice, clock: &SimClock) -> Result<Option<Started>, Error> {
-        loop {
-            let mut unit = self.listener.accept()?;
-            loop {
-                if clock.is_stopped() {
-                    return Ok(None);
-                }
+        while !clock.is_stopped() {
+            let Some(mut unit) = self.listener.accept(50 * LISTEN)? else {
+                continue;
+            };
+            while !clock.is_stopped() {
                 match unit.serve(xu, 50 * LISTEN) {
                     Ok(Some(UnitRequest::Start { format, .. })) => {
                         return Ok(Some(Started { unit, format }));
@@ -132,6 +131,7 @@ impl MyntDevice {
                 }
             }
         }
+        Ok(None)
     }
 }
 
@@ -162,7 +162,13 @@ pub(crate) fn frame_bytes(
         checksum: 0,
     }
     .with_checksum();
-    Ok(emit_frame(format, &left.pixels, &right.pixels, &trailer, out)?)
+    Ok(emit_frame(
+        format,
+        &left.pixels,
+        &right.pixels,
+        &trailer,
+        out,
+    )?)
 }
 
 /// The IMU inside a unit, in the axes of its left camera.
@@ -234,7 +240,8 @@ impl UnitImu {
         let gained = rig.walk().at(time_s + step_s).angular_velocity_rad_s
             - rig.walk().at(time_s - step_s).angular_velocity_rad_s;
         let gravity = Vector3::new(0.0, 0.0, -GRAVITY_M_S2);
-        let at_rig = motion.world_from_rig.rotation.inverse() * (motion.acceleration_m_s2 - gravity);
+        let at_rig =
+            motion.world_from_rig.rotation.inverse() * (motion.acceleration_m_s2 - gravity);
         let exact = match self.rig_from_unit(rig) {
             // Off the rig's origin: Euler's and the centripetal acceleration.
             Some(pose) => {

@@ -6,7 +6,6 @@ use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use lsfb_drivers::transport::camera_socket::CameraLink;
 use lsfb_types::{Progress, ProgressFn};
 
 use super::clock::{Pace, SimClock};
@@ -75,7 +74,6 @@ pub struct SimSession {
     clock: Arc<SimClock>,
     threads: Vec<JoinHandle<Result<SessionReport, Error>>>,
     imu_path: Option<PathBuf>,
-    camera_sockets: Vec<PathBuf>,
     total_ns: i64,
 }
 
@@ -83,17 +81,12 @@ pub struct SimSession {
 #[derive(Clone, Debug)]
 pub struct StopHandle {
     clock: Arc<SimClock>,
-    camera_sockets: Vec<PathBuf>,
 }
 
 impl StopHandle {
     /// Ends the streams where they are; the hosts see the end of each.
     pub fn stop(&self) {
         self.clock.stop();
-        for path in &self.camera_sockets {
-            // A unit that nobody opened waits in `accept`; this wakes it. One that was opened has no socket to be met.
-            let _ = CameraLink::connect(path);
-        }
     }
 }
 
@@ -113,29 +106,43 @@ impl SimSession {
         let duration_s = simulation.scan().walk().duration_s();
         let mut session = Self::empty(2 + MYNT_UNITS, pace, duration_s);
         session.imu_path = Some(imu.path());
-        session.camera_sockets = endpoints.camera_sockets.to_vec();
-        session.spawn("sim-lidar", 0, simulation, move |simulation, clock, device| {
-            let tally = lidar.run(simulation, clock, device)?;
-            Ok(SessionReport {
-                lidar_data_packets: tally.data_packets,
-                lidar_position_packets: tally.position_packets,
-                ..SessionReport::default()
-            })
-        })?;
-        session.spawn("sim-imu", 1, simulation, move |simulation, clock, device| {
-            Ok(SessionReport {
-                imu_packets: imu.run(simulation.scan(), clock, device)?,
-                ..SessionReport::default()
-            })
-        })?;
-        for (k, unit) in units.into_iter().enumerate() {
-            let name = format!("sim-mynt{k}");
-            session.spawn(&name, 2 + k, simulation, move |simulation, clock, device| {
+        session.spawn(
+            "sim-lidar",
+            0,
+            simulation,
+            move |simulation, clock, device| {
+                let tally = lidar.run(simulation, clock, device)?;
                 Ok(SessionReport {
-                    stereo_frames: unit.run(simulation, clock, device)?,
+                    lidar_data_packets: tally.data_packets,
+                    lidar_position_packets: tally.position_packets,
                     ..SessionReport::default()
                 })
-            })?;
+            },
+        )?;
+        session.spawn(
+            "sim-imu",
+            1,
+            simulation,
+            move |simulation, clock, device| {
+                Ok(SessionReport {
+                    imu_packets: imu.run(simulation.scan(), clock, device)?,
+                    ..SessionReport::default()
+                })
+            },
+        )?;
+        for (k, unit) in units.into_iter().enumerate() {
+            let name = format!("sim-mynt{k}");
+            session.spawn(
+                &name,
+                2 + k,
+                simulation,
+                move |simulation, clock, device| {
+                    Ok(SessionReport {
+                        stereo_frames: unit.run(simulation, clock, device)?,
+                        ..SessionReport::default()
+                    })
+                },
+            )?;
         }
         Ok(session)
     }
@@ -149,12 +156,17 @@ impl SimSession {
         let rig = simulation.glasses();
         let glasses = GlassesDevice::connect(rig, endpoint.address, &endpoint.session)?;
         let mut session = Self::empty(1, pace, rig.walk().duration_s());
-        session.spawn("sim-glasses", 0, simulation, move |simulation, clock, device| {
-            Ok(SessionReport {
-                sidecar_messages: glasses.run(simulation, clock, device)?,
-                ..SessionReport::default()
-            })
-        })?;
+        session.spawn(
+            "sim-glasses",
+            0,
+            simulation,
+            move |simulation, clock, device| {
+                Ok(SessionReport {
+                    sidecar_messages: glasses.run(simulation, clock, device)?,
+                    ..SessionReport::default()
+                })
+            },
+        )?;
         Ok(session)
     }
 
@@ -167,7 +179,6 @@ impl SimSession {
     pub fn stop_handle(&self) -> StopHandle {
         StopHandle {
             clock: Arc::clone(&self.clock),
-            camera_sockets: self.camera_sockets.clone(),
         }
     }
 
@@ -203,7 +214,6 @@ impl SimSession {
             clock: Arc::new(SimClock::new(devices, SKEW_NS, pace)),
             threads: Vec::new(),
             imu_path: None,
-            camera_sockets: Vec::new(),
             total_ns: (duration_s * 1e9) as i64,
         }
     }

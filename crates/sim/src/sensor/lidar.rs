@@ -155,7 +155,9 @@ impl LidarSim {
 pub fn beam_direction(laser: usize, azimuth_deg: f64) -> Vector3<f64> {
     let channel = &TABLE.channels[laser];
     let elevation = channel.elevation_deg.to_radians();
-    let (sin, cos) = (azimuth_deg + channel.azimuth_offset_deg).to_radians().sin_cos();
+    let (sin, cos) = (azimuth_deg + channel.azimuth_offset_deg)
+        .to_radians()
+        .sin_cos();
     Vector3::new(
         elevation.cos() * cos,
         -elevation.cos() * sin,
