@@ -133,6 +133,23 @@ pub enum Error {
         /// End of the scan.
         time: Timestamp,
     },
+    /// A walk that does not see the map.
+    #[error(
+        "{path}: {localized} of {frames} images could be found in the map, {needed} are needed: is it the map of this place, and the rig file of this device?", path = path.display()
+    )]
+    NotLocalized {
+        /// The recording.
+        path: PathBuf,
+        /// Instants with images.
+        frames: usize,
+        /// Of these, found in the map.
+        localized: usize,
+        /// Fewest that must be found.
+        needed: usize,
+    },
+    /// A problem could not be solved.
+    #[error(transparent)]
+    Solver(#[from] lsfb_solver::Error),
     /// The IMU leaves a time open that is to be integrated over.
     #[error(
         "no IMU samples from {from} s to {to} s: at most {longest_secs} s may be missing, record the IMU without pauses"

@@ -7,6 +7,7 @@
 
 mod error;
 pub mod features;
+pub mod ground_truth;
 pub mod hd_map;
 pub mod lidar_features;
 pub mod localization;

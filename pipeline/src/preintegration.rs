@@ -9,12 +9,15 @@ use lsfb_types::{ImuSample, Stamped, Timestamp};
 use nalgebra::SMatrix;
 
 use crate::Error;
+use crate::odometry::GRAVITY_M_S2;
 
 /// 9 × 9, ordered rotation, velocity, position.
 pub type Matrix9 = SMatrix<f64, 9, 9>;
 
-/// Gravity in the world, z up, m/s².
-pub const GRAVITY_M_S2: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
+/// Gravity in a level world, z up, m/s².
+pub fn standard_gravity_m_s2() -> Vector3<f64> {
+    Vector3::new(0.0, 0.0, -GRAVITY_M_S2)
+}
 
 /// Constant errors of the IMU over a short time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -253,8 +256,13 @@ impl PreintegratedImu {
         }
     }
 
-    /// State at the second instant, given that at the first.
-    pub fn predict(&self, start: &NavState, bias: &ImuBias) -> NavState {
+    /// State at the second instant, given that at the first; gravity is a vector in the world.
+    pub fn predict(
+        &self,
+        start: &NavState,
+        bias: &ImuBias,
+        gravity_m_s2: &Vector3<f64>,
+    ) -> NavState {
         let change = self.corrected(bias);
         let dt = self.duration_secs;
         let rotation = start.world_from_rig.rotation;
@@ -263,10 +271,10 @@ impl PreintegratedImu {
                 rotation * change.rotation,
                 start.world_from_rig.translation
                     + start.velocity_m_s * dt
-                    + GRAVITY_M_S2 * (0.5 * dt * dt)
+                    + gravity_m_s2 * (0.5 * dt * dt)
                     + rotation * change.position_m,
             ),
-            velocity_m_s: start.velocity_m_s + GRAVITY_M_S2 * dt + rotation * change.velocity_m_s,
+            velocity_m_s: start.velocity_m_s + gravity_m_s2 * dt + rotation * change.velocity_m_s,
         }
     }
 }

@@ -39,7 +39,7 @@ fn circle(t: f64) -> (NavState, Vector3<f64>, Vector3<f64>) {
     };
     let acceleration = Vector3::new(cos, sin, 0.0) * (-radius * rate * rate);
     let gyro = tilt.inverse() * Vector3::new(0.0, 0.0, rate);
-    let accel = rotation.inverse() * (acceleration - GRAVITY_M_S2);
+    let accel = rotation.inverse() * (acceleration - standard_gravity_m_s2());
     (state, gyro, accel)
 }
 
@@ -74,7 +74,11 @@ fn a_known_motion_is_predicted_also_between_samples() {
         );
         let sum = PreintegratedImu::integrate(&samples, start, end, bias, &NOISE).expect("covered");
         assert!((sum.duration_secs - end.secs_since(start)).abs() < 1e-12);
-        let found = sum.predict(&circle(start_nanos as f64 * 1e-9).0, &bias);
+        let found = sum.predict(
+            &circle(start_nanos as f64 * 1e-9).0,
+            &bias,
+            &standard_gravity_m_s2(),
+        );
         let truth = circle(end_nanos as f64 * 1e-9).0;
         let error = truth.world_from_rig.inverse() * found.world_from_rig;
         assert!(so3::log(&error.rotation).norm() < 1e-9);
@@ -295,7 +299,7 @@ fn euroc_seconds_end_where_an_independent_integration_does() {
             else {
                 continue;
             };
-            let found = sum.predict(&start.1, &start.2);
+            let found = sum.predict(&start.1, &start.2, &standard_gravity_m_s2());
             let error = end.1.world_from_rig.inverse() * found.world_from_rig;
             rotations.push(so3::log(&error.rotation).norm().to_degrees());
             velocities.push((found.velocity_m_s - end.1.velocity_m_s).norm());

@@ -2,10 +2,10 @@ use lsfb_geometry::{Matrix3, Se3, Vector3, so3};
 use lsfb_solver::{Linearization, Parameters, Residual, Shape, Undefined};
 use nalgebra::{SMatrix, SVector};
 
-use crate::preintegration::{GRAVITY_M_S2, ImuBias, Matrix9, PreintegratedImu};
+use crate::preintegration::{ImuBias, Matrix9, PreintegratedImu};
 
 /// The IMU's samples between two states, `h` of eq. (5). Blocks: pose, velocity, gyroscope bias, accelerometer bias of the
-/// first state; pose and velocity of the second.
+/// first state; pose and velocity of the second; gravity in the world.
 ///
 /// Forster et al. 2017, eq. (45), whitened by `L⁻¹` of the preintegrated covariance `L Lᵀ`:
 ///
@@ -15,11 +15,11 @@ use crate::preintegration::{GRAVITY_M_S2, ImuBias, Matrix9, PreintegratedImu};
 ///
 /// Perturbing `R exp(φ)`, `p + R ρ`:
 ///
-/// | | φ_i | ρ_i | v_i | b_g | b_a | φ_j | ρ_j | v_j |
-/// |---|---|---|---|---|---|---|---|---|
-/// | r_R | −J_r⁻¹ R_jᵀ R_i | | | −J_r⁻¹ exp(r_R)ᵀ J_r(ΔR_b δb) ΔR_b | | J_r⁻¹ | | |
-/// | r_v | \[R_iᵀ(…)\]ₓ | | −R_iᵀ | −Δv_bg | −Δv_ba | | | R_iᵀ |
-/// | r_p | \[R_iᵀ(…)\]ₓ | −I | −R_iᵀ Δt | −Δp_bg | −Δp_ba | | R_iᵀ R_j | |
+/// | | φ_i | ρ_i | v_i | b_g | b_a | φ_j | ρ_j | v_j | g |
+/// |---|---|---|---|---|---|---|---|---|---|
+/// | r_R | −J_r⁻¹ R_jᵀ R_i | | | −J_r⁻¹ exp(r_R)ᵀ J_r(ΔR_b δb) ΔR_b | | J_r⁻¹ | | | |
+/// | r_v | \[R_iᵀ(…)\]ₓ | | −R_iᵀ | −Δv_bg | −Δv_ba | | | R_iᵀ | −R_iᵀ Δt |
+/// | r_p | \[R_iᵀ(…)\]ₓ | −I | −R_iᵀ Δt | −Δp_bg | −Δp_ba | | R_iᵀ R_j | | −½ R_iᵀ Δt² |
 #[derive(Clone, Debug)]
 pub struct ImuPreintegration {
     preintegrated: PreintegratedImu,
@@ -59,6 +59,7 @@ impl Residual for ImuPreintegration {
                 Shape::of::<Vector3<f64>>(),
                 Shape::of::<Se3>(),
                 Shape::of::<Vector3<f64>>(),
+                Shape::of::<Vector3<f64>>(),
             ]
         }
     }
@@ -66,6 +67,7 @@ impl Residual for ImuPreintegration {
     fn evaluate(&self, parameters: &Parameters, out: &mut Linearization) -> Result<(), Undefined> {
         let (pose_i, velocity_i): (Se3, Vector3<f64>) = (parameters.get(0), parameters.get(1));
         let (pose_j, velocity_j): (Se3, Vector3<f64>) = (parameters.get(4), parameters.get(5));
+        let gravity: Vector3<f64> = parameters.get(6);
         let change = self.preintegrated.corrected(&ImuBias {
             gyro_rad_s: parameters.get(2),
             accel_m_s2: parameters.get(3),
@@ -73,12 +75,12 @@ impl Residual for ImuPreintegration {
         let dt = self.preintegrated.duration_secs;
         let i_from_world = pose_i.rotation_matrix().transpose();
         let j_from_i = pose_j.rotation.inverse() * pose_i.rotation;
-        let velocity = i_from_world * (velocity_j - velocity_i - GRAVITY_M_S2 * dt);
+        let velocity = i_from_world * (velocity_j - velocity_i - gravity * dt);
         let position = i_from_world
             * (pose_j.translation
                 - pose_i.translation
                 - velocity_i * dt
-                - GRAVITY_M_S2 * (0.5 * dt * dt));
+                - gravity * (0.5 * dt * dt));
         let rotation = so3::log(&(change.rotation.inverse() * j_from_i.inverse()));
 
         let mut residual = SVector::<f64, 9>::zeros();
@@ -90,7 +92,7 @@ impl Residual for ImuPreintegration {
             .fixed_rows_mut::<3>(6)
             .copy_from(&(position - change.position_m));
         out.set_residual(&(self.sqrt_information * residual));
-        if !(0..6).any(|k| out.wants_jacobian(k)) {
+        if !(0..7).any(|k| out.wants_jacobian(k)) {
             return Ok(());
         }
 
@@ -126,12 +128,18 @@ impl Residual for ImuPreintegration {
         );
         let by_accel = stack(&zero, &-by.velocity_by_accel, &-by.position_by_accel);
         let by_velocity_j = stack(&zero, &i_from_world, &zero);
+        let by_gravity = stack(
+            &zero,
+            &(-i_from_world * dt),
+            &(-i_from_world * (0.5 * dt * dt)),
+        );
         out.set_jacobian(0, &(self.sqrt_information * by_pose_i));
         out.set_jacobian(1, &(self.sqrt_information * by_velocity_i));
         out.set_jacobian(2, &(self.sqrt_information * by_gyro));
         out.set_jacobian(3, &(self.sqrt_information * by_accel));
         out.set_jacobian(4, &(self.sqrt_information * by_pose_j));
         out.set_jacobian(5, &(self.sqrt_information * by_velocity_j));
+        out.set_jacobian(6, &(self.sqrt_information * by_gravity));
         Ok(())
     }
 }
@@ -195,6 +203,7 @@ mod tests {
                 .add_block(Se3::exp(&Vector6::new(0.2, 0.3, 0.7, 3.3, -2.1, 1.2)))
                 .id(),
             problem.add_block(Vector3::new(0.8, -0.2, 0.3)).id(),
+            problem.add_block(Vector3::new(0.1, 0.2, -9.7)).id(),
         ];
         let residual = ImuPreintegration::new(preintegrated).expect("noise is not zero");
         problem

@@ -1,0 +1,119 @@
+//! From a recording to what the optimisation sees: images in groups of one instant, their features, the IMU.
+
+use std::collections::BTreeMap;
+
+use lsfb_geometry::Rig;
+use lsfb_recording::Recording;
+use lsfb_types::{Image, ImuSample, Progress, ProgressFn, Stamped, Timestamp};
+use rayon::prelude::*;
+
+use crate::Error;
+use crate::features::{Features, FrameFeatures, SiftConfig, SiftDetector};
+
+/// Features of all images of one instant, in the order of the rig's cameras; an image that is missing has none.
+pub(super) struct FeatureFrame {
+    pub time: Timestamp,
+    pub features: Vec<FrameFeatures>,
+}
+
+impl FeatureFrame {
+    /// Features of all its images.
+    pub fn feature_count(&self) -> u64 {
+        self.features.iter().map(|f| f.features.len() as u64).sum()
+    }
+}
+
+/// What was read, and what could not be.
+pub(super) struct ReadFrames {
+    pub frames: Vec<FeatureFrame>,
+    /// Damaged messages.
+    pub damaged: u64,
+}
+
+/// Images of one trigger carry one time; this much apart is another.
+const SAME_INSTANT_NS: i64 = 2_000_000;
+
+/// Images decoded at a time: enough for all threads, little enough to hold.
+const BATCH: usize = 32;
+
+/// Finds the features of all images of the rig's cameras.
+pub(super) fn read_frames(
+    recording: &Recording,
+    rig: &Rig,
+    config: &SiftConfig,
+    progress: ProgressFn<'_>,
+) -> Result<ReadFrames, Error> {
+    let cameras: Vec<&str> = rig.cameras.keys().map(String::as_str).collect();
+    let detector = SiftDetector::new(config)?;
+    let total: u64 = recording
+        .topics()
+        .iter()
+        .filter(|t| t.topic.ends_with("/image"))
+        .map(|t| t.messages)
+        .sum();
+    let mut found: BTreeMap<(Timestamp, usize), Features> = BTreeMap::new();
+    let mut damaged = 0;
+    let mut batch: Vec<(Timestamp, usize, Image)> = Vec::with_capacity(BATCH);
+    let mut flush = |batch: &mut Vec<(Timestamp, usize, Image)>| {
+        let features: Vec<Features> = batch
+            .par_iter()
+            .map_init(
+                || detector.clone(),
+                |detector, (_, _, image)| detector.detect(image),
+            )
+            .collect();
+        for ((time, camera, _), features) in batch.drain(..).zip(features) {
+            found.insert((time, camera), features);
+        }
+        progress(Progress {
+            stage: "image features",
+            done: found.len() as u64,
+            total,
+        });
+    };
+    for item in recording.images_of(&cameras)? {
+        match item {
+            Ok(item) => batch.push((item.image.time, item.camera, item.image.sample)),
+            Err(_) => damaged += 1,
+        }
+        if batch.len() == BATCH {
+            flush(&mut batch);
+        }
+    }
+    flush(&mut batch);
+
+    let mut frames: Vec<FeatureFrame> = Vec::new();
+    for ((time, camera), features) in found {
+        let begins = frames
+            .last()
+            .is_none_or(|frame| time - frame.time > SAME_INSTANT_NS);
+        if begins {
+            frames.push(FeatureFrame {
+                time,
+                features: empty(&cameras),
+            });
+        }
+        if let Some(frame) = frames.last_mut() {
+            frame.features[camera].features = features;
+        }
+    }
+    Ok(ReadFrames { frames, damaged })
+}
+
+fn empty(cameras: &[&str]) -> Vec<FrameFeatures> {
+    cameras
+        .iter()
+        .map(|camera| FrameFeatures {
+            camera: (*camera).to_owned(),
+            features: Features::default(),
+        })
+        .collect()
+}
+
+/// Inertial samples in order of time, each instant once.
+pub(super) fn read_imu(recording: &Recording) -> Result<Vec<Stamped<ImuSample>>, Error> {
+    let mut samples: Vec<_> = recording.imu()?.filter_map(Result::ok).collect();
+    samples.sort_by_key(|sample| sample.time);
+    samples.dedup_by_key(|sample| sample.time);
+    Ok(samples)
+}

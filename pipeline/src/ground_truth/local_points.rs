@@ -1,0 +1,198 @@
+//! Local points: features followed from frame to frame and between the cameras, and where they lie.
+
+use std::cmp::Reverse;
+use std::collections::BTreeSet;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use lsfb_geometry::{Se3, Vector3};
+use lsfb_types::{Progress, ProgressFn};
+use rayon::prelude::*;
+
+use super::GroundTruthConfig;
+use super::walk::{LocalObservation, LocalPoint, State, Walk};
+use crate::features::Features;
+use crate::features::matching::{DescriptorSet, RayFeatures, match_epipolar};
+use crate::features::tracks::{ImagePair, Track, TrackedKeypoint, build_tracks};
+use crate::features::triangulation::{View, triangulate};
+
+/// Features of one image, ready to be matched.
+pub(super) struct MatchableImage {
+    descriptors: DescriptorSet,
+    rays: Vec<Vector3<f64>>,
+}
+
+impl MatchableImage {
+    /// A feature outside the lens model gets a ray of zeros, which matches nothing.
+    pub fn new(walk: &Walk, camera: usize, features: &Features) -> Self {
+        let lens = walk.cameras[camera].camera();
+        let ray = |pixel| lens.unproject(&pixel).unwrap_or(Vector3::zeros());
+        Self {
+            descriptors: DescriptorSet::new(&features.descriptors),
+            rays: features
+                .keypoints
+                .iter()
+                .map(|k| ray(k.pixel_f64()))
+                .collect(),
+        }
+    }
+}
+
+/// Features followed through the walk, before it is known where they are.
+pub(super) struct LocalTracks(Vec<Track>);
+
+impl LocalTracks {
+    /// Matches each image to later ones of its camera and to the other cameras' of its instant, along epipolar lines, and
+    /// joins the matches. Images are numbered `frame * cameras + camera`.
+    pub fn follow(
+        walk: &Walk,
+        states: &[State],
+        images: &[MatchableImage],
+        config: &GroundTruthConfig,
+        progress: ProgressFn<'_>,
+    ) -> Self {
+        let cameras = walk.cameras.len();
+        let pose = |image: usize| camera_pose(walk, states, image / cameras, image % cameras);
+        let features = |image: usize| RayFeatures {
+            descriptors: &images[image].descriptors,
+            rays: &images[image].rays,
+        };
+        let wanted = wanted_pairs(walk, config);
+        let (done, total) = (AtomicU64::new(0), wanted.len() as u64);
+        let pairs: Vec<ImagePair> = wanted
+            .into_par_iter()
+            .map(|(first, second)| {
+                let second_from_first = pose(second).inverse() * pose(first);
+                let matches = match_epipolar(
+                    features(first),
+                    features(second),
+                    &second_from_first,
+                    config.epipolar_tolerance_deg.to_radians(),
+                    &config.matching,
+                );
+                progress(Progress {
+                    stage: "local tracks",
+                    done: done.fetch_add(1, Ordering::Relaxed) + 1,
+                    total,
+                });
+                ImagePair {
+                    first,
+                    second,
+                    matches,
+                }
+            })
+            .collect();
+        let counts: Vec<usize> = images.iter().map(|image| image.rays.len()).collect();
+        Self(build_tracks(
+            &counts,
+            &pairs,
+            config.min_track_images.max(2),
+        ))
+    }
+
+    /// Local points: tracks of features that are not in the map, the longest first until their images have enough,
+    /// triangulated. Those whose rays do not meet, or hardly differ, give no point.
+    pub fn locate(
+        &self,
+        walk: &Walk,
+        states: &[State],
+        features: &[Features],
+        config: &GroundTruthConfig,
+    ) -> Vec<LocalPoint> {
+        self.select(walk, features, config)
+            .par_iter()
+            .map(|track| locate_one(walk, states, track, config))
+            .collect::<Vec<Option<LocalPoint>>>()
+            .into_iter()
+            .flatten()
+            .collect()
+    }
+
+    fn select(
+        &self,
+        walk: &Walk,
+        features: &[Features],
+        config: &GroundTruthConfig,
+    ) -> Vec<Vec<LocalObservation>> {
+        let cameras = walk.cameras.len();
+        let mut in_map: Vec<BTreeSet<u32>> = vec![BTreeSet::new(); features.len()];
+        for (frame, entry) in walk.frames.iter().enumerate() {
+            for seen in &entry.fixed {
+                in_map[frame * cameras + seen.camera].insert(seen.keypoint);
+            }
+        }
+        let mut local: Vec<&Track> = self
+            .0
+            .iter()
+            .filter(|track| {
+                let known = |k: &TrackedKeypoint| in_map[k.image as usize].contains(&k.keypoint);
+                !track.keypoints.iter().any(known)
+            })
+            .collect();
+        // The sort is stable: tracks of one length stay in the order of their first keypoint.
+        local.sort_by_key(|track| Reverse(track.keypoints.len()));
+        let mut used = vec![0usize; features.len()];
+        let mut selected = Vec::new();
+        for track in local {
+            let wanted =
+                |k: &TrackedKeypoint| used[k.image as usize] < config.local_points_per_image;
+            if !track.keypoints.iter().any(wanted) {
+                continue;
+            }
+            let mut observations = Vec::with_capacity(track.keypoints.len());
+            for k in &track.keypoints {
+                let image = k.image as usize;
+                used[image] += 1;
+                observations.push(LocalObservation {
+                    frame: image / cameras,
+                    camera: image % cameras,
+                    pixel: features[image].keypoints[k.keypoint as usize].pixel_f64(),
+                });
+            }
+            selected.push(observations);
+        }
+        selected
+    }
+}
+
+/// Pairs of images in which the same features are looked for.
+fn wanted_pairs(walk: &Walk, config: &GroundTruthConfig) -> Vec<(usize, usize)> {
+    let cameras = walk.cameras.len();
+    let mut wanted = Vec::new();
+    for frame in 0..walk.frames.len() {
+        for camera in 0..cameras {
+            let image = frame * cameras + camera;
+            wanted.extend((camera + 1..cameras).map(|other| (image, frame * cameras + other)));
+            for step in config.track_steps.iter().filter(|step| **step > 0) {
+                if frame + step < walk.frames.len() {
+                    wanted.push((image, (frame + step) * cameras + camera));
+                }
+            }
+        }
+    }
+    wanted
+}
+
+fn camera_pose(walk: &Walk, states: &[State], frame: usize, camera: usize) -> Se3 {
+    states[frame].nav.world_from_rig * walk.cameras[camera].camera_from_rig().inverse()
+}
+
+fn locate_one(
+    walk: &Walk,
+    states: &[State],
+    track: &[LocalObservation],
+    config: &GroundTruthConfig,
+) -> Option<LocalPoint> {
+    let views: Vec<View> = track
+        .iter()
+        .map(|seen| View {
+            camera: walk.cameras[seen.camera].camera(),
+            world_from_camera: camera_pose(walk, states, seen.frame, seen.camera),
+            pixel: seen.pixel,
+        })
+        .collect();
+    let found = triangulate(&views, &config.triangulation).ok()?;
+    Some(LocalPoint {
+        point_in_world: found.point_in_world,
+        observations: found.inliers.iter().map(|k| track[*k]).collect(),
+    })
+}

@@ -1,0 +1,269 @@
+//! The stage as a whole: a recording and a map in, a trajectory out.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use lsfb_geometry::{Rig, RigImu, StampedPose, Trajectory};
+use lsfb_recording::Recording;
+use lsfb_types::{Progress, ProgressFn};
+use rayon::prelude::*;
+
+use super::frames::{FeatureFrame, read_frames, read_imu};
+use super::report::{local_errors, map_errors};
+use super::walk::{FixedObservation, Frame, State, Walk};
+use super::{GroundTruth, GroundTruthConfig, GroundTruthReport, Solved, Span, solve_walk};
+use crate::Error;
+use crate::hd_map::HdMap;
+use crate::localization::{Localization, Localizer};
+use crate::residuals::ObservingCamera;
+
+/// Where the device was at each of its images, in the world of the map.
+///
+/// [`Error::NotLocalized`] where too few images show the map; [`Error::SensorMissing`] without cameras or IMU.
+pub fn ground_truth(
+    recording: &Recording,
+    map: &HdMap,
+    config: &GroundTruthConfig,
+    progress: ProgressFn<'_>,
+) -> Result<GroundTruth, Error> {
+    config.check()?;
+    let rig = recording.rig()?;
+    let missing = |sensor| Error::SensorMissing {
+        sensor,
+        rig: rig.name.clone(),
+    };
+    let noise = rig.imu.as_ref().ok_or_else(|| missing("IMU"))?;
+    if rig.cameras.is_empty() {
+        return Err(missing("camera"));
+    }
+    let imu = read_imu(recording)?;
+    if imu.is_empty() {
+        return Err(missing("IMU"));
+    }
+    let read = read_frames(recording, &rig, &config.features, progress)?;
+    let localized = localize_all(&read.frames, map, &rig, config, progress)?;
+    let count = localized.iter().flatten().count();
+    if count < config.min_localized_frames {
+        return Err(Error::NotLocalized {
+            path: recording.path().to_owned(),
+            frames: read.frames.len(),
+            localized: count,
+            needed: config.min_localized_frames,
+        });
+    }
+
+    let range = frames_in_reach(&read.frames, &localized, config);
+    let mut features = Vec::new();
+    let mut frames = Vec::new();
+    for k in range.clone() {
+        frames.push(frame_of(&read.frames[k], localized[k].as_ref(), map));
+        features.extend(read.frames[k].features.iter().map(|f| f.features.clone()));
+    }
+    let mut walk = Walk {
+        cameras: rig.cameras.values().map(ObservingCamera::new).collect(),
+        frames,
+        imu,
+        noise: inflated(noise, config.imu_noise_factor),
+    };
+    let solved = solve_walk(&mut walk, &features, config, progress)?;
+
+    let trusted = trusted(&walk, &solved.states, config);
+    let trajectory = Trajectory::new(trusted.poses.clone());
+    let mut report = report(&walk, &solved, &trusted, &trajectory)?;
+    report.frames = read.frames.len() as u64;
+    report.features = read.frames.iter().map(FeatureFrame::feature_count).sum();
+    report.localized = count as u64;
+    warn(&mut report, &read.frames, &range, read.damaged);
+    Ok(GroundTruth { trajectory, report })
+}
+
+fn inflated(noise: &RigImu, factor: f64) -> RigImu {
+    RigImu {
+        gyro_noise_density: noise.gyro_noise_density * factor,
+        accel_noise_density: noise.accel_noise_density * factor,
+        gyro_bias_walk: noise.gyro_bias_walk * factor,
+        accel_bias_walk: noise.accel_bias_walk * factor,
+    }
+}
+
+fn localize_all(
+    frames: &[FeatureFrame],
+    map: &HdMap,
+    rig: &Rig,
+    config: &GroundTruthConfig,
+    progress: ProgressFn<'_>,
+) -> Result<Vec<Option<Localization>>, Error> {
+    let localizer = Localizer::new(map, &config.localization)?;
+    let done = AtomicU64::new(0);
+    Ok(frames
+        .par_iter()
+        .map(|frame| {
+            let found = localizer.localize(&frame.features, rig).ok();
+            progress(Progress {
+                stage: "localization",
+                done: done.fetch_add(1, Ordering::Relaxed) + 1,
+                total: frames.len() as u64,
+            });
+            found
+        })
+        .collect())
+}
+
+/// Frames from shortly before the first localized one to shortly after the last: beyond, nothing holds the IMU's drift.
+fn frames_in_reach(
+    frames: &[FeatureFrame],
+    localized: &[Option<Localization>],
+    config: &GroundTruthConfig,
+) -> std::ops::Range<usize> {
+    let first = localized.iter().position(Option::is_some).unwrap_or(0);
+    let last = localized.iter().rposition(Option::is_some).unwrap_or(0);
+    let reach = config.max_extrapolation_secs;
+    let start = frames.partition_point(|f| frames[first].time.secs_since(f.time) > reach);
+    let end = frames.partition_point(|f| f.time.secs_since(frames[last].time) <= reach);
+    start..end
+}
+
+fn frame_of(frame: &FeatureFrame, found: Option<&Localization>, map: &HdMap) -> Frame {
+    let fixed = found.into_iter().flat_map(|found| &found.matches);
+    Frame {
+        time: frame.time,
+        localized: found.map(|found| found.world_from_rig),
+        fixed: fixed
+            .filter_map(|m| {
+                let keypoint = frame.features[m.frame]
+                    .features
+                    .keypoints
+                    .get(m.keypoint as usize)?;
+                Some(FixedObservation {
+                    camera: m.frame,
+                    keypoint: m.keypoint,
+                    pixel: keypoint.pixel_f64(),
+                    point: m.point,
+                    point_in_world: map.position(m.point)?,
+                })
+            })
+            .collect(),
+    }
+}
+
+/// Frames of the trajectory, and what was left out of it.
+pub(super) struct Trusted {
+    pub poses: Vec<StampedPose>,
+    pub bridged: usize,
+    pub left_out: Vec<Span>,
+}
+
+/// Leaves out the stretches that see too little of the map for too long.
+pub(super) fn trusted(walk: &Walk, states: &[State], config: &GroundTruthConfig) -> Trusted {
+    let supported: Vec<bool> = walk
+        .frames
+        .iter()
+        .map(|frame| frame.fixed.len() >= config.min_map_points)
+        .collect();
+    let mut result = Trusted {
+        poses: Vec::new(),
+        bridged: 0,
+        left_out: Vec::new(),
+    };
+    let mut k = 0;
+    while k < supported.len() {
+        let end = (k..supported.len())
+            .find(|j| supported[*j] != supported[k])
+            .unwrap_or(supported.len());
+        let (first, last) = (walk.frames[k].time, walk.frames[end - 1].time);
+        let inside = k > 0 && end < supported.len();
+        let limit = if inside {
+            config.max_bridge_secs
+        } else {
+            config.max_extrapolation_secs
+        };
+        if supported[k] || last.secs_since(first) <= limit {
+            if !supported[k] {
+                result.bridged += end - k;
+            }
+            result.poses.extend((k..end).map(|j| StampedPose {
+                time: walk.frames[j].time,
+                world_from_rig: states[j].nav.world_from_rig,
+            }));
+        } else {
+            result.left_out.push(Span::new(first, last));
+        }
+        k = end;
+    }
+    result
+}
+
+fn report(
+    walk: &Walk,
+    solved: &Solved,
+    trusted: &Trusted,
+    trajectory: &Trajectory,
+) -> Result<GroundTruthReport, Error> {
+    let states = &solved.states;
+    let last = &solved.last;
+    let bias = states
+        .get(states.len() / 2)
+        .map(|s| s.bias)
+        .unwrap_or_default();
+    let gaps = walk.preintegrate(|_| bias)?;
+    Ok(GroundTruthReport {
+        frames: 0,
+        features: 0,
+        localized: 0,
+        rejected_localizations: solved.rejected_localizations as u64,
+        poses: trusted.poses.len() as u64,
+        bridged: trusted.bridged as u64,
+        left_out: trusted.left_out.clone(),
+        second_chance: solved.second_chance as u64,
+        outliers: solved.outliers as u64,
+        local_points: last.points.len() as u64,
+        map_errors: map_errors(walk, states),
+        local_errors: local_errors(walk, states, &last.points),
+        imu_samples: walk.imu.len() as u64,
+        imu_gaps: gaps.iter().filter(|gap| gap.is_none()).count() as u64,
+        initial_cost: last.report.initial_cost,
+        final_cost: last.report.final_cost,
+        iterations: last.report.iterations as u64,
+        termination: last.report.termination,
+        gyro_bias_rad_s: bias.gyro_rad_s.into(),
+        accel_bias_m_s2: bias.accel_m_s2.into(),
+        path_length_m: trajectory.path_length_m(),
+        warnings: Vec::new(),
+    })
+}
+
+fn warn(
+    report: &mut GroundTruthReport,
+    frames: &[FeatureFrame],
+    reach: &std::ops::Range<usize>,
+    damaged: u64,
+) {
+    let mut beyond = Vec::new();
+    if let (Some(first), Some(last)) = (frames.first(), frames.last()) {
+        if reach.start > 0 {
+            beyond.push(Span::new(first.time, frames[reach.start - 1].time));
+        }
+        if reach.end < frames.len() {
+            beyond.push(Span::new(frames[reach.end].time, last.time));
+        }
+    }
+    report.left_out.extend(beyond);
+    report.left_out.sort_by_key(|span| span.from_ns);
+    let secs = |span: &Span| (span.to_ns - span.from_ns) as f64 / 1e9;
+    if !report.left_out.is_empty() {
+        let total: f64 = report.left_out.iter().map(secs).sum();
+        report.warnings.push(format!(
+            "{total:.1} s of the walk do not see the map and are left out"
+        ));
+    }
+    if report.imu_gaps > 0 {
+        report.warnings.push(format!(
+            "{} of the intervals between frames lack IMU samples",
+            report.imu_gaps
+        ));
+    }
+    if damaged > 0 {
+        report
+            .warnings
+            .push(format!("{damaged} images are damaged and were skipped"));
+    }
+}

@@ -1,0 +1,306 @@
+//! A walk made up in memory: true motion, IMU, points with descriptors, and all the mistakes a real one has.
+
+use std::sync::Arc;
+
+use lsfb_geometry::{
+    Camera, Matrix3, RigCamera, RigImu, Se3, UnitQuaternion, Vector2, Vector3, camera::Lens, so3,
+};
+use lsfb_types::{ImuSample, Stamped, Timestamp, no_progress};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::run::trusted;
+use super::walk::{FixedObservation, Frame, Walk};
+use super::*;
+use crate::features::{DESCRIPTOR_LEN, Keypoint};
+use crate::preintegration::standard_gravity_m_s2;
+use crate::residuals::ObservingCamera;
+
+const FRAMES: usize = 100;
+const FRAME_SECS: f64 = 0.1;
+const NOISE: RigImu = RigImu {
+    gyro_noise_density: 1.5e-3,
+    accel_noise_density: 2e-3,
+    gyro_bias_walk: 6e-5,
+    accel_bias_walk: 6e-4,
+};
+
+/// Stands for a second, then walks a loop in a room, looking about.
+fn truth(t: f64) -> Se3 {
+    let moving = (t - 1.0).max(0.0);
+    // Starts softly: no jump in acceleration.
+    let s = moving * moving / (moving + 1.0);
+    let (sin, cos) = (0.7 * s).sin_cos();
+    let position = Vector3::new(1.2 * cos, 1.2 * sin, 1.6 + 0.03 * (6.0 * s).sin());
+    let attitude = Vector3::new(0.05 * (2.0 * s).sin(), 0.1 * (1.3 * s).sin(), 0.0);
+    Se3::new(
+        so3::exp(&Vector3::new(0.0, 0.0, 0.7 * s + 0.3 * s.sin())) * so3::exp(&attitude),
+        position,
+    )
+}
+
+fn imu(rng: &mut Gauss) -> Vec<Stamped<ImuSample>> {
+    let rate = 200.0f64;
+    let h = 1e-3;
+    (0..=(FRAMES as f64 * FRAME_SECS * rate) as i64)
+        .map(|k| {
+            let t = k as f64 / rate;
+            let (before, here, after) = (truth(t - h), truth(t), truth(t + h));
+            let acceleration =
+                (before.translation + after.translation - here.translation * 2.0) / (h * h);
+            let gyro = so3::log(&(before.rotation.inverse() * after.rotation)) / (2.0 * h)
+                + Vector3::new(0.004, -0.006, 0.003)
+                + rng.vector(NOISE.gyro_noise_density * rate.sqrt());
+            let accel = here.rotation.inverse() * (acceleration - standard_gravity_m_s2())
+                + Vector3::new(0.05, -0.04, 0.08)
+                + rng.vector(NOISE.accel_noise_density * rate.sqrt());
+            let time = Timestamp::from_nanos(k * 5_000_000);
+            Stamped {
+                time,
+                arrival: time,
+                device_ticks: 0,
+                sample: ImuSample {
+                    angular_velocity_rad_s: gyro.into(),
+                    specific_force_m_s2: accel.into(),
+                },
+            }
+        })
+        .collect()
+}
+
+/// Nearly normal numbers: twelve uniform ones added up.
+struct Gauss(ChaCha8Rng);
+
+impl Gauss {
+    fn number(&mut self, sigma: f64) -> f64 {
+        ((0..12).map(|_| self.0.random::<f64>()).sum::<f64>() - 6.0) * sigma
+    }
+    fn vector(&mut self, sigma: f64) -> Vector3<f64> {
+        Vector3::from_fn(|_, _| self.number(sigma))
+    }
+}
+
+fn glasses() -> Vec<Arc<ObservingCamera>> {
+    let forward =
+        UnitQuaternion::from_matrix(&Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0));
+    [0.055, -0.055]
+        .map(|y| {
+            ObservingCamera::new(&RigCamera {
+                camera: Camera {
+                    width: 640,
+                    height: 400,
+                    lens: Lens::KannalaBrandt {
+                        focal_px: [290.0, 290.0],
+                        principal_px: [318.0, 201.0],
+                        distortion: [-0.012, 0.004, -0.002, 0.0003],
+                    },
+                },
+                rig_from_camera: Se3::new(forward, Vector3::new(0.01, y, 0.0)),
+            })
+        })
+        .to_vec()
+}
+
+/// On the walls of a room of 6 × 6 × 3 m.
+fn wall_points(count: usize, rng: &mut Gauss) -> Vec<Vector3<f64>> {
+    (0..count)
+        .map(|k| {
+            let along = rng.0.random_range(-3.0..3.0);
+            let height = rng.0.random_range(0.0..3.0);
+            match k % 4 {
+                0 => Vector3::new(3.0, along, height),
+                1 => Vector3::new(-3.0, along, height),
+                2 => Vector3::new(along, 3.0, height),
+                _ => Vector3::new(along, -3.0, height),
+            }
+        })
+        .collect()
+}
+
+struct MadeUp {
+    walk: Walk,
+    features: Vec<Features>,
+}
+
+/// The first `map` of the points are in the map, the others are local.
+fn make_walk(map: usize, local: usize, seen_in_map: impl Fn(usize) -> bool) -> MadeUp {
+    let mut rng = Gauss(ChaCha8Rng::seed_from_u64(11));
+    let points = wall_points(map + local, &mut rng);
+    let looks: Vec<[u8; DESCRIPTOR_LEN]> = points
+        .iter()
+        .map(|_| std::array::from_fn(|_| rng.0.random_range(0..140u8)))
+        .collect();
+    let cameras = glasses();
+    let mut features = Vec::new();
+    let mut frames = Vec::new();
+    for k in 0..FRAMES {
+        let t = k as f64 * FRAME_SECS;
+        let pose = truth(t);
+        let mut fixed = Vec::new();
+        for (c, camera) in cameras.iter().enumerate() {
+            let mut image = Features::default();
+            for (p, point) in points.iter().enumerate() {
+                let Some(pixel) = camera.project(&pose, point) else {
+                    continue;
+                };
+                if !camera.camera().contains(&pixel, 5.0) {
+                    continue;
+                }
+                let pixel = pixel + Vector2::new(rng.number(0.4), rng.number(0.4));
+                image.keypoints.push(Keypoint {
+                    pixel: [pixel.x as f32, pixel.y as f32],
+                    scale_px: 2.0,
+                    angle_rad: 0.0,
+                    response: 0.1,
+                });
+                image
+                    .descriptors
+                    .push(looks[p].map(|v| v + rng.0.random_range(0..9u8)));
+                // Localization finds half of the map's points; one in fifty is a wrong one.
+                if p < map && seen_in_map(k) && rng.0.random::<f64>() < 0.5 {
+                    let wrong = rng.0.random::<f64>() < 0.02;
+                    let matched = if wrong { (p + 7) % map } else { p };
+                    fixed.push(FixedObservation {
+                        camera: c,
+                        keypoint: image.keypoints.len() as u32 - 1,
+                        pixel,
+                        point: matched as u32,
+                        point_in_world: points[matched],
+                    });
+                }
+            }
+            features.push(image);
+        }
+        let off = Se3::new(so3::exp(&rng.vector(0.004)), rng.vector(0.012));
+        frames.push(Frame {
+            time: Timestamp::from_nanos((t * 1e9).round() as i64),
+            localized: seen_in_map(k).then(|| pose * off),
+            fixed,
+        });
+    }
+    MadeUp {
+        walk: Walk {
+            cameras,
+            frames,
+            imu: imu(&mut rng),
+            noise: NOISE,
+        },
+        features,
+    }
+}
+
+struct Errors {
+    rms_m: f64,
+    worst_m: f64,
+    worst_rad: f64,
+}
+
+fn errors(walk: &Walk, states: &[State]) -> Errors {
+    let mut result = Errors {
+        rms_m: 0.0,
+        worst_m: 0.0,
+        worst_rad: 0.0,
+    };
+    for (frame, state) in walk.frames.iter().zip(states) {
+        let t = frame.time.nanos() as f64 * 1e-9;
+        let error = truth(t).inverse() * state.nav.world_from_rig;
+        let distance = error.translation.norm();
+        result.rms_m += distance * distance / states.len() as f64;
+        result.worst_m = result.worst_m.max(distance);
+        result.worst_rad = result.worst_rad.max(so3::log(&error.rotation).norm());
+    }
+    result.rms_m = result.rms_m.sqrt();
+    result
+}
+
+#[test]
+fn a_walk_with_wrong_matches_false_places_and_a_blind_stretch() {
+    // Two seconds without the map, in the middle of the loop.
+    let seen = |k: usize| !(45..65).contains(&k);
+    let MadeUp { mut walk, features } = make_walk(220, 220, seen);
+    // Two false localizations, consistent in themselves.
+    for k in [20, 80] {
+        let elsewhere = Se3::new(Default::default(), Vector3::new(1.0, -0.5, 0.2));
+        walk.frames[k].localized = Some(elsewhere * truth(k as f64 * FRAME_SECS));
+        for seen in &mut walk.frames[k].fixed {
+            seen.point_in_world = elsewhere * seen.point_in_world;
+        }
+    }
+    let before: usize = walk.frames.iter().map(|f| f.fixed.len()).sum();
+    let config = GroundTruthConfig::default();
+    let solved = solve_walk(&mut walk, &features, &config, &no_progress).expect("solves");
+
+    let found = errors(&walk, &solved.states);
+    assert!(found.rms_m < 0.002, "rms {} m", found.rms_m);
+    assert!(found.worst_m < 0.006, "worst {} m", found.worst_m);
+    assert!(found.worst_rad < 0.003, "worst {} rad", found.worst_rad);
+    assert_eq!(solved.rejected_localizations, 2);
+    assert!(solved.outliers > 50, "{} outliers", solved.outliers);
+    assert!(
+        solved.last.points.len() > 50,
+        "{} local points",
+        solved.last.points.len()
+    );
+    let after: usize = walk.frames.iter().map(|f| f.fixed.len()).sum();
+    // Half of the sights were hidden: most of them come back, also in the blind stretch and the false places.
+    assert!(
+        after as f64 > 1.5 * before as f64,
+        "{before} → {after} map observations"
+    );
+    assert!(walk.frames[20].fixed.len() > 20 && walk.frames[50].fixed.len() > 20);
+    for (frame, state) in walk.frames.iter().zip(&solved.states) {
+        for seen in &frame.fixed {
+            assert!(optimization::fixed_error_px(&walk, state, seen) <= config.max_error_px);
+        }
+    }
+    let middle = solved.states[FRAMES / 2].bias;
+    assert!((middle.gyro_rad_s - Vector3::new(0.004, -0.006, 0.003)).norm() < 1e-3);
+}
+
+#[test]
+fn local_points_and_imu_carry_a_stretch_the_map_does_not_know() {
+    // The map ends half-way: its points are never found again after frame 60.
+    let seen = |k: usize| k < 60;
+    let MadeUp {
+        mut walk,
+        mut features,
+    } = make_walk(220, 220, seen);
+    for (image, features) in features.iter_mut().enumerate() {
+        // What the map knows looks different there, so that the second chance finds nothing.
+        if image / 2 >= 60 {
+            let flip = |d: &mut [u8; DESCRIPTOR_LEN]| d.rotate_left(17);
+            features.descriptors.iter_mut().for_each(flip);
+        }
+    }
+    let config = GroundTruthConfig::default();
+    let solved = solve_walk(&mut walk, &features, &config, &no_progress).expect("solves");
+    let found = errors(&walk, &solved.states);
+    assert!(found.worst_m < 0.1, "worst {} m after 4 s", found.worst_m);
+
+    let trusted = trusted(&walk, &solved.states, &config);
+    assert_eq!(trusted.left_out.len(), 1, "{:?}", trusted.left_out);
+    assert_eq!(trusted.left_out[0].to_ns, 9_900_000_000);
+    assert!(
+        (60..=64).contains(&trusted.poses.len()),
+        "{}",
+        trusted.poses.len()
+    );
+}
+
+#[test]
+fn same_bits_on_any_number_of_threads() {
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        pool.expect("pool").install(|| {
+            let MadeUp { mut walk, features } = make_walk(80, 80, |k| k < 70);
+            walk.frames.truncate(30);
+            let config = GroundTruthConfig::default();
+            let features = &features[..60];
+            solve_walk(&mut walk, features, &config, &no_progress)
+                .expect("solves")
+                .states
+        })
+    };
+    let one = run(1);
+    assert!(one == run(2) && one == run(5));
+}

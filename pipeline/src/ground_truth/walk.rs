@@ -1,0 +1,88 @@
+use std::sync::Arc;
+
+use lsfb_geometry::{RigImu, Se3, Vector2, Vector3};
+use lsfb_types::{ImuSample, Stamped, Timestamp};
+
+use crate::Error;
+use crate::preintegration::{ImuBias, NavState, PreintegratedImu};
+use crate::residuals::ObservingCamera;
+
+/// A recorded walk as the optimisation sees it: what the images and the IMU say, without pixels.
+pub(super) struct Walk {
+    /// Cameras of the rig, in the order of the rig file.
+    pub cameras: Vec<Arc<ObservingCamera>>,
+    /// Instants at which images were taken, in order.
+    pub frames: Vec<Frame>,
+    /// Inertial samples, in order.
+    pub imu: Vec<Stamped<ImuSample>>,
+    /// Noise of the IMU, as the optimisation should take it.
+    pub noise: RigImu,
+}
+
+/// One instant.
+pub(super) struct Frame {
+    pub time: Timestamp,
+    /// Pose by visual localization alone, where it succeeded.
+    pub localized: Option<Se3>,
+    /// Points of the HD map seen here.
+    pub fixed: Vec<FixedObservation>,
+}
+
+/// A point of the HD map in an image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct FixedObservation {
+    pub camera: usize,
+    /// Index of the feature in the image.
+    pub keypoint: u32,
+    pub pixel: Vector2<f64>,
+    /// Index of the point in the map.
+    pub point: u32,
+    pub point_in_world: Vector3<f64>,
+}
+
+/// A point of the place that is not in the map, seen several times.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct LocalPoint {
+    pub point_in_world: Vector3<f64>,
+    pub observations: Vec<LocalObservation>,
+}
+
+/// A sight of a local point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct LocalObservation {
+    pub frame: usize,
+    pub camera: usize,
+    pub pixel: Vector2<f64>,
+}
+
+/// What is searched at each frame: `C_i` of eq. (5).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct State {
+    pub nav: NavState,
+    pub bias: ImuBias,
+}
+
+impl Walk {
+    /// Sums the IMU up between neighbouring frames, with the bias of the first of each; `None` where samples are missing.
+    pub fn preintegrate(
+        &self,
+        bias_of: impl Fn(usize) -> ImuBias,
+    ) -> Result<Vec<Option<PreintegratedImu>>, Error> {
+        let mut intervals = Vec::with_capacity(self.frames.len().saturating_sub(1));
+        for (k, pair) in self.frames.windows(2).enumerate() {
+            let sum = PreintegratedImu::integrate(
+                &self.imu,
+                pair[0].time,
+                pair[1].time,
+                bias_of(k),
+                &self.noise,
+            );
+            intervals.push(match sum {
+                Ok(sum) => Some(sum),
+                Err(Error::ImuGap { .. }) => None,
+                Err(other) => return Err(other),
+            });
+        }
+        Ok(intervals)
+    }
+}
