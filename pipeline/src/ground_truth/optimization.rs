@@ -1,5 +1,7 @@
 //! The batch problem of eq. (5) over all frames.
 
+use std::sync::Arc;
+
 use lsfb_geometry::Vector2;
 use lsfb_solver::{Kernel, Problem, Report, solve_observed};
 use lsfb_types::{Progress, ProgressFn};
@@ -8,7 +10,7 @@ use super::GroundTruthConfig;
 use super::inertial::{StateBlocks, add_inertial_residuals};
 use super::walk::{FixedObservation, LocalObservation, LocalPoint, State, Walk};
 use crate::Error;
-use crate::residuals::{FixedPointReprojection, Reprojection};
+use crate::residuals::{FixedPointReprojection, ObservingCamera, Reprojection};
 
 /// States and local points after a solve.
 pub(super) struct Optimized {
@@ -81,9 +83,13 @@ pub(super) fn optimize(
     })
 }
 
-/// Reprojection errors, pixels; infinite behind the lens.
-pub(super) fn fixed_error_px(walk: &Walk, state: &State, seen: &FixedObservation) -> f64 {
-    let found = walk.cameras[seen.camera].project(&state.nav.world_from_rig, &seen.point_in_world);
+/// Reprojection error of a map point, pixels; infinite behind the lens.
+pub(super) fn fixed_error_px(
+    cameras: &[Arc<ObservingCamera>],
+    state: &State,
+    seen: &FixedObservation,
+) -> f64 {
+    let found = cameras[seen.camera].project(&state.nav.world_from_rig, &seen.point_in_world);
     distance(found, &seen.pixel)
 }
 
@@ -112,15 +118,15 @@ pub(super) fn drop_outliers(
     config: &GroundTruthConfig,
 ) -> usize {
     let mut dropped = 0;
-    for k in 0..walk.frames.len() {
-        let fixed = std::mem::take(&mut walk.frames[k].fixed);
-        let before = fixed.len();
-        let kept: Vec<_> = fixed
-            .into_iter()
-            .filter(|seen| fixed_error_px(walk, &states[k], seen) <= config.max_error_px)
-            .collect();
-        dropped += before - kept.len();
-        walk.frames[k].fixed = kept;
+    let Walk {
+        cameras, frames, ..
+    } = walk;
+    for (frame, state) in frames.iter_mut().zip(states) {
+        let before = frame.fixed.len();
+        frame
+            .fixed
+            .retain(|seen| fixed_error_px(cameras, state, seen) <= config.max_error_px);
+        dropped += before - frame.fixed.len();
     }
     for point in points.iter_mut() {
         let copy = point.clone();

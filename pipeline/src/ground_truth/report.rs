@@ -110,7 +110,7 @@ pub(super) fn map_errors(walk: &Walk, states: &[State]) -> ReprojectionErrors {
         frame
             .fixed
             .iter()
-            .map(move |seen| fixed_error_px(walk, state, seen))
+            .map(move |seen| fixed_error_px(&walk.cameras, state, seen))
     }))
 }
 

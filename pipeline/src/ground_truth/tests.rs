@@ -250,7 +250,9 @@ fn a_walk_with_wrong_matches_false_places_and_a_blind_stretch() {
     assert!(walk.frames[20].fixed.len() > 20 && walk.frames[50].fixed.len() > 20);
     for (frame, state) in walk.frames.iter().zip(&solved.states) {
         for seen in &frame.fixed {
-            assert!(optimization::fixed_error_px(&walk, state, seen) <= config.max_error_px);
+            assert!(
+                optimization::fixed_error_px(&walk.cameras, state, seen) <= config.max_error_px
+            );
         }
     }
     let middle = solved.states[FRAMES / 2].bias;
