@@ -28,6 +28,7 @@ mod error;
 mod index;
 mod layout;
 pub mod message;
+mod preview;
 mod provenance;
 mod reader;
 mod record;

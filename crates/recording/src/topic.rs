@@ -8,6 +8,10 @@ pub(crate) const LIDAR_POINTS: &str = "/lidar/points";
 pub(crate) const LIDAR_TIME_REF: &str = "/lidar/time_ref";
 /// Frames of the rig.
 pub(crate) const TF_STATIC: &str = "/tf_static";
+/// Ties the rig to the frame that Rerun looks from, on a topic of its own: ROS would take it for a second parent.
+pub(crate) const RERUN_TF_STATIC: &str = "/rerun/tf_static";
+/// Rerun's own name for the root of its entities.
+pub(crate) const RERUN_ROOT_FRAME: &str = "tf#/";
 /// Frame of the LiDAR.
 pub(crate) const LIDAR_FRAME: &str = "lidar";
 /// Frame of the rig.
@@ -26,6 +30,10 @@ pub(crate) fn frame_meta(image_topic: &str) -> String {
 
 pub(crate) fn camera_info(image_topic: &str) -> String {
     companion(image_topic, "/image", "camera_info")
+}
+
+pub(crate) fn preview(image_topic: &str) -> String {
+    companion(image_topic, "/image", "preview/compressed")
 }
 
 /// The camera's name in an image topic: its last but one segment.
