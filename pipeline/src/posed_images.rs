@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use lsfb_geometry::{Camera, Matrix3, Rig, RigCamera, Se3, UnitQuaternion, Vector3};
 use lsfb_types::Image;
 use nalgebra::Rotation3;
+use sha2::{Digest, Sha256};
 
 use crate::Error;
 
@@ -84,6 +85,44 @@ impl PosedImages {
             },
             images,
         })
+    }
+}
+
+impl PosedImages {
+    /// Every `nth` image: the fifth, the tenth … for 5. None for 0.
+    pub fn every(&self, nth: usize) -> Self {
+        self.filtered(|position| nth > 0 && position.is_multiple_of(nth))
+    }
+
+    /// All images but every `nth`: what a map is built from when the others are to test it.
+    pub fn without_every(&self, nth: usize) -> Self {
+        self.filtered(|position| nth == 0 || !position.is_multiple_of(nth))
+    }
+
+    /// The images whose position in the list, from 1, is wanted.
+    fn filtered(&self, wanted: impl Fn(usize) -> bool) -> Self {
+        let images = self.images.iter().enumerate();
+        Self {
+            rig: self.rig.clone(),
+            images: images
+                .filter(|(index, _)| wanted(index + 1))
+                .map(|(_, image)| image.clone())
+                .collect(),
+        }
+    }
+
+    /// SHA-256 of rig, poses and image files, as hexadecimal digits: the same for a copy of the folder.
+    pub fn content_hash(&self) -> Result<String, Error> {
+        let mut hash = Sha256::new();
+        hash.update(self.rig.to_toml());
+        for image in &self.images {
+            let pose = &image.world_from_rig;
+            let numbers = pose.rotation.coords.iter().chain(pose.translation.iter());
+            numbers.for_each(|v| hash.update(v.to_le_bytes()));
+            hash.update(&image.camera);
+            hash.update(fs::read(&image.path).map_err(Error::io(&image.path))?);
+        }
+        Ok(hash.finalize().iter().map(|b| format!("{b:02x}")).collect())
     }
 }
 

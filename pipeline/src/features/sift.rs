@@ -243,3 +243,88 @@ pub fn detect_all(
     );
     Ok(features.collect())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Bright round blobs on grey.
+    fn blobs(places: &[[f32; 3]], width: u32, height: u32) -> Image {
+        let value = |x: u32, y: u32| {
+            let sum: f32 = places
+                .iter()
+                .map(|[bx, by, sigma]| {
+                    let squared = (x as f32 - bx).powi(2) + (y as f32 - by).powi(2);
+                    (-squared / (2.0 * sigma * sigma)).exp()
+                })
+                .sum();
+            (60.0 + 150.0 * sum).round() as u8
+        };
+        Image {
+            width,
+            height,
+            pixels: (0..height)
+                .flat_map(|y| (0..width).map(move |x| value(x, y)))
+                .collect(),
+            ..Image::default()
+        }
+    }
+
+    #[test]
+    fn blobs_are_found_where_and_as_large_as_they_are() {
+        let places = [[40.3, 50.0, 2.5], [110.0, 61.7, 4.0], [200.6, 70.25, 8.0]];
+        let image = blobs(&places, 260, 140);
+        for first_octave in [FirstOctave::Doubled, FirstOctave::Full] {
+            let config = SiftConfig {
+                first_octave,
+                ..SiftConfig::default()
+            };
+            let found = SiftDetector::new(&config).expect("valid").detect(&image);
+            for [x, y, sigma] in places {
+                // A blob of standard deviation s answers strongest at blur s / 2^(1/2k), k levels per octave.
+                let expected = sigma / 2.0f32.powf(1.0 / 6.0);
+                let hit = found.keypoints.iter().any(|k| {
+                    (k.pixel[0] - x).hypot(k.pixel[1] - y) < 0.1
+                        && (k.scale_px / expected - 1.0).abs() < 0.12
+                });
+                assert!(hit, "{first_octave:?} {x} {y}: {:?}", found.keypoints);
+            }
+        }
+    }
+
+    #[test]
+    fn limits_are_kept_and_nonsense_gives_nothing() {
+        let places: Vec<[f32; 3]> = (0..60)
+            .map(|i| {
+                [
+                    15.0 + 25.0 * (i % 10) as f32,
+                    15.0 + 25.0 * (i / 10) as f32,
+                    3.0,
+                ]
+            })
+            .collect();
+        let image = blobs(&places, 270, 160);
+        let mut config = SiftConfig {
+            max_features: 37,
+            ..SiftConfig::default()
+        };
+        let mut detector = SiftDetector::new(&config).expect("valid");
+        let found = detector.detect(&image);
+        assert_eq!((found.keypoints.len(), found.descriptors.len()), (37, 37));
+        // Scale space kept from another image must not show.
+        detector.detect(&blobs(&[], 100, 333));
+        assert_eq!(detector.detect(&image), found);
+
+        let torn = Image {
+            pixels: vec![0; 10],
+            ..image
+        };
+        assert!(detector.detect(&torn).is_empty());
+        assert!(detector.detect(&Image::default()).is_empty());
+        config.min_contrast = 0.0;
+        let error = SiftDetector::new(&config)
+            .expect_err("no contrast")
+            .to_string();
+        assert!(error.contains("sift.min_contrast"), "{error}");
+    }
+}

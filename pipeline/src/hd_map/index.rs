@@ -39,10 +39,10 @@ pub struct IndexConfig {
 impl Default for IndexConfig {
     fn default() -> Self {
         Self {
-            list_length: 250,
+            list_length: 400,
             max_lists: 1024,
-            training_per_centroid: 64,
-            training_rounds: 8,
+            training_per_centroid: 40,
+            training_rounds: 6,
             seed: 1,
         }
     }

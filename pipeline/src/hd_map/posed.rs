@@ -82,7 +82,7 @@ pub fn build_map_from_posed_images(
         keyframes: &keyframes,
         images: &images,
         points: &points,
-        provenance: &posed.rig.name,
+        provenance: &posed.content_hash()?,
     };
     HdMap::build(&content, &config.map, progress)
 }

@@ -6,6 +6,7 @@
 
 mod localizer;
 mod p3p;
+mod posed;
 mod ransac;
 mod refinement;
 mod voting;
@@ -14,5 +15,6 @@ pub use localizer::{
     FeatureMatch, Localization, Localizer, LocalizerConfig, NotLocalized, NotLocalizedReason,
 };
 pub use p3p::solve_p3p;
+pub use posed::{ImageLocalization, localize_posed_images};
 pub use ransac::{MountedCamera, PointMatch, PoseEstimate, RansacConfig, estimate_pose};
 pub use refinement::{RefinedPose, RefinementConfig, refine_pose};
