@@ -74,11 +74,14 @@ impl CameraSim {
                 let mut lanes = [[0.0_f32; LANES]; 3];
                 for (lane, x) in (first..first + LANES).enumerate() {
                     let pixel = Vector2::new(x as f64, y as f64);
-                    let ray = camera.camera.unproject(&pixel).ok_or(Error::Config {
-                        field: "focal_per_width",
-                        got: config.focal_per_width.to_string(),
-                        expected: "a lens that sees through every pixel",
-                    })?;
+                    let ray = camera
+                        .camera
+                        .unproject(&pixel)
+                        .ok_or_else(|| Error::Config {
+                            field: "focal_per_width",
+                            got: config.focal_per_width.to_string(),
+                            expected: "a lens that sees through every pixel",
+                        })?;
                     for (lanes, component) in lanes.iter_mut().zip(ray.iter()) {
                         lanes[lane] = *component as f32;
                     }

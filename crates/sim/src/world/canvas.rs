@@ -12,12 +12,12 @@ pub(crate) struct Canvas {
     pub values: Vec<f32>,
 }
 
-/// Shapes scattered at random: sizes fall by halves from `largest_m` to `smallest_m`, and each size covers the same
-/// share of the picture, which gives the power spectrum ∝ 1/f² of natural scenes (dead leaves model, Lee, Mumford
-/// and Huang 2001).
+/// Shapes scattered at random: sizes fall by halves from `largest_m` to `smallest_m`. Where each size covers the same
+/// share, the power spectrum is ∝ 1/f² as in natural scenes (dead leaves model, Lee, Mumford and Huang 2001); the small
+/// ones cover a little less here, so that they do not hide the large ones under them.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Leaves {
-    /// Share of the area covered by each size.
+    /// Share of the area covered by the largest size.
     pub coverage: f32,
     pub largest_m: f32,
     pub smallest_m: f32,
@@ -85,7 +85,8 @@ impl Canvas {
             .smallest_m
             .max(1.2 * self.texel_m[0].max(self.texel_m[1]));
         while radius >= smallest {
-            let expected = leaves.coverage * w * h / (2.2 * radius * radius);
+            let coverage = leaves.coverage * (radius / leaves.largest_m).powf(0.3);
+            let expected = coverage * w * h / (2.2 * radius * radius);
             let count = (expected + uniform(rng, 0.0, 1.0)) as usize;
             for _ in 0..count {
                 let centre = [uniform(rng, 0.0, w), uniform(rng, 0.0, h)];

@@ -5,7 +5,8 @@
 mod atlas;
 mod builder;
 mod bvh;
-mod canvas;
+pub(crate) mod canvas;
+mod corridor;
 mod facet;
 mod furniture;
 mod light;
@@ -30,7 +31,7 @@ pub use room::FloorPlan;
 use vector::norm;
 
 /// What scales lit reflectances to 0–1 before the square root that stands for a camera's gamma.
-const EXPOSURE: f32 = 0.62;
+const EXPOSURE: f32 = 0.9;
 /// Limit of a cast, metres.
 const FAR_M: f32 = 1e4;
 
@@ -109,26 +110,18 @@ impl World {
         }
     }
 
-    /// A dark card before a light wall at x = 2, evenly lit, for tests of the cameras.
+    /// One facet with a picture, for tests of the cameras.
     #[cfg(test)]
-    pub(crate) fn test_card(corner: [f32; 3], edge_a: [f32; 3], edge_b: [f32; 3]) -> Self {
-        let wall = Facet::new(
-            [2.0, 20.0, -20.0],
-            [0.0, -40.0, 0.0],
-            [0.0, 0.0, 40.0],
-            Outline::Parallelogram,
-        );
-        let card = Facet::new(corner, edge_a, edge_b, Outline::Parallelogram);
-        let (bvh, order) = Bvh::build(&[wall, card]);
+    pub(crate) fn test_card(facet: Facet, paint: impl Fn(&mut canvas::Canvas)) -> Self {
+        let size = [norm(facet.edge_a), norm(facet.edge_b)];
+        let mut canvas = canvas::Canvas::new(size, 0.003, 0.7);
+        paint(&mut canvas);
         let mut atlas = Atlas::default();
-        for &source in &order {
-            let tone = [0.7, 0.2][source];
-            atlas.push(&canvas::Canvas::new([1.0, 1.0], 0.1, tone));
-        }
+        atlas.push(&canvas);
         Self {
-            facets: order.iter().map(|&i| [wall, card][i]).collect(),
-            reflectances: vec![0.5; 2],
-            bvh,
+            facets: vec![facet],
+            reflectances: vec![0.5],
+            bvh: Bvh::build(&[facet]).0,
             atlas,
             plan: FloorPlan::new(0),
         }

@@ -1,7 +1,8 @@
 use super::*;
 use crate::config::SimConfig;
 use crate::simulation::Simulation;
-use crate::world::World;
+use crate::world::canvas::Canvas;
+use crate::world::{Facet, Outline, World};
 use lsfb_geometry::Vector3;
 use lsfb_types::no_progress;
 
@@ -50,53 +51,79 @@ fn fitted_border(image: &Image, project: &dyn Fn(f64) -> Vector2<f64>) -> [f64; 
     [offset, offset + slope]
 }
 
-#[test]
-fn corners_appear_where_the_rig_projects_them() {
+/// A card turned in its plane in front of the camera, and how far its four corners appear from where they should.
+fn corner_errors(turn_rad: f32, centre: [f32; 3], side: f32, paint: Paint) -> Vec<f64> {
     let mut config = SimConfig::default();
     config.scan_cameras.read_noise = 0.5;
     let camera = camera(&config);
     let sim = CameraSim::new(&camera, &config.scan_cameras, 1).expect("lens");
-    // A dark square 8 mm before a light wall, turned in its plane, in several places of the image.
-    for (k, [y, z]) in [[0.0, 0.0], [1.2, 0.5], [-1.4, -0.4], [0.9, -0.5]]
-        .into_iter()
-        .enumerate()
-    {
-        let (sin, cos) = (0.3 + 0.4 * k as f32).sin_cos();
-        let side = 0.5_f32;
-        let a = [0.0, side * cos, side * sin];
-        let b = [0.0, side * sin, -side * cos];
-        let corner = [
-            1.992,
-            y as f32 - 0.5 * (a[1] + b[1]),
-            z as f32 - 0.5 * (a[2] + b[2]),
-        ];
-        let world = World::test_card(corner, a, b);
-        let image = sim.render(&world, &Se3::identity(), 4);
-        let place = |s: f64, t: f64| {
-            let point = Vector3::from_fn(|i, _| {
-                f64::from(corner[i]) + s * f64::from(a[i]) + t * f64::from(b[i])
-            });
-            let in_camera = camera.rig_from_camera.inverse() * point;
-            camera.camera.project(&in_camera).expect("before the lens")
-        };
-        let borders = [
-            fitted_border(&image, &|s| place(s, 0.0)),
-            fitted_border(&image, &|s| place(s, 1.0)),
-            fitted_border(&image, &|s| place(0.0, s)),
-            fitted_border(&image, &|s| place(1.0, s)),
-        ];
-        // The borders that meet at a corner are at right angles on the card, nearly so in the image.
-        for (one, other) in [
-            (borders[0][0], borders[2][0]),
-            (borders[0][1], borders[3][0]),
-            (borders[1][0], borders[2][1]),
-            (borders[1][1], borders[3][1]),
-        ] {
-            assert!(
-                one.hypot(other) < 0.3,
-                "corner of card {k} is off: {one} {other} px"
-            );
+    let (sin, cos) = turn_rad.sin_cos();
+    let a = [0.0, side * cos, side * sin];
+    let b = [0.0, side * sin, -side * cos];
+    let corner = std::array::from_fn(|i| centre[i] - 0.5 * (a[i] + b[i]));
+    let facet = Facet::new(corner, a, b, Outline::Parallelogram);
+    let (world, inset) = match paint {
+        Paint::Silhouette => (World::test_card(facet, |_| {}), 0.0),
+        Paint::Picture => {
+            let low = 0.25 * side;
+            let dark = |canvas: &mut Canvas| canvas.rectangle([low; 2], [side - low; 2], 0.2);
+            (World::test_card(facet, dark), 0.25)
         }
+    };
+    let image = sim.render(&world, &Se3::identity(), 4);
+    let place = |s: f64, t: f64| {
+        let [s, t] = [s, t].map(|v| inset + v * (1.0 - 2.0 * inset));
+        let point = Vector3::from_fn(|i, _| {
+            f64::from(corner[i]) + s * f64::from(a[i]) + t * f64::from(b[i])
+        });
+        let in_camera = camera.rig_from_camera.inverse() * point;
+        camera.camera.project(&in_camera).expect("before the lens")
+    };
+    let borders = [
+        fitted_border(&image, &|s| place(s, 0.0)),
+        fitted_border(&image, &|s| place(s, 1.0)),
+        fitted_border(&image, &|s| place(0.0, s)),
+        fitted_border(&image, &|s| place(1.0, s)),
+    ];
+    // The borders that meet at a corner are at right angles on the card, nearly so in the image.
+    [
+        borders[0][0].hypot(borders[2][0]),
+        borders[0][1].hypot(borders[3][0]),
+        borders[1][0].hypot(borders[2][1]),
+        borders[1][1].hypot(borders[3][1]),
+    ]
+    .to_vec()
+}
+
+#[derive(Clone, Copy)]
+enum Paint {
+    /// The card is light, what is behind it black.
+    Silhouette,
+    /// A dark square on the card.
+    Picture,
+}
+
+#[test]
+fn corners_appear_where_the_rig_projects_them() {
+    for paint in [Paint::Silhouette, Paint::Picture] {
+        let mut errors = Vec::new();
+        for (k, [y, z]) in [[0.0, 0.1], [1.2, 0.5], [-1.3, -0.3], [0.9, -0.4]]
+            .into_iter()
+            .enumerate()
+        {
+            // Upright, almost upright, and turned; near, and so far that coarser mip levels are seen.
+            for (turn, distance) in [(0.0, 1.0), (0.02, 2.0), (0.4, 2.0), (0.8, 3.0)] {
+                let turn_rad = turn + 0.01 * k as f32;
+                let centre = [2.0 * distance, y * distance, z * distance];
+                errors.extend(corner_errors(turn_rad, centre, 0.6 * distance, paint));
+            }
+        }
+        let rms = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
+        let worst = errors.iter().copied().fold(0.0, f64::max);
+        assert!(
+            worst < 0.3 && rms < 0.1,
+            "corners off by {rms} px, at worst {worst} px"
+        );
     }
 }
 
