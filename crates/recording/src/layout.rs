@@ -37,8 +37,6 @@ pub struct WriterConfig {
     pub chunk_secs: f64,
     /// Compression of the chunks.
     pub compression: Compression,
-    /// Shortest time between two previews of a camera, seconds; `None` for no previews.
-    pub preview_secs: Option<f64>,
     /// What the recording survives while it is being written.
     pub durability: Durability,
     /// Entries of the metadata record `lsfb.session`: `uuid`, `seed`, `operator`, `site` … The software's version is added.
@@ -51,7 +49,6 @@ impl Default for WriterConfig {
             chunk_bytes: 4 << 20,
             chunk_secs: 1.0,
             compression: Compression::default(),
-            preview_secs: Some(0.5),
             durability: Durability::default(),
             session: BTreeMap::new(),
         }

@@ -28,7 +28,6 @@ mod error;
 mod index;
 mod layout;
 pub mod message;
-mod preview;
 mod provenance;
 mod reader;
 mod record;

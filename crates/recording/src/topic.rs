@@ -32,10 +32,6 @@ pub(crate) fn camera_info(image_topic: &str) -> String {
     companion(image_topic, "/image", "camera_info")
 }
 
-pub(crate) fn preview(image_topic: &str) -> String {
-    companion(image_topic, "/image", "preview/compressed")
-}
-
 /// The camera's name in an image topic: its last but one segment.
 pub(crate) fn camera_of(image_topic: &str) -> Option<&str> {
     image_topic

@@ -8,7 +8,7 @@ use crate::encoder::{Encoder, Outgoing};
 use crate::error::Error;
 use crate::layout::{Channel, Summary, WriterConfig};
 use crate::message::{self, FrameMeta, RawPacket, StaticTransform, TimeReference};
-use crate::{preview, topic};
+use crate::topic;
 
 /// Spacing of the intrinsics beside the images.
 const CAMERA_INFO_SECS: f64 = 1.0;
@@ -22,8 +22,6 @@ pub struct Writer {
     rig: Option<Rig>,
     static_transforms: Vec<StaticTransform>,
     camera_info_times: BTreeMap<String, Timestamp>,
-    preview_secs: Option<f64>,
-    preview_times: BTreeMap<String, Timestamp>,
 }
 
 impl Writer {
@@ -41,8 +39,6 @@ impl Writer {
             rig: None,
             static_transforms: Vec::new(),
             camera_info_times: BTreeMap::new(),
-            preview_secs: config.preview_secs,
-            preview_times: BTreeMap::new(),
         })
     }
 
@@ -290,40 +286,9 @@ impl Writer {
         for message in messages {
             if message.schema_name == message::IMAGE.name {
                 self.put_camera_info(time, arrival, message.topic)?;
-                self.put_preview(time, arrival, message)?;
             }
             self.encoder.put(time, arrival, message)?;
         }
-        Ok(())
-    }
-
-    fn put_preview(
-        &mut self,
-        time: Timestamp,
-        arrival: Timestamp,
-        image: &Outgoing<'_>,
-    ) -> Result<(), Error> {
-        let topic = topic::preview(image.topic);
-        let is_due = match (self.preview_secs, self.preview_times.get(&topic)) {
-            (None, _) => false,
-            (Some(_), None) => true,
-            (Some(period), Some(last)) => time.secs_since(*last).abs() >= period,
-        };
-        // Pictures in encodings we do not read have no preview.
-        let decoded = is_due
-            .then(|| message::decode_image(image.bytes).ok())
-            .flatten();
-        let Some(png) = decoded.and_then(|image| preview::png(&image)) else {
-            return Ok(());
-        };
-        let frame = topic::camera_of(image.topic).unwrap_or_default();
-        let bytes = message::encode_compressed_image(time, frame, "png", &png);
-        self.encoder.put(
-            time,
-            arrival,
-            &Outgoing::new(&topic, message::COMPRESSED_IMAGE, &bytes),
-        )?;
-        self.preview_times.insert(topic, time);
         Ok(())
     }
 

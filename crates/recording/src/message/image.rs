@@ -55,15 +55,6 @@ pub fn decode_image(bytes: &[u8]) -> Result<Image, CdrError> {
     })
 }
 
-/// `sensor_msgs/msg/CompressedImage` of a whole file in `format`: `png`, `jpeg`.
-pub fn encode_compressed_image(time: Timestamp, frame: &str, format: &str, file: &[u8]) -> Vec<u8> {
-    let mut w = CdrWriter::with_capacity(file.len() + frame.len() + format.len() + 64);
-    w.header(time, frame);
-    w.string(format);
-    w.byte_sequence(file);
-    w.finish()
-}
-
 /// `sensor_msgs/msg/CameraInfo`: `plumb_bob` or `equidistant`, no rectification.
 pub fn encode_camera_info(time: Timestamp, frame: &str, camera: &Camera) -> Vec<u8> {
     let [fx, fy] = camera.focal_px();

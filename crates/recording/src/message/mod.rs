@@ -14,7 +14,7 @@ mod velodyne;
 #[cfg(test)]
 mod tests;
 
-pub use image::{decode_image, encode_camera_info, encode_compressed_image, encode_image};
+pub use image::{decode_image, encode_camera_info, encode_image};
 pub use imu::{
     TimeReference, decode_imu, decode_time_reference, encode_imu, encode_time_reference,
 };
@@ -24,8 +24,8 @@ pub use lsfb::{
 };
 pub use points::{decode_points, encode_points};
 pub use schema::{
-    CAMERA_INFO, COMPRESSED_IMAGE, FRAME_META, IMAGE, IMU, POINT_CLOUD, RAW_PACKET, Schema,
-    TF_MESSAGE, TIME_REFERENCE, VELODYNE_SCAN,
+    CAMERA_INFO, FRAME_META, IMAGE, IMU, POINT_CLOUD, RAW_PACKET, Schema, TF_MESSAGE,
+    TIME_REFERENCE, VELODYNE_SCAN,
 };
 pub use transform::{StaticTransform, encode_static_transforms};
 pub use velodyne::{VELODYNE_PACKET_BYTES, decode_velodyne_scan, encode_velodyne_scan};

@@ -58,15 +58,6 @@ pub const IMAGE: Schema = Schema {
     ),
 };
 
-/// Previews.
-pub const COMPRESSED_IMAGE: Schema = Schema {
-    name: "sensor_msgs/msg/CompressedImage",
-    text: concat!(
-        "std_msgs/Header header\nstring format\nuint8[] data\n",
-        header!()
-    ),
-};
-
 /// Inertial samples.
 pub const IMU: Schema = Schema {
     name: "sensor_msgs/msg/Imu",
