@@ -42,7 +42,10 @@ pub(crate) fn record(
                             clock.time(device_ns)
                         };
                         // The trailer lies under the last pixels of the right image.
-                        let trailer_at = packet.bytes.len().saturating_sub(lsfb_drivers::camera::model::TRAILER_BYTES);
+                        let trailer_at = packet
+                            .bytes
+                            .len()
+                            .saturating_sub(lsfb_drivers::camera::model::TRAILER_BYTES);
                         let trailer = packet.bytes.get(trailer_at..).unwrap_or_default().to_vec();
                         for (camera, sample) in config.names.iter().zip([frame.left, frame.right]) {
                             let image = Stamped {
@@ -51,7 +54,11 @@ pub(crate) fn record(
                                 device_ticks: decoded.device_ticks,
                                 sample,
                             };
-                            let entry = Entry::Image { camera: camera.clone(), image, trailer: trailer.clone() };
+                            let entry = Entry::Image {
+                                camera: camera.clone(),
+                                image,
+                                trailer: trailer.clone(),
+                            };
                             report.decoded += 1;
                             if inlet.put(entry, &mut report).is_err() {
                                 break 'stream Ending::Stopped;
@@ -76,10 +83,14 @@ pub(crate) fn record(
     report.missing = counters.missing.saturating_sub(report.bad);
     report.duplicated = counters.duplicated;
     if counters.restarts > 0 {
-        report.notes.push(format!("the unit began anew {} times", counters.restarts));
+        report
+            .notes
+            .push(format!("the unit began anew {} times", counters.restarts));
     }
     if free_running > 0 {
-        report.notes.push(format!("{free_running} frames without external time: their time is fitted to arrival"));
+        report.notes.push(format!(
+            "{free_running} frames without external time: their time is fitted to arrival"
+        ));
     }
     report
 }

@@ -21,7 +21,10 @@ pub struct CloudsConfig {
 
 impl Default for CloudsConfig {
     fn default() -> Self {
-        Self { rate_hz: 10.0, range_noise_m: 0.02 }
+        Self {
+            rate_hz: 10.0,
+            range_noise_m: 0.02,
+        }
     }
 }
 
@@ -40,32 +43,53 @@ pub fn import_clouds(
         name: "clouds".to_owned(),
         cameras: Default::default(),
         imu: None,
-        lidar: Some(RigLidar { rig_from_lidar: Se3::identity(), range_noise_m: config.range_noise_m }),
+        lidar: Some(RigLidar {
+            rig_from_lidar: Se3::identity(),
+            range_noise_m: config.range_noise_m,
+        }),
     })?;
     for (index, path) in files.iter().enumerate() {
         if stop.load(Ordering::Relaxed) {
             break;
         }
-        progress(Progress { stage: "reading clouds", done: index as u64, total: files.len() as u64 });
+        progress(Progress {
+            stage: "reading clouds",
+            done: index as u64,
+            total: files.len() as u64,
+        });
         let time = Timestamp::from_secs_f64(index as f64 / config.rate_hz);
-        let scan = Stamped { time, arrival: time, device_ticks: 0, sample: pcd::read(path)? };
+        let scan = Stamped {
+            time,
+            arrival: time,
+            device_ticks: 0,
+            sample: pcd::read(path)?,
+        };
         writer.write_scan(&scan)?;
     }
     Ok(writer.finish()?)
 }
 
 fn cloud_files(folder: &Path) -> Result<Vec<PathBuf>, Error> {
-    let io = |cause| Error::Io { path: folder.to_owned(), cause };
+    let io = |cause| Error::Io {
+        path: folder.to_owned(),
+        cause,
+    };
     let mut files = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(io)? {
         let path = entry.map_err(io)?.path();
-        if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("pcd")) {
+        if path
+            .extension()
+            .is_some_and(|e| e.eq_ignore_ascii_case("pcd"))
+        {
             files.push(path);
         }
     }
     files.sort();
     if files.is_empty() {
-        return Err(Error::Cloud { path: folder.to_owned(), message: "no .pcd file in this folder".to_owned() });
+        return Err(Error::Cloud {
+            path: folder.to_owned(),
+            message: "no .pcd file in this folder".to_owned(),
+        });
     }
     Ok(files)
 }

@@ -50,7 +50,10 @@ pub struct LidarNetConfig {
 impl Default for LidarNetConfig {
     /// The factory ports on every interface.
     fn default() -> Self {
-        Self { data: SocketAddr::from(([0, 0, 0, 0], 2368)), position: SocketAddr::from(([0, 0, 0, 0], 8308)) }
+        Self {
+            data: SocketAddr::from(([0, 0, 0, 0], 2368)),
+            position: SocketAddr::from(([0, 0, 0, 0], 8308)),
+        }
     }
 }
 
@@ -118,9 +121,14 @@ pub struct SidecarConfig {
 impl DevicesConfig {
     /// Reads `devices.toml`; relative paths in it start at its folder.
     pub fn read(path: &Path) -> Result<Self, Error> {
-        let text = std::fs::read_to_string(path).map_err(|cause| Error::Io { path: path.to_owned(), cause })?;
-        let mut config: Self =
-            toml::from_str(&text).map_err(|e| Error::Config { path: path.to_owned(), message: e.to_string() })?;
+        let text = std::fs::read_to_string(path).map_err(|cause| Error::Io {
+            path: path.to_owned(),
+            cause,
+        })?;
+        let mut config: Self = toml::from_str(&text).map_err(|e| Error::Config {
+            path: path.to_owned(),
+            message: e.to_string(),
+        })?;
         let folder = path.parent().unwrap_or(Path::new(""));
         if let Some(rig) = &mut config.rig {
             *rig = folder.join(&*rig);
@@ -163,6 +171,9 @@ mod tests {
         assert_eq!(DevicesConfig::read(&path).unwrap(), config);
         std::fs::write(&path, "[lidar]\nrpm = 600\n").unwrap();
         let message = DevicesConfig::read(&path).unwrap_err().to_string();
-        assert!(message.contains("devices.toml") && message.contains("rpm"), "{message}");
+        assert!(
+            message.contains("devices.toml") && message.contains("rpm"),
+            "{message}"
+        );
     }
 }

@@ -47,7 +47,10 @@ pub struct StreamReport {
 
 impl StreamReport {
     pub(crate) fn new(name: &str) -> Self {
-        Self { name: name.to_owned(), ..Self::default() }
+        Self {
+            name: name.to_owned(),
+            ..Self::default()
+        }
     }
 
     /// Counts a packet that could not be read.
@@ -58,11 +61,29 @@ impl StreamReport {
         }
     }
 
+    /// A device that was configured and sent nothing is lost, whatever ended its stream.
+    pub(crate) fn name_silence(&mut self) {
+        if self.received == 0 && !matches!(self.ending, Ending::Lost(_)) {
+            self.ending = Ending::Lost(format!(
+                "{} sent nothing; check its power, cable and address",
+                self.name
+            ));
+        }
+    }
+
     /// Whatever should have been recorded and was not.
     pub fn lost(&self) -> u64 {
         let gone = u64::from(matches!(self.ending, Ending::Lost(_)));
         self.bad + self.missing + self.dropped + gone
     }
+}
+
+/// What goes into the recording itself, as attachment `health.json`: everything but the file's own size.
+#[derive(Serialize)]
+pub(crate) struct Health<'a> {
+    pub(crate) streams: &'a [StreamReport],
+    pub(crate) groups: &'a GroupReport,
+    pub(crate) lost: u64,
 }
 
 /// What a recording session did.

@@ -3,9 +3,9 @@
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use lsfb_drivers::Decoded;
 use lsfb_drivers::imu::{Decoder, DecoderConfig, ImuReading};
 use lsfb_drivers::transport::PacketSource;
-use lsfb_drivers::Decoded;
 use lsfb_types::{Stamped, Timestamp};
 
 use crate::clock::{OneWayClock, Unwrap};
@@ -31,7 +31,9 @@ impl Clock {
             return Timestamp::from_nanos(utc_ns);
         }
         self.without_utc += 1;
-        let ticks = self.unwrap.unwrap(reading.device_ticks.cast_signed(), TICKS_PERIOD);
+        let ticks = self
+            .unwrap
+            .unwrap(reading.device_ticks.cast_signed(), TICKS_PERIOD);
         let device_ns = ticks * lsfb_drivers::imu::model::SAMPLE_TIME_FINE_NS.cast_signed();
         self.one_way.push(device_ns, reading.arrival);
         self.one_way.time(device_ns)
@@ -39,7 +41,11 @@ impl Clock {
 }
 
 /// Records until the line ends or the session stops.
-pub(crate) fn record(mut source: impl PacketSource, inlet: &Inlet, control: &Control) -> StreamReport {
+pub(crate) fn record(
+    mut source: impl PacketSource,
+    inlet: &Inlet,
+    control: &Control,
+) -> StreamReport {
     let mut report = StreamReport::new(IMU);
     let mut decoder = Decoder::new(DecoderConfig::default());
     let mut clock = Clock::default();
@@ -50,12 +56,24 @@ pub(crate) fn record(mut source: impl PacketSource, inlet: &Inlet, control: &Con
                 decoder.push(&packet);
                 let readings = std::iter::from_fn(|| decoder.next_reading()).collect::<Vec<_>>();
                 let time = packet.arrival;
-                let raw = Entry::Raw { source: IMU, sequence, packet, time };
+                let raw = Entry::Raw {
+                    source: IMU,
+                    sequence,
+                    packet,
+                    time,
+                };
                 sequence += 1;
-                if inlet.put(raw, &mut report).and_then(|()| put(readings, &mut clock, inlet, &mut report)).is_err() {
+                if inlet
+                    .put(raw, &mut report)
+                    .and_then(|()| put(readings, &mut clock, inlet, &mut report))
+                    .is_err()
+                {
                     break Ending::Stopped;
                 }
-                control.progress.imu_samples.store(report.decoded, Ordering::Relaxed);
+                control
+                    .progress
+                    .imu_samples
+                    .store(report.decoded, Ordering::Relaxed);
             }
             Ok(None) if control.is_stopping() => break Ending::Stopped,
             Ok(None) => {}
@@ -74,13 +92,22 @@ pub(crate) fn record(mut source: impl PacketSource, inlet: &Inlet, control: &Con
     report.missing = counters.missing;
     report.duplicated = counters.duplicated;
     if counters.skipped_bytes > 0 {
-        report.notes.push(format!("{} bytes belong to no message", counters.skipped_bytes));
+        report.notes.push(format!(
+            "{} bytes belong to no message",
+            counters.skipped_bytes
+        ));
     }
     if counters.device_errors > 0 {
-        report.notes.push(format!("the unit reported {} errors", counters.device_errors));
+        report.notes.push(format!(
+            "the unit reported {} errors",
+            counters.device_errors
+        ));
     }
     if clock.without_utc > 0 {
-        report.notes.push(format!("{} samples without UTC: their time is fitted to arrival", clock.without_utc));
+        report.notes.push(format!(
+            "{} samples without UTC: their time is fitted to arrival",
+            clock.without_utc
+        ));
     }
     report
 }
@@ -93,9 +120,16 @@ fn put(
 ) -> Result<(), WriterGone> {
     for reading in readings {
         let time = clock.time(&reading);
-        let Some(sample) = reading.sample.sample else { continue };
+        let Some(sample) = reading.sample.sample else {
+            continue;
+        };
         report.decoded += 1;
-        let sample = Stamped { time, arrival: reading.arrival, device_ticks: reading.device_ticks, sample };
+        let sample = Stamped {
+            time,
+            arrival: reading.arrival,
+            device_ticks: reading.device_ticks,
+            sample,
+        };
         inlet.put(Entry::Imu { imu: IMU, sample }, report)?;
     }
     Ok(())

@@ -33,7 +33,9 @@ mod sidecar;
 mod sync;
 
 pub use clouds::{CloudsConfig, import_clouds};
-pub use config::{CameraUnitConfig, DevicesConfig, ImuLineConfig, LidarNetConfig, Overflow, SidecarConfig};
+pub use config::{
+    CameraUnitConfig, DevicesConfig, ImuLineConfig, LidarNetConfig, Overflow, SidecarConfig,
+};
 pub use error::Error;
 pub use health::{CaptureReport, Ending, StreamReport};
 pub use replay::{ReplayConfig, replay};

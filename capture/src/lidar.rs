@@ -7,7 +7,9 @@ use std::time::{Duration, Instant};
 use lsfb_drivers::transport::PacketSource;
 use lsfb_drivers::transport::udp::UdpSource;
 use lsfb_drivers::velodyne::nmea::Rmc;
-use lsfb_drivers::velodyne::wire::{DATA_PACKET_LEN, POSITION_PACKET_LEN, PositionPacket, PpsStatus};
+use lsfb_drivers::velodyne::wire::{
+    DATA_PACKET_LEN, DataPacket, POSITION_PACKET_LEN, PositionPacket, PpsStatus,
+};
 use lsfb_drivers::velodyne::{DecodeError, Decoder, DecoderConfig};
 use lsfb_drivers::{Decoded, WireError};
 use lsfb_recording::LIDAR_POSITION;
@@ -21,6 +23,8 @@ use crate::session::Control;
 /// Data packets that wait for the first position packet: one second of single returns. A sensor sends about 107 position
 /// packets a second, so that one without any in this time has none to send.
 const HELD_PACKETS: usize = 1_600;
+/// Source of datagrams that no Velodyne sends, kept as they came.
+const STRANGE: &str = "lidar";
 /// After the other devices have ended, a LiDAR silent for this long has ended too.
 const SILENT: Duration = Duration::from_millis(500);
 
@@ -62,8 +66,18 @@ impl LidarStream {
                 Ok(())
             }
             got => {
-                self.report.count_bad(WireError::Length { expected: DATA_PACKET_LEN, got });
-                Ok(())
+                self.report.count_bad(WireError::Length {
+                    expected: DATA_PACKET_LEN,
+                    got,
+                });
+                let time = packet.arrival;
+                let raw = Entry::Raw {
+                    source: STRANGE,
+                    sequence: self.report.bad,
+                    packet,
+                    time,
+                };
+                inlet.put(raw, &mut self.report)
             }
         }
     }
@@ -85,7 +99,9 @@ impl LidarStream {
                 self.clock.fix(&PositionFix {
                     toh_ns,
                     pps_locked: position.pps_status() == PpsStatus::Locked,
-                    sentence: sentence.map(|rmc| Timestamp::from_nanos(rmc.unix_secs().saturating_mul(1_000_000_000))),
+                    sentence: sentence.map(|rmc| {
+                        Timestamp::from_nanos(rmc.unix_secs().saturating_mul(1_000_000_000))
+                    }),
                 });
                 if self.clock.is_locked() {
                     time = self.clock.time(toh_ns, packet.arrival);
@@ -93,7 +109,12 @@ impl LidarStream {
             }
             Err(error) => self.report.count_bad(error),
         }
-        let raw = Entry::Raw { source: LIDAR_POSITION, sequence: self.positions, packet, time };
+        let raw = Entry::Raw {
+            source: LIDAR_POSITION,
+            sequence: self.positions,
+            packet,
+            time,
+        };
         self.positions += 1;
         inlet.put(raw, &mut self.report)
     }
@@ -108,8 +129,14 @@ impl LidarStream {
             Err(DecodeError::Wire(error)) => self.report.count_bad(error),
             Err(error) => {
                 self.report.bad += 1;
-                self.report.first_bad.get_or_insert_with(|| format!("packet {}: {error}", self.report.received));
+                self.report
+                    .first_bad
+                    .get_or_insert_with(|| format!("packet {}: {error}", self.report.received));
             }
+        }
+        if let Ok(data) = DataPacket::new(&packet.bytes) {
+            self.clock
+                .observe(i64::from(data.timestamp_us()) * 1000, packet.arrival);
         }
         self.last_data_time = Some(packet.arrival);
         self.revolution.push(packet);
@@ -118,9 +145,22 @@ impl LidarStream {
 
     fn scan(&mut self, scan: Decoded<LidarScan>, inlet: &Inlet) -> Result<(), WriterGone> {
         self.report.decoded += 1;
-        let time = self.clock.time(scan.device_ticks.cast_signed(), scan.arrival);
-        let scan = Stamped { time, arrival: scan.arrival, device_ticks: scan.device_ticks, sample: scan.sample };
-        inlet.put(Entry::Scan { scan, packets: std::mem::take(&mut self.revolution) }, &mut self.report)
+        let time = self
+            .clock
+            .time(scan.device_ticks.cast_signed(), scan.arrival);
+        let scan = Stamped {
+            time,
+            arrival: scan.arrival,
+            device_ticks: scan.device_ticks,
+            sample: scan.sample,
+        };
+        inlet.put(
+            Entry::Scan {
+                scan,
+                packets: std::mem::take(&mut self.revolution),
+            },
+            &mut self.report,
+        )
     }
 
     /// Ends the stream.
@@ -132,7 +172,10 @@ impl LidarStream {
         self.report.missing = counters.lost;
         self.report.duplicated = counters.duplicates;
         for (count, what) in [
-            (counters.late, "packets came after a later one and are left out of the scans"),
+            (
+                counters.late,
+                "packets came after a later one and are left out of the scans",
+            ),
             (counters.clock_jumps, "jumps of the sensor's clock"),
             (counters.mode_changes, "changes of model or return mode"),
             (counters.overlong, "scans without a full turn of the rotor"),
@@ -142,7 +185,9 @@ impl LidarStream {
             }
         }
         if self.report.decoded > 0 && !self.clock.is_locked() {
-            self.report.notes.push("the sensor's clock is not locked to PPS: its time is fitted to arrival".to_owned());
+            self.report.notes.push(
+                "the sensor's clock is not locked to PPS: its time is fitted to arrival".to_owned(),
+            );
         }
         self.report
     }
@@ -171,9 +216,14 @@ pub(crate) fn record(mut source: UdpSource, inlet: &Inlet, control: &Control) ->
                 if stream.push(packet, inlet).is_err() {
                     break Ending::Stopped;
                 }
-                control.progress.lidar_packets.fetch_add(1, Ordering::Relaxed);
+                control
+                    .progress
+                    .lidar_packets
+                    .fetch_add(1, Ordering::Relaxed);
             }
-            Ok(None) if control.others_ended() && last_heard.elapsed() > SILENT => break Ending::EndOfStream,
+            Ok(None) if control.others_ended() && last_heard.elapsed() > SILENT => {
+                break Ending::EndOfStream;
+            }
             Ok(None) => {}
             Err(lsfb_drivers::Error::EndOfStream { .. }) => break Ending::EndOfStream,
             Err(error) => break Ending::Lost(error.to_string()),

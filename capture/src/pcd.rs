@@ -35,22 +35,41 @@ struct Header {
 
 /// Reads one file. Points whose coordinates are not finite are left out.
 pub(crate) fn read(path: &Path) -> Result<LidarScan, Error> {
-    let bytes = std::fs::read(path).map_err(|cause| Error::Io { path: path.to_owned(), cause })?;
-    let fail = |message: String| Error::Cloud { path: path.to_owned(), message };
+    let bytes = std::fs::read(path).map_err(|cause| Error::Io {
+        path: path.to_owned(),
+        cause,
+    })?;
+    let fail = |message: String| Error::Cloud {
+        path: path.to_owned(),
+        message,
+    };
     let header = header(&bytes).map_err(fail)?;
     let data = bytes.get(header.data_at..).unwrap_or_default();
     let rows: Vec<Vec<f64>> = if header.binary {
         let need = header.points * header.point_bytes;
         if data.len() < need {
-            return Err(fail(format!("{} bytes of points where the header announces {need}: truncated", data.len())));
+            return Err(fail(format!(
+                "{} bytes of points where the header announces {need}: truncated",
+                data.len()
+            )));
         }
-        data.chunks_exact(header.point_bytes).take(header.points).map(|row| binary_row(&header, row)).collect()
+        data.chunks_exact(header.point_bytes)
+            .take(header.points)
+            .map(|row| binary_row(&header, row))
+            .collect()
     } else {
         let text = String::from_utf8_lossy(data);
         let lines = text.lines().filter(|line| !line.trim().is_empty());
-        let rows: Vec<_> = lines.take(header.points).map(|line| text_row(&header, line)).collect();
+        let rows: Vec<_> = lines
+            .take(header.points)
+            .map(|line| text_row(&header, line))
+            .collect();
         if rows.len() < header.points {
-            return Err(fail(format!("{} points where the header announces {}", rows.len(), header.points)));
+            return Err(fail(format!(
+                "{} points where the header announces {}",
+                rows.len(),
+                header.points
+            )));
         }
         rows
     };
@@ -59,18 +78,24 @@ pub(crate) fn read(path: &Path) -> Result<LidarScan, Error> {
         return Err(fail("no fields x, y and z".to_owned()));
     };
     let (intensity, ring, offset) = (column("intensity"), column("ring"), column("t"));
-    let value = |row: &[f64], at: Option<usize>| at.and_then(|i| row.get(i)).copied().unwrap_or(0.0);
+    let value =
+        |row: &[f64], at: Option<usize>| at.and_then(|i| row.get(i)).copied().unwrap_or(0.0);
     let points = rows.iter().filter_map(|row| {
         let position_m = [x, y, z].map(|i| value(row, Some(i)) as f32);
-        position_m.iter().all(|c| c.is_finite()).then(|| LidarPoint {
-            position_m,
-            // Float casts saturate: what does not fit becomes the nearest that does.
-            intensity: value(row, intensity) as u8,
-            ring: value(row, ring) as u16,
-            time_offset_ns: value(row, offset) as u32,
-        })
+        position_m
+            .iter()
+            .all(|c| c.is_finite())
+            .then(|| LidarPoint {
+                position_m,
+                // Float casts saturate: what does not fit becomes the nearest that does.
+                intensity: value(row, intensity) as u8,
+                ring: value(row, ring) as u16,
+                time_offset_ns: value(row, offset) as u32,
+            })
     });
-    Ok(LidarScan { points: points.collect() })
+    Ok(LidarScan {
+        points: points.collect(),
+    })
 }
 
 fn header(bytes: &[u8]) -> Result<Header, String> {
@@ -79,7 +104,9 @@ fn header(bytes: &[u8]) -> Result<Header, String> {
     let mut points = None;
     let mut at = 0;
     loop {
-        let rest = bytes.get(at..MAX_HEADER_BYTES.min(bytes.len())).unwrap_or_default();
+        let rest = bytes
+            .get(at..MAX_HEADER_BYTES.min(bytes.len()))
+            .unwrap_or_default();
         let Some(end) = rest.iter().position(|&b| b == b'\n') else {
             return Err("no PCD header: the line DATA is missing".to_owned());
         };
@@ -87,7 +114,12 @@ fn header(bytes: &[u8]) -> Result<Header, String> {
         at += end + 1;
         let mut words = line.split_whitespace();
         let numbers = |words: std::str::SplitWhitespace<'_>| -> Result<Vec<usize>, String> {
-            words.map(|w| w.parse().map_err(|_| format!("{w:?} is no number in {line:?}"))).collect()
+            words
+                .map(|w| {
+                    w.parse()
+                        .map_err(|_| format!("{w:?} is no number in {line:?}"))
+                })
+                .collect()
         };
         match words.next() {
             Some("FIELDS") => names = words.map(str::to_owned).collect(),
@@ -108,14 +140,25 @@ fn header(bytes: &[u8]) -> Result<Header, String> {
                 let binary = match words.next() {
                     Some("ascii") => false,
                     Some("binary") => true,
-                    other => return Err(format!("DATA {} is not supported, ascii and binary are", other.unwrap_or(""))),
+                    other => {
+                        return Err(format!(
+                            "DATA {} is not supported, ascii and binary are",
+                            other.unwrap_or("")
+                        ));
+                    }
                 };
                 let points = points.ok_or("no line POINTS")?;
                 if points > MAX_POINTS {
                     return Err(format!("{points} points; a scan has at most {MAX_POINTS}"));
                 }
                 let (fields, point_bytes) = layout(&names, &sizes, &kinds, &counts)?;
-                return Ok(Header { fields, point_bytes, points, binary, data_at: at });
+                return Ok(Header {
+                    fields,
+                    point_bytes,
+                    points,
+                    binary,
+                    data_at: at,
+                });
             }
             _ => {}
         }
@@ -138,7 +181,13 @@ fn layout(
         if !matches!(size, 1 | 2 | 4 | 8) || count > 1024 {
             return Err(format!("field {name}: size {size}, count {count}"));
         }
-        fields.push(Field { name: name.clone(), kind, size, offset, column });
+        fields.push(Field {
+            name: name.clone(),
+            kind,
+            size,
+            offset,
+            column,
+        });
         offset += size * count;
         column += count;
     }
@@ -148,7 +197,9 @@ fn layout(
 fn binary_row(header: &Header, row: &[u8]) -> Vec<f64> {
     let value = |field: &Field| {
         let mut wide = [0_u8; 8];
-        let bytes = row.get(field.offset..field.offset + field.size).unwrap_or_default();
+        let bytes = row
+            .get(field.offset..field.offset + field.size)
+            .unwrap_or_default();
         for (to, from) in wide.iter_mut().zip(bytes) {
             *to = *from;
         }
@@ -169,7 +220,12 @@ fn binary_row(header: &Header, row: &[u8]) -> Vec<f64> {
 
 fn text_row(header: &Header, line: &str) -> Vec<f64> {
     let words: Vec<&str> = line.split_whitespace().collect();
-    let value = |field: &Field| words.get(field.column).and_then(|w| w.parse().ok()).unwrap_or(f64::NAN);
+    let value = |field: &Field| {
+        words
+            .get(field.column)
+            .and_then(|w| w.parse().ok())
+            .unwrap_or(f64::NAN)
+    };
     header.fields.iter().map(value).collect()
 }
 
@@ -191,12 +247,23 @@ mod tests {
     fn ascii_and_binary_say_the_same() {
         let ascii = format!("{HEADER}DATA ascii\n1 2 3 40 5\n-1 -2 0.5 300 6\n");
         let mut binary = format!("{HEADER}DATA binary\n").into_bytes();
-        for (xyzi, ring) in [([1.0_f32, 2.0, 3.0, 40.0], 5_u16), ([-1.0, -2.0, 0.5, 300.0], 6)] {
+        for (xyzi, ring) in [
+            ([1.0_f32, 2.0, 3.0, 40.0], 5_u16),
+            ([-1.0, -2.0, 0.5, 300.0], 6),
+        ] {
             binary.extend(xyzi.iter().flat_map(|v| v.to_le_bytes()));
             binary.extend(ring.to_le_bytes());
         }
-        let point = |position_m, intensity, ring| LidarPoint { position_m, intensity, ring, time_offset_ns: 0 };
-        let expected = vec![point([1.0, 2.0, 3.0], 40, 5), point([-1.0, -2.0, 0.5], 255, 6)];
+        let point = |position_m, intensity, ring| LidarPoint {
+            position_m,
+            intensity,
+            ring,
+            time_offset_ns: 0,
+        };
+        let expected = vec![
+            point([1.0, 2.0, 3.0], 40, 5),
+            point([-1.0, -2.0, 0.5], 255, 6),
+        ];
         assert_eq!(written(ascii.as_bytes()).unwrap().points, expected);
         assert_eq!(written(&binary).unwrap().points, expected);
     }
@@ -208,8 +275,16 @@ mod tests {
             assert!(written(&whole[..cut]).is_err());
         }
         let message = written(&whole).unwrap_err().to_string();
-        assert!(message.contains("a.pcd") && message.contains("truncated"), "{message}");
+        assert!(
+            message.contains("a.pcd") && message.contains("truncated"),
+            "{message}"
+        );
         let compressed = format!("{HEADER}DATA binary_compressed\n");
-        assert!(written(compressed.as_bytes()).unwrap_err().to_string().contains("binary_compressed"));
+        assert!(
+            written(compressed.as_bytes())
+                .unwrap_err()
+                .to_string()
+                .contains("binary_compressed")
+        );
     }
 }

@@ -10,10 +10,9 @@ use lsfb_geometry::Rig;
 use lsfb_types::{Progress, ProgressFn};
 
 use crate::config::Overflow;
-use crate::health::{Ending, StreamReport};
+use crate::health::Ending;
 use crate::lidar::LidarStream;
 use crate::recorder::{self, Recorder};
-use crate::sync::GroupReport;
 use crate::{CaptureReport, Error};
 
 /// How a capture file is read.
@@ -50,7 +49,11 @@ pub fn replay(
                 }
                 packets += 1;
                 if packets.is_multiple_of(10_000) {
-                    progress(Progress { stage: "reading packets", done: packets, total: 0 });
+                    progress(Progress {
+                        stage: "reading packets",
+                        done: packets,
+                        total: 0,
+                    });
                 }
             }
             Ok(None) => {}
@@ -60,13 +63,14 @@ pub fn replay(
     };
     let stream = stream.finish(ending, &inlet);
     drop(inlet);
-    let written = recorder.finish()?;
+    let streams = vec![stream];
+    let written = recorder.finish(&streams)?;
     Ok(CaptureReport {
         path: written.summary.path,
         bytes: written.summary.bytes,
         messages: written.summary.messages,
-        lost: StreamReport::lost(&stream),
-        streams: vec![stream],
-        groups: GroupReport::default(),
+        lost: written.lost,
+        streams,
+        groups: written.groups,
     })
 }

@@ -10,8 +10,8 @@ use std::time::{Duration, Instant};
 use lsfb_drivers::camera::model::FrameFormat;
 use lsfb_drivers::camera::{CameraConfig, DecoderConfig, MyntCamera};
 use lsfb_drivers::imu::{ImuConfig, XsensImu};
-use lsfb_drivers::transport::udp::UdpSource;
 use lsfb_drivers::phone::{self, SidecarServer};
+use lsfb_drivers::transport::udp::UdpSource;
 use lsfb_drivers::velodyne::{self, VelodyneConfig};
 use lsfb_geometry::Rig;
 use lsfb_types::{Progress, ProgressFn};
@@ -68,7 +68,11 @@ pub struct Session {
 impl Session {
     /// Opens and configures every device; the first that refuses is the error.
     pub fn open(config: &DevicesConfig) -> Result<Self, Error> {
-        if config.lidar.is_none() && config.cameras.is_empty() && config.imu.is_none() && config.sidecar.is_none() {
+        if config.lidar.is_none()
+            && config.cameras.is_empty()
+            && config.imu.is_none()
+            && config.sidecar.is_none()
+        {
             return Err(Error::NoDevice);
         }
         let rig = config.rig.as_deref().map(Rig::read).transpose()?;
@@ -82,7 +86,10 @@ impl Session {
         };
         let mut cameras = Vec::new();
         for unit in &config.cameras {
-            let format = FrameFormat { width: unit.frame_px[0], height: unit.frame_px[1] };
+            let format = FrameFormat {
+                width: unit.frame_px[0],
+                height: unit.frame_px[1],
+            };
             let open = CameraConfig {
                 path: unit.path.clone(),
                 serial: unit.serial.clone(),
@@ -93,18 +100,40 @@ impl Session {
             cameras.push((MyntCamera::open(&open)?, unit.clone(), format));
         }
         let imu = match &config.imu {
-            Some(line) => {
-                Some(XsensImu::open(&ImuConfig { path: line.path.clone(), baud: line.baud, rate_hz: line.rate_hz })?)
-            }
+            Some(line) => Some(XsensImu::open(&ImuConfig {
+                path: line.path.clone(),
+                baud: line.baud,
+                rate_hz: line.rate_hz,
+            })?),
             None => None,
         };
-        let sidecar = config.sidecar.as_ref().map(|s| SidecarServer::bind(&phone::SidecarConfig { address: s.listen, ..phone::SidecarConfig::default() })).transpose()?;
-        Ok(Self { config: config.clone(), rig, lidar, cameras, imu, sidecar, counts: Arc::default() })
+        let sidecar = config
+            .sidecar
+            .as_ref()
+            .map(|s| {
+                SidecarServer::bind(&phone::SidecarConfig {
+                    address: s.listen,
+                    ..phone::SidecarConfig::default()
+                })
+            })
+            .transpose()?;
+        Ok(Self {
+            config: config.clone(),
+            rig,
+            lidar,
+            cameras,
+            imu,
+            sidecar,
+            counts: Arc::default(),
+        })
     }
 
     /// Where LiDAR data packets and position packets are expected, in this order; empty without a LiDAR.
     pub fn lidar_addresses(&self) -> Vec<SocketAddr> {
-        self.lidar.as_ref().map(UdpSource::local_addresses).unwrap_or_default()
+        self.lidar
+            .as_ref()
+            .map(UdpSource::local_addresses)
+            .unwrap_or_default()
     }
 
     /// Where sidecars connect.
@@ -118,43 +147,70 @@ impl Session {
     }
 
     /// Records into `out` until every device has ended or `stop` is set; then closes the file properly.
-    pub fn run(self, out: &Path, stop: &AtomicBool, progress: ProgressFn<'_>) -> Result<CaptureReport, Error> {
+    pub fn run(
+        self,
+        out: &Path,
+        stop: &AtomicBool,
+        progress: ProgressFn<'_>,
+    ) -> Result<CaptureReport, Error> {
         recorder::make_folder(out)?;
-        let camera_names = self.config.cameras.iter().flat_map(|c| c.names.clone()).collect();
+        let camera_names = self
+            .config
+            .cameras
+            .iter()
+            .flat_map(|c| c.names.clone())
+            .collect();
         let recorder = Recorder::start(out, self.rig, camera_names, self.config.overflow)?;
-        let finite = self.cameras.len() + usize::from(self.imu.is_some()) + usize::from(self.sidecar.is_some());
+        let finite = self.cameras.len()
+            + usize::from(self.imu.is_some())
+            + usize::from(self.sidecar.is_some());
         let control = Arc::new(Control {
             stop: AtomicBool::new(false),
             // A LiDAR alone runs until it is stopped.
             running: AtomicUsize::new(if finite == 0 { usize::MAX } else { finite }),
             progress: Arc::clone(&self.counts),
         });
-        let mut threads = Threads { control: Arc::clone(&control), running: Vec::new(), inlet: recorder.inlet() };
+        let mut threads = Threads {
+            control: Arc::clone(&control),
+            running: Vec::new(),
+            inlet: recorder.inlet(),
+        };
         if let Some(source) = self.lidar {
-            threads.start("lidar", Ends::Never, |inlet, control| lidar::record(source, inlet, control))?;
-        }
-        for (index, (unit, config, format)) in self.cameras.into_iter().enumerate() {
-            let decoder = DecoderConfig { format, ..DecoderConfig::default() };
-            threads.start(&format!("camera{index}"), Ends::ByItself, move |inlet, control| {
-                camera::record(unit, &config, decoder, inlet, control)
+            threads.start("lidar", Ends::Never, |inlet, control| {
+                lidar::record(source, inlet, control)
             })?;
         }
+        for (index, (unit, config, format)) in self.cameras.into_iter().enumerate() {
+            let decoder = DecoderConfig {
+                format,
+                ..DecoderConfig::default()
+            };
+            threads.start(
+                &format!("camera{index}"),
+                Ends::ByItself,
+                move |inlet, control| camera::record(unit, &config, decoder, inlet, control),
+            )?;
+        }
         if let Some(unit) = self.imu {
-            threads.start("imu", Ends::ByItself, |inlet, control| imu::record(unit, inlet, control))?;
+            threads.start("imu", Ends::ByItself, |inlet, control| {
+                imu::record(unit, inlet, control)
+            })?;
         }
         if let Some(server) = self.sidecar {
-            threads.start("sidecar", Ends::ByItself, |inlet, control| sidecar::record(server, inlet, control))?;
+            threads.start("sidecar", Ends::ByItself, |inlet, control| {
+                sidecar::record(server, &inlet.patient(), control)
+            })?;
         }
-        let streams = threads.wait(stop, progress)?;
-        let written = recorder.finish()?;
-        let lost = streams.iter().map(StreamReport::lost).sum::<u64>() + written.groups.incomplete;
+        let mut streams = threads.wait(stop, &recorder, progress)?;
+        streams.iter_mut().for_each(StreamReport::name_silence);
+        let written = recorder.finish(&streams)?;
         Ok(CaptureReport {
             path: written.summary.path,
             bytes: written.summary.bytes,
             messages: written.summary.messages,
             streams,
             groups: written.groups,
-            lost,
+            lost: written.lost,
         })
     }
 }
@@ -191,21 +247,38 @@ impl Threads {
         Ok(())
     }
 
-    fn wait(self, stop: &AtomicBool, progress: ProgressFn<'_>) -> Result<Vec<StreamReport>, Error> {
+    fn wait(
+        self,
+        stop: &AtomicBool,
+        recorder: &Recorder,
+        progress: ProgressFn<'_>,
+    ) -> Result<Vec<StreamReport>, Error> {
         let mut last_shown = Instant::now();
         while !self.running.iter().all(|(_, thread)| thread.is_finished()) {
-            if stop.load(Ordering::Relaxed) {
+            if stop.load(Ordering::Relaxed) || recorder.has_ended() {
                 self.control.stop.store(true, Ordering::Relaxed);
             }
             if last_shown.elapsed() > Duration::from_millis(250) {
                 last_shown = Instant::now();
                 let c = &self.control.progress;
-                let counts = [&c.lidar_packets, &c.images, &c.imu_samples, &c.sidecar_messages];
+                let counts = [
+                    &c.lidar_packets,
+                    &c.images,
+                    &c.imu_samples,
+                    &c.sidecar_messages,
+                ];
                 let done = counts.iter().map(|c| c.load(Ordering::Relaxed)).sum();
-                progress(Progress { stage: "recording", done, total: 0 });
+                progress(Progress {
+                    stage: "recording",
+                    done,
+                    total: 0,
+                });
             }
             std::thread::sleep(Duration::from_millis(20));
         }
-        self.running.into_iter().map(|(name, thread)| recorder::join(&name, thread)).collect()
+        self.running
+            .into_iter()
+            .map(|(name, thread)| recorder::join(&name, thread))
+            .collect()
     }
 }

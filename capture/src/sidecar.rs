@@ -36,21 +36,42 @@ struct Channel {
 
 /// Records until every app that came has gone, or the session stops.
 pub(crate) fn record(mut server: SidecarServer, inlet: &Inlet, control: &Control) -> StreamReport {
-    let mut recording = Sidecars { apps: BTreeMap::new(), report: StreamReport::new("sidecar"), failure: None };
+    let mut recording = Sidecars {
+        apps: BTreeMap::new(),
+        report: StreamReport::new("sidecar"),
+        failure: None,
+    };
     let mut seen = false;
     let ending = loop {
         match server.recv(Duration::from_millis(50)) {
-            Ok(Some(SidecarEvent::Message { connection, arrival, message })) => {
+            Ok(Some(SidecarEvent::Message {
+                connection,
+                arrival,
+                message,
+            })) => {
                 seen = true;
-                if recording.message(connection, arrival, message, inlet).is_err() {
+                if recording
+                    .message(connection, arrival, message, inlet)
+                    .is_err()
+                {
                     break Ending::Stopped;
                 }
-                control.progress.sidecar_messages.store(recording.report.decoded, Ordering::Relaxed);
+                control
+                    .progress
+                    .sidecar_messages
+                    .store(recording.report.decoded, Ordering::Relaxed);
             }
-            Ok(Some(SidecarEvent::Closed { connection, counters, error })) => {
+            Ok(Some(SidecarEvent::Closed {
+                connection,
+                counters,
+                error,
+            })) => {
                 recording.closed(connection, counters, error);
                 if seen && recording.apps.is_empty() {
-                    break recording.failure.take().map_or(Ending::EndOfStream, Ending::Lost);
+                    break recording
+                        .failure
+                        .take()
+                        .map_or(Ending::EndOfStream, Ending::Lost);
                 }
             }
             Ok(None) => {}
@@ -90,18 +111,36 @@ impl Sidecars {
                 let rig = rig_of(&advertised).filter(|_| !app.rig_seen);
                 let owner = app.device.clone();
                 app.rig_seen |= rig.is_some();
-                app.channels
-                    .insert(advertised.channel, Channel { advertised, clock: OneWayClock::default() });
+                app.channels.insert(
+                    advertised.channel,
+                    Channel {
+                        advertised,
+                        clock: OneWayClock::default(),
+                    },
+                );
                 match rig {
-                    Some(Ok(rig)) => inlet.put(Entry::Rig { owner, rig: Box::new(rig) }, &mut self.report)?,
+                    Some(Ok(rig)) => inlet.put(
+                        Entry::Rig {
+                            owner,
+                            rig: Box::new(rig),
+                        },
+                        &mut self.report,
+                    )?,
                     Some(Err(problem)) => self.report.notes.push(problem),
                     None => {}
                 }
             }
-            SidecarMessage::Data { channel, device_time_ns, payload, .. } => {
+            SidecarMessage::Data {
+                channel,
+                device_time_ns,
+                payload,
+                ..
+            } => {
                 self.report.received += 1;
                 // A channel whose description was refused; that is counted already.
-                let Some(channel) = app.channels.get_mut(&channel) else { return Ok(()) };
+                let Some(channel) = app.channels.get_mut(&channel) else {
+                    return Ok(());
+                };
                 let time = if channel.advertised.clock_id == CLOCK_UTC {
                     Timestamp::from_nanos(device_time_ns)
                 } else {
@@ -124,7 +163,12 @@ impl Sidecars {
         Ok(())
     }
 
-    fn closed(&mut self, connection: u64, counters: SidecarCounters, error: Option<lsfb_drivers::Error>) {
+    fn closed(
+        &mut self,
+        connection: u64,
+        counters: SidecarCounters,
+        error: Option<lsfb_drivers::Error>,
+    ) {
         let app = self.apps.remove(&connection).unwrap_or_default();
         self.report.bad += counters.bad_checksum + counters.malformed;
         // Damaged envelopes are among the missing: their numbers never came.
@@ -138,13 +182,19 @@ impl Sidecars {
 
 /// Why a channel cannot be recorded.
 fn unfit(advertised: &Advertise) -> Option<String> {
-    let Advertise { topic, encoding, .. } = advertised;
+    let Advertise {
+        topic, encoding, ..
+    } = advertised;
     if encoding != ENCODING {
-        return Some(format!("channel {topic}: encoding {encoding:?}, a recording holds {ENCODING:?} only"));
+        return Some(format!(
+            "channel {topic}: encoding {encoding:?}, a recording holds {ENCODING:?} only"
+        ));
     }
     let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '/' | '_' | '-' | '.');
     if !topic.starts_with("/sidecar/") || !topic.chars().all(allowed) {
-        return Some(format!("channel {topic:?}: the topic must begin with /sidecar/ and be plain ASCII"));
+        return Some(format!(
+            "channel {topic:?}: the topic must begin with /sidecar/ and be plain ASCII"
+        ));
     }
     None
 }

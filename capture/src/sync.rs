@@ -31,15 +31,28 @@ pub(crate) struct Groups {
 
 impl Groups {
     pub(crate) fn new(cameras: Vec<String>) -> Self {
-        Self { cameras, open: BTreeMap::new(), report: GroupReport::default() }
+        Self {
+            cameras,
+            open: BTreeMap::new(),
+            report: GroupReport::default(),
+        }
     }
 
     /// Notes an image. Cameras that belong to no group are passed over.
     pub(crate) fn note(&mut self, camera: &str, time: Timestamp) {
-        let Some(index) = self.cameras.iter().position(|c| c == camera) else { return };
+        let Some(index) = self.cameras.iter().position(|c| c == camera) else {
+            return;
+        };
         let window = time.plus_nanos(-TOLERANCE_NS)..=time.plus_nanos(TOLERANCE_NS);
-        let near = self.open.range(window).min_by_key(|(t, _)| (**t - time).abs()).map(|(t, _)| *t);
-        let seen = self.open.entry(near.unwrap_or(time)).or_insert_with(|| vec![false; self.cameras.len()]);
+        let near = self
+            .open
+            .range(window)
+            .min_by_key(|(t, _)| (**t - time).abs())
+            .map(|(t, _)| *t);
+        let seen = self
+            .open
+            .entry(near.unwrap_or(time))
+            .or_insert_with(|| vec![false; self.cameras.len()]);
         if let Some(flag) = seen.get_mut(index) {
             *flag = true;
         }
@@ -67,7 +80,11 @@ impl Groups {
         }
         self.report.incomplete += 1;
         for (camera, _) in self.cameras.iter().zip(seen).filter(|(_, seen)| !**seen) {
-            *self.report.missing_by_camera.entry(camera.clone()).or_default() += 1;
+            *self
+                .report
+                .missing_by_camera
+                .entry(camera.clone())
+                .or_default() += 1;
         }
     }
 }
@@ -89,6 +106,9 @@ mod tests {
         }
         let report = groups.finish();
         assert_eq!((report.complete, report.incomplete), (16, 4));
-        assert_eq!(report.missing_by_camera, BTreeMap::from([("cam2".to_owned(), 4)]));
+        assert_eq!(
+            report.missing_by_camera,
+            BTreeMap::from([("cam2".to_owned(), 4)])
+        );
     }
 }

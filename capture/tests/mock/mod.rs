@@ -1,0 +1,277 @@
+//! Devices that speak the real wire formats, one thread each.
+
+use std::net::{SocketAddr, UdpSocket};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use lsfb_capture::Counts;
+use lsfb_drivers::camera::model::FrameFormat;
+use lsfb_drivers::camera::wire::{
+    DeviceInfo, ImuProtocol, TimeSource, Trailer, Version, XuDevice, emit_frame,
+};
+use lsfb_drivers::imu::model::message;
+use lsfb_drivers::imu::wire::{Item, Message, OutputSetting, UtcTime, Vector};
+use lsfb_drivers::phone::model::CLOCK_UTC;
+use lsfb_drivers::phone::wire::Advertise;
+use lsfb_drivers::phone::{ClientConfig, SidecarClient};
+use lsfb_drivers::transport::camera_socket::{CameraListener, UnitRequest};
+use lsfb_drivers::transport::serial::Pty;
+use lsfb_drivers::velodyne::model::{Model, Product};
+use lsfb_drivers::velodyne::nmea::Rmc;
+use lsfb_drivers::velodyne::wire::{
+    DATA_PACKET_LEN, DataPacket, POSITION_PACKET_LEN, PositionPacket, PpsStatus, ReturnMode,
+};
+
+/// 2026-03-01T10:00:00Z, where every mock starts.
+pub const START_NS: i64 = 1_772_359_200_000_000_000;
+pub const CAMERA_PERIOD_NS: i64 = 100_000_000;
+pub const IMU_PERIOD_NS: i64 = 5_000_000;
+
+pub fn spawn<T: Send + 'static>(
+    name: &str,
+    work: impl FnOnce() -> T + Send + 'static,
+) -> JoinHandle<T> {
+    std::thread::Builder::new()
+        .name(name.to_owned())
+        .spawn(work)
+        .unwrap()
+}
+
+/// Data packet `n` of a VLP-32C at 600 rpm that sees everything at 8 m.
+pub fn lidar_packet(n: u64) -> Vec<u8> {
+    let mut packet = DataPacket::init(
+        vec![0; DATA_PACKET_LEN],
+        Product::Vlp32c,
+        ReturnMode::Strongest,
+    )
+    .unwrap();
+    let start_ns = n * u64::from(Model::Vlp32c.packet_period_ns(ReturnMode::Strongest));
+    for block in 0..12 {
+        let time_ns =
+            start_ns + u64::from(Model::Vlp32c.block_time_ns(ReturnMode::Strongest, block));
+        packet.set_azimuth_centideg(block, (time_ns * 36 / 100_000 % 36_000) as u16);
+        for channel in 0..32 {
+            packet.set_return(block, channel, 2000, n as u8);
+        }
+    }
+    packet.set_timestamp_us((start_ns / 1000) as u32);
+    packet.into_inner()
+}
+
+pub fn position_packet(toh_us: u32) -> Vec<u8> {
+    let mut packet = PositionPacket::init(vec![0; POSITION_PACKET_LEN]).unwrap();
+    packet.set_timestamp_us(toh_us);
+    packet.set_pps_status(PpsStatus::Locked);
+    let rmc = Rmc {
+        hour: 10,
+        valid: true,
+        day: 1,
+        month: 3,
+        year: 2026,
+        ..Rmc::default()
+    };
+    packet.set_nmea(rmc.emit().as_bytes()).unwrap();
+    packet.into_inner()
+}
+
+/// Sends data packets, a `pause` after each and a position packet before every 14, never more than 200 ahead of the recorder.
+pub fn send_lidar(
+    addresses: &[SocketAddr],
+    counts: &Arc<Counts>,
+    packets: u64,
+    pause: Duration,
+) -> JoinHandle<u64> {
+    let (data, position) = (addresses[0], addresses[1]);
+    let counts = Arc::clone(counts);
+    spawn("mock-lidar", move || {
+        let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+        let mut sent = 0;
+        for n in 0..packets {
+            if n % 14 == 0 {
+                socket
+                    .send_to(&position_packet((n * 664) as u32), position)
+                    .unwrap();
+                sent += 1;
+            }
+            socket.send_to(&lidar_packet(n), data).unwrap();
+            sent += 1;
+            std::thread::sleep(pause);
+            let patience = Instant::now();
+            while sent > counts.lidar_packets.load(Ordering::Relaxed) + 200 {
+                if patience.elapsed() > Duration::from_secs(5) {
+                    return sent;
+                }
+                std::thread::sleep(Duration::from_micros(100));
+            }
+        }
+        sent
+    })
+}
+
+/// How a mock's part ends.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Farewell {
+    /// It says goodbye.
+    Orderly,
+    /// It is unplugged.
+    Sudden,
+}
+
+/// A stereo unit that sends `frames`, or endlessly at its rate for `None`. Grey value: the frame's number.
+pub fn stereo_unit(
+    socket: &Path,
+    first_id: u16,
+    frames: Option<u16>,
+    farewell: Farewell,
+) -> JoinHandle<()> {
+    let listener = CameraListener::bind(socket).unwrap();
+    spawn("mock-camera", move || {
+        let info = DeviceInfo {
+            serial: "07C41A19".to_owned(),
+            spec: Version { major: 1, minor: 3 },
+            ..Default::default()
+        };
+        let mut device = XuDevice::new(info, ImuProtocol::Float);
+        let Some(mut unit) = listener.accept(Duration::from_secs(10)).unwrap() else {
+            return;
+        };
+        loop {
+            match unit.serve(&mut device, Duration::from_secs(5)) {
+                Ok(Some(UnitRequest::Start { .. })) => break,
+                Ok(_) => {}
+                Err(_) => return,
+            }
+        }
+        let mut bytes = Vec::new();
+        for n in 0..frames.unwrap_or(u16::MAX) {
+            let trailer = Trailer {
+                time_source: TimeSource::External,
+                frame_id: first_id.wrapping_add(n),
+                timestamp_us: ((START_NS + i64::from(n) * CAMERA_PERIOD_NS) / 1000) as u64,
+                exposure_steps: 50,
+                ..Trailer::default()
+            };
+            let pixels = vec![n as u8; 640 * 400];
+            emit_frame(
+                FrameFormat::S2_1280X400,
+                &pixels,
+                &pixels,
+                &trailer.with_checksum(),
+                &mut bytes,
+            )
+            .unwrap();
+            if unit.send_frame(&bytes).is_err() {
+                return;
+            }
+            if frames.is_none() {
+                std::thread::sleep(Duration::from_millis(100));
+            }
+        }
+        if farewell == Farewell::Orderly {
+            unit.finish().unwrap();
+        }
+    })
+}
+
+/// A mock IMU's line and thread.
+pub struct MockImu {
+    pub path: PathBuf,
+    pub thread: JoinHandle<()>,
+}
+
+/// An Xsens unit with UTC that sends `samples`, or endlessly at its rate for `None`; `garbage` goes in between.
+pub fn imu(samples: Option<u32>, garbage: &'static [u8]) -> MockImu {
+    let mut pty = Pty::open().unwrap();
+    let path = pty.path().to_owned();
+    let thread = spawn("mock-imu", move || {
+        let mut pending = Vec::new();
+        'configure: loop {
+            let Ok(bytes) = pty.recv(Duration::from_secs(5)) else {
+                return;
+            };
+            pending.extend(bytes.unwrap_or_default());
+            while let Ok(Some(parsed)) = Message::parse(&pending) {
+                let (id, data, len) = (parsed.message.id, parsed.message.data.to_vec(), parsed.len);
+                pending.drain(..len);
+                let answer = match id {
+                    message::REQ_DID => vec![0x03, 0x80, 0xA2, 0xC1],
+                    message::SET_OUTPUT_CONFIGURATION => {
+                        OutputSetting::emit_all(&OutputSetting::parse_all(&data).unwrap())
+                    }
+                    _ => Vec::new(),
+                };
+                let mut bytes = Vec::new();
+                Message {
+                    id: id + 1,
+                    data: &answer,
+                }
+                .emit(&mut bytes)
+                .unwrap();
+                pty.send(&bytes).unwrap();
+                if id == message::GO_TO_MEASUREMENT {
+                    break 'configure;
+                }
+            }
+        }
+        for n in 0..samples.unwrap_or(u32::MAX) {
+            let utc = UtcTime::from_unix_nanos(START_NS + i64::from(n) * IMU_PERIOD_NS).unwrap();
+            let items = [
+                Item::PacketCounter(n as u16),
+                Item::SampleTimeFine(50 * n),
+                Item::Utc(utc),
+                Item::Acceleration(Vector::single([0.0, 0.0, 9.8125])),
+                Item::RateOfTurn(Vector::single([0.0, 0.5, f64::from(n)])),
+            ];
+            let mut data = Vec::new();
+            items.iter().for_each(|item| item.emit(&mut data).unwrap());
+            let mut bytes = Vec::new();
+            Message {
+                id: message::MT_DATA2,
+                data: &data,
+            }
+            .emit(&mut bytes)
+            .unwrap();
+            if n % 100 == 50 {
+                bytes.extend_from_slice(garbage);
+            }
+            if pty.send(&bytes).is_err() {
+                return;
+            }
+            if samples.is_none() {
+                std::thread::sleep(Duration::from_millis(5));
+            }
+        }
+        pty.finish(Duration::from_secs(20)).unwrap();
+    });
+    MockImu { path, thread }
+}
+
+/// Glasses that send `messages` on a topic of their own.
+pub fn glasses(address: SocketAddr, messages: u32) -> JoinHandle<()> {
+    spawn("mock-glasses", move || {
+        let config = ClientConfig {
+            address,
+            device: "visor".to_owned(),
+            ..ClientConfig::default()
+        };
+        let mut client = SidecarClient::connect(config).unwrap();
+        let advertise = Advertise {
+            channel: 3,
+            topic: "/sidecar/visor/note".to_owned(),
+            encoding: "cdr".to_owned(),
+            schema_name: "std_msgs/msg/UInt32".to_owned(),
+            schema: b"uint32 data".to_vec(),
+            clock_id: CLOCK_UTC.to_owned(),
+            metadata_json: String::new(),
+        };
+        client.advertise(&advertise).unwrap();
+        for n in 0..messages {
+            let payload = [&[0, 1, 0, 0][..], &n.to_le_bytes()].concat();
+            client.send(3, START_NS + i64::from(n), &payload).unwrap();
+        }
+        client.bye().unwrap();
+    })
+}

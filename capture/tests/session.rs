@@ -1,0 +1,373 @@
+//! Whole sessions against devices that speak the real wire formats.
+
+#![allow(
+    clippy::unwrap_used,
+    reason = "a test file as a whole; clippy.toml only spares #[test] functions"
+)]
+
+mod mock;
+
+use std::net::SocketAddr;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use lsfb_capture::{
+    CameraUnitConfig, CaptureReport, DevicesConfig, Ending, ImuLineConfig, LidarNetConfig,
+    Overflow, Session, SidecarConfig, StreamReport,
+};
+use lsfb_recording::{LIDAR_POSITION, Recording};
+use lsfb_types::no_progress;
+use mock::{CAMERA_PERIOD_NS, Farewell, IMU_PERIOD_NS, START_NS};
+
+const LOOPBACK: SocketAddr =
+    SocketAddr::new(std::net::IpAddr::V4(std::net::Ipv4Addr::LOCALHOST), 0);
+
+fn unit(path: &Path, names: [&str; 2]) -> CameraUnitConfig {
+    CameraUnitConfig {
+        path: path.to_owned(),
+        serial: String::new(),
+        names: names.map(str::to_owned),
+        frame_px: [1280, 400],
+        rate_hz: 10,
+    }
+}
+
+fn line(path: &Path) -> ImuLineConfig {
+    ImuLineConfig {
+        path: path.to_owned(),
+        baud: 921_600,
+        rate_hz: 200,
+    }
+}
+
+fn stream<'a>(report: &'a CaptureReport, name: &str) -> &'a StreamReport {
+    report
+        .streams
+        .iter()
+        .find(|stream| stream.name == name)
+        .unwrap()
+}
+
+fn run(session: Session, out: &Path) -> CaptureReport {
+    session
+        .run(out, &AtomicBool::new(false), &no_progress)
+        .unwrap()
+}
+
+#[test]
+fn every_packet_of_every_device_is_in_the_recording() {
+    const LIDAR_PACKETS: u64 = 1_500;
+    const FRAMES: u16 = 12;
+    const SAMPLES: u32 = 400;
+    const NOTES: u32 = 70;
+    let folder = tempfile::tempdir().unwrap();
+    let (front, rear) = (folder.path().join("front"), folder.path().join("rear"));
+    let units = [
+        mock::stereo_unit(&front, 65_530, Some(FRAMES), Farewell::Orderly),
+        mock::stereo_unit(&rear, 7, Some(FRAMES), Farewell::Orderly),
+    ];
+    let imu = mock::imu(Some(SAMPLES), &[]);
+    let config = DevicesConfig {
+        overflow: Overflow::Wait,
+        lidar: Some(LidarNetConfig {
+            data: LOOPBACK,
+            position: LOOPBACK,
+        }),
+        cameras: vec![
+            unit(&front, ["cam0", "cam1"]),
+            unit(&rear, ["cam2", "cam3"]),
+        ],
+        imu: Some(line(&imu.path)),
+        sidecar: Some(SidecarConfig { listen: LOOPBACK }),
+        ..DevicesConfig::default()
+    };
+    let session = Session::open(&config).unwrap();
+    let lidar = mock::send_lidar(
+        &session.lidar_addresses(),
+        &session.counts(),
+        LIDAR_PACKETS,
+        Duration::ZERO,
+    );
+    let glasses = mock::glasses(session.sidecar_address().unwrap(), NOTES);
+    let out = folder.path().join("scan.mcap");
+    let report = run(session, &out);
+    assert_eq!(
+        lidar.join().unwrap(),
+        LIDAR_PACKETS + LIDAR_PACKETS.div_ceil(14)
+    );
+    glasses.join().unwrap();
+    imu.thread.join().unwrap();
+    units.into_iter().for_each(|unit| unit.join().unwrap());
+
+    assert_eq!(report.lost, 0, "{report:?}");
+    assert!(
+        report
+            .streams
+            .iter()
+            .all(|stream| stream.ending == Ending::EndOfStream),
+        "{report:?}"
+    );
+    assert_eq!(
+        (report.groups.complete, report.groups.incomplete),
+        (u64::from(FRAMES), 0)
+    );
+
+    let recording = Recording::open(&out).unwrap();
+    assert!(recording.damage().is_empty());
+    let packets: Vec<_> = recording
+        .packets("lidar/packets")
+        .unwrap()
+        .map(Result::unwrap)
+        .collect();
+    assert_eq!(packets.len() as u64, LIDAR_PACKETS);
+    for (n, packet) in packets.iter().enumerate() {
+        assert_eq!(packet.packet.bytes, mock::lidar_packet(n as u64));
+    }
+    let positions: Vec<_> = recording
+        .packets(LIDAR_POSITION)
+        .unwrap()
+        .map(Result::unwrap)
+        .collect();
+    assert_eq!(positions.len() as u64, LIDAR_PACKETS.div_ceil(14));
+    assert_eq!(positions[1].packet.bytes, mock::position_packet(14 * 664));
+    assert_eq!(positions[1].time.nanos(), START_NS + 14 * 664_000);
+
+    // Ten turns a second from the top of the hour: scans begin at the tenths, whenever the packets arrived.
+    let scans: Vec<_> = recording.scans().unwrap().map(Result::unwrap).collect();
+    assert_eq!(scans.len(), 10);
+    assert_eq!(
+        scans
+            .iter()
+            .map(|scan| scan.sample.points.len() as u64)
+            .sum::<u64>(),
+        LIDAR_PACKETS * 384
+    );
+    for (n, scan) in scans.iter().enumerate() {
+        let late_ns = scan.time.nanos() - START_NS - n as i64 * 100_000_000;
+        assert!((0..56_000).contains(&late_ns), "scan {n}: {late_ns}");
+        assert!((scan.sample.points[0].position_m[0] - 8.0).abs() < 1.0);
+    }
+
+    for camera in ["cam0", "cam1", "cam2", "cam3"] {
+        let images: Vec<_> = recording
+            .images(camera)
+            .unwrap()
+            .map(Result::unwrap)
+            .collect();
+        assert_eq!(images.len(), usize::from(FRAMES));
+        for (n, image) in images.iter().enumerate() {
+            assert_eq!(image.time.nanos(), START_NS + n as i64 * CAMERA_PERIOD_NS);
+            assert_eq!((image.sample.width, image.sample.height), (640, 400));
+            assert_eq!(image.sample.exposure_ns, 5_000_000);
+            assert!(image.sample.pixels.iter().all(|grey| *grey == n as u8));
+        }
+    }
+    let samples: Vec<_> = recording.imu().unwrap().map(Result::unwrap).collect();
+    assert_eq!(samples.len(), SAMPLES as usize);
+    for (n, sample) in samples.iter().enumerate() {
+        assert_eq!(sample.time.nanos(), START_NS + n as i64 * IMU_PERIOD_NS);
+        assert_eq!(sample.device_ticks, 50 * n as u64);
+        assert_eq!(sample.sample.angular_velocity_rad_s, [0.0, 0.5, n as f64]);
+        assert_eq!(sample.sample.specific_force_m_s2, [0.0, 0.0, 9.8125]);
+    }
+    let notes: Vec<_> = recording
+        .messages("/sidecar/visor/note")
+        .unwrap()
+        .map(Result::unwrap)
+        .collect();
+    assert_eq!(notes.len(), NOTES as usize);
+    for (n, note) in notes.iter().enumerate() {
+        assert_eq!(note.time.nanos(), START_NS + n as i64);
+        assert_eq!(note.bytes[4..], (n as u32).to_le_bytes());
+    }
+    let health: serde_json::Value =
+        serde_json::from_slice(&recording.attachment("health.json").unwrap()).unwrap();
+    assert_eq!(health["streams"].as_array().unwrap().len(), 5);
+}
+
+#[test]
+fn a_stop_closes_the_file_within_200_ms() {
+    // A busy machine may delay any one attempt.
+    let attempts: Vec<Duration> = (0..3)
+        .map(|_| stopped_session())
+        .take_while(|took| took.as_millis() >= 200)
+        .collect();
+    assert!(attempts.len() < 3, "{attempts:?}");
+}
+
+/// Runs a session of every kind of device, stops it, checks what was recorded, and tells how long closing took.
+fn stopped_session() -> Duration {
+    let folder = tempfile::tempdir().unwrap();
+    let front = folder.path().join("front");
+    let unit_thread = mock::stereo_unit(&front, 0, None, Farewell::Sudden);
+    let imu = mock::imu(None, &[]);
+    let config = DevicesConfig {
+        lidar: Some(LidarNetConfig {
+            data: LOOPBACK,
+            position: LOOPBACK,
+        }),
+        cameras: vec![unit(&front, ["cam0", "cam1"])],
+        imu: Some(line(&imu.path)),
+        sidecar: Some(SidecarConfig { listen: LOOPBACK }),
+        ..DevicesConfig::default()
+    };
+    let session = Session::open(&config).unwrap();
+    let lidar = mock::send_lidar(
+        &session.lidar_addresses(),
+        &session.counts(),
+        1_000_000,
+        Duration::from_micros(663),
+    );
+    let out = folder.path().join("scan.mcap");
+    let stop = AtomicBool::new(false);
+    let (report, took) = std::thread::scope(|scope| {
+        let running = std::thread::Builder::new()
+            .name("session".to_owned())
+            .spawn_scoped(scope, || session.run(&out, &stop, &no_progress).unwrap())
+            .unwrap();
+        std::thread::sleep(Duration::from_millis(800));
+        stop.store(true, Ordering::Release);
+        let asked = Instant::now();
+        let report = running.join().unwrap();
+        (report, asked.elapsed())
+    });
+    let recording = Recording::open(&out).unwrap();
+    assert!(recording.damage().is_empty());
+    assert_eq!(
+        recording.images("cam1").unwrap().count() as u64,
+        stream(&report, "cam0+cam1").decoded / 2
+    );
+    assert_eq!(
+        recording.imu().unwrap().count() as u64,
+        stream(&report, "imu0").decoded
+    );
+    assert!(recording.scans().unwrap().count() > 3);
+    assert!(stream(&report, "imu0").decoded > 50, "{report:?}");
+    // The glasses never came; that is no device of this rig gone wrong, but it is named.
+    assert!(
+        matches!(&stream(&report, "sidecar").ending, Ending::Lost(why) if why.contains("sidecar"))
+    );
+    drop((lidar, unit_thread, imu));
+    took
+}
+
+#[test]
+fn devices_that_go_away_send_garbage_or_nothing_are_named_and_the_rest_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let (front, rear) = (folder.path().join("front"), folder.path().join("rear"));
+    let units = [
+        mock::stereo_unit(&front, 0, Some(4), Farewell::Sudden),
+        mock::stereo_unit(&rear, 0, Some(30), Farewell::Orderly),
+    ];
+    // A preamble that leads nowhere, and then some.
+    let imu = mock::imu(Some(1_000), &[0xFA, 0xFF, 0x36, 0x04, 1, 2, 3, 4, 5]);
+    let config = DevicesConfig {
+        overflow: Overflow::Wait,
+        lidar: Some(LidarNetConfig {
+            data: LOOPBACK,
+            position: LOOPBACK,
+        }),
+        cameras: vec![
+            unit(&front, ["cam0", "cam1"]),
+            unit(&rear, ["cam2", "cam3"]),
+        ],
+        imu: Some(line(&imu.path)),
+        ..DevicesConfig::default()
+    };
+    let out = folder.path().join("scan.mcap");
+    let report = run(Session::open(&config).unwrap(), &out);
+    units.into_iter().for_each(|unit| unit.join().unwrap());
+    imu.thread.join().unwrap();
+
+    assert!(
+        matches!(&stream(&report, "cam0+cam1").ending, Ending::Lost(why) if why.contains("front")),
+        "{report:?}"
+    );
+    assert_eq!(stream(&report, "cam2+cam3").ending, Ending::EndOfStream);
+    assert_eq!(stream(&report, "cam2+cam3").decoded, 60);
+    assert_eq!((report.groups.complete, report.groups.incomplete), (4, 26));
+    let imu = stream(&report, "imu0");
+    assert_eq!((imu.decoded, imu.missing), (1_000, 0));
+    assert_eq!(imu.bad, 10, "{imu:?}");
+    // The LiDAR's cable was never plugged in.
+    assert!(
+        matches!(&stream(&report, "lidar").ending, Ending::Lost(why) if why.contains("sent nothing"))
+    );
+    assert!(report.lost >= 3);
+    let recording = Recording::open(&out).unwrap();
+    assert_eq!(recording.images("cam3").unwrap().count(), 30);
+    assert_eq!(recording.imu().unwrap().count(), 1_000);
+}
+
+#[test]
+fn lost_and_strange_datagrams_are_counted_and_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let imu = mock::imu(Some(600), &[]);
+    let config = DevicesConfig {
+        lidar: Some(LidarNetConfig {
+            data: LOOPBACK,
+            position: LOOPBACK,
+        }),
+        imu: Some(line(&imu.path)),
+        ..DevicesConfig::default()
+    };
+    let session = Session::open(&config).unwrap();
+    let addresses = session.lidar_addresses();
+    let socket = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+    socket
+        .send_to(&mock::position_packet(0), addresses[1])
+        .unwrap();
+    for n in (0..400).filter(|n| !(100..103).contains(n)) {
+        socket
+            .send_to(&mock::lidar_packet(n), addresses[0])
+            .unwrap();
+    }
+    socket.send_to(b"hello", addresses[0]).unwrap();
+    let out = folder.path().join("scan.mcap");
+    let report = run(session, &out);
+    let lidar = stream(&report, "lidar");
+    assert_eq!(
+        (lidar.received, lidar.missing, lidar.bad),
+        (399, 3, 1),
+        "{report:?}"
+    );
+    assert!(
+        lidar.first_bad.as_ref().unwrap().contains("5 bytes"),
+        "{lidar:?}"
+    );
+    let recording = Recording::open(&out).unwrap();
+    assert_eq!(recording.packets("lidar/packets").unwrap().count(), 397);
+    let strange: Vec<_> = recording
+        .packets("lidar")
+        .unwrap()
+        .map(Result::unwrap)
+        .collect();
+    assert_eq!(strange[0].packet.bytes, b"hello");
+}
+
+#[test]
+fn a_recording_of_a_process_that_was_killed_opens() {
+    let folder = tempfile::tempdir().unwrap();
+    let imu = mock::imu(None, &[]);
+    let config = DevicesConfig {
+        imu: Some(line(&imu.path)),
+        ..DevicesConfig::default()
+    };
+    let session = Session::open(&config).unwrap();
+    let out = folder.path().join("scan.mcap");
+    let stop = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        std::thread::Builder::new()
+            .name("session".to_owned())
+            .spawn_scoped(scope, || session.run(&out, &stop, &no_progress).unwrap())
+            .unwrap();
+        std::thread::sleep(Duration::from_millis(1_700));
+        // What a kill leaves behind is what is in the file now.
+        let torn = folder.path().join("torn.mcap");
+        std::fs::copy(&out, &torn).unwrap();
+        stop.store(true, Ordering::Release);
+        let recording = Recording::open(&torn).unwrap();
+        assert!(recording.imu().unwrap().filter(Result::is_ok).count() > 100);
+    });
+}
