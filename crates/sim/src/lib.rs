@@ -3,11 +3,39 @@
 //! A furnished room opens into a corridor; a backpack scanner and a pair of AR glasses walk through it on smooth
 //! motions known exactly. Everything comes from one seed and is the same on any number of threads.
 //!
+//! - [`Simulation`] holds the [`World`] and two [`RigSim`]: what the sensors of the backpack and of the glasses measure,
+//!   asked for one by one.
+//! - [`SimSession`] runs the devices that send the same measurements in their wire formats, to a host that cannot tell
+//!   them from real ones: a VLP-32C over UDP, two Mynt units through camera sockets, an Xsens IMU on a pseudo-terminal,
+//!   and glasses through the sidecar stream.
+//! - The truth is written by [`Simulation::write_truth`] into files of its own. No device sends it.
+//!
+//! Times are on the simulation's own calendar, from [`EPOCH`] and [`GLASSES_EPOCH`] on, never the host's clock.
+//!
 //! ```
 //! use lsfb_sim::{SimConfig, Simulation};
 //! let simulation = Simulation::new(&SimConfig::tiny(), &lsfb_types::no_progress)?;
 //! let image = simulation.scan().image(simulation.world(), 0, 3).expect("cam0");
 //! assert_eq!(image.sample.width, 160);
+//! # Ok::<(), lsfb_sim::Error>(())
+//! ```
+//!
+//! With devices, the host listening first:
+//!
+//! ```no_run
+//! # use std::sync::{Arc, atomic::AtomicU64};
+//! use lsfb_sim::{FlowControl, Pace, ScanEndpoints, SimConfig, SimSession, Simulation};
+//! let simulation = Arc::new(Simulation::new(&SimConfig::default(), &lsfb_types::no_progress)?);
+//! let received = Arc::new(AtomicU64::new(0)); // the host counts the LiDAR's datagrams here
+//! let endpoints = ScanEndpoints {
+//!     lidar_data: ([127, 0, 0, 1], 2368).into(),
+//!     lidar_position: ([127, 0, 0, 1], 8308).into(),
+//!     camera_sockets: ["front.sock".into(), "back.sock".into()],
+//! };
+//! let flow = FlowControl::new(Arc::clone(&received));
+//! let session = SimSession::start_scan(&simulation, &endpoints, Pace::Unlimited, Some(flow))?;
+//! println!("the IMU is at {:?}", session.imu_path());
+//! let sent = session.join(&lsfb_types::no_progress)?;
 //! # Ok::<(), lsfb_sim::Error>(())
 //! ```
 

@@ -205,4 +205,14 @@ mod tests {
         clock.stop();
         assert_eq!(waiting.join().expect("no panic"), Turn::Stop);
     }
+
+    #[test]
+    fn real_time_is_not_outrun() {
+        let clock = SimClock::new(1, 100, Pace::RealTimes(2.0));
+        assert_eq!(clock.reach(0, 0), Turn::Go);
+        let began = Instant::now();
+        assert_eq!(clock.poll(0, 20_000_000), Readiness::Early);
+        assert_eq!(clock.reach(0, 20_000_000), Turn::Go);
+        assert!(began.elapsed() >= Duration::from_micros(9_900));
+    }
 }

@@ -26,8 +26,6 @@ const PACKETS_PER_POSITION: u64 = 14;
 /// A GPS receiver's sentence names the second that has begun, and is complete this long after its pulse.
 const SENTENCE_DELAY_NS: i64 = 300_000_000;
 const HOUR_US: i64 = 3_600_000_000;
-/// A host that takes no packet for this long is gone.
-const HOST_TIMEOUT: Duration = Duration::from_secs(30);
 const NAP: Duration = Duration::from_micros(200);
 
 /// Keeps a stream of datagrams, which nothing else holds back, from overrunning its host.
@@ -37,14 +35,17 @@ pub struct FlowControl {
     pub received: Arc<AtomicU64>,
     /// Datagrams that may be under way.
     pub window: u64,
+    /// A host that counts no further for this long is gone.
+    pub patience: Duration,
 }
 
 impl FlowControl {
-    /// At most 64 datagrams under way.
+    /// At most 64 datagrams under way; half a minute of patience.
     pub fn new(received: Arc<AtomicU64>) -> Self {
         Self {
             received,
             window: 64,
+            patience: Duration::from_secs(30),
         }
     }
 }
@@ -124,7 +125,7 @@ impl LidarDevice {
                 let now = flow.received.load(Ordering::Acquire);
                 if now != seen {
                     (seen, since) = (now, Instant::now());
-                } else if since.elapsed() > HOST_TIMEOUT {
+                } else if since.elapsed() > flow.patience {
                     return Err(Error::Stalled {
                         device: "LiDAR",
                         sent: self.sent,

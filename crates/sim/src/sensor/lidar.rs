@@ -11,7 +11,7 @@ use crate::config::LidarConfig;
 use crate::noise::{gaussian, hash, unit};
 use crate::walk::Walk;
 use crate::world::vector::dot;
-use crate::world::{LANES, NO_FACET, RayPacket, World};
+use crate::world::{LANES, NO_FACET, Origin, RayPacket, World};
 
 /// The sensor's constants.
 const TABLE: &ModelTable = Model::Vlp32c.table();
@@ -112,7 +112,7 @@ impl LidarSim {
                     }
                 }
                 let hit = world.cast_packet(&RayPacket {
-                    origin: origin.map(f32x8::new),
+                    origin: Origin::Each(origin.map(f32x8::new)),
                     direction: direction.map(f32x8::new),
                 });
                 let distance = hit.distance.to_array();

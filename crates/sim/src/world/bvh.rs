@@ -3,7 +3,8 @@
 use wide::f32x8;
 
 use super::facet::Facet;
-use super::ray::{LANES, NO_FACET, PacketHit, RayPacket};
+use super::packet::{Prepared, largest};
+use super::ray::{LANES, NO_FACET, Origin, PacketHit, RayPacket};
 
 /// Facets per leaf at most, unless they cannot be told apart by their centres.
 const LEAF_FACETS: usize = 4;
@@ -12,13 +13,11 @@ const BINS: usize = 16;
 const NODE_COST: f32 = 1.0;
 /// Deep enough for any tree over 2³² facets that halves at least now and then; deeper branches become leaves.
 const MAX_DEPTH: usize = 48;
-/// Facets reach this much over their outline, so that no ray slips between neighbours.
-const EDGE_SLACK: f32 = 1e-5;
-
+/// An axis-aligned box.
 #[derive(Clone, Copy, Debug)]
-struct Bounds {
-    min: [f32; 3],
-    max: [f32; 3],
+pub(super) struct Bounds {
+    pub min: [f32; 3],
+    pub max: [f32; 3],
 }
 
 impl Bounds {
@@ -83,10 +82,18 @@ impl Bvh {
 
     /// The nearest facet hit by each ray, seen from its front, closer than `limit`.
     pub(crate) fn cast(&self, facets: &[Facet], rays: &RayPacket, limit: f32x8) -> PacketHit {
-        let tiny = f32x8::splat(1e-12);
-        let inverse = rays
-            .direction
-            .map(|d| f32x8::splat(1.0) / d.abs().simd_lt(tiny).bitselect(tiny, d));
+        match rays.origin {
+            Origin::Shared(_) => self.traverse(facets, &Prepared::<true>::new(rays), limit),
+            Origin::Each(_) => self.traverse(facets, &Prepared::<false>::new(rays), limit),
+        }
+    }
+
+    fn traverse<const SHARED: bool>(
+        &self,
+        facets: &[Facet],
+        rays: &Prepared<SHARED>,
+        limit: f32x8,
+    ) -> PacketHit {
         let mut best = limit;
         let mut found = [NO_FACET; LANES];
         let mut stack = [(0_u32, 0.0_f32); MAX_DEPTH + 2];
@@ -96,14 +103,25 @@ impl Bvh {
         loop {
             let node = &self.nodes[current as usize];
             if node.count > 0 {
-                for index in node.first..node.first + node.count {
-                    test_facet(&facets[index as usize], index, rays, &mut best, &mut found);
+                let first = node.first as usize;
+                for (k, facet) in facets[first..first + node.count as usize]
+                    .iter()
+                    .enumerate()
+                {
+                    let mask = rays.meet(facet, &mut best);
+                    if mask != 0 {
+                        for (lane, slot) in found.iter_mut().enumerate() {
+                            if mask >> lane & 1 == 1 {
+                                *slot = (first + k) as u32;
+                            }
+                        }
+                    }
                 }
                 farthest = largest(best);
             } else {
                 let (left, right) = (node.first, node.first + 1);
-                let near_left = entry(&self.nodes[left as usize].bounds, rays, &inverse, best);
-                let near_right = entry(&self.nodes[right as usize].bounds, rays, &inverse, best);
+                let near_left = rays.enter(&self.nodes[left as usize].bounds, best);
+                let near_right = rays.enter(&self.nodes[right as usize].bounds, best);
                 match (near_left, near_right) {
                     (Some(l), Some(r)) => {
                         let (near, far, far_entry) = if l <= r {
@@ -140,78 +158,6 @@ impl Bvh {
                     break;
                 }
             }
-        }
-    }
-}
-
-fn largest(v: f32x8) -> f32 {
-    v.to_array().into_iter().fold(0.0, f32::max)
-}
-
-/// Smallest distance at which a ray enters the box; `None` if no ray does before its best hit.
-#[inline(always)]
-fn entry(bounds: &Bounds, rays: &RayPacket, inverse: &[f32x8; 3], best: f32x8) -> Option<f32> {
-    let mut enter = f32x8::splat(0.0);
-    let mut leave = best;
-    for (i, inverse) in inverse.iter().enumerate() {
-        let a = (f32x8::splat(bounds.min[i]) - rays.origin[i]) * *inverse;
-        let b = (f32x8::splat(bounds.max[i]) - rays.origin[i]) * *inverse;
-        enter = enter.fast_max(a.fast_min(b));
-        leave = leave.fast_min(a.fast_max(b));
-    }
-    let inside = enter.simd_le(leave);
-    if inside.to_bitmask() == 0 {
-        return None;
-    }
-    let masked = inside.bitselect(enter, f32x8::splat(f32::INFINITY));
-    Some(masked.to_array().into_iter().fold(f32::INFINITY, f32::min))
-}
-
-#[inline(always)]
-fn dot8(a: &[f32; 3], b: &[f32x8; 3]) -> f32x8 {
-    f32x8::splat(a[0]) * b[0] + f32x8::splat(a[1]) * b[1] + f32x8::splat(a[2]) * b[2]
-}
-
-#[inline(always)]
-fn test_facet(
-    facet: &Facet,
-    index: u32,
-    rays: &RayPacket,
-    best: &mut f32x8,
-    found: &mut [u32; LANES],
-) {
-    let zero = f32x8::splat(0.0);
-    let slope = dot8(&facet.normal, &rays.direction);
-    let height = f32x8::splat(facet.offset) - dot8(&facet.normal, &rays.origin);
-    // The origin must lie in front (height < 0) and the ray come down on it (slope < 0).
-    let facing = slope.simd_lt(zero) & height.simd_lt(zero);
-    if facing.to_bitmask() == 0 {
-        return;
-    }
-    let distance = height / slope;
-    let closer = facing & distance.simd_lt(*best);
-    if closer.to_bitmask() == 0 {
-        return;
-    }
-    let point: [f32x8; 3] = std::array::from_fn(|i| rays.origin[i] + distance * rays.direction[i]);
-    let a = dot8(&facet.dual_a, &point) - f32x8::splat(facet.dual_a_offset);
-    let b = dot8(&facet.dual_b, &point) - f32x8::splat(facet.dual_b_offset);
-    let low = f32x8::splat(-EDGE_SLACK);
-    let high = f32x8::splat(1.0 + EDGE_SLACK);
-    let inside = closer
-        & a.simd_ge(low)
-        & b.simd_ge(low)
-        & a.simd_le(high)
-        & b.simd_le(high)
-        & (a + b).simd_le(f32x8::splat(facet.sum_limit));
-    let mask = inside.to_bitmask();
-    if mask == 0 {
-        return;
-    }
-    *best = inside.bitselect(distance, *best);
-    for (lane, slot) in found.iter_mut().enumerate() {
-        if mask >> lane & 1 == 1 {
-            *slot = index;
         }
     }
 }

@@ -12,6 +12,7 @@ mod furniture;
 mod light;
 mod material;
 mod mesh;
+mod packet;
 mod ray;
 mod room;
 pub(crate) mod vector;
@@ -26,7 +27,7 @@ use atlas::Atlas;
 use bvh::Bvh;
 pub use facet::{Facet, Outline};
 use light::LightGrid;
-pub use ray::{LANES, NO_FACET, PacketHit, RayPacket};
+pub use ray::{LANES, NO_FACET, Origin, PacketHit, RayPacket};
 pub use room::FloorPlan;
 use vector::norm;
 

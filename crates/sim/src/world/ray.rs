@@ -5,11 +5,20 @@ use wide::f32x8;
 /// Rays in one packet.
 pub const LANES: usize = 8;
 
+/// Where the rays of a packet start, metres in the world.
+#[derive(Clone, Copy, Debug)]
+pub enum Origin {
+    /// All at one point.
+    Shared([f32; 3]),
+    /// Each at its own.
+    Each([f32x8; 3]),
+}
+
 /// Eight rays; coherent ones are cheap, any are right.
 #[derive(Clone, Copy, Debug)]
 pub struct RayPacket {
-    /// Origins, metres in the world.
-    pub origin: [f32x8; 3],
+    /// Where they start.
+    pub origin: Origin,
     /// Directions; distances count in their lengths.
     pub direction: [f32x8; 3],
 }
@@ -18,7 +27,7 @@ impl RayPacket {
     /// Eight rays from one point.
     pub fn from_point(origin: [f32; 3], direction: [f32x8; 3]) -> Self {
         Self {
-            origin: origin.map(f32x8::splat),
+            origin: Origin::Shared(origin),
             direction,
         }
     }

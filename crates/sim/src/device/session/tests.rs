@@ -374,3 +374,25 @@ fn a_session_without_host_stops_at_once() {
     assert!(began.elapsed() < Duration::from_secs(5));
     assert!(!folder.path().join("a").exists());
 }
+
+#[test]
+fn a_lidar_whose_host_stops_reading_says_so() {
+    let nowhere = (Ipv4Addr::LOCALHOST, 9).into();
+    let flow = FlowControl {
+        patience: Duration::from_millis(20),
+        ..FlowControl::new(Arc::default())
+    };
+    let lidar = LidarDevice::new(nowhere, nowhere, Some(flow)).expect("port");
+    let clock = SimClock::new(1, SKEW_NS, Pace::Unlimited);
+    let error = lidar
+        .run(&simulation(), &clock, 0)
+        .expect_err("nobody reads");
+    assert!(matches!(
+        error,
+        Error::Stalled {
+            sent: 64,
+            received: 0,
+            ..
+        }
+    ));
+}
