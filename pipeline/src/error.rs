@@ -147,6 +147,18 @@ pub enum Error {
         /// Fewest that must be found.
         needed: usize,
     },
+    /// Places found in the map contradict the IMU and one another.
+    #[error(
+        "{path}: {rejected} of {localized} places found in the map contradict the IMU: is it the map of this place, and do cameras and IMU of the rig file belong to this device?", path = path.display()
+    )]
+    MapDisagrees {
+        /// The recording.
+        path: PathBuf,
+        /// Images found in the map.
+        localized: usize,
+        /// Of these, refused.
+        rejected: usize,
+    },
     /// A problem could not be solved.
     #[error(transparent)]
     Solver(#[from] lsfb_solver::Error),

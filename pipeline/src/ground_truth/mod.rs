@@ -27,6 +27,7 @@ pub use run::ground_truth;
 
 use crate::Error;
 use crate::features::Features;
+use inertial::InertialStart;
 use local_points::{LocalTracks, MatchableImage};
 use optimization::{Optimized, drop_outliers, optimize};
 use walk::{State, Walk};
@@ -44,19 +45,18 @@ pub struct GroundTruth {
 struct Solved {
     states: Vec<State>,
     last: Optimized,
-    rejected_localizations: usize,
     second_chance: usize,
     outliers: usize,
 }
 
-/// Solves a walk whose images have been localized; `features` are numbered `frame * cameras + camera`.
+/// Solves a walk from its first states; `features` are numbered `frame * cameras + camera`.
 fn solve_walk(
     walk: &mut Walk,
+    start: &InertialStart,
     features: &[Features],
     config: &GroundTruthConfig,
     progress: ProgressFn<'_>,
 ) -> Result<Solved, Error> {
-    let start = inertial::start_states(walk, config)?;
     let images: Vec<MatchableImage> = features
         .iter()
         .enumerate()
@@ -83,7 +83,6 @@ fn solve_walk(
     Ok(Solved {
         states: last.states.clone(),
         last,
-        rejected_localizations: start.rejected_localizations,
         second_chance,
         outliers,
     })

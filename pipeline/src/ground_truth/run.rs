@@ -8,6 +8,7 @@ use lsfb_types::{Progress, ProgressFn};
 use rayon::prelude::*;
 
 use super::frames::{FeatureFrame, read_frames, read_imu};
+use super::inertial::start_states;
 use super::report::{local_errors, map_errors};
 use super::walk::{FixedObservation, Frame, State, Walk};
 use super::{GroundTruth, GroundTruthConfig, GroundTruthReport, Solved, Span, solve_walk};
@@ -64,7 +65,17 @@ pub fn ground_truth(
         imu,
         noise: inflated(noise, config.imu_noise_factor),
     };
-    let solved = solve_walk(&mut walk, &features, config, progress)?;
+    let start = start_states(&mut walk, config)?;
+    let rejected = start.rejected_localizations;
+    // Places found by chance contradict one another: most of them is no longer chance.
+    if 2 * rejected > count || count - rejected < config.min_localized_frames {
+        return Err(Error::MapDisagrees {
+            path: recording.path().to_owned(),
+            localized: count,
+            rejected,
+        });
+    }
+    let solved = solve_walk(&mut walk, &start, &features, config, progress)?;
 
     let trusted = trusted(&walk, &solved.states, config);
     let trajectory = Trajectory::new(trusted.poses.clone());
@@ -72,6 +83,7 @@ pub fn ground_truth(
     report.frames = read.frames.len() as u64;
     report.features = read.frames.iter().map(FeatureFrame::feature_count).sum();
     report.localized = count as u64;
+    report.rejected_localizations = rejected as u64;
     warn(&mut report, &read.frames, &range, read.damaged);
     Ok(GroundTruth { trajectory, report })
 }
@@ -209,7 +221,7 @@ fn report(
         frames: 0,
         features: 0,
         localized: 0,
-        rejected_localizations: solved.rejected_localizations as u64,
+        rejected_localizations: 0,
         poses: trusted.poses.len() as u64,
         bridged: trusted.bridged as u64,
         left_out: trusted.left_out.clone(),

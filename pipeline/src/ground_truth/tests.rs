@@ -1,5 +1,7 @@
 //! A walk made up in memory: true motion, IMU, points with descriptors, and all the mistakes a real one has.
 
+mod recorded;
+
 use std::sync::Arc;
 
 use lsfb_geometry::{
@@ -9,6 +11,7 @@ use lsfb_types::{ImuSample, Stamped, Timestamp, no_progress};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use super::inertial::start_states;
 use super::run::trusted;
 use super::walk::{FixedObservation, Frame, Walk};
 use super::*;
@@ -228,13 +231,14 @@ fn a_walk_with_wrong_matches_false_places_and_a_blind_stretch() {
     }
     let before: usize = walk.frames.iter().map(|f| f.fixed.len()).sum();
     let config = GroundTruthConfig::default();
-    let solved = solve_walk(&mut walk, &features, &config, &no_progress).expect("solves");
+    let start = start_states(&mut walk, &config).expect("starts");
+    let solved = solve_walk(&mut walk, &start, &features, &config, &no_progress).expect("solves");
 
     let found = errors(&walk, &solved.states);
     assert!(found.rms_m < 0.002, "rms {} m", found.rms_m);
     assert!(found.worst_m < 0.006, "worst {} m", found.worst_m);
     assert!(found.worst_rad < 0.003, "worst {} rad", found.worst_rad);
-    assert_eq!(solved.rejected_localizations, 2);
+    assert_eq!(start.rejected_localizations, 2);
     assert!(solved.outliers > 50, "{} outliers", solved.outliers);
     assert!(
         solved.last.points.len() > 50,
@@ -275,7 +279,8 @@ fn local_points_and_imu_carry_a_stretch_the_map_does_not_know() {
         }
     }
     let config = GroundTruthConfig::default();
-    let solved = solve_walk(&mut walk, &features, &config, &no_progress).expect("solves");
+    let start = start_states(&mut walk, &config).expect("starts");
+    let solved = solve_walk(&mut walk, &start, &features, &config, &no_progress).expect("solves");
     let found = errors(&walk, &solved.states);
     assert!(found.worst_m < 0.1, "worst {} m after 4 s", found.worst_m);
 
@@ -298,7 +303,8 @@ fn same_bits_on_any_number_of_threads() {
             walk.frames.truncate(30);
             let config = GroundTruthConfig::default();
             let features = &features[..60];
-            solve_walk(&mut walk, features, &config, &no_progress)
+            let start = start_states(&mut walk, &config).expect("starts");
+            solve_walk(&mut walk, &start, features, &config, &no_progress)
                 .expect("solves")
                 .states
         })

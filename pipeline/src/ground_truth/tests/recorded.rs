@@ -1,0 +1,225 @@
+//! The stage on files: images of a painted room, a map made from some of them, and what is wrong with a walk.
+
+use std::path::Path;
+
+use lsfb_geometry::{Rig, StampedPose};
+use lsfb_recording::{Recording, Writer, WriterConfig};
+use lsfb_types::Image;
+
+use super::*;
+use crate::features::{SiftConfig, detect_all};
+use crate::hd_map::{
+    HdMap, HdMapConfig, KeyframeImage, MapContent, ReconstructionConfig, reconstruct,
+};
+
+/// Smooth random paint, different for each `seed`: three octaves of value noise.
+fn paint(seed: u64, face: u64, u: f64, v: f64) -> f64 {
+    let lattice = |octave: u64, i: i64, j: i64| {
+        let mut h = seed ^ (face << 8) ^ (octave << 16);
+        for word in [i as u64, j as u64] {
+            h = (h ^ word).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+            h ^= h >> 29;
+        }
+        (h & 0xffff) as f64 / 65536.0
+    };
+    let smooth = |x: f64| x * x * (3.0 - 2.0 * x);
+    [(0, 0.5, 0.35), (1, 0.2, 0.35), (2, 0.09, 0.3)]
+        .iter()
+        .map(|&(octave, cell, share)| {
+            let (x, y) = (u / cell, v / cell);
+            let (i, j) = (x.floor(), y.floor());
+            let (fx, fy) = (smooth(x - i), smooth(y - j));
+            let at = |di: i64, dj: i64| lattice(octave, i as i64 + di, j as i64 + dj);
+            let low = at(0, 0) * (1.0 - fx) + at(1, 0) * fx;
+            let high = at(0, 1) * (1.0 - fx) + at(1, 1) * fx;
+            share * (low * (1.0 - fy) + high * fy)
+        })
+        .sum()
+}
+
+/// Grey value seen along a ray in a room of 6 × 6 × 3 m.
+fn shade(seed: u64, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
+    let (low, high) = (Vector3::new(-3.0, -3.0, 0.0), Vector3::new(3.0, 3.0, 3.0));
+    let mut nearest = (f64::INFINITY, 0);
+    for axis in 0..3 {
+        let wall = if direction[axis] > 0.0 { high } else { low };
+        let distance = (wall[axis] - origin[axis]) / direction[axis];
+        if distance < nearest.0 {
+            let side = usize::from(direction[axis] > 0.0);
+            nearest = (distance, 2 * axis + side);
+        }
+    }
+    let hit = origin + direction * nearest.0;
+    let axis = nearest.1 / 2;
+    paint(
+        seed,
+        nearest.1 as u64,
+        hit[(axis + 1) % 3],
+        hit[(axis + 2) % 3],
+    )
+}
+
+fn rig() -> Rig {
+    let mut rig = Rig {
+        name: "glasses".into(),
+        cameras: Default::default(),
+        imu: Some(NOISE),
+        lidar: None,
+    };
+    for (k, camera) in glasses().iter().enumerate() {
+        let mut small = *camera.camera();
+        (small.width, small.height) = (320, 200);
+        small.lens = Lens::KannalaBrandt {
+            focal_px: [145.0, 145.0],
+            principal_px: [159.0, 100.0],
+            distortion: [-0.012, 0.004, -0.002, 0.0003],
+        };
+        rig.cameras.insert(
+            format!("cam{k}"),
+            RigCamera {
+                camera: small,
+                rig_from_camera: camera.camera_from_rig().inverse(),
+            },
+        );
+    }
+    rig
+}
+
+fn render(seed: u64, camera: &RigCamera, world_from_rig: &Se3) -> Image {
+    let world_from_camera = *world_from_rig * camera.rig_from_camera;
+    let (width, height) = (camera.camera.width, camera.camera.height);
+    let pixels = (0..width * height)
+        .map(|k| {
+            let pixel = Vector2::new(f64::from(k % width), f64::from(k / width));
+            let ray = camera.camera.unproject(&pixel).expect("inside the lens");
+            let direction = world_from_camera.rotation * ray;
+            (shade(seed, &world_from_camera.translation, &direction) * 255.0) as u8
+        })
+        .collect();
+    Image {
+        width,
+        height,
+        pixels,
+        exposure_ns: 0,
+        frame_id: 0,
+    }
+}
+
+const WALK_START_SECS: f64 = 0.7;
+const WALK_FRAMES: usize = 16;
+
+fn frame_time(k: usize) -> f64 {
+    WALK_START_SECS + k as f64 * FRAME_SECS
+}
+
+/// A map from images taken beside the walk, with true poses.
+fn map(seed: u64) -> HdMap {
+    let rig = rig();
+    let beside = Se3::new(Default::default(), Vector3::new(0.1, -0.15, 0.08));
+    let keyframes: Vec<StampedPose> = (0..7)
+        .map(|k| StampedPose {
+            time: Timestamp::from_nanos(k),
+            world_from_rig: truth(0.9 + 0.27 * k as f64) * beside,
+        })
+        .collect();
+    let (mut pixels, mut owners) = (Vec::new(), Vec::new());
+    for (k, keyframe) in keyframes.iter().enumerate() {
+        for (name, camera) in &rig.cameras {
+            pixels.push(render(seed, camera, &keyframe.world_from_rig));
+            owners.push((k, name.clone()));
+        }
+    }
+    let pixels: Vec<&Image> = pixels.iter().collect();
+    let features = detect_all(&pixels, &SiftConfig::default(), &no_progress).expect("features");
+    let images: Vec<KeyframeImage> = owners
+        .into_iter()
+        .zip(features)
+        .map(|((keyframe, camera), features)| KeyframeImage {
+            keyframe,
+            camera,
+            features,
+        })
+        .collect();
+    let config = ReconstructionConfig::default();
+    let points = reconstruct(&rig, &keyframes, &images, &config, &no_progress).expect("points");
+    let content = MapContent {
+        keyframes: &keyframes,
+        images: &images,
+        points: &points,
+        provenance: "painted room",
+    };
+    HdMap::build(&content, &HdMapConfig::default(), &no_progress).expect("map")
+}
+
+/// Records the walk through a room painted with `seed`.
+fn record(path: &Path, seed: u64, frames: usize, rig_file: &Rig, with_imu: usize) {
+    let mut writer = Writer::create(path, &WriterConfig::default()).expect("create");
+    writer.attach_rig(rig_file).expect("rig");
+    let mut rng = Gauss(ChaCha8Rng::seed_from_u64(4));
+    for sample in imu(&mut rng).iter().take(with_imu) {
+        writer.write_imu("imu0", sample).expect("imu");
+    }
+    for k in 0..frames {
+        let pose = truth(frame_time(k));
+        let time = Timestamp::from_secs_f64(frame_time(k));
+        for (name, camera) in &rig().cameras {
+            let image = Stamped {
+                time,
+                arrival: time,
+                device_ticks: k as u64,
+                sample: render(seed, camera, &pose),
+            };
+            writer.write_image(name, &image).expect("image");
+        }
+    }
+    writer.finish().expect("finish");
+}
+
+fn run(path: &Path, map: &HdMap) -> Result<GroundTruth, Error> {
+    let recording = Recording::open(path)?;
+    ground_truth(&recording, map, &GroundTruthConfig::default(), &no_progress)
+}
+
+#[test]
+fn a_recorded_walk_is_placed_in_its_map_and_refused_in_another() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("walk.mcap");
+    record(&path, 1, WALK_FRAMES, &rig(), usize::MAX);
+    let map = map(1);
+    let found = run(&path, &map).expect("ground truth");
+    assert_eq!(found.trajectory.len(), WALK_FRAMES);
+    for (k, pose) in found.trajectory.poses().iter().enumerate() {
+        let error = truth(frame_time(k)).inverse() * pose.world_from_rig;
+        let distance = error.translation.norm();
+        assert!(distance < 0.01, "frame {k}: {distance} m");
+        assert!(so3::log(&error.rotation).norm() < 0.005, "frame {k}");
+    }
+    let report = &found.report;
+    assert_eq!((report.frames, report.left_out.len()), (16, 0));
+    assert!(report.localized >= 15, "{report:#?}");
+    assert!(report.map_errors.rms_px < 1.5, "{report:#?}");
+    assert_eq!(report.warnings, [""; 0]);
+
+    // Another room; one without IMU; one that lost a camera.
+    let other = folder.path().join("other.mcap");
+    record(&other, 2, 6, &rig(), usize::MAX);
+    let error = run(&other, &map).expect_err("another room");
+    // Not found at all, or found at places that contradict one another.
+    let refused = matches!(
+        &error,
+        Error::NotLocalized { path, .. } | Error::MapDisagrees { path, .. } if *path == other
+    );
+    assert!(refused, "{error}");
+    let blind = folder.path().join("blind.mcap");
+    record(&blind, 1, 1, &rig(), 0);
+    let error = run(&blind, &map).expect_err("no IMU");
+    assert!(error.to_string().contains("IMU"), "{error}");
+    let mut third = rig();
+    third
+        .cameras
+        .insert("cam2".into(), third.cameras["cam0"].clone());
+    let short = folder.path().join("short.mcap");
+    record(&short, 1, 1, &third, usize::MAX);
+    let error = run(&short, &map).expect_err("camera missing");
+    assert!(error.to_string().contains("cam2"), "{error}");
+}
