@@ -24,6 +24,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("lsfb-eval", &["types", "geometry", "recording"]),
     ("lsfb-view", &["types", "geometry", "recording"]),
     ("lsfb-sim", &["types", "geometry", "drivers", "recording"]),
+    ("lsfb-fakev4l", &[]),
 ];
 
 /// Package → the names it depends on, dev-dependencies left out.
@@ -87,6 +88,8 @@ fn heavy_and_dangerous_crates_are_seen_by_one_crate_each() {
         ("rerun", "lsfb-view"),
         ("mcap", "lsfb-recording"),
         ("serialport", "lsfb-drivers"),
+        ("v4l", "lsfb-drivers"),
+        ("libc", "lsfb-fakev4l"),
         ("rusqlite", "lsfb-drivers"),
         ("faer", "lsfb-solver"),
         ("anyhow", "lsfb-cli"),

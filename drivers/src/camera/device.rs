@@ -9,7 +9,7 @@ use super::model::FrameFormat;
 use super::wire::{
     CameraOption, DeviceInfo, ImuProtocol, ImuRequest, OptionCommand, Version, XuQuery, XuSelector,
 };
-use crate::transport::camera_socket::CameraLink;
+use crate::transport::camera_link::{CameraLink, LinkCounters};
 use crate::transport::{PacketSource, arrival_now};
 use crate::{Error, WireError};
 
@@ -19,7 +19,7 @@ const FLOAT_IMU_SPEC: Version = Version { major: 1, minor: 3 };
 /// Which unit, and what it shall do.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CameraConfig {
-    /// Socket of the unit.
+    /// The unit's capture node (feature `hardware`), or the socket of a mock unit.
     pub path: PathBuf,
     /// Serial number that the unit at this place must have; empty accepts any.
     pub serial: String,
@@ -54,7 +54,7 @@ pub struct MyntCamera {
 impl MyntCamera {
     /// Connects, checks the serial number, sets options and reads them back, and starts the stream.
     pub fn open(config: &CameraConfig) -> Result<Self, Error> {
-        let mut link = CameraLink::connect(&config.path)?;
+        let mut link = CameraLink::open(&config.path)?;
         let info = read_info(&mut link)?;
         if !config.serial.is_empty() && config.serial != info.serial {
             return Err(Error::Protocol {
@@ -85,6 +85,11 @@ impl MyntCamera {
     /// What the unit says about itself.
     pub fn info(&self) -> &DeviceInfo {
         &self.info
+    }
+
+    /// What the link has met so far.
+    pub fn link_counters(&self) -> LinkCounters {
+        self.link.counters()
     }
 
     /// Current value of an option.
@@ -121,7 +126,7 @@ impl MyntCamera {
 
 impl PacketSource for MyntCamera {
     fn recv(&mut self, timeout: Duration) -> Result<Option<Packet>, Error> {
-        self.link.next_frame(timeout)
+        self.link.recv(timeout)
     }
 }
 

@@ -54,6 +54,9 @@ pub const TRAILER_SIZE: u8 = 0x0C;
 /// Nanoseconds of one exposure step. Assumed: the release notes' maximum of 66.5 ms against the field's range 0–655.
 pub const EXPOSURE_STEP_NS: u32 = 100_000;
 
+/// Number of the unit's UVC extension unit.
+pub const EXTENSION_UNIT: u8 = 3;
+
 /// Bytes of an IMU answer or a file answer.
 pub const LARGE_TRANSFER_BYTES: usize = 2000;
 

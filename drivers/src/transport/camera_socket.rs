@@ -52,7 +52,7 @@ const REPLY_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// The host's side of a camera.
 #[derive(Debug)]
-pub struct CameraLink {
+pub struct SocketLink {
     socket: UnixStream,
     device: String,
     reader: MessageReader,
@@ -60,7 +60,7 @@ pub struct CameraLink {
     ended: bool,
 }
 
-impl CameraLink {
+impl SocketLink {
     /// Connects to the socket at `path`.
     pub fn connect(path: &Path) -> Result<Self, Error> {
         let device = path.display().to_string();
@@ -213,7 +213,7 @@ impl CameraLink {
     }
 }
 
-impl PacketSource for CameraLink {
+impl PacketSource for SocketLink {
     fn recv(&mut self, timeout: Duration) -> Result<Option<Packet>, Error> {
         self.next_frame(timeout)
     }

@@ -1,5 +1,6 @@
 //! How bytes travel: sockets, serial lines, capture files. What they mean is the drivers' business.
 
+pub mod camera_link;
 pub mod camera_socket;
 mod host_clock;
 pub mod pcap;
@@ -8,6 +9,8 @@ pub mod rosbag2;
 pub mod serial;
 pub mod udp;
 pub mod udp_sender;
+#[cfg(feature = "hardware")]
+mod v4l2;
 pub mod websocket;
 
 pub(crate) use host_clock::arrival_now;

@@ -22,11 +22,11 @@ fn spawn<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> JoinHa
 }
 
 /// A unit that writes exactly these bytes and closes.
-fn raw_unit(bytes: Vec<u8>) -> (TempDir, CameraLink) {
+fn raw_unit(bytes: Vec<u8>) -> (TempDir, SocketLink) {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("camera");
     let listener = UnixListener::bind(&path).unwrap();
-    let link = CameraLink::connect(&path).unwrap();
+    let link = SocketLink::connect(&path).unwrap();
     let (mut socket, _) = listener.accept().unwrap();
     socket.write_all(&bytes).unwrap();
     (dir, link)
@@ -53,7 +53,7 @@ fn a_slow_host_blocks_the_unit_and_loses_nothing() {
         }
         unit.finish().unwrap();
     });
-    let mut link = CameraLink::connect(&path).unwrap();
+    let mut link = SocketLink::connect(&path).unwrap();
     for i in 0..40u32 {
         if i % 10 == 0 {
             thread::sleep(Duration::from_millis(5));
@@ -76,7 +76,7 @@ fn a_frame_in_pieces_is_kept_across_timeouts() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("camera");
     let listener = UnixListener::bind(&path).unwrap();
-    let mut link = CameraLink::connect(&path).unwrap();
+    let mut link = SocketLink::connect(&path).unwrap();
     let (mut socket, _) = listener.accept().unwrap();
     let bytes = message(3, &[1, 2, 3, 4, 5, 6]);
     for piece in bytes.chunks(5) {
@@ -141,7 +141,7 @@ fn transactions_pass_and_are_refused() {
         }
         requests
     });
-    let mut link = CameraLink::connect(&path).unwrap();
+    let mut link = SocketLink::connect(&path).unwrap();
     link.start(FrameFormat::S2_2560X800, 20).unwrap();
     let selector = XuSelector::CamCtrl;
     link.xu_set(selector, &[4, 0, 200]).unwrap();
@@ -182,7 +182,7 @@ fn transactions_pass_and_are_refused() {
 #[test]
 fn a_host_that_vanishes_is_noticed() {
     let (_dir, path, listener) = listen();
-    let link = CameraLink::connect(&path).unwrap();
+    let link = SocketLink::connect(&path).unwrap();
     let mut unit = listener.accept(TIMEOUT).unwrap().unwrap();
     assert_eq!(unit.next_request(Duration::from_millis(1)).unwrap(), None);
     drop(link);
@@ -197,7 +197,7 @@ fn a_host_that_vanishes_is_noticed() {
     drop(listener);
     assert!(!path.exists());
     assert!(matches!(
-        CameraLink::connect(&path),
+        SocketLink::connect(&path),
         Err(Error::Open { .. })
     ));
 }

@@ -1,0 +1,43 @@
+//! The one call that the `v4l` crate does not have: transactions with a UVC extension unit (`linux/uvcvideo.h`).
+#![allow(
+    unsafe_code,
+    reason = "a system call that takes a pointer; its wrapper is safe"
+)]
+
+use std::io;
+
+use v4l::device::Handle;
+
+/// `struct uvc_xu_control_query`.
+#[repr(C)]
+struct XuControlQuery {
+    unit: u8,
+    selector: u8,
+    query: u8,
+    size: u16,
+    data: *mut u8,
+}
+
+nix::ioctl_readwrite!(uvcioc_ctrl_query, b'u', 0x21, XuControlQuery);
+
+/// Carries out a transaction of `query`'s direction: `bytes`, as long as the channel, are written or filled.
+pub(super) fn query_extension_unit(
+    node: &Handle,
+    unit: u8,
+    selector: u8,
+    query: u8,
+    bytes: &mut [u8],
+) -> io::Result<()> {
+    let size = u16::try_from(bytes.len()).map_err(|_| io::ErrorKind::InvalidInput)?;
+    let mut request = XuControlQuery {
+        unit,
+        selector,
+        query,
+        size,
+        data: bytes.as_mut_ptr(),
+    };
+    // SAFETY: `node` is borrowed, so its descriptor is open; `request` has the layout of the kernel's struct and
+    // outlives the call; `data` is valid for reads and writes of `size` bytes, beyond which the kernel does not go.
+    unsafe { uvcioc_ctrl_query(node.fd(), &raw mut request) }?;
+    Ok(())
+}
