@@ -122,6 +122,17 @@ pub enum Error {
         /// Scans in it.
         scans: u64,
     },
+    /// No camera of the rig is in the recording.
+    #[error("{path}: no images of any camera of rig {rig}: record with the cameras on, or give the rig of this device", path = path.display())]
+    NoImages {
+        /// The recording.
+        path: PathBuf,
+        /// The rig's name.
+        rig: String,
+    },
+    /// A least-squares problem could not be solved.
+    #[error("optimisation: {0}")]
+    Solver(#[from] lsfb_solver::Error),
     /// A recording could not be read.
     #[error(transparent)]
     Recording(#[from] lsfb_recording::Error),

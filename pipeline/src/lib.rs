@@ -11,6 +11,7 @@ pub mod ground_truth;
 pub mod hd_map;
 pub mod lidar_features;
 pub mod localization;
+pub mod mapping;
 pub mod odometry;
 pub mod posed_images;
 pub mod preintegration;

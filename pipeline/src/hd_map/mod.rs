@@ -30,7 +30,8 @@ pub use index::IndexConfig;
 pub(crate) use index::SearchScratch;
 pub use posed::{PosedMapConfig, build_map_from_posed_images};
 pub use reconstruction::{
-    KeyframeImage, MapPoint, PointObservation, ReconstructionConfig, reconstruct, select_keyframes,
+    KeyframeImage, MapPoint, PointObservation, ReconstructionConfig, find_tracks, reconstruct,
+    select_keyframes, triangulate_tracks,
 };
 
 /// Points, keyframes, observations and descriptors, in columns. Cloning shares them.

@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::Error;
 use crate::features::matching::{DescriptorSet, MatchConfig, RayFeatures, match_epipolar};
-use crate::features::tracks::{ImagePair, build_tracks};
+use crate::features::tracks::{ImagePair, Track, build_tracks};
 use crate::features::triangulation::{TriangulationConfig, View, triangulate};
 use crate::features::{Features, Keypoint};
 
@@ -99,11 +99,16 @@ pub fn select_keyframes(poses: &[Se3], min_distance_m: f64, min_angle_deg: f64) 
     chosen
 }
 
-/// An image with everything its matching needs.
-struct PreparedImage<'a> {
+/// An image and where it was taken.
+struct PlacedImage<'a> {
     mounted: &'a RigCamera,
     world_from_camera: Se3,
     keypoints: &'a [Keypoint],
+}
+
+/// An image with everything its matching needs.
+struct PreparedImage<'a> {
+    placed: PlacedImage<'a>,
     descriptors: DescriptorSet,
     rays: Vec<Vector3<f64>>,
 }
@@ -117,8 +122,20 @@ pub fn reconstruct(
     config: &ReconstructionConfig,
     progress: ProgressFn,
 ) -> Result<Vec<MapPoint>, Error> {
+    let tracks = find_tracks(rig, keyframes, images, config, progress)?;
+    triangulate_tracks(rig, keyframes, images, &tracks, &config.triangulation)
+}
+
+/// The first half of [`reconstruct`]: keypoints that show the same thing.
+pub fn find_tracks(
+    rig: &Rig,
+    keyframes: &[StampedPose],
+    images: &[KeyframeImage],
+    config: &ReconstructionConfig,
+    progress: ProgressFn,
+) -> Result<Vec<Track>, Error> {
     let prepared: Vec<PreparedImage> = images
-        .iter()
+        .par_iter()
         .map(|image| prepare(rig, keyframes, image))
         .collect::<Result<_, _>>()?;
     let pairs = choose_pairs(&prepared, config);
@@ -135,22 +152,37 @@ pub fn reconstruct(
             pair
         })
         .collect();
-    let counts: Vec<usize> = prepared.iter().map(|p| p.keypoints.len()).collect();
-    let tracks = build_tracks(&counts, &matched, config.triangulation.min_views.max(2));
+    let counts: Vec<usize> = images.iter().map(|i| i.features.len()).collect();
+    let min_views = config.triangulation.min_views.max(2);
+    Ok(build_tracks(&counts, &matched, min_views))
+}
+
+/// The second half of [`reconstruct`], to be repeated when the keyframes have moved. Tracks must be those of these images.
+pub fn triangulate_tracks(
+    rig: &Rig,
+    keyframes: &[StampedPose],
+    images: &[KeyframeImage],
+    tracks: &[Track],
+    config: &TriangulationConfig,
+) -> Result<Vec<MapPoint>, Error> {
+    let placed: Vec<PlacedImage> = images
+        .iter()
+        .map(|image| place(rig, keyframes, image))
+        .collect::<Result<_, _>>()?;
     let points = tracks.par_iter().filter_map(|track| {
         let views: Vec<View> = track
             .keypoints
             .iter()
             .map(|k| {
-                let image = &prepared[k.image as usize];
-                View {
+                let image = placed.get(k.image as usize)?;
+                Some(View {
                     camera: &image.mounted.camera,
                     world_from_camera: image.world_from_camera,
-                    pixel: image.keypoints[k.keypoint as usize].pixel_f64(),
-                }
+                    pixel: image.keypoints.get(k.keypoint as usize)?.pixel_f64(),
+                })
             })
-            .collect();
-        let found = triangulate(&views, &config.triangulation).ok()?;
+            .collect::<Option<_>>()?;
+        let found = triangulate(&views, config).ok()?;
         let observation = |index: &usize| {
             let k = &track.keypoints[*index];
             PointObservation {
@@ -167,11 +199,11 @@ pub fn reconstruct(
     Ok(points.collect())
 }
 
-fn prepare<'a>(
+fn place<'a>(
     rig: &'a Rig,
     keyframes: &[StampedPose],
     image: &'a KeyframeImage,
-) -> Result<PreparedImage<'a>, Error> {
+) -> Result<PlacedImage<'a>, Error> {
     let unknown = || Error::UnknownCamera {
         camera: image.camera.clone(),
         rig: rig.name.clone(),
@@ -183,14 +215,25 @@ fn prepare<'a>(
             keyframe: image.keyframe,
             count: keyframes.len(),
         })?;
-    let keypoints = &image.features.keypoints;
-    let ray = |k: &Keypoint| mounted.camera.unproject(&k.pixel_f64()).unwrap_or_default();
-    Ok(PreparedImage {
+    Ok(PlacedImage {
         mounted,
         world_from_camera: keyframe.world_from_rig * mounted.rig_from_camera,
-        keypoints,
+        keypoints: &image.features.keypoints,
+    })
+}
+
+fn prepare<'a>(
+    rig: &'a Rig,
+    keyframes: &[StampedPose],
+    image: &'a KeyframeImage,
+) -> Result<PreparedImage<'a>, Error> {
+    let placed = place(rig, keyframes, image)?;
+    let camera = &placed.mounted.camera;
+    let ray = |k: &Keypoint| camera.unproject(&k.pixel_f64()).unwrap_or_default();
+    Ok(PreparedImage {
         descriptors: DescriptorSet::new(&image.features.descriptors),
-        rays: keypoints.iter().map(ray).collect(),
+        rays: placed.keypoints.iter().map(ray).collect(),
+        placed,
     })
 }
 
@@ -212,7 +255,7 @@ fn choose_pairs(images: &[PreparedImage], config: &ReconstructionConfig) -> Vec<
 
 /// How little two images promise for matching; `None` where they should not be matched.
 fn unlikeness(a: &PreparedImage, b: &PreparedImage, config: &ReconstructionConfig) -> Option<f64> {
-    let second_from_first = b.world_from_camera.inverse() * a.world_from_camera;
+    let second_from_first = b.placed.world_from_camera.inverse() * a.placed.world_from_camera;
     let baseline = second_from_first.translation.norm();
     let axis = second_from_first.rotation * Vector3::z();
     let angle_deg = axis.z.clamp(-1.0, 1.0).acos().to_degrees();
@@ -229,9 +272,9 @@ fn match_pair(
     config: &ReconstructionConfig,
 ) -> ImagePair {
     let (a, b) = (&images[first], &images[second]);
-    let second_from_first = b.world_from_camera.inverse() * a.world_from_camera;
+    let second_from_first = b.placed.world_from_camera.inverse() * a.placed.world_from_camera;
     let focal = |image: &PreparedImage| {
-        let [fx, fy] = image.mounted.camera.focal_px();
+        let [fx, fy] = image.placed.mounted.camera.focal_px();
         fx.min(fy)
     };
     let max_angle_rad = config.max_epipolar_px / focal(a).min(focal(b)).max(1.0);

@@ -46,6 +46,13 @@ pub enum Match {
 const MAX_POINTS_PER_SURFACE: u32 = 1000;
 /// Fewer points do not make a plane.
 const MIN_POINTS_PER_PLANE: u32 = 6;
+/// Points that one place may add to a surface: standing still must not fill it.
+const MAX_POINTS_PER_PLACE: u32 = 250;
+/// A plane must be seen from this many places, as far as there are: from one place the rings always fall on the same
+/// lines, and two lines make a plane where floor and wall meet.
+const MIN_PLACES: u32 = 3;
+/// Distance of the sensor between two places, metres.
+const MIN_PLACE_DISTANCE_M: f64 = 0.05;
 /// Sine of the least angle between a plane and the rays that see it: the returns of one ring alone spread along their
 /// rays by noise, and would show a plane through the sensor.
 const MIN_SLANT: f64 = 0.1;
@@ -56,6 +63,11 @@ const MAX_NEIGHBOUR_CELLS: i64 = 4;
 #[derive(Clone, Debug, Default)]
 struct Surface {
     count: u32,
+    /// Places it was seen from, and the last of them.
+    places: u32,
+    last_place: u32,
+    /// Points added from that place.
+    count_here: u32,
     /// `count` at the last plane fit.
     fitted_count: u32,
     /// Sum and sum of squares, relative to `origin` (the first point): world coordinates would cost digits.
@@ -81,11 +93,19 @@ pub struct LocalMap {
     config: LocalMapConfig,
     grid_from_world: Matrix3<f64>,
     levels: Vec<Level>,
+    /// Places from which scans were inserted so far, and the last of them.
+    places: u32,
+    last_place: Option<Vector3<f64>>,
 }
 
 impl Surface {
     fn mean(&self) -> Vector3<f64> {
         self.origin + self.sum / f64::from(self.count.max(1))
+    }
+
+    /// Its plane, if it was seen from enough places.
+    fn plane_from(&self, min_places: u32) -> Option<Plane> {
+        self.plane.filter(|_| self.places >= min_places)
     }
 
     /// Direction that tells its points from those of the other side.
@@ -99,9 +119,18 @@ impl Surface {
         }
         let d = point - self.origin;
         self.count += 1;
+        self.count_here += 1;
         self.sum += d;
         self.squares += d * d.transpose();
         self.towards_sensor += towards_sensor;
+    }
+
+    fn enter(&mut self, place: u32) {
+        if self.last_place != place {
+            self.last_place = place;
+            self.places += 1;
+            self.count_here = 0;
+        }
     }
 
     fn needs_fit(&self) -> bool {
@@ -150,6 +179,8 @@ impl LocalMap {
             config,
             grid_from_world: grid_from_world.into_inner(),
             levels: vec![Level::default(); config.levels.max(1) as usize],
+            places: 0,
+            last_place: None,
         }
     }
 
@@ -168,12 +199,13 @@ impl LocalMap {
         let Some(finest) = self.levels.last() else {
             return Vec::new();
         };
+        let min_places = self.min_places();
         let mut keyed: Vec<_> = finest
             .iter()
             .flat_map(|(key, cell)| {
                 cell.sides
                     .iter()
-                    .filter_map(move |s| Some((*key, s.plane?)))
+                    .filter_map(move |s| Some((*key, s.plane_from(min_places)?)))
             })
             .collect();
         keyed.sort_by_key(|(key, _)| *key);
@@ -190,16 +222,21 @@ impl LocalMap {
         min_normal_cosine: f64,
     ) -> Option<Plane> {
         let in_grid = self.grid_from_world * point;
+        let min_places = self.min_places();
         self.levels.iter().enumerate().find_map(|(level, cells)| {
             let cell = cells.get(&cell_key(&in_grid, 1.0 / self.size_m(level)))?;
             cell.sides
                 .iter()
-                .filter_map(|side| side.plane)
+                .filter_map(|side| side.plane_from(min_places))
                 .find(|plane| {
                     plane.normal.dot(normal) > min_normal_cosine
                         && plane.normal.dot(&(point - plane.point)).abs() < gate_m
                 })
         })
+    }
+
+    fn min_places(&self) -> u32 {
+        MIN_PLACES.min(self.places.div_ceil(2))
     }
 
     fn size_m(&self, level: usize) -> f64 {
@@ -214,6 +251,14 @@ impl LocalMap {
         sensor_in_rig: &Vector3<f64>,
     ) {
         let sensor = *world_from_rig * *sensor_in_rig;
+        let moved = self
+            .last_place
+            .is_none_or(|place| (place - sensor).norm() > MIN_PLACE_DISTANCE_M);
+        if moved {
+            self.last_place = Some(sensor);
+            self.places += 1;
+        }
+        let place = self.places;
         let rotation = world_from_rig.rotation_matrix();
         let points: Vec<_> = points_in_rig
             .iter()
@@ -228,7 +273,10 @@ impl LocalMap {
                 let cell = cells.entry(key).or_default();
                 let side = cell.side(&towards_sensor);
                 let surface = &mut cell.sides[side];
-                if surface.count >= MAX_POINTS_PER_SURFACE {
+                surface.enter(place);
+                if surface.count >= MAX_POINTS_PER_SURFACE
+                    || surface.count_here >= MAX_POINTS_PER_PLACE
+                {
                     continue;
                 }
                 surface.add(point, &towards_sensor);
@@ -248,11 +296,12 @@ impl LocalMap {
         gate_m: f64,
     ) -> Option<Match> {
         let in_grid = self.grid_from_world * point;
+        let min_places = self.min_places();
         for (level, cells) in self.levels.iter().enumerate() {
             let key = cell_key(&in_grid, 1.0 / self.size_m(level));
             let plane = cells
                 .get(&key)
-                .and_then(|cell| cell.sides[cell.side(towards_sensor)].plane);
+                .and_then(|cell| cell.sides[cell.side(towards_sensor)].plane_from(min_places));
             if let Some(plane) = plane {
                 let distance = plane.normal.dot(&(point - plane.point)).abs();
                 if distance < gate_m {

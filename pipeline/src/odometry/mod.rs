@@ -22,6 +22,7 @@ use serde::{Deserialize, Serialize};
 pub use inertial::{GRAVITY_M_S2, InertialFilter, InertialState};
 pub use local_map::{LocalMap, LocalMapConfig, Match, Plane};
 pub use registration::{PosePrior, Registration, RegistrationConfig, register};
+pub(crate) use run::Damages;
 pub use run::{DeskewedCloud, OdometryReport, OdometryResult, run_odometry};
 
 use crate::Error;

@@ -1,7 +1,7 @@
 //! A furnished room in closed form: boxes, a walk with known derivatives, a VLP-32C and an IMU in it.
 
-use lsfb_geometry::{RigImu, RigLidar, Se3, Vector3, Vector6, so3};
-use lsfb_types::{ImuSample, LidarPoint, LidarScan, Stamped, Timestamp};
+use lsfb_geometry::{RigCamera, RigImu, RigLidar, Se3, Vector2, Vector3, Vector6, so3};
+use lsfb_types::{Image, ImuSample, LidarPoint, LidarScan, Stamped, Timestamp};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -42,6 +42,20 @@ impl Room {
                 solid([4.0, -2.0, 0.0], [4.3, -1.7, 2.6]),
             ],
         }
+    }
+
+    /// Distance of a point to the nearest surface.
+    pub fn distance_to_surface(&self, point: &Vector3<f64>) -> f64 {
+        let off = |solid: &Solid| {
+            let outside = (solid.low - point).sup(&(point - solid.high));
+            let inside = outside.max();
+            if inside <= 0.0 {
+                -inside
+            } else {
+                outside.map(|x| x.max(0.0)).norm()
+            }
+        };
+        self.solids.iter().map(off).fold(f64::INFINITY, f64::min)
     }
 
     /// Distance of a point to the nearest edge of a solid that runs along `direction` (within 15°).
@@ -207,4 +221,65 @@ pub fn imu_samples(duration_s: f64, seed: u64) -> Vec<Stamped<ImuSample>> {
             }
         })
         .collect()
+}
+
+/// Brightness of the surface at a point, 0–1: noise of two sizes.
+fn texture(point: &Vector3<f64>) -> f64 {
+    let lattice = |cell: [i64; 3]| {
+        let mixed = cell.iter().fold(0x9e37_79b9_u64, |hash, c| {
+            (hash ^ *c as u64)
+                .wrapping_mul(0x2545_f491_4f6c_dd1d)
+                .rotate_left(29)
+        });
+        (mixed >> 40) as f64 / (1u64 << 24) as f64
+    };
+    let noise = |size_m: f64| {
+        let p = point / size_m;
+        let (low, f) = (p.map(f64::floor), p.map(|x| x - x.floor()));
+        (0..8)
+            .map(|corner: u32| {
+                let bit = |axis: u32| (corner >> axis) & 1;
+                let weight = |axis: usize| {
+                    if bit(axis as u32) == 1 {
+                        f[axis]
+                    } else {
+                        1.0 - f[axis]
+                    }
+                };
+                let cell = [0, 1, 2].map(|a: usize| low[a] as i64 + i64::from(bit(a as u32)));
+                weight(0) * weight(1) * weight(2) * lattice(cell)
+            })
+            .sum::<f64>()
+    };
+    0.6 * noise(0.07) + 0.4 * noise(0.23)
+}
+
+/// The image a camera takes at `t`.
+pub fn render(room: &Room, camera: &RigCamera, t: f64) -> Stamped<Image> {
+    let world_from_camera = world_from_rig(t) * camera.rig_from_camera;
+    let (width, height) = (camera.camera.width, camera.camera.height);
+    let pixels = (0..width * height)
+        .into_par_iter()
+        .map(|i| {
+            let pixel = Vector2::new(f64::from(i % width), f64::from(i / width));
+            let Some(ray) = camera.camera.unproject(&pixel) else {
+                return 0;
+            };
+            let ray = world_from_camera.rotation * ray;
+            let range = room.cast(&world_from_camera.translation, &ray);
+            (255.0 * texture(&(world_from_camera.translation + ray * range))) as u8
+        })
+        .collect();
+    Stamped {
+        time: time(t),
+        arrival: time(t),
+        device_ticks: 0,
+        sample: Image {
+            width,
+            height,
+            pixels,
+            exposure_ns: 0,
+            frame_id: (t * 10.0).round() as u32,
+        },
+    }
 }

@@ -1,0 +1,165 @@
+//! The scans around each keyframe, joined into its LiDAR features.
+
+use std::collections::VecDeque;
+
+use lsfb_geometry::{RigLidar, Se3, Trajectory};
+use lsfb_recording::Recording;
+use lsfb_types::{LidarScan, Progress, ProgressFn, Stamped, Timestamp};
+use rayon::prelude::*;
+
+use super::MappingConfig;
+use super::keyframes::Keyframe;
+use crate::Error;
+use crate::lidar_features::{LidarFeatures, PlacedScan, ScanFeatures};
+use crate::odometry::Damages;
+use crate::preprocess::{MotionKnot, RangeWindow, deskew_rings};
+
+/// Distance of the poses a scan is deskewed by, nanoseconds, and how many: up to 0.2 s, the slowest revolution.
+const KNOT_NS: i64 = 5_000_000;
+const SCAN_KNOTS: i64 = 40;
+/// Scans worked on at once: bounds the memory.
+const BATCH: usize = 32;
+
+/// Gives each keyframe the features of the scans around it.
+pub(super) fn add_lidar_features(
+    recording: &Recording,
+    lidar: &RigLidar,
+    keyframes: &mut [Keyframe],
+    trajectory: &Trajectory,
+    config: &MappingConfig,
+    damages: &mut Damages,
+    progress: ProgressFn<'_>,
+) -> Result<(), Error> {
+    let mut window = ScanWindow {
+        lidar,
+        trajectory,
+        config,
+        scans: VecDeque::new(),
+        next_keyframe: 0,
+    };
+    let mut waiting = Vec::new();
+    for scan in recording.scans()? {
+        waiting.extend(damages.keep(scan));
+        if waiting.len() >= BATCH {
+            window.extract(&mut waiting);
+            window.join_ready(keyframes, progress);
+        }
+    }
+    window.extract(&mut waiting);
+    window.join_ready(keyframes, progress);
+    window.join_until(keyframes, keyframes.len(), progress);
+    Ok(())
+}
+
+/// A scan deskewed to its middle.
+struct MiddleScan {
+    time: Timestamp,
+    world_from_rig: Se3,
+    features: ScanFeatures,
+}
+
+/// The scans that keyframes still to come may need.
+struct ScanWindow<'a> {
+    lidar: &'a RigLidar,
+    trajectory: &'a Trajectory,
+    config: &'a MappingConfig,
+    scans: VecDeque<MiddleScan>,
+    next_keyframe: usize,
+}
+
+impl ScanWindow<'_> {
+    fn reach_ns(&self) -> i64 {
+        (self.config.scan_window_secs * 1e9) as i64
+    }
+
+    fn extract(&mut self, waiting: &mut Vec<Stamped<LidarScan>>) {
+        let scans: Vec<Option<MiddleScan>> =
+            waiting.par_iter().map(|scan| self.deskewed(scan)).collect();
+        self.scans.extend(scans.into_iter().flatten());
+        waiting.clear();
+    }
+
+    /// `None` outside the trajectory.
+    fn deskewed(&self, scan: &Stamped<LidarScan>) -> Option<MiddleScan> {
+        let last = scan.sample.points.last().map_or(0, |p| p.time_offset_ns);
+        let time = scan.time.plus_nanos(i64::from(last / 2));
+        let world_from_rig = self.trajectory.at(time)?;
+        let rig_from_world = world_from_rig.inverse();
+        let knots: Vec<MotionKnot> = (0..=SCAN_KNOTS)
+            .filter_map(|i| {
+                let offset_ns = i * KNOT_NS;
+                let pose = self.trajectory.at(scan.time.plus_nanos(offset_ns))?;
+                Some(MotionKnot {
+                    offset_ns,
+                    reference_from_rig: rig_from_world * pose,
+                })
+            })
+            .collect();
+        let window = RangeWindow {
+            min_m: self.config.odometry.min_range_m,
+            max_m: self.config.odometry.max_range_m,
+        };
+        let rig_from_lidar = &self.lidar.rig_from_lidar;
+        let rings = deskew_rings(&scan.sample, rig_from_lidar, &knots, window);
+        Some(MiddleScan {
+            time,
+            world_from_rig,
+            features: ScanFeatures::extract(
+                &rings,
+                &rig_from_lidar.translation,
+                self.lidar.range_noise_m,
+                &self.config.lidar_features,
+            ),
+        })
+    }
+
+    /// Joins the keyframes whose scans have all come.
+    fn join_ready(&mut self, keyframes: &mut [Keyframe], progress: ProgressFn<'_>) {
+        let Some(newest) = self.scans.back().map(|s| s.time) else {
+            return;
+        };
+        let complete = newest.plus_nanos(-self.reach_ns());
+        let end = keyframes.partition_point(|k| k.time < complete);
+        self.join_until(keyframes, end, progress);
+    }
+
+    fn join_until(&mut self, keyframes: &mut [Keyframe], end: usize, progress: ProgressFn<'_>) {
+        let total = keyframes.len() as u64;
+        let Some(ready) = keyframes.get_mut(self.next_keyframe..end) else {
+            return;
+        };
+        ready.par_iter_mut().for_each(|k| k.lidar = self.join(k));
+        self.next_keyframe = end;
+        let oldest = keyframes
+            .get(end)
+            .map(|k| k.time.plus_nanos(-self.reach_ns()));
+        while let (Some(scan), Some(oldest)) = (self.scans.front(), oldest)
+            && scan.time < oldest
+        {
+            self.scans.pop_front();
+        }
+        progress(Progress {
+            stage: "lidar features",
+            done: end as u64,
+            total,
+        });
+    }
+
+    /// `None` where no scan is near.
+    fn join(&self, keyframe: &Keyframe) -> Option<LidarFeatures> {
+        let keyframe_from_world = keyframe.world_from_rig.inverse();
+        let placed: Vec<PlacedScan> = self
+            .scans
+            .iter()
+            .filter(|s| (s.time - keyframe.time).abs() <= self.reach_ns())
+            .map(|s| PlacedScan {
+                keyframe_from_scan: keyframe_from_world * s.world_from_rig,
+                scan: &s.features,
+            })
+            .collect();
+        (!placed.is_empty()).then(|| {
+            let noise_m = self.lidar.range_noise_m;
+            LidarFeatures::join(&placed, noise_m, &self.config.lidar_features)
+        })
+    }
+}

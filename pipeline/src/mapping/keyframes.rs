@@ -1,0 +1,224 @@
+//! Keyframes: where on the trajectory, and with which images.
+
+use std::collections::BTreeMap;
+
+use lsfb_geometry::{Rig, Se3, StampedPose, Trajectory};
+use lsfb_recording::Recording;
+use lsfb_types::{Image, Progress, ProgressFn, Stamped, Timestamp};
+
+use super::MappingConfig;
+use crate::Error;
+use crate::features::{Features, detect_all};
+use crate::hd_map::KeyframeImage;
+use crate::lidar_features::LidarFeatures;
+use crate::odometry::Damages;
+
+/// A moment whose pose is optimised: images of different times belong to different keyframes.
+pub(super) struct Keyframe {
+    /// When its images were taken.
+    pub time: Timestamp,
+    /// Pose, from the odometry at first.
+    pub world_from_rig: Se3,
+    /// Features of the scans around it, in the rig frame at `time`.
+    pub lidar: Option<LidarFeatures>,
+}
+
+/// Keyframes and their images.
+pub(super) struct Keyframes {
+    pub frames: Vec<Keyframe>,
+    pub images: Vec<KeyframeImage>,
+}
+
+impl Keyframes {
+    /// Times and current poses.
+    pub(super) fn poses(&self) -> Vec<StampedPose> {
+        let pose = |k: &Keyframe| StampedPose {
+            time: k.time,
+            world_from_rig: k.world_from_rig,
+        };
+        self.frames.iter().map(pose).collect()
+    }
+}
+
+/// Farthest image from the moment wanted, nanoseconds.
+const IMAGE_TOLERANCE_NS: i64 = 60_000_000;
+/// Images detected at once: bounds the memory.
+const BATCH: usize = 32;
+
+/// The cameras that are both on the rig and in the recording; the missing ones are named in `warnings`.
+pub(super) fn find_cameras(
+    recording: &Recording,
+    rig: &Rig,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<String>, Error> {
+    let mut names = Vec::new();
+    for name in rig.cameras.keys() {
+        match recording.images(name) {
+            Ok(_) => names.push(name.clone()),
+            Err(error) => warnings.push(format!("mapping without {name}: {error}")),
+        }
+    }
+    if names.is_empty() {
+        return Err(Error::NoImages {
+            path: recording.path().to_owned(),
+            rig: rig.name.clone(),
+        });
+    }
+    Ok(names)
+}
+
+/// Moments on the trajectory at least a distance or an angle apart.
+fn moments(trajectory: &Trajectory, distance_m: f64, angle_rad: f64) -> Vec<Timestamp> {
+    let mut moments = Vec::new();
+    let mut last: Option<Se3> = None;
+    for pose in trajectory.poses() {
+        let far = last.is_none_or(|last| {
+            let moved = last.inverse() * pose.world_from_rig;
+            moved.translation.norm() >= distance_m || moved.rotation.angle() >= angle_rad
+        });
+        if far {
+            moments.push(pose.time);
+            last = Some(pose.world_from_rig);
+        }
+    }
+    moments
+}
+
+/// Chooses keyframes along the trajectory and detects the features of their images.
+pub(super) fn choose_keyframes(
+    recording: &Recording,
+    cameras: &[String],
+    trajectory: &Trajectory,
+    config: &MappingConfig,
+    damages: &mut Damages,
+    progress: ProgressFn<'_>,
+) -> Result<Keyframes, Error> {
+    let moments = moments(
+        trajectory,
+        config.keyframe_distance_m,
+        config.keyframe_angle_deg.to_radians(),
+    );
+    let total = (moments.len() * cameras.len()) as u64;
+    let names: Vec<&str> = cameras.iter().map(String::as_str).collect();
+    let mut pickers = vec![Picker::default(); names.len()];
+    let mut waiting: Vec<Picked> = Vec::new();
+    let mut found: BTreeMap<(Timestamp, usize), Features> = BTreeMap::new();
+    let mut detect = |waiting: &mut Vec<Picked>| -> Result<(), Error> {
+        let images: Vec<&Image> = waiting.iter().map(|p| &p.image.sample).collect();
+        let before = found.len() as u64;
+        let features = detect_all(&images, &config.sift, &|p| {
+            progress(Progress {
+                done: before + p.done,
+                total,
+                ..p
+            });
+        })?;
+        for (picked, features) in waiting.drain(..).zip(features) {
+            found.insert((picked.image.time, picked.camera), features);
+        }
+        Ok(())
+    };
+    for item in recording.images_of(&names)? {
+        let Some(item) = damages.keep(item) else {
+            continue;
+        };
+        // Poses are known between the first and the last scan only.
+        if trajectory.at(item.image.time).is_none() {
+            continue;
+        }
+        pickers[item.camera].offer(&moments, item.camera, item.image, &mut waiting);
+        if waiting.len() >= BATCH {
+            detect(&mut waiting)?;
+        }
+    }
+    for (camera, picker) in pickers.into_iter().enumerate() {
+        picker.finish(&moments, camera, &mut waiting);
+    }
+    detect(&mut waiting)?;
+    Ok(assemble(found, cameras, trajectory))
+}
+
+fn assemble(
+    found: BTreeMap<(Timestamp, usize), Features>,
+    cameras: &[String],
+    trajectory: &Trajectory,
+) -> Keyframes {
+    let mut keyframes = Keyframes {
+        frames: Vec::new(),
+        images: Vec::new(),
+    };
+    for ((time, camera), features) in found {
+        let Some(world_from_rig) = trajectory.at(time) else {
+            continue;
+        };
+        if keyframes.frames.last().is_none_or(|k| k.time != time) {
+            keyframes.frames.push(Keyframe {
+                time,
+                world_from_rig,
+                lidar: None,
+            });
+        }
+        keyframes.images.push(KeyframeImage {
+            keyframe: keyframes.frames.len() - 1,
+            camera: cameras[camera].clone(),
+            features,
+        });
+    }
+    keyframes
+}
+
+/// An image chosen for a moment.
+struct Picked {
+    camera: usize,
+    image: Stamped<Image>,
+}
+
+/// Finds the image nearest to each moment in one camera's stream.
+#[derive(Clone, Default)]
+struct Picker {
+    next: usize,
+    previous: Option<Stamped<Image>>,
+    used: Option<Timestamp>,
+}
+
+impl Picker {
+    fn offer(
+        &mut self,
+        moments: &[Timestamp],
+        camera: usize,
+        image: Stamped<Image>,
+        out: &mut Vec<Picked>,
+    ) {
+        while let Some(moment) = moments.get(self.next).filter(|m| **m <= image.time) {
+            let previous = self.previous.as_ref();
+            let nearest = match previous {
+                Some(p) if *moment - p.time < image.time - *moment => p,
+                _ => &image,
+            };
+            let nearest = nearest.clone();
+            self.pick(*moment, camera, nearest, out);
+        }
+        self.previous = Some(image);
+    }
+
+    fn finish(mut self, moments: &[Timestamp], camera: usize, out: &mut Vec<Picked>) {
+        if let (Some(moment), Some(last)) = (moments.get(self.next), self.previous.take()) {
+            self.pick(*moment, camera, last, out);
+        }
+    }
+
+    fn pick(
+        &mut self,
+        moment: Timestamp,
+        camera: usize,
+        image: Stamped<Image>,
+        out: &mut Vec<Picked>,
+    ) {
+        // Where moments are denser than images an image serves once.
+        if (image.time - moment).abs() <= IMAGE_TOLERANCE_NS && self.used != Some(image.time) {
+            self.used = Some(image.time);
+            out.push(Picked { camera, image });
+        }
+        self.next += 1;
+    }
+}

@@ -1,0 +1,120 @@
+use std::path::Path;
+
+use lsfb_geometry::camera::Lens;
+use lsfb_geometry::{Camera, RigCamera, Se3, UnitQuaternion, Vector3};
+use lsfb_recording::{Writer, WriterConfig};
+use lsfb_types::no_progress;
+use nalgebra::Matrix3;
+
+use super::*;
+use crate::odometry::tests::room::{self, Room};
+
+/// A camera that looks along `yaw_rad` of the rig.
+fn camera(yaw_rad: f64) -> RigCamera {
+    let forward =
+        UnitQuaternion::from_matrix(&Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0));
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad);
+    RigCamera {
+        camera: Camera {
+            width: 400,
+            height: 250,
+            lens: Lens::KannalaBrandt {
+                focal_px: [220.0; 2],
+                principal_px: [199.5, 124.5],
+                distortion: [-0.02, 0.006, -0.003, 0.0004],
+            },
+        },
+        rig_from_camera: Se3::new(turn * forward, turn * Vector3::new(0.1, 0.0, 0.1)),
+    }
+}
+
+fn rig() -> Rig {
+    Rig {
+        name: "backpack".into(),
+        cameras: [("cam0", 0.0), ("cam1", 2.1), ("cam2", -2.1)]
+            .map(|(name, yaw)| (name.to_owned(), camera(yaw)))
+            .into(),
+        imu: Some(room::imu()),
+        lidar: Some(room::lidar()),
+    }
+}
+
+fn record(path: &Path, duration_s: f64, cameras: &[&str]) {
+    let (room, rig) = (Room::furnished(), rig());
+    let mut writer = Writer::create(path, &WriterConfig::default()).expect("create");
+    writer.attach_rig(&rig).expect("rig");
+    for sample in room::imu_samples(duration_s, 7) {
+        writer.write_imu("imu0", &sample).expect("imu");
+    }
+    for i in 0..(duration_s * 10.0) as u64 - 1 {
+        let t = i as f64 * 0.1;
+        writer.write_scan(&room::scan(&room, t, i)).expect("scan");
+        for name in cameras {
+            // between the scans, as no trigger couples cameras to a LiDAR
+            let image = room::render(&room, &rig.cameras[*name], t + 0.03);
+            writer.write_image(name, &image).expect("image");
+        }
+    }
+    writer.finish().expect("finish");
+}
+
+#[test]
+fn a_walk_becomes_a_map_though_one_camera_is_missing() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("scan.mcap");
+    record(&path, 4.5, &["cam0", "cam1"]);
+    let recording = Recording::open(&path).expect("recording");
+    let result = build_map(&recording, &MappingConfig::default(), &no_progress).expect("map");
+    let report = &result.report;
+    assert!(
+        report.warnings.iter().any(|w| w.contains("without cam2")),
+        "{report:?}"
+    );
+    assert_eq!(report.images, 2 * report.keyframes);
+    assert!(report.reprojection_rms_px < 1.0, "{report:?}");
+    assert!(
+        report.reprojection_rms_px < report.reprojection_rms_before_px,
+        "{report:?}"
+    );
+    assert_eq!(result.map.point_count() as u64, report.points);
+    assert_eq!(result.map.observation_count() as u64, report.observations);
+    assert!(report.points > 500, "{report:?}");
+    assert!(report.rounds.iter().all(|r| r.final_cost <= r.initial_cost));
+    assert!(report.rounds[0].plane_matches > 500 && report.rounds[0].edge_matches > 20);
+
+    let start = result.trajectory.poses()[0];
+    let secs = |time: lsfb_types::Timestamp| time.secs_since(room::time(0.0));
+    let truth_from_found = room::world_from_rig(secs(start.time)) * start.world_from_rig.inverse();
+    for pose in result.trajectory.poses() {
+        let truth = room::world_from_rig(secs(pose.time));
+        let error = (truth_from_found * pose.world_from_rig).translation - truth.translation;
+        assert!(
+            error.norm() < 0.03,
+            "{} m at {} s",
+            error.norm(),
+            secs(pose.time)
+        );
+    }
+    // Points lie on surfaces of the room.
+    let room = Room::furnished();
+    let mut off: Vec<f64> = (0..result.map.point_count() as u32)
+        .filter_map(|i| result.map.position(i))
+        .map(|p| room.distance_to_surface(&(truth_from_found * p)))
+        .collect();
+    off.sort_by(f64::total_cmp);
+    assert!(off[off.len() / 2] < 0.01, "{} m", off[off.len() / 2]);
+}
+
+#[test]
+fn without_any_camera_it_says_so() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("scan.mcap");
+    record(&path, 0.5, &[]);
+    let recording = Recording::open(&path).expect("recording");
+    let error =
+        build_map(&recording, &MappingConfig::default(), &no_progress).expect_err("no images");
+    assert!(
+        error.to_string().contains("no images of any camera"),
+        "{error}"
+    );
+}
