@@ -7,8 +7,8 @@ use serde::Serialize;
 
 /// Images of one trigger lie this close; far below half a period at 20 Hz (protocol notes on the four-camera rig).
 const TOLERANCE_NS: i64 = 2_000_000;
-/// A group is judged when images this much younger have come from any camera.
-const SETTLED_NS: i64 = 1_000_000_000;
+/// Groups that wait for their last image, at most: minutes, since the links of two units may run far apart.
+const OPEN_GROUPS: usize = 4096;
 
 /// How the images of the cameras fit together.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
@@ -49,18 +49,20 @@ impl Groups {
             .range(window)
             .min_by_key(|(t, _)| (**t - time).abs())
             .map(|(t, _)| *t);
+        let key = near.unwrap_or(time);
         let seen = self
             .open
-            .entry(near.unwrap_or(time))
+            .entry(key)
             .or_insert_with(|| vec![false; self.cameras.len()]);
         if let Some(flag) = seen.get_mut(index) {
             *flag = true;
         }
-        while let Some(entry) = self.open.first_entry() {
-            if time - *entry.key() < SETTLED_NS {
-                break;
-            }
-            let seen = entry.remove();
+        if seen.iter().all(|&s| s) {
+            self.open.remove(&key);
+            self.report.complete += 1;
+        } else if self.open.len() > OPEN_GROUPS
+            && let Some((_, seen)) = self.open.pop_first()
+        {
             self.judge(&seen);
         }
     }
@@ -110,5 +112,17 @@ mod tests {
             report.missing_by_camera,
             BTreeMap::from([("cam2".to_owned(), 4)])
         );
+    }
+
+    #[test]
+    fn units_whose_links_run_far_apart_still_meet() {
+        let mut groups = Groups::new(vec!["cam0".into(), "cam2".into()]);
+        for camera in ["cam0", "cam2"] {
+            for trigger in 0..3_000 {
+                groups.note(camera, Timestamp::from_nanos(trigger * 100_000_000));
+            }
+        }
+        let report = groups.finish();
+        assert_eq!((report.complete, report.incomplete), (3_000, 0));
     }
 }

@@ -286,7 +286,11 @@ fn devices_that_go_away_send_garbage_or_nothing_are_named_and_the_rest_goes_on()
     );
     assert_eq!(stream(&report, "cam2+cam3").ending, Ending::EndOfStream);
     assert_eq!(stream(&report, "cam2+cam3").decoded, 60);
-    assert_eq!((report.groups.complete, report.groups.incomplete), (4, 26));
+    assert_eq!(
+        (report.groups.complete, report.groups.incomplete),
+        (4, 26),
+        "{report:?}"
+    );
     let imu = stream(&report, "imu0");
     assert_eq!((imu.decoded, imu.missing), (1_000, 0));
     assert_eq!(imu.bad, 10, "{imu:?}");
@@ -305,6 +309,7 @@ fn lost_and_strange_datagrams_are_counted_and_kept() {
     let folder = tempfile::tempdir().unwrap();
     let imu = mock::imu(Some(600), &[]);
     let config = DevicesConfig {
+        overflow: Overflow::Wait,
         lidar: Some(LidarNetConfig {
             data: LOOPBACK,
             position: LOOPBACK,

@@ -25,6 +25,9 @@ const CHUNK_BYTES: usize = 4096;
 const WRITE_TIMEOUT: Duration = Duration::from_secs(2);
 /// How often a waiting pseudo-terminal looks whether its reader is still there.
 const PEER_CHECK: Duration = Duration::from_millis(5);
+/// How long a line must look empty before it is: the kernel hands written bytes over to the reader's side later, and
+/// meanwhile they can be seen on neither.
+const SETTLE: Duration = Duration::from_millis(250);
 
 /// An open serial line in raw mode, 8 data bits, no parity, no flow control.
 #[derive(Debug)]
@@ -201,13 +204,19 @@ impl Pty {
     /// would discard what still lies in the line.
     pub fn finish(mut self, timeout: Duration) -> Result<(), Error> {
         let deadline = Instant::now() + timeout;
-        while !self.drained()? {
-            if Instant::now() >= deadline {
+        let mut empty_since = None;
+        loop {
+            let now = Instant::now();
+            if !self.drained()? {
+                empty_since = None;
+            } else if now - *empty_since.get_or_insert(now) >= SETTLE {
+                return Ok(());
+            }
+            if now >= deadline {
                 return Err(self.lost(io::ErrorKind::TimedOut.into()));
             }
             thread::sleep(Duration::from_millis(1));
         }
-        Ok(())
     }
 
     /// Whether nothing waits to be read on the other side, seen through a second handle to it.
