@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::io::{self, IoSliceMut};
 use std::net::{IpAddr, SocketAddr, UdpSocket};
 use std::os::fd::{AsFd, AsRawFd};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use lsfb_types::{Packet, Timestamp};
 use nix::errno::Errno;
@@ -14,7 +14,7 @@ use nix::sys::socket::{
 };
 use nix::sys::time::TimeSpec;
 
-use super::PacketSource;
+use super::{PacketSource, arrival_now};
 use crate::Error;
 
 /// Longest datagram taken whole; sensors send less than one Ethernet frame.
@@ -226,20 +226,12 @@ impl Port {
         bytes.truncate(length);
         Ok(Some(Datagram {
             packet: Packet {
-                arrival: arrival.unwrap_or_else(now),
+                arrival: arrival.unwrap_or_else(arrival_now),
                 bytes,
             },
             sender,
         }))
     }
-}
-
-/// For a kernel that stamps nothing.
-fn now() -> Timestamp {
-    let since = SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .unwrap_or_default();
-    Timestamp::from_nanos(i64::try_from(since.as_nanos()).unwrap_or(i64::MAX))
 }
 
 #[cfg(test)]
@@ -270,7 +262,7 @@ mod tests {
         );
         assert_eq!(udp.recv(Duration::ZERO).unwrap(), None);
         let sender = UdpSocket::bind("127.0.0.1:0").unwrap();
-        let before = now();
+        let before = arrival_now();
         for n in 0..50u8 {
             sender
                 .send_to(&[n; 1206], if n % 5 == 4 { position } else { data })

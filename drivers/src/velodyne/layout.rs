@@ -41,6 +41,8 @@ pub struct Return {
 /// Direction constants of a channel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Beam {
+    pub sin_offset: f32,
+    pub cos_offset: f32,
     pub sin_elevation: f32,
     pub cos_elevation: f32,
     pub optical_offset_m: f32,
@@ -182,8 +184,14 @@ impl PacketLayout {
         pace > 0.0 && moved <= 1.5 * pace
     }
 
-    pub(super) fn beam(&self, channel: usize) -> Beam {
-        beams(self.model)[channel]
+    pub(super) fn beams(&self) -> &'static [Beam; CHANNELS] {
+        beams(self.model)
+    }
+
+    /// Motion of the rotor while a group fires, radians per nanosecond.
+    pub(super) fn pace_rad_ns(&self, group: usize) -> f32 {
+        let step_rad = self.step_centideg[group] * (std::f32::consts::PI / 18_000.0);
+        step_rad / self.model.table().block_period_ns as f32
     }
 }
 
@@ -280,7 +288,10 @@ fn directions(model: Model) -> [Beam; CHANNELS] {
     let table = model.table();
     table.channels.map(|channel| {
         let elevation = channel.elevation_deg.to_radians();
+        let offset = channel.azimuth_offset_deg.to_radians();
         Beam {
+            sin_offset: offset.sin() as f32,
+            cos_offset: offset.cos() as f32,
             sin_elevation: elevation.sin() as f32,
             cos_elevation: elevation.cos() as f32,
             optical_offset_m: (table.optical_offset_mm / 1000.0 * (-elevation).tan()) as f32,
