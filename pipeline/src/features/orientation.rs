@@ -48,18 +48,24 @@ pub(crate) fn orientations(
         (cx - radius).max(1),
         (cx + radius).min(plane.width as isize - 2),
     );
+    let count = (right - left + 1).max(0) as usize;
+    let mut magnitudes = vec![0.0f32; count];
+    let mut positions = vec![0.0f32; count];
     for yy in top..=bottom {
         let weight_y = falloff[(yy - cy).unsigned_abs()];
-        let above = plane.row(yy as usize - 1);
-        let here = plane.row(yy as usize);
-        let below = plane.row(yy as usize + 1);
-        for xx in left..=right {
-            let i = xx as usize;
-            let (dx, dy) = (here[i + 1] - here[i - 1], below[i] - above[i]);
-            let weight = weight_y * falloff[(xx - cx).unsigned_abs()];
-            let position = (fast_atan2(dy, dx) + PI) * (BINS as f32 / (2.0 * PI));
-            let bin = (position as usize).min(BINS - 1);
-            histogram[bin] += weight * (dx * dx + dy * dy).sqrt();
+        let from = left as usize - 1;
+        let above = &plane.row(yy as usize - 1)[from + 1..from + 1 + count];
+        let here = &plane.row(yy as usize)[from..from + 2 + count];
+        let below = &plane.row(yy as usize + 1)[from + 1..from + 1 + count];
+        // A row at a time, so that the compiler takes several lanes at once.
+        for i in 0..count {
+            let (dx, dy) = (here[i + 2] - here[i], below[i] - above[i]);
+            magnitudes[i] = (dx * dx + dy * dy).sqrt();
+            positions[i] = (fast_atan2(dy, dx) + PI) * (BINS as f32 / (2.0 * PI));
+        }
+        for (i, (magnitude, position)) in magnitudes.iter().zip(&positions).enumerate() {
+            let weight = weight_y * falloff[(left + i as isize - cx).unsigned_abs()];
+            histogram[(*position as usize).min(BINS - 1)] += weight * magnitude;
         }
     }
     for _ in 0..2 {

@@ -95,7 +95,7 @@ impl DescriptorIndex {
                 total: 4,
             });
         };
-        let values: Vec<f32> = descriptors.iter().flat_map(widened).collect();
+        let values: Vec<[f32; DESCRIPTOR_LEN]> = descriptors.iter().map(widened).collect();
         let lists =
             (descriptors.len() / config.list_length.max(1)).clamp(1, config.max_lists.max(1));
         let training = |centroids, seed| Training {
@@ -105,48 +105,41 @@ impl DescriptorIndex {
             seed,
         };
         step(0);
-        let centroids = train(&values, DESCRIPTOR_LEN, &training(lists, config.seed));
-        let list_count = centroids.len() / DESCRIPTOR_LEN;
+        let centroids = train(&values, &training(lists, config.seed));
         step(1);
         let list_of: Vec<u32> = values
-            .par_chunks_exact(DESCRIPTOR_LEN)
+            .par_iter()
             .map(|v| nearest(v, &centroids) as u32)
             .collect();
-        let residuals: Vec<f32> = values
-            .chunks_exact(DESCRIPTOR_LEN)
+        let residuals: Vec<[f32; DESCRIPTOR_LEN]> = values
+            .iter()
             .zip(&list_of)
-            .flat_map(|(v, list)| {
-                let centroid = &centroids[*list as usize * DESCRIPTOR_LEN..][..DESCRIPTOR_LEN];
-                v.iter().zip(centroid).map(|(v, c)| v - c)
+            .map(|(v, list)| {
+                let centroid = &centroids[*list as usize];
+                std::array::from_fn(|d| v[d] - centroid[d])
             })
             .collect();
         step(2);
-        let parts: Vec<Vec<f32>> = (0..PARTS)
+        let parts: Vec<Vec<[f32; PART_LEN]>> = (0..PARTS)
             .into_par_iter()
             .map(|part| {
-                let slices = residuals.chunks_exact(DESCRIPTOR_LEN);
-                let column: Vec<f32> = slices
-                    .flat_map(|r| r[part * PART_LEN..][..PART_LEN].iter().copied())
-                    .collect();
-                train(
-                    &column,
-                    PART_LEN,
-                    &training(CODEWORDS, config.seed.wrapping_add(1 + part as u64)),
-                )
+                let column: Vec<_> = residuals.iter().map(|r| split(r)[part]).collect();
+                let seed = config.seed.wrapping_add(1 + part as u64);
+                train(&column, &training(CODEWORDS, seed))
             })
             .collect();
         step(3);
         let codebook = transposed(&parts);
         let codes: Vec<[u8; PARTS]> = residuals
-            .par_chunks_exact(DESCRIPTOR_LEN)
+            .par_iter()
             .map(|residual| encode(residual, &parts))
             .collect();
 
         let mut order: Vec<u32> = (0..descriptors.len() as u32).collect();
         order.sort_by_key(|d| (list_of[*d as usize], *d));
-        let mut first_entry = Vec::with_capacity(list_count);
+        let mut first_entry = Vec::with_capacity(centroids.len());
         let mut next = 0;
-        for list in 0..list_count as u32 {
+        for list in 0..centroids.len() as u32 {
             first_entry.push(next as u32);
             while next < order.len() && list_of[order[next] as usize] == list {
                 next += 1;
@@ -154,7 +147,7 @@ impl DescriptorIndex {
         }
         let offset = |descriptor: &u32| {
             let d = *descriptor as usize;
-            let centroid = &centroids[list_of[d] as usize * DESCRIPTOR_LEN..][..DESCRIPTOR_LEN];
+            let centroid = &centroids[list_of[d] as usize];
             let word = decode(&codes[d], &codebook);
             let terms = word.iter().zip(centroid);
             terms.map(|(r, c)| r * (r + 2.0 * c)).sum::<f32>()
@@ -163,7 +156,7 @@ impl DescriptorIndex {
         let sorted_codes: Vec<u8> = order.iter().flat_map(|d| codes[*d as usize]).collect();
         step(4);
         Self {
-            centroids: centroids.into(),
+            centroids: centroids.into_flattened().into(),
             first_entry: first_entry.into(),
             entries: order.into(),
             codes: sorted_codes.into(),
@@ -183,7 +176,7 @@ impl DescriptorIndex {
     ) -> &'a [Neighbour] {
         let query = widened(query);
         scratch.lists.clear();
-        let centroids = self.centroids.chunks_exact(DESCRIPTOR_LEN);
+        let centroids = self.centroids.as_chunks::<DESCRIPTOR_LEN>().0.iter();
         scratch.lists.extend(
             centroids
                 .enumerate()
@@ -260,30 +253,37 @@ fn keep_nearest(found: &mut Vec<Neighbour>, count: usize) {
     found.truncate(count);
 }
 
-/// Eight sums side by side: the order of additions is fixed, and the compiler can use lanes.
-pub(crate) fn distance_squared(a: &[f32], b: &[f32]) -> f32 {
-    let mut sums = [0.0f32; 8];
-    for (a, b) in a.chunks_exact(8).zip(b.chunks_exact(8)) {
+/// Sums side by side: the order of additions is fixed, and the compiler can use lanes. `N` is a multiple of 8.
+pub(crate) fn distance_squared<const N: usize>(a: &[f32; N], b: &[f32; N]) -> f32 {
+    let mut sums = [[0.0f32; 8]; 4];
+    let pairs = a.as_chunks::<8>().0.iter().zip(b.as_chunks::<8>().0);
+    for (i, (a, b)) in pairs.enumerate() {
         for lane in 0..8 {
             let difference = a[lane] - b[lane];
-            sums[lane] += difference * difference;
+            sums[i % 4][lane] += difference * difference;
         }
     }
-    sums.iter().sum()
+    let [p, q, r, s] = sums;
+    (0..8)
+        .map(|lane| (p[lane] + q[lane]) + (r[lane] + s[lane]))
+        .sum()
 }
 
-fn encode(residual: &[f32], parts: &[Vec<f32>]) -> [u8; PARTS] {
-    std::array::from_fn(|part| {
-        nearest(&residual[part * PART_LEN..][..PART_LEN], &parts[part]) as u8
-    })
+/// The parts of a vector.
+fn split(vector: &[f32; DESCRIPTOR_LEN]) -> &[[f32; PART_LEN]] {
+    vector.as_chunks::<PART_LEN>().0
 }
 
-/// Words of each part, `PART_LEN` values each, to values of each dimension, `CODEWORDS` each. No code uses the
-/// zeros at the end of parts that had fewer different descriptors than words.
-fn transposed(parts: &[Vec<f32>]) -> Vec<f32> {
+fn encode(residual: &[f32; DESCRIPTOR_LEN], parts: &[Vec<[f32; PART_LEN]>]) -> [u8; PARTS] {
+    std::array::from_fn(|part| nearest(&split(residual)[part], &parts[part]) as u8)
+}
+
+/// Words of each part to values of each dimension, `CODEWORDS` each. No code uses the zeros at the end of parts that
+/// had fewer different descriptors than words.
+fn transposed(parts: &[Vec<[f32; PART_LEN]>]) -> Vec<f32> {
     let mut codebook = vec![0.0; DESCRIPTOR_LEN * CODEWORDS];
     for (part, words) in parts.iter().enumerate() {
-        for (index, word) in words.chunks_exact(PART_LEN).enumerate() {
+        for (index, word) in words.iter().enumerate() {
             for (i, value) in word.iter().enumerate() {
                 codebook[(part * PART_LEN + i) * CODEWORDS + index] = *value;
             }
