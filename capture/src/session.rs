@@ -27,7 +27,7 @@ pub(crate) struct Control {
     stop: AtomicBool,
     /// Devices that end by themselves and have not ended yet.
     running: AtomicUsize,
-    pub(crate) progress: Arc<Counts>,
+    pub(crate) progress: Counts,
 }
 
 impl Control {
@@ -42,31 +42,29 @@ impl Control {
 }
 
 /// What has been handled so far, for progress and for senders that must not run ahead of the recording.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Counts {
     /// LiDAR packets of both kinds.
-    pub lidar_packets: AtomicU64,
+    pub lidar_packets: Arc<AtomicU64>,
     /// Images.
-    pub images: AtomicU64,
+    pub images: Arc<AtomicU64>,
     /// IMU samples.
-    pub imu_samples: AtomicU64,
+    pub imu_samples: Arc<AtomicU64>,
     /// Messages of sidecars.
-    pub sidecar_messages: AtomicU64,
+    pub sidecar_messages: Arc<AtomicU64>,
 }
 
-/// Opened devices, not yet recording.
+/// Listening for the devices that send by themselves; not yet recording.
 pub struct Session {
     config: DevicesConfig,
     rig: Option<Rig>,
     lidar: Option<UdpSource>,
-    cameras: Vec<(MyntCamera, CameraUnitConfig, FrameFormat)>,
-    imu: Option<XsensImu>,
     sidecar: Option<SidecarServer>,
-    counts: Arc<Counts>,
+    counts: Counts,
 }
 
 impl Session {
-    /// Opens and configures every device; the first that refuses is the error.
+    /// Reads the rig and begins to listen for the LiDAR and for sidecars.
     pub fn open(config: &DevicesConfig) -> Result<Self, Error> {
         if config.lidar.is_none()
             && config.cameras.is_empty()
@@ -84,6 +82,120 @@ impl Session {
             })?),
             None => None,
         };
+        let sidecar = config
+            .sidecar
+            .as_ref()
+            .map(|s| {
+                SidecarServer::bind(&phone::SidecarConfig {
+                    address: s.listen,
+                    ..phone::SidecarConfig::default()
+                })
+            })
+            .transpose()?;
+        Ok(Self {
+            config: config.clone(),
+            rig,
+            lidar,
+            sidecar,
+            counts: Counts::default(),
+        })
+    }
+
+    /// Where LiDAR data packets and position packets are expected, in this order; empty without a LiDAR.
+    pub fn lidar_addresses(&self) -> Vec<SocketAddr> {
+        self.lidar
+            .as_ref()
+            .map(UdpSource::local_addresses)
+            .unwrap_or_default()
+    }
+
+    /// Where sidecars connect.
+    pub fn sidecar_address(&self) -> Option<SocketAddr> {
+        self.sidecar.as_ref().map(SidecarServer::address)
+    }
+
+    /// Live counts; they go on counting while [`Session::run`] runs.
+    pub fn counts(&self) -> Counts {
+        self.counts.clone()
+    }
+
+    /// Opens and configures cameras and IMU (the first that refuses is the error), records into `out` until every device
+    /// has ended or `stop` is set, and closes the file properly.
+    pub fn run(
+        self,
+        out: &Path,
+        stop: &AtomicBool,
+        progress: ProgressFn<'_>,
+    ) -> Result<CaptureReport, Error> {
+        let (cameras, imu) = open_devices(&self.config)?;
+        recorder::make_folder(out)?;
+        let camera_names = self
+            .config
+            .cameras
+            .iter()
+            .flat_map(|c| c.names.clone())
+            .collect();
+        let recorder = Recorder::start(out, self.rig, camera_names, self.config.overflow)?;
+        let finite = cameras.len()
+            + usize::from(imu.is_some())
+            + usize::from(self.sidecar.is_some());
+        let control = Arc::new(Control {
+            stop: AtomicBool::new(false),
+            // A LiDAR alone runs until it is stopped.
+            running: AtomicUsize::new(if finite == 0 { usize::MAX } else { finite }),
+            progress: self.counts.clone(),
+        });
+        let mut threads = Threads {
+            control: Arc::clone(&control),
+            running: Vec::new(),
+            inlet: recorder.inlet(),
+        };
+        if let Some(source) = self.lidar {
+            threads.start("lidar", Ends::Never, |inlet, control| {
+                lidar::record(source, inlet, control)
+            })?;
+        }
+        for (index, (unit, config, format)) in cameras.into_iter().enumerate() {
+            let decoder = DecoderConfig {
+                format,
+                ..DecoderConfig::default()
+            };
+            threads.start(
+                &format!("camera{index}"),
+                Ends::ByItself,
+                move |inlet, control| camera::record(unit, &config, decoder, inlet, control),
+            )?;
+        }
+        if let Some(unit) = imu {
+            threads.start("imu", Ends::ByItself, |inlet, control| {
+                imu::record(unit, inlet, control)
+            })?;
+        }
+        if let Some(server) = self.sidecar {
+            threads.start("sidecar", Ends::ByItself, |inlet, control| {
+                sidecar::record(server, &inlet.patient(), control)
+            })?;
+        }
+        let mut streams = threads.wait(stop, &recorder, progress)?;
+        streams.iter_mut().for_each(StreamReport::name_silence);
+        let written = recorder.finish(&streams)?;
+        Ok(CaptureReport {
+            path: written.summary.path,
+            bytes: written.summary.bytes,
+            messages: written.summary.messages,
+            streams,
+            groups: written.groups,
+            lost: written.lost,
+        })
+    }
+}
+
+type OpenCamera = (MyntCamera, CameraUnitConfig, FrameFormat);
+
+/// The devices that are asked rather than listened to.
+fn open_devices(
+    config: &DevicesConfig,
+) -> Result<(Vec<OpenCamera>, Option<XsensImu>), Error> {
         let mut cameras = Vec::new();
         for unit in &config.cameras {
             let format = FrameFormat {
@@ -107,112 +219,7 @@ impl Session {
             })?),
             None => None,
         };
-        let sidecar = config
-            .sidecar
-            .as_ref()
-            .map(|s| {
-                SidecarServer::bind(&phone::SidecarConfig {
-                    address: s.listen,
-                    ..phone::SidecarConfig::default()
-                })
-            })
-            .transpose()?;
-        Ok(Self {
-            config: config.clone(),
-            rig,
-            lidar,
-            cameras,
-            imu,
-            sidecar,
-            counts: Arc::default(),
-        })
-    }
-
-    /// Where LiDAR data packets and position packets are expected, in this order; empty without a LiDAR.
-    pub fn lidar_addresses(&self) -> Vec<SocketAddr> {
-        self.lidar
-            .as_ref()
-            .map(UdpSource::local_addresses)
-            .unwrap_or_default()
-    }
-
-    /// Where sidecars connect.
-    pub fn sidecar_address(&self) -> Option<SocketAddr> {
-        self.sidecar.as_ref().map(SidecarServer::address)
-    }
-
-    /// Live counts; they go on counting while [`Session::run`] runs.
-    pub fn counts(&self) -> Arc<Counts> {
-        Arc::clone(&self.counts)
-    }
-
-    /// Records into `out` until every device has ended or `stop` is set; then closes the file properly.
-    pub fn run(
-        self,
-        out: &Path,
-        stop: &AtomicBool,
-        progress: ProgressFn<'_>,
-    ) -> Result<CaptureReport, Error> {
-        recorder::make_folder(out)?;
-        let camera_names = self
-            .config
-            .cameras
-            .iter()
-            .flat_map(|c| c.names.clone())
-            .collect();
-        let recorder = Recorder::start(out, self.rig, camera_names, self.config.overflow)?;
-        let finite = self.cameras.len()
-            + usize::from(self.imu.is_some())
-            + usize::from(self.sidecar.is_some());
-        let control = Arc::new(Control {
-            stop: AtomicBool::new(false),
-            // A LiDAR alone runs until it is stopped.
-            running: AtomicUsize::new(if finite == 0 { usize::MAX } else { finite }),
-            progress: Arc::clone(&self.counts),
-        });
-        let mut threads = Threads {
-            control: Arc::clone(&control),
-            running: Vec::new(),
-            inlet: recorder.inlet(),
-        };
-        if let Some(source) = self.lidar {
-            threads.start("lidar", Ends::Never, |inlet, control| {
-                lidar::record(source, inlet, control)
-            })?;
-        }
-        for (index, (unit, config, format)) in self.cameras.into_iter().enumerate() {
-            let decoder = DecoderConfig {
-                format,
-                ..DecoderConfig::default()
-            };
-            threads.start(
-                &format!("camera{index}"),
-                Ends::ByItself,
-                move |inlet, control| camera::record(unit, &config, decoder, inlet, control),
-            )?;
-        }
-        if let Some(unit) = self.imu {
-            threads.start("imu", Ends::ByItself, |inlet, control| {
-                imu::record(unit, inlet, control)
-            })?;
-        }
-        if let Some(server) = self.sidecar {
-            threads.start("sidecar", Ends::ByItself, |inlet, control| {
-                sidecar::record(server, &inlet.patient(), control)
-            })?;
-        }
-        let mut streams = threads.wait(stop, &recorder, progress)?;
-        streams.iter_mut().for_each(StreamReport::name_silence);
-        let written = recorder.finish(&streams)?;
-        Ok(CaptureReport {
-            path: written.summary.path,
-            bytes: written.summary.bytes,
-            messages: written.summary.messages,
-            streams,
-            groups: written.groups,
-            lost: written.lost,
-        })
-    }
+    Ok((cameras, imu))
 }
 
 /// Whether a device says when it has no more to send.

@@ -1,2 +1,86 @@
-//! The `lsfb` binary.
-fn main() {}
+//! `lsfb`: one binary, one file per subcommand.
+//!
+//! Exit codes: 0 done, 1 failed, 2 bad arguments, 3 finished but data was lost.
+
+mod commands;
+mod context;
+mod outcome;
+mod progress;
+mod simulated;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+use crate::context::Context;
+use crate::outcome::Outcome;
+
+/// Ground truth for AR: from a backpack scan to centimetre-accurate trajectories of every walk.
+#[derive(Parser)]
+#[command(name = "lsfb", version, arg_required_else_help = true)]
+struct Arguments {
+    #[command(flatten)]
+    global: GlobalArguments,
+    #[command(subcommand)]
+    command: Command,
+}
+
+/// What every subcommand takes.
+#[derive(clap::Args, Clone, Copy)]
+struct GlobalArguments {
+    /// Print one JSON object on stdout instead of text.
+    #[arg(long, global = true)]
+    json: bool,
+    /// Threads to compute with; 0 takes all cores. The result does not depend on it.
+    #[arg(long, global = true, default_value_t = 0, value_name = "T")]
+    threads: usize,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Demo(commands::demo::Arguments),
+    Sim(commands::sim::Arguments),
+    Scan(commands::scan::Arguments),
+    Odometry(commands::odometry::Arguments),
+    Map(commands::map::Arguments),
+    Localize(commands::localize::Arguments),
+    Groundtruth(commands::groundtruth::Arguments),
+    Eval(commands::eval::Arguments),
+    #[cfg(feature = "view")]
+    View(commands::view::Arguments),
+}
+
+fn main() -> ExitCode {
+    tracing_subscriber::fmt()
+        .with_writer(std::io::stderr)
+        .with_env_filter(
+            tracing_subscriber::EnvFilter::try_from_env("LSFB_LOG").unwrap_or_else(|_| "warn".into()),
+        )
+        .without_time()
+        .init();
+    let arguments = Arguments::parse();
+    match run(arguments) {
+        Ok(outcome) => outcome.into(),
+        Err(error) => {
+            context::print_error(&error);
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
+    rayon::ThreadPoolBuilder::new().num_threads(arguments.global.threads).build_global()?;
+    let context = Context::new(arguments.global.json)?;
+    match arguments.command {
+        Command::Demo(a) => commands::demo::run(&a, &context),
+        Command::Sim(a) => commands::sim::run(&a, &context),
+        Command::Scan(a) => commands::scan::run(&a, &context),
+        Command::Odometry(a) => commands::odometry::run(&a, &context),
+        Command::Map(a) => commands::map::run(&a, &context),
+        Command::Localize(a) => commands::localize::run(&a, &context),
+        Command::Groundtruth(a) => commands::groundtruth::run(&a, &context),
+        Command::Eval(a) => commands::eval::run(&a, &context),
+        #[cfg(feature = "view")]
+        Command::View(a) => commands::view::run(&a, &context),
+    }
+}

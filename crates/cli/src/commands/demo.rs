@@ -1,0 +1,285 @@
+//! `lsfb demo`: the main job from nothing, in one folder.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::Context as _;
+use lsfb_eval::report::{Distribution, Figure, Provenance, Report, StageTime, Threshold, Track};
+use lsfb_eval::{AlignmentMode, DuplicateStamps, EvalConfig, Evaluation, evaluate, read_poses};
+use lsfb_geometry::{Se3, StampedPose, Trajectory};
+use lsfb_pipeline::ground_truth::{GroundTruth, GroundTruthConfig};
+use lsfb_pipeline::mapping::{MappingConfig, MappingResult};
+use lsfb_sim::SimConfig;
+use nix::sys::resource::{UsageWho, getrusage};
+use serde::Serialize;
+
+use super::{groundtruth, map};
+use crate::context::Context;
+use crate::outcome::Outcome;
+use crate::simulated::{self, Layout};
+
+/// Simulate, record, map, localize and judge: the whole way, in a few minutes.
+///
+/// A backpack scans a furnished room and a corridor, glasses walk through them later; simulated devices send real bytes
+/// to the recorder, and all that follows reads recordings only. The same seed gives the same trajectories and map.
+///
+/// Example:
+///   lsfb demo --out demo-out --seed 7
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    /// Folder for recordings, map, trajectories and report.
+    #[arg(long, value_name = "DIR", default_value = "demo-out")]
+    out: PathBuf,
+    /// Seed of building, walks and noise.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+/// The figures of a run and where its files are.
+#[derive(Serialize)]
+struct Summary {
+    seed: u64,
+    ate_glasses_rms_m: f64,
+    ate_glasses_max_m: f64,
+    /// Without an alignment of their own: placed by the map alone, the map placed by the scanner.
+    ate_glasses_in_map_rms_m: f64,
+    ate_scanner_rms_m: f64,
+    ate_scanner_max_m: f64,
+    map_reprojection_px: f64,
+    map_points: u64,
+    glasses_localized: f64,
+    lost: u64,
+    wall_s: f64,
+    peak_rss_mb: f64,
+    stages_s: Vec<(String, f64)>,
+    outputs: Outputs,
+}
+
+#[derive(Serialize)]
+struct Outputs {
+    scan: PathBuf,
+    walk: PathBuf,
+    rig_backpack: PathBuf,
+    rig_glasses: PathBuf,
+    map: PathBuf,
+    scan_trajectory: PathBuf,
+    walk_trajectory: PathBuf,
+    truth: PathBuf,
+    report: PathBuf,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    rrd: Option<PathBuf>,
+}
+
+/// Limits of the first figures: they make the report's verdict.
+const MAX_ATE_M: f64 = 0.03;
+const MAX_REPROJECTION_PX: f64 = 1.5;
+
+struct Stopwatch {
+    stages: Vec<(String, f64)>,
+    last: Instant,
+}
+
+impl Stopwatch {
+    fn lap(&mut self, name: &str) {
+        self.stages.push((name.to_owned(), self.last.elapsed().as_secs_f64()));
+        self.last = Instant::now();
+    }
+}
+
+/// Runs everything.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    let began = Instant::now();
+    let mut watch = Stopwatch { stages: Vec::new(), last: began };
+    let layout = Layout::create(&arguments.out)?;
+    let files = outputs(&layout);
+    let sim_config = SimConfig { seed: arguments.seed, ..SimConfig::default() };
+    let lost = {
+        let simulation = simulated::prepare(&layout, &sim_config, context)?;
+        watch.lap("building the world");
+        let scan = simulated::record_backpack(&layout, &simulation, context)?;
+        watch.lap("recording the scan");
+        let walk = simulated::record_glasses(&layout, &simulation, context)?;
+        watch.lap("recording the walk");
+        scan.lost + walk.lost
+    };
+    let mapping_config = MappingConfig::default();
+    let mapping = map::build(&files.scan, &files.map, Some(&files.scan_trajectory), &mapping_config, context)?;
+    watch.lap("mapping");
+    let walk_config = GroundTruthConfig::default();
+    let walk = groundtruth::compute(&files.walk, &files.map, &files.walk_trajectory, &walk_config, context)?;
+    watch.lap("ground truth");
+    let judged = judge(&layout, &files)?;
+    watch.lap("judging");
+    #[cfg(feature = "view")]
+    {
+        let recordings = [files.scan.clone(), files.walk.clone()];
+        let trajectories = [files.scan_trajectory.clone(), files.walk_trajectory.clone()];
+        let rrd = files.rrd.as_deref().context("no place for the viewer's file")?;
+        super::view::write(&recordings, &trajectories, Some(&files.map), rrd, context)?;
+        watch.lap("viewer file");
+    }
+    let summary = Summary {
+        seed: arguments.seed,
+        ate_glasses_rms_m: judged.glasses.ate_translation_m.rmse,
+        ate_glasses_max_m: judged.glasses.ate_translation_m.max,
+        ate_glasses_in_map_rms_m: judged.glasses_in_map.ate_translation_m.rmse,
+        ate_scanner_rms_m: judged.scanner.ate_translation_m.rmse,
+        ate_scanner_max_m: judged.scanner.ate_translation_m.max,
+        map_reprojection_px: mapping.report.reprojection_rms_px,
+        map_points: mapping.report.points,
+        glasses_localized: walk.report.localized_groups as f64 / walk.report.groups.max(1) as f64,
+        lost,
+        wall_s: began.elapsed().as_secs_f64(),
+        peak_rss_mb: peak_rss_mb(),
+        stages_s: watch.stages,
+        outputs: files,
+    };
+    report(&summary, &judged, &mapping, &walk, &sim_config)?.write(&summary.outputs.report)?;
+    let json = layout.file("demo.json");
+    std::fs::write(&json, serde_json::to_vec_pretty(&summary)?).with_context(|| json.display().to_string())?;
+    context.print(&summary, || text(&summary))?;
+    Ok(if lost == 0 { Outcome::Done } else { Outcome::DataLost })
+}
+
+fn outputs(layout: &Layout) -> Outputs {
+    Outputs {
+        scan: layout.file("scan.mcap"),
+        walk: layout.file("walk.mcap"),
+        rig_backpack: layout.file("backpack.toml"),
+        rig_glasses: layout.file("glasses.toml"),
+        map: layout.file("map"),
+        scan_trajectory: layout.file("scan.tum"),
+        walk_trajectory: layout.file("walk.tum"),
+        truth: layout.truth(),
+        report: layout.file("report.html"),
+        rrd: cfg!(feature = "view").then(|| layout.file("demo.rrd")),
+    }
+}
+
+struct Judged {
+    scanner: Evaluation,
+    glasses: Evaluation,
+    glasses_in_map: Evaluation,
+    truth_scanner: Trajectory,
+    truth_glasses: Trajectory,
+    /// Truth's world from the map's, by the scanner's trajectory.
+    truth_from_map: Se3,
+}
+
+fn judge(layout: &Layout, files: &Outputs) -> anyhow::Result<Judged> {
+    let truth = |name: &str| -> anyhow::Result<Vec<StampedPose>> { Ok(read_poses(&layout.truth().join(name))?) };
+    let (truth_scanner, truth_glasses) = (truth("truth_scan.tum")?, truth("truth_walk.tum")?);
+    let glasses_poses = read_poses(&files.walk_trajectory)?;
+    let with = |alignment| EvalConfig { alignment, duplicates: DuplicateStamps::Refuse, ..EvalConfig::default() };
+    let scanner = evaluate(&truth_scanner, &read_poses(&files.scan_trajectory)?, &with(AlignmentMode::Se3))?;
+    let glasses = evaluate(&truth_glasses, &glasses_poses, &with(AlignmentMode::Se3))?;
+    let [x, y, z, w] = scanner.alignment_rotation_xyzw;
+    let rotation = lsfb_geometry::UnitQuaternion::new_normalize(lsfb_geometry::Quaternion::new(w, x, y, z));
+    let truth_from_map = Se3::new(rotation, scanner.alignment_translation_m.into());
+    let glasses_in_map = evaluate(&truth_glasses, &glasses_poses, &with(AlignmentMode::Given(truth_from_map)))?;
+    Ok(Judged {
+        scanner,
+        glasses,
+        glasses_in_map,
+        truth_scanner: Trajectory::new(truth_scanner),
+        truth_glasses: Trajectory::new(truth_glasses),
+        truth_from_map,
+    })
+}
+
+fn report(
+    summary: &Summary,
+    judged: &Judged,
+    mapping: &MappingResult,
+    walk: &GroundTruth,
+    sim_config: &SimConfig,
+) -> anyhow::Result<Report> {
+    let map = &mapping.map;
+    let mut warnings = mapping.report.odometry.warnings.clone();
+    warnings.extend(mapping.report.warnings.iter().chain(&walk.report.warnings).cloned());
+    let hash = |path: &Path| lsfb_recording::sha256_of(path);
+    let errors = |errors_px: &[f32]| errors_px.iter().map(|e| f64::from(*e)).collect();
+    let distribution = |title: &str, values| Distribution {
+        title: title.to_owned(),
+        quantity: "reprojection error".to_owned(),
+        unit: "px".to_owned(),
+        values,
+    };
+    Ok(Report {
+        title: format!("lsfb demo, seed {}", summary.seed),
+        figures: vec![
+            Figure::new("glasses ATE, rms", summary.ate_glasses_rms_m * 100.0, "cm").with(Threshold::AtMost(MAX_ATE_M * 100.0)),
+            Figure::new("glasses ATE, max", summary.ate_glasses_max_m * 100.0, "cm"),
+            Figure::new("glasses in the map, rms", summary.ate_glasses_in_map_rms_m * 100.0, "cm"),
+            Figure::new("scanner ATE, rms", summary.ate_scanner_rms_m * 100.0, "cm").with(Threshold::AtMost(MAX_ATE_M * 100.0)),
+            Figure::new("scanner ATE, max", summary.ate_scanner_max_m * 100.0, "cm"),
+            Figure::new("map reprojection, rms", summary.map_reprojection_px, "px").with(Threshold::AtMost(MAX_REPROJECTION_PX)),
+            Figure::new("map reprojection before Eq. 4", mapping.report.reprojection_rms_before_px, "px"),
+            Figure::new("glasses reprojection, rms", walk.report.reprojection_rms_px, "px"),
+            Figure::new("glasses localized", summary.glasses_localized * 100.0, "%"),
+            Figure::new("map points", summary.map_points as f64, ""),
+            Figure::new("messages lost", summary.lost as f64, "").with(Threshold::AtMost(0.0)),
+            Figure::new("wall time", summary.wall_s, "s").with(Threshold::AtMost(300.0)),
+            Figure::new("peak memory", summary.peak_rss_mb, "MB").with(Threshold::AtMost(4096.0)),
+        ],
+        map_points: (0..map.point_count())
+            .filter_map(|i| map.position(u32::try_from(i).ok()?))
+            .map(|point| judged.truth_from_map * point)
+            .collect(),
+        tracks: vec![
+            Track::of("scanner", &judged.scanner, &judged.truth_scanner),
+            Track::of("glasses", &judged.glasses, &judged.truth_glasses),
+        ],
+        histograms: vec![
+            distribution("Map", errors(&mapping.reprojection_errors_px)),
+            distribution("Glasses", errors(&walk.reprojection_errors_px)),
+        ],
+        stages: summary
+            .stages_s
+            .iter()
+            .map(|(name, wall_secs)| StageTime { name: name.clone(), wall_secs: *wall_secs })
+            .collect(),
+        warnings,
+        provenance: [
+            ("seed", summary.seed.to_string()),
+            ("lsfb", env!("CARGO_PKG_VERSION").to_owned()),
+            ("scan.mcap, SHA-256", hash(&summary.outputs.scan)?),
+            ("walk.mcap, SHA-256", hash(&summary.outputs.walk)?),
+            ("scan.tum, SHA-256", hash(&summary.outputs.scan_trajectory)?),
+            ("walk.tum, SHA-256", hash(&summary.outputs.walk_trajectory)?),
+            ("simulation", toml::to_string(sim_config)?),
+        ]
+        .map(|(name, value)| Provenance { name: name.to_owned(), value })
+        .into(),
+        ..Report::default()
+    })
+}
+
+fn peak_rss_mb() -> f64 {
+    // Linux counts kibibytes.
+    getrusage(UsageWho::RUSAGE_SELF).map_or(f64::NAN, |usage| usage.max_rss() as f64 * 1024.0 / 1e6)
+}
+
+fn text(s: &Summary) -> String {
+    let viewer = s.outputs.rrd.as_ref().map(|p| format!(", {}", p.display())).unwrap_or_default();
+    format!(
+        "glasses  ATE {:.2} cm rms, {:.2} cm max ({:.2} cm rms in the map); {:.1} % localized\n\
+         scanner  ATE {:.2} cm rms, {:.2} cm max\n\
+         map      {} points, reprojection {:.3} px rms\n\
+         run      {:.0} s, {:.0} MB at most, {} messages lost\n\
+         look at  {}{viewer}",
+        s.ate_glasses_rms_m * 100.0,
+        s.ate_glasses_max_m * 100.0,
+        s.ate_glasses_in_map_rms_m * 100.0,
+        s.glasses_localized * 100.0,
+        s.ate_scanner_rms_m * 100.0,
+        s.ate_scanner_max_m * 100.0,
+        s.map_points,
+        s.map_reprojection_px,
+        s.wall_s,
+        s.peak_rss_mb,
+        s.lost,
+        s.outputs.report.display(),
+    )
+}

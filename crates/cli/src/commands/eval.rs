@@ -1,0 +1,109 @@
+//! `lsfb eval`: a trajectory and its truth → errors.
+
+use std::path::PathBuf;
+
+use lsfb_eval::{AlignmentMode, DeltaUnit, EvalConfig, Evaluation, PairSelection, RpeConfig, evaluate, read_poses};
+
+use crate::context::Context;
+use crate::outcome::Outcome;
+
+/// Judge a trajectory by its truth: absolute and relative errors.
+///
+/// Reads TUM, EuRoC and (with as many poses on both sides) KITTI files.
+///
+/// Examples:
+///   lsfb eval walk.tum --truth truth_walk.tum
+///   lsfb eval orb.tum --truth gt.tum --align sim3 --rpe-delta 100 --rpe-unit frames --json
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    /// The trajectory to judge.
+    estimate: PathBuf,
+    /// The truth.
+    #[arg(long, value_name = "FILE")]
+    truth: PathBuf,
+    /// What is taken away before errors are measured.
+    #[arg(long, value_enum, default_value_t = Align::Se3)]
+    align: Align,
+    /// Largest difference of two stamps that belong together, seconds.
+    #[arg(long, default_value_t = 0.01, value_name = "S")]
+    max_difference: f64,
+    /// Distance of the two poses of a relative error.
+    #[arg(long, default_value_t = 1.0, value_name = "D")]
+    rpe_delta: f64,
+    /// What that distance counts.
+    #[arg(long, value_enum, default_value_t = RpeUnit::Metres)]
+    rpe_unit: RpeUnit,
+    /// Take every pair, not only those end to end.
+    #[arg(long)]
+    rpe_all_pairs: bool,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Align {
+    None,
+    Se3,
+    Sim3,
+    Origin,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum RpeUnit {
+    Frames,
+    Metres,
+    Seconds,
+    Degrees,
+}
+
+/// Judges, prints.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    let config = EvalConfig {
+        max_difference_secs: arguments.max_difference,
+        alignment: match arguments.align {
+            Align::None => AlignmentMode::None,
+            Align::Se3 => AlignmentMode::Se3,
+            Align::Sim3 => AlignmentMode::Sim3,
+            Align::Origin => AlignmentMode::Origin,
+        },
+        rpe: vec![RpeConfig {
+            delta: arguments.rpe_delta,
+            unit: match arguments.rpe_unit {
+                RpeUnit::Frames => DeltaUnit::Frames,
+                RpeUnit::Metres => DeltaUnit::Metres,
+                RpeUnit::Seconds => DeltaUnit::Seconds,
+                RpeUnit::Degrees => DeltaUnit::Degrees,
+            },
+            selection: if arguments.rpe_all_pairs { PairSelection::All } else { PairSelection::Consecutive },
+        }],
+        ..EvalConfig::default()
+    };
+    let evaluation = evaluate(&read_poses(&arguments.truth)?, &read_poses(&arguments.estimate)?, &config)?;
+    context.print(&evaluation, || text(&evaluation))?;
+    Ok(Outcome::Done)
+}
+
+fn text(e: &Evaluation) -> String {
+    let mut out = format!(
+        "{} of {} poses matched, {:.1} % of the truth covered, aligned by {}\n\
+         ATE  rmse {:.6} m  mean {:.6}  median {:.6}  max {:.6};  rotation rmse {:.4}°",
+        e.matched_poses,
+        e.estimate_poses,
+        e.coverage.fraction * 100.0,
+        e.alignment,
+        e.ate_translation_m.rmse,
+        e.ate_translation_m.mean,
+        e.ate_translation_m.median,
+        e.ate_translation_m.max,
+        e.ate_rotation_deg.rmse,
+    );
+    for rpe in &e.rpe {
+        out += &format!(
+            "\nRPE  per {} {:?}: rmse {:.6} m  max {:.6};  rotation rmse {:.6}°",
+            rpe.delta, rpe.delta_unit, rpe.translation_m.rmse, rpe.translation_m.max, rpe.rotation_deg.rmse
+        );
+    }
+    if let Some(scale) = e.scale_error_percent {
+        out += &format!("\nscale {scale:+.3} %");
+    }
+    out
+}

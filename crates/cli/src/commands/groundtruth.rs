@@ -1,0 +1,70 @@
+//! `lsfb groundtruth`: a walk and an HD map → trajectory.
+
+use std::path::{Path, PathBuf};
+
+use lsfb_pipeline::ground_truth::{GroundTruth, GroundTruthConfig, ground_truth};
+use lsfb_pipeline::hd_map::HdMap;
+use lsfb_recording::{Provenance, Recording, write_tum};
+
+use crate::context::Context;
+use crate::outcome::Outcome;
+
+/// Compute the ground-truth trajectory of a walk in an HD map.
+///
+/// Example:
+///   lsfb groundtruth walk.mcap --map map --out walk.tum
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    /// The walk (MCAP) of a phone or glasses.
+    recording: PathBuf,
+    /// The map: a folder.
+    #[arg(long, value_name = "DIR")]
+    map: PathBuf,
+    /// The trajectory (TUM), in the world of the map.
+    #[arg(long, value_name = "TUM")]
+    out: PathBuf,
+    /// Settings (TOML), instead of the defaults.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+}
+
+/// Computes, writes, prints.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    let config: GroundTruthConfig =
+        arguments.config.as_deref().map(super::read_config).transpose()?.unwrap_or_default();
+    let found = compute(&arguments.recording, &arguments.map, &arguments.out, &config, context)?;
+    let r = &found.report;
+    context.print(r, || {
+        let mut text = format!(
+            "{}: {} poses, {} of {} images localized, reprojection {:.3} px rms",
+            arguments.out.display(),
+            found.trajectory.len(),
+            r.localized_groups,
+            r.groups,
+            r.reprojection_rms_px
+        );
+        for warning in &r.warnings {
+            text += &format!("\n  {warning}");
+        }
+        text
+    })?;
+    Ok(Outcome::Done)
+}
+
+/// Computes the trajectory and writes it with where it comes from.
+pub fn compute(
+    recording: &Path,
+    map: &Path,
+    out: &Path,
+    config: &GroundTruthConfig,
+    context: &Context,
+) -> anyhow::Result<GroundTruth> {
+    let found = ground_truth(&Recording::open(recording)?, &HdMap::open(map)?, config, &|p| context.show(p))?;
+    context.check_stop()?;
+    write_tum(out, &found.trajectory)?;
+    let mut provenance = Provenance::new(config);
+    provenance.add_input(recording)?;
+    provenance.write(out)?;
+    Ok(found)
+}

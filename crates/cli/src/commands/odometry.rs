@@ -1,0 +1,70 @@
+//! `lsfb odometry`: scans → trajectory.
+
+use std::path::PathBuf;
+
+use lsfb_capture::{CloudsConfig, import_clouds};
+use lsfb_pipeline::odometry::{OdometryConfig, run_odometry};
+use lsfb_recording::{Provenance, Recording, write_tum};
+
+use crate::context::Context;
+use crate::outcome::Outcome;
+
+/// LiDAR(-inertial) odometry over a recording, or over a folder of PCD scans.
+///
+/// Examples:
+///   lsfb odometry scan.mcap --out scan.tum
+///   lsfb odometry kitti/velodyne_pcd --outdoor --out kitti.tum
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    /// Recording (MCAP), or folder of PCD files; the latter is recorded beside the result first.
+    input: PathBuf,
+    /// The trajectory (TUM).
+    #[arg(long, value_name = "TUM")]
+    out: PathBuf,
+    /// Settings for streets: far ranges, coarse cells.
+    #[arg(long)]
+    outdoor: bool,
+    /// Settings (TOML), instead of the defaults.
+    #[arg(long, value_name = "FILE", conflicts_with = "outdoor")]
+    config: Option<PathBuf>,
+}
+
+/// Runs the odometry, prints its report.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    let show = |p| context.show(p);
+    let config = match &arguments.config {
+        Some(path) => super::read_config(path)?,
+        None if arguments.outdoor => OdometryConfig::outdoor(),
+        None => OdometryConfig::default(),
+    };
+    let input = if arguments.input.is_dir() {
+        let scans = arguments.out.with_extension("scans.mcap");
+        import_clouds(&arguments.input, &CloudsConfig::default(), &scans, context.stop(), &show)?;
+        scans
+    } else {
+        arguments.input.clone()
+    };
+    context.check_stop()?;
+    let result = run_odometry(&Recording::open(&input)?, &config, &show)?;
+    write_tum(&arguments.out, &result.trajectory)?;
+    let mut provenance = Provenance::new(&config);
+    provenance.add_input(&input)?;
+    provenance.write(&arguments.out)?;
+    let r = &result.report;
+    context.print(r, || {
+        let mut text = format!(
+            "{}: {} of {} scans registered, {:.2} m of path, {:.1} mm to the map's planes",
+            arguments.out.display(),
+            r.registered,
+            r.scans,
+            r.path_length_m,
+            r.plane_rms_m * 1e3
+        );
+        for warning in &r.warnings {
+            text += &format!("\n  {warning}");
+        }
+        text
+    })?;
+    Ok(Outcome::Done)
+}

@@ -1,0 +1,96 @@
+//! `lsfb scan`: devices or capture files → Recording.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use anyhow::bail;
+use lsfb_capture::{CaptureReport, DevicesConfig, ReplayConfig, Session, replay};
+use lsfb_drivers::transport::pcap::PcapSource;
+use lsfb_drivers::transport::rosbag2::Rosbag2Source;
+use lsfb_geometry::Rig;
+
+use crate::context::Context;
+use crate::outcome::Outcome;
+
+/// Record devices, or the packets of a capture file, into one MCAP.
+///
+/// Ctrl-C ends the recording and closes the file. Exit code 3: recorded, but something was lost.
+///
+/// Examples:
+///   lsfb scan --devices devices.toml --out scan.mcap
+///   lsfb scan --pcap drive.pcap --out drive.mcap
+///   lsfb scan --db3 rosbag2_0.db3 --out bag.mcap
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    /// List of devices (TOML); `lsfb sim` writes one for its simulated devices.
+    #[arg(long, value_name = "FILE", group = "source", required_unless_present_any = ["pcap", "db3"])]
+    devices: Option<PathBuf>,
+    /// Velodyne packets of a pcap or pcapng capture.
+    #[arg(long, value_name = "FILE", group = "source")]
+    pcap: Option<PathBuf>,
+    /// Velodyne packets of a rosbag2 database.
+    #[arg(long, value_name = "FILE", group = "source")]
+    db3: Option<PathBuf>,
+    /// Rig attached to what comes from a capture file.
+    #[arg(long, value_name = "FILE", conflicts_with = "devices")]
+    rig: Option<PathBuf>,
+    /// The recording.
+    #[arg(long, value_name = "MCAP")]
+    out: PathBuf,
+}
+
+/// Records, prints the report.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    let show = |p| context.show(p);
+    let report = if let Some(devices) = &arguments.devices {
+        let session = Session::open(&DevicesConfig::read(devices)?)?;
+        session.run(&arguments.out, context.stop(), &show)?
+    } else {
+        let rig = arguments.rig.as_deref().map(Rig::read).transpose()?;
+        let config = ReplayConfig { rig, ..ReplayConfig::default() };
+        let out: &Path = &arguments.out;
+        match (&arguments.pcap, &arguments.db3) {
+            (Some(pcap), _) => replay(PcapSource::open(pcap)?, &config, out, context.stop(), &show)?,
+            (_, Some(db3)) => replay(Rosbag2Source::open(db3)?, &config, out, context.stop(), &show)?,
+            _ => bail!("name a source: --devices, --pcap or --db3"),
+        }
+    };
+    context.print(&report, || text(&report))?;
+    Ok(if report.lost == 0 { Outcome::Done } else { Outcome::DataLost })
+}
+
+/// The report for people.
+pub fn text(report: &CaptureReport) -> String {
+    let mut out = format!(
+        "{}: {:.1} MB, {} messages, {} lost\n",
+        report.path.display(),
+        report.bytes as f64 / 1e6,
+        report.messages,
+        report.lost
+    );
+    for s in &report.streams {
+        let _ = write!(out, "  {:<12} {} received, {} samples", s.name, s.received, s.decoded);
+        for (count, what) in [
+            (s.bad, "unreadable"),
+            (s.missing, "missing"),
+            (s.duplicated, "repeated"),
+            (s.dropped, "dropped because the disk could not keep up"),
+        ] {
+            if count > 0 {
+                let _ = write!(out, ", {count} {what}");
+            }
+        }
+        if let lsfb_capture::Ending::Lost(why) = &s.ending {
+            let _ = write!(out, "; LOST: {why}");
+        }
+        out.push('\n');
+        for line in s.first_bad.iter().chain(&s.notes) {
+            let _ = writeln!(out, "               {line}");
+        }
+    }
+    if report.groups.complete + report.groups.incomplete > 0 {
+        let _ = write!(out, "  triggers     {} complete, {} incomplete", report.groups.complete, report.groups.incomplete);
+    }
+    out.trim_end().to_owned()
+}

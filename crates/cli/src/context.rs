@@ -1,0 +1,75 @@
+//! What every command needs: where to print, when to stop.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::Context as _;
+use lsfb_types::Progress;
+use serde::Serialize;
+
+use crate::progress::Display;
+
+/// Shared by a command and its stages.
+pub struct Context {
+    json: bool,
+    display: Display,
+    stop: Arc<AtomicBool>,
+}
+
+impl Context {
+    /// From now on Ctrl-C asks for an orderly end; a second one ends at once.
+    pub fn new(json: bool) -> anyhow::Result<Self> {
+        let stop = Arc::new(AtomicBool::new(false));
+        let flag = Arc::clone(&stop);
+        ctrlc::set_handler(move || {
+            if flag.swap(true, Ordering::Relaxed) {
+                std::process::exit(130);
+            }
+        })
+        .context("cannot install the Ctrl-C handler")?;
+        Ok(Self { json, display: Display::new(), stop })
+    }
+
+    /// Set when the user asked for an orderly end.
+    pub fn stop(&self) -> &AtomicBool {
+        &self.stop
+    }
+
+    /// Fails where the user asked for an end; for stages that cannot be ended half-way.
+    pub fn check_stop(&self) -> anyhow::Result<()> {
+        anyhow::ensure!(!self.stop.load(Ordering::Relaxed), "stopped by Ctrl-C; what was written so far is kept");
+        Ok(())
+    }
+
+    /// What long-running stages call.
+    pub fn show(&self, progress: Progress) {
+        self.display.show(progress);
+    }
+
+    /// Prints a command's result: `value` as JSON where that was asked for, else `text`.
+    pub fn print<T: Serialize>(&self, value: &T, text: impl FnOnce() -> String) -> anyhow::Result<()> {
+        self.display.finish();
+        let out = if self.json { serde_json::to_string(value)? } else { text() };
+        println!("{out}");
+        Ok(())
+    }
+
+    /// A line for the person at the terminal, on stderr.
+    pub fn note(&self, line: &str) {
+        self.display.finish();
+        eprintln!("{line}");
+    }
+}
+
+/// One sentence and, where there is more than one cause, the chain.
+pub fn print_error(error: &anyhow::Error) {
+    let mut message = error.to_string();
+    for cause in error.chain().skip(1) {
+        let cause = cause.to_string();
+        // Library errors already quote their source.
+        if !message.contains(&cause) {
+            message = format!("{message}: {cause}");
+        }
+    }
+    eprintln!("error: {message}");
+}
