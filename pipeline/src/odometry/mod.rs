@@ -54,6 +54,20 @@ pub struct OdometryConfig {
     pub min_inlier_ratio: f64,
 }
 
+impl OdometryConfig {
+    /// For streets and car-mounted LiDARs: far ranges, coarse cells.
+    pub fn outdoor() -> Self {
+        Self {
+            min_range_m: 3.0,
+            max_range_m: 100.0,
+            cell_size_m: 2.0,
+            keypoint_voxel_m: 1.0,
+            insert_voxel_m: 0.25,
+            ..Self::default()
+        }
+    }
+}
+
 impl Default for OdometryConfig {
     fn default() -> Self {
         Self {

@@ -70,14 +70,7 @@ fn kitti_end_point_agrees_with_kiss_icp() {
         return;
     };
     let reference = read_kitti_poses(&folder.join("data_1_kissicp_poses.txt"));
-    let config = OdometryConfig {
-        min_range_m: 3.0,
-        max_range_m: 100.0,
-        cell_size_m: 2.0,
-        keypoint_voxel_m: 1.0,
-        insert_voxel_m: 0.25,
-        ..Default::default()
-    };
+    let config = OdometryConfig::outdoor();
     let lidar = RigLidar {
         rig_from_lidar: Se3::identity(),
         range_noise_m: 0.02,

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use lsfb_pipeline::hd_map::HdMap;
-use lsfb_pipeline::localization::{LocalizePosedConfig, localize_posed_images};
+use lsfb_pipeline::localization::{PosedQueryConfig, localize_posed_images};
 use lsfb_pipeline::posed_images::PosedImages;
 
 use crate::context::Context;
@@ -37,7 +37,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         index += 1;
         (index - 1) % arguments.every == 0
     });
-    let report = localize_posed_images(&posed, &map, &LocalizePosedConfig::default(), &|p| context.show(p))?;
+    let report = localize_posed_images(&posed, &map, &PosedQueryConfig::default(), &|p| context.show(p))?;
     context.print(&report, || report.to_string())?;
     Ok(Outcome::Done)
 }
