@@ -9,8 +9,7 @@ use lsfb_capture::{
     CameraUnitConfig, CaptureReport, Counts, DevicesConfig, ImuLineConfig, LidarNetConfig, Overflow, Session,
     SidecarConfig,
 };
-use lsfb_sim::device::{FlowControl, GlassesEndpoint, Pace, ScanEndpoints, SimSession};
-use lsfb_sim::{SimConfig, Simulation};
+use lsfb_sim::{FlowControl, GlassesEndpoint, Pace, ScanEndpoints, SimConfig, SimSession, Simulation};
 
 use crate::context::Context;
 

@@ -37,12 +37,13 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let r = &found.report;
     context.print(r, || {
         let mut text = format!(
-            "{}: {} poses, {} of {} images localized, reprojection {:.3} px rms",
+            "{}: {} poses, {} of {} frames localized, {} bridged, reprojection {:.3} px rms",
             arguments.out.display(),
             found.trajectory.len(),
-            r.localized_groups,
-            r.groups,
-            r.reprojection_rms_px
+            r.localized,
+            r.frames,
+            r.bridged,
+            r.map_errors.rms_px
         );
         for warning in &r.warnings {
             text += &format!("\n  {warning}");

@@ -99,15 +99,7 @@ pub fn build(
 
 fn from_posed_images(folder: &Path, arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     let config: PosedMapConfig = arguments.config.as_deref().map(super::read_config).transpose()?.unwrap_or_default();
-    let mut posed = PosedImages::read(folder)?;
-    if let Some(n) = arguments.without_every {
-        anyhow::ensure!(n > 1, "--without-every {n} would leave no image");
-        let mut index = 0;
-        posed.images.retain(|_| {
-            index += 1;
-            (index - 1) % n != 0
-        });
-    }
+    let posed = PosedImages::read(folder)?.without_every(arguments.without_every.unwrap_or(0));
     let map = build_map_from_posed_images(&posed, &config, &|p| context.show(p))?;
     map.write(&arguments.out)?;
     context.print(&summary(&arguments.out, &map, ()), || {

@@ -51,7 +51,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         let config = ReplayConfig { rig, ..ReplayConfig::default() };
         let out: &Path = &arguments.out;
         match (&arguments.pcap, &arguments.db3) {
-            (Some(pcap), _) => replay(PcapSource::open(pcap)?, &config, out, context.stop(), &show)?,
+            (Some(pcap), _) => replay(PcapSource::open(pcap, &[2368, 8308])?, &config, out, context.stop(), &show)?,
             (_, Some(db3)) => replay(Rosbag2Source::open(db3)?, &config, out, context.stop(), &show)?,
             _ => bail!("name a source: --devices, --pcap or --db3"),
         }

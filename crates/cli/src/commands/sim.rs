@@ -7,8 +7,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use lsfb_capture::{DevicesConfig, LidarNetConfig, Overflow};
-use lsfb_sim::SimConfig;
-use lsfb_sim::device::{GlassesEndpoint, Pace, SimSession};
+use lsfb_sim::{GlassesEndpoint, Pace, SimConfig, SimSession};
 use serde::Serialize;
 
 use crate::context::Context;
