@@ -5,7 +5,8 @@ use std::time::Instant;
 
 use anyhow::Context as _;
 use lsfb_eval::report::{Distribution, Figure, Provenance, Report, StageTime, Threshold, Track};
-use lsfb_eval::{AlignmentMode, DuplicateStamps, EvalConfig, Evaluation, evaluate, read_poses};
+use lsfb_eval::alignment::AlignmentMode;
+use lsfb_eval::{DuplicateStamps, EvalConfig, Evaluation, evaluate, read_poses};
 use lsfb_geometry::{Se3, StampedPose, Trajectory};
 use lsfb_pipeline::ground_truth::{GroundTruth, GroundTruthConfig};
 use lsfb_pipeline::mapping::{MappingConfig, MappingResult};

@@ -2,7 +2,11 @@
 
 use std::path::PathBuf;
 
-use lsfb_eval::{AlignmentMode, DeltaUnit, EvalConfig, Evaluation, PairSelection, RpeConfig, evaluate, read_poses};
+use lsfb_eval::alignment::AlignmentMode;
+use lsfb_eval::pairs::{DeltaUnit, PairSelection};
+use lsfb_eval::report::Report;
+use lsfb_eval::{EvalConfig, Evaluation, RpeConfig, evaluate, read_poses};
+use lsfb_geometry::Trajectory;
 
 use crate::context::Context;
 use crate::outcome::Outcome;
@@ -34,6 +38,9 @@ pub struct Arguments {
     /// What that distance counts.
     #[arg(long, value_enum, default_value_t = RpeUnit::Metres)]
     rpe_unit: RpeUnit,
+    /// Write a page with plots.
+    #[arg(long, value_name = "HTML")]
+    report: Option<PathBuf>,
     /// Take every pair, not only those end to end.
     #[arg(long)]
     rpe_all_pairs: bool,
@@ -77,7 +84,12 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         }],
         ..EvalConfig::default()
     };
-    let evaluation = evaluate(&read_poses(&arguments.truth)?, &read_poses(&arguments.estimate)?, &config)?;
+    let truth = read_poses(&arguments.truth)?;
+    let evaluation = evaluate(&truth, &read_poses(&arguments.estimate)?, &config)?;
+    if let Some(page) = &arguments.report {
+        let name = arguments.estimate.file_name().unwrap_or_default().to_string_lossy();
+        Report::of_evaluation(&name, &evaluation, &Trajectory::new(truth)).write(page)?;
+    }
     context.print(&evaluation, || text(&evaluation))?;
     Ok(Outcome::Done)
 }
