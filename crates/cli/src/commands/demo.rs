@@ -7,8 +7,8 @@ use anyhow::Context as _;
 use lsfb_eval::report::{Distribution, Figure, Provenance, Report, StageTime, Threshold, Track};
 use lsfb_eval::alignment::AlignmentMode;
 use lsfb_eval::{DuplicateStamps, EvalConfig, Evaluation, evaluate, read_poses};
-use lsfb_geometry::{Se3, StampedPose, Trajectory};
-use lsfb_pipeline::ground_truth::{GroundTruth, GroundTruthConfig};
+use lsfb_geometry::{Quaternion, Se3, StampedPose, Trajectory, UnitQuaternion};
+use lsfb_pipeline::ground_truth::{GroundTruth, GroundTruthConfig, ReprojectionErrors};
 use lsfb_pipeline::mapping::{MappingConfig, MappingResult};
 use lsfb_sim::SimConfig;
 use nix::sys::resource::{UsageWho, getrusage};
@@ -176,7 +176,7 @@ fn judge(layout: &Layout, files: &Outputs) -> anyhow::Result<Judged> {
     let scanner = evaluate(&truth_scanner, &read_poses(&files.scan_trajectory)?, &with(AlignmentMode::Se3))?;
     let glasses = evaluate(&truth_glasses, &glasses_poses, &with(AlignmentMode::Se3))?;
     let [x, y, z, w] = scanner.alignment_rotation_xyzw;
-    let rotation = lsfb_geometry::UnitQuaternion::new_normalize(lsfb_geometry::Quaternion::new(w, x, y, z));
+    let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
     let truth_from_map = Se3::new(rotation, scanner.alignment_translation_m.into());
     let glasses_in_map = evaluate(&truth_glasses, &glasses_poses, &with(AlignmentMode::Given(truth_from_map)))?;
     Ok(Judged {
@@ -200,7 +200,6 @@ fn report(
     let mut warnings = mapping.report.odometry.warnings.clone();
     warnings.extend(mapping.report.warnings.iter().chain(&walk.report.warnings).cloned());
     let hash = |path: &Path| lsfb_recording::sha256_of(path);
-    let errors = |errors_px: &[f32]| errors_px.iter().map(|e| f64::from(*e)).collect();
     let distribution = |title: &str, values| Distribution {
         title: title.to_owned(),
         quantity: "reprojection error".to_owned(),
@@ -233,8 +232,8 @@ fn report(
             Track::of("glasses", &judged.glasses, &judged.truth_glasses),
         ],
         histograms: vec![
-            distribution("Map", errors(&mapping.reprojection_errors_px)),
-            distribution("Glasses", errors(&walk.reprojection_errors_px)),
+            distribution("Map", mapping.report.reprojection_errors_px.clone()),
+            distribution("Glasses", binned(&walk.report.map_errors)),
         ],
         stages: summary
             .stages_s
@@ -255,6 +254,16 @@ fn report(
         .into(),
         ..Report::default()
     })
+}
+
+/// The middle of its bin for each error.
+fn binned(errors: &ReprojectionErrors) -> Vec<f64> {
+    let bins = errors.histogram.iter().enumerate();
+    bins.flat_map(|(bin, count)| {
+        let middle = (bin as f64 + 0.5) * ReprojectionErrors::BIN_PX;
+        std::iter::repeat_n(middle, usize::try_from(*count).unwrap_or(usize::MAX))
+    })
+    .collect()
 }
 
 fn peak_rss_mb() -> f64 {
