@@ -167,9 +167,6 @@ pub enum Error {
         /// Of these, refused.
         rejected: usize,
     },
-    /// A problem could not be solved.
-    #[error(transparent)]
-    Solver(#[from] lsfb_solver::Error),
     /// The IMU leaves a time open that is to be integrated over.
     #[error(
         "no IMU samples from {from} s to {to} s: at most {longest_secs} s may be missing, record the IMU without pauses"

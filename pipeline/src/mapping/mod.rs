@@ -147,6 +147,9 @@ pub struct MappingReport {
     pub reprojection_rms_px: f64,
     /// Median reprojection error of the map, pixels.
     pub reprojection_median_px: f64,
+    /// Reprojection error of every observation in the map, pixels.
+    #[serde(skip)]
+    pub reprojection_errors_px: Vec<f64>,
     /// What each round of correspondences and minimisation did.
     pub rounds: Vec<RoundReport>,
     /// What the reader should know.
@@ -296,7 +299,8 @@ fn optimise(
     }
     let max_px = config.max_reprojection_px;
     report.dropped_observations = drop_outliers(rig, keyframes, &mut points, max_px);
-    let errors = ErrorSummary::of(reprojection_errors_px(rig, keyframes, &points));
+    report.reprojection_errors_px = reprojection_errors_px(rig, keyframes, &points);
+    let errors = ErrorSummary::of(report.reprojection_errors_px.clone());
     report.reprojection_rms_px = errors.rms;
     report.reprojection_median_px = errors.median;
     report.points = points.len() as u64;

@@ -32,7 +32,11 @@ impl GlassesDevice {
             session: session.to_owned(),
             ..ClientConfig::default()
         })?;
-        client.advertise(&advertise(IMU_CHANNEL, "imu", IMU))?;
+        // The device's calibration travels with its first channel.
+        client.advertise(&Advertise {
+            metadata_json: serde_json::json!({ "rig_toml": rig.rig().to_toml() }).to_string(),
+            ..advertise(IMU_CHANNEL, "imu", IMU)
+        })?;
         for (camera, name) in rig.rig().cameras.keys().enumerate() {
             let topic = format!("{name}/image");
             client.advertise(&advertise(camera_channel(camera), &topic, IMAGE))?;
