@@ -136,9 +136,8 @@ impl Session {
             .flat_map(|c| c.names.clone())
             .collect();
         let recorder = Recorder::start(out, self.rig, camera_names, self.config.overflow)?;
-        let finite = cameras.len()
-            + usize::from(imu.is_some())
-            + usize::from(self.sidecar.is_some());
+        let finite =
+            cameras.len() + usize::from(imu.is_some()) + usize::from(self.sidecar.is_some());
         let control = Arc::new(Control {
             stop: AtomicBool::new(false),
             // A LiDAR alone runs until it is stopped.
@@ -193,32 +192,30 @@ impl Session {
 type OpenCamera = (MyntCamera, CameraUnitConfig, FrameFormat);
 
 /// The devices that are asked rather than listened to.
-fn open_devices(
-    config: &DevicesConfig,
-) -> Result<(Vec<OpenCamera>, Option<XsensImu>), Error> {
-        let mut cameras = Vec::new();
-        for unit in &config.cameras {
-            let format = FrameFormat {
-                width: unit.frame_px[0],
-                height: unit.frame_px[1],
-            };
-            let open = CameraConfig {
-                path: unit.path.clone(),
-                serial: unit.serial.clone(),
-                format,
-                rate_hz: unit.rate_hz,
-                ..CameraConfig::default()
-            };
-            cameras.push((MyntCamera::open(&open)?, unit.clone(), format));
-        }
-        let imu = match &config.imu {
-            Some(line) => Some(XsensImu::open(&ImuConfig {
-                path: line.path.clone(),
-                baud: line.baud,
-                rate_hz: line.rate_hz,
-            })?),
-            None => None,
+fn open_devices(config: &DevicesConfig) -> Result<(Vec<OpenCamera>, Option<XsensImu>), Error> {
+    let mut cameras = Vec::new();
+    for unit in &config.cameras {
+        let format = FrameFormat {
+            width: unit.frame_px[0],
+            height: unit.frame_px[1],
         };
+        let open = CameraConfig {
+            path: unit.path.clone(),
+            serial: unit.serial.clone(),
+            format,
+            rate_hz: unit.rate_hz,
+            ..CameraConfig::default()
+        };
+        cameras.push((MyntCamera::open(&open)?, unit.clone(), format));
+    }
+    let imu = match &config.imu {
+        Some(line) => Some(XsensImu::open(&ImuConfig {
+            path: line.path.clone(),
+            baud: line.baud,
+            rate_hz: line.rate_hz,
+        })?),
+        None => None,
+    };
     Ok((cameras, imu))
 }
 

@@ -27,7 +27,11 @@ impl Context {
             }
         })
         .context("cannot install the Ctrl-C handler")?;
-        Ok(Self { json, display: Display::new(), stop })
+        Ok(Self {
+            json,
+            display: Display::new(),
+            stop,
+        })
     }
 
     /// Set when the user asked for an orderly end.
@@ -37,7 +41,10 @@ impl Context {
 
     /// Fails where the user asked for an end; for stages that cannot be ended half-way.
     pub fn check_stop(&self) -> anyhow::Result<()> {
-        anyhow::ensure!(!self.stop.load(Ordering::Relaxed), "stopped by Ctrl-C; what was written so far is kept");
+        anyhow::ensure!(
+            !self.stop.load(Ordering::Relaxed),
+            "stopped by Ctrl-C; what was written so far is kept"
+        );
         Ok(())
     }
 
@@ -47,9 +54,17 @@ impl Context {
     }
 
     /// Prints a command's result: `value` as JSON where that was asked for, else `text`.
-    pub fn print<T: Serialize>(&self, value: &T, text: impl FnOnce() -> String) -> anyhow::Result<()> {
+    pub fn print<T: Serialize>(
+        &self,
+        value: &T,
+        text: impl FnOnce() -> String,
+    ) -> anyhow::Result<()> {
         self.display.finish();
-        let out = if self.json { serde_json::to_string(value)? } else { text() };
+        let out = if self.json {
+            serde_json::to_string(value)?
+        } else {
+            text()
+        };
         println!("{out}");
         Ok(())
     }

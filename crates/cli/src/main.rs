@@ -51,13 +51,6 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    tracing_subscriber::fmt()
-        .with_writer(std::io::stderr)
-        .with_env_filter(
-            tracing_subscriber::EnvFilter::try_from_env("LSFB_LOG").unwrap_or_else(|_| "warn".into()),
-        )
-        .without_time()
-        .init();
     let arguments = Arguments::parse();
     match run(arguments) {
         Ok(outcome) => outcome.into(),
@@ -69,7 +62,9 @@ fn main() -> ExitCode {
 }
 
 fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
-    rayon::ThreadPoolBuilder::new().num_threads(arguments.global.threads).build_global()?;
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(arguments.global.threads)
+        .build_global()?;
     let context = Context::new(arguments.global.json)?;
     match arguments.command {
         Command::Demo(a) => commands::demo::run(&a, &context),

@@ -28,14 +28,21 @@ impl Display {
     pub fn new() -> Self {
         let now = Instant::now();
         Self {
-            state: Mutex::new(State { stage: "", bar: None, started: now, last_line: now }),
+            state: Mutex::new(State {
+                stage: "",
+                bar: None,
+                started: now,
+                last_line: now,
+            }),
             terminal: std::io::stderr().is_terminal(),
         }
     }
 
     /// What stages call.
     pub fn show(&self, progress: Progress) {
-        let Ok(mut state) = self.state.lock() else { return };
+        let Ok(mut state) = self.state.lock() else {
+            return;
+        };
         if state.stage != progress.stage {
             self.begin(&mut state, progress);
         }
@@ -65,9 +72,13 @@ impl Display {
         state.started = Instant::now();
         state.last_line = state.started;
         if self.terminal {
-            let bar = ProgressBar::with_draw_target(Some(progress.total), ProgressDrawTarget::stderr());
+            let bar =
+                ProgressBar::with_draw_target(Some(progress.total), ProgressDrawTarget::stderr());
             let template = "{msg:<28} {bar:32} {pos}/{len} {elapsed} (ETA {eta})";
-            bar.set_style(ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()));
+            bar.set_style(
+                ProgressStyle::with_template(template)
+                    .unwrap_or_else(|_| ProgressStyle::default_bar()),
+            );
             bar.set_message(progress.stage);
             state.bar = Some(bar);
         } else {
@@ -83,16 +94,27 @@ fn end(state: &mut State) {
     if let Some(bar) = state.bar.take() {
         bar.finish_and_clear();
     }
-    eprintln!("{:<28} {:6.1} s", state.stage, state.started.elapsed().as_secs_f64());
+    eprintln!(
+        "{:<28} {:6.1} s",
+        state.stage,
+        state.started.elapsed().as_secs_f64()
+    );
     state.stage = "";
 }
 
 fn line(state: &State, progress: Progress) {
     let elapsed = state.started.elapsed().as_secs_f64();
     if progress.total > 0 && progress.done > 0 {
-        let eta = elapsed * (progress.total.saturating_sub(progress.done)) as f64 / progress.done as f64;
-        eprintln!("{:<28} {}/{} ETA {eta:.0} s", progress.stage, progress.done, progress.total);
+        let eta =
+            elapsed * (progress.total.saturating_sub(progress.done)) as f64 / progress.done as f64;
+        eprintln!(
+            "{:<28} {}/{} ETA {eta:.0} s",
+            progress.stage, progress.done, progress.total
+        );
     } else {
-        eprintln!("{:<28} {} after {elapsed:.0} s", progress.stage, progress.done);
+        eprintln!(
+            "{:<28} {} after {elapsed:.0} s",
+            progress.stage, progress.done
+        );
     }
 }

@@ -6,10 +6,12 @@ use std::sync::Arc;
 
 use anyhow::Context as _;
 use lsfb_capture::{
-    CameraUnitConfig, CaptureReport, Counts, DevicesConfig, ImuLineConfig, LidarNetConfig, Overflow, Session,
-    SidecarConfig,
+    CameraUnitConfig, CaptureReport, Counts, DevicesConfig, ImuLineConfig, LidarNetConfig,
+    Overflow, Session, SidecarConfig,
 };
-use lsfb_sim::{FlowControl, GlassesEndpoint, Pace, ScanEndpoints, SimConfig, SimSession, Simulation};
+use lsfb_sim::{
+    FlowControl, GlassesEndpoint, Pace, ScanEndpoints, SimConfig, SimSession, Simulation,
+};
 
 use crate::context::Context;
 
@@ -21,7 +23,9 @@ pub struct Layout {
 impl Layout {
     /// Makes the folder.
     pub fn create(folder: &Path) -> anyhow::Result<Self> {
-        let layout = Self { folder: folder.to_owned() };
+        let layout = Self {
+            folder: folder.to_owned(),
+        };
         for path in [layout.folder.clone(), layout.truth(), layout.devices()] {
             std::fs::create_dir_all(&path).with_context(|| path.display().to_string())?;
         }
@@ -53,21 +57,30 @@ impl Layout {
 }
 
 /// Builds the world and writes what is known beforehand: rigs and settings beside, the truth in a folder of its own.
-pub fn prepare(layout: &Layout, config: &SimConfig, context: &Context) -> anyhow::Result<Arc<Simulation>> {
+pub fn prepare(
+    layout: &Layout,
+    config: &SimConfig,
+    context: &Context,
+) -> anyhow::Result<Arc<Simulation>> {
     let simulation = Arc::new(Simulation::new(config, &|p| context.show(p))?);
     for (name, text) in [
         ("backpack.toml", simulation.scan().rig().to_toml()),
         ("glasses.toml", simulation.glasses().rig().to_toml()),
         ("sim.toml", toml::to_string(config)?),
     ] {
-        std::fs::write(layout.file(name), text).with_context(|| layout.file(name).display().to_string())?;
+        std::fs::write(layout.file(name), text)
+            .with_context(|| layout.file(name).display().to_string())?;
     }
     simulation.write_truth(&layout.truth())?;
     Ok(simulation)
 }
 
 /// The backpack's devices as `lsfb scan` sees them.
-pub fn backpack_devices(layout: &Layout, lidar: LidarNetConfig, overflow: Overflow) -> DevicesConfig {
+pub fn backpack_devices(
+    layout: &Layout,
+    lidar: LidarNetConfig,
+    overflow: Overflow,
+) -> DevicesConfig {
     let [front, rear] = layout.camera_sockets();
     let unit = |path, names: [&str; 2]| CameraUnitConfig {
         path,
@@ -81,14 +94,22 @@ pub fn backpack_devices(layout: &Layout, lidar: LidarNetConfig, overflow: Overfl
         overflow,
         lidar: Some(lidar),
         cameras: vec![unit(front, ["cam0", "cam1"]), unit(rear, ["cam2", "cam3"])],
-        imu: Some(ImuLineConfig { path: layout.imu_line(), baud: 921_600, rate_hz: 200 }),
+        imu: Some(ImuLineConfig {
+            path: layout.imu_line(),
+            baud: 921_600,
+            rate_hz: 200,
+        }),
         sidecar: None,
     }
 }
 
 /// What a recorder of the glasses listens on.
 pub fn glasses_devices(listen: SocketAddr, overflow: Overflow) -> DevicesConfig {
-    DevicesConfig { sidecar: Some(SidecarConfig { listen }), overflow, ..DevicesConfig::default() }
+    DevicesConfig {
+        sidecar: Some(SidecarConfig { listen }),
+        overflow,
+        ..DevicesConfig::default()
+    }
 }
 
 /// Starts the backpack's devices. With `counts` of a recorder in this process none of their datagrams is lost.
@@ -104,11 +125,18 @@ pub fn start_backpack(
         // Left behind by an earlier run; if it cannot go, binding says so.
         let _ = std::fs::remove_file(path);
     }
-    let endpoints = ScanEndpoints { lidar_data: lidar.data, lidar_position: lidar.position, camera_sockets };
+    let endpoints = ScanEndpoints {
+        lidar_data: lidar.data,
+        lidar_position: lidar.position,
+        camera_sockets,
+    };
     let flow = counts.map(|c| FlowControl::new(Arc::clone(&c.lidar_packets)));
     let session = SimSession::start_scan(simulation, &endpoints, pace, flow)?;
-    let line = session.imu_path().context("the simulated IMU has no serial line")?;
-    std::os::unix::fs::symlink(line, layout.imu_line()).with_context(|| layout.imu_line().display().to_string())?;
+    let line = session
+        .imu_path()
+        .context("the simulated IMU has no serial line")?;
+    std::os::unix::fs::symlink(line, layout.imu_line())
+        .with_context(|| layout.imu_line().display().to_string())?;
     Ok(session)
 }
 
@@ -119,12 +147,29 @@ pub fn record_backpack(
     context: &Context,
 ) -> anyhow::Result<CaptureReport> {
     let loopback = SocketAddr::from(([127, 0, 0, 1], 0));
-    let any = LidarNetConfig { data: loopback, position: loopback };
+    let any = LidarNetConfig {
+        data: loopback,
+        position: loopback,
+    };
     let recorder = Session::open(&backpack_devices(layout, any, Overflow::Wait))?;
-    let [data, position] = recorder.lidar_addresses()[..] else { anyhow::bail!("the recorder has no LiDAR address") };
+    let [data, position] = recorder.lidar_addresses()[..] else {
+        anyhow::bail!("the recorder has no LiDAR address")
+    };
     let lidar = LidarNetConfig { data, position };
-    let devices = start_backpack(layout, simulation, lidar, Pace::Unlimited, Some(&recorder.counts()))?;
-    record(recorder, devices, &layout.file("scan.mcap"), "recording the scan", context)
+    let devices = start_backpack(
+        layout,
+        simulation,
+        lidar,
+        Pace::Unlimited,
+        Some(&recorder.counts()),
+    )?;
+    record(
+        recorder,
+        devices,
+        &layout.file("scan.mcap"),
+        "recording the scan",
+        context,
+    )
 }
 
 /// Records the simulated glasses, all in this process.
@@ -133,11 +178,25 @@ pub fn record_glasses(
     simulation: &Arc<Simulation>,
     context: &Context,
 ) -> anyhow::Result<CaptureReport> {
-    let recorder = Session::open(&glasses_devices(SocketAddr::from(([127, 0, 0, 1], 0)), Overflow::Wait))?;
-    let address = recorder.sidecar_address().context("the recorder has no sidecar address")?;
-    let endpoint = GlassesEndpoint { address, session: format!("seed-{}", simulation.config().seed) };
+    let recorder = Session::open(&glasses_devices(
+        SocketAddr::from(([127, 0, 0, 1], 0)),
+        Overflow::Wait,
+    ))?;
+    let address = recorder
+        .sidecar_address()
+        .context("the recorder has no sidecar address")?;
+    let endpoint = GlassesEndpoint {
+        address,
+        session: format!("seed-{}", simulation.config().seed),
+    };
     let devices = SimSession::start_glasses(simulation, &endpoint, Pace::Unlimited)?;
-    record(recorder, devices, &layout.file("walk.mcap"), "recording the walk", context)
+    record(
+        recorder,
+        devices,
+        &layout.file("walk.mcap"),
+        "recording the walk",
+        context,
+    )
 }
 
 fn record(
@@ -149,14 +208,18 @@ fn record(
 ) -> anyhow::Result<CaptureReport> {
     let stop = devices.stop_handle();
     std::thread::scope(|scope| {
-        let recording = std::thread::Builder::new().name("recording".to_owned()).spawn_scoped(scope, || {
-            let report = recorder.run(out, context.stop(), &lsfb_types::no_progress);
-            // A recorder that failed or was stopped must not leave the devices waiting for it.
-            stop.stop();
-            report
-        })?;
+        let recording = std::thread::Builder::new()
+            .name("recording".to_owned())
+            .spawn_scoped(scope, || {
+                let report = recorder.run(out, context.stop(), &lsfb_types::no_progress);
+                // A recorder that failed or was stopped must not leave the devices waiting for it.
+                stop.stop();
+                report
+            })?;
         let sent = devices.join(&|p| context.show(lsfb_types::Progress { stage, ..p }));
-        let report = recording.join().map_err(|_| anyhow::anyhow!("the recording thread panicked"))??;
+        let report = recording
+            .join()
+            .map_err(|_| anyhow::anyhow!("the recording thread panicked"))??;
         context.check_stop()?;
         sent?;
         Ok(report)

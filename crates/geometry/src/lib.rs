@@ -22,8 +22,8 @@ mod trajectory;
 
 pub use camera::Camera;
 pub use nalgebra::{
-    Matrix2, Matrix2x3, Matrix2x6, Matrix3, Matrix3x6, Matrix6, Quaternion, UnitQuaternion, Vector2, Vector3,
-    Vector6,
+    Matrix2, Matrix2x3, Matrix2x6, Matrix3, Matrix3x6, Matrix6, Quaternion, UnitQuaternion,
+    Vector2, Vector3, Vector6,
 };
 pub use rig::{Rig, RigCamera, RigError, RigImu, RigLidar};
 pub use se3::Se3;

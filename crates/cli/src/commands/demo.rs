@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Context as _;
-use lsfb_eval::report::{Distribution, Figure, Provenance, Report, StageTime, Threshold, Track};
 use lsfb_eval::alignment::AlignmentMode;
+use lsfb_eval::report::{Distribution, Figure, Provenance, Report, StageTime, Threshold, Track};
 use lsfb_eval::{DuplicateStamps, EvalConfig, Evaluation, evaluate, read_poses};
 use lsfb_geometry::{Quaternion, Se3, StampedPose, Trajectory, UnitQuaternion};
 use lsfb_pipeline::ground_truth::{GroundTruth, GroundTruthConfig, ReprojectionErrors};
@@ -83,7 +83,8 @@ struct Stopwatch {
 
 impl Stopwatch {
     fn lap(&mut self, name: &str) {
-        self.stages.push((name.to_owned(), self.last.elapsed().as_secs_f64()));
+        self.stages
+            .push((name.to_owned(), self.last.elapsed().as_secs_f64()));
         self.last = Instant::now();
     }
 }
@@ -91,10 +92,16 @@ impl Stopwatch {
 /// Runs everything.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     let began = Instant::now();
-    let mut watch = Stopwatch { stages: Vec::new(), last: began };
+    let mut watch = Stopwatch {
+        stages: Vec::new(),
+        last: began,
+    };
     let layout = Layout::create(&arguments.out)?;
     let files = outputs(&layout);
-    let sim_config = SimConfig { seed: arguments.seed, ..SimConfig::default() };
+    let sim_config = SimConfig {
+        seed: arguments.seed,
+        ..SimConfig::default()
+    };
     let lost = {
         let simulation = simulated::prepare(&layout, &sim_config, context)?;
         watch.lap("building the world");
@@ -105,10 +112,22 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         scan.lost + walk.lost
     };
     let mapping_config = MappingConfig::default();
-    let mapping = map::build(&files.scan, &files.map, Some(&files.scan_trajectory), &mapping_config, context)?;
+    let mapping = map::build(
+        &files.scan,
+        &files.map,
+        Some(&files.scan_trajectory),
+        &mapping_config,
+        context,
+    )?;
     watch.lap("mapping");
     let walk_config = GroundTruthConfig::default();
-    let walk = groundtruth::compute(&files.walk, &files.map, &files.walk_trajectory, &walk_config, context)?;
+    let walk = groundtruth::compute(
+        &files.walk,
+        &files.map,
+        &files.walk_trajectory,
+        &walk_config,
+        context,
+    )?;
     watch.lap("ground truth");
     let judged = judge(&layout, &files)?;
     watch.lap("judging");
@@ -116,7 +135,10 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     {
         let recordings = [files.scan.clone(), files.walk.clone()];
         let trajectories = [files.scan_trajectory.clone(), files.walk_trajectory.clone()];
-        let rrd = files.rrd.as_deref().context("no place for the viewer's file")?;
+        let rrd = files
+            .rrd
+            .as_deref()
+            .context("no place for the viewer's file")?;
         super::view::write(&recordings, &trajectories, Some(&files.map), rrd, context)?;
         watch.lap("viewer file");
     }
@@ -138,9 +160,14 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     };
     report(&summary, &judged, &mapping, &walk, &sim_config)?.write(&summary.outputs.report)?;
     let json = layout.file("demo.json");
-    std::fs::write(&json, serde_json::to_vec_pretty(&summary)?).with_context(|| json.display().to_string())?;
+    std::fs::write(&json, serde_json::to_vec_pretty(&summary)?)
+        .with_context(|| json.display().to_string())?;
     context.print(&summary, || text(&summary))?;
-    Ok(if lost == 0 { Outcome::Done } else { Outcome::DataLost })
+    Ok(if lost == 0 {
+        Outcome::Done
+    } else {
+        Outcome::DataLost
+    })
 }
 
 fn outputs(layout: &Layout) -> Outputs {
@@ -169,16 +196,30 @@ struct Judged {
 }
 
 fn judge(layout: &Layout, files: &Outputs) -> anyhow::Result<Judged> {
-    let truth = |name: &str| -> anyhow::Result<Vec<StampedPose>> { Ok(read_poses(&layout.truth().join(name))?) };
+    let truth = |name: &str| -> anyhow::Result<Vec<StampedPose>> {
+        Ok(read_poses(&layout.truth().join(name))?)
+    };
     let (truth_scanner, truth_glasses) = (truth("truth_scan.tum")?, truth("truth_walk.tum")?);
     let glasses_poses = read_poses(&files.walk_trajectory)?;
-    let with = |alignment| EvalConfig { alignment, duplicates: DuplicateStamps::Refuse, ..EvalConfig::default() };
-    let scanner = evaluate(&truth_scanner, &read_poses(&files.scan_trajectory)?, &with(AlignmentMode::Se3))?;
+    let with = |alignment| EvalConfig {
+        alignment,
+        duplicates: DuplicateStamps::Refuse,
+        ..EvalConfig::default()
+    };
+    let scanner = evaluate(
+        &truth_scanner,
+        &read_poses(&files.scan_trajectory)?,
+        &with(AlignmentMode::Se3),
+    )?;
     let glasses = evaluate(&truth_glasses, &glasses_poses, &with(AlignmentMode::Se3))?;
     let [x, y, z, w] = scanner.alignment_rotation_xyzw;
     let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
     let truth_from_map = Se3::new(rotation, scanner.alignment_translation_m.into());
-    let glasses_in_map = evaluate(&truth_glasses, &glasses_poses, &with(AlignmentMode::Given(truth_from_map)))?;
+    let glasses_in_map = evaluate(
+        &truth_glasses,
+        &glasses_poses,
+        &with(AlignmentMode::Given(truth_from_map)),
+    )?;
     Ok(Judged {
         scanner,
         glasses,
@@ -198,7 +239,14 @@ fn report(
 ) -> anyhow::Result<Report> {
     let map = &mapping.map;
     let mut warnings = mapping.report.odometry.warnings.clone();
-    warnings.extend(mapping.report.warnings.iter().chain(&walk.report.warnings).cloned());
+    warnings.extend(
+        mapping
+            .report
+            .warnings
+            .iter()
+            .chain(&walk.report.warnings)
+            .cloned(),
+    );
     let hash = |path: &Path| lsfb_recording::sha256_of(path);
     let distribution = |title: &str, values| Distribution {
         title: title.to_owned(),
@@ -209,14 +257,29 @@ fn report(
     Ok(Report {
         title: format!("lsfb demo, seed {}", summary.seed),
         figures: vec![
-            Figure::new("glasses ATE, rms", summary.ate_glasses_rms_m * 100.0, "cm").with(Threshold::AtMost(MAX_ATE_M * 100.0)),
+            Figure::new("glasses ATE, rms", summary.ate_glasses_rms_m * 100.0, "cm")
+                .with(Threshold::AtMost(MAX_ATE_M * 100.0)),
             Figure::new("glasses ATE, max", summary.ate_glasses_max_m * 100.0, "cm"),
-            Figure::new("glasses in the map, rms", summary.ate_glasses_in_map_rms_m * 100.0, "cm"),
-            Figure::new("scanner ATE, rms", summary.ate_scanner_rms_m * 100.0, "cm").with(Threshold::AtMost(MAX_ATE_M * 100.0)),
+            Figure::new(
+                "glasses in the map, rms",
+                summary.ate_glasses_in_map_rms_m * 100.0,
+                "cm",
+            ),
+            Figure::new("scanner ATE, rms", summary.ate_scanner_rms_m * 100.0, "cm")
+                .with(Threshold::AtMost(MAX_ATE_M * 100.0)),
             Figure::new("scanner ATE, max", summary.ate_scanner_max_m * 100.0, "cm"),
-            Figure::new("map reprojection, rms", summary.map_reprojection_px, "px").with(Threshold::AtMost(MAX_REPROJECTION_PX)),
-            Figure::new("map reprojection before Eq. 4", mapping.report.reprojection_rms_before_px, "px"),
-            Figure::new("glasses reprojection, rms", walk.report.map_errors.rms_px, "px"),
+            Figure::new("map reprojection, rms", summary.map_reprojection_px, "px")
+                .with(Threshold::AtMost(MAX_REPROJECTION_PX)),
+            Figure::new(
+                "map reprojection before Eq. 4",
+                mapping.report.reprojection_rms_before_px,
+                "px",
+            ),
+            Figure::new(
+                "glasses reprojection, rms",
+                walk.report.map_errors.rms_px,
+                "px",
+            ),
             Figure::new("glasses localized", summary.glasses_localized * 100.0, "%"),
             Figure::new("map points", summary.map_points as f64, ""),
             Figure::new("messages lost", summary.lost as f64, "").with(Threshold::AtMost(0.0)),
@@ -233,12 +296,15 @@ fn report(
         ],
         histograms: vec![
             distribution("Map", mapping.report.reprojection_errors_px.clone()),
-            distribution("Glasses", binned(&walk.report.map_errors)),
+            distribution("Glasses", spread(&walk.report.map_errors)),
         ],
         stages: summary
             .stages_s
             .iter()
-            .map(|(name, wall_secs)| StageTime { name: name.clone(), wall_secs: *wall_secs })
+            .map(|(name, wall_secs)| StageTime {
+                name: name.clone(),
+                wall_secs: *wall_secs,
+            })
             .collect(),
         warnings,
         provenance: [
@@ -250,18 +316,22 @@ fn report(
             ("walk.tum, SHA-256", hash(&summary.outputs.walk_trajectory)?),
             ("simulation", toml::to_string(sim_config)?),
         ]
-        .map(|(name, value)| Provenance { name: name.to_owned(), value })
+        .map(|(name, value)| Provenance {
+            name: name.to_owned(),
+            value,
+        })
         .into(),
         ..Report::default()
     })
 }
 
-/// The middle of its bin for each error.
-fn binned(errors: &ReprojectionErrors) -> Vec<f64> {
+/// A value for each error, spread evenly over its bin.
+fn spread(errors: &ReprojectionErrors) -> Vec<f64> {
     let bins = errors.histogram.iter().enumerate();
-    bins.flat_map(|(bin, count)| {
-        let middle = (bin as f64 + 0.5) * ReprojectionErrors::BIN_PX;
-        std::iter::repeat_n(middle, usize::try_from(*count).unwrap_or(usize::MAX))
+    bins.flat_map(|(bin, &count)| {
+        (0..count).map(move |k| {
+            (bin as f64 + (k as f64 + 0.5) / count as f64) * ReprojectionErrors::BIN_PX
+        })
     })
     .collect()
 }
@@ -272,7 +342,12 @@ fn peak_rss_mb() -> f64 {
 }
 
 fn text(s: &Summary) -> String {
-    let viewer = s.outputs.rrd.as_ref().map(|p| format!(", {}", p.display())).unwrap_or_default();
+    let viewer = s
+        .outputs
+        .rrd
+        .as_ref()
+        .map(|p| format!(", {}", p.display()))
+        .unwrap_or_default();
     format!(
         "glasses  ATE {:.2} cm rms, {:.2} cm max ({:.2} cm rms in the map); {:.1} % localized\n\
          scanner  ATE {:.2} cm rms, {:.2} cm max\n\

@@ -80,14 +80,22 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
                 RpeUnit::Seconds => DeltaUnit::Seconds,
                 RpeUnit::Degrees => DeltaUnit::Degrees,
             },
-            selection: if arguments.rpe_all_pairs { PairSelection::All } else { PairSelection::Consecutive },
+            selection: if arguments.rpe_all_pairs {
+                PairSelection::All
+            } else {
+                PairSelection::Consecutive
+            },
         }],
         ..EvalConfig::default()
     };
     let truth = read_poses(&arguments.truth)?;
     let evaluation = evaluate(&truth, &read_poses(&arguments.estimate)?, &config)?;
     if let Some(page) = &arguments.report {
-        let name = arguments.estimate.file_name().unwrap_or_default().to_string_lossy();
+        let name = arguments
+            .estimate
+            .file_name()
+            .unwrap_or_default()
+            .to_string_lossy();
         Report::of_evaluation(&name, &evaluation, &Trajectory::new(truth)).write(page)?;
     }
     context.print(&evaluation, || text(&evaluation))?;
@@ -111,7 +119,11 @@ fn text(e: &Evaluation) -> String {
     for rpe in &e.rpe {
         out += &format!(
             "\nRPE  per {} {:?}: rmse {:.6} m  max {:.6};  rotation rmse {:.6}°",
-            rpe.delta, rpe.delta_unit, rpe.translation_m.rmse, rpe.translation_m.max, rpe.rotation_deg.rmse
+            rpe.delta,
+            rpe.delta_unit,
+            rpe.translation_m.rmse,
+            rpe.translation_m.max,
+            rpe.rotation_deg.rmse
         );
     }
     if let Some(scale) = e.scale_error_percent {

@@ -31,9 +31,19 @@ pub struct Arguments {
 
 /// Computes, writes, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    let config: GroundTruthConfig =
-        arguments.config.as_deref().map(super::read_config).transpose()?.unwrap_or_default();
-    let found = compute(&arguments.recording, &arguments.map, &arguments.out, &config, context)?;
+    let config: GroundTruthConfig = arguments
+        .config
+        .as_deref()
+        .map(super::read_config)
+        .transpose()?
+        .unwrap_or_default();
+    let found = compute(
+        &arguments.recording,
+        &arguments.map,
+        &arguments.out,
+        &config,
+        context,
+    )?;
     let r = &found.report;
     context.print(r, || {
         let mut text = format!(
@@ -61,7 +71,12 @@ pub fn compute(
     config: &GroundTruthConfig,
     context: &Context,
 ) -> anyhow::Result<GroundTruth> {
-    let found = ground_truth(&Recording::open(recording)?, &HdMap::open(map)?, config, &|p| context.show(p))?;
+    let found = ground_truth(
+        &Recording::open(recording)?,
+        &HdMap::open(map)?,
+        config,
+        &|p| context.show(p),
+    )?;
     context.check_stop()?;
     write_tum(out, &found.trajectory)?;
     let mut provenance = Provenance::new(config);

@@ -4,7 +4,9 @@ use std::path::PathBuf;
 
 use lsfb_pipeline::features::SiftConfig;
 use lsfb_pipeline::hd_map::HdMap;
-use lsfb_pipeline::localization::{ImageLocalization, Localizer, LocalizerConfig, localize_posed_images};
+use lsfb_pipeline::localization::{
+    ImageLocalization, Localizer, LocalizerConfig, localize_posed_images,
+};
 use lsfb_pipeline::posed_images::PosedImages;
 use serde::Serialize;
 
@@ -47,7 +49,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     anyhow::ensure!(arguments.every > 0, "--every 0 takes no image");
     let localizer = Localizer::new(&HdMap::open(&arguments.map)?, &LocalizerConfig::default())?;
     let posed = PosedImages::read(&arguments.posed_images)?.every(arguments.every);
-    let found = localize_posed_images(&localizer, &posed, &SiftConfig::default(), &|p| context.show(p))?;
+    let found = localize_posed_images(&localizer, &posed, &SiftConfig::default(), &|p| {
+        context.show(p)
+    })?;
     let summary = summary(&found);
     context.print(&summary, || text(&summary))?;
     Ok(Outcome::Done)
@@ -74,7 +78,10 @@ fn summary(found: &[ImageLocalization]) -> Summary {
 
 fn text(s: &Summary) -> String {
     let share = 100.0 * s.right as f64 / s.images.max(1) as f64;
-    let mut text = format!("{} of {} images right within 10 cm and 5° ({share:.1} %), {} localized", s.right, s.images, s.localized);
+    let mut text = format!(
+        "{} of {} images right within 10 cm and 5° ({share:.1} %), {} localized",
+        s.right, s.images, s.localized
+    );
     if let (Some(m), Some(deg)) = (s.median_distance_m, s.median_angle_deg) {
         text += &format!("; median {:.1} mm, {deg:.2}°", m * 1e3);
     }

@@ -21,7 +21,10 @@ use crate::outcome::Outcome;
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
     /// The recording (MCAP).
-    #[arg(required_unless_present = "posed_images", conflicts_with = "posed_images")]
+    #[arg(
+        required_unless_present = "posed_images",
+        conflicts_with = "posed_images"
+    )]
     recording: Option<PathBuf>,
     /// Folder with K.txt, poses_T_world_cam_rowmajor4x4.txt and images/.
     #[arg(long, value_name = "DIR")]
@@ -55,8 +58,19 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         return from_posed_images(folder, arguments, context);
     }
     let recording = arguments.recording.as_deref().context("name a recording")?;
-    let config: MappingConfig = arguments.config.as_deref().map(super::read_config).transpose()?.unwrap_or_default();
-    let result = build(recording, &arguments.out, arguments.trajectory.as_deref(), &config, context)?;
+    let config: MappingConfig = arguments
+        .config
+        .as_deref()
+        .map(super::read_config)
+        .transpose()?
+        .unwrap_or_default();
+    let result = build(
+        recording,
+        &arguments.out,
+        arguments.trajectory.as_deref(),
+        &config,
+        context,
+    )?;
     let r = &result.report;
     context.print(&summary(&arguments.out, &result.map, r), || {
         let mut text = format!(
@@ -97,13 +111,27 @@ pub fn build(
     Ok(result)
 }
 
-fn from_posed_images(folder: &Path, arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    let config: PosedMapConfig = arguments.config.as_deref().map(super::read_config).transpose()?.unwrap_or_default();
+fn from_posed_images(
+    folder: &Path,
+    arguments: &Arguments,
+    context: &Context,
+) -> anyhow::Result<Outcome> {
+    let config: PosedMapConfig = arguments
+        .config
+        .as_deref()
+        .map(super::read_config)
+        .transpose()?
+        .unwrap_or_default();
     let posed = PosedImages::read(folder)?.without_every(arguments.without_every.unwrap_or(0));
     let map = build_map_from_posed_images(&posed, &config, &|p| context.show(p))?;
     map.write(&arguments.out)?;
     context.print(&summary(&arguments.out, &map, ()), || {
-        format!("{}: {} points in {} keyframes", arguments.out.display(), map.point_count(), map.keyframe_count())
+        format!(
+            "{}: {} points in {} keyframes",
+            arguments.out.display(),
+            map.point_count(),
+            map.keyframe_count()
+        )
     })?;
     Ok(Outcome::Done)
 }

@@ -40,7 +40,13 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     };
     let input = if arguments.input.is_dir() {
         let scans = arguments.out.with_extension("scans.mcap");
-        import_clouds(&arguments.input, &CloudsConfig::default(), &scans, context.stop(), &show)?;
+        import_clouds(
+            &arguments.input,
+            &CloudsConfig::default(),
+            &scans,
+            context.stop(),
+            &show,
+        )?;
         scans
     } else {
         arguments.input.clone()

@@ -48,16 +48,35 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         session.run(&arguments.out, context.stop(), &show)?
     } else {
         let rig = arguments.rig.as_deref().map(Rig::read).transpose()?;
-        let config = ReplayConfig { rig, ..ReplayConfig::default() };
+        let config = ReplayConfig {
+            rig,
+            ..ReplayConfig::default()
+        };
         let out: &Path = &arguments.out;
         match (&arguments.pcap, &arguments.db3) {
-            (Some(pcap), _) => replay(PcapSource::open(pcap, &[2368, 8308])?, &config, out, context.stop(), &show)?,
-            (_, Some(db3)) => replay(Rosbag2Source::open(db3)?, &config, out, context.stop(), &show)?,
+            (Some(pcap), _) => replay(
+                PcapSource::open(pcap, &[2368, 8308])?,
+                &config,
+                out,
+                context.stop(),
+                &show,
+            )?,
+            (_, Some(db3)) => replay(
+                Rosbag2Source::open(db3)?,
+                &config,
+                out,
+                context.stop(),
+                &show,
+            )?,
             _ => bail!("name a source: --devices, --pcap or --db3"),
         }
     };
     context.print(&report, || text(&report))?;
-    Ok(if report.lost == 0 { Outcome::Done } else { Outcome::DataLost })
+    Ok(if report.lost == 0 {
+        Outcome::Done
+    } else {
+        Outcome::DataLost
+    })
 }
 
 /// The report for people.
@@ -70,7 +89,11 @@ pub fn text(report: &CaptureReport) -> String {
         report.lost
     );
     for s in &report.streams {
-        let _ = write!(out, "  {:<12} {} received, {} samples", s.name, s.received, s.decoded);
+        let _ = write!(
+            out,
+            "  {:<12} {} received, {} samples",
+            s.name, s.received, s.decoded
+        );
         for (count, what) in [
             (s.bad, "unreadable"),
             (s.missing, "missing"),
@@ -90,7 +113,11 @@ pub fn text(report: &CaptureReport) -> String {
         }
     }
     if report.groups.complete + report.groups.incomplete > 0 {
-        let _ = write!(out, "  triggers     {} complete, {} incomplete", report.groups.complete, report.groups.incomplete);
+        let _ = write!(
+            out,
+            "  triggers     {} complete, {} incomplete",
+            report.groups.complete, report.groups.incomplete
+        );
     }
     out.trim_end().to_owned()
 }

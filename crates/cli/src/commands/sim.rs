@@ -56,7 +56,12 @@ struct Made {
 
 /// Builds the world, plays or records.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    let mut config: SimConfig = arguments.config.as_deref().map(super::read_config).transpose()?.unwrap_or_default();
+    let mut config: SimConfig = arguments
+        .config
+        .as_deref()
+        .map(super::read_config)
+        .transpose()?
+        .unwrap_or_default();
     config.seed = arguments.seed;
     let layout = Layout::create(&arguments.out)?;
     let simulation = simulated::prepare(&layout, &config, context)?;
@@ -65,9 +70,16 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         recordings.push(simulated::record_backpack(&layout, &simulation, context)?);
         recordings.push(simulated::record_glasses(&layout, &simulation, context)?);
     } else {
-        let pace = if arguments.pace > 0.0 { Pace::RealTimes(arguments.pace) } else { Pace::Unlimited };
+        let pace = if arguments.pace > 0.0 {
+            Pace::RealTimes(arguments.pace)
+        } else {
+            Pace::Unlimited
+        };
         let local = |port| SocketAddr::from(([127, 0, 0, 1], port));
-        let lidar = LidarNetConfig { data: local(2368), position: local(8308) };
+        let lidar = LidarNetConfig {
+            data: local(2368),
+            position: local(8308),
+        };
         let glasses = local(8790);
         let backpack_file = layout.file("backpack-devices.toml");
         let glasses_file = layout.file("glasses-devices.toml");
@@ -76,14 +88,29 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         };
         // The list of devices lies beside what it names.
         let absolute = Layout::create(&std::path::absolute(&arguments.out)?)?;
-        write(&backpack_file, simulated::backpack_devices(&absolute, lidar.clone(), Overflow::Drop))?;
-        write(&glasses_file, simulated::glasses_devices(glasses, Overflow::Drop))?;
+        write(
+            &backpack_file,
+            simulated::backpack_devices(&absolute, lidar.clone(), Overflow::Drop),
+        )?;
+        write(
+            &glasses_file,
+            simulated::glasses_devices(glasses, Overflow::Drop),
+        )?;
 
         let devices = simulated::start_backpack(&layout, &simulation, lidar, pace, None)?;
-        context.note(&format!("waiting for: lsfb scan --devices {} --out scan.mcap", backpack_file.display()));
+        context.note(&format!(
+            "waiting for: lsfb scan --devices {} --out scan.mcap",
+            backpack_file.display()
+        ));
         play(devices, context)?;
-        context.note(&format!("waiting for: lsfb scan --devices {} --out walk.mcap", glasses_file.display()));
-        let endpoint = GlassesEndpoint { address: glasses, session: format!("seed-{}", config.seed) };
+        context.note(&format!(
+            "waiting for: lsfb scan --devices {} --out walk.mcap",
+            glasses_file.display()
+        ));
+        let endpoint = GlassesEndpoint {
+            address: glasses,
+            session: format!("seed-{}", config.seed),
+        };
         let waiting_since = Instant::now();
         let devices = loop {
             match SimSession::start_glasses(&simulation, &endpoint, pace) {
@@ -96,15 +123,27 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         play(devices, context)?;
     }
     let lost = recordings.iter().any(|r| r.lost > 0);
-    let made = Made { folder: arguments.out.clone(), seed: config.seed, recordings };
+    let made = Made {
+        folder: arguments.out.clone(),
+        seed: config.seed,
+        recordings,
+    };
     context.print(&made, || {
-        let mut text = format!("{}: rigs, truth and settings of seed {}", made.folder.display(), made.seed);
+        let mut text = format!(
+            "{}: rigs, truth and settings of seed {}",
+            made.folder.display(),
+            made.seed
+        );
         for report in &made.recordings {
             let _ = write!(text, "\n{}", super::scan::text(report));
         }
         text
     })?;
-    Ok(if lost { Outcome::DataLost } else { Outcome::Done })
+    Ok(if lost {
+        Outcome::DataLost
+    } else {
+        Outcome::Done
+    })
 }
 
 /// Plays to the end, or until Ctrl-C.

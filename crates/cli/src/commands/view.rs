@@ -12,7 +12,12 @@ use crate::context::Context;
 use crate::outcome::Outcome;
 
 /// Colours of trajectories, in order: distinguishable without red and green.
-const COLORS: [[u8; 3]; 4] = [[230, 159, 0], [86, 180, 233], [204, 121, 167], [0, 158, 115]];
+const COLORS: [[u8; 3]; 4] = [
+    [230, 159, 0],
+    [86, 180, 233],
+    [204, 121, 167],
+    [0, 158, 115],
+];
 
 /// Write a file for the Rerun viewer (`pip install rerun-sdk==0.36.3; rerun FILE`).
 ///
@@ -38,7 +43,13 @@ pub struct Arguments {
 
 /// Writes, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    let report = write(&arguments.recordings, &arguments.trajectory, arguments.map.as_deref(), &arguments.out, context)?;
+    let report = write(
+        &arguments.recordings,
+        &arguments.trajectory,
+        arguments.map.as_deref(),
+        &arguments.out,
+        context,
+    )?;
     context.print(
         &serde_json::json!({ "out": arguments.out, "images": report.images, "scans": report.scans }),
         || format!("{}: {} images, {} scans", arguments.out.display(), report.images, report.scans),
@@ -54,9 +65,20 @@ pub fn write(
     out: &Path,
     context: &Context,
 ) -> anyhow::Result<ViewReport> {
-    let name = |path: &Path| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let opened = recordings.iter().map(|path| Recording::open(path)).collect::<Result<Vec<_>, _>>()?;
-    let known = trajectories.iter().map(|path| read_tum(path)).collect::<Result<Vec<_>, _>>()?;
+    let name = |path: &Path| {
+        path.file_stem()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned()
+    };
+    let opened = recordings
+        .iter()
+        .map(|path| Recording::open(path))
+        .collect::<Result<Vec<_>, _>>()?;
+    let known = trajectories
+        .iter()
+        .map(|path| read_tum(path))
+        .collect::<Result<Vec<_>, _>>()?;
     let mut inputs = ViewInputs::default();
     if let Some(map) = map {
         let map = HdMap::open(map)?;
@@ -70,15 +92,23 @@ pub fn write(
     }
     for (index, (path, trajectory)) in trajectories.iter().zip(&known).enumerate() {
         let color_rgb = COLORS[index % COLORS.len()];
-        inputs.trajectories.push(NamedTrajectory { name: name(path), trajectory: trajectory.clone(), color_rgb });
+        inputs.trajectories.push(NamedTrajectory {
+            name: name(path),
+            trajectory: trajectory.clone(),
+            color_rgb,
+        });
     }
     for (index, (path, recording)) in recordings.iter().zip(&opened).enumerate() {
         inputs.walks.push(Walk {
             name: name(path),
             recording,
             rig: recording.rig()?,
-            world_from_rig: known.get(index).cloned().unwrap_or_else(|| Trajectory::new(Vec::new())),
+            world_from_rig: known
+                .get(index)
+                .cloned()
+                .unwrap_or_else(|| Trajectory::new(Vec::new())),
         });
     }
-    write_rrd(out, &inputs, &ViewConfig::default(), &|p| context.show(p)).context("cannot write the viewer's file")
+    write_rrd(out, &inputs, &ViewConfig::default(), &|p| context.show(p))
+        .context("cannot write the viewer's file")
 }
