@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use lsfb_eval::alignment::AlignmentMode;
 use lsfb_eval::pairs::{DeltaUnit, PairSelection};
 use lsfb_eval::report::Report;
-use lsfb_eval::{EvalConfig, Evaluation, RpeConfig, evaluate, read_poses};
+use lsfb_eval::{EvalConfig, Evaluation, RpeConfig, evaluate, read_kitti_poses, read_poses};
 use lsfb_geometry::Trajectory;
 
 use crate::context::Context;
@@ -13,7 +13,7 @@ use crate::outcome::Outcome;
 
 /// Judge a trajectory by its truth: absolute and relative errors.
 ///
-/// Reads TUM, EuRoC and (with as many poses on both sides) KITTI files.
+/// Reads TUM, EuRoC and KITTI files. KITTI's carry no time: row n is at n seconds unless --truth-times says otherwise.
 ///
 /// Examples:
 ///   lsfb eval walk.tum --truth truth_walk.tum
@@ -26,6 +26,9 @@ pub struct Arguments {
     /// The truth.
     #[arg(long, value_name = "FILE")]
     truth: PathBuf,
+    /// Stamps of a truth in KITTI's format, one per line in seconds.
+    #[arg(long, value_name = "FILE")]
+    truth_times: Option<PathBuf>,
     /// What is taken away before errors are measured.
     #[arg(long, value_enum, default_value_t = Align::Se3)]
     align: Align,
@@ -88,7 +91,10 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         }],
         ..EvalConfig::default()
     };
-    let truth = read_poses(&arguments.truth)?;
+    let truth = match &arguments.truth_times {
+        Some(times) => read_kitti_poses(&arguments.truth, times)?,
+        None => read_poses(&arguments.truth)?,
+    };
     let evaluation = evaluate(&truth, &read_poses(&arguments.estimate)?, &config)?;
     if let Some(page) = &arguments.report {
         let name = arguments
