@@ -130,6 +130,9 @@ pub enum Error {
         /// The rig's name.
         rig: String,
     },
+    /// A least-squares problem could not be solved.
+    #[error("optimisation: {0}")]
+    Solver(#[from] lsfb_solver::Error),
     /// A recording could not be read.
     #[error(transparent)]
     Recording(#[from] lsfb_recording::Error),
