@@ -2,7 +2,6 @@
 
 use std::net::{SocketAddr, UdpSocket};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -80,12 +79,12 @@ pub fn position_packet(toh_us: u32) -> Vec<u8> {
 /// Sends data packets, a `pause` after each and a position packet before every 14, never more than 200 ahead of the recorder.
 pub fn send_lidar(
     addresses: &[SocketAddr],
-    counts: &Arc<Counts>,
+    counts: &Counts,
     packets: u64,
     pause: Duration,
 ) -> JoinHandle<u64> {
     let (data, position) = (addresses[0], addresses[1]);
-    let counts = Arc::clone(counts);
+    let counts = counts.clone();
     spawn("mock-lidar", move || {
         let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
         let mut sent = 0;
