@@ -2,6 +2,12 @@
 //!
 //! Exit codes: 0 done, 1 failed, 2 bad arguments, 3 finished but data was lost.
 
+#![allow(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "the one crate that talks to people"
+)]
+
 mod commands;
 mod context;
 mod outcome;
