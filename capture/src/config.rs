@@ -127,7 +127,7 @@ impl DevicesConfig {
         })?;
         let mut config: Self = toml::from_str(&text).map_err(|e| Error::Config {
             path: path.to_owned(),
-            message: e.to_string(),
+            message: lsfb_geometry::toml_problem(&text, &e),
         })?;
         let folder = path.parent().unwrap_or(Path::new(""));
         if let Some(rig) = &mut config.rig {
@@ -172,7 +172,9 @@ mod tests {
         std::fs::write(&path, "[lidar]\nrpm = 600\n").unwrap();
         let message = DevicesConfig::read(&path).unwrap_err().to_string();
         assert!(
-            message.contains("devices.toml") && message.contains("rpm"),
+            message.contains("devices.toml: line 2: ")
+                && message.contains("rpm")
+                && message.lines().count() == 1,
             "{message}"
         );
     }

@@ -1,9 +1,11 @@
 //! What every command needs: where to print, when to stop.
 
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Context as _;
+use lsfb_recording::Recording;
 use lsfb_types::Progress;
 use serde::Serialize;
 
@@ -14,6 +16,7 @@ pub struct Context {
     json: bool,
     display: Display,
     stop: Arc<AtomicBool>,
+    data_lost: AtomicBool,
 }
 
 impl Context {
@@ -31,6 +34,7 @@ impl Context {
             json,
             display: Display::new(),
             stop,
+            data_lost: AtomicBool::new(false),
         })
     }
 
@@ -67,6 +71,21 @@ impl Context {
         };
         println!("{out}");
         Ok(())
+    }
+
+    /// Opens a recording; says what is missing from it, and remembers that something is.
+    pub fn open(&self, path: &Path) -> anyhow::Result<Recording> {
+        let recording = Recording::open(path)?;
+        for damage in recording.damage() {
+            self.note(&format!("warning: {}: {damage}", path.display()));
+            self.data_lost.store(true, Ordering::Relaxed);
+        }
+        Ok(recording)
+    }
+
+    /// Whether something was missing from a recording that was opened.
+    pub fn data_lost(&self) -> bool {
+        self.data_lost.load(Ordering::Relaxed)
     }
 
     /// A line for the person at the terminal, on stderr.

@@ -72,7 +72,7 @@ fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
         .num_threads(arguments.global.threads)
         .build_global()?;
     let context = Context::new(arguments.global.json)?;
-    match arguments.command {
+    let outcome = match arguments.command {
         Command::Demo(a) => commands::demo::run(&a, &context),
         Command::Sim(a) => commands::sim::run(&a, &context),
         Command::Scan(a) => commands::scan::run(&a, &context),
@@ -83,5 +83,10 @@ fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
         Command::Eval(a) => commands::eval::run(&a, &context),
         #[cfg(feature = "view")]
         Command::View(a) => commands::view::run(&a, &context),
-    }
+    }?;
+    Ok(if context.data_lost() {
+        Outcome::DataLost
+    } else {
+        outcome
+    })
 }

@@ -79,12 +79,21 @@ pub enum RigError {
     },
 }
 
+/// What is wrong with a TOML text, on one line: messages of this project are one sentence.
+pub fn toml_problem(text: &str, error: &toml::de::Error) -> String {
+    let before = error.span().and_then(|span| text.get(..span.start));
+    let place = before.map_or_else(String::new, |before| {
+        format!("line {}: ", before.matches('\n').count() + 1)
+    });
+    format!("{place}{}", error.message().replace('\n', ", "))
+}
+
 impl Rig {
     /// Reads a rig from its TOML text; `origin` names it in errors.
     pub fn from_toml(text: &str, origin: &str) -> Result<Self, RigError> {
         toml::from_str(text).map_err(|e| RigError::Parse {
             path: origin.to_owned(),
-            message: e.to_string(),
+            message: toml_problem(text, &e),
         })
     }
 
@@ -176,10 +185,21 @@ mod tests {
         assert!((a.inverse() * b).log().norm() < 1e-12);
         assert_eq!(back.lidar, rig.lidar);
 
-        let error =
-            Rig::from_toml("name = 'x'\nwheels = 4\n", "walk/rig.toml").expect_err("unknown field");
-        assert!(
-            error.to_string().contains("walk/rig.toml") && error.to_string().contains("wheels")
-        );
+        for (text, problem) in [
+            ("name = 'x'\nwheels = 4\n", "wheels"),
+            ("name = 'x'\ncameras = [", "unclosed"),
+        ] {
+            let error = Rig::from_toml(text, "walk/rig.toml")
+                .expect_err("no rig")
+                .to_string();
+            assert!(
+                error.starts_with("rig file walk/rig.toml: line 2: "),
+                "{error}"
+            );
+            assert!(
+                error.contains(problem) && error.lines().count() == 1,
+                "{error}"
+            );
+        }
     }
 }

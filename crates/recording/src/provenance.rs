@@ -95,10 +95,14 @@ pub(crate) fn replace_file(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     let part = path.with_file_name(name);
     std::fs::write(&part, bytes)
         .and_then(|()| std::fs::rename(&part, path))
-        .map_err(|source| Error::Io {
-            path: path.to_owned(),
-            action: "write",
-            source,
+        .map_err(|source| {
+            // Half a file is of no use to anyone; the reason to report is the one above.
+            let _ = std::fs::remove_file(&part);
+            Error::Io {
+                path: path.to_owned(),
+                action: "write",
+                source,
+            }
         })
 }
 
@@ -124,6 +128,11 @@ mod tests {
         assert_eq!(back, provenance);
         assert_eq!(back.inputs["abc.txt"], expected);
         assert_eq!(back.config["voxel_size_m"], 0.25);
+
+        let folder = dir.path().join("folder");
+        std::fs::create_dir(&folder).unwrap();
+        assert!(replace_file(&folder, b"text").is_err());
+        assert!(!dir.path().join("folder.part").exists());
 
         let missing = sha256_of(&dir.path().join("gone.mcap"))
             .unwrap_err()

@@ -9,10 +9,11 @@ mod keyframes;
 mod tests;
 
 use lsfb_geometry::{Rig, StampedPose, Trajectory};
-use lsfb_recording::{Recording, sha256_of};
+use lsfb_recording::Recording;
 use lsfb_solver::SolveConfig;
 use lsfb_types::ProgressFn;
 use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
 
 use crate::Error;
 use crate::features::SiftConfig;
@@ -188,7 +189,7 @@ pub struct MappingResult {
     pub report: MappingReport,
 }
 
-/// Builds the HD map of a recording; the recording's SHA-256 is kept in it.
+/// Builds the HD map of a recording; a hash of what it was built from is kept in it.
 ///
 /// Missing or feature-poor cameras are warned of; without any camera, LiDAR or rig it is an error.
 pub fn build_map(
@@ -229,13 +230,30 @@ pub fn build_map(
         keyframes: &keyframes.poses(),
         images: &keyframes.images,
         points: &points,
-        provenance: &sha256_of(recording.path())?,
+        provenance: &walk_hash(&rig, &odometry.trajectory),
     };
     Ok(MappingResult {
         map: HdMap::build(&content, &config.map, progress)?,
         trajectory: correct_trajectory(&odometry.trajectory, &before, &keyframes.frames),
         report,
     })
+}
+
+/// SHA-256 of the rig and the walk, as hexadecimal digits. Not of the recording: that holds arrival times, and the same
+/// walk would give another map each time it is recorded.
+fn walk_hash(rig: &Rig, odometry: &Trajectory) -> String {
+    let mut hash = Sha256::new();
+    hash.update(rig.to_toml());
+    for StampedPose {
+        time,
+        world_from_rig: pose,
+    } in odometry.poses()
+    {
+        hash.update(time.nanos().to_le_bytes());
+        let numbers = pose.rotation.coords.iter().chain(pose.translation.iter());
+        numbers.for_each(|v| hash.update(v.to_le_bytes()));
+    }
+    hash.finalize().iter().map(|b| format!("{b:02x}")).collect()
 }
 
 /// Alternates new correspondences with Eq. (4) until the keyframes rest.

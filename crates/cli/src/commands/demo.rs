@@ -35,6 +35,9 @@ pub struct Arguments {
     /// Seed of building, walks and noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Settings of the simulation (TOML), instead of the defaults; --seed overrides its seed.
+    #[arg(long, value_name = "FILE")]
+    sim_config: Option<PathBuf>,
 }
 
 /// The figures of a run and where its files are.
@@ -96,12 +99,15 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         stages: Vec::new(),
         last: began,
     };
+    let mut sim_config: SimConfig = arguments
+        .sim_config
+        .as_deref()
+        .map(super::read_config)
+        .transpose()?
+        .unwrap_or_default();
+    sim_config.seed = arguments.seed;
     let layout = Layout::create(&arguments.out)?;
     let files = outputs(&layout);
-    let sim_config = SimConfig {
-        seed: arguments.seed,
-        ..SimConfig::default()
-    };
     let lost = {
         let simulation = simulated::prepare(&layout, &sim_config, context)?;
         watch.lap("building the world");

@@ -95,7 +95,10 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         Some(times) => read_kitti_poses(&arguments.truth, times)?,
         None => read_poses(&arguments.truth)?,
     };
-    let evaluation = evaluate(&truth, &read_poses(&arguments.estimate)?, &config)?;
+    let evaluation = super::about(
+        &arguments.estimate,
+        evaluate(&truth, &read_poses(&arguments.estimate)?, &config),
+    )?;
     if let Some(page) = &arguments.report {
         let name = arguments
             .estimate

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use lsfb_pipeline::ground_truth::{GroundTruth, GroundTruthConfig, ground_truth};
 use lsfb_pipeline::hd_map::HdMap;
-use lsfb_recording::{Provenance, Recording, write_tum};
+use lsfb_recording::{Provenance, write_tum};
 
 use crate::context::Context;
 use crate::outcome::Outcome;
@@ -71,11 +71,10 @@ pub fn compute(
     config: &GroundTruthConfig,
     context: &Context,
 ) -> anyhow::Result<GroundTruth> {
-    let found = ground_truth(
-        &Recording::open(recording)?,
-        &HdMap::open(map)?,
-        config,
-        &|p| context.show(p),
+    let (walk, map) = (context.open(recording)?, HdMap::open(map)?);
+    let found = super::about(
+        recording,
+        ground_truth(&walk, &map, config, &|p| context.show(p)),
     )?;
     context.check_stop()?;
     write_tum(out, &found.trajectory)?;

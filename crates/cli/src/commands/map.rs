@@ -6,7 +6,7 @@ use anyhow::Context as _;
 use lsfb_pipeline::hd_map::{HdMap, PosedMapConfig, build_map_from_posed_images};
 use lsfb_pipeline::mapping::{MappingConfig, MappingResult, build_map};
 use lsfb_pipeline::posed_images::PosedImages;
-use lsfb_recording::{Provenance, Recording, write_tum};
+use lsfb_recording::{Provenance, write_tum};
 use serde::Serialize;
 
 use crate::context::Context;
@@ -98,7 +98,10 @@ pub fn build(
     config: &MappingConfig,
     context: &Context,
 ) -> anyhow::Result<MappingResult> {
-    let result = build_map(&Recording::open(recording)?, config, &|p| context.show(p))?;
+    let result = super::about(
+        recording,
+        build_map(&context.open(recording)?, config, &|p| context.show(p)),
+    )?;
     context.check_stop()?;
     result.map.write(out)?;
     let mut provenance = Provenance::new(config);

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use lsfb_capture::{CloudsConfig, import_clouds};
 use lsfb_pipeline::odometry::{OdometryConfig, run_odometry};
-use lsfb_recording::{Provenance, Recording, write_tum};
+use lsfb_recording::{Provenance, write_tum};
 
 use crate::context::Context;
 use crate::outcome::Outcome;
@@ -52,7 +52,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         arguments.input.clone()
     };
     context.check_stop()?;
-    let result = run_odometry(&Recording::open(&input)?, &config, &show)?;
+    let result = super::about(&input, run_odometry(&context.open(&input)?, &config, &show))?;
     write_tum(&arguments.out, &result.trajectory)?;
     let mut provenance = Provenance::new(&config);
     provenance.add_input(&input)?;

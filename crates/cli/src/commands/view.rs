@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use lsfb_geometry::Trajectory;
 use lsfb_pipeline::hd_map::HdMap;
-use lsfb_recording::{Recording, read_tum};
+use lsfb_recording::read_tum;
 use lsfb_view::{MapPoints, NamedTrajectory, ViewConfig, ViewInputs, ViewReport, Walk, write_rrd};
 
 use crate::context::Context;
@@ -73,7 +73,7 @@ pub fn write(
     };
     let opened = recordings
         .iter()
-        .map(|path| Recording::open(path))
+        .map(|path| context.open(path))
         .collect::<Result<Vec<_>, _>>()?;
     let known = trajectories
         .iter()

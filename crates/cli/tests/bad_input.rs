@@ -1,0 +1,601 @@
+//! What cannot be used is refused with one sentence, and what was there before stays as it was.
+
+mod process;
+mod session;
+mod velodyne_packets;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::Output;
+use std::sync::OnceLock;
+
+use lsfb_recording::{Recording, read_tum, sha256_of};
+use lsfb_sim::Simulation;
+use lsfb_types::no_progress;
+use process::lsfb;
+use serde_json::Value;
+use session::Measured;
+use tempfile::TempDir;
+use velodyne_packets::{data_packet, position_packet};
+
+/// A scan and a walk through one building, a walk through another, and the scan's map: made once for all tests.
+fn inputs() -> &'static Path {
+    static INPUTS: OnceLock<PathBuf> = OnceLock::new();
+    INPUTS.get_or_init(|| {
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("bad_input");
+        let _ = std::fs::remove_dir_all(&folder);
+        std::fs::create_dir_all(&folder).expect("folder");
+        let here = Simulation::new(&session::config(1), &no_progress).expect("simulation");
+        let scan = Measured::by(here.scan(), here.world());
+        for (name, without) in [
+            ("scan", ""),
+            ("no-imu", "imu0"),
+            ("no-cam2", "cam2"),
+            ("no-lidar", "lidar"),
+            ("no-rig", "rig"),
+        ] {
+            scan.write(&folder.join(name).with_extension("mcap"), &[without]);
+        }
+        let walk = Measured::by(here.glasses(), here.world());
+        walk.write(&folder.join("walk.mcap"), &[]);
+        walk.write(&folder.join("walk-no-imu.mcap"), &["imu0"]);
+        let elsewhere = Simulation::new(&session::config(2), &no_progress).expect("simulation");
+        Measured::by(elsewhere.glasses(), elsewhere.world())
+            .write(&folder.join("elsewhere.mcap"), &[]);
+        let output = lsfb(
+            &folder,
+            &[
+                "map",
+                "scan.mcap",
+                "--out",
+                "map",
+                "--trajectory",
+                "scan.tum",
+            ],
+        );
+        assert!(output.status.success(), "{output:?}");
+        folder
+    })
+}
+
+/// A folder with copies of some of the inputs, files or folders.
+fn with(names: &[&str]) -> TempDir {
+    let folder = TempDir::new_in(env!("CARGO_TARGET_TMPDIR")).expect("folder");
+    for name in names {
+        let (from, to) = (inputs().join(name), folder.path().join(name));
+        if from.is_dir() {
+            std::fs::create_dir(&to).expect("folder");
+            for entry in std::fs::read_dir(&from).expect("folder") {
+                let entry = entry.expect("file");
+                std::fs::copy(entry.path(), to.join(entry.file_name())).expect("copy");
+            }
+        } else {
+            std::fs::copy(from, to).expect("copy");
+        }
+    }
+    folder
+}
+
+/// SHA-256 of every file below a folder.
+fn contents(folder: &Path) -> BTreeMap<PathBuf, String> {
+    let mut found = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).expect("folder") {
+        let path = entry.expect("file").path();
+        if path.is_dir() {
+            found.extend(contents(&path));
+        } else {
+            found.insert(path.clone(), sha256_of(&path).expect("file"));
+        }
+    }
+    found
+}
+
+/// The one sentence on stderr, after which nothing comes.
+fn sentence(output: &Output) -> String {
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(!text.contains("panicked"), "{text}");
+    let errors: Vec<&str> = text
+        .lines()
+        .filter(|line| line.starts_with("error: "))
+        .collect();
+    assert_eq!(errors.len(), 1, "{text}");
+    assert_eq!(text.lines().last(), Some(errors[0]), "{text}");
+    errors[0].to_owned()
+}
+
+/// Runs a command that must fail, saying all of `words`, and touch nothing.
+fn refused(folder: &Path, arguments: &[&str], words: &[&str]) {
+    let before = contents(folder);
+    let output = lsfb(folder, arguments);
+    let sentence = sentence(&output);
+    assert_eq!(output.status.code(), Some(1), "{arguments:?}: {sentence}");
+    for word in words {
+        assert!(
+            sentence.contains(word),
+            "{arguments:?} does not say {word:?}: {sentence}"
+        );
+    }
+    let after = contents(folder);
+    for (path, hash) in before {
+        assert_eq!(
+            after.get(&path),
+            Some(&hash),
+            "{arguments:?} changed {}",
+            path.display()
+        );
+    }
+}
+
+/// Runs a command that must end with `code`, and takes its JSON.
+fn json(folder: &Path, arguments: &[&str], code: i32) -> Value {
+    let output = lsfb(folder, &[arguments, &["--json"]].concat());
+    assert_eq!(
+        output.status.code(),
+        Some(code),
+        "{arguments:?}: {}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    serde_json::from_slice(&output.stdout).expect("one JSON object")
+}
+
+fn noise(bytes: usize) -> Vec<u8> {
+    let mut state = 0x9E37_79B9_u32;
+    let next = |_| {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 24) as u8
+    };
+    (0..bytes).map(next).collect()
+}
+
+#[test]
+fn files_that_are_no_recordings() {
+    let folder = with(&["map", "scan.tum"]);
+    let path = folder.path();
+    std::fs::write(path.join("noise.mcap"), noise(100_000)).expect("file");
+    std::fs::write(path.join("empty.mcap"), "").expect("file");
+    std::fs::create_dir(path.join("folder.mcap")).expect("folder");
+    for (name, word) in [
+        ("noise.mcap", "not an MCAP file"),
+        ("empty.mcap", "empty"),
+        ("missing.mcap", "No such file"),
+        ("folder.mcap", ""),
+    ] {
+        refused(
+            path,
+            &["odometry", name, "--out", "scan.tum"],
+            &[name, word],
+        );
+        refused(path, &["map", name, "--out", "map"], &[name]);
+        refused(
+            path,
+            &["groundtruth", name, "--map", "map", "--out", "scan.tum"],
+            &[name],
+        );
+    }
+}
+
+#[test]
+fn a_recording_that_is_cut_off_is_used_as_far_as_it_goes() {
+    let folder = with(&[]);
+    let whole = std::fs::read(inputs().join("scan.mcap")).expect("recording");
+    std::fs::write(
+        folder.path().join("cut.mcap"),
+        &whole[..whole.len() * 6 / 10],
+    )
+    .expect("file");
+    let before = contents(folder.path());
+    let output = lsfb(folder.path(), &["odometry", "cut.mcap", "--out", "cut.tum"]);
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(3), "{text}");
+    assert!(
+        text.lines()
+            .any(|line| line.starts_with("warning: cut.mcap: ")),
+        "{text}"
+    );
+    let found = read_tum(&folder.path().join("cut.tum")).expect("trajectory");
+    let [first, .., last] = found.poses() else {
+        panic!("no poses")
+    };
+    let secs = last.time.secs_since(first.time);
+    assert!((2.0..3.5).contains(&secs), "{secs}");
+    let cut = &folder.path().join("cut.mcap");
+    assert_eq!(contents(folder.path()).get(cut), before.get(cut));
+}
+
+/// A capture of raw IPv4: every position packet is followed by 14 data packets.
+fn pcap(data_packets: u64) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    for word in [0xa1b2_c3d4_u32, 0x0004_0002, 0, 0, 65_535, 101] {
+        bytes.extend(word.to_le_bytes());
+    }
+    let mut frame = |n: u64, port: u16, payload: &[u8]| {
+        let length = payload.len() + 28;
+        let micros = (n * 664) as u32;
+        for word in [
+            1_772_359_200 + micros / 1_000_000,
+            micros % 1_000_000,
+            length as u32,
+            length as u32,
+        ] {
+            bytes.extend(word.to_le_bytes());
+        }
+        bytes.extend([0x45, 0]);
+        bytes.extend((length as u16).to_be_bytes());
+        bytes.extend([
+            0, 0, 0, 0, 64, 17, 0, 0, 192, 168, 1, 201, 255, 255, 255, 255,
+        ]);
+        for half in [port, port, length as u16 - 20, 0] {
+            bytes.extend(half.to_be_bytes());
+        }
+        bytes.extend(payload);
+    };
+    for n in 0..data_packets {
+        if n.is_multiple_of(14) {
+            frame(n, 8308, &position_packet(n));
+        }
+        frame(n, 2368, &data_packet(n));
+    }
+    bytes
+}
+
+#[test]
+fn damaged_captures() {
+    let folder = with(&["scan.mcap"]);
+    let path = folder.path();
+    let whole = pcap(600);
+    std::fs::write(path.join("whole.pcap"), &whole).expect("file");
+    assert_eq!(
+        json(
+            path,
+            &["scan", "--pcap", "whole.pcap", "--out", "whole.mcap"],
+            0
+        )["lost"],
+        0
+    );
+    std::fs::write(path.join("cut.pcap"), &whole[..whole.len() * 6 / 10]).expect("file");
+    let report = json(
+        path,
+        &["scan", "--pcap", "cut.pcap", "--out", "cut.mcap"],
+        3,
+    );
+    let ending = report["streams"][0]["ending"].to_string();
+    assert!(
+        ending.contains("cut.pcap") && ending.contains("cut off"),
+        "{report}"
+    );
+    let recorded = Recording::open(&path.join("cut.mcap")).expect("recording");
+    assert_eq!(
+        recorded.packets("lidar/packets").expect("packets").count(),
+        360
+    );
+
+    std::fs::write(path.join("noise.pcap"), noise(10_000)).expect("file");
+    std::fs::write(path.join("empty.pcap"), "").expect("file");
+    for name in ["noise.pcap", "empty.pcap", "missing.pcap"] {
+        refused(
+            path,
+            &["scan", "--pcap", name, "--out", "scan.mcap"],
+            &[name],
+        );
+    }
+    std::fs::write(path.join("noise.db3"), noise(10_000)).expect("file");
+    std::fs::write(path.join("cut.db3"), b"SQLite format 3\0\x10\0\x01\x01").expect("file");
+    std::fs::write(path.join("empty.db3"), "").expect("file");
+    for name in ["noise.db3", "cut.db3", "empty.db3", "missing.db3"] {
+        refused(
+            path,
+            &["scan", "--db3", name, "--out", "scan.mcap"],
+            &[name],
+        );
+    }
+}
+
+#[test]
+fn empty_folders() {
+    let folder = with(&["walk.mcap", "map", "scan.tum"]);
+    let path = folder.path();
+    std::fs::create_dir(path.join("nothing")).expect("folder");
+    let here = &["nothing"];
+    refused(
+        path,
+        &[
+            "groundtruth",
+            "walk.mcap",
+            "--map",
+            "nothing",
+            "--out",
+            "scan.tum",
+        ],
+        &["nothing", "no map here"],
+    );
+    refused(
+        path,
+        &["localize", "--posed-images", "nothing", "--map", "map"],
+        here,
+    );
+    refused(
+        path,
+        &["map", "--posed-images", "nothing", "--out", "map"],
+        here,
+    );
+    refused(
+        path,
+        &["odometry", "nothing", "--out", "scan.tum"],
+        &["nothing", ".pcd"],
+    );
+}
+
+#[test]
+fn maps_that_cannot_be_used() {
+    let header = |folder: &Path| folder.join("map/map.toml");
+    let rewrite = |folder: &Path, from: &str, to: &str| {
+        let text = std::fs::read_to_string(header(folder)).expect("header");
+        assert!(text.contains(from));
+        std::fs::write(header(folder), text.replace(from, to)).expect("header");
+    };
+    let damages: [(&dyn Fn(&Path), &[&str]); 5] = [
+        (
+            &|f| rewrite(f, "format_version = 1", "format_version = 2"),
+            &["map/map.toml", "version 2", "map again"],
+        ),
+        (
+            &|f| std::fs::write(header(f), noise(500)).expect("header"),
+            &["map/map.toml"],
+        ),
+        (
+            &|f| rewrite(f, "points = ", "dots = "),
+            &["map/map.toml", "dots"],
+        ),
+        (
+            &|f| {
+                let table = f.join("map/points.arrow");
+                let bytes = std::fs::read(&table).expect("table");
+                std::fs::write(&table, &bytes[..bytes.len() / 2]).expect("table");
+            },
+            &["map/points.arrow", "map again"],
+        ),
+        (
+            &|f| std::fs::remove_file(f.join("map/index_lists.arrow")).expect("table"),
+            &["map/index_lists.arrow"],
+        ),
+    ];
+    for (damage, words) in damages {
+        let folder = with(&["walk.mcap", "map", "scan.tum"]);
+        damage(folder.path());
+        refused(
+            folder.path(),
+            &[
+                "groundtruth",
+                "walk.mcap",
+                "--map",
+                "map",
+                "--out",
+                "scan.tum",
+            ],
+            words,
+        );
+    }
+}
+
+#[test]
+fn sensors_that_are_not_there() {
+    let folder = with(&[
+        "no-imu.mcap",
+        "no-cam2.mcap",
+        "no-lidar.mcap",
+        "no-rig.mcap",
+        "walk-no-imu.mcap",
+        "walk.mcap",
+        "map",
+    ]);
+    let path = folder.path();
+    for (name, word) in [("no-imu.mcap", "no IMU"), ("no-cam2.mcap", "cam2")] {
+        let report = json(path, &["map", name, "--out", "other-map"], 0);
+        let warnings = [
+            &report["report"]["odometry"]["warnings"],
+            &report["report"]["warnings"],
+        ];
+        assert!(
+            warnings.iter().any(|w| w.to_string().contains(word)),
+            "{report}"
+        );
+        assert!(report["points"].as_u64() > Some(100), "{report}");
+    }
+    refused(
+        path,
+        &["map", "no-lidar.mcap", "--out", "map"],
+        &["no-lidar.mcap", "lidar"],
+    );
+    refused(
+        path,
+        &["map", "walk.mcap", "--out", "map"],
+        &["walk.mcap", "LiDAR"],
+    );
+    refused(
+        path,
+        &["map", "no-rig.mcap", "--out", "map"],
+        &["no-rig.mcap", "rig"],
+    );
+    refused(
+        path,
+        &[
+            "groundtruth",
+            "walk-no-imu.mcap",
+            "--map",
+            "map",
+            "--out",
+            "walk.tum",
+        ],
+        &["walk-no-imu.mcap", "imu"],
+    );
+}
+
+#[test]
+fn a_walk_that_never_sees_the_map() {
+    let folder = with(&["elsewhere.mcap", "map", "scan.tum"]);
+    let arguments = [
+        "groundtruth",
+        "elsewhere.mcap",
+        "--map",
+        "map",
+        "--out",
+        "scan.tum",
+    ];
+    refused(
+        folder.path(),
+        &arguments,
+        &["elsewhere.mcap", "is it the map of this place"],
+    );
+}
+
+#[test]
+fn places_that_cannot_be_written() {
+    let folder = with(&["scan.mcap", "scan.tum"]);
+    let path = folder.path();
+    std::fs::write(path.join("whole.pcap"), pcap(300)).expect("file");
+    // Permissions do not stop root; a file where a folder should be stops everybody.
+    refused(
+        path,
+        &["odometry", "scan.mcap", "--out", "scan.tum/new.tum"],
+        &["scan.tum"],
+    );
+    refused(
+        path,
+        &["map", "scan.mcap", "--out", "scan.tum/map"],
+        &["scan.tum"],
+    );
+    refused(
+        path,
+        &["scan", "--pcap", "whole.pcap", "--out", "scan.tum/new.mcap"],
+        &["scan.tum"],
+    );
+    refused(path, &["sim", "--out", "scan.tum/sim"], &["scan.tum"]);
+    refused(path, &["demo", "--out", "scan.tum/demo"], &["scan.tum"]);
+    let report = [
+        "eval",
+        "scan.tum",
+        "--truth",
+        "scan.tum",
+        "--report",
+        "scan.tum/report.html",
+    ];
+    refused(path, &report, &["scan.tum"]);
+}
+
+#[test]
+fn settings_that_mean_nothing() {
+    let folder = with(&["scan.mcap", "walk.mcap", "map", "scan.tum"]);
+    let path = folder.path();
+    std::fs::write(path.join("wheels.toml"), "\nwheels = 4\n").expect("file");
+    std::fs::write(path.join("broken.toml"), "\nx = [").expect("file");
+    std::fs::write(path.join("rigless.toml"), "rig = \"rig.toml\"\n[lidar]\n").expect("file");
+    let words: [(&str, &[&str]); 3] = [
+        ("wheels.toml", &["wheels.toml", "line 2", "`wheels`"]),
+        ("broken.toml", &["broken.toml", "line 2", "unclosed"]),
+        ("missing.toml", &["missing.toml", "No such file"]),
+    ];
+    for (name, words) in words {
+        refused(
+            path,
+            &[
+                "odometry",
+                "scan.mcap",
+                "--config",
+                name,
+                "--out",
+                "scan.tum",
+            ],
+            words,
+        );
+        refused(
+            path,
+            &["map", "scan.mcap", "--config", name, "--out", "map"],
+            words,
+        );
+        refused(
+            path,
+            &[
+                "groundtruth",
+                "walk.mcap",
+                "--config",
+                name,
+                "--map",
+                "map",
+                "--out",
+                "scan.tum",
+            ],
+            words,
+        );
+        refused(path, &["sim", "--config", name, "--out", "sim"], words);
+        refused(
+            path,
+            &["demo", "--sim-config", name, "--out", "demo"],
+            words,
+        );
+        refused(
+            path,
+            &["scan", "--devices", name, "--out", "scan.mcap"],
+            words,
+        );
+    }
+    refused(
+        path,
+        &["scan", "--devices", "rigless.toml", "--out", "scan.mcap"],
+        &["rig.toml", "No such file"],
+    );
+    assert!(!path.join("sim").exists() && !path.join("demo").exists());
+}
+
+#[test]
+fn trajectories_that_cannot_be_compared() {
+    let folder = with(&["scan.tum"]);
+    let path = folder.path();
+    let later: String = (0..20)
+        .map(|n| format!("{n} {n} {} 0 0 0 0 1\n", n * n))
+        .collect();
+    for (name, text, words) in [
+        (
+            "later.tum",
+            later.as_str(),
+            &["later.tum", "same clock"][..],
+        ),
+        (
+            "columns.tum",
+            "1 2 3\n",
+            &["columns.tum", "line 1", "expected 8"],
+        ),
+        ("empty.tum", "", &["empty.tum", "no pose"]),
+    ] {
+        std::fs::write(path.join(name), text).expect("file");
+        refused(path, &["eval", name, "--truth", "scan.tum"], words);
+    }
+    refused(
+        path,
+        &["eval", "missing.tum", "--truth", "scan.tum"],
+        &["missing.tum"],
+    );
+}
+
+#[test]
+fn arguments_that_do_not_fit() {
+    let folder = TempDir::new_in(env!("CARGO_TARGET_TMPDIR")).expect("folder");
+    for arguments in [
+        &["scan", "--out", "x.mcap"][..],
+        &["scan", "--pcap", "a", "--db3", "b", "--out", "x.mcap"],
+        &["map", "--out", "map"],
+        &["map", "x.mcap", "--threads", "many", "--out", "map"],
+        &["fly"],
+    ] {
+        let output = lsfb(folder.path(), arguments);
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{text}");
+        assert_eq!(
+            text.lines()
+                .filter(|line| line.starts_with("error: "))
+                .count(),
+            1,
+            "{text}"
+        );
+    }
+    assert!(contents(folder.path()).is_empty());
+}

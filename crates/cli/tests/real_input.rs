@@ -1,0 +1,207 @@
+//! The documented commands on recordings made by others (`LSFB_TEST_DATA`).
+
+mod process;
+
+use std::path::{Path, PathBuf};
+
+use lsfb_geometry::Vector3;
+use lsfb_recording::{Recording, read_tum};
+use process::lsfb;
+use serde_json::Value;
+
+fn recordings(test: &str, below: &str) -> Option<PathBuf> {
+    let root = std::env::var_os("LSFB_TEST_DATA").map_or_else(
+        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
+        PathBuf::from,
+    );
+    let path = root.join(below);
+    if path.exists() {
+        return Some(path.canonicalize().expect("a path that exists"));
+    }
+    println!("skipped: {test}: no recording at {}", path.display());
+    None
+}
+
+/// Runs a command that must do all it was asked, and takes its JSON.
+fn json(folder: &Path, arguments: &[&str]) -> Value {
+    let output = lsfb(folder, &[arguments, &["--json"]].concat());
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{arguments:?}: {errors}");
+    serde_json::from_slice(&output.stdout).expect("one JSON object")
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("UTF-8")
+}
+
+#[test]
+fn capture_files_become_recordings_with_every_point() {
+    let test = "capture_files_become_recordings_with_every_point";
+    // Points: `lidar/reference_decodes`, and where that holds whole scans only, velodyne-decoder on the file.
+    for (flag, below, packets, points) in [
+        (
+            "--db3",
+            "lidar/nebula_velodyne/vlp32/1713492677464078412_0.db3",
+            379,
+            131_305,
+        ),
+        (
+            "--pcap",
+            "lidar/mrpt/sample_velodyne_vlp16_gps.pcap",
+            293,
+            73_486,
+        ),
+        (
+            "--pcap",
+            "lidar/mrpt/sample_velodyne_hdl32.pcap",
+            500,
+            146_705,
+        ),
+    ] {
+        let Some(capture) = recordings(test, below) else {
+            return;
+        };
+        let folder = tempfile::tempdir().expect("folder");
+        let report = json(
+            folder.path(),
+            &["scan", flag, text(&capture), "--out", "drive.mcap"],
+        );
+        assert_eq!(report["lost"], 0, "{below}");
+        let recording = Recording::open(&folder.path().join("drive.mcap")).expect("recording");
+        assert_eq!(
+            recording.packets("lidar/packets").expect("packets").count(),
+            packets,
+            "{below}"
+        );
+        let scans = recording.scans().expect("scans");
+        let found: usize = scans
+            .map(|scan| scan.expect("scan").sample.points.len())
+            .sum();
+        assert_eq!(found, points, "{below}");
+    }
+}
+
+#[test]
+fn a_street_ends_where_kiss_icp_ends() {
+    let test = "a_street_ends_where_kiss_icp_ends";
+    let Some(street) = recordings(test, "lidar/udacity_kitti_raw/data_1") else {
+        return;
+    };
+    let folder = tempfile::tempdir().expect("folder");
+    let report = json(
+        folder.path(),
+        &[
+            "odometry",
+            text(&street),
+            "--outdoor",
+            "--out",
+            "street.tum",
+        ],
+    );
+    assert_eq!(
+        (&report["scans"], &report["registered"]),
+        (&22.into(), &22.into())
+    );
+
+    let poses =
+        std::fs::read_to_string(street.with_file_name("data_1_kissicp_poses.txt")).expect("poses");
+    // Rows of 3 × 4 matrices.
+    let position = |line: &str| {
+        let numbers: Vec<f64> = line
+            .split_whitespace()
+            .map(|n| n.parse().expect("number"))
+            .collect();
+        Vector3::new(numbers[3], numbers[7], numbers[11])
+    };
+    let reference: Vec<_> = poses.lines().map(position).collect();
+    let path_m: f64 = reference
+        .windows(2)
+        .map(|pair| (pair[1] - pair[0]).norm())
+        .sum();
+    let found = read_tum(&folder.path().join("street.tum")).expect("trajectory");
+    let end = found
+        .poses()
+        .last()
+        .expect("poses")
+        .world_from_rig
+        .translation;
+    let off_m = (end - reference.last().expect("poses")).norm();
+    assert!(off_m < 0.01 * path_m, "{off_m} m off after {path_m} m");
+}
+
+#[test]
+fn an_office_is_recognised_by_every_fifth_image() {
+    let test = "an_office_is_recognised_by_every_fifth_image";
+    let Some(office) = recordings(test, "vision/hololens_office") else {
+        return;
+    };
+    let folder = tempfile::tempdir().expect("folder");
+    let office = text(&office);
+    let map = [
+        "map",
+        "--posed-images",
+        office,
+        "--without-every",
+        "5",
+        "--out",
+        "office-map",
+    ];
+    assert!(json(folder.path(), &map)["points"].as_u64() > Some(1_000));
+    let queries = [
+        "localize",
+        "--posed-images",
+        office,
+        "--every",
+        "5",
+        "--map",
+        "office-map",
+    ];
+    let found = json(folder.path(), &queries);
+    let share = found["right"].as_f64().expect("count") / found["images"].as_f64().expect("count");
+    assert!(share >= 0.9, "{found}");
+}
+
+#[test]
+fn figures_are_those_of_evo() {
+    let test = "figures_are_those_of_evo";
+    let Some(data) = recordings(test, "vision/trajectories_evo") else {
+        return;
+    };
+    let file = |name: &str| data.join(format!("{name}.gz"));
+    let judge = |estimate: &str, truth: &str, more: &[&str]| {
+        let (estimate, truth) = (file(estimate), file(truth));
+        let arguments = ["eval", text(&estimate), "--truth", text(&truth)];
+        json(Path::new("."), &[&arguments, more].concat())
+    };
+    let digits = |value: &Value| format!("{:.6}", value.as_f64().expect("figure"));
+    for (estimate, truth, align, rmse_m) in [
+        ("KITTI_00_ORB.txt", "KITTI_00_gt.txt", "none", "7.790289"),
+        ("KITTI_00_ORB.txt", "KITTI_00_gt.txt", "se3", "1.303450"),
+        ("V102.txt", "V102_groundtruth.csv", "sim3", "0.083841"),
+        (
+            "fr2_desk_ORB.txt",
+            "fr2_desk_groundtruth.txt",
+            "se3",
+            "0.008119",
+        ),
+    ] {
+        let found = judge(estimate, truth, &["--align", align]);
+        assert_eq!(
+            digits(&found["ate_translation_m"]["rmse"]),
+            rmse_m,
+            "{estimate} {align}"
+        );
+    }
+    let desk = judge(
+        "fr2_desk_ORB.txt",
+        "fr2_desk_groundtruth.txt",
+        &["--rpe-delta", "1"],
+    );
+    assert_eq!(digits(&desk["rpe"][0]["translation_m"]["rmse"]), "0.011672");
+    let by_frames = ["--rpe-delta", "100", "--rpe-unit", "frames"];
+    let street = judge("KITTI_00_ORB.txt", "KITTI_00_gt.txt", &by_frames);
+    assert_eq!(
+        digits(&street["rpe"][0]["rotation_deg"]["rmse"]),
+        "0.541330"
+    );
+}

@@ -1,0 +1,49 @@
+//! Packets of a VLP-32C at 600 rpm with GPS that sees everything at 8 m.
+
+use lsfb_drivers::velodyne::model::{Model, Product};
+use lsfb_drivers::velodyne::nmea::Rmc;
+use lsfb_drivers::velodyne::wire::{
+    DATA_PACKET_LEN, DataPacket, POSITION_PACKET_LEN, PositionPacket, PpsStatus, ReturnMode,
+};
+
+/// Data packet `n`.
+pub fn data_packet(n: u64) -> Vec<u8> {
+    let mut packet = DataPacket::init(
+        vec![0; DATA_PACKET_LEN],
+        Product::Vlp32c,
+        ReturnMode::Strongest,
+    )
+    .expect("length");
+    let start_ns = start_ns(n);
+    for block in 0..12 {
+        let time_ns =
+            start_ns + u64::from(Model::Vlp32c.block_time_ns(ReturnMode::Strongest, block));
+        packet.set_azimuth_centideg(block, (time_ns * 36 / 100_000 % 36_000) as u16);
+        for channel in 0..32 {
+            packet.set_return(block, channel, 2000, n as u8);
+        }
+    }
+    packet.set_timestamp_us((start_ns / 1000) as u32);
+    packet.into_inner()
+}
+
+/// A position packet at the time of data packet `n`: locked, 2026-03-01T10:00:00Z.
+pub fn position_packet(n: u64) -> Vec<u8> {
+    let mut packet = PositionPacket::init(vec![0; POSITION_PACKET_LEN]).expect("length");
+    packet.set_timestamp_us((start_ns(n) / 1000) as u32);
+    packet.set_pps_status(PpsStatus::Locked);
+    let rmc = Rmc {
+        hour: 10,
+        valid: true,
+        day: 1,
+        month: 3,
+        year: 2026,
+        ..Rmc::default()
+    };
+    packet.set_nmea(rmc.emit().as_bytes()).expect("length");
+    packet.into_inner()
+}
+
+fn start_ns(n: u64) -> u64 {
+    n * u64::from(Model::Vlp32c.packet_period_ns(ReturnMode::Strongest))
+}
