@@ -1,14 +1,18 @@
 //! Simulated walks written straight to files, whole or without a sensor.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 use lsfb_geometry::Rig;
 use lsfb_recording::{Writer, WriterConfig};
-use lsfb_sim::{RigSim, SimConfig, World};
-use lsfb_types::{Image, ImuSample, LidarScan, Stamped};
+use lsfb_sim::{RigSim, SimConfig, Simulation, World};
+use lsfb_types::{Image, ImuSample, LidarScan, Stamped, no_progress};
+use tempfile::TempDir;
+
+use crate::process::lsfb;
 
 /// Half the resolution of the demo, for a few seconds.
-pub fn config(seed: u64) -> SimConfig {
+fn config(seed: u64) -> SimConfig {
     let mut config = SimConfig {
         seed,
         texel_m: 0.012,
@@ -25,7 +29,7 @@ pub fn config(seed: u64) -> SimConfig {
 }
 
 /// Everything a rig measures in a walk.
-pub struct Measured {
+struct Measured {
     rig: Rig,
     imu: Vec<Stamped<ImuSample>>,
     images: Vec<(String, Stamped<Image>)>,
@@ -33,7 +37,7 @@ pub struct Measured {
 }
 
 impl Measured {
-    pub fn by(rig: &RigSim, world: &World) -> Self {
+    fn by(rig: &RigSim, world: &World) -> Self {
         let frames = 0..rig.frame_count();
         let images = frames.flat_map(|frame| {
             let cameras = rig.rig().cameras.keys().enumerate();
@@ -66,7 +70,7 @@ impl Measured {
 
     /// Writes a recording; `without` names sensors as they are named there: `imu0`, `cam2`, `lidar`, and `rig` for the
     /// attachment.
-    pub fn write(&self, path: &Path, without: &[&str]) {
+    fn write(&self, path: &Path, without: &[&str]) {
         let mut writer = Writer::create(path, &WriterConfig::default()).expect("recording");
         let has = |sensor: &str| !without.contains(&sensor);
         if has("rig") {
@@ -90,4 +94,62 @@ impl Measured {
         }
         writer.finish().expect("recording");
     }
+}
+
+/// A scan and a walk through one building, a walk through another, and the scan's map: made once for all tests.
+pub fn inputs() -> &'static Path {
+    static INPUTS: OnceLock<PathBuf> = OnceLock::new();
+    INPUTS.get_or_init(|| {
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("bad_input");
+        let _ = std::fs::remove_dir_all(&folder);
+        std::fs::create_dir_all(&folder).expect("folder");
+        let here = Simulation::new(&config(1), &no_progress).expect("simulation");
+        let scan = Measured::by(here.scan(), here.world());
+        for (name, without) in [
+            ("scan", ""),
+            ("no-imu", "imu0"),
+            ("no-cam2", "cam2"),
+            ("no-lidar", "lidar"),
+            ("no-rig", "rig"),
+        ] {
+            scan.write(&folder.join(name).with_extension("mcap"), &[without]);
+        }
+        let walk = Measured::by(here.glasses(), here.world());
+        walk.write(&folder.join("walk.mcap"), &[]);
+        walk.write(&folder.join("walk-no-imu.mcap"), &["imu0"]);
+        let elsewhere = Simulation::new(&config(2), &no_progress).expect("simulation");
+        Measured::by(elsewhere.glasses(), elsewhere.world())
+            .write(&folder.join("elsewhere.mcap"), &[]);
+        let output = lsfb(
+            &folder,
+            &[
+                "map",
+                "scan.mcap",
+                "--out",
+                "map",
+                "--trajectory",
+                "scan.tum",
+            ],
+        );
+        assert!(output.status.success(), "{output:?}");
+        folder
+    })
+}
+
+/// A folder with copies of some of the inputs, files or folders.
+pub fn with(names: &[&str]) -> TempDir {
+    let folder = TempDir::new_in(env!("CARGO_TARGET_TMPDIR")).expect("folder");
+    for name in names {
+        let (from, to) = (inputs().join(name), folder.path().join(name));
+        if from.is_dir() {
+            std::fs::create_dir(&to).expect("folder");
+            for entry in std::fs::read_dir(&from).expect("folder") {
+                let entry = entry.expect("file");
+                std::fs::copy(entry.path(), to.join(entry.file_name())).expect("copy");
+            }
+        } else {
+            std::fs::copy(from, to).expect("copy");
+        }
+    }
+    folder
 }
