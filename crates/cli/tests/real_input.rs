@@ -9,6 +9,7 @@ use lsfb_recording::{Recording, read_tum};
 use process::lsfb;
 use serde_json::Value;
 
+#[allow(clippy::print_stdout, reason = "a skipped test says so")]
 fn recordings(test: &str, below: &str) -> Option<PathBuf> {
     let root = std::env::var_os("LSFB_TEST_DATA").map_or_else(
         || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
