@@ -179,6 +179,9 @@ fn empty_folders() {
     );
 }
 
+/// What is done to a session's folder before the command runs.
+type Damage<'a> = &'a dyn Fn(&Path);
+
 #[test]
 fn maps_that_cannot_be_used() {
     let header = |folder: &Path| folder.join("map/map.toml");
@@ -187,7 +190,7 @@ fn maps_that_cannot_be_used() {
         assert!(text.contains(from));
         std::fs::write(header(folder), text.replace(from, to)).expect("header");
     };
-    let damages: [(&dyn Fn(&Path), &[&str]); 5] = [
+    let damages: [(Damage<'_>, &[&str]); 5] = [
         (
             &|f| rewrite(f, "format_version = 1", "format_version = 2"),
             &["map/map.toml", "version 2", "map again"],
