@@ -32,6 +32,7 @@ pub(crate) fn record(
                 report.received += 1;
                 match decoder.push(&packet) {
                     Ok(Some(decoded)) => {
+                        report.missing = decoder.counters().missing.saturating_sub(report.bad);
                         let frame = decoded.sample;
                         let device_ns = decoded.device_ticks.cast_signed().saturating_mul(1000);
                         let time = if frame.time_source == TimeSource::External {

@@ -41,6 +41,12 @@ pub enum Error {
     /// The list of devices names none.
     #[error("no device is configured; name at least one of [lidar], [[camera]], [imu], [sidecar]")]
     NoDevice,
+    /// A remark could not be recorded.
+    #[error("the remark was not recorded: {reason}")]
+    Remark {
+        /// Why.
+        reason: &'static str,
+    },
     /// No thread could be started, or one ended without a word.
     #[error("thread {name}: {message}")]
     Thread {

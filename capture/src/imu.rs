@@ -63,6 +63,10 @@ pub(crate) fn record(
                     time,
                 };
                 sequence += 1;
+                let counters = decoder.counters();
+                report.received = sequence;
+                report.bad = counters.bad_checksums + counters.bad_items;
+                report.missing = counters.missing;
                 if inlet
                     .put(raw, &mut report)
                     .and_then(|()| put(readings, &mut clock, inlet, &mut report))

@@ -27,10 +27,12 @@ mod imu;
 mod lidar;
 mod pcd;
 mod recorder;
+mod remark;
 mod replay;
 mod session;
 mod sidecar;
 mod sync;
+mod tap;
 
 pub use clouds::{CloudsConfig, import_clouds};
 pub use config::{
@@ -38,6 +40,8 @@ pub use config::{
 };
 pub use error::Error;
 pub use health::{CaptureReport, Ending, StreamReport};
+pub use remark::Remarks;
 pub use replay::{ReplayConfig, replay};
 pub use session::{Counts, Session};
 pub use sync::GroupReport;
+pub use tap::{Tap, TapClosed, Tapped};

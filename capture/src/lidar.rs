@@ -145,6 +145,7 @@ impl LidarStream {
 
     fn scan(&mut self, scan: Decoded<LidarScan>, inlet: &Inlet) -> Result<(), WriterGone> {
         self.report.decoded += 1;
+        self.report.missing = self.decoder.counters().lost;
         let time = self
             .clock
             .time(scan.device_ticks.cast_signed(), scan.arrival);

@@ -12,6 +12,7 @@ use lsfb_types::{Image, ImuSample, LidarScan, Packet, Stamped, Timestamp};
 use crate::config::Overflow;
 use crate::health::Health;
 use crate::sync::{GroupReport, Groups};
+use crate::tap::Spout;
 use crate::{Error, StreamReport};
 
 /// Messages between the devices and the disk: two seconds of the whole rig.
@@ -69,6 +70,7 @@ pub(crate) enum Entry {
 pub(crate) struct Inlet {
     queue: SyncSender<Entry>,
     overflow: Overflow,
+    tap: Option<Spout>,
 }
 
 impl Inlet {
@@ -80,8 +82,16 @@ impl Inlet {
         }
     }
 
+    /// Lets a live view look at what passes.
+    pub(crate) fn tapped(self, tap: Option<Spout>) -> Self {
+        Self { tap, ..self }
+    }
+
     /// Hands an entry to the writer, or drops and counts it. `Err`: the writer is gone, so the device may stop.
     pub(crate) fn put(&self, entry: Entry, report: &mut StreamReport) -> Result<(), WriterGone> {
+        if let Some(tap) = &self.tap {
+            tap.offer(&entry, report);
+        }
         match self.overflow {
             Overflow::Wait => self.queue.send(entry).map_err(|_| WriterGone),
             Overflow::Drop => match self.queue.try_send(entry) {
@@ -135,7 +145,11 @@ impl Recorder {
         let thread = spawn("recorder", move || sink.run(&entries))?;
         Ok(Self {
             thread,
-            inlet: Inlet { queue, overflow },
+            inlet: Inlet {
+                queue,
+                overflow,
+                tap: None,
+            },
         })
     }
 

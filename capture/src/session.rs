@@ -19,6 +19,8 @@ use lsfb_types::{Progress, ProgressFn};
 use crate::config::{CameraUnitConfig, DevicesConfig};
 use crate::health::StreamReport;
 use crate::recorder::{self, Inlet, Recorder};
+use crate::remark::{RemarkQueue, Remarks, remarks};
+use crate::tap::{Spout, Tap, tap};
 use crate::{CaptureReport, Error, camera, imu, lidar, sidecar};
 
 /// What device threads share.
@@ -61,6 +63,8 @@ pub struct Session {
     lidar: Option<UdpSource>,
     sidecar: Option<SidecarServer>,
     counts: Counts,
+    tap: Option<Spout>,
+    remarks: Option<RemarkQueue>,
 }
 
 impl Session {
@@ -98,6 +102,8 @@ impl Session {
             lidar,
             sidecar,
             counts: Counts::default(),
+            tap: None,
+            remarks: None,
         })
     }
 
@@ -117,6 +123,20 @@ impl Session {
     /// Live counts; they go on counting while [`Session::run`] runs.
     pub fn counts(&self) -> Counts {
         self.counts.clone()
+    }
+
+    /// A lossy look at what is going to be recorded. There is one: of several the last gets everything.
+    pub fn tap(&mut self) -> Tap {
+        let (spout, tap) = tap();
+        self.tap = Some(spout);
+        tap
+    }
+
+    /// Where the operator's words go while this session records. There is one: of several the last is heard.
+    pub fn remarks(&mut self) -> Remarks {
+        let (sender, queue) = remarks();
+        self.remarks = Some(queue);
+        sender
     }
 
     /// Opens and configures cameras and IMU (the first that refuses is the error), records into `out` until every device
@@ -147,7 +167,8 @@ impl Session {
         let mut threads = Threads {
             control: Arc::clone(&control),
             running: Vec::new(),
-            inlet: recorder.inlet(),
+            inlet: recorder.inlet().tapped(self.tap),
+            remarks: self.remarks,
         };
         if let Some(source) = self.lidar {
             threads.start("lidar", Ends::Never, |inlet, control| {
@@ -230,6 +251,7 @@ struct Threads {
     control: Arc<Control>,
     running: Vec<(String, JoinHandle<StreamReport>)>,
     inlet: Inlet,
+    remarks: Option<RemarkQueue>,
 }
 
 impl Threads {
@@ -252,7 +274,7 @@ impl Threads {
     }
 
     fn wait(
-        self,
+        mut self,
         stop: &AtomicBool,
         recorder: &Recorder,
         progress: ProgressFn<'_>,
@@ -261,6 +283,10 @@ impl Threads {
         while !self.running.iter().all(|(_, thread)| thread.is_finished()) {
             if stop.load(Ordering::Relaxed) || recorder.has_ended() {
                 self.control.stop.store(true, Ordering::Relaxed);
+            }
+            if let Some(remarks) = &mut self.remarks {
+                // A writer that is gone ends the loop by itself.
+                let _ = remarks.forward(&self.inlet);
             }
             if last_shown.elapsed() > Duration::from_millis(250) {
                 last_shown = Instant::now();
@@ -279,6 +305,10 @@ impl Threads {
                 });
             }
             std::thread::sleep(Duration::from_millis(20));
+        }
+        if let Some(mut remarks) = self.remarks.take() {
+            // What was said last.
+            let _ = remarks.forward(&self.inlet);
         }
         self.running
             .into_iter()

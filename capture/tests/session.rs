@@ -14,10 +14,11 @@ use std::time::{Duration, Instant};
 
 use lsfb_capture::{
     CameraUnitConfig, CaptureReport, DevicesConfig, Ending, ImuLineConfig, LidarNetConfig,
-    Overflow, Session, SidecarConfig, StreamReport,
+    Overflow, Session, SidecarConfig, StreamReport, Tapped,
 };
-use lsfb_recording::{LIDAR_POSITION, Recording};
-use lsfb_types::no_progress;
+use lsfb_recording::message::{Remark, decode_remark};
+use lsfb_recording::{LIDAR_POSITION, REMARKS, Recording};
+use lsfb_types::{Timestamp, no_progress};
 use mock::{CAMERA_PERIOD_NS, Farewell, IMU_PERIOD_NS, START_NS};
 
 const LOOPBACK: SocketAddr =
@@ -375,4 +376,78 @@ fn a_recording_of_a_process_that_was_killed_opens() {
         let recording = Recording::open(&torn).unwrap();
         assert!(recording.imu().unwrap().filter(Result::is_ok).count() > 100);
     });
+}
+
+/// Issue 4: "the tap never slows capture".
+#[test]
+fn a_blocked_tap_loses_nothing_in_the_recording() {
+    const FRAMES: u16 = 40;
+    const SAMPLES: u32 = 4_000;
+    let folder = tempfile::tempdir().unwrap();
+    let front = folder.path().join("front");
+    let camera = mock::stereo_unit(&front, 7, Some(FRAMES), Farewell::Orderly);
+    let imu = mock::imu(Some(SAMPLES), &[]);
+    let config = DevicesConfig {
+        overflow: Overflow::Wait,
+        cameras: vec![unit(&front, ["cam0", "cam1"])],
+        imu: Some(line(&imu.path)),
+        ..DevicesConfig::default()
+    };
+    let mut session = Session::open(&config).unwrap();
+    // Held, and never read.
+    let tap = session.tap();
+    let out = folder.path().join("scan.mcap");
+    let report = run(session, &out);
+    camera.join().unwrap();
+    imu.thread.join().unwrap();
+    assert!(tap.missed() > 0, "the queue was never full");
+    assert_eq!(report.lost, 0, "{report:?}");
+    assert_eq!(stream(&report, "imu0").decoded, u64::from(SAMPLES));
+    assert_eq!(stream(&report, "cam0+cam1").decoded, 2 * u64::from(FRAMES));
+    let recording = Recording::open(&out).unwrap();
+    assert_eq!(recording.imu().unwrap().count(), SAMPLES as usize);
+    for camera in ["cam0", "cam1"] {
+        let images = recording.images(camera).unwrap();
+        assert_eq!(images.count(), usize::from(FRAMES));
+    }
+    // What had room is still there, in order, and ends with the recording.
+    let mut samples = 0;
+    while let Ok(entry) = tap.next(Duration::ZERO) {
+        samples += u32::from(matches!(entry, Some(Tapped::Imu { .. })));
+    }
+    assert!(samples > 100, "{samples}");
+}
+
+#[test]
+fn remarks_go_into_the_recording_that_runs() {
+    let folder = tempfile::tempdir().unwrap();
+    let imu = mock::imu(Some(2_000), &[]);
+    let config = DevicesConfig {
+        overflow: Overflow::Wait,
+        imu: Some(line(&imu.path)),
+        ..DevicesConfig::default()
+    };
+    let mut session = Session::open(&config).unwrap();
+    let remarks = session.remarks();
+    let time = Timestamp::from_nanos(START_NS + 5);
+    let made = Remark {
+        kind: "note".to_owned(),
+        text: "Tür war offen".to_owned(),
+        position_in_world_m: Some([1.0, 2.0, 3.0]),
+    };
+    remarks.put(time, made.clone()).unwrap();
+    let out = folder.path().join("scan.mcap");
+    run(session, &out);
+    imu.thread.join().unwrap();
+    let recording = Recording::open(&out).unwrap();
+    let found: Vec<_> = recording
+        .messages(REMARKS)
+        .unwrap()
+        .map(Result::unwrap)
+        .collect();
+    assert_eq!(found.len(), 1);
+    assert_eq!(found[0].time, time);
+    assert_eq!(decode_remark(&found[0].bytes), Ok(made.clone()));
+    let late = remarks.put(time, made).unwrap_err().to_string();
+    assert!(late.contains("has ended"), "{late}");
 }

@@ -46,6 +46,7 @@ struct GlobalArguments {
 enum Command {
     Demo(commands::demo::Arguments),
     Sim(commands::sim::Arguments),
+    Mock(commands::mock::Arguments),
     Scan(commands::scan::Arguments),
     Odometry(commands::odometry::Arguments),
     Map(commands::map::Arguments),
@@ -75,6 +76,7 @@ fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
     let outcome = match arguments.command {
         Command::Demo(a) => commands::demo::run(&a, &context),
         Command::Sim(a) => commands::sim::run(&a, &context),
+        Command::Mock(a) => commands::mock::run(&a, &context),
         Command::Scan(a) => commands::scan::run(&a, &context),
         Command::Odometry(a) => commands::odometry::run(&a, &context),
         Command::Map(a) => commands::map::run(&a, &context),

@@ -15,6 +15,20 @@ use lsfb_sim::{
 
 use crate::context::Context;
 
+/// Where the devices send to, and a phone connects.
+#[derive(clap::Args, Clone, Debug)]
+pub struct Endpoints {
+    /// Where the LiDAR's data packets go.
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:2368")]
+    pub lidar_data: SocketAddr,
+    /// Where the LiDAR's position packets go.
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8308")]
+    pub lidar_position: SocketAddr,
+    /// Where phones and glasses connect.
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8790")]
+    pub sidecar: SocketAddr,
+}
+
 /// Names of the files of a simulated session in its folder.
 pub struct Layout {
     folder: PathBuf,
@@ -78,16 +92,19 @@ pub fn prepare(
 /// The backpack's devices as `lsfb scan` sees them.
 pub fn backpack_devices(
     layout: &Layout,
+    config: &SimConfig,
     lidar: LidarNetConfig,
     overflow: Overflow,
 ) -> DevicesConfig {
     let [front, rear] = layout.camera_sockets();
+    let cameras = &config.scan_cameras;
     let unit = |path, names: [&str; 2]| CameraUnitConfig {
         path,
         serial: String::new(),
         names: names.map(str::to_owned),
-        frame_px: [1280, 400],
-        rate_hz: 10,
+        // Both images side by side.
+        frame_px: [2 * cameras.width, cameras.height],
+        rate_hz: cameras.rate_hz,
     };
     DevicesConfig {
         rig: Some(layout.file("backpack.toml")),
@@ -97,7 +114,7 @@ pub fn backpack_devices(
         imu: Some(ImuLineConfig {
             path: layout.imu_line(),
             baud: 921_600,
-            rate_hz: 200,
+            rate_hz: u16::try_from(config.scan_imu.rate_hz).unwrap_or(u16::MAX),
         }),
         sidecar: None,
     }
@@ -151,7 +168,12 @@ pub fn record_backpack(
         data: loopback,
         position: loopback,
     };
-    let recorder = Session::open(&backpack_devices(layout, any, Overflow::Wait))?;
+    let recorder = Session::open(&backpack_devices(
+        layout,
+        simulation.config(),
+        any,
+        Overflow::Wait,
+    ))?;
     let [data, position] = recorder.lidar_addresses()[..] else {
         anyhow::bail!("the recorder has no LiDAR address")
     };

@@ -44,6 +44,6 @@ pub use error::{Damage, Error};
 pub use layout::{Channel, Compression, Durability, Summary, TopicSummary, WriterConfig};
 pub use provenance::{Provenance, sha256_of};
 pub use reader::{ArrivalRange, CameraImage, CdrMessage, RecordedPacket, Recording};
-pub use topic::LIDAR_POSITION;
+pub use topic::{LIDAR_POSITION, REMARKS};
 pub use tum::{read_tum, write_tum};
 pub use writer::Writer;

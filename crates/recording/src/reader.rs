@@ -322,6 +322,14 @@ impl Recording {
         }))
     }
 
+    /// The schema of a topic as it lies in the file: the `ros2msg` text. `None` where there is no such topic.
+    pub fn schema_text(&self, topic: &str) -> Option<&str> {
+        let id = self.channels_of(topic).next()?;
+        let channel = self.index.channels.get(&id)?;
+        let schema = self.index.schemas.get(&channel.schema_id)?;
+        Some(&schema.text)
+    }
+
     /// Messages of a topic as they lie in the file.
     pub fn messages(
         &self,

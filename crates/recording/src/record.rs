@@ -85,6 +85,7 @@ pub(crate) struct SchemaRecord {
     pub id: u16,
     pub name: String,
     pub encoding: String,
+    pub text: String,
 }
 
 pub(crate) fn schema(body: &[u8]) -> Option<SchemaRecord> {
@@ -93,6 +94,7 @@ pub(crate) fn schema(body: &[u8]) -> Option<SchemaRecord> {
         id: fields.u16()?,
         name: fields.string()?.to_owned(),
         encoding: fields.string()?.to_owned(),
+        text: String::from_utf8_lossy(fields.bytes()?).into_owned(),
     })
 }
 

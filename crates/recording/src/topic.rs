@@ -20,6 +20,9 @@ pub(crate) const RIG_FRAME: &str = "rig";
 /// Source of the LiDAR's position packets, which have a topic of their own.
 pub const LIDAR_POSITION: &str = "lidar/position";
 
+/// What the operator says while recording.
+pub const REMARKS: &str = "/operator/remarks";
+
 pub(crate) fn image(camera: &str) -> String {
     format!("/{camera}/image")
 }

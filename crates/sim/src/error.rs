@@ -32,6 +32,17 @@ pub enum Error {
         /// Packets that the host says it has.
         received: u64,
     },
+    /// What is to be played cannot be read.
+    #[error(transparent)]
+    Recording(#[from] lsfb_recording::Error),
+    /// What is to be played does not fit together.
+    #[error("{}: {problem}", path.display())]
+    Source {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        problem: String,
+    },
     /// A thread of a device could not start, or died.
     #[error("thread {name} of the simulator: {problem}")]
     Thread {

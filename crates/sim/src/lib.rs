@@ -8,6 +8,7 @@
 //! - [`SimSession`] runs the devices that send the same measurements in their wire formats, to a host that cannot tell
 //!   them from real ones: a VLP-32C over UDP, two Mynt units through camera sockets, an Xsens IMU on a pseudo-terminal,
 //!   and glasses through the sidecar stream.
+//! - [`Playback`] runs the same devices from a recording or a capture file.
 //! - The truth is written by [`Simulation::write_truth`] into files of its own. No device sends it.
 //!
 //! Times are on the simulation's own calendar, from [`EPOCH`] and [`GLASSES_EPOCH`] on, never the host's clock.
@@ -53,8 +54,8 @@ pub mod world;
 
 pub use config::{CameraConfig, ImuConfig, LidarConfig, SimConfig, WalkConfig};
 pub use device::{
-    FlowControl, GlassesEndpoint, MYNT_UNITS, Pace, ScanEndpoints, SessionReport, SimSession,
-    StopHandle,
+    CameraPlan, FlowControl, GlassesEndpoint, MYNT_UNITS, Pace, Playback, PlaybackEndpoints,
+    ScanEndpoints, SessionReport, SimSession, StopHandle, Turns,
 };
 pub use error::Error;
 pub use sensor::camera::CameraSim;

@@ -5,6 +5,7 @@ pub mod eval;
 pub mod groundtruth;
 pub mod localize;
 pub mod map;
+pub mod mock;
 pub mod odometry;
 pub mod scan;
 pub mod sim;

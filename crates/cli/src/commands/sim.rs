@@ -1,8 +1,7 @@
 //! `lsfb sim`: simulated devices to record from.
 
 use std::fmt::Write as _;
-use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
@@ -12,7 +11,7 @@ use serde::Serialize;
 
 use crate::context::Context;
 use crate::outcome::Outcome;
-use crate::simulated::{self, Layout};
+use crate::simulated::{self, Endpoints, Layout};
 
 /// How long the glasses look for their recorder.
 const PATIENCE: Duration = Duration::from_secs(3600);
@@ -45,6 +44,22 @@ pub struct Arguments {
     /// Simulated seconds per second at most; 0 is as fast as it goes.
     #[arg(long, default_value_t = 1.0, conflicts_with = "record")]
     pace: f64,
+    #[command(flatten)]
+    endpoints: Endpoints,
+}
+
+impl Arguments {
+    /// Devices that wait for `lsfb scan`.
+    pub fn playing(out: &Path, seed: u64, pace: f64, endpoints: Endpoints) -> Self {
+        Self {
+            out: out.to_owned(),
+            seed,
+            config: None,
+            record: false,
+            pace,
+            endpoints,
+        }
+    }
 }
 
 #[derive(Serialize)]
@@ -75,12 +90,11 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         } else {
             Pace::Unlimited
         };
-        let local = |port| SocketAddr::from(([127, 0, 0, 1], port));
         let lidar = LidarNetConfig {
-            data: local(2368),
-            position: local(8308),
+            data: arguments.endpoints.lidar_data,
+            position: arguments.endpoints.lidar_position,
         };
-        let glasses = local(8790);
+        let glasses = arguments.endpoints.sidecar;
         let backpack_file = layout.file("backpack-devices.toml");
         let glasses_file = layout.file("glasses-devices.toml");
         let write = |path: &PathBuf, devices: DevicesConfig| {
@@ -90,7 +104,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         let absolute = Layout::create(&std::path::absolute(&arguments.out)?)?;
         write(
             &backpack_file,
-            simulated::backpack_devices(&absolute, lidar.clone(), Overflow::Drop),
+            simulated::backpack_devices(&absolute, &config, lidar.clone(), Overflow::Drop),
         )?;
         write(
             &glasses_file,

@@ -7,6 +7,7 @@ mod image;
 mod imu;
 mod lsfb;
 mod points;
+mod remark;
 mod schema;
 mod transform;
 mod velodyne;
@@ -23,8 +24,9 @@ pub use lsfb::{
     encode_raw_packet,
 };
 pub use points::{decode_points, encode_points};
+pub use remark::{Remark, decode_remark, encode_remark};
 pub use schema::{
-    CAMERA_INFO, FRAME_META, IMAGE, IMU, POINT_CLOUD, RAW_PACKET, Schema, TF_MESSAGE,
+    CAMERA_INFO, FRAME_META, IMAGE, IMU, POINT_CLOUD, RAW_PACKET, REMARK, Schema, TF_MESSAGE,
     TIME_REFERENCE, VELODYNE_SCAN,
 };
 pub use transform::{StaticTransform, encode_static_transforms};

@@ -147,6 +147,15 @@ pub const RAW_PACKET: Schema = Schema {
     ),
 };
 
+/// What the operator says.
+pub const REMARK: Schema = Schema {
+    name: "lsfb_msgs/msg/Remark",
+    text: concat!(
+        "std_msgs/Header header\nstring kind\nstring text\nfloat64 x\nfloat64 y\nfloat64 z\n",
+        header!()
+    ),
+};
+
 /// What a camera says about a frame.
 pub const FRAME_META: Schema = Schema {
     name: "lsfb_msgs/msg/FrameMeta",

@@ -233,7 +233,7 @@ fn every_cut_message_is_refused() {
         sequence: 0,
         bytes: vec![1],
     };
-    let cases: [(Vec<u8>, Decode); 7] = [
+    let cases: [(Vec<u8>, Decode); 8] = [
         (IMAGE_BYTES.to_vec(), |b| decode_image(b).err()),
         (IMU_BYTES.to_vec(), |b| decode_imu(b).err()),
         (TIME_REFERENCE_BYTES.to_vec(), |b| {
@@ -246,6 +246,9 @@ fn every_cut_message_is_refused() {
         }),
         (encode_frame_meta(STAMP, "", &FrameMeta::default()), |b| {
             decode_frame_meta(b).err()
+        }),
+        (encode_remark(STAMP, &Remark::default()), |b| {
+            decode_remark(b).err()
         }),
     ];
     for (index, (bytes, error)) in cases.iter().enumerate() {
@@ -278,4 +281,17 @@ fn camera_info_has_the_intrinsics_where_viewers_look() {
         r.f64_array::<9>("k"),
         Ok([350.0, 0.0, 319.5, 0.0, 351.0, 199.5, 0.0, 0.0, 1.0])
     );
+}
+
+#[test]
+fn remarks_keep_their_words_and_their_place() {
+    for position_in_world_m in [Some([1.5, -2.0, 0.25]), None] {
+        let remark = Remark {
+            kind: "control-point".to_owned(),
+            text: "Pfeiler Süd 3".to_owned(),
+            position_in_world_m,
+        };
+        let bytes = encode_remark(STAMP, &remark);
+        assert_eq!(decode_remark(&bytes), Ok(remark));
+    }
 }

@@ -50,7 +50,7 @@ impl ImuDevice {
         clock: &SimClock,
         device: usize,
     ) -> Result<u64, Error> {
-        if !self.configure(rig, clock)? {
+        if !self.configure(rig.imu_rate_hz() as u16, clock)? {
             return Ok(0);
         }
         let mut sent = 0;
@@ -71,12 +71,22 @@ impl ImuDevice {
         }
         // The clock must not wait for this one while the line is read out.
         clock.finish(device);
-        self.pty.finish(DRAIN)?;
+        self.finish()?;
         Ok(sent)
     }
 
+    /// Sends bytes of the data stream as they are.
+    pub(super) fn send(&mut self, bytes: &[u8]) -> Result<(), Error> {
+        Ok(self.pty.send(bytes)?)
+    }
+
+    /// Waits until the host has read everything, and hangs up.
+    pub(super) fn finish(self) -> Result<(), Error> {
+        Ok(self.pty.finish(DRAIN)?)
+    }
+
     /// Answers requests until measuring begins. `false`: the session was stopped before.
-    fn configure(&mut self, rig: &RigSim, clock: &SimClock) -> Result<bool, Error> {
+    pub(super) fn configure(&mut self, rate_hz: u16, clock: &SimClock) -> Result<bool, Error> {
         loop {
             if clock.is_stopped() {
                 return Ok(false);
@@ -87,7 +97,9 @@ impl ImuDevice {
             while let Some(request) = self.framer.next_message() {
                 match request.id {
                     message::REQ_DID => self.answer(request.id, &DEVICE_ID)?,
-                    message::SET_OUTPUT_CONFIGURATION => self.set_outputs(rig, &request.data)?,
+                    message::SET_OUTPUT_CONFIGURATION => {
+                        self.set_outputs(rate_hz, &request.data)?
+                    }
                     message::GO_TO_MEASUREMENT => {
                         self.answer(request.id, &[])?;
                         return Ok(true);
@@ -100,14 +112,14 @@ impl ImuDevice {
     }
 
     /// Accepts the list of outputs, at the rate that the unit runs at; an empty list asks for the current one.
-    fn set_outputs(&mut self, rig: &RigSim, data: &[u8]) -> Result<(), Error> {
+    fn set_outputs(&mut self, rate_hz: u16, data: &[u8]) -> Result<(), Error> {
         if !data.is_empty() {
             let Ok(mut wanted) = OutputSetting::parse_all(data) else {
                 return self.reply(message::ERROR, &[INVALID_PARAMETER]);
             };
             for setting in &mut wanted {
                 if setting.rate_hz != WITH_EVERY_PACKET {
-                    setting.rate_hz = rig.imu_rate_hz() as u16;
+                    setting.rate_hz = rate_hz;
                 }
             }
             self.outputs = wanted;

@@ -9,10 +9,12 @@ mod glasses;
 mod imu;
 mod lidar;
 mod mynt;
+mod playback;
 mod session;
 
 pub use clock::Pace;
 pub use lidar::FlowControl;
+pub use playback::{CameraPlan, Playback, PlaybackEndpoints, Turns};
 pub use session::{
     GlassesEndpoint, MYNT_UNITS, ScanEndpoints, SessionReport, SimSession, StopHandle,
 };

@@ -21,7 +21,7 @@ use crate::noise::{Dice, next_gaussian, stream};
 use crate::{Error, GRAVITY_M_S2, ImuConfig, RigSim, Simulation};
 
 /// How long the unit listens for a request before it looks whether a frame is due.
-const LISTEN: Duration = Duration::from_millis(1);
+pub(super) const LISTEN: Duration = Duration::from_millis(1);
 /// Time between two samples of the unit's accelerometer; the gyroscope's lie in the middle.
 const IMU_PERIOD_NS: i64 = 5_000_000;
 
@@ -57,6 +57,11 @@ impl MyntDevice {
         })
     }
 
+    /// The extension unit of a unit as it comes out of its box.
+    pub(super) fn extension_unit(&self) -> XuDevice {
+        XuDevice::new(self.info.clone(), ImuProtocol::Float)
+    }
+
     /// Serves its host, and once it asks for the stream sends the whole walk. Returns the frames sent.
     pub(crate) fn run(
         self,
@@ -65,7 +70,7 @@ impl MyntDevice {
         device: usize,
     ) -> Result<u64, Error> {
         let rig = simulation.scan();
-        let mut xu = XuDevice::new(self.info.clone(), ImuProtocol::Float);
+        let mut xu = self.extension_unit();
         let Some(Started { mut unit, format }) = self.wait_for_host(&mut xu, clock)? else {
             return Ok(0);
         };
@@ -114,7 +119,11 @@ impl MyntDevice {
     }
 
     /// Serves one host after another until one starts the stream; `None`: the session was stopped before.
-    fn wait_for_host(&self, xu: &mut XuDevice, clock: &SimClock) -> Result<Option<Started>, Error> {
+    pub(super) fn wait_for_host(
+        &self,
+        xu: &mut XuDevice,
+        clock: &SimClock,
+    ) -> Result<Option<Started>, Error> {
         while !clock.is_stopped() {
             let Some(mut unit) = self.listener.accept(50 * LISTEN)? else {
                 continue;
@@ -135,9 +144,9 @@ impl MyntDevice {
     }
 }
 
-struct Started {
-    unit: CameraUnit,
-    format: FrameFormat,
+pub(super) struct Started {
+    pub(super) unit: CameraUnit,
+    pub(super) format: FrameFormat,
 }
 
 /// Both images of a shot side by side, with the trailer.

@@ -54,6 +54,8 @@ pub struct SessionReport {
     pub imu_packets: u64,
     /// Sidecar messages.
     pub sidecar_messages: u64,
+    /// Messages of a played recording that could not be read, and were not sent.
+    pub unreadable: u64,
 }
 
 impl SessionReport {
@@ -64,6 +66,7 @@ impl SessionReport {
             stereo_frames: self.stereo_frames + other.stereo_frames,
             imu_packets: self.imu_packets + other.imu_packets,
             sidecar_messages: self.sidecar_messages + other.sidecar_messages,
+            unreadable: self.unreadable + other.unreadable,
         }
     }
 }
@@ -209,7 +212,7 @@ impl SimSession {
         outcome
     }
 
-    fn empty(devices: usize, pace: Pace, duration_s: f64) -> Self {
+    pub(super) fn empty(devices: usize, pace: Pace, duration_s: f64) -> Self {
         Self {
             clock: Arc::new(SimClock::new(devices, SKEW_NS, pace)),
             threads: Vec::new(),
@@ -227,10 +230,26 @@ impl SimSession {
         + Send
         + 'static,
     ) -> Result<(), Error> {
-        let clock = Arc::clone(&self.clock);
         let simulation = Arc::clone(simulation);
+        self.spawn_device(name, device, move |clock, device| {
+            run(&simulation, clock, device)
+        })
+    }
+
+    pub(super) fn set_imu_path(&mut self, path: PathBuf) {
+        self.imu_path = Some(path);
+    }
+
+    /// Starts the thread of the device with this number.
+    pub(super) fn spawn_device(
+        &mut self,
+        name: &str,
+        device: usize,
+        run: impl FnOnce(&SimClock, usize) -> Result<SessionReport, Error> + Send + 'static,
+    ) -> Result<(), Error> {
+        let clock = Arc::clone(&self.clock);
         let thread = spawn(name, move || {
-            let outcome = run(&simulation, &clock, device);
+            let outcome = run(&clock, device);
             clock.finish(device);
             outcome
         })?;

@@ -1,0 +1,65 @@
+//! What the operator says while recording: notes and control points, written into the recording as they come.
+
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+
+use lsfb_recording::REMARKS;
+use lsfb_recording::message::{self, Remark};
+use lsfb_types::Timestamp;
+
+use crate::recorder::{Entry, Inlet, WriterGone};
+use crate::{Error, StreamReport};
+
+/// Remarks between their author and the recording.
+const QUEUE_REMARKS: usize = 64;
+
+/// Where remarks are put; see [`crate::Session::remarks`].
+#[derive(Clone, Debug)]
+pub struct Remarks {
+    queue: SyncSender<(Timestamp, Remark)>,
+}
+
+impl Remarks {
+    /// Writes a remark made at `time` into the recording that runs.
+    pub fn put(&self, time: Timestamp, remark: Remark) -> Result<(), Error> {
+        self.queue
+            .try_send((time, remark))
+            .map_err(|e| Error::Remark {
+                reason: match e {
+                    TrySendError::Full(_) => "too many at once; try again",
+                    TrySendError::Disconnected(_) => "the recording has ended",
+                },
+            })
+    }
+}
+
+/// The end that the session holds.
+#[derive(Debug)]
+pub(crate) struct RemarkQueue {
+    queue: Receiver<(Timestamp, Remark)>,
+    report: StreamReport,
+}
+
+pub(crate) fn remarks() -> (Remarks, RemarkQueue) {
+    let (sender, queue) = sync_channel(QUEUE_REMARKS);
+    let report = StreamReport::new("operator");
+    (Remarks { queue: sender }, RemarkQueue { queue, report })
+}
+
+impl RemarkQueue {
+    /// Hands what has come to the writer.
+    pub(crate) fn forward(&mut self, inlet: &Inlet) -> Result<(), WriterGone> {
+        while let Ok((time, remark)) = self.queue.try_recv() {
+            let entry = Entry::Cdr {
+                topic: REMARKS.to_owned(),
+                schema_name: message::REMARK.name.to_owned(),
+                schema_text: message::REMARK.text.to_owned(),
+                time,
+                arrival: time,
+                bytes: message::encode_remark(time, &remark),
+            };
+            // A person's words are worth waiting for.
+            inlet.patient().put(entry, &mut self.report)?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,205 @@
+//! `lsfb mock`: what was recorded, sent again as if by devices.
+
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::Context as _;
+use lsfb_capture::{
+    CameraUnitConfig, DevicesConfig, ImuLineConfig, LidarNetConfig, Overflow, SidecarConfig,
+};
+use lsfb_sim::{Pace, Playback, PlaybackEndpoints, Turns};
+
+use super::sim;
+use crate::context::Context;
+use crate::outcome::Outcome;
+use crate::simulated::Endpoints;
+
+/// How long sidecars look for their recorder.
+const PATIENCE: Duration = Duration::from_secs(3600);
+
+/// Play a recording, a capture file or the simulator as live devices.
+///
+/// LiDAR packets go to the network, the IMU's bytes to a pseudo-terminal, frames to camera sockets and a phone's messages to
+/// the sidecar port, each exactly as received and at the time its device gave it: `lsfb scan` in another process cannot tell
+/// the difference. The list of devices for it is written into the folder. Nothing is sent before every device has its host.
+///
+/// With --loop the devices' own clocks begin anew with each turn, and the recorder reports it.
+/// A capture file (pcap, pcapng, db3) has a LiDAR alone, which never says that it has ended: stop the recorder with Ctrl-C.
+///
+/// Examples:
+///   lsfb mock scan.mcap --out mock              # then, in another terminal:
+///   lsfb scan --devices mock/devices.toml --out again.mcap
+///   lsfb mock drive.pcap --out mock --rate 2 --loop
+///   lsfb mock --seed 7 --out sim                # the simulator, as lsfb sim
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    /// Recording (MCAP), pcap, pcapng or rosbag2 database (db3).
+    #[arg(required_unless_present = "seed")]
+    source: Option<PathBuf>,
+    /// Play the simulator with this seed instead.
+    #[arg(long, conflicts_with_all = ["source", "turns"])]
+    seed: Option<u64>,
+    /// Folder for the list of devices, the rig, and the mock devices' sockets.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Recorded seconds per second.
+    #[arg(long, default_value_t = 1.0, value_parser = rate)]
+    rate: f64,
+    /// Play it N times; without a number until Ctrl-C.
+    #[arg(long = "loop", value_name = "N", num_args = 0..=1, default_missing_value = "0")]
+    turns: Option<u32>,
+    #[command(flatten)]
+    endpoints: Endpoints,
+}
+
+/// A rate that time can pass at.
+fn rate(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(rate) if rate > 0.0 && rate.is_finite() => Ok(rate),
+        _ => Err("expected a positive number, for instance 1 or 0.5".to_owned()),
+    }
+}
+
+/// Plays to the end, or until Ctrl-C.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    let Some(source) = &arguments.source else {
+        let simulator = sim::Arguments::playing(
+            &arguments.out,
+            arguments.seed.unwrap_or_default(),
+            arguments.rate,
+            arguments.endpoints.clone(),
+        );
+        return sim::run(&simulator, context);
+    };
+    let playback = Playback::open(source)?;
+    let folder = Folder::create(&arguments.out)?;
+    let devices = folder.devices(&playback, &arguments.endpoints);
+    if let (Some(path), Some(rig)) = (&devices.rig, playback.rig()) {
+        write(path, &rig.to_toml())?;
+    }
+    let list = folder.file("devices.toml");
+    write(&list, &devices.to_toml())?;
+    let endpoints = PlaybackEndpoints {
+        lidar_data: arguments.endpoints.lidar_data,
+        lidar_position: arguments.endpoints.lidar_position,
+        camera_sockets: devices.cameras.iter().map(|c| c.path.clone()).collect(),
+        sidecar: arguments.endpoints.sidecar,
+        patience: PATIENCE,
+    };
+    let turns = match arguments.turns {
+        None => Turns::Times(1),
+        Some(0) => Turns::Endless,
+        Some(times) => Turns::Times(times),
+    };
+    let session = playback.start(&endpoints, Pace::RealTimes(arguments.rate), turns)?;
+    if let (Some(line), Some(imu)) = (session.imu_path(), &devices.imu) {
+        symlink(line, &imu.path).with_context(|| imu.path.display().to_string())?;
+    }
+    context.note(&format!(
+        "waiting for: lsfb scan --devices {} --out again.mcap",
+        list.display()
+    ));
+    let stop = session.stop_handle();
+    let sent = session.join(&|p| {
+        if context.check_stop().is_err() {
+            stop.stop();
+        }
+        if turns != Turns::Endless {
+            context.show(p);
+        }
+    })?;
+    let report = serde_json::json!({
+        "source": source,
+        "lidar_data_packets": sent.lidar_data_packets,
+        "lidar_position_packets": sent.lidar_position_packets,
+        "stereo_frames": sent.stereo_frames,
+        "imu_packets": sent.imu_packets,
+        "sidecar_messages": sent.sidecar_messages,
+        "unreadable": sent.unreadable,
+    });
+    context.print(&report, || {
+        let mut text = format!(
+            "{}: sent {} LiDAR packets ({} of position), {} stereo frames, {} pieces of the IMU's stream, {} sidecar messages",
+            source.display(),
+            sent.lidar_data_packets + sent.lidar_position_packets,
+            sent.lidar_position_packets,
+            sent.stereo_frames,
+            sent.imu_packets,
+            sent.sidecar_messages
+        );
+        if sent.unreadable > 0 {
+            text += &format!("\n  {} messages could not be read and were not sent", sent.unreadable);
+        }
+        text
+    })?;
+    Ok(if sent.unreadable == 0 {
+        Outcome::Done
+    } else {
+        Outcome::DataLost
+    })
+}
+
+fn write(path: &Path, text: &str) -> anyhow::Result<()> {
+    std::fs::write(path, text).with_context(|| path.display().to_string())
+}
+
+/// Where the mock devices appear.
+struct Folder {
+    path: PathBuf,
+}
+
+impl Folder {
+    /// Makes it; what an earlier mock left behind goes.
+    fn create(path: &Path) -> anyhow::Result<Self> {
+        let path = std::path::absolute(path)?;
+        let devices = path.join("devices");
+        std::fs::create_dir_all(&devices).with_context(|| devices.display().to_string())?;
+        for entry in std::fs::read_dir(&devices).with_context(|| devices.display().to_string())? {
+            let entry = entry?.path();
+            std::fs::remove_file(&entry).with_context(|| entry.display().to_string())?;
+        }
+        Ok(Self { path })
+    }
+
+    fn file(&self, name: &str) -> PathBuf {
+        self.path.join(name)
+    }
+
+    /// The devices as `lsfb scan` sees them.
+    fn devices(&self, playback: &Playback, endpoints: &Endpoints) -> DevicesConfig {
+        let device = |name: &str| self.path.join("devices").join(name);
+        let cameras = playback.cameras().iter().map(|unit| CameraUnitConfig {
+            path: device(&format!("mynt_{}", unit.names[0])),
+            serial: String::new(),
+            names: unit.names.clone(),
+            frame_px: unit.frame_px,
+            rate_hz: unit.rate_hz,
+        });
+        let wired = playback.has_lidar()
+            || playback.imu_rate_hz().is_some()
+            || !playback.cameras().is_empty();
+        DevicesConfig {
+            // A sidecar brings its own.
+            rig: playback
+                .rig()
+                .filter(|_| wired)
+                .map(|_| self.file("rig.toml")),
+            overflow: Overflow::Drop,
+            lidar: playback.has_lidar().then_some(LidarNetConfig {
+                data: endpoints.lidar_data,
+                position: endpoints.lidar_position,
+            }),
+            cameras: cameras.collect(),
+            imu: playback.imu_rate_hz().map(|rate_hz| ImuLineConfig {
+                path: device("imu0"),
+                baud: 921_600,
+                rate_hz,
+            }),
+            sidecar: (!playback.sidecars().is_empty()).then_some(SidecarConfig {
+                listen: endpoints.sidecar,
+            }),
+        }
+    }
+}

@@ -1,0 +1,228 @@
+//! Devices in one process, their recorder in another.
+
+mod process;
+mod running;
+
+use std::fmt::Write as _;
+use std::net::UdpSocket;
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+use lsfb_recording::{LIDAR_POSITION, Recording};
+use nix::sys::signal::Signal;
+use process::lsfb;
+use running::{Running, wait_until};
+use serde_json::Value;
+
+/// Small cameras, so that two cores render them faster than they are played.
+const TINY: &str = "texel_m = 0.012\n\
+    [scan]\nduration_s = 5.0\nrest_s = 0.5\n[glasses]\nduration_s = 4.0\nrest_s = 0.5\nheight_m = 1.62\n\
+    [scan_cameras]\nwidth = 160\nheight = 100\n[glasses_cameras]\nwidth = 160\nheight = 100\n";
+
+/// Three ports that nobody has.
+struct Ports([u16; 3]);
+
+impl Ports {
+    fn free() -> Self {
+        let sockets = [0; 3].map(|_| UdpSocket::bind("127.0.0.1:0").expect("socket"));
+        Self(sockets.map(|s| s.local_addr().expect("address").port()))
+    }
+
+    fn arguments(&self) -> Vec<String> {
+        let names = ["--lidar-data", "--lidar-position", "--sidecar"];
+        let pairs = names.iter().zip(self.0);
+        pairs
+            .flat_map(|(name, port)| [(*name).to_owned(), format!("127.0.0.1:{port}")])
+            .collect()
+    }
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("UTF-8")
+}
+
+/// Records what a folder's list of devices names, to the end of the devices.
+fn scan(folder: &Path, devices: &str, out: &str) -> Value {
+    let output = lsfb(
+        folder,
+        &["scan", "--devices", devices, "--out", out, "--json"],
+    );
+    let errors = String::from_utf8_lossy(&output.stderr);
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert_eq!(output.status.code(), Some(0), "{said}\n{errors}");
+    serde_json::from_slice(&output.stdout).expect("one JSON object")
+}
+
+/// A simulated scan and walk, recorded from `lsfb sim` in another process: made once for all tests.
+fn recorded() -> &'static Path {
+    static RECORDED: OnceLock<PathBuf> = OnceLock::new();
+    RECORDED.get_or_init(|| {
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("mock");
+        let _ = std::fs::remove_dir_all(&folder);
+        std::fs::create_dir_all(&folder).expect("folder");
+        std::fs::write(folder.join("tiny.toml"), TINY).expect("settings");
+        let ports = Ports::free().arguments();
+        let arguments = ["sim", "--out", "sim", "--config", "tiny.toml"];
+        let arguments = arguments.into_iter().map(str::to_owned).chain(ports);
+        let mut sim = Running::lsfb(&folder, arguments);
+        sim.wait_for("backpack-devices.toml");
+        let report = scan(&folder, "sim/backpack-devices.toml", "scan.mcap");
+        assert_eq!(report["groups"]["complete"], 50, "{report}");
+        sim.wait_for("glasses-devices.toml");
+        scan(&folder, "sim/glasses-devices.toml", "walk.mcap");
+        assert_eq!(sim.wait().code(), Some(0), "{}", sim.said());
+        folder
+    })
+}
+
+/// What a raw topic holds, in order.
+fn packets(path: &Path, source: &str) -> Vec<Vec<u8>> {
+    let recording = Recording::open(path).expect("recording");
+    let packets = recording.packets(source).expect("topic");
+    packets.map(|p| p.expect("packet").packet.bytes).collect()
+}
+
+/// What must be the same in a recording of a mock: everything but when it arrived.
+fn content(path: &Path) -> Vec<String> {
+    let recording = Recording::open(path).expect("recording");
+    let mut lines = Vec::new();
+    for topic in recording.topics() {
+        // The stream of a serial line is cut wherever it was read, and the frames of the rig are stamped like the message
+        // that happened to come first.
+        if topic.topic == "/raw/imu0" || topic.topic.ends_with("tf_static") {
+            continue;
+        }
+        let mut line = format!("{} {} {}", topic.topic, topic.schema, topic.messages);
+        let mut hash = 0xcbf2_9ce4_8422_2325_u64;
+        for message in recording.messages(&topic.topic).expect("topic") {
+            let message = message.expect("message");
+            // Each packet of a revolution carries its arrival.
+            let bytes = match topic.topic.as_str() {
+                "/lidar/packets" => Vec::new(),
+                _ => message.bytes,
+            };
+            for byte in message.time.nanos().to_le_bytes().iter().chain(&bytes) {
+                hash = (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3);
+            }
+        }
+        let _ = write!(line, " {hash:016x}");
+        lines.push(line);
+    }
+    lines
+}
+
+#[test]
+fn a_mock_of_a_recording_gives_the_same_recording() {
+    let recorded = recorded();
+    let folder = tempfile::tempdir().expect("folder");
+    for (source, rate) in [("scan.mcap", "1"), ("walk.mcap", "2")] {
+        let source = recorded.join(source);
+        let ports = Ports::free().arguments();
+        let arguments = ["mock", text(&source), "--out", "mock", "--rate", rate];
+        let arguments = arguments.into_iter().map(str::to_owned).chain(ports);
+        let mut mock = Running::lsfb(folder.path(), arguments);
+        mock.wait_for("devices.toml");
+        scan(folder.path(), "mock/devices.toml", "again.mcap");
+        assert_eq!(mock.wait().code(), Some(0), "{}", mock.said());
+        let again = folder.path().join("again.mcap");
+        let (was, is) = (content(&source), content(&again));
+        assert!(was.len() >= 3, "{was:?}");
+        assert_eq!(was, is);
+        if source.ends_with("scan.mcap") {
+            for raw in ["lidar/packets", LIDAR_POSITION] {
+                assert!(packets(&source, raw) == packets(&again, raw), "{raw}");
+            }
+            let stream = |path: &Path| packets(path, "imu0").concat();
+            assert!(stream(&source) == stream(&again), "imu0");
+            let rig = |path: &Path| {
+                Recording::open(path)
+                    .expect("recording")
+                    .rig()
+                    .expect("rig")
+            };
+            assert_eq!(rig(&source), rig(&again));
+        }
+    }
+}
+
+#[test]
+fn a_mock_of_a_capture_file_gives_every_packet_at_its_rate() {
+    let test = "a_mock_of_a_capture_file_gives_every_packet_at_its_rate";
+    let Some(data) = running::data(test) else {
+        return;
+    };
+    for (below, turns, positions) in [
+        (
+            "lidar/nebula_velodyne/vlp32/1713492677464078412_0.db3",
+            1,
+            0,
+        ),
+        ("lidar/mrpt/sample_velodyne_vlp16_gps.pcap", 2, 57),
+    ] {
+        let source = data.join(below);
+        let folder = tempfile::tempdir().expect("folder");
+        let reference = folder.path().join("reference.mcap");
+        let flag = match source.extension() {
+            Some(ending) if ending == "db3" => "--db3",
+            _ => "--pcap",
+        };
+        lsfb(
+            folder.path(),
+            &["scan", flag, text(&source), "--out", "reference.mcap"],
+        );
+        let ports = Ports::free();
+        let turns_text = turns.to_string();
+        let arguments = [
+            "mock",
+            text(&source),
+            "--out",
+            "mock",
+            "--loop",
+            &turns_text,
+        ];
+        let arguments = arguments.into_iter().map(str::to_owned);
+        let mut mock = Running::lsfb(folder.path(), arguments.chain(ports.arguments()));
+        mock.wait_for("devices.toml");
+        let arguments = [
+            "scan",
+            "--devices",
+            "mock/devices.toml",
+            "--out",
+            "again.mcap",
+        ];
+        let mut scan = Running::lsfb(folder.path(), arguments.map(str::to_owned));
+        assert_eq!(mock.wait().code(), Some(0), "{}", mock.said());
+        wait_until("the recorder has taken everything", || {
+            running::nothing_waits(&ports.0)
+        });
+        scan.signal(Signal::SIGINT);
+        // A clock that starts anew with each turn is reported; nothing is lost.
+        assert!(scan.wait().code().is_some(), "{}", scan.said());
+        let again = folder.path().join("again.mcap");
+        let once = packets(&reference, "lidar/packets");
+        assert!(once.len() > 200);
+        let expected: Vec<_> = (0..turns).flat_map(|_| once.clone()).collect();
+        assert!(packets(&again, "lidar/packets") == expected, "{below}");
+        if positions > 0 {
+            let found = packets(&again, LIDAR_POSITION);
+            assert_eq!(found.len(), turns * positions, "{below}");
+        }
+    }
+}
+
+#[test]
+fn sources_that_hold_nothing_to_play_are_refused() {
+    let folder = tempfile::tempdir().expect("folder");
+    std::fs::write(folder.path().join("empty.pcap"), b"").expect("file");
+    for (arguments, reason) in [
+        (&["mock", "missing.mcap", "--out", "m"][..], "missing.mcap"),
+        (&["mock", "empty.pcap", "--out", "m"], "empty.pcap"),
+        (&["mock", "a.mcap", "--out", "m", "--rate", "0"], "positive"),
+        (&["mock", "--out", "m"], "<SOURCE>"),
+    ] {
+        let output = lsfb(folder.path(), arguments);
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success(), "{arguments:?}");
+        assert!(errors.contains(reason), "{arguments:?}: {errors}");
+    }
+}

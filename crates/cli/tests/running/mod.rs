@@ -1,0 +1,119 @@
+//! The built binary while it runs.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use tempfile::NamedTempFile;
+
+/// Whatever takes this long has failed.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// A process, and what it says on stderr.
+pub struct Running {
+    process: Child,
+    errors: NamedTempFile,
+}
+
+impl Running {
+    /// Starts `lsfb` in `folder`.
+    pub fn lsfb(folder: &Path, arguments: impl IntoIterator<Item = String>) -> Self {
+        let errors = NamedTempFile::new().expect("file");
+        let log = File::options()
+            .append(true)
+            .open(errors.path())
+            .expect("file");
+        let process = Command::new(env!("CARGO_BIN_EXE_lsfb"))
+            .args(arguments)
+            .current_dir(folder)
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(log)
+            .spawn()
+            .expect("the built binary");
+        Self { process, errors }
+    }
+
+    /// What it has said so far.
+    pub fn said(&self) -> String {
+        std::fs::read_to_string(self.errors.path()).expect("what it says")
+    }
+
+    /// Waits until it has said something.
+    pub fn wait_for(&mut self, words: &str) {
+        wait_until(words, || {
+            let said = self.said();
+            if said.contains(words) {
+                return true;
+            }
+            let ended = self.process.try_wait().expect("status");
+            assert!(ended.is_none(), "ended before {words:?}: {said}");
+            false
+        });
+    }
+
+    /// Waits for its end.
+    pub fn wait(&mut self) -> ExitStatus {
+        let mut status = None;
+        wait_until("the process ends", || {
+            status = self.process.try_wait().expect("status");
+            status.is_some()
+        });
+        status.expect("status")
+    }
+
+    /// Sends it a signal.
+    pub fn signal(&self, signal: Signal) {
+        let id = i32::try_from(self.process.id()).expect("process id");
+        kill(Pid::from_raw(id), signal).expect("signal");
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // A test that failed must leave nothing behind; a process that ended is gone already.
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+/// Waits until something holds.
+pub fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
+    let began = Instant::now();
+    while !holds() {
+        assert!(began.elapsed() < PATIENCE, "in vain: {what}");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// Whether no datagram waits in the sockets at these ports of this machine.
+pub fn nothing_waits(ports: &[u16]) -> bool {
+    let table = std::fs::read_to_string("/proc/net/udp").expect("sockets");
+    let columns = |line: &str| line.split_whitespace().map(str::to_owned).collect();
+    let sockets: Vec<Vec<String>> = table.lines().map(columns).collect();
+    ports.iter().all(|port| {
+        let wanted = format!(":{port:04X}");
+        let mut mine = sockets
+            .iter()
+            .filter(|c| c.get(1).is_some_and(|local| local.ends_with(&wanted)));
+        mine.all(|c| c.get(4).is_some_and(|queues| queues.ends_with(":00000000")))
+    })
+}
+
+/// Recordings made by others (`LSFB_TEST_DATA`); where there are none the test says so.
+#[allow(clippy::print_stdout, reason = "a skipped test says so")]
+pub fn data(test: &str) -> Option<PathBuf> {
+    let root = std::env::var_os("LSFB_TEST_DATA").map_or_else(
+        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
+        PathBuf::from,
+    );
+    let path = root.join("lidar");
+    if path.exists() {
+        return root.canonicalize().ok();
+    }
+    println!("skipped: {test}: no recording at {}", path.display());
+    None
+}

@@ -1,0 +1,276 @@
+//! Devices that play what others have sent: a recording, or the packets of a capture file.
+//!
+//! The bytes go out as they were received: LiDAR datagrams, the IMU's byte stream, the CDR of sidecars. Frames of the
+//! cameras are put together again from their two images and their trailer. Everything is sent when the devices' own clocks
+//! say that it was measured, so that what was recorded faster or slower than it happened plays at the right rate; packets of
+//! a capture file when they arrived there.
+
+mod camera;
+mod imu;
+mod lidar;
+mod sidecar;
+mod start;
+
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use lsfb_geometry::Rig;
+use lsfb_recording::Recording;
+use lsfb_types::Timestamp;
+
+use super::clock::Pace;
+use super::imu::ImuDevice;
+use super::mynt::MyntDevice;
+use super::session::{SessionReport, SimSession};
+use crate::Error;
+
+use self::lidar::LidarPlayer;
+use self::sidecar::SidecarPlayer;
+
+/// Between the end of a turn and the beginning of the next.
+const PAUSE_NS: i64 = 100_000_000;
+/// Files with these endings hold packets of a LiDAR and nothing else.
+const CAPTURES: [&str; 4] = ["pcap", "pcapng", "cap", "db3"];
+
+/// How often the source is played.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Turns {
+    /// This many times, at least once. The devices' own time starts anew with each.
+    Times(u32),
+    /// Until stopped.
+    Endless,
+}
+
+impl Turns {
+    fn has(self, turn: u32) -> bool {
+        match self {
+            Self::Times(times) => turn < times.max(1),
+            Self::Endless => true,
+        }
+    }
+}
+
+/// Where the devices appear and send to.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PlaybackEndpoints {
+    /// The LiDAR's data packets go here.
+    pub lidar_data: SocketAddr,
+    /// The LiDAR's position packets go here.
+    pub lidar_position: SocketAddr,
+    /// Sockets that the stereo units make, one for each of [`Playback::cameras`].
+    pub camera_sockets: Vec<PathBuf>,
+    /// Sidecars connect here.
+    pub sidecar: SocketAddr,
+    /// How long sidecars try to connect.
+    pub patience: Duration,
+}
+
+/// A stereo unit as it was recorded.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CameraPlan {
+    /// Its left and its right camera.
+    pub names: [String; 2],
+    /// Size of a frame with both images, pixels.
+    pub frame_px: [u32; 2],
+    /// Frames per second.
+    pub rate_hz: u32,
+}
+
+/// What a source holds.
+#[derive(Clone, Debug)]
+pub struct Playback {
+    path: PathBuf,
+    capture: bool,
+    start: Timestamp,
+    lidar: bool,
+    cameras: Vec<CameraPlan>,
+    imu_rate_hz: Option<u16>,
+    sidecars: Vec<String>,
+    rig: Option<Rig>,
+}
+
+impl Playback {
+    /// Looks at a recording, a pcap or a rosbag2 database.
+    pub fn open(path: &Path) -> Result<Self, Error> {
+        let ending = path.extension().unwrap_or_default().to_string_lossy();
+        if CAPTURES.iter().any(|c| ending.eq_ignore_ascii_case(c)) {
+            // Opened here, so that an unreadable file is known before anything starts.
+            lidar::capture(path)?;
+            return Ok(Self {
+                path: path.to_owned(),
+                capture: true,
+                start: Timestamp::default(),
+                lidar: true,
+                cameras: Vec::new(),
+                imu_rate_hz: None,
+                sidecars: Vec::new(),
+                rig: None,
+            });
+        }
+        let recording = Recording::open(path)?;
+        let has = |topic: &str| recording.topics().iter().any(|t| t.topic == topic);
+        let lidar = has("/lidar/packets") || has("/lidar/position") || has(lidar::STRANGE_TOPIC);
+        let cameras = camera::plans(&recording)?;
+        let imu_rate_hz = has(imu::TOPIC).then(|| imu::rate_hz(&recording));
+        let sidecars = sidecar::names(&recording);
+        if !lidar && cameras.is_empty() && imu_rate_hz.is_none() && sidecars.is_empty() {
+            return Err(Error::Source {
+                path: path.to_owned(),
+                problem:
+                    "no packets, frames or sidecar messages to play; was it recorded from devices?"
+                        .to_owned(),
+            });
+        }
+        Ok(Self {
+            path: path.to_owned(),
+            capture: false,
+            start: start::of(&recording),
+            lidar,
+            cameras,
+            imu_rate_hz,
+            sidecars,
+            rig: recording.rig().ok(),
+        })
+    }
+
+    /// Whether there are datagrams of a LiDAR.
+    pub fn has_lidar(&self) -> bool {
+        self.lidar
+    }
+
+    /// The stereo units.
+    pub fn cameras(&self) -> &[CameraPlan] {
+        &self.cameras
+    }
+
+    /// Samples per second of the IMU; `None` without one.
+    pub fn imu_rate_hz(&self) -> Option<u16> {
+        self.imu_rate_hz
+    }
+
+    /// Names of the sidecars.
+    pub fn sidecars(&self) -> &[String] {
+        &self.sidecars
+    }
+
+    /// The rig that was recorded.
+    pub fn rig(&self) -> Option<&Rig> {
+        self.rig.as_ref()
+    }
+
+    /// Starts the devices. Nothing is sent before each has its host: for a LiDAR aimed at this machine that is somebody who
+    /// listens at its port.
+    pub fn start(
+        &self,
+        endpoints: &PlaybackEndpoints,
+        pace: Pace,
+        turns: Turns,
+    ) -> Result<SimSession, Error> {
+        let sockets = endpoints.camera_sockets.iter();
+        let units = sockets
+            .enumerate()
+            .map(|(unit, path)| MyntDevice::bind(unit, path))
+            .collect::<Result<Vec<_>, _>>()?;
+        let devices = usize::from(self.lidar)
+            + usize::from(self.imu_rate_hz.is_some())
+            + self.cameras.len()
+            + self.sidecars.len();
+        let once = turns == Turns::Times(0) || turns == Turns::Times(1);
+        let span_ns = match (self.capture, once) {
+            // A capture has one device, which knows where it ends.
+            (true, _) => 0,
+            (false, true) => start::span_of_arrivals(&self.path)?,
+            (false, false) => start::span(&self.path, self.start)? + PAUSE_NS,
+        };
+        let mut session = SimSession::empty(devices, pace, span_ns as f64 * 1e-9);
+        let mut numbers = 0..devices;
+        let mut next = || numbers.next().unwrap_or_default();
+        let play = Play {
+            path: self.path.clone(),
+            capture: self.capture,
+            start: self.start,
+            span_ns,
+            turns,
+        };
+        if self.lidar {
+            let player = LidarPlayer::new(endpoints)?;
+            let play = play.clone();
+            session.spawn_device("mock-lidar", next(), move |clock, device| {
+                player.run(&play, clock, device)
+            })?;
+        }
+        if let Some(rate_hz) = self.imu_rate_hz {
+            let unit = ImuDevice::new()?;
+            session.set_imu_path(unit.path());
+            let play = play.clone();
+            session.spawn_device("mock-imu", next(), move |clock, device| {
+                imu::run(unit, rate_hz, &play, clock, device)
+            })?;
+        }
+        for (unit, plan) in units.into_iter().zip(&self.cameras) {
+            let (play, plan) = (play.clone(), plan.clone());
+            let name = format!("mock-{}", plan.names[0]);
+            session.spawn_device(&name, next(), move |clock, device| {
+                camera::run(unit, &plan, &play, clock, device)
+            })?;
+        }
+        for id in &self.sidecars {
+            let player = SidecarPlayer::new(id, endpoints);
+            let play = play.clone();
+            session.spawn_device(&format!("mock-{id}"), next(), move |clock, device| {
+                player.run(&play, clock, device)
+            })?;
+        }
+        Ok(session)
+    }
+}
+
+/// What every player needs to know.
+#[derive(Clone, Debug)]
+struct Play {
+    path: PathBuf,
+    capture: bool,
+    /// Time of the first sample of any device.
+    start: Timestamp,
+    /// Time from there to the start of the next turn.
+    span_ns: i64,
+    turns: Turns,
+}
+
+impl Play {
+    /// Opens the recording anew: each thread reads for itself.
+    fn recording(&self) -> Result<Recording, Error> {
+        Ok(Recording::open(&self.path)?)
+    }
+
+    /// The turns, each with its offset.
+    fn turns(&self) -> impl Iterator<Item = i64> + use<> {
+        let Self { turns, span_ns, .. } = *self;
+        (0..)
+            .take_while(move |turn| turns.has(*turn))
+            .map(move |turn| span_ns.saturating_mul(i64::from(turn)))
+    }
+
+    /// When something measured at `time` is due, from the start of its turn.
+    fn offset_ns(&self, time: Timestamp) -> i64 {
+        (time - self.start).max(0)
+    }
+}
+
+/// Keeps what can be read of a damaged recording.
+fn readable<T>(
+    items: impl Iterator<Item = Result<T, lsfb_recording::Error>>,
+    report: &mut SessionReport,
+) -> impl Iterator<Item = T> {
+    items.filter_map(|item| match item {
+        Ok(item) => Some(item),
+        Err(_) => {
+            report.unreadable += 1;
+            None
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,237 @@
+//! The datagrams of a Velodyne sensor, as they were received.
+
+use std::net::SocketAddr;
+use std::path::Path;
+use std::time::Duration;
+
+use lsfb_drivers::transport::PacketSource;
+use lsfb_drivers::transport::pcap::PcapSource;
+use lsfb_drivers::transport::rosbag2::Rosbag2Source;
+use lsfb_drivers::transport::udp_sender::UdpSender;
+use lsfb_drivers::velodyne::wire::{DataPacket, POSITION_PACKET_LEN};
+use lsfb_recording::{LIDAR_POSITION, RecordedPacket, Recording};
+use lsfb_types::Timestamp;
+
+use super::{PAUSE_NS, Play, PlaybackEndpoints, readable};
+use crate::Error;
+use crate::device::clock::{SimClock, Turn};
+use crate::device::session::SessionReport;
+
+pub(super) const DATA_TOPIC: &str = "/lidar/packets";
+pub(super) const POSITION_TOPIC: &str = "/lidar/position";
+/// Datagrams that no Velodyne sends, and that came to one of its ports.
+pub(super) const STRANGE_TOPIC: &str = "/raw/lidar";
+/// Ports of data and position packets.
+const PORTS: [u16; 2] = [2368, 8308];
+const HOUR_US: i64 = 3_600_000_000;
+/// How often a host that is not there yet is looked for.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+
+/// Opens a file that holds packets only.
+pub(super) fn capture(path: &Path) -> Result<Box<dyn PacketSource>, Error> {
+    let database = path
+        .extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case("db3"));
+    Ok(if database {
+        Box::new(Rosbag2Source::open(path)?)
+    } else {
+        Box::new(PcapSource::open(path, &PORTS)?)
+    })
+}
+
+/// Sends them to the host.
+pub(super) struct LidarPlayer {
+    data: UdpSender,
+    position: UdpSender,
+    targets: [SocketAddr; 2],
+    report: SessionReport,
+}
+
+impl LidarPlayer {
+    pub(super) fn new(endpoints: &PlaybackEndpoints) -> Result<Self, Error> {
+        Ok(Self {
+            data: UdpSender::aim(endpoints.lidar_data)?,
+            position: UdpSender::aim(endpoints.lidar_position)?,
+            targets: [endpoints.lidar_data, endpoints.lidar_position],
+            report: SessionReport::default(),
+        })
+    }
+
+    pub(super) fn run(
+        mut self,
+        play: &Play,
+        clock: &SimClock,
+        device: usize,
+    ) -> Result<SessionReport, Error> {
+        while !self.targets.into_iter().all(somebody_listens) {
+            if clock.is_stopped() {
+                return Ok(self.report);
+            }
+            std::thread::sleep(LOOK_EVERY);
+        }
+        if play.capture {
+            self.play_capture(play, clock, device)?;
+        } else {
+            self.play_recording(play, clock, device)?;
+        }
+        Ok(self.report)
+    }
+
+    fn play_capture(&mut self, play: &Play, clock: &SimClock, device: usize) -> Result<(), Error> {
+        let mut base_ns = 0;
+        for _ in play.turns() {
+            let mut source = capture(&play.path)?;
+            let mut began = None;
+            let mut due_ns = base_ns;
+            loop {
+                let packet = match source.recv(Duration::ZERO) {
+                    Ok(Some(packet)) => packet,
+                    Ok(None) => continue,
+                    Err(lsfb_drivers::Error::EndOfStream { .. }) => break,
+                    Err(e) => return Err(e.into()),
+                };
+                let began = *began.get_or_insert(packet.arrival);
+                due_ns = due_ns.max(base_ns + (packet.arrival - began));
+                if clock.reach(device, due_ns) == Turn::Stop {
+                    return Ok(());
+                }
+                self.send(&packet.bytes)?;
+            }
+            if began.is_none() {
+                return Err(Error::Source {
+                    path: play.path.clone(),
+                    problem: "no packet of a Velodyne sensor in it".to_owned(),
+                });
+            }
+            base_ns = due_ns + PAUSE_NS;
+        }
+        Ok(())
+    }
+
+    fn play_recording(
+        &mut self,
+        play: &Play,
+        clock: &SimClock,
+        device: usize,
+    ) -> Result<(), Error> {
+        let recording = play.recording()?;
+        for base_ns in play.turns() {
+            let mut unreadable = SessionReport::default();
+            let mut unreadable_positions = SessionReport::default();
+            let mut strange_unreadable = SessionReport::default();
+            let mut within = WithinRevolution::default();
+            let data = packets(&recording, "lidar/packets", &mut unreadable)
+                .map(|p| (play.offset_ns(within.time(&p)), p));
+            let positions = packets(&recording, LIDAR_POSITION, &mut unreadable_positions)
+                .map(|p| (play.offset_ns(p.time), p));
+            let arrivals = recording.arrival_range();
+            let strange = packets(&recording, "lidar", &mut strange_unreadable).map(|p| {
+                let began = arrivals.as_ref().map_or(p.time, |range| range.start);
+                ((p.time - began).max(0), p)
+            });
+            let mut data = data.peekable();
+            let mut positions = positions.peekable();
+            let mut strange = strange.peekable();
+            loop {
+                let due = [
+                    data.peek().map(|(offset, _)| *offset),
+                    positions.peek().map(|(offset, _)| *offset),
+                    strange.peek().map(|(offset, _)| *offset),
+                ];
+                let Some(first) = due.iter().flatten().min().copied() else {
+                    break;
+                };
+                // A position packet goes before the data of its instant: it says how to read them.
+                let next = if due[1] == Some(first) {
+                    positions.next()
+                } else if due[0] == Some(first) {
+                    data.next()
+                } else {
+                    strange.next()
+                };
+                if clock.reach(device, base_ns + first) == Turn::Stop {
+                    return Ok(());
+                }
+                if let Some((_, packet)) = next {
+                    self.send(&packet.packet.bytes)?;
+                }
+            }
+            drop((data, positions, strange));
+            for part in [unreadable, unreadable_positions, strange_unreadable] {
+                self.report.unreadable += part.unreadable;
+            }
+        }
+        Ok(())
+    }
+
+    fn send(&mut self, datagram: &[u8]) -> Result<(), Error> {
+        if datagram.len() == POSITION_PACKET_LEN {
+            self.report.lidar_position_packets += 1;
+            Ok(self.position.send(datagram)?)
+        } else {
+            self.report.lidar_data_packets += 1;
+            Ok(self.data.send(datagram)?)
+        }
+    }
+}
+
+/// Packets of a source; none where the recording has no such topic.
+fn packets<'a>(
+    recording: &'a Recording,
+    source: &str,
+    report: &'a mut SessionReport,
+) -> impl Iterator<Item = RecordedPacket> + use<'a> {
+    let found = recording.packets(source).into_iter().flatten();
+    readable(found, report)
+}
+
+/// Data packets of one revolution share its time; each has the sensor's own counter besides.
+#[derive(Default)]
+struct WithinRevolution {
+    first: Option<FirstPacket>,
+}
+
+#[derive(Clone, Copy)]
+struct FirstPacket {
+    time: Timestamp,
+    toh_us: i64,
+}
+
+impl WithinRevolution {
+    fn time(&mut self, packet: &RecordedPacket) -> Timestamp {
+        let Ok(data) = DataPacket::new(packet.packet.bytes.as_slice()) else {
+            return packet.time;
+        };
+        let toh_us = i64::from(data.timestamp_us());
+        let first = match self.first {
+            Some(first) if first.time == packet.time => first,
+            _ => *self.first.insert(FirstPacket {
+                time: packet.time,
+                toh_us,
+            }),
+        };
+        let past_us = (toh_us - first.toh_us).rem_euclid(HOUR_US);
+        // A packet from before its revolution's first, out of order: it goes at once.
+        let past_us = if past_us > HOUR_US / 2 { 0 } else { past_us };
+        packet.time.plus_nanos(past_us * 1000)
+    }
+}
+
+/// Whether a socket of this machine is bound to the port. Of other machines nothing is known: a sensor sends all the same.
+fn somebody_listens(target: SocketAddr) -> bool {
+    if !target.ip().is_loopback() {
+        return true;
+    }
+    let wanted = format!(":{:04X}", target.port());
+    let tables = ["/proc/net/udp", "/proc/net/udp6"].map(std::fs::read_to_string);
+    if tables.iter().all(Result::is_err) {
+        return true;
+    }
+    tables.iter().flatten().any(|table| {
+        let mut sockets = table.lines().skip(1);
+        sockets.any(|line| {
+            let local = line.split_whitespace().nth(1);
+            local.is_some_and(|address| address.ends_with(&wanted))
+        })
+    })
+}
