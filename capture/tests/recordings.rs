@@ -2,31 +2,17 @@
 
 #![allow(
     clippy::unwrap_used,
-    clippy::print_stdout,
     reason = "a test file as a whole; clippy.toml only spares #[test] functions"
 )]
 
-use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 
 use lsfb_capture::{CaptureReport, Ending, ReplayConfig, replay};
 use lsfb_drivers::transport::pcap::PcapSource;
 use lsfb_drivers::transport::rosbag2::Rosbag2Source;
 use lsfb_recording::{LIDAR_POSITION, Recording};
+use lsfb_tests::recordings;
 use lsfb_types::no_progress;
-
-fn data(test: &str, relative: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("LSFB_TEST_DATA").map_or_else(
-        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"),
-        PathBuf::from,
-    );
-    let path = root.join(relative);
-    if path.exists() {
-        return Some(path);
-    }
-    println!("skipped: {test}: no recording at {}", path.display());
-    None
-}
 
 struct Replayed {
     report: CaptureReport,
@@ -69,7 +55,7 @@ impl Replayed {
 #[test]
 fn vlp32c_bag_becomes_a_recording() {
     let name = "vlp32c_bag_becomes_a_recording";
-    let Some(path) = data(
+    let Some(path) = recordings(
         name,
         "lidar/nebula_velodyne/vlp32/1713492677464078412_0.db3",
     ) else {
@@ -95,7 +81,7 @@ fn vlp32c_bag_becomes_a_recording() {
 #[test]
 fn vlp16_pcap_with_gps_has_utc() {
     let name = "vlp16_pcap_with_gps_has_utc";
-    let Some(path) = data(name, "lidar/mrpt/sample_velodyne_vlp16_gps.pcap") else {
+    let Some(path) = recordings(name, "lidar/mrpt/sample_velodyne_vlp16_gps.pcap") else {
         return;
     };
     let replayed = replayed(PcapSource::open(&path, &[2368, 8308]).unwrap());
@@ -122,7 +108,7 @@ fn vlp16_pcap_with_gps_has_utc() {
 
 #[test]
 fn hdl32e_pcap_becomes_a_recording() {
-    let Some(path) = data(
+    let Some(path) = recordings(
         "hdl32e_pcap_becomes_a_recording",
         "lidar/mrpt/sample_velodyne_hdl32.pcap",
     ) else {
@@ -138,7 +124,7 @@ fn hdl32e_pcap_becomes_a_recording() {
 #[test]
 fn a_pcap_that_is_cut_off_gives_what_is_there_and_says_so() {
     let name = "a_pcap_that_is_cut_off_gives_what_is_there_and_says_so";
-    let Some(path) = data(name, "lidar/mrpt/sample_velodyne_hdl32.pcap") else {
+    let Some(path) = recordings(name, "lidar/mrpt/sample_velodyne_hdl32.pcap") else {
         return;
     };
     let folder = tempfile::tempdir().unwrap();

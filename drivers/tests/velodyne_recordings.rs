@@ -6,7 +6,6 @@
     reason = "a test file as a whole; clippy.toml only spares #[test] functions"
 )]
 
-use std::path::PathBuf;
 use std::time::Duration;
 
 use lsfb_drivers::Error;
@@ -20,20 +19,8 @@ use lsfb_drivers::velodyne::{
     Counters, DecodeError, Decoder, DecoderConfig, ModelChoice, OpticalOffset, PacketLayout,
     returns,
 };
+use lsfb_tests::recordings;
 use lsfb_types::{LidarPoint, LidarScan, Packet};
-
-fn data(test: &str, relative: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("LSFB_TEST_DATA").map_or_else(
-        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"),
-        PathBuf::from,
-    );
-    let path = root.join(relative);
-    if path.exists() {
-        return Some(path);
-    }
-    println!("skipped: {test}: no recording at {}", path.display());
-    None
-}
 
 struct DecodedAll {
     scans: Vec<LidarScan>,
@@ -207,7 +194,7 @@ fn running_counts(model: Model, packets: &[Packet]) -> Vec<usize> {
 #[test]
 fn vlp32c_bag_equals_its_cloud_and_the_reference_counts() {
     let name = "vlp32c_bag_equals_its_cloud_and_the_reference_counts";
-    let Some(folder) = data(name, "lidar/nebula_velodyne/vlp32") else {
+    let Some(folder) = recordings(name, "lidar/nebula_velodyne/vlp32") else {
         return;
     };
     let messages = messages(&folder.join("1713492677464078412_0.db3"));
@@ -262,7 +249,7 @@ fn vlp32c_bag_equals_its_cloud_and_the_reference_counts() {
 #[test]
 fn vlp16_dual_bag_equals_its_cloud_and_the_reference_counts() {
     let name = "vlp16_dual_bag_equals_its_cloud_and_the_reference_counts";
-    let Some(folder) = data(name, "lidar/nebula_velodyne/vlp16") else {
+    let Some(folder) = recordings(name, "lidar/nebula_velodyne/vlp16") else {
         return;
     };
     let messages = messages(&folder.join("1673400471837873222_0.db3"));
@@ -297,7 +284,7 @@ fn vlp16_dual_bag_equals_its_cloud_and_the_reference_counts() {
 
 #[test]
 fn hdl32e_pcap_counts_equal_the_reference() {
-    let Some(path) = data(
+    let Some(path) = recordings(
         "hdl32e_pcap_counts_equal_the_reference",
         "lidar/mrpt/sample_velodyne_hdl32.pcap",
     ) else {
@@ -329,7 +316,7 @@ fn hdl32e_pcap_counts_equal_the_reference() {
 
 #[test]
 fn vlp16_pcap_with_gps_is_read_whole() {
-    let Some(path) = data(
+    let Some(path) = recordings(
         "vlp16_pcap_with_gps_is_read_whole",
         "lidar/mrpt/sample_velodyne_vlp16_gps.pcap",
     ) else {
@@ -385,7 +372,7 @@ fn vlp16_pcap_with_gps_is_read_whole() {
 
 #[test]
 fn position_packets_with_a_wrong_ip_length_are_read() {
-    let Some(path) = data(
+    let Some(path) = recordings(
         "position_packets_with_a_wrong_ip_length_are_read",
         "lidar/gadomski_velodyne/position.pcap",
     ) else {
@@ -405,7 +392,7 @@ fn position_packets_with_a_wrong_ip_length_are_read() {
 
 #[test]
 fn a_vlp16_that_claims_to_be_an_hdl32e_is_named() {
-    let Some(path) = data(
+    let Some(path) = recordings(
         "a_vlp16_that_claims_to_be_an_hdl32e_is_named",
         "lidar/rust_lidar_utils/velodyne/velodyne_vlp16.pcap",
     ) else {
@@ -448,7 +435,7 @@ fn a_vlp16_that_claims_to_be_an_hdl32e_is_named() {
 }
 
 fn vector(test: &str, name: &str) -> Option<Vec<u8>> {
-    let path = data(test, &format!("../protocols/vectors/real/{name}"))?;
+    let path = recordings(test, &format!("../protocols/vectors/real/{name}"))?;
     Some(std::fs::read(path).unwrap())
 }
 

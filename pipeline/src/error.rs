@@ -133,6 +133,12 @@ pub enum Error {
     /// A least-squares problem could not be solved.
     #[error("optimisation: {0}")]
     Solver(#[from] lsfb_solver::Error),
+    /// No image lies within the trajectory.
+    #[error("{path}: no image was taken between the first and the last LiDAR scan: check the cameras' clock against the LiDAR's", path = path.display())]
+    NoKeyframe {
+        /// The recording.
+        path: PathBuf,
+    },
     /// A recording could not be read.
     #[error(transparent)]
     Recording(#[from] lsfb_recording::Error),

@@ -248,4 +248,70 @@ mod tests {
             cell_key(&b, 1.0)
         );
     }
+
+    /// Little-endian floats of a file of the Newer College data set.
+    fn floats(path: std::path::PathBuf) -> Vec<f32> {
+        let bytes = std::fs::read(path).expect("a file");
+        let float = |b: &[u8]| f32::from_le_bytes([b[0], b[1], b[2], b[3]]);
+        bytes.chunks_exact(4).map(float).collect()
+    }
+
+    #[test]
+    fn newer_college_is_deskewed_like_theirs() {
+        let test = "newer_college_is_deskewed_like_theirs";
+        let Some(folder) = lsfb_tests::recordings(test, "lidar/gtsam_points/newer_06") else {
+            return;
+        };
+        for name in ["00", "01"] {
+            let read = |kind: &str| floats(folder.join(format!("{kind}_{name}.bin")));
+            let (raw, times, expected) = (read("raw"), read("times"), read("deskewed"));
+            let point = |values: &[f32], i: usize| {
+                Vector3::new(values[3 * i], values[3 * i + 1], values[3 * i + 2]).map(f64::from)
+            };
+            let first = times.iter().copied().fold(f32::INFINITY, f32::min);
+            let offset_ns = |i: usize| (f64::from(times[i] - first) * 1e9).round() as u32;
+            // The motion is not given: of every other point it is taken by alignment, the rest is the test.
+            let mut bins: std::collections::BTreeMap<u32, Vec<usize>> = Default::default();
+            for i in (0..times.len()).step_by(2) {
+                bins.entry(offset_ns(i) / 4_000_000).or_default().push(i);
+            }
+            let knots: Vec<MotionKnot> = bins
+                .values()
+                .filter(|bin| bin.len() > 100)
+                .map(|bin| {
+                    let of = |values: &[f32]| -> Vec<_> {
+                        bin.iter().map(|i| point(values, *i)).collect()
+                    };
+                    let fixed = lsfb_geometry::align::Scale::Fixed;
+                    let found = lsfb_geometry::align::umeyama(&of(&raw), &of(&expected), fixed);
+                    let sum: u64 = bin.iter().map(|i| u64::from(offset_ns(*i))).sum();
+                    MotionKnot {
+                        offset_ns: (sum / bin.len() as u64) as i64,
+                        reference_from_rig: found.expect("points in space").target_from_source,
+                    }
+                })
+                .collect();
+            let turn =
+                knots[0].reference_from_rig.inverse() * knots[knots.len() - 1].reference_from_rig;
+            assert!(turn.rotation.angle().to_degrees() > 5.0, "fast rotation");
+            let scan = LidarScan {
+                points: (1..times.len())
+                    .step_by(2)
+                    .map(|i| LidarPoint {
+                        position_m: [raw[3 * i], raw[3 * i + 1], raw[3 * i + 2]],
+                        time_offset_ns: offset_ns(i),
+                        ..Default::default()
+                    })
+                    .collect(),
+            };
+            let found = deskew(&scan, &Se3::identity(), &knots, ALL);
+            let squares: f64 = found
+                .iter()
+                .zip((1..times.len()).step_by(2))
+                .map(|(f, i)| (f - point(&expected, i)).norm_squared())
+                .sum();
+            let rms_m = (squares / found.len() as f64).sqrt();
+            assert!(rms_m < 0.02, "{rms_m} m");
+        }
+    }
 }

@@ -11,18 +11,8 @@ use lsfb_pipeline::localization::{Localizer, LocalizerConfig, localize_posed_ima
 use lsfb_pipeline::posed_images::{PosedImage, PosedImages, read_image};
 use lsfb_types::no_progress;
 
-/// The recording, or `None` after saying that the test is skipped.
 fn recording(test: &str) -> Option<PathBuf> {
-    let data = std::env::var_os("LSFB_TEST_DATA").map_or_else(
-        || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data")),
-        PathBuf::from,
-    );
-    let folder = data.join("vision/hololens_office");
-    if folder.join("K.txt").exists() {
-        return Some(folder);
-    }
-    println!("skipped: {test}: no recording at {}", folder.display());
-    None
+    lsfb_tests::recordings(test, "vision/hololens_office")
 }
 
 #[test]

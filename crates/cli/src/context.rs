@@ -11,6 +11,9 @@ use serde::Serialize;
 
 use crate::progress::Display;
 
+/// Exit code after Ctrl-C, as shells have it: 128 and the number of SIGINT.
+const INTERRUPTED: i32 = 130;
+
 /// Shared by a command and its stages.
 pub struct Context {
     json: bool,
@@ -26,7 +29,7 @@ impl Context {
         let flag = Arc::clone(&stop);
         ctrlc::set_handler(move || {
             if flag.swap(true, Ordering::Relaxed) {
-                std::process::exit(130);
+                std::process::exit(INTERRUPTED);
             }
         })
         .context("cannot install the Ctrl-C handler")?;
@@ -52,8 +55,20 @@ impl Context {
         Ok(())
     }
 
-    /// What long-running stages call.
+    /// What stages that end by themselves on Ctrl-C call.
     pub fn show(&self, progress: Progress) {
+        self.display.show(progress);
+    }
+
+    /// What stages call that write only when all is done: on Ctrl-C there is nothing to keep, and they end here.
+    pub fn show_or_end(&self, progress: Progress) {
+        if self.stop.load(Ordering::Relaxed) {
+            self.note(&format!(
+                "error: stopped by Ctrl-C while {}; its result is not written, earlier files are kept",
+                progress.stage
+            ));
+            std::process::exit(INTERRUPTED);
+        }
         self.display.show(progress);
     }
 
@@ -75,6 +90,7 @@ impl Context {
 
     /// Opens a recording; says what is missing from it, and remembers that something is.
     pub fn open(&self, path: &Path) -> anyhow::Result<Recording> {
+        crate::commands::expect_file(path, "record one with `lsfb scan`")?;
         let recording = Recording::open(path)?;
         for damage in recording.damage() {
             self.note(&format!("warning: {}: {damage}", path.display()));

@@ -340,6 +340,30 @@ fn places_that_cannot_be_written() {
 }
 
 #[test]
+fn files_that_are_not_there() {
+    let folder = with(&["scan.mcap", "map"]);
+    let path = folder.path();
+    for (arguments, remedy) in [
+        (&["map", "no.mcap", "--out", "m"][..], "`lsfb scan`"),
+        (&["odometry", "no.mcap", "--out", "t.tum"], "`lsfb scan`"),
+        (
+            &["groundtruth", "scan.mcap", "--map", "no", "--out", "t.tum"],
+            "`lsfb map`",
+        ),
+        (
+            &["map", "scan.mcap", "--out", "m", "--config", "no.toml"],
+            "the defaults",
+        ),
+        (
+            &["localize", "--posed-images", "no", "--map", "map"],
+            "posed images",
+        ),
+    ] {
+        refused(path, arguments, &["there is no such file", remedy]);
+    }
+}
+
+#[test]
 fn settings_that_mean_nothing() {
     let folder = with(&["scan.mcap", "walk.mcap", "map", "scan.tum"]);
     let path = folder.path();

@@ -9,18 +9,10 @@ use lsfb_recording::{Recording, read_tum};
 use process::lsfb;
 use serde_json::Value;
 
-#[allow(clippy::print_stdout, reason = "a skipped test says so")]
+/// Absolute, as the commands run in a folder of their own.
 fn recordings(test: &str, below: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("LSFB_TEST_DATA").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
-        PathBuf::from,
-    );
-    let path = root.join(below);
-    if path.exists() {
-        return Some(path.canonicalize().expect("a path that exists"));
-    }
-    println!("skipped: {test}: no recording at {}", path.display());
-    None
+    let path = lsfb_tests::recordings(test, below)?;
+    Some(path.canonicalize().expect("a path that exists"))
 }
 
 /// Runs a command that must do all it was asked, and takes its JSON.

@@ -10,18 +10,9 @@ use lsfb_eval::pairs::{DeltaUnit, PairSelection};
 use lsfb_eval::{EvalConfig, RpeConfig, Statistics, evaluate, read_kitti_poses, read_poses};
 use lsfb_geometry::StampedPose;
 
-#[allow(clippy::print_stdout, reason = "a skipped test says so")]
+/// Trajectories with the figures that evo finds for them.
 fn folder(test: &str) -> Option<PathBuf> {
-    let data = std::env::var_os("LSFB_TEST_DATA").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
-        PathBuf::from,
-    );
-    let folder = data.join("vision/trajectories_evo");
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    println!("skipped: {test}: no recording at {}", folder.display());
-    None
+    lsfb_tests::recordings(test, "vision/trajectories_evo")
 }
 
 fn load(folder: &Path, name: &str) -> Vec<StampedPose> {

@@ -14,7 +14,7 @@ use crate::features::DESCRIPTOR_LEN;
 /// Version of the folder's layout. Another one is refused.
 pub const FORMAT_VERSION: u32 = 1;
 
-const HEADER: &str = "map.toml";
+const HEADER: &str = HdMap::HEADER;
 const TABLES: [&str; 7] = [
     "points.arrow",
     "keyframes.arrow",

@@ -102,6 +102,9 @@ pub struct MapNeighbour {
 }
 
 impl HdMap {
+    /// Name of the file in a map's folder that lists the others with their hashes.
+    pub const HEADER: &str = "map.toml";
+
     /// Names of the cameras that saw the points.
     pub fn cameras(&self) -> &[String] {
         &self.cameras
@@ -137,6 +140,13 @@ impl HdMap {
         let i = point as usize;
         let p = &self.points;
         Some(Vector3::new(*p.x_m.get(i)?, *p.y_m.get(i)?, *p.z_m.get(i)?))
+    }
+
+    /// Positions of all points in the world, metres.
+    pub fn positions(&self) -> impl Iterator<Item = Vector3<f64>> + '_ {
+        let p = &self.points;
+        let columns = p.x_m.iter().zip(p.y_m.iter()).zip(p.z_m.iter());
+        columns.map(|((x, y), z)| Vector3::new(*x, *y, *z))
     }
 
     /// A keyframe; `None` where there is no such keyframe.

@@ -27,9 +27,10 @@ pub(super) fn add_lidar_features(
     keyframes: &mut [Keyframe],
     trajectory: &Trajectory,
     config: &MappingConfig,
-    damages: &mut Damages,
     progress: ProgressFn<'_>,
 ) -> Result<(), Error> {
+    // The odometry has read the same scans, and named those that cannot be read.
+    let mut damages = Damages::default();
     let mut window = ScanWindow {
         lidar,
         trajectory,

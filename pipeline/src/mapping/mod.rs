@@ -121,6 +121,51 @@ impl Default for MappingConfig {
     }
 }
 
+impl MappingConfig {
+    fn check(&self) -> Result<(), Error> {
+        let positive = [
+            ("mapping.keyframe_distance_m", self.keyframe_distance_m),
+            ("mapping.keyframe_angle_deg", self.keyframe_angle_deg),
+            ("mapping.pixel_sigma_px", self.pixel_sigma_px),
+            (
+                "mapping.odometry_rotation_sigma_deg",
+                self.odometry_rotation_sigma_deg,
+            ),
+            (
+                "mapping.odometry_translation_sigma_m",
+                self.odometry_translation_sigma_m,
+            ),
+            (
+                "mapping.lidar_weights.plane_sigma_m",
+                self.lidar_weights.plane_sigma_m,
+            ),
+            (
+                "mapping.lidar_weights.edge_sigma_m",
+                self.lidar_weights.edge_sigma_m,
+            ),
+            (
+                "mapping.lidar_features.plane_cell_m",
+                self.lidar_features.plane_cell_m,
+            ),
+            (
+                "mapping.lidar_features.edge_window_m",
+                self.lidar_features.edge_window_m,
+            ),
+            ("mapping.max_reprojection_px", self.max_reprojection_px),
+        ];
+        for (field, value) in positive {
+            if !(value > 0.0 && value.is_finite()) {
+                return Err(Error::Config {
+                    field,
+                    value: value.to_string(),
+                    expected: "a positive number",
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
 /// What the mapping says about its own result.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MappingReport {
@@ -197,6 +242,7 @@ pub fn build_map(
     config: &MappingConfig,
     progress: ProgressFn<'_>,
 ) -> Result<MappingResult, Error> {
+    config.check()?;
     let rig = recording.rig()?;
     let mut report = MappingReport::default();
     let mut damages = Damages::default();
@@ -210,6 +256,11 @@ pub fn build_map(
         &mut damages,
         progress,
     )?;
+    if keyframes.images.is_empty() {
+        return Err(Error::NoKeyframe {
+            path: recording.path().to_owned(),
+        });
+    }
     if let Some(lidar) = &rig.lidar {
         add_lidar_features(
             recording,
@@ -217,7 +268,6 @@ pub fn build_map(
             &mut keyframes.frames,
             &odometry.trajectory,
             config,
-            &mut damages,
             progress,
         )?;
     }

@@ -39,7 +39,8 @@ fn rig() -> Rig {
     }
 }
 
-fn record(path: &Path, duration_s: f64, cameras: &[&str]) {
+/// A walk in the furnished room, its images `image_delay_s` late.
+fn record(path: &Path, duration_s: f64, cameras: &[&str], image_delay_s: f64) {
     let (room, rig) = (Room::furnished(), rig());
     let mut writer = Writer::create(path, &WriterConfig::default()).expect("create");
     writer.attach_rig(&rig).expect("rig");
@@ -50,8 +51,7 @@ fn record(path: &Path, duration_s: f64, cameras: &[&str]) {
         let t = i as f64 * 0.1;
         writer.write_scan(&room::scan(&room, t, i)).expect("scan");
         for name in cameras {
-            // between the scans, as no trigger couples cameras to a LiDAR
-            let image = room::render(&room, &rig.cameras[*name], t + 0.03);
+            let image = room::render(&room, &rig.cameras[*name], t + image_delay_s);
             writer.write_image(name, &image).expect("image");
         }
     }
@@ -62,7 +62,8 @@ fn record(path: &Path, duration_s: f64, cameras: &[&str]) {
 fn a_walk_becomes_a_map_though_one_camera_is_missing() {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("scan.mcap");
-    record(&path, 4.5, &["cam0", "cam1"]);
+    // Images lie between the scans: no trigger couples cameras to a LiDAR.
+    record(&path, 4.5, &["cam0", "cam1"], 0.03);
     let recording = Recording::open(&path).expect("recording");
     let result = build_map(&recording, &MappingConfig::default(), &no_progress).expect("map");
     let report = &result.report;
@@ -109,7 +110,7 @@ fn a_walk_becomes_a_map_though_one_camera_is_missing() {
 fn without_any_camera_it_says_so() {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("scan.mcap");
-    record(&path, 0.5, &[]);
+    record(&path, 0.5, &[], 0.0);
     let recording = Recording::open(&path).expect("recording");
     let error =
         build_map(&recording, &MappingConfig::default(), &no_progress).expect_err("no images");
@@ -117,4 +118,53 @@ fn without_any_camera_it_says_so() {
         error.to_string().contains("no images of any camera"),
         "{error}"
     );
+}
+
+#[test]
+fn images_of_another_time_say_so() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("scan.mcap");
+    record(&path, 0.5, &["cam0"], 100.0);
+    let recording = Recording::open(&path).expect("recording");
+    let error =
+        build_map(&recording, &MappingConfig::default(), &no_progress).expect_err("other clock");
+    assert!(error.to_string().contains("the cameras' clock"), "{error}");
+}
+
+#[test]
+fn a_map_is_the_same_on_any_number_of_threads() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("scan.mcap");
+    record(&path, 2.2, &["cam0"], 0.03);
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+        let pool = pool.build().expect("pool");
+        let recording = Recording::open(&path).expect("recording");
+        let result = pool
+            .install(|| build_map(&recording, &MappingConfig::default(), &no_progress))
+            .expect("map");
+        let map = folder.path().join(format!("map{threads}"));
+        result.map.write(&map).expect("written");
+        let mut files: Vec<_> = std::fs::read_dir(&map)
+            .expect("a folder")
+            .map(|entry| entry.expect("an entry").path())
+            .collect();
+        files.sort();
+        let bytes: Vec<Vec<u8>> = files
+            .iter()
+            .map(|f| std::fs::read(f).expect("a file"))
+            .collect();
+        (bytes, result.trajectory, result.report)
+    };
+    assert_eq!(run(1), run(3));
+}
+
+#[test]
+fn weights_must_be_positive() {
+    let config = MappingConfig {
+        pixel_sigma_px: 0.0,
+        ..MappingConfig::default()
+    };
+    let error = config.check().expect_err("no weight");
+    assert!(error.to_string().contains("pixel_sigma_px"), "{error}");
 }

@@ -147,9 +147,9 @@ impl Surface {
         let thickness_m = eigen.eigenvalues[order[0]].max(0.0).sqrt();
         let breadth_m = eigen.eigenvalues[order[1]].max(0.0).sqrt();
         let limit_m = (1.5 * range_noise_m).hypot(0.02 * cell_size_m);
-        // A line, or a patch narrower than the noise, has no normal.
+        // A line has no normal, and that of a patch narrower than its noise leans anywhere: walls would then hold the height.
         let flat =
-            thickness_m < limit_m && breadth_m > 0.1 * cell_size_m && breadth_m > 2.0 * thickness_m;
+            thickness_m < limit_m && breadth_m > 0.1 * cell_size_m && breadth_m > 3.0 * thickness_m;
         let normal: Vector3<f64> = eigen.eigenvectors.column(order[0]).into();
         let slant = normal.dot(&self.towards_sensor) / n;
         let sign = if slant < 0.0 { -1.0 } else { 1.0 };
@@ -345,5 +345,72 @@ impl LocalMap {
         for cells in &mut self.levels {
             cells.retain(|_, cell| (cell.sides[0].origin - centre).norm() < range_m);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn map() -> LocalMap {
+        LocalMap::new(LocalMapConfig {
+            cell_size_m: 1.0,
+            levels: 3,
+            range_noise_m: 0.03,
+        })
+    }
+
+    /// Points of the plane `x = x_m`, two metres wide and high.
+    fn wall(x_m: f64) -> Vec<Vector3<f64>> {
+        let steps = || (0..40).map(|i| f64::from(i) * 0.05 - 1.0);
+        steps()
+            .flat_map(|y| steps().map(move |z| Vector3::new(x_m, y, z)))
+            .collect()
+    }
+
+    #[test]
+    fn the_sides_of_a_thin_wall_stay_apart() {
+        let mut map = map();
+        for (x_m, sensor_x_m) in [(0.0, -3.0), (0.1, 3.0)] {
+            let sensor = Vector3::new(sensor_x_m, 0.2, 0.1);
+            map.insert(&wall(x_m), &Se3::identity(), &sensor);
+        }
+        for (x_m, towards) in [(0.0, -1.0), (0.1, 1.0)] {
+            let towards_sensor = Vector3::new(towards, 0.0, 0.0);
+            let point = Vector3::new(x_m, 0.33, -0.21);
+            let Some(Match::Plane(plane)) = map.find(&point, &towards_sensor, 0.3) else {
+                panic!("no plane at {point}");
+            };
+            assert!((plane.point.x - x_m).abs() < 1e-9 && plane.normal.x * towards > 0.999);
+        }
+    }
+
+    #[test]
+    fn one_noisy_ring_is_no_plane() {
+        let mut map = map();
+        // A ring that rises by 10°, its ranges alternately too long and too short.
+        let ring: Vec<Vector3<f64>> = (0..300)
+            .map(|i| {
+                let azimuth = f64::from(i) * 0.003 - 0.45;
+                let range = 3.0 / azimuth.cos() + if i % 2 == 0 { 0.03 } else { -0.03 };
+                Vector3::new(azimuth.cos(), azimuth.sin(), 10f64.to_radians().tan()) * range
+            })
+            .collect();
+        map.insert(&ring, &Se3::identity(), &Vector3::zeros());
+        for point in &ring {
+            let found = map.find(point, &-point, 0.3);
+            assert!(!matches!(found, Some(Match::Plane(p)) if p.normal.z.abs() > 0.5));
+        }
+    }
+
+    #[test]
+    fn what_is_far_is_forgotten() {
+        let mut map = map();
+        map.insert(&wall(2.0), &Se3::identity(), &Vector3::zeros());
+        let cells = map.cell_count();
+        map.forget_beyond(&Vector3::zeros(), 10.0);
+        assert_eq!(map.cell_count(), cells);
+        map.forget_beyond(&Vector3::zeros(), 1.0);
+        assert!(map.is_empty());
     }
 }

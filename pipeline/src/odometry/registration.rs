@@ -196,3 +196,6 @@ impl Normal {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,5 +1,6 @@
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
+use lsfb_tests::recordings;
 use lsfb_types::LidarPoint;
 
 use super::*;
@@ -7,19 +8,6 @@ use room::Room;
 
 mod recorded;
 pub(crate) mod room;
-
-fn test_data(test: &str, relative: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("LSFB_TEST_DATA").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"),
-        PathBuf::from,
-    );
-    let path = root.join(relative);
-    if path.exists() {
-        return Some(path);
-    }
-    println!("skipped: {test}: no recording at {}", path.display());
-    None
-}
 
 /// Points of a binary PCD file of four floats per point.
 fn read_pcd(path: &Path) -> LidarScan {
@@ -63,7 +51,7 @@ fn read_kitti_poses(path: &Path) -> Vec<Se3> {
 
 #[test]
 fn kitti_end_point_agrees_with_kiss_icp() {
-    let Some(folder) = test_data(
+    let Some(folder) = recordings(
         "kitti_end_point_agrees_with_kiss_icp",
         "lidar/udacity_kitti_raw",
     ) else {

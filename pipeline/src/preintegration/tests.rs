@@ -1,8 +1,8 @@
 use std::io::Read;
-use std::path::PathBuf;
 
 use flate2::read::GzDecoder;
 use lsfb_geometry::Vector6;
+use lsfb_tests::recordings;
 use nalgebra::Quaternion;
 
 use super::*;
@@ -253,18 +253,10 @@ fn median(mut values: Vec<f64>) -> f64 {
 /// One second of IMU from true states, on two EuRoC recordings; the figures come from another program.
 #[test]
 fn euroc_seconds_end_where_an_independent_integration_does() {
-    let root = std::env::var_os("LSFB_TEST_DATA").map_or_else(
-        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"),
-        PathBuf::from,
-    );
-    let folder = root.join("vision/euroc_imu_gt");
-    if !folder.exists() {
-        println!(
-            "skipped: euroc_seconds_end_where_an_independent_integration_does: no recording at {}",
-            folder.display()
-        );
+    let test = "euroc_seconds_end_where_an_independent_integration_does";
+    let Some(folder) = recordings(test, "vision/euroc_imu_gt") else {
         return;
-    }
+    };
     for (name, rotation_deg, velocity, position) in
         [("V102", 0.071, 0.042, 0.025), ("MH04", 0.019, 0.037, 0.022)]
     {

@@ -57,17 +57,9 @@ impl Residual for LidarEdge {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use lsfb_geometry::Vector6;
+    use crate::residuals::strategies::{pose, vector};
     use lsfb_solver::{Kernel, Problem, check_jacobians};
     use proptest::prelude::*;
-
-    fn pose() -> impl Strategy<Value = Se3> {
-        prop::array::uniform6(-1.0..1.0f64).prop_map(|a| Se3::exp(&Vector6::from(a)))
-    }
-
-    fn vector() -> impl Strategy<Value = Vector3<f64>> {
-        prop::array::uniform3(-3.0..3.0f64).prop_map(Vector3::from)
-    }
 
     proptest! {
         #[test]

@@ -8,6 +8,8 @@ mod lidar_plane;
 mod pose_prior;
 mod relative_pose;
 mod reprojection;
+#[cfg(test)]
+mod strategies;
 
 pub use bias_walk::BiasWalk;
 pub use fixed_point_reprojection::FixedPointReprojection;

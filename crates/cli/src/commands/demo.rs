@@ -1,6 +1,6 @@
 //! `lsfb demo`: the main job from nothing, in one folder.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::Context as _;
@@ -8,13 +8,14 @@ use lsfb_eval::alignment::AlignmentMode;
 use lsfb_eval::report::{Distribution, Figure, Provenance, Report, StageTime, Threshold, Track};
 use lsfb_eval::{DuplicateStamps, EvalConfig, Evaluation, evaluate, read_poses};
 use lsfb_geometry::{Quaternion, Se3, StampedPose, Trajectory, UnitQuaternion};
-use lsfb_pipeline::ground_truth::{GroundTruth, GroundTruthConfig, ReprojectionErrors};
-use lsfb_pipeline::mapping::{MappingConfig, MappingResult};
+use lsfb_pipeline::ground_truth::{GroundTruthConfig, ReprojectionErrors};
+use lsfb_pipeline::mapping::MappingConfig;
 use lsfb_sim::SimConfig;
 use nix::sys::resource::{UsageWho, getrusage};
 use serde::Serialize;
 
-use super::{groundtruth, map};
+use super::groundtruth::{self, WrittenTrajectory};
+use super::map::{self, WrittenMap};
 use crate::context::Context;
 use crate::outcome::Outcome;
 use crate::simulated::{self, Layout};
@@ -99,12 +100,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         stages: Vec::new(),
         last: began,
     };
-    let mut sim_config: SimConfig = arguments
-        .sim_config
-        .as_deref()
-        .map(super::read_config)
-        .transpose()?
-        .unwrap_or_default();
+    let mut sim_config: SimConfig = super::config_or_default(arguments.sim_config.as_deref())?;
     sim_config.seed = arguments.seed;
     let layout = Layout::create(&arguments.out)?;
     let files = outputs(&layout);
@@ -118,7 +114,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         scan.lost + walk.lost
     };
     let mapping_config = MappingConfig::default();
-    let mapping = map::build(
+    let map = map::build(
         &files.scan,
         &files.map,
         Some(&files.scan_trajectory),
@@ -148,6 +144,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         super::view::write(&recordings, &trajectories, Some(&files.map), rrd, context)?;
         watch.lap("viewer file");
     }
+    let localized = &walk.ground_truth.report;
     let summary = Summary {
         seed: arguments.seed,
         ate_glasses_rms_m: judged.glasses.ate_translation_m.rmse,
@@ -155,16 +152,16 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         ate_glasses_in_map_rms_m: judged.glasses_in_map.ate_translation_m.rmse,
         ate_scanner_rms_m: judged.scanner.ate_translation_m.rmse,
         ate_scanner_max_m: judged.scanner.ate_translation_m.max,
-        map_reprojection_px: mapping.report.reprojection_rms_px,
-        map_points: mapping.report.points,
-        glasses_localized: walk.report.localized as f64 / walk.report.frames.max(1) as f64,
+        map_reprojection_px: map.mapping.report.reprojection_rms_px,
+        map_points: map.mapping.report.points,
+        glasses_localized: localized.localized as f64 / localized.frames.max(1) as f64,
         lost,
         wall_s: began.elapsed().as_secs_f64(),
         peak_rss_mb: peak_rss_mb(),
         stages_s: watch.stages,
         outputs: files,
     };
-    report(&summary, &judged, &mapping, &walk, &sim_config)?.write(&summary.outputs.report)?;
+    report(&summary, &judged, &map, &walk, &sim_config)?.write(&summary.outputs.report)?;
     let json = layout.file("demo.json");
     std::fs::write(&json, serde_json::to_vec_pretty(&summary)?)
         .with_context(|| json.display().to_string())?;
@@ -239,21 +236,20 @@ fn judge(layout: &Layout, files: &Outputs) -> anyhow::Result<Judged> {
 fn report(
     summary: &Summary,
     judged: &Judged,
-    mapping: &MappingResult,
-    walk: &GroundTruth,
+    map: &WrittenMap,
+    walk: &WrittenTrajectory,
     sim_config: &SimConfig,
 ) -> anyhow::Result<Report> {
-    let map = &mapping.map;
+    let (mapping, walk_report) = (&map.mapping, &walk.ground_truth.report);
     let mut warnings = mapping.report.odometry.warnings.clone();
     warnings.extend(
         mapping
             .report
             .warnings
             .iter()
-            .chain(&walk.report.warnings)
+            .chain(&walk_report.warnings)
             .cloned(),
     );
-    let hash = |path: &Path| lsfb_recording::sha256_of(path);
     let distribution = |title: &str, values| Distribution {
         title: title.to_owned(),
         quantity: "reprojection error".to_owned(),
@@ -283,7 +279,7 @@ fn report(
             ),
             Figure::new(
                 "glasses reprojection, rms",
-                walk.report.map_errors.rms_px,
+                walk_report.map_errors.rms_px,
                 "px",
             ),
             Figure::new("glasses localized", summary.glasses_localized * 100.0, "%"),
@@ -292,8 +288,9 @@ fn report(
             Figure::new("wall time", summary.wall_s, "s").with(Threshold::AtMost(300.0)),
             Figure::new("peak memory", summary.peak_rss_mb, "MB").with(Threshold::AtMost(4096.0)),
         ],
-        map_points: (0..map.point_count())
-            .filter_map(|i| map.position(u32::try_from(i).ok()?))
+        map_points: mapping
+            .map
+            .positions()
             .map(|point| judged.truth_from_map * point)
             .collect(),
         tracks: vec![
@@ -302,7 +299,7 @@ fn report(
         ],
         histograms: vec![
             distribution("Map", mapping.report.reprojection_errors_px.clone()),
-            distribution("Glasses", spread(&walk.report.map_errors)),
+            distribution("Glasses", spread(&walk_report.map_errors)),
         ],
         stages: summary
             .stages_s
@@ -313,22 +310,38 @@ fn report(
             })
             .collect(),
         warnings,
-        provenance: [
-            ("seed", summary.seed.to_string()),
-            ("lsfb", env!("CARGO_PKG_VERSION").to_owned()),
-            ("scan.mcap, SHA-256", hash(&summary.outputs.scan)?),
-            ("walk.mcap, SHA-256", hash(&summary.outputs.walk)?),
-            ("scan.tum, SHA-256", hash(&summary.outputs.scan_trajectory)?),
-            ("walk.tum, SHA-256", hash(&summary.outputs.walk_trajectory)?),
-            ("simulation", toml::to_string(sim_config)?),
-        ]
-        .map(|(name, value)| Provenance {
-            name: name.to_owned(),
-            value,
-        })
-        .into(),
+        provenance: provenance(summary, map, walk, sim_config)?,
         ..Report::default()
     })
+}
+
+/// What was run on what, and the hashes of what came out.
+fn provenance(
+    summary: &Summary,
+    map: &WrittenMap,
+    walk: &WrittenTrajectory,
+    sim_config: &SimConfig,
+) -> anyhow::Result<Vec<Provenance>> {
+    let mut lines = vec![
+        ("seed".to_owned(), summary.seed.to_string()),
+        ("lsfb".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
+    ];
+    for inputs in [&map.provenance.inputs, &walk.provenance.inputs] {
+        let hashed = inputs.iter();
+        lines.extend(hashed.map(|(name, hash)| (format!("{name}, SHA-256"), hash.clone())));
+    }
+    for path in [
+        &summary.outputs.scan_trajectory,
+        &summary.outputs.walk_trajectory,
+    ] {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        lines.push((format!("{name}, SHA-256"), lsfb_recording::sha256_of(path)?));
+    }
+    lines.push(("simulation".to_owned(), toml::to_string(sim_config)?));
+    let lines = lines.into_iter();
+    Ok(lines
+        .map(|(name, value)| Provenance { name, value })
+        .collect())
 }
 
 /// A value for each error, spread evenly over its bin.

@@ -31,19 +31,15 @@ pub struct Arguments {
 
 /// Computes, writes, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    let config: GroundTruthConfig = arguments
-        .config
-        .as_deref()
-        .map(super::read_config)
-        .transpose()?
-        .unwrap_or_default();
+    let config: GroundTruthConfig = super::config_or_default(arguments.config.as_deref())?;
     let found = compute(
         &arguments.recording,
         &arguments.map,
         &arguments.out,
         &config,
         context,
-    )?;
+    )?
+    .ground_truth;
     let r = &found.report;
     context.print(r, || {
         let mut text = format!(
@@ -63,6 +59,12 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     Ok(Outcome::Done)
 }
 
+/// A trajectory that was written, and where it comes from.
+pub struct WrittenTrajectory {
+    pub ground_truth: GroundTruth,
+    pub provenance: Provenance,
+}
+
 /// Computes the trajectory and writes it with where it comes from.
 pub fn compute(
     recording: &Path,
@@ -70,16 +72,21 @@ pub fn compute(
     out: &Path,
     config: &GroundTruthConfig,
     context: &Context,
-) -> anyhow::Result<GroundTruth> {
-    let (walk, map) = (context.open(recording)?, HdMap::open(map)?);
+) -> anyhow::Result<WrittenTrajectory> {
+    super::expect_writable(out)?;
+    let (walk, hd_map) = (context.open(recording)?, super::open_map(map)?);
     let found = super::about(
         recording,
-        ground_truth(&walk, &map, config, &|p| context.show(p)),
+        ground_truth(&walk, &hd_map, config, &|p| context.show_or_end(p)),
     )?;
-    context.check_stop()?;
     write_tum(out, &found.trajectory)?;
     let mut provenance = Provenance::new(config);
     provenance.add_input(recording)?;
+    // The map's header has the hashes of its other files.
+    provenance.add_input(&map.join(HdMap::HEADER))?;
     provenance.write(out)?;
-    Ok(found)
+    Ok(WrittenTrajectory {
+        ground_truth: found,
+        provenance,
+    })
 }

@@ -3,7 +3,6 @@
 use std::path::PathBuf;
 
 use lsfb_pipeline::features::SiftConfig;
-use lsfb_pipeline::hd_map::HdMap;
 use lsfb_pipeline::localization::{
     ImageLocalization, Localizer, LocalizerConfig, localize_posed_images,
 };
@@ -47,10 +46,14 @@ struct Summary {
 /// Localizes, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     anyhow::ensure!(arguments.every > 0, "--every 0 takes no image");
-    let localizer = Localizer::new(&HdMap::open(&arguments.map)?, &LocalizerConfig::default())?;
+    let localizer = Localizer::new(
+        &super::open_map(&arguments.map)?,
+        &LocalizerConfig::default(),
+    )?;
+    super::expect_file(&arguments.posed_images, "name a folder of posed images")?;
     let posed = PosedImages::read(&arguments.posed_images)?.every(arguments.every);
     let found = localize_posed_images(&localizer, &posed, &SiftConfig::default(), &|p| {
-        context.show(p)
+        context.show_or_end(p);
     })?;
     let summary = summary(&found);
     context.print(&summary, || text(&summary))?;

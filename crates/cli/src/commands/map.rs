@@ -58,19 +58,15 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         return from_posed_images(folder, arguments, context);
     }
     let recording = arguments.recording.as_deref().context("name a recording")?;
-    let config: MappingConfig = arguments
-        .config
-        .as_deref()
-        .map(super::read_config)
-        .transpose()?
-        .unwrap_or_default();
+    let config: MappingConfig = super::config_or_default(arguments.config.as_deref())?;
     let result = build(
         recording,
         &arguments.out,
         arguments.trajectory.as_deref(),
         &config,
         context,
-    )?;
+    )?
+    .mapping;
     let r = &result.report;
     context.print(&summary(&arguments.out, &result.map, r), || {
         let mut text = format!(
@@ -90,6 +86,12 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     Ok(Outcome::Done)
 }
 
+/// A map that was written, and where it comes from.
+pub struct WrittenMap {
+    pub mapping: MappingResult,
+    pub provenance: Provenance,
+}
+
 /// Builds the map of a recording and writes it, its trajectory and where both come from.
 pub fn build(
     recording: &Path,
@@ -97,12 +99,16 @@ pub fn build(
     trajectory: Option<&Path>,
     config: &MappingConfig,
     context: &Context,
-) -> anyhow::Result<MappingResult> {
+) -> anyhow::Result<WrittenMap> {
+    for result in [Some(out), trajectory].into_iter().flatten() {
+        super::expect_writable(result)?;
+    }
     let result = super::about(
         recording,
-        build_map(&context.open(recording)?, config, &|p| context.show(p)),
+        build_map(&context.open(recording)?, config, &|p| {
+            context.show_or_end(p);
+        }),
     )?;
-    context.check_stop()?;
     result.map.write(out)?;
     let mut provenance = Provenance::new(config);
     provenance.add_input(recording)?;
@@ -111,7 +117,10 @@ pub fn build(
         write_tum(path, &result.trajectory)?;
         provenance.write(path)?;
     }
-    Ok(result)
+    Ok(WrittenMap {
+        mapping: result,
+        provenance,
+    })
 }
 
 fn from_posed_images(
@@ -119,14 +128,11 @@ fn from_posed_images(
     arguments: &Arguments,
     context: &Context,
 ) -> anyhow::Result<Outcome> {
-    let config: PosedMapConfig = arguments
-        .config
-        .as_deref()
-        .map(super::read_config)
-        .transpose()?
-        .unwrap_or_default();
+    let config: PosedMapConfig = super::config_or_default(arguments.config.as_deref())?;
+    super::expect_writable(&arguments.out)?;
+    super::expect_file(folder, "name a folder of posed images")?;
     let posed = PosedImages::read(folder)?.without_every(arguments.without_every.unwrap_or(0));
-    let map = build_map_from_posed_images(&posed, &config, &|p| context.show(p))?;
+    let map = build_map_from_posed_images(&posed, &config, &|p| context.show_or_end(p))?;
     map.write(&arguments.out)?;
     context.print(&summary(&arguments.out, &map, ()), || {
         format!(

@@ -15,10 +15,17 @@ pub mod view;
 use std::path::Path;
 
 use anyhow::Context as _;
+use lsfb_pipeline::hd_map::HdMap;
 use serde::de::DeserializeOwned;
+
+/// A stage's settings: those of a TOML file, or the defaults where none is named.
+fn config_or_default<C: DeserializeOwned + Default>(path: Option<&Path>) -> anyhow::Result<C> {
+    path.map_or_else(|| Ok(C::default()), read_config)
+}
 
 /// A stage's settings from a TOML file; unknown names are refused by the settings themselves.
 fn read_config<C: DeserializeOwned>(path: &Path) -> anyhow::Result<C> {
+    expect_file(path, "leave the option out to take the defaults")?;
     let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
     toml::from_str(&text).map_err(|e| {
         anyhow::anyhow!(
@@ -27,6 +34,38 @@ fn read_config<C: DeserializeOwned>(path: &Path) -> anyhow::Result<C> {
             lsfb_geometry::toml_problem(&text, &e)
         )
     })
+}
+
+/// Fails early, and with what to do, where nothing is at `path`.
+pub fn expect_file(path: &Path, remedy: &str) -> anyhow::Result<()> {
+    anyhow::ensure!(
+        path.exists(),
+        "{}: there is no such file or folder: check the path, or {remedy}",
+        path.display()
+    );
+    Ok(())
+}
+
+/// An HD map that is there.
+fn open_map(folder: &Path) -> anyhow::Result<HdMap> {
+    expect_file(folder, "build one with `lsfb map`")?;
+    Ok(HdMap::open(folder)?)
+}
+
+/// Fails before the work is done where its result could not be written: makes the folder around it and a trial file in it.
+fn expect_writable(result: &Path) -> anyhow::Result<()> {
+    let folder = match result.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    };
+    let trial = folder.join(format!(".lsfb-{}", std::process::id()));
+    std::fs::create_dir_all(folder)
+        .and_then(|()| std::fs::write(&trial, b""))
+        .and_then(|()| std::fs::remove_file(&trial))
+        .with_context(|| {
+            let result = result.display();
+            format!("{result}: cannot be written here: name another place, or change the folder's rights")
+        })
 }
 
 /// Names the file in an error that does not.

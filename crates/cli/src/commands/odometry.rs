@@ -38,6 +38,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         None if arguments.outdoor => OdometryConfig::outdoor(),
         None => OdometryConfig::default(),
     };
+    super::expect_writable(&arguments.out)?;
     let input = if arguments.input.is_dir() {
         let scans = arguments.out.with_extension("scans.mcap");
         import_clouds(
@@ -52,7 +53,10 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         arguments.input.clone()
     };
     context.check_stop()?;
-    let result = super::about(&input, run_odometry(&context.open(&input)?, &config, &show))?;
+    let result = super::about(
+        &input,
+        run_odometry(&context.open(&input)?, &config, &|p| context.show_or_end(p)),
+    )?;
     write_tum(&arguments.out, &result.trajectory)?;
     let mut provenance = Provenance::new(&config);
     provenance.add_input(&input)?;

@@ -71,12 +71,7 @@ struct Made {
 
 /// Builds the world, plays or records.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    let mut config: SimConfig = arguments
-        .config
-        .as_deref()
-        .map(super::read_config)
-        .transpose()?
-        .unwrap_or_default();
+    let mut config: SimConfig = super::config_or_default(arguments.config.as_deref())?;
     config.seed = arguments.seed;
     let layout = Layout::create(&arguments.out)?;
     let simulation = simulated::prepare(&layout, &config, context)?;

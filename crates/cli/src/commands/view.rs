@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use lsfb_geometry::Trajectory;
-use lsfb_pipeline::hd_map::HdMap;
 use lsfb_recording::read_tum;
 use lsfb_view::{MapPoints, NamedTrajectory, ViewConfig, ViewInputs, ViewReport, Walk, write_rrd};
 
@@ -81,12 +80,11 @@ pub fn write(
         .collect::<Result<Vec<_>, _>>()?;
     let mut inputs = ViewInputs::default();
     if let Some(map) = map {
-        let map = HdMap::open(map)?;
+        let positions = super::open_map(map)?
+            .positions()
+            .map(|p| p.cast::<f32>().into());
         inputs.map = MapPoints {
-            positions_m: (0..map.point_count())
-                .filter_map(|i| map.position(u32::try_from(i).ok()?))
-                .map(|p| [p.x as f32, p.y as f32, p.z as f32])
-                .collect(),
+            positions_m: positions.collect(),
             colors_rgb: Vec::new(),
         };
     }
@@ -109,6 +107,7 @@ pub fn write(
                 .unwrap_or_else(|| Trajectory::new(Vec::new())),
         });
     }
+    super::expect_writable(out)?;
     write_rrd(out, &inputs, &ViewConfig::default(), &|p| context.show(p))
         .context("cannot write the viewer's file")
 }

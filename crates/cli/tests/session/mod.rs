@@ -100,7 +100,7 @@ impl Measured {
 pub fn inputs() -> &'static Path {
     static INPUTS: OnceLock<PathBuf> = OnceLock::new();
     INPUTS.get_or_init(|| {
-        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("bad_input");
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(env!("CARGO_CRATE_NAME"));
         let _ = std::fs::remove_dir_all(&folder);
         std::fs::create_dir_all(&folder).expect("folder");
         let here = Simulation::new(&config(1), &no_progress).expect("simulation");

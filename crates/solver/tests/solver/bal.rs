@@ -1,7 +1,6 @@
 //! A real bundle adjustment problem in the large (BAL), with the optimum that two other programs found.
 
 use std::io::Read;
-use std::path::PathBuf;
 
 use flate2::read::GzDecoder;
 use lsfb_geometry::{Matrix2, Matrix2x3, UnitQuaternion, Vector2, Vector3, so3};
@@ -145,18 +144,10 @@ pub fn parse(text: &str) -> Problem {
 
 #[test]
 fn ladybug_reaches_the_known_optimum() {
-    let root = std::env::var_os("LSFB_TEST_DATA").map_or_else(
-        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
-        PathBuf::from,
-    );
-    let path = root.join("vision/ba/problem-16-22106-pre.txt.gz");
-    if !path.exists() {
-        println!(
-            "skipped: ladybug_reaches_the_known_optimum: no recording at {}",
-            path.display()
-        );
+    let test = "ladybug_reaches_the_known_optimum";
+    let Some(path) = lsfb_tests::recordings(test, "vision/ba/problem-16-22106-pre.txt.gz") else {
         return;
-    }
+    };
     let mut text = String::new();
     GzDecoder::new(std::fs::File::open(path).expect("file opens"))
         .read_to_string(&mut text)

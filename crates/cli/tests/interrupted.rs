@@ -1,0 +1,38 @@
+//! Stages that are told to stop: they end at once, and leave nothing half-written.
+
+mod process;
+mod session;
+
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use session::with;
+
+/// Exit code of a process that Ctrl-C ended, as shells have it.
+const INTERRUPTED: i32 = 130;
+
+#[test]
+fn mapping_ends_at_once() {
+    let folder = with(&["scan.mcap"]);
+    let process = Command::new(env!("CARGO_BIN_EXE_lsfb"))
+        .args(["map", "scan.mcap", "--out", "map"])
+        .current_dir(folder.path())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the built binary");
+    // Long enough to be at work, far too short to be done.
+    std::thread::sleep(Duration::from_millis(500));
+    let asked = Instant::now();
+    let id = i32::try_from(process.id()).expect("process id");
+    kill(Pid::from_raw(id), Signal::SIGINT).expect("signal");
+    let output = process.wait_with_output().expect("an end");
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(INTERRUPTED), "{text}");
+    assert!(asked.elapsed() < Duration::from_secs(3), "{text}");
+    assert!(text.contains("stopped by Ctrl-C"), "{text}");
+    let left = std::fs::read_dir(folder.path()).expect("folder").count();
+    assert_eq!(left, 1, "the recording and nothing else");
+}
