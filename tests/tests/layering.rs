@@ -85,7 +85,7 @@ fn no_crate_reaches_outside_its_layer() {
 fn heavy_and_dangerous_crates_are_seen_by_one_crate_each() {
     let dependencies = dependencies();
     for (dependency, only) in [
-        ("rerun", "lsfb-view"),
+        ("re_sdk", "lsfb-view"),
         ("mcap", "lsfb-recording"),
         ("serialport", "lsfb-drivers"),
         ("v4l", "lsfb-drivers"),

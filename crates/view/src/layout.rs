@@ -1,6 +1,6 @@
 //! What the viewer shows at first: the world on the left, images and inertial samples on the right.
 
-use rerun::blueprint::{
+use re_sdk::blueprint::{
     Blueprint, ContainerLike, Grid, Horizontal, Spatial2DView, Spatial3DView, TimeSeriesView,
     Vertical,
 };

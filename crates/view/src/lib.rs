@@ -39,9 +39,9 @@ use std::path::{Path, PathBuf};
 use lsfb_geometry::{Rig, Trajectory};
 use lsfb_recording::Recording;
 use lsfb_types::{Progress, ProgressFn};
-use rerun::{
-    LineStrips3D, Points3D, Radius, RecordingStream, RecordingStreamBuilder, ViewCoordinates,
-};
+use re_sdk::{AsComponents, RecordingStream, RecordingStreamBuilder};
+use re_sdk_types::archetypes::{LineStrips3D, Points3D, ViewCoordinates};
+use re_sdk_types::components::{Color, Radius};
 
 /// What can go wrong.
 #[derive(Debug, thiserror::Error)]
@@ -177,7 +177,7 @@ pub fn write_rrd(
             .with_colors(
                 map.colors_rgb
                     .iter()
-                    .map(|c| rerun::Color::from_rgb(c[0], c[1], c[2])),
+                    .map(|c| Color::from_rgb(c[0], c[1], c[2])),
             );
         view.log_static("world/map", &points)?;
     }
@@ -190,7 +190,7 @@ pub fn write_rrd(
             .collect();
         let [r, g, b] = line.color_rgb;
         let strips = LineStrips3D::new([strip])
-            .with_colors([rerun::Color::from_rgb(r, g, b)])
+            .with_colors([Color::from_rgb(r, g, b)])
             .with_radii([Radius::new_ui_points(LINE_RADIUS)]);
         view.log_static(&format!("world/trajectories/{}", line.name), &strips)?;
     }
@@ -237,14 +237,14 @@ impl View {
         })
     }
 
-    fn log_static(&self, entity: &str, what: &impl rerun::AsComponents) -> Result<(), Error> {
+    fn log_static(&self, entity: &str, what: &impl AsComponents) -> Result<(), Error> {
         self.stream
             .log_static(entity, what)
             .map_err(|error| rerun_error(&self.path, &error))
     }
 
     /// Logs something at the time that was set last.
-    fn log(&self, entity: &str, what: &impl rerun::AsComponents) -> Result<(), Error> {
+    fn log(&self, entity: &str, what: &impl AsComponents) -> Result<(), Error> {
         self.stream
             .log(entity, what)
             .map_err(|error| rerun_error(&self.path, &error))

@@ -3,8 +3,9 @@
 use lsfb_geometry::{Camera, Rig, Se3, Trajectory};
 use lsfb_recording::{Error as RecordingError, Recording};
 use lsfb_types::{ImuSample, LidarScan, Stamped, Timestamp};
-use rerun::components::PinholeProjection;
-use rerun::{Image, Pinhole, Points3D, Quaternion, Radius, Scalars, SeriesLines, Transform3D};
+use re_sdk_types::archetypes::{Image, Pinhole, Points3D, Scalars, SeriesLines, Transform3D};
+use re_sdk_types::components::{Color, PinholeProjection, Radius};
+use re_sdk_types::datatypes::Quaternion;
 
 use crate::{Error, View, ViewConfig, ViewReport, Walk};
 
@@ -177,7 +178,7 @@ fn readable<T>(
 
 struct PlacedScan {
     positions_m: Vec<[f32; 3]>,
-    colors: Vec<rerun::Color>,
+    colors: Vec<Color>,
 }
 
 /// Points in the world, each at the pose of its own time; points outside the trajectory are left out.
@@ -206,13 +207,13 @@ fn place(
 }
 
 /// Dark blue to yellow with the reflectivity; retro-reflectors are white.
-fn color_of(intensity: u8) -> rerun::Color {
+fn color_of(intensity: u8) -> Color {
     if intensity > 100 {
-        return rerun::Color::from_rgb(255, 255, 255);
+        return Color::from_rgb(255, 255, 255);
     }
     let share = f32::from(intensity) / 100.0;
     let mix = |from: f32, to: f32| (from + (to - from) * share.sqrt()) as u8;
-    rerun::Color::from_rgb(mix(40.0, 250.0), mix(70.0, 220.0), mix(150.0, 60.0))
+    Color::from_rgb(mix(40.0, 250.0), mix(70.0, 220.0), mix(150.0, 60.0))
 }
 
 fn transform(pose: &Se3) -> Transform3D {
