@@ -43,6 +43,16 @@ pub struct Arguments {
 /// Records, prints the report.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     let show = |p| context.show(p);
+    for (path, remedy) in [
+        (&arguments.devices, "let `lsfb sim` write an example"),
+        (&arguments.pcap, "name a capture file"),
+        (&arguments.db3, "name a rosbag2 database"),
+        (&arguments.rig, "leave --rig out"),
+    ] {
+        if let Some(path) = path {
+            super::expect_file(path, remedy)?;
+        }
+    }
     let report = if let Some(devices) = &arguments.devices {
         let session = Session::open(&DevicesConfig::read(devices)?)?;
         session.run(&arguments.out, context.stop(), &show)?

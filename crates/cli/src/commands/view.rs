@@ -80,9 +80,8 @@ pub fn write(
         .collect::<Result<Vec<_>, _>>()?;
     let mut inputs = ViewInputs::default();
     if let Some(map) = map {
-        let positions = super::open_map(map)?
-            .positions()
-            .map(|p| p.cast::<f32>().into());
+        let map = super::open_map(map)?;
+        let positions = map.positions().map(|p| p.cast::<f32>().into());
         inputs.map = MapPoints {
             positions_m: positions.collect(),
             colors_rgb: Vec::new(),
