@@ -16,6 +16,18 @@ pub enum ChecksumRule {
     Ignored,
 }
 
+/// Which instant of the exposure the trailer's stamp marks. The vendor does not say; owners report the end.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum StampInstant {
+    /// The shutter opens.
+    ExposureStart,
+    /// Half-way: the stamp is taken as it is.
+    #[default]
+    ExposureMiddle,
+    /// The shutter closes.
+    ExposureEnd,
+}
+
 /// What the unit was asked to stream, and how strictly to read it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DecoderConfig {
@@ -23,6 +35,8 @@ pub struct DecoderConfig {
     pub format: FrameFormat,
     /// What to do about the trailer's checksum.
     pub checksum: ChecksumRule,
+    /// Which instant of the exposure the trailer's stamp marks.
+    pub stamp: StampInstant,
 }
 
 impl Default for DecoderConfig {
@@ -30,8 +44,19 @@ impl Default for DecoderConfig {
         Self {
             format: FrameFormat::S2_1280X400,
             checksum: ChecksumRule::default(),
+            stamp: StampInstant::default(),
         }
     }
+}
+
+/// Which trigger a frame answers. Units of one rig see the same triggers: the difference of their indices stays what it
+/// was at the start, as long as neither begins a new epoch.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Trigger {
+    /// Times that the unit began to count anew: indices of different epochs cannot be compared.
+    pub epoch: u64,
+    /// The trailer's counter, continued beyond 16 bits. It counts frames that were lost on the way too.
+    pub index: u64,
 }
 
 /// Two images of one trigger. Their `frame_id` is the trailer's, continued beyond 16 bits.
@@ -43,6 +68,10 @@ pub struct StereoFrame {
     pub right: Image,
     /// Whose clock stamped the frame.
     pub time_source: TimeSource,
+    /// Which trigger it answers.
+    pub trigger: Trigger,
+    /// What leads from the stamp to the middle of the exposure, nanoseconds: negative where the stamp marks its end.
+    pub mid_exposure_from_stamp_ns: i64,
 }
 
 /// What the decoder has met so far.
@@ -71,7 +100,7 @@ pub struct FrameCounters {
 pub struct Decoder {
     config: DecoderConfig,
     counters: FrameCounters,
-    last_frame_id: Option<u32>,
+    last_trigger_index: Option<u64>,
 }
 
 impl Decoder {
@@ -80,7 +109,7 @@ impl Decoder {
         Self {
             config,
             counters: FrameCounters::default(),
-            last_frame_id: None,
+            last_trigger_index: None,
         }
     }
 
@@ -94,18 +123,20 @@ impl Decoder {
             } += 1;
         })?;
         let trailer = frame.trailer();
-        let Some(frame_id) = self.continue_id(trailer.frame_id) else {
+        let Some(index) = self.continue_index(trailer.frame_id) else {
             self.counters.duplicated += 1;
             return Ok(None);
         };
         self.counters.frames += 1;
+        let exposure_ns = u32::from(trailer.exposure_steps) * EXPOSURE_STEP_NS;
         let image = |side| Image {
             width: self.config.format.image_width(),
             height: self.config.format.height,
             pixels: frame.grey(side),
-            exposure_ns: u32::from(trailer.exposure_steps) * EXPOSURE_STEP_NS,
-            frame_id,
+            exposure_ns,
+            frame_id: index as u32,
         };
+        let half_ns = i64::from(exposure_ns / 2);
         Ok(Some(Decoded {
             arrival: packet.arrival,
             device_ticks: trailer.timestamp_us,
@@ -113,6 +144,15 @@ impl Decoder {
                 left: image(Side::Left),
                 right: image(Side::Right),
                 time_source: trailer.time_source,
+                trigger: Trigger {
+                    epoch: self.counters.restarts,
+                    index,
+                },
+                mid_exposure_from_stamp_ns: match self.config.stamp {
+                    StampInstant::ExposureStart => half_ns,
+                    StampInstant::ExposureMiddle => 0,
+                    StampInstant::ExposureEnd => -half_ns,
+                },
             },
         }))
     }
@@ -135,10 +175,10 @@ impl Decoder {
         Ok(frame)
     }
 
-    /// The id beyond 16 bits, or `None` for a repetition.
-    fn continue_id(&mut self, id: u16) -> Option<u32> {
-        let continued = match self.last_frame_id {
-            None => u32::from(id),
+    /// The counter beyond 16 bits, or `None` for a repetition.
+    fn continue_index(&mut self, id: u16) -> Option<u64> {
+        let continued = match self.last_trigger_index {
+            None => u64::from(id),
             Some(last) => {
                 let step = id.wrapping_sub(last as u16);
                 match step {
@@ -147,10 +187,10 @@ impl Decoder {
                     // Half the range forward would be the better part of an hour without a frame.
                     _ => self.counters.restarts += 1,
                 }
-                last.wrapping_add(step.into())
+                last + u64::from(step)
             }
         };
-        self.last_frame_id = Some(continued);
+        self.last_trigger_index = Some(continued);
         Some(continued)
     }
 }

@@ -17,6 +17,8 @@ mod imu_decode;
 pub mod model;
 pub mod wire;
 
-pub use decode::{ChecksumRule, Decoder, DecoderConfig, FrameCounters, StereoFrame};
+pub use decode::{
+    ChecksumRule, Decoder, DecoderConfig, FrameCounters, StampInstant, StereoFrame, Trigger,
+};
 pub use device::{CameraConfig, MyntCamera};
 pub use imu_decode::{ImuCounters, ImuDecoder};

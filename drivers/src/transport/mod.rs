@@ -6,6 +6,7 @@ mod host_clock;
 pub mod pcap;
 mod poll;
 pub mod rosbag2;
+pub mod save;
 pub mod serial;
 pub mod udp;
 pub mod udp_sender;

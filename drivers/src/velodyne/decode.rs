@@ -4,8 +4,9 @@ use std::collections::VecDeque;
 
 use lsfb_types::{LidarPoint, LidarScan, Packet, Timestamp};
 
-use super::layout::{PacketLayout, group_returns, turn};
+use super::layout::{PacketLayout, stride, turn};
 use super::model::{Model, Product};
+use super::points::{Firing, PointMaker};
 use super::wire::{DataPacket, ReturnMode, TURN_CENTIDEG, identify};
 use crate::{Decoded, WireError};
 
@@ -118,6 +119,8 @@ pub struct Counters {
     pub clock_jumps: u64,
     /// Times model or return mode changed.
     pub mode_changes: u64,
+    /// Packets decoded as [`ModelChoice::Force`] says whose factory bytes name another model or mode.
+    pub contradicting: u64,
     /// Scans ended because the rotor did not come round.
     pub overlong: u64,
 }
@@ -138,37 +141,10 @@ pub struct Decoder {
     ready: VecDeque<Decoded<LidarScan>>,
     /// Points of the last scan: room for the next.
     usual_points: usize,
+    maker: Option<(Model, Box<PointMaker>)>,
+    /// Buffer of the last packet: room for the next.
+    spare: Vec<u8>,
     counters: Counters,
-}
-
-/// An angle by its sine and cosine, so that a block needs the library's functions once and not for every laser.
-#[derive(Clone, Copy)]
-struct Direction {
-    sin: f32,
-    cos: f32,
-}
-
-impl Direction {
-    fn of(angle_rad: f32) -> Self {
-        let (sin, cos) = angle_rad.sin_cos();
-        Self { sin, cos }
-    }
-
-    /// For the rotor's motion inside a block, below 0.02 rad: the first terms of the series are exact in `f32`.
-    fn of_small(angle_rad: f32) -> Self {
-        let square = angle_rad * angle_rad;
-        Self {
-            sin: angle_rad * (1.0 - square / 6.0),
-            cos: 1.0 - square / 2.0,
-        }
-    }
-
-    fn turned(self, by: Self) -> Self {
-        Self {
-            sin: self.sin * by.cos + self.cos * by.sin,
-            cos: self.cos * by.cos - self.sin * by.sin,
-        }
-    }
 }
 
 struct Held {
@@ -212,6 +188,8 @@ impl Decoder {
             refusal: None,
             ready: VecDeque::new(),
             usual_points: 0,
+            maker: None,
+            spare: Vec::new(),
             counters: Counters::default(),
         }
     }
@@ -225,8 +203,9 @@ impl Decoder {
                 _ => self.counters.refused += 1,
             })?;
         let layout = PacketLayout::new(&data, model, mode);
+        self.counters.contradicting += u64::from(contradicts(&data, model, mode));
         let next = Held {
-            packet: DataPacket::new(packet.bytes.clone())?,
+            packet: data.copied_into(std::mem::take(&mut self.spare)),
             arrival: packet.arrival,
             layout,
         };
@@ -234,23 +213,21 @@ impl Decoder {
             if held.layout.model != model || held.layout.mode != mode {
                 self.counters.mode_changes += 1;
                 self.proven = false;
-                self.assemble(&held);
+                self.assemble(held);
                 self.flush();
             } else {
                 match step(&held, &next) {
                     Step::Duplicate => {
                         self.counters.duplicates += 1;
-                        self.held = Some(held);
-                        return Ok(self.ready.pop_front());
+                        return Ok(self.keep(held, next));
                     }
                     Step::Late => {
                         self.counters.late += 1;
-                        self.held = Some(held);
-                        return Ok(self.ready.pop_front());
+                        return Ok(self.keep(held, next));
                     }
                     Step::ClockJump => {
                         self.counters.clock_jumps += 1;
-                        self.assemble(&held);
+                        self.assemble(held);
                         self.flush();
                     }
                     Step::Next { elapsed_ns } => self.advance(held, &next, elapsed_ns)?,
@@ -261,10 +238,17 @@ impl Decoder {
         Ok(self.ready.pop_front())
     }
 
+    /// Goes on waiting for the successor of `held`.
+    fn keep(&mut self, held: Held, left_out: Held) -> Option<Decoded<LidarScan>> {
+        self.spare = left_out.packet.into_inner();
+        self.held = Some(held);
+        self.ready.pop_front()
+    }
+
     /// Ends the stream: what is left, one scan per call, until `None`.
     pub fn finish(&mut self) -> Option<Decoded<LidarScan>> {
         if let Some(held) = self.held.take() {
-            self.assemble(&held);
+            self.assemble(held);
         }
         self.flush();
         self.ready.pop_front()
@@ -322,7 +306,7 @@ impl Decoder {
         if let Some((from, to)) = held.layout.gap() {
             self.dead_sector = Some(Sector { from, to });
         }
-        self.assemble(&held);
+        self.assemble(held);
         Ok(())
     }
 
@@ -360,55 +344,46 @@ impl Decoder {
             .is_some_and(|dead| near(dead.from, between.from) && near(dead.to, between.to))
     }
 
-    fn assemble(&mut self, held: &Held) {
-        let table = held.layout.model.table();
-        let beams = held.layout.beams();
-        let start_ns = i64::from(held.packet.timestamp_us()) * 1000;
-        let unit_m = f32::from(table.distance_unit_mm) / 1000.0;
+    fn assemble(&mut self, held: Held) {
+        let Held {
+            packet,
+            arrival,
+            layout,
+        } = held;
+        let mut maker = match self.maker.take() {
+            Some((model, maker)) if model == layout.model => maker,
+            _ => Box::new(PointMaker::new(layout.model, self.config.optical_offset)),
+        };
+        let start_ns = i64::from(packet.timestamp_us()) * 1000;
         self.counters.packets += 1;
-        for group in 0..held.layout.groups() {
-            let group_ns = held.layout.group_time_ns(group);
-            let azimuth = held.layout.group_azimuth(group);
-            self.cut_before(azimuth, start_ns + group_ns);
+        for group in 0..layout.groups() {
+            let fired_ns = start_ns + layout.group_time_ns(group);
+            let azimuth_centideg = layout.group_azimuth(group);
+            self.cut_before(azimuth_centideg, fired_ns);
             let scan = self.scan.get_or_insert_with(|| Building {
-                first_ns: (start_ns + group_ns).rem_euclid(HOUR_NS),
-                arrival: held.arrival,
+                first_ns: fired_ns.rem_euclid(HOUR_NS),
+                arrival,
                 points: Vec::with_capacity(self.usual_points),
             });
-            let offset_ns = (start_ns + group_ns - scan.first_ns).rem_euclid(HOUR_NS);
-            let encoder = Direction::of(f32::from(azimuth) * (std::f32::consts::PI / 18_000.0));
-            let pace_rad_ns = held.layout.pace_rad_ns(group);
+            let firing = Firing {
+                azimuth_centideg,
+                pace_centideg_ns: layout.pace_centideg_ns(group),
+                offset_ns: (fired_ns - scan.first_ns).rem_euclid(HOUR_NS) as u32,
+            };
             let before = scan.points.len();
-            for hit in group_returns(&held.packet, &held.layout, group) {
-                let beam = &beams[hit.channel];
-                let firing_ns = hit.time_ns - group_ns;
-                let laser = Direction {
-                    sin: beam.sin_offset,
-                    cos: beam.cos_offset,
-                };
-                let pointing = encoder
-                    .turned(laser)
-                    .turned(Direction::of_small(pace_rad_ns * firing_ns as f32));
-                let range_m = f32::from(hit.range_raw) * unit_m;
-                let flat_m = range_m * beam.cos_elevation;
-                let lift_m = match self.config.optical_offset {
-                    OpticalOffset::Ignored => 0.0,
-                    OpticalOffset::Applied => beam.optical_offset_m,
-                };
-                scan.points.push(LidarPoint {
-                    // The manual's frame has azimuth 0 along y and grows towards x.
-                    position_m: [
-                        flat_m * pointing.cos,
-                        -flat_m * pointing.sin,
-                        range_m * beam.sin_elevation + lift_m,
-                    ],
-                    intensity: hit.reflectivity,
-                    ring: hit.ring,
-                    time_offset_ns: (offset_ns + firing_ns) as u32,
-                });
+            match layout.mode {
+                ReturnMode::Dual => {
+                    let even_block = group * stride(layout.mode);
+                    maker.dual(&packet, even_block, &firing, &mut scan.points);
+                }
+                ReturnMode::Strongest | ReturnMode::Last => {
+                    maker.single(&packet, group, &firing, &mut scan.points);
+                }
             }
             self.counters.points += (scan.points.len() - before) as u64;
         }
+        self.maker = Some((layout.model, maker));
+        self.spare = packet.into_inner();
     }
 
     /// Ends the scan where the rotor passed the cut since the last block, or did not come round for too long.
@@ -437,7 +412,8 @@ impl Decoder {
     fn flush(&mut self) {
         if let Some(scan) = self.scan.take() {
             self.counters.scans += 1;
-            self.usual_points = scan.points.len();
+            // Revolutions differ by a few blocks: with room for these the next one need not move.
+            self.usual_points = scan.points.len() + scan.points.len() / 16;
             self.ready.push_back(Decoded {
                 arrival: scan.arrival,
                 device_ticks: scan.first_ns as u64,
@@ -447,6 +423,15 @@ impl Decoder {
             });
         }
     }
+}
+
+/// Whether the factory bytes name another model or mode than the packet is decoded as. Bytes that name nothing do not.
+fn contradicts(packet: &DataPacket<&[u8]>, model: Model, mode: ReturnMode) -> bool {
+    let product = Product::from_code(packet.product_code());
+    let says_other_model = !matches!(product, Product::Unknown(_)) && product != model.product();
+    let says_other_mode =
+        ReturnMode::from_code(packet.return_mode_code()).is_some_and(|said| said != mode);
+    says_other_model || says_other_mode
 }
 
 fn step(held: &Held, next: &Held) -> Step {

@@ -38,16 +38,6 @@ pub struct Return {
     pub time_ns: i64,
 }
 
-/// Direction constants of a channel.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Beam {
-    pub sin_offset: f32,
-    pub cos_offset: f32,
-    pub sin_elevation: f32,
-    pub cos_elevation: f32,
-    pub optical_offset_m: f32,
-}
-
 /// Timing and rotor motion of one packet. A group is a block, or in dual mode a pair of blocks.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PacketLayout {
@@ -184,14 +174,9 @@ impl PacketLayout {
         pace > 0.0 && moved <= 1.5 * pace
     }
 
-    pub(super) fn beams(&self) -> &'static [Beam; CHANNELS] {
-        beams(self.model)
-    }
-
-    /// Motion of the rotor while a group fires, radians per nanosecond.
-    pub(super) fn pace_rad_ns(&self, group: usize) -> f32 {
-        let step_rad = self.step_centideg[group] * (std::f32::consts::PI / 18_000.0);
-        step_rad / self.model.table().block_period_ns as f32
+    /// Motion of the rotor while a group fires, centidegrees per nanosecond.
+    pub(super) fn pace_centideg_ns(&self, group: usize) -> f32 {
+        self.step_centideg[group] / self.model.table().block_period_ns as f32
     }
 }
 
@@ -204,7 +189,7 @@ pub fn returns<'a, T: AsRef<[u8]>>(
 }
 
 /// The returns of one block, or in dual mode of a pair of blocks, in firing order.
-pub(super) fn group_returns<'a, T: AsRef<[u8]>>(
+fn group_returns<'a, T: AsRef<[u8]>>(
     packet: &'a DataPacket<T>,
     layout: &'a PacketLayout,
     group: usize,
@@ -212,7 +197,7 @@ pub(super) fn group_returns<'a, T: AsRef<[u8]>>(
     let table = layout.model.table();
     let stride = stride(layout.mode);
     let azimuth = f32::from(layout.azimuth_centideg[group]);
-    let pace = layout.step_centideg[group] / table.block_period_ns as f32;
+    let pace = layout.pace_centideg_ns(group);
     (0..CHANNELS).flat_map(move |channel| {
         let laser = &table.channels[channel];
         let place = |block: usize, echo: Echo| Return {
@@ -267,34 +252,9 @@ pub(super) fn turn(from: u16, to: u16) -> u16 {
         as u16
 }
 
-const fn stride(mode: ReturnMode) -> usize {
+pub(super) const fn stride(mode: ReturnMode) -> usize {
     match mode {
         ReturnMode::Dual => 2,
         ReturnMode::Strongest | ReturnMode::Last => 1,
     }
-}
-
-fn beams(model: Model) -> &'static [Beam; CHANNELS] {
-    use std::sync::LazyLock;
-    static TABLES: LazyLock<[[Beam; CHANNELS]; 3]> = LazyLock::new(|| Model::ALL.map(directions));
-    &TABLES[match model {
-        Model::Vlp32c => 0,
-        Model::Vlp16 => 1,
-        Model::Hdl32e => 2,
-    }]
-}
-
-fn directions(model: Model) -> [Beam; CHANNELS] {
-    let table = model.table();
-    table.channels.map(|channel| {
-        let elevation = channel.elevation_deg.to_radians();
-        let offset = channel.azimuth_offset_deg.to_radians();
-        Beam {
-            sin_offset: offset.sin() as f32,
-            cos_offset: offset.cos() as f32,
-            sin_elevation: elevation.sin() as f32,
-            cos_elevation: elevation.cos() as f32,
-            optical_offset_m: (table.optical_offset_mm / 1000.0 * (-elevation).tan()) as f32,
-        }
-    })
 }

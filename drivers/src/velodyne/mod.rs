@@ -18,6 +18,7 @@ mod device;
 mod layout;
 pub mod model;
 pub mod nmea;
+mod points;
 pub mod wire;
 
 pub use decode::{Counters, DecodeError, Decoder, DecoderConfig, ModelChoice, OpticalOffset};

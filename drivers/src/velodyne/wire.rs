@@ -117,6 +117,20 @@ impl<T: AsRef<[u8]>> DataPacket<T> {
         self.bytes()[channel_offset(block, channel) + 2]
     }
 
+    /// Distance (little-endian) and reflectivity of every channel of a block.
+    pub(super) fn channel_bytes(&self, block: usize) -> &[[u8; 3]] {
+        let first = channel_offset(block, 0);
+        let (channels, _) = self.bytes()[first..first + 3 * CHANNELS].as_chunks();
+        channels
+    }
+
+    /// The same packet in a buffer of its own, whose content is replaced.
+    pub(super) fn copied_into(&self, mut buffer: Vec<u8>) -> DataPacket<Vec<u8>> {
+        buffer.clear();
+        buffer.extend_from_slice(self.bytes());
+        DataPacket(buffer)
+    }
+
     /// Microseconds since the top of the hour at the first firing of block 0. Real sensors exceed one hour by a little.
     pub fn timestamp_us(&self) -> u32 {
         u32_at(self.bytes(), TIMESTAMP)
@@ -179,7 +193,9 @@ impl<T: AsRef<[u8]> + AsMut<[u8]>> DataPacket<T> {
     pub fn set_timestamp_us(&mut self, value: u32) {
         put(self.0.as_mut(), TIMESTAMP, &value.to_le_bytes());
     }
+}
 
+impl<T> DataPacket<T> {
     /// Gives the bytes back.
     pub fn into_inner(self) -> T {
         self.0

@@ -52,9 +52,47 @@ fn every_field_of_a_pair() {
                 left: image(7),
                 right: image(9),
                 time_source: TimeSource::External,
+                trigger: Trigger { epoch: 0, index: 3 },
+                mid_exposure_from_stamp_ns: 0,
             },
         }))
     );
+}
+
+#[test]
+fn the_trigger_index_grows_through_the_wrap_and_a_restart_begins_an_epoch() {
+    let mut decoder = Decoder::new(config());
+    let mut triggers = Vec::new();
+    for id in [65_535, 0, 2, 50_000, 40_000] {
+        let pair = decoder.push(&frame(id)).unwrap().unwrap();
+        triggers.push((pair.sample.trigger.epoch, pair.sample.trigger.index));
+        assert_eq!(
+            u64::from(pair.sample.left.frame_id),
+            triggers.last().unwrap().1
+        );
+    }
+    let restarted = triggers.pop().unwrap();
+    assert_eq!(
+        triggers,
+        [(0, 65_535), (0, 65_536), (0, 65_538), (1, 115_536)]
+    );
+    assert_eq!(restarted.0, 2);
+    assert!(restarted.1 > 115_536);
+}
+
+#[test]
+fn the_stamp_leads_to_the_middle_of_the_exposure() {
+    for (stamp, expected_ns) in [
+        (StampInstant::ExposureStart, 2_250_000),
+        (StampInstant::ExposureMiddle, 0),
+        (StampInstant::ExposureEnd, -2_250_000),
+    ] {
+        let mut decoder = Decoder::new(DecoderConfig { stamp, ..config() });
+        let pair = decoder.push(&frame(1)).unwrap().unwrap();
+        assert_eq!(pair.sample.mid_exposure_from_stamp_ns, expected_ns);
+        // The stamp itself is not touched.
+        assert_eq!(pair.device_ticks, 1_772_359_200_000_001);
+    }
 }
 
 #[test]
