@@ -30,11 +30,14 @@
 //! # Ok::<(), lsfb_drivers::WireError>(())
 //! ```
 
+mod byte_stream;
 pub mod camera;
 mod decoded;
 mod error;
 pub mod imu;
+pub mod microstrain;
 pub mod phone;
+pub mod sbg;
 #[cfg(test)]
 mod test_random;
 pub mod transport;

@@ -89,6 +89,7 @@ fn heavy_and_dangerous_crates_are_seen_by_one_crate_each() {
         ("mcap", "lsfb-recording"),
         ("serialport", "lsfb-drivers"),
         ("v4l", "lsfb-drivers"),
+        ("socketcan", "lsfb-drivers"),
         ("libc", "lsfb-fakev4l"),
         ("rusqlite", "lsfb-drivers"),
         ("faer", "lsfb-solver"),

@@ -1,11 +1,10 @@
 //! Xbus bytes to inertial readings. No I/O.
 
-use std::collections::VecDeque;
-
 use lsfb_types::{ImuSample, Packet, Timestamp};
 
 use super::model::message;
 use super::wire::{Item, Items, Message, TriggerIn};
+use crate::byte_stream::ByteStream;
 use crate::{Decoded, WireError};
 
 /// Finds messages in a byte stream that may begin anywhere and be damaged anywhere.
@@ -14,19 +13,7 @@ use crate::{Decoded, WireError};
 #[derive(Clone, Debug)]
 pub struct Framer {
     max_data_len: usize,
-    buffer: Vec<u8>,
-    /// Bytes of the buffer that are done with; removed when they outweigh the rest.
-    done: usize,
-    /// Arrival of each pushed chunk still in the buffer, with the chunk's length.
-    chunks: VecDeque<Chunk>,
-    skipped_bytes: u64,
-    bad_checksums: u64,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Chunk {
-    arrival: Timestamp,
-    len: usize,
+    stream: ByteStream,
 }
 
 /// A message taken out of the stream.
@@ -45,118 +32,55 @@ impl Framer {
     pub fn new(max_data_len: usize) -> Self {
         Self {
             max_data_len,
-            buffer: Vec::new(),
-            done: 0,
-            chunks: VecDeque::new(),
-            skipped_bytes: 0,
-            bad_checksums: 0,
+            stream: ByteStream::default(),
         }
     }
 
     /// Adds bytes as they arrived.
     pub fn push(&mut self, arrival: Timestamp, bytes: &[u8]) {
-        self.buffer.extend_from_slice(bytes);
-        self.chunks.push_back(Chunk {
-            arrival,
-            len: bytes.len(),
-        });
+        self.stream.push(arrival, bytes);
     }
 
     /// The next whole message, if there is one.
     pub fn next_message(&mut self) -> Option<FramedMessage> {
-        let mut at = 0;
-        let found = loop {
-            let rest = self.buffer.get(self.done + at..).unwrap_or_default();
-            match Message::parse(rest) {
-                _ if self.too_long(rest) => self.skipped_bytes += 1,
-                Ok(None) => break None,
-                Ok(Some(parsed)) => {
-                    break Some((
-                        FramedMessage {
-                            arrival: self.arrival_at(at),
-                            id: parsed.message.id,
-                            data: parsed.message.data.to_vec(),
-                        },
-                        parsed.len,
-                    ));
-                }
-                Err(error) => {
-                    self.skipped_bytes += 1;
-                    if matches!(error, WireError::Checksum { .. }) {
-                        self.bad_checksums += 1;
-                    }
-                }
-            }
-            at += 1;
-        };
-        match found {
-            Some((message, len)) => {
-                self.drop_front(at + len);
-                Some(message)
-            }
-            None => {
-                self.drop_front(at);
-                None
-            }
-        }
+        let max_data_len = self.max_data_len;
+        self.stream.next(
+            |rest| {
+                check_length(rest, max_data_len)?;
+                let parsed = Message::parse(rest)?;
+                Ok(parsed.map(|p| ((p.message.id, p.message.data.to_vec()), p.len)))
+            },
+            |arrival, (id, data)| FramedMessage { arrival, id, data },
+        )
     }
 
     /// For the end of the stream: gives up an unfinished message at the front, so that whole ones behind it are found.
     pub fn skip_unfinished(&mut self) -> bool {
-        if self.done == self.buffer.len() {
-            return false;
-        }
-        self.skipped_bytes += 1;
-        self.drop_front(1);
-        true
+        self.stream.skip_unfinished()
     }
 
     /// The bytes not yet part of a message.
     pub fn take_rest(&mut self) -> Vec<u8> {
-        self.chunks.clear();
-        let mut rest = std::mem::take(&mut self.buffer);
-        rest.drain(..std::mem::take(&mut self.done));
-        rest
+        self.stream.take_rest()
     }
+}
 
-    fn too_long(&self, rest: &[u8]) -> bool {
-        match *rest {
-            [_, _, _, 0xFF, high, low, ..] => {
-                usize::from(u16::from_be_bytes([high, low])) > self.max_data_len
-            }
-            [_, _, _, len, ..] => usize::from(len) > self.max_data_len,
-            _ => false,
-        }
+/// A length that no message has is damage.
+fn check_length(rest: &[u8], max_data_len: usize) -> Result<(), WireError> {
+    let got = match *rest {
+        [_, _, _, 0xFF, high, low, ..] => usize::from(u16::from_be_bytes([high, low])),
+        // The long form begins with 0xFF; its length is not there yet.
+        [_, _, _, 0xFF, ..] => 0,
+        [_, _, _, len, ..] => len.into(),
+        _ => 0,
+    };
+    if got > max_data_len {
+        return Err(WireError::Length {
+            expected: max_data_len,
+            got,
+        });
     }
-
-    fn arrival_at(&self, offset: usize) -> Timestamp {
-        let mut end = 0;
-        for chunk in &self.chunks {
-            end += chunk.len;
-            if offset < end {
-                return chunk.arrival;
-            }
-        }
-        self.chunks
-            .back()
-            .map_or(Timestamp::default(), |c| c.arrival)
-    }
-
-    fn drop_front(&mut self, mut count: usize) {
-        self.done += count;
-        if 2 * self.done > self.buffer.len() {
-            self.buffer.drain(..self.done);
-            self.done = 0;
-        }
-        while let Some(chunk) = self.chunks.front_mut() {
-            if chunk.len > count {
-                chunk.len -= count;
-                break;
-            }
-            count -= chunk.len;
-            self.chunks.pop_front();
-        }
-    }
+    Ok(())
 }
 
 /// What one MTData2 packet said.
@@ -270,8 +194,8 @@ impl Decoder {
     /// What was met so far.
     pub fn counters(&self) -> ImuCounters {
         ImuCounters {
-            skipped_bytes: self.framer.skipped_bytes,
-            bad_checksums: self.framer.bad_checksums,
+            skipped_bytes: self.framer.stream.skipped_bytes(),
+            bad_checksums: self.framer.stream.bad_checksums(),
             ..self.counters
         }
     }

@@ -2,12 +2,15 @@
 
 pub mod camera_link;
 pub mod camera_socket;
+pub mod can;
+pub mod faults;
 mod host_clock;
 pub mod pcap;
 mod poll;
 pub mod rosbag2;
 pub mod save;
 pub mod serial;
+pub mod trace;
 pub mod udp;
 pub mod udp_sender;
 #[cfg(feature = "hardware")]
@@ -27,4 +30,10 @@ pub trait PacketSource {
     /// Waits up to `timeout`. `None` means nothing arrived yet, not that the stream ended; the end is
     /// [`Error::EndOfStream`], and so is every later call.
     fn recv(&mut self, timeout: Duration) -> Result<Option<Packet>, Error>;
+}
+
+impl<S: PacketSource + ?Sized> PacketSource for Box<S> {
+    fn recv(&mut self, timeout: Duration) -> Result<Option<Packet>, Error> {
+        (**self).recv(timeout)
+    }
 }

@@ -1,22 +1,27 @@
-//! UDP payloads out of pcap and pcapng captures: Ethernet with any VLAN tags, Linux cooked, raw IP.
+//! UDP payloads out of pcap and pcapng captures: Ethernet with any VLAN tags, Linux cooked, raw IP, with IP options and in
+//! fragments; and the bare packets that [`super::save`] writes.
 //!
 //! Old Velodyne firmware writes the IP length of a data packet into its position packets, so that a socket would drop
 //! them. Here the UDP length counts, bounded by what was captured.
 
-use std::collections::VecDeque;
+mod fragments;
+
+use std::borrow::Cow;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use etherparse::{LaxSlicedPacket, LinuxSllSlice, TransportSlice};
+use etherparse::{LaxNetSlice, LaxSlicedPacket, LinuxSllSlice, TransportSlice};
 use lsfb_types::{Packet, Timestamp};
 use pcap_file::pcap::PcapReader;
 use pcap_file::pcapng::blocks::interface_description::InterfaceDescriptionOption;
 use pcap_file::pcapng::{Block, PcapNgReader};
 use pcap_file::{DataLink, PcapError, TsResolution};
 
+use self::fragments::{Fragment, Fragments, payload};
 use super::PacketSource;
+use super::save::BARE_LINK;
 use crate::Error;
 
 const PCAPNG_MAGIC: [u8; 4] = [0x0A, 0x0D, 0x0D, 0x0A];
@@ -30,8 +35,7 @@ pub struct PcapSource {
     frames: u64,
     skipped: u64,
     ended: bool,
-    // Frames are read one at a time; the queue only bridges the borrow of the reader's buffer.
-    waiting: VecDeque<Packet>,
+    fragments: Fragments,
 }
 
 enum Reader {
@@ -80,23 +84,23 @@ impl PcapSource {
             frames: 0,
             skipped: 0,
             ended: false,
-            waiting: VecDeque::new(),
+            fragments: Fragments::default(),
         })
     }
 
-    /// Frames passed over: no UDP, a fragment, another port.
+    /// Frames passed over: no UDP, another port, a fragment that fits no other.
     pub fn skipped(&self) -> u64 {
         self.skipped
     }
 
-    /// Reads one frame. `false` at the end of the file.
-    fn read_frame(&mut self) -> Result<bool, PcapError> {
+    /// Reads one frame.
+    fn read_frame(&mut self) -> Result<Frame, PcapError> {
         let ports = &self.ports;
-        let datagram = match &mut self.reader {
+        let (nanos, found) = match &mut self.reader {
             Reader::Pcap(reader) => {
                 let header = reader.header();
                 let Some(frame) = reader.next_raw_packet() else {
-                    return Ok(false);
+                    return Ok(Frame::End);
                 };
                 let frame = frame?;
                 let unit_ns = match header.ts_resolution {
@@ -105,14 +109,15 @@ impl PcapSource {
                 };
                 let nanos =
                     i64::from(frame.ts_sec) * 1_000_000_000 + i64::from(frame.ts_frac) * unit_ns;
-                datagram(header.datalink, &frame.data, ports).map(|bytes| (nanos, bytes.to_vec()))
+                let found = datagram(header.datalink, &frame.data, ports, &mut self.fragments);
+                (nanos, found.into_owned())
             }
             Reader::PcapNg(reader) => {
                 let Some(block) = reader.next_block() else {
-                    return Ok(false);
+                    return Ok(Frame::End);
                 };
                 let Block::EnhancedPacket(frame) = block?.into_owned() else {
-                    return Ok(true);
+                    return Ok(Frame::None);
                 };
                 let interface = reader
                     .interfaces()
@@ -124,38 +129,62 @@ impl PcapSource {
                 });
                 // pcap-file hands the raw counter over as if it were nanoseconds.
                 let nanos = nanos_of(frame.timestamp.as_nanos(), resolution.unwrap_or(6));
-                datagram(interface.linktype, &frame.data, ports)
-                    .map(|bytes| (nanos, bytes.to_vec()))
+                let found = datagram(interface.linktype, &frame.data, ports, &mut self.fragments);
+                (nanos, found.into_owned())
             }
         };
         self.frames += 1;
-        match datagram {
-            Some((nanos, bytes)) => {
-                self.waiting.push_back(Packet {
-                    arrival: Timestamp::from_nanos(nanos),
-                    bytes,
-                });
+        Ok(match found {
+            Found::Payload(bytes) => Frame::Packet(Packet {
+                arrival: Timestamp::from_nanos(nanos),
+                bytes: bytes.into_owned(),
+            }),
+            Found::Part => Frame::None,
+            Found::Nothing => {
+                self.skipped += 1;
+                Frame::None
             }
-            None => self.skipped += 1,
+        })
+    }
+}
+
+/// What the file holds next.
+enum Frame {
+    Packet(Packet),
+    None,
+    End,
+}
+
+/// What a frame holds.
+enum Found<'a> {
+    Payload(Cow<'a, [u8]>),
+    /// A fragment of a datagram that is not complete yet.
+    Part,
+    Nothing,
+}
+
+impl Found<'_> {
+    fn into_owned(self) -> Found<'static> {
+        match self {
+            Self::Payload(bytes) => Found::Payload(Cow::Owned(bytes.into_owned())),
+            Self::Part => Found::Part,
+            Self::Nothing => Found::Nothing,
         }
-        Ok(true)
     }
 }
 
 impl PacketSource for PcapSource {
     fn recv(&mut self, _timeout: Duration) -> Result<Option<Packet>, Error> {
         loop {
-            if let Some(packet) = self.waiting.pop_front() {
-                return Ok(Some(packet));
-            }
             if self.ended {
                 return Err(Error::EndOfStream {
                     device: self.path.display().to_string(),
                 });
             }
             match self.read_frame() {
-                Ok(true) => {}
-                Ok(false) => self.ended = true,
+                Ok(Frame::Packet(packet)) => return Ok(Some(packet)),
+                Ok(Frame::None) => {}
+                Ok(Frame::End) => self.ended = true,
                 Err(error) => {
                     self.ended = true;
                     let position = format!("frame {}", self.frames);
@@ -169,19 +198,48 @@ impl PacketSource for PcapSource {
 }
 
 /// The UDP payload of a frame, where there is one for a wanted port.
-fn datagram<'a>(link: DataLink, frame: &'a [u8], ports: &[u16]) -> Option<&'a [u8]> {
-    let sliced = match link {
-        DataLink::ETHERNET => LaxSlicedPacket::from_ethernet(frame).ok()?,
-        DataLink::RAW | DataLink::IPV4 | DataLink::IPV6 => LaxSlicedPacket::from_ip(frame).ok()?,
+fn datagram<'a>(
+    link: DataLink,
+    frame: &'a [u8],
+    ports: &[u16],
+    fragments: &mut Fragments,
+) -> Found<'a> {
+    if u32::from(link) == BARE_LINK {
+        return Found::Payload(frame.into());
+    }
+    let Some(sliced) = slice(link, frame) else {
+        return Found::Nothing;
+    };
+    if let Some(TransportSlice::Udp(udp)) = sliced.transport {
+        let wanted = ports.is_empty() || ports.contains(&udp.destination_port());
+        return if wanted {
+            Found::Payload(udp.payload().into())
+        } else {
+            Found::Nothing
+        };
+    }
+    match sliced.net {
+        Some(LaxNetSlice::Ipv4(part)) if part.is_payload_fragmented() => {
+            match fragments.push(&part) {
+                Fragment::Waiting => Found::Part,
+                Fragment::Useless => Found::Nothing,
+                Fragment::Complete(udp) => match payload(&udp, ports) {
+                    Some(bytes) => Found::Payload(bytes.to_vec().into()),
+                    None => Found::Nothing,
+                },
+            }
+        }
+        _ => Found::Nothing,
+    }
+}
+
+fn slice(link: DataLink, frame: &[u8]) -> Option<LaxSlicedPacket<'_>> {
+    match link {
+        DataLink::ETHERNET => LaxSlicedPacket::from_ethernet(frame).ok(),
+        DataLink::RAW | DataLink::IPV4 | DataLink::IPV6 => LaxSlicedPacket::from_ip(frame).ok(),
         DataLink::LINUX_SLL => {
             LinuxSllSlice::from_slice(frame).ok()?;
-            LaxSlicedPacket::from_ip(frame.get(LINUX_SLL_LEN..)?).ok()?
-        }
-        _ => return None,
-    };
-    match sliced.transport? {
-        TransportSlice::Udp(udp) if ports.is_empty() || ports.contains(&udp.destination_port()) => {
-            Some(udp.payload())
+            LaxSlicedPacket::from_ip(frame.get(LINUX_SLL_LEN..)?).ok()
         }
         _ => None,
     }

@@ -158,3 +158,73 @@ impl<S: PacketSource> PacketSource for Saving<S> {
         Ok(packet)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use lsfb_types::Timestamp;
+
+    use super::*;
+    use crate::transport::pcap::PcapSource;
+
+    fn all(source: &mut impl PacketSource) -> Vec<Packet> {
+        std::iter::from_fn(|| source.recv(Duration::ZERO).ok().flatten()).collect()
+    }
+
+    fn packets(lengths: &[usize]) -> Vec<Packet> {
+        let packet = |(i, &len): (usize, &usize)| Packet {
+            arrival: Timestamp::from_nanos(1_771_234_567_123_456_789 + i as i64),
+            bytes: vec![i as u8; len],
+        };
+        lengths.iter().enumerate().map(packet).collect()
+    }
+
+    #[test]
+    fn what_is_saved_is_read_back_with_its_stamps_and_ports() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("saved.pcap");
+        let port_of = |bytes: &[u8]| if bytes.len() == 512 { 8308 } else { 2368 };
+        let mut writer = PcapWriter::create(&path, Encapsulation::Udp { port_of }).unwrap();
+        let written = packets(&[1206, 512, 0, 1206]);
+        for packet in &written {
+            writer.write(packet).unwrap();
+        }
+        writer.finish().unwrap();
+        assert_eq!(all(&mut PcapSource::open(&path, &[]).unwrap()), written);
+        let positions = all(&mut PcapSource::open(&path, &[8308]).unwrap());
+        assert_eq!(positions, written[1..2]);
+
+        // A source that is saved on the way gives the same file once more.
+        let again = dir.path().join("again.pcap");
+        let writer = PcapWriter::create(&again, Encapsulation::Udp { port_of }).unwrap();
+        let mut saving = Saving::new(PcapSource::open(&path, &[]).unwrap(), writer);
+        assert_eq!(all(&mut saving), written);
+        saving.finish().unwrap();
+        assert_eq!(std::fs::read(path).unwrap(), std::fs::read(again).unwrap());
+    }
+
+    #[test]
+    fn bare_packets_may_be_of_any_length() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("frames.pcap");
+        let written = packets(&[3, 1_024_000, 70_000]);
+        let mut writer = PcapWriter::create(&path, Encapsulation::Bare).unwrap();
+        for packet in &written {
+            writer.write(packet).unwrap();
+        }
+        writer.finish().unwrap();
+        assert_eq!(all(&mut PcapSource::open(&path, &[]).unwrap()), written);
+    }
+
+    #[test]
+    fn what_does_not_fit_is_an_error() {
+        let dir = tempfile::tempdir().unwrap();
+        let udp = Encapsulation::Udp { port_of: |_| 1 };
+        let mut writer = PcapWriter::create(&dir.path().join("a.pcap"), udp).unwrap();
+        assert!(writer.write(&packets(&[70_000])[0]).is_err());
+        let mut early = packets(&[4]).remove(0);
+        early.arrival = Timestamp::from_nanos(-1);
+        let error = writer.write(&early).unwrap_err().to_string();
+        assert!(error.contains("1970"), "{error}");
+        assert!(PcapWriter::create(dir.path(), udp).is_err());
+    }
+}

@@ -231,8 +231,8 @@ impl PointMaker {
             y_m: [0.0; CHANNELS],
             z_m: [0.0; CHANNELS],
         };
-        for k in 0..CHANNELS {
-            let range = f32::from(range_raw[k]);
+        for (k, &range_raw) in range_raw.iter().enumerate() {
+            let range = f32::from(range_raw);
             // The manual's frame has azimuth 0 along y and grows towards x.
             placed.x_m[k] = range * aim.forward_m[k];
             placed.y_m[k] = -(range * aim.right_m[k]);

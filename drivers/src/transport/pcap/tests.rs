@@ -92,6 +92,103 @@ fn ethernet_vlan_cooked_and_raw_frames_give_their_payload() {
     }
 }
 
+/// The frame of a whole datagram, as two fragments with `options` in their headers.
+fn fragments(id: u16, port: u16, payload: &[u8], options: &[u8]) -> [Vec<u8>; 2] {
+    const FIRST_LEN: usize = 800;
+    let mut udp = Vec::new();
+    let len = 8 + payload.len() as u16;
+    for word in [443, port, len, 0] {
+        udp.extend(word.to_be_bytes());
+    }
+    udp.extend_from_slice(payload);
+    let (first, second) = udp.split_at(FIRST_LEN);
+    let part = |offset: usize, more_fragments, part: &[u8]| {
+        let mut header = etherparse::Ipv4Header {
+            identification: id,
+            dont_fragment: false,
+            more_fragments,
+            fragment_offset: (offset as u16 / 8).try_into().unwrap(),
+            protocol: etherparse::IpNumber::UDP,
+            source: [192, 168, 1, 201],
+            destination: [255; 4],
+            options: options.try_into().unwrap(),
+            ..Default::default()
+        };
+        header.set_payload_len(part.len()).unwrap();
+        header.header_checksum = header.calc_header_checksum();
+        let mut bytes = frame(None, port, b"")[..14].to_vec();
+        header.write(&mut bytes).unwrap();
+        bytes.extend_from_slice(part);
+        bytes
+    };
+    [part(0, true, first), part(FIRST_LEN, false, second)]
+}
+
+#[test]
+fn fragments_are_put_together_in_any_order() {
+    let [a1, a2] = fragments(7, 2368, &[1; 1206], &[]);
+    let [b1, b2] = fragments(8, 2368, &[2; 1206], &[1; 8]);
+    let [other1, other2] = fragments(9, 8308, &[3; 1206], &[]);
+    let [lonely, _] = fragments(10, 2368, &[4; 1206], &[]);
+    let frames = [
+        a1.clone(),
+        b2,
+        a2.clone(),
+        lonely,
+        other1,
+        b1,
+        other2,
+        a1,
+        a2,
+    ];
+    let file = pcap(DataLink::ETHERNET, TsResolution::NanoSecond, &frames);
+    let mut source = PcapSource::open(file.path(), &[2368]).unwrap();
+    let packets = all(&mut source);
+    let seen: Vec<_> = packets
+        .iter()
+        .map(|p| (p.bytes[0], p.bytes.len()))
+        .collect();
+    assert_eq!(seen, [(1, 1206), (2, 1206), (1, 1206)]);
+    // The stamp is that of the fragment that came last.
+    assert_eq!(packets[0].arrival.nanos(), 1_700_000_002_123_456_789);
+    assert_eq!(source.skipped(), 1);
+
+    // Parts that contradict each other give nothing, and many beginnings do not pile up.
+    let [first, mut second] = fragments(7, 2368, &[1; 1206], &[]);
+    second.extend([0; 9]);
+    second[16..18].copy_from_slice(&(20 + 423u16).to_be_bytes());
+    let mut frames = vec![first, second.clone(), second];
+    frames.extend((100..200).map(|id| fragments(id, 2368, &[5; 1206], &[])[0].clone()));
+    let file = pcap(DataLink::ETHERNET, TsResolution::NanoSecond, &frames);
+    let mut source = PcapSource::open(file.path(), &[2368]).unwrap();
+    assert!(
+        all(&mut source)
+            .iter()
+            .all(|p| p.bytes[..1206] == [1; 1206])
+    );
+    assert!(source.fragments.len() <= 16);
+}
+
+#[test]
+fn ip_options_and_stacked_tags_do_not_hide_the_payload() {
+    let plain = frame(None, 2368, b"plain");
+    let mut with_options = plain[..14].to_vec();
+    let mut header = etherparse::Ipv4Header::from_slice(&plain[14..]).unwrap().0;
+    header.options = [1, 1, 1, 1, 7, 4, 4, 0].as_slice().try_into().unwrap();
+    header.total_len += 8;
+    header.header_checksum = header.calc_header_checksum();
+    header.write(&mut with_options).unwrap();
+    with_options.extend_from_slice(&plain[34..]);
+    let mut stacked = plain[..12].to_vec();
+    stacked.extend([0x88, 0xA8, 0, 5, 0x81, 0, 0, 7]);
+    stacked.extend_from_slice(&plain[12..]);
+    let frames = [with_options, stacked];
+    let file = pcap(DataLink::ETHERNET, TsResolution::NanoSecond, &frames);
+    let packets = all(&mut PcapSource::open(file.path(), &[2368]).unwrap());
+    assert_eq!(packets.len(), 2);
+    assert!(packets.iter().all(|p| p.bytes == b"plain"));
+}
+
 #[test]
 fn an_ip_length_beyond_the_frame_does_not_hide_the_payload() {
     let mut bytes = frame(None, 8308, &[9; 512]);
