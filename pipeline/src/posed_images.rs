@@ -73,6 +73,7 @@ impl PosedImages {
         let mounted = RigCamera {
             camera,
             rig_from_camera: Se3::identity(),
+            timing: Default::default(),
         };
         Ok(Self {
             rig: Rig {

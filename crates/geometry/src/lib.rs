@@ -16,8 +16,10 @@
 pub mod align;
 pub mod camera;
 mod rig;
-mod se3;
+pub mod rolling_shutter;
+pub mod se3;
 pub mod so3;
+pub mod spline;
 mod trajectory;
 
 pub use camera::Camera;
@@ -25,6 +27,6 @@ pub use nalgebra::{
     Matrix2, Matrix2x3, Matrix2x6, Matrix3, Matrix3x6, Matrix6, Quaternion, UnitQuaternion,
     Vector2, Vector3, Vector6,
 };
-pub use rig::{Rig, RigCamera, RigError, RigImu, RigLidar, toml_problem};
+pub use rig::{CameraTiming, Rig, RigCamera, RigError, RigImu, RigLidar, toml_problem};
 pub use se3::Se3;
 pub use trajectory::{StampedPose, Trajectory};

@@ -3,6 +3,7 @@ use std::path::Path;
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
+use toml::Table;
 
 use crate::{Camera, Se3};
 
@@ -30,6 +31,27 @@ pub struct RigCamera {
     /// Pose of the camera in the rig frame.
     #[serde(with = "pose_as_table")]
     pub rig_from_camera: Se3,
+    /// Its clock and shutter; an ideal global shutter where nothing is said.
+    #[serde(default, skip_serializing_if = "CameraTiming::is_ideal")]
+    pub timing: CameraTiming,
+}
+
+/// When a camera sees what its stamp says.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CameraTiming {
+    /// Added to the camera's stamps it gives the time of the rig (IMU), seconds.
+    pub rig_from_camera_s: f64,
+    /// Time from the first row's exposure to that of one row below the last, seconds; 0 for a global shutter, negative where
+    /// rows are read upwards.
+    pub readout_s: f64,
+}
+
+impl CameraTiming {
+    /// Whether stamps are the rig's own and the shutter is global.
+    pub fn is_ideal(&self) -> bool {
+        *self == Self::default()
+    }
 }
 
 /// Noise of the IMU. The rig frame is its frame.
@@ -91,15 +113,46 @@ pub fn toml_problem(text: &str, error: &toml::de::Error) -> String {
 impl Rig {
     /// Reads a rig from its TOML text; `origin` names it in errors.
     pub fn from_toml(text: &str, origin: &str) -> Result<Self, RigError> {
-        toml::from_str(text).map_err(|e| RigError::Parse {
+        let rig: Self = toml::from_str(text).map_err(|e| RigError::Parse {
             path: origin.to_owned(),
             message: toml_problem(text, &e),
-        })
+        })?;
+        for (name, mounted) in &rig.cameras {
+            if let Some(problem) = mounted.camera.lens.problem() {
+                return Err(RigError::Parse {
+                    path: origin.to_owned(),
+                    message: format!("camera {name}: {problem}"),
+                });
+            }
+        }
+        Ok(rig)
     }
 
-    /// The TOML text.
+    /// The TOML text. Built value by value, so that nothing in it can fail.
     pub fn to_toml(&self) -> String {
-        toml::to_string(self).unwrap_or_default()
+        let mut rig = Table::new();
+        rig.insert("name".into(), self.name.clone().into());
+        if let Some(imu) = &self.imu {
+            let noise = [
+                ("gyro_noise_density", imu.gyro_noise_density),
+                ("accel_noise_density", imu.accel_noise_density),
+                ("gyro_bias_walk", imu.gyro_bias_walk),
+                ("accel_bias_walk", imu.accel_bias_walk),
+            ];
+            rig.insert("imu".into(), numbers(&noise).into());
+        }
+        if let Some(lidar) = &self.lidar {
+            let mut table = numbers(&[("range_noise_m", lidar.range_noise_m)]);
+            table.insert("rig_from_lidar".into(), pose(&lidar.rig_from_lidar).into());
+            rig.insert("lidar".into(), table.into());
+        }
+        let cameras: Table = self
+            .cameras
+            .iter()
+            .map(|(name, camera)| (name.clone(), camera.table().into()))
+            .collect();
+        rig.insert("cameras".into(), cameras.into());
+        rig.to_string()
     }
 
     /// Reads a rig file.
@@ -112,6 +165,48 @@ impl Rig {
     }
 }
 
+impl RigCamera {
+    fn table(&self) -> Table {
+        let lens = &self.camera.lens;
+        let mut lens_table = Table::new();
+        lens_table.insert("model".into(), lens.model().name().into());
+        lens_table.insert("focal_px".into(), lens.focal_px().to_vec().into());
+        lens_table.insert("principal_px".into(), lens.principal_px().to_vec().into());
+        lens_table.insert("distortion".into(), lens.distortion().to_vec().into());
+        let mut camera = Table::new();
+        camera.insert("width".into(), self.camera.width.into());
+        camera.insert("height".into(), self.camera.height.into());
+        camera.insert("lens".into(), lens_table.into());
+        let mut mounted = Table::new();
+        mounted.insert("camera".into(), camera.into());
+        mounted.insert("rig_from_camera".into(), pose(&self.rig_from_camera).into());
+        if !self.timing.is_ideal() {
+            let timing = [
+                ("rig_from_camera_s", self.timing.rig_from_camera_s),
+                ("readout_s", self.timing.readout_s),
+            ];
+            mounted.insert("timing".into(), numbers(&timing).into());
+        }
+        mounted
+    }
+}
+
+fn numbers(entries: &[(&str, f64)]) -> Table {
+    entries
+        .iter()
+        .map(|(name, value)| ((*name).to_owned(), (*value).into()))
+        .collect()
+}
+
+fn pose(pose: &Se3) -> Table {
+    let rotation_xyzw = pose.rotation.quaternion().coords.as_slice().to_vec();
+    let translation_m = pose.translation.as_slice().to_vec();
+    Table::from_iter([
+        ("rotation_xyzw".to_owned(), toml::Value::from(rotation_xyzw)),
+        ("translation_m".to_owned(), translation_m.into()),
+    ])
+}
+
 /// `{ rotation_xyzw = [..], translation_m = [..] }`
 mod pose_as_table {
     use super::*;
@@ -119,14 +214,14 @@ mod pose_as_table {
 
     #[derive(Serialize, Deserialize)]
     #[serde(deny_unknown_fields)]
-    struct Table {
+    struct PoseTable {
         rotation_xyzw: [f64; 4],
         translation_m: [f64; 3],
     }
 
     pub fn serialize<S: Serializer>(pose: &Se3, serializer: S) -> Result<S::Ok, S::Error> {
         let q = pose.rotation.quaternion();
-        Table {
+        PoseTable {
             rotation_xyzw: [q.i, q.j, q.k, q.w],
             translation_m: pose.translation.into(),
         }
@@ -134,7 +229,7 @@ mod pose_as_table {
     }
 
     pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Se3, D::Error> {
-        let table = Table::deserialize(deserializer)?;
+        let table = PoseTable::deserialize(deserializer)?;
         let [x, y, z, w] = table.rotation_xyzw;
         let q = Quaternion::new(w, x, y, z);
         if !((q.norm() - 1.0).abs() < 1e-3) {
@@ -154,18 +249,52 @@ mod pose_as_table {
 mod tests {
     use super::*;
     use crate::Vector6;
+    use crate::camera::Lens;
 
     #[test]
     fn toml_round_trip_and_named_errors() {
+        let (focal_px, principal_px) = ([350.0, 350.1], [319.5, 199.5]);
+        let lenses = [
+            Camera::pinhole(640, 400, focal_px, principal_px).lens,
+            Lens::KannalaBrandt {
+                focal_px,
+                principal_px,
+                distortion: [0.1, -0.2, 1e-3, 1e-9],
+            },
+            Lens::DoubleSphere {
+                focal_px,
+                principal_px,
+                distortion: [-0.17, 0.59],
+            },
+            Lens::ExtendedUnified {
+                focal_px,
+                principal_px,
+                distortion: [0.62, 1.1],
+            },
+            Lens::FieldOfView {
+                focal_px,
+                principal_px,
+                distortion: [0.92],
+            },
+        ];
+        let cameras = lenses.into_iter().enumerate().map(|(k, lens)| {
+            let mounted = RigCamera {
+                camera: Camera {
+                    width: 640,
+                    height: 400,
+                    lens,
+                },
+                rig_from_camera: Se3::exp(&Vector6::new(0.1, 0.2, 0.3, 0.4, 0.5, 0.6)),
+                timing: CameraTiming {
+                    rig_from_camera_s: k as f64 * 1e-3,
+                    readout_s: 0.0,
+                },
+            };
+            (format!("cam {k} \"left\""), mounted)
+        });
         let rig = Rig {
             name: "backpack".into(),
-            cameras: BTreeMap::from([(
-                "cam0".into(),
-                RigCamera {
-                    camera: Camera::pinhole(640, 400, [350.0; 2], [319.5, 199.5]),
-                    rig_from_camera: Se3::exp(&Vector6::new(0.1, 0.2, 0.3, 0.4, 0.5, 0.6)),
-                },
-            )]),
+            cameras: cameras.collect(),
             imu: Some(RigImu {
                 gyro_noise_density: 1e-3,
                 accel_noise_density: 1e-2,
@@ -178,12 +307,21 @@ mod tests {
             }),
         };
         let back = Rig::from_toml(&rig.to_toml(), "memory").expect("own output");
-        let (a, b) = (
-            rig.cameras["cam0"].rig_from_camera,
-            back.cameras["cam0"].rig_from_camera,
-        );
-        assert!((a.inverse() * b).log().norm() < 1e-12);
-        assert_eq!(back.lidar, rig.lidar);
+        for (name, camera) in &rig.cameras {
+            let again = &back.cameras[name];
+            assert_eq!((again.camera, again.timing), (camera.camera, camera.timing));
+            let moved = camera.rig_from_camera.inverse() * again.rig_from_camera;
+            assert!(moved.log().norm() < 1e-12);
+        }
+        assert_eq!((&back.imu, &back.lidar), (&rig.imu, &rig.lidar));
+        // What serde itself writes is the same rig.
+        let serde = toml::to_string(&rig).expect("serde writes a rig");
+        let serde = Rig::from_toml(&serde, "memory").expect("own output");
+        assert_eq!(serde, back);
+
+        let broken = rig.to_toml().replace("1.1", "-1.1");
+        let error = Rig::from_toml(&broken, "rig.toml").expect_err("bad lens");
+        assert!(error.to_string().contains("beta is -1.1"), "{error}");
 
         for (text, problem) in [
             ("name = 'x'\nwheels = 4\n", "wheels"),

@@ -1,3 +1,5 @@
+//! Rigid transforms: the group SE(3), its exponential and the Jacobians of it.
+
 use std::ops::Mul;
 
 use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
@@ -82,6 +84,82 @@ impl Se3 {
     }
 }
 
+/// `J_l` of SE(3): `exp(xi + d) ≈ exp(J_l d) exp(xi)`, tangent `[rotation, translation]`.
+pub fn left_jacobian(xi: &Vector6<f64>) -> Matrix6<f64> {
+    let phi: Vector3<f64> = xi.fixed_rows::<3>(0).into();
+    blocks(&so3::left_jacobian(&phi), &coupling(xi))
+}
+
+/// `J_r` of SE(3): `exp(xi + d) ≈ exp(xi) exp(J_r d)`.
+pub fn right_jacobian(xi: &Vector6<f64>) -> Matrix6<f64> {
+    left_jacobian(&-xi)
+}
+
+/// Inverse of [`left_jacobian`], for angles below 2π.
+pub fn left_jacobian_inverse(xi: &Vector6<f64>) -> Matrix6<f64> {
+    let phi: Vector3<f64> = xi.fixed_rows::<3>(0).into();
+    let inverse = so3::left_jacobian_inverse(&phi);
+    blocks(&inverse, &-(inverse * coupling(xi) * inverse))
+}
+
+/// Inverse of [`right_jacobian`], for angles below 2π.
+pub fn right_jacobian_inverse(xi: &Vector6<f64>) -> Matrix6<f64> {
+    left_jacobian_inverse(&-xi)
+}
+
+fn blocks(diagonal: &Matrix3<f64>, lower: &Matrix3<f64>) -> Matrix6<f64> {
+    let mut all = Matrix6::zeros();
+    all.fixed_view_mut::<3, 3>(0, 0).copy_from(diagonal);
+    all.fixed_view_mut::<3, 3>(3, 3).copy_from(diagonal);
+    all.fixed_view_mut::<3, 3>(3, 0).copy_from(lower);
+    all
+}
+
+/// How rotation moves translation in the left Jacobian: `Q` of Barfoot, "State Estimation for Robotics", eq. (7.86).
+fn coupling(xi: &Vector6<f64>) -> Matrix3<f64> {
+    let phi: Vector3<f64> = xi.fixed_rows::<3>(0).into();
+    let p = so3::hat(&phi);
+    let r = so3::hat(&xi.fixed_rows::<3>(3).into());
+    let [second, third, fourth] = coupling_coefficients(phi.norm_squared());
+    let (pr, rp) = (p * r, r * p);
+    let prp = p * rp;
+    r * 0.5
+        + (pr + rp + prp) * second
+        + (p * pr + rp * p - prp * 3.0) * third
+        + (prp * p + p * prp) * fourth
+}
+
+/// `(a − sin a)/a³`, `(a² + 2 cos a − 2)/(2a⁴)`, `(2a − 3 sin a + a cos a)/(2a⁵)`.
+fn coupling_coefficients(squared: f64) -> [f64; 3] {
+    const SECOND: [f64; 12] = so3::inverse_factorials(3);
+    const THIRD: [f64; 12] = so3::inverse_factorials(4);
+    const FOURTH: [f64; 12] = {
+        let mut c = so3::inverse_factorials::<12>(5);
+        let mut k = 0;
+        while k < c.len() {
+            c[k] *= (k + 1) as f64;
+            k += 1;
+        }
+        c
+    };
+    // The closed forms cancel below two radians.
+    if squared < 4.0 {
+        [
+            so3::series(squared, &SECOND),
+            so3::series(squared, &THIRD),
+            so3::series(squared, &FOURTH),
+        ]
+    } else {
+        let a = squared.sqrt();
+        let (sine, cosine) = a.sin_cos();
+        [
+            (a - sine) / (squared * a),
+            (squared + 2.0 * cosine - 2.0) / (2.0 * squared * squared),
+            (2.0 * a - 3.0 * sine + a * cosine) / (2.0 * squared * squared * a),
+        ]
+    }
+}
+
 impl Mul for Se3 {
     type Output = Se3;
     fn mul(self, rhs: Se3) -> Se3 {
@@ -118,6 +196,26 @@ mod tests {
             prop_assert!(near((a * b) * c, a * (b * c)));
             prop_assert!(near(a * a.inverse(), Se3::identity()));
             prop_assert!(near(Se3::exp(&a.log()), a));
+        }
+
+        #[test]
+        fn jacobians_match_numeric_differences(
+            xi in prop::array::uniform6(-1.7..1.7f64), shrink in 0..4i32, d in prop::array::uniform6(-1.0..1.0f64),
+        ) {
+            let (mut xi, d) = (Vector6::from(xi), Vector6::from(d));
+            let angle = 100f64.powi(-shrink);
+            xi.fixed_rows_mut::<3>(0).scale_mut(angle);
+            let h = 1e-5;
+            let (up, down) = (Se3::exp(&(xi + d * h)), Se3::exp(&(xi - d * h)));
+            let left = (up * down.inverse()).log() / (2.0 * h);
+            prop_assert!((left - left_jacobian(&xi) * d).norm() < 1e-8);
+            let right = (down.inverse() * up).log() / (2.0 * h);
+            prop_assert!((right - right_jacobian(&xi) * d).norm() < 1e-8);
+            prop_assert!((left_jacobian_inverse(&xi) * left_jacobian(&xi) - Matrix6::identity()).norm() < 2e-14);
+            prop_assert!((right_jacobian_inverse(&xi) * right_jacobian(&xi) - Matrix6::identity()).norm() < 2e-14);
+            // J_l = Ad(exp) J_r
+            let through = Se3::exp(&xi).adjoint() * right_jacobian(&xi);
+            prop_assert!((through - left_jacobian(&xi)).norm() < 2e-14);
         }
 
         #[test]

@@ -38,6 +38,7 @@ fn write(path: &std::path::Path, compression: Compression) {
                 RigCamera {
                     camera,
                     rig_from_camera: pose,
+                    timing: Default::default(),
                 },
             )]
             .into(),

@@ -33,6 +33,7 @@ fn rig() -> Rig {
             RigCamera {
                 camera,
                 rig_from_camera,
+                timing: Default::default(),
             },
         )
     });

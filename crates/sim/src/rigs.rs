@@ -105,6 +105,7 @@ fn cameras(
                 RigCamera {
                     camera,
                     rig_from_camera: pose,
+                    timing: Default::default(),
                 },
             )
         })

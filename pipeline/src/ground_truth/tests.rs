@@ -99,6 +99,7 @@ fn glasses() -> Vec<Arc<ObservingCamera>> {
                     },
                 },
                 rig_from_camera: Se3::new(forward, Vector3::new(0.01, y, 0.0)),
+                timing: Default::default(),
             })
         })
         .to_vec()

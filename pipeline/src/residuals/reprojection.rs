@@ -162,6 +162,7 @@ pub(super) mod tests {
             ObservingCamera::new(&RigCamera {
                 camera,
                 rig_from_camera: forward * Se3::exp(&Vector6::new(0.02, 0.1, -0.05, 0.0, 0.1, 0.0)),
+                timing: Default::default(),
             })
         })
     }

@@ -55,7 +55,7 @@ pub fn decode_image(bytes: &[u8]) -> Result<Image, CdrError> {
     })
 }
 
-/// `sensor_msgs/msg/CameraInfo`: `plumb_bob` or `equidistant`, no rectification.
+/// `sensor_msgs/msg/CameraInfo`: `plumb_bob`, `equidistant` or the name in a rig file, no rectification.
 pub fn encode_camera_info(time: Timestamp, frame: &str, camera: &Camera) -> Vec<u8> {
     let [fx, fy] = camera.focal_px();
     let [cx, cy] = camera.principal_px();
@@ -72,6 +72,13 @@ pub fn encode_camera_info(time: Timestamp, frame: &str, camera: &Camera) -> Vec<
         Lens::KannalaBrandt { distortion, .. } => {
             w.string("equidistant");
             w.u32(4);
+            w.f64s(distortion);
+        }
+        // No name in ROS: the rig's own, which a reader either knows or refuses.
+        lens => {
+            let distortion = lens.distortion();
+            w.string(lens.model().name());
+            w.u32(distortion.len() as u32);
             w.f64s(distortion);
         }
     }

@@ -79,6 +79,7 @@ fn rig() -> Rig {
             RigCamera {
                 camera: small,
                 rig_from_camera: camera.camera_from_rig().inverse(),
+                timing: Default::default(),
             },
         );
     }
