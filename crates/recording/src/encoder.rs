@@ -1,18 +1,18 @@
 //! The MCAP side of the writer: chunks, channels, and staying failed.
 
-use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use lsfb_types::Timestamp;
-use mcap::records::{MessageHeader, Metadata};
 
+use crate::emit::{self, IndexEntry};
 use crate::error::Error;
-use crate::layout::{Compression, Summary, TopicSummary, WriterConfig};
-use crate::sink::{SharedState, Sink};
-use crate::{message, summary, topic};
+use crate::layout::{Compression, Durability, Existing, Summary, TopicSummary, WriterConfig};
+use crate::record::opcode;
+use crate::summary::{self, ChunkIndex, NamedIndex, SummaryBuilder};
+use crate::{message, topic};
 
 struct OpenChannel {
     id: u16,
@@ -20,12 +20,13 @@ struct OpenChannel {
     messages: u64,
 }
 
-/// A message on its way into the file.
+/// A message on its way into the file: its bytes are `bytes` and, behind them, `tail`, which need not be copied together.
 pub(crate) struct Outgoing<'a> {
     pub topic: &'a str,
     pub schema_name: &'a str,
     pub schema_text: &'a str,
     pub bytes: &'a [u8],
+    pub tail: &'a [u8],
 }
 
 impl<'a> Outgoing<'a> {
@@ -35,114 +36,258 @@ impl<'a> Outgoing<'a> {
             schema_name: schema.name,
             schema_text: schema.text,
             bytes,
+            tail: &[],
         }
+    }
+
+    fn data_bytes(&self) -> u64 {
+        (self.bytes.len() + self.tail.len()) as u64
     }
 }
 
+/// The chunk that is being filled. Its bytes begin with room for the chunk's head, so that it is written as it lies here.
+#[derive(Default)]
 struct OpenChunk {
-    first_arrival: Timestamp,
-    bytes: u64,
+    bytes: Vec<u8>,
+    first_arrival: Option<Timestamp>,
+    start_time: u64,
+    end_time: u64,
+    hasher: crc32fast::Hasher,
+    index: BTreeMap<u16, Vec<IndexEntry>>,
+    messages: u64,
 }
 
+/// Room before the data of a chunk that is written as it is.
+const PLAIN: &str = "";
 /// Opcode, length and header of a message record.
 const MESSAGE_RECORD_BYTES: u64 = 31;
 /// Schema and channel record without the schema's text, generously.
 const DEFINITION_RECORDS_BYTES: u64 = 256;
 /// Stamps of ROS messages are `int32` seconds.
 const MAX_STAMP_NANOS: i64 = (i32::MAX as i64) * 1_000_000_000;
+/// Fast, and already a third smaller than `lz4` on images.
+const ZSTD_LEVEL: i32 = 1;
 
 /// Puts messages into chunks and chunks into the file.
 pub(crate) struct Encoder {
     path: PathBuf,
     config: WriterConfig,
-    mcap: mcap::Writer<Sink>,
-    state: SharedState,
+    file: File,
+    /// The first failure; from then on nothing reaches the file.
+    failure: Option<String>,
+    /// Everything up to here is in the file and ends with a whole record.
+    intact_bytes: u64,
+    schemas: BTreeMap<String, u16>,
     channels: BTreeMap<String, OpenChannel>,
-    chunk: Option<OpenChunk>,
+    chunk: OpenChunk,
+    packed: Vec<u8>,
+    summary: SummaryBuilder,
 }
 
 impl Encoder {
     pub fn create(path: &Path, config: &WriterConfig) -> Result<Self, Error> {
-        let io = |source| Error::Io {
-            path: path.to_owned(),
-            action: "create the recording",
-            source,
+        let io = |source: std::io::Error| match source.kind() {
+            std::io::ErrorKind::AlreadyExists => Error::Exists {
+                path: path.to_owned(),
+            },
+            _ => Error::Io {
+                path: path.to_owned(),
+                action: "create the recording",
+                source,
+            },
         };
-        let sink = Sink::new(File::create(path).map_err(io)?, config.durability);
-        let state = sink.state();
-        let mcap = mcap::WriteOptions::new()
-            .profile("ros2")
-            .library(concat!("lsfb-recording ", env!("CARGO_PKG_VERSION")))
-            .compression(match config.compression {
-                Compression::None => None,
-                Compression::Lz4 => Some(mcap::Compression::Lz4),
-                Compression::Zstd => Some(mcap::Compression::Zstd),
-            })
-            // Bytes must not depend on the number of cores.
-            .compression_threads(0)
-            // Chunks are closed here, by size and by time.
-            .chunk_size(None)
-            // A chunk is written in one piece: no header on the disk ever waits for its length.
-            .disable_seeking(true)
-            .create(sink)
-            .map_err(|e| io(std::io::Error::other(e)))?;
-        Ok(Self {
+        let file = match config.existing {
+            Existing::Replace => File::create(path),
+            Existing::Refuse => File::create_new(path),
+        };
+        let mut encoder = Self {
             path: path.to_owned(),
             config: config.clone(),
-            mcap,
-            state,
+            file: file.map_err(io)?,
+            failure: None,
+            intact_bytes: 0,
+            schemas: BTreeMap::new(),
             channels: BTreeMap::new(),
-            chunk: None,
-        })
+            chunk: OpenChunk::default(),
+            packed: Vec::new(),
+            summary: SummaryBuilder::default(),
+        };
+        let mut head = mcap::MAGIC.to_vec();
+        emit::record(&mut head, opcode::HEADER, |out| {
+            emit::string(out, "ros2");
+            emit::string(out, concat!("lsfb-recording ", env!("CARGO_PKG_VERSION")));
+        });
+        encoder.append(&head)?;
+        Ok(encoder)
+    }
+
+    /// Size of what is in the file.
+    pub fn bytes(&self) -> u64 {
+        self.intact_bytes
+    }
+
+    /// Messages that are not in the file yet.
+    pub fn open_messages(&self) -> u64 {
+        self.chunk.messages
+    }
+
+    /// Bytes that are not in the file yet.
+    pub fn open_bytes(&self) -> u64 {
+        self.chunk.bytes.len() as u64
+    }
+
+    /// Another handle on the file, for a thread that brings it to the disk.
+    pub fn file(&self) -> std::io::Result<File> {
+        self.file.try_clone()
     }
 
     pub fn attach(&mut self, name: &str, media_type: &str, bytes: &[u8]) -> Result<(), Error> {
-        self.check()?;
-        self.close_chunk()?;
-        let attachment = mcap::Attachment {
-            log_time: 0,
-            create_time: 0,
+        self.flush()?;
+        let mut record = Vec::with_capacity(bytes.len() + 128);
+        emit::attachment(&mut record, name, media_type, bytes);
+        let offset = self.intact_bytes;
+        self.append(&record)?;
+        self.summary.attachments.push(NamedIndex {
+            offset,
+            record_bytes: record.len() as u64,
             name: name.to_owned(),
             media_type: media_type.to_owned(),
-            data: Cow::Borrowed(bytes),
-        };
-        let result = self.mcap.attach(&attachment);
-        self.encoded(name, result)?;
-        self.flush()
+            data_bytes: bytes.len() as u64,
+        });
+        Ok(())
     }
 
     pub fn write_metadata(
         &mut self,
         name: &str,
-        entries: BTreeMap<String, String>,
+        entries: &BTreeMap<String, String>,
     ) -> Result<(), Error> {
-        self.check()?;
-        self.close_chunk()?;
-        let result = self.mcap.write_metadata(&Metadata {
+        self.flush()?;
+        let mut record = Vec::new();
+        emit::metadata(&mut record, name, entries);
+        let offset = self.intact_bytes;
+        self.append(&record)?;
+        self.summary.metadata.push(NamedIndex {
+            offset,
+            record_bytes: record.len() as u64,
             name: name.to_owned(),
-            metadata: entries,
+            media_type: String::new(),
+            data_bytes: 0,
         });
-        self.encoded(name, result)?;
-        self.flush()
+        Ok(())
     }
 
-    /// Closes the current chunk, so that everything up to here survives. The writer does so by itself once a second of
-    /// recording; call this when the devices fall silent.
+    /// Closes the current chunk, so that everything up to here survives.
     pub fn flush(&mut self) -> Result<(), Error> {
         self.check()?;
-        self.chunk = None;
-        let result = self.mcap.flush();
-        self.encoded("chunk", result)
+        if self.chunk.bytes.is_empty() {
+            return Ok(());
+        }
+        let prefix_bytes = emit::chunk_prefix_bytes(PLAIN);
+        let uncompressed_bytes = (self.chunk.bytes.len() - prefix_bytes) as u64;
+        let crc = std::mem::take(&mut self.chunk.hasher).finalize();
+        let compression = match self.config.compression {
+            Compression::None => PLAIN,
+            Compression::Lz4 => self.pack("lz4", pack_lz4),
+            Compression::Zstd => self.pack("zstd", pack_zstd),
+        };
+        let mut record = match compression {
+            PLAIN => std::mem::take(&mut self.chunk.bytes),
+            _ => std::mem::take(&mut self.packed),
+        };
+        let (start_time, end_time) = (self.chunk.start_time, self.chunk.end_time);
+        emit::fill_chunk_prefix(
+            &mut record,
+            &emit::ChunkHead {
+                start_time,
+                end_time,
+                uncompressed_bytes,
+                crc,
+                compression,
+            },
+        );
+        let offset = self.intact_bytes;
+        let record_bytes = record.len() as u64;
+        let indexed = summary::append_message_indices(&mut record, offset, &self.chunk.index);
+        let written = self.append(&record);
+        // The buffer is used again.
+        record.clear();
+        match compression {
+            PLAIN => self.chunk.bytes = record,
+            _ => self.packed = record,
+        }
+        written?;
+        for (channel, entries) in &mut self.chunk.index {
+            *self.summary.messages.entry(*channel).or_default() += entries.len() as u64;
+            entries.clear();
+        }
+        self.summary.chunks.push(ChunkIndex {
+            start_time,
+            end_time,
+            offset,
+            record_bytes,
+            index_offsets: indexed.index_offsets,
+            index_bytes: indexed.index_bytes,
+            compression,
+            compressed_bytes: record_bytes - emit::chunk_prefix_bytes(compression) as u64,
+            uncompressed_bytes,
+        });
+        self.chunk.bytes.clear();
+        self.chunk.first_arrival = None;
+        self.chunk.messages = 0;
+        Ok(())
+    }
+
+    /// Packs the open chunk; the name of the compression that was used, none where it gains nothing.
+    fn pack(
+        &mut self,
+        name: &'static str,
+        pack: fn(&[u8], &mut Vec<u8>) -> std::io::Result<()>,
+    ) -> &'static str {
+        let data = self
+            .chunk
+            .bytes
+            .get(emit::chunk_prefix_bytes(PLAIN)..)
+            .unwrap_or_default();
+        let prefix_bytes = emit::chunk_prefix_bytes(name);
+        self.packed.clear();
+        self.packed.resize(prefix_bytes, 0);
+        match pack(data, &mut self.packed) {
+            Ok(()) if self.packed.len() - prefix_bytes < data.len() => name,
+            _ => PLAIN,
+        }
     }
 
     /// Writes index and end, and closes the file.
     pub fn finish(mut self) -> Result<Summary, Error> {
         self.flush()?;
-        self.state.lock().held = Some(Vec::new());
-        let result = self.mcap.finish();
-        self.encoded("summary", result)?;
-        let messages = self.channels.values().map(|c| c.messages).sum();
-        let topics = self
+        self.close()
+    }
+
+    /// Writes index and end behind the last whole chunk of a file that could not be written any further. What was cut
+    /// off makes room for them.
+    pub fn salvage(mut self) -> Result<Summary, Error> {
+        self.failure = None;
+        for (channel, entries) in &self.chunk.index {
+            let unwritten = entries.len() as u64;
+            if let Some(channel) = self.channels.values_mut().find(|c| c.id == *channel) {
+                channel.messages = channel.messages.saturating_sub(unwritten);
+            }
+        }
+        use std::io::{Seek, SeekFrom};
+        let sought = self.file.seek(SeekFrom::Start(self.intact_bytes));
+        sought.map_err(|source| Error::Io {
+            path: self.path.clone(),
+            action: "close the recording",
+            source,
+        })?;
+        self.close()
+    }
+
+    fn close(mut self) -> Result<Summary, Error> {
+        let end = self.summary.end_of_file(self.intact_bytes);
+        self.append(&end)?;
+        let topics: Vec<TopicSummary> = self
             .channels
             .iter()
             .map(|(topic, channel)| TopicSummary {
@@ -151,25 +296,10 @@ impl Encoder {
                 messages: channel.messages,
             })
             .collect();
-        let mut sink = self.mcap.into_inner();
-        let end = summary::in_fixed_order(&sink.release());
-        let written = sink.write_all(&end).and_then(|()| sink.flush());
-        let state = self.state.lock();
-        if let Some(cause) = state
-            .failure
-            .clone()
-            .or(written.err().map(|e| e.to_string()))
-        {
-            return Err(Error::WriterFailed {
-                path: self.path,
-                intact_bytes: state.intact_bytes,
-                cause,
-            });
-        }
         Ok(Summary {
-            bytes: state.intact_bytes,
-            path: self.path.clone(),
-            messages,
+            bytes: self.intact_bytes,
+            messages: topics.iter().map(|t| t.messages).sum(),
+            path: self.path,
             topics,
         })
     }
@@ -190,24 +320,14 @@ impl Encoder {
                 return Err(self.unwritable(topic, reason));
             }
         }
-        let bytes = messages.iter().map(|m| self.bytes_in_chunk(m)).sum();
-        self.make_room(arrival, bytes)
-    }
-
-    /// Closes the chunk where `bytes` more at `arrival` would make it too large or too long.
-    fn make_room(&mut self, arrival: Timestamp, bytes: u64) -> Result<(), Error> {
-        let full = self.chunk.as_ref().is_some_and(|chunk| {
-            chunk.bytes + bytes > self.config.chunk_bytes
-                || arrival.secs_since(chunk.first_arrival).abs() >= self.config.chunk_secs
+        let bytes: u64 = messages.iter().map(|m| self.bytes_in_chunk(m)).sum();
+        let full = self.chunk.first_arrival.is_some_and(|first| {
+            self.chunk.bytes.len() as u64 + bytes > self.config.chunk_bytes
+                || arrival.secs_since(first).abs() >= self.config.chunk_secs
         });
         if full {
             self.flush()?;
         }
-        let chunk = self.chunk.get_or_insert(OpenChunk {
-            first_arrival: arrival,
-            bytes: 0,
-        });
-        chunk.bytes += bytes;
         Ok(())
     }
 
@@ -217,7 +337,7 @@ impl Encoder {
             true => 0,
             false => message.schema_text.len() as u64 + DEFINITION_RECORDS_BYTES,
         };
-        message.bytes.len() as u64 + MESSAGE_RECORD_BYTES + definition
+        message.data_bytes() + MESSAGE_RECORD_BYTES + definition
     }
 
     pub fn put(
@@ -226,20 +346,43 @@ impl Encoder {
         arrival: Timestamp,
         message: &Outgoing<'_>,
     ) -> Result<(), Error> {
-        let id = self.channel_id(message)?;
-        let channel = self.channels.get_mut(message.topic);
-        let sequence = channel.map_or(0, |c| {
-            c.messages += 1;
-            c.messages as u32
+        let (log_time, publish_time) = (arrival.nanos() as u64, time.nanos() as u64);
+        self.open_chunk(arrival, log_time);
+        let channel_id = self.channel_id(message)?;
+        let sequence = self.channels.get_mut(message.topic).map_or(0, |channel| {
+            channel.messages += 1;
+            channel.messages as u32
         });
-        let header = MessageHeader {
-            channel_id: id,
-            sequence,
-            log_time: arrival.nanos() as u64,
-            publish_time: time.nanos() as u64,
-        };
-        let result = self.mcap.write_to_known_channel(&header, message.bytes);
-        self.encoded(message.topic, result)
+        let chunk = &mut self.chunk;
+        let start = chunk.bytes.len();
+        let out = &mut chunk.bytes;
+        out.push(opcode::MESSAGE);
+        emit::u64(out, 22 + message.data_bytes());
+        emit::u16(out, channel_id);
+        emit::u32(out, sequence);
+        emit::u64(out, log_time);
+        emit::u64(out, publish_time);
+        out.extend_from_slice(message.bytes);
+        out.extend_from_slice(message.tail);
+        // While these bytes are still in the processor's cache.
+        chunk.hasher.update(out.get(start..).unwrap_or_default());
+        chunk.index.entry(channel_id).or_default().push(IndexEntry {
+            log_time,
+            offset: (start - emit::chunk_prefix_bytes(PLAIN)) as u64,
+        });
+        chunk.start_time = chunk.start_time.min(log_time);
+        chunk.end_time = chunk.end_time.max(log_time);
+        chunk.messages += 1;
+        Ok(())
+    }
+
+    fn open_chunk(&mut self, arrival: Timestamp, log_time: u64) {
+        let chunk = &mut self.chunk;
+        if chunk.bytes.is_empty() {
+            chunk.bytes.resize(emit::chunk_prefix_bytes(PLAIN), 0);
+            (chunk.start_time, chunk.end_time) = (log_time, log_time);
+        }
+        chunk.first_arrival.get_or_insert(arrival);
     }
 
     fn channel_id(&mut self, message: &Outgoing<'_>) -> Result<u16, Error> {
@@ -253,6 +396,12 @@ impl Encoder {
             }
             return Ok(channel.id);
         }
+        if self.channels.len() >= usize::from(u16::MAX) {
+            let reason = "the recording has 65 535 topics and can hold no more".to_owned();
+            return Err(self.unwritable(message.topic, reason));
+        }
+        let schema_id = self.schema_id(message);
+        let id = self.channels.len() as u16;
         let mut metadata = BTreeMap::new();
         if message.topic == topic::TF_STATIC {
             metadata.insert(
@@ -260,21 +409,14 @@ impl Encoder {
                 summary::TRANSIENT_LOCAL.to_owned(),
             );
         }
-        let result = self
-            .mcap
-            .add_schema(
-                message.schema_name,
-                "ros2msg",
-                message.schema_text.as_bytes(),
-            )
-            .and_then(|schema| {
-                self.mcap
-                    .add_channel(schema, message.topic, "cdr", &metadata)
-            });
-        let id = match result {
-            Ok(id) => id,
-            Err(error) => return Err(self.unwritable(message.topic, error.to_string())),
-        };
+        let mut body = Vec::new();
+        emit::u16(&mut body, id);
+        emit::u16(&mut body, schema_id);
+        emit::string(&mut body, message.topic);
+        emit::string(&mut body, "cdr");
+        emit::string_map(&mut body, &metadata);
+        self.define(opcode::CHANNEL, &body);
+        self.summary.channels.insert(id, body);
         self.channels.insert(
             message.topic.to_owned(),
             OpenChannel {
@@ -286,31 +428,59 @@ impl Encoder {
         Ok(id)
     }
 
-    fn close_chunk(&mut self) -> Result<(), Error> {
-        match self.chunk {
-            Some(_) => self.flush(),
-            None => Ok(()),
+    /// Number 0 means none, so that schemas count from 1.
+    fn schema_id(&mut self, message: &Outgoing<'_>) -> u16 {
+        if let Some(id) = self.schemas.get(message.schema_name) {
+            return *id;
         }
+        let id = self.schemas.len() as u16 + 1;
+        let mut body = Vec::new();
+        emit::u16(&mut body, id);
+        emit::string(&mut body, message.schema_name);
+        emit::string(&mut body, "ros2msg");
+        emit::string(&mut body, message.schema_text);
+        self.define(opcode::SCHEMA, &body);
+        self.summary.schemas.insert(id, body);
+        self.schemas.insert(message.schema_name.to_owned(), id);
+        id
     }
 
-    /// Turns what the encoder says, and what the file said meanwhile, into our error.
-    fn encoded<T>(&mut self, what: &str, result: mcap::McapResult<T>) -> Result<(), Error> {
-        if let Err(error) = result {
-            let mut state = self.state.lock();
-            state
-                .failure
-                .get_or_insert_with(|| format!("cannot encode {what}: {error}"));
+    /// Puts a definition into the open chunk, before the first message that needs it.
+    fn define(&mut self, opcode: u8, body: &[u8]) {
+        let chunk = &mut self.chunk;
+        let start = chunk.bytes.len();
+        emit::record(&mut chunk.bytes, opcode, |out| out.extend_from_slice(body));
+        let record = chunk.bytes.get(start..).unwrap_or_default();
+        chunk.hasher.update(record);
+    }
+
+    /// Writes whole records. The first failure cuts the file back to its last whole record and is the last.
+    fn append(&mut self, records: &[u8]) -> Result<(), Error> {
+        self.check()?;
+        let mut written = self.file.write_all(records);
+        if self.config.durability == Durability::Power {
+            written = written.and_then(|()| self.file.sync_data());
         }
-        self.check()
+        match written {
+            Ok(()) => {
+                self.intact_bytes += records.len() as u64;
+                Ok(())
+            }
+            Err(error) => {
+                self.failure = Some(format!("cannot write: {error}"));
+                // Best effort: a reader recognises the broken tail as well.
+                let _ = self.file.set_len(self.intact_bytes);
+                self.check()
+            }
+        }
     }
 
     fn check(&self) -> Result<(), Error> {
-        let state = self.state.lock();
-        match &state.failure {
+        match &self.failure {
             None => Ok(()),
             Some(cause) => Err(Error::WriterFailed {
                 path: self.path.clone(),
-                intact_bytes: state.intact_bytes,
+                intact_bytes: self.intact_bytes,
                 cause: cause.clone(),
             }),
         }
@@ -323,4 +493,21 @@ impl Encoder {
             reason,
         }
     }
+}
+
+fn pack_lz4(data: &[u8], out: &mut Vec<u8>) -> std::io::Result<()> {
+    let mut encoder = lz4::EncoderBuilder::new()
+        .block_size(lz4::BlockSize::Max4MB)
+        .block_mode(lz4::BlockMode::Independent)
+        // The chunk has a checksum already.
+        .checksum(lz4::ContentChecksum::NoChecksum)
+        .build(out)?;
+    encoder.write_all(data)?;
+    encoder.finish().1
+}
+
+fn pack_zstd(data: &[u8], out: &mut Vec<u8>) -> std::io::Result<()> {
+    let mut encoder = zstd::stream::write::Encoder::new(out, ZSTD_LEVEL)?;
+    encoder.write_all(data)?;
+    encoder.finish().map(|_| ())
 }

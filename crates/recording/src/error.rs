@@ -16,6 +16,12 @@ pub enum Error {
         /// Why not.
         source: std::io::Error,
     },
+    /// A file of this name is there, and was not to be replaced.
+    #[error("{}: is there already; choose another name, or allow it to be replaced", path.display())]
+    Exists {
+        /// The file.
+        path: PathBuf,
+    },
     /// The file has no bytes.
     #[error("{}: the file is empty; record or copy it again", path.display())]
     Empty {

@@ -27,6 +27,17 @@ pub enum Durability {
     Power,
 }
 
+/// What happens to a file that is already there.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Existing {
+    /// It is replaced.
+    #[default]
+    Replace,
+    /// It stays, and there is no recording.
+    Refuse,
+}
+
 /// How a recording is laid out.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -39,6 +50,8 @@ pub struct WriterConfig {
     pub compression: Compression,
     /// What the recording survives while it is being written.
     pub durability: Durability,
+    /// What happens to a file of the same name.
+    pub existing: Existing,
     /// Entries of the metadata record `lsfb.session`: `uuid`, `seed`, `operator`, `site` … The software's version is added.
     pub session: BTreeMap<String, String>,
 }
@@ -50,6 +63,7 @@ impl Default for WriterConfig {
             chunk_secs: 1.0,
             compression: Compression::default(),
             durability: Durability::default(),
+            existing: Existing::default(),
             session: BTreeMap::new(),
         }
     }

@@ -23,6 +23,7 @@
 
 mod cdr;
 mod chunk;
+mod emit;
 mod encoder;
 mod error;
 mod index;
@@ -32,7 +33,6 @@ mod provenance;
 mod reader;
 mod record;
 mod scan;
-mod sink;
 mod source;
 mod summary;
 mod topic;
@@ -41,7 +41,9 @@ mod walk;
 mod writer;
 
 pub use error::{Damage, Error};
-pub use layout::{Channel, Compression, Durability, Summary, TopicSummary, WriterConfig};
+pub use layout::{
+    Channel, Compression, Durability, Existing, Summary, TopicSummary, WriterConfig,
+};
 pub use provenance::{Provenance, sha256_of};
 pub use reader::{ArrivalRange, CameraImage, CdrMessage, RecordedPacket, Recording};
 pub use topic::{LIDAR_POSITION, REMARKS};

@@ -22,6 +22,7 @@ pub(crate) mod opcode {
     pub const ATTACHMENT_INDEX: u8 = 0x0A;
     pub const METADATA: u8 = 0x0C;
     pub const METADATA_INDEX: u8 = 0x0D;
+    pub const SUMMARY_OFFSET: u8 = 0x0E;
     pub const DATA_END: u8 = 0x0F;
     /// Records above are for private use.
     pub const PRIVATE: u8 = 0x80;

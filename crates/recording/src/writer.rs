@@ -25,7 +25,7 @@ pub struct Writer {
 }
 
 impl Writer {
-    /// Creates the file, replacing one of the same name.
+    /// Creates the file; [`WriterConfig::existing`] says what happens to one of the same name.
     pub fn create(path: &Path, config: &WriterConfig) -> Result<Self, Error> {
         let mut encoder = Encoder::create(path, config)?;
         let mut session = config.session.clone();
@@ -33,7 +33,7 @@ impl Writer {
             "software".into(),
             concat!("lsfb ", env!("CARGO_PKG_VERSION")).into(),
         );
-        encoder.write_metadata("lsfb.session", session)?;
+        encoder.write_metadata("lsfb.session", &session)?;
         Ok(Self {
             encoder,
             rig: None,
@@ -76,14 +76,17 @@ impl Writer {
         };
         let meta = message::encode_frame_meta(image.time, camera, &meta);
         let meta_topic = topic::frame_meta(&topic);
-        let bytes = message::encode_image(image.time, camera, &image.sample);
+        let head = message::encode_image_head(image.time, camera, &image.sample);
         // Readers meet the meta before its image, in the same chunk.
         self.write_together(
             image.time,
             image.arrival,
             &[
                 Outgoing::new(&meta_topic, message::FRAME_META, &meta),
-                Outgoing::new(&topic, message::IMAGE, &bytes),
+                Outgoing {
+                    tail: pixels,
+                    ..Outgoing::new(&topic, message::IMAGE, &head)
+                },
             ],
         )
     }
@@ -174,6 +177,7 @@ impl Writer {
             schema_name: channel.schema_name,
             schema_text: channel.schema_text,
             bytes,
+            tail: &[],
         };
         self.write_together(time, arrival, &[message])
     }
@@ -214,13 +218,38 @@ impl Writer {
         name: &str,
         entries: BTreeMap<String, String>,
     ) -> Result<(), Error> {
-        self.encoder.write_metadata(name, entries)
+        self.encoder.write_metadata(name, &entries)
     }
 
     /// Closes the current chunk, so that everything up to here survives. The writer does so by itself once a second of
     /// recording; call this when the devices fall silent.
     pub fn flush(&mut self) -> Result<(), Error> {
         self.encoder.flush()
+    }
+
+    /// Size of what is in the file; the open chunk is not.
+    pub fn bytes(&self) -> u64 {
+        self.encoder.bytes()
+    }
+
+    /// Messages in the open chunk: what is lost if the next write fails.
+    pub fn open_messages(&self) -> u64 {
+        self.encoder.open_messages()
+    }
+
+    /// Size of the open chunk.
+    pub fn open_bytes(&self) -> u64 {
+        self.encoder.open_bytes()
+    }
+
+    /// Another handle on the file, for a thread of the caller that brings to the disk what the operating system holds.
+    pub fn file(&self) -> std::io::Result<std::fs::File> {
+        self.encoder.file()
+    }
+
+    /// Closes a recording whose disk took nothing more: index and end behind the last whole chunk.
+    pub fn salvage(self) -> Result<Summary, Error> {
+        self.encoder.salvage()
     }
 
     /// Writes index and end, and closes the file.

@@ -6,14 +6,21 @@ use crate::cdr::{CdrError, CdrReader, CdrWriter};
 
 /// `sensor_msgs/msg/Image`, `mono8`. Exposure and frame counter travel in the frame meta.
 pub fn encode_image(time: Timestamp, frame: &str, image: &Image) -> Vec<u8> {
-    let mut w = CdrWriter::with_capacity(image.pixels.len() + frame.len() + 64);
+    let mut bytes = encode_image_head(time, frame, image);
+    bytes.extend_from_slice(&image.pixels);
+    bytes
+}
+
+/// [`encode_image`] up to the pixels, which are the last of it.
+pub(crate) fn encode_image_head(time: Timestamp, frame: &str, image: &Image) -> Vec<u8> {
+    let mut w = CdrWriter::with_capacity(frame.len() + 64);
     w.header(time, frame);
     w.u32(image.height);
     w.u32(image.width);
     w.string("mono8");
     w.u8(0);
     w.u32(image.width);
-    w.byte_sequence(&image.pixels);
+    w.u32(image.pixels.len() as u32);
     w.finish()
 }
 

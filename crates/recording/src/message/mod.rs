@@ -15,6 +15,7 @@ mod velodyne;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use image::encode_image_head;
 pub use image::{decode_image, encode_camera_info, encode_image};
 pub use imu::{
     TimeReference, decode_imu, decode_time_reference, encode_imu, encode_time_reference,
