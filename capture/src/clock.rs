@@ -5,11 +5,17 @@
 //! negative, so only the lower envelope of arrivals tells the clock (Zhang, Liu, Xia, "Clock synchronization algorithms
 //! for network measurements", INFOCOM 2002).
 
+mod envelope;
+pub(crate) mod model_topic;
 mod one_way;
+mod recorded;
 
 use lsfb_types::Timestamp;
 
-pub use one_way::OneWayClock;
+pub use one_way::{ClockEstimate, ClockStep, OneWayClock, StampPair, fit_pairs};
+pub use recorded::{
+    ClockConfig, ClockEpoch, ClockReport, DeviceClock, ResidualSample, estimate_clocks,
+};
 
 const HOUR_NS: i64 = 3_600_000_000_000;
 
@@ -66,6 +72,14 @@ impl LidarClock {
     /// Whether the sensor's second follows a pulse.
     pub fn is_locked(&self) -> bool {
         self.locked.is_some()
+    }
+
+    /// How a sensor that runs free is read; `None` for one that is locked.
+    pub fn estimate(&self) -> Option<ClockEstimate> {
+        match self.locked {
+            Some(_) => None,
+            None => self.one_way.estimate(),
+        }
     }
 
     /// Takes the arrival of a data packet, for a sensor that runs free.

@@ -47,6 +47,23 @@ pub enum Error {
         /// Why.
         reason: &'static str,
     },
+    /// The disk has no room for a recording.
+    #[error(
+        "{}: room for {:.1} minutes ({:.1} GB at {:.1} MB/s), a recording needs {:.0}; free the disk, name another folder, or set recorder.least_space_secs",
+        path.display(), secs / 60.0, *free_bytes as f64 / 1e9, bytes_per_sec / 1e6, needed_secs / 60.0
+    )]
+    NoSpace {
+        /// The folder.
+        path: PathBuf,
+        /// Room on all disks together.
+        free_bytes: u64,
+        /// How long that lasts.
+        secs: f64,
+        /// At this rate.
+        bytes_per_sec: f64,
+        /// How long it should last.
+        needed_secs: f64,
+    },
     /// No thread could be started, or one ended without a word.
     #[error("thread {name}: {message}")]
     Thread {

@@ -1,11 +1,20 @@
 //! What was received, written and lost.
 
-use std::path::PathBuf;
+mod meter;
+mod monitor;
+mod snapshot;
+
+use std::path::{Path, PathBuf};
 
 use lsfb_drivers::WireError;
 use serde::Serialize;
 
+use crate::recorder::Written;
 use crate::sync::GroupReport;
+
+pub(crate) use meter::{Connection, Meter};
+pub(crate) use monitor::Monitor;
+pub use snapshot::{DeviceHealth, HealthFeed, Level, Snapshot, StorageHealth, SyncState};
 
 /// Why a stream ended.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
@@ -37,6 +46,8 @@ pub struct StreamReport {
     pub duplicated: u64,
     /// Samples dropped because the writer's queue was full.
     pub dropped: u64,
+    /// How often the device was gone and came back.
+    pub interruptions: u64,
     /// The first packet that could not be read: number and reason.
     pub first_bad: Option<String>,
     /// What an operator should know.
@@ -74,13 +85,13 @@ impl StreamReport {
     /// Whatever should have been recorded and was not.
     pub fn lost(&self) -> u64 {
         let gone = u64::from(matches!(self.ending, Ending::Lost(_)));
-        self.bad + self.missing + self.dropped + gone
+        self.bad + self.missing + self.dropped + self.interruptions + gone
     }
 }
 
 /// What goes into the recording itself, as attachment `health.json`: everything but the file's own size.
 #[derive(Serialize)]
-pub(crate) struct Health<'a> {
+pub(crate) struct HealthAttachment<'a> {
     pub(crate) streams: &'a [StreamReport],
     pub(crate) groups: &'a GroupReport,
     pub(crate) lost: u64,
@@ -89,11 +100,13 @@ pub(crate) struct Health<'a> {
 /// What a recording session did.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CaptureReport {
-    /// The recording.
+    /// The recording, or its first part.
     pub path: PathBuf,
-    /// Its size, bytes.
+    /// All parts, in order.
+    pub parts: Vec<PathBuf>,
+    /// Size of all parts, bytes.
     pub bytes: u64,
-    /// Messages in it.
+    /// Messages in all parts.
     pub messages: u64,
     /// One entry per device.
     pub streams: Vec<StreamReport>,
@@ -101,4 +114,28 @@ pub struct CaptureReport {
     pub groups: GroupReport,
     /// Sum of everything that should have been recorded and was not; 0 is the only good value.
     pub lost: u64,
+    /// Why recording ended before it was told to; what was written before is intact.
+    pub failure: Option<String>,
+    /// 99 % of the messages were in the file this long after they were queued, milliseconds.
+    pub write_p99_ms: f64,
+    /// The longest of these times, milliseconds.
+    pub write_longest_ms: f64,
+}
+
+impl CaptureReport {
+    pub(crate) fn new(out: &Path, written: Written, streams: Vec<StreamReport>) -> Self {
+        Self {
+            path: out.to_owned(),
+            parts: written.parts.iter().map(|p| p.path.clone()).collect(),
+            bytes: written.parts.iter().map(|p| p.bytes).sum(),
+            messages: written.parts.iter().map(|p| p.messages).sum(),
+            streams,
+            groups: written.groups,
+            // A recording that ended by itself has lost what came after, however much that is.
+            lost: written.lost + u64::from(written.failure.is_some()),
+            failure: written.failure,
+            write_p99_ms: written.write_p99_ms,
+            write_longest_ms: written.write_longest_ms,
+        }
+    }
 }

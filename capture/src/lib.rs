@@ -22,7 +22,7 @@ pub mod clock;
 mod clouds;
 mod config;
 mod error;
-mod health;
+pub mod health;
 mod imu;
 mod lidar;
 mod pcd;
@@ -36,7 +36,8 @@ mod tap;
 
 pub use clouds::{CloudsConfig, import_clouds};
 pub use config::{
-    CameraUnitConfig, DevicesConfig, ImuLineConfig, LidarNetConfig, Overflow, SidecarConfig,
+    CameraUnitConfig, DevicesConfig, ImuLineConfig, LidarModel, LidarNetConfig, Overflow,
+    RecorderConfig, SidecarConfig,
 };
 pub use error::Error;
 pub use health::{CaptureReport, Ending, StreamReport};

@@ -15,16 +15,22 @@ use lsfb_drivers::{Decoded, WireError};
 use lsfb_recording::LIDAR_POSITION;
 use lsfb_types::{LidarScan, Packet, Stamped, Timestamp};
 
+use crate::clock::model_topic::{ModelTopic, Reading};
 use crate::clock::{LidarClock, PositionFix};
-use crate::health::{Ending, StreamReport};
+use crate::health::{Ending, Meter, StreamReport};
 use crate::recorder::{Entry, Inlet, WriterGone};
 use crate::session::Control;
 
 /// Data packets that wait for the first position packet: one second of single returns. A sensor sends about 107 position
 /// packets a second, so that one without any in this time has none to send.
 const HELD_PACKETS: usize = 1_600;
+/// Its name.
+pub(crate) const LIDAR: &str = "lidar";
 /// Source of datagrams that no Velodyne sends, kept as they came.
 const STRANGE: &str = "lidar";
+/// Its counter runs in microseconds and wraps with the hour.
+const TICK_NS: u64 = 1_000;
+const TICKS_PER_HOUR: u64 = 3_600_000_000;
 /// After the other devices have ended, a LiDAR silent for this long has ended too.
 const SILENT: Duration = Duration::from_millis(500);
 
@@ -35,19 +41,23 @@ pub(crate) struct LidarStream {
     held: Vec<Packet>,
     revolution: Vec<Packet>,
     positions: u64,
+    model: ModelTopic,
+    meter: Meter,
     report: StreamReport,
     last_data_time: Option<Timestamp>,
 }
 
 impl LidarStream {
-    pub(crate) fn new(config: DecoderConfig) -> Self {
+    pub(crate) fn new(config: DecoderConfig, meter: &Meter) -> Self {
         Self {
             decoder: Decoder::new(config),
             clock: LidarClock::default(),
             held: Vec::new(),
             revolution: Vec::new(),
             positions: 0,
-            report: StreamReport::new("lidar"),
+            model: ModelTopic::new(LIDAR, TICK_NS, TICKS_PER_HOUR),
+            meter: meter.clone(),
+            report: meter.report(),
             last_data_time: None,
         }
     }
@@ -55,6 +65,10 @@ impl LidarStream {
     /// Takes a packet of either kind; they differ in length.
     pub(crate) fn push(&mut self, packet: Packet, inlet: &Inlet) -> Result<(), WriterGone> {
         self.report.received += 1;
+        let counters = *self.decoder.counters();
+        self.report.missing = counters.lost;
+        self.report.duplicated = counters.duplicates;
+        self.meter.heard(&self.report);
         match packet.bytes.len() {
             POSITION_PACKET_LEN => self.position(packet, inlet),
             DATA_PACKET_LEN if self.clock.is_decided() || self.held.len() >= HELD_PACKETS => {
@@ -72,7 +86,7 @@ impl LidarStream {
                 });
                 let time = packet.arrival;
                 let raw = Entry::Raw {
-                    source: STRANGE,
+                    source: STRANGE.to_owned(),
                     sequence: self.report.bad,
                     packet,
                     time,
@@ -103,6 +117,8 @@ impl LidarStream {
                         Timestamp::from_nanos(rmc.unix_secs().saturating_mul(1_000_000_000))
                     }),
                 });
+                self.meter
+                    .set_temperature(f64::from(position.top_temperature_celsius()));
                 if self.clock.is_locked() {
                     time = self.clock.time(toh_ns, packet.arrival);
                 }
@@ -110,7 +126,7 @@ impl LidarStream {
             Err(error) => self.report.count_bad(error),
         }
         let raw = Entry::Raw {
-            source: LIDAR_POSITION,
+            source: LIDAR_POSITION.to_owned(),
             sequence: self.positions,
             packet,
             time,
@@ -149,6 +165,21 @@ impl LidarStream {
         let time = self
             .clock
             .time(scan.device_ticks.cast_signed(), scan.arrival);
+        let reading = match self.clock.estimate() {
+            Some(estimate) => Some(Reading::Fitted(estimate)),
+            None if self.clock.is_locked() => Some(Reading::Locked {
+                device_ns: scan.device_ticks.cast_signed(),
+                time,
+            }),
+            None => None,
+        };
+        if let Some(reading) = reading
+            && self.model.is_due(scan.arrival)
+        {
+            self.meter.set_sync(reading.sync_state());
+            let entry = self.model.entry(&reading, time, scan.arrival);
+            inlet.put(entry, &mut self.report)?;
+        }
         let scan = Stamped {
             time,
             arrival: scan.arrival,
@@ -207,13 +238,20 @@ impl LidarStream {
 }
 
 /// Records until the session stops, or until the others have ended and nothing comes any more.
-pub(crate) fn record(mut source: UdpSource, inlet: &Inlet, control: &Control) -> StreamReport {
-    let mut stream = LidarStream::new(DecoderConfig::default());
+pub(crate) fn record(
+    mut source: UdpSource,
+    config: DecoderConfig,
+    inlet: &Inlet,
+    control: &Control,
+    meter: &Meter,
+) -> StreamReport {
+    let mut stream = LidarStream::new(config, meter);
     let mut last_heard = Instant::now();
     let ending = loop {
         match source.recv(Duration::from_millis(50)) {
             Ok(Some(packet)) => {
                 last_heard = Instant::now();
+                control.set_lidar_alive(true);
                 if stream.push(packet, inlet).is_err() {
                     break Ending::Stopped;
                 }
@@ -225,7 +263,7 @@ pub(crate) fn record(mut source: UdpSource, inlet: &Inlet, control: &Control) ->
             Ok(None) if control.others_ended() && last_heard.elapsed() > SILENT => {
                 break Ending::EndOfStream;
             }
-            Ok(None) => {}
+            Ok(None) => control.set_lidar_alive(last_heard.elapsed() <= SILENT),
             Err(lsfb_drivers::Error::EndOfStream { .. }) => break Ending::EndOfStream,
             Err(error) => break Ending::Lost(error.to_string()),
         }
@@ -233,6 +271,7 @@ pub(crate) fn record(mut source: UdpSource, inlet: &Inlet, control: &Control) ->
             break Ending::Stopped;
         }
     };
+    control.set_lidar_alive(false);
     let mut report = stream.finish(ending, inlet);
     if source.kernel_drops() > 0 {
         report.notes.push(format!(

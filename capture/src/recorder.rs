@@ -1,24 +1,39 @@
-//! The one thread that writes, and the bounded queue before it.
+//! The bounded queue between the devices and the one thread that writes.
+
+mod disk_sync;
+mod latency;
+mod parts;
+mod space;
+mod writing;
 
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
+use lsfb_drivers::phone::Receipt;
 use lsfb_geometry::Rig;
-use lsfb_recording::{Channel, Summary, Writer, WriterConfig};
+use lsfb_recording::Summary;
+use lsfb_recording::message::{self, Schema};
 use lsfb_types::{Image, ImuSample, LidarScan, Packet, Stamped, Timestamp};
 
-use crate::config::Overflow;
-use crate::health::Health;
-use crate::sync::{GroupReport, Groups};
+use crate::config::{Overflow, RecorderConfig};
+use crate::sync::{Group, GroupReport, Groups};
 use crate::tap::Spout;
 use crate::{Error, StreamReport};
 
-/// Messages between the devices and the disk: two seconds of the whole rig.
-const QUEUE_MESSAGES: usize = 512;
-/// After this much silence the writer closes its chunk.
-const FLUSH_AFTER: Duration = Duration::from_millis(500);
+pub(crate) use space::{check as check_space, free_bytes};
+
+/// Entries in the queue, whatever their size: some seconds of IMU and LiDAR.
+const QUEUE_ENTRIES: usize = 8_192;
+/// How often a device that may wait looks whether there is room.
+const ROOM_POLL: Duration = Duration::from_millis(1);
+/// What a queued entry takes beside its payload.
+const ENTRY_BYTES: u64 = 256;
+/// Bytes of a point in memory.
+const POINT_BYTES: u64 = 24;
 
 /// One thing to be recorded.
 pub(crate) enum Entry {
@@ -30,7 +45,7 @@ pub(crate) enum Entry {
     },
     /// An inertial sample.
     Imu {
-        imu: &'static str,
+        imu: String,
         sample: Stamped<ImuSample>,
     },
     /// A revolution: its packets as received, and the points.
@@ -45,7 +60,7 @@ pub(crate) enum Entry {
     },
     /// Bytes as received.
     Raw {
-        source: &'static str,
+        source: String,
         sequence: u64,
         packet: Packet,
         time: Timestamp,
@@ -58,17 +73,138 @@ pub(crate) enum Entry {
         time: Timestamp,
         arrival: Timestamp,
         bytes: Vec<u8>,
+        /// Given back when the message is in the file.
+        receipt: Option<Receipt>,
     },
-    /// What became of the devices: the last entry.
-    Health(Vec<StreamReport>),
+    /// A message of a sidecar that is not recorded; its sender may forget it when those before it are in the file.
+    Skipped(Receipt),
     /// The rig of a device that brings its own.
     Rig { owner: String, rig: Box<Rig> },
+    /// What the recorder says itself.
+    Own(OwnMessage),
+    /// How a device's clock is read; repeated at the start of each part.
+    ClockModel { device: String, message: OwnMessage },
+    /// What became of the devices: the last entry.
+    Ended(Vec<StreamReport>),
+}
+
+impl Entry {
+    /// Memory it holds, about.
+    fn bytes(&self) -> u64 {
+        let payload = match self {
+            Self::Image { image, trailer, .. } => image.sample.pixels.len() + trailer.len(),
+            Self::Scan { scan, packets } => {
+                return ENTRY_BYTES
+                    + packets.iter().map(packet_bytes).sum::<u64>()
+                    + scan.sample.points.len() as u64 * POINT_BYTES;
+            }
+            Self::Packets { packets, .. } => {
+                return ENTRY_BYTES + packets.iter().map(packet_bytes).sum::<u64>();
+            }
+            Self::Raw { packet, .. } => packet.bytes.len(),
+            Self::Cdr { bytes, .. } => bytes.len(),
+            Self::Own(message) | Self::ClockModel { message, .. } => message.bytes.len(),
+            Self::Imu { .. } | Self::Skipped(_) | Self::Rig { .. } | Self::Ended(_) => 0,
+        };
+        payload as u64 + ENTRY_BYTES
+    }
+}
+
+fn packet_bytes(packet: &Packet) -> u64 {
+    packet.bytes.len() as u64 + 32
+}
+
+/// A message of the recorder's own.
+#[derive(Clone, Debug)]
+pub(crate) struct OwnMessage {
+    pub(crate) topic: String,
+    pub(crate) schema: Schema,
+    pub(crate) time: Timestamp,
+    pub(crate) arrival: Timestamp,
+    pub(crate) bytes: Vec<u8>,
+}
+
+impl OwnMessage {
+    fn camera_group(group: &Group) -> Self {
+        let content = message::CameraGroup {
+            trigger: group.trigger,
+            expected: group.expected,
+            present: group.present,
+            missing: group.missing.join(" "),
+        };
+        Self {
+            topic: lsfb_recording::CAMERA_GROUPS.to_owned(),
+            schema: message::CAMERA_GROUP,
+            time: group.time,
+            arrival: group.arrival,
+            bytes: message::encode_camera_group(group.time, "rig", &content),
+        }
+    }
+}
+
+/// An entry on its way.
+pub(crate) struct Queued {
+    entry: Entry,
+    at: Instant,
+    bytes: u64,
+}
+
+/// Where the writing thread is.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct WritingProgress {
+    pub(crate) written_bytes: u64,
+    pub(crate) part_number: u32,
+    pub(crate) part: PathBuf,
+    pub(crate) groups: GroupReport,
+    pub(crate) lost: u64,
+    pub(crate) write_p99_ms: f64,
+}
+
+/// What the devices, the writing thread and the monitor share.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Shared {
+    queued_bytes: Arc<AtomicU64>,
+    queued_entries: Arc<AtomicU64>,
+    progress: Arc<Mutex<WritingProgress>>,
+}
+
+impl Shared {
+    fn entered(&self, bytes: u64) {
+        self.queued_bytes.fetch_add(bytes, Ordering::Relaxed);
+        self.queued_entries.fetch_add(1, Ordering::Relaxed);
+    }
+
+    fn left(&self, bytes: u64) {
+        self.queued_bytes.fetch_sub(bytes, Ordering::Relaxed);
+        self.queued_entries.fetch_sub(1, Ordering::Relaxed);
+    }
+
+    fn show(&self, progress: WritingProgress) {
+        *self.progress.lock().unwrap_or_else(PoisonError::into_inner) = progress;
+    }
+
+    pub(crate) fn queued_bytes(&self) -> u64 {
+        self.queued_bytes.load(Ordering::Relaxed)
+    }
+
+    pub(crate) fn queued_entries(&self) -> u64 {
+        self.queued_entries.load(Ordering::Relaxed)
+    }
+
+    pub(crate) fn progress(&self) -> WritingProgress {
+        self.progress
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .clone()
+    }
 }
 
 /// Where device threads put entries.
 #[derive(Clone)]
 pub(crate) struct Inlet {
-    queue: SyncSender<Entry>,
+    queue: SyncSender<Queued>,
+    shared: Shared,
+    limit_bytes: u64,
     overflow: Overflow,
     tap: Option<Spout>,
 }
@@ -92,16 +228,37 @@ impl Inlet {
         if let Some(tap) = &self.tap {
             tap.offer(&entry, report);
         }
-        match self.overflow {
-            Overflow::Wait => self.queue.send(entry).map_err(|_| WriterGone),
-            Overflow::Drop => match self.queue.try_send(entry) {
-                Ok(()) => Ok(()),
-                Err(TrySendError::Full(_)) => {
-                    report.dropped += 1;
-                    Ok(())
+        let bytes = entry.bytes();
+        let mut queued = Queued {
+            entry,
+            at: Instant::now(),
+            bytes,
+        };
+        loop {
+            let waiting = self.shared.queued_bytes();
+            // An entry larger than the whole queue still goes through an empty one.
+            let fits = waiting == 0 || waiting + bytes <= self.limit_bytes;
+            if fits {
+                self.shared.entered(bytes);
+                match self.queue.try_send(queued) {
+                    Ok(()) => return Ok(()),
+                    Err(TrySendError::Full(back)) => {
+                        self.shared.left(bytes);
+                        queued = back;
+                    }
+                    Err(TrySendError::Disconnected(_)) => {
+                        self.shared.left(bytes);
+                        return Err(WriterGone);
+                    }
                 }
-                Err(TrySendError::Disconnected(_)) => Err(WriterGone),
-            },
+            }
+            match self.overflow {
+                Overflow::Drop => {
+                    report.dropped += 1;
+                    return Ok(());
+                }
+                Overflow::Wait => std::thread::sleep(ROOM_POLL),
+            }
         }
     }
 }
@@ -112,9 +269,12 @@ pub(crate) struct WriterGone;
 
 /// What the writer made.
 pub(crate) struct Written {
-    pub(crate) summary: Summary,
+    pub(crate) parts: Vec<Summary>,
     pub(crate) groups: GroupReport,
     pub(crate) lost: u64,
+    pub(crate) failure: Option<String>,
+    pub(crate) write_p99_ms: f64,
+    pub(crate) write_longest_ms: f64,
 }
 
 /// The writing thread.
@@ -124,37 +284,35 @@ pub(crate) struct Recorder {
 }
 
 impl Recorder {
+    /// `cameras`: the names of each unit's cameras, unit by unit.
     pub(crate) fn start(
         out: &Path,
         rig: Option<Rig>,
-        cameras: Vec<String>,
+        cameras: &[Vec<String>],
+        config: &RecorderConfig,
         overflow: Overflow,
     ) -> Result<Self, Error> {
-        let mut writer = Writer::create(out, &WriterConfig::default())?;
-        let has_rig = rig.is_some();
-        if let Some(rig) = rig {
-            writer.attach_rig(&rig)?;
-        }
-        let (queue, entries) = sync_channel(QUEUE_MESSAGES);
-        let sink = WriterThread {
-            writer,
-            groups: Groups::new(cameras),
-            has_rig,
-            streams: Vec::new(),
+        let parts = parts::Parts::create(out, config, rig)?;
+        let (queue, entries) = sync_channel(QUEUE_ENTRIES);
+        let shared = Shared::default();
+        let writing = writing::Writing::new(parts, Groups::new(cameras), shared.clone());
+        let thread = spawn("recorder", move || writing.run(&entries))?;
+        let inlet = Inlet {
+            queue,
+            shared,
+            limit_bytes: config.queue_bytes,
+            overflow,
+            tap: None,
         };
-        let thread = spawn("recorder", move || sink.run(&entries))?;
-        Ok(Self {
-            thread,
-            inlet: Inlet {
-                queue,
-                overflow,
-                tap: None,
-            },
-        })
+        Ok(Self { thread, inlet })
     }
 
     pub(crate) fn inlet(&self) -> Inlet {
         self.inlet.clone()
+    }
+
+    pub(crate) fn shared(&self) -> Shared {
+        self.inlet.shared.clone()
     }
 
     /// Whether the writer has given up.
@@ -165,107 +323,13 @@ impl Recorder {
     /// Writes what waits and what became of the devices, and closes the file. Every other [`Inlet`] must be gone.
     pub(crate) fn finish(self, streams: &[StreamReport]) -> Result<Written, Error> {
         // A writer that failed says so when it is joined.
-        let _ = self.inlet.queue.send(Entry::Health(streams.to_vec()));
+        let ended = Entry::Ended(streams.to_vec());
+        let _ = self
+            .inlet
+            .patient()
+            .put(ended, &mut StreamReport::default());
         drop(self.inlet);
         join("recorder", self.thread)?
-    }
-}
-
-struct WriterThread {
-    writer: Writer,
-    groups: Groups,
-    has_rig: bool,
-    streams: Vec<StreamReport>,
-}
-
-impl WriterThread {
-    fn run(mut self, entries: &Receiver<Entry>) -> Result<Written, Error> {
-        let mut quiet = false;
-        loop {
-            match entries.recv_timeout(FLUSH_AFTER) {
-                Ok(entry) => {
-                    quiet = false;
-                    self.write(entry)?;
-                }
-                // Nothing comes: what is there shall survive a crash. Once is enough.
-                Err(RecvTimeoutError::Timeout) if !quiet => {
-                    quiet = true;
-                    self.writer.flush()?;
-                }
-                Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => break,
-            }
-        }
-        let groups = self.groups.finish();
-        let lost = self.streams.iter().map(StreamReport::lost).sum::<u64>() + groups.incomplete;
-        let health = Health {
-            streams: &self.streams,
-            groups: &groups,
-            lost,
-        };
-        // Numbers and strings always serialise.
-        let json = serde_json::to_vec_pretty(&health).unwrap_or_default();
-        self.writer
-            .attach("health.json", "application/json", &json)?;
-        Ok(Written {
-            summary: self.writer.finish()?,
-            groups,
-            lost,
-        })
-    }
-
-    fn write(&mut self, entry: Entry) -> Result<(), Error> {
-        let writer = &mut self.writer;
-        match entry {
-            Entry::Image {
-                camera,
-                image,
-                trailer,
-            } => {
-                self.groups.note(&camera, image.time);
-                writer.write_image_with_trailer(&camera, &image, &trailer)?;
-            }
-            Entry::Imu { imu, sample } => writer.write_imu(imu, &sample)?,
-            Entry::Scan { scan, packets } => {
-                writer.write_velodyne_packets(scan.time, &packets)?;
-                writer.write_scan(&scan)?;
-            }
-            Entry::Packets { time, packets } => writer.write_velodyne_packets(time, &packets)?,
-            Entry::Raw {
-                source,
-                sequence,
-                packet,
-                time,
-            } => writer.write_raw(source, 0, sequence, &packet, time)?,
-            Entry::Cdr {
-                topic,
-                schema_name,
-                schema_text,
-                time,
-                arrival,
-                bytes,
-            } => {
-                let channel = Channel {
-                    topic: &topic,
-                    schema_name: &schema_name,
-                    schema_text: &schema_text,
-                };
-                writer.write_cdr(&channel, time, arrival, &bytes)?;
-            }
-            Entry::Rig { owner, rig } if self.has_rig => {
-                writer.attach(
-                    &format!("sidecar/{owner}/rig.toml"),
-                    "application/toml",
-                    rig.to_toml().as_bytes(),
-                )?;
-            }
-            Entry::Health(streams) => self.streams = streams,
-            Entry::Rig { rig, .. } => {
-                self.has_rig = true;
-                writer.attach_rig(&rig)?;
-            }
-        }
-        Ok(())
     }
 }
 

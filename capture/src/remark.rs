@@ -56,6 +56,7 @@ impl RemarkQueue {
                 time,
                 arrival: time,
                 bytes: message::encode_remark(time, &remark),
+                receipt: None,
             };
             // A person's words are worth waiting for.
             inlet.patient().put(entry, &mut self.report)?;

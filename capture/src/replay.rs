@@ -9,9 +9,9 @@ use lsfb_drivers::velodyne::DecoderConfig;
 use lsfb_geometry::Rig;
 use lsfb_types::{Progress, ProgressFn};
 
-use crate::config::Overflow;
-use crate::health::Ending;
-use crate::lidar::LidarStream;
+use crate::config::{Overflow, RecorderConfig};
+use crate::health::{Ending, Meter};
+use crate::lidar::{LIDAR, LidarStream};
 use crate::recorder::{self, Recorder};
 use crate::{CaptureReport, Error};
 
@@ -22,6 +22,8 @@ pub struct ReplayConfig {
     pub decoder: DecoderConfig,
     /// Attached to the recording.
     pub rig: Option<Rig>,
+    /// Files and disks.
+    pub recorder: RecorderConfig,
 }
 
 /// Records the Velodyne packets of `source` into `out`, with the arrival stamps they have there. A file that is damaged in the
@@ -34,9 +36,15 @@ pub fn replay(
     progress: ProgressFn<'_>,
 ) -> Result<CaptureReport, Error> {
     recorder::make_folder(out)?;
-    let recorder = Recorder::start(out, config.rig.clone(), Vec::new(), Overflow::Wait)?;
+    let recorder = Recorder::start(
+        out,
+        config.rig.clone(),
+        &[],
+        &config.recorder,
+        Overflow::Wait,
+    )?;
     let inlet = recorder.inlet();
-    let mut stream = LidarStream::new(config.decoder);
+    let mut stream = LidarStream::new(config.decoder, &Meter::new(LIDAR));
     let mut packets = 0_u64;
     let ending = loop {
         if stop.load(Ordering::Relaxed) {
@@ -64,13 +72,5 @@ pub fn replay(
     let stream = stream.finish(ending, &inlet);
     drop(inlet);
     let streams = vec![stream];
-    let written = recorder.finish(&streams)?;
-    Ok(CaptureReport {
-        path: written.summary.path,
-        bytes: written.summary.bytes,
-        messages: written.summary.messages,
-        lost: written.lost,
-        streams,
-        groups: written.groups,
-    })
+    Ok(CaptureReport::new(out, recorder.finish(&streams)?, streams))
 }

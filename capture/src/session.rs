@@ -16,12 +16,17 @@ use lsfb_drivers::velodyne::{self, VelodyneConfig};
 use lsfb_geometry::Rig;
 use lsfb_types::{Progress, ProgressFn};
 
-use crate::config::{CameraUnitConfig, DevicesConfig};
-use crate::health::StreamReport;
+use crate::config::DevicesConfig;
+use crate::health::{Connection, HealthFeed, Meter, Monitor, StreamReport};
 use crate::recorder::{self, Inlet, Recorder};
 use crate::remark::{RemarkQueue, Remarks, remarks};
 use crate::tap::{Spout, Tap, tap};
 use crate::{CaptureReport, Error, camera, imu, lidar, sidecar};
+
+/// Between two attempts to open a device that is gone.
+const REOPEN: Duration = Duration::from_millis(500);
+/// How often it is looked whether the session stops.
+const POLL: Duration = Duration::from_millis(20);
 
 /// What device threads share.
 #[derive(Debug)]
@@ -29,6 +34,7 @@ pub(crate) struct Control {
     stop: AtomicBool,
     /// Devices that end by themselves and have not ended yet.
     running: AtomicUsize,
+    lidar_alive: AtomicBool,
     pub(crate) progress: Counts,
 }
 
@@ -40,6 +46,46 @@ impl Control {
     /// Whether no device is left that says when it ends. A LiDAR alone never ends by itself.
     pub(crate) fn others_ended(&self) -> bool {
         self.running.load(Ordering::Relaxed) == 0
+    }
+
+    /// Whether the LiDAR was heard lately: then the session goes on, and devices that are gone may come back.
+    pub(crate) fn set_lidar_alive(&self, alive: bool) {
+        self.lidar_alive.store(alive, Ordering::Relaxed);
+    }
+
+    /// Opens a device that is gone again and again, until it is back or the session has nothing left to record.
+    pub(crate) fn reopen<D>(
+        &self,
+        report: &mut StreamReport,
+        meter: &Meter,
+        open: impl Fn() -> Result<D, lsfb_drivers::Error>,
+    ) -> Option<D> {
+        meter.set_connected(Connection::Gone);
+        self.running.fetch_sub(1, Ordering::Relaxed);
+        let gone = Instant::now();
+        let mut tried = gone;
+        let back = loop {
+            let over = self.others_ended() && !self.lidar_alive.load(Ordering::Relaxed);
+            if self.is_stopping() || over {
+                break None;
+            }
+            std::thread::sleep(POLL);
+            if tried.elapsed() >= REOPEN {
+                tried = Instant::now();
+                if let Ok(device) = open() {
+                    break Some(device);
+                }
+            }
+        };
+        self.running.fetch_add(1, Ordering::Relaxed);
+        if back.is_some() {
+            report.interruptions += 1;
+            let secs = gone.elapsed().as_secs_f64();
+            report.notes.push(format!("gone for {secs:.1} s, and back"));
+            meter.count(report);
+            meter.set_connected(Connection::There);
+        }
+        back
     }
 }
 
@@ -65,6 +111,7 @@ pub struct Session {
     counts: Counts,
     tap: Option<Spout>,
     remarks: Option<RemarkQueue>,
+    health: HealthFeed,
 }
 
 impl Session {
@@ -82,7 +129,8 @@ impl Session {
             Some(net) => Some(velodyne::open(&VelodyneConfig {
                 data_bind: net.data,
                 position_bind: net.position,
-                ..VelodyneConfig::default()
+                sensor: net.sensor,
+                receive_buffer_bytes: net.receive_buffer_bytes,
             })?),
             None => None,
         };
@@ -104,6 +152,7 @@ impl Session {
             counts: Counts::default(),
             tap: None,
             remarks: None,
+            health: HealthFeed::default(),
         })
     }
 
@@ -139,6 +188,11 @@ impl Session {
         sender
     }
 
+    /// What the rig is doing, twice a second while [`Session::run`] runs.
+    pub fn health(&self) -> HealthFeed {
+        self.health.clone()
+    }
+
     /// Opens and configures cameras and IMU (the first that refuses is the error), records into `out` until every device
     /// has ended or `stop` is set, and closes the file properly.
     pub fn run(
@@ -147,73 +201,88 @@ impl Session {
         stop: &AtomicBool,
         progress: ProgressFn<'_>,
     ) -> Result<CaptureReport, Error> {
-        let (cameras, imu) = open_devices(&self.config)?;
         recorder::make_folder(out)?;
-        let camera_names = self
+        self.check_space(out)?;
+        let (cameras, imu) = open_devices(&self.config)?;
+        let names: Vec<Vec<String>> = self
             .config
             .cameras
             .iter()
-            .flat_map(|c| c.names.clone())
+            .map(|c| c.names.to_vec())
             .collect();
-        let recorder = Recorder::start(out, self.rig, camera_names, self.config.overflow)?;
+        let settings = &self.config.recorder;
+        let recorder = Recorder::start(out, self.rig, &names, settings, self.config.overflow)?;
         let finite =
             cameras.len() + usize::from(imu.is_some()) + usize::from(self.sidecar.is_some());
         let control = Arc::new(Control {
             stop: AtomicBool::new(false),
             // A LiDAR alone runs until it is stopped.
             running: AtomicUsize::new(if finite == 0 { usize::MAX } else { finite }),
+            lidar_alive: AtomicBool::new(false),
             progress: self.counts.clone(),
         });
         let mut threads = Threads {
             control: Arc::clone(&control),
             running: Vec::new(),
+            meters: Vec::new(),
             inlet: recorder.inlet().tapped(self.tap),
             remarks: self.remarks,
         };
-        if let Some(source) = self.lidar {
-            threads.start("lidar", Ends::Never, |inlet, control| {
-                lidar::record(source, inlet, control)
+        if let (Some(source), Some(net)) = (self.lidar, &self.config.lidar) {
+            let decoder = net.decoder();
+            threads.start(lidar::LIDAR, lidar::LIDAR, Ends::Never, move |on| {
+                lidar::record(source, decoder, on.inlet, on.control, on.meter)
             })?;
         }
-        for (index, (unit, config, format)) in cameras.into_iter().enumerate() {
-            let decoder = DecoderConfig {
-                format,
-                ..DecoderConfig::default()
-            };
-            threads.start(
-                &format!("camera{index}"),
-                Ends::ByItself,
-                move |inlet, control| camera::record(unit, &config, decoder, inlet, control),
-            )?;
+        for (index, unit) in cameras.into_iter().enumerate() {
+            let thread = format!("camera{index}");
+            let device = unit.config.names.join("+");
+            threads.start(&thread, &device, Ends::ByItself, move |on| {
+                camera::record(unit, on.inlet, on.control, on.meter)
+            })?;
         }
-        if let Some(unit) = imu {
-            threads.start("imu", Ends::ByItself, |inlet, control| {
-                imu::record(unit, inlet, control)
+        if let Some(line) = imu {
+            threads.start("imu", imu::IMU, Ends::ByItself, |on| {
+                imu::record(line, on.inlet, on.control, on.meter)
             })?;
         }
         if let Some(server) = self.sidecar {
-            threads.start("sidecar", Ends::ByItself, |inlet, control| {
-                sidecar::record(server, &inlet.patient(), control)
+            threads.start("sidecar", "sidecar", Ends::ByItself, |on| {
+                sidecar::record(server, &on.inlet.patient(), on.control, on.meter)
             })?;
         }
-        let mut streams = threads.wait(stop, &recorder, progress)?;
+        let meters = threads.meters.clone();
+        let monitor = Monitor::new(&recorder, meters, self.health.clone(), out, settings);
+        let streams = threads.wait(stop, &recorder, monitor, progress);
+        self.health.close();
+        let mut streams = streams?;
         streams.iter_mut().for_each(StreamReport::name_silence);
         let written = recorder.finish(&streams)?;
-        Ok(CaptureReport {
-            path: written.summary.path,
-            bytes: written.summary.bytes,
-            messages: written.summary.messages,
-            streams,
-            groups: written.groups,
-            lost: written.lost,
-        })
+        Ok(CaptureReport::new(out, written, streams))
+    }
+
+    /// Refuses to begin what will not fit.
+    fn check_space(&self, out: &Path) -> Result<(), Error> {
+        let settings = &self.config.recorder;
+        if settings.least_space_secs <= 0.0 {
+            return Ok(());
+        }
+        let folder = out.parent().unwrap_or(Path::new("")).to_owned();
+        let mut folders = vec![folder];
+        if let Some(second) = &settings.second_folder {
+            recorder::make_folder(&second.join("x"))?;
+            folders.push(second.clone());
+        }
+        recorder::check_space(
+            &folders,
+            self.config.expected_bytes_per_sec(),
+            settings.least_space_secs,
+        )
     }
 }
 
-type OpenCamera = (MyntCamera, CameraUnitConfig, FrameFormat);
-
 /// The devices that are asked rather than listened to.
-fn open_devices(config: &DevicesConfig) -> Result<(Vec<OpenCamera>, Option<XsensImu>), Error> {
+fn open_devices(config: &DevicesConfig) -> Result<(Vec<camera::Unit>, Option<imu::Line>), Error> {
     let mut cameras = Vec::new();
     for unit in &config.cameras {
         let format = FrameFormat {
@@ -227,17 +296,26 @@ fn open_devices(config: &DevicesConfig) -> Result<(Vec<OpenCamera>, Option<Xsens
             rate_hz: unit.rate_hz,
             ..CameraConfig::default()
         };
-        cameras.push((MyntCamera::open(&open)?, unit.clone(), format));
+        cameras.push(camera::Unit {
+            camera: MyntCamera::open(&open)?,
+            open,
+            config: unit.clone(),
+            decoder: DecoderConfig {
+                format,
+                ..DecoderConfig::default()
+            },
+        });
     }
-    let imu = match &config.imu {
-        Some(line) => Some(XsensImu::open(&ImuConfig {
-            path: line.path.clone(),
-            baud: line.baud,
-            rate_hz: line.rate_hz,
-        })?),
-        None => None,
+    let Some(line) = &config.imu else {
+        return Ok((cameras, None));
     };
-    Ok((cameras, imu))
+    let open = ImuConfig {
+        path: line.path.clone(),
+        baud: line.baud,
+        rate_hz: line.rate_hz,
+    };
+    let unit = XsensImu::open(&open)?;
+    Ok((cameras, Some(imu::Line { unit, open })))
 }
 
 /// Whether a device says when it has no more to send.
@@ -247,9 +325,17 @@ enum Ends {
     Never,
 }
 
+/// What a device's thread works with.
+struct Bench<'a> {
+    inlet: &'a Inlet,
+    control: &'a Control,
+    meter: &'a Meter,
+}
+
 struct Threads {
     control: Arc<Control>,
     running: Vec<(String, JoinHandle<StreamReport>)>,
+    meters: Vec<Meter>,
     inlet: Inlet,
     remarks: Option<RemarkQueue>,
 }
@@ -257,19 +343,27 @@ struct Threads {
 impl Threads {
     fn start(
         &mut self,
-        name: &str,
+        thread: &str,
+        device: &str,
         ends: Ends,
-        work: impl FnOnce(&Inlet, &Control) -> StreamReport + Send + 'static,
+        work: impl FnOnce(&Bench<'_>) -> StreamReport + Send + 'static,
     ) -> Result<(), Error> {
         let (inlet, control) = (self.inlet.clone(), Arc::clone(&self.control));
-        let thread = recorder::spawn(name, move || {
-            let report = work(&inlet, &control);
+        let meter = Meter::new(device);
+        self.meters.push(meter.clone());
+        let handle = recorder::spawn(thread, move || {
+            let report = work(&Bench {
+                inlet: &inlet,
+                control: &control,
+                meter: &meter,
+            });
+            meter.end(&report);
             if ends == Ends::ByItself {
                 control.running.fetch_sub(1, Ordering::Relaxed);
             }
             report
         })?;
-        self.running.push((name.to_owned(), thread));
+        self.running.push((thread.to_owned(), handle));
         Ok(())
     }
 
@@ -277,6 +371,7 @@ impl Threads {
         mut self,
         stop: &AtomicBool,
         recorder: &Recorder,
+        mut monitor: Monitor,
         progress: ProgressFn<'_>,
     ) -> Result<Vec<StreamReport>, Error> {
         let mut last_shown = Instant::now();
@@ -304,12 +399,15 @@ impl Threads {
                     total: 0,
                 });
             }
-            std::thread::sleep(Duration::from_millis(20));
+            monitor.tick();
+            std::thread::sleep(POLL);
         }
         if let Some(mut remarks) = self.remarks.take() {
             // What was said last.
             let _ = remarks.forward(&self.inlet);
         }
+        // What happened since the last snapshot is told too, a device that was lost above all.
+        monitor.finish();
         self.running
             .into_iter()
             .map(|(name, thread)| recorder::join(&name, thread))

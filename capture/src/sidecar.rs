@@ -6,12 +6,14 @@ use std::time::Duration;
 
 use lsfb_drivers::phone::model::CLOCK_UTC;
 use lsfb_drivers::phone::wire::Advertise;
-use lsfb_drivers::phone::{SidecarCounters, SidecarEvent, SidecarMessage, SidecarServer};
+use lsfb_drivers::phone::{
+    Delivery, Receipt, SidecarCounters, SidecarEvent, SidecarMessage, SidecarServer,
+};
 use lsfb_geometry::Rig;
 use lsfb_types::Timestamp;
 
 use crate::clock::OneWayClock;
-use crate::health::{Ending, StreamReport};
+use crate::health::{Ending, Meter, StreamReport};
 use crate::recorder::{Entry, Inlet, WriterGone};
 use crate::session::Control;
 
@@ -35,27 +37,41 @@ struct Channel {
 }
 
 /// Records until every app that came has gone, or the session stops.
-pub(crate) fn record(mut server: SidecarServer, inlet: &Inlet, control: &Control) -> StreamReport {
+pub(crate) fn record(
+    mut server: SidecarServer,
+    inlet: &Inlet,
+    control: &Control,
+    meter: &Meter,
+) -> StreamReport {
     let mut recording = Sidecars {
         apps: BTreeMap::new(),
-        report: StreamReport::new("sidecar"),
+        report: meter.report(),
         failure: None,
     };
     let mut seen = false;
     let ending = loop {
-        match server.recv(Duration::from_millis(50)) {
+        let delivery = server.recv_unacknowledged(Duration::from_millis(50));
+        let (event, receipt) = match delivery {
+            Ok(Some(Delivery { event, receipt })) => (Ok(Some(event)), receipt),
+            Ok(None) => (Ok(None), None),
+            Err(error) => (Err(error), None),
+        };
+        match event {
             Ok(Some(SidecarEvent::Message {
                 connection,
                 arrival,
                 message,
             })) => {
                 seen = true;
-                if recording
-                    .message(connection, arrival, message, inlet)
-                    .is_err()
-                {
+                let from = Origin {
+                    connection,
+                    arrival,
+                    receipt,
+                };
+                if recording.message(from, message, inlet).is_err() {
                     break Ending::Stopped;
                 }
+                meter.heard(&recording.report);
                 control
                     .progress
                     .sidecar_messages
@@ -85,6 +101,13 @@ pub(crate) fn record(mut server: SidecarServer, inlet: &Inlet, control: &Control
     recording.report
 }
 
+/// Where a message comes from, and what is owed for it.
+struct Origin {
+    connection: u64,
+    arrival: Timestamp,
+    receipt: Option<Receipt>,
+}
+
 struct Sidecars {
     apps: BTreeMap<u64, App>,
     report: StreamReport,
@@ -94,11 +117,15 @@ struct Sidecars {
 impl Sidecars {
     fn message(
         &mut self,
-        connection: u64,
-        arrival: Timestamp,
+        from: Origin,
         message: SidecarMessage,
         inlet: &Inlet,
     ) -> Result<(), WriterGone> {
+        let Origin {
+            connection,
+            arrival,
+            receipt,
+        } = from;
         let app = self.apps.entry(connection).or_default();
         match message {
             SidecarMessage::Hello(hello) => app.device = hello.device,
@@ -139,7 +166,10 @@ impl Sidecars {
                 self.report.received += 1;
                 // A channel whose description was refused; that is counted already.
                 let Some(channel) = app.channels.get_mut(&channel) else {
-                    return Ok(());
+                    return match receipt {
+                        Some(receipt) => inlet.put(Entry::Skipped(receipt), &mut self.report),
+                        None => Ok(()),
+                    };
                 };
                 let time = if channel.advertised.clock_id == CLOCK_UTC {
                     Timestamp::from_nanos(device_time_ns)
@@ -155,6 +185,7 @@ impl Sidecars {
                     time,
                     arrival,
                     bytes: payload,
+                    receipt,
                 };
                 inlet.put(entry, &mut self.report)?;
             }

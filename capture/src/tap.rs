@@ -33,7 +33,7 @@ pub enum Tapped {
     /// An inertial sample.
     Imu {
         /// The IMU's name in the rig.
-        imu: &'static str,
+        imu: String,
         /// The sample.
         sample: Stamped<ImuSample>,
     },
@@ -133,7 +133,7 @@ impl Spout {
                 image: image.clone(),
             }),
             Entry::Imu { imu, sample } => self.put(|| Tapped::Imu {
-                imu,
+                imu: imu.clone(),
                 sample: sample.clone(),
             }),
             Entry::Scan { scan, .. } => self.put(|| Tapped::Scan(scan.clone())),
@@ -144,6 +144,7 @@ impl Spout {
                 time,
                 arrival,
                 bytes,
+                ..
             } => self.put(|| Tapped::Message {
                 topic: topic.clone(),
                 schema_name: schema_name.clone(),
@@ -174,7 +175,7 @@ mod tests {
     fn imu_entry(n: i64) -> Entry {
         let time = Timestamp::from_nanos(n);
         Entry::Imu {
-            imu: "imu0",
+            imu: "imu0".to_owned(),
             sample: Stamped {
                 time,
                 arrival: time,

@@ -31,6 +31,7 @@ fn unit(path: &Path, names: [&str; 2]) -> CameraUnitConfig {
         names: names.map(str::to_owned),
         frame_px: [1280, 400],
         rate_hz: 10,
+        imu: None,
     }
 }
 
@@ -74,6 +75,7 @@ fn every_packet_of_every_device_is_in_the_recording() {
         lidar: Some(LidarNetConfig {
             data: LOOPBACK,
             position: LOOPBACK,
+            ..LidarNetConfig::default()
         }),
         cameras: vec![
             unit(&front, ["cam0", "cam1"]),
@@ -207,6 +209,7 @@ fn stopped_session() -> Duration {
         lidar: Some(LidarNetConfig {
             data: LOOPBACK,
             position: LOOPBACK,
+            ..LidarNetConfig::default()
         }),
         cameras: vec![unit(&front, ["cam0", "cam1"])],
         imu: Some(line(&imu.path)),
@@ -268,6 +271,7 @@ fn devices_that_go_away_send_garbage_or_nothing_are_named_and_the_rest_goes_on()
         lidar: Some(LidarNetConfig {
             data: LOOPBACK,
             position: LOOPBACK,
+            ..LidarNetConfig::default()
         }),
         cameras: vec![
             unit(&front, ["cam0", "cam1"]),
@@ -314,6 +318,7 @@ fn lost_and_strange_datagrams_are_counted_and_kept() {
         lidar: Some(LidarNetConfig {
             data: LOOPBACK,
             position: LOOPBACK,
+            ..LidarNetConfig::default()
         }),
         imu: Some(line(&imu.path)),
         ..DevicesConfig::default()

@@ -7,8 +7,9 @@ use std::sync::Arc;
 use anyhow::Context as _;
 use lsfb_capture::{
     CameraUnitConfig, CaptureReport, Counts, DevicesConfig, ImuLineConfig, LidarNetConfig,
-    Overflow, Session, SidecarConfig,
+    Overflow, RecorderConfig, Session, SidecarConfig,
 };
+use lsfb_recording::Existing;
 use lsfb_sim::{
     FlowControl, GlassesEndpoint, Pace, ScanEndpoints, SimConfig, SimSession, Simulation,
 };
@@ -105,6 +106,7 @@ pub fn backpack_devices(
         // Both images side by side.
         frame_px: [2 * cameras.width, cameras.height],
         rate_hz: cameras.rate_hz,
+        imu: None,
     };
     DevicesConfig {
         rig: Some(layout.file("backpack.toml")),
@@ -117,6 +119,7 @@ pub fn backpack_devices(
             rate_hz: u16::try_from(config.scan_imu.rate_hz).unwrap_or(u16::MAX),
         }),
         sidecar: None,
+        ..DevicesConfig::default()
     }
 }
 
@@ -157,6 +160,15 @@ pub fn start_backpack(
     Ok(session)
 }
 
+/// What lies there from an earlier run is replaced, and how much it will be is known.
+fn in_a_folder_of_our_own() -> RecorderConfig {
+    RecorderConfig {
+        existing: Existing::Replace,
+        least_space_secs: 0.0,
+        ..RecorderConfig::default()
+    }
+}
+
 /// Records the simulated backpack, all in this process.
 pub fn record_backpack(
     layout: &Layout,
@@ -167,17 +179,19 @@ pub fn record_backpack(
     let any = LidarNetConfig {
         data: loopback,
         position: loopback,
+        ..LidarNetConfig::default()
     };
-    let recorder = Session::open(&backpack_devices(
-        layout,
-        simulation.config(),
-        any,
-        Overflow::Wait,
-    ))?;
+    let mut devices = backpack_devices(layout, simulation.config(), any, Overflow::Wait);
+    devices.recorder = in_a_folder_of_our_own();
+    let recorder = Session::open(&devices)?;
     let [data, position] = recorder.lidar_addresses()[..] else {
         anyhow::bail!("the recorder has no LiDAR address")
     };
-    let lidar = LidarNetConfig { data, position };
+    let lidar = LidarNetConfig {
+        data,
+        position,
+        ..LidarNetConfig::default()
+    };
     let devices = start_backpack(
         layout,
         simulation,
@@ -200,10 +214,9 @@ pub fn record_glasses(
     simulation: &Arc<Simulation>,
     context: &Context,
 ) -> anyhow::Result<CaptureReport> {
-    let recorder = Session::open(&glasses_devices(
-        SocketAddr::from(([127, 0, 0, 1], 0)),
-        Overflow::Wait,
-    ))?;
+    let mut devices = glasses_devices(SocketAddr::from(([127, 0, 0, 1], 0)), Overflow::Wait);
+    devices.recorder = in_a_folder_of_our_own();
+    let recorder = Session::open(&devices)?;
     let address = recorder
         .sidecar_address()
         .context("the recorder has no sidecar address")?;

@@ -10,6 +10,12 @@ use crate::source::Source;
 /// Larger chunks, packed or unpacked, are refused: nobody writes them, and length fields may lie.
 const MAX_CHUNK_BYTES: u64 = 1 << 30;
 
+/// A chunk as it lies in the file: its bytes, and what its head says about them.
+struct Packed<'a> {
+    head: record::ChunkHead,
+    data: &'a [u8],
+}
+
 /// Replaces `records` by the unpacked records of a chunk.
 pub(crate) fn read(
     source: &Source,
@@ -17,18 +23,91 @@ pub(crate) fn read(
     records: &mut Vec<u8>,
 ) -> Result<(), Error> {
     records.clear();
-    let damaged = |reason: String| {
-        let messages = indexed_messages(source, entry.offset.saturating_add(entry.record_bytes));
-        source.damaged(entry.offset, entry.record_bytes, messages, reason)
-    };
-    if entry.record_bytes > MAX_CHUNK_BYTES {
-        return Err(damaged(format!(
-            "chunk of {} bytes is larger than any that is written",
-            entry.record_bytes
-        )));
+    let bytes = read_bytes(source, entry, Vec::new())?;
+    let packed = packed(source, entry, &bytes)?;
+    if packed.head.packing == Packing::Plain {
+        check(source, entry, &packed.head, packed.data)?;
+        records.extend_from_slice(packed.data);
+        return Ok(());
     }
-    let packed = source.read(entry.offset, entry.record_bytes)?;
-    let mut rest = packed.as_slice();
+    unpack(source, entry, &packed, records)?;
+    let checked = check(source, entry, &packed.head, records);
+    if checked.is_err() {
+        records.clear();
+    }
+    checked
+}
+
+/// Memory that checking one chunk after another uses again.
+#[derive(Default)]
+pub(crate) struct Scratch {
+    bytes: Vec<u8>,
+    records: Vec<u8>,
+}
+
+/// Unpacks a chunk and compares its checksum, without keeping anything.
+pub(crate) fn verify(
+    source: &Source,
+    entry: &ChunkEntry,
+    scratch: &mut Scratch,
+) -> Result<(), Error> {
+    scratch.bytes = read_bytes(source, entry, std::mem::take(&mut scratch.bytes))?;
+    let packed = packed(source, entry, &scratch.bytes)?;
+    if packed.head.packing == Packing::Plain {
+        return check(source, entry, &packed.head, packed.data);
+    }
+    scratch.records.clear();
+    unpack(source, entry, &packed, &mut scratch.records)?;
+    check(source, entry, &packed.head, &scratch.records)
+}
+
+/// Unpacks as much of a torn chunk as there is. Nothing of it has been checked.
+pub(crate) fn unpack_torn(packing: Packing, data: &[u8]) -> Vec<u8> {
+    let mut records = Vec::new();
+    let mut piece = [0_u8; 16 << 10];
+    let mut unpacked: Box<dyn Read + '_> = match packing {
+        Packing::Plain => return data.to_vec(),
+        Packing::Lz4 => match lz4::Decoder::new(data) {
+            Ok(decoder) => Box::new(decoder),
+            Err(_) => return records,
+        },
+        Packing::Zstd => match zstd::stream::read::Decoder::new(data) {
+            Ok(decoder) => Box::new(decoder),
+            Err(_) => return records,
+        },
+    };
+    // Small pieces: what comes before the end of the data comes out before the error.
+    while (records.len() as u64) < MAX_CHUNK_BYTES {
+        match unpacked.read(&mut piece) {
+            Ok(0) | Err(_) => break,
+            Ok(count) => records.extend_from_slice(piece.get(..count).unwrap_or_default()),
+        }
+    }
+    records
+}
+
+fn damaged(source: &Source, entry: &ChunkEntry, reason: String) -> Error {
+    let messages = indexed_messages(source, entry.offset.saturating_add(entry.record_bytes));
+    source.damaged(entry.offset, entry.record_bytes, messages, reason)
+}
+
+fn read_bytes(source: &Source, entry: &ChunkEntry, mut bytes: Vec<u8>) -> Result<Vec<u8>, Error> {
+    if entry.record_bytes > MAX_CHUNK_BYTES {
+        return Err(damaged(
+            source,
+            entry,
+            format!(
+                "chunk of {} bytes is larger than any that is written",
+                entry.record_bytes
+            ),
+        ));
+    }
+    source.read_into(&mut bytes, entry.offset, entry.record_bytes)?;
+    Ok(bytes)
+}
+
+fn packed<'a>(source: &Source, entry: &ChunkEntry, bytes: &'a [u8]) -> Result<Packed<'a>, Error> {
+    let mut rest = bytes;
     let head = match record::next_record(&mut rest) {
         Some((opcode::CHUNK, body)) => {
             record::chunk_head(body, body.len() as u64).map(|head| (head, body))
@@ -36,41 +115,64 @@ pub(crate) fn read(
         _ => None,
     };
     let Some((head, body)) = head else {
-        return Err(damaged("no chunk where the index has one".to_owned()));
+        let reason = "no chunk where the index has one".to_owned();
+        return Err(damaged(source, entry, reason));
     };
     if head.uncompressed_bytes > MAX_CHUNK_BYTES {
-        return Err(damaged(format!(
+        let reason = format!(
             "chunk claims to unpack to {} bytes",
             head.uncompressed_bytes
-        )));
+        );
+        return Err(damaged(source, entry, reason));
     }
     let data = body.get(head.head_bytes as usize..).unwrap_or_default();
+    Ok(Packed { head, data })
+}
+
+fn unpack(
+    source: &Source,
+    entry: &ChunkEntry,
+    packed: &Packed<'_>,
+    records: &mut Vec<u8>,
+) -> Result<(), Error> {
     // One byte more than promised is enough to notice.
-    let limit = head.uncompressed_bytes + 1;
-    let unpacked = match head.packing {
+    let limit = packed.head.uncompressed_bytes + 1;
+    let data = packed.data;
+    let unpacked = match packed.head.packing {
         Packing::Plain => data.take(limit).read_to_end(records),
         Packing::Lz4 => lz4::Decoder::new(data).and_then(|d| d.take(limit).read_to_end(records)),
         Packing::Zstd => {
             zstd::stream::read::Decoder::new(data).and_then(|d| d.take(limit).read_to_end(records))
         }
     };
-    let reason = match unpacked {
-        Err(error) => format!("chunk does not unpack ({error})"),
-        Ok(bytes) if bytes as u64 != head.uncompressed_bytes => {
-            format!(
-                "chunk unpacks to {bytes} instead of {} bytes",
-                head.uncompressed_bytes
-            )
+    match unpacked {
+        Ok(_) => Ok(()),
+        Err(error) => {
+            records.clear();
+            let reason = format!("chunk does not unpack ({error})");
+            Err(damaged(source, entry, reason))
         }
-        Ok(_)
-            if head.uncompressed_crc != 0 && crc32fast::hash(records) != head.uncompressed_crc =>
-        {
-            "chunk has a wrong checksum".to_owned()
-        }
-        Ok(_) => return Ok(()),
+    }
+}
+
+fn check(
+    source: &Source,
+    entry: &ChunkEntry,
+    head: &record::ChunkHead,
+    records: &[u8],
+) -> Result<(), Error> {
+    let reason = if records.len() as u64 != head.uncompressed_bytes {
+        format!(
+            "chunk unpacks to {} instead of {} bytes",
+            records.len(),
+            head.uncompressed_bytes
+        )
+    } else if head.uncompressed_crc != 0 && crc32fast::hash(records) != head.uncompressed_crc {
+        "chunk has a wrong checksum".to_owned()
+    } else {
+        return Ok(());
     };
-    records.clear();
-    Err(damaged(reason))
+    Err(damaged(source, entry, reason))
 }
 
 /// How many messages the indices behind a chunk list; `None` where there are none.

@@ -16,6 +16,8 @@ pub(crate) struct ChunkEntry {
     pub start_time: u64,
     pub end_time: u64,
     pub channels: BTreeSet<u16>,
+    /// Size of the message indices that follow it.
+    pub index_bytes: u64,
 }
 
 #[derive(Default)]
@@ -39,6 +41,19 @@ pub(crate) fn read(source: &Source, data_start: u64) -> Result<Index, Error> {
     }
 }
 
+/// The records of the summary, where a file has one whose checksum is right.
+pub(crate) fn summary_bytes(source: &Source) -> Result<Option<Vec<u8>>, Error> {
+    Ok(match find_summary(source)? {
+        Found::Summary { bytes, .. } => Some(bytes),
+        Found::Not(_) => None,
+    })
+}
+
+enum Found {
+    Summary { bytes: Vec<u8>, start: u64 },
+    Not(FromSummary),
+}
+
 enum FromSummary {
     Index(Index),
     None,
@@ -47,28 +62,42 @@ enum FromSummary {
 }
 
 fn from_summary(source: &Source) -> Result<FromSummary, Error> {
+    let (bytes, start) = match find_summary(source)? {
+        Found::Summary { bytes, start } => (bytes, start),
+        Found::Not(why) => return Ok(why),
+    };
+    Ok(match parse_summary(&bytes, start) {
+        Some(Parsed::Index(index)) => FromSummary::Index(index),
+        Some(Parsed::NoChunkIndex) => FromSummary::None,
+        None => FromSummary::Broken("it does not describe this file"),
+    })
+}
+
+fn find_summary(source: &Source) -> Result<Found, Error> {
     let tail_bytes = record::FOOTER_BYTES + mcap::MAGIC.len() as u64;
     let Some(footer_offset) = source.bytes.checked_sub(tail_bytes) else {
-        return Ok(FromSummary::CutOff);
+        return Ok(Found::Not(FromSummary::CutOff));
     };
     let tail = source.read(footer_offset, tail_bytes)?;
     let mut records = tail.as_slice();
     let Some((opcode::FOOTER, footer)) = record::next_record(&mut records) else {
-        return Ok(FromSummary::CutOff);
+        return Ok(Found::Not(FromSummary::CutOff));
     };
     let mut fields = record::Fields(footer);
     let (Some(start), Some(_offsets), Some(crc)) = (fields.u64(), fields.u64(), fields.u32())
     else {
-        return Ok(FromSummary::CutOff);
+        return Ok(Found::Not(FromSummary::CutOff));
     };
     if records != mcap::MAGIC {
-        return Ok(FromSummary::CutOff);
+        return Ok(Found::Not(FromSummary::CutOff));
     }
     if start == 0 {
-        return Ok(FromSummary::None);
+        return Ok(Found::Not(FromSummary::None));
     }
     if start >= footer_offset {
-        return Ok(FromSummary::Broken("the footer points behind itself"));
+        return Ok(Found::Not(FromSummary::Broken(
+            "the footer points behind itself",
+        )));
     }
     let summary = source.read(start, footer_offset - start)?;
     if crc != 0 {
@@ -76,14 +105,13 @@ fn from_summary(source: &Source) -> Result<FromSummary, Error> {
         hasher.update(&summary);
         hasher.update(&tail[..(HEAD_BYTES + 16) as usize]);
         if hasher.finalize() != crc {
-            return Ok(FromSummary::Broken("its checksum differs"));
+            return Ok(Found::Not(FromSummary::Broken("its checksum differs")));
         }
     }
-    match parse_summary(&summary, start) {
-        Some(Parsed::Index(index)) => Ok(FromSummary::Index(index)),
-        Some(Parsed::NoChunkIndex) => Ok(FromSummary::None),
-        None => Ok(FromSummary::Broken("it does not describe this file")),
-    }
+    Ok(Found::Summary {
+        bytes: summary,
+        start,
+    })
 }
 
 enum Parsed {
@@ -112,6 +140,7 @@ fn parse_summary(mut summary: &[u8], data_end: u64) -> Option<Parsed> {
                     start_time: chunk.start_time,
                     end_time: chunk.end_time,
                     channels: chunk.channels.into_iter().collect(),
+                    index_bytes: chunk.index_bytes,
                 });
             }
             opcode::ATTACHMENT_INDEX => index.attachments.push(record::attachment_index(body)?),

@@ -32,20 +32,22 @@ pub mod message;
 mod provenance;
 mod reader;
 mod record;
+mod recover;
 mod scan;
 mod source;
 mod summary;
 mod topic;
 mod tum;
+mod verify;
 mod walk;
 mod writer;
 
 pub use error::{Damage, Error};
-pub use layout::{
-    Channel, Compression, Durability, Existing, Summary, TopicSummary, WriterConfig,
-};
+pub use layout::{Channel, Compression, Durability, Existing, Summary, TopicSummary, WriterConfig};
 pub use provenance::{Provenance, sha256_of};
 pub use reader::{ArrivalRange, CameraImage, CdrMessage, RecordedPacket, Recording};
-pub use topic::{LIDAR_POSITION, REMARKS};
+pub use recover::{Recovered, recover};
+pub use topic::{CAMERA_GROUPS, CLOCK_MODELS, HEALTH, LIDAR_POSITION, REMARKS};
 pub use tum::{read_tum, write_tum};
+pub use verify::TopicArrivals;
 pub use writer::Writer;

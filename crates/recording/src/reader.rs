@@ -1,17 +1,20 @@
+use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::rc::Rc;
 
 use lsfb_geometry::Rig;
-use lsfb_types::{Image, ImuSample, LidarScan, Packet, Progress, ProgressFn, Stamped, Timestamp};
+use lsfb_types::{Image, ImuSample, LidarScan, Packet, ProgressFn, Stamped, Timestamp};
 
 use crate::cdr::CdrError;
 use crate::error::{Damage, Error};
-use crate::index::Index;
+use crate::index::{ChunkEntry, Index};
 use crate::layout::TopicSummary;
 use crate::message::{self, FrameMeta};
-use crate::record::{self, HEAD_BYTES, MessageRecord, NamedRecord, opcode};
+use crate::record::{self, MessageRecord, NamedRecord, opcode};
 use crate::source::Source;
-use crate::walk::{Role, Waiting, Walk, stamped, timestamp, with_ticks};
+use crate::verify::{self, TopicArrivals};
+use crate::walk::{ChunkCache, Role, Waiting, Walk, stamped, timestamp, with_ticks};
 use crate::{chunk, index, topic};
 
 /// A recording, read chunk by chunk: memory holds one chunk per iterator.
@@ -70,29 +73,7 @@ impl Recording {
     /// Opens a file. Its end may be missing and parts of it broken; see [`Recording::damage`].
     pub fn open(path: &Path) -> Result<Self, Error> {
         let source = Source::open(path)?;
-        let path = path.to_owned();
-        if source.bytes == 0 {
-            return Err(Error::Empty { path });
-        }
-        let magic_bytes = mcap::MAGIC.len() as u64;
-        let start = source.read(0, 4096)?;
-        let Some(mut records) = start.strip_prefix(mcap::MAGIC) else {
-            return Err(Error::NotMcap { path });
-        };
-        let header = match record::next_record(&mut records) {
-            Some((opcode::HEADER, body)) => record::Fields(body)
-                .string()
-                .map(|profile| (profile, body.len() as u64)),
-            _ => None,
-        };
-        let Some((profile, header_bytes)) = header else {
-            return Err(Error::NotMcap { path });
-        };
-        if profile != "ros2" {
-            let found = profile.to_owned();
-            return Err(Error::Profile { path, found });
-        }
-        let index = index::read(&source, magic_bytes + HEAD_BYTES + header_bytes)?;
+        let index = index::read(&source, source.data_start()?)?;
         let topics = topics(&index);
         Ok(Self {
             source,
@@ -125,24 +106,47 @@ impl Recording {
         })
     }
 
-    /// Reads every chunk and says everything that is missing, in the order of the file.
+    /// Reads every chunk, on all cores, and says everything that is missing, in the order of the file.
     pub fn verify(&self, progress: ProgressFn<'_>) -> Result<Vec<Damage>, Error> {
-        let mut found = self.index.damage.clone();
-        let mut records = Vec::new();
-        for (done, entry) in self.index.chunks.iter().enumerate() {
-            progress(Progress {
-                stage: "verify recording",
-                done: done as u64,
-                total: self.index.chunks.len() as u64,
-            });
+        verify::all(&self.source, &self.index, progress)
+    }
+
+    /// When the messages of each topic arrived, from the indices alone: fast whatever the size of the file. Chunks without
+    /// message indices are passed over.
+    pub fn arrivals(&self, progress: ProgressFn<'_>) -> Result<Vec<TopicArrivals>, Error> {
+        verify::arrivals(&self.source, &self.index, progress)
+    }
+
+    /// The last message of a topic, found from the end: fast whatever the size of the file. `None` where there is none.
+    pub fn last_message(&self, topic: &str) -> Result<Option<CdrMessage>, Error> {
+        let channels: Vec<u16> = self.channels_of(topic).collect();
+        let with_topic = |c: &&ChunkEntry| channels.iter().any(|id| c.channels.contains(id));
+        for entry in self.index.chunks.iter().rev().filter(with_topic) {
+            let mut records = Vec::new();
             match chunk::read(&self.source, entry, &mut records) {
                 Ok(()) => {}
-                Err(Error::Damaged { damage, .. }) => found.push(damage),
+                Err(Error::Damaged { .. }) => continue,
                 Err(error) => return Err(error),
             }
+            let mut rest = records.as_slice();
+            let mut last = None;
+            while let Some((opcode, body)) = record::next_record(&mut rest) {
+                if opcode == opcode::MESSAGE
+                    && let Some(message) = record::message(body)
+                    && channels.contains(&message.channel_id)
+                {
+                    last = Some(CdrMessage {
+                        time: timestamp(message.publish_time),
+                        arrival: timestamp(message.log_time),
+                        bytes: message.data.to_vec(),
+                    });
+                }
+            }
+            if last.is_some() {
+                return Ok(last);
+            }
         }
-        found.sort_by_key(|d| d.offset);
-        Ok(found)
+        Ok(None)
     }
 
     /// The rig that was attached.
@@ -196,45 +200,41 @@ impl Recording {
         Ok(self.images_of(&[camera])?.map(|item| item.map(|i| i.image)))
     }
 
-    /// Images of several cameras in the order of the file, in one pass.
+    /// Images of several cameras in the order of their synchronized time, cameras in the order of the names where that is
+    /// equal; how far apart their links ran does not matter. Within a camera the order of the file is kept.
     pub fn images_of(
         &self,
         cameras: &[&str],
     ) -> Result<impl Iterator<Item = Result<CameraImage, Error>> + use<'_>, Error> {
-        let mut roles = BTreeMap::new();
-        for (camera, name) in cameras.iter().enumerate() {
+        let cache = Rc::new(RefCell::new(ChunkCache::new(cameras.len() + 1)));
+        let mut streams = Vec::new();
+        for name in cameras {
             let topic = self.camera_topic(name)?;
-            roles.extend(
-                self.channels_of(&topic)
-                    .map(|id| (id, Role::Sample(camera))),
-            );
+            let mut roles: BTreeMap<u16, Role> = BTreeMap::new();
+            roles.extend(self.channels_of(&topic).map(|id| (id, Role::Sample(0))));
             roles.extend(
                 self.channels_of(&topic::frame_meta(&topic))
-                    .map(|id| (id, Role::Companion(camera))),
+                    .map(|id| (id, Role::Companion(0))),
             );
+            let mut metas = Waiting::default();
+            let walk = Walk::through(&self.source, &self.index, roles, Rc::clone(&cache));
+            streams.push(self.decoded(walk, move |role, message| match role {
+                Role::Companion(of) => {
+                    let meta = message::decode_frame_meta(message.data)?;
+                    metas.put(of, message.publish_time, meta);
+                    Ok(None)
+                }
+                Role::Sample(of) => {
+                    let meta = metas.take(of, message.publish_time).unwrap_or_default();
+                    let sample = message::decode_image(message.data)?;
+                    let mut image = stamped(message, meta.device_ticks, sample);
+                    image.sample.exposure_ns = meta.exposure_ns;
+                    image.sample.frame_id = meta.frame_id;
+                    Ok(Some(image))
+                }
+            }));
         }
-        let mut metas = Waiting::default();
-        Ok(self.samples(roles, move |role, message| match role {
-            Role::Companion(camera) => {
-                metas.put(
-                    camera,
-                    message.publish_time,
-                    message::decode_frame_meta(message.data)?,
-                );
-                Ok(None)
-            }
-            Role::Sample(camera) => {
-                let meta = metas.take(camera, message.publish_time).unwrap_or_default();
-                let mut image = stamped(
-                    message,
-                    meta.device_ticks,
-                    message::decode_image(message.data)?,
-                );
-                image.sample.exposure_ns = meta.exposure_ns;
-                image.sample.frame_id = meta.frame_id;
-                Ok(Some(CameraImage { camera, image }))
-            }
-        }))
+        Ok(merge_by_time(streams))
     }
 
     /// What a camera said about its frames, trailers included.
@@ -250,11 +250,16 @@ impl Recording {
         }))
     }
 
-    /// Inertial samples of the only IMU.
+    /// Inertial samples of the rig's IMU: `imu0` where there are several, else the only one.
     pub fn imu(
         &self,
     ) -> Result<impl Iterator<Item = Result<Stamped<ImuSample>, Error>> + use<'_>, Error> {
-        let topic = self.only_topic("IMU", |t| t.schema == message::IMU.name)?;
+        let own = topic::imu("imu0");
+        let topic = if self.topics.iter().any(|t| t.topic == own) {
+            own
+        } else {
+            self.only_topic("IMU", |t| t.schema == message::IMU.name)?
+        };
         let mut roles = self.sample_role(&topic, message::IMU.name)?;
         roles.extend(
             self.channels_of(&topic::imu_time_ref(&topic))
@@ -352,12 +357,19 @@ impl Recording {
     }
 
     /// Walks over the messages of some channels in the order of the file, decoding what `decode` wants to give.
-    fn samples<T>(
-        &self,
+    fn samples<'a, T>(
+        &'a self,
         roles: BTreeMap<u16, Role>,
-        mut decode: impl FnMut(Role, &MessageRecord<'_>) -> Result<Option<T>, CdrError>,
-    ) -> impl Iterator<Item = Result<T, Error>> {
-        let mut walk = Walk::new(&self.source, &self.index, roles);
+        decode: impl FnMut(Role, &MessageRecord<'_>) -> Result<Option<T>, CdrError> + 'a,
+    ) -> impl Iterator<Item = Result<T, Error>> + 'a {
+        self.decoded(Walk::new(&self.source, &self.index, roles), decode)
+    }
+
+    fn decoded<'a, T>(
+        &'a self,
+        mut walk: Walk<'a>,
+        mut decode: impl FnMut(Role, &MessageRecord<'_>) -> Result<Option<T>, CdrError> + 'a,
+    ) -> impl Iterator<Item = Result<T, Error>> + 'a {
         std::iter::from_fn(move || {
             loop {
                 let found = match walk.next_message()? {
@@ -481,6 +493,32 @@ impl Recording {
         self.source
             .damaged(entry.offset, entry.record_bytes, None, reason)
     }
+}
+
+/// Merges streams by synchronized time. An error is given as soon as it is met: it belongs before what follows it.
+fn merge_by_time<'a>(
+    mut streams: Vec<impl Iterator<Item = Result<Stamped<Image>, Error>> + 'a>,
+) -> impl Iterator<Item = Result<CameraImage, Error>> + 'a {
+    let mut heads: Vec<Option<Stamped<Image>>> = streams.iter().map(|_| None).collect();
+    std::iter::from_fn(move || {
+        for (head, stream) in heads.iter_mut().zip(&mut streams) {
+            if head.is_none() {
+                match stream.next() {
+                    Some(Ok(image)) => *head = Some(image),
+                    Some(Err(error)) => return Some(Err(error)),
+                    None => {}
+                }
+            }
+        }
+        let earliest = heads
+            .iter()
+            .enumerate()
+            .filter_map(|(camera, head)| head.as_ref().map(|image| (image.time, camera)))
+            .min()?;
+        let camera = earliest.1;
+        let image = heads.get_mut(camera)?.take()?;
+        Some(Ok(CameraImage { camera, image }))
+    })
 }
 
 fn topics(index: &Index) -> Vec<TopicSummary> {

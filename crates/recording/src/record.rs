@@ -187,6 +187,21 @@ pub(crate) fn chunk_head(body_start: &[u8], record_bytes: u64) -> Option<ChunkHe
     })
 }
 
+/// The arrival times that a message index lists, in its order.
+pub(crate) fn message_index_times(body: &[u8]) -> Option<(u16, impl Iterator<Item = u64> + '_)> {
+    let mut fields = Fields(body);
+    let channel = fields.u16()?;
+    let entries = fields.bytes()?;
+    let times = entries
+        .chunks_exact(MESSAGE_INDEX_ENTRY_BYTES as usize)
+        .filter_map(|entry| {
+            entry
+                .first_chunk::<8>()
+                .map(|time| u64::from_le_bytes(*time))
+        });
+    Some((channel, times))
+}
+
 /// What the first bytes of a message index tell.
 pub(crate) struct MessageIndexHead {
     pub channel_id: u16,
@@ -213,6 +228,8 @@ pub(crate) struct ChunkIndexRecord {
     pub offset: u64,
     pub record_bytes: u64,
     pub channels: Vec<u16>,
+    /// Size of the message indices behind the chunk.
+    pub index_bytes: u64,
 }
 
 pub(crate) fn chunk_index(body: &[u8]) -> Option<ChunkIndexRecord> {
@@ -227,7 +244,9 @@ pub(crate) fn chunk_index(body: &[u8]) -> Option<ChunkIndexRecord> {
         channels.push(offsets.u16()?);
         offsets.u64()?;
     }
+    let index_bytes = fields.u64()?;
     Some(ChunkIndexRecord {
+        index_bytes,
         start_time,
         end_time,
         offset,

@@ -192,6 +192,7 @@ impl<'a> Scan<'a> {
                 start_time: head.start_time,
                 end_time: head.end_time,
                 channels: BTreeSet::new(),
+                index_bytes: 0,
             },
             indexed: BTreeMap::new(),
         });
@@ -211,6 +212,7 @@ impl<'a> Scan<'a> {
         };
         if let Some(pending) = &mut self.pending {
             *pending.indexed.entry(head.channel_id).or_default() += head.messages;
+            pending.entry.index_bytes += HEAD_BYTES + body_bytes;
         }
         Ok(Some(()))
     }

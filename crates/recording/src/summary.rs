@@ -93,7 +93,9 @@ impl SummaryBuilder {
             self.chunks.iter().for_each(|chunk| chunk_index(out, chunk));
         });
         group(&mut out, opcode::ATTACHMENT_INDEX, &|out| {
-            self.attachments.iter().for_each(|a| attachment_index(out, a));
+            self.attachments
+                .iter()
+                .for_each(|a| attachment_index(out, a));
         });
         group(&mut out, opcode::METADATA_INDEX, &|out| {
             self.metadata.iter().for_each(|m| metadata_index(out, m));
@@ -125,7 +127,10 @@ impl SummaryBuilder {
             emit::u32(out, self.metadata.len() as u32);
             emit::u32(out, self.chunks.len() as u32);
             let with_messages = || self.chunks.iter().filter(|c| !c.index_offsets.is_empty());
-            emit::u64(out, with_messages().map(|c| c.start_time).min().unwrap_or(0));
+            emit::u64(
+                out,
+                with_messages().map(|c| c.start_time).min().unwrap_or(0),
+            );
             emit::u64(out, with_messages().map(|c| c.end_time).max().unwrap_or(0));
             emit::sized(out, |out| {
                 for (channel, messages) in &self.messages {

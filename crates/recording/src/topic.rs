@@ -22,6 +22,12 @@ pub const LIDAR_POSITION: &str = "lidar/position";
 
 /// What the operator says while recording.
 pub const REMARKS: &str = "/operator/remarks";
+/// What the recorder says about the devices and the disk: one topic per quantity behind this.
+pub const HEALTH: &str = "/health/";
+/// Which images of each trigger there are.
+pub const CAMERA_GROUPS: &str = "/sync/groups";
+/// How each device's clock is read: one topic per device behind this.
+pub const CLOCK_MODELS: &str = "/sync/clock/";
 
 pub(crate) fn image(camera: &str) -> String {
     format!("/{camera}/image")

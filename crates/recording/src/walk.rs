@@ -1,12 +1,14 @@
 //! Walking over the messages of some channels, and joining each sample with what was written beside it.
 
-use std::collections::BTreeMap;
+use std::cell::RefCell;
+use std::collections::{BTreeMap, BTreeSet};
+use std::rc::Rc;
 
 use lsfb_types::{Stamped, Timestamp};
 
 use crate::cdr::CdrError;
 use crate::error::Error;
-use crate::index::Index;
+use crate::index::{ChunkEntry, Index};
 use crate::record::{self, MessageRecord, opcode};
 use crate::source::Source;
 use crate::{chunk, message};
@@ -78,14 +80,59 @@ pub(crate) fn with_ticks<T>(
     }
 }
 
+/// Unpacked chunks that several walks share: where they run side by side, each chunk is unpacked once.
+pub(crate) struct ChunkCache {
+    capacity: usize,
+    /// The latest last.
+    chunks: Vec<(u64, Rc<Vec<u8>>)>,
+    /// Chunks whose damage has been told: once, not by every walk.
+    broken: BTreeSet<u64>,
+}
+
+impl ChunkCache {
+    pub fn new(capacity: usize) -> Self {
+        Self {
+            capacity,
+            chunks: Vec::new(),
+            broken: BTreeSet::new(),
+        }
+    }
+
+    fn read(&mut self, source: &Source, entry: &ChunkEntry) -> Result<Rc<Vec<u8>>, Error> {
+        if let Some(at) = self.chunks.iter().position(|(at, _)| *at == entry.offset) {
+            let found = self.chunks.remove(at);
+            let records = Rc::clone(&found.1);
+            self.chunks.push(found);
+            return Ok(records);
+        }
+        if self.broken.contains(&entry.offset) {
+            return Ok(Rc::default());
+        }
+        let mut records = Vec::new();
+        if self.chunks.len() >= self.capacity && !self.chunks.is_empty() {
+            // Its memory is used again where nobody reads it any more.
+            let (_, oldest) = self.chunks.remove(0);
+            records = Rc::try_unwrap(oldest).unwrap_or_default();
+        }
+        if let Err(error) = chunk::read(source, entry, &mut records) {
+            self.broken.insert(entry.offset);
+            return Err(error);
+        }
+        let records = Rc::new(records);
+        self.chunks.push((entry.offset, Rc::clone(&records)));
+        Ok(records)
+    }
+}
+
 /// The messages of some channels, chunk after chunk.
 pub(crate) struct Walk<'a> {
     source: &'a Source,
     index: &'a Index,
     roles: BTreeMap<u16, Role>,
+    cache: Rc<RefCell<ChunkCache>>,
     next_chunk: usize,
     chunk_offset: u64,
-    records: Vec<u8>,
+    records: Rc<Vec<u8>>,
     position: usize,
 }
 
@@ -96,13 +143,25 @@ pub(crate) struct Found<'a> {
 
 impl<'a> Walk<'a> {
     pub fn new(source: &'a Source, index: &'a Index, roles: BTreeMap<u16, Role>) -> Self {
+        let cache = Rc::new(RefCell::new(ChunkCache::new(1)));
+        Self::through(source, index, roles, cache)
+    }
+
+    /// A walk that shares unpacked chunks with others.
+    pub fn through(
+        source: &'a Source,
+        index: &'a Index,
+        roles: BTreeMap<u16, Role>,
+        cache: Rc<RefCell<ChunkCache>>,
+    ) -> Self {
         Self {
             source,
             index,
             roles,
+            cache,
             next_chunk: 0,
             chunk_offset: 0,
-            records: Vec::new(),
+            records: Rc::default(),
             position: 0,
         }
     }
@@ -120,7 +179,7 @@ impl<'a> Walk<'a> {
             let Some((opcode, body)) = record::next_record(&mut records) else {
                 let lost = rest.len() as u64;
                 let reason = "records inside a chunk are broken".to_owned();
-                self.records.clear();
+                self.records = Rc::default();
                 return Some(Err(self.source.damaged(
                     self.chunk_offset,
                     lost,
@@ -145,14 +204,15 @@ impl<'a> Walk<'a> {
 
     /// `None` after the last chunk.
     fn load_next_chunk(&mut self) -> Option<Result<(), Error>> {
-        self.records.clear();
+        self.records = Rc::default();
         self.position = 0;
         loop {
             let entry = self.index.chunks.get(self.next_chunk)?;
             self.next_chunk += 1;
             if self.roles.keys().any(|id| entry.channels.contains(id)) {
                 self.chunk_offset = entry.offset;
-                return Some(chunk::read(self.source, entry, &mut self.records));
+                let read = self.cache.borrow_mut().read(self.source, entry);
+                return Some(read.map(|records| self.records = records));
             }
         }
     }

@@ -100,6 +100,26 @@ struct Delivered {
     seq: u64,
 }
 
+/// An event, and what is owed for it.
+#[derive(Debug)]
+pub struct Delivery {
+    /// What happened.
+    pub event: SidecarEvent,
+    /// For DATA: to be given back when the message is stored.
+    pub receipt: Option<Receipt>,
+}
+
+/// Stands for a message that the app keeps until it is stored here. Dropped without a word, the app keeps it.
+#[derive(Debug)]
+pub struct Receipt(Delivered);
+
+impl Receipt {
+    /// The message, and all before it on its connection, are stored: the app is told and may forget them.
+    pub fn acknowledge(&self) {
+        self.0.stored_seq.fetch_max(self.0.seq, Ordering::AcqRel);
+    }
+}
+
 #[derive(Debug, Default)]
 struct Shared {
     stop: AtomicBool,
@@ -137,6 +157,13 @@ impl SidecarServer {
     /// Where it listens.
     pub fn address(&self) -> SocketAddr {
         self.address
+    }
+
+    /// [`SidecarServer::recv`] for a caller that stores later: nothing is acknowledged before its receipt is given back.
+    pub fn recv_unacknowledged(&mut self, timeout: Duration) -> Result<Option<Delivery>, Error> {
+        let event = self.recv(timeout)?;
+        let receipt = self.delivered.take().map(Receipt);
+        Ok(event.map(|event| Delivery { event, receipt }))
     }
 
     /// The next event of any connection, waiting up to `timeout`.

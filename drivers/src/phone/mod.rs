@@ -17,4 +17,4 @@ pub mod wire;
 
 pub use client::{ClientConfig, SidecarClient};
 pub use decode::{Decoder, SidecarCounters, SidecarMessage};
-pub use device::{SidecarConfig, SidecarEvent, SidecarServer};
+pub use device::{Delivery, Receipt, SidecarConfig, SidecarEvent, SidecarServer};

@@ -4,10 +4,11 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
-use lsfb_capture::{CaptureReport, DevicesConfig, ReplayConfig, Session, replay};
+use lsfb_capture::{CaptureReport, DevicesConfig, RecorderConfig, ReplayConfig, Session, replay};
 use lsfb_drivers::transport::pcap::PcapSource;
 use lsfb_drivers::transport::rosbag2::Rosbag2Source;
 use lsfb_geometry::Rig;
+use lsfb_recording::Existing;
 
 use crate::context::Context;
 use crate::outcome::Outcome;
@@ -18,6 +19,7 @@ use crate::outcome::Outcome;
 ///
 /// Examples:
 ///   lsfb scan --devices devices.toml --out scan.mcap
+///   lsfb scan --devices devices.toml --out scan.mcap --split-secs 300 --second-disk /media/spare
 ///   lsfb scan --pcap drive.pcap --out drive.mcap
 ///   lsfb scan --db3 rosbag2_0.db3 --out bag.mcap
 #[derive(clap::Args)]
@@ -35,9 +37,39 @@ pub struct Arguments {
     /// Rig attached to what comes from a capture file.
     #[arg(long, value_name = "FILE", conflicts_with = "devices")]
     rig: Option<PathBuf>,
-    /// The recording.
+    /// The recording. A file that is there already is not replaced.
     #[arg(long, value_name = "MCAP")]
     out: PathBuf,
+    /// Replace a recording of the same name.
+    #[arg(long)]
+    force: bool,
+    /// Begin a new file after this many megabytes; each opens by itself.
+    #[arg(long, value_name = "MB")]
+    split_mb: Option<u64>,
+    /// Begin a new file after this many seconds.
+    #[arg(long, value_name = "S")]
+    split_secs: Option<f64>,
+    /// Folder on another disk, to go on with when the first is nearly full.
+    #[arg(long, value_name = "FOLDER")]
+    second_disk: Option<PathBuf>,
+}
+
+impl Arguments {
+    /// What the command line says about files goes before what the list of devices says.
+    fn apply(&self, recorder: &mut RecorderConfig) {
+        if self.force {
+            recorder.existing = Existing::Replace;
+        }
+        if let Some(megabytes) = self.split_mb {
+            recorder.split_bytes = megabytes.saturating_mul(1_000_000);
+        }
+        if let Some(secs) = self.split_secs {
+            recorder.split_secs = secs;
+        }
+        if let Some(folder) = &self.second_disk {
+            recorder.second_folder = Some(folder.clone());
+        }
+    }
 }
 
 /// Records, prints the report.
@@ -54,14 +86,17 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         }
     }
     let report = if let Some(devices) = &arguments.devices {
-        let session = Session::open(&DevicesConfig::read(devices)?)?;
+        let mut config = DevicesConfig::read(devices)?;
+        arguments.apply(&mut config.recorder);
+        let session = Session::open(&config)?;
         session.run(&arguments.out, context.stop(), &show)?
     } else {
         let rig = arguments.rig.as_deref().map(Rig::read).transpose()?;
-        let config = ReplayConfig {
+        let mut config = ReplayConfig {
             rig,
             ..ReplayConfig::default()
         };
+        arguments.apply(&mut config.recorder);
         let out: &Path = &arguments.out;
         match (&arguments.pcap, &arguments.db3) {
             (Some(pcap), _) => replay(
@@ -109,6 +144,7 @@ pub fn text(report: &CaptureReport) -> String {
             (s.missing, "missing"),
             (s.duplicated, "repeated"),
             (s.dropped, "dropped because the disk could not keep up"),
+            (s.interruptions, "times gone and back"),
         ] {
             if count > 0 {
                 let _ = write!(out, ", {count} {what}");
@@ -121,6 +157,12 @@ pub fn text(report: &CaptureReport) -> String {
         for line in s.first_bad.iter().chain(&s.notes) {
             let _ = writeln!(out, "               {line}");
         }
+    }
+    if let Some(why) = &report.failure {
+        let _ = writeln!(out, "  STOPPED      {why}");
+    }
+    for part in report.parts.iter().skip(1) {
+        let _ = writeln!(out, "  continued in {}", part.display());
     }
     if report.groups.complete + report.groups.incomplete > 0 {
         let _ = write!(

@@ -88,6 +88,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         let lidar = LidarNetConfig {
             data: arguments.endpoints.lidar_data,
             position: arguments.endpoints.lidar_position,
+            ..LidarNetConfig::default()
         };
         let glasses = arguments.endpoints.sidecar;
         let backpack_file = layout.file("backpack-devices.toml");

@@ -7,6 +7,7 @@ mod image;
 mod imu;
 mod lsfb;
 mod points;
+mod recorder;
 mod remark;
 mod schema;
 mod transform;
@@ -25,10 +26,14 @@ pub use lsfb::{
     encode_raw_packet,
 };
 pub use points::{decode_points, encode_points};
+pub use recorder::{
+    CameraGroup, ClockModel, HealthValue, decode_camera_group, decode_clock_model,
+    decode_health_value, encode_camera_group, encode_clock_model, encode_health_value,
+};
 pub use remark::{Remark, decode_remark, encode_remark};
 pub use schema::{
-    CAMERA_INFO, FRAME_META, IMAGE, IMU, POINT_CLOUD, RAW_PACKET, REMARK, Schema, TF_MESSAGE,
-    TIME_REFERENCE, VELODYNE_SCAN,
+    CAMERA_GROUP, CAMERA_INFO, CLOCK_MODEL, FRAME_META, HEALTH_VALUE, IMAGE, IMU, POINT_CLOUD,
+    RAW_PACKET, REMARK, Schema, TF_MESSAGE, TIME_REFERENCE, VELODYNE_SCAN,
 };
 pub use transform::{StaticTransform, encode_static_transforms};
 pub use velodyne::{VELODYNE_PACKET_BYTES, decode_velodyne_scan, encode_velodyne_scan};

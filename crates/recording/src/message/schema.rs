@@ -164,3 +164,31 @@ pub const FRAME_META: Schema = Schema {
         header!()
     ),
 };
+
+/// How a device's counter is read.
+pub const CLOCK_MODEL: Schema = Schema {
+    name: "lsfb_msgs/msg/ClockModel",
+    text: concat!(
+        "std_msgs/Header header\nstring device\nstring kind\nuint32 epoch\nint64 reference_device_ns\n",
+        "int64 reference_time_ns\nfloat64 skew\nfloat64 sigma_ns\nfloat64 sigma_skew\nuint64 pairs\nuint64 tick_ns\nuint64 period_ticks\n",
+        header!()
+    ),
+};
+
+/// Which images of one trigger there are.
+pub const CAMERA_GROUP: Schema = Schema {
+    name: "lsfb_msgs/msg/CameraGroup",
+    text: concat!(
+        "std_msgs/Header header\nuint64 trigger\nuint32 expected\nuint32 present\nstring missing\n",
+        header!()
+    ),
+};
+
+/// One quantity of one device at one moment.
+pub const HEALTH_VALUE: Schema = Schema {
+    name: "lsfb_msgs/msg/HealthValue",
+    text: concat!(
+        "std_msgs/Header header\nstring device\nfloat64 value\nuint8 level\nstring text\n",
+        header!()
+    ),
+};

@@ -1,0 +1,118 @@
+//! A device's clock model as a topic of the recording.
+
+use lsfb_recording::CLOCK_MODELS;
+use lsfb_recording::message::{self, ClockModel};
+use lsfb_types::Timestamp;
+
+use super::ClockEstimate;
+use crate::health::SyncState;
+use crate::recorder::{Entry, OwnMessage};
+
+/// Kind of a model whose device names the second itself.
+pub(crate) const LOCKED: &str = "locked";
+const FITTED: &str = "fitted";
+/// Spacing of the models.
+const PERIOD_NS: i64 = 1_000_000_000;
+/// A device that names the second does so to the microsecond.
+const LOCKED_SIGMA_NS: f64 = 1_000.0;
+
+/// How a device's stamps are made at the moment.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Reading {
+    /// The device itself says what time it is.
+    Locked { device_ns: i64, time: Timestamp },
+    /// Its counter is fitted to arrival.
+    Fitted(ClockEstimate),
+}
+
+impl Reading {
+    /// The same for the operator.
+    pub(crate) fn sync_state(&self) -> SyncState {
+        match self {
+            Self::Locked { .. } => SyncState::Locked,
+            Self::Fitted(estimate) => SyncState::Fitted {
+                sigma_us: estimate.sigma_ns / 1e3,
+                skew_ppm: estimate.skew * 1e6,
+                epochs: estimate.epoch,
+            },
+        }
+    }
+}
+
+/// Says once a second how a device's clock is read.
+#[derive(Clone, Debug)]
+pub(crate) struct ModelTopic {
+    device: String,
+    tick_ns: u64,
+    period_ticks: u64,
+    last: Option<Timestamp>,
+}
+
+impl ModelTopic {
+    /// `period_ticks`: 0 where the counter does not wrap.
+    pub(crate) fn new(device: &str, tick_ns: u64, period_ticks: u64) -> Self {
+        Self {
+            device: device.to_owned(),
+            tick_ns,
+            period_ticks,
+            last: None,
+        }
+    }
+
+    /// Whether it is time for another, at `arrival`.
+    pub(crate) fn is_due(&self, arrival: Timestamp) -> bool {
+        self.last
+            .is_none_or(|last| (arrival - last).abs() >= PERIOD_NS)
+    }
+
+    /// The model as an entry of the recording.
+    pub(crate) fn entry(
+        &mut self,
+        reading: &Reading,
+        time: Timestamp,
+        arrival: Timestamp,
+    ) -> Entry {
+        self.last = Some(arrival);
+        let model = match reading {
+            Reading::Locked { device_ns, time } => ClockModel {
+                kind: LOCKED.to_owned(),
+                epoch: 1,
+                reference_device_ns: *device_ns,
+                reference_time_ns: time.nanos(),
+                sigma_ns: LOCKED_SIGMA_NS,
+                ..self.blank()
+            },
+            Reading::Fitted(estimate) => ClockModel {
+                kind: FITTED.to_owned(),
+                epoch: estimate.epoch,
+                reference_device_ns: estimate.reference_device_ns,
+                reference_time_ns: estimate.reference_time.nanos(),
+                skew: estimate.skew,
+                sigma_ns: estimate.sigma_ns,
+                sigma_skew: estimate.sigma_skew,
+                pairs: estimate.pairs,
+                ..self.blank()
+            },
+        };
+        let message = OwnMessage {
+            topic: format!("{CLOCK_MODELS}{}", self.device),
+            schema: message::CLOCK_MODEL,
+            time,
+            arrival,
+            bytes: message::encode_clock_model(time, &self.device, &model),
+        };
+        Entry::ClockModel {
+            device: self.device.clone(),
+            message,
+        }
+    }
+
+    fn blank(&self) -> ClockModel {
+        ClockModel {
+            device: self.device.clone(),
+            tick_ns: self.tick_ns,
+            period_ticks: self.period_ticks,
+            ..ClockModel::default()
+        }
+    }
+}

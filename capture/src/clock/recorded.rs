@@ -1,0 +1,416 @@
+//! Clocks estimated again from the stamps that a recording keeps: nothing here depends on what was believed while it was
+//! made.
+
+use lsfb_drivers::imu::model::SAMPLE_TIME_FINE_NS;
+use lsfb_drivers::velodyne::wire::DataPacket;
+use lsfb_recording::message::{self, ClockModel};
+use lsfb_recording::{CLOCK_MODELS, Recording};
+use lsfb_types::{Progress, ProgressFn, Timestamp};
+use serde::{Deserialize, Serialize};
+
+use super::model_topic::LOCKED;
+use super::{ClockEstimate, OneWayClock, StampPair, Unwrap, fit_pairs};
+use crate::Error;
+
+/// Points of a plot, at most, per device.
+const PLOTTED: usize = 4_000;
+const HOUR_NS: i64 = 3_600_000_000_000;
+
+/// How clocks are estimated from a recording.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ClockConfig {
+    /// Length of the stretches that get a line of their own, seconds; neighbours overlap by half. Temperature bends the
+    /// line of a quartz by some 30 µs in two minutes.
+    pub window_secs: f64,
+}
+
+impl Default for ClockConfig {
+    fn default() -> Self {
+        Self { window_secs: 120.0 }
+    }
+}
+
+/// A stretch between two steps of a clock.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ClockEpoch {
+    /// First counter value, nanoseconds.
+    pub device_start_ns: i64,
+    /// Its arrival, nanoseconds UTC.
+    pub arrival_start_ns: i64,
+    /// How far the clock stepped to get here, nanoseconds; 0 for the first.
+    pub step_ns: i64,
+    /// Host seconds per device second over the whole epoch, less one, parts per million.
+    pub skew_ppm: f64,
+    /// Its standard deviation, parts per million.
+    pub sigma_skew_ppm: f64,
+    /// Standard deviation of the offset in the middle of the epoch, microseconds.
+    pub sigma_us: f64,
+    /// Pairs of stamps.
+    pub pairs: u64,
+}
+
+/// Arrival against the estimated clock, for the plot.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ResidualSample {
+    /// Seconds since the first arrival of the recording.
+    pub secs: f64,
+    /// Arrival less estimated time, milliseconds: the delay beyond the shortest.
+    pub delay_ms: f64,
+    /// Recorded synchronized time less estimated time, microseconds.
+    pub recorded_less_estimated_us: f64,
+}
+
+/// One device's clock.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct DeviceClock {
+    /// Name of the device.
+    pub device: String,
+    /// Whether its recorded stamps come from a lock to UTC instead of a fit.
+    pub locked: bool,
+    /// Pairs of stamps.
+    pub pairs: u64,
+    /// One entry per epoch; more than one means that the counter or the host's clock was set.
+    pub epochs: Vec<ClockEpoch>,
+    /// Median delay beyond the shortest, milliseconds.
+    pub delay_p50_ms: f64,
+    /// 99 % are not later than this, milliseconds.
+    pub delay_p99_ms: f64,
+    /// Recorded synchronized time against the estimate, rms after its mean, microseconds.
+    pub recorded_rms_us: f64,
+    /// Mean of that: for a locked device the constant transport delay, with the opposite sign.
+    pub recorded_mean_us: f64,
+    /// Thinned, in order of time.
+    pub samples: Vec<ResidualSample>,
+}
+
+/// The clocks of a recording.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ClockReport {
+    /// One entry per device with a counter.
+    pub devices: Vec<DeviceClock>,
+}
+
+/// A recorded triple of stamps.
+#[derive(Clone, Copy)]
+struct Triple {
+    device_ns: i64,
+    arrival: Timestamp,
+    recorded: Timestamp,
+}
+
+/// Estimates the clock of every device that has a counter.
+pub fn estimate_clocks(
+    recording: &Recording,
+    config: &ClockConfig,
+    progress: ProgressFn<'_>,
+) -> Result<ClockReport, Error> {
+    let start = recording
+        .arrival_range()
+        .map_or(Timestamp::default(), |range| range.start);
+    let models = recorded_models(recording)?;
+    let names = devices(recording);
+    let mut clocks = Vec::new();
+    for (done, source) in names.iter().enumerate() {
+        progress(Progress {
+            stage: "estimating clocks",
+            done: done as u64,
+            total: names.len() as u64,
+        });
+        let model = models.iter().rev().find(|m| m.device == source.name());
+        let triples = source.triples(recording, model)?;
+        if triples.len() < 3 {
+            continue;
+        }
+        let name = source.name();
+        let locked = model.is_some_and(|model| model.kind == LOCKED);
+        clocks.push(estimate(&name, locked, &triples, start, config));
+    }
+    Ok(ClockReport { devices: clocks })
+}
+
+fn recorded_models(recording: &Recording) -> Result<Vec<ClockModel>, Error> {
+    let mut models = Vec::new();
+    for topic in recording.topics() {
+        if topic.topic.starts_with(CLOCK_MODELS) {
+            for item in recording.messages(&topic.topic)? {
+                // What is damaged is missing; the stamps themselves are elsewhere.
+                if let Ok(found) = item
+                    && let Ok(model) = message::decode_clock_model(&found.bytes)
+                {
+                    models.push(model);
+                }
+            }
+        }
+    }
+    Ok(models)
+}
+
+/// Where counters are found.
+enum Source {
+    Lidar,
+    Camera(String),
+    Imu(String),
+}
+
+fn devices(recording: &Recording) -> Vec<Source> {
+    let mut found = Vec::new();
+    for topic in recording.topics() {
+        match topic.topic.as_str() {
+            "/lidar/packets" => found.push(Source::Lidar),
+            name => {
+                if let Some(camera) = name.strip_suffix("/frame_meta") {
+                    found.push(Source::Camera(format!("{camera}/image")));
+                } else if let Some(imu) = name.strip_suffix("/time_ref").filter(|n| *n != "/lidar")
+                {
+                    found.push(Source::Imu(imu.to_owned()));
+                }
+            }
+        }
+    }
+    found
+}
+
+impl Source {
+    fn name(&self) -> String {
+        match self {
+            Self::Lidar => "lidar".to_owned(),
+            Self::Camera(topic) => topic
+                .trim_start_matches('/')
+                .trim_end_matches("/image")
+                .to_owned(),
+            Self::Imu(topic) => topic.trim_start_matches('/').to_owned(),
+        }
+    }
+
+    fn triples(
+        &self,
+        recording: &Recording,
+        model: Option<&ClockModel>,
+    ) -> Result<Vec<Triple>, Error> {
+        let mut triples = Vec::new();
+        match self {
+            Self::Lidar => {
+                let mut unwrap = Unwrap::default();
+                for packet in recording.packets("lidar/packets")?.flatten() {
+                    let Ok(data) = DataPacket::new(&packet.packet.bytes) else {
+                        continue;
+                    };
+                    let toh_ns = i64::from(data.timestamp_us()) * 1_000;
+                    let device_ns = unwrap.unwrap(toh_ns.rem_euclid(HOUR_NS), HOUR_NS);
+                    triples.push(Triple {
+                        device_ns,
+                        arrival: packet.packet.arrival,
+                        recorded: packet.time,
+                    });
+                }
+                // The revolution's time belongs to its first packet only.
+                let mut last = None;
+                for triple in &mut triples {
+                    if last.replace(triple.recorded) == Some(triple.recorded) {
+                        triple.recorded = Timestamp::default();
+                    }
+                }
+            }
+            Self::Camera(topic) => {
+                for meta in recording.frame_meta(topic)?.flatten() {
+                    triples.push(Triple {
+                        device_ns: meta.device_ticks.cast_signed().saturating_mul(1_000),
+                        arrival: meta.arrival,
+                        recorded: meta.time,
+                    });
+                }
+            }
+            Self::Imu(imu) => {
+                // Without a recorded model it is an Xsens unit.
+                let (tick_ns, period) = model.map_or((SAMPLE_TIME_FINE_NS, 1 << 32), |m| {
+                    (m.tick_ns, m.period_ticks)
+                });
+                let tick_ns = i64::try_from(tick_ns).unwrap_or(1);
+                let period = match i64::try_from(period) {
+                    Ok(0) | Err(_) => i64::MAX,
+                    Ok(period) => period,
+                };
+                let mut unwrap = Unwrap::default();
+                for found in recording.messages(&format!("{imu}/time_ref"))?.flatten() {
+                    let Ok(reference) = message::decode_time_reference(&found.bytes) else {
+                        continue;
+                    };
+                    let ticks = unwrap.unwrap(reference.device_ticks.cast_signed(), period);
+                    triples.push(Triple {
+                        device_ns: ticks.saturating_mul(tick_ns),
+                        arrival: found.arrival,
+                        recorded: found.time,
+                    });
+                }
+            }
+        }
+        Ok(triples)
+    }
+}
+
+fn estimate(
+    device: &str,
+    locked: bool,
+    triples: &[Triple],
+    start: Timestamp,
+    config: &ClockConfig,
+) -> DeviceClock {
+    // The online clock finds the steps; the lines between them are drawn anew with all there is.
+    let mut online = OneWayClock::default();
+    for triple in triples {
+        online.push(triple.device_ns, triple.arrival);
+    }
+    let mut bounds = vec![(0, 0)];
+    for step in online.steps() {
+        let from = bounds.last().map_or(0, |(at, _)| *at);
+        let found = triples
+            .iter()
+            .skip(from)
+            .position(|t| t.device_ns == step.device_ns && t.arrival == step.arrival);
+        if let Some(at) = found {
+            bounds.push((from + at, step.step_ns));
+        }
+    }
+    let mut epochs = Vec::new();
+    let mut estimated = Vec::with_capacity(triples.len());
+    for (n, (from, step_ns)) in bounds.iter().enumerate() {
+        let to = bounds.get(n + 1).map_or(triples.len(), |(to, _)| *to);
+        let part = triples.get(*from..to).unwrap_or_default();
+        let pairs = rising(part);
+        let whole = fit_pairs(&pairs);
+        if let (Some(first), Some(whole)) = (part.first(), whole) {
+            epochs.push(ClockEpoch {
+                device_start_ns: first.device_ns,
+                arrival_start_ns: first.arrival.nanos(),
+                step_ns: *step_ns,
+                skew_ppm: whole.skew * 1e6,
+                sigma_skew_ppm: whole.sigma_skew * 1e6,
+                sigma_us: whole.sigma_ns / 1e3,
+                pairs: whole.pairs,
+            });
+        }
+        let lines = windows(&pairs, config);
+        estimated.extend(part.iter().map(|t| time_of(&lines, t.device_ns)));
+    }
+    summarize(device, locked, triples, &estimated, epochs, start)
+}
+
+/// Pairs whose counter advances; batches repeat none, late ones say nothing.
+fn rising(triples: &[Triple]) -> Vec<StampPair> {
+    let mut last = None;
+    triples
+        .iter()
+        .filter(|t| {
+            let rises = last.is_none_or(|last| t.device_ns > last);
+            if rises {
+                last = Some(t.device_ns);
+            }
+            rises
+        })
+        .map(|t| StampPair {
+            device_ns: t.device_ns,
+            arrival: t.arrival,
+        })
+        .collect()
+}
+
+/// Lines of overlapping stretches, in order.
+fn windows(pairs: &[StampPair], config: &ClockConfig) -> Vec<ClockEstimate> {
+    let window_ns = ((config.window_secs.max(1.0)) * 1e9) as i64;
+    let (Some(first), Some(last)) = (pairs.first(), pairs.last()) else {
+        return Vec::new();
+    };
+    let mut lines = Vec::new();
+    let mut start = first.device_ns;
+    loop {
+        let end = start.saturating_add(window_ns);
+        let from = pairs.partition_point(|p| p.device_ns < start);
+        // A last stretch that would be short belongs to the one before.
+        let is_last = end.saturating_add(window_ns / 2) > last.device_ns;
+        let to = if is_last {
+            pairs.len()
+        } else {
+            pairs.partition_point(|p| p.device_ns < end)
+        };
+        lines.extend(fit_pairs(pairs.get(from..to).unwrap_or_default()));
+        if is_last {
+            return lines;
+        }
+        start = start.saturating_add(window_ns / 2);
+    }
+}
+
+/// Between two lines the weight goes over from one to the other.
+fn time_of(lines: &[ClockEstimate], device_ns: i64) -> Option<Timestamp> {
+    let after = lines.partition_point(|line| line.reference_device_ns <= device_ns);
+    let (before, next) = (
+        after.checked_sub(1).and_then(|n| lines.get(n)),
+        lines.get(after),
+    );
+    match (before, next) {
+        (Some(a), Some(b)) => {
+            let span = b.reference_device_ns.saturating_sub(a.reference_device_ns);
+            let run = device_ns.saturating_sub(a.reference_device_ns);
+            let share = run as f64 / span.max(1) as f64;
+            let (early, late) = (a.time(device_ns), b.time(device_ns));
+            Some(early.plus_nanos(((late - early) as f64 * share) as i64))
+        }
+        (Some(line), None) | (None, Some(line)) => Some(line.time(device_ns)),
+        (None, None) => None,
+    }
+}
+
+fn summarize(
+    device: &str,
+    locked: bool,
+    triples: &[Triple],
+    estimated: &[Option<Timestamp>],
+    epochs: Vec<ClockEpoch>,
+    start: Timestamp,
+) -> DeviceClock {
+    let mut samples = Vec::with_capacity(triples.len());
+    let mut recorded_us = Vec::new();
+    for (triple, time) in triples.iter().zip(estimated) {
+        let Some(time) = time else { continue };
+        let known = triple.recorded != Timestamp::default();
+        let difference_us = if known {
+            (triple.recorded - *time) as f64 / 1e3
+        } else {
+            f64::NAN
+        };
+        if known {
+            recorded_us.push(difference_us);
+        }
+        samples.push(ResidualSample {
+            secs: triple.arrival.secs_since(start),
+            delay_ms: (triple.arrival - *time) as f64 / 1e6,
+            recorded_less_estimated_us: difference_us,
+        });
+    }
+    let mut delays: Vec<f64> = samples.iter().map(|s| s.delay_ms).collect();
+    delays.sort_by(f64::total_cmp);
+    let quantile = |share: f64| {
+        let at = (delays.len() as f64 * share) as usize;
+        delays
+            .get(at.min(delays.len().saturating_sub(1)))
+            .copied()
+            .unwrap_or(0.0)
+    };
+    let count = recorded_us.len().max(1) as f64;
+    let mean = recorded_us.iter().sum::<f64>() / count;
+    let variance = recorded_us.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / count;
+    let stride = samples.len().div_ceil(PLOTTED).max(1);
+    DeviceClock {
+        device: device.to_owned(),
+        // Without a recorded model: stamps that do not follow arrival at all come from a lock.
+        locked,
+        pairs: triples.len() as u64,
+        epochs,
+        delay_p50_ms: quantile(0.5),
+        delay_p99_ms: quantile(0.99),
+        recorded_rms_us: variance.sqrt(),
+        recorded_mean_us: mean,
+        samples: samples.into_iter().step_by(stride).collect(),
+    }
+}

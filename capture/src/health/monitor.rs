@@ -1,0 +1,240 @@
+//! Twice a second: what the devices and the disk are doing, to whoever asked and into the recording.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use lsfb_recording::message::{self, HealthValue};
+use lsfb_types::Timestamp;
+
+use super::{HealthFeed, Level, Meter, Snapshot, StorageHealth, StreamReport, SyncState};
+use crate::config::RecorderConfig;
+use crate::recorder::{Entry, Inlet, OwnMessage, Recorder, Shared, free_bytes};
+
+/// Twice a second, so that nothing is shown later than one second after it happened.
+const PERIOD: Duration = Duration::from_millis(500);
+/// Weight of the last period in the rate that tells when the disk is full.
+const RATE_WEIGHT: f64 = 0.1;
+/// An operator should know that the disk fills up in ten minutes.
+const WARN_SECS: f64 = 600.0;
+/// In a minute it is too late for anything but stopping.
+const ERROR_SECS: f64 = 60.0;
+/// Messages that wait longer say that the disk is too slow.
+const WARN_WRITE_MS: f64 = 250.0;
+
+/// Reads the meters.
+pub(crate) struct Monitor {
+    began: Instant,
+    last: Option<Instant>,
+    meters: Vec<Meter>,
+    shared: Shared,
+    inlet: Inlet,
+    feed: HealthFeed,
+    folders: Vec<PathBuf>,
+    reserve_bytes: u64,
+    last_written_bytes: u64,
+    rate_bytes_per_sec: Option<f64>,
+    own: StreamReport,
+}
+
+impl Monitor {
+    pub(crate) fn new(
+        recorder: &Recorder,
+        meters: Vec<Meter>,
+        feed: HealthFeed,
+        out: &Path,
+        config: &RecorderConfig,
+    ) -> Self {
+        let folder = out.parent().unwrap_or(Path::new("")).to_owned();
+        Self {
+            began: Instant::now(),
+            last: None,
+            meters,
+            shared: recorder.shared(),
+            inlet: recorder.inlet(),
+            feed,
+            folders: [folder]
+                .into_iter()
+                .chain(config.second_folder.clone())
+                .collect(),
+            reserve_bytes: config.reserve_bytes,
+            last_written_bytes: 0,
+            rate_bytes_per_sec: None,
+            own: StreamReport::new("health"),
+        }
+    }
+
+    /// Call this often; it works when it is time.
+    pub(crate) fn tick(&mut self) {
+        let now = Instant::now();
+        let since = self.last.unwrap_or(self.began);
+        if now - since < PERIOD {
+            return;
+        }
+        self.tell(now, now - since);
+    }
+
+    /// The last word.
+    pub(crate) fn finish(mut self) {
+        let now = Instant::now();
+        let since = self.last.unwrap_or(self.began);
+        self.tell(now, now - since);
+    }
+
+    fn tell(&mut self, now: Instant, since_last: Duration) {
+        self.last = Some(now);
+        let snapshot = self.snapshot(since_last);
+        self.record(&snapshot);
+        self.feed.publish(&snapshot);
+    }
+
+    fn snapshot(&mut self, since_last: Duration) -> Snapshot {
+        let devices: Vec<_> = self.meters.iter().map(Meter::read).collect();
+        let progress = self.shared.progress();
+        let storage = self.storage(since_last);
+        let lost = progress.lost
+            + progress.groups.incomplete
+            + devices
+                .iter()
+                .map(|d| d.bad + d.missing + d.dropped)
+                .sum::<u64>();
+        let level = devices
+            .iter()
+            .map(|d| d.level)
+            .chain([storage.level])
+            .max()
+            .unwrap_or_default();
+        Snapshot {
+            time_nanos: now_utc().nanos(),
+            elapsed_secs: self.began.elapsed().as_secs_f64(),
+            devices,
+            groups: progress.groups,
+            storage,
+            lost,
+            level,
+        }
+    }
+
+    fn storage(&mut self, since_last: Duration) -> StorageHealth {
+        let progress = self.shared.progress();
+        let grown = progress
+            .written_bytes
+            .saturating_sub(self.last_written_bytes);
+        self.last_written_bytes = progress.written_bytes;
+        let rate = grown as f64 / since_last.as_secs_f64().max(1e-3);
+        let smooth = self
+            .rate_bytes_per_sec
+            .map_or(rate, |last| last + RATE_WEIGHT * (rate - last));
+        self.rate_bytes_per_sec = Some(smooth);
+        let free: u64 = self
+            .folders
+            .iter()
+            .filter_map(|folder| free_bytes(folder).ok())
+            .map(|free| free.saturating_sub(self.reserve_bytes))
+            .sum();
+        let secs_to_full = (smooth > 1.0).then(|| free as f64 / smooth);
+        let (level, problem) = match secs_to_full {
+            Some(secs) if secs < ERROR_SECS => {
+                (Level::Error, format!("the disk is full in {secs:.0} s"))
+            }
+            Some(secs) if secs < WARN_SECS => {
+                let minutes = secs / 60.0;
+                (
+                    Level::Warn,
+                    format!("the disk is full in {minutes:.0} minutes"),
+                )
+            }
+            _ if progress.write_p99_ms > WARN_WRITE_MS => {
+                let ms = progress.write_p99_ms;
+                (
+                    Level::Warn,
+                    format!("the disk is slow: messages wait {ms:.0} ms"),
+                )
+            }
+            _ => (Level::Ok, String::new()),
+        };
+        StorageHealth {
+            level,
+            problem,
+            part: progress.part.display().to_string(),
+            part_number: progress.part_number,
+            written_bytes: progress.written_bytes,
+            rate_bytes_per_sec: smooth,
+            free_bytes: free,
+            secs_to_full,
+            queued_messages: self.shared.queued_entries(),
+            queued_bytes: self.shared.queued_bytes(),
+            write_p99_ms: progress.write_p99_ms,
+        }
+    }
+
+    /// Each quantity on a topic of its own.
+    fn record(&mut self, snapshot: &Snapshot) {
+        let time = Timestamp::from_nanos(snapshot.time_nanos);
+        for device in &snapshot.devices {
+            let level = device.level;
+            let counted = |count: u64| Some(count as f64);
+            let (state, sigma_us) = match device.sync {
+                SyncState::Unknown => ("unknown", None),
+                SyncState::Locked => ("locked", Some(0.0)),
+                SyncState::Fitted { sigma_us, .. } => ("fitted", Some(sigma_us)),
+            };
+            let values = [
+                ("rate", Some(device.rate_hz), device.problem.as_str()),
+                ("gap", Some(device.gap_secs), ""),
+                (
+                    "drops",
+                    counted(device.bad + device.missing + device.dropped),
+                    "",
+                ),
+                ("duplicates", counted(device.duplicated), ""),
+                ("sync", sigma_us.or(Some(-1.0)), state),
+                ("exposure", device.exposure_ms, ""),
+                ("saturation", device.saturated_share, ""),
+                ("temperature", device.temperature_celsius, ""),
+            ];
+            for (quantity, value, text) in values {
+                if let Some(value) = value {
+                    self.put(time, quantity, &device.name, level, value, text);
+                }
+            }
+        }
+        let storage = &snapshot.storage;
+        let secs = storage.secs_to_full.unwrap_or(-1.0);
+        self.put(time, "space", "disk", storage.level, secs, &storage.problem);
+        let queued = storage.queued_bytes as f64;
+        self.put(time, "queue", "disk", storage.level, queued, "");
+    }
+
+    fn put(
+        &mut self,
+        time: Timestamp,
+        quantity: &str,
+        device: &str,
+        level: Level,
+        value: f64,
+        text: &str,
+    ) {
+        let value = HealthValue {
+            device: device.to_owned(),
+            value,
+            level: level as u8,
+            text: text.to_owned(),
+        };
+        let message = OwnMessage {
+            topic: format!("{}{quantity}", lsfb_recording::HEALTH),
+            schema: message::HEALTH_VALUE,
+            time,
+            arrival: time,
+            bytes: message::encode_health_value(time, device, &value),
+        };
+        // A full queue is counted with the devices; a writer that has gone reports itself.
+        let _ = self.inlet.put(Entry::Own(message), &mut self.own);
+    }
+}
+
+fn now_utc() -> Timestamp {
+    let since = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .unwrap_or_default();
+    Timestamp::from_nanos(i64::try_from(since.as_nanos()).unwrap_or(i64::MAX))
+}

@@ -1,0 +1,337 @@
+//! The thread that writes.
+
+use std::collections::BTreeMap;
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::time::{Duration, Instant};
+
+use lsfb_drivers::phone::Receipt;
+use lsfb_recording::Channel;
+
+use super::latency::Latencies;
+use super::parts::{Parts, Turn};
+use super::{Entry, OwnMessage, Queued, Shared, WritingProgress, Written};
+use crate::Error;
+use crate::health::{HealthAttachment, StreamReport};
+use crate::sync::{Group, Groups};
+
+/// A chunk with images in it, or with messages that a sidecar waits for, goes to the file after this.
+const FLUSH_SOON: Duration = Duration::from_millis(25);
+/// Any chunk goes to the file after this: what a kill may cost is far below a second.
+const FLUSH_LATEST: Duration = Duration::from_millis(400);
+/// A chunk from this size on is worth writing early.
+const LARGE_CHUNK_BYTES: u64 = 256 << 10;
+/// How long the thread sleeps when there is nothing to write.
+const IDLE: Duration = Duration::from_millis(250);
+
+/// Takes entries from the queue and puts them into files.
+pub(super) struct Writing {
+    parts: Parts,
+    groups: Groups,
+    streams: Vec<StreamReport>,
+    shared: Shared,
+    /// When each entry of the open chunk was queued.
+    waiting: Vec<Instant>,
+    open_bytes: u64,
+    receipts: Vec<Receipt>,
+    latencies: Latencies,
+    /// Latest clock model of each device: each part begins with them.
+    clock_models: BTreeMap<String, OwnMessage>,
+    lost: u64,
+    failure: Option<String>,
+}
+
+impl Writing {
+    pub(super) fn new(parts: Parts, groups: Groups, shared: Shared) -> Self {
+        Self {
+            parts,
+            groups,
+            streams: Vec::new(),
+            shared,
+            waiting: Vec::new(),
+            open_bytes: 0,
+            receipts: Vec::new(),
+            latencies: Latencies::default(),
+            clock_models: BTreeMap::new(),
+            lost: 0,
+            failure: None,
+        }
+    }
+
+    pub(super) fn run(mut self, entries: &Receiver<Queued>) -> Result<Written, Error> {
+        self.show();
+        loop {
+            let done = match entries.recv_timeout(self.patience()) {
+                Ok(queued) => {
+                    self.shared.left(queued.bytes);
+                    self.take(queued)
+                }
+                Err(RecvTimeoutError::Timeout) => Ok(()),
+                Err(RecvTimeoutError::Disconnected) => break,
+            };
+            let done = done.and_then(|()| self.flush_when_due());
+            if let Err(error) = done {
+                self.recover_from(error)?;
+            }
+            if self.failure.is_some() {
+                // What still waits has no place to go.
+                self.lost += entries.try_iter().count() as u64;
+                break;
+            }
+        }
+        self.finish()
+    }
+
+    /// How long to wait for the next entry before the open chunk must be written.
+    fn patience(&self) -> Duration {
+        match self.waiting.first() {
+            Some(oldest) => self.flush_after().saturating_sub(oldest.elapsed()),
+            None => IDLE,
+        }
+    }
+
+    fn flush_after(&self) -> Duration {
+        if self.open_bytes >= LARGE_CHUNK_BYTES || !self.receipts.is_empty() {
+            FLUSH_SOON
+        } else {
+            FLUSH_LATEST
+        }
+    }
+
+    fn take(&mut self, queued: Queued) -> Result<(), Error> {
+        let before = self.parts.writer().bytes();
+        let receipt = self.write(queued.entry)?;
+        if self.parts.writer().bytes() != before {
+            // The chunk was full: everything before this entry is in the file.
+            self.written()?;
+        }
+        if self.parts.writer().open_messages() > 0 {
+            self.waiting.push(queued.at);
+            self.receipts.extend(receipt);
+        } else if let Some(receipt) = receipt {
+            receipt.acknowledge();
+        }
+        self.open_bytes = self.parts.writer().open_bytes();
+        Ok(())
+    }
+
+    fn flush_when_due(&mut self) -> Result<(), Error> {
+        let due = self
+            .waiting
+            .first()
+            .is_some_and(|oldest| oldest.elapsed() >= self.flush_after());
+        if due {
+            self.parts.writer().flush()?;
+            self.open_bytes = 0;
+            self.written()?;
+        }
+        Ok(())
+    }
+
+    /// Everything noted so far is in the file.
+    fn written(&mut self) -> Result<(), Error> {
+        let now = Instant::now();
+        for at in self.waiting.drain(..) {
+            self.latencies.add(now.saturating_duration_since(at));
+        }
+        for receipt in self.receipts.drain(..) {
+            receipt.acknowledge();
+        }
+        let turn = self.parts.turn();
+        match turn {
+            None => {}
+            Some(Turn::LowSpace) if !self.parts.can_move() => {
+                self.failure = Some(format!(
+                    "{}: the disk is full; the recording was closed",
+                    self.parts.path().display()
+                ));
+            }
+            Some(turn) => {
+                self.parts.next(turn)?;
+                self.introduce()?;
+            }
+        }
+        self.show();
+        Ok(())
+    }
+
+    /// What a new part must know from its beginning on.
+    fn introduce(&mut self) -> Result<(), Error> {
+        let models: Vec<OwnMessage> = self.clock_models.values().cloned().collect();
+        models.iter().try_for_each(|model| self.write_own(model))
+    }
+
+    /// Goes on with the second disk after a failed write, or ends with what there is.
+    fn recover_from(&mut self, error: Error) -> Result<(), Error> {
+        let is_disk = matches!(
+            &error,
+            Error::Recording(lsfb_recording::Error::WriterFailed { .. })
+        );
+        if !is_disk {
+            return Err(error);
+        }
+        self.lost += self.parts.writer().open_messages();
+        self.waiting.clear();
+        // What was not written is not acknowledged: the sidecar keeps it.
+        self.receipts.clear();
+        self.open_bytes = 0;
+        if self.parts.can_move() {
+            self.parts.replace_failed()?;
+            return self.introduce();
+        }
+        let nothing_written = self.parts.finished_messages() == 0 && self.latencies_empty();
+        if nothing_written {
+            return Err(error);
+        }
+        self.failure = Some(error.to_string());
+        Ok(())
+    }
+
+    fn latencies_empty(&self) -> bool {
+        self.latencies.longest_ms() == 0.0
+    }
+
+    fn finish(mut self) -> Result<Written, Error> {
+        let decided = self.groups.finish();
+        let mut groups = decided.report;
+        let failed = self.failure.is_some();
+        if !failed {
+            for group in &decided.groups {
+                self.write_group(group)?;
+            }
+        }
+        groups.missing_by_camera.retain(|_, missing| *missing > 0);
+        let lost = self.lost
+            + self.streams.iter().map(StreamReport::lost).sum::<u64>()
+            + groups.incomplete;
+        let health = HealthAttachment {
+            streams: &self.streams,
+            groups: &groups,
+            lost,
+        };
+        // Numbers and strings always serialise.
+        let json = serde_json::to_vec_pretty(&health).unwrap_or_default();
+        let parts = if failed {
+            self.parts.salvage()
+        } else {
+            self.parts
+                .attach("health.json", "application/json", &json)?;
+            let now = Instant::now();
+            for at in self.waiting.drain(..) {
+                self.latencies.add(now.saturating_duration_since(at));
+            }
+            let parts = self.parts.finish()?;
+            self.receipts.iter().for_each(Receipt::acknowledge);
+            parts
+        };
+        Ok(Written {
+            parts,
+            groups,
+            lost,
+            failure: self.failure,
+            write_p99_ms: self.latencies.quantile_ms(0.99),
+            write_longest_ms: self.latencies.longest_ms(),
+        })
+    }
+
+    /// Puts an entry into the open chunk; the receipt is due when that is in the file.
+    fn write(&mut self, entry: Entry) -> Result<Option<Receipt>, Error> {
+        match entry {
+            Entry::Image {
+                camera,
+                image,
+                trailer,
+            } => {
+                let decided = self.groups.note(&camera, &image);
+                let written = self
+                    .parts
+                    .writer()
+                    .write_image_with_trailer(&camera, &image, &trailer);
+                written?;
+                for group in decided {
+                    self.write_group(&group)?;
+                }
+            }
+            Entry::Imu { imu, sample } => self.parts.writer().write_imu(&imu, &sample)?,
+            Entry::Scan { scan, packets } => {
+                let writer = self.parts.writer();
+                writer.write_velodyne_packets(scan.time, &packets)?;
+                writer.write_scan(&scan)?;
+            }
+            Entry::Packets { time, packets } => {
+                self.parts.writer().write_velodyne_packets(time, &packets)?;
+            }
+            Entry::Raw {
+                source,
+                sequence,
+                packet,
+                time,
+            } => self
+                .parts
+                .writer()
+                .write_raw(&source, 0, sequence, &packet, time)?,
+            Entry::Cdr {
+                topic,
+                schema_name,
+                schema_text,
+                time,
+                arrival,
+                bytes,
+                receipt,
+            } => {
+                let channel = Channel {
+                    topic: &topic,
+                    schema_name: &schema_name,
+                    schema_text: &schema_text,
+                };
+                self.parts
+                    .writer()
+                    .write_cdr(&channel, time, arrival, &bytes)?;
+                return Ok(receipt);
+            }
+            Entry::Skipped(receipt) => return Ok(Some(receipt)),
+            Entry::Rig { owner, rig } if self.parts.has_rig() => {
+                let name = format!("sidecar/{owner}/rig.toml");
+                self.parts
+                    .attach(&name, "application/toml", rig.to_toml().as_bytes())?;
+            }
+            Entry::Rig { rig, .. } => self.parts.attach_rig(*rig)?,
+            Entry::Own(message) => self.write_own(&message)?,
+            Entry::ClockModel { device, message } => {
+                self.write_own(&message)?;
+                self.clock_models.insert(device, message);
+            }
+            Entry::Ended(streams) => self.streams = streams,
+        }
+        Ok(None)
+    }
+
+    fn write_own(&mut self, message: &OwnMessage) -> Result<(), Error> {
+        let channel = Channel {
+            topic: &message.topic,
+            schema_name: message.schema.name,
+            schema_text: message.schema.text,
+        };
+        self.parts
+            .writer()
+            .write_cdr(&channel, message.time, message.arrival, &message.bytes)?;
+        Ok(())
+    }
+
+    fn write_group(&mut self, group: &Group) -> Result<(), Error> {
+        self.write_own(&OwnMessage::camera_group(group))
+    }
+
+    /// Tells the monitor where the recording is.
+    fn show(&self) {
+        let (bytes, number, path) = (self.parts.bytes(), self.parts.number(), self.parts.path());
+        let groups = self.groups.report().clone();
+        self.shared.show(WritingProgress {
+            written_bytes: bytes,
+            part_number: number,
+            part: path,
+            groups,
+            lost: self.lost,
+            write_p99_ms: self.latencies.quantile_ms(0.99),
+        });
+    }
+}
