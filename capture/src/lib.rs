@@ -21,6 +21,7 @@ mod camera;
 pub mod clock;
 mod clouds;
 mod config;
+pub mod doctor;
 mod error;
 pub mod health;
 mod imu;

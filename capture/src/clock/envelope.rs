@@ -1,22 +1,26 @@
 //! The line below a cloud of arrivals, and how well it is known.
 //!
-//! Arrivals above the clock's line are taken for a Poisson process: near the line, `density` of them per unit of time and
-//! delay. Then the probability of a line below all of them is proportional to `exp(density · span · height)`, where the
-//! height is that of the line over the middle of the span: the highest such line is the hull segment over the middle (Zhang,
-//! Liu, Xia, INFOCOM 2002), and around it lies a distribution that gives a mean and an honest standard deviation.
+//! Arrivals above the clock's line are taken for a Poisson process whose density grows with some power of the height above
+//! it. Where the power is zero (delays spread evenly from the shortest on) the probability of a line below all arrivals is
+//! proportional to `exp(density · span · height)`, the height being that of the line over the middle of the span: the most
+//! probable line is the hull segment over the middle (Zhang, Liu, Xia, INFOCOM 2002). What lies below it makes a
+//! distribution with a mean and an honest standard deviation; the power is found from the arrivals nearest to the line.
 
 /// Skew of a quartz beyond this is a wrong fit.
 pub(super) const LARGEST_SKEW: f64 = 200e-6;
 /// Steps of the integration over the height.
 const HEIGHTS: u32 = 160;
-/// Heights that matter, in units of the distribution's width.
+/// Heights that matter, in units of the mean distance of two arrivals seen from the side …
 const DEPTH: f64 = 14.0;
-/// The density at the line is that of this many nearest arrivals …
-const NEAR: usize = 30;
-/// … followed down from that of this many, where delays thin out towards the shortest …
-const WIDER: usize = 120;
-/// … to the few that carry the line.
-const CARRYING: f64 = 3.0;
+/// … or as a share of the layer that is looked at.
+const DEPTH_SHARE: f64 = 0.6;
+/// Arrivals in the layer above the line by which the spread of the shortest delays is judged.
+const LAYER: usize = 150;
+/// Their number grows like height^power: 1 where delays are spread evenly from the shortest on, 2 behind two queues. Which
+/// it is the arrivals tell; what they leave open widens the distribution.
+const POWERS: [f64; 4] = [1.0, 1.5, 2.0, 3.0];
+/// How likely each is beforehand.
+const PRIOR: [f64; 4] = [0.85, 0.05, 0.05, 0.05];
 /// Nothing is known better than stamps and counters tell it.
 const FLOOR_SECS: f64 = 0.5e-6;
 
@@ -52,26 +56,42 @@ pub(super) fn fit(hull: &[Arrival], arrivals: &[Arrival]) -> Option<Line> {
     }
     let middle = first.secs + span / 2.0;
     let highest = highest_line(hull, middle)?;
-    let density = density(arrivals, &highest, span);
-    // p(x) ∝ exp(−density · span · x) · (width of the slopes that fit), x below the highest line.
-    let scale = 1.0 / (density * span);
+    let layer = Layer::above(arrivals, &highest);
+    let spacing = layer.height / layer.heights.len().max(1) as f64;
+    let depth = (DEPTH * spacing).max(DEPTH_SHARE * layer.height);
     let (mut total, mut height, mut height2) = (0.0, 0.0, 0.0);
     let (mut slope, mut slope2, mut both) = (0.0, 0.0, 0.0);
-    for step in 0..=HEIGHTS {
-        let below = DEPTH * scale * f64::from(step) / f64::from(HEIGHTS);
-        let y = highest.offset_secs - below;
-        let Some(slopes) = slopes(hull, middle, y) else {
+    // Finer near the highest line, where most of the probability is: `below` grows like step².
+    let share_of = |step: u32| f64::from(step) / f64::from(HEIGHTS);
+    let below_of = |step: u32| depth * share_of(step).powi(2);
+    let likelihoods: Vec<[f64; 4]> = (0..=HEIGHTS)
+        .map(|step| layer.log_likelihoods(below_of(step)))
+        .collect();
+    let best = likelihoods
+        .iter()
+        .flatten()
+        .copied()
+        .fold(f64::MIN, f64::max);
+    for (step, likelihoods) in (0..=HEIGHTS).zip(&likelihoods) {
+        let below = below_of(step);
+        let Some(slopes) = slopes(hull, middle, highest.offset_secs - below) else {
             continue;
         };
         let width = slopes.high - slopes.low;
-        let weight = (-below / scale).exp() * width.max(f64::MIN_POSITIVE);
         let mean = (slopes.high + slopes.low) / 2.0;
-        total += weight;
-        height -= weight * below;
-        height2 += weight * below * below;
-        slope += weight * mean;
-        slope2 += weight * (mean * mean + width * width / 12.0);
-        both -= weight * below * mean;
+        for ((log, power), prior) in likelihoods.iter().zip(POWERS).zip(PRIOR) {
+            let weight = prior
+                * (log - best).exp()
+                * width.max(f64::MIN_POSITIVE)
+                * share_of(step).max(1e-6);
+            total += weight;
+            height -= weight * below;
+            height2 += weight * below * below;
+            slope += weight * mean;
+            // Evenly spread over the slopes that fit; where few arrivals are near the line, the extremes are less likely.
+            slope2 += weight * (mean * mean + (width / power).powi(2) / 12.0);
+            both -= weight * below * mean;
+        }
     }
     if !(total > 0.0) {
         return None;
@@ -155,28 +175,37 @@ fn slopes(hull: &[Arrival], middle: f64, y: f64) -> Option<Slopes> {
     })
 }
 
-/// Arrivals per second of time and second of delay, just above the line.
-fn density(arrivals: &[Arrival], line: &Line, span: f64) -> f64 {
-    let mut above: Vec<f64> = arrivals
-        .iter()
-        .map(|p| (p.offset_secs - line.at(p.secs)).max(0.0))
-        .collect();
-    let mut height_of = |count: usize| -> f64 {
-        let at = count.min(above.len()).saturating_sub(1);
-        if above.is_empty() {
-            return 1.0;
+/// The arrivals nearest to a line.
+struct Layer {
+    /// Distances from the line, without those of the two that carry it, seconds.
+    heights: Vec<f64>,
+    /// The largest of them.
+    height: f64,
+}
+
+impl Layer {
+    fn above(arrivals: &[Arrival], line: &Line) -> Self {
+        let mut heights: Vec<f64> = arrivals
+            .iter()
+            .map(|p| (p.offset_secs - line.at(p.secs)).max(1e-9))
+            .collect();
+        let last = (LAYER + 2).min(heights.len()).saturating_sub(1);
+        if !heights.is_empty() {
+            heights.select_nth_unstable_by(last, f64::total_cmp);
+            heights.truncate(last + 1);
+            heights.sort_by(f64::total_cmp);
         }
-        let (_, height, _) = above.select_nth_unstable_by(at, f64::total_cmp);
-        height.max(1e-9)
-    };
-    let (near, wider) = (height_of(NEAR), height_of(WIDER));
-    let near_count = arrivals.len().min(NEAR) as f64;
-    // Two of them are on the line because it was laid through them.
-    let density = (near_count - 2.0).max(1.0) / (span * near);
-    if arrivals.len() < WIDER || wider <= near {
-        return density;
+        let carrying = 2.min(heights.len().saturating_sub(1));
+        heights.drain(..carrying);
+        let height = heights.last().copied().unwrap_or(1e-9);
+        Self { heights, height }
     }
-    // Their number grows like height^power: 1 where delays are spread evenly from the shortest on.
-    let power = ((WIDER as f64 / NEAR as f64).ln() / (wider / near).ln()).clamp(1.0, 4.0);
-    density * (CARRYING / NEAR as f64).powf(1.0 - 1.0 / power)
+
+    /// How well the distances fit a line that lies lower by `below`, for each power.
+    fn log_likelihoods(&self, below: f64) -> [f64; 4] {
+        let top = self.height + below;
+        let count = self.heights.len() as f64;
+        let logs: f64 = self.heights.iter().map(|h| (top / (h + below)).ln()).sum();
+        POWERS.map(|power| count * (power.ln() - top.ln()) - (power - 1.0) * logs)
+    }
 }

@@ -4,12 +4,16 @@
 //! clock; [`super::envelope`] says where the line below them is. The smallest delay stays inside as a bias; no one-way
 //! method sees it.
 
+use std::collections::VecDeque;
+
 use lsfb_types::Timestamp;
 
 use super::envelope::{self, Arrival, Line};
 
-/// Temperature bends the line: a window lives this long, and the next warms up during its second half.
+/// Temperature bends the line: a window lives this long, and gives way to one that is younger by a third.
 const WINDOW_NS: i64 = 120_000_000_000;
+/// Spacing of the windows that warm up.
+const WARM_UP_NS: i64 = WINDOW_NS / 3;
 /// A point this far from the line is beyond any queue …
 const RESIDUAL_NS: i64 = 50_000_000;
 /// … and this many in a row …
@@ -86,7 +90,8 @@ pub struct ClockStep {
 pub struct OneWayClock {
     last_device_ns: Option<i64>,
     current: Window,
-    next: Option<Window>,
+    /// Those that will take its place, the oldest first.
+    next: VecDeque<Window>,
     fitted: Option<ClockEstimate>,
     refit_at_ns: i64,
     /// What is left of the step between two lines, at `since_ns`.
@@ -196,11 +201,13 @@ impl OneWayClock {
         self.last_device_ns = Some(point.device_ns);
         self.pairs += 1;
         self.current.push(point);
-        if self.current.span_ns() > WINDOW_NS / 2 {
-            self.next.get_or_insert_default().push(point);
+        let youngest = self.next.back().unwrap_or(&self.current);
+        if youngest.span_ns() > WARM_UP_NS {
+            self.next.push_back(Window::default());
         }
+        self.next.iter_mut().for_each(|next| next.push(point));
         if self.current.span_ns() > WINDOW_NS
-            && let Some(next) = self.next.take()
+            && let Some(next) = self.next.pop_front()
         {
             self.current = next;
             self.refit(point.device_ns);
