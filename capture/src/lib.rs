@@ -23,6 +23,7 @@ mod clouds;
 mod config;
 pub mod doctor;
 mod error;
+mod feed;
 pub mod health;
 mod imu;
 mod lidar;
@@ -41,6 +42,7 @@ pub use config::{
     RecorderConfig, SidecarConfig,
 };
 pub use error::Error;
+pub use feed::{Feed, Feeder};
 pub use health::{CaptureReport, Ending, StreamReport};
 pub use remark::Remarks;
 pub use replay::{ReplayConfig, replay};

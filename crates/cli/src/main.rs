@@ -8,6 +8,7 @@
     reason = "the one crate that talks to people"
 )]
 
+mod clock_page;
 mod commands;
 mod context;
 mod outcome;
@@ -48,6 +49,9 @@ enum Command {
     Sim(commands::sim::Arguments),
     Mock(commands::mock::Arguments),
     Scan(commands::scan::Arguments),
+    Doctor(commands::doctor::Arguments),
+    Clock(commands::clock::Arguments),
+    Recover(commands::recover::Arguments),
     Odometry(commands::odometry::Arguments),
     Map(commands::map::Arguments),
     Localize(commands::localize::Arguments),
@@ -78,6 +82,9 @@ fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
         Command::Sim(a) => commands::sim::run(&a, &context),
         Command::Mock(a) => commands::mock::run(&a, &context),
         Command::Scan(a) => commands::scan::run(&a, &context),
+        Command::Doctor(a) => commands::doctor::run(&a, &context),
+        Command::Clock(a) => commands::clock::run(&a, &context),
+        Command::Recover(a) => commands::recover::run(&a, &context),
         Command::Odometry(a) => commands::odometry::run(&a, &context),
         Command::Map(a) => commands::map::run(&a, &context),
         Command::Localize(a) => commands::localize::run(&a, &context),

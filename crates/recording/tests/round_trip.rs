@@ -158,7 +158,7 @@ fn check_walk(recording: &Recording) {
     assert_eq!(
         images,
         (0..30)
-            .flat_map(|n| [(1, image(0, n)), (0, image(1, n))])
+            .flat_map(|n| [(0, image(1, n)), (1, image(0, n))])
             .collect::<Vec<_>>()
     );
     let trailers: Result<Vec<_>, _> = recording.frame_meta("cam1").unwrap().collect();
@@ -359,16 +359,46 @@ fn a_sidecar_is_found_by_its_camera() {
     assert_eq!(recording.messages("/tf_static").unwrap().count(), 1);
 }
 
+/// Two units whose links run seconds apart; the file is in the order of arrival.
+#[test]
+fn images_of_several_cameras_come_in_the_order_of_their_time() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("walk.mcap");
+    let config = WriterConfig {
+        chunk_bytes: 2_000,
+        ..WriterConfig::default()
+    };
+    let mut writer = Writer::create(&path, &config).unwrap();
+    for n in 0..20 {
+        writer.write_image("cam0", &image(0, n)).unwrap();
+        if let Some(late) = n.checked_sub(8) {
+            writer.write_image("cam1", &image(1, late)).unwrap();
+        }
+    }
+    for late in 12..20 {
+        writer.write_image("cam1", &image(1, late)).unwrap();
+    }
+    writer.finish().unwrap();
+    let recording = Recording::open(&path).unwrap();
+    let images = recording.images_of(&["cam0", "cam1"]).unwrap();
+    let order: Vec<_> = images
+        .map(Result::unwrap)
+        .map(|i| (i.image.sample.frame_id, i.camera))
+        .collect();
+    let expected: Vec<_> = (0..20).flat_map(|n| [(n, 0), (n, 1)]).collect();
+    assert_eq!(order, expected);
+}
+
 #[test]
 fn what_is_not_there_is_named() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("walk.mcap");
     let mut writer = Writer::create(&path, &WriterConfig::default()).unwrap();
-    writer.write_imu("imu0", &imu(0)).unwrap();
     writer.write_imu("imu1", &imu(0)).unwrap();
+    writer.write_imu("imu2", &imu(0)).unwrap();
     let error = writer
         .write_imu(
-            "imu0",
+            "imu1",
             &Stamped {
                 time: START + i64::MAX / 2,
                 ..imu(0)
@@ -406,7 +436,7 @@ fn what_is_not_there_is_named() {
         "{text}"
     );
     let text = message(recording.imu().err().unwrap());
-    assert!(text.contains("/imu0/data_raw, /imu1/data_raw"), "{text}");
+    assert!(text.contains("/imu1/data_raw, /imu2/data_raw"), "{text}");
     let text = message(recording.images("/imu0/data_raw").err().unwrap());
     assert!(
         text.contains("carries cdr sensor_msgs/msg/Imu, expected cdr sensor_msgs/msg/Image"),

@@ -1,12 +1,15 @@
 //! The subcommands: arguments, one library call, printing.
 
+pub mod clock;
 pub mod demo;
+pub mod doctor;
 pub mod eval;
 pub mod groundtruth;
 pub mod localize;
 pub mod map;
 pub mod mock;
 pub mod odometry;
+pub mod recover;
 pub mod scan;
 pub mod sim;
 #[cfg(feature = "view")]

@@ -1,0 +1,106 @@
+//! `lsfb clock`: the clocks of a recording, estimated again from its stamps.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+use anyhow::Context as _;
+use lsfb_capture::clock::{ClockConfig, ClockReport, DeviceClock, estimate_clocks};
+use serde::Serialize;
+
+use crate::clock_page;
+use crate::context::Context;
+use crate::outcome::Outcome;
+
+/// Estimate the clock of every device again from the recorded counters and arrivals, and plot it.
+///
+/// The constant part of a transport delay cannot be seen by any one-way method and is in the offsets.
+///
+/// Examples:
+///   lsfb clock scan.mcap
+///   lsfb clock scan.mcap --out clocks.html --window 300 --json
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    /// The recording.
+    recording: PathBuf,
+    /// The page with the plots; beside the recording unless named.
+    #[arg(long, value_name = "HTML")]
+    out: Option<PathBuf>,
+    /// Length of the stretches that get a line of their own, seconds.
+    #[arg(long, value_name = "S")]
+    window: Option<f64>,
+}
+
+#[derive(Serialize)]
+struct Printed<'a> {
+    page: PathBuf,
+    #[serde(flatten)]
+    report: &'a ClockReport,
+}
+
+/// Estimates, plots, prints.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    let mut config = ClockConfig::default();
+    if let Some(secs) = arguments.window {
+        anyhow::ensure!(
+            secs.is_finite() && secs >= 1.0,
+            "--window {secs}: it must be at least one second"
+        );
+        config.window_secs = secs;
+    }
+    let recording = context.open(&arguments.recording)?;
+    let report = estimate_clocks(&recording, &config, &|p| context.show(p))?;
+    let page = arguments
+        .out
+        .clone()
+        .unwrap_or_else(|| arguments.recording.with_extension("clocks.html"));
+    let name = arguments.recording.display().to_string();
+    std::fs::write(&page, clock_page::html(&name, &report))
+        .with_context(|| page.display().to_string())?;
+    let printed = Printed {
+        page,
+        report: &report,
+    };
+    context.print(&printed, || {
+        let mut out: String = report.devices.iter().map(line).collect();
+        if report.devices.is_empty() {
+            out.push_str("no device with a counter of its own\n");
+        }
+        let _ = write!(out, "{}", printed.page.display());
+        out
+    })?;
+    Ok(Outcome::Done)
+}
+
+fn line(clock: &DeviceClock) -> String {
+    let mut out = format!("{:<14}", clock.device);
+    for (n, epoch) in clock.epochs.iter().enumerate() {
+        if n > 0 {
+            let _ = write!(
+                out,
+                "\n  stepped by {:.3} s at {:.3} s UTC, then ",
+                epoch.step_ns as f64 / 1e9,
+                epoch.arrival_start_ns as f64 / 1e9
+            );
+        }
+        let _ = write!(
+            out,
+            "skew {:+.3} ± {:.3} ppm, σ {:.1} µs, {} pairs",
+            epoch.skew_ppm, epoch.sigma_skew_ppm, epoch.sigma_us, epoch.pairs
+        );
+    }
+    let _ = writeln!(
+        out,
+        "; delays beyond the shortest: median {:.2} ms, 99 % {:.2} ms; recorded stamps {}: {:+.1} µs, rms {:.1} µs",
+        clock.delay_p50_ms,
+        clock.delay_p99_ms,
+        if clock.locked {
+            "(locked)"
+        } else {
+            "(fitted live)"
+        },
+        clock.recorded_mean_us,
+        clock.recorded_rms_us
+    );
+    out
+}
