@@ -432,12 +432,12 @@ fn what_is_not_there_is_named() {
     };
     let text = message(recording.images("cam0").err().unwrap());
     assert!(
-        text.contains("no topic for `cam0`") && text.contains("/imu0/data_raw"),
+        text.contains("no topic for `cam0`") && text.contains("/imu1/data_raw"),
         "{text}"
     );
     let text = message(recording.imu().err().unwrap());
     assert!(text.contains("/imu1/data_raw, /imu2/data_raw"), "{text}");
-    let text = message(recording.images("/imu0/data_raw").err().unwrap());
+    let text = message(recording.images("/imu1/data_raw").err().unwrap());
     assert!(
         text.contains("carries cdr sensor_msgs/msg/Imu, expected cdr sensor_msgs/msg/Image"),
         "{text}"
