@@ -15,6 +15,8 @@ use crate::record::{self, opcode};
 use crate::source::Source;
 use crate::walk::timestamp;
 
+/// So many chunks are worth a thread.
+const WORTH_A_THREAD: usize = 16;
 /// How often progress is told.
 const TELL: Duration = Duration::from_millis(100);
 
@@ -43,7 +45,8 @@ pub(crate) fn all(
     let total = index.chunks.len();
     std::thread::scope(|scope| {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        let threads: Vec<_> = (0..cores.min(total))
+        // A thread costs more than a few chunks.
+        let threads: Vec<_> = (0..cores.min(total / WORTH_A_THREAD))
             .filter_map(|n| {
                 let name = format!("verify-{n}");
                 let thread = std::thread::Builder::new().name(name);
@@ -53,19 +56,16 @@ pub(crate) fn all(
         if threads.is_empty() {
             work();
         }
+        // Short recordings are done at once.
+        let mut patience = Duration::from_micros(200);
         while !threads.iter().all(|thread| thread.is_finished()) {
             progress(Progress {
                 stage: "verify recording",
                 done: next.load(Ordering::Relaxed).min(total) as u64,
                 total: total as u64,
             });
-            // Short at first: most recordings in tests are done at once.
-            let patience = if next.load(Ordering::Relaxed) > 64 {
-                TELL
-            } else {
-                Duration::from_micros(200)
-            };
             std::thread::sleep(patience);
+            patience = (2 * patience).min(TELL);
         }
     });
     let mut damage = index.damage.clone();

@@ -176,6 +176,7 @@ impl Folder {
             names: unit.names.clone(),
             frame_px: unit.frame_px,
             rate_hz: unit.rate_hz,
+            imu: None,
         });
         let wired = playback.has_lidar()
             || playback.imu_rate_hz().is_some()
@@ -190,6 +191,7 @@ impl Folder {
             lidar: playback.has_lidar().then_some(LidarNetConfig {
                 data: endpoints.lidar_data,
                 position: endpoints.lidar_position,
+                ..LidarNetConfig::default()
             }),
             cameras: cameras.collect(),
             imu: playback.imu_rate_hz().map(|rate_hz| ImuLineConfig {
@@ -200,6 +202,7 @@ impl Folder {
             sidecar: (!playback.sidecars().is_empty()).then_some(SidecarConfig {
                 listen: endpoints.sidecar,
             }),
+            ..DevicesConfig::default()
         }
     }
 }
