@@ -5,6 +5,8 @@
     reason = "a test file as a whole; clippy.toml only spares #[test] functions"
 )]
 
+#[path = "session/live.rs"]
+mod live;
 mod mock;
 
 use std::net::SocketAddr;
@@ -14,7 +16,7 @@ use std::time::{Duration, Instant};
 
 use lsfb_capture::{
     CameraUnitConfig, CaptureReport, DevicesConfig, Ending, ImuLineConfig, LidarNetConfig,
-    Overflow, Session, SidecarConfig, StreamReport, Tapped,
+    Overflow, RecorderConfig, Session, SidecarConfig, StreamReport, Tapped,
 };
 use lsfb_recording::message::{Remark, decode_remark};
 use lsfb_recording::{LIDAR_POSITION, REMARKS, Recording};
@@ -40,6 +42,17 @@ fn line(path: &Path) -> ImuLineConfig {
         path: path.to_owned(),
         baud: 921_600,
         rate_hz: 200,
+    }
+}
+
+/// The tests record megabytes: whatever room there is will do.
+fn anywhere() -> DevicesConfig {
+    DevicesConfig {
+        recorder: RecorderConfig {
+            least_space_secs: 0.0,
+            ..RecorderConfig::default()
+        },
+        ..DevicesConfig::default()
     }
 }
 
@@ -83,7 +96,7 @@ fn every_packet_of_every_device_is_in_the_recording() {
         ],
         imu: Some(line(&imu.path)),
         sidecar: Some(SidecarConfig { listen: LOOPBACK }),
-        ..DevicesConfig::default()
+        ..anywhere()
     };
     let session = Session::open(&config).unwrap();
     let lidar = mock::send_lidar(
@@ -214,7 +227,7 @@ fn stopped_session() -> Duration {
         cameras: vec![unit(&front, ["cam0", "cam1"])],
         imu: Some(line(&imu.path)),
         sidecar: Some(SidecarConfig { listen: LOOPBACK }),
-        ..DevicesConfig::default()
+        ..anywhere()
     };
     let session = Session::open(&config).unwrap();
     let lidar = mock::send_lidar(
@@ -278,7 +291,7 @@ fn devices_that_go_away_send_garbage_or_nothing_are_named_and_the_rest_goes_on()
             unit(&rear, ["cam2", "cam3"]),
         ],
         imu: Some(line(&imu.path)),
-        ..DevicesConfig::default()
+        ..anywhere()
     };
     let out = folder.path().join("scan.mcap");
     let report = run(Session::open(&config).unwrap(), &out);
@@ -321,7 +334,7 @@ fn lost_and_strange_datagrams_are_counted_and_kept() {
             ..LidarNetConfig::default()
         }),
         imu: Some(line(&imu.path)),
-        ..DevicesConfig::default()
+        ..anywhere()
     };
     let session = Session::open(&config).unwrap();
     let addresses = session.lidar_addresses();
@@ -363,7 +376,7 @@ fn a_recording_of_a_process_that_was_killed_opens() {
     let imu = mock::imu(None, &[]);
     let config = DevicesConfig {
         imu: Some(line(&imu.path)),
-        ..DevicesConfig::default()
+        ..anywhere()
     };
     let session = Session::open(&config).unwrap();
     let out = folder.path().join("scan.mcap");
@@ -396,7 +409,7 @@ fn a_blocked_tap_loses_nothing_in_the_recording() {
         overflow: Overflow::Wait,
         cameras: vec![unit(&front, ["cam0", "cam1"])],
         imu: Some(line(&imu.path)),
-        ..DevicesConfig::default()
+        ..anywhere()
     };
     let mut session = Session::open(&config).unwrap();
     // Held, and never read.
@@ -430,7 +443,7 @@ fn remarks_go_into_the_recording_that_runs() {
     let config = DevicesConfig {
         overflow: Overflow::Wait,
         imu: Some(line(&imu.path)),
-        ..DevicesConfig::default()
+        ..anywhere()
     };
     let mut session = Session::open(&config).unwrap();
     let remarks = session.remarks();

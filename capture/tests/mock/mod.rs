@@ -9,7 +9,8 @@ use std::time::{Duration, Instant};
 use lsfb_capture::Counts;
 use lsfb_drivers::camera::model::FrameFormat;
 use lsfb_drivers::camera::wire::{
-    DeviceInfo, ImuProtocol, TimeSource, Trailer, Version, XuDevice, emit_frame,
+    DeviceInfo, ImuProtocol, ImuSegment, ImuValues, TimeSource, Trailer, Version, XuDevice,
+    emit_frame,
 };
 use lsfb_drivers::imu::model::message;
 use lsfb_drivers::imu::wire::{Item, Message, OutputSetting, UtcTime, Vector};
@@ -128,6 +129,26 @@ pub fn stereo_unit(
 ) -> JoinHandle<()> {
     let listener = CameraListener::bind(socket).unwrap();
     spawn("mock-camera", move || {
+        serve_stereo(&listener, first_id, frames, farewell)
+    })
+}
+
+/// A unit that comes to `socket` after `delay`: one that was unplugged and is back.
+pub fn stereo_unit_after(
+    delay: Duration,
+    socket: PathBuf,
+    first_id: u16,
+    frames: u16,
+) -> JoinHandle<()> {
+    spawn("mock-camera-again", move || {
+        std::thread::sleep(delay);
+        let listener = CameraListener::bind(&socket).unwrap();
+        serve_stereo(&listener, first_id, Some(frames), Farewell::Orderly);
+    })
+}
+
+fn serve_stereo(listener: &CameraListener, first_id: u16, frames: Option<u16>, farewell: Farewell) {
+    {
         let info = DeviceInfo {
             serial: "07C41A19".to_owned(),
             spec: Version { major: 1, minor: 3 },
@@ -166,13 +187,37 @@ pub fn stereo_unit(
                 return;
             }
             if frames.is_none() {
-                std::thread::sleep(Duration::from_millis(100));
+                for k in 0..10 {
+                    device.push_imu(own_imu_segment(u32::from(n) * 10 + k));
+                }
+                let until = Instant::now() + Duration::from_millis(100);
+                while Instant::now() < until {
+                    // Only a recorder that wants the unit's own IMU asks.
+                    if unit.serve(&mut device, Duration::from_millis(5)).is_err() {
+                        return;
+                    }
+                }
             }
         }
         if farewell == Farewell::Orderly {
             unit.finish().unwrap();
         }
-    })
+    }
+}
+
+/// Segment `n` of the unit's own IMU: gyroscope and accelerometer by turns, 100 a second.
+fn own_imu_segment(n: u32) -> ImuSegment {
+    ImuSegment {
+        serial: n + 1,
+        timestamp_us: (START_NS / 1000) as u64 + u64::from(n) * 10_000,
+        time_source: TimeSource::External,
+        temperature: 30.0,
+        values: if n.is_multiple_of(2) {
+            ImuValues::AccelerometerG([0.0, 0.0, 1.0])
+        } else {
+            ImuValues::GyroscopeDegS([0.0, 0.0, 90.0])
+        },
+    }
 }
 
 /// A mock IMU's line and thread.

@@ -90,6 +90,14 @@ pub fn prepare(
     Ok(simulation)
 }
 
+/// Simulated walks are short: room for a minute is enough.
+pub fn short_walk() -> RecorderConfig {
+    RecorderConfig {
+        least_space_secs: 60.0,
+        ..RecorderConfig::default()
+    }
+}
+
 /// The backpack's devices as `lsfb scan` sees them.
 pub fn backpack_devices(
     layout: &Layout,
@@ -118,8 +126,8 @@ pub fn backpack_devices(
             baud: 921_600,
             rate_hz: u16::try_from(config.scan_imu.rate_hz).unwrap_or(u16::MAX),
         }),
+        recorder: short_walk(),
         sidecar: None,
-        ..DevicesConfig::default()
     }
 }
 
@@ -128,6 +136,7 @@ pub fn glasses_devices(listen: SocketAddr, overflow: Overflow) -> DevicesConfig 
     DevicesConfig {
         sidecar: Some(SidecarConfig { listen }),
         overflow,
+        recorder: short_walk(),
         ..DevicesConfig::default()
     }
 }

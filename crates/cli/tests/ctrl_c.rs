@@ -36,7 +36,9 @@ impl Scan {
         let address = |port: u16| SocketAddr::from(([127, 0, 0, 1], port));
         let [data, position] = ports.map(address);
         let devices = folder.path().join("devices.toml");
-        let list = format!("[lidar]\ndata = \"{data}\"\nposition = \"{position}\"\n");
+        let list = format!(
+            "[recorder]\nleast_space_secs = 10.0\n[lidar]\ndata = \"{data}\"\nposition = \"{position}\"\n"
+        );
         std::fs::write(&devices, list).expect("list of devices");
         let out = folder.path().join("scan.mcap");
         let process = Command::new(env!("CARGO_BIN_EXE_lsfb"))

@@ -13,7 +13,7 @@ use lsfb_sim::{Pace, Playback, PlaybackEndpoints, Turns};
 use super::sim;
 use crate::context::Context;
 use crate::outcome::Outcome;
-use crate::simulated::Endpoints;
+use crate::simulated::{Endpoints, short_walk};
 
 /// How long sidecars look for their recorder.
 const PATIENCE: Duration = Duration::from_secs(3600);
@@ -202,7 +202,7 @@ impl Folder {
             sidecar: (!playback.sidecars().is_empty()).then_some(SidecarConfig {
                 listen: endpoints.sidecar,
             }),
-            ..DevicesConfig::default()
+            recorder: short_walk(),
         }
     }
 }

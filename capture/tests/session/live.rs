@@ -1,0 +1,150 @@
+//! What a session says about itself while it runs, and devices that go and come back.
+
+use lsfb_capture::health::{Level, Snapshot, SyncState};
+use lsfb_recording::message::{decode_clock_model, decode_health_value};
+use lsfb_recording::{CLOCK_MODELS, HEALTH};
+
+use super::*;
+
+/// Runs a session for `duration`.
+fn run_for(session: Session, out: &Path, duration: Duration) -> CaptureReport {
+    let stop = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let running = std::thread::Builder::new()
+            .name("session".to_owned())
+            .spawn_scoped(scope, || session.run(out, &stop, &no_progress).unwrap())
+            .unwrap();
+        std::thread::sleep(duration);
+        stop.store(true, Ordering::Release);
+        running.join().unwrap()
+    })
+}
+
+#[test]
+fn health_is_told_and_recorded_and_the_units_own_imu_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let front = folder.path().join("front");
+    let camera = mock::stereo_unit(&front, 0, None, Farewell::Sudden);
+    let imu = mock::imu(None, &[]);
+    let with_imu = CameraUnitConfig {
+        imu: Some("imu1".to_owned()),
+        ..unit(&front, ["cam0", "cam1"])
+    };
+    let config = DevicesConfig {
+        lidar: Some(LidarNetConfig {
+            data: LOOPBACK,
+            position: LOOPBACK,
+            ..LidarNetConfig::default()
+        }),
+        cameras: vec![with_imu],
+        imu: Some(line(&imu.path)),
+        ..anywhere()
+    };
+    let session = Session::open(&config).unwrap();
+    let feed = session.health();
+    let snapshots = feed.subscribe();
+    // Nobody reads this one: it misses some, and nobody waits for it.
+    let _unread = feed.subscribe();
+    let lidar = mock::send_lidar(
+        &session.lidar_addresses(),
+        &session.counts(),
+        1_000_000,
+        Duration::from_micros(663),
+    );
+    let out = folder.path().join("scan.mcap");
+    let told = spawn_collector(snapshots);
+    let report = run_for(session, &out, Duration::from_millis(2_800));
+    drop((camera, imu, lidar));
+
+    let told = told.join().unwrap();
+    assert!(told.len() >= 4, "{}", told.len());
+    let late = &told[told.len() - 2];
+    let names: Vec<&str> = late.devices.iter().map(|d| d.name.as_str()).collect();
+    assert_eq!(names, ["lidar", "cam0+cam1", "imu0"]);
+    for device in &late.devices {
+        assert!(device.connected && device.rate_hz > 1.0, "{device:?}");
+        assert_eq!(device.sync, SyncState::Locked, "{device:?}");
+    }
+    assert_eq!(late.devices[1].exposure_ms, Some(5.0));
+    assert!(late.storage.free_bytes > 0 && late.storage.part_number == 1);
+    assert!(late.storage.secs_to_full.is_some(), "{:?}", late.storage);
+
+    let recording = Recording::open(&out).unwrap();
+    for quantity in ["rate", "gap", "drops", "duplicates", "sync", "space"] {
+        let topic = format!("{HEALTH}{quantity}");
+        let values: Vec<_> = recording
+            .messages(&topic)
+            .unwrap()
+            .map(|m| decode_health_value(&m.unwrap().bytes).unwrap())
+            .collect();
+        assert!(values.len() >= 4, "{topic}: {values:?}");
+    }
+    for device in ["lidar", "cam0", "cam1", "imu0", "imu1"] {
+        let topic = format!("{CLOCK_MODELS}{device}");
+        let last = recording.last_message(&topic).unwrap().unwrap();
+        let model = decode_clock_model(&last.bytes).unwrap();
+        assert_eq!(
+            (model.device.as_str(), model.kind.as_str()),
+            (device, "locked")
+        );
+    }
+    // The unit's own IMU: 50 pairs a second, on the unit's clock, and the answers as they came.
+    let topic = "/imu1/data_raw";
+    let own: Vec<_> = recording
+        .messages(topic)
+        .unwrap()
+        .map(Result::unwrap)
+        .collect();
+    assert!(own.len() > 40, "{}: {report:?}", own.len());
+    assert!(own.windows(2).all(|w| w[1].time - w[0].time == 20_000_000));
+    assert_eq!((own[0].time.nanos() - START_NS) % 10_000_000, 0);
+    assert!(recording.packets("imu1").unwrap().count() > 20);
+    // The rig's IMU is still the one that is meant.
+    assert_eq!(
+        recording.imu().unwrap().count() as u64,
+        stream(&report, "imu0").decoded
+    );
+}
+
+fn spawn_collector(
+    snapshots: std::sync::mpsc::Receiver<Snapshot>,
+) -> std::thread::JoinHandle<Vec<Snapshot>> {
+    mock::spawn("page", move || snapshots.iter().collect())
+}
+
+#[test]
+fn a_unit_that_is_unplugged_and_comes_back_goes_on_and_is_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let front = folder.path().join("front");
+    let first = mock::stereo_unit(&front, 0, Some(10), Farewell::Sudden);
+    let again = mock::stereo_unit_after(Duration::from_millis(700), front.clone(), 40, 20);
+    let imu = mock::imu(None, &[]);
+    let config = DevicesConfig {
+        cameras: vec![unit(&front, ["cam0", "cam1"])],
+        imu: Some(line(&imu.path)),
+        ..anywhere()
+    };
+    let session = Session::open(&config).unwrap();
+    let told = spawn_collector(session.health().subscribe());
+    let out = folder.path().join("scan.mcap");
+    let report = run_for(session, &out, Duration::from_millis(3_000));
+    first.join().unwrap();
+    again.join().unwrap();
+    let camera = stream(&report, "cam0+cam1");
+    assert_eq!(camera.interruptions, 1, "{report:?}");
+    assert_eq!((camera.decoded, camera.missing), (60, 30), "{camera:?}");
+    assert_eq!(camera.ending, Ending::EndOfStream);
+    assert!(
+        camera.notes.iter().any(|n| n.contains("and back")),
+        "{camera:?}"
+    );
+    assert!(report.lost >= 31);
+    let gone = told
+        .join()
+        .unwrap()
+        .iter()
+        .any(|s| s.level == Level::Error && s.devices[0].problem.contains("gone"));
+    assert!(gone, "the operator is told");
+    let recording = Recording::open(&out).unwrap();
+    assert_eq!(recording.images("cam1").unwrap().count(), 30);
+}
