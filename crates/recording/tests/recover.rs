@@ -1,0 +1,184 @@
+//! Whole files from cut and damaged ones.
+#![allow(
+    clippy::unwrap_used,
+    reason = "a test file as a whole; clippy.toml only spares #[test] functions"
+)]
+
+use std::path::{Path, PathBuf};
+
+use lsfb_recording::{Compression, Error, Recording, Writer, WriterConfig, recover};
+use lsfb_types::{ImuSample, Stamped, Timestamp, no_progress};
+
+const START: i64 = 1_772_359_200_000_000_000;
+const SAMPLES: u32 = 200;
+/// A chunk every quarter of a second, twenty-five samples each.
+const PER_CHUNK: u32 = 25;
+
+fn sample(n: u32) -> Stamped<ImuSample> {
+    let time = Timestamp::from_nanos(START + i64::from(n) * 10_000_000);
+    Stamped {
+        time,
+        arrival: time + 1_000_000,
+        device_ticks: u64::from(n) + 1,
+        sample: ImuSample {
+            angular_velocity_rad_s: [f64::from(n), 0.5, -0.5],
+            specific_force_m_s2: [0.0, 0.0, 9.81],
+        },
+    }
+}
+
+fn whole(dir: &Path, compression: Compression) -> Vec<u8> {
+    let path = dir.join("whole.mcap");
+    let config = WriterConfig {
+        compression,
+        chunk_secs: 0.25,
+        ..WriterConfig::default()
+    };
+    let mut writer = Writer::create(&path, &config).unwrap();
+    writer.attach("notes.txt", "text/plain", b"a walk").unwrap();
+    for n in 0..SAMPLES {
+        writer.write_imu("imu0", &sample(n)).unwrap();
+    }
+    writer.finish().unwrap();
+    std::fs::read(path).unwrap()
+}
+
+fn put(dir: &Path, bytes: &[u8]) -> PathBuf {
+    let path = dir.join("damaged.mcap");
+    std::fs::write(&path, bytes).unwrap();
+    path
+}
+
+fn numbers(path: &Path) -> Vec<u32> {
+    let recording = Recording::open(path).unwrap();
+    assert_eq!(recording.damage(), []);
+    assert_eq!(recording.verify(&no_progress).unwrap(), []);
+    assert_eq!(recording.attachment("notes.txt").unwrap(), b"a walk");
+    assert!(
+        recording
+            .metadata("lsfb.session")
+            .unwrap()
+            .contains_key("software")
+    );
+    let Ok(samples) = recording.imu() else {
+        return Vec::new();
+    };
+    samples
+        .map(Result::unwrap)
+        .map(|got| {
+            let n = got.sample.angular_velocity_rad_s[0] as u32;
+            // The counter beside the last one may have been torn off.
+            let device_ticks = got.device_ticks;
+            assert_eq!(
+                Stamped {
+                    device_ticks,
+                    ..sample(n)
+                },
+                got
+            );
+            n
+        })
+        .collect()
+}
+
+/// Wherever it is cut: all whole chunks are there, and of the torn one what came through.
+#[test]
+fn a_file_that_is_cut_anywhere_becomes_whole() {
+    let dir = tempfile::tempdir().unwrap();
+    for compression in [Compression::None, Compression::Lz4, Compression::Zstd] {
+        let bytes = whole(dir.path(), compression);
+        let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+        let first = summary.chunk_indexes[0].chunk_start_offset as usize;
+        let mut salvaged = 0;
+        for length in (first..bytes.len()).step_by(997) {
+            let out = dir.path().join(format!("{length}.mcap"));
+            let recovered =
+                recover(&put(dir.path(), &bytes[..length]), &out, &no_progress).unwrap();
+            let kept = numbers(&out);
+            assert_eq!(kept, (0..kept.len() as u32).collect::<Vec<_>>());
+            let chunks = summary
+                .chunk_indexes
+                .iter()
+                .filter(|c| (c.chunk_start_offset + c.chunk_length) as usize <= length)
+                .count();
+            assert!(kept.len() >= chunks * PER_CHUNK as usize, "cut to {length}");
+            assert_eq!(recovered.bytes, std::fs::metadata(&out).unwrap().len());
+            salvaged += recovered.salvaged_messages;
+            std::fs::remove_file(&out).unwrap();
+        }
+        // A block of lz4 or zstd that is torn gives nothing.
+        assert!(salvaged > 0 || compression != Compression::None);
+    }
+}
+
+#[test]
+fn what_is_damaged_in_the_middle_is_left_out_and_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let bytes = whole(dir.path(), Compression::Lz4);
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    // In the first chunk the topic is defined; the end of the file still knows it.
+    for chunk in [&summary.chunk_indexes[0], &summary.chunk_indexes[4]] {
+        let mut broken = bytes.clone();
+        broken[(chunk.chunk_start_offset + chunk.chunk_length / 2) as usize] ^= 0x55;
+        let path = put(dir.path(), &broken);
+        let out = dir.path().join("out.mcap");
+        let recovered = recover(&path, &out, &no_progress).unwrap();
+        assert_eq!(numbers(&out).len() as u32, SAMPLES - PER_CHUNK);
+        let named: Vec<_> = recovered
+            .damage
+            .iter()
+            .filter(|d| d.offset == chunk.chunk_start_offset && d.bytes == chunk.chunk_length)
+            .collect();
+        assert_eq!(named.len(), 1, "{:?}", recovered.damage);
+        // Nothing is overwritten, the damaged file least of all.
+        assert!(matches!(
+            recover(&path, &out, &no_progress),
+            Err(Error::Exists { .. })
+        ));
+        assert!(matches!(
+            recover(&path, &path, &no_progress),
+            Err(Error::Exists { .. })
+        ));
+        assert_eq!(std::fs::read(&path).unwrap(), broken);
+        std::fs::remove_file(&out).unwrap();
+    }
+}
+
+#[test]
+fn a_whole_file_is_copied_message_by_message() {
+    let dir = tempfile::tempdir().unwrap();
+    let bytes = whole(dir.path(), Compression::Lz4);
+    let out = dir.path().join("out.mcap");
+    let recovered = recover(&put(dir.path(), &bytes), &out, &no_progress).unwrap();
+    assert_eq!(
+        (recovered.damage.len(), recovered.salvaged_messages),
+        (0, 0)
+    );
+    assert_eq!(numbers(&out), (0..SAMPLES).collect::<Vec<_>>());
+    // Read by the crate too, whose checks are others.
+    let copied = std::fs::read(&out).unwrap();
+    let messages = mcap::MessageStream::new(&copied).unwrap();
+    assert_eq!(
+        messages.map(Result::unwrap).count() as u64,
+        recovered.messages
+    );
+}
+
+#[test]
+fn arrivals_and_the_last_message_come_from_the_indexes() {
+    let dir = tempfile::tempdir().unwrap();
+    let bytes = whole(dir.path(), Compression::Lz4);
+    for length in [bytes.len(), bytes.len() - 40] {
+        let recording = Recording::open(&put(dir.path(), &bytes[..length])).unwrap();
+        let arrivals = recording.arrivals(&no_progress).unwrap();
+        let imu = arrivals
+            .iter()
+            .find(|a| a.topic == "/imu0/data_raw")
+            .unwrap();
+        let expected: Vec<_> = (0..SAMPLES).map(|n| sample(n).arrival).collect();
+        assert_eq!(imu.times, expected);
+        let last = recording.last_message("/imu0/data_raw").unwrap().unwrap();
+        assert_eq!(last.time, sample(SAMPLES - 1).time);
+        assert!(recording.last_message("/nothing").unwrap().is_none());
+    }
+}
