@@ -24,7 +24,7 @@ use crate::sync::{Group, GroupReport, Groups};
 use crate::tap::Spout;
 use crate::{Error, StreamReport};
 
-pub(crate) use space::{check as check_space, free_bytes};
+pub(crate) use space::{check as check_space, free_bytes_of};
 
 /// Entries in the queue, whatever their size: some seconds of IMU and LiDAR.
 const QUEUE_ENTRIES: usize = 8_192;

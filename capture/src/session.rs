@@ -252,7 +252,7 @@ impl Session {
             })?;
         }
         let meters = threads.meters.clone();
-        let monitor = Monitor::new(&recorder, meters, self.health.clone(), out, settings);
+        let monitor = Monitor::new(&recorder, meters, self.health.clone(), out, &self.config);
         let streams = threads.wait(stop, &recorder, monitor, progress);
         self.health.close();
         let mut streams = streams?;

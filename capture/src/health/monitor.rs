@@ -7,19 +7,21 @@ use lsfb_recording::message::{self, HealthValue};
 use lsfb_types::Timestamp;
 
 use super::{HealthFeed, Level, Meter, Snapshot, StorageHealth, StreamReport, SyncState};
-use crate::config::RecorderConfig;
-use crate::recorder::{Entry, Inlet, OwnMessage, Recorder, Shared, free_bytes};
+use crate::config::DevicesConfig;
+use crate::recorder::{Entry, Inlet, OwnMessage, Recorder, Shared, free_bytes_of};
 
 /// Twice a second, so that nothing is shown later than one second after it happened.
 const PERIOD: Duration = Duration::from_millis(500);
 /// Weight of the last period in the rate that tells when the disk is full.
 const RATE_WEIGHT: f64 = 0.1;
+/// The measured rate is believed from here on.
+const RATE_KNOWN_AFTER: Duration = Duration::from_secs(5);
 /// An operator should know that the disk fills up in ten minutes.
 const WARN_SECS: f64 = 600.0;
 /// In a minute it is too late for anything but stopping.
 const ERROR_SECS: f64 = 60.0;
-/// Messages that wait longer say that the disk is too slow.
-const WARN_WRITE_MS: f64 = 250.0;
+/// Messages that wait longer than any chunk is kept open say that the disk is too slow.
+const WARN_WRITE_MS: f64 = 600.0;
 
 /// Reads the meters.
 pub(crate) struct Monitor {
@@ -31,6 +33,7 @@ pub(crate) struct Monitor {
     feed: HealthFeed,
     folders: Vec<PathBuf>,
     reserve_bytes: u64,
+    expected_bytes_per_sec: f64,
     last_written_bytes: u64,
     rate_bytes_per_sec: Option<f64>,
     own: StreamReport,
@@ -42,8 +45,10 @@ impl Monitor {
         meters: Vec<Meter>,
         feed: HealthFeed,
         out: &Path,
-        config: &RecorderConfig,
+        config: &DevicesConfig,
     ) -> Self {
+        let expected_bytes_per_sec = config.expected_bytes_per_sec();
+        let config = &config.recorder;
         let folder = out.parent().unwrap_or(Path::new("")).to_owned();
         Self {
             began: Instant::now(),
@@ -57,6 +62,7 @@ impl Monitor {
                 .chain(config.second_folder.clone())
                 .collect(),
             reserve_bytes: config.reserve_bytes,
+            expected_bytes_per_sec,
             last_written_bytes: 0,
             rate_bytes_per_sec: None,
             own: StreamReport::new("health"),
@@ -125,13 +131,14 @@ impl Monitor {
             .rate_bytes_per_sec
             .map_or(rate, |last| last + RATE_WEIGHT * (rate - last));
         self.rate_bytes_per_sec = Some(smooth);
-        let free: u64 = self
-            .folders
-            .iter()
-            .filter_map(|folder| free_bytes(folder).ok())
-            .map(|free| free.saturating_sub(self.reserve_bytes))
-            .sum();
-        let secs_to_full = (smooth > 1.0).then(|| free as f64 / smooth);
+        let free = free_bytes_of(&self.folders, self.reserve_bytes);
+        // At first nobody knows better than the list of devices.
+        let rate = if self.began.elapsed() < RATE_KNOWN_AFTER {
+            self.expected_bytes_per_sec
+        } else {
+            smooth
+        };
+        let secs_to_full = (rate > 1.0).then(|| free as f64 / rate);
         let (level, problem) = match secs_to_full {
             Some(secs) if secs < ERROR_SECS => {
                 (Level::Error, format!("the disk is full in {secs:.0} s"))

@@ -97,7 +97,8 @@ pub struct StorageHealth {
     pub rate_bytes_per_sec: f64,
     /// Bytes that the disk, and the second one, still take.
     pub free_bytes: u64,
-    /// Seconds until there is no room left at this rate; `None` before the rate is known.
+    /// Seconds until there is no room left at this rate, in the first seconds at the rate that was expected; `None` where
+    /// nothing is written.
     pub secs_to_full: Option<f64>,
     /// Messages between the devices and the disk.
     pub queued_messages: u64,

@@ -1,5 +1,7 @@
 //! Room on the disks.
 
+use std::collections::BTreeSet;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use crate::Error;
@@ -21,16 +23,32 @@ pub(crate) fn free_bytes(folder: &Path) -> Result<u64, Error> {
     Ok(free)
 }
 
+/// Bytes that may still be written into all of `folders`, above `reserve_bytes` on each disk. Folders on one disk count once;
+/// a disk that cannot be asked counts as full.
+pub(crate) fn free_bytes_of(folders: &[PathBuf], reserve_bytes: u64) -> u64 {
+    let mut disks = BTreeSet::new();
+    folders
+        .iter()
+        .filter(|folder| {
+            let folder = if folder.as_os_str().is_empty() {
+                Path::new(".")
+            } else {
+                folder
+            };
+            std::fs::metadata(folder).is_ok_and(|found| disks.insert(found.dev()))
+        })
+        .filter_map(|folder| free_bytes(folder).ok())
+        .map(|free| free.saturating_sub(reserve_bytes))
+        .sum()
+}
+
 /// Refuses to begin what will not fit: `needed_secs` at `bytes_per_sec` on all of `folders` together.
 pub(crate) fn check(
     folders: &[PathBuf],
     bytes_per_sec: f64,
     needed_secs: f64,
 ) -> Result<(), Error> {
-    let mut free = 0;
-    for folder in folders {
-        free += free_bytes(folder)?;
-    }
+    let free = free_bytes_of(folders, 0);
     let secs = free as f64 / bytes_per_sec.max(1.0);
     if secs >= needed_secs {
         return Ok(());
