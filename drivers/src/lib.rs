@@ -36,6 +36,8 @@ mod decoded;
 mod error;
 pub mod imu;
 pub mod microstrain;
+pub mod mynt_d;
+mod pairing;
 pub mod phone;
 pub mod sbg;
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::PathBuf;
 
-use lsfb_drivers::{camera, imu};
+use lsfb_drivers::{camera, imu, microstrain, mynt_d};
 
 fn rules(name: &str) -> Vec<String> {
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
@@ -37,11 +37,24 @@ fn every_camera_rule_is_about_the_units_the_driver_knows() {
 #[test]
 fn every_imu_rule_is_about_the_units_the_driver_knows_or_their_converters() {
     let rules = rules("70-lsfb-imu.rules");
-    assert_eq!(rules.len(), 5);
+    let units = [
+        (imu::model::USB_VENDOR, None),
+        (microstrain::model::USB_VENDOR, None),
+        (mynt_d::model::USB_VENDOR, Some(mynt_d::model::USB_PRODUCT)),
+    ];
+    let drivers = ["ftdi_sio", "gs_usb"].map(|driver| format!("=\"{driver}\""));
     for rule in &rules {
-        let of_unit = has_device(rule, imu::model::USB_VENDOR, None);
-        assert!(of_unit || rule.contains("DRIVER==\"ftdi_sio\""), "{rule}");
+        let of_unit = units
+            .iter()
+            .any(|&(vendor, product)| has_device(rule, vendor, product));
+        let of_driver = drivers.iter().any(|driver| rule.contains(driver));
+        assert!(of_unit || of_driver, "{rule}");
     }
+    for (vendor, product) in units {
+        let known = rules.iter().any(|rule| has_device(rule, vendor, product));
+        assert!(known, "no rule for {vendor:04x}");
+    }
+    assert!(rules.iter().any(|rule| rule.contains("can_imu")));
 }
 
 /// Each rule is a list of `KEY{attribute}op"value"` with at least one comparison and one assignment.

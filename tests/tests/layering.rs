@@ -24,7 +24,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("lsfb-eval", &["types", "geometry", "recording"]),
     ("lsfb-view", &["types", "geometry", "recording"]),
     ("lsfb-sim", &["types", "geometry", "drivers", "recording"]),
-    ("lsfb-fakev4l", &[]),
+    ("lsfb-fakekernel", &[]),
 ];
 
 /// Package → the names it depends on, dev-dependencies left out.
@@ -90,7 +90,8 @@ fn heavy_and_dangerous_crates_are_seen_by_one_crate_each() {
         ("serialport", "lsfb-drivers"),
         ("v4l", "lsfb-drivers"),
         ("socketcan", "lsfb-drivers"),
-        ("libc", "lsfb-fakev4l"),
+        ("rusb", "lsfb-drivers"),
+        ("libc", "lsfb-fakekernel"),
         ("rusqlite", "lsfb-drivers"),
         ("faer", "lsfb-solver"),
         ("anyhow", "lsfb-cli"),

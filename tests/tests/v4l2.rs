@@ -1,7 +1,7 @@
 //! Mynt cameras behind V4L2 nodes: the driver and the `v4l` crate as they are, above an emulated kernel.
 //!
-//! Each test writes what its unit shall do into a script, and runs itself again below `lsfb-fakev4l`, where the node of
-//! that unit can be opened.
+//! Each test writes what its unit shall do into a script, and runs itself again below `lsfb-fakekernel`, where the nodes of
+//! those units can be opened.
 #![cfg(feature = "hardware")]
 #![allow(
     clippy::unwrap_used,
@@ -9,32 +9,30 @@
     reason = "helpers of tests, and the one line a skipped test owes its reader"
 )]
 
+mod fake_kernel;
+
 use std::os::unix::fs::symlink;
 use std::path::PathBuf;
-use std::process::Command;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use lsfb_drivers::Error;
 use lsfb_drivers::camera::model::{FrameFormat, TRAILER_BYTES};
 use lsfb_drivers::camera::wire::{
-    CameraOption, DeviceInfo, ImuProtocol, OptionCommand, TimeSource, Trailer, Version, XuDevice,
-    XuQuery, XuSelector, emit_frame,
+    CameraOption, DeviceInfo, ImageControl, ImuProtocol, OptionCommand, TimeSource, Trailer,
+    Version, XuDevice, XuQuery, XuSelector, emit_frame,
 };
-use lsfb_drivers::camera::{CameraConfig, Decoder, DecoderConfig, MyntCamera};
+use lsfb_drivers::camera::{CameraConfig, Decoder, DecoderConfig, Exposure, MyntCamera, Trigger};
 use lsfb_drivers::transport::PacketSource;
 use lsfb_drivers::transport::camera_link::{CameraLink, LinkCounters};
-use lsfb_tests::workspace_root;
-use serde_json::Value;
 
-const NODE: &str = "LSFB_FAKEV4L_NODE";
-const SCRIPT: &str = "LSFB_FAKEV4L_SCRIPT";
+const CAMERAS: &str = "LSFB_FAKE_CAMERAS";
 const FORMAT: FrameFormat = FrameFormat::S2_1280X400;
 const RATE_HZ: u32 = 60;
 const TIMEOUT: Duration = Duration::from_secs(5);
 /// Buffer flag of a damaged frame (`V4L2_BUF_FLAG_ERROR`).
 const DAMAGED: u32 = 0x40;
 
-/// What a unit shall do; the layout is that of `tests/fakev4l/src/script.rs`.
+/// What a unit shall do; the layout is that of `tests/fakekernel/src/camera_script.rs`.
 #[derive(Default)]
 struct Script(Vec<u8>);
 
@@ -68,10 +66,10 @@ impl Script {
     }
 }
 
-fn info() -> DeviceInfo {
+fn info(serial: &str) -> DeviceInfo {
     DeviceInfo {
         name: "MYNT-EYE-S2100".to_owned(),
-        serial: "07C41A19".to_owned(),
+        serial: serial.to_owned(),
         spec: Version { major: 1, minor: 3 },
         baseline_mm: 80,
         ..Default::default()
@@ -80,8 +78,12 @@ fn info() -> DeviceInfo {
 
 /// A unit that tells about itself and has its IMU set to 250 Hz.
 fn unit() -> Script {
+    unit_with_serial("07C41A19")
+}
+
+fn unit_with_serial(serial: &str) -> Script {
     let mut script = Script::default();
-    let mut device = XuDevice::new(info(), ImuProtocol::Float);
+    let mut device = XuDevice::new(info(serial), ImuProtocol::Float);
     let mut request = vec![0; XuSelector::File.len_bytes()];
     request[0] = DeviceInfo::REQUEST;
     script.write(&mut device, XuSelector::File, &request);
@@ -127,59 +129,50 @@ fn frame(frame_id: u16) -> Vec<u8> {
     bytes
 }
 
-/// Builds the emulated kernel.
-fn fake_kernel() -> PathBuf {
-    let output = Command::new(env!("CARGO"))
-        .args(["build", "--release", "--offline", "-p", "lsfb-fakev4l"])
-        .arg("--message-format=json")
-        .current_dir(workspace_root())
-        .output()
-        .expect("cargo runs");
-    let messages = String::from_utf8_lossy(&output.stdout);
-    let failed = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{failed}");
-    let file = messages
-        .lines()
-        .filter_map(|line| serde_json::from_str::<Value>(line).ok())
-        .filter(|message| message["target"]["name"] == "lsfb_fakev4l")
-        .find_map(|message| message["filenames"][0].as_str().map(PathBuf::from));
-    file.expect("a library")
+fn config(path: PathBuf, serial: &str) -> CameraConfig {
+    CameraConfig {
+        path,
+        serial: serial.to_owned(),
+        format: FORMAT,
+        rate_hz: RATE_HZ,
+        options: vec![(CameraOption::ImuFrequency, 250)],
+        ..CameraConfig::default()
+    }
 }
 
-/// Below the emulated kernel: the configuration of the node. Above it: `None`, after the test `name` has been run below
-/// with a unit that does what `script` says.
-fn below_fake_kernel(name: &str, script: impl FnOnce() -> Script) -> Option<CameraConfig> {
-    if let Some(path) = std::env::var_os(NODE) {
-        return Some(CameraConfig {
-            path: path.into(),
-            serial: "07C41A19".to_owned(),
-            format: FORMAT,
-            rate_hz: RATE_HZ,
-            options: vec![(CameraOption::ImuFrequency, 250)],
-        });
+/// Below the emulated kernel: the paths of the nodes. Above it: `None`, after the test `name` has been run below with
+/// units that do what `scripts` say.
+fn nodes_below_fake_kernel(
+    name: &str,
+    scripts: impl FnOnce() -> Vec<Script>,
+) -> Option<Vec<PathBuf>> {
+    if let Some(cameras) = std::env::var_os(CAMERAS) {
+        let cameras = cameras.into_string().unwrap();
+        let path = |line: &str| PathBuf::from(line.split('\t').next().unwrap());
+        return Some(cameras.lines().map(path).collect());
     }
-    if !cfg!(target_arch = "x86_64") {
-        println!("skipped: {name}: the emulated kernel is for x86_64");
+    if !fake_kernel::is_possible(name) {
         return None;
     }
     let dir = tempfile::tempdir().unwrap();
-    // A name as udev gives it, for a character device.
-    let node = dir.path().join("mynt_front");
-    symlink("/dev/null", &node).unwrap();
-    let file = dir.path().join("script");
-    std::fs::write(&file, script().0).unwrap();
-    let output = Command::new(std::env::current_exe().unwrap())
-        .args(["--exact", name, "--nocapture"])
-        .env("LD_PRELOAD", fake_kernel())
-        .env(NODE, node)
-        .env(SCRIPT, file)
-        .output()
-        .unwrap();
-    let said = String::from_utf8_lossy(&output.stdout);
-    let failed = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{said}{failed}");
-    assert!(said.contains("1 passed"), "{said}");
+    let mut cameras = String::new();
+    for (i, script) in scripts().into_iter().enumerate() {
+        // A name as udev gives it, for a character device.
+        let node = dir.path().join(format!("mynt_{i}"));
+        symlink("/dev/null", &node).unwrap();
+        let file = dir.path().join(format!("script_{i}"));
+        std::fs::write(&file, script.0).unwrap();
+        cameras += &format!("{}\t{}\n", node.display(), file.display());
+    }
+    fake_kernel::run_below(name, &[(CAMERAS, cameras)]);
     None
+}
+
+/// The same for one unit: its configuration.
+fn below_fake_kernel(name: &str, script: impl FnOnce() -> Script) -> Option<CameraConfig> {
+    let nodes = nodes_below_fake_kernel(name, || vec![script()])?;
+    let node = nodes.into_iter().next()?;
+    Some(config(node, "07C41A19"))
 }
 
 fn host_now_ns() -> i64 {
@@ -211,7 +204,7 @@ fn a_unit_is_configured_streams_and_stalls() {
 
     let before_ns = host_now_ns();
     let mut camera = MyntCamera::open(&config).unwrap();
-    assert_eq!(*camera.info(), info());
+    assert_eq!(*camera.info(), info("07C41A19"));
     let mut decoder = Decoder::new(DecoderConfig::default());
     let mut arrivals_us = Vec::new();
     for (i, sequence) in SEQUENCES.into_iter().enumerate() {
@@ -340,7 +333,7 @@ fn what_the_unit_does_not_have_is_refused() {
     let option = CameraOption::ImuFrequency;
     let select = OptionCommand::Select(option).emit();
     link.xu_set(XuSelector::CamCtrl, &select).unwrap();
-    let mut device = XuDevice::new(info(), ImuProtocol::Float);
+    let mut device = XuDevice::new(info("07C41A19"), ImuProtocol::Float);
     device.set(XuSelector::CamCtrl, &select).unwrap();
     for query in [XuQuery::GetMin, XuQuery::GetMax, XuQuery::GetDef] {
         let expected = device.get(XuSelector::CamCtrl, query).unwrap();
@@ -348,4 +341,84 @@ fn what_the_unit_does_not_have_is_refused() {
     }
     let error = link.recv(TIMEOUT).unwrap_err().to_string();
     assert!(error.contains("was not started"), "{error}");
+}
+
+#[test]
+fn two_units_of_one_trigger_stream_side_by_side() {
+    // The second unit powered up 40 triggers later, and its kernel lost one frame.
+    const FIRST: [u32; 6] = [0, 1, 2, 3, 4, 5];
+    const SECOND: [u32; 5] = [0, 1, 3, 4, 5];
+    const AHEAD: u16 = 40;
+    let scripts = || {
+        let mut first = unit_with_serial("FRONT");
+        for sequence in FIRST {
+            first.frame(sequence, 0, &frame(AHEAD + sequence as u16));
+        }
+        let mut second = unit_with_serial("REAR");
+        for sequence in SECOND {
+            second.frame(sequence, 0, &frame(sequence as u16));
+        }
+        vec![first, second]
+    };
+    let name = "two_units_of_one_trigger_stream_side_by_side";
+    let Some(nodes) = nodes_below_fake_kernel(name, scripts) else {
+        return;
+    };
+    let mut units = nodes.into_iter().zip(["FRONT", "REAR"]);
+    let mut read = |count: usize| {
+        let (node, serial) = units.next().unwrap();
+        let camera = MyntCamera::open(&config(node, serial)).unwrap();
+        (camera, Decoder::new(DecoderConfig::default()), count)
+    };
+    // Both are open at once; frames are taken in turn.
+    let mut open = [read(FIRST.len()), read(SECOND.len())];
+    let mut triggers: [Vec<Trigger>; 2] = [Vec::new(), Vec::new()];
+    for _ in 0..FIRST.len() {
+        for ((camera, decoder, left), seen) in open.iter_mut().zip(&mut triggers) {
+            if *left > 0 {
+                *left -= 1;
+                let packet = camera.recv(TIMEOUT).unwrap().unwrap();
+                seen.push(decoder.push(&packet).unwrap().unwrap().sample.trigger);
+            }
+        }
+    }
+    let expected = |sequences: &[u32], ahead: u16| -> Vec<Trigger> {
+        let index = |sequence: &u32| u64::from(*sequence) + u64::from(ahead);
+        let trigger = |sequence| Trigger {
+            epoch: 0,
+            index: index(sequence),
+        };
+        sequences.iter().map(trigger).collect()
+    };
+    assert_eq!(triggers[0], expected(&FIRST, AHEAD));
+    assert_eq!(triggers[1], expected(&SECOND, 0));
+    assert_eq!(open[0].0.link_counters().missing, 0);
+    assert_eq!(open[1].0.link_counters().missing, 1);
+}
+
+#[test]
+fn manual_exposure_goes_through_the_controls_of_the_node() {
+    let mut script = unit();
+    let mut device = XuDevice::new(info("07C41A19"), ImuProtocol::Float);
+    let option = CameraOption::ExposureMode;
+    let set = OptionCommand::Set { option, value: 1 };
+    script.write(&mut device, XuSelector::CamCtrl, &set.emit());
+    let select = OptionCommand::Select(option).emit();
+    script.write(&mut device, XuSelector::CamCtrl, &select);
+    script.read(&mut device, XuSelector::CamCtrl, XuQuery::GetCur);
+    let name = "manual_exposure_goes_through_the_controls_of_the_node";
+    let Some(config) = below_fake_kernel(name, || script) else {
+        return;
+    };
+    let with = |gain| CameraConfig {
+        exposure: Exposure::Manual { gain, exposure: 90 },
+        ..config.clone()
+    };
+    let mut camera = MyntCamera::open(&with(24)).unwrap();
+    assert_eq!(camera.control(ImageControl::Gain).unwrap(), 24);
+    assert_eq!(camera.control(ImageControl::Brightness).unwrap(), 90);
+    assert_eq!(camera.option(CameraOption::ExposureMode).unwrap(), 1);
+    drop(camera);
+    let error = MyntCamera::open(&with(2_000)).unwrap_err().to_string();
+    assert!(error.contains("refuses its control Gain"), "{error}");
 }

@@ -128,7 +128,8 @@ impl Decoder {
             return Ok(None);
         };
         self.counters.frames += 1;
-        let exposure_ns = u32::from(trailer.exposure_steps) * EXPOSURE_STEP_NS;
+        // The field can say more than its 655 steps: up to 6.5 s, which `u32` nanoseconds cannot.
+        let exposure_ns = u32::from(trailer.exposure_steps).saturating_mul(EXPOSURE_STEP_NS);
         let image = |side| Image {
             width: self.config.format.image_width(),
             height: self.config.format.height,

@@ -7,7 +7,8 @@ use lsfb_types::Packet;
 
 use super::model::FrameFormat;
 use super::wire::{
-    CameraOption, DeviceInfo, ImuProtocol, ImuRequest, OptionCommand, Version, XuQuery, XuSelector,
+    CameraOption, DeviceInfo, ImageCalibration, ImageControl, ImuCalibration, ImuProtocol,
+    ImuRequest, OptionCommand, UnitFile, Version, XuQuery, XuSelector,
 };
 use crate::transport::camera_link::{CameraLink, LinkCounters};
 use crate::transport::{PacketSource, arrival_now};
@@ -15,6 +16,30 @@ use crate::{Error, WireError};
 
 /// First spec version whose IMU sends floats.
 const FLOAT_IMU_SPEC: Version = Version { major: 1, minor: 3 };
+
+/// Who chooses exposure time and gain. What is set is read back.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Exposure {
+    /// As the unit is.
+    #[default]
+    Unchanged,
+    /// The unit, within limits.
+    Automatic {
+        /// Largest gain.
+        max_gain: u16,
+        /// Longest exposure, steps of [`super::model::EXPOSURE_STEP_NS`].
+        max_exposure_steps: u16,
+        /// Mean grey value that it aims at.
+        desired_brightness: u16,
+    },
+    /// We: every frame alike.
+    Manual {
+        /// Gain.
+        gain: u16,
+        /// Exposure time, in the unit's steps of its brightness control.
+        exposure: u16,
+    },
+}
 
 /// Which unit, and what it shall do.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -29,6 +54,8 @@ pub struct CameraConfig {
     pub rate_hz: u32,
     /// Options to be set before streaming, with their values.
     pub options: Vec<(CameraOption, u16)>,
+    /// Who chooses exposure time and gain; set after the options.
+    pub exposure: Exposure,
 }
 
 impl Default for CameraConfig {
@@ -40,6 +67,7 @@ impl Default for CameraConfig {
             format: FrameFormat::S2_1280X400,
             rate_hz: 10,
             options: Vec::new(),
+            exposure: Exposure::default(),
         }
     }
 }
@@ -66,18 +94,9 @@ impl MyntCamera {
             });
         }
         for &(option, value) in &config.options {
-            link.xu_set(
-                XuSelector::CamCtrl,
-                &OptionCommand::Set { option, value }.emit(),
-            )?;
-            let got = read_option(&mut link, option)?;
-            if got != value {
-                return Err(Error::Protocol {
-                    device: link.device().to_owned(),
-                    problem: format!("{option:?} was set to {value} and reads {got}"),
-                });
-            }
+            set_option(&mut link, option, value)?;
         }
+        set_exposure(&mut link, config.exposure)?;
         link.start(config.format, config.rate_hz)?;
         Ok(Self { link, info })
     }
@@ -95,6 +114,27 @@ impl MyntCamera {
     /// Current value of an option.
     pub fn option(&mut self, option: CameraOption) -> Result<u16, Error> {
         read_option(&mut self.link, option)
+    }
+
+    /// Current value of a control of the image sensors.
+    pub fn control(&mut self, control: ImageControl) -> Result<i32, Error> {
+        self.link.control_get(control)
+    }
+
+    /// The calibration of the cameras that the unit carries.
+    pub fn image_calibration(&mut self) -> Result<ImageCalibration, Error> {
+        let answer = read_file(&mut self.link, UnitFile::Images)?;
+        let parsed = UnitFile::Images
+            .find(&answer)
+            .and_then(ImageCalibration::parse);
+        parsed.map_err(|e| garbled(&self.link, "calibration of the cameras", e))
+    }
+
+    /// The calibration of the IMU that the unit carries.
+    pub fn imu_calibration(&mut self) -> Result<ImuCalibration, Error> {
+        let answer = read_file(&mut self.link, UnitFile::Imu)?;
+        let parsed = UnitFile::Imu.find(&answer).and_then(ImuCalibration::parse);
+        parsed.map_err(|e| garbled(&self.link, "calibration of the IMU", e))
     }
 
     /// Layout of the unit's IMU segments.
@@ -131,13 +171,65 @@ impl PacketSource for MyntCamera {
 }
 
 fn read_info(link: &mut CameraLink) -> Result<DeviceInfo, Error> {
+    let answer = read_file(link, UnitFile::DeviceInfo)?;
+    DeviceInfo::parse(&answer).map_err(|e| garbled(link, "device information", e))
+}
+
+fn read_file(link: &mut CameraLink, file: UnitFile) -> Result<Vec<u8>, Error> {
     let mut request = vec![0; XuSelector::File.len_bytes()];
     if let Some(first) = request.first_mut() {
-        *first = DeviceInfo::REQUEST;
+        *first = file.request();
     }
     link.xu_set(XuSelector::File, &request)?;
-    let answer = link.xu_get(XuSelector::File, XuQuery::GetCur)?;
-    DeviceInfo::parse(&answer).map_err(|e| garbled(link, "device information", e))
+    link.xu_get(XuSelector::File, XuQuery::GetCur)
+}
+
+fn set_option(link: &mut CameraLink, option: CameraOption, value: u16) -> Result<(), Error> {
+    let command = OptionCommand::Set { option, value };
+    link.xu_set(XuSelector::CamCtrl, &command.emit())?;
+    let got = read_option(link, option)?;
+    if got != value {
+        return Err(Error::Protocol {
+            device: link.device().to_owned(),
+            problem: format!("{option:?} was set to {value} and reads {got}"),
+        });
+    }
+    Ok(())
+}
+
+fn set_control(link: &mut CameraLink, control: ImageControl, value: u16) -> Result<(), Error> {
+    link.control_set(control, value.into())?;
+    let got = link.control_get(control)?;
+    if got != i32::from(value) {
+        return Err(Error::Protocol {
+            device: link.device().to_owned(),
+            problem: format!("{control:?} was set to {value} and reads {got}"),
+        });
+    }
+    Ok(())
+}
+
+fn set_exposure(link: &mut CameraLink, exposure: Exposure) -> Result<(), Error> {
+    const AUTOMATIC: u16 = 0;
+    const MANUAL: u16 = 1;
+    match exposure {
+        Exposure::Unchanged => Ok(()),
+        Exposure::Automatic {
+            max_gain,
+            max_exposure_steps,
+            desired_brightness,
+        } => {
+            set_option(link, CameraOption::MaxGain, max_gain)?;
+            set_option(link, CameraOption::MaxExposureTime, max_exposure_steps)?;
+            set_option(link, CameraOption::DesiredBrightness, desired_brightness)?;
+            set_option(link, CameraOption::ExposureMode, AUTOMATIC)
+        }
+        Exposure::Manual { gain, exposure } => {
+            set_option(link, CameraOption::ExposureMode, MANUAL)?;
+            set_control(link, ImageControl::Gain, gain)?;
+            set_control(link, ImageControl::Brightness, exposure)
+        }
+    }
 }
 
 fn read_option(link: &mut CameraLink, option: CameraOption) -> Result<u16, Error> {

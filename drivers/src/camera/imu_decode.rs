@@ -1,17 +1,16 @@
 //! Answers of the unit's own IMU to samples. No I/O.
 
-use std::collections::VecDeque;
-
 use lsfb_types::{ImuSample, Packet, Timestamp};
 
 use super::model::{ACCELEROMETER_SPAN_G, GYROSCOPE_SPAN_DEG_S, STANDARD_GRAVITY_M_S2};
 use super::wire::{ImuProtocol, ImuResponse, ImuSegment, ImuValues};
+use crate::pairing::{Pairing, Reading};
 use crate::{Decoded, WireError};
 
 /// Steps that a span option covers in protocol 1.
 const STEPS_PER_SPAN: f64 = 65_536.0;
-/// Gyroscope segments that may wait for the accelerometer's next one: a second's worth.
-const MAX_WAITING: usize = 500;
+/// Stamps of one sensor further apart than this are a gap: the slowest setting, 100 Hz, has half of it.
+const LONGEST_STEP_US: u64 = 20_000;
 
 /// What the decoder has met so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -26,6 +25,10 @@ pub struct ImuCounters {
     pub duplicated: u64,
     /// Gyroscope segments given up because no accelerometer segment followed.
     pub unpaired: u64,
+    /// Times that the stamps of the samples jumped by more than 20 ms: owners report 45 ms.
+    pub gaps: u64,
+    /// Longest of them, microseconds.
+    pub longest_gap_us: u64,
 }
 
 /// Answers in, samples out.
@@ -39,15 +42,8 @@ pub struct ImuDecoder {
     gyroscope_span_deg_s: f64,
     counters: ImuCounters,
     last_serial: Option<u32>,
-    specific_force: Option<Reading>,
-    waiting: VecDeque<Reading>,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Reading {
-    arrival: Timestamp,
-    timestamp_us: u64,
-    xyz: [f64; 3],
+    last_sample_us: Option<u64>,
+    pairing: Pairing,
 }
 
 impl ImuDecoder {
@@ -59,8 +55,8 @@ impl ImuDecoder {
             gyroscope_span_deg_s: GYROSCOPE_SPAN_DEG_S.into(),
             counters: ImuCounters::default(),
             last_serial: None,
-            specific_force: None,
-            waiting: VecDeque::new(),
+            last_sample_us: None,
+            pairing: Pairing::default(),
         }
     }
 
@@ -77,17 +73,32 @@ impl ImuDecoder {
                 self.counters.duplicated += 1;
             }
         }
+        for sample in &samples {
+            self.note_gap(sample.device_ticks);
+        }
         Ok(samples)
     }
 
     /// What was met so far.
     pub fn counters(&self) -> ImuCounters {
-        self.counters
+        ImuCounters {
+            unpaired: self.pairing.unpaired(),
+            ..self.counters
+        }
     }
 
     /// The last segment that arrived safely, 0 before the first: what protocol 1 asks the unit to continue from.
     pub fn last_serial(&self) -> u32 {
         self.last_serial.unwrap_or(0)
+    }
+
+    fn note_gap(&mut self, now_us: u64) {
+        let last_us = self.last_sample_us.replace(now_us).unwrap_or(now_us);
+        let step_us = now_us.saturating_sub(last_us);
+        if step_us > LONGEST_STEP_US {
+            self.counters.gaps += 1;
+            self.counters.longest_gap_us = self.counters.longest_gap_us.max(step_us);
+        }
     }
 
     fn is_new(&mut self, serial: u32) -> bool {
@@ -111,7 +122,7 @@ impl ImuDecoder {
     ) {
         let reading = |xyz| Reading {
             arrival,
-            timestamp_us: segment.timestamp_us,
+            ticks: segment.timestamp_us,
             xyz,
         };
         let g = STANDARD_GRAVITY_M_S2;
@@ -120,18 +131,20 @@ impl ImuDecoder {
             ImuValues::RawAccelerometer(xyz) => {
                 let scale = self.accelerometer_span_g / STEPS_PER_SPAN * g;
                 let force = reading(xyz.map(|v| f64::from(v) * scale));
-                self.push_specific_force(force, samples);
+                self.pairing.push_specific_force(force, samples);
             }
             ImuValues::AccelerometerG(xyz) => {
                 let force = reading(xyz.map(|v| f64::from(v) * g));
-                self.push_specific_force(force, samples);
+                self.pairing.push_specific_force(force, samples);
             }
             ImuValues::RawGyroscope(xyz) => {
                 let scale = self.gyroscope_span_deg_s / STEPS_PER_SPAN * radians;
-                self.push_angular_velocity(reading(xyz.map(|v| f64::from(v) * scale)));
+                self.pairing
+                    .push_angular_velocity(reading(xyz.map(|v| f64::from(v) * scale)));
             }
             ImuValues::GyroscopeDegS(xyz) => {
-                self.push_angular_velocity(reading(xyz.map(|v| f64::from(v) * radians)));
+                self.pairing
+                    .push_angular_velocity(reading(xyz.map(|v| f64::from(v) * radians)));
             }
             ImuValues::Paired {
                 gyroscope_deg_s,
@@ -146,47 +159,6 @@ impl ImuDecoder {
             }),
         }
     }
-
-    fn push_angular_velocity(&mut self, reading: Reading) {
-        if self.waiting.len() == MAX_WAITING {
-            self.waiting.pop_front();
-            self.counters.unpaired += 1;
-        }
-        self.waiting.push_back(reading);
-    }
-
-    fn push_specific_force(&mut self, after: Reading, samples: &mut Vec<Decoded<ImuSample>>) {
-        let before = self.specific_force.replace(after);
-        while let Some(gyro) = self.waiting.front().copied() {
-            if gyro.timestamp_us > after.timestamp_us {
-                return;
-            }
-            self.waiting.pop_front();
-            let Some(before) = before.filter(|before| before.timestamp_us <= gyro.timestamp_us)
-            else {
-                // Before the first accelerometer segment there is nothing to interpolate from.
-                self.counters.unpaired += 1;
-                continue;
-            };
-            samples.push(Decoded {
-                arrival: gyro.arrival,
-                device_ticks: gyro.timestamp_us,
-                sample: ImuSample {
-                    angular_velocity_rad_s: gyro.xyz,
-                    specific_force_m_s2: interpolate(before, after, gyro.timestamp_us),
-                },
-            });
-        }
-    }
-}
-
-fn interpolate(before: Reading, after: Reading, at_us: u64) -> [f64; 3] {
-    let span_us = after.timestamp_us.saturating_sub(before.timestamp_us);
-    if span_us == 0 {
-        return after.xyz;
-    }
-    let weight = at_us.saturating_sub(before.timestamp_us) as f64 / span_us as f64;
-    std::array::from_fn(|i| before.xyz[i] + weight * (after.xyz[i] - before.xyz[i]))
 }
 
 #[cfg(test)]

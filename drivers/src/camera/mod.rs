@@ -20,5 +20,5 @@ pub mod wire;
 pub use decode::{
     ChecksumRule, Decoder, DecoderConfig, FrameCounters, StampInstant, StereoFrame, Trigger,
 };
-pub use device::{CameraConfig, MyntCamera};
+pub use device::{CameraConfig, Exposure, MyntCamera};
 pub use imu_decode::{ImuCounters, ImuDecoder};

@@ -1,5 +1,8 @@
 //! Frames, their trailer, and extension unit transactions: bytes to structs and back.
 
+mod calibration;
+mod controls;
+mod files;
 mod frame;
 mod imu;
 mod info;
@@ -8,6 +11,11 @@ mod options;
 mod tests;
 mod xu;
 
+pub use calibration::{
+    AxesCalibration, ImageCalibration, ImuCalibration, Intrinsics, StereoCalibration, UnitTransform,
+};
+pub use controls::ImageControl;
+pub use files::UnitFile;
 pub use frame::{Frame, Side, TimeSource, Trailer, emit_frame};
 pub use imu::{ImuProtocol, ImuRequest, ImuResponse, ImuSegment, ImuValues};
 pub use info::{DeviceInfo, Version};

@@ -51,30 +51,30 @@ impl MipUnit {
             },
             |_, packet| packet,
         ) {
-            let mut answer = Vec::new();
             let packet = MipPacket {
                 descriptor_set,
                 payload: &payload,
             };
+            // A packet for each command: the answers to many would not fit into one.
             for raw in packet.raw_fields().map_while(Result::ok) {
-                let command = Command::parse(descriptor_set, raw);
                 let mut reply = None;
-                let code = match command {
+                let code = match Command::parse(descriptor_set, raw) {
                     Ok(Some(command)) => self.carry_out(&command, &mut reply),
                     Ok(None) => UNKNOWN_COMMAND,
                     Err(_) => INVALID_PARAMETER,
                 };
                 let descriptor = raw.descriptor;
+                let mut answer = Vec::new();
                 Ack { descriptor, code }.emit(&mut answer)?;
                 if let Some(rate) = reply {
                     rate.emit(&mut answer)?;
                 }
+                MipPacket {
+                    descriptor_set,
+                    payload: &answer,
+                }
+                .emit(&mut answers)?;
             }
-            MipPacket {
-                descriptor_set,
-                payload: &answer,
-            }
-            .emit(&mut answers)?;
         }
         Ok(answers)
     }
@@ -101,5 +101,24 @@ impl MipUnit {
             }
         }
         0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn many_commands_in_one_packet_have_an_answer_each() {
+        let payload = [2u8, 0x01].repeat(120);
+        let packet = MipPacket {
+            descriptor_set: set::BASE,
+            payload: &payload,
+        };
+        let mut request = Vec::new();
+        packet.emit(&mut request).unwrap();
+        let answers = MipUnit::new(1000).handle(&request).unwrap();
+        let one = MipPacket::parse(&answers).unwrap().unwrap();
+        assert_eq!(answers.len(), 120 * one.len);
     }
 }

@@ -13,7 +13,7 @@ use super::camera_socket::SocketLink;
 use super::v4l2::NodeLink;
 use crate::Error;
 use crate::camera::model::FrameFormat;
-use crate::camera::wire::{XuQuery, XuSelector};
+use crate::camera::wire::{ImageControl, XuQuery, XuSelector};
 
 /// What the link itself has met, as opposed to what the frames say.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -99,6 +99,24 @@ impl CameraLink {
             Wire::Socket(link) => link.xu_get(selector, query),
             #[cfg(feature = "hardware")]
             Wire::Node(link) => link.xu_get(selector, query),
+        }
+    }
+
+    /// Sets a control of the image sensors.
+    pub fn control_set(&mut self, control: ImageControl, value: i32) -> Result<(), Error> {
+        match &mut self.wire {
+            Wire::Socket(link) => link.control_set(control, value),
+            #[cfg(feature = "hardware")]
+            Wire::Node(link) => link.control_set(control, value),
+        }
+    }
+
+    /// Current value of a control of the image sensors.
+    pub fn control_get(&mut self, control: ImageControl) -> Result<i32, Error> {
+        match &mut self.wire {
+            Wire::Socket(link) => link.control_get(control),
+            #[cfg(feature = "hardware")]
+            Wire::Node(link) => link.control_get(control),
         }
     }
 

@@ -6,7 +6,7 @@
 //! | byte | content |
 //! | --- | --- |
 //! | 0 | kind |
-//! | 1 | selector of the extension unit, else 0 |
+//! | 1 | selector of the extension unit, or of a control of the processing unit, else 0 |
 //! | 2 | query code (USB Video Class table A-8), else 0 |
 //! | 3 | 1 in a reply that refuses the transaction, else 0 |
 //! | 4–7 | length of the body, little-endian |
@@ -17,9 +17,10 @@
 //! | 2 transaction | host → unit | bytes of a write, empty for a read |
 //! | 3 frame | unit → host | frame bytes, trailer included |
 //! | 4 reply | unit → host | bytes of a read, empty for a write |
+//! | 6 control | host → unit | value i32 of a write, little-endian; empty for a read, whose reply has it |
 //! | 5 end | unit → host | empty; the socket closes after it |
 //!
-//! Each transaction has one reply, in order; frames may come before it. The unit sends frames only after a start. A
+//! Each transaction and control has one reply, in order; frames may come before it. The unit sends frames only after a start. A
 //! slow host blocks the unit: nothing is dropped. A socket that closes without an end is a lost unit.
 
 mod message;
@@ -39,7 +40,7 @@ use self::message::{Header, Kind, MessageReader, StreamRequest};
 use super::PacketSource;
 use crate::Error;
 use crate::camera::model::FrameFormat;
-use crate::camera::wire::{XuQuery, XuSelector};
+use crate::camera::wire::{ImageControl, XuQuery, XuSelector};
 
 pub use self::unit::{CameraListener, CameraUnit, UnitRequest};
 
@@ -104,12 +105,32 @@ impl SocketLink {
 
     /// Writes to the extension unit.
     pub fn xu_set(&mut self, selector: XuSelector, bytes: &[u8]) -> Result<(), Error> {
-        self.transact(selector, XuQuery::SetCur, bytes).map(|_| ())
+        self.transact(Kind::Transaction, selector.id(), XuQuery::SetCur, bytes)
+            .map(|_| ())
+    }
+
+    /// Sets a control of the image sensors.
+    pub fn control_set(&mut self, control: ImageControl, value: i32) -> Result<(), Error> {
+        let bytes = value.to_le_bytes();
+        self.transact(Kind::Control, control.id(), XuQuery::SetCur, &bytes)
+            .map(|_| ())
+    }
+
+    /// Current value of a control of the image sensors.
+    pub fn control_get(&mut self, control: ImageControl) -> Result<i32, Error> {
+        let bytes = self.transact(Kind::Control, control.id(), XuQuery::GetCur, &[])?;
+        let value = bytes.as_slice().try_into().map_err(|_| {
+            self.protocol(format!(
+                "{} bytes in a reply about {control:?}, which has 4",
+                bytes.len()
+            ))
+        })?;
+        Ok(i32::from_le_bytes(value))
     }
 
     /// Reads from the extension unit.
     pub fn xu_get(&mut self, selector: XuSelector, query: XuQuery) -> Result<Vec<u8>, Error> {
-        let bytes = self.transact(selector, query, &[])?;
+        let bytes = self.transact(Kind::Transaction, selector.id(), query, &[])?;
         if bytes.len() != selector.len_bytes() {
             return Err(self.protocol(format!(
                 "{} bytes in a reply of selector {}, which has {}",
@@ -123,14 +144,15 @@ impl SocketLink {
 
     fn transact(
         &mut self,
-        selector: XuSelector,
+        kind: Kind,
+        selector: u8,
         query: XuQuery,
         bytes: &[u8],
     ) -> Result<Vec<u8>, Error> {
         let request = Header {
-            selector: selector.id(),
+            selector,
             query: query.code(),
-            ..Header::new(Kind::Transaction)
+            ..Header::new(kind)
         };
         self.send(request, bytes)?;
         let deadline = Instant::now() + REPLY_TIMEOUT;
@@ -138,7 +160,7 @@ impl SocketLink {
             let Some((header, packet)) = self.next_message(deadline)? else {
                 return Err(self.protocol(format!(
                     "no reply about selector {} within {} s",
-                    selector.id(),
+                    selector,
                     REPLY_TIMEOUT.as_secs()
                 )));
             };
@@ -149,15 +171,15 @@ impl SocketLink {
                 Kind::Frame => {
                     return Err(self.protocol(format!(
                         "{MAX_WAITING_FRAMES} frames before the reply about selector {}",
-                        selector.id()
+                        selector
                     )));
                 }
-                Kind::Reply if header.selector == selector.id() && header.query == query.code() => {
+                Kind::Reply if header.selector == selector && header.query == query.code() => {
                     if header.refused {
                         return Err(self.protocol(format!(
                             "the unit refuses query {:#04x} of selector {}",
                             query.code(),
-                            selector.id()
+                            selector
                         )));
                     }
                     return Ok(packet.bytes);

@@ -5,6 +5,7 @@ pub mod camera_socket;
 pub mod can;
 pub mod faults;
 mod host_clock;
+pub mod http;
 pub mod pcap;
 mod poll;
 pub mod rosbag2;
@@ -13,6 +14,7 @@ pub mod serial;
 pub mod trace;
 pub mod udp;
 pub mod udp_sender;
+pub mod usb;
 #[cfg(feature = "hardware")]
 mod v4l2;
 pub mod websocket;

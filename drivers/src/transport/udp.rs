@@ -38,6 +38,7 @@ pub struct UdpSource {
     sender: Option<IpAddr>,
     waiting: VecDeque<Packet>,
     foreign: u64,
+    wanted_buffer_bytes: usize,
     name: String,
 }
 
@@ -69,6 +70,7 @@ impl UdpSource {
             sender: config.sender,
             waiting: VecDeque::new(),
             foreign: 0,
+            wanted_buffer_bytes: config.receive_buffer_bytes,
             name,
         })
     }
@@ -86,6 +88,13 @@ impl UdpSource {
             .map(|port| port.receive_buffer_bytes)
             .min()
             .unwrap_or(0)
+    }
+
+    /// Bytes of the wanted receive buffer that the kernel did not grant on its poorest port: 0 where there is enough. What
+    /// is missing is to be set as `net.core.rmem_max`.
+    pub fn receive_buffer_shortfall_bytes(&self) -> usize {
+        self.wanted_buffer_bytes
+            .saturating_sub(self.receive_buffer_bytes())
     }
 
     /// Datagrams that the kernel dropped because the buffer was full, known as of the last datagram received.
@@ -250,7 +259,7 @@ mod tests {
 
     #[test]
     fn datagrams_of_two_ports_come_in_order_with_kernel_stamps() {
-        let mut udp = source(1 << 20, None);
+        let mut udp = source(1 << 17, None);
         let [data, position] = udp.local_addresses()[..] else {
             panic!("two ports")
         };
@@ -260,6 +269,7 @@ mod tests {
             "{}",
             udp.receive_buffer_bytes()
         );
+        assert_eq!(udp.receive_buffer_shortfall_bytes(), 0);
         assert_eq!(udp.recv(Duration::ZERO).unwrap(), None);
         let sender = UdpSocket::bind("127.0.0.1:0").unwrap();
         let before = arrival_now();

@@ -25,7 +25,7 @@ use super::camera_link::LinkCounters;
 use super::{PacketSource, arrival_now};
 use crate::Error;
 use crate::camera::model::{EXTENSION_UNIT, FrameFormat};
-use crate::camera::wire::{XuQuery, XuSelector};
+use crate::camera::wire::{ImageControl, XuQuery, XuSelector};
 
 /// Buffers between the kernel and us: a second and more at 20 Hz, as many as the vendor's SDK asks for.
 const BUFFERS: u32 = 24;
@@ -123,6 +123,23 @@ impl NodeLink {
                     selector.id()
                 ))
             })
+    }
+
+    pub(super) fn control_set(&mut self, control: ImageControl, value: i32) -> Result<(), Error> {
+        ioctl::set_control(&self.node.handle(), control.v4l2_id(), value)
+            .map_err(|cause| self.control_refused(control, cause))
+    }
+
+    pub(super) fn control_get(&mut self, control: ImageControl) -> Result<i32, Error> {
+        ioctl::control(&self.node.handle(), control.v4l2_id())
+            .map_err(|cause| self.control_refused(control, cause))
+    }
+
+    fn control_refused(&self, control: ImageControl, cause: io::Error) -> Error {
+        if is_unplugged(&cause) {
+            return self.lost(cause);
+        }
+        self.protocol(format!("the unit refuses its control {control:?}: {cause}"))
     }
 
     fn set_format(&self, format: FrameFormat) -> Result<(), Error> {

@@ -8,6 +8,9 @@
 //! host's interface 192.168.1.100/24. For UTC time, feed PPS and GPRMC (9600 8N1, status `A`) into the interface box.
 //! It needs no udev rule; the receive buffer wants `sysctl net.core.rmem_max=33554432` or `CAP_NET_ADMIN`.
 //!
+//! **How to set it up.** [`SensorPage`] changes motor, echoes, sector, phase lock and destination through the sensor's web
+//! page, and reads each of them back. [`SensorWeb`] is the sensor's side of it, for mocks.
+//!
 //! **What is refused by name.** VLS-128, HDL-64E, VLP-32A/B, Puck Hi-Res and Velarray; and a VLP-16 whose factory bytes
 //! claim an HDL-32E, told by its packet rate.
 //!
@@ -19,8 +22,11 @@ mod layout;
 pub mod model;
 pub mod nmea;
 mod points;
+pub mod settings;
+mod web;
 pub mod wire;
 
 pub use decode::{Counters, DecodeError, Decoder, DecoderConfig, ModelChoice, OpticalOffset};
 pub use device::{VelodyneConfig, open};
 pub use layout::{Echo, PacketLayout, Return, returns};
+pub use web::{Obedience, SensorPage, SensorWeb};

@@ -166,3 +166,18 @@ fn no_frame_makes_the_decoder_panic() {
         let _ = decoder.push(&packet);
     }
 }
+
+#[test]
+fn an_exposure_beyond_what_nanoseconds_hold_is_the_longest() {
+    let mut packet = frame(1);
+    let len = packet.bytes.len();
+    let trailer = Trailer {
+        exposure_steps: u16::MAX,
+        ..Trailer::parse(&packet.bytes).unwrap()
+    };
+    let bytes = trailer.with_checksum().emit();
+    packet.bytes[len - bytes.len()..].copy_from_slice(&bytes);
+    let mut decoder = Decoder::new(config());
+    let pair = decoder.push(&packet).unwrap().unwrap();
+    assert_eq!(pair.sample.left.exposure_ns, u32::MAX);
+}

@@ -164,3 +164,136 @@ fn swapped_units_and_refused_options_are_errors() {
         assert!(matches!(mock.join().unwrap(), Err(Error::Lost { .. })));
     }
 }
+
+/// Serves until the stream starts, then sends `frames`; the unit afterwards.
+fn run_unit(
+    listener: CameraListener,
+    mut device: XuDevice,
+    frames: Vec<Vec<u8>>,
+) -> thread::JoinHandle<Result<(CameraUnit, XuDevice), Error>> {
+    spawn(move || {
+        let mut unit = listener.accept(Duration::from_secs(5))?.unwrap();
+        serve_until_start(&mut unit, &mut device)?;
+        for frame in frames {
+            unit.send_frame(&frame)?;
+        }
+        Ok((unit, device))
+    })
+}
+
+#[test]
+fn exposure_and_gain_are_set_and_read_back() {
+    for exposure in [
+        Exposure::Automatic {
+            max_gain: 48,
+            max_exposure_steps: 200,
+            desired_brightness: 100,
+        },
+        Exposure::Manual {
+            gain: 32,
+            exposure: 120,
+        },
+    ] {
+        let (_dir, listener, config) = listen();
+        let mock = run_unit(listener, new_device(), Vec::new());
+        let config = CameraConfig { exposure, ..config };
+        let _camera = MyntCamera::open(&config).unwrap();
+        let (unit, device) = mock.join().unwrap().unwrap();
+        let option = |option| device.options().value(option);
+        match exposure {
+            Exposure::Manual { .. } => {
+                assert_eq!(option(CameraOption::ExposureMode), 1);
+                assert_eq!(unit.control(ImageControl::Gain), Some(32));
+                assert_eq!(unit.control(ImageControl::Brightness), Some(120));
+            }
+            _ => {
+                assert_eq!(option(CameraOption::ExposureMode), 0);
+                assert_eq!(option(CameraOption::MaxGain), 48);
+                assert_eq!(option(CameraOption::MaxExposureTime), 200);
+                assert_eq!(option(CameraOption::DesiredBrightness), 100);
+                assert_eq!(unit.control(ImageControl::Gain), None);
+            }
+        }
+    }
+    let (_dir, listener, config) = listen();
+    let _mock = run_unit(listener, new_device(), Vec::new());
+    let exposure = Exposure::Manual {
+        gain: 5_000,
+        exposure: 1,
+    };
+    let error = MyntCamera::open(&CameraConfig { exposure, ..config }).unwrap_err();
+    assert!(error.to_string().contains("refuses"), "{error}");
+}
+
+#[test]
+fn the_calibration_that_a_unit_carries_is_read() {
+    let (_dir, listener, config) = listen();
+    let images = ImageCalibration {
+        version: Version { major: 1, minor: 2 },
+        resolutions: Vec::new(),
+    };
+    let mut device = new_device();
+    device.set_file(UnitFile::Images, &images.emit().unwrap());
+    let mock = spawn(move || -> Result<(), Error> {
+        let mut unit = listener.accept(Duration::from_secs(5))?.unwrap();
+        serve_until_start(&mut unit, &mut device)?;
+        while unit.serve(&mut device, Duration::from_secs(5))?.is_some() {}
+        Ok(())
+    });
+    let mut camera = MyntCamera::open(&config).unwrap();
+    assert_eq!(camera.image_calibration().unwrap(), images);
+    // This unit has none of its IMU.
+    let error = camera.imu_calibration().unwrap_err().to_string();
+    assert!(
+        error.contains("refuses query 0x01 of selector 5"),
+        "{error}"
+    );
+    drop(camera);
+    assert!(mock.join().unwrap().is_err());
+}
+
+#[test]
+fn a_unit_that_stamps_the_end_of_exposure_5_ms_late_shows_both() {
+    use crate::camera::{StampInstant, Trigger};
+    // The truth: the middle of each exposure of 4 ms. The unit stamps its end, and 5 ms late.
+    const DELAY_US: u64 = 5_000;
+    const HALF_EXPOSURE_US: u64 = 2_000;
+    let truth_us = |n: u64| 1_000_000 + 100_000 * n;
+    let pixels = vec![50; 640 * 400];
+    let frame = |n: u16| {
+        let trailer = Trailer {
+            frame_id: n,
+            timestamp_us: truth_us(n.into()) + HALF_EXPOSURE_US + DELAY_US,
+            exposure_steps: 40,
+            ..Default::default()
+        };
+        let mut bytes = Vec::new();
+        let trailer = trailer.with_checksum();
+        emit_frame(
+            FrameFormat::S2_1280X400,
+            &pixels,
+            &pixels,
+            &trailer,
+            &mut bytes,
+        )
+        .unwrap();
+        bytes
+    };
+    let (_dir, listener, config) = listen();
+    // Trigger 2 is skipped.
+    let mock = run_unit(listener, new_device(), [0, 1, 3].map(frame).to_vec());
+    let mut camera = MyntCamera::open(&config).unwrap();
+    let mut decoder = Decoder::new(DecoderConfig {
+        stamp: StampInstant::ExposureEnd,
+        ..DecoderConfig::default()
+    });
+    for n in [0, 1, 3] {
+        let packet = camera.recv(Duration::from_secs(5)).unwrap().unwrap();
+        let pair = decoder.push(&packet).unwrap().unwrap();
+        assert_eq!(pair.sample.trigger, Trigger { epoch: 0, index: n });
+        let middle_us = pair.device_ticks as i64 + pair.sample.mid_exposure_from_stamp_ns / 1_000;
+        // The exposure is taken out; the delay is constant, and left to the calibration of the time offset.
+        assert_eq!(middle_us, (truth_us(n) + DELAY_US) as i64);
+    }
+    mock.join().unwrap().unwrap();
+}

@@ -98,3 +98,66 @@ fn paired_segments_need_no_interpolation_and_bad_answers_are_counted() {
     assert!(decoder.push(&packet).is_err());
     assert_eq!(decoder.counters().bad_answers, 1);
 }
+
+/// Segments of a unit at 200 Hz for each sensor: accelerometer and gyroscope take turns.
+fn segments(from_us: u64, to_us: u64, first_serial: u32) -> Vec<ImuSegment> {
+    (from_us..to_us)
+        .step_by(2_500)
+        .zip(first_serial..)
+        .map(|(at_us, serial)| {
+            let values = if at_us % 5_000 == 0 {
+                ImuValues::AccelerometerG([0.0, 0.0, 1.0])
+            } else {
+                ImuValues::GyroscopeDegS([0.0, 0.0, at_us as f32])
+            };
+            segment(serial, at_us, values)
+        })
+        .collect()
+}
+
+fn push_in_answers(decoder: &mut ImuDecoder, segments: &[ImuSegment]) -> Vec<Decoded<ImuSample>> {
+    let capacity = ImuResponse::capacity(ImuProtocol::Float);
+    segments
+        .chunks(capacity)
+        .flat_map(|part| decoder.push(&answer(ImuProtocol::Float, part)).unwrap())
+        .collect()
+}
+
+#[test]
+fn a_late_batch_loses_nothing_and_keeps_the_units_stamps() {
+    // A host that was busy for a second finds more than one answer can hold.
+    let batch = segments(0, 1_000_000, 1);
+    assert!(batch.len() > 5 * ImuResponse::capacity(ImuProtocol::Float));
+    let mut decoder = ImuDecoder::new(ImuProtocol::Float);
+    let samples = push_in_answers(&mut decoder, &batch);
+    // The last gyroscope segment waits for the accelerometer's next.
+    assert_eq!(samples.len(), 199);
+    for (sample, n) in samples.iter().zip(0..) {
+        assert_eq!(sample.device_ticks, 2_500 + 5_000 * n);
+    }
+    let expected = ImuCounters {
+        segments: 400,
+        ..ImuCounters::default()
+    };
+    assert_eq!(decoder.counters(), expected);
+}
+
+#[test]
+fn a_gap_of_45_ms_is_counted_and_is_no_loss_where_the_serials_go_on() {
+    let mut decoder = ImuDecoder::new(ImuProtocol::Float);
+    let before = segments(0, 500_000, 1);
+    let silent = segments(545_000, 1_000_000, 1 + before.len() as u32);
+    push_in_answers(&mut decoder, &[before.clone(), silent].concat());
+    let counters = decoder.counters();
+    assert_eq!((counters.gaps, counters.missing), (1, 0));
+    assert_eq!(counters.longest_gap_us, 50_000);
+
+    // The same hole with serials that count on is loss.
+    let mut decoder = ImuDecoder::new(ImuProtocol::Float);
+    let lost = segments(545_000, 1_000_000, 1 + before.len() as u32 + 18);
+    push_in_answers(&mut decoder, &[before, lost].concat());
+    assert_eq!(
+        (decoder.counters().gaps, decoder.counters().missing),
+        (1, 18)
+    );
+}

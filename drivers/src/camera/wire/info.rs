@@ -1,11 +1,8 @@
 //! Device information: file 1 of selector 5.
 
+use super::files::UnitFile;
 use crate::WireError;
 
-/// Bit of the request and of the answer's first byte.
-const DEVICE_INFO: u8 = 1;
-/// Bit of the request's first byte: read.
-const READ: u8 = 0x80;
 /// Bytes of the file from spec version 1.3 on.
 const INFO_BYTES: usize = 62;
 const NAME_BYTES: usize = 16;
@@ -53,49 +50,11 @@ pub struct DeviceInfo {
 
 impl DeviceInfo {
     /// First bytes of the 2000-byte request; the rest is zero.
-    pub const REQUEST: u8 = READ | DEVICE_INFO;
+    pub const REQUEST: u8 = UnitFile::DeviceInfo.request();
 
     /// Reads the answer; other files in it are passed over.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
-        let Some((&[_, high, low], rest)) = bytes.split_first_chunk() else {
-            return Err(WireError::Length {
-                expected: 4,
-                got: bytes.len(),
-            });
-        };
-        let len = usize::from(u16::from_be_bytes([high, low]));
-        let (Some(files), Some(&got)) = (rest.get(..len), rest.get(len)) else {
-            return Err(WireError::Length {
-                expected: len + 4,
-                got: bytes.len(),
-            });
-        };
-        let expected = files.iter().fold(0, |sum, byte| sum ^ byte);
-        if got != expected {
-            return Err(WireError::Checksum {
-                expected: expected.into(),
-                got: got.into(),
-            });
-        }
-        let mut rest = files;
-        while let Some((&[id, high, low], after)) = rest.split_first_chunk() {
-            let len = usize::from(u16::from_be_bytes([high, low]));
-            let Some((file, after)) = after.split_at_checked(len) else {
-                return Err(WireError::Length {
-                    expected: len,
-                    got: after.len(),
-                });
-            };
-            if id == DEVICE_INFO {
-                return Self::parse_file(file);
-            }
-            rest = after;
-        }
-        Err(WireError::Value {
-            field: "file mask",
-            offset: 0,
-            got: bytes.first().copied().unwrap_or_default().into(),
-        })
+        Self::parse_file(UnitFile::DeviceInfo.find(bytes)?)
     }
 
     fn parse_file(file: &[u8]) -> Result<Self, WireError> {
@@ -128,33 +87,28 @@ impl DeviceInfo {
 
     /// The answer's bytes, without the don't-care bytes up to 2000. Text longer than its field is cut.
     pub fn emit(&self) -> Vec<u8> {
-        let mut files = vec![DEVICE_INFO];
-        files.extend((INFO_BYTES as u16).to_be_bytes());
-        files.extend(self.usb_vendor.to_be_bytes());
-        files.extend(self.usb_product.to_be_bytes());
-        files.extend(padded(&self.name, NAME_BYTES));
-        files.extend(padded(&self.serial, SERIAL_BYTES));
-        files.push(0);
-        files.extend([self.spec.major, self.spec.minor]);
+        let mut file = Vec::with_capacity(INFO_BYTES);
+        file.extend(self.usb_vendor.to_be_bytes());
+        file.extend(self.usb_product.to_be_bytes());
+        file.extend(padded(&self.name, NAME_BYTES));
+        file.extend(padded(&self.serial, SERIAL_BYTES));
+        file.push(0);
+        file.extend([self.spec.major, self.spec.minor]);
         for ids in [self.lens, self.imu] {
-            files.extend(ids.iter().flat_map(|id| id.to_be_bytes()));
+            file.extend(ids.iter().flat_map(|id| id.to_be_bytes()));
         }
-        files.extend(self.baseline_mm.to_be_bytes());
+        file.extend(self.baseline_mm.to_be_bytes());
         for version in [
             self.auxiliary_chip,
             self.image_processor,
             self.firmware,
             self.hardware,
         ] {
-            files.extend([version.major, version.minor]);
+            file.extend([version.major, version.minor]);
         }
-        files.push(self.hardware_flags);
-        let checksum = files.iter().fold(0, |sum, byte| sum ^ byte);
-        let mut out = vec![DEVICE_INFO];
-        out.extend((files.len() as u16).to_be_bytes());
-        out.extend(files);
-        out.push(checksum);
-        out
+        file.push(self.hardware_flags);
+        // It always fits.
+        UnitFile::DeviceInfo.emit(&file).unwrap_or_default()
     }
 }
 

@@ -1,7 +1,8 @@
 //! Extension unit transactions, and the device's side of them.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
+use super::files::UnitFile;
 use super::imu::{ImuProtocol, ImuRequest, ImuResponse, ImuSegment};
 use super::info::DeviceInfo;
 use super::options::{OptionCommand, OptionTable};
@@ -107,7 +108,7 @@ pub struct XuRefusal;
 #[derive(Clone, Debug)]
 pub struct XuDevice {
     options: OptionTable,
-    info: DeviceInfo,
+    files: BTreeMap<UnitFile, Vec<u8>>,
     protocol: ImuProtocol,
     pending: VecDeque<ImuSegment>,
     request: Option<ImuRequest>,
@@ -119,7 +120,7 @@ impl XuDevice {
     pub fn new(info: DeviceInfo, protocol: ImuProtocol) -> Self {
         Self {
             options: OptionTable::default(),
-            info,
+            files: BTreeMap::from([(UnitFile::DeviceInfo, info.emit())]),
             protocol,
             pending: VecDeque::new(),
             request: None,
@@ -130,6 +131,13 @@ impl XuDevice {
     /// Current options.
     pub fn options(&self) -> &OptionTable {
         &self.options
+    }
+
+    /// Gives the unit a calibration: the content of its file. One that is too long for an answer is not kept.
+    pub fn set_file(&mut self, file: UnitFile, content: &[u8]) {
+        if let Ok(answer) = file.emit(content) {
+            self.files.insert(file, answer);
+        }
     }
 
     /// Puts a segment, in the unit's layout, into the queue that the host polls.
@@ -164,11 +172,13 @@ impl XuDevice {
                 self.request = Some(request);
                 Ok(())
             }
-            XuSelector::File if bytes.first() == Some(&DeviceInfo::REQUEST) => {
-                self.file = Some(self.info.emit());
+            XuSelector::File => {
+                let asked = bytes.first().copied().and_then(UnitFile::from_request);
+                let answer = asked.and_then(|file| self.files.get(&file));
+                self.file = Some(answer.ok_or(XuRefusal)?.clone());
                 Ok(())
             }
-            XuSelector::File | XuSelector::HalfDuplex | XuSelector::ImuRead => Err(XuRefusal),
+            XuSelector::HalfDuplex | XuSelector::ImuRead => Err(XuRefusal),
         }
     }
 

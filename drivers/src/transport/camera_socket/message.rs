@@ -19,6 +19,7 @@ pub(super) enum Kind {
     Frame,
     Reply,
     End,
+    Control,
 }
 
 impl Kind {
@@ -29,6 +30,7 @@ impl Kind {
             Self::Frame => 3,
             Self::Reply => 4,
             Self::End => 5,
+            Self::Control => 6,
         }
     }
 
@@ -39,6 +41,7 @@ impl Kind {
             Self::Frame,
             Self::Reply,
             Self::End,
+            Self::Control,
         ]
         .into_iter()
         .find(|kind| kind.id() == id)

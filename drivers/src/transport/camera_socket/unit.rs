@@ -1,5 +1,6 @@
 //! The unit's side, for mocks.
 
+use std::collections::BTreeMap;
 use std::io;
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
@@ -8,7 +9,7 @@ use std::time::{Duration, Instant};
 use super::message::{self, Header, Kind, MessageReader, StreamRequest};
 use crate::Error;
 use crate::camera::model::FrameFormat;
-use crate::camera::wire::{XuDevice, XuQuery, XuRefusal, XuSelector};
+use crate::camera::wire::{ImageControl, XuDevice, XuQuery, XuRefusal, XuSelector};
 use crate::transport::poll::readable;
 
 /// Waits for hosts at a socket path. The file at the path is removed when this is dropped.
@@ -50,6 +51,7 @@ impl CameraListener {
             socket,
             device: self.path.display().to_string(),
             reader: MessageReader::default(),
+            controls: BTreeMap::new(),
         }))
     }
 }
@@ -93,15 +95,28 @@ pub struct CameraUnit {
     socket: UnixStream,
     device: String,
     reader: MessageReader,
+    controls: BTreeMap<ImageControl, i32>,
 }
 
 impl CameraUnit {
-    /// The host's next request, waiting up to `timeout`. A host that closed is [`Error::Lost`].
+    /// What the host set a control of the image sensors to.
+    pub fn control(&self, control: ImageControl) -> Option<i32> {
+        self.controls.get(&control).copied()
+    }
+
+    /// The host's next request, waiting up to `timeout`. A host that closed is [`Error::Lost`]. Controls of the image
+    /// sensors are kept and answered here.
     pub fn next_request(&mut self, timeout: Duration) -> Result<Option<UnitRequest>, Error> {
         let deadline = Instant::now() + timeout;
-        let read = self.reader.read(&self.socket, deadline);
-        let Some((header, packet)) = read.map_err(|cause| self.lost(cause))? else {
-            return Ok(None);
+        let (header, packet) = loop {
+            let read = self.reader.read(&self.socket, deadline);
+            match read.map_err(|cause| self.lost(cause))? {
+                Some((header, packet)) if header.kind == Kind::Control => {
+                    self.answer_control(header, &packet.bytes)?;
+                }
+                Some(message) => break message,
+                None => return Ok(None),
+            }
         };
         let selector = || {
             XuSelector::from_id(header.selector).ok_or_else(|| {
@@ -130,6 +145,33 @@ impl CameraUnit {
             },
             _ => Err(self.protocol(format!("a message that no host sends: {header:?}"))),
         }
+    }
+
+    fn answer_control(&mut self, request: Header, bytes: &[u8]) -> Result<(), Error> {
+        /// Values that the sensors have.
+        const RANGE: std::ops::RangeInclusive<i32> = 0..=1000;
+        let control = ImageControl::from_id(request.selector);
+        let answer = match (control, XuQuery::from_code(request.query)) {
+            (Some(control), Some(XuQuery::GetCur)) => {
+                let value = self.control(control).unwrap_or_default();
+                Some(value.to_le_bytes().to_vec())
+            }
+            (Some(control), Some(XuQuery::SetCur)) => {
+                let value = bytes.try_into().map(i32::from_le_bytes);
+                let value = value.ok().filter(|value| RANGE.contains(value));
+                value.map(|value| {
+                    self.controls.insert(control, value);
+                    Vec::new()
+                })
+            }
+            _ => None,
+        };
+        let header = Header {
+            kind: Kind::Reply,
+            refused: answer.is_none(),
+            ..request
+        };
+        self.send(header, &answer.unwrap_or_default())
     }
 
     /// Answers one request from `device`: the usual way to serve. A start is left to the caller and given back.

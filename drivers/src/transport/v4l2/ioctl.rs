@@ -1,4 +1,5 @@
-//! The one call that the `v4l` crate does not have: transactions with a UVC extension unit (`linux/uvcvideo.h`).
+//! Calls that the `v4l` crate does not have: transactions with a UVC extension unit (`linux/uvcvideo.h`), and single
+//! controls (`linux/videodev2.h`).
 #![allow(
     unsafe_code,
     reason = "a system call that takes a pointer; its wrapper is safe"
@@ -39,5 +40,31 @@ pub(super) fn query_extension_unit(
     // SAFETY: `node` is borrowed, so its descriptor is open; `request` has the layout of the kernel's struct and
     // outlives the call; `data` is valid for reads and writes of `size` bytes, beyond which the kernel does not go.
     unsafe { uvcioc_ctrl_query(node.fd(), &raw mut request) }?;
+    Ok(())
+}
+
+/// `struct v4l2_control`.
+#[repr(C)]
+struct Control {
+    id: u32,
+    value: i32,
+}
+
+nix::ioctl_readwrite!(vidioc_g_ctrl, b'V', 27, Control);
+nix::ioctl_readwrite!(vidioc_s_ctrl, b'V', 28, Control);
+
+/// Current value of a control.
+pub(super) fn control(node: &Handle, id: u32) -> io::Result<i32> {
+    let mut request = Control { id, value: 0 };
+    // SAFETY: the descriptor is open as above; `request` has the layout of the kernel's struct and outlives the call.
+    unsafe { vidioc_g_ctrl(node.fd(), &raw mut request) }?;
+    Ok(request.value)
+}
+
+/// Sets a control.
+pub(super) fn set_control(node: &Handle, id: u32, value: i32) -> io::Result<()> {
+    let mut request = Control { id, value };
+    // SAFETY: as above.
+    unsafe { vidioc_s_ctrl(node.fd(), &raw mut request) }?;
     Ok(())
 }

@@ -5,9 +5,10 @@ use std::fs::File;
 use std::io;
 use std::os::fd::IntoRawFd;
 use std::os::unix::fs::FileExt;
+use std::path::Path;
 use std::time::Duration;
 
-use crate::script::{End, Script};
+use crate::camera_script::{End, Script};
 use crate::{memory_file, monotonic};
 
 pub type Errno = i32;
@@ -22,6 +23,8 @@ const STREAMON: u64 = 0x4004_5612;
 const STREAMOFF: u64 = 0x4004_5613;
 const G_PARM: u64 = 0xC0CC_5615;
 const S_PARM: u64 = 0xC0CC_5616;
+const G_CTRL: u64 = 0xC008_561B;
+const S_CTRL: u64 = 0xC008_561C;
 
 const YUYV: u32 = u32::from_le_bytes(*b"YUYV");
 const FIELD_NONE: u32 = 1;
@@ -32,6 +35,9 @@ const SET_CUR: u8 = 0x01;
 const SIZES: [(u32, u32); 2] = [(1280, 400), (2560, 800)];
 const RATES_HZ: [u32; 4] = [10, 20, 30, 60];
 const MAX_BUFFERS: u32 = 32;
+/// Brightness, contrast and gain, and the values they take.
+const CONTROLS: [u32; 3] = [0x0098_0900, 0x0098_0901, 0x0098_0913];
+const CONTROL_RANGE: std::ops::RangeInclusive<u32> = 0..=1000;
 
 /// What `poll` shall say.
 pub enum Ready {
@@ -51,12 +57,13 @@ pub struct Unit {
     started: Option<Duration>,
     /// Selector → last write.
     written: BTreeMap<u8, Vec<u8>>,
+    /// Control → value.
+    controls: BTreeMap<u32, u32>,
 }
 
 impl Unit {
-    /// The unit of `LSFB_FAKEV4L_SCRIPT`, and the program's descriptor of its memory.
-    pub fn plug_in() -> io::Result<(Self, i32)> {
-        let path = std::env::var_os("LSFB_FAKEV4L_SCRIPT").ok_or(io::ErrorKind::NotFound)?;
+    /// The unit that does what the script at `path` says, and the program's descriptor of its memory.
+    pub fn plug_in(path: &Path) -> io::Result<(Self, i32)> {
         let script = Script::parse(&std::fs::read(path)?).ok_or(io::ErrorKind::InvalidData)?;
         let memory = memory_file()?;
         let fd = memory.try_clone()?.into_raw_fd();
@@ -69,6 +76,7 @@ impl Unit {
             queued: VecDeque::new(),
             started: None,
             written: BTreeMap::new(),
+            controls: BTreeMap::new(),
         };
         Ok((unit, fd))
     }
@@ -124,6 +132,21 @@ impl Unit {
                 }
                 put(argument, 12, 1)?;
                 put(argument, 16, self.rate_hz)?;
+            }
+            G_CTRL | S_CTRL => {
+                let id = get(argument, 0)?;
+                if !CONTROLS.contains(&id) {
+                    return Err(libc::EINVAL);
+                }
+                if request == G_CTRL {
+                    let value = self.controls.get(&id).copied().unwrap_or_default();
+                    return put(argument, 4, value);
+                }
+                let value = get(argument, 4)?;
+                if !CONTROL_RANGE.contains(&value) {
+                    return Err(libc::ERANGE);
+                }
+                self.controls.insert(id, value);
             }
             REQBUFS => {
                 self.buffers = get(argument, 0)?.min(MAX_BUFFERS);

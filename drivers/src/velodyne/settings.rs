@@ -1,0 +1,567 @@
+//! The sensor's settings as its web page has them: form fields to write, documents to read. Both directions, no I/O.
+
+use std::fmt;
+use std::net::Ipv4Addr;
+
+use serde_json::{Value, json};
+
+use super::wire::{PpsStatus, ReturnMode};
+
+/// Slowest and fastest motor, revolutions per minute (VLP-32C 63-9325 p. 41), and the step between.
+const RPM: std::ops::RangeInclusive<u16> = 300..=1200;
+const RPM_STEP: u16 = 60;
+const LAST_DEGREE: u16 = 359;
+
+/// Everything that can be set and read back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Settings {
+    /// Whether the lasers fire.
+    pub laser: Switch,
+    /// Which echoes are sent.
+    pub returns: ReturnMode,
+    /// Motor, revolutions per minute.
+    pub rpm: u16,
+    /// Sector in which the sensor fires.
+    pub field_of_view: FieldOfView,
+    /// Whether, and where, the rotor points at each pulse per second.
+    pub phase_lock: PhaseLock,
+    /// Where packets go.
+    pub destination: Destination,
+}
+
+/// On or off.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Switch {
+    /// On.
+    On,
+    /// Off.
+    Off,
+}
+
+/// The sector in which the sensor fires, whole degrees clockwise; where `end` is smaller, it goes through 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FieldOfView {
+    /// First degree, 0 to 359.
+    pub start_deg: u16,
+    /// Last degree, 0 to 359.
+    pub end_deg: u16,
+}
+
+/// Whether, and where, the rotor points at each pulse per second.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PhaseLock {
+    /// Whether it is locked; needs a pulse per second.
+    pub lock: Switch,
+    /// Angle at the pulse, 0.01°, below 36 000.
+    pub offset_centideg: u16,
+}
+
+/// Where packets go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Destination {
+    /// Host, or 255.255.255.255 for everyone.
+    pub address: Ipv4Addr,
+    /// Port of data packets.
+    pub data_port: u16,
+    /// Port of position packets.
+    pub position_port: u16,
+}
+
+impl Default for Settings {
+    /// The factory's.
+    fn default() -> Self {
+        Self {
+            laser: Switch::On,
+            returns: ReturnMode::Strongest,
+            rpm: 600,
+            field_of_view: FieldOfView {
+                start_deg: 0,
+                end_deg: LAST_DEGREE,
+            },
+            phase_lock: PhaseLock {
+                lock: Switch::Off,
+                offset_centideg: 0,
+            },
+            destination: Destination {
+                address: Ipv4Addr::BROADCAST,
+                data_port: 2368,
+                position_port: 8308,
+            },
+        }
+    }
+}
+
+/// One change.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Setting {
+    /// Switch the lasers.
+    Laser(Switch),
+    /// Choose the echoes.
+    Returns(ReturnMode),
+    /// Set the motor, revolutions per minute: 300 to 1200 in steps of 60.
+    Rpm(u16),
+    /// Set the sector.
+    FieldOfView(FieldOfView),
+    /// Lock the rotor's phase.
+    PhaseLock(PhaseLock),
+    /// Choose where packets go.
+    Destination(Destination),
+}
+
+/// A form to be posted.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Form {
+    /// Path on the sensor.
+    pub path: &'static str,
+    /// Fields.
+    pub body: String,
+}
+
+const SETTING: &str = "/cgi/setting";
+const FIELD_OF_VIEW: &str = "/cgi/setting/fov";
+const PHASE_LOCK: &str = "/cgi/setting/phaselock";
+const DESTINATION: &str = "/cgi/setting/host";
+
+impl Setting {
+    /// The form that asks for it; an error names a value that the sensor does not have.
+    pub fn emit(&self) -> Result<Form, SettingsError> {
+        let refused = |field, got: u16| {
+            Err(SettingsError {
+                field,
+                got: got.to_string(),
+            })
+        };
+        let (path, body) = match self {
+            Self::Laser(switch) => (SETTING, format!("laser={}", switch.form_value())),
+            Self::Returns(mode) => (SETTING, format!("returns={}", returns_name(*mode))),
+            Self::Rpm(rpm) if !RPM.contains(rpm) || !rpm.is_multiple_of(RPM_STEP) => {
+                return refused("rpm", *rpm);
+            }
+            Self::Rpm(rpm) => (SETTING, format!("rpm={rpm}")),
+            Self::FieldOfView(sector) => {
+                for degree in [sector.start_deg, sector.end_deg] {
+                    if degree > LAST_DEGREE {
+                        return refused("field of view", degree);
+                    }
+                }
+                let FieldOfView { start_deg, end_deg } = sector;
+                (FIELD_OF_VIEW, format!("start={start_deg}&end={end_deg}"))
+            }
+            Self::PhaseLock(lock) if lock.offset_centideg >= super::wire::TURN_CENTIDEG => {
+                return refused("phase lock offset", lock.offset_centideg);
+            }
+            Self::PhaseLock(PhaseLock {
+                lock,
+                offset_centideg,
+            }) => {
+                let enabled = lock.form_value();
+                (
+                    PHASE_LOCK,
+                    format!("enabled={enabled}&offset={offset_centideg}"),
+                )
+            }
+            Self::Destination(to) => (
+                DESTINATION,
+                format!(
+                    "addr={}&dport={}&tport={}",
+                    to.address, to.data_port, to.position_port
+                ),
+            ),
+        };
+        Ok(Form { path, body })
+    }
+
+    /// What `settings` says about the same thing.
+    pub fn of(&self, settings: &Settings) -> Self {
+        match self {
+            Self::Laser(_) => Self::Laser(settings.laser),
+            Self::Returns(_) => Self::Returns(settings.returns),
+            Self::Rpm(_) => Self::Rpm(settings.rpm),
+            Self::FieldOfView(_) => Self::FieldOfView(settings.field_of_view),
+            Self::PhaseLock(_) => Self::PhaseLock(settings.phase_lock),
+            Self::Destination(_) => Self::Destination(settings.destination),
+        }
+    }
+}
+
+impl fmt::Display for Setting {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.emit() {
+            Ok(form) => f.write_str(&form.body),
+            Err(error) => write!(f, "{error}"),
+        }
+    }
+}
+
+/// A document or a form has a value that the sensor does not have, or lacks one.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{field} cannot be `{got}`")]
+pub struct SettingsError {
+    /// The field.
+    pub field: &'static str,
+    /// What is there.
+    pub got: String,
+}
+
+impl Settings {
+    /// Takes the fields of a form, as the sensor does: all or, where one is wrong, none.
+    pub fn apply(&mut self, path: &str, body: &str) -> Result<(), SettingsError> {
+        let mut changed = *self;
+        for pair in body.split('&') {
+            let (name, value) = pair.split_once('=').unwrap_or((pair, ""));
+            let number = |field| value.parse::<u16>().map_err(|_| error(field, value));
+            match (path, name) {
+                (SETTING, "laser") => changed.laser = switch("laser", value)?,
+                (SETTING, "returns") => changed.returns = returns_mode(value)?,
+                (SETTING, "rpm") => changed.rpm = number("rpm")?,
+                (FIELD_OF_VIEW, "start") => changed.field_of_view.start_deg = number("start")?,
+                (FIELD_OF_VIEW, "end") => changed.field_of_view.end_deg = number("end")?,
+                (PHASE_LOCK, "enabled") => changed.phase_lock.lock = switch("enabled", value)?,
+                (PHASE_LOCK, "offset") => changed.phase_lock.offset_centideg = number("offset")?,
+                (DESTINATION, "addr") => {
+                    let address = value.parse().map_err(|_| error("addr", value))?;
+                    changed.destination.address = address;
+                }
+                (DESTINATION, "dport") => changed.destination.data_port = number("dport")?,
+                (DESTINATION, "tport") => changed.destination.position_port = number("tport")?,
+                _ => return Err(error("form field", name)),
+            }
+        }
+        for setting in [
+            Setting::Rpm(changed.rpm),
+            Setting::FieldOfView(changed.field_of_view),
+            Setting::PhaseLock(changed.phase_lock),
+        ] {
+            setting.emit()?;
+        }
+        *self = changed;
+        Ok(())
+    }
+
+    /// Reads `settings.json`.
+    pub fn parse(document: &[u8]) -> Result<Self, SettingsError> {
+        let document = parse_json(document)?;
+        let returns = text(&document, "returns", "/returns")?;
+        let address = text(&document, "host address", "/host/addr")?;
+        Ok(Self {
+            laser: switch("laser", text(&document, "laser", "/laser")?)?,
+            returns: returns_mode(returns)?,
+            rpm: number(&document, "rpm", "/rpm")?,
+            field_of_view: FieldOfView {
+                start_deg: number(&document, "field of view", "/fov/start")?,
+                end_deg: number(&document, "field of view", "/fov/end")?,
+            },
+            phase_lock: PhaseLock {
+                lock: switch(
+                    "phase lock",
+                    text(&document, "phase lock", "/phaselock/enabled")?,
+                )?,
+                offset_centideg: number(&document, "phase lock offset", "/phaselock/offset")?,
+            },
+            destination: Destination {
+                address: address
+                    .parse()
+                    .map_err(|_| error("host address", address))?,
+                data_port: number(&document, "data port", "/host/dport")?,
+                position_port: number(&document, "position port", "/host/tport")?,
+            },
+        })
+    }
+
+    /// `settings.json` of a sensor that has them.
+    pub fn emit(&self) -> String {
+        json!({
+            "laser": self.laser.name(),
+            "returns": returns_name(self.returns),
+            "rpm": self.rpm,
+            "fov": { "start": self.field_of_view.start_deg, "end": self.field_of_view.end_deg },
+            "phaselock": {
+                "enabled": self.phase_lock.lock.name(),
+                "offset": self.phase_lock.offset_centideg,
+            },
+            "host": {
+                "addr": self.destination.address.to_string(),
+                "dport": self.destination.data_port,
+                "tport": self.destination.position_port,
+            },
+            "net": {
+                "addr": "192.168.1.201",
+                "mask": "255.255.255.0",
+                "gateway": "192.168.1.1",
+                "dhcp": "off",
+            },
+        })
+        .to_string()
+    }
+}
+
+/// What the sensor is.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct SensorInfo {
+    /// Model, as the sensor names it.
+    pub model: String,
+    /// Serial number.
+    pub serial: String,
+}
+
+impl SensorInfo {
+    /// Reads `info.json`.
+    pub fn parse(document: &[u8]) -> Result<Self, SettingsError> {
+        let document = parse_json(document)?;
+        Ok(Self {
+            model: text(&document, "model", "/model")?.to_owned(),
+            serial: text(&document, "serial", "/serial")?.to_owned(),
+        })
+    }
+
+    /// `info.json` of such a sensor.
+    pub fn emit(&self) -> String {
+        json!({ "model": self.model, "serial": self.serial }).to_string()
+    }
+}
+
+/// How the sensor is doing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SensorStatus {
+    /// State of the pulse-per-second input.
+    pub pps: PpsStatus,
+    /// Whether the motor turns.
+    pub motor: Switch,
+    /// How fast, revolutions per minute.
+    pub motor_rpm: u16,
+    /// Whether the lasers fire.
+    pub laser: Switch,
+}
+
+impl SensorStatus {
+    /// Reads `status.json`.
+    pub fn parse(document: &[u8]) -> Result<Self, SettingsError> {
+        let document = parse_json(document)?;
+        let pps = text(&document, "pps state", "/gps/pps_state")?;
+        let pps = match pps.to_ascii_lowercase().as_str() {
+            "absent" => PpsStatus::Absent,
+            "synchronizing" => PpsStatus::Synchronizing,
+            "locked" => PpsStatus::Locked,
+            "error" => PpsStatus::Error,
+            _ => return Err(error("pps state", pps)),
+        };
+        Ok(Self {
+            pps,
+            motor: switch("motor", text(&document, "motor", "/motor/state")?)?,
+            motor_rpm: number(&document, "motor rpm", "/motor/rpm")?,
+            laser: switch("laser", text(&document, "laser", "/laser/state")?)?,
+        })
+    }
+
+    /// `status.json` of such a sensor.
+    pub fn emit(&self) -> String {
+        let pps = match self.pps {
+            PpsStatus::Absent => "Absent",
+            PpsStatus::Synchronizing => "Synchronizing",
+            PpsStatus::Locked => "Locked",
+            PpsStatus::Error | PpsStatus::Unknown(_) => "Error",
+        };
+        json!({
+            "gps": { "pps_state": pps, "position": "" },
+            "motor": { "state": self.motor.name(), "rpm": self.motor_rpm, "lock": "Off", "phase": 0 },
+            "laser": { "state": self.laser.name() },
+        })
+        .to_string()
+    }
+}
+
+impl Switch {
+    fn name(self) -> &'static str {
+        match self {
+            Self::On => "On",
+            Self::Off => "Off",
+        }
+    }
+
+    fn form_value(self) -> &'static str {
+        match self {
+            Self::On => "on",
+            Self::Off => "off",
+        }
+    }
+}
+
+fn switch(field: &'static str, value: &str) -> Result<Switch, SettingsError> {
+    match value.to_ascii_lowercase().as_str() {
+        "on" => Ok(Switch::On),
+        "off" => Ok(Switch::Off),
+        _ => Err(error(field, value)),
+    }
+}
+
+fn returns_name(mode: ReturnMode) -> &'static str {
+    match mode {
+        ReturnMode::Strongest => "Strongest",
+        ReturnMode::Last => "Last",
+        ReturnMode::Dual => "Dual",
+    }
+}
+
+fn returns_mode(value: &str) -> Result<ReturnMode, SettingsError> {
+    [ReturnMode::Strongest, ReturnMode::Last, ReturnMode::Dual]
+        .into_iter()
+        .find(|mode| returns_name(*mode).eq_ignore_ascii_case(value))
+        .ok_or_else(|| error("returns", value))
+}
+
+fn parse_json(document: &[u8]) -> Result<Value, SettingsError> {
+    serde_json::from_slice(document).map_err(|e| error("document", &e.to_string()))
+}
+
+fn text<'a>(
+    document: &'a Value,
+    field: &'static str,
+    pointer: &str,
+) -> Result<&'a str, SettingsError> {
+    let value = document.pointer(pointer);
+    value
+        .and_then(Value::as_str)
+        .ok_or_else(|| error(field, &value.map_or("absent".to_owned(), Value::to_string)))
+}
+
+/// A number; firmware writes some of them as text.
+fn number(document: &Value, field: &'static str, pointer: &str) -> Result<u16, SettingsError> {
+    let value = document.pointer(pointer);
+    let number = match value {
+        Some(Value::String(text)) => text.trim().parse().ok(),
+        Some(value) => value.as_u64().and_then(|number| number.try_into().ok()),
+        None => None,
+    };
+    number.ok_or_else(|| error(field, &value.map_or("absent".to_owned(), Value::to_string)))
+}
+
+fn error(field: &'static str, got: &str) -> SettingsError {
+    SettingsError {
+        field,
+        // What a server sends goes into a message: not all of it.
+        got: got.chars().take(80).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_random::Random;
+
+    fn all() -> [Setting; 6] {
+        [
+            Setting::Laser(Switch::Off),
+            Setting::Returns(ReturnMode::Dual),
+            Setting::Rpm(1200),
+            Setting::FieldOfView(FieldOfView {
+                start_deg: 270,
+                end_deg: 90,
+            }),
+            Setting::PhaseLock(PhaseLock {
+                lock: Switch::On,
+                offset_centideg: 9_050,
+            }),
+            Setting::Destination(Destination {
+                address: Ipv4Addr::new(192, 168, 1, 77),
+                data_port: 2369,
+                position_port: 8309,
+            }),
+        ]
+    }
+
+    #[test]
+    fn forms_have_the_documented_bytes() {
+        let forms = all().map(|setting| setting.emit().unwrap());
+        let expected = [
+            ("/cgi/setting", "laser=off"),
+            ("/cgi/setting", "returns=Dual"),
+            ("/cgi/setting", "rpm=1200"),
+            ("/cgi/setting/fov", "start=270&end=90"),
+            ("/cgi/setting/phaselock", "enabled=on&offset=9050"),
+            (
+                "/cgi/setting/host",
+                "addr=192.168.1.77&dport=2369&tport=8309",
+            ),
+        ];
+        for (form, (path, body)) in forms.iter().zip(expected) {
+            assert_eq!((form.path, form.body.as_str()), (path, body));
+        }
+    }
+
+    #[test]
+    fn what_is_set_is_read_back() {
+        let mut settings = Settings::default();
+        for setting in all() {
+            let form = setting.emit().unwrap();
+            assert_ne!(setting.of(&settings), setting);
+            settings.apply(form.path, &form.body).unwrap();
+            assert_eq!(setting.of(&settings), setting);
+        }
+        assert_eq!(Settings::parse(settings.emit().as_bytes()), Ok(settings));
+    }
+
+    #[test]
+    fn a_document_of_a_real_unit_is_read() {
+        // Names and spelling as quoted from a VLP-16's own answers; numbers may be text.
+        let document = br#"{"returns":"Strongest","rpm":"600","laser":"On","fov":{"start":"0","end":359},
+            "phaselock":{"enabled":"Off","offset":0},"host":{"addr":"255.255.255.255","dport":2368,"tport":8308},
+            "net":{"addr":"192.168.1.201","dhcp":"Off","gateway":"192.168.1.1","mask":"255.255.255.0"}}"#;
+        assert_eq!(Settings::parse(document), Ok(Settings::default()));
+        let status = br#"{"gps":{"pps_state":"Absent","position":"49 00.00N 200 .00W"},
+            "motor":{"state":"On","rpm":599,"lock":"Off","phase":22222},"laser":{"state":"On"}}"#;
+        let expected = SensorStatus {
+            pps: PpsStatus::Absent,
+            motor: Switch::On,
+            motor_rpm: 599,
+            laser: Switch::On,
+        };
+        assert_eq!(SensorStatus::parse(status), Ok(expected));
+        assert_eq!(
+            SensorStatus::parse(expected.emit().as_bytes()),
+            Ok(expected)
+        );
+    }
+
+    #[test]
+    fn values_that_the_sensor_does_not_have_are_refused_whole() {
+        for setting in [
+            Setting::Rpm(299),
+            Setting::Rpm(310),
+            Setting::Rpm(1260),
+            Setting::FieldOfView(FieldOfView {
+                start_deg: 0,
+                end_deg: 360,
+            }),
+            Setting::PhaseLock(PhaseLock {
+                lock: Switch::On,
+                offset_centideg: 36_000,
+            }),
+        ] {
+            assert!(setting.emit().is_err(), "{setting:?}");
+        }
+        let mut settings = Settings::default();
+        for (path, body) in [
+            ("/cgi/setting", "rpm=600&returns=Both"),
+            ("/cgi/setting", "rpm=1200&x=1"),
+            ("/cgi/setting/fov", "start=10&end=400"),
+            ("/cgi/setting/host", "addr=1.2.3"),
+            ("/cgi/nowhere", "rpm=900"),
+            ("/cgi/setting", ""),
+        ] {
+            assert!(settings.apply(path, body).is_err(), "{path} {body}");
+        }
+        assert_eq!(settings, Settings::default());
+    }
+
+    #[test]
+    fn mutated_documents_never_panic() {
+        let mut random = Random::new(9);
+        for _ in 0..5_000 {
+            let mut document = Settings::default().emit().into_bytes();
+            random.mutate(&mut document);
+            let _ = Settings::parse(&document);
+            let _ = SensorInfo::parse(&document);
+            let _ = SensorStatus::parse(&document);
+        }
+    }
+}

@@ -1,0 +1,248 @@
+//! The Velodyne driver against PyPI `velodyne-decoder` 3.1, point by point, on recordings made by others.
+//!
+//! The reference models the optical centre's offset, and so does this test. It turns the rotor at the mean pace of a packet
+//! where we take that of each block: hence the millimetres. At the edges of a field-of-view window it goes on across
+//! the gap.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a test file as a whole; clippy.toml only spares #[test] functions"
+)]
+
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use flate2::read::DeflateDecoder;
+use lsfb_drivers::Error;
+use lsfb_drivers::transport::PacketSource;
+use lsfb_drivers::transport::pcap::PcapSource;
+use lsfb_drivers::transport::rosbag2::Rosbag2Source;
+use lsfb_drivers::velodyne::{Decoder, DecoderConfig, OpticalOffset};
+use lsfb_types::{LidarPoint, Packet};
+
+fn data(test: &str, relative: &str) -> Option<PathBuf> {
+    let root = std::env::var_os("LSFB_TEST_DATA").map_or_else(
+        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"),
+        PathBuf::from,
+    );
+    let path = root.join(relative);
+    if path.exists() {
+        return Some(path);
+    }
+    println!("skipped: {test}: no recording at {}", path.display());
+    None
+}
+
+fn u16_at(bytes: &[u8], at: usize) -> usize {
+    u16::from_le_bytes(bytes[at..at + 2].try_into().unwrap()).into()
+}
+
+fn u32_at(bytes: &[u8], at: usize) -> usize {
+    u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize
+}
+
+/// The numbers of one array of an `.npz` file: a zip archive of `.npy` files.
+fn array(archive: &[u8], name: &str) -> Vec<u8> {
+    let end = archive
+        .windows(4)
+        .rposition(|w| w == b"PK\x05\x06")
+        .unwrap();
+    let mut entry = u32_at(archive, end + 16);
+    loop {
+        assert_eq!(archive[entry..entry + 4], *b"PK\x01\x02", "{name}");
+        let name_len = u16_at(archive, entry + 28);
+        if archive[entry + 46..entry + 46 + name_len] == *format!("{name}.npy").as_bytes() {
+            break;
+        }
+        entry += 46 + name_len + u16_at(archive, entry + 30) + u16_at(archive, entry + 32);
+    }
+    let (packed_len, local) = (u32_at(archive, entry + 20), u32_at(archive, entry + 42));
+    let start = local + 30 + u16_at(archive, local + 26) + u16_at(archive, local + 28);
+    let mut file = Vec::new();
+    DeflateDecoder::new(&archive[start..start + packed_len])
+        .read_to_end(&mut file)
+        .unwrap();
+    assert_eq!(file[..6], *b"\x93NUMPY");
+    file[10 + u16_at(&file, 8)..].to_vec()
+}
+
+/// One point of the reference.
+struct Expected {
+    xyz: [f32; 3],
+    intensity: u8,
+    ring: u16,
+}
+
+fn reference(path: &Path) -> Vec<Expected> {
+    let archive = std::fs::read(path).unwrap();
+    let floats = |name| -> Vec<f32> {
+        let bytes = array(&archive, name);
+        let (chunks, _) = bytes.as_chunks::<4>();
+        chunks
+            .iter()
+            .map(|chunk| f32::from_le_bytes(*chunk))
+            .collect()
+    };
+    let [x, y, z, intensity] = ["x", "y", "z", "intensity"].map(floats);
+    let ring = array(&archive, "ring");
+    (0..x.len())
+        .map(|i| Expected {
+            xyz: [x[i], y[i], z[i]],
+            intensity: intensity[i] as u8,
+            ring: ring[i].into(),
+        })
+        .collect()
+}
+
+fn decode(packets: &[Packet]) -> Vec<LidarPoint> {
+    let mut decoder = Decoder::new(DecoderConfig {
+        optical_offset: OpticalOffset::Applied,
+        ..DecoderConfig::default()
+    });
+    let mut points = Vec::new();
+    for packet in packets {
+        if let Some(scan) = decoder.push(packet).unwrap() {
+            points.extend(scan.sample.points);
+        }
+    }
+    while let Some(scan) = decoder.finish() {
+        points.extend(scan.sample.points);
+    }
+    points
+}
+
+/// Every point of the reference is one of ours: same ring, same intensity, same height, near in the plane.
+fn assert_same(name: &str, ours: &[LidarPoint], expected: &[Expected], plane_deg: f64) {
+    const WINDOW: usize = 64;
+    const HEIGHT_M: f32 = 2e-6;
+    assert_eq!(ours.len(), expected.len(), "{name}");
+    let mut used = vec![false; ours.len()];
+    let mut worst_deg = 0f64;
+    for (i, e) in expected.iter().enumerate() {
+        let off_deg = |p: &LidarPoint| {
+            let bearing = |x: f32, y: f32| f64::from(y).atan2(f64::from(x)).to_degrees();
+            let off = bearing(p.position_m[0], p.position_m[1]) - bearing(e.xyz[0], e.xyz[1]);
+            (off + 180.0).rem_euclid(360.0) - 180.0
+        };
+        let range = |x: f32, y: f32| x.hypot(y);
+        let is_it = |p: &LidarPoint| {
+            let [x, y, z] = p.position_m;
+            p.ring == e.ring
+                && p.intensity == e.intensity
+                && (z - e.xyz[2]).abs() <= HEIGHT_M * (1.0 + z.abs())
+                && (range(x, y) - range(e.xyz[0], e.xyz[1])).abs() < 1e-4
+                && off_deg(p).abs() <= plane_deg
+        };
+        let near = i.saturating_sub(WINDOW)..(i + WINDOW).min(ours.len());
+        let found = near.clone().find(|&j| !used[j] && is_it(&ours[j]));
+        let found = found.unwrap_or_else(|| {
+            panic!(
+                "{name}: point {i}: {:?} ring {} is none of ours",
+                e.xyz, e.ring
+            )
+        });
+        used[found] = true;
+        worst_deg = worst_deg.max(off_deg(&ours[found]).abs());
+    }
+    println!(
+        "{name}: {} points, azimuth within {worst_deg:.4}°",
+        expected.len()
+    );
+}
+
+fn read(source: &mut dyn PacketSource) -> Vec<Packet> {
+    let mut packets = Vec::new();
+    loop {
+        match source.recv(Duration::ZERO) {
+            Ok(packet) => packets.extend(packet),
+            Err(Error::EndOfStream { .. }) => return packets,
+            Err(error) => panic!("{error}"),
+        }
+    }
+}
+
+#[test]
+fn bags_decode_to_the_reference() {
+    let test = "bags_decode_to_the_reference";
+    let (Some(bags), Some(decodes)) = (
+        data(test, "lidar/nebula_velodyne"),
+        data(test, "lidar/reference_decodes"),
+    ) else {
+        return;
+    };
+    for (bag, scans, plane_deg) in [
+        (
+            "vlp32/1713492677464078412_0.db3",
+            &[
+                "vlp32c_msg0_1713492677464078412",
+                "vlp32c_msg1_1713492677545368298",
+                "vlp32c_msg2_1713492677630748420",
+            ][..],
+            0.15,
+        ),
+        (
+            "vlp16/1673400471837873222_0.db3",
+            &[
+                "vlp16dual_msg0_1673400471837873222",
+                "vlp16dual_msg1_1673400471937957440",
+            ],
+            0.45,
+        ),
+    ] {
+        let mut bag = Rosbag2Source::open(&bags.join(bag)).unwrap();
+        for name in scans {
+            let message = bag.next_scan().unwrap().unwrap();
+            let expected = reference(&decodes.join(format!("{name}.npz")));
+            assert_same(name, &decode(&message.packets), &expected, plane_deg);
+        }
+    }
+}
+
+#[test]
+fn captures_decode_to_the_reference() {
+    let test = "captures_decode_to_the_reference";
+    let (Some(captures), Some(decodes)) = (
+        data(test, "lidar/mrpt"),
+        data(test, "lidar/reference_decodes"),
+    ) else {
+        return;
+    };
+    for (name, scans) in [
+        ("sample_velodyne_hdl32", 3),
+        ("sample_velodyne_vlp16_gps", 4),
+    ] {
+        let path = captures.join(format!("{name}.pcap"));
+        let packets = read(&mut PcapSource::open(&path, &[2368]).unwrap());
+        // Its scans are cut elsewhere; together they are the whole file.
+        let expected: Vec<Expected> = (0..scans)
+            .flat_map(|scan| reference(&decodes.join(format!("{name}_scan{scan}.npz"))))
+            .collect();
+        assert_same(name, &decode(&packets), &expected, 0.45);
+    }
+}
+
+#[test]
+fn the_single_packet_of_an_old_sensor_is_read_where_the_model_is_forced() {
+    use lsfb_drivers::velodyne::ModelChoice;
+    use lsfb_drivers::velodyne::model::Model;
+    use lsfb_drivers::velodyne::wire::ReturnMode;
+    let test = "the_single_packet_of_an_old_sensor_is_read_where_the_model_is_forced";
+    let Some(path) = data(test, "lidar/gadomski_velodyne/single.pcap") else {
+        return;
+    };
+    let packets = read(&mut PcapSource::open(&path, &[2368]).unwrap());
+    assert_eq!(packets.len(), 1);
+    let mut decoder = Decoder::new(DecoderConfig {
+        model: ModelChoice::Force(Model::Vlp16, ReturnMode::Strongest),
+        ..DecoderConfig::default()
+    });
+    assert_eq!(decoder.push(&packets[0]), Ok(None));
+    let scan = decoder.finish().unwrap();
+    let bytes = &packets[0].bytes;
+    let filled = (0..12 * 32)
+        .filter(|i| u16_at(bytes, 4 + 100 * (i / 32) + 3 * (i % 32)) > 0)
+        .count();
+    assert_eq!(scan.sample.points.len(), filled);
+}
