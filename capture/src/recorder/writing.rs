@@ -15,7 +15,7 @@ use crate::health::{HealthAttachment, StreamReport};
 use crate::sync::{Group, Groups};
 
 /// A chunk with images in it, or with messages that a sidecar waits for, goes to the file after this.
-const FLUSH_SOON: Duration = Duration::from_millis(25);
+const FLUSH_SOON: Duration = Duration::from_millis(20);
 /// Any chunk goes to the file after this: what a kill may cost is far below a second.
 const FLUSH_LATEST: Duration = Duration::from_millis(400);
 /// A chunk from this size on is worth writing early.

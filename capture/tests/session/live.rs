@@ -1,6 +1,9 @@
 //! What a session says about itself while it runs, and devices that go and come back.
 
 use lsfb_capture::health::{Level, Snapshot, SyncState};
+use lsfb_drivers::phone::model::CLOCK_UTC;
+use lsfb_drivers::phone::wire::Advertise;
+use lsfb_drivers::phone::{ClientConfig, SidecarClient};
 use lsfb_recording::message::{decode_clock_model, decode_health_value};
 use lsfb_recording::{CLOCK_MODELS, HEALTH};
 
@@ -147,4 +150,56 @@ fn a_unit_that_is_unplugged_and_comes_back_goes_on_and_is_counted() {
     assert!(gone, "the operator is told");
     let recording = Recording::open(&out).unwrap();
     assert_eq!(recording.images("cam1").unwrap().count(), 30);
+}
+
+/// What is acknowledged is in the file: an app may forget it, and a kill at this moment costs nothing.
+#[test]
+fn a_sidecar_is_acknowledged_when_its_message_is_in_the_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("walk.mcap");
+    let config = DevicesConfig {
+        sidecar: Some(SidecarConfig { listen: LOOPBACK }),
+        ..anywhere()
+    };
+    let session = Session::open(&config).unwrap();
+    let address = session.sidecar_address().unwrap();
+    let recording = {
+        let out = out.clone();
+        mock::spawn("session", move || run(session, &out))
+    };
+    let mut client = SidecarClient::connect(ClientConfig {
+        address,
+        device: "visor".to_owned(),
+        // Each message waits until the one before it is acknowledged.
+        window_messages: 1,
+        ..ClientConfig::default()
+    })
+    .unwrap();
+    let advertise = Advertise {
+        channel: 3,
+        topic: "/sidecar/visor/note".to_owned(),
+        encoding: "cdr".to_owned(),
+        schema_name: "std_msgs/msg/UInt32".to_owned(),
+        schema: b"uint32 data".to_vec(),
+        clock_id: CLOCK_UTC.to_owned(),
+        metadata_json: String::new(),
+    };
+    client.advertise(&advertise).unwrap();
+    for n in 0..8_u32 {
+        let payload = [&[0, 1, 0, 0][..], &n.to_le_bytes()].concat();
+        client.send(3, START_NS + i64::from(n), &payload).unwrap();
+        if n > 0 {
+            let torn = folder.path().join("torn.mcap");
+            std::fs::copy(&out, &torn).unwrap();
+            let torn = Recording::open(&torn).unwrap();
+            let stored = torn.messages("/sidecar/visor/note").unwrap().count();
+            assert!(
+                stored >= n as usize,
+                "{stored} of {n} that are acknowledged"
+            );
+        }
+    }
+    client.bye().unwrap();
+    let report = recording.join().unwrap();
+    assert_eq!((stream(&report, "sidecar").decoded, report.lost), (8, 0));
 }
