@@ -10,6 +10,7 @@ use lsfb_types::Timestamp;
 use crate::emit::{self, IndexEntry};
 use crate::error::Error;
 use crate::layout::{Compression, Durability, Existing, Summary, TopicSummary, WriterConfig};
+use crate::pack::Packer;
 use crate::record::opcode;
 use crate::summary::{self, ChunkIndex, NamedIndex, SummaryBuilder};
 use crate::{message, topic};
@@ -65,8 +66,6 @@ const MESSAGE_RECORD_BYTES: u64 = 31;
 const DEFINITION_RECORDS_BYTES: u64 = 256;
 /// Stamps of ROS messages are `int32` seconds.
 const MAX_STAMP_NANOS: i64 = (i32::MAX as i64) * 1_000_000_000;
-/// Fast, and already a third smaller than `lz4` on images.
-const ZSTD_LEVEL: i32 = 1;
 
 /// Puts messages into chunks and chunks into the file.
 pub(crate) struct Encoder {
@@ -81,6 +80,7 @@ pub(crate) struct Encoder {
     channels: BTreeMap<String, OpenChannel>,
     chunk: OpenChunk,
     packed: Vec<u8>,
+    packer: Packer,
     summary: SummaryBuilder,
 }
 
@@ -110,6 +110,7 @@ impl Encoder {
             channels: BTreeMap::new(),
             chunk: OpenChunk::default(),
             packed: Vec::new(),
+            packer: Packer::default(),
             summary: SummaryBuilder::default(),
         };
         let mut head = mcap::MAGIC.to_vec();
@@ -188,8 +189,8 @@ impl Encoder {
         let crc = std::mem::take(&mut self.chunk.hasher).finalize();
         let compression = match self.config.compression {
             Compression::None => PLAIN,
-            Compression::Lz4 => self.pack("lz4", pack_lz4),
-            Compression::Zstd => self.pack("zstd", pack_zstd),
+            Compression::Lz4 => self.pack("lz4"),
+            Compression::Zstd => self.pack("zstd"),
         };
         let mut record = match compression {
             PLAIN => std::mem::take(&mut self.chunk.bytes),
@@ -239,20 +240,20 @@ impl Encoder {
     }
 
     /// Packs the open chunk; the name of the compression that was used, none where it gains nothing.
-    fn pack(
-        &mut self,
-        name: &'static str,
-        pack: fn(&[u8], &mut Vec<u8>) -> std::io::Result<()>,
-    ) -> &'static str {
+    fn pack(&mut self, name: &'static str) -> &'static str {
         let data = self
             .chunk
             .bytes
             .get(emit::chunk_prefix_bytes(PLAIN)..)
             .unwrap_or_default();
         let prefix_bytes = emit::chunk_prefix_bytes(name);
-        self.packed.clear();
-        self.packed.resize(prefix_bytes, 0);
-        match pack(data, &mut self.packed) {
+        let packed = self.packer.pack(
+            self.config.compression,
+            data,
+            &mut self.packed,
+            prefix_bytes,
+        );
+        match packed {
             Ok(()) if self.packed.len() - prefix_bytes < data.len() => name,
             _ => PLAIN,
         }
@@ -493,21 +494,4 @@ impl Encoder {
             reason,
         }
     }
-}
-
-fn pack_lz4(data: &[u8], out: &mut Vec<u8>) -> std::io::Result<()> {
-    let mut encoder = lz4::EncoderBuilder::new()
-        .block_size(lz4::BlockSize::Max4MB)
-        .block_mode(lz4::BlockMode::Independent)
-        // The chunk has a checksum already.
-        .checksum(lz4::ContentChecksum::NoChecksum)
-        .build(out)?;
-    encoder.write_all(data)?;
-    encoder.finish().1
-}
-
-fn pack_zstd(data: &[u8], out: &mut Vec<u8>) -> std::io::Result<()> {
-    let mut encoder = zstd::stream::write::Encoder::new(out, ZSTD_LEVEL)?;
-    encoder.write_all(data)?;
-    encoder.finish().map(|_| ())
 }

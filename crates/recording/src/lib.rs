@@ -29,6 +29,7 @@ mod error;
 mod index;
 mod layout;
 pub mod message;
+mod pack;
 mod provenance;
 mod reader;
 mod record;
