@@ -63,7 +63,10 @@ impl Writing {
             let done = match entries.recv_timeout(self.patience()) {
                 Ok(queued) => {
                     self.shared.left(queued.bytes);
-                    self.take(queued)
+                    let taken = self.take(queued);
+                    // Where the chunk before it cannot be written, this entry has no place either.
+                    self.lost += u64::from(taken.is_err());
+                    taken
                 }
                 Err(RecvTimeoutError::Timeout) => Ok(()),
                 Err(RecvTimeoutError::Disconnected) => break,
