@@ -12,6 +12,28 @@ pub enum Error {
         /// Blocks in the problem.
         blocks: usize,
     },
+    /// A component that a block's tangent does not have.
+    #[error("block {block} has no component {component}: its tangent has {components}")]
+    UnknownComponent {
+        /// Index of the block.
+        block: usize,
+        /// Component asked for.
+        component: usize,
+        /// Components of the tangent.
+        components: usize,
+    },
+    /// Bounds that no value keeps.
+    #[error("component {component} of block {block} cannot lie between {lower} and {upper}")]
+    EmptyBounds {
+        /// Index of the block.
+        block: usize,
+        /// Component.
+        component: usize,
+        /// Lowest value.
+        lower: f64,
+        /// Highest value.
+        upper: f64,
+    },
     /// A residual was given another number of blocks than it reads.
     #[error("residual {residual} reads {expected} blocks and was given {got}")]
     BlockCount {
@@ -104,11 +126,22 @@ pub enum Error {
     },
     /// The normal matrix has no inverse, so that there is no covariance.
     #[error(
-        "the problem does not determine its free blocks (reduced dimension {dimension}): hold one pose constant or add a prior"
+        "{} of {dimension} reduced dimensions are not determined, so that there is no covariance: {first}; hold a block or add a prior",
+        parameters
     )]
     Undetermined {
         /// Rows of the reduced system.
         dimension: usize,
+        /// Parameters that are not determined.
+        parameters: usize,
+        /// The first of them.
+        first: String,
+    },
+    /// Covariance was asked of a block that has none.
+    #[error("{name} is constant, removed or without residuals: it has no covariance")]
+    NoCovariance {
+        /// Name of the block.
+        name: String,
     },
     /// An analytic Jacobian differs from the numeric one.
     #[error(

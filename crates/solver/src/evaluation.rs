@@ -1,27 +1,35 @@
-use rayon::prelude::*;
+use std::ops::Range;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
+use crate::divide::divide;
 use crate::layout::Layout;
 use crate::problem::{Problem, ResidualId};
 use crate::residual::{Linearization, Parameters};
 use crate::{Error, Undefined};
 
-/// Residuals per parallel task. Fixed, so that results do not depend on the number of threads.
-const CHUNK: usize = 256;
+/// Residuals per parallel task.
+const GRAIN: usize = 256;
 
-/// Costs and Jacobians of all residuals at one set of values.
+/// Longest residual whose cost is evaluated without memory of its own.
+const SHORT: usize = 64;
+
+/// Costs of all residuals at one set of values, in the order of [`Layout::order`].
 pub(crate) struct Evaluation {
     /// Residuals that were undefined at the starting values are left out for good.
     pub active: Vec<bool>,
     /// `½ ρ` of each residual.
     pub costs: Vec<f64>,
-    /// Residuals and Jacobians, weighted by the robust kernel; see [`Layout::record_start`].
-    pub records: Vec<f64>,
+    /// Square of the factor on the scales of redescending kernels; 1 but for graduated solves.
+    pub relaxation: f64,
     /// Residuals that were undefined in the last linearization.
-    pub undefined: usize,
+    pub undefined: AtomicUsize,
+    /// Lowest position of a residual that was not finite in the last linearization.
+    pub not_finite: AtomicUsize,
     longest: usize,
 }
 
 /// What one evaluation of the costs gives.
+#[derive(Clone, Copy)]
 pub(crate) struct TotalCost {
     /// Sum of the costs.
     pub cost: f64,
@@ -31,29 +39,28 @@ pub(crate) struct TotalCost {
 
 impl Evaluation {
     pub fn new(problem: &Problem, layout: &Layout) -> Self {
+        let count = layout.order.len();
+        let dimensions = layout
+            .order
+            .iter()
+            .map(|k| problem.residuals[*k as usize].dimension);
         Self {
-            active: vec![true; problem.residuals.len()],
-            costs: vec![0.0; problem.residuals.len()],
-            records: vec![0.0; layout.record_start[problem.residuals.len()]],
-            undefined: 0,
-            longest: problem
-                .residuals
-                .iter()
-                .map(|r| r.dimension)
-                .max()
-                .unwrap_or(0),
+            active: vec![true; count],
+            costs: vec![0.0; count],
+            relaxation: 1.0,
+            undefined: AtomicUsize::new(0),
+            not_finite: AtomicUsize::new(usize::MAX),
+            longest: dimensions.max().unwrap_or(0),
         }
     }
 
     /// Costs at the starting values, which decide which residuals take part.
-    pub fn start(&mut self, problem: &Problem, layout: &Layout) -> TotalCost {
+    pub fn start(&mut self, problem: &Problem, layout: &Layout, values: &[f64]) -> TotalCost {
         self.active.fill(true);
-        let mut costs = std::mem::take(&mut self.costs);
         // Nothing to fall back on yet: infinity never comes out of a kernel of finite residuals by itself.
-        costs.fill(f64::NEG_INFINITY);
-        let mut found = vec![0.0; costs.len()];
-        self.costs = costs;
-        self.total(problem, layout, &problem.values, &mut found);
+        self.costs.fill(f64::NEG_INFINITY);
+        let mut found = vec![0.0; self.costs.len()];
+        self.total(problem, layout, values, &mut found);
         for (active, cost) in self.active.iter_mut().zip(&mut found) {
             if *cost == f64::NEG_INFINITY {
                 *active = false;
@@ -73,86 +80,102 @@ impl Evaluation {
         values: &[f64],
         costs: &mut [f64],
     ) -> TotalCost {
-        costs.par_chunks_mut(CHUNK).enumerate().for_each_init(
-            || vec![0.0; self.longest],
-            |record, (chunk, costs)| {
-                for (offset, cost) in costs.iter_mut().enumerate() {
-                    let k = chunk * CHUNK + offset;
-                    if !self.active[k] {
-                        *cost = 0.0;
-                        continue;
-                    }
-                    let entry = &problem.residuals[k];
-                    let record = &mut record[..entry.dimension];
-                    *cost = match evaluate(problem, layout, k, values, record, false) {
-                        Ok(()) => 0.5 * entry.kernel.at(squared_norm(record)).cost,
-                        Err(Undefined) => self.costs[k],
-                    };
-                }
-            },
+        divide(
+            0..costs.len(),
+            GRAIN,
+            &mut *costs,
+            &|costs: &mut [f64], range, middle| costs.split_at_mut(middle - range.start),
+            &|range, costs| self.costs_of(problem, layout, values, range, costs),
         );
         sum(costs)
     }
 
-    /// Fills the records at `values`.
-    pub fn linearize(
-        &mut self,
+    fn costs_of(
+        &self,
         problem: &Problem,
         layout: &Layout,
         values: &[f64],
-    ) -> Result<(), Error> {
-        let count = problem.residuals.len();
-        let mut chunks = Vec::with_capacity(count.div_ceil(CHUNK));
-        let mut rest = self.records.as_mut_slice();
-        for first in (0..count).step_by(CHUNK) {
-            let end = (first + CHUNK).min(count);
-            let (records, tail) =
-                rest.split_at_mut(layout.record_start[end] - layout.record_start[first]);
-            chunks.push((first..end, records));
-            rest = tail;
-        }
-        let active = &self.active;
-        let outcomes: Vec<Result<usize, usize>> = chunks
-            .into_par_iter()
-            .map(|(range, records)| {
-                let base = layout.record_start[range.start];
-                let mut undefined = 0;
-                for k in range {
-                    let record = &mut records
-                        [layout.record_start[k] - base..layout.record_start[k + 1] - base];
-                    let entry = &problem.residuals[k];
-                    let defined =
-                        active[k] && evaluate(problem, layout, k, values, record, true).is_ok();
-                    if !defined {
-                        record.fill(0.0);
-                        undefined += usize::from(active[k]);
-                        continue;
-                    }
-                    let weight = entry
-                        .kernel
-                        .at(squared_norm(&record[..entry.dimension]))
-                        .weight;
-                    if weight != 1.0 {
-                        let root = weight.sqrt();
-                        record.iter_mut().for_each(|x| *x *= root);
-                    }
-                    if !record.iter().all(|x| x.is_finite()) {
-                        return Err(k);
-                    }
+        range: Range<usize>,
+        costs: &mut [f64],
+    ) {
+        let mut short = [0.0; SHORT];
+        let mut long = Vec::new();
+        let scratch = if self.longest <= SHORT {
+            &mut short[..]
+        } else {
+            long.resize(self.longest, 0.0);
+            &mut long[..]
+        };
+        for (position, cost) in range.zip(costs) {
+            if !self.active[position] {
+                *cost = 0.0;
+                continue;
+            }
+            let entry = &problem.residuals[layout.order[position] as usize];
+            let record = &mut scratch[..entry.dimension];
+            *cost = match evaluate(problem, layout, position, values, record, false) {
+                Ok(()) => {
+                    let kernel = entry.kernel.relaxed(self.relaxation);
+                    0.5 * kernel.at(squared_norm(record)).cost
                 }
-                Ok(undefined)
-            })
-            .collect();
-        self.undefined = 0;
-        for outcome in outcomes {
-            self.undefined += outcome.map_err(|k| not_finite(problem, k))?;
+                Err(Undefined) => self.costs[position],
+            };
         }
-        Ok(())
+    }
+
+    /// Prepares for a linearization.
+    pub fn begin(&self) {
+        self.undefined.store(0, Ordering::Relaxed);
+        self.not_finite.store(usize::MAX, Ordering::Relaxed);
+    }
+
+    /// The error of a linearization that met a residual which is not finite.
+    pub fn outcome(&self, problem: &Problem, layout: &Layout) -> Result<(), Error> {
+        match self.not_finite.load(Ordering::Relaxed) {
+            usize::MAX => Ok(()),
+            position => Err(not_finite(problem, layout, position)),
+        }
+    }
+
+    /// Fills the records of a range of positions at `values`, weighted by the robust kernels.
+    pub fn linearize(
+        &self,
+        problem: &Problem,
+        layout: &Layout,
+        values: &[f64],
+        range: Range<usize>,
+        records: &mut [f64],
+    ) {
+        let base = layout.record_start[range.start];
+        for k in range {
+            let record =
+                &mut records[layout.record_start[k] - base..layout.record_start[k + 1] - base];
+            let defined =
+                self.active[k] && evaluate(problem, layout, k, values, record, true).is_ok();
+            if !defined {
+                record.fill(0.0);
+                self.undefined
+                    .fetch_add(usize::from(self.active[k]), Ordering::Relaxed);
+                continue;
+            }
+            let entry = &problem.residuals[layout.order[k] as usize];
+            let kernel = entry.kernel.relaxed(self.relaxation);
+            let weight = kernel.at(squared_norm(&record[..entry.dimension])).weight;
+            if weight != 1.0 {
+                let root = weight.sqrt();
+                record.iter_mut().for_each(|x| *x *= root);
+            }
+            // Without a way out early, which would keep it from being vectorized.
+            if !record.iter().fold(true, |all, x| all & x.is_finite()) {
+                self.not_finite.fetch_min(k, Ordering::Relaxed);
+            }
+        }
     }
 }
 
-/// The error that names a residual which is not finite.
-pub(crate) fn not_finite(problem: &Problem, residual: usize) -> Error {
+/// The error that names the residual at a position, which is not finite.
+pub(crate) fn not_finite(problem: &Problem, layout: &Layout, position: usize) -> Error {
+    let residual = layout.order[position] as usize;
     Error::ResidualNotFinite {
         residual,
         blocks: problem
@@ -163,27 +186,30 @@ pub(crate) fn not_finite(problem: &Problem, residual: usize) -> Error {
     }
 }
 
-/// Evaluates residual `k` into its record.
+/// Evaluates the residual at a position into its record.
 pub(crate) fn evaluate(
     problem: &Problem,
     layout: &Layout,
-    k: usize,
+    position: usize,
     values: &[f64],
     record: &mut [f64],
     with_jacobians: bool,
 ) -> Result<(), Undefined> {
-    let slots = layout.slots_of(k);
-    problem.residuals[k].residual.evaluate(
-        &Parameters { values, slots },
-        &mut Linearization {
-            record,
-            slots,
-            with_jacobians,
-        },
-    )
+    let slots = layout.slots_of(position);
+    match &problem.residuals[layout.order[position] as usize].residual {
+        Some(residual) => residual.evaluate(
+            &Parameters { values, slots },
+            &mut Linearization {
+                record,
+                slots,
+                with_jacobians,
+            },
+        ),
+        None => Err(Undefined),
+    }
 }
 
-fn squared_norm(residual: &[f64]) -> f64 {
+pub(crate) fn squared_norm(residual: &[f64]) -> f64 {
     residual.iter().map(|r| r * r).sum()
 }
 

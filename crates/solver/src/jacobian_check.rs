@@ -1,6 +1,6 @@
 use crate::evaluation::evaluate;
 use crate::layout::Layout;
-use crate::problem::{Problem, ResidualId};
+use crate::problem::Problem;
 use crate::residual::CONSTANT;
 use crate::{Error, Undefined};
 
@@ -13,8 +13,8 @@ const STEP: f64 = 1e-5;
 /// well-scaled residuals. Blocks held constant are left out.
 pub fn check_jacobians(problem: &Problem, tolerance: f64) -> Result<(), Error> {
     let layout = Layout::new(problem)?;
-    for k in 0..problem.residuals.len() {
-        check_residual(problem, &layout, k, tolerance)?;
+    for position in 0..layout.order.len() {
+        check_residual(problem, &layout, position, tolerance)?;
     }
     Ok(())
 }
@@ -22,47 +22,58 @@ pub fn check_jacobians(problem: &Problem, tolerance: f64) -> Result<(), Error> {
 fn check_residual(
     problem: &Problem,
     layout: &Layout,
-    k: usize,
+    position: usize,
     tolerance: f64,
 ) -> Result<(), Error> {
+    let k = layout.order[position] as usize;
     let undefined = |Undefined| Error::Undefined { residual: k };
     let dimension = problem.residuals[k].dimension;
-    let mut record = vec![f64::NAN; layout.record_start[k + 1] - layout.record_start[k]];
-    evaluate(problem, layout, k, &problem.values, &mut record, true).map_err(undefined)?;
+    let mut record =
+        vec![f64::NAN; layout.record_start[position + 1] - layout.record_start[position]];
+    evaluate(
+        problem,
+        layout,
+        position,
+        &problem.values,
+        &mut record,
+        true,
+    )
+    .map_err(undefined)?;
 
     let mut values = problem.values.clone();
     let mut sides = [vec![f64::NAN; dimension], vec![f64::NAN; dimension]];
-    for (position, slot) in layout.slots_of(k).iter().enumerate() {
+    for (argument, slot) in layout.slots_of(position).iter().enumerate() {
         if slot.jacobian == CONSTANT {
             continue;
         }
-        let block = problem.blocks_of(ResidualId(k))[position];
-        let entry = &problem.blocks[block.index()];
+        let entry = &problem.blocks[slot.block as usize];
         let range = entry.start..entry.start + entry.shape.stored;
         let tangent = entry.shape.tangent;
-        let jacobian = &record[slot.jacobian..][..dimension * tangent];
+        let free = entry.free();
+        let jacobian = &record[slot.jacobian as usize..][..dimension * free];
         let scale = jacobian.iter().fold(1.0, |a: f64, x| a.max(x.abs()));
         let mut delta = vec![0.0; tangent];
-        for column in 0..tangent {
+        for column in 0..free {
+            let component = entry.component(column);
             for (side, step) in sides.iter_mut().zip([STEP, -STEP]) {
-                delta[column] = step;
+                delta[component] = step;
                 (entry.plus)(
                     &problem.values[range.clone()],
                     &delta,
                     &mut values[range.clone()],
                 );
-                evaluate(problem, layout, k, &values, side, false).map_err(undefined)?;
+                evaluate(problem, layout, position, &values, side, false).map_err(undefined)?;
             }
-            delta[column] = 0.0;
+            delta[component] = 0.0;
             for row in 0..dimension {
                 let numeric = (sides[0][row] - sides[1][row]) / (2.0 * STEP);
-                let analytic = jacobian[row * tangent + column];
+                let analytic = jacobian[row * free + column];
                 if !((analytic - numeric).abs() <= tolerance * scale) {
                     return Err(Error::JacobianMismatch {
                         residual: k,
-                        position,
+                        position: argument,
                         row,
-                        column,
+                        column: component,
                         analytic,
                         numeric,
                     });
@@ -72,4 +83,37 @@ fn check_residual(
         values[range.clone()].copy_from_slice(&problem.values[range]);
     }
     Ok(())
+}
+
+/// Adds blocks with these values to a problem; gives their handles.
+#[macro_export]
+#[doc(hidden)]
+macro_rules! values_of {
+    ($problem:ident, $($value:expr),+ $(,)?) => {
+        [$($problem.add_block($value).id()),+]
+    };
+}
+
+/// A test, of the given name, that a residual's analytic Jacobians are those of central differences at the values given:
+/// one value for each block it reads.
+///
+/// ```
+/// use lsfb_solver::{VectorPrior, check_residual_jacobian};
+/// use nalgebra::Vector2;
+///
+/// check_residual_jacobian!(prior, VectorPrior::new(Vector2::new(1.0, 2.0), Vector2::new(0.5, 3.0)), Vector2::new(4.0, -1.0));
+/// ```
+#[macro_export]
+macro_rules! check_residual_jacobian {
+    ($name:ident, $residual:expr, $($value:expr),+ $(,)?) => {
+        #[test]
+        fn $name() {
+            let mut problem = $crate::Problem::new();
+            let blocks = $crate::values_of!(problem, $($value),+);
+            problem
+                .add_residual($residual, &blocks, $crate::Kernel::Squared)
+                .expect("the values are of the blocks it reads");
+            $crate::check_jacobians(&problem, 1e-7).expect("Jacobians match");
+        }
+    };
 }

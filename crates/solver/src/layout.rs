@@ -2,7 +2,7 @@ use std::ops::Range;
 
 use crate::Error;
 use crate::problem::{Problem, ResidualId, Role};
-use crate::residual::{CONSTANT, Slot};
+use crate::residual::{CONSTANT, NO_PAIR, Slot};
 
 /// Dimension of an eliminated point.
 pub(crate) const POINT: usize = 3;
@@ -18,30 +18,57 @@ pub(crate) enum Place {
     Constant,
 }
 
-/// A Jacobian in a residual's record.
+/// A Jacobian by a reduced block.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Incidence {
-    pub residual: usize,
-    /// First number of the Jacobian in the record.
-    pub jacobian: usize,
+struct Incidence {
+    /// Position of the residual in [`Layout::order`].
+    position: u32,
+    /// Number of its slot.
+    slot: u32,
+}
+
+/// A product of two Jacobians of one residual, and the block of the reduced matrix it belongs to.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Coupling {
+    pub block: u32,
+    /// First number of the other Jacobian in the record.
+    pub jacobian: u32,
 }
 
 /// A reduced block that shares residuals with a point.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Pair {
-    pub point: usize,
-    pub reduced: usize,
+    pub reduced: u32,
     /// First number of its `tangent × 3` matrix, columns first, in pair values.
     pub start: usize,
 }
 
+/// A block of the lower triangle of the reduced matrix: rows of block `row`, columns first.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct MatrixBlock {
+    pub row: u32,
+    pub start: usize,
+}
+
+/// What the reduced matrix holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Pattern {
+    /// Blocks coupled by residuals or by points.
+    SchurComplement,
+    /// Only blocks coupled by residuals: what is needed where the Schur complement is not formed.
+    Hessian,
+}
+
 /// Where everything lies: fixed once per solve, so that iterations only fill numbers in.
 pub(crate) struct Layout {
-    /// Slots of all residuals, and each one's range by `slot_start[k]..slot_start[k + 1]`.
+    /// Residuals in the order in which they are evaluated: those of each point together, then the others.
+    pub order: Vec<u32>,
+    /// Slots of the residual at position `k`: `slot_start[k]..slot_start[k + 1]`; its record likewise.
     pub slots: Vec<Slot>,
     pub slot_start: Vec<usize>,
-    /// Record of residual `k`: `record_start[k]..record_start[k + 1]`.
     pub record_start: Vec<usize>,
+    /// First position of each point's residuals; one more entry: the first position without a point.
+    pub point_first: Vec<usize>,
     /// Part of each block.
     pub places: Vec<Place>,
     /// Blocks of the reduced system in their order, and of the points.
@@ -49,29 +76,40 @@ pub(crate) struct Layout {
     pub points: Vec<usize>,
     /// Row of each reduced block in the reduced system; one more entry: its dimension.
     pub row_start: Vec<usize>,
-    /// Jacobians by reduced block and by point.
-    pub by_reduced: Groups<Incidence>,
-    pub by_point: Groups<Incidence>,
+    by_reduced: Groups<Incidence>,
+    /// Products of each slot with later ones: the range that the slot says.
+    pub couplings: Vec<Coupling>,
     /// Pairs, those of a point together and in order of reduced block; and the pairs of each reduced block.
     pub pairs: Vec<Pair>,
     pub pairs_of_point: Vec<usize>,
-    pub pairs_of_reduced: Groups<usize>,
+    pub pairs_of_reduced: Groups<u32>,
+    /// Point of each pair.
+    pub point_of_pair: Vec<u32>,
     /// Length of pair values.
     pub pair_len: usize,
-    /// For each reduced block `i` the blocks `j ≥ i` it is coupled with, `i` first.
-    pub coupled: Groups<usize>,
-    /// Lower triangle of the reduced matrix by columns.
-    pub column_start: Vec<usize>,
-    pub row_index: Vec<usize>,
+    /// The reduced matrix by columns of blocks, the diagonal block first. Empty while it is not to be formed.
+    pub columns: Groups<MatrixBlock>,
+    /// Length of the matrix' values.
+    pub matrix_len: usize,
+    /// Matrix block of each two pairs of a point, the second not before the first.
+    pub block_of_pairs: Vec<u32>,
+    pub first_of_pairs: Vec<usize>,
 }
 
 /// Lists one after the other.
 pub(crate) struct Groups<T> {
-    items: Vec<T>,
-    start: Vec<usize>,
+    pub items: Vec<T>,
+    pub start: Vec<usize>,
 }
 
 impl<T: Copy> Groups<T> {
+    fn empty(groups: usize) -> Self {
+        Self {
+            items: Vec::new(),
+            start: vec![0; groups + 1],
+        }
+    }
+
     /// Groups `(group, item)` pairs, keeping their order within a group.
     fn collect(groups: usize, pairs: impl Iterator<Item = (usize, T)> + Clone) -> Self {
         let mut start = vec![0; groups + 1];
@@ -82,15 +120,15 @@ impl<T: Copy> Groups<T> {
             start[g + 1] += start[g];
         }
         let mut next = start.clone();
-        let mut items: Vec<Option<T>> = vec![None; start[groups]];
+        let mut items = Vec::new();
+        if let Some((_, first)) = pairs.clone().next() {
+            items.resize(start[groups], first);
+        }
         for (group, item) in pairs {
-            items[next[group]] = Some(item);
+            items[next[group]] = item;
             next[group] += 1;
         }
-        Self {
-            items: items.into_iter().flatten().collect(),
-            start,
-        }
+        Self { items, start }
     }
 
     pub fn get(&self, group: usize) -> &[T] {
@@ -103,134 +141,302 @@ impl<T: Copy> Groups<T> {
 }
 
 impl Layout {
+    /// The layout without the reduced matrix' pattern, which [`Layout::couple`] adds.
     pub fn new(problem: &Problem) -> Result<Self, Error> {
+        let mut touched = vec![false; problem.blocks.len()];
+        for (k, entry) in problem.residuals.iter().enumerate() {
+            if entry.residual.is_some() {
+                for block in problem.blocks_of(ResidualId(k)) {
+                    touched[block.0] = true;
+                }
+            }
+        }
         let mut places = Vec::with_capacity(problem.blocks.len());
         let (mut reduced, mut points, mut row_start) = (Vec::new(), Vec::new(), vec![0]);
-        let mut touched = vec![false; problem.blocks.len()];
-        for block in &problem.block_lists {
-            touched[block.0] = true;
-        }
         for (index, block) in problem.blocks.iter().enumerate() {
-            // A block without residuals has no row: it stays where it is.
+            // A block without residuals has no row: it stays where it is. A point of which components are held is
+            // not a full point any more.
             places.push(match block.role {
-                Role::Free if touched[index] => {
-                    row_start.push(row_start[reduced.len()] + block.shape.tangent);
-                    reduced.push(index);
-                    Place::Reduced(reduced.len() - 1)
-                }
-                Role::Eliminated if touched[index] => {
+                Role::Free | Role::Eliminated if !touched[index] => Place::Constant,
+                Role::Eliminated if block.free() == POINT => {
                     points.push(index);
                     Place::Point(points.len() - 1)
                 }
-                _ => Place::Constant,
+                Role::Free | Role::Eliminated => {
+                    row_start.push(row_start[reduced.len()] + block.free());
+                    reduced.push(index);
+                    Place::Reduced(reduced.len() - 1)
+                }
+                Role::Constant | Role::Removed => Place::Constant,
             });
         }
-
-        let count = problem.residuals.len();
-        let mut slots = Vec::with_capacity(problem.block_lists.len());
-        let (mut slot_start, mut record_start) = (vec![0], vec![0]);
-        for k in 0..count {
-            let dimension = problem.residuals[k].dimension;
-            let mut next = dimension;
-            for block in problem.blocks_of(ResidualId(k)) {
-                let entry = &problem.blocks[block.0];
-                let jacobian = if places[block.0] == Place::Constant {
-                    CONSTANT
-                } else {
-                    next += dimension * entry.shape.tangent;
-                    next - dimension * entry.shape.tangent
-                };
-                slots.push(Slot {
-                    block: block.0,
-                    value: entry.start,
-                    jacobian,
-                });
-            }
-            slot_start.push(slots.len());
-            record_start.push(record_start[k] + next);
-        }
-
-        let incidences = |wanted: fn(Place) -> Option<usize>| {
-            let (slots, slot_start, places) = (&slots, &slot_start, &places);
-            (0..count).flat_map(move |k| {
-                slots[slot_start[k]..slot_start[k + 1]]
-                    .iter()
-                    .filter_map(move |slot| {
-                        Some((
-                            wanted(places[slot.block])?,
-                            Incidence {
-                                residual: k,
-                                jacobian: slot.jacobian,
-                            },
-                        ))
-                    })
-            })
-        };
-        let reduced_of = |place| match place {
-            Place::Reduced(i) => Some(i),
-            _ => None,
-        };
-        let point_of = |place| match place {
-            Place::Point(p) => Some(p),
-            _ => None,
-        };
-        let by_reduced = Groups::collect(reduced.len(), incidences(reduced_of));
-        let by_point = Groups::collect(points.len(), incidences(point_of));
-
-        let mut pairs = Vec::new();
-        let mut pairs_of_point = vec![0];
-        let mut pair_len = 0;
-        let mut seen = Vec::new();
-        for p in 0..points.len() {
-            seen.clear();
-            for incidence in by_point.get(p) {
-                let range = slot_start[incidence.residual]..slot_start[incidence.residual + 1];
-                seen.extend(
-                    slots[range]
-                        .iter()
-                        .filter_map(|slot| reduced_of(places[slot.block])),
-                );
-            }
-            seen.sort_unstable();
-            seen.dedup();
-            for &i in &seen {
-                pairs.push(Pair {
-                    point: p,
-                    reduced: i,
-                    start: pair_len,
-                });
-                pair_len += POINT * (row_start[i + 1] - row_start[i]);
-            }
-            pairs_of_point.push(pairs.len());
-        }
-        let pairs_of_reduced = Groups::collect(
-            reduced.len(),
-            pairs.iter().enumerate().map(|(q, pair)| (pair.reduced, q)),
-        );
-
         let mut layout = Self {
-            slots,
-            slot_start,
-            record_start,
+            order: Vec::new(),
+            slots: Vec::with_capacity(problem.block_lists.len()),
+            slot_start: vec![0],
+            record_start: vec![0],
+            point_first: Vec::new(),
+            by_reduced: Groups::empty(reduced.len()),
+            couplings: Vec::new(),
+            pairs: Vec::new(),
+            pairs_of_point: vec![0],
+            pairs_of_reduced: Groups::empty(reduced.len()),
+            point_of_pair: Vec::new(),
+            pair_len: 0,
+            columns: Groups::empty(reduced.len()),
+            matrix_len: 0,
+            block_of_pairs: Vec::new(),
+            first_of_pairs: Vec::new(),
             places,
             reduced,
             points,
             row_start,
-            by_reduced,
-            by_point,
-            pairs,
-            pairs_of_point,
-            pairs_of_reduced,
-            pair_len,
-            coupled: Groups {
-                items: Vec::new(),
-                start: vec![0],
-            },
-            column_start: vec![0],
-            row_index: Vec::new(),
         };
-        layout.couple()?;
+        layout.order_residuals(problem);
+        layout.place_records(problem)?;
+        layout.pair()?;
+        layout.gather();
         Ok(layout)
+    }
+
+    fn point_of(&self, problem: &Problem, residual: usize) -> Option<usize> {
+        problem
+            .blocks_of(ResidualId(residual))
+            .iter()
+            .find_map(|block| match self.places[block.0] {
+                Place::Point(p) => Some(p),
+                _ => None,
+            })
+    }
+
+    fn order_residuals(&mut self, problem: &Problem) {
+        let count = self.points.len();
+        let alive =
+            (0..problem.residuals.len()).filter(|k| problem.residuals[*k].residual.is_some());
+        let group: Vec<(usize, u32)> = alive
+            .map(|k| (self.point_of(problem, k).unwrap_or(count), k as u32))
+            .collect();
+        let groups = Groups::collect(count + 1, group.iter().copied());
+        self.order = groups.items;
+        self.point_first = groups.start[..=count].to_vec();
+    }
+
+    fn place_records(&mut self, problem: &Problem) -> Result<(), Error> {
+        for &k in &self.order {
+            let dimension = problem.residuals[k as usize].dimension;
+            let mut next = dimension;
+            for block in problem.blocks_of(ResidualId(k as usize)) {
+                let entry = &problem.blocks[block.0];
+                let jacobian = if self.places[block.0] == Place::Constant {
+                    CONSTANT
+                } else {
+                    next += dimension * entry.free();
+                    (next - dimension * entry.free()) as u32
+                };
+                self.slots.push(Slot {
+                    value: entry.start,
+                    mask: entry.mask,
+                    block: block.0 as u32,
+                    jacobian,
+                    pair: NO_PAIR,
+                    couplings: [0; 2],
+                });
+            }
+            // Numbers within a record, and of blocks, are kept short.
+            if next.max(self.slots.len()).max(problem.blocks.len()) >= CONSTANT as usize {
+                return Err(self.too_large(next));
+            }
+            self.slot_start.push(self.slots.len());
+            self.record_start
+                .push(self.record_start[self.record_start.len() - 1] + next);
+        }
+        Ok(())
+    }
+
+    fn pair(&mut self) -> Result<(), Error> {
+        let mut seen: Vec<u32> = Vec::new();
+        for p in 0..self.points.len() {
+            let slots =
+                self.slot_start[self.point_first[p]]..self.slot_start[self.point_first[p + 1]];
+            seen.clear();
+            seen.extend(self.slots[slots.clone()].iter().filter_map(|slot| {
+                match self.places[slot.block as usize] {
+                    Place::Reduced(i) => Some(i as u32),
+                    _ => None,
+                }
+            }));
+            seen.sort_unstable();
+            seen.dedup();
+            let first = self.pairs.len();
+            for &reduced in &seen {
+                self.pairs.push(Pair {
+                    reduced,
+                    start: self.pair_len,
+                });
+                self.point_of_pair.push(p as u32);
+                self.pair_len += POINT * self.tangent(reduced as usize);
+            }
+            for slot in &mut self.slots[slots] {
+                if let Place::Reduced(i) = self.places[slot.block as usize]
+                    && let Ok(found) = seen.binary_search(&(i as u32))
+                {
+                    slot.pair = (first + found) as u32;
+                }
+            }
+            self.pairs_of_point.push(self.pairs.len());
+        }
+        if self.pairs.len() >= NO_PAIR as usize {
+            return Err(self.too_large(self.pair_len));
+        }
+        let pairs = self.pairs.iter().enumerate();
+        self.pairs_of_reduced = Groups::collect(
+            self.reduced.len(),
+            pairs.map(|(q, pair)| (pair.reduced as usize, q as u32)),
+        );
+        Ok(())
+    }
+
+    fn gather(&mut self) {
+        let this = &*self;
+        let incidences = (0..this.order.len()).flat_map(move |k| {
+            let slots = this.slot_start[k]..this.slot_start[k + 1];
+            slots.filter_map(
+                move |slot| match this.places[this.slots[slot].block as usize] {
+                    Place::Reduced(i) => Some((
+                        i,
+                        Incidence {
+                            position: k as u32,
+                            slot: slot as u32,
+                        },
+                    )),
+                    _ => None,
+                },
+            )
+        });
+        self.by_reduced = Groups::collect(this.reduced.len(), incidences);
+    }
+
+    /// Values in the blocks of the lower triangle of the Schur complement.
+    pub fn count_matrix_values(&self) -> usize {
+        let mut mark = vec![u32::MAX; self.reduced.len()];
+        let mut count = 0;
+        for i in 0..self.reduced.len() {
+            self.visit_coupled(i, Pattern::SchurComplement, |j| {
+                if mark[j] != i as u32 {
+                    mark[j] = i as u32;
+                    count += self.tangent(i) * self.tangent(j);
+                }
+            });
+        }
+        count
+    }
+
+    /// Calls `visit` with every reduced block from `i` on that is coupled with it, more than once.
+    fn visit_coupled(&self, i: usize, pattern: Pattern, mut visit: impl FnMut(usize)) {
+        for incidence in self.by_reduced.get(i) {
+            for slot in self.slots_of(incidence.position as usize) {
+                if let Place::Reduced(j) = self.places[slot.block as usize]
+                    && j >= i
+                {
+                    visit(j);
+                }
+            }
+        }
+        if pattern == Pattern::Hessian {
+            return;
+        }
+        for &q in self.pairs_of_reduced.get(i) {
+            let point = self.point_of_pair[q as usize] as usize;
+            for pair in &self.pairs[q as usize..self.pairs_of_point[point + 1]] {
+                visit(pair.reduced as usize);
+            }
+        }
+    }
+
+    /// Finds the pattern of the reduced matrix.
+    pub fn couple(&mut self, pattern: Pattern) -> Result<(), Error> {
+        let count = self.reduced.len();
+        self.matrix_len = 0;
+        self.first_of_pairs = vec![0];
+        let mut total = 0;
+        if pattern == Pattern::SchurComplement {
+            for p in 0..self.points.len() {
+                total += triangle(self.pairs_at(p).len(), self.pairs_at(p).len());
+                self.first_of_pairs.push(total);
+            }
+        }
+        let mut block_of_pairs = Vec::new();
+        block_of_pairs
+            .try_reserve_exact(total)
+            .map_err(|_| self.too_large(total))?;
+        block_of_pairs.resize(total, 0u32);
+
+        let mut mark = vec![u32::MAX; count];
+        let mut block_of = vec![0u32; count];
+        let mut columns: Groups<MatrixBlock> = Groups::empty(0);
+        let mut couplings = Vec::new();
+        let mut coupled: Vec<u32> = Vec::new();
+        for i in 0..count {
+            coupled.clear();
+            self.visit_coupled(i, pattern, |j| {
+                if mark[j] != i as u32 {
+                    mark[j] = i as u32;
+                    coupled.push(j as u32);
+                }
+            });
+            coupled.sort_unstable();
+            for &j in &coupled {
+                block_of[j as usize] = columns.items.len() as u32;
+                columns.items.push(MatrixBlock {
+                    row: j,
+                    start: self.matrix_len,
+                });
+                self.matrix_len += self.tangent(i) * self.tangent(j as usize);
+            }
+            columns.start.push(columns.items.len());
+            for incidence in self.by_reduced.get(i) {
+                let first = couplings.len() as u32;
+                let position = incidence.position as usize;
+                for slot in &self.slots[self.slot_start[position]..self.slot_start[position + 1]] {
+                    if let Place::Reduced(j) = self.places[slot.block as usize]
+                        && j > i
+                    {
+                        couplings.push(Coupling {
+                            block: block_of[j],
+                            jacobian: slot.jacobian,
+                        });
+                    }
+                }
+                self.slots[incidence.slot as usize].couplings = [first, couplings.len() as u32];
+            }
+            if pattern == Pattern::Hessian {
+                continue;
+            }
+            for &q in self.pairs_of_reduced.get(i) {
+                let point = self.point_of_pair[q as usize] as usize;
+                let range = self.pairs_of_point[point]..self.pairs_of_point[point + 1];
+                let a = q as usize - range.start;
+                let first = self.first_of_pairs[point] + triangle(a, range.len());
+                let target = &mut block_of_pairs[first..][..range.len() - a];
+                for (target, pair) in target.iter_mut().zip(&self.pairs[q as usize..range.end]) {
+                    *target = block_of[pair.reduced as usize];
+                }
+            }
+        }
+        if couplings.len().max(columns.items.len()) >= u32::MAX as usize {
+            return Err(self.too_large(self.matrix_len));
+        }
+        self.columns = columns;
+        self.couplings = couplings;
+        self.block_of_pairs = block_of_pairs;
+        Ok(())
+    }
+
+    pub fn too_large(&self, entries: usize) -> Error {
+        Error::TooLarge {
+            dimension: self.dimension(),
+            entries,
+        }
     }
 
     /// Dimension of the reduced system.
@@ -238,9 +444,9 @@ impl Layout {
         self.row_start[self.reduced.len()]
     }
 
-    /// Slots of a residual.
-    pub fn slots_of(&self, residual: usize) -> &[Slot] {
-        &self.slots[self.slot_start[residual]..self.slot_start[residual + 1]]
+    /// Slots of the residual at a position.
+    pub fn slots_of(&self, position: usize) -> &[Slot] {
+        &self.slots[self.slot_start[position]..self.slot_start[position + 1]]
     }
 
     /// Tangent dimension of a reduced block.
@@ -248,69 +454,33 @@ impl Layout {
         self.row_start[reduced + 1] - self.row_start[reduced]
     }
 
+    /// Rows of a reduced block.
+    pub fn rows(&self, reduced: usize) -> Range<usize> {
+        self.row_start[reduced]..self.row_start[reduced + 1]
+    }
+
     /// Pairs of a point.
     pub fn pairs_at(&self, point: usize) -> &[Pair] {
         &self.pairs[self.pairs_of_point[point]..self.pairs_of_point[point + 1]]
     }
 
-    /// Values of the lower triangle that belong to the columns of a reduced block.
-    pub fn values_of(&self, reduced: usize) -> Range<usize> {
-        self.column_start[self.row_start[reduced]]..self.column_start[self.row_start[reduced + 1]]
+    /// First pair value of a point.
+    pub fn pair_value_start(&self, point: usize) -> usize {
+        self.pairs
+            .get(self.pairs_of_point[point])
+            .map_or(self.pair_len, |pair| pair.start)
     }
 
-    /// Finds which blocks are coupled, and from it the pattern of the reduced matrix.
-    fn couple(&mut self) -> Result<(), Error> {
-        let count = self.reduced.len();
-        let mut mark = vec![usize::MAX; count];
-        let mut entries = 0usize;
-        for i in 0..count {
-            let first = self.coupled.items.len();
-            self.coupled.items.push(i);
-            mark[i] = i;
-            let items = &mut self.coupled.items;
-            let mut visit = |j: usize| {
-                if j > i && mark[j] != i {
-                    mark[j] = i;
-                    items.push(j);
-                }
-            };
-            for incidence in self.by_reduced.get(i) {
-                let range =
-                    self.slot_start[incidence.residual]..self.slot_start[incidence.residual + 1];
-                for slot in &self.slots[range] {
-                    if let Place::Reduced(j) = self.places[slot.block] {
-                        visit(j);
-                    }
-                }
-            }
-            for &q in self.pairs_of_reduced.get(i) {
-                let p = self.pairs[q].point;
-                for pair in &self.pairs[self.pairs_of_point[p]..self.pairs_of_point[p + 1]] {
-                    visit(pair.reduced);
-                }
-            }
-            self.coupled.items[first..].sort_unstable();
-            self.coupled.start.push(self.coupled.items.len());
-
-            let n = self.tangent(i);
-            let rows: usize = self.coupled.get(i).iter().map(|&j| self.tangent(j)).sum();
-            entries += n * rows - n * (n - 1) / 2;
-            let too_large = |_| Error::TooLarge {
-                dimension: self.row_start[count],
-                entries,
-            };
-            self.row_index
-                .try_reserve(entries - self.row_index.len())
-                .map_err(too_large)?;
-            for column in 0..n {
-                for &j in self.coupled.get(i) {
-                    let skip = if j == i { column } else { 0 };
-                    self.row_index
-                        .extend(self.row_start[j] + skip..self.row_start[j + 1]);
-                }
-                self.column_start.push(self.row_index.len());
-            }
-        }
-        Ok(())
+    /// First matrix value of a column of blocks.
+    pub fn column_value_start(&self, reduced: usize) -> usize {
+        self.columns
+            .items
+            .get(self.columns.start[reduced])
+            .map_or(self.matrix_len, |block| block.start)
     }
+}
+
+/// Entries before row `a` of the upper triangle of a matrix with `n` rows.
+pub(crate) fn triangle(a: usize, n: usize) -> usize {
+    a * n - a * (a.max(1) - 1) / 2
 }

@@ -1,21 +1,40 @@
 #![doc = include_str!("../README.md")]
 
+mod bounds;
+mod config;
+mod conjugate_gradients;
+mod covariance;
+mod dense_jacobian;
+mod diagnosis;
+mod divide;
+mod dogleg;
 mod error;
 mod evaluation;
+mod factorization;
+mod incremental;
 mod jacobian_check;
+mod kernels;
 mod layout;
-mod levenberg_marquardt;
+mod linear_system;
 mod manifold;
+mod minimise;
+mod normal;
+mod priors;
 mod problem;
-mod reduced;
+mod report;
 mod residual;
 mod robust;
-mod schur;
 
+pub use config::{Diagnosis, LinearSolver, Method, SolveConfig};
+pub use covariance::{Covariance, covariance};
+pub use dense_jacobian::{DenseJacobian, dense_jacobian};
 pub use error::Error;
+pub use incremental::{Incremental, IncrementalConfig, UpdateReport};
 pub use jacobian_check::check_jacobians;
-pub use levenberg_marquardt::{Iteration, Report, SolveConfig, Termination, solve, solve_observed};
 pub use manifold::{Manifold, Shape};
+pub use minimise::{solve, solve_controlled, solve_observed};
+pub use priors::{DirectionPrior, PosePrior, RotationPrior, VectorPrior};
 pub use problem::{Block, BlockId, Problem, ResidualId};
+pub use report::{Iteration, Report, Termination, Undetermined};
 pub use residual::{Linearization, Parameters, Residual, Undefined};
 pub use robust::{Kernel, Robust};

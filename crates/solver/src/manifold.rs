@@ -1,5 +1,5 @@
-use lsfb_geometry::{Se3, UnitQuaternion, Vector3, Vector6, so3};
-use nalgebra::{Quaternion, SVector};
+use lsfb_geometry::{Se3, UnitQuaternion, Vector2, Vector3, Vector6, so3};
+use nalgebra::{Matrix3x2, Quaternion, SVector, UnitVector3};
 
 /// The kind of value a parameter block holds: numbers that are stored, and a tangent space that is searched.
 ///
@@ -15,7 +15,14 @@ pub trait Manifold: Sized {
     fn store(&self, stored: &mut [f64]);
     /// `self * exp(delta)`, with [`Manifold::TANGENT`] numbers in `delta`.
     fn plus(&self, delta: &[f64]) -> Self;
+    /// What a component of the tangent is called in reports; empty where it has no name of its own.
+    fn tangent_name(_component: usize) -> &'static str {
+        ""
+    }
 }
+
+const ROTATION_NAMES: [&str; 3] = ["rotation x", "rotation y", "rotation z"];
+const TRANSLATION_NAMES: [&str; 3] = ["translation x", "translation y", "translation z"];
 
 /// Numbers a block stores and searches: what a residual expects of a block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -64,6 +71,11 @@ impl Manifold for Se3 {
     fn plus(&self, delta: &[f64]) -> Self {
         *self * Self::exp(&Vector6::from_column_slice(delta))
     }
+
+    fn tangent_name(component: usize) -> &'static str {
+        let names = ROTATION_NAMES.iter().chain(&TRANSLATION_NAMES);
+        names.copied().nth(component).unwrap_or("")
+    }
 }
 
 /// A rotation: tangent is the rotation vector in the body frame.
@@ -83,6 +95,58 @@ impl Manifold for UnitQuaternion<f64> {
         let mut rotation = self * so3::exp(&Vector3::from_column_slice(delta));
         rotation.renormalize_fast();
         rotation
+    }
+
+    fn tangent_name(component: usize) -> &'static str {
+        ROTATION_NAMES.get(component).copied().unwrap_or("")
+    }
+}
+
+/// Two unit vectors across a direction, which change smoothly but where the direction passes through `−z`.
+pub(crate) fn directions_across(direction: &Vector3<f64>) -> Matrix3x2<f64> {
+    let sign = 1.0f64.copysign(direction.z);
+    let a = -1.0 / (sign + direction.z);
+    let b = direction.x * direction.y * a;
+    Matrix3x2::new(
+        1.0 + sign * direction.x * direction.x * a,
+        b,
+        sign * b,
+        sign + direction.y * direction.y * a,
+        -sign * direction.x,
+        -direction.y,
+    )
+}
+
+/// A direction: tangent are the angles along two directions across it.
+impl Manifold for UnitVector3<f64> {
+    const STORED: usize = 3;
+    const TANGENT: usize = 2;
+
+    fn load(stored: &[f64]) -> Self {
+        Self::new_unchecked(Vector3::from_column_slice(stored))
+    }
+
+    fn store(&self, stored: &mut [f64]) {
+        stored.copy_from_slice(self.as_slice());
+    }
+
+    fn plus(&self, delta: &[f64]) -> Self {
+        let across = directions_across(self) * Vector2::new(delta[0], delta[1]);
+        let angle = across.norm();
+        // sin(x)/x, exact where x vanishes.
+        let ratio = if angle < 1e-8 {
+            1.0
+        } else {
+            angle.sin() / angle
+        };
+        Self::new_normalize(self.into_inner() * angle.cos() + across * ratio)
+    }
+
+    fn tangent_name(component: usize) -> &'static str {
+        ["first angle", "second angle"]
+            .get(component)
+            .copied()
+            .unwrap_or("")
     }
 }
 

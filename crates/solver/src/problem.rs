@@ -1,11 +1,14 @@
+use std::collections::BTreeMap;
 use std::marker::PhantomData;
 
 use lsfb_geometry::Vector3;
+use nalgebra::SVector;
+use serde::{Deserialize, Serialize};
 
 use crate::{Error, Kernel, Manifold, Residual, Shape};
 
 /// Handle of a block, without the type of its value.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct BlockId(pub(crate) usize);
 
 impl BlockId {
@@ -57,7 +60,12 @@ pub(crate) enum Role {
     Eliminated,
     /// Never changed.
     Constant,
+    /// No longer there.
+    Removed,
 }
+
+/// [`BlockEntry::mask`] of a block that is searched in all its tangent.
+pub(crate) const ALL: u64 = u64::MAX;
 
 pub(crate) struct BlockEntry {
     pub start: usize,
@@ -66,14 +74,53 @@ pub(crate) struct BlockEntry {
     /// Role when it is not held constant.
     pub role_when_free: Role,
     pub plus: fn(&[f64], &[f64], &mut [f64]),
+    pub tangent_name: fn(usize) -> &'static str,
+    /// Bit `k` is set where component `k` of the tangent is searched.
+    pub mask: u64,
+}
+
+impl BlockEntry {
+    /// Components of the tangent that are searched.
+    pub fn free(&self) -> usize {
+        if self.mask == ALL {
+            self.shape.tangent
+        } else {
+            self.mask.count_ones() as usize
+        }
+    }
+
+    /// Component of the tangent that the `k`-th searched one is.
+    pub fn component(&self, k: usize) -> usize {
+        if self.mask == ALL {
+            return k;
+        }
+        (0..self.shape.tangent)
+            .filter(|c| self.mask >> c & 1 == 1)
+            .nth(k)
+            .unwrap_or(k)
+    }
 }
 
 pub(crate) struct ResidualEntry {
-    pub residual: Box<dyn Residual>,
+    /// `None` once it was removed.
+    pub residual: Option<Box<dyn Residual>>,
     pub dimension: usize,
     pub kernel: Kernel,
     /// Range of its blocks in `block_lists`.
     pub first_block: usize,
+}
+
+/// Range of one component of a vector block.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Bounds {
+    pub lower: f64,
+    pub upper: f64,
+}
+
+#[derive(Default)]
+pub(crate) struct Names {
+    pub block: String,
+    pub components: Vec<String>,
 }
 
 /// Blocks with values, and the residuals between them.
@@ -83,6 +130,10 @@ pub struct Problem {
     pub(crate) blocks: Vec<BlockEntry>,
     pub(crate) residuals: Vec<ResidualEntry>,
     pub(crate) block_lists: Vec<BlockId>,
+    /// By block and component.
+    pub(crate) bounds: BTreeMap<(usize, usize), Bounds>,
+    names: BTreeMap<usize, Names>,
+    removed_residuals: usize,
 }
 
 impl Problem {
@@ -112,6 +163,8 @@ impl Problem {
             role,
             role_when_free: role,
             plus: |x, delta, out| M::load(x).plus(delta).store(out),
+            tangent_name: M::tangent_name,
+            mask: ALL,
         });
         Block {
             id: BlockId(self.blocks.len() - 1),
@@ -121,15 +174,122 @@ impl Problem {
 
     /// Holds a block at its value.
     pub fn set_constant<M>(&mut self, block: Block<M>) {
-        if let Some(entry) = self.blocks.get_mut(block.id.0) {
+        if let Some(entry) = self.blocks.get_mut(block.id.0)
+            && entry.role != Role::Removed
+        {
             entry.role = Role::Constant;
         }
     }
 
-    /// Lets a block go that [`Problem::set_constant`] held.
+    /// Lets a block go that [`Problem::set_constant`] held. Components held by
+    /// [`Problem::set_constant_components`] stay held.
     pub fn set_free<M>(&mut self, block: Block<M>) {
-        if let Some(entry) = self.blocks.get_mut(block.id.0) {
-            entry.role = entry.role_when_free;
+        if let Some(entry) = self.blocks.get_mut(block.id.0)
+            && entry.role != Role::Removed
+        {
+            entry.role = if entry.mask == 0 {
+                Role::Constant
+            } else {
+                entry.role_when_free
+            };
+        }
+    }
+
+    /// Holds some components of a block's tangent, and lets its others go: an empty list lets all go.
+    ///
+    /// The tangent of a pose is `[rotation, translation]` in the body frame; that of a vector are its entries.
+    pub fn set_constant_components<M: Manifold>(
+        &mut self,
+        block: Block<M>,
+        components: &[usize],
+    ) -> Result<(), Error> {
+        let mut mask = ALL;
+        for &component in components {
+            self.check_component::<M>(block, component)?;
+            mask &= !(1 << component);
+        }
+        let blocks = self.blocks.len();
+        let entry = self.blocks.get_mut(block.id.0).ok_or(Error::UnknownBlock {
+            block: block.id.0,
+            blocks,
+        })?;
+        let every = u64::MAX >> (64 - entry.shape.tangent.clamp(1, 64));
+        entry.mask = if components.is_empty() {
+            ALL
+        } else {
+            mask & every
+        };
+        self.set_free(block);
+        Ok(())
+    }
+
+    fn check_component<M: Manifold>(&self, block: Block<M>, component: usize) -> Result<(), Error> {
+        if component >= M::TANGENT.min(64) {
+            return Err(Error::UnknownComponent {
+                block: block.id.0,
+                component,
+                components: M::TANGENT.min(64),
+            });
+        }
+        Ok(())
+    }
+
+    /// Keeps one entry of a vector between two values; infinite ones bound nothing. The solver starts at the nearest
+    /// value within.
+    pub fn set_bounds<const N: usize>(
+        &mut self,
+        block: Block<SVector<f64, N>>,
+        component: usize,
+        lower: f64,
+        upper: f64,
+    ) -> Result<(), Error> {
+        self.check_component(block, component)?;
+        if !(lower <= upper) {
+            return Err(Error::EmptyBounds {
+                block: block.id.0,
+                component,
+                lower,
+                upper,
+            });
+        }
+        self.bounds
+            .insert((block.id.0, component), Bounds { lower, upper });
+        Ok(())
+    }
+
+    /// Names a block in reports: "camera 2".
+    pub fn set_name(&mut self, block: BlockId, name: impl Into<String>) {
+        self.names.entry(block.0).or_default().block = name.into();
+    }
+
+    /// Names the components of a block's tangent in reports: "focal length".
+    pub fn set_component_names(&mut self, block: BlockId, names: &[&str]) {
+        self.names.entry(block.0).or_default().components =
+            names.iter().map(|n| n.to_string()).collect();
+    }
+
+    /// Name of a block, or its number.
+    pub fn block_name(&self, block: BlockId) -> String {
+        match self.names.get(&block.0) {
+            Some(names) if !names.block.is_empty() => names.block.clone(),
+            _ => format!("block {}", block.0),
+        }
+    }
+
+    /// Name of one component of a block's tangent, or its number.
+    pub fn component_name(&self, block: BlockId, component: usize) -> String {
+        let given = self
+            .names
+            .get(&block.0)
+            .and_then(|names| names.components.get(component));
+        let of_type = self
+            .blocks
+            .get(block.0)
+            .map_or("", |entry| (entry.tangent_name)(component));
+        match given {
+            Some(name) => name.clone(),
+            None if of_type.is_empty() => format!("component {component}"),
+            None => of_type.to_string(),
         }
     }
 
@@ -163,15 +323,43 @@ impl Problem {
     ) -> Result<ResidualId, Error> {
         let index = self.residuals.len();
         self.check_blocks(index, &residual, blocks)?;
+        kernel.check()?;
         let first_block = self.block_lists.len();
         self.block_lists.extend_from_slice(blocks);
         self.residuals.push(ResidualEntry {
             dimension: residual.dimension(),
-            residual: Box::new(residual),
+            residual: Some(Box::new(residual)),
             kernel,
             first_block,
         });
         Ok(ResidualId(index))
+    }
+
+    /// Takes a residual out. Its number is not used again.
+    pub fn remove_residual(&mut self, residual: ResidualId) {
+        if let Some(entry) = self.residuals.get_mut(residual.0)
+            && entry.residual.take().is_some()
+        {
+            self.removed_residuals += 1;
+        }
+    }
+
+    /// Takes a block out, with all residuals that read it. Its number is not used again; its last value stays readable.
+    pub fn remove_block<M>(&mut self, block: Block<M>) {
+        for k in 0..self.residuals.len() {
+            if self.blocks_of(ResidualId(k)).contains(&block.id) {
+                self.remove_residual(ResidualId(k));
+            }
+        }
+        self.retire(block.id);
+    }
+
+    /// Marks a block without residuals as removed.
+    pub(crate) fn retire(&mut self, block: BlockId) {
+        if let Some(entry) = self.blocks.get_mut(block.0) {
+            entry.role = Role::Removed;
+            entry.role_when_free = Role::Removed;
+        }
     }
 
     fn check_blocks(
@@ -193,10 +381,14 @@ impl Problem {
         }
         let mut eliminated: Option<usize> = None;
         for (position, (block, expected)) in blocks.iter().zip(shapes).enumerate() {
-            let entry = self.blocks.get(block.0).ok_or(Error::UnknownBlock {
-                block: block.0,
-                blocks: self.blocks.len(),
-            })?;
+            let entry = self
+                .blocks
+                .get(block.0)
+                .filter(|entry| entry.role != Role::Removed)
+                .ok_or(Error::UnknownBlock {
+                    block: block.0,
+                    blocks: self.blocks.len(),
+                })?;
             if entry.shape != *expected {
                 return Err(Error::BlockShape {
                     residual: index,
@@ -235,13 +427,13 @@ impl Problem {
         &self.block_lists[first..end]
     }
 
-    /// Number of blocks.
+    /// Number of blocks, removed ones included.
     pub fn block_count(&self) -> usize {
         self.blocks.len()
     }
 
     /// Number of residuals.
     pub fn residual_count(&self) -> usize {
-        self.residuals.len()
+        self.residuals.len() - self.removed_residuals
     }
 }

@@ -1,5 +1,6 @@
 use nalgebra::{SMatrix, SVector};
 
+use crate::problem::ALL;
 use crate::{Manifold, Shape};
 
 /// One term of a least-squares problem: `½ ρ(‖r(x)‖²)` over the blocks `x` it reads.
@@ -30,16 +31,25 @@ pub struct Undefined;
 /// Where a residual's block lies: in the values, and in its record.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Slot {
-    /// Index of the block.
-    pub block: usize,
     /// First stored number of the block.
     pub value: usize,
+    /// Components of the tangent that are searched.
+    pub mask: u64,
+    /// Index of the block.
+    pub block: u32,
     /// First number of the Jacobian in the record; [`CONSTANT`] where none is wanted.
-    pub jacobian: usize,
+    pub jacobian: u32,
+    /// Number of the pair of this block and the residual's point; [`NO_PAIR`] where there is none.
+    pub pair: u32,
+    /// Range of the products with later Jacobians of the residual, in `Layout::couplings`.
+    pub couplings: [u32; 2],
 }
 
 /// [`Slot::jacobian`] of a constant block.
-pub(crate) const CONSTANT: usize = usize::MAX;
+pub(crate) const CONSTANT: u32 = u32::MAX;
+
+/// [`Slot::pair`] of a block that shares no residual with a point.
+pub(crate) const NO_PAIR: u32 = u32::MAX;
 
 /// The values of the blocks a residual reads.
 pub struct Parameters<'a> {
@@ -49,6 +59,7 @@ pub struct Parameters<'a> {
 
 impl Parameters<'_> {
     /// Value of the block at `position`, of the type that [`Residual::blocks`] says.
+    #[inline]
     pub fn get<M: Manifold>(&self, position: usize) -> M {
         let start = self.slots[position].value;
         M::load(&self.values[start..start + M::STORED])
@@ -65,16 +76,19 @@ pub struct Linearization<'a> {
 
 impl Linearization<'_> {
     /// Writes the residual.
+    #[inline]
     pub fn set_residual<const D: usize>(&mut self, residual: &SVector<f64, D>) {
         self.record[..D].copy_from_slice(residual.as_slice());
     }
 
     /// Whether the derivative by the block at `position` is wanted: not so for constant blocks and while only the cost is.
+    #[inline]
     pub fn wants_jacobian(&self, position: usize) -> bool {
         self.with_jacobians && self.slots[position].jacobian != CONSTANT
     }
 
     /// Writes the derivative by the tangent of the block at `position`; nothing happens where it is not wanted.
+    #[inline]
     pub fn set_jacobian<const D: usize, const N: usize>(
         &mut self,
         position: usize,
@@ -83,12 +97,24 @@ impl Linearization<'_> {
         if !self.wants_jacobian(position) {
             return;
         }
-        let start = self.slots[position].jacobian;
-        let rows = &mut self.record[start..start + D * N];
-        for (r, row) in rows.chunks_exact_mut(N).enumerate() {
-            for (c, entry) in row.iter_mut().enumerate() {
-                *entry = jacobian[(r, c)];
+        let Slot {
+            jacobian: start,
+            mask,
+            ..
+        } = self.slots[position];
+        let record = &mut self.record[start as usize..];
+        if mask == ALL {
+            for (r, row) in record[..D * N].chunks_exact_mut(N).enumerate() {
+                for (c, entry) in row.iter_mut().enumerate() {
+                    *entry = jacobian[(r, c)];
+                }
             }
+            return;
+        }
+        let columns = (0..N).filter(|c| mask >> c & 1 == 1);
+        let entries = (0..D).flat_map(|r| columns.clone().map(move |c| jacobian[(r, c)]));
+        for (target, entry) in record.iter_mut().zip(entries) {
+            *target = entry;
         }
     }
 }

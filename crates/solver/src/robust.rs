@@ -1,3 +1,5 @@
+use crate::Error;
+
 /// A robust kernel: the cost of a residual with squared norm `s` is `½ ρ(s)`. Scales are in units of the residual's
 /// norm, after its own weight.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -32,6 +34,34 @@ pub struct Robust {
 }
 
 impl Kernel {
+    pub(crate) fn check(&self) -> Result<(), Error> {
+        match *self {
+            Kernel::Squared => Ok(()),
+            Kernel::Huber { scale } | Kernel::Cauchy { scale } | Kernel::GemanMcClure { scale } => {
+                if scale > 0.0 && scale.is_finite() {
+                    Ok(())
+                } else {
+                    Err(Error::Config {
+                        name: "kernel scale",
+                        value: scale,
+                        expected: "more than 0 and finite",
+                    })
+                }
+            }
+        }
+    }
+
+    /// The kernel with the square of its scale multiplied, where it can lose outliers for good: the surrogate of
+    /// graduated non-convexity, convex for large factors.
+    pub(crate) fn relaxed(self, factor: f64) -> Self {
+        match self {
+            Kernel::GemanMcClure { scale } if factor != 1.0 => Kernel::GemanMcClure {
+                scale: scale * factor.sqrt(),
+            },
+            other => other,
+        }
+    }
+
     /// `ρ` and `ρ'` at the squared norm `s`.
     pub fn at(&self, s: f64) -> Robust {
         match *self {

@@ -1,11 +1,11 @@
-use lsfb_solver::{Problem, SolveConfig, solve};
+use lsfb_solver::{Kernel, SolveConfig, solve};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::bal;
+use crate::bal::{self, BalProblem};
 
 /// A made-up BAL problem: cameras on an arc look at scattered points; starting values are disturbed.
-fn scattered(cameras: usize, points: usize) -> Problem {
+pub fn scattered(cameras: usize, points: usize) -> BalProblem {
     let mut rng = ChaCha8Rng::seed_from_u64(7);
     let mut uniform = move |half: f64| (rng.random::<f64>() * 2.0 - 1.0) * half;
     let positions: Vec<[f64; 3]> = (0..points)
@@ -51,7 +51,7 @@ fn scattered(cameras: usize, points: usize) -> Problem {
             x[2] + uniform(0.1)
         );
     }
-    bal::parse(&text)
+    bal::parse(&text, Kernel::Squared)
 }
 
 #[test]
@@ -62,7 +62,7 @@ fn same_bits_on_any_number_of_threads() {
             .build()
             .expect("pool");
         pool.install(|| {
-            let mut problem = scattered(20, 1500);
+            let mut problem = scattered(20, 1500).problem;
             let report = solve(&mut problem, &SolveConfig::default()).expect("solves");
             let bits: Vec<u64> = problem
                 .stored_values()

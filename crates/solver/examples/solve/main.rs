@@ -1,0 +1,97 @@
+//! Solves the problems of `docs/figures.md` on one thread, and prints cost and CPU time of the solver alone:
+//!
+//! ```text
+//! solve bal FILE[.gz] [auto|dense|sparse|iterative] [lm|dogleg]
+//! solve pose-graph FILE.g2o[.gz]
+//! solve stereo FOLDER [SUFFIX]
+//! solve growing [KEYFRAMES] [POINTS]
+//! ```
+//!
+//! Peers are in `benches/solver/`.
+
+#![allow(clippy::print_stdout, reason = "an example talks to who runs it")]
+
+mod bal;
+mod cost;
+mod g2o;
+mod growing;
+mod stereo;
+mod walk;
+
+use lsfb_solver::{Kernel, LinearSolver, Method, Problem, SolveConfig, solve};
+
+type Outcome = Result<(), Box<dyn std::error::Error>>;
+
+fn main() -> Outcome {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let argument = |k: usize| arguments.get(k).map(String::as_str);
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(1)
+        .build_global()?;
+    match (argument(0), argument(1)) {
+        (Some("bal"), Some(path)) => {
+            let config = SolveConfig {
+                linear_solver: match argument(2) {
+                    Some("dense") => LinearSolver::Dense,
+                    Some("sparse") => LinearSolver::Sparse,
+                    Some("iterative") => LinearSolver::Iterative,
+                    _ => LinearSolver::Auto,
+                },
+                method: match argument(3) {
+                    Some("dogleg") => Method::Dogleg,
+                    _ => Method::LevenbergMarquardt,
+                },
+                ..SolveConfig::default()
+            };
+            let mut bal = bal::parse(&cost::read_text(path)?, Kernel::Squared);
+            println!("{} cameras, {} points", bal.cameras.len(), bal.points.len());
+            measure(&mut bal.problem, &config)
+        }
+        (Some("pose-graph"), Some(path)) => {
+            let mut graph = g2o::parse(&cost::read_text(path)?)?;
+            println!("{} poses, {} edges", graph.poses.len(), graph.edges);
+            // A pose graph starts near its optimum: full steps from the beginning.
+            let config = SolveConfig {
+                initial_damping: 1e-11,
+                cost_tolerance: 1e-7,
+                ..SolveConfig::default()
+            };
+            measure(&mut graph.problem, &config)
+        }
+        (Some("stereo"), Some(folder)) => {
+            let suffix = argument(2).unwrap_or("00s.txt.gz");
+            let read = |name: &str| cost::read_text(&format!("{folder}/{name}{suffix}"));
+            let mut problem = stereo::parse(&stereo::Texts {
+                calibration: read("VO_calibration")?,
+                poses: read("VO_camera_poses")?,
+                factors: read("VO_stereo_factors")?,
+            })?;
+            measure(&mut problem, &SolveConfig::default())
+        }
+        (Some("growing"), keyframes) => growing::run(
+            keyframes.map_or(Ok(1000), str::parse)?,
+            argument(2).map_or(Ok(60), str::parse)?,
+        ),
+        _ => Err("usage: solve bal|pose-graph|stereo|growing INPUT ..".into()),
+    }
+}
+
+fn measure(problem: &mut Problem, config: &SolveConfig) -> Outcome {
+    let began = cost::cpu_secs();
+    let report = solve(problem, config)?;
+    let spent = cost::cpu_secs() - began;
+    println!(
+        "lsfb {:?}: cost {:.9} -> {:.9}, {} iterations, {} refused, cpu {spent:.3} s, peak {:.0} MB, condition {:.1e}",
+        report.linear_solver,
+        report.initial_cost,
+        report.final_cost,
+        report.iterations,
+        report.refused_steps,
+        cost::peak_mb(),
+        report.condition.unwrap_or(f64::NAN),
+    );
+    for parameter in report.undetermined.iter().take(8) {
+        println!("  {parameter}");
+    }
+    Ok(())
+}

@@ -1,0 +1,217 @@
+use nalgebra::{DMatrix, Matrix3};
+
+use crate::diagnosis::undetermined;
+use crate::divide::on_pool;
+use crate::evaluation::{Evaluation, not_finite};
+use crate::layout::{Layout, POINT, Place};
+use crate::linear_system::{LinearSystem, Solver};
+use crate::minimise::check_values;
+use crate::normal::{NormalEquations, ReducedSystem};
+use crate::problem::{BlockId, Problem};
+use crate::{Error, SolveConfig};
+
+/// Joint covariance of some blocks, in their tangents: the inverse of the normal matrix, as far as they go.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Covariance {
+    blocks: Vec<BlockId>,
+    /// First row of each block; one more entry: the dimension.
+    start: Vec<usize>,
+    matrix: DMatrix<f64>,
+}
+
+impl Covariance {
+    /// Covariance of one block, or of one with another; `None` for a block that was not asked for. Components that are
+    /// held have none, and are zero.
+    pub fn between(&self, a: BlockId, b: BlockId) -> Option<DMatrix<f64>> {
+        let rows = |block: BlockId| {
+            let k = self.blocks.iter().position(|other| *other == block)?;
+            Some((self.start[k], self.start[k + 1] - self.start[k]))
+        };
+        let ((row, height), (column, width)) = (rows(a)?, rows(b)?);
+        let view = self.matrix.view((row, column), (height, width));
+        Some(view.into_owned())
+    }
+
+    /// All blocks, in the order in which they were asked for.
+    pub fn joint(&self) -> &DMatrix<f64> {
+        &self.matrix
+    }
+}
+
+/// Covariance of the blocks at the problem's present values, with the weights that robust kernels have there.
+///
+/// Exact for any blocks, eliminated points included; the work is one factorization and one solve for each dimension
+/// asked for. Where the data does not determine the problem there is no covariance, and the error names a parameter.
+pub fn covariance(problem: &Problem, blocks: &[BlockId]) -> Result<Covariance, Error> {
+    check_values(problem)?;
+    let mut layout = Layout::new(problem)?;
+    for block in blocks {
+        match layout.places.get(block.0) {
+            None => {
+                return Err(Error::UnknownBlock {
+                    block: block.0,
+                    blocks: problem.blocks.len(),
+                });
+            }
+            Some(Place::Constant) => {
+                return Err(Error::NoCovariance {
+                    name: problem.block_name(*block),
+                });
+            }
+            Some(_) => {}
+        }
+    }
+    let config = SolveConfig {
+        max_matrix_bytes: usize::MAX,
+        ..SolveConfig::default()
+    };
+    let mut system = LinearSystem::new(&mut layout, &config)?;
+    let mut evaluation = Evaluation::new(problem, &layout);
+    if let Some(position) = evaluation
+        .start(problem, &layout, &problem.values)
+        .not_finite
+    {
+        return Err(not_finite(problem, &layout, position));
+    }
+    let mut normal = NormalEquations::new(&layout);
+    on_pool(|| normal.linearize(problem, &layout, &evaluation, &problem.values));
+    evaluation.outcome(problem, &layout)?;
+    let unknown = undetermined(problem, &layout, &normal, &mut system);
+    let refuse = |parameters: usize, first: String| Error::Undetermined {
+        dimension: layout.dimension(),
+        parameters,
+        first,
+    };
+    if let Some(first) = unknown.first() {
+        return Err(refuse(unknown.len(), first.to_string()));
+    }
+    let LinearSystem {
+        reduced, solver, ..
+    } = &mut system;
+    on_pool(|| normal.reduce(&layout, 0.0, reduced));
+    let Solver::Direct(factorization) = solver else {
+        return Err(layout.too_large(layout.dimension()));
+    };
+    if !factorization.factor(&layout, &reduced.matrix) {
+        return Err(refuse(0, "the reduced matrix is singular".into()));
+    }
+    let columns = Columns::of(problem, &layout, &normal, reduced, blocks);
+    let mut matrix = DMatrix::zeros(columns.dimension(), columns.dimension());
+    let mut solved = vec![0.0; layout.dimension()];
+    for column in &columns.list {
+        solved.copy_from_slice(&column.in_reduced);
+        factorization.solve(&mut solved);
+        for other in &columns.list {
+            let product: f64 = other
+                .nonzero
+                .clone()
+                .map(|k| other.in_reduced[k] * solved[k])
+                .sum();
+            matrix[(other.row, column.row)] = product + column.in_point(other);
+        }
+    }
+    // Symmetric to the last bit.
+    matrix = (&matrix + matrix.transpose()) * 0.5;
+    Ok(Covariance {
+        blocks: blocks.to_vec(),
+        start: columns.start,
+        matrix,
+    })
+}
+
+/// One dimension asked for: the row of the inverse it selects, as the Schur complement sees it.
+struct Column {
+    row: usize,
+    in_reduced: Vec<f64>,
+    nonzero: std::ops::Range<usize>,
+    /// Point and coordinate.
+    point: Option<(usize, usize, Matrix3<f64>)>,
+}
+
+impl Column {
+    /// Covariance of two coordinates of one point with all else known.
+    fn in_point(&self, other: &Self) -> f64 {
+        match (&self.point, &other.point) {
+            (Some((p, a, inverse)), Some((q, b, _))) if p == q => inverse[(*a, *b)],
+            _ => 0.0,
+        }
+    }
+}
+
+struct Columns {
+    list: Vec<Column>,
+    start: Vec<usize>,
+}
+
+impl Columns {
+    fn of(
+        problem: &Problem,
+        layout: &Layout,
+        normal: &NormalEquations,
+        reduced: &ReducedSystem,
+        blocks: &[BlockId],
+    ) -> Self {
+        let mut columns = Self {
+            list: Vec::new(),
+            start: vec![0],
+        };
+        for block in blocks {
+            let entry = &problem.blocks[block.0];
+            let first = columns.dimension();
+            columns.start.push(first + entry.shape.tangent);
+            match layout.places[block.0] {
+                Place::Reduced(i) => {
+                    for (k, row) in layout.rows(i).enumerate() {
+                        let mut in_reduced = vec![0.0; layout.dimension()];
+                        in_reduced[row] = 1.0;
+                        columns.list.push(Column {
+                            row: first + entry.component(k),
+                            in_reduced,
+                            nonzero: row..row + 1,
+                            point: None,
+                        });
+                    }
+                }
+                Place::Point(p) => {
+                    let inverse = reduced.point_inverse[p];
+                    for coordinate in 0..POINT {
+                        let in_reduced = point_column(layout, normal, p, &inverse, coordinate);
+                        columns.list.push(Column {
+                            row: first + coordinate,
+                            in_reduced,
+                            nonzero: 0..layout.dimension(),
+                            point: Some((p, coordinate, inverse)),
+                        });
+                    }
+                }
+                Place::Constant => {}
+            }
+        }
+        columns
+    }
+
+    fn dimension(&self) -> usize {
+        self.start[self.start.len() - 1]
+    }
+}
+
+/// `−H_rp H_pp⁻¹` of one coordinate.
+fn point_column(
+    layout: &Layout,
+    normal: &NormalEquations,
+    point: usize,
+    inverse: &Matrix3<f64>,
+    coordinate: usize,
+) -> Vec<f64> {
+    let mut column = vec![0.0; layout.dimension()];
+    for pair in layout.pairs_at(point) {
+        let rows = layout.rows(pair.reduced as usize);
+        let n = rows.len();
+        for (r, target) in column[rows].iter_mut().enumerate() {
+            for k in 0..POINT {
+                *target -= normal.coupling[pair.start + k * n + r] * inverse[(k, coordinate)];
+            }
+        }
+    }
+    column
+}

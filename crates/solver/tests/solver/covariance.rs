@@ -1,0 +1,127 @@
+//! Covariances against a dense inverse, and against those of Ceres.
+
+use lsfb_solver::{BlockId, Error, Kernel, SolveConfig, covariance, dense_jacobian, solve};
+use nalgebra::DMatrix;
+
+use crate::bal::{BalProblem, ladybug, parse};
+use crate::threads::scattered;
+
+/// Holds the gauge by the first camera's pose and one component of the second one.
+fn hold_gauge(bal: &mut BalProblem, component: usize) {
+    let (first, second) = (bal.cameras[0], bal.cameras[1]);
+    bal.problem
+        .set_constant_components(first, &[0, 1, 2, 3, 4, 5])
+        .expect("a camera has a pose");
+    bal.problem
+        .set_constant_components(second, &[component])
+        .expect("a camera has a translation");
+}
+
+#[test]
+fn covariances_are_blocks_of_the_dense_inverse() {
+    let mut bal = scattered(4, 40);
+    hold_gauge(&mut bal, 3);
+    solve(&mut bal.problem, &SolveConfig::default()).expect("solves");
+    let dense = dense_jacobian(&bal.problem).expect("defined");
+    let normal = dense.matrix.transpose() * &dense.matrix;
+    // Scaled, so that the oracle is as exact as it can be.
+    let scale = normal.diagonal().map(|d| 1.0 / d.sqrt());
+    let scaled = DMatrix::from_fn(scale.len(), scale.len(), |r, c| {
+        normal[(r, c)] * scale[r] * scale[c]
+    });
+    let inverse = scaled.cholesky().expect("determined").inverse();
+    let chosen: Vec<BlockId> = [
+        bal.cameras[2].id(),
+        bal.points[7].id(),
+        bal.cameras[1].id(),
+        bal.points[30].id(),
+    ]
+    .into();
+    let found = covariance(&bal.problem, &chosen).expect("determined");
+    for a in &chosen {
+        for b in &chosen {
+            let block = found.between(*a, *b).expect("was asked for");
+            for (r, row) in dense.columns_of(*a).iter().copied().enumerate() {
+                for (c, column) in dense.columns_of(*b).iter().copied().enumerate() {
+                    let expected = match (row, column) {
+                        (Some(r), Some(c)) => inverse[(r, c)] * scale[r] * scale[c],
+                        _ => 0.0,
+                    };
+                    let deviation = |row: Option<usize>| {
+                        row.map_or(1.0, |r| (inverse[(r, r)] * scale[r] * scale[r]).sqrt())
+                    };
+                    let error = (block[(r, c)] - expected).abs();
+                    assert!(
+                        error <= 1e-8 * deviation(row) * deviation(column),
+                        "{a:?} {b:?} ({r}, {c}): {} instead of {expected}",
+                        block[(r, c)]
+                    );
+                }
+            }
+        }
+    }
+    assert!(found.between(bal.cameras[0].id(), chosen[0]).is_none());
+}
+
+/// What `benches/solver/ceres_bal FILE sparse analytic covariance` prints: translation, focal length, k1, k2 of camera 5
+/// (upper triangle by rows) and point 100, none of which depends on how rotations are parametrized.
+const CERES: &str = include_str!("ceres_covariance.txt");
+
+#[test]
+fn covariances_are_those_of_ceres() {
+    let Some(mut bal) = ladybug("covariances_are_those_of_ceres") else {
+        return;
+    };
+    // Translation along z, as the Ceres peer does.
+    hold_gauge(&mut bal, 5);
+    let config = SolveConfig {
+        cost_tolerance: 1e-14,
+        max_iterations: 200,
+        ..SolveConfig::default()
+    };
+    solve(&mut bal.problem, &config).expect("solves");
+    let (camera, point) = (bal.cameras[5].id(), bal.points[100].id());
+    let found = covariance(&bal.problem, &[camera, point]).expect("determined");
+    let expected: Vec<f64> = CERES
+        .split_whitespace()
+        .map(|word| word.parse().expect("a number"))
+        .collect();
+    let of_camera = found.between(camera, camera).expect("was asked for");
+    let of_camera = of_camera.view((3, 3), (6, 6)).into_owned();
+    let of_point = found.between(point, point).expect("was asked for");
+    for (of, block) in [(&expected[..36], of_camera), (&expected[36..], of_point)] {
+        for r in 0..block.nrows() {
+            for c in 0..block.ncols() {
+                let theirs = of[r * block.ncols() + c];
+                let deviations = (block[(r, r)] * block[(c, c)]).sqrt();
+                assert!(
+                    (block[(r, c)] - theirs).abs() < 1e-4 * deviations,
+                    "({r}, {c}): {} instead of {theirs}",
+                    block[(r, c)]
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn free_gauge_has_no_covariance_and_the_error_says_which_parameter() {
+    let bal = scattered(4, 40);
+    let error = covariance(&bal.problem, &[bal.points[0].id()]).expect_err("gauge is free");
+    assert!(
+        matches!(error, Error::Undetermined { parameters: 7, .. }),
+        "{error}"
+    );
+    assert!(error.to_string().contains("camera "), "{error}");
+
+    let mut bal = parse(
+        "1 1 1  0 0 -300.0 120.0  0.1 -0.2 0.3  0.5 -0.4 -5.0  500.0 -0.1 0.02  1.0 2.0 -3.0",
+        Kernel::Squared,
+    );
+    bal.problem.set_constant(bal.cameras[0]);
+    let error = covariance(&bal.problem, &[bal.cameras[0].id()]).expect_err("constant");
+    assert!(matches!(error, Error::NoCovariance { .. }), "{error}");
+    // A point seen once has no depth.
+    let error = covariance(&bal.problem, &[bal.points[0].id()]).expect_err("no depth");
+    assert!(matches!(error, Error::Undetermined { .. }), "{error}");
+}

@@ -1,0 +1,119 @@
+//! Growing problems against cold solves of the same.
+
+#[path = "../../examples/solve/walk.rs"]
+mod walk;
+
+use crate::pose_graph::g2o;
+use crate::stereo_odometry::stereo;
+use lsfb_geometry::{Se3, Vector2, Vector6};
+use lsfb_solver::{
+    Diagnosis, Incremental, IncrementalConfig, Kernel, PosePrior, Problem, SolveConfig,
+    VectorPrior, solve,
+};
+use walk::{Added, Target, Walk};
+
+fn cold(walk: &Walk, added: &Added, keyframes: usize) -> f64 {
+    let mut problem = Problem::new();
+    let mut again = Added::default();
+    for _ in 0..keyframes {
+        again
+            .add(walk, &mut Target::Whole(&mut problem), Some(added))
+            .expect("blocks fit");
+    }
+    let config = SolveConfig {
+        cost_tolerance: 1e-13,
+        max_iterations: 200,
+        diagnosis: Diagnosis::Off,
+        ..SolveConfig::default()
+    };
+    solve(&mut problem, &config).expect("solves").final_cost
+}
+
+#[test]
+fn the_cost_of_a_growing_walk_is_that_of_a_cold_solve() {
+    let walk = Walk::new(80, 40, 3);
+    let mut growing =
+        Incremental::new(Problem::new(), IncrementalConfig::default()).expect("starts");
+    let mut added = Added::default();
+    let mut few_columns = 0;
+    for k in 0..walk.keyframes.len() {
+        added
+            .add(&walk, &mut Target::Growing(&mut growing), None)
+            .expect("blocks fit");
+        let report = growing.update().expect("updates");
+        assert!(report.converged, "keyframe {k}: {report:?}");
+        few_columns += usize::from(report.factored_columns < 20 * report.rounds);
+        // Every keyframe at first, and about the loop; some of those between.
+        if !(10..=74).contains(&k) || k % 10 == 0 {
+            let expected = cold(&walk, &added, k + 1);
+            // One keyframe alone fits all that it saw: there the cost is zero.
+            let apart = (growing.cost() - expected).abs();
+            let allowed = 1e-6 * expected + 1e-9;
+            assert!(
+                apart < allowed,
+                "keyframe {k}: {apart:.1e} {expected} {report:?}"
+            );
+        }
+    }
+    assert!(few_columns > 60, "{few_columns}");
+    let end = added.poses[79];
+    let error = walk.truth[79].inverse() * growing.value(end);
+    assert!(error.translation.norm() < 0.1, "{error:?}");
+}
+
+#[test]
+fn what_is_removed_leaves_no_trace() {
+    let walk = Walk::new(30, 40, 4);
+    let mut growing =
+        Incremental::new(Problem::new(), IncrementalConfig::default()).expect("starts");
+    let mut added = Added::default();
+    for _ in 0..30 {
+        added
+            .add(&walk, &mut Target::Growing(&mut growing), None)
+            .expect("blocks fit");
+        growing.update().expect("updates");
+    }
+    // A wrong point and a wrong pull on a pose come and go.
+    let cost = growing.cost();
+    let pose = added.poses[12];
+    let shift = Se3::exp(&Vector6::new(0.0, 0.0, 0.0, 0.2, 0.1, 0.0));
+    let wrong = PosePrior::isotropic(growing.value(pose) * shift, 0.01, 0.01);
+    let pull = growing
+        .add_residual(wrong, &[pose.id()], Kernel::Squared)
+        .expect("blocks fit");
+    growing.update().expect("updates");
+    assert!(growing.cost() > 1.1 * cost);
+    growing.remove_residual(pull);
+    growing.update().expect("updates");
+    let apart = growing.cost() / cost - 1.0;
+    assert!(apart.abs() < 1e-6, "{apart:.1e}");
+
+    // The last keyframe goes: what stays is the walk without it.
+    let last = added.poses.pop().expect("thirty keyframes");
+    growing.remove_block(last);
+    growing.update().expect("updates");
+    let expected = cold(&walk, &added, 29);
+    // Points that only the last keyframe saw cost nothing.
+    let apart = growing.cost() / expected - 1.0;
+    assert!(apart.abs() < 1e-6, "{apart:.1e}");
+}
+
+#[test]
+fn held_blocks_are_points_of_the_map() {
+    let mut growing =
+        Incremental::new(Problem::new(), IncrementalConfig::default()).expect("starts");
+    let block = growing.add_block(Vector2::new(5.0, 5.0));
+    let prior = VectorPrior::new(Vector2::new(1.0, 2.0), Vector2::repeat(1.0));
+    growing
+        .add_residual(prior, &[block.id()], Kernel::Squared)
+        .expect("blocks fit");
+    growing.set_constant(block);
+    growing.update().expect("updates");
+    assert_eq!(growing.value(block), Vector2::new(5.0, 5.0));
+    growing.set_free(block);
+    let report = growing.update().expect("updates");
+    assert!(report.converged);
+    assert!((growing.value(block) - Vector2::new(1.0, 2.0)).norm() < 1e-6);
+    let problem = growing.into_problem();
+    assert!((problem.value(block) - Vector2::new(1.0, 2.0)).norm() < 1e-6);
+}
