@@ -9,6 +9,7 @@ const HEIGHT: f64 = 220.0;
 const LEFT: f64 = 70.0;
 const BOTTOM: f64 = 34.0;
 const TOP: f64 = 10.0;
+const RIGHT: f64 = 26.0;
 
 /// The whole page.
 pub fn html(recording: &str, report: &ClockReport) -> String {
@@ -100,14 +101,14 @@ fn plot(out: &mut String, class: &str, points: &[[f64; 2]], steps: &[f64]) {
         points.first().map_or(0.0, |p| p[0]),
         points.last().map_or(1.0, |p| p[0]).max(1e-3),
     );
-    let x = |secs: f64| LEFT + (secs - start) / (end - start).max(1e-9) * (WIDTH - LEFT - 10.0);
+    let x = |secs: f64| LEFT + (secs - start) / (end - start).max(1e-9) * (WIDTH - LEFT - RIGHT);
     let y = |value: f64| TOP + (high - value) / (high - low) * (HEIGHT - TOP - BOTTOM);
     let _ = write!(out, "<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\">");
     for tick in ticks(low, high) {
         let _ = write!(
             out,
             "<line class=\"grid\" x1=\"{LEFT}\" x2=\"{}\" y1=\"{1:.1}\" y2=\"{1:.1}\"/><text x=\"{2}\" y=\"{3:.1}\" text-anchor=\"end\">{4}</text>",
-            WIDTH - 10.0,
+            WIDTH - RIGHT,
             y(tick),
             LEFT - 8.0,
             y(tick) + 4.0,
