@@ -49,6 +49,9 @@ pub struct LidarClock {
     locked: Option<Timestamp>,
     /// Position packets said that the sensor runs free.
     free: bool,
+    /// The pulse is gone since the last locked position packet.
+    holdover: bool,
+    lock_losses: u64,
     unwrap: Unwrap,
     one_way: OneWayClock,
 }
@@ -57,11 +60,31 @@ impl LidarClock {
     /// Takes a position packet.
     pub fn fix(&mut self, fix: &PositionFix) {
         match (fix.pps_locked, fix.sentence, self.locked) {
-            (true, Some(sentence), _) => self.locked = Some(nearest_hour(fix.toh_ns, sentence)),
+            (true, Some(sentence), _) => self.lock(nearest_hour(fix.toh_ns, sentence)),
             // Still locked, but this sentence did not come through: go on from the last one.
-            (true, None, Some(last)) => self.locked = Some(nearest_hour(fix.toh_ns, last)),
+            (true, None, Some(last)) => self.lock(nearest_hour(fix.toh_ns, last)),
+            // The second that was locked goes on by the sensor's own quartz.
+            (false, _, Some(_)) => {
+                self.lock_losses += u64::from(!self.holdover);
+                self.holdover = true;
+            }
             _ => self.free = true,
         }
+    }
+
+    fn lock(&mut self, time: Timestamp) {
+        self.locked = Some(time);
+        self.holdover = false;
+    }
+
+    /// When the sensor was last known to follow the pulse, where it does so no more.
+    pub fn holdover_since(&self) -> Option<Timestamp> {
+        self.locked.filter(|_| self.holdover)
+    }
+
+    /// How often the pulse was lost.
+    pub fn lock_losses(&self) -> u64 {
+        self.lock_losses
     }
 
     /// Whether it is known how to read the counter: locked, or known to run free.
@@ -116,14 +139,15 @@ impl Unwrap {
             self.last = Some(value);
             return value;
         };
-        let step = (value - last).rem_euclid(period);
+        let step = value.saturating_sub(last).rem_euclid(period.max(1));
         let step = if step > period / 2 {
             step - period
         } else {
             step
         };
-        self.last = Some(last + step);
-        last + step
+        let continued = last.saturating_add(step);
+        self.last = Some(continued);
+        continued
     }
 }
 
@@ -171,6 +195,29 @@ mod tests {
             clock.time(600_000, Timestamp::from_nanos(9)),
             hour.plus_nanos(600_000)
         );
+    }
+
+    #[test]
+    fn a_pulse_that_is_lost_is_told_and_the_second_goes_on() {
+        let sentence = Timestamp::from_nanos(1_772_359_200_000_000_000);
+        let mut clock = LidarClock::default();
+        let fix = |toh_ns, pps_locked| PositionFix {
+            toh_ns,
+            pps_locked,
+            sentence: Some(sentence),
+        };
+        clock.fix(&fix(1_000, true));
+        assert_eq!((clock.holdover_since(), clock.lock_losses()), (None, 0));
+        clock.fix(&fix(2_000, false));
+        clock.fix(&fix(3_000, false));
+        assert_eq!(
+            (clock.holdover_since(), clock.lock_losses()),
+            (Some(sentence.plus_nanos(1_000)), 1)
+        );
+        let time = clock.time(5_000, Timestamp::from_nanos(7));
+        assert_eq!(time, sentence.plus_nanos(5_000));
+        clock.fix(&fix(6_000, true));
+        assert_eq!((clock.holdover_since(), clock.lock_losses()), (None, 1));
     }
 
     #[test]

@@ -318,6 +318,10 @@ fn judge_clock(model: &ClockModel, config: &DoctorConfig) -> (Verdict, String) {
         return (Verdict::Pass, "names the second itself".to_owned());
     }
     let sigma_us = model.sigma_ns / 1e3;
+    if model.kind == "holdover" {
+        let found = format!("lost its pulse and ran on its own quartz: within {sigma_us:.0} µs");
+        return (Verdict::Warn, found);
+    }
     let found = format!(
         "fitted to arrival: σ {sigma_us:.1} µs, skew {:.2} ± {:.2} ppm, {} epochs",
         model.skew * 1e6,

@@ -165,13 +165,16 @@ impl LidarStream {
         let time = self
             .clock
             .time(scan.device_ticks.cast_signed(), scan.arrival);
-        let reading = match self.clock.estimate() {
-            Some(estimate) => Some(Reading::Fitted(estimate)),
-            None if self.clock.is_locked() => Some(Reading::Locked {
-                device_ns: scan.device_ticks.cast_signed(),
+        let device_ns = scan.device_ticks.cast_signed();
+        let reading = match (self.clock.estimate(), self.clock.holdover_since()) {
+            (Some(estimate), _) => Some(Reading::Fitted(estimate)),
+            (None, Some(since)) => Some(Reading::Holdover {
+                device_ns,
                 time,
+                since,
             }),
-            None => None,
+            (None, None) if self.clock.is_locked() => Some(Reading::Locked { device_ns, time }),
+            (None, None) => None,
         };
         if let Some(reading) = reading
             && self.model.is_due(scan.arrival)
@@ -208,6 +211,7 @@ impl LidarStream {
                 counters.late,
                 "packets came after a later one and are left out of the scans",
             ),
+            (self.clock.lock_losses(), "times the PPS lock was lost"),
             (counters.clock_jumps, "jumps of the sensor's clock"),
             (counters.mode_changes, "changes of model or return mode"),
             (counters.overlong, "scans without a full turn of the rotor"),

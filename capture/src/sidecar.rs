@@ -10,11 +10,13 @@ use lsfb_drivers::phone::{
     Delivery, Receipt, SidecarCounters, SidecarEvent, SidecarMessage, SidecarServer,
 };
 use lsfb_geometry::Rig;
+use lsfb_recording::DEVICE_TIME;
+use lsfb_recording::message::{self, TimeReference};
 use lsfb_types::Timestamp;
 
 use crate::clock::OneWayClock;
 use crate::health::{Ending, Meter, StreamReport};
-use crate::recorder::{Entry, Inlet, WriterGone};
+use crate::recorder::{Entry, Inlet, OwnMessage, WriterGone};
 use crate::session::Control;
 
 /// The only encoding a recording holds.
@@ -101,6 +103,28 @@ pub(crate) fn record(
     recording.report
 }
 
+impl Channel {
+    /// The app's own stamp, beside the one made of it: none is overwritten.
+    fn device_time(
+        &self,
+        time: Timestamp,
+        arrival: Timestamp,
+        device_time_ns: i64,
+    ) -> Option<Entry> {
+        let reference = TimeReference {
+            device_ticks: u64::try_from(device_time_ns).ok()?,
+            source: self.advertised.clock_id.clone(),
+        };
+        Some(Entry::Own(OwnMessage {
+            topic: format!("{}{DEVICE_TIME}", self.advertised.topic),
+            schema: message::TIME_REFERENCE,
+            time,
+            arrival,
+            bytes: message::encode_time_reference(time, &self.advertised.clock_id, &reference)?,
+        }))
+    }
+}
+
 /// Where a message comes from, and what is owed for it.
 struct Origin {
     connection: u64,
@@ -175,7 +199,11 @@ impl Sidecars {
                     Timestamp::from_nanos(device_time_ns)
                 } else {
                     channel.clock.push(device_time_ns, arrival);
-                    channel.clock.time(device_time_ns)
+                    let time = channel.clock.time(device_time_ns);
+                    if let Some(entry) = channel.device_time(time, arrival, device_time_ns) {
+                        inlet.put(entry, &mut self.report)?;
+                    }
+                    time
                 };
                 self.report.decoded += 1;
                 let entry = Entry::Cdr {

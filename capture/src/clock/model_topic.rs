@@ -10,7 +10,11 @@ use crate::recorder::{Entry, OwnMessage};
 
 /// Kind of a model whose device names the second itself.
 pub(crate) const LOCKED: &str = "locked";
+/// Kind of a model whose device named the second until its pulse was lost.
+pub(crate) const HOLDOVER: &str = "holdover";
 const FITTED: &str = "fitted";
+/// What a quartz may have run away since.
+const HOLDOVER_SKEW: f64 = 20e-6;
 /// Spacing of the models.
 const PERIOD_NS: i64 = 1_000_000_000;
 /// A device that names the second does so to the microsecond.
@@ -21,6 +25,12 @@ const LOCKED_SIGMA_NS: f64 = 1_000.0;
 pub(crate) enum Reading {
     /// The device itself says what time it is.
     Locked { device_ns: i64, time: Timestamp },
+    /// It did until `since`, and its quartz goes on.
+    Holdover {
+        device_ns: i64,
+        time: Timestamp,
+        since: Timestamp,
+    },
     /// Its counter is fitted to arrival.
     Fitted(ClockEstimate),
 }
@@ -30,6 +40,9 @@ impl Reading {
     pub(crate) fn sync_state(&self) -> SyncState {
         match self {
             Self::Locked { .. } => SyncState::Locked,
+            Self::Holdover { time, since, .. } => SyncState::Holdover {
+                secs: time.secs_since(*since),
+            },
             Self::Fitted(estimate) => SyncState::Fitted {
                 sigma_us: estimate.sigma_ns / 1e3,
                 skew_ppm: estimate.skew * 1e6,
@@ -80,6 +93,19 @@ impl ModelTopic {
                 reference_device_ns: *device_ns,
                 reference_time_ns: time.nanos(),
                 sigma_ns: LOCKED_SIGMA_NS,
+                ..self.blank()
+            },
+            Reading::Holdover {
+                device_ns,
+                time,
+                since,
+            } => ClockModel {
+                kind: HOLDOVER.to_owned(),
+                epoch: 1,
+                reference_device_ns: *device_ns,
+                reference_time_ns: time.nanos(),
+                sigma_ns: LOCKED_SIGMA_NS + HOLDOVER_SKEW * (*time - *since).max(0) as f64,
+                sigma_skew: HOLDOVER_SKEW,
                 ..self.blank()
             },
             Reading::Fitted(estimate) => ClockModel {

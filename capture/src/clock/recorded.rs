@@ -4,11 +4,11 @@
 use lsfb_drivers::imu::model::SAMPLE_TIME_FINE_NS;
 use lsfb_drivers::velodyne::wire::DataPacket;
 use lsfb_recording::message::{self, ClockModel};
-use lsfb_recording::{CLOCK_MODELS, Recording};
+use lsfb_recording::{CLOCK_MODELS, DEVICE_TIME, Recording};
 use lsfb_types::{Progress, ProgressFn, Timestamp};
 use serde::{Deserialize, Serialize};
 
-use super::model_topic::LOCKED;
+use super::model_topic::{HOLDOVER, LOCKED};
 use super::{ClockEstimate, OneWayClock, StampPair, Unwrap, fit_pairs};
 use crate::Error;
 
@@ -123,7 +123,7 @@ pub fn estimate_clocks(
             continue;
         }
         let name = source.name();
-        let locked = model.is_some_and(|model| model.kind == LOCKED);
+        let locked = model.is_some_and(|model| [LOCKED, HOLDOVER].contains(&&*model.kind));
         clocks.push(estimate(&name, locked, &triples, start, config));
     }
     Ok(ClockReport { devices: clocks })
@@ -151,6 +151,7 @@ enum Source {
     Lidar,
     Camera(String),
     Imu(String),
+    Sidecar(String),
 }
 
 fn devices(recording: &Recording) -> Vec<Source> {
@@ -159,7 +160,9 @@ fn devices(recording: &Recording) -> Vec<Source> {
         match topic.topic.as_str() {
             "/lidar/packets" => found.push(Source::Lidar),
             name => {
-                if let Some(camera) = name.strip_suffix("/frame_meta") {
+                if name.ends_with(DEVICE_TIME) {
+                    found.push(Source::Sidecar(name.to_owned()));
+                } else if let Some(camera) = name.strip_suffix("/frame_meta") {
                     found.push(Source::Camera(format!("{camera}/image")));
                 } else if let Some(imu) = name.strip_suffix("/time_ref").filter(|n| *n != "/lidar")
                 {
@@ -180,6 +183,10 @@ impl Source {
                 .trim_end_matches("/image")
                 .to_owned(),
             Self::Imu(topic) => topic.trim_start_matches('/').to_owned(),
+            Self::Sidecar(topic) => topic
+                .trim_start_matches('/')
+                .trim_end_matches(DEVICE_TIME)
+                .to_owned(),
         }
     }
 
@@ -231,22 +238,36 @@ impl Source {
                     Ok(0) | Err(_) => i64::MAX,
                     Ok(period) => period,
                 };
-                let mut unwrap = Unwrap::default();
-                for found in recording.messages(&format!("{imu}/time_ref"))?.flatten() {
-                    let Ok(reference) = message::decode_time_reference(&found.bytes) else {
-                        continue;
-                    };
-                    let ticks = unwrap.unwrap(reference.device_ticks.cast_signed(), period);
-                    triples.push(Triple {
-                        device_ns: ticks.saturating_mul(tick_ns),
-                        arrival: found.arrival,
-                        recorded: found.time,
-                    });
-                }
+                let topic = format!("{imu}/time_ref");
+                triples = references(recording, &topic, tick_ns, period)?;
             }
+            Self::Sidecar(topic) => triples = references(recording, topic, 1, i64::MAX)?,
         }
         Ok(triples)
     }
+}
+
+/// Counters that travel as time references.
+fn references(
+    recording: &Recording,
+    topic: &str,
+    tick_ns: i64,
+    period: i64,
+) -> Result<Vec<Triple>, Error> {
+    let mut unwrap = Unwrap::default();
+    let mut triples = Vec::new();
+    for found in recording.messages(topic)?.flatten() {
+        let Ok(reference) = message::decode_time_reference(&found.bytes) else {
+            continue;
+        };
+        let ticks = unwrap.unwrap(reference.device_ticks.cast_signed(), period);
+        triples.push(Triple {
+            device_ns: ticks.saturating_mul(tick_ns),
+            arrival: found.arrival,
+            recorded: found.time,
+        });
+    }
+    Ok(triples)
 }
 
 fn estimate(

@@ -190,6 +190,12 @@ impl State {
                 format!("{percent:.0} % of the image is white: lower the exposure"),
             );
         }
+        if let SyncState::Holdover { secs } = self.sync {
+            return (
+                Level::Warn,
+                format!("without pulse for {secs:.0} s: check the PPS and NMEA cable"),
+            );
+        }
         if let SyncState::Fitted { sigma_us, .. } = self.sync
             && sigma_us > SIGMA_US
         {

@@ -183,6 +183,7 @@ impl Monitor {
             let (state, sigma_us) = match device.sync {
                 SyncState::Unknown => ("unknown", None),
                 SyncState::Locked => ("locked", Some(0.0)),
+                SyncState::Holdover { .. } => ("holdover", None),
                 SyncState::Fitted { sigma_us, .. } => ("fitted", Some(sigma_us)),
             };
             let values = [

@@ -32,6 +32,11 @@ pub enum SyncState {
     Unknown,
     /// The device names the second itself: PPS and NMEA, UTC, external time.
     Locked,
+    /// It did until it lost its pulse; its own quartz goes on.
+    Holdover {
+        /// Since when, seconds.
+        secs: f64,
+    },
     /// Its counter is fitted to arrival.
     Fitted {
         /// Standard deviation of the fitted time, microseconds; the constant part of the transport delay is not in it.

@@ -48,7 +48,7 @@ pub use layout::{Channel, Compression, Durability, Existing, Summary, TopicSumma
 pub use provenance::{Provenance, sha256_of};
 pub use reader::{ArrivalRange, CameraImage, CdrMessage, RecordedPacket, Recording};
 pub use recover::{Recovered, recover};
-pub use topic::{CAMERA_GROUPS, CLOCK_MODELS, HEALTH, LIDAR_POSITION, REMARKS};
+pub use topic::{CAMERA_GROUPS, CLOCK_MODELS, DEVICE_TIME, HEALTH, LIDAR_POSITION, REMARKS};
 pub use tum::{read_tum, write_tum};
 pub use verify::TopicArrivals;
 pub use writer::Writer;

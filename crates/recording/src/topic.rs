@@ -26,6 +26,8 @@ pub const REMARKS: &str = "/operator/remarks";
 pub const HEALTH: &str = "/health/";
 /// Which images of each trigger there are.
 pub const CAMERA_GROUPS: &str = "/sync/groups";
+/// Behind the topic of a sidecar whose clock is not UTC: its own stamp of each message, nanoseconds.
+pub const DEVICE_TIME: &str = "/device_time";
 /// How each device's clock is read: one topic per device behind this.
 pub const CLOCK_MODELS: &str = "/sync/clock/";
 
