@@ -218,6 +218,14 @@ impl Inlet {
         }
     }
 
+    /// For what may be missing rather than make anybody wait.
+    pub(crate) fn impatient(self) -> Self {
+        Self {
+            overflow: Overflow::Drop,
+            ..self
+        }
+    }
+
     /// Lets a live view look at what passes.
     pub(crate) fn tapped(self, tap: Option<Spout>) -> Self {
         Self { tap, ..self }

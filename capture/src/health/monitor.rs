@@ -55,7 +55,7 @@ impl Monitor {
             last: None,
             meters,
             shared: recorder.shared(),
-            inlet: recorder.inlet(),
+            inlet: recorder.inlet().impatient(),
             feed,
             folders: [folder]
                 .into_iter()
@@ -235,7 +235,7 @@ impl Monitor {
             arrival: time,
             bytes: message::encode_health_value(time, device, &value),
         };
-        // A full queue is counted with the devices; a writer that has gone reports itself.
+        // A full queue has its own quantity; a writer that has gone reports itself.
         let _ = self.inlet.put(Entry::Own(message), &mut self.own);
     }
 }
