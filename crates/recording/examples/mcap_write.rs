@@ -187,16 +187,9 @@ fn median(mut runs: Vec<Took>) -> Took {
     runs[runs.len() / 2]
 }
 
-/// User and system time of this process.
+/// Time on the processor of this program's only thread.
 fn cpu_secs() -> f64 {
-    let stat = std::fs::read_to_string("/proc/self/stat").unwrap();
-    let fields: Vec<&str> = stat
-        .rsplit(')')
-        .next()
-        .unwrap()
-        .split_whitespace()
-        .collect();
-    let ticks = |n: usize| fields[n].parse::<f64>().unwrap();
-    // Ticks of 10 ms.
-    (ticks(11) + ticks(12)) / 100.0
+    let times = std::fs::read_to_string("/proc/self/schedstat").unwrap();
+    let nanos: f64 = times.split_whitespace().next().unwrap().parse().unwrap();
+    nanos / 1e9
 }
