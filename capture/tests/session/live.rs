@@ -64,9 +64,12 @@ fn health_is_told_and_recorded_and_the_units_own_imu_too() {
     let late = &told[told.len() - 2];
     let names: Vec<&str> = late.devices.iter().map(|d| d.name.as_str()).collect();
     assert_eq!(names, ["lidar", "cam0+cam1", "imu0"]);
-    for device in &late.devices {
-        assert!(device.connected && device.rate_hz > 1.0, "{device:?}");
+    for (n, device) in late.devices.iter().enumerate() {
+        assert!(device.connected && device.received > 10, "{device:?}");
         assert_eq!(device.sync, SyncState::Locked, "{device:?}");
+        // A busy machine may make any one half second silent.
+        let rate_hz = told.iter().map(|s| s.devices[n].rate_hz);
+        assert!(rate_hz.fold(0.0, f64::max) > 5.0, "{told:?}");
     }
     assert_eq!(late.devices[1].exposure_ms, Some(5.0));
     assert!(late.storage.free_bytes > 0 && late.storage.part_number == 1);
