@@ -1,8 +1,8 @@
 //! The Velodyne driver against PyPI `velodyne-decoder` 3.1, point by point, on recordings made by others.
 //!
 //! The reference models the optical centre's offset, and so does this test. It turns the rotor at the mean pace of a packet
-//! where we take that of each block: hence the millimetres. At the edges of a field-of-view window it goes on across
-//! the gap.
+//! where we take that of each block; in a packet with the gap of a field-of-view window that pace is wrong, and azimuths are
+//! not compared. Its offset of the HDL-32E is 0.12 mm smaller than ours.
 
 #![allow(
     clippy::unwrap_used,
@@ -19,7 +19,11 @@ use lsfb_drivers::Error;
 use lsfb_drivers::transport::PacketSource;
 use lsfb_drivers::transport::pcap::PcapSource;
 use lsfb_drivers::transport::rosbag2::Rosbag2Source;
-use lsfb_drivers::velodyne::{Decoder, DecoderConfig, OpticalOffset};
+use lsfb_drivers::velodyne::model::{Model, Product};
+use lsfb_drivers::velodyne::wire::{DataPacket, ReturnMode};
+use lsfb_drivers::velodyne::{
+    Decoder, DecoderConfig, ModelChoice, OpticalOffset, PacketLayout, returns,
+};
 use lsfb_types::{LidarPoint, Packet};
 
 fn data(test: &str, relative: &str) -> Option<PathBuf> {
@@ -113,10 +117,31 @@ fn decode(packets: &[Packet]) -> Vec<LidarPoint> {
     points
 }
 
-/// Every point of the reference is one of ours: same ring, same intensity, same height, near in the plane.
-fn assert_same(name: &str, ours: &[LidarPoint], expected: &[Expected], plane_deg: f64) {
+/// How near a point of ours must be.
+#[derive(Clone, Copy)]
+struct Tolerance {
+    height_m: f32,
+    azimuth_deg: f64,
+}
+
+/// Which of the points lie in packets with a gap.
+fn in_gap(packets: &[Packet]) -> Vec<bool> {
+    let mut in_gap = Vec::new();
+    for packet in packets {
+        let packet = DataPacket::new(&packet.bytes).unwrap();
+        let model = Product::from_code(packet.product_code()).model().unwrap();
+        let mode = ReturnMode::from_code(packet.return_mode_code()).unwrap();
+        let layout = PacketLayout::new(&packet, model, mode);
+        let count = returns(&packet, &layout).count();
+        in_gap.extend(vec![layout.gap().is_some(); count]);
+    }
+    in_gap
+}
+
+/// Every point of the reference is one of ours: same ring, same intensity, same height and range, near in azimuth.
+fn assert_same(name: &str, packets: &[Packet], expected: &[Expected], tolerance: Tolerance) {
     const WINDOW: usize = 64;
-    const HEIGHT_M: f32 = 2e-6;
+    let (ours, in_gap) = (decode(packets), in_gap(packets));
     assert_eq!(ours.len(), expected.len(), "{name}");
     let mut used = vec![false; ours.len()];
     let mut worst_deg = 0f64;
@@ -127,16 +152,17 @@ fn assert_same(name: &str, ours: &[LidarPoint], expected: &[Expected], plane_deg
             (off + 180.0).rem_euclid(360.0) - 180.0
         };
         let range = |x: f32, y: f32| x.hypot(y);
-        let is_it = |p: &LidarPoint| {
+        let is_it = |j: usize| {
+            let p = &ours[j];
             let [x, y, z] = p.position_m;
             p.ring == e.ring
                 && p.intensity == e.intensity
-                && (z - e.xyz[2]).abs() <= HEIGHT_M * (1.0 + z.abs())
+                && (z - e.xyz[2]).abs() <= tolerance.height_m * (1.0 + z.abs())
                 && (range(x, y) - range(e.xyz[0], e.xyz[1])).abs() < 1e-4
-                && off_deg(p).abs() <= plane_deg
+                && (in_gap[j] || off_deg(p).abs() <= tolerance.azimuth_deg)
         };
-        let near = i.saturating_sub(WINDOW)..(i + WINDOW).min(ours.len());
-        let found = near.clone().find(|&j| !used[j] && is_it(&ours[j]));
+        let mut near = i.saturating_sub(WINDOW)..(i + WINDOW).min(ours.len());
+        let found = near.find(|&j| !used[j] && is_it(j));
         let found = found.unwrap_or_else(|| {
             panic!(
                 "{name}: point {i}: {:?} ring {} is none of ours",
@@ -144,7 +170,9 @@ fn assert_same(name: &str, ours: &[LidarPoint], expected: &[Expected], plane_deg
             )
         });
         used[found] = true;
-        worst_deg = worst_deg.max(off_deg(&ours[found]).abs());
+        if !in_gap[found] {
+            worst_deg = worst_deg.max(off_deg(&ours[found]).abs());
+        }
     }
     println!(
         "{name}: {} points, azimuth within {worst_deg:.4}°",
@@ -172,7 +200,7 @@ fn bags_decode_to_the_reference() {
     ) else {
         return;
     };
-    for (bag, scans, plane_deg) in [
+    for (bag, scans, azimuth_deg) in [
         (
             "vlp32/1713492677464078412_0.db3",
             &[
@@ -180,7 +208,7 @@ fn bags_decode_to_the_reference() {
                 "vlp32c_msg1_1713492677545368298",
                 "vlp32c_msg2_1713492677630748420",
             ][..],
-            0.15,
+            0.03,
         ),
         (
             "vlp16/1673400471837873222_0.db3",
@@ -188,14 +216,18 @@ fn bags_decode_to_the_reference() {
                 "vlp16dual_msg0_1673400471837873222",
                 "vlp16dual_msg1_1673400471937957440",
             ],
-            0.45,
+            0.03,
         ),
     ] {
         let mut bag = Rosbag2Source::open(&bags.join(bag)).unwrap();
         for name in scans {
             let message = bag.next_scan().unwrap().unwrap();
             let expected = reference(&decodes.join(format!("{name}.npz")));
-            assert_same(name, &decode(&message.packets), &expected, plane_deg);
+            let tolerance = Tolerance {
+                height_m: 2e-6,
+                azimuth_deg,
+            };
+            assert_same(name, &message.packets, &expected, tolerance);
         }
     }
 }
@@ -209,9 +241,9 @@ fn captures_decode_to_the_reference() {
     ) else {
         return;
     };
-    for (name, scans) in [
-        ("sample_velodyne_hdl32", 3),
-        ("sample_velodyne_vlp16_gps", 4),
+    for (name, scans, height_m) in [
+        ("sample_velodyne_hdl32", 3, 1e-4),
+        ("sample_velodyne_vlp16_gps", 4, 2e-6),
     ] {
         let path = captures.join(format!("{name}.pcap"));
         let packets = read(&mut PcapSource::open(&path, &[2368]).unwrap());
@@ -219,15 +251,16 @@ fn captures_decode_to_the_reference() {
         let expected: Vec<Expected> = (0..scans)
             .flat_map(|scan| reference(&decodes.join(format!("{name}_scan{scan}.npz"))))
             .collect();
-        assert_same(name, &decode(&packets), &expected, 0.45);
+        let tolerance = Tolerance {
+            height_m,
+            azimuth_deg: 0.03,
+        };
+        assert_same(name, &packets, &expected, tolerance);
     }
 }
 
 #[test]
 fn the_single_packet_of_an_old_sensor_is_read_where_the_model_is_forced() {
-    use lsfb_drivers::velodyne::ModelChoice;
-    use lsfb_drivers::velodyne::model::Model;
-    use lsfb_drivers::velodyne::wire::ReturnMode;
     let test = "the_single_packet_of_an_old_sensor_is_read_where_the_model_is_forced";
     let Some(path) = data(test, "lidar/gadomski_velodyne/single.pcap") else {
         return;
