@@ -15,14 +15,18 @@ const QUEUE_REMARKS: usize = 64;
 /// Where remarks are put; see [`crate::Session::remarks`].
 #[derive(Clone, Debug)]
 pub struct Remarks {
-    queue: SyncSender<(Timestamp, Remark)>,
+    queue: SyncSender<Said>,
 }
 
 impl Remarks {
-    /// Writes a remark made at `time` into the recording that runs.
-    pub fn put(&self, time: Timestamp, remark: Remark) -> Result<(), Error> {
+    /// Writes a remark into the recording that runs; `time` is on the devices' clock, `arrival` on the host's.
+    pub fn put(&self, time: Timestamp, arrival: Timestamp, remark: Remark) -> Result<(), Error> {
         self.queue
-            .try_send((time, remark))
+            .try_send(Said {
+                time,
+                arrival,
+                remark,
+            })
             .map_err(|e| Error::Remark {
                 reason: match e {
                     TrySendError::Full(_) => "too many at once; try again",
@@ -32,10 +36,18 @@ impl Remarks {
     }
 }
 
+/// A remark, and when it was made.
+#[derive(Debug)]
+struct Said {
+    time: Timestamp,
+    arrival: Timestamp,
+    remark: Remark,
+}
+
 /// The end that the session holds.
 #[derive(Debug)]
 pub(crate) struct RemarkQueue {
-    queue: Receiver<(Timestamp, Remark)>,
+    queue: Receiver<Said>,
     report: StreamReport,
 }
 
@@ -48,14 +60,14 @@ pub(crate) fn remarks() -> (Remarks, RemarkQueue) {
 impl RemarkQueue {
     /// Hands what has come to the writer.
     pub(crate) fn forward(&mut self, inlet: &Inlet) -> Result<(), WriterGone> {
-        while let Ok((time, remark)) = self.queue.try_recv() {
+        while let Ok(said) = self.queue.try_recv() {
             let entry = Entry::Cdr {
                 topic: REMARKS.to_owned(),
                 schema_name: message::REMARK.name.to_owned(),
                 schema_text: message::REMARK.text.to_owned(),
-                time,
-                arrival: time,
-                bytes: message::encode_remark(time, &remark),
+                time: said.time,
+                arrival: said.arrival,
+                bytes: message::encode_remark(said.time, &said.remark),
                 receipt: None,
             };
             // A person's words are worth waiting for.

@@ -453,7 +453,7 @@ fn remarks_go_into_the_recording_that_runs() {
         text: "Tür war offen".to_owned(),
         position_in_world_m: Some([1.0, 2.0, 3.0]),
     };
-    remarks.put(time, made.clone()).unwrap();
+    remarks.put(time, time + 7, made.clone()).unwrap();
     let out = folder.path().join("scan.mcap");
     run(session, &out);
     imu.thread.join().unwrap();
@@ -464,8 +464,8 @@ fn remarks_go_into_the_recording_that_runs() {
         .map(Result::unwrap)
         .collect();
     assert_eq!(found.len(), 1);
-    assert_eq!(found[0].time, time);
+    assert_eq!((found[0].time, found[0].arrival), (time, time + 7));
     assert_eq!(decode_remark(&found[0].bytes), Ok(made.clone()));
-    let late = remarks.put(time, made).unwrap_err().to_string();
+    let late = remarks.put(time, time, made).unwrap_err().to_string();
     assert!(late.contains("has ended"), "{late}");
 }

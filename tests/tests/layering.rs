@@ -23,6 +23,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ),
     ("lsfb-eval", &["types", "geometry", "recording"]),
     ("lsfb-view", &["types", "geometry", "recording"]),
+    ("lsfb-operator", &["types", "geometry", "recording"]),
     ("lsfb-sim", &["types", "geometry", "drivers", "recording"]),
     ("lsfb-fakekernel", &[]),
 ];

@@ -72,6 +72,11 @@ impl Context {
         self.display.show(progress);
     }
 
+    /// What `lsfb scan` shows while it records: a few lines that replace those before.
+    pub fn show_board(&self, lines: &str) {
+        self.display.show_board(lines);
+    }
+
     /// Prints a command's result: `value` as JSON where that was asked for, else `text`.
     pub fn print<T: Serialize>(
         &self,

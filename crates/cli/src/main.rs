@@ -11,6 +11,7 @@
 mod clock_page;
 mod commands;
 mod context;
+mod live;
 mod outcome;
 mod progress;
 mod simulated;

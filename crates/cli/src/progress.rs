@@ -10,6 +10,9 @@ use lsfb_types::Progress;
 /// Seconds between two lines where there is no terminal.
 const LINE_EVERY: Duration = Duration::from_secs(5);
 
+/// The stage of lines that are no progress.
+const BOARD: &str = "board";
+
 /// Shows [`Progress`]; one per command, shared by its stages.
 pub struct Display {
     state: Mutex<State>,
@@ -59,6 +62,35 @@ impl Display {
         }
     }
 
+    /// Shows some lines in place of those shown before; elsewhere than on a terminal, the first of them every few seconds.
+    pub fn show_board(&self, lines: &str) {
+        let Ok(mut state) = self.state.lock() else {
+            return;
+        };
+        if state.stage != BOARD {
+            end(&mut state);
+            state.stage = BOARD;
+            state.started = Instant::now();
+            state.last_line = state.started;
+            if self.terminal {
+                let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
+                bar.set_style(
+                    ProgressStyle::with_template("{msg}")
+                        .unwrap_or_else(|_| ProgressStyle::default_bar()),
+                );
+                state.bar = Some(bar);
+            }
+        }
+        match &state.bar {
+            Some(bar) => bar.set_message(lines.to_owned()),
+            None if state.last_line.elapsed() >= LINE_EVERY => {
+                state.last_line = Instant::now();
+                eprintln!("{}", lines.lines().next().unwrap_or_default());
+            }
+            None => {}
+        }
+    }
+
     /// Ends the current stage's bar; call before printing results.
     pub fn finish(&self) {
         if let Ok(mut state) = self.state.lock() {
@@ -93,6 +125,10 @@ fn end(state: &mut State) {
     }
     if let Some(bar) = state.bar.take() {
         bar.finish_and_clear();
+    }
+    if state.stage == BOARD {
+        state.stage = "";
+        return;
     }
     eprintln!(
         "{:<28} {:6.1} s",

@@ -32,6 +32,7 @@
 //! ```
 
 mod layout;
+mod live;
 mod walk;
 
 use std::path::{Path, PathBuf};
@@ -43,6 +44,8 @@ use re_sdk::{AsComponents, RecordingStream, RecordingStreamBuilder};
 use re_sdk_types::archetypes::{LineStrips3D, Points3D, ViewCoordinates};
 use re_sdk_types::components::{Color, Radius};
 
+pub use live::LiveView;
+
 /// What can go wrong.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -52,6 +55,14 @@ pub enum Error {
     Rerun {
         /// The file being written.
         path: PathBuf,
+        /// Why.
+        message: String,
+    },
+    /// A viewer cannot be told.
+    #[error("{url}: {message}; expected an address like rerun+http://127.0.0.1:9876/proxy")]
+    Viewer {
+        /// Its address.
+        url: String,
         /// Why.
         message: String,
     },

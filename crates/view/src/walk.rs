@@ -216,14 +216,14 @@ fn color_of(intensity: u8) -> Color {
     Color::from_rgb(mix(40.0, 250.0), mix(70.0, 220.0), mix(150.0, 60.0))
 }
 
-fn transform(pose: &Se3) -> Transform3D {
+pub(crate) fn transform(pose: &Se3) -> Transform3D {
     let q = pose.rotation.cast::<f32>();
     let translation: [f32; 3] = pose.translation.cast::<f32>().into();
     let rotation = Quaternion::from_xyzw([q.i, q.j, q.k, q.w]);
     Transform3D::from_translation_rotation(translation, rotation)
 }
 
-fn pinhole(camera: &Camera) -> Pinhole {
+pub(crate) fn pinhole(camera: &Camera) -> Pinhole {
     let focal_px = camera.focal_px().map(|f| f as f32);
     // Rerun's image starts at the corner of the top-left pixel, ours at its centre.
     let principal_px = camera.principal_px().map(|c| c as f32 + 0.5);

@@ -7,6 +7,7 @@
 
 mod inertial;
 mod local_map;
+mod online;
 mod registration;
 mod run;
 
@@ -21,6 +22,7 @@ use serde::{Deserialize, Serialize};
 
 pub use inertial::{GRAVITY_M_S2, InertialFilter, InertialState};
 pub use local_map::{LocalMap, LocalMapConfig, Match, Plane};
+pub use online::OnlineOdometry;
 pub use registration::{PosePrior, Registration, RegistrationConfig, register};
 pub(crate) use run::Damages;
 pub use run::{DeskewedCloud, OdometryReport, OdometryResult, run_odometry};

@@ -1,31 +1,43 @@
 //! `lsfb scan`: devices or capture files → Recording.
 
 use std::fmt::Write as _;
+use std::io::Read as _;
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-use anyhow::bail;
-use lsfb_capture::{CaptureReport, DevicesConfig, RecorderConfig, ReplayConfig, Session, replay};
+use anyhow::{Context as _, bail};
+use lsfb_capture::{CaptureReport, DevicesConfig, RecorderConfig, ReplayConfig, replay};
 use lsfb_drivers::transport::pcap::PcapSource;
 use lsfb_drivers::transport::rosbag2::Rosbag2Source;
 use lsfb_geometry::Rig;
+use lsfb_operator::ScreenConfig;
 use lsfb_recording::Existing;
 
 use crate::context::Context;
+use crate::live::{Live, LiveConfig};
 use crate::outcome::Outcome;
 
 /// Record devices, or the packets of a capture file, into one MCAP.
 ///
 /// Ctrl-C ends the recording and closes the file. Exit code 3: recorded, but something was lost.
 ///
+/// --screen serves a page for the operator's phone or tablet: live map, state of every sensor, disk and battery, start and
+/// stop, notes and control points (which go into the recording). Recordings then begin and end there; each gets a file of
+/// its own (scan.mcap, scan-2.mcap, …), no existing file is overwritten, and Ctrl-C ends the program. The page needs no
+/// internet. By default it can be opened on this machine only; at an address that others can reach (0.0.0.0:8700) it asks
+/// for a PIN, which is printed at the start. It is not encrypted: use it in a network of your own.
+///
 /// Examples:
 ///   lsfb scan --devices devices.toml --out scan.mcap
 ///   lsfb scan --devices devices.toml --out scan.mcap --split-secs 300 --second-disk /media/spare
+///   lsfb scan --devices devices.toml --out scan.mcap --screen 0.0.0.0:8700
+///   lsfb scan --devices devices.toml --out scan.mcap --foxglove --rerun
 ///   lsfb scan --pcap drive.pcap --out drive.mcap
 ///   lsfb scan --db3 rosbag2_0.db3 --out bag.mcap
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// List of devices (TOML); `lsfb sim` writes one for its simulated devices.
+    /// List of devices (TOML); `lsfb sim` and `lsfb mock` write one for theirs.
     #[arg(long, value_name = "FILE", group = "source", required_unless_present_any = ["pcap", "db3"])]
     devices: Option<PathBuf>,
     /// Velodyne packets of a pcap or pcapng capture.
@@ -52,6 +64,22 @@ pub struct Arguments {
     /// Folder on another disk, to go on with when the first is nearly full.
     #[arg(long, value_name = "FOLDER")]
     second_disk: Option<PathBuf>,
+    /// Serve the operator's screen; only this machine can open it unless ADDR says otherwise.
+    #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = "127.0.0.1:8700", conflicts_with_all = ["pcap", "db3"])]
+    screen: Option<SocketAddr>,
+    /// PIN of the screen, at least four characters; a random one where other machines can reach it.
+    #[arg(long, value_name = "PIN", requires = "screen", value_parser = pin)]
+    pin: Option<String>,
+    /// Do not wait for START on the screen: begin the first recording at once.
+    #[arg(long, requires = "screen")]
+    now: bool,
+    /// Send what is recorded to Foxglove, which connects to ADDR.
+    #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = "127.0.0.1:8765", conflicts_with_all = ["pcap", "db3"])]
+    foxglove: Option<SocketAddr>,
+    /// Send what is recorded to the Rerun viewer at URL.
+    #[cfg(feature = "view")]
+    #[arg(long, value_name = "URL", num_args = 0..=1, default_missing_value = "rerun+http://127.0.0.1:9876/proxy", conflicts_with_all = ["pcap", "db3"])]
+    rerun: Option<String>,
 }
 
 impl Arguments {
@@ -72,9 +100,16 @@ impl Arguments {
     }
 }
 
+fn pin(text: &str) -> Result<String, String> {
+    if text.chars().count() >= 4 {
+        Ok(text.to_owned())
+    } else {
+        Err("expected at least four characters".to_owned())
+    }
+}
+
 /// Records, prints the report.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    let show = |p| context.show(p);
     for (path, remedy) in [
         (&arguments.devices, "let `lsfb sim` write an example"),
         (&arguments.pcap, "name a capture file"),
@@ -85,43 +120,134 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             super::expect_file(path, remedy)?;
         }
     }
-    let report = if let Some(devices) = &arguments.devices {
-        let mut config = DevicesConfig::read(devices)?;
-        arguments.apply(&mut config.recorder);
-        let session = Session::open(&config)?;
-        session.run(&arguments.out, context.stop(), &show)?
-    } else {
-        let rig = arguments.rig.as_deref().map(Rig::read).transpose()?;
-        let mut config = ReplayConfig {
-            rig,
-            ..ReplayConfig::default()
-        };
-        arguments.apply(&mut config.recorder);
-        let out: &Path = &arguments.out;
-        match (&arguments.pcap, &arguments.db3) {
-            (Some(pcap), _) => replay(
-                PcapSource::open(pcap, &[2368, 8308])?,
-                &config,
-                out,
-                context.stop(),
-                &show,
-            )?,
-            (_, Some(db3)) => replay(
-                Rosbag2Source::open(db3)?,
-                &config,
-                out,
-                context.stop(),
-                &show,
-            )?,
-            _ => bail!("name a source: --devices, --pcap or --db3"),
+    if let Some(devices) = &arguments.devices {
+        let mut devices = DevicesConfig::read(devices)?;
+        arguments.apply(&mut devices.recorder);
+        let live = Live::start(&arguments.live()?)?;
+        live.say_where(context);
+        if arguments.screen.is_some() {
+            return takes(arguments, &devices, &live, context);
         }
+        let report = live.record(&devices, &arguments.out, context)?;
+        return print(&report, context);
+    }
+    let show = |p| context.show(p);
+    let rig = arguments.rig.as_deref().map(Rig::read).transpose()?;
+    let mut config = ReplayConfig {
+        rig,
+        ..ReplayConfig::default()
     };
-    context.print(&report, || text(&report))?;
-    Ok(if report.lost == 0 {
+    arguments.apply(&mut config.recorder);
+    let out: &Path = &arguments.out;
+    let report = match (&arguments.pcap, &arguments.db3) {
+        (Some(pcap), _) => replay(
+            PcapSource::open(pcap, &[2368, 8308])?,
+            &config,
+            out,
+            context.stop(),
+            &show,
+        )?,
+        (_, Some(db3)) => replay(
+            Rosbag2Source::open(db3)?,
+            &config,
+            out,
+            context.stop(),
+            &show,
+        )?,
+        _ => bail!("name a source: --devices, --pcap or --db3"),
+    };
+    print(&report, context)
+}
+
+impl Arguments {
+    fn live(&self) -> anyhow::Result<LiveConfig> {
+        let screen = match self.screen {
+            Some(address) => Some(ScreenConfig {
+                address,
+                pin: match &self.pin {
+                    None if !address.ip().is_loopback() => Some(random_pin()?),
+                    pin => pin.clone(),
+                },
+            }),
+            None => None,
+        };
+        Ok(LiveConfig {
+            screen,
+            foxglove: self.foxglove,
+            #[cfg(feature = "view")]
+            rerun: self.rerun.clone(),
+        })
+    }
+}
+
+/// Six digits.
+fn random_pin() -> anyhow::Result<String> {
+    let mut bytes = [0; 8];
+    std::fs::File::open("/dev/urandom")
+        .and_then(|mut source| source.read_exact(&mut bytes))
+        .context("no random PIN can be made; choose one with --pin")?;
+    Ok(format!("{:06}", u64::from_le_bytes(bytes) % 1_000_000))
+}
+
+/// One recording after another, as the operator likes.
+fn takes(
+    arguments: &Arguments,
+    devices: &DevicesConfig,
+    live: &Live,
+    context: &Context,
+) -> anyhow::Result<Outcome> {
+    let mut reports: Vec<CaptureReport> = Vec::new();
+    let mut failures = 0;
+    let mut begin = arguments.now;
+    while begin || live.wait_for_start(context) {
+        begin = false;
+        let out = unused(&arguments.out);
+        match live.record(devices, &out, context) {
+            Ok(report) => {
+                context.note(&text(&report));
+                reports.push(report);
+            }
+            // The operator mends it and presses START again.
+            Err(error) => {
+                failures += 1;
+                context.note(&format!("{}: {error:#}", out.display()));
+            }
+        }
+    }
+    context.print(&reports, || match reports.len() {
+        0 => "nothing was recorded".to_owned(),
+        n => format!("{n} recordings"),
+    })?;
+    anyhow::ensure!(
+        failures == 0 || !reports.is_empty(),
+        "no recording could be made; see above"
+    );
+    Ok(outcome(&reports))
+}
+
+/// The name itself where it is free, else with the first free number.
+fn unused(out: &Path) -> PathBuf {
+    let numbered = |n: u32| {
+        let stem = out.file_stem().unwrap_or_default().to_string_lossy();
+        let ending = out.extension().unwrap_or_default().to_string_lossy();
+        out.with_file_name(format!("{stem}-{n}.{ending}"))
+    };
+    let names = std::iter::once(out.to_owned()).chain((2..).map(numbered));
+    let mut free = names.filter(|name| !name.exists());
+    free.next().unwrap_or_else(|| out.to_owned())
+}
+
+fn print(report: &CaptureReport, context: &Context) -> anyhow::Result<Outcome> {
+    context.print(report, || text(report))?;
+    Ok(outcome(std::slice::from_ref(report)))
+}
+
+fn outcome(reports: &[CaptureReport]) -> Outcome {
+    if reports.iter().all(|report| report.lost == 0) {
         Outcome::Done
     } else {
         Outcome::DataLost
-    })
+    }
 }
 
 /// The report for people.

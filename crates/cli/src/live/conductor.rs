@@ -1,0 +1,395 @@
+//! The thread that reads the tap, answers the operator and shows everything.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use lsfb_capture::{CaptureReport, Remarks, Tap, Tapped};
+use lsfb_geometry::{Rig, Vector3};
+use lsfb_operator::{
+    Command, ControlPoint, Level, LiveMap, MapConfig, Phase, Request, ScreenState, Tracking,
+    Viewer, terminal,
+};
+use lsfb_pipeline::odometry::{OdometryStep, StepOutcome};
+use lsfb_recording::message::Remark;
+use lsfb_types::Timestamp;
+
+use super::host::{self, Storage};
+use super::odometry::OdometryThread;
+use super::streams::Streams;
+use super::{Event, Outputs, Take};
+
+/// How long the tap is waited for before the rest is looked at.
+const TAP_WAIT: Duration = Duration::from_millis(20);
+/// Entries of the tap taken at once.
+const TAP_BATCH: usize = 256;
+/// Between two states.
+const STATE_EVERY: Duration = Duration::from_millis(200);
+/// Between two maps.
+const MAP_EVERY: Duration = Duration::from_millis(500);
+/// Between two looks at disk and battery.
+const HOST_EVERY: Duration = Duration::from_secs(1);
+/// Names of remarks in the recording.
+const NOTE: &str = "note";
+const CONTROL_POINT: &str = "control-point";
+
+/// What the conductor holds of the rest.
+pub struct Wires {
+    pub requests: Option<Receiver<Request>>,
+    pub events: Receiver<Event>,
+    pub starts: SyncSender<()>,
+    pub end: Arc<AtomicBool>,
+    pub board: Arc<Mutex<String>>,
+}
+
+/// See the module's page.
+pub struct Conductor {
+    outputs: Outputs,
+    wires: Wires,
+    state: ScreenState,
+    map: LiveMap,
+    running: Option<Running>,
+    shown: Shown,
+}
+
+/// When what was shown last.
+struct Shown {
+    state: Instant,
+    map: Instant,
+    host: Instant,
+}
+
+/// The recording that runs.
+struct Running {
+    tap: Tap,
+    remarks: Remarks,
+    stop: Arc<AtomicBool>,
+    began: Instant,
+    streams: Streams,
+    storage: Storage,
+    odometry: Option<OdometryThread>,
+    /// Synchronized and host time of one sample: how to stamp what people say.
+    clock: Option<(Timestamp, Timestamp)>,
+    cameras_sent: BTreeMap<String, Timestamp>,
+}
+
+impl Conductor {
+    pub fn new(outputs: Outputs, wires: Wires) -> Self {
+        let long_ago = Instant::now();
+        Self {
+            outputs,
+            wires,
+            state: ScreenState {
+                message: "Press START to begin.".to_owned(),
+                message_level: Level::Good,
+                ..ScreenState::default()
+            },
+            map: LiveMap::new(MapConfig::default(), Vec::new()),
+            running: None,
+            shown: Shown {
+                state: long_ago,
+                map: long_ago,
+                host: long_ago,
+            },
+        }
+    }
+
+    /// Works until it is told to end.
+    pub fn run(mut self) {
+        self.look_at_host();
+        while !self.wires.end.load(Ordering::Relaxed) {
+            while let Ok(event) = self.wires.events.try_recv() {
+                match event {
+                    Event::Begin(take) => self.begin(*take),
+                    Event::End(outcome) => self.end(outcome),
+                }
+            }
+            self.answer_requests();
+            self.read_tap();
+            self.read_odometry();
+            self.show();
+        }
+    }
+
+    fn begin(&mut self, take: Take) {
+        self.map
+            .restart(take.rig.as_ref().map_or_else(Vec::new, viewers));
+        let name = take.out.file_name().unwrap_or_default();
+        self.state = ScreenState {
+            phase: Phase::Starting,
+            file: name.to_string_lossy().into_owned(),
+            battery: self.state.battery.take(),
+            ..ScreenState::default()
+        };
+        let odometry = take
+            .rig
+            .as_ref()
+            .filter(|rig| {
+                rig.lidar.is_some() && take.devices.lidar.is_some() && self.outputs.show_map()
+            })
+            .map(OdometryThread::start)
+            .transpose();
+        let odometry = odometry.unwrap_or_else(|error| {
+            self.state.message = format!("no live map: {error:#}");
+            self.state.message_level = Level::Warning;
+            None
+        });
+        if let Some(rig) = &take.rig {
+            self.outputs.send_rig(rig, host_now());
+        }
+        self.running = Some(Running {
+            tap: take.tap,
+            remarks: take.remarks,
+            stop: take.stop,
+            began: Instant::now(),
+            streams: Streams::new(&take.devices),
+            storage: Storage::new(&take.out),
+            odometry,
+            clock: None,
+            cameras_sent: BTreeMap::new(),
+        });
+        self.shown.host = Instant::now() - HOST_EVERY;
+    }
+
+    fn end(&mut self, outcome: Result<Box<CaptureReport>, String>) {
+        self.read_tap();
+        self.read_odometry();
+        let state = &mut self.state;
+        state.phase = Phase::Ready;
+        match outcome {
+            Ok(report) => {
+                if let Some(running) = &mut self.running {
+                    running.streams.end(&report.streams);
+                    state.streams = running.streams.states(Instant::now());
+                }
+                state.lost = report.lost;
+                state.message_level = if report.lost == 0 {
+                    Level::Good
+                } else {
+                    Level::Bad
+                };
+                state.message = format!(
+                    "{} saved: {:.1} MB, {}.",
+                    state.file,
+                    report.bytes as f64 / 1e6,
+                    match report.lost {
+                        0 => "nothing lost".to_owned(),
+                        lost => format!("{lost} LOST"),
+                    }
+                );
+            }
+            Err(problem) => {
+                state.message_level = Level::Bad;
+                state.message = problem;
+            }
+        }
+        self.running = None;
+        self.publish_map();
+    }
+
+    fn answer_requests(&mut self) {
+        let Some(requests) = self.wires.requests.take() else {
+            return;
+        };
+        while let Ok(request) = requests.try_recv() {
+            let outcome = self.obey(&request.command);
+            request.answer(outcome);
+        }
+        self.wires.requests = Some(requests);
+    }
+
+    fn obey(&mut self, command: &Command) -> Result<String, String> {
+        match (command, &self.running) {
+            (Command::Start, None) => {
+                self.state.phase = Phase::Starting;
+                self.state.message = "Opening the devices …".to_owned();
+                self.state.message_level = Level::Good;
+                // One start is enough.
+                let _ = self.wires.starts.try_send(());
+                Ok(String::new())
+            }
+            (Command::Start, Some(_)) => Err("It is recording already.".to_owned()),
+            (_, None) => Err("Nothing is being recorded.".to_owned()),
+            (Command::Stop, Some(running)) => {
+                running.stop.store(true, Ordering::Relaxed);
+                self.state.phase = Phase::Stopping;
+                Ok(String::new())
+            }
+            (Command::Note { text }, Some(running)) => {
+                running.remark(&self.state, NOTE, text)?;
+                self.state.notes += 1;
+                Ok("Note saved.".to_owned())
+            }
+            (Command::ControlPoint { name }, Some(running)) => {
+                running.remark(&self.state, CONTROL_POINT, name)?;
+                let position_m = position(&self.state);
+                self.state.control_points.push(ControlPoint {
+                    name: name.clone(),
+                    position_m,
+                });
+                Ok(match position_m {
+                    Some(_) => format!("Point {name} saved."),
+                    None => format!("Point {name} saved, without its place in the map."),
+                })
+            }
+        }
+    }
+
+    fn read_tap(&mut self) {
+        let Some(running) = &mut self.running else {
+            std::thread::sleep(TAP_WAIT);
+            return;
+        };
+        let mut wait = TAP_WAIT;
+        for _ in 0..TAP_BATCH {
+            let entry = match running.tap.next(wait) {
+                Ok(Some(entry)) => entry,
+                Ok(None) => return,
+                // The recording ends; its report comes as an event.
+                Err(lsfb_capture::TapClosed) => {
+                    std::thread::sleep(wait);
+                    return;
+                }
+            };
+            wait = Duration::ZERO;
+            if self.state.phase == Phase::Starting {
+                self.state.phase = Phase::Recording;
+                running.began = Instant::now();
+            }
+            running.streams.note(&entry, Instant::now());
+            running.clock = match &entry {
+                Tapped::Imu { sample, .. } => Some((sample.time, sample.arrival)),
+                Tapped::Scan(scan) => Some((scan.time, scan.arrival)),
+                Tapped::Image { image, .. } => Some((image.time, image.arrival)),
+                Tapped::Message { .. } | Tapped::Counts(_) => running.clock,
+            };
+            self.outputs.send(&entry, &mut running.cameras_sent);
+            if let Some(odometry) = &running.odometry {
+                match entry {
+                    Tapped::Imu { sample, .. } => odometry.push_imu(&sample),
+                    Tapped::Scan(scan) => odometry.push_scan(scan),
+                    _ => {}
+                }
+            }
+        }
+    }
+
+    fn read_odometry(&mut self) {
+        let Some(odometry) = self.running.as_ref().and_then(|r| r.odometry.as_ref()) else {
+            return;
+        };
+        let mut steps = Vec::new();
+        while let Some(step) = odometry.next_step() {
+            steps.push(step);
+        }
+        for step in steps {
+            self.take_step(&step);
+        }
+    }
+
+    fn take_step(&mut self, step: &OdometryStep) {
+        let lost = step.outcome == StepOutcome::Lost;
+        self.state.tracking = if lost { Tracking::Lost } else { Tracking::Good };
+        let points: &[Vector3<f64>] = if lost { &[] } else { &step.keypoints_in_rig };
+        self.map.push(step.time, &step.world_from_rig, points);
+        self.outputs.send_step(step, host_now());
+    }
+
+    fn show(&mut self) {
+        let now = Instant::now();
+        if now.duration_since(self.shown.host) >= HOST_EVERY {
+            self.look_at_host();
+        }
+        if now.duration_since(self.shown.map) >= MAP_EVERY && self.running.is_some() {
+            self.publish_map();
+        }
+        if now.duration_since(self.shown.state) >= STATE_EVERY {
+            self.shown.state = now;
+            if let Some(running) = &mut self.running {
+                let state = &mut self.state;
+                if state.phase != Phase::Starting {
+                    state.recording_s = now.duration_since(running.began).as_secs_f64();
+                }
+                state.streams = running.streams.states(now);
+                state.sync = running.streams.sync(now);
+                state.lost = running.streams.lost();
+                state.pose = self.map.pose();
+                state.path_m = self.map.path_m();
+            }
+            if let Some(screen) = &self.outputs.screen {
+                screen.publish(&self.state);
+            }
+            let lines = terminal::lines(&self.state);
+            *self
+                .wires
+                .board
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner) = lines;
+        }
+    }
+
+    fn publish_map(&mut self) {
+        self.shown.map = Instant::now();
+        self.state.coverage = self.map.coverage();
+        if let Some(screen) = &self.outputs.screen {
+            screen.publish_map(self.map.snapshot());
+        }
+    }
+
+    fn look_at_host(&mut self) {
+        let now = Instant::now();
+        self.shown.host = now;
+        self.state.battery = host::battery();
+        if let Some(running) = &mut self.running {
+            self.state.storage = running.storage.state(now);
+        }
+    }
+}
+
+impl Running {
+    /// Writes what somebody said into the recording, stamped by the devices' clock.
+    fn remark(&self, state: &ScreenState, kind: &str, text: &str) -> Result<(), String> {
+        let arrival = host_now();
+        let time = match self.clock {
+            Some((time, heard)) => time.plus_nanos(arrival - heard),
+            None => arrival,
+        };
+        let remark = Remark {
+            kind: kind.to_owned(),
+            text: text.to_owned(),
+            position_in_world_m: position(state),
+        };
+        self.remarks
+            .put(time, arrival, remark)
+            .map_err(|error| error.to_string())
+    }
+}
+
+fn position(state: &ScreenState) -> Option<[f64; 3]> {
+    state.pose.map(|pose| [pose.x_m, pose.y_m, pose.z_m])
+}
+
+/// The host's clock, as packets are stamped by.
+fn host_now() -> Timestamp {
+    let since = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .unwrap_or_default();
+    Timestamp::from_nanos(i64::try_from(since.as_nanos()).unwrap_or(i64::MAX))
+}
+
+/// The cameras of a rig, seen from above.
+fn viewers(rig: &Rig) -> Vec<Viewer> {
+    rig.cameras
+        .values()
+        .map(|camera| {
+            let axis = camera.rig_from_camera.rotation * Vector3::z();
+            let [focal_px, _] = camera.camera.focal_px();
+            Viewer {
+                yaw_rad: axis.y.atan2(axis.x),
+                half_fov_rad: (0.5 * f64::from(camera.camera.width) / focal_px).atan(),
+            }
+        })
+        .collect()
+}

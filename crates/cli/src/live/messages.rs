@@ -1,0 +1,139 @@
+//! What passes the tap, for Foxglove and Rerun: the messages that go into the recording.
+
+use std::collections::BTreeMap;
+
+use lsfb_capture::Tapped;
+use lsfb_geometry::{Rig, Se3};
+use lsfb_operator::LiveMessage;
+use lsfb_pipeline::odometry::OdometryStep;
+use lsfb_recording::message::{self, Schema, StaticTransform};
+use lsfb_types::Timestamp;
+
+use super::Outputs;
+
+/// Shortest time between two images of a camera that are shown, nanoseconds: what an eye needs, and a wireless link bears.
+const IMAGE_EVERY_NS: i64 = 190_000_000;
+/// Frame of the live map.
+const WORLD: &str = "world";
+const RIG: &str = "rig";
+
+fn about<'a>(topic: &'a str, schema: &Schema, arrival: Timestamp) -> LiveMessage<'a> {
+    LiveMessage {
+        topic,
+        schema_name: schema.name,
+        schema_text: schema.text,
+        arrival,
+    }
+}
+
+impl Outputs {
+    /// Shows something on its way into the recording. `cameras_sent`: when an image of each camera was shown last.
+    pub fn send(&self, entry: &Tapped, cameras_sent: &mut BTreeMap<String, Timestamp>) {
+        if let Tapped::Image { camera, image } = entry {
+            let last = cameras_sent.get(camera);
+            if last.is_some_and(|last| (image.time - *last).abs() < IMAGE_EVERY_NS) {
+                return;
+            }
+            cameras_sent.insert(camera.clone(), image.time);
+        }
+        #[cfg(feature = "view")]
+        if let Some(rerun) = &self.rerun {
+            match entry {
+                Tapped::Image { camera, image } => rerun.image(camera, image),
+                Tapped::Imu { sample, .. } => rerun.imu(sample),
+                _ => {}
+            }
+        }
+        let Some(foxglove) = &self.foxglove else {
+            return;
+        };
+        match entry {
+            Tapped::Image { camera, image } => {
+                let topic = format!("/{camera}/image");
+                foxglove.publish(&about(&topic, &message::IMAGE, image.arrival), || {
+                    message::encode_image(image.time, camera, &image.sample)
+                });
+            }
+            Tapped::Imu { imu, sample } => {
+                let topic = format!("/{imu}/data_raw");
+                foxglove.publish(&about(&topic, &message::IMU, sample.arrival), || {
+                    message::encode_imu(sample.time, imu, &sample.sample)
+                });
+            }
+            Tapped::Scan(scan) => {
+                let about = about("/lidar/points", &message::POINT_CLOUD, scan.arrival);
+                foxglove.publish(&about, || {
+                    message::encode_points(scan.time, "lidar", &scan.sample)
+                });
+            }
+            Tapped::Message {
+                topic,
+                schema_name,
+                schema_text,
+                arrival,
+                bytes,
+                ..
+            } => {
+                let about = LiveMessage {
+                    topic,
+                    schema_name,
+                    schema_text,
+                    arrival: *arrival,
+                };
+                foxglove.publish(&about, || bytes.clone());
+            }
+            Tapped::Counts(_) => {}
+        }
+    }
+
+    /// Shows where the sensors are and what the cameras' lenses do.
+    pub fn send_rig(&self, rig: &Rig, now: Timestamp) {
+        #[cfg(feature = "view")]
+        if let Some(rerun) = &self.rerun {
+            rerun.rig(rig);
+        }
+        let Some(foxglove) = &self.foxglove else {
+            return;
+        };
+        let edge = |child: &str, rig_from_child: Se3| StaticTransform {
+            parent: RIG.to_owned(),
+            child: child.to_owned(),
+            parent_from_child: rig_from_child,
+        };
+        let cameras = rig.cameras.iter();
+        let mut edges: Vec<_> = cameras
+            .map(|(name, camera)| edge(name, camera.rig_from_camera))
+            .collect();
+        edges.extend(rig.lidar.iter().map(|l| edge("lidar", l.rig_from_lidar)));
+        edges.extend(rig.imu.iter().map(|_| edge("imu0", Se3::identity())));
+        foxglove.publish_latched(
+            &about("/tf_static", &message::TF_MESSAGE, now),
+            message::encode_static_transforms(now, &edges),
+        );
+        for (name, camera) in &rig.cameras {
+            let topic = format!("/{name}/camera_info");
+            foxglove.publish_latched(
+                &about(&topic, &message::CAMERA_INFO, now),
+                message::encode_camera_info(now, name, &camera.camera),
+            );
+        }
+    }
+
+    /// Shows where the rig is, and what the LiDAR saw there.
+    pub fn send_step(&self, step: &OdometryStep, now: Timestamp) {
+        #[cfg(feature = "view")]
+        if let Some(rerun) = &self.rerun {
+            rerun.step(step.time, &step.world_from_rig, &step.keypoints_in_rig);
+        }
+        if let Some(foxglove) = &self.foxglove {
+            foxglove.publish(&about("/tf", &message::TF_MESSAGE, now), || {
+                let edge = StaticTransform {
+                    parent: WORLD.to_owned(),
+                    child: RIG.to_owned(),
+                    parent_from_child: step.world_from_rig,
+                };
+                message::encode_static_transforms(step.time, &[edge])
+            });
+        }
+    }
+}

@@ -1,0 +1,234 @@
+//! What is shown while scanning: the operator's screen, the terminal, Foxglove and Rerun, all fed by the recorder's tap.
+//!
+//! One thread, the conductor, reads the tap and answers the operator; one more runs the online odometry. Neither is waited
+//! for by the recorder: what they are too slow for is recorded without being shown.
+
+mod conductor;
+mod host;
+mod messages;
+mod odometry;
+mod streams;
+
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use anyhow::Context as _;
+use lsfb_capture::{CaptureReport, DevicesConfig, Remarks, Session, Tap};
+use lsfb_geometry::Rig;
+use lsfb_operator::{Foxglove, Request, Screen, ScreenConfig};
+
+use crate::context::Context;
+use conductor::{Conductor, Wires};
+
+/// Who looks.
+#[derive(Clone, Debug, Default)]
+pub struct LiveConfig {
+    /// The page, and its PIN.
+    pub screen: Option<ScreenConfig>,
+    /// Where Foxglove connects.
+    pub foxglove: Option<SocketAddr>,
+    /// URL of a Rerun viewer.
+    #[cfg(feature = "view")]
+    pub rerun: Option<String>,
+}
+
+/// The outputs that are open.
+struct Outputs {
+    screen: Option<Screen>,
+    foxglove: Option<Foxglove>,
+    #[cfg(feature = "view")]
+    rerun: Option<lsfb_view::LiveView>,
+}
+
+impl Outputs {
+    fn open(config: &LiveConfig) -> anyhow::Result<(Self, Option<Receiver<Request>>)> {
+        let (screen, requests) = match &config.screen {
+            Some(config) => {
+                let (screen, requests) = Screen::open(config)?;
+                (Some(screen), Some(requests))
+            }
+            None => (None, None),
+        };
+        let session = format!("lsfb-{}", std::process::id());
+        let foxglove = config
+            .foxglove
+            .map(|address| Foxglove::open(address, &session))
+            .transpose()?;
+        let outputs = Self {
+            screen,
+            foxglove,
+            #[cfg(feature = "view")]
+            rerun: config
+                .rerun
+                .as_deref()
+                .map(lsfb_view::LiveView::connect)
+                .transpose()?,
+        };
+        Ok((outputs, requests))
+    }
+
+    /// Whether anybody wants to see the map.
+    fn show_map(&self) -> bool {
+        #[cfg(feature = "view")]
+        let rerun = self.rerun.is_some();
+        #[cfg(not(feature = "view"))]
+        let rerun = false;
+        self.screen.is_some() || self.foxglove.is_some() || rerun
+    }
+}
+
+/// Tells the conductor what the recorder does.
+enum Event {
+    /// A recording begins.
+    Begin(Box<Take>),
+    /// It has ended, or never began.
+    End(Result<Box<CaptureReport>, String>),
+}
+
+/// One recording.
+struct Take {
+    out: PathBuf,
+    devices: DevicesConfig,
+    rig: Option<Rig>,
+    tap: Tap,
+    remarks: Remarks,
+    stop: Arc<AtomicBool>,
+}
+
+/// Everything live, running.
+pub struct Live {
+    events: SyncSender<Event>,
+    starts: Receiver<()>,
+    end: Arc<AtomicBool>,
+    board: Arc<Mutex<String>>,
+    thread: Option<JoinHandle<()>>,
+    url: Option<String>,
+    pin: Option<String>,
+    foxglove: Option<SocketAddr>,
+}
+
+impl Live {
+    /// Opens the outputs and starts the conductor.
+    pub fn start(config: &LiveConfig) -> anyhow::Result<Self> {
+        let (outputs, requests) = Outputs::open(config)?;
+        let url = outputs.screen.as_ref().map(Screen::url);
+        let foxglove = outputs.foxglove.as_ref().map(Foxglove::address);
+        let (events, happened) = sync_channel(4);
+        let (wanted, starts) = sync_channel(1);
+        let end = Arc::new(AtomicBool::new(false));
+        let board = Arc::new(Mutex::new(String::new()));
+        let conductor = Conductor::new(
+            outputs,
+            Wires {
+                requests,
+                events: happened,
+                starts: wanted,
+                end: Arc::clone(&end),
+                board: Arc::clone(&board),
+            },
+        );
+        let thread = std::thread::Builder::new()
+            .name("live".to_owned())
+            .spawn(move || conductor.run())
+            .context("cannot start the live view's thread")?;
+        Ok(Self {
+            events,
+            starts,
+            end,
+            board,
+            thread: Some(thread),
+            url,
+            pin: config.screen.as_ref().and_then(|s| s.pin.clone()),
+            foxglove,
+        })
+    }
+
+    /// What to open, and where.
+    pub fn say_where(&self, context: &Context) {
+        if let Some(url) = &self.url {
+            match &self.pin {
+                Some(pin) => context.note(&format!("screen: {url}#pin={pin}  (PIN {pin})")),
+                None => context.note(&format!("screen: {url}")),
+            }
+        }
+        if let Some(address) = self.foxglove {
+            context.note(&format!("foxglove: ws://{address}"));
+        }
+    }
+
+    /// Waits until the operator presses start; `false`: Ctrl-C came first.
+    pub fn wait_for_start(&self, context: &Context) -> bool {
+        while context.check_stop().is_ok() {
+            show(&self.board, context);
+            match self.starts.recv_timeout(Duration::from_millis(100)) {
+                Ok(()) => return true,
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return false,
+            }
+        }
+        false
+    }
+
+    /// Records until the devices end, the operator presses stop, or Ctrl-C.
+    pub fn record(
+        &self,
+        devices: &DevicesConfig,
+        out: &Path,
+        context: &Context,
+    ) -> anyhow::Result<CaptureReport> {
+        let outcome = self.record_shown(devices, out, context);
+        let told = match &outcome {
+            Ok(report) => Ok(Box::new(report.clone())),
+            Err(error) => Err(format!("{error:#}")),
+        };
+        // A conductor that died has said so; the recording is made all the same.
+        let _ = self.events.send(Event::End(told));
+        outcome
+    }
+
+    fn record_shown(
+        &self,
+        devices: &DevicesConfig,
+        out: &Path,
+        context: &Context,
+    ) -> anyhow::Result<CaptureReport> {
+        let mut session = Session::open(devices)?;
+        let stop = Arc::new(AtomicBool::new(false));
+        let take = Take {
+            out: out.to_owned(),
+            devices: devices.clone(),
+            rig: devices.rig.as_deref().map(Rig::read).transpose()?,
+            tap: session.tap(),
+            remarks: session.remarks(),
+            stop: Arc::clone(&stop),
+        };
+        let _ = self.events.send(Event::Begin(Box::new(take)));
+        let board = Arc::clone(&self.board);
+        Ok(session.run(out, &stop, &|_| {
+            show(&board, context);
+            if context.check_stop().is_err() {
+                stop.store(true, Ordering::Relaxed);
+            }
+        })?)
+    }
+}
+
+fn show(board: &Mutex<String>, context: &Context) {
+    let lines = board.lock().unwrap_or_else(PoisonError::into_inner).clone();
+    context.show_board(&lines);
+}
+
+impl Drop for Live {
+    fn drop(&mut self) {
+        self.end.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            // A panic there has been reported by the panic hook already.
+            let _ = thread.join();
+        }
+    }
+}

@@ -1,0 +1,44 @@
+//! What the operator sees while scanning: a page for the phone or tablet in hand, a few lines on the terminal, and the
+//! recording's own messages for Foxglove.
+//!
+//! This crate is told everything and asks nothing: whoever records hands a [`ScreenState`] and a [`MapSnapshot`] to the
+//! [`Screen`], and takes [`Request`]s from it. A browser that is slow, or gone, is not waited for.
+//!
+//! - [`Screen`] serves the page and its WebSocket, without any other program or the internet.
+//! - [`LiveMap`] grows from registered scans: a floor plan, how well each place was seen, and where to go back.
+//! - [`terminal`] writes the same state as lines of text.
+//! - [`Foxglove`] offers live messages to the Foxglove app.
+//!
+//! ```no_run
+//! use lsfb_operator::{Screen, ScreenConfig, ScreenState};
+//! let (screen, requests) = Screen::open(&ScreenConfig::default())?;
+//! println!("open {}", screen.url());
+//! screen.publish(&ScreenState::default());
+//! for request in requests {
+//!     request.answer(Err("nothing is connected".to_owned()));
+//! }
+//! # Ok::<(), lsfb_operator::Error>(())
+//! ```
+//!
+//! Plain threads serve the few clients there are; no async runtime is built for them.
+
+mod coverage;
+mod error;
+mod foxglove;
+mod http;
+mod map;
+mod page;
+mod screen;
+mod server;
+mod state;
+pub mod terminal;
+
+pub use coverage::{CoverageConfig, GoBack, Reason, Viewer};
+pub use error::Error;
+pub use foxglove::{Foxglove, LiveMessage};
+pub use map::{LiveMap, MapConfig, MapSnapshot};
+pub use screen::{Command, Request, Screen, ScreenConfig};
+pub use state::{
+    BatteryState, ControlPoint, CoverageState, Level, Phase, PoseState, ScreenState, StorageState,
+    StreamState, SyncState, Tracking,
+};

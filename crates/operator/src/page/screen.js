@@ -1,0 +1,285 @@
+// State in, keys out. The page decides nothing: it shows what the recorder says, and asks it for what is pressed.
+
+import { MapView } from "/map.js";
+
+const HOLD_MS = 900;
+const SILENT_MS = 3000;
+const RETRY_MS = 700;
+const QUICK_NOTES = ["Door moved", "People here", "Glass or mirror", "Repeat this part"];
+const LACKS = { far: "only seen from afar", unfaced: "no camera faced it", "one-sided": "seen from one side" };
+const MARKS = { good: "✓", warning: "!", bad: "✕", unknown: "·" };
+
+const $ = (id) => document.getElementById(id);
+const map = new MapView($("map"));
+let socket = null;
+let lastHeard = performance.now();
+let state = null;
+
+// ---- connection
+
+function connect() {
+  socket = new WebSocket(`ws://${location.host}/live`, "lsfb.operator.v1");
+  socket.binaryType = "arraybuffer";
+  socket.onmessage = ({ data }) => {
+    lastHeard = performance.now();
+    $("offline").hidden = true;
+    if (typeof data !== "string") {
+      map.take(data);
+      $("map-empty").hidden = !map.empty;
+      return;
+    }
+    const message = JSON.parse(data);
+    if (message.pin) askPin(message.pin);
+    else if ("answer" in message) answered(message);
+    else show(message);
+  };
+  socket.onclose = () => {
+    // The whole map comes again with the next connection.
+    setTimeout(connect, RETRY_MS);
+  };
+}
+
+setInterval(() => {
+  const waiting = $("ask").open;
+  if (!waiting && performance.now() - lastHeard > SILENT_MS) $("offline").hidden = false;
+}, 500);
+
+function send(message) {
+  if (socket?.readyState !== WebSocket.OPEN) return toast("No connection", "bad");
+  socket.send(JSON.stringify(message));
+}
+
+let pinOfLink = new URLSearchParams(location.hash.slice(1)).get("pin");
+
+function askPin(what) {
+  if (what === "right") return $("ask").close();
+  if (pinOfLink) {
+    socket.send(JSON.stringify({ pin: pinOfLink }));
+    pinOfLink = null;
+    return;
+  }
+  $("ask-why").textContent = what === "wrong" ? "That was not it. It is on the scanner's terminal." : "It is on the scanner's terminal.";
+  $("ask-pin").value = "";
+  if (!$("ask").open) $("ask").showModal();
+}
+$("ask").addEventListener("cancel", (e) => e.preventDefault());
+$("ask").querySelector("form").addEventListener("submit", (e) => {
+  e.preventDefault();
+  $("ask-why").textContent = "One moment …";
+  socket.send(JSON.stringify({ pin: $("ask-pin").value.trim() }));
+});
+
+function answered({ answer, error, said }) {
+  if (error) toast(error, "bad");
+  else if (said) toast(said, "good");
+  if (answer === "start" || answer === "stop") $("run").disabled = false;
+}
+
+let toastTimer = 0;
+function toast(words, level) {
+  $("toast").textContent = words;
+  $("toast").dataset.level = level;
+  $("toast").hidden = false;
+  clearTimeout(toastTimer);
+  toastTimer = setTimeout(() => { $("toast").hidden = true; }, level === "bad" ? 6000 : 2500);
+}
+
+// ---- state
+
+const PHASES = { ready: "READY", starting: "STARTING", recording: "RECORDING", stopping: "STOPPING" };
+
+function show(next) {
+  state = next;
+  document.body.dataset.phase = state.phase;
+  const recording = state.phase === "recording";
+  $("phase-word").textContent = PHASES[state.phase];
+  $("clock").textContent = recording ? clock(state.recording_s) : "";
+  $("file").textContent = state.file || " ";
+  showTiles();
+  showAlarm();
+  showGoBack();
+  showStreams();
+  const run = $("run");
+  const does = recording || state.phase === "stopping" ? "stop" : "start";
+  if (run.dataset.does !== does || run.dataset.phase !== state.phase) {
+    run.dataset.does = does;
+    run.dataset.phase = state.phase;
+    run.innerHTML = does === "stop" ? "STOP<small>hold for a second</small>" : "START";
+    run.disabled = state.phase === "starting" || state.phase === "stopping";
+  }
+  $("note").disabled = $("point").disabled = !recording;
+  $("walked").textContent = `${state.path_m.toFixed(0)} m walked`;
+  const { seen_m2, good_m2 } = state.coverage;
+  $("covered").textContent = seen_m2 > 0 ? `${Math.round((100 * good_m2) / seen_m2)} % seen well` : "";
+  map.state(state.pose, state.coverage.go_back, state.control_points);
+}
+
+function tile(id, level, value, small) {
+  const item = $(`tile-${id}`);
+  item.dataset.level = level;
+  item.querySelector(".value").textContent = value;
+  item.querySelector("small").textContent = small;
+}
+
+function showTiles() {
+  const { sync, storage, battery, lost, streams, phase } = state;
+  const spread = sync.spread_ms;
+  tile("sync", sync.level, spread === null ? "–" : duration(spread), spread === null ? "" : sync.level === "good" ? "clocks agree" : "clocks differ");
+  const losing = streams.filter((s) => s.lost > 0).map((s) => s.name);
+  const live = phase === "recording" || lost > 0;
+  tile("lost", lost > 0 ? "bad" : live ? "good" : "unknown", live ? String(lost) : "–", losing.join(", ") || (live ? "nothing" : ""));
+  tile("disk", storage?.level ?? "unknown",
+    storage ? (storage.full_in_s === null ? bytes(storage.free_bytes) : roughly(storage.full_in_s)) : "–",
+    storage ? (storage.full_in_s === null ? "free" : `${bytes(storage.free_bytes)} free`) : "");
+  $("tile-battery").hidden = false;
+  tile("battery", battery?.level ?? "unknown", battery ? `${Math.round(battery.percent)} %` : "–", battery ? (battery.charging ? "charging" : "") : "not known");
+}
+
+let alarmed = "";
+function showAlarm() {
+  const problems = state.streams.filter((s) => s.problem).map((s) => ({ level: s.level, text: `${s.name}: ${s.problem}` }));
+  if (state.sync.problem) problems.push({ level: state.sync.level, text: state.sync.problem });
+  if (state.storage?.level === "bad") problems.push({ level: "bad", text: "The disk is almost full." });
+  if (state.tracking === "lost") problems.push({ level: "warning", text: "Map lost: slow down, or turn back to where it was good." });
+  if (state.message) problems.push({ level: state.message_level, text: state.message });
+  const worst = problems.some((p) => p.level === "bad") ? "bad" : problems.some((p) => p.level === "warning") ? "warning" : "good";
+  const text = problems.slice(0, 3).map((p) => p.text).join("\n");
+  const alarm = $("alarm");
+  alarm.hidden = !text;
+  alarm.dataset.level = worst;
+  if (alarm.textContent !== text) alarm.textContent = text;
+  if (worst === "bad" && text !== alarmed) navigator.vibrate?.([300, 100, 300]);
+  alarmed = worst === "bad" ? text : "";
+}
+
+function showGoBack() {
+  const { pose, coverage } = state;
+  const list = $("go-back");
+  list.replaceChildren(...(pose ? coverage.go_back : []).map((spot, i) => {
+    const [dx, dy] = [spot.x_m - pose.x_m, spot.y_m - pose.y_m];
+    // Up is ahead.
+    const turn = pose.yaw_rad - Math.atan2(dy, dx);
+    const item = document.createElement("li");
+    item.append(
+      span("number", String(i + 1)), span("arrow", "⬆"), span("far", `${Math.hypot(dx, dy).toFixed(0)} m`), span("why", LACKS[spot.reason] ?? ""),
+    );
+    item.querySelector(".arrow").style.transform = `rotate(${turn}rad)`;
+    return item;
+  }));
+}
+
+function showStreams() {
+  $("streams").replaceChildren(...state.streams.map((s) => {
+    const item = document.createElement("li");
+    item.dataset.level = s.level;
+    item.append(span("mark", MARKS[s.level]), span("name", s.name), span("rate", `${s.rate_hz.toFixed(1)} Hz`));
+    const words = s.problem || (s.lost > 0 ? `${s.lost} lost` : "");
+    if (words) item.append(span("problem", words));
+    return item;
+  }));
+}
+
+function span(name, text) {
+  const element = document.createElement("span");
+  element.className = name;
+  element.textContent = text;
+  return element;
+}
+
+function clock(secs) {
+  const s = Math.floor(secs);
+  const two = (n) => String(n).padStart(2, "0");
+  return s >= 3600 ? `${Math.floor(s / 3600)}:${two(Math.floor(s / 60) % 60)}:${two(s % 60)}` : `${two(Math.floor(s / 60))}:${two(s % 60)}`;
+}
+
+function roughly(secs) {
+  const minutes = Math.floor(secs / 60);
+  if (minutes >= 6000) return ">99 h";
+  if (minutes >= 60) return `${Math.floor(minutes / 60)} h ${String(minutes % 60).padStart(2, "0")}`;
+  return `${minutes} min`;
+}
+
+function duration(ms) {
+  if (ms >= 1000) return `${(ms / 1000).toFixed(1)} s`;
+  return `${ms < 10 ? ms.toFixed(1) : ms.toFixed(0)} ms`;
+}
+
+function bytes(n) {
+  return n >= 1e12 ? `${(n / 1e12).toFixed(1)} TB` : n >= 1e9 ? `${(n / 1e9).toFixed(0)} GB` : `${(n / 1e6).toFixed(0)} MB`;
+}
+
+// ---- keys
+
+// A start is one press. A stop is held, since nobody wants one from a sleeve.
+let held = 0;
+const run = $("run");
+run.addEventListener("click", () => {
+  if (run.dataset.does === "start" && !run.disabled) {
+    run.disabled = true;
+    send({ command: "start" });
+  }
+});
+function release() {
+  clearTimeout(held);
+  run.classList.remove("held");
+}
+run.addEventListener("pointerdown", () => {
+  if (run.dataset.does !== "stop" || run.disabled) return;
+  run.classList.add("held");
+  held = setTimeout(() => {
+    release();
+    run.disabled = true;
+    send({ command: "stop" });
+  }, HOLD_MS);
+});
+for (const end of ["pointerup", "pointerleave", "pointercancel"]) run.addEventListener(end, release);
+run.addEventListener("contextmenu", (e) => e.preventDefault());
+
+$("zoom-in").onclick = () => map.zoom(1.5);
+$("zoom-out").onclick = () => map.zoom(1 / 1.5);
+$("follow").onclick = () => $("follow").setAttribute("aria-pressed", String(map.toggle()));
+$("sensors").onclick = () => {
+  const shown = document.body.classList.toggle("show-sensors");
+  $("sensors").setAttribute("aria-pressed", String(shown));
+};
+
+let saying = null;
+function say(command) {
+  saying = command;
+  const note = command === "note";
+  $("say-title").textContent = note ? "Note" : "Control point: stand still on it";
+  $("say-text").value = note ? "" : `P${(state?.control_points.length ?? 0) + 1}`;
+  $("say-quick").replaceChildren(...(note ? QUICK_NOTES : []).map((words) => {
+    const key = document.createElement("button");
+    key.type = "button";
+    key.textContent = words;
+    key.onclick = () => { $("say-text").value = words; submit(); };
+    return key;
+  }));
+  $("say").showModal();
+  if (!note) $("say-text").select();
+}
+function submit() {
+  const text = $("say-text").value.trim();
+  if (!text) return;
+  $("say").close();
+  send(saying === "note" ? { command: "note", text } : { command: "control-point", name: text });
+}
+$("note").onclick = () => say("note");
+$("point").onclick = () => say("control-point");
+$("say-no").onclick = () => $("say").close();
+$("say").querySelector("form").addEventListener("submit", (e) => { e.preventDefault(); submit(); });
+
+// ---- the rest
+
+map.onScale = (mPerPx) => {
+  const step = [0.5, 1, 2, 5, 10, 20, 50, 100].find((m) => m / mPerPx >= 60) ?? 200;
+  $("scale").querySelector("i").style.width = `${step / mPerPx}px`;
+  $("scale").querySelector("span").textContent = `${step} m`;
+};
+
+// Browsers allow it to pages of this machine and to secure ones; elsewhere the phone's own setting must do.
+const stayAwake = () => navigator.wakeLock?.request("screen").catch(() => {});
+document.addEventListener("visibilitychange", () => { if (!document.hidden) stayAwake(); });
+stayAwake();
+connect();

@@ -1,0 +1,172 @@
+//! What the screen shows, as plain data. The page gets it as JSON with these names.
+
+use serde::Serialize;
+
+use crate::coverage::GoBack;
+
+/// Whether something needs the operator.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Level {
+    /// Nothing is known yet.
+    #[default]
+    Unknown,
+    /// All is well.
+    Good,
+    /// Go on, and have a look.
+    Warning,
+    /// Data is being lost.
+    Bad,
+}
+
+/// What the recorder is doing.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Phase {
+    /// It waits for the start.
+    #[default]
+    Ready,
+    /// Devices are being opened.
+    Starting,
+    /// It records.
+    Recording,
+    /// The file is being closed.
+    Stopping,
+}
+
+/// Everything but the map.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct ScreenState {
+    /// What the recorder is doing.
+    pub phase: Phase,
+    /// One sentence: what happened last, or what to do.
+    pub message: String,
+    /// Whether that sentence is bad news.
+    pub message_level: Level,
+    /// Name of the file.
+    pub file: String,
+    /// Length of the recording so far, seconds.
+    pub recording_s: f64,
+    /// Everything that should have been recorded and was not.
+    pub lost: u64,
+    /// One entry per device.
+    pub streams: Vec<StreamState>,
+    /// How the devices' clocks agree.
+    pub sync: SyncState,
+    /// The disk; `None` where it is not known.
+    pub storage: Option<StorageState>,
+    /// The host's battery; `None` without one.
+    pub battery: Option<BatteryState>,
+    /// Where the rig is in the live map; `None` before the first scan was registered.
+    pub pose: Option<PoseState>,
+    /// Whether the live odometry follows.
+    pub tracking: Tracking,
+    /// Length of the path so far, metres.
+    pub path_m: f64,
+    /// How well the place was seen.
+    pub coverage: CoverageState,
+    /// Control points so far.
+    pub control_points: Vec<ControlPoint>,
+    /// Notes so far.
+    pub notes: u64,
+}
+
+/// One device.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct StreamState {
+    /// Its name.
+    pub name: String,
+    /// How it is doing.
+    pub level: Level,
+    /// Samples per second lately.
+    pub rate_hz: f64,
+    /// Samples in all.
+    pub samples: u64,
+    /// What should have been recorded and was not.
+    pub lost: u64,
+    /// Time since it sent last, seconds; `None` before it has sent anything.
+    pub silent_s: Option<f64>,
+    /// What is wrong, in words; empty where nothing is.
+    pub problem: String,
+}
+
+/// How the devices' clocks agree.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct SyncState {
+    /// How they are doing.
+    pub level: Level,
+    /// Farthest two devices lie apart, milliseconds; `None` while fewer than two send.
+    pub spread_ms: Option<f64>,
+    /// What is wrong, in words; empty where nothing is.
+    pub problem: String,
+}
+
+/// The disk.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct StorageState {
+    /// How it is doing.
+    pub level: Level,
+    /// Free space, bytes.
+    pub free_bytes: u64,
+    /// Bytes written per second lately.
+    pub rate_bytes_s: f64,
+    /// Time until it is full at that rate, seconds; `None` while nothing is written.
+    pub full_in_s: Option<f64>,
+}
+
+/// The host's battery.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct BatteryState {
+    /// How it is doing.
+    pub level: Level,
+    /// Charge, percent.
+    pub percent: f64,
+    /// Whether it is being charged.
+    pub charging: bool,
+}
+
+/// Where the rig is, seen from above.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct PoseState {
+    /// East in the live map, metres.
+    pub x_m: f64,
+    /// North in the live map, metres.
+    pub y_m: f64,
+    /// Height in the live map, metres.
+    pub z_m: f64,
+    /// Direction of the rig's x axis, radians counter-clockwise from the map's x axis.
+    pub yaw_rad: f64,
+}
+
+/// Whether the live odometry follows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Tracking {
+    /// There is none: no LiDAR, or not yet a scan.
+    #[default]
+    None,
+    /// It follows.
+    Good,
+    /// The last scans found no place in the map.
+    Lost,
+}
+
+/// How well the place was seen.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct CoverageState {
+    /// Area seen, square metres.
+    pub seen_m2: f64,
+    /// Part of it that was seen well.
+    pub good_m2: f64,
+    /// Places to go back to, the largest first.
+    pub go_back: Vec<GoBack>,
+}
+
+/// A control point that was marked.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ControlPoint {
+    /// Its name.
+    pub name: String,
+    /// Where the rig was then, metres; `None` where that was not known.
+    pub position_m: Option<[f64; 3]>,
+}

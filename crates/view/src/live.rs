@@ -1,0 +1,272 @@
+//! A Rerun viewer that is told while it happens.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::time::Duration;
+
+use lsfb_geometry::{Rig, Se3, Vector3};
+use lsfb_types::{Image, ImuSample, Stamped, Timestamp};
+use rerun::{
+    LineStrips3D, Points3D, Radius, RecordingStream, RecordingStreamBuilder, Scalars,
+    ViewCoordinates,
+};
+
+use crate::walk::{pinhole, transform};
+use crate::{APPLICATION, Error, LINE_RADIUS, TIMELINE};
+
+/// What waits for the viewer; more is passed over.
+const QUEUE_ITEMS: usize = 64;
+/// How long the last items may take at the end; a viewer that was never there must not hold the recorder.
+const FAREWELL: Duration = Duration::from_secs(2);
+/// Every n-th inertial sample is shown: 200 Hz is more than a plot can show.
+const IMU_STRIDE: u64 = 4;
+/// Scans of the map that stay in view, by entity; the oldest is replaced.
+const MAP_SCANS: u64 = 600;
+/// Every n-th registered scan goes into the map.
+const MAP_STRIDE: u64 = 5;
+const RIG_ENTITY: &str = "world/live/rig";
+
+/// A connection to a viewer. Nothing here ever waits for it: a thread of its own sends, and what it is too slow for is passed
+/// over.
+#[derive(Debug)]
+pub struct LiveView {
+    queue: Option<SyncSender<Item>>,
+    done: Receiver<()>,
+    missed: Arc<AtomicU64>,
+}
+
+#[derive(Debug)]
+enum Item {
+    Rig(Box<Rig>),
+    Image(String, Stamped<Image>),
+    Imu(Stamped<ImuSample>),
+    Step {
+        time: Timestamp,
+        world_from_rig: Se3,
+        points_in_rig: Vec<Vector3<f64>>,
+    },
+}
+
+impl LiveView {
+    /// Sends to the viewer at `url`, for instance `rerun+http://127.0.0.1:9876/proxy`, once it is there.
+    pub fn connect(url: &str) -> Result<Self, Error> {
+        let failed = |message: String| Error::Viewer {
+            url: url.to_owned(),
+            message,
+        };
+        let stream = RecordingStreamBuilder::new(APPLICATION)
+            .recording_name("live")
+            .connect_grpc_opts(url)
+            .map_err(|error| failed(error.to_string()))?;
+        stream.set_log_time_enabled(false);
+        stream.set_log_tick_enabled(false);
+        let (queue, items) = sync_channel(QUEUE_ITEMS);
+        let (finished, done) = sync_channel(1);
+        std::thread::Builder::new()
+            .name("rerun".to_owned())
+            .spawn(move || {
+                let mut sender = Sender::new(stream);
+                for item in items {
+                    sender.send(item);
+                }
+                // Dropping the stream waits for the viewer.
+                drop(sender);
+                let _ = finished.try_send(());
+            })
+            .map_err(|error| failed(error.to_string()))?;
+        Ok(Self {
+            queue: Some(queue),
+            done,
+            missed: Arc::default(),
+        })
+    }
+
+    /// What was passed over because the viewer is slow or absent.
+    pub fn missed(&self) -> u64 {
+        self.missed.load(Ordering::Relaxed)
+    }
+
+    /// Shows where the cameras are.
+    pub fn rig(&self, rig: &Rig) {
+        self.put(|| Item::Rig(Box::new(rig.clone())));
+    }
+
+    /// Shows an image of a camera.
+    pub fn image(&self, camera: &str, image: &Stamped<Image>) {
+        self.put(|| Item::Image(camera.to_owned(), image.clone()));
+    }
+
+    /// Shows an inertial sample.
+    pub fn imu(&self, sample: &Stamped<ImuSample>) {
+        self.put(|| Item::Imu(sample.clone()));
+    }
+
+    /// Shows where the rig is, and what the LiDAR saw from there.
+    pub fn step(&self, time: Timestamp, world_from_rig: &Se3, points_in_rig: &[Vector3<f64>]) {
+        self.put(|| Item::Step {
+            time,
+            world_from_rig: *world_from_rig,
+            points_in_rig: points_in_rig.to_vec(),
+        });
+    }
+
+    fn put(&self, item: impl FnOnce() -> Item) {
+        let sent = self
+            .queue
+            .as_ref()
+            .is_some_and(|q| q.try_send(item()).is_ok());
+        if !sent {
+            self.missed.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
+impl Drop for LiveView {
+    fn drop(&mut self) {
+        self.queue = None;
+        match self.done.recv_timeout(FAREWELL) {
+            // A viewer that does not answer is left behind with its thread.
+            Ok(()) | Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
+        }
+    }
+}
+
+/// The end that may wait.
+struct Sender {
+    stream: RecordingStream,
+    samples: u64,
+    scans: u64,
+    path: Vec<[f32; 3]>,
+}
+
+impl Sender {
+    fn new(stream: RecordingStream) -> Self {
+        let sender = Self {
+            stream,
+            samples: 0,
+            scans: 0,
+            path: Vec::new(),
+        };
+        sender.log_static("world", &ViewCoordinates::RIGHT_HAND_Z_UP());
+        sender
+    }
+
+    fn send(&mut self, item: Item) {
+        match item {
+            Item::Rig(rig) => {
+                for (name, camera) in &rig.cameras {
+                    let entity = format!("{RIG_ENTITY}/{name}");
+                    self.log_static(&entity, &transform(&camera.rig_from_camera));
+                    self.log_static(&entity, &pinhole(&camera.camera));
+                }
+                // Another walk.
+                (self.samples, self.scans) = (0, 0);
+                self.path.clear();
+            }
+            Item::Image(camera, image) => {
+                self.set_time(image.time);
+                let Image {
+                    width,
+                    height,
+                    pixels,
+                    ..
+                } = image.sample;
+                let shown = rerun::Image::from_l8(pixels, [width, height]);
+                self.log(&format!("{RIG_ENTITY}/{camera}"), &shown);
+            }
+            Item::Imu(sample) => {
+                self.samples += 1;
+                if self.samples % IMU_STRIDE == 0 {
+                    self.set_time(sample.time);
+                    let ImuSample {
+                        angular_velocity_rad_s,
+                        specific_force_m_s2,
+                    } = sample.sample;
+                    self.log("imu/live/gyro_rad_s", &Scalars::new(angular_velocity_rad_s));
+                    self.log("imu/live/accel_m_s2", &Scalars::new(specific_force_m_s2));
+                }
+            }
+            Item::Step {
+                time,
+                world_from_rig,
+                points_in_rig,
+            } => self.step(time, &world_from_rig, &points_in_rig),
+        }
+    }
+
+    fn step(&mut self, time: Timestamp, world_from_rig: &Se3, points_in_rig: &[Vector3<f64>]) {
+        self.set_time(time);
+        self.log(RIG_ENTITY, &transform(world_from_rig));
+        let to_world = |p: &Vector3<f64>| -> [f32; 3] {
+            let point = world_from_rig.rotation * p + world_from_rig.translation;
+            [point.x as f32, point.y as f32, point.z as f32]
+        };
+        if self.scans % MAP_STRIDE == 0 {
+            let points = Points3D::new(points_in_rig.iter().map(to_world))
+                .with_radii([Radius::new_ui_points(1.5)]);
+            let slot = self.scans / MAP_STRIDE % MAP_SCANS;
+            self.log(&format!("world/live/map/{slot}"), &points);
+        }
+        self.path.push(to_world(&Vector3::zeros()));
+        // The whole line is sent anew.
+        if self.scans % MAP_STRIDE == 0 {
+            let line = LineStrips3D::new([self.path.as_slice()])
+                .with_radii([Radius::new_ui_points(LINE_RADIUS)]);
+            self.log("world/live/path", &line);
+        }
+        self.scans += 1;
+    }
+
+    fn set_time(&self, time: Timestamp) {
+        self.stream
+            .set_timestamp_nanos_since_epoch(TIMELINE, time.nanos());
+    }
+
+    // The stream refuses only what cannot be encoded; what is lost on the way it does not tell.
+    fn log(&self, entity: &str, what: &impl rerun::AsComponents) {
+        let _ = self.stream.log(entity, what);
+    }
+
+    fn log_static(&self, entity: &str, what: &impl rerun::AsComponents) {
+        let _ = self.stream.log_static(entity, what);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Instant;
+
+    use super::*;
+
+    #[test]
+    fn a_viewer_that_is_not_there_holds_nobody() {
+        let view = LiveView::connect("rerun+http://127.0.0.1:9/proxy").unwrap();
+        let began = Instant::now();
+        let time = Timestamp::from_nanos(1_772_359_200_000_000_000);
+        for n in 0..2_000 {
+            let points = vec![Vector3::new(1.0, 2.0, f64::from(n)); 100];
+            view.step(time.plus_nanos(i64::from(n)), &Se3::identity(), &points);
+        }
+        assert!(
+            began.elapsed() < Duration::from_secs(1),
+            "{:?}",
+            began.elapsed()
+        );
+        assert!(view.missed() > 0);
+        drop(view);
+        assert!(
+            began.elapsed() < Duration::from_secs(5),
+            "{:?}",
+            began.elapsed()
+        );
+    }
+
+    #[test]
+    fn an_address_that_is_none_is_refused() {
+        for url in ["", "127.0.0.1", "http://127.0.0.1:80/x"] {
+            let message = LiveView::connect(url).unwrap_err().to_string();
+            assert!(message.contains("rerun+http"), "{message}");
+        }
+    }
+}
