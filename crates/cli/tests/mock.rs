@@ -2,77 +2,44 @@
 
 mod process;
 mod running;
+mod simulated_session;
 
 use std::fmt::Write as _;
-use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
 
 use lsfb_recording::{LIDAR_POSITION, Recording};
 use nix::sys::signal::Signal;
 use process::lsfb;
 use running::{Running, wait_until};
-use serde_json::Value;
+use simulated_session::{Ports, recorded, scan, text};
 
-/// Small cameras, so that two cores render them faster than they are played.
-const TINY: &str = "texel_m = 0.012\n\
-    [scan]\nduration_s = 5.0\nrest_s = 0.5\n[glasses]\nduration_s = 4.0\nrest_s = 0.5\nheight_m = 1.62\n\
-    [scan_cameras]\nwidth = 160\nheight = 100\n[glasses_cameras]\nwidth = 160\nheight = 100\n";
-
-/// Three ports that nobody has.
-struct Ports([u16; 3]);
-
-impl Ports {
-    fn free() -> Self {
-        let sockets = [0; 3].map(|_| UdpSocket::bind("127.0.0.1:0").expect("socket"));
-        Self(sockets.map(|s| s.local_addr().expect("address").port()))
-    }
-
-    fn arguments(&self) -> Vec<String> {
-        let names = ["--lidar-data", "--lidar-position", "--sidecar"];
-        let pairs = names.iter().zip(self.0);
-        pairs
-            .flat_map(|(name, port)| [(*name).to_owned(), format!("127.0.0.1:{port}")])
-            .collect()
-    }
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().expect("UTF-8")
-}
-
-/// Records what a folder's list of devices names, to the end of the devices.
-fn scan(folder: &Path, devices: &str, out: &str) -> Value {
-    let output = lsfb(
-        folder,
-        &["scan", "--devices", devices, "--out", out, "--json"],
-    );
-    let errors = String::from_utf8_lossy(&output.stderr);
-    let said = String::from_utf8_lossy(&output.stdout);
-    assert_eq!(output.status.code(), Some(0), "{said}\n{errors}");
-    serde_json::from_slice(&output.stdout).expect("one JSON object")
-}
-
-/// A simulated scan and walk, recorded from `lsfb sim` in another process: made once for all tests.
-fn recorded() -> &'static Path {
-    static RECORDED: OnceLock<PathBuf> = OnceLock::new();
-    RECORDED.get_or_init(|| {
-        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("mock");
-        let _ = std::fs::remove_dir_all(&folder);
-        std::fs::create_dir_all(&folder).expect("folder");
-        std::fs::write(folder.join("tiny.toml"), TINY).expect("settings");
-        let ports = Ports::free().arguments();
-        let arguments = ["sim", "--out", "sim", "--config", "tiny.toml"];
-        let arguments = arguments.into_iter().map(str::to_owned).chain(ports);
-        let mut sim = Running::lsfb(&folder, arguments);
-        sim.wait_for("backpack-devices.toml");
-        let report = scan(&folder, "sim/backpack-devices.toml", "scan.mcap");
-        assert_eq!(report["groups"]["complete"], 50, "{report}");
-        sim.wait_for("glasses-devices.toml");
-        scan(&folder, "sim/glasses-devices.toml", "walk.mcap");
-        assert_eq!(sim.wait().code(), Some(0), "{}", sim.said());
-        folder
+/// Whether no datagram waits in the sockets at these ports of this machine.
+fn nothing_waits(ports: &[u16]) -> bool {
+    let table = std::fs::read_to_string("/proc/net/udp").expect("sockets");
+    let columns = |line: &str| line.split_whitespace().map(str::to_owned).collect();
+    let sockets: Vec<Vec<String>> = table.lines().map(columns).collect();
+    ports.iter().all(|port| {
+        let wanted = format!(":{port:04X}");
+        let mut mine = sockets
+            .iter()
+            .filter(|c| c.get(1).is_some_and(|local| local.ends_with(&wanted)));
+        mine.all(|c| c.get(4).is_some_and(|queues| queues.ends_with(":00000000")))
     })
+}
+
+/// Recordings made by others (`LSFB_TEST_DATA`); where there are none the test says so.
+#[allow(clippy::print_stdout, reason = "a skipped test says so")]
+fn data(test: &str) -> Option<PathBuf> {
+    let root = std::env::var_os("LSFB_TEST_DATA").map_or_else(
+        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
+        PathBuf::from,
+    );
+    let path = root.join("lidar");
+    if path.exists() {
+        return root.canonicalize().ok();
+    }
+    println!("skipped: {test}: no recording at {}", path.display());
+    None
 }
 
 /// What a raw topic holds, in order.
@@ -148,7 +115,7 @@ fn a_mock_of_a_recording_gives_the_same_recording() {
 #[test]
 fn a_mock_of_a_capture_file_gives_every_packet_at_its_rate() {
     let test = "a_mock_of_a_capture_file_gives_every_packet_at_its_rate";
-    let Some(data) = running::data(test) else {
+    let Some(data) = data(test) else {
         return;
     };
     for (below, turns, positions) in [
@@ -193,7 +160,7 @@ fn a_mock_of_a_capture_file_gives_every_packet_at_its_rate() {
         let mut scan = Running::lsfb(folder.path(), arguments.map(str::to_owned));
         assert_eq!(mock.wait().code(), Some(0), "{}", mock.said());
         wait_until("the recorder has taken everything", || {
-            running::nothing_waits(&ports.0)
+            nothing_waits(&ports.0)
         });
         scan.signal(Signal::SIGINT);
         // A clock that starts anew with each turn is reported; nothing is lost.

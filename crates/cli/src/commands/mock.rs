@@ -74,6 +74,11 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         return sim::run(&simulator, context);
     };
     let playback = Playback::open(source)?;
+    for topic in playback.unplayed() {
+        context.note(&format!(
+            "warning: {topic} is not played: the bytes that its device sent were not recorded"
+        ));
+    }
     let folder = Folder::create(&arguments.out)?;
     let devices = folder.devices(&playback, &arguments.endpoints);
     if let (Some(path), Some(rig)) = (&devices.rig, playback.rig()) {

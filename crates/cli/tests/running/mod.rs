@@ -1,7 +1,7 @@
 //! The built binary while it runs.
 
 use std::fs::File;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
@@ -87,33 +87,4 @@ pub fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
         assert!(began.elapsed() < PATIENCE, "in vain: {what}");
         std::thread::sleep(Duration::from_millis(5));
     }
-}
-
-/// Whether no datagram waits in the sockets at these ports of this machine.
-pub fn nothing_waits(ports: &[u16]) -> bool {
-    let table = std::fs::read_to_string("/proc/net/udp").expect("sockets");
-    let columns = |line: &str| line.split_whitespace().map(str::to_owned).collect();
-    let sockets: Vec<Vec<String>> = table.lines().map(columns).collect();
-    ports.iter().all(|port| {
-        let wanted = format!(":{port:04X}");
-        let mut mine = sockets
-            .iter()
-            .filter(|c| c.get(1).is_some_and(|local| local.ends_with(&wanted)));
-        mine.all(|c| c.get(4).is_some_and(|queues| queues.ends_with(":00000000")))
-    })
-}
-
-/// Recordings made by others (`LSFB_TEST_DATA`); where there are none the test says so.
-#[allow(clippy::print_stdout, reason = "a skipped test says so")]
-pub fn data(test: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("LSFB_TEST_DATA").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
-        PathBuf::from,
-    );
-    let path = root.join("lidar");
-    if path.exists() {
-        return root.canonicalize().ok();
-    }
-    println!("skipped: {test}: no recording at {}", path.display());
-    None
 }

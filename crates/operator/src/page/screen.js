@@ -117,6 +117,7 @@ function show(next) {
 function tile(id, level, value, small) {
   const item = $(`tile-${id}`);
   item.dataset.level = level;
+  item.querySelector("i").textContent = level === "unknown" ? "" : MARKS[level];
   item.querySelector(".value").textContent = value;
   item.querySelector("small").textContent = small;
 }
@@ -124,15 +125,15 @@ function tile(id, level, value, small) {
 function showTiles() {
   const { sync, storage, battery, lost, streams, phase } = state;
   const spread = sync.spread_ms;
-  tile("sync", sync.level, spread === null ? "–" : duration(spread), spread === null ? "" : sync.level === "good" ? "clocks agree" : "clocks differ");
+  tile("sync", sync.level, spread === null ? "–" : duration(spread), spread === null ? "" : sync.level === "good" ? "in step" : "differs");
   const losing = streams.filter((s) => s.lost > 0).map((s) => s.name);
   const live = phase === "recording" || lost > 0;
   tile("lost", lost > 0 ? "bad" : live ? "good" : "unknown", live ? String(lost) : "–", losing.join(", ") || (live ? "nothing" : ""));
   tile("disk", storage?.level ?? "unknown",
     storage ? (storage.full_in_s === null ? bytes(storage.free_bytes) : roughly(storage.full_in_s)) : "–",
-    storage ? (storage.full_in_s === null ? "free" : `${bytes(storage.free_bytes)} free`) : "");
+    storage ? (storage.full_in_s === null ? "free" : `to full, ${bytes(storage.free_bytes)}`) : "");
   $("tile-battery").hidden = false;
-  tile("battery", battery?.level ?? "unknown", battery ? `${Math.round(battery.percent)} %` : "–", battery ? (battery.charging ? "charging" : "") : "not known");
+  tile("battery", battery?.level ?? "unknown", battery ? `${Math.round(battery.percent)} %` : "–", battery ? (battery.charging ? "charging" : "") : "none");
 }
 
 let alarmed = "";

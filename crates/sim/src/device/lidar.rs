@@ -16,6 +16,7 @@ use lsfb_drivers::velodyne::wire::{
 use lsfb_types::Timestamp;
 
 use super::clock::{SimClock, Turn};
+use super::host::Host;
 use crate::sensor::lidar::{CYCLE_NS, CYCLES_PER_PACKET, FiringCycle};
 use crate::{Error, RigSim, Simulation};
 
@@ -62,6 +63,7 @@ pub(crate) struct LidarDevice {
     data: UdpSender,
     position: UdpSender,
     flow: Option<FlowControl>,
+    host: Host,
     sent: u64,
 }
 
@@ -75,6 +77,7 @@ impl LidarDevice {
             data: UdpSender::aim(data)?,
             position: UdpSender::aim(position)?,
             flow,
+            host: Host::new(&[data, position]),
             sent: 0,
         })
     }
@@ -133,6 +136,8 @@ impl LidarDevice {
                     });
                 }
             }
+        } else {
+            self.host.wait_for_room(clock);
         }
         match kind {
             PacketKind::Data => self.data.send(packet)?,

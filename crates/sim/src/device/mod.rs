@@ -6,6 +6,7 @@
 mod clock;
 mod feed;
 mod glasses;
+mod host;
 mod imu;
 mod lidar;
 mod mynt;

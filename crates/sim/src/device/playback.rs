@@ -88,6 +88,7 @@ pub struct Playback {
     imu_rate_hz: Option<u16>,
     sidecars: Vec<String>,
     rig: Option<Rig>,
+    unplayed: Vec<String>,
 }
 
 impl Playback {
@@ -106,6 +107,7 @@ impl Playback {
                 imu_rate_hz: None,
                 sidecars: Vec::new(),
                 rig: None,
+                unplayed: Vec::new(),
             });
         }
         let recording = Recording::open(path)?;
@@ -122,6 +124,13 @@ impl Playback {
                         .to_owned(),
             });
         }
+        let mut unplayed = Vec::new();
+        if has("/lidar/points") && !has(lidar::DATA_TOPIC) {
+            unplayed.push("/lidar/points".to_owned());
+        }
+        if has(imu::SAMPLES_TOPIC) && imu_rate_hz.is_none() {
+            unplayed.push(imu::SAMPLES_TOPIC.to_owned());
+        }
         Ok(Self {
             path: path.to_owned(),
             capture: false,
@@ -131,6 +140,7 @@ impl Playback {
             imu_rate_hz,
             sidecars,
             rig: recording.rig().ok(),
+            unplayed,
         })
     }
 
@@ -157,6 +167,11 @@ impl Playback {
     /// The rig that was recorded.
     pub fn rig(&self) -> Option<&Rig> {
         self.rig.as_ref()
+    }
+
+    /// Topics of samples whose raw bytes were not recorded: no device can send them.
+    pub fn unplayed(&self) -> &[String] {
+        &self.unplayed
     }
 
     /// Starts the devices. Nothing is sent before each has its host: for a LiDAR aimed at this machine that is somebody who

@@ -1,6 +1,5 @@
 //! The datagrams of a Velodyne sensor, as they were received.
 
-use std::net::SocketAddr;
 use std::path::Path;
 use std::time::Duration;
 
@@ -15,6 +14,7 @@ use lsfb_types::Timestamp;
 use super::{PAUSE_NS, Play, PlaybackEndpoints, readable};
 use crate::Error;
 use crate::device::clock::{SimClock, Turn};
+use crate::device::host::Host;
 use crate::device::session::SessionReport;
 
 pub(super) const DATA_TOPIC: &str = "/lidar/packets";
@@ -43,7 +43,7 @@ pub(super) fn capture(path: &Path) -> Result<Box<dyn PacketSource>, Error> {
 pub(super) struct LidarPlayer {
     data: UdpSender,
     position: UdpSender,
-    targets: [SocketAddr; 2],
+    host: Host,
     report: SessionReport,
 }
 
@@ -52,7 +52,7 @@ impl LidarPlayer {
         Ok(Self {
             data: UdpSender::aim(endpoints.lidar_data)?,
             position: UdpSender::aim(endpoints.lidar_position)?,
-            targets: [endpoints.lidar_data, endpoints.lidar_position],
+            host: Host::new(&[endpoints.lidar_data, endpoints.lidar_position]),
             report: SessionReport::default(),
         })
     }
@@ -63,7 +63,7 @@ impl LidarPlayer {
         clock: &SimClock,
         device: usize,
     ) -> Result<SessionReport, Error> {
-        while !self.targets.into_iter().all(somebody_listens) {
+        while !self.host.listens() {
             if clock.is_stopped() {
                 return Ok(self.report);
             }
@@ -95,7 +95,7 @@ impl LidarPlayer {
                 if clock.reach(device, due_ns) == Turn::Stop {
                     return Ok(());
                 }
-                self.send(&packet.bytes)?;
+                self.send(&packet.bytes, clock)?;
             }
             if began.is_none() {
                 return Err(Error::Source {
@@ -153,7 +153,7 @@ impl LidarPlayer {
                     return Ok(());
                 }
                 if let Some((_, packet)) = next {
-                    self.send(&packet.packet.bytes)?;
+                    self.send(&packet.packet.bytes, clock)?;
                 }
             }
             drop((data, positions, strange));
@@ -164,7 +164,8 @@ impl LidarPlayer {
         Ok(())
     }
 
-    fn send(&mut self, datagram: &[u8]) -> Result<(), Error> {
+    fn send(&mut self, datagram: &[u8], clock: &SimClock) -> Result<(), Error> {
+        self.host.wait_for_room(clock);
         if datagram.len() == POSITION_PACKET_LEN {
             self.report.lidar_position_packets += 1;
             Ok(self.position.send(datagram)?)
@@ -215,23 +216,4 @@ impl WithinRevolution {
         let past_us = if past_us > HOUR_US / 2 { 0 } else { past_us };
         packet.time.plus_nanos(past_us * 1000)
     }
-}
-
-/// Whether a socket of this machine is bound to the port. Of other machines nothing is known: a sensor sends all the same.
-fn somebody_listens(target: SocketAddr) -> bool {
-    if !target.ip().is_loopback() {
-        return true;
-    }
-    let wanted = format!(":{:04X}", target.port());
-    let tables = ["/proc/net/udp", "/proc/net/udp6"].map(std::fs::read_to_string);
-    if tables.iter().all(Result::is_err) {
-        return true;
-    }
-    tables.iter().flatten().any(|table| {
-        let mut sockets = table.lines().skip(1);
-        sockets.any(|line| {
-            let local = line.split_whitespace().nth(1);
-            local.is_some_and(|address| address.ends_with(&wanted))
-        })
-    })
 }

@@ -1,0 +1,74 @@
+//! A short simulated session, recorded from `lsfb sim` in another process.
+
+use std::net::UdpSocket;
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+use serde_json::Value;
+
+use crate::process::lsfb;
+use crate::running::Running;
+
+/// Small cameras, so that two cores render them faster than they are played.
+const TINY: &str = "texel_m = 0.012\n\
+    [scan]\nduration_s = 5.0\nrest_s = 0.5\n[glasses]\nduration_s = 4.0\nrest_s = 0.5\nheight_m = 1.62\n\
+    [scan_cameras]\nwidth = 160\nheight = 100\n[glasses_cameras]\nwidth = 160\nheight = 100\n";
+
+/// Three ports that nobody has.
+pub struct Ports(pub [u16; 3]);
+
+impl Ports {
+    /// Takes and gives back.
+    pub fn free() -> Self {
+        let sockets = [0; 3].map(|_| UdpSocket::bind("127.0.0.1:0").expect("socket"));
+        Self(sockets.map(|s| s.local_addr().expect("address").port()))
+    }
+
+    /// As `lsfb sim` and `lsfb mock` take them.
+    pub fn arguments(&self) -> Vec<String> {
+        let names = ["--lidar-data", "--lidar-position", "--sidecar"];
+        let pairs = names.iter().zip(self.0);
+        pairs
+            .flat_map(|(name, port)| [(*name).to_owned(), format!("127.0.0.1:{port}")])
+            .collect()
+    }
+}
+
+/// A path as an argument.
+pub fn text(path: &Path) -> &str {
+    path.to_str().expect("UTF-8")
+}
+
+/// Records what a folder's list of devices names, to the end of the devices.
+pub fn scan(folder: &Path, devices: &str, out: &str) -> Value {
+    let output = lsfb(
+        folder,
+        &["scan", "--devices", devices, "--out", out, "--json"],
+    );
+    let errors = String::from_utf8_lossy(&output.stderr);
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert_eq!(output.status.code(), Some(0), "{said}\n{errors}");
+    serde_json::from_slice(&output.stdout).expect("one JSON object")
+}
+
+/// A simulated scan and walk, recorded from `lsfb sim` in another process: made once for all tests.
+pub fn recorded() -> &'static Path {
+    static RECORDED: OnceLock<PathBuf> = OnceLock::new();
+    RECORDED.get_or_init(|| {
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(env!("CARGO_CRATE_NAME"));
+        let _ = std::fs::remove_dir_all(&folder);
+        std::fs::create_dir_all(&folder).expect("folder");
+        std::fs::write(folder.join("tiny.toml"), TINY).expect("settings");
+        let ports = Ports::free().arguments();
+        let arguments = ["sim", "--out", "sim", "--config", "tiny.toml"];
+        let arguments = arguments.into_iter().map(str::to_owned).chain(ports);
+        let mut sim = Running::lsfb(&folder, arguments);
+        sim.wait_for("backpack-devices.toml");
+        let report = scan(&folder, "sim/backpack-devices.toml", "scan.mcap");
+        assert_eq!(report["groups"]["complete"], 50, "{report}");
+        sim.wait_for("glasses-devices.toml");
+        scan(&folder, "sim/glasses-devices.toml", "walk.mcap");
+        assert_eq!(sim.wait().code(), Some(0), "{}", sim.said());
+        folder
+    })
+}
