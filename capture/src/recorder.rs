@@ -234,7 +234,7 @@ impl Inlet {
     /// Hands an entry to the writer, or drops and counts it. `Err`: the writer is gone, so the device may stop.
     pub(crate) fn put(&self, entry: Entry, report: &mut StreamReport) -> Result<(), WriterGone> {
         if let Some(tap) = &self.tap {
-            tap.offer(&entry, report);
+            tap.offer(&entry);
         }
         let bytes = entry.bytes();
         let mut queued = Queued {

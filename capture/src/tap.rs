@@ -4,21 +4,17 @@
 //! slow or blocked reader does not take in time is passed over (and counted by [`Tap::missed`]), never copied, and recorded
 //! all the same.
 
-use std::cell::Cell;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use lsfb_types::{Image, ImuSample, LidarScan, Stamped, Timestamp};
 
-use crate::StreamReport;
 use crate::recorder::Entry;
 
 /// Most entries that wait for the reader: a second of the whole rig.
 const QUEUE_ENTRIES: usize = 512;
-/// Time between two counts of one device.
-const COUNTS_EVERY: Duration = Duration::from_millis(250);
 
 /// Something on its way into the recording.
 #[derive(Clone, Debug)]
@@ -54,8 +50,6 @@ pub enum Tapped {
         /// CDR.
         bytes: Vec<u8>,
     },
-    /// What a device has sent so far, a few times a second while it sends.
-    Counts(StreamReport),
 }
 
 /// The reading end; see the module's page.
@@ -102,7 +96,6 @@ pub(crate) fn tap() -> (Spout, Tap) {
     let spout = Spout {
         entries: sender,
         shared: Arc::clone(&shared),
-        counted: Cell::new(None),
     };
     (spout, Tap { entries, shared })
 }
@@ -112,21 +105,11 @@ pub(crate) fn tap() -> (Spout, Tap) {
 pub(crate) struct Spout {
     entries: SyncSender<Tapped>,
     shared: Arc<Shared>,
-    /// When this device's counts were sent last.
-    counted: Cell<Option<Instant>>,
 }
 
 impl Spout {
     /// Copies an entry for the reader if there is room. Never waits.
-    pub(crate) fn offer(&self, entry: &Entry, report: &StreamReport) {
-        let due = self
-            .counted
-            .get()
-            .is_none_or(|last| last.elapsed() >= COUNTS_EVERY);
-        if due {
-            self.counted.set(Some(Instant::now()));
-            self.put(|| Tapped::Counts(report.clone()));
-        }
+    pub(crate) fn offer(&self, entry: &Entry) {
         match entry {
             Entry::Image { camera, image, .. } => self.put(|| Tapped::Image {
                 camera: camera.clone(),
@@ -188,9 +171,8 @@ mod tests {
     #[test]
     fn a_full_tap_passes_over_and_a_read_one_goes_on() {
         let (spout, tap) = tap();
-        let report = StreamReport::default();
         for n in 0..2_000 {
-            spout.offer(&imu_entry(n), &report);
+            spout.offer(&imu_entry(n));
         }
         assert!(tap.missed() >= 2_000 - QUEUE_ENTRIES as u64);
         let mut read = 0;
@@ -199,7 +181,7 @@ mod tests {
         }
         assert_eq!(read, QUEUE_ENTRIES);
         let missed = tap.missed();
-        spout.offer(&imu_entry(7), &report);
+        spout.offer(&imu_entry(7));
         let entry = tap.next(Duration::ZERO).unwrap();
         assert!(
             matches!(&entry, Some(Tapped::Imu { sample, .. }) if sample.time.nanos() == 7),
@@ -215,7 +197,7 @@ mod tests {
         let (spout, tap) = tap();
         drop(tap);
         for n in 0..2_000 {
-            spout.offer(&imu_entry(n), &StreamReport::default());
+            spout.offer(&imu_entry(n));
         }
         assert_eq!(spout.shared.waiting.load(Ordering::Relaxed), 0);
     }

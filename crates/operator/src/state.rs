@@ -84,8 +84,6 @@ pub struct StreamState {
     pub samples: u64,
     /// What should have been recorded and was not.
     pub lost: u64,
-    /// Time since it sent last, seconds; `None` before it has sent anything.
-    pub silent_s: Option<f64>,
     /// What is wrong, in words; empty where nothing is.
     pub problem: String,
 }
@@ -112,6 +110,8 @@ pub struct StorageState {
     pub rate_bytes_s: f64,
     /// Time until it is full at that rate, seconds; `None` while nothing is written.
     pub full_in_s: Option<f64>,
+    /// What is wrong, in words; empty where nothing is.
+    pub problem: String,
 }
 
 /// The host's battery.

@@ -79,7 +79,8 @@ pub fn lines(state: &ScreenState) -> String {
             );
         }
     }
-    for problem in [&state.sync.problem, &state.message] {
+    let disk = state.storage.as_ref().map_or("", |s| &s.problem);
+    for problem in [disk, &state.sync.problem, &state.message] {
         if !problem.is_empty() {
             let _ = write!(out, "\n  {problem}");
         }
@@ -152,7 +153,6 @@ mod tests {
                 rate_hz: 9.96,
                 samples: 37_000,
                 lost: 3,
-                silent_s: Some(4.0),
                 problem: "silent for 4 s".to_owned(),
             }],
             sync: SyncState {
@@ -165,6 +165,7 @@ mod tests {
                 free_bytes: 12_300_000_000,
                 rate_bytes_s: 1e8,
                 full_in_s: Some(123.0),
+                problem: String::new(),
             }),
             battery: Some(BatteryState {
                 level: Level::Good,

@@ -158,7 +158,10 @@ fn number(root: &Path, path: &str) -> Option<u64> {
 
 /// Folders below one, in order of name.
 fn folders(root: &Path, path: &str) -> Vec<PathBuf> {
-    let entries = fs::read_dir(root.join(path)).into_iter().flatten().flatten();
+    let entries = fs::read_dir(root.join(path))
+        .into_iter()
+        .flatten()
+        .flatten();
     let mut found: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
     found.sort();
     found
@@ -191,7 +194,12 @@ fn receive_buffer(root: &Path) -> Check {
             format!("net.core.rmem_max = {bytes}"),
             format!("sudo sysctl -w net.core.rmem_max={GOOD_RMEM_BYTES}, for good: {INSTALL}"),
         ),
-        None => check(name, Verdict::Warn, "net.core.rmem_max cannot be read", "check it by hand"),
+        None => check(
+            name,
+            Verdict::Warn,
+            "net.core.rmem_max cannot be read",
+            "check it by hand",
+        ),
     }
 }
 
@@ -219,7 +227,11 @@ fn dirty_pages(root: &Path) -> Check {
     };
     check(
         "write-back",
-        if limit <= GOOD_DIRTY_BYTES { Verdict::Pass } else { Verdict::Warn },
+        if limit <= GOOD_DIRTY_BYTES {
+            Verdict::Pass
+        } else {
+            Verdict::Warn
+        },
         format!("up to {} MB wait in memory for the disk", limit / 1_000_000),
         format!("sudo sysctl -w vm.dirty_bytes=536870912, for good: {INSTALL}"),
     )
@@ -229,9 +241,12 @@ fn usbfs(root: &Path) -> Check {
     let name = "USB buffers";
     match number(root, "sys/module/usbcore/parameters/usbfs_memory_mb") {
         // Zero is no limit.
-        Some(megabytes) if megabytes == 0 || megabytes >= GOOD_USBFS_MB => {
-            check(name, Verdict::Pass, format!("usbfs_memory_mb = {megabytes}"), "")
-        }
+        Some(megabytes) if megabytes == 0 || megabytes >= GOOD_USBFS_MB => check(
+            name,
+            Verdict::Pass,
+            format!("usbfs_memory_mb = {megabytes}"),
+            "",
+        ),
         Some(megabytes) => check(
             name,
             Verdict::Warn,
@@ -264,7 +279,9 @@ fn groups(root: &Path) -> Check {
     let mine = [ids("Groups:"), ids("Gid:")].concat();
     let table = read(root, "etc/group").unwrap_or_default();
     let id_of = |group: &str| -> Option<u32> {
-        let line = table.lines().find(|line| line.split(':').next() == Some(group))?;
+        let line = table
+            .lines()
+            .find(|line| line.split(':').next() == Some(group))?;
         line.split(':').nth(2)?.parse().ok()
     };
     let missing: Vec<&str> = GROUPS
@@ -278,14 +295,21 @@ fn groups(root: &Path) -> Check {
         name,
         Verdict::Fail,
         format!("not in {}", missing.join(", ")),
-        format!("sudo usermod -aG {} $USER, then log in again", missing.join(",")),
+        format!(
+            "sudo usermod -aG {} $USER, then log in again",
+            missing.join(",")
+        ),
     )
 }
 
 fn udev_rules(root: &Path) -> Check {
     let name = "device rules";
     let installed = |file: &str| {
-        let places = ["etc/udev/rules.d", "usr/lib/udev/rules.d", "lib/udev/rules.d"];
+        let places = [
+            "etc/udev/rules.d",
+            "usr/lib/udev/rules.d",
+            "lib/udev/rules.d",
+        ];
         places
             .iter()
             .find_map(|place| fs::read_to_string(root.join(place).join(file)).ok())
@@ -368,7 +392,11 @@ fn governor(root: &Path) -> Check {
         Some(governor) => check(
             name,
             Verdict::Warn,
-            format!("governor {governor} on {} of {} cores", slow.len(), governors.len()),
+            format!(
+                "governor {governor} on {} of {} cores",
+                slow.len(),
+                governors.len()
+            ),
             "sudo cpupower frequency-set -g performance",
         ),
     }
@@ -385,7 +413,11 @@ fn memory(root: &Path) -> Check {
     let free = meminfo_bytes(root, "MemAvailable:").unwrap_or_default();
     check(
         "memory",
-        at_least(free as f64, GOOD_MEMORY_BYTES as f64, 0.5 * GOOD_MEMORY_BYTES as f64),
+        at_least(
+            free as f64,
+            GOOD_MEMORY_BYTES as f64,
+            0.5 * GOOD_MEMORY_BYTES as f64,
+        ),
         format!("{:.1} GB free", free as f64 / 1e9),
         "close other programs",
     )
@@ -481,7 +513,12 @@ fn clock(root: &Path, services: &TimeServices) -> Check {
         .as_ref()
         .is_some_and(|said| said.trim() == "NTPSynchronized=yes");
     if synchronized || root.join("run/systemd/timesync/synchronized").exists() {
-        return check(name, Verdict::Pass, format!("follows a time server{pulse}"), "");
+        return check(
+            name,
+            Verdict::Pass,
+            format!("follows a time server{pulse}"),
+            "",
+        );
     }
     check(
         name,
@@ -499,7 +536,8 @@ fn lidar_network() -> Check {
         .filter_map(|interface| {
             let address = interface.address?;
             let ip = address.as_sockaddr_in()?.ip();
-            (ip.octets().starts_with(&[192, 168, 1])).then(|| format!("{} {ip}", interface.interface_name))
+            (ip.octets().starts_with(&[192, 168, 1]))
+                .then(|| format!("{} {ip}", interface.interface_name))
         })
         .next();
     match ready {
@@ -523,7 +561,11 @@ fn disk_checks(folder: &Path) -> Vec<Check> {
             checks.push(check(
                 "disk space",
                 at_least(free as f64, GOOD_FREE_BYTES as f64, POOR_FREE_BYTES as f64),
-                format!("{:.0} GB free in {place}: {:.0} min of four cameras", free as f64 / 1e9, free as f64 / 164e6 / 60.0),
+                format!(
+                    "{:.0} GB free in {place}: {:.0} min of four cameras",
+                    free as f64 / 1e9,
+                    free as f64 / 164e6 / 60.0
+                ),
                 "make room, or record to another disk",
             ));
         }
@@ -605,10 +647,26 @@ mod tests {
         write(root, "proc/sys/net/core/netdev_max_backlog", "1000\n");
         write(root, "proc/sys/vm/dirty_bytes", "0\n");
         write(root, "proc/sys/vm/dirty_ratio", "20\n");
-        write(root, "proc/meminfo", "MemTotal: 16000000 kB\nMemAvailable: 500000 kB\n");
-        write(root, "sys/module/usbcore/parameters/usbfs_memory_mb", "16\n");
-        write(root, "proc/self/status", "Uid:\t1000\t1000\nGid:\t1000\nGroups:\t44 1000\n");
-        write(root, "etc/group", "video:x:44:\ndialout:x:20:\nplugdev:x:46:\n");
+        write(
+            root,
+            "proc/meminfo",
+            "MemTotal: 16000000 kB\nMemAvailable: 500000 kB\n",
+        );
+        write(
+            root,
+            "sys/module/usbcore/parameters/usbfs_memory_mb",
+            "16\n",
+        );
+        write(
+            root,
+            "proc/self/status",
+            "Uid:\t1000\t1000\nGid:\t1000\nGroups:\t44 1000\n",
+        );
+        write(
+            root,
+            "etc/group",
+            "video:x:44:\ndialout:x:20:\nplugdev:x:46:\n",
+        );
         write(
             root,
             "proc/self/limits",
@@ -616,13 +674,25 @@ mod tests {
              Max locked memory         8388608              8388608              bytes\n\
              Max realtime priority     0                    0\n",
         );
-        write(root, "sys/devices/system/cpu/cpu0/cpufreq/scaling_governor", "powersave\n");
+        write(
+            root,
+            "sys/devices/system/cpu/cpu0/cpufreq/scaling_governor",
+            "powersave\n",
+        );
         write(root, "sys/bus/usb/devices/1-1/idVendor", "04b4\n");
         write(root, "sys/bus/usb/devices/1-1/idProduct", "00f9\n");
         write(root, "sys/bus/usb/devices/1-1/speed", "480\n");
-        write(root, "sys/bus/usb-serial/devices/ttyUSB0/latency_timer", "16\n");
+        write(
+            root,
+            "sys/bus/usb-serial/devices/ttyUSB0/latency_timer",
+            "16\n",
+        );
         for (name, expected, words) in [
-            ("receive buffer", Verdict::Fail, "net.core.rmem_max=33554432"),
+            (
+                "receive buffer",
+                Verdict::Fail,
+                "net.core.rmem_max=33554432",
+            ),
             ("network backlog", Verdict::Warn, "netdev_max_backlog=5000"),
             ("write-back", Verdict::Warn, "vm.dirty_bytes"),
             ("USB buffers", Verdict::Warn, "usbfs_memory_mb"),
@@ -643,9 +713,21 @@ mod tests {
         write(root, "proc/sys/net/core/rmem_max", "33554432\n");
         write(root, "proc/sys/net/core/netdev_max_backlog", "5000\n");
         write(root, "proc/sys/vm/dirty_bytes", "536870912\n");
-        write(root, "proc/meminfo", "MemTotal: 16000000 kB\nMemAvailable: 9000000 kB\n");
-        write(root, "sys/module/usbcore/parameters/usbfs_memory_mb", "256\n");
-        write(root, "proc/self/status", "Uid:\t1000\t1000\nGid:\t1000\nGroups:\t20 44 46\n");
+        write(
+            root,
+            "proc/meminfo",
+            "MemTotal: 16000000 kB\nMemAvailable: 9000000 kB\n",
+        );
+        write(
+            root,
+            "sys/module/usbcore/parameters/usbfs_memory_mb",
+            "256\n",
+        );
+        write(
+            root,
+            "proc/self/status",
+            "Uid:\t1000\t1000\nGid:\t1000\nGroups:\t20 44 46\n",
+        );
         write(
             root,
             "proc/self/limits",
@@ -653,9 +735,17 @@ mod tests {
              Max locked memory         unlimited            unlimited            bytes\n\
              Max realtime priority     80                   80\n",
         );
-        write(root, "sys/devices/system/cpu/cpu0/cpufreq/scaling_governor", "performance\n");
+        write(
+            root,
+            "sys/devices/system/cpu/cpu0/cpufreq/scaling_governor",
+            "performance\n",
+        );
         write(root, "sys/bus/usb/devices/1-1/speed", "5000\n");
-        write(root, "sys/bus/usb-serial/devices/ttyUSB0/latency_timer", "1\n");
+        write(
+            root,
+            "sys/bus/usb-serial/devices/ttyUSB0/latency_timer",
+            "1\n",
+        );
         for (file, text) in RULES {
             write(root, &format!("etc/udev/rules.d/{file}"), text);
         }
@@ -674,7 +764,8 @@ mod tests {
         assert_eq!(nothing.verdict, Verdict::Warn);
         let chrony = TimeServices {
             chrony: Some(
-                "System time     : 0.000012 seconds fast of NTP time\nLeap status     : Normal\n".to_owned(),
+                "System time     : 0.000012 seconds fast of NTP time\nLeap status     : Normal\n"
+                    .to_owned(),
             ),
             systemd: None,
         };

@@ -3,6 +3,7 @@
 pub mod clock;
 pub mod demo;
 pub mod doctor;
+pub mod doctor_host;
 pub mod eval;
 pub mod groundtruth;
 pub mod localize;

@@ -123,7 +123,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     if let Some(devices) = &arguments.devices {
         let mut devices = DevicesConfig::read(devices)?;
         arguments.apply(&mut devices.recorder);
-        let live = Live::start(&arguments.live()?)?;
+        let live = Live::start(&arguments.live()?, &arguments.out)?;
         live.say_where(context);
         if arguments.screen.is_some() {
             return takes(arguments, &devices, &live, context);

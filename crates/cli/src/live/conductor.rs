@@ -1,11 +1,13 @@
 //! The thread that reads the tap, answers the operator and shows everything.
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+use lsfb_capture::health::Snapshot;
 use lsfb_capture::{CaptureReport, Remarks, Tap, Tapped};
 use lsfb_geometry::{Rig, Vector3};
 use lsfb_operator::{
@@ -16,7 +18,7 @@ use lsfb_pipeline::odometry::{OdometryStep, StepOutcome};
 use lsfb_recording::message::Remark;
 use lsfb_types::Timestamp;
 
-use super::host::{self, Storage};
+use super::host;
 use super::odometry::OdometryThread;
 use super::streams::Streams;
 use super::{Event, Outputs, Take};
@@ -42,6 +44,7 @@ pub struct Wires {
     pub starts: SyncSender<()>,
     pub end: Arc<AtomicBool>,
     pub board: Arc<Mutex<String>>,
+    pub folder: Option<PathBuf>,
 }
 
 /// See the module's page.
@@ -51,6 +54,8 @@ pub struct Conductor {
     state: ScreenState,
     map: LiveMap,
     running: Option<Running>,
+    /// Where recordings go.
+    folder: Option<PathBuf>,
     shown: Shown,
 }
 
@@ -65,10 +70,10 @@ struct Shown {
 struct Running {
     tap: Tap,
     remarks: Remarks,
+    health: Receiver<Snapshot>,
     stop: Arc<AtomicBool>,
     began: Instant,
     streams: Streams,
-    storage: Storage,
     odometry: Option<OdometryThread>,
     /// Synchronized and host time of one sample: how to stamp what people say.
     clock: Option<(Timestamp, Timestamp)>,
@@ -80,13 +85,14 @@ impl Conductor {
         let long_ago = Instant::now();
         Self {
             outputs,
-            wires,
             state: ScreenState {
                 message: "Press START to begin.".to_owned(),
                 message_level: Level::Good,
                 ..ScreenState::default()
             },
             map: LiveMap::new(MapConfig::default(), Vec::new()),
+            folder: wires.folder.clone(),
+            wires,
             running: None,
             shown: Shown {
                 state: long_ago,
@@ -142,10 +148,10 @@ impl Conductor {
         self.running = Some(Running {
             tap: take.tap,
             remarks: take.remarks,
+            health: take.health,
             stop: take.stop,
             began: Instant::now(),
             streams: Streams::new(&take.devices),
-            storage: Storage::new(&take.out),
             odometry,
             clock: None,
             cameras_sent: BTreeMap::new(),
@@ -162,7 +168,7 @@ impl Conductor {
             Ok(report) => {
                 if let Some(running) = &mut self.running {
                     running.streams.end(&report.streams);
-                    state.streams = running.streams.states(Instant::now());
+                    state.streams = running.streams.states();
                 }
                 state.lost = report.lost;
                 state.message_level = if report.lost == 0 {
@@ -186,6 +192,7 @@ impl Conductor {
             }
         }
         self.running = None;
+        self.look_at_host();
         self.publish_map();
     }
 
@@ -263,7 +270,7 @@ impl Conductor {
                 Tapped::Imu { sample, .. } => Some((sample.time, sample.arrival)),
                 Tapped::Scan(scan) => Some((scan.time, scan.arrival)),
                 Tapped::Image { image, .. } => Some((image.time, image.arrival)),
-                Tapped::Message { .. } | Tapped::Counts(_) => running.clock,
+                Tapped::Message { .. } => running.clock,
             };
             self.outputs.send(&entry, &mut running.cameras_sent);
             if let Some(odometry) = &running.odometry {
@@ -312,7 +319,11 @@ impl Conductor {
                 if state.phase != Phase::Starting {
                     state.recording_s = now.duration_since(running.began).as_secs_f64();
                 }
-                state.streams = running.streams.states(now);
+                while let Ok(snapshot) = running.health.try_recv() {
+                    running.streams.take(&snapshot, now);
+                    state.storage = Some(host::recording_storage(&snapshot.storage));
+                }
+                state.streams = running.streams.states();
                 state.sync = running.streams.sync(now);
                 state.lost = running.streams.lost();
                 state.pose = self.map.pose();
@@ -342,8 +353,9 @@ impl Conductor {
         let now = Instant::now();
         self.shown.host = now;
         self.state.battery = host::battery();
-        if let Some(running) = &mut self.running {
-            self.state.storage = running.storage.state(now);
+        // While it records, the recorder says it.
+        if self.running.is_none() {
+            self.state.storage = self.folder.as_deref().and_then(host::idle_storage);
         }
     }
 }

@@ -1,96 +1,44 @@
 //! The machine that records: disk and battery.
 
-use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
 
+use lsfb_capture::health::{self, StorageHealth};
 use lsfb_operator::{BatteryState, Level, StorageState};
 use nix::sys::statvfs::statvfs;
 
-/// Time over which the rate of writing is taken.
-const RATE_WINDOW: Duration = Duration::from_secs(10);
-/// With less time than this the operator should know.
-const SHORT_S: f64 = 600.0;
-/// With less the recording ends soon.
-const VERY_SHORT_S: f64 = 120.0;
-/// Free space that is little even while nothing is written.
+/// Free space that is little before a recording begins: a minute of four cameras.
 const LITTLE_BYTES: u64 = 10_000_000_000;
 const LOW_PERCENT: f64 = 25.0;
 const VERY_LOW_PERCENT: f64 = 10.0;
 
-/// Watches the disk of one recording.
-#[derive(Debug)]
-pub struct Storage {
-    folder: PathBuf,
-    /// Every part of the recording begins with it.
-    stem: String,
-    sizes: VecDeque<(Instant, u64)>,
+/// The disk while a recording is written.
+pub fn recording_storage(health: &StorageHealth) -> StorageState {
+    StorageState {
+        level: match health.level {
+            health::Level::Ok => Level::Good,
+            health::Level::Warn => Level::Warning,
+            health::Level::Error => Level::Bad,
+        },
+        free_bytes: health.free_bytes,
+        rate_bytes_s: health.rate_bytes_per_sec,
+        full_in_s: health.secs_to_full,
+        problem: health.problem.clone(),
+    }
 }
 
-impl Storage {
-    /// Watches where `out` is going to be.
-    pub fn new(out: &Path) -> Self {
-        let folder = match out.parent() {
-            Some(folder) if !folder.as_os_str().is_empty() => folder.to_owned(),
-            _ => PathBuf::from("."),
-        };
-        Self {
-            folder,
-            stem: out
-                .file_stem()
-                .unwrap_or_default()
-                .to_string_lossy()
-                .into_owned(),
-            sizes: VecDeque::new(),
-        }
-    }
-
-    /// The disk now; `None` where it cannot be asked.
-    pub fn state(&mut self, now: Instant) -> Option<StorageState> {
-        let disk = statvfs(&self.folder).ok()?;
-        let free_bytes = disk.blocks_available() * disk.fragment_size();
-        self.sizes.push_back((now, self.written_bytes()));
-        while self
-            .sizes
-            .front()
-            .is_some_and(|(at, _)| now.duration_since(*at) > RATE_WINDOW)
-        {
-            self.sizes.pop_front();
-        }
-        let rate_bytes_s = match (self.sizes.front(), self.sizes.back()) {
-            (Some((first_at, first)), Some((last_at, last))) if last_at > first_at => {
-                last.saturating_sub(*first) as f64 / last_at.duration_since(*first_at).as_secs_f64()
-            }
-            _ => 0.0,
-        };
-        let full_in_s = (rate_bytes_s > 1.0).then(|| free_bytes as f64 / rate_bytes_s);
-        let level = match full_in_s {
-            Some(secs) if secs < VERY_SHORT_S => Level::Bad,
-            Some(secs) if secs < SHORT_S => Level::Warning,
-            None if free_bytes < LITTLE_BYTES => Level::Warning,
-            _ => Level::Good,
-        };
-        Some(StorageState {
-            level,
-            free_bytes,
-            rate_bytes_s,
-            full_in_s,
-        })
-    }
-
-    fn written_bytes(&self) -> u64 {
-        let Ok(entries) = std::fs::read_dir(&self.folder) else {
-            return 0;
-        };
-        let mine = entries.flatten().filter(|entry| {
-            let name = entry.file_name();
-            name.to_string_lossy().starts_with(&self.stem)
-        });
-        mine.filter_map(|entry| entry.metadata().ok())
-            .filter(std::fs::Metadata::is_file)
-            .map(|metadata| metadata.len())
-            .sum()
-    }
+/// The disk of a folder while nothing is written; `None` where it cannot be asked.
+pub fn idle_storage(folder: &Path) -> Option<StorageState> {
+    let disk = statvfs(folder).ok()?;
+    let free_bytes = disk.blocks_available() * disk.fragment_size();
+    Some(StorageState {
+        level: if free_bytes < LITTLE_BYTES {
+            Level::Warning
+        } else {
+            Level::Good
+        },
+        free_bytes,
+        ..StorageState::default()
+    })
 }
 
 /// The host's battery; `None` without one.
@@ -165,19 +113,5 @@ mod tests {
             (found.level, found.percent, found.charging),
             (Level::Warning, 17.0, false)
         );
-    }
-
-    #[test]
-    fn time_to_full_comes_from_what_is_written() {
-        let folder = tempfile::tempdir().unwrap();
-        let out = folder.path().join("scan.mcap");
-        let mut storage = Storage::new(&out);
-        let began = Instant::now();
-        assert_eq!(storage.state(began).unwrap().full_in_s, None);
-        std::fs::write(&out, vec![0; 1_000_000]).unwrap();
-        let state = storage.state(began + Duration::from_secs(1)).unwrap();
-        assert!((state.rate_bytes_s - 1e6).abs() < 1.0, "{state:?}");
-        let expected = state.free_bytes as f64 / 1e6;
-        assert!((state.full_in_s.unwrap() - expected).abs() < 1e-3 * expected);
     }
 }

@@ -82,7 +82,6 @@ impl Outputs {
                 };
                 foxglove.publish(&about, || bytes.clone());
             }
-            Tapped::Counts(_) => {}
         }
     }
 

@@ -18,6 +18,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::Context as _;
+use lsfb_capture::health::Snapshot;
 use lsfb_capture::{CaptureReport, DevicesConfig, Remarks, Session, Tap};
 use lsfb_geometry::Rig;
 use lsfb_operator::{Foxglove, Request, Screen, ScreenConfig};
@@ -97,6 +98,7 @@ struct Take {
     rig: Option<Rig>,
     tap: Tap,
     remarks: Remarks,
+    health: Receiver<Snapshot>,
     stop: Arc<AtomicBool>,
 }
 
@@ -113,8 +115,8 @@ pub struct Live {
 }
 
 impl Live {
-    /// Opens the outputs and starts the conductor.
-    pub fn start(config: &LiveConfig) -> anyhow::Result<Self> {
+    /// Opens the outputs and starts the conductor; `out`: the first recording.
+    pub fn start(config: &LiveConfig, out: &Path) -> anyhow::Result<Self> {
         let (outputs, requests) = Outputs::open(config)?;
         let url = outputs.screen.as_ref().map(Screen::url);
         let foxglove = outputs.foxglove.as_ref().map(Foxglove::address);
@@ -130,6 +132,7 @@ impl Live {
                 starts: wanted,
                 end: Arc::clone(&end),
                 board: Arc::clone(&board),
+                folder: Some(folder_of(out)),
             },
         );
         let thread = std::thread::Builder::new()
@@ -205,6 +208,7 @@ impl Live {
             rig: devices.rig.as_deref().map(Rig::read).transpose()?,
             tap: session.tap(),
             remarks: session.remarks(),
+            health: session.health().subscribe(),
             stop: Arc::clone(&stop),
         };
         let _ = self.events.send(Event::Begin(Box::new(take)));
@@ -216,6 +220,16 @@ impl Live {
             }
         })?)
     }
+}
+
+/// Where a recording goes: what exists of its folder.
+fn folder_of(out: &Path) -> PathBuf {
+    let absolute = std::path::absolute(out).unwrap_or_else(|_| out.to_owned());
+    let mut folders = absolute.ancestors().skip(1);
+    folders
+        .find(|folder| folder.is_dir())
+        .unwrap_or(Path::new("/"))
+        .to_owned()
 }
 
 fn show(board: &Mutex<String>, context: &Context) {

@@ -1,152 +1,147 @@
-//! How the devices are doing, from what passes the tap.
+//! How the devices are doing: the recorder's health, and how their clocks agree by what passes the tap.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::{Duration, Instant};
 
+use lsfb_capture::health::{self, DeviceHealth, Snapshot};
 use lsfb_capture::{DevicesConfig, Ending, StreamReport, Tapped};
 use lsfb_operator::{Level, StreamState, SyncState};
 use lsfb_types::Timestamp;
 
 /// Time over which rates are taken.
 const RATE_WINDOW: Duration = Duration::from_secs(2);
-/// A device silent for this long has a problem.
-const SILENT: Duration = Duration::from_millis(1_000);
-/// Time that devices have to send something at first.
-const PATIENCE: Duration = Duration::from_secs(5);
 /// Time over which a clock's smallest delay is looked for.
 const CLOCK_WINDOW: Duration = Duration::from_secs(4);
 /// Transport delays differ by less.
 const SYNC_GOOD_MS: f64 = 150.0;
 /// More than any transport: a clock is wrong.
 const SYNC_BAD_MS: f64 = 500.0;
+/// Where the LiDAR's scans come from.
+const LIDAR: &str = "lidar";
 
 /// All devices of a recording.
 #[derive(Debug)]
 pub struct Streams {
-    began: Instant,
-    streams: BTreeMap<String, Stream>,
-    /// Unit of each camera.
-    units: BTreeMap<String, String>,
+    /// In the order of the report.
+    streams: Vec<Stream>,
+    /// Images of a stereo unit make one frame.
+    units: BTreeMap<String, usize>,
+    clocks: BTreeMap<String, VecDeque<(Instant, i64)>>,
+    lost: u64,
 }
 
 #[derive(Debug)]
 struct Stream {
-    expected: Expected,
-    /// Samples that make one on the screen: a frame of a stereo unit is two images.
-    per_sample: u64,
-    report: StreamReport,
+    state: StreamState,
+    /// Samples that make one on the screen.
+    per_sample: usize,
     counts: VecDeque<(Instant, u64)>,
-    heard: Option<Instant>,
-    delays_ns: VecDeque<(Instant, i64)>,
-}
-
-/// Whether a device must send.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Expected {
-    Always,
-    /// A phone comes when it comes.
-    Perhaps,
 }
 
 impl Streams {
-    /// The devices that a recording is to have.
+    /// For the devices that a recording is to have.
     pub fn new(devices: &DevicesConfig) -> Self {
-        let mut streams = BTreeMap::new();
-        let mut units = BTreeMap::new();
-        let mut add = |name: &str, expected, per_sample| {
-            let stream = Stream {
-                expected,
-                per_sample,
-                report: StreamReport::default(),
-                counts: VecDeque::new(),
-                heard: None,
-                delays_ns: VecDeque::new(),
-            };
-            streams.insert(name.to_owned(), stream);
-        };
-        if devices.lidar.is_some() {
-            add("lidar", Expected::Always, 1);
-        }
-        if devices.imu.is_some() {
-            add("imu0", Expected::Always, 1);
-        }
-        if devices.sidecar.is_some() {
-            add("sidecar", Expected::Perhaps, 1);
-        }
-        for unit in &devices.cameras {
-            let name = unit.names.join("+");
-            add(&name, Expected::Always, 2);
-            for camera in &unit.names {
-                units.insert(camera.clone(), name.clone());
-            }
-        }
+        let units = devices.cameras.iter();
         Self {
-            began: Instant::now(),
-            streams,
-            units,
+            streams: Vec::new(),
+            units: units
+                .map(|unit| (unit.names.join("+"), unit.names.len()))
+                .collect(),
+            clocks: BTreeMap::new(),
+            lost: 0,
         }
     }
 
-    /// Takes what passes.
+    /// Takes what passes the tap.
     pub fn note(&mut self, entry: &Tapped, now: Instant) {
         match entry {
-            Tapped::Counts(report) => {
-                if let Some(stream) = self.streams.get_mut(&report.name) {
-                    stream.count(report, now);
-                }
-            }
-            Tapped::Image { camera, image } => {
-                if let Some(unit) = self.units.get(camera)
-                    && let Some(stream) = self.streams.get_mut(unit)
-                {
-                    stream.delay(image.time, image.arrival, now);
-                }
-            }
-            Tapped::Imu { imu, sample } => {
-                if let Some(stream) = self.streams.get_mut(*imu) {
-                    stream.delay(sample.time, sample.arrival, now);
-                }
-            }
+            Tapped::Image { camera, image } => self.delay(camera, image.time, image.arrival, now),
+            Tapped::Imu { imu, sample } => self.delay(imu, sample.time, sample.arrival, now),
             Tapped::Scan(scan) => {
                 let last = scan.sample.points.iter().map(|p| p.time_offset_ns).max();
                 let end = scan.time.plus_nanos(last.map_or(0, i64::from));
-                if let Some(stream) = self.streams.get_mut("lidar") {
-                    stream.delay(end, scan.arrival, now);
-                }
+                self.delay(LIDAR, end, scan.arrival, now);
             }
             Tapped::Message { .. } => {}
         }
     }
 
-    /// What became of them.
+    fn delay(&mut self, device: &str, time: Timestamp, arrival: Timestamp, now: Instant) {
+        let delays = self.clocks.entry(device.to_owned()).or_default();
+        // The smallest of each tenth of a second is enough.
+        let delay_ns = arrival - time;
+        match delays.back_mut() {
+            Some((at, smallest)) if now.duration_since(*at) < Duration::from_millis(100) => {
+                *smallest = delay_ns.min(*smallest);
+            }
+            _ => delays.push_back((now, delay_ns)),
+        }
+    }
+
+    /// Takes what the recorder says of its devices.
+    pub fn take(&mut self, snapshot: &Snapshot, now: Instant) {
+        self.lost = snapshot.lost;
+        for device in &snapshot.devices {
+            let stream = self.stream(&device.name);
+            stream.count(device.decoded, now);
+            stream.state.level = level(device);
+            stream.state.problem.clone_from(&device.problem);
+            stream.state.lost = device.bad + device.missing + device.dropped;
+        }
+    }
+
+    /// What became of them in the end.
     pub fn end(&mut self, reports: &[StreamReport]) {
         let now = Instant::now();
         for report in reports {
-            if let Some(stream) = self.streams.get_mut(&report.name) {
-                stream.count(report, now);
-            }
+            let stream = self.stream(&report.name);
+            stream.count(report.decoded, now);
+            stream.state.lost = report.lost();
+            (stream.state.level, stream.state.problem) = match &report.ending {
+                Ending::Lost(why) => (Level::Bad, why.clone()),
+                _ if report.lost() > 0 => (Level::Warning, String::new()),
+                _ => (Level::Good, String::new()),
+            };
         }
+    }
+
+    fn stream(&mut self, name: &str) -> &mut Stream {
+        let known = self.streams.iter().position(|s| s.state.name == name);
+        let index = known.unwrap_or_else(|| {
+            self.streams.push(Stream {
+                state: StreamState {
+                    name: name.to_owned(),
+                    ..StreamState::default()
+                },
+                per_sample: self.units.get(name).copied().unwrap_or(1).max(1),
+                counts: VecDeque::new(),
+            });
+            self.streams.len() - 1
+        });
+        &mut self.streams[index]
     }
 
     /// Everything that should have been recorded and was not.
     pub fn lost(&self) -> u64 {
-        self.streams.values().map(|s| s.report.lost()).sum()
+        self.lost
     }
 
     /// One line per device.
-    pub fn states(&self, now: Instant) -> Vec<StreamState> {
-        let streams = self.streams.iter();
-        streams
-            .map(|(name, stream)| stream.state(name, self.began, now))
-            .collect()
+    pub fn states(&self) -> Vec<StreamState> {
+        self.streams.iter().map(|s| s.state.clone()).collect()
     }
 
     /// How the clocks agree: a sample's delay is its transport's, which is short, and its clock's error.
     pub fn sync(&mut self, now: Instant) -> SyncState {
         let mut delays_ms: Vec<(f64, &str)> = Vec::new();
-        for (name, stream) in &mut self.streams {
-            stream.forget(now);
-            let smallest = stream.delays_ns.iter().map(|(_, delay)| *delay).min();
+        for (name, delays) in &mut self.clocks {
+            while delays
+                .front()
+                .is_some_and(|(at, _)| now.duration_since(*at) > CLOCK_WINDOW)
+            {
+                delays.pop_front();
+            }
+            let smallest = delays.iter().map(|(_, delay)| *delay).min();
             delays_ms.extend(smallest.map(|ns| (ns as f64 * 1e-6, name.as_str())));
         }
         delays_ms.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -178,13 +173,19 @@ impl Streams {
     }
 }
 
+/// The recorder's words for the page's.
+fn level(device: &DeviceHealth) -> Level {
+    match device.level {
+        health::Level::Ok if device.received == 0 => Level::Unknown,
+        health::Level::Ok => Level::Good,
+        health::Level::Warn => Level::Warning,
+        health::Level::Error => Level::Bad,
+    }
+}
+
 impl Stream {
-    fn count(&mut self, report: &StreamReport, now: Instant) {
-        if report.received > self.report.received || self.heard.is_none() {
-            self.heard = Some(now);
-        }
-        self.report = report.clone();
-        self.counts.push_back((now, report.decoded));
+    fn count(&mut self, decoded: u64, now: Instant) {
+        self.counts.push_back((now, decoded));
         while self.counts.len() > 2
             && self
                 .counts
@@ -193,113 +194,41 @@ impl Stream {
         {
             self.counts.pop_front();
         }
-    }
-
-    fn delay(&mut self, time: Timestamp, arrival: Timestamp, now: Instant) {
-        self.heard = Some(now);
-        // The smallest of each tenth of a second is enough.
-        let delay_ns = arrival - time;
-        match self.delays_ns.back_mut() {
-            Some((at, smallest)) if now.duration_since(*at) < Duration::from_millis(100) => {
-                *smallest = delay_ns.min(*smallest);
+        self.state.samples = decoded / self.per_sample as u64;
+        self.state.rate_hz = match (self.counts.front(), self.counts.back()) {
+            (Some((first_at, first)), Some((last_at, last))) if last_at > first_at => {
+                let span_s = last_at.duration_since(*first_at).as_secs_f64();
+                last.saturating_sub(*first) as f64 / span_s / self.per_sample as f64
             }
-            _ => self.delays_ns.push_back((now, delay_ns)),
-        }
-    }
-
-    fn forget(&mut self, now: Instant) {
-        while self
-            .delays_ns
-            .front()
-            .is_some_and(|(at, _)| now.duration_since(*at) > CLOCK_WINDOW)
-        {
-            self.delays_ns.pop_front();
-        }
-    }
-
-    fn rate_hz(&self, silent: Duration) -> f64 {
-        let (Some((first_at, first)), Some((last_at, last))) =
-            (self.counts.front(), self.counts.back())
-        else {
-            return 0.0;
+            _ => 0.0,
         };
-        let span_s = last_at.duration_since(*first_at).as_secs_f64();
-        if span_s <= 0.0 || silent > RATE_WINDOW {
-            return 0.0;
-        }
-        last.saturating_sub(*first) as f64 / span_s / self.per_sample as f64
-    }
-
-    fn state(&self, name: &str, began: Instant, now: Instant) -> StreamState {
-        let silent = now.duration_since(self.heard.unwrap_or(began));
-        let lost = self.report.lost();
-        let (level, problem) = if let Ending::Lost(why) = &self.report.ending {
-            (Level::Bad, why.clone())
-        } else if self.report.ending == Ending::EndOfStream {
-            (Level::Good, String::new())
-        } else if self.heard.is_none() && self.expected == Expected::Perhaps {
-            (Level::Unknown, String::new())
-        } else if self.heard.is_none() && silent < PATIENCE {
-            (Level::Unknown, String::new())
-        } else if self.heard.is_none() {
-            (
-                Level::Bad,
-                "sends nothing: check power, cable and address".to_owned(),
-            )
-        } else if silent > SILENT {
-            (
-                Level::Bad,
-                format!("silent for {:.0} s", silent.as_secs_f64()),
-            )
-        } else if lost > 0 {
-            (Level::Warning, String::new())
-        } else {
-            (Level::Good, String::new())
-        };
-        StreamState {
-            name: name.to_owned(),
-            level,
-            rate_hz: self.rate_hz(silent),
-            samples: self.report.decoded / self.per_sample,
-            lost,
-            silent_s: self.heard.map(|_| silent.as_secs_f64()),
-            problem,
-        }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::net::SocketAddr;
-
-    use lsfb_capture::{ImuLineConfig, LidarNetConfig, SidecarConfig};
     use lsfb_types::{ImuSample, LidarScan, Stamped};
 
     use super::*;
 
-    fn devices() -> DevicesConfig {
-        DevicesConfig {
-            lidar: Some(LidarNetConfig::default()),
-            imu: Some(ImuLineConfig {
-                path: "imu".into(),
-                baud: 921_600,
-                rate_hz: 200,
-            }),
-            sidecar: Some(SidecarConfig {
-                listen: SocketAddr::from(([127, 0, 0, 1], 0)),
-            }),
-            ..DevicesConfig::default()
+    fn snapshot(decoded: u64, missing: u64, problem: &str) -> Snapshot {
+        Snapshot {
+            devices: vec![DeviceHealth {
+                name: "cam0+cam1".to_owned(),
+                received: decoded,
+                decoded,
+                missing,
+                problem: problem.to_owned(),
+                level: if problem.is_empty() {
+                    health::Level::Ok
+                } else {
+                    health::Level::Error
+                },
+                ..DeviceHealth::default()
+            }],
+            lost: missing,
+            ..Snapshot::default()
         }
-    }
-
-    fn counts(name: &str, decoded: u64, missing: u64) -> Tapped {
-        Tapped::Counts(StreamReport {
-            name: name.to_owned(),
-            received: decoded,
-            decoded,
-            missing,
-            ..StreamReport::default()
-        })
     }
 
     fn stamped<T>(time_ns: i64, arrival_ns: i64, sample: T) -> Stamped<T> {
@@ -311,61 +240,50 @@ mod tests {
         }
     }
 
-    fn state(streams: &Streams, name: &str, now: Instant) -> StreamState {
-        let mut states = streams.states(now).into_iter();
-        states.find(|s| s.name == name).unwrap()
-    }
-
     #[test]
-    fn rates_losses_and_silence_are_seen_within_a_second() {
-        let mut streams = Streams::new(&devices());
+    fn frames_are_counted_as_the_unit_sends_them_and_problems_are_passed_on() {
+        let list = "[[camera]]\npath = \"front\"\nnames = [\"cam0\", \"cam1\"]\n";
+        let devices: DevicesConfig = toml::from_str(list).unwrap();
+        let mut streams = Streams::new(&devices);
         let began = Instant::now();
-        let at = |ms: u64| began + Duration::from_millis(ms);
-        for step in 0..20 {
-            streams.note(&counts("imu0", 50 * step, 0), at(250 * step));
-            streams.note(
-                &counts("lidar", step, u64::from(step == 19)),
-                at(250 * step),
-            );
+        streams.take(&snapshot(0, 0, ""), began);
+        assert_eq!(streams.states()[0].level, Level::Unknown);
+        for half in 1..=8 {
+            let now = began + Duration::from_millis(500 * half);
+            streams.take(&snapshot(20 * half, 0, ""), now);
         }
-        let now = at(4_900);
-        let imu = state(&streams, "imu0", now);
-        assert_eq!((imu.level, imu.problem.as_str()), (Level::Good, ""));
-        assert!((imu.rate_hz - 200.0).abs() < 1e-6, "{imu:?}");
-        let lidar = state(&streams, "lidar", now);
-        assert_eq!((lidar.level, lidar.lost), (Level::Warning, 1));
-        assert_eq!(streams.lost(), 1);
-        assert_eq!(state(&streams, "sidecar", now).level, Level::Unknown);
-        // The cable is out: known a second after the last sample.
-        let imu = state(&streams, "imu0", at(4_750 + 1_001));
-        assert_eq!(imu.level, Level::Bad);
-        assert!(imu.problem.contains("silent"), "{imu:?}");
+        let state = &streams.states()[0];
+        assert_eq!((state.level, state.samples), (Level::Good, 80));
+        assert!((state.rate_hz - 20.0).abs() < 1e-6, "{state:?}");
+        let now = began + Duration::from_millis(4_500);
+        streams.take(&snapshot(160, 3, "silent for 1.5 s"), now);
+        let state = &streams.states()[0];
+        assert_eq!((state.level, state.lost), (Level::Bad, 3));
+        assert_eq!(
+            (streams.lost(), state.problem.as_str()),
+            (3, "silent for 1.5 s")
+        );
     }
 
     #[test]
     fn a_clock_a_second_off_is_named() {
-        let mut streams = Streams::new(&devices());
+        let mut streams = Streams::new(&DevicesConfig::default());
         let now = Instant::now();
         let ms = 1_000_000;
         let imu = |delay_ms: i64| Tapped::Imu {
-            imu: "imu0",
+            imu: "imu0".to_owned(),
             sample: stamped(0, delay_ms * ms, ImuSample::default()),
         };
+        let scan = || Tapped::Scan(stamped(0, 12 * ms, LidarScan::default()));
         streams.note(&imu(2), now);
         assert_eq!(streams.sync(now), SyncState::default());
-        streams.note(
-            &Tapped::Scan(stamped(0, 12 * ms, LidarScan::default())),
-            now,
-        );
+        streams.note(&scan(), now);
         let sync = streams.sync(now);
         assert_eq!(sync.level, Level::Good);
         assert!((sync.spread_ms.unwrap() - 10.0).abs() < 1e-9);
         let later = now + Duration::from_secs(5);
         streams.note(&imu(1_003), later);
-        streams.note(
-            &Tapped::Scan(stamped(0, 12 * ms, LidarScan::default())),
-            later,
-        );
+        streams.note(&scan(), later);
         let sync = streams.sync(later);
         assert_eq!(sync.level, Level::Bad);
         assert!(

@@ -140,7 +140,7 @@ let alarmed = "";
 function showAlarm() {
   const problems = state.streams.filter((s) => s.problem).map((s) => ({ level: s.level, text: `${s.name}: ${s.problem}` }));
   if (state.sync.problem) problems.push({ level: state.sync.level, text: state.sync.problem });
-  if (state.storage?.level === "bad") problems.push({ level: "bad", text: "The disk is almost full." });
+  if (state.storage?.problem) problems.push({ level: state.storage.level, text: state.storage.problem });
   if (state.tracking === "lost") problems.push({ level: "warning", text: "Map lost: slow down, or turn back to where it was good." });
   if (state.message) problems.push({ level: state.message_level, text: state.message });
   const worst = problems.some((p) => p.level === "bad") ? "bad" : problems.some((p) => p.level === "warning") ? "warning" : "good";
