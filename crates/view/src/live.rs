@@ -7,10 +7,9 @@ use std::time::Duration;
 
 use lsfb_geometry::{Rig, Se3, Vector3};
 use lsfb_types::{Image, ImuSample, Stamped, Timestamp};
-use rerun::{
-    LineStrips3D, Points3D, Radius, RecordingStream, RecordingStreamBuilder, Scalars,
-    ViewCoordinates,
-};
+use re_sdk::{AsComponents, RecordingStream, RecordingStreamBuilder};
+use re_sdk_types::archetypes::{LineStrips3D, Points3D, Scalars, ViewCoordinates};
+use re_sdk_types::components::Radius;
 
 use crate::walk::{pinhole, transform};
 use crate::{APPLICATION, Error, LINE_RADIUS, TIMELINE};
@@ -172,7 +171,7 @@ impl Sender {
                     pixels,
                     ..
                 } = image.sample;
-                let shown = rerun::Image::from_l8(pixels, [width, height]);
+                let shown = re_sdk_types::archetypes::Image::from_l8(pixels, [width, height]);
                 self.log(&format!("{RIG_ENTITY}/{camera}"), &shown);
             }
             Item::Imu(sample) => {
@@ -224,11 +223,11 @@ impl Sender {
     }
 
     // The stream refuses only what cannot be encoded; what is lost on the way it does not tell.
-    fn log(&self, entity: &str, what: &impl rerun::AsComponents) {
+    fn log(&self, entity: &str, what: &impl AsComponents) {
         let _ = self.stream.log(entity, what);
     }
 
-    fn log_static(&self, entity: &str, what: &impl rerun::AsComponents) {
+    fn log_static(&self, entity: &str, what: &impl AsComponents) {
         let _ = self.stream.log_static(entity, what);
     }
 }

@@ -156,7 +156,6 @@ impl Conductor {
             clock: None,
             cameras_sent: BTreeMap::new(),
         });
-        self.shown.host = Instant::now() - HOST_EVERY;
     }
 
     fn end(&mut self, outcome: Result<Box<CaptureReport>, String>) {
