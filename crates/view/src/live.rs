@@ -176,7 +176,7 @@ impl Sender {
             }
             Item::Imu(sample) => {
                 self.samples += 1;
-                if self.samples % IMU_STRIDE == 0 {
+                if self.samples.is_multiple_of(IMU_STRIDE) {
                     self.set_time(sample.time);
                     let ImuSample {
                         angular_velocity_rad_s,
@@ -201,7 +201,7 @@ impl Sender {
             let point = world_from_rig.rotation * p + world_from_rig.translation;
             [point.x as f32, point.y as f32, point.z as f32]
         };
-        if self.scans % MAP_STRIDE == 0 {
+        if self.scans.is_multiple_of(MAP_STRIDE) {
             let points = Points3D::new(points_in_rig.iter().map(to_world))
                 .with_radii([Radius::new_ui_points(1.5)]);
             let slot = self.scans / MAP_STRIDE % MAP_SCANS;
@@ -209,7 +209,7 @@ impl Sender {
         }
         self.path.push(to_world(&Vector3::zeros()));
         // The whole line is sent anew.
-        if self.scans % MAP_STRIDE == 0 {
+        if self.scans.is_multiple_of(MAP_STRIDE) {
             let line = LineStrips3D::new([self.path.as_slice()])
                 .with_radii([Radius::new_ui_points(LINE_RADIUS)]);
             self.log("world/live/path", &line);
