@@ -1,11 +1,16 @@
 //! CAN frames to inertial readings. No I/O.
 
+use std::collections::VecDeque;
+
 use lsfb_types::{ImuSample, Packet, Timestamp};
 
 use super::model::{ACCELEROMETER_STEPS, GYROSCOPE_STEPS, TEMPERATURE_STEPS};
 use super::wire::{SbgMessage, UtcDate};
 use crate::transport::can::CanFrame;
 use crate::{Decoded, WireError};
+
+/// Steps of the time that the period is taken from.
+const STEPS_KEPT: usize = 9;
 
 /// One sample of the unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -74,7 +79,8 @@ pub struct Decoder {
     utc_time: Option<(u32, u32)>,
     utc: Option<UtcFix>,
     last_us: Option<u64>,
-    period_us: Option<u64>,
+    /// The last steps of the time, the period being their median: neither a gap nor a glitch moves it.
+    steps_us: VecDeque<u64>,
 }
 
 impl Decoder {
@@ -184,7 +190,7 @@ impl Decoder {
         })
     }
 
-    /// The time beyond 32 bits. Counts samples that did not come: the unit keeps its period to a few microseconds.
+    /// The time beyond 32 bits. Counts samples that did not come.
     fn continue_time(&mut self, time_us: u32) -> u64 {
         let Some(last_us) = self.last_us else {
             self.last_us = Some(time_us.into());
@@ -195,12 +201,17 @@ impl Decoder {
         self.last_us = Some(now_us);
         // Half the range forward is a unit that began anew.
         if step_us == 0 || step_us >= 1 << 31 {
-            self.period_us = None;
+            self.steps_us.clear();
             return now_us;
         }
-        let period_us = self.period_us.map_or(step_us, |known| known.min(step_us));
-        self.period_us = Some(period_us);
-        self.counters.missing += (step_us + period_us / 2) / period_us - 1;
+        if self.steps_us.len() == STEPS_KEPT {
+            self.steps_us.pop_front();
+        }
+        self.steps_us.push_back(step_us);
+        let mut sorted: Vec<u64> = self.steps_us.iter().copied().collect();
+        sorted.sort_unstable();
+        let period_us = sorted[(sorted.len() - 1) / 2];
+        self.counters.missing += ((step_us + period_us / 2) / period_us).max(1) - 1;
         now_us
     }
 }

@@ -13,6 +13,8 @@ use crate::{Decoded, WireError};
 const HOUR_NS: i64 = 3_600_000_000_000;
 /// UDP on one network reorders within milliseconds; a larger step back is a clock that was set.
 const LATE_NS: i64 = 100_000_000;
+/// Packets in a row that come late: from then on it was the one before them whose time is wrong.
+const MOST_LATE: u32 = 8;
 /// A device clock and a host clock that disagree by more between two packets: one of them was set.
 const CLOCK_JUMP_NS: i64 = 500_000_000;
 /// The slowest motor setting, 300 rpm, turns in 0.2 s: a longer scan means a stopped rotor.
@@ -136,6 +138,7 @@ pub struct Decoder {
     previous_azimuth: Option<u16>,
     dead_sector: Option<Sector>,
     wrong_rate: u32,
+    late_in_a_row: u32,
     proven: bool,
     refusal: Option<DecodeError>,
     ready: VecDeque<Decoded<LidarScan>>,
@@ -184,6 +187,7 @@ impl Decoder {
             previous_azimuth: None,
             dead_sector: None,
             wrong_rate: 0,
+            late_in_a_row: 0,
             proven: false,
             refusal: None,
             ready: VecDeque::new(),
@@ -221,11 +225,12 @@ impl Decoder {
                         self.counters.duplicates += 1;
                         return Ok(self.keep(held, next));
                     }
-                    Step::Late => {
+                    Step::Late if self.late_in_a_row < MOST_LATE => {
+                        self.late_in_a_row += 1;
                         self.counters.late += 1;
                         return Ok(self.keep(held, next));
                     }
-                    Step::ClockJump => {
+                    Step::Late | Step::ClockJump => {
                         self.counters.clock_jumps += 1;
                         self.assemble(held);
                         self.flush();
@@ -234,6 +239,7 @@ impl Decoder {
                 }
             }
         }
+        self.late_in_a_row = 0;
         self.held = Some(next);
         Ok(self.ready.pop_front())
     }

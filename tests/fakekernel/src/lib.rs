@@ -92,6 +92,7 @@ type Socket = unsafe extern "C" fn(c_int, c_int, c_int) -> c_int;
 type Bind = unsafe extern "C" fn(c_int, *const sockaddr, socklen_t) -> c_int;
 type Setsockopt = unsafe extern "C" fn(c_int, c_int, c_int, *const c_void, socklen_t) -> c_int;
 type Recvmsg = unsafe extern "C" fn(c_int, *mut msghdr, c_int) -> ssize_t;
+type Opendir = unsafe extern "C" fn(*const c_char) -> *mut libc::DIR;
 type IfNametoindex = unsafe extern "C" fn(*const c_char) -> c_uint;
 
 /// The descriptor of the device at `path`, if there is one.
@@ -375,4 +376,20 @@ pub unsafe extern "C" fn if_nametoindex(name: *const c_char) -> c_uint {
     let real = real!(c"if_nametoindex", IfNametoindex);
     // SAFETY: the caller's argument, passed on.
     unsafe { real(name) }
+}
+
+/// libusb looks whether there is anything on the bus, whatever it is, before it takes a descriptor.
+///
+/// # Safety
+/// As the C library's `opendir`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn opendir(path: *const c_char) -> *mut libc::DIR {
+    let real = real!(c"opendir", Opendir);
+    // SAFETY: the caller gives a C string.
+    let path = match unsafe { CStr::from_ptr(path) } {
+        bus if bus == c"/dev/bus/usb" && usb::is_present() => c"/dev",
+        other => other,
+    };
+    // SAFETY: a C string, the caller's or ours.
+    unsafe { real(path.as_ptr()) }
 }

@@ -80,6 +80,11 @@ fn lock() -> MutexGuard<'static, Option<Device>> {
     DEVICE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// Whether there is a device.
+pub fn is_present() -> bool {
+    std::env::var_os("LSFB_FAKE_USB").is_some()
+}
+
 /// Opens the device, if `path` is its path.
 pub fn open(path: &[u8]) -> Option<c_int> {
     let line = std::env::var_os("LSFB_FAKE_USB")?.into_vec();

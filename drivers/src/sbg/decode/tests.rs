@@ -147,3 +147,22 @@ fn random_and_mutated_frames_never_panic() {
     }
     assert!(decoder.counters().samples > 1_000);
 }
+
+#[test]
+fn a_glitch_of_the_time_does_not_make_every_later_sample_look_late() {
+    let mut decoder = Decoder::new();
+    let mut messages = Vec::new();
+    for n in 0..100 {
+        let [_, accelerometer, gyroscope] = frames(n);
+        let glitch = if n == 20 { 4_999 } else { 0 };
+        let info = SbgMessage::ImuInfo {
+            time_us: n * PERIOD_US - glitch,
+            status: 0,
+            temperature: 0,
+        };
+        messages.extend([info, accelerometer, gyroscope]);
+    }
+    assert_eq!(push_all(&mut decoder, &messages).len(), 100);
+    // The step after the glitch is twice as long as the others.
+    assert_eq!(decoder.counters().missing, 1);
+}

@@ -1,6 +1,10 @@
+use std::time::Duration;
+
 use lsfb_types::Timestamp;
 
 use super::*;
+use crate::transport::PacketSource;
+use crate::transport::faults::{Fault, Faulty};
 use crate::velodyne::layout::Echo;
 use crate::velodyne::wire::DATA_PACKET_LEN;
 
@@ -391,4 +395,103 @@ fn random_and_mutated_packets_never_panic() {
     );
     while decoder.finish().is_some() {}
     while forced.finish().is_some() {}
+}
+
+#[test]
+fn a_packet_with_a_wrong_time_costs_a_few_packets_and_not_a_tenth_of_a_second() {
+    let mut packets = Twin::new(1_000_000).packets(300);
+    let mut wrong = DataPacket::new(packets[100].bytes.clone()).unwrap();
+    wrong.set_timestamp_us(wrong.timestamp_us() + 65_536);
+    packets[100].bytes = wrong.into_inner();
+    let counters = run(DecoderConfig::default(), &packets).counters;
+    assert_eq!((counters.late, counters.clock_jumps), (8, 1));
+    assert_eq!(counters.packets, 292);
+}
+
+/// Packets of a list.
+struct Replay(VecDeque<Packet>);
+
+impl PacketSource for Replay {
+    fn recv(&mut self, _timeout: Duration) -> Result<Option<Packet>, crate::Error> {
+        self.0
+            .pop_front()
+            .map(Some)
+            .ok_or(crate::Error::EndOfStream {
+                device: "a list".to_owned(),
+            })
+    }
+}
+
+/// What faults on the way do to a stream, whatever the seed.
+#[test]
+fn faults_on_the_way_cost_what_they_took_and_are_counted() {
+    let packets = Twin::new(1_000_000).packets(1_000);
+    let clean = run(DecoderConfig::default(), &packets);
+    for seed in 0..10 {
+        let suffer = |fault| {
+            let mut faulty = Faulty::new(Replay(packets.clone().into()), fault, seed);
+            let next = || faulty.recv(Duration::ZERO).ok().flatten();
+            let seen: Vec<Packet> = std::iter::from_fn(next).collect();
+            let affected = faulty.counts().affected;
+            assert!(affected > 0, "{fault:?}");
+            (run(DecoderConfig::default(), &seen), seen, affected)
+        };
+
+        let (outcome, seen, _) = suffer(Fault::Drop { probability: 0.05 });
+        // What is missing before the first or behind the last cannot be known.
+        let number = |p: &Packet| packets.iter().position(|q| q.bytes == p.bytes).unwrap();
+        let span = number(seen.last().unwrap()) - number(&seen[0]) + 1;
+        assert_eq!(outcome.counters.lost, (span - seen.len()) as u64);
+        assert_eq!(outcome.counters.packets, seen.len() as u64);
+
+        let (outcome, _, affected) = suffer(Fault::Duplicate { probability: 0.05 });
+        assert_eq!(outcome.counters.duplicates, affected);
+        assert_eq!(outcome.counters.points, clean.counters.points);
+
+        let (outcome, _, affected) = suffer(Fault::Reorder {
+            probability: 0.02,
+            places: 2,
+        });
+        // Who is overtaken by a packet that is overtaken itself, or by none any more at the end, comes in order.
+        let late = outcome.counters.late;
+        assert!(
+            late <= affected && late + 4 >= affected,
+            "{late} {affected}"
+        );
+        assert_eq!(outcome.counters.packets + late, 1_000);
+
+        let (outcome, _, affected) = suffer(Fault::Truncate { probability: 0.05 });
+        assert_eq!(outcome.counters.malformed, affected);
+
+        let corrupt = Fault::Corrupt {
+            probability: 0.05,
+            bits: 3,
+        };
+        let (outcome, ..) = suffer(corrupt);
+        assert!(outcome.counters.packets >= 900, "{:?}", outcome.counters);
+
+        // The host's clock, delays and batches change arrivals and no point.
+        for fault in [
+            Fault::ClockStep {
+                after_ns: 300_000_000,
+                step_ns: -1_000_000_000,
+            },
+            Fault::Delay {
+                delay_ns: 5_000_000,
+                jitter_ns: 5_000_000,
+            },
+            Fault::Stall {
+                start_ns: 100_000_000,
+                length_ns: 45_000_000,
+                period_ns: 200_000_000,
+            },
+        ] {
+            let (outcome, ..) = suffer(fault);
+            assert_eq!(outcome.counters, clean.counters, "{fault:?}");
+            let points = |run: &Run| -> Vec<LidarScan> {
+                run.scans.iter().map(|scan| scan.sample.clone()).collect()
+            };
+            assert!(points(&outcome) == points(&clean), "{fault:?}");
+        }
+    }
 }
