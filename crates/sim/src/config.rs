@@ -3,6 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
+use crate::place::Place;
+use crate::walk::{Device, PaperMotion};
 
 /// A whole simulated session: a scan with the backpack and a walk with the glasses.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -10,6 +12,15 @@ use crate::Error;
 pub struct SimConfig {
     /// Seed of everything random: the building, the walks, the noise.
     pub seed: u64,
+    /// Where it takes place.
+    pub place: Place,
+    /// How often people have moved things about since the place was built; 0 is as built.
+    pub months_later: u32,
+    /// What the second walk is recorded with.
+    pub device: Device,
+    /// Sequence of Table VII (`O0` … `S2`) that the second walk follows, which decides its place, length and duration;
+    /// empty for a loop through the place.
+    pub motion: String,
     /// Edge of the texels that surfaces are painted with, metres.
     pub texel_m: f32,
     /// The walk with the backpack.
@@ -32,7 +43,7 @@ pub struct SimConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct WalkConfig {
-    /// Length of the recording, seconds.
+    /// Length of the recording, seconds; 0, except in the demo's place, is as long as the route takes.
     pub duration_s: f64,
     /// Standing still at the start, seconds.
     pub rest_s: f64,
@@ -56,16 +67,39 @@ pub struct CameraConfig {
     pub height: u32,
     /// Focal length as a share of the width: 0.547 gives 350 px at 640.
     pub focal_per_width: f64,
-    /// Images per second; must divide a second into whole microseconds.
+    /// Images per second.
     pub rate_hz: u32,
-    /// Exposure time, nanoseconds. Images are sharp: it moves no pixel, it only is what the device reports.
+    /// The lens.
+    pub lens: LensKind,
+    /// Time from the first row to the last, nanoseconds; 0 is a global shutter.
+    pub readout_ns: u32,
+    /// Exposure time in nominal light, nanoseconds.
     pub exposure_ns: u32,
+    /// Whether motion during the exposure blurs the image. Without, the exposure only is what the device reports.
+    pub motion_blur: bool,
+    /// Whether exposure time, then gain, follow the light.
+    pub auto_exposure: bool,
+    /// Longest exposure that the automatic chooses, nanoseconds.
+    pub longest_exposure_ns: u32,
+    /// Quality 1–100 of JPEG compression that the image has been through; 0 for none.
+    pub jpeg_quality: u8,
     /// Noise of a black pixel, grey levels.
     pub read_noise: f32,
     /// Growth of the variance with the brightness (shot noise), grey levels.
     pub shot_noise: f32,
     /// Loss of brightness at 45° off the axis, 0–1.
     pub vignetting: f32,
+}
+
+/// Kind of lens.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LensKind {
+    /// Kannala and Brandt's model, for wide lenses.
+    #[default]
+    KannalaBrandt,
+    /// Pinhole with radial and tangential distortion.
+    PinholeRadtan,
 }
 
 /// The LiDAR.
@@ -84,6 +118,10 @@ pub struct LidarConfig {
     pub grazing_cosine: f64,
     /// Share of returns lost for no reason, 0–1.
     pub dropout: f64,
+    /// Reflectance that is just seen, met head-on, at `weakest_range_m`.
+    pub weakest_reflectance: f64,
+    /// Distance at which `weakest_reflectance` is just seen, metres.
+    pub weakest_range_m: f64,
 }
 
 /// An IMU.
@@ -104,12 +142,28 @@ pub struct ImuConfig {
     pub gyro_bias: f64,
     /// Standard deviation of each axis of the accelerometer bias at the start, m/s².
     pub accel_bias: f64,
+    /// Bias instability of the gyroscope (1/f noise), rad/s.
+    pub gyro_bias_instability: f64,
+    /// Bias instability of the accelerometer, m/s².
+    pub accel_bias_instability: f64,
+    /// Standard deviation of the scale error of each axis.
+    pub scale_error: f64,
+    /// Standard deviation of each angle by which an axis leans towards another, radians.
+    pub misalignment_rad: f64,
+    /// Largest angular velocity that is measured, rad/s.
+    pub gyro_range_rad_s: f64,
+    /// Largest specific force that is measured, m/s².
+    pub accel_range_m_s2: f64,
 }
 
 impl Default for SimConfig {
     fn default() -> Self {
         Self {
             seed: 1,
+            place: Place::Demo,
+            months_later: 0,
+            device: Device::Glasses,
+            motion: String::new(),
             texel_m: 0.003,
             scan: WalkConfig::default(),
             glasses: WalkConfig {
@@ -158,7 +212,13 @@ impl Default for CameraConfig {
             height: 400,
             focal_per_width: 0.547,
             rate_hz: 10,
+            lens: LensKind::KannalaBrandt,
+            readout_ns: 0,
             exposure_ns: 4_000_000,
+            motion_blur: false,
+            auto_exposure: false,
+            longest_exposure_ns: 20_000_000,
+            jpeg_quality: 0,
             read_noise: 1.0,
             shot_noise: 0.012,
             vignetting: 0.25,
@@ -175,6 +235,8 @@ impl Default for LidarConfig {
             max_range_m: 200.0,
             grazing_cosine: 0.12,
             dropout: 0.002,
+            weakest_reflectance: 0.1,
+            weakest_range_m: 100.0,
         }
     }
 }
@@ -190,11 +252,103 @@ impl Default for ImuConfig {
             accel_bias_walk: 2e-4,
             gyro_bias: 0.003,
             accel_bias: 0.03,
+            gyro_bias_instability: 0.0,
+            accel_bias_instability: 0.0,
+            scale_error: 0.0,
+            misalignment_rad: 0.0,
+            // 2000 °/s and 16 g.
+            gyro_range_rad_s: 34.9,
+            accel_range_m_s2: 156.9,
         }
     }
 }
 
 impl SimConfig {
+    /// A scan and a walk in a place, with the sensors of Table III: the cameras' full resolution and rate, blur by
+    /// exposure, automatic exposure, rolling shutters on phones.
+    pub fn for_place(place: Place, device: Device) -> Self {
+        let real = CameraConfig {
+            motion_blur: true,
+            auto_exposure: true,
+            read_noise: 1.3,
+            shot_noise: 0.02,
+            rate_hz: 30,
+            ..CameraConfig::default()
+        };
+        let phone = |focal_per_width: f64, readout_ns: u32| CameraConfig {
+            width: 640,
+            height: 480,
+            focal_per_width,
+            lens: LensKind::PinholeRadtan,
+            readout_ns,
+            exposure_ns: 10_000_000,
+            longest_exposure_ns: 33_000_000,
+            vignetting: 0.35,
+            jpeg_quality: 92,
+            ..real.clone()
+        };
+        let mut config = Self {
+            place,
+            device,
+            texel_m: 0.003,
+            scan_cameras: CameraConfig {
+                width: 1280,
+                height: 800,
+                focal_per_width: 0.547,
+                rate_hz: 20,
+                ..real.clone()
+            },
+            glasses_cameras: match device {
+                // 67°, 68° and 126° over the width.
+                Device::Android => phone(0.7555, 24_000_000),
+                Device::Iphone => phone(0.7413, 21_000_000),
+                Device::Glasses => CameraConfig {
+                    focal_per_width: 0.4547,
+                    ..real.clone()
+                },
+            },
+            ..Self::default()
+        };
+        // Factory-calibrated, as phones and glasses are; the datasheet's bias stability for the backpack's.
+        config.scan_imu.gyro_bias_instability = 8.7e-5;
+        config.scan_imu.accel_bias_instability = 1.5e-4;
+        config.glasses_imu.gyro_bias_instability = 1.5e-4;
+        config.glasses_imu.accel_bias_instability = 4e-4;
+        config.glasses_imu.scale_error = 5e-4;
+        config.glasses_imu.misalignment_rad = 5e-4;
+        for walk in [&mut config.scan, &mut config.glasses] {
+            (walk.duration_s, walk.speed_m_s) = (0.0, 1.0);
+        }
+        if place == Place::Demo {
+            (config.scan.duration_s, config.glasses.duration_s) = (36.0, 24.0);
+        }
+        if place == Place::Calibration {
+            (config.scan.duration_s, config.glasses.duration_s) = (80.0, 60.0);
+            config.texel_m = 0.003;
+        }
+        config
+    }
+
+    /// [`SimConfig::for_place`] with the second walk of a sequence of Table VII.
+    pub fn for_motion(motion: &PaperMotion, device: Device) -> Self {
+        let mut config = Self::for_place(motion.place, device);
+        config.motion = motion.name.to_owned();
+        config
+    }
+
+    /// The sequence of Table VII that the second walk follows.
+    pub fn paper_motion(&self) -> Result<Option<&'static PaperMotion>, Error> {
+        if self.motion.is_empty() {
+            return Ok(None);
+        }
+        let found = PaperMotion::named(&self.motion).filter(|m| m.place == self.place);
+        found.map(Some).ok_or_else(|| Error::Config {
+            field: "motion",
+            got: self.motion.clone(),
+            expected: "a sequence of Table VII that belongs to the place",
+        })
+    }
+
     /// Small and short, for tests: coarse surfaces, low resolution, five seconds each.
     pub fn tiny() -> Self {
         let mut config = Self {
@@ -234,7 +388,13 @@ impl SimConfig {
         )?;
         for walk in [&self.scan, &self.glasses] {
             let (d, rest) = (walk.duration_s, walk.rest_s + walk.final_rest_s);
-            require("duration_s", &d, "0.1 to 3600", (0.1..=3600.0).contains(&d))?;
+            let route = d == 0.0 && self.place != Place::Demo;
+            require(
+                "duration_s",
+                &d,
+                "0.1 to 3600",
+                route || (0.1..=3600.0).contains(&d),
+            )?;
             require(
                 "rest_s",
                 &rest,
@@ -278,7 +438,25 @@ impl SimConfig {
                 "0.3 to 5",
                 (0.3..=5.0).contains(&focal),
             )?;
-            rate(cameras.rate_hz)?;
+            let frames = cameras.rate_hz;
+            require("rate_hz", &frames, "1 to 240", (1..=240).contains(&frames))?;
+            let period_ns = 1_000_000_000 / cameras.rate_hz;
+            let readout = cameras.readout_ns;
+            require(
+                "readout_ns",
+                &readout,
+                "no longer than the period of the images",
+                readout <= period_ns,
+            )?;
+            let exposure = cameras.exposure_ns.max(cameras.longest_exposure_ns);
+            require(
+                "exposure_ns",
+                &exposure,
+                "up to 1000000000",
+                exposure <= 1_000_000_000,
+            )?;
+            let quality = cameras.jpeg_quality;
+            require("jpeg_quality", &quality, "0 to 100", quality <= 100)?;
         }
         for imu in [&self.scan_imu, &self.glasses_imu] {
             rate(imu.rate_hz)?;

@@ -44,6 +44,8 @@ mod config;
 mod device;
 mod error;
 mod noise;
+mod place;
+pub mod preview;
 pub mod rigs;
 mod sensor;
 mod simulation;
@@ -52,12 +54,13 @@ mod truth;
 mod walk;
 pub mod world;
 
-pub use config::{CameraConfig, ImuConfig, LidarConfig, SimConfig, WalkConfig};
+pub use config::{CameraConfig, ImuConfig, LensKind, LidarConfig, SimConfig, WalkConfig};
 pub use device::{
     CameraPlan, FlowControl, GlassesEndpoint, MYNT_UNITS, Pace, Playback, PlaybackEndpoints,
     ScanEndpoints, SessionReport, SimSession, StopHandle, Turns,
 };
 pub use error::Error;
+pub use place::{Board, Place, TAG_M};
 pub use sensor::camera::CameraSim;
 pub use sensor::imu::{BiasedSample, GRAVITY_M_S2, exact_sample};
 pub use sensor::lidar::{
@@ -66,5 +69,5 @@ pub use sensor::lidar::{
 };
 pub use simulation::{EPOCH, GLASSES_EPOCH, RigSim, Simulation};
 pub use truth::{TrueBias, Truth};
-pub use walk::{Motion, Walk, Walker};
+pub use walk::{Device, Motion, PaperMotion, Walk, Walker};
 pub use world::World;

@@ -1,4 +1,4 @@
-//! The two rigs: where their sensors sit.
+//! The rigs: where their sensors sit.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,8 @@ use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use lsfb_geometry::camera::{Camera, Lens};
 use lsfb_geometry::{Rig, RigCamera, RigImu, RigLidar, Se3};
 
-use crate::config::{CameraConfig, ImuConfig, SimConfig};
+use crate::config::{CameraConfig, ImuConfig, LensKind, SimConfig};
+use crate::walk::Device;
 
 /// The backpack: a VLP-32C on top, four cameras looking forward, left, back and right, the IMU in the middle.
 ///
@@ -53,6 +54,28 @@ pub fn glasses(config: &SimConfig) -> Rig {
     }
 }
 
+/// The device of the second walk.
+pub fn walker(config: &SimConfig) -> Rig {
+    match config.device {
+        Device::Glasses => glasses(config),
+        phone => Rig {
+            name: phone.name().to_owned(),
+            ..phone_rig(config)
+        },
+    }
+}
+
+/// A phone held upright before the chest: one camera, the IMU behind it.
+fn phone_rig(config: &SimConfig) -> Rig {
+    let mounts = [("cam0", [0.9, -4.0, 0.3], [0.006, 0.021, 0.048])];
+    Rig {
+        name: "phone".into(),
+        cameras: cameras(&mounts, &config.glasses_cameras, [0.0; 4]),
+        imu: Some(imu(&config.glasses_imu)),
+        lidar: None,
+    }
+}
+
 fn imu(config: &ImuConfig) -> RigImu {
     RigImu {
         gyro_noise_density: config.gyro_noise_density,
@@ -87,16 +110,26 @@ fn cameras(
             // No two lenses are alike.
             let odd = k as f64 - 1.5;
             let focal = config.focal_per_width * width * (1.0 + 0.0013 * odd);
+            let focal_px = [focal, focal * 1.0006];
+            let principal_px = [
+                0.5 * width - 0.5 + 0.0031 * width * odd,
+                0.5 * height - 0.5 - 0.0042 * height * odd,
+            ];
             let camera = Camera {
                 width: config.width,
                 height: config.height,
-                lens: Lens::KannalaBrandt {
-                    focal_px: [focal, focal * 1.0006],
-                    principal_px: [
-                        0.5 * width - 0.5 + 0.0031 * width * odd,
-                        0.5 * height - 0.5 - 0.0042 * height * odd,
-                    ],
-                    distortion: distortion.map(|d| d * (1.0 + 0.05 * odd)),
+                lens: match config.lens {
+                    LensKind::KannalaBrandt => Lens::KannalaBrandt {
+                        focal_px,
+                        principal_px,
+                        distortion: distortion.map(|d| d * (1.0 + 0.05 * odd)),
+                    },
+                    // As fitted to phones: a little barrel, a little off centre.
+                    LensKind::PinholeRadtan => Lens::PinholeRadtan {
+                        focal_px,
+                        principal_px,
+                        distortion: [0.071, -0.162, 0.0006, -0.0004, 0.041],
+                    },
                 },
             };
             let pose = Se3::new(angles(*ypr) * forward, Vector3::from(*position));

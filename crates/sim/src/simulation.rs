@@ -7,13 +7,14 @@ use lsfb_types::{Image, LidarPoint, LidarScan, ProgressFn, Stamped, Timestamp};
 
 use crate::config::{CameraConfig, ImuConfig, SimConfig};
 use crate::noise::hash;
+use crate::place::{Place, Route, route};
 use crate::sensor::camera::CameraSim;
 use crate::sensor::imu::{self, BiasedSample};
 use crate::sensor::lidar::{
     CYCLE_NS, FiringCycle, LidarSim, RANGE_UNIT_M, beam_direction, firing_delay_ns, ring,
 };
-use crate::walk::{Walk, Walker};
-use crate::world::World;
+use crate::walk::{Gait, Gaze, Walk, WalkPlan, Walker};
+use crate::world::{FloorPlan, World};
 use crate::{Error, rigs, truth};
 
 /// When the scan begins: 2026-03-01T10:00:00Z.
@@ -49,11 +50,14 @@ impl Simulation {
     /// Builds the world and both walks. Takes seconds at the default resolution.
     pub fn new(config: &SimConfig, progress: ProgressFn) -> Result<Self, Error> {
         config.check()?;
-        let world = World::build(config.seed, config.texel_m, progress);
+        let world = config
+            .place
+            .build(config.seed, config.months_later, config.texel_m, progress);
+        let [scan_walk, second_walk] = walks(config)?;
         let mut scan = RigSim::new(
             rigs::backpack(config),
             EPOCH,
-            Walk::new(world.plan(), Walker::Backpack, &config.scan, config.seed),
+            scan_walk,
             &config.scan_cameras,
             &config.scan_imu,
             config.seed,
@@ -67,9 +71,9 @@ impl Simulation {
         });
         scan.lidar_rpm = config.lidar.rpm;
         let glasses = RigSim::new(
-            rigs::glasses(config),
+            rigs::walker(config),
             GLASSES_EPOCH,
-            Walk::new(world.plan(), Walker::Glasses, &config.glasses, config.seed),
+            second_walk,
             &config.glasses_cameras,
             &config.glasses_imu,
             hash(config.seed ^ 0x61a5),
@@ -114,6 +118,55 @@ impl Simulation {
         )?;
         truth::write(&folder.join("world.ply"), &self.world.to_ply())
     }
+}
+
+/// The scanner's walk, and the second one.
+fn walks(config: &SimConfig) -> Result<[Walk; 2], Error> {
+    let place = config.place;
+    if place == Place::Demo {
+        let plan = FloorPlan::new(config.seed);
+        return Ok([
+            Walk::new(&plan, Walker::Backpack, &config.scan, config.seed),
+            Walk::new(&plan, Walker::Glasses, &config.glasses, config.seed),
+        ]);
+    }
+    let on_board = place == Place::Calibration;
+    let scan = WalkPlan {
+        corners: route(place, if on_board { Route::Spot } else { Route::Scan }),
+        config: config.scan.clone(),
+        length_m: on_board.then_some(0.02 * config.scan.duration_s),
+        gaze: if on_board { Gaze::Board } else { Gaze::Steady },
+        gait: if on_board { Gait::STAND } else { Gait::WALK },
+    };
+    let second = match config.paper_motion()? {
+        Some(motion) => WalkPlan {
+            corners: route(place, motion.route),
+            config: crate::WalkConfig {
+                duration_s: motion.duration_s(config.device),
+                ..config.glasses.clone()
+            },
+            length_m: Some(motion.length_m(config.device)),
+            gaze: motion.gaze,
+            gait: motion.gait,
+        },
+        None if on_board => WalkPlan {
+            config: config.glasses.clone(),
+            gaze: Gaze::Facing,
+            length_m: Some(0.02 * config.glasses.duration_s),
+            ..scan.clone()
+        },
+        None => WalkPlan {
+            corners: route(place, Route::Loop),
+            config: config.glasses.clone(),
+            length_m: None,
+            gaze: Gaze::AroundSlow,
+            gait: Gait::WALK,
+        },
+    };
+    Ok([
+        Walk::of(&scan, config.seed),
+        Walk::of(&second, hash(config.seed ^ 0x3a1c)),
+    ])
 }
 
 impl RigSim {
@@ -191,15 +244,19 @@ impl RigSim {
     /// Middle of the exposure of a frame, nanoseconds after the beginning.
     pub fn frame_offset_ns(&self, frame: u32) -> i64 {
         // Half a period after the second, so that the first exposure lies inside the recording.
-        let period_ns = 1_000_000_000 / i64::from(self.camera_rate_hz);
-        period_ns / 2 + i64::from(frame) * period_ns
+        let rate_hz = i64::from(self.camera_rate_hz);
+        (2 * i64::from(frame) + 1) * 500_000_000 / rate_hz
     }
 
     /// The image of camera number `camera` at a frame; `None` where there is no such camera.
     pub fn image(&self, world: &World, camera: usize, frame: u32) -> Option<Stamped<Image>> {
         let offset_ns = self.frame_offset_ns(frame);
-        let pose = self.walk.at(offset_ns as f64 * 1e-9).world_from_rig;
-        let sample = self.cameras.get(camera)?.render(world, &pose, frame);
+        let pose = |time_s: f64| self.walk.at(time_s).world_from_rig;
+        let middle_s = offset_ns as f64 * 1e-9;
+        let sample = self
+            .cameras
+            .get(camera)?
+            .render(world, &pose, middle_s, frame);
         let time = self.time(offset_ns);
         Some(Stamped {
             time,
@@ -265,6 +322,11 @@ impl RigSim {
             device_ticks: time.nanos().rem_euclid(3_600_000_000_000) as u64,
             sample: LidarScan { points },
         })
+    }
+
+    /// Camera number `camera`; `None` where there is none.
+    pub fn camera(&self, camera: usize) -> Option<&CameraSim> {
+        self.cameras.get(camera)
     }
 
     /// Pose of the LiDAR at a time, for comparisons; the rig's where there is no LiDAR.

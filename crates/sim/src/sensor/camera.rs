@@ -1,4 +1,8 @@
-//! A global-shutter camera: every pixel one ray, the texture averaged over the pixel's cone.
+//! A camera: every pixel one ray (more where it matters), the texture averaged over the pixel's cone, every row seen
+//! from where the camera was at that row's time.
+
+mod exposure;
+mod jpeg;
 
 use nalgebra::Matrix3;
 use rayon::prelude::*;
@@ -10,11 +14,15 @@ use lsfb_types::Image;
 use crate::Error;
 use crate::config::CameraConfig;
 use crate::noise::hash;
-use crate::world::vector::dot;
-use crate::world::{LANES, NO_FACET, RayPacket, World};
+use crate::world::crowd::Moment;
+use crate::world::{LANES, RayPacket, Seen, World};
 
 /// Rows rendered by one task.
 const ROWS_PER_TASK: usize = 8;
+/// Images averaged into one that is blurred by motion, at most.
+const BLUR_STEPS: usize = 6;
+/// Motion during the exposure that is worth an image more, pixels.
+const BLUR_STEP_PX: f64 = 1.4;
 
 /// Where the four rays of a pixel on a border go, in pixels from its centre: no two share a row or a column.
 const SUBPIXELS: [[f32; 2]; 4] = [
@@ -24,25 +32,27 @@ const SUBPIXELS: [[f32; 2]; 4] = [
     [-0.125, 0.375],
 ];
 
+/// Where a rig is, by seconds after the beginning of its walk.
+pub(crate) type PoseAt<'a> = &'a (dyn Fn(f64) -> Se3 + Sync);
+
 /// A camera in the world.
+#[derive(Clone, Copy)]
 struct Eye {
     origin: [f32; 3],
     rotation: Matrix3<f32>,
 }
 
-/// What a ray met.
-#[derive(Clone, Copy)]
-struct Seen {
-    value: f32,
-    facet: u32,
+/// The world as it is seen for one image.
+struct View<'a> {
+    world: &'a World,
+    moment: Moment,
+    /// One for all rows, or one for each.
+    eyes: Vec<Eye>,
 }
 
-impl Default for Seen {
-    fn default() -> Self {
-        Self {
-            value: 0.0,
-            facet: NO_FACET,
-        }
+impl View<'_> {
+    fn eye(&self, row: usize) -> &Eye {
+        &self.eyes[row % self.eyes.len()]
     }
 }
 
@@ -56,10 +66,8 @@ pub struct CameraSim {
     directions: Vec<[f32x8; 3]>,
     /// Share of the light that reaches each pixel.
     vignette: Vec<f32>,
-    /// Standard deviation of the noise by brightness, in steps of one grey level.
-    noise: Vec<f32>,
     pixel_angle_rad: f32,
-    exposure_ns: u32,
+    config: CameraConfig,
     seed: u64,
 }
 
@@ -92,30 +100,112 @@ impl CameraSim {
                 directions.push(lanes.map(f32x8::new));
             }
         }
-        let noise = (0..256)
-            .map(|v| (config.read_noise.powi(2) + config.shot_noise * v as f32).sqrt())
-            .collect();
         Ok(Self {
             rig_from_camera: camera.rig_from_camera,
             width,
             height,
             directions,
             vignette,
-            noise,
             pixel_angle_rad: (1.0 / camera.camera.focal_px()[0]) as f32,
-            exposure_ns: config.exposure_ns,
+            config: config.clone(),
             seed,
         })
     }
 
-    /// The image taken at a pose. `frame_id` also numbers the noise.
-    pub fn render(&self, world: &World, world_from_rig: &Se3, frame_id: u32) -> Image {
-        let world_from_camera = *world_from_rig * self.rig_from_camera;
-        let eye = Eye {
-            origin: world_from_camera.translation.map(|v| v as f32).into(),
-            rotation: world_from_camera.rotation_matrix().map(|v| v as f32),
-        };
+    /// When a row's exposure has its middle, seconds after that of the image.
+    pub fn row_offset_s(&self, row: f64) -> f64 {
+        let last = (self.height - 1) as f64;
+        (row / last - 0.5) * f64::from(self.config.readout_ns) * 1e-9
+    }
+
+    /// The image whose exposure has its middle at `time_s`. `frame_id` also numbers the noise.
+    pub(crate) fn render(
+        &self,
+        world: &World,
+        world_from_rig: PoseAt,
+        time_s: f64,
+        frame_id: u32,
+    ) -> Image {
+        let exposure = self.meter(world, world_from_rig, time_s);
+        let steps = self.blur_steps(world_from_rig, time_s, exposure.time_ns);
+        let mut values = Vec::new();
+        for step in 0..steps {
+            let part = (step as f64 + 0.5) / steps as f64 - 0.5;
+            let at_s = time_s + part * f64::from(exposure.time_ns) * 1e-9;
+            let view = self.view(world, world_from_rig, at_s);
+            let seen = self.look_everywhere(&view);
+            if steps == 1 {
+                values = seen;
+            } else if step == 0 {
+                values = seen.into_iter().map(|v| v * v).collect();
+            } else {
+                for (sum, value) in values.iter_mut().zip(seen) {
+                    *sum += value * value;
+                }
+            }
+        }
+        if steps > 1 {
+            // Light adds up, not its square root.
+            let share = 1.0 / steps as f32;
+            values.par_iter_mut().for_each(|v| *v = (*v * share).sqrt());
+        }
         let noise_seed = hash(self.seed ^ hash(u64::from(frame_id)));
+        let mut pixels = vec![0_u8; self.width * self.height];
+        pixels
+            .par_chunks_mut(self.width)
+            .zip(values.par_chunks(self.width))
+            .enumerate()
+            .for_each(|(y, (row, values))| self.expose(y, values, &exposure, noise_seed, row));
+        if self.config.jpeg_quality > 0 {
+            jpeg::compress(&mut pixels, self.width, self.config.jpeg_quality);
+        }
+        Image {
+            width: self.width as u32,
+            height: self.height as u32,
+            pixels,
+            exposure_ns: exposure.time_ns,
+            frame_id,
+        }
+    }
+
+    /// How many sharp images make a blurred one.
+    fn blur_steps(&self, world_from_rig: PoseAt, time_s: f64, exposure_ns: u32) -> usize {
+        if !self.config.motion_blur {
+            return 1;
+        }
+        let half_s = 0.5e-9 * f64::from(exposure_ns);
+        let moved = world_from_rig(time_s - half_s).inverse() * world_from_rig(time_s + half_s);
+        // As if everything were two metres away.
+        let angle = moved.rotation.angle() + 0.5 * moved.translation.norm();
+        let pixels = angle / f64::from(self.pixel_angle_rad);
+        ((pixels / BLUR_STEP_PX).ceil() as usize).clamp(1, BLUR_STEPS)
+    }
+
+    fn view<'a>(&self, world: &'a World, world_from_rig: PoseAt, time_s: f64) -> View<'a> {
+        let eye = |at_s: f64| {
+            let world_from_camera = world_from_rig(at_s) * self.rig_from_camera;
+            Eye {
+                origin: world_from_camera.translation.map(|v| v as f32).into(),
+                rotation: world_from_camera.rotation_matrix().map(|v| v as f32),
+            }
+        };
+        let eyes = if self.config.readout_ns == 0 {
+            vec![eye(time_s)]
+        } else {
+            (0..self.height)
+                .map(|row| eye(time_s + self.row_offset_s(row as f64)))
+                .collect()
+        };
+        let place = world_from_rig(time_s).translation;
+        View {
+            world,
+            moment: world.moment(time_s, [place.x as f32, place.y as f32]),
+            eyes,
+        }
+    }
+
+    /// Brightness of all pixels, borders between facets smoothed.
+    fn look_everywhere(&self, view: &View) -> Vec<f32> {
         let groups = self.width / LANES;
         let mut seen = vec![[Seen::default(); LANES]; self.directions.len()];
         seen.par_chunks_mut(groups * ROWS_PER_TASK)
@@ -123,68 +213,38 @@ impl CameraSim {
             .for_each(|(task, out)| {
                 let first = task * groups * ROWS_PER_TASK;
                 for (group, out) in out.iter_mut().enumerate() {
-                    *out = self.look(world, &eye, &self.directions[first + group]);
+                    let row = (first + group) / groups;
+                    *out = self.look(view, row, &self.directions[first + group]);
                 }
             });
         let seen = seen.as_flattened();
-        let mut pixels = vec![0_u8; self.width * self.height];
-        pixels
+        let mut values = vec![0.0; self.width * self.height];
+        values
             .par_chunks_mut(self.width * ROWS_PER_TASK)
             .enumerate()
             .for_each(|(task, rows)| {
-                let mut values = vec![0.0; self.width];
                 for (k, row) in rows.chunks_exact_mut(self.width).enumerate() {
-                    let y = task * ROWS_PER_TASK + k;
-                    self.smooth_borders(world, &eye, seen, y, &mut values);
-                    self.expose(y, &values, noise_seed, row);
+                    self.smooth_borders(view, seen, task * ROWS_PER_TASK + k, row);
                 }
             });
-        Image {
-            width: self.width as u32,
-            height: self.height as u32,
-            pixels,
-            exposure_ns: self.exposure_ns,
-            frame_id,
-        }
+        values
     }
 
-    /// What eight rays meet; black where there is nothing.
-    fn look(&self, world: &World, eye: &Eye, directions: &[f32x8; 3]) -> [Seen; LANES] {
+    /// What eight rays of a row meet; black where there is nothing.
+    fn look(&self, view: &View, row: usize, directions: &[f32x8; 3]) -> [Seen; LANES] {
+        let eye = view.eye(row);
         let direction: [f32x8; 3] = std::array::from_fn(|i| {
             f32x8::splat(eye.rotation[(i, 0)]) * directions[0]
                 + f32x8::splat(eye.rotation[(i, 1)]) * directions[1]
                 + f32x8::splat(eye.rotation[(i, 2)]) * directions[2]
         });
-        let hit = world.cast_packet(&RayPacket::from_point(eye.origin, direction));
-        let distance = hit.distance.to_array();
-        let lanes = direction.map(|d| d.to_array());
-        std::array::from_fn(|lane| {
-            if hit.facet[lane] == NO_FACET {
-                return Seen::default();
-            }
-            let facet = hit.facet[lane] as usize;
-            let ray = [lanes[0][lane], lanes[1][lane], lanes[2][lane]];
-            let point = std::array::from_fn(|i| eye.origin[i] + distance[lane] * ray[i]);
-            // The pixel's cone cuts the surface in an ellipse; its mean radius decides the mip level.
-            let cosine = (-dot(world.facets()[facet].normal, ray)).max(0.02);
-            let footprint = distance[lane] * self.pixel_angle_rad / cosine.sqrt();
-            Seen {
-                value: world.brightness(facet, point, footprint),
-                facet: facet as u32,
-            }
-        })
+        let rays = RayPacket::from_point(eye.origin, direction);
+        view.world.see(&rays, self.pixel_angle_rad, &view.moment)
     }
 
     /// Fills `values` with the brightness of row `y`. A texture is averaged over the pixel already; where two facets
     /// share a pixel, four rays decide how much of it each gets.
-    fn smooth_borders(
-        &self,
-        world: &World,
-        eye: &Eye,
-        seen: &[Seen],
-        y: usize,
-        values: &mut [f32],
-    ) {
+    fn smooth_borders(&self, view: &View, seen: &[Seen], y: usize, values: &mut [f32]) {
         let row = &seen[y * self.width..(y + 1) * self.width];
         let above = &seen[y.saturating_sub(1) * self.width..][..self.width];
         let below = &seen[(y + 1).min(self.height - 1) * self.width..][..self.width];
@@ -197,17 +257,17 @@ impl CameraSim {
             if [left, right, above[x].facet, below[x].facet] != [own; 4] {
                 match waiting.take() {
                     None => waiting = Some(x),
-                    Some(first) => self.look_closely(world, eye, y, [first, x], values),
+                    Some(first) => self.look_closely(view, y, [first, x], values),
                 }
             }
         }
         if let Some(last) = waiting {
-            self.look_closely(world, eye, y, [last, last], values);
+            self.look_closely(view, y, [last, last], values);
         }
     }
 
     /// Brightness of two pixels of row `y`, each the mean of four rays.
-    fn look_closely(&self, world: &World, eye: &Eye, y: usize, xs: [usize; 2], values: &mut [f32]) {
+    fn look_closely(&self, view: &View, y: usize, xs: [usize; 2], values: &mut [f32]) {
         let mut lanes = [[0.0_f32; LANES]; 3];
         for (half, x) in xs.into_iter().enumerate() {
             let centre = self.direction(x, y);
@@ -231,7 +291,7 @@ impl CameraSim {
                 }
             }
         }
-        let seen = self.look(world, eye, &lanes.map(f32x8::new));
+        let seen = self.look(view, y, &lanes.map(f32x8::new));
         for (half, x) in xs.into_iter().enumerate() {
             values[x] = seen[4 * half..4 * half + 4]
                 .iter()
@@ -244,26 +304,6 @@ impl CameraSim {
     fn direction(&self, x: usize, y: usize) -> [f32; 3] {
         let index = y * self.width + x;
         self.directions[index / LANES].map(|lanes| lanes.as_array()[index % LANES])
-    }
-
-    /// Vignetting, shot and read noise, quantisation of row `y`.
-    fn expose(&self, y: usize, values: &[f32], seed: u64, out: &mut [u8]) {
-        let first = y * self.width;
-        let vignette = &self.vignette[first..first + self.width];
-        for (pair, out) in out.chunks_exact_mut(2).enumerate() {
-            let bits = hash(seed.wrapping_add((first / 2 + pair) as u64)).to_le_bytes();
-            for (side, out) in out.iter_mut().enumerate() {
-                let x = 2 * pair + side;
-                let value = values[x] * vignette[x];
-                // The sum of four bytes is close to normal: mean 510, standard deviation 147.8.
-                let sum: u32 = bits[4 * side..4 * side + 4]
-                    .iter()
-                    .map(|b| u32::from(*b))
-                    .sum();
-                let noise = (sum as f32 - 510.0) / 147.8 * self.noise[(value as usize).min(255)];
-                *out = (value + noise + 0.5).clamp(0.0, 255.0) as u8;
-            }
-        }
     }
 }
 

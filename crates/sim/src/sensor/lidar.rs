@@ -10,6 +10,7 @@ use lsfb_geometry::{Se3, Vector3};
 use crate::config::LidarConfig;
 use crate::noise::{gaussian, hash, unit};
 use crate::walk::Walk;
+use crate::world::crowd::Moment;
 use crate::world::vector::dot;
 use crate::world::{LANES, NO_FACET, Origin, RayPacket, World};
 
@@ -42,6 +43,24 @@ pub struct FiringCycle {
     pub azimuth_centideg: u16,
     /// By laser.
     pub returns: [Return; LASERS],
+}
+
+/// Panes of glass that light goes through at most, and what is behind.
+const PANES: usize = 4;
+/// Cosine of the incidence from which a pane may send light back.
+const GLASS_COSINE: f64 = 0.985;
+/// Share of those shots that it does send back.
+const GLASS_ANSWERS: f64 = 0.6;
+/// How far behind a pane a shot goes on, metres.
+const BEYOND_M: f32 = 2e-3;
+
+/// What sends light back.
+#[derive(Clone, Copy, Debug)]
+struct Echo {
+    distance_m: f64,
+    /// Of the angle between shot and normal.
+    cosine: f64,
+    reflectance: f64,
 }
 
 /// Fires the lasers of a LiDAR on a rig.
@@ -95,6 +114,11 @@ impl LidarSim {
         });
         let motions: [_; LANES] =
             std::array::from_fn(|lane| walk.at(cycles[lane].offset_ns as f64 * 1e-9));
+        let place = motions[0].world_from_rig.translation;
+        let moment = world.moment(
+            cycles[LANES / 2].offset_ns as f64 * 1e-9,
+            [place.x as f32, place.y as f32],
+        );
         for pair in 0..LASERS / 2 {
             let delay_ns = firing_delay_ns(2 * pair);
             let poses: [Se3; LANES] = std::array::from_fn(|lane| {
@@ -111,23 +135,15 @@ impl LidarSim {
                         direction[axis][lane] = ray[axis] as f32;
                     }
                 }
-                let hit = world.cast_packet(&RayPacket {
+                let rays = RayPacket {
                     origin: Origin::Each(origin.map(f32x8::new)),
                     direction: direction.map(f32x8::new),
-                });
-                let distance = hit.distance.to_array();
+                };
+                let number = |lane: usize| (first + lane as u64) * LASERS as u64 + laser as u64;
+                let echoes = self.echoes(world, &moment, rays, number);
                 for (lane, cycle) in cycles.iter_mut().enumerate() {
-                    if hit.facet[lane] != NO_FACET {
-                        let facet = hit.facet[lane] as usize;
-                        let ray = std::array::from_fn(|axis| direction[axis][lane]);
-                        let cosine = -dot(world.facets()[facet].normal, ray);
-                        let number = (first + lane as u64) * LASERS as u64 + laser as u64;
-                        cycle.returns[laser] = self.measure(
-                            f64::from(distance[lane]),
-                            f64::from(cosine),
-                            world.reflectance(facet),
-                            number,
-                        );
+                    if let Some(echo) = echoes[lane] {
+                        cycle.returns[laser] = self.measure(&echo, number(lane));
                     }
                 }
             }
@@ -135,11 +151,82 @@ impl LidarSim {
         cycles
     }
 
+    /// What sends the light of eight shots back; most of it goes through glass.
+    fn echoes(
+        &self,
+        world: &World,
+        moment: &Moment,
+        mut rays: RayPacket,
+        number: impl Fn(usize) -> u64,
+    ) -> [Option<Echo>; LANES] {
+        let mut echoes = [None; LANES];
+        let mut travelled = [0.0_f64; LANES];
+        let mut limit = [self.config.max_range_m as f32 + 1.0; LANES];
+        for pane in 0..PANES {
+            let hit = world.cast_at(&rays, f32x8::new(limit), moment);
+            let distance = hit.distance.to_array();
+            let direction = rays.direction.map(|d| d.to_array());
+            let mut origin = match rays.origin {
+                Origin::Each(origin) => origin.map(|o| o.to_array()),
+                Origin::Shared(eye) => eye.map(|v| [v; LANES]),
+            };
+            let mut goes_on = false;
+            for lane in 0..LANES {
+                let facet = hit.facet[lane] as usize;
+                let carrier = hit.carrier[lane];
+                limit[lane] = 0.0;
+                if hit.facet[lane] == NO_FACET {
+                    continue;
+                }
+                let Some(normal) = world.facet_hit(moment, carrier, facet).map(|f| f.normal) else {
+                    continue;
+                };
+                let ray = std::array::from_fn(|axis| direction[axis][lane]);
+                let [_, ray_there] = moment.to_carrier(carrier, [0.0; 3], ray);
+                let cosine = f64::from(-dot(normal, ray_there));
+                travelled[lane] += f64::from(distance[lane]);
+                if world.is_glass(facet) {
+                    let bits = hash(self.seed ^ hash(number(lane) ^ (pane as u64 + 1) << 56));
+                    // A pane is a mirror: it answers only where it is met head-on.
+                    let answers = cosine > GLASS_COSINE && unit(bits) < GLASS_ANSWERS;
+                    if !answers {
+                        let step = distance[lane] + BEYOND_M;
+                        for axis in 0..3 {
+                            origin[axis][lane] += step * ray[axis];
+                        }
+                        travelled[lane] += f64::from(BEYOND_M);
+                        limit[lane] = self.config.max_range_m as f32 + 1.0;
+                        goes_on = true;
+                        continue;
+                    }
+                }
+                echoes[lane] = Some(Echo {
+                    distance_m: travelled[lane],
+                    cosine,
+                    reflectance: f64::from(world.reflectance(facet)),
+                });
+            }
+            if !goes_on {
+                break;
+            }
+            rays.origin = Origin::Each(origin.map(f32x8::new));
+        }
+        echoes
+    }
+
     /// Turns a distance into what is sent: noise, lost returns, 4 mm steps.
-    fn measure(&self, distance_m: f64, cosine: f64, reflectance: f32, number: u64) -> Return {
+    fn measure(&self, echo: &Echo, number: u64) -> Return {
+        let Echo {
+            distance_m,
+            cosine,
+            reflectance,
+        } = *echo;
         let bits = hash(self.seed ^ hash(number));
         let survival = (cosine / self.config.grazing_cosine).clamp(0.0, 1.0);
-        let lost = unit(hash(bits)) > survival * (1.0 - self.config.dropout);
+        // The light that comes back falls with the square of the distance.
+        let weakest = self.config.weakest_reflectance / self.config.weakest_range_m.powi(2);
+        let seen = (reflectance * cosine / distance_m.powi(2).max(1e-6) / weakest).min(1.0);
+        let lost = unit(hash(bits)) > survival * seen * (1.0 - self.config.dropout);
         let range_m = distance_m + self.config.range_noise_m * gaussian(bits);
         if lost || range_m < self.config.min_range_m || range_m > self.config.max_range_m {
             return Return::default();

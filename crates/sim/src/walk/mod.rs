@@ -1,5 +1,7 @@
 //! How the rigs move: smooth, known exactly, at rest at both ends.
 
+mod motion;
+mod plan;
 mod tour;
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
@@ -10,6 +12,8 @@ use crate::config::WalkConfig;
 use crate::noise::{stream, uniform};
 use crate::spline::QuinticSpline;
 use crate::world::FloorPlan;
+pub use motion::{Device, Motion as PaperMotion};
+pub(crate) use plan::{Gait, Gaze, WalkPlan};
 use tour::Tour;
 
 /// Spacing of the knots of the motion, seconds.
@@ -69,7 +73,7 @@ impl Walk {
             let pace = speed / config.speed_m_s;
             // One step covers 0.62 m; the body rises once a step and sways once in two.
             let step = std::f64::consts::TAU * (s - start) / 0.62;
-            let [x, y] = tour.point(s);
+            let [x, y, z] = tour.point(s);
             let heading = tour.heading(s + 0.1);
             let sway = 0.025 * pace * (0.5 * step + phases[0]).sin();
             // What grows in within a second of setting off, and dies away before standing still.
@@ -89,7 +93,7 @@ impl Walk {
             [
                 x - sway * heading.sin(),
                 y + sway * heading.cos(),
-                config.height_m + bob_m * pace * step.sin(),
+                z + config.height_m + bob_m * pace * step.sin(),
                 heading + 0.03 * pace * (0.5 * step + phases[3]).sin() + awake * look_yaw,
                 pitch,
                 roll,

@@ -8,10 +8,13 @@ const STEP_M: f64 = 0.01;
 /// Metres before and after a point over which its curvature is measured.
 const CURVATURE_REACH_M: f64 = 0.15;
 
+/// Spacing of the corners put on straight stretches, metres: the rounding of a bend reaches about as far.
+const CORNER_M: f64 = 0.45;
+
 /// A closed line on the floor, sampled densely.
 #[derive(Clone, Debug)]
 pub(crate) struct Tour {
-    points: Vec<[f64; 2]>,
+    points: Vec<[f64; 3]>,
     /// Heading without jumps: it grows by a whole number of turns over a lap.
     headings: Vec<f64>,
     turns: f64,
@@ -63,13 +66,32 @@ impl Tour {
             [door_x + 0.02, 0.5],
         ]);
         around(&mut corners, 240, 400);
+        let corners: Vec<[f64; 3]> = corners.into_iter().map(|[x, y]| [x, y, 0.0]).collect();
         Self::through(&corners)
     }
 
-    /// The closed cubic B-spline of the corners, at equal steps of arc length.
-    fn through(corners: &[[f64; 2]]) -> Self {
+    /// The closed line straight from corner to corner, rounded at the corners.
+    pub(crate) fn along(corners: &[[f64; 3]]) -> Self {
         let n = corners.len();
-        let fine = 200;
+        let mut dense = Vec::new();
+        for k in 0..n {
+            let (p, q) = (corners[k], corners[(k + 1) % n]);
+            let length = (q[0] - p[0]).hypot(q[1] - p[1]).hypot(q[2] - p[2]);
+            let steps = (length / CORNER_M).ceil().max(1.0);
+            for i in 0..steps as usize {
+                let u = i as f64 / steps;
+                dense.push(std::array::from_fn(|axis| {
+                    p[axis] + u * (q[axis] - p[axis])
+                }));
+            }
+        }
+        Self::through(&dense)
+    }
+
+    /// The closed cubic B-spline of the corners, at equal steps of arc length.
+    fn through(corners: &[[f64; 3]]) -> Self {
+        let n = corners.len();
+        let fine = if n > 200 { 40 } else { 200 };
         let curve = |i: usize| {
             let (k, u) = (i / fine, (i % fine) as f64 / fine as f64);
             let basis = [
@@ -78,14 +100,15 @@ impl Tour {
                 (-3.0 * u.powi(3) + 3.0 * u * u + 3.0 * u + 1.0) / 6.0,
                 u.powi(3) / 6.0,
             ];
-            std::array::from_fn::<f64, 2, _>(|axis| {
+            std::array::from_fn::<f64, 3, _>(|axis| {
                 (0..4).map(|j| basis[j] * corners[(k + j) % n][axis]).sum()
             })
         };
-        let dense: Vec<[f64; 2]> = (0..=n * fine).map(curve).collect();
+        let dense: Vec<[f64; 3]> = (0..=n * fine).map(curve).collect();
         let mut travelled = vec![0.0];
         for pair in dense.windows(2) {
-            let step = (pair[1][0] - pair[0][0]).hypot(pair[1][1] - pair[0][1]);
+            let flat = (pair[1][0] - pair[0][0]).hypot(pair[1][1] - pair[0][1]);
+            let step = flat.hypot(pair[1][2] - pair[0][2]);
             travelled.push(travelled[travelled.len() - 1] + step);
         }
         let length = travelled[travelled.len() - 1];
@@ -94,7 +117,7 @@ impl Tour {
         let mut at = 0;
         for k in 0..count {
             let s = length * k as f64 / count as f64;
-            while travelled[at + 1] < s {
+            while at + 2 < travelled.len() && travelled[at + 1] < s {
                 at += 1;
             }
             let u = (s - travelled[at]) / (travelled[at + 1] - travelled[at]);
@@ -125,10 +148,10 @@ impl Tour {
     }
 
     /// The point `s` metres from the start; laps follow each other.
-    pub(crate) fn point(&self, s: f64) -> [f64; 2] {
+    pub(crate) fn point(&self, s: f64) -> [f64; 3] {
         let (i, u, _) = self.locate(s);
         let (p, q) = (self.points[i], self.points[(i + 1) % self.points.len()]);
-        [p[0] + u * (q[0] - p[0]), p[1] + u * (q[1] - p[1])]
+        std::array::from_fn(|axis| p[axis] + u * (q[axis] - p[axis]))
     }
 
     /// Direction of the line, radians from x, without jumps.

@@ -81,6 +81,11 @@ impl Atlas {
         fine + blend * (coarse - fine)
     }
 
+    /// Number of pictures.
+    pub(crate) fn count(&self) -> usize {
+        self.textures.len()
+    }
+
     /// Bytes held.
     pub(crate) fn bytes(&self) -> usize {
         self.texels.len()

@@ -150,6 +150,7 @@ impl Bvh {
                     return PacketHit {
                         distance: best,
                         facet: found,
+                        carrier: [0; LANES],
                     };
                 }
                 depth -= 1;

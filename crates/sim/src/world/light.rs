@@ -1,5 +1,7 @@
 //! Light that does not move, computed once: lamps with shadows, and the share of open sky that every point sees.
 
+use std::collections::BTreeMap;
+
 use wide::f32x8;
 
 use super::bvh::Bvh;
@@ -16,21 +18,89 @@ pub(crate) struct Lamp {
     pub power: f32,
 }
 
-/// Distance between the points of a facet at which light is computed, metres.
-const SPACING_M: f32 = 0.12;
+/// Everything that shines.
+#[derive(Clone, Debug)]
+pub(crate) struct Lighting {
+    pub lamps: Lamps,
+    pub sun: Option<Sun>,
+    /// Light from everywhere, where the sky or the room around is open.
+    pub ambient: f32,
+    /// Distance between the points of a facet at which light is computed, metres.
+    pub spacing_m: f32,
+    /// Whether a facet smaller than the spacing is given a single value.
+    pub small_facets: SmallFacets,
+}
+
+/// How finely small facets are lit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum SmallFacets {
+    /// At their corners at least.
+    Shaded,
+    /// With one value.
+    Flat,
+}
+
+/// A light so far away that its rays are parallel.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Sun {
+    /// Towards it, of length 1.
+    pub direction: [f32; 3],
+    /// Irradiance, head-on.
+    pub power: f32,
+}
+
+/// Lamps, found by place.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Lamps {
+    cells: BTreeMap<[i32; 2], Vec<Lamp>>,
+}
+
+impl Lamps {
+    pub(crate) fn new(lamps: &[Lamp]) -> Self {
+        let mut cells: BTreeMap<[i32; 2], Vec<Lamp>> = BTreeMap::new();
+        for lamp in lamps {
+            let [x, y] = cell(lamp.position);
+            // Where a lamp may matter: its own cell and those around.
+            for dx in -1..=1 {
+                for dy in -1..=1 {
+                    cells.entry([x + dx, y + dy]).or_default().push(*lamp);
+                }
+            }
+        }
+        Self { cells }
+    }
+
+    fn near(&self, point: [f32; 3]) -> &[Lamp] {
+        self.cells.get(&cell(point)).map_or(&[], Vec::as_slice)
+    }
+}
+
+fn cell(p: [f32; 3]) -> [i32; 2] {
+    [
+        (p[0] / LAMP_REACH_M).floor() as i32,
+        (p[1] / LAMP_REACH_M).floor() as i32,
+    ]
+}
+
+/// What is farther away than this casts no shadow in the sun, metres.
+const SUN_M: f32 = 160.0;
+/// What is farther away than this is not lit by a lamp, metres.
+const LAMP_REACH_M: f32 = 9.0;
+/// Distance between the points of a facet at which light is computed in a small building, metres.
+pub(crate) const SPACING_M: f32 = 0.12;
 /// Rays by which a point looks for what is around it; a multiple of eight.
 const FEELERS: usize = 16;
 /// What is farther away than this does not darken a corner, metres.
 const FEELER_M: f32 = 0.8;
-/// Light from everywhere.
-const AMBIENT: f32 = 0.42;
+/// Light from everywhere inside a building.
+pub(crate) const AMBIENT: f32 = 0.42;
 
 /// Irradiance on a lattice over one facet.
 #[derive(Clone, Debug)]
 pub(crate) struct LightGrid {
-    columns: usize,
-    rows: usize,
-    values: Vec<f32>,
+    pub columns: usize,
+    pub rows: usize,
+    pub values: Vec<f32>,
 }
 
 impl LightGrid {
@@ -40,21 +110,34 @@ impl LightGrid {
         index: u64,
         bvh: &Bvh,
         facets: &[Facet],
-        lamps: &[Lamp],
+        lighting: &Lighting,
     ) -> Self {
-        let nodes = |edge: f32| ((edge / SPACING_M) as usize).clamp(2, 160);
+        let least = match lighting.small_facets {
+            SmallFacets::Shaded => 2,
+            SmallFacets::Flat => 1,
+        };
+        let nodes = |edge: f32| ((edge / lighting.spacing_m) as usize).clamp(least, 160);
         let columns = nodes(norm(facet.edge_a));
         let rows = nodes(norm(facet.edge_b));
         let mut values = Vec::with_capacity(columns * rows);
         for j in 0..rows {
             for i in 0..columns {
                 // Pulled in from the border, where the neighbour's surface would be hit at distance zero.
-                let a = 0.02 + 0.96 * i as f32 / (columns - 1) as f32;
-                let b = 0.02 + 0.96 * j as f32 / (rows - 1) as f32;
+                let along = |k: usize, count: usize| match count {
+                    1 => 0.4,
+                    _ => 0.02 + 0.96 * k as f32 / (count - 1) as f32,
+                };
+                let (a, b) = (along(i, columns), along(j, rows));
                 let point = add(facet.point(a, b), scale(facet.normal, 2e-3));
                 let seed = hash(index << 32 | (j * columns + i) as u64);
                 let open = openness(point, facet, seed, bvh, facets);
-                values.push(AMBIENT * open + direct(point, facet.normal, bvh, facets, lamps));
+                let lamps = lighting.lamps.near(point);
+                let mut light =
+                    lighting.ambient * open + direct(point, facet.normal, bvh, facets, lamps);
+                if let Some(sun) = &lighting.sun {
+                    light += sunshine(point, facet.normal, bvh, facets, sun);
+                }
+                values.push(light);
             }
         }
         Self {
@@ -111,6 +194,26 @@ fn openness(point: [f32; 3], facet: &Facet, seed: u64, bvh: &Bvh, facets: &[Face
     free / FEELERS as f32
 }
 
+/// Light of the sun at `point`, its border softened by the width of the sun.
+fn sunshine(point: [f32; 3], normal: [f32; 3], bvh: &Bvh, facets: &[Facet], sun: &Sun) -> f32 {
+    let cosine = dot(normal, sun.direction);
+    if cosine <= 0.0 {
+        return 0.0;
+    }
+    let mut directions = [[0.0_f32; LANES]; 3];
+    for lane in 0..LANES {
+        let (s, c) = (lane as f32 * std::f32::consts::FRAC_PI_4).sin_cos();
+        let ray = add(sun.direction, [0.008 * s, 0.008 * c, 0.004 * (s - c)]);
+        for (lanes, component) in directions.iter_mut().zip(ray) {
+            lanes[lane] = component;
+        }
+    }
+    let rays = RayPacket::from_point(point, directions.map(f32x8::new));
+    let hit = bvh.cast(facets, &rays, f32x8::splat(SUN_M));
+    let lit = hit.facet.iter().filter(|f| **f == NO_FACET).count();
+    sun.power * cosine * lit as f32 / LANES as f32
+}
+
 /// Light that reaches `point` straight from the lamps.
 fn direct(point: [f32; 3], normal: [f32; 3], bvh: &Bvh, facets: &[Facet], lamps: &[Lamp]) -> f32 {
     let mut sum = 0.0;
@@ -121,7 +224,7 @@ fn direct(point: [f32; 3], normal: [f32; 3], bvh: &Bvh, facets: &[Facet], lamps:
             let to = sub(lamp.position, point);
             let distance = norm(to);
             let cosine = dot(normal, to) / distance;
-            if cosine > 0.0 && distance < 9.0 {
+            if cosine > 0.0 && distance < LAMP_REACH_M {
                 gain[lane] = lamp.power * cosine / (distance * distance + 0.1);
             }
             for (lanes, component) in directions.iter_mut().zip(to) {

@@ -1,5 +1,6 @@
 //! What surfaces look like. One recipe with parameters; the presets are the building's materials.
 
+use super::april_grid;
 use super::canvas::{Canvas, Leaves};
 use crate::noise::{Dice, below, stream, uniform};
 
@@ -17,6 +18,10 @@ pub(crate) enum Marks {
     Spine,
     /// Panels as on a door or a cupboard, drawn as lines this far inside the border.
     Panel(f32),
+    /// A grid of AprilTags with tags of this edge, metres.
+    AprilGrid(f32),
+    /// An arrow, a figure and a line of large text, as on a sign.
+    Sign,
 }
 
 /// How a surface is painted.
@@ -39,9 +44,15 @@ pub(crate) struct Material {
     pub marks: Marks,
     /// Whether light from the lamps is added by the surface itself (lamps, windows, screens).
     pub glow: f32,
+    /// Pictures shown in turn; 1 for what does not change.
+    pub pictures: u16,
+    /// Whether one sees through it.
+    pub glass: bool,
+    /// Texels are this many times larger than elsewhere.
+    pub coarseness: f32,
 }
 
-const PLAIN: Material = Material {
+pub(super) const PLAIN: Material = Material {
     tone: 0.5,
     noise: 0.015,
     longest_m: 0.3,
@@ -51,6 +62,9 @@ const PLAIN: Material = Material {
     largest_m: 0.05,
     marks: Marks::None,
     glow: 0.0,
+    pictures: 1,
+    glass: false,
+    coarseness: 1.0,
 };
 
 impl Material {
@@ -280,6 +294,8 @@ impl Material {
             Marks::Poster(_) => poster(&mut canvas, inset, &rng),
             Marks::Spine => spine(&mut canvas, self.tone, &rng),
             Marks::Panel(margin_m) => panel(&mut canvas, margin_m, self.tone),
+            Marks::AprilGrid(tag_m) => april_grid::paint(&mut canvas, tag_m),
+            Marks::Sign => sign(&mut canvas, self.tone, &rng),
         }
         canvas.add_noise(self.noise, self.longest_m, self.stretch, seed);
         for value in &mut canvas.values {
@@ -389,6 +405,21 @@ fn spine(canvas: &mut Canvas, tone: f32, rng: &Dice) {
         }
         y += 0.65 * w.max(0.01);
     }
+}
+
+/// An arrow at one end, a figure of strokes, and a line of large text.
+fn sign(canvas: &mut Canvas, tone: f32, rng: &Dice) {
+    let [w, h] = canvas.size_m();
+    let ink = if tone > 0.4 { 0.05 } else { 0.9 };
+    let (middle, reach) = (0.5 * h, 0.3 * h);
+    let tip = 0.12 * w;
+    canvas.stroke([tip, middle], [tip + 1.6 * reach, middle], 0.12 * h, ink);
+    for side in [-1.0, 1.0] {
+        let end = [tip + 0.7 * reach, middle + side * 0.7 * reach];
+        canvas.stroke([tip, middle], end, 0.12 * h, ink);
+    }
+    let low = [tip + 2.4 * reach, 0.22 * h];
+    text(canvas, low, [0.96 * w, 0.86 * h], 0.55 * h, ink, rng);
 }
 
 fn panel(canvas: &mut Canvas, margin: f32, tone: f32) {

@@ -1,20 +1,27 @@
-//! The world: flat facets with painted, lit textures under a bounding volume hierarchy.
+//! The world: flat facets with painted, lit textures under a bounding volume hierarchy, and people who walk in it.
 //!
-//! Brightness does not depend on the direction of view, so that a point looks alike in all images.
+//! Brightness does not depend on the direction of view (but for glass), so that a point looks alike in all images.
 
+pub mod april_grid;
 mod atlas;
-mod builder;
+mod blueprint;
+pub(crate) mod builder;
 mod bvh;
 pub(crate) mod canvas;
 mod corridor;
+pub(crate) mod crowd;
 mod facet;
-mod furniture;
-mod light;
-mod material;
+mod finish;
+pub(crate) mod furniture;
+pub(crate) mod light;
+pub(crate) mod material;
 mod mesh;
 mod packet;
+mod pool;
 mod ray;
-mod room;
+pub(crate) mod room;
+mod shade;
+mod skin;
 pub(crate) mod vector;
 
 use rayon::prelude::*;
@@ -24,11 +31,15 @@ use lsfb_types::{Progress, ProgressFn};
 
 use crate::noise::hash;
 use atlas::Atlas;
+pub(crate) use blueprint::Blueprint;
 use bvh::Bvh;
+use crowd::{Crowd, Moment};
 pub use facet::{Facet, Outline};
-use light::LightGrid;
+use light::{AMBIENT, Lamps, LightGrid, Lighting, SPACING_M, SmallFacets};
 pub use ray::{LANES, NO_FACET, Origin, PacketHit, RayPacket};
 pub use room::FloorPlan;
+pub(crate) use shade::Seen;
+use skin::{LightMaps, Skin};
 use vector::norm;
 
 /// What scales lit reflectances to 0–1 before the square root that stands for a camera's gamma.
@@ -36,14 +47,18 @@ const EXPOSURE: f32 = 0.9;
 /// Limit of a cast, metres.
 const FAR_M: f32 = 1e4;
 
-/// A building with everything in it. Static; made from a seed.
+/// A place with everything in it, made from a seed.
 #[derive(Clone, Debug)]
 pub struct World {
+    /// What does not move.
     facets: Vec<Facet>,
+    /// Of all facets: those that do not move, then those of the walkers.
     reflectances: Vec<f32>,
+    skins: Vec<Skin>,
     bvh: Bvh,
     atlas: Atlas,
-    plan: FloorPlan,
+    light: LightMaps,
+    crowd: Crowd,
 }
 
 /// The nearest surface along a ray.
@@ -60,6 +75,13 @@ impl World {
     pub fn build(seed: u64, texel_m: f32, progress: ProgressFn) -> Self {
         let plan = FloorPlan::new(seed);
         let (builder, lamps) = room::furnish(&plan, seed);
+        let lighting = Lighting {
+            lamps: Lamps::new(&lamps),
+            sun: None,
+            ambient: AMBIENT,
+            spacing_m: SPACING_M,
+            small_facets: SmallFacets::Shaded,
+        };
         let unsorted: Vec<Facet> = builder.surfaces.iter().map(|s| s.facet).collect();
         let (bvh, order) = Bvh::build(&unsorted);
         let facets: Vec<Facet> = order.iter().map(|&i| unsorted[i]).collect();
@@ -84,7 +106,8 @@ impl World {
                     let paint_seed = hash(seed ^ hash(source as u64));
                     let mut canvas = surface.material.paint(size, texel_m, paint_seed);
                     let mean = canvas.values.iter().sum::<f32>() / canvas.values.len() as f32;
-                    let light = LightGrid::bake(facet, (first + k) as u64, &bvh, &facets, &lamps);
+                    let light =
+                        LightGrid::bake(facet, (first + k) as u64, &bvh, &facets, &lighting);
                     let (w, h) = (canvas.width, canvas.height);
                     for (y, row) in canvas.values.chunks_mut(w).enumerate() {
                         let b = (y as f32 + 0.5) / h as f32;
@@ -103,11 +126,13 @@ impl World {
             }
         }
         Self {
+            skins: (0..facets.len()).map(Skin::baked).collect(),
             facets,
             reflectances,
             bvh,
             atlas,
-            plan,
+            light: LightMaps::default(),
+            crowd: Crowd::default(),
         }
     }
 
@@ -122,18 +147,15 @@ impl World {
         Self {
             facets: vec![facet],
             reflectances: vec![0.5],
+            skins: vec![Skin::baked(0)],
             bvh: Bvh::build(&[facet]).0,
             atlas,
-            plan: FloorPlan::new(0),
+            light: LightMaps::default(),
+            crowd: Crowd::default(),
         }
     }
 
-    /// The dimensions of the building.
-    pub fn plan(&self) -> &FloorPlan {
-        &self.plan
-    }
-
-    /// All facets.
+    /// All facets that do not move.
     pub fn facets(&self) -> &[Facet] {
         &self.facets
     }
@@ -143,9 +165,14 @@ impl World {
         self.reflectances[facet]
     }
 
-    /// Bytes of texture.
+    /// Bytes of texture and light.
     pub fn texture_bytes(&self) -> usize {
-        self.atlas.bytes()
+        self.atlas.bytes() + self.light.bytes()
+    }
+
+    /// Whether light goes through a facet.
+    pub fn is_glass(&self, facet: usize) -> bool {
+        self.skins[facet].glass
     }
 
     /// The nearest facets seen by eight rays.
@@ -162,10 +189,32 @@ impl World {
         })
     }
 
-    /// Brightness, 0–255, of the point of `facet` where a ray ends, averaged over `footprint_m`.
+    /// Where everybody is at a time, out of the way of somebody at `walker`.
+    pub(crate) fn moment(&self, time_s: f64, walker: [f32; 2]) -> Moment {
+        self.crowd.at(time_s, walker)
+    }
+
+    /// The nearest facets closer than `limit`, those of walkers included.
+    pub(crate) fn cast_at(&self, rays: &RayPacket, limit: f32x8, moment: &Moment) -> PacketHit {
+        let mut hit = self.bvh.cast(&self.facets, rays, limit);
+        self.crowd.cast(moment, rays, &mut hit);
+        hit
+    }
+
+    /// The facet that a ray of a packet hit, as it stands in the frame of who carries it.
+    pub(crate) fn facet_hit(&self, moment: &Moment, carrier: u8, facet: usize) -> Option<&Facet> {
+        match carrier {
+            0 => self.facets.get(facet),
+            _ => self.crowd.facet(moment, carrier, facet),
+        }
+    }
+
+    /// Brightness at `(a, b)` of a facet, 255 being white, averaged over `footprint_m`.
     #[inline]
-    pub fn brightness(&self, facet: usize, point: [f32; 3], footprint_m: f32) -> f32 {
-        let [a, b] = self.facets[facet].coordinates(point);
-        self.atlas.sample(facet, a, b, footprint_m)
+    fn radiance(&self, facet: usize, a: f32, b: f32, footprint_m: f32, time_s: f64) -> f32 {
+        let skin = &self.skins[facet];
+        let (texture, [x, y]) = skin.look_up(a, b, time_s);
+        let light = skin.gain * self.light.at(skin.light, a, b);
+        light * self.atlas.sample(texture, x, y, footprint_m * skin.zoom)
     }
 }

@@ -45,6 +45,20 @@ pub struct PacketHit {
     pub distance: f32x8,
     /// Index of the facet hit; [`NO_FACET`] where none was.
     pub facet: [u32; LANES],
+    /// Who carries that facet: 0 for the building, else a walker's number from 1.
+    pub carrier: [u8; LANES],
+}
+
+impl PacketHit {
+    /// Nothing hit, up to a limit.
+    #[cfg(test)]
+    pub(crate) fn nothing(limit: f32x8) -> Self {
+        Self {
+            distance: limit,
+            facet: [NO_FACET; LANES],
+            carrier: [0; LANES],
+        }
+    }
 }
 
 /// No facet was hit.

@@ -67,7 +67,7 @@ pub(crate) fn furnish(plan: &FloorPlan, seed: u64) -> (Builder, Vec<Lamp>) {
 }
 
 /// Walls of a rectangle seen from inside: far (greatest y), right (greatest x), near, left.
-pub(super) fn walls([x0, x1]: [f32; 2], [y0, y1]: [f32; 2]) -> [Place; 4] {
+pub(crate) fn walls([x0, x1]: [f32; 2], [y0, y1]: [f32; 2]) -> [Place; 4] {
     [
         Place::new([x0, y1, 0.0], 0.0),
         Place::new([x1, y1, 0.0], -FRAC_PI_2),
@@ -396,7 +396,7 @@ fn window_light(wall: &Place, [right, up]: [f32; 2], lamps: &mut Vec<Lamp>) {
     }
 }
 
-pub(super) fn skirting(out: &mut Builder, wall: &Place, length: f32) {
+pub(crate) fn skirting(out: &mut Builder, wall: &Place, length: f32) {
     let wood = Material::WOOD.toned(0.3);
     out.cuboid(
         wall,

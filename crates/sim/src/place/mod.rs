@@ -1,0 +1,136 @@
+//! The places: Table VI of the paper, the demo's room, and a room for calibration.
+
+mod calibration;
+mod dress;
+mod indoor;
+mod office;
+mod park;
+mod route;
+mod site;
+
+use serde::{Deserialize, Serialize};
+
+use lsfb_types::ProgressFn;
+
+use crate::world::World;
+pub use calibration::{Board, TAG_M};
+pub(crate) use route::{Route, route};
+use site::{Area, Site};
+
+/// Where a simulation takes place.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Place {
+    /// A furnished room of 20 m² that opens into a corridor.
+    #[default]
+    Demo,
+    /// A room with an AprilGrid.
+    Calibration,
+    /// Large office buildings and a plaza, 100 × 100 m (sequence O0).
+    OfficePark,
+    /// Houses with small rooms and passages, and a plaza, 100 × 100 m (O1, O2).
+    HousePark,
+    /// A medium office, 15 × 35 m (M0–M2).
+    MediumOffice,
+    /// A large office, 135 × 30 m, that holds the following ones (L0–L3).
+    LargeOffice,
+    /// An exhibition hall with screens whose content changes, 20 × 30 m (E0–E2).
+    ExhibitionHall,
+    /// An atrium 15 m high, 15 × 60 m (A0–A4).
+    Atrium,
+    /// A wide corridor, 4 × 40 m (C0–C2).
+    WideCorridor,
+    /// A narrow corridor without texture, 2 × 30 m (C3).
+    NarrowCorridor,
+    /// Wide stairs over two floors, 10 × 20 m (S0–S2).
+    Stairs,
+}
+
+impl Place {
+    /// The nine environments of Table VI.
+    pub const ENVIRONMENTS: [Self; 9] = [
+        Self::OfficePark,
+        Self::HousePark,
+        Self::MediumOffice,
+        Self::LargeOffice,
+        Self::ExhibitionHall,
+        Self::Atrium,
+        Self::WideCorridor,
+        Self::NarrowCorridor,
+        Self::Stairs,
+    ];
+
+    /// Its name in settings and files.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Demo => "demo",
+            Self::Calibration => "calibration",
+            Self::OfficePark => "office-park",
+            Self::HousePark => "house-park",
+            Self::MediumOffice => "medium-office",
+            Self::LargeOffice => "large-office",
+            Self::ExhibitionHall => "exhibition-hall",
+            Self::Atrium => "atrium",
+            Self::WideCorridor => "wide-corridor",
+            Self::NarrowCorridor => "narrow-corridor",
+            Self::Stairs => "stairs",
+        }
+    }
+
+    /// The place of a name.
+    pub fn named(name: &str) -> Option<Self> {
+        [Self::Demo, Self::Calibration]
+            .into_iter()
+            .chain(Self::ENVIRONMENTS)
+            .find(|p| p.name() == name)
+    }
+
+    /// Extent along x and y, metres.
+    pub const fn size_m(self) -> [f64; 2] {
+        match self {
+            Self::Demo => [11.0, 7.0],
+            Self::Calibration => [6.0, 5.0],
+            Self::OfficePark | Self::HousePark => [100.0, 100.0],
+            Self::MediumOffice => [15.0, 35.0],
+            Self::LargeOffice => [135.0, 30.0],
+            Self::ExhibitionHall => [20.0, 30.0],
+            Self::Atrium => [60.0, 15.0],
+            Self::WideCorridor => [40.0, 4.0],
+            Self::NarrowCorridor => [30.0, 2.0],
+            Self::Stairs => [10.0, 20.0],
+        }
+    }
+
+    /// Whether satellites are seen here.
+    pub const fn is_outdoors(self) -> bool {
+        matches!(self, Self::OfficePark | Self::HousePark)
+    }
+
+    /// Builds it. `months_later` counts how often people have moved things about since.
+    pub fn build(self, seed: u64, months_later: u32, texel_m: f32, progress: ProgressFn) -> World {
+        if self == Self::Demo {
+            return World::build(seed, texel_m, progress);
+        }
+        let mut site = Site::new(seed, months_later.into());
+        let [w, d] = self.size_m().map(|v| v as f32);
+        let whole = Area::new([0.0, w], [0.0, d]);
+        match self {
+            Self::Demo => {}
+            Self::Calibration => calibration::room(&mut site),
+            Self::OfficePark => park::buildings(&mut site),
+            Self::HousePark => park::houses(&mut site),
+            Self::MediumOffice => office::medium(&mut site, whole),
+            Self::LargeOffice => office::large(&mut site),
+            Self::ExhibitionHall => indoor::exhibition(&mut site, whole),
+            Self::Atrium => indoor::atrium(&mut site, whole),
+            Self::WideCorridor => indoor::wide_corridor(&mut site, whole),
+            Self::NarrowCorridor => indoor::narrow_corridor(&mut site, whole),
+            Self::Stairs => indoor::stairs(&mut site, whole),
+        }
+        site.line_passages();
+        World::of(&site.plan, seed, texel_m, progress)
+    }
+}
+
+#[cfg(test)]
+mod tests;

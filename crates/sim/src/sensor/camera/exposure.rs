@@ -1,0 +1,100 @@
+//! From brightness to grey levels: exposure, vignetting, noise.
+
+use super::{CameraSim, PoseAt};
+use crate::noise::hash;
+use crate::world::{LANES, NO_FACET, World};
+
+/// Mean grey level that the automatic aims at.
+const TARGET: f32 = 112.0;
+/// How long ago the light was measured that an exposure follows, seconds: cameras lag.
+const LAGS_S: [f64; 3] = [0.08, 0.2, 0.4];
+/// Gain of light at most, and at least.
+const GAIN: [f32; 2] = [0.04, 24.0];
+/// Places measured across and down.
+const PROBES: [usize; 2] = [5, 7];
+
+/// How one image is exposed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Exposure {
+    pub time_ns: u32,
+    /// Factor of the grey levels.
+    pub brightness: f32,
+    /// Amplification of the sensor's signal, 1 at the nominal exposure.
+    pub amplification: f32,
+}
+
+impl CameraSim {
+    /// The exposure of the image at `time_s`.
+    pub(super) fn meter(&self, world: &World, world_from_rig: PoseAt, time_s: f64) -> Exposure {
+        let nominal = Exposure {
+            time_ns: self.config.exposure_ns,
+            brightness: 1.0,
+            amplification: 1.0,
+        };
+        if !self.config.auto_exposure {
+            return nominal;
+        }
+        let mut gain = 1.0_f32;
+        for lag_s in LAGS_S {
+            let mean = self.mean_level(world, world_from_rig, time_s - lag_s);
+            let wanted = (TARGET / mean.max(1.0)).powi(2).clamp(GAIN[0], GAIN[1]);
+            gain *= wanted.powf(1.0 / LAGS_S.len() as f32);
+        }
+        let longest = self.config.longest_exposure_ns.max(self.config.exposure_ns);
+        let time_ns = (gain * self.config.exposure_ns as f32).min(longest as f32);
+        Exposure {
+            time_ns: time_ns as u32,
+            brightness: gain.sqrt(),
+            amplification: (gain * self.config.exposure_ns as f32 / time_ns).max(1.0),
+        }
+    }
+
+    /// Mean brightness of some places in the image.
+    fn mean_level(&self, world: &World, world_from_rig: PoseAt, time_s: f64) -> f32 {
+        let view = self.view(world, world_from_rig, time_s);
+        let groups = self.width / LANES;
+        let (mut sum, mut count) = (0.0, 0.0_f32);
+        for j in 0..PROBES[1] {
+            let row = (2 * j + 1) * self.height / (2 * PROBES[1]);
+            for i in 0..PROBES[0] {
+                let group = (2 * i + 1) * groups / (2 * PROBES[0]);
+                let seen = self.look(&view, row, &self.directions[row * groups + group]);
+                for seen in seen.iter().filter(|s| s.facet != NO_FACET) {
+                    sum += seen.value.min(300.0);
+                    count += 1.0;
+                }
+            }
+        }
+        if count > 0.0 { sum / count } else { TARGET }
+    }
+
+    /// Vignetting, shot and read noise, quantisation of row `y`.
+    pub(super) fn expose(
+        &self,
+        y: usize,
+        values: &[f32],
+        exposure: &Exposure,
+        seed: u64,
+        out: &mut [u8],
+    ) {
+        let first = y * self.width;
+        let vignette = &self.vignette[first..first + self.width];
+        let read = self.config.read_noise.powi(2) * exposure.amplification;
+        let shot = self.config.shot_noise * exposure.amplification;
+        for (pair, out) in out.chunks_exact_mut(2).enumerate() {
+            let bits = hash(seed.wrapping_add((first / 2 + pair) as u64)).to_le_bytes();
+            for (side, out) in out.iter_mut().enumerate() {
+                let x = 2 * pair + side;
+                let value = exposure.brightness * values[x] * vignette[x];
+                // The sum of four bytes is close to normal: mean 510, standard deviation 147.8.
+                let sum: u32 = bits[4 * side..4 * side + 4]
+                    .iter()
+                    .map(|b| u32::from(*b))
+                    .sum();
+                let level = (value as usize).min(255) as f32;
+                let noise = (sum as f32 - 510.0) / 147.8 * (read + shot * level).sqrt();
+                *out = (value + noise + 0.5).clamp(0.0, 255.0) as u8;
+            }
+        }
+    }
+}

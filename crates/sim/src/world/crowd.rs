@@ -1,0 +1,314 @@
+//! People who walk about: bodies in a few attitudes of the gait, carried along closed lines at a steady speed.
+
+use wide::f32x8;
+
+use super::builder::{Builder, Surface};
+use super::bvh::Bvh;
+use super::facet::Facet;
+use super::material::Material;
+use super::ray::{LANES, NO_FACET, Origin, PacketHit, RayPacket};
+use super::vector::{add, cross, norm, scale, sub};
+use crate::noise::{Dice, stream, uniform};
+
+/// Attitudes of a walking body.
+const ATTITUDES: usize = 6;
+/// Differently dressed people.
+const OUTFITS: usize = 5;
+/// Length of two steps, metres.
+const STRIDE_M: f64 = 1.35;
+/// Half the height of a body, and the radius of a sphere about its middle that holds it, metres.
+const MIDDLE_M: f32 = 0.9;
+const REACH_M: f32 = 1.05;
+/// Nobody comes nearer to who walks than this, metres.
+const CLEARANCE_M: f32 = 0.9;
+/// People at most, so that who carries a facet fits a byte.
+pub(crate) const MOST_PEOPLE: usize = 200;
+
+/// Somebody's way.
+#[derive(Clone, Debug)]
+pub(crate) struct Stroll {
+    /// Corners of a closed line on the floor, metres.
+    pub corners: Vec<[f32; 3]>,
+    pub speed_m_s: f32,
+    /// Where on the line they are at the beginning, metres.
+    pub start_m: f32,
+}
+
+/// All people of a place.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Crowd {
+    bodies: Vec<Body>,
+    strolls: Vec<Stroll>,
+}
+
+/// One outfit in one attitude, feet at the origin, facing x.
+#[derive(Clone, Debug)]
+struct Body {
+    facets: Vec<Facet>,
+    bvh: Bvh,
+    /// Number of its first facet among all facets of the world.
+    first: usize,
+}
+
+/// Where everybody is at one time.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Moment {
+    pub time_s: f64,
+    people: Vec<Stand>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Stand {
+    body: usize,
+    feet: [f32; 3],
+    sin: f32,
+    cos: f32,
+}
+
+impl Crowd {
+    /// The bodies, their facets numbered from `first` on; returns what they are made of, in the order of the numbers.
+    pub(crate) fn new(mut strolls: Vec<Stroll>, seed: u64, first: usize) -> (Self, Vec<Surface>) {
+        strolls.truncate(MOST_PEOPLE);
+        let mut bodies = Vec::new();
+        let mut surfaces = Vec::new();
+        if strolls.is_empty() {
+            return (Self::default(), surfaces);
+        }
+        for outfit in 0..OUTFITS {
+            for attitude in 0..ATTITUDES {
+                let rng = stream(seed, "outfit", outfit as u64);
+                let mut out = Builder::default();
+                let swing = (std::f32::consts::TAU * attitude as f32 / ATTITUDES as f32).sin();
+                person(&mut out, &rng, swing);
+                let unsorted: Vec<Facet> = out.surfaces.iter().map(|s| s.facet).collect();
+                let (bvh, order) = Bvh::build(&unsorted);
+                bodies.push(Body {
+                    facets: order.iter().map(|&i| unsorted[i]).collect(),
+                    bvh,
+                    first: first + surfaces.len(),
+                });
+                surfaces.extend(order.iter().map(|&i| out.surfaces[i]));
+            }
+        }
+        (Self { bodies, strolls }, surfaces)
+    }
+
+    /// Where everybody is, out of the way of somebody at `walker`.
+    pub(crate) fn at(&self, time_s: f64, walker: [f32; 2]) -> Moment {
+        let people = self.strolls.iter().enumerate().map(|(k, stroll)| {
+            let travelled = f64::from(stroll.start_m) + f64::from(stroll.speed_m_s) * time_s;
+            let attitude = (travelled / STRIDE_M * ATTITUDES as f64) as usize % ATTITUDES;
+            let (mut feet, [dx, dy]) = stroll.at(travelled);
+            step_aside(&mut feet, walker);
+            let length = dx.hypot(dy).max(1e-6);
+            Stand {
+                body: (k % OUTFITS) * ATTITUDES + attitude,
+                feet,
+                sin: dy / length,
+                cos: dx / length,
+            }
+        });
+        Moment {
+            time_s,
+            people: people.collect(),
+        }
+    }
+
+    /// Replaces hits of the building by those of people in front of it.
+    pub(crate) fn cast(&self, moment: &Moment, rays: &RayPacket, hit: &mut PacketHit) {
+        for (carrier, stand) in moment.people.iter().enumerate() {
+            let middle = add(stand.feet, [0.0, 0.0, MIDDLE_M]);
+            if !passes(rays, middle, hit.distance) {
+                continue;
+            }
+            let body = &self.bodies[stand.body];
+            let local = stand.localize(rays);
+            let met = body.bvh.cast(&body.facets, &local, hit.distance);
+            for lane in 0..LANES {
+                if met.facet[lane] != NO_FACET {
+                    hit.facet[lane] = met.facet[lane] + body.first as u32;
+                    hit.carrier[lane] = carrier as u8 + 1;
+                }
+            }
+            hit.distance = met.distance;
+        }
+    }
+
+    /// The facet with a number that [`Crowd::cast`] gave, in the frame of its carrier.
+    pub(crate) fn facet(&self, moment: &Moment, carrier: u8, facet: usize) -> Option<&Facet> {
+        let stand = moment.people.get(usize::from(carrier).checked_sub(1)?)?;
+        let body = &self.bodies[stand.body];
+        body.facets.get(facet.checked_sub(body.first)?)
+    }
+}
+
+impl Moment {
+    /// A point of the world, or a direction, in the frame of a carrier.
+    pub(crate) fn to_carrier(&self, carrier: u8, point: [f32; 3], ray: [f32; 3]) -> [[f32; 3]; 2] {
+        let Some(stand) = usize::from(carrier)
+            .checked_sub(1)
+            .and_then(|k| self.people.get(k))
+        else {
+            return [point, ray];
+        };
+        [stand.turn(sub(point, stand.feet)), stand.turn(ray)]
+    }
+}
+
+impl Stand {
+    fn turn(&self, v: [f32; 3]) -> [f32; 3] {
+        let (s, c) = (self.sin, self.cos);
+        [c * v[0] + s * v[1], c * v[1] - s * v[0], v[2]]
+    }
+
+    fn localize(&self, rays: &RayPacket) -> RayPacket {
+        let (s, c) = (f32x8::splat(self.sin), f32x8::splat(self.cos));
+        let turn = |v: &[f32x8; 3]| [c * v[0] + s * v[1], c * v[1] - s * v[0], v[2]];
+        RayPacket {
+            origin: match rays.origin {
+                Origin::Shared(eye) => Origin::Shared(self.turn(sub(eye, self.feet))),
+                Origin::Each(origin) => Origin::Each(turn(&std::array::from_fn(|i| {
+                    origin[i] - f32x8::splat(self.feet[i])
+                }))),
+            },
+            direction: turn(&rays.direction),
+        }
+    }
+}
+
+impl Stroll {
+    /// The point at a distance along the closed line, and the direction there.
+    fn at(&self, travelled_m: f64) -> ([f32; 3], [f32; 2]) {
+        let n = self.corners.len();
+        if n == 0 {
+            return ([0.0; 3], [1.0, 0.0]);
+        }
+        let side = |k: usize| sub(self.corners[(k + 1) % n], self.corners[k]);
+        let length: f32 = (0..n).map(|k| norm(side(k))).sum();
+        let mut left = travelled_m.rem_euclid(f64::from(length.max(1e-3))) as f32;
+        for k in 0..n {
+            let way = side(k);
+            let long = norm(way);
+            if left <= long || k + 1 == n {
+                let point = add(self.corners[k], scale(way, left / long.max(1e-6)));
+                return (point, [way[0], way[1]]);
+            }
+            left -= long;
+        }
+        (self.corners[0], [1.0, 0.0])
+    }
+}
+
+/// Moves somebody away from who walks there, the more the nearer they are.
+fn step_aside(feet: &mut [f32; 3], walker: [f32; 2]) {
+    let away = [feet[0] - walker[0], feet[1] - walker[1]];
+    let distance = away[0].hypot(away[1]).max(1e-3);
+    let push = (CLEARANCE_M * CLEARANCE_M + distance * distance).sqrt() - distance;
+    for (place, away) in feet.iter_mut().zip(away) {
+        *place += away / distance * push;
+    }
+}
+
+/// Whether any ray comes near a body before what it has hit already.
+fn passes(rays: &RayPacket, middle: [f32; 3], limit: f32x8) -> bool {
+    let to: [f32x8; 3] = match &rays.origin {
+        Origin::Shared(eye) => sub(middle, *eye).map(f32x8::splat),
+        Origin::Each(origin) => std::array::from_fn(|i| f32x8::splat(middle[i]) - origin[i]),
+    };
+    let d = &rays.direction;
+    let along = to[0] * d[0] + to[1] * d[1] + to[2] * d[2];
+    let squared = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
+    let off = to[0] * to[0] + to[1] * to[1] + to[2] * to[2] - along * along / squared;
+    let reach = f32x8::splat(REACH_M);
+    let near = off.simd_lt(reach * reach) & (along / squared - reach).simd_lt(limit);
+    (near & along.simd_gt(f32x8::splat(-REACH_M))).to_bitmask() != 0
+}
+
+/// A body facing x, its legs apart by `swing` in ±1.
+fn person(out: &mut Builder, rng: &Dice, swing: f32) {
+    let coat = Material::CLOTH.toned(uniform(rng, 0.12, 0.7));
+    let trousers = Material::CLOTH.toned(uniform(rng, 0.08, 0.4));
+    let skin = Material::SKIN.toned(uniform(rng, 0.25, 0.6));
+    let hair = Material::CLOTH.toned(uniform(rng, 0.06, 0.35));
+    let tall = uniform(rng, 0.94, 1.06);
+    let up = |z: f32| z * tall;
+    for side in [-1.0_f32, 1.0] {
+        let step = 0.32 * swing * side;
+        let hip = [0.0, 0.1 * side, up(0.9)];
+        let foot = [step, 0.1 * side, 0.06];
+        limb(out, hip, foot, 0.15, trousers);
+        limb(
+            out,
+            add(foot, [-0.08, 0.0, 0.0]),
+            add(foot, [0.18, 0.0, 0.0]),
+            0.1,
+            hair,
+        );
+        let shoulder = [0.0, 0.24 * side, up(1.42)];
+        let hand = [-0.9 * step, 0.28 * side, up(0.82)];
+        limb(out, shoulder, hand, 0.1, coat);
+        limb(out, hand, add(hand, [0.02, 0.0, -0.14]), 0.07, skin);
+    }
+    out.prism([0.0, 0.0, up(0.85)], 0.17, 0.22, up(0.62), 8, coat);
+    out.prism([0.0, 0.0, up(1.46)], 0.06, 0.06, up(0.1), 6, skin);
+    out.prism([0.02, 0.0, up(1.53)], 0.08, 0.1, up(0.15), 8, skin);
+    out.prism([-0.01, 0.0, up(1.67)], 0.105, 0.05, up(0.08), 8, hair);
+}
+
+/// A bar from one point to another.
+fn limb(out: &mut Builder, from: [f32; 3], to: [f32; 3], width: f32, material: Material) {
+    let along = sub(to, from);
+    let reference = if along[2].abs() > 0.5 * norm(along) {
+        [1.0, 0.0, 0.0]
+    } else {
+        [0.0, 0.0, 1.0]
+    };
+    let side = cross(along, reference);
+    let u = scale(side, width / norm(side).max(1e-6));
+    let front = cross(along, u);
+    let v = scale(front, width / norm(front).max(1e-6));
+    let corner = sub(from, scale(add(u, v), 0.5));
+    // The four sides outwards: u × along = −v up to length, and so on.
+    out.quad(corner, u, along, material);
+    out.quad(add(corner, u), v, along, material);
+    out.quad(add(corner, add(u, v)), scale(u, -1.0), along, material);
+    out.quad(add(corner, v), scale(v, -1.0), along, material);
+    out.quad(corner, v, u, material);
+    out.quad(add(corner, along), u, v, material);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bodies_are_closed_from_all_sides_and_move_with_their_line() {
+        let stroll = Stroll {
+            corners: vec![[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]],
+            speed_m_s: 1.0,
+            start_m: 1.0,
+        };
+        let (crowd, surfaces) = Crowd::new(vec![stroll], 3, 10);
+        assert!(surfaces.len() > 100);
+        for (time_s, x) in [(0.0, 1.0), (1.0, 2.0), (4.0, 3.0)] {
+            let moment = crowd.at(time_s, [0.0, 1e4]);
+            for k in 0..16 {
+                let (s, c) = (k as f32 * 0.3927).sin_cos();
+                let origin = [x + 3.0 * c, 3.0 * s, 1.2];
+                let rays = RayPacket::splat(origin, [-c, -s, 0.0]);
+                let mut hit = PacketHit::nothing(f32x8::splat(50.0));
+                crowd.cast(&moment, &rays, &mut hit);
+                let distance = hit.distance.to_array()[0];
+                assert!((2.6..2.95).contains(&distance), "{time_s} {k}: {distance}");
+                assert_eq!(hit.carrier[0], 1);
+                let facet = crowd
+                    .facet(&moment, 1, hit.facet[0] as usize)
+                    .expect("numbered");
+                let point = std::array::from_fn(|i| origin[i] - distance * [c, s, 0.0][i]);
+                let [local, ray] = moment.to_carrier(1, point, [-c, -s, 0.0]);
+                assert!(facet.height_of(local).abs() < 1e-4);
+                assert!(facet.normal[0] * ray[0] + facet.normal[1] * ray[1] < 0.0);
+            }
+        }
+    }
+}

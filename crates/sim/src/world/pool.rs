@@ -1,0 +1,223 @@
+//! Pictures shared by many facets: a large building has far more surface than memory has room for.
+//!
+//! What has no layout of its own (walls, floors, cloth) shows a window of one large picture of its material, another
+//! window on each facet. What has one (posters, doors, books) shows one of some variants, painted at about its size.
+
+use std::collections::BTreeMap;
+
+use rayon::prelude::*;
+
+use lsfb_types::{Progress, ProgressFn};
+
+use super::atlas::Atlas;
+use super::builder::Surface;
+use super::material::{Marks, Material};
+use super::skin::{LightMaps, Skin};
+use super::vector::norm;
+use crate::noise::{hash, unit};
+
+/// Edge of a shared picture, metres, before its material's coarseness.
+const SHEET_M: f32 = 4.0;
+/// Texels along the edge of a shared picture at most.
+const SHEET_TEXELS: f32 = 1400.0;
+/// Variants of a picture with a layout.
+const VARIANTS: u64 = 14;
+/// Variants of a large one, square metres.
+const LARGE_M2: f32 = 0.8;
+const LARGE_VARIANTS: u64 = 6;
+/// Tones painted for each material; what is between is made brighter or darker.
+const TONES: f32 = 4.0;
+
+/// What decides how a picture looks.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Key {
+    material: [u32; 13],
+    /// Size in half octaves, 0 for shared sheets.
+    size: [i32; 2],
+    variant: u64,
+}
+
+/// A picture to be painted.
+struct Order {
+    material: Material,
+    size_m: [f32; 2],
+    texel_m: f32,
+    seed: u64,
+}
+
+/// Paints what `surfaces` need, and says what each shows. Lights are numbered as the surfaces are.
+pub(super) fn paint(
+    surfaces: &[Surface],
+    texel_m: f32,
+    seed: u64,
+    atlas: &mut Atlas,
+    progress: ProgressFn,
+) -> Vec<Skin> {
+    let wanted: Vec<(Key, Order)> = surfaces
+        .iter()
+        .enumerate()
+        .map(|(k, surface)| order(surface, texel_m, seed, k as u64))
+        .collect();
+    let mut orders: BTreeMap<&Key, &Order> = BTreeMap::new();
+    for (key, order) in &wanted {
+        orders.entry(key).or_insert(order);
+    }
+    let mut first: BTreeMap<&Key, usize> = BTreeMap::new();
+    let list: Vec<_> = orders.into_iter().collect();
+    let mut done = 0;
+    // In batches, so that the painted pictures in full precision need not all be held at once.
+    for batch in list.chunks(32) {
+        progress(Progress {
+            stage: "painting world",
+            done,
+            total: list.len() as u64,
+        });
+        done += batch.len() as u64;
+        let painted: Vec<Vec<_>> = batch
+            .par_iter()
+            .map(|(_, order)| {
+                (0..order.material.pictures)
+                    .map(|picture| {
+                        let seed = hash(order.seed ^ u64::from(picture));
+                        let mut canvas = order.material.paint(order.size_m, order.texel_m, seed);
+                        for value in &mut canvas.values {
+                            *value = (super::EXPOSURE * *value).sqrt();
+                        }
+                        canvas
+                    })
+                    .collect()
+            })
+            .collect();
+        for ((key, _), canvases) in batch.iter().zip(painted) {
+            first.insert(key, atlas.count());
+            for canvas in &canvases {
+                atlas.push(canvas);
+            }
+        }
+    }
+    wanted
+        .iter()
+        .zip(surfaces)
+        .enumerate()
+        .map(|(k, ((key, order), surface))| {
+            skin(
+                surface,
+                order,
+                first.get(key).copied().unwrap_or_default(),
+                seed,
+                k as u64,
+            )
+        })
+        .collect()
+}
+
+fn order(surface: &Surface, texel_m: f32, seed: u64, number: u64) -> (Key, Order) {
+    let painted_tone = (surface.material.tone * TONES).round().max(0.5) / TONES;
+    let material = Material {
+        tone: painted_tone.min(0.9),
+        ..surface.material
+    };
+    let size = [norm(surface.facet.edge_a), norm(surface.facet.edge_b)];
+    let bits = hash(seed ^ hash(number));
+    let texel_m = 1.33 * texel_m * material.coarseness;
+    let (buckets, size_m, variant) = match material.marks {
+        Marks::None | Marks::Boards(_) => {
+            let edge = (SHEET_M * material.coarseness).min(SHEET_TEXELS * texel_m);
+            ([0; 2], [edge; 2], 0)
+        }
+        Marks::AprilGrid(_) => (size.map(|s| (s * 1e4) as i32), size, 0),
+        _ => {
+            let buckets = size.map(|s| (2.0 * s.max(0.02).log2()).round() as i32);
+            let size_m = buckets.map(|b| (0.5 * b as f32).exp2());
+            let variants = if size_m[0] * size_m[1] > LARGE_M2 {
+                LARGE_VARIANTS
+            } else {
+                VARIANTS
+            };
+            (buckets, size_m, bits % variants)
+        }
+    };
+    let key = Key {
+        material: identity(&material),
+        size: buckets,
+        variant,
+    };
+    let paint_seed = key.material.iter().fold(hash(seed ^ variant), |sum, bits| {
+        hash(sum ^ u64::from(*bits))
+    });
+    let order = Order {
+        material,
+        size_m,
+        texel_m,
+        seed: paint_seed,
+    };
+    (key, order)
+}
+
+/// The fields that the painting depends on.
+fn identity(m: &Material) -> [u32; 13] {
+    let marks = match m.marks {
+        Marks::None => [0, 0, 0],
+        Marks::Text(h) => [1, h.to_bits(), 0],
+        Marks::Poster(margin) => [2, margin.to_bits(), 0],
+        Marks::Boards([w, h]) => [3, w.to_bits(), h.to_bits()],
+        Marks::Spine => [4, 0, 0],
+        Marks::Panel(margin) => [5, margin.to_bits(), 0],
+        Marks::AprilGrid(tag) => [6, tag.to_bits(), 0],
+        Marks::Sign => [7, 0, 0],
+    };
+    let [a, b, c] = marks;
+    let f = f32::to_bits;
+    [
+        a,
+        b,
+        c,
+        f(m.tone),
+        f(m.noise),
+        f(m.longest_m),
+        f(m.stretch[0]),
+        f(m.stretch[1]),
+        f(m.coverage),
+        f(m.spread),
+        f(m.largest_m),
+        u32::from(m.pictures),
+        f(m.coarseness),
+    ]
+}
+
+fn skin(surface: &Surface, order: &Order, texture: usize, seed: u64, number: u64) -> Skin {
+    let material = &surface.material;
+    let size = [norm(surface.facet.edge_a), norm(surface.facet.edge_b)];
+    let sheet = matches!(material.marks, Marks::None | Marks::Boards(_));
+    let bits = hash(seed ^ hash(!number));
+    let (scale, offset, zoom) = if sheet {
+        let scale: [f32; 2] = std::array::from_fn(|i| size[i] / order.size_m[i]);
+        // Small pieces stay clear of the seam; boards stay whole at the corner of large ones.
+        let room = scale.map(|s| (1.0 - s).max(0.0));
+        let offset = [
+            unit(bits) as f32 * room[0],
+            unit(hash(bits)) as f32 * room[1],
+        ];
+        (scale, offset, 1.0)
+    } else {
+        ([1.0; 2], [0.0; 2], order.size_m[0] / size[0].max(1e-3))
+    };
+    Skin {
+        texture: texture as u32,
+        pictures: material.pictures,
+        glass: material.glass,
+        scale,
+        offset,
+        zoom,
+        gain: (material.tone / order.material.tone).max(0.0).sqrt(),
+        light: number as u32,
+    }
+}
+
+/// Light of the surfaces on a walker: the same from all sides.
+pub(super) fn unlit(skin: Skin) -> Skin {
+    Skin {
+        light: LightMaps::NONE,
+        ..skin
+    }
+}

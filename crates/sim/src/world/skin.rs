@@ -1,0 +1,140 @@
+//! How a facet gets its brightness: a piece of a picture that many facets share, times the light of its own.
+//!
+//! Pictures and light are held as square roots of reflectance and irradiance, as a camera's gamma shows them, so that
+//! their product is the brightness of the image.
+
+use super::light::LightGrid;
+
+/// The look of one facet.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Skin {
+    /// First of its pictures in the atlas.
+    pub texture: u32,
+    /// Pictures shown in turn; 1 for what does not change.
+    pub pictures: u16,
+    /// Whether one sees through it.
+    pub glass: bool,
+    /// Lengths of the picture per edge of the facet; beyond its border the picture goes on mirrored.
+    pub scale: [f32; 2],
+    /// Where in the picture the facet's corner is, not negative.
+    pub offset: [f32; 2],
+    /// Size of a texel as painted over its size on the facet.
+    pub zoom: f32,
+    /// Factor of the brightness.
+    pub gain: f32,
+    /// Its light in the [`LightMaps`].
+    pub light: u32,
+}
+
+impl Skin {
+    /// A picture of the facet's own, with the light painted in.
+    pub(crate) fn baked(texture: usize) -> Self {
+        Self {
+            texture: texture as u32,
+            pictures: 1,
+            glass: false,
+            scale: [1.0; 2],
+            offset: [0.0; 2],
+            zoom: 1.0,
+            gain: 1.0,
+            light: LightMaps::NONE,
+        }
+    }
+
+    /// The picture shown at a time, and the place in it.
+    #[inline]
+    pub(crate) fn look_up(&self, a: f32, b: f32, time_s: f64) -> (usize, [f32; 2]) {
+        let shown = if self.pictures > 1 {
+            // Neighbouring screens do not change at the same moment.
+            let phase = f64::from(self.light % 17) * 0.41;
+            ((time_s + phase) / SECONDS_PER_PICTURE) as usize % usize::from(self.pictures)
+        } else {
+            0
+        };
+        let place = [
+            mirrored(self.offset[0] + a * self.scale[0]),
+            mirrored(self.offset[1] + b * self.scale[1]),
+        ];
+        (self.texture as usize + shown, place)
+    }
+}
+
+/// How long a changing screen shows one picture.
+const SECONDS_PER_PICTURE: f64 = 4.0;
+
+/// Back and forth between 0 and 1.
+#[inline(always)]
+fn mirrored(x: f32) -> f32 {
+    let within = x - 2.0 * ((0.5 * x) as i32 as f32);
+    if within > 1.0 { 2.0 - within } else { within }
+}
+
+/// Light of all facets, as square roots in steps of 1/4096.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct LightMaps {
+    maps: Vec<LightMap>,
+    values: Vec<u16>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct LightMap {
+    first: u32,
+    columns: u16,
+    rows: u16,
+}
+
+const STEP: f32 = 1.0 / 4096.0;
+
+impl LightMaps {
+    /// Light that changes nothing.
+    pub(crate) const NONE: u32 = u32::MAX;
+
+    /// Appends the light of one facet, `glow` of its own included; its index is the number of grids before it.
+    pub(crate) fn push(&mut self, grid: &LightGrid, glow: f32) {
+        self.maps.push(LightMap {
+            first: self.values.len() as u32,
+            columns: grid.columns as u16,
+            rows: grid.rows as u16,
+        });
+        self.values.extend(
+            grid.values
+                .iter()
+                .map(|v| ((v + glow).sqrt() / STEP + 0.5).min(65535.0) as u16),
+        );
+    }
+
+    /// Square root of the irradiance at `(a, b)`.
+    #[inline]
+    pub(crate) fn at(&self, map: u32, a: f32, b: f32) -> f32 {
+        let Some(map) = self.maps.get(map as usize) else {
+            return 1.0;
+        };
+        let (columns, rows) = (usize::from(map.columns), usize::from(map.rows));
+        let first = map.first as usize;
+        if columns * rows == 1 {
+            return f32::from(self.values[first]) * STEP;
+        }
+        let x = (a * (columns - 1) as f32).clamp(0.0, (columns - 1) as f32);
+        let y = (b * (rows - 1) as f32).clamp(0.0, (rows - 1) as f32);
+        let (i, j) = (
+            (x as i32 as usize).min(columns - 2),
+            (y as i32 as usize).min(rows - 2),
+        );
+        let (u, v) = (x - i as f32, y - j as f32);
+        let row = |k: usize| {
+            let pair = &self.values[k..k + 2];
+            let left = f32::from(pair[0]);
+            left + u * (f32::from(pair[1]) - left)
+        };
+        let (top, low) = (
+            row(first + j * columns + i),
+            row(first + (j + 1) * columns + i),
+        );
+        (top + v * (low - top)) * STEP
+    }
+
+    /// Bytes held.
+    pub(crate) fn bytes(&self) -> usize {
+        self.values.len() * 2 + self.maps.len() * size_of::<LightMap>()
+    }
+}
