@@ -1,47 +1,141 @@
-//! Measures rays per second: `throughput [SEED]`. The number of threads is set by `RAYON_NUM_THREADS`.
+//! Measures rays per second: `throughput [PLACE] [--export FOLDER]`. The number of threads is set by `RAYON_NUM_THREADS`.
+//!
+//! With a folder it also writes the triangles and the rays of one image, for another ray caster: see
+//! `benches/ray_cast/README.md`.
 
 #![allow(clippy::print_stdout, reason = "an example talks to who runs it")]
 
+use std::path::Path;
 use std::time::Instant;
 
-use lsfb_sim::{SimConfig, Simulation};
+use lsfb_geometry::Vector2;
+use lsfb_sim::world::{LANES, NO_FACET, RayPacket};
+use lsfb_sim::{Device, Place, SimConfig, Simulation};
 use lsfb_types::no_progress;
+use wide::f32x8;
+
+/// Times each rate is measured; the best is printed.
+const RUNS: usize = 5;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let seed = std::env::args().nth(1).map_or(Ok(1), |a| a.parse())?;
-    let config = SimConfig {
-        seed,
-        ..SimConfig::default()
-    };
-    let began = Instant::now();
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let place = arguments
+        .first()
+        .and_then(|a| Place::named(a))
+        .unwrap_or(Place::Demo);
+    let mut config = SimConfig::for_place(place, Device::Glasses);
+    // One ray per pixel, and four where surfaces meet: blur would only make more of the same.
+    config.scan_cameras.motion_blur = false;
+    config.scan.duration_s = 20.0;
+    config.glasses.duration_s = 5.0;
     let simulation = Simulation::new(&config, &no_progress)?;
-    println!("world: {:.2} s", began.elapsed().as_secs_f64());
     let world = simulation.world();
-    for (name, rig) in [
-        ("scan", simulation.scan()),
-        ("glasses", simulation.glasses()),
-    ] {
-        let began = Instant::now();
-        let mut rays = 0;
-        for frame in (0..rig.frame_count()).step_by(20) {
-            for camera in 0..rig.rig().cameras.len() {
-                rays += rig
-                    .image(world, camera, frame)
-                    .map_or(0, |i| i.sample.pixels.len());
+    println!("{}: {} facets", place.name(), world.facets().len());
+    let scan = simulation.scan();
+    let frames = [40, 120, 200, 280, 360];
+    let best = |run: &mut dyn FnMut() -> usize| {
+        let rate = (0..RUNS).map(|_| {
+            let began = Instant::now();
+            let rays = run();
+            rays as f64 / began.elapsed().as_secs_f64() / 1e6
+        });
+        rate.fold(0.0, f64::max)
+    };
+    let mut images = || {
+        let taken = frames.iter().flat_map(|&f| (0..4).map(move |c| (c, f)));
+        taken
+            .filter_map(|(camera, frame)| scan.image(world, camera, frame))
+            .map(|image| image.sample.pixels.len())
+            .sum()
+    };
+    println!(
+        "images 1280 × 800, textured, distorted: {:.2} M rays/s",
+        best(&mut images)
+    );
+
+    let rays = rays_of_image(&simulation)?;
+    let mut hits = Vec::new();
+    let mut cast = || {
+        hits.clear();
+        for (origin, group) in &rays {
+            let hit = world.cast_packet(&RayPacket::from_point(*origin, *group));
+            hits.push(hit);
+        }
+        rays.len() * LANES
+    };
+    println!("casting alone, one thread: {:.2} M rays/s", best(&mut cast));
+
+    let mut revolutions = || {
+        let turns = (20..40).map(|turn| 32 * scan.revolution(world, turn).len());
+        turns.sum()
+    };
+    let rate = best(&mut revolutions);
+    // A VLP-32C fires 32 lasers every 55.296 µs.
+    println!(
+        "LiDAR: {rate:.2} M rays/s, {:.1} × real time",
+        rate / (32.0 / 55.296)
+    );
+
+    if let Some(at) = arguments.iter().position(|a| a == "--export") {
+        let folder = Path::new(arguments.get(at + 1).ok_or("--export needs a folder")?);
+        std::fs::create_dir_all(folder)?;
+        let mut corners = Vec::new();
+        for facet in world.facets() {
+            let v = facet.vertices();
+            for k in 1..v.len() - 1 {
+                corners.extend([v[0], v[k], v[k + 1]].into_iter().flatten());
             }
         }
-        let spent_s = began.elapsed().as_secs_f64();
-        println!(
-            "{name} cameras: {:.2} M rays/s",
-            rays as f64 / spent_s / 1e6
-        );
+        let (mut starts, mut directions, mut distances) = (Vec::new(), Vec::new(), Vec::new());
+        for ((origin, group), hit) in rays.iter().zip(&hits) {
+            let lanes = group.map(|d| d.to_array());
+            for lane in 0..LANES {
+                starts.extend(origin);
+                directions.extend([lanes[0][lane], lanes[1][lane], lanes[2][lane]]);
+                let none = hit.facet[lane] == NO_FACET;
+                distances.push(if none {
+                    -1.0
+                } else {
+                    hit.distance.to_array()[lane]
+                });
+            }
+        }
+        for (name, values) in [
+            ("triangles.f32", corners),
+            ("origins.f32", starts),
+            ("directions.f32", directions),
+            ("distances.f32", distances),
+        ] {
+            let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+            std::fs::write(folder.join(name), bytes)?;
+        }
     }
-    let began = Instant::now();
-    let mut rays = 0;
-    for turn in (0..simulation.scan().revolution_count()).step_by(36) {
-        rays += 32 * simulation.scan().revolution(world, turn).len();
-    }
-    let spent_s = began.elapsed().as_secs_f64();
-    println!("LiDAR: {:.2} M rays/s", rays as f64 / spent_s / 1e6);
     Ok(())
+}
+
+type Rays = Vec<([f32; 3], [f32x8; 3])>;
+
+/// The rays of one image of the forward camera, row by row.
+fn rays_of_image(simulation: &Simulation) -> Result<Rays, Box<dyn std::error::Error>> {
+    let scan = simulation.scan();
+    let camera = &scan.rig().cameras["cam0"];
+    let at = scan.frame_offset_ns(200) as f64 * 1e-9;
+    let world_from_camera = scan.walk().at(at).world_from_rig * camera.rig_from_camera;
+    let origin = world_from_camera.translation.map(|v| v as f32).into();
+    let mut rays = Vec::new();
+    for y in 0..camera.camera.height {
+        for x in (0..camera.camera.width).step_by(LANES) {
+            let mut lanes = [[0.0_f32; LANES]; 3];
+            for lane in 0..LANES {
+                let pixel = Vector2::new(f64::from(x) + lane as f64, f64::from(y));
+                let ray = camera.camera.unproject(&pixel).ok_or("no ray")?;
+                let ray = world_from_camera.rotation * ray;
+                for axis in 0..3 {
+                    lanes[axis][lane] = ray[axis] as f32;
+                }
+            }
+            rays.push((origin, lanes.map(f32x8::new)));
+        }
+    }
+    Ok(rays)
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use lsfb_geometry::{Rig, Se3, Vector3};
+use lsfb_geometry::{Matrix3, Rig, Se3, Vector3};
 use lsfb_types::{Image, LidarPoint, LidarScan, ProgressFn, Stamped, Timestamp};
 
 use crate::config::{CameraConfig, ImuConfig, SimConfig};
@@ -40,6 +40,8 @@ pub struct RigSim {
     walk: Walk,
     imu: Vec<BiasedSample>,
     imu_rate_hz: u32,
+    imu_axes: [Matrix3<f64>; 2],
+    readout_ns: u32,
     cameras: Vec<CameraSim>,
     camera_rate_hz: u32,
     lidar: Option<LidarSim>,
@@ -106,7 +108,7 @@ impl Simulation {
         &self.glasses
     }
 
-    /// Writes `truth_scan.tum`, `truth_walk.tum`, their `.json` files and `world.ply` into a folder.
+    /// Writes `truth_scan.tum`, `truth_walk.tum`, their `.json` and `_states.csv` files and `world.ply` into a folder.
     pub fn write_truth(&self, folder: &Path) -> Result<(), Error> {
         self.scan.write_truth(
             &folder.join("truth_scan.tum"),
@@ -116,12 +118,18 @@ impl Simulation {
             &folder.join("truth_walk.tum"),
             &folder.join("truth_walk.json"),
         )?;
+        for (rig, name) in [
+            (&self.scan, "truth_scan_states.csv"),
+            (&self.glasses, "truth_walk_states.csv"),
+        ] {
+            truth::write(&folder.join(name), &rig.true_states_csv())?;
+        }
         truth::write(&folder.join("world.ply"), &self.world.to_ply())
     }
 }
 
 /// The scanner's walk, and the second one.
-fn walks(config: &SimConfig) -> Result<[Walk; 2], Error> {
+pub(crate) fn walks(config: &SimConfig) -> Result<[Walk; 2], Error> {
     let place = config.place;
     if place == Place::Demo {
         let plan = FloorPlan::new(config.seed);
@@ -179,8 +187,11 @@ impl RigSim {
         seed: u64,
     ) -> Result<Self, Error> {
         let imu_rate_hz = imu.rate_hz;
+        let imu_axes =
+            [0, 1].map(|triad| imu::axes(imu.scale_error, imu.misalignment_rad, seed, triad));
         let imu = imu::simulate(&walk, imu, seed);
         let camera_rate_hz = cameras.rate_hz;
+        let readout_ns = cameras.readout_ns;
         let cameras = rig
             .cameras
             .values()
@@ -194,6 +205,8 @@ impl RigSim {
             walk,
             imu,
             imu_rate_hz,
+            imu_axes,
+            readout_ns,
             cameras,
             camera_rate_hz,
             lidar: None,
@@ -234,6 +247,16 @@ impl RigSim {
     /// Rate of its IMU, Hz.
     pub fn imu_rate_hz(&self) -> u32 {
         self.imu_rate_hz
+    }
+
+    /// What its gyroscope's (0) or accelerometer's (1) axes make of the truth.
+    pub(crate) fn imu_axes(&self, triad: usize) -> Matrix3<f64> {
+        self.imu_axes[triad]
+    }
+
+    /// Time from the first row of its images to the last, nanoseconds.
+    pub fn readout_ns(&self) -> u32 {
+        self.readout_ns
     }
 
     /// Number of images that each camera takes.

@@ -32,6 +32,12 @@ pub struct Truth {
     pub seed: u64,
     /// Magnitude of gravity, m/s².
     pub gravity_m_s2: f64,
+    /// What the gyroscope's axes make of the true angular velocity: a matrix, row by row.
+    pub gyro_axes: [[f64; 3]; 3],
+    /// What the accelerometer's axes make of the true specific force.
+    pub accel_axes: [[f64; 3]; 3],
+    /// Time from the first row of an image to the last, nanoseconds; an image's stamp is that of its middle row.
+    pub readout_ns: u32,
     /// Biases once a second.
     pub biases: Vec<TrueBias>,
 }
@@ -52,6 +58,9 @@ impl RigSim {
             rig: self.rig().name.clone(),
             seed: self.seed(),
             gravity_m_s2: crate::GRAVITY_M_S2,
+            gyro_axes: rows(self.imu_axes(0)),
+            accel_axes: rows(self.imu_axes(1)),
+            readout_ns: self.readout_ns(),
             biases: self
                 .imu()
                 .iter()
@@ -63,6 +72,30 @@ impl RigSim {
                 })
                 .collect(),
         }
+    }
+
+    /// Velocity, angular velocity and biases at the times of the IMU, as CSV with a line of names.
+    pub fn true_states_csv(&self) -> String {
+        let mut text = String::from(
+            "time_ns,vx_m_s,vy_m_s,vz_m_s,wx_rad_s,wy_rad_s,wz_rad_s,\
+             gyro_bias_x_rad_s,gyro_bias_y_rad_s,gyro_bias_z_rad_s,\
+             accel_bias_x_m_s2,accel_bias_y_m_s2,accel_bias_z_m_s2\n",
+        );
+        for s in self.imu() {
+            let motion = self.walk().at(s.offset_ns as f64 * 1e-9);
+            let _ = write!(text, "{}", self.time(s.offset_ns).nanos());
+            let columns = motion
+                .velocity_m_s
+                .iter()
+                .chain(motion.angular_velocity_rad_s.iter())
+                .chain(&s.gyro_bias_rad_s)
+                .chain(&s.accel_bias_m_s2);
+            for value in columns {
+                let _ = write!(text, ",{value:.9e}");
+            }
+            text.push('\n');
+        }
+        text
     }
 
     /// Writes the trajectory (TUM: time, position, quaternion x y z w) and the rest (JSON) of the truth.
@@ -85,6 +118,10 @@ impl RigSim {
         })?;
         write(json, &truth)
     }
+}
+
+fn rows(matrix: nalgebra::Matrix3<f64>) -> [[f64; 3]; 3] {
+    std::array::from_fn(|row| std::array::from_fn(|column| matrix[(row, column)]))
 }
 
 pub(crate) fn write(path: &Path, text: &str) -> Result<(), Error> {

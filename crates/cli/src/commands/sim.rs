@@ -6,7 +6,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use lsfb_capture::{DevicesConfig, LidarNetConfig, Overflow};
-use lsfb_sim::{GlassesEndpoint, Pace, SimConfig, SimSession};
+use lsfb_sim::{
+    Device, GlassesEndpoint, Pace, PaperMotion, Place, SimConfig, SimSession, Simulation, preview,
+};
 use serde::Serialize;
 
 use crate::context::Context;
@@ -26,12 +28,33 @@ const PATIENCE: Duration = Duration::from_secs(3600);
 ///   lsfb sim --out sim --pace 1        # then, in another terminal:
 ///   lsfb scan --devices sim/backpack-devices.toml --out scan.mcap
 ///   lsfb scan --devices sim/glasses-devices.toml --out walk.mcap
+///   lsfb sim --out c3 --motion C3 --device android --record
+///   lsfb sim preview --out pictures --place atrium
 #[derive(clap::Args)]
-#[command(verbatim_doc_comment)]
+#[command(
+    verbatim_doc_comment,
+    args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true
+)]
 pub struct Arguments {
+    #[command(subcommand)]
+    action: Option<Action>,
     /// Folder for everything.
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+    #[arg(long, value_name = "DIR", required = true)]
+    out: Option<PathBuf>,
+    /// Where: demo, calibration, office-park, house-park, medium-office, large-office, exhibition-hall, atrium,
+    /// wide-corridor, narrow-corridor or stairs.
+    #[arg(long, value_parser = place, conflicts_with_all = ["config", "motion"])]
+    place: Option<Place>,
+    /// A sequence of the paper's Table VII, O0 to S2, in its place.
+    #[arg(long, value_parser = motion, conflicts_with = "config")]
+    motion: Option<&'static PaperMotion>,
+    /// What the second walk is recorded with: glasses, android or iphone.
+    #[arg(long, value_parser = device, default_value = "glasses", conflicts_with = "config")]
+    device: Device,
+    /// How often things have been moved about since the place was built.
+    #[arg(long, default_value_t = 0, conflicts_with = "config")]
+    months_later: u32,
     /// Seed of building, walks and noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -48,11 +71,54 @@ pub struct Arguments {
     endpoints: Endpoints,
 }
 
+#[derive(clap::Subcommand)]
+enum Action {
+    /// Draw contact sheets of both walks and a view from above, as PNG.
+    Preview {
+        /// Folder for the pictures.
+        #[arg(long, value_name = "DIR")]
+        out: PathBuf,
+        /// Where; may be repeated. Without it and --motion: all nine environments.
+        #[arg(long, value_parser = place)]
+        place: Vec<Place>,
+        /// Sequences of Table VII; may be repeated.
+        #[arg(long, value_parser = motion)]
+        motion: Vec<&'static PaperMotion>,
+        /// What the second walk is recorded with.
+        #[arg(long, value_parser = device, default_value = "glasses")]
+        device: Device,
+        /// Seed of buildings, walks and noise.
+        #[arg(long, default_value_t = 1)]
+        seed: u64,
+        /// How often things have been moved about since.
+        #[arg(long, default_value_t = 0)]
+        months_later: u32,
+    },
+}
+
+fn place(name: &str) -> Result<Place, String> {
+    Place::named(name).ok_or_else(|| "no such place; see lsfb sim --help".to_owned())
+}
+
+fn motion(name: &str) -> Result<&'static PaperMotion, String> {
+    PaperMotion::named(name).ok_or_else(|| "not in Table VII; O0 to S2 are".to_owned())
+}
+
+fn device(name: &str) -> Result<Device, String> {
+    let found = Device::ALL.into_iter().find(|d| d.name() == name);
+    found.ok_or_else(|| "glasses, android or iphone".to_owned())
+}
+
 impl Arguments {
     /// Devices that wait for `lsfb scan`.
     pub fn playing(out: &Path, seed: u64, pace: f64, endpoints: Endpoints) -> Self {
         Self {
-            out: out.to_owned(),
+            action: None,
+            out: Some(out.to_owned()),
+            place: None,
+            motion: None,
+            device: Device::Glasses,
+            months_later: 0,
             seed,
             config: None,
             record: false,
@@ -71,9 +137,21 @@ struct Made {
 
 /// Builds the world, plays or records.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    let mut config: SimConfig = super::config_or_default(arguments.config.as_deref())?;
+    if let Some(action) = &arguments.action {
+        return draw(action, context);
+    }
+    let out = arguments.out.as_deref().context("--out is missing")?;
+    let mut config = match (arguments.place, arguments.motion) {
+        (_, Some(motion)) => SimConfig::for_motion(motion, arguments.device),
+        (Some(place), None) => SimConfig::for_place(place, arguments.device),
+        (None, None) => super::config_or_default(arguments.config.as_deref())?,
+    };
+    if arguments.config.is_none() {
+        config.months_later = arguments.months_later;
+        config.device = arguments.device;
+    }
     config.seed = arguments.seed;
-    let layout = Layout::create(&arguments.out)?;
+    let layout = Layout::create(out)?;
     let simulation = simulated::prepare(&layout, &config, context)?;
     let mut recordings = Vec::new();
     if arguments.record {
@@ -97,7 +175,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             std::fs::write(path, devices.to_toml()).with_context(|| path.display().to_string())
         };
         // The list of devices lies beside what it names.
-        let absolute = Layout::create(&std::path::absolute(&arguments.out)?)?;
+        let absolute = Layout::create(&std::path::absolute(out)?)?;
         write(
             &backpack_file,
             simulated::backpack_devices(&absolute, &config, lidar.clone(), Overflow::Drop),
@@ -134,7 +212,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     }
     let lost = recordings.iter().any(|r| r.lost > 0);
     let made = Made {
-        folder: arguments.out.clone(),
+        folder: out.to_owned(),
         seed: config.seed,
         recordings,
     };
@@ -154,6 +232,67 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     } else {
         Outcome::Done
     })
+}
+
+#[derive(Serialize)]
+struct Drawn {
+    pictures: Vec<PathBuf>,
+}
+
+/// `lsfb sim preview`.
+fn draw(action: &Action, context: &Context) -> anyhow::Result<Outcome> {
+    let Action::Preview {
+        out,
+        place,
+        motion,
+        device,
+        seed,
+        months_later,
+    } = action;
+    std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
+    let mut wanted: Vec<(String, SimConfig)> = Vec::new();
+    for motion in motion {
+        wanted.push((
+            motion.name.to_owned(),
+            SimConfig::for_motion(motion, *device),
+        ));
+    }
+    let places = if place.is_empty() && motion.is_empty() {
+        &Place::ENVIRONMENTS[..]
+    } else {
+        place
+    };
+    for place in places {
+        wanted.push((
+            place.name().to_owned(),
+            SimConfig::for_place(*place, *device),
+        ));
+    }
+    let mut pictures = Vec::new();
+    for (name, mut config) in wanted {
+        (config.seed, config.months_later) = (*seed, *months_later);
+        let show = |p: lsfb_types::Progress| context.show(p);
+        let simulation = Simulation::new(&config, &show)?;
+        for (kind, rig) in [("scan", simulation.scan()), ("walk", simulation.glasses())] {
+            let path = out.join(format!("{name}-{kind}.png"));
+            preview::contact_sheet(&simulation, rig, &show)?.write_png(&path)?;
+            pictures.push(path);
+            context.check_stop()?;
+        }
+        let path = out.join(format!("{name}-top.png"));
+        preview::top_view(&simulation).write_png(&path)?;
+        pictures.push(path);
+    }
+    let drawn = Drawn { pictures };
+    context.print(&drawn, || {
+        let lines: Vec<String> = drawn
+            .pictures
+            .iter()
+            .map(|p| p.display().to_string())
+            .collect();
+        lines.join("\n")
+    })?;
+    Ok(Outcome::Done)
 }
 
 /// Plays to the end, or until Ctrl-C.

@@ -174,7 +174,7 @@ impl Site {
     ) {
         let rng = self.built("window", number);
         let out = self.out();
-        let view = Material::WINDOW.toned(uniform(&rng, 0.45, 0.7));
+        let view = Material::VIEW.toned(uniform(&rng, 0.45, 0.7));
         out.cuboid(wall, [l, -0.01, z0], [r, 0.0, z1], Faces::Hanging, view);
         let bar = Material::METAL.toned(0.6);
         let t = 0.05;

@@ -1,1 +1,114 @@
 use super::*;
+use crate::walk::{Device, PaperMotion};
+use crate::{SimConfig, Simulation};
+use lsfb_types::no_progress;
+
+fn coarse(place: Place) -> SimConfig {
+    let mut config = SimConfig::for_place(place, Device::Android);
+    config.texel_m = 0.08;
+    for cameras in [&mut config.scan_cameras, &mut config.glasses_cameras] {
+        (cameras.width, cameras.height) = (160, 104);
+    }
+    config
+}
+
+#[test]
+fn places_have_their_size_and_walks_keep_clear_of_everything() {
+    let mut blocked = Vec::new();
+    for place in Place::ENVIRONMENTS.into_iter().chain([Place::Calibration]) {
+        let simulation = Simulation::new(&coarse(place), &no_progress).expect("valid");
+        let world = simulation.world();
+        let [w, d] = place.size_m();
+        let floor = world.facets().iter().flat_map(|f| f.vertices());
+        let mut low = [f32::INFINITY; 2];
+        let mut high = [f32::NEG_INFINITY; 2];
+        for v in floor.filter(|_| !place.is_outdoors()) {
+            for i in 0..2 {
+                low[i] = low[i].min(v[i]);
+                high[i] = high[i].max(v[i]);
+            }
+        }
+        if !place.is_outdoors() {
+            let close = |got: f32, wanted: f64| (f64::from(got) - wanted).abs() < 0.35;
+            assert!(
+                close(low[0], 0.0) && close(low[1], 0.0),
+                "{place:?}: {low:?}"
+            );
+            assert!(
+                close(high[0], w) && close(high[1], d),
+                "{place:?}: {high:?}"
+            );
+        }
+        for rig in [simulation.scan(), simulation.glasses()] {
+            let name = &rig.rig().name;
+            let mut nearest = (f32::INFINITY, [0.0; 3]);
+            for step in 0..(rig.walk().duration_s() * 2.0) as u32 {
+                let at = rig
+                    .walk()
+                    .at(f64::from(step) * 0.5)
+                    .world_from_rig
+                    .translation;
+                for height in [-0.75, -0.3, 0.05, 0.3] {
+                    let origin = [at.x as f32, at.y as f32, at.z as f32 + height];
+                    for k in 0..16_u8 {
+                        let (sin, cos) = (f32::from(k) * 0.3927).sin_cos();
+                        if let Some(hit) = world.cast(origin, [cos, sin, 0.0])
+                            && hit.distance < nearest.0
+                        {
+                            nearest = (hit.distance, origin);
+                        }
+                    }
+                }
+            }
+            if nearest.0 < 0.2 {
+                blocked.push(format!("{place:?} {name}: {nearest:?}"));
+            }
+        }
+    }
+    assert!(blocked.is_empty(), "{blocked:#?}");
+}
+
+#[test]
+fn motions_have_the_frames_and_lengths_of_table_vii() {
+    assert_eq!(PaperMotion::all().len(), 25);
+    for motion in PaperMotion::all() {
+        for device in Device::ALL {
+            // The longest walks of the three are alike: one is enough.
+            if motion.name.starts_with('L') && device != Device::Glasses {
+                continue;
+            }
+            let config = SimConfig::for_motion(motion, device);
+            let walk = crate::simulation::walks(&config).expect("valid")[1].clone();
+            let frames = walk.duration_s() * 30.0;
+            let wanted = f64::from(motion.frames[device as usize]);
+            assert!(
+                (frames / wanted - 1.0).abs() < 0.05,
+                "{} {device:?}",
+                motion.name
+            );
+            let (got, wanted) = (walk.length_m(), motion.length_m(device));
+            assert!(
+                (got / wanted - 1.0).abs() < 0.05,
+                "{} {device:?}: {got} m",
+                motion.name
+            );
+        }
+    }
+}
+
+#[test]
+fn any_number_of_threads_gives_the_same_place() {
+    let on = |threads, months_later| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        pool.expect("pool").install(|| {
+            let mut config = coarse(Place::ExhibitionHall);
+            config.months_later = months_later;
+            let simulation = Simulation::new(&config, &no_progress).expect("valid");
+            let image = simulation.glasses().image(simulation.world(), 0, 300);
+            (image, simulation.scan().scan(simulation.world(), 50))
+        })
+    };
+    let once = on(1, 0);
+    assert!(once == on(3, 0));
+    assert!(once != on(2, 2));
+}

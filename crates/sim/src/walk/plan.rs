@@ -62,7 +62,7 @@ impl Gait {
         bob_m: 0.004,
         sway_m: 0.006,
         nod_rad: 0.006,
-        turn_rate_rad_s: 0.9,
+        turn_rate_rad_s: 4.0,
     };
 }
 
@@ -97,7 +97,7 @@ impl Walk {
         // What bob and sway add to the path is found by trying.
         let mut along = wanted;
         let mut walk = Self::at_speed(plan, &tour, &config, seed);
-        for _ in 0..3 {
+        for _ in 0..2 {
             config.speed_m_s = speed_for(&tour, &config, along);
             walk = Self::at_speed(plan, &tour, &config, seed);
             along *= wanted / walk.length_m().max(0.1);
@@ -220,15 +220,16 @@ fn board(t: f64, config: &WalkConfig, awake: f64, p: &[f64; 10], sides: f64) -> 
         0.28 * w(0.37, 2) + 0.1 * w(0.71, 3),
         0.22 * w(0.43, 4) + 0.07 * w(0.91, 5),
         -FRAC_PI_2 * faced + 0.3 * w(0.29, 6) + 0.12 * w(0.67, 7),
-        0.28 * w(0.34, 8) + 0.1 * w(0.77, 9),
+        0.2 * w(0.34, 8) + 0.08 * w(0.77, 9),
         0.32 * w(0.26, 1) + 0.1 * w(0.59, 0),
     ]
 }
 
 /// The speed on the straight at which a walk gets as far as wanted in its time.
 fn speed_for(tour: &Tour, config: &WalkConfig, length_m: f64) -> f64 {
-    let (mut slow, mut fast) = (0.01, 8.0);
-    for _ in 0..14 {
+    let mean = length_m / config.duration_s;
+    let (mut slow, mut fast) = (0.5 * mean, 4.0 * mean);
+    for _ in 0..12 {
         let speed_m_s = 0.5 * (slow + fast);
         let trial = WalkConfig {
             speed_m_s,

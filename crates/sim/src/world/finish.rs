@@ -151,6 +151,17 @@ impl Material {
         coarseness: 1.5,
         ..PLAIN
     };
+    /// What is seen through a window that nobody can go through: bright, blurred.
+    pub(crate) const VIEW: Self = Self {
+        tone: 0.62,
+        noise: 0.03,
+        longest_m: 1.5,
+        coverage: 0.05,
+        spread: 0.3,
+        largest_m: 0.5,
+        glow: 1.0,
+        ..PLAIN
+    };
     pub(crate) const GLASS: Self = Self {
         tone: 0.08,
         noise: 0.0,

@@ -117,8 +117,11 @@ impl LightGrid {
             SmallFacets::Flat => 1,
         };
         let nodes = |edge: f32| ((edge / lighting.spacing_m) as usize).clamp(least, 160);
-        let columns = nodes(norm(facet.edge_a));
-        let rows = nodes(norm(facet.edge_b));
+        let mut columns = nodes(norm(facet.edge_a));
+        let mut rows = nodes(norm(facet.edge_b));
+        if columns * rows > 1 {
+            (columns, rows) = (columns.max(2), rows.max(2));
+        }
         let mut values = Vec::with_capacity(columns * rows);
         for j in 0..rows {
             for i in 0..columns {

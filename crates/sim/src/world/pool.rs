@@ -118,6 +118,12 @@ fn order(surface: &Surface, texel_m: f32, seed: u64, number: u64) -> (Key, Order
         ..surface.material
     };
     let size = [norm(surface.facet.edge_a), norm(surface.facet.edge_b)];
+    let mut material = material;
+    if let Marks::Poster(_) = material.marks {
+        // What a picture shows grows with it, in steps, as its size does.
+        let edge = size[0].min(size[1]).max(0.1);
+        material.largest_m = 0.34 * (0.5 * (2.0 * edge.log2()).round()).exp2();
+    }
     let bits = hash(seed ^ hash(number));
     let texel_m = 1.33 * texel_m * material.coarseness;
     let (buckets, size_m, variant) = match material.marks {

@@ -5,7 +5,7 @@ use crate::noise::hash;
 use crate::world::{LANES, NO_FACET, World};
 
 /// Mean grey level that the automatic aims at.
-const TARGET: f32 = 112.0;
+const TARGET: f32 = 138.0;
 /// How long ago the light was measured that an exposure follows, seconds: cameras lag.
 const LAGS_S: [f64; 3] = [0.08, 0.2, 0.4];
 /// Gain of light at most, and at least.

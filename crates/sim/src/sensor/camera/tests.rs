@@ -1,9 +1,9 @@
 use super::*;
-use crate::config::SimConfig;
+use crate::config::{CameraConfig, LensKind, SimConfig};
 use crate::simulation::Simulation;
 use crate::world::canvas::Canvas;
 use crate::world::{Facet, Outline, World};
-use lsfb_geometry::Vector3;
+use lsfb_geometry::{Vector3, so3};
 use lsfb_types::no_progress;
 
 fn camera(config: &SimConfig) -> RigCamera {
@@ -52,9 +52,21 @@ fn fitted_border(image: &Image, project: &dyn Fn(f64) -> Vector2<f64>) -> [f64; 
 }
 
 /// A card turned in its plane in front of the camera, and how far its four corners appear from where they should.
-fn corner_errors(turn_rad: f32, centre: [f32; 3], side: f32, paint: Paint) -> Vec<f64> {
-    let mut config = SimConfig::default();
-    config.scan_cameras.read_noise = 0.5;
+fn corner_errors(
+    turn_rad: f32,
+    centre: [f32; 3],
+    side: f32,
+    paint: Paint,
+    cameras: &CameraConfig,
+    motion: PoseAt,
+) -> Vec<f64> {
+    let config = SimConfig {
+        scan_cameras: CameraConfig {
+            read_noise: 0.5,
+            ..cameras.clone()
+        },
+        ..SimConfig::default()
+    };
     let camera = camera(&config);
     let sim = CameraSim::new(&camera, &config.scan_cameras, 1).expect("lens");
     let (sin, cos) = turn_rad.sin_cos();
@@ -70,14 +82,22 @@ fn corner_errors(turn_rad: f32, centre: [f32; 3], side: f32, paint: Paint) -> Ve
             (World::test_card(facet, dark), 0.25)
         }
     };
-    let image = sim.render(&world, &Se3::identity(), 4);
+    let image = sim.render(&world, motion, 0.0, 4);
     let place = |s: f64, t: f64| {
         let [s, t] = [s, t].map(|v| inset + v * (1.0 - 2.0 * inset));
         let point = Vector3::from_fn(|i, _| {
             f64::from(corner[i]) + s * f64::from(a[i]) + t * f64::from(b[i])
         });
-        let in_camera = camera.rig_from_camera.inverse() * point;
-        camera.camera.project(&in_camera).expect("before the lens")
+        // Where a row sees the point decides when, and when decides where.
+        let mut row = 0.5 * f64::from(camera.camera.height);
+        let mut pixel = Vector2::zeros();
+        for _ in 0..8 {
+            let world_from_camera = motion(sim.row_offset_s(row)) * camera.rig_from_camera;
+            let in_camera = world_from_camera.inverse() * point;
+            pixel = camera.camera.project(&in_camera).expect("before the lens");
+            row = pixel.y;
+        }
+        pixel
     };
     let borders = [
         fitted_border(&image, &|s| place(s, 0.0)),
@@ -105,6 +125,28 @@ enum Paint {
 
 #[test]
 fn corners_appear_where_the_rig_projects_them() {
+    corners_are_right(&CameraConfig::default(), &|_| Se3::identity());
+}
+
+#[test]
+fn corners_are_right_row_by_row_with_a_rolling_shutter_in_motion() {
+    let phone = CameraConfig {
+        lens: LensKind::PinholeRadtan,
+        readout_ns: 25_000_000,
+        width: 640,
+        height: 480,
+        focal_per_width: 0.55,
+        ..CameraConfig::default()
+    };
+    // A brisk turn of the head while walking sideways.
+    let motion = |t: f64| {
+        let turned = so3::exp(&Vector3::new(0.3 * t, -0.4 * t, 1.2 * t));
+        Se3::new(turned, Vector3::new(0.3 * t, 0.9 * t, -0.2 * t))
+    };
+    corners_are_right(&phone, &motion);
+}
+
+fn corners_are_right(cameras: &CameraConfig, motion: PoseAt) {
     for paint in [Paint::Silhouette, Paint::Picture] {
         let mut errors = Vec::new();
         for (k, [y, z]) in [[0.0, 0.1], [1.2, 0.5], [-1.3, -0.3], [0.9, -0.4]]
@@ -115,7 +157,14 @@ fn corners_appear_where_the_rig_projects_them() {
             for (turn, distance) in [(0.0, 1.0), (0.02, 2.0), (0.4, 2.0), (0.8, 3.0)] {
                 let turn_rad = turn + 0.01 * k as f32;
                 let centre = [2.0 * distance, y * distance, z * distance];
-                errors.extend(corner_errors(turn_rad, centre, 0.6 * distance, paint));
+                errors.extend(corner_errors(
+                    turn_rad,
+                    centre,
+                    0.6 * distance,
+                    paint,
+                    cameras,
+                    motion,
+                ));
             }
         }
         let rms = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
@@ -200,4 +249,84 @@ fn any_number_of_threads_gives_the_same_image() {
     };
     let other = Simulation::new(&other, &no_progress).expect("valid");
     assert_ne!(on(2), other.glasses().image(other.world(), 1, 9));
+}
+
+#[test]
+fn automatic_exposure_brings_any_light_to_a_good_level() {
+    let mut cameras = CameraConfig {
+        auto_exposure: true,
+        width: 160,
+        height: 104,
+        ..CameraConfig::default()
+    };
+    cameras.longest_exposure_ns = 8_000_000;
+    let camera = camera(&SimConfig {
+        scan_cameras: cameras.clone(),
+        ..SimConfig::default()
+    });
+    let sim = CameraSim::new(&camera, &cameras, 1).expect("lens");
+    let facet = Facet::new(
+        [2.0, 9.0, -9.0],
+        [0.0, -18.0, 0.0],
+        [0.0, 0.0, 18.0],
+        Outline::Parallelogram,
+    );
+    let mut exposures = Vec::new();
+    for tone in [0.15, 0.4, 0.9] {
+        let world = World::test_card(facet, |canvas| canvas.values.fill(tone));
+        let image = sim.render(&world, &|_| Se3::identity(), 1.0, 0);
+        let sum: f64 = image.pixels.iter().map(|p| f64::from(*p)).sum();
+        let mean = sum / image.pixels.len() as f64;
+        assert!((95.0..160.0).contains(&mean), "tone {tone}: {mean}");
+        exposures.push(image.exposure_ns);
+    }
+    assert!(
+        exposures[0] == 8_000_000 && exposures[2] < 3_000_000,
+        "{exposures:?}"
+    );
+}
+
+#[test]
+fn motion_during_the_exposure_blurs_along_the_motion_only() {
+    let cameras = CameraConfig {
+        motion_blur: true,
+        exposure_ns: 20_000_000,
+        read_noise: 0.0,
+        shot_noise: 0.0,
+        ..CameraConfig::default()
+    };
+    let camera = camera(&SimConfig {
+        scan_cameras: cameras.clone(),
+        ..SimConfig::default()
+    });
+    let sim = CameraSim::new(&camera, &cameras, 1).expect("lens");
+    let (corner, a, b) = ([2.0, 0.5, -0.35], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]);
+    let facet = Facet::new(corner, a, b, Outline::Parallelogram);
+    let world = World::test_card(facet, |_| {});
+    let spread = |motion: PoseAt| {
+        let image = sim.render(&world, motion, 0.0, 0);
+        // Pixels between dark and light, across the row and down the column through the card's middle.
+        let middle = camera.rig_from_camera.inverse() * Vector3::new(2.0, 0.0, 0.15);
+        let pixel = camera.camera.project(&middle).expect("before the lens");
+        let (x, y) = (pixel.x as usize, pixel.y as usize);
+        let between = |p: &u8| (20..140).contains(p);
+        let w = image.width as usize;
+        let row = image.pixels[y * w..(y + 1) * w]
+            .iter()
+            .filter(|p| between(p))
+            .count();
+        let column = image
+            .pixels
+            .iter()
+            .skip(x)
+            .step_by(w)
+            .filter(|p| between(p))
+            .count();
+        [row, column]
+    };
+    let still = spread(&|_| Se3::identity());
+    let turning =
+        spread(&|t| Se3::new(so3::exp(&Vector3::new(0.0, 0.0, 1.5 * t)), Vector3::zeros()));
+    assert!(turning[0] >= still[0] + 8, "{still:?} {turning:?}");
+    assert!(turning[1] <= still[1] + 4, "{still:?} {turning:?}");
 }

@@ -1,5 +1,5 @@
 use super::*;
-use crate::config::SimConfig;
+use crate::config::{LidarConfig, SimConfig};
 use crate::simulation::Simulation;
 use lsfb_types::no_progress;
 
@@ -111,4 +111,56 @@ fn any_number_of_threads_gives_the_same_returns() {
             .install(|| simulation.scan().revolution(simulation.world(), 7))
     };
     assert!(on(1) == on(3));
+}
+
+#[test]
+fn shots_go_through_glass_and_come_back_from_it_head_on_only() {
+    let mut builder = crate::world::builder::Builder::default();
+    for (x, material) in [
+        (2.0, crate::world::material::Material::GLASS),
+        (5.0, crate::world::material::Material::PLASTER),
+    ] {
+        builder.quad([x, 4.0, -4.0], [0.0, -8.0, 0.0], [0.0, 0.0, 8.0], material);
+    }
+    let blueprint = crate::world::Blueprint {
+        builder,
+        ambient: 1.0,
+        ..Default::default()
+    };
+    let world = World::of(&blueprint, 1, 0.1, &no_progress);
+    let moment = world.moment(0.0, [0.0; 2]);
+    let sim = LidarSim::new(Se3::identity(), &LidarConfig::default(), 4);
+    let mut from_glass = 0;
+    for k in 0..100 {
+        let rays = RayPacket::splat([0.0; 3], [1.0, 0.0, 0.0]);
+        let echo =
+            sim.echoes(&world, &moment, rays, |lane| 8 * k + lane as u64)[0].expect("a wall");
+        let pane = (echo.distance_m - 2.0).abs() < 1e-4;
+        assert!(pane || (echo.distance_m - 5.0).abs() < 1e-4, "{echo:?}");
+        from_glass += usize::from(pane);
+        let ray = [0.8, 0.6, 0.0];
+        let slanted = RayPacket::splat([0.0; 3], ray);
+        let echo =
+            sim.echoes(&world, &moment, slanted, |lane| 8 * k + lane as u64)[3].expect("a wall");
+        assert!((echo.distance_m - 6.25).abs() < 1e-4, "{echo:?}");
+    }
+    assert!((40..80).contains(&from_glass), "{from_glass}");
+}
+
+#[test]
+fn dark_and_distant_surfaces_are_lost_first() {
+    let sim = LidarSim::new(Se3::identity(), &LidarConfig::default(), 4);
+    let seen = |distance_m: f64, reflectance: f64| {
+        let echo = Echo {
+            distance_m,
+            cosine: 1.0,
+            reflectance,
+        };
+        (0..500)
+            .filter(|&n| sim.measure(&echo, n).range_count > 0)
+            .count()
+    };
+    assert!(seen(20.0, 0.05) > 490 && seen(90.0, 0.5) > 490);
+    assert!(seen(140.0, 0.1) < 350 && seen(140.0, 0.1) > 150);
+    assert!(seen(140.0, 0.1) < seen(140.0, 0.3));
 }
