@@ -1,6 +1,7 @@
-//! Writes a session straight to files, without devices: `record FOLDER [--seed N] [--duration S]`.
+//! Writes a session straight to files, without devices: `record FOLDER [--seed N] [--duration S] [--small]
+//! [--place NAME | --motion NAME [--device NAME]]`.
 //!
-//! The folder receives `scan.mcap`, `walk.mcap`, `backpack.toml`, `glasses.toml`, and the truth beside them.
+//! `--small` is the least that the pipeline can use: 320 pixels across, coarse surfaces, ten images a second. The folder receives `scan.mcap`, `walk.mcap`, `backpack.toml`, `glasses.toml`, and the truth beside them.
 
 #![allow(clippy::print_stdout, reason = "an example talks to who runs it")]
 
@@ -8,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use lsfb_recording::{Writer, WriterConfig};
-use lsfb_sim::{RigSim, SimConfig, Simulation};
+use lsfb_sim::{Device, PaperMotion, Place, RigSim, SimConfig, Simulation};
 use lsfb_types::{Stamped, no_progress};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -36,20 +37,48 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 fn arguments() -> Result<(PathBuf, SimConfig), Box<dyn std::error::Error>> {
     let mut folder = None;
     let mut config = SimConfig::default();
+    let (mut seed, mut duration_s, mut small) = (1, None, false);
+    let (mut place, mut motion, mut device) = (None, None, Device::Glasses);
     let mut arguments = std::env::args().skip(1);
     while let Some(argument) = arguments.next() {
         let mut value = || arguments.next().ok_or(format!("{argument} needs a value"));
         match argument.as_str() {
-            "--seed" => config.seed = value()?.parse()?,
-            "--duration" => {
-                config.scan.duration_s = value()?.parse()?;
-                config.glasses.duration_s = config.scan.duration_s.min(config.glasses.duration_s);
+            "--seed" => seed = value()?.parse()?,
+            "--duration" => duration_s = Some(value()?.parse()?),
+            "--small" => small = true,
+            "--place" => place = Some(Place::named(&value()?).ok_or("no such place")?),
+            "--motion" => motion = Some(PaperMotion::named(&value()?).ok_or("not in Table VII")?),
+            "--device" => {
+                let name = value()?;
+                let found = Device::ALL.into_iter().find(|d| d.name() == name);
+                device = found.ok_or("no such device")?;
             }
             _ => folder = Some(PathBuf::from(argument)),
         }
     }
+    if let Some(motion) = motion {
+        config = SimConfig::for_motion(motion, device);
+    } else if let Some(place) = place {
+        config = SimConfig::for_place(place, device);
+    }
+    config.seed = seed;
+    if let Some(duration_s) = duration_s {
+        config.motion.clear();
+        config.scan.duration_s = duration_s;
+        config.glasses.duration_s = duration_s;
+        if config.place == Place::Demo {
+            config.glasses.duration_s = duration_s.min(24.0);
+        }
+    }
+    if small {
+        config.texel_m = 0.008;
+        for cameras in [&mut config.scan_cameras, &mut config.glasses_cameras] {
+            (cameras.height, cameras.width) = (320 * cameras.height / cameras.width / 8 * 8, 320);
+            cameras.rate_hz = 10;
+        }
+    }
     Ok((
-        folder.ok_or("usage: record FOLDER [--seed N] [--duration S]")?,
+        folder.ok_or("usage: record FOLDER [--seed N] [--duration S] [--small] [--place NAME]")?,
         config,
     ))
 }
