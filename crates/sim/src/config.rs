@@ -1,5 +1,7 @@
 //! What can be set. `Default` is the demo.
 
+use std::path::PathBuf;
+
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
@@ -14,6 +16,11 @@ pub struct SimConfig {
     pub seed: u64,
     /// Where it takes place.
     pub place: Place,
+    /// Binary glTF file (`.glb`, metres) for the place `imported`.
+    pub scene: PathBuf,
+    /// Corners of the closed way through an imported scene: x, y and z of the floor, metres, z up. Without, around its
+    /// middle.
+    pub way_m: Vec<[f64; 3]>,
     /// How often people have moved things about since the place was built; 0 is as built.
     pub months_later: u32,
     /// What the second walk is recorded with.
@@ -161,6 +168,8 @@ impl Default for SimConfig {
         Self {
             seed: 1,
             place: Place::Demo,
+            scene: PathBuf::new(),
+            way_m: Vec::new(),
             months_later: 0,
             device: Device::Glasses,
             motion: String::new(),

@@ -59,4 +59,12 @@ pub enum Error {
         /// Why.
         source: std::io::Error,
     },
+    /// A scene file could not be used.
+    #[error("scene {}: {problem}", path.display())]
+    Scene {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        problem: String,
+    },
 }

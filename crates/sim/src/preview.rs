@@ -10,7 +10,7 @@ use wide::f32x8;
 use lsfb_types::{Image, Progress, ProgressFn};
 
 use crate::world::{LANES, RayPacket};
-use crate::{Error, RigSim, Simulation};
+use crate::{Error, Place, RigSim, Simulation};
 
 /// A grey picture.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -122,13 +122,17 @@ pub fn contact_sheet(
 
 /// The place from above, without its ceilings; the scanner's way is white, the second walk's black.
 pub fn top_view(simulation: &Simulation) -> Picture {
-    let [w, d] = simulation.config().place.size_m();
+    let world = simulation.world();
+    let [low, high] = match simulation.config().place {
+        Place::Demo | Place::Imported => world.extent_m().map(|v| [v[0].into(), v[1].into()]),
+        place => [[0.0; 2], place.size_m()],
+    };
+    let [w, d]: [f64; 2] = std::array::from_fn(|i| high[i] - low[i]);
     let margin = 1.0;
     let scale = TOP_PX / (w.max(d) + 2.0 * margin);
     let width = ((w + 2.0 * margin) * scale) as usize / LANES * LANES;
     let height = ((d + 2.0 * margin) * scale) as usize;
     let mut picture = Picture::new(width, height);
-    let world = simulation.world();
     let moment = world.moment(0.0, [0.0, 1e4]);
     let angle = (1.0 / scale) as f32 / TOP_M;
     picture
@@ -136,10 +140,10 @@ pub fn top_view(simulation: &Simulation) -> Picture {
         .par_chunks_mut(width)
         .enumerate()
         .for_each(|(row, pixels)| {
-            let y = d + margin - (row as f64 + 0.5) / scale;
+            let y = high[1] + margin - (row as f64 + 0.5) / scale;
             for (group, pixels) in pixels.chunks_exact_mut(LANES).enumerate() {
                 let x: [f32; LANES] = std::array::from_fn(|lane| {
-                    (((group * LANES + lane) as f64 + 0.5) / scale - margin) as f32
+                    (low[0] + ((group * LANES + lane) as f64 + 0.5) / scale - margin) as f32
                 });
                 let flat = |v: f32| f32x8::splat(v);
                 let rays = RayPacket {
@@ -162,8 +166,8 @@ pub fn top_view(simulation: &Simulation) -> Picture {
                 .at(f64::from(step) * 0.05)
                 .world_from_rig
                 .translation;
-            let x = ((at.x + margin) * scale) as usize;
-            let y = ((d + margin - at.y) * scale) as usize;
+            let x = ((at.x - low[0] + margin) * scale) as usize;
+            let y = ((high[1] + margin - at.y) * scale) as usize;
             for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
                 if x + dx < width && y + dy < height {
                     picture.pixels[(y + dy) * width + x + dx] = shade;

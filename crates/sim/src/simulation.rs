@@ -52,10 +52,8 @@ impl Simulation {
     /// Builds the world and both walks. Takes seconds at the default resolution.
     pub fn new(config: &SimConfig, progress: ProgressFn) -> Result<Self, Error> {
         config.check()?;
-        let world = config
-            .place
-            .build(config.seed, config.months_later, config.texel_m, progress);
-        let [scan_walk, second_walk] = walks(config)?;
+        let world = Place::build(config, progress)?;
+        let [scan_walk, second_walk] = walks(config, &world)?;
         let mut scan = RigSim::new(
             rigs::backpack(config),
             EPOCH,
@@ -128,9 +126,36 @@ impl Simulation {
     }
 }
 
+/// A way around the middle of a scene, on the floor that is under it.
+fn around_the_middle(world: &World) -> Vec<[f64; 3]> {
+    let [low, high] = world.extent_m();
+    let half: [f32; 3] = std::array::from_fn(|i| 0.5 * (high[i] - low[i]));
+    let above = [
+        low[0] + half[0],
+        low[1] + half[1],
+        low[2] + half[2].min(1.5),
+    ];
+    let floor = world
+        .cast(above, [0.0, 0.0, -1.0])
+        .map_or(low[2], |hit| above[2] - hit.distance);
+    (0..16)
+        .map(|k| f64::from(k) * std::f64::consts::TAU / 16.0)
+        .map(|angle| {
+            let [x, y] = [0, 1].map(|i| f64::from(above[i]));
+            let [rx, ry] = [0, 1].map(|i| 0.3 * f64::from(half[i]));
+            [x + rx * angle.cos(), y + ry * angle.sin(), f64::from(floor)]
+        })
+        .collect()
+}
+
 /// The scanner's walk, and the second one.
-pub(crate) fn walks(config: &SimConfig) -> Result<[Walk; 2], Error> {
+pub(crate) fn walks(config: &SimConfig, world: &World) -> Result<[Walk; 2], Error> {
     let place = config.place;
+    let way = |kind: Route| match place {
+        Place::Imported if config.way_m.len() > 2 => config.way_m.clone(),
+        Place::Imported => around_the_middle(world),
+        _ => route(place, kind),
+    };
     if place == Place::Demo {
         let plan = FloorPlan::new(config.seed);
         return Ok([
@@ -140,7 +165,7 @@ pub(crate) fn walks(config: &SimConfig) -> Result<[Walk; 2], Error> {
     }
     let on_board = place == Place::Calibration;
     let scan = WalkPlan {
-        corners: route(place, if on_board { Route::Spot } else { Route::Scan }),
+        corners: way(if on_board { Route::Spot } else { Route::Scan }),
         config: config.scan.clone(),
         length_m: on_board.then_some(0.02 * config.scan.duration_s),
         gaze: if on_board { Gaze::Board } else { Gaze::Steady },
@@ -148,7 +173,7 @@ pub(crate) fn walks(config: &SimConfig) -> Result<[Walk; 2], Error> {
     };
     let second = match config.paper_motion()? {
         Some(motion) => WalkPlan {
-            corners: route(place, motion.route),
+            corners: way(motion.route),
             config: crate::WalkConfig {
                 duration_s: motion.duration_s(config.device),
                 ..config.glasses.clone()
@@ -164,7 +189,7 @@ pub(crate) fn walks(config: &SimConfig) -> Result<[Walk; 2], Error> {
             ..scan.clone()
         },
         None => WalkPlan {
-            corners: route(place, Route::Loop),
+            corners: way(Route::Loop),
             config: config.glasses.clone(),
             length_m: None,
             gaze: Gaze::AroundSlow,

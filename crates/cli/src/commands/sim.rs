@@ -46,6 +46,9 @@ pub struct Arguments {
     /// wide-corridor, narrow-corridor or stairs.
     #[arg(long, value_parser = place, conflicts_with_all = ["config", "motion"])]
     place: Option<Place>,
+    /// A textured scene of your own, a binary glTF file in metres, instead of a place.
+    #[arg(long, value_name = "FILE.glb", conflicts_with_all = ["config", "motion", "place"])]
+    scene: Option<PathBuf>,
     /// A sequence of the paper's Table VII, O0 to S2, in its place.
     #[arg(long, value_parser = motion, conflicts_with = "config")]
     motion: Option<&'static PaperMotion>,
@@ -116,6 +119,7 @@ impl Arguments {
             action: None,
             out: Some(out.to_owned()),
             place: None,
+            scene: None,
             motion: None,
             device: Device::Glasses,
             months_later: 0,
@@ -149,6 +153,10 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     if arguments.config.is_none() {
         config.months_later = arguments.months_later;
         config.device = arguments.device;
+    }
+    if let Some(scene) = &arguments.scene {
+        config = SimConfig::for_place(Place::Imported, arguments.device);
+        config.scene.clone_from(scene);
     }
     config.seed = arguments.seed;
     let layout = Layout::create(out)?;

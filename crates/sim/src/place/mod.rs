@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use lsfb_types::ProgressFn;
 
 use crate::world::World;
+use crate::{Error, SimConfig};
 pub use calibration::{Board, TAG_M};
 pub(crate) use route::{Route, route};
 use site::{Area, Site};
@@ -44,6 +45,8 @@ pub enum Place {
     NarrowCorridor,
     /// Wide stairs over two floors, 10 × 20 m (S0–S2).
     Stairs,
+    /// A scene of the user's.
+    Imported,
 }
 
 impl Place {
@@ -74,18 +77,19 @@ impl Place {
             Self::WideCorridor => "wide-corridor",
             Self::NarrowCorridor => "narrow-corridor",
             Self::Stairs => "stairs",
+            Self::Imported => "imported",
         }
     }
 
     /// The place of a name.
     pub fn named(name: &str) -> Option<Self> {
-        [Self::Demo, Self::Calibration]
+        [Self::Demo, Self::Calibration, Self::Imported]
             .into_iter()
             .chain(Self::ENVIRONMENTS)
             .find(|p| p.name() == name)
     }
 
-    /// Extent along x and y, metres.
+    /// Extent along x and y, metres; of an imported scene, no more than a guess.
     pub const fn size_m(self) -> [f64; 2] {
         match self {
             Self::Demo => [11.0, 7.0],
@@ -98,6 +102,7 @@ impl Place {
             Self::WideCorridor => [40.0, 4.0],
             Self::NarrowCorridor => [30.0, 2.0],
             Self::Stairs => [10.0, 20.0],
+            Self::Imported => [10.0, 10.0],
         }
     }
 
@@ -106,16 +111,15 @@ impl Place {
         matches!(self, Self::OfficePark | Self::HousePark)
     }
 
-    /// Builds it. `months_later` counts how often people have moved things about since.
-    pub fn build(self, seed: u64, months_later: u32, texel_m: f32, progress: ProgressFn) -> World {
-        if self == Self::Demo {
-            return World::build(seed, texel_m, progress);
-        }
-        let mut site = Site::new(seed, months_later.into());
-        let [w, d] = self.size_m().map(|v| v as f32);
+    /// Builds what is configured.
+    pub(crate) fn build(config: &SimConfig, progress: ProgressFn) -> Result<World, Error> {
+        let (place, seed, texel_m) = (config.place, config.seed, config.texel_m);
+        let mut site = Site::new(seed, config.months_later.into());
+        let [w, d] = place.size_m().map(|v| v as f32);
         let whole = Area::new([0.0, w], [0.0, d]);
-        match self {
-            Self::Demo => {}
+        match place {
+            Self::Demo => return Ok(World::build(seed, texel_m, progress)),
+            Self::Imported => return World::of_file(&config.scene),
             Self::Calibration => calibration::room(&mut site),
             Self::OfficePark => park::buildings(&mut site),
             Self::HousePark => park::houses(&mut site),
@@ -128,7 +132,7 @@ impl Place {
             Self::Stairs => indoor::stairs(&mut site, whole),
         }
         site.line_passages();
-        World::of(&site.plan, seed, texel_m, progress)
+        Ok(World::of(&site.plan, seed, texel_m, progress))
     }
 }
 

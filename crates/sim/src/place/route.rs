@@ -81,7 +81,7 @@ pub(crate) fn route(place: Place, route: Route) -> Vec<[f64; 3]> {
         (Place::HousePark, Route::Rooms | Route::Scan) => house_rooms(route),
         (Place::HousePark, _) => rectangle([11.0, 15.0], [35.0, 33.0]),
         (Place::Calibration, _) => rectangle([2.4, 2.1], [2.9, 2.9]),
-        (Place::Demo, _) => rectangle([1.0, 1.0], [3.8, 3.0]),
+        (Place::Demo | Place::Imported, _) => rectangle([1.0, 1.0], [3.8, 3.0]),
     };
     corners.into_iter().map(|[x, y]| [x, y, 0.0]).collect()
 }
@@ -148,7 +148,9 @@ fn atrium(route: Route, by: [f64; 2]) -> Vec<[f64; 2]> {
                 [50.0, 4.6],
                 [50.0, 10.4],
                 [8.0, 10.4],
-                [3.0, 4.0],
+                [7.0, 8.0],
+                [6.6, 5.0],
+                [3.0, 3.0],
             ]);
             all
         }
@@ -199,8 +201,8 @@ fn house_rooms(route: Route) -> Vec<[f64; 2]> {
         }
         all.push([x1 + 2.0, cy]);
         if k == 1 {
-            all.extend([[x1 + 3.0, y1 + 3.0], [62.6, 44.0], [62.6, 57.0]]);
-            all.extend([[58.0, 63.0], [40.0, 63.0], [36.5, 60.0], [16.0, 60.0]]);
+            all.extend([[x1 + 3.0, y1 + 3.0], [62.6, 44.0], [62.6, 62.6]]);
+            all.extend([[40.0, 63.0], [36.5, 60.0], [16.0, 60.0]]);
         }
     }
     if route == Route::Rooms {
@@ -329,6 +331,7 @@ fn large(route: Route) -> Vec<[f64; 3]> {
     }
     all.extend(flat(vec![[22.5, 17.3], [19.0, 17.3], [17.4, 16.0]]));
     if route == Route::Scan {
+        all.extend(flat(vec![[17.2, 6.0], [15.5, 4.2]]));
         all.extend(flat(hall_scan([0.0, 0.0])));
         all.extend(flat(vec![[3.4, 5.2], [9.0, 4.4], [16.4, 5.6]]));
     }

@@ -42,16 +42,16 @@ fn places_have_their_size_and_walks_keep_clear_of_everything() {
         for rig in [simulation.scan(), simulation.glasses()] {
             let name = &rig.rig().name;
             let mut nearest = (f32::INFINITY, [0.0; 3]);
-            for step in 0..(rig.walk().duration_s() * 2.0) as u32 {
+            for step in 0..(rig.walk().duration_s() * 1.6) as u32 {
                 let at = rig
                     .walk()
-                    .at(f64::from(step) * 0.5)
+                    .at(f64::from(step) * 0.625)
                     .world_from_rig
                     .translation;
-                for height in [-0.75, -0.3, 0.05, 0.3] {
+                for height in [-0.75, -0.2, 0.3] {
                     let origin = [at.x as f32, at.y as f32, at.z as f32 + height];
-                    for k in 0..16_u8 {
-                        let (sin, cos) = (f32::from(k) * 0.3927).sin_cos();
+                    for k in 0..10_u8 {
+                        let (sin, cos) = (f32::from(k) * 0.6283).sin_cos();
                         if let Some(hit) = world.cast(origin, [cos, sin, 0.0])
                             && hit.distance < nearest.0
                         {
@@ -71,6 +71,7 @@ fn places_have_their_size_and_walks_keep_clear_of_everything() {
 #[test]
 fn motions_have_the_frames_and_lengths_of_table_vii() {
     assert_eq!(PaperMotion::all().len(), 25);
+    let nowhere = World::of(&Default::default(), 0, 0.1, &no_progress);
     for motion in PaperMotion::all() {
         for device in Device::ALL {
             // The longest walks of the three are alike: one is enough.
@@ -78,7 +79,7 @@ fn motions_have_the_frames_and_lengths_of_table_vii() {
                 continue;
             }
             let config = SimConfig::for_motion(motion, device);
-            let walk = crate::simulation::walks(&config).expect("valid")[1].clone();
+            let walk = crate::simulation::walks(&config, &nowhere).expect("valid")[1].clone();
             let frames = walk.duration_s() * 30.0;
             let wanted = f64::from(motion.frames[device as usize]);
             assert!(
@@ -111,4 +112,46 @@ fn any_number_of_threads_gives_the_same_place() {
     let once = on(1, 0);
     assert!(once == on(3, 0));
     assert!(once != on(2, 2));
+}
+
+#[test]
+fn a_scene_of_others_can_be_walked_through() {
+    let data = std::env::var("LSFB_TEST_DATA").unwrap_or_else(|_| {
+        concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data").to_owned()
+    });
+    let scene = std::path::Path::new(&data).join("lidar/scenes/vr-gallery.glb");
+    if !scene.exists() {
+        println!(
+            "skipped: a_scene_of_others_can_be_walked_through: no scene at {}",
+            scene.display()
+        );
+        return;
+    }
+    let config = SimConfig {
+        scene,
+        ..coarse(Place::Imported)
+    };
+    let simulation = Simulation::new(&config, &no_progress).expect("a scene");
+    let world = simulation.world();
+    assert!(world.facets().len() > 1900);
+    let [low, high] = world.extent_m();
+    // The file's own bounds, y and z exchanged: about ten metres square and five high.
+    assert!((0..2).all(|i| (high[i] - low[i] - 10.12).abs() < 0.1));
+    assert!((high[2] - low[2] - 5.05).abs() < 0.1);
+    for frame in [10, 200] {
+        let image = simulation
+            .glasses()
+            .image(world, 0, frame)
+            .expect("camera")
+            .sample;
+        let mean =
+            image.pixels.iter().map(|p| u64::from(*p)).sum::<u64>() / image.pixels.len() as u64;
+        let black = image.pixels.iter().filter(|p| **p < 4).count();
+        assert!(
+            (60..200).contains(&mean) && black * 20 < image.pixels.len(),
+            "{mean} {black}"
+        );
+    }
+    let scan = simulation.scan().scan(world, 30).expect("returns");
+    assert!(scan.sample.points.len() > 40_000);
 }

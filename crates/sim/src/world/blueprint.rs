@@ -1,5 +1,7 @@
 //! From what a place consists of to a world that can be looked at.
 
+use std::path::Path;
+
 use rayon::prelude::*;
 
 use lsfb_types::{Progress, ProgressFn};
@@ -8,10 +10,12 @@ use super::atlas::Atlas;
 use super::builder::Builder;
 use super::bvh::Bvh;
 use super::crowd::{Crowd, Stroll};
-use super::facet::Facet;
+use super::facet::{Facet, Outline};
 use super::light::{Lamp, Lamps, LightGrid, Lighting, SmallFacets, Sun};
-use super::skin::LightMaps;
-use super::{World, pool};
+use super::skin::{Beyond, LightMaps, Skin};
+use super::vector::{cross, norm, sub};
+use super::{World, gltf, pool};
+use crate::Error;
 
 /// Distance between the points at which light is computed, metres.
 const SPACING_M: f32 = 0.45;
@@ -27,6 +31,60 @@ pub(crate) struct Blueprint {
 }
 
 impl World {
+    /// The scene of a binary glTF file, in its own light.
+    pub(crate) fn of_file(path: &Path) -> Result<Self, Error> {
+        let scene = gltf::read(path)?;
+        let mut triangles = Vec::new();
+        let mut unsorted = Vec::new();
+        for triangle in scene.triangles {
+            let [corner, q, r] = triangle.corners_m;
+            let (a, b) = (sub(q, corner), sub(r, corner));
+            // Slivers have no direction to face.
+            if norm(cross(a, b)) > 1e-9 {
+                unsorted.push(Facet::new(corner, a, b, Outline::Triangle));
+                triangles.push(triangle);
+            }
+        }
+        let (bvh, order) = Bvh::build(&unsorted);
+        let facets: Vec<Facet> = order.iter().map(|&i| unsorted[i]).collect();
+        let mut atlas = Atlas::default();
+        for picture in &scene.pictures {
+            atlas.push(picture);
+        }
+        let means: Vec<f32> = scene
+            .pictures
+            .iter()
+            .map(|p| p.values.iter().sum::<f32>() / p.values.len() as f32)
+            .collect();
+        let skins = order.iter().map(|&i| {
+            let [p, q, r] = triangles[i].places;
+            let facet = &unsorted[i];
+            let edges = [q, r].map(|end| [end[0] - p[0], end[1] - p[1]]);
+            let lengths = [norm(facet.edge_a), norm(facet.edge_b)];
+            let per_metre = |k: usize| edges[k][0].hypot(edges[k][1]) / lengths[k].max(1e-6);
+            Skin {
+                edges,
+                offset: p,
+                beyond: Beyond::Repeated,
+                zoom: per_metre(0).max(per_metre(1)),
+                gain: triangles[i].gain,
+                ..Skin::baked(triangles[i].picture)
+            }
+        });
+        // Brightness is the square root of reflected light.
+        let reflectance =
+            |i: &usize| means[triangles[*i].picture].powi(2) * triangles[*i].gain.powi(2);
+        Ok(Self {
+            reflectances: order.iter().map(reflectance).collect(),
+            skins: skins.collect(),
+            facets,
+            bvh,
+            atlas,
+            light: LightMaps::default(),
+            crowd: Crowd::default(),
+        })
+    }
+
     /// Paints and lights a place, with texels of `texel_m` metres where surfaces are looked at closely.
     pub(crate) fn of(blueprint: &Blueprint, seed: u64, texel_m: f32, progress: ProgressFn) -> Self {
         let unsorted: Vec<Facet> = blueprint.builder.surfaces.iter().map(|s| s.facet).collect();

@@ -13,6 +13,7 @@ pub(crate) mod crowd;
 mod facet;
 mod finish;
 pub(crate) mod furniture;
+mod gltf;
 pub(crate) mod light;
 pub(crate) mod material;
 mod mesh;
@@ -153,6 +154,18 @@ impl World {
             light: LightMaps::default(),
             crowd: Crowd::default(),
         }
+    }
+
+    /// The least and the greatest x, y, z of what does not move, metres.
+    pub fn extent_m(&self) -> [[f32; 3]; 2] {
+        let mut extent = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]];
+        for v in self.facets.iter().flat_map(Facet::vertices) {
+            for i in 0..3 {
+                extent[0][i] = extent[0][i].min(v[i]);
+                extent[1][i] = extent[1][i].max(v[i]);
+            }
+        }
+        extent
     }
 
     /// All facets that do not move.

@@ -12,7 +12,7 @@ use lsfb_types::{Progress, ProgressFn};
 use super::atlas::Atlas;
 use super::builder::Surface;
 use super::material::{Marks, Material};
-use super::skin::{LightMaps, Skin};
+use super::skin::{Beyond, LightMaps, Skin};
 use super::vector::norm;
 use crate::noise::{hash, unit};
 
@@ -212,8 +212,9 @@ fn skin(surface: &Surface, order: &Order, texture: usize, seed: u64, number: u64
         texture: texture as u32,
         pictures: material.pictures,
         glass: material.glass,
-        scale,
+        edges: [[scale[0], 0.0], [0.0, scale[1]]],
         offset,
+        beyond: Beyond::Mirrored,
         zoom,
         gain: (material.tone / order.material.tone).max(0.0).sqrt(),
         light: number as u32,

@@ -14,16 +14,27 @@ pub(crate) struct Skin {
     pub pictures: u16,
     /// Whether one sees through it.
     pub glass: bool,
-    /// Lengths of the picture per edge of the facet; beyond its border the picture goes on mirrored.
-    pub scale: [f32; 2],
-    /// Where in the picture the facet's corner is, not negative.
+    /// Where in the picture one gets along either edge of the facet, in widths and heights of the picture.
+    pub edges: [[f32; 2]; 2],
+    /// Where in the picture the facet's corner is.
     pub offset: [f32; 2],
+    /// How the picture goes on beyond its border.
+    pub beyond: Beyond,
     /// Size of a texel as painted over its size on the facet.
     pub zoom: f32,
     /// Factor of the brightness.
     pub gain: f32,
     /// Its light in the [`LightMaps`].
     pub light: u32,
+}
+
+/// What is beyond the border of a picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Beyond {
+    /// The picture mirrored; places are not negative.
+    Mirrored,
+    /// The picture again.
+    Repeated,
 }
 
 impl Skin {
@@ -33,8 +44,9 @@ impl Skin {
             texture: texture as u32,
             pictures: 1,
             glass: false,
-            scale: [1.0; 2],
+            edges: [[1.0, 0.0], [0.0, 1.0]],
             offset: [0.0; 2],
+            beyond: Beyond::Mirrored,
             zoom: 1.0,
             gain: 1.0,
             light: LightMaps::NONE,
@@ -51,10 +63,12 @@ impl Skin {
         } else {
             0
         };
-        let place = [
-            mirrored(self.offset[0] + a * self.scale[0]),
-            mirrored(self.offset[1] + b * self.scale[1]),
-        ];
+        let [along_a, along_b] = self.edges;
+        let place = std::array::from_fn(|i| self.offset[i] + a * along_a[i] + b * along_b[i]);
+        let place = match self.beyond {
+            Beyond::Mirrored => place.map(mirrored),
+            Beyond::Repeated => place.map(|x: f32| x - x.floor()),
+        };
         (self.texture as usize + shown, place)
     }
 }
