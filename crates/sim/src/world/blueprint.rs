@@ -125,8 +125,11 @@ impl World {
                     LightGrid::bake(facet, (first + k) as u64, &bvh, &facets, &lighting)
                 })
                 .collect();
-            for (grid, surface) in grids.iter().zip(&surfaces[first..]) {
-                light.push(grid, surface.material.glow);
+            for (mut grid, surface) in grids.into_iter().zip(&surfaces[first..]) {
+                if surface.material.is_backdrop() {
+                    grid.values.fill(0.0);
+                }
+                light.push(&grid, surface.material.glow);
             }
         }
         Self {

@@ -210,6 +210,11 @@ impl Material {
         }
     }
 
+    /// Whether it is so far away that nothing in the place lights it.
+    pub(crate) fn is_backdrop(&self) -> bool {
+        self.coarseness >= Self::SKY.coarseness
+    }
+
     /// With this much less or more texture.
     pub(crate) const fn busier(self, coverage: f32) -> Self {
         Self { coverage, ..self }
