@@ -1,5 +1,7 @@
 //! Offices: the medium one, and the large one that holds hall, atrium, corridors and stairs.
 
+use std::f32::consts::FRAC_PI_2;
+
 use super::dress::Dress;
 use super::indoor::{
     CEILING_M, atrium, exhibition, narrow_corridor, stairs, stroll_around, wide_corridor,
@@ -46,7 +48,10 @@ pub(super) fn medium(site: &mut Site, area: Area) {
         let y = y0 + 4.0 + 4.5 * k as f32;
         for (side, x) in [(0, x0 + 1.9), (1, x0 + w - 1.9)] {
             if y < y0 + d - 3.0 {
-                site.desks(&Place::new([x, y, 0.0], 1.5708), 40 + 2 * k as u64 + side);
+                site.desks(
+                    &Place::new([x, y, 0.0], FRAC_PI_2),
+                    40 + 2 * k as u64 + side,
+                );
             }
         }
     }
@@ -91,7 +96,7 @@ fn core_room(site: &mut Site, area: Area, number: u64) {
     let mut y = y0 + 0.1;
     while y + 1.0 < y1 {
         let wide = 1.42_f32.min(y1 - 0.1 - y);
-        site.pane(&Place::new([x1, y, 0.0], 1.5708), wide, [0.0, 2.4]);
+        site.pane(&Place::new([x1, y, 0.0], FRAC_PI_2), wide, [0.0, 2.4]);
         y += 1.45;
     }
     let beam = Place::new([x1, y0, 0.0], 0.0);
@@ -121,7 +126,7 @@ fn core_room(site: &mut Site, area: Area, number: u64) {
         );
         crate::world::furniture::chair(site.out(), &rng, &seat);
     }
-    let inner = Place::new([x0 + 0.1, y0, 0.0], 1.5708);
+    let inner = Place::new([x0 + 0.1, y0, 0.0], FRAC_PI_2);
     let size = [uniform(&rng, 1.2, 1.8), 1.0];
     crate::world::furniture::picture(site.out(), &rng, &inner, [0.5 * d, 1.5], size);
 }
@@ -157,7 +162,7 @@ fn open_plan(site: &mut Site, area: Area, number: u64) {
             let x = area.x[0] + 1.7 + (w - 3.4) * (i as f32 + 0.5) / columns as f32;
             let y = area.y[0] + d * (j as f32 + 0.5) / rows as f32;
             let bay = number * 256 + (i * rows + j) as u64;
-            site.desks(&Place::new([x, y, 0.0], 1.5708), bay);
+            site.desks(&Place::new([x, y, 0.0], FRAC_PI_2), bay);
         }
     }
 }

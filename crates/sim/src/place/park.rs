@@ -1,5 +1,7 @@
 //! Outside: façades, houses one can enter, a plaza, lawns, trees, the sky.
 
+use std::f32::consts::FRAC_PI_2;
+
 use super::dress::Dress;
 use super::indoor::stroll_around;
 use super::site::{Area, Cladding, Site, WALL_M, Wall};
@@ -195,7 +197,7 @@ fn furnish(site: &mut Site) {
             site,
             &Place::new(
                 [46.5 + 2.9 * k as f32, 12.0 + 0.3 * (k % 3) as f32, 0.0],
-                1.5708,
+                FRAC_PI_2,
             ),
             k as u64,
         );
