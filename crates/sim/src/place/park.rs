@@ -96,7 +96,7 @@ fn grounds(site: &mut Site) {
     // What stands around the park hides the horizon.
     let middle = 0.5 * PARK_M;
     for k in 0..4 {
-        let yaw = k as f32 * std::f32::consts::FRAC_PI_2;
+        let yaw = k as f32 * FRAC_PI_2;
         let side = Place::new([middle, middle, 0.0], yaw);
         for i in 0..8 {
             let x = 20.0 * i as f32 - 80.0;
