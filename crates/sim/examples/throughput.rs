@@ -93,16 +93,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
         let (mut starts, mut directions, mut distances) = (Vec::new(), Vec::new(), Vec::new());
         for ((origin, group), hit) in rays.iter().zip(&hits) {
-            let lanes = group.map(|d| d.to_array());
+            let [x, y, z] = group.map(|d| d.to_array());
+            let distance = hit.distance.to_array();
             for lane in 0..LANES {
                 starts.extend(origin);
-                directions.extend([lanes[0][lane], lanes[1][lane], lanes[2][lane]]);
+                directions.extend([x[lane], y[lane], z[lane]]);
                 let none = hit.facet[lane] == NO_FACET;
-                distances.push(if none {
-                    -1.0
-                } else {
-                    hit.distance.to_array()[lane]
-                });
+                distances.push(if none { -1.0 } else { distance[lane] });
             }
         }
         for (name, values) in [
@@ -138,16 +135,16 @@ fn rays_of_image(simulation: &Simulation) -> Result<Rays, Box<dyn std::error::Er
     let mut rays = Vec::new();
     for y in 0..camera.camera.height {
         for x in (0..camera.camera.width).step_by(LANES) {
-            let mut lanes = [[0.0_f32; LANES]; 3];
-            for lane in 0..LANES {
+            let mut lanes = [[0.0_f32; 3]; LANES];
+            for (lane, ray) in lanes.iter_mut().enumerate() {
                 let pixel = Vector2::new(f64::from(x) + lane as f64, f64::from(y));
-                let ray = camera.camera.unproject(&pixel).ok_or("no ray")?;
-                let ray = world_from_camera.rotation * ray;
-                for axis in 0..3 {
-                    lanes[axis][lane] = ray[axis] as f32;
-                }
+                let in_camera = camera.camera.unproject(&pixel).ok_or("no ray")?;
+                *ray = (world_from_camera.rotation * in_camera)
+                    .map(|v| v as f32)
+                    .into();
             }
-            rays.push((origin, lanes.map(f32x8::new)));
+            let axis = |i: usize| f32x8::new(lanes.map(|ray| ray[i]));
+            rays.push((origin, [axis(0), axis(1), axis(2)]));
         }
     }
     Ok(rays)

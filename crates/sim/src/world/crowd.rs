@@ -293,7 +293,7 @@ mod tests {
         for (time_s, x) in [(0.0, 1.0), (1.0, 2.0), (4.0, 3.0)] {
             let moment = crowd.at(time_s, [0.0, 1e4]);
             for k in 0..16 {
-                let (s, c) = (k as f32 * 0.3927).sin_cos();
+                let (s, c) = (k as f32 * std::f32::consts::FRAC_PI_8).sin_cos();
                 let origin = [x + 3.0 * c, 3.0 * s, 1.2];
                 let rays = RayPacket::splat(origin, [-c, -s, 0.0]);
                 let mut hit = PacketHit::nothing(f32x8::splat(50.0));
