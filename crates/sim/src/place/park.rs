@@ -57,9 +57,9 @@ fn grounds(site: &mut Site) {
     let norm_of = |v: [f32; 3]| v.map(|c| c / norm(v));
     site.plan.sun = Some(Sun {
         direction: norm_of([0.45, -0.5, 0.75]),
-        power: 0.9,
+        power: 0.75,
     });
-    site.plan.ambient = 0.3;
+    site.plan.ambient = 0.4;
     let out = site.out();
     let flat = |x: [f32; 2], y: [f32; 2], z: f32| {
         (

@@ -12,9 +12,6 @@ use crate::world::room::walls;
 /// Thickness of walls between halls, metres.
 pub(crate) const WALL_M: f32 = 0.3;
 
-/// Light from everywhere inside: less than in the demo's room, for the contrasts that real images have.
-const AMBIENT: f32 = 0.24;
-
 /// A place under construction.
 pub(crate) struct Site {
     pub plan: Blueprint,
@@ -82,7 +79,7 @@ impl Site {
     pub(crate) fn new(seed: u64, later: u64) -> Self {
         Self {
             plan: Blueprint {
-                ambient: AMBIENT,
+                ambient: crate::world::light::AMBIENT,
                 ..Blueprint::default()
             },
             passages: Vec::new(),
