@@ -55,8 +55,11 @@ fn content(path: &Path) -> Vec<String> {
     let mut lines = Vec::new();
     for topic in recording.topics() {
         // The stream of a serial line is cut wherever it was read, and the frames of the rig are stamped like the message
-        // that happened to come first.
-        if topic.topic == "/raw/imu0" || topic.topic.ends_with("tf_static") {
+        // that happened to come first. What the recorder says itself is about its own session.
+        let own = ["/health/", "/sync/"]
+            .iter()
+            .any(|t| topic.topic.starts_with(t));
+        if own || topic.topic == "/raw/imu0" || topic.topic.ends_with("tf_static") {
             continue;
         }
         let mut line = format!("{} {} {}", topic.topic, topic.schema, topic.messages);
