@@ -36,9 +36,9 @@ pub struct IncrementalConfig {
 impl Default for IncrementalConfig {
     fn default() -> Self {
         Self {
-            relinearize_above: 5e-3,
-            propagate_above: 1e-3,
-            max_rounds: 12,
+            relinearize_above: 1e-2,
+            propagate_above: 2e-3,
+            max_rounds: 40,
             damping: 1e-9,
             solve: SolveConfig {
                 cost_tolerance: 1e-9,
