@@ -240,6 +240,8 @@ struct ShownCell {
 /// What a client has of a map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Shown {
+    /// Whether it has anything at all.
+    begun: bool,
     generation: u32,
     version: u32,
     path_points: usize,
@@ -250,9 +252,10 @@ impl MapSnapshot {
     /// metres, `u32` squares, `u32` points of the path; squares of `i16` x, `i16` y, `u8` shade, `u8` 0; points of `f32` x,
     /// `f32` y. `None`: nothing.
     pub(crate) fn news(&self, shown: &mut Shown) -> Option<Vec<u8>> {
-        let anew = shown.generation != self.generation || shown.version == 0;
+        let anew = !shown.begun || shown.generation != self.generation;
         if anew {
             *shown = Shown {
+                begun: true,
                 generation: self.generation,
                 ..Shown::default()
             };
@@ -276,7 +279,7 @@ impl MapSnapshot {
         for point in path {
             bytes.extend(point.iter().flat_map(|v| v.to_le_bytes()));
         }
-        shown.version = self.version.max(1);
+        shown.version = self.version;
         shown.path_points = self.path.len();
         Some(bytes)
     }

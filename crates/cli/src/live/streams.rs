@@ -58,9 +58,8 @@ impl Streams {
             Tapped::Image { camera, image } => self.delay(camera, image.time, image.arrival, now),
             Tapped::Imu { imu, sample } => self.delay(imu, sample.time, sample.arrival, now),
             Tapped::Scan(scan) => {
-                let last = scan.sample.points.iter().map(|p| p.time_offset_ns).max();
-                let end = scan.time.plus_nanos(last.map_or(0, i64::from));
-                self.delay(LIDAR, end, scan.arrival, now);
+                // A scan is stamped by its first packet.
+                self.delay(LIDAR, scan.time, scan.arrival, now);
             }
             Tapped::Message { .. } => {}
         }

@@ -97,8 +97,12 @@ impl Tab {
     /// Waits until an expression is true.
     pub fn wait_for(&mut self, expression: &str) {
         let began = Instant::now();
-        while self.value(&format!("Boolean({expression})")) != json!(true) {
-            let page = self.value("document.body.innerText");
+        // The page may not be there yet.
+        let test = format!(
+            "(() => {{ try {{ return Boolean({expression}); }} catch {{ return false; }} }})()"
+        );
+        while self.value(&test) != json!(true) {
+            let page = self.value("document.body?.innerText");
             assert!(began.elapsed() < PATIENCE, "in vain: {expression}\n{page}");
             std::thread::sleep(Duration::from_millis(50));
         }

@@ -131,7 +131,7 @@ function showTiles() {
   tile("lost", lost > 0 ? "bad" : live ? "good" : "unknown", live ? String(lost) : "–", losing.join(", ") || (live ? "nothing" : ""));
   tile("disk", storage?.level ?? "unknown",
     storage ? (storage.full_in_s === null ? bytes(storage.free_bytes) : roughly(storage.full_in_s)) : "–",
-    storage ? (storage.full_in_s === null ? "free" : `to full, ${bytes(storage.free_bytes)}`) : "");
+    storage ? (storage.full_in_s === null ? "free" : `${bytes(storage.free_bytes)} left`) : "");
   $("tile-battery").hidden = false;
   tile("battery", battery?.level ?? "unknown", battery ? `${Math.round(battery.percent)} %` : "–", battery ? (battery.charging ? "charging" : "") : "none");
 }
