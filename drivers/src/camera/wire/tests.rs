@@ -480,3 +480,54 @@ fn no_bytes_make_the_parsers_panic() {
         }
     }
 }
+
+#[test]
+fn older_units_tell_less_about_themselves() {
+    for (minor, len) in [(0, 49), (1, 49), (2, 53), (3, 62)] {
+        let has_chips = minor >= 2;
+        let has_usb = minor >= 3;
+        let expected = DeviceInfo {
+            usb_vendor: if has_usb { 0x04B4 } else { 0 },
+            usb_product: if has_usb { 0x00F9 } else { 0 },
+            name: "MYNT-EYE-S2000".to_owned(),
+            serial: "0123456789ABCDEF".to_owned(),
+            spec: version(1, minor),
+            lens: [1, 2],
+            imu: [3, 4],
+            baseline_mm: 120,
+            auxiliary_chip: if has_chips {
+                version(5, 6)
+            } else {
+                version(0, 0)
+            },
+            image_processor: if has_chips {
+                version(7, 8)
+            } else {
+                version(0, 0)
+            },
+            firmware: version(2, 3),
+            hardware: version(2, 0),
+            hardware_flags: 9,
+        };
+        let answer = expected.emit();
+        // Envelope, file header, file, checksum.
+        assert_eq!(answer.len(), 3 + 3 + len + 1);
+        assert_eq!(DeviceInfo::parse(&answer), Ok(expected.clone()));
+        if minor == 2 {
+            // Name, serial, firmware, hardware with its flag, spec, lens, IMU, baseline, chips.
+            assert_eq!(answer[6 + 32..6 + 39], [2, 3, 2, 0, 9, 1, 2]);
+            assert_eq!(answer[6 + 39..6 + 49], [0, 1, 0, 2, 0, 3, 0, 4, 0, 120]);
+        }
+        // A layout that its spec version does not have.
+        let mut wrong = answer;
+        let at = 6 + if has_usb { 42 } else { 38 };
+        let other = if has_usb { 2 } else { 3 };
+        let end = wrong.len() - 1;
+        wrong[end] ^= wrong[at] ^ other;
+        wrong[at] = other;
+        assert!(matches!(
+            DeviceInfo::parse(&wrong),
+            Err(WireError::Value { .. })
+        ));
+    }
+}
