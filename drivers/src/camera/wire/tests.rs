@@ -483,6 +483,7 @@ fn no_bytes_make_the_parsers_panic() {
 
 #[test]
 fn older_units_tell_less_about_themselves() {
+    let version = |major, minor| Version { major, minor };
     for (minor, len) in [(0, 49), (1, 49), (2, 53), (3, 62)] {
         let has_chips = minor >= 2;
         let has_usb = minor >= 3;
