@@ -17,6 +17,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
         "lsfb-capture",
         &["types", "geometry", "drivers", "recording"],
     ),
+    ("lsfb-calib", &["types", "geometry", "solver", "recording"]),
     (
         "lsfb-pipeline",
         &["types", "geometry", "solver", "recording"],

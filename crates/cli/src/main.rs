@@ -47,6 +47,7 @@ struct GlobalArguments {
 #[derive(Subcommand)]
 enum Command {
     Demo(commands::demo::Arguments),
+    Calib(commands::calib::Arguments),
     Sim(commands::sim::Arguments),
     Mock(commands::mock::Arguments),
     Scan(commands::scan::Arguments),
@@ -80,6 +81,7 @@ fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
     let context = Context::new(arguments.global.json)?;
     let outcome = match arguments.command {
         Command::Demo(a) => commands::demo::run(&a, &context),
+        Command::Calib(a) => commands::calib::run(&a, &context),
         Command::Sim(a) => commands::sim::run(&a, &context),
         Command::Mock(a) => commands::mock::run(&a, &context),
         Command::Scan(a) => commands::scan::run(&a, &context),

@@ -1,5 +1,8 @@
 //! The subcommands: arguments, one library call, printing.
 
+pub mod calib;
+mod calib_camera;
+mod calib_target;
 pub mod clock;
 pub mod demo;
 pub mod doctor;

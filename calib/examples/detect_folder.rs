@@ -1,0 +1,51 @@
+//! Finds a board in every image of a folder: `detect_folder FOLDER aprilgrid 6 6 0.088 0.3` or `… checkerboard 9 6 1`.
+//! Prints the corners with `--corners`, and the time per image without reading.
+
+use std::path::Path;
+use std::time::Instant;
+
+use lsfb_calib::{Target, detect, images};
+
+#[allow(clippy::print_stdout, reason = "an example prints its result")]
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let word = |k: usize| arguments.get(k).map_or("", String::as_str);
+    let target = match word(1) {
+        "aprilgrid" => Target::AprilGrid {
+            columns: word(2).parse()?,
+            rows: word(3).parse()?,
+            tag_size_m: word(4).parse()?,
+            spacing_ratio: word(5).parse()?,
+        },
+        _ => Target::Checkerboard {
+            columns: word(2).parse()?,
+            rows: word(3).parse()?,
+            square_m: word(4).parse()?,
+        },
+    };
+    let print = arguments.iter().any(|a| a == "--corners");
+    let (mut seconds, mut corners_seen, mut images_seen, mut pixels) = (0.0, 0, 0, 0);
+    let files = images::list(Path::new(word(0)))?;
+    for path in &files {
+        let image = images::read(path)?;
+        let start = Instant::now();
+        let corners = detect::detect(&image, &target);
+        seconds += start.elapsed().as_secs_f64();
+        pixels += image.pixels.len();
+        corners_seen += corners.len();
+        images_seen += usize::from(!corners.is_empty());
+        if print {
+            for c in &corners {
+                let name = path.file_name().unwrap_or_default().to_string_lossy();
+                println!("{name} {} {:.4} {:.4}", c.index, c.pixel.x, c.pixel.y);
+            }
+        }
+    }
+    println!(
+        "{images_seen} of {} images, {corners_seen} corners, {:.2} ms per image, {:.1} ms per megapixel",
+        files.len(),
+        seconds * 1e3 / files.len() as f64,
+        seconds * 1e9 / pixels as f64
+    );
+    Ok(())
+}

@@ -1,0 +1,333 @@
+//! Bundle adjustment over lenses, camera poses and target poses.
+
+use std::collections::BTreeMap;
+
+use lsfb_geometry::{Camera, Se3, Vector2};
+use lsfb_solver::{Block, Kernel, Problem, SolveConfig, solve};
+use nalgebra::SVector;
+
+use super::corner_residual::{CornerResidual, camera};
+use super::guess::pose_of_target;
+use super::{CameraConfig, CameraViews, describe};
+use crate::Error;
+use crate::target::Target;
+
+/// A camera on its way.
+#[derive(Clone)]
+pub(super) struct Start<'a> {
+    pub views: &'a CameraViews,
+    /// Instants of the views adjusted.
+    pub chosen: Vec<i64>,
+    pub camera: Camera,
+    pub camera_from_first: Se3,
+}
+
+/// Cameras, poses and outliers after adjustment.
+pub(super) struct Solved<'a> {
+    pub cameras: Vec<Start<'a>>,
+    pub first_from_target: BTreeMap<i64, Se3>,
+    /// By camera and instant, whether each corner counts.
+    pub inliers: Inliers,
+}
+
+pub(super) type Inliers = Vec<BTreeMap<i64, Vec<bool>>>;
+
+/// What an adjustment may change.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Freedom {
+    Everything,
+    PosesOfTarget,
+}
+
+/// Norm of the error at which a corner's weight is halved while outliers are not yet known, pixels.
+const ROBUST_SCALE_PX: f64 = 1.0;
+/// Corners nearer than this are never outliers, pixels.
+const NEVER_OUTLIER_PX: f64 = 0.5;
+/// Corners a view needs.
+const MIN_CORNERS: usize = 8;
+/// Instants that two cameras must share.
+const MIN_SHARED: usize = 3;
+
+pub(super) fn adjust_each_then_all<'a>(
+    target: &Target,
+    starts: Vec<Start<'a>>,
+    config: &CameraConfig,
+) -> Result<Solved<'a>, Error> {
+    let mut alone = Vec::with_capacity(starts.len());
+    for start in starts {
+        alone.push(adjust_robustly(target, vec![start], config)?);
+    }
+    if alone.len() == 1 {
+        return alone.pop().ok_or_else(|| unreachable_camera(target));
+    }
+    let mut cameras: Vec<Start<'a>> = Vec::with_capacity(alone.len());
+    let mut poses = BTreeMap::new();
+    // Views of any camera at the instants chosen for one of them: so that cameras meet in as many as they can.
+    let mut instants: Vec<i64> = alone
+        .iter()
+        .flat_map(|s| s.cameras.iter().flat_map(|c| c.chosen.iter().copied()))
+        .collect();
+    instants.sort_unstable();
+    instants.dedup();
+    for solved in &alone {
+        let Some(own) = solved.cameras.first() else {
+            continue;
+        };
+        let chosen: Vec<i64> = instants
+            .iter()
+            .copied()
+            .filter(|t| {
+                own.views
+                    .views
+                    .get(t)
+                    .is_some_and(|c| c.len() >= MIN_CORNERS)
+            })
+            .collect();
+        let seen: BTreeMap<i64, Se3> = chosen
+            .iter()
+            .filter_map(|t| {
+                Some((
+                    *t,
+                    pose_of_target(target, &own.camera, &own.views.views[t])?,
+                ))
+            })
+            .collect();
+        let camera_from_first = match cameras.first() {
+            None => Se3::identity(),
+            Some(first) => relative_pose(first, own, &poses, &seen)?,
+        };
+        for (instant, pose) in &seen {
+            poses
+                .entry(*instant)
+                .or_insert(camera_from_first.inverse() * *pose);
+        }
+        cameras.push(Start {
+            chosen,
+            camera_from_first,
+            ..own.clone()
+        });
+    }
+    adjust_from(target, cameras, poses, config)
+}
+
+fn unreachable_camera(target: &Target) -> Error {
+    Error::TargetNotSeen {
+        camera: String::new(),
+        found: 0,
+        images: 0,
+        needed: 1,
+        target: describe(target),
+    }
+}
+
+/// Pose of the first camera in another: the one of all shared instants that agrees best with the others.
+fn relative_pose(
+    first: &Start,
+    other: &Start,
+    first_from_target: &BTreeMap<i64, Se3>,
+    other_from_target: &BTreeMap<i64, Se3>,
+) -> Result<Se3, Error> {
+    let candidates: Vec<Se3> = other_from_target
+        .iter()
+        .filter_map(|(t, pose)| Some(*pose * first_from_target.get(t)?.inverse()))
+        .collect();
+    let distance = |a: &Se3, b: &Se3| (a.inverse() * *b).log().norm();
+    let cost = |a: &Se3| candidates.iter().map(|b| distance(a, b)).sum::<f64>();
+    candidates
+        .iter()
+        .map(|c| (cost(c), c))
+        .min_by(|a, b| a.0.total_cmp(&b.0))
+        .filter(|_| candidates.len() >= MIN_SHARED)
+        .map(|c| *c.1)
+        .ok_or_else(|| Error::NotJoined {
+            first: first.views.name.clone(),
+            second: other.views.name.clone(),
+            problem: format!(
+                "both see the target at {} instants, {MIN_SHARED} are needed: check that they are triggered together and overlap",
+                candidates.len()
+            ),
+        })
+}
+
+fn adjust_robustly<'a>(
+    target: &Target,
+    cameras: Vec<Start<'a>>,
+    config: &CameraConfig,
+) -> Result<Solved<'a>, Error> {
+    let mut poses = BTreeMap::new();
+    for start in &cameras {
+        for instant in &start.chosen {
+            let corners = &start.views.views[instant];
+            if let Some(pose) = pose_of_target(target, &start.camera, corners) {
+                poses.insert(*instant, pose);
+            }
+        }
+    }
+    adjust_from(target, cameras, poses, config)
+}
+
+fn adjust_from<'a>(
+    target: &Target,
+    cameras: Vec<Start<'a>>,
+    poses: BTreeMap<i64, Se3>,
+    config: &CameraConfig,
+) -> Result<Solved<'a>, Error> {
+    let mut solved = Solved {
+        inliers: cameras
+            .iter()
+            .map(|c| {
+                let all = c.chosen.iter().filter(|t| poses.contains_key(t));
+                all.map(|t| (*t, vec![true; c.views.views[t].len()]))
+                    .collect()
+            })
+            .collect(),
+        cameras,
+        first_from_target: poses,
+    };
+    for camera in &mut solved.cameras {
+        let poses = &solved.first_from_target;
+        camera.chosen.retain(|t| poses.contains_key(t));
+    }
+    let robust = Kernel::Cauchy {
+        scale: ROBUST_SCALE_PX,
+    };
+    solved.adjust(target, robust, Freedom::Everything)?;
+    solved.find_outliers(target, config)?;
+    solved.adjust(target, Kernel::Squared, Freedom::Everything)?;
+    Ok(solved)
+}
+
+impl Solved<'_> {
+    /// Minimises over the inliers.
+    pub fn adjust(
+        &mut self,
+        target: &Target,
+        kernel: Kernel,
+        freedom: Freedom,
+    ) -> Result<(), Error> {
+        let count = self
+            .cameras
+            .first()
+            .map_or(0, |c| c.camera.lens.model().parameter_count());
+        match count {
+            5 => self.adjust_sized::<5>(target, kernel, freedom),
+            6 => self.adjust_sized::<6>(target, kernel, freedom),
+            8 => self.adjust_sized::<8>(target, kernel, freedom),
+            9 => self.adjust_sized::<9>(target, kernel, freedom),
+            _ => Ok(()),
+        }
+    }
+
+    fn adjust_sized<const N: usize>(
+        &mut self,
+        target: &Target,
+        kernel: Kernel,
+        freedom: Freedom,
+    ) -> Result<(), Error> {
+        let mut problem = Problem::new();
+        let poses: BTreeMap<i64, Block<Se3>> = self
+            .first_from_target
+            .iter()
+            .map(|(t, pose)| (*t, problem.add_block(*pose)))
+            .collect();
+        let mut lenses = Vec::with_capacity(self.cameras.len());
+        for (k, start) in self.cameras.iter().enumerate() {
+            let values = start.camera.lens.parameters().values;
+            let lens = problem.add_block(SVector::<f64, N>::from_column_slice(&values[..N]));
+            let pose = problem.add_block(start.camera_from_first);
+            if freedom == Freedom::PosesOfTarget {
+                problem.set_constant(lens);
+            }
+            if k == 0 || freedom == Freedom::PosesOfTarget {
+                problem.set_constant(pose);
+            }
+            lenses.push((lens, pose));
+            for instant in &start.chosen {
+                let blocks = [lens.id(), pose.id(), poses[instant].id()];
+                let counts = &self.inliers[k][instant];
+                for (corner, _) in start.views.views[instant]
+                    .iter()
+                    .zip(counts)
+                    .filter(|(_, inlier)| **inlier)
+                {
+                    let residual = CornerResidual::<N> {
+                        model: start.camera.lens.model(),
+                        size: [start.camera.width, start.camera.height],
+                        point_in_target: target.corner(corner.index),
+                        pixel: corner.pixel,
+                    };
+                    problem.add_residual(residual, &blocks, kernel)?;
+                }
+            }
+        }
+        let config = SolveConfig {
+            max_iterations: 100,
+            cost_tolerance: 1e-12,
+            ..SolveConfig::default()
+        };
+        solve(&mut problem, &config)?;
+        for (t, block) in poses {
+            self.first_from_target.insert(t, problem.value(block));
+        }
+        for (start, (lens, pose)) in self.cameras.iter_mut().zip(lenses) {
+            let size = [start.camera.width, start.camera.height];
+            start.camera = camera(start.camera.lens.model(), size, &problem.value(lens));
+            start.camera_from_first = problem.value(pose);
+        }
+        Ok(())
+    }
+
+    /// Reprojection errors of a view; `None` for corners that the camera does not see.
+    pub fn errors_px(
+        &self,
+        target: &Target,
+        camera: usize,
+        instant: i64,
+    ) -> Vec<Option<Vector2<f64>>> {
+        let start = &self.cameras[camera];
+        let Some(pose) = self.first_from_target.get(&instant) else {
+            return Vec::new();
+        };
+        let camera_from_target = start.camera_from_first * *pose;
+        start.views.views[&instant]
+            .iter()
+            .map(|c| {
+                let seen = start
+                    .camera
+                    .project(&(camera_from_target * target.corner(c.index)))?;
+                Some(seen - c.pixel)
+            })
+            .collect()
+    }
+
+    fn find_outliers(&mut self, target: &Target, config: &CameraConfig) -> Result<(), Error> {
+        for k in 0..self.cameras.len() {
+            let views: Vec<(i64, Vec<Option<Vector2<f64>>>)> = self.cameras[k]
+                .chosen
+                .iter()
+                .map(|t| (*t, self.errors_px(target, k, *t)))
+                .collect();
+            let mut norms: Vec<f64> = views
+                .iter()
+                .flat_map(|v| v.1.iter().map(|e| e.map_or(f64::INFINITY, |e| e.norm())))
+                .collect();
+            norms.sort_by(f64::total_cmp);
+            let median = norms.get(norms.len() / 2).copied().unwrap_or(f64::INFINITY);
+            if !(median <= config.max_rms_px) {
+                return Err(Error::DoesNotFit {
+                    camera: self.cameras[k].views.name.clone(),
+                    rms_px: median,
+                    target: describe(target),
+                    model: self.cameras[k].camera.lens.model().name(),
+                });
+            }
+            // Of a two-dimensional normal error half lies within 1.177 σ.
+            let limit = (config.outlier_ratio * median / 1.177).max(NEVER_OUTLIER_PX);
+            for (t, errors) in views {
+                let inliers = errors.iter().map(|e| e.is_some_and(|e| e.norm() <= limit));
+                self.inliers[k].insert(t, inliers.collect());
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,195 @@
+//! Intrinsics of cameras and their poses to each other, from views of a board.
+//!
+//! Each camera is first guessed without any input ([`guess`]), then adjusted alone, then all cameras that share instants
+//! together. Robust first; what is an outlier then is left out of the final squares and counted.
+
+mod adjustment;
+mod corner_residual;
+mod export;
+mod guess;
+mod normal;
+mod page;
+mod selection;
+mod summary;
+mod views;
+
+use std::collections::BTreeMap;
+
+use lsfb_geometry::camera::LensModel;
+use lsfb_geometry::{Camera, Se3};
+use lsfb_types::{Progress, ProgressFn};
+use serde::{Deserialize, Serialize};
+
+use crate::Error;
+use crate::detect::Corner;
+use crate::target::Target;
+
+pub use guess::pose_of_target;
+pub use views::{views_from_folder, views_from_recording};
+
+/// What one camera saw.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CameraViews {
+    /// Name of the camera in the rig.
+    pub name: String,
+    /// Width of its images, pixels.
+    pub width: u32,
+    /// Height of its images, pixels.
+    pub height: u32,
+    /// Images looked at, with the target or without.
+    pub images: usize,
+    /// Views of the target by instant: cameras that are triggered together share instants.
+    pub views: BTreeMap<i64, Vec<Corner>>,
+}
+
+/// Settings of [`calibrate_cameras`].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CameraConfig {
+    /// Lens model of every camera.
+    pub model: LensModel,
+    /// Views used at most per camera, spread over image, distance and tilt.
+    pub max_views: usize,
+    /// Views needed per camera.
+    pub min_views: usize,
+    /// Corners that miss by more than this many times the typical error are outliers.
+    pub outlier_ratio: f64,
+    /// Root mean square error above which the model is said not to fit, pixels.
+    pub max_rms_px: f64,
+    /// Every so-manieth view is held back and only predicted, as a check; 0 holds none back.
+    pub hold_back_every: usize,
+}
+
+impl Default for CameraConfig {
+    fn default() -> Self {
+        Self {
+            model: LensModel::KannalaBrandt,
+            max_views: 60,
+            min_views: 4,
+            outlier_ratio: 6.0,
+            max_rms_px: 3.0,
+            hold_back_every: 5,
+        }
+    }
+}
+
+/// A parameter with its standard deviation.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Estimate {
+    /// Name: `fx`, `k1`.
+    pub name: String,
+    /// Value.
+    pub value: f64,
+    /// Standard deviation, from the residuals' own spread.
+    pub sigma: f64,
+}
+
+/// What is known of one camera.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CalibratedCamera {
+    /// Name in the rig.
+    pub name: String,
+    /// Size and lens.
+    pub camera: Camera,
+    /// The parameters with their standard deviations.
+    pub parameters: Vec<Estimate>,
+    /// Pose of the first camera in this one.
+    #[serde(skip)]
+    pub camera_from_first: Se3,
+    /// Standard deviations of [`CalibratedCamera::camera_from_first`], rotation (rad) then translation (m); zero for the
+    /// first.
+    pub pose_sigma: [f64; 6],
+    /// Images looked at.
+    pub images: usize,
+    /// Images in which the target was found.
+    pub found: usize,
+    /// Views adjusted.
+    pub views: usize,
+    /// Root mean square over all corners of these views, outliers too, pixels.
+    pub rms_px: f64,
+    /// The same without the outliers.
+    pub inlier_rms_px: f64,
+    /// Corners of these views.
+    pub corners: usize,
+    /// Corners left out as outliers.
+    pub outliers: usize,
+    /// Root mean square over views that were held back from a second adjustment, pixels.
+    pub held_back_rms_px: Option<f64>,
+    /// Share of the image's cells (12 × 8) in which a corner was seen.
+    pub coverage: f64,
+    /// Corners per cell, by rows from the upper left.
+    pub cells: Vec<u32>,
+    /// Reprojection errors (x, y) of all corners, pixels, in order.
+    #[serde(skip)]
+    pub errors_px: Vec<[f64; 2]>,
+    /// What should be recorded better, in words.
+    pub warnings: Vec<String>,
+}
+
+/// All cameras.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CameraCalibration {
+    /// By the order given.
+    pub cameras: Vec<CalibratedCamera>,
+    /// Root mean square over all cameras, pixels.
+    pub rms_px: f64,
+    /// Pose of the target in the first camera's frame by instant.
+    #[serde(skip)]
+    pub first_from_target: BTreeMap<i64, Se3>,
+}
+
+/// Columns and rows of the coverage map.
+pub const COVERAGE_CELLS: [usize; 2] = [12, 8];
+
+/// Calibrates cameras that were triggered together; one is enough. The order of views and of cameras but the first does not
+/// matter.
+pub fn calibrate_cameras(
+    target: &Target,
+    cameras: &[CameraViews],
+    config: &CameraConfig,
+    progress: ProgressFn,
+) -> Result<CameraCalibration, Error> {
+    if let Some(problem) = target.problem() {
+        return Err(Error::Target { problem });
+    }
+    let mut alone = Vec::with_capacity(cameras.len());
+    for (done, views) in cameras.iter().enumerate() {
+        progress(Progress {
+            stage: "camera",
+            done: done as u64,
+            total: cameras.len() as u64,
+        });
+        if views.views.len() < config.min_views {
+            return Err(Error::TargetNotSeen {
+                camera: views.name.clone(),
+                found: views.views.len(),
+                images: views.images,
+                needed: config.min_views,
+                target: describe(target),
+            });
+        }
+        let chosen = selection::choose(views, config.max_views);
+        let start = guess::camera(target, views, &chosen, config.model)?;
+        alone.push(adjustment::Start {
+            views,
+            chosen,
+            camera: start,
+            camera_from_first: Se3::identity(),
+        });
+    }
+    let solved = adjustment::adjust_each_then_all(target, alone, config)?;
+    solved.report(target, cameras, config)
+}
+
+/// The target in a few words, for errors.
+fn describe(target: &Target) -> String {
+    match target {
+        Target::AprilGrid { columns, rows, .. } => format!("AprilGrid of {columns} × {rows} tags"),
+        Target::Checkerboard { columns, rows, .. } => {
+            format!("checkerboard of {columns} × {rows} inner corners")
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

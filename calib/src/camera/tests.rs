@@ -1,0 +1,210 @@
+use lsfb_geometry::camera::Lens;
+use lsfb_geometry::{Vector2, Vector3, Vector6};
+use lsfb_types::no_progress;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::*;
+
+const GRID: Target = Target::AprilGrid {
+    columns: 6,
+    rows: 6,
+    tag_size_m: 0.088,
+    spacing_ratio: 0.3,
+};
+
+fn lenses() -> [Lens; 5] {
+    let principal_px = [322.0, 238.0];
+    let focal_px = [300.0, 301.0];
+    [
+        Lens::PinholeRadtan {
+            focal_px: [500.0, 503.0],
+            principal_px,
+            distortion: [-0.25, 0.06, 1e-3, -5e-4, 0.0],
+        },
+        Lens::KannalaBrandt {
+            focal_px,
+            principal_px,
+            distortion: [0.01, -0.01, 0.004, -0.001],
+        },
+        Lens::DoubleSphere {
+            focal_px: [240.0, 241.0],
+            principal_px,
+            distortion: [-0.18, 0.58],
+        },
+        Lens::ExtendedUnified {
+            focal_px,
+            principal_px,
+            distortion: [0.6, 1.1],
+        },
+        Lens::FieldOfView {
+            focal_px: [320.0, 322.0],
+            principal_px,
+            distortion: [0.9],
+        },
+    ]
+}
+
+/// Views of the grid from random places, tilted by up to `tilt_rad`; two cameras 12 cm apart.
+fn stereo(lens: Lens, views: i64, tilt_rad: f64, noise_px: f64, seed: u64) -> [CameraViews; 2] {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let camera = Camera {
+        width: 640,
+        height: 480,
+        lens,
+    };
+    let baseline = Se3::exp(&Vector6::new(0.02, -0.01, 0.03, 0.12, 0.002, -0.004));
+    let mut seen = [0, 1].map(|k| CameraViews {
+        name: format!("cam{k}"),
+        width: 640,
+        height: 480,
+        images: views as usize,
+        views: BTreeMap::new(),
+    });
+    for instant in 0..views {
+        let mut uniform = |size: f64| rng.random_range(-1.0..=1.0) * size;
+        let turn = Vector3::new(uniform(tilt_rad), uniform(tilt_rad), uniform(1.0));
+        let place = Vector3::new(uniform(0.25), uniform(0.2), 0.6 + uniform(0.2));
+        let centre = Vector3::new(0.33, 0.33, 0.0);
+        // The grid faces the camera: its z axis points back at it.
+        let facing = Se3::exp(&Vector6::new(std::f64::consts::PI, 0.0, 0.0, 0.0, 0.0, 0.0));
+        let tilted = Se3::exp(&Vector6::new(turn.x, turn.y, turn.z, 0.0, 0.0, 0.0));
+        let about_centre = tilted * facing * Se3::new(Default::default(), -centre);
+        let first_from_target = Se3::new(Default::default(), place) * about_centre;
+        for (k, view) in seen.iter_mut().enumerate() {
+            let pose = if k == 0 {
+                first_from_target
+            } else {
+                baseline * first_from_target
+            };
+            let corners: Vec<Corner> = (0..GRID.corner_count())
+                .filter_map(|index| {
+                    let pixel = camera.project(&(pose * GRID.corner(index)))?;
+                    let off = Vector2::new(uniform(noise_px), uniform(noise_px)) * 3f64.sqrt();
+                    camera.contains(&pixel, 2.0).then(|| Corner {
+                        index,
+                        pixel: pixel + off,
+                    })
+                })
+                .collect();
+            view.views.insert(instant, corners);
+        }
+    }
+    seen
+}
+
+fn config(model: LensModel) -> CameraConfig {
+    CameraConfig {
+        model,
+        ..CameraConfig::default()
+    }
+}
+
+#[test]
+fn every_model_is_found_again() {
+    for lens in lenses() {
+        let views = stereo(lens, 30, 0.6, 0.1, 5);
+        let found = calibrate_cameras(&GRID, &views, &config(lens.model()), &no_progress)
+            .expect("calibrated");
+        let truth = lens.parameters();
+        for camera in &found.cameras {
+            assert!(
+                (camera.inlier_rms_px - 0.1 * 2f64.sqrt()).abs() < 0.01,
+                "{camera:?}"
+            );
+            // What counts is where the camera looks: parameters of the unified models trade against each other.
+            let real = Camera {
+                lens,
+                ..camera.camera
+            };
+            for pixel in [[60.0, 60.0], [320.0, 240.0], [580.0, 420.0], [100.0, 400.0]] {
+                let pixel = Vector2::from(pixel);
+                let (a, b) = (real.unproject(&pixel), camera.camera.unproject(&pixel));
+                let (a, b) = (a.expect("in the lens"), b.expect("in the lens"));
+                let off_px = a.angle(&b) * real.focal_px()[0];
+                assert!(off_px < 0.3, "{:?} {pixel} {off_px}", lens.model());
+            }
+            // These models have no such trade: their parameters lie within their own sigmas.
+            if matches!(
+                lens.model(),
+                LensModel::PinholeRadtan | LensModel::KannalaBrandt
+            ) {
+                for (p, truth) in camera.parameters.iter().zip(truth.values) {
+                    assert!((p.value - truth).abs() < 4.5 * p.sigma, "{p:?} {truth}");
+                }
+            }
+        }
+        let second = &found.cameras[1];
+        let baseline = Vector6::new(0.02, -0.01, 0.03, 0.12, 0.002, -0.004);
+        let off = (Se3::exp(&baseline).inverse() * second.camera_from_first).log();
+        for k in 0..6 {
+            assert!(off[k].abs() < 4.5 * second.pose_sigma[k], "{off}");
+        }
+    }
+}
+
+#[test]
+fn what_views_do_not_determine_is_named() {
+    // Always facing the board: focal length and distance cannot be told apart.
+    let [views, _] = stereo(lenses()[0], 20, 0.0, 0.1, 3);
+    let error = calibrate_cameras(
+        &GRID,
+        &[views],
+        &config(LensModel::PinholeRadtan),
+        &no_progress,
+    )
+    .expect_err("not determined")
+    .to_string();
+    assert!(error.contains("cam0") && error.contains("fx"), "{error}");
+}
+
+#[test]
+fn bad_input_is_named() {
+    let [good, other] = stereo(lenses()[1], 20, 0.6, 0.1, 3);
+    let run = |target: &Target, views: &[CameraViews]| {
+        calibrate_cameras(target, views, &CameraConfig::default(), &no_progress)
+            .expect_err("bad input")
+            .to_string()
+    };
+    let mut unseen = good.clone();
+    unseen.views.clear();
+    let error = run(&GRID, &[unseen]);
+    assert!(error.contains("found in 0 of 20 images"), "{error}");
+
+    // A grid of other spacing.
+    let wrong = Target::AprilGrid {
+        columns: 6,
+        rows: 6,
+        tag_size_m: 0.088,
+        spacing_ratio: 0.6,
+    };
+    let error = run(&wrong, std::slice::from_ref(&good));
+    assert!(error.contains("geometry is wrong"), "{error}");
+
+    // Cameras that never saw the board at one time.
+    let mut later = other;
+    later.views = later
+        .views
+        .into_iter()
+        .map(|(t, v)| (t + 1000, v))
+        .collect();
+    let error = run(&GRID, &[good, later]);
+    assert!(error.contains("at 0 instants"), "{error}");
+}
+
+#[test]
+fn outliers_do_not_move_the_result() {
+    let lens = lenses()[1];
+    let [clean, _] = stereo(lens, 30, 0.6, 0.1, 8);
+    let mut dirty = clean.clone();
+    for (k, corner) in dirty.views.values_mut().flatten().enumerate() {
+        if k % 20 == 0 {
+            corner.pixel.x += 25.0;
+        }
+    }
+    let found = calibrate_cameras(&GRID, &[dirty], &CameraConfig::default(), &no_progress)
+        .expect("calibrated");
+    let camera = &found.cameras[0];
+    assert!((camera.parameters[0].value - 300.0).abs() < 4.5 * camera.parameters[0].sigma);
+    assert!(camera.outliers * 21 > camera.corners && camera.outliers * 19 < camera.corners);
+}

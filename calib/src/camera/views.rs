@@ -1,0 +1,164 @@
+//! Views of a board from folders of images and from recordings.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use lsfb_recording::Recording;
+use lsfb_types::{Image, Progress, ProgressFn};
+use rayon::prelude::*;
+
+use super::CameraViews;
+use crate::Error;
+use crate::detect::{Corner, detect};
+use crate::images;
+use crate::target::Target;
+
+/// One image's part in a [`CameraViews`].
+struct Looked {
+    instant: i64,
+    width: u32,
+    height: u32,
+    corners: Vec<Corner>,
+}
+
+/// Finds the target in all images of a folder whose names begin with `prefix` (all of them if it is empty). The number in a
+/// file's name is its instant, so that `left07.png` and `right07.png` belong together.
+pub fn views_from_folder(
+    name: &str,
+    folder: &Path,
+    prefix: &str,
+    target: &Target,
+    progress: ProgressFn,
+) -> Result<CameraViews, Error> {
+    let files: Vec<PathBuf> = images::list(folder)?
+        .into_iter()
+        .filter(|f| {
+            f.file_name()
+                .is_some_and(|n| n.to_string_lossy().starts_with(prefix))
+        })
+        .collect();
+    let numbers: Option<Vec<i64>> = files.iter().map(|f| last_number(f)).collect();
+    // Names without numbers count in their order.
+    let distinct = |n: &Vec<i64>| n.windows(2).all(|w| w[0] < w[1]);
+    let instants = numbers
+        .filter(distinct)
+        .unwrap_or_else(|| (0..files.len() as i64).collect());
+    let done = AtomicU64::new(0);
+    let looked: Result<Vec<Looked>, Error> = files
+        .par_iter()
+        .zip(&instants)
+        .map(|(file, instant)| {
+            let looked = look(*instant, &images::read(file)?, target);
+            progress(Progress {
+                stage: "corners",
+                done: done.fetch_add(1, Ordering::Relaxed) + 1,
+                total: files.len() as u64,
+            });
+            Ok(looked)
+        })
+        .collect();
+    gather(name, looked?)
+}
+
+/// Finds the target in the images of a recording's camera; the synchronized time is the instant.
+pub fn views_from_recording(
+    name: &str,
+    recording: &Recording,
+    target: &Target,
+    progress: ProgressFn,
+) -> Result<CameraViews, Error> {
+    // Images are read one after the other and looked at in parallel, a few dozen at a time: an hour does not fit in memory.
+    const AT_ONCE: usize = 32;
+    let unreadable = |e: lsfb_recording::Error| Error::Parse {
+        path: format!("camera {name}"),
+        problem: e.to_string(),
+    };
+    let mut looked = Vec::new();
+    let mut batch = Vec::with_capacity(AT_ONCE);
+    let flush = |batch: &mut Vec<(i64, Image)>, looked: &mut Vec<Looked>| {
+        let found: Vec<Looked> = batch
+            .par_iter()
+            .map(|(instant, image)| look(*instant, image, target))
+            .collect();
+        looked.extend(found);
+        batch.clear();
+        progress(Progress {
+            stage: "corners",
+            done: looked.len() as u64,
+            total: 0,
+        });
+    };
+    for image in recording.images(name).map_err(unreadable)? {
+        let image = image.map_err(unreadable)?;
+        batch.push((image.time.nanos(), image.sample));
+        if batch.len() == AT_ONCE {
+            flush(&mut batch, &mut looked);
+        }
+    }
+    flush(&mut batch, &mut looked);
+    gather(name, looked)
+}
+
+fn look(instant: i64, image: &Image, target: &Target) -> Looked {
+    Looked {
+        instant,
+        width: image.width,
+        height: image.height,
+        corners: detect(image, target),
+    }
+}
+
+fn gather(name: &str, looked: Vec<Looked>) -> Result<CameraViews, Error> {
+    let images = looked.len();
+    let (width, height) = looked.first().map_or((0, 0), |l| (l.width, l.height));
+    let mut views = BTreeMap::new();
+    for l in looked {
+        if (l.width, l.height) != (width, height) {
+            return Err(Error::Parse {
+                path: format!("camera {name}"),
+                problem: format!(
+                    "image {} is {} × {} pixels, those before it {width} × {height}: one camera has one size",
+                    l.instant, l.width, l.height
+                ),
+            });
+        }
+        if !l.corners.is_empty() {
+            views.insert(l.instant, l.corners);
+        }
+    }
+    Ok(CameraViews {
+        name: name.to_owned(),
+        width,
+        height,
+        images,
+        views,
+    })
+}
+
+fn last_number(file: &Path) -> Option<i64> {
+    let stem = file.file_stem()?.to_string_lossy().into_owned();
+    let end = stem.rfind(|c: char| c.is_ascii_digit())? + 1;
+    let start = stem[..end]
+        .rfind(|c: char| !c.is_ascii_digit())
+        .map_or(0, |k| k + 1);
+    stem.get(start..end)?.parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_number_of_a_name_is_its_instant() {
+        let number = |name: &str| last_number(Path::new(name));
+        assert_eq!(number("a/left07.png"), Some(7));
+        assert_eq!(
+            number("1520527975564013167.jpg"),
+            Some(1_520_527_975_564_013_167)
+        );
+        assert_eq!(number("cam2_image12b.png"), Some(12));
+        assert_eq!(number("board.png"), None);
+        assert_eq!(number("99999999999999999999.png"), None);
+    }
+}

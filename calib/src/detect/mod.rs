@@ -1,0 +1,82 @@
+//! Finding a [`Target`] in an image, to a few hundredths of a pixel.
+//!
+//! Every corner of either board is a saddle of brightness: dark and light meet in four sectors. So both are found alike:
+//! [`saddle`] finds such points, [`link`] joins those that one straight edge connects, `checkerboard` walks the links as a
+//! lattice, `april_grid` walks them around dark squares and reads their bits, and [`refine`] measures the corners.
+
+mod april_grid;
+mod checkerboard;
+mod codes;
+mod link;
+mod refine;
+mod saddle;
+
+use lsfb_geometry::Vector2;
+use lsfb_types::Image;
+
+use crate::target::Target;
+
+pub(crate) use april_grid::tag_cells;
+
+/// A corner of the target as seen in an image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Corner {
+    /// Number of the corner, see [`Target::corner`].
+    pub index: usize,
+    /// Where it is seen, pixels; (0, 0) is the centre of the first pixel.
+    pub pixel: Vector2<f64>,
+}
+
+/// The corners of a target in an image, in order of their numbers; empty where it was not found. A checkerboard is found
+/// whole or not at all, of an AprilGrid each tag for itself.
+pub fn detect(image: &Image, target: &Target) -> Vec<Corner> {
+    let Some(gray) = saddle::Blurred::new(image) else {
+        return Vec::new();
+    };
+    let saddles = saddle::find(&gray);
+    let links = link::join(&gray, &saddles);
+    let mut corners = match *target {
+        Target::AprilGrid { columns, rows, .. } => {
+            april_grid::read(image, &saddles, &links, columns * rows)
+        }
+        Target::Checkerboard { columns, rows, .. } => {
+            checkerboard::walk(&saddles, &links, columns as usize, rows as usize)
+        }
+    };
+    corners.retain_mut(|seen| refine::refine(image, seen));
+    let mut corners: Vec<Corner> = corners
+        .into_iter()
+        .map(|seen| Corner {
+            index: seen.index,
+            pixel: seen.pixel,
+        })
+        .collect();
+    if matches!(target, Target::Checkerboard { .. }) && corners.len() != target.corner_count() {
+        corners.clear();
+    }
+    corners.sort_by_key(|c| c.index);
+    corners
+}
+
+/// A corner on its way: with the length within which nothing else is seen.
+struct Seen {
+    index: usize,
+    pixel: Vector2<f64>,
+    /// Half the edge of the window that holds this corner alone, pixels.
+    clear_px: f64,
+}
+
+/// Brightness between pixels; `None` off the image.
+fn sample(width: usize, values: &[f32], x: f64, y: f64) -> Option<f32> {
+    let height = values.len() / width;
+    if !(x >= 0.0 && y >= 0.0 && x < (width - 1) as f64 && y < (height - 1) as f64) {
+        return None;
+    }
+    let (i, j) = (x as usize, y as usize);
+    let (u, v) = ((x - i as f64) as f32, (y - j as f64) as f32);
+    let above = values.get(j * width + i..j * width + i + 2)?;
+    let below = values.get((j + 1) * width + i..(j + 1) * width + i + 2)?;
+    let top = above[0] + (above[1] - above[0]) * u;
+    let bottom = below[0] + (below[1] - below[0]) * u;
+    Some(top + (bottom - top) * v)
+}

@@ -1,0 +1,80 @@
+/// Why a calibration could not be made.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A file or folder could not be read or written.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file.
+        path: String,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A file is not what it should be.
+    #[error("{path}: {problem}")]
+    Parse {
+        /// The file.
+        path: String,
+        /// Where in it, what is wrong and what was expected.
+        problem: String,
+    },
+    /// A board whose numbers are impossible.
+    #[error("the target is impossible: {problem}")]
+    Target {
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// A camera saw the target too seldom.
+    #[error(
+        "camera {camera}: the target was found in {found} of {images} images, {needed} are needed: check the target's kind and size ({target}), focus, and that all of the board is lit"
+    )]
+    TargetNotSeen {
+        /// The camera.
+        camera: String,
+        /// Images in which it was found.
+        found: usize,
+        /// Images looked at.
+        images: usize,
+        /// Images needed.
+        needed: usize,
+        /// What was looked for.
+        target: String,
+    },
+    /// The views do not fit the model.
+    #[error(
+        "camera {camera}: corners miss the model by {rms_px:.1} px: the target's geometry is wrong ({target}), the board is upside down or bent, or the lens is not {model}"
+    )]
+    DoesNotFit {
+        /// The camera.
+        camera: String,
+        /// Root mean square of the reprojection error, pixels.
+        rms_px: f64,
+        /// What was looked for.
+        target: String,
+        /// The lens model.
+        model: &'static str,
+    },
+    /// The views do not determine a parameter.
+    #[error("camera {camera}: {parameters} cannot be determined from these views: {advice}")]
+    Undetermined {
+        /// The camera.
+        camera: String,
+        /// Names of the parameters with their standard deviations.
+        parameters: String,
+        /// What to record.
+        advice: &'static str,
+    },
+    /// Cameras or sensors do not share enough.
+    #[error("{first} and {second}: {problem}")]
+    NotJoined {
+        /// A sensor.
+        first: String,
+        /// The other.
+        second: String,
+        /// What is missing and what to do.
+        problem: String,
+    },
+    /// The least-squares problem could not be solved.
+    #[error("solving failed: {0}")]
+    Solver(#[from] lsfb_solver::Error),
+}

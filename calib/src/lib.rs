@@ -1,0 +1,25 @@
+//! Calibration that says whether it may be trusted.
+//!
+//! A [`Target`] is found in images by [`detect`]; [`camera`] makes lenses and poses of cameras of
+//! that. Every result carries the errors it leaves, and says in words what to record better.
+//!
+//! ```no_run
+//! use lsfb_calib::Target;
+//! use lsfb_calib::camera::{CameraConfig, calibrate_cameras, views_from_folder};
+//! use lsfb_types::no_progress;
+//!
+//! let board = Target::Checkerboard { columns: 9, rows: 6, square_m: 0.025 };
+//! let views = views_from_folder("cam0", "images".as_ref(), "", &board, &no_progress)?;
+//! let calibration = calibrate_cameras(&board, &[views], &CameraConfig::default(), &no_progress)?;
+//! println!("{}", calibration.verdict());
+//! # Ok::<(), lsfb_calib::Error>(())
+//! ```
+
+pub mod camera;
+pub mod detect;
+mod error;
+pub mod images;
+pub mod target;
+
+pub use error::Error;
+pub use target::Target;

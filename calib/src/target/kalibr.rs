@@ -1,0 +1,142 @@
+//! Kalibr's target files: a flat list of `key: value`.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::Target;
+use crate::Error;
+
+impl Target {
+    /// Reads a Kalibr target file (`target_type: 'aprilgrid'` or `'checkerboard'`). Square checkers only.
+    pub fn read_kalibr(path: &Path) -> Result<Self, Error> {
+        let text = std::fs::read_to_string(path).map_err(|source| Error::Io {
+            path: path.display().to_string(),
+            source,
+        })?;
+        Self::from_kalibr(&text).map_err(|problem| Error::Parse {
+            path: path.display().to_string(),
+            problem,
+        })
+    }
+
+    fn from_kalibr(text: &str) -> Result<Self, String> {
+        let mut entries = BTreeMap::new();
+        for (number, line) in text.lines().enumerate() {
+            let line = line.split('#').next().unwrap_or_default().trim();
+            if line.is_empty() || line == "---" {
+                continue;
+            }
+            let (key, value) = line
+                .split_once(':')
+                .ok_or_else(|| format!("line {}: expected `key: value`", number + 1))?;
+            let value = value.trim().trim_matches(['\'', '"']);
+            entries.insert(key.trim(), (number + 1, value));
+        }
+        let get = |key: &str| {
+            entries
+                .get(key)
+                .copied()
+                .ok_or_else(|| format!("{key} is missing"))
+        };
+        let number = |key: &str| {
+            let (line, value) = get(key)?;
+            value
+                .parse::<f64>()
+                .map_err(|_| format!("line {line}: {key} is {value}, not a number"))
+        };
+        let count = |key: &str| {
+            let (line, value) = get(key)?;
+            value
+                .parse::<u32>()
+                .map_err(|_| format!("line {line}: {key} is {value}, not a count"))
+        };
+        let target = match get("target_type")? {
+            (_, "aprilgrid") => Target::AprilGrid {
+                columns: count("tagCols")?,
+                rows: count("tagRows")?,
+                tag_size_m: number("tagSize")?,
+                spacing_ratio: number("tagSpacing")?,
+            },
+            (_, "checkerboard") => {
+                let square_m = number("rowSpacingMeters")?;
+                if number("colSpacingMeters")? != square_m {
+                    return Err("rowSpacingMeters differs from colSpacingMeters: only square checkers are known".into());
+                }
+                Target::Checkerboard {
+                    columns: count("targetCols")?,
+                    rows: count("targetRows")?,
+                    square_m,
+                }
+            }
+            (line, other) => {
+                return Err(format!(
+                    "line {line}: target_type is {other}, expected aprilgrid or checkerboard"
+                ));
+            }
+        };
+        target.problem().map_or(Ok(target), Err)
+    }
+
+    /// The Kalibr target file.
+    pub fn to_kalibr(&self) -> String {
+        match *self {
+            Target::AprilGrid {
+                columns,
+                rows,
+                tag_size_m,
+                spacing_ratio,
+            } => format!(
+                "target_type: 'aprilgrid'\ntagCols: {columns}\ntagRows: {rows}\ntagSize: {tag_size_m}\ntagSpacing: {spacing_ratio}\n"
+            ),
+            Target::Checkerboard {
+                columns,
+                rows,
+                square_m,
+            } => format!(
+                "target_type: 'checkerboard'\ntargetCols: {columns}\ntargetRows: {rows}\nrowSpacingMeters: {square_m}\ncolSpacingMeters: {square_m}\n"
+            ),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn kalibr_files_round_trip_and_errors_name_the_line() {
+        let grid = Target::AprilGrid {
+            columns: 6,
+            rows: 6,
+            tag_size_m: 0.088,
+            spacing_ratio: 0.3,
+        };
+        let board = Target::Checkerboard {
+            columns: 9,
+            rows: 6,
+            square_m: 0.025,
+        };
+        for target in [grid, board] {
+            assert_eq!(Target::from_kalibr(&target.to_kalibr()), Ok(target));
+        }
+        for (text, problem) in [
+            (
+                "target_type: 'circlegrid'",
+                "line 1: target_type is circlegrid",
+            ),
+            (
+                "target_type: 'aprilgrid'\ntagCols: six",
+                "line 2: tagCols is six",
+            ),
+            ("target_type: 'aprilgrid'\ntagCols: 6", "tagRows is missing"),
+            ("nonsense", "line 1: expected"),
+            (
+                "target_type: aprilgrid # mine\ntagCols: 60\ntagRows: 60\ntagSize: 1\ntagSpacing: 0.3",
+                "60 × 60 tags",
+            ),
+        ] {
+            let error = Target::from_kalibr(text).expect_err(text);
+            assert!(error.starts_with(problem), "{error}");
+        }
+    }
+}

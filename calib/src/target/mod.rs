@@ -1,0 +1,120 @@
+//! Calibration boards: where their corners are, and how to print them.
+//!
+//! Corners lie in the plane z = 0 of the target frame. Seen from the front, an AprilGrid has x to the right and y up (as in
+//! Kalibr), with tag 0 at the origin; a checkerboard has x to the right and y down (as in OpenCV), with inner corner 0 at
+//! the origin. The grid's z axis comes out of the board, the checkerboard's goes into it.
+
+mod kalibr;
+mod pdf;
+
+use lsfb_geometry::Vector3;
+use serde::{Deserialize, Serialize};
+
+pub use pdf::PageSize;
+
+/// A calibration board.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "target_type", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Target {
+    /// Kalibr's grid of tags 36h11 with small squares between them.
+    AprilGrid {
+        /// Tags along x.
+        columns: u32,
+        /// Tags along y.
+        rows: u32,
+        /// Edge of a tag, black border included, metres.
+        tag_size_m: f64,
+        /// Gap between tags as a share of their edge.
+        spacing_ratio: f64,
+    },
+    /// Black and white squares.
+    Checkerboard {
+        /// Inner corners along x.
+        columns: u32,
+        /// Inner corners along y.
+        rows: u32,
+        /// Edge of a square, metres.
+        square_m: f64,
+    },
+}
+
+/// Tags in the family 36h11.
+pub const TAGS_36H11: u32 = 587;
+
+impl Target {
+    /// What is wrong with the numbers, if anything.
+    pub fn problem(&self) -> Option<String> {
+        let positive = |name: &str, value: f64| {
+            (!(value > 0.0 && value.is_finite()))
+                .then(|| format!("{name} is {value}: it must be positive"))
+        };
+        match *self {
+            Target::AprilGrid {
+                columns,
+                rows,
+                tag_size_m,
+                spacing_ratio,
+            } => positive("tagSize", tag_size_m)
+                .or_else(|| positive("tagSpacing", spacing_ratio))
+                .or_else(|| {
+                    let tags = u64::from(columns) * u64::from(rows);
+                    (tags == 0 || tags > u64::from(TAGS_36H11)).then(|| {
+                        format!("{columns} × {rows} tags: between 1 and {TAGS_36H11} are possible")
+                    })
+                }),
+            Target::Checkerboard {
+                columns,
+                rows,
+                square_m,
+            } => positive("square size", square_m).or_else(|| {
+                let sensible = (2..=100).contains(&columns) && (2..=100).contains(&rows);
+                (!sensible).then(|| {
+                    format!("{columns} × {rows} inner corners: between 2 and 100 are possible")
+                })
+            }),
+        }
+    }
+
+    /// Number of corners.
+    pub fn corner_count(&self) -> usize {
+        match *self {
+            Target::AprilGrid { columns, rows, .. } => 4 * columns as usize * rows as usize,
+            Target::Checkerboard { columns, rows, .. } => columns as usize * rows as usize,
+        }
+    }
+
+    /// A corner in the target frame, metres. AprilGrid: four per tag, from its lower left against the clock, tags by rows
+    /// from the lower left. Checkerboard: by rows from the upper left.
+    pub fn corner(&self, index: usize) -> Vector3<f64> {
+        match *self {
+            Target::AprilGrid {
+                columns,
+                tag_size_m,
+                spacing_ratio,
+                ..
+            } => {
+                let (tag, corner) = (index / 4, index % 4);
+                let pitch = tag_size_m * (1.0 + spacing_ratio);
+                let (column, row) = (tag % columns as usize, tag / columns as usize);
+                let right = if matches!(corner, 1 | 2) {
+                    tag_size_m
+                } else {
+                    0.0
+                };
+                let up = if matches!(corner, 2 | 3) {
+                    tag_size_m
+                } else {
+                    0.0
+                };
+                Vector3::new(column as f64 * pitch + right, row as f64 * pitch + up, 0.0)
+            }
+            Target::Checkerboard {
+                columns, square_m, ..
+            } => Vector3::new(
+                (index % columns as usize) as f64 * square_m,
+                (index / columns as usize) as f64 * square_m,
+                0.0,
+            ),
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! `lsfb calib`: boards, images → rig.
+
+use std::path::{Path, PathBuf};
+
+use lsfb_calib::Target;
+use lsfb_calib::camera::{CameraViews, views_from_folder, views_from_recording};
+use lsfb_recording::Recording;
+
+use crate::context::Context;
+use crate::outcome::Outcome;
+
+use super::{calib_camera, calib_target};
+
+/// Calibrate: print a board, find the cameras' lenses and poses.
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(subcommand)]
+    step: Step,
+}
+
+#[derive(clap::Subcommand)]
+enum Step {
+    Target(calib_target::Arguments),
+    Camera(calib_camera::Arguments),
+}
+
+/// Runs the step.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    match &arguments.step {
+        Step::Target(a) => calib_target::run(a, context),
+        Step::Camera(a) => calib_camera::run(a, context),
+    }
+}
+
+/// Which board.
+#[derive(clap::Args)]
+#[group(required = true, multiple = false)]
+pub struct TargetArguments {
+    /// The board, as a Kalibr target file.
+    #[arg(long, value_name = "YAML")]
+    target: Option<PathBuf>,
+    /// AprilGrid: tags across, tags up, edge of a tag in metres, gap as a share of it.
+    #[arg(long, value_name = "COLS,ROWS,SIZE,SPACING", value_parser = april_grid)]
+    april_grid: Option<Target>,
+    /// Checkerboard: inner corners across, inner corners down, edge of a square in metres.
+    #[arg(long, value_name = "COLS,ROWS,SIZE", value_parser = checkerboard)]
+    checkerboard: Option<Target>,
+}
+
+impl TargetArguments {
+    /// The board that was named.
+    pub fn target(&self) -> anyhow::Result<Target> {
+        if let Some(path) = &self.target {
+            return Ok(Target::read_kalibr(path)?);
+        }
+        self.april_grid.or(self.checkerboard).ok_or_else(|| {
+            anyhow::anyhow!("no target: give --target, --april-grid or --checkerboard")
+        })
+    }
+}
+
+fn april_grid(text: &str) -> Result<Target, String> {
+    let [columns, rows, size, spacing] = words(text, "COLS,ROWS,SIZE,SPACING")?;
+    checked(Target::AprilGrid {
+        columns: count(columns)?,
+        rows: count(rows)?,
+        tag_size_m: number(size)?,
+        spacing_ratio: number(spacing)?,
+    })
+}
+
+fn checkerboard(text: &str) -> Result<Target, String> {
+    let [columns, rows, size] = words(text, "COLS,ROWS,SIZE")?;
+    checked(Target::Checkerboard {
+        columns: count(columns)?,
+        rows: count(rows)?,
+        square_m: number(size)?,
+    })
+}
+
+fn words<'a, const N: usize>(text: &'a str, expected: &str) -> Result<[&'a str; N], String> {
+    let words: Vec<&str> = text.split(',').map(str::trim).collect();
+    words.try_into().map_err(|_| format!("expected {expected}"))
+}
+
+fn count(word: &str) -> Result<u32, String> {
+    word.parse().map_err(|_| format!("{word} is not a count"))
+}
+
+fn number(word: &str) -> Result<f64, String> {
+    word.parse().map_err(|_| format!("{word} is not a number"))
+}
+
+fn checked(target: Target) -> Result<Target, String> {
+    target.problem().map_or(Ok(target), Err)
+}
+
+/// What a camera saw: `NAME` in the recording, `NAME=FOLDER` or `NAME=FOLDER/PREFIX*`.
+pub fn views_of(
+    camera: &str,
+    recording: Option<&Recording>,
+    target: &Target,
+    context: &Context,
+) -> anyhow::Result<CameraViews> {
+    context.check_stop()?;
+    let show = |p| context.show(p);
+    Ok(match (camera.split_once('='), recording) {
+        (Some((name, place)), _) => {
+            let (folder, prefix) = folder_and_prefix(place);
+            views_from_folder(name, folder, prefix, target, &show)?
+        }
+        (None, Some(recording)) => views_from_recording(camera, recording, target, &show)?,
+        (None, None) => {
+            anyhow::bail!("camera {camera} has no images: give NAME=FOLDER, or --recording")
+        }
+    })
+}
+
+/// `FOLDER` or `FOLDER/PREFIX*`.
+fn folder_and_prefix(place: &str) -> (&Path, &str) {
+    let Some(pattern) = place.strip_suffix('*') else {
+        return (Path::new(place), "");
+    };
+    match pattern.rsplit_once('/') {
+        Some((folder, prefix)) => (Path::new(folder), prefix),
+        None => (Path::new("."), pattern),
+    }
+}

@@ -1,0 +1,136 @@
+//! `lsfb calib camera`: views of a board → lenses and poses of cameras.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use lsfb_calib::camera::{CameraConfig, CameraViews, calibrate_cameras};
+use lsfb_geometry::Rig;
+use lsfb_geometry::camera::LensModel;
+use lsfb_recording::Provenance;
+
+use super::calib::{TargetArguments, views_of};
+use crate::context::Context;
+use crate::outcome::Outcome;
+
+/// Lenses of cameras and their poses to each other, from views of a board.
+///
+/// Images of folders belong together where the numbers in their names are the same.
+///
+/// Examples:
+///   lsfb calib camera --checkerboard 9,6,0.025 --model pinhole-radtan --camera left=images/left* --camera right=images/right* --out rig.toml
+///   lsfb calib camera --target grid.yaml --recording scan.mcap --camera cam0 --camera cam1 --out rig.toml
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    #[command(flatten)]
+    target: TargetArguments,
+    /// A camera of the recording, or NAME=FOLDER, or NAME=FOLDER/PREFIX*; the first one is the reference.
+    #[arg(long = "camera", required = true, value_name = "NAME[=FOLDER]")]
+    cameras: Vec<String>,
+    /// The recording of cameras that have no folder.
+    #[arg(long, value_name = "MCAP")]
+    recording: Option<PathBuf>,
+    /// Lens model of all cameras.
+    #[arg(long, value_enum, default_value_t = Model::KannalaBrandt)]
+    model: Model,
+    /// Rig to put the cameras into; its other parts stay.
+    #[arg(long, value_name = "TOML")]
+    rig: Option<PathBuf>,
+    /// The rig; a page with plots is written beside it.
+    #[arg(long, value_name = "TOML")]
+    out: PathBuf,
+    /// Write Kalibr's camchain as well.
+    #[arg(long, value_name = "YAML")]
+    kalibr: Option<PathBuf>,
+    /// Settings (TOML), instead of the defaults; --model still decides the model.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Model {
+    PinholeRadtan,
+    KannalaBrandt,
+    DoubleSphere,
+    ExtendedUnified,
+    FieldOfView,
+}
+
+impl From<Model> for LensModel {
+    fn from(model: Model) -> Self {
+        match model {
+            Model::PinholeRadtan => Self::PinholeRadtan,
+            Model::KannalaBrandt => Self::KannalaBrandt,
+            Model::DoubleSphere => Self::DoubleSphere,
+            Model::ExtendedUnified => Self::ExtendedUnified,
+            Model::FieldOfView => Self::FieldOfView,
+        }
+    }
+}
+
+/// Calibrates, writes rig and page, prints the report.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    let target = arguments.target.target()?;
+    let mut config: CameraConfig = match &arguments.config {
+        Some(path) => super::read_config(path)?,
+        None => CameraConfig::default(),
+    };
+    config.model = arguments.model.into();
+    let mut rig = match &arguments.rig {
+        Some(path) => Rig::read(path)?,
+        None => Rig {
+            name: "rig".into(),
+            cameras: Default::default(),
+            imu: None,
+            lidar: None,
+        },
+    };
+    let mut provenance = Provenance::new(&config);
+    let recording = match &arguments.recording {
+        Some(path) => {
+            provenance.add_input(path)?;
+            Some(context.open(path)?)
+        }
+        None => None,
+    };
+    let show = |p| context.show(p);
+    let views: Vec<CameraViews> = arguments
+        .cameras
+        .iter()
+        .map(|camera| views_of(camera, recording.as_ref(), &target, context))
+        .collect::<anyhow::Result<_>>()?;
+    let calibration = calibrate_cameras(&target, &views, &config, &show)?;
+    calibration.put_into(&mut rig);
+    let page = arguments.out.with_extension("html");
+    let write = |path: &Path, text: String| {
+        std::fs::write(path, text).with_context(|| path.display().to_string())
+    };
+    write(&arguments.out, rig.to_toml())?;
+    write(&page, calibration.to_html("Camera calibration"))?;
+    if let Some(path) = &arguments.kalibr {
+        write(path, calibration.to_kalibr())?;
+    }
+    provenance.write(&arguments.out)?;
+    context.print(&calibration, || {
+        let mut text = format!(
+            "{}: {} See {}.",
+            arguments.out.display(),
+            calibration.verdict(),
+            page.display()
+        );
+        for c in &calibration.cameras {
+            text += &format!(
+                "\n  {}: {:.3} px rms over {} corners in {} of {} images, {} outliers",
+                c.name, c.rms_px, c.corners, c.found, c.images, c.outliers
+            );
+            for p in &c.parameters {
+                text += &format!("\n    {:5} {:10.4} ± {:.4}", p.name, p.value, p.sigma);
+            }
+            for warning in &c.warnings {
+                text += &format!("\n    {warning}");
+            }
+        }
+        text
+    })?;
+    Ok(Outcome::Done)
+}

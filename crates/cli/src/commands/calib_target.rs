@@ -1,0 +1,61 @@
+//! `lsfb calib target`: a board on paper.
+
+use std::path::PathBuf;
+
+use anyhow::Context as _;
+use lsfb_calib::target::PageSize;
+
+use super::calib::TargetArguments;
+use crate::context::Context;
+use crate::outcome::Outcome;
+
+/// Print a calibration board: a PDF true to scale, and its Kalibr file.
+///
+/// Examples:
+///   lsfb calib target --checkerboard 9,6,0.025 --page 297,210 --out board.pdf
+///   lsfb calib target --april-grid 6,6,0.088,0.3 --page 841,841 --out grid.pdf
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    #[command(flatten)]
+    target: TargetArguments,
+    /// Paper, width and height in millimetres.
+    #[arg(long, value_name = "W,H", default_value = "297,210", value_parser = page)]
+    page: PageSize,
+    /// The PDF; the Kalibr file is written beside it.
+    #[arg(long, value_name = "PDF")]
+    out: PathBuf,
+}
+
+fn page(text: &str) -> Result<PageSize, String> {
+    let millimetres = |word: &str| {
+        let value: f64 = word
+            .trim()
+            .parse()
+            .map_err(|_| format!("{word} is not a number"))?;
+        Ok::<f64, String>(value * 1e-3)
+    };
+    let (width, height) = text.split_once(',').ok_or("expected W,H in millimetres")?;
+    Ok(PageSize {
+        width_m: millimetres(width)?,
+        height_m: millimetres(height)?,
+    })
+}
+
+/// Writes the board.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    let target = arguments.target.target()?;
+    let yaml = arguments.out.with_extension("yaml");
+    let name = |path: &PathBuf| path.display().to_string();
+    std::fs::write(&arguments.out, target.to_pdf(arguments.page)?)
+        .with_context(|| name(&arguments.out))?;
+    std::fs::write(&yaml, target.to_kalibr()).with_context(|| name(&yaml))?;
+    context.print(&target, || {
+        format!(
+            "{}: print without scaling, then measure the line of 100 mm; {} describes it to the tools",
+            arguments.out.display(),
+            yaml.display()
+        )
+    })?;
+    Ok(Outcome::Done)
+}
