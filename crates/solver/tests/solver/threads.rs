@@ -1,4 +1,4 @@
-use lsfb_solver::{Kernel, SolveConfig, solve};
+use lsfb_solver::{Kernel, LinearSolver, Method, Report, SolveConfig, solve};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -56,27 +56,37 @@ pub fn scattered(cameras: usize, points: usize) -> BalProblem {
 
 #[test]
 fn same_bits_on_any_number_of_threads() {
-    let run = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .expect("pool");
-        pool.install(|| {
-            let mut problem = scattered(20, 1500).problem;
-            let report = solve(&mut problem, &SolveConfig::default()).expect("solves");
-            let bits: Vec<u64> = problem
-                .stored_values()
-                .iter()
-                .map(|x| x.to_bits())
-                .collect();
-            (report, bits)
-        })
-    };
-    let (report, bits) = run(1);
-    assert!(report.final_cost < 1e-2 * report.initial_cost, "{report:?}");
-    for threads in [2, 3, 16] {
-        let (other, other_bits) = run(threads);
-        assert_eq!(other, report, "{threads} threads");
-        assert!(other_bits == bits, "{threads} threads");
+    for (linear_solver, method) in [
+        (LinearSolver::Auto, Method::LevenbergMarquardt),
+        (LinearSolver::Sparse, Method::LevenbergMarquardt),
+        (LinearSolver::Iterative, Method::LevenbergMarquardt),
+        (LinearSolver::Dense, Method::Dogleg),
+    ] {
+        let config = SolveConfig {
+            linear_solver,
+            method,
+            ..SolveConfig::default()
+        };
+        let (report, bits) = solved_on(1, &config);
+        assert!(report.final_cost < 1e-2 * report.initial_cost, "{report:?}");
+        for threads in [2, 3, 16] {
+            let (other, other_bits) = solved_on(threads, &config);
+            assert_eq!(other, report, "{threads} threads, {config:?}");
+            assert!(other_bits == bits, "{threads} threads, {config:?}");
+        }
     }
+}
+
+/// Report, and the bits of all values.
+fn solved_on(threads: usize, config: &SolveConfig) -> (Report, Vec<u64>) {
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .expect("pool");
+    pool.install(|| {
+        let mut problem = scattered(20, 700).problem;
+        let report = solve(&mut problem, config).expect("solves");
+        let values = problem.stored_values().iter();
+        (report, values.map(|x| x.to_bits()).collect())
+    })
 }

@@ -56,3 +56,17 @@ fn every_way_leads_to_the_same_optimum() {
         assert!(farthest < 1e-3, "{linear_solver:?} {method:?}: {farthest}");
     }
 }
+
+#[test]
+fn a_reduced_system_that_outgrows_its_memory_is_never_formed() {
+    let mut problem = scattered(12, 400).problem;
+    let config = SolveConfig {
+        max_matrix_bytes: 12 * 9 * 12 * 9,
+        ..SolveConfig::default()
+    };
+    let report = solve(&mut problem, &config).expect("solves");
+    assert_eq!(report.linear_solver, LinearSolver::Iterative);
+    let formed = solve(&mut scattered(12, 400).problem, &SolveConfig::default()).expect("solves");
+    assert_eq!(formed.linear_solver, LinearSolver::Dense);
+    assert!((report.final_cost / formed.final_cost - 1.0).abs() < 1e-5);
+}
