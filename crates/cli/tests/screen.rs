@@ -55,9 +55,9 @@ fn an_operator_starts_watches_marks_and_stops() {
     drop(probe);
     let folder = tempfile::tempdir().expect("folder");
     let root = folder.path();
-    let source = recorded().join("scan.mcap");
+    let source = recorded(10).join("scan.mcap");
     let ports = Ports::free().arguments();
-    let arguments = ["mock", text(&source), "--out", "mock", "--rate", "0.4"];
+    let arguments = ["mock", text(&source), "--out", "mock", "--rate", "0.8"];
     let mut mock = Running::lsfb(root, arguments.map(str::to_owned).into_iter().chain(ports));
     mock.wait_for("devices.toml");
     let arguments = [

@@ -11,7 +11,7 @@ use crate::running::Running;
 
 /// Small cameras, so that two cores render them faster than they are played.
 const TINY: &str = "texel_m = 0.012\n\
-    [scan]\nduration_s = 5.0\nrest_s = 0.5\n[glasses]\nduration_s = 4.0\nrest_s = 0.5\nheight_m = 1.62\n\
+    [scan]\nduration_s = SECS\nrest_s = 0.5\n[glasses]\nduration_s = 4.0\nrest_s = 0.5\nheight_m = 1.62\n\
     [scan_cameras]\nwidth = 160\nheight = 100\n[glasses_cameras]\nwidth = 160\nheight = 100\n";
 
 /// Three ports that nobody has.
@@ -52,20 +52,21 @@ pub fn scan(folder: &Path, devices: &str, out: &str) -> Value {
 }
 
 /// A simulated scan and walk, recorded from `lsfb sim` in another process: made once for all tests.
-pub fn recorded() -> &'static Path {
+pub fn recorded(scan_secs: u32) -> &'static Path {
     static RECORDED: OnceLock<PathBuf> = OnceLock::new();
     RECORDED.get_or_init(|| {
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(env!("CARGO_CRATE_NAME"));
         let _ = std::fs::remove_dir_all(&folder);
         std::fs::create_dir_all(&folder).expect("folder");
-        std::fs::write(folder.join("tiny.toml"), TINY).expect("settings");
+        let settings = TINY.replace("SECS", &format!("{scan_secs}.0"));
+        std::fs::write(folder.join("tiny.toml"), settings).expect("settings");
         let ports = Ports::free().arguments();
         let arguments = ["sim", "--out", "sim", "--config", "tiny.toml"];
         let arguments = arguments.into_iter().map(str::to_owned).chain(ports);
         let mut sim = Running::lsfb(&folder, arguments);
         sim.wait_for("backpack-devices.toml");
         let report = scan(&folder, "sim/backpack-devices.toml", "scan.mcap");
-        assert_eq!(report["groups"]["complete"], 50, "{report}");
+        assert_eq!(report["groups"]["complete"], 10 * scan_secs, "{report}");
         sim.wait_for("glasses-devices.toml");
         scan(&folder, "sim/glasses-devices.toml", "walk.mcap");
         assert_eq!(sim.wait().code(), Some(0), "{}", sim.said());
