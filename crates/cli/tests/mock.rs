@@ -84,8 +84,8 @@ fn content(path: &Path) -> Vec<String> {
 #[test]
 fn a_mock_of_a_recording_gives_the_same_recording() {
     let recorded = recorded(5);
-    let folder = tempfile::tempdir().expect("folder");
     for (source, rate) in [("scan.mcap", "1"), ("walk.mcap", "2")] {
+        let folder = tempfile::tempdir().expect("folder");
         let source = recorded.join(source);
         let ports = Ports::free().arguments();
         let arguments = ["mock", text(&source), "--out", "mock", "--rate", rate];

@@ -87,10 +87,8 @@ fn an_operator_starts_watches_marks_and_stops() {
         tab.value("document.querySelector('#tile-lost .value').textContent"),
         json!("0")
     );
-    assert_eq!(
-        tab.value("document.querySelectorAll('#streams li').length"),
-        json!(4)
-    );
+    // The recorder says twice a second how its devices are.
+    tab.wait_for("document.querySelectorAll('#streams li[data-level=good]').length === 4");
 
     tab.press("#note", TAP);
     tab.press("#say-quick button", TAP);
