@@ -123,11 +123,11 @@ function tile(id, level, value, small) {
 }
 
 function showTiles() {
-  const { sync, storage, battery, lost, streams, phase } = state;
+  const { sync, storage, battery, lost, streams } = state;
   const spread = sync.spread_ms;
   tile("sync", sync.level, spread === null ? "–" : duration(spread), spread === null ? "" : sync.level === "good" ? "in step" : "differs");
   const losing = streams.filter((s) => s.lost > 0).map((s) => s.name);
-  const live = phase === "recording" || lost > 0;
+  const live = streams.length > 0;
   tile("lost", lost > 0 ? "bad" : live ? "good" : "unknown", live ? String(lost) : "–", losing.join(", ") || (live ? "nothing" : ""));
   tile("disk", storage?.level ?? "unknown",
     storage ? (storage.full_in_s === null ? bytes(storage.free_bytes) : roughly(storage.full_in_s)) : "–",

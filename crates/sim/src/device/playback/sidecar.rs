@@ -34,6 +34,17 @@ pub(super) fn names(recording: &Recording) -> Vec<String> {
     names
 }
 
+/// Intrinsics that the recorder wrote from the rig, and will write again.
+fn is_of_rig(recording: &Recording, topic: &str) -> bool {
+    let camera = topic
+        .strip_suffix("/camera_info")
+        .and_then(|rest| rest.rsplit('/').next());
+    camera.is_some_and(|name| {
+        let rig = recording.rig();
+        rig.is_ok_and(|rig| rig.cameras.contains_key(name))
+    })
+}
+
 /// One app.
 pub(super) struct SidecarPlayer {
     id: String,
@@ -66,7 +77,7 @@ impl SidecarPlayer {
             .topics()
             .iter()
             .map(|t| t.topic.as_str())
-            .filter(|topic| id_of(topic) == Some(&self.id))
+            .filter(|topic| id_of(topic) == Some(&self.id) && !is_of_rig(&recording, topic))
             .collect();
         for (channel, topic) in (1..).zip(&topics) {
             client.advertise(&self.advertise(&recording, channel, topic))?;
