@@ -1,13 +1,13 @@
 //! First states of all frames: localized poses, joined and checked by the IMU.
 
 use lsfb_geometry::{Se3, StampedPose, Trajectory, Vector3, so3};
-use lsfb_solver::{Block, Kernel, Problem, solve};
+use lsfb_solver::{Block, Kernel, PosePrior, Problem, solve};
 
 use super::GroundTruthConfig;
 use super::walk::{State, Walk};
 use crate::Error;
 use crate::preintegration::{ImuBias, NavState, PreintegratedImu, standard_gravity_m_s2};
-use crate::residuals::{BiasWalk, ImuPreintegration, PosePrior};
+use crate::residuals::{BiasWalk, ImuPreintegration};
 
 /// Blocks of one state.
 #[derive(Clone, Copy)]
