@@ -1,6 +1,6 @@
 //! Intrinsics of cameras and their poses to each other, from views of a board.
 //!
-//! Each camera is first guessed without any input ([`guess`]), then adjusted alone, then all cameras that share instants
+//! Each camera is first guessed without any input (`guess`), then adjusted alone, then all cameras that share instants
 //! together. Robust first; what is an outlier then is left out of the final squares and counted.
 
 mod adjustment;

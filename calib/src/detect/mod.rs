@@ -1,8 +1,8 @@
 //! Finding a [`Target`] in an image, to a few hundredths of a pixel.
 //!
 //! Every corner of either board is a saddle of brightness: dark and light meet in four sectors. So both are found alike:
-//! [`saddle`] finds such points, [`link`] joins those that one straight edge connects, `checkerboard` walks the links as a
-//! lattice, `april_grid` walks them around dark squares and reads their bits, and [`refine`] measures the corners.
+//! `saddle` finds such points, `link` joins those that one straight edge connects, `checkerboard` walks the links as a
+//! lattice, `april_grid` walks them around dark squares and reads their bits, and `refine` measures the corners.
 
 mod april_grid;
 mod checkerboard;
