@@ -293,28 +293,41 @@ pub fn imu(samples: Option<u32>, garbage: &'static [u8]) -> MockImu {
     MockImu { path, thread }
 }
 
-/// Glasses that send `messages` on a topic of their own.
+/// Glasses with a topic of their own, connected.
+pub fn visor(config: ClientConfig) -> SidecarClient {
+    let mut client = SidecarClient::connect(ClientConfig {
+        device: "visor".to_owned(),
+        ..config
+    })
+    .unwrap();
+    let advertise = Advertise {
+        channel: 3,
+        topic: "/sidecar/visor/note".to_owned(),
+        encoding: "cdr".to_owned(),
+        schema_name: "std_msgs/msg/UInt32".to_owned(),
+        schema: b"uint32 data".to_vec(),
+        clock_id: CLOCK_UTC.to_owned(),
+        metadata_json: String::new(),
+    };
+    client.advertise(&advertise).unwrap();
+    client
+}
+
+/// The `n`-th message of a [`visor`].
+pub fn send_note(client: &mut SidecarClient, n: u32) {
+    let payload = [&[0, 1, 0, 0][..], &n.to_le_bytes()].concat();
+    client.send(3, START_NS + i64::from(n), &payload).unwrap();
+}
+
+/// A [`visor`] that sends `messages`.
 pub fn glasses(address: SocketAddr, messages: u32) -> JoinHandle<()> {
     spawn("mock-glasses", move || {
-        let config = ClientConfig {
+        let mut client = visor(ClientConfig {
             address,
-            device: "visor".to_owned(),
             ..ClientConfig::default()
-        };
-        let mut client = SidecarClient::connect(config).unwrap();
-        let advertise = Advertise {
-            channel: 3,
-            topic: "/sidecar/visor/note".to_owned(),
-            encoding: "cdr".to_owned(),
-            schema_name: "std_msgs/msg/UInt32".to_owned(),
-            schema: b"uint32 data".to_vec(),
-            clock_id: CLOCK_UTC.to_owned(),
-            metadata_json: String::new(),
-        };
-        client.advertise(&advertise).unwrap();
+        });
         for n in 0..messages {
-            let payload = [&[0, 1, 0, 0][..], &n.to_le_bytes()].concat();
-            client.send(3, START_NS + i64::from(n), &payload).unwrap();
+            send_note(&mut client, n);
         }
         client.bye().unwrap();
     })

@@ -1,9 +1,7 @@
 //! What a session says about itself while it runs, and devices that go and come back.
 
 use lsfb_capture::health::{Level, Snapshot, SyncState};
-use lsfb_drivers::phone::model::CLOCK_UTC;
-use lsfb_drivers::phone::wire::Advertise;
-use lsfb_drivers::phone::{ClientConfig, SidecarClient};
+use lsfb_drivers::phone::ClientConfig;
 use lsfb_recording::message::{decode_clock_model, decode_health_value};
 use lsfb_recording::{CLOCK_MODELS, HEALTH};
 
@@ -170,27 +168,14 @@ fn a_sidecar_is_acknowledged_when_its_message_is_in_the_file() {
         let out = out.clone();
         mock::spawn("session", move || run(session, &out))
     };
-    let mut client = SidecarClient::connect(ClientConfig {
+    let mut client = mock::visor(ClientConfig {
         address,
-        device: "visor".to_owned(),
         // Each message waits until the one before it is acknowledged.
         window_messages: 1,
         ..ClientConfig::default()
-    })
-    .unwrap();
-    let advertise = Advertise {
-        channel: 3,
-        topic: "/sidecar/visor/note".to_owned(),
-        encoding: "cdr".to_owned(),
-        schema_name: "std_msgs/msg/UInt32".to_owned(),
-        schema: b"uint32 data".to_vec(),
-        clock_id: CLOCK_UTC.to_owned(),
-        metadata_json: String::new(),
-    };
-    client.advertise(&advertise).unwrap();
+    });
     for n in 0..8_u32 {
-        let payload = [&[0, 1, 0, 0][..], &n.to_le_bytes()].concat();
-        client.send(3, START_NS + i64::from(n), &payload).unwrap();
+        mock::send_note(&mut client, n);
         if n > 0 {
             let torn = folder.path().join("torn.mcap");
             std::fs::copy(&out, &torn).unwrap();

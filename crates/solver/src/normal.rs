@@ -234,7 +234,8 @@ impl NormalEquations {
     pub fn back_substitute(&self, layout: &Layout, inverses: &[Matrix3<f64>], step: &mut Step) {
         let reduced = &step.reduced[..];
         divide_slice(&mut step.points, POINT_GRAIN * 4, &|points, deltas| {
-            vectorized!(back_substitute(
+            deltas.copy_from_slice(&self.point_gradient[points.clone()]);
+            vectorized!(solve_points(
                 self, layout, points, inverses, reduced, deltas
             ))
         });
@@ -249,7 +250,8 @@ impl NormalEquations {
         direction: &[f64],
         moved: &mut [Vector3<f64>],
     ) {
-        vectorized!(moved_points(
+        moved.fill(Vector3::zeros());
+        vectorized!(solve_points(
             self, layout, points, inverses, direction, moved
         ));
     }
@@ -558,9 +560,10 @@ fn columns_per_task(layout: &Layout) -> usize {
 /// Columns of a block whose gain is kept at a time.
 const MAX_GAIN: usize = 16;
 
+/// Adds to the right sides of points what `direction` of the reduced blocks couples to them, and solves for their steps.
 #[inline(always)]
-fn back_substitute<const FUSED: bool>(
-    (normal, layout, points, inverses, reduced, deltas): (
+fn solve_points<const FUSED: bool>(
+    (normal, layout, points, inverses, direction, right): (
         &NormalEquations,
         &Layout,
         Range<usize>,
@@ -569,36 +572,13 @@ fn back_substitute<const FUSED: bool>(
         &mut [Vector3<f64>],
     ),
 ) {
-    for (point, delta) in points.zip(deltas) {
-        let mut right = normal.point_gradient[point];
-        for pair in layout.pairs_at(point) {
-            let rows = &reduced[layout.rows(pair.reduced as usize)];
-            let coupling = &normal.coupling[pair.start..][..POINT * rows.len()];
-            add_transposed_vector::<FUSED>(right.as_mut_slice(), coupling, rows);
-        }
-        *delta = inverses[point] * -right;
-    }
-}
-
-#[inline(always)]
-fn moved_points<const FUSED: bool>(
-    (normal, layout, points, inverses, direction, moved): (
-        &NormalEquations,
-        &Layout,
-        Range<usize>,
-        &[Matrix3<f64>],
-        &[f64],
-        &mut [Vector3<f64>],
-    ),
-) {
-    for (point, moved) in points.zip(moved) {
-        let mut sum = Vector3::zeros();
+    for (point, right) in points.zip(right) {
         for pair in layout.pairs_at(point) {
             let rows = &direction[layout.rows(pair.reduced as usize)];
             let coupling = &normal.coupling[pair.start..][..POINT * rows.len()];
-            add_transposed_vector::<FUSED>(sum.as_mut_slice(), coupling, rows);
+            add_transposed_vector::<FUSED>(right.as_mut_slice(), coupling, rows);
         }
-        *moved = inverses[point] * -sum;
+        *right = inverses[point] * -*right;
     }
 }
 
