@@ -11,7 +11,8 @@ use lsfb_capture::{
 };
 use lsfb_recording::Existing;
 use lsfb_sim::{
-    FlowControl, GlassesEndpoint, Pace, ScanEndpoints, SimConfig, SimSession, Simulation,
+    FlowControl, GlassesEndpoint, LidarModel, LidarReturns, Pace, ScanEndpoints, SimConfig,
+    SimSession, Simulation,
 };
 
 use crate::context::Context;
@@ -28,6 +29,36 @@ pub struct Endpoints {
     /// Where phones and glasses connect.
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8790")]
     pub sidecar: SocketAddr,
+}
+
+/// What the simulated backpack carries, where it is not as configured.
+#[derive(clap::Args, Clone, Debug, Default)]
+pub struct Equipment {
+    /// The LiDAR: vlp32c or vlp16.
+    #[arg(long, value_parser = lidar_model)]
+    lidar: Option<LidarModel>,
+    /// Which echoes the LiDAR sends: strongest, last or dual.
+    #[arg(long, value_parser = lidar_returns)]
+    returns: Option<LidarReturns>,
+}
+
+impl Equipment {
+    /// Puts it into the settings.
+    pub fn apply(&self, config: &mut SimConfig) {
+        let lidar = &mut config.lidar;
+        lidar.model = self.lidar.unwrap_or(lidar.model);
+        lidar.returns = self.returns.unwrap_or(lidar.returns);
+    }
+}
+
+fn lidar_model(name: &str) -> Result<LidarModel, String> {
+    let found = LidarModel::ALL.into_iter().find(|m| m.name() == name);
+    found.ok_or_else(|| "vlp32c or vlp16".to_owned())
+}
+
+fn lidar_returns(name: &str) -> Result<LidarReturns, String> {
+    let found = LidarReturns::ALL.into_iter().find(|r| r.name() == name);
+    found.ok_or_else(|| "strongest, last or dual".to_owned())
 }
 
 /// Names of the files of a simulated session in its folder.

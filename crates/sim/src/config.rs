@@ -23,6 +23,8 @@ pub struct SimConfig {
     pub way_m: Vec<[f64; 3]>,
     /// How often people have moved things about since the place was built; 0 is as built.
     pub months_later: u32,
+    /// Whether people walk about.
+    pub people: bool,
     /// What the second walk is recorded with.
     pub device: Device,
     /// Sequence of Table VII (`O0` … `S2`) that the second walk follows, which decides its place, length and duration;
@@ -109,10 +111,69 @@ pub enum LensKind {
     PinholeRadtan,
 }
 
+/// Model of the LiDAR.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LidarModel {
+    /// Velodyne VLP-32C (Ultra Puck).
+    #[default]
+    Vlp32c,
+    /// Velodyne VLP-16 (Puck).
+    Vlp16,
+}
+
+impl LidarModel {
+    /// All of them.
+    pub const ALL: [Self; 2] = [Self::Vlp32c, Self::Vlp16];
+
+    /// Its name in settings.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Vlp32c => "vlp32c",
+            Self::Vlp16 => "vlp16",
+        }
+    }
+}
+
+/// Which of a shot's echoes the LiDAR sends.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LidarReturns {
+    /// The brightest.
+    #[default]
+    Strongest,
+    /// The farthest.
+    Last,
+    /// The farthest, and the brightest or, where that is the farthest, the second brightest.
+    Dual,
+}
+
+impl LidarReturns {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Strongest, Self::Last, Self::Dual];
+
+    /// Its name in settings.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Strongest => "strongest",
+            Self::Last => "last",
+            Self::Dual => "dual",
+        }
+    }
+}
+
 /// The LiDAR.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LidarConfig {
+    /// Which sensor it is.
+    pub model: LidarModel,
+    /// Which echoes it sends.
+    pub returns: LidarReturns,
+    /// Width and height of the beam, radians: what lies inside answers together. 0 is a line.
+    pub divergence_rad: [f64; 2],
+    /// Surfaces in one beam that are nearer to each other than this give one echo, between them, metres.
+    pub separation_m: f64,
     /// Revolutions per minute, a multiple of 60.
     pub rpm: u32,
     /// Standard deviation of a range, metres.
@@ -171,6 +232,7 @@ impl Default for SimConfig {
             scene: PathBuf::new(),
             way_m: Vec::new(),
             months_later: 0,
+            people: true,
             device: Device::Glasses,
             motion: String::new(),
             texel_m: 0.003,
@@ -238,6 +300,11 @@ impl Default for CameraConfig {
 impl Default for LidarConfig {
     fn default() -> Self {
         Self {
+            model: LidarModel::default(),
+            returns: LidarReturns::default(),
+            divergence_rad: [0.0; 2],
+            // VLP-32C 63-9325 p. 33.
+            separation_m: 1.0,
             rpm: 600,
             range_noise_m: 0.03,
             min_range_m: 0.5,
@@ -318,6 +385,8 @@ impl SimConfig {
             },
             ..Self::default()
         };
+        // The spot that the manuals draw, about.
+        config.lidar.divergence_rad = [3e-3, 1.5e-3];
         // Factory-calibrated, as phones and glasses are; the datasheet's bias stability for the backpack's.
         config.scan_imu.gyro_bias_instability = 8.7e-5;
         config.scan_imu.accel_bias_instability = 1.5e-4;
@@ -470,6 +539,16 @@ impl SimConfig {
         for imu in [&self.scan_imu, &self.glasses_imu] {
             rate(imu.rate_hz)?;
         }
+        let [width, height] = self.lidar.divergence_rad;
+        let narrow = |angle: f64| (0.0..=0.02).contains(&angle);
+        require(
+            "divergence_rad",
+            &format!("{width}, {height}"),
+            "0 to 0.02",
+            narrow(width) && narrow(height),
+        )?;
+        let apart = self.lidar.separation_m;
+        require("separation_m", &apart, "not negative", apart >= 0.0)?;
         let rpm = self.lidar.rpm;
         let whole = rpm.is_multiple_of(60) && (300..=1200).contains(&rpm);
         require("rpm", &rpm, "a multiple of 60 from 300 to 1200", whole)

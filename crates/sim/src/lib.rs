@@ -54,7 +54,9 @@ mod truth;
 mod walk;
 pub mod world;
 
-pub use config::{CameraConfig, ImuConfig, LensKind, LidarConfig, SimConfig, WalkConfig};
+pub use config::{
+    CameraConfig, ImuConfig, LensKind, LidarConfig, LidarModel, LidarReturns, SimConfig, WalkConfig,
+};
 pub use device::{
     CameraPlan, FlowControl, GlassesEndpoint, MYNT_UNITS, Pace, Playback, PlaybackEndpoints,
     ScanEndpoints, SessionReport, SimSession, StopHandle, Turns,
@@ -63,10 +65,7 @@ pub use error::Error;
 pub use place::{Board, Place, TAG_M};
 pub use sensor::camera::CameraSim;
 pub use sensor::imu::{BiasedSample, GRAVITY_M_S2, exact_sample};
-pub use sensor::lidar::{
-    CYCLE_NS, CYCLES_PER_PACKET, FiringCycle, LASERS, LidarSim, RANGE_UNIT_M, Return,
-    beam_direction, firing_delay_ns, ring,
-};
+pub use sensor::lidar::{FiringCycle, LidarSim, Return};
 pub use simulation::{EPOCH, GLASSES_EPOCH, RigSim, Simulation};
 pub use truth::{TrueBias, Truth};
 pub use walk::{Device, Motion, PaperMotion, Walk, Walker};

@@ -10,10 +10,8 @@ use crate::noise::hash;
 use crate::place::{Place, Route, route};
 use crate::sensor::camera::CameraSim;
 use crate::sensor::imu::{self, BiasedSample};
-use crate::sensor::lidar::{
-    CYCLE_NS, FiringCycle, LidarSim, RANGE_UNIT_M, beam_direction, firing_delay_ns, ring,
-};
-use crate::walk::{Gait, Gaze, Walk, WalkPlan, Walker};
+use crate::sensor::lidar::{FiringCycle, LidarSim};
+use crate::walk::{Gait, Gaze, Passers, Walk, WalkPlan, Walker};
 use crate::world::{FloorPlan, World};
 use crate::{Error, rigs, truth};
 
@@ -70,7 +68,7 @@ impl Simulation {
             )
         });
         scan.lidar_rpm = config.lidar.rpm;
-        let glasses = RigSim::new(
+        let mut glasses = RigSim::new(
             rigs::walker(config),
             GLASSES_EPOCH,
             second_walk,
@@ -78,6 +76,11 @@ impl Simulation {
             &config.glasses_imu,
             hash(config.seed ^ 0x61a5),
         )?;
+        if config.people && config.paper_motion()?.is_some_and(|m| m.is_occluded()) {
+            let passers = Passers::of(&glasses.walk, config.seed);
+            let cameras = glasses.cameras.drain(..);
+            glasses.cameras = cameras.map(|c| c.with_passers(passers.clone())).collect();
+        }
         Ok(Self {
             config: config.clone(),
             world,
@@ -319,12 +322,21 @@ impl RigSim {
         (self.walk.duration_s() * f64::from(self.lidar_rpm) / 60.0 + 1e-9) as u32
     }
 
+    /// The LiDAR; `None` without one.
+    pub fn lidar(&self) -> Option<&LidarSim> {
+        self.lidar.as_ref()
+    }
+
     /// The firing cycles of a revolution; empty without a LiDAR.
     pub fn revolution(&self, world: &World, number: u32) -> Vec<FiringCycle> {
+        let Some(lidar) = &self.lidar else {
+            return Vec::new();
+        };
+        let cycle_ns = lidar.cycle_ns();
         let turn_ns = 60_000_000_000 / i64::from(self.lidar_rpm);
         // The encoder rounds to 0.01°: the last 0.005° of a turn already read 0.
         let early_ns = turn_ns / 72_000;
-        let cycle_at = |turn: i64| ((turn * turn_ns - early_ns).max(0) + CYCLE_NS - 1) / CYCLE_NS;
+        let cycle_at = |turn: i64| ((turn * turn_ns - early_ns).max(0) + cycle_ns - 1) / cycle_ns;
         let first = cycle_at(number.into());
         let next = cycle_at(i64::from(number) + 1);
         self.fire(world, first as u64, (next - first) as usize)
@@ -340,26 +352,32 @@ impl RigSim {
 
     /// A revolution as a decoder would give it; `None` without a LiDAR or without a return.
     pub fn scan(&self, world: &World, number: u32) -> Option<Stamped<LidarScan>> {
+        let lidar = self.lidar.as_ref()?;
         let cycles = self.revolution(world, number);
         let first_ns = cycles.first()?.offset_ns;
         let turn_ns = 60e9 / f64::from(self.lidar_rpm);
         let mut points = Vec::with_capacity(cycles.len() * 32);
         for cycle in &cycles {
-            for (laser, echo) in cycle.returns.iter().enumerate() {
-                if echo.range_count == 0 {
-                    continue;
-                }
-                let delay_ns = firing_delay_ns(laser);
+            for (channel, first) in cycle.returns.iter().enumerate() {
+                let delay_ns = lidar.firing_delay_ns(channel);
                 let azimuth_deg =
                     f64::from(cycle.azimuth_centideg) * 0.01 + 360.0 * delay_ns as f64 / turn_ns;
-                let range_m = f64::from(echo.range_count) * RANGE_UNIT_M;
-                let position: Vector3<f64> = beam_direction(laser, azimuth_deg) * range_m;
-                points.push(LidarPoint {
-                    position_m: position.map(|v| v as f32).into(),
-                    intensity: echo.reflectivity,
-                    ring: ring(laser),
-                    time_offset_ns: (cycle.offset_ns + delay_ns - first_ns) as u32,
-                });
+                let direction = lidar.beam_direction(channel, azimuth_deg);
+                let second = &cycle.second_returns[channel];
+                let other = second.range_count != first.range_count;
+                for (echo, is_sent) in [(first, true), (second, other)] {
+                    if echo.range_count == 0 || !is_sent {
+                        continue;
+                    }
+                    let position: Vector3<f64> =
+                        direction * (f64::from(echo.range_count) * lidar.range_unit_m());
+                    points.push(LidarPoint {
+                        position_m: position.map(|v| v as f32).into(),
+                        intensity: echo.reflectivity,
+                        ring: lidar.ring(channel),
+                        time_offset_ns: (cycle.offset_ns + delay_ns - first_ns) as u32,
+                    });
+                }
             }
         }
         let time = self.time(first_ns);

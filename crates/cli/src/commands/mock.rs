@@ -13,7 +13,7 @@ use lsfb_sim::{Pace, Playback, PlaybackEndpoints, Turns};
 use super::sim;
 use crate::context::Context;
 use crate::outcome::Outcome;
-use crate::simulated::{Endpoints, short_walk};
+use crate::simulated::{Endpoints, Equipment, short_walk};
 
 /// How long sidecars look for their recorder.
 const PATIENCE: Duration = Duration::from_secs(3600);
@@ -31,12 +31,12 @@ const PATIENCE: Duration = Duration::from_secs(3600);
 ///   lsfb mock scan.mcap --out mock              # then, in another terminal:
 ///   lsfb scan --devices mock/devices.toml --out again.mcap
 ///   lsfb mock drive.pcap --out mock --rate 2 --loop
-///   lsfb mock --seed 7 --out sim                # the simulator, as lsfb sim
+///   lsfb mock --seed 7 --out sim --lidar vlp16  # the simulator, as lsfb sim
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
     /// Recording (MCAP), pcap, pcapng or rosbag2 database (db3).
-    #[arg(required_unless_present = "seed")]
+    #[arg(required_unless_present = "seed", conflicts_with = "Equipment")]
     source: Option<PathBuf>,
     /// Play the simulator with this seed instead.
     #[arg(long, conflicts_with_all = ["source", "turns"])]
@@ -50,6 +50,8 @@ pub struct Arguments {
     /// Play it N times; without a number until Ctrl-C.
     #[arg(long = "loop", value_name = "N", num_args = 0..=1, default_missing_value = "0")]
     turns: Option<u32>,
+    #[command(flatten)]
+    equipment: Equipment,
     #[command(flatten)]
     endpoints: Endpoints,
 }
@@ -69,6 +71,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             &arguments.out,
             arguments.seed.unwrap_or_default(),
             arguments.rate,
+            arguments.equipment.clone(),
             arguments.endpoints.clone(),
         );
         return sim::run(&simulator, context);

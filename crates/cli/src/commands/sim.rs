@@ -13,7 +13,7 @@ use serde::Serialize;
 
 use crate::context::Context;
 use crate::outcome::Outcome;
-use crate::simulated::{self, Endpoints, Layout};
+use crate::simulated::{self, Endpoints, Equipment, Layout};
 
 /// How long the glasses look for their recorder.
 const PATIENCE: Duration = Duration::from_secs(3600);
@@ -29,6 +29,7 @@ const PATIENCE: Duration = Duration::from_secs(3600);
 ///   lsfb scan --devices sim/backpack-devices.toml --out scan.mcap
 ///   lsfb scan --devices sim/glasses-devices.toml --out walk.mcap
 ///   lsfb sim --out c3 --motion C3 --device android --record
+///   lsfb sim --out puck --place stairs --lidar vlp16 --returns dual --record
 ///   lsfb sim preview --out pictures --place atrium
 #[derive(clap::Args)]
 #[command(
@@ -70,6 +71,8 @@ pub struct Arguments {
     /// Simulated seconds per second at most; 0 is as fast as it goes.
     #[arg(long, default_value_t = 1.0, conflicts_with = "record")]
     pace: f64,
+    #[command(flatten)]
+    equipment: Equipment,
     #[command(flatten)]
     endpoints: Endpoints,
 }
@@ -114,7 +117,13 @@ fn device(name: &str) -> Result<Device, String> {
 
 impl Arguments {
     /// Devices that wait for `lsfb scan`.
-    pub fn playing(out: &Path, seed: u64, pace: f64, endpoints: Endpoints) -> Self {
+    pub fn playing(
+        out: &Path,
+        seed: u64,
+        pace: f64,
+        equipment: Equipment,
+        endpoints: Endpoints,
+    ) -> Self {
         Self {
             action: None,
             out: Some(out.to_owned()),
@@ -127,6 +136,7 @@ impl Arguments {
             config: None,
             record: false,
             pace,
+            equipment,
             endpoints,
         }
     }
@@ -159,6 +169,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         config.scene.clone_from(scene);
     }
     config.seed = arguments.seed;
+    arguments.equipment.apply(&mut config);
     let layout = Layout::create(out)?;
     let simulation = simulated::prepare(&layout, &config, context)?;
     let mut recordings = Vec::new();

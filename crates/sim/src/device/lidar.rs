@@ -1,4 +1,4 @@
-//! A VLP-32C: data packets with returns, position packets with the clock's state, over UDP.
+//! A Velodyne: data packets with returns, position packets with the clock's state, over UDP.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -8,22 +8,21 @@ use std::time::{Duration, Instant};
 
 use lsfb_drivers::imu::wire::UtcTime;
 use lsfb_drivers::transport::udp_sender::UdpSender;
-use lsfb_drivers::velodyne::model::Product;
 use lsfb_drivers::velodyne::nmea::Rmc;
 use lsfb_drivers::velodyne::wire::{
-    DATA_PACKET_LEN, DataPacket, POSITION_PACKET_LEN, PositionPacket, PpsStatus, ReturnMode,
+    BLOCKS, DATA_PACKET_LEN, DataPacket, POSITION_PACKET_LEN, PositionPacket, PpsStatus,
 };
 use lsfb_types::Timestamp;
 
 use super::clock::{SimClock, Turn};
 use super::host::Host;
-use crate::sensor::lidar::{CYCLE_NS, CYCLES_PER_PACKET, FiringCycle};
-use crate::{Error, RigSim, Simulation};
+use crate::sensor::lidar::{FiringCycle, LidarSim};
+use crate::{Error, RigSim, Simulation, World};
 
-/// Data packets fired at a time: 10.6 ms.
+/// Data packets fired at a time: 5 to 21 ms.
 const BATCH_PACKETS: usize = 16;
-/// Data packets per position packet (VLP-32C manual: about 14 to 1).
-const PACKETS_PER_POSITION: u64 = 14;
+/// Time between two position packets: 14 data packets of a VLP-32C with one return (its manual: about 14 to 1).
+const POSITION_NS: i64 = 14 * 663_552;
 /// A GPS receiver's sentence names the second that has begun, and is complete this long after its pulse.
 const SENTENCE_DELAY_NS: i64 = 300_000_000;
 const HOUR_US: i64 = 3_600_000_000;
@@ -91,7 +90,11 @@ impl LidarDevice {
     ) -> Result<LidarTally, Error> {
         let rig = simulation.scan();
         let mut tally = LidarTally::default();
-        let packet_ns = CYCLE_NS * CYCLES_PER_PACKET as i64;
+        let Some(lidar) = rig.lidar() else {
+            return Ok(tally);
+        };
+        let packet_ns = lidar.packet_ns();
+        let packets_per_position = (POSITION_NS / packet_ns).max(1) as u64;
         let total = (rig.walk().duration_s() * 1e9) as u64 / packet_ns as u64;
         while tally.data_packets < total {
             let first = tally.data_packets;
@@ -99,19 +102,13 @@ impl LidarDevice {
                 break;
             }
             let count = BATCH_PACKETS.min((total - first) as usize);
-            let cycles = rig.fire(
-                simulation.world(),
-                first * CYCLES_PER_PACKET as u64,
-                count * CYCLES_PER_PACKET,
-            );
-            for cycles in cycles.chunks_exact(CYCLES_PER_PACKET) {
-                if tally.data_packets.is_multiple_of(PACKETS_PER_POSITION) {
-                    let offset_ns = cycles.first().map_or(0, |c| c.offset_ns);
+            for packet in rig.lidar_packets(simulation.world(), first, count)? {
+                if tally.data_packets.is_multiple_of(packets_per_position) {
+                    let offset_ns = tally.data_packets as i64 * packet_ns;
                     let packet = position_packet(rig, offset_ns)?;
                     self.send(&packet, PacketKind::Position, clock)?;
                     tally.position_packets += 1;
                 }
-                let packet = data_packet(rig, cycles)?;
                 self.send(&packet, PacketKind::Data, clock)?;
                 tally.data_packets += 1;
             }
@@ -159,17 +156,43 @@ fn top_of_hour_us(time: Timestamp) -> u32 {
     time.nanos().div_euclid(1000).rem_euclid(HOUR_US) as u32
 }
 
-/// Twelve firing cycles as they are sent.
-pub(crate) fn data_packet(
+impl RigSim {
+    /// The LiDAR's data packets `first .. first + count` since the beginning, byte for byte; none without a LiDAR.
+    pub fn lidar_packets(
+        &self,
+        world: &World,
+        first: u64,
+        count: usize,
+    ) -> Result<Vec<[u8; DATA_PACKET_LEN]>, Error> {
+        let Some(lidar) = self.lidar() else {
+            return Ok(Vec::new());
+        };
+        let per_packet = lidar.cycles_per_packet();
+        let cycles = self.fire(world, first * per_packet as u64, count * per_packet);
+        cycles
+            .chunks_exact(per_packet)
+            .map(|cycles| data_packet(self, lidar, cycles))
+            .collect()
+    }
+}
+
+/// The firing cycles of one packet as they are sent.
+fn data_packet(
     rig: &RigSim,
+    lidar: &LidarSim,
     cycles: &[FiringCycle],
 ) -> Result<[u8; DATA_PACKET_LEN], Error> {
     let bytes = [0; DATA_PACKET_LEN];
-    let mut packet = DataPacket::init(bytes, Product::Vlp32c, ReturnMode::Strongest)?;
-    for (block, cycle) in cycles.iter().enumerate() {
-        packet.set_azimuth_centideg(block, cycle.azimuth_centideg);
-        for (laser, echo) in cycle.returns.iter().enumerate() {
-            packet.set_return(block, laser, echo.range_count, echo.reflectivity);
+    let mut packet = DataPacket::init(bytes, lidar.model().product(), lidar.return_mode())?;
+    let blocks_per_cycle = BLOCKS / lidar.cycles_per_packet();
+    for (first, cycle) in (0..BLOCKS).step_by(blocks_per_cycle).zip(cycles) {
+        // In dual mode the last echoes come first (VLP-32C 63-9325 p. 57).
+        let returns = [&cycle.returns, &cycle.second_returns];
+        for (block, returns) in (first..first + blocks_per_cycle).zip(returns) {
+            packet.set_azimuth_centideg(block, cycle.azimuth_centideg);
+            for (channel, echo) in returns.iter().enumerate() {
+                packet.set_return(block, channel, echo.range_count, echo.reflectivity);
+            }
         }
     }
     let offset_ns = cycles.first().map_or(0, |c| c.offset_ns);
@@ -178,7 +201,7 @@ pub(crate) fn data_packet(
 }
 
 /// The state of the clock: locked to the pulse, with the last sentence that came in.
-pub(crate) fn position_packet(
+fn position_packet(
     rig: &RigSim,
     offset_ns: i64,
 ) -> Result<[u8; POSITION_PACKET_LEN], Error> {
@@ -207,3 +230,6 @@ pub(crate) fn position_packet(
     }
     Ok(packet.into_inner())
 }
+
+#[cfg(test)]
+mod tests;

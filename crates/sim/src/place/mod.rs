@@ -132,6 +132,9 @@ impl Place {
             Self::Stairs => indoor::stairs(&mut site, whole),
         }
         site.line_passages();
+        if !config.people {
+            site.plan.strolls.clear();
+        }
         Ok(World::of(&site.plan, seed, texel_m, progress))
     }
 }

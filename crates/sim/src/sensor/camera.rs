@@ -14,6 +14,7 @@ use lsfb_types::Image;
 use crate::Error;
 use crate::config::CameraConfig;
 use crate::noise::hash;
+use crate::walk::Passers;
 use crate::world::crowd::Moment;
 use crate::world::{LANES, RayPacket, Seen, World};
 
@@ -68,6 +69,7 @@ pub struct CameraSim {
     vignette: Vec<f32>,
     pixel_angle_rad: f32,
     config: CameraConfig,
+    passers: Passers,
     seed: u64,
 }
 
@@ -108,8 +110,24 @@ impl CameraSim {
             vignette,
             pixel_angle_rad: (1.0 / camera.camera.focal_px()[0]) as f32,
             config: config.clone(),
+            passers: Passers::default(),
             seed,
         })
+    }
+
+    /// The same camera where people step before it.
+    pub(crate) fn with_passers(self, passers: Passers) -> Self {
+        Self { passers, ..self }
+    }
+
+    /// Who stands before it at a time, when its rig is at a place.
+    #[cfg(test)]
+    pub(crate) fn passer(
+        &self,
+        time_s: f64,
+        place: &lsfb_geometry::Vector3<f64>,
+    ) -> Option<crate::world::crowd::Passer> {
+        self.passers.at(time_s, place)
     }
 
     /// When a row's exposure has its middle, seconds after that of the image.
@@ -197,9 +215,10 @@ impl CameraSim {
                 .collect()
         };
         let place = world_from_rig(time_s).translation;
+        let passer = self.passers.at(time_s, &place);
         View {
             world,
-            moment: world.moment(time_s, [place.x as f32, place.y as f32]),
+            moment: world.moment_with(time_s, [place.x as f32, place.y as f32], passer),
             eyes,
         }
     }

@@ -1,66 +1,41 @@
-//! A spinning VLP-32C: every laser fired from where the sensor is at that microsecond.
+//! A spinning Velodyne: every laser fired from where the sensor is at that microsecond.
+
+mod echo;
 
 use rayon::prelude::*;
 use wide::f32x8;
 
 use lsfb_drivers::velodyne::model::{Model, ModelTable};
-use lsfb_drivers::velodyne::wire::{BLOCKS, CHANNELS};
+use lsfb_drivers::velodyne::wire::{BLOCKS, CHANNELS, ReturnMode};
 use lsfb_geometry::{Se3, Vector3};
 
-use crate::config::LidarConfig;
-use crate::noise::{gaussian, hash, unit};
+use crate::config::{LidarConfig, LidarModel, LidarReturns};
 use crate::walk::Walk;
 use crate::world::crowd::Moment;
-use crate::world::vector::dot;
-use crate::world::{LANES, NO_FACET, Origin, RayPacket, World};
-
-/// The sensor's constants.
-const TABLE: &ModelTable = Model::Vlp32c.table();
-/// Lasers of a VLP-32C.
-pub const LASERS: usize = CHANNELS;
-/// Firing cycles in a data packet.
-pub const CYCLES_PER_PACKET: usize = BLOCKS;
-/// Duration of a firing cycle, nanoseconds.
-pub const CYCLE_NS: i64 = TABLE.block_period_ns as i64;
-/// Length of one count of a range, metres.
-pub const RANGE_UNIT_M: f64 = TABLE.distance_unit_mm as f64 * 1e-3;
+use crate::world::{LANES, Origin, RayPacket, World};
+use echo::{PATTERN, RAYS, Trail, agree, merge};
 
 /// One range as sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Return {
-    /// Range in units of 4 mm, 0 for no return.
+    /// Range in the model's unit (4 mm for a VLP-32C, 2 mm for a VLP-16), 0 for no return.
     pub range_count: u16,
     /// Diffuse reflectivity, percent.
     pub reflectivity: u8,
 }
 
-/// All lasers fired once.
+/// What fills one block of a packet, or in dual mode a pair: all lasers of a VLP-32C fired once, those of a VLP-16 twice.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FiringCycle {
     /// First firing, nanoseconds after the start of the walk.
     pub offset_ns: i64,
     /// Encoder angle at the first firing, 0.01°.
     pub azimuth_centideg: u16,
-    /// By laser.
-    pub returns: [Return; LASERS],
-}
-
-/// Panes of glass that light goes through at most, and what is behind.
-const PANES: usize = 4;
-/// Cosine of the incidence from which a pane may send light back.
-const GLASS_COSINE: f64 = 0.985;
-/// Share of those shots that it does send back.
-const GLASS_ANSWERS: f64 = 0.6;
-/// How far behind a pane a shot goes on, metres.
-const BEYOND_M: f32 = 2e-3;
-
-/// What sends light back.
-#[derive(Clone, Copy, Debug)]
-struct Echo {
-    distance_m: f64,
-    /// Of the angle between shot and normal.
-    cosine: f64,
-    reflectance: f64,
+    /// By channel of the block: what the return mode asks for, in dual mode the last echo.
+    pub returns: [Return; CHANNELS],
+    /// In dual mode: the strongest echo, or the second strongest where the strongest is the last; the same as the last
+    /// where there is no other. Without, empty.
+    pub second_returns: [Return; CHANNELS],
 }
 
 /// Fires the lasers of a LiDAR on a rig.
@@ -68,6 +43,7 @@ struct Echo {
 pub struct LidarSim {
     rig_from_lidar: Se3,
     config: LidarConfig,
+    model: Model,
     seed: u64,
 }
 
@@ -77,8 +53,81 @@ impl LidarSim {
         Self {
             rig_from_lidar,
             config: config.clone(),
+            model: match config.model {
+                LidarModel::Vlp32c => Model::Vlp32c,
+                LidarModel::Vlp16 => Model::Vlp16,
+            },
             seed,
         }
+    }
+
+    /// Which sensor it is.
+    pub fn model(&self) -> Model {
+        self.model
+    }
+
+    /// Which echoes it sends.
+    pub fn return_mode(&self) -> ReturnMode {
+        match self.config.returns {
+            LidarReturns::Strongest => ReturnMode::Strongest,
+            LidarReturns::Last => ReturnMode::Last,
+            LidarReturns::Dual => ReturnMode::Dual,
+        }
+    }
+
+    fn table(&self) -> &'static ModelTable {
+        self.model.table()
+    }
+
+    /// Time from one [`FiringCycle`] to the next, nanoseconds.
+    pub fn cycle_ns(&self) -> i64 {
+        self.table().block_period_ns.into()
+    }
+
+    /// Firing cycles in a data packet.
+    pub fn cycles_per_packet(&self) -> usize {
+        match self.config.returns {
+            LidarReturns::Strongest | LidarReturns::Last => BLOCKS,
+            LidarReturns::Dual => BLOCKS / 2,
+        }
+    }
+
+    /// Time from one data packet to the next, nanoseconds.
+    pub fn packet_ns(&self) -> i64 {
+        self.cycle_ns() * self.cycles_per_packet() as i64
+    }
+
+    /// Length of one count of a range, metres.
+    pub fn range_unit_m(&self) -> f64 {
+        f64::from(self.table().distance_unit_mm) * 1e-3
+    }
+
+    /// Direction of a channel in the LiDAR frame (x forward, y left, z up) at an encoder angle.
+    pub fn beam_direction(&self, channel: usize, azimuth_deg: f64) -> Vector3<f64> {
+        self.direction_beside(channel, azimuth_deg, [0.0; 2])
+    }
+
+    /// The same, so many radians beside the beam's axis, to the right and upwards.
+    fn direction_beside(&self, channel: usize, azimuth_deg: f64, beside: [f64; 2]) -> Vector3<f64> {
+        let channel = &self.table().channels[channel % CHANNELS];
+        let elevation = channel.elevation_deg.to_radians() + beside[1];
+        let azimuth = (azimuth_deg + channel.azimuth_offset_deg).to_radians();
+        let (sin, cos) = (azimuth + beside[0] / elevation.cos()).sin_cos();
+        Vector3::new(
+            elevation.cos() * cos,
+            -elevation.cos() * sin,
+            elevation.sin(),
+        )
+    }
+
+    /// Time at which a channel fires, after the beginning of its cycle, nanoseconds.
+    pub fn firing_delay_ns(&self, channel: usize) -> i64 {
+        self.table().channels[channel % CHANNELS].firing_ns.into()
+    }
+
+    /// Rank of a channel's laser by elevation, 0 lowest.
+    pub fn ring(&self, channel: usize) -> u16 {
+        self.table().channels[channel % CHANNELS].ring
     }
 
     /// Exact encoder angle, degrees; 0 at the start of the walk, growing clockwise seen from above.
@@ -104,12 +153,13 @@ impl LidarSim {
     /// Eight cycles in a row. A laser's eight rays are neighbours, so they go through the world together.
     fn fire_group(&self, world: &World, walk: &Walk, first: u64) -> [FiringCycle; LANES] {
         let mut cycles: [FiringCycle; LANES] = std::array::from_fn(|lane| {
-            let offset_ns = (first as i64 + lane as i64) * CYCLE_NS;
+            let offset_ns = (first as i64 + lane as i64) * self.cycle_ns();
             FiringCycle {
                 offset_ns,
                 azimuth_centideg: ((self.azimuth_deg(offset_ns) * 100.0).round() as u32 % 36_000)
                     as u16,
-                returns: [Return::default(); LASERS],
+                returns: [Return::default(); CHANNELS],
+                second_returns: [Return::default(); CHANNELS],
             }
         });
         let motions: [_; LANES] =
@@ -119,147 +169,100 @@ impl LidarSim {
             cycles[LANES / 2].offset_ns as f64 * 1e-9,
             [place.x as f32, place.y as f32],
         );
-        for pair in 0..LASERS / 2 {
-            let delay_ns = firing_delay_ns(2 * pair);
-            let poses: [Se3; LANES] = std::array::from_fn(|lane| {
+        let poses_at = |delay_ns: i64| -> [Se3; LANES] {
+            std::array::from_fn(|lane| {
                 motions[lane].coasted(delay_ns as f64 * 1e-9) * self.rig_from_lidar
-            });
-            for laser in [2 * pair, 2 * pair + 1] {
-                let mut origin = [[0.0_f32; LANES]; 3];
-                let mut direction = [[0.0_f32; LANES]; 3];
-                for lane in 0..LANES {
-                    let azimuth = self.azimuth_deg(cycles[lane].offset_ns + delay_ns);
-                    let ray = poses[lane].rotation * beam_direction(laser, azimuth);
-                    for axis in 0..3 {
-                        origin[axis][lane] = poses[lane].translation[axis] as f32;
-                        direction[axis][lane] = ray[axis] as f32;
-                    }
-                }
-                let rays = RayPacket {
-                    origin: Origin::Each(origin.map(f32x8::new)),
-                    direction: direction.map(f32x8::new),
-                };
-                let number = |lane: usize| (first + lane as u64) * LASERS as u64 + laser as u64;
-                let echoes = self.echoes(world, &moment, rays, number);
-                for (lane, cycle) in cycles.iter_mut().enumerate() {
-                    if let Some(echo) = echoes[lane] {
-                        cycle.returns[laser] = self.measure(&echo, number(lane));
-                    }
-                }
+            })
+        };
+        let mut volley = Volley {
+            delay_ns: 0,
+            poses: poses_at(0),
+            azimuths_deg: [0.0; LANES],
+            channel: 0,
+        };
+        for channel in 0..CHANNELS {
+            let delay_ns = self.firing_delay_ns(channel);
+            if delay_ns != volley.delay_ns {
+                // Lasers that fire together share it.
+                (volley.delay_ns, volley.poses) = (delay_ns, poses_at(delay_ns));
+            }
+            volley.channel = channel;
+            volley.azimuths_deg =
+                std::array::from_fn(|lane| self.azimuth_deg(cycles[lane].offset_ns + delay_ns));
+            let number = |lane: usize| (first + lane as u64) * CHANNELS as u64 + channel as u64;
+            let met = self.shoot(world, &moment, &volley, number);
+            for (lane, cycle) in cycles.iter_mut().enumerate() {
+                [cycle.returns[channel], cycle.second_returns[channel]] =
+                    self.answer(met[lane].as_slice(), number(lane));
             }
         }
         cycles
     }
 
-    /// What sends the light of eight shots back; most of it goes through glass.
-    fn echoes(
+    /// What eight shots meet.
+    fn shoot(
         &self,
         world: &World,
         moment: &Moment,
-        mut rays: RayPacket,
+        volley: &Volley,
         number: impl Fn(usize) -> u64,
-    ) -> [Option<Echo>; LANES] {
-        let mut echoes = [None; LANES];
-        let mut travelled = [0.0_f64; LANES];
-        let mut limit = [self.config.max_range_m as f32 + 1.0; LANES];
-        for pane in 0..PANES {
-            let hit = world.cast_at(&rays, f32x8::new(limit), moment);
-            let distance = hit.distance.to_array();
-            let direction = rays.direction.map(|d| d.to_array());
-            let mut origin = match rays.origin {
-                Origin::Each(origin) => origin.map(|o| o.to_array()),
-                Origin::Shared(eye) => eye.map(|v| [v; LANES]),
-            };
-            let mut goes_on = false;
-            for lane in 0..LANES {
-                let facet = hit.facet[lane] as usize;
-                let carrier = hit.carrier[lane];
-                limit[lane] = 0.0;
-                if hit.facet[lane] == NO_FACET {
-                    continue;
-                }
-                let Some(normal) = world.facet_hit(moment, carrier, facet).map(|f| f.normal) else {
-                    continue;
-                };
-                let ray = std::array::from_fn(|axis| direction[axis][lane]);
-                let [_, ray_there] = moment.to_carrier(carrier, [0.0; 3], ray);
-                let cosine = f64::from(-dot(normal, ray_there));
-                travelled[lane] += f64::from(distance[lane]);
-                if world.is_glass(facet) {
-                    let bits = hash(self.seed ^ hash(number(lane) ^ (pane as u64 + 1) << 56));
-                    // A pane is a mirror: it answers only where it is met head-on.
-                    let answers = cosine > GLASS_COSINE && unit(bits) < GLASS_ANSWERS;
-                    if !answers {
-                        let step = distance[lane] + BEYOND_M;
-                        for axis in 0..3 {
-                            origin[axis][lane] += step * ray[axis];
-                        }
-                        travelled[lane] += f64::from(BEYOND_M);
-                        limit[lane] = self.config.max_range_m as f32 + 1.0;
-                        goes_on = true;
-                        continue;
-                    }
-                }
-                echoes[lane] = Some(Echo {
-                    distance_m: travelled[lane],
-                    cosine,
-                    reflectance: f64::from(world.reflectance(facet)),
-                });
-            }
-            if !goes_on {
-                break;
-            }
-            rays.origin = Origin::Each(origin.map(f32x8::new));
+    ) -> [Trail; LANES] {
+        let ray = |k: usize| self.follow(world, moment, self.rays(volley, k), &number);
+        let separation_m = self.config.separation_m;
+        let axis = ray(0);
+        if self.config.divergence_rad == [0.0; 2] {
+            return axis.map(|trail| merge(&[trail], separation_m));
         }
-        echoes
+        // Where three rays of each beam agree, so will the others: most beams lie on one surface.
+        let (a, b) = (ray(1), ray(2));
+        let whole: [bool; LANES] =
+            std::array::from_fn(|k| agree(&axis[k], &a[k]) && agree(&axis[k], &b[k]));
+        if whole == [true; LANES] {
+            return axis.map(|trail| merge(&[trail], separation_m));
+        }
+        let (c, d) = (ray(3), ray(4));
+        std::array::from_fn(|k| {
+            if whole[k] {
+                merge(&[axis[k]], separation_m)
+            } else {
+                merge(&[axis[k], a[k], b[k], c[k], d[k]], separation_m)
+            }
+        })
     }
 
-    /// Turns a distance into what is sent: noise, lost returns, 4 mm steps.
-    fn measure(&self, echo: &Echo, number: u64) -> Return {
-        let Echo {
-            distance_m,
-            cosine,
-            reflectance,
-        } = *echo;
-        let bits = hash(self.seed ^ hash(number));
-        let survival = (cosine / self.config.grazing_cosine).clamp(0.0, 1.0);
-        // The light that comes back falls with the square of the distance.
-        let weakest = self.config.weakest_reflectance / self.config.weakest_range_m.powi(2);
-        let seen = (reflectance * cosine / distance_m.powi(2).max(1e-6) / weakest).min(1.0);
-        let lost = unit(hash(bits)) > survival * seen * (1.0 - self.config.dropout);
-        let range_m = distance_m + self.config.range_noise_m * gaussian(bits);
-        if lost || range_m < self.config.min_range_m || range_m > self.config.max_range_m {
-            return Return::default();
+    /// Ray number `k` of eight beams.
+    fn rays(&self, volley: &Volley, k: usize) -> RayPacket {
+        let [across, up] = PATTERN[k % RAYS];
+        let [width, height] = self.config.divergence_rad;
+        let mut origin = [[0.0_f32; LANES]; 3];
+        let mut direction = [[0.0_f32; LANES]; 3];
+        for lane in 0..LANES {
+            let pose = &volley.poses[lane];
+            let ray = pose.rotation
+                * self.direction_beside(
+                    volley.channel,
+                    volley.azimuths_deg[lane],
+                    [across * width, up * height],
+                );
+            for axis in 0..3 {
+                origin[axis][lane] = pose.translation[axis] as f32;
+                direction[axis][lane] = ray[axis] as f32;
+            }
         }
-        Return {
-            range_count: (range_m / RANGE_UNIT_M).round() as u16,
-            reflectivity: (100.0 * reflectance) as u8,
+        RayPacket {
+            origin: Origin::Each(origin.map(f32x8::new)),
+            direction: direction.map(f32x8::new),
         }
     }
 }
 
-/// Direction of a laser in the LiDAR frame (x forward, y left, z up) at an encoder angle.
-pub fn beam_direction(laser: usize, azimuth_deg: f64) -> Vector3<f64> {
-    let channel = &TABLE.channels[laser];
-    let elevation = channel.elevation_deg.to_radians();
-    let (sin, cos) = (azimuth_deg + channel.azimuth_offset_deg)
-        .to_radians()
-        .sin_cos();
-    Vector3::new(
-        elevation.cos() * cos,
-        -elevation.cos() * sin,
-        elevation.sin(),
-    )
-}
-
-/// Time at which a laser fires, after the beginning of its cycle, nanoseconds.
-pub fn firing_delay_ns(laser: usize) -> i64 {
-    TABLE.channels[laser].firing_ns.into()
-}
-
-/// Rank of a laser by elevation, 0 lowest.
-pub fn ring(laser: usize) -> u16 {
-    TABLE.channels[laser].ring
+/// One channel fired in eight cycles.
+struct Volley {
+    channel: usize,
+    /// After the beginning of each cycle.
+    delay_ns: i64,
+    poses: [Se3; LANES],
+    azimuths_deg: [f64; LANES],
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! How the rigs move: smooth, known exactly, at rest at both ends.
 
 mod motion;
+mod passers;
 mod plan;
 mod tour;
 
@@ -13,6 +14,7 @@ use crate::noise::{stream, uniform};
 use crate::spline::QuinticSpline;
 use crate::world::FloorPlan;
 pub use motion::{Device, Motion as PaperMotion};
+pub(crate) use passers::Passers;
 pub(crate) use plan::{Gait, Gaze, WalkPlan};
 use tour::Tour;
 

@@ -67,6 +67,11 @@ impl Motion {
         f64::from(self.frames[device as usize]) / FRAME_RATE_HZ
     }
 
+    /// Whether somebody steps before the camera now and then.
+    pub fn is_occluded(&self) -> bool {
+        self.name == "M2"
+    }
+
     /// Length of the path, metres.
     pub fn length_m(&self, device: Device) -> f64 {
         self.length_m[device as usize]

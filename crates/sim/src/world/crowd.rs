@@ -16,6 +16,8 @@ const ATTITUDES: usize = 6;
 const OUTFITS: usize = 5;
 /// Length of two steps, metres.
 const STRIDE_M: f64 = 1.35;
+/// Time of two steps of somebody who steps aside, seconds.
+const STRIDE_S: f64 = 1.2;
 /// Half the height of a body, and the radius of a sphere about its middle that holds it, metres.
 const MIDDLE_M: f32 = 0.9;
 const REACH_M: f32 = 1.05;
@@ -48,6 +50,14 @@ struct Body {
     bvh: Bvh,
     /// Number of its first facet among all facets of the world.
     first: usize,
+}
+
+/// Somebody who stands in somebody's way.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Passer {
+    pub feet: [f32; 3],
+    /// Unit vector that they face.
+    pub heading: [f32; 2],
 }
 
 /// Where everybody is at one time.
@@ -112,6 +122,21 @@ impl Crowd {
             time_s,
             people: people.collect(),
         }
+    }
+
+    /// Somebody more, as if they had walked there; nobody where there are no people at all.
+    pub(crate) fn join(&self, moment: &mut Moment, passer: &Passer) {
+        if self.bodies.is_empty() || moment.people.len() > MOST_PEOPLE {
+            return;
+        }
+        let attitude = (moment.time_s / STRIDE_S * ATTITUDES as f64) as usize % ATTITUDES;
+        let [cos, sin] = passer.heading;
+        moment.people.push(Stand {
+            body: (moment.people.len() % OUTFITS) * ATTITUDES + attitude,
+            feet: passer.feet,
+            sin,
+            cos,
+        });
     }
 
     /// Replaces hits of the building by those of people in front of it.

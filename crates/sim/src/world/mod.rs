@@ -34,7 +34,7 @@ use crate::noise::hash;
 use atlas::Atlas;
 pub(crate) use blueprint::Blueprint;
 use bvh::Bvh;
-use crowd::{Crowd, Moment};
+use crowd::{Crowd, Moment, Passer};
 pub use facet::{Facet, Outline};
 use light::{AMBIENT, Lamps, LightGrid, Lighting, SPACING_M, SmallFacets};
 pub use ray::{LANES, NO_FACET, Origin, PacketHit, RayPacket};
@@ -205,6 +205,20 @@ impl World {
     /// Where everybody is at a time, out of the way of somebody at `walker`.
     pub(crate) fn moment(&self, time_s: f64, walker: [f32; 2]) -> Moment {
         self.crowd.at(time_s, walker)
+    }
+
+    /// The same, with somebody more.
+    pub(crate) fn moment_with(
+        &self,
+        time_s: f64,
+        walker: [f32; 2],
+        passer: Option<Passer>,
+    ) -> Moment {
+        let mut moment = self.moment(time_s, walker);
+        if let Some(passer) = passer {
+            self.crowd.join(&mut moment, &passer);
+        }
+        moment
     }
 
     /// The nearest facets closer than `limit`, those of walkers included.

@@ -1,0 +1,135 @@
+use lsfb_drivers::velodyne::model::Model;
+use lsfb_drivers::velodyne::wire::ReturnMode;
+use lsfb_drivers::velodyne::{Decoder, Echo, PacketLayout, returns};
+use lsfb_types::{Packet, no_progress};
+
+use super::*;
+use crate::{Device, LidarModel, LidarReturns, Place, SimConfig};
+
+/// A scanner in an office with rooms behind glass.
+fn office(model: LidarModel, returns: LidarReturns) -> Simulation {
+    let mut config = SimConfig::for_place(Place::MediumOffice, Device::Glasses);
+    config.texel_m = 0.1;
+    (config.scan.duration_s, config.glasses.duration_s) = (12.0, 1.0);
+    for cameras in [&mut config.scan_cameras, &mut config.glasses_cameras] {
+        (cameras.width, cameras.height) = (16, 8);
+    }
+    (config.lidar.model, config.lidar.returns) = (model, returns);
+    Simulation::new(&config, &no_progress).expect("valid")
+}
+
+/// The packets of three revolutions, from half a second into the walk.
+fn packets(simulation: &Simulation) -> Vec<[u8; DATA_PACKET_LEN]> {
+    let rig = simulation.scan();
+    let packet_ns = rig.lidar().expect("a LiDAR").packet_ns();
+    let first = 500_000_000 / packet_ns;
+    let count = 330_000_000 / packet_ns;
+    rig.lidar_packets(simulation.world(), first as u64, count as usize)
+        .expect("packets")
+}
+
+#[test]
+fn the_driver_reads_every_model_and_return_mode() {
+    for (model, returns, product, mode) in [
+        (
+            LidarModel::Vlp32c,
+            LidarReturns::Dual,
+            Model::Vlp32c,
+            ReturnMode::Dual,
+        ),
+        (
+            LidarModel::Vlp32c,
+            LidarReturns::Last,
+            Model::Vlp32c,
+            ReturnMode::Last,
+        ),
+        (
+            LidarModel::Vlp16,
+            LidarReturns::Strongest,
+            Model::Vlp16,
+            ReturnMode::Strongest,
+        ),
+        (
+            LidarModel::Vlp16,
+            LidarReturns::Dual,
+            Model::Vlp16,
+            ReturnMode::Dual,
+        ),
+    ] {
+        let simulation = office(model, returns);
+        let rig = simulation.scan();
+        let mut decoder = Decoder::new(Default::default());
+        let mut scans = Vec::new();
+        for (k, bytes) in packets(&simulation).iter().enumerate() {
+            let packet = DataPacket::new(bytes).expect("a data packet");
+            assert_eq!(packet.product_code(), product.product().code());
+            assert_eq!(packet.return_mode_code(), mode.code());
+            // Far more than what arrives late would be allowed to.
+            let arrival = Timestamp::from_nanos(k as i64 * i64::from(product.packet_period_ns(mode)));
+            let bytes = bytes.to_vec();
+            scans.extend(decoder.push(&Packet { arrival, bytes }).expect("good"));
+        }
+        let counters = decoder.counters();
+        assert_eq!(
+            (counters.lost, counters.refused, counters.malformed),
+            (0, 0, 0)
+        );
+        // The first begins in the middle of a revolution.
+        assert!(scans.len() >= 3, "{}", scans.len());
+        for (scan, number) in scans.iter().zip(5..).skip(1) {
+            let expected = rig.scan(simulation.world(), number).expect("points").sample;
+            assert_eq!(scan.sample.points.len(), expected.points.len());
+            for (a, b) in scan.sample.points.iter().zip(&expected.points) {
+                assert_eq!((a.ring, a.intensity), (b.ring, b.intensity));
+                assert!(a.time_offset_ns.abs_diff(b.time_offset_ns) <= 1000);
+                // The driver turns the rotor by the rounded azimuths' difference between two blocks.
+                for (p, q) in a.position_m.iter().zip(b.position_m) {
+                    assert!((p - q).abs() < 2e-4 * norm(b.position_m), "{a:?} {b:?}");
+                }
+            }
+        }
+    }
+}
+
+fn norm(v: [f32; 3]) -> f32 {
+    v.iter().map(|x| x * x).sum::<f32>().sqrt()
+}
+
+#[test]
+fn two_returns_are_the_last_and_the_strongest_and_one_is_sent_twice() {
+    let simulation = office(LidarModel::Vlp32c, LidarReturns::Dual);
+    let separation_m = simulation.config().lidar.separation_m;
+    let (mut both, mut two, mut shots) = (0, 0, 0);
+    for bytes in packets(&simulation) {
+        let packet = DataPacket::new(&bytes).expect("a data packet");
+        for block in (0..BLOCKS).step_by(2) {
+            assert_eq!(
+                packet.azimuth_centideg(block),
+                packet.azimuth_centideg(block + 1)
+            );
+            for channel in 0..32 {
+                let [even, odd] = [block, block + 1].map(|b| packet.distance_raw(b, channel));
+                // A single return stands in both.
+                assert_eq!(even == 0, odd == 0);
+                if even == 0 {
+                    continue;
+                }
+                shots += 1;
+                if even == odd {
+                    both += 1;
+                    continue;
+                }
+                // The last is the farthest; two surfaces are told apart from a distance on, give or take their noise.
+                let apart_m = 0.004 * (f64::from(even) - f64::from(odd));
+                assert!(apart_m > separation_m - 6.0 * 0.03 * 1.5, "{apart_m}");
+                two += 1;
+            }
+        }
+        let layout = PacketLayout::new(&packet, Model::Vlp32c, ReturnMode::Dual);
+        assert!(returns(&packet, &layout).all(|r| r.echo != Echo::Strongest || r.block % 2 == 1));
+    }
+    assert!(
+        both > shots * 9 / 10 && two > shots / 200,
+        "{both} and {two} of {shots}"
+    );
+}
