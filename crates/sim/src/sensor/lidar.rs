@@ -138,14 +138,16 @@ impl LidarSim {
 
     /// Fires cycles `first .. first + count`.
     pub fn fire(&self, world: &World, walk: &Walk, first: u64, count: usize) -> Vec<FiringCycle> {
-        (0..count.div_ceil(LANES))
+        let wanted = first..first + count as u64;
+        let lanes = LANES as u64;
+        // Groups are the same whatever part of the walk is asked for: people stand still during each.
+        (first / lanes..wanted.end.div_ceil(lanes))
             .into_par_iter()
             .flat_map_iter(|group| {
-                let start = group * LANES;
-                let length = LANES.min(count - start);
-                self.fire_group(world, walk, first + start as u64)
-                    .into_iter()
-                    .take(length)
+                let numbers = group * lanes..;
+                let cycles = self.fire_group(world, walk, group * lanes);
+                let asked = numbers.zip(cycles).filter(|(n, _)| wanted.contains(n));
+                asked.map(|(_, cycle)| cycle)
             })
             .collect()
     }
