@@ -3,7 +3,7 @@
 usage: lidar.py FOLDER          what `packets FOLDER` wrote
 
 Every decoded point is put back on its ray, from the true pose at the point's own time; Embree says where that ray, and
-four at the corners of the beam, meet the surfaces. Points whose whole beam lies on one surface, and that met nothing else
+27 more all over the beam, meet the surfaces. Points whose whole beam lies on one surface, and that met nothing else
 within the distance at which the sensor tells surfaces apart, must be off that surface by the noise configured. All others
 (at edges, or with a pane close in front of a wall) must lie between the surfaces that their beam met.
 """
@@ -30,8 +30,10 @@ def load(name, dtype, columns):
 triangles = load("triangles.f32", "<f4", 9).reshape(-1, 3, 3)
 normals = load("normals.f32", "<f4", 3)
 glass = load("glass.u8", "u1", 1) > 0
+# Leaves and the like are two surfaces back to back: moved apart by less than matters, the one in front is met first.
+triangles = triangles + 5e-5 * normals[:, None, :]
 scene = rtcore_scene.EmbreeScene()
-TriangleMesh(scene, np.ascontiguousarray(triangles))
+TriangleMesh(scene, np.ascontiguousarray(triangles, dtype=np.float32))
 path = np.loadtxt(os.path.join(folder, "world_from_lidar.txt"), dtype=str)
 pose_ns = path[:, 0].astype(np.int64)
 path = path[:, 1:].astype(float)
@@ -49,8 +51,9 @@ ELEVATIONS_DEG = {
 
 
 def surfaces(origins, rays, reach):
-    """Distances at which each ray meets surfaces, up to and with the first that is no glass; NaN beyond."""
+    """Distances at which each ray meets surfaces, up to and with the first that is no glass, and which; NaN beyond."""
     found = np.full((len(rays), 8), np.nan)
+    which = np.zeros(found.shape, int)
     count = np.zeros(len(rays), int)
     travelled = np.zeros(len(rays))
     left = np.arange(len(rays))
@@ -62,30 +65,53 @@ def surfaces(origins, rays, reach):
         distance = travelled[left] + hit["tfar"][there]
         # The twin's surfaces are seen from their front only.
         front = (normals[number] * rays[left]).sum(axis=1) < 0
-        seen, seen_at = left[front], distance[front]
-        room = count[seen] < found.shape[1]
-        seen, seen_at = seen[room], seen_at[room]
-        found[seen, count[seen]] = seen_at
-        count[seen] += 1
+        seen = front & (count[left] < found.shape[1])
+        place = (left[seen], count[left[seen]])
+        found[place], which[place] = distance[seen], number[seen]
+        count[left[seen]] += 1
         travelled[left] = distance + 1e-3
         left = left[~front | glass[number]]
         if len(left) == 0:
             break
-    return found
+    return found, which
+
+
+def packets(path):
+    """Arrival and UDP payload of every packet."""
+    data = open(path, "rb").read()
+    at = 24
+    while at < len(data):
+        secs, nanos, length = (int.from_bytes(data[at + i : at + i + 4], "little") for i in (0, 4, 8))
+        yield secs, nanos, data[at + 16 + 42 : at + 16 + length]
+        at += 16 + length
+
+
+def decode(path, model):
+    """Points (x, y, z, intensity, time, column, ring, return type) and their times, nanoseconds since 1970."""
+    decoder = vd.StreamDecoder(vd.Config(model=vd.Model[model.upper()], min_range=0.1, max_range=250))
+    clouds, times, day = [], [], None
+    # On the first day of all, where double precision is finer than the sensor's microseconds.
+    stream = [*packets(path), None]
+    for packet in stream:
+        if packet is None:
+            scan = decoder.finish(False)
+        else:
+            secs, nanos, payload = packet
+            day = day or secs // 86400 * 86400
+            scan = decoder.decode(secs - day + nanos * 1e-9, payload, False)
+        if scan is not None:
+            stamp, cloud = scan
+            clouds.append(cloud.astype(float))
+            times.append(day * 10**9 + np.round((stamp.device + clouds[-1][:, 4]) * 1e9).astype(np.int64))
+    return np.concatenate(clouds), np.concatenate(times)
 
 
 def describe(stream):
     name, model = stream["name"], stream["model"]
     sigma, separation = stream["range_noise_m"], stream["separation_m"]
-    parts = []
-    config = vd.Config(model=vd.Model[model.upper()], min_range=0.1, max_range=250)
-    for stamp, cloud in vd.read_pcap(os.path.join(folder, f"{name}.pcap"), config):
-        # The sensor counts whole microseconds; a double of 1.8e9 s only nearly does.
-        base = np.int64(round(stamp.device * 1e6)) * 1000
-        time_ns = base + np.round(cloud[:, 4].astype(float) * 1e9).astype(np.int64)
-        parts.append(np.column_stack([cloud.astype(float), (time_ns - pose_ns[0]).astype(float)]))
-    cloud = np.concatenate(parts)
-    xyz, ring, kind, time_ns = cloud[:, :3].copy(), cloud[:, 6].astype(int), cloud[:, 7].astype(int), cloud[:, 8]
+    cloud, time_ns = decode(os.path.join(folder, f"{name}.pcap"), model)
+    time_ns = (time_ns - pose_ns[0]).astype(float)
+    xyz, ring, kind = cloud[:, :3].copy(), cloud[:, 6].astype(int), cloud[:, 7].astype(int)
 
     # Times, return by return: those of one ring in order of time, the farther of one shot first.
     truth = np.loadtxt(os.path.join(folder, f"{name}.txt"), dtype=str)
@@ -111,23 +137,26 @@ def describe(stream):
     right /= np.linalg.norm(right, axis=1, keepdims=True)
     up = np.cross(right, ray)
     width, height = stream["divergence_rad"]
-    met = []
-    for across, above in [(0, 0), (1, 1), (-1, -1), (1, -1), (-1, 1)]:
-        beside = ray + 0.5 * (across * width * right + above * height * up)
-        beside /= np.linalg.norm(beside, axis=1, keepdims=True)
-        met.append(surfaces(place, rotation.apply(beside), 250.0))
-    axis = met[0]
-    # One surface: all five rays meet as many, at distances that a plane explains.
-    same = np.ones(len(axis), bool)
-    for other in met[1:]:
+    steps = [-1, -2 / 3, -1 / 3, 0, 1 / 3, 2 / 3, 1]
+    pattern = [(0, 0)] + [(x, y) for x in steps for y in steps[::2] if (x, y) != (0, 0)]
+    beams = [ray + 0.5 * (across * width * right + above * height * up) for across, above in pattern]
+    beams = [rotation.apply(beam / np.linalg.norm(beam, axis=1, keepdims=True)) for beam in beams]
+    met = [surfaces(place, beam, 250.0) for beam in beams]
+    axis, facing = met[0][0], normals[met[0][1]]
+    # One surface: every ray meets as many as the axis does, and where the axis's planes are.
+    same = ~np.isnan(axis[:, 0])
+    for (other, _), beam in zip(met[1:], beams[1:]):
+        towards = [np.einsum("nki,ni->nk", facing, b) for b in (beams[0], beam)]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            expected = axis * towards[0] / towards[1]
         same &= (np.isnan(other) == np.isnan(axis)).all(axis=1)
-        same &= ~(np.abs(other - axis) > 0.02 + 0.02 * axis).any(axis=1)
+        same &= ~(np.abs(other - expected) > 0.01).any(axis=1)
     gaps = np.diff(axis, axis=1)
-    clear = same & ~(gaps < separation).any(axis=1) & ~np.isnan(axis[:, 0])
+    clear = same & ~(gaps < separation).any(axis=1)
     off = ranges[:, None] - axis
     nearest = np.nanargmin(np.where(np.isnan(off), 1e9, np.abs(off)), axis=1)
     residual = off[np.arange(len(off)), nearest][clear]
-    everything = np.concatenate(met, axis=1)
+    everything = np.concatenate([found for found, _ in met], axis=1)
     low, high = np.nanmin(everything, axis=1), np.nanmax(everything, axis=1)
     between = ((ranges > low - 5 * sigma) & (ranges < high + 5 * sigma))[~clear & ~np.isnan(low)]
     n = len(residual)
@@ -140,10 +169,10 @@ def describe(stream):
     )
     if stream["dual"]:
         # BOTH is one return that is the strongest and the last.
-        both = kind == int(vd.ReturnMode.BOTH)
+        both = kind == vd.ReturnMode.BOTH.value
         print(
-            f"  {name}: {both.sum()} single returns, {(kind == int(vd.ReturnMode.LAST)).sum()} last and "
-            f"{(kind == int(vd.ReturnMode.STRONGEST)).sum()} strongest of pairs"
+            f"  {name}: {both.sum()} single returns, {(kind == vd.ReturnMode.LAST.value).sum()} last and "
+            f"{(kind == vd.ReturnMode.STRONGEST.value).sum()} strongest of pairs"
         )
 
 

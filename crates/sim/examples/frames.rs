@@ -2,7 +2,8 @@
 //!
 //! A name is a place, a sequence of Table VII, or `calibration`. For a place or a sequence: pairs of images a tenth of a
 //! second apart through the first camera of the glasses, with the true motion between them. For `calibration`: images of
-//! the AprilGrid through the backpack's first camera and through a phone with a rolling shutter, with the true corners.
+//! the AprilGrid through the backpack's first camera, through a phone with a rolling shutter, and through the same phone
+//! on the same walk as if its shutter were global, with the true corners.
 
 #![allow(clippy::print_stdout, reason = "an example talks to who runs it")]
 
@@ -21,7 +22,7 @@ type Failure = Box<dyn std::error::Error>;
 /// Pairs of images of one walk.
 const PAIRS: u32 = 16;
 /// Images of the board by one camera.
-const BOARDS: u32 = 30;
+const BOARDS: u32 = 60;
 
 fn main() -> Result<(), Failure> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -95,13 +96,19 @@ fn pairs(folder: &Path, name: &str, simulation: &Simulation) -> Result<Value, Fa
 
 fn boards(folder: &Path) -> Result<Value, Failure> {
     let mut all = Vec::new();
-    for (kind, device) in [("global", Device::Glasses), ("rolling", Device::Android)] {
+    for (kind, device) in [
+        ("global", Device::Glasses),
+        ("rolling", Device::Android),
+        ("frozen", Device::Android),
+    ] {
         let mut config = SimConfig::for_place(Place::Calibration, device);
-        // Sharp images in good light: what is measured is where corners are.
+        // Sharp images in good light of a sharp print: what is measured is where corners are.
+        config.texel_m = 0.001;
         for cameras in [&mut config.scan_cameras, &mut config.glasses_cameras] {
             *cameras = CameraConfig {
                 motion_blur: false,
                 jpeg_quality: 0,
+                readout_ns: if kind == "frozen" { 0 } else { cameras.readout_ns },
                 ..cameras.clone()
             };
         }
