@@ -108,7 +108,11 @@ fn boards(folder: &Path) -> Result<Value, Failure> {
             *cameras = CameraConfig {
                 motion_blur: false,
                 jpeg_quality: 0,
-                readout_ns: if kind == "frozen" { 0 } else { cameras.readout_ns },
+                readout_ns: if kind == "frozen" {
+                    0
+                } else {
+                    cameras.readout_ns
+                },
                 ..cameras.clone()
             };
         }

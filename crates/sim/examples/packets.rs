@@ -25,9 +25,17 @@ fn main() -> Result<(), Failure> {
     std::fs::create_dir_all(folder)?;
     let mut streams = Vec::new();
     for (name, model, returns) in [
-        ("vlp32c-strongest", LidarModel::Vlp32c, LidarReturns::Strongest),
+        (
+            "vlp32c-strongest",
+            LidarModel::Vlp32c,
+            LidarReturns::Strongest,
+        ),
         ("vlp32c-dual", LidarModel::Vlp32c, LidarReturns::Dual),
-        ("vlp16-strongest", LidarModel::Vlp16, LidarReturns::Strongest),
+        (
+            "vlp16-strongest",
+            LidarModel::Vlp16,
+            LidarReturns::Strongest,
+        ),
         ("vlp16-dual", LidarModel::Vlp16, LidarReturns::Dual),
     ] {
         let mut config = SimConfig::for_place(Place::MediumOffice, Device::Glasses);
@@ -69,7 +77,8 @@ fn write_world(folder: &Path, simulation: &Simulation) -> Result<(), Failure> {
             glass.push(u8::from(world.is_glass(number)));
         }
     }
-    let floats = |values: &[f32]| -> Vec<u8> { values.iter().flat_map(|v| v.to_le_bytes()).collect() };
+    let floats =
+        |values: &[f32]| -> Vec<u8> { values.iter().flat_map(|v| v.to_le_bytes()).collect() };
     std::fs::write(folder.join("triangles.f32"), floats(&corners))?;
     std::fs::write(folder.join("normals.f32"), floats(&normals))?;
     std::fs::write(folder.join("glass.u8"), glass)?;

@@ -201,10 +201,7 @@ fn data_packet(
 }
 
 /// The state of the clock: locked to the pulse, with the last sentence that came in.
-fn position_packet(
-    rig: &RigSim,
-    offset_ns: i64,
-) -> Result<[u8; POSITION_PACKET_LEN], Error> {
+fn position_packet(rig: &RigSim, offset_ns: i64) -> Result<[u8; POSITION_PACKET_LEN], Error> {
     let time = rig.time(offset_ns);
     let mut packet = PositionPacket::init([0; POSITION_PACKET_LEN])?;
     packet.set_temperatures_celsius(46, 41, 24);

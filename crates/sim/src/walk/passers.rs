@@ -47,7 +47,11 @@ impl Passers {
             visits.push(Visit {
                 from_s,
                 ahead: [ahead.x / length, ahead.y / length],
-                side: if uniform(&rng, -1.0, 1.0) < 0.0 { -1.0 } else { 1.0 },
+                side: if uniform(&rng, -1.0, 1.0) < 0.0 {
+                    -1.0
+                } else {
+                    1.0
+                },
             });
             from_s += every + vary * f64::from(uniform(&rng, -1.0, 1.0));
         }

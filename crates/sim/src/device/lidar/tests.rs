@@ -65,7 +65,8 @@ fn the_driver_reads_every_model_and_return_mode() {
             assert_eq!(packet.product_code(), product.product().code());
             assert_eq!(packet.return_mode_code(), mode.code());
             // Far more than what arrives late would be allowed to.
-            let arrival = Timestamp::from_nanos(k as i64 * i64::from(product.packet_period_ns(mode)));
+            let arrival =
+                Timestamp::from_nanos(k as i64 * i64::from(product.packet_period_ns(mode)));
             let bytes = bytes.to_vec();
             scans.extend(decoder.push(&Packet { arrival, bytes }).expect("good"));
         }

@@ -25,7 +25,13 @@ pub(super) const RAYS: usize = 5;
 /// Where they are, in widths and heights of the beam; a line through the first three meets both sides of most edges.
 pub(super) const PATTERN: [[f64; 2]; RAYS] = {
     const OFF: f64 = 1.0 / 3.0;
-    [[0.0, 0.0], [OFF, OFF], [-OFF, -OFF], [OFF, -OFF], [-OFF, OFF]]
+    [
+        [0.0, 0.0],
+        [OFF, OFF],
+        [-OFF, -OFF],
+        [OFF, -OFF],
+        [-OFF, OFF],
+    ]
 };
 
 /// What sends light back.

@@ -135,7 +135,10 @@ fn world_of(walls: &[(f32, [f32; 2], crate::world::material::Material)]) -> Worl
 fn shots_go_through_glass_and_come_back_from_it_head_on_only() {
     use crate::world::material::Material;
     let across = [4.0, -4.0];
-    let world = world_of(&[(2.0, across, Material::GLASS), (5.0, across, Material::PLASTER)]);
+    let world = world_of(&[
+        (2.0, across, Material::GLASS),
+        (5.0, across, Material::PLASTER),
+    ]);
     let moment = world.moment(0.0, [0.0; 2]);
     let sim = LidarSim::new(Se3::identity(), &LidarConfig::default(), 4);
     let mut from_glass = 0;
@@ -195,8 +198,10 @@ fn a_beam_on_an_edge_is_answered_by_both_surfaces() {
                 // The laser that looks straight ahead.
                 channel: 5,
                 delay_ns: 0,
-                poses: [Se3::new(nalgebra::UnitQuaternion::identity(), Vector3::new(0.0, y, 0.0));
-                    LANES],
+                poses: [Se3::new(
+                    nalgebra::UnitQuaternion::identity(),
+                    Vector3::new(0.0, y, 0.0),
+                ); LANES],
                 azimuths_deg: [1.4; LANES],
             };
             let trail = sim.shoot(&world, &moment, &volley, |lane| lane as u64)[0];
