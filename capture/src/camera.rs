@@ -1,4 +1,4 @@
-//! A stereo unit's thread: frames → two images on the recording's clock, and the samples of the unit's own IMU.
+//! A camera unit's thread: frames → images on the recording's clock, and the samples of the unit's own IMU.
 
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -6,11 +6,10 @@ use std::time::{Duration, Instant};
 use lsfb_drivers::Decoded;
 use lsfb_drivers::camera::model::TRAILER_BYTES;
 use lsfb_drivers::camera::wire::TimeSource;
-use lsfb_drivers::camera::{
-    CameraConfig, Decoder, DecoderConfig, ImuDecoder, MyntCamera, StereoFrame,
-};
+use lsfb_drivers::camera::{Decoder, ImuDecoder, MyntCamera, UnitFrame};
 use lsfb_drivers::transport::PacketSource;
-use lsfb_types::{Image, Packet, Stamped, Timestamp};
+use lsfb_recording::{Attachment, CameraUnit, KeptFile};
+use lsfb_types::{Image, ImuSample, Packet, Stamped, Timestamp};
 
 use crate::clock::OneWayClock;
 use crate::clock::model_topic::{ModelTopic, Reading};
@@ -23,15 +22,53 @@ use crate::session::Control;
 const TICK_NS: u64 = 1_000;
 /// The unit keeps some 50 ms of IMU segments.
 const IMU_PERIOD: Duration = Duration::from_millis(25);
+/// Samples of the IMU before the first frame that are kept until it comes: some seconds.
+const MOST_EARLY_SAMPLES: usize = 4_096;
 /// Of so many pixels one is looked at for saturation.
 const PIXEL_STRIDE: usize = 16;
 
 /// A unit that can be opened again.
 pub(crate) struct Unit {
     pub(crate) camera: MyntCamera,
-    pub(crate) open: CameraConfig,
     pub(crate) config: CameraUnitConfig,
-    pub(crate) decoder: DecoderConfig,
+}
+
+/// Tells the recording which cameras share a unit, and what the units say about themselves.
+pub(crate) fn introduce(units: &[Unit], inlet: &Inlet) {
+    if units.is_empty() {
+        return;
+    }
+    let mut attachments = Vec::new();
+    let mut listed = Vec::new();
+    for Unit { camera, config } in units {
+        let first = config.names.first().map_or("", String::as_str);
+        let kept = camera.files().iter().map(|(file, answer)| {
+            let attachment = format!("unit/{first}/{}.bin", file.id());
+            attachments.push(Attachment {
+                name: attachment.clone(),
+                media_type: "application/octet-stream".to_owned(),
+                bytes: answer.clone(),
+            });
+            KeptFile {
+                id: file.id(),
+                attachment,
+            }
+        });
+        listed.push(CameraUnit {
+            files: kept.collect(),
+            cameras: config.names.clone(),
+            frame_px: config.frame_px,
+            rate_hz: config.rate_hz,
+            imu: config.imu.clone(),
+        });
+    }
+    attachments.push(CameraUnit::attachment(&listed));
+    for attachment in attachments {
+        // A writer that is gone reports itself.
+        let _ = inlet
+            .patient()
+            .put(Entry::Attachment(attachment), &mut StreamReport::default());
+    }
 }
 
 /// Records until the unit ends or the session stops. A unit that goes away may come back.
@@ -52,7 +89,7 @@ pub(crate) fn record(
             Ok(None) => {}
             Err(lsfb_drivers::Error::EndOfStream { .. }) => break Ending::EndOfStream,
             Err(error) => {
-                let reopen = || MyntCamera::open(&unit.open);
+                let reopen = || MyntCamera::open(&unit.config.open());
                 match control.reopen(&mut stream.report, meter, reopen) {
                     Some(camera) => unit.camera = camera,
                     None => break Ending::Lost(error.to_string()),
@@ -67,7 +104,7 @@ pub(crate) fn record(
 }
 
 struct CameraStream {
-    names: [String; 2],
+    names: Vec<String>,
     decoder: Decoder,
     clock: OneWayClock,
     models: Vec<ModelTopic>,
@@ -84,8 +121,10 @@ struct UnitImu {
     answers: u64,
     unanswered: u64,
     model: ModelTopic,
-    /// Whether frames carry external time; the IMU's segments then do too.
-    external: bool,
+    /// Whether frames carry external time, and the IMU's segments with them; unknown before the first frame.
+    external: Option<bool>,
+    /// Samples that wait until that is known.
+    early: Vec<Decoded<ImuSample>>,
 }
 
 impl CameraStream {
@@ -98,7 +137,8 @@ impl CameraStream {
             answers: 0,
             unanswered: 0,
             model: ModelTopic::new(name, TICK_NS, 0),
-            external: false,
+            external: None,
+            early: Vec::new(),
         });
         Self {
             models: names
@@ -106,7 +146,7 @@ impl CameraStream {
                 .map(|n| ModelTopic::new(n, TICK_NS, 0))
                 .collect(),
             names,
-            decoder: Decoder::new(unit.decoder),
+            decoder: Decoder::new(unit.config.decoder()),
             clock: OneWayClock::default(),
             imu,
             report: meter.report(),
@@ -132,8 +172,9 @@ impl CameraStream {
         self.report.received += 1;
         match self.decoder.push(packet) {
             Ok(Some(decoded)) => {
+                let images = decoded.sample.images.len() as u64;
                 self.images(decoded, packet, inlet, meter)?;
-                control.progress.images.fetch_add(2, Ordering::Relaxed);
+                control.progress.images.fetch_add(images, Ordering::Relaxed);
             }
             Ok(None) => {}
             Err(error) => self.report.count_bad(error),
@@ -145,7 +186,7 @@ impl CameraStream {
 
     fn images(
         &mut self,
-        decoded: Decoded<StereoFrame>,
+        decoded: Decoded<UnitFrame>,
         packet: &Packet,
         inlet: &Inlet,
         meter: &Meter,
@@ -165,12 +206,11 @@ impl CameraStream {
         };
         let time = stamp.plus_nanos(frame.mid_exposure_from_stamp_ns);
         if let Some(imu) = &mut self.imu {
-            imu.external = external;
+            imu.external = Some(external);
         }
-        meter.set_frame(
-            f64::from(frame.left.exposure_ns) / 1e6,
-            saturated_share(&frame.left),
-        );
+        if let Some(first) = frame.images.first() {
+            meter.set_frame(f64::from(first.exposure_ns) / 1e6, saturated_share(first));
+        }
         let reading = if external {
             Some(Reading::Locked {
                 device_ns,
@@ -186,10 +226,10 @@ impl CameraStream {
                 inlet.put(entry, &mut self.report)?;
             }
         }
-        // The trailer lies under the last pixels of the right image.
+        // The trailer lies under the last pixels of the last image.
         let trailer_at = packet.bytes.len().saturating_sub(TRAILER_BYTES);
         let trailer = packet.bytes.get(trailer_at..).unwrap_or_default();
-        for (camera, sample) in self.names.iter().zip([frame.left, frame.right]) {
+        for (camera, sample) in self.names.iter().zip(frame.images) {
             let entry = Entry::Image {
                 camera: camera.clone(),
                 image: Stamped {
@@ -220,35 +260,43 @@ impl CameraStream {
             imu.unanswered += 1;
             return Ok(());
         };
-        let samples = imu.decoder.push(&answer).unwrap_or_default();
+        // A bad answer is counted by the decoder.
+        imu.early
+            .extend(imu.decoder.push(&answer).unwrap_or_default());
         let arrival = answer.arrival;
         let raw = Entry::Raw {
             source: imu.name.clone(),
+            kind: 0,
             sequence: imu.answers,
             packet: answer,
             time: arrival,
         };
         imu.answers += 1;
         inlet.put(raw, &mut self.report)?;
-        for decoded in samples {
+        let Some(external) = imu.external else {
+            let excess = imu.early.len().saturating_sub(MOST_EARLY_SAMPLES);
+            imu.early.drain(..excess);
+            return Ok(());
+        };
+        for decoded in std::mem::take(&mut imu.early) {
             let device_ns = decoded
                 .device_ticks
                 .cast_signed()
                 .saturating_mul(TICK_NS.cast_signed());
             // One counter for frames and segments; the answers, 25 ms late, would only blur it.
-            let time = if imu.external {
+            let time = if external {
                 Timestamp::from_nanos(device_ns)
             } else {
                 self.clock.time(device_ns)
             };
-            let reading = if imu.external {
+            let reading = if external {
                 Some(Reading::Locked { device_ns, time })
             } else {
                 self.clock.estimate().map(Reading::Fitted)
             };
-            // Before the first frame nothing is known of the unit's clock; the bytes are recorded.
-            let Some(reading) = reading else { continue };
-            if imu.model.is_due(arrival) {
+            if let Some(reading) = reading
+                && imu.model.is_due(arrival)
+            {
                 inlet.put(imu.model.entry(&reading, time, arrival), &mut self.report)?;
             }
             let entry = Entry::Imu {
@@ -293,6 +341,14 @@ impl CameraStream {
                 "{}: {} segments, {} missing, {} unpaired",
                 imu.name, counters.segments, counters.missing, counters.unpaired
             ));
+            if counters.gaps > 0 {
+                self.report.notes.push(format!(
+                    "{}: {} gaps, the longest of {:.0} ms",
+                    imu.name,
+                    counters.gaps,
+                    counters.longest_gap_us as f64 / 1e3
+                ));
+            }
         }
         self.report
     }

@@ -1,8 +1,11 @@
 //! Which devices are recorded: `devices.toml`.
 
+use std::collections::BTreeSet;
 use std::net::{IpAddr, SocketAddr};
 use std::path::{Path, PathBuf};
 
+use lsfb_drivers::camera::model::FrameFormat;
+use lsfb_drivers::camera::{self, CameraConfig, Exposure};
 use lsfb_drivers::velodyne::model::Model;
 use lsfb_drivers::velodyne::{DecoderConfig, ModelChoice, VelodyneConfig};
 use lsfb_recording::{Compression, Durability, Existing};
@@ -33,10 +36,10 @@ pub struct DevicesConfig {
     pub recorder: RecorderConfig,
     /// Velodyne sensor.
     pub lidar: Option<LidarNetConfig>,
-    /// Mynt stereo units.
+    /// Mynt units: together they form the camera group.
     #[serde(rename = "camera")]
     pub cameras: Vec<CameraUnitConfig>,
-    /// Xsens IMU.
+    /// The rig's IMU.
     pub imu: Option<ImuLineConfig>,
     /// Phones and glasses.
     pub sidecar: Option<SidecarConfig>,
@@ -153,18 +156,56 @@ impl LidarNetConfig {
     }
 }
 
-/// One Mynt stereo unit.
+/// Which instant of the exposure the stamps of a camera unit mark.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum StampInstant {
+    /// The shutter opens.
+    ExposureStart,
+    /// Half-way: stamps are taken as they are.
+    #[default]
+    ExposureMiddle,
+    /// The shutter closes, as owners report of some units.
+    ExposureEnd,
+}
+
+/// Who chooses exposure time and gain of a camera unit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", tag = "mode", deny_unknown_fields)]
+pub enum ExposureConfig {
+    /// As the unit is.
+    #[default]
+    Unchanged,
+    /// The unit, within limits.
+    Automatic {
+        /// Largest gain.
+        max_gain: u16,
+        /// Longest exposure, steps of 0.1 ms.
+        max_exposure_steps: u16,
+        /// Mean grey value that it aims at.
+        desired_brightness: u16,
+    },
+    /// Every frame alike.
+    Manual {
+        /// Gain.
+        gain: u16,
+        /// Exposure time, in the unit's steps of its brightness control.
+        exposure: u16,
+    },
+}
+
+/// One Mynt unit: a stereo unit, or one of any number of cameras whose images lie side by side in its frames.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraUnitConfig {
-    /// Its socket.
+    /// Its capture node, or the socket of a mock unit.
     pub path: PathBuf,
     /// Serial number it must have; empty accepts any.
     #[serde(default)]
     pub serial: String,
-    /// Names of the left and the right camera in the rig.
-    pub names: [String; 2],
-    /// Frame size, pixels: `[1280, 400]` or `[2560, 800]`.
+    /// Names of its cameras in the rig, left to right.
+    pub names: Vec<String>,
+    /// Size of a frame with all images, pixels: of a stereo unit `[1280, 400]` or `[2560, 800]`.
     #[serde(default = "CameraUnitConfig::default_frame")]
     pub frame_px: [u32; 2],
     /// Frames per second.
@@ -173,9 +214,29 @@ pub struct CameraUnitConfig {
     /// Name of the unit's own IMU in the recording, as `imu1`; without a name it is not asked.
     #[serde(default)]
     pub imu: Option<String>,
+    /// Which instant of the exposure its stamps mark.
+    #[serde(default)]
+    pub stamp: StampInstant,
+    /// Exposure time and gain; what is set is read back.
+    #[serde(default)]
+    pub exposure: ExposureConfig,
 }
 
 impl CameraUnitConfig {
+    /// A stereo unit of 640×400 at 10 Hz with the factory's settings.
+    pub fn stereo(path: PathBuf, names: [String; 2]) -> Self {
+        Self {
+            path,
+            serial: String::new(),
+            names: names.to_vec(),
+            frame_px: Self::default_frame(),
+            rate_hz: Self::default_rate(),
+            imu: None,
+            stamp: StampInstant::default(),
+            exposure: ExposureConfig::default(),
+        }
+    }
+
     fn default_frame() -> [u32; 2] {
         [1280, 400]
     }
@@ -183,18 +244,81 @@ impl CameraUnitConfig {
     fn default_rate() -> u32 {
         10
     }
+
+    pub(crate) fn format(&self) -> FrameFormat {
+        FrameFormat {
+            width: self.frame_px[0],
+            height: self.frame_px[1],
+        }
+    }
+
+    /// What the driver opens.
+    pub(crate) fn open(&self) -> CameraConfig {
+        CameraConfig {
+            path: self.path.clone(),
+            serial: self.serial.clone(),
+            format: self.format(),
+            rate_hz: self.rate_hz,
+            options: Vec::new(),
+            exposure: match self.exposure {
+                ExposureConfig::Unchanged => Exposure::Unchanged,
+                ExposureConfig::Automatic {
+                    max_gain,
+                    max_exposure_steps,
+                    desired_brightness,
+                } => Exposure::Automatic {
+                    max_gain,
+                    max_exposure_steps,
+                    desired_brightness,
+                },
+                ExposureConfig::Manual { gain, exposure } => Exposure::Manual { gain, exposure },
+            },
+        }
+    }
+
+    /// How its frames are read.
+    pub(crate) fn decoder(&self) -> camera::DecoderConfig {
+        camera::DecoderConfig {
+            format: self.format(),
+            cameras: self.names.len() as u32,
+            stamp: match self.stamp {
+                StampInstant::ExposureStart => camera::StampInstant::ExposureStart,
+                StampInstant::ExposureMiddle => camera::StampInstant::ExposureMiddle,
+                StampInstant::ExposureEnd => camera::StampInstant::ExposureEnd,
+            },
+            ..camera::DecoderConfig::default()
+        }
+    }
 }
 
-/// An IMU on a serial line.
+/// What an inertial unit speaks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ImuFamily {
+    /// Xsens MTData2 on a serial line.
+    #[default]
+    Xsens,
+    /// MicroStrain MIP on a serial line.
+    Microstrain,
+    /// SBG on a CAN bus; what it sends is set in the unit beforehand.
+    Sbg,
+    /// The unit in a Mynt D camera, on USB (feature `hardware`); it sends as soon as it has power.
+    MyntD,
+}
+
+/// The rig's IMU.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ImuLineConfig {
-    /// The line.
+    /// What it speaks.
+    #[serde(default)]
+    pub family: ImuFamily,
+    /// The serial line, the usbfs node, or the name of the CAN interface.
     pub path: PathBuf,
-    /// Speed, baud.
+    /// Speed of a serial line, baud.
     #[serde(default = "ImuLineConfig::default_baud")]
     pub baud: u32,
-    /// Samples per second.
+    /// Samples per second, of units that are told on a serial line.
     #[serde(default = "ImuLineConfig::default_rate")]
     pub rate_hz: u16,
 }
@@ -238,10 +362,32 @@ impl DevicesConfig {
         if let Some(second) = &mut config.recorder.second_folder {
             *second = folder.join(&*second);
         }
-        if let Some(imu) = &mut config.imu {
+        // A CAN interface is no file.
+        if let Some(imu) = &mut config.imu
+            && imu.family != ImuFamily::Sbg
+        {
             imu.path = folder.join(&imu.path);
         }
         Ok(config)
+    }
+
+    /// Refuses cameras that cannot be told apart, or whose images do not fill a frame.
+    pub(crate) fn check_cameras(&self) -> Result<(), Error> {
+        let mut known = BTreeSet::new();
+        for unit in &self.cameras {
+            let names = unit.names.join(", ");
+            let problem = if unit.format().image_width(unit.names.len() as u32).is_none() {
+                let [width, height] = unit.frame_px;
+                let count = unit.names.len();
+                format!("{count} images do not fill a frame of {width}x{height}")
+            } else if let Some(name) = unit.names.iter().find(|n| !known.insert(n.as_str())) {
+                format!("{name} is there twice")
+            } else {
+                continue;
+            };
+            return Err(Error::Cameras { names, problem });
+        }
+        Ok(())
     }
 
     /// What all devices together write at most, bytes per second, unless [`RecorderConfig::expected_bytes_per_sec`] says.
@@ -285,12 +431,12 @@ mod tests {
         let config = DevicesConfig {
             lidar: Some(LidarNetConfig::default()),
             cameras: vec![CameraUnitConfig {
-                path: "/run/lsfb/front".into(),
-                serial: String::new(),
-                names: ["cam0".into(), "cam1".into()],
-                frame_px: [1280, 400],
-                rate_hz: 10,
-                imu: None,
+                stamp: StampInstant::ExposureEnd,
+                exposure: ExposureConfig::Manual {
+                    gain: 24,
+                    exposure: 90,
+                },
+                ..CameraUnitConfig::stereo("/run/lsfb/front".into(), ["cam0".into(), "cam1".into()])
             }],
             ..DevicesConfig::default()
         };
@@ -304,5 +450,40 @@ mod tests {
                 && message.lines().count() == 1,
             "{message}"
         );
+    }
+
+    #[test]
+    fn cameras_that_share_a_name_or_do_not_fill_a_frame_are_refused() {
+        let with = |names: &[&[&str]]| DevicesConfig {
+            cameras: names
+                .iter()
+                .map(|names| CameraUnitConfig {
+                    names: names.iter().map(|n| (*n).to_owned()).collect(),
+                    ..CameraUnitConfig::stereo(PathBuf::new(), Default::default())
+                })
+                .collect(),
+            ..DevicesConfig::default()
+        };
+        for good in [
+            &[&["cam0"][..], &["cam1"]][..],
+            &[&["a", "b", "c", "d"], &["e", "f"]],
+        ] {
+            assert!(with(good).check_cameras().is_ok(), "{good:?}");
+        }
+        for (bad, expected) in [
+            (&[&["cam0", "cam0"][..]][..], "cam0 is there twice"),
+            (
+                &[&["cam0", "cam1"], &["cam1", "cam2"]],
+                "cam1 is there twice",
+            ),
+            (
+                &[&["a", "b", "c"]],
+                "3 images do not fill a frame of 1280x400",
+            ),
+            (&[&[]], "0 images"),
+        ] {
+            let message = with(bad).check_cameras().unwrap_err().to_string();
+            assert!(message.contains(expected), "{message}");
+        }
     }
 }

@@ -38,6 +38,14 @@ pub enum Error {
         /// What is wrong.
         message: String,
     },
+    /// A camera unit of the list of devices is unusable.
+    #[error("camera unit [{names}]: {problem}")]
+    Cameras {
+        /// Names of its cameras.
+        names: String,
+        /// What is wrong.
+        problem: String,
+    },
     /// The list of devices names none.
     #[error("no device is configured; name at least one of [lidar], [[camera]], [imu], [sidecar]")]
     NoDevice,

@@ -1,118 +1,119 @@
-//! The IMU's thread: bytes → readings → samples on the recording's clock.
+//! The IMU's thread: packets → readings → samples on the recording's clock.
+
+mod unit;
 
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use lsfb_drivers::Decoded;
-use lsfb_drivers::imu::model::SAMPLE_TIME_FINE_NS;
-use lsfb_drivers::imu::{Decoder, DecoderConfig, ImuConfig, ImuReading, XsensImu};
-use lsfb_drivers::transport::PacketSource;
 use lsfb_types::{Stamped, Timestamp};
 
-use crate::clock::model_topic::{ModelTopic, Reading};
+use crate::clock::model_topic::{self, ModelTopic};
 use crate::clock::{OneWayClock, Unwrap};
+use crate::config::{ImuFamily, ImuLineConfig};
 use crate::health::{Ending, Meter, StreamReport};
 use crate::recorder::{Entry, Inlet, WriterGone};
 use crate::session::Control;
 
+pub(crate) use unit::ImuUnit;
+use unit::{ImuDecoder, Reading};
+
 /// Name of the backpack's IMU in topics.
 pub(crate) const IMU: &str = "imu0";
-/// `SampleTimeFine` wraps at 2³² ticks.
-const TICKS_PERIOD: i64 = 1 << 32;
 
 struct Clock {
     unwrap: Unwrap,
+    counter: unit::Counter,
     one_way: OneWayClock,
     model: ModelTopic,
     without_utc: u64,
 }
 
 impl Clock {
-    fn new() -> Self {
+    fn new(family: ImuFamily) -> Self {
+        let counter = family.counter();
         Self {
             unwrap: Unwrap::default(),
+            counter,
             one_way: OneWayClock::default(),
-            model: ModelTopic::new(IMU, SAMPLE_TIME_FINE_NS, TICKS_PERIOD.cast_unsigned()),
+            model: ModelTopic::new(IMU, counter.tick_ns, counter.period_ticks.cast_unsigned()),
             without_utc: 0,
         }
     }
 
-    fn time(&mut self, reading: &Decoded<ImuReading>) -> Timed {
-        let ticks = self
-            .unwrap
-            .unwrap(reading.device_ticks.cast_signed(), TICKS_PERIOD);
-        let device_ns = ticks.saturating_mul(SAMPLE_TIME_FINE_NS.cast_signed());
-        if let Some(utc_ns) = reading.sample.utc_ns {
-            let time = Timestamp::from_nanos(utc_ns);
+    fn time(&mut self, reading: &Reading) -> Timed {
+        let ticks = i64::try_from(reading.device_ticks).unwrap_or(i64::MAX);
+        let ticks = match self.counter.period_ticks {
+            0 => ticks,
+            period => self.unwrap.unwrap(ticks, period),
+        };
+        let device_ns = ticks.saturating_mul(self.counter.tick_ns.cast_signed());
+        if let Some(time) = reading.utc {
             return Timed {
                 time,
-                reading: Some(Reading::Locked { device_ns, time }),
+                how: Some(model_topic::Reading::Locked { device_ns, time }),
             };
         }
         self.without_utc += 1;
         self.one_way.push(device_ns, reading.arrival);
         Timed {
             time: self.one_way.time(device_ns),
-            reading: self.one_way.estimate().map(Reading::Fitted),
+            how: self.one_way.estimate().map(model_topic::Reading::Fitted),
         }
     }
 }
 
-/// A sample's time, and where it comes from.
+/// A reading's time, and where it comes from.
 struct Timed {
     time: Timestamp,
-    reading: Option<Reading>,
+    how: Option<model_topic::Reading>,
 }
 
-/// A line that can be opened again.
+/// A unit that can be opened again.
 pub(crate) struct Line {
-    pub(crate) unit: XsensImu,
-    pub(crate) open: ImuConfig,
+    pub(crate) unit: ImuUnit,
+    pub(crate) config: ImuLineConfig,
 }
 
-/// Records until the line ends or the session stops. A unit that goes away may come back.
+/// Records until the unit ends or the session stops. A unit that goes away may come back.
 pub(crate) fn record(
     mut line: Line,
     inlet: &Inlet,
     control: &Control,
     meter: &Meter,
 ) -> StreamReport {
-    let mut report = meter.report();
-    let mut decoder = Decoder::new(DecoderConfig::default());
-    let mut clock = Clock::new();
-    report.ending = loop {
+    let mut stream = ImuStream::new(line.config.family, meter);
+    stream.report.ending = loop {
         match line.unit.recv(Duration::from_millis(50)) {
             Ok(Some(packet)) => {
-                decoder.push(&packet);
-                let readings = std::iter::from_fn(|| decoder.next_reading()).collect::<Vec<_>>();
+                let readings = stream.decoder.push(&packet);
                 let time = packet.arrival;
                 let raw = Entry::Raw {
                     source: IMU.to_owned(),
-                    sequence: report.received,
+                    kind: line.config.family.raw_kind(),
+                    sequence: stream.report.received,
                     packet,
                     time,
                 };
-                report.received += 1;
-                if inlet
-                    .put(raw, &mut report)
-                    .and_then(|()| put(readings, &mut clock, inlet, &mut report, meter))
-                    .is_err()
-                {
+                stream.report.received += 1;
+                let put = inlet
+                    .put(raw, &mut stream.report)
+                    .and_then(|()| stream.put(readings, inlet, meter));
+                if put.is_err() {
                     break Ending::Stopped;
                 }
-                take_counters(&mut report, &decoder);
-                meter.heard(&report);
+                stream.take_counters(line.unit.kernel_drops());
+                meter.heard(&stream.report);
                 control
                     .progress
                     .imu_samples
-                    .store(report.decoded, Ordering::Relaxed);
+                    .store(stream.report.decoded, Ordering::Relaxed);
             }
             Ok(None) if control.is_stopping() => break Ending::Stopped,
             Ok(None) => {}
             Err(lsfb_drivers::Error::EndOfStream { .. }) => break Ending::EndOfStream,
             Err(error) => {
-                let reopen = || XsensImu::open(&line.open);
-                match control.reopen(&mut report, meter, reopen) {
+                let reopen = || ImuUnit::open(&line.config);
+                match control.reopen(&mut stream.report, meter, reopen) {
                     Some(unit) => line.unit = unit,
                     None => break Ending::Lost(error.to_string()),
                 }
@@ -122,71 +123,88 @@ pub(crate) fn record(
             break Ending::Stopped;
         }
     };
+    let readings = stream.decoder.finish();
     // A failed writer reports itself.
-    let _ = put(decoder.finish(), &mut clock, inlet, &mut report, meter);
-    take_counters(&mut report, &decoder);
-    let counters = decoder.counters();
-    if counters.skipped_bytes > 0 {
-        report.notes.push(format!(
-            "{} bytes belong to no message",
-            counters.skipped_bytes
-        ));
-    }
-    if counters.device_errors > 0 {
-        report.notes.push(format!(
-            "the unit reported {} errors",
-            counters.device_errors
-        ));
-    }
-    if clock.without_utc > 0 {
-        report.notes.push(format!(
-            "{} samples without UTC: their time is fitted to arrival",
-            clock.without_utc
-        ));
-    }
-    report
+    let _ = stream.put(readings, inlet, meter);
+    stream.finish(line.unit.kernel_drops())
 }
 
-fn take_counters(report: &mut StreamReport, decoder: &Decoder) {
-    let counters = decoder.counters();
-    report.bad = counters.bad_checksums + counters.bad_items;
-    report.missing = counters.missing;
-    report.duplicated = counters.duplicated;
+struct ImuStream {
+    decoder: ImuDecoder,
+    clock: Clock,
+    report: StreamReport,
 }
 
-fn put(
-    readings: Vec<Decoded<ImuReading>>,
-    clock: &mut Clock,
-    inlet: &Inlet,
-    report: &mut StreamReport,
-    meter: &Meter,
-) -> Result<(), WriterGone> {
-    for reading in readings {
-        let Timed { time, reading: how } = clock.time(&reading);
-        if let Some(celsius) = reading.sample.temperature_celsius {
-            meter.set_temperature(celsius);
+impl ImuStream {
+    fn new(family: ImuFamily, meter: &Meter) -> Self {
+        Self {
+            decoder: ImuDecoder::new(family),
+            clock: Clock::new(family),
+            report: meter.report(),
         }
-        if let Some(how) = how
-            && clock.model.is_due(reading.arrival)
-        {
-            meter.set_sync(how.sync_state());
-            inlet.put(clock.model.entry(&how, time, reading.arrival), report)?;
-        }
-        let Some(sample) = reading.sample.sample else {
-            continue;
-        };
-        report.decoded += 1;
-        let sample = Stamped {
-            time,
-            arrival: reading.arrival,
-            device_ticks: reading.device_ticks,
-            sample,
-        };
-        let entry = Entry::Imu {
-            imu: IMU.to_owned(),
-            sample,
-        };
-        inlet.put(entry, report)?;
     }
-    Ok(())
+
+    fn put(
+        &mut self,
+        readings: Vec<Reading>,
+        inlet: &Inlet,
+        meter: &Meter,
+    ) -> Result<(), WriterGone> {
+        for reading in readings {
+            let Timed { time, how } = self.clock.time(&reading);
+            if let Some(celsius) = reading.temperature_celsius {
+                meter.set_temperature(celsius);
+            }
+            if let Some(how) = how
+                && self.clock.model.is_due(reading.arrival)
+            {
+                meter.set_sync(how.sync_state());
+                let model = self.clock.model.entry(&how, time, reading.arrival);
+                inlet.put(model, &mut self.report)?;
+            }
+            let Some(sample) = reading.sample else {
+                continue;
+            };
+            self.report.decoded += 1;
+            let sample = Stamped {
+                time,
+                arrival: reading.arrival,
+                device_ticks: reading.device_ticks,
+                sample,
+            };
+            let entry = Entry::Imu {
+                imu: IMU.to_owned(),
+                sample,
+            };
+            inlet.put(entry, &mut self.report)?;
+        }
+        Ok(())
+    }
+
+    /// What the kernel dropped is among the missing where the unit counts, and is missing where it does not.
+    fn take_counters(&mut self, kernel_drops: u64) {
+        let tally = self.decoder.tally();
+        self.report.bad = tally.bad;
+        self.report.missing = tally.missing.max(u64::from(kernel_drops > 0));
+        self.report.duplicated = tally.duplicated;
+    }
+
+    fn finish(mut self, kernel_drops: u64) -> StreamReport {
+        self.take_counters(kernel_drops);
+        let without_utc = (
+            self.clock.without_utc,
+            "samples without UTC: their time is fitted to arrival",
+        );
+        let drops = (
+            kernel_drops,
+            "frames dropped by the kernel because nobody took them in time",
+        );
+        let remarks = self.decoder.tally().remarks;
+        for (count, what) in remarks.into_iter().chain([without_utc, drops]) {
+            if count > 0 {
+                self.report.notes.push(format!("{count} {what}"));
+            }
+        }
+        self.report
+    }
 }

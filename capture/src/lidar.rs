@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use lsfb_drivers::transport::PacketSource;
 use lsfb_drivers::transport::udp::UdpSource;
-use lsfb_drivers::velodyne::nmea::Rmc;
+use lsfb_drivers::velodyne::nmea::Sentence;
 use lsfb_drivers::velodyne::wire::{
     DATA_PACKET_LEN, DataPacket, POSITION_PACKET_LEN, PositionPacket, PpsStatus,
 };
@@ -87,6 +87,7 @@ impl LidarStream {
                 let time = packet.arrival;
                 let raw = Entry::Raw {
                     source: STRANGE.to_owned(),
+                    kind: 0,
                     sequence: self.report.bad,
                     packet,
                     time,
@@ -109,13 +110,14 @@ impl LidarStream {
         match PositionPacket::new(packet.bytes.as_slice()) {
             Ok(position) => {
                 let toh_ns = i64::from(position.timestamp_us()) * 1000;
-                let sentence = Rmc::parse(position.nmea()).ok().filter(|rmc| rmc.valid);
+                let about_secs = packet.arrival.nanos().div_euclid(1_000_000_000);
+                let sentence = Sentence::parse(position.nmea()).ok();
+                let named_secs = sentence.and_then(|sentence| sentence.unix_secs(about_secs));
                 self.clock.fix(&PositionFix {
                     toh_ns,
                     pps_locked: position.pps_status() == PpsStatus::Locked,
-                    sentence: sentence.map(|rmc| {
-                        Timestamp::from_nanos(rmc.unix_secs().saturating_mul(1_000_000_000))
-                    }),
+                    sentence: named_secs
+                        .map(|secs| Timestamp::from_nanos(secs.saturating_mul(1_000_000_000))),
                 });
                 self.meter
                     .set_temperature(f64::from(position.top_temperature_celsius()));
@@ -127,6 +129,7 @@ impl LidarStream {
         }
         let raw = Entry::Raw {
             source: LIDAR_POSITION.to_owned(),
+            kind: 0,
             sequence: self.positions,
             packet,
             time,

@@ -15,8 +15,8 @@ use std::time::{Duration, Instant};
 
 use lsfb_drivers::phone::Receipt;
 use lsfb_geometry::Rig;
-use lsfb_recording::Summary;
 use lsfb_recording::message::{self, Schema};
+use lsfb_recording::{Attachment, Summary};
 use lsfb_types::{Image, ImuSample, LidarScan, Packet, Stamped, Timestamp};
 
 use crate::config::{Overflow, RecorderConfig};
@@ -61,6 +61,8 @@ pub(crate) enum Entry {
     /// Bytes as received.
     Raw {
         source: String,
+        /// The driver's numbering of its traffic.
+        kind: u16,
         sequence: u64,
         packet: Packet,
         time: Timestamp,
@@ -78,6 +80,8 @@ pub(crate) enum Entry {
     },
     /// A message of a sidecar that is not recorded; its sender may forget it when those before it are in the file.
     Skipped(Receipt),
+    /// A file for this part and all that follow.
+    Attachment(Attachment),
     /// The rig of a device that brings its own.
     Rig { owner: String, rig: Box<Rig> },
     /// What the recorder says itself.
@@ -103,6 +107,7 @@ impl Entry {
             }
             Self::Raw { packet, .. } => packet.bytes.len(),
             Self::Cdr { bytes, .. } => bytes.len(),
+            Self::Attachment(attachment) => attachment.bytes.len(),
             Self::Own(message) | Self::ClockModel { message, .. } => message.bytes.len(),
             Self::Imu { .. } | Self::Skipped(_) | Self::Rig { .. } | Self::Ended(_) => 0,
         };

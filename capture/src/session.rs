@@ -7,9 +7,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use lsfb_drivers::camera::model::FrameFormat;
-use lsfb_drivers::camera::{CameraConfig, DecoderConfig, MyntCamera};
-use lsfb_drivers::imu::{ImuConfig, XsensImu};
+use lsfb_drivers::camera::MyntCamera;
 use lsfb_drivers::phone::{self, SidecarServer};
 use lsfb_drivers::transport::udp::UdpSource;
 use lsfb_drivers::velodyne::{self, VelodyneConfig};
@@ -124,6 +122,7 @@ impl Session {
         {
             return Err(Error::NoDevice);
         }
+        config.check_cameras()?;
         let rig = config.rig.as_deref().map(Rig::read).transpose()?;
         let lidar = match &config.lidar {
             Some(net) => Some(velodyne::open(&VelodyneConfig {
@@ -204,14 +203,11 @@ impl Session {
         recorder::make_folder(out)?;
         self.check_space(out)?;
         let (cameras, imu) = open_devices(&self.config)?;
-        let names: Vec<Vec<String>> = self
-            .config
-            .cameras
-            .iter()
-            .map(|c| c.names.to_vec())
-            .collect();
+        let units = self.config.cameras.iter();
+        let names: Vec<Vec<String>> = units.map(|unit| unit.names.clone()).collect();
         let settings = &self.config.recorder;
         let recorder = Recorder::start(out, self.rig, &names, settings, self.config.overflow)?;
+        camera::introduce(&cameras, &recorder.inlet());
         let finite =
             cameras.len() + usize::from(imu.is_some()) + usize::from(self.sidecar.is_some());
         let control = Arc::new(Control {
@@ -285,37 +281,19 @@ impl Session {
 fn open_devices(config: &DevicesConfig) -> Result<(Vec<camera::Unit>, Option<imu::Line>), Error> {
     let mut cameras = Vec::new();
     for unit in &config.cameras {
-        let format = FrameFormat {
-            width: unit.frame_px[0],
-            height: unit.frame_px[1],
-        };
-        let open = CameraConfig {
-            path: unit.path.clone(),
-            serial: unit.serial.clone(),
-            format,
-            rate_hz: unit.rate_hz,
-            ..CameraConfig::default()
-        };
         cameras.push(camera::Unit {
-            camera: MyntCamera::open(&open)?,
-            open,
+            camera: MyntCamera::open(&unit.open())?,
             config: unit.clone(),
-            decoder: DecoderConfig {
-                format,
-                ..DecoderConfig::default()
-            },
         });
     }
     let Some(line) = &config.imu else {
         return Ok((cameras, None));
     };
-    let open = ImuConfig {
-        path: line.path.clone(),
-        baud: line.baud,
-        rate_hz: line.rate_hz,
+    let line = imu::Line {
+        unit: imu::ImuUnit::open(line)?,
+        config: line.clone(),
     };
-    let unit = XsensImu::open(&open)?;
-    Ok((cameras, Some(imu::Line { unit, open })))
+    Ok((cameras, Some(line)))
 }
 
 /// Whether a device says when it has no more to send.

@@ -15,8 +15,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use lsfb_capture::{
-    CameraUnitConfig, CaptureReport, DevicesConfig, Ending, ImuLineConfig, LidarNetConfig,
-    Overflow, RecorderConfig, Session, SidecarConfig, StreamReport, Tapped,
+    CameraUnitConfig, CaptureReport, DevicesConfig, Ending, ImuFamily, ImuLineConfig,
+    LidarNetConfig, Overflow, RecorderConfig, Session, SidecarConfig, StreamReport, Tapped,
 };
 use lsfb_recording::message::{Remark, decode_remark};
 use lsfb_recording::{LIDAR_POSITION, REMARKS, Recording};
@@ -27,18 +27,12 @@ const LOOPBACK: SocketAddr =
     SocketAddr::new(std::net::IpAddr::V4(std::net::Ipv4Addr::LOCALHOST), 0);
 
 fn unit(path: &Path, names: [&str; 2]) -> CameraUnitConfig {
-    CameraUnitConfig {
-        path: path.to_owned(),
-        serial: String::new(),
-        names: names.map(str::to_owned),
-        frame_px: [1280, 400],
-        rate_hz: 10,
-        imu: None,
-    }
+    CameraUnitConfig::stereo(path.to_owned(), names.map(str::to_owned))
 }
 
 fn line(path: &Path) -> ImuLineConfig {
     ImuLineConfig {
+        family: ImuFamily::Xsens,
         path: path.to_owned(),
         baud: 921_600,
         rate_hz: 200,

@@ -32,6 +32,7 @@
 
 mod byte_stream;
 pub mod camera;
+mod conversation;
 mod decoded;
 mod error;
 pub mod imu;

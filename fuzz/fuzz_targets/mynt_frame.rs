@@ -3,7 +3,7 @@
 
 use libfuzzer_sys::fuzz_target;
 use lsfb_drivers::camera::model::FrameFormat;
-use lsfb_drivers::camera::wire::{Frame, Side, Trailer};
+use lsfb_drivers::camera::wire::{Frame, Trailer, emit_frame};
 use lsfb_drivers::camera::{ChecksumRule, Decoder, DecoderConfig};
 use lsfb_types::{Packet, Timestamp};
 
@@ -17,9 +17,16 @@ fuzz_target!(|data: &[u8]| {
         let written = trailer.emit();
         assert_eq!(Trailer::parse(&written), Ok(trailer));
     }
-    let mut decoders = [ChecksumRule::Required, ChecksumRule::Ignored].map(|checksum| {
+    let kinds = [
+        (ChecksumRule::Required, 2),
+        (ChecksumRule::Ignored, 2),
+        (ChecksumRule::Ignored, 1),
+        (ChecksumRule::Ignored, 3),
+    ];
+    let mut decoders = kinds.map(|(checksum, cameras)| {
         Decoder::new(DecoderConfig {
             format: FORMAT,
+            cameras,
             checksum,
             ..DecoderConfig::default()
         })
@@ -34,7 +41,12 @@ fuzz_target!(|data: &[u8]| {
     };
     for bytes in data.chunks(len) {
         if let Ok(frame) = Frame::new(bytes, FORMAT) {
-            assert_eq!(frame.grey(Side::Left).len(), frame.grey(Side::Right).len());
+            let images = frame.images(2).expect("two images fill the frame");
+            let parts: Vec<&[u8]> = images.iter().map(Vec::as_slice).collect();
+            let mut written = Vec::new();
+            emit_frame(FORMAT, &parts, &frame.trailer(), &mut written).expect("images of a frame");
+            let again = Frame::new(written.as_slice(), FORMAT).and_then(|frame| frame.images(2));
+            assert_eq!(again, Ok(images));
         }
         let packet = Packet {
             arrival: Timestamp::default(),

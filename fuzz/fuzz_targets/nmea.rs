@@ -2,7 +2,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use lsfb_drivers::velodyne::nmea::Rmc;
+use lsfb_drivers::velodyne::nmea::{Gga, Rmc, Sentence};
 
 fuzz_target!(|data: &[u8]| {
     // The checksum is ours, so that the fuzzer need not guess it.
@@ -14,5 +14,13 @@ fuzz_target!(|data: &[u8]| {
         let _ = read.unix_secs();
         let written = read.emit();
         assert_eq!(Rmc::parse(written.as_bytes()), Ok(read), "{written}");
+    }
+    let _ = Gga::parse(data);
+    if let Ok(read) = Gga::parse(&sentence) {
+        let written = read.emit();
+        assert_eq!(Gga::parse(written.as_bytes()), Ok(read), "{written}");
+    }
+    for about_secs in [i64::MIN, 0, 1_772_359_200, i64::MAX] {
+        let _ = Sentence::parse(&sentence).map(|read| read.unix_secs(about_secs));
     }
 });

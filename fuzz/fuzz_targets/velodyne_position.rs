@@ -2,7 +2,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use lsfb_drivers::velodyne::nmea::Rmc;
+use lsfb_drivers::velodyne::nmea::Sentence;
 use lsfb_drivers::velodyne::wire::{POSITION_PACKET_LEN, PositionPacket, PpsStatus};
 
 fuzz_target!(|data: &[u8]| {
@@ -24,8 +24,8 @@ fuzz_target!(|data: &[u8]| {
         packet.calibration_age_secs(),
         packet.thermal_status(),
     );
-    if let Ok(sentence) = Rmc::parse(packet.nmea()) {
-        let _ = sentence.unix_secs();
+    if let Ok(sentence) = Sentence::parse(packet.nmea()) {
+        let _ = sentence.unix_secs(0);
     }
     let mut copy = PositionPacket::init(vec![0; POSITION_PACKET_LEN]).expect("it has the length");
     copy.set_nmea(packet.nmea().get(..126).unwrap_or(packet.nmea()))

@@ -125,7 +125,7 @@ fn pixels(frame_id: u16, side: u8) -> Vec<u8> {
 fn frame(frame_id: u16) -> Vec<u8> {
     let mut bytes = Vec::new();
     let (left, right) = (pixels(frame_id, 0), pixels(frame_id, 0x80));
-    emit_frame(FORMAT, &left, &right, &trailer(frame_id), &mut bytes).unwrap();
+    emit_frame(FORMAT, &[&left, &right], &trailer(frame_id), &mut bytes).unwrap();
     bytes
 }
 
@@ -223,7 +223,7 @@ fn a_unit_is_configured_streams_and_stalls() {
         assert_eq!(pair.arrival, packet.arrival);
         assert_eq!(pair.device_ticks, trailer(frame_id).timestamp_us);
         assert_eq!(pair.sample.time_source, TimeSource::External);
-        for (image, side) in [(&pair.sample.left, 0), (&pair.sample.right, 0x80)] {
+        for (image, side) in pair.sample.images.iter().zip([0, 0x80]) {
             assert_eq!((image.width, image.height), (640, 400));
             assert_eq!(image.frame_id, sequence);
             assert_eq!(image.exposure_ns, 4_000_000);

@@ -265,13 +265,14 @@ impl Writing {
             }
             Entry::Raw {
                 source,
+                kind,
                 sequence,
                 packet,
                 time,
             } => self
                 .parts
                 .writer()
-                .write_raw(&source, 0, sequence, &packet, time)?,
+                .write_raw(&source, kind, sequence, &packet, time)?,
             Entry::Cdr {
                 topic,
                 schema_name,
@@ -292,6 +293,10 @@ impl Writing {
                 return Ok(receipt);
             }
             Entry::Skipped(receipt) => return Ok(Some(receipt)),
+            Entry::Attachment(file) => {
+                self.parts
+                    .attach(&file.name, &file.media_type, &file.bytes)?;
+            }
             Entry::Rig { owner, rig } if self.parts.has_rig() => {
                 let name = format!("sidecar/{owner}/rig.toml");
                 self.parts

@@ -177,8 +177,7 @@ fn serve_stereo(listener: &CameraListener, first_id: u16, frames: Option<u16>, f
             let pixels = vec![n as u8; 640 * 400];
             emit_frame(
                 FrameFormat::S2_1280X400,
-                &pixels,
-                &pixels,
+                &[&pixels, &pixels],
                 &trailer.with_checksum(),
                 &mut bytes,
             )

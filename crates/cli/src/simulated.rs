@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use anyhow::Context as _;
 use lsfb_capture::{
-    CameraUnitConfig, CaptureReport, Counts, DevicesConfig, ImuLineConfig, LidarNetConfig,
-    Overflow, RecorderConfig, Session, SidecarConfig,
+    CameraUnitConfig, CaptureReport, Counts, DevicesConfig, ImuFamily, ImuLineConfig,
+    LidarNetConfig, Overflow, RecorderConfig, Session, SidecarConfig,
 };
 use lsfb_recording::Existing;
 use lsfb_sim::{
@@ -139,13 +139,10 @@ pub fn backpack_devices(
     let [front, rear] = layout.camera_sockets();
     let cameras = &config.scan_cameras;
     let unit = |path, names: [&str; 2]| CameraUnitConfig {
-        path,
-        serial: String::new(),
-        names: names.map(str::to_owned),
         // Both images side by side.
         frame_px: [2 * cameras.width, cameras.height],
         rate_hz: cameras.rate_hz,
-        imu: None,
+        ..CameraUnitConfig::stereo(path, names.map(str::to_owned))
     };
     DevicesConfig {
         rig: Some(layout.file("backpack.toml")),
@@ -153,6 +150,7 @@ pub fn backpack_devices(
         lidar: Some(lidar),
         cameras: vec![unit(front, ["cam0", "cam1"]), unit(rear, ["cam2", "cam3"])],
         imu: Some(ImuLineConfig {
+            family: ImuFamily::Xsens,
             path: layout.imu_line(),
             baud: 921_600,
             rate_hz: u16::try_from(config.scan_imu.rate_hz).unwrap_or(u16::MAX),

@@ -90,6 +90,16 @@ pub enum Error {
         /// Name of the attachment.
         name: String,
     },
+    /// An attachment is there and does not say what it should.
+    #[error("{}: attachment `{name}`: {problem}", path.display())]
+    BadAttachment {
+        /// The file.
+        path: PathBuf,
+        /// Name of the attachment.
+        name: String,
+        /// What is wrong.
+        problem: String,
+    },
     /// A part of the file cannot be read. Iterators report it once and go on behind it.
     #[error("{}: {damage}", path.display())]
     Damaged {

@@ -39,6 +39,7 @@ mod source;
 mod summary;
 mod topic;
 mod tum;
+mod unit;
 mod verify;
 mod walk;
 mod writer;
@@ -50,5 +51,6 @@ pub use reader::{ArrivalRange, CameraImage, CdrMessage, RecordedPacket, Recordin
 pub use recover::{Recovered, recover};
 pub use topic::{CAMERA_GROUPS, CLOCK_MODELS, DEVICE_TIME, HEALTH, LIDAR_POSITION, REMARKS};
 pub use tum::{read_tum, write_tum};
+pub use unit::{Attachment, CameraUnit, KeptFile};
 pub use verify::TopicArrivals;
 pub use writer::Writer;

@@ -1,9 +1,9 @@
-//! Frames to image pairs. No I/O.
+//! Frames to the images of a unit's cameras. No I/O.
 
 use lsfb_types::{Image, Packet};
 
 use super::model::{EXPOSURE_STEP_NS, FrameFormat};
-use super::wire::{Frame, Side, TimeSource};
+use super::wire::{Frame, TimeSource};
 use crate::{Decoded, WireError};
 
 /// What to do about the trailer's checksum.
@@ -33,6 +33,8 @@ pub enum StampInstant {
 pub struct DecoderConfig {
     /// Size of the frames.
     pub format: FrameFormat,
+    /// Cameras whose images lie side by side in each.
+    pub cameras: u32,
     /// What to do about the trailer's checksum.
     pub checksum: ChecksumRule,
     /// Which instant of the exposure the trailer's stamp marks.
@@ -43,6 +45,7 @@ impl Default for DecoderConfig {
     fn default() -> Self {
         Self {
             format: FrameFormat::S2_1280X400,
+            cameras: 2,
             checksum: ChecksumRule::default(),
             stamp: StampInstant::default(),
         }
@@ -59,13 +62,12 @@ pub struct Trigger {
     pub index: u64,
 }
 
-/// Two images of one trigger. Their `frame_id` is the trailer's, continued beyond 16 bits.
+/// The images of one trigger. Their `frame_id` is the trailer's, continued beyond 16 bits.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct StereoFrame {
-    /// Left image.
-    pub left: Image,
-    /// Right image; its last 8 pixels lay under the trailer and repeat their left neighbour.
-    pub right: Image,
+pub struct UnitFrame {
+    /// One per camera, left to right; the last 8 pixels of the last one lay under the trailer and repeat their left
+    /// neighbour.
+    pub images: Vec<Image>,
     /// Whose clock stamped the frame.
     pub time_source: TimeSource,
     /// Which trigger it answers.
@@ -93,7 +95,7 @@ pub struct FrameCounters {
     pub restarts: u64,
 }
 
-/// Frames in, image pairs out.
+/// Frames in, their images out.
 ///
 /// `device_ticks` is microseconds: since power-up, or of the external time that the unit was given.
 #[derive(Clone, Debug)]
@@ -114,8 +116,8 @@ impl Decoder {
     }
 
     /// Decodes one frame. `None`: a repetition of the one before. An error is counted here; the stream goes on.
-    pub fn push(&mut self, packet: &Packet) -> Result<Option<Decoded<StereoFrame>>, WireError> {
-        let frame = self.check(&packet.bytes).inspect_err(|error| {
+    pub fn push(&mut self, packet: &Packet) -> Result<Option<Decoded<UnitFrame>>, WireError> {
+        let (frame, width) = self.check(&packet.bytes).inspect_err(|error| {
             *match error {
                 WireError::Length { .. } => &mut self.counters.bad_length,
                 WireError::Checksum { .. } => &mut self.counters.bad_checksum,
@@ -130,20 +132,20 @@ impl Decoder {
         self.counters.frames += 1;
         // The field can say more than its 655 steps: up to 6.5 s, which `u32` nanoseconds cannot.
         let exposure_ns = u32::from(trailer.exposure_steps).saturating_mul(EXPOSURE_STEP_NS);
-        let image = |side| Image {
-            width: self.config.format.image_width(),
+        let image = |pixels| Image {
+            width,
             height: self.config.format.height,
-            pixels: frame.grey(side),
+            pixels,
             exposure_ns,
             frame_id: index as u32,
         };
+        let images = frame.images(self.config.cameras)?;
         let half_ns = i64::from(exposure_ns / 2);
         Ok(Some(Decoded {
             arrival: packet.arrival,
             device_ticks: trailer.timestamp_us,
-            sample: StereoFrame {
-                left: image(Side::Left),
-                right: image(Side::Right),
+            sample: UnitFrame {
+                images: images.into_iter().map(image).collect(),
                 time_source: trailer.time_source,
                 trigger: Trigger {
                     epoch: self.counters.restarts,
@@ -163,8 +165,16 @@ impl Decoder {
         self.counters
     }
 
-    fn check<'a>(&self, bytes: &'a [u8]) -> Result<Frame<&'a [u8]>, WireError> {
+    /// The frame, and the width of its images.
+    fn check<'a>(&self, bytes: &'a [u8]) -> Result<(Frame<&'a [u8]>, u32), WireError> {
         let frame = Frame::new(bytes, self.config.format)?;
+        let cameras = self.config.cameras;
+        let width = self.config.format.image_width(cameras);
+        let width = width.ok_or(WireError::Value {
+            field: "cameras side by side",
+            offset: 0,
+            got: cameras.into(),
+        })?;
         let trailer = frame.trailer();
         let expected = trailer.expected_checksum();
         if self.config.checksum == ChecksumRule::Required && trailer.checksum != expected {
@@ -173,7 +183,7 @@ impl Decoder {
                 got: trailer.checksum.into(),
             });
         }
-        Ok(frame)
+        Ok((frame, width))
     }
 
     /// The counter beyond 16 bits, or `None` for a repetition.

@@ -1,5 +1,6 @@
 //! Opening and configuring a unit.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -8,14 +9,11 @@ use lsfb_types::Packet;
 use super::model::FrameFormat;
 use super::wire::{
     CameraOption, DeviceInfo, ImageCalibration, ImageControl, ImuCalibration, ImuProtocol,
-    ImuRequest, OptionCommand, UnitFile, Version, XuQuery, XuSelector,
+    ImuRequest, OptionCommand, UnitFile, XuQuery, XuSelector,
 };
 use crate::transport::camera_link::{CameraLink, LinkCounters};
 use crate::transport::{PacketSource, arrival_now};
 use crate::{Error, WireError};
-
-/// First spec version whose IMU sends floats.
-const FLOAT_IMU_SPEC: Version = Version { major: 1, minor: 3 };
 
 /// Who chooses exposure time and gain. What is set is read back.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -77,13 +75,19 @@ impl Default for CameraConfig {
 pub struct MyntCamera {
     link: CameraLink,
     info: DeviceInfo,
+    files: BTreeMap<UnitFile, Vec<u8>>,
 }
 
 impl MyntCamera {
-    /// Connects, checks the serial number, sets options and reads them back, and starts the stream.
+    /// Connects, checks the serial number, reads the files that the unit keeps, sets options and reads them back, and starts
+    /// the stream.
     pub fn open(config: &CameraConfig) -> Result<Self, Error> {
         let mut link = CameraLink::open(&config.path)?;
-        let info = read_info(&mut link)?;
+        let mut files = BTreeMap::from([(
+            UnitFile::DeviceInfo,
+            read_file(&mut link, UnitFile::DeviceInfo)?,
+        )]);
+        let info = parse_info(&link, &files)?;
         if !config.serial.is_empty() && config.serial != info.serial {
             return Err(Error::Protocol {
                 device: link.device().to_owned(),
@@ -93,17 +97,23 @@ impl MyntCamera {
                 ),
             });
         }
+        files.extend(read_calibrations(&mut link)?);
         for &(option, value) in &config.options {
             set_option(&mut link, option, value)?;
         }
         set_exposure(&mut link, config.exposure)?;
         link.start(config.format, config.rate_hz)?;
-        Ok(Self { link, info })
+        Ok(Self { link, info, files })
     }
 
     /// What the unit says about itself.
     pub fn info(&self) -> &DeviceInfo {
         &self.info
+    }
+
+    /// The unit's answers to requests for its files, as they came before the stream started; what it does not keep is absent.
+    pub fn files(&self) -> &BTreeMap<UnitFile, Vec<u8>> {
+        &self.files
     }
 
     /// What the link has met so far.
@@ -139,11 +149,7 @@ impl MyntCamera {
 
     /// Layout of the unit's IMU segments.
     pub fn imu_protocol(&self) -> ImuProtocol {
-        if self.info.spec < FLOAT_IMU_SPEC {
-            ImuProtocol::Integer
-        } else {
-            ImuProtocol::Float
-        }
+        ImuProtocol::of_spec(self.info.spec)
     }
 
     /// Asks for the IMU segments since the last call, every 25 ms or so: an answer for [`super::ImuDecoder`].
@@ -170,9 +176,25 @@ impl PacketSource for MyntCamera {
     }
 }
 
-fn read_info(link: &mut CameraLink) -> Result<DeviceInfo, Error> {
-    let answer = read_file(link, UnitFile::DeviceInfo)?;
-    DeviceInfo::parse(&answer).map_err(|e| garbled(link, "device information", e))
+fn parse_info(link: &CameraLink, files: &BTreeMap<UnitFile, Vec<u8>>) -> Result<DeviceInfo, Error> {
+    let answer = files.get(&UnitFile::DeviceInfo);
+    let parsed = DeviceInfo::parse(answer.map(Vec::as_slice).unwrap_or_default());
+    parsed.map_err(|e| garbled(link, "device information", e))
+}
+
+/// A unit refuses a request for what it does not keep.
+fn read_calibrations(link: &mut CameraLink) -> Result<BTreeMap<UnitFile, Vec<u8>>, Error> {
+    let mut files = BTreeMap::new();
+    for file in [UnitFile::Images, UnitFile::Imu] {
+        match read_file(link, file) {
+            Ok(answer) => {
+                files.insert(file, answer);
+            }
+            Err(Error::Protocol { .. }) => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(files)
 }
 
 fn read_file(link: &mut CameraLink, file: UnitFile) -> Result<Vec<u8>, Error> {

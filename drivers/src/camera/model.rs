@@ -8,22 +8,22 @@ pub const USB_VENDOR: u16 = 0x04B4;
 /// USB product id.
 pub const USB_PRODUCT: u16 = 0x00F9;
 
-/// A size in which a unit streams: both images side by side.
+/// A size in which a unit streams: the images of its cameras side by side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameFormat {
-    /// Width of the whole frame, pixels: twice an image's.
+    /// Width of the whole frame, pixels: that of all images together.
     pub width: u32,
     /// Height, pixels.
     pub height: u32,
 }
 
 impl FrameFormat {
-    /// 640×400 per image; 10, 20, 30 or 60 Hz.
+    /// Two images of 640×400; 10, 20, 30 or 60 Hz.
     pub const S2_1280X400: Self = Self {
         width: 1280,
         height: 400,
     };
-    /// 1280×800 per image; 10, 20 or 30 Hz.
+    /// Two images of 1280×800; 10, 20 or 30 Hz.
     pub const S2_2560X800: Self = Self {
         width: 2560,
         height: 800,
@@ -34,15 +34,18 @@ impl FrameFormat {
         self.width as usize * self.height as usize * 2
     }
 
-    /// Width of one image, pixels.
-    pub const fn image_width(self) -> u32 {
-        self.width / 2
+    /// Width of each of `cameras` images, pixels; `None` where they do not fill the frame.
+    pub const fn image_width(self, cameras: u32) -> Option<u32> {
+        match self.width.checked_rem(cameras) {
+            Some(0) if self.width > 0 => Some(self.width / cameras),
+            _ => None,
+        }
     }
 }
 
 /// Bytes of the trailer.
 pub const TRAILER_BYTES: usize = 16;
-/// Pixels of the right image that the trailer covers: two bytes each.
+/// Pixels of the last image that the trailer covers: two bytes each.
 pub const DAMAGED_PIXELS: usize = TRAILER_BYTES / 2;
 /// First logical byte of the trailer.
 pub const TRAILER_HEADER: u8 = 0x3B;

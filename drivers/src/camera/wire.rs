@@ -16,7 +16,7 @@ pub use calibration::{
 };
 pub use controls::ImageControl;
 pub use files::UnitFile;
-pub use frame::{Frame, Side, TimeSource, Trailer, emit_frame};
+pub use frame::{Frame, TimeSource, Trailer, emit_frame};
 pub use imu::{ImuProtocol, ImuRequest, ImuResponse, ImuSegment, ImuValues};
 pub use info::{DeviceInfo, Version};
 pub use options::{CameraOption, OptionCommand, OptionRange, OptionTable};

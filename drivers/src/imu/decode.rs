@@ -43,26 +43,25 @@ impl Framer {
 
     /// The next whole message, if there is one.
     pub fn next_message(&mut self) -> Option<FramedMessage> {
-        let max_data_len = self.max_data_len;
-        self.stream.next(
-            |rest| {
-                check_length(rest, max_data_len)?;
-                let parsed = Message::parse(rest)?;
-                Ok(parsed.map(|p| ((p.message.id, p.message.data.to_vec()), p.len)))
-            },
-            |arrival, (id, data)| FramedMessage { arrival, id, data },
-        )
+        next_message(&mut self.stream, self.max_data_len)
     }
 
     /// For the end of the stream: gives up an unfinished message at the front, so that whole ones behind it are found.
     pub fn skip_unfinished(&mut self) -> bool {
         self.stream.skip_unfinished()
     }
+}
 
-    /// The bytes not yet part of a message.
-    pub fn take_rest(&mut self) -> Vec<u8> {
-        self.stream.take_rest()
-    }
+/// The next whole message of a stream, if there is one.
+pub(super) fn next_message(stream: &mut ByteStream, max_data_len: usize) -> Option<FramedMessage> {
+    stream.next(
+        |rest| {
+            check_length(rest, max_data_len)?;
+            let parsed = Message::parse(rest)?;
+            Ok(parsed.map(|p| ((p.message.id, p.message.data.to_vec()), p.len)))
+        },
+        |arrival, (id, data)| FramedMessage { arrival, id, data },
+    )
 }
 
 /// A length that no message has is damage.

@@ -1,21 +1,15 @@
 //! Opening and configuring a unit.
 
 use std::path::PathBuf;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use lsfb_types::Packet;
+use lsfb_types::{Packet, Timestamp};
 
 use super::model::{DEFAULT_BAUD, field, set};
 use super::wire::{Ack, BaseRate, Command, FormatEntry, MipPacket};
 use crate::Error;
-use crate::byte_stream::ByteStream;
+use crate::conversation::{Conversation, StreamingLine};
 use crate::transport::PacketSource;
-use crate::transport::serial::SerialLine;
-
-/// How often a command is repeated before the unit counts as absent.
-const ATTEMPTS: u32 = 5;
-/// How long one answer is waited for.
-const ANSWER_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// Which line, and what the unit shall send.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -50,26 +44,21 @@ const FIELDS: [u8; 4] = [
 /// A configured, measuring unit: yields pieces of its byte stream for [`super::Decoder`].
 #[derive(Debug)]
 pub struct MipImu {
-    line: SerialLine,
+    line: StreamingLine,
     base_rate_hz: u16,
-    /// What arrived behind the last answer.
-    first: Option<Packet>,
 }
 
 impl MipImu {
     /// Opens the line, silences the unit, sets its fields and rate, and starts it.
     pub fn open(config: &MipConfig) -> Result<Self, Error> {
-        let mut session = Session {
-            line: SerialLine::open(&config.path, config.baud)?,
-            stream: ByteStream::default(),
-        };
-        session.request(&Command::Idle)?;
-        session.request(&Command::Ping)?;
+        let mut unit = Conversation::open(&config.path, config.baud)?;
+        request(&mut unit, &Command::Idle)?;
+        request(&mut unit, &Command::Ping)?;
         let data_set = set::SENSOR;
-        let answer = session.request(&Command::GetBaseRate { data_set })?;
+        let answer = request(&mut unit, &Command::GetBaseRate { data_set })?;
         let base_rate_hz = answer.base_rate.map_or(0, |rate| rate.rate_hz);
         if config.rate_hz == 0 || base_rate_hz == 0 || base_rate_hz % config.rate_hz != 0 {
-            return Err(session.protocol(format!(
+            return Err(unit.protocol(format!(
                 "{} Hz cannot be made of the unit's {base_rate_hz} Hz: choose a rate that divides it",
                 config.rate_hz
             )));
@@ -79,20 +68,15 @@ impl MipImu {
             descriptor,
             decimation,
         });
-        session.request(&Command::MessageFormat {
+        let format = Command::MessageFormat {
             data_set,
             entries: entries.to_vec(),
-        })?;
-        let started = session.request(&Command::Resume)?;
-        let bytes = session.stream.take_rest();
-        let first = (!bytes.is_empty()).then_some(Packet {
-            arrival: started.arrival,
-            bytes,
-        });
+        };
+        request(&mut unit, &format)?;
+        let started = request(&mut unit, &Command::Resume)?;
         Ok(Self {
-            line: session.line,
+            line: unit.finish(started.arrival),
             base_rate_hz,
-            first,
         })
     }
 
@@ -104,86 +88,41 @@ impl MipImu {
 
 impl PacketSource for MipImu {
     fn recv(&mut self, timeout: Duration) -> Result<Option<Packet>, Error> {
-        match self.first.take() {
-            Some(packet) => Ok(Some(packet)),
-            None => self.line.recv(timeout),
-        }
+        self.line.recv(timeout)
     }
-}
-
-/// A conversation of commands and answers, before measuring begins.
-struct Session {
-    line: SerialLine,
-    stream: ByteStream,
 }
 
 struct Answer {
-    arrival: lsfb_types::Timestamp,
-    ack: Ack,
+    arrival: Timestamp,
     base_rate: Option<BaseRate>,
 }
 
-impl Session {
-    fn request(&mut self, command: &Command) -> Result<Answer, Error> {
-        let mut bytes = Vec::new();
-        command
-            .emit(&mut bytes)
-            .map_err(|e| self.protocol(format!("command {:#04x}: {e}", command.descriptor())))?;
-        for _ in 0..ATTEMPTS {
-            self.line.send(&bytes)?;
-            let deadline = Instant::now() + ANSWER_TIMEOUT;
-            while let Some(left) = deadline.checked_duration_since(Instant::now()) {
-                if let Some(answer) = self.next_answer(command) {
-                    if answer.ack.code == 0 {
-                        return Ok(answer);
-                    }
-                    return Err(self.protocol(format!(
-                        "the unit refuses command {:#04x} of set {:#04x} with code {:#04x}",
-                        command.descriptor(),
-                        command.descriptor_set(),
-                        answer.ack.code
-                    )));
-                }
-                if let Some(packet) = self.line.recv(left)? {
-                    self.stream.push(packet.arrival, &packet.bytes);
-                }
-            }
-        }
-        Err(self.protocol(format!(
-            "no answer to command {:#04x}; check that the unit is on and that the baud rate is right",
-            command.descriptor()
-        )))
-    }
-
-    /// The answer among what has arrived; data of a unit that is still measuring passes by.
-    fn next_answer(&mut self, command: &Command) -> Option<Answer> {
-        let expected_set = command.descriptor_set();
-        while let Some(answer) = self.stream.next(
+fn request(unit: &mut Conversation, command: &Command) -> Result<Answer, Error> {
+    let (expected_set, descriptor) = (command.descriptor_set(), command.descriptor());
+    let what = format!("command {descriptor:#04x} of set {expected_set:#04x}");
+    let mut bytes = Vec::new();
+    command
+        .emit(&mut bytes)
+        .map_err(|e| unit.protocol(format!("{what}: {e}")))?;
+    unit.ask(&what, &bytes, |stream| {
+        while let Some((arrival, answer)) = stream.next(
             |rest| {
                 let parsed = MipPacket::parse(rest)?;
                 Ok(parsed.map(|p| (answer_of(&p.packet, expected_set), p.len)))
             },
-            |arrival, answer| answer.map(|(ack, base_rate)| (arrival, ack, base_rate)),
+            |arrival, answer| (arrival, answer),
         ) {
-            if let Some((arrival, ack, base_rate)) = answer
-                && ack.descriptor == command.descriptor()
+            if let Some((ack, base_rate)) = answer
+                && ack.descriptor == descriptor
             {
-                return Some(Answer {
-                    arrival,
-                    ack,
-                    base_rate,
+                return Some(match ack.code {
+                    0 => Ok(Answer { arrival, base_rate }),
+                    code => Err(format!("the unit refuses {what} with code {code:#04x}")),
                 });
             }
         }
         None
-    }
-
-    fn protocol(&self, problem: String) -> Error {
-        Error::Protocol {
-            device: self.line.device().to_owned(),
-            problem,
-        }
-    }
+    })
 }
 
 /// What a packet of `expected_set` answers.

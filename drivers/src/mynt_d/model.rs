@@ -9,6 +9,9 @@ pub const INTERFACE: u8 = 0;
 /// Interrupt endpoint, towards the host.
 pub const ENDPOINT_IN: u8 = 0x81;
 
+/// Nanoseconds of a step of its stamps. Assumed: that of the S1 family, which has the same counter of 32 bits.
+pub const TICK_NS: u64 = 10_000;
+
 /// Bytes of a report.
 pub const REPORT_LEN: usize = 64;
 /// Full span of the accelerometer, g over 65 536 steps.

@@ -1,8 +1,41 @@
-//! The one NMEA sentence the sensor needs: GPRMC, which sets its minutes and seconds.
+//! The two NMEA sentences that a sensor takes from a receiver: GPRMC, with the date, and GPGGA, without.
+
+mod gga;
 
 use std::fmt::Write;
+use std::ops::RangeInclusive;
 
 use crate::WireError;
+
+pub use gga::Gga;
+
+/// A sentence as a position packet carries it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sentence {
+    /// Time, date and position.
+    Rmc(Rmc),
+    /// Time and position.
+    Gga(Gga),
+}
+
+impl Sentence {
+    /// Reads a sentence without its line end. Another one than these two is an error.
+    pub fn parse(sentence: &[u8]) -> Result<Self, WireError> {
+        match sentence.get(3..6) {
+            Some(b"GGA") => Gga::parse(sentence).map(Self::Gga),
+            _ => Rmc::parse(sentence).map(Self::Rmc),
+        }
+    }
+
+    /// Seconds since 1970 of the whole second that a receiver with a fix names; `None` without a fix. A sentence without
+    /// date names the second nearest to `about_secs`.
+    pub fn unix_secs(&self, about_secs: i64) -> Option<i64> {
+        match self {
+            Self::Rmc(rmc) => rmc.valid.then(|| rmc.unix_secs()),
+            Self::Gga(gga) => (gga.quality > 0).then(|| gga.unix_secs(about_secs)),
+        }
+    }
+}
 
 /// Recommended minimum data (GPRMC), as a plain struct with both directions.
 ///
@@ -40,82 +73,45 @@ pub struct Rmc {
 impl Rmc {
     /// Reads a sentence without its line end. Magnetic variation is passed over; the checksum must be right.
     pub fn parse(sentence: &[u8]) -> Result<Self, WireError> {
-        let star = sentence
-            .iter()
-            .rposition(|b| *b == b'*')
-            .ok_or(WireError::Length {
-                expected: sentence.len() + 3,
-                got: sentence.len(),
-            })?;
-        let body = sentence.get(1..star).unwrap_or_default();
-        let expected = checksum(body);
-        let got = sentence
-            .get(star + 1..star + 3)
-            .and_then(|hex| std::str::from_utf8(hex).ok())
-            .and_then(|hex| u8::from_str_radix(hex, 16).ok())
-            .ok_or(WireError::Length {
-                expected: star + 3,
-                got: sentence.len(),
-            })?;
-        if got != expected {
-            return Err(WireError::Checksum {
-                expected: expected.into(),
-                got: got.into(),
-            });
-        }
-        let bad = |field| WireError::Value {
-            field,
-            offset: 0,
-            got: 0,
-        };
-        let text = std::str::from_utf8(body).map_err(|_| bad("sentence"))?;
+        let text = body(sentence)?;
         let mut fields = text.split(',');
         let mut next = |field| fields.next().ok_or(bad(field));
-        if next("type")? != "GPRMC" {
-            return Err(bad("sentence type"));
-        }
-        let time = next("time")?;
+        check_type(next("type")?, "RMC")?;
+        let time = TimeOfDay::parse(next("time")?)?;
         let valid = next("status")? == "A";
         let latitude_e5_min = angle(next("latitude")?, next("north or south")?, 'S');
         let longitude_e5_min = angle(next("longitude")?, next("east or west")?, 'W');
         let speed_e3_knots = decimal(next("speed")?, 3).and_then(|v| u32::try_from(v).ok());
         let course_e3_deg = decimal(next("course")?, 3).and_then(|v| u32::try_from(v).ok());
         let date = next("date")?;
-        let two = |text: &str, at: usize| text.get(at..at + 2).and_then(|t| t.parse::<u8>().ok());
-        let in_range = |value: Option<u8>, low: u8, high: u8, field| match value {
-            Some(v) if (low..=high).contains(&v) => Ok(v),
-            Some(v) => Err(WireError::Value {
-                field,
-                offset: 0,
-                got: v.into(),
-            }),
-            None => Err(bad(field)),
-        };
-        let millis = decimal(time.get(4..).unwrap_or_default(), 3).ok_or(bad("time"))?;
         Ok(Self {
-            hour: in_range(two(time, 0), 0, 23, "hour")?,
-            minute: in_range(two(time, 2), 0, 59, "minute")?,
-            second: in_range(two(time, 4), 0, 60, "second")?,
-            millis: (millis % 1000) as u16,
+            hour: time.hour,
+            minute: time.minute,
+            second: time.second,
+            millis: time.millis,
             valid,
             latitude_e5_min,
             longitude_e5_min,
             speed_e3_knots,
             course_e3_deg,
-            day: in_range(two(date, 0), 1, 31, "day")?,
-            month: in_range(two(date, 2), 1, 12, "month")?,
-            year: 2000 + u16::from(in_range(two(date, 4), 0, 99, "year")?),
+            day: two_digits(date, 0, 1..=31, "day")?,
+            month: two_digits(date, 2, 1..=12, "month")?,
+            year: 2000 + u16::from(two_digits(date, 4, 0..=99, "year")?),
             mode: fields.nth(2).and_then(|text| text.chars().next()),
         })
     }
 
     /// Writes the sentence without its line end.
     pub fn emit(&self) -> String {
-        let mut body = format!("GPRMC,{:02}{:02}{:02}", self.hour, self.minute, self.second);
-        // Writing to a `String` cannot fail.
-        if self.millis > 0 {
-            let _ = write!(body, ".{:03}", self.millis);
+        let mut body = "GPRMC,".to_owned();
+        TimeOfDay {
+            hour: self.hour,
+            minute: self.minute,
+            second: self.second,
+            millis: self.millis,
         }
+        .emit(&mut body);
+        // Writing to a `String` cannot fail.
         let _ = write!(body, ",{},", if self.valid { 'A' } else { 'V' });
         push_angle(&mut body, self.latitude_e5_min, 2, ['N', 'S']);
         push_angle(&mut body, self.longitude_e5_min, 3, ['E', 'W']);
@@ -135,8 +131,7 @@ impl Rmc {
         if let Some(mode) = self.mode {
             let _ = write!(body, ",{mode}");
         }
-        let sum = checksum(body.as_bytes());
-        format!("${body}*{sum:02X}")
+        enclose(&body)
     }
 
     /// Seconds since 1970 of the whole second named here.
@@ -158,6 +153,100 @@ impl Rmc {
             + i64::from(self.hour) * 3_600
             + i64::from(self.minute) * 60
             + i64::from(self.second)
+    }
+}
+
+fn bad(field: &'static str) -> WireError {
+    WireError::Value {
+        field,
+        offset: 0,
+        got: 0,
+    }
+}
+
+/// What stands between the `$` and the `*` of a sentence whose checksum is right.
+fn body(sentence: &[u8]) -> Result<&str, WireError> {
+    let star = sentence.iter().rposition(|b| *b == b'*');
+    let star = star.ok_or(WireError::Length {
+        expected: sentence.len() + 3,
+        got: sentence.len(),
+    })?;
+    let body = sentence.get(1..star).unwrap_or_default();
+    let expected = checksum(body);
+    let got = sentence
+        .get(star + 1..star + 3)
+        .and_then(|hex| std::str::from_utf8(hex).ok())
+        .and_then(|hex| u8::from_str_radix(hex, 16).ok())
+        .ok_or(WireError::Length {
+            expected: star + 3,
+            got: sentence.len(),
+        })?;
+    if got != expected {
+        return Err(WireError::Checksum {
+            expected: expected.into(),
+            got: got.into(),
+        });
+    }
+    std::str::from_utf8(body).map_err(|_| bad("sentence"))
+}
+
+/// Sentence and checksum around a body.
+fn enclose(body: &str) -> String {
+    format!("${body}*{:02X}", checksum(body.as_bytes()))
+}
+
+/// Receivers of GPS alone call themselves `GP`, those of several systems `GN`.
+fn check_type(text: &str, wanted: &str) -> Result<(), WireError> {
+    match text.strip_prefix("GP").or(text.strip_prefix("GN")) {
+        Some(kind) if kind == wanted => Ok(()),
+        _ => Err(bad("sentence type")),
+    }
+}
+
+/// `hhmmss.sss` of UTC.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct TimeOfDay {
+    hour: u8,
+    minute: u8,
+    second: u8,
+    millis: u16,
+}
+
+impl TimeOfDay {
+    fn parse(text: &str) -> Result<Self, WireError> {
+        let millis = decimal(text.get(4..).unwrap_or_default(), 3).ok_or(bad("time"))?;
+        Ok(Self {
+            hour: two_digits(text, 0, 0..=23, "hour")?,
+            minute: two_digits(text, 2, 0..=59, "minute")?,
+            second: two_digits(text, 4, 0..=60, "second")?,
+            millis: (millis % 1000) as u16,
+        })
+    }
+
+    fn emit(self, body: &mut String) {
+        // Writing to a `String` cannot fail.
+        let _ = write!(body, "{:02}{:02}{:02}", self.hour, self.minute, self.second);
+        if self.millis > 0 {
+            let _ = write!(body, ".{:03}", self.millis);
+        }
+    }
+}
+
+fn two_digits(
+    text: &str,
+    at: usize,
+    range: RangeInclusive<u8>,
+    field: &'static str,
+) -> Result<u8, WireError> {
+    let value = text.get(at..at + 2).and_then(|t| t.parse::<u8>().ok());
+    match value {
+        Some(v) if range.contains(&v) => Ok(v),
+        Some(v) => Err(WireError::Value {
+            field,
+            offset: 0,
+            got: v.into(),
+        }),
+        None => Err(bad(field)),
     }
 }
 
@@ -213,98 +302,4 @@ fn push_angle(body: &mut String, value: Option<i64>, degree_digits: usize, hemis
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn sentences_of_both_ages_are_read() {
-        let old =
-            Rmc::parse(b"$GPRMC,123519,A,4807.038,N,01131.000,E,022.4,084.4,230394,003.1,W*6A")
-                .unwrap();
-        let expected = Rmc {
-            hour: 12,
-            minute: 35,
-            second: 19,
-            millis: 0,
-            valid: true,
-            latitude_e5_min: Some((48 * 60 + 7) * 100_000 + 3_800),
-            longitude_e5_min: Some((11 * 60 + 31) * 100_000),
-            speed_e3_knots: Some(22_400),
-            course_e3_deg: Some(84_400),
-            day: 23,
-            month: 3,
-            year: 2094,
-            mode: None,
-        };
-        assert_eq!(old, expected);
-        let new =
-            Rmc::parse(b"$GPRMC,123519,A,4807.038,N,01131.000,E,022.4,084.4,230394,003.1,W,A*07")
-                .unwrap();
-        assert_eq!(
-            new,
-            Rmc {
-                mode: Some('A'),
-                ..expected
-            }
-        );
-        let absent =
-            Rmc::parse(b"$GPRMC,235959,V,4807.038,N,01131.000,E,000.0,000.0,311224,,,N*6C")
-                .unwrap();
-        assert_eq!((absent.valid, absent.speed_e3_knots), (false, Some(0)));
-        assert_eq!((absent.year, absent.mode), (2024, Some('N')));
-        // 2024-12-31T23:59:59Z
-        assert_eq!(absent.unix_secs(), 1_735_689_599);
-    }
-
-    #[test]
-    fn what_is_written_is_read_back() {
-        let rmc = Rmc {
-            hour: 10,
-            minute: 0,
-            second: 7,
-            millis: 250,
-            valid: true,
-            latitude_e5_min: Some(-291_234_567),
-            longitude_e5_min: Some(-1_079_999_999),
-            speed_e3_knots: Some(1_234),
-            course_e3_deg: Some(359_999),
-            day: 1,
-            month: 3,
-            year: 2026,
-            mode: Some('D'),
-        };
-        assert_eq!(Rmc::parse(rmc.emit().as_bytes()), Ok(rmc));
-        // 2026-03-01T10:00:07Z
-        assert_eq!(rmc.unix_secs(), 1_772_359_207);
-        let bare = Rmc {
-            day: 29,
-            month: 2,
-            year: 2000,
-            ..Rmc::default()
-        };
-        assert_eq!(Rmc::parse(bare.emit().as_bytes()), Ok(bare));
-        assert_eq!(bare.unix_secs(), 951_782_400);
-    }
-
-    #[test]
-    fn damaged_sentences_are_errors() {
-        let good = b"$GPRMC,123519,A,4807.038,N,01131.000,E,022.4,084.4,230394,003.1,W*6A";
-        for at in 1..good.len() - 3 {
-            let mut bad = *good;
-            bad[at] ^= 0x01;
-            assert!(Rmc::parse(&bad).is_err(), "{at}");
-            let _ = Rmc::parse(&good[..at]);
-        }
-        for text in [
-            "",
-            "*",
-            "$*00",
-            "$GPGGA*56",
-            "$GPRMC*4B",
-            "$GPRMC,,,,,,,,,*67",
-            "$GPRMC,é*00",
-        ] {
-            assert!(Rmc::parse(text.as_bytes()).is_err(), "{text}");
-        }
-    }
-}
+mod tests;

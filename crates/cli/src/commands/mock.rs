@@ -6,7 +6,8 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use lsfb_capture::{
-    CameraUnitConfig, DevicesConfig, ImuLineConfig, LidarNetConfig, Overflow, SidecarConfig,
+    CameraUnitConfig, DevicesConfig, ImuFamily, ImuLineConfig, LidarNetConfig, Overflow,
+    SidecarConfig,
 };
 use lsfb_sim::{Pace, Playback, PlaybackEndpoints, Turns};
 
@@ -123,13 +124,14 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         "lidar_data_packets": sent.lidar_data_packets,
         "lidar_position_packets": sent.lidar_position_packets,
         "stereo_frames": sent.stereo_frames,
+        "unit_imu_segments": sent.unit_imu_segments,
         "imu_packets": sent.imu_packets,
         "sidecar_messages": sent.sidecar_messages,
         "unreadable": sent.unreadable,
     });
     context.print(&report, || {
         let mut text = format!(
-            "{}: sent {} LiDAR packets ({} of position), {} stereo frames, {} pieces of the IMU's stream, {} sidecar messages",
+            "{}: sent {} LiDAR packets ({} of position), {} camera frames, {} pieces of the IMU's stream, {} sidecar messages",
             source.display(),
             sent.lidar_data_packets + sent.lidar_position_packets,
             sent.lidar_position_packets,
@@ -137,6 +139,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             sent.imu_packets,
             sent.sidecar_messages
         );
+        if sent.unit_imu_segments > 0 {
+            text += &format!(", {} segments of the cameras' own IMUs", sent.unit_imu_segments);
+        }
         if sent.unreadable > 0 {
             text += &format!("\n  {} messages could not be read and were not sent", sent.unreadable);
         }
@@ -179,12 +184,14 @@ impl Folder {
     fn devices(&self, playback: &Playback, endpoints: &Endpoints) -> DevicesConfig {
         let device = |name: &str| self.path.join("devices").join(name);
         let cameras = playback.cameras().iter().map(|unit| CameraUnitConfig {
-            path: device(&format!("mynt_{}", unit.names[0])),
-            serial: String::new(),
             names: unit.names.clone(),
             frame_px: unit.frame_px,
             rate_hz: unit.rate_hz,
-            imu: None,
+            imu: unit.imu.clone(),
+            ..CameraUnitConfig::stereo(
+                device(&format!("mynt_{}", unit.names.join("_"))),
+                Default::default(),
+            )
         });
         let wired = playback.has_lidar()
             || playback.imu_rate_hz().is_some()
@@ -203,6 +210,7 @@ impl Folder {
             }),
             cameras: cameras.collect(),
             imu: playback.imu_rate_hz().map(|rate_hz| ImuLineConfig {
+                family: ImuFamily::Xsens,
                 path: device("imu0"),
                 baud: 921_600,
                 rate_hz,

@@ -1,5 +1,6 @@
 //! A Mynt stereo unit: frames with their trailer, and extension unit answers, through the camera socket.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -10,8 +11,8 @@ use lsfb_drivers::camera::model::{
     EXPOSURE_STEP_NS, FrameFormat, STANDARD_GRAVITY_M_S2, USB_PRODUCT, USB_VENDOR,
 };
 use lsfb_drivers::camera::wire::{
-    DeviceInfo, ImuProtocol, ImuSegment, ImuValues, TimeSource, Trailer, Version, XuDevice,
-    emit_frame,
+    DeviceInfo, ImuProtocol, ImuSegment, ImuValues, TimeSource, Trailer, UnitFile, Version,
+    XuDevice, emit_frame,
 };
 use lsfb_drivers::transport::camera_socket::{CameraListener, CameraUnit, UnitRequest};
 
@@ -30,6 +31,8 @@ pub(crate) struct MyntDevice {
     unit: usize,
     listener: CameraListener,
     info: DeviceInfo,
+    /// What a recorded unit answered when it was asked for its files.
+    files: BTreeMap<UnitFile, Vec<u8>>,
 }
 
 impl MyntDevice {
@@ -54,12 +57,37 @@ impl MyntDevice {
                 hardware: Version { major: 1, minor: 0 },
                 hardware_flags: 0,
             },
+            files: BTreeMap::new(),
         })
     }
 
-    /// The extension unit of a unit as it comes out of its box.
+    /// Makes the socket of a unit that keeps the files of a recorded one.
+    pub(super) fn bind_recorded(
+        unit: usize,
+        path: &Path,
+        files: &BTreeMap<UnitFile, Vec<u8>>,
+    ) -> Result<Self, Error> {
+        let mut device = Self::bind(unit, path)?;
+        let answer = files.get(&UnitFile::DeviceInfo);
+        if let Some(info) = answer.and_then(|answer| DeviceInfo::parse(answer).ok()) {
+            device.info = info;
+        }
+        device.files = files.clone();
+        Ok(device)
+    }
+
+    /// How it speaks of its IMU.
+    pub(super) fn imu_protocol(&self) -> ImuProtocol {
+        ImuProtocol::of_spec(self.info.spec)
+    }
+
+    /// The extension unit of a unit that has just powered up.
     pub(super) fn extension_unit(&self) -> XuDevice {
-        XuDevice::new(self.info.clone(), ImuProtocol::Float)
+        let mut xu = XuDevice::new(self.info.clone(), self.imu_protocol());
+        for (file, answer) in &self.files {
+            xu.set_file_answer(*file, answer);
+        }
+        xu
     }
 
     /// Serves its host, and once it asks for the stream sends the whole walk. Returns the frames sent.
@@ -75,7 +103,7 @@ impl MyntDevice {
             return Ok(0);
         };
         let camera = simulation.config().scan_cameras.clone();
-        if (format.image_width(), format.height) != (camera.width, camera.height) {
+        if [format.width, format.height] != [2 * camera.width, camera.height] {
             return Err(Error::Config {
                 field: "frame format asked for by the host",
                 got: format!("{}x{}", format.width, format.height),
@@ -173,8 +201,7 @@ pub(crate) fn frame_bytes(
     .with_checksum();
     Ok(emit_frame(
         format,
-        &left.pixels,
-        &right.pixels,
+        &[&left.pixels, &right.pixels],
         &trailer,
         out,
     )?)

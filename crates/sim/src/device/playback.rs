@@ -1,7 +1,8 @@
 //! Devices that play what others have sent: a recording, or the packets of a capture file.
 //!
 //! The bytes go out as they were received: LiDAR datagrams, the IMU's byte stream, the CDR of sidecars. Frames of the
-//! cameras are put together again from their two images and their trailer. Everything is sent when the devices' own clocks
+//! cameras are put together again from their images and their trailer, and what a unit's own IMU measured waits in it until
+//! its host polls. Everything is sent when the devices' own clocks
 //! say that it was measured, so that what was recorded faster or slower than it happened plays at the right rate; packets of
 //! a capture file when they arrived there.
 
@@ -10,11 +11,14 @@ mod imu;
 mod lidar;
 mod sidecar;
 mod start;
+mod unit_imu;
 
+use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use lsfb_drivers::camera::wire::UnitFile;
 use lsfb_geometry::Rig;
 use lsfb_recording::Recording;
 use lsfb_types::Timestamp;
@@ -58,7 +62,7 @@ pub struct PlaybackEndpoints {
     pub lidar_data: SocketAddr,
     /// The LiDAR's position packets go here.
     pub lidar_position: SocketAddr,
-    /// Sockets that the stereo units make, one for each of [`Playback::cameras`].
+    /// Sockets that the camera units make, one for each of [`Playback::cameras`].
     pub camera_sockets: Vec<PathBuf>,
     /// Sidecars connect here.
     pub sidecar: SocketAddr,
@@ -66,15 +70,25 @@ pub struct PlaybackEndpoints {
     pub patience: Duration,
 }
 
-/// A stereo unit as it was recorded.
+/// A camera unit as it was recorded.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CameraPlan {
-    /// Its left and its right camera.
-    pub names: [String; 2],
-    /// Size of a frame with both images, pixels.
+    /// Its cameras, left to right.
+    pub names: Vec<String>,
+    /// Size of a frame with all images, pixels.
     pub frame_px: [u32; 2],
     /// Frames per second.
     pub rate_hz: u32,
+    /// Name of its own IMU, where that was recorded.
+    pub imu: Option<String>,
+    /// What it keeps: its answers.
+    files: BTreeMap<UnitFile, Vec<u8>>,
+}
+
+impl CameraPlan {
+    fn first_name(&self) -> &str {
+        self.names.first().map_or("", String::as_str)
+    }
 }
 
 /// What a source holds.
@@ -149,7 +163,7 @@ impl Playback {
         self.lidar
     }
 
-    /// The stereo units.
+    /// The camera units.
     pub fn cameras(&self) -> &[CameraPlan] {
         &self.cameras
     }
@@ -184,8 +198,9 @@ impl Playback {
     ) -> Result<SimSession, Error> {
         let sockets = endpoints.camera_sockets.iter();
         let units = sockets
+            .zip(&self.cameras)
             .enumerate()
-            .map(|(unit, path)| MyntDevice::bind(unit, path))
+            .map(|(unit, (path, plan))| MyntDevice::bind_recorded(unit, path, &plan.files))
             .collect::<Result<Vec<_>, _>>()?;
         let devices = usize::from(self.lidar)
             + usize::from(self.imu_rate_hz.is_some())
@@ -225,7 +240,7 @@ impl Playback {
         }
         for (unit, plan) in units.into_iter().zip(&self.cameras) {
             let (play, plan) = (play.clone(), plan.clone());
-            let name = format!("mock-{}", plan.names[0]);
+            let name = format!("mock-{}", plan.first_name());
             session.spawn_device(&name, next(), move |clock, device| {
                 camera::run(unit, &plan, &play, clock, device)
             })?;

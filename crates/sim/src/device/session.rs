@@ -48,8 +48,10 @@ pub struct SessionReport {
     pub lidar_data_packets: u64,
     /// LiDAR position packets.
     pub lidar_position_packets: u64,
-    /// Stereo frames of both units together.
+    /// Frames of all camera units together.
     pub stereo_frames: u64,
+    /// Segments of the IMUs inside the camera units, of a played recording.
+    pub unit_imu_segments: u64,
     /// Packets of the backpack's IMU.
     pub imu_packets: u64,
     /// Sidecar messages.
@@ -64,6 +66,7 @@ impl SessionReport {
             lidar_data_packets: self.lidar_data_packets + other.lidar_data_packets,
             lidar_position_packets: self.lidar_position_packets + other.lidar_position_packets,
             stereo_frames: self.stereo_frames + other.stereo_frames,
+            unit_imu_segments: self.unit_imu_segments + other.unit_imu_segments,
             imu_packets: self.imu_packets + other.imu_packets,
             sidecar_messages: self.sidecar_messages + other.sidecar_messages,
             unreadable: self.unreadable + other.unreadable,

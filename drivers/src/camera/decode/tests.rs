@@ -26,7 +26,7 @@ fn frame(frame_id: u16) -> Packet {
     };
     let mut bytes = Vec::new();
     let trailer = trailer.with_checksum();
-    emit_frame(FORMAT, &[7; 40], &[9; 40], &trailer, &mut bytes).unwrap();
+    emit_frame(FORMAT, &[&[7; 40], &[9; 40]], &trailer, &mut bytes).unwrap();
     Packet {
         arrival: Timestamp::from_nanos(11),
         bytes,
@@ -48,15 +48,66 @@ fn every_field_of_a_pair() {
         Ok(Some(Decoded {
             arrival: Timestamp::from_nanos(11),
             device_ticks: 1_772_359_200_000_003,
-            sample: StereoFrame {
-                left: image(7),
-                right: image(9),
+            sample: UnitFrame {
+                images: vec![image(7), image(9)],
                 time_source: TimeSource::External,
                 trigger: Trigger { epoch: 0, index: 3 },
                 mid_exposure_from_stamp_ns: 0,
             },
         }))
     );
+}
+
+#[test]
+fn units_of_one_two_and_four_cameras_give_as_many_images() {
+    for cameras in [1_u32, 2, 4] {
+        let width = 40 / cameras;
+        let pixels: Vec<Vec<u8>> = (0..cameras)
+            .map(|camera| {
+                let pixel = |i: u32| (i % width + 16 * camera) as u8;
+                (0..2 * width).map(pixel).collect()
+            })
+            .collect();
+        let images: Vec<&[u8]> = pixels.iter().map(Vec::as_slice).collect();
+        let trailer = Trailer::default().with_checksum();
+        let mut bytes = Vec::new();
+        emit_frame(FORMAT, &images, &trailer, &mut bytes).unwrap();
+        assert_eq!(bytes.len(), FORMAT.frame_bytes());
+        let packet = Packet {
+            arrival: Timestamp::from_nanos(1),
+            bytes,
+        };
+        let config = DecoderConfig {
+            cameras,
+            ..config()
+        };
+        let frame = Decoder::new(config).push(&packet).unwrap().unwrap().sample;
+        assert_eq!(frame.images.len(), images.len());
+        for (image, expected) in frame.images.iter().zip(&pixels) {
+            assert_eq!((image.width, image.height), (width, 2));
+            let whole = expected.len() - 8;
+            assert_eq!(image.pixels[..whole], expected[..whole]);
+        }
+        let last = &frame.images[images.len() - 1].pixels;
+        assert!(
+            last.iter()
+                .rev()
+                .take(9)
+                .all(|grey| *grey == last[last.len() - 9])
+        );
+    }
+    // Three images do not fill a frame of 40 pixels, nor do none.
+    for cameras in [0, 3] {
+        let mut decoder = Decoder::new(DecoderConfig {
+            cameras,
+            ..config()
+        });
+        assert!(matches!(
+            decoder.push(&frame(1)),
+            Err(WireError::Value { .. })
+        ));
+        assert_eq!(decoder.counters().bad_header, 1);
+    }
 }
 
 #[test]
@@ -67,7 +118,7 @@ fn the_trigger_index_grows_through_the_wrap_and_a_restart_begins_an_epoch() {
         let pair = decoder.push(&frame(id)).unwrap().unwrap();
         triggers.push((pair.sample.trigger.epoch, pair.sample.trigger.index));
         assert_eq!(
-            u64::from(pair.sample.left.frame_id),
+            u64::from(pair.sample.images[0].frame_id),
             triggers.last().unwrap().1
         );
     }
@@ -102,7 +153,7 @@ fn faults_are_named_counted_and_survived() {
     let mut push = |packet: Packet| {
         let result = decoder.push(&packet);
         if let Ok(Some(decoded)) = &result {
-            ids.push(decoded.sample.left.frame_id);
+            ids.push(decoded.sample.images[0].frame_id);
         }
         result.map(|decoded| decoded.is_some())
     };
@@ -179,5 +230,5 @@ fn an_exposure_beyond_what_nanoseconds_hold_is_the_longest() {
     packet.bytes[len - bytes.len()..].copy_from_slice(&bytes);
     let mut decoder = Decoder::new(config());
     let pair = decoder.push(&packet).unwrap().unwrap();
-    assert_eq!(pair.sample.left.exposure_ns, u32::MAX);
+    assert_eq!(pair.sample.images[0].exposure_ns, u32::MAX);
 }

@@ -3,7 +3,9 @@ use std::thread;
 use tempfile::TempDir;
 
 use super::*;
-use crate::camera::wire::{ImuSegment, ImuValues, TimeSource, Trailer, XuDevice, emit_frame};
+use crate::camera::wire::{
+    ImuSegment, ImuValues, TimeSource, Trailer, Version, XuDevice, emit_frame,
+};
 use crate::camera::{Decoder, DecoderConfig, ImuDecoder};
 use crate::transport::camera_socket::{CameraListener, CameraUnit, UnitRequest};
 
@@ -25,7 +27,7 @@ fn listen() -> (TempDir, CameraListener, CameraConfig) {
 fn new_device() -> XuDevice {
     let info = DeviceInfo {
         serial: "07C41A19".to_owned(),
-        spec: FLOAT_IMU_SPEC,
+        spec: Version { major: 1, minor: 3 },
         ..Default::default()
     };
     XuDevice::new(info, ImuProtocol::Float)
@@ -68,8 +70,7 @@ fn a_unit_is_configured_streams_and_ends() {
             let trailer = trailer.with_checksum();
             emit_frame(
                 FrameFormat::S2_1280X400,
-                &pixels,
-                &pixels,
+                &[&pixels, &pixels],
                 &trailer,
                 &mut bytes,
             )
@@ -114,8 +115,8 @@ fn a_unit_is_configured_streams_and_ends() {
         }
         let packet = camera.recv(Duration::from_secs(5)).unwrap().unwrap();
         let pair = frames.push(&packet).unwrap().unwrap();
-        assert_eq!(pair.sample.left.frame_id, expected);
-        assert_eq!(pair.sample.left.pixels, vec![50; 640 * 400]);
+        assert_eq!(pair.sample.images[0].frame_id, expected);
+        assert_eq!(pair.sample.images[0].pixels, vec![50; 640 * 400]);
         assert_eq!(pair.device_ticks, 100_000 * u64::from(expected));
     }
     assert_eq!(camera.option(CameraOption::ImuFrequency).unwrap(), 250);
@@ -271,8 +272,7 @@ fn a_unit_that_stamps_the_end_of_exposure_5_ms_late_shows_both() {
         let trailer = trailer.with_checksum();
         emit_frame(
             FrameFormat::S2_1280X400,
-            &pixels,
-            &pixels,
+            &[&pixels, &pixels],
             &trailer,
             &mut bytes,
         )

@@ -8,15 +8,6 @@ use crate::camera::model::{
 /// Chroma byte of a grey pixel.
 const NEUTRAL_CHROMA: u8 = 128;
 
-/// Which of the two images.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Side {
-    /// First half of each row.
-    Left,
-    /// Second half of each row.
-    Right,
-}
-
 /// Whose clock stamped a frame or an IMU segment.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum TimeSource {
@@ -137,27 +128,40 @@ impl<T: AsRef<[u8]>> Frame<T> {
         self.trailer
     }
 
-    /// Grey values of one image, row by row.
+    /// Grey values of the images of `cameras` cameras side by side, left to right, row by row. A number that does not
+    /// divide the frame is an error.
     ///
-    /// The last [`DAMAGED_PIXELS`] pixels of the right image's bottom row lie under the trailer; they get the value of
+    /// The last [`DAMAGED_PIXELS`] pixels of the last image's bottom row lie under the trailer; they get the value of
     /// the pixel to their left.
-    pub fn grey(&self, side: Side) -> Vec<u8> {
-        let width = self.format.image_width() as usize;
+    pub fn images(&self, cameras: u32) -> Result<Vec<Vec<u8>>, WireError> {
+        let width = image_width(self.format, cameras)?;
         let height = self.format.height as usize;
-        let mut pixels = Vec::with_capacity(width * height);
-        for row in self.bytes.as_ref().chunks_exact(4 * width) {
-            let (left, right) = row.split_at(2 * width);
-            let half = match side {
-                Side::Left => left,
-                Side::Right => right,
-            };
-            let (luma_chroma, _) = half.as_chunks::<2>();
-            pixels.extend(luma_chroma.iter().map(|pair| pair[0]));
+        let mut images = vec![Vec::with_capacity(width * height); cameras as usize];
+        for row in self
+            .bytes
+            .as_ref()
+            .chunks_exact(2 * self.format.width as usize)
+        {
+            for (image, part) in images.iter_mut().zip(row.chunks_exact(2 * width)) {
+                let (luma_chroma, _) = part.as_chunks::<2>();
+                image.extend(luma_chroma.iter().map(|pair| pair[0]));
+            }
         }
-        if side == Side::Right {
-            repair(&mut pixels);
+        if let Some(last) = images.last_mut() {
+            repair(last);
         }
-        pixels
+        Ok(images)
+    }
+}
+
+fn image_width(format: FrameFormat, cameras: u32) -> Result<usize, WireError> {
+    match format.image_width(cameras) {
+        Some(width) => Ok(width as usize),
+        None => Err(WireError::Value {
+            field: "cameras side by side",
+            offset: 0,
+            got: cameras.into(),
+        }),
     }
 }
 
@@ -173,17 +177,17 @@ fn repair(pixels: &mut [u8]) {
     }
 }
 
-/// Replaces the content of `out` by a frame of two grey images with its trailer. An image of another size is an error.
+/// Replaces the content of `out` by a frame of grey images side by side with its trailer. An image of another size than
+/// its share of the frame is an error.
 pub fn emit_frame(
     format: FrameFormat,
-    left: &[u8],
-    right: &[u8],
+    images: &[&[u8]],
     trailer: &Trailer,
     out: &mut Vec<u8>,
 ) -> Result<(), WireError> {
-    let width = format.image_width() as usize;
+    let width = image_width(format, images.len() as u32)?;
     let expected = width * format.height as usize;
-    for image in [left, right] {
+    for image in images {
         if image.len() != expected {
             return Err(WireError::Length {
                 expected,
@@ -193,8 +197,9 @@ pub fn emit_frame(
     }
     out.clear();
     out.reserve_exact(format.frame_bytes());
-    for (left_row, right_row) in left.chunks_exact(width).zip(right.chunks_exact(width)) {
-        for row in [left_row, right_row] {
+    for y in 0..format.height as usize {
+        for image in images {
+            let row = image.get(y * width..(y + 1) * width).unwrap_or_default();
             out.extend(row.iter().flat_map(|&luma| [luma, NEUTRAL_CHROMA]));
         }
     }

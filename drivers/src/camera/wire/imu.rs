@@ -1,9 +1,11 @@
 //! The unit's own IMU: polled through selectors 3 (request) and 4 (answer).
 
-use super::TimeSource;
+use super::{TimeSource, Version};
 use crate::WireError;
 use crate::camera::model::{IMU_REQUEST_HEADER, IMU_RESPONSE_HEADER, LARGE_TRANSFER_BYTES};
 
+/// First spec version whose IMU sends floats.
+const FIRST_FLOAT_SPEC: Version = Version { major: 1, minor: 3 };
 /// Bytes before the payload: header, state, length.
 const ENVELOPE_BYTES: usize = 4;
 
@@ -19,6 +21,15 @@ pub enum ImuProtocol {
 }
 
 impl ImuProtocol {
+    /// What units of that spec version speak, unless asked for paired segments.
+    pub fn of_spec(spec: Version) -> Self {
+        if spec < FIRST_FLOAT_SPEC {
+            Self::Integer
+        } else {
+            Self::Float
+        }
+    }
+
     fn segment_bytes(self) -> usize {
         match self {
             Self::Integer => 21,

@@ -102,7 +102,7 @@ fn a_frame_holds_both_images_and_repairs_the_corner() {
     let right: Vec<u8> = (100..148).collect();
     let trailer = Trailer::parse(TRAILER).unwrap();
     let mut bytes = vec![9; 5];
-    emit_frame(SMALL, &left, &right, &trailer, &mut bytes).unwrap();
+    emit_frame(SMALL, &[&left, &right], &trailer, &mut bytes).unwrap();
     assert_eq!(bytes.len(), SMALL.frame_bytes());
     // First row: 16 pixels of the left image, then 16 of the right, each with neutral chroma.
     for x in 0..16 {
@@ -113,13 +113,12 @@ fn a_frame_holds_both_images_and_repairs_the_corner() {
 
     let frame = Frame::new(&bytes, SMALL).unwrap();
     assert_eq!(frame.trailer(), trailer);
-    assert_eq!(frame.grey(Side::Left), left);
     let mut repaired = right.clone();
     repaired[40..].fill(right[39]);
-    assert_eq!(frame.grey(Side::Right), repaired);
+    assert_eq!(frame.images(2), Ok(vec![left.clone(), repaired.clone()]));
 
     let mut again = Vec::new();
-    emit_frame(SMALL, &left, &repaired, &trailer, &mut again).unwrap();
+    emit_frame(SMALL, &[&left, &repaired], &trailer, &mut again).unwrap();
     assert_eq!(again, bytes);
 }
 
@@ -133,11 +132,10 @@ fn frames_of_both_sizes_round_trip() {
         let corner = right[count - 9];
         let mut bytes = Vec::new();
         let trailer = Trailer::default().with_checksum();
-        emit_frame(format, &left, &right, &trailer, &mut bytes).unwrap();
+        emit_frame(format, &[&left, &right], &trailer, &mut bytes).unwrap();
         let frame = Frame::new(&bytes, format).unwrap();
         right[count - 8..].fill(corner);
-        assert!(frame.grey(Side::Left) == left);
-        assert!(frame.grey(Side::Right) == right);
+        assert!(frame.images(2) == Ok(vec![left, right]));
     }
 }
 
@@ -146,13 +144,13 @@ fn frames_and_images_of_wrong_sizes_are_refused() {
     let trailer = Trailer::default();
     let mut out = Vec::new();
     assert_eq!(
-        emit_frame(SMALL, &[0; 48], &[0; 47], &trailer, &mut out),
+        emit_frame(SMALL, &[&[0; 48], &[0; 47]], &trailer, &mut out),
         Err(WireError::Length {
             expected: 48,
             got: 47
         })
     );
-    emit_frame(SMALL, &[0; 48], &[0; 48], &trailer, &mut out).unwrap();
+    emit_frame(SMALL, &[&[0; 48], &[0; 48]], &trailer, &mut out).unwrap();
     out.push(0);
     assert_eq!(
         Frame::new(&out, SMALL).unwrap_err(),

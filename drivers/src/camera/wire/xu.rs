@@ -111,6 +111,7 @@ pub struct XuDevice {
     files: BTreeMap<UnitFile, Vec<u8>>,
     protocol: ImuProtocol,
     pending: VecDeque<ImuSegment>,
+    ready_made: VecDeque<Vec<u8>>,
     request: Option<ImuRequest>,
     file: Option<Vec<u8>>,
 }
@@ -123,6 +124,7 @@ impl XuDevice {
             files: BTreeMap::from([(UnitFile::DeviceInfo, info.emit())]),
             protocol,
             pending: VecDeque::new(),
+            ready_made: VecDeque::new(),
             request: None,
             file: None,
         }
@@ -140,9 +142,24 @@ impl XuDevice {
         }
     }
 
+    /// Gives the unit a file as another one answered with it, envelope and all.
+    pub fn set_file_answer(&mut self, file: UnitFile, answer: &[u8]) {
+        self.files.insert(file, answer.to_vec());
+    }
+
     /// Puts a segment, in the unit's layout, into the queue that the host polls.
     pub fn push_imu(&mut self, segment: ImuSegment) {
         self.pending.push_back(segment);
+    }
+
+    /// Answers the next poll of the IMU with exactly these bytes, whatever they are.
+    pub fn push_imu_answer(&mut self, answer: &[u8]) {
+        self.ready_made.push_back(answer.to_vec());
+    }
+
+    /// Whether the host has everything of the IMU: confirmed it, where the protocol asks for that.
+    pub fn imu_is_taken(&self) -> bool {
+        self.pending.is_empty() && self.ready_made.is_empty()
     }
 
     /// Carries out a write.
@@ -161,12 +178,11 @@ impl XuDevice {
                     return Err(XuRefusal);
                 }
                 if let ImuRequest::After(serial) = request {
-                    // Protocol 1 repeats what the host has not confirmed. Zero asks for everything.
-                    while let Some(first) = self.pending.front()
-                        && serial != 0
-                        && first.serial <= serial
-                    {
-                        self.pending.pop_front();
+                    // Protocol 1 repeats what the host has not confirmed. Zero asks for everything, and so does what is
+                    // not there.
+                    let confirmed = self.pending.iter().position(|s| s.serial == serial);
+                    if let Some(last) = confirmed.filter(|_| serial != 0) {
+                        self.pending.drain(..=last);
                     }
                 }
                 self.request = Some(request);
@@ -196,6 +212,9 @@ impl XuDevice {
 
     fn imu_answer(&mut self) -> Result<Vec<u8>, XuRefusal> {
         let request = self.request.take().ok_or(XuRefusal)?;
+        if let Some(answer) = self.ready_made.pop_front() {
+            return Ok(answer);
+        }
         let count = ImuResponse::capacity(self.protocol).min(self.pending.len());
         let segments = match request {
             ImuRequest::After(_) => self.pending.iter().take(count).copied().collect(),

@@ -2,7 +2,7 @@ use std::thread;
 
 use super::*;
 use crate::imu::wire::{Item, Vector};
-use crate::imu::{Decoder, ImuReading};
+use crate::imu::{Decoder, Framer, ImuReading};
 use crate::transport::serial::Pty;
 
 /// A unit on a pseudo-terminal that answers requests, and then sends `packets` at full speed.

@@ -225,10 +225,7 @@ fn drivers_decode_what_the_sensors_measured() {
                 .push(&packet(bytes))
                 .expect("good frame")
                 .expect("a new one");
-            for (side, image) in [frame.sample.left, frame.sample.right]
-                .into_iter()
-                .enumerate()
-            {
+            for (side, image) in frame.sample.images.into_iter().enumerate() {
                 let expected = rig
                     .image(simulation.world(), 2 * unit + side, k as u32)
                     .expect("camera");
