@@ -7,6 +7,7 @@ mod simulated_session;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+use lsfb_drivers::camera::wire::{ImuProtocol, ImuResponse, ImuSegment};
 use lsfb_recording::{LIDAR_POSITION, Recording};
 use nix::sys::signal::Signal;
 use process::lsfb;
@@ -49,6 +50,16 @@ fn packets(path: &Path, source: &str) -> Vec<Vec<u8>> {
     packets.map(|p| p.expect("packet").packet.bytes).collect()
 }
 
+/// What a camera unit's own IMU measured, in order.
+fn segments(path: &Path, imu: &str) -> Vec<ImuSegment> {
+    let answers = packets(path, imu);
+    let parsed = answers.iter().map(|bytes| {
+        let answer = ImuResponse::parse(ImuProtocol::Float, bytes);
+        answer.expect("an answer of protocol 2").segments
+    });
+    parsed.flatten().collect()
+}
+
 /// What must be the same in a recording of a mock: everything but when it arrived.
 fn content(path: &Path) -> Vec<String> {
     let recording = Recording::open(path).expect("recording");
@@ -59,7 +70,9 @@ fn content(path: &Path) -> Vec<String> {
         let own = ["/health/", "/sync/"]
             .iter()
             .any(|t| topic.topic.starts_with(t));
-        if own || topic.topic == "/raw/imu0" || topic.topic.ends_with("tf_static") {
+        // Answers to polls are cut wherever their host asked.
+        let cut = topic.topic.starts_with("/raw/imu");
+        if own || cut || topic.topic.ends_with("tf_static") {
             continue;
         }
         let mut line = format!("{} {} {}", topic.topic, topic.schema, topic.messages);
@@ -104,6 +117,25 @@ fn a_mock_of_a_recording_gives_the_same_recording() {
             }
             let stream = |path: &Path| packets(path, "imu0").concat();
             assert!(stream(&source) == stream(&again), "imu0");
+            for imu in ["imu1", "imu2"] {
+                let (was, is) = (segments(&source, imu), segments(&again, imu));
+                assert!(was.len() > 1_000, "{imu}: {}", was.len());
+                assert!(was == is, "{imu}");
+            }
+            let units = |path: &Path| {
+                Recording::open(path)
+                    .and_then(|recording| recording.camera_units())
+                    .expect("units")
+            };
+            assert_eq!(units(&source), units(&again));
+            assert_eq!(units(&source).len(), 2);
+            for file in ["unit/cam0/1.bin", "unit/cam2/1.bin"] {
+                let kept = |path: &Path| {
+                    let recording = Recording::open(path).expect("recording");
+                    recording.attachment(file).expect("device information")
+                };
+                assert_eq!(kept(&source), kept(&again), "{file}");
+            }
             let rig = |path: &Path| {
                 Recording::open(path)
                     .expect("recording")

@@ -65,7 +65,14 @@ pub fn recorded(scan_secs: u32) -> &'static Path {
         let arguments = arguments.into_iter().map(str::to_owned).chain(ports);
         let mut sim = Running::lsfb(&folder, arguments);
         sim.wait_for("backpack-devices.toml");
-        let report = scan(&folder, "sim/backpack-devices.toml", "scan.mcap");
+        // The units' own IMUs are asked too.
+        let listed = std::fs::read_to_string(folder.join("sim/backpack-devices.toml"));
+        let listed = listed
+            .expect("devices")
+            .replace("\"cam1\"]", "\"cam1\"]\nimu = \"imu1\"")
+            .replace("\"cam3\"]", "\"cam3\"]\nimu = \"imu2\"");
+        std::fs::write(folder.join("sim/all-devices.toml"), listed).expect("devices");
+        let report = scan(&folder, "sim/all-devices.toml", "scan.mcap");
         assert_eq!(report["groups"]["complete"], 10 * scan_secs, "{report}");
         sim.wait_for("glasses-devices.toml");
         scan(&folder, "sim/glasses-devices.toml", "walk.mcap");

@@ -128,7 +128,7 @@ impl Playback {
         let has = |topic: &str| recording.topics().iter().any(|t| t.topic == topic);
         let lidar = has("/lidar/packets") || has("/lidar/position") || has(lidar::STRANGE_TOPIC);
         let cameras = camera::plans(&recording)?;
-        let imu_rate_hz = has(imu::TOPIC).then(|| imu::rate_hz(&recording));
+        let imu_rate_hz = imu::is_playable(&recording).then(|| imu::rate_hz(&recording));
         let sidecars = sidecar::names(&recording);
         if !lidar && cameras.is_empty() && imu_rate_hz.is_none() && sidecars.is_empty() {
             return Err(Error::Source {
@@ -142,8 +142,17 @@ impl Playback {
         if has("/lidar/points") && !has(lidar::DATA_TOPIC) {
             unplayed.push("/lidar/points".to_owned());
         }
-        if has(imu::SAMPLES_TOPIC) && imu_rate_hz.is_none() {
-            unplayed.push(imu::SAMPLES_TOPIC.to_owned());
+        let inside = |imu: &str| cameras.iter().any(|c| c.imu.as_deref() == Some(imu));
+        for topic in recording.topics() {
+            let name = topic.topic.strip_prefix('/');
+            let imu = name.and_then(|name| name.strip_suffix("/data_raw"));
+            let played = |imu: &str| match imu {
+                imu::SOURCE => imu_rate_hz.is_some(),
+                other => inside(other),
+            };
+            if imu.is_some_and(|imu| !played(imu)) {
+                unplayed.push(topic.topic.clone());
+            }
         }
         Ok(Self {
             path: path.to_owned(),

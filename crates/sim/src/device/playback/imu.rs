@@ -11,15 +11,22 @@ use crate::device::clock::{SimClock, Turn};
 use crate::device::imu::ImuDevice;
 use crate::device::session::SessionReport;
 
-/// Where the bytes are.
-pub(super) const TOPIC: &str = "/raw/imu0";
 /// Where the samples are.
 pub(super) const SAMPLES_TOPIC: &str = "/imu0/data_raw";
-const SOURCE: &str = "imu0";
+pub(super) const SOURCE: &str = "imu0";
 /// The counter of the fine sample time wraps here.
 const TICKS_PERIOD: i64 = 1 << 32;
 /// Samples that the rate is told by.
 const RATE_SAMPLES: usize = 101;
+
+/// Kind of the packets that are pieces of an Xsens unit's stream.
+const XSENS_KIND: u16 = 0;
+
+/// Whether the recorded unit is one that can be played: an Xsens unit on a serial line.
+pub(super) fn is_playable(recording: &Recording) -> bool {
+    let first = recording.packets(SOURCE).ok().and_then(|mut p| p.next());
+    first.is_some_and(|packet| packet.is_ok_and(|packet| packet.kind == XSENS_KIND))
+}
 
 /// Samples per second, from the first of them; 200 where there are none.
 pub(super) fn rate_hz(recording: &Recording) -> u16 {
