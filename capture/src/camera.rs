@@ -120,6 +120,8 @@ struct UnitImu {
     polled: Instant,
     answers: u64,
     unanswered: u64,
+    /// Polls without answer of which it is not known yet whether the unit is still there.
+    unsettled: u64,
     model: ModelTopic,
     /// Whether frames carry external time, and the IMU's segments with them; unknown before the first frame.
     external: Option<bool>,
@@ -136,6 +138,7 @@ impl CameraStream {
             polled: Instant::now(),
             answers: 0,
             unanswered: 0,
+            unsettled: 0,
             model: ModelTopic::new(name, TICK_NS, 0),
             external: None,
             early: Vec::new(),
@@ -255,9 +258,10 @@ impl CameraStream {
             return Ok(());
         }
         imu.polled = Instant::now();
+        imu.unanswered += std::mem::take(&mut imu.unsettled);
         let Ok(answer) = camera.poll_imu(imu.decoder.last_serial()) else {
-            // A unit that is gone says so with its next frame.
-            imu.unanswered += 1;
+            // A unit that has ended says so when it is waited for; one that goes on has refused.
+            imu.unsettled += 1;
             return Ok(());
         };
         // A bad answer is counted by the decoder.

@@ -259,6 +259,101 @@ fn a_place_that_cannot_be_written_is_an_error_in_one_sentence() {
     );
 }
 
+/// Runs this test again where `mounts` are carried out first, each on a folder of its own below the one that the test is told
+/// of: by the user's own name space, which needs no rights. `false`: not allowed here, which is said in one line.
+#[allow(clippy::print_stdout, reason = "a skipped test says so")]
+fn run_below_mounts(test: &str, mounts: &[(&str, &str)]) -> bool {
+    let folder = tempfile::tempdir().unwrap();
+    let mut script = String::new();
+    for (name, options) in mounts {
+        let place = folder.path().join(name);
+        std::fs::create_dir(&place).unwrap();
+        script += &format!("mount -t tmpfs -o {options} tmpfs {} && ", place.display());
+    }
+    let unshared = |script: &str| {
+        let mut command = std::process::Command::new("unshare");
+        command.args(["--user", "--map-root-user", "--mount", "sh", "-c", script]);
+        command
+    };
+    let allowed = unshared(&format!("{script}true")).output();
+    if !allowed.is_ok_and(|output| output.status.success()) {
+        println!("skipped: {test}: no file system may be mounted here");
+        return false;
+    }
+    let child = unshared(&format!("{script}exec \"$0\" \"$@\""))
+        .arg(std::env::current_exe().unwrap())
+        .args(["--exact", test])
+        .env(MOUNTED_FOLDER, folder.path())
+        .output()
+        .unwrap();
+    let output = String::from_utf8_lossy(&child.stdout);
+    assert!(
+        child.status.success() && output.contains("1 passed"),
+        "{output}"
+    );
+    true
+}
+
+/// The part that runs where file systems of its own are mounted.
+const MOUNTED_FOLDER: &str = "LSFB_TEST_MOUNTED_CAPTURE";
+
+#[test]
+fn a_read_only_disk_is_refused_before_anything_is_opened() {
+    let Some(folder) = std::env::var_os(MOUNTED_FOLDER) else {
+        let test = "a_read_only_disk_is_refused_before_anything_is_opened";
+        run_below_mounts(test, &[("disk", "ro,size=1m")]);
+        return;
+    };
+    let out = Path::new(&folder).join("disk/scan.mcap");
+    let started = Feed::start(&out, None, &[], &plain(), Overflow::Wait);
+    let message = started.err().unwrap().to_string();
+    assert!(
+        message.contains("scan.mcap") && message.contains("Read-only"),
+        "{message}"
+    );
+    assert_eq!(message.lines().count(), 1, "{message}");
+    assert!(!out.exists());
+}
+
+#[test]
+fn full_disks_leave_whole_files() {
+    let Some(folder) = std::env::var_os(MOUNTED_FOLDER) else {
+        let disks = [("first", "size=2m"), ("second", "size=3m")];
+        run_below_mounts("full_disks_leave_whole_files", &disks);
+        return;
+    };
+    let folder = Path::new(&folder);
+    let config = RecorderConfig {
+        second_folder: Some(folder.join("second")),
+        chunk_bytes: 200_000,
+        ..plain()
+    };
+    let report = record(
+        &folder.join("first/scan.mcap"),
+        &config,
+        200,
+        Duration::ZERO,
+    );
+    assert_eq!(report.parts.len(), 2, "{report:?}");
+    let failure = report.failure.clone().unwrap();
+    assert!(failure.contains("No space left"), "{failure}");
+    assert!(report.lost > 0);
+    // Up to the last whole chunk, although the disk had no room even for an index.
+    let samples: Vec<u32> = report
+        .parts
+        .iter()
+        .flat_map(|part| {
+            let recording = Recording::open(part).unwrap();
+            let samples = recording.imu().unwrap().map(Result::unwrap);
+            let values = samples.map(|s| s.sample.angular_velocity_rad_s[0] as u32);
+            values.collect::<Vec<_>>()
+        })
+        .collect();
+    assert!(samples.len() > 60, "{}", samples.len());
+    let gaps = samples.windows(2).filter(|w| w[1] != w[0] + 1).count();
+    assert!(samples.is_sorted() && gaps <= 1, "{samples:?}");
+}
+
 /// A pipe whose reader is slow stands for the disk: devices never wait, what does not fit is counted, and the file is whole.
 #[test]
 fn a_slow_disk_costs_samples_that_are_counted_and_no_device_waits() {

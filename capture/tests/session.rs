@@ -18,6 +18,7 @@ use lsfb_capture::{
     CameraUnitConfig, CaptureReport, DevicesConfig, Ending, ImuFamily, ImuLineConfig,
     LidarNetConfig, Overflow, RecorderConfig, Session, SidecarConfig, StreamReport, Tapped,
 };
+use lsfb_drivers::camera::wire::DeviceInfo;
 use lsfb_recording::message::{Remark, decode_remark};
 use lsfb_recording::{LIDAR_POSITION, REMARKS, Recording};
 use lsfb_types::{Timestamp, no_progress};
@@ -194,6 +195,109 @@ fn every_packet_of_every_device_is_in_the_recording() {
     let health: serde_json::Value =
         serde_json::from_slice(&recording.attachment("health.json").unwrap()).unwrap();
     assert_eq!(health["streams"].as_array().unwrap().len(), 5);
+}
+
+/// Issue 4: "N×K in general".
+#[test]
+fn units_of_any_number_of_cameras_form_one_group() {
+    const FRAMES: u16 = 9;
+    let folder = tempfile::tempdir().unwrap();
+    let sizes = [1, 4, 2];
+    let names = ["a", "b", "c", "d", "e", "f", "g"];
+    let (mut units, mut cameras, mut first) = (Vec::new(), Vec::new(), 0);
+    for (n, size) in sizes.into_iter().enumerate() {
+        let path = folder.path().join(format!("unit{n}"));
+        // Each began to count at another number; the last misses its last two frames.
+        let frames = if n == 2 { FRAMES - 2 } else { FRAMES };
+        let first_id = 100 * n as u16;
+        units.push(mock::camera_unit(
+            size,
+            &path,
+            first_id,
+            Some(frames),
+            Farewell::Orderly,
+        ));
+        cameras.push(CameraUnitConfig {
+            names: names[first..first + size]
+                .iter()
+                .map(|n| (*n).to_owned())
+                .collect(),
+            ..CameraUnitConfig::stereo(path, Default::default())
+        });
+        first += size;
+    }
+    let config = DevicesConfig {
+        overflow: Overflow::Wait,
+        cameras,
+        ..anywhere()
+    };
+    let out = folder.path().join("scan.mcap");
+    let report = run(Session::open(&config).unwrap(), &out);
+    units.into_iter().for_each(|unit| unit.join().unwrap());
+    assert_eq!(
+        (report.groups.complete, report.groups.incomplete),
+        (7, 2),
+        "{report:?}"
+    );
+    let missing: Vec<_> = report.groups.missing_by_camera.iter().collect();
+    assert_eq!(missing, [(&"f".to_owned(), &2), (&"g".to_owned(), &2)]);
+    assert_eq!(stream(&report, "b+c+d+e").decoded, 4 * u64::from(FRAMES));
+    let recording = Recording::open(&out).unwrap();
+    for (name, width) in names.iter().zip([1280, 320, 320, 320, 320, 640, 640]) {
+        let images: Vec<_> = recording
+            .images(name)
+            .unwrap()
+            .map(Result::unwrap)
+            .collect();
+        let frames = if width == 640 { FRAMES - 2 } else { FRAMES };
+        assert_eq!(images.len(), usize::from(frames), "{name}");
+        assert!(
+            images
+                .iter()
+                .all(|i| (i.sample.width, i.sample.height) == (width, 400))
+        );
+    }
+    let listed = recording.camera_units().unwrap();
+    let listed: Vec<usize> = listed.iter().map(|unit| unit.cameras.len()).collect();
+    assert_eq!(listed, sizes);
+    // What each unit says about itself is kept as it came.
+    let info = recording.attachment("unit/b/1.bin").unwrap();
+    assert_eq!(DeviceInfo::parse(&info).unwrap().serial, "07C41A19");
+}
+
+#[test]
+fn a_unit_of_another_family_is_recorded_too() {
+    const SAMPLES: u32 = 900;
+    let folder = tempfile::tempdir().unwrap();
+    let imu = mock::microstrain(SAMPLES);
+    let config = DevicesConfig {
+        overflow: Overflow::Wait,
+        imu: Some(ImuLineConfig {
+            family: ImuFamily::Microstrain,
+            ..line(&imu.path)
+        }),
+        ..anywhere()
+    };
+    let out = folder.path().join("scan.mcap");
+    let report = run(Session::open(&config).unwrap(), &out);
+    imu.thread.join().unwrap();
+    let found = stream(&report, "imu0");
+    assert_eq!(
+        (found.decoded, report.lost),
+        (SAMPLES.into(), 0),
+        "{report:?}"
+    );
+    let recording = Recording::open(&out).unwrap();
+    for (sample, n) in recording.imu().unwrap().map(Result::unwrap).zip(0_u32..) {
+        assert_eq!(sample.sample.angular_velocity_rad_s[2], f64::from(n));
+        assert_eq!(sample.device_ticks, u64::from(n) * IMU_PERIOD_NS as u64);
+    }
+    let kinds: Vec<u16> = recording
+        .packets("imu0")
+        .unwrap()
+        .map(|p| p.unwrap().kind)
+        .collect();
+    assert!(!kinds.is_empty() && kinds.iter().all(|kind| *kind == 1));
 }
 
 #[test]

@@ -10,14 +10,18 @@ mod fake_kernel;
 use std::io::IoSlice;
 use std::os::fd::AsRawFd;
 use std::path::Path;
+use std::sync::atomic::AtomicBool;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+use lsfb_capture::{DevicesConfig, ImuFamily, ImuLineConfig, Overflow, RecorderConfig, Session};
 use lsfb_drivers::Error;
 use lsfb_drivers::sbg::wire::SbgMessage;
 use lsfb_drivers::sbg::{Decoder, SbgConfig, SbgImu};
 use lsfb_drivers::transport::PacketSource;
 use lsfb_drivers::transport::can::{CanConfig, CanFrame, CanSource};
+use lsfb_recording::Recording;
+use lsfb_types::no_progress;
 use nix::sys::socket::{
     AddressFamily, Backlog, MsgFlags, SockFlag, SockType, UnixAddr, accept, bind, listen, recv,
     sendmsg, socket,
@@ -28,15 +32,14 @@ const SAMPLES: u32 = 1_000;
 const TIMEOUT: Duration = Duration::from_secs(5);
 
 /// The bus: sends `frames` to the socket that connects, takes as many as `count` from it, and goes.
-fn start_bus(path: &Path, frames: Vec<CanFrame>, count: usize) -> JoinHandle<Vec<CanFrame>> {
+fn start_bus(path: &Path, frames: Vec<Vec<u8>>, count: usize) -> JoinHandle<Vec<CanFrame>> {
     let flags = SockFlag::SOCK_CLOEXEC;
     let bus = socket(AddressFamily::Unix, SockType::SeqPacket, flags, None).unwrap();
     bind(bus.as_raw_fd(), &UnixAddr::new(path).unwrap()).unwrap();
     listen(&bus, Backlog::new(1).unwrap()).unwrap();
     let work = move || {
         let node = accept(bus.as_raw_fd()).unwrap();
-        for frame in frames {
-            let bytes = frame.emit();
+        for bytes in frames {
             let slices = [IoSlice::new(&bytes)];
             sendmsg::<()>(node, &slices, &[], MsgFlags::empty(), None).unwrap();
         }
@@ -56,8 +59,8 @@ fn start_bus(path: &Path, frames: Vec<CanFrame>, count: usize) -> JoinHandle<Vec
 }
 
 /// A unit at 200 Hz between frames of others.
-fn unit() -> Vec<CanFrame> {
-    let mut frames = Vec::new();
+fn unit() -> Vec<Vec<u8>> {
+    let mut frames: Vec<CanFrame> = Vec::new();
     for n in 0..SAMPLES {
         let messages = [
             SbgMessage::ImuInfo {
@@ -71,11 +74,25 @@ fn unit() -> Vec<CanFrame> {
         frames.extend(messages.map(|message| message.emit()));
         frames.push(CanFrame::standard(0x6FF, &[1, 2, 3]));
     }
+    frames.iter().map(|frame| frame.emit().to_vec()).collect()
+}
+
+/// The same where nobody took the frames of 20 samples in time: the kernel dropped them, and says so with each frame after.
+fn unit_with_drops() -> Vec<Vec<u8>> {
+    let all = unit();
+    let dropped = 4 * 500..4 * 500 + DROPPED_FRAMES as usize;
+    let mut frames = all.clone();
+    for frame in frames.iter_mut().skip(dropped.end) {
+        frame.extend(DROPPED_FRAMES.to_le_bytes());
+    }
+    frames.drain(dropped);
     frames
 }
 
+const DROPPED_FRAMES: u32 = 4 * 20;
+
 /// Above the emulated kernel: runs the test below it, on a bus that sends `frames` and is sent `expected`; `false`.
-fn is_below(name: &str, frames: impl FnOnce() -> Vec<CanFrame>, expected: &[CanFrame]) -> bool {
+fn is_below(name: &str, frames: impl FnOnce() -> Vec<Vec<u8>>, expected: &[CanFrame]) -> bool {
     if std::env::var_os(BUS).is_some() {
         return true;
     }
@@ -151,4 +168,46 @@ fn frames_go_out_and_an_absent_bus_is_an_error() {
     }
     let error = CanSource::open(&config("can9")).unwrap_err();
     assert!(matches!(error, Error::Open { .. }), "{error}");
+}
+
+#[test]
+fn what_the_kernel_drops_is_counted_and_told() {
+    let name = "what_the_kernel_drops_is_counted_and_told";
+    if !is_below(name, unit_with_drops, &[]) {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let config = DevicesConfig {
+        imu: Some(ImuLineConfig {
+            family: ImuFamily::Sbg,
+            path: "vcan0".into(),
+            baud: 0,
+            rate_hz: 200,
+        }),
+        recorder: RecorderConfig {
+            least_space_secs: 0.0,
+            ..RecorderConfig::default()
+        },
+        overflow: Overflow::Wait,
+        ..DevicesConfig::default()
+    };
+    let out = folder.path().join("scan.mcap");
+    let session = Session::open(&config).unwrap();
+    let snapshots = session.health().subscribe();
+    let stop = AtomicBool::new(false);
+    let report = session.run(&out, &stop, &no_progress).unwrap();
+    let [imu] = report.streams.as_slice() else {
+        panic!("{report:?}");
+    };
+    assert_eq!((imu.decoded, imu.missing), (u64::from(SAMPLES) - 20, 20));
+    let words = format!("{DROPPED_FRAMES} frames dropped by the kernel");
+    assert!(imu.notes.iter().any(|n| n.contains(&words)), "{imu:?}");
+    assert!(report.lost >= 20, "{report:?}");
+    let told = snapshots.iter().last().unwrap();
+    assert_eq!(told.devices[0].missing, 20);
+    let recording = Recording::open(&out).unwrap();
+    let samples = recording.imu().unwrap().map(Result::unwrap);
+    assert_eq!(samples.count() as u64, imu.decoded);
+    // The frames themselves, as they came.
+    assert!(recording.packets("imu0").unwrap().count() as u64 >= 3 * imu.decoded);
 }

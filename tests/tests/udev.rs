@@ -136,3 +136,40 @@ fn every_rule_is_well_formed_and_its_file_sorts_where_it_must() {
     }
     assert!(seen >= 20, "{seen}");
 }
+
+/// What systemd itself makes of the rules: `udevadm` reads them in a file system of their own.
+#[test]
+#[allow(clippy::print_stdout, reason = "a skipped test says so")]
+fn udevadm_reads_every_rule_without_complaint() {
+    let read = |extra: &str| {
+        let script = format!(
+            "mount -t tmpfs tmpfs /run && mkdir -p /run/udev/rules.d && cp {}/*.rules /run/udev/rules.d && {extra} \
+             udevadm test /sys/class/net/lo 2>&1",
+            folder().display()
+        );
+        let arguments = ["--user", "--map-root-user", "--mount", "sh", "-c", &script];
+        let output = Command::new("unshare").args(arguments).output().ok()?;
+        Some(String::from_utf8_lossy(&output.stdout).into_owned())
+    };
+    let broken = "echo 'FOO' > /run/udev/rules.d/99-broken.rules;";
+    let (Some(said), Some(warned)) = (read(""), read(broken)) else {
+        println!("skipped: udevadm_reads_every_rule_without_complaint: no unshare here");
+        return;
+    };
+    // Where it does not complain about what is wrong, it says nothing about what is right.
+    if !warned.contains("99-broken.rules:1") {
+        println!(
+            "skipped: udevadm_reads_every_rule_without_complaint: no udevadm that may be run here"
+        );
+        return;
+    }
+    let about_ours: Vec<&str> = said.lines().filter(|line| line.contains("lsfb")).collect();
+    let complaints: Vec<_> = about_ours
+        .iter()
+        .filter(|line| !line.starts_with("Reading rules file: "))
+        .collect();
+    assert!(complaints.is_empty(), "{complaints:?}");
+    let files = fs::read_dir(folder()).expect("folder").flatten();
+    let rules = files.filter(|e| e.path().extension().is_some_and(|e| e == "rules"));
+    assert_eq!(about_ours.len(), rules.count());
+}

@@ -14,6 +14,9 @@ use lsfb_drivers::camera::wire::{
 };
 use lsfb_drivers::imu::model::message;
 use lsfb_drivers::imu::wire::{Item, Message, OutputSetting, UtcTime, Vector};
+use lsfb_drivers::microstrain::MipUnit;
+use lsfb_drivers::microstrain::model::set;
+use lsfb_drivers::microstrain::wire::{Field, MipPacket};
 use lsfb_drivers::phone::model::CLOCK_UTC;
 use lsfb_drivers::phone::wire::Advertise;
 use lsfb_drivers::phone::{ClientConfig, SidecarClient};
@@ -127,9 +130,20 @@ pub fn stereo_unit(
     frames: Option<u16>,
     farewell: Farewell,
 ) -> JoinHandle<()> {
+    camera_unit(2, socket, first_id, frames, farewell)
+}
+
+/// The same with any number of cameras, which share 1280 columns.
+pub fn camera_unit(
+    cameras: usize,
+    socket: &Path,
+    first_id: u16,
+    frames: Option<u16>,
+    farewell: Farewell,
+) -> JoinHandle<()> {
     let listener = CameraListener::bind(socket).unwrap();
     spawn("mock-camera", move || {
-        serve_stereo(&listener, first_id, frames, farewell)
+        serve_unit(cameras, &listener, first_id, frames, farewell)
     })
 }
 
@@ -143,11 +157,17 @@ pub fn stereo_unit_after(
     spawn("mock-camera-again", move || {
         std::thread::sleep(delay);
         let listener = CameraListener::bind(&socket).unwrap();
-        serve_stereo(&listener, first_id, Some(frames), Farewell::Orderly);
+        serve_unit(2, &listener, first_id, Some(frames), Farewell::Orderly);
     })
 }
 
-fn serve_stereo(listener: &CameraListener, first_id: u16, frames: Option<u16>, farewell: Farewell) {
+fn serve_unit(
+    cameras: usize,
+    listener: &CameraListener,
+    first_id: u16,
+    frames: Option<u16>,
+    farewell: Farewell,
+) {
     {
         let info = DeviceInfo {
             serial: "07C41A19".to_owned(),
@@ -174,10 +194,10 @@ fn serve_stereo(listener: &CameraListener, first_id: u16, frames: Option<u16>, f
                 exposure_steps: 50,
                 ..Trailer::default()
             };
-            let pixels = vec![n as u8; 640 * 400];
+            let pixels = vec![n as u8; 1280 * 400 / cameras];
             emit_frame(
                 FrameFormat::S2_1280X400,
-                &[&pixels, &pixels],
+                &vec![pixels.as_slice(); cameras],
                 &trailer.with_checksum(),
                 &mut bytes,
             )
@@ -286,6 +306,42 @@ pub fn imu(samples: Option<u32>, garbage: &'static [u8]) -> MockImu {
             if samples.is_none() {
                 std::thread::sleep(Duration::from_millis(5));
             }
+        }
+        pty.finish(Duration::from_secs(20)).unwrap();
+    });
+    MockImu { path, thread }
+}
+
+/// A MicroStrain unit of 1000 Hz that sends `samples` of 200 Hz behind its configuration.
+pub fn microstrain(samples: u32) -> MockImu {
+    let mut pty = Pty::open().unwrap();
+    let path = pty.path().to_owned();
+    let thread = spawn("mock-mip", move || {
+        let mut unit = MipUnit::new(1000);
+        while !unit.is_streaming() {
+            if let Some(bytes) = pty.recv(Duration::from_secs(5)).unwrap() {
+                let answer = unit.handle(&bytes).unwrap();
+                pty.send(&answer).unwrap();
+            }
+        }
+        for n in 0..u64::from(samples) {
+            let mut payload = Vec::new();
+            for field in [
+                Field::ReferenceTimeNs(n * IMU_PERIOD_NS as u64),
+                Field::ReferenceDeltaNs(IMU_PERIOD_NS as u64),
+                Field::AccelerometerG([0.0, 0.0, 1.0]),
+                Field::GyroscopeRadS([0.0, 0.0, n as f32]),
+            ] {
+                field.emit(&mut payload).unwrap();
+            }
+            let mut bytes = Vec::new();
+            MipPacket {
+                descriptor_set: set::SENSOR,
+                payload: &payload,
+            }
+            .emit(&mut bytes)
+            .unwrap();
+            pty.send(&bytes).unwrap();
         }
         pty.finish(Duration::from_secs(20)).unwrap();
     });

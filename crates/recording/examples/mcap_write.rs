@@ -38,17 +38,31 @@ fn main() {
     std::fs::write(folder.join("images.bin"), images.concat()).unwrap();
     std::fs::write(folder.join("packets.bin"), packets.concat()).unwrap();
     let bytes = (IMAGES * IMAGE_BYTES + PACKETS * PACKET_BYTES) as f64;
-    for (name, ours, theirs) in [
-        ("none", Compression::None, None),
-        ("lz4", Compression::Lz4, Some(mcap::Compression::Lz4)),
-        ("zstd", Compression::Zstd, Some(mcap::Compression::Zstd)),
+    for (name, ours, theirs, level) in [
+        ("none", Compression::None, None, 0),
+        ("lz4", Compression::Lz4, Some(mcap::Compression::Lz4), 0),
+        // The default of the C++ library and of this one, and that of the crate and the PyPI package.
+        (
+            "zstd level 1",
+            Compression::Zstd,
+            Some(mcap::Compression::Zstd),
+            1,
+        ),
+        (
+            "zstd level 3",
+            Compression::Zstd,
+            Some(mcap::Compression::Zstd),
+            3,
+        ),
     ] {
         let (mut own, mut peer) = (Vec::new(), Vec::new());
         for _ in 0..runs {
             let path = folder.join("ours.mcap");
-            own.push(timed(|| write_ours(&path, ours, &images, &packets)));
+            own.push(timed(|| write_ours(&path, ours, level, &images, &packets)));
             let path = folder.join("crate.mcap");
-            peer.push(timed(|| write_crate(&path, theirs, &images, &packets)));
+            peer.push(timed(|| {
+                write_crate(&path, theirs, level, &images, &packets)
+            }));
         }
         let size = |file: &str| std::fs::metadata(folder.join(file)).unwrap().len() as f64 / 1e6;
         let (own, peer) = (median(own), median(peer));
@@ -101,9 +115,16 @@ fn interleaved() -> impl Iterator<Item = (usize, std::ops::Range<usize>)> {
     (0..IMAGES).map(move |n| (n, n * per_image..(n + 1) * per_image))
 }
 
-fn write_ours(path: &Path, compression: Compression, images: &[Vec<u8>], packets: &[Vec<u8>]) {
+fn write_ours(
+    path: &Path,
+    compression: Compression,
+    level: u32,
+    images: &[Vec<u8>],
+    packets: &[Vec<u8>],
+) {
     let config = WriterConfig {
         compression,
+        zstd_level: level as i32,
         chunk_bytes: CHUNK_BYTES,
         chunk_secs: 1e9,
         ..WriterConfig::default()
@@ -129,12 +150,14 @@ fn write_ours(path: &Path, compression: Compression, images: &[Vec<u8>], packets
 fn write_crate(
     path: &Path,
     compression: Option<mcap::Compression>,
+    level: u32,
     images: &[Vec<u8>],
     packets: &[Vec<u8>],
 ) {
     let file = BufWriter::with_capacity(1 << 20, File::create(path).unwrap());
     let mut writer = mcap::WriteOptions::new()
         .compression(compression)
+        .compression_level(level)
         .compression_threads(0)
         .chunk_size(Some(CHUNK_BYTES))
         .create(file)

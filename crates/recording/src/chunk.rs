@@ -6,6 +6,7 @@ use crate::error::Error;
 use crate::index::ChunkEntry;
 use crate::record::{self, HEAD_BYTES, Packing, opcode};
 use crate::source::Source;
+use crate::unpack;
 
 /// Larger chunks, packed or unpacked, are refused: nobody writes them, and length fields may lie.
 const MAX_CHUNK_BYTES: u64 = 1 << 30;
@@ -22,10 +23,11 @@ pub(crate) fn read(
     entry: &ChunkEntry,
     records: &mut Vec<u8>,
 ) -> Result<(), Error> {
-    records.clear();
-    let bytes = read_bytes(source, entry, Vec::new())?;
-    let packed = packed(source, entry, &bytes)?;
+    let read = read_bytes(source, entry, Vec::new());
+    let bytes = read.inspect_err(|_| records.clear())?;
+    let packed = packed(source, entry, &bytes).inspect_err(|_| records.clear())?;
     if packed.head.packing == Packing::Plain {
+        records.clear();
         check(source, entry, &packed.head, packed.data)?;
         records.extend_from_slice(packed.data);
         return Ok(());
@@ -56,7 +58,6 @@ pub(crate) fn verify(
     if packed.head.packing == Packing::Plain {
         return check(source, entry, &packed.head, packed.data);
     }
-    scratch.records.clear();
     unpack(source, entry, &packed, &mut scratch.records)?;
     check(source, entry, &packed.head, &scratch.records)
 }
@@ -135,18 +136,14 @@ fn unpack(
     packed: &Packed<'_>,
     records: &mut Vec<u8>,
 ) -> Result<(), Error> {
-    // One byte more than promised is enough to notice.
-    let limit = packed.head.uncompressed_bytes + 1;
-    let data = packed.data;
-    let unpacked = match packed.head.packing {
-        Packing::Plain => data.take(limit).read_to_end(records),
-        Packing::Lz4 => lz4::Decoder::new(data).and_then(|d| d.take(limit).read_to_end(records)),
-        Packing::Zstd => {
-            zstd::stream::read::Decoder::new(data).and_then(|d| d.take(limit).read_to_end(records))
-        }
-    };
+    let unpacked = unpack::unpack(
+        packed.head.packing,
+        packed.data,
+        packed.head.uncompressed_bytes,
+        records,
+    );
     match unpacked {
-        Ok(_) => Ok(()),
+        Ok(()) => Ok(()),
         Err(error) => {
             records.clear();
             let reason = format!("chunk does not unpack ({error})");

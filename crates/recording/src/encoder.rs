@@ -7,13 +7,14 @@ use std::path::{Path, PathBuf};
 
 use lsfb_types::Timestamp;
 
-use crate::emit::{self, IndexEntry};
+use crate::emit;
 use crate::error::Error;
 use crate::layout::{Compression, Durability, Existing, Summary, TopicSummary, WriterConfig};
+use crate::open_chunk::{MessageHead, OpenChunk, Outgoing, PLAIN};
 use crate::pack::Packer;
 use crate::record::opcode;
 use crate::summary::{self, ChunkIndex, NamedIndex, SummaryBuilder};
-use crate::{message, topic};
+use crate::topic;
 
 struct OpenChannel {
     id: u16,
@@ -21,45 +22,6 @@ struct OpenChannel {
     messages: u64,
 }
 
-/// A message on its way into the file: its bytes are `bytes` and, behind them, `tail`, which need not be copied together.
-pub(crate) struct Outgoing<'a> {
-    pub topic: &'a str,
-    pub schema_name: &'a str,
-    pub schema_text: &'a str,
-    pub bytes: &'a [u8],
-    pub tail: &'a [u8],
-}
-
-impl<'a> Outgoing<'a> {
-    pub fn new(topic: &'a str, schema: message::Schema, bytes: &'a [u8]) -> Self {
-        Self {
-            topic,
-            schema_name: schema.name,
-            schema_text: schema.text,
-            bytes,
-            tail: &[],
-        }
-    }
-
-    fn data_bytes(&self) -> u64 {
-        (self.bytes.len() + self.tail.len()) as u64
-    }
-}
-
-/// The chunk that is being filled. Its bytes begin with room for the chunk's head, so that it is written as it lies here.
-#[derive(Default)]
-struct OpenChunk {
-    bytes: Vec<u8>,
-    first_arrival: Option<Timestamp>,
-    start_time: u64,
-    end_time: u64,
-    hasher: crc32fast::Hasher,
-    index: BTreeMap<u16, Vec<IndexEntry>>,
-    messages: u64,
-}
-
-/// Room before the data of a chunk that is written as it is.
-const PLAIN: &str = "";
 /// Opcode, length and header of a message record.
 const MESSAGE_RECORD_BYTES: u64 = 31;
 /// Schema and channel record without the schema's text, generously.
@@ -110,7 +72,7 @@ impl Encoder {
             channels: BTreeMap::new(),
             chunk: OpenChunk::default(),
             packed: Vec::new(),
-            packer: Packer::default(),
+            packer: Packer::new(config.zstd_level),
             summary: SummaryBuilder::default(),
         };
         let mut head = mcap::MAGIC.to_vec();
@@ -184,8 +146,7 @@ impl Encoder {
         if self.chunk.bytes.is_empty() {
             return Ok(());
         }
-        let prefix_bytes = emit::chunk_prefix_bytes(PLAIN);
-        let uncompressed_bytes = (self.chunk.bytes.len() - prefix_bytes) as u64;
+        let uncompressed_bytes = self.chunk.data().len() as u64;
         let crc = std::mem::take(&mut self.chunk.hasher).finalize();
         let compression = match self.config.compression {
             Compression::None => PLAIN,
@@ -241,11 +202,7 @@ impl Encoder {
 
     /// Packs the open chunk; the name of the compression that was used, none where it gains nothing.
     fn pack(&mut self, name: &'static str) -> &'static str {
-        let data = self
-            .chunk
-            .bytes
-            .get(emit::chunk_prefix_bytes(PLAIN)..)
-            .unwrap_or_default();
+        let data = self.chunk.data();
         let prefix_bytes = emit::chunk_prefix_bytes(name);
         let packed = self.packer.pack(
             self.config.compression,
@@ -348,42 +305,22 @@ impl Encoder {
         message: &Outgoing<'_>,
     ) -> Result<(), Error> {
         let (log_time, publish_time) = (arrival.nanos() as u64, time.nanos() as u64);
-        self.open_chunk(arrival, log_time);
+        self.chunk.open(arrival, log_time);
         let channel_id = self.channel_id(message)?;
         let sequence = self.channels.get_mut(message.topic).map_or(0, |channel| {
             channel.messages += 1;
             channel.messages as u32
         });
-        let chunk = &mut self.chunk;
-        let start = chunk.bytes.len();
-        let out = &mut chunk.bytes;
-        out.push(opcode::MESSAGE);
-        emit::u64(out, 22 + message.data_bytes());
-        emit::u16(out, channel_id);
-        emit::u32(out, sequence);
-        emit::u64(out, log_time);
-        emit::u64(out, publish_time);
-        out.extend_from_slice(message.bytes);
-        out.extend_from_slice(message.tail);
-        // While these bytes are still in the processor's cache.
-        chunk.hasher.update(out.get(start..).unwrap_or_default());
-        chunk.index.entry(channel_id).or_default().push(IndexEntry {
-            log_time,
-            offset: (start - emit::chunk_prefix_bytes(PLAIN)) as u64,
-        });
-        chunk.start_time = chunk.start_time.min(log_time);
-        chunk.end_time = chunk.end_time.max(log_time);
-        chunk.messages += 1;
+        self.chunk.put(
+            &MessageHead {
+                channel_id,
+                sequence,
+                log_time,
+                publish_time,
+            },
+            message,
+        );
         Ok(())
-    }
-
-    fn open_chunk(&mut self, arrival: Timestamp, log_time: u64) {
-        let chunk = &mut self.chunk;
-        if chunk.bytes.is_empty() {
-            chunk.bytes.resize(emit::chunk_prefix_bytes(PLAIN), 0);
-            (chunk.start_time, chunk.end_time) = (log_time, log_time);
-        }
-        chunk.first_arrival.get_or_insert(arrival);
     }
 
     fn channel_id(&mut self, message: &Outgoing<'_>) -> Result<u16, Error> {
@@ -416,7 +353,7 @@ impl Encoder {
         emit::string(&mut body, message.topic);
         emit::string(&mut body, "cdr");
         emit::string_map(&mut body, &metadata);
-        self.define(opcode::CHANNEL, &body);
+        self.chunk.define(opcode::CHANNEL, &body);
         self.summary.channels.insert(id, body);
         self.channels.insert(
             message.topic.to_owned(),
@@ -440,19 +377,10 @@ impl Encoder {
         emit::string(&mut body, message.schema_name);
         emit::string(&mut body, "ros2msg");
         emit::string(&mut body, message.schema_text);
-        self.define(opcode::SCHEMA, &body);
+        self.chunk.define(opcode::SCHEMA, &body);
         self.summary.schemas.insert(id, body);
         self.schemas.insert(message.schema_name.to_owned(), id);
         id
-    }
-
-    /// Puts a definition into the open chunk, before the first message that needs it.
-    fn define(&mut self, opcode: u8, body: &[u8]) {
-        let chunk = &mut self.chunk;
-        let start = chunk.bytes.len();
-        emit::record(&mut chunk.bytes, opcode, |out| out.extend_from_slice(body));
-        let record = chunk.bytes.get(start..).unwrap_or_default();
-        chunk.hasher.update(record);
     }
 
     /// Writes whole records. The first failure cuts the file back to its last whole record and is the last.

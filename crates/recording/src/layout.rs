@@ -48,6 +48,8 @@ pub struct WriterConfig {
     pub chunk_secs: f64,
     /// Compression of the chunks.
     pub compression: Compression,
+    /// Level of `zstd`: 1 (fast) to 19 (small).
+    pub zstd_level: i32,
     /// What the recording survives while it is being written.
     pub durability: Durability,
     /// What happens to a file of the same name.
@@ -62,6 +64,7 @@ impl Default for WriterConfig {
             chunk_bytes: 4 << 20,
             chunk_secs: 1.0,
             compression: Compression::default(),
+            zstd_level: 1,
             durability: Durability::default(),
             existing: Existing::default(),
             session: BTreeMap::new(),

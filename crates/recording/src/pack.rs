@@ -7,23 +7,27 @@ use crate::layout::Compression;
 
 /// Start of an LZ4 frame: magic, version 1 with independent blocks of up to 4 MiB and no checksums (the chunk has one), and
 /// the checksum of these two bytes.
-const LZ4_FRAME: [u8; 7] = [0x04, 0x22, 0x4D, 0x18, 0x60, 0x70, 0x73];
+pub(crate) const LZ4_FRAME: [u8; 7] = [0x04, 0x22, 0x4D, 0x18, 0x60, 0x70, 0x73];
 /// Largest block of such a frame.
-const LZ4_BLOCK_BYTES: usize = 4 << 20;
+pub(crate) const LZ4_BLOCK_BYTES: usize = 4 << 20;
 /// Set in the size of a block that is stored as it is.
-const LZ4_STORED: u32 = 1 << 31;
+pub(crate) const LZ4_STORED: u32 = 1 << 31;
 /// Images hardly shrink: looking less often for what might costs next to nothing in size.
 const LZ4_ACCELERATION: i32 = 2;
-/// The default level of the library.
-const ZSTD_LEVEL: i32 = 3;
-
 /// Packs chunks; what a codec needs is kept between them.
-#[derive(Default)]
 pub(crate) struct Packer {
+    zstd_level: i32,
     zstd: Option<zstd::bulk::Compressor<'static>>,
 }
 
 impl Packer {
+    pub fn new(zstd_level: i32) -> Self {
+        Self {
+            zstd_level,
+            zstd: None,
+        }
+    }
+
     /// Replaces what `out` holds behind its first `at` bytes by `data`, packed.
     pub fn pack(
         &mut self,
@@ -44,7 +48,7 @@ impl Packer {
     fn zstd(&mut self, data: &[u8], out: &mut Vec<u8>, at: usize) -> Result<usize> {
         let compressor = match &mut self.zstd {
             Some(compressor) => compressor,
-            none => none.insert(zstd::bulk::Compressor::new(ZSTD_LEVEL)?),
+            none => none.insert(zstd::bulk::Compressor::new(self.zstd_level)?),
         };
         grow(out, at + zstd::zstd_safe::compress_bound(data.len()));
         let room = out.get_mut(at..).unwrap_or_default();
@@ -96,7 +100,7 @@ mod tests {
             .map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8)
             .collect();
         let mixed = [&vec![7; 5_000_000][..], &noise].concat();
-        let mut packer = Packer::default();
+        let mut packer = Packer::new(1);
         for data in [&noise[..3], &noise, &mixed, &mixed[..4 << 20], &[]] {
             let mut out = vec![9; 5];
             packer.pack(Compression::Lz4, data, &mut out, 5).unwrap();

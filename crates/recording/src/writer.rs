@@ -4,10 +4,11 @@ use std::path::Path;
 use lsfb_geometry::{Rig, Se3};
 use lsfb_types::{Image, ImuSample, LidarScan, Packet, Stamped, Timestamp};
 
-use crate::encoder::{Encoder, Outgoing};
+use crate::encoder::Encoder;
 use crate::error::Error;
 use crate::layout::{Channel, Summary, WriterConfig};
 use crate::message::{self, FrameMeta, RawPacket, StaticTransform, TimeReference};
+use crate::open_chunk::Outgoing;
 use crate::topic;
 
 /// Spacing of the intrinsics beside the images.

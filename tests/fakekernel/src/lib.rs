@@ -6,7 +6,7 @@
 //! | --- | --- |
 //! | `LSFB_FAKE_CAMERAS` | V4L2 capture nodes: lines of a path, a tab, and the path of a script (`camera_script.rs`) |
 //! | `LSFB_FAKE_USB` | a usbfs node: its path, a tab, and the path of a script (`usb.rs`) |
-//! | `LSFB_FAKE_CAN` | CAN interfaces `vcan…`: the socket (SEQPACKET) of a bus that sends and takes frames |
+//! | `LSFB_FAKE_CAN` | CAN interfaces `vcan…`: the socket (SEQPACKET) of a bus that sends and takes frames; behind a frame it may send a u32, how many frames were dropped so far |
 //!
 //! Opening a camera's path gives a memory file, whose `ioctl`s and `poll`s are answered by `camera.rs`; mapped buffers are
 //! mapped for real. A CAN socket is a connection to the bus, below which filters are applied as the kernel does. Everything else
@@ -348,20 +348,70 @@ pub unsafe extern "C" fn recvmsg(fd: c_int, message: *mut msghdr, flags: c_int) 
     }
     // SAFETY: the caller gives a message with at least one buffer, whose lengths are set anew before each try.
     unsafe {
-        let control_len = (*message).msg_controllen;
+        let (control_len, buffers, count) = (
+            (*message).msg_controllen,
+            (*message).msg_iov,
+            (*message).msg_iovlen,
+        );
+        if count == 0 {
+            return real(fd, message, flags);
+        }
+        // Behind a frame the bus may say how many were dropped so far.
+        let mut drops = [0_u8; 4];
+        let mut both = [
+            *buffers,
+            libc::iovec {
+                iov_base: drops.as_mut_ptr().cast(),
+                iov_len: drops.len(),
+            },
+        ];
         loop {
             (*message).msg_controllen = control_len;
+            (*message).msg_iov = both.as_mut_ptr();
+            (*message).msg_iovlen = both.len();
             let len = real(fd, message, flags);
-            if len < 0 || (*message).msg_iovlen == 0 {
+            (*message).msg_iov = buffers;
+            (*message).msg_iovlen = count;
+            if len < 0 {
                 return len;
             }
-            let buffer = &*(*message).msg_iov;
-            let taken = (len as usize).min(buffer.iov_len);
-            let frame = slice::from_raw_parts(buffer.iov_base.cast::<u8>(), taken);
+            let taken = (len as usize).min((*buffers).iov_len);
+            let frame = slice::from_raw_parts((*buffers).iov_base.cast::<u8>(), taken);
             if len == 0 || can::passes(fd, frame) {
-                return len;
+                if len as usize == taken + drops.len() {
+                    tell_drops(message, control_len, u32::from_le_bytes(drops));
+                }
+                return taken as ssize_t;
             }
         }
+    }
+}
+
+/// Adds the control message with which the kernel tells what it has dropped (`SO_RXQ_OVFL`).
+///
+/// # Safety
+/// `message` has been received into, and had `room` bytes for control messages.
+unsafe fn tell_drops(message: *mut msghdr, room: usize, drops: u32) {
+    // SAFETY: only numbers are computed.
+    let (space, len) = unsafe { (libc::CMSG_SPACE(4), libc::CMSG_LEN(4)) };
+    // SAFETY: the caller's promise.
+    unsafe {
+        let used = (*message).msg_controllen;
+        if used + space as usize > room {
+            return;
+        }
+        let header = (*message)
+            .msg_control
+            .cast::<u8>()
+            .add(used)
+            .cast::<libc::cmsghdr>();
+        header.write(libc::cmsghdr {
+            cmsg_len: len as usize,
+            cmsg_level: libc::SOL_SOCKET,
+            cmsg_type: libc::SO_RXQ_OVFL,
+        });
+        libc::CMSG_DATA(header).cast::<u32>().write_unaligned(drops);
+        (*message).msg_controllen = used + space as usize;
     }
 }
 

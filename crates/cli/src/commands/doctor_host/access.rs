@@ -1,0 +1,164 @@
+//! What the user may do: groups, rules, limits (`udev/*.rules`, `lsfb-limits.conf`).
+
+use std::fs;
+use std::path::Path;
+
+use super::{Check, INSTALL, Verdict, check, read};
+
+macro_rules! rules {
+    ($name:literal) => {
+        ($name, include_str!(concat!("../../../../../udev/", $name)))
+    };
+}
+
+/// Rules, as they belong in the system; `udev/install.sh` puts them there.
+pub(super) const RULES: [(&str, &str); 7] = [
+    rules!("70-lsfb-camera.rules"),
+    rules!("70-lsfb-can.rules"),
+    rules!("70-lsfb-gnss.rules"),
+    rules!("70-lsfb-imu.rules"),
+    rules!("70-lsfb-microstrain.rules"),
+    rules!("70-lsfb-mynt-d.rules"),
+    rules!("70-lsfb-sync.rules"),
+];
+/// The interface of a CAN unit, for systemd-networkd.
+pub(super) const CAN_NETWORK: (&str, &str) = rules!("80-lsfb-can.network");
+/// Groups whose members may open cameras, serial lines and USB devices, and have the limits of `lsfb-limits.conf`.
+const GROUPS: [&str; 4] = ["video", "dialout", "plugdev", "lsfb"];
+const GOOD_RT_PRIORITY: u64 = 60;
+/// A nice value of -15, as the kernel counts it.
+const GOOD_NICE: u64 = 35;
+const GOOD_OPEN_FILES: u64 = 4_096;
+
+/// Members of groups may open devices; root may anyway.
+pub(super) fn groups(root: &Path) -> Check {
+    let name = "groups";
+    let status = read(root, "proc/self/status").unwrap_or_default();
+    let ids = |field: &str| -> Vec<u32> {
+        let line = status.lines().find_map(|line| line.strip_prefix(field));
+        let words = line.unwrap_or_default().split_whitespace();
+        words.filter_map(|word| word.parse().ok()).collect()
+    };
+    if ids("Uid:").get(1) == Some(&0) {
+        return check(name, Verdict::Pass, "root, who may open every device", "");
+    }
+    let mine = [ids("Groups:"), ids("Gid:")].concat();
+    let table = read(root, "etc/group").unwrap_or_default();
+    let id_of = |group: &str| -> Option<u32> {
+        let line = table
+            .lines()
+            .find(|line| line.split(':').next() == Some(group))?;
+        line.split(':').nth(2)?.parse().ok()
+    };
+    let missing: Vec<&str> = GROUPS
+        .into_iter()
+        .filter(|group| id_of(group).is_some_and(|id| !mine.contains(&id)))
+        .collect();
+    if missing.is_empty() {
+        return check(name, Verdict::Pass, GROUPS.join(", "), "");
+    }
+    check(
+        name,
+        Verdict::Fail,
+        format!("not in {}", missing.join(", ")),
+        format!(
+            "sudo usermod -aG {} $USER, then log in again",
+            missing.join(",")
+        ),
+    )
+}
+
+/// Names the devices and lets users open them.
+pub(super) fn device_rules(root: &Path) -> Check {
+    let places = [
+        "etc/udev/rules.d",
+        "usr/lib/udev/rules.d",
+        "lib/udev/rules.d",
+    ];
+    installed(root, "device rules", &places, &RULES)
+}
+
+/// Brings the interface of a CAN unit up.
+pub(super) fn can_network(root: &Path) -> Check {
+    let places = ["etc/systemd/network", "usr/lib/systemd/network"];
+    installed(root, "CAN interface", &places, &[CAN_NETWORK])
+}
+
+/// Whether files of `udev/` are where the system looks for them.
+fn installed(
+    root: &Path,
+    name: &'static str,
+    places: &[&str],
+    files: &[(&'static str, &str)],
+) -> Check {
+    let found_in = |file: &str| {
+        places
+            .iter()
+            .find_map(|place| fs::read_to_string(root.join(place).join(file)).ok())
+    };
+    let (mut missing, mut other) = (Vec::new(), Vec::new());
+    for (file, text) in files {
+        match found_in(file) {
+            None => missing.push(*file),
+            Some(found) if found != *text => other.push(*file),
+            Some(_) => {}
+        }
+    }
+    if missing.is_empty() && other.is_empty() {
+        let count = files.len();
+        let files = if count == 1 { "file" } else { "files" };
+        return check(name, Verdict::Pass, format!("{count} {files}"), "");
+    }
+    let mut found = Vec::new();
+    if !missing.is_empty() {
+        found.push(format!("missing: {}", missing.join(", ")));
+    }
+    if !other.is_empty() {
+        found.push(format!("not those of this version: {}", other.join(", ")));
+    }
+    check(name, Verdict::Warn, found.join("; "), INSTALL)
+}
+
+/// The soft limit of a resource; `u64::MAX` where there is none.
+pub(super) fn limit(root: &Path, name: &str) -> Option<u64> {
+    let limits = read(root, "proc/self/limits")?;
+    let line = limits.lines().find_map(|line| line.strip_prefix(name))?;
+    match line.split_whitespace().next()? {
+        "unlimited" => Some(u64::MAX),
+        number => number.parse().ok(),
+    }
+}
+
+pub(super) fn real_time(root: &Path) -> Check {
+    let priority = limit(root, "Max realtime priority").unwrap_or_default();
+    let locked = limit(root, "Max locked memory").unwrap_or_default();
+    // 20 less the lowest nice value that may be asked for.
+    let nice = limit(root, "Max nice priority").unwrap_or_default();
+    let effective_root = groups(root).found.starts_with("root");
+    let may_hurry = priority >= GOOD_RT_PRIORITY && nice >= GOOD_NICE;
+    let good = (may_hurry || effective_root) && locked >= 64 << 20;
+    let locked_text = match locked {
+        u64::MAX => "any amount of".to_owned(),
+        bytes => format!("{} kB of", bytes / 1024),
+    };
+    check(
+        "real-time limits",
+        if good { Verdict::Pass } else { Verdict::Warn },
+        format!("priority up to {priority}, nice limit {nice}, {locked_text} locked memory"),
+        format!("{INSTALL} --user $USER, then log in again"),
+    )
+}
+
+pub(super) fn open_files(root: &Path) -> Check {
+    let files = limit(root, "Max open files").unwrap_or_default();
+    let good = files >= GOOD_OPEN_FILES;
+    check(
+        "open files",
+        if good { Verdict::Pass } else { Verdict::Warn },
+        match files {
+            u64::MAX => "unlimited".to_owned(),
+            files => format!("up to {files}"),
+        },
+        format!("ulimit -n {GOOD_OPEN_FILES}, for good: {INSTALL}"),
+    )
+}

@@ -1,0 +1,154 @@
+//! What the kernel is set to: `udev/60-lsfb.conf`, `lsfb-tmpfiles.conf`, `lsfb-modprobe.conf`.
+
+use std::path::Path;
+
+use super::machine::meminfo_bytes;
+use super::{Check, INSTALL, Verdict, at_least, check, number, read};
+
+/// A VLP-32C with dual returns fills this in four seconds, receive buffers' overhead included.
+const GOOD_RMEM_BYTES: u64 = 33_554_432;
+/// Below one second of it, a busy moment loses packets.
+const POOR_RMEM_BYTES: u64 = 8_388_608;
+const GOOD_BACKLOG: u64 = 5_000;
+const GOOD_USBFS_MB: u64 = 256;
+/// Dirty pages beyond this stall the writer when they are flushed at once.
+const GOOD_DIRTY_BYTES: u64 = 1 << 30;
+/// Writing that begins later than this comes in bursts.
+const GOOD_BACKGROUND_BYTES: u64 = 256 << 20;
+/// Options of the driver of UVC cameras, as `lsfb-modprobe.conf` sets them.
+const VIDEO_OPTIONS: [(&str, &str, &[&str]); 3] = [
+    ("clock", "CLOCK_MONOTONIC", &["CLOCK_MONOTONIC"]),
+    ("hwtimestamps", "0", &["0", "N"]),
+    ("nodrop", "1", &["1", "Y"]),
+];
+
+pub(super) fn receive_buffer(root: &Path) -> Check {
+    let name = "receive buffer";
+    match number(root, "proc/sys/net/core/rmem_max") {
+        Some(bytes) => check(
+            name,
+            at_least(bytes as f64, GOOD_RMEM_BYTES as f64, POOR_RMEM_BYTES as f64),
+            format!("net.core.rmem_max = {bytes}"),
+            format!("sudo sysctl -w net.core.rmem_max={GOOD_RMEM_BYTES}, for good: {INSTALL}"),
+        ),
+        None => check(
+            name,
+            Verdict::Warn,
+            "net.core.rmem_max cannot be read",
+            "check it by hand",
+        ),
+    }
+}
+
+pub(super) fn backlog(root: &Path) -> Check {
+    let found = number(root, "proc/sys/net/core/netdev_max_backlog");
+    let good = found.is_none_or(|packets| packets >= GOOD_BACKLOG);
+    check(
+        "network backlog",
+        if good { Verdict::Pass } else { Verdict::Warn },
+        match found {
+            Some(packets) => format!("net.core.netdev_max_backlog = {packets}"),
+            None => "not of this network namespace".to_owned(),
+        },
+        format!("sudo sysctl -w net.core.netdev_max_backlog={GOOD_BACKLOG}, for good: {INSTALL}"),
+    )
+}
+
+pub(super) fn dirty_pages(root: &Path) -> Check {
+    let bytes = number(root, "proc/sys/vm/dirty_bytes").unwrap_or_default();
+    let ratio = number(root, "proc/sys/vm/dirty_ratio").unwrap_or_default();
+    let memory = meminfo_bytes(root, "MemTotal:").unwrap_or_default();
+    let limit = match bytes {
+        0 => memory / 100 * ratio,
+        bytes => bytes,
+    };
+    check(
+        "write-back",
+        if limit <= GOOD_DIRTY_BYTES {
+            Verdict::Pass
+        } else {
+            Verdict::Warn
+        },
+        format!("up to {} MB wait in memory for the disk", limit / 1_000_000),
+        format!("sudo sysctl -w vm.dirty_bytes=536870912, for good: {INSTALL}"),
+    )
+}
+
+pub(super) fn usbfs(root: &Path) -> Check {
+    let name = "USB buffers";
+    match number(root, "sys/module/usbcore/parameters/usbfs_memory_mb") {
+        // Zero is no limit.
+        Some(megabytes) if megabytes == 0 || megabytes >= GOOD_USBFS_MB => check(
+            name,
+            Verdict::Pass,
+            format!("usbfs_memory_mb = {megabytes}"),
+            "",
+        ),
+        Some(megabytes) => check(
+            name,
+            Verdict::Warn,
+            format!("usbfs_memory_mb = {megabytes}: too little for cameras read through libusb"),
+            format!(
+                "echo {GOOD_USBFS_MB} | sudo tee /sys/module/usbcore/parameters/usbfs_memory_mb, for good: {INSTALL}"
+            ),
+        ),
+        None => check(
+            name,
+            Verdict::Warn,
+            "this kernel has no USB",
+            "record on a machine with USB, or from mock devices only",
+        ),
+    }
+}
+
+/// From how many bytes on the kernel begins to write by itself.
+pub(super) fn early_writing(root: &Path) -> Check {
+    let bytes = number(root, "proc/sys/vm/dirty_background_bytes").unwrap_or_default();
+    let ratio = number(root, "proc/sys/vm/dirty_background_ratio").unwrap_or_default();
+    let memory = meminfo_bytes(root, "MemTotal:").unwrap_or_default();
+    let start = match bytes {
+        0 => memory / 100 * ratio,
+        bytes => bytes,
+    };
+    check(
+        "early writing",
+        if start <= GOOD_BACKGROUND_BYTES {
+            Verdict::Pass
+        } else {
+            Verdict::Warn
+        },
+        format!("begins at {} MB", start / 1_000_000),
+        format!("sudo sysctl -w vm.dirty_background_bytes=67108864, for good: {INSTALL}"),
+    )
+}
+
+/// How frames of cameras are stamped, and whether damaged ones are handed over.
+pub(super) fn video_options(root: &Path) -> Check {
+    let name = "video options";
+    let parameters = "sys/module/uvcvideo/parameters";
+    if !root.join(parameters).exists() {
+        return check(name, Verdict::Pass, "no UVC camera was ever plugged in", "");
+    }
+    let wrong: Vec<String> = VIDEO_OPTIONS
+        .iter()
+        .filter_map(|(option, wanted, good)| {
+            let found = read(root, &format!("{parameters}/{option}")).unwrap_or_default();
+            let is_good = good.contains(&found.as_str());
+            (!is_good).then(|| format!("{option} = {found} instead of {wanted}"))
+        })
+        .collect();
+    if wrong.is_empty() {
+        return check(
+            name,
+            Verdict::Pass,
+            "monotonic stamps, no frame dropped",
+            "",
+        );
+    }
+    check(
+        name,
+        Verdict::Warn,
+        wrong.join(", "),
+        format!("{INSTALL}, then plug the cameras in again"),
+    )
+}

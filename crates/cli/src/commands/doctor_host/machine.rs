@@ -1,0 +1,54 @@
+//! The machine: processor and memory.
+
+use std::path::Path;
+
+use super::{Check, Verdict, at_least, check, folders, read};
+
+const GOOD_MEMORY_BYTES: u64 = 2 << 30;
+
+pub(super) fn governor(root: &Path) -> Check {
+    let name = "processor speed";
+    let cores = folders(root, "sys/devices/system/cpu");
+    let governors: Vec<String> = cores
+        .iter()
+        .filter_map(|core| read(core, "cpufreq/scaling_governor"))
+        .collect();
+    if governors.is_empty() {
+        return check(name, Verdict::Pass, "does not change", "");
+    }
+    let slow: Vec<_> = governors.iter().filter(|g| *g != "performance").collect();
+    match slow.first() {
+        None => check(name, Verdict::Pass, "governor performance", ""),
+        Some(governor) => check(
+            name,
+            Verdict::Warn,
+            format!(
+                "governor {governor} on {} of {} cores",
+                slow.len(),
+                governors.len()
+            ),
+            "sudo cpupower frequency-set -g performance",
+        ),
+    }
+}
+
+pub(super) fn meminfo_bytes(root: &Path, field: &str) -> Option<u64> {
+    let table = read(root, "proc/meminfo")?;
+    let line = table.lines().find_map(|line| line.strip_prefix(field))?;
+    let kilobytes: u64 = line.split_whitespace().next()?.parse().ok()?;
+    Some(kilobytes * 1024)
+}
+
+pub(super) fn memory(root: &Path) -> Check {
+    let free = meminfo_bytes(root, "MemAvailable:").unwrap_or_default();
+    check(
+        "memory",
+        at_least(
+            free as f64,
+            GOOD_MEMORY_BYTES as f64,
+            0.5 * GOOD_MEMORY_BYTES as f64,
+        ),
+        format!("{:.1} GB free", free as f64 / 1e9),
+        "close other programs",
+    )
+}
