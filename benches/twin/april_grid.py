@@ -2,9 +2,9 @@
 
 usage: april_grid.py FOLDER     what `frames FOLDER calibration` wrote
 
-Two detectors: OpenCV's ArUco, its corners refined by `cornerSubPix`, and PyPI `aprilgrid`. A refinement that depends on where
-it starts has no corner to go to (a neighbouring one, or the image's edge, is in its window): such corners are left out, by
-what the refinement does alone, without a look at the truth.
+Two detectors: PyPI `aprilgrid`, of which no corner is left out, and OpenCV's ArUco, whose corners are refined by
+`cornerSubPix`. A refinement that depends on where it starts has no corner to go to (a neighbouring one is in its window):
+such corners are left out, by what the refinement does alone, without a look at the truth.
 """
 
 import json
@@ -18,7 +18,7 @@ folder = sys.argv[1]
 # Tags smaller than this leave the refinement no window, pixels.
 SMALLEST_PX = 40
 # Starts of the refinement around a corner that was found, pixels, and how far its ends may be apart.
-STARTS = [(0, 0), (1, 1), (-1, 1), (1, -1), (-1, -1)]
+STARTS = [(0, 0), (0.5, 0.5), (-0.5, 0.5), (0.5, -0.5), (-0.5, -0.5)]
 APART_PX = 0.1
 STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
 
@@ -86,9 +86,11 @@ for name, detect in detectors.items():
                 corners = min((corners[o] for o in orders), key=lambda c: np.abs(c - truth).sum())
             if np.linalg.norm(corners[0] - corners[1]) < SMALLEST_PX:
                 continue
-            ends = refined(grey, corners)
-            found = ends[0] if name != "aprilgrid" else corners
-            sure = np.linalg.norm(ends - ends[0], axis=2).max(axis=0) < APART_PX
+            if name == "aprilgrid":
+                found, sure = corners, np.ones(4, bool)
+            else:
+                ends = refined(grey, corners)
+                found, sure = ends[0], np.linalg.norm(ends - ends[0], axis=2).max(axis=0) < APART_PX
             errors.setdefault(image["kind"], []).extend(found - truth)
             kept.setdefault(image["kind"], []).extend(sure)
     for kind in errors:

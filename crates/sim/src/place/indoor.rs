@@ -195,7 +195,7 @@ pub(super) fn atrium(site: &mut Site, area: Area) {
     for (k, x) in [0.08, 0.9].into_iter().enumerate() {
         let rng = site.moved("atrium bench", k as u64);
         let at = Place::new([area.x[0] + x * w, area.y[0] + 0.5 * d, 0.0], 1.57);
-        sofa(site.out(), &rng, &at, [2.0, 0.8, 0.75]);
+        sofa(site.out(), &rng, &at, [2.0, 0.8, 0.75], 0.0);
         let pot = at.point([2.7, -0.4, 0.0]);
         plant(site.out(), &rng, pot, 1.8, 0.5);
     }
@@ -357,5 +357,6 @@ pub(super) fn stairs(site: &mut Site, area: Area) {
         &rng,
         &seat.moved([-2.1, 0.0, 0.0], 0.0),
         [2.0, 0.8, 0.75],
+        0.0,
     );
 }

@@ -135,7 +135,7 @@ fn core_room(site: &mut Site, area: Area, number: u64) {
 fn lounge(site: &mut Site, [x, y]: [f32; 2], number: u64) {
     let rng = site.moved("lounge", number);
     let place = Place::new([x - 1.0, y, 0.0], 0.0);
-    sofa(site.out(), &rng, &place, [2.0, 0.8, 0.75]);
+    sofa(site.out(), &rng, &place, [2.0, 0.8, 0.75], 0.0);
     for side in [-0.6, 2.6] {
         let pot = place.point([side, -0.4, 0.0]);
         plant(site.out(), &rng, pot, uniform(&rng, 1.1, 1.7), 0.4);

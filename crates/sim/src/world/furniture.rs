@@ -259,10 +259,17 @@ pub(crate) fn chair(out: &mut Builder, rng: &Dice, centre: &Place) {
     }
 }
 
-/// A sofa with cushions.
-pub(crate) fn sofa(out: &mut Builder, rng: &Dice, place: &Place, [w, d, h]: Size) {
+/// A sofa with cushions, its base so much above the floor.
+pub(crate) fn sofa(
+    out: &mut Builder,
+    rng: &Dice,
+    place: &Place,
+    [w, d, h]: Size,
+    above_floor_m: f32,
+) {
     let fabric = Material::FABRIC.toned(uniform(rng, 0.25, 0.5));
-    out.cuboid(place, [0.0, -d, 0.08], [w, 0.0, 0.4], Faces::All, fabric);
+    let low = [0.0, -d, above_floor_m];
+    out.cuboid(place, low, [w, 0.0, 0.4], Faces::All, fabric);
     out.cuboid(
         place,
         [0.0, -0.22, 0.4],

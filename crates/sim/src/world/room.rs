@@ -276,6 +276,7 @@ fn room(out: &mut Builder, rng: &Dice, plan: &FloorPlan, lamps: &mut Vec<Lamp>) 
         rng,
         &right.moved([start, 0.0, 0.0], 0.0),
         [couch, 0.68, 0.78],
+        0.08,
     );
     window(
         out,
