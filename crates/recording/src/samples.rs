@@ -1,5 +1,7 @@
 //! What a recording holds, decoded: one walk over the chunks per iterator.
 
+mod surroundings;
+
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::rc::Rc;

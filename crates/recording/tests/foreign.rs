@@ -5,7 +5,10 @@
 use std::process::Command;
 
 use lsfb_geometry::{Camera, Rig, RigCamera, RigLidar, Se3, Vector6};
-use lsfb_recording::{Compression, LIDAR_POSITION, Writer, WriterConfig};
+use lsfb_recording::message::{
+    self, BleAdvert, GnssFix, GnssReading, MagneticSample, PressureSample, WifiReading,
+};
+use lsfb_recording::{Channel, Compression, LIDAR_POSITION, Writer, WriterConfig};
 use lsfb_types::{Image, ImuSample, LidarPoint, LidarScan, Packet, Stamped, Timestamp};
 
 const START: Timestamp = Timestamp::from_nanos(1_772_359_200_123_456_789);
@@ -91,8 +94,87 @@ fn write(path: &std::path::Path, compression: Compression) {
         writer
             .write_raw(LIDAR_POSITION, 0, u64::from(n), &packet(3, 512), time)
             .unwrap();
+        write_surroundings(&mut writer, n);
     }
     writer.finish().unwrap();
+}
+
+/// What a phone measures of its surroundings.
+fn write_surroundings(writer: &mut Writer, n: u32) {
+    let stamps = stamped(n, ());
+    let x = f64::from(n);
+    let magnetic = MagneticSample {
+        field_t: [1e-6 * x, -2e-6, 4.5e-5],
+        variance_t2: [1e-14, 2e-14, 3e-14],
+    };
+    let pressure = PressureSample {
+        pressure_pa: 95_000.25 + x,
+        variance_pa2: 2.25,
+    };
+    let fix = GnssFix {
+        latitude_deg: 48.125,
+        longitude_deg: 11.5 + x,
+        altitude_m: 519.5,
+        covariance_enu_m2: [4.0, 0.5, 0.25, 0.5, 9.0, -1.0, 0.25, -1.0, 16.0],
+    };
+    // Every second one is without a fix.
+    let gnss = GnssReading {
+        fix: n.is_multiple_of(2).then_some(fix),
+    };
+    let wifi = WifiReading {
+        scan: n,
+        bssid: "02:00:5e:10:00:01".into(),
+        ssid: "lsfb".into(),
+        frequency_mhz: 5180,
+        rssi_dbm: -60 - n as i16,
+    };
+    let ble = BleAdvert {
+        address: "c0:01:02:03:04:05".into(),
+        uuid: "9195b3ad-a9d0-4500-85ff-9fb0f65a5201".into(),
+        major: 258,
+        minor: n as u16,
+        measured_power_dbm: -56,
+        rssi_dbm: -84,
+        data: vec![2, 1, n as u8],
+    };
+    let time = stamps.time;
+    for (name, schema, bytes) in [
+        (
+            "mag",
+            message::MAGNETIC_FIELD,
+            message::encode_magnetic(time, "mag", &magnetic),
+        ),
+        (
+            "pressure",
+            message::FLUID_PRESSURE,
+            message::encode_pressure(time, "pressure", &pressure),
+        ),
+        (
+            "gnss",
+            message::NAV_SAT_FIX,
+            message::encode_gnss(time, "gnss", &gnss),
+        ),
+        (
+            "wifi",
+            message::WIFI_READING,
+            message::encode_wifi(time, "wifi", &wifi),
+        ),
+        (
+            "ble",
+            message::BLE_ADVERT,
+            message::encode_ble(time, "ble", &ble),
+        ),
+    ] {
+        let topic = format!("/sidecar/phone/{name}");
+        let channel = Channel {
+            topic: &topic,
+            schema_name: schema.name,
+            schema_text: schema.text,
+        };
+        writer
+            .write_cdr(&channel, time, stamps.arrival, &bytes)
+            .unwrap();
+    }
 }
 
 #[test]
@@ -120,7 +202,7 @@ fn mcap_and_rosbags_read_every_value() {
             String::from_utf8_lossy(&output.stderr)
         );
         assert!(
-            said.contains("mcap: 164 messages") && said.contains("rosbags: 164 messages"),
+            said.contains("mcap: 264 messages") && said.contains("rosbags: 264 messages"),
             "{said}"
         );
     }

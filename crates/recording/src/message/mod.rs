@@ -7,9 +7,11 @@ mod image;
 mod imu;
 mod lsfb;
 mod points;
+mod radio;
 mod recorder;
 mod remark;
 mod schema;
+mod surroundings;
 mod transform;
 mod velodyne;
 
@@ -26,14 +28,20 @@ pub use lsfb::{
     encode_raw_packet,
 };
 pub use points::{decode_points, encode_points};
+pub use radio::{BleAdvert, WifiReading, decode_ble, decode_wifi, encode_ble, encode_wifi};
 pub use recorder::{
     CameraGroup, ClockModel, HealthValue, decode_camera_group, decode_clock_model,
     decode_health_value, encode_camera_group, encode_clock_model, encode_health_value,
 };
 pub use remark::{Remark, decode_remark, encode_remark};
 pub use schema::{
-    CAMERA_GROUP, CAMERA_INFO, CLOCK_MODEL, FRAME_META, HEALTH_VALUE, IMAGE, IMU, POINT_CLOUD,
-    RAW_PACKET, REMARK, Schema, TF_MESSAGE, TIME_REFERENCE, VELODYNE_SCAN,
+    BLE_ADVERT, CAMERA_GROUP, CAMERA_INFO, CLOCK_MODEL, FLUID_PRESSURE, FRAME_META, HEALTH_VALUE,
+    IMAGE, IMU, MAGNETIC_FIELD, NAV_SAT_FIX, POINT_CLOUD, RAW_PACKET, REMARK, Schema, TF_MESSAGE,
+    TIME_REFERENCE, VELODYNE_SCAN, WIFI_READING,
+};
+pub use surroundings::{
+    GnssFix, GnssReading, MagneticSample, PressureSample, decode_gnss, decode_magnetic,
+    decode_pressure, encode_gnss, encode_magnetic, encode_pressure,
 };
 pub use transform::{StaticTransform, encode_static_transforms};
 pub use velodyne::{VELODYNE_PACKET_BYTES, decode_velodyne_scan, encode_velodyne_scan};

@@ -192,3 +192,59 @@ pub const HEALTH_VALUE: Schema = Schema {
         header!()
     ),
 };
+
+/// The magnetic field, raw.
+pub const MAGNETIC_FIELD: Schema = Schema {
+    name: "sensor_msgs/msg/MagneticField",
+    text: concat!(
+        "std_msgs/Header header\ngeometry_msgs/Vector3 magnetic_field\nfloat64[9] magnetic_field_covariance\n",
+        dependency!("geometry_msgs/Vector3", "float64 x\nfloat64 y\nfloat64 z\n"),
+        header!()
+    ),
+};
+
+/// The pressure of the air.
+pub const FLUID_PRESSURE: Schema = Schema {
+    name: "sensor_msgs/msg/FluidPressure",
+    text: concat!(
+        "std_msgs/Header header\nfloat64 fluid_pressure\nfloat64 variance\n",
+        header!()
+    ),
+};
+
+/// Positions by satellites.
+pub const NAV_SAT_FIX: Schema = Schema {
+    name: "sensor_msgs/msg/NavSatFix",
+    text: concat!(
+        "uint8 COVARIANCE_TYPE_UNKNOWN=0\nuint8 COVARIANCE_TYPE_APPROXIMATED=1\n",
+        "uint8 COVARIANCE_TYPE_DIAGONAL_KNOWN=2\nuint8 COVARIANCE_TYPE_KNOWN=3\n",
+        "std_msgs/Header header\nsensor_msgs/NavSatStatus status\nfloat64 latitude\nfloat64 longitude\n",
+        "float64 altitude\nfloat64[9] position_covariance\nuint8 position_covariance_type\n",
+        dependency!(
+            "sensor_msgs/NavSatStatus",
+            "int8 STATUS_NO_FIX=-1\nint8 STATUS_FIX=0\nint8 STATUS_SBAS_FIX=1\nint8 STATUS_GBAS_FIX=2\n\
+             uint16 SERVICE_GPS=1\nuint16 SERVICE_GLONASS=2\nuint16 SERVICE_COMPASS=4\nuint16 SERVICE_GALILEO=8\n\
+             int8 status\nuint16 service\n"
+        ),
+        header!()
+    ),
+};
+
+/// One network in a Wi-Fi scan.
+pub const WIFI_READING: Schema = Schema {
+    name: "lsfb_msgs/msg/WifiReading",
+    text: concat!(
+        "std_msgs/Header header\nuint32 scan\nstring bssid\nstring ssid\nuint32 frequency_mhz\nint16 rssi_dbm\n",
+        header!()
+    ),
+};
+
+/// One advertisement of a Bluetooth beacon.
+pub const BLE_ADVERT: Schema = Schema {
+    name: "lsfb_msgs/msg/BleAdvert",
+    text: concat!(
+        "std_msgs/Header header\nstring address\nstring uuid\nuint16 major\nuint16 minor\n",
+        "int16 measured_power_dbm\nint16 rssi_dbm\nuint8[] data\n",
+        header!()
+    ),
+};

@@ -59,6 +59,27 @@ def check(topic, n, message, publish_time, log_time):
             assert message.orientation_covariance[0] == -1.0
         elif topic in ("/imu0/time_ref", "/lidar/time_ref"):
             assert message.time_ref.sec * 10**9 + message.time_ref.nanosec == 5_000_000_000 + n
+        elif topic == "/sidecar/phone/mag":
+            field = message.magnetic_field
+            assert (field.x, field.y, field.z) == (1e-6 * n, -2e-6, 4.5e-5)
+            assert list(message.magnetic_field_covariance) == [1e-14, 0, 0, 0, 2e-14, 0, 0, 0, 3e-14]
+        elif topic == "/sidecar/phone/pressure":
+            assert (message.fluid_pressure, message.variance) == (95_000.25 + n, 2.25)
+        elif topic == "/sidecar/phone/gnss":
+            if n % 2:
+                assert message.status.status == -1 and message.latitude != message.latitude
+                assert message.position_covariance_type == 0
+            else:
+                assert (message.status.status, message.status.service, message.position_covariance_type) == (0, 1, 3)
+                assert (message.latitude, message.longitude, message.altitude) == (48.125, 11.5 + n, 519.5)
+                assert list(message.position_covariance) == [4, 0.5, 0.25, 0.5, 9, -1, 0.25, -1, 16]
+        elif topic == "/sidecar/phone/wifi":
+            heard = (message.scan, message.bssid, message.ssid, message.frequency_mhz, message.rssi_dbm)
+            assert heard == (n, "02:00:5e:10:00:01", "lsfb", 5180, -60 - n)
+        elif topic == "/sidecar/phone/ble":
+            assert (message.address, message.uuid) == ("c0:01:02:03:04:05", "9195b3ad-a9d0-4500-85ff-9fb0f65a5201")
+            assert (message.major, message.minor) == (258, n)
+            assert (message.measured_power_dbm, message.rssi_dbm, data) == (-56, -84, bytes([2, 1, n]))
         elif topic == "/lidar/points":
             assert [f.name for f in message.fields] == ["x", "y", "z", "intensity", "ring", "t"]
             points = [struct.unpack_from("<ffffHxxI", data, i * message.point_step) for i in range(message.width)]
