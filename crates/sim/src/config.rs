@@ -4,9 +4,13 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-use crate::Error;
+use crate::ambient::{
+    BarometerConfig, BleConfig, DatumConfig, GnssConfig, MagneticConfig, WifiConfig,
+};
 use crate::place::Place;
+use crate::timing::ClocksConfig;
 use crate::walk::{Device, PaperMotion};
+use crate::{Error, ambient};
 
 /// A whole simulated session: a scan with the backpack and a walk with the glasses.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -46,6 +50,20 @@ pub struct SimConfig {
     pub scan_imu: ImuConfig,
     /// The IMU of the glasses.
     pub glasses_imu: ImuConfig,
+    /// The clocks of all devices, and the ways to their hosts.
+    pub clocks: ClocksConfig,
+    /// Where on Earth the place is.
+    pub datum: DatumConfig,
+    /// Satellite receivers.
+    pub gnss: GnssConfig,
+    /// Wi-Fi heard by the second walk's device.
+    pub wifi: WifiConfig,
+    /// Beacons heard by the second walk's device.
+    pub ble: BleConfig,
+    /// The magnetometer of the second walk's device.
+    pub magnetic: MagneticConfig,
+    /// The barometer of the second walk's device.
+    pub barometer: BarometerConfig,
 }
 
 /// One walk.
@@ -259,6 +277,13 @@ impl Default for SimConfig {
                 accel_bias: 0.06,
                 ..ImuConfig::default()
             },
+            clocks: ClocksConfig::default(),
+            datum: DatumConfig::default(),
+            gnss: GnssConfig::default(),
+            wifi: WifiConfig::default(),
+            ble: BleConfig::default(),
+            magnetic: MagneticConfig::default(),
+            barometer: BarometerConfig::default(),
         }
     }
 }
@@ -446,6 +471,8 @@ impl SimConfig {
 
     /// Refuses what cannot be simulated.
     pub fn check(&self) -> Result<(), Error> {
+        self.clocks.check()?;
+        ambient::check(self)?;
         let require = |field, got: &dyn std::fmt::Display, expected, holds: bool| {
             if holds {
                 Ok(())

@@ -40,6 +40,7 @@
 //! # Ok::<(), lsfb_sim::Error>(())
 //! ```
 
+mod ambient;
 mod config;
 mod device;
 mod error;
@@ -50,10 +51,17 @@ pub mod rigs;
 mod sensor;
 mod simulation;
 mod spline;
+mod timing;
 mod truth;
 mod walk;
 pub mod world;
 
+pub use ambient::{
+    AccessPoint, AmbientChannel, AmbientMessage, AmbientSample, BarometerConfig, Beacon, BleConfig,
+    DatumConfig, Dipole, Geodetic, GnssConfig, GnssEpoch, Heard, MagneticConfig, MagneticSensor,
+    MagneticWorld, Network, PositionError, PulseSource, RadioSource, Receiver, Surroundings,
+    SurroundingsTruth, Transmitters, TrueDipole, TrueTransmitter, WifiConfig, wall_loss_db,
+};
 pub use config::{
     CameraConfig, ImuConfig, LensKind, LidarConfig, LidarModel, LidarReturns, SimConfig, WalkConfig,
 };
@@ -67,6 +75,10 @@ pub use sensor::camera::CameraSim;
 pub use sensor::imu::{BiasedSample, GRAVITY_M_S2, exact_sample};
 pub use sensor::lidar::{FiringCycle, LidarSim, Return};
 pub use simulation::{EPOCH, GLASSES_EPOCH, RigSim, Simulation};
+pub use timing::{
+    ClockConfig, ClockJump, Clocked, ClocksConfig, DeviceClock, Discipline, Link, LinkConfig,
+    RigClocks,
+};
 pub use truth::{TrueBias, Truth};
 pub use walk::{Device, Motion, PaperMotion, Walk, Walker};
 pub use world::World;

@@ -5,12 +5,14 @@ use std::path::Path;
 use lsfb_geometry::{Matrix3, Rig, Se3, Vector3};
 use lsfb_types::{Image, LidarPoint, LidarScan, ProgressFn, Stamped, Timestamp};
 
+use crate::ambient::{GnssEpoch, Surroundings};
 use crate::config::{CameraConfig, ImuConfig, SimConfig};
 use crate::noise::hash;
 use crate::place::{Place, Route, route};
 use crate::sensor::camera::CameraSim;
 use crate::sensor::imu::{self, BiasedSample};
 use crate::sensor::lidar::{FiringCycle, LidarSim};
+use crate::timing::RigClocks;
 use crate::walk::{Gait, Gaze, Passers, Walk, WalkPlan, Walker};
 use crate::world::{FloorPlan, World};
 use crate::{Error, rigs, truth};
@@ -27,6 +29,7 @@ pub struct Simulation {
     world: World,
     scan: RigSim,
     glasses: RigSim,
+    surroundings: Surroundings,
 }
 
 /// A rig on its walk.
@@ -44,6 +47,8 @@ pub struct RigSim {
     camera_rate_hz: u32,
     lidar: Option<LidarSim>,
     lidar_rpm: u32,
+    clocks: RigClocks,
+    gnss: Vec<GnssEpoch>,
 }
 
 impl Simulation {
@@ -58,6 +63,7 @@ impl Simulation {
             scan_walk,
             &config.scan_cameras,
             &config.scan_imu,
+            RigClocks::new(&config.clocks, EPOCH, config.seed),
             config.seed,
         )?;
         scan.lidar = scan.rig.lidar.as_ref().map(|lidar| {
@@ -74,6 +80,7 @@ impl Simulation {
             second_walk,
             &config.glasses_cameras,
             &config.glasses_imu,
+            RigClocks::new(&config.clocks, GLASSES_EPOCH, hash(config.seed)),
             hash(config.seed ^ 0x61a5),
         )?;
         if config.people && config.paper_motion()?.is_some_and(|m| m.is_occluded()) {
@@ -81,11 +88,14 @@ impl Simulation {
             let cameras = glasses.cameras.drain(..);
             glasses.cameras = cameras.map(|c| c.with_passers(passers.clone())).collect();
         }
+        let surroundings = Surroundings::new(config, &world, [&scan.walk, &glasses.walk]);
+        scan.gnss = surroundings.scan_gnss(&world, &scan.walk);
         Ok(Self {
             config: config.clone(),
             world,
             scan,
             glasses,
+            surroundings,
         })
     }
 
@@ -109,7 +119,13 @@ impl Simulation {
         &self.glasses
     }
 
-    /// Writes `truth_scan.tum`, `truth_walk.tum`, their `.json` and `_states.csv` files and `world.ply` into a folder.
+    /// Radio, magnetic field and satellites.
+    pub fn surroundings(&self) -> &Surroundings {
+        &self.surroundings
+    }
+
+    /// Writes `truth_scan.tum`, `truth_walk.tum`, their `.json`, `_states.csv` and `_clocks.csv` files, what sends and what
+    /// is magnetic (`truth_surroundings.json`) and `world.ply` into a folder.
     pub fn write_truth(&self, folder: &Path) -> Result<(), Error> {
         self.scan.write_truth(
             &folder.join("truth_scan.tum"),
@@ -125,6 +141,7 @@ impl Simulation {
         ] {
             truth::write(&folder.join(name), &rig.true_states_csv())?;
         }
+        truth::write_ambient(self, folder)?;
         truth::write(&folder.join("world.ply"), &self.world.to_ply())
     }
 }
@@ -212,6 +229,7 @@ impl RigSim {
         walk: Walk,
         cameras: &CameraConfig,
         imu: &ImuConfig,
+        clocks: RigClocks,
         seed: u64,
     ) -> Result<Self, Error> {
         let imu_rate_hz = imu.rate_hz;
@@ -239,6 +257,8 @@ impl RigSim {
             camera_rate_hz,
             lidar: None,
             lidar_rpm: 600,
+            clocks,
+            gnss: Vec::new(),
         })
     }
 
@@ -270,6 +290,16 @@ impl RigSim {
     /// `offset_ns` after the beginning.
     pub fn time(&self, offset_ns: i64) -> Timestamp {
         self.start.plus_nanos(offset_ns)
+    }
+
+    /// How the clocks of its devices run.
+    pub fn clocks(&self) -> &RigClocks {
+        &self.clocks
+    }
+
+    /// What the receiver says that gives the LiDAR its time, second by second; of the backpack only.
+    pub(crate) fn gnss(&self) -> &[GnssEpoch] {
+        &self.gnss
     }
 
     /// Rate of its IMU, Hz.

@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 
 use lsfb_geometry::{StampedPose, Trajectory};
 
-use crate::Error;
-use crate::simulation::RigSim;
+use crate::simulation::{RigSim, Simulation};
+use crate::{Error, GnssEpoch};
 
 /// Biases of an IMU at one time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -118,6 +118,47 @@ impl RigSim {
         })?;
         write(json, &truth)
     }
+}
+
+/// Writes how the clocks ran, what sends, what is magnetic, and how far off each position by satellites is.
+pub(crate) fn write_ambient(simulation: &Simulation, folder: &Path) -> Result<(), Error> {
+    let (scan, walk) = (simulation.scan(), simulation.glasses());
+    let clocks = scan.clocks().scan_csv(scan.walk().duration_s());
+    write(&folder.join("truth_scan_clocks.csv"), &clocks)?;
+    let name = &walk.rig().name;
+    let clocks = walk.clocks().walk_csv(name, walk.walk().duration_s());
+    write(&folder.join("truth_walk_clocks.csv"), &clocks)?;
+    let surroundings = simulation.surroundings();
+    let json = folder.join("truth_surroundings.json");
+    let text =
+        serde_json::to_string_pretty(&surroundings.truth()).map_err(|e| Error::Write {
+            path: json.clone(),
+            source: e.into(),
+        })?;
+    write(&json, &text)?;
+    let epochs = surroundings.gnss(simulation.world(), walk.walk());
+    write(&folder.join("truth_walk_gnss.csv"), &gnss_csv(walk, &epochs))?;
+    write(&folder.join("truth_scan_gnss.csv"), &gnss_csv(scan, scan.gnss()))
+}
+
+/// Satellites and errors second by second; empty fields where there is no position.
+fn gnss_csv(rig: &RigSim, epochs: &[GnssEpoch]) -> String {
+    let mut text =
+        String::from("time_ns,satellites,above_mask,error_east_m,error_north_m,error_up_m\n");
+    for epoch in epochs {
+        let time_ns = rig.time(epoch.offset_ns).nanos();
+        let _ = write!(text, "{time_ns},{},{}", epoch.satellites, epoch.above_mask);
+        match &epoch.error {
+            Some(error) => {
+                for value in error.enu_m.iter() {
+                    let _ = write!(text, ",{value:.4}");
+                }
+            }
+            None => text.push_str(",,,"),
+        }
+        text.push('\n');
+    }
+    text
 }
 
 fn rows(matrix: nalgebra::Matrix3<f64>) -> [[f64; 3]; 3] {

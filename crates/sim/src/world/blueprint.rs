@@ -14,7 +14,7 @@ use super::facet::{Facet, Outline};
 use super::light::{Lamp, Lamps, LightGrid, Lighting, SmallFacets, Sun};
 use super::skin::{Beyond, LightMaps, Skin};
 use super::vector::{cross, norm, sub};
-use super::{World, gltf, pool};
+use super::{Substance, World, gltf, pool};
 use crate::Error;
 
 /// Distance between the points at which light is computed, metres.
@@ -77,6 +77,7 @@ impl World {
         Ok(Self {
             reflectances: order.iter().map(reflectance).collect(),
             skins: skins.collect(),
+            substances: vec![Substance::default(); facets.len()],
             facets,
             bvh,
             atlas,
@@ -134,6 +135,10 @@ impl World {
         }
         Self {
             reflectances: surfaces.iter().map(|s| s.material.tone).collect(),
+            substances: surfaces[..facets.len()]
+                .iter()
+                .map(|s| s.material.substance)
+                .collect(),
             facets,
             skins,
             bvh,

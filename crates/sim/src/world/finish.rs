@@ -1,6 +1,7 @@
 //! Materials of large buildings and of what is outside them.
 
 use super::material::{Marks, Material, PLAIN};
+use super::substance::Substance;
 
 impl Material {
     /// A wall with nothing on it: what feature trackers fear.
@@ -35,6 +36,7 @@ impl Material {
         spread: 0.12,
         largest_m: 0.05,
         marks: Marks::Boards([0.5, 0.5]),
+        substance: Substance::Soft,
         ..PLAIN
     };
     pub(crate) const STONE: Self = Self {
@@ -45,6 +47,7 @@ impl Material {
         spread: 0.2,
         largest_m: 0.12,
         marks: Marks::Boards([0.8, 0.8]),
+        substance: Substance::Concrete,
         ..PLAIN
     };
     pub(crate) const CONCRETE: Self = Self {
@@ -54,6 +57,7 @@ impl Material {
         coverage: 0.03,
         spread: 0.18,
         largest_m: 0.1,
+        substance: Substance::Concrete,
         ..PLAIN
     };
     pub(crate) const BRICK: Self = Self {
@@ -65,6 +69,7 @@ impl Material {
         largest_m: 0.04,
         marks: Marks::Boards([0.24, 0.075]),
         coarseness: 1.5,
+        substance: Substance::Brick,
         ..PLAIN
     };
     pub(crate) const CLADDING: Self = Self {
@@ -76,6 +81,7 @@ impl Material {
         largest_m: 0.06,
         marks: Marks::Boards([1.2, 0.6]),
         coarseness: 1.5,
+        substance: Substance::Brick,
         ..PLAIN
     };
     pub(crate) const PAVEMENT: Self = Self {
@@ -87,6 +93,7 @@ impl Material {
         largest_m: 0.1,
         marks: Marks::Boards([0.4, 0.4]),
         coarseness: 1.5,
+        substance: Substance::Concrete,
         ..PLAIN
     };
     pub(crate) const ASPHALT: Self = Self {
@@ -97,6 +104,7 @@ impl Material {
         spread: 0.12,
         largest_m: 0.08,
         coarseness: 1.5,
+        substance: Substance::Concrete,
         ..PLAIN
     };
     pub(crate) const GRASS: Self = Self {
@@ -116,6 +124,7 @@ impl Material {
         coverage: 0.35,
         spread: 0.15,
         largest_m: 0.15,
+        substance: Substance::Leaves,
         ..PLAIN
     };
     pub(crate) const BARK: Self = Self {
@@ -126,6 +135,7 @@ impl Material {
         coverage: 0.08,
         spread: 0.12,
         largest_m: 0.04,
+        substance: Substance::Wood,
         ..PLAIN
     };
     /// Clouds, seen two hundred metres away.
@@ -136,6 +146,7 @@ impl Material {
         stretch: [2.0, 1.0],
         glow: 1.0,
         coarseness: 100.0,
+        substance: Substance::Sky,
         ..PLAIN
     };
     /// A screen whose content changes.
@@ -160,12 +171,14 @@ impl Material {
         spread: 0.3,
         largest_m: 0.5,
         glow: 1.0,
+        substance: Substance::Glass,
         ..PLAIN
     };
     pub(crate) const GLASS: Self = Self {
         tone: 0.08,
         noise: 0.0,
         glass: true,
+        substance: Substance::Glass,
         ..PLAIN
     };
     pub(crate) const SIGN: Self = Self {
@@ -181,6 +194,7 @@ impl Material {
         longest_m: 2.0,
         glow: 1.2,
         coarseness: 3.0,
+        substance: Substance::Glass,
         ..PLAIN
     };
     pub(crate) const CLOTH: Self = Self {
@@ -190,12 +204,14 @@ impl Material {
         coverage: 0.06,
         spread: 0.2,
         largest_m: 0.08,
+        substance: Substance::Soft,
         ..PLAIN
     };
     pub(crate) const SKIN: Self = Self {
         tone: 0.45,
         noise: 0.02,
         longest_m: 0.2,
+        substance: Substance::Soft,
         ..PLAIN
     };
 

@@ -2,6 +2,7 @@
 
 use super::april_grid;
 use super::canvas::{Canvas, Leaves};
+use super::substance::Substance;
 use crate::noise::{Dice, below, stream, uniform};
 
 /// Marks painted over the ground of a surface.
@@ -50,6 +51,8 @@ pub(crate) struct Material {
     pub glass: bool,
     /// Texels are this many times larger than elsewhere.
     pub coarseness: f32,
+    /// What it is made of.
+    pub substance: Substance,
 }
 
 pub(super) const PLAIN: Material = Material {
@@ -65,6 +68,7 @@ pub(super) const PLAIN: Material = Material {
     pictures: 1,
     glass: false,
     coarseness: 1.0,
+    substance: Substance::Board,
 };
 
 impl Material {
@@ -104,6 +108,7 @@ impl Material {
         spread: 0.25,
         largest_m: 0.02,
         marks: Marks::Boards([0.5, 0.08]),
+        substance: Substance::Wood,
         ..PLAIN
     };
     pub(crate) const LINOLEUM: Self = Self {
@@ -123,6 +128,7 @@ impl Material {
         coverage: 0.03,
         spread: 0.2,
         largest_m: 0.015,
+        substance: Substance::Wood,
         ..PLAIN
     };
     pub(crate) const CUPBOARD: Self = Self {
@@ -133,6 +139,7 @@ impl Material {
         spread: 0.25,
         largest_m: 0.02,
         marks: Marks::Panel(0.03),
+        substance: Substance::Wood,
         ..PLAIN
     };
     pub(crate) const FABRIC: Self = Self {
@@ -141,6 +148,7 @@ impl Material {
         coverage: 0.15,
         spread: 0.25,
         largest_m: 0.06,
+        substance: Substance::Soft,
         ..PLAIN
     };
     pub(crate) const RUG: Self = Self {
@@ -149,6 +157,7 @@ impl Material {
         coverage: 0.3,
         spread: 0.28,
         largest_m: 0.16,
+        substance: Substance::Soft,
         ..PLAIN
     };
     pub(crate) const POSTER: Self = Self {
@@ -158,12 +167,14 @@ impl Material {
         spread: 0.45,
         largest_m: 0.18,
         marks: Marks::Poster(0.03),
+        substance: Substance::Soft,
         ..PLAIN
     };
     pub(crate) const PAPER: Self = Self {
         tone: 0.8,
         noise: 0.008,
         marks: Marks::Text(0.016),
+        substance: Substance::Soft,
         ..PLAIN
     };
     pub(crate) const CORK: Self = Self {
@@ -181,6 +192,7 @@ impl Material {
         coverage: 0.04,
         spread: 0.25,
         largest_m: 0.02,
+        substance: Substance::Metal,
         ..PLAIN
     };
     pub(crate) const BOOK: Self = Self {
@@ -188,6 +200,7 @@ impl Material {
         noise: 0.012,
         longest_m: 0.1,
         marks: Marks::Spine,
+        substance: Substance::Soft,
         ..PLAIN
     };
     pub(crate) const PACKAGE: Self = Self {
@@ -206,6 +219,7 @@ impl Material {
         coverage: 0.1,
         spread: 0.15,
         largest_m: 0.02,
+        substance: Substance::Leaves,
         ..PLAIN
     };
     pub(crate) const LAMP: Self = Self {

@@ -23,6 +23,7 @@ mod ray;
 pub(crate) mod room;
 mod shade;
 mod skin;
+mod substance;
 pub(crate) mod vector;
 
 use rayon::prelude::*;
@@ -40,6 +41,7 @@ use light::{AMBIENT, Lamps, LightGrid, Lighting, SPACING_M, SmallFacets};
 pub use ray::{LANES, NO_FACET, Origin, PacketHit, RayPacket};
 pub use room::FloorPlan;
 pub(crate) use shade::Seen;
+pub use substance::Substance;
 use skin::{LightMaps, Skin};
 use vector::norm;
 
@@ -55,6 +57,8 @@ pub struct World {
     facets: Vec<Facet>,
     /// Of all facets: those that do not move, then those of the walkers.
     reflectances: Vec<f32>,
+    /// Of the facets that do not move.
+    substances: Vec<Substance>,
     skins: Vec<Skin>,
     bvh: Bvh,
     atlas: Atlas,
@@ -126,8 +130,10 @@ impl World {
                 reflectances.push(mean);
             }
         }
+        let substance = |&i: &usize| builder.surfaces[i].material.substance;
         Self {
             skins: (0..facets.len()).map(Skin::baked).collect(),
+            substances: order.iter().map(substance).collect(),
             facets,
             reflectances,
             bvh,
@@ -148,6 +154,7 @@ impl World {
         Self {
             facets: vec![facet],
             reflectances: vec![0.5],
+            substances: vec![Substance::Board],
             skins: vec![Skin::baked(0)],
             bvh: Bvh::build(&[facet]).0,
             atlas,
@@ -176,6 +183,11 @@ impl World {
     /// Mean diffuse reflectance of a facet, 0–1.
     pub fn reflectance(&self, facet: usize) -> f32 {
         self.reflectances[facet]
+    }
+
+    /// What a facet that does not move is made of.
+    pub fn substance(&self, facet: usize) -> Substance {
+        self.substances.get(facet).copied().unwrap_or_default()
     }
 
     /// Bytes of texture and light.

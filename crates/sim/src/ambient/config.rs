@@ -1,0 +1,279 @@
+//! What can be set.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Error, SimConfig};
+
+/// Wi-Fi, as an Android app gets it: lists of networks, a few times a minute.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct WifiConfig {
+    /// The app asks for a scan this often, seconds; 0 never asks.
+    pub request_every_s: f64,
+    /// Scans that the system allows in `throttle_s`; it refuses the others.
+    pub throttle_scans: u32,
+    /// Seconds in which no more than `throttle_scans` are allowed.
+    pub throttle_s: f64,
+    /// Exponent of the path loss in free air.
+    pub path_loss_exponent: f64,
+    /// Standard deviation of what no wall accounts for, decibel; it changes over metres.
+    pub shadowing_db: f64,
+    /// Distance over which that changes, metres.
+    pub shadowing_m: f64,
+    /// Power of the direct wave over that of all echoes, decibel; how much readings at one spot differ.
+    pub rice_factor_db: f64,
+    /// Loss through the body of who carries the device, decibel, when it is in the way.
+    pub body_loss_db: f64,
+    /// Half of the beacons this weak are missed, dBm.
+    pub floor_dbm: f64,
+}
+
+/// Bluetooth beacons.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct BleConfig {
+    /// Reports of each beacon per second; 0 does not listen.
+    pub report_hz: f64,
+    /// Exponent of the path loss in free air.
+    pub path_loss_exponent: f64,
+    /// Standard deviation of what no wall accounts for, decibel; it changes over metres.
+    pub shadowing_db: f64,
+    /// Distance over which that changes, metres.
+    pub shadowing_m: f64,
+    /// Power of the direct wave over that of all echoes, decibel. Beacons are narrow in frequency: echoes weigh more.
+    pub rice_factor_db: f64,
+    /// Loss through the body of who carries the device, decibel, when it is in the way.
+    pub body_loss_db: f64,
+    /// Half of the advertisements this weak are missed, dBm.
+    pub floor_dbm: f64,
+}
+
+/// The magnetometer and the steel around it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MagneticConfig {
+    /// Samples per second; 0 for none.
+    pub rate_hz: u32,
+    /// Magnetised pieces of steel per square metre of the place.
+    pub pieces_per_m2: f64,
+    /// Median magnetic moment of a piece, A m².
+    pub moment_a_m2: f64,
+    /// Standard deviation of each axis of the field of the device's own magnets, tesla.
+    pub hard_iron_t: f64,
+    /// Standard deviation of what the device's soft iron adds to each element of the identity.
+    pub soft_iron: f64,
+    /// White noise of a sample, tesla.
+    pub noise_t: f64,
+    /// Step of the digits, tesla.
+    pub step_t: f64,
+}
+
+/// The barometer.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct BarometerConfig {
+    /// Samples per second; 0 for none.
+    pub rate_hz: u32,
+    /// Standard deviation of the sensor's offset, pascal.
+    pub offset_pa: f64,
+    /// White noise of a sample, pascal.
+    pub noise_pa: f64,
+    /// How the weather changes the pressure, pascal per square root of an hour.
+    pub weather_pa: f64,
+}
+
+/// Where the LiDAR's pulse per second comes from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PulseSource {
+    /// A board with a good quartz, which goes on where no satellite is seen.
+    #[default]
+    SyncBoard,
+    /// The receiver itself: pulse and time end with the fix.
+    Receiver,
+}
+
+/// Satellite receivers, of the phone and of the backpack.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct GnssConfig {
+    /// Positions per second of the phone: 1 or 0.
+    pub rate_hz: u32,
+    /// Satellites lower than this are not used, degrees.
+    pub mask_deg: f64,
+    /// Standard deviation of what atmosphere and orbits leave of the error of a range overhead, metres; it lasts.
+    pub atmosphere_m: f64,
+    /// How long that lasts, seconds.
+    pub atmosphere_s: f64,
+    /// White noise of a range, metres.
+    pub noise_m: f64,
+    /// Standard deviation of the error by echoes close to a façade, metres.
+    pub multipath_m: f64,
+    /// How long that lasts, seconds.
+    pub multipath_s: f64,
+    /// Where the LiDAR's pulse per second comes from.
+    pub pulse: PulseSource,
+}
+
+impl Default for WifiConfig {
+    fn default() -> Self {
+        Self {
+            request_every_s: 10.0,
+            throttle_scans: 4,
+            throttle_s: 120.0,
+            path_loss_exponent: 2.0,
+            shadowing_db: 3.0,
+            shadowing_m: 3.0,
+            rice_factor_db: 8.0,
+            body_loss_db: 5.0,
+            floor_dbm: -92.0,
+        }
+    }
+}
+
+impl Default for BleConfig {
+    fn default() -> Self {
+        Self {
+            report_hz: 1.0,
+            path_loss_exponent: 2.0,
+            shadowing_db: 3.0,
+            shadowing_m: 2.0,
+            rice_factor_db: 4.0,
+            body_loss_db: 7.0,
+            floor_dbm: -97.0,
+        }
+    }
+}
+
+impl Default for MagneticConfig {
+    /// An AK09918 in a phone.
+    fn default() -> Self {
+        Self {
+            rate_hz: 100,
+            pieces_per_m2: 0.5,
+            moment_a_m2: 12.0,
+            hard_iron_t: 15e-6,
+            soft_iron: 0.03,
+            noise_t: 0.3e-6,
+            step_t: 0.15e-6,
+        }
+    }
+}
+
+impl Default for BarometerConfig {
+    /// A BMP390 in a phone.
+    fn default() -> Self {
+        Self {
+            rate_hz: 20,
+            offset_pa: 50.0,
+            noise_pa: 2.0,
+            weather_pa: 15.0,
+        }
+    }
+}
+
+impl Default for GnssConfig {
+    fn default() -> Self {
+        Self {
+            rate_hz: 1,
+            mask_deg: 10.0,
+            atmosphere_m: 0.9,
+            atmosphere_s: 400.0,
+            noise_m: 0.4,
+            multipath_m: 4.0,
+            multipath_s: 8.0,
+            pulse: PulseSource::default(),
+        }
+    }
+}
+
+pub(super) fn check(config: &SimConfig) -> Result<(), Error> {
+    let require = |field, got: f64, expected, holds: bool| match holds {
+        true => Ok(()),
+        false => Err(Error::Config {
+            field,
+            got: got.to_string(),
+            expected,
+        }),
+    };
+    let (wifi, ble, gnss) = (&config.wifi, &config.ble, &config.gnss);
+    let every = wifi.request_every_s;
+    let sane = every == 0.0 || (1.0..=86_400.0).contains(&every);
+    require("request_every_s", every, "0, or 1 to 86400", sane)?;
+    let window = wifi.throttle_s;
+    let sane = (0.0..=86_400.0).contains(&window);
+    require("throttle_s", window, "0 to 86400", sane)?;
+    let reports = ble.report_hz;
+    let sane = reports == 0.0 || (0.01..=10.0).contains(&reports);
+    require("report_hz", reports, "0, or 0.01 to 10", sane)?;
+    for (exponent, distance) in [
+        (wifi.path_loss_exponent, wifi.shadowing_m),
+        (ble.path_loss_exponent, ble.shadowing_m),
+    ] {
+        let sane = (1.0..=6.0).contains(&exponent);
+        require("path_loss_exponent", exponent, "1 to 6", sane)?;
+        let sane = (0.1..=1000.0).contains(&distance);
+        require("shadowing_m", distance, "0.1 to 1000", sane)?;
+    }
+    for (field, rate) in [
+        ("magnetic.rate_hz", config.magnetic.rate_hz),
+        ("barometer.rate_hz", config.barometer.rate_hz),
+    ] {
+        require(field, rate.into(), "0 to 1000", rate <= 1000)?;
+    }
+    let pieces = config.magnetic.pieces_per_m2;
+    let sane = (0.0..=10.0).contains(&pieces);
+    require("pieces_per_m2", pieces, "0 to 10", sane)?;
+    require(
+        "gnss.rate_hz",
+        gnss.rate_hz.into(),
+        "0 or 1",
+        gnss.rate_hz <= 1,
+    )?;
+    let mask = gnss.mask_deg;
+    require(
+        "mask_deg",
+        mask,
+        "0 to 60",
+        (0.0..=60.0).contains(&mask),
+    )?;
+    for (field, lasting) in [
+        ("atmosphere_s", gnss.atmosphere_s),
+        ("multipath_s", gnss.multipath_s),
+    ] {
+        require(
+            field,
+            lasting,
+            "0.1 to 100000",
+            (0.1..=1e5).contains(&lasting),
+        )?;
+    }
+    let sigmas = [
+        ("shadowing_db", wifi.shadowing_db),
+        ("shadowing_db", ble.shadowing_db),
+        ("body_loss_db", wifi.body_loss_db),
+        ("body_loss_db", ble.body_loss_db),
+        ("moment_a_m2", config.magnetic.moment_a_m2),
+        ("hard_iron_t", config.magnetic.hard_iron_t),
+        ("soft_iron", config.magnetic.soft_iron),
+        ("noise_t", config.magnetic.noise_t),
+        ("step_t", config.magnetic.step_t),
+        ("offset_pa", config.barometer.offset_pa),
+        ("noise_pa", config.barometer.noise_pa),
+        ("weather_pa", config.barometer.weather_pa),
+        ("atmosphere_m", gnss.atmosphere_m),
+        ("noise_m", gnss.noise_m),
+        ("multipath_m", gnss.multipath_m),
+    ];
+    for (field, sigma) in sigmas {
+        let sane = (0.0..=1e4).contains(&sigma);
+        require(field, sigma, "0 to 10000", sane)?;
+    }
+    let (range, white) = (gnss.atmosphere_m, gnss.noise_m);
+    require(
+        "noise_m",
+        white,
+        "a receiver with some noise",
+        range + white > 0.0,
+    )
+}

@@ -1,0 +1,152 @@
+//! What a phone measures besides images and motion: radio, the magnetic field, the pressure of the air, satellites.
+//!
+//! Everything follows from the world that the cameras see (walls in the way of a wave, steel near the compass, sky above the
+//! antenna), from the walk and from the seed.
+
+mod config;
+mod crossing;
+mod datum;
+mod gnss;
+mod magnetic;
+mod message;
+mod pressure;
+mod radio;
+mod smooth;
+mod transmitters;
+mod truth;
+
+pub use config::{
+    BarometerConfig, BleConfig, GnssConfig, MagneticConfig, PulseSource, WifiConfig,
+};
+pub use crossing::wall_loss_db;
+pub use datum::{DatumConfig, Geodetic};
+pub(crate) use gnss::course_deg;
+pub use gnss::{GnssEpoch, PositionError};
+pub use magnetic::{Dipole, MagneticSensor, MagneticWorld};
+pub use message::{AmbientChannel, AmbientMessage, AmbientSample};
+pub use radio::{Heard, Receiver};
+pub use transmitters::{AccessPoint, Beacon, Network, RadioSource, Transmitters};
+pub use truth::{SurroundingsTruth, TrueDipole, TrueTransmitter};
+
+use lsfb_types::Timestamp;
+
+use crate::noise::hash;
+use crate::walk::{Device, Walk};
+use crate::world::World;
+use crate::{Error, SimConfig};
+
+/// Everything around the walks that is neither seen nor felt.
+#[derive(Clone, Debug)]
+pub struct Surroundings {
+    config: SimConfig,
+    transmitters: Transmitters,
+    magnetic: MagneticWorld,
+}
+
+impl Surroundings {
+    pub(crate) fn new(config: &SimConfig, world: &World, walks: [&Walk; 2]) -> Self {
+        let seed = hash(config.seed ^ 0x5a11);
+        Self {
+            transmitters: Transmitters::place(world, walks, seed),
+            magnetic: MagneticWorld::new(config, world, seed),
+            config: config.clone(),
+        }
+    }
+
+    /// Access points and beacons.
+    pub fn transmitters(&self) -> &Transmitters {
+        &self.transmitters
+    }
+
+    /// The magnetic field.
+    pub fn magnetic(&self) -> &MagneticWorld {
+        &self.magnetic
+    }
+
+    /// The iron of the second walk's device.
+    pub fn magnetic_sensor(&self) -> MagneticSensor {
+        MagneticSensor::new(&self.config.magnetic, self.seed(1))
+    }
+
+    /// What the second walk's device hears with.
+    pub fn receiver(&self) -> Receiver {
+        Receiver::new(self.seed(2))
+    }
+
+    fn seed(&self, number: u64) -> u64 {
+        hash(self.config.seed ^ hash(0x0a3b ^ number))
+    }
+
+    /// Everything that the device of the second walk measures, in the order in which its app gets it.
+    pub fn messages(&self, world: &World, walk: &Walk) -> Vec<AmbientMessage> {
+        let config = &self.config;
+        let mut all = Vec::new();
+        all.extend(magnetic::samples(
+            &config.magnetic,
+            &self.magnetic,
+            &self.magnetic_sensor(),
+            walk,
+            self.seed(3),
+        ));
+        all.extend(pressure::samples(
+            &config.barometer,
+            &config.datum,
+            walk,
+            self.seed(4),
+        ));
+        all.extend(self.gnss(world, walk).iter().map(GnssEpoch::message));
+        let receiver = self.receiver();
+        if config.device != Device::Iphone {
+            // iOS gives no list of networks to apps.
+            all.extend(radio::wifi(
+                &config.wifi,
+                &self.transmitters,
+                &receiver,
+                world,
+                walk,
+                self.seed(5),
+            ));
+        }
+        all.extend(radio::ble(
+            &config.ble,
+            config.device,
+            &self.transmitters,
+            &receiver,
+            world,
+            walk,
+            self.seed(6),
+        ));
+        all.sort_by_key(|m| (m.ready_ns, m.channel(), m.measured_ns));
+        all
+    }
+
+    /// What the receiver of the second walk's device says, second by second.
+    pub fn gnss(&self, world: &World, walk: &Walk) -> Vec<GnssEpoch> {
+        let begin = crate::GLASSES_EPOCH;
+        self.gnss_on(world, walk, begin, self.seed(7))
+    }
+
+    /// What the receiver on the backpack says, second by second.
+    pub(crate) fn scan_gnss(&self, world: &World, walk: &Walk) -> Vec<GnssEpoch> {
+        self.gnss_on(world, walk, crate::EPOCH, self.seed(8))
+    }
+
+    fn gnss_on(&self, world: &World, walk: &Walk, begin: Timestamp, seed: u64) -> Vec<GnssEpoch> {
+        gnss::epochs(
+            &self.config.gnss,
+            &self.config.datum,
+            world,
+            walk,
+            begin,
+            seed,
+        )
+    }
+}
+
+pub(crate) fn check(config: &SimConfig) -> Result<(), Error> {
+    config.datum.check()?;
+    config::check(config)
+}
+
+#[cfg(test)]
+mod tests;
