@@ -58,16 +58,18 @@ pub mod world;
 
 pub use ambient::{
     AccessPoint, AmbientChannel, AmbientMessage, AmbientSample, BarometerConfig, Beacon, BleConfig,
-    DatumConfig, Dipole, Geodetic, GnssConfig, GnssEpoch, Heard, MagneticConfig, MagneticSensor,
-    MagneticWorld, Network, PositionError, PulseSource, RadioSource, Receiver, Surroundings,
-    SurroundingsTruth, Transmitters, TrueDipole, TrueTransmitter, WifiConfig, wall_loss_db,
+    DatumConfig, Dipole, Geodetic, GnssConfig, GnssEpoch, MagneticConfig, MagneticSensor,
+    MagneticWorld, Network, NmeaSentence, PositionError, PulseSource, RadioSource, Receiver,
+    Surroundings, SurroundingsTruth, Transmitters, TrueDipole, TrueTransmitter, WifiConfig,
+    wall_loss_db,
 };
 pub use config::{
     CameraConfig, ImuConfig, LensKind, LidarConfig, LidarModel, LidarReturns, SimConfig, WalkConfig,
 };
 pub use device::{
-    CameraPlan, FlowControl, GlassesEndpoint, MYNT_UNITS, Pace, Playback, PlaybackEndpoints,
-    ScanEndpoints, SessionReport, SimSession, StopHandle, Turns,
+    CameraPlan, Emitted, FlowControl, GlassesEndpoint, MYNT_UNITS, Pace, Playback,
+    PlaybackEndpoints, ScanEmission, ScanEndpoints, SessionReport, SimSession, StopHandle, Turns,
+    WalkEmission,
 };
 pub use error::Error;
 pub use place::{Board, Place, TAG_M};

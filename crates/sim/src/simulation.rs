@@ -5,7 +5,7 @@ use std::path::Path;
 use lsfb_geometry::{Matrix3, Rig, Se3, Vector3};
 use lsfb_types::{Image, LidarPoint, LidarScan, ProgressFn, Stamped, Timestamp};
 
-use crate::ambient::{GnssEpoch, Surroundings};
+use crate::ambient::{Surroundings, TimeFeed};
 use crate::config::{CameraConfig, ImuConfig, SimConfig};
 use crate::noise::hash;
 use crate::place::{Place, Route, route};
@@ -48,7 +48,7 @@ pub struct RigSim {
     lidar: Option<LidarSim>,
     lidar_rpm: u32,
     clocks: RigClocks,
-    gnss: Vec<GnssEpoch>,
+    time_feed: TimeFeed,
 }
 
 impl Simulation {
@@ -89,7 +89,7 @@ impl Simulation {
             glasses.cameras = cameras.map(|c| c.with_passers(passers.clone())).collect();
         }
         let surroundings = Surroundings::new(config, &world, [&scan.walk, &glasses.walk]);
-        scan.gnss = surroundings.scan_gnss(&world, &scan.walk);
+        scan.time_feed = surroundings.time_feed(&world, &scan.walk);
         Ok(Self {
             config: config.clone(),
             world,
@@ -258,7 +258,7 @@ impl RigSim {
             lidar: None,
             lidar_rpm: 600,
             clocks,
-            gnss: Vec::new(),
+            time_feed: TimeFeed::default(),
         })
     }
 
@@ -297,9 +297,9 @@ impl RigSim {
         &self.clocks
     }
 
-    /// What the receiver says that gives the LiDAR its time, second by second; of the backpack only.
-    pub(crate) fn gnss(&self) -> &[GnssEpoch] {
-        &self.gnss
+    /// What gives the LiDAR its time.
+    pub(crate) fn time_feed(&self) -> &TimeFeed {
+        &self.time_feed
     }
 
     /// Rate of its IMU, Hz.

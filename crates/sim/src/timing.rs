@@ -239,7 +239,9 @@ impl DeviceClock {
     pub(crate) fn truth_rows(&self, device: &str, duration_s: f64) -> String {
         use std::fmt::Write as _;
         let end_ns = (duration_s * 1e9) as i64;
-        let mut times: Vec<i64> = (0..=end_ns / 100_000_000).map(|k| k * 100_000_000).collect();
+        let mut times: Vec<i64> = (0..=end_ns / 100_000_000)
+            .map(|k| k * 100_000_000)
+            .collect();
         times.push(end_ns);
         if self.config.discipline == Discipline::Free {
             for jump in &self.config.jumps {

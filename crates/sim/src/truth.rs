@@ -130,15 +130,20 @@ pub(crate) fn write_ambient(simulation: &Simulation, folder: &Path) -> Result<()
     write(&folder.join("truth_walk_clocks.csv"), &clocks)?;
     let surroundings = simulation.surroundings();
     let json = folder.join("truth_surroundings.json");
-    let text =
-        serde_json::to_string_pretty(&surroundings.truth()).map_err(|e| Error::Write {
-            path: json.clone(),
-            source: e.into(),
-        })?;
+    let text = serde_json::to_string_pretty(&surroundings.truth()).map_err(|e| Error::Write {
+        path: json.clone(),
+        source: e.into(),
+    })?;
     write(&json, &text)?;
     let epochs = surroundings.gnss(simulation.world(), walk.walk());
-    write(&folder.join("truth_walk_gnss.csv"), &gnss_csv(walk, &epochs))?;
-    write(&folder.join("truth_scan_gnss.csv"), &gnss_csv(scan, scan.gnss()))
+    write(
+        &folder.join("truth_walk_gnss.csv"),
+        &gnss_csv(walk, &epochs),
+    )?;
+    write(
+        &folder.join("truth_scan_gnss.csv"),
+        &gnss_csv(scan, &scan.time_feed().epochs),
+    )
 }
 
 /// Satellites and errors second by second; empty fields where there is no position.

@@ -51,18 +51,19 @@ impl Recording {
     }
 
     /// Samples of a type, with the device's own stamps where they were recorded.
-    fn surroundings<T>(
-        &self,
+    fn surroundings<'a, T: 'a>(
+        &'a self,
         topic: Option<&str>,
         schema: message::Schema,
         decode: fn(&[u8]) -> Result<T, CdrError>,
-    ) -> Result<impl Iterator<Item = Result<Stamped<T>, Error>> + use<'_, T>, Error> {
+    ) -> Result<impl Iterator<Item = Result<Stamped<T>, Error>> + use<'a, T>, Error> {
         let topic = match topic {
             Some(topic) => topic.to_owned(),
             None => self.only_topic(schema.name, |t| t.schema == schema.name)?,
         };
         let mut roles = self.sample_role(&topic, schema.name)?;
-        let companions = self.channels_of(&format!("{topic}{DEVICE_TIME}"));
+        let device_time = format!("{topic}{DEVICE_TIME}");
+        let companions = self.channels_of(&device_time);
         roles.extend(companions.map(|id| (id, Role::Companion(0))));
         Ok(self.samples(roles, with_ticks(decode)))
     }

@@ -93,6 +93,17 @@ pub enum PulseSource {
     Receiver,
 }
 
+/// What a receiver tells the LiDAR.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum NmeaSentence {
+    /// GPRMC: time, date and position.
+    #[default]
+    Rmc,
+    /// GPGGA: time and position.
+    Gga,
+}
+
 /// Satellite receivers, of the phone and of the backpack.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -113,6 +124,8 @@ pub struct GnssConfig {
     pub multipath_s: f64,
     /// Where the LiDAR's pulse per second comes from.
     pub pulse: PulseSource,
+    /// What the LiDAR is told with it.
+    pub sentence: NmeaSentence,
 }
 
 impl Default for WifiConfig {
@@ -183,6 +196,7 @@ impl Default for GnssConfig {
             multipath_m: 4.0,
             multipath_s: 8.0,
             pulse: PulseSource::default(),
+            sentence: NmeaSentence::default(),
         }
     }
 }
@@ -231,12 +245,7 @@ pub(super) fn check(config: &SimConfig) -> Result<(), Error> {
         gnss.rate_hz <= 1,
     )?;
     let mask = gnss.mask_deg;
-    require(
-        "mask_deg",
-        mask,
-        "0 to 60",
-        (0.0..=60.0).contains(&mask),
-    )?;
+    require("mask_deg", mask, "0 to 60", (0.0..=60.0).contains(&mask))?;
     for (field, lasting) in [
         ("atmosphere_s", gnss.atmosphere_s),
         ("multipath_s", gnss.multipath_s),

@@ -34,7 +34,7 @@ impl Default for DatumConfig {
 }
 
 /// A point on Earth.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Geodetic {
     /// Latitude, degrees north.
     pub latitude_deg: f64,

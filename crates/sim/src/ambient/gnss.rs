@@ -100,10 +100,15 @@ fn satellites(datum: &DatumConfig, time_s: f64) -> Vec<Vector3<f64>> {
 /// Whether nothing but leaves is between an antenna and the sky in a direction.
 fn sees_sky(world: &World, antenna: Vector3<f64>, direction: Vector3<f64>) -> bool {
     let mut open = true;
-    crossing::along(world, antenna, antenna + SKY_M * direction, |_, substance| {
-        open = matches!(substance, Substance::Sky | Substance::Leaves);
-        open && substance != Substance::Sky
-    });
+    crossing::along(
+        world,
+        antenna,
+        antenna + SKY_M * direction,
+        |_, substance| {
+            open = matches!(substance, Substance::Sky | Substance::Leaves);
+            open && substance != Substance::Sky
+        },
+    );
     open
 }
 
@@ -206,7 +211,10 @@ pub(super) fn epochs(
                 let slant = 1.0 / direction.z.max(0.1);
                 let parts = [
                     (config.atmosphere_m * slant, range.atmosphere.value),
-                    (config.multipath_m * echo * slant.sqrt(), range.multipath.value),
+                    (
+                        config.multipath_m * echo * slant.sqrt(),
+                        range.multipath.value,
+                    ),
                     (config.noise_m * slant.sqrt(), white),
                 ];
                 used.push(Measured {

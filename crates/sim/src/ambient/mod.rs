@@ -16,7 +16,7 @@ mod transmitters;
 mod truth;
 
 pub use config::{
-    BarometerConfig, BleConfig, GnssConfig, MagneticConfig, PulseSource, WifiConfig,
+    BarometerConfig, BleConfig, GnssConfig, MagneticConfig, NmeaSentence, PulseSource, WifiConfig,
 };
 pub use crossing::wall_loss_db;
 pub use datum::{DatumConfig, Geodetic};
@@ -24,7 +24,7 @@ pub(crate) use gnss::course_deg;
 pub use gnss::{GnssEpoch, PositionError};
 pub use magnetic::{Dipole, MagneticSensor, MagneticWorld};
 pub use message::{AmbientChannel, AmbientMessage, AmbientSample};
-pub use radio::{Heard, Receiver};
+pub use radio::Receiver;
 pub use transmitters::{AccessPoint, Beacon, Network, RadioSource, Transmitters};
 pub use truth::{SurroundingsTruth, TrueDipole, TrueTransmitter};
 
@@ -34,6 +34,17 @@ use crate::noise::hash;
 use crate::walk::{Device, Walk};
 use crate::world::World;
 use crate::{Error, SimConfig};
+
+/// The receiver behind a LiDAR's pulse and sentences.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct TimeFeed {
+    pub pulse: PulseSource,
+    pub sentence: NmeaSentence,
+    /// Where the site is.
+    pub home: Geodetic,
+    /// What the receiver says, second by second.
+    pub epochs: Vec<GnssEpoch>,
+}
 
 /// Everything around the walks that is neither seen nor felt.
 #[derive(Clone, Debug)]
@@ -126,9 +137,15 @@ impl Surroundings {
         self.gnss_on(world, walk, begin, self.seed(7))
     }
 
-    /// What the receiver on the backpack says, second by second.
-    pub(crate) fn scan_gnss(&self, world: &World, walk: &Walk) -> Vec<GnssEpoch> {
-        self.gnss_on(world, walk, crate::EPOCH, self.seed(8))
+    /// What gives the LiDAR on the backpack its time.
+    pub(crate) fn time_feed(&self, world: &World, walk: &Walk) -> TimeFeed {
+        let datum = &self.config.datum;
+        TimeFeed {
+            pulse: self.config.gnss.pulse,
+            sentence: self.config.gnss.sentence,
+            home: datum.geodetic(Default::default()),
+            epochs: self.gnss_on(world, walk, crate::EPOCH, self.seed(8)),
+        }
     }
 
     fn gnss_on(&self, world: &World, walk: &Walk, begin: Timestamp, seed: u64) -> Vec<GnssEpoch> {

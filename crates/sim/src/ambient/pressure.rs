@@ -29,7 +29,11 @@ pub(super) fn samples(
     (0..count)
         .map(|k| {
             let measured_ns = (2 * k + 1) * 500_000_000 / i64::from(config.rate_hz.max(1));
-            let height_m = walk.at(measured_ns as f64 * 1e-9).world_from_rig.translation.z;
+            let height_m = walk
+                .at(measured_ns as f64 * 1e-9)
+                .world_from_rig
+                .translation
+                .z;
             weather_pa += step_pa * next_gaussian(&dice);
             let pressure_pa = standard_pressure_pa(datum.altitude_m + height_m)
                 + offset_pa

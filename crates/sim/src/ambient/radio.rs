@@ -32,20 +32,9 @@ pub struct Receiver {
     pub offset_db: f64,
 }
 
-/// The parts of a received power.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Heard {
-    /// Distance, metres.
-    pub distance_m: f64,
-    /// Loss through walls, decibel.
-    pub walls_db: f64,
-    /// Before quantisation, without fading, dBm.
-    pub mean_dbm: f64,
-}
-
 /// What decides how a kind of radio is received.
 #[derive(Clone, Copy, Debug)]
-struct Law {
+pub(super) struct Law {
     exponent: f64,
     shadowing_db: f64,
     shadowing_m: f64,
@@ -89,13 +78,13 @@ impl Receiver {
 }
 
 /// A transmitter with its shadows.
-struct Shadowed<'a> {
+pub(super) struct Shadowed<'a> {
     source: &'a RadioSource,
     shadow: SmoothField,
 }
 
 impl<'a> Shadowed<'a> {
-    fn new(source: &'a RadioSource, law: &Law, seed: u64) -> Self {
+    pub(super) fn new(source: &'a RadioSource, law: &Law, seed: u64) -> Self {
         Self {
             source,
             shadow: SmoothField::new(law.shadowing_m, hash(seed ^ hash(source.number))),
@@ -103,15 +92,15 @@ impl<'a> Shadowed<'a> {
     }
 }
 
-/// Power on the way to a device at `place` that faces `ahead`.
-fn heard(
+/// Power at a device at `place` that faces `ahead`, without the echoes of the moment, dBm.
+pub(super) fn mean_dbm(
     law: &Law,
     receiver: &Receiver,
     world: &World,
     from: &Shadowed,
     place: Vector3<f64>,
     ahead: Vector3<f64>,
-) -> Heard {
+) -> f64 {
     let away = from.source.position_m - place;
     let distance_m = away.norm();
     let frequency_mhz = from.source.frequency_mhz;
@@ -123,20 +112,17 @@ fn heard(
     let behind = (0.5 - 0.5 * away.dot(&ahead) / distance_m.max(1e-6)).clamp(0.0, 1.0);
     let shadow_db = law.shadowing_db * from.shadow.at(place);
     let power_dbm = from.source.power_dbm - path_db - walls_db;
-    Heard {
-        distance_m,
-        walls_db,
-        mean_dbm: power_dbm + shadow_db - law.body_loss_db * behind.powi(2) + receiver.offset_db,
-    }
+    power_dbm + shadow_db - law.body_loss_db * behind.powi(2) + receiver.offset_db
 }
 
 /// One reading: with the echoes of the moment, in whole decibels; `None` where it is missed.
-fn reading_dbm(law: &Law, mean_dbm: f64, dice: &Dice) -> Option<i16> {
+pub(super) fn reading_dbm(law: &Law, mean_dbm: f64, dice: &Dice) -> Option<i16> {
     // The direct wave and echoes of all phases (Rice), together of power 1.
     let factor = 10_f64.powf(0.1 * law.rice_factor_db);
     let echo = (0.5 / (factor + 1.0)).sqrt();
     let direct = (factor / (factor + 1.0)).sqrt();
-    let power = (direct + echo * next_gaussian(dice)).powi(2) + (echo * next_gaussian(dice)).powi(2);
+    let power =
+        (direct + echo * next_gaussian(dice)).powi(2) + (echo * next_gaussian(dice)).powi(2);
     let rssi = mean_dbm + 10.0 * power.max(1e-6).log10();
     let heard = 1.0 / (1.0 + (-(rssi - law.floor_dbm) / 1.5).exp());
     (unit(dice.bits()) < heard).then(|| rssi.round().clamp(-127.0, 20.0) as i16)
@@ -189,8 +175,8 @@ pub(super) fn wifi(
         for (network, shadowed) in &networks {
             let heard_ns = begin_ns + heard_after_ns(network.source.frequency_mhz, &dice);
             let (ahead, place) = direction_and_place(walk, heard_ns);
-            let heard = heard(&law, receiver, world, shadowed, place, ahead);
-            let Some(rssi_dbm) = reading_dbm(&law, heard.mean_dbm, &dice) else {
+            let mean = mean_dbm(&law, receiver, world, shadowed, place, ahead);
+            let Some(rssi_dbm) = reading_dbm(&law, mean, &dice) else {
                 continue;
             };
             messages.push(AmbientMessage {
@@ -253,8 +239,8 @@ pub(super) fn ble(
             let back_ns = (ready_ns - phase_ns).rem_euclid(ADVERT_NS) + stray_ns;
             let measured_ns = (ready_ns - back_ns).max(0);
             let (ahead, place) = direction_and_place(walk, measured_ns);
-            let heard = heard(&law, receiver, world, &shadowed, place, ahead);
-            let Some(rssi_dbm) = reading_dbm(&law, heard.mean_dbm, &dice) else {
+            let mean = mean_dbm(&law, receiver, world, &shadowed, place, ahead);
+            let Some(rssi_dbm) = reading_dbm(&law, mean, &dice) else {
                 continue;
             };
             let hidden = device == Device::Iphone;

@@ -140,7 +140,11 @@ fn access_point(number: usize, position_m: Vector3<f64>, dice: &Dice) -> AccessP
 fn beacon(number: usize, position_m: Vector3<f64>, dice: &Dice) -> Beacon {
     let odd_db = 1.0 * next_gaussian(dice);
     Beacon {
-        address: format!("c2:00:5e:20:{:02x}:{:02x}", number >> 8 & 0xff, number & 0xff),
+        address: format!(
+            "c2:00:5e:20:{:02x}:{:02x}",
+            number >> 8 & 0xff,
+            number & 0xff
+        ),
         uuid: UUID,
         major: 1,
         minor: number as u16 + 1,

@@ -10,6 +10,7 @@ use lsfb_drivers::transport::serial::Pty;
 use lsfb_types::Timestamp;
 
 use super::clock::{SimClock, Turn};
+use crate::timing::{Clocked, Discipline};
 use crate::{BiasedSample, Error, RigSim};
 
 /// Serial number that the unit reports.
@@ -59,13 +60,8 @@ impl ImuDevice {
             if clock.reach(device, sample.offset_ns) == Turn::Stop {
                 return Ok(sent);
             }
-            let data = self.packet(rig, sample, sent)?;
             bytes.clear();
-            Message {
-                id: message::MT_DATA2,
-                data: &data,
-            }
-            .emit(&mut bytes)?;
+            measurement(&self.outputs, rig, sample, sent, &mut bytes)?;
             self.pty.send(&bytes)?;
             sent += 1;
         }
@@ -137,37 +133,53 @@ impl ImuDevice {
         Message { id, data }.emit(&mut bytes)?;
         Ok(self.pty.send(&bytes)?)
     }
+}
 
-    /// The items asked for, in the order in which they were.
-    fn packet(&self, rig: &RigSim, sample: &BiasedSample, number: u64) -> Result<Vec<u8>, Error> {
-        let ticks = (sample.offset_ns as u64 / SAMPLE_TIME_FINE_NS) as u32;
-        let mut data = Vec::with_capacity(96);
-        for output in &self.outputs {
-            let item = match output.id {
-                data_id::PACKET_COUNTER => Item::PacketCounter(number as u16),
-                data_id::SAMPLE_TIME_FINE => Item::SampleTimeFine(ticks),
-                data_id::UTC_TIME => {
-                    let time = rig.time(sample.offset_ns);
-                    match UtcTime::from_unix_nanos(time.nanos()) {
-                        Some(utc) => Item::Utc(utc),
-                        None => continue,
-                    }
-                }
-                data_id::TEMPERATURE => Item::Temperature {
-                    celsius: 31.5,
-                    coding: Default::default(),
-                },
-                data_id::ACCELERATION => {
-                    Item::Acceleration(Vector::single(sample.sample.specific_force_m_s2))
-                }
-                data_id::RATE_OF_TURN => {
-                    Item::RateOfTurn(Vector::single(sample.sample.angular_velocity_rad_s))
-                }
-                data_id::STATUS_WORD => Item::StatusWord(STATUS_OK),
+/// The message of one sample, with the items asked for in the order in which they were.
+pub(super) fn measurement(
+    outputs: &[OutputSetting],
+    rig: &RigSim,
+    sample: &BiasedSample,
+    number: u64,
+    bytes: &mut Vec<u8>,
+) -> Result<(), Error> {
+    let clock = rig.clocks().of(Clocked::Imu);
+    let disciplined = clock.discipline() == Discipline::Utc;
+    let device_ns = clock.device_ns(sample.offset_ns);
+    // A unit that keeps UTC counts its fine time from the beginning.
+    let counted_ns = if disciplined {
+        sample.offset_ns
+    } else {
+        device_ns
+    };
+    let ticks = (counted_ns as u64 / SAMPLE_TIME_FINE_NS) as u32;
+    let mut data = Vec::with_capacity(96);
+    for output in outputs {
+        let item = match output.id {
+            data_id::PACKET_COUNTER => Item::PacketCounter(number as u16),
+            data_id::SAMPLE_TIME_FINE => Item::SampleTimeFine(ticks),
+            data_id::UTC_TIME => match UtcTime::from_unix_nanos(device_ns) {
+                Some(utc) if disciplined => Item::Utc(utc),
                 _ => continue,
-            };
-            item.emit(&mut data)?;
-        }
-        Ok(data)
+            },
+            data_id::TEMPERATURE => Item::Temperature {
+                celsius: 31.5,
+                coding: Default::default(),
+            },
+            data_id::ACCELERATION => {
+                Item::Acceleration(Vector::single(sample.sample.specific_force_m_s2))
+            }
+            data_id::RATE_OF_TURN => {
+                Item::RateOfTurn(Vector::single(sample.sample.angular_velocity_rad_s))
+            }
+            data_id::STATUS_WORD => Item::StatusWord(STATUS_OK),
+            _ => continue,
+        };
+        item.emit(&mut data)?;
     }
+    Ok(Message {
+        id: message::MT_DATA2,
+        data: &data,
+    }
+    .emit(bytes)?)
 }

@@ -6,26 +6,21 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use lsfb_drivers::imu::wire::UtcTime;
 use lsfb_drivers::transport::udp_sender::UdpSender;
-use lsfb_drivers::velodyne::nmea::Rmc;
-use lsfb_drivers::velodyne::wire::{
-    BLOCKS, DATA_PACKET_LEN, DataPacket, POSITION_PACKET_LEN, PositionPacket, PpsStatus,
-};
+use lsfb_drivers::velodyne::wire::{BLOCKS, DATA_PACKET_LEN, DataPacket};
 use lsfb_types::Timestamp;
 
 use super::clock::{SimClock, Turn};
 use super::host::Host;
+use super::position::{position_packet, top_of_hour_us};
 use crate::sensor::lidar::{FiringCycle, LidarSim};
+use crate::timing::Clocked;
 use crate::{Error, RigSim, Simulation, World};
 
 /// Data packets fired at a time: 5 to 21 ms.
 const BATCH_PACKETS: usize = 16;
 /// Time between two position packets: 14 data packets of a VLP-32C with one return (its manual: about 14 to 1).
-const POSITION_NS: i64 = 14 * 663_552;
-/// A GPS receiver's sentence names the second that has begun, and is complete this long after its pulse.
-const SENTENCE_DELAY_NS: i64 = 300_000_000;
-const HOUR_US: i64 = 3_600_000_000;
+pub(super) const POSITION_NS: i64 = 14 * 663_552;
 const NAP: Duration = Duration::from_micros(200);
 
 /// Keeps a stream of datagrams, which nothing else holds back, from overrunning its host.
@@ -151,11 +146,6 @@ enum PacketKind {
     Position,
 }
 
-fn top_of_hour_us(time: Timestamp) -> u32 {
-    // The counter is truncated, as the sensor does.
-    time.nanos().div_euclid(1000).rem_euclid(HOUR_US) as u32
-}
-
 impl RigSim {
     /// The LiDAR's data packets `first .. first + count` since the beginning, byte for byte; none without a LiDAR.
     pub fn lidar_packets(
@@ -196,35 +186,9 @@ fn data_packet(
         }
     }
     let offset_ns = cycles.first().map_or(0, |c| c.offset_ns);
-    packet.set_timestamp_us(top_of_hour_us(rig.time(offset_ns)));
-    Ok(packet.into_inner())
-}
-
-/// The state of the clock: locked to the pulse, with the last sentence that came in.
-fn position_packet(rig: &RigSim, offset_ns: i64) -> Result<[u8; POSITION_PACKET_LEN], Error> {
-    let time = rig.time(offset_ns);
-    let mut packet = PositionPacket::init([0; POSITION_PACKET_LEN])?;
-    packet.set_temperatures_celsius(46, 41, 24);
-    packet.set_timestamp_us(top_of_hour_us(time));
-    packet.set_pps_status(PpsStatus::Locked);
-    if let Some(utc) = UtcTime::from_unix_nanos(time.nanos() - SENTENCE_DELAY_NS) {
-        let sentence = Rmc {
-            hour: utc.hour,
-            minute: utc.minute,
-            second: utc.second,
-            millis: 0,
-            valid: true,
-            latitude_e5_min: Some(48 * 6_000_000 + 880_000),
-            longitude_e5_min: Some(11 * 6_000_000 + 3_450_000),
-            speed_e3_knots: Some(0),
-            course_e3_deg: Some(0),
-            day: utc.day,
-            month: utc.month,
-            year: utc.year,
-            mode: Some('A'),
-        };
-        packet.set_nmea(sentence.emit().as_bytes())?;
-    }
+    let clock = rig.clocks().of(Clocked::Lidar);
+    let device = Timestamp::from_nanos(clock.device_ns(offset_ns));
+    packet.set_timestamp_us(top_of_hour_us(device));
     Ok(packet.into_inner())
 }
 

@@ -4,16 +4,20 @@
 //! slowest than a set time, and nothing starts before every device has its host.
 
 mod clock;
+mod emission;
 mod feed;
 mod glasses;
 mod host;
 mod imu;
 mod lidar;
 mod mynt;
+mod outbox;
 mod playback;
+mod position;
 mod session;
 
 pub use clock::Pace;
+pub use emission::{Emitted, ScanEmission, WalkEmission};
 pub use lidar::FlowControl;
 pub use playback::{CameraPlan, Playback, PlaybackEndpoints, Turns};
 pub use session::{

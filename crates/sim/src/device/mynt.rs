@@ -19,6 +19,7 @@ use lsfb_drivers::transport::camera_socket::{CameraListener, CameraUnit, UnitReq
 use super::clock::{Readiness, SimClock};
 use super::feed::{Next, Shot, ShotFeed, Which};
 use crate::noise::{Dice, next_gaussian, stream};
+use crate::timing::{Clocked, Discipline};
 use crate::{Error, GRAVITY_M_S2, ImuConfig, RigSim, Simulation};
 
 /// How long the unit listens for a request before it looks whether a frame is due.
@@ -137,7 +138,7 @@ impl MyntDevice {
                 Readiness::Stopped => break,
             }
             segments.push_until(shot.offset_ns, rig, &mut xu);
-            frame_bytes(rig, format, &shot, &mut bytes)?;
+            frame_bytes(rig, self.unit, format, &shot, &mut bytes)?;
             unit.send_frame(&bytes)?;
             frames += 1;
         }
@@ -180,6 +181,7 @@ pub(super) struct Started {
 /// Both images of a shot side by side, with the trailer.
 pub(crate) fn frame_bytes(
     rig: &RigSim,
+    unit: usize,
     format: FrameFormat,
     shot: &Shot,
     out: &mut Vec<u8>,
@@ -192,9 +194,9 @@ pub(crate) fn frame_bytes(
         });
     };
     let trailer = Trailer {
-        time_source: TimeSource::External,
+        time_source: time_source(rig, unit),
         frame_id: shot.frame as u16,
-        timestamp_us: (rig.time(shot.offset_ns).nanos() / 1000) as u64,
+        timestamp_us: device_us(rig, unit, shot.offset_ns),
         exposure_steps: (left.exposure_ns / EXPOSURE_STEP_NS) as u16,
         checksum: 0,
     }
@@ -205,6 +207,18 @@ pub(crate) fn frame_bytes(
         &trailer,
         out,
     )?)
+}
+
+/// A unit's clock, microseconds.
+fn device_us(rig: &RigSim, unit: usize, offset_ns: i64) -> u64 {
+    (rig.clocks().of(Clocked::Unit(unit)).device_ns(offset_ns) / 1000) as u64
+}
+
+fn time_source(rig: &RigSim, unit: usize) -> TimeSource {
+    match rig.clocks().of(Clocked::Unit(unit)).discipline() {
+        Discipline::Utc => TimeSource::External,
+        Discipline::Free => TimeSource::Device,
+    }
 }
 
 /// The IMU inside a unit, in the axes of its left camera.
@@ -247,8 +261,8 @@ impl UnitImu {
         self.serial += 1;
         xu.push_imu(ImuSegment {
             serial: self.serial,
-            timestamp_us: (rig.time(offset_ns).nanos() / 1000) as u64,
-            time_source: TimeSource::External,
+            timestamp_us: device_us(rig, self.unit, offset_ns),
+            time_source: time_source(rig, self.unit),
             temperature: 36.5,
             values,
         });

@@ -160,7 +160,7 @@ impl SimSession {
         pace: Pace,
     ) -> Result<Self, Error> {
         let rig = simulation.glasses();
-        let glasses = GlassesDevice::connect(rig, endpoint.address, &endpoint.session)?;
+        let glasses = GlassesDevice::connect(endpoint.address, &endpoint.session)?;
         let mut session = Self::empty(1, pace, rig.walk().duration_s());
         session.spawn(
             "sim-glasses",

@@ -53,8 +53,14 @@ fn a_jump_is_where_the_truth_says() {
     let step = clock.device_ns(1_250_000_000) - clock.device_ns(1_249_999_999);
     assert_eq!(step, 1_000_000_001);
     let rows = clock.truth_rows("imu0", 2.0);
-    let before = format!("imu0,{},101249999999,0.000000", BEGIN.nanos() + 1_249_999_999);
-    let after = format!("imu0,{},102250000000,0.000000", BEGIN.nanos() + 1_250_000_000);
+    let before = format!(
+        "imu0,{},101249999999,0.000000",
+        BEGIN.nanos() + 1_249_999_999
+    );
+    let after = format!(
+        "imu0,{},102250000000,0.000000",
+        BEGIN.nanos() + 1_250_000_000
+    );
     assert!(rows.contains(&format!("{before}\n{after}\n")), "{rows}");
 }
 

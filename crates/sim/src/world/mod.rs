@@ -41,8 +41,8 @@ use light::{AMBIENT, Lamps, LightGrid, Lighting, SPACING_M, SmallFacets};
 pub use ray::{LANES, NO_FACET, Origin, PacketHit, RayPacket};
 pub use room::FloorPlan;
 pub(crate) use shade::Seen;
-pub use substance::Substance;
 use skin::{LightMaps, Skin};
+pub use substance::Substance;
 use vector::norm;
 
 /// What scales lit reflectances to 0–1 before the square root that stands for a camera's gamma.
