@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use lsfb_drivers::Decoded;
 use lsfb_drivers::camera::model::TRAILER_BYTES;
-use lsfb_drivers::camera::wire::TimeSource;
+use lsfb_drivers::camera::wire::{ImuProtocol, TimeSource};
 use lsfb_drivers::camera::{Decoder, ImuDecoder, MyntCamera, UnitFrame};
 use lsfb_drivers::transport::PacketSource;
 use lsfb_recording::{Attachment, CameraUnit, KeptFile};
@@ -78,7 +78,8 @@ pub(crate) fn record(
     control: &Control,
     meter: &Meter,
 ) -> StreamReport {
-    let mut stream = CameraStream::new(&unit, meter);
+    let protocol = unit.camera.imu_protocol();
+    let mut stream = CameraStream::new(&unit.config, Some(protocol), meter);
     stream.report.ending = loop {
         match unit.camera.recv(stream.patience()) {
             Ok(Some(packet)) => {
@@ -103,7 +104,7 @@ pub(crate) fn record(
     stream.finish()
 }
 
-struct CameraStream {
+pub(crate) struct CameraStream {
     names: Vec<String>,
     decoder: Decoder,
     clock: OneWayClock,
@@ -130,11 +131,17 @@ struct UnitImu {
 }
 
 impl CameraStream {
-    fn new(unit: &Unit, meter: &Meter) -> Self {
-        let names = unit.config.names.clone();
-        let imu = unit.config.imu.as_ref().map(|name| UnitImu {
+    /// `protocol`: how the unit speaks of its IMU; without one that is not asked.
+    pub(crate) fn new(
+        unit: &CameraUnitConfig,
+        protocol: Option<ImuProtocol>,
+        meter: &Meter,
+    ) -> Self {
+        let names = unit.names.clone();
+        let imu = unit.imu.as_ref().zip(protocol);
+        let imu = imu.map(|(name, protocol)| UnitImu {
             name: name.clone(),
-            decoder: ImuDecoder::new(unit.camera.imu_protocol()),
+            decoder: ImuDecoder::new(protocol),
             polled: Instant::now(),
             answers: 0,
             unanswered: 0,
@@ -149,7 +156,7 @@ impl CameraStream {
                 .map(|n| ModelTopic::new(n, TICK_NS, 0))
                 .collect(),
             names,
-            decoder: Decoder::new(unit.config.decoder()),
+            decoder: Decoder::new(unit.decoder()),
             clock: OneWayClock::default(),
             imu,
             report: meter.report(),
@@ -165,7 +172,7 @@ impl CameraStream {
         }
     }
 
-    fn frame(
+    pub(crate) fn frame(
         &mut self,
         packet: &Packet,
         inlet: &Inlet,
@@ -324,7 +331,7 @@ impl CameraStream {
         self.report.duplicated = counters.duplicated;
     }
 
-    fn finish(mut self) -> StreamReport {
+    pub(crate) fn finish(mut self) -> StreamReport {
         self.take_counters();
         let counters = self.decoder.counters();
         let mut note = |count: u64, what: &str| {

@@ -235,6 +235,16 @@ impl Findings {
             }
             self.add(&sensor.topic, verdict, found, &threshold);
         }
+        // What comes when there is something to hear has no rhythm to miss.
+        for heard in arrivals.iter().filter(|a| is_heard(&a.topic)) {
+            let rhythm = Rhythm::of(&heard.times, *start, *end);
+            let found = format!(
+                "{} messages, longest silence {:.1} s",
+                heard.times.len(),
+                rhythm.longest_secs
+            );
+            self.add(&heard.topic, Verdict::Pass, found, "");
+        }
     }
 
     /// What the recorder itself counted.
@@ -340,9 +350,17 @@ fn is_steady(topic: &str) -> bool {
         "/lidar/packets",
         "/lidar/points",
         "/imu",
+        "/mag",
+        "/pressure",
     ]
     .iter()
     .any(|end| topic.ends_with(end))
+}
+
+/// Topics of what a phone hears: networks, beacons, satellites.
+fn is_heard(topic: &str) -> bool {
+    let ends = ["/wifi", "/ble", "/gnss"];
+    topic.starts_with("/sidecar/") && ends.iter().any(|end| topic.ends_with(end))
 }
 
 /// How steadily messages came.

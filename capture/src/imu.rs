@@ -5,7 +5,7 @@ mod unit;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use lsfb_types::{Stamped, Timestamp};
+use lsfb_types::{Packet, Stamped, Timestamp};
 
 use crate::clock::model_topic::{self, ModelTopic};
 use crate::clock::{OneWayClock, Unwrap};
@@ -85,19 +85,7 @@ pub(crate) fn record(
     stream.report.ending = loop {
         match line.unit.recv(Duration::from_millis(50)) {
             Ok(Some(packet)) => {
-                let readings = stream.decoder.push(&packet);
-                let time = packet.arrival;
-                let raw = Entry::Raw {
-                    source: IMU.to_owned(),
-                    kind: line.config.family.raw_kind(),
-                    sequence: stream.report.received,
-                    packet,
-                    time,
-                };
-                stream.report.received += 1;
-                let put = inlet
-                    .put(raw, &mut stream.report)
-                    .and_then(|()| stream.put(readings, inlet, meter));
+                let put = stream.packet(packet, inlet, meter);
                 if put.is_err() {
                     break Ending::Stopped;
                 }
@@ -123,25 +111,53 @@ pub(crate) fn record(
             break Ending::Stopped;
         }
     };
-    let readings = stream.decoder.finish();
     // A failed writer reports itself.
-    let _ = stream.put(readings, inlet, meter);
+    let _ = stream.rest(inlet, meter);
     stream.finish(line.unit.kernel_drops())
 }
 
-struct ImuStream {
+pub(crate) struct ImuStream {
+    family: ImuFamily,
     decoder: ImuDecoder,
     clock: Clock,
     report: StreamReport,
 }
 
 impl ImuStream {
-    fn new(family: ImuFamily, meter: &Meter) -> Self {
+    pub(crate) fn new(family: ImuFamily, meter: &Meter) -> Self {
         Self {
+            family,
             decoder: ImuDecoder::new(family),
             clock: Clock::new(family),
             report: meter.report(),
         }
+    }
+
+    /// Takes a packet: its bytes are recorded, and what they say.
+    pub(crate) fn packet(
+        &mut self,
+        packet: Packet,
+        inlet: &Inlet,
+        meter: &Meter,
+    ) -> Result<(), WriterGone> {
+        let readings = self.decoder.push(&packet);
+        let time = packet.arrival;
+        let raw = Entry::Raw {
+            source: IMU.to_owned(),
+            kind: self.family.raw_kind(),
+            sequence: self.report.received,
+            packet,
+            time,
+        };
+        self.report.received += 1;
+        inlet.put(raw, &mut self.report)?;
+        self.put(readings, inlet, meter)
+    }
+
+    /// What the decoder still holds at the end.
+    pub(crate) fn rest(&mut self, inlet: &Inlet, meter: &Meter) -> Result<(), WriterGone> {
+        let readings = self.decoder.finish();
+        self.put(readings, inlet, meter)
     }
 
     fn put(
@@ -189,7 +205,7 @@ impl ImuStream {
         self.report.duplicated = tally.duplicated;
     }
 
-    fn finish(mut self, kernel_drops: u64) -> StreamReport {
+    pub(crate) fn finish(mut self, kernel_drops: u64) -> StreamReport {
         self.take_counters(kernel_drops);
         let without_utc = (
             self.clock.without_utc,

@@ -4,6 +4,7 @@
 //! - One named thread per device decodes what its driver yields and puts stamps on it; one thread writes. Between them is one
 //!   bounded queue: what does not fit is dropped, counted and reported (see [`Overflow`]).
 //! - [`replay`] sends the packets of a capture file through the very functions used live.
+//! - [`record_incoming`] does so with the packets of a whole rig that come from somewhere else, arrivals included.
 //! - [`clock`] is the only place in the workspace that turns device ticks into a `Timestamp`.
 //!
 //! ```no_run
@@ -26,6 +27,7 @@ mod error;
 mod feed;
 pub mod health;
 mod imu;
+mod incoming;
 mod lidar;
 mod pcd;
 mod recorder;
@@ -44,6 +46,7 @@ pub use config::{
 pub use error::Error;
 pub use feed::{Feed, Feeder};
 pub use health::{CaptureReport, Ending, StreamReport};
+pub use incoming::{Incoming, record_incoming};
 pub use remark::Remarks;
 pub use replay::{ReplayConfig, replay};
 pub use session::{Counts, Session};

@@ -37,6 +37,16 @@ pub(crate) struct Control {
 }
 
 impl Control {
+    /// For streams that no session runs.
+    pub(crate) fn alone() -> Self {
+        Self {
+            stop: AtomicBool::new(false),
+            running: AtomicUsize::new(0),
+            lidar_alive: AtomicBool::new(false),
+            progress: Counts::default(),
+        }
+    }
+
     pub(crate) fn is_stopping(&self) -> bool {
         self.stop.load(Ordering::Relaxed)
     }

@@ -24,18 +24,43 @@ const ENCODING: &str = "cdr";
 /// Key of the rig's TOML in a channel's static metadata.
 const RIG_KEY: &str = "rig_toml";
 
+/// A channel whose stamps step back by more has a clock that began anew.
+const RESET_NS: i64 = 1_000_000_000;
+
 /// One app.
 #[derive(Default)]
 struct App {
     device: String,
     channels: BTreeMap<u32, Channel>,
+    /// Clocks that are not UTC, by name: channels that share one tell it together.
+    clocks: BTreeMap<String, AppClock>,
     rig_seen: bool,
 }
 
 struct Channel {
     advertised: Advertise,
-    /// For clocks that are not UTC.
-    clock: OneWayClock,
+    last_device_ns: Option<i64>,
+}
+
+/// A clock of an app.
+#[derive(Default)]
+struct AppClock {
+    one_way: OneWayClock,
+    last_device_ns: Option<i64>,
+}
+
+impl AppClock {
+    /// Time of a stamp. What was measured before other messages that came earlier (a scan that took seconds) says nothing
+    /// about the clock; only a channel that steps back itself shows that it began anew.
+    fn time(&mut self, device_ns: i64, channel_last: Option<i64>, arrival: Timestamp) -> Timestamp {
+        let is_latest = self.last_device_ns.is_none_or(|last| device_ns > last);
+        let began_anew = channel_last.is_some_and(|last| device_ns < last.saturating_sub(RESET_NS));
+        if is_latest || began_anew {
+            self.one_way.push(device_ns, arrival);
+            self.last_device_ns = Some(device_ns);
+        }
+        self.one_way.time(device_ns)
+    }
 }
 
 /// Records until every app that came has gone, or the session stops.
@@ -45,11 +70,7 @@ pub(crate) fn record(
     control: &Control,
     meter: &Meter,
 ) -> StreamReport {
-    let mut recording = Sidecars {
-        apps: BTreeMap::new(),
-        report: meter.report(),
-        failure: None,
-    };
+    let mut recording = Sidecars::new(meter);
     let mut seen = false;
     let ending = loop {
         let delivery = server.recv_unacknowledged(Duration::from_millis(50));
@@ -99,8 +120,7 @@ pub(crate) fn record(
             break Ending::Stopped;
         }
     };
-    recording.report.ending = ending;
-    recording.report
+    recording.finish(ending)
 }
 
 impl Channel {
@@ -126,20 +146,33 @@ impl Channel {
 }
 
 /// Where a message comes from, and what is owed for it.
-struct Origin {
-    connection: u64,
-    arrival: Timestamp,
-    receipt: Option<Receipt>,
+pub(crate) struct Origin {
+    pub(crate) connection: u64,
+    pub(crate) arrival: Timestamp,
+    pub(crate) receipt: Option<Receipt>,
 }
 
-struct Sidecars {
+pub(crate) struct Sidecars {
     apps: BTreeMap<u64, App>,
     report: StreamReport,
     failure: Option<String>,
 }
 
 impl Sidecars {
-    fn message(
+    pub(crate) fn new(meter: &Meter) -> Self {
+        Self {
+            apps: BTreeMap::new(),
+            report: meter.report(),
+            failure: None,
+        }
+    }
+
+    pub(crate) fn finish(mut self, ending: Ending) -> StreamReport {
+        self.report.ending = ending;
+        self.report
+    }
+
+    pub(crate) fn message(
         &mut self,
         from: Origin,
         message: SidecarMessage,
@@ -166,7 +199,7 @@ impl Sidecars {
                     advertised.channel,
                     Channel {
                         advertised,
-                        clock: OneWayClock::default(),
+                        last_device_ns: None,
                     },
                 );
                 match rig {
@@ -198,8 +231,10 @@ impl Sidecars {
                 let time = if channel.advertised.clock_id == CLOCK_UTC {
                     Timestamp::from_nanos(device_time_ns)
                 } else {
-                    channel.clock.push(device_time_ns, arrival);
-                    let time = channel.clock.time(device_time_ns);
+                    let name = channel.advertised.clock_id.clone();
+                    let clock = app.clocks.entry(name).or_default();
+                    let time = clock.time(device_time_ns, channel.last_device_ns, arrival);
+                    channel.last_device_ns = Some(device_time_ns);
                     if let Some(entry) = channel.device_time(time, arrival, device_time_ns) {
                         inlet.put(entry, &mut self.report)?;
                     }

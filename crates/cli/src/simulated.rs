@@ -6,13 +6,13 @@ use std::sync::Arc;
 
 use anyhow::Context as _;
 use lsfb_capture::{
-    CameraUnitConfig, CaptureReport, Counts, DevicesConfig, ImuFamily, ImuLineConfig,
-    LidarNetConfig, Overflow, RecorderConfig, Session, SidecarConfig,
+    CameraUnitConfig, CaptureReport, Counts, DevicesConfig, ImuFamily, ImuLineConfig, Incoming,
+    LidarNetConfig, Overflow, RecorderConfig, Session, SidecarConfig, record_incoming,
 };
 use lsfb_recording::Existing;
 use lsfb_sim::{
-    FlowControl, GlassesEndpoint, LidarModel, LidarReturns, Pace, ScanEndpoints, SimConfig,
-    SimSession, Simulation,
+    Clocked, Emitted, FlowControl, GlassesEndpoint, LidarModel, LidarReturns, Pace, ScanEndpoints,
+    SimConfig, SimSession, Simulation,
 };
 
 use crate::context::Context;
@@ -204,6 +204,64 @@ fn in_a_folder_of_our_own() -> RecorderConfig {
         existing: Existing::Replace,
         least_space_secs: 0.0,
         ..RecorderConfig::default()
+    }
+}
+
+/// Records everything without sockets and without waiting: what the devices send arrives when the simulated links say.
+/// Clocks can be told from such recordings, and they are the same on any machine.
+pub fn record_with_simulated_arrivals(
+    layout: &Layout,
+    simulation: &Simulation,
+    context: &Context,
+) -> anyhow::Result<Vec<CaptureReport>> {
+    let nowhere = SocketAddr::from(([127, 0, 0, 1], 0));
+    let net = LidarNetConfig {
+        data: nowhere,
+        position: nowhere,
+        ..LidarNetConfig::default()
+    };
+    let mut backpack = backpack_devices(layout, simulation.config(), net, Overflow::Wait);
+    backpack.recorder = in_a_folder_of_our_own();
+    let mut glasses = glasses_devices(nowhere, Overflow::Wait);
+    glasses.recorder = in_a_folder_of_our_own();
+    Ok(vec![
+        record_emitted(
+            simulation.emit_scan(&Clocked::SCAN),
+            &backpack,
+            &layout.file("scan.mcap"),
+            context,
+        )?,
+        record_emitted(
+            simulation.emit_walk(),
+            &glasses,
+            &layout.file("walk.mcap"),
+            context,
+        )?,
+    ])
+}
+
+fn record_emitted(
+    emitted: impl Iterator<Item = Result<Emitted, lsfb_sim::Error>>,
+    devices: &DevicesConfig,
+    out: &Path,
+    context: &Context,
+) -> anyhow::Result<CaptureReport> {
+    let mut failure = None;
+    let incoming = emitted.map_while(|item| match item {
+        Ok(Emitted::Lidar(packet)) => Some(Incoming::Lidar(packet)),
+        Ok(Emitted::Imu(packet)) => Some(Incoming::Imu(packet)),
+        Ok(Emitted::Frame { unit, packet }) => Some(Incoming::Frame { unit, packet }),
+        Ok(Emitted::Sidecar { arrival, message }) => Some(Incoming::Sidecar { arrival, message }),
+        Err(error) => {
+            failure = Some(error);
+            None
+        }
+    });
+    let report = record_incoming(incoming, devices, out, context.stop(), &|p| context.show(p))?;
+    context.check_stop()?;
+    match failure {
+        Some(error) => Err(error.into()),
+        None => Ok(report),
     }
 }
 

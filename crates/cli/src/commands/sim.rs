@@ -7,7 +7,8 @@ use std::time::{Duration, Instant};
 use anyhow::Context as _;
 use lsfb_capture::{DevicesConfig, LidarNetConfig, Overflow};
 use lsfb_sim::{
-    Device, GlassesEndpoint, Pace, PaperMotion, Place, SimConfig, SimSession, Simulation, preview,
+    ClocksConfig, DatumConfig, Device, GlassesEndpoint, Pace, PaperMotion, Place, SimConfig,
+    SimSession, Simulation, preview,
 };
 use serde::Serialize;
 
@@ -29,6 +30,7 @@ const PATIENCE: Duration = Duration::from_secs(3600);
 ///   lsfb scan --devices sim/backpack-devices.toml --out scan.mcap
 ///   lsfb scan --devices sim/glasses-devices.toml --out walk.mcap
 ///   lsfb sim --out c3 --motion C3 --device android --record
+///   lsfb sim --out q --place stairs --clocks quartz --record && lsfb clock q/scan.mcap
 ///   lsfb sim --out puck --place stairs --lidar vlp16 --returns dual --record
 ///   lsfb sim preview --out pictures --place atrium
 #[derive(clap::Args)]
@@ -68,6 +70,14 @@ pub struct Arguments {
     /// Record scan.mcap and walk.mcap in this process.
     #[arg(long)]
     record: bool,
+    /// Clocks of the devices: ideal (all keep UTC) or quartz (each runs as it likes, links delay and stall). With --record,
+    /// arrivals are simulated too, so that `lsfb clock` has something to find; the truth is in truth/truth_*_clocks.csv.
+    #[arg(long, value_parser = clocks, value_name = "KIND")]
+    clocks: Option<Clocks>,
+    /// Where on Earth: latitude and longitude in degrees and height above the ellipsoid in metres, as 48.15,11.58,565. x points
+    /// east, y north. Satellites, sentences and Earth's magnetic field follow from it.
+    #[arg(long, value_parser = datum, value_name = "LAT,LON,H", allow_hyphen_values = true)]
+    datum: Option<DatumConfig>,
     /// Simulated seconds per second at most; 0 is as fast as it goes.
     #[arg(long, default_value_t = 1.0, conflicts_with = "record")]
     pace: f64,
@@ -110,6 +120,33 @@ fn motion(name: &str) -> Result<&'static PaperMotion, String> {
     PaperMotion::named(name).ok_or_else(|| "not in Table VII; O0 to S2 are".to_owned())
 }
 
+/// How the devices tell the time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Clocks {
+    Ideal,
+    Quartz,
+}
+
+fn clocks(name: &str) -> Result<Clocks, String> {
+    match name {
+        "ideal" => Ok(Clocks::Ideal),
+        "quartz" => Ok(Clocks::Quartz),
+        _ => Err("ideal or quartz".to_owned()),
+    }
+}
+
+fn datum(text: &str) -> Result<DatumConfig, String> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|n| n.trim().parse()).collect();
+    match numbers.as_deref() {
+        Ok(&[latitude_deg, longitude_deg, altitude_m]) => Ok(DatumConfig {
+            latitude_deg,
+            longitude_deg,
+            altitude_m,
+        }),
+        _ => Err("three numbers, as 48.15,11.58,565".to_owned()),
+    }
+}
+
 fn device(name: &str) -> Result<Device, String> {
     let found = Device::ALL.into_iter().find(|d| d.name() == name);
     found.ok_or_else(|| "glasses, android or iphone".to_owned())
@@ -135,6 +172,8 @@ impl Arguments {
             seed,
             config: None,
             record: false,
+            clocks: None,
+            datum: None,
             pace,
             equipment,
             endpoints,
@@ -169,11 +208,21 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         config.scene.clone_from(scene);
     }
     config.seed = arguments.seed;
+    match arguments.clocks {
+        Some(Clocks::Ideal) => config.clocks = ClocksConfig::default(),
+        Some(Clocks::Quartz) => config.clocks = ClocksConfig::quartz(),
+        None => {}
+    }
+    config.datum = arguments.datum.unwrap_or(config.datum);
+    // Clocks that drift are told from arrivals: those of sockets that are read as fast as they go tell nothing.
+    let with_arrivals = arguments.clocks.is_some() || !config.clocks.is_ideal();
     arguments.equipment.apply(&mut config);
     let layout = Layout::create(out)?;
     let simulation = simulated::prepare(&layout, &config, context)?;
     let mut recordings = Vec::new();
-    if arguments.record {
+    if arguments.record && with_arrivals {
+        recordings = simulated::record_with_simulated_arrivals(&layout, &simulation, context)?;
+    } else if arguments.record {
         recordings.push(simulated::record_backpack(&layout, &simulation, context)?);
         recordings.push(simulated::record_glasses(&layout, &simulation, context)?);
     } else {

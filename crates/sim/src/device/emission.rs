@@ -47,9 +47,9 @@ pub enum Emitted {
 }
 
 impl Simulation {
-    /// All that the backpack's devices send, in the order of arrival.
-    pub fn emit_scan(&self) -> ScanEmission<'_> {
-        ScanEmission::new(self)
+    /// All that these devices of the backpack send, in the order of arrival; [`Clocked::SCAN`] are all.
+    pub fn emit_scan(&self, devices: &[Clocked]) -> ScanEmission<'_> {
+        ScanEmission::new(self, devices)
     }
 
     /// All that the second walk's device sends, in the order of arrival.
@@ -87,7 +87,7 @@ pub struct ScanEmission<'a> {
 }
 
 impl<'a> ScanEmission<'a> {
-    fn new(simulation: &'a Simulation) -> Self {
+    fn new(simulation: &'a Simulation, devices: &[Clocked]) -> Self {
         let rig = simulation.scan();
         let clocks = rig.clocks();
         let duration_ns = (rig.walk().duration_s() * 1e9) as i64;
@@ -100,7 +100,8 @@ impl<'a> ScanEmission<'a> {
             });
         };
         let mut position_step_ns = POSITION_NS;
-        if let Some(lidar) = rig.lidar() {
+        let wanted = |device| devices.contains(&device);
+        if let Some(lidar) = rig.lidar().filter(|_| wanted(Clocked::Lidar)) {
             let packet_ns = lidar.packet_ns();
             let link = clocks.link(Clocked::Lidar);
             let packets = duration_ns / packet_ns;
@@ -118,14 +119,16 @@ impl<'a> ScanEmission<'a> {
         let ready: Vec<i64> = rig.imu().iter().map(|s| s.offset_ns).collect();
         let imu_batch = link.batch();
         let arrivals = link.arrivals(&ready);
-        lane(
-            Stream::Imu,
-            arrivals.chunks(imu_batch).map(|c| c[0]).collect(),
-        );
+        if wanted(Clocked::Imu) {
+            let pieces = arrivals
+                .chunks(imu_batch)
+                .filter_map(|c| c.first().copied());
+            lane(Stream::Imu, pieces.collect());
+        }
         let frames: Vec<i64> = (0..rig.frame_count())
             .map(|f| rig.frame_offset_ns(f))
             .collect();
-        for unit in 0..MYNT_UNITS {
+        for unit in (0..MYNT_UNITS).filter(|unit| wanted(Clocked::Unit(*unit))) {
             let link = clocks.link(Clocked::Unit(unit));
             lane(Stream::Unit(unit), link.arrivals(&frames));
         }

@@ -18,6 +18,11 @@ pub enum Clocked {
     Walker,
 }
 
+impl Clocked {
+    /// All devices of the backpack.
+    pub const SCAN: [Self; 4] = [Self::Lidar, Self::Unit(0), Self::Unit(1), Self::Imu];
+}
+
 /// The clocks of all devices of one recording.
 #[derive(Clone, Debug)]
 pub struct RigClocks {

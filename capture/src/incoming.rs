@@ -1,0 +1,173 @@
+//! Packets that somebody else received, with their arrivals → Recording, through the functions used live. Nothing here looks
+//! at the host's clock: the same packets give the same messages.
+
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use lsfb_drivers::phone::SidecarMessage;
+use lsfb_geometry::Rig;
+use lsfb_types::{Packet, Progress, ProgressFn, Timestamp};
+
+use crate::camera::CameraStream;
+use crate::config::{DevicesConfig, Overflow};
+use crate::health::{Ending, Meter, StreamReport};
+use crate::imu::{self, ImuStream};
+use crate::lidar::{self, LidarStream};
+use crate::recorder::{self, Inlet, Recorder, WriterGone};
+use crate::session::Control;
+use crate::sidecar::{Origin, Sidecars};
+use crate::{CaptureReport, Error};
+
+/// Connection of the one sidecar.
+const CONNECTION: u64 = 1;
+/// Packets between two looks at progress.
+const SHOW_EVERY: u64 = 2_000;
+
+/// Something that arrived.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Incoming {
+    /// A datagram of the LiDAR, of either kind.
+    Lidar(Packet),
+    /// A packet of the rig's IMU.
+    Imu(Packet),
+    /// A frame of a camera unit.
+    Frame {
+        /// Which of [`DevicesConfig::cameras`].
+        unit: usize,
+        /// Its bytes.
+        packet: Packet,
+    },
+    /// What a phone or glasses said.
+    Sidecar {
+        /// When it arrived.
+        arrival: Timestamp,
+        /// What it said.
+        message: SidecarMessage,
+    },
+}
+
+/// Records what arrives, in its order, into `out`. `config` says what the devices are; none is opened. What comes from devices
+/// that it does not name is passed over.
+pub fn record_incoming(
+    incoming: impl Iterator<Item = Incoming>,
+    config: &DevicesConfig,
+    out: &Path,
+    stop: &AtomicBool,
+    progress: ProgressFn<'_>,
+) -> Result<CaptureReport, Error> {
+    config.check_cameras()?;
+    recorder::make_folder(out)?;
+    let rig = config.rig.as_deref().map(Rig::read).transpose()?;
+    let names: Vec<Vec<String>> = config.cameras.iter().map(|c| c.names.clone()).collect();
+    let recorder = Recorder::start(out, rig, &names, &config.recorder, Overflow::Wait)?;
+    let inlet = recorder.inlet();
+    let mut streams = Streams::new(config);
+    let mut taken = 0_u64;
+    let mut ending = Ending::EndOfStream;
+    for item in incoming {
+        if stop.load(Ordering::Relaxed) || streams.take(item, &inlet).is_err() {
+            ending = Ending::Stopped;
+            break;
+        }
+        taken += 1;
+        if taken.is_multiple_of(SHOW_EVERY) {
+            progress(Progress {
+                stage: "recording",
+                done: taken,
+                total: 0,
+            });
+        }
+    }
+    let reports = streams.finish(&ending, &inlet);
+    drop(inlet);
+    let written = recorder.finish(&reports)?;
+    Ok(CaptureReport::new(out, written, reports))
+}
+
+/// One stream for each device that is configured.
+struct Streams {
+    control: Control,
+    lidar: Option<LidarStream>,
+    imu: Option<(ImuStream, Meter)>,
+    cameras: Vec<(CameraStream, Meter)>,
+    sidecars: Option<Sidecars>,
+}
+
+impl Streams {
+    fn new(config: &DevicesConfig) -> Self {
+        Self {
+            control: Control::alone(),
+            lidar: config
+                .lidar
+                .as_ref()
+                .map(|net| LidarStream::new(net.decoder(), &Meter::new(lidar::LIDAR))),
+            imu: config.imu.as_ref().map(|line| {
+                let meter = Meter::new(imu::IMU);
+                (ImuStream::new(line.family, &meter), meter)
+            }),
+            cameras: config
+                .cameras
+                .iter()
+                .map(|unit| {
+                    let meter = Meter::new(&unit.names.join("+"));
+                    (CameraStream::new(unit, None, &meter), meter)
+                })
+                .collect(),
+            sidecars: config
+                .sidecar
+                .as_ref()
+                .map(|_| Sidecars::new(&Meter::new("sidecar"))),
+        }
+    }
+
+    fn take(&mut self, item: Incoming, inlet: &Inlet) -> Result<(), WriterGone> {
+        match item {
+            Incoming::Lidar(packet) => match &mut self.lidar {
+                Some(stream) => stream.push(packet, inlet),
+                None => Ok(()),
+            },
+            Incoming::Imu(packet) => match &mut self.imu {
+                Some((stream, meter)) => stream.packet(packet, inlet, meter),
+                None => Ok(()),
+            },
+            Incoming::Frame { unit, packet } => match self.cameras.get_mut(unit) {
+                Some((stream, meter)) => stream.frame(&packet, inlet, &self.control, meter),
+                None => Ok(()),
+            },
+            Incoming::Sidecar { arrival, message } => match &mut self.sidecars {
+                Some(sidecars) => {
+                    let from = Origin {
+                        connection: CONNECTION,
+                        arrival,
+                        receipt: None,
+                    };
+                    sidecars.message(from, message, inlet)
+                }
+                None => Ok(()),
+            },
+        }
+    }
+
+    fn finish(self, ending: &Ending, inlet: &Inlet) -> Vec<StreamReport> {
+        let mut reports = Vec::new();
+        reports.extend(self.lidar.map(|s| s.finish(ending.clone(), inlet)));
+        for (stream, _) in self.cameras {
+            let report = stream.finish();
+            reports.push(StreamReport {
+                ending: ending.clone(),
+                ..report
+            });
+        }
+        if let Some((mut stream, meter)) = self.imu {
+            // A writer that is gone reports itself.
+            let _ = stream.rest(inlet, &meter);
+            reports.push(StreamReport {
+                ending: ending.clone(),
+                ..stream.finish(0)
+            });
+        }
+        reports.extend(self.sidecars.map(|s| s.finish(ending.clone())));
+        reports.iter_mut().for_each(StreamReport::name_silence);
+        reports
+    }
+}
