@@ -8,6 +8,9 @@
 //! - [`SimSession`] runs the devices that send the same measurements in their wire formats, to a host that cannot tell
 //!   them from real ones: a VLP-32C over UDP, two Mynt units through camera sockets, an Xsens IMU on a pseudo-terminal,
 //!   and glasses through the sidecar stream.
+//! - [`Simulation::emit_scan`] and [`Simulation::emit_walk`] give the same bytes without sockets, each with the time at which it
+//!   arrives over a link that delays, jitters and stalls ([`ClocksConfig`]).
+//! - [`Surroundings`] is what a phone measures besides: radio, the magnetic field, pressure, satellites.
 //! - [`Playback`] runs the same devices from a recording or a capture file.
 //! - The truth is written by [`Simulation::write_truth`] into files of its own. No device sends it.
 //!

@@ -161,3 +161,6 @@ fn gga(rig: &RigSim, heard_ns: i64) -> Option<Gga> {
         geoid_mm: Some(GEOID_MM),
     })
 }
+
+#[cfg(test)]
+mod tests;
