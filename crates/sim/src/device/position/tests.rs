@@ -49,7 +49,10 @@ fn lock_and_sentence_follow_the_sky() {
         let Ok(Sentence::Rmc(rmc)) = Sentence::parse(packet.nmea()) else {
             panic!("no GPRMC");
         };
-        assert_eq!(rmc.unix_secs(), rig.time(second * SECOND_NS).nanos() / SECOND_NS);
+        assert_eq!(
+            rmc.unix_secs(),
+            rig.time(second * SECOND_NS).nanos() / SECOND_NS
+        );
         assert_eq!(rmc.valid, epoch.reading.fix.is_some());
         if let Some(fix) = epoch.reading.fix {
             let latitude = rmc.latitude_e5_min.expect("fix") as f64 / E5_MIN_PER_DEG;
@@ -60,7 +63,10 @@ fn lock_and_sentence_follow_the_sky() {
             assert!(rmc.speed_e3_knots.expect("fix") < 4_000);
         }
     }
-    assert!(locked > 60 && lost > 10 && returning >= 5, "{locked} {lost} {returning}");
+    assert!(
+        locked > 60 && lost > 10 && returning >= 5,
+        "{locked} {lost} {returning}"
+    );
 }
 
 #[test]
