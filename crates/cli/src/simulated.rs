@@ -6,12 +6,13 @@ use std::sync::Arc;
 
 use anyhow::Context as _;
 use lsfb_capture::{
-    CameraUnitConfig, CaptureReport, Counts, DevicesConfig, ImuFamily, ImuLineConfig, Incoming,
+    CameraUnitConfig, CaptureReport, Counts, DevicesConfig, ImuLineConfig, Incoming,
     LidarNetConfig, Overflow, RecorderConfig, Session, SidecarConfig, record_incoming,
 };
 use lsfb_recording::Existing;
 use lsfb_sim::{
-    Clocked, Emitted, FlowControl, GlassesEndpoint, LidarModel, LidarReturns, Pace, ScanEndpoints,
+    Clocked, Emitted, FlowControl, GlassesEndpoint, ImuFamily, LidarModel, LidarReturns, Pace,
+    ScanEndpoints,
     SimConfig, SimSession, Simulation,
 };
 
@@ -40,6 +41,9 @@ pub struct Equipment {
     /// Which echoes the LiDAR sends: strongest, last or dual.
     #[arg(long, value_parser = lidar_returns)]
     returns: Option<LidarReturns>,
+    /// What the IMU speaks: xsens or microstrain.
+    #[arg(long, value_parser = imu_family)]
+    imu: Option<ImuFamily>,
 }
 
 impl Equipment {
@@ -48,6 +52,7 @@ impl Equipment {
         let lidar = &mut config.lidar;
         lidar.model = self.lidar.unwrap_or(lidar.model);
         lidar.returns = self.returns.unwrap_or(lidar.returns);
+        config.scan_imu_family = self.imu.unwrap_or(config.scan_imu_family);
     }
 }
 
@@ -59,6 +64,11 @@ fn lidar_model(name: &str) -> Result<LidarModel, String> {
 fn lidar_returns(name: &str) -> Result<LidarReturns, String> {
     let found = LidarReturns::ALL.into_iter().find(|r| r.name() == name);
     found.ok_or_else(|| "strongest, last or dual".to_owned())
+}
+
+fn imu_family(name: &str) -> Result<ImuFamily, String> {
+    let found = ImuFamily::ALL.into_iter().find(|f| f.name() == name);
+    found.ok_or_else(|| "xsens or microstrain".to_owned())
 }
 
 /// Names of the files of a simulated session in its folder.
@@ -150,7 +160,10 @@ pub fn backpack_devices(
         lidar: Some(lidar),
         cameras: vec![unit(front, ["cam0", "cam1"]), unit(rear, ["cam2", "cam3"])],
         imu: Some(ImuLineConfig {
-            family: ImuFamily::Xsens,
+            family: match config.scan_imu_family {
+                ImuFamily::Xsens => lsfb_capture::ImuFamily::Xsens,
+                ImuFamily::Microstrain => lsfb_capture::ImuFamily::Microstrain,
+            },
             path: layout.imu_line(),
             baud: 921_600,
             rate_hz: u16::try_from(config.scan_imu.rate_hz).unwrap_or(u16::MAX),

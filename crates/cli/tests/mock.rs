@@ -12,7 +12,7 @@ use lsfb_recording::{LIDAR_POSITION, Recording};
 use nix::sys::signal::Signal;
 use process::lsfb;
 use running::{Running, wait_until};
-use simulated_session::{Ports, recorded, scan, text};
+use simulated_session::{Ports, recorded, scan, settings, text};
 
 /// Whether no datagram waits in the sockets at these ports of this machine.
 fn nothing_waits(ports: &[u16]) -> bool {
@@ -213,6 +213,53 @@ fn a_mock_of_a_capture_file_gives_every_packet_at_its_rate() {
 }
 
 #[test]
+fn a_puck_with_two_returns_and_a_microstrain_unit_are_recorded_too() {
+    let folder = tempfile::tempdir().expect("folder");
+    std::fs::write(folder.path().join("tiny.toml"), settings(3)).expect("settings");
+    let arguments = [
+        "sim",
+        "--out",
+        "sim",
+        "--config",
+        "tiny.toml",
+        "--lidar",
+        "vlp16",
+        "--returns",
+        "dual",
+        "--imu",
+        "microstrain",
+    ];
+    let arguments = arguments.map(str::to_owned).into_iter();
+    let ports = Ports::free().arguments();
+    let mut sim = Running::lsfb(folder.path(), arguments.chain(ports));
+    sim.wait_for("backpack-devices.toml");
+    scan(folder.path(), "sim/backpack-devices.toml", "scan.mcap");
+    sim.signal(Signal::SIGINT);
+    sim.wait();
+    let path = folder.path().join("scan.mcap");
+    // Three seconds: a packet every 663.552 µs, return mode and product at their end; and a sample every 5 ms.
+    let lidar = packets(&path, "lidar/packets");
+    assert_eq!(lidar.len(), 4521);
+    assert!(lidar.iter().all(|p| p.ends_with(&[0x39, 0x22])));
+    assert!(
+        packets(&path, "imu0")
+            .concat()
+            .starts_with(&[0x75, 0x65, 0x80])
+    );
+    let recording = Recording::open(&path).expect("recording");
+    let samples = recording.imu().expect("samples").filter_map(Result::ok);
+    assert_eq!(samples.count(), 601);
+    assert!(
+        recording
+            .scans()
+            .expect("scans")
+            .filter_map(Result::ok)
+            .count()
+            >= 28
+    );
+}
+
+#[test]
 fn sources_that_hold_nothing_to_play_are_refused() {
     let folder = tempfile::tempdir().expect("folder");
     std::fs::write(folder.path().join("empty.pcap"), b"").expect("file");
@@ -221,6 +268,10 @@ fn sources_that_hold_nothing_to_play_are_refused() {
         (&["mock", "empty.pcap", "--out", "m"], "empty.pcap"),
         (&["mock", "a.mcap", "--out", "m", "--rate", "0"], "positive"),
         (&["mock", "--out", "m"], "<SOURCE>"),
+        (
+            &["mock", "a.mcap", "--out", "m", "--imu", "microstrain"],
+            "cannot be used with",
+        ),
     ] {
         let output = lsfb(folder.path(), arguments);
         let errors = String::from_utf8_lossy(&output.stderr);

@@ -36,6 +36,8 @@ pub struct SimConfig {
     pub motion: String,
     /// Edge of the texels that surfaces are painted with, metres.
     pub texel_m: f32,
+    /// What the IMU of the backpack speaks.
+    pub scan_imu_family: ImuFamily,
     /// The walk with the backpack.
     pub scan: WalkConfig,
     /// The walk with the glasses.
@@ -210,6 +212,30 @@ pub struct LidarConfig {
     pub weakest_range_m: f64,
 }
 
+/// What an inertial unit speaks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ImuFamily {
+    /// Xsens MTData2, with UTC.
+    #[default]
+    Xsens,
+    /// MicroStrain MIP, with the time since power-up.
+    Microstrain,
+}
+
+impl ImuFamily {
+    /// All of them.
+    pub const ALL: [Self; 2] = [Self::Xsens, Self::Microstrain];
+
+    /// Its name in settings.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Xsens => "xsens",
+            Self::Microstrain => "microstrain",
+        }
+    }
+}
+
 /// An IMU.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -254,6 +280,7 @@ impl Default for SimConfig {
             device: Device::Glasses,
             motion: String::new(),
             texel_m: 0.003,
+            scan_imu_family: ImuFamily::default(),
             scan: WalkConfig::default(),
             glasses: WalkConfig {
                 duration_s: 24.0,

@@ -6,8 +6,8 @@
 //! - [`Simulation`] holds the [`World`] and two [`RigSim`]: what the sensors of the backpack and of the glasses measure,
 //!   asked for one by one.
 //! - [`SimSession`] runs the devices that send the same measurements in their wire formats, to a host that cannot tell
-//!   them from real ones: a VLP-32C over UDP, two Mynt units through camera sockets, an Xsens IMU on a pseudo-terminal,
-//!   and glasses through the sidecar stream.
+//!   them from real ones: a Velodyne over UDP, two Mynt units through camera sockets, an Xsens or a MicroStrain IMU on a
+//!   pseudo-terminal, and glasses through the sidecar stream.
 //! - [`Simulation::emit_scan`] and [`Simulation::emit_walk`] give the same bytes without sockets, each with the time at which it
 //!   arrives over a link that delays, jitters and stalls ([`ClocksConfig`]).
 //! - [`Surroundings`] is what a phone measures besides: radio, the magnetic field, pressure, satellites.
@@ -67,7 +67,8 @@ pub use ambient::{
     wall_loss_db,
 };
 pub use config::{
-    CameraConfig, ImuConfig, LensKind, LidarConfig, LidarModel, LidarReturns, SimConfig, WalkConfig,
+    CameraConfig, ImuConfig, ImuFamily, LensKind, LidarConfig, LidarModel, LidarReturns, SimConfig,
+    WalkConfig,
 };
 pub use device::{
     CameraPlan, Emitted, FlowControl, GlassesEndpoint, MYNT_UNITS, Pace, Playback,

@@ -33,6 +33,17 @@ impl Default for MipConfig {
     }
 }
 
+impl MipConfig {
+    /// What the unit is asked for: its fields with every so many samples of its base rate.
+    pub fn format(decimation: u16) -> Vec<FormatEntry> {
+        let entry = |descriptor| FormatEntry {
+            descriptor,
+            decimation,
+        };
+        FIELDS.map(entry).to_vec()
+    }
+}
+
 /// Fields asked for: both times, specific force, angular velocity.
 const FIELDS: [u8; 4] = [
     field::REFERENCE_TIME,
@@ -64,13 +75,9 @@ impl MipImu {
             )));
         }
         let decimation = base_rate_hz / config.rate_hz;
-        let entries = FIELDS.map(|descriptor| FormatEntry {
-            descriptor,
-            decimation,
-        });
         let format = Command::MessageFormat {
             data_set,
-            entries: entries.to_vec(),
+            entries: MipConfig::format(decimation),
         };
         request(&mut unit, &format)?;
         let started = request(&mut unit, &Command::Resume)?;

@@ -51,6 +51,11 @@ pub fn scan(folder: &Path, devices: &str, out: &str) -> Value {
     serde_json::from_slice(&output.stdout).expect("one JSON object")
 }
 
+/// Settings of a short session with a scan of so many seconds.
+pub fn settings(scan_secs: u32) -> String {
+    TINY.replace("SECS", &format!("{scan_secs}.0"))
+}
+
 /// A simulated scan and walk, recorded from `lsfb sim` in another process: made once for all tests.
 pub fn recorded(scan_secs: u32) -> &'static Path {
     static RECORDED: OnceLock<PathBuf> = OnceLock::new();
@@ -58,8 +63,7 @@ pub fn recorded(scan_secs: u32) -> &'static Path {
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(env!("CARGO_CRATE_NAME"));
         let _ = std::fs::remove_dir_all(&folder);
         std::fs::create_dir_all(&folder).expect("folder");
-        let settings = TINY.replace("SECS", &format!("{scan_secs}.0"));
-        std::fs::write(folder.join("tiny.toml"), settings).expect("settings");
+        std::fs::write(folder.join("tiny.toml"), settings(scan_secs)).expect("settings");
         let ports = Ports::free().arguments();
         let arguments = ["sim", "--out", "sim", "--config", "tiny.toml"];
         let arguments = arguments.into_iter().map(str::to_owned).chain(ports);

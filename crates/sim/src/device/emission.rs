@@ -4,14 +4,12 @@
 use std::collections::VecDeque;
 
 use lsfb_drivers::camera::model::FrameFormat;
-use lsfb_drivers::imu::ImuConfig;
-use lsfb_drivers::imu::wire::OutputSetting;
 use lsfb_drivers::phone::SidecarMessage;
 use lsfb_drivers::phone::wire::Hello;
 use lsfb_types::{Image, Packet, Timestamp};
 
 use super::feed::Shot;
-use super::imu::measurement;
+use super::inertial::InertialStream;
 use super::lidar::POSITION_NS;
 use super::mynt::frame_bytes;
 use super::outbox::{Content, DEVICE, Outbox};
@@ -78,7 +76,7 @@ struct Lane {
 pub struct ScanEmission<'a> {
     simulation: &'a Simulation,
     lanes: Vec<Lane>,
-    outputs: Vec<OutputSetting>,
+    imu: InertialStream,
     /// Samples in one piece of the IMU's stream.
     imu_batch: usize,
     position_step_ns: i64,
@@ -132,16 +130,10 @@ impl<'a> ScanEmission<'a> {
             let link = clocks.link(Clocked::Unit(unit));
             lane(Stream::Unit(unit), link.arrivals(&frames));
         }
-        let rate_hz = rig.imu_rate_hz() as u16;
-        let outputs = ImuConfig {
-            rate_hz,
-            ..ImuConfig::default()
-        }
-        .outputs();
         Self {
             simulation,
             lanes,
-            outputs,
+            imu: InertialStream::new(simulation),
             imu_batch,
             position_step_ns,
             fired: 0,
@@ -178,14 +170,8 @@ impl<'a> ScanEmission<'a> {
             Stream::Imu => {
                 let first = number * self.imu_batch;
                 let mut bytes = Vec::new();
-                for (k, sample) in rig
-                    .imu()
-                    .iter()
-                    .enumerate()
-                    .skip(first)
-                    .take(self.imu_batch)
-                {
-                    measurement(&self.outputs, rig, sample, k as u64, &mut bytes)?;
+                for sample in rig.imu().iter().skip(first).take(self.imu_batch) {
+                    self.imu.push(rig, sample, &mut bytes)?;
                 }
                 Emitted::Imu(packet(bytes))
             }

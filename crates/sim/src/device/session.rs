@@ -10,7 +10,7 @@ use lsfb_types::{Progress, ProgressFn};
 
 use super::clock::{Pace, SimClock};
 use super::glasses::GlassesDevice;
-use super::imu::ImuDevice;
+use super::inertial::InertialDevice;
 use super::lidar::{FlowControl, LidarDevice};
 use super::mynt::MyntDevice;
 use crate::{Error, Simulation};
@@ -106,7 +106,7 @@ impl SimSession {
         flow: Option<FlowControl>,
     ) -> Result<Self, Error> {
         let lidar = LidarDevice::new(endpoints.lidar_data, endpoints.lidar_position, flow)?;
-        let imu = ImuDevice::new()?;
+        let imu = InertialDevice::new(simulation)?;
         let [first, second] = &endpoints.camera_sockets;
         let units = [MyntDevice::bind(0, first)?, MyntDevice::bind(1, second)?];
         let duration_s = simulation.scan().walk().duration_s();

@@ -1,0 +1,89 @@
+//! The backpack's IMU, whatever it speaks.
+
+use std::path::PathBuf;
+
+use lsfb_drivers::imu::ImuConfig;
+use lsfb_drivers::imu::wire::OutputSetting;
+use lsfb_drivers::microstrain::MipConfig;
+
+use super::clock::SimClock;
+use super::imu::{ImuDevice, measurement};
+use super::mip::{MipDevice, MipStream};
+use crate::config::ImuFamily;
+use crate::{BiasedSample, Error, RigSim, Simulation};
+
+/// A unit and its end of the line.
+pub(super) enum InertialDevice {
+    Xsens(ImuDevice),
+    Microstrain(MipDevice),
+}
+
+impl InertialDevice {
+    /// The unit that the settings name.
+    pub(super) fn new(simulation: &Simulation) -> Result<Self, Error> {
+        let rate_hz = simulation.scan().imu_rate_hz() as u16;
+        Ok(match simulation.config().scan_imu_family {
+            ImuFamily::Xsens => Self::Xsens(ImuDevice::new()?),
+            ImuFamily::Microstrain => Self::Microstrain(MipDevice::new(rate_hz)?),
+        })
+    }
+
+    /// What the host opens as its serial line.
+    pub(super) fn path(&self) -> PathBuf {
+        match self {
+            Self::Xsens(unit) => unit.path(),
+            Self::Microstrain(unit) => unit.path(),
+        }
+    }
+
+    /// Waits for the host, then sends the whole walk. Returns the packets sent.
+    pub(super) fn run(self, rig: &RigSim, clock: &SimClock, device: usize) -> Result<u64, Error> {
+        match self {
+            Self::Xsens(unit) => unit.run(rig, clock, device),
+            Self::Microstrain(unit) => unit.run(rig, clock, device),
+        }
+    }
+}
+
+/// What a unit sends once the driver has configured it, sample by sample.
+pub(super) enum InertialStream {
+    Xsens {
+        outputs: Vec<OutputSetting>,
+        sent: u64,
+    },
+    Microstrain(MipStream),
+}
+
+impl InertialStream {
+    /// The stream of the unit that the settings name.
+    pub(super) fn new(simulation: &Simulation) -> Self {
+        let rate_hz = simulation.scan().imu_rate_hz() as u16;
+        match simulation.config().scan_imu_family {
+            ImuFamily::Xsens => Self::Xsens {
+                outputs: ImuConfig {
+                    rate_hz,
+                    ..ImuConfig::default()
+                }
+                .outputs(),
+                sent: 0,
+            },
+            ImuFamily::Microstrain => Self::Microstrain(MipStream::new(MipConfig::format(1))),
+        }
+    }
+
+    /// Appends the packet of the next sample.
+    pub(super) fn push(
+        &mut self,
+        rig: &RigSim,
+        sample: &BiasedSample,
+        bytes: &mut Vec<u8>,
+    ) -> Result<(), Error> {
+        match self {
+            Self::Xsens { outputs, sent } => {
+                *sent += 1;
+                measurement(outputs, rig, sample, *sent - 1, bytes)
+            }
+            Self::Microstrain(stream) => stream.push(rig, sample, bytes),
+        }
+    }
+}
