@@ -12,8 +12,7 @@ use lsfb_capture::{
 use lsfb_recording::Existing;
 use lsfb_sim::{
     Clocked, Emitted, FlowControl, GlassesEndpoint, ImuFamily, LidarModel, LidarReturns, Pace,
-    ScanEndpoints,
-    SimConfig, SimSession, Simulation,
+    ScanEndpoints, SimConfig, SimSession, Simulation,
 };
 
 use crate::context::Context;

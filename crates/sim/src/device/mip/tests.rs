@@ -6,7 +6,7 @@ use lsfb_types::no_progress;
 
 use super::*;
 use crate::device::clock::Pace;
-use crate::{SimConfig, Simulation};
+use crate::{Clocked, Emitted, ImuFamily, SimConfig, Simulation};
 
 const PATIENCE: Duration = Duration::from_secs(20);
 
@@ -66,4 +66,24 @@ fn the_driver_gets_every_sample_or_every_second_one() {
         );
         assert_eq!((counters.missing, counters.skipped_bytes), (0, 0));
     }
+}
+
+#[test]
+fn without_sockets_the_bytes_are_the_same() {
+    let mut config = SimConfig::tiny();
+    (config.texel_m, config.scan_imu_family) = (0.1, ImuFamily::Microstrain);
+    (config.scan.duration_s, config.glasses.duration_s) = (1.2, 1.2);
+    let simulation = Simulation::new(&config, &no_progress).expect("valid");
+    let rig = simulation.scan();
+    let mut decoder = Decoder::new();
+    for emitted in simulation.emit_scan(&[Clocked::Imu]) {
+        let Ok(Emitted::Imu(packet)) = emitted else {
+            panic!("{emitted:?}");
+        };
+        decoder.push(&packet);
+    }
+    let readings: Vec<_> = std::iter::from_fn(|| decoder.next_reading()).collect();
+    assert_eq!(readings.len(), rig.imu().len());
+    let ticks = readings.iter().map(|r| r.device_ticks as i64);
+    assert!(ticks.eq(rig.imu().iter().map(|s| s.offset_ns)));
 }
