@@ -102,9 +102,15 @@ impl Writing {
 
     fn take(&mut self, queued: Queued) -> Result<(), Error> {
         let before = self.parts.writer().bytes();
-        let receipt = self.write(queued.entry)?;
+        let mut receipt = self.write(queued.entry)?;
         if self.parts.writer().bytes() != before {
-            // The chunk was full: everything before this entry is in the file.
+            // The chunk was full: everything before this entry is in the file, and this one too where nothing is open.
+            if self.parts.writer().open_messages() == 0 {
+                self.waiting.push(queued.at);
+                self.receipts.extend(receipt.take());
+                self.open_bytes = 0;
+                return self.written();
+            }
             self.written()?;
         }
         if self.parts.writer().open_messages() > 0 {

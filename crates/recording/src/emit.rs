@@ -98,11 +98,11 @@ pub(crate) struct ChunkHead<'a> {
     pub compression: &'a str,
 }
 
-/// Fills in the bytes that were left free before the data of a chunk; `out` ends where the data ends.
-pub(crate) fn fill_chunk_prefix(out: &mut [u8], head: &ChunkHead<'_>) {
+/// Fills in the bytes that were left free before the data of a chunk, of which `rest_bytes` follow behind `out`.
+pub(crate) fn fill_chunk_prefix(out: &mut [u8], rest_bytes: u64, head: &ChunkHead<'_>) {
     let prefix_bytes = chunk_prefix_bytes(head.compression);
-    let data_bytes = out.len().saturating_sub(prefix_bytes) as u64;
-    let body_bytes = out.len() as u64 - HEAD_BYTES;
+    let data_bytes = out.len().saturating_sub(prefix_bytes) as u64 + rest_bytes;
+    let body_bytes = out.len() as u64 + rest_bytes - HEAD_BYTES;
     let mut prefix = Vec::with_capacity(prefix_bytes);
     prefix.push(crate::record::opcode::CHUNK);
     u64(&mut prefix, body_bytes);

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::Write as _;
+use std::io::{IoSlice, Write as _};
 use std::path::{Path, PathBuf};
 
 use lsfb_types::Timestamp;
@@ -22,6 +22,9 @@ struct OpenChannel {
     messages: u64,
 }
 
+/// A message from this size on is not copied into a chunk that is written as it is: it goes from where it lies into the file,
+/// and its chunk with it.
+const DIRECT_BYTES: u64 = 256 << 10;
 /// Opcode, length and header of a message record.
 const MESSAGE_RECORD_BYTES: u64 = 31;
 /// Schema and channel record without the schema's text, generously.
@@ -42,6 +45,7 @@ pub(crate) struct Encoder {
     channels: BTreeMap<String, OpenChannel>,
     chunk: OpenChunk,
     packed: Vec<u8>,
+    indices: Vec<u8>,
     packer: Packer,
     summary: SummaryBuilder,
 }
@@ -72,6 +76,7 @@ impl Encoder {
             channels: BTreeMap::new(),
             chunk: OpenChunk::default(),
             packed: Vec::new(),
+            indices: Vec::new(),
             packer: Packer::new(config.zstd_level),
             summary: SummaryBuilder::default(),
         };
@@ -146,13 +151,19 @@ impl Encoder {
         if self.chunk.bytes.is_empty() {
             return Ok(());
         }
-        let uncompressed_bytes = self.chunk.data().len() as u64;
-        let crc = std::mem::take(&mut self.chunk.hasher).finalize();
         let compression = match self.config.compression {
             Compression::None => PLAIN,
             Compression::Lz4 => self.pack("lz4"),
             Compression::Zstd => self.pack("zstd"),
         };
+        self.write_chunk(compression, [&[], &[]])
+    }
+
+    /// Writes the open chunk, packed or as it is. `rest` is the end of its last message, which was not copied into it.
+    fn write_chunk(&mut self, compression: &'static str, rest: [&[u8]; 2]) -> Result<(), Error> {
+        let rest_bytes: u64 = rest.iter().map(|piece| piece.len() as u64).sum();
+        let uncompressed_bytes = self.chunk.data().len() as u64 + rest_bytes;
+        let crc = std::mem::take(&mut self.chunk.hasher).finalize();
         let mut record = match compression {
             PLAIN => std::mem::take(&mut self.chunk.bytes),
             _ => std::mem::take(&mut self.packed),
@@ -160,6 +171,7 @@ impl Encoder {
         let (start_time, end_time) = (self.chunk.start_time, self.chunk.end_time);
         emit::fill_chunk_prefix(
             &mut record,
+            rest_bytes,
             &emit::ChunkHead {
                 start_time,
                 end_time,
@@ -169,10 +181,15 @@ impl Encoder {
             },
         );
         let offset = self.intact_bytes;
-        let record_bytes = record.len() as u64;
-        let indexed = summary::append_message_indices(&mut record, offset, &self.chunk.index);
-        let written = self.append(&record);
-        // The buffer is used again.
+        let record_bytes = record.len() as u64 + rest_bytes;
+        let mut indices = std::mem::take(&mut self.indices);
+        indices.clear();
+        let indexed =
+            summary::append_message_indices(&mut indices, offset + record_bytes, &self.chunk.index);
+        let [first, second] = rest;
+        let written = self.append_pieces(&[&record, first, second, &indices]);
+        // The buffers are used again.
+        self.indices = indices;
         record.clear();
         match compression {
             PLAIN => self.chunk.bytes = record,
@@ -311,16 +328,22 @@ impl Encoder {
             channel.messages += 1;
             channel.messages as u32
         });
-        self.chunk.put(
-            &MessageHead {
-                channel_id,
-                sequence,
-                log_time,
-                publish_time,
-            },
-            message,
-        );
-        Ok(())
+        let head = MessageHead {
+            channel_id,
+            sequence,
+            log_time,
+            publish_time,
+        };
+        let direct =
+            self.config.compression == Compression::None && message.data_bytes() >= DIRECT_BYTES;
+        if !direct {
+            self.chunk.put(&head, message);
+            return Ok(());
+        }
+        self.chunk.put_last(&head, message);
+        let written = self.write_chunk(PLAIN, [message.bytes, message.tail]);
+        // Whoever hands it over counts it if it cannot be written; it does not wait here.
+        written.inspect_err(|_| self.chunk.messages = self.chunk.messages.saturating_sub(1))
     }
 
     fn channel_id(&mut self, message: &Outgoing<'_>) -> Result<u16, Error> {
@@ -383,16 +406,21 @@ impl Encoder {
         id
     }
 
-    /// Writes whole records. The first failure cuts the file back to its last whole record and is the last.
     fn append(&mut self, records: &[u8]) -> Result<(), Error> {
+        self.append_pieces(&[records])
+    }
+
+    /// Writes whole records that lie in pieces. The first failure cuts the file back to its last whole record and is the
+    /// last.
+    fn append_pieces(&mut self, pieces: &[&[u8]]) -> Result<(), Error> {
         self.check()?;
-        let mut written = self.file.write_all(records);
+        let mut written = write_all_vectored(&mut self.file, pieces);
         if self.config.durability == Durability::Power {
             written = written.and_then(|()| self.file.sync_data());
         }
         match written {
             Ok(()) => {
-                self.intact_bytes += records.len() as u64;
+                self.intact_bytes += pieces.iter().map(|piece| piece.len() as u64).sum::<u64>();
                 Ok(())
             }
             Err(error) => {
@@ -422,4 +450,23 @@ impl Encoder {
             reason,
         }
     }
+}
+
+/// Hands all pieces to the operating system at once.
+fn write_all_vectored(file: &mut File, pieces: &[&[u8]]) -> std::io::Result<()> {
+    let mut slices: Vec<IoSlice<'_>> = pieces
+        .iter()
+        .filter(|piece| !piece.is_empty())
+        .map(|piece| IoSlice::new(piece))
+        .collect();
+    let mut left = slices.as_mut_slice();
+    while !left.is_empty() {
+        match file.write_vectored(left) {
+            Ok(0) => return Err(std::io::ErrorKind::WriteZero.into()),
+            Ok(count) => IoSlice::advance_slices(&mut left, count),
+            Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(())
 }

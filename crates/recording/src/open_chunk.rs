@@ -75,6 +75,26 @@ impl OpenChunk {
     /// Puts a message in.
     pub fn put(&mut self, head: &MessageHead, message: &Outgoing<'_>) {
         let start = self.bytes.len();
+        self.put_head(head, message);
+        self.bytes.extend_from_slice(message.bytes);
+        self.bytes.extend_from_slice(message.tail);
+        // While these bytes are still in the processor's cache.
+        self.hasher
+            .update(self.bytes.get(start..).unwrap_or_default());
+    }
+
+    /// Puts in a message whose own bytes will follow the chunk's: it is the last.
+    pub fn put_last(&mut self, head: &MessageHead, message: &Outgoing<'_>) {
+        let start = self.bytes.len();
+        self.put_head(head, message);
+        self.hasher
+            .update(self.bytes.get(start..).unwrap_or_default());
+        self.hasher.update(message.bytes);
+        self.hasher.update(message.tail);
+    }
+
+    fn put_head(&mut self, head: &MessageHead, message: &Outgoing<'_>) {
+        let start = self.bytes.len();
         let out = &mut self.bytes;
         out.push(opcode::MESSAGE);
         emit::u64(out, 22 + message.data_bytes());
@@ -82,10 +102,6 @@ impl OpenChunk {
         emit::u32(out, head.sequence);
         emit::u64(out, head.log_time);
         emit::u64(out, head.publish_time);
-        out.extend_from_slice(message.bytes);
-        out.extend_from_slice(message.tail);
-        // While these bytes are still in the processor's cache.
-        self.hasher.update(out.get(start..).unwrap_or_default());
         self.index
             .entry(head.channel_id)
             .or_default()

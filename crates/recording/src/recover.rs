@@ -284,7 +284,7 @@ impl Copy {
             crc: crc32fast::hash(records),
             compression: "",
         };
-        emit::fill_chunk_prefix(&mut record, &new_head);
+        emit::fill_chunk_prefix(&mut record, 0, &new_head);
         let head = record::ChunkHead {
             start_time,
             end_time,

@@ -463,3 +463,77 @@ fn the_rig_in_the_specification_is_one() {
     );
     assert_eq!(rig.imu.unwrap().accel_bias_walk, 1e-4);
 }
+
+/// Without compression a large message goes into the file as it lies, and closes its chunk.
+#[test]
+fn large_messages_that_are_not_copied_come_back_among_small_ones() {
+    const LARGE_BYTES: usize = 300 << 10;
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("large.mcap");
+    let config = WriterConfig {
+        compression: Compression::None,
+        ..WriterConfig::default()
+    };
+    let mut writer = Writer::create(&path, &config).unwrap();
+    let channel = |topic| Channel {
+        topic,
+        schema_name: "x/msg/X",
+        schema_text: "uint8[] data",
+    };
+    let bytes =
+        |n: usize, len: usize| -> Vec<u8> { (0..len).map(|i| (i * 31 + n) as u8).collect() };
+    for n in 0..12 {
+        let time = START + n as i64 * 1_000_000;
+        let small = bytes(n, 10 + n);
+        writer
+            .write_cdr(&channel("/small"), time, time, &small)
+            .unwrap();
+        assert_eq!(writer.open_messages(), 1);
+        // Every third image has a meta message in its own chunk.
+        if n % 3 == 0 {
+            let side = 1024;
+            let image = Image {
+                width: side,
+                height: 300,
+                pixels: bytes(n, LARGE_BYTES),
+                exposure_ns: 1,
+                frame_id: n as u32,
+            };
+            let stamped = Stamped {
+                time,
+                arrival: time,
+                device_ticks: 1,
+                sample: image,
+            };
+            writer.write_image("cam0", &stamped).unwrap();
+        } else {
+            let large = bytes(n, LARGE_BYTES);
+            writer
+                .write_cdr(&channel("/large"), time, time, &large)
+                .unwrap();
+        }
+        assert_eq!((writer.open_messages(), writer.open_bytes()), (0, 0));
+    }
+    writer.finish().unwrap();
+
+    let recording = Recording::open(&path).unwrap();
+    assert_eq!(recording.verify(&no_progress).unwrap(), []);
+    for (n, message) in recording.messages("/small").unwrap().enumerate() {
+        assert_eq!(message.unwrap().bytes, bytes(n, 10 + n));
+    }
+    let large: Vec<_> = recording.messages("/large").unwrap().collect();
+    let numbers = (0..12).filter(|n| n % 3 != 0);
+    assert_eq!(large.len(), 8);
+    for (message, n) in large.into_iter().zip(numbers) {
+        assert!(message.unwrap().bytes == bytes(n, LARGE_BYTES), "{n}");
+    }
+    for (image, n) in recording.images("cam0").unwrap().zip((0..12).step_by(3)) {
+        assert!(image.unwrap().sample.pixels == bytes(n, LARGE_BYTES), "{n}");
+    }
+    // Another reader, checksums included.
+    let file = std::fs::read(&path).unwrap();
+    let messages = mcap::MessageStream::new(&file).unwrap();
+    assert_eq!(messages.map(Result::unwrap).count(), 12 + 8 + 2 * 4);
+    let summary = mcap::Summary::read(&file).unwrap().unwrap();
+    assert_eq!(summary.chunk_indexes.len(), 12);
+}
