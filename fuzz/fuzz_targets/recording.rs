@@ -4,13 +4,17 @@
 use std::sync::LazyLock;
 
 use libfuzzer_sys::fuzz_target;
-use lsfb_recording::{Recording, Writer, WriterConfig};
+use lsfb_recording::{CameraUnit, Recording, Writer, WriterConfig, recover};
 use lsfb_types::{Image, ImuSample, LidarPoint, LidarScan, Packet, Stamped, Timestamp};
 
 /// One message of each kind.
 static WHOLE: LazyLock<Vec<u8>> = LazyLock::new(|| {
     let path = std::env::temp_dir().join(format!("lsfb-fuzz-{}-whole.mcap", std::process::id()));
     let mut writer = Writer::create(&path, &WriterConfig::default()).expect("a scratch file");
+    let units = CameraUnit::attachment(&[CameraUnit::default()]);
+    writer
+        .attach(&units.name, &units.media_type, &units.bytes)
+        .expect("it fits");
     for n in 0..3 {
         let time = Timestamp::from_nanos(1_700_000_000_000_000_000 + n * 50_000_000);
         let imu = ImuSample {
@@ -82,6 +86,14 @@ fuzz_target!(|data: &[u8]| {
     };
     let _ = recording.verify(&lsfb_types::no_progress);
     let _ = (recording.rig(), recording.arrival_range());
+    let _ = (recording.camera_units(), recording.arrivals(&lsfb_types::no_progress));
+    let _ = recording.images("cam0").map(|items| items.take(1_000).for_each(drop));
+    let _ = recording.imu().map(|items| items.take(1_000).for_each(drop));
+    let _ = recording.scans().map(|items| items.take(1_000).for_each(drop));
+    let _ = recording.packets("lidar/packets").map(|items| items.take(1_000).for_each(drop));
+    let out = path.with_extension("recovered.mcap");
+    let _ = std::fs::remove_file(&out);
+    let _ = recover(&path, &out, &lsfb_types::no_progress);
     for topic in recording.topics() {
         if let Ok(messages) = recording.messages(&topic.topic) {
             messages.take(1_000).for_each(drop);

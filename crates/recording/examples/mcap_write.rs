@@ -64,6 +64,17 @@ fn main() {
                 write_crate(&path, theirs, level, &images, &packets)
             }));
         }
+        let (mut own_alone, mut peer_alone) = (Vec::new(), Vec::new());
+        for _ in 0..runs {
+            // Without what the operating system does with the bytes.
+            let nowhere = Path::new("/dev/null");
+            own_alone.push(timed(|| {
+                write_ours(nowhere, ours, level, &images, &packets)
+            }));
+            peer_alone.push(timed(|| {
+                write_crate(nowhere, theirs, level, &images, &packets)
+            }));
+        }
         let size = |file: &str| std::fs::metadata(folder.join(file)).unwrap().len() as f64 / 1e6;
         let (own, peer) = (median(own), median(peer));
         println!(
@@ -74,6 +85,11 @@ fn main() {
             bytes / peer.cpu_secs / 1e6,
             peer.wall_secs,
             size("crate.mcap")
+        );
+        println!(
+            "{name}, to /dev/null: lsfb-recording {:.0} MB/s of CPU, crate mcap {:.0} MB/s",
+            bytes / median(own_alone).cpu_secs / 1e6,
+            bytes / median(peer_alone).cpu_secs / 1e6,
         );
     }
     for file in ["ours.mcap", "crate.mcap"] {

@@ -1,0 +1,31 @@
+//! What people write: lists of devices, point clouds.
+#![no_main]
+
+use std::sync::atomic::AtomicBool;
+
+use libfuzzer_sys::fuzz_target;
+use lsfb_capture::{CloudsConfig, DevicesConfig, Session, import_clouds};
+
+fuzz_target!(|data: &[u8]| {
+    let folder = std::env::temp_dir().join(format!("lsfb-fuzz-{}-devices", std::process::id()));
+    std::fs::create_dir_all(&folder).expect("a scratch folder");
+    let list = folder.join("devices.toml");
+    std::fs::write(&list, data).expect("a scratch file");
+    if let Ok(mut config) = DevicesConfig::read(&list) {
+        let _ = config.expected_bytes_per_sec();
+        let text = config.to_toml();
+        std::fs::write(&list, &text).expect("a scratch file");
+        assert_eq!(
+            DevicesConfig::read(&list).map(|again| again.to_toml()).ok(),
+            Some(text)
+        );
+        // Nothing listens on the network here.
+        (config.lidar, config.sidecar, config.rig) = (None, None, None);
+        let _ = Session::open(&config);
+    }
+    std::fs::write(folder.join("cloud.pcd"), data).expect("a scratch file");
+    let out = folder.join("clouds.mcap");
+    let stop = AtomicBool::new(false);
+    let config = CloudsConfig::default();
+    let _ = import_clouds(&folder, &config, &out, &stop, &lsfb_types::no_progress);
+});
