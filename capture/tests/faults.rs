@@ -403,11 +403,13 @@ fn a_slow_disk_costs_samples_that_are_counted_and_no_device_waits() {
     let report = feed.finish(vec![stream]).unwrap();
     disk.join().unwrap();
     assert!(
-        dropped > 50 && dropped < u64::from(images) - 50,
+        // The queue alone holds thirty.
+        dropped > 50 && dropped < u64::from(images) - 25,
         "{dropped}"
     );
     assert_eq!(report.lost, dropped);
-    assert!(longest < Duration::from_millis(200), "{longest:?}");
+    // The disk takes three seconds for all of them.
+    assert!(longest < Duration::from_secs(1), "{longest:?}");
     let recording = Recording::open(&copy).unwrap();
     assert_eq!(recording.damage(), []);
     let recorded = recording

@@ -11,7 +11,7 @@ mod mock;
 
 use std::net::SocketAddr;
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use lsfb_capture::{
@@ -336,12 +336,18 @@ fn stopped_session() -> Duration {
     );
     let out = folder.path().join("scan.mcap");
     let stop = AtomicBool::new(false);
+    let counts = session.counts();
     let (report, took) = std::thread::scope(|scope| {
         let running = std::thread::Builder::new()
             .name("session".to_owned())
             .spawn_scoped(scope, || session.run(&out, &stop, &no_progress).unwrap())
             .unwrap();
-        std::thread::sleep(Duration::from_millis(800));
+        live::wait_until("every device is at work", || {
+            let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+            count(&counts.lidar_packets) > 900
+                && count(&counts.imu_samples) > 80
+                && count(&counts.images) > 4
+        });
         stop.store(true, Ordering::Release);
         let asked = Instant::now();
         let report = running.join().unwrap();
@@ -479,12 +485,15 @@ fn a_recording_of_a_process_that_was_killed_opens() {
     let session = Session::open(&config).unwrap();
     let out = folder.path().join("scan.mcap");
     let stop = AtomicBool::new(false);
+    let samples = session.counts().imu_samples;
     std::thread::scope(|scope| {
         std::thread::Builder::new()
             .name("session".to_owned())
             .spawn_scoped(scope, || session.run(&out, &stop, &no_progress).unwrap())
             .unwrap();
-        std::thread::sleep(Duration::from_millis(1_700));
+        live::wait_until("samples", || samples.load(Ordering::Relaxed) > 200);
+        // What has arrived is in the file after this.
+        std::thread::sleep(Duration::from_secs(1));
         // What a kill leaves behind is what is in the file now.
         let torn = folder.path().join("torn.mcap");
         std::fs::copy(&out, &torn).unwrap();

@@ -1,21 +1,33 @@
 //! What a session says about itself while it runs, and devices that go and come back.
 
-use lsfb_capture::health::{Level, Snapshot, SyncState};
+use lsfb_capture::health::{DeviceHealth, Level, Snapshot, SyncState};
 use lsfb_drivers::phone::ClientConfig;
 use lsfb_recording::message::{decode_clock_model, decode_health_value};
 use lsfb_recording::{CLOCK_MODELS, HEALTH};
 
 use super::*;
 
-/// Runs a session for `duration`.
-fn run_for(session: Session, out: &Path, duration: Duration) -> CaptureReport {
+/// However busy the machine is, what is waited for comes before this.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Waits until something has happened.
+pub(super) fn wait_until(what: &str, mut happened: impl FnMut() -> bool) {
+    let began = Instant::now();
+    while !happened() {
+        assert!(began.elapsed() < PATIENCE, "in vain: {what}");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// Runs a session until `enough` has happened.
+fn run_until(session: Session, out: &Path, enough: impl FnMut() -> bool) -> CaptureReport {
     let stop = AtomicBool::new(false);
     std::thread::scope(|scope| {
         let running = std::thread::Builder::new()
             .name("session".to_owned())
             .spawn_scoped(scope, || session.run(out, &stop, &no_progress).unwrap())
             .unwrap();
-        std::thread::sleep(duration);
+        wait_until("enough of the session", enough);
         stop.store(true, Ordering::Release);
         running.join().unwrap()
     })
@@ -53,22 +65,27 @@ fn health_is_told_and_recorded_and_the_units_own_imu_too() {
         Duration::from_micros(663),
     );
     let out = folder.path().join("scan.mcap");
-    let told = spawn_collector(snapshots);
-    let report = run_for(session, &out, Duration::from_millis(2_800));
+    let counts = session.counts();
+    let mut told: Vec<Snapshot> = Vec::new();
+    let report = run_until(session, &out, || {
+        told.extend(snapshots.try_iter());
+        let at_work = |device: &DeviceHealth| {
+            device.received > 10 && device.sync == SyncState::Locked && device.rate_hz > 5.0
+        };
+        // 5 pairs of the unit's own IMU come with a frame of two images.
+        counts.images.load(Ordering::Relaxed) > 2 * 12
+            && told.len() >= 5
+            && told.last().is_some_and(|s| s.devices.iter().all(at_work))
+    });
     drop((camera, imu, lidar));
 
-    let told = told.join().unwrap();
-    assert!(told.len() >= 4, "{}", told.len());
-    let late = &told[told.len() - 2];
+    let late = told.last().unwrap();
     let names: Vec<&str> = late.devices.iter().map(|d| d.name.as_str()).collect();
     assert_eq!(names, ["lidar", "cam0+cam1", "imu0"]);
-    for (n, device) in late.devices.iter().enumerate() {
-        assert!(device.connected && device.received > 10, "{device:?}");
-        assert_eq!(device.sync, SyncState::Locked, "{device:?}");
-        // A busy machine may make any one half second silent.
-        let rate_hz = told.iter().map(|s| s.devices[n].rate_hz);
-        assert!(rate_hz.fold(0.0, f64::max) > 5.0, "{told:?}");
-    }
+    assert!(
+        late.devices.iter().all(|device| device.connected),
+        "{late:?}"
+    );
     assert_eq!(late.devices[1].exposure_ms, Some(5.0));
     assert!(late.storage.free_bytes > 0 && late.storage.part_number == 1);
     assert!(late.storage.secs_to_full.is_some(), "{:?}", late.storage);
@@ -102,7 +119,7 @@ fn health_is_told_and_recorded_and_the_units_own_imu_too() {
     assert!(own.len() > 40, "{}: {report:?}", own.len());
     assert!(own.windows(2).all(|w| w[1].time - w[0].time == 20_000_000));
     assert_eq!((own[0].time.nanos() - START_NS) % 10_000_000, 0);
-    assert!(recording.packets("imu1").unwrap().count() > 20);
+    assert!(recording.packets("imu1").unwrap().count() > 8);
     // The rig's IMU is still the one that is meant.
     assert_eq!(
         recording.imu().unwrap().count() as u64,
@@ -131,7 +148,14 @@ fn a_unit_that_is_unplugged_and_comes_back_goes_on_and_is_counted() {
     let session = Session::open(&config).unwrap();
     let told = spawn_collector(session.health().subscribe());
     let out = folder.path().join("scan.mcap");
-    let report = run_for(session, &out, Duration::from_millis(3_000));
+    let images = session.counts().images;
+    let mut gone_by_itself = None;
+    let report = run_until(session, &out, || {
+        // The goodbye lies behind the last frame.
+        let all = again.is_finished() && images.load(Ordering::Relaxed) == 60;
+        let since = all.then(|| *gone_by_itself.get_or_insert_with(Instant::now));
+        since.is_some_and(|since| since.elapsed() > Duration::from_secs(1))
+    });
     first.join().unwrap();
     again.join().unwrap();
     let camera = stream(&report, "cam0+cam1");
