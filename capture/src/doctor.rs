@@ -5,7 +5,7 @@ use lsfb_recording::{CLOCK_MODELS, Recording, TopicArrivals};
 use lsfb_types::{ProgressFn, Timestamp};
 use serde::{Deserialize, Serialize};
 
-use crate::Error;
+use crate::{Error, sidecar};
 
 /// How good something is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -236,7 +236,7 @@ impl Findings {
             self.add(&sensor.topic, verdict, found, &threshold);
         }
         // What comes when there is something to hear has no rhythm to miss.
-        for heard in arrivals.iter().filter(|a| is_heard(&a.topic)) {
+        for heard in arrivals.iter().filter(|a| sidecar::is_heard(&a.topic)) {
             let rhythm = Rhythm::of(&heard.times, *start, *end);
             let found = format!(
                 "{} messages, longest silence {:.1} s",
@@ -355,12 +355,6 @@ fn is_steady(topic: &str) -> bool {
     ]
     .iter()
     .any(|end| topic.ends_with(end))
-}
-
-/// Topics of what a phone hears: networks, beacons, satellites.
-fn is_heard(topic: &str) -> bool {
-    let ends = ["/wifi", "/ble", "/gnss"];
-    topic.starts_with("/sidecar/") && ends.iter().any(|end| topic.ends_with(end))
 }
 
 /// How steadily messages came.

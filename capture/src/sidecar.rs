@@ -19,6 +19,13 @@ use crate::health::{Ending, Meter, StreamReport};
 use crate::recorder::{Entry, Inlet, OwnMessage, WriterGone};
 use crate::session::Control;
 
+/// Topics of what a phone hears (networks, beacons, satellites): it comes when there is something to hear, seconds after it was
+/// measured.
+pub(crate) fn is_heard(topic: &str) -> bool {
+    let ends = ["/wifi", "/ble", "/gnss"];
+    topic.starts_with("/sidecar/") && ends.iter().any(|end| topic.ends_with(end))
+}
+
 /// The only encoding a recording holds.
 const ENCODING: &str = "cdr";
 /// Key of the rig's TOML in a channel's static metadata.

@@ -242,6 +242,8 @@ fn the_clock_of_a_phone_is_told_from_what_it_sends() {
         assert!(error < 50.0, "{topic}: {error}");
         tell(topic, clock, error);
     }
+    let told = |name: &str| report.devices.iter().any(|d| d.device.ends_with(name));
+    assert!(told("/image") && !told("/wifi") && !told("/gnss"));
     // Networks are heard seconds before they arrive; their stamps are those of when they were heard.
     let mut readings = 0;
     for (reading, count_ns) in recording.wifi(None).unwrap().zip(counts(

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::model_topic::{HOLDOVER, LOCKED};
 use super::{ClockEstimate, OneWayClock, StampPair, Unwrap, fit_pairs};
-use crate::Error;
+use crate::{Error, sidecar};
 
 /// Points of a plot, at most, per device.
 const PLOTTED: usize = 4_000;
@@ -160,8 +160,11 @@ fn devices(recording: &Recording) -> Vec<Source> {
         match topic.topic.as_str() {
             "/lidar/packets" => found.push(Source::Lidar),
             name => {
-                if name.ends_with(DEVICE_TIME) {
-                    found.push(Source::Sidecar(name.to_owned()));
+                if let Some(channel) = name.strip_suffix(DEVICE_TIME) {
+                    // What waited to be sent says nothing about a clock; that of its app is told by the others.
+                    if !sidecar::is_heard(channel) {
+                        found.push(Source::Sidecar(name.to_owned()));
+                    }
                 } else if let Some(camera) = name.strip_suffix("/frame_meta") {
                     found.push(Source::Camera(format!("{camera}/image")));
                 } else if let Some(imu) = name.strip_suffix("/time_ref").filter(|n| *n != "/lidar")

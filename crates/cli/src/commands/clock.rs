@@ -73,7 +73,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
 }
 
 fn line(clock: &DeviceClock) -> String {
-    let mut out = format!("{:<14}", clock.device);
+    let mut out = format!("{:<14} ", clock.device);
     for (n, epoch) in clock.epochs.iter().enumerate() {
         if n > 0 {
             let _ = write!(

@@ -164,7 +164,7 @@ impl Default for MagneticConfig {
         Self {
             rate_hz: 100,
             pieces_per_m2: 0.5,
-            moment_a_m2: 12.0,
+            moment_a_m2: 40.0,
             hard_iron_t: 15e-6,
             soft_iron: 0.03,
             noise_t: 0.3e-6,
