@@ -113,7 +113,7 @@ def main(folder, reader):
     wifi = seen.get("wifi", [])
     scans = sorted({m.scan: t for m, t in wifi}.values())
     if len(scans) > 1:
-        print("scans arrive at", [round((t - truth.times[0]) * 1e-9, 1) for t in scans], "s")
+        print("scans arrive at", [round(float(t - truth.times[0]) * 1e-9, 1) for t in scans], "s")
         slope("wifi", [(m.bssid, m.rssi_dbm, stamp(m)) for m, _ in wifi], truth.around["networks"], truth)
     ble = seen.get("ble", [])
     if ble:

@@ -22,7 +22,7 @@ const MU0_OVER_4PI: f64 = 1e-7;
 /// A piece of steel is no point: closer than this its field grows no more, metres.
 const PIECE_M: f64 = 0.3;
 /// Pieces of steel at most, however large the place.
-const MOST_PIECES: usize = 600;
+const MOST_PIECES: usize = 2_400;
 /// Moments differ by this factor, one standard deviation.
 const SPREAD: f64 = 2.0;
 
