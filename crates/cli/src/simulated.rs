@@ -70,6 +70,14 @@ fn imu_family(name: &str) -> Result<ImuFamily, String> {
     found.ok_or_else(|| "xsens or microstrain".to_owned())
 }
 
+/// How the recorder opens a unit that speaks so.
+pub fn to_be_opened(family: ImuFamily) -> lsfb_capture::ImuFamily {
+    match family {
+        ImuFamily::Xsens => lsfb_capture::ImuFamily::Xsens,
+        ImuFamily::Microstrain => lsfb_capture::ImuFamily::Microstrain,
+    }
+}
+
 /// Names of the files of a simulated session in its folder.
 pub struct Layout {
     folder: PathBuf,
@@ -159,10 +167,7 @@ pub fn backpack_devices(
         lidar: Some(lidar),
         cameras: vec![unit(front, ["cam0", "cam1"]), unit(rear, ["cam2", "cam3"])],
         imu: Some(ImuLineConfig {
-            family: match config.scan_imu_family {
-                ImuFamily::Xsens => lsfb_capture::ImuFamily::Xsens,
-                ImuFamily::Microstrain => lsfb_capture::ImuFamily::Microstrain,
-            },
+            family: to_be_opened(config.scan_imu_family),
             path: layout.imu_line(),
             baud: 921_600,
             rate_hz: u16::try_from(config.scan_imu.rate_hz).unwrap_or(u16::MAX),

@@ -260,6 +260,25 @@ fn a_puck_with_two_returns_and_a_microstrain_unit_are_recorded_too() {
 }
 
 #[test]
+fn a_mock_of_a_microstrain_unit_sends_its_stream_again() {
+    let folder = tempfile::tempdir().expect("folder");
+    std::fs::write(folder.path().join("tiny.toml"), settings(2)).expect("settings");
+    let arguments = "sim --out sim --config tiny.toml --imu microstrain --record --clocks ideal";
+    let arguments: Vec<&str> = arguments.split(' ').collect();
+    let output = lsfb(folder.path(), &arguments);
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let arguments = ["mock", "sim/scan.mcap", "--out", "mock"].map(str::to_owned);
+    let ports = Ports::free().arguments();
+    let mut mock = Running::lsfb(folder.path(), arguments.into_iter().chain(ports));
+    mock.wait_for("devices.toml");
+    scan(folder.path(), "mock/devices.toml", "again.mcap");
+    assert_eq!(mock.wait().code(), Some(0), "{}", mock.said());
+    let stream = |path: &str| packets(&folder.path().join(path), "imu0").concat();
+    let again = stream("again.mcap");
+    assert!(again.starts_with(&[0x75, 0x65, 0x80]) && again == stream("sim/scan.mcap"));
+}
+
+#[test]
 fn sources_that_hold_nothing_to_play_are_refused() {
     let folder = tempfile::tempdir().expect("folder");
     std::fs::write(folder.path().join("empty.pcap"), b"").expect("file");

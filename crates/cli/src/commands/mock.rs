@@ -6,15 +6,14 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use lsfb_capture::{
-    CameraUnitConfig, DevicesConfig, ImuFamily, ImuLineConfig, LidarNetConfig, Overflow,
-    SidecarConfig,
+    CameraUnitConfig, DevicesConfig, ImuLineConfig, LidarNetConfig, Overflow, SidecarConfig,
 };
 use lsfb_sim::{Pace, Playback, PlaybackEndpoints, Turns};
 
 use super::sim;
 use crate::context::Context;
 use crate::outcome::Outcome;
-use crate::simulated::{Endpoints, Equipment, short_walk};
+use crate::simulated::{Endpoints, Equipment, short_walk, to_be_opened};
 
 /// How long sidecars look for their recorder.
 const PATIENCE: Duration = Duration::from_secs(3600);
@@ -209,12 +208,15 @@ impl Folder {
                 ..LidarNetConfig::default()
             }),
             cameras: cameras.collect(),
-            imu: playback.imu_rate_hz().map(|rate_hz| ImuLineConfig {
-                family: ImuFamily::Xsens,
-                path: device("imu0"),
-                baud: 921_600,
-                rate_hz,
-            }),
+            imu: playback
+                .imu_family()
+                .zip(playback.imu_rate_hz())
+                .map(|(family, rate_hz)| ImuLineConfig {
+                    family: to_be_opened(family),
+                    path: device("imu0"),
+                    baud: 921_600,
+                    rate_hz,
+                }),
             sidecar: (!playback.sidecars().is_empty()).then_some(SidecarConfig {
                 listen: endpoints.sidecar,
             }),

@@ -19,10 +19,9 @@ pub(super) enum InertialDevice {
 }
 
 impl InertialDevice {
-    /// The unit that the settings name.
-    pub(super) fn new(simulation: &Simulation) -> Result<Self, Error> {
-        let rate_hz = simulation.scan().imu_rate_hz() as u16;
-        Ok(match simulation.config().scan_imu_family {
+    /// A unit that samples at a rate.
+    pub(super) fn new(family: ImuFamily, rate_hz: u16) -> Result<Self, Error> {
+        Ok(match family {
             ImuFamily::Xsens => Self::Xsens(ImuDevice::new()?),
             ImuFamily::Microstrain => Self::Microstrain(MipDevice::new(rate_hz)?),
         })
@@ -33,6 +32,30 @@ impl InertialDevice {
         match self {
             Self::Xsens(unit) => unit.path(),
             Self::Microstrain(unit) => unit.path(),
+        }
+    }
+
+    /// Answers requests until measuring begins. `false`: the session was stopped before.
+    pub(super) fn configure(&mut self, rate_hz: u16, clock: &SimClock) -> Result<bool, Error> {
+        match self {
+            Self::Xsens(unit) => unit.configure(rate_hz, clock),
+            Self::Microstrain(unit) => unit.configure(clock),
+        }
+    }
+
+    /// Sends bytes of the data stream as they are.
+    pub(super) fn send(&mut self, bytes: &[u8]) -> Result<(), Error> {
+        match self {
+            Self::Xsens(unit) => unit.send(bytes),
+            Self::Microstrain(unit) => unit.send(bytes),
+        }
+    }
+
+    /// Waits until the host has read everything, and hangs up.
+    pub(super) fn finish(self) -> Result<(), Error> {
+        match self {
+            Self::Xsens(unit) => unit.finish(),
+            Self::Microstrain(unit) => unit.finish(),
         }
     }
 

@@ -43,14 +43,8 @@ impl MipDevice {
         clock: &SimClock,
         device: usize,
     ) -> Result<u64, Error> {
-        while !self.unit.is_streaming() {
-            if clock.is_stopped() {
-                return Ok(0);
-            }
-            if let Some(bytes) = self.pty.recv(LISTEN)? {
-                let answers = self.unit.handle(&bytes)?;
-                self.pty.send(&answers)?;
-            }
+        if !self.configure(clock)? {
+            return Ok(0);
         }
         let mut stream = MipStream::new(self.unit.format().to_vec());
         let mut bytes = Vec::new();
@@ -61,13 +55,37 @@ impl MipDevice {
             bytes.clear();
             stream.push(rig, sample, &mut bytes)?;
             if !bytes.is_empty() {
-                self.pty.send(&bytes)?;
+                self.send(&bytes)?;
             }
         }
         // The clock must not wait for this one while the line is read out.
         clock.finish(device);
-        self.pty.finish(DRAIN)?;
+        self.finish()?;
         Ok(stream.sent)
+    }
+
+    /// Answers requests until the unit streams. `false`: the session was stopped before.
+    pub(super) fn configure(&mut self, clock: &SimClock) -> Result<bool, Error> {
+        while !self.unit.is_streaming() {
+            if clock.is_stopped() {
+                return Ok(false);
+            }
+            if let Some(bytes) = self.pty.recv(LISTEN)? {
+                let answers = self.unit.handle(&bytes)?;
+                self.pty.send(&answers)?;
+            }
+        }
+        Ok(true)
+    }
+
+    /// Sends bytes of the data stream as they are.
+    pub(super) fn send(&mut self, bytes: &[u8]) -> Result<(), Error> {
+        Ok(self.pty.send(bytes)?)
+    }
+
+    /// Waits until the host has read everything, and hangs up.
+    pub(super) fn finish(self) -> Result<(), Error> {
+        Ok(self.pty.finish(DRAIN)?)
     }
 }
 

@@ -24,10 +24,10 @@ use lsfb_recording::Recording;
 use lsfb_types::Timestamp;
 
 use super::clock::Pace;
-use super::imu::ImuDevice;
+use super::inertial::InertialDevice;
 use super::mynt::MyntDevice;
 use super::session::{SessionReport, SimSession};
-use crate::Error;
+use crate::{Error, ImuFamily};
 
 use self::lidar::LidarPlayer;
 use self::sidecar::SidecarPlayer;
@@ -91,6 +91,13 @@ impl CameraPlan {
     }
 }
 
+/// An inertial unit as it was recorded.
+#[derive(Clone, Copy, Debug)]
+struct RecordedUnit {
+    family: ImuFamily,
+    rate_hz: u16,
+}
+
 /// What a source holds.
 #[derive(Clone, Debug)]
 pub struct Playback {
@@ -99,7 +106,7 @@ pub struct Playback {
     start: Timestamp,
     lidar: bool,
     cameras: Vec<CameraPlan>,
-    imu_rate_hz: Option<u16>,
+    imu: Option<RecordedUnit>,
     sidecars: Vec<String>,
     rig: Option<Rig>,
     unplayed: Vec<String>,
@@ -118,7 +125,7 @@ impl Playback {
                 start: Timestamp::default(),
                 lidar: true,
                 cameras: Vec::new(),
-                imu_rate_hz: None,
+                imu: None,
                 sidecars: Vec::new(),
                 rig: None,
                 unplayed: Vec::new(),
@@ -128,9 +135,12 @@ impl Playback {
         let has = |topic: &str| recording.topics().iter().any(|t| t.topic == topic);
         let lidar = has("/lidar/packets") || has("/lidar/position") || has(lidar::STRANGE_TOPIC);
         let cameras = camera::plans(&recording)?;
-        let imu_rate_hz = imu::is_playable(&recording).then(|| imu::rate_hz(&recording));
+        let imu = imu::family(&recording).map(|family| RecordedUnit {
+            family,
+            rate_hz: imu::rate_hz(&recording),
+        });
         let sidecars = sidecar::names(&recording);
-        if !lidar && cameras.is_empty() && imu_rate_hz.is_none() && sidecars.is_empty() {
+        if !lidar && cameras.is_empty() && imu.is_none() && sidecars.is_empty() {
             return Err(Error::Source {
                 path: path.to_owned(),
                 problem:
@@ -145,12 +155,12 @@ impl Playback {
         let inside = |imu: &str| cameras.iter().any(|c| c.imu.as_deref() == Some(imu));
         for topic in recording.topics() {
             let name = topic.topic.strip_prefix('/');
-            let imu = name.and_then(|name| name.strip_suffix("/data_raw"));
-            let played = |imu: &str| match imu {
-                imu::SOURCE => imu_rate_hz.is_some(),
+            let unit = name.and_then(|name| name.strip_suffix("/data_raw"));
+            let played = |unit: &str| match unit {
+                imu::SOURCE => imu.is_some(),
                 other => inside(other),
             };
-            if imu.is_some_and(|imu| !played(imu)) {
+            if unit.is_some_and(|unit| !played(unit)) {
                 unplayed.push(topic.topic.clone());
             }
         }
@@ -160,7 +170,7 @@ impl Playback {
             start: start::of(&recording),
             lidar,
             cameras,
-            imu_rate_hz,
+            imu,
             sidecars,
             rig: recording.rig().ok(),
             unplayed,
@@ -179,7 +189,12 @@ impl Playback {
 
     /// Samples per second of the IMU; `None` without one.
     pub fn imu_rate_hz(&self) -> Option<u16> {
-        self.imu_rate_hz
+        self.imu.map(|unit| unit.rate_hz)
+    }
+
+    /// What the IMU speaks; `None` without one.
+    pub fn imu_family(&self) -> Option<ImuFamily> {
+        self.imu.map(|unit| unit.family)
     }
 
     /// Names of the sidecars.
@@ -212,7 +227,7 @@ impl Playback {
             .map(|(unit, (path, plan))| MyntDevice::bind_recorded(unit, path, &plan.files))
             .collect::<Result<Vec<_>, _>>()?;
         let devices = usize::from(self.lidar)
-            + usize::from(self.imu_rate_hz.is_some())
+            + usize::from(self.imu.is_some())
             + self.cameras.len()
             + self.sidecars.len();
         let once = turns == Turns::Times(0) || turns == Turns::Times(1);
@@ -239,8 +254,8 @@ impl Playback {
                 player.run(&play, clock, device)
             })?;
         }
-        if let Some(rate_hz) = self.imu_rate_hz {
-            let unit = ImuDevice::new()?;
+        if let Some(RecordedUnit { family, rate_hz }) = self.imu {
+            let unit = InertialDevice::new(family, rate_hz)?;
             session.set_imu_path(unit.path());
             let play = play.clone();
             session.spawn_device("mock-imu", next(), move |clock, device| {

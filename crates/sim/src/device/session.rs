@@ -106,7 +106,8 @@ impl SimSession {
         flow: Option<FlowControl>,
     ) -> Result<Self, Error> {
         let lidar = LidarDevice::new(endpoints.lidar_data, endpoints.lidar_position, flow)?;
-        let imu = InertialDevice::new(simulation)?;
+        let rate_hz = simulation.scan().imu_rate_hz() as u16;
+        let imu = InertialDevice::new(simulation.config().scan_imu_family, rate_hz)?;
         let [first, second] = &endpoints.camera_sockets;
         let units = [MyntDevice::bind(0, first)?, MyntDevice::bind(1, second)?];
         let duration_s = simulation.scan().walk().duration_s();

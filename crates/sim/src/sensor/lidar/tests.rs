@@ -105,15 +105,20 @@ fn time_of_a_point_follows_the_firing_sequence() {
 
 #[test]
 fn any_number_of_threads_gives_the_same_returns() {
-    let simulation = simulation(0.03);
-    let on = |threads| {
-        rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .expect("pool")
-            .install(|| simulation.scan().revolution(simulation.world(), 7))
-    };
-    assert!(on(1) == on(3));
+    let mut dual = SimConfig::tiny();
+    (dual.texel_m, dual.lidar.returns) = (0.1, LidarReturns::Dual);
+    dual.lidar.divergence_rad = [3e-3, 1.5e-3];
+    let dual = Simulation::new(&dual, &no_progress).expect("valid");
+    for simulation in [simulation(0.03), dual] {
+        let on = |threads| {
+            rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .expect("pool")
+                .install(|| simulation.scan().revolution(simulation.world(), 7))
+        };
+        assert!(on(1) == on(3));
+    }
 }
 
 /// Upright squares across the x axis.
