@@ -1,5 +1,8 @@
 //! What can be set. `Default` is the demo.
 
+mod imu;
+mod lidar;
+
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
@@ -11,6 +14,8 @@ use crate::place::Place;
 use crate::timing::ClocksConfig;
 use crate::walk::{Device, PaperMotion};
 use crate::{Error, ambient};
+pub use imu::{ImuConfig, ImuFamily};
+pub use lidar::{LidarConfig, LidarModel, LidarReturns};
 
 /// A whole simulated session: a scan with the backpack and a walk with the glasses.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -131,143 +136,6 @@ pub enum LensKind {
     PinholeRadtan,
 }
 
-/// Model of the LiDAR.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum LidarModel {
-    /// Velodyne VLP-32C (Ultra Puck).
-    #[default]
-    Vlp32c,
-    /// Velodyne VLP-16 (Puck).
-    Vlp16,
-}
-
-impl LidarModel {
-    /// All of them.
-    pub const ALL: [Self; 2] = [Self::Vlp32c, Self::Vlp16];
-
-    /// Its name in settings.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Vlp32c => "vlp32c",
-            Self::Vlp16 => "vlp16",
-        }
-    }
-}
-
-/// Which of a shot's echoes the LiDAR sends.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum LidarReturns {
-    /// The brightest.
-    #[default]
-    Strongest,
-    /// The farthest.
-    Last,
-    /// The farthest, and the brightest or, where that is the farthest, the second brightest.
-    Dual,
-}
-
-impl LidarReturns {
-    /// All of them.
-    pub const ALL: [Self; 3] = [Self::Strongest, Self::Last, Self::Dual];
-
-    /// Its name in settings.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Strongest => "strongest",
-            Self::Last => "last",
-            Self::Dual => "dual",
-        }
-    }
-}
-
-/// The LiDAR.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct LidarConfig {
-    /// Which sensor it is.
-    pub model: LidarModel,
-    /// Which echoes it sends.
-    pub returns: LidarReturns,
-    /// Width and height of the beam, radians: what lies inside answers together. 0 is a line.
-    pub divergence_rad: [f64; 2],
-    /// Surfaces in one beam that are nearer to each other than this give one echo, between them, metres.
-    pub separation_m: f64,
-    /// Revolutions per minute, a multiple of 60.
-    pub rpm: u32,
-    /// Standard deviation of a range, metres.
-    pub range_noise_m: f64,
-    /// Ranges below this give no return, metres.
-    pub min_range_m: f64,
-    /// Ranges beyond this give no return, metres.
-    pub max_range_m: f64,
-    /// Cosine of the incidence below which returns begin to be lost; none comes back at zero.
-    pub grazing_cosine: f64,
-    /// Share of returns lost for no reason, 0–1.
-    pub dropout: f64,
-    /// Reflectance that is just seen, met head-on, at `weakest_range_m`.
-    pub weakest_reflectance: f64,
-    /// Distance at which `weakest_reflectance` is just seen, metres.
-    pub weakest_range_m: f64,
-}
-
-/// What an inertial unit speaks.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum ImuFamily {
-    /// Xsens MTData2, with UTC.
-    #[default]
-    Xsens,
-    /// MicroStrain MIP, with the time since power-up.
-    Microstrain,
-}
-
-impl ImuFamily {
-    /// All of them.
-    pub const ALL: [Self; 2] = [Self::Xsens, Self::Microstrain];
-
-    /// Its name in settings.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Xsens => "xsens",
-            Self::Microstrain => "microstrain",
-        }
-    }
-}
-
-/// An IMU.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ImuConfig {
-    /// Samples per second; must divide a second into whole microseconds.
-    pub rate_hz: u32,
-    /// Gyroscope white noise, rad/s/√Hz.
-    pub gyro_noise_density: f64,
-    /// Accelerometer white noise, m/s²/√Hz.
-    pub accel_noise_density: f64,
-    /// Gyroscope bias random walk, rad/s²/√Hz.
-    pub gyro_bias_walk: f64,
-    /// Accelerometer bias random walk, m/s³/√Hz.
-    pub accel_bias_walk: f64,
-    /// Standard deviation of each axis of the gyroscope bias at the start, rad/s.
-    pub gyro_bias: f64,
-    /// Standard deviation of each axis of the accelerometer bias at the start, m/s².
-    pub accel_bias: f64,
-    /// Bias instability of the gyroscope (1/f noise), rad/s.
-    pub gyro_bias_instability: f64,
-    /// Bias instability of the accelerometer, m/s².
-    pub accel_bias_instability: f64,
-    /// Standard deviation of the scale error of each axis.
-    pub scale_error: f64,
-    /// Standard deviation of each angle by which an axis leans towards another, radians.
-    pub misalignment_rad: f64,
-    /// Largest angular velocity that is measured, rad/s.
-    pub gyro_range_rad_s: f64,
-    /// Largest specific force that is measured, m/s².
-    pub accel_range_m_s2: f64,
-}
-
 impl Default for SimConfig {
     fn default() -> Self {
         Self {
@@ -345,48 +213,6 @@ impl Default for CameraConfig {
             read_noise: 1.0,
             shot_noise: 0.012,
             vignetting: 0.25,
-        }
-    }
-}
-
-impl Default for LidarConfig {
-    fn default() -> Self {
-        Self {
-            model: LidarModel::default(),
-            returns: LidarReturns::default(),
-            divergence_rad: [0.0; 2],
-            // VLP-32C 63-9325 p. 33.
-            separation_m: 1.0,
-            rpm: 600,
-            range_noise_m: 0.03,
-            min_range_m: 0.5,
-            max_range_m: 200.0,
-            grazing_cosine: 0.12,
-            dropout: 0.002,
-            weakest_reflectance: 0.1,
-            weakest_range_m: 100.0,
-        }
-    }
-}
-
-impl Default for ImuConfig {
-    /// An Xsens MTi-30: datasheet densities, bias walks as commonly fitted.
-    fn default() -> Self {
-        Self {
-            rate_hz: 200,
-            gyro_noise_density: 5.2e-4,
-            accel_noise_density: 5.9e-4,
-            gyro_bias_walk: 2e-5,
-            accel_bias_walk: 2e-4,
-            gyro_bias: 0.003,
-            accel_bias: 0.03,
-            gyro_bias_instability: 0.0,
-            accel_bias_instability: 0.0,
-            scale_error: 0.0,
-            misalignment_rad: 0.0,
-            // 2000 °/s and 16 g.
-            gyro_range_rad_s: 34.9,
-            accel_range_m_s2: 156.9,
         }
     }
 }
