@@ -48,7 +48,7 @@ pub use feed::{Feed, Feeder};
 pub use health::{CaptureReport, Ending, StreamReport};
 pub use incoming::{Incoming, record_incoming};
 pub use remark::Remarks;
-pub use replay::{ReplayConfig, replay};
+pub use replay::{ReplayConfig, replay, replay_recording};
 pub use session::{Counts, Session};
 pub use sync::GroupReport;
 pub use tap::{Tap, TapClosed, Tapped};

@@ -1,13 +1,15 @@
 //! Capture files → Recording, through the functions used live.
 
-use std::path::Path;
+use std::iter::Peekable;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use lsfb_drivers::transport::PacketSource;
 use lsfb_drivers::velodyne::DecoderConfig;
 use lsfb_geometry::Rig;
-use lsfb_types::{Progress, ProgressFn};
+use lsfb_recording::{LIDAR_POSITION, RecordedPacket, Recording};
+use lsfb_types::{Packet, Progress, ProgressFn, Timestamp};
 
 use crate::config::{Overflow, RecorderConfig};
 use crate::health::{Ending, Meter};
@@ -73,4 +75,69 @@ pub fn replay(
     drop(inlet);
     let streams = vec![stream];
     Ok(CaptureReport::new(out, recorder.finish(&streams)?, streams))
+}
+
+/// Records the Velodyne packets of an MCAP file, one of `rosbag2` or one of ours, as [`replay`] does.
+pub fn replay_recording(
+    path: &Path,
+    config: &ReplayConfig,
+    out: &Path,
+    stop: &AtomicBool,
+    progress: ProgressFn<'_>,
+) -> Result<CaptureReport, Error> {
+    let recording = Recording::open(path)?;
+    // Others keep no position packets, or not as packets.
+    let positions = recording.packets(LIDAR_POSITION).into_iter().flatten();
+    let source = RecordedSource {
+        path: path.to_owned(),
+        data: recording.velodyne_packets()?.peekable(),
+        positions: positions.peekable(),
+    };
+    replay(source, config, out, stop, progress)
+}
+
+/// Packets of both kinds, in the order of their arrival.
+struct RecordedSource<D: Iterator, P: Iterator> {
+    path: PathBuf,
+    data: Peekable<D>,
+    positions: Peekable<P>,
+}
+
+type Recorded = Result<RecordedPacket, lsfb_recording::Error>;
+
+impl<D, P> PacketSource for RecordedSource<D, P>
+where
+    D: Iterator<Item = Recorded>,
+    P: Iterator<Item = Recorded>,
+{
+    fn recv(&mut self, _: Duration) -> Result<Option<Packet>, lsfb_drivers::Error> {
+        // What cannot be read comes first: its place is not known.
+        let arrival = |next: Option<&Recorded>| {
+            next.map(|next| {
+                next.as_ref()
+                    .map_or(Timestamp::from_nanos(i64::MIN), |p| p.packet.arrival)
+            })
+        };
+        let (data, position) = (arrival(self.data.peek()), arrival(self.positions.peek()));
+        let position_is_next = match (data, position) {
+            (Some(data), Some(position)) => position <= data,
+            (data, _) => data.is_none(),
+        };
+        let next = if position_is_next {
+            self.positions.next()
+        } else {
+            self.data.next()
+        };
+        match next {
+            Some(Ok(recorded)) => Ok(Some(recorded.packet)),
+            Some(Err(error)) => Err(lsfb_drivers::Error::File {
+                path: self.path.clone(),
+                position: "a message".to_owned(),
+                problem: error.to_string(),
+            }),
+            None => Err(lsfb_drivers::Error::EndOfStream {
+                device: self.path.display().to_string(),
+            }),
+        }
+    }
 }

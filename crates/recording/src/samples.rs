@@ -39,6 +39,14 @@ pub struct RecordedPacket {
     pub packet: Packet,
 }
 
+/// How the messages of a topic hold packets.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum PacketsAre {
+    Single,
+    /// All of a revolution.
+    InScans,
+}
+
 impl Recording {
     /// Images of a camera in the order of the file. `cam0` is `/cam0/image` or `/sidecar/<id>/cam0/image`; a full topic
     /// name works as well.
@@ -134,18 +142,37 @@ impl Recording {
         &self,
         source: &str,
     ) -> Result<impl Iterator<Item = Result<RecordedPacket, Error>> + use<'_>, Error> {
-        let is_lidar =
-            source.trim_start_matches('/') == topic::LIDAR_PACKETS.trim_start_matches('/');
-        let (topic, schema) = if is_lidar {
-            (topic::LIDAR_PACKETS.to_owned(), message::VELODYNE_SCAN.name)
+        let name = topic::LIDAR_PACKETS.trim_start_matches('/');
+        if source.trim_start_matches('/') == name {
+            self.packets_of(topic::LIDAR_PACKETS, PacketsAre::InScans)
         } else {
-            (topic::raw(source), message::RAW_PACKET.name)
+            self.packets_of(&topic::raw(source), PacketsAre::Single)
+        }
+    }
+
+    /// Velodyne data packets from the one topic that carries them, whatever its name: recordings of `rosbag2` have them too.
+    pub fn velodyne_packets(
+        &self,
+    ) -> Result<impl Iterator<Item = Result<RecordedPacket, Error>> + use<'_>, Error> {
+        let carries = |t: &TopicSummary| t.schema == message::VELODYNE_SCAN.name;
+        let topic = self.only_topic("Velodyne packets", carries)?;
+        self.packets_of(&topic, PacketsAre::InScans)
+    }
+
+    fn packets_of(
+        &self,
+        topic: &str,
+        packets_are: PacketsAre,
+    ) -> Result<impl Iterator<Item = Result<RecordedPacket, Error>> + use<'_>, Error> {
+        let schema = match packets_are {
+            PacketsAre::InScans => message::VELODYNE_SCAN.name,
+            PacketsAre::Single => message::RAW_PACKET.name,
         };
-        let roles = self.sample_role(&topic, schema)?;
+        let roles = self.sample_role(topic, schema)?;
         let mut recorded = 0;
         let batches = self.samples(roles, move |_, message| {
             let time = timestamp(message.publish_time);
-            if !is_lidar {
+            if packets_are == PacketsAre::Single {
                 let raw = message::decode_raw_packet(message.data)?;
                 return Ok(Some(vec![RecordedPacket {
                     time,

@@ -6,7 +6,9 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
-use lsfb_capture::{CaptureReport, DevicesConfig, RecorderConfig, ReplayConfig, replay};
+use lsfb_capture::{
+    CaptureReport, DevicesConfig, RecorderConfig, ReplayConfig, replay, replay_recording,
+};
 use lsfb_drivers::transport::pcap::PcapSource;
 use lsfb_drivers::transport::rosbag2::Rosbag2Source;
 use lsfb_geometry::Rig;
@@ -34,11 +36,12 @@ use crate::outcome::Outcome;
 ///   lsfb scan --devices devices.toml --out scan.mcap --foxglove --rerun
 ///   lsfb scan --pcap drive.pcap --out drive.mcap
 ///   lsfb scan --db3 rosbag2_0.db3 --out bag.mcap
+///   lsfb scan --mcap rosbag2_0.mcap --out bag.mcap
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
     /// List of devices (TOML); `lsfb sim` and `lsfb mock` write one for theirs.
-    #[arg(long, value_name = "FILE", group = "source", required_unless_present_any = ["pcap", "db3"])]
+    #[arg(long, value_name = "FILE", group = "source", required_unless_present_any = ["pcap", "db3", "mcap"])]
     devices: Option<PathBuf>,
     /// Velodyne packets of a pcap or pcapng capture.
     #[arg(long, value_name = "FILE", group = "source")]
@@ -46,6 +49,9 @@ pub struct Arguments {
     /// Velodyne packets of a rosbag2 database.
     #[arg(long, value_name = "FILE", group = "source")]
     db3: Option<PathBuf>,
+    /// Velodyne packets of an MCAP file, rosbag2's or ours: its scans are made again.
+    #[arg(long, value_name = "FILE", group = "source")]
+    mcap: Option<PathBuf>,
     /// Rig attached to what comes from a capture file.
     #[arg(long, value_name = "FILE", conflicts_with = "devices")]
     rig: Option<PathBuf>,
@@ -65,7 +71,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FOLDER")]
     second_disk: Option<PathBuf>,
     /// Serve the operator's screen; only this machine can open it unless ADDR says otherwise.
-    #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = "127.0.0.1:8700", conflicts_with_all = ["pcap", "db3"])]
+    #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = "127.0.0.1:8700", conflicts_with_all = ["pcap", "db3", "mcap"])]
     screen: Option<SocketAddr>,
     /// PIN of the screen, at least four characters; a random one where other machines can reach it.
     #[arg(long, value_name = "PIN", requires = "screen", value_parser = pin)]
@@ -74,11 +80,11 @@ pub struct Arguments {
     #[arg(long, requires = "screen")]
     now: bool,
     /// Send what is recorded to Foxglove, which connects to ADDR.
-    #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = "127.0.0.1:8765", conflicts_with_all = ["pcap", "db3"])]
+    #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = "127.0.0.1:8765", conflicts_with_all = ["pcap", "db3", "mcap"])]
     foxglove: Option<SocketAddr>,
     /// Send what is recorded to the Rerun viewer at URL.
     #[cfg(feature = "view")]
-    #[arg(long, value_name = "URL", num_args = 0..=1, default_missing_value = "rerun+http://127.0.0.1:9876/proxy", conflicts_with_all = ["pcap", "db3"])]
+    #[arg(long, value_name = "URL", num_args = 0..=1, default_missing_value = "rerun+http://127.0.0.1:9876/proxy", conflicts_with_all = ["pcap", "db3", "mcap"])]
     rerun: Option<String>,
 }
 
@@ -114,6 +120,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         (&arguments.devices, "let `lsfb sim` write an example"),
         (&arguments.pcap, "name a capture file"),
         (&arguments.db3, "name a rosbag2 database"),
+        (&arguments.mcap, "name an MCAP file"),
         (&arguments.rig, "leave --rig out"),
     ] {
         if let Some(path) = path {
@@ -139,22 +146,23 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     };
     arguments.apply(&mut config.recorder);
     let out: &Path = &arguments.out;
-    let report = match (&arguments.pcap, &arguments.db3) {
-        (Some(pcap), _) => replay(
+    let report = match (&arguments.pcap, &arguments.db3, &arguments.mcap) {
+        (Some(pcap), _, _) => replay(
             PcapSource::open(pcap, &[2368, 8308])?,
             &config,
             out,
             context.stop(),
             &show,
         )?,
-        (_, Some(db3)) => replay(
+        (_, Some(db3), _) => replay(
             Rosbag2Source::open(db3)?,
             &config,
             out,
             context.stop(),
             &show,
         )?,
-        _ => bail!("name a source: --devices, --pcap or --db3"),
+        (_, _, Some(mcap)) => replay_recording(mcap, &config, out, context.stop(), &show)?,
+        _ => bail!("name a source: --devices, --pcap, --db3 or --mcap"),
     };
     print(&report, context)
 }
