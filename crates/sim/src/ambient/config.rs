@@ -257,6 +257,15 @@ pub(super) fn check(config: &SimConfig) -> Result<(), Error> {
             (0.1..=1e5).contains(&lasting),
         )?;
     }
+    for (factor, floor) in [
+        (wifi.rice_factor_db, wifi.floor_dbm),
+        (ble.rice_factor_db, ble.floor_dbm),
+    ] {
+        let sane = (-40.0..=60.0).contains(&factor);
+        require("rice_factor_db", factor, "-40 to 60", sane)?;
+        let sane = (-200.0..=0.0).contains(&floor);
+        require("floor_dbm", floor, "-200 to 0", sane)?;
+    }
     let sigmas = [
         ("shadowing_db", wifi.shadowing_db),
         ("shadowing_db", ble.shadowing_db),

@@ -373,6 +373,26 @@ fn errors_of_positions_last_and_the_earth_is_round() {
 }
 
 #[test]
+fn what_cannot_be_is_refused() {
+    let refused = |change: fn(&mut SimConfig)| {
+        let mut config = SimConfig::tiny();
+        change(&mut config);
+        assert!(config.check().is_err(), "{config:?}");
+    };
+    assert!(SimConfig::tiny().check().is_ok());
+    refused(|c| c.datum.latitude_deg = f64::NAN);
+    refused(|c| c.datum.latitude_deg = 90.0);
+    refused(|c| c.wifi.request_every_s = -1.0);
+    refused(|c| c.wifi.path_loss_exponent = 0.0);
+    refused(|c| c.ble.report_hz = f64::INFINITY);
+    refused(|c| c.ble.rice_factor_db = f64::NAN);
+    refused(|c| c.magnetic.rate_hz = 1_000_000);
+    refused(|c| c.barometer.noise_pa = -1.0);
+    refused(|c| c.gnss.multipath_s = 0.0);
+    refused(|c| (c.gnss.noise_m, c.gnss.atmosphere_m) = (0.0, 0.0));
+}
+
+#[test]
 fn any_number_of_threads_hears_the_same() {
     let once = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new()
