@@ -1,9 +1,10 @@
-// Peer of `cargo run --release -p lsfb-solver --example solve -- bal`: Ceres on a file in BAL format, one thread, CPU time of
+// Peer of `cargo run --release -p lsfb-solver --example solve -- bal`: Ceres on a file in BAL format, one thread, CPU and wall time of
 // solving alone. Jacobians are analytic or automatic, as asked for.
 //
 //   ceres_bal FILE sparse|dense analytic|auto [covariance]
 #include <ceres/ceres.h>
 #include <ceres/rotation.h>
+#include <sys/resource.h>
 
 #include <cmath>
 #include <cstdio>
@@ -96,10 +97,16 @@ class AnalyticProjection : public ceres::SizedCostFunction<2, 9, 3> {
   double u_, v_;
 };
 
-static double cpu() {
+static double now(clockid_t clock) {
   timespec t;
-  clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &t);
+  clock_gettime(clock, &t);
   return t.tv_sec + 1e-9 * t.tv_nsec;
+}
+
+static double peak_mb() {
+  rusage usage;
+  getrusage(RUSAGE_SELF, &usage);
+  return usage.ru_maxrss / 1024.0;
 }
 
 int main(int argc, char** argv) {
@@ -146,11 +153,12 @@ int main(int argc, char** argv) {
     options.function_tolerance = 1e-14;
     options.max_num_iterations = 200;
   }
-  const double start = cpu();
+  const double start = now(CLOCK_PROCESS_CPUTIME_ID), wall = now(CLOCK_MONOTONIC);
   ceres::Solver::Summary summary;
   ceres::Solve(options, &problem, &summary);
-  std::printf("ceres %s %s: cost %.6f -> %.6f, %d iterations, cpu %.3f s\n", argv[2], argv[3], summary.initial_cost,
-              summary.final_cost, (int)summary.iterations.size() - 1, cpu() - start);
+  std::printf("ceres %s %s: cost %.6f -> %.6f, %d iterations, cpu %.3f s, wall %.3f s, peak %.0f MB\n", argv[2], argv[3], summary.initial_cost,
+              summary.final_cost, (int)summary.iterations.size() - 1, now(CLOCK_PROCESS_CPUTIME_ID) - start,
+              now(CLOCK_MONOTONIC) - wall, peak_mb());
   if (covariance) {
     ceres::Covariance::Options how;
     how.algorithm_type = ceres::SPARSE_QR;

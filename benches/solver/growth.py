@@ -1,4 +1,4 @@
-"""Draws CPU time against cameras from the raw output of run.sh: growth.py RUN OUT.svg"""
+"""Draws CPU time against cameras from the raw output of growth.sh or run.sh: growth.py RUN OUT.svg"""
 import re
 import sys
 
@@ -21,7 +21,7 @@ for k in range(5):
     s = top * k / 4
     out.append(f'<line x1="60" x2="560" y1="{y(s):.1f}" y2="{y(s):.1f}" stroke="#ddd"/>')
     out.append(f'<text x="52" y="{y(s) + 4:.1f}" text-anchor="end">{s:.0f}</text>')
-out.append('<text x="310" y="340" text-anchor="middle">cameras (420 points each)</text>')
+out.append('<text x="310" y="340" text-anchor="middle">cameras (about 370 points and 2 850 observations each)</text>')
 out.append('<text x="14" y="165" text-anchor="middle" transform="rotate(-90 14 165)">CPU time to solve, s</text>')
 for name, colour in (("lsfb", "#1665c0"), ("ceres", "#c03a16")):
     line = [(x(n), y(s)) for who, n, s in rows if who == name]

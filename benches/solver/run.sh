@@ -13,10 +13,10 @@ for turn in 1 2 3; do
   for kind in "dense analytic" "dense auto" "sparse analytic" "sparse auto"; do
     "$work/ceres_bal" "$work/bal16.txt" $kind
   done
-  echo "== street of 200 cameras, turn $turn"
-  "$solve" bal "$work/street200.txt" | grep lsfb
-  "$work/ceres_bal" "$work/street200.txt" sparse analytic
-  "$work/ceres_bal" "$work/street200.txt" dense analytic
+  echo "== street of gen.py, turn $turn"
+  "$solve" bal "$work/gen200.txt" | grep lsfb
+  "$work/ceres_bal" "$work/gen200.txt" sparse analytic
+  "$work/ceres_bal" "$work/gen200.txt" dense analytic
   for graph in garage sphere torus; do
     echo "== pose graph $graph, turn $turn"
     "$solve" pose-graph "$work/$graph.g2o" | grep lsfb
@@ -28,12 +28,6 @@ for turn in 1 2; do
   "$solve" stereo "$work/kitti00" 00.txt
   "$python" "$here/gtsam_stereo.py" "$work/kitti00" 00.txt
 done
-for cameras in 100 400 700 1000; do
-  echo "== street of $cameras cameras"
-  "$solve" bal "$work/street$cameras.txt"
-  "$work/ceres_bal" "$work/street$cameras.txt" sparse analytic
-done
-echo "== the largest without its reduced matrix"
-"$solve" bal "$work/street1000.txt" iterative
+"$here/growth.sh" "$work"
 echo "== growing walk"
 "$solve" growing 1000 60

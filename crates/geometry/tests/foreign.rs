@@ -1,5 +1,5 @@
-//! Camera models, groups and splines against OpenCV, COLMAP, GTSAM and SciPy: values in `expected/expected.txt`, recipe in
-//! `expected/expected.py`.
+//! Camera models, groups and splines against OpenCV, COLMAP, GTSAM, SciPy and SymForce, and against their published formulas in
+//! sixty digits: values in `expected/*.txt`, each with its recipe beside it.
 
 use std::collections::BTreeMap;
 
@@ -15,7 +15,9 @@ struct Case {
 }
 
 fn cases() -> impl Iterator<Item = Case> {
-    include_str!("expected/expected.txt").lines().map(|line| {
+    let lines = include_str!("expected/expected.txt").lines();
+    let precise = include_str!("expected/precise.txt").lines();
+    lines.chain(precise).map(|line| {
         let numbers = |text: &str| {
             let words = text.split_whitespace();
             words.map(|w| w.parse().expect("a number")).collect()
@@ -78,6 +80,12 @@ fn every_value_agrees_with_its_foreign_source() {
                 "scipy6" => spline_case::<6>(&case),
                 other => panic!("{other}"),
             },
+            "spline-rates" => match case.source.as_str() {
+                "mpmath4" => spline_rates_case::<4>(&case),
+                "mpmath5" => spline_rates_case::<5>(&case),
+                "mpmath6" => spline_rates_case::<6>(&case),
+                other => panic!("{other}"),
+            },
             _ => camera_case(&case),
         }
     }
@@ -90,6 +98,14 @@ fn every_value_agrees_with_its_foreign_source() {
         (("extended-unified", "opencv-omnidir"), 12),
         (("extended-unified", "colmap"), 12),
         (("field-of-view", "colmap"), 12),
+        (("double-sphere", "symforce"), 30),
+        (("double-sphere", "mpmath"), 42),
+        (("extended-unified", "mpmath"), 24),
+        (("field-of-view", "symforce"), 20),
+        (("field-of-view", "mpmath"), 28),
+        (("spline-rates", "mpmath4"), 2),
+        (("spline-rates", "mpmath5"), 2),
+        (("spline-rates", "mpmath6"), 2),
     ] {
         let key = (key.0.to_owned(), key.1.to_owned());
         assert!(sources.get(&key).is_some_and(|n| *n >= least), "{key:?}");
@@ -122,7 +138,11 @@ fn camera_case(case: &Case) {
             all.extend((0..count).map(|k| by_parameter[(k, row)]));
         }
         assert_eq!(all.len(), case.expected.len());
-        near(case, &all, 1e-9);
+        near(
+            case,
+            &all,
+            if case.source == "mpmath" { 1e-12 } else { 1e-9 },
+        );
     }
     let ray = camera
         .unproject(&Vector2::new(case.expected[0], case.expected[1]))
@@ -152,4 +172,25 @@ fn spline_case<const N: usize>(case: &Case) {
         let expected = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
         assert!(so3::log(&(expected.inverse() * at.rotation)).norm() < 1e-13);
     }
+}
+
+/// Angular velocity and acceleration; then by each axis of each control point the change of rotation and of velocity.
+fn spline_rates_case<const N: usize>(case: &Case) {
+    let weights = Weights::<N>::at(case.given[1], case.given[0]);
+    let controls: Vec<_> = case.given[2..]
+        .chunks_exact(3)
+        .map(|v| so3::exp(&Vector3::from_column_slice(v)))
+        .collect();
+    let full = spline::rotation_with_jacobians(&weights, &controls).expect("N controls");
+    let mut all = full.at.angular_velocity.as_slice().to_vec();
+    all.extend_from_slice(full.at.angular_acceleration.as_slice());
+    for j in 0..N {
+        for axis in 0..3 {
+            all.extend_from_slice(full.rotation_by_control[j].column(axis).as_slice());
+            all.extend_from_slice(full.angular_velocity_by_control[j].column(axis).as_slice());
+        }
+    }
+    assert_eq!(all.len(), case.expected.len());
+    near(case, &all, 1e-12);
+    assert_eq!(spline::rotation(&weights, &controls), Some(full.at));
 }

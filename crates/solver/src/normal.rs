@@ -1,7 +1,5 @@
-#![allow(
-    clippy::type_complexity,
-    reason = "what is compiled for vector units takes its arguments as one tuple"
-)]
+mod assembly;
+mod elimination;
 
 use std::ops::Range;
 
@@ -9,12 +7,13 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::divide::{divide, divide_slice};
 use crate::evaluation::Evaluation;
-use crate::kernels::{
-    add_matrix_vector, add_product, add_transposed_vector, dot, multiply_inverse, subtract_product,
-    vectorized,
-};
-use crate::layout::{Layout, POINT, Place};
+use crate::kernels::{add_transposed_vector, dot, vectorized};
+use crate::layout::{Layout, POINT};
 use crate::problem::Problem;
+use assembly::{
+    ColumnParts, PointParts, assemble_columns, assemble_points, split_columns, split_points,
+};
+use elimination::{add_coupled_points, right_side_of, solve_points, subtract_points};
 
 /// Points, and residuals without a point, per parallel task.
 const POINT_GRAIN: usize = 32;
@@ -61,21 +60,6 @@ impl Step {
             points: vec![Vector3::zeros(); layout.points.len()],
         }
     }
-}
-
-/// What the linearization of some points writes.
-struct PointParts<'a> {
-    records: &'a mut [f64],
-    coupling: &'a mut [f64],
-    hessian: &'a mut [Matrix3<f64>],
-    gradient: &'a mut [Vector3<f64>],
-}
-
-/// What the assembly of some columns of blocks writes.
-struct ColumnParts<'a> {
-    matrix: &'a mut [f64],
-    gradient: &'a mut [f64],
-    diagonal: &'a mut [f64],
 }
 
 impl NormalEquations {
@@ -364,294 +348,8 @@ pub(crate) fn inverse_of_symmetric(m: &Matrix3<f64>) -> Option<Matrix3<f64>> {
     inverse.iter().all(|x| x.is_finite()).then_some(inverse)
 }
 
-#[inline(always)]
-fn assemble_points<const FUSED: bool>(
-    (problem, layout, points, parts): (&Problem, &Layout, Range<usize>, PointParts<'_>),
-) {
-    let record_base = layout.record_start[layout.point_first[points.start]];
-    let pair_base = layout.pair_value_start(points.start);
-    parts.coupling.fill(0.0);
-    for ((point, h), g) in points.zip(parts.hessian).zip(parts.gradient) {
-        *h = Matrix3::zeros();
-        *g = Vector3::zeros();
-        for k in layout.point_first[point]..layout.point_first[point + 1] {
-            let record = &parts.records
-                [layout.record_start[k] - record_base..layout.record_start[k + 1] - record_base];
-            let dimension = problem.residuals[layout.order[k] as usize].dimension;
-            let slots = layout.slots_of(k);
-            let Some(own) = slots
-                .iter()
-                .find(|slot| layout.places[slot.block as usize] == Place::Point(point))
-            else {
-                continue;
-            };
-            let by_point = &record[own.jacobian as usize..][..dimension * POINT];
-            add_product::<FUSED>(h.as_mut_slice(), by_point, POINT, by_point, POINT);
-            add_product::<FUSED>(g.as_mut_slice(), by_point, POINT, &record[..dimension], 1);
-            for slot in slots {
-                let Some(pair) = layout.pairs.get(slot.pair as usize) else {
-                    continue;
-                };
-                let n = layout.tangent(pair.reduced as usize);
-                let block = &mut parts.coupling[pair.start - pair_base..][..POINT * n];
-                let jacobian = &record[slot.jacobian as usize..][..dimension * n];
-                add_product::<FUSED>(block, jacobian, n, by_point, POINT);
-            }
-        }
-    }
-}
-
-#[inline(always)]
-fn assemble_columns<const FUSED: bool>(
-    (problem, layout, columns, records, parts): (
-        &Problem,
-        &Layout,
-        Range<usize>,
-        &[f64],
-        ColumnParts<'_>,
-    ),
-) {
-    let value_base = layout.column_value_start(columns.start);
-    let row_base = layout.row_start[columns.start];
-    parts.matrix.fill(0.0);
-    parts.gradient.fill(0.0);
-    for (k, residual) in layout.order.iter().enumerate() {
-        for slot in layout.slots_of(k) {
-            let Place::Reduced(i) = layout.places[slot.block as usize] else {
-                continue;
-            };
-            if !columns.contains(&i) {
-                continue;
-            }
-            let record = &records[layout.record_start[k]..layout.record_start[k + 1]];
-            let dimension = problem.residuals[*residual as usize].dimension;
-            let n = layout.tangent(i);
-            let own = &record[slot.jacobian as usize..][..dimension * n];
-            let gradient = &mut parts.gradient[layout.row_start[i] - row_base..][..n];
-            add_product::<FUSED>(gradient, own, n, &record[..dimension], 1);
-            let start = layout.column_value_start(i) - value_base;
-            add_product::<FUSED>(&mut parts.matrix[start..][..n * n], own, n, own, n);
-            let [first, end] = slot.couplings;
-            for coupling in &layout.couplings[first as usize..end as usize] {
-                let block = layout.columns.items[coupling.block as usize];
-                let m = layout.tangent(block.row as usize);
-                let other = &record[coupling.jacobian as usize..][..dimension * m];
-                let target = &mut parts.matrix[block.start - value_base..][..m * n];
-                add_product::<FUSED>(target, other, m, own, n);
-            }
-        }
-    }
-    for i in columns {
-        let n = layout.tangent(i);
-        let start = layout.column_value_start(i) - value_base;
-        let rows = layout.row_start[i] - row_base..layout.row_start[i + 1] - row_base;
-        for (c, entry) in parts.diagonal[rows].iter_mut().enumerate() {
-            *entry = parts.matrix[start + c * n + c];
-        }
-    }
-}
-
-/// Right side of the reduced system in some rows: `−g + H_rp H_pp⁻¹ g_p`.
-#[inline(always)]
-fn right_side_of<const FUSED: bool>(
-    (normal, layout, blocks, inverses, rows): (
-        &NormalEquations,
-        &Layout,
-        Range<usize>,
-        &[Matrix3<f64>],
-        &mut [f64],
-    ),
-) {
-    let base = layout.row_start[blocks.start];
-    for (t, g) in rows.iter_mut().zip(&normal.gradient[base..]) {
-        *t = -g;
-    }
-    for (p, inverse) in inverses.iter().enumerate() {
-        let moved = inverse * normal.point_gradient[p];
-        for pair in layout.pairs_at(p) {
-            let i = pair.reduced as usize;
-            if blocks.contains(&i) {
-                let n = layout.tangent(i);
-                let coupling = &normal.coupling[pair.start..][..POINT * n];
-                let target = &mut rows[layout.row_start[i] - base..][..n];
-                add_matrix_vector::<FUSED>(target, coupling, moved.as_slice());
-            }
-        }
-    }
-}
-
-#[inline(always)]
-fn subtract_points<const FUSED: bool>(
-    (normal, layout, lambda, columns, inverses, matrix, rows): (
-        &NormalEquations,
-        &Layout,
-        f64,
-        Range<usize>,
-        &[Matrix3<f64>],
-        &mut [f64],
-        &mut [f64],
-    ),
-) {
-    let base = layout.column_value_start(columns.start);
-    let row_base = layout.row_start[columns.start];
-    for (t, g) in rows.iter_mut().zip(&normal.gradient[row_base..]) {
-        *t = -g;
-    }
-    matrix.copy_from_slice(&normal.hessian[base..base + matrix.len()]);
-    for i in columns.clone() {
-        let n = layout.tangent(i);
-        let start = layout.column_value_start(i) - base;
-        for (c, diagonal) in normal.diagonal[layout.rows(i)].iter().enumerate() {
-            matrix[start + c * n + c] += normal.damping(*diagonal, lambda);
-        }
-    }
-    let mut gain = [0.0; POINT * MAX_GAIN];
-    for (p, inverse) in inverses.iter().enumerate() {
-        let pairs = layout.pairs_at(p);
-        let moved = inverse * normal.point_gradient[p];
-        let mut blocks = layout.first_of_pairs[p];
-        for (a, pair) in pairs.iter().enumerate() {
-            let of_pairs = &layout.block_of_pairs[blocks..][..pairs.len() - a];
-            blocks += of_pairs.len();
-            let i = pair.reduced as usize;
-            if i < columns.start {
-                continue;
-            }
-            if i >= columns.end {
-                break;
-            }
-            let n = layout.tangent(i);
-            let coupling = &normal.coupling[pair.start..][..POINT * n];
-            let own_rows = &mut rows[layout.row_start[i] - row_base..][..n];
-            add_matrix_vector::<FUSED>(own_rows, coupling, moved.as_slice());
-            // Wide blocks are taken in parts of their columns, so that the gain needs no memory of its own.
-            for first in (0..n).step_by(MAX_GAIN) {
-                let part = (n - first).min(MAX_GAIN);
-                let gain = &mut gain[..POINT * part];
-                if part == n {
-                    multiply_inverse::<FUSED>(gain, coupling, n, &inverse.data.0);
-                } else {
-                    for c in 0..POINT {
-                        for r in 0..part {
-                            gain[c * part + r] = (0..POINT)
-                                .map(|k| coupling[k * n + first + r] * inverse[(k, c)])
-                                .sum();
-                        }
-                    }
-                }
-                for (other, block) in pairs[a..].iter().zip(of_pairs) {
-                    let block = layout.columns.items[*block as usize];
-                    let m = layout.tangent(other.reduced as usize);
-                    let left = &normal.coupling[other.start..][..POINT * m];
-                    let target = &mut matrix[block.start - base + first * m..][..m * part];
-                    subtract_product::<FUSED>(target, left, m, gain, part);
-                }
-            }
-        }
-    }
-}
-
 /// Each task over columns reads all residuals or points, so there are no more tasks than threads; every block is
 /// summed in the order of residuals and points whatever the task.
 fn columns_per_task(layout: &Layout) -> usize {
     layout.reduced.len().div_ceil(rayon::current_num_threads())
-}
-
-/// Columns of a block whose gain is kept at a time.
-const MAX_GAIN: usize = 16;
-
-/// Adds to the right sides of points what `direction` of the reduced blocks couples to them, and solves for their steps.
-#[inline(always)]
-fn solve_points<const FUSED: bool>(
-    (normal, layout, points, inverses, direction, right): (
-        &NormalEquations,
-        &Layout,
-        Range<usize>,
-        &[Matrix3<f64>],
-        &[f64],
-        &mut [Vector3<f64>],
-    ),
-) {
-    for (point, right) in points.zip(right) {
-        for pair in layout.pairs_at(point) {
-            let rows = &direction[layout.rows(pair.reduced as usize)];
-            let coupling = &normal.coupling[pair.start..][..POINT * rows.len()];
-            add_transposed_vector::<FUSED>(right.as_mut_slice(), coupling, rows);
-        }
-        *right = inverses[point] * -*right;
-    }
-}
-
-#[inline(always)]
-fn add_coupled_points<const FUSED: bool>(
-    (normal, layout, block, points, target): (
-        &NormalEquations,
-        &Layout,
-        usize,
-        &[Vector3<f64>],
-        &mut [f64],
-    ),
-) {
-    for &q in layout.pairs_of_reduced.get(block) {
-        let pair = layout.pairs[q as usize];
-        let point = &points[layout.point_of_pair[q as usize] as usize];
-        let coupling = &normal.coupling[pair.start..][..POINT * target.len()];
-        add_matrix_vector::<FUSED>(target, coupling, point.as_slice());
-    }
-}
-
-fn split_points<'a>(
-    layout: &Layout,
-    parts: PointParts<'a>,
-    range: &Range<usize>,
-    middle: usize,
-) -> (PointParts<'a>, PointParts<'a>) {
-    let start_of = |point: usize| layout.record_start[layout.point_first[point]];
-    let records = parts
-        .records
-        .split_at_mut(start_of(middle) - start_of(range.start));
-    let coupling = parts
-        .coupling
-        .split_at_mut(layout.pair_value_start(middle) - layout.pair_value_start(range.start));
-    let hessian = parts.hessian.split_at_mut(middle - range.start);
-    let gradient = parts.gradient.split_at_mut(middle - range.start);
-    (
-        PointParts {
-            records: records.0,
-            coupling: coupling.0,
-            hessian: hessian.0,
-            gradient: gradient.0,
-        },
-        PointParts {
-            records: records.1,
-            coupling: coupling.1,
-            hessian: hessian.1,
-            gradient: gradient.1,
-        },
-    )
-}
-
-fn split_columns<'a>(
-    layout: &Layout,
-    parts: ColumnParts<'a>,
-    range: &Range<usize>,
-    middle: usize,
-) -> (ColumnParts<'a>, ColumnParts<'a>) {
-    let rows = layout.row_start[middle] - layout.row_start[range.start];
-    let values = layout.column_value_start(middle) - layout.column_value_start(range.start);
-    let matrix = parts.matrix.split_at_mut(values);
-    let gradient = parts.gradient.split_at_mut(rows);
-    let diagonal = parts.diagonal.split_at_mut(rows);
-    (
-        ColumnParts {
-            matrix: matrix.0,
-            gradient: gradient.0,
-            diagonal: diagonal.0,
-        },
-        ColumnParts {
-            matrix: matrix.1,
-            gradient: gradient.1,
-            diagonal: diagonal.1,
-        },
-    )
 }
