@@ -12,18 +12,25 @@
 mod fake_kernel;
 
 use std::os::unix::fs::symlink;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+use lsfb_capture::{
+    CameraUnitConfig, CaptureReport, DevicesConfig, Overflow, RecorderConfig, Session,
+};
 use lsfb_drivers::Error;
 use lsfb_drivers::camera::model::{FrameFormat, TRAILER_BYTES};
 use lsfb_drivers::camera::wire::{
-    CameraOption, DeviceInfo, ImageControl, ImuProtocol, OptionCommand, TimeSource, Trailer,
-    Version, XuDevice, XuQuery, XuSelector, emit_frame,
+    CameraOption, DeviceInfo, ImageControl, ImuProtocol, ImuRequest, ImuSegment, ImuValues,
+    OptionCommand, TimeSource, Trailer, Version, XuDevice, XuQuery, XuSelector, emit_frame,
 };
 use lsfb_drivers::camera::{CameraConfig, Decoder, DecoderConfig, Exposure, MyntCamera, Trigger};
 use lsfb_drivers::transport::PacketSource;
 use lsfb_drivers::transport::camera_link::{CameraLink, LinkCounters};
+use lsfb_recording::Recording;
+use lsfb_sim::{Pace, Playback, PlaybackEndpoints, Turns};
+use lsfb_types::no_progress;
 
 const CAMERAS: &str = "LSFB_FAKE_CAMERAS";
 const FORMAT: FrameFormat = FrameFormat::S2_1280X400;
@@ -421,4 +428,163 @@ fn manual_exposure_goes_through_the_controls_of_the_node() {
     drop(camera);
     let error = MyntCamera::open(&with(2_000)).unwrap_err().to_string();
     assert!(error.contains("refuses its control Gain"), "{error}");
+}
+
+/// A unit that also tells about 20 samples of its IMU, in the protocol of its spec.
+fn unit_with_imu(serial: &str, spec: Version) -> Script {
+    let protocol = ImuProtocol::of_spec(spec);
+    let info = DeviceInfo {
+        spec,
+        ..info(serial)
+    };
+    let mut script = Script::default();
+    let mut device = XuDevice::new(info, protocol);
+    let mut request = vec![0; XuSelector::File.len_bytes()];
+    request[0] = DeviceInfo::REQUEST;
+    script.write(&mut device, XuSelector::File, &request);
+    script.read(&mut device, XuSelector::File, XuQuery::GetCur);
+    for serial in 1..=20_u32 {
+        let z = serial as i16;
+        let values = match (protocol, serial % 2) {
+            (ImuProtocol::Integer, 0) => ImuValues::RawGyroscope([0, 0, z]),
+            (ImuProtocol::Integer, _) => ImuValues::RawAccelerometer([0, 0, z]),
+            (_, 0) => ImuValues::GyroscopeDegS([0.0, 0.0, z.into()]),
+            (_, _) => ImuValues::AccelerometerG([0.0, 0.0, z.into()]),
+        };
+        device.push_imu(ImuSegment {
+            serial,
+            timestamp_us: trailer(0).timestamp_us + 2_500 * u64::from(serial),
+            time_source: TimeSource::External,
+            temperature: 30.0,
+            values,
+        });
+    }
+    // Protocol 1 is told how far its host has come, protocol 2 gives what is new.
+    let requests: &[ImuRequest] = match protocol {
+        ImuProtocol::Integer => &[ImuRequest::After(0), ImuRequest::After(20)],
+        _ => &[ImuRequest::Single],
+    };
+    for request in requests {
+        script.write(&mut device, XuSelector::ImuWrite, &request.emit());
+        script.read(&mut device, XuSelector::ImuRead, XuQuery::GetCur);
+    }
+    for sequence in 0..FRAMES {
+        script.frame(sequence, 0, &frame(sequence as u16));
+    }
+    script
+}
+
+const FRAMES: u32 = 12;
+const UNITS: [([&str; 2], &str); 2] = [(["cam0", "cam1"], "imu1"), (["cam2", "cam3"], "imu2")];
+
+/// Records units at `paths` until `images` of them are there, and their IMUs have been asked often.
+fn record(paths: &[PathBuf], out: &Path) -> CaptureReport {
+    let cameras = paths
+        .iter()
+        .zip(UNITS)
+        .map(|(path, (names, imu))| CameraUnitConfig {
+            rate_hz: RATE_HZ,
+            imu: Some(imu.to_owned()),
+            ..CameraUnitConfig::stereo(path.clone(), names.map(str::to_owned))
+        });
+    let config = DevicesConfig {
+        cameras: cameras.collect(),
+        overflow: Overflow::Wait,
+        recorder: RecorderConfig {
+            least_space_secs: 0.0,
+            ..RecorderConfig::default()
+        },
+        ..DevicesConfig::default()
+    };
+    let session = Session::open(&config).unwrap();
+    let images = session.counts().images;
+    let stop = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let running = std::thread::Builder::new()
+            .name("session".to_owned())
+            .spawn_scoped(scope, || session.run(out, &stop, &no_progress).unwrap())
+            .unwrap();
+        let wanted = u64::from(FRAMES) * 2 * UNITS.len() as u64;
+        while images.load(Ordering::Relaxed) < wanted && !running.is_finished() {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        // Units that stall never end; those that end do so within this.
+        let since = Instant::now();
+        while !running.is_finished() && since.elapsed() < Duration::from_secs(1) {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        stop.store(true, Ordering::Relaxed);
+        running.join().unwrap()
+    })
+}
+
+/// Everything that the units said, decoded: images with their counters, and samples.
+fn content(path: &Path) -> Vec<String> {
+    let recording = Recording::open(path).unwrap();
+    let mut lines = Vec::new();
+    for (cameras, imu) in UNITS {
+        for camera in cameras {
+            for image in recording.images(camera).unwrap().map(Result::unwrap) {
+                let sum: u64 = image.sample.pixels.iter().map(|p| u64::from(*p)).sum();
+                lines.push(format!(
+                    "{camera} {} {} {sum}",
+                    image.time, image.device_ticks
+                ));
+            }
+        }
+        let topic = format!("/{imu}/data_raw");
+        for sample in recording.messages(&topic).unwrap().map(Result::unwrap) {
+            lines.push(format!("{imu} {} {:?}", sample.time, sample.bytes));
+        }
+    }
+    lines
+}
+
+/// Units on V4L2 nodes are recorded, with what their extension units said; a mock plays that, and is recorded alike.
+#[test]
+fn units_behind_nodes_are_recorded_and_played() {
+    let scripts = || {
+        vec![
+            unit_with_imu("FRONT", Version { major: 1, minor: 2 }),
+            unit_with_imu("REAR", Version { major: 1, minor: 3 }),
+        ]
+    };
+    let name = "units_behind_nodes_are_recorded_and_played";
+    let Some(nodes) = nodes_below_fake_kernel(name, scripts) else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let (first, again) = (
+        folder.path().join("first.mcap"),
+        folder.path().join("again.mcap"),
+    );
+    let report = record(&nodes, &first);
+    assert_eq!(report.groups.complete, u64::from(FRAMES), "{report:?}");
+    let was = content(&first);
+    // 10 pairs, of which the last gyroscope segment of each unit has no partner.
+    let images = 2 * UNITS.len() * FRAMES as usize;
+    assert_eq!(was.len(), images + 2 * 9, "{was:#?}");
+
+    let playback = Playback::open(&first).unwrap();
+    assert!(playback.unplayed().is_empty());
+    let sockets: Vec<PathBuf> = ["a", "b"].map(|name| folder.path().join(name)).to_vec();
+    let nowhere = ([127, 0, 0, 1], 9).into();
+    let endpoints = PlaybackEndpoints {
+        lidar_data: nowhere,
+        lidar_position: nowhere,
+        camera_sockets: sockets.clone(),
+        sidecar: nowhere,
+        patience: Duration::ZERO,
+    };
+    let mock = playback
+        .start(&endpoints, Pace::RealTimes(1.0), Turns::Times(1))
+        .unwrap();
+    let report = record(&sockets, &again);
+    let sent = mock.join(&no_progress).unwrap();
+    assert_eq!(
+        (sent.stereo_frames, sent.unit_imu_segments),
+        (2 * u64::from(FRAMES), 40)
+    );
+    assert_eq!(report.lost, 0, "{report:?}");
+    assert_eq!(content(&again), was);
 }

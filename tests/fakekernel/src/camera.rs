@@ -55,8 +55,8 @@ pub struct Unit {
     queued: VecDeque<u32>,
     /// `CLOCK_MONOTONIC` at which the stream started.
     started: Option<Duration>,
-    /// Selector → last write.
-    written: BTreeMap<u8, Vec<u8>>,
+    /// The last write to the extension unit, on whatever channel.
+    written: Vec<u8>,
     /// Control → value.
     controls: BTreeMap<u32, u32>,
 }
@@ -75,7 +75,7 @@ impl Unit {
             buffers: 0,
             queued: VecDeque::new(),
             started: None,
-            written: BTreeMap::new(),
+            written: Vec::new(),
             controls: BTreeMap::new(),
         };
         Ok((unit, fd))
@@ -196,12 +196,11 @@ impl Unit {
             if !known.into_iter().any(|(_, bytes)| bytes == data) {
                 return Err(libc::EPIPE);
             }
-            self.written.insert(selector, data.to_vec());
+            self.written = data.to_vec();
             return Ok(());
         }
-        let written = self.written.get(&selector).ok_or(libc::EPIPE)?;
         let answer = self.script.answers.iter().find(|answer| {
-            (answer.selector, answer.query, &answer.written) == (selector, query, written)
+            (answer.selector, answer.query, &answer.written) == (selector, query, &self.written)
         });
         let answer = answer.ok_or(libc::EPIPE)?;
         if answer.bytes.len() != data.len() {
