@@ -104,20 +104,21 @@ impl LidarSim {
 
     /// Direction of a channel in the LiDAR frame (x forward, y left, z up) at an encoder angle.
     pub fn beam_direction(&self, channel: usize, azimuth_deg: f64) -> Vector3<f64> {
-        self.direction_beside(channel, azimuth_deg, [0.0; 2])
+        self.beam(channel, azimuth_deg).axis
     }
 
-    /// The same, so many radians beside the beam's axis, to the right and upwards.
-    fn direction_beside(&self, channel: usize, azimuth_deg: f64, beside: [f64; 2]) -> Vector3<f64> {
+    fn beam(&self, channel: usize, azimuth_deg: f64) -> Beam {
         let channel = &self.table().channels[channel % CHANNELS];
-        let elevation = channel.elevation_deg.to_radians() + beside[1];
-        let azimuth = (azimuth_deg + channel.azimuth_offset_deg).to_radians();
-        let (sin, cos) = (azimuth + beside[0] / elevation.cos()).sin_cos();
-        Vector3::new(
-            elevation.cos() * cos,
-            -elevation.cos() * sin,
-            elevation.sin(),
-        )
+        let elevation = channel.elevation_deg.to_radians();
+        let (rise, flat) = (elevation.sin(), elevation.cos());
+        let (sin, cos) = (azimuth_deg + channel.azimuth_offset_deg)
+            .to_radians()
+            .sin_cos();
+        Beam {
+            axis: Vector3::new(flat * cos, -flat * sin, rise),
+            right: Vector3::new(-sin, -cos, 0.0),
+            up: Vector3::new(-rise * cos, rise * sin, flat),
+        }
     }
 
     /// Time at which a channel fires, after the beginning of its cycle, nanoseconds.
@@ -176,21 +177,16 @@ impl LidarSim {
                 motions[lane].coasted(delay_ns as f64 * 1e-9) * self.rig_from_lidar
             })
         };
-        let mut volley = Volley {
-            delay_ns: 0,
-            poses: poses_at(0),
-            azimuths_deg: [0.0; LANES],
-            channel: 0,
-        };
+        let (mut fired_ns, mut poses) = (0, poses_at(0));
         for channel in 0..CHANNELS {
             let delay_ns = self.firing_delay_ns(channel);
-            if delay_ns != volley.delay_ns {
+            if delay_ns != fired_ns {
                 // Lasers that fire together share it.
-                (volley.delay_ns, volley.poses) = (delay_ns, poses_at(delay_ns));
+                (fired_ns, poses) = (delay_ns, poses_at(delay_ns));
             }
-            volley.channel = channel;
-            volley.azimuths_deg =
-                std::array::from_fn(|lane| self.azimuth_deg(cycles[lane].offset_ns + delay_ns));
+            let volley = self.aim(channel, &poses, |lane| {
+                self.azimuth_deg(cycles[lane].offset_ns + delay_ns)
+            });
             let number = |lane: usize| (first + lane as u64) * CHANNELS as u64 + channel as u64;
             let met = self.shoot(world, &moment, &volley, number);
             for (lane, cycle) in cycles.iter_mut().enumerate() {
@@ -209,7 +205,7 @@ impl LidarSim {
         volley: &Volley,
         number: impl Fn(usize) -> u64,
     ) -> [Trail; LANES] {
-        let ray = |k: usize| self.follow(world, moment, self.rays(volley, k), &number);
+        let ray = |k: usize| self.follow(world, moment, volley.rays(k), &number);
         let separation_m = self.config.separation_m;
         let axis = ray(0);
         if self.config.divergence_rad == [0.0; 2] {
@@ -232,39 +228,64 @@ impl LidarSim {
         })
     }
 
-    /// Ray number `k` of eight beams.
-    fn rays(&self, volley: &Volley, k: usize) -> RayPacket {
-        let [across, up] = PATTERN[k % RAYS];
+    /// Eight shots of a channel, from where the LiDAR is at each.
+    fn aim(
+        &self,
+        channel: usize,
+        poses: &[Se3; LANES],
+        azimuth_deg: impl Fn(usize) -> f64,
+    ) -> Volley {
         let [width, height] = self.config.divergence_rad;
-        let mut origin = [[0.0_f32; LANES]; 3];
-        let mut direction = [[0.0_f32; LANES]; 3];
-        for lane in 0..LANES {
-            let pose = &volley.poses[lane];
-            let ray = pose.rotation
-                * self.direction_beside(
-                    volley.channel,
-                    volley.azimuths_deg[lane],
-                    [across * width, up * height],
-                );
-            for axis in 0..3 {
-                origin[axis][lane] = pose.translation[axis] as f32;
-                direction[axis][lane] = ray[axis] as f32;
+        let mut volley = Volley::default();
+        for (lane, pose) in poses.iter().enumerate() {
+            let beam = self.beam(channel, azimuth_deg(lane));
+            let axis = pose.rotation * beam.axis;
+            let right = pose.rotation * (beam.right * width);
+            let up = pose.rotation * (beam.up * height);
+            for i in 0..3 {
+                volley.origin[i][lane] = pose.translation[i] as f32;
+                volley.axis[i][lane] = axis[i] as f32;
+                volley.right[i][lane] = right[i] as f32;
+                volley.up[i][lane] = up[i] as f32;
             }
         }
-        RayPacket {
-            origin: Origin::Each(origin.map(f32x8::new)),
-            direction: direction.map(f32x8::new),
-        }
+        volley
     }
 }
 
-/// One channel fired in eight cycles.
+/// Where a laser points, and the directions across its beam, in the LiDAR frame.
+struct Beam {
+    axis: Vector3<f64>,
+    right: Vector3<f64>,
+    up: Vector3<f64>,
+}
+
+/// One channel fired in eight cycles, in the world.
+#[derive(Default)]
 struct Volley {
-    channel: usize,
-    /// After the beginning of each cycle.
-    delay_ns: i64,
-    poses: [Se3; LANES],
-    azimuths_deg: [f64; LANES],
+    origin: [[f32; LANES]; 3],
+    axis: [[f32; LANES]; 3],
+    /// Width and height of the beams, as far as at a metre.
+    right: [[f32; LANES]; 3],
+    up: [[f32; LANES]; 3],
+}
+
+impl Volley {
+    /// Ray number `k` of the beams.
+    fn rays(&self, k: usize) -> RayPacket {
+        let [across, above] = PATTERN[k % RAYS].map(|v| f32x8::splat(v as f32));
+        let direction = std::array::from_fn(|i| {
+            let axis = f32x8::new(self.axis[i]);
+            match k {
+                0 => axis,
+                _ => axis + across * f32x8::new(self.right[i]) + above * f32x8::new(self.up[i]),
+            }
+        });
+        RayPacket {
+            origin: Origin::Each(self.origin.map(f32x8::new)),
+            direction,
+        }
+    }
 }
 
 #[cfg(test)]

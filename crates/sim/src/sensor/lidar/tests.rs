@@ -199,16 +199,12 @@ fn a_beam_on_an_edge_is_answered_by_both_surfaces() {
         };
         let sim = LidarSim::new(Se3::identity(), &config, 4);
         let met = |y: f64| {
-            let volley = Volley {
-                // The laser that looks straight ahead.
-                channel: 5,
-                delay_ns: 0,
-                poses: [Se3::new(
-                    nalgebra::UnitQuaternion::identity(),
-                    Vector3::new(0.0, y, 0.0),
-                ); LANES],
-                azimuths_deg: [1.4; LANES],
-            };
+            let pose = Se3::new(
+                nalgebra::UnitQuaternion::identity(),
+                Vector3::new(0.0, y, 0.0),
+            );
+            // The laser that looks straight ahead.
+            let volley = sim.aim(5, &[pose; LANES], |_| 1.4);
             let trail = sim.shoot(&world, &moment, &volley, |lane| lane as u64)[0];
             trail.as_slice().to_vec()
         };
