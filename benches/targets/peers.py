@@ -7,8 +7,11 @@ DATA is the folder of recordings made by others. The fit is of the same kind for
 calibration of the corners, the AprilGrid by one pose per image with the official lens.
 """
 import json
+import os
+import resource
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -113,3 +116,34 @@ report("aprilgrid", views, len(images), seconds, min(fit_grid(orders[j * n:(j + 
 found, seconds = run_ours(tum / "mav0/cam0/data", "aprilgrid", "6", "6", "0.088", "0.3")
 names = {f.name for f in files}
 report("lsfb", [v for n, v in found.items() if n in names], len(images), seconds * len(images), fit_grid([v for n, v in found.items() if n in names]))
+
+# Speed at 1280 x 800, CPU time of one thread: the AprilGrid images enlarged, the checkerboard's cropped.
+def cpu_of(run):
+    start = resource.getrusage(resource.RUSAGE_CHILDREN), time.process_time()
+    run()
+    end = resource.getrusage(resource.RUSAGE_CHILDREN), time.process_time()
+    children = end[0].ru_utime + end[0].ru_stime - start[0].ru_utime - start[0].ru_stime
+    return children + end[1] - start[1]
+
+
+def ours_cpu(folder, *target):
+    run = lambda n: cpu_of(lambda: subprocess.run([ours, str(folder), *target, "--repeat", str(n)], capture_output=True, check=True, env={**os.environ, "RAYON_NUM_THREADS": "1"}))
+    return (run(21) - run(1)) / 20
+
+
+print("1280 x 800, CPU time of one thread")
+with tempfile.TemporaryDirectory() as scratch:
+    grids = [cv2.resize(cv2.imread(str(f), cv2.IMREAD_GRAYSCALE)[96:416], (1280, 800), interpolation=cv2.INTER_CUBIC) for f in sorted((tum / "mav0/cam0/data").glob("*.jpg"))[::20]]
+    boards = [cv2.imread(str(f), cv2.IMREAD_GRAYSCALE)[80:880] for f in sorted((data / "vision/calib_camodocal_fisheye").glob("*.jpg"))]
+    for name, images in (("grids", grids), ("boards", boards)):
+        (Path(scratch) / name).mkdir()
+        for k, image in enumerate(images):
+            cv2.imwrite(f"{scratch}/{name}/{k:03}.png", image)
+    aruco = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11))
+    rate = lambda name, images, seconds: print(f"  {name:32} {len(images) / seconds:.0f} images/s")
+    rate("lsfb, AprilGrid", grids, ours_cpu(f"{scratch}/grids", "aprilgrid", "6", "6", "0.088", "0.3"))
+    rate("aprilgrid", grids, cpu_of(lambda: [detector.detect(i) for i in grids]))
+    rate("OpenCV aruco", grids, cpu_of(lambda: [aruco.detectMarkers(i) for i in grids]))
+    rate("lsfb, checkerboard", boards, ours_cpu(f"{scratch}/boards", "checkerboard", "9", "6", "0.1"))
+    rate("OpenCV, subpixel 11", boards, cpu_of(lambda: [opencv(i) for i in boards]))
+    rate("OpenCV SB", boards, cpu_of(lambda: [opencv_sb(i) for i in boards]))

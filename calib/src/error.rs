@@ -74,6 +74,26 @@ pub enum Error {
         /// What is missing and what to do.
         problem: String,
     },
+    /// The motion of the rig does not say enough.
+    #[error("the motion is too poor: {problem}")]
+    Motion {
+        /// What is missing and what to do.
+        problem: String,
+    },
+    /// A recording from which an IMU's noise cannot be read.
+    #[error("no noise can be read from this recording: {problem}")]
+    NotAtRest {
+        /// What is wrong with it and what to do.
+        problem: String,
+    },
+    /// A setting that is impossible.
+    #[error("{name} is {value}: it must be positive")]
+    Setting {
+        /// The setting.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+    },
     /// The least-squares problem could not be solved.
     #[error("solving failed: {0}")]
     Solver(#[from] lsfb_solver::Error),

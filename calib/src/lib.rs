@@ -1,7 +1,7 @@
 //! Calibration that says whether it may be trusted.
 //!
 //! A [`Target`] is found in images by [`detect`]; [`camera`] makes lenses and poses of cameras of
-//! that. Every result carries the errors it leaves, and says in words what to record better.
+//! that, and [`camera_imu`] puts them on an IMU. Every result carries the errors it leaves, and says in words what to record better.
 //!
 //! ```no_run
 //! use lsfb_calib::Target;
@@ -16,9 +16,12 @@
 //! ```
 
 pub mod camera;
+pub mod camera_imu;
 pub mod detect;
 mod error;
 pub mod images;
+pub mod imu_noise;
+mod plots;
 pub mod target;
 
 pub use error::Error;

@@ -6,8 +6,13 @@ use std::path::{Path, PathBuf};
 
 use lsfb_calib::Target;
 use lsfb_calib::camera::{CameraConfig, CameraViews, calibrate_cameras, views_from_folder};
+use lsfb_calib::camera_imu::{
+    CameraImuCalibration, CameraImuConfig, KnownCamera, calibrate_camera_imu, read_imu_table,
+};
+use lsfb_geometry::align::{Scale, umeyama};
 use lsfb_geometry::camera::LensModel;
-use lsfb_types::no_progress;
+use lsfb_geometry::{Matrix3, RigImu, Se3, UnitQuaternion, Vector3};
+use lsfb_types::{Timestamp, no_progress};
 
 fn data(test: &str, folder: &str) -> Option<PathBuf> {
     let root = std::env::var_os("LSFB_TEST_DATA").map_or_else(
@@ -87,23 +92,110 @@ fn camodocal_fisheye() {
     }
 }
 
+const TUM_VI_GRID: Target = Target::AprilGrid {
+    columns: 6,
+    rows: 6,
+    tag_size_m: 0.088,
+    spacing_ratio: 0.3,
+};
+
+/// Lenses, then all of it with the IMU: 400 pairs of images and 20 s of samples.
 #[test]
-fn tum_vi_stereo() {
-    let Some(folder) = data("tum_vi_stereo", "vision/tumvi_calib_imu1/mav0") else {
+fn tum_vi_stereo_and_imu() {
+    let Some(folder) = data("tum_vi_stereo_and_imu", "vision/tumvi_calib_imu1/mav0") else {
         return;
     };
-    let target = Target::AprilGrid {
-        columns: 6,
-        rows: 6,
-        tag_size_m: 0.088,
-        spacing_ratio: 0.3,
-    };
     let both = ["cam0", "cam1"].map(|c| {
-        let found = views_from_folder(c, &folder.join(c).join("data"), "", &target, &no_progress);
-        found.expect("images")
+        let images = folder.join(c).join("data");
+        views_from_folder(c, &images, "", &TUM_VI_GRID, &no_progress).expect("images")
     });
     assert!(both.iter().all(|v| v.views.len() == 400));
     let config = CameraConfig::default();
-    let calibration = calibrate_cameras(&target, &both, &config, &no_progress).expect("calibrated");
-    assert!(calibration.rms_px <= 0.2);
+    let lenses = calibrate_cameras(&TUM_VI_GRID, &both, &config, &no_progress).expect("calibrated");
+    assert!(lenses.rms_px <= 0.2);
+
+    let known: Vec<KnownCamera> = both
+        .into_iter()
+        .zip(&lenses.cameras)
+        .map(|(views, c)| KnownCamera {
+            views,
+            camera: c.camera,
+            camera_from_first: c.camera_from_first,
+            readout_s: 0.0,
+        })
+        .collect();
+    // As the data set states it.
+    let noise = RigImu {
+        gyro_noise_density: 0.00016,
+        accel_noise_density: 0.0028,
+        gyro_bias_walk: 2.2e-5,
+        accel_bias_walk: 0.00086,
+    };
+    let imu = read_imu_table(&folder.join("imu0/data.csv")).expect("a table");
+    let config = CameraImuConfig::default();
+    let found = calibrate_camera_imu(&TUM_VI_GRID, &known, &imu, &noise, &config, &no_progress)
+        .expect("calibrated");
+    let official = official(&folder.join("../reference_calibration.json"));
+    for (c, official) in found.cameras.iter().zip(official) {
+        let off = c.camera_from_rig * official.inverse();
+        let turn_deg = off.rotation.angle().to_degrees();
+        let place_m =
+            (c.camera_from_rig.inverse().translation - official.inverse().translation).norm();
+        println!(
+            "{}: {:.3} px, from the official ones {turn_deg:.3}°, {:.2} mm, {:.3} ms",
+            c.name,
+            c.rms_px,
+            place_m * 1e3,
+            c.rig_from_camera_s * 1e3
+        );
+        assert!(c.rms_px <= 0.2, "{}", c.rms_px);
+        assert!(turn_deg <= 0.1, "{turn_deg}°");
+        assert!(place_m <= 2e-3, "{place_m} m");
+        // Official stamps need no offset.
+        assert!(c.rig_from_camera_s.abs() <= 5e-4);
+    }
+    let rms_m = from_mocap_m(&found, &folder.join("mocap0/data.csv"));
+    println!("motion against mocap: {:.2} mm rms", rms_m * 1e3);
+    assert!(rms_m <= 0.01, "{rms_m} m");
+}
+
+/// Root mean square distance of the motion from that of the markers, after alignment.
+fn from_mocap_m(found: &CameraImuCalibration, path: &Path) -> f64 {
+    let text = std::fs::read_to_string(path).expect("mocap");
+    let (ours, theirs): (Vec<Vector3<f64>>, Vec<Vector3<f64>>) = text
+        .lines()
+        .filter(|line| !line.starts_with('#'))
+        .filter_map(|line| {
+            let (stamp, rest) = line.split_once(',')?;
+            let time = Timestamp::from_nanos(stamp.parse().ok()?);
+            let numbers: Vec<f64> = rest.split(',').filter_map(|w| w.parse().ok()).collect();
+            let place = Vector3::from_column_slice(numbers.get(..3)?);
+            Some((found.motion.target_from_rig(time)?.translation, place))
+        })
+        .unzip();
+    assert!(ours.len() > 1000);
+    let aligned = umeyama(&ours, &theirs, Scale::Fixed).expect("a motion");
+    let squares: f64 = ours
+        .iter()
+        .zip(&theirs)
+        .map(|(a, b)| (aligned.apply(a) - b).norm_squared())
+        .sum();
+    (squares / ours.len() as f64).sqrt()
+}
+
+/// The official `T_cam_imu` of both cameras.
+fn official(path: &Path) -> [Se3; 2] {
+    let text = std::fs::read_to_string(path).expect("the reference");
+    let reference: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    ["cam0", "cam1"].map(|camera| {
+        let entry = |i: usize, j: usize| {
+            let entry = &reference[camera]["T_cam_imu"][i][j];
+            entry.as_f64().expect("a number")
+        };
+        let rotation = Matrix3::from_fn(entry);
+        Se3::new(
+            UnitQuaternion::from_matrix(&rotation),
+            Vector3::new(entry(0, 3), entry(1, 3), entry(2, 3)),
+        )
+    })
 }

@@ -6,7 +6,7 @@ use lsfb_geometry::{Camera, Se3, Vector2};
 use lsfb_solver::{Block, Kernel, Problem, SolveConfig, solve};
 use nalgebra::SVector;
 
-use super::corner_residual::{CornerResidual, camera};
+use super::corner_residual::{CornerResidual, lens_camera};
 use super::guess::pose_of_target;
 use super::{CameraConfig, CameraViews, describe};
 use crate::Error;
@@ -120,6 +120,17 @@ fn unreachable_camera(target: &Target) -> Error {
     }
 }
 
+/// Of several guesses of one pose the one that agrees best with the others.
+pub(crate) fn most_central(candidates: &[Se3]) -> Option<Se3> {
+    let distance = |a: &Se3, b: &Se3| (a.inverse() * *b).log().norm();
+    let cost = |a: &Se3| candidates.iter().map(|b| distance(a, b)).sum::<f64>();
+    candidates
+        .iter()
+        .map(|c| (cost(c), c))
+        .min_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|c| *c.1)
+}
+
 /// Pose of the first camera in another: the one of all shared instants that agrees best with the others.
 fn relative_pose(
     first: &Start,
@@ -131,14 +142,8 @@ fn relative_pose(
         .iter()
         .filter_map(|(t, pose)| Some(*pose * first_from_target.get(t)?.inverse()))
         .collect();
-    let distance = |a: &Se3, b: &Se3| (a.inverse() * *b).log().norm();
-    let cost = |a: &Se3| candidates.iter().map(|b| distance(a, b)).sum::<f64>();
-    candidates
-        .iter()
-        .map(|c| (cost(c), c))
-        .min_by(|a, b| a.0.total_cmp(&b.0))
+    most_central(&candidates)
         .filter(|_| candidates.len() >= MIN_SHARED)
-        .map(|c| *c.1)
         .ok_or_else(|| Error::NotJoined {
             first: first.views.name.clone(),
             second: other.views.name.clone(),
@@ -271,7 +276,7 @@ impl Solved<'_> {
         }
         for (start, (lens, pose)) in self.cameras.iter_mut().zip(lenses) {
             let size = [start.camera.width, start.camera.height];
-            start.camera = camera(start.camera.lens.model(), size, &problem.value(lens));
+            start.camera = lens_camera(start.camera.lens.model(), size, &problem.value(lens));
             start.camera_from_first = problem.value(pose);
         }
         Ok(())

@@ -24,7 +24,7 @@ impl<const N: usize> CornerResidual<N> {
 }
 
 /// The camera of a model with the first `N` parameters.
-pub(super) fn camera<const N: usize>(
+pub(crate) fn lens_camera<const N: usize>(
     model: LensModel,
     [width, height]: [u32; 2],
     parameters: &SVector<f64, N>,
@@ -39,7 +39,7 @@ pub(super) fn camera<const N: usize>(
 }
 
 /// Derivative of `pose · exp(δ) · point` by `δ`.
-pub(super) fn moved_by_pose(pose: &Se3, point: &Vector3<f64>) -> Matrix3x6<f64> {
+pub(crate) fn moved_by_pose(pose: &Se3, point: &Vector3<f64>) -> Matrix3x6<f64> {
     let r = pose.rotation_matrix();
     let mut by = Matrix3x6::zeros();
     by.fixed_view_mut::<3, 3>(0, 0)
@@ -65,7 +65,7 @@ impl<const N: usize> Residual for CornerResidual<N> {
         let lens: SVector<f64, N> = parameters.get(0);
         let camera_from_first: Se3 = parameters.get(1);
         let first_from_target: Se3 = parameters.get(2);
-        let camera = camera(self.model, self.size, &lens);
+        let camera = lens_camera(self.model, self.size, &lens);
         if camera.lens.problem().is_some() {
             return Err(Undefined);
         }

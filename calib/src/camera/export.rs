@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use lsfb_geometry::camera::Lens;
-use lsfb_geometry::{Rig, RigCamera, Se3};
+use lsfb_geometry::{Camera, Rig, RigCamera, Se3};
 
 use super::CameraCalibration;
 
@@ -35,34 +35,7 @@ impl CameraCalibration {
     /// Kalibr's camchain YAML. Kalibr's radtan has four coefficients: a `k3` is left out there.
     pub fn to_kalibr(&self) -> String {
         let mut text = String::new();
-        let list = |values: &[f64]| {
-            let words: Vec<String> = values.iter().map(|v| format!("{v:?}")).collect();
-            format!("[{}]", words.join(", "))
-        };
         for (k, calibrated) in self.cameras.iter().enumerate() {
-            let camera = &calibrated.camera;
-            let [f, c] = [camera.focal_px(), camera.principal_px()];
-            let pinhole = [f[0], f[1], c[0], c[1]];
-            let with = |first: &[f64]| [first, &pinhole].concat();
-            let (model, intrinsics, distortion_model, distortion) = match camera.lens {
-                Lens::PinholeRadtan {
-                    distortion: [k1, k2, p1, p2, _],
-                    ..
-                } => ("pinhole", pinhole.to_vec(), "radtan", vec![k1, k2, p1, p2]),
-                Lens::KannalaBrandt { distortion, .. } => (
-                    "pinhole",
-                    pinhole.to_vec(),
-                    "equidistant",
-                    distortion.to_vec(),
-                ),
-                Lens::FieldOfView { distortion, .. } => {
-                    ("pinhole", pinhole.to_vec(), "fov", distortion.to_vec())
-                }
-                Lens::DoubleSphere { distortion, .. } => ("ds", with(&distortion), "none", vec![]),
-                Lens::ExtendedUnified { distortion, .. } => {
-                    ("eucm", with(&distortion), "none", vec![])
-                }
-            };
             // Infallible on a String.
             let _ = writeln!(text, "cam{k}:");
             if k > 0 {
@@ -76,16 +49,44 @@ impl CameraCalibration {
                 }
                 text.push_str("  - [0.0, 0.0, 0.0, 1.0]\n");
             }
-            let _ = writeln!(
-                text,
-                "  camera_model: {model}\n  intrinsics: {}\n  distortion_model: {distortion_model}\n  distortion_coeffs: {}\n  resolution: [{}, {}]\n  rostopic: /{}",
-                list(&intrinsics),
-                list(&distortion),
-                camera.width,
-                camera.height,
-                calibrated.name
-            );
+            text += &kalibr_camera(&calibrated.name, &calibrated.camera);
         }
         text
     }
+}
+
+fn list(values: &[f64]) -> String {
+    let words: Vec<String> = values.iter().map(|v| format!("{v:?}")).collect();
+    format!("[{}]", words.join(", "))
+}
+
+/// Lens, size and topic as lines of a camera in Kalibr's chain.
+pub(crate) fn kalibr_camera(name: &str, camera: &Camera) -> String {
+    let [f, c] = [camera.focal_px(), camera.principal_px()];
+    let pinhole = [f[0], f[1], c[0], c[1]];
+    let with = |first: &[f64]| [first, &pinhole].concat();
+    let (model, intrinsics, distortion_model, distortion) = match camera.lens {
+        Lens::PinholeRadtan {
+            distortion: [k1, k2, p1, p2, _],
+            ..
+        } => ("pinhole", pinhole.to_vec(), "radtan", vec![k1, k2, p1, p2]),
+        Lens::KannalaBrandt { distortion, .. } => (
+            "pinhole",
+            pinhole.to_vec(),
+            "equidistant",
+            distortion.to_vec(),
+        ),
+        Lens::FieldOfView { distortion, .. } => {
+            ("pinhole", pinhole.to_vec(), "fov", distortion.to_vec())
+        }
+        Lens::DoubleSphere { distortion, .. } => ("ds", with(&distortion), "none", vec![]),
+        Lens::ExtendedUnified { distortion, .. } => ("eucm", with(&distortion), "none", vec![]),
+    };
+    format!(
+        "  camera_model: {model}\n  intrinsics: {}\n  distortion_model: {distortion_model}\n  distortion_coeffs: {}\n  resolution: [{}, {}]\n  rostopic: /{name}\n",
+        list(&intrinsics),
+        list(&distortion),
+        camera.width,
+        camera.height,
+    )
 }

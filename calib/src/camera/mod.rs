@@ -24,7 +24,11 @@ use crate::Error;
 use crate::detect::Corner;
 use crate::target::Target;
 
+pub(crate) use adjustment::most_central;
+pub(crate) use corner_residual::{lens_camera, moved_by_pose};
+pub(crate) use export::kalibr_camera;
 pub use guess::pose_of_target;
+pub(crate) use summary::cells;
 pub use views::{views_from_folder, views_from_recording};
 
 /// What one camera saw.
@@ -152,8 +156,9 @@ pub fn calibrate_cameras(
     if let Some(problem) = target.problem() {
         return Err(Error::Target { problem });
     }
+    let ordered = in_order(cameras);
     let mut alone = Vec::with_capacity(cameras.len());
-    for (done, views) in cameras.iter().enumerate() {
+    for (done, views) in ordered.iter().enumerate() {
         progress(Progress {
             stage: "camera",
             done: done as u64,
@@ -178,11 +183,43 @@ pub fn calibrate_cameras(
         });
     }
     let solved = adjustment::adjust_each_then_all(target, alone, config)?;
-    solved.report(target, cameras, config)
+    let mut calibration = solved.report(target, &ordered, config)?;
+    let place = |c: &CalibratedCamera| cameras.iter().position(|given| given.name == c.name);
+    calibration.cameras.sort_by_key(place);
+    let warning = swapped(&calibration.cameras);
+    if let Some(last) = calibration.cameras.last_mut() {
+        last.warnings.extend(warning);
+    }
+    Ok(calibration)
+}
+
+/// What is said of cameras whose names and places contradict each other.
+fn swapped(cameras: &[CalibratedCamera]) -> Option<String> {
+    let named = |word: &str| cameras.iter().find(|c| c.name.to_lowercase().contains(word));
+    let (left, right) = (named("left")?, named("right")?);
+    let left_from_right = left.camera_from_first * right.camera_from_first.inverse();
+    (left_from_right.translation.x < 0.0).then(|| {
+        format!(
+            "{} stands to the left of {}: their views are swapped, or their names",
+            right.name, left.name
+        )
+    })
+}
+
+/// The cameras but the first by name, their corners by number: sums round alike in whatever order they are given.
+fn in_order(cameras: &[CameraViews]) -> Vec<CameraViews> {
+    let mut ordered = cameras.to_vec();
+    if let Some((_, others)) = ordered.split_first_mut() {
+        others.sort_by(|a, b| a.name.cmp(&b.name));
+    }
+    for corners in ordered.iter_mut().flat_map(|c| c.views.values_mut()) {
+        corners.sort_by_key(|c| c.index);
+    }
+    ordered
 }
 
 /// The target in a few words, for errors.
-fn describe(target: &Target) -> String {
+pub(crate) fn describe(target: &Target) -> String {
     match target {
         Target::AprilGrid { columns, rows, .. } => format!("AprilGrid of {columns} × {rows} tags"),
         Target::Checkerboard { columns, rows, .. } => {

@@ -1,16 +1,9 @@
 //! The report as one HTML page.
 
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, html};
 
-use super::{COVERAGE_CELLS, CalibratedCamera, CameraCalibration};
-
-const STYLE: &str = include_str!("style.css");
-
-/// Errors beyond this leave the scatter plot, pixels.
-const LARGEST_SHOWN_PX: f64 = 1.0;
-/// Points drawn at most.
-const MOST_POINTS: usize = 4000;
-const HISTOGRAM_BINS: usize = 40;
+use super::{CalibratedCamera, CameraCalibration};
+use crate::plots::{self, LARGEST_SHOWN_PX};
 
 impl CameraCalibration {
     /// One sentence: whether the result may be trusted.
@@ -34,24 +27,10 @@ impl CameraCalibration {
 
     /// The page: no script, no network.
     pub fn to_html(&self, title: &str) -> String {
-        let page = html! {
-            (DOCTYPE)
-            html lang="en" {
-                head {
-                    meta charset="utf-8";
-                    meta name="viewport" content="width=device-width, initial-scale=1";
-                    meta name="color-scheme" content="light dark";
-                    title { (title) }
-                    style { (PreEscaped(STYLE)) }
-                }
-                body {
-                    h1 { (title) }
-                    p.verdict { (self.verdict()) }
-                    @for camera in &self.cameras { (section(camera)) }
-                }
-            }
+        let body = html! {
+            @for camera in &self.cameras { (section(camera)) }
         };
-        page.into_string()
+        plots::page(title, &self.verdict(), &body)
     }
 }
 
@@ -86,61 +65,9 @@ fn section(c: &CalibratedCamera) -> Markup {
                         }
                     }
                 }
-                figure { (coverage(c)) figcaption { "Corners per part of the image" } }
-                figure { (scatter(c)) figcaption { "Errors within ±" (LARGEST_SHOWN_PX) " px" } }
-                figure { (histogram(c)) figcaption { "Length of the errors, 0 to " (LARGEST_SHOWN_PX) " px" } }
-            }
-        }
-    }
-}
-
-fn coverage(c: &CalibratedCamera) -> Markup {
-    let [columns, rows] = COVERAGE_CELLS;
-    let most = f64::from(c.cells.iter().copied().max().unwrap_or(1).max(1));
-    let height = 240.0 * f64::from(c.camera.height) / f64::from(c.camera.width.max(1));
-    let (w, h) = (240.0 / columns as f64, height / rows as f64);
-    html! {
-        svg viewBox=(format!("0 0 240 {height:.0}")) role="img" aria-label="coverage" {
-            @for (k, n) in c.cells.iter().enumerate() {
-                rect x=(format!("{:.1}", (k % columns) as f64 * w)) y=(format!("{:.1}", (k / columns) as f64 * h))
-                    width=(format!("{w:.1}")) height=(format!("{h:.1}"))
-                    class=(if *n == 0 { "empty" } else { "seen" })
-                    fill-opacity=(format!("{:.2}", if *n == 0 { 1.0 } else { 0.2 + 0.8 * (f64::from(*n) / most).sqrt() })) {}
-            }
-        }
-    }
-}
-
-fn scatter(c: &CalibratedCamera) -> Markup {
-    let step = c.errors_px.len().div_ceil(MOST_POINTS).max(1);
-    let scale = 120.0 / LARGEST_SHOWN_PX;
-    html! {
-        svg viewBox="-120 -120 240 240" role="img" aria-label="errors" {
-            path.axis d="M-120 0H120M0 -120V120" {}
-            @for [x, y] in c.errors_px.iter().step_by(step).filter(|e| e[0].hypot(e[1]) < LARGEST_SHOWN_PX) {
-                circle cx=(format!("{:.1}", x * scale)) cy=(format!("{:.1}", y * scale)) r="1" {}
-            }
-        }
-    }
-}
-
-fn histogram(c: &CalibratedCamera) -> Markup {
-    let mut bins = [0u32; HISTOGRAM_BINS];
-    for [x, y] in &c.errors_px {
-        let bin = (x.hypot(*y) / LARGEST_SHOWN_PX * HISTOGRAM_BINS as f64) as usize;
-        if let Some(count) = bins.get_mut(bin) {
-            *count += 1;
-        }
-    }
-    let most = f64::from(bins.iter().copied().max().unwrap_or(1).max(1));
-    let width = 240.0 / HISTOGRAM_BINS as f64;
-    html! {
-        svg viewBox="0 0 240 160" role="img" aria-label="histogram" {
-            path.axis d="M0 160H240" {}
-            @for (k, n) in bins.iter().enumerate() {
-                @let height = 155.0 * f64::from(*n) / most;
-                rect.seen x=(format!("{:.1}", k as f64 * width)) y=(format!("{:.1}", 160.0 - height))
-                    width=(format!("{:.1}", width * 0.9)) height=(format!("{height:.1}")) {}
+                figure { (plots::coverage(&c.cells, [c.camera.width, c.camera.height])) figcaption { "Corners per part of the image" } }
+                figure { (plots::scatter(&c.errors_px)) figcaption { "Errors within ±" (LARGEST_SHOWN_PX) " px" } }
+                figure { (plots::lengths(&c.errors_px)) figcaption { "Length of the errors, 0 to " (LARGEST_SHOWN_PX) " px" } }
             }
         }
     }

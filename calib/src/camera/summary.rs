@@ -118,7 +118,7 @@ impl Solved<'_> {
         }
         let corners = errors.all.len();
         let squares: f64 = errors.all.iter().map(|e| e[0] * e[0] + e[1] * e[1]).sum();
-        let cells = cells(start);
+        let cells = cells(start.views);
         let seen = cells.iter().filter(|n| **n > 0).count();
         let coverage = seen as f64 / cells.len() as f64;
         let mut warnings = Vec::new();
@@ -216,7 +216,8 @@ impl Solved<'_> {
     }
 }
 
-fn cells(start: &Start) -> Vec<u32> {
+/// Corners of all views per cell of the image, by rows from the upper left.
+pub(crate) fn cells(views: &CameraViews) -> Vec<u32> {
     let [columns, rows] = COVERAGE_CELLS;
     let mut cells = vec![0; columns * rows];
     let cell = |p: &Vector2<f64>| {
@@ -224,9 +225,9 @@ fn cells(start: &Start) -> Vec<u32> {
             let share = (x + 0.5) / f64::from(size) * count as f64;
             (share.max(0.0) as usize).min(count - 1)
         };
-        place(p.y, start.camera.height, rows) * columns + place(p.x, start.camera.width, columns)
+        place(p.y, views.height, rows) * columns + place(p.x, views.width, columns)
     };
-    for corners in start.views.views.values() {
+    for corners in views.views.values() {
         for corner in corners {
             cells[cell(&corner.pixel)] += 1;
         }

@@ -193,6 +193,23 @@ fn bad_input_is_named() {
 }
 
 #[test]
+fn left_and_right_that_are_swapped_are_warned_of() {
+    // The second camera stands on the left: camera_from_first moves points to its right.
+    let mut views = stereo(lenses()[1], 20, 0.6, 0.1, 3);
+    let warned = |views: &[CameraViews]| {
+        let found = calibrate_cameras(&GRID, views, &CameraConfig::default(), &no_progress);
+        let warnings = found.expect("calibrated").cameras[1].warnings.clone();
+        warnings.iter().any(|w| w.contains("their views are swapped"))
+    };
+    views[0].name = "right".into();
+    views[1].name = "left".into();
+    assert!(!warned(&views));
+    views[0].name = "left".into();
+    views[1].name = "right".into();
+    assert!(warned(&views));
+}
+
+#[test]
 fn outliers_do_not_move_the_result() {
     let lens = lenses()[1];
     let [clean, _] = stereo(lens, 30, 0.6, 0.1, 8);

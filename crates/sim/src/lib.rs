@@ -78,7 +78,7 @@ pub use device::{
 pub use error::Error;
 pub use place::{Board, Place, TAG_M};
 pub use sensor::camera::CameraSim;
-pub use sensor::imu::{BiasedSample, GRAVITY_M_S2, exact_sample};
+pub use sensor::imu::{BiasedSample, GRAVITY_M_S2, at_rest, exact_sample};
 pub use sensor::lidar::{FiringCycle, LidarSim, Return};
 pub use simulation::{EPOCH, GLASSES_EPOCH, RigSim, Simulation};
 pub use timing::{

@@ -4,14 +4,16 @@ use std::path::{Path, PathBuf};
 
 use lsfb_calib::Target;
 use lsfb_calib::camera::{CameraViews, views_from_folder, views_from_recording};
+use lsfb_calib::camera_imu::read_imu_table;
 use lsfb_recording::Recording;
+use lsfb_types::{ImuSample, Timestamp};
 
 use crate::context::Context;
 use crate::outcome::Outcome;
 
-use super::{calib_camera, calib_target};
+use super::{calib_camera, calib_camera_imu, calib_imu_noise, calib_target};
 
-/// Calibrate: print a board, find the cameras' lenses and poses.
+/// Calibrate: print a board, find the cameras' lenses and poses, their place on the IMU, the IMU's noise.
 #[derive(clap::Args)]
 pub struct Arguments {
     #[command(subcommand)]
@@ -22,6 +24,8 @@ pub struct Arguments {
 enum Step {
     Target(calib_target::Arguments),
     Camera(calib_camera::Arguments),
+    CameraImu(calib_camera_imu::Arguments),
+    ImuNoise(calib_imu_noise::Arguments),
 }
 
 /// Runs the step.
@@ -29,6 +33,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     match &arguments.step {
         Step::Target(a) => calib_target::run(a, context),
         Step::Camera(a) => calib_camera::run(a, context),
+        Step::CameraImu(a) => calib_camera_imu::run(a, context),
+        Step::ImuNoise(a) => calib_imu_noise::run(a, context),
     }
 }
 
@@ -113,6 +119,21 @@ pub fn views_of(
         (None, None) => {
             anyhow::bail!("camera {camera} has no images: give NAME=FOLDER, or --recording")
         }
+    })
+}
+
+/// The IMU's samples: of a table if there is one, else of the recording.
+pub fn imu_of(
+    table: Option<&Path>,
+    recording: Option<&Recording>,
+) -> anyhow::Result<Vec<(Timestamp, ImuSample)>> {
+    Ok(match (table, recording) {
+        (Some(path), _) => read_imu_table(path)?,
+        (None, Some(recording)) => recording
+            .imu()?
+            .map(|s| s.map(|s| (s.time, s.sample)))
+            .collect::<Result<_, _>>()?,
+        (None, None) => anyhow::bail!("there is no IMU: give --imu or --recording"),
     })
 }
 

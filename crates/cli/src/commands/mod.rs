@@ -2,6 +2,8 @@
 
 pub mod calib;
 mod calib_camera;
+mod calib_camera_imu;
+mod calib_imu_noise;
 mod calib_target;
 pub mod clock;
 pub mod demo;

@@ -3,6 +3,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use lsfb_geometry::Se3;
 use lsfb_types::ImuSample;
 
 use crate::config::ImuConfig;
@@ -88,6 +89,26 @@ fn draw(rng: &Dice) -> Vector3<f64> {
 
 /// All samples of a walk, from its start to its end.
 pub fn simulate(walk: &Walk, config: &ImuConfig, seed: u64) -> Vec<BiasedSample> {
+    measure(walk.duration_s(), |time_s| walk.at(time_s), config, seed)
+}
+
+/// Samples of a rig that lies level and still: what an Allan variance is made of.
+pub fn at_rest(duration_s: f64, config: &ImuConfig, seed: u64) -> Vec<BiasedSample> {
+    let still = Motion {
+        world_from_rig: Se3::identity(),
+        velocity_m_s: Vector3::zeros(),
+        acceleration_m_s2: Vector3::zeros(),
+        angular_velocity_rad_s: Vector3::zeros(),
+    };
+    measure(duration_s, |_| still, config, seed)
+}
+
+fn measure(
+    duration_s: f64,
+    motion_at: impl Fn(f64) -> Motion,
+    config: &ImuConfig,
+    seed: u64,
+) -> Vec<BiasedSample> {
     let rng = stream(seed, "imu", 0);
     let draw = |sigma: f64| sigma * draw(&rng);
     let rate = f64::from(config.rate_hz);
@@ -106,10 +127,10 @@ pub fn simulate(walk: &Walk, config: &ImuConfig, seed: u64) -> Vec<BiasedSample>
     );
     let [gyro_axes, accel_axes] =
         [0, 1].map(|triad| axes(config.scale_error, config.misalignment_rad, seed, triad));
-    (0..=(walk.duration_s() * rate) as i64)
+    (0..=(duration_s * rate) as i64)
         .map(|k| {
             let offset_ns = k * step_ns;
-            let exact = exact_sample(&walk.at(offset_ns as f64 * 1e-9));
+            let exact = exact_sample(&motion_at(offset_ns as f64 * 1e-9));
             let gyro_bias = gyro_walk + gyro_flicker.next();
             let accel_bias = accel_walk + accel_flicker.next();
             // White noise of density n sampled at rate f has deviation n √f; a walk of density b grows by b/√f.

@@ -1,0 +1,109 @@
+//! Input that cannot give a good answer, found before and after the first guess, and named.
+
+use lsfb_geometry::{RigImu, Se3, Vector3};
+
+use super::{CameraImuConfig, KnownCamera};
+use crate::Error;
+use crate::target::Target;
+
+/// Samples at the end of a range that make it one, and how many of them in a row.
+const SATURATED: usize = 5;
+const SATURATED_RUN: usize = 3;
+/// Difference between the rig's and the seen pose of two cameras that is an error: radians and metres.
+const MAX_TURN_RAD: f64 = 0.1;
+const MAX_SHIFT_M: f64 = 0.05;
+
+/// Settings and sensors that are impossible.
+pub(super) fn before(
+    target: &Target,
+    cameras: &[KnownCamera],
+    noise: &RigImu,
+    config: &CameraImuConfig,
+) -> Result<(), Error> {
+    if let Some(problem) = target.problem() {
+        return Err(Error::Target { problem });
+    }
+    let positive = [
+        ("gyro_noise_density of the IMU", noise.gyro_noise_density),
+        ("accel_noise_density of the IMU", noise.accel_noise_density),
+        ("gyro_bias_walk of the IMU", noise.gyro_bias_walk),
+        ("accel_bias_walk of the IMU", noise.accel_bias_walk),
+        ("knot_spacing_s", config.knot_spacing_s),
+        ("bias_spacing_s", config.bias_spacing_s),
+        ("corner_sigma_px", config.corner_sigma_px),
+        ("max_offset_s", config.max_offset_s),
+        ("max_drift_s", config.max_drift_s),
+        ("gravity_m_s2", config.gravity_m_s2),
+    ];
+    if let Some((name, value)) = positive
+        .into_iter()
+        .find(|(_, value)| !(*value > 0.0 && value.is_finite()))
+    {
+        return Err(Error::Setting { name, value });
+    }
+    let mut names: Vec<&str> = cameras.iter().map(|c| c.views.name.as_str()).collect();
+    names.sort_unstable();
+    if let Some(twice) = names.windows(2).find(|w| w[0] == w[1]) {
+        return Err(Error::NotJoined {
+            first: twice[0].into(),
+            second: twice[1].into(),
+            problem: "a camera is named twice".into(),
+        });
+    }
+    Ok(())
+}
+
+/// Whether each sample is at the end of the axis's range: values that repeat the largest one, some of them in a row.
+pub(super) fn saturated(values: &[f64]) -> Vec<bool> {
+    let largest = values.iter().fold(0.0f64, |a, v| a.max(v.abs()));
+    let at_end: Vec<bool> = values
+        .iter()
+        .map(|v| largest > 0.0 && v.abs() >= largest * (1.0 - 1e-9))
+        .collect();
+    let count = at_end.iter().filter(|a| **a).count();
+    let in_a_row = at_end.windows(SATURATED_RUN).any(|w| w.iter().all(|a| *a));
+    if count >= SATURATED && in_a_row {
+        at_end
+    } else {
+        vec![false; values.len()]
+    }
+}
+
+/// Fails where the poses of two cameras to each other, seen and from the rig, cannot both be true.
+pub(super) fn agree(first: &str, second: &str, seen: &Se3, from_rig: &Se3) -> Result<(), Error> {
+    let apart = |a: &Se3, b: &Se3| {
+        let off = a.inverse() * *b;
+        (off.rotation.angle(), off.translation.norm())
+    };
+    let (turn_rad, shift_m) = apart(from_rig, seen);
+    if turn_rad < MAX_TURN_RAD && shift_m < MAX_SHIFT_M {
+        return Ok(());
+    }
+    let (back_rad, back_m) = apart(&from_rig.inverse(), seen);
+    let problem = if back_rad < MAX_TURN_RAD && back_m < MAX_SHIFT_M {
+        "their views are swapped: each fits the other's place on the rig".to_owned()
+    } else {
+        format!(
+            "seen from each other they stand {:.1}° and {:.0} mm from where the rig has them: check which camera is which, or calibrate the cameras first",
+            turn_rad.to_degrees(),
+            shift_m * 1e3
+        )
+    };
+    Err(Error::NotJoined {
+        first: first.into(),
+        second: second.into(),
+        problem,
+    })
+}
+
+/// Where a board that hangs on a wall has its top, in words, if it hangs upside down.
+pub(super) fn upside_down(target: &Target, gravity_in_target: &Vector3<f64>) -> Option<String> {
+    let up = match target {
+        Target::AprilGrid { .. } => Vector3::y(),
+        Target::Checkerboard { .. } => -Vector3::y(),
+    };
+    let share = gravity_in_target.try_normalize(1e-9)?.dot(&up);
+    (share > 0.5).then(|| {
+        "the board hangs upside down: this result holds, but where the board is a landmark its top is now its bottom".to_owned()
+    })
+}

@@ -1,0 +1,406 @@
+//! The batch: every corner, every sample, one spline.
+
+use lsfb_geometry::camera::MAX_PARAMETERS;
+use lsfb_geometry::{Se3, UnitQuaternion, Vector2, Vector3, spline};
+use lsfb_solver::{Block, BlockId, Diagnosis, Kernel, Problem, SolveConfig, VectorPrior, solve};
+use nalgebra::{SVector, Vector1};
+
+use super::bend::{Bend, bends};
+use super::corner_residual::CornerResidual;
+use super::inertial::{AccelAxes, Accelerometer, BiasWalk, GravityNorm, Gyro, GyroAxes};
+use super::start::{State, View};
+use super::view_residual::ViewResidual;
+use super::{Axes, Board, CameraImuConfig, Lenses, ORDER, Readout};
+use crate::Error;
+use crate::camera::lens_camera;
+use crate::target::Target;
+
+/// Corners that miss by more than this many times the median are outliers.
+const OUTLIER_RATIO: f64 = 5.0;
+/// Median error above which a camera does not fit, pixels.
+const MAX_MEDIAN_PX: f64 = 3.0;
+/// Corners a view needs.
+const MIN_CORNERS: usize = 8;
+/// Standard deviation of gravity's magnitude, m/s².
+const GRAVITY_SIGMA_M_S2: f64 = 1e-3;
+/// Standard deviation of how far the middle of an edge is bent out of the board's plane, metres.
+const BEND_SIGMA_M: f64 = 2e-3;
+/// Least standard deviation of a corner that is believed, pixels.
+const LEAST_SIGMA_PX: f64 = 0.01;
+/// Median length of a two-dimensional normal error of standard deviation 1.
+const MEDIAN_LENGTH: f64 = 1.1774;
+
+pub(super) type LensBlock = Block<SVector<f64, MAX_PARAMETERS>>;
+
+/// The blocks of the problem.
+pub(super) struct Blocks {
+    rotations: Vec<Block<UnitQuaternion<f64>>>,
+    positions: Vec<Block<Vector3<f64>>>,
+    pub poses: Vec<Block<Se3>>,
+    pub offsets: Vec<Block<Vector1<f64>>>,
+    pub lenses: Vec<LensBlock>,
+    pub readouts: Vec<Block<Vector1<f64>>>,
+    pub gyro_bias: Vec<Block<Vector3<f64>>>,
+    pub accel_bias: Vec<Block<Vector3<f64>>>,
+    pub gyro_axes: Block<GyroAxes>,
+    pub accel_axes: Block<AccelAxes>,
+    pub gravity: Block<Vector3<f64>>,
+    pub bend: Block<Bend>,
+}
+
+impl Blocks {
+    fn motion(&self, first: usize) -> Vec<BlockId> {
+        let range = first..first + ORDER;
+        let rotations = self.rotations[range.clone()].iter().map(|b| b.id());
+        rotations
+            .chain(self.positions[range].iter().map(|b| b.id()))
+            .collect()
+    }
+}
+
+/// How far to go.
+#[derive(Clone, Copy)]
+pub(super) struct Effort {
+    cost_tolerance: f64,
+    /// Whether views that are held back take part.
+    all_views: bool,
+}
+
+impl Effort {
+    pub fn of_round(round: usize, last: bool) -> Self {
+        Self {
+            cost_tolerance: match (round, last) {
+                (_, true) => 1e-12,
+                (0, false) => 1e-4,
+                (_, false) => 1e-7,
+            },
+            all_views: last,
+        }
+    }
+}
+
+impl State {
+    /// The problem at the present values.
+    pub fn problem(
+        &self,
+        config: &CameraImuConfig,
+        effort: Effort,
+    ) -> Result<(Problem, Blocks), Error> {
+        let mut problem = Problem::new();
+        let blocks = self.add_blocks(&mut problem, config)?;
+        for view in &self.views {
+            if effort.all_views || !view.held_back {
+                self.add_view(&mut problem, &blocks, view, config)?;
+            }
+        }
+        self.add_samples(&mut problem, &blocks)?;
+        let norm = GravityNorm {
+            expected_m_s2: config.gravity_m_s2,
+            inverse_sigma: 1.0 / GRAVITY_SIGMA_M_S2,
+        };
+        problem.add_residual(norm, &[blocks.gravity.id()], Kernel::Squared)?;
+        Ok((problem, blocks))
+    }
+
+    /// Minimises over everything.
+    pub fn adjust(&mut self, config: &CameraImuConfig, effort: Effort) -> Result<(), Error> {
+        let (mut problem, blocks) = self.problem(config, effort)?;
+        let settings = SolveConfig {
+            max_iterations: 40,
+            cost_tolerance: effort.cost_tolerance,
+            diagnosis: Diagnosis::Off,
+            ..SolveConfig::default()
+        };
+        solve(&mut problem, &settings)?;
+        let vector = |b: &Block<Vector3<f64>>| problem.value(*b);
+        self.motion.rotations = blocks.rotations.iter().map(|b| problem.value(*b)).collect();
+        self.motion.positions = blocks.positions.iter().map(vector).collect();
+        for (k, camera) in self.cameras.iter_mut().enumerate() {
+            camera.camera_from_rig = problem.value(blocks.poses[k]);
+            camera.offset_s = problem.value(blocks.offsets[k]).x;
+            camera.readout_s = problem.value(blocks.readouts[k]).x;
+            let size = [camera.camera.width, camera.camera.height];
+            camera.camera = lens_camera(camera.model(), size, &problem.value(blocks.lenses[k]));
+        }
+        self.gyro_bias = blocks.gyro_bias.iter().map(vector).collect();
+        self.accel_bias = blocks.accel_bias.iter().map(vector).collect();
+        self.gyro_axes = problem.value(blocks.gyro_axes);
+        self.accel_axes = problem.value(blocks.accel_axes);
+        self.gravity = vector(&blocks.gravity);
+        self.bend = vector(&blocks.bend);
+        Ok(())
+    }
+
+    fn add_blocks(&self, problem: &mut Problem, config: &CameraImuConfig) -> Result<Blocks, Error> {
+        let mut vectors = |values: &[Vector3<f64>]| -> Vec<Block<Vector3<f64>>> {
+            values.iter().map(|v| problem.add_block(*v)).collect()
+        };
+        let positions = vectors(&self.motion.positions);
+        let gyro_bias = vectors(&self.gyro_bias);
+        let accel_bias = vectors(&self.accel_bias);
+        let mut blocks = Blocks {
+            rotations: self
+                .motion
+                .rotations
+                .iter()
+                .map(|r| problem.add_block(*r))
+                .collect(),
+            positions,
+            poses: Vec::new(),
+            offsets: Vec::new(),
+            lenses: Vec::new(),
+            readouts: Vec::new(),
+            gyro_bias,
+            accel_bias,
+            gyro_axes: problem.add_block(self.gyro_axes),
+            accel_axes: problem.add_block(self.accel_axes),
+            gravity: problem.add_block(self.gravity),
+            bend: problem.add_block(self.bend),
+        };
+        problem.set_name(blocks.bend.id(), "bend of the board");
+        match config.board {
+            Board::Flat => problem.set_constant(blocks.bend),
+            Board::Bent => {
+                let sigma = BEND_SIGMA_M / (self.half_board_m * self.half_board_m);
+                let prior = VectorPrior::new(Bend::zeros(), Bend::repeat(sigma));
+                problem.add_residual(prior, &[blocks.bend.id()], Kernel::Squared)?;
+            }
+        }
+        if config.axes == Axes::Ideal {
+            problem.set_constant(blocks.gyro_axes);
+            problem.set_constant(blocks.accel_axes);
+        }
+        for camera in &self.cameras {
+            let pose = problem.add_block(camera.camera_from_rig);
+            let offset = problem.add_block(Vector1::new(camera.offset_s));
+            let readout = problem.add_block(Vector1::new(camera.readout_s));
+            let parameters = camera.camera.lens.parameters();
+            let values: SVector<f64, MAX_PARAMETERS> = parameters.values.into();
+            let lens = problem.add_block(values);
+            problem.set_name(pose.id(), format!("{} on the rig", camera.name));
+            problem.set_name(offset.id(), format!("{} clock", camera.name));
+            problem.set_name(readout.id(), format!("{} readout", camera.name));
+            problem.set_name(lens.id(), format!("{} lens", camera.name));
+            problem.set_component_names(lens.id(), camera.model().parameter_names());
+            match config.lenses {
+                Lenses::Known => problem.set_constant(lens),
+                Lenses::Refined => {
+                    let absent: Vec<usize> = (parameters.count..MAX_PARAMETERS).collect();
+                    problem.set_constant_components(lens, &absent)?;
+                }
+            }
+            if config.readout == Readout::Known {
+                problem.set_constant(readout);
+            }
+            blocks.poses.push(pose);
+            blocks.offsets.push(offset);
+            blocks.readouts.push(readout);
+            blocks.lenses.push(lens);
+        }
+        Ok(blocks)
+    }
+
+    pub fn segment(&self, time_s: f64) -> Option<spline::Segment<ORDER>> {
+        let motion = &self.motion;
+        motion
+            .knots
+            .segment::<ORDER>(time_s, motion.rotations.len())
+    }
+
+    fn add_view(
+        &self,
+        problem: &mut Problem,
+        blocks: &Blocks,
+        view: &View,
+        config: &CameraImuConfig,
+    ) -> Result<(), Error> {
+        let k = view.camera;
+        let camera = &self.cameras[k];
+        let knots = self.motion.knots;
+        let size = [camera.camera.width, camera.camera.height];
+        let inverse_sigma = 1.0 / camera.sigma_px;
+        let rest = [
+            blocks.poses[k].id(),
+            blocks.offsets[k].id(),
+            blocks.lenses[k].id(),
+            blocks.bend.id(),
+            blocks.readouts[k].id(),
+        ];
+        // The control points that move a time, and the view's stamp in their segment.
+        let place = |row_s: f64| {
+            let segment = self.segment(view.stamp_s + camera.offset_s + row_s)?;
+            let start_s = knots.start_s + segment.first as f64 * knots.spacing_s;
+            Some((blocks.motion(segment.first), view.stamp_s - start_s))
+        };
+        let seen: Vec<(Vector3<f64>, Vector2<f64>)> = view
+            .corners
+            .iter()
+            .zip(&view.inliers)
+            .filter_map(|(corner, inlier)| inlier.then_some(*corner))
+            .collect();
+        if seen.len() < MIN_CORNERS {
+            return Ok(());
+        }
+        if camera.readout_s == 0.0 && config.readout == Readout::Known {
+            let Some((mut ids, time_in_segment_s)) = place(0.0) else {
+                return Ok(());
+            };
+            ids.extend(&rest[..4]);
+            let residual = ViewResidual {
+                model: camera.model(),
+                size,
+                time_in_segment_s,
+                spacing_s: knots.spacing_s,
+                centre: self.centre,
+                corners: seen,
+                inverse_sigma,
+            };
+            problem.add_residual(residual, &ids, Kernel::Squared)?;
+            return Ok(());
+        }
+        for (point, pixel) in seen {
+            let Some((mut ids, time_in_segment_s)) = place(camera.row_s(&pixel)) else {
+                continue;
+            };
+            ids.extend(&rest);
+            let residual = CornerResidual {
+                model: camera.model(),
+                size,
+                time_in_segment_s,
+                spacing_s: knots.spacing_s,
+                centre: self.centre,
+                point,
+                pixel,
+                inverse_sigma,
+            };
+            problem.add_residual(residual, &ids, Kernel::Squared)?;
+        }
+        Ok(())
+    }
+
+    /// A corner of the board as it is bent.
+    pub fn bent(&self, point: &Vector3<f64>) -> Vector3<f64> {
+        point + Vector3::z() * bends(&(point - self.centre)).dot(&self.bend)
+    }
+
+    /// Which of the biases' control points a time lies between, and where.
+    pub fn bias_place(&self, time_s: f64) -> (usize, f64) {
+        let at = ((time_s - self.motion.knots.start_s) / self.bias_spacing_s).max(0.0);
+        let first = (at as usize).min(self.gyro_bias.len().saturating_sub(2));
+        (first, at - first as f64)
+    }
+
+    fn add_samples(&self, problem: &mut Problem, blocks: &Blocks) -> Result<(), Error> {
+        let weights = |sigma: f64, saturated: &[bool; 3]| {
+            Vector3::from(saturated.map(|end| if end { 0.0 } else { 1.0 / sigma }))
+        };
+        for sample in &self.samples {
+            let Some(segment) = self.segment(sample.time_s) else {
+                continue;
+            };
+            let motion = blocks.motion(segment.first);
+            let (bias, bias_share) = self.bias_place(sample.time_s);
+            let gyro = Gyro {
+                weights: segment.weights,
+                bias_share,
+                measured: sample.gyro,
+                inverse_sigma: weights(self.gyro_sigma, &sample.gyro_saturated),
+            };
+            let last = [
+                blocks.gyro_bias[bias].id(),
+                blocks.gyro_bias[bias + 1].id(),
+                blocks.gyro_axes.id(),
+            ];
+            problem.add_residual(gyro, &[&motion[..ORDER], &last].concat(), Kernel::Squared)?;
+            let accelerometer = Accelerometer {
+                weights: segment.weights,
+                bias_share,
+                measured: sample.accel,
+                inverse_sigma: weights(self.accel_sigma, &sample.accel_saturated),
+            };
+            let last = [
+                blocks.accel_bias[bias].id(),
+                blocks.accel_bias[bias + 1].id(),
+                blocks.gravity.id(),
+                blocks.accel_axes.id(),
+            ];
+            let ids = [&motion[..], &last].concat();
+            problem.add_residual(accelerometer, &ids, Kernel::Squared)?;
+        }
+        let root = self.bias_spacing_s.sqrt();
+        for (bias, density) in [
+            (&blocks.gyro_bias, self.noise.gyro_bias_walk),
+            (&blocks.accel_bias, self.noise.accel_bias_walk),
+        ] {
+            for w in bias.windows(2) {
+                let walk = BiasWalk {
+                    inverse_sigma: 1.0 / (density * root),
+                };
+                problem.add_residual(walk, &[w[0].id(), w[1].id()], Kernel::Squared)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Error of each corner of a view, pixels; `None` where it is not seen.
+    pub fn errors_px(&self, view: &View) -> Vec<Option<Vector2<f64>>> {
+        let camera = &self.cameras[view.camera];
+        let mut pose = None;
+        view.corners
+            .iter()
+            .map(|(point, pixel)| {
+                if pose.is_none() || camera.readout_s != 0.0 {
+                    let time_s = view.stamp_s + camera.offset_s + camera.row_s(pixel);
+                    pose = self.motion.pose_at(time_s);
+                }
+                let in_rig = pose?.inverse() * self.bent(point);
+                let seen = camera.camera.project(&(camera.camera_from_rig * in_rig))?;
+                Some(seen - pixel)
+            })
+            .collect()
+    }
+
+    /// Finds outliers and the spread of the others, camera by camera.
+    pub fn find_outliers(&mut self, target: &Target) -> Result<(), Error> {
+        let length = |e: &Option<Vector2<f64>>| e.map_or(f64::INFINITY, |e| e.norm());
+        let errors: Vec<Vec<f64>> = self
+            .views
+            .iter()
+            .map(|v| self.errors_px(v).iter().map(length).collect())
+            .collect();
+        for k in 0..self.cameras.len() {
+            let of_camera = || {
+                self.views
+                    .iter()
+                    .zip(&errors)
+                    .filter(|(v, _)| v.camera == k)
+            };
+            let mut lengths: Vec<f64> = of_camera().flat_map(|(_, e)| e.iter().copied()).collect();
+            lengths.sort_by(f64::total_cmp);
+            let median = lengths
+                .get(lengths.len() / 2)
+                .copied()
+                .unwrap_or(f64::INFINITY);
+            if !(median < MAX_MEDIAN_PX) {
+                return Err(Error::DoesNotFit {
+                    camera: self.cameras[k].name.clone(),
+                    rms_px: median,
+                    target: crate::camera::describe(target),
+                    model: self.cameras[k].model().name(),
+                });
+            }
+            let limit = OUTLIER_RATIO * median;
+            let inliers = lengths.partition_point(|e| *e <= limit).max(1);
+            let squares: f64 = lengths[..inliers].iter().map(|e| e * e).sum();
+            let spread = (squares / (2 * inliers) as f64).sqrt();
+            // Robust against what is left of outliers, exact where the errors are normal.
+            self.cameras[k].sigma_px = spread.min(1.2 * median / MEDIAN_LENGTH).max(LEAST_SIGMA_PX);
+            for (view, errors) in self.views.iter_mut().zip(&errors) {
+                if view.camera == k {
+                    view.inliers = errors.iter().map(|e| *e <= limit).collect();
+                }
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,300 @@
+//! From the batch to what is told about it.
+
+use lsfb_geometry::{Matrix3, Vector3, spline};
+
+use super::bend::bends;
+use super::inertial::{accel_matrix, gyro_matrix};
+use super::start::State;
+use super::uncertainty::Uncertainty;
+use super::{Axes, CameraImuCalibration, CameraImuConfig, CameraOnImu, FoundImu, ORDER, checks};
+use crate::camera::Estimate;
+use crate::target::Target;
+
+/// Residual of the IMU, as a multiple of its noise, above which something is wrong with it.
+const WORRYING_RATIO: f64 = 5.0;
+/// Coverage below which a warning is due.
+const LEAST_COVERAGE: f64 = 0.4;
+/// Height of a corner out of the board's plane above which a warning is due, metres.
+const WORRYING_BEND_M: f64 = 5e-4;
+/// Share of outliers above which a warning is due.
+const MOST_OUTLIERS: f64 = 0.05;
+/// Standard deviations of position and clock above which a warning is due: metres and seconds.
+const WORRYING_POSITION_M: f64 = 0.002;
+const WORRYING_CLOCK_S: f64 = 0.0005;
+/// Times by which the axis least moved about falls behind the one most moved about when it gets the blame.
+const POOR_AXIS: f64 = 4.0;
+/// Residuals of the IMU in bins, as multiples of its noise.
+const BINS: usize = 40;
+const BIN: f64 = 0.25;
+
+/// Root mean squares of the inertial residuals and their histograms, gyroscope first.
+struct Inertial {
+    ratio: [f64; 2],
+    histogram: [Vec<u32>; 2],
+}
+
+impl State {
+    /// Errors of views that the last adjustment did not see.
+    pub fn held_back_rms_px(&self) -> Vec<Option<f64>> {
+        (0..self.cameras.len())
+            .map(|k| {
+                let held = self.views.iter().filter(|v| v.camera == k && v.held_back);
+                let mut lengths: Vec<f64> = held
+                    .flat_map(|v| self.errors_px(v))
+                    .map(|e| e.map_or(f64::INFINITY, |e| e.norm_squared()))
+                    .collect();
+                lengths.sort_by(f64::total_cmp);
+                // Outliers there are not known yet: those beyond five times the median.
+                let median = lengths.get(lengths.len() / 2)?;
+                let count = lengths.partition_point(|e| *e <= 25.0 * median).max(1);
+                Some((lengths[..count].iter().sum::<f64>() / count as f64).sqrt())
+            })
+            .collect()
+    }
+
+    pub fn report(
+        self,
+        target: &Target,
+        config: &CameraImuConfig,
+        held_back: &[Option<f64>],
+        uncertainty: &Uncertainty,
+    ) -> CameraImuCalibration {
+        let inertial = self.inertial();
+        let cameras: Vec<CameraOnImu> = (0..self.cameras.len())
+            .map(|k| self.camera(k, held_back[k], uncertainty))
+            .collect();
+        let mut warnings = self.warnings.clone();
+        warnings.extend(checks::upside_down(target, &self.gravity));
+        for (name, ratio) in ["gyroscope", "accelerometer"].iter().zip(inertial.ratio) {
+            if ratio > WORRYING_RATIO {
+                warnings.push(format!(
+                    "the {name} misses the motion by {ratio:.1} times its stated noise: its noise is understated (lsfb calib imu-noise), it is loose, or clocks jump"
+                ));
+            }
+        }
+        for camera in &cameras {
+            warnings.extend(self.warnings_of(camera));
+        }
+        let mean = |bias: &[Vector3<f64>]| bias.iter().sum::<Vector3<f64>>() / bias.len() as f64;
+        let axes = match config.axes {
+            Axes::Ideal => vec![],
+            Axes::Estimated => self.axes(&uncertainty.axes),
+        };
+        let [gyro_histogram, accel_histogram] = inertial.histogram;
+        let (board_bend_m, board_bend_sigma_m) = self.largest_bend(target, &uncertainty.bend);
+        if board_bend_m > WORRYING_BEND_M {
+            warnings.push(format!(
+                "the board is bent: corners lie up to {:.1} ± {:.1} mm out of its plane. That is taken into account here, but not by lsfb calib camera: glue it to a stiff plate",
+                board_bend_m * 1e3,
+                board_bend_sigma_m * 1e3
+            ));
+        }
+        CameraImuCalibration {
+            cameras,
+            imu: FoundImu {
+                gyro_bias_rad_s: mean(&self.gyro_bias).into(),
+                gyro_bias_sigma_rad_s: uncertainty.gyro_bias.into(),
+                accel_bias_m_s2: mean(&self.accel_bias).into(),
+                accel_bias_sigma_m_s2: uncertainty.accel_bias.into(),
+                gyro_matrix: gyro_matrix(&self.gyro_axes),
+                accel_matrix: accel_matrix(&self.accel_axes),
+                axes,
+                gyro_ratio: inertial.ratio[0],
+                accel_ratio: inertial.ratio[1],
+                gyro_histogram,
+                accel_histogram,
+                rate_rms_rad_s: self.rate_rms.into(),
+                force_rms_m_s2: self.force_rms.into(),
+            },
+            gravity_in_target_m_s2: self.gravity.into(),
+            board_bend_m,
+            board_bend_sigma_m,
+            motion: self.motion,
+            warnings,
+        }
+    }
+
+    /// How far a corner lies out of the board's plane at most, with its standard deviation.
+    fn largest_bend(&self, target: &Target, covariance: &Matrix3<f64>) -> (f64, f64) {
+        let all: Vec<Vector3<f64>> = (0..target.corner_count())
+            .map(|k| bends(&(target.corner(k) - self.centre)))
+            .collect();
+        // The plane is that of the mean.
+        let mean = all.iter().sum::<Vector3<f64>>() / all.len().max(1) as f64;
+        all.iter()
+            .map(|b| {
+                let by = b - mean;
+                let variance = (by.transpose() * covariance * by)[0];
+                (by.dot(&self.bend).abs(), variance.max(0.0).sqrt())
+            })
+            .max_by(|a, b| a.0.total_cmp(&b.0))
+            .unwrap_or_default()
+    }
+
+    fn camera(
+        &self,
+        k: usize,
+        held_back_rms_px: Option<f64>,
+        uncertainty: &Uncertainty,
+    ) -> CameraOnImu {
+        let camera = &self.cameras[k];
+        let own = &uncertainty.cameras[k];
+        let (mut views, mut outliers, mut errors_px) = (0, 0, Vec::new());
+        for view in self.views.iter().filter(|v| v.camera == k) {
+            let before = errors_px.len();
+            for (error, inlier) in self.errors_px(view).into_iter().zip(&view.inliers) {
+                match error.filter(|_| *inlier) {
+                    Some(e) => errors_px.push([e.x, e.y]),
+                    None => outliers += 1,
+                }
+            }
+            views += usize::from(errors_px.len() > before);
+        }
+        let squares: f64 = errors_px.iter().map(|e| e[0] * e[0] + e[1] * e[1]).sum();
+        let (rotation_sigma_rad, position_sigma_m) = own.in_rig(&camera.camera_from_rig);
+        let names = camera.model().parameter_names();
+        let values = camera.camera.lens.parameters().values;
+        let lens = names.iter().zip(values).zip(&own.lens);
+        let seen = camera.cells.iter().filter(|n| **n > 0).count();
+        CameraOnImu {
+            name: camera.name.clone(),
+            camera: camera.camera,
+            lens: lens
+                .map(|((name, value), sigma)| Estimate {
+                    name: (*name).to_owned(),
+                    value,
+                    sigma: *sigma,
+                })
+                .collect(),
+            camera_from_rig: camera.camera_from_rig,
+            covariance: own.pose,
+            rotation_sigma_rad,
+            position_sigma_m,
+            rig_from_camera_s: camera.offset_s,
+            rig_from_camera_sigma_s: own.offset_s,
+            readout_s: camera.readout_s,
+            readout_sigma_s: own.readout_s,
+            views,
+            rms_px: (squares / errors_px.len().max(1) as f64).sqrt(),
+            held_back_rms_px,
+            corners: errors_px.len(),
+            outliers,
+            coverage: seen as f64 / camera.cells.len().max(1) as f64,
+            cells: camera.cells.clone(),
+            errors_px,
+        }
+    }
+
+    fn warnings_of(&self, c: &CameraOnImu) -> Vec<String> {
+        let mut warnings = Vec::new();
+        if c.coverage < LEAST_COVERAGE {
+            warnings.push(format!(
+                "{}: corners were seen in {:.0} % of the image: show the target everywhere in it",
+                c.name,
+                c.coverage * 100.0
+            ));
+        }
+        if c.outliers as f64 > MOST_OUTLIERS * (c.corners + c.outliers) as f64 {
+            warnings.push(format!(
+                "{}: {} of {} corners are outliers: check that the board is flat and the light bright enough for short exposures",
+                c.name,
+                c.outliers,
+                c.corners + c.outliers
+            ));
+        }
+        if let Some(held_back) = c.held_back_rms_px
+            && held_back > 1.5 * c.rms_px + 0.05
+        {
+            warnings.push(format!(
+                "{}: views that were held back miss by {held_back:.2} px, those adjusted by {:.2} px: record longer",
+                c.name, c.rms_px
+            ));
+        }
+        let worst = c.position_sigma_m.iter().copied().fold(0.0, f64::max);
+        if worst > WORRYING_POSITION_M {
+            warnings.push(format!(
+                "{}: its place on the IMU is known to {:.1} mm only: {}",
+                c.name,
+                worst * 1e3,
+                self.advice()
+            ));
+        }
+        if c.rig_from_camera_sigma_s > WORRYING_CLOCK_S {
+            warnings.push(format!(
+                "{}: its clock is known to {:.2} ms only: move faster",
+                c.name,
+                c.rig_from_camera_sigma_s * 1e3
+            ));
+        }
+        warnings
+    }
+
+    /// What would help most, in words.
+    fn advice(&self) -> String {
+        let axis = ["x", "y", "z"];
+        let weakest = self.rate_rms.imin();
+        if self.rate_rms[weakest] * POOR_AXIS < self.rate_rms.max() {
+            format!("rotate more around {}", axis[weakest])
+        } else {
+            "turn faster about all axes, or record longer".to_owned()
+        }
+    }
+
+    /// Errors of the IMU's axes with their standard deviations.
+    fn axes(&self, sigmas: &[f64]) -> Vec<Estimate> {
+        let axis = ["x", "y", "z"];
+        let gyro = (0..3).flat_map(|row| (0..3).map(move |column| ("gyro", row, column)));
+        let accel = (0..3).flat_map(|row| (0..=row).map(move |column| ("accel", row, column)));
+        let values = self.gyro_axes.iter().chain(self.accel_axes.iter());
+        gyro.chain(accel)
+            .zip(values)
+            .zip(sigmas)
+            .map(|(((triad, row, column), value), sigma)| Estimate {
+                name: format!("{triad} {}{}", axis[row], axis[column]),
+                value: *value,
+                sigma: *sigma,
+            })
+            .collect()
+    }
+
+    fn inertial(&self) -> Inertial {
+        let mut squares = [0.0; 2];
+        let mut count = [0.0; 2];
+        let mut histogram = [vec![0; BINS], vec![0; BINS]];
+        let matrices = [gyro_matrix(&self.gyro_axes), accel_matrix(&self.accel_axes)];
+        for sample in &self.samples {
+            let Some(segment) = self.segment(sample.time_s) else {
+                continue;
+            };
+            let range = segment.first..segment.first + ORDER;
+            let motion = &self.motion;
+            let rotation = spline::rotation(&segment.weights, &motion.rotations[range.clone()]);
+            let position = spline::position(&segment.weights, &motion.positions[range]);
+            let Some((r, p)) = rotation.zip(position) else {
+                continue;
+            };
+            let (first, share) = self.bias_place(sample.time_s);
+            let bias = |b: &[Vector3<f64>]| b[first] + (b[first + 1] - b[first]) * share;
+            let force = r.rotation.inverse() * (p.acceleration - self.gravity);
+            let errors = [
+                (matrices[0] * r.angular_velocity + bias(&self.gyro_bias) - sample.gyro)
+                    / self.gyro_sigma,
+                (matrices[1] * force + bias(&self.accel_bias) - sample.accel) / self.accel_sigma,
+            ];
+            let ends = [&sample.gyro_saturated, &sample.accel_saturated];
+            for triad in 0..2 {
+                for axis in (0..3).filter(|axis| !ends[triad][*axis]) {
+                    let error = errors[triad][axis];
+                    squares[triad] += error * error;
+                    count[triad] += 1.0;
+                    let bin = (error / BIN + 0.5 * BINS as f64).max(0.0) as usize;
+                    histogram[triad][bin.min(BINS - 1)] += 1;
+                }
+            }
+        }
+        Inertial {
+            ratio: [0, 1].map(|k| (squares[k] / f64::max(count[k], 1.0)).sqrt()),
+            histogram,
+        }
+    }
+}

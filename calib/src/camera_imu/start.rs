@@ -1,0 +1,511 @@
+//! A first guess of motion, clocks and orientation.
+//!
+//! A clock's offset is that at which camera and gyroscope turn equally fast; the orientation is the rotation between their
+//! angular velocities; the motion is the cameras' own, pose by pose.
+
+use lsfb_geometry::camera::LensModel;
+use lsfb_geometry::rolling_shutter::row_time_s;
+use lsfb_geometry::{
+    Camera, RigImu, Se3, StampedPose, Trajectory, UnitQuaternion, Vector2, Vector3, spline,
+};
+use lsfb_types::{ImuSample, Timestamp};
+
+use super::bend::Bend;
+use super::inertial::{AccelAxes, GyroAxes};
+use super::turning::Turning;
+use super::{CameraImuConfig, KnownCamera, Motion, ORDER, checks};
+use crate::Error;
+use crate::camera::pose_of_target;
+use crate::target::Target;
+
+/// Corners farther than this from the first pose are outliers from the start, pixels.
+const FIRST_LIMIT_PX: f64 = 4.0;
+/// Share of a camera's views that must have most of their corners within that.
+const LEAST_FITTING: f64 = 0.5;
+/// Corners a view needs.
+const MIN_CORNERS: usize = 8;
+/// Views a camera needs.
+const MIN_VIEWS: usize = 10;
+/// Instants at which two cameras must see the target to compare their poses with the rig's.
+const MIN_SHARED: usize = 5;
+/// Samples of the IMU needed.
+const MIN_SAMPLES: usize = 200;
+/// Motion before the first and after the last view, seconds.
+const MARGIN_S: f64 = 0.1;
+
+pub(super) struct View {
+    pub camera: usize,
+    /// The camera's own stamp, seconds after the origin.
+    pub stamp_s: f64,
+    pub corners: Vec<(Vector3<f64>, Vector2<f64>)>,
+    pub inliers: Vec<bool>,
+    pub held_back: bool,
+}
+
+pub(super) struct Sample {
+    pub time_s: f64,
+    pub gyro: Vector3<f64>,
+    pub accel: Vector3<f64>,
+    /// Axes that are at the end of their range.
+    pub gyro_saturated: [bool; 3],
+    pub accel_saturated: [bool; 3],
+}
+
+/// A camera on its way.
+pub(super) struct Mounted {
+    pub name: String,
+    pub camera: Camera,
+    pub camera_from_rig: Se3,
+    pub offset_s: f64,
+    pub readout_s: f64,
+    /// Standard deviation of a corner in one direction, pixels.
+    pub sigma_px: f64,
+    pub cells: Vec<u32>,
+}
+
+impl Mounted {
+    /// When the row of a pixel is exposed, after the view's time, seconds.
+    pub fn row_s(&self, pixel: &Vector2<f64>) -> f64 {
+        row_time_s(&self.camera, self.readout_s, pixel.y)
+    }
+
+    pub fn model(&self) -> LensModel {
+        self.camera.lens.model()
+    }
+}
+
+/// Everything that is estimated, and what it is estimated from.
+pub(super) struct State {
+    pub motion: Motion,
+    pub cameras: Vec<Mounted>,
+    /// Control points of the biases, and how far apart they are, seconds.
+    pub gyro_bias: Vec<Vector3<f64>>,
+    pub accel_bias: Vec<Vector3<f64>>,
+    pub bias_spacing_s: f64,
+    pub gyro_axes: GyroAxes,
+    pub accel_axes: AccelAxes,
+    pub gravity: Vector3<f64>,
+    pub bend: Bend,
+    /// Middle of the board, and how far its corners lie from it, metres.
+    pub centre: Vector3<f64>,
+    pub half_board_m: f64,
+    pub samples: Vec<Sample>,
+    pub views: Vec<View>,
+    pub noise: RigImu,
+    /// Standard deviation of a sample.
+    pub gyro_sigma: f64,
+    pub accel_sigma: f64,
+    pub rate_rms: Vector3<f64>,
+    pub force_rms: Vector3<f64>,
+    pub warnings: Vec<String>,
+}
+
+/// A camera's views with its own pose of the target in each.
+struct Seen {
+    views: Vec<View>,
+    /// Stamp and `target_from_camera`.
+    poses: Vec<(f64, Se3)>,
+}
+
+impl State {
+    pub fn new(
+        target: &Target,
+        cameras: &[KnownCamera],
+        imu: &[(Timestamp, ImuSample)],
+        noise: &RigImu,
+        config: &CameraImuConfig,
+    ) -> Result<Self, Error> {
+        let (origin, mut samples) = samples_of(imu, cameras)?;
+        let warnings = saturation(&samples);
+        let seen: Vec<Seen> = cameras
+            .iter()
+            .enumerate()
+            .map(|(k, known)| look(target, known, k, origin, config))
+            .collect::<Result<_, _>>()?;
+        let Some(first) = cameras.first() else {
+            return Err(Error::TargetNotSeen {
+                camera: "(none given)".into(),
+                found: 0,
+                images: 0,
+                needed: MIN_VIEWS,
+                target: crate::camera::describe(target),
+            });
+        };
+        let length_s = samples.last().map_or(0.0, |s| s.time_s);
+        crop(&mut samples, &seen, config.max_offset_s);
+        if samples.len() < MIN_SAMPLES {
+            return Err(Error::NotJoined {
+                first: first.views.name.clone(),
+                second: "the IMU".into(),
+                problem: format!(
+                    "{} of the samples from {length_s:.1} s lie within {} s of a view, {MIN_SAMPLES} are needed: check the clocks",
+                    samples.len(),
+                    config.max_offset_s
+                ),
+            });
+        }
+        let [rate_rms, force_rms] = excitation(&samples);
+        check_rotation(&rate_rms, config)?;
+        let from_rig =
+            |known: &KnownCamera| known.camera_from_first * first.camera_from_first.inverse();
+        let mut mounted = Vec::with_capacity(cameras.len());
+        let mut first_from_rig = UnitQuaternion::identity();
+        for (k, (known, own)) in cameras.iter().zip(&seen).enumerate() {
+            let turned = Turning::new(&samples, &own.poses).solve(&known.views.name, config)?;
+            if k == 0 {
+                first_from_rig = turned.camera_from_rig;
+            } else {
+                compare(first, &seen[0], known, own, &from_rig(known))?;
+            }
+            mounted.push(Mounted {
+                name: known.views.name.clone(),
+                camera: known.camera,
+                camera_from_rig: from_rig(known) * Se3::new(first_from_rig, Vector3::zeros()),
+                offset_s: turned.offset_s,
+                readout_s: known.readout_s,
+                sigma_px: config.corner_sigma_px,
+                cells: crate::camera::cells(&known.views),
+            });
+        }
+        let path = path_of(&mounted, &seen, origin);
+        let (Some(start), Some(end)) = (path.poses().first(), path.poses().last()) else {
+            return Err(Error::Motion {
+                problem: "the target is never seen".into(),
+            });
+        };
+        let start_s = (start.time.secs_since(origin) - MARGIN_S).max(0.0);
+        let end_s = end.time.secs_since(origin) + MARGIN_S;
+        samples.retain(|s| s.time_s >= start_s && s.time_s <= end_s);
+        let interval_s = interval_s(&samples);
+        let end_s = samples.last().map_or(end_s, |s| s.time_s);
+
+        let knots = spline::UniformKnots {
+            start_s,
+            spacing_s: config.knot_spacing_s,
+        };
+        let (rotations, positions) = (0..knots.count::<ORDER>(end_s))
+            .map(|k| {
+                let time_s = start_s + (k as f64 - 0.5 * (ORDER - 2) as f64) * knots.spacing_s;
+                let pose = nearest(&path, origin.plus_secs(time_s));
+                (pose.rotation, pose.translation)
+            })
+            .unzip();
+        let force: Vector3<f64> = samples
+            .iter()
+            .map(|s| nearest(&path, origin.plus_secs(s.time_s)).rotation * s.accel)
+            .sum();
+        let gravity = -force.try_normalize(1e-9).unwrap_or_else(Vector3::z) * config.gravity_m_s2;
+        let spans = ((end_s - start_s) / config.bias_spacing_s).ceil().max(1.0);
+        let biases = vec![Vector3::zeros(); spans as usize + 1];
+        // Sample noise of white noise with a density: density over the root of the interval.
+        let per_sample = 1.0 / interval_s.sqrt();
+        let points = || (0..target.corner_count()).map(|k| target.corner(k));
+        let centre = points().sum::<Vector3<f64>>() / target.corner_count() as f64;
+        let half_board_m = points().map(|p| (p - centre).amax()).fold(0.0, f64::max);
+        let views: Vec<View> = seen.into_iter().flat_map(|s| s.views).collect();
+        Ok(Self {
+            motion: Motion {
+                origin,
+                knots,
+                rotations,
+                positions,
+            },
+            cameras: mounted,
+            gyro_bias: biases.clone(),
+            accel_bias: biases,
+            bias_spacing_s: (end_s - start_s) / spans,
+            gyro_axes: GyroAxes::zeros(),
+            accel_axes: AccelAxes::zeros(),
+            gravity,
+            bend: Bend::zeros(),
+            centre,
+            half_board_m,
+            samples,
+            views,
+            gyro_sigma: noise.gyro_noise_density * per_sample,
+            accel_sigma: noise.accel_noise_density * per_sample,
+            noise: noise.clone(),
+            rate_rms,
+            force_rms,
+            warnings,
+        })
+    }
+}
+
+/// The samples in order of time, with the first one's as origin.
+fn samples_of(
+    imu: &[(Timestamp, ImuSample)],
+    cameras: &[KnownCamera],
+) -> Result<(Timestamp, Vec<Sample>), Error> {
+    let not_joined = |problem: String| Error::NotJoined {
+        first: cameras
+            .first()
+            .map_or_else(|| "no camera".into(), |c| c.views.name.clone()),
+        second: "the IMU".into(),
+        problem,
+    };
+    let mut imu: Vec<&(Timestamp, ImuSample)> = imu.iter().collect();
+    // Of samples with one stamp the same one stays in whatever order they come.
+    imu.sort_by(|a, b| {
+        let values = |s: &ImuSample| [s.angular_velocity_rad_s, s.specific_force_m_s2];
+        let (va, vb) = (values(&a.1), values(&b.1));
+        let of_values = va.iter().flatten().zip(vb.iter().flatten());
+        a.0.cmp(&b.0).then_with(|| {
+            of_values.fold(std::cmp::Ordering::Equal, |o, (x, y)| {
+                o.then(x.total_cmp(y))
+            })
+        })
+    });
+    imu.dedup_by_key(|s| s.0);
+    let Some(first) = imu.first() else {
+        return Err(not_joined("there is no IMU sample".into()));
+    };
+    let origin = first.0;
+    let column = |value: &dyn Fn(&ImuSample) -> f64| {
+        checks::saturated(&imu.iter().map(|s| value(&s.1)).collect::<Vec<_>>())
+    };
+    let gyro_ends = [0, 1, 2].map(|k| column(&|s| s.angular_velocity_rad_s[k]));
+    let accel_ends = [0, 1, 2].map(|k| column(&|s| s.specific_force_m_s2[k]));
+    let samples: Vec<Sample> = imu
+        .iter()
+        .enumerate()
+        .map(|(n, (time, s))| Sample {
+            time_s: time.secs_since(origin),
+            gyro: Vector3::from(s.angular_velocity_rad_s),
+            accel: Vector3::from(s.specific_force_m_s2),
+            gyro_saturated: [0, 1, 2].map(|k| gyro_ends[k][n]),
+            accel_saturated: [0, 1, 2].map(|k| accel_ends[k][n]),
+        })
+        .collect();
+    let finite = |v: &Vector3<f64>| v.iter().all(|x| x.is_finite());
+    if let Some(bad) = samples
+        .iter()
+        .find(|s| !finite(&s.gyro) || !finite(&s.accel))
+    {
+        return Err(not_joined(format!(
+            "the IMU sample at {:.3} s is not a number",
+            bad.time_s
+        )));
+    }
+    Ok((origin, samples))
+}
+
+/// What is said of axes at the end of their range.
+fn saturation(samples: &[Sample]) -> Vec<String> {
+    let mut warnings = Vec::new();
+    let names = ["x", "y", "z"];
+    for (triad, at_end) in [
+        (
+            "gyroscope",
+            (|s| s.gyro_saturated) as fn(&Sample) -> [bool; 3],
+        ),
+        ("accelerometer", |s| s.accel_saturated),
+    ] {
+        for (k, name) in names.iter().enumerate() {
+            let mut ends = samples.iter().filter(|s| at_end(s)[k]);
+            if let Some(first) = ends.next() {
+                warnings.push(format!(
+                    "the {triad} saturates along {name}: {} samples at the end of its range, the first at {:.2} s; they are left out. Move more gently or widen the range",
+                    ends.count() + 1,
+                    first.time_s
+                ));
+            }
+        }
+    }
+    warnings
+}
+
+/// A camera's views and its own poses, with corners that one pose explains.
+fn look(
+    target: &Target,
+    known: &KnownCamera,
+    camera: usize,
+    origin: Timestamp,
+    config: &CameraImuConfig,
+) -> Result<Seen, Error> {
+    let mut seen = Seen {
+        views: Vec::new(),
+        poses: Vec::new(),
+    };
+    let mut errors = Vec::new();
+    let step = config.view_step.max(1);
+    let instants = known.views.views.iter().step_by(step);
+    for (number, (instant, corners)) in instants.enumerate() {
+        let stamp_s = Timestamp::from_nanos(*instant).secs_since(origin);
+        let mut corners = corners.clone();
+        corners.retain(|c| c.index < target.corner_count());
+        corners.sort_by_key(|c| c.index);
+        let Some(pose) = pose_of_target(target, &known.camera, &corners) else {
+            continue;
+        };
+        let error_px = |point: &Vector3<f64>, pixel: &Vector2<f64>| {
+            let seen = known.camera.project(&(pose * *point));
+            seen.map_or(f64::INFINITY, |s| (s - pixel).norm())
+        };
+        let all = corners.iter().map(|c| (target.corner(c.index), c.pixel));
+        let fitting: Vec<(Vector3<f64>, Vector2<f64>)> = all
+            .filter(|(point, pixel)| {
+                let error = error_px(point, pixel);
+                errors.push(error);
+                error < FIRST_LIMIT_PX
+            })
+            .collect();
+        if fitting.len() < MIN_CORNERS {
+            continue;
+        }
+        seen.poses.push((stamp_s, pose.inverse()));
+        let every = config.hold_back_every;
+        seen.views.push(View {
+            camera,
+            stamp_s,
+            inliers: vec![true; fitting.len()],
+            corners: fitting,
+            held_back: every > 1 && number % every == every / 2,
+        });
+    }
+    if known.views.views.len() < MIN_VIEWS {
+        return Err(Error::TargetNotSeen {
+            camera: known.views.name.clone(),
+            found: known.views.views.len(),
+            images: known.views.images,
+            needed: MIN_VIEWS,
+            target: crate::camera::describe(target),
+        });
+    }
+    errors.sort_by(f64::total_cmp);
+    let median_px = errors
+        .get(errors.len() / 2)
+        .copied()
+        .unwrap_or(f64::INFINITY);
+    let fitting =
+        seen.views.len() as f64 >= LEAST_FITTING * known.views.views.len() as f64 / step as f64;
+    if !(median_px < FIRST_LIMIT_PX && fitting) {
+        return Err(Error::DoesNotFit {
+            camera: known.views.name.clone(),
+            rms_px: median_px,
+            target: crate::camera::describe(target),
+            model: known.camera.lens.model().name(),
+        });
+    }
+    Ok(seen)
+}
+
+/// Leaves out samples far from all views.
+fn crop(samples: &mut Vec<Sample>, seen: &[Seen], max_offset_s: f64) {
+    let stamps = || seen.iter().flat_map(|s| s.poses.iter().map(|p| p.0));
+    let start_s = stamps().fold(f64::INFINITY, f64::min) - max_offset_s - MARGIN_S;
+    let end_s = stamps().fold(f64::NEG_INFINITY, f64::max) + max_offset_s + MARGIN_S;
+    samples.retain(|s| s.time_s >= start_s && s.time_s <= end_s);
+}
+
+/// Spread of angular rate and specific force along each axis.
+fn excitation(samples: &[Sample]) -> [Vector3<f64>; 2] {
+    let spread = |value: fn(&Sample) -> Vector3<f64>| {
+        let n = samples.len().max(1) as f64;
+        let mean = samples.iter().map(value).sum::<Vector3<f64>>() / n;
+        let squares: Vector3<f64> = samples
+            .iter()
+            .map(|s| (value(s) - mean).map(|x| x * x))
+            .sum();
+        (squares / n).map(f64::sqrt)
+    };
+    [spread(|s| s.gyro), spread(|s| s.accel)]
+}
+
+/// An error where an axis is not turned about.
+fn check_rotation(rate_rms: &Vector3<f64>, config: &CameraImuConfig) -> Result<(), Error> {
+    let poor: Vec<String> = ["x", "y", "z"]
+        .iter()
+        .zip(rate_rms.iter())
+        .filter(|(_, rate)| !(**rate >= config.min_rate_rad_s))
+        .map(|(axis, rate)| format!("{axis} ({rate:.3} rad/s rms)"))
+        .collect();
+    if poor.is_empty() {
+        return Ok(());
+    }
+    Err(Error::Motion {
+        problem: format!(
+            "rotate more around {}: at least {} rad/s rms are needed",
+            poor.join(" and "),
+            config.min_rate_rad_s
+        ),
+    })
+}
+
+/// Compares the poses of two cameras to each other, seen at shared stamps, with the rig's.
+fn compare(
+    first: &KnownCamera,
+    seen_first: &Seen,
+    other: &KnownCamera,
+    seen_other: &Seen,
+    other_from_first: &Se3,
+) -> Result<(), Error> {
+    let shared: Vec<Se3> = seen_other
+        .poses
+        .iter()
+        .filter_map(|(stamp_s, target_from_other)| {
+            let k = seen_first
+                .poses
+                .binary_search_by(|p| p.0.total_cmp(stamp_s))
+                .ok()?;
+            Some(target_from_other.inverse() * seen_first.poses[k].1)
+        })
+        .collect();
+    if shared.len() < MIN_SHARED {
+        return Ok(());
+    }
+    match crate::camera::most_central(&shared) {
+        Some(seen) => checks::agree(
+            &first.views.name,
+            &other.views.name,
+            &seen,
+            other_from_first,
+        ),
+        None => Ok(()),
+    }
+}
+
+/// The rig's own poses: the first camera's, and others' where that one sees nothing.
+fn path_of(cameras: &[Mounted], seen: &[Seen], origin: Timestamp) -> Trajectory {
+    const APART_S: f64 = 0.03;
+    let mut poses: Vec<(f64, Se3)> = Vec::new();
+    for (camera, own) in cameras.iter().zip(seen) {
+        let taken: Vec<f64> = poses.iter().map(|p| p.0).collect();
+        for (stamp_s, target_from_camera) in &own.poses {
+            let time_s = stamp_s + camera.offset_s;
+            let next = taken.partition_point(|t| *t < time_s);
+            let near = |k: usize| taken.get(k).is_some_and(|t| (t - time_s).abs() < APART_S);
+            if !near(next) && !(next > 0 && near(next - 1)) {
+                poses.push((time_s, *target_from_camera * camera.camera_from_rig));
+            }
+        }
+        poses.sort_by(|a, b| a.0.total_cmp(&b.0));
+    }
+    let stamped = poses.into_iter().map(|(time_s, pose)| StampedPose {
+        time: origin.plus_secs(time_s),
+        world_from_rig: pose,
+    });
+    Trajectory::new(stamped.collect())
+}
+
+/// Time between samples: the median, so that gaps do not count.
+fn interval_s(samples: &[Sample]) -> f64 {
+    let mut intervals: Vec<f64> = samples
+        .windows(2)
+        .map(|w| w[1].time_s - w[0].time_s)
+        .collect();
+    intervals.sort_by(f64::total_cmp);
+    intervals.get(intervals.len() / 2).copied().unwrap_or(0.005)
+}
+
+/// Pose at a time, that of the nearest end outside.
+fn nearest(motion: &Trajectory, time: Timestamp) -> Se3 {
+    motion.at(time).unwrap_or_else(|| {
+        let poses = motion.poses();
+        let end = match poses.first() {
+            Some(first) if time < first.time => Some(first),
+            _ => poses.last(),
+        };
+        end.map_or_else(Se3::identity, |p| p.world_from_rig)
+    })
+}

@@ -1,0 +1,120 @@
+//! Standard deviations of everything that is reported.
+
+use lsfb_geometry::{Matrix6, Se3, Vector3, so3};
+use lsfb_solver::{BlockId, covariance};
+use nalgebra::{Matrix3, SMatrix};
+
+use super::problem::Effort;
+use super::start::State;
+use super::{Axes, Board, CameraImuConfig, Lenses, Readout};
+use crate::Error;
+
+/// Standard deviations of one camera.
+pub(super) struct OfCamera {
+    pub pose: Matrix6<f64>,
+    pub offset_s: f64,
+    pub readout_s: f64,
+    /// By lens parameter; zero where they were not searched.
+    pub lens: Vec<f64>,
+}
+
+/// Standard deviations of the IMU's errors, in the middle of the recording.
+pub(super) struct Uncertainty {
+    pub cameras: Vec<OfCamera>,
+    pub gyro_bias: Vector3<f64>,
+    pub accel_bias: Vector3<f64>,
+    /// Covariance of the bend; zero where it was not searched.
+    pub bend: Matrix3<f64>,
+    /// Errors of the axes of gyroscope and accelerometer; empty where they were not searched.
+    pub axes: Vec<f64>,
+}
+
+impl State {
+    pub fn uncertainty(&self, config: &CameraImuConfig) -> Result<Uncertainty, Error> {
+        let (problem, blocks) = self.problem(config, Effort::of_round(0, true))?;
+        let middle = self.gyro_bias.len() / 2;
+        let biases = [
+            blocks.gyro_bias[middle].id(),
+            blocks.accel_bias[middle].id(),
+        ];
+        let axes = match config.axes {
+            Axes::Ideal => vec![],
+            Axes::Estimated => vec![blocks.gyro_axes.id(), blocks.accel_axes.id()],
+        };
+        let mut asked: Vec<BlockId> = [&biases[..], &axes].concat();
+        if config.board == Board::Bent {
+            asked.push(blocks.bend.id());
+        }
+        for k in 0..self.cameras.len() {
+            asked.extend([blocks.poses[k].id(), blocks.offsets[k].id()]);
+            if config.lenses == Lenses::Refined {
+                asked.push(blocks.lenses[k].id());
+            }
+            if config.readout == Readout::Estimated {
+                asked.push(blocks.readouts[k].id());
+            }
+        }
+        let found = covariance(&problem, &asked)?;
+        let sigmas = |block: BlockId| -> Vec<f64> {
+            let own = found.between(block, block);
+            own.map_or_else(Vec::new, |c| {
+                c.diagonal().iter().map(|v| v.max(0.0).sqrt()).collect()
+            })
+        };
+        let vector = |block: BlockId| Vector3::from_iterator(padded(sigmas(block)));
+        let scalar = |block: BlockId| sigmas(block).first().copied().unwrap_or_default();
+        let cameras = (0..self.cameras.len())
+            .map(|k| {
+                let pose = blocks.poses[k].id();
+                let pose = found.between(pose, pose);
+                let count = self.cameras[k].camera.lens.parameters().count;
+                let lens = sigmas(blocks.lenses[k].id()).into_iter();
+                OfCamera {
+                    pose: pose.map_or_else(Matrix6::zeros, |c| {
+                        Matrix6::from_iterator(c.iter().copied())
+                    }),
+                    offset_s: scalar(blocks.offsets[k].id()),
+                    readout_s: scalar(blocks.readouts[k].id()),
+                    lens: padded(lens).take(count).collect(),
+                }
+            })
+            .collect();
+        Ok(Uncertainty {
+            cameras,
+            gyro_bias: vector(biases[0]),
+            accel_bias: vector(biases[1]),
+            bend: found
+                .between(blocks.bend.id(), blocks.bend.id())
+                .map_or_else(Matrix3::zeros, |c| {
+                    Matrix3::from_iterator(c.iter().copied())
+                }),
+            axes: axes.into_iter().flat_map(sigmas).collect(),
+        })
+    }
+}
+
+/// The values, then zeros.
+fn padded(values: impl IntoIterator<Item = f64>) -> impl Iterator<Item = f64> {
+    values.into_iter().chain(std::iter::repeat(0.0))
+}
+
+impl OfCamera {
+    /// Standard deviations of the camera's orientation about the rig's axes and of its position in the rig: the camera stands
+    /// at `p = −Rᵀ t`, and a right perturbation `(φ, ρ)` of `camera_from_rig` moves that by `p × φ − ρ`.
+    pub fn in_rig(&self, camera_from_rig: &Se3) -> ([f64; 3], [f64; 3]) {
+        let place = camera_from_rig.inverse().translation;
+        let mut by_pose = SMatrix::<f64, 3, 6>::zeros();
+        by_pose
+            .fixed_view_mut::<3, 3>(0, 0)
+            .copy_from(&so3::hat(&place));
+        by_pose
+            .fixed_view_mut::<3, 3>(0, 3)
+            .copy_from(&-Matrix3::identity());
+        let of_place = by_pose * self.pose * by_pose.transpose();
+        let root = |v: f64| v.max(0.0).sqrt();
+        (
+            [0, 1, 2].map(|k| root(self.pose[(k, k)])),
+            [0, 1, 2].map(|k| root(of_place[(k, k)])),
+        )
+    }
+}

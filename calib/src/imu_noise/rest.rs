@@ -1,0 +1,106 @@
+//! A recording at rest as six series of evenly spaced samples.
+
+use lsfb_types::{ImuSample, Timestamp};
+
+use super::ImuNoiseConfig;
+use crate::Error;
+
+/// Share of samples that may be missing before it is an error.
+const MOST_MISSING: f64 = 0.01;
+
+/// Six series, gyroscope first.
+pub(super) struct Log {
+    pub axes: [Vec<f64>; 6],
+    pub interval_s: f64,
+    pub duration_s: f64,
+    pub warnings: Vec<String>,
+}
+
+fn value(sample: &ImuSample, axis: usize) -> f64 {
+    match axis {
+        0..3 => sample.angular_velocity_rad_s[axis],
+        _ => sample.specific_force_m_s2[axis - 3],
+    }
+}
+
+impl Log {
+    pub fn new(imu: &[(Timestamp, ImuSample)], config: &ImuNoiseConfig) -> Result<Self, Error> {
+        let refuse = |problem: String| Err(Error::NotAtRest { problem });
+        let mut imu: Vec<&(Timestamp, ImuSample)> = imu.iter().collect();
+        imu.sort_by_key(|s| s.0);
+        imu.dedup_by_key(|s| s.0);
+        let (Some(first), Some(last)) = (imu.first(), imu.last()) else {
+            return refuse("there is no sample".into());
+        };
+        let duration_s = last.0.secs_since(first.0);
+        if !(duration_s >= config.min_duration_s) {
+            return refuse(format!(
+                "it lasts {duration_s:.1} s, at least {} s are needed; for the random walk two hours",
+                config.min_duration_s
+            ));
+        }
+        let mut intervals: Vec<f64> = imu.windows(2).map(|w| w[1].0.secs_since(w[0].0)).collect();
+        intervals.sort_by(f64::total_cmp);
+        let median_s = intervals[intervals.len() / 2];
+        let missing: f64 = intervals
+            .iter()
+            .map(|i| (i / median_s).round() - 1.0)
+            .filter(|n| *n > 0.0)
+            .sum();
+        let mut warnings = Vec::new();
+        if missing > 0.0 {
+            let all = imu.len() as f64 + missing;
+            let text = format!("{missing:.0} of {all:.0} samples are missing");
+            if missing > MOST_MISSING * all {
+                return refuse(format!(
+                    "{text}: clusters would not be even; find out why they are lost (lsfb doctor)"
+                ));
+            }
+            warnings.push(format!("{text}: clusters are that much uneven"));
+        }
+        let axes: [Vec<f64>; 6] =
+            std::array::from_fn(|axis| imu.iter().map(|s| value(&s.1, axis)).collect());
+        if let Some(bad) = axes
+            .iter()
+            .flat_map(|a| a.iter().position(|v| !v.is_finite()))
+            .min()
+        {
+            return refuse(format!("sample {bad} is not a number"));
+        }
+        let interval_s = duration_s / (imu.len() as f64 - 1.0 + missing);
+        if let Some(at_s) = first_motion(&axes, interval_s, config) {
+            return refuse(format!(
+                "it moves {at_s:.0} s after its start: put it on solid ground, away from steps and fans, and record again"
+            ));
+        }
+        Ok(Self {
+            axes,
+            interval_s,
+            duration_s,
+            warnings,
+        })
+    }
+}
+
+/// Start of the first second in which an axis spreads far more than it does in most.
+fn first_motion(axes: &[Vec<f64>; 6], interval_s: f64, config: &ImuNoiseConfig) -> Option<f64> {
+    let length = ((1.0 / interval_s).round() as usize).max(2);
+    axes.iter()
+        .filter_map(|samples| {
+            let spreads: Vec<f64> = samples
+                .chunks_exact(length)
+                .map(|second| {
+                    let n = length as f64;
+                    let mean = second.iter().sum::<f64>() / n;
+                    (second.iter().map(|v| (v - mean) * (v - mean)).sum::<f64>() / n).sqrt()
+                })
+                .collect();
+            let mut sorted = spreads.clone();
+            sorted.sort_by(f64::total_cmp);
+            let typical = *sorted.get(sorted.len() / 2)?;
+            let far = |s: &f64| typical > 0.0 && *s > config.motion_ratio * typical;
+            spreads.iter().position(far)
+        })
+        .min()
+        .map(|k| (k * length) as f64 * interval_s)
+}

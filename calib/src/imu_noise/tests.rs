@@ -1,0 +1,64 @@
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::*;
+
+/// A normal number by Irwin and Hall: close enough, and exact in its variance.
+fn normal(rng: &mut ChaCha8Rng) -> f64 {
+    (0..12).map(|_| rng.random_range(-0.5..0.5)).sum()
+}
+
+fn at_rest(seconds: i64, rate_hz: i64, white: f64) -> Vec<(Timestamp, ImuSample)> {
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    (0..seconds * rate_hz)
+        .map(|k| {
+            let sample = ImuSample {
+                angular_velocity_rad_s: [0; 3].map(|_| white * normal(&mut rng)),
+                specific_force_m_s2: [0; 3].map(|_| 1.0 + white * normal(&mut rng)),
+            };
+            (Timestamp::from_nanos(k * 1_000_000_000 / rate_hz), sample)
+        })
+        .collect()
+}
+
+#[test]
+fn order_of_samples_does_not_matter_and_lost_ones_are_counted() {
+    let mut samples = at_rest(120, 50, 0.01);
+    samples.remove(1000);
+    let config = ImuNoiseConfig::default();
+    let found = imu_noise(&samples, &config).expect("noise");
+    samples.reverse();
+    assert_eq!(imu_noise(&samples, &config).expect("noise"), found);
+    assert!(found.warnings[0].contains("1 of 6000 samples are missing"));
+    let expected = 0.01 / 50f64.sqrt();
+    assert!((found.gyro.density / expected - 1.0).abs() < 0.03);
+    // Two minutes say nothing of a walk that is not there.
+    assert!(
+        found
+            .warnings
+            .iter()
+            .any(|w| w.contains("random walk hides"))
+    );
+    let page = found.to_html("Noise");
+    assert!(page.contains("WARN.") && page.contains("noise density"));
+}
+
+#[test]
+fn bad_input_is_named() {
+    let config = ImuNoiseConfig::default();
+    let error = |samples: &[(Timestamp, ImuSample)]| {
+        let error = imu_noise(samples, &config).expect_err("bad input");
+        error.to_string()
+    };
+    assert!(error(&[]).contains("there is no sample"));
+    assert!(error(&at_rest(30, 50, 0.01)).contains("it lasts 30.0 s"));
+    let mut moved = at_rest(100, 50, 0.01);
+    moved[42 * 50 + 3].1.angular_velocity_rad_s[1] = 1.0;
+    assert!(error(&moved).contains("it moves 42 s after its start"));
+    let mut broken = at_rest(100, 50, 0.01);
+    broken[7].1.specific_force_m_s2[2] = f64::NAN;
+    assert!(error(&broken).contains("sample 7 is not a number"));
+    let mut lossy = at_rest(100, 50, 0.01);
+    lossy.drain(1000..1200);
+    assert!(error(&lossy).contains("samples are missing"));
+}

@@ -1,0 +1,151 @@
+//! Plots of the reports as SVG, and the page around them: no script, no network.
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+
+use crate::camera::COVERAGE_CELLS;
+
+const STYLE: &str = include_str!("style.css");
+
+/// Errors beyond this leave the plots, pixels.
+pub(crate) const LARGEST_SHOWN_PX: f64 = 1.0;
+/// Points drawn at most.
+const MOST_POINTS: usize = 4000;
+const ERROR_BINS: usize = 40;
+
+/// A page with a verdict on top.
+pub(crate) fn page(title: &str, verdict: &str, body: &Markup) -> String {
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                meta name="color-scheme" content="light dark";
+                title { (title) }
+                style { (PreEscaped(STYLE)) }
+            }
+            body {
+                h1 { (title) }
+                p.verdict { (verdict) }
+                (body)
+            }
+        }
+    };
+    page.into_string()
+}
+
+/// Corners per cell of an image.
+pub(crate) fn coverage(cells: &[u32], size_px: [u32; 2]) -> Markup {
+    let [columns, rows] = COVERAGE_CELLS;
+    let most = f64::from(cells.iter().copied().max().unwrap_or(1).max(1));
+    let height = 240.0 * f64::from(size_px[1]) / f64::from(size_px[0].max(1));
+    let (w, h) = (240.0 / columns as f64, height / rows as f64);
+    html! {
+        svg viewBox=(format!("0 0 240 {height:.0}")) role="img" aria-label="coverage" {
+            @for (k, n) in cells.iter().enumerate() {
+                rect x=(format!("{:.1}", (k % columns) as f64 * w)) y=(format!("{:.1}", (k / columns) as f64 * h))
+                    width=(format!("{w:.1}")) height=(format!("{h:.1}"))
+                    class=(if *n == 0 { "empty" } else { "seen" })
+                    fill-opacity=(format!("{:.2}", if *n == 0 { 1.0 } else { 0.2 + 0.8 * (f64::from(*n) / most).sqrt() })) {}
+            }
+        }
+    }
+}
+
+/// Errors of corners as points around their mean of zero.
+pub(crate) fn scatter(errors_px: &[[f64; 2]]) -> Markup {
+    let step = errors_px.len().div_ceil(MOST_POINTS).max(1);
+    let scale = 120.0 / LARGEST_SHOWN_PX;
+    html! {
+        svg viewBox="-120 -120 240 240" role="img" aria-label="errors" {
+            path.axis d="M-120 0H120M0 -120V120" {}
+            @for [x, y] in errors_px.iter().step_by(step).filter(|e| e[0].hypot(e[1]) < LARGEST_SHOWN_PX) {
+                circle cx=(format!("{:.1}", x * scale)) cy=(format!("{:.1}", y * scale)) r="1" {}
+            }
+        }
+    }
+}
+
+/// Lengths of the errors of corners.
+pub(crate) fn lengths(errors_px: &[[f64; 2]]) -> Markup {
+    let mut bins = [0u32; ERROR_BINS];
+    for [x, y] in errors_px {
+        let bin = (x.hypot(*y) / LARGEST_SHOWN_PX * ERROR_BINS as f64) as usize;
+        if let Some(count) = bins.get_mut(bin) {
+            *count += 1;
+        }
+    }
+    histogram(&bins)
+}
+
+/// Counts as bars.
+pub(crate) fn histogram(bins: &[u32]) -> Markup {
+    let most = f64::from(bins.iter().copied().max().unwrap_or(1).max(1));
+    let width = 240.0 / bins.len().max(1) as f64;
+    html! {
+        svg viewBox="0 0 240 160" role="img" aria-label="histogram" {
+            path.axis d="M0 160H240" {}
+            @for (k, n) in bins.iter().enumerate() {
+                @let height = 155.0 * f64::from(*n) / most;
+                rect.seen x=(format!("{:.1}", k as f64 * width)) y=(format!("{:.1}", 160.0 - height))
+                    width=(format!("{:.1}", width * 0.9)) height=(format!("{height:.1}")) {}
+            }
+        }
+    }
+}
+
+/// Curves over logarithmic axes; each has a class of the style sheet and its points.
+pub(crate) fn log_log(curves: &[(&str, Vec<[f64; 2]>)]) -> Markup {
+    let positive = || {
+        let points = curves.iter().flat_map(|c| c.1.iter());
+        points.filter(|p| p[0] > 0.0 && p[1] > 0.0 && p[0].is_finite() && p[1].is_finite())
+    };
+    let decades = |axis: usize| {
+        let low = positive()
+            .map(|p| p[axis].log10())
+            .fold(f64::INFINITY, f64::min);
+        let high = positive()
+            .map(|p| p[axis].log10())
+            .fold(f64::NEG_INFINITY, f64::max);
+        // An empty plot has a decade too.
+        if low > high {
+            [0.0, 1.0]
+        } else {
+            [low.floor(), high.ceil().max(low.floor() + 1.0)]
+        }
+    };
+    let (x, y) = (decades(0), decades(1));
+    let (width, height) = (480.0, 300.0);
+    let at = |p: &[f64; 2]| {
+        let share = |v: f64, d: [f64; 2]| (v.log10() - d[0]) / (d[1] - d[0]);
+        [share(p[0], x) * width, height - share(p[1], y) * height]
+    };
+    let path = |points: &[[f64; 2]]| {
+        let good = points.iter().filter(|p| p[0] > 0.0 && p[1] > 0.0);
+        let words: Vec<String> = good
+            .enumerate()
+            .map(|(k, p)| {
+                let [u, v] = at(p);
+                format!("{}{u:.1} {v:.1}", if k == 0 { 'M' } else { 'L' })
+            })
+            .collect();
+        words.concat()
+    };
+    html! {
+        svg.wide viewBox=(format!("-50 -10 {} {}", width + 60.0, height + 40.0)) role="img" aria-label="log-log plot" {
+            @for decade in x[0] as i32..=x[1] as i32 {
+                @let [u, _] = at(&[10f64.powi(decade), 10f64.powf(y[0])]);
+                path.axis d=(format!("M{u:.1} 0V{height}")) {}
+                text x=(format!("{u:.1}")) y=(format!("{}", height + 18.0)) text-anchor="middle" { "1e" (decade) }
+            }
+            @for decade in y[0] as i32..=y[1] as i32 {
+                @let [_, v] = at(&[10f64.powf(x[0]), 10f64.powi(decade)]);
+                path.axis d=(format!("M0 {v:.1}H{width}")) {}
+                text x="-6" y=(format!("{:.1}", v + 4.0)) text-anchor="end" { "1e" (decade) }
+            }
+            @for (class, points) in curves {
+                path class=(format!("curve {class}")) d=(path(points)) {}
+            }
+        }
+    }
+}

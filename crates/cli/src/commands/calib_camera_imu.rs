@@ -1,0 +1,157 @@
+//! `lsfb calib camera-imu`: views of a board and an IMU → poses and clocks of cameras on the IMU.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use lsfb_calib::camera_imu::{
+    CameraImuCalibration, CameraImuConfig, KnownCamera, calibrate_camera_imu,
+};
+use lsfb_geometry::{Rig, Se3};
+use lsfb_recording::{Provenance, write_tum};
+
+use super::calib::{TargetArguments, imu_of, views_of};
+use crate::context::Context;
+use crate::outcome::Outcome;
+
+/// Poses and clocks of cameras on the IMU, from a walk in front of a board.
+///
+/// The rig brings lenses and poses of the cameras to each other (lsfb calib camera) and the noise of the IMU. Names of images
+/// in folders are their stamps in nanoseconds.
+///
+/// Examples:
+///   lsfb calib camera-imu --target grid.yaml --rig rig.toml --recording scan.mcap --camera cam0 --camera cam1 --out rig2.toml
+///   lsfb calib camera-imu --april-grid 6,6,0.088,0.3 --rig rig.toml --camera cam0=mav0/cam0/data --imu mav0/imu0/data.csv --out rig2.toml
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    #[command(flatten)]
+    target: TargetArguments,
+    /// The rig, with the noise of its IMU.
+    #[arg(long, value_name = "TOML")]
+    rig: PathBuf,
+    /// A camera of the rig: in the recording, or NAME=FOLDER, or NAME=FOLDER/PREFIX*; the first one gives the first guess.
+    #[arg(long = "camera", required = true, value_name = "NAME[=FOLDER]")]
+    cameras: Vec<String>,
+    /// The recording of the IMU, and of cameras that have no folder.
+    #[arg(long, value_name = "MCAP")]
+    recording: Option<PathBuf>,
+    /// The IMU as a table (EuRoC: ns, rad/s, m/s²), instead of the recording's.
+    #[arg(long, value_name = "CSV")]
+    imu: Option<PathBuf>,
+    /// The rig with what was found; a page with plots is written beside it.
+    #[arg(long, value_name = "TOML")]
+    out: PathBuf,
+    /// Write Kalibr's camchain-imucam as well.
+    #[arg(long, value_name = "YAML")]
+    kalibr: Option<PathBuf>,
+    /// Write the motion of the rig in the board's frame as well, 200 poses per second.
+    #[arg(long, value_name = "TUM")]
+    trajectory: Option<PathBuf>,
+    /// Settings (TOML), instead of the defaults.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+}
+
+/// Calibrates, writes the rig, prints the report.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    let target = arguments.target.target()?;
+    let config: CameraImuConfig = match &arguments.config {
+        Some(path) => super::read_config(path)?,
+        None => CameraImuConfig::default(),
+    };
+    let mut rig = Rig::read(&arguments.rig)?;
+    let noise = rig.imu.clone().with_context(|| {
+        format!(
+            "{} has no [imu]: add its noise densities",
+            arguments.rig.display()
+        )
+    })?;
+    let mut provenance = Provenance::new(&config);
+    provenance.add_input(&arguments.rig)?;
+    let recording = match &arguments.recording {
+        Some(path) => {
+            provenance.add_input(path)?;
+            Some(context.open(path)?)
+        }
+        None => None,
+    };
+    if let Some(path) = &arguments.imu {
+        provenance.add_input(path)?;
+    }
+    let imu = imu_of(arguments.imu.as_deref(), recording.as_ref())?;
+    let mut known: Vec<KnownCamera> = Vec::with_capacity(arguments.cameras.len());
+    let mut rig_from_first = Se3::identity();
+    for camera in &arguments.cameras {
+        let views = views_of(camera, recording.as_ref(), &target, context)?;
+        let mounted = rig
+            .cameras
+            .get(&views.name)
+            .with_context(|| format!("{} has no camera {}", arguments.rig.display(), views.name))?;
+        if known.is_empty() {
+            rig_from_first = mounted.rig_from_camera;
+        }
+        known.push(KnownCamera {
+            camera: mounted.camera,
+            camera_from_first: mounted.rig_from_camera.inverse() * rig_from_first,
+            readout_s: mounted.timing.readout_s,
+            views,
+        });
+    }
+    let show = |p| context.show(p);
+    let calibration = calibrate_camera_imu(&target, &known, &imu, &noise, &config, &show)?;
+    calibration.put_into(&mut rig);
+    let page = arguments.out.with_extension("html");
+    let write = |path: &Path, text: String| {
+        std::fs::write(path, text).with_context(|| path.display().to_string())
+    };
+    write(&arguments.out, rig.to_toml())?;
+    write(&page, calibration.to_html("Camera–IMU calibration"))?;
+    if let Some(path) = &arguments.kalibr {
+        write(path, calibration.to_kalibr())?;
+    }
+    if let Some(path) = &arguments.trajectory {
+        write_tum(path, &calibration.motion.trajectory(INTERVAL_S))?;
+    }
+    provenance.write(&arguments.out)?;
+    context.print(&calibration, || {
+        summary(&calibration, &arguments.out, &page)
+    })?;
+    Ok(Outcome::Done)
+}
+
+/// Time between poses of the trajectory, seconds.
+const INTERVAL_S: f64 = 0.005;
+
+fn summary(calibration: &CameraImuCalibration, out: &Path, page: &Path) -> String {
+    let mut text = format!(
+        "{}: {} See {}.",
+        out.display(),
+        calibration.verdict(),
+        page.display()
+    );
+    for c in &calibration.cameras {
+        let t = c.camera_from_rig.inverse().translation * 1e3;
+        let s = c.position_sigma_m.map(|s| s * 1e3);
+        let worst_turn = c.rotation_sigma_rad.iter().copied().fold(0.0, f64::max);
+        text += &format!(
+            "\n  {}: {:.3} px rms over {} corners, {} outliers; clock {:+.3} ± {:.3} ms; on the IMU at {:.1} {:.1} {:.1} ± {:.1} {:.1} {:.1} mm, turned ± {:.3}°",
+            c.name,
+            c.rms_px,
+            c.corners,
+            c.outliers,
+            c.rig_from_camera_s * 1e3,
+            c.rig_from_camera_sigma_s * 1e3,
+            t.x,
+            t.y,
+            t.z,
+            s[0],
+            s[1],
+            s[2],
+            worst_turn.to_degrees()
+        );
+    }
+    for warning in &calibration.warnings {
+        text += &format!("\n  {warning}");
+    }
+    text
+}

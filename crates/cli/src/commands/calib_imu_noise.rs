@@ -1,0 +1,97 @@
+//! `lsfb calib imu-noise`: a recording at rest → noise of the IMU.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use lsfb_calib::camera_imu::imu_to_kalibr;
+use lsfb_calib::imu_noise::{ImuNoise, ImuNoiseConfig, imu_noise};
+use lsfb_geometry::Rig;
+use lsfb_recording::Provenance;
+
+use super::calib::imu_of;
+use crate::context::Context;
+use crate::outcome::Outcome;
+
+/// Noise of the IMU by Allan variance, from a recording at rest; two hours show all of it.
+///
+/// Examples:
+///   lsfb calib imu-noise --recording night.mcap --out noise.html
+///   lsfb calib imu-noise --imu imu0/data.csv --out noise.html --kalibr imu.yaml --rig rig.toml
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    /// The recording.
+    #[arg(long, value_name = "MCAP", required_unless_present = "imu")]
+    recording: Option<PathBuf>,
+    /// The IMU as a table (EuRoC: ns, rad/s, m/s²), instead of the recording's.
+    #[arg(long, value_name = "CSV")]
+    imu: Option<PathBuf>,
+    /// The page with figures and plots.
+    #[arg(long, value_name = "HTML")]
+    out: PathBuf,
+    /// Write Kalibr's imu.yaml as well.
+    #[arg(long, value_name = "YAML")]
+    kalibr: Option<PathBuf>,
+    /// Topic that Kalibr's file names.
+    #[arg(long, default_value = "/imu")]
+    topic: String,
+    /// Write the noise into this rig as well.
+    #[arg(long, value_name = "TOML")]
+    rig: Option<PathBuf>,
+    /// Settings (TOML), instead of the defaults.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+}
+
+/// Reads the noise, writes the files, prints the report.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    let config: ImuNoiseConfig = match &arguments.config {
+        Some(path) => super::read_config(path)?,
+        None => ImuNoiseConfig::default(),
+    };
+    let mut provenance = Provenance::new(&config);
+    for path in [&arguments.recording, &arguments.imu].into_iter().flatten() {
+        provenance.add_input(path)?;
+    }
+    let recording = match &arguments.recording {
+        Some(path) => Some(context.open(path)?),
+        None => None,
+    };
+    let samples = imu_of(arguments.imu.as_deref(), recording.as_ref())?;
+    let found = imu_noise(&samples, &config)?;
+    let write = |path: &Path, text: String| {
+        std::fs::write(path, text).with_context(|| path.display().to_string())
+    };
+    write(&arguments.out, found.to_html("Noise of the IMU"))?;
+    if let Some(path) = &arguments.kalibr {
+        let rate_hz = found.rate_hz.round();
+        write(
+            path,
+            imu_to_kalibr(&found.rig_imu(), rate_hz, &arguments.topic),
+        )?;
+    }
+    if let Some(path) = &arguments.rig {
+        let mut rig = Rig::read(path)?;
+        rig.imu = Some(found.rig_imu());
+        write(path, rig.to_toml())?;
+    }
+    provenance.write(&arguments.out)?;
+    context.print(&found, || summary(&found, &arguments.out))?;
+    Ok(Outcome::Done)
+}
+
+fn summary(found: &ImuNoise, out: &Path) -> String {
+    let mut text = format!("{}: {}", out.display(), found.verdict());
+    let axes = found.axes.iter().map(|a| (a.name.as_str(), &a.noise));
+    let triads = [("gyroscope", &found.gyro), ("accelerometer", &found.accel)];
+    for (name, noise) in axes.chain(triads) {
+        text += &format!(
+            "\n  {name:13} noise density {:.3e} /√Hz, bias instability {:.3e}, random walk {:.3e} /s/√Hz",
+            noise.density, noise.instability, noise.walk
+        );
+    }
+    for warning in &found.warnings {
+        text += &format!("\n  {warning}");
+    }
+    text
+}
