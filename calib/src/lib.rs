@@ -17,6 +17,7 @@
 
 pub mod camera;
 pub mod camera_imu;
+mod clusters;
 pub mod detect;
 mod error;
 pub mod images;

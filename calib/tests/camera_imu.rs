@@ -208,7 +208,7 @@ fn bad_input_is_named() {
     );
 
     let stiff = simulate(&Setup {
-        turning_rad: [0.002, 0.3, 0.3],
+        turning_rad: [0.002, 0.002, 0.5],
         ..Setup::default()
     });
     let text = error(&stiff.known(), &stiff.imu);

@@ -195,7 +195,11 @@ pub fn calibrate_cameras(
 
 /// What is said of cameras whose names and places contradict each other.
 fn swapped(cameras: &[CalibratedCamera]) -> Option<String> {
-    let named = |word: &str| cameras.iter().find(|c| c.name.to_lowercase().contains(word));
+    let named = |word: &str| {
+        cameras
+            .iter()
+            .find(|c| c.name.to_lowercase().contains(word))
+    };
     let (left, right) = (named("left")?, named("right")?);
     let left_from_right = left.camera_from_first * right.camera_from_first.inverse();
     (left_from_right.translation.x < 0.0).then(|| {

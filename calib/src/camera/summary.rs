@@ -11,6 +11,7 @@ use super::{
     COVERAGE_CELLS, CalibratedCamera, CameraCalibration, CameraConfig, CameraViews, Estimate,
 };
 use crate::Error;
+use crate::clusters::{Clusters, share_of_board};
 use crate::target::Target;
 
 /// Relative standard deviation of a focal length above which it counts as not determined.
@@ -23,6 +24,7 @@ struct Errors {
     all: Vec<[f64; 2]>,
     inlier_squares: f64,
     inliers: usize,
+    clusters: Clusters,
 }
 
 impl Errors {
@@ -31,16 +33,20 @@ impl Errors {
             all: Vec::new(),
             inlier_squares: 0.0,
             inliers: 0,
+            clusters: Clusters::default(),
         };
         for instant in &solved.cameras[camera].chosen {
             let counts = &solved.inliers[camera][instant];
             let seen = solved.errors_px(target, camera, *instant);
-            for (error, inlier) in seen.into_iter().zip(counts) {
+            let corners = &solved.cameras[camera].views.views[instant];
+            for ((error, inlier), corner) in seen.into_iter().zip(counts).zip(corners) {
                 let Some(error) = error else { continue };
                 errors.all.push([error.x, error.y]);
                 if *inlier {
                     errors.inlier_squares += error.norm_squared();
                     errors.inliers += 1;
+                    let share = share_of_board(target, &target.corner(corner.index));
+                    errors.clusters.add(*instant, share, &error);
                 }
             }
         }
@@ -62,8 +68,9 @@ impl Solved<'_> {
         let squares: f64 = errors.iter().map(|e| e.inlier_squares).sum();
         let count: usize = errors.iter().map(|e| e.inliers).sum();
         let freedom = (2 * count).saturating_sub(parameter_count(self)).max(1);
-        // The spread of the residuals themselves says how good a corner is.
-        let variance = squares / freedom as f64;
+        // The spread of the residuals themselves says how good a corner is, their correlation how many it is worth.
+        let effect = errors.iter().map(|e| e.clusters.design_effect());
+        let variance = squares / freedom as f64 * effect.fold(1.0, f64::max);
         let mut cameras = Vec::with_capacity(given.len());
         for (k, errors) in errors.into_iter().enumerate() {
             let held_back_rms_px = self.held_back(target, k, config)?;

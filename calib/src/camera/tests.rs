@@ -199,7 +199,9 @@ fn left_and_right_that_are_swapped_are_warned_of() {
     let warned = |views: &[CameraViews]| {
         let found = calibrate_cameras(&GRID, views, &CameraConfig::default(), &no_progress);
         let warnings = found.expect("calibrated").cameras[1].warnings.clone();
-        warnings.iter().any(|w| w.contains("their views are swapped"))
+        warnings
+            .iter()
+            .any(|w| w.contains("their views are swapped"))
     };
     views[0].name = "right".into();
     views[1].name = "left".into();

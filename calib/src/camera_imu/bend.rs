@@ -1,18 +1,26 @@
-//! A board that is not quite flat: `z = a x² + b xy + c y²` about its middle.
+//! A board that is not quite what its file says: bent by `z = a x² + b xy + c y²` about its middle, `e` longer than wide, and with
+//! axes that are not quite at right angles, `x += s y`.
 //!
-//! Sheets of plastic and cardboard twist by a millimetre, which moves focal lengths by a percent: the views alone can hardly tell
-//! a bent board from another lens, the views and an IMU can.
+//! Sheets of plastic and cardboard twist by a millimetre and printers stretch, which moves focal lengths by a percent: the views
+//! alone can hardly tell such a board from another lens, the views and an IMU can.
 
 use lsfb_geometry::Vector3;
+use nalgebra::{SMatrix, SVector};
 
 /// Coefficients of a bend.
-pub(super) const BEND: usize = 3;
+pub(super) const BEND: usize = 5;
 
-/// `a, b, c`, 1/m.
-pub(super) type Bend = Vector3<f64>;
+/// `a, b, c` (1/m), `e`, `s`.
+pub(super) type Bend = SVector<f64, BEND>;
 
-/// `x², xy, y²` of a place seen from the board's middle.
-pub(super) fn bends(from_centre: &Vector3<f64>) -> Vector3<f64> {
+/// How a place seen from the board's middle moves with the coefficients.
+pub(super) fn bends(from_centre: &Vector3<f64>) -> SMatrix<f64, 3, BEND> {
     let (x, y) = (from_centre.x, from_centre.y);
-    Vector3::new(x * x, x * y, y * y)
+    let mut by = SMatrix::zeros();
+    by[(2, 0)] = x * x;
+    by[(2, 1)] = x * y;
+    by[(2, 2)] = y * y;
+    by[(1, 3)] = y;
+    by[(0, 4)] = y;
+    by
 }

@@ -73,7 +73,7 @@ impl Residual for CornerResidual {
         let position = spline::position(&weights, &positions).ok_or(Undefined)?;
         let rig_from_target = rotation.at.rotation.inverse().to_rotation_matrix();
         let bends = bends(&(self.point - self.centre));
-        let point = self.point + Vector3::z() * bends.dot(&bend);
+        let point = self.point + bends * bend;
         let in_rig = rig_from_target * (point - position.position);
         let seen = camera
             .project_full(&(camera_from_rig * in_rig))
@@ -97,8 +97,8 @@ impl Residual for CornerResidual {
             2 * ORDER + 2,
             &(seen.pixel_by_parameter * self.inverse_sigma),
         );
-        let by_height = by_in_rig * (rig_from_target * Vector3::z());
-        out.set_jacobian(2 * ORDER + 3, &(by_height * bends.transpose()));
+        let by_board = by_in_rig * rig_from_target.matrix();
+        out.set_jacobian(2 * ORDER + 3, &(by_board * bends));
         out.set_jacobian(VIEW, &(by_time * row_share));
         Ok(())
     }
@@ -133,7 +133,11 @@ mod tests {
         };
         let values: SVector<f64, MAX_PARAMETERS> = lens.parameters().values.into();
         blocks.push(problem.add_block(values).id());
-        blocks.push(problem.add_block(Bend::new(3e-3, -8e-3, 2e-3)).id());
+        blocks.push(
+            problem
+                .add_block(Bend::new(3e-3, -8e-3, 2e-3, 1e-3, -2e-3))
+                .id(),
+        );
         blocks.push(problem.add_block(Vector1::new(0.02)).id());
         for (x, y) in [(0.0, 0.0), (0.3, 0.2)] {
             let corner = CornerResidual {

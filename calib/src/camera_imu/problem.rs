@@ -13,6 +13,7 @@ use super::view_residual::ViewResidual;
 use super::{Axes, Board, CameraImuConfig, Lenses, ORDER, Readout};
 use crate::Error;
 use crate::camera::lens_camera;
+use crate::clusters::{Clusters, share_of_board};
 use crate::target::Target;
 
 /// Corners that miss by more than this many times the median are outliers.
@@ -25,6 +26,10 @@ const MIN_CORNERS: usize = 8;
 const GRAVITY_SIGMA_M_S2: f64 = 1e-3;
 /// Standard deviation of how far the middle of an edge is bent out of the board's plane, metres.
 const BEND_SIGMA_M: f64 = 2e-3;
+/// Standard deviation of what printers stretch and shear.
+const STRETCH_SIGMA: f64 = 1e-3;
+/// Stretch of time in which errors are not independent, seconds.
+const CLUSTER_S: f64 = 0.5;
 /// Least standard deviation of a corner that is believed, pixels.
 const LEAST_SIGMA_PX: f64 = 0.01;
 /// Median length of a two-dimensional normal error of standard deviation 1.
@@ -127,7 +132,7 @@ impl State {
         self.gyro_axes = problem.value(blocks.gyro_axes);
         self.accel_axes = problem.value(blocks.accel_axes);
         self.gravity = vector(&blocks.gravity);
-        self.bend = vector(&blocks.bend);
+        self.bend = problem.value(blocks.bend);
         Ok(())
     }
 
@@ -162,7 +167,10 @@ impl State {
             Board::Flat => problem.set_constant(blocks.bend),
             Board::Bent => {
                 let sigma = BEND_SIGMA_M / (self.half_board_m * self.half_board_m);
-                let prior = VectorPrior::new(Bend::zeros(), Bend::repeat(sigma));
+                let prior = VectorPrior::new(
+                    Bend::zeros(),
+                    Bend::new(sigma, sigma, sigma, STRETCH_SIGMA, STRETCH_SIGMA),
+                );
                 problem.add_residual(prior, &[blocks.bend.id()], Kernel::Squared)?;
             }
         }
@@ -280,7 +288,7 @@ impl State {
 
     /// A corner of the board as it is bent.
     pub fn bent(&self, point: &Vector3<f64>) -> Vector3<f64> {
-        point + Vector3::z() * bends(&(point - self.centre)).dot(&self.bend)
+        point + bends(&(point - self.centre)) * self.bend
     }
 
     /// Which of the biases' control points a time lies between, and where.
@@ -360,6 +368,21 @@ impl State {
             .collect()
     }
 
+    /// How much less a camera's corners are worth than as many independent ones.
+    fn design_effect(&self, target: &Target, camera: usize) -> f64 {
+        let mut clusters = Clusters::default();
+        for view in self.views.iter().filter(|v| v.camera == camera) {
+            let time = (view.stamp_s / CLUSTER_S).floor() as i64;
+            let errors = self.errors_px(view).into_iter().zip(&view.inliers);
+            for ((error, inlier), (point, _)) in errors.zip(&view.corners) {
+                if let Some(error) = error.filter(|_| *inlier) {
+                    clusters.add(time, share_of_board(target, point), &error);
+                }
+            }
+        }
+        clusters.design_effect()
+    }
+
     /// Finds outliers and the spread of the others, camera by camera.
     pub fn find_outliers(&mut self, target: &Target) -> Result<(), Error> {
         let length = |e: &Option<Vector2<f64>>| e.map_or(f64::INFINITY, |e| e.norm());
@@ -394,12 +417,13 @@ impl State {
             let squares: f64 = lengths[..inliers].iter().map(|e| e * e).sum();
             let spread = (squares / (2 * inliers) as f64).sqrt();
             // Robust against what is left of outliers, exact where the errors are normal.
-            self.cameras[k].sigma_px = spread.min(1.2 * median / MEDIAN_LENGTH).max(LEAST_SIGMA_PX);
+            let spread = spread.min(1.2 * median / MEDIAN_LENGTH).max(LEAST_SIGMA_PX);
             for (view, errors) in self.views.iter_mut().zip(&errors) {
                 if view.camera == k {
                     view.inliers = errors.iter().map(|e| *e <= limit).collect();
                 }
             }
+            self.cameras[k].sigma_px = spread * self.design_effect(target, k).sqrt();
         }
         Ok(())
     }

@@ -1,8 +1,9 @@
 //! From the batch to what is told about it.
 
-use lsfb_geometry::{Matrix3, Vector3, spline};
+use lsfb_geometry::{Vector3, spline};
+use nalgebra::{RowSVector, SMatrix};
 
-use super::bend::bends;
+use super::bend::{BEND, bends};
 use super::inertial::{accel_matrix, gyro_matrix};
 use super::start::State;
 use super::uncertainty::Uncertainty;
@@ -115,17 +116,17 @@ impl State {
     }
 
     /// How far a corner lies out of the board's plane at most, with its standard deviation.
-    fn largest_bend(&self, target: &Target, covariance: &Matrix3<f64>) -> (f64, f64) {
-        let all: Vec<Vector3<f64>> = (0..target.corner_count())
-            .map(|k| bends(&(target.corner(k) - self.centre)))
+    fn largest_bend(&self, target: &Target, covariance: &SMatrix<f64, BEND, BEND>) -> (f64, f64) {
+        let all: Vec<RowSVector<f64, BEND>> = (0..target.corner_count())
+            .map(|k| bends(&(target.corner(k) - self.centre)).row(2).into_owned())
             .collect();
         // The plane is that of the mean.
-        let mean = all.iter().sum::<Vector3<f64>>() / all.len().max(1) as f64;
+        let mean = all.iter().sum::<RowSVector<f64, BEND>>() / all.len().max(1) as f64;
         all.iter()
             .map(|b| {
                 let by = b - mean;
-                let variance = (by.transpose() * covariance * by)[0];
-                (by.dot(&self.bend).abs(), variance.max(0.0).sqrt())
+                let variance = (by * covariance * by.transpose())[0];
+                ((by * self.bend)[0].abs(), variance.max(0.0).sqrt())
             })
             .max_by(|a, b| a.0.total_cmp(&b.0))
             .unwrap_or_default()

@@ -4,6 +4,7 @@ use lsfb_geometry::{Matrix6, Se3, Vector3, so3};
 use lsfb_solver::{BlockId, covariance};
 use nalgebra::{Matrix3, SMatrix};
 
+use super::bend::BEND;
 use super::problem::Effort;
 use super::start::State;
 use super::{Axes, Board, CameraImuConfig, Lenses, Readout};
@@ -24,7 +25,7 @@ pub(super) struct Uncertainty {
     pub gyro_bias: Vector3<f64>,
     pub accel_bias: Vector3<f64>,
     /// Covariance of the bend; zero where it was not searched.
-    pub bend: Matrix3<f64>,
+    pub bend: SMatrix<f64, BEND, BEND>,
     /// Errors of the axes of gyroscope and accelerometer; empty where they were not searched.
     pub axes: Vec<f64>,
 }
@@ -85,8 +86,8 @@ impl State {
             accel_bias: vector(biases[1]),
             bend: found
                 .between(blocks.bend.id(), blocks.bend.id())
-                .map_or_else(Matrix3::zeros, |c| {
-                    Matrix3::from_iterator(c.iter().copied())
+                .map_or_else(SMatrix::zeros, |c| {
+                    SMatrix::from_iterator(c.iter().copied())
                 }),
             axes: axes.into_iter().flat_map(sigmas).collect(),
         })

@@ -4,7 +4,7 @@
 //! `e_i = (project(lens, camera_from_rig · R(t)ᵀ (X_i − p(t))) − x_i) / σ`. All corners depend on the motion through the six
 //! components of one pose, so their derivative is `E D`: `E` by that pose, the lens and the board, with two rows per corner, and `D` by the
 //! blocks. With `E = Q U` (QR) the residual `[Qᵀ e, ‖e − Q Qᵀ e‖]` has the derivative `[U D, 0]`: the same cost, gradient and
-//! normal matrix in nineteen rows, however many corners there are.
+//! normal matrix in 21 rows, however many corners there are.
 //!
 //! Blocks: [`ORDER`] rotations, [`ORDER`] positions, `camera_from_rig`, the offset, the lens, the board's [`Bend`].
 
@@ -131,7 +131,7 @@ struct Inner {
 
 impl ViewResidual {
     fn bent(&self, point: &Vector3<f64>, bend: &Bend) -> Vector3<f64> {
-        point + Vector3::z() * bends(&(point - self.centre)).dot(bend)
+        point + bends(&(point - self.centre)) * bend
     }
 
     /// `‖e‖²`.
@@ -161,7 +161,7 @@ impl ViewResidual {
         // E and, as its last column, e.
         let mut table = DMatrix::<f64>::zeros((2 * self.corners.len()).max(ROWS), INNER + 1);
         let turn = camera_from_rig.rotation_matrix();
-        let out_of_board = rig_from_target.rotation * Vector3::z();
+        let turn_of_board = rig_from_target.rotation_matrix();
         for (k, (point, pixel)) in self.corners.iter().enumerate() {
             let in_rig = *rig_from_target * self.bent(point, bend);
             let seen = camera
@@ -177,7 +177,7 @@ impl ViewResidual {
             rows.fixed_columns_mut::<6>(0).copy_from(&by_rig);
             rows.fixed_columns_mut::<MAX_PARAMETERS>(6)
                 .copy_from(&seen.pixel_by_parameter);
-            let by_bend = (by_in_rig * out_of_board) * bends(&(point - self.centre)).transpose();
+            let by_bend = (by_in_rig * turn_of_board) * bends(&(point - self.centre));
             rows.fixed_columns_mut::<BEND>(6 + MAX_PARAMETERS)
                 .copy_from(&by_bend);
             rows.column_mut(INNER).copy_from(&(seen.pixel - pixel));
@@ -271,7 +271,11 @@ mod tests {
             .set_constant_components(lens, &absent)
             .expect("in the lens");
         blocks.push(lens.id());
-        blocks.push(problem.add_block(Bend::new(3e-3, -8e-3, 2e-3)).id());
+        blocks.push(
+            problem
+                .add_block(Bend::new(3e-3, -8e-3, 2e-3, 1e-3, -2e-3))
+                .id(),
+        );
         (problem, blocks)
     }
 

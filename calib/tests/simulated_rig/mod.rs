@@ -80,6 +80,7 @@ pub struct Simulated {
     pub views: Vec<CameraViews>,
     pub imu: Vec<(Timestamp, ImuSample)>,
     pub truth: Vec<TrueCamera>,
+    /// Mean over the recording, rad/s.
     pub gyro_bias: Vector3<f64>,
 }
 
