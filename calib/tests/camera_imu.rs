@@ -4,7 +4,7 @@ mod simulated_rig;
 
 use lsfb_calib::Target;
 use lsfb_calib::camera_imu::{
-    Axes, CameraImuCalibration, CameraImuConfig, KnownCamera, Readout, calibrate_camera_imu,
+    Axes, Board, CameraImuCalibration, CameraImuConfig, KnownCamera, Readout, calibrate_camera_imu,
 };
 use lsfb_types::{ImuSample, Timestamp, no_progress};
 use simulated_rig::{GRID, Setup, Simulated, noise, simulate};
@@ -100,9 +100,12 @@ fn axes_of_the_imu_and_readout_times_are_found() {
     });
     let config = CameraImuConfig {
         axes: Axes::Estimated,
+        board: Board::Bent,
         ..CameraImuConfig::default()
     };
     let found = calibrate(&simulated, &config);
+    // The board is flat, and is found to be.
+    assert!(found.board_bend_m < 5.0 * found.board_bend_sigma_m && found.board_bend_m < 2e-4);
     for axis in &found.imu.axes {
         let diagonal = axis.name.as_bytes()[axis.name.len() - 2..]
             .windows(2)

@@ -73,11 +73,12 @@ pub enum Axes {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Board {
-    /// It is a little bent: how is searched.
+    /// It is what its file says.
     #[default]
-    Bent,
-    /// It is flat.
     Flat,
+    /// It is a little bent, stretched and sheared: how is searched. For boards that are known not to be flat; it takes views from
+    /// all sides to tell such a board from another lens.
+    Bent,
 }
 
 /// What the batch knows of rolling shutters.
@@ -127,7 +128,7 @@ impl Default for CameraImuConfig {
     fn default() -> Self {
         Self {
             lenses: Lenses::Refined,
-            board: Board::Bent,
+            board: Board::Flat,
             axes: Axes::Ideal,
             readout: Readout::Known,
             knot_spacing_s: 0.02,

@@ -29,11 +29,13 @@ impl CameraImuCalibration {
     /// The page: no script, no network.
     pub fn to_html(&self, title: &str) -> String {
         let body = html! {
-            @for warning in &self.warnings { p.warning { (warning) } }
-            @for camera in &self.cameras { (section(camera)) }
-            p { "Corners lie up to " (format!("{:.2} ± {:.2}", self.board_bend_m * 1e3, self.board_bend_sigma_m * 1e3)) " mm out of the board's plane." }
-            (imu(&self.imu))
-        };
+                    @for warning in &self.warnings { p.warning { (warning) } }
+                    @for camera in &self.cameras { (section(camera)) }
+        @if self.board_bend_sigma_m > 0.0 {
+                        p { "Corners lie up to " (format!("{:.2} ± {:.2}", self.board_bend_m * 1e3, self.board_bend_sigma_m * 1e3)) " mm out of the board's plane." }
+                    }
+                    (imu(&self.imu))
+                };
         plots::page(title, &self.verdict(), &body)
     }
 }
