@@ -63,6 +63,7 @@ struct Tally {
     place_m: f64,
     clock_s: f64,
     focal: f64,
+    bias_rad_s: f64,
     inside: usize,
     all: usize,
 }
@@ -74,6 +75,14 @@ impl Tally {
     }
 
     fn add(&mut self, simulated: &Simulated, found: &CameraImuCalibration) {
+        for (found, truth) in found
+            .imu
+            .gyro_bias_rad_s
+            .iter()
+            .zip(simulated.gyro_bias.iter())
+        {
+            self.bias_rad_s = self.bias_rad_s.max((found - truth).abs());
+        }
         for (c, truth) in found.cameras.iter().zip(&simulated.truth) {
             let off = (truth.camera_from_rig.inverse() * c.camera_from_rig).log();
             for k in 0..6 {
@@ -98,11 +107,12 @@ impl Tally {
     #[allow(clippy::print_stdout, reason = "an example prints its result")]
     fn print(&self, name: &str) {
         println!(
-            "{name}: rotation ≤ {:.4}°, translation ≤ {:.3} mm, clock ≤ {:.1} µs, focal length ≤ {:.4} %, {} of {} errors within 1.96 σ ({:.1} %)",
+            "{name}: rotation ≤ {:.4}°, translation ≤ {:.3} mm, clock ≤ {:.1} µs, focal length ≤ {:.4} %, gyroscope bias ≤ {:.1e} rad/s, {} of {} errors within 1.96 σ ({:.1} %)",
             self.turn_deg,
             self.place_m * 1e3,
             self.clock_s * 1e6,
             self.focal * 100.0,
+            self.bias_rad_s,
             self.inside,
             self.all,
             100.0 * self.inside as f64 / self.all.max(1) as f64
@@ -139,7 +149,18 @@ fn shuffle(runs: u64) -> Result<(), Failure> {
         view_rate_hz: 10.0,
         ..Setup::default()
     });
-    let straight = calibrate(&simulated)?;
+    let run = |simulated: &Simulated| {
+        let (known, config) = (simulated.known(), CameraImuConfig::default());
+        calibrate_camera_imu(
+            &GRID,
+            &known,
+            &simulated.imu,
+            &noise(),
+            &config,
+            &no_progress,
+        )
+    };
+    let straight = run(&simulated)?;
     let mut largest = 0.0f64;
     for seed in 0..runs {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -148,7 +169,7 @@ fn shuffle(runs: u64) -> Result<(), Failure> {
         for corners in other.views.iter_mut().flat_map(|v| v.views.values_mut()) {
             corners.shuffle(&mut rng);
         }
-        let found = calibrate(&other)?;
+        let found = run(&other)?;
         for (c, same) in found.cameras.iter().zip(&straight.cameras) {
             let off = (same.camera_from_rig.inverse() * c.camera_from_rig).log();
             largest = largest
