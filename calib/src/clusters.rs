@@ -16,24 +16,31 @@ const PARTS: f64 = 3.0;
 
 /// Errors by view (or stretch of time) and part of the board.
 #[derive(Default)]
-pub(crate) struct Clusters(BTreeMap<(i64, [u8; 2]), (Vector2<f64>, f64, f64)>);
+pub(crate) struct Clusters(BTreeMap<(i64, [u8; 2]), Cluster>);
+
+#[derive(Default)]
+struct Cluster {
+    sum: Vector2<f64>,
+    squares: f64,
+    count: usize,
+}
 
 impl Clusters {
     /// Adds the error of a corner at `share` of the board.
     pub fn add(&mut self, time: i64, share: [f64; 2], error_px: &Vector2<f64>) {
         let part = share.map(|s| (s * PARTS).clamp(0.0, PARTS - 1.0) as u8);
-        let (sum, squares, count) = self.0.entry((time, part)).or_default();
-        *sum += error_px;
-        *squares += error_px.norm_squared();
-        *count += 1.0;
+        let cluster = self.0.entry((time, part)).or_default();
+        cluster.sum += error_px;
+        cluster.squares += error_px.norm_squared();
+        cluster.count += 1;
     }
 
     /// The design effect, at least 1.
     pub fn design_effect(&self) -> f64 {
         // Single corners say nothing.
-        let several = || self.0.values().filter(|c| c.2 > 1.0);
-        let together: f64 = several().map(|c| c.0.norm_squared()).sum();
-        let alone: f64 = several().map(|c| c.1).sum();
+        let several = || self.0.values().filter(|c| c.count > 1);
+        let together: f64 = several().map(|c| c.sum.norm_squared()).sum();
+        let alone: f64 = several().map(|c| c.squares).sum();
         if alone > 0.0 {
             (together / alone).max(1.0)
         } else {

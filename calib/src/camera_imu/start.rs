@@ -475,7 +475,8 @@ fn path_of(cameras: &[Mounted], seen: &[Seen], origin: Timestamp) -> Trajectory 
             let time_s = stamp_s + camera.offset_s;
             let next = taken.partition_point(|t| *t < time_s);
             let near = |k: usize| taken.get(k).is_some_and(|t| (t - time_s).abs() < APART_S);
-            if !near(next) && !(next > 0 && near(next - 1)) {
+            let before = next.checked_sub(1).is_some_and(near);
+            if !(near(next) || before) {
                 poses.push((time_s, *target_from_camera * camera.camera_from_rig));
             }
         }
