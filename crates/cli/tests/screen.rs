@@ -68,7 +68,15 @@ fn an_operator_starts_watches_marks_and_stops() {
         "walk.mcap",
         "--screen",
         "127.0.0.1:0",
+        "--power-supplies",
+        "power",
     ];
+    let battery = root.join("power/BAT0");
+    std::fs::create_dir_all(&battery).expect("folder");
+    let tell = |file: &str, text: &str| std::fs::write(battery.join(file), text).expect("battery");
+    tell("type", "Battery\n");
+    tell("status", "Discharging\n");
+    tell("capacity", "83\n");
     let mut scan = Running::lsfb(root, arguments.map(str::to_owned));
     scan.wait_for("screen: ");
     let mut tab = Tab::open(&url_of(&scan)).expect("a browser");
@@ -76,6 +84,15 @@ fn an_operator_starts_watches_marks_and_stops() {
     // The state may arrive before the style does.
     tab.wait_for("document.readyState === 'complete' && document.body.dataset.phase === 'ready' && document.querySelector('#run').textContent === 'START'");
     check_layout(&mut tab, "ready");
+    let shows = |percent: u32, level: &str| {
+        format!(
+            "document.querySelector('#tile-battery .value').textContent === '{percent} %' && \
+             document.querySelector('#tile-battery').dataset.level === '{level}'"
+        )
+    };
+    tab.wait_for(&shows(83, "good"));
+    tell("capacity", "9\n");
+    tab.wait_for(&shows(9, "bad"));
     assert_eq!(
         tab.value("document.querySelector('#note').disabled"),
         json!(true)

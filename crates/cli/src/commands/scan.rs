@@ -82,6 +82,9 @@ pub struct Arguments {
     /// Send what is recorded to Foxglove, which connects to ADDR.
     #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = "127.0.0.1:8765", conflicts_with_all = ["pcap", "db3", "mcap"])]
     foxglove: Option<SocketAddr>,
+    /// Folder that tells of batteries, for hosts whose battery is told of elsewhere than in /sys/class/power_supply.
+    #[arg(long, value_name = "FOLDER")]
+    power_supplies: Option<PathBuf>,
     /// Send what is recorded to the Rerun viewer at URL.
     #[cfg(feature = "view")]
     #[arg(long, value_name = "URL", num_args = 0..=1, default_missing_value = "rerun+http://127.0.0.1:9876/proxy", conflicts_with_all = ["pcap", "db3", "mcap"])]
@@ -182,6 +185,7 @@ impl Arguments {
         Ok(LiveConfig {
             screen,
             foxglove: self.foxglove,
+            power_supplies: self.power_supplies.clone().unwrap_or_default(),
             #[cfg(feature = "view")]
             rerun: self.rerun.clone(),
         })

@@ -45,6 +45,7 @@ pub struct Wires {
     pub end: Arc<AtomicBool>,
     pub board: Arc<Mutex<String>>,
     pub folder: Option<PathBuf>,
+    pub power_supplies: PathBuf,
 }
 
 /// See the module's page.
@@ -351,7 +352,7 @@ impl Conductor {
     fn look_at_host(&mut self) {
         let now = Instant::now();
         self.shown.host = now;
-        self.state.battery = host::battery();
+        self.state.battery = host::battery(&self.wires.power_supplies);
         // While it records, the recorder says it.
         if self.running.is_none() {
             self.state.storage = self.folder.as_deref().and_then(host::idle_storage);

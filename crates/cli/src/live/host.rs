@@ -41,12 +41,11 @@ pub fn idle_storage(folder: &Path) -> Option<StorageState> {
     })
 }
 
-/// The host's battery; `None` without one.
-pub fn battery() -> Option<BatteryState> {
-    battery_below(Path::new("/sys/class/power_supply"))
-}
+/// Where the kernel tells of batteries.
+pub const POWER_SUPPLIES: &str = "/sys/class/power_supply";
 
-fn battery_below(supplies: &Path) -> Option<BatteryState> {
+/// The host's battery, of those below a folder; `None` without one.
+pub fn battery(supplies: &Path) -> Option<BatteryState> {
     let mut folders: Vec<PathBuf> = std::fs::read_dir(supplies)
         .ok()?
         .flatten()
@@ -93,13 +92,13 @@ mod tests {
                 std::fs::write(path.join(file), format!("{text}\n")).unwrap();
             }
         };
-        assert_eq!(battery_below(folder.path()), None);
+        assert_eq!(battery(folder.path()), None);
         supply("AC", &[("type", "Mains")]);
         supply(
             "hidpp_0",
             &[("type", "Battery"), ("scope", "Device"), ("capacity", "5")],
         );
-        assert_eq!(battery_below(folder.path()), None);
+        assert_eq!(battery(folder.path()), None);
         supply(
             "BAT0",
             &[
@@ -108,7 +107,7 @@ mod tests {
                 ("status", "Discharging"),
             ],
         );
-        let found = battery_below(folder.path()).unwrap();
+        let found = battery(folder.path()).unwrap();
         assert_eq!(
             (found.level, found.percent, found.charging),
             (Level::Warning, 17.0, false)

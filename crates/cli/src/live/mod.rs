@@ -33,6 +33,8 @@ pub struct LiveConfig {
     pub screen: Option<ScreenConfig>,
     /// Where Foxglove connects.
     pub foxglove: Option<SocketAddr>,
+    /// Where batteries are told of; empty for the kernel's folder.
+    pub power_supplies: PathBuf,
     /// URL of a Rerun viewer.
     #[cfg(feature = "view")]
     pub rerun: Option<String>,
@@ -133,6 +135,11 @@ impl Live {
                 end: Arc::clone(&end),
                 board: Arc::clone(&board),
                 folder: Some(folder_of(out)),
+                power_supplies: if config.power_supplies.as_os_str().is_empty() {
+                    host::POWER_SUPPLIES.into()
+                } else {
+                    config.power_supplies.clone()
+                },
             },
         );
         let thread = std::thread::Builder::new()
