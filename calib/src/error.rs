@@ -94,6 +94,44 @@ pub enum Error {
         /// Its value.
         value: f64,
     },
+    /// The LiDAR saw the board too seldom.
+    #[error(
+        "lidar: a board of {:.0} × {:.0} mm was found in {found} of {scans} scans, {needed} are needed: check its size, that it stands free (no wall or person within 20 cm behind it), and that at least three beams meet it",
+        width_m * 1e3,
+        height_m * 1e3
+    )]
+    BoardNotSeen {
+        /// Scans in which something like it was found.
+        found: usize,
+        /// Scans looked at.
+        scans: usize,
+        /// Scans needed.
+        needed: usize,
+        /// Width of the plate, metres.
+        width_m: f64,
+        /// Height of the plate, metres.
+        height_m: f64,
+    },
+    /// What was said of the board's size is not what the sensors see.
+    #[error("the board's size is wrong: {problem}")]
+    BoardSize {
+        /// What differs, and what to measure.
+        problem: String,
+    },
+    /// The board always faced the same way.
+    #[error(
+        "the boards' normals differ by {tilt_deg:.1}° only about one axis, {needed_deg:.0}° are needed: translation along {direction} rests on outlines alone; {advice}"
+    )]
+    OneSided {
+        /// Spread of the normals about the axis about which they differ least, degrees.
+        tilt_deg: f64,
+        /// Spread needed, degrees.
+        needed_deg: f64,
+        /// What is not determined.
+        direction: String,
+        /// What to record.
+        advice: String,
+    },
     /// The least-squares problem could not be solved.
     #[error("solving failed: {0}")]
     Solver(#[from] lsfb_solver::Error),

@@ -20,10 +20,17 @@ pub mod camera_imu;
 mod clusters;
 pub mod detect;
 mod error;
+pub mod exchange;
 pub mod images;
 pub mod imu_noise;
+pub mod joint;
+pub mod lidar_camera;
 mod plots;
+mod report;
 pub mod target;
+mod transform;
+pub mod verify;
 
 pub use error::Error;
 pub use target::Target;
+pub use transform::TransformEdge;

@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use lsfb_geometry::{Rig, RigLidar, Se3};
-use lsfb_recording::{Summary, Writer, WriterConfig};
+use lsfb_recording::{Summary, Writer, WriterConfig, read_pcd};
 use lsfb_types::{Progress, ProgressFn, Stamped, Timestamp};
 
+use crate::Error;
 use crate::recorder::make_folder;
-use crate::{Error, pcd};
 
 /// What a folder of clouds does not say of itself.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -62,7 +62,7 @@ pub fn import_clouds(
             time,
             arrival: time,
             device_ticks: 0,
-            sample: pcd::read(path)?,
+            sample: read_pcd(path)?,
         };
         writer.write_scan(&scan)?;
     }

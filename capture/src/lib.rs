@@ -29,7 +29,6 @@ pub mod health;
 mod imu;
 mod incoming;
 mod lidar;
-mod pcd;
 mod recorder;
 mod remark;
 mod replay;

@@ -136,7 +136,8 @@ fn gather(name: &str, looked: Vec<Looked>) -> Result<CameraViews, Error> {
     })
 }
 
-fn last_number(file: &Path) -> Option<i64> {
+/// The last number in the name of a file.
+pub(crate) fn last_number(file: &Path) -> Option<i64> {
     let stem = file.file_stem()?.to_string_lossy().into_owned();
     let end = stem.rfind(|c: char| c.is_ascii_digit())? + 1;
     let start = stem[..end]

@@ -83,6 +83,14 @@ impl Target {
         }
     }
 
+    /// Extent of all corners along x and y, metres.
+    pub fn corners_size(&self) -> [f64; 2] {
+        let corners = (0..self.corner_count()).map(|k| self.corner(k));
+        corners.fold([0.0, 0.0], |size: [f64; 2], c| {
+            [size[0].max(c.x), size[1].max(c.y)]
+        })
+    }
+
     /// A corner in the target frame, metres. AprilGrid: four per tag, from its lower left against the clock, tags by rows
     /// from the lower left. Checkerboard: by rows from the upper left.
     pub fn corner(&self, index: usize) -> Vector3<f64> {

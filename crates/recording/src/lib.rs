@@ -31,6 +31,7 @@ mod layout;
 pub mod message;
 mod open_chunk;
 mod pack;
+mod pcd;
 mod provenance;
 mod reader;
 mod record;
@@ -49,6 +50,7 @@ mod writer;
 
 pub use error::{Damage, Error};
 pub use layout::{Channel, Compression, Durability, Existing, Summary, TopicSummary, WriterConfig};
+pub use pcd::read_pcd;
 pub use provenance::{Provenance, sha256_of};
 pub use reader::{ArrivalRange, CdrMessage, Recording};
 pub use recover::{Recovered, recover};

@@ -11,9 +11,12 @@ use lsfb_types::{ImuSample, Timestamp};
 use crate::context::Context;
 use crate::outcome::Outcome;
 
-use super::{calib_camera, calib_camera_imu, calib_imu_noise, calib_target};
+use super::{
+    calib_camera, calib_camera_imu, calib_exchange, calib_imu_noise, calib_joint,
+    calib_lidar_camera, calib_refine, calib_target, calib_verify,
+};
 
-/// Calibrate: print a board, find the cameras' lenses and poses, their place on the IMU, the IMU's noise.
+/// Calibrate: print a board, find lenses and poses of cameras, IMU and LiDAR, join and verify them.
 #[derive(clap::Args)]
 pub struct Arguments {
     #[command(subcommand)]
@@ -26,6 +29,12 @@ enum Step {
     Camera(calib_camera::Arguments),
     CameraImu(calib_camera_imu::Arguments),
     ImuNoise(calib_imu_noise::Arguments),
+    LidarCamera(calib_lidar_camera::Arguments),
+    Joint(calib_joint::Arguments),
+    Verify(calib_verify::Arguments),
+    Refine(calib_refine::Arguments),
+    Import(calib_exchange::ImportArguments),
+    Export(calib_exchange::ExportArguments),
 }
 
 /// Runs the step.
@@ -35,6 +44,12 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         Step::Camera(a) => calib_camera::run(a, context),
         Step::CameraImu(a) => calib_camera_imu::run(a, context),
         Step::ImuNoise(a) => calib_imu_noise::run(a, context),
+        Step::LidarCamera(a) => calib_lidar_camera::run(a, context),
+        Step::Joint(a) => calib_joint::run(a, context),
+        Step::Verify(a) => calib_verify::run(a, context),
+        Step::Refine(a) => calib_refine::run(a, context),
+        Step::Import(a) => calib_exchange::run_import(a, context),
+        Step::Export(a) => calib_exchange::run_export(a, context),
     }
 }
 
@@ -84,7 +99,8 @@ fn checkerboard(text: &str) -> Result<Target, String> {
     })
 }
 
-fn words<'a, const N: usize>(text: &'a str, expected: &str) -> Result<[&'a str; N], String> {
+/// Exactly `N` words between commas.
+pub fn words<'a, const N: usize>(text: &'a str, expected: &str) -> Result<[&'a str; N], String> {
     let words: Vec<&str> = text.split(',').map(str::trim).collect();
     words.try_into().map_err(|_| format!("expected {expected}"))
 }
@@ -93,7 +109,8 @@ fn count(word: &str) -> Result<u32, String> {
     word.parse().map_err(|_| format!("{word} is not a count"))
 }
 
-fn number(word: &str) -> Result<f64, String> {
+/// A number, or what is wrong with it.
+pub fn number(word: &str) -> Result<f64, String> {
     word.parse().map_err(|_| format!("{word} is not a number"))
 }
 

@@ -3,8 +3,13 @@
 pub mod calib;
 mod calib_camera;
 mod calib_camera_imu;
+mod calib_exchange;
 mod calib_imu_noise;
+mod calib_joint;
+mod calib_lidar_camera;
+mod calib_refine;
 mod calib_target;
+mod calib_verify;
 pub mod clock;
 pub mod demo;
 pub mod doctor;

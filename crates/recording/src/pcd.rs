@@ -33,11 +33,12 @@ struct Header {
     data_at: usize,
 }
 
-/// Reads one file. Points whose coordinates are not finite are left out.
-pub(crate) fn read(path: &Path) -> Result<LidarScan, Error> {
-    let bytes = std::fs::read(path).map_err(|cause| Error::Io {
+/// Reads a point cloud from a PCD file, ASCII or binary. Points whose coordinates are not finite are left out.
+pub fn read_pcd(path: &Path) -> Result<LidarScan, Error> {
+    let bytes = std::fs::read(path).map_err(|source| Error::Io {
         path: path.to_owned(),
-        cause,
+        action: "read",
+        source,
     })?;
     let fail = |message: String| Error::Cloud {
         path: path.to_owned(),
@@ -240,7 +241,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.pcd");
         std::fs::write(&path, bytes).unwrap();
-        read(&path)
+        read_pcd(&path)
     }
 
     #[test]

@@ -1,0 +1,272 @@
+//! Basalt's calibration file.
+
+use lsfb_geometry::camera::{Lens, LensModel};
+use lsfb_geometry::{Camera, Rig, RigImu, Se3, Vector3};
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value, json};
+
+use super::{
+    Exported, ExportedFile, checked, empty_rig, in_model, mounted, parse_error, quaternion,
+};
+use crate::Error;
+
+#[derive(Deserialize)]
+struct File {
+    value0: Calibration,
+}
+
+#[derive(Deserialize)]
+struct Calibration {
+    #[serde(rename = "T_imu_cam")]
+    imu_from_camera: Vec<Pose>,
+    intrinsics: Vec<Intrinsics>,
+    resolution: Vec<[u32; 2]>,
+    #[serde(default)]
+    accel_noise_std: Vec<f64>,
+    #[serde(default)]
+    gyro_noise_std: Vec<f64>,
+    #[serde(default)]
+    accel_bias_std: Vec<f64>,
+    #[serde(default)]
+    gyro_bias_std: Vec<f64>,
+    #[serde(default)]
+    cam_time_offset_ns: i64,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Pose {
+    px: f64,
+    py: f64,
+    pz: f64,
+    qx: f64,
+    qy: f64,
+    qz: f64,
+    qw: f64,
+}
+
+#[derive(Deserialize)]
+struct Intrinsics {
+    camera_type: String,
+    intrinsics: Map<String, Value>,
+}
+
+/// Reads a calibration; `path` names it in errors.
+pub fn import_basalt(text: &str, path: &str) -> Result<Rig, Error> {
+    let file: File = serde_json::from_str(text).map_err(|e| parse_error(path, e))?;
+    let c = file.value0;
+    let count = c.intrinsics.len();
+    if count == 0 || c.resolution.len() != count || c.imu_from_camera.len() != count {
+        return Err(parse_error(
+            path,
+            format!(
+                "{} T_imu_cam, {count} intrinsics and {} resolutions: expected as many of each",
+                c.imu_from_camera.len(),
+                c.resolution.len()
+            ),
+        ));
+    }
+    let mut rig = empty_rig("basalt");
+    for (k, ((pose, intrinsics), size)) in c
+        .imu_from_camera
+        .iter()
+        .zip(&c.intrinsics)
+        .zip(&c.resolution)
+        .enumerate()
+    {
+        let name = format!("cam{k}");
+        let fail = |problem: String| parse_error(path, format!("{name}: {problem}"));
+        let rotation = quaternion([pose.qw, pose.qx, pose.qy, pose.qz])
+            .ok_or_else(|| fail("its quaternion has not norm 1".to_owned()))?;
+        let camera = checked(Camera {
+            width: size[0],
+            height: size[1],
+            lens: lens(intrinsics).map_err(fail)?,
+        })
+        .map_err(fail)?;
+        let pose = Se3::new(rotation, Vector3::new(pose.px, pose.py, pose.pz));
+        let mut mounted = mounted(camera, pose);
+        mounted.timing.rig_from_camera_s = c.cam_time_offset_ns as f64 * 1e-9;
+        rig.cameras.insert(name, mounted);
+    }
+    // Three axes each; a rig has one number.
+    let mean = |axes: &[f64]| {
+        let squares: f64 = axes.iter().map(|a| a * a).sum();
+        (!axes.is_empty()).then(|| (squares / axes.len() as f64).sqrt())
+    };
+    let noise = [
+        mean(&c.gyro_noise_std),
+        mean(&c.accel_noise_std),
+        mean(&c.gyro_bias_std),
+        mean(&c.accel_bias_std),
+    ];
+    if let [Some(gyro), Some(accel), Some(gyro_walk), Some(accel_walk)] = noise {
+        rig.imu = Some(RigImu {
+            gyro_noise_density: gyro,
+            accel_noise_density: accel,
+            gyro_bias_walk: gyro_walk,
+            accel_bias_walk: accel_walk,
+        });
+    }
+    Ok(rig)
+}
+
+fn lens(camera: &Intrinsics) -> Result<Lens, String> {
+    let get = |name: &str| {
+        camera
+            .intrinsics
+            .get(name)
+            .and_then(Value::as_f64)
+            .ok_or_else(|| format!("{} has no number {name}", camera.camera_type))
+    };
+    let focal_px = [get("fx")?, get("fy")?];
+    let principal_px = [get("cx")?, get("cy")?];
+    Ok(match camera.camera_type.as_str() {
+        "pinhole" => Lens::PinholeRadtan {
+            focal_px,
+            principal_px,
+            distortion: [0.0; 5],
+        },
+        "pinhole-radtan8" => {
+            if get("k4")? != 0.0 || get("k5")? != 0.0 || get("k6")? != 0.0 {
+                return Err("rational distortion with k4 to k6 is not known".to_owned());
+            }
+            Lens::PinholeRadtan {
+                focal_px,
+                principal_px,
+                distortion: [get("k1")?, get("k2")?, get("p1")?, get("p2")?, get("k3")?],
+            }
+        }
+        "kb4" => Lens::KannalaBrandt {
+            focal_px,
+            principal_px,
+            distortion: [get("k1")?, get("k2")?, get("k3")?, get("k4")?],
+        },
+        "ds" => Lens::DoubleSphere {
+            focal_px,
+            principal_px,
+            distortion: [get("xi")?, get("alpha")?],
+        },
+        "eucm" => Lens::ExtendedUnified {
+            focal_px,
+            principal_px,
+            distortion: [get("alpha")?, get("beta")?],
+        },
+        // Unified: the extended one of an unstretched sphere.
+        "ucm" => Lens::ExtendedUnified {
+            focal_px,
+            principal_px,
+            distortion: [get("alpha")?, 1.0],
+        },
+        "fov" => Lens::FieldOfView {
+            focal_px,
+            principal_px,
+            distortion: [get("w")?],
+        },
+        other => return Err(format!("camera_type {other} is not known")),
+    })
+}
+
+pub(super) fn export(rig: &Rig, imu_rate_hz: f64) -> Exported {
+    let mut out = Exported::default();
+    let mut intrinsics = Vec::new();
+    let mut poses = Vec::new();
+    let mut resolution = Vec::new();
+    for (name, mounted) in &rig.cameras {
+        let camera = in_model(
+            name,
+            &mounted.camera,
+            &[
+                LensModel::PinholeRadtan,
+                LensModel::KannalaBrandt,
+                LensModel::DoubleSphere,
+                LensModel::ExtendedUnified,
+                LensModel::FieldOfView,
+            ],
+            LensModel::KannalaBrandt,
+            &mut out.notes,
+        );
+        let (kind, names): (&str, &[&str]) = match camera.lens {
+            Lens::PinholeRadtan { .. } => ("pinhole-radtan8", &["k1", "k2", "p1", "p2", "k3"]),
+            Lens::KannalaBrandt { .. } => ("kb4", &["k1", "k2", "k3", "k4"]),
+            Lens::DoubleSphere { .. } => ("ds", &["xi", "alpha"]),
+            Lens::ExtendedUnified { .. } => ("eucm", &["alpha", "beta"]),
+            Lens::FieldOfView { .. } => ("fov", &["w"]),
+        };
+        let ([fx, fy], [cx, cy]) = (camera.focal_px(), camera.principal_px());
+        let mut values = Map::new();
+        for (key, value) in [("fx", fx), ("fy", fy), ("cx", cx), ("cy", cy)] {
+            values.insert(key.to_owned(), json!(value));
+        }
+        for (key, value) in names.iter().zip(camera.lens.distortion()) {
+            values.insert((*key).to_owned(), json!(value));
+        }
+        if kind == "pinhole-radtan8" {
+            for key in ["k4", "k5", "k6", "rpmax"] {
+                values.insert(key.to_owned(), json!(0.0));
+            }
+        }
+        intrinsics.push(json!({ "camera_type": kind, "intrinsics": values }));
+        let (t, q) = (
+            mounted.rig_from_camera.translation,
+            mounted.rig_from_camera.rotation.coords,
+        );
+        poses.push(Pose {
+            px: t.x,
+            py: t.y,
+            pz: t.z,
+            qx: q.x,
+            qy: q.y,
+            qz: q.z,
+            qw: q.w,
+        });
+        resolution.push([camera.width, camera.height]);
+    }
+    let offsets: Vec<f64> = rig
+        .cameras
+        .values()
+        .map(|c| c.timing.rig_from_camera_s)
+        .collect();
+    let mean_s = offsets.iter().sum::<f64>() / offsets.len().max(1) as f64;
+    let apart_s = offsets
+        .iter()
+        .map(|o| (o - mean_s).abs())
+        .fold(0.0, f64::max);
+    if apart_s > 1e-6 {
+        out.notes.push(format!(
+            "Basalt has one time offset: the mean is written, cameras differ from it by up to {:.0} µs",
+            apart_s * 1e6
+        ));
+    }
+    let mut value = json!({
+        "T_imu_cam": poses,
+        "intrinsics": intrinsics,
+        "resolution": resolution,
+        "calib_accel_bias": vec![0.0; 9],
+        "calib_gyro_bias": vec![0.0; 12],
+        "imu_update_rate": imu_rate_hz,
+        "cam_time_offset_ns": (mean_s * 1e9).round() as i64,
+        "vignette": Vec::<f64>::new(),
+    });
+    match &rig.imu {
+        Some(imu) => {
+            for (key, noise) in [
+                ("accel_noise_std", imu.accel_noise_density),
+                ("gyro_noise_std", imu.gyro_noise_density),
+                ("accel_bias_std", imu.accel_bias_walk),
+                ("gyro_bias_std", imu.gyro_bias_walk),
+            ] {
+                value[key] = json!(vec![noise; 3]);
+            }
+        }
+        None => out
+            .notes
+            .push("the rig has no IMU: Basalt needs its noise added".to_owned()),
+    }
+    // Names and numbers: nothing in it can fail.
+    let text = serde_json::to_string_pretty(&json!({ "value0": value })).unwrap_or_default();
+    out.files.push(ExportedFile {
+        name: "calibration.json".to_owned(),
+        text: text + "\n",
+    });
+    out
+}

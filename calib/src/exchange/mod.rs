@@ -1,0 +1,205 @@
+//! Rigs in the files of other programs, and theirs as rigs.
+//!
+//! | program | files | pixel (0, 0) | poses | time |
+//! | --- | --- | --- | --- | --- |
+//! | Kalibr | `camchain.yaml`, `imu.yaml` | centre of the first pixel | `T_cam_imu`: camera from IMU | `t_imu = t_cam + timeshift_cam_imu` |
+//! | ROS | one `CameraInfo` per camera | centre of the first pixel | none | none |
+//! | COLMAP | `cameras.txt`, `rig_config.json` | **corner** of the first pixel: half a pixel more | `cam_from_rig`, the rig is the first camera | none |
+//! | Basalt | `calibration.json` | centre of the first pixel | `T_imu_cam`: IMU from camera | `t_imu = t_cam + cam_time_offset_ns`, one for all |
+//!
+//! What a format cannot hold is said in [`Exported::notes`], never dropped in silence.
+
+mod basalt;
+mod colmap;
+mod kalibr;
+mod ros;
+
+use lsfb_geometry::camera::{Lens, LensModel};
+use lsfb_geometry::{
+    Camera, Matrix3, Quaternion, Rig, RigCamera, Se3, UnitQuaternion, Vector2, Vector3,
+};
+use nalgebra::Rotation3;
+
+use crate::Error;
+use crate::camera::fit_lens;
+
+pub use basalt::import_basalt;
+pub use colmap::import_colmap;
+pub use kalibr::{import_kalibr, import_kalibr_imu};
+pub use ros::import_camera_info;
+
+/// A program whose files can be written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// Kalibr: camera chain with the IMU, noise of the IMU.
+    Kalibr,
+    /// ROS: `CameraInfo` as `camera_calibration` writes it.
+    Ros,
+    /// COLMAP: cameras and rig.
+    Colmap,
+    /// Basalt: calibration.
+    Basalt,
+}
+
+/// One file of a format.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ExportedFile {
+    /// Its usual name.
+    pub name: String,
+    /// Its text.
+    pub text: String,
+}
+
+/// A rig in another program's files.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Exported {
+    /// The files.
+    pub files: Vec<ExportedFile>,
+    /// What the format does not hold, in words.
+    pub notes: Vec<String>,
+}
+
+/// A rig in the files of `format`. `imu_rate_hz` is the rate of the IMU's samples, which a rig does not say.
+pub fn export(rig: &Rig, format: Format, imu_rate_hz: f64) -> Result<Exported, Error> {
+    if rig.cameras.is_empty() {
+        return Err(Error::Parse {
+            path: format!("rig {}", rig.name),
+            problem: "it has no camera: there is nothing to export".to_owned(),
+        });
+    }
+    let mut out = match format {
+        Format::Kalibr => kalibr::export(rig, imu_rate_hz),
+        Format::Ros => ros::export(rig),
+        Format::Colmap => colmap::export(rig),
+        Format::Basalt => basalt::export(rig, imu_rate_hz),
+    };
+    if rig.lidar.is_some() {
+        out.notes
+            .push("the LiDAR's pose has no place in these files".to_owned());
+    }
+    if rig.cameras.values().any(|c| c.timing.readout_s != 0.0) {
+        out.notes
+            .push("readout times of rolling shutters have no place in these files".to_owned());
+    }
+    Ok(out)
+}
+
+/// A camera in a model that the other program knows: its own, or `other` fitted over the image. With a note of what that
+/// costs.
+fn in_model(
+    name: &str,
+    camera: &Camera,
+    known: &[LensModel],
+    other: LensModel,
+    notes: &mut Vec<String>,
+) -> Camera {
+    let own = camera.lens.model();
+    if known.contains(&own) {
+        return *camera;
+    }
+    let rays = grid(camera);
+    let fitted = Camera {
+        lens: fit_lens(other, camera, &rays),
+        ..*camera
+    };
+    notes.push(format!(
+        "{name}: the lens model {} is written as {}, which misses it by up to {:.3} px",
+        own.name(),
+        other.name(),
+        deviation_px(camera, &fitted)
+    ));
+    fitted
+}
+
+/// Rays of a grid of pixels.
+fn grid(camera: &Camera) -> Vec<(Vector3<f64>, Vector2<f64>)> {
+    const STEPS: u32 = 24;
+    let at = |k: u32, size: u32| f64::from(k) / f64::from(STEPS) * f64::from(size - 1);
+    (0..=STEPS)
+        .flat_map(|j| (0..=STEPS).map(move |i| (i, j)))
+        .map(|(i, j)| Vector2::new(at(i, camera.width.max(1)), at(j, camera.height.max(1))))
+        .filter_map(|pixel| Some((camera.unproject(&pixel)?, pixel)))
+        .collect()
+}
+
+/// Largest distance between where two lenses see the same rays, pixels.
+fn deviation_px(a: &Camera, b: &Camera) -> f64 {
+    grid(a)
+        .iter()
+        .map(|(ray, pixel)| b.project(ray).map_or(f64::INFINITY, |p| (p - pixel).norm()))
+        .fold(0.0, f64::max)
+}
+
+/// A number with all its digits.
+fn exact(value: f64) -> String {
+    format!("{value:?}")
+}
+
+fn list(values: &[f64]) -> String {
+    let words: Vec<String> = values.iter().map(|v| exact(*v)).collect();
+    format!("[{}]", words.join(", "))
+}
+
+/// A rotation matrix as others write it: rounded, so made orthogonal again; `None` where it is none.
+fn rotation(rows: &Matrix3<f64>) -> Option<UnitQuaternion<f64>> {
+    let orthogonal = (rows.transpose() * rows - Matrix3::identity()).abs().max() < 1e-3;
+    if !(orthogonal && rows.determinant() > 0.0) {
+        return None;
+    }
+    let svd = rows.svd(true, true);
+    let nearest = svd.u? * svd.v_t?;
+    Some(UnitQuaternion::from_rotation_matrix(
+        &Rotation3::from_matrix_unchecked(nearest),
+    ))
+}
+
+fn quaternion([w, x, y, z]: [f64; 4]) -> Option<UnitQuaternion<f64>> {
+    let q = Quaternion::new(w, x, y, z);
+    ((q.norm() - 1.0).abs() < 1e-3).then(|| UnitQuaternion::new_normalize(q))
+}
+
+fn mounted(camera: Camera, rig_from_camera: Se3) -> RigCamera {
+    RigCamera {
+        camera,
+        rig_from_camera,
+        timing: Default::default(),
+    }
+}
+
+fn checked(camera: Camera) -> Result<Camera, String> {
+    let whole = camera.width > 0 && camera.height > 0;
+    if !whole {
+        return Err(format!(
+            "an image of {} × {} pixels",
+            camera.width, camera.height
+        ));
+    }
+    camera.lens.problem().map_or(Ok(camera), Err)
+}
+
+fn empty_rig(name: &str) -> Rig {
+    Rig {
+        name: name.to_owned(),
+        cameras: Default::default(),
+        imu: None,
+        lidar: None,
+    }
+}
+
+fn parse_error(path: &str, problem: impl std::fmt::Display) -> Error {
+    Error::Parse {
+        path: path.to_owned(),
+        problem: problem.to_string().replace('\n', ", "),
+    }
+}
+
+/// Radial-tangential distortion of the lens, where it has it.
+fn radtan(lens: &Lens) -> Option<[f64; 5]> {
+    match lens {
+        Lens::PinholeRadtan { distortion, .. } => Some(*distortion),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,344 @@
+//! LiDAR against images without a target, by one of two scores whose maximum over small rotations about the camera's axes
+//! says by how much the camera is turned.
+//!
+//! Edges: steps in range fall on edges of brightness where the rig is right.
+//! `J(T) = Σ step(p) · E(project(T p)) / Σ step(p)`, where `E` is the image's gradient with a falloff around each edge
+//! (Levinson and Thrun, "Automatic Online Calibration of Cameras and Lasers", 2013).
+//!
+//! Mutual information: what is bright to the LiDAR and to the camera depends on each other where the rig is right,
+//! `I = Σ p(a, b) log (p(a, b) / p(a) p(b))` over reflectivity `a` and grey value `b` (Pandey et al., "Automatic Extrinsic
+//! Calibration of Vision and Lidar by Maximizing Mutual Information", 2015).
+
+use lsfb_geometry::{Camera, Se3, Vector3, so3};
+use lsfb_types::Image;
+
+/// Factor of the falloff per pixel of the reduced image, and the share that does not fall off to neighbours.
+const FALLOFF: f32 = 0.92;
+const OWN: f32 = 0.33;
+/// Widest image used, pixels.
+const MAX_WIDTH: u32 = 640;
+/// Steps in range that count in full, and that begin to count, metres.
+const FULL_STEP_M: f64 = 1.0;
+const LEAST_STEP_M: f64 = 0.3;
+
+/// A return with how far what lies beside it is behind it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct StepPoint {
+    /// In the rig at the image's time, metres.
+    pub position: Vector3<f64>,
+    pub weight: f64,
+}
+
+/// Bins of reflectivity and of grey value.
+const BINS: usize = 20;
+/// Returns of a view that count at most.
+const MOST_RETURNS: usize = 3000;
+
+/// What is compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Score {
+    Edges,
+    MutualInformation,
+}
+
+/// A return with its reflectivity as a bin.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Return {
+    /// In the rig at the image's time, metres.
+    pub position: Vector3<f64>,
+    pub bin: usize,
+}
+
+/// Bins that hold as many returns each, by reflectivity.
+pub(super) fn bins_of(reflectivity: &[u8]) -> [usize; 256] {
+    let mut counts = [0usize; 256];
+    for r in reflectivity {
+        counts[usize::from(*r)] += 1;
+    }
+    let mut below = 0;
+    counts.map(|n| {
+        let bin = (below + n / 2) * BINS / reflectivity.len().max(1);
+        below += n;
+        bin.min(BINS - 1)
+    })
+}
+
+/// Edges of an image, with falloff.
+pub(super) struct EdgeImage {
+    camera: Camera,
+    width: usize,
+    strength: Vec<f32>,
+    gray: Vec<f32>,
+}
+
+/// An image with the steps of the scan nearest in time.
+pub(super) struct View {
+    pub edges: EdgeImage,
+    pub steps: Vec<StepPoint>,
+    pub returns: Vec<Return>,
+}
+
+impl EdgeImage {
+    pub fn new(image: &Image, camera: &Camera) -> Self {
+        let factor = image.width.div_ceil(MAX_WIDTH).max(1);
+        let (width, height) = (
+            (image.width / factor) as usize,
+            (image.height / factor) as usize,
+        );
+        let camera =
+            super::time_offset::reduced(camera, f64::from(factor), width as u32, height as u32);
+        let values = super::time_offset::averaged(image, factor);
+        let at = |x: usize, y: usize| values[y * width + x];
+        let mut strength = vec![0f32; width * height];
+        for y in 1..height.saturating_sub(1) {
+            for x in 1..width.saturating_sub(1) {
+                let dx = at(x + 1, y) - at(x - 1, y);
+                let dy = at(x, y + 1) - at(x, y - 1);
+                strength[y * width + x] = dx.abs().max(dy.abs());
+            }
+        }
+        // Half of the strongest gradients count in full: a lamp is not worth a hundred door frames.
+        let mut sorted: Vec<f32> = strength.iter().step_by(7).copied().collect();
+        sorted.sort_by(f32::total_cmp);
+        let full = sorted
+            .get(sorted.len() * 19 / 20)
+            .copied()
+            .unwrap_or(1.0)
+            .max(1e-3);
+        for s in &mut strength {
+            *s = (*s / full).min(1.0);
+        }
+        let mut far = strength.clone();
+        spread(&mut far, width, height);
+        for (s, f) in strength.iter_mut().zip(&far) {
+            *s = OWN * *s + (1.0 - OWN) * f;
+        }
+        // Less the image's mean, so that busy images do not draw points onto them.
+        let mean = strength.iter().sum::<f32>() / strength.len().max(1) as f32;
+        for s in &mut strength {
+            *s -= mean;
+        }
+        Self {
+            camera,
+            width,
+            strength,
+            gray: values,
+        }
+    }
+
+    /// The image between pixels where a point is seen.
+    fn at(&self, values: &[f32], point_in_camera: &Vector3<f64>) -> Option<f64> {
+        if point_in_camera.z < 0.2 {
+            return None;
+        }
+        let pixel = self.camera.project(point_in_camera)?;
+        let inside = pixel.x >= 0.0
+            && pixel.y >= 0.0
+            && pixel.x < self.width as f64 - 1.0
+            && pixel.y < f64::from(self.camera.height) - 1.0;
+        if !inside {
+            return None;
+        }
+        let (i, j) = (pixel.x as usize, pixel.y as usize);
+        let (u, v) = (pixel.x - i as f64, pixel.y - j as f64);
+        let value = |i: usize, j: usize| f64::from(values[j * self.width + i]);
+        let top = value(i, j) * (1.0 - u) + value(i + 1, j) * u;
+        let bottom = value(i, j + 1) * (1.0 - u) + value(i + 1, j + 1) * u;
+        Some(top * (1.0 - v) + bottom * v)
+    }
+}
+
+/// The largest neighbour times a factor, from all sides, in two passes.
+fn spread(values: &mut [f32], width: usize, height: usize) {
+    for y in 0..height {
+        for x in 0..width {
+            let mut most = values[y * width + x];
+            if x > 0 {
+                most = most.max(values[y * width + x - 1] * FALLOFF);
+            }
+            if y > 0 {
+                most = most.max(values[(y - 1) * width + x] * FALLOFF);
+            }
+            values[y * width + x] = most;
+        }
+    }
+    for y in (0..height).rev() {
+        for x in (0..width).rev() {
+            let mut most = values[y * width + x];
+            if x + 1 < width {
+                most = most.max(values[y * width + x + 1] * FALLOFF);
+            }
+            if y + 1 < height {
+                most = most.max(values[(y + 1) * width + x] * FALLOFF);
+            }
+            values[y * width + x] = most;
+        }
+    }
+}
+
+/// Weight of a return whose neighbours are this much farther, metres.
+pub(super) fn step_weight(farther_m: f64) -> Option<f64> {
+    (farther_m > LEAST_STEP_M).then(|| (farther_m / FULL_STEP_M).min(1.0).sqrt())
+}
+
+/// How well views fit.
+fn score(views: &[&View], camera_from_rig: &Se3, by: Score) -> f64 {
+    match by {
+        Score::Edges => edge_strength(views, camera_from_rig),
+        Score::MutualInformation => mutual_information(views, camera_from_rig),
+    }
+}
+
+/// Mean edge strength below the steps of some views.
+fn edge_strength(views: &[&View], camera_from_rig: &Se3) -> f64 {
+    let (mut sum, mut total) = (0.0, 0.0);
+    for view in views {
+        for step in &view.steps {
+            let point = *camera_from_rig * step.position;
+            if let Some(strength) = view.edges.at(&view.edges.strength, &point) {
+                sum += strength * step.weight;
+                total += step.weight;
+            }
+        }
+    }
+    if total > 0.0 { sum / total } else { 0.0 }
+}
+
+/// Mutual information of reflectivity and grey value, nats.
+fn mutual_information(views: &[&View], camera_from_rig: &Se3) -> f64 {
+    let mut joint = [[0.0; BINS]; BINS];
+    let mut total = 0.0;
+    for view in views {
+        let every = view.returns.len().div_ceil(MOST_RETURNS).max(1);
+        for seen in view.returns.iter().step_by(every) {
+            let point = *camera_from_rig * seen.position;
+            let Some(gray) = view.edges.at(&view.edges.gray, &point) else {
+                continue;
+            };
+            // Shared between the two nearest bins, so that the score is smooth.
+            let place = (gray / 256.0 * BINS as f64 - 0.5).clamp(0.0, (BINS - 1) as f64 - 1e-9);
+            let (bin, share) = (place as usize, place.fract());
+            joint[seen.bin][bin] += 1.0 - share;
+            joint[seen.bin][bin + 1] += share;
+            total += 1.0;
+        }
+    }
+    if total < 100.0 {
+        return 0.0;
+    }
+    let by_gray: [f64; BINS] = std::array::from_fn(|b| joint.iter().map(|row| row[b]).sum());
+    let mut information = 0.0;
+    for row in &joint {
+        let by_reflectivity: f64 = row.iter().sum();
+        for (n, gray) in row.iter().zip(&by_gray) {
+            if *n > 0.0 {
+                information += n / total * (n * total / (by_reflectivity * gray)).ln();
+            }
+        }
+    }
+    information
+}
+
+/// How a camera would have to be turned for LiDAR and images to fit best.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Misalignment {
+    /// About the camera's x, y and z axis, radians: `camera_from_rig` is to be multiplied from the left with its exponential.
+    pub turn: Vector3<f64>,
+    /// Standard deviation, from groups of views.
+    pub sigma_rad: Vector3<f64>,
+    /// Score now, and at the best.
+    pub score: f64,
+    pub best_score: f64,
+    pub steps: usize,
+}
+
+/// Groups of views whose answers are compared.
+const GROUPS: usize = 4;
+/// Rotations searched at first about each axis, radians.
+const REACH_RAD: f64 = 0.045;
+
+/// The best small rotation; `None` with fewer views than groups.
+pub(super) fn misalignment(
+    views: &[View],
+    camera_from_rig: &Se3,
+    by: Score,
+) -> Option<Misalignment> {
+    let enough = |v: &&View| match by {
+        Score::Edges => v.steps.len() >= 20,
+        Score::MutualInformation => v.returns.len() >= 200,
+    };
+    let usable: Vec<&View> = views.iter().filter(enough).collect();
+    if usable.len() < GROUPS {
+        return None;
+    }
+    let turn = best_turn(&usable, camera_from_rig, by);
+    let parts: Vec<Vector3<f64>> = (0..GROUPS)
+        .map(|g| {
+            let part: Vec<&View> = usable.iter().skip(g).step_by(GROUPS).copied().collect();
+            best_turn(&part, camera_from_rig, by)
+        })
+        .collect();
+    let mean = parts.iter().sum::<Vector3<f64>>() / GROUPS as f64;
+    let variance = parts
+        .iter()
+        .map(|p| (p - mean).component_mul(&(p - mean)))
+        .sum::<Vector3<f64>>()
+        / (GROUPS - 1) as f64;
+    Some(Misalignment {
+        turn,
+        sigma_rad: (variance / GROUPS as f64).map(f64::sqrt),
+        score: score(&usable, camera_from_rig, by),
+        best_score: score(&usable, &turned(camera_from_rig, &turn), by),
+        steps: usable.iter().map(|v| v.steps.len()).sum(),
+    })
+}
+
+fn turned(camera_from_rig: &Se3, turn: &Vector3<f64>) -> Se3 {
+    Se3::new(so3::exp(turn), Vector3::zeros()) * *camera_from_rig
+}
+
+/// Axis by axis, then finer.
+fn best_turn(views: &[&View], camera_from_rig: &Se3, by: Score) -> Vector3<f64> {
+    let mut turn = Vector3::zeros();
+    let mut reach = REACH_RAD;
+    for _ in 0..4 {
+        for axis in [1, 0, 2] {
+            turn[axis] = best_along(views, camera_from_rig, &turn, axis, reach, by);
+        }
+        reach *= 0.45;
+    }
+    turn
+}
+
+/// The best value about one axis: the largest of a grid, refined by its neighbours.
+fn best_along(
+    views: &[&View],
+    camera_from_rig: &Se3,
+    turn: &Vector3<f64>,
+    axis: usize,
+    reach: f64,
+    by: Score,
+) -> f64 {
+    const SIDE: i32 = 9;
+    let step = reach / f64::from(SIDE);
+    let at = |k: i32| {
+        let mut trial = *turn;
+        trial[axis] += f64::from(k) * step;
+        score(views, &turned(camera_from_rig, &trial), by)
+    };
+    let scores: Vec<f64> = (-SIDE..=SIDE).map(at).collect();
+    let best = scores
+        .iter()
+        .enumerate()
+        .max_by(|a, b| a.1.total_cmp(b.1))
+        .map_or(SIDE as usize, |b| b.0);
+    let mut offset = best as f64 - f64::from(SIDE);
+    if best > 0 && best + 1 < scores.len() {
+        let (l, m, r) = (scores[best - 1], scores[best], scores[best + 1]);
+        let bend = l + r - 2.0 * m;
+        if bend < 0.0 {
+            offset += (0.5 * (l - r) / bend).clamp(-0.5, 0.5);
+        }
+    }
+    turn[axis] + offset * step
+}

@@ -1,0 +1,195 @@
+//! Two cameras against each other: what one sees lies on the epipolar curve in the other.
+//!
+//! Corners of one image are looked for around the curve that the rig draws into the other, by correlation of patches. How far
+//! across the curve they are found is the error; along it is depth, which says nothing.
+
+use lsfb_geometry::{Camera, Se3, Vector2};
+use lsfb_types::Image;
+
+/// Corners looked for at most, one per cell.
+const CELLS: [u32; 2] = [20, 14];
+/// Half the edge of a patch, pixels.
+const HALF: i32 = 5;
+/// Errors looked for across the curve, pixels.
+const REACH_PX: i32 = 6;
+/// Nearest thing expected, metres.
+const NEAREST_M: f64 = 0.4;
+/// Correlation of a match, and of the next best one elsewhere.
+const GOOD: f64 = 0.9;
+const SECOND: f64 = 0.8;
+/// Drop of the correlation two pixels across the curve: an edge along the curve has none, and says nothing.
+const SHARP: f64 = 0.04;
+/// Share of the larger eigenvalue of a corner's gradients that the smaller one has.
+const ROUND: f64 = 0.1;
+/// Places looked at along the curve at most.
+const MOST_PLACES: usize = 160;
+
+/// Share of the first image that the second one sees, far away.
+pub(super) fn overlap(first: &Camera, second: &Camera, second_from_first: &Se3) -> f64 {
+    let (mut inside, mut all) = (0, 0);
+    for j in 0..12 {
+        for i in 0..16 {
+            let pixel = Vector2::new(
+                f64::from(first.width) * (f64::from(i) + 0.5) / 16.0,
+                f64::from(first.height) * (f64::from(j) + 0.5) / 12.0,
+            );
+            all += 1;
+            let seen = first
+                .unproject(&pixel)
+                .and_then(|ray| second.project(&(second_from_first.rotation * ray)));
+            inside += usize::from(seen.is_some_and(|p| second.contains(&p, 10.0)));
+        }
+    }
+    inside as f64 / f64::from(all)
+}
+
+/// Errors across the curve of the corners that are found, pixels.
+pub(super) fn errors_px(
+    first: (&Image, &Camera),
+    second: (&Image, &Camera),
+    second_from_first: &Se3,
+) -> Vec<f64> {
+    corners(first.0)
+        .iter()
+        .filter_map(|corner| error_px(first, second, second_from_first, corner))
+        .collect()
+}
+
+/// The strongest corner of each cell: the larger the smaller eigenvalue of its gradients.
+fn corners(image: &Image) -> Vec<Vector2<f64>> {
+    let margin = HALF as u32 + 2;
+    let mut out = Vec::new();
+    if image.width < 4 * margin || image.height < 4 * margin {
+        return out;
+    }
+    let cell = [image.width / CELLS[0], image.height / CELLS[1]].map(|c| c.max(1));
+    let value = |x: u32, y: u32| f64::from(image.pixels[(y * image.width + x) as usize]);
+    for cy in 0..image.height / cell[1] {
+        for cx in 0..image.width / cell[0] {
+            let mut best: Option<(f64, [u32; 2])> = None;
+            for y in (cy * cell[1]..(cy + 1) * cell[1]).step_by(2) {
+                for x in (cx * cell[0]..(cx + 1) * cell[0]).step_by(2) {
+                    let inside = x >= margin
+                        && y >= margin
+                        && x + margin < image.width
+                        && y + margin < image.height;
+                    if !inside {
+                        continue;
+                    }
+                    let (mut a, mut b, mut c) = (0.0, 0.0, 0.0);
+                    for v in y - 2..=y + 2 {
+                        for u in x - 2..=x + 2 {
+                            let dx = value(u + 1, v) - value(u - 1, v);
+                            let dy = value(u, v + 1) - value(u, v - 1);
+                            a += dx * dx;
+                            b += dx * dy;
+                            c += dy * dy;
+                        }
+                    }
+                    let smaller = 0.5 * (a + c - ((a - c).powi(2) + 4.0 * b * b).sqrt());
+                    if smaller > ROUND * (a + c - smaller) && smaller > best.map_or(2000.0, |b| b.0)
+                    {
+                        best = Some((smaller, [x, y]));
+                    }
+                }
+            }
+            out.extend(best.map(|(_, [x, y])| Vector2::new(f64::from(x), f64::from(y))));
+        }
+    }
+    out
+}
+
+fn error_px(
+    first: (&Image, &Camera),
+    second: (&Image, &Camera),
+    second_from_first: &Se3,
+    corner: &Vector2<f64>,
+) -> Option<f64> {
+    let ray = first.1.unproject(corner)?;
+    let own = patch(first.0, corner)?;
+    let at_depth = |inverse_m: f64| {
+        let point = second_from_first.rotation * ray + second_from_first.translation * inverse_m;
+        second.1.project(&point)
+    };
+    let (far, near) = (at_depth(0.0)?, at_depth(1.0 / NEAREST_M)?);
+    let places = ((far - near).norm().ceil() as usize + 2).min(MOST_PLACES);
+    let mut found: Vec<(f64, f64, f64)> = Vec::new();
+    for k in 0..places {
+        let share = k as f64 / (places - 1) as f64;
+        let (Some(on), Some(next)) = (
+            at_depth(share / NEAREST_M),
+            at_depth((share + 0.01) / NEAREST_M),
+        ) else {
+            continue;
+        };
+        let along = (next - on).try_normalize(1e-6).unwrap_or_else(Vector2::x);
+        let across = Vector2::new(-along.y, along.x);
+        let scores: Vec<f64> = (-REACH_PX..=REACH_PX)
+            .map(|e| {
+                patch(second.0, &(on + across * f64::from(e)))
+                    .map_or(-1.0, |other| correlation(&own, &other))
+            })
+            .collect();
+        let best = (0..scores.len()).max_by(|a, b| scores[*a].total_cmp(&scores[*b]))?;
+        let mut error = best as f64 - f64::from(REACH_PX);
+        let sharp = [best.checked_sub(2), Some(best + 2)]
+            .into_iter()
+            .flatten()
+            .filter_map(|k| scores.get(k))
+            .all(|s| *s < scores[best] - SHARP);
+        if !sharp {
+            continue;
+        }
+        if best > 0 && best + 1 < scores.len() {
+            let (l, m, r) = (scores[best - 1], scores[best], scores[best + 1]);
+            let bend = l + r - 2.0 * m;
+            if bend < -1e-9 {
+                error += (0.5 * (l - r) / bend).clamp(-0.5, 0.5);
+            }
+        }
+        found.push((scores[best], error, k as f64));
+    }
+    let best = found.iter().copied().max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let second_best = found
+        .iter()
+        .filter(|f| (f.2 - best.2).abs() > 3.0)
+        .map(|f| f.0)
+        .fold(-1.0, f64::max);
+    // At the end of the reach the best may lie beyond.
+    let inside = best.1.abs() < f64::from(REACH_PX) - 0.5;
+    (best.0 > GOOD && second_best < SECOND.max(best.0 - 0.1) && inside).then_some(best.1)
+}
+
+const PATCH: usize = ((2 * HALF + 1) * (2 * HALF + 1)) as usize;
+
+/// A patch with mean zero and norm one; `None` off the image or where it is blank.
+fn patch(image: &Image, at: &Vector2<f64>) -> Option<[f64; PATCH]> {
+    let (w, h) = (image.width as i64, image.height as i64);
+    let (i, j) = (at.x.floor() as i64, at.y.floor() as i64);
+    let half = i64::from(HALF);
+    if i < half || j < half || i + half + 1 >= w || j + half + 1 >= h {
+        return None;
+    }
+    let (u, v) = (at.x - i as f64, at.y - j as f64);
+    let value = |x: i64, y: i64| f64::from(image.pixels[(y * w + x) as usize]);
+    let mut out = [0.0; PATCH];
+    let mut at = 0;
+    for y in j - half..=j + half {
+        for x in i - half..=i + half {
+            let top = value(x, y) * (1.0 - u) + value(x + 1, y) * u;
+            let bottom = value(x, y + 1) * (1.0 - u) + value(x + 1, y + 1) * u;
+            out[at] = top * (1.0 - v) + bottom * v;
+            at += 1;
+        }
+    }
+    let mean = out.iter().sum::<f64>() / PATCH as f64;
+    let norm = out.iter().map(|x| (x - mean).powi(2)).sum::<f64>().sqrt();
+    if norm < 3.0 * (PATCH as f64).sqrt() {
+        return None;
+    }
+    Some(out.map(|x| (x - mean) / norm))
+}
+
+fn correlation(a: &[f64; PATCH], b: &[f64; PATCH]) -> f64 {
+    a.iter().zip(b).map(|(x, y)| x * y).sum()
+}

@@ -1,0 +1,223 @@
+//! `lsfb calib import` and `lsfb calib export`: rigs from and for other programs.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use lsfb_calib::exchange::{
+    Format, export, import_basalt, import_camera_info, import_colmap, import_kalibr,
+    import_kalibr_imu,
+};
+use lsfb_geometry::{Rig, RigCamera, Se3};
+use lsfb_recording::Provenance;
+
+use crate::context::Context;
+use crate::outcome::Outcome;
+
+/// A rig from the files of Kalibr, ROS, COLMAP or Basalt.
+///
+/// Examples:
+///   lsfb calib import kalibr camchain-imucam.yaml imu.yaml --out rig.toml
+///   lsfb calib import ros left.yaml right.yaml --into rig.toml --out rig.toml
+///   lsfb calib import colmap cameras.txt rig_config.json --out rig.toml
+///   lsfb calib import basalt calibration.json --out rig.toml
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct ImportArguments {
+    /// Whose files they are.
+    #[arg(value_enum)]
+    program: Program,
+    /// The files, in the order of the examples.
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
+    /// A rig to put the cameras into: what the files do not say stays.
+    #[arg(long, value_name = "TOML")]
+    into: Option<PathBuf>,
+    /// The rig.
+    #[arg(long, value_name = "TOML")]
+    out: PathBuf,
+}
+
+/// A rig in the files of Kalibr, ROS, COLMAP or Basalt.
+///
+/// Examples:
+///   lsfb calib export kalibr rig.toml --out folder
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct ExportArguments {
+    /// Whose files.
+    #[arg(value_enum)]
+    program: Program,
+    /// The rig.
+    #[arg(value_name = "TOML")]
+    rig: PathBuf,
+    /// Folder for the files.
+    #[arg(long, value_name = "FOLDER")]
+    out: PathBuf,
+    /// Samples of the IMU per second, which a rig does not say.
+    #[arg(long, value_name = "HZ", default_value_t = 200.0)]
+    imu_rate_hz: f64,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Program {
+    Kalibr,
+    Ros,
+    Colmap,
+    Basalt,
+}
+
+impl From<Program> for Format {
+    fn from(program: Program) -> Self {
+        match program {
+            Program::Kalibr => Self::Kalibr,
+            Program::Ros => Self::Ros,
+            Program::Colmap => Self::Colmap,
+            Program::Basalt => Self::Basalt,
+        }
+    }
+}
+
+/// Reads the files, writes the rig.
+pub fn run_import(arguments: &ImportArguments, context: &Context) -> anyhow::Result<Outcome> {
+    let found = read(arguments)?;
+    let mut provenance = Provenance::new(&());
+    for path in &arguments.files {
+        provenance.add_input(path)?;
+    }
+    let rig = match &arguments.into {
+        Some(path) => {
+            provenance.add_input(path)?;
+            let mut rig = Rig::read(path)?;
+            put(&found, arguments.program, &mut rig);
+            rig
+        }
+        None => found,
+    };
+    std::fs::write(&arguments.out, rig.to_toml())
+        .with_context(|| arguments.out.display().to_string())?;
+    provenance.write(&arguments.out)?;
+    let names: Vec<&String> = rig.cameras.keys().collect();
+    context.print(&names, || {
+        let names: Vec<&str> = names.iter().map(|n| n.as_str()).collect();
+        format!("{}: {}", arguments.out.display(), names.join(", "))
+    })?;
+    Ok(Outcome::Done)
+}
+
+fn text(path: &Path) -> anyhow::Result<String> {
+    std::fs::read_to_string(path).with_context(|| path.display().to_string())
+}
+
+fn read(arguments: &ImportArguments) -> anyhow::Result<Rig> {
+    let files = &arguments.files;
+    let most = match arguments.program {
+        Program::Ros => usize::MAX,
+        Program::Basalt => 1,
+        Program::Kalibr | Program::Colmap => 2,
+    };
+    anyhow::ensure!(
+        files.len() <= most,
+        "{} files, at most {most} are expected: see --help for their order",
+        files.len()
+    );
+    let Some(first) = files.first() else {
+        anyhow::bail!("no file was named");
+    };
+    let name = first.display().to_string();
+    let second = files.get(1);
+    Ok(match arguments.program {
+        Program::Kalibr => {
+            let mut rig = import_kalibr(&text(first)?, &name)?;
+            if let Some(path) = second {
+                rig.imu = Some(import_kalibr_imu(
+                    &text(path)?,
+                    &path.display().to_string(),
+                )?);
+            }
+            rig
+        }
+        Program::Colmap => {
+            let config = second.map(|p| text(p)).transpose()?;
+            import_colmap(&text(first)?, config.as_deref(), &name)?
+        }
+        Program::Basalt => import_basalt(&text(first)?, &name)?,
+        Program::Ros => {
+            let mut rig = Rig {
+                name: "ros".into(),
+                cameras: Default::default(),
+                imu: None,
+                lidar: None,
+            };
+            for (k, path) in files.iter().enumerate() {
+                let found = import_camera_info(&text(path)?, &path.display().to_string())?;
+                let name = found.name.unwrap_or_else(|| format!("cam{k}"));
+                let mounted = RigCamera {
+                    camera: found.camera,
+                    rig_from_camera: Se3::identity(),
+                    timing: Default::default(),
+                };
+                rig.cameras.insert(name, mounted);
+            }
+            rig
+        }
+    })
+}
+
+/// What was read put into a rig. Files without an IMU say how cameras stand to each other: the first one that the rig has
+/// too keeps its pose. `CameraInfo` has no poses at all.
+fn put(found: &Rig, program: Program, rig: &mut Rig) {
+    let anchor = found.cameras.iter().find_map(|(name, c)| {
+        Some(rig.cameras.get(name)?.rig_from_camera * c.rig_from_camera.inverse())
+    });
+    let has_imu = matches!(program, Program::Kalibr | Program::Basalt);
+    for (name, camera) in &found.cameras {
+        let before = rig.cameras.get(name).cloned();
+        let pose = match (&before, anchor) {
+            (Some(before), _) if matches!(program, Program::Ros) => before.rig_from_camera,
+            (_, Some(rig_from_origin)) if !has_imu => rig_from_origin * camera.rig_from_camera,
+            _ => camera.rig_from_camera,
+        };
+        let timing = match &before {
+            Some(before) if !has_imu => before.timing,
+            _ => camera.timing,
+        };
+        rig.cameras.insert(
+            name.clone(),
+            RigCamera {
+                camera: camera.camera,
+                rig_from_camera: pose,
+                timing,
+            },
+        );
+    }
+    if found.imu.is_some() {
+        rig.imu.clone_from(&found.imu);
+    }
+}
+
+/// Writes the files.
+pub fn run_export(arguments: &ExportArguments, context: &Context) -> anyhow::Result<Outcome> {
+    let rig = Rig::read(&arguments.rig)?;
+    let exported = export(&rig, arguments.program.into(), arguments.imu_rate_hz)?;
+    std::fs::create_dir_all(&arguments.out).with_context(|| arguments.out.display().to_string())?;
+    let mut paths = Vec::new();
+    for file in &exported.files {
+        let path = arguments.out.join(&file.name);
+        std::fs::write(&path, &file.text).with_context(|| path.display().to_string())?;
+        paths.push(path);
+    }
+    context.print(
+        &serde_json::json!({ "files": &paths, "notes": &exported.notes }),
+        || {
+            let mut text = String::new();
+            for path in &paths {
+                text += &format!("{}\n", path.display());
+            }
+            for note in &exported.notes {
+                text += &format!("  {note}\n");
+            }
+            text.trim_end().to_owned()
+        },
+    )?;
+    Ok(Outcome::Done)
+}

@@ -1,0 +1,115 @@
+//! `lsfb calib joint`: pairwise transforms → one rig, Eq. 3.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use lsfb_calib::TransformEdge;
+use lsfb_calib::joint::{IMU, JointConfig, Weights, join_transforms};
+use lsfb_geometry::{Rig, RigLidar};
+use lsfb_recording::Provenance;
+
+use crate::context::Context;
+use crate::outcome::Outcome;
+
+/// Join pairwise transforms between sensors into one rig (Eq. 3), and check every loop.
+///
+/// The poses of cameras on the rig are the transforms to the IMU; those named with --transform join them, and take the place
+/// of the rig's between the same sensors. Exit code 1 where a transform contradicts the others.
+///
+/// Examples:
+///   lsfb calib joint --rig rig.toml --transform rig.cam0-lidar.json --transform rig.cam1-lidar.json --out joined.toml
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    /// The rig with lenses and the cameras' poses in the IMU.
+    #[arg(long, value_name = "TOML")]
+    rig: PathBuf,
+    /// A transform between two sensors, as other steps write it.
+    #[arg(long = "transform", required = true, value_name = "JSON")]
+    transforms: Vec<PathBuf>,
+    /// The paper's covariances for all, also where measured ones are known.
+    #[arg(long)]
+    paper_weights: bool,
+    /// The joined rig; a page with the table of loops is written beside it.
+    #[arg(long, value_name = "TOML")]
+    out: PathBuf,
+    /// Settings (TOML), instead of the defaults.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+}
+
+/// Joins, writes rig and page, prints the table.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    let mut config: JointConfig = super::config_or_default(arguments.config.as_deref())?;
+    if arguments.paper_weights {
+        config.weights = Weights::Paper;
+    }
+    let mut rig = Rig::read(&arguments.rig)?;
+    let mut provenance = Provenance::new(&config);
+    provenance.add_input(&arguments.rig)?;
+    let mut edges = Vec::new();
+    for path in &arguments.transforms {
+        edges.push(TransformEdge::read(path)?);
+        provenance.add_input(path)?;
+    }
+    for (name, camera) in &rig.cameras {
+        let given = edges.iter().any(|e| {
+            [e.target.as_str(), e.source.as_str()] == [IMU, name]
+                || [e.source.as_str(), e.target.as_str()] == [IMU, name]
+        });
+        if !given {
+            edges.push(TransformEdge {
+                target: IMU.to_owned(),
+                source: name.clone(),
+                target_from_source: camera.rig_from_camera,
+                covariance: None,
+            });
+        }
+    }
+    let found = join_transforms(&edges, &config)?;
+    if let Some(lidar) = found.sensor(lsfb_calib::joint::LIDAR) {
+        let range_noise_m = rig.lidar.as_ref().map_or(0.03, |l| l.range_noise_m);
+        rig.lidar = Some(RigLidar {
+            rig_from_lidar: lidar.imu_from_sensor,
+            range_noise_m,
+        });
+    }
+    found.put_into(&mut rig);
+    let page = arguments.out.with_extension("html");
+    let write = |path: &Path, text: String| {
+        std::fs::write(path, text).with_context(|| path.display().to_string())
+    };
+    write(&arguments.out, rig.to_toml())?;
+    write(&page, found.to_html("Joint calibration"))?;
+    provenance.write(&arguments.out)?;
+    context.print(&found, || {
+        let mut text = format!(
+            "{}: {} See {}.\n  transform            loop rotation  translation    χ² (6)",
+            arguments.out.display(),
+            found.verdict(),
+            page.display()
+        );
+        for e in &found.edges {
+            let name = format!("{}–{}", e.target, e.source);
+            text += &match (e.loop_rotation_rad, e.loop_translation_m, e.chi_square) {
+                (Some(turn), Some(shift), Some(chi)) => format!(
+                    "\n  {name:20} {:11.3} ° {:9.2} mm {chi:9.1}{}",
+                    turn.to_degrees(),
+                    shift * 1e3,
+                    if e.outlier { "  contradicts" } else { "" }
+                ),
+                _ => format!("\n  {name:20} not checked by any loop"),
+            };
+        }
+        for warning in &found.warnings {
+            text += &format!("\n  {warning}");
+        }
+        text
+    })?;
+    anyhow::ensure!(
+        !found.has_outlier(),
+        "{}: a transform contradicts the others: see the table above; the rig is written but should not be used",
+        arguments.out.display()
+    );
+    Ok(Outcome::Done)
+}

@@ -1,0 +1,185 @@
+//! `lsfb calib lidar-camera`: views of a board by both → pose of the LiDAR to the camera.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use lsfb_calib::lidar_camera::{
+    Board, LidarCameraConfig, calibrate_lidar_camera, poses_from_folder, poses_from_recording,
+};
+use lsfb_geometry::{Rig, RigLidar};
+use lsfb_recording::Provenance;
+
+use super::calib::{TargetArguments, number, views_of, words};
+use crate::context::Context;
+use crate::outcome::Outcome;
+
+/// Pose of the LiDAR to a camera, from poses of a board that both see.
+///
+/// Images and clouds (PCD with rings) belong together where the last numbers in their names are the same. The board stands
+/// still, free (nothing within 20 cm behind it), tilted another way each time: ten poses are few, thirty are good.
+///
+/// Examples:
+///   lsfb calib lidar-camera --checkerboard 7,5,0.095 --plate 850,610 --camera cam0=images --clouds 'pcd/*_full.pcd' --rig rig.toml --out calibrated.toml
+///   lsfb calib lidar-camera --target grid.yaml --plate 830,750 --camera cam0 --recording scan.mcap --rig rig.toml --out calibrated.toml
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    #[command(flatten)]
+    target: TargetArguments,
+    /// The plate: its size along the pattern's x and y axis in millimetres.
+    #[arg(long, value_name = "W,H", value_parser = two_lengths)]
+    plate: [f64; 2],
+    /// Middle of the plate from the middle of the corners, along the pattern's x and y axis, in millimetres.
+    #[arg(long, value_name = "X,Y", value_parser = two_lengths, default_value = "0,0", allow_hyphen_values = true)]
+    offset: [f64; 2],
+    /// The camera: NAME of the recording, NAME=FOLDER or NAME=FOLDER/PREFIX*; the rig has its lens.
+    #[arg(long, value_name = "NAME[=FOLDER]")]
+    camera: String,
+    /// The clouds: FOLDER or FOLDER/PREFIX*SUFFIX.
+    #[arg(
+        long,
+        value_name = "FOLDER",
+        group = "source",
+        required_unless_present = "recording"
+    )]
+    clouds: Option<String>,
+    /// The recording, with the board held still for two seconds in each pose.
+    #[arg(long, value_name = "MCAP", group = "source")]
+    recording: Option<PathBuf>,
+    /// Poses taken from a recording at most.
+    #[arg(long, value_name = "N", default_value_t = 60)]
+    max_poses: usize,
+    /// The rig with the camera in it.
+    #[arg(long, value_name = "TOML")]
+    rig: PathBuf,
+    /// The rig with the LiDAR in it; a page with plots and the transform for `lsfb calib joint` are written beside it.
+    #[arg(long, value_name = "TOML")]
+    out: PathBuf,
+    /// Settings (TOML), instead of the defaults.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+}
+
+fn two_lengths(text: &str) -> Result<[f64; 2], String> {
+    let [a, b] = words(text, "two lengths in millimetres")?;
+    Ok([number(a)? * 1e-3, number(b)? * 1e-3])
+}
+
+/// Calibrates, writes rig, transform and page, prints the report.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    let board = Board {
+        target: arguments.target.target()?,
+        width_m: arguments.plate[0],
+        height_m: arguments.plate[1],
+        offset_m: arguments.offset,
+    };
+    let config: LidarCameraConfig = super::config_or_default(arguments.config.as_deref())?;
+    let mut rig = Rig::read(&arguments.rig)?;
+    let mut provenance = Provenance::new(&config);
+    provenance.add_input(&arguments.rig)?;
+    let name = arguments.camera.split('=').next().unwrap_or_default();
+    let mounted = rig.cameras.get(name).with_context(|| {
+        let known: Vec<&str> = rig.cameras.keys().map(String::as_str).collect();
+        format!(
+            "{}: no camera {name}; it has {}: calibrate it with `lsfb calib camera`",
+            arguments.rig.display(),
+            known.join(", ")
+        )
+    })?;
+    let recording = match &arguments.recording {
+        Some(path) => {
+            provenance.add_input(path)?;
+            Some(context.open(path)?)
+        }
+        None => None,
+    };
+    let views = views_of(
+        &arguments.camera,
+        recording.as_ref(),
+        &board.target,
+        context,
+    )?;
+    let camera = mounted.camera;
+    anyhow::ensure!(
+        (views.width, views.height) == (camera.width, camera.height),
+        "camera {name}: images of {} × {} pixels, its lens in {} is for {} × {}",
+        views.width,
+        views.height,
+        arguments.rig.display(),
+        camera.width,
+        camera.height
+    );
+    let poses = match (&arguments.clouds, &recording) {
+        (Some(clouds), _) => {
+            let (folder, prefix, suffix) = pattern(clouds);
+            poses_from_folder(&views, folder, prefix, suffix)?
+        }
+        (None, Some(recording)) => poses_from_recording(&views, recording, arguments.max_poses)?,
+        (None, None) => anyhow::bail!("no scans: give --clouds or --recording"),
+    };
+    let show = |p| context.show(p);
+    let found = calibrate_lidar_camera(&board, name, &camera, &poses, &config, &show)?;
+
+    rig.lidar = Some(RigLidar {
+        rig_from_lidar: mounted.rig_from_camera * found.camera_from_lidar,
+        range_noise_m: found.range_noise_m,
+    });
+    let page = arguments.out.with_extension("html");
+    let transform = arguments.out.with_extension(format!("{name}-lidar.json"));
+    let write = |path: &Path, text: String| {
+        std::fs::write(path, text).with_context(|| path.display().to_string())
+    };
+    write(&arguments.out, rig.to_toml())?;
+    write(&page, found.to_html("LiDAR–camera calibration"))?;
+    write(&transform, found.edge().to_json())?;
+    provenance.write(&arguments.out)?;
+    context.print(&found, || {
+        let mut text = format!(
+            "{}: {} See {}; {} is for `lsfb calib joint`.",
+            arguments.out.display(),
+            found.verdict(),
+            page.display(),
+            transform.display()
+        );
+        let t = &found.camera_from_lidar;
+        let (roll, pitch, yaw) = t.rotation.euler_angles();
+        for (k, (axis, value)) in [("roll", roll), ("pitch", pitch), ("yaw", yaw)]
+            .iter()
+            .enumerate()
+        {
+            text += &format!(
+                "\n  {axis:5} {:9.3} ± {:.3} °",
+                value.to_degrees(),
+                found.sigma[k].to_degrees()
+            );
+        }
+        for (k, axis) in ["x", "y", "z"].iter().enumerate() {
+            text += &format!(
+                "\n  {axis:5} {:9.1} ± {:.1} mm",
+                t.translation[k] * 1e3,
+                found.sigma[3 + k] * 1e3
+            );
+        }
+        for pose in &found.poses {
+            if let Some(why) = &pose.rejected {
+                text += &format!("\n  {} left out: {why}", pose.name);
+            }
+        }
+        for warning in &found.warnings {
+            text += &format!("\n  {warning}");
+        }
+        text
+    })?;
+    Ok(Outcome::Done)
+}
+
+/// `FOLDER` or `FOLDER/PREFIX*SUFFIX`.
+fn pattern(text: &str) -> (&Path, &str, &str) {
+    let Some((before, suffix)) = text.split_once('*') else {
+        return (Path::new(text), "", "");
+    };
+    match before.rsplit_once('/') {
+        Some((folder, prefix)) => (Path::new(folder), prefix, suffix),
+        None => (Path::new("."), before, suffix),
+    }
+}

@@ -1,0 +1,116 @@
+//! `lsfb calib verify`: whether a rig fits a recording.
+
+use std::path::PathBuf;
+
+use anyhow::Context as _;
+use lsfb_calib::verify::{Outcome as Judgement, VerifyConfig, verify};
+use lsfb_geometry::Rig;
+use lsfb_recording::Provenance;
+use serde::Serialize;
+
+use crate::context::Context;
+use crate::outcome::Outcome;
+
+/// Check a rig on any recording: no board needed.
+///
+/// Compares cameras with the gyroscope (time offset, rotation), the LiDAR with the images, and cameras with each other;
+/// draws the LiDAR's returns over one image of each camera. Exit code 1 where a check fails.
+///
+/// Examples:
+///   lsfb calib verify scan.mcap
+///   lsfb calib verify scan.mcap --rig rig.toml --out report.html --json
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    /// The recording.
+    #[arg(value_name = "MCAP")]
+    recording: PathBuf,
+    /// The rig to check, instead of the recording's own.
+    #[arg(long, value_name = "TOML")]
+    rig: Option<PathBuf>,
+    /// The page; pictures lie beside it. Without it, beside the recording.
+    #[arg(long, value_name = "HTML")]
+    out: Option<PathBuf>,
+    /// Settings (TOML), instead of the defaults.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+}
+
+#[derive(Serialize)]
+struct Printed<'a> {
+    outcome: Judgement,
+    page: PathBuf,
+    pictures: &'a [PathBuf],
+    #[serde(flatten)]
+    verification: &'a lsfb_calib::verify::Verification,
+}
+
+/// Checks, writes page and pictures, prints the table.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    let config: VerifyConfig = super::config_or_default(arguments.config.as_deref())?;
+    let recording = context.open(&arguments.recording)?;
+    let mut provenance = Provenance::new(&config);
+    provenance.add_input(&arguments.recording)?;
+    let rig = match &arguments.rig {
+        Some(path) => {
+            provenance.add_input(path)?;
+            Rig::read(path)?
+        }
+        None => recording.rig()?,
+    };
+    let page = match &arguments.out {
+        Some(path) => path.clone(),
+        None => arguments.recording.with_extension("verify.html"),
+    };
+    super::expect_writable(&page)?;
+    let show = |p| context.show_or_end(p);
+    let found = verify(&recording, &rig, &config, &show)?;
+    let picture = |camera: &str| page.with_extension(format!("{camera}.png"));
+    let mut pictures = Vec::new();
+    for overlay in &found.overlays {
+        let path = picture(&overlay.camera);
+        std::fs::write(&path, &overlay.png).with_context(|| path.display().to_string())?;
+        pictures.push(path);
+    }
+    let beside = |camera: &str| {
+        let path = picture(camera);
+        path.file_name()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned()
+    };
+    std::fs::write(&page, found.to_html("Does the rig fit?", &beside))
+        .with_context(|| page.display().to_string())?;
+    provenance.write(&page)?;
+    let result = Printed {
+        outcome: found.outcome(),
+        page: page.clone(),
+        pictures: &pictures,
+        verification: &found,
+    };
+    context.print(&result, || {
+        let mut text = format!("{} See {}.", found.verdict(), page.display());
+        for c in &found.checks {
+            let value = match (c.value, c.sigma) {
+                (Some(value), Some(sigma)) => format!("{value:8.2} ± {sigma:.2} {}", c.unit),
+                _ => String::new(),
+            };
+            text += &format!(
+                "\n  {:7} {:28} {value:20} {}",
+                c.outcome.name(),
+                c.name,
+                c.sentence
+            );
+        }
+        for path in &pictures {
+            text += &format!("\n  {}", path.display());
+        }
+        text
+    })?;
+    anyhow::ensure!(
+        found.outcome() != Judgement::Fail,
+        "the rig is not that of {}: see the checks above",
+        arguments.recording.display()
+    );
+    Ok(Outcome::Done)
+}
