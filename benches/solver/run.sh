@@ -31,3 +31,7 @@ done
 "$here/growth.sh" "$work"
 echo "== growing walk"
 "$solve" growing 1000 60
+echo "== stereo and inertial tracks, keyframe by keyframe"
+"${solve%solve}incremental_tracks" "$data/vision/vi_tracks_seq90.tar.gz"
+mkdir -p "$work/tracks" && tar xzf "$data/vision/vi_tracks_seq90.tar.gz" -C "$work/tracks"
+"$python" "$here/isam2_tracks.py" "$work/tracks"

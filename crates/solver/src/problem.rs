@@ -1,5 +1,6 @@
 use std::collections::BTreeMap;
 use std::marker::PhantomData;
+use std::sync::Arc;
 
 use lsfb_geometry::Vector3;
 use nalgebra::SVector;
@@ -67,6 +68,7 @@ pub(crate) enum Role {
 /// [`BlockEntry::mask`] of a block that is searched in all its tangent.
 pub(crate) const ALL: u64 = u64::MAX;
 
+#[derive(Clone)]
 pub(crate) struct BlockEntry {
     pub start: usize,
     pub shape: Shape,
@@ -101,9 +103,10 @@ impl BlockEntry {
     }
 }
 
+#[derive(Clone)]
 pub(crate) struct ResidualEntry {
     /// `None` once it was removed.
-    pub residual: Option<Box<dyn Residual>>,
+    pub residual: Option<Arc<dyn Residual>>,
     pub dimension: usize,
     pub kernel: Kernel,
     /// Range of its blocks in `block_lists`.
@@ -117,14 +120,14 @@ pub(crate) struct Bounds {
     pub upper: f64,
 }
 
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub(crate) struct Names {
     pub block: String,
     pub components: Vec<String>,
 }
 
-/// Blocks with values, and the residuals between them.
-#[derive(Default)]
+/// Blocks with values, and the residuals between them. A clone shares the residuals, which never change.
+#[derive(Clone, Default)]
 pub struct Problem {
     pub(crate) values: Vec<f64>,
     pub(crate) blocks: Vec<BlockEntry>,
@@ -328,7 +331,7 @@ impl Problem {
         self.block_lists.extend_from_slice(blocks);
         self.residuals.push(ResidualEntry {
             dimension: residual.dimension(),
-            residual: Some(Box::new(residual)),
+            residual: Some(Arc::new(residual)),
             kernel,
             first_block,
         });

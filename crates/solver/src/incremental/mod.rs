@@ -209,6 +209,13 @@ impl Incremental {
             .sum()
     }
 
+    /// A copy of the problem at the present estimate.
+    pub fn snapshot(&self) -> Problem {
+        let mut problem = self.problem.clone();
+        problem.values = self.estimate();
+        problem
+    }
+
     /// The problem at the present estimate.
     pub fn into_problem(mut self) -> Problem {
         self.commit();
