@@ -7,9 +7,7 @@ mod simulated_rig;
 use std::time::Instant;
 
 use lsfb_calib::camera::{CameraConfig, calibrate_cameras};
-use lsfb_calib::camera_imu::{
-    CameraImuCalibration, CameraImuConfig, KnownCamera, calibrate_camera_imu,
-};
+use lsfb_calib::camera_imu::{CameraImuCalibration, CameraImuConfig, calibrate_camera_imu};
 use lsfb_types::no_progress;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
@@ -33,18 +31,13 @@ fn calibrate(simulated: &Simulated) -> Result<CameraImuCalibration, lsfb_calib::
         hold_back_every: 0,
         ..CameraConfig::default()
     };
-    let lenses = calibrate_cameras(&GRID, &simulated.views, &config, &no_progress)?;
-    let known: Vec<KnownCamera> = simulated
-        .views
-        .iter()
-        .zip(&lenses.cameras)
-        .map(|(views, c)| KnownCamera {
-            views: views.clone(),
-            camera: c.camera,
-            camera_from_first: c.camera_from_first,
-            readout_s: 0.0,
-        })
-        .collect();
+    // Their clocks differ: each for itself.
+    let mut known = simulated.known();
+    for camera in &mut known {
+        let views = std::slice::from_ref(&camera.views);
+        let lens = calibrate_cameras(&GRID, views, &config, &no_progress)?;
+        camera.camera = lens.cameras[0].camera;
+    }
     let config = CameraImuConfig::default();
     calibrate_camera_imu(
         &GRID,

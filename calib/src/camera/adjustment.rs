@@ -107,7 +107,23 @@ pub(super) fn adjust_each_then_all<'a>(
             ..own.clone()
         });
     }
-    adjust_from(target, cameras, poses, config)
+    let first = cameras
+        .first()
+        .map_or_else(String::new, |c| c.views.name.clone());
+    adjust_from(target, cameras, poses, config).map_err(|error| match error {
+        // Each for itself they did fit.
+        Error::DoesNotFit { camera, rms_px, .. } => Error::NotJoined {
+            second: match camera == first {
+                true => "the others".into(),
+                false => camera,
+            },
+            first,
+            problem: format!(
+                "each for itself sees the target well, together they miss it by {rms_px:.1} px: they are not triggered together, their stamps are off, or one of them is loose"
+            ),
+        },
+        other => other,
+    })
 }
 
 fn unreachable_camera(target: &Target) -> Error {

@@ -188,8 +188,13 @@ fn bad_input_is_named() {
         .into_iter()
         .map(|(t, v)| (t + 1000, v))
         .collect();
-    let error = run(&GRID, &[good, later]);
+    let error = run(&GRID, &[good.clone(), later.clone()]);
     assert!(error.contains("at 0 instants"), "{error}");
+
+    // Cameras whose stamps are off by one view.
+    later.views = later.views.into_iter().map(|(t, v)| (t - 999, v)).collect();
+    let error = run(&GRID, &[good, later]);
+    assert!(error.contains("not triggered together"), "{error}");
 }
 
 #[test]
