@@ -406,6 +406,13 @@ fn judged(value: f64, sigma: f64, limits: [f64; 2]) -> Outcome {
     }
 }
 
+/// What is said where an answer is too uncertain to be one.
+fn unclear(sigma: f64, unit: &str) -> String {
+    format!(
+        "known to {sigma:.1} {unit} only: more turning and less walking, before distant things, would tell"
+    )
+}
+
 fn against_gyro(
     name: &str,
     mounted: &RigCamera,
@@ -434,6 +441,7 @@ fn against_gyro(
             time.value = Some(offset_ms);
             time.sigma = Some(sigma_ms);
             time.sentence = match time.outcome {
+                Outcome::Unknown => unclear(sigma_ms, "ms"),
                 Outcome::Pass => format!(
                     "images and gyroscope agree in time over {} pairs of images",
                     found.pairs
@@ -451,6 +459,7 @@ fn against_gyro(
             rotation.value = Some(off.norm().to_degrees());
             rotation.sigma = Some(sigma_deg);
             rotation.sentence = match rotation.outcome {
+                Outcome::Unknown => unclear(sigma_deg, "°"),
                 Outcome::Pass => "the camera turns as the gyroscope does".to_owned(),
                 _ => format!(
                     "the camera is turned by {:.1}° about the rig's {} axis: it was moved, or the rig is another's",
