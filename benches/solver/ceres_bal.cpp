@@ -2,6 +2,8 @@
 // solving alone. Jacobians are analytic or automatic, as asked for.
 //
 //   ceres_bal FILE sparse|dense analytic|auto [covariance]
+//
+// With `covariance` nothing is solved: covariances are those at the values of the file.
 #include <ceres/ceres.h>
 #include <ceres/rotation.h>
 #include <sys/resource.h>
@@ -150,8 +152,7 @@ int main(int argc, char** argv) {
     // The gauge is held by the first camera's pose and the second one's z translation.
     problem.SetParameterization(&cameras[0], new ceres::SubsetParameterization(9, {0, 1, 2, 3, 4, 5}));
     problem.SetParameterization(&cameras[9], new ceres::SubsetParameterization(9, {5}));
-    options.function_tolerance = 1e-14;
-    options.max_num_iterations = 200;
+    options.max_num_iterations = 0;
   }
   const double start = now(CLOCK_PROCESS_CPUTIME_ID), wall = now(CLOCK_MONOTONIC);
   ceres::Solver::Summary summary;
@@ -171,10 +172,10 @@ int main(int argc, char** argv) {
     estimate.GetCovarianceBlock(&points[3 * 100], &points[3 * 100], p);
     std::printf("camera 5 translation, focal length, k1, k2; point 100\n");
     for (int i = 3; i < 9; ++i) {
-      for (int j = 3; j < 9; ++j) std::printf("%.12e ", c[9 * i + j]);
+      for (int j = 3; j < 9; ++j) std::printf("%.17e ", c[9 * i + j]);
       std::printf("\n");
     }
-    for (int i = 0; i < 3; ++i) std::printf("%.12e %.12e %.12e\n", p[3 * i], p[3 * i + 1], p[3 * i + 2]);
+    for (int i = 0; i < 3; ++i) std::printf("%.17e %.17e %.17e\n", p[3 * i], p[3 * i + 1], p[3 * i + 2]);
   }
   return 0;
 }

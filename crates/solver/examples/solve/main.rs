@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! solve bal FILE[.gz] [auto|dense|sparse|iterative] [lm|dogleg]
+//! solve bal-optimum FILE[.gz] OUT
 //! solve pose-graph FILE.g2o[.gz]
 //! solve stereo FOLDER [SUFFIX]
 //! solve growing [KEYFRAMES] [POINTS]
@@ -14,7 +15,9 @@
 mod bal;
 mod cost;
 mod g2o;
+mod gauge;
 mod growing;
+mod optimum;
 mod stereo;
 mod walk;
 
@@ -47,6 +50,10 @@ fn main() -> Outcome {
             println!("{} cameras, {} points", bal.cameras.len(), bal.points.len());
             measure(&mut bal.problem, &config)
         }
+        (Some("bal-optimum"), Some(path)) => optimum::run(
+            path,
+            argument(2).ok_or("usage: solve bal-optimum FILE OUT")?,
+        ),
         (Some("pose-graph"), Some(path)) => {
             let mut graph = g2o::parse(&cost::read_text(path)?)?;
             println!("{} poses, {} edges", graph.poses.len(), graph.edges);
@@ -72,7 +79,7 @@ fn main() -> Outcome {
             keyframes.map_or(Ok(1000), str::parse)?,
             argument(2).map_or(Ok(60), str::parse)?,
         ),
-        _ => Err("usage: solve bal|pose-graph|stereo|growing INPUT ..".into()),
+        _ => Err("usage: solve bal|bal-optimum|pose-graph|stereo|growing INPUT ..".into()),
     }
 }
 
