@@ -7,10 +7,8 @@ use crate::{Error, Undefined};
 /// Step of the central differences, in tangent units.
 const STEP: f64 = 1e-5;
 
-/// Compares every analytic Jacobian of the problem with central differences at its values: the test of a residual.
-///
-/// `tolerance` is relative to the largest entry of the Jacobian in question (and absolute below 1); 1e-7 suits
-/// well-scaled residuals. Blocks held constant are left out.
+/// What [`check_residual_jacobian!`](crate::check_residual_jacobian) expands to, and nothing else should call.
+#[doc(hidden)]
 pub fn check_jacobians(problem: &Problem, tolerance: f64) -> Result<(), Error> {
     let layout = Layout::new(problem)?;
     for position in 0..layout.order.len() {
@@ -94,17 +92,35 @@ macro_rules! values_of {
     };
 }
 
-/// A test, of the given name, that a residual's analytic Jacobians are those of central differences at the values given:
-/// one value for each block it reads.
+/// The test of a residual: its analytic Jacobians are those of central differences.
+///
+/// With a name it is a test of that name, at the values given, one for each block that the residual reads. Within a test,
+/// `all of` checks every residual of a problem at its values; blocks held constant are left out.
+///
+/// The tolerance is relative to the largest entry of the Jacobian in question (and absolute below 1): 1e-7, which suits
+/// well-scaled residuals, or what `within` says.
 ///
 /// ```
-/// use lsfb_solver::{VectorPrior, check_residual_jacobian};
+/// use lsfb_solver::{Kernel, Problem, VectorPrior, check_residual_jacobian};
 /// use nalgebra::Vector2;
 ///
 /// check_residual_jacobian!(prior, VectorPrior::new(Vector2::new(1.0, 2.0), Vector2::new(0.5, 3.0)), Vector2::new(4.0, -1.0));
+///
+/// let mut problem = Problem::new();
+/// let block = problem.add_block(Vector2::new(4.0, -1.0));
+/// let prior = VectorPrior::new(Vector2::new(1.0, 2.0), Vector2::new(0.5, 3.0));
+/// problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
+/// check_residual_jacobian!(all of problem, within 1e-9);
+/// # Ok::<(), lsfb_solver::Error>(())
 /// ```
 #[macro_export]
 macro_rules! check_residual_jacobian {
+    (all of $problem:expr) => {
+        $crate::check_residual_jacobian!(all of $problem, within 1e-7)
+    };
+    (all of $problem:expr, within $tolerance:expr) => {
+        $crate::check_jacobians(&$problem, $tolerance).expect("Jacobians match")
+    };
     ($name:ident, $residual:expr, $($value:expr),+ $(,)?) => {
         #[test]
         fn $name() {
@@ -113,7 +129,7 @@ macro_rules! check_residual_jacobian {
             problem
                 .add_residual($residual, &blocks, $crate::Kernel::Squared)
                 .expect("the values are of the blocks it reads");
-            $crate::check_jacobians(&problem, 1e-7).expect("Jacobians match");
+            $crate::check_residual_jacobian!(all of problem);
         }
     };
 }

@@ -30,6 +30,7 @@ pub use covariance::{Covariance, covariance};
 pub use dense_jacobian::{DenseJacobian, dense_jacobian};
 pub use error::Error;
 pub use incremental::{Incremental, IncrementalConfig, UpdateReport};
+#[doc(hidden)]
 pub use jacobian_check::check_jacobians;
 pub use manifold::{Manifold, Shape};
 pub use minimise::{solve, solve_controlled, solve_observed};

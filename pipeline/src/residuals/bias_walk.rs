@@ -33,22 +33,17 @@ impl Residual for BiasWalk {
 
 #[cfg(test)]
 mod tests {
-    use lsfb_solver::{Kernel, Problem, check_jacobians};
+    use lsfb_solver::check_residual_jacobian;
 
     use super::*;
 
-    #[test]
-    fn jacobians_match_differences() {
-        let mut problem = Problem::new();
-        let first = problem.add_block(Vector3::new(0.01, -0.02, 0.03));
-        let second = problem.add_block(Vector3::new(0.02, -0.01, 0.0));
-        let residual = BiasWalk {
+    check_residual_jacobian!(
+        jacobians_match_differences,
+        BiasWalk {
             walk_per_sqrt_s: 1e-2,
             duration_secs: 0.1,
-        };
-        problem
-            .add_residual(residual, &[first.id(), second.id()], Kernel::Squared)
-            .expect("blocks fit");
-        check_jacobians(&problem, 1e-7).expect("Jacobians match");
-    }
+        },
+        Vector3::new(0.01, -0.02, 0.03),
+        Vector3::new(0.02, -0.01, 0.0),
+    );
 }

@@ -43,7 +43,7 @@ impl Residual for FixedPointReprojection {
 #[cfg(test)]
 mod tests {
     use lsfb_geometry::Vector6;
-    use lsfb_solver::{Kernel, Problem, SolveConfig, check_jacobians, solve};
+    use lsfb_solver::{Kernel, Problem, SolveConfig, check_residual_jacobian, solve};
 
     use super::*;
     use crate::residuals::reprojection::tests::stereo;
@@ -69,7 +69,7 @@ mod tests {
                     .expect("blocks fit");
             }
         }
-        check_jacobians(&problem, 1e-7).expect("Jacobians match");
+        check_residual_jacobian!(all of problem);
         solve(&mut problem, &SolveConfig::default()).expect("solves");
         assert!((truth.inverse() * problem.value(pose)).log().norm() < 1e-6);
     }

@@ -8,7 +8,7 @@ use crate::stereo_odometry::stereo;
 use lsfb_geometry::{Se3, Vector2, Vector6};
 use lsfb_solver::{
     Diagnosis, Incremental, IncrementalConfig, Kernel, PosePrior, Problem, SolveConfig,
-    VectorPrior, solve,
+    UpdateReport, VectorPrior, solve,
 };
 use walk::{Added, Target, Walk};
 
@@ -96,6 +96,57 @@ fn what_is_removed_leaves_no_trace() {
     // Points that only the last keyframe saw cost nothing.
     let apart = growing.cost() / expected - 1.0;
     assert!(apart.abs() < 1e-6, "{apart:.1e}");
+}
+
+#[test]
+fn growing_has_the_same_bits_on_any_number_of_threads() {
+    let (reports, bits) = grown_on(1);
+    assert!(reports.iter().any(|report| report.solved_cold));
+    for threads in [2, 16] {
+        let (other, other_bits) = grown_on(threads);
+        assert_eq!(other, reports, "{threads} threads");
+        assert!(other_bits == bits, "{threads} threads");
+    }
+}
+
+/// Reports of all updates, and the bits of costs and values after each: growing, a pull so wrong that a cold solve takes
+/// over, its removal, and that of a pose.
+fn grown_on(threads: usize) -> (Vec<UpdateReport>, Vec<u64>) {
+    fn update(growing: &mut Incremental, reports: &mut Vec<UpdateReport>, bits: &mut Vec<u64>) {
+        reports.push(growing.update().expect("updates"));
+        bits.push(growing.cost().to_bits());
+        let now = growing.snapshot();
+        bits.extend(now.stored_values().iter().map(|x| x.to_bits()));
+    }
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .expect("pool");
+    pool.install(|| {
+        let walk = Walk::new(40, 60, 5);
+        let mut growing =
+            Incremental::new(Problem::new(), IncrementalConfig::default()).expect("starts");
+        let (mut added, mut reports, mut bits) = (Added::default(), Vec::new(), Vec::new());
+        for _ in 0..40 {
+            added
+                .add(&walk, &mut Target::Growing(&mut growing), None)
+                .expect("blocks fit");
+            update(&mut growing, &mut reports, &mut bits);
+        }
+        let pose = added.poses[20];
+        let shift = Se3::exp(&Vector6::new(0.0, 0.0, 2.5, 30.0, -20.0, 0.0));
+        let wrong = PosePrior::isotropic(growing.value(pose) * shift, 1e-3, 1e-3);
+        let pull = growing
+            .add_residual(wrong, &[pose.id()], Kernel::Squared)
+            .expect("blocks fit");
+        update(&mut growing, &mut reports, &mut bits);
+        update(&mut growing, &mut reports, &mut bits);
+        growing.remove_residual(pull);
+        update(&mut growing, &mut reports, &mut bits);
+        growing.remove_block(pose);
+        update(&mut growing, &mut reports, &mut bits);
+        (reports, bits)
+    })
 }
 
 #[test]
