@@ -1,11 +1,21 @@
-use nalgebra::Vector3;
+#![allow(
+    clippy::type_complexity,
+    reason = "what is compiled for vector units takes its arguments as one tuple"
+)]
 
-use crate::divide::{divide, divide_slice};
+use std::ops::Range;
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::divide::divide;
 use crate::kernels::{
     add_matrix_vector, add_transposed_vector, dot, multiply_inverse, subtract_product, vectorized,
 };
 use crate::layout::{Layout, POINT};
 use crate::normal::{NormalEquations, ReducedSystem};
+
+/// Sums over points are made of this many, whatever the number of threads.
+const PARTS: usize = 16;
 
 /// Conjugate gradients on the Schur complement, which is applied point by point and never formed. Preconditioned with
 /// the inverses of its diagonal blocks.
@@ -19,7 +29,8 @@ pub(crate) struct ConjugateGradients {
     direction: Vec<f64>,
     preconditioned: Vec<f64>,
     applied: Vec<f64>,
-    points: Vec<Vector3<f64>>,
+    /// What points pull the reduced blocks by: the sum of each of [`PARTS`] ranges of points.
+    parts: Vec<f64>,
 }
 
 impl ConjugateGradients {
@@ -38,7 +49,7 @@ impl ConjugateGradients {
             direction: zeros(),
             preconditioned: zeros(),
             applied: zeros(),
-            points: vec![Vector3::zeros(); layout.points.len()],
+            parts: vec![0.0; PARTS * layout.dimension()],
         }
     }
 
@@ -138,9 +149,29 @@ impl ConjugateGradients {
         system: &ReducedSystem,
     ) {
         let direction = &self.direction;
-        divide_slice(&mut self.points, 128, &|points, moved| {
-            normal.back_substitute_points(layout, points, &system.point_inverse, direction, moved);
-        });
+        let rows = layout.dimension();
+        let first_of = |part: usize| part * layout.points.len() / PARTS;
+        divide(
+            0..PARTS,
+            1,
+            &mut self.parts[..],
+            &|parts: &mut [f64], range, middle| parts.split_at_mut((middle - range.start) * rows),
+            &|range, parts| {
+                for part in range.clone() {
+                    let target = &mut parts[(part - range.start) * rows..][..rows];
+                    let points = first_of(part)..first_of(part + 1);
+                    let inverses = &system.point_inverse[..];
+                    vectorized!(pull_through_points(
+                        normal,
+                        layout,
+                        points,
+                        inverses,
+                        &direction[..],
+                        &mut *target
+                    ));
+                }
+            },
+        );
         for (k, applied) in self.applied.iter_mut().enumerate() {
             *applied = normal.damping(normal.diagonal[k], lambda) * direction[k];
         }
@@ -156,23 +187,43 @@ impl ConjugateGradients {
                 }
             }
         }
-        let points = &self.points;
-        divide(
-            0..layout.reduced.len(),
-            1,
-            &mut self.applied[..],
-            &|rows: &mut [f64], range, middle| {
-                rows.split_at_mut(layout.row_start[middle] - layout.row_start[range.start])
-            },
-            &|blocks, rows| {
-                let base = layout.row_start[blocks.start];
-                for i in blocks {
-                    let own = layout.rows(i);
-                    let target = &mut rows[own.start - base..own.end - base];
-                    normal.add_coupled_points(layout, i, points, target);
-                }
-            },
-        );
+        for part in 0..PARTS {
+            let pulls = &self.parts[part * rows..][..rows];
+            for (applied, pull) in self.applied.iter_mut().zip(pulls) {
+                *applied += pull;
+            }
+        }
+    }
+}
+
+/// What a direction of the reduced blocks pulls them by through some points, which move with it: `−H_rp H_pp⁻¹ H_pr`
+/// times it. One way through the couplings, which are most of what there is to read.
+#[inline(always)]
+fn pull_through_points<const FUSED: bool>(
+    (normal, layout, points, inverses, direction, target): (
+        &NormalEquations,
+        &Layout,
+        Range<usize>,
+        &[Matrix3<f64>],
+        &[f64],
+        &mut [f64],
+    ),
+) {
+    target.fill(0.0);
+    for point in points {
+        let pairs = layout.pairs_at(point);
+        let mut right = Vector3::zeros();
+        for pair in pairs {
+            let rows = &direction[layout.rows(pair.reduced as usize)];
+            let coupling = &normal.coupling[pair.start..][..POINT * rows.len()];
+            add_transposed_vector::<FUSED>(right.as_mut_slice(), coupling, rows);
+        }
+        let moved = inverses[point] * -right;
+        for pair in pairs {
+            let rows = &mut target[layout.rows(pair.reduced as usize)];
+            let coupling = &normal.coupling[pair.start..][..POINT * rows.len()];
+            add_matrix_vector::<FUSED>(rows, coupling, moved.as_slice());
+        }
     }
 }
 
@@ -234,9 +285,9 @@ mod tests {
 
     #[test]
     fn small_matrices_are_inverted_in_place() {
-        let matrix = nalgebra::Matrix3::new(4.0, 1.0, -0.5, 1.0, 3.0, 0.2, -0.5, 0.2, 2.0);
+        let matrix = Matrix3::new(4.0, 1.0, -0.5, 1.0, 3.0, 0.2, -0.5, 0.2, 2.0);
         let mut inverse = matrix;
         invert(inverse.as_mut_slice(), 3);
-        assert!((inverse * matrix - nalgebra::Matrix3::identity()).amax() < 1e-14);
+        assert!((inverse * matrix - Matrix3::identity()).amax() < 1e-14);
     }
 }

@@ -1,8 +1,6 @@
 mod assembly;
 mod elimination;
 
-use std::ops::Range;
-
 use nalgebra::{Matrix3, Vector3};
 
 use crate::divide::{divide, divide_slice};
@@ -13,7 +11,7 @@ use crate::problem::Problem;
 use assembly::{
     ColumnParts, PointParts, assemble_columns, assemble_points, split_columns, split_points,
 };
-use elimination::{add_coupled_points, right_side_of, solve_points, subtract_points};
+use elimination::{right_side_of, solve_points, subtract_points};
 
 /// Points, and residuals without a point, per parallel task.
 const POINT_GRAIN: usize = 32;
@@ -223,32 +221,6 @@ impl NormalEquations {
                 self, layout, points, inverses, reduced, deltas
             ))
         });
-    }
-
-    /// For some points: the step that `direction` of the reduced blocks alone makes them take.
-    pub fn back_substitute_points(
-        &self,
-        layout: &Layout,
-        points: Range<usize>,
-        inverses: &[Matrix3<f64>],
-        direction: &[f64],
-        moved: &mut [Vector3<f64>],
-    ) {
-        moved.fill(Vector3::zeros());
-        vectorized!(solve_points(
-            self, layout, points, inverses, direction, moved
-        ));
-    }
-
-    /// Adds to the rows of a reduced block what moved points pull it by.
-    pub fn add_coupled_points(
-        &self,
-        layout: &Layout,
-        block: usize,
-        points: &[Vector3<f64>],
-        target: &mut [f64],
-    ) {
-        vectorized!(add_coupled_points(self, layout, block, points, target));
     }
 
     /// `xᵀ H x`; also the product of the gradient and `x`.

@@ -139,21 +139,3 @@ pub(super) fn solve_points<const FUSED: bool>(
         *right = inverses[point] * -*right;
     }
 }
-
-#[inline(always)]
-pub(super) fn add_coupled_points<const FUSED: bool>(
-    (normal, layout, block, points, target): (
-        &NormalEquations,
-        &Layout,
-        usize,
-        &[Vector3<f64>],
-        &mut [f64],
-    ),
-) {
-    for &q in layout.pairs_of_reduced.get(block) {
-        let pair = layout.pairs[q as usize];
-        let point = &points[layout.point_of_pair[q as usize] as usize];
-        let coupling = &normal.coupling[pair.start..][..POINT * target.len()];
-        add_matrix_vector::<FUSED>(target, coupling, point.as_slice());
-    }
-}
