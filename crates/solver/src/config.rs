@@ -61,7 +61,8 @@ pub struct SolveConfig {
     pub linear_solver: LinearSolver,
     /// Bytes of reduced matrix and factor from which on [`LinearSolver::Auto`] is iterative.
     pub max_matrix_bytes: usize,
-    /// Residual of the iterative solver, as a share of the right side's norm.
+    /// Residual of the iterative solver, as a share of the right side's norm. It also ends once its steps hardly lower
+    /// the quadratic model any more.
     pub iterative_tolerance: f64,
     /// Steps of the iterative solver at most.
     pub max_iterative_steps: usize,

@@ -17,6 +17,10 @@ use crate::normal::{NormalEquations, ReducedSystem};
 /// Sums over points are made of this many, whatever the number of threads.
 const PARTS: usize = 16;
 
+/// Steps end once one lowers the quadratic model by less than this share of what they did on average: what is left are
+/// directions of weak curvature, in which the next linearization goes on.
+const LEAST_GAIN: f64 = 0.1;
+
 /// Conjugate gradients on the Schur complement, which is applied point by point and never formed. Preconditioned with
 /// the inverses of its diagonal blocks.
 pub(crate) struct ConjugateGradients {
@@ -71,7 +75,8 @@ impl ConjugateGradients {
         self.direction.copy_from_slice(&self.preconditioned);
         let mut product = dot::<false>(&self.residual, &self.preconditioned);
         let goal = self.tolerance.powi(2) * product;
-        for _ in 0..self.max_steps {
+        let mut decrease = 0.0;
+        for k in 0..self.max_steps {
             if !(product > goal) {
                 break;
             }
@@ -84,6 +89,11 @@ impl ConjugateGradients {
             for (k, x) in step.iter_mut().enumerate() {
                 *x += length * self.direction[k];
                 self.residual[k] -= length * self.applied[k];
+            }
+            let gain = 0.5 * length * product;
+            decrease += gain;
+            if gain * (k as f64 + 1.0) < LEAST_GAIN * decrease {
+                break;
             }
             self.precondition(layout);
             let next = dot::<false>(&self.residual, &self.preconditioned);
