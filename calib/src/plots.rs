@@ -1,38 +1,14 @@
-//! Plots of the reports as SVG, and the page around them: no script, no network.
+//! Plots of the reports as SVG.
 
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, html};
 
 use crate::camera::COVERAGE_CELLS;
-
-const STYLE: &str = include_str!("style.css");
 
 /// Errors beyond this leave the plots, pixels.
 pub(crate) const LARGEST_SHOWN_PX: f64 = 1.0;
 /// Points drawn at most.
 const MOST_POINTS: usize = 4000;
 const ERROR_BINS: usize = 40;
-
-/// A page with a verdict on top.
-pub(crate) fn page(title: &str, verdict: &str, body: &Markup) -> String {
-    let page = html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                title { (title) }
-                style { (PreEscaped(STYLE)) }
-            }
-            body {
-                h1 { (title) }
-                p.verdict { (verdict) }
-                (body)
-            }
-        }
-    };
-    page.into_string()
-}
 
 /// Corners per cell of an image.
 pub(crate) fn coverage(cells: &[u32], size_px: [u32; 2]) -> Markup {

@@ -83,7 +83,7 @@ pub(crate) fn kalibr_camera(name: &str, camera: &Camera) -> String {
         Lens::ExtendedUnified { distortion, .. } => ("eucm", with(&distortion), "none", vec![]),
     };
     format!(
-        "  camera_model: {model}\n  intrinsics: {}\n  distortion_model: {distortion_model}\n  distortion_coeffs: {}\n  resolution: [{}, {}]\n  rostopic: /{name}\n",
+        "  camera_model: {model}\n  intrinsics: {}\n  distortion_model: {distortion_model}\n  distortion_coeffs: {}\n  resolution: [{}, {}]\n  rostopic: /{name}/image\n",
         list(&intrinsics),
         list(&distortion),
         camera.width,

@@ -4,6 +4,7 @@ use maud::{Markup, html};
 
 use super::{CalibratedCamera, CameraCalibration};
 use crate::plots::{self, LARGEST_SHOWN_PX};
+use crate::report;
 
 impl CameraCalibration {
     /// One sentence: whether the result may be trusted.
@@ -30,7 +31,7 @@ impl CameraCalibration {
         let body = html! {
             @for camera in &self.cameras { (section(camera)) }
         };
-        plots::page(title, &self.verdict(), &body)
+        report::page(title, &self.verdict(), &[], &body)
     }
 }
 

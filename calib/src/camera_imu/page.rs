@@ -4,6 +4,7 @@ use maud::{Markup, html};
 
 use super::{CameraImuCalibration, CameraOnImu, FoundImu};
 use crate::plots::{self, LARGEST_SHOWN_PX};
+use crate::report;
 
 impl CameraImuCalibration {
     /// One sentence: whether the result may be trusted.
@@ -36,7 +37,7 @@ impl CameraImuCalibration {
                     }
                     (imu(&self.imu))
                 };
-        plots::page(title, &self.verdict(), &body)
+        report::page(title, &self.verdict(), &[], &body)
     }
 }
 

@@ -12,6 +12,8 @@ use super::{
     radtan, rotation,
 };
 use crate::Error;
+use crate::camera::kalibr_camera;
+use crate::camera_imu::imu_to_kalibr;
 
 #[derive(Deserialize)]
 struct Link {
@@ -187,26 +189,6 @@ pub(super) fn export(rig: &Rig, imu_rate_hz: f64) -> Exported {
     let mut before: Option<Se3> = None;
     for (k, (name, mounted)) in rig.cameras.iter().enumerate() {
         let camera = &mounted.camera;
-        let [f, c] = [camera.focal_px(), camera.principal_px()];
-        let pinhole = [f[0], f[1], c[0], c[1]];
-        let with = |first: &[f64]| [first, &pinhole].concat();
-        let (model, intrinsics, distortion_model, distortion) = match camera.lens {
-            Lens::PinholeRadtan {
-                distortion: [k1, k2, p1, p2, _],
-                ..
-            } => ("pinhole", pinhole.to_vec(), "radtan", vec![k1, k2, p1, p2]),
-            Lens::KannalaBrandt { distortion, .. } => (
-                "pinhole",
-                pinhole.to_vec(),
-                "equidistant",
-                distortion.to_vec(),
-            ),
-            Lens::FieldOfView { distortion, .. } => {
-                ("pinhole", pinhole.to_vec(), "fov", distortion.to_vec())
-            }
-            Lens::DoubleSphere { distortion, .. } => ("ds", with(&distortion), "none", vec![]),
-            Lens::ExtendedUnified { distortion, .. } => ("eucm", with(&distortion), "none", vec![]),
-        };
         if let Some([.., k3]) = radtan(&camera.lens).filter(|d| d[4] != 0.0) {
             let mut without = *camera;
             if let Lens::PinholeRadtan { distortion, .. } = &mut without.lens {
@@ -230,13 +212,10 @@ pub(super) fn export(rig: &Rig, imu_rate_hz: f64) -> Exported {
             matrix(&mut text, &(camera_from_rig * rig_from_before));
         }
         before = Some(mounted.rig_from_camera);
+        text += &kalibr_camera(name, camera);
         let _ = writeln!(
             text,
-            "  camera_model: {model}\n  distortion_coeffs: {}\n  distortion_model: {distortion_model}\n  intrinsics: {}\n  resolution: [{}, {}]\n  rostopic: /{name}/image\n  timeshift_cam_imu: {}",
-            list(&distortion),
-            list(&intrinsics),
-            camera.width,
-            camera.height,
+            "  timeshift_cam_imu: {}",
             exact(mounted.timing.rig_from_camera_s)
         );
     }
@@ -247,14 +226,7 @@ pub(super) fn export(rig: &Rig, imu_rate_hz: f64) -> Exported {
     if let Some(imu) = &rig.imu {
         out.files.push(ExportedFile {
             name: "imu.yaml".to_owned(),
-            text: format!(
-                "rostopic: /imu0\nupdate_rate: {}\naccelerometer_noise_density: {}\naccelerometer_random_walk: {}\ngyroscope_noise_density: {}\ngyroscope_random_walk: {}\n",
-                exact(imu_rate_hz),
-                exact(imu.accel_noise_density),
-                exact(imu.accel_bias_walk),
-                exact(imu.gyro_noise_density),
-                exact(imu.gyro_bias_walk)
-            ),
+            text: imu_to_kalibr(imu, imu_rate_hz, "/imu0"),
         });
     }
     out

@@ -3,7 +3,7 @@
 use maud::html;
 
 use super::{AxisNoise, ImuNoise, Noise};
-use crate::plots;
+use crate::{plots, report};
 
 impl ImuNoise {
     /// One sentence: whether the result may be trusted.
@@ -59,7 +59,7 @@ impl ImuNoise {
                 }
             }
         };
-        plots::page(title, &self.verdict(), &body)
+        report::page(title, &self.verdict(), &[], &body)
     }
 }
 
