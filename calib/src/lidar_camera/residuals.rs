@@ -17,6 +17,12 @@ use super::plane::Plane;
 
 pub(super) type Rows<const D: usize> = SMatrix<f64, D, 6>;
 
+const SHAPES: [Shape; 3] = [
+    Shape::of::<Se3>(),
+    Shape::of::<Se3>(),
+    Shape::of::<Vector3<f64>>(),
+];
+
 /// Pose of the board in the LiDAR, and a derivative by its tangent carried to the two blocks.
 struct Joined {
     lidar_from_board: Se3,
@@ -81,13 +87,7 @@ impl Residual for PlaneResidual {
     }
 
     fn blocks(&self) -> &[Shape] {
-        const {
-            &[
-                Shape::of::<Se3>(),
-                Shape::of::<Se3>(),
-                Shape::of::<Vector3<f64>>(),
-            ]
-        }
+        &SHAPES
     }
 
     fn evaluate(&self, parameters: &Parameters, out: &mut Linearization) -> Result<(), Undefined> {
@@ -136,13 +136,7 @@ impl Residual for EdgeResidual {
     }
 
     fn blocks(&self) -> &[Shape] {
-        const {
-            &[
-                Shape::of::<Se3>(),
-                Shape::of::<Se3>(),
-                Shape::of::<Vector3<f64>>(),
-            ]
-        }
+        &SHAPES
     }
 
     fn evaluate(&self, parameters: &Parameters, out: &mut Linearization) -> Result<(), Undefined> {

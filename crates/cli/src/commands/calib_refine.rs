@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use lsfb_calib::verify::{VerifyConfig, refine};
-use lsfb_geometry::Rig;
 use lsfb_recording::Provenance;
 
 use crate::context::Context;
@@ -41,13 +40,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let recording = context.open(&arguments.recording)?;
     let mut provenance = Provenance::new(&config);
     provenance.add_input(&arguments.recording)?;
-    let rig = match &arguments.rig {
-        Some(path) => {
-            provenance.add_input(path)?;
-            Rig::read(path)?
-        }
-        None => recording.rig()?,
-    };
+    let rig = super::rig_for(&recording, arguments.rig.as_deref(), &mut provenance)?;
     super::expect_writable(&arguments.out)?;
     let show = |p| context.show_or_end(p);
     let found = refine(&recording, &rig, &config, &show)?;

@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use lsfb_calib::verify::{Outcome as Judgement, VerifyConfig, verify};
-use lsfb_geometry::Rig;
 use lsfb_recording::Provenance;
 use serde::Serialize;
 
@@ -51,13 +50,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let recording = context.open(&arguments.recording)?;
     let mut provenance = Provenance::new(&config);
     provenance.add_input(&arguments.recording)?;
-    let rig = match &arguments.rig {
-        Some(path) => {
-            provenance.add_input(path)?;
-            Rig::read(path)?
-        }
-        None => recording.rig()?,
-    };
+    let rig = super::rig_for(&recording, arguments.rig.as_deref(), &mut provenance)?;
     let page = match &arguments.out {
         Some(path) => path.clone(),
         None => arguments.recording.with_extension("verify.html"),

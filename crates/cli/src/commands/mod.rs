@@ -29,7 +29,9 @@ pub mod view;
 use std::path::Path;
 
 use anyhow::Context as _;
+use lsfb_geometry::Rig;
 use lsfb_pipeline::hd_map::HdMap;
+use lsfb_recording::{Provenance, Recording};
 use serde::de::DeserializeOwned;
 
 /// A stage's settings: those of a TOML file, or the defaults where none is named.
@@ -58,6 +60,19 @@ pub fn expect_file(path: &Path, remedy: &str) -> anyhow::Result<()> {
         path.display()
     );
     Ok(())
+}
+
+/// The rig that was named, else the recording's own.
+fn rig_for(
+    recording: &Recording,
+    named: Option<&Path>,
+    provenance: &mut Provenance,
+) -> anyhow::Result<Rig> {
+    let Some(path) = named else {
+        return Ok(recording.rig()?);
+    };
+    provenance.add_input(path)?;
+    Ok(Rig::read(path)?)
 }
 
 /// An HD map that is there.
