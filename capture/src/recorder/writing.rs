@@ -14,12 +14,9 @@ use crate::Error;
 use crate::health::{HealthAttachment, StreamReport};
 use crate::sync::{Group, Groups};
 
-/// A chunk with images in it, or with messages that a sidecar waits for, goes to the file after this.
-const FLUSH_SOON: Duration = Duration::from_millis(20);
-/// Any chunk goes to the file after this: what a kill may cost is far below a second.
-const FLUSH_LATEST: Duration = Duration::from_millis(400);
-/// A chunk from this size on is worth writing early.
-const LARGE_CHUNK_BYTES: u64 = 256 << 10;
+/// An open chunk goes to the file after this. Large images close theirs at once and take along what waited, but they come every
+/// 50 ms, the recorder promises that no message waits longer, and a kill costs what waits.
+const FLUSH_AFTER: Duration = Duration::from_millis(25);
 /// How long the thread sleeps when there is nothing to write.
 const IDLE: Duration = Duration::from_millis(250);
 
@@ -31,7 +28,6 @@ pub(super) struct Writing {
     shared: Shared,
     /// When each entry of the open chunk was queued.
     waiting: Vec<Instant>,
-    open_bytes: u64,
     receipts: Vec<Receipt>,
     latencies: Latencies,
     /// Latest clock model of each device: each part begins with them.
@@ -48,7 +44,6 @@ impl Writing {
             streams: Vec::new(),
             shared,
             waiting: Vec::new(),
-            open_bytes: 0,
             receipts: Vec::new(),
             latencies: Latencies::default(),
             clock_models: BTreeMap::new(),
@@ -87,16 +82,8 @@ impl Writing {
     /// How long to wait for the next entry before the open chunk must be written.
     fn patience(&self) -> Duration {
         match self.waiting.first() {
-            Some(oldest) => self.flush_after().saturating_sub(oldest.elapsed()),
+            Some(oldest) => FLUSH_AFTER.saturating_sub(oldest.elapsed()),
             None => IDLE,
-        }
-    }
-
-    fn flush_after(&self) -> Duration {
-        if self.open_bytes >= LARGE_CHUNK_BYTES || !self.receipts.is_empty() {
-            FLUSH_SOON
-        } else {
-            FLUSH_LATEST
         }
     }
 
@@ -108,7 +95,6 @@ impl Writing {
             if self.parts.writer().open_messages() == 0 {
                 self.waiting.push(queued.at);
                 self.receipts.extend(receipt.take());
-                self.open_bytes = 0;
                 return self.written();
             }
             self.written()?;
@@ -119,7 +105,6 @@ impl Writing {
         } else if let Some(receipt) = receipt {
             receipt.acknowledge();
         }
-        self.open_bytes = self.parts.writer().open_bytes();
         Ok(())
     }
 
@@ -127,10 +112,9 @@ impl Writing {
         let due = self
             .waiting
             .first()
-            .is_some_and(|oldest| oldest.elapsed() >= self.flush_after());
+            .is_some_and(|oldest| oldest.elapsed() >= FLUSH_AFTER);
         if due {
             self.parts.writer().flush()?;
-            self.open_bytes = 0;
             self.written()?;
         }
         Ok(())
@@ -182,7 +166,6 @@ impl Writing {
         self.waiting.clear();
         // What was not written is not acknowledged: the sidecar keeps it.
         self.receipts.clear();
-        self.open_bytes = 0;
         if self.parts.can_move() {
             self.parts.replace_failed()?;
             return self.introduce();

@@ -99,11 +99,6 @@ impl Encoder {
         self.chunk.messages
     }
 
-    /// Bytes that are not in the file yet.
-    pub fn open_bytes(&self) -> u64 {
-        self.chunk.bytes.len() as u64
-    }
-
     /// Another handle on the file, for a thread that brings it to the disk.
     pub fn file(&self) -> std::io::Result<File> {
         self.file.try_clone()

@@ -238,11 +238,6 @@ impl Writer {
         self.encoder.open_messages()
     }
 
-    /// Size of the open chunk.
-    pub fn open_bytes(&self) -> u64 {
-        self.encoder.open_bytes()
-    }
-
     /// Another handle on the file, for a thread of the caller that brings to the disk what the operating system holds.
     pub fn file(&self) -> std::io::Result<std::fs::File> {
         self.encoder.file()
