@@ -8,7 +8,7 @@ const LONGEST_SHARE: f64 = 1.0 / 9.0;
 const STARTS: usize = 16;
 
 /// The Allan variance at one cluster time.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Cluster {
     /// Length of a cluster, seconds.
     pub time_s: f64,

@@ -26,6 +26,7 @@ mod allan;
 mod fit;
 mod page;
 mod rest;
+mod uncertainty;
 
 use lsfb_geometry::RigImu;
 use lsfb_types::{ImuSample, Timestamp};
@@ -36,6 +37,7 @@ pub use allan::Cluster;
 pub use fit::Noise;
 
 use crate::Error;
+use uncertainty::Recorded;
 
 /// Settings of [`imu_noise`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -66,8 +68,9 @@ pub struct AxisNoise {
     pub name: String,
     /// The noises in rad/s or m/s².
     pub noise: Noise,
+    /// Their standard deviations; of a noise that is not seen, how large it could be.
+    pub sigma: Noise,
     /// The Allan variance by cluster time.
-    #[serde(skip)]
     pub clusters: Vec<Cluster>,
 }
 
@@ -84,8 +87,12 @@ pub struct ImuNoise {
     pub axes: Vec<AxisNoise>,
     /// The noises of the gyroscope's axes together, rad/s.
     pub gyro: Noise,
+    /// Their standard deviations.
+    pub gyro_sigma: Noise,
     /// The noises of the accelerometer's axes together, m/s².
     pub accel: Noise,
+    /// Their standard deviations.
+    pub accel_sigma: Noise,
     /// What should be recorded better, in words.
     pub warnings: Vec<String>,
 }
@@ -112,6 +119,11 @@ pub fn imu_noise(
         .into_iter()
         .filter(|m| *m as f64 * log.interval_s >= config.min_cluster_s)
         .collect();
+    let recorded = |axes: usize| Recorded {
+        samples: log.axes[0].len(),
+        interval_s: log.interval_s,
+        axes,
+    };
     let names = [
         "gyro x", "gyro y", "gyro z", "accel x", "accel y", "accel z",
     ];
@@ -120,14 +132,23 @@ pub fn imu_noise(
         .zip(&log.axes)
         .map(|(name, samples)| {
             let clusters = allan::allan(samples, log.interval_s, &lengths);
+            let noise = fit::fit(&clusters);
             AxisNoise {
                 name: (*name).to_owned(),
-                noise: fit::fit(&clusters),
+                sigma: uncertainty::sigma(&noise, &clusters, &recorded(1)),
+                noise,
                 clusters,
             }
         })
         .collect();
-    let [gyro, accel] = [&axes[..3], &axes[3..]].map(|triad| fit::fit(&together(triad)));
+    let [(gyro, gyro_sigma), (accel, accel_sigma)] = [&axes[..3], &axes[3..]].map(|triad| {
+        let clusters = together(triad);
+        let noise = fit::fit(&clusters);
+        (
+            noise,
+            uncertainty::sigma(&noise, &clusters, &recorded(triad.len())),
+        )
+    });
     let mut warnings = log.warnings;
     for (name, noise) in [("gyroscope", &gyro), ("accelerometer", &accel)] {
         warnings.extend(too_short(name, noise, log.duration_s));
@@ -138,7 +159,9 @@ pub fn imu_noise(
         rate_hz: 1.0 / log.interval_s,
         axes,
         gyro,
+        gyro_sigma,
         accel,
+        accel_sigma,
         warnings,
     })
 }

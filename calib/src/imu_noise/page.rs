@@ -25,30 +25,40 @@ impl ImuNoise {
     /// The page: no script, no network.
     pub fn to_html(&self, title: &str) -> String {
         let triads = [
-            ("Gyroscope", "rad/s", &self.gyro, &self.axes[..3]),
-            ("Accelerometer", "m/s²", &self.accel, &self.axes[3..]),
+            (
+                "Gyroscope",
+                "rad/s",
+                (&self.gyro, &self.gyro_sigma),
+                &self.axes[..3],
+            ),
+            (
+                "Accelerometer",
+                "m/s²",
+                (&self.accel, &self.accel_sigma),
+                &self.axes[3..],
+            ),
         ];
-        let row = |name: &str, noise: &Noise| {
+        let row = |name: &str, noise: &Noise, sigma: &Noise| {
             html! {
                 tr {
                     td { (name) }
-                    td { (format!("{:.3e}", noise.density)) }
-                    td { (format!("{:.3e}", noise.instability)) }
-                    td { (format!("{:.3e}", noise.walk)) }
+                    td { (format!("{:.3e} ± {:.1e}", noise.density, sigma.density)) }
+                    td { (format!("{:.3e} ± {:.1e}", noise.instability, sigma.instability)) }
+                    td { (format!("{:.3e} ± {:.1e}", noise.walk, sigma.walk)) }
                 }
             }
         };
         let body = html! {
             @for warning in &self.warnings { p.warning { (warning) } }
-            @for (name, unit, noise, axes) in triads {
+            @for (name, unit, (noise, sigma), axes) in triads {
                 section {
                     h2 { (name) }
                     div.row {
                         table {
                             thead { tr { th { "axis" } th { "noise density, " (unit) "/√Hz" } th { "bias instability, " (unit) } th { "random walk, " (unit) "/s/√Hz" } } }
                             tbody {
-                                @for axis in axes { (row(&axis.name, &axis.noise)) }
-                                (row("together", noise))
+                                @for axis in axes { (row(&axis.name, &axis.noise, &axis.sigma)) }
+                                (row("together", noise, sigma))
                             }
                         }
                         figure.large {

@@ -43,6 +43,51 @@ fn order_of_samples_does_not_matter_and_lost_ones_are_counted() {
     assert!(page.contains("WARN.") && page.contains("noise density"));
 }
 
+/// White noise and a walk that outweighs it after half a minute, two hours at 10 Hz.
+fn walking(seed: u64, white: f64, walk: f64) -> Vec<(Timestamp, ImuSample)> {
+    const RATE_HZ: i64 = 10;
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let root_s = (RATE_HZ as f64).sqrt();
+    let mut bias = [0.0; 6];
+    (0..7200 * RATE_HZ)
+        .map(|k| {
+            let mut value = |axis: usize| {
+                bias[axis] += walk / root_s * normal(&mut rng);
+                bias[axis] + white * root_s * normal(&mut rng)
+            };
+            let sample = ImuSample {
+                angular_velocity_rad_s: [value(0), value(1), value(2)],
+                specific_force_m_s2: [value(3), value(4), value(5)],
+            };
+            (Timestamp::from_nanos(k * 1_000_000_000 / RATE_HZ), sample)
+        })
+        .collect()
+}
+
+/// Each axis is a recording of its own: 8 seeds are 48.
+#[test]
+fn errors_are_as_large_as_their_sigma_says() {
+    let (white, walk) = (1e-3, 6e-5);
+    let mut densities = Vec::new();
+    let mut walks = Vec::new();
+    for seed in 0..8 {
+        let found = imu_noise(&walking(seed, white, walk), &ImuNoiseConfig::default());
+        for axis in found.expect("noise").axes {
+            densities.push((axis.noise.density - white) / axis.sigma.density);
+            walks.push((axis.noise.walk - walk) / axis.sigma.walk);
+        }
+    }
+    for (name, off) in [("density", densities), ("walk", walks)] {
+        let squares: f64 = off.iter().map(|x| x * x).sum();
+        let rms = (squares / off.len() as f64).sqrt();
+        let worst = off.iter().fold(0.0_f64, |w, x| w.max(x.abs()));
+        assert!(
+            (0.7..1.35).contains(&rms) && worst < 4.0,
+            "{name}: {rms} {worst}"
+        );
+    }
+}
+
 #[test]
 fn bad_input_is_named() {
     let config = ImuNoiseConfig::default();

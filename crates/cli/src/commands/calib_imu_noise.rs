@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use lsfb_calib::camera_imu::imu_to_kalibr;
+use lsfb_calib::exchange::imu_to_kalibr;
 use lsfb_calib::imu_noise::{ImuNoise, ImuNoiseConfig, imu_noise};
 use lsfb_geometry::Rig;
 use lsfb_recording::Provenance;
@@ -82,12 +82,23 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
 
 fn summary(found: &ImuNoise, out: &Path) -> String {
     let mut text = format!("{}: {}", out.display(), found.verdict());
-    let axes = found.axes.iter().map(|a| (a.name.as_str(), &a.noise));
-    let triads = [("gyroscope", &found.gyro), ("accelerometer", &found.accel)];
-    for (name, noise) in axes.chain(triads) {
+    let axes = found
+        .axes
+        .iter()
+        .map(|a| (a.name.as_str(), &a.noise, &a.sigma));
+    let triads = [
+        ("gyroscope", &found.gyro, &found.gyro_sigma),
+        ("accelerometer", &found.accel, &found.accel_sigma),
+    ];
+    for (name, noise, sigma) in axes.chain(triads) {
         text += &format!(
-            "\n  {name:13} noise density {:.3e} /√Hz, bias instability {:.3e}, random walk {:.3e} /s/√Hz",
-            noise.density, noise.instability, noise.walk
+            "\n  {name:13} noise density {:.3e} ± {:.1e} /√Hz, bias instability {:.3e} ± {:.1e}, random walk {:.3e} ± {:.1e} /s/√Hz",
+            noise.density,
+            sigma.density,
+            noise.instability,
+            sigma.instability,
+            noise.walk,
+            sigma.walk
         );
     }
     for warning in &found.warnings {
