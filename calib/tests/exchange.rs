@@ -55,12 +55,7 @@ fn assert_sees(camera: &Camera, expected: &[[f64; 2]; 3], shift_px: f64) {
 
 #[test]
 fn camera_info_is_read_and_written_as_opencv_has_it() {
-    let mut rig = Rig {
-        name: "test".into(),
-        cameras: Default::default(),
-        imu: None,
-        lidar: None,
-    };
+    let mut rig = Rig::empty("test");
     for (k, expected) in OPENCV.iter().enumerate() {
         let name = format!("cam{k}");
         let found = import_camera_info(&file(&format!("{name}.yaml")), &name).expect("a camera");
@@ -177,7 +172,7 @@ fn basalt_frames_of_the_tum_rig() {
     ) else {
         return;
     };
-    let rig = import_basalt(&basalt, "basalt").expect("a calibration");
+    let rig = import_basalt(&basalt, "basalt").expect("a calibration").rig;
     let cam1_from_cam0 =
         rig.cameras["cam1"].rig_from_camera.inverse() * rig.cameras["cam0"].rig_from_camera;
     let reference: serde_json::Value = serde_json::from_str(&kalibr).expect("JSON");

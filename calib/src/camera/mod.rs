@@ -26,7 +26,6 @@ use crate::target::Target;
 
 pub(crate) use adjustment::most_central;
 pub(crate) use corner_residual::{lens_camera, moved_by_pose};
-pub(crate) use export::kalibr_camera;
 pub(crate) use guess::fit_lens;
 pub use guess::pose_of_target;
 pub(crate) use summary::cells;

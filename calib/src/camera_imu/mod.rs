@@ -24,7 +24,6 @@ use lsfb_geometry::{
 use lsfb_types::{ImuSample, Progress, ProgressFn, Timestamp};
 use serde::{Deserialize, Serialize};
 
-pub use export::imu_to_kalibr;
 pub use table::read_imu_table;
 
 use crate::Error;

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 
 use super::{
-    Exported, ExportedFile, checked, empty_rig, in_model, mounted, parse_error, quaternion,
+    Exported, ExportedFile, ImportedRig, checked, in_model, mounted, parse_error, quaternion,
 };
 use crate::Error;
 
@@ -31,6 +31,41 @@ struct Calibration {
     gyro_bias_std: Vec<f64>,
     #[serde(default)]
     cam_time_offset_ns: i64,
+    #[serde(default)]
+    calib_accel_bias: Vec<f64>,
+    #[serde(default)]
+    calib_gyro_bias: Vec<f64>,
+    #[serde(default)]
+    vignette: Vec<Value>,
+}
+
+impl Calibration {
+    /// What a rig does not hold.
+    fn notes(&self) -> Vec<String> {
+        let mut notes = Vec::new();
+        let mut biases = self.calib_accel_bias.iter().chain(&self.calib_gyro_bias);
+        if biases.any(|b| *b != 0.0) {
+            notes.push(
+                "bias, scale and misalignment of the IMU (calib_accel_bias, calib_gyro_bias) have no place in a rig: correct its samples before they are recorded".to_owned(),
+            );
+        }
+        let noises = [
+            &self.accel_noise_std,
+            &self.gyro_noise_std,
+            &self.accel_bias_std,
+            &self.gyro_bias_std,
+        ];
+        let uneven = |axes: &Vec<f64>| axes.windows(2).any(|w| w[0] != w[1]);
+        if noises.into_iter().any(uneven) {
+            notes.push(
+                "a rig has one noise for three axes: their root mean square is taken".to_owned(),
+            );
+        }
+        if !self.vignette.is_empty() {
+            notes.push("vignettes have no place in a rig".to_owned());
+        }
+        notes
+    }
 }
 
 #[derive(Serialize, Deserialize)]
@@ -51,7 +86,7 @@ struct Intrinsics {
 }
 
 /// Reads a calibration; `path` names it in errors.
-pub fn import_basalt(text: &str, path: &str) -> Result<Rig, Error> {
+pub fn import_basalt(text: &str, path: &str) -> Result<ImportedRig, Error> {
     let file: File = serde_json::from_str(text).map_err(|e| parse_error(path, e))?;
     let c = file.value0;
     let count = c.intrinsics.len();
@@ -65,7 +100,7 @@ pub fn import_basalt(text: &str, path: &str) -> Result<Rig, Error> {
             ),
         ));
     }
-    let mut rig = empty_rig("basalt");
+    let mut rig = Rig::empty("basalt");
     for (k, ((pose, intrinsics), size)) in c
         .imu_from_camera
         .iter()
@@ -107,7 +142,8 @@ pub fn import_basalt(text: &str, path: &str) -> Result<Rig, Error> {
             accel_bias_walk: accel_walk,
         });
     }
-    Ok(rig)
+    let notes = c.notes();
+    Ok(ImportedRig { rig, notes })
 }
 
 fn lens(camera: &Intrinsics) -> Result<Lens, String> {
@@ -171,7 +207,10 @@ pub(super) fn export(rig: &Rig, imu_rate_hz: f64) -> Exported {
     let mut intrinsics = Vec::new();
     let mut poses = Vec::new();
     let mut resolution = Vec::new();
-    for (name, mounted) in &rig.cameras {
+    for (k, (name, mounted)) in rig.cameras.iter().enumerate() {
+        if *name != format!("cam{k}") {
+            out.notes.push(format!("{name} is cam{k} in this file"));
+        }
         let camera = in_model(
             name,
             &mounted.camera,
@@ -237,6 +276,12 @@ pub(super) fn export(rig: &Rig, imu_rate_hz: f64) -> Exported {
             apart_s * 1e6
         ));
     }
+    let offset_ns = (mean_s * 1e9).round() as i64;
+    if offset_ns != 0 {
+        out.notes.push(format!(
+            "Basalt's calibration applies the time offset, its odometry does not: add {offset_ns} ns to the stamps of images for the latter"
+        ));
+    }
     let mut value = json!({
         "T_imu_cam": poses,
         "intrinsics": intrinsics,
@@ -244,7 +289,7 @@ pub(super) fn export(rig: &Rig, imu_rate_hz: f64) -> Exported {
         "calib_accel_bias": vec![0.0; 9],
         "calib_gyro_bias": vec![0.0; 12],
         "imu_update_rate": imu_rate_hz,
-        "cam_time_offset_ns": (mean_s * 1e9).round() as i64,
+        "cam_time_offset_ns": offset_ns,
         "vignette": Vec::<f64>::new(),
     });
     match &rig.imu {

@@ -6,9 +6,7 @@ use lsfb_geometry::camera::{Lens, LensModel};
 use lsfb_geometry::{Camera, Rig, Se3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::{
-    Exported, ExportedFile, checked, empty_rig, exact, in_model, mounted, parse_error, quaternion,
-};
+use super::{Exported, ExportedFile, checked, exact, in_model, mounted, parse_error, quaternion};
 use crate::Error;
 
 /// From our pixels to COLMAP's.
@@ -52,7 +50,7 @@ pub fn import_colmap(cameras: &str, rig_config: Option<&str>, path: &str) -> Res
     if found.is_empty() {
         return Err(parse_error(path, "no camera in it"));
     }
-    let mut rig = empty_rig("colmap");
+    let mut rig = Rig::empty("colmap");
     let Some(text) = rig_config else {
         for (k, (_, camera)) in found.into_iter().enumerate() {
             rig.cameras

@@ -8,12 +8,10 @@ use lsfb_geometry::{Camera, Matrix3, Rig, RigImu, Se3, Vector3};
 use serde::Deserialize;
 
 use super::{
-    Exported, ExportedFile, checked, deviation_px, empty_rig, exact, list, mounted, parse_error,
-    radtan, rotation,
+    Exported, ExportedFile, checked, deviation_px, exact, list, mounted, parse_error, radtan,
+    rotation,
 };
 use crate::Error;
-use crate::camera::kalibr_camera;
-use crate::camera_imu::imu_to_kalibr;
 
 #[derive(Deserialize)]
 struct Link {
@@ -52,7 +50,7 @@ pub fn import_kalibr(text: &str, path: &str) -> Result<Rig, Error> {
         links.push((number, link));
     }
     links.sort_by_key(|l| l.0);
-    let mut rig = empty_rig("kalibr");
+    let mut rig = Rig::empty("kalibr");
     let mut before: Option<Se3> = None;
     for (number, link) in links {
         let name = format!("cam{number}");
@@ -183,10 +181,95 @@ fn camera(link: &Link) -> Result<Camera, String> {
     })
 }
 
+/// A camera of a chain that is written.
+pub(crate) struct ChainCamera<'a> {
+    /// Its topic is `/<name>/image`.
+    pub name: &'a str,
+    pub camera: &'a Camera,
+    /// From the frame that all cameras of the chain share.
+    pub camera_from_shared: Se3,
+    /// Added to the camera's stamps it gives those of the IMU, whose frame the shared one then is; `None` in a chain without
+    /// IMU.
+    pub imu_from_camera_s: Option<f64>,
+}
+
+/// Kalibr's camera chain, each camera joined to the one before. Its radtan has four coefficients: a `k3` is left out.
+pub(crate) fn camera_chain<'a>(cameras: impl Iterator<Item = ChainCamera<'a>>) -> String {
+    let mut text = String::new();
+    let mut shared_from_before: Option<Se3> = None;
+    for (k, link) in cameras.enumerate() {
+        // Writing to a String cannot fail.
+        let _ = writeln!(text, "cam{k}:");
+        if link.imu_from_camera_s.is_some() {
+            text += &matrix("T_cam_imu", &link.camera_from_shared);
+        }
+        if let Some(shared_from_before) = shared_from_before {
+            text += &matrix("T_cn_cnm1", &(link.camera_from_shared * shared_from_before));
+        }
+        shared_from_before = Some(link.camera_from_shared.inverse());
+        text += &lens_lines(link.name, link.camera);
+        if let Some(shift_s) = link.imu_from_camera_s {
+            let _ = writeln!(text, "  timeshift_cam_imu: {}", exact(shift_s));
+        }
+    }
+    text
+}
+
+/// Lens, size and topic of a camera.
+fn lens_lines(name: &str, camera: &Camera) -> String {
+    let [f, c] = [camera.focal_px(), camera.principal_px()];
+    let pinhole = [f[0], f[1], c[0], c[1]];
+    let with = |first: &[f64]| [first, &pinhole].concat();
+    let (model, intrinsics, distortion_model, distortion) = match camera.lens {
+        Lens::PinholeRadtan {
+            distortion: [k1, k2, p1, p2, _],
+            ..
+        } => ("pinhole", pinhole.to_vec(), "radtan", vec![k1, k2, p1, p2]),
+        Lens::KannalaBrandt { distortion, .. } => (
+            "pinhole",
+            pinhole.to_vec(),
+            "equidistant",
+            distortion.to_vec(),
+        ),
+        Lens::FieldOfView { distortion, .. } => {
+            ("pinhole", pinhole.to_vec(), "fov", distortion.to_vec())
+        }
+        Lens::DoubleSphere { distortion, .. } => ("ds", with(&distortion), "none", vec![]),
+        Lens::ExtendedUnified { distortion, .. } => ("eucm", with(&distortion), "none", vec![]),
+    };
+    format!(
+        "  camera_model: {model}\n  intrinsics: {}\n  distortion_model: {distortion_model}\n  distortion_coeffs: {}\n  resolution: [{}, {}]\n  rostopic: /{name}/image\n",
+        list(&intrinsics),
+        list(&distortion),
+        camera.width,
+        camera.height,
+    )
+}
+
+fn matrix(name: &str, pose: &Se3) -> String {
+    let (r, t) = (pose.rotation_matrix(), pose.translation);
+    let mut text = format!("  {name}:\n");
+    for row in 0..3 {
+        let row = [r[(row, 0)], r[(row, 1)], r[(row, 2)], t[row]];
+        text += &format!("  - {}\n", list(&row));
+    }
+    text + "  - [0.0, 0.0, 0.0, 1.0]\n"
+}
+
+/// Kalibr's `imu.yaml`.
+pub fn imu_to_kalibr(noise: &RigImu, rate_hz: f64, topic: &str) -> String {
+    format!(
+        "rostopic: {topic}\nupdate_rate: {}\naccelerometer_noise_density: {}\naccelerometer_random_walk: {}\ngyroscope_noise_density: {}\ngyroscope_random_walk: {}\n",
+        exact(rate_hz),
+        exact(noise.accel_noise_density),
+        exact(noise.accel_bias_walk),
+        exact(noise.gyro_noise_density),
+        exact(noise.gyro_bias_walk)
+    )
+}
+
 pub(super) fn export(rig: &Rig, imu_rate_hz: f64) -> Exported {
     let mut out = Exported::default();
-    let mut text = String::new();
-    let mut before: Option<Se3> = None;
     for (k, (name, mounted)) in rig.cameras.iter().enumerate() {
         let camera = &mounted.camera;
         if let Some([.., k3]) = radtan(&camera.lens).filter(|d| d[4] != 0.0) {
@@ -202,26 +285,16 @@ pub(super) fn export(rig: &Rig, imu_rate_hz: f64) -> Exported {
         if *name != format!("cam{k}") {
             out.notes.push(format!("{name} is cam{k} in these files"));
         }
-        // Writing to a String cannot fail.
-        let _ = writeln!(text, "cam{k}:");
-        let camera_from_rig = mounted.rig_from_camera.inverse();
-        text.push_str("  T_cam_imu:\n");
-        matrix(&mut text, &camera_from_rig);
-        if let Some(rig_from_before) = before {
-            text.push_str("  T_cn_cnm1:\n");
-            matrix(&mut text, &(camera_from_rig * rig_from_before));
-        }
-        before = Some(mounted.rig_from_camera);
-        text += &kalibr_camera(name, camera);
-        let _ = writeln!(
-            text,
-            "  timeshift_cam_imu: {}",
-            exact(mounted.timing.rig_from_camera_s)
-        );
     }
+    let chain = rig.cameras.iter().map(|(name, mounted)| ChainCamera {
+        name,
+        camera: &mounted.camera,
+        camera_from_shared: mounted.rig_from_camera.inverse(),
+        imu_from_camera_s: Some(mounted.timing.rig_from_camera_s),
+    });
     out.files.push(ExportedFile {
         name: "camchain-imucam.yaml".to_owned(),
-        text,
+        text: camera_chain(chain),
     });
     if let Some(imu) = &rig.imu {
         out.files.push(ExportedFile {
@@ -230,13 +303,4 @@ pub(super) fn export(rig: &Rig, imu_rate_hz: f64) -> Exported {
         });
     }
     out
-}
-
-fn matrix(text: &mut String, pose: &Se3) {
-    let (r, t) = (pose.rotation_matrix(), pose.translation);
-    for row in 0..3 {
-        let row = [r[(row, 0)], r[(row, 1)], r[(row, 2)], t[row]];
-        let _ = writeln!(text, "  - {}", list(&row));
-    }
-    text.push_str("  - [0.0, 0.0, 0.0, 1.0]\n");
 }

@@ -7,7 +7,13 @@
 //! | COLMAP | `cameras.txt`, `rig_config.json` | **corner** of the first pixel: half a pixel more | `cam_from_rig`, the rig is the first camera | none |
 //! | Basalt | `calibration.json` | centre of the first pixel | `T_imu_cam`: IMU from camera | `t_imu = t_cam + cam_time_offset_ns`, one for all |
 //!
-//! What a format cannot hold is said in [`Exported::notes`], never dropped in silence.
+//! The signs of both time offsets are those of the programs' own residuals, not of their documentation alone: Kalibr's camera
+//! error terms (`kalibr_imu_camera_calibration/IccSensors.py`) and Basalt's corner terms (`optimization/spline_linearize.h`) ask the
+//! IMU's spline for the pose at the image's stamp **plus** the offset. Basalt's odometry does not apply it at all (the line is
+//! commented out there), which [`Exported::notes`] says.
+//!
+//! What a format cannot hold is said in [`Exported::notes`], what a rig cannot hold in [`ImportedRig::notes`] and
+//! [`ImportedCamera::notes`]: nothing is dropped in silence.
 
 mod basalt;
 mod colmap;
@@ -25,8 +31,18 @@ use crate::camera::fit_lens;
 
 pub use basalt::import_basalt;
 pub use colmap::import_colmap;
-pub use kalibr::{import_kalibr, import_kalibr_imu};
-pub use ros::import_camera_info;
+pub(crate) use kalibr::{ChainCamera, camera_chain};
+pub use kalibr::{import_kalibr, import_kalibr_imu, imu_to_kalibr};
+pub use ros::{ImportedCamera, import_camera_info};
+
+/// A rig from another program's file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImportedRig {
+    /// The rig.
+    pub rig: Rig,
+    /// What is in the file that a rig does not hold, in words.
+    pub notes: Vec<String>,
+}
 
 /// A program whose files can be written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -76,6 +92,10 @@ pub fn export(rig: &Rig, format: Format, imu_rate_hz: f64) -> Result<Exported, E
     if rig.lidar.is_some() {
         out.notes
             .push("the LiDAR's pose has no place in these files".to_owned());
+    }
+    if rig.calibrated_unix_s.is_some() {
+        out.notes
+            .push("when it was calibrated has no place in these files".to_owned());
     }
     if rig.cameras.values().any(|c| c.timing.readout_s != 0.0) {
         out.notes
@@ -175,15 +195,6 @@ fn checked(camera: Camera) -> Result<Camera, String> {
         ));
     }
     camera.lens.problem().map_or(Ok(camera), Err)
-}
-
-fn empty_rig(name: &str) -> Rig {
-    Rig {
-        name: name.to_owned(),
-        cameras: Default::default(),
-        imu: None,
-        lidar: None,
-    }
 }
 
 fn parse_error(path: &str, problem: impl std::fmt::Display) -> Error {

@@ -27,6 +27,9 @@ struct Info {
     k: Option<Vec<f64>>,
     #[serde(alias = "D")]
     d: Option<Vec<f64>>,
+    projection_matrix: Option<Matrix>,
+    #[serde(alias = "P")]
+    p: Option<Vec<f64>>,
 }
 
 /// A camera from a `CameraInfo`.
@@ -36,6 +39,8 @@ pub struct ImportedCamera {
     pub name: Option<String>,
     /// Size and lens.
     pub camera: Camera,
+    /// What is in the file that a rig does not hold, in words.
+    pub notes: Vec<String>,
 }
 
 /// Reads a `CameraInfo`; `path` names it in errors.
@@ -97,9 +102,18 @@ pub fn import_camera_info(text: &str, path: &str) -> Result<ImportedCamera, Erro
         lens,
     })
     .map_err(fail)?;
+    let p = info.projection_matrix.map(|m| m.data).or(info.p);
+    let mut notes = Vec::new();
+    // That of the second camera of a rectified pair is −fx times their distance.
+    if let Some(shift) = p.and_then(|p| p.get(3).copied()).filter(|t| *t != 0.0) {
+        notes.push(format!(
+            "{path}: the projection matrix of a rectified pair ({shift} in its fourth column) is not read: poses of cameras come from `lsfb calib camera`"
+        ));
+    }
     Ok(ImportedCamera {
         name: info.camera_name,
         camera,
+        notes,
     })
 }
 

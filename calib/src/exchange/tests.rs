@@ -3,7 +3,7 @@ use lsfb_geometry::{CameraTiming, RigImu, Vector6};
 use super::*;
 
 fn rig(lenses: &[Lens]) -> Rig {
-    let mut rig = empty_rig("test");
+    let mut rig = Rig::empty("test");
     for (k, lens) in lenses.iter().enumerate() {
         let camera = Camera {
             width: 640,
@@ -108,8 +108,14 @@ fn kalibr_round_trip() {
 fn basalt_round_trip() {
     let rig = rig(&lenses());
     let out = export(&rig, Format::Basalt, 200.0).expect("exported");
-    assert!(out.notes.is_empty(), "{:?}", out.notes);
-    let back = import_basalt(text(&out, "calibration.json"), "own").expect("own output");
+    assert!(
+        matches!(&out.notes[..], [n] if n.contains("add 1900000 ns")),
+        "{:?}",
+        out.notes
+    );
+    let imported = import_basalt(text(&out, "calibration.json"), "own").expect("own output");
+    assert!(imported.notes.is_empty(), "{:?}", imported.notes);
+    let back = imported.rig;
     for (a, b) in rig.cameras.values().zip(back.cameras.values()) {
         assert_eq!(a.camera, b.camera);
         assert!((a.timing.rig_from_camera_s - b.timing.rig_from_camera_s).abs() < 1e-15);
@@ -123,6 +129,17 @@ fn basalt_round_trip() {
     let (a, b) = (rig.imu.expect("an IMU"), back.imu.expect("an IMU"));
     assert!((a.gyro_noise_density / b.gyro_noise_density - 1.0).abs() < 1e-12);
     assert!((a.accel_bias_walk / b.accel_bias_walk - 1.0).abs() < 1e-12);
+
+    // What a rig does not hold is said.
+    let mut file: serde_json::Value =
+        serde_json::from_str(text(&out, "calibration.json")).expect("JSON");
+    file["value0"]["calib_gyro_bias"][4] = 0.01.into();
+    file["value0"]["accel_noise_std"][2] = 1.0.into();
+    let notes = import_basalt(&file.to_string(), "own").expect("read").notes;
+    assert!(
+        matches!(&notes[..], [a, b] if a.contains("scale and misalignment") && b.contains("three axes")),
+        "{notes:?}"
+    );
 }
 
 #[test]

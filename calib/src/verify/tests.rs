@@ -79,7 +79,6 @@ fn rig() -> Rig {
         timing: Default::default(),
     };
     Rig {
-        name: "test".into(),
         cameras: [
             ("cam0".to_owned(), mounted(0.08)),
             ("cam1".to_owned(), mounted(-0.08)),
@@ -95,6 +94,7 @@ fn rig() -> Rig {
             rig_from_lidar: Se3::exp(&Vector6::new(0.01, 0.02, -0.03, -0.02, 0.0, 0.25)),
             range_noise_m: 0.0,
         }),
+        ..Rig::empty("test")
     }
 }
 

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use lsfb_calib::exchange::{
-    Format, export, import_basalt, import_camera_info, import_colmap, import_kalibr,
+    Format, ImportedRig, export, import_basalt, import_camera_info, import_colmap, import_kalibr,
     import_kalibr_imu,
 };
 use lsfb_geometry::{Rig, RigCamera, Se3};
@@ -79,7 +79,7 @@ impl From<Program> for Format {
 
 /// Reads the files, writes the rig.
 pub fn run_import(arguments: &ImportArguments, context: &Context) -> anyhow::Result<Outcome> {
-    let found = read(arguments)?;
+    let ImportedRig { rig: found, notes } = read(arguments)?;
     let mut provenance = Provenance::new(&());
     for path in &arguments.files {
         provenance.add_input(path)?;
@@ -89,6 +89,8 @@ pub fn run_import(arguments: &ImportArguments, context: &Context) -> anyhow::Res
             provenance.add_input(path)?;
             let mut rig = Rig::read(path)?;
             put(&found, arguments.program, &mut rig);
+            // None of these files says when it was made.
+            rig.calibrated_unix_s = None;
             rig
         }
         None => found,
@@ -96,11 +98,17 @@ pub fn run_import(arguments: &ImportArguments, context: &Context) -> anyhow::Res
     std::fs::write(&arguments.out, rig.to_toml())
         .with_context(|| arguments.out.display().to_string())?;
     provenance.write(&arguments.out)?;
-    let names: Vec<&String> = rig.cameras.keys().collect();
-    context.print(&names, || {
-        let names: Vec<&str> = names.iter().map(|n| n.as_str()).collect();
-        format!("{}: {}", arguments.out.display(), names.join(", "))
-    })?;
+    let names: Vec<&str> = rig.cameras.keys().map(String::as_str).collect();
+    context.print(
+        &serde_json::json!({ "cameras": &names, "notes": &notes }),
+        || {
+            let mut text = format!("{}: {}", arguments.out.display(), names.join(", "));
+            for note in &notes {
+                text += &format!("\n  {note}");
+            }
+            text
+        },
+    )?;
     Ok(Outcome::Done)
 }
 
@@ -108,7 +116,7 @@ fn text(path: &Path) -> anyhow::Result<String> {
     std::fs::read_to_string(path).with_context(|| path.display().to_string())
 }
 
-fn read(arguments: &ImportArguments) -> anyhow::Result<Rig> {
+fn read(arguments: &ImportArguments) -> anyhow::Result<ImportedRig> {
     let files = &arguments.files;
     let most = match arguments.program {
         Program::Ros => usize::MAX,
@@ -125,7 +133,8 @@ fn read(arguments: &ImportArguments) -> anyhow::Result<Rig> {
     };
     let name = first.display().to_string();
     let second = files.get(1);
-    Ok(match arguments.program {
+    let mut notes = Vec::new();
+    let rig = match arguments.program {
         Program::Kalibr => {
             let mut rig = import_kalibr(&text(first)?, &name)?;
             if let Some(path) = second {
@@ -140,16 +149,12 @@ fn read(arguments: &ImportArguments) -> anyhow::Result<Rig> {
             let config = second.map(|p| text(p)).transpose()?;
             import_colmap(&text(first)?, config.as_deref(), &name)?
         }
-        Program::Basalt => import_basalt(&text(first)?, &name)?,
+        Program::Basalt => return Ok(import_basalt(&text(first)?, &name)?),
         Program::Ros => {
-            let mut rig = Rig {
-                name: "ros".into(),
-                cameras: Default::default(),
-                imu: None,
-                lidar: None,
-            };
+            let mut rig = Rig::empty("ros");
             for (k, path) in files.iter().enumerate() {
                 let found = import_camera_info(&text(path)?, &path.display().to_string())?;
+                notes.extend(found.notes);
                 let name = found.name.unwrap_or_else(|| format!("cam{k}"));
                 let mounted = RigCamera {
                     camera: found.camera,
@@ -160,7 +165,8 @@ fn read(arguments: &ImportArguments) -> anyhow::Result<Rig> {
             }
             rig
         }
-    })
+    };
+    Ok(ImportedRig { rig, notes })
 }
 
 /// What was read put into a rig. Files without an IMU say how cameras stand to each other: the first one that the rig has

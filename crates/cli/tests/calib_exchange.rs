@@ -1,0 +1,284 @@
+//! `lsfb calib import` and `export`, both ways: rigs of the simulator, and files of others.
+#![allow(clippy::print_stdout, reason = "a skipped test says so")]
+
+mod process;
+mod refusal;
+
+use std::path::{Path, PathBuf};
+
+use lsfb_geometry::{Camera, Rig, RigCamera, Se3};
+use lsfb_sim::{SimConfig, rigs};
+use process::lsfb;
+use refusal::refused;
+
+/// What is written and read again, at most.
+const SAME: f64 = 1e-9;
+
+const PROGRAMS: [(&str, &[&str]); 4] = [
+    ("kalibr", &["camchain-imucam.yaml", "imu.yaml"]),
+    ("ros", &["cam0.yaml", "cam1.yaml", "cam2.yaml", "cam3.yaml"]),
+    ("colmap", &["cameras.txt", "rig_config.json"]),
+    ("basalt", &["calibration.json"]),
+];
+
+/// The simulator's backpack, its cameras late as real ones are.
+fn backpack(offsets_s: [f64; 4]) -> Rig {
+    let mut rig = rigs::backpack(&SimConfig::default());
+    for (mounted, offset_s) in rig.cameras.values_mut().zip(offsets_s) {
+        mounted.timing.rig_from_camera_s = offset_s;
+    }
+    rig
+}
+
+fn json(folder: &Path, arguments: &[&str]) -> serde_json::Value {
+    let output = lsfb(folder, &[arguments, &["--json"]].concat());
+    assert_eq!(output.status.code(), Some(0), "{arguments:?}: {output:?}");
+    serde_json::from_slice(&output.stdout).expect("JSON")
+}
+
+fn notes(printed: &serde_json::Value) -> Vec<String> {
+    let notes = printed["notes"].as_array().expect("notes");
+    let text = |n: &serde_json::Value| n.as_str().expect("text").to_owned();
+    notes.iter().map(text).collect()
+}
+
+fn assert_same_camera(name: &str, a: &Camera, b: &Camera) {
+    assert_eq!(
+        (a.width, a.height, a.lens.model()),
+        (b.width, b.height, b.lens.model()),
+        "{name}"
+    );
+    let numbers = |c: &Camera| [&c.focal_px()[..], &c.principal_px(), c.lens.distortion()].concat();
+    for (a, b) in numbers(a).into_iter().zip(numbers(b)) {
+        assert!((a - b).abs() < SAME, "{name}: {a} {b}");
+    }
+}
+
+fn assert_same_pose(name: &str, a: &Se3, b: &Se3) {
+    let moved = (a.inverse() * *b).log().norm();
+    assert!(moved < SAME, "{name}: {moved}");
+}
+
+fn assert_same_rig(program: &str, a: &Rig, b: &Rig) {
+    assert_eq!(a.cameras.len(), b.cameras.len(), "{program}");
+    for ((name, a), (other, b)) in a.cameras.iter().zip(&b.cameras) {
+        assert_eq!(name, other);
+        let name = format!("{program} {name}");
+        assert_same_camera(&name, &a.camera, &b.camera);
+        assert_same_pose(&name, &a.rig_from_camera, &b.rig_from_camera);
+        let late_s = a.timing.rig_from_camera_s - b.timing.rig_from_camera_s;
+        assert!(late_s.abs() < SAME, "{name}: {late_s}");
+    }
+    let noises = |rig: &Rig| {
+        rig.imu.as_ref().map(|i| {
+            [
+                i.gyro_noise_density,
+                i.accel_noise_density,
+                i.gyro_bias_walk,
+                i.accel_bias_walk,
+            ]
+        })
+    };
+    match (noises(a), noises(b)) {
+        (Some(a), Some(b)) => {
+            for (a, b) in a.into_iter().zip(b) {
+                assert!((a / b - 1.0).abs() < SAME, "{program}: {a} {b}");
+            }
+        }
+        (a, b) => assert_eq!(a.is_some(), b.is_some(), "{program}"),
+    }
+}
+
+fn read(folder: &Path, name: &str) -> Rig {
+    Rig::read(&folder.join(name)).expect("a rig")
+}
+
+#[test]
+fn the_simulators_rig_comes_back_from_every_format() {
+    let folder = tempfile::tempdir().expect("folder");
+    let rig = backpack([1.9e-3; 4]);
+    std::fs::write(folder.path().join("rig.toml"), rig.to_toml()).expect("file");
+    for (program, files) in PROGRAMS {
+        let written = json(
+            folder.path(),
+            &["calib", "export", program, "rig.toml", "--out", program],
+        );
+        let paths: Vec<String> = files.iter().map(|f| format!("{program}/{f}")).collect();
+        assert_eq!(written["files"], serde_json::json!(paths), "{program}");
+        // What it cannot hold is said.
+        let expected: &[&str] = match program {
+            "kalibr" => &["LiDAR", "when it was calibrated"],
+            "ros" => &["poses and time offsets", "LiDAR", "when it was calibrated"],
+            "colmap" => &["the pose in the IMU", "LiDAR", "when it was calibrated"],
+            _ => &["its odometry does not", "LiDAR", "when it was calibrated"],
+        };
+        let said = notes(&written);
+        assert_eq!(said.len(), expected.len(), "{program}: {said:?}");
+        for (said, expected) in said.iter().zip(expected) {
+            assert!(said.contains(expected), "{program}: {said}");
+        }
+
+        let mut import = vec!["calib", "import", program];
+        import.extend(paths.iter().map(String::as_str));
+        let alone = [&import[..], &["--out", "alone.toml"]].concat();
+        assert!(notes(&json(folder.path(), &alone)).is_empty(), "{program}");
+        let found = read(folder.path(), "alone.toml");
+        for (name, mounted) in &rig.cameras {
+            assert_same_camera(name, &mounted.camera, &found.cameras[name].camera);
+        }
+        match program {
+            "kalibr" | "basalt" => {
+                let held = Rig {
+                    lidar: None,
+                    ..rig.clone()
+                };
+                assert_same_rig(program, &held, &found);
+            }
+            "colmap" => {
+                let first = rig.cameras["cam0"].rig_from_camera;
+                for (name, found) in &found.cameras {
+                    let expected = first.inverse() * rig.cameras[name].rig_from_camera;
+                    assert_same_pose(name, &expected, &found.rig_from_camera);
+                }
+            }
+            _ => assert!(found.imu.is_none() && found.lidar.is_none()),
+        }
+
+        // Into a rig that has the rest: everything is as it was, but nobody knows since when.
+        let into = [&import[..], &["--into", "rig.toml", "--out", "into.toml"]].concat();
+        json(folder.path(), &into);
+        let again = read(folder.path(), "into.toml");
+        assert_same_rig(program, &rig, &again);
+        assert_eq!(again.lidar, rig.lidar, "{program}");
+        assert_eq!(again.calibrated_unix_s, None);
+    }
+}
+
+#[test]
+fn what_a_format_cannot_hold_is_said_with_its_size() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut rig = backpack([1e-3, 1e-3, 1e-3, 2e-3]);
+    // A phone's lens, and a camera of another name.
+    let phone = rigs::walker(&SimConfig::for_place(
+        lsfb_sim::Place::ENVIRONMENTS[0],
+        lsfb_sim::Device::Iphone,
+    ));
+    let mut lens = phone.cameras["cam0"].clone();
+    lens.timing.readout_s = 0.02;
+    rig.cameras.insert("right".to_owned(), lens);
+    std::fs::write(folder.path().join("rig.toml"), rig.to_toml()).expect("file");
+    let said = |program: &str| {
+        let arguments = ["calib", "export", program, "rig.toml", "--out", program];
+        notes(&json(folder.path(), &arguments)).join("\n")
+    };
+    let kalibr = said("kalibr");
+    for words in [
+        "right: Kalibr's radtan has no k3 (0.041)",
+        "right is cam4",
+        "readout times",
+    ] {
+        assert!(kalibr.contains(words), "{words}: {kalibr}");
+    }
+    let basalt = said("basalt");
+    assert!(
+        basalt.contains("one time offset: the mean is written")
+            && basalt.contains("µs")
+            && basalt.contains("right is cam4"),
+        "{basalt}"
+    );
+}
+
+#[test]
+fn files_that_are_none_are_refused() {
+    let folder = tempfile::tempdir().expect("folder");
+    let rig = backpack([0.0; 4]);
+    std::fs::write(folder.path().join("rig.toml"), rig.to_toml()).expect("file");
+    for (program, _) in PROGRAMS {
+        refused(
+            folder.path(),
+            &["calib", "import", program, "rig.toml", "--out", "new.toml"],
+            &["rig.toml"],
+        );
+        refused(
+            folder.path(),
+            &["calib", "import", program, "gone", "--out", "new.toml"],
+            &["gone"],
+        );
+    }
+    refused(
+        folder.path(),
+        &["calib", "import", "basalt", "a", "b", "--out", "new.toml"],
+        &["2 files, at most 1"],
+    );
+}
+
+fn data(test: &str, name: &str) -> Option<String> {
+    let root = std::env::var_os("LSFB_TEST_DATA").map_or_else(
+        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
+        PathBuf::from,
+    );
+    let path = root.join(name);
+    if !path.exists() {
+        println!("skipped: {test}: no recording at {}", path.display());
+        return None;
+    }
+    Some(path.display().to_string())
+}
+
+/// Files that Kalibr, Basalt and a ROS driver wrote: read, written for each program that holds them, and read again.
+#[test]
+fn files_of_others_come_back() {
+    let folder = tempfile::tempdir().expect("folder");
+    for (program, name) in [
+        (
+            "kalibr",
+            "lidar/gtsfm_hilti/calibration/calib_3_cam0-1-camchain-imucam.yaml",
+        ),
+        (
+            "kalibr",
+            "lidar/gtsfm_hilti/calibration/calib_3_cam2-camchain-imucam.yaml",
+        ),
+        (
+            "basalt",
+            "vision/tumvi_calib_imu1/initial_calibration_doublesphere.json",
+        ),
+        ("ros", "lidar/acfr_cam_lidar/camera_info.yaml"),
+    ] {
+        let Some(path) = data("files_of_others_come_back", name) else {
+            return;
+        };
+        json(
+            folder.path(),
+            &["calib", "import", program, &path, "--out", "first.toml"],
+        );
+        let first = read(folder.path(), "first.toml");
+        assert!(!first.cameras.is_empty());
+        // Basalt and Kalibr hold what either wrote.
+        let through: &[&str] = match program {
+            "ros" => &["ros"],
+            _ => &["kalibr", "basalt"],
+        };
+        for through in through {
+            let export = ["calib", "export", through, "first.toml", "--out", through];
+            let written = json(folder.path(), &export);
+            let mut import = vec!["calib", "import", through];
+            let files = written["files"].as_array().expect("files");
+            import.extend(files.iter().map(|f| f.as_str().expect("a path")));
+            json(
+                folder.path(),
+                &[&import[..], &["--out", "again.toml"]].concat(),
+            );
+            let again = read(folder.path(), "again.toml");
+            let mut held = first.clone();
+            if *through == "basalt" {
+                // One offset for all.
+                let offsets_s = first.cameras.values().map(|c| c.timing.rig_from_camera_s);
+                let mean_s = offsets_s.sum::<f64>() / first.cameras.len() as f64;
+                for mounted in held.cameras.values_mut() {
+                    mounted.timing.rig_from_camera_s = mean_s;
+                }
+            }
+            assert_same_rig(&format!("{name} through {through}"), &held, &again);
+        }
+    }
+}
