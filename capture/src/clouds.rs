@@ -40,13 +40,11 @@ pub fn import_clouds(
     make_folder(out)?;
     let mut writer = Writer::create(out, &WriterConfig::default())?;
     writer.attach_rig(&Rig {
-        name: "clouds".to_owned(),
-        cameras: Default::default(),
-        imu: None,
         lidar: Some(RigLidar {
             rig_from_lidar: Se3::identity(),
             range_noise_m: config.range_noise_m,
         }),
+        ..Rig::empty("clouds")
     })?;
     for (index, path) in files.iter().enumerate() {
         if stop.load(Ordering::Relaxed) {

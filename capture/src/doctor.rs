@@ -1,9 +1,13 @@
 //! Is this recording good? Verdicts with thresholds, from the indexes first: fast whatever the size of the file.
 
+mod calibration;
+
 use lsfb_recording::message::{self, ClockModel};
 use lsfb_recording::{CLOCK_MODELS, Recording, TopicArrivals};
 use lsfb_types::{ProgressFn, Timestamp};
 use serde::{Deserialize, Serialize};
+
+pub use calibration::CalibrationFound;
 
 use crate::{Error, sidecar};
 
@@ -29,6 +33,9 @@ pub struct DoctorConfig {
     pub fail_gap_secs: f64,
     /// Fitted clocks less certain than this are worth a look, microseconds.
     pub warn_sigma_us: f64,
+    /// A calibration further than this from the recording is worth a look, days. A rig that is carried is knocked, and taken
+    /// apart between campaigns: after a month it should have been calibrated or verified again.
+    pub warn_calibration_days: f64,
     /// Whether every byte is read and its checksum compared.
     pub read: Depth,
 }
@@ -50,6 +57,7 @@ impl Default for DoctorConfig {
             warn_gap_periods: 3.0,
             fail_gap_secs: 1.0,
             warn_sigma_us: 500.0,
+            warn_calibration_days: 30.0,
             read: Depth::default(),
         }
     }
@@ -79,6 +87,8 @@ pub struct Diagnosis {
     pub duration_secs: f64,
     /// Messages on all topics.
     pub messages: u64,
+    /// The calibration it carries; `None` where there is no rig in it.
+    pub calibration: Option<CalibrationFound>,
     /// One entry per line.
     pub findings: Vec<Finding>,
 }
@@ -103,7 +113,7 @@ pub fn examine(
         findings.checksums(recording, progress)?;
     }
     findings.part(recording);
-    findings.rig(recording);
+    let calibration = findings.calibration(recording, config)?;
     findings.topics(&arrivals, config);
     findings.losses(recording);
     findings.clocks(recording, config)?;
@@ -120,6 +130,7 @@ pub fn examine(
         bytes,
         duration_secs,
         messages: arrivals.iter().map(|a| a.times.len() as u64).sum(),
+        calibration,
         findings: findings.0,
     })
 }
@@ -179,16 +190,6 @@ impl Findings {
         };
         let found = format!("number {part} of a recording, behind {previous}");
         self.add("part", Verdict::Pass, found, "");
-    }
-
-    fn rig(&mut self, recording: &Recording) {
-        match recording.rig() {
-            Ok(rig) => {
-                let found = format!("{:?} with {} cameras", rig.name, rig.cameras.len());
-                self.add("rig", Verdict::Pass, found, "");
-            }
-            Err(error) => self.add("rig", Verdict::Warn, error.to_string(), "attached"),
-        }
     }
 
     /// Rate and silences of each topic that a sensor fills steadily.

@@ -22,7 +22,7 @@ use crate::{CaptureReport, Error};
 pub struct ReplayConfig {
     /// Model, return mode and geometry.
     pub decoder: DecoderConfig,
-    /// Attached to the recording.
+    /// Attached to the recording; without it, the rig of the recording that is replayed, if it has one.
     pub rig: Option<Rig>,
     /// Files and disks.
     pub recorder: RecorderConfig,
@@ -86,6 +86,10 @@ pub fn replay_recording(
     progress: ProgressFn<'_>,
 ) -> Result<CaptureReport, Error> {
     let recording = Recording::open(path)?;
+    let config = ReplayConfig {
+        rig: config.rig.clone().or_else(|| recording.rig().ok()),
+        ..config.clone()
+    };
     // Others keep no position packets, or not as packets.
     let positions = recording.packets(LIDAR_POSITION).into_iter().flatten();
     let source = RecordedSource {
@@ -93,7 +97,7 @@ pub fn replay_recording(
         data: recording.velodyne_packets()?.peekable(),
         positions: positions.peekable(),
     };
-    replay(source, config, out, stop, progress)
+    replay(source, &config, out, stop, progress)
 }
 
 /// Packets of both kinds, in the order of their arrival.

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use lsfb_capture::{CaptureReport, Error, Feed, Overflow, RecorderConfig, Session};
 use lsfb_capture::{DevicesConfig, LidarNetConfig};
 use lsfb_geometry::{Rig, RigLidar, Se3};
-use lsfb_recording::{Compression, Existing, Recording};
+use lsfb_recording::{Compression, Existing, Recording, rig_sha256};
 use lsfb_types::{Image, ImuSample, Stamped, Timestamp, no_progress};
 
 const START: i64 = 1_772_359_200_000_000_000;
@@ -63,13 +63,11 @@ fn plain() -> RecorderConfig {
 
 fn rig() -> Rig {
     Rig {
-        name: "test".to_owned(),
-        cameras: Default::default(),
-        imu: None,
         lidar: Some(RigLidar {
             rig_from_lidar: Se3::identity(),
             range_noise_m: 0.03,
         }),
+        ..Rig::empty("test")
     }
 }
 
@@ -131,6 +129,13 @@ fn split_by_size_every_part_is_complete_in_itself() {
     );
     let groups = second.messages("/sync/groups").unwrap().count();
     assert!(groups > 5, "{groups}");
+    // The calibration is in each of them, readable without this program too.
+    let hash = rig_sha256(&rig());
+    for part in &report.parts {
+        let part = Recording::open(part).unwrap();
+        assert_eq!(part.metadata("lsfb.rig").unwrap()["sha256"], hash);
+        assert_eq!(part.calibration().unwrap().sha256, hash);
+    }
 }
 
 #[test]

@@ -77,12 +77,8 @@ impl PosedImages {
         };
         Ok(Self {
             rig: Rig {
-                name: folder
-                    .file_name()
-                    .map_or_else(String::new, |n| n.to_string_lossy().into()),
                 cameras: [("cam0".to_owned(), mounted)].into(),
-                imu: None,
-                lidar: None,
+                ..Rig::empty(&folder.file_name().unwrap_or_default().to_string_lossy())
             },
             images,
         })

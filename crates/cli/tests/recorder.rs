@@ -6,7 +6,8 @@ mod velodyne_packets;
 
 use std::path::Path;
 
-use lsfb_recording::{Writer, WriterConfig};
+use lsfb_geometry::{Rig, RigImu};
+use lsfb_recording::{Writer, WriterConfig, rig_sha256, sha256_of};
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 use process::lsfb;
 
@@ -18,7 +19,22 @@ fn recording(path: &Path, silent: std::ops::Range<u32>) {
         chunk_secs: 0.5,
         ..WriterConfig::default()
     };
+    fill(Writer::create(path, &config).expect("recording"), silent);
+}
+
+/// The same with a rig in it, as a part of a recording where `session` says so.
+fn recording_with_rig(path: &Path, rig: &Rig, session: &[(&str, &str)]) -> Writer {
+    let session = session.iter().map(|(k, v)| ((*k).into(), (*v).into()));
+    let config = WriterConfig {
+        session: session.collect(),
+        ..WriterConfig::default()
+    };
     let mut writer = Writer::create(path, &config).expect("recording");
+    writer.attach_rig(rig).expect("rig");
+    writer
+}
+
+fn fill(mut writer: Writer, silent: std::ops::Range<u32>) {
     for n in (0..2_000).filter(|n| !silent.contains(n)) {
         let time = Timestamp::from_nanos(START + i64::from(n) * 5_000_000);
         let sample = Stamped {
@@ -79,6 +95,140 @@ fn the_doctor_judges_and_recover_makes_whole() {
     let output = lsfb(folder.path(), &["doctor", "saved.mcap", "--full"]);
     // Whole, but its recorder never said what it lost.
     assert_eq!(output.status.code(), Some(0), "{output:?}");
+}
+
+/// What the doctor says of `subject`: verdict and words.
+fn said(diagnosis: &serde_json::Value, subject: &str) -> Vec<(String, String)> {
+    let findings = diagnosis["findings"].as_array().expect("findings");
+    let word = |f: &serde_json::Value, key: &str| f[key].as_str().expect("text").to_owned();
+    findings
+        .iter()
+        .filter(|f| f["subject"] == subject)
+        .map(|f| (word(f, "verdict"), word(f, "found")))
+        .collect()
+}
+
+#[test]
+fn the_doctor_names_the_calibration_and_its_age() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = |name: &str| folder.path().join(name);
+    let rig = |days_before: Option<i64>| Rig {
+        imu: Some(RigImu {
+            gyro_noise_density: 1e-3,
+            accel_noise_density: 1e-2,
+            gyro_bias_walk: 1e-5,
+            accel_bias_walk: 1e-4,
+        }),
+        calibrated_unix_s: days_before.map(|days| START / 1_000_000_000 - days * 86_400),
+        ..Rig::empty("backpack")
+    };
+    let doctor = |arguments: &[&str]| {
+        let output = lsfb(folder.path(), &[&["doctor", "--json"], arguments].concat());
+        assert_eq!(output.status.code(), Some(0), "{output:?}");
+        json(&output)
+    };
+    let age = |diagnosis: &serde_json::Value| {
+        let said = said(diagnosis, "calibration");
+        let [(verdict, found)] = &said[..] else {
+            panic!("{said:?}")
+        };
+        (verdict.clone(), found.clone())
+    };
+
+    fill(
+        recording_with_rig(&path("new.mcap"), &rig(Some(12)), &[]),
+        0..0,
+    );
+    let new = doctor(&["new.mcap"]);
+    let hash = rig_sha256(&rig(Some(12)));
+    assert_eq!(new["verdict"], "PASS", "{new}");
+    let found = &new["calibration"];
+    assert_eq!(
+        (&found["name"], &found["sha256"]),
+        (&"backpack".into(), &hash.clone().into())
+    );
+    assert!(
+        found["age_days"]
+            .as_f64()
+            .is_some_and(|d| (d - 12.0).abs() < 0.01)
+    );
+    let (_, words) = age(&new);
+    assert!(
+        words.contains(&hash[..16]) && words.contains("12.0 days before"),
+        "{words}"
+    );
+    // What is written to a file is what is hashed.
+    std::fs::write(path("rig.toml"), rig(Some(12)).to_toml()).expect("file");
+    assert_eq!(sha256_of(&path("rig.toml")).expect("hash"), hash);
+
+    fill(
+        recording_with_rig(&path("old.mcap"), &rig(Some(40)), &[]),
+        0..0,
+    );
+    let (verdict, words) = age(&doctor(&["old.mcap"]));
+    assert!(
+        verdict == "WARN" && words.contains("lsfb calib verify"),
+        "{words}"
+    );
+    std::fs::write(path("doctor.toml"), "warn_calibration_days = 60.0").expect("file");
+    let (verdict, _) = age(&doctor(&["old.mcap", "--config", "doctor.toml"]));
+    assert_eq!(verdict, "PASS");
+
+    fill(
+        recording_with_rig(&path("undated.mcap"), &rig(None), &[]),
+        0..0,
+    );
+    let (verdict, words) = age(&doctor(&["undated.mcap"]));
+    assert!(
+        verdict == "WARN" && words.contains("nobody knows when"),
+        "{words}"
+    );
+
+    // Somebody put another rig into it.
+    let mut writer = recording_with_rig(&path("changed.mcap"), &rig(Some(12)), &[]);
+    let other = rig(Some(11)).to_toml();
+    writer
+        .attach("rig.toml", "application/toml", other.as_bytes())
+        .expect("rig");
+    fill(writer, 0..0);
+    let changed = said(&doctor(&["changed.mcap"]), "calibration");
+    assert!(
+        changed
+            .iter()
+            .any(|(v, f)| v == "WARN" && f.contains(&hash[..16])),
+        "{changed:?}"
+    );
+
+    // Parts of one recording.
+    let first = [("part", "1")];
+    let second = [("part", "2"), ("previous", "walk.mcap")];
+    let third = [("part", "3"), ("previous", "walk-0002.mcap")];
+    fill(
+        recording_with_rig(&path("walk.mcap"), &rig(Some(12)), &first),
+        0..0,
+    );
+    fill(
+        recording_with_rig(&path("walk-0002.mcap"), &rig(Some(12)), &second),
+        0..0,
+    );
+    for part in ["walk.mcap", "walk-0002.mcap"] {
+        let parts = said(&doctor(&[part]), "calibration of parts");
+        assert_eq!(parts[0].0, "PASS", "{parts:?}");
+    }
+    fill(
+        recording_with_rig(&path("walk-0003.mcap"), &rig(Some(2)), &third),
+        0..0,
+    );
+    for (part, named) in [
+        ("walk.mcap", "walk-0003.mcap carries"),
+        ("walk-0003.mcap", "walk.mcap carries"),
+    ] {
+        let parts = said(&doctor(&[part]), "calibration of parts");
+        assert!(
+            parts[0].0 == "WARN" && parts[0].1.contains(named),
+            "{parts:?}"
+        );
+    }
 }
 
 #[test]

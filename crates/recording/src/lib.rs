@@ -21,6 +21,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod calibration;
 mod cdr;
 mod chunk;
 mod emit;
@@ -48,6 +49,7 @@ mod verify;
 mod walk;
 mod writer;
 
+pub use calibration::{RecordedCalibration, rig_sha256};
 pub use error::{Damage, Error};
 pub use layout::{Channel, Compression, Durability, Existing, Summary, TopicSummary, WriterConfig};
 pub use pcd::read_pcd;

@@ -4,9 +4,11 @@ use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
+use lsfb_geometry::Rig;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+use crate::calibration::rig_sha256;
 use crate::error::Error;
 
 /// What made a result: program, effective configuration and inputs. Times and host names are left out on purpose: equal
@@ -20,6 +22,9 @@ pub struct Provenance {
     pub config: serde_json::Value,
     /// SHA-256 of each input by the name of its file, in hexadecimal.
     pub inputs: BTreeMap<String, String>,
+    /// [`rig_sha256`] of each rig that was used by the name of its device: which calibration the result rests on.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub rigs: BTreeMap<String, String>,
 }
 
 impl Provenance {
@@ -30,6 +35,7 @@ impl Provenance {
             // A configuration that is no JSON (a map with odd keys) is noted as missing rather than failing the stage.
             config: serde_json::to_value(config).unwrap_or_default(),
             inputs: BTreeMap::new(),
+            rigs: BTreeMap::new(),
         }
     }
 
@@ -42,6 +48,11 @@ impl Provenance {
             .into_owned();
         self.inputs.insert(name, sha256_of(path)?);
         Ok(())
+    }
+
+    /// Names the calibration that was used.
+    pub fn add_rig(&mut self, rig: &Rig) {
+        self.rigs.insert(rig.name.clone(), rig_sha256(rig));
     }
 
     /// Writes `<result>.provenance.json` beside `result` and gives its path.
@@ -81,11 +92,16 @@ pub fn sha256_of(path: &Path) -> Result<String, Error> {
         }
         hasher.update(&buffer[..read]);
     }
-    Ok(hasher
-        .finalize()
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect())
+    Ok(hexadecimal(hasher))
+}
+
+pub(crate) fn sha256_of_bytes(bytes: &[u8]) -> String {
+    hexadecimal(Sha256::new().chain_update(bytes))
+}
+
+fn hexadecimal(hasher: Sha256) -> String {
+    let bytes = hasher.finalize();
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// Writes a file under a temporary name first, so that an interruption leaves the old one or the new one.

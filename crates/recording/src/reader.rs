@@ -1,13 +1,13 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use lsfb_geometry::Rig;
 use lsfb_types::{ProgressFn, Timestamp};
 
 use crate::error::{Damage, Error};
 use crate::index::{ChunkEntry, Index};
 use crate::layout::TopicSummary;
-use crate::record::{self, NamedRecord, opcode};
+use crate::message;
+use crate::record::{self, MessageRecord, NamedRecord, opcode};
 use crate::source::Source;
 use crate::verify::{self, TopicArrivals};
 use crate::walk::timestamp;
@@ -94,8 +94,50 @@ impl Recording {
     /// The last message of a topic, found from the end: fast whatever the size of the file. `None` where there is none.
     pub fn last_message(&self, topic: &str) -> Result<Option<CdrMessage>, Error> {
         let channels: Vec<u16> = self.channels_of(topic).collect();
-        let with_topic = |c: &&ChunkEntry| channels.iter().any(|id| c.channels.contains(id));
-        for entry in self.index.chunks.iter().rev().filter(with_topic) {
+        let mut last = None;
+        self.visit_last_chunk(&channels, |message| {
+            last = Some(CdrMessage {
+                time: timestamp(message.publish_time),
+                arrival: timestamp(message.log_time),
+                bytes: message.data.to_vec(),
+            });
+        })?;
+        Ok(last)
+    }
+
+    /// Synchronized time of the last image, scan or inertial sample, found from the end; `None` where there is none.
+    pub fn end_time(&self) -> Result<Option<Timestamp>, Error> {
+        let measured = [
+            message::IMAGE,
+            message::IMU,
+            message::POINT_CLOUD,
+            message::VELODYNE_SCAN,
+        ];
+        let schemas = &self.index.schemas;
+        let is_measured = |schema_id: &u16| {
+            let name = schemas.get(schema_id).map(|s| s.name.as_str());
+            measured.iter().any(|m| Some(m.name) == name)
+        };
+        let channels = self.index.channels.values();
+        let channels: Vec<u16> = channels
+            .filter(|c| is_measured(&c.schema_id))
+            .map(|c| c.id)
+            .collect();
+        let mut end = None;
+        self.visit_last_chunk(&channels, |message| {
+            end = end.max(Some(timestamp(message.publish_time)));
+        })?;
+        Ok(end)
+    }
+
+    /// Shows `take` the messages on `channels` of the last whole chunk that has any, in the order of the file.
+    fn visit_last_chunk(
+        &self,
+        channels: &[u16],
+        mut take: impl FnMut(&MessageRecord<'_>),
+    ) -> Result<(), Error> {
+        let with_channel = |c: &&ChunkEntry| channels.iter().any(|id| c.channels.contains(id));
+        for entry in self.index.chunks.iter().rev().filter(with_channel) {
             let mut records = Vec::new();
             match chunk::read(&self.source, entry, &mut records) {
                 Ok(()) => {}
@@ -103,31 +145,21 @@ impl Recording {
                 Err(error) => return Err(error),
             }
             let mut rest = records.as_slice();
-            let mut last = None;
+            let mut any = false;
             while let Some((opcode, body)) = record::next_record(&mut rest) {
                 if opcode == opcode::MESSAGE
                     && let Some(message) = record::message(body)
                     && channels.contains(&message.channel_id)
                 {
-                    last = Some(CdrMessage {
-                        time: timestamp(message.publish_time),
-                        arrival: timestamp(message.log_time),
-                        bytes: message.data.to_vec(),
-                    });
+                    take(&message);
+                    any = true;
                 }
             }
-            if last.is_some() {
-                return Ok(last);
+            if any {
+                break;
             }
         }
-        Ok(None)
-    }
-
-    /// The rig that was attached.
-    pub fn rig(&self) -> Result<Rig, Error> {
-        let text = self.attachment("rig.toml")?;
-        let origin = format!("{} (attachment rig.toml)", self.path().display());
-        Ok(Rig::from_toml(&String::from_utf8_lossy(&text), &origin)?)
+        Ok(())
     }
 
     /// Content of an attachment.

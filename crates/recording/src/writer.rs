@@ -4,6 +4,7 @@ use std::path::Path;
 use lsfb_geometry::{Rig, Se3};
 use lsfb_types::{Image, ImuSample, LidarScan, Packet, Stamped, Timestamp};
 
+use crate::calibration::{RIG_ATTACHMENT, rig_metadata};
 use crate::encoder::Encoder;
 use crate::error::Error;
 use crate::layout::{Channel, Summary, WriterConfig};
@@ -188,10 +189,13 @@ impl Writer {
         self.encoder.attach(name, media_type, bytes)
     }
 
-    /// Attaches the rig as `rig.toml`. Its frames follow on `/tf_static` with the first message, and its intrinsics on
+    /// Attaches the rig as `rig.toml`, and says its hash and age in metadata. Its frames follow on `/tf_static` with the first message, and its intrinsics on
     /// `camera_info` beside the images, once a second, so that viewers place everything.
     pub fn attach_rig(&mut self, rig: &Rig) -> Result<(), Error> {
-        self.attach("rig.toml", "application/toml", rig.to_toml().as_bytes())?;
+        let text = rig.to_toml();
+        self.attach(RIG_ATTACHMENT, "application/toml", text.as_bytes())?;
+        let (name, entries) = rig_metadata(rig);
+        self.encoder.write_metadata(name, &entries)?;
         let edge = |child: &str, rig_from_child: Se3| StaticTransform {
             parent: topic::RIG_FRAME.to_owned(),
             child: child.to_owned(),

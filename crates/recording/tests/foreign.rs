@@ -35,7 +35,7 @@ fn write(path: &std::path::Path, compression: Compression) {
     let camera = Camera::pinhole(6, 4, [5.0, 5.5], [2.5, 1.5]);
     writer
         .attach_rig(&Rig {
-            name: "backpack".into(),
+            calibrated_unix_s: Some(1_772_350_000),
             cameras: [(
                 "cam0".to_owned(),
                 RigCamera {
@@ -45,11 +45,11 @@ fn write(path: &std::path::Path, compression: Compression) {
                 },
             )]
             .into(),
-            imu: None,
             lidar: Some(RigLidar {
                 rig_from_lidar: pose,
                 range_noise_m: 0.02,
             }),
+            ..Rig::empty("backpack")
         })
         .unwrap();
     for n in 0..20u32 {

@@ -8,7 +8,11 @@ use lsfb_geometry::camera::{Camera, Lens};
 use lsfb_geometry::{Rig, RigCamera, RigImu, RigLidar, Se3};
 
 use crate::config::{CameraConfig, ImuConfig, LensKind, SimConfig};
+use crate::simulation::EPOCH;
 use crate::walk::Device;
+
+/// Exact from the beginning on.
+const CALIBRATED: Option<i64> = Some(EPOCH.nanos() / 1_000_000_000);
 
 /// The backpack: a VLP-32C on top, four cameras looking forward, left, back and right, the IMU in the middle.
 ///
@@ -23,6 +27,7 @@ pub fn backpack(config: &SimConfig) -> Rig {
     ];
     Rig {
         name: "backpack".into(),
+        calibrated_unix_s: CALIBRATED,
         cameras: cameras(
             &mounts,
             &config.scan_cameras,
@@ -44,6 +49,7 @@ pub fn glasses(config: &SimConfig) -> Rig {
     ];
     Rig {
         name: "glasses".into(),
+        calibrated_unix_s: CALIBRATED,
         cameras: cameras(
             &mounts,
             &config.glasses_cameras,
@@ -70,6 +76,7 @@ fn phone_rig(config: &SimConfig) -> Rig {
     let mounts = [("cam0", [0.9, -4.0, 0.3], [0.006, 0.021, 0.048])];
     Rig {
         name: "phone".into(),
+        calibrated_unix_s: CALIBRATED,
         cameras: cameras(&mounts, &config.glasses_cameras, [0.0; 4]),
         imu: Some(imu(&config.glasses_imu)),
         lidar: None,

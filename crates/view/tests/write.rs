@@ -19,7 +19,6 @@ fn rig() -> Rig {
         lsfb_geometry::Vector3::new(0.1, 0.0, 0.0),
     );
     Rig {
-        name: "backpack".into(),
         cameras: [(
             "cam0".to_owned(),
             RigCamera {
@@ -29,11 +28,11 @@ fn rig() -> Rig {
             },
         )]
         .into(),
-        imu: None,
         lidar: Some(RigLidar {
             rig_from_lidar: Se3::exp(&Vector6::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.3)),
             range_noise_m: 0.02,
         }),
+        ..Rig::empty("backpack")
     }
 }
 

@@ -31,12 +31,12 @@ fn camera(yaw_rad: f64) -> RigCamera {
 
 fn rig() -> Rig {
     Rig {
-        name: "backpack".into(),
         cameras: [("cam0", 0.0), ("cam1", 2.1), ("cam2", -2.1)]
             .map(|(name, yaw)| (name.to_owned(), camera(yaw)))
             .into(),
         imu: Some(room::imu()),
         lidar: Some(room::lidar()),
+        ..Rig::empty("backpack")
     }
 }
 

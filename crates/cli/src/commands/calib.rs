@@ -154,6 +154,23 @@ pub fn imu_of(
     })
 }
 
+/// 1 January 2000 in seconds since 1970: stamps before it count from the start of something.
+const YEAR_2000_UNIX_S: i64 = 946_684_800;
+
+/// When the data of a step ended, for `Rig::calibrated_unix_s`: the end of the recording, else the last of `stamps_ns`. `None`
+/// where that is no time of day.
+pub fn calibrated_unix_s(
+    recording: Option<&Recording>,
+    stamps_ns: impl Iterator<Item = i64>,
+) -> anyhow::Result<Option<i64>> {
+    let end_ns = match recording {
+        Some(recording) => recording.end_time()?.map(Timestamp::nanos),
+        None => stamps_ns.max(),
+    };
+    let end_s = end_ns.map(|ns| ns.div_euclid(1_000_000_000));
+    Ok(end_s.filter(|s| *s >= YEAR_2000_UNIX_S))
+}
+
 /// `FOLDER` or `FOLDER/PREFIX*`.
 fn folder_and_prefix(place: &str) -> (&Path, &str) {
     let Some(pattern) = place.strip_suffix('*') else {

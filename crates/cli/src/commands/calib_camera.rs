@@ -8,7 +8,7 @@ use lsfb_geometry::Rig;
 use lsfb_geometry::camera::LensModel;
 use lsfb_recording::Provenance;
 
-use super::calib::{TargetArguments, views_of};
+use super::calib::{TargetArguments, calibrated_unix_s, views_of};
 use crate::context::Context;
 use crate::outcome::Outcome;
 
@@ -78,12 +78,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     config.model = arguments.model.into();
     let mut rig = match &arguments.rig {
         Some(path) => Rig::read(path)?,
-        None => Rig {
-            name: "rig".into(),
-            cameras: Default::default(),
-            imu: None,
-            lidar: None,
-        },
+        None => Rig::empty("rig"),
     };
     let mut provenance = Provenance::new(&config);
     let recording = match &arguments.recording {
@@ -101,6 +96,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         .collect::<anyhow::Result<_>>()?;
     let calibration = calibrate_cameras(&target, &views, &config, &show)?;
     calibration.put_into(&mut rig);
+    let stamps_ns = views.iter().filter_map(|v| v.views.keys().next_back());
+    rig.calibrated_unix_s = calibrated_unix_s(recording.as_ref(), stamps_ns.copied())?;
     let page = arguments.out.with_extension("html");
     let write = |path: &Path, text: String| {
         std::fs::write(path, text).with_context(|| path.display().to_string())

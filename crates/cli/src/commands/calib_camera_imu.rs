@@ -9,7 +9,7 @@ use lsfb_calib::camera_imu::{
 use lsfb_geometry::{Rig, Se3};
 use lsfb_recording::{Provenance, write_tum};
 
-use super::calib::{TargetArguments, imu_of, views_of};
+use super::calib::{TargetArguments, calibrated_unix_s, imu_of, views_of};
 use crate::context::Context;
 use crate::outcome::Outcome;
 
@@ -100,6 +100,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let show = |p| context.show(p);
     let calibration = calibrate_camera_imu(&target, &known, &imu, &noise, &config, &show)?;
     calibration.put_into(&mut rig);
+    let stamps_ns = imu.iter().map(|(time, _)| time.nanos());
+    rig.calibrated_unix_s = calibrated_unix_s(recording.as_ref(), stamps_ns)?;
     let page = arguments.out.with_extension("html");
     let write = |path: &Path, text: String| {
         std::fs::write(path, text).with_context(|| path.display().to_string())

@@ -9,7 +9,7 @@ use lsfb_calib::lidar_camera::{
 use lsfb_geometry::{Rig, RigLidar};
 use lsfb_recording::Provenance;
 
-use super::calib::{TargetArguments, number, views_of, words};
+use super::calib::{TargetArguments, calibrated_unix_s, number, views_of, words};
 use crate::context::Context;
 use crate::outcome::Outcome;
 
@@ -124,6 +124,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         rig_from_lidar: mounted.rig_from_camera * found.camera_from_lidar,
         range_noise_m: found.range_noise_m,
     });
+    let stamps_ns = views.views.keys().next_back().copied().into_iter();
+    rig.calibrated_unix_s = calibrated_unix_s(recording.as_ref(), stamps_ns)?;
     let page = arguments.out.with_extension("html");
     let transform = arguments.out.with_extension(format!("{name}-lidar.json"));
     let write = |path: &Path, text: String| {

@@ -82,6 +82,7 @@ pub fn compute(
     write_tum(out, &found.trajectory)?;
     let mut provenance = Provenance::new(config);
     provenance.add_input(recording)?;
+    provenance.add_rig(&walk.rig()?);
     // The map's header has the hashes of its other files.
     provenance.add_input(&map.join(HdMap::HEADER))?;
     provenance.write(out)?;

@@ -103,15 +103,17 @@ pub fn build(
     for result in [Some(out), trajectory].into_iter().flatten() {
         super::expect_writable(result)?;
     }
+    let scan = context.open(recording)?;
     let result = super::about(
         recording,
-        build_map(&context.open(recording)?, config, &|p| {
+        build_map(&scan, config, &|p| {
             context.show_or_end(p);
         }),
     )?;
     result.map.write(out)?;
     let mut provenance = Provenance::new(config);
     provenance.add_input(recording)?;
+    provenance.add_rig(&scan.rig()?);
     provenance.write(out)?;
     if let Some(path) = trajectory {
         write_tum(path, &result.trajectory)?;

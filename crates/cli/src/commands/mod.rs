@@ -62,17 +62,21 @@ pub fn expect_file(path: &Path, remedy: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The rig that was named, else the recording's own.
+/// The rig that was named, else the recording's own; the provenance names it.
 fn rig_for(
     recording: &Recording,
     named: Option<&Path>,
     provenance: &mut Provenance,
 ) -> anyhow::Result<Rig> {
-    let Some(path) = named else {
-        return Ok(recording.rig()?);
+    let rig = match named {
+        Some(path) => {
+            provenance.add_input(path)?;
+            Rig::read(path)?
+        }
+        None => recording.rig()?,
     };
-    provenance.add_input(path)?;
-    Ok(Rig::read(path)?)
+    provenance.add_rig(&rig);
+    Ok(rig)
 }
 
 /// An HD map that is there.

@@ -3,6 +3,7 @@
 Usage: check.py RECORDING. Needs: mcap lz4 zstandard rosbags.
 """
 
+import hashlib
 import struct
 import sys
 
@@ -122,9 +123,13 @@ def main(path):
             for s, c, m in reader.iter_messages(log_time_order=False)
         ]
         check_all("mcap", items, store.deserialize_cdr)
-        assert [a.name for a in reader.iter_attachments()] == ["rig.toml"]
+        attachments = list(reader.iter_attachments())
+        assert [a.name for a in attachments] == ["rig.toml"]
         metadata = {m.name: m.metadata for m in reader.iter_metadata()}
         assert metadata["lsfb.session"]["software"].startswith("lsfb ")
+        rig = metadata["lsfb.rig"]
+        assert rig["sha256"] == hashlib.sha256(attachments[0].data).hexdigest()
+        assert (rig["name"], rig["calibrated_unix_s"]) == ("backpack", "1772350000")
         stream.seek(0)
         linear = NonSeekingReader(stream, validate_crcs=True)
         assert len(list(linear.iter_messages())) == len(items)

@@ -61,10 +61,8 @@ fn shade(seed: u64, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
 
 fn rig() -> Rig {
     let mut rig = Rig {
-        name: "glasses".into(),
-        cameras: Default::default(),
         imu: Some(NOISE),
-        lidar: None,
+        ..Rig::empty("glasses")
     };
     for (k, camera) in glasses().iter().enumerate() {
         let mut small = *camera.camera();

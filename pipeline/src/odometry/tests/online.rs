@@ -5,10 +5,9 @@ use super::*;
 
 fn rig() -> lsfb_geometry::Rig {
     lsfb_geometry::Rig {
-        name: "room".to_owned(),
-        cameras: Default::default(),
         imu: Some(room::imu()),
         lidar: Some(room::lidar()),
+        ..lsfb_geometry::Rig::empty("room")
     }
 }
 

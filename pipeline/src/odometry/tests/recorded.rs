@@ -29,10 +29,9 @@ fn record(path: &Path, duration_s: f64, rig: &Rig, with_imu_samples: usize) {
 
 fn rig() -> Rig {
     Rig {
-        name: "backpack".into(),
-        cameras: Default::default(),
         imu: Some(room::imu()),
         lidar: Some(room::lidar()),
+        ..Rig::empty("backpack")
     }
 }
 

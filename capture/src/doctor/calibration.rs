@@ -1,0 +1,201 @@
+//! Which calibration a recording carries, how old it was, and whether all parts of a recording carry the same.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use lsfb_recording::{RecordedCalibration, Recording};
+use lsfb_types::Timestamp;
+use serde::Serialize;
+
+use super::{DoctorConfig, Findings, Verdict};
+use crate::Error;
+
+const DAY_SECS: f64 = 86_400.0;
+/// Digits of a hash that people compare.
+const SHORT_HASH: usize = 16;
+
+/// The calibration of a recording.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CalibrationFound {
+    /// Name of the device.
+    pub name: String,
+    /// SHA-256 of the rig in the recording.
+    pub sha256: String,
+    /// The hash that the recorder wrote beside it; `None` where it wrote none.
+    pub stated_sha256: Option<String>,
+    /// End of the recording it was calibrated from, seconds since 1970; `None` where the rig does not say.
+    pub calibrated_unix_s: Option<i64>,
+    /// From then to the end of this recording, days; negative where it was calibrated afterwards.
+    pub age_days: Option<f64>,
+}
+
+impl CalibrationFound {
+    fn new(found: RecordedCalibration, end: Option<Timestamp>) -> Self {
+        let calibrated_unix_s = found.rig.calibrated_unix_s;
+        let age_days = calibrated_unix_s.zip(end).map(|(calibrated, end)| {
+            let end_s = end.nanos().div_euclid(1_000_000_000);
+            end_s.saturating_sub(calibrated) as f64 / DAY_SECS
+        });
+        Self {
+            name: found.rig.name,
+            sha256: found.sha256,
+            stated_sha256: found.stated_sha256,
+            calibrated_unix_s,
+            age_days,
+        }
+    }
+}
+
+impl Findings {
+    /// The rig, its hash and its age.
+    pub(super) fn calibration(
+        &mut self,
+        recording: &Recording,
+        config: &DoctorConfig,
+    ) -> Result<Option<CalibrationFound>, Error> {
+        let found = match recording.calibration() {
+            Ok(found) => found,
+            Err(error) => {
+                self.add("rig", Verdict::Warn, error.to_string(), "attached");
+                return Ok(None);
+            }
+        };
+        let cameras = found.rig.cameras.len();
+        let text = format!("{:?} with {cameras} cameras", found.rig.name);
+        self.add("rig", Verdict::Pass, text, "");
+        let found = CalibrationFound::new(found, recording.end_time()?);
+        self.age(&found, config);
+        if let Some(stated) = &found.stated_sha256
+            && *stated != found.sha256
+        {
+            let text = format!(
+                "the recorder wrote hash {} for a rig whose hash is {}: the rig was changed afterwards, or the recording was put together from two",
+                short(stated),
+                short(&found.sha256)
+            );
+            self.add("calibration", Verdict::Warn, text, "the hash of the rig");
+        }
+        self.parts(recording, &found);
+        Ok(Some(found))
+    }
+
+    fn age(&mut self, found: &CalibrationFound, config: &DoctorConfig) {
+        let most = config.warn_calibration_days;
+        let threshold = format!("at most {most} days from the recording");
+        let hash = short(&found.sha256);
+        let (verdict, text) = match found.age_days {
+            None if found.calibrated_unix_s.is_none() => (
+                Verdict::Warn,
+                format!(
+                    "{hash}, made nobody knows when: `lsfb calib` writes calibrated_unix_s into the rig, or write it there yourself"
+                ),
+            ),
+            None => (
+                Verdict::Pass,
+                format!("{hash}; nothing was measured to compare its age with"),
+            ),
+            Some(days) => {
+                let side = if days < 0.0 { "after" } else { "before" };
+                let mut text = format!(
+                    "{hash}, calibrated {:.1} days {side} the end of this recording",
+                    days.abs()
+                );
+                if days.abs() <= most {
+                    (Verdict::Pass, text)
+                } else {
+                    text += ": see whether it still fits with `lsfb calib verify`";
+                    (Verdict::Warn, text)
+                }
+            }
+        };
+        self.add("calibration", verdict, text, &threshold);
+    }
+
+    /// Whether the parts of the recording that lie beside this one carry the same calibration.
+    fn parts(&mut self, recording: &Recording, found: &CalibrationFound) {
+        let parts = other_parts(recording);
+        if parts.is_empty() {
+            return;
+        }
+        let other = |part: &Part| match &part.sha256 {
+            Some(hash) if *hash == found.sha256 => None,
+            Some(hash) => Some(format!("{} carries {}", part.name, short(hash))),
+            None => Some(format!("{} carries none", part.name)),
+        };
+        let others: Vec<String> = parts.iter().filter_map(other).collect();
+        let (verdict, text) = if others.is_empty() {
+            let text = format!("the same in all {} parts that lie here", parts.len() + 1);
+            (Verdict::Pass, text)
+        } else {
+            let text = format!(
+                "{} here, but {}: work on each part with the rig that was on the device then",
+                short(&found.sha256),
+                others.join(", ")
+            );
+            (Verdict::Warn, text)
+        };
+        self.add("calibration of parts", verdict, text, "one hash");
+    }
+}
+
+/// The beginning of a hash.
+fn short(hash: &str) -> &str {
+    hash.get(..SHORT_HASH).unwrap_or(hash)
+}
+
+/// Another part of a recording.
+struct Part {
+    name: String,
+    sha256: Option<String>,
+}
+
+impl Part {
+    fn new(recording: &Recording) -> Self {
+        let name = recording.path().file_name().unwrap_or_default();
+        Self {
+            name: name.to_string_lossy().into_owned(),
+            sha256: recording.calibration().ok().map(|c| c.sha256),
+        }
+    }
+}
+
+/// The other parts of a recording, as far as they lie in the same folder and name each other.
+fn other_parts(recording: &Recording) -> Vec<Part> {
+    let mut parts = Vec::new();
+    let mut seen = BTreeSet::from([recording.path().to_owned()]);
+    let mut before = named_before(recording);
+    while let Some(path) = before.filter(|path| seen.insert(path.clone())) {
+        let part = Recording::open(&path).ok();
+        parts.extend(part.as_ref().map(Part::new));
+        before = part.as_ref().and_then(named_before);
+    }
+    parts.reverse();
+    let mut behind = behind(recording);
+    while let Some(part) = behind.filter(|part| seen.insert(part.path().to_owned())) {
+        parts.push(Part::new(&part));
+        behind = self::behind(&part);
+    }
+    parts
+}
+
+/// The part that a part says it follows, where it is a file of the same folder.
+fn named_before(part: &Recording) -> Option<PathBuf> {
+    let session = part.metadata("lsfb.session").ok()?;
+    let name = Path::new(session.get("previous")?).file_name()?;
+    let path = part.path().with_file_name(name);
+    path.is_file().then_some(path)
+}
+
+/// The part that follows a part: `scan-0002.mcap` behind `scan.mcap`, if it says so too.
+fn behind(part: &Recording) -> Option<Recording> {
+    let session = part.metadata("lsfb.session").ok()?;
+    let number: u32 = session.get("part")?.parse().ok()?;
+    let stem = part.path().file_stem()?.to_str()?;
+    let stem = match number {
+        1 => stem,
+        _ => stem.rsplit_once('-')?.0,
+    };
+    let name = format!("{stem}-{:04}.mcap", number.checked_add(1)?);
+    let next = Recording::open(&part.path().with_file_name(name)).ok()?;
+    (named_before(&next)? == part.path()).then_some(next)
+}
