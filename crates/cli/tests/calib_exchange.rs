@@ -6,7 +6,7 @@ mod refusal;
 
 use std::path::{Path, PathBuf};
 
-use lsfb_geometry::{Camera, Rig, RigCamera, Se3};
+use lsfb_geometry::{Camera, Rig, Se3};
 use lsfb_sim::{SimConfig, rigs};
 use process::lsfb;
 use refusal::refused;
