@@ -105,7 +105,8 @@ impl Recording {
         Ok(last)
     }
 
-    /// Synchronized time of the last image, scan or inertial sample, found from the end; `None` where there is none.
+    /// Until when images, scans or inertial samples were measured, by the last chunk that has any: right to the length of a
+    /// chunk, and fast whatever the size of the file. `None` where there are none.
     pub fn end_time(&self) -> Result<Option<Timestamp>, Error> {
         let measured = [
             message::IMAGE,
