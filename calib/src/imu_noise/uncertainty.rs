@@ -71,10 +71,12 @@ pub(super) fn sigma(noise: &Noise, clusters: &[Cluster], recorded: &Recorded) ->
         FLAT * noise.instability * noise.instability,
         noise.walk * noise.walk / 3.0,
     );
-    // Of the square root: half as much relatively, and where the square is zero its own root.
+    // Of the square root, on the side where it is larger: a square that is as large as its error may as well be zero.
     let of_root = |k: usize| {
         let sigma = covariance[(k, k)].max(0.0).sqrt() * unit[k];
-        (squares[k] + sigma).sqrt() - squares[k].sqrt()
+        let root = squares[k].sqrt();
+        let below = root - (squares[k] - sigma).max(0.0).sqrt();
+        below.max((squares[k] + sigma).sqrt() - root)
     };
     Noise {
         density: of_root(0),
