@@ -1,10 +1,12 @@
-//! Finds a board in every image of a folder: `detect_folder FOLDER aprilgrid 6 6 0.088 0.3` or `… checkerboard 9 6 1`.
+//! Finds a board in every image of a folder: `detect_folder FOLDER aprilgrid 6 6 0.088 0.3`, `… checkerboard 9 6 1` or
+//! `… charuco 11 8 0.03 0.022 5x5`.
 //! Prints the corners with `--corners`, and the time per image without reading; `--repeat 10` looks at each image ten times, for
 //! measurements of CPU time from outside.
 
 use std::path::Path;
 use std::time::Instant;
 
+use lsfb_calib::target::MarkerDictionary;
 use lsfb_calib::{Target, detect, images};
 
 #[allow(clippy::print_stdout, reason = "an example prints its result")]
@@ -17,6 +19,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             rows: word(3).parse()?,
             tag_size_m: word(4).parse()?,
             spacing_ratio: word(5).parse()?,
+        },
+        "charuco" => Target::Charuco {
+            columns: word(2).parse()?,
+            rows: word(3).parse()?,
+            square_m: word(4).parse()?,
+            marker_m: word(5).parse()?,
+            dictionary: MarkerDictionary::named(word(6)).ok_or("bits: 4x4, 5x5 or 6x6")?,
         },
         _ => Target::Checkerboard {
             columns: word(2).parse()?,

@@ -55,7 +55,7 @@ pub(crate) fn share_of_board(target: &Target, point: &Vector3<f64>) -> [f64; 2] 
     let far = match *target {
         // The last corner of a grid is the upper left one of the last tag.
         Target::AprilGrid { tag_size_m, .. } => Vector3::new(last.x + tag_size_m, last.y, 0.0),
-        Target::Checkerboard { .. } => last,
+        Target::Checkerboard { .. } | Target::Charuco { .. } => last,
     };
     [point.x / far.x.max(1e-9), point.y / far.y.max(1e-9)]
 }

@@ -230,6 +230,15 @@ pub(crate) fn describe(target: &Target) -> String {
         Target::Checkerboard { columns, rows, .. } => {
             format!("checkerboard of {columns} × {rows} inner corners")
         }
+        Target::Charuco {
+            columns,
+            rows,
+            dictionary,
+            ..
+        } => format!(
+            "ChArUco board of {columns} × {rows} squares with markers of {} bits",
+            dictionary.name()
+        ),
     }
 }
 

@@ -100,7 +100,7 @@ pub(super) fn agree(first: &str, second: &str, seen: &Se3, from_rig: &Se3) -> Re
 pub(super) fn upside_down(target: &Target, gravity_in_target: &Vector3<f64>) -> Option<String> {
     let up = match target {
         Target::AprilGrid { .. } => Vector3::y(),
-        Target::Checkerboard { .. } => -Vector3::y(),
+        Target::Checkerboard { .. } | Target::Charuco { .. } => -Vector3::y(),
     };
     let share = gravity_in_target.try_normalize(1e-9)?.dot(&up);
     (share > 0.5).then(|| {

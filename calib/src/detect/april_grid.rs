@@ -181,7 +181,7 @@ fn code(bits: &[[bool; CODE_BITS]; CODE_BITS], turn: usize) -> u64 {
 }
 
 /// `pixel ~ H (x, y, 1)` with the unit square's corners (0,0), (1,0), (1,1), (0,1) on the four pixels.
-fn homography(corners: &[Vector2<f64>; 4]) -> Option<Matrix3<f64>> {
+pub(super) fn homography(corners: &[Vector2<f64>; 4]) -> Option<Matrix3<f64>> {
     let mut a = SMatrix::<f64, 8, 8>::zeros();
     let mut b = SVector::<f64, 8>::zeros();
     let square = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)];

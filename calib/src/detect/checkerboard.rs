@@ -10,12 +10,12 @@ use super::saddle::Saddle;
 
 /// A saddle's place on the lattice, and which of its rays points along x.
 #[derive(Clone, Copy)]
-struct Node {
-    saddle: usize,
-    x_ray: usize,
+pub(super) struct Node {
+    pub saddle: usize,
+    pub x_ray: usize,
 }
 
-type Lattice = BTreeMap<(i32, i32), Node>;
+pub(super) type Lattice = BTreeMap<(i32, i32), Node>;
 
 /// The corners of the board; empty where no lattice has exactly its size.
 ///
@@ -36,7 +36,7 @@ pub(super) fn walk(saddles: &[Saddle], links: &Links, columns: usize, rows: usiz
 }
 
 /// All saddles that links join to `seed`.
-fn grow(links: &Links, seed: usize, visited: &mut [bool]) -> Lattice {
+pub(super) fn grow(links: &Links, seed: usize, visited: &mut [bool]) -> Lattice {
     let mut lattice = Lattice::from([(
         (0, 0),
         Node {

@@ -2,9 +2,12 @@
 //!
 //! Every corner of either board is a saddle of brightness: dark and light meet in four sectors. So both are found alike:
 //! `saddle` finds such points, `link` joins those that one straight edge connects, `checkerboard` walks the links as a
-//! lattice, `april_grid` walks them around dark squares and reads their bits, and `refine` measures the corners.
+//! lattice, `charuco` reads the markers in its white squares, `april_grid` walks the links around dark squares and reads their
+//! bits, and `refine` measures the corners.
 
 mod april_grid;
+mod aruco;
+mod charuco;
 mod checkerboard;
 mod codes;
 mod link;
@@ -17,6 +20,7 @@ use lsfb_types::Image;
 use crate::target::Target;
 
 pub(crate) use april_grid::tag_cells;
+pub(crate) use charuco::square_of;
 
 /// A corner of the target as seen in an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,12 +32,15 @@ pub struct Corner {
 }
 
 /// The corners of a target in an image, in order of their numbers; empty where it was not found. A checkerboard is found
-/// whole or not at all, of an AprilGrid each tag for itself.
+/// whole or not at all, of an AprilGrid each tag for itself, of a ChArUco board each part in which a marker can be read.
 pub fn detect(image: &Image, target: &Target) -> Vec<Corner> {
     let Some(gray) = saddle::Blurred::new(image) else {
         return Vec::new();
     };
-    let saddles = saddle::find(&gray);
+    let mut saddles = saddle::find(&gray);
+    if matches!(target, Target::Charuco { .. }) {
+        saddle::leave_out_weak(&mut saddles, target.corner_count());
+    }
     let links = link::join(&gray, &saddles);
     let mut corners = match *target {
         Target::AprilGrid { columns, rows, .. } => {
@@ -41,6 +48,21 @@ pub fn detect(image: &Image, target: &Target) -> Vec<Corner> {
         }
         Target::Checkerboard { columns, rows, .. } => {
             checkerboard::walk(&saddles, &links, columns as usize, rows as usize)
+        }
+        Target::Charuco {
+            columns,
+            rows,
+            square_m,
+            marker_m,
+            dictionary,
+        } => {
+            let board = charuco::Board {
+                columns: columns as usize,
+                rows: rows as usize,
+                marker_share: marker_m / square_m,
+                dictionary,
+            };
+            charuco::read(image, &saddles, &links, &board)
         }
     };
     corners.retain_mut(|seen| refine::refine(image, seen));

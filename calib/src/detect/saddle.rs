@@ -108,6 +108,18 @@ pub(super) fn find(gray: &Blurred) -> Vec<Saddle> {
     saddles
 }
 
+/// A saddle this many times weaker than a board's corners is none of them.
+const WEAKER: f32 = 25.0;
+
+/// Leaves out what is far weaker than the board's `corners`, which are among the strongest saddles: noise on the many edges of
+/// markers, where it would stand between corners.
+pub(super) fn leave_out_weak(saddles: &mut Vec<Saddle>, corners: usize) {
+    // In order of strength; half of the board may be out of sight.
+    if let Some(typical) = saddles.get(corners / 2).map(|s| s.strength) {
+        saddles.retain(|s| WEAKER * s.strength >= typical);
+    }
+}
+
 /// `Ixy² − Ixx Iyy`, positive on saddles.
 fn strengths(gray: &Blurred) -> Vec<f32> {
     let width = gray.width;

@@ -3,11 +3,12 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::Target;
+use super::{MarkerDictionary, Target};
 use crate::Error;
 
 impl Target {
-    /// Reads a Kalibr target file (`target_type: 'aprilgrid'` or `'checkerboard'`). Square checkers only.
+    /// Reads a Kalibr target file (`target_type: 'aprilgrid'` or `'checkerboard'`, square checkers only), or ours of a ChArUco
+    /// board (`'charuco'` with `squareCols`, `squareRows`, `squareSize`, `markerSize`, `dictionary`), which Kalibr does not have.
     pub fn read_kalibr(path: &Path) -> Result<Self, Error> {
         let text = std::fs::read_to_string(path).map_err(|source| Error::Io {
             path: path.display().to_string(),
@@ -68,9 +69,21 @@ impl Target {
                     square_m,
                 }
             }
+            (_, "charuco") => {
+                let (line, name) = get("dictionary")?;
+                Target::Charuco {
+                    columns: count("squareCols")?,
+                    rows: count("squareRows")?,
+                    square_m: number("squareSize")?,
+                    marker_m: number("markerSize")?,
+                    dictionary: MarkerDictionary::named(name).ok_or_else(|| {
+                        format!("line {line}: dictionary is {name}, expected 4x4, 5x5 or 6x6")
+                    })?,
+                }
+            }
             (line, other) => {
                 return Err(format!(
-                    "line {line}: target_type is {other}, expected aprilgrid or checkerboard"
+                    "line {line}: target_type is {other}, expected aprilgrid, checkerboard or charuco"
                 ));
             }
         };
@@ -95,6 +108,16 @@ impl Target {
             } => format!(
                 "target_type: 'checkerboard'\ntargetCols: {columns}\ntargetRows: {rows}\nrowSpacingMeters: {square_m}\ncolSpacingMeters: {square_m}\n"
             ),
+            Target::Charuco {
+                columns,
+                rows,
+                square_m,
+                marker_m,
+                dictionary,
+            } => format!(
+                "target_type: 'charuco'\nsquareCols: {columns}\nsquareRows: {rows}\nsquareSize: {square_m}\nmarkerSize: {marker_m}\ndictionary: {}\n",
+                dictionary.name()
+            ),
         }
     }
 }
@@ -116,7 +139,14 @@ mod tests {
             rows: 6,
             square_m: 0.025,
         };
-        for target in [grid, board] {
+        let charuco = Target::Charuco {
+            columns: 11,
+            rows: 8,
+            square_m: 0.03,
+            marker_m: 0.022,
+            dictionary: MarkerDictionary::Aruco5x5,
+        };
+        for target in [grid, board, charuco] {
             assert_eq!(Target::from_kalibr(&target.to_kalibr()), Ok(target));
         }
         for (text, problem) in [
@@ -129,6 +159,10 @@ mod tests {
                 "line 2: tagCols is six",
             ),
             ("target_type: 'aprilgrid'\ntagCols: 6", "tagRows is missing"),
+            (
+                "target_type: charuco\ndictionary: 7x7\nsquareCols: 5\nsquareRows: 5\nsquareSize: 1\nmarkerSize: 0.7",
+                "line 2: dictionary is 7x7",
+            ),
             ("nonsense", "line 1: expected"),
             (
                 "target_type: aprilgrid # mine\ntagCols: 60\ntagRows: 60\ntagSize: 1\ntagSpacing: 0.3",

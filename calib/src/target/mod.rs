@@ -1,8 +1,8 @@
 //! Calibration boards: where their corners are, and how to print them.
 //!
 //! Corners lie in the plane z = 0 of the target frame. Seen from the front, an AprilGrid has x to the right and y up (as in
-//! Kalibr), with tag 0 at the origin; a checkerboard has x to the right and y down (as in OpenCV), with inner corner 0 at
-//! the origin. The grid's z axis comes out of the board, the checkerboard's goes into it.
+//! Kalibr), with tag 0 at the origin; a checkerboard and a ChArUco board have x to the right and y down (as in OpenCV), with
+//! inner corner 0 at the origin. The grid's z axis comes out of the board, the checkerboard's goes into it.
 
 mod kalibr;
 mod pdf;
@@ -36,7 +36,56 @@ pub enum Target {
         /// Edge of a square, metres.
         square_m: f64,
     },
+    /// A checkerboard with ArUco markers in its white squares, numbered by rows; the upper left square is black (as OpenCV has
+    /// it since 4.6).
+    Charuco {
+        /// Squares along x.
+        columns: u32,
+        /// Squares along y.
+        rows: u32,
+        /// Edge of a square, metres.
+        square_m: f64,
+        /// Edge of a marker, black border included, metres.
+        marker_m: f64,
+        /// Whose markers they are.
+        dictionary: MarkerDictionary,
+    },
 }
+
+/// Markers with numbers, as OpenCV predefines them. Its dictionaries of 50, 100, 250 and 1000 markers begin alike, so that
+/// the size needs not be said.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum MarkerDictionary {
+    /// 4 × 4 bits.
+    #[serde(rename = "4x4")]
+    Aruco4x4,
+    /// 5 × 5 bits.
+    #[serde(rename = "5x5")]
+    Aruco5x5,
+    /// 6 × 6 bits.
+    #[serde(rename = "6x6")]
+    Aruco6x6,
+}
+
+impl MarkerDictionary {
+    /// Its name: `4x4`, `5x5` or `6x6`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Aruco4x4 => "4x4",
+            Self::Aruco5x5 => "5x5",
+            Self::Aruco6x6 => "6x6",
+        }
+    }
+
+    /// The dictionary of a name.
+    pub fn named(name: &str) -> Option<Self> {
+        let all = [Self::Aruco4x4, Self::Aruco5x5, Self::Aruco6x6];
+        all.into_iter().find(|d| d.name() == name)
+    }
+}
+
+/// Markers known of each dictionary.
+pub const MARKERS: u32 = 250;
 
 /// Tags in the family 36h11.
 pub const TAGS_36H11: u32 = 587;
@@ -72,6 +121,25 @@ impl Target {
                     format!("{columns} × {rows} inner corners: between 2 and 100 are possible")
                 })
             }),
+            Target::Charuco {
+                columns,
+                rows,
+                square_m,
+                marker_m,
+                ..
+            } => positive("square size", square_m)
+                .or_else(|| positive("marker size", marker_m))
+                .or_else(|| {
+                    let markers = u64::from(columns) * u64::from(rows) / 2;
+                    (columns < 3 || rows < 3 || markers > u64::from(MARKERS)).then(|| {
+                        format!("{columns} × {rows} squares: at least 3 × 3 and at most {MARKERS} white ones are possible")
+                    })
+                })
+                .or_else(|| {
+                    (marker_m > 0.9 * square_m).then(|| {
+                        format!("markers of {marker_m} m in squares of {square_m} m: at most 0.9 of the square leave its corners free")
+                    })
+                }),
         }
     }
 
@@ -80,6 +148,9 @@ impl Target {
         match *self {
             Target::AprilGrid { columns, rows, .. } => 4 * columns as usize * rows as usize,
             Target::Checkerboard { columns, rows, .. } => columns as usize * rows as usize,
+            Target::Charuco { columns, rows, .. } => {
+                columns.saturating_sub(1) as usize * rows.saturating_sub(1) as usize
+            }
         }
     }
 
@@ -92,7 +163,7 @@ impl Target {
     }
 
     /// A corner in the target frame, metres. AprilGrid: four per tag, from its lower left against the clock, tags by rows
-    /// from the lower left. Checkerboard: by rows from the upper left.
+    /// from the lower left. Checkerboard and ChArUco board: inner corners by rows from the upper left.
     pub fn corner(&self, index: usize) -> Vector3<f64> {
         match *self {
             Target::AprilGrid {
@@ -118,11 +189,18 @@ impl Target {
             }
             Target::Checkerboard {
                 columns, square_m, ..
-            } => Vector3::new(
-                (index % columns as usize) as f64 * square_m,
-                (index / columns as usize) as f64 * square_m,
-                0.0,
-            ),
+            } => lattice(index, columns as usize, square_m),
+            Target::Charuco {
+                columns, square_m, ..
+            } => lattice(index, columns.saturating_sub(1).max(1) as usize, square_m),
         }
     }
+}
+
+fn lattice(index: usize, columns: usize, square_m: f64) -> Vector3<f64> {
+    Vector3::new(
+        (index % columns) as f64 * square_m,
+        (index / columns) as f64 * square_m,
+        0.0,
+    )
 }

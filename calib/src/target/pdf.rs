@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use super::Target;
 use crate::Error;
-use crate::detect::tag_cells;
+use crate::detect::{square_of, tag_cells};
 
 /// Points of a PDF per metre.
 const POINTS_PER_M: f64 = 72.0 / 0.0254;
@@ -44,6 +44,15 @@ impl Target {
             } => PageSize {
                 width_m: f64::from(columns + 1) * square_m,
                 height_m: f64::from(rows + 1) * square_m,
+            },
+            Target::Charuco {
+                columns,
+                rows,
+                square_m,
+                ..
+            } => PageSize {
+                width_m: f64::from(columns) * square_m,
+                height_m: f64::from(rows) * square_m,
             },
         }
     }
@@ -145,11 +154,30 @@ impl Target {
                 rows,
                 square_m,
             } => {
-                for row in 0..=rows {
-                    for column in 0..=columns {
-                        if (row + column) % 2 == 0 {
-                            let y = f64::from(rows - row) * square_m;
-                            out.push([f64::from(column) * square_m, y, square_m, square_m]);
+                out = black_squares(columns + 1, rows + 1, square_m);
+            }
+            Target::Charuco {
+                columns,
+                rows,
+                square_m,
+                marker_m,
+                dictionary,
+            } => {
+                out = black_squares(columns, rows, square_m);
+                let margin = 0.5 * (square_m - marker_m);
+                let bits = dictionary.edge_bits();
+                let cell = marker_m / (bits + 2) as f64;
+                for marker in 0..(columns * rows / 2) as usize {
+                    let (column, row) = square_of(marker, columns as usize);
+                    let left = f64::from(column) * square_m + margin;
+                    let top = (f64::from(rows) - f64::from(row)) * square_m - margin;
+                    for j in 0..bits + 2 {
+                        for i in 0..bits + 2 {
+                            let is_code = (1..=bits).contains(&i) && (1..=bits).contains(&j);
+                            if !(is_code && dictionary.is_white(marker, i - 1, j - 1)) {
+                                let low = top - (j + 1) as f64 * cell;
+                                out.push([left + i as f64 * cell, low, cell, cell]);
+                            }
                         }
                     }
                 }
@@ -157,6 +185,18 @@ impl Target {
         }
         out
     }
+}
+
+/// The black squares of a board, the upper left one among them.
+fn black_squares(columns: u32, rows: u32, square_m: f64) -> Vec<[f64; 4]> {
+    (0..rows)
+        .flat_map(|row| (0..columns).map(move |column| (column, row)))
+        .filter(|(column, row)| (row + column) % 2 == 0)
+        .map(|(column, row)| {
+            let y = f64::from(rows - 1 - row) * square_m;
+            [f64::from(column) * square_m, y, square_m, square_m]
+        })
+        .collect()
 }
 
 fn document(width: f64, height: f64, drawing: &str) -> Vec<u8> {

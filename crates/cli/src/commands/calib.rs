@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use lsfb_calib::Target;
 use lsfb_calib::camera::{CameraViews, views_from_folder, views_from_recording};
 use lsfb_calib::camera_imu::read_imu_table;
+use lsfb_calib::target::MarkerDictionary;
 use lsfb_recording::Recording;
 use lsfb_types::{ImuSample, Timestamp};
 
@@ -66,6 +67,10 @@ pub struct TargetArguments {
     /// Checkerboard: inner corners across, inner corners down, edge of a square in metres.
     #[arg(long, value_name = "COLS,ROWS,SIZE", value_parser = checkerboard)]
     checkerboard: Option<Target>,
+    /// ChArUco board: squares across, squares down, edge of a square and of a marker in metres, bits of a marker (4x4, 5x5,
+    /// 6x6).
+    #[arg(long, value_name = "COLS,ROWS,SQUARE,MARKER,BITS", value_parser = charuco)]
+    charuco: Option<Target>,
 }
 
 impl TargetArguments {
@@ -74,8 +79,9 @@ impl TargetArguments {
         if let Some(path) = &self.target {
             return Ok(Target::read_kalibr(path)?);
         }
-        self.april_grid.or(self.checkerboard).ok_or_else(|| {
-            anyhow::anyhow!("no target: give --target, --april-grid or --checkerboard")
+        let named = self.april_grid.or(self.checkerboard).or(self.charuco);
+        named.ok_or_else(|| {
+            anyhow::anyhow!("no target: give --target, --april-grid, --checkerboard or --charuco")
         })
     }
 }
@@ -96,6 +102,18 @@ fn checkerboard(text: &str) -> Result<Target, String> {
         columns: count(columns)?,
         rows: count(rows)?,
         square_m: number(size)?,
+    })
+}
+
+fn charuco(text: &str) -> Result<Target, String> {
+    let [columns, rows, square, marker, bits] = words(text, "COLS,ROWS,SQUARE,MARKER,BITS")?;
+    checked(Target::Charuco {
+        columns: count(columns)?,
+        rows: count(rows)?,
+        square_m: number(square)?,
+        marker_m: number(marker)?,
+        dictionary: MarkerDictionary::named(bits)
+            .ok_or_else(|| format!("{bits}: expected 4x4, 5x5 or 6x6"))?,
     })
 }
 

@@ -14,6 +14,7 @@ use crate::outcome::Outcome;
 /// Examples:
 ///   lsfb calib target --checkerboard 9,6,0.025 --page 297,210 --out board.pdf
 ///   lsfb calib target --april-grid 6,6,0.088,0.3 --page 841,841 --out grid.pdf
+///   lsfb calib target --charuco 11,8,0.025,0.019,5x5 --page 297,210 --out charuco.pdf
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
