@@ -11,7 +11,11 @@ use super::edge_residual::GraphEdge;
 /// Numbers in an edge.
 const NUMBERS: f64 = 6.0;
 /// Normal deviate of 0.999: one edge in a thousand is called an outlier by accident.
-const DEVIATE: f64 = 3.0902;
+const RARE: f64 = 3.0902;
+/// Normal deviate of 0.95, of the regions that covariances are read as.
+const USUAL: f64 = 1.6449;
+/// Degrees of freedom that stand for infinitely many.
+const MANY: f64 = 1e6;
 /// Edges whose disagreement is the same within this share cannot be told apart: they lie in one loop only.
 const ALIKE: f64 = 0.02;
 
@@ -101,9 +105,9 @@ pub(super) fn judge(
         if relative {
             // Against the spread that all others have among themselves.
             let others = (chi_square - own).max(1e-12) / rest;
-            rest > 0.0 && own / NUMBERS / others > f_quantile(NUMBERS, rest)
+            rest > 0.0 && own / NUMBERS / others > f_quantile(RARE, NUMBERS, rest)
         } else {
-            own / NUMBERS > f_quantile(NUMBERS, 1e6)
+            own / NUMBERS > f_quantile(RARE, NUMBERS, MANY)
         }
     };
     let worst = table
@@ -135,7 +139,7 @@ pub(super) fn judge(
     }
     if !relative && redundancy > 0 {
         let factor = chi_square / redundancy as f64;
-        if factor > f_quantile(redundancy as f64, 1e6) && warnings.is_empty() {
+        if factor > f_quantile(RARE, redundancy as f64, MANY) && warnings.is_empty() {
             warnings.push(format!(
                 "all edges together miss by {:.1} times what their covariances say: one of the steps is too sure of itself",
                 factor.sqrt()
@@ -163,41 +167,52 @@ fn name(edge: &EdgeConsistency) -> String {
 
 /// The factor where it is more than accident, else 1.
 pub(super) fn significant_factor(factor: f64, redundancy: usize) -> f64 {
-    if factor > f_quantile(redundancy as f64, 1e6) {
-        factor
+    if redundancy > 0 && factor > f_quantile(RARE, redundancy as f64, MANY) {
+        factor * widening(redundancy)
     } else {
         1.0
     }
 }
 
-/// 0.999 quantile of Fisher's F by Paulson's approximation.
-fn f_quantile(first: f64, second: f64) -> f64 {
+/// By how much a covariance must be larger for its 95 % region to hold 95 % when its scale was found from so many numbers.
+pub(super) fn widening(redundancy: usize) -> f64 {
+    if redundancy == 0 {
+        return 1.0;
+    }
+    f_quantile(USUAL, NUMBERS, redundancy as f64) / f_quantile(USUAL, NUMBERS, MANY)
+}
+
+/// Quantile of Fisher's F at a normal deviate, by Paulson's approximation.
+fn f_quantile(deviate: f64, first: f64, second: f64) -> f64 {
     let (a, b) = (2.0 / (9.0 * first), 2.0 / (9.0 * second));
-    let z2 = DEVIATE * DEVIATE;
+    let z2 = deviate * deviate;
     let (p, q) = (1.0 - a, 1.0 - b);
     let below = q * q - b * z2;
     if below <= 0.0 {
         return f64::INFINITY;
     }
     let root = (q * q * a + p * p * b - a * b * z2).max(0.0).sqrt();
-    ((p * q + DEVIATE * root) / below).powi(3)
+    ((p * q + deviate * root) / below).powi(3)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::f_quantile;
+    use super::{RARE, USUAL, f_quantile};
 
-    /// SciPy 1.17: `scipy.stats.f.ppf(0.999, a, b)`. Near with many numbers left over, careful with few.
+    /// SciPy 1.17: `scipy.stats.f.ppf(0.999, a, b)` and `0.95`. Near with many numbers left over, careful with few.
     #[test]
     fn quantiles_are_those_of_tables() {
-        for (a, b, expected) in [
-            (6.0, 12.0, 8.378822),
-            (6.0, 6.0, 20.029644),
-            (6.0, 1e6, 3.742978),
-            (18.0, 1e6, 2.350675),
+        for (deviate, a, b, expected, within) in [
+            (RARE, 6.0, 12.0, 8.378822, 0.25),
+            (RARE, 6.0, 6.0, 20.029644, 0.25),
+            (RARE, 6.0, 1e6, 3.742978, 0.02),
+            (RARE, 18.0, 1e6, 2.350675, 0.02),
+            (USUAL, 6.0, 6.0, 4.283866, 0.03),
+            (USUAL, 6.0, 18.0, 2.661305, 0.01),
+            (USUAL, 6.0, 1e6, 2.098607, 0.01),
         ] {
-            let got = f_quantile(a, b);
-            assert!((got / expected - 1.0).abs() < 0.25, "{a} {b}: {got}");
+            let got = f_quantile(deviate, a, b);
+            assert!((got / expected - 1.0).abs() < within, "{a} {b}: {got}");
         }
     }
 }

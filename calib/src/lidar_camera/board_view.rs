@@ -17,11 +17,13 @@ const LEAST_SIGMA_PX: f64 = 0.05;
 
 /// Pose of the board; `None` with too few corners. The information is in units of the corners' own spread.
 pub(super) fn view(board: &Board, camera: &Camera, corners: &[Corner]) -> Option<InCamera> {
-    let known: Vec<Corner> = corners
+    let mut known: Vec<Corner> = corners
         .iter()
         .filter(|c| c.index < board.target.corner_count())
         .copied()
         .collect();
+    // One order, whatever was given: sums of floats depend on it.
+    known.sort_by_key(|c| c.index);
     if known.len() < MIN_CORNERS {
         return None;
     }

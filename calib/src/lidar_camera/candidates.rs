@@ -273,11 +273,12 @@ fn patch(
         board.width_m.max(board.height_m),
         board.width_m.min(board.height_m),
     ];
-    // Two sides may lie between rings: the patch then looks smaller by their distance.
-    let between_m = spacing_m(&chords);
+    // Beyond its last chords the board goes on unseen, at most to where the next rings would meet it; where there is no ring,
+    // nobody knows how far.
+    let unseen_m = unseen_m(rings, &runs, &plane, sides[0]);
     let sized = (0..2).all(|k| {
         let size_m = rectangle.size_m[k];
-        size_m < SIZE_FACTOR * sides[k] && size_m + 2.0 * between_m > sides[k] / SIZE_FACTOR
+        size_m < SIZE_FACTOR * sides[k] && size_m + unseen_m > sides[k] / SIZE_FACTOR
     });
     // What is on the pole or the hand that holds the board is on its plane, but not within its outline.
     let chords = outline::within(&plane, chords, &rectangle);
@@ -295,15 +296,25 @@ fn patch(
     })
 }
 
-/// Median distance between the middles of neighbouring chords, metres.
-fn spacing_m(chords: &[Chord]) -> f64 {
-    let middle = |c: &Chord| c.points.iter().sum::<Vector3<f64>>() / c.points.len() as f64;
-    let mut gaps: Vec<f64> = chords
-        .windows(2)
-        .map(|w| (middle(&w[1]) - middle(&w[0])).norm())
-        .collect();
-    gaps.sort_by(f64::total_cmp);
-    gaps.get(gaps.len() / 2).copied().unwrap_or(0.0)
+/// How far a board may go on below its lowest and above its highest chord together, metres.
+fn unseen_m(rings: &[Ring], runs: &BTreeMap<usize, Run>, plane: &Plane, most_m: f64) -> f64 {
+    let beyond = |run: &Run, next: Option<usize>| {
+        let elevation = next
+            .and_then(|k| rings.get(k))
+            .and_then(Ring::elevation_rad);
+        let place = elevation.and_then(|elevation| {
+            let (sine, cosine) = elevation.sin_cos();
+            let level = run.middle.xy().normalize() * cosine;
+            plane.meet(&Vector3::new(level.x, level.y, sine))
+        });
+        place
+            .map_or(most_m, |p| (p - run.middle).norm())
+            .min(most_m)
+    };
+    let low = runs.first_key_value();
+    let high = runs.last_key_value();
+    low.map_or(0.0, |(k, run)| beyond(run, k.checked_sub(1)))
+        + high.map_or(0.0, |(k, run)| beyond(run, Some(k + 1)))
 }
 
 /// A plane that a quarter of strangers does not move.

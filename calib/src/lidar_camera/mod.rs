@@ -2,21 +2,27 @@
 //!
 //! In each scan `scan_grid` and `candidates` find what could be the board, `association` says which of them is, by the one
 //! transform that takes all poses of the camera's boards there. `adjustment` then moves transform and boards until corners,
-//! planes and outlines agree, with weights from the spread that each of the three leaves.
+//! planes and outlines agree, with weights from the spread that each of the three leaves. Where the board was not at rest,
+//! `motion` then puts every return where it would be at the image's time, and all is done again.
 
 mod adjustment;
 mod association;
 mod board_view;
 mod candidates;
+mod checks;
+mod clocks;
+mod motion;
 mod outline;
 mod page;
 mod plane;
 mod poses;
+mod problem;
 mod residuals;
 mod scan_grid;
 mod summary;
 
 use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use lsfb_geometry::{Camera, Se3, Vector3};
 use lsfb_types::{LidarScan, Progress, ProgressFn};
@@ -27,8 +33,9 @@ use serde::{Deserialize, Serialize};
 use crate::Error;
 use crate::detect::Corner;
 use crate::target::Target;
+use motion::Track;
 
-pub use poses::{poses_from_folder, poses_from_recording};
+pub use poses::{RecordingConfig, poses_from_folder, poses_from_recording};
 
 /// The plate that the pattern is fixed on: the LiDAR sees its outline, not the pattern.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,15 +50,24 @@ pub struct Board {
     pub offset_m: [f64; 2],
 }
 
-/// One pose of the board: what the camera and the LiDAR saw of it, both at rest.
+/// One pose of the board: what the camera and the LiDAR saw of it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BoardPose {
     /// Name for reports: of the image, or its time.
     pub name: String,
-    /// Corners in the image.
-    pub corners: Vec<Corner>,
+    /// The board in images around the scan, in order of time. A single one: the board was at rest to the rig.
+    pub sights: Vec<BoardSight>,
     /// The scan.
     pub scan: LidarScan,
+}
+
+/// The board in one image.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BoardSight {
+    /// Time of the image after the scan's first firing, nanoseconds; of no account where it is the only one.
+    pub time_offset_ns: i64,
+    /// Its corners.
+    pub corners: Vec<Corner>,
 }
 
 /// Settings of [`calibrate_lidar_camera`].
@@ -150,8 +166,41 @@ pub struct LidarCameraCalibration {
     pub halves_rotation_rad: Option<f64>,
     /// Translation between the same, metres.
     pub halves_translation_m: Option<f64>,
+    /// Root mean square of the distance between the middles on poses that were held back from the solution they are judged by,
+    /// a quarter at a time, metres; `None` with too few poses.
+    pub held_back_center_rms_m: Option<f64>,
+    /// The same of the angle between normals, radians.
+    pub held_back_normal_rms_rad: Option<f64>,
+    /// By how much the plate's middle lies elsewhere on the pattern than was said, along the pattern's axes, metres: a wrong
+    /// offset, or a pattern that is upside down on its plate.
+    pub offset_error_m: [f64; 2],
+    /// Standard deviations of [`LidarCameraCalibration::offset_error_m`], metres: large where the board was always held upright.
+    pub offset_error_sigma_m: [f64; 2],
+    /// By how much the LiDAR's times are late against the camera's, as boards that moved have it, seconds; `None` where all were
+    /// at rest.
+    pub lidar_late_s: Option<f64>,
+    /// Standard deviation of [`LidarCameraCalibration::lidar_late_s`], seconds.
+    pub lidar_late_sigma_s: Option<f64>,
+    /// Corners of the poses used per part of the image (12 × 8), by rows from the upper left.
+    pub cells: Vec<u32>,
+    /// Size of the image, pixels.
+    pub image_px: [u32; 2],
+    /// What the plots show.
+    #[serde(skip)]
+    pub residuals: BoardResiduals,
     /// What should be recorded better, in words.
     pub warnings: Vec<String>,
+}
+
+/// What all poses used leave, for plots.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct BoardResiduals {
+    /// Ranges of all returns on boards less those of the planes found, metres.
+    pub ranges_m: Vec<f64>,
+    /// Distances of the places on the outlines from them, outwards, metres.
+    pub edges_m: Vec<f64>,
+    /// Middle of the board in the image as the camera alone has it, and as the LiDAR alone, pixels, by pose used.
+    pub centers_px: Vec<[[f64; 2]; 2]>,
 }
 
 /// A board as one camera sees it.
@@ -163,11 +212,16 @@ struct InCamera {
 }
 
 /// Everything about a pose that later steps read.
-struct Scene {
+struct Scene<'a> {
     name: String,
     in_camera: InCamera,
+    track: Track,
+    scan: &'a LidarScan,
     in_lidar: Vec<candidates::Patch>,
 }
+
+/// Rounds in which the returns of boards that moved are put where they would be at the image's time.
+const MOTION_ROUNDS: usize = 2;
 
 /// Finds the pose of a LiDAR to a camera whose lens is known. The order of poses does not matter.
 pub fn calibrate_lidar_camera(
@@ -179,51 +233,67 @@ pub fn calibrate_lidar_camera(
     progress: ProgressFn,
 ) -> Result<LidarCameraCalibration, Error> {
     board.check()?;
-    let mut scenes = scenes(board, name, camera, poses, config, progress)?;
     // One order, whatever was given: sums of floats depend on it.
-    let mut order: Vec<usize> = (0..scenes.len()).collect();
-    order.sort_by(|a, b| scenes[*a].name.cmp(&scenes[*b].name));
-    let mut slots: Vec<Option<Scene>> = scenes.drain(..).map(Some).collect();
-    let scenes: Vec<Scene> = order.iter().filter_map(|k| slots[*k].take()).collect();
+    let mut order: Vec<usize> = (0..poses.len()).collect();
+    order.sort_by(|a, b| in_order(&poses[*a], &poses[*b]));
+    let sorted: Vec<&BoardPose> = order.iter().map(|k| &poses[*k]).collect();
 
-    let joined = association::join(board, name, &scenes, config)?;
-    let solved = adjustment::adjust(board, name, &scenes, &joined, config)?;
-    let mut calibration = summary::summarize(board, name, &scenes, &joined, &solved, config)?;
-    let mut fits: Vec<Option<PoseFit>> = calibration.poses.drain(..).map(Some).collect();
-    let mut back = vec![None; fits.len()];
-    for (place, original) in order.iter().enumerate() {
-        back[*original] = fits[place].take();
+    let mut scenes = scenes(board, name, camera, &sorted, config, progress)?;
+    let mut joined = association::join(board, name, &scenes, config)?;
+    let mut solved = adjustment::adjust(board, name, &scenes, &joined, config)?;
+    if scenes.iter().any(|s| s.track.moved()) {
+        for _ in 0..MOTION_ROUNDS {
+            hold_still(board, &mut scenes, &solved.camera_from_lidar, config);
+            joined = association::join(board, name, &scenes, config)?;
+            solved = adjustment::adjust(board, name, &scenes, &joined, config)?;
+        }
     }
-    calibration.poses = back.into_iter().flatten().collect();
+    let mut calibration =
+        summary::summarize(board, name, camera, &scenes, &joined, &solved, config)?;
+    // Back in the order given.
+    let mut fits: Vec<(usize, PoseFit)> = order.into_iter().zip(calibration.poses).collect();
+    fits.sort_by_key(|f| f.0);
+    calibration.poses = fits.into_iter().map(|f| f.1).collect();
     Ok(calibration)
 }
 
-fn scenes(
+/// By name; what is in them decides between poses of one name.
+fn in_order(a: &BoardPose, b: &BoardPose) -> std::cmp::Ordering {
+    let key = |p: &BoardPose| {
+        let lowest = |s: &BoardSight| s.corners.iter().min_by_key(|c| c.index).map(|c| c.pixel);
+        let pixel = p.sights.first().and_then(lowest).unwrap_or_default();
+        (p.scan.points.len(), pixel)
+    };
+    let ((points_a, pixel_a), (points_b, pixel_b)) = (key(a), key(b));
+    a.name
+        .cmp(&b.name)
+        .then(points_a.cmp(&points_b))
+        .then(pixel_a.x.total_cmp(&pixel_b.x))
+        .then(pixel_a.y.total_cmp(&pixel_b.y))
+}
+
+fn scenes<'a>(
     board: &Board,
     name: &str,
     camera: &Camera,
-    poses: &[BoardPose],
+    poses: &[&'a BoardPose],
     config: &LidarCameraConfig,
     progress: ProgressFn,
-) -> Result<Vec<Scene>, Error> {
-    let done = std::sync::atomic::AtomicU64::new(0);
-    let seen: Vec<Option<Scene>> = poses
+) -> Result<Vec<Scene<'a>>, Error> {
+    let done = AtomicU64::new(0);
+    let scenes: Vec<Scene> = poses
         .par_iter()
         .map(|pose| {
-            let scene = board_view::view(board, camera, &pose.corners).map(|in_camera| Scene {
-                name: pose.name.clone(),
-                in_camera,
-                in_lidar: candidates::find(board, &pose.scan, config),
-            });
+            let scene = Scene::new(board, camera, pose, config);
             progress(Progress {
                 stage: "boards",
-                done: done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1,
+                done: done.fetch_add(1, Ordering::Relaxed) + 1,
                 total: poses.len() as u64,
             });
             scene
         })
         .collect();
-    let found = seen.iter().flatten().count();
+    let found = scenes.iter().filter(|s| s.seen_by_camera()).count();
     if found < config.min_poses {
         return Err(Error::TargetNotSeen {
             camera: name.to_owned(),
@@ -233,25 +303,73 @@ fn scenes(
             target: crate::camera::describe(&board.target),
         });
     }
-    Ok(seen
-        .into_iter()
-        .zip(poses)
-        .map(|(scene, pose)| {
-            // A pose that the camera did not see stays in the list, to be named.
-            scene.unwrap_or_else(|| Scene {
-                name: pose.name.clone(),
-                in_camera: InCamera {
-                    camera_from_board: Se3::identity(),
-                    information: Matrix6::zeros(),
-                    rms_px: f64::NAN,
-                },
-                in_lidar: Vec::new(),
-            })
-        })
-        .collect())
+    Ok(scenes)
 }
 
-impl Scene {
+/// Looks for the boards again where they would have been, had they not moved.
+fn hold_still(
+    board: &Board,
+    scenes: &mut [Scene],
+    camera_from_lidar: &Se3,
+    config: &LidarCameraConfig,
+) {
+    scenes
+        .par_iter_mut()
+        .filter(|s| s.track.moved())
+        .for_each(|scene| {
+            let scan = scene.track.at_rest(scene.scan, camera_from_lidar);
+            scene.in_lidar = candidates::find(board, &scan, config);
+        });
+}
+
+impl<'a> Scene<'a> {
+    /// A pose that the camera did not see stays in the list, to be named.
+    fn new(
+        board: &Board,
+        camera: &Camera,
+        pose: &'a BoardPose,
+        config: &LidarCameraConfig,
+    ) -> Self {
+        let seen: Vec<(f64, InCamera)> = pose
+            .sights
+            .iter()
+            .filter_map(|s| {
+                let in_camera = board_view::view(board, camera, &s.corners)?;
+                Some((s.time_offset_ns as f64 * 1e-9, in_camera))
+            })
+            .collect();
+        let track = Track::new(
+            &pose.scan,
+            seen.iter().map(|s| (s.0, s.1.camera_from_board)),
+        );
+        // A board that moved, but was seen once only, is where nobody knows.
+        let lost = pose.sights.len() > 1 && !track.moved();
+        let chosen = seen.into_iter().nth(track.chosen()).filter(|_| !lost);
+        let (in_camera, in_lidar) = match chosen {
+            Some((_, in_camera)) => (in_camera, candidates::find(board, &pose.scan, config)),
+            None => (InCamera::nothing(), Vec::new()),
+        };
+        Self {
+            name: pose.name.clone(),
+            in_camera,
+            track,
+            scan: &pose.scan,
+            in_lidar,
+        }
+    }
+}
+
+impl InCamera {
+    fn nothing() -> Self {
+        Self {
+            camera_from_board: Se3::identity(),
+            information: Matrix6::zeros(),
+            rms_px: f64::NAN,
+        }
+    }
+}
+
+impl Scene<'_> {
     fn seen_by_camera(&self) -> bool {
         self.in_camera.rms_px.is_finite()
     }
@@ -291,13 +409,10 @@ impl Board {
     }
 
     /// A corner in the board's frame: its origin is the middle of the plate, its axes are the pattern's.
-    fn corner(&self, index: usize) -> Vector3<f64> {
+    pub fn corner(&self, index: usize) -> Vector3<f64> {
         let size = self.target.corners_size();
         let middle = Vector3::new(0.5 * size[0], 0.5 * size[1], 0.0);
         let offset = Vector3::new(self.offset_m[0], self.offset_m[1], 0.0);
         self.target.corner(index) - middle - offset
     }
 }
-
-#[cfg(test)]
-mod tests;

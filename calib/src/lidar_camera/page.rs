@@ -3,8 +3,26 @@
 use maud::{Markup, html};
 
 use super::{LidarCameraCalibration, PoseFit};
+use crate::plots::{coverage, histogram};
 use crate::report::{self, Bar};
 use crate::transform::TransformEdge;
+
+/// Errors at the ends of the histograms, metres.
+const RANGES_M: f64 = 0.1;
+const EDGES_M: f64 = 0.03;
+const BINS: usize = 40;
+/// Vectors are drawn so much longer than they are.
+const EXAGGERATION: f64 = 10.0;
+
+/// Values between plus and minus a limit, counted.
+fn counts(values: &[f64], limit: f64) -> Vec<u32> {
+    let mut bins = vec![0; BINS];
+    for value in values.iter().filter(|v| v.abs() < limit) {
+        let at = (0.5 * (value / limit + 1.0) * BINS as f64) as usize;
+        bins[at.min(BINS - 1)] += 1;
+    }
+    bins
+}
 
 impl LidarCameraCalibration {
     /// One sentence: whether the result may be trusted.
@@ -73,7 +91,36 @@ impl LidarCameraCalibration {
                             @if let (Some(turn), Some(shift)) = (self.halves_rotation_rad, self.halves_translation_m) {
                                 tr { td { "every other pose against the rest" } td { (format!("{:.3}°, {:.1} mm", turn.to_degrees(), shift * 1e3)) } }
                             }
+                            @if let (Some(shift), Some(turn)) = (self.held_back_center_rms_m, self.held_back_normal_rms_rad) {
+                                tr { td { "poses held back: middles, normals (rms)" } td { (format!("{:.1} mm, {:.2}°", shift * 1e3, turn.to_degrees())) } }
+                            }
+                            tr { td { "plate's middle from where it was said, mm" } td { (format!("{:+.1} ± {:.1}, {:+.1} ± {:.1}", self.offset_error_m[0] * 1e3, self.offset_error_sigma_m[0] * 1e3, self.offset_error_m[1] * 1e3, self.offset_error_sigma_m[1] * 1e3)) } }
+                            @if let (Some(late), Some(sigma)) = (self.lidar_late_s, self.lidar_late_sigma_s) {
+                                tr { td { "scans stamped late against images, ms" } td { (format!("{:+.1} ± {:.1}", late * 1e3, sigma * 1e3)) } }
+                            }
                         }
+                    }
+                }
+                div.row {
+                    figure {
+                        (coverage(&self.cells, self.image_px))
+                        figcaption { "Corners per part of the image" }
+                    }
+                    figure {
+                        (histogram(&counts(&self.residuals.ranges_m, RANGES_M)))
+                        figcaption { "Ranges less those of their planes, ±" (RANGES_M * 1e3) " mm" }
+                    }
+                    figure {
+                        (histogram(&counts(&self.residuals.edges_m, EDGES_M)))
+                        figcaption { "Places on the outlines, ±" (EDGES_M * 1e3) " mm across them" }
+                    }
+                    figure {
+                        (self.vectors())
+                        figcaption { "Middles of the board in the image, and where the LiDAR has them: errors × " (EXAGGERATION) }
+                    }
+                    figure {
+                        (report::bars(&self.bars(|p| p.distance_m)))
+                        figcaption { "Distance of the board, m, by pose" }
                     }
                     figure {
                         (report::bars(&self.bars(|p| p.center_error_m * 1e3)))
@@ -103,6 +150,22 @@ impl LidarCameraCalibration {
                             }
                         }
                     }
+                }
+            }
+        }
+    }
+
+    /// Errors of the middles across the line of sight, drawn where the camera has them: those that all point one way, or away
+    /// from one place, are no noise.
+    fn vectors(&self) -> Markup {
+        let [width, height] = self.image_px.map(f64::from);
+        let scale = 240.0 / width.max(1.0);
+        html! {
+            svg viewBox=(format!("0 0 240 {:.0}", height * scale)) role="img" aria-label="vectors" {
+                @for [from, to] in &self.residuals.centers_px {
+                    circle cx=(format!("{:.1}", from[0] * scale)) cy=(format!("{:.1}", from[1] * scale)) r="2" {}
+                    path.curve d=(format!("M{:.1} {:.1}L{:.1} {:.1}", from[0] * scale, from[1] * scale,
+                        (from[0] + EXAGGERATION * (to[0] - from[0])) * scale, (from[1] + EXAGGERATION * (to[1] - from[1])) * scale)) {}
                 }
             }
         }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use lsfb_recording::{Recording, read_pcd};
 use rayon::prelude::*;
 
-use super::BoardPose;
+use super::{BoardPose, BoardSight};
 use crate::Error;
 use crate::camera::{CameraViews, last_number};
 use crate::detect::Corner;
@@ -82,85 +82,147 @@ pub fn poses_from_folder(
             })?;
             Ok(BoardPose {
                 name: format!("{number:03}"),
-                corners: views.views[&number].clone(),
+                sights: vec![BoardSight {
+                    time_offset_ns: 0,
+                    corners: views.views[&number].clone(),
+                }],
                 scan,
             })
         })
         .collect()
 }
 
+/// How poses are taken from a recording.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RecordingConfig {
+    /// Poses taken at most, the stillest ones.
+    pub most: usize,
+    /// Added to the camera's stamps it gives the LiDAR's time, seconds.
+    pub rig_from_camera_s: f64,
+}
+
 /// Corners of two views that show a pose apart from another, median distance in pixels.
 const ANOTHER_POSE_PX: f64 = 20.0;
 /// Corners that move by less between the images around a scan show a board at rest, median distance in pixels.
 const AT_REST_PX: f64 = 1.0;
+/// Motion between the images around a scan beyond which it is not followed well enough, as a share of the image's width.
+const MOST_MOTION: f64 = 0.06;
 /// Images around a scan are at most this far from it, nanoseconds.
 const BESIDE_NS: i64 = 150_000_000;
 
-/// Scans of a recording during which the board was at rest in the camera's images, the stillest first, each of another pose,
-/// `most` of them.
+/// A scan with the images around it.
+struct Around {
+    moved_px: f64,
+    scan_ns: i64,
+    /// Stamps of the images from the last before the scan to the first after it.
+    images_ns: Vec<i64>,
+}
+
+/// Scans of a recording with the board in the images around them, the stillest first, each of another pose. A board that is
+/// held still is best; a rig that is moved slowly before a board, or the other way round, will do.
 pub fn poses_from_recording(
     views: &CameraViews,
     recording: &Recording,
-    most: usize,
+    config: &RecordingConfig,
 ) -> Result<Vec<BoardPose>, Error> {
     let unreadable = |e: lsfb_recording::Error| Error::Parse {
         path: recording.path().display().to_string(),
         problem: e.to_string(),
     };
+    let offset_ns = (config.rig_from_camera_s * 1e9).round() as i64;
     // First only when: a recording's scans do not fit in memory.
-    let mut still: Vec<(f64, i64, i64)> = Vec::new();
-    let mut count = 0;
+    let mut around: Vec<Around> = Vec::new();
+    let mut scans = 0;
     for scan in recording.scans().map_err(unreadable)? {
         let scan = scan.map_err(unreadable)?;
-        count += 1;
-        let start = scan.time.nanos();
+        scans += 1;
+        let start = scan.time.nanos() - offset_ns;
         let length = scan.sample.points.iter().map(|p| p.time_offset_ns).max();
         let end = start.saturating_add(i64::from(length.unwrap_or(0)));
-        let before = views.views.range(..=start).next_back();
-        let after = views.views.range(end..).next();
-        let (Some((t0, a)), Some((t1, b))) = (before, after) else {
-            continue;
-        };
-        if start - t0 > BESIDE_NS || t1 - end > BESIDE_NS {
-            continue;
-        }
-        if let Some(moved) = median_distance_px(a, b).filter(|m| *m < AT_REST_PX) {
-            still.push((moved, start, if start - t0 < t1 - end { *t0 } else { *t1 }));
-        }
+        around.extend(
+            images_around(views, [start, end]).map(|(moved_px, images_ns)| Around {
+                moved_px,
+                scan_ns: scan.time.nanos(),
+                images_ns,
+            }),
+        );
     }
-    still.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    let mut chosen: BTreeMap<i64, i64> = BTreeMap::new();
-    for (_, scan, image) in &still {
-        let other = chosen.values().all(|seen| {
-            median_distance_px(&views.views[seen], &views.views[image])
-                .is_none_or(|d| d > ANOTHER_POSE_PX)
-        });
-        if other && chosen.len() < most {
-            chosen.insert(*scan, *image);
-        }
-    }
+    let chosen = stillest(views, &mut around, config.most);
     if chosen.is_empty() {
+        let problem = if around.is_empty() {
+            format!(
+                "{scans} scans and {} of {} images with the board, but none of one time: record both at once, and check with `lsfb clock` that their clocks agree",
+                views.views.len(),
+                views.images
+            )
+        } else {
+            format!(
+                "{scans} scans and {} images with the board, but it always moves too fast: hold board and rig still for two seconds in each pose",
+                views.views.len()
+            )
+        };
         return Err(Error::NotJoined {
             first: views.name.clone(),
             second: "lidar".to_owned(),
-            problem: format!(
-                "{count} scans and {} images with the board, but the board is never at rest: hold it still for two seconds in each pose",
-                views.views.len()
-            ),
+            problem,
         });
     }
     let mut poses = Vec::new();
     for scan in recording.scans().map_err(unreadable)? {
         let scan = scan.map_err(unreadable)?;
-        if let Some(image) = chosen.get(&scan.time.nanos()) {
-            poses.push(BoardPose {
-                name: scan.time.to_string(),
-                corners: views.views[image].clone(),
-                scan: scan.sample,
-            });
-        }
+        let Some(images) = chosen.get(&scan.time.nanos()) else {
+            continue;
+        };
+        let sights = images.iter().map(|image| BoardSight {
+            time_offset_ns: image + offset_ns - scan.time.nanos(),
+            corners: views.views[image].clone(),
+        });
+        poses.push(BoardPose {
+            name: scan.time.to_string(),
+            sights: sights.collect(),
+            scan: scan.sample,
+        });
     }
     Ok(poses)
+}
+
+/// Stamps of the images around a span of time, and how far the board moved between them, pixels.
+fn images_around(views: &CameraViews, [start, end]: [i64; 2]) -> Option<(f64, Vec<i64>)> {
+    let (first, _) = views.views.range(..=start).next_back()?;
+    let (last, _) = views.views.range(end..).next()?;
+    if start - first > BESIDE_NS || last - end > BESIDE_NS {
+        return None;
+    }
+    let stamps: Vec<i64> = views.views.range(first..=last).map(|v| *v.0).collect();
+    let moved_px = median_distance_px(&views.views[first], &views.views[last])?;
+    Some((moved_px, stamps))
+}
+
+/// By scan: its images; one of them where the board was at rest.
+fn stillest(views: &CameraViews, around: &mut [Around], most: usize) -> BTreeMap<i64, Vec<i64>> {
+    around.sort_by(|a, b| {
+        let stiller = a.moved_px.total_cmp(&b.moved_px);
+        stiller.then(a.scan_ns.cmp(&b.scan_ns))
+    });
+    let mut chosen: BTreeMap<i64, Vec<i64>> = BTreeMap::new();
+    for a in around.iter() {
+        let middle = a.images_ns[a.images_ns.len() / 2];
+        let another = |seen: &Vec<i64>| {
+            let other = seen[seen.len() / 2];
+            median_distance_px(&views.views[&other], &views.views[&middle])
+                .is_none_or(|d| d > ANOTHER_POSE_PX)
+        };
+        let slow = a.moved_px < MOST_MOTION * f64::from(views.width);
+        if chosen.len() < most && slow && chosen.values().all(another) {
+            let images = if a.moved_px < AT_REST_PX {
+                vec![middle]
+            } else {
+                a.images_ns.clone()
+            };
+            chosen.insert(a.scan_ns, images);
+        }
+    }
+    chosen
 }
 
 /// Median distance of the corners that two views share; `None` where they share few.

@@ -5,9 +5,10 @@
 //!
 //! What all ranges are too long by moves the measured plane along its normal by `|m·u|` of that, with `u` the ray to its origin.
 //!
-//! Edge: the ray meets the board's plane at `q` in the board's frame; `r = (s·q − (half size + excess)) / σ` for the side with
-//! outward normal `s`. Blocks of both: `camera_from_lidar`, `camera_from_board`, and the
-//! apparent values: excess of half the width and height, and of every range.
+//! Edge: the ray meets the board's plane at `q` in the board's frame; `r = (s·(q − d) − (half size + excess)) / σ` for the side
+//! with outward normal `s`, where `d` is how far the plate's middle lies from where it was said to be. Blocks of both:
+//! `camera_from_lidar`, `camera_from_board`, and the apparent values: excess of half the width and height, and of every
+//! range; for edges also `d`.
 
 use lsfb_geometry::{Matrix3, Se3, Vector2, Vector3, so3};
 use lsfb_solver::{Linearization, Parameters, Residual, Shape, Undefined};
@@ -17,11 +18,14 @@ use super::plane::Plane;
 
 pub(super) type Rows<const D: usize> = SMatrix<f64, D, 6>;
 
-const SHAPES: [Shape; 3] = [
+const SHAPES: [Shape; 4] = [
     Shape::of::<Se3>(),
     Shape::of::<Se3>(),
     Shape::of::<Vector3<f64>>(),
+    Shape::of::<Vector2<f64>>(),
 ];
+/// Planes do not know where the plate's middle is.
+const PLANE_BLOCKS: usize = 3;
 
 /// Pose of the board in the LiDAR, and a derivative by its tangent carried to the two blocks.
 struct Joined {
@@ -87,7 +91,7 @@ impl Residual for PlaneResidual {
     }
 
     fn blocks(&self) -> &[Shape] {
-        &SHAPES
+        &SHAPES[..PLANE_BLOCKS]
     }
 
     fn evaluate(&self, parameters: &Parameters, out: &mut Linearization) -> Result<(), Undefined> {
@@ -145,7 +149,8 @@ impl Residual for EdgeResidual {
         let pose = &joined.lidar_from_board;
         let place = Self::place(&self.ray, pose).ok_or(Undefined)?;
         let which = self.side.map(f64::abs);
-        let value = self.side.dot(&place) - self.half_m - which.dot(&apparent.xy());
+        let shift: Vector2<f64> = parameters.get(3);
+        let value = self.side.dot(&(place - shift)) - self.half_m - which.dot(&apparent.xy());
         out.set_residual(&SVector::<f64, 1>::new(value / self.sigma_m));
         if out.wants_jacobian(0) || out.wants_jacobian(1) {
             let origin = pose.inverse() * Vector3::zeros();
@@ -173,6 +178,7 @@ impl Residual for EdgeResidual {
             2,
             &RowVector3::new(-which.x / self.sigma_m, -which.y / self.sigma_m, 0.0),
         );
+        out.set_jacobian(3, &(-self.side.transpose() / self.sigma_m));
         Ok(())
     }
 }
@@ -204,6 +210,8 @@ mod tests {
         problem
             .add_residual(PlaneResidual { plane, whitening }, &blocks, Kernel::Squared)
             .expect("two poses");
+        let shift = problem.add_block(Vector2::new(0.002, 0.001));
+        let blocks = [blocks[0], blocks[1], blocks[2], shift.id()];
         for side in [[1.0, 0.0], [0.0, -1.0]] {
             let residual = EdgeResidual {
                 ray: (pose * Vector3::new(0.31, -0.4, 0.0)).normalize(),

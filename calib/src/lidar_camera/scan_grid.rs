@@ -74,6 +74,12 @@ fn ring(number: u16, mut points: Vec<GridPoint>) -> Ring {
 }
 
 impl Ring {
+    /// Angle of its rays above the level; `None` for an empty ring.
+    pub fn elevation_rad(&self) -> Option<f64> {
+        let point = self.points.get(self.points.len() / 2)?;
+        Some((point.position.z / point.range_m).clamp(-1.0, 1.0).asin())
+    }
+
     /// The next point against the clock (`forward`) or the one before, and the angle to it.
     pub fn neighbor(&self, at: usize, direction: Direction) -> (usize, f64) {
         let n = self.points.len();

@@ -1,28 +1,27 @@
-//! What a LiDAR–camera calibration leaves, and what should be recorded better.
+//! What a LiDAR–camera calibration leaves.
 
 use lsfb_geometry::align::{Scale, umeyama};
-use lsfb_geometry::{Se3, Vector2, Vector3};
+use lsfb_geometry::{Camera, Se3, Vector2, Vector3};
 
-use super::adjustment::{Solved, Used, adjust, patch};
-use super::association::{Joined, direction_name};
+use super::adjustment::{PlateShift, Solved, Used, adjust, patch, plate_shift};
+use super::association::Joined;
 use super::outline::{Rectangle, fitted};
-use super::{Board, LidarCameraCalibration, LidarCameraConfig, PoseFit, Scene};
+use super::problem::edge_errors_m;
+use super::{
+    Board, BoardResiduals, LidarCameraCalibration, LidarCameraConfig, PoseFit, Scene, checks,
+    clocks,
+};
 use crate::Error;
+use crate::camera::COVERAGE_CELLS;
 
-/// Poses from which halves are compared.
-const MIN_FOR_HALVES: usize = 8;
-/// Apparent excess of half the plate that the width of the beam does not explain, metres.
-const LARGE_EXCESS_M: f64 = 0.015;
+/// Poses from which halves are compared, and poses held back.
+const MIN_FOR_PARTS: usize = 8;
+/// Parts of the poses that are held back in turn.
+const PARTS: usize = 4;
 /// Scale that differs from one by more than this, and by more than its own spread, is no accident.
-const LARGE_SCALE: f64 = 0.01;
 const WRONG_SCALE: f64 = 0.03;
-/// Standard deviations beyond which more poses are asked for.
-const GOOD_ROTATION_DEG: f64 = 0.1;
-const GOOD_TRANSLATION_M: f64 = 0.01;
 /// Distance between the middles beyond which sensors have not seen the same boards, metres.
 const STRANGERS_M: f64 = 0.06;
-/// Spread of planes and outlines beyond which the sensors contradict each other.
-const LARGE_SPREAD: f64 = 3.0;
 
 /// A board as each sensor alone has it, in the camera's frame.
 struct Alone {
@@ -34,6 +33,7 @@ struct Alone {
 pub(super) fn summarize(
     board: &Board,
     camera: &str,
+    lens: &Camera,
     scenes: &[Scene],
     joined: &Joined,
     solved: &Solved,
@@ -42,7 +42,7 @@ pub(super) fn summarize(
     let alone: Vec<Alone> = solved
         .used
         .iter()
-        .map(|u| alone(board, scenes, u, solved))
+        .map(|u| alone(board, scenes, u, solved, &solved.camera_from_lidar))
         .collect();
     let mut poses: Vec<PoseFit> = scenes.iter().map(unused).collect();
     for (u, a) in solved.used.iter().zip(&alone) {
@@ -87,7 +87,25 @@ pub(super) fn summarize(
             ),
         });
     }
-    let halves = halves(board, camera, scenes, joined, config);
+    let apart = Apart {
+        board,
+        camera,
+        scenes,
+        joined,
+        config,
+    };
+    let halves = apart.halves();
+    let held_back = apart.held_back(solved);
+    let PlateShift {
+        shift_m,
+        covariance: shift_covariance,
+    } = plate_shift(board, scenes, solved, config)?;
+    let late = clocks::lidar_late(scenes, solved);
+    let corners = solved.used.iter().flat_map(|u| {
+        let pose = &scenes[u.scene].in_camera.camera_from_board;
+        let corners = 0..board.target.corner_count();
+        corners.filter_map(|k| lens.project(&(*pose * board.corner(k))))
+    });
     let difference = halves.map(|[a, b]| (a.inverse() * b).log());
     let mut calibration = LidarCameraCalibration {
         camera: camera.to_owned(),
@@ -108,9 +126,28 @@ pub(super) fn summarize(
         spread: solved.spread,
         halves_rotation_rad: difference.map(|d| d.fixed_rows::<3>(0).norm()),
         halves_translation_m: difference.map(|d| d.fixed_rows::<3>(3).norm()),
+        held_back_center_rms_m: held_back.map(|h| h[0]),
+        held_back_normal_rms_rad: held_back.map(|h| h[1]),
+        offset_error_m: shift_m.into(),
+        offset_error_sigma_m: [0, 1].map(|k| shift_covariance[(k, k)].max(0.0).sqrt()),
+        lidar_late_s: late.map(|l| l.seconds),
+        lidar_late_sigma_s: late.map(|l| l.sigma_s),
+        cells: cells(lens, corners),
+        image_px: [lens.width, lens.height],
+        residuals: BoardResiduals {
+            ranges_m: ranges_m(solved),
+            edges_m: edge_errors_m(board, scenes, solved),
+            centers_px: alone
+                .iter()
+                .filter_map(|a| {
+                    let own = lens.project(&a.camera_center)?;
+                    Some([own.into(), lens.project(&a.lidar_center)?.into()])
+                })
+                .collect(),
+        },
         warnings: Vec::new(),
     };
-    calibration.warnings = warnings(&calibration, scenes, solved);
+    calibration.warnings = checks::warnings(&calibration, board, scenes, solved);
     Ok(calibration)
 }
 
@@ -119,7 +156,7 @@ fn unused(scene: &Scene) -> PoseFit {
     let why = if !scene.seen_by_camera() {
         "the camera does not see the board"
     } else if scene.in_lidar.is_empty() {
-        "no patch in the scan is like the board: it must stand free, with all of its sides in view"
+        "no patch in the scan is like the board: at least three beams must meet it, and it must stand free, with all of its sides in view"
     } else {
         "no patch in the scan is where the other poses put the board"
     };
@@ -135,7 +172,38 @@ fn unused(scene: &Scene) -> PoseFit {
     }
 }
 
-fn alone(board: &Board, scenes: &[Scene], used: &Used, solved: &Solved) -> Alone {
+/// Corners per part of the image, by rows from the upper left.
+fn cells(lens: &Camera, pixels: impl Iterator<Item = Vector2<f64>>) -> Vec<u32> {
+    let [columns, rows] = COVERAGE_CELLS;
+    let mut cells = vec![0; columns * rows];
+    for pixel in pixels.filter(|p| lens.contains(p, 0.0)) {
+        let part = |x: f64, size: u32, count: usize| {
+            ((x.max(0.0) / f64::from(size) * count as f64) as usize).min(count - 1)
+        };
+        let at = part(pixel.y, lens.height, rows) * columns + part(pixel.x, lens.width, columns);
+        cells[at] += 1;
+    }
+    cells
+}
+
+/// Ranges of all returns less those of the planes found.
+fn ranges_m(solved: &Solved) -> Vec<f64> {
+    let points = solved
+        .used
+        .iter()
+        .flat_map(|u| u.chords.iter().flat_map(|c| &c.points).map(move |p| (u, p)));
+    points
+        .filter_map(|(u, point)| u.fit.plane.range_error_m(point))
+        .collect()
+}
+
+fn alone(
+    board: &Board,
+    scenes: &[Scene],
+    used: &Used,
+    solved: &Solved,
+    camera_from_lidar: &Se3,
+) -> Alone {
     let in_camera = &scenes[used.scene].in_camera.camera_from_board;
     let patch = patch(scenes, used);
     let plane = &used.fit.plane;
@@ -160,9 +228,9 @@ fn alone(board: &Board, scenes: &[Scene], used: &Used, solved: &Solved) -> Alone
     let in_lidar =
         plane.origin + plane.axes[0] * rectangle.center.x + plane.axes[1] * rectangle.center.y;
     let in_lidar = in_lidar * (1.0 - solved.apparent_m.z / in_lidar.norm());
-    let normal = solved.camera_from_lidar.rotation * plane.normal;
+    let normal = camera_from_lidar.rotation * plane.normal;
     Alone {
-        lidar_center: solved.camera_from_lidar * in_lidar,
+        lidar_center: *camera_from_lidar * in_lidar,
         camera_center: in_camera.translation,
         normal_error_rad: normal.angle(&scenes[used.scene].normal_in_camera()),
     }
@@ -181,105 +249,73 @@ fn scale(alone: &[Alone], center_rms_m: f64) -> (f64, f64) {
     (found.scale, sigma)
 }
 
-/// Solutions from every other pose: what another session would have given.
-fn halves(
-    board: &Board,
-    camera: &str,
-    scenes: &[Scene],
-    joined: &Joined,
-    config: &LidarCameraConfig,
-) -> Option<[Se3; 2]> {
-    if joined.patch.iter().flatten().count() < MIN_FOR_HALVES {
-        return None;
-    }
-    let half = |odd: bool| {
-        let mut at = 0;
-        let patch = joined
-            .patch
-            .iter()
-            .map(|p| {
-                let chosen = p.is_some() && (at % 2 == 1) == odd;
-                at += usize::from(p.is_some());
-                p.filter(|_| chosen)
-            })
-            .collect();
-        let part = Joined {
-            patch,
-            camera_from_lidar: joined.camera_from_lidar,
-            misfit_m: joined.misfit_m,
-        };
-        let solved = adjust(board, camera, scenes, &part, config).ok()?;
-        Some(solved.camera_from_lidar)
-    };
-    Some([half(false)?, half(true)?])
+/// Solutions from parts of the poses.
+struct Apart<'a> {
+    board: &'a Board,
+    camera: &'a str,
+    scenes: &'a [Scene<'a>],
+    joined: &'a Joined,
+    config: &'a LidarCameraConfig,
 }
 
-fn warnings(c: &LidarCameraCalibration, scenes: &[Scene], solved: &Solved) -> Vec<String> {
-    let mut out = Vec::new();
-    let left_out = c.poses.iter().filter(|p| p.rejected.is_some()).count();
-    if 4 * left_out > c.poses.len() {
-        out.push(format!(
-            "{left_out} of {} poses were left out: see the table for the reasons",
-            c.poses.len()
-        ));
+impl Apart<'_> {
+    /// The transform from the joined poses whose number is wanted.
+    fn from_those(&self, wanted: impl Fn(usize) -> bool) -> Option<Se3> {
+        let mut at = 0;
+        let patch = self.joined.patch.iter().map(|p| {
+            let chosen = wanted(at);
+            at += usize::from(p.is_some());
+            p.filter(|_| chosen)
+        });
+        let part = Joined {
+            patch: patch.collect(),
+            camera_from_lidar: self.joined.camera_from_lidar,
+            misfit_m: self.joined.misfit_m,
+        };
+        let solved = adjust(self.board, self.camera, self.scenes, &part, self.config).ok()?;
+        Some(solved.camera_from_lidar)
     }
-    for (k, side) in ["x", "y"].iter().enumerate() {
-        if c.edge_excess_m[k].abs() > LARGE_EXCESS_M.max(5.0 * c.edge_excess_sigma_m[k]) {
-            out.push(format!(
-                "the plate looks {:+.0} mm longer along the pattern's {side} axis than was said: measure it",
-                2e3 * c.edge_excess_m[k]
-            ));
+
+    fn are_enough(&self) -> bool {
+        self.joined.patch.iter().flatten().count() >= MIN_FOR_PARTS
+    }
+
+    /// From every other pose, and from the rest: what another session would have given.
+    fn halves(&self) -> Option<[Se3; 2]> {
+        if !self.are_enough() {
+            return None;
         }
+        Some([
+            self.from_those(|k| k % 2 == 0)?,
+            self.from_those(|k| k % 2 == 1)?,
+        ])
     }
-    if (c.scale - 1.0).abs() > (4.0 * c.scale_sigma).max(LARGE_SCALE) {
-        out.push(format!(
-            "the pattern looks {:.1} % too large to the camera: measure its squares or tags, and check the camera's focal length",
-            (c.scale - 1.0) * 100.0
-        ));
-    }
-    let worst = |from: usize| {
-        (from..from + 3)
-            .max_by(|a, b| c.sigma[*a].total_cmp(&c.sigma[*b]))
-            .unwrap_or(from)
-    };
-    let axis = |k: usize| {
-        let mut unit = Vector3::zeros();
-        unit[k % 3] = 1.0;
-        direction_name(&unit)
-    };
-    let turn = worst(0);
-    if c.sigma[turn].to_degrees() > GOOD_ROTATION_DEG {
-        out.push(format!(
-            "rotation about the LiDAR's {} axis is known to {:.2}° only: record more poses, with the board near the border of the image",
-            axis(turn),
-            c.sigma[turn].to_degrees()
-        ));
-    }
-    let shift = worst(3);
-    if c.sigma[shift] > GOOD_TRANSLATION_M {
-        out.push(format!(
-            "translation along the LiDAR's {} axis is known to {:.0} mm only: tilt the board so that it faces along it more",
-            axis(shift),
-            c.sigma[shift] * 1e3
-        ));
-    }
-    for (name, spread) in ["corners", "planes", "outlines"].iter().zip(c.spread) {
-        if spread > LARGE_SPREAD {
-            out.push(format!(
-                "{name} miss by {spread:.1} times what their noise explains: check the lens, that the board is flat, and that it stood still"
-            ));
+
+    /// Root mean square of the errors of middles (m) and normals (rad) of poses that a solution does not know.
+    fn held_back(&self, solved: &Solved) -> Option<[f64; 2]> {
+        if !self.are_enough() {
+            return None;
         }
+        let numbers = self.joined.patch.iter().scan(0, |at, p| {
+            let own = *at;
+            *at += usize::from(p.is_some());
+            Some(own)
+        });
+        let numbers: Vec<usize> = numbers.collect();
+        let (mut squares, mut count) = ([0.0; 2], 0.0);
+        for part in 0..PARTS {
+            let camera_from_lidar = self.from_those(|k| k % PARTS != part)?;
+            let own = solved
+                .used
+                .iter()
+                .filter(|u| numbers[u.scene] % PARTS == part);
+            for u in own {
+                let a = alone(self.board, self.scenes, u, solved, &camera_from_lidar);
+                squares[0] += (a.lidar_center - a.camera_center).norm_squared();
+                squares[1] += a.normal_error_rad.powi(2);
+                count += 1.0;
+            }
+        }
+        Some(squares.map(|s| (s / f64::max(count, 1.0)).sqrt()))
     }
-    let few = solved
-        .used
-        .iter()
-        .filter(|u| patch(scenes, u).points < 100)
-        .count();
-    if 2 * few > solved.used.len() {
-        out.push(format!(
-            "{few} of {} boards have fewer than 100 points: bring the board nearer",
-            solved.used.len()
-        ));
-    }
-    out
 }

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use lsfb_calib::lidar_camera::{
-    Board, LidarCameraConfig, calibrate_lidar_camera, poses_from_folder, poses_from_recording,
+    Board, LidarCameraConfig, RecordingConfig, calibrate_lidar_camera, poses_from_folder,
+    poses_from_recording,
 };
 use lsfb_geometry::{Rig, RigLidar};
 use lsfb_recording::Provenance;
@@ -114,11 +115,19 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             let (folder, prefix, suffix) = pattern(clouds);
             poses_from_folder(&views, folder, prefix, suffix)?
         }
-        (None, Some(recording)) => poses_from_recording(&views, recording, arguments.max_poses)?,
+        (None, Some(recording)) => poses_from_recording(
+            &views,
+            recording,
+            &RecordingConfig {
+                most: arguments.max_poses,
+                rig_from_camera_s: mounted.timing.rig_from_camera_s,
+            },
+        )?,
         (None, None) => anyhow::bail!("no scans: give --clouds or --recording"),
     };
     let show = |p| context.show(p);
-    let found = calibrate_lidar_camera(&board, name, &camera, &poses, &config, &show)?;
+    let mut found = calibrate_lidar_camera(&board, name, &camera, &poses, &config, &show)?;
+    found.compare_with(&rig);
 
     rig.lidar = Some(RigLidar {
         rig_from_lidar: mounted.rig_from_camera * found.camera_from_lidar,

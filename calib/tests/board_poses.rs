@@ -1,0 +1,328 @@
+//! LiDAR to camera on simulated sessions: right answers within their stated spread, and every bad input by its name.
+
+mod simulated_board;
+
+use lsfb_calib::Target;
+use lsfb_calib::lidar_camera::{Board, BoardPose, LidarCameraCalibration};
+use lsfb_geometry::{CameraTiming, Rig, RigCamera, RigLidar, Se3, Vector6};
+use rand::SeedableRng;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+use simulated_board::{BOARD, Session, calibrate, camera, error, truth};
+
+fn few() -> Session {
+    Session {
+        poses: 8,
+        ..Session::default()
+    }
+}
+
+/// Degrees and millimetres.
+fn sizes(found: &LidarCameraCalibration) -> [f64; 2] {
+    let error = error(found);
+    [
+        error.fixed_rows::<3>(0).norm().to_degrees(),
+        error.fixed_rows::<3>(3).norm() * 1e3,
+    ]
+}
+
+fn refusal(board: &Board, poses: &[BoardPose]) -> String {
+    match calibrate(board, poses) {
+        Ok(found) => format!("no error but: {}", found.verdict()),
+        Err(error) => error.to_string(),
+    }
+}
+
+fn left_out(found: &LidarCameraCalibration) -> Vec<&str> {
+    let out = found.poses.iter().filter(|p| p.rejected.is_some());
+    out.map(|p| p.name.as_str()).collect()
+}
+
+/// The one warning of a session.
+fn warning(found: &LidarCameraCalibration) -> &str {
+    assert!(found.verdict().starts_with("WARN"), "{}", found.verdict());
+    assert_eq!(found.warnings.len(), 1, "{:?}", found.warnings);
+    &found.warnings[0]
+}
+
+#[test]
+fn transforms_are_found_from_every_pose() {
+    for seed in 0..3 {
+        let found = calibrate(&BOARD, &Session::default().simulate(seed)).expect("calibrated");
+        let [turn_deg, shift_mm] = sizes(&found);
+        assert!(
+            turn_deg < 0.05 && shift_mm < 5.0,
+            "{seed}: {turn_deg}° {shift_mm} mm"
+        );
+        let inverse = found.covariance.try_inverse().expect("a covariance");
+        let error = error(&found);
+        // 99.99 % of a chi-square with six degrees of freedom.
+        assert!((error.transpose() * inverse * error)[0] < 28.0, "{seed}");
+        assert!((found.range_noise_m - 0.03).abs() < 0.001, "{found:?}");
+        assert!(found.center_rms_m < 0.008, "{}", found.center_rms_m);
+        let held_back_m = found.held_back_center_rms_m.expect("many poses");
+        assert!(held_back_m < 0.009, "{held_back_m}");
+        assert!(left_out(&found).is_empty(), "{seed}: {:?}", found.poses);
+        assert!(found.verdict().starts_with("PASS"), "{:?}", found.warnings);
+    }
+}
+
+#[test]
+fn a_board_that_moves_is_followed() {
+    let moving = Session {
+        speed_m_s: 0.3,
+        poses: 14,
+        ..Session::default()
+    };
+    let found = calibrate(&BOARD, &moving.simulate(3)).expect("calibrated");
+    let [turn_deg, shift_mm] = sizes(&found);
+    assert!(
+        turn_deg < 0.1 && shift_mm < 5.0,
+        "{turn_deg}° {shift_mm} mm"
+    );
+    assert!(found.verdict().starts_with("PASS"), "{:?}", found.warnings);
+    let (late, sigma) = (found.lidar_late_s, found.lidar_late_sigma_s);
+    let (late, sigma) = (late.expect("it moved"), sigma.expect("it moved"));
+    assert!(
+        late.abs() < 4.0 * sigma && sigma < 0.003,
+        "{late} ± {sigma}"
+    );
+}
+
+#[test]
+fn clocks_that_differ_are_named() {
+    for late_s in [0.03, -0.05] {
+        let late = Session {
+            speed_m_s: 0.3,
+            poses: 14,
+            lidar_late_s: late_s,
+            ..Session::default()
+        };
+        let found = calibrate(&BOARD, &late.simulate(3)).expect("calibrated");
+        let named = found.warnings.iter().find(|w| w.starts_with("clocks: "));
+        let word = if late_s > 0.0 { "later" } else { "earlier" };
+        assert!(
+            named.is_some_and(|w| w.contains(word)),
+            "{:?}",
+            found.warnings
+        );
+        let off = found.lidar_late_s.expect("it moved") - late_s;
+        assert!(off.abs() < 0.3 * late_s.abs(), "{off}");
+    }
+}
+
+#[test]
+fn the_order_of_input_does_not_matter() {
+    let poses = few().simulate(3);
+    let found = calibrate(&BOARD, &poses).expect("calibrated");
+    for seed in 0..5 {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut other = poses.clone();
+        other.shuffle(&mut rng);
+        for pose in &mut other {
+            pose.scan.points.shuffle(&mut rng);
+            pose.sights[0].corners.shuffle(&mut rng);
+        }
+        let again = calibrate(&BOARD, &other).expect("calibrated");
+        let apart = (found.camera_from_lidar.inverse() * again.camera_from_lidar).log();
+        assert!(apart.amax() < 1e-9, "{apart}");
+        assert!((found.covariance - again.covariance).amax() < 1e-9);
+        for (pose, fit) in other.iter().zip(&again.poses) {
+            assert_eq!(pose.name, fit.name);
+        }
+    }
+}
+
+#[test]
+fn boards_that_are_not_seen_are_named() {
+    let hidden = Session {
+        behind_wall: true,
+        ..few()
+    };
+    let text = refusal(&BOARD, &hidden.simulate(5));
+    assert!(text.contains("found in 0 of 8 scans"), "{text}");
+    let mut blind = few().simulate(5);
+    let text = refusal(&BOARD, &blind[..2]);
+    assert!(text.contains("2 of 2 images, 3 are needed"), "{text}");
+    for pose in &mut blind {
+        pose.sights[0].corners.clear();
+    }
+    let text = refusal(&BOARD, &blind);
+    assert!(text.contains("0 of 8 images, 3 are needed"), "{text}");
+}
+
+#[test]
+fn boards_that_face_one_way_are_named() {
+    let parallel = Session {
+        tilt_rad: 0.0,
+        ..few()
+    };
+    let text = refusal(&BOARD, &parallel.simulate(5));
+    assert!(text.contains("any direction along the board"), "{text}");
+    assert!(text.contains("tilt the board about"), "{text}");
+}
+
+#[test]
+fn tags_of_another_size_are_named() {
+    // 70 mm where 88 mm are said.
+    let smaller = Board {
+        target: Target::AprilGrid {
+            columns: 6,
+            rows: 6,
+            tag_size_m: 0.070,
+            spacing_ratio: 0.3,
+        },
+        ..BOARD
+    };
+    let actual = Session {
+        board: smaller,
+        ..few()
+    };
+    let text = refusal(&BOARD, &actual.simulate(5));
+    assert!(
+        text.contains("size is wrong") && text.contains("measure"),
+        "{text}"
+    );
+}
+
+#[test]
+fn exchanged_sides_are_named() {
+    let long = Board {
+        width_m: 1.1,
+        ..BOARD
+    };
+    let turned = Board {
+        width_m: 0.75,
+        height_m: 1.1,
+        ..BOARD
+    };
+    let actual = Session {
+        board: long,
+        ..few()
+    };
+    let text = refusal(&turned, &actual.simulate(5));
+    assert!(text.contains("exchange its width and height"), "{text}");
+}
+
+#[test]
+fn a_plate_of_another_size_is_named() {
+    let wider = Board {
+        width_m: 0.89,
+        ..BOARD
+    };
+    let actual = Session {
+        board: wider,
+        ..few()
+    };
+    let found = calibrate(&BOARD, &actual.simulate(5)).expect("calibrated");
+    let text = warning(&found);
+    assert!(text.contains("along the pattern's x axis"), "{text}");
+}
+
+#[test]
+fn a_board_upside_down_changes_nothing_and_a_pattern_upside_down_is_named() {
+    let turned = Session {
+        turned: true,
+        poses: 12,
+        ..Session::default()
+    };
+    let found = calibrate(&BOARD, &turned.simulate(5)).expect("calibrated");
+    assert!(found.verdict().starts_with("PASS"), "{:?}", found.warnings);
+    let [turn_deg, shift_mm] = sizes(&found);
+    assert!(
+        turn_deg < 0.1 && shift_mm < 5.0,
+        "{turn_deg}° {shift_mm} mm"
+    );
+
+    // The plate's middle is 20 mm above that of the pattern; with the pattern on its head it is 20 mm below.
+    let said = Board {
+        offset_m: [0.0, 0.02],
+        ..BOARD
+    };
+    let actual = Session {
+        board: Board {
+            offset_m: [0.0, -0.02],
+            ..BOARD
+        },
+        ..turned
+    };
+    let found = calibrate(&said, &actual.simulate(5)).expect("calibrated");
+    let named = found.warnings.iter().find(|w| w.contains("upside down"));
+    assert!(named.is_some(), "{:?}", found.warnings);
+
+    let found = calibrate(&BOARD, &actual.simulate(5)).expect("calibrated");
+    let named = found.warnings.iter().find(|w| w.contains("plate's middle"));
+    assert!(named.is_some(), "{:?}", found.warnings);
+}
+
+#[test]
+fn images_and_scans_of_different_poses_are_named() {
+    let good = few().simulate(5);
+    let mut shuffled = good.clone();
+    for (k, pose) in shuffled.iter_mut().enumerate() {
+        pose.scan = good[(k + 3) % 8].scan.clone();
+    }
+    let text = refusal(&BOARD, &shuffled);
+    assert!(text.contains("belong together"), "{text}");
+}
+
+#[test]
+fn a_board_that_moved_is_left_out() {
+    let many = Session {
+        poses: 12,
+        ..Session::default()
+    };
+    let mut moved = many.simulate(7);
+    for point in &mut moved[4].scan.points {
+        let [x, y, z] = point.position_m;
+        point.position_m = [x + 0.1, y, z];
+    }
+    let found = calibrate(&BOARD, &moved).expect("calibrated");
+    assert_eq!(left_out(&found), ["pose 04"]);
+    let why = found.poses[4].rejected.as_deref().unwrap_or_default();
+    assert!(
+        why.contains("moved") || why.contains("where the other poses"),
+        "{why}"
+    );
+}
+
+#[test]
+fn cameras_that_were_swapped_are_named() {
+    let mut found = calibrate(&BOARD, &few().simulate(3)).expect("calibrated");
+    let mounted = |rig_from_camera: Se3| RigCamera {
+        camera: camera(),
+        rig_from_camera,
+        timing: CameraTiming::default(),
+    };
+    // The LiDAR is the rig; the other camera looks to the left.
+    let here = truth().inverse();
+    let left = Se3::exp(&Vector6::new(0.0, 0.0, 1.57, 0.0, 0.0, 0.0)) * here;
+    let rig = |cam0: Se3, cam1: Se3| Rig {
+        name: "backpack".to_owned(),
+        cameras: [
+            ("cam0".to_owned(), mounted(cam0)),
+            ("cam1".to_owned(), mounted(cam1)),
+        ]
+        .into(),
+        imu: None,
+        lidar: Some(RigLidar {
+            rig_from_lidar: Se3::identity(),
+            range_noise_m: 0.03,
+        }),
+    };
+    found.compare_with(&rig(here, left));
+    assert!(found.warnings.is_empty(), "{:?}", found.warnings);
+    found.compare_with(&rig(left, here));
+    let text = warning(&found);
+    assert!(
+        text.contains("cam0 is found where the rig has cam1"),
+        "{text}"
+    );
+    found.warnings.clear();
+    found.compare_with(&rig(left, left));
+    assert!(
+        warning(&found).contains("away from what was found"),
+        "{:?}",
+        found.warnings
+    );
+}
