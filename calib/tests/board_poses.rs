@@ -299,6 +299,7 @@ fn cameras_that_were_swapped_are_named() {
     let left = Se3::exp(&Vector6::new(0.0, 0.0, 1.57, 0.0, 0.0, 0.0)) * here;
     let rig = |cam0: Se3, cam1: Se3| Rig {
         name: "backpack".to_owned(),
+        calibrated_unix_s: None,
         cameras: [
             ("cam0".to_owned(), mounted(cam0)),
             ("cam1".to_owned(), mounted(cam1)),
