@@ -260,7 +260,7 @@ struct Apart<'a> {
 
 impl Apart<'_> {
     /// The transform from the joined poses whose number is wanted.
-    fn from_those(&self, wanted: impl Fn(usize) -> bool) -> Option<Se3> {
+    fn solved_from(&self, wanted: impl Fn(usize) -> bool) -> Option<Se3> {
         let mut at = 0;
         let patch = self.joined.patch.iter().map(|p| {
             let chosen = wanted(at);
@@ -286,8 +286,8 @@ impl Apart<'_> {
             return None;
         }
         Some([
-            self.from_those(|k| k % 2 == 0)?,
-            self.from_those(|k| k % 2 == 1)?,
+            self.solved_from(|k| k % 2 == 0)?,
+            self.solved_from(|k| k % 2 == 1)?,
         ])
     }
 
@@ -304,7 +304,7 @@ impl Apart<'_> {
         let numbers: Vec<usize> = numbers.collect();
         let (mut squares, mut count) = ([0.0; 2], 0.0);
         for part in 0..PARTS {
-            let camera_from_lidar = self.from_those(|k| k % PARTS != part)?;
+            let camera_from_lidar = self.solved_from(|k| k % PARTS != part)?;
             let own = solved
                 .used
                 .iter()
