@@ -14,6 +14,9 @@ use crate::target::Target;
 /// Parts along each edge of the board.
 const PARTS: f64 = 3.0;
 
+/// Standard deviations by which a ratio must exceed 1 to count.
+const SIGNIFICANT: f64 = 3.0;
+
 /// Errors by view (or stretch of time) and part of the board.
 #[derive(Default)]
 pub(crate) struct Clusters(BTreeMap<(i64, [u8; 2]), Cluster>);
@@ -35,14 +38,17 @@ impl Clusters {
         cluster.count += 1;
     }
 
-    /// The design effect, at least 1.
+    /// The design effect; 1 where it could be so by accident.
     pub fn design_effect(&self) -> f64 {
         // Single corners say nothing.
         let several = || self.0.values().filter(|c| c.count > 1);
         let together: f64 = several().map(|c| c.sum.norm_squared()).sum();
         let alone: f64 = several().map(|c| c.squares).sum();
-        if alone > 0.0 {
-            (together / alone).max(1.0)
+        // Of independent errors the ratio is the mean of as many χ² as there are components of sums.
+        let spread = (1.0 / several().count().max(1) as f64).sqrt();
+        let ratio = together / alone;
+        if ratio > 1.0 + SIGNIFICANT * spread {
+            ratio
         } else {
             1.0
         }
@@ -78,7 +84,7 @@ mod tests {
                 together.add(view, [0.1, 0.1], &common);
             }
         }
-        assert!(apart.design_effect() < 1.2);
+        assert_eq!(apart.design_effect(), 1.0);
         assert!((together.design_effect() - 16.0).abs() < 1e-9);
     }
 }

@@ -25,6 +25,7 @@ pub mod images;
 pub mod imu_noise;
 pub mod joint;
 pub mod lidar_camera;
+mod misfit;
 mod plots;
 mod report;
 pub mod target;

@@ -42,6 +42,29 @@ pub(crate) fn scatter(errors_px: &[[f64; 2]]) -> Markup {
     }
 }
 
+/// Mean errors per cell of an image as arrows from the cells' middles, the longest as long as a cell is wide.
+pub(crate) fn vectors(cell_errors_px: &[[f64; 2]], size_px: [u32; 2]) -> Markup {
+    let [columns, rows] = COVERAGE_CELLS;
+    let height = 240.0 * f64::from(size_px[1]) / f64::from(size_px[0].max(1));
+    let (w, h) = (240.0 / columns as f64, height / rows as f64);
+    let scale = w / longest(cell_errors_px).max(1e-9);
+    html! {
+        svg viewBox=(format!("0 0 240 {height:.0}")) role="img" aria-label="mean errors" {
+            @for (k, [x, y]) in cell_errors_px.iter().enumerate().filter(|(_, e)| **e != [0.0; 2]) {
+                @let (u, v) = (((k % columns) as f64 + 0.5) * w, ((k / columns) as f64 + 0.5) * h);
+                path.vector d=(format!("M{u:.1} {v:.1}l{:.1} {:.1}", x * scale, y * scale)) {}
+                circle cx=(format!("{u:.1}")) cy=(format!("{v:.1}")) r="1.2" {}
+            }
+        }
+    }
+}
+
+/// Length of the longest mean error, pixels.
+pub(crate) fn longest(cell_errors_px: &[[f64; 2]]) -> f64 {
+    let lengths = cell_errors_px.iter().map(|e| e[0].hypot(e[1]));
+    lengths.fold(0.0, f64::max)
+}
+
 /// Lengths of the errors of corners.
 pub(crate) fn lengths(errors_px: &[[f64; 2]]) -> Markup {
     let mut bins = [0u32; ERROR_BINS];

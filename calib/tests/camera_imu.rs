@@ -2,10 +2,14 @@
 
 mod simulated_rig;
 
-use lsfb_calib::Target;
 use lsfb_calib::camera_imu::{
-    Axes, Board, CameraImuCalibration, CameraImuConfig, KnownCamera, Readout, calibrate_camera_imu,
+    Axes, Board, CameraImuCalibration, CameraImuConfig, JointCovariance, KnownCamera, Readout,
+    calibrate_camera_imu,
 };
+use lsfb_calib::joint::{JointConfig, join_transforms};
+use lsfb_calib::verify::Outcome;
+use lsfb_calib::{Target, TransformEdge};
+use lsfb_geometry::{Matrix6, Se3, Vector6};
 use lsfb_types::{ImuSample, Timestamp, no_progress};
 use simulated_rig::{GRID, Setup, Simulated, noise, simulate};
 
@@ -61,8 +65,96 @@ fn three_seeds_are_found_again() {
         {
             assert!((found - truth).abs() < 2e-4);
         }
+        assert_eq!(found.outcome(), Outcome::Pass);
+        assert!(found.board_scale_error.abs() < 2e-3);
+        for k in 0..3 {
+            let off = found.imu.accel_bias_m_s2[k] - simulated.accel_bias[k];
+            assert!(
+                off.abs() < 4.5 * found.imu.accel_bias_sigma_m_s2[k],
+                "{off}"
+            );
+            let off = found.gravity_in_target_m_s2[k] - simulated.gravity[k];
+            assert!(off.abs() < 4.5 * found.gravity_sigma_m_s2[k], "{off}");
+        }
         let page = found.to_html("Camera–IMU");
         assert!(page.contains("PASS.") && page.contains("clock, ms"));
+    }
+}
+
+/// Not a figure (that is `examples/simulated_rig.rs`), but the joint covariance is that of the errors.
+#[test]
+fn the_joint_covariance_holds_what_is_reported() {
+    let simulated = simulate(&Setup {
+        duration_s: 5.0,
+        ..Setup::default()
+    });
+    let found = calibrate(&simulated, &CameraImuConfig::default());
+    let JointCovariance { names, matrix } = &found.covariance;
+    assert_eq!(names.len(), 2 * (6 + 1 + 8) + 9);
+    let sigma = |name: &str| {
+        let row = names.iter().position(|n| n == name).expect(name);
+        matrix[(row, row)].sqrt()
+    };
+    for c in &found.cameras {
+        for (k, axis) in ["x", "y", "z"].iter().enumerate() {
+            let turn = sigma(&format!("{} turn {axis}", c.name));
+            assert!((turn / c.rotation_sigma_rad[k] - 1.0).abs() < 1e-12);
+        }
+        assert_eq!(
+            sigma(&format!("{} clock", c.name)),
+            c.rig_from_camera_sigma_s
+        );
+        for p in &c.lens {
+            assert_eq!(sigma(&format!("{} {}", c.name, p.name)), p.sigma);
+        }
+    }
+    assert_eq!(
+        sigma("gyroscope bias y"),
+        found.imu.gyro_bias_sigma_rad_s[1]
+    );
+    assert_eq!(
+        sigma("accelerometer bias z"),
+        found.imu.accel_bias_sigma_m_s2[2]
+    );
+    assert_eq!(sigma("gravity x"), found.gravity_sigma_m_s2[0]);
+}
+
+#[test]
+fn its_transforms_are_what_the_joint_graph_reads() {
+    let simulated = simulate(&Setup::default());
+    let found = calibrate(&simulated, &CameraImuConfig::default());
+    let folder = tempfile::tempdir().expect("folder");
+    let mut edges = Vec::new();
+    for edge in found.edges() {
+        let path = folder.path().join(format!("{}.json", edge.source));
+        std::fs::write(&path, edge.to_json()).expect("file");
+        edges.push(TransformEdge::read(&path).expect("own file"));
+    }
+    // A LiDAR that both cameras saw.
+    let imu_from_lidar = Se3::exp(&Vector6::new(0.1, -0.2, 0.3, 0.05, 0.06, -0.1));
+    for truth in &simulated.truth {
+        edges.push(TransformEdge {
+            target: format!("cam{}", edges.len() - 2),
+            source: "lidar".into(),
+            target_from_source: truth.camera_from_rig * imu_from_lidar,
+            covariance: Some(Matrix6::from_diagonal_element(1e-8)),
+        });
+    }
+    let joined = join_transforms(&edges, &JointConfig::default()).expect("joined");
+    assert!(joined.edges.iter().all(|e| e.measured && !e.outlier));
+    for (c, truth) in found.cameras.iter().zip(&simulated.truth) {
+        let sensor = joined.sensor(&c.name).expect("in the graph");
+        let off = truth.camera_from_rig * sensor.imu_from_sensor;
+        assert!(off.rotation.angle().to_degrees() < 0.02 && off.translation.norm() < 1e-3);
+        // The covariance turned with the transform: the camera's place is known as well as before.
+        let edge = found.edges().into_iter().find(|e| e.source == c.name);
+        let edge = edge.expect("its edge");
+        let covariance = edge.covariance.expect("measured");
+        let r = edge.target_from_source.rotation_matrix();
+        let place = r * covariance.fixed_view::<3, 3>(3, 3) * r.transpose();
+        for (k, sigma) in c.position_sigma_m.iter().enumerate() {
+            assert!((place[(k, k)].sqrt() / sigma - 1.0).abs() < 1e-9);
+        }
     }
 }
 
@@ -175,6 +267,27 @@ fn bad_input_is_named() {
         "{error_of_target}"
     );
 
+    // Tags as they should be, gaps that are not: corners are met, but badly.
+    let gaps = Target::AprilGrid {
+        columns: 6,
+        rows: 6,
+        tag_size_m: 0.088,
+        spacing_ratio: 0.36,
+    };
+    let found = calibrate_camera_imu(
+        &gaps,
+        &good.known(),
+        &good.imu,
+        &noise(),
+        &config,
+        &no_progress,
+    )
+    .expect("calibrated");
+    assert_eq!(found.outcome(), Outcome::Fail, "{:?}", found.verdict());
+    let named = |w: &String| w.contains("explained by gaps of 0.29") || w.contains("of 0.30");
+    assert!(found.warnings.iter().any(named), "{:?}", found.warnings);
+    assert!(found.to_html("page").contains("FAIL."));
+
     let mut swapped = good.known();
     let (left, right) = swapped.split_at_mut(1);
     std::mem::swap(&mut left[0].views.views, &mut right[0].views.views);
@@ -240,6 +353,42 @@ fn what_can_be_calibrated_all_the_same_is_warned_of() {
         "{:?}",
         found.warnings
     );
+
+    // All of the board larger than it is: only the accelerometer can tell.
+    let larger = Target::AprilGrid {
+        columns: 6,
+        rows: 6,
+        tag_size_m: 0.088 * 1.05,
+        spacing_ratio: 0.3,
+    };
+    let simulated = simulate(&Setup {
+        duration_s: 8.0,
+        ..Setup::default()
+    });
+    let found = calibrate_camera_imu(
+        &larger,
+        &simulated.known(),
+        &simulated.imu,
+        &noise(),
+        &config,
+        &no_progress,
+    )
+    .expect("calibrated");
+    let named = |w: &String| {
+        (w.contains("motion 0.95 times") || w.contains("motion 0.96 times"))
+            && w.contains("size of its tags")
+    };
+    assert!(found.warnings.iter().any(named), "{:?}", found.warnings);
+
+    let mut pushed = simulated.clone();
+    for (_, sample) in &mut pushed.imu {
+        let x = &mut sample.specific_force_m_s2[0];
+        *x = x.clamp(-1.5, 1.5);
+    }
+    let found = calibrate(&pushed, &config);
+    let named = |w: &String| w.contains("the accelerometer saturates along x");
+    assert!(found.warnings.iter().any(named), "{:?}", found.warnings);
+    assert_eq!(found.outcome(), Outcome::Warn);
 
     let mut saturated = simulate(&Setup {
         duration_s: 8.0,

@@ -54,6 +54,12 @@ fn opencv_stereo_pairs() {
         assert!(alone.rms_px <= bar, "{} {}", one.name, alone.rms_px);
     }
     assert!(calibration.rms_px <= 0.45);
+    for c in &calibration.cameras {
+        println!(
+            "{}: fx {:?}, {:?}, {:?}",
+            c.name, c.parameters[0], c.board, c.warnings
+        );
+    }
     let [left, right] = &calibration.cameras[..] else {
         panic!("two cameras")
     };
@@ -85,6 +91,12 @@ fn camodocal_fisheye() {
     let calibration =
         calibrate_cameras(&target, &[views], &config, &no_progress).expect("calibrated");
     assert!(calibration.rms_px <= 0.43, "{}", calibration.rms_px);
+    for c in &calibration.cameras {
+        println!(
+            "{}: fx {:?}, {:?}, {:?}",
+            c.name, c.parameters[0], c.board, c.warnings
+        );
+    }
     // All 63 images by other tools (EXPECTED.md).
     let parameters = &calibration.cameras[0].parameters;
     for (p, expected) in parameters.iter().zip([383.7, 384.8, 639.4, 477.4]) {
@@ -113,6 +125,12 @@ fn tum_vi_stereo_and_imu() {
     let config = CameraConfig::default();
     let lenses = calibrate_cameras(&TUM_VI_GRID, &both, &config, &no_progress).expect("calibrated");
     assert!(lenses.rms_px <= 0.2);
+    for c in &lenses.cameras {
+        println!(
+            "{}: fx {:?}, {:?}, {:?}",
+            c.name, c.parameters[0], c.board, c.warnings
+        );
+    }
 
     let known: Vec<KnownCamera> = both
         .into_iter()
@@ -135,6 +153,7 @@ fn tum_vi_stereo_and_imu() {
     let config = CameraImuConfig::default();
     let found = calibrate_camera_imu(&TUM_VI_GRID, &known, &imu, &noise, &config, &no_progress)
         .expect("calibrated");
+    println!("{:?} {:?}", found.gravity_in_target_m_s2, found.warnings);
     let official = official(&folder.join("../reference_calibration.json"));
     for (c, official) in found.cameras.iter().zip(official) {
         let off = c.camera_from_rig * official.inverse();

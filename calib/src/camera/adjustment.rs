@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use lsfb_geometry::{Camera, Se3, Vector2};
+use lsfb_geometry::{Camera, Se3, UnitQuaternion, Vector2, Vector3};
 use lsfb_solver::{Block, Kernel, Problem, SolveConfig, solve};
 use nalgebra::SVector;
 
@@ -47,6 +47,8 @@ const NEVER_OUTLIER_PX: f64 = 0.5;
 const MIN_CORNERS: usize = 8;
 /// Instants that two cameras must share.
 const MIN_SHARED: usize = 3;
+/// Spread of relative poses with the board turned by half a turn, as a share of that without, at which it is upside down.
+const UPSIDE_DOWN: f64 = 0.1;
 
 pub(super) fn adjust_each_then_all<'a>(
     target: &Target,
@@ -94,7 +96,7 @@ pub(super) fn adjust_each_then_all<'a>(
             .collect();
         let camera_from_first = match cameras.first() {
             None => Se3::identity(),
-            Some(first) => relative_pose(first, own, &poses, &seen)?,
+            Some(first) => relative_pose(target, first, own, &poses, &seen)?,
         };
         for (instant, pose) in &seen {
             poses
@@ -147,8 +149,20 @@ pub(crate) fn most_central(candidates: &[Se3]) -> Option<Se3> {
         .map(|c| *c.1)
 }
 
+/// Median distance of guesses of one pose from the one that agrees best with the others.
+fn spread(candidates: &[Se3]) -> f64 {
+    let Some(central) = most_central(candidates) else {
+        return f64::INFINITY;
+    };
+    let distance = |c: &Se3| (central.inverse() * *c).log().norm();
+    let mut distances: Vec<f64> = candidates.iter().map(distance).collect();
+    distances.sort_by(f64::total_cmp);
+    distances[distances.len() / 2]
+}
+
 /// Pose of the first camera in another: the one of all shared instants that agrees best with the others.
 fn relative_pose(
+    target: &Target,
     first: &Start,
     other: &Start,
     first_from_target: &BTreeMap<i64, Se3>,
@@ -158,6 +172,20 @@ fn relative_pose(
         .iter()
         .filter_map(|(t, pose)| Some(*pose * first_from_target.get(t)?.inverse()))
         .collect();
+    let turned: Vec<Se3> = other_from_target
+        .iter()
+        .filter_map(|(t, pose)| {
+            Some(*pose * half_turn(target) * first_from_target.get(t)?.inverse())
+        })
+        .collect();
+    if candidates.len() >= MIN_SHARED && spread(&turned) < UPSIDE_DOWN * spread(&candidates) {
+        return Err(Error::NotJoined {
+            first: first.views.name.clone(),
+            second: other.views.name.clone(),
+            problem: "they see the board from opposite ends: for one of them it is upside down, or one of them is mounted so. A checkerboard with an odd number of inner corners along one edge and an even one along the other tells its ends apart"
+                .into(),
+        });
+    }
     most_central(&candidates)
         .filter(|_| candidates.len() >= MIN_SHARED)
         .ok_or_else(|| Error::NotJoined {
@@ -168,6 +196,15 @@ fn relative_pose(
                 candidates.len()
             ),
         })
+}
+
+/// The board turned by half a turn about its middle, which a checkerboard hides.
+fn half_turn(target: &Target) -> Se3 {
+    let [width, height] = target.corners_size();
+    Se3::new(
+        UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI),
+        Vector3::new(width, height, 0.0),
+    )
 }
 
 fn adjust_robustly<'a>(

@@ -3,6 +3,7 @@
 use lsfb_geometry::{Rig, RigCamera, Se3};
 
 use super::CameraCalibration;
+use crate::TransformEdge;
 use crate::exchange::{ChainCamera, camera_chain};
 
 impl CameraCalibration {
@@ -28,6 +29,20 @@ impl CameraCalibration {
                 },
             );
         }
+    }
+
+    /// Poses of the first camera in the others for the joint graph, with their covariances; none for one camera.
+    pub fn edges(&self) -> Vec<TransformEdge> {
+        let Some((first, others)) = self.cameras.split_first() else {
+            return Vec::new();
+        };
+        let edge = |other: &super::CalibratedCamera| TransformEdge {
+            target: other.name.clone(),
+            source: first.name.clone(),
+            target_from_source: other.camera_from_first,
+            covariance: Some(other.pose_covariance),
+        };
+        others.iter().map(edge).collect()
     }
 
     /// Kalibr's camchain YAML. Kalibr's radtan has four coefficients: a `k3` is left out there.

@@ -16,7 +16,7 @@ mod views;
 use std::collections::BTreeMap;
 
 use lsfb_geometry::camera::LensModel;
-use lsfb_geometry::{Camera, Se3};
+use lsfb_geometry::{Camera, Matrix6, Se3};
 use lsfb_types::{Progress, ProgressFn};
 use serde::{Deserialize, Serialize};
 
@@ -24,11 +24,12 @@ use crate::Error;
 use crate::detect::Corner;
 use crate::target::Target;
 
+pub use crate::misfit::BoardDoubt;
 pub(crate) use adjustment::most_central;
 pub(crate) use corner_residual::{lens_camera, moved_by_pose};
 pub(crate) use guess::fit_lens;
 pub use guess::pose_of_target;
-pub(crate) use summary::cells;
+pub(crate) use summary::{CellErrors, cells};
 pub(crate) use views::last_number;
 pub use views::{views_from_folder, views_from_recording};
 
@@ -104,6 +105,9 @@ pub struct CalibratedCamera {
     /// Standard deviations of [`CalibratedCamera::camera_from_first`], rotation (rad) then translation (m); zero for the
     /// first.
     pub pose_sigma: [f64; 6],
+    /// Their covariance, by right perturbation.
+    #[serde(skip)]
+    pub pose_covariance: Matrix6<f64>,
     /// Images looked at.
     pub images: usize,
     /// Images in which the target was found.
@@ -124,6 +128,10 @@ pub struct CalibratedCamera {
     pub coverage: f64,
     /// Corners per cell, by rows from the upper left.
     pub cells: Vec<u32>,
+    /// Mean reprojection error (x, y) per cell without outliers, pixels.
+    pub cell_errors_px: Vec<[f64; 2]>,
+    /// The board as it would be if it were not flat, and what that would do to the focal length.
+    pub board: BoardDoubt,
     /// Reprojection errors (x, y) of all corners, pixels, in order.
     #[serde(skip)]
     pub errors_px: Vec<[f64; 2]>,

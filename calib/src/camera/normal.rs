@@ -1,4 +1,4 @@
-//! Standard deviations of lenses and camera poses, and what the views do not determine.
+//! Covariances of lenses and camera poses, and what the views do not determine.
 
 use lsfb_geometry::Se3;
 use nalgebra::{DMatrix, DVector, Matrix6, SMatrix};
@@ -8,10 +8,10 @@ use super::corner_residual::moved_by_pose;
 use crate::Error;
 use crate::target::Target;
 
-/// Variances of the parameters, for a residual variance of one.
-pub(super) struct Variances {
+/// Covariances of the parameters, for a residual variance of one.
+pub(super) struct Covariances {
     /// By camera: the lens parameters, then rotation and translation of its pose.
-    pub by_camera: Vec<Vec<f64>>,
+    pub by_camera: Vec<DMatrix<f64>>,
 }
 
 /// Tangent dimension of a pose.
@@ -20,7 +20,7 @@ const POSE: usize = 6;
 const SINGULAR: f64 = 1e-12;
 
 /// The normal matrix with the target's poses eliminated, inverted.
-pub(super) fn variances(target: &Target, solved: &Solved) -> Result<Variances, Error> {
+pub(super) fn covariances(target: &Target, solved: &Solved) -> Result<Covariances, Error> {
     let lens_count = solved
         .cameras
         .first()
@@ -72,7 +72,7 @@ pub(super) fn variances(target: &Target, solved: &Solved) -> Result<Variances, E
     invert(&normal, solved, lens_count)
 }
 
-fn invert(normal: &DMatrix<f64>, solved: &Solved, lens_count: usize) -> Result<Variances, Error> {
+fn invert(normal: &DMatrix<f64>, solved: &Solved, lens_count: usize) -> Result<Covariances, Error> {
     let per_camera = lens_count + POSE;
     // The first camera's pose is the frame of all: its rows are empty.
     let free: Vec<usize> = (0..normal.nrows())
@@ -99,22 +99,25 @@ fn invert(normal: &DMatrix<f64>, solved: &Solved, lens_count: usize) -> Result<V
             advice: "show the target tilted by 30° about both of its axes, near and far, and in every part of the image",
         });
     }
-    let mut variances = vec![0.0; normal.nrows()];
-    for (i, row) in free.iter().enumerate() {
+    let covariance = |i: usize, j: usize| {
         let sum: f64 = (0..free.len())
-            .map(|m| eigen.eigenvectors[(i, m)].powi(2) / eigen.eigenvalues[m])
+            .map(|m| eigen.eigenvectors[(i, m)] * eigen.eigenvectors[(j, m)] / eigen.eigenvalues[m])
             .sum();
-        variances[*row] = sum / (scale[i] * scale[i]);
+        sum / (scale[i] * scale[j])
+    };
+    let mut by_camera = vec![DMatrix::zeros(per_camera, per_camera); solved.cameras.len()];
+    for (i, row) in free.iter().enumerate() {
+        for (j, column) in free.iter().enumerate() {
+            if row / per_camera == column / per_camera {
+                by_camera[row / per_camera][(row % per_camera, column % per_camera)] =
+                    covariance(i, j);
+            }
+        }
     }
-    Ok(Variances {
-        by_camera: variances
-            .chunks_exact(per_camera.max(1))
-            .map(<[f64]>::to_vec)
-            .collect(),
-    })
+    Ok(Covariances { by_camera })
 }
 
-/// Number of parameters that [`variances`] is about, poses of the target included.
+/// Number of parameters that [`covariances`] is about, poses of the target included.
 pub(super) fn parameter_count(solved: &Solved) -> usize {
     let lenses: usize = solved
         .cameras

@@ -3,10 +3,23 @@
 use maud::{Markup, html};
 
 use super::{CalibratedCamera, CameraCalibration};
+use crate::misfit::FAILED_RMS_PX;
 use crate::plots::{self, LARGEST_SHOWN_PX};
 use crate::report;
+use crate::verify::Outcome;
 
 impl CameraCalibration {
+    /// Whether the result may be used: not where corners miss by more than any detector does.
+    pub fn outcome(&self) -> Outcome {
+        if self.cameras.iter().any(|c| c.inlier_rms_px > FAILED_RMS_PX) {
+            Outcome::Fail
+        } else if self.cameras.iter().any(|c| !c.warnings.is_empty()) {
+            Outcome::Warn
+        } else {
+            Outcome::Pass
+        }
+    }
+
     /// One sentence: whether the result may be trusted.
     pub fn verdict(&self) -> String {
         let warnings: usize = self.cameras.iter().map(|c| c.warnings.len()).sum();
@@ -19,11 +32,10 @@ impl CameraCalibration {
             "{cameras}, {views} views: corners are met to {:.2} px",
             self.rms_px
         );
-        match warnings {
-            0 => format!("PASS. {fits}; nothing speaks against this calibration."),
-            1 => format!("WARN. {fits}; one thing should be better."),
-            n => format!("WARN. {fits}; {n} things should be better."),
+        if self.outcome() == Outcome::Fail {
+            return format!("FAIL. {fits}: more than any detector leaves. Do not use it.");
         }
+        report::verdict(&fits, warnings)
     }
 
     /// The page: no script, no network.
@@ -47,6 +59,12 @@ fn section(c: &CalibratedCamera) -> Markup {
                 @if let Some(held_back) = c.held_back_rms_px { ", " (format!("{held_back:.3}")) " px on views held back" }
                 ")."
             }
+            p {
+                "Focal length if the board is flat: ± " (format!("{:.2}", 100.0 * c.parameters[0].sigma / c.parameters[0].value))
+                " %; if it may be bent by 2 mm and stretched by 0.1 %: ± " (format!("{:.2}", 100.0 * c.board.focal_sigma.hypot(c.parameters[0].sigma / c.parameters[0].value)))
+                " %, and " (format!("{:+.2}", 100.0 * c.board.focal_change)) " % with the bend of " (format!("{:.1} ± {:.1}", c.board.bend_m * 1e3, c.board.bend_sigma_m * 1e3))
+                " mm that these views make likely. Views tilted by 30° about both axes, near and far, tell focal length from distance."
+            }
             div.row {
                 table {
                     thead { tr { th { "parameter" } th { "value" } th { "σ" } } }
@@ -54,21 +72,34 @@ fn section(c: &CalibratedCamera) -> Markup {
                         @for p in &c.parameters {
                             tr { td { (p.name) } td { (format!("{:.5}", p.value)) } td { (format!("{:.5}", p.sigma)) } }
                         }
-                        @for (k, name) in ["roll", "pitch", "yaw"].iter().enumerate() {
-                            tr { td { (name) ", °" } td {} td { (format!("{:.4}", c.pose_sigma[k].to_degrees())) } }
-                        }
-                        @for (k, name) in ["x", "y", "z"].iter().enumerate() {
-                            tr {
-                                td { (name) ", mm" }
-                                td { (format!("{:.2}", c.camera_from_first.translation[k] * 1e3)) }
-                                td { (format!("{:.3}", c.pose_sigma[3 + k] * 1e3)) }
-                            }
-                        }
+                        @if c.pose_sigma != [0.0; 6] { (pose(c)) }
                     }
                 }
                 figure { (plots::coverage(&c.cells, [c.camera.width, c.camera.height])) figcaption { "Corners per part of the image" } }
-                figure { (plots::scatter(&c.errors_px)) figcaption { "Errors within ±" (LARGEST_SHOWN_PX) " px" } }
+                figure { (plots::vectors(&c.cell_errors_px, [c.camera.width, c.camera.height])) figcaption { "Mean error per part of the image, enlarged: the longest is " (format!("{:.2}", plots::longest(&c.cell_errors_px))) " px" } }
+                figure { (plots::scatter(&c.errors_px)) figcaption { "Errors of corners within ±" (LARGEST_SHOWN_PX) " px" } }
                 figure { (plots::lengths(&c.errors_px)) figcaption { "Length of the errors, 0 to " (LARGEST_SHOWN_PX) " px" } }
+            }
+        }
+    }
+}
+
+/// Rows of the first camera's pose in this one.
+fn pose(c: &CalibratedCamera) -> Markup {
+    let (roll, pitch, yaw) = c.camera_from_first.rotation.euler_angles();
+    html! {
+        @for (k, (name, value)) in [("roll", roll), ("pitch", pitch), ("yaw", yaw)].iter().enumerate() {
+            tr {
+                td { (name) ", °" }
+                td { (format!("{:.4}", value.to_degrees())) }
+                td { (format!("{:.4}", c.pose_sigma[k].to_degrees())) }
+            }
+        }
+        @for (k, name) in ["x", "y", "z"].iter().enumerate() {
+            tr {
+                td { (name) ", mm" }
+                td { (format!("{:.2}", c.camera_from_first.translation[k] * 1e3)) }
+                td { (format!("{:.3}", c.pose_sigma[3 + k] * 1e3)) }
             }
         }
     }

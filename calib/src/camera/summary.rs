@@ -2,16 +2,18 @@
 
 use std::collections::BTreeMap;
 
-use lsfb_geometry::{Camera, Vector2};
+use lsfb_geometry::{Camera, Matrix6, Vector2};
 use lsfb_solver::Kernel;
 
 use super::adjustment::{Freedom, Solved, Start};
-use super::normal::{Variances, parameter_count, variances};
+use super::normal::{Covariances, covariances, parameter_count};
 use super::{
-    COVERAGE_CELLS, CalibratedCamera, CameraCalibration, CameraConfig, CameraViews, Estimate,
+    BoardDoubt, COVERAGE_CELLS, CalibratedCamera, CameraCalibration, CameraConfig, CameraViews,
+    Estimate,
 };
 use crate::Error;
 use crate::clusters::{Clusters, share_of_board};
+use crate::misfit::{Diagnosis, SeenCorner, SeenView};
 use crate::target::Target;
 
 /// Relative standard deviation of a focal length above which it counts as not determined.
@@ -22,18 +24,24 @@ const LEAST_COVERAGE: f64 = 0.5;
 /// Errors of one camera over the views adjusted.
 struct Errors {
     all: Vec<[f64; 2]>,
+    by_cell: CellErrors,
     inlier_squares: f64,
     inliers: usize,
-    clusters: Clusters,
+    /// By view and part of the board, and by part of the image.
+    clusters: [Clusters; 2],
 }
 
 impl Errors {
     fn of(target: &Target, solved: &Solved, camera: usize) -> Self {
         let mut errors = Self {
             all: Vec::new(),
+            by_cell: CellErrors::new([
+                solved.cameras[camera].camera.width,
+                solved.cameras[camera].camera.height,
+            ]),
             inlier_squares: 0.0,
             inliers: 0,
-            clusters: Clusters::default(),
+            clusters: Default::default(),
         };
         for instant in &solved.cameras[camera].chosen {
             let counts = &solved.inliers[camera][instant];
@@ -45,8 +53,11 @@ impl Errors {
                 if *inlier {
                     errors.inlier_squares += error.norm_squared();
                     errors.inliers += 1;
+                    errors.by_cell.add(&corner.pixel, &error);
                     let share = share_of_board(target, &target.corner(corner.index));
-                    errors.clusters.add(*instant, share, &error);
+                    errors.clusters[0].add(*instant, share, &error);
+                    let place = cell(&corner.pixel, errors.by_cell.size_px);
+                    errors.clusters[1].add(place as i64, [0.0; 2], &error);
                 }
             }
         }
@@ -61,7 +72,7 @@ impl Solved<'_> {
         given: &[CameraViews],
         config: &CameraConfig,
     ) -> Result<CameraCalibration, Error> {
-        let variances = variances(target, self)?;
+        let covariances = covariances(target, self)?;
         let errors: Vec<Errors> = (0..self.cameras.len())
             .map(|k| Errors::of(target, self, k))
             .collect();
@@ -69,12 +80,23 @@ impl Solved<'_> {
         let count: usize = errors.iter().map(|e| e.inliers).sum();
         let freedom = (2 * count).saturating_sub(parameter_count(self)).max(1);
         // The spread of the residuals themselves says how good a corner is, their correlation how many it is worth.
-        let effect = errors.iter().map(|e| e.clusters.design_effect());
-        let variance = squares / freedom as f64 * effect.fold(1.0, f64::max);
+        let effects = errors.iter().flat_map(|e| &e.clusters);
+        let effect = effects.map(Clusters::design_effect).fold(1.0, f64::max);
+        let variance = squares / freedom as f64 * effect;
         let mut cameras = Vec::with_capacity(given.len());
         for (k, errors) in errors.into_iter().enumerate() {
             let held_back_rms_px = self.held_back(target, k, config)?;
-            cameras.push(self.camera(k, errors, &variances, variance, held_back_rms_px)?);
+            let mut camera = self.camera(k, errors, &covariances, variance, held_back_rms_px)?;
+            let rms_px = camera.inlier_rms_px;
+            let diagnosis = Diagnosis::new(
+                target,
+                &self.cameras[k].camera,
+                self.seen(target, k).collect(),
+            );
+            // What matters most comes first.
+            camera.warnings.splice(0..0, diagnosis.warning(rms_px));
+            camera.board = diagnosis.board(variance);
+            cameras.push(camera);
         }
         let (sum, n) = cameras.iter().fold((0.0, 0), |(sum, n), c| {
             (sum + c.rms_px * c.rms_px * c.corners as f64, n + c.corners)
@@ -90,21 +112,19 @@ impl Solved<'_> {
         &self,
         k: usize,
         errors: Errors,
-        variances: &Variances,
+        covariances: &Covariances,
         variance: f64,
         held_back_rms_px: Option<f64>,
     ) -> Result<CalibratedCamera, Error> {
         let start = &self.cameras[k];
         let lens = &start.camera.lens;
-        let sigmas: Vec<f64> = variances.by_camera[k]
-            .iter()
-            .map(|v| (v * variance).max(0.0).sqrt())
-            .collect();
+        let covariance = &covariances.by_camera[k] * variance;
+        let sigmas = covariance.map_diagonal(|v| v.max(0.0).sqrt());
         let names = lens.model().parameter_names();
         let parameters: Vec<Estimate> = names
             .iter()
             .zip(lens.parameters().values)
-            .zip(&sigmas)
+            .zip(sigmas.iter())
             .map(|((name, value), sigma)| Estimate {
                 name: (*name).to_owned(),
                 value,
@@ -150,16 +170,15 @@ impl Solved<'_> {
                 "views that were held back miss by {held_back:.2} px, those adjusted by {inlier_rms_px:.2} px: record more views"
             ));
         }
-        let pose_sigma = std::array::from_fn(|i| {
-            let at = lens.parameters().count + i;
-            sigmas.get(at).copied().unwrap_or_default()
-        });
+        let at = lens.parameters().count;
+        let pose_covariance = Matrix6::from_fn(|i, j| covariance[(at + i, at + j)]);
         Ok(CalibratedCamera {
             name: start.views.name.clone(),
             camera: start.camera,
             parameters,
             camera_from_first: start.camera_from_first,
-            pose_sigma,
+            pose_sigma: std::array::from_fn(|i| sigmas[at + i]),
+            pose_covariance,
             images: start.views.images,
             found: start.views.views.len(),
             views: start.chosen.len(),
@@ -170,8 +189,31 @@ impl Solved<'_> {
             held_back_rms_px,
             coverage,
             cells,
+            cell_errors_px: errors.by_cell.means(),
+            board: BoardDoubt::default(),
             errors_px: errors.all,
             warnings,
+        })
+    }
+
+    /// The corners that count, as the adjustment leaves them.
+    fn seen<'a>(&'a self, target: &'a Target, k: usize) -> impl Iterator<Item = SeenView> + 'a {
+        let start = &self.cameras[k];
+        start.chosen.iter().map(move |instant| {
+            let corners = start.views.views[instant].iter();
+            let inliers = corners.zip(&self.inliers[k][instant]);
+            SeenView {
+                time_s: 0.0,
+                camera_from_target: start.camera_from_first * self.first_from_target[instant],
+                corners: inliers
+                    .filter(|(_, inlier)| **inlier)
+                    .map(|(corner, _)| SeenCorner {
+                        point: target.corner(corner.index),
+                        pixel: corner.pixel,
+                        velocity_px_s: Vector2::zeros(),
+                    })
+                    .collect(),
+            }
         })
     }
 
@@ -223,23 +265,52 @@ impl Solved<'_> {
     }
 }
 
+/// Cell of the coverage map in which a pixel lies.
+fn cell(pixel: &Vector2<f64>, [width, height]: [u32; 2]) -> usize {
+    let [columns, rows] = COVERAGE_CELLS;
+    let place = |x: f64, size: u32, count: usize| {
+        let share = (x + 0.5) / f64::from(size) * count as f64;
+        (share.max(0.0) as usize).min(count - 1)
+    };
+    place(pixel.y, height, rows) * columns + place(pixel.x, width, columns)
+}
+
 /// Corners of all views per cell of the image, by rows from the upper left.
 pub(crate) fn cells(views: &CameraViews) -> Vec<u32> {
     let [columns, rows] = COVERAGE_CELLS;
     let mut cells = vec![0; columns * rows];
-    let cell = |p: &Vector2<f64>| {
-        let place = |x: f64, size: u32, count: usize| {
-            let share = (x + 0.5) / f64::from(size) * count as f64;
-            (share.max(0.0) as usize).min(count - 1)
-        };
-        place(p.y, views.height, rows) * columns + place(p.x, views.width, columns)
-    };
-    for corners in views.views.values() {
-        for corner in corners {
-            cells[cell(&corner.pixel)] += 1;
-        }
+    for corner in views.views.values().flatten() {
+        cells[cell(&corner.pixel, [views.width, views.height])] += 1;
     }
     cells
+}
+
+/// Errors per cell of the image.
+pub(crate) struct CellErrors {
+    size_px: [u32; 2],
+    cells: Vec<(Vector2<f64>, f64)>,
+}
+
+impl CellErrors {
+    pub fn new(size_px: [u32; 2]) -> Self {
+        let [columns, rows] = COVERAGE_CELLS;
+        Self {
+            size_px,
+            cells: vec![(Vector2::zeros(), 0.0); columns * rows],
+        }
+    }
+
+    pub fn add(&mut self, pixel: &Vector2<f64>, error_px: &Vector2<f64>) {
+        let (sum, count) = &mut self.cells[cell(pixel, self.size_px)];
+        *sum += error_px;
+        *count += 1.0;
+    }
+
+    /// The mean of each cell, zero where there is none.
+    pub fn means(&self) -> Vec<[f64; 2]> {
+        let mean = |(sum, count): &(Vector2<f64>, f64)| (sum / count.max(1.0)).into();
+        self.cells.iter().map(mean).collect()
+    }
 }
 
 /// Which parts of the image have the fewest corners, in words.

@@ -1,10 +1,12 @@
 use lsfb_geometry::camera::Lens;
 use lsfb_geometry::{Vector2, Vector3, Vector6};
 use lsfb_types::no_progress;
+use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
+use crate::verify::Outcome;
 
 const GRID: Target = Target::AprilGrid {
     columns: 6,
@@ -181,6 +183,28 @@ fn bad_input_is_named() {
     let error = run(&wrong, std::slice::from_ref(&good));
     assert!(error.contains("geometry is wrong"), "{error}");
 
+    // One camera that sees nothing.
+    let mut blind = other.clone();
+    blind.views.clear();
+    let error = run(&GRID, &[good.clone(), blind]);
+    assert!(
+        error.contains("cam1: the target was found in 0 of 20"),
+        "{error}"
+    );
+
+    // A board that looks alike from both ends, and one camera counts from the other one: tags last to first, corners of each
+    // by half a turn.
+    let mut turned = other.clone();
+    for corner in turned.views.values_mut().flatten() {
+        let (tag, of_tag) = (corner.index / 4, corner.index % 4);
+        corner.index = 4 * (35 - tag) + (of_tag + 2) % 4;
+    }
+    let error = run(&GRID, &[good.clone(), turned]);
+    assert!(
+        error.contains("cam1") && error.contains("upside down"),
+        "{error}"
+    );
+
     // Cameras that never saw the board at one time.
     let mut later = other;
     later.views = later
@@ -195,6 +219,72 @@ fn bad_input_is_named() {
     later.views = later.views.into_iter().map(|(t, v)| (t - 999, v)).collect();
     let error = run(&GRID, &[good, later]);
     assert!(error.contains("not triggered together"), "{error}");
+}
+
+#[test]
+fn corners_that_miss_by_more_than_a_detector_does_are_explained() {
+    let [good, other] = stereo(lenses()[1], 20, 0.6, 0.1, 3);
+    let spaced = |spacing_ratio: f64| Target::AprilGrid {
+        columns: 6,
+        rows: 6,
+        tag_size_m: 0.088,
+        spacing_ratio,
+    };
+    for (ratio, outcome) in [
+        (0.3, Outcome::Pass),
+        (0.312, Outcome::Warn),
+        (0.36, Outcome::Fail),
+    ] {
+        let both = [good.clone(), other.clone()];
+        let config = CameraConfig::default();
+        let found =
+            calibrate_cameras(&spaced(ratio), &both, &config, &no_progress).expect("calibrated");
+        assert_eq!(found.outcome(), outcome, "{ratio}: {}", found.verdict());
+        for camera in &found.cameras {
+            let named =
+                |w: &String| w.contains("explained by gaps of 0.29") || w.contains("of 0.30");
+            assert_eq!(
+                camera.warnings.iter().any(named),
+                ratio != 0.3,
+                "{:?}",
+                camera.warnings
+            );
+        }
+        assert!(found.to_html("page").contains(outcome.name()));
+    }
+
+    // A fisheye is not a pinhole.
+    let model = LensModel::PinholeRadtan;
+    let [wide, _] = stereo(lenses()[4], 30, 0.6, 0.1, 3);
+    let found = calibrate_cameras(&GRID, &[wide], &config(model), &no_progress);
+    let found = found.expect("calibrated");
+    assert_ne!(found.outcome(), Outcome::Pass, "{}", found.verdict());
+    let warnings = &found.cameras[0].warnings;
+    assert!(warnings[0].contains("lens"), "{warnings:?}");
+}
+
+#[test]
+fn the_order_of_corners_and_other_cameras_does_not_matter() {
+    let [first, second] = stereo(lenses()[1], 15, 0.6, 0.1, 9);
+    let [_, mut third] = stereo(lenses()[1], 15, 0.6, 0.1, 9);
+    third.name = "cam2".into();
+    for corner in third.views.values_mut().flatten() {
+        corner.pixel.x += 0.01 * (corner.index % 7) as f64;
+    }
+    let run = |views: &[CameraViews]| {
+        calibrate_cameras(&GRID, views, &CameraConfig::default(), &no_progress).expect("calibrated")
+    };
+    let straight = run(&[first.clone(), second.clone(), third.clone()]);
+    for seed in 0..4 {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut shuffled = [first.clone(), third.clone(), second.clone()];
+        for corners in shuffled.iter_mut().flat_map(|v| v.views.values_mut()) {
+            corners.shuffle(&mut rng);
+        }
+        let mut again = run(&shuffled);
+        again.cameras.swap(1, 2);
+        assert_eq!(again, straight);
+    }
 }
 
 #[test]

@@ -34,6 +34,7 @@ pub(super) fn before(
         ("max_offset_s", config.max_offset_s),
         ("max_drift_s", config.max_drift_s),
         ("gravity_m_s2", config.gravity_m_s2),
+        ("gravity_sigma_m_s2", config.gravity_sigma_m_s2),
     ];
     if let Some((name, value)) = positive
         .into_iter()

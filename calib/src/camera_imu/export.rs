@@ -2,8 +2,10 @@
 
 use lsfb_geometry::Rig;
 
-use super::CameraImuCalibration;
+use super::{CameraImuCalibration, CameraOnImu};
+use crate::TransformEdge;
 use crate::exchange::{ChainCamera, camera_chain};
+use crate::joint::IMU;
 
 impl CameraImuCalibration {
     /// Lenses, poses, clocks and shutters put into `rig`, for those of its cameras that were calibrated.
@@ -16,6 +18,23 @@ impl CameraImuCalibration {
                 mounted.timing.readout_s = found.readout_s;
             }
         }
+    }
+
+    /// Poses of the cameras in the IMU for the joint graph, with their covariances.
+    pub fn edges(&self) -> Vec<TransformEdge> {
+        let edge = |found: &CameraOnImu| {
+            // (T exp δ)⁻¹ = T⁻¹ exp(−Ad_T δ)
+            let by = found.camera_from_rig.adjoint();
+            let covariance = by * found.covariance * by.transpose();
+            TransformEdge {
+                target: IMU.to_owned(),
+                source: found.name.clone(),
+                target_from_source: found.camera_from_rig.inverse(),
+                // Symmetric to the last bit, as files of transforms want it.
+                covariance: Some((covariance + covariance.transpose()) * 0.5),
+            }
+        };
+        self.cameras.iter().map(edge).collect()
     }
 
     /// Kalibr's `camchain-imucam.yaml`.

@@ -25,6 +25,7 @@ use lsfb_types::{ImuSample, Progress, ProgressFn, Timestamp};
 use serde::{Deserialize, Serialize};
 
 pub use table::read_imu_table;
+pub use uncertainty::JointCovariance;
 
 use crate::Error;
 use crate::camera::{CameraViews, Estimate};
@@ -115,6 +116,9 @@ pub struct CameraImuConfig {
     pub max_drift_s: f64,
     /// Magnitude of gravity, m/s².
     pub gravity_m_s2: f64,
+    /// Its standard deviation, m/s². The default is for a place whose gravity is given; between equator (9.780) and poles
+    /// (9.832) the standard one is off by up to 0.03.
+    pub gravity_sigma_m_s2: f64,
     /// Least angular rate (rms) about each axis, rad/s.
     pub min_rate_rad_s: f64,
     /// Every so-manieth view is used.
@@ -136,6 +140,7 @@ impl Default for CameraImuConfig {
             max_offset_s: 0.3,
             max_drift_s: 0.005,
             gravity_m_s2: 9.80665,
+            gravity_sigma_m_s2: 1e-3,
             min_rate_rad_s: 0.1,
             view_step: 1,
             hold_back_every: 10,
@@ -184,6 +189,8 @@ pub struct CameraOnImu {
     pub coverage: f64,
     /// Corners per cell, by rows from the upper left.
     pub cells: Vec<u32>,
+    /// Mean reprojection error (x, y) per cell, pixels.
+    pub cell_errors_px: Vec<[f64; 2]>,
     /// Reprojection errors (x, y) of the corners used, pixels, in order.
     #[serde(skip)]
     pub errors_px: Vec<[f64; 2]>,
@@ -192,13 +199,13 @@ pub struct CameraOnImu {
 /// The IMU as found.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FoundImu {
-    /// Bias of the gyroscope, mean over the recording, rad/s.
+    /// Bias of the gyroscope in the middle of the recording, rad/s.
     pub gyro_bias_rad_s: [f64; 3],
-    /// Standard deviations in the middle of the recording.
+    /// Its standard deviations.
     pub gyro_bias_sigma_rad_s: [f64; 3],
-    /// Bias of the accelerometer, mean over the recording, m/s².
+    /// Bias of the accelerometer in the middle of the recording, m/s².
     pub accel_bias_m_s2: [f64; 3],
-    /// Standard deviations in the middle of the recording.
+    /// Its standard deviations.
     pub accel_bias_sigma_m_s2: [f64; 3],
     /// `measured = matrix · true + bias` of the gyroscope; one where axes were not searched.
     #[serde(skip)]
@@ -232,6 +239,10 @@ pub struct CameraImuCalibration {
     pub imu: FoundImu,
     /// Gravity in the target's frame, m/s².
     pub gravity_in_target_m_s2: [f64; 3],
+    /// Its standard deviations.
+    pub gravity_sigma_m_s2: [f64; 3],
+    /// How much larger than the board its file says the accelerometer finds it, as a share of its size.
+    pub board_scale_error: f64,
     /// How far a corner lies out of the board's plane at most, metres.
     pub board_bend_m: f64,
     /// Its standard deviation, metres.
@@ -239,6 +250,9 @@ pub struct CameraImuCalibration {
     /// The motion.
     #[serde(skip)]
     pub motion: Motion,
+    /// How all of it varies together.
+    #[serde(skip)]
+    pub covariance: JointCovariance,
     /// What should be recorded better, in words.
     pub warnings: Vec<String>,
 }
@@ -326,7 +340,7 @@ pub fn calibrate_camera_imu(
     }
     show(ROUNDS);
     let uncertainty = state.uncertainty(config)?;
-    let mut calibration = state.report(target, config, &held_back, &uncertainty);
+    let mut calibration = state.report(target, config, &held_back, uncertainty);
     // Back into the order given.
     let mut places: Vec<usize> = (0..order.len()).collect();
     places.sort_by_key(|k| order[*k]);

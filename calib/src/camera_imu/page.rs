@@ -2,11 +2,25 @@
 
 use maud::{Markup, html};
 
+use super::report::POOR_AXIS;
 use super::{CameraImuCalibration, CameraOnImu, FoundImu};
+use crate::misfit::FAILED_RMS_PX;
 use crate::plots::{self, LARGEST_SHOWN_PX};
-use crate::report;
+use crate::report::{self, Bar};
+use crate::verify::Outcome;
 
 impl CameraImuCalibration {
+    /// Whether the result may be used: not where corners miss by more than any detector does.
+    pub fn outcome(&self) -> Outcome {
+        if self.cameras.iter().any(|c| c.rms_px > FAILED_RMS_PX) {
+            Outcome::Fail
+        } else if self.warnings.is_empty() {
+            Outcome::Pass
+        } else {
+            Outcome::Warn
+        }
+    }
+
     /// One sentence: whether the result may be trusted.
     pub fn verdict(&self) -> String {
         let rms: Vec<String> = self
@@ -20,28 +34,60 @@ impl CameraImuCalibration {
             self.imu.gyro_ratio,
             self.imu.accel_ratio
         );
-        match self.warnings.len() {
-            0 => format!("PASS. {fits}; nothing speaks against this calibration."),
-            1 => format!("WARN. {fits}; one thing should be better."),
-            n => format!("WARN. {fits}; {n} things should be better."),
+        if self.outcome() == Outcome::Fail {
+            return format!("FAIL. {fits}: more than any detector leaves. Do not use it.");
         }
+        report::verdict(&fits, self.warnings.len())
     }
 
     /// The page: no script, no network.
     pub fn to_html(&self, title: &str) -> String {
         let body = html! {
-                    @for warning in &self.warnings { p.warning { (warning) } }
-                    @for camera in &self.cameras { (section(camera)) }
-        @if self.board_bend_sigma_m > 0.0 {
-                        p { "Corners lie up to " (format!("{:.2} ± {:.2}", self.board_bend_m * 1e3, self.board_bend_sigma_m * 1e3)) " mm out of the board's plane." }
+            @for camera in &self.cameras { (section(camera)) }
+            (imu(&self.imu))
+            (self.board())
+        };
+        report::page(title, &self.verdict(), &self.warnings, &body)
+    }
+
+    fn board(&self) -> Markup {
+        let g = &self.gravity_in_target_m_s2;
+        html! {
+            section {
+                h2 { "Board" }
+                table {
+                    thead { tr { th { "parameter" } th { "value" } th { "σ" } } }
+                    tbody {
+                        @for (k, axis) in AXES.iter().enumerate() {
+                            tr {
+                                td { "gravity along its " (axis) ", m/s²" }
+                                td { (format!("{:+.4}", g[k])) }
+                                td { (format!("{:.4}", self.gravity_sigma_m_s2[k])) }
+                            }
+                        }
+                        tr {
+                            td { "size by the accelerometer, beside its file's" }
+                            td { (format!("{:+.2} %", self.board_scale_error * 100.0)) }
+                            td {}
+                        }
+                        @if self.board_bend_sigma_m > 0.0 {
+                            tr {
+                                td { "farthest corner out of its plane, mm" }
+                                td { (format!("{:.2}", self.board_bend_m * 1e3)) }
+                                td { (format!("{:.2}", self.board_bend_sigma_m * 1e3)) }
+                            }
+                        }
                     }
-                    (imu(&self.imu))
-                };
-        report::page(title, &self.verdict(), &[], &body)
+                }
+            }
+        }
     }
 }
 
+const AXES: [&str; 3] = ["x", "y", "z"];
+
 fn section(c: &CameraOnImu) -> Markup {
+    let (roll, pitch, yaw) = c.camera_from_rig.inverse().rotation.euler_angles();
     let place_mm = c.camera_from_rig.inverse().translation * 1e3;
     html! {
         section {
@@ -56,10 +102,14 @@ fn section(c: &CameraOnImu) -> Markup {
                 table {
                     thead { tr { th { "parameter" } th { "value" } th { "σ" } } }
                     tbody {
-                        @for (k, axis) in ["x", "y", "z"].iter().enumerate() {
-                            tr { td { "turn about " (axis) ", °" } td {} td { (format!("{:.4}", c.rotation_sigma_rad[k].to_degrees())) } }
+                        @for (k, (name, angle)) in [("roll", roll), ("pitch", pitch), ("yaw", yaw)].iter().enumerate() {
+                            tr {
+                                td { (name) ", °" }
+                                td { (format!("{:.4}", angle.to_degrees())) }
+                                td { (format!("{:.4}", c.rotation_sigma_rad[k].to_degrees())) }
+                            }
                         }
-                        @for (k, axis) in ["x", "y", "z"].iter().enumerate() {
+                        @for (k, axis) in AXES.iter().enumerate() {
                             tr {
                                 td { "place " (axis) ", mm" }
                                 td { (format!("{:.2}", place_mm[k])) }
@@ -84,7 +134,8 @@ fn section(c: &CameraOnImu) -> Markup {
                     }
                 }
                 figure { (plots::coverage(&c.cells, [c.camera.width, c.camera.height])) figcaption { "Corners per part of the image" } }
-                figure { (plots::scatter(&c.errors_px)) figcaption { "Errors within ±" (LARGEST_SHOWN_PX) " px" } }
+                figure { (plots::vectors(&c.cell_errors_px, [c.camera.width, c.camera.height])) figcaption { "Mean error per part of the image, enlarged: the longest is " (format!("{:.2}", plots::longest(&c.cell_errors_px))) " px" } }
+                figure { (plots::scatter(&c.errors_px)) figcaption { "Errors of corners within ±" (LARGEST_SHOWN_PX) " px" } }
                 figure { (plots::lengths(&c.errors_px)) figcaption { "Length of the errors, 0 to " (LARGEST_SHOWN_PX) " px" } }
             }
         }
@@ -92,15 +143,14 @@ fn section(c: &CameraOnImu) -> Markup {
 }
 
 fn imu(imu: &FoundImu) -> Markup {
-    let axes = ["x", "y", "z"];
     html! {
         section {
             h2 { "IMU" }
             div.row {
                 table {
-                    thead { tr { th { "axis" } th { "turning, rad/s rms" } th { "pushing, m/s² rms" } th { "gyroscope bias, rad/s" } th { "σ" } th { "accelerometer bias, m/s²" } th { "σ" } } }
+                    thead { tr { th { "axis" } th { "turning, rad/s rms" } th { "pushing, m/s² rms" } th { "gyroscope bias, rad/s" } th { "σ" } th { "accelerometer bias, m/s²" } th { "σ" } th { "advice" } } }
                     tbody {
-                        @for (k, axis) in axes.iter().enumerate() {
+                        @for (k, axis) in AXES.iter().enumerate() {
                             tr {
                                 td { (axis) }
                                 td { (format!("{:.2}", imu.rate_rms_rad_s[k])) }
@@ -109,6 +159,7 @@ fn imu(imu: &FoundImu) -> Markup {
                                 td { (format!("{:.5}", imu.gyro_bias_sigma_rad_s[k])) }
                                 td { (format!("{:+.4}", imu.accel_bias_m_s2[k])) }
                                 td { (format!("{:.4}", imu.accel_bias_sigma_m_s2[k])) }
+                                td { @if poor(&imu.rate_rms_rad_s, k) { "rotate more around " (axis) } @else { "enough" } }
                             }
                         }
                     }
@@ -123,9 +174,29 @@ fn imu(imu: &FoundImu) -> Markup {
                         }
                     }
                 }
+                figure { (excitation(&imu.rate_rms_rad_s)) figcaption { "Turning about x, y and z, rad/s rms" } }
+                figure { (excitation(&imu.force_rms_m_s2)) figcaption { "Pushing along x, y and z, m/s² rms" } }
                 figure { (plots::histogram(&imu.gyro_histogram)) figcaption { "Gyroscope's residuals, ±5 times the stated noise" } }
                 figure { (plots::histogram(&imu.accel_histogram)) figcaption { "Accelerometer's residuals, ±5 times the stated noise" } }
             }
         }
     }
+}
+
+/// Whether an axis is turned about far less than the one most turned about.
+fn poor(rate_rms: &[f64; 3], axis: usize) -> bool {
+    let most = rate_rms.iter().copied().fold(0.0, f64::max);
+    rate_rms[axis] * POOR_AXIS < most
+}
+
+fn excitation(rms: &[f64; 3]) -> Markup {
+    let bars: Vec<Bar> = AXES
+        .iter()
+        .zip(rms)
+        .map(|(axis, value)| Bar {
+            label: (*axis).to_owned(),
+            value: *value,
+        })
+        .collect();
+    report::bars(&bars)
 }

@@ -22,8 +22,6 @@ const OUTLIER_RATIO: f64 = 5.0;
 const MAX_MEDIAN_PX: f64 = 3.0;
 /// Corners a view needs.
 const MIN_CORNERS: usize = 8;
-/// Standard deviation of gravity's magnitude, m/s².
-const GRAVITY_SIGMA_M_S2: f64 = 1e-3;
 /// Standard deviation of how far the middle of an edge is bent out of the board's plane, metres.
 const BEND_SIGMA_M: f64 = 2e-3;
 /// Standard deviation of what printers stretch and shear.
@@ -101,7 +99,7 @@ impl State {
         self.add_samples(&mut problem, &blocks)?;
         let norm = GravityNorm {
             expected_m_s2: config.gravity_m_s2,
-            inverse_sigma: 1.0 / GRAVITY_SIGMA_M_S2,
+            inverse_sigma: 1.0 / config.gravity_sigma_m_s2,
         };
         problem.add_residual(norm, &[blocks.gravity.id()], Kernel::Squared)?;
         Ok((problem, blocks))

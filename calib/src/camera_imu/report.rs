@@ -1,14 +1,15 @@
 //! From the batch to what is told about it.
 
-use lsfb_geometry::{Vector3, spline};
+use lsfb_geometry::{Se3, Vector2, Vector3, spline};
 use nalgebra::{RowSVector, SMatrix};
 
 use super::bend::{BEND, bends};
 use super::inertial::{accel_matrix, gyro_matrix};
-use super::start::State;
+use super::start::{State, View};
 use super::uncertainty::Uncertainty;
 use super::{Axes, CameraImuCalibration, CameraImuConfig, CameraOnImu, FoundImu, ORDER, checks};
-use crate::camera::Estimate;
+use crate::camera::{CellErrors, Estimate};
+use crate::misfit::{Diagnosis, SeenCorner, SeenView};
 use crate::target::Target;
 
 /// Residual of the IMU, as a multiple of its noise, above which something is wrong with it.
@@ -23,7 +24,10 @@ const MOST_OUTLIERS: f64 = 0.05;
 const WORRYING_POSITION_M: f64 = 0.002;
 const WORRYING_CLOCK_S: f64 = 0.0005;
 /// Times by which the axis least moved about falls behind the one most moved about when it gets the blame.
-const POOR_AXIS: f64 = 4.0;
+pub(super) const POOR_AXIS: f64 = 4.0;
+/// Difference between the board's size and the accelerometer's above which a warning is due: accelerometers keep their scale
+/// within a percent.
+const WORRYING_SCALE: f64 = 0.02;
 /// Residuals of the IMU in bins, as multiples of its noise.
 const BINS: usize = 40;
 const BIN: f64 = 0.25;
@@ -32,6 +36,8 @@ const BIN: f64 = 0.25;
 struct Inertial {
     ratio: [f64; 2],
     histogram: [Vec<u32>; 2],
+    /// How much larger the accelerometer finds the motion than the views do, as a share.
+    scale_error: f64,
 }
 
 impl State {
@@ -58,11 +64,11 @@ impl State {
         target: &Target,
         config: &CameraImuConfig,
         held_back: &[Option<f64>],
-        uncertainty: &Uncertainty,
+        uncertainty: Uncertainty,
     ) -> CameraImuCalibration {
         let inertial = self.inertial();
         let cameras: Vec<CameraOnImu> = (0..self.cameras.len())
-            .map(|k| self.camera(k, held_back[k], uncertainty))
+            .map(|k| self.camera(k, held_back[k], &uncertainty))
             .collect();
         let mut warnings = self.warnings.clone();
         warnings.extend(checks::upside_down(target, &self.gravity));
@@ -73,10 +79,23 @@ impl State {
                 ));
             }
         }
-        for camera in &cameras {
+        let mut moves = [0.0, f64::MIN_POSITIVE];
+        for (k, camera) in cameras.iter().enumerate() {
+            let diagnosis = Diagnosis::new(target, &camera.camera, self.seen(k).collect());
+            let misses = diagnosis.warning(camera.rms_px);
+            warnings.extend(misses.map(|w| format!("{}: {w}", camera.name)));
             warnings.extend(self.warnings_of(camera));
+            let [together, alone] = diagnosis.motion();
+            moves = [moves[0] + together, moves[1] + alone];
         }
-        let mean = |bias: &[Vector3<f64>]| bias.iter().sum::<Vector3<f64>>() / bias.len() as f64;
+        // The motion lies between what the views say and what the accelerometer says.
+        let scale = (1.0 + inertial.scale_error) / (1.0 + moves[0] / moves[1]);
+        if (scale - 1.0).abs() > WORRYING_SCALE {
+            warnings.push(format!(
+                "the accelerometer finds the motion {scale:.2} times as large as the board's file makes it: the size of its tags or squares is wrong by as much, or the accelerometer's scale is"
+            ));
+        }
+        let middle = self.middle_bias();
         let axes = match config.axes {
             Axes::Ideal => vec![],
             Axes::Estimated => self.axes(&uncertainty.axes),
@@ -93,9 +112,9 @@ impl State {
         CameraImuCalibration {
             cameras,
             imu: FoundImu {
-                gyro_bias_rad_s: mean(&self.gyro_bias).into(),
+                gyro_bias_rad_s: self.gyro_bias[middle].into(),
                 gyro_bias_sigma_rad_s: uncertainty.gyro_bias.into(),
-                accel_bias_m_s2: mean(&self.accel_bias).into(),
+                accel_bias_m_s2: self.accel_bias[middle].into(),
                 accel_bias_sigma_m_s2: uncertainty.accel_bias.into(),
                 gyro_matrix: gyro_matrix(&self.gyro_axes),
                 accel_matrix: accel_matrix(&self.accel_axes),
@@ -108,9 +127,12 @@ impl State {
                 force_rms_m_s2: self.force_rms.into(),
             },
             gravity_in_target_m_s2: self.gravity.into(),
+            gravity_sigma_m_s2: uncertainty.gravity.into(),
+            board_scale_error: scale - 1.0,
             board_bend_m,
             board_bend_sigma_m,
             motion: self.motion,
+            covariance: uncertainty.joint,
             warnings,
         }
     }
@@ -141,11 +163,16 @@ impl State {
         let camera = &self.cameras[k];
         let own = &uncertainty.cameras[k];
         let (mut views, mut outliers, mut errors_px) = (0, 0, Vec::new());
+        let mut by_cell = CellErrors::new([camera.camera.width, camera.camera.height]);
         for view in self.views.iter().filter(|v| v.camera == k) {
             let before = errors_px.len();
-            for (error, inlier) in self.errors_px(view).into_iter().zip(&view.inliers) {
+            let errors = self.errors_px(view).into_iter().zip(&view.inliers);
+            for ((error, inlier), (_, pixel)) in errors.zip(&view.corners) {
                 match error.filter(|_| *inlier) {
-                    Some(e) => errors_px.push([e.x, e.y]),
+                    Some(e) => {
+                        errors_px.push([e.x, e.y]);
+                        by_cell.add(pixel, &e);
+                    }
                     None => outliers += 1,
                 }
             }
@@ -182,8 +209,48 @@ impl State {
             outliers,
             coverage: seen as f64 / camera.cells.len().max(1) as f64,
             cells: camera.cells.clone(),
+            cell_errors_px: by_cell.means(),
             errors_px,
         }
+    }
+
+    /// The corners of a camera that count, as the adjustment leaves them.
+    fn seen(&self, k: usize) -> impl Iterator<Item = SeenView> + '_ {
+        let own = self.views.iter().filter(move |v| v.camera == k);
+        own.filter_map(move |view| self.seen_view(view))
+    }
+
+    fn seen_view(&self, view: &View) -> Option<SeenView> {
+        let camera = &self.cameras[view.camera];
+        let at = self.at(view.stamp_s + camera.offset_s)?;
+        let rig_from_target = at.target_from_rig().inverse();
+        let camera_from_target = camera.camera_from_rig * rig_from_target;
+        let corners = view.corners.iter().zip(&view.inliers);
+        let corners = corners
+            .filter(|(_, inlier)| **inlier)
+            .filter_map(|((point, pixel), _)| {
+                // Points of the board move against the rig by −ω × x − Rᵀ v.
+                let point = self.bent(point);
+                let in_rig = rig_from_target * point;
+                let by_rig = -at.rotation.angular_velocity.cross(&in_rig)
+                    - rig_from_target.rotation * at.position.velocity;
+                let in_camera = camera.camera_from_rig * in_rig;
+                let seen = camera.camera.project_with_jacobian(&in_camera)?;
+                let turned = camera.camera_from_rig.rotation * by_rig;
+                let velocity_px_s: Vector2<f64> = seen.pixel_by_point * turned;
+                Some(SeenCorner {
+                    point,
+                    // At the view's own time.
+                    pixel: pixel - velocity_px_s * camera.row_s(pixel),
+                    velocity_px_s,
+                })
+            })
+            .collect();
+        Some(SeenView {
+            time_s: view.stamp_s + camera.offset_s,
+            camera_from_target,
+            corners,
+        })
     }
 
     fn warnings_of(&self, c: &CameraOnImu) -> Vec<String> {
@@ -262,16 +329,14 @@ impl State {
         let mut squares = [0.0; 2];
         let mut count = [0.0; 2];
         let mut histogram = [vec![0; BINS], vec![0; BINS]];
+        let (mut misses, mut moves) = (0.0, 0.0);
         let matrices = [gyro_matrix(&self.gyro_axes), accel_matrix(&self.accel_axes)];
         for sample in &self.samples {
-            let Some(segment) = self.segment(sample.time_s) else {
-                continue;
-            };
-            let range = segment.first..segment.first + ORDER;
-            let motion = &self.motion;
-            let rotation = spline::rotation(&segment.weights, &motion.rotations[range.clone()]);
-            let position = spline::position(&segment.weights, &motion.positions[range]);
-            let Some((r, p)) = rotation.zip(position) else {
+            let Some(At {
+                rotation: r,
+                position: p,
+            }) = self.at(sample.time_s)
+            else {
                 continue;
             };
             let (first, share) = self.bias_place(sample.time_s);
@@ -282,6 +347,11 @@ impl State {
                     / self.gyro_sigma,
                 (matrices[1] * force + bias(&self.accel_bias) - sample.accel) / self.accel_sigma,
             ];
+            let acceleration = r.rotation.inverse() * p.acceleration;
+            for axis in (0..3).filter(|axis| !sample.accel_saturated[*axis]) {
+                misses -= errors[1][axis] * self.accel_sigma * acceleration[axis];
+                moves += acceleration[axis] * acceleration[axis];
+            }
             let ends = [&sample.gyro_saturated, &sample.accel_saturated];
             for triad in 0..2 {
                 for axis in (0..3).filter(|axis| !ends[triad][*axis]) {
@@ -296,6 +366,31 @@ impl State {
         Inertial {
             ratio: [0, 1].map(|k| (squares[k] / f64::max(count[k], 1.0)).sqrt()),
             histogram,
+            scale_error: misses / f64::max(moves, 1e-12),
         }
+    }
+
+    /// The motion at a time; `None` outside the recording.
+    fn at(&self, time_s: f64) -> Option<At> {
+        let segment = self.segment(time_s)?;
+        let range = segment.first..segment.first + ORDER;
+        let motion = &self.motion;
+        let rotations = motion.rotations.get(range.clone())?;
+        Some(At {
+            rotation: spline::rotation(&segment.weights, rotations)?,
+            position: spline::position(&segment.weights, motion.positions.get(range)?)?,
+        })
+    }
+}
+
+/// Where the rig is and how it moves.
+struct At {
+    rotation: spline::SplineRotation,
+    position: spline::SplinePosition,
+}
+
+impl At {
+    fn target_from_rig(&self) -> Se3 {
+        Se3::new(self.rotation.rotation, self.position.position)
     }
 }

@@ -195,7 +195,11 @@ impl State {
             .map(|s| nearest(&path, origin.plus_secs(s.time_s)).rotation * s.accel)
             .sum();
         let gravity = -force.try_normalize(1e-9).unwrap_or_else(Vector3::z) * config.gravity_m_s2;
-        let spans = ((end_s - start_s) / config.bias_spacing_s).ceil().max(1.0);
+        // An even number: one control point lies in the middle.
+        let spans = 2.0
+            * (0.5 * (end_s - start_s) / config.bias_spacing_s)
+                .ceil()
+                .max(1.0);
         let biases = vec![Vector3::zeros(); spans as usize + 1];
         // Sample noise of white noise with a density: density over the root of the interval.
         let per_sample = 1.0 / interval_s.sqrt();

@@ -1,14 +1,26 @@
 //! Standard deviations of everything that is reported.
 
+use lsfb_geometry::camera::MAX_PARAMETERS;
 use lsfb_geometry::{Matrix6, Se3, Vector3, so3};
 use lsfb_solver::{BlockId, covariance};
-use nalgebra::{Matrix3, SMatrix};
+use nalgebra::{DMatrix, Matrix3, SMatrix};
 
 use super::bend::BEND;
-use super::problem::Effort;
+use super::problem::{Blocks, Effort};
 use super::start::State;
 use super::{Axes, Board, CameraImuConfig, Lenses, Readout};
 use crate::Error;
+
+/// Joint covariance of what was found. Poses of cameras are there as right perturbations of `camera_from_rig`, biases as those
+/// in the middle of the recording, gravity in the target's frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JointCovariance {
+    /// What each row is: `cam0 turn x`, `cam0 shift x`, `cam0 clock`, `cam0 fx`, `cam0 readout`, `gyroscope bias x`,
+    /// `accelerometer bias x`, `gravity x`; cameras by name.
+    pub names: Vec<String>,
+    /// The covariance, in SI units and pixels.
+    pub matrix: DMatrix<f64>,
+}
 
 /// Standard deviations of one camera.
 pub(super) struct OfCamera {
@@ -24,36 +36,33 @@ pub(super) struct Uncertainty {
     pub cameras: Vec<OfCamera>,
     pub gyro_bias: Vector3<f64>,
     pub accel_bias: Vector3<f64>,
+    pub gravity: Vector3<f64>,
     /// Covariance of the bend; zero where it was not searched.
     pub bend: SMatrix<f64, BEND, BEND>,
     /// Errors of the axes of gyroscope and accelerometer; empty where they were not searched.
     pub axes: Vec<f64>,
+    pub joint: JointCovariance,
 }
 
+const AXES: [&str; 3] = ["x", "y", "z"];
+
 impl State {
+    /// Which of the biases' control points lies in the middle of the recording.
+    pub fn middle_bias(&self) -> usize {
+        self.gyro_bias.len() / 2
+    }
+
     pub fn uncertainty(&self, config: &CameraImuConfig) -> Result<Uncertainty, Error> {
         let (problem, blocks) = self.problem(config, Effort::of_round(0, true))?;
-        let middle = self.gyro_bias.len() / 2;
-        let biases = [
-            blocks.gyro_bias[middle].id(),
-            blocks.accel_bias[middle].id(),
-        ];
         let axes = match config.axes {
             Axes::Ideal => vec![],
             Axes::Estimated => vec![blocks.gyro_axes.id(), blocks.accel_axes.id()],
         };
-        let mut asked: Vec<BlockId> = [&biases[..], &axes].concat();
+        let named = self.named(&blocks, config);
+        let mut asked: Vec<BlockId> = named.iter().map(|n| n.0).collect();
+        asked.extend(&axes);
         if config.board == Board::Bent {
             asked.push(blocks.bend.id());
-        }
-        for k in 0..self.cameras.len() {
-            asked.extend([blocks.poses[k].id(), blocks.offsets[k].id()]);
-            if config.lenses == Lenses::Refined {
-                asked.push(blocks.lenses[k].id());
-            }
-            if config.readout == Readout::Estimated {
-                asked.push(blocks.readouts[k].id());
-            }
         }
         let found = covariance(&problem, &asked)?;
         let sigmas = |block: BlockId| -> Vec<f64> {
@@ -80,17 +89,74 @@ impl State {
                 }
             })
             .collect();
+        let middle = self.middle_bias();
         Ok(Uncertainty {
             cameras,
-            gyro_bias: vector(biases[0]),
-            accel_bias: vector(biases[1]),
+            gyro_bias: vector(blocks.gyro_bias[middle].id()),
+            accel_bias: vector(blocks.accel_bias[middle].id()),
+            gravity: vector(blocks.gravity.id()),
             bend: found
                 .between(blocks.bend.id(), blocks.bend.id())
                 .map_or_else(SMatrix::zeros, |c| {
                     SMatrix::from_iterator(c.iter().copied())
                 }),
             axes: axes.into_iter().flat_map(sigmas).collect(),
+            joint: rows_with_names(&named, found.joint()),
         })
+    }
+
+    /// Blocks of [`JointCovariance`] with the names of their components; components that are not searched have none.
+    fn named(
+        &self,
+        blocks: &Blocks,
+        config: &CameraImuConfig,
+    ) -> Vec<(BlockId, Vec<Option<String>>)> {
+        let along = |what: &str| AXES.map(|axis| Some(format!("{what} {axis}")));
+        let mut named = Vec::new();
+        for (k, camera) in self.cameras.iter().enumerate() {
+            let name = &camera.name;
+            let [turn, shift] = ["turn", "shift"].map(|word| along(&format!("{name} {word}")));
+            named.push((blocks.poses[k].id(), [turn, shift].concat()));
+            named.push((blocks.offsets[k].id(), vec![Some(format!("{name} clock"))]));
+            if config.lenses == Lenses::Refined {
+                let names = camera.model().parameter_names().iter();
+                let mut names: Vec<_> = names.map(|p| Some(format!("{name} {p}"))).collect();
+                names.resize(MAX_PARAMETERS, None);
+                named.push((blocks.lenses[k].id(), names));
+            }
+            if config.readout == Readout::Estimated {
+                named.push((
+                    blocks.readouts[k].id(),
+                    vec![Some(format!("{name} readout"))],
+                ));
+            }
+        }
+        let middle = self.middle_bias();
+        for (what, block) in [
+            ("gyroscope bias", blocks.gyro_bias[middle]),
+            ("accelerometer bias", blocks.accel_bias[middle]),
+            ("gravity", blocks.gravity),
+        ] {
+            named.push((block.id(), along(what).to_vec()));
+        }
+        named
+    }
+}
+
+/// The rows and columns that have a name, of a joint covariance that begins with these blocks.
+fn rows_with_names(
+    named: &[(BlockId, Vec<Option<String>>)],
+    joint: &DMatrix<f64>,
+) -> JointCovariance {
+    let (rows, names): (Vec<usize>, Vec<String>) = named
+        .iter()
+        .flat_map(|(_, names)| names)
+        .enumerate()
+        .filter_map(|(row, name)| Some((row, name.clone()?)))
+        .unzip();
+    JointCovariance {
+        matrix: DMatrix::from_fn(rows.len(), rows.len(), |i, j| joint[(rows[i], rows[j])]),
+        names,
     }
 }
 

@@ -48,6 +48,8 @@ pub struct Setup {
     pub up: f64,
     /// Errors of the accelerometer's and gyroscope's scales.
     pub scale_error: f64,
+    /// Standard deviation of gravity's magnitude about the standard one, m/s².
+    pub gravity_sigma_m_s2: f64,
 }
 
 impl Default for Setup {
@@ -62,6 +64,7 @@ impl Default for Setup {
             drift: 0.0,
             up: 1.0,
             scale_error: 0.0,
+            gravity_sigma_m_s2: 1e-3,
         }
     }
 }
@@ -80,8 +83,12 @@ pub struct Simulated {
     pub views: Vec<CameraViews>,
     pub imu: Vec<(Timestamp, ImuSample)>,
     pub truth: Vec<TrueCamera>,
-    /// Mean over the recording, rad/s.
+    /// In the middle of the recording, rad/s.
     pub gyro_bias: Vector3<f64>,
+    /// In the middle of the recording, m/s².
+    pub accel_bias: Vector3<f64>,
+    /// In the target's frame, m/s².
+    pub gravity: Vector3<f64>,
 }
 
 /// The IMU's noise.
@@ -224,8 +231,11 @@ pub fn simulate(setup: &Setup) -> Simulated {
         turning: Waves::new(&mut rng, setup.turning_rad.into()),
         moving: Waves::new(&mut rng, Vector3::new(0.2, 0.18, 0.15)),
     };
-    let gravity = Vector3::new(0.0, -GRAVITY_M_S2 * setup.up, 0.0);
-    let (imu, gyro_bias) = imu(setup, &motion, &gravity, &mut rng);
+    // A stream of its own: the noise of a seed stays what it was.
+    let mut place = ChaCha8Rng::seed_from_u64(setup.seed ^ 0x67);
+    let magnitude = GRAVITY_M_S2 + setup.gravity_sigma_m_s2 * normal(&mut place);
+    let gravity = Vector3::new(0.0, -magnitude * setup.up, 0.0);
+    let (imu, [gyro_bias, accel_bias]) = imu(setup, &motion, &gravity, &mut rng);
     let views = truth
         .iter()
         .enumerate()
@@ -236,6 +246,8 @@ pub fn simulate(setup: &Setup) -> Simulated {
         imu,
         truth,
         gyro_bias,
+        accel_bias,
+        gravity,
     }
 }
 
@@ -244,12 +256,12 @@ fn imu(
     motion: &Motion,
     gravity: &Vector3<f64>,
     rng: &mut ChaCha8Rng,
-) -> (Vec<(Timestamp, ImuSample)>, Vector3<f64>) {
+) -> (Vec<(Timestamp, ImuSample)>, [Vector3<f64>; 2]) {
     const RATE_HZ: f64 = 200.0;
     let noise = noise();
     let mut gyro_bias = normal3(rng) * 0.005;
     let mut accel_bias = normal3(rng) * 0.03;
-    let mut mean = Vector3::zeros();
+    let mut middle = [Vector3::zeros(); 2];
     let count = (setup.duration_s * RATE_HZ) as i64;
     let samples = (0..count)
         .map(|k| {
@@ -259,7 +271,9 @@ fn imu(
             let gyro = rate * scale + gyro_bias + normal3(rng) * (noise.gyro_noise_density * root);
             let accel =
                 force * scale + accel_bias + normal3(rng) * (noise.accel_noise_density * root);
-            mean += gyro_bias / count as f64;
+            if k == count / 2 {
+                middle = [gyro_bias, accel_bias];
+            }
             gyro_bias += normal3(rng) * (noise.gyro_bias_walk / root);
             accel_bias += normal3(rng) * (noise.accel_bias_walk / root);
             let sample = ImuSample {
@@ -269,7 +283,7 @@ fn imu(
             (Timestamp::from_nanos(ORIGIN_NS + k * 5_000_000), sample)
         })
         .collect();
-    (samples, mean)
+    (samples, middle)
 }
 
 fn views(

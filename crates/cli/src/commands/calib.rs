@@ -2,12 +2,16 @@
 
 use std::path::{Path, PathBuf};
 
-use lsfb_calib::Target;
+use anyhow::Context as _;
 use lsfb_calib::camera::{CameraViews, views_from_folder, views_from_recording};
 use lsfb_calib::camera_imu::read_imu_table;
+use lsfb_calib::joint::IMU;
 use lsfb_calib::target::MarkerDictionary;
+use lsfb_calib::verify::Outcome as Judgement;
+use lsfb_calib::{Target, TransformEdge};
 use lsfb_recording::Recording;
 use lsfb_types::{ImuSample, Timestamp};
+use serde::Serialize;
 
 use crate::context::Context;
 use crate::outcome::Outcome;
@@ -187,6 +191,66 @@ pub fn calibrated_unix_s(
     };
     let end_s = end_ns.map(|ns| ns.div_euclid(1_000_000_000));
     Ok(end_s.filter(|s| *s >= YEAR_2000_UNIX_S))
+}
+
+/// A calibration as it is printed: with its verdict, and what was written beside the rig.
+#[derive(Serialize)]
+pub struct Judged<'a, C: Serialize> {
+    pub outcome: Judgement,
+    pub verdict: String,
+    pub page: &'a Path,
+    /// For `lsfb calib joint`.
+    pub transforms: &'a [PathBuf],
+    #[serde(flatten)]
+    pub calibration: &'a C,
+}
+
+impl<C: Serialize> Judged<'_, C> {
+    /// The first line of the text.
+    pub fn headline(&self, out: &Path) -> String {
+        let mut text = format!(
+            "{}: {} See {}",
+            out.display(),
+            self.verdict,
+            self.page.display()
+        );
+        if !self.transforms.is_empty() {
+            let paths: Vec<String> = self
+                .transforms
+                .iter()
+                .map(|p| p.display().to_string())
+                .collect();
+            text += &format!("; for `lsfb calib joint`: {}", paths.join(", "));
+        }
+        text + "."
+    }
+
+    /// Fails where the calibration must not be used.
+    pub fn ensure_usable(&self, out: &Path) -> anyhow::Result<()> {
+        anyhow::ensure!(
+            self.outcome != Judgement::Fail,
+            "{} is not written, its calibration cannot be used: see {} for why",
+            out.display(),
+            self.page.display()
+        );
+        Ok(())
+    }
+}
+
+/// Writes transforms beside a rig, `RIG.TARGET-SOURCE.json`, and says where; `imu` comes last in the names.
+pub fn write_transforms(rig: &Path, edges: &[TransformEdge]) -> anyhow::Result<Vec<PathBuf>> {
+    let mut paths = Vec::new();
+    for edge in edges {
+        let (a, b) = if edge.target == IMU {
+            (&edge.source, &edge.target)
+        } else {
+            (&edge.target, &edge.source)
+        };
+        let path = rig.with_extension(format!("{a}-{b}.json"));
+        std::fs::write(&path, edge.to_json()).with_context(|| path.display().to_string())?;
+        paths.push(path);
+    }
+    Ok(paths)
 }
 
 /// `FOLDER` or `FOLDER/PREFIX*`.

@@ -4,17 +4,19 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use lsfb_calib::camera::{CameraConfig, CameraViews, calibrate_cameras};
+use lsfb_calib::verify::Outcome as Judgement;
 use lsfb_geometry::Rig;
 use lsfb_geometry::camera::LensModel;
 use lsfb_recording::Provenance;
 
-use super::calib::{TargetArguments, calibrated_unix_s, views_of};
+use super::calib::{Judged, TargetArguments, calibrated_unix_s, views_of, write_transforms};
 use crate::context::Context;
 use crate::outcome::Outcome;
 
 /// Lenses of cameras and their poses to each other, from views of a board.
 ///
-/// Images of folders belong together where the numbers in their names are the same.
+/// Images of folders belong together where the numbers in their names are the same. Where corners miss by more than any
+/// detector does, the page says why, no rig is written and the exit code is 1.
 ///
 /// Examples:
 ///   lsfb calib camera --checkerboard 9,6,0.025 --model pinhole-radtan --camera left=images/left* --camera right=images/right* --out rig.toml
@@ -36,7 +38,7 @@ pub struct Arguments {
     /// Rig to put the cameras into; its other parts stay.
     #[arg(long, value_name = "TOML")]
     rig: Option<PathBuf>,
-    /// The rig; a page with plots is written beside it.
+    /// The rig; a page with plots and, of several cameras, transforms for `lsfb calib joint` are written beside it.
     #[arg(long, value_name = "TOML")]
     out: PathBuf,
     /// Write Kalibr's camchain as well.
@@ -102,19 +104,25 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let write = |path: &Path, text: String| {
         std::fs::write(path, text).with_context(|| path.display().to_string())
     };
-    write(&arguments.out, rig.to_toml())?;
     write(&page, calibration.to_html("Camera calibration"))?;
-    if let Some(path) = &arguments.kalibr {
-        write(path, calibration.to_kalibr())?;
+    let mut transforms = Vec::new();
+    if calibration.outcome() != Judgement::Fail {
+        write(&arguments.out, rig.to_toml())?;
+        transforms = write_transforms(&arguments.out, &calibration.edges())?;
+        if let Some(path) = &arguments.kalibr {
+            write(path, calibration.to_kalibr())?;
+        }
+        provenance.write(&arguments.out)?;
     }
-    provenance.write(&arguments.out)?;
-    context.print(&calibration, || {
-        let mut text = format!(
-            "{}: {} See {}.",
-            arguments.out.display(),
-            calibration.verdict(),
-            page.display()
-        );
+    let result = Judged {
+        outcome: calibration.outcome(),
+        verdict: calibration.verdict(),
+        page: &page,
+        transforms: &transforms,
+        calibration: &calibration,
+    };
+    context.print(&result, || {
+        let mut text = result.headline(&arguments.out);
         for c in &calibration.cameras {
             text += &format!(
                 "\n  {}: {:.3} px rms over {} corners in {} of {} images, {} outliers",
@@ -129,5 +137,6 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         }
         text
     })?;
+    result.ensure_usable(&arguments.out)?;
     Ok(Outcome::Done)
 }

@@ -6,17 +6,21 @@ use anyhow::Context as _;
 use lsfb_calib::camera_imu::{
     CameraImuCalibration, CameraImuConfig, KnownCamera, calibrate_camera_imu,
 };
+use lsfb_calib::verify::Outcome as Judgement;
 use lsfb_geometry::{Rig, Se3};
 use lsfb_recording::{Provenance, write_tum};
 
-use super::calib::{TargetArguments, calibrated_unix_s, imu_of, views_of};
+use super::calib::{
+    Judged, TargetArguments, calibrated_unix_s, imu_of, views_of, write_transforms,
+};
 use crate::context::Context;
 use crate::outcome::Outcome;
 
 /// Poses and clocks of cameras on the IMU, from a walk in front of a board.
 ///
 /// The rig brings lenses and poses of the cameras to each other (lsfb calib camera) and the noise of the IMU. Names of images
-/// in folders are their stamps in nanoseconds.
+/// in folders are their stamps in nanoseconds. Where corners miss by more than any detector does, the page says why, no rig
+/// is written and the exit code is 1.
 ///
 /// Examples:
 ///   lsfb calib camera-imu --target grid.yaml --rig rig.toml --recording scan.mcap --camera cam0 --camera cam1 --out rig2.toml
@@ -38,7 +42,7 @@ pub struct Arguments {
     /// The IMU as a table (EuRoC: ns, rad/s, m/s²), instead of the recording's.
     #[arg(long, value_name = "CSV")]
     imu: Option<PathBuf>,
-    /// The rig with what was found; a page with plots is written beside it.
+    /// The rig with what was found; a page with plots and transforms for `lsfb calib joint` are written beside it.
     #[arg(long, value_name = "TOML")]
     out: PathBuf,
     /// Write Kalibr's camchain-imucam as well.
@@ -106,31 +110,38 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let write = |path: &Path, text: String| {
         std::fs::write(path, text).with_context(|| path.display().to_string())
     };
-    write(&arguments.out, rig.to_toml())?;
     write(&page, calibration.to_html("Camera–IMU calibration"))?;
-    if let Some(path) = &arguments.kalibr {
-        write(path, calibration.to_kalibr())?;
+    let mut transforms = Vec::new();
+    if calibration.outcome() != Judgement::Fail {
+        write(&arguments.out, rig.to_toml())?;
+        transforms = write_transforms(&arguments.out, &calibration.edges())?;
+        if let Some(path) = &arguments.kalibr {
+            write(path, calibration.to_kalibr())?;
+        }
+        if let Some(path) = &arguments.trajectory {
+            write_tum(path, &calibration.motion.trajectory(INTERVAL_S))?;
+        }
+        provenance.write(&arguments.out)?;
     }
-    if let Some(path) = &arguments.trajectory {
-        write_tum(path, &calibration.motion.trajectory(INTERVAL_S))?;
-    }
-    provenance.write(&arguments.out)?;
-    context.print(&calibration, || {
-        summary(&calibration, &arguments.out, &page)
+    let result = Judged {
+        outcome: calibration.outcome(),
+        verdict: calibration.verdict(),
+        page: &page,
+        transforms: &transforms,
+        calibration: &calibration,
+    };
+    context.print(&result, || {
+        result.headline(&arguments.out) + &summary(&calibration)
     })?;
+    result.ensure_usable(&arguments.out)?;
     Ok(Outcome::Done)
 }
 
 /// Time between poses of the trajectory, seconds.
 const INTERVAL_S: f64 = 0.005;
 
-fn summary(calibration: &CameraImuCalibration, out: &Path, page: &Path) -> String {
-    let mut text = format!(
-        "{}: {} See {}.",
-        out.display(),
-        calibration.verdict(),
-        page.display()
-    );
+fn summary(calibration: &CameraImuCalibration) -> String {
+    let mut text = String::new();
     for c in &calibration.cameras {
         let t = c.camera_from_rig.inverse().translation * 1e3;
         let s = c.position_sigma_m.map(|s| s * 1e3);

@@ -1,0 +1,194 @@
+//! Why corners miss: what other than noise explains the errors that an adjustment left.
+//!
+//! One Gauss–Newton step with unknowns that the adjustment did not have: other gaps between tags, a board stretched, sheared or
+//! bent, a lens of any radial profile, a shutter that rolls. The views' poses and the lens move along; what each cause alone
+//! takes off the squares is its share. With the normal matrix `[N C; Cᵀ M]` of poses and lens (N) and a cause (M), and the
+//! gradients `n` and `m`, that is `(m − Cᵀ N⁻¹ n)ᵀ (M − Cᵀ N⁻¹ C)⁻¹ (m − Cᵀ N⁻¹ n)`.
+
+mod sums;
+
+use lsfb_geometry::{Camera, Se3, Vector2, Vector3};
+use serde::Serialize;
+
+use crate::target::Target;
+use sums::Sums;
+
+/// Root mean square of the errors above which a calibration is warned of, pixels. Corners leave 0.16 to 0.21 px on TUM VI's and
+/// OpenCV's images and 0.43 px on the worst recording known to be good (camodocal, by hand): above 0.6 px more than half of the squares are
+/// not the detector's even by that one.
+pub(crate) const WORRYING_RMS_PX: f64 = 0.6;
+/// And above which it fails, pixels: seven of eight parts of the squares are then another board's, lens's or shutter's.
+pub(crate) const FAILED_RMS_PX: f64 = 1.2;
+/// Share of the squares from which on a cause gets the blame, and from which on it is named although corners are met well.
+const BLAME: f64 = 0.3;
+const MOST: f64 = 0.5;
+/// Ratio of errors between outer and inner thirds that is worth a word.
+const GROWS: f64 = 1.5;
+/// Views that are looked at at most, spread over all.
+const MAX_VIEWS: usize = 240;
+
+/// One view as an adjustment leaves it.
+pub(crate) struct SeenView {
+    pub time_s: f64,
+    pub camera_from_target: Se3,
+    pub corners: Vec<SeenCorner>,
+}
+
+pub(crate) struct SeenCorner {
+    /// On the board as it is believed to be.
+    pub point: Vector3<f64>,
+    pub pixel: Vector2<f64>,
+    /// How fast it moves over the image, pixels per second; zero where that is not known.
+    pub velocity_px_s: Vector2<f64>,
+}
+
+/// How a board that may be bent and stretched would be, and what that would do to the focal length.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct BoardDoubt {
+    /// How far a corner lies out of the board's plane at most, metres.
+    pub bend_m: f64,
+    /// Its standard deviation, metres.
+    pub bend_sigma_m: f64,
+    /// What the focal length would change by, as a share of it.
+    pub focal_change: f64,
+    /// The focal length's standard deviation if the board may be bent, as a share of it.
+    pub focal_sigma: f64,
+}
+
+/// What the errors of one camera say.
+pub(crate) struct Diagnosis<'a> {
+    target: &'a Target,
+    camera: &'a Camera,
+    sums: Sums,
+    places: Places,
+}
+
+impl<'a> Diagnosis<'a> {
+    /// Of a camera's views as an adjustment leaves them.
+    pub fn new(target: &'a Target, camera: &'a Camera, views: Vec<SeenView>) -> Self {
+        let mut diagnosis = Self {
+            target,
+            camera,
+            sums: Sums::new(target),
+            places: Places::default(),
+        };
+        for view in views.iter().step_by(views.len().div_ceil(MAX_VIEWS).max(1)) {
+            diagnosis.sums.add(target, camera, view);
+            diagnosis.places.add(target, camera, view);
+        }
+        diagnosis
+    }
+
+    /// What is to be said of corners that miss by `rms_px`; `None` where that is no more than detectors do and nothing
+    /// else explains most of it.
+    pub fn warning(&self, rms_px: f64) -> Option<String> {
+        let cause = self.sums.explain(self.target, self.camera);
+        let explained = |share: f64, words: &str| {
+            format!(
+                "{:.0} % of the squares would be explained by {words}",
+                share * 100.0
+            )
+        };
+        if rms_px <= WORRYING_RMS_PX {
+            return cause.filter(|e| e.share >= MOST).map(|e| {
+                format!(
+                    "corners are met to {rms_px:.2} px, but {}",
+                    explained(e.share, &e.words)
+                )
+            });
+        }
+        let cause = cause.filter(|e| e.share >= BLAME).map_or_else(
+            || "likely causes are a wrong size or spacing of the tags, another lens model, or a rolling shutter".to_owned(),
+            |e| explained(e.share, &e.words),
+        );
+        Some(format!(
+            "corners miss by {rms_px:.2} px, a detector leaves 0.1 to 0.4 px; {}; {cause}",
+            self.places.words()
+        ))
+    }
+
+    /// The board as it would be if it were not what its file says; `variance` is that of a corner in one direction, px².
+    pub fn board(&self, variance: f64) -> BoardDoubt {
+        self.sums.board(self.target, self.camera, variance)
+    }
+
+    /// By how much, as a share, the views' own poses accelerate more than the adjusted ones: a numerator and its denominator, so
+    /// that cameras can be taken together.
+    pub fn motion(&self) -> [f64; 2] {
+        self.sums.motion()
+    }
+}
+
+/// A pixel from the middle of the image, and how far that is as a share of half the diagonal.
+fn from_middle(camera: &Camera, pixel: &Vector2<f64>) -> (Vector2<f64>, f64) {
+    let half = Vector2::new(f64::from(camera.width), f64::from(camera.height)) * 0.5;
+    let from = pixel - half;
+    (from, from.norm() / half.norm().max(1.0))
+}
+
+/// Squared errors with where they are.
+#[derive(Default)]
+struct Places {
+    /// Share of the way from the middle of the image, of the board, and speed, each beside the square.
+    image: Vec<[f64; 2]>,
+    board: Vec<[f64; 2]>,
+    speed: Vec<[f64; 2]>,
+}
+
+impl Places {
+    fn add(&mut self, target: &Target, camera: &Camera, view: &SeenView) {
+        let [width, height] = target.corners_size();
+        for corner in &view.corners {
+            let Some(seen) = camera.project(&(view.camera_from_target * corner.point)) else {
+                continue;
+            };
+            let square = (seen - corner.pixel).norm_squared();
+            let on_board = Vector2::new(
+                2.0 * corner.point.x / width.max(1e-9) - 1.0,
+                2.0 * corner.point.y / height.max(1e-9) - 1.0,
+            );
+            self.image
+                .push([from_middle(camera, &corner.pixel).1, square]);
+            self.board.push([on_board.amax(), square]);
+            self.speed.push([corner.velocity_px_s.norm(), square]);
+        }
+    }
+
+    /// Where errors grow, in words.
+    fn words(&self) -> String {
+        let mut grows = Vec::new();
+        for (places, from, to) in [
+            (&self.image, "in the middle of the image", "at its border"),
+            (&self.board, "in the middle of the board", "at its edge"),
+            (&self.speed, "in slow views", "in fast ones"),
+        ] {
+            let [inner, outer] = inner_and_outer_px(places);
+            if outer > GROWS * inner {
+                grows.push(format!("{inner:.2} px {from} to {outer:.2} px {to}"));
+            }
+        }
+        if grows.is_empty() {
+            "alike in all parts of image and board".to_owned()
+        } else {
+            format!("they grow from {}", grows.join(", from "))
+        }
+    }
+}
+
+/// Root mean squares of the first and the last third by place.
+fn inner_and_outer_px(places: &[[f64; 2]]) -> [f64; 2] {
+    let mut places = places.to_vec();
+    places.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
+    let third = places.len() / 3;
+    let rms = |part: &[[f64; 2]]| {
+        (part.iter().map(|p| p[1]).sum::<f64>() / part.len().max(1) as f64).sqrt()
+    };
+    // All at one place say nothing.
+    if places.first().map(|p| p[0]) == places.last().map(|p| p[0]) {
+        return [0.0; 2];
+    }
+    [rms(&places[..third]), rms(&places[places.len() - third..])]
+}
+
+#[cfg(test)]
+mod tests;

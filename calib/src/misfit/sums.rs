@@ -1,0 +1,354 @@
+//! The normal matrix behind a diagnosis.
+
+use lsfb_geometry::camera::MAX_PARAMETERS;
+use lsfb_geometry::{Camera, Matrix6, Vector2, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, RowSVector, SMatrix, SVector};
+
+use super::{BoardDoubt, SeenCorner, SeenView, from_middle};
+use crate::camera::moved_by_pose;
+use crate::target::Target;
+
+/// Rings of the lens's radial profile.
+const RINGS: usize = 8;
+/// Time between places whose second differences are taken, and by how much it may differ, seconds.
+const STRIDE_S: f64 = 0.22;
+const SLACK_S: f64 = 0.06;
+/// Pivot below which a direction is one that poses and lens have too, as a share of what it was before.
+const SAME: f64 = 1e-9;
+
+/// Gap, stretch, shear, three bends, shutter, rings.
+const EXTRA: usize = 7 + RINGS;
+const GAP: usize = 0;
+const STRETCH: usize = 1;
+const BENT: usize = 3;
+const SHUTTER: usize = 6;
+const PROFILE: usize = 7;
+const SIZE: usize = MAX_PARAMETERS + EXTRA;
+
+/// Stretch, shear and bends: what a board that may not be flat may be off by.
+const DOUBTS: usize = 5;
+/// Standard deviations of a board: how far the middle of an edge is out of its plane, metres; stretch and shear.
+const BEND_SIGMA_M: f64 = 2e-3;
+const STRETCH_SIGMA: f64 = 1e-3;
+
+/// One thing that would explain errors.
+struct Cause {
+    /// First of its columns and how many it has.
+    columns: [usize; 2],
+    words: fn(&Target, &DVector<f64>) -> String,
+}
+
+const CAUSES: [Cause; 5] = [
+    Cause {
+        columns: [GAP, 1],
+        words: |target, by| match *target {
+            Target::AprilGrid { spacing_ratio, .. } => format!(
+                "gaps of {:.3} of a tag's edge instead of {spacing_ratio}: measure a tag and a gap, and correct tagSpacing",
+                spacing_ratio + by[0]
+            ),
+            Target::Checkerboard { .. } | Target::Charuco { .. } => String::new(),
+        },
+    },
+    Cause {
+        columns: [STRETCH, 2],
+        words: |_, by| {
+            format!(
+                "a board that is {:+.2} % longer along y and whose corners are {:+.2}° from right angles: measure both of its edges and diagonals",
+                by[0] * 100.0,
+                by[1].atan().to_degrees()
+            )
+        },
+    },
+    Cause {
+        columns: [BENT, 3],
+        words: |target, by| {
+            let half = target.corners_size().map(|s| 0.5 * s);
+            let bends = [
+                by[0] * half[0] * half[0],
+                by[1] * half[0] * half[1],
+                by[2] * half[1] * half[1],
+            ];
+            let most = bends.iter().fold(0.0, |a: f64, b| a.max(b.abs()));
+            format!(
+                "a board that is bent by {:.1} mm: glue it to a stiff plate",
+                most * 1e3
+            )
+        },
+    },
+    Cause {
+        columns: [SHUTTER, 1],
+        words: |_, by| {
+            format!(
+                "a shutter that rolls, {:.1} ms from the first row to the last: give the rig its readout_s, or have it searched (readout = \"estimated\")",
+                by[0] * 1e3
+            )
+        },
+    },
+    Cause {
+        columns: [PROFILE, RINGS],
+        words: |_, _| "a lens of another model: try another --model".to_owned(),
+    },
+];
+
+/// A cause, and the share of the squares that it takes off.
+pub(super) struct Explained {
+    pub share: f64,
+    pub words: String,
+}
+
+/// Normal matrix of lens and causes with the views' poses eliminated.
+pub(super) struct Sums {
+    matrix: SMatrix<f64, SIZE, SIZE>,
+    gradient: SVector<f64, SIZE>,
+    squares: f64,
+    /// What the views' own poses took off.
+    of_poses: f64,
+    corners: f64,
+    /// Times, places of the camera before the board, and what its own pose would add to them.
+    moves: Vec<(f64, [Vector3<f64>; 2])>,
+    centre: Vector3<f64>,
+}
+
+/// Causes alone: with the lens eliminated too.
+struct Reduced {
+    matrix: DMatrix<f64>,
+    gradient: DVector<f64>,
+    /// Diagonal before that.
+    size: DVector<f64>,
+    squares: f64,
+    /// How the lens follows each cause.
+    lens_by_cause: DMatrix<f64>,
+}
+
+impl Sums {
+    pub fn new(target: &Target) -> Self {
+        let [width, height] = target.corners_size();
+        Self {
+            matrix: SMatrix::zeros(),
+            gradient: SVector::zeros(),
+            squares: 0.0,
+            of_poses: 0.0,
+            corners: 0.0,
+            moves: Vec::new(),
+            centre: Vector3::new(0.5 * width, 0.5 * height, 0.0),
+        }
+    }
+
+    pub fn add(&mut self, target: &Target, camera: &Camera, view: &SeenView) {
+        let mut of_pose = Matrix6::zeros();
+        let mut gradient_of_pose = Vector6::zeros();
+        let mut coupling = SMatrix::<f64, SIZE, 6>::zeros();
+        for corner in &view.corners {
+            let in_camera = view.camera_from_target * corner.point;
+            let Some(seen) = camera.project_full(&in_camera) else {
+                continue;
+            };
+            let error = seen.pixel - corner.pixel;
+            let by_pose: SMatrix<f64, 2, 6> =
+                seen.pixel_by_point * moved_by_pose(&view.camera_from_target, &corner.point);
+            let by_point = seen.pixel_by_point * view.camera_from_target.rotation_matrix();
+            let mut by = SMatrix::<f64, 2, SIZE>::zeros();
+            by.fixed_columns_mut::<MAX_PARAMETERS>(0)
+                .copy_from(&seen.pixel_by_parameter);
+            by.fixed_columns_mut::<EXTRA>(MAX_PARAMETERS)
+                .copy_from(&self.by_causes(target, camera, corner, &seen.pixel, &by_point));
+            self.matrix += by.transpose() * by;
+            self.gradient += by.transpose() * error;
+            self.squares += error.norm_squared();
+            self.corners += 1.0;
+            of_pose += by_pose.transpose() * by_pose;
+            gradient_of_pose += by_pose.transpose() * error;
+            coupling += by.transpose() * by_pose;
+        }
+        if let Some(inverse) = of_pose.try_inverse() {
+            let solved = inverse * gradient_of_pose;
+            self.matrix -= coupling * inverse * coupling.transpose();
+            self.gradient -= coupling * solved;
+            self.squares -= gradient_of_pose.dot(&solved);
+            self.of_poses += gradient_of_pose.dot(&solved);
+            // Moved by −solved from the right, the camera stands off by p × φ − ρ.
+            let place = view.camera_from_target.inverse().translation;
+            let turn = -solved.fixed_rows::<3>(0).into_owned();
+            let off = place.cross(&turn) + solved.fixed_rows::<3>(3);
+            self.moves.push((view.time_s, [place, off]));
+        }
+    }
+
+    /// How the pixel moves with each cause.
+    fn by_causes(
+        &self,
+        target: &Target,
+        camera: &Camera,
+        corner: &SeenCorner,
+        seen: &Vector2<f64>,
+        by_point: &SMatrix<f64, 2, 3>,
+    ) -> SMatrix<f64, 2, EXTRA> {
+        let mut by = SMatrix::<f64, 2, EXTRA>::zeros();
+        let from_centre = corner.point - self.centre;
+        let (x, y) = (from_centre.x, from_centre.y);
+        let mut put = |column: usize, moved: Vector3<f64>| {
+            by.set_column(column, &(by_point * moved));
+        };
+        if let Target::AprilGrid {
+            tag_size_m,
+            spacing_ratio,
+            ..
+        } = target
+        {
+            // From the middle of one gap to that of the next.
+            let tag =
+                |at: f64| ((at / tag_size_m + 0.5 * spacing_ratio) / (1.0 + spacing_ratio)).floor();
+            let tags = Vector3::new(tag(corner.point.x), tag(corner.point.y), 0.0);
+            put(GAP, tags * *tag_size_m);
+        }
+        put(STRETCH, Vector3::new(0.0, y, 0.0));
+        put(STRETCH + 1, Vector3::new(y, 0.0, 0.0));
+        put(BENT, Vector3::new(0.0, 0.0, x * x));
+        put(BENT + 1, Vector3::new(0.0, 0.0, x * y));
+        put(BENT + 2, Vector3::new(0.0, 0.0, y * y));
+        let row = corner.pixel.y / f64::from(camera.height.max(1));
+        by.set_column(SHUTTER, &(corner.velocity_px_s * row));
+        let (from_middle, share) = from_middle(camera, seen);
+        let ring = ((share * RINGS as f64) as usize).min(RINGS - 1);
+        let outwards = from_middle.try_normalize(1e-9).unwrap_or_default();
+        by.set_column(PROFILE + ring, &outwards);
+        by
+    }
+
+    fn reduced(&self, camera: &Camera) -> Reduced {
+        let lens = camera.lens.parameters().count;
+        let (matrix, gradient) = (&self.matrix, &self.gradient);
+        let of_lens = matrix.view((0, 0), (lens, lens)).into_owned();
+        let to_lens = matrix.view((MAX_PARAMETERS, 0), (EXTRA, lens)).into_owned();
+        let inverse = inverse(&of_lens, &of_lens.diagonal());
+        let by_lens = gradient.rows(0, lens).into_owned();
+        let solved = &inverse * &by_lens;
+        let causes = matrix
+            .view((MAX_PARAMETERS, MAX_PARAMETERS), (EXTRA, EXTRA))
+            .into_owned();
+        let gradient = gradient.rows(MAX_PARAMETERS, EXTRA).into_owned();
+        Reduced {
+            squares: self.squares - by_lens.dot(&solved),
+            gradient: gradient - &to_lens * solved,
+            size: causes.diagonal(),
+            matrix: causes - &to_lens * &inverse * to_lens.transpose(),
+            lens_by_cause: -(inverse * to_lens.transpose()),
+        }
+    }
+
+    /// The cause that explains most; `None` where nothing can be said.
+    pub fn explain(&self, target: &Target, camera: &Camera) -> Option<Explained> {
+        let reduced = self.reduced(camera);
+        let of_views = Explained {
+            share: self.of_poses / (self.of_poses + self.squares).max(1e-12),
+            words: format!(
+                "poses of the views that do not follow the IMU (each alone is met to {:.2} px): the board is of another size, the IMU's noise is understated, or clocks jump",
+                (self.squares / self.corners.max(1.0)).max(0.0).sqrt()
+            ),
+        };
+        let explained = CAUSES.iter().map(|cause| {
+            let [first, count] = cause.columns;
+            let own = reduced.matrix.view((first, first), (count, count));
+            let size = reduced.size.rows(first, count).into_owned();
+            let gradient = reduced.gradient.rows(first, count).into_owned();
+            let step = -(inverse(&own.into_owned(), &size) * &gradient);
+            Explained {
+                share: -gradient.dot(&step) / reduced.squares.max(1e-12),
+                words: (cause.words)(target, &step),
+            }
+        });
+        let explained = explained.chain([of_views]);
+        explained.max_by(|a, b| a.share.total_cmp(&b.share))
+    }
+
+    /// The board if it may be stretched, sheared and bent, by what boards usually are.
+    pub fn board(&self, target: &Target, camera: &Camera, variance: f64) -> BoardDoubt {
+        let variance = variance.max(1e-12);
+        let reduced = self.reduced(camera);
+        let half_m = self.centre.amax().max(1e-9);
+        let bend = (half_m * half_m / BEND_SIGMA_M).powi(2);
+        let stretch = STRETCH_SIGMA.powi(-2);
+        let usual = SVector::from([stretch, stretch, bend, bend, bend]);
+        let own = reduced
+            .matrix
+            .fixed_view::<DOUBTS, DOUBTS>(STRETCH, STRETCH);
+        let information = own / variance + SMatrix::from_diagonal(&usual);
+        let Some(covariance) = information.try_inverse() else {
+            return BoardDoubt::default();
+        };
+        let step = -covariance * reduced.gradient.fixed_rows::<DOUBTS>(STRETCH) / variance;
+        let root = |variance: f64| variance.max(0.0).sqrt();
+
+        let focal_px = camera.focal_px();
+        let of_focal = |row: usize| -> RowSVector<f64, DOUBTS> {
+            let of_lens = reduced.lens_by_cause.fixed_view::<1, DOUBTS>(row, STRETCH);
+            of_lens * (0.5 / focal_px[row])
+        };
+        let of_focal = of_focal(0) + of_focal(1);
+
+        let height = |k: usize| -> RowSVector<f64, DOUBTS> {
+            let from = target.corner(k) - self.centre;
+            [0.0, 0.0, from.x * from.x, from.x * from.y, from.y * from.y].into()
+        };
+        let count = target.corner_count();
+        // The plane is that of the mean.
+        let mean = (0..count).map(height).sum::<RowSVector<f64, DOUBTS>>() / count.max(1) as f64;
+        let (bend_m, bend_sigma_m) = (0..count)
+            .map(|k| {
+                let by = height(k) - mean;
+                (
+                    (by * step)[0].abs(),
+                    root((by * covariance * by.transpose())[0]),
+                )
+            })
+            .max_by(|a, b| a.0.total_cmp(&b.0))
+            .unwrap_or_default();
+        BoardDoubt {
+            bend_m,
+            bend_sigma_m,
+            focal_change: (of_focal * step)[0],
+            focal_sigma: root((of_focal * covariance * of_focal.transpose())[0]),
+        }
+    }
+
+    /// Covariance of what the views' own poses add to second differences over [`STRIDE_S`] with those of the adjusted ones, and
+    /// the variance of these: beside accelerations, slow errors count for nothing.
+    pub fn motion(&self) -> [f64; 2] {
+        let [mut together, mut alone] = [0.0; 2];
+        for (k, (time_s, here)) in self.moves.iter().enumerate() {
+            let near = |wanted_s: f64| {
+                let after = self.moves.partition_point(|m| m.0 < wanted_s - SLACK_S);
+                let found = self.moves.get(after)?;
+                ((found.0 - wanted_s).abs() <= SLACK_S && after != k).then_some(found)
+            };
+            // The step that the views' times allow.
+            let Some((end_s, after)) = near(time_s + STRIDE_S) else {
+                continue;
+            };
+            let Some((_, before)) = near(2.0 * time_s - end_s) else {
+                continue;
+            };
+            let [place, off] = [0, 1].map(|n| after[n] - here[n] * 2.0 + before[n]);
+            together += place.dot(&off);
+            alone += place.norm_squared();
+        }
+        [together, alone]
+    }
+}
+
+/// Inverse on the directions that are there at all, measured by `size`.
+fn inverse(matrix: &DMatrix<f64>, size: &DVector<f64>) -> DMatrix<f64> {
+    let scale = size.map(|v| if v > 0.0 { 1.0 / v.sqrt() } else { 0.0 });
+    let scaled = DMatrix::from_fn(matrix.nrows(), matrix.ncols(), |i, j| {
+        matrix[(i, j)] * scale[i] * scale[j]
+    });
+    let eigen = scaled.symmetric_eigen();
+    let values = eigen
+        .eigenvalues
+        .map(|v| if v > SAME { 1.0 / v } else { 0.0 });
+    let inverse =
+        &eigen.eigenvectors * DMatrix::from_diagonal(&values) * eigen.eigenvectors.transpose();
+    DMatrix::from_fn(matrix.nrows(), matrix.ncols(), |i, j| {
+        inverse[(i, j)] * scale[i] * scale[j]
+    })
+}

@@ -1,0 +1,140 @@
+use lsfb_geometry::camera::Lens;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use lsfb_geometry::Vector6;
+
+use super::*;
+use crate::camera::pose_of_target;
+use crate::detect::Corner;
+
+fn grid(spacing_ratio: f64) -> Target {
+    Target::AprilGrid {
+        columns: 6,
+        rows: 6,
+        tag_size_m: 0.088,
+        spacing_ratio,
+    }
+}
+
+const LENS: Lens = Lens::KannalaBrandt {
+    focal_px: [300.0, 301.0],
+    principal_px: [322.0, 238.0],
+    distortion: [0.01, -0.01, 0.004, -0.001],
+};
+
+fn camera(lens: Lens) -> Camera {
+    Camera {
+        width: 640,
+        height: 480,
+        lens,
+    }
+}
+
+/// Views of a board whose corners stand at `at` and are seen through `lens`; the others are what is believed.
+fn views(at: impl Fn(usize) -> Vector3<f64>, lens: Lens, readout_s: f64) -> Vec<SeenView> {
+    let mut rng = ChaCha8Rng::seed_from_u64(4);
+    let target = grid(0.3);
+    (0..30)
+        .map(|_| {
+            let mut uniform = |size: f64| rng.random_range(-1.0..=1.0) * size;
+            let turn = Vector6::new(uniform(0.6), uniform(0.6), uniform(1.0), 0.0, 0.0, 0.0);
+            let place = Vector3::new(uniform(0.25), uniform(0.2), 0.6 + uniform(0.2));
+            let facing = Se3::exp(&Vector6::new(std::f64::consts::PI, 0.0, 0.0, 0.0, 0.0, 0.0));
+            let centre = Vector3::new(0.33, 0.33, 0.0);
+            let camera_from_target = Se3::new(Default::default(), place)
+                * Se3::exp(&turn)
+                * facing
+                * Se3::new(Default::default(), -centre);
+            let velocity_px_s = Vector2::new(uniform(200.0), uniform(200.0));
+            let corners = (0..target.corner_count()).filter_map(|k| {
+                let pixel = camera(lens).project(&(camera_from_target * at(k)))?;
+                let row = pixel.y / 480.0;
+                let noise = Vector2::new(uniform(0.2), uniform(0.2));
+                camera(lens).contains(&pixel, 2.0).then(|| SeenCorner {
+                    point: target.corner(k),
+                    pixel: pixel + velocity_px_s * (row * readout_s) + noise,
+                    velocity_px_s,
+                })
+            });
+            let corners: Vec<SeenCorner> = corners.collect();
+            let seen: Vec<Corner> = corners
+                .iter()
+                .map(|c| Corner {
+                    index: (0..144)
+                        .find(|k| target.corner(*k) == c.point)
+                        .expect("a corner"),
+                    pixel: c.pixel,
+                })
+                .collect();
+            // As an adjustment leaves it.
+            let adjusted = pose_of_target(&target, &camera(LENS), &seen).expect("a pose");
+            SeenView {
+                time_s: 0.0,
+                camera_from_target: adjusted,
+                corners,
+            }
+        })
+        .collect()
+}
+
+fn said(views: Vec<SeenView>) -> String {
+    let (target, camera) = (grid(0.3), camera(LENS));
+    let said = Diagnosis::new(&target, &camera, views).warning(1.0);
+    said.expect("above the limit")
+}
+
+#[test]
+fn the_cause_is_named_with_its_size() {
+    let flat = |k: usize| grid(0.3).corner(k);
+    let text = said(views(|k| grid(0.33).corner(k), LENS, 0.0));
+    assert!(
+        text.contains("gaps of 0.330 of a tag's edge instead of 0.3"),
+        "{text}"
+    );
+
+    let text = said(views(
+        |k| {
+            let p = flat(k);
+            Vector3::new(p.x, p.y * 1.01, 0.0)
+        },
+        LENS,
+        0.0,
+    ));
+    assert!(
+        text.contains("+1.0") && text.contains("longer along y"),
+        "{text}"
+    );
+
+    let bent = |k: usize| {
+        let p = flat(k);
+        p + Vector3::new(0.0, 0.0, 0.06 * (p.x - 0.33) * (p.y - 0.33))
+    };
+    let text = said(views(bent, LENS, 0.0));
+    assert!(text.contains("bent by 6."), "{text}");
+
+    let text = said(views(flat, LENS, 0.02));
+    assert!(
+        text.contains("rolls, 20.") || text.contains("rolls, 19."),
+        "{text}"
+    );
+    assert!(text.contains("in slow views"), "{text}");
+}
+
+#[test]
+fn noise_alone_is_blamed_on_nothing() {
+    let flat = |k: usize| grid(0.3).corner(k);
+    let text = said(views(flat, LENS, 0.0));
+    assert!(
+        text.contains("alike in all parts") && text.contains("likely causes are"),
+        "{text}"
+    );
+    let (target, camera) = (grid(0.3), camera(LENS));
+    let diagnosis = Diagnosis::new(&target, &camera, views(flat, LENS, 0.0));
+    assert!(diagnosis.warning(0.43).is_none());
+    let board = diagnosis.board(0.01);
+    assert!(
+        board.bend_m < 5.0 * board.bend_sigma_m && board.bend_m < 2e-4,
+        "{board:?}"
+    );
+}

@@ -1,0 +1,182 @@
+//! `lsfb calib camera` and `camera-imu`: what they write, what they refuse, and that one takes what the other gives.
+
+mod board_images;
+mod process;
+mod refusal;
+
+use std::path::Path;
+
+use board_images::{BASELINE_M, CHECKERBOARD, blind, write_stereo};
+use lsfb_calib::TransformEdge;
+use lsfb_geometry::Rig;
+use process::lsfb;
+use refusal::refused;
+use serde_json::Value;
+
+const CAMERA: [&str; 12] = [
+    "calib",
+    "camera",
+    "--checkerboard",
+    CHECKERBOARD,
+    "--model",
+    "pinhole-radtan",
+    "--camera",
+    "left=left",
+    "--camera",
+    "right=right",
+    "--out",
+    "rig.toml",
+];
+
+/// Runs a command that must end with `code`, and takes its JSON.
+fn json(folder: &Path, arguments: &[&str], code: i32) -> Value {
+    let output = lsfb(folder, &[arguments, &["--json"]].concat());
+    assert_eq!(
+        output.status.code(),
+        Some(code),
+        "{arguments:?}: {}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    serde_json::from_slice(&output.stdout).expect("one JSON object")
+}
+
+#[test]
+fn a_stereo_pair_is_calibrated_and_its_baseline_joins() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path();
+    write_stereo(path, 0.0);
+    let report = json(path, &CAMERA, 0);
+    assert_ne!(report["outcome"], "FAIL", "{}", report["verdict"]);
+    assert_eq!(report["transforms"][0], "rig.right-left.json");
+    let edge = TransformEdge::read(&path.join("rig.right-left.json")).expect("transform");
+    let baseline_m = edge.target_from_source.translation.norm();
+    assert!((baseline_m - BASELINE_M).abs() < 3e-4, "{baseline_m}");
+    assert!(edge.covariance.is_some());
+    let joint = [
+        "calib",
+        "joint",
+        "--rig",
+        "rig.toml",
+        "--transform",
+        "rig.right-left.json",
+        "--out",
+        "joined.toml",
+    ];
+    json(path, &joint, 0);
+    assert_eq!(
+        Rig::read(&path.join("joined.toml"))
+            .expect("rig")
+            .cameras
+            .len(),
+        2
+    );
+
+    // Named the wrong way round.
+    let mut swapped = CAMERA;
+    (swapped[7], swapped[9]) = ("left=right", "right=left");
+    let report = json(path, &swapped, 0);
+    assert_eq!(report["outcome"], "WARN");
+    assert!(report.to_string().contains("their views are swapped"));
+}
+
+#[test]
+fn a_board_that_is_not_what_was_said_gives_a_page_and_no_rig() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path();
+    write_stereo(path, 0.004);
+    let output = lsfb(path, &CAMERA);
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{errors}");
+    assert!(
+        errors.contains("error: rig.toml is not written"),
+        "{errors}"
+    );
+    assert!(String::from_utf8_lossy(&output.stdout).contains("FAIL."));
+    assert!(!path.join("rig.toml").exists());
+    let page = std::fs::read_to_string(path.join("rig.html")).expect("page");
+    assert!(page.contains("FAIL.") && page.contains("corners miss by"));
+
+    let mut other = CAMERA;
+    other[3] = "8,6,0.03";
+    refused(path, &other, &["left", "found in 0 of 9 images", "8 × 6"]);
+    blind(path, "right");
+    refused(path, &CAMERA, &["right", "found in 0 of 9 images"]);
+}
+
+/// Half of TUM VI's calibration sequence, from images to a joint rig.
+#[test]
+fn camera_then_camera_imu_then_joint() {
+    let test = "camera_then_camera_imu_then_joint";
+    let Some(data) = lsfb_tests::recordings(test, "vision/tumvi_calib_imu1/mav0") else {
+        return;
+    };
+    let data = data.canonicalize().expect("a path that exists");
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path();
+    let of = |camera: &str| format!("{camera}={}/{camera}/data/152052796*", data.display());
+    let [cam0, cam1] = ["cam0", "cam1"].map(of);
+    let imu = data.join("imu0/data.csv").display().to_string();
+    let both = ["--camera", &cam0, "--camera", &cam1];
+    let camera = [
+        "calib",
+        "camera",
+        "--april-grid",
+        "6,6,0.088,0.3",
+        "--out",
+        "lens.toml",
+    ];
+    let report = json(path, &[&camera[..], &both].concat(), 0);
+    assert_ne!(report["outcome"], "FAIL");
+
+    let mut rig = Rig::read(&path.join("lens.toml")).expect("rig");
+    // As the data set states it.
+    rig.imu = Some(lsfb_geometry::RigImu {
+        gyro_noise_density: 0.00016,
+        accel_noise_density: 0.0028,
+        gyro_bias_walk: 2.2e-5,
+        accel_bias_walk: 0.00086,
+    });
+    std::fs::write(path.join("lens.toml"), rig.to_toml()).expect("rig");
+    let camera_imu = ["calib", "camera-imu", "--april-grid", "6,6,0.088,0.3"];
+    let files = ["--rig", "lens.toml", "--imu", &imu, "--out", "rig.toml"];
+    let report = json(path, &[&camera_imu[..], &files, &both].concat(), 0);
+    assert_ne!(report["outcome"], "FAIL");
+    for (k, name) in ["rig.cam0-imu.json", "rig.cam1-imu.json"]
+        .iter()
+        .enumerate()
+    {
+        assert_eq!(report["transforms"][k], *name);
+        let edge = TransformEdge::read(&path.join(name)).expect("transform");
+        assert_eq!(edge.target, "imu");
+    }
+    let mut joint = vec![
+        "calib",
+        "joint",
+        "--rig",
+        "rig.toml",
+        "--out",
+        "joined.toml",
+    ];
+    for name in [
+        "rig.cam0-imu.json",
+        "rig.cam1-imu.json",
+        "lens.cam1-cam0.json",
+    ] {
+        joint.extend(["--transform", name]);
+    }
+    let joined = json(path, &joint, 0);
+    let edges = joined["edges"].as_array().expect("edges");
+    assert!(edges.iter().all(|e| e["measured"] == true), "{joined}");
+
+    // The gaps between its tags as another board has them.
+    let wrong = ["calib", "camera-imu", "--april-grid", "6,6,0.088,0.36"];
+    let files = ["--rig", "lens.toml", "--imu", &imu, "--out", "wrong.toml"];
+    let output = lsfb(path, &[&wrong[..], &files, &both].concat());
+    assert_eq!(output.status.code(), Some(1));
+    let text = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
+    assert!(
+        text.contains("gaps of 0.30") || text.contains("geometry is wrong"),
+        "{text}"
+    );
+    assert!(!path.join("wrong.toml").exists());
+}
