@@ -254,13 +254,16 @@ fn corners_that_miss_by_more_than_a_detector_does_are_explained() {
     }
 
     // A fisheye is not a pinhole.
-    let model = LensModel::PinholeRadtan;
-    let [wide, _] = stereo(lenses()[4], 30, 0.6, 0.1, 3);
-    let found = calibrate_cameras(&GRID, &[wide], &config(model), &no_progress);
-    let found = found.expect("calibrated");
-    assert_ne!(found.outcome(), Outcome::Pass, "{}", found.verdict());
-    let warnings = &found.cameras[0].warnings;
-    assert!(warnings[0].contains("lens"), "{warnings:?}");
+    let [wide, _] = stereo(lenses()[1], 30, 0.6, 0.1, 3);
+    let model = config(LensModel::PinholeRadtan);
+    let said = match calibrate_cameras(&GRID, &[wide], &model, &no_progress) {
+        Ok(found) => {
+            assert_ne!(found.outcome(), Outcome::Pass, "{}", found.verdict());
+            found.cameras[0].warnings.join("; ")
+        }
+        Err(error) => error.to_string(),
+    };
+    assert!(said.contains("lens"), "{said}");
 }
 
 #[test]

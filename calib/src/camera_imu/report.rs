@@ -89,6 +89,7 @@ impl State {
             moves = [moves[0] + together, moves[1] + alone];
         }
         // The motion lies between what the views say and what the accelerometer says.
+        eprintln!(inertial.scale_error, moves[0] / moves[1], moves);
         let scale = (1.0 + inertial.scale_error) / (1.0 + moves[0] / moves[1]);
         if (scale - 1.0).abs() > WORRYING_SCALE {
             warnings.push(format!(

@@ -9,7 +9,7 @@ use crate::camera::moved_by_pose;
 use crate::target::Target;
 
 /// Rings of the lens's radial profile.
-const RINGS: usize = 8;
+const RINGS: usize = 16;
 /// Time between places whose second differences are taken, and by how much it may differ, seconds.
 const STRIDE_S: f64 = 0.22;
 const SLACK_S: f64 = 0.06;

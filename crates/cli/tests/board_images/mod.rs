@@ -31,8 +31,8 @@ pub const BASELINE_M: f64 = 0.06;
 
 /// Poses of the board's middle in the left camera: `[rotation, translation]`.
 fn poses() -> impl Iterator<Item = Vector6<f64>> {
-    let tilts = [-0.5, 0.0, 0.5];
-    let all = tilts.iter().flat_map(move |a| tilts.map(|b| (*a, b)));
+    const TILTS: [f64; 3] = [-0.5, 0.0, 0.5];
+    let all = TILTS.into_iter().flat_map(|a| TILTS.map(|b| (a, b)));
     all.enumerate().map(|(k, (about_x, about_y))| {
         let (column, row) = ((k % 3) as f64 - 1.0, (k / 3) as f64 - 1.0);
         Vector6::new(
