@@ -29,7 +29,6 @@ const MAX_VIEWS: usize = 240;
 
 /// One view as an adjustment leaves it.
 pub(crate) struct SeenView {
-    pub time_s: f64,
     pub camera_from_target: Se3,
     pub corners: Vec<SeenCorner>,
 }
@@ -110,12 +109,6 @@ impl<'a> Diagnosis<'a> {
     /// The board as it would be if it were not what its file says; `variance` is that of a corner in one direction, px².
     pub fn board(&self, variance: f64) -> BoardDoubt {
         self.sums.board(self.target, self.camera, variance)
-    }
-
-    /// By how much, as a share, the views' own poses accelerate more than the adjusted ones: a numerator and its denominator, so
-    /// that cameras can be taken together.
-    pub fn motion(&self) -> [f64; 2] {
-        self.sums.motion()
     }
 }
 

@@ -203,7 +203,6 @@ impl Solved<'_> {
             let corners = start.views.views[instant].iter();
             let inliers = corners.zip(&self.inliers[k][instant]);
             SeenView {
-                time_s: 0.0,
                 camera_from_target: start.camera_from_first * self.first_from_target[instant],
                 corners: inliers
                     .filter(|(_, inlier)| **inlier)

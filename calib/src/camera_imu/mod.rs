@@ -241,8 +241,6 @@ pub struct CameraImuCalibration {
     pub gravity_in_target_m_s2: [f64; 3],
     /// Its standard deviations.
     pub gravity_sigma_m_s2: [f64; 3],
-    /// How much larger than the board its file says the accelerometer finds it, as a share of its size.
-    pub board_scale_error: f64,
     /// How far a corner lies out of the board's plane at most, metres.
     pub board_bend_m: f64,
     /// Its standard deviation, metres.

@@ -65,11 +65,6 @@ impl CameraImuCalibration {
                                 td { (format!("{:.4}", self.gravity_sigma_m_s2[k])) }
                             }
                         }
-                        tr {
-                            td { "size by the accelerometer, beside its file's" }
-                            td { (format!("{:+.2} %", self.board_scale_error * 100.0)) }
-                            td {}
-                        }
                         @if self.board_bend_sigma_m > 0.0 {
                             tr {
                                 td { "farthest corner out of its plane, mm" }

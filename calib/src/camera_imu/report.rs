@@ -25,9 +25,6 @@ const WORRYING_POSITION_M: f64 = 0.002;
 const WORRYING_CLOCK_S: f64 = 0.0005;
 /// Times by which the axis least moved about falls behind the one most moved about when it gets the blame.
 pub(super) const POOR_AXIS: f64 = 4.0;
-/// Difference between the board's size and the accelerometer's above which a warning is due: accelerometers keep their scale
-/// within a percent.
-const WORRYING_SCALE: f64 = 0.02;
 /// Residuals of the IMU in bins, as multiples of its noise.
 const BINS: usize = 40;
 const BIN: f64 = 0.25;
@@ -36,8 +33,6 @@ const BIN: f64 = 0.25;
 struct Inertial {
     ratio: [f64; 2],
     histogram: [Vec<u32>; 2],
-    /// How much larger the accelerometer finds the motion than the views do, as a share.
-    scale_error: f64,
 }
 
 impl State {
@@ -79,22 +74,11 @@ impl State {
                 ));
             }
         }
-        let mut moves = [0.0, f64::MIN_POSITIVE];
         for (k, camera) in cameras.iter().enumerate() {
             let diagnosis = Diagnosis::new(target, &camera.camera, self.seen(k).collect());
             let misses = diagnosis.warning(camera.rms_px);
             warnings.extend(misses.map(|w| format!("{}: {w}", camera.name)));
             warnings.extend(self.warnings_of(camera));
-            let [together, alone] = diagnosis.motion();
-            moves = [moves[0] + together, moves[1] + alone];
-        }
-        // The motion lies between what the views say and what the accelerometer says.
-        eprintln!(inertial.scale_error, moves[0] / moves[1], moves);
-        let scale = (1.0 + inertial.scale_error) / (1.0 + moves[0] / moves[1]);
-        if (scale - 1.0).abs() > WORRYING_SCALE {
-            warnings.push(format!(
-                "the accelerometer finds the motion {scale:.2} times as large as the board's file makes it: the size of its tags or squares is wrong by as much, or the accelerometer's scale is"
-            ));
         }
         let middle = self.middle_bias();
         let axes = match config.axes {
@@ -129,7 +113,6 @@ impl State {
             },
             gravity_in_target_m_s2: self.gravity.into(),
             gravity_sigma_m_s2: uncertainty.gravity.into(),
-            board_scale_error: scale - 1.0,
             board_bend_m,
             board_bend_sigma_m,
             motion: self.motion,
@@ -248,7 +231,6 @@ impl State {
             })
             .collect();
         Some(SeenView {
-            time_s: view.stamp_s + camera.offset_s,
             camera_from_target,
             corners,
         })
@@ -330,7 +312,6 @@ impl State {
         let mut squares = [0.0; 2];
         let mut count = [0.0; 2];
         let mut histogram = [vec![0; BINS], vec![0; BINS]];
-        let (mut misses, mut moves) = (0.0, 0.0);
         let matrices = [gyro_matrix(&self.gyro_axes), accel_matrix(&self.accel_axes)];
         for sample in &self.samples {
             let Some(At {
@@ -348,11 +329,6 @@ impl State {
                     / self.gyro_sigma,
                 (matrices[1] * force + bias(&self.accel_bias) - sample.accel) / self.accel_sigma,
             ];
-            let acceleration = r.rotation.inverse() * p.acceleration;
-            for axis in (0..3).filter(|axis| !sample.accel_saturated[*axis]) {
-                misses -= errors[1][axis] * self.accel_sigma * acceleration[axis];
-                moves += acceleration[axis] * acceleration[axis];
-            }
             let ends = [&sample.gyro_saturated, &sample.accel_saturated];
             for triad in 0..2 {
                 for axis in (0..3).filter(|axis| !ends[triad][*axis]) {
@@ -367,7 +343,6 @@ impl State {
         Inertial {
             ratio: [0, 1].map(|k| (squares[k] / f64::max(count[k], 1.0)).sqrt()),
             histogram,
-            scale_error: misses / f64::max(moves, 1e-12),
         }
     }
 

@@ -9,10 +9,7 @@ use crate::camera::moved_by_pose;
 use crate::target::Target;
 
 /// Rings of the lens's radial profile.
-const RINGS: usize = 16;
-/// Time between places whose second differences are taken, and by how much it may differ, seconds.
-const STRIDE_S: f64 = 0.22;
-const SLACK_S: f64 = 0.06;
+const RINGS: usize = 8;
 /// Pivot below which a direction is one that poses and lens have too, as a share of what it was before.
 const SAME: f64 = 1e-9;
 
@@ -104,8 +101,6 @@ pub(super) struct Sums {
     /// What the views' own poses took off.
     of_poses: f64,
     corners: f64,
-    /// Times, places of the camera before the board, and what its own pose would add to them.
-    moves: Vec<(f64, [Vector3<f64>; 2])>,
     centre: Vector3<f64>,
 }
 
@@ -129,7 +124,6 @@ impl Sums {
             squares: 0.0,
             of_poses: 0.0,
             corners: 0.0,
-            moves: Vec::new(),
             centre: Vector3::new(0.5 * width, 0.5 * height, 0.0),
         }
     }
@@ -166,11 +160,6 @@ impl Sums {
             self.gradient -= coupling * solved;
             self.squares -= gradient_of_pose.dot(&solved);
             self.of_poses += gradient_of_pose.dot(&solved);
-            // Moved by −solved from the right, the camera stands off by p × φ − ρ.
-            let place = view.camera_from_target.inverse().translation;
-            let turn = -solved.fixed_rows::<3>(0).into_owned();
-            let off = place.cross(&turn) + solved.fixed_rows::<3>(3);
-            self.moves.push((view.time_s, [place, off]));
         }
     }
 
@@ -309,30 +298,6 @@ impl Sums {
             focal_change: (of_focal * step)[0],
             focal_sigma: root((of_focal * covariance * of_focal.transpose())[0]),
         }
-    }
-
-    /// Covariance of what the views' own poses add to second differences over [`STRIDE_S`] with those of the adjusted ones, and
-    /// the variance of these: beside accelerations, slow errors count for nothing.
-    pub fn motion(&self) -> [f64; 2] {
-        let [mut together, mut alone] = [0.0; 2];
-        for (k, (time_s, here)) in self.moves.iter().enumerate() {
-            let near = |wanted_s: f64| {
-                let after = self.moves.partition_point(|m| m.0 < wanted_s - SLACK_S);
-                let found = self.moves.get(after)?;
-                ((found.0 - wanted_s).abs() <= SLACK_S && after != k).then_some(found)
-            };
-            // The step that the views' times allow.
-            let Some((end_s, after)) = near(time_s + STRIDE_S) else {
-                continue;
-            };
-            let Some((_, before)) = near(2.0 * time_s - end_s) else {
-                continue;
-            };
-            let [place, off] = [0, 1].map(|n| after[n] - here[n] * 2.0 + before[n]);
-            together += place.dot(&off);
-            alone += place.norm_squared();
-        }
-        [together, alone]
     }
 }
 

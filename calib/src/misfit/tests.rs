@@ -70,7 +70,6 @@ fn views(at: impl Fn(usize) -> Vector3<f64>, lens: Lens, readout_s: f64) -> Vec<
             // As an adjustment leaves it.
             let adjusted = pose_of_target(&target, &camera(LENS), &seen).expect("a pose");
             SeenView {
-                time_s: 0.0,
                 camera_from_target: adjusted,
                 corners,
             }
