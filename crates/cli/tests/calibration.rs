@@ -99,7 +99,11 @@ fn a_board_that_is_not_what_was_said_gives_a_page_and_no_rig() {
 
     let mut other = CAMERA;
     other[3] = "8,6,0.03";
-    refused(path, &other, &["left", "found in 0 of 9 images", "8 × 6"]);
+    refused(
+        path,
+        &other,
+        &["left", "of 9 images, 4 are needed", "8 × 6"],
+    );
     blind(path, "right");
     refused(path, &CAMERA, &["right", "found in 0 of 9 images"]);
 }
