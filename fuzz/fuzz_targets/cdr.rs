@@ -8,13 +8,22 @@ fuzz_target!(|data: &[u8]| {
     let Some((&kind, data)) = data.split_first() else {
         return;
     };
-    match kind % 7 {
+    match kind % 16 {
         0 => drop(message::decode_image(data)),
         1 => drop(message::decode_imu(data)),
         2 => drop(message::decode_time_reference(data)),
         3 => drop(message::decode_velodyne_scan(data)),
         4 => drop(message::decode_points(data)),
         5 => drop(message::decode_raw_packet(data)),
-        _ => drop(message::decode_frame_meta(data)),
+        6 => drop(message::decode_frame_meta(data)),
+        7 => drop(message::decode_clock_model(data)),
+        8 => drop(message::decode_camera_group(data)),
+        9 => drop(message::decode_health_value(data)),
+        10 => drop(message::decode_remark(data)),
+        11 => drop(message::decode_wifi(data)),
+        12 => drop(message::decode_ble(data)),
+        13 => drop(message::decode_magnetic(data)),
+        14 => drop(message::decode_pressure(data)),
+        _ => drop(message::decode_gnss(data)),
     }
 });

@@ -1,10 +1,8 @@
-//! What people write: lists of devices, point clouds.
+//! Lists of devices, as people write them.
 #![no_main]
 
-use std::sync::atomic::AtomicBool;
-
 use libfuzzer_sys::fuzz_target;
-use lsfb_capture::{CloudsConfig, DevicesConfig, Session, import_clouds};
+use lsfb_capture::{DevicesConfig, Session};
 
 fuzz_target!(|data: &[u8]| {
     let folder = std::env::temp_dir().join(format!("lsfb-fuzz-{}-devices", std::process::id()));
@@ -23,9 +21,4 @@ fuzz_target!(|data: &[u8]| {
         (config.lidar, config.sidecar, config.rig) = (None, None, None);
         let _ = Session::open(&config);
     }
-    std::fs::write(folder.join("cloud.pcd"), data).expect("a scratch file");
-    let out = folder.join("clouds.mcap");
-    let stop = AtomicBool::new(false);
-    let config = CloudsConfig::default();
-    let _ = import_clouds(&folder, &config, &out, &stop, &lsfb_types::no_progress);
 });

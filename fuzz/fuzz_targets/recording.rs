@@ -86,6 +86,7 @@ fuzz_target!(|data: &[u8]| {
     };
     let _ = recording.verify(&lsfb_types::no_progress);
     let _ = (recording.rig(), recording.arrival_range());
+    let _ = (recording.calibration(), recording.end_time());
     let _ = (recording.camera_units(), recording.arrivals(&lsfb_types::no_progress));
     let _ = recording.images("cam0").map(|items| items.take(1_000).for_each(drop));
     let _ = recording.imu().map(|items| items.take(1_000).for_each(drop));

@@ -1,0 +1,40 @@
+//! Trajectories as other programs write them: TUM text, KITTI poses with and without a file of times, EuRoC csv, gzipped.
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use lsfb_eval::{read_kitti_poses, read_poses};
+use lsfb_geometry::StampedPose;
+use lsfb_recording::{read_tum, write_tum};
+
+fn assert_poses(poses: &[StampedPose]) {
+    for pose in poses {
+        let turn = &pose.world_from_rig.rotation;
+        assert!((turn.norm() - 1.0).abs() < 1e-9, "{turn}");
+        let shift = &pose.world_from_rig.translation;
+        assert!(shift.iter().all(|v| v.is_finite()), "{shift}");
+    }
+}
+
+fuzz_target!(|data: &[u8]| {
+    let name = |what| std::env::temp_dir().join(format!("lsfb-fuzz-{}-{what}", std::process::id()));
+    // What follows the first zero is the file of times.
+    let zero = data.iter().position(|byte| *byte == 0 && data[0] != 0x1f);
+    let (poses, times) = data.split_at(zero.unwrap_or(data.len()));
+    let (path, times_path) = (name("poses"), name("times"));
+    std::fs::write(&path, poses).expect("a scratch file");
+    if let Ok(poses) = read_poses(&path) {
+        assert_poses(&poses);
+    }
+    if !times.is_empty() {
+        std::fs::write(&times_path, &times[1..]).expect("a scratch file");
+        if let Ok(poses) = read_kitti_poses(&path, &times_path) {
+            assert_poses(&poses);
+        }
+    }
+    if let Ok(trajectory) = read_tum(&path) {
+        assert_poses(trajectory.poses());
+        write_tum(&path, &trajectory).expect("a scratch file");
+        assert_eq!(read_tum(&path).expect("it was written"), trajectory);
+        assert_poses(&read_poses(&path).unwrap_or_default());
+    }
+});
