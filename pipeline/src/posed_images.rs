@@ -35,6 +35,8 @@ pub struct PosedImages {
 const INTRINSICS: &str = "K.txt";
 /// One line per image: file name and the rows of `world_from_camera`, 4 × 4.
 const POSES: &str = "poses_T_world_cam_rowmajor4x4.txt";
+/// Largest image accepted, unpacked.
+const MAX_IMAGE_BYTES: usize = 1 << 30;
 
 impl PosedImages {
     /// Reads a folder with `K.txt`, `poses_T_world_cam_rowmajor4x4.txt` and `images/`: an undistorted pinhole camera
@@ -183,7 +185,10 @@ fn decode_png(bytes: &[u8]) -> Result<Image, String> {
     let mut decoder = png::Decoder::new(BufReader::new(Cursor::new(bytes)));
     decoder.set_transformations(png::Transformations::normalize_to_color8());
     let mut reader = decoder.read_info().map_err(|e| e.to_string())?;
-    let size = reader.output_buffer_size().ok_or("too large")?;
+    let size = reader
+        .output_buffer_size()
+        .filter(|size| *size <= MAX_IMAGE_BYTES)
+        .ok_or("too large")?;
     let mut pixels = vec![0; size];
     let info = reader.next_frame(&mut pixels).map_err(|e| e.to_string())?;
     pixels.truncate(info.buffer_size());

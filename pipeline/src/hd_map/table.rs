@@ -11,15 +11,19 @@ use arrow_array::{
     Array, ArrayRef, FixedSizeBinaryArray, FixedSizeListArray, Float32Array, PrimitiveArray,
     RecordBatch,
 };
-use arrow_buffer::{Buffer, ScalarBuffer};
-use arrow_ipc::convert::fb_to_schema;
-use arrow_ipc::reader::{FileDecoder, read_footer_length};
-use arrow_ipc::root_as_footer;
+use arrow_buffer::{ArrowNativeType, Buffer, ScalarBuffer};
+use arrow_ipc::reader::read_footer_length;
 use arrow_ipc::writer::FileWriter;
+use arrow_ipc::{
+    Buffer as IpcBuffer, Field as IpcField, FieldNode, Precision, root_as_footer, root_as_message,
+};
 use arrow_schema::{ArrowError, DataType, Field, Schema};
 
 use super::mapped_file::map_file;
 use crate::Error;
+
+/// Length of the footer, and the format's name, at the end of a file.
+const TRAILER_BYTES: usize = 10;
 
 /// A column without missing values.
 #[derive(Clone, Debug)]
@@ -73,36 +77,6 @@ impl Column {
             }
         })
     }
-
-    fn from_array(array: &ArrayRef) -> Option<Self> {
-        fn values<T: ArrowPrimitiveType>(array: &ArrayRef) -> Option<ScalarBuffer<T::Native>> {
-            let array = array.as_any().downcast_ref::<PrimitiveArray<T>>()?;
-            Some(array.values().clone())
-        }
-        if array.null_count() > 0 {
-            return None;
-        }
-        match array.data_type() {
-            DataType::Float64 => values::<Float64Type>(array).map(Self::F64),
-            DataType::Float32 => values::<Float32Type>(array).map(Self::F32),
-            DataType::Int64 => values::<Int64Type>(array).map(Self::I64),
-            DataType::UInt32 => values::<UInt32Type>(array).map(Self::U32),
-            DataType::UInt16 => values::<UInt16Type>(array).map(Self::U16),
-            DataType::FixedSizeBinary(width) => {
-                let array = array.as_any().downcast_ref::<FixedSizeBinaryArray>()?;
-                let width = usize::try_from(*width).ok()?;
-                let values = array.values().slice_with_length(0, width * array.len());
-                Some(Self::Bytes { width, values })
-            }
-            DataType::FixedSizeList(_, width) => {
-                let array = array.as_any().downcast_ref::<FixedSizeListArray>()?;
-                let width = usize::try_from(*width).ok()?;
-                let values = values::<Float32Type>(array.values())?;
-                Some(Self::F32List { width, values })
-            }
-            _ => None,
-        }
-    }
 }
 
 /// A named column.
@@ -148,41 +122,161 @@ pub(crate) fn read_table(
         path: path.to_owned(),
         reason,
     };
-    let batch = decode(bytes).map_err(|e| refuse(e.to_string()))?;
+    let columns = decode(bytes).map_err(|reason| refuse(reason.to_owned()))?;
     let column = |name: &&'static str| {
-        let array = batch
-            .column_by_name(name)
-            .ok_or(refuse(format!("no column {name}")))?;
-        Column::from_array(array).ok_or(refuse(format!("column {name} has another type")))
+        let found = columns.iter().find(|(known, _)| known == name);
+        found
+            .map(|(_, column)| column.clone())
+            .ok_or(refuse(format!("no column {name}")))
     };
     wanted.iter().map(column).collect()
 }
 
-fn decode(bytes: &Buffer) -> Result<RecordBatch, ArrowError> {
-    let bad = |what: &str| ArrowError::ParseError(what.to_owned());
-    let length = bytes.len();
-    let tail = length
-        .checked_sub(10)
-        .ok_or(bad("too short for an Arrow file"))?;
-    let trailer: [u8; 10] = bytes[tail..].try_into().map_err(|_| bad("no trailer"))?;
-    let footer_length = read_footer_length(trailer)?;
+/// The columns of the one record batch that a file of ours has. Arrow's own reader takes a file at its word, and panics where
+/// that is wrong; here every length is compared first.
+fn decode(bytes: &Buffer) -> Result<Vec<(String, Column)>, &'static str> {
+    const CUT_OFF: &str = "the record batch is cut off";
+    let tail = bytes.len().checked_sub(TRAILER_BYTES);
+    let tail = tail.ok_or("too short for an Arrow file")?;
+    let trailer = bytes[tail..].try_into().map_err(|_| "no trailer")?;
+    let footer_length = read_footer_length(trailer).map_err(|_| "no Arrow file")?;
     let start = tail
         .checked_sub(footer_length)
-        .ok_or(bad("the footer is cut off"))?;
-    let footer = root_as_footer(&bytes[start..tail]).map_err(|e| bad(&e.to_string()))?;
-    let schema = fb_to_schema(footer.schema().ok_or(bad("no schema"))?);
-    let decoder = FileDecoder::new(Arc::new(schema), footer.version());
-    let blocks = footer.recordBatches().ok_or(bad("no record batch"))?;
-    let block = blocks.iter().next().ok_or(bad("no record batch"))?;
-    let from = usize::try_from(block.offset()).map_err(|_| bad("negative offset"))?;
-    let metadata = usize::try_from(block.metaDataLength()).map_err(|_| bad("negative length"))?;
-    let body = usize::try_from(block.bodyLength()).map_err(|_| bad("negative length"))?;
-    let size = metadata.checked_add(body).ok_or(bad("too long"))?;
-    if from.checked_add(size).is_none_or(|end| end > start) {
-        return Err(bad("the record batch is cut off"));
+        .ok_or("the footer is cut off")?;
+    let footer = root_as_footer(&bytes[start..tail]).map_err(|_| "the footer is damaged")?;
+    let schema = footer.schema().ok_or("no schema")?;
+    let block = footer
+        .recordBatches()
+        .and_then(|blocks| blocks.iter().next())
+        .ok_or("no record batch")?;
+    let number = |value: i64| usize::try_from(value).map_err(|_| "a negative length");
+    let from = number(block.offset())?;
+    let metadata = number(block.metaDataLength().into())?;
+    let body = number(block.bodyLength())?;
+    let body_at = from.checked_add(metadata).ok_or(CUT_OFF)?;
+    let end = body_at.checked_add(body).ok_or(CUT_OFF)?;
+    if end > start {
+        return Err(CUT_OFF);
     }
-    let data = bytes.slice_with_length(from, size);
-    decoder
-        .read_record_batch(block, &data)?
-        .ok_or(bad("no record batch"))
+    // Continuation marker and length come before the message.
+    let message = bytes.get(from + 8..body_at).ok_or(CUT_OFF)?;
+    let message = root_as_message(message).map_err(|_| "the record batch is damaged")?;
+    let batch = message.header_as_record_batch().ok_or("no record batch")?;
+    if batch.compression().is_some() {
+        return Err("it is compressed");
+    }
+    let mut parts = Parts {
+        body: bytes.slice_with_length(body_at, body),
+        nodes: batch.nodes().ok_or("no columns")?.iter().collect(),
+        buffers: batch.buffers().ok_or("no columns")?.iter().collect(),
+    };
+    parts.nodes.reverse();
+    parts.buffers.reverse();
+    let rows = number(batch.length())?;
+    let fields = schema.fields().ok_or("no columns")?;
+    let column = |field| {
+        let (name, column) = parts.column(field, rows)?;
+        Ok((name.to_owned(), column))
+    };
+    fields.iter().map(column).collect()
+}
+
+/// What is left of a record batch, the next at the end.
+struct Parts<'a> {
+    body: Buffer,
+    nodes: Vec<&'a FieldNode>,
+    buffers: Vec<&'a IpcBuffer>,
+}
+
+impl Parts<'_> {
+    fn column<'f>(
+        &mut self,
+        field: IpcField<'f>,
+        rows: usize,
+    ) -> Result<(&'f str, Column), &'static str> {
+        const OTHER: &str = "a column has another type";
+        let name = field.name().ok_or("a column has no name")?;
+        self.node(rows)?;
+        let float = |field: &IpcField<'f>| field.type_as_floating_point().map(|f| f.precision());
+        let column = if let Some(precision) = float(&field) {
+            match precision {
+                Precision::DOUBLE => Column::F64(self.numbers(rows)?),
+                Precision::SINGLE => Column::F32(self.numbers(rows)?),
+                _ => return Err(OTHER),
+            }
+        } else if let Some(int) = field.type_as_int() {
+            match (int.is_signed(), int.bitWidth()) {
+                (true, 64) => Column::I64(self.numbers(rows)?),
+                (false, 32) => Column::U32(self.numbers(rows)?),
+                (false, 16) => Column::U16(self.numbers(rows)?),
+                _ => return Err(OTHER),
+            }
+        } else if let Some(binary) = field.type_as_fixed_size_binary() {
+            let width = usize::try_from(binary.byteWidth()).map_err(|_| OTHER)?;
+            self.validity()?;
+            Column::Bytes {
+                width,
+                values: self.values(rows.checked_mul(width).ok_or(OTHER)?)?,
+            }
+        } else if let Some(list) = field.type_as_fixed_size_list() {
+            let width = usize::try_from(list.listSize()).map_err(|_| OTHER)?;
+            let items = field.children().filter(|children| children.len() == 1);
+            let item = items.ok_or(OTHER)?.get(0);
+            let count = rows.checked_mul(width).ok_or(OTHER)?;
+            self.validity()?;
+            self.node(count)?;
+            match float(&item) {
+                Some(Precision::SINGLE) => Column::F32List {
+                    width,
+                    values: self.numbers(count)?,
+                },
+                _ => return Err(OTHER),
+            }
+        } else {
+            return Err(OTHER);
+        };
+        Ok((name, column))
+    }
+
+    /// The next node must have so many values, none of them missing.
+    fn node(&mut self, values: usize) -> Result<(), &'static str> {
+        let node = self.nodes.pop().ok_or("a column is missing")?;
+        let agrees = usize::try_from(node.length()) == Ok(values) && node.null_count() == 0;
+        agrees
+            .then_some(())
+            .ok_or("a column has another length, or values are missing")
+    }
+
+    /// Where none is missing there is no need to know which.
+    fn validity(&mut self) -> Result<(), &'static str> {
+        self.buffers.pop().map(|_| ()).ok_or("a column is missing")
+    }
+
+    /// The next buffer, its first `bytes`.
+    fn values(&mut self, bytes: usize) -> Result<Buffer, &'static str> {
+        let buffer = self.buffers.pop().ok_or("a column is missing")?;
+        let place = (buffer.offset().try_into(), buffer.length().try_into());
+        let (Ok(offset), Ok(length)) = place else {
+            return Err("a column has a negative length");
+        };
+        let (offset, length): (usize, usize) = (offset, length);
+        let end = offset.checked_add(length);
+        let fits = bytes <= length && end.is_some_and(|end| end <= self.body.len());
+        fits.then(|| self.body.slice_with_length(offset, bytes))
+            .ok_or("a column is cut off")
+    }
+
+    fn numbers<T: ArrowNativeType>(
+        &mut self,
+        count: usize,
+    ) -> Result<ScalarBuffer<T>, &'static str> {
+        self.validity()?;
+        let bytes = count.checked_mul(size_of::<T>());
+        let values = self.values(bytes.ok_or("a column is too long")?)?;
+        let address = values.as_ptr().addr();
+        if !address.is_multiple_of(align_of::<T>()) {
+            return Err("a column is not aligned");
+        }
+        Ok(ScalarBuffer::new(values, 0, count))
+    }
 }

@@ -189,3 +189,29 @@ fn content_must_fit_together() {
     let error = HdMap::build(&content, &HdMapConfig::default(), &no_progress).expect_err("lost");
     assert!(error.to_string().contains("its image is missing"));
 }
+
+/// A table whose hash is right may still say anything about itself.
+#[test]
+fn tables_that_lie_about_themselves_are_refused() {
+    let folder = tempfile::tempdir().expect("scratch folder");
+    small_map().write(folder.path()).expect("written");
+    let path = folder.path().join("keyframes.arrow");
+    let bytes = fs::read(&path).expect("readable");
+    let mut refused = 0;
+    for at in 0..bytes.len() {
+        for flip in [0x01, 0x80, 0xff] {
+            let mut lie = bytes.clone();
+            lie[at] ^= flip;
+            let lie = Buffer::from(lie);
+            let names = ["time_ns", "qx", "qy", "qz", "qw", "tx_m", "ty_m", "tz_m"];
+            match table::read_table(&path, &lie, &names) {
+                Ok(columns) => assert_eq!(columns.len(), names.len()),
+                Err(error) => {
+                    assert!(error.to_string().contains("keyframes.arrow"), "{error}");
+                    refused += 1;
+                }
+            }
+        }
+    }
+    assert!(refused > bytes.len() / 10, "{refused} of {}", bytes.len());
+}
