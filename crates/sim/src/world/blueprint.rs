@@ -32,18 +32,25 @@ pub(crate) struct Blueprint {
 
 impl World {
     /// The scene of a binary glTF file, in its own light.
-    pub(crate) fn of_file(path: &Path) -> Result<Self, Error> {
+    pub fn of_file(path: &Path) -> Result<Self, Error> {
         let scene = gltf::read(path)?;
         let mut triangles = Vec::new();
         let mut unsorted = Vec::new();
         for triangle in scene.triangles {
             let [corner, q, r] = triangle.corners_m;
             let (a, b) = (sub(q, corner), sub(r, corner));
-            // Slivers have no direction to face.
-            if norm(cross(a, b)) > 1e-9 {
+            // Slivers have no direction to face, and what is infinitely large no place.
+            let area = norm(cross(a, b));
+            if area > 1e-9 && area.is_finite() {
                 unsorted.push(Facet::new(corner, a, b, Outline::Triangle));
                 triangles.push(triangle);
             }
+        }
+        if unsorted.is_empty() {
+            return Err(Error::Scene {
+                path: path.to_owned(),
+                problem: "none of its triangles has an area".to_owned(),
+            });
         }
         let (bvh, order) = Bvh::build(&unsorted);
         let facets: Vec<Facet> = order.iter().map(|&i| unsorted[i]).collect();

@@ -146,6 +146,12 @@ struct Picture {
 
 /// Deepest tree of nodes; deeper ones go round in circles.
 const MOST_LEVELS: usize = 64;
+/// Nodes, those shown in several places counted in each.
+const MOST_NODES: usize = 100_000;
+/// Triangles of a whole scene, counted alike.
+const MOST_TRIANGLES: usize = 20_000_000;
+/// Pixels of one picture.
+const MOST_PIXELS: usize = 1 << 28;
 /// Bytes of the file's header, and of a chunk's.
 const HEADER: usize = 12;
 const CHUNK_HEADER: usize = 8;
@@ -189,6 +195,7 @@ fn parse(bytes: &[u8]) -> Result<Scene, String> {
         document: &document,
         data,
         pictures: pictures.len(),
+        nodes: 0,
         triangles: Vec::new(),
     };
     let scene = document
@@ -230,6 +237,7 @@ fn decode(bytes: &[u8]) -> Result<Canvas, String> {
             .map_err(|e| format!("a PNG picture: {e}"))?;
         let size = reader
             .output_buffer_size()
+            .filter(|size| *size <= 4 * MOST_PIXELS)
             .ok_or("a PNG picture is too large")?;
         let mut pixels = vec![0; size];
         let info = reader
@@ -337,6 +345,7 @@ struct Reading<'a> {
     document: &'a Document,
     data: &'a [u8],
     pictures: usize,
+    nodes: usize,
     triangles: Vec<Triangle>,
 }
 
@@ -349,6 +358,10 @@ impl Reading<'_> {
             .ok_or("a node that is not there")?;
         if level > MOST_LEVELS {
             return Err("its nodes go round in circles".to_owned());
+        }
+        self.nodes += 1;
+        if self.nodes > MOST_NODES {
+            return Err(format!("it shows more than {MOST_NODES} nodes"));
         }
         let own = match node.matrix {
             Some(columns) => Matrix4::from_column_slice(&columns),
@@ -401,6 +414,9 @@ impl Reading<'_> {
             .unwrap_or(self.pictures - 1);
         let [r, g, b, _] = paint.and_then(|p| p.base_color_factor).unwrap_or([1.0; 4]);
         let gain = (0.299 * r + 0.587 * g + 0.114 * b).max(0.0).sqrt();
+        if self.triangles.len() + order.len() > MOST_TRIANGLES {
+            return Err(format!("it has more than {MOST_TRIANGLES} triangles"));
+        }
         for corner in order.chunks_exact(3) {
             let mut triangle = Triangle {
                 corners_m: [[0.0; 3]; 3],
@@ -449,5 +465,37 @@ mod tests {
             assert!(parse(&file[..end]).is_err());
         }
         assert!(parse(b"glTF").is_err() && parse(b"PK").is_err());
+    }
+
+    #[test]
+    fn scenes_that_grow_without_end_or_have_no_area_are_refused() {
+        let file = |json: &str| {
+            let mut file = b"glTF\x02\0\0\0\0\0\0\0".to_vec();
+            for content in [json.as_bytes(), &[0; 36]] {
+                file.extend((content.len() as u32).to_le_bytes());
+                file.extend([0; 4]);
+                file.extend(content);
+            }
+            file
+        };
+        let rest = r#""scenes":[{"nodes":[0]}],"accessors":[{"bufferView":0,"componentType":5126,"count":3}],
+            "meshes":[{"primitives":[{"attributes":{"POSITION":0}}]}],"bufferViews":[{"byteLength":36}]"#;
+        // Each node shows the next one twice.
+        let nodes: Vec<String> = (1..60)
+            .map(|next| format!(r#"{{"children":[{next},{next}]}}"#))
+            .collect();
+        let doubling = format!(r#"{{{rest},"nodes":[{},{{"mesh":0}}]}}"#, nodes.join(","));
+        let problem = parse(&file(&doubling)).expect_err("too many");
+        assert!(problem.contains("more than 100000 nodes"), "{problem}");
+
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("flat.glb");
+        let flat = format!(r#"{{{rest},"nodes":[{{"mesh":0}}]}}"#);
+        std::fs::write(&path, file(&flat)).expect("file");
+        let problem = crate::World::of_file(&path).expect_err("flat").to_string();
+        assert!(
+            problem.contains("none of its triangles has an area"),
+            "{problem}"
+        );
     }
 }
