@@ -122,47 +122,54 @@ pub struct BalProblem {
 }
 
 /// The problem from the text of a BAL file.
-pub fn parse(text: &str, kernel: Kernel) -> BalProblem {
-    let mut numbers = text.split_ascii_whitespace().map(|word| {
-        word.parse::<f64>()
-            .unwrap_or_else(|_| panic!("a number in the BAL file: {word}"))
-    });
-    let mut next = || numbers.next().expect("BAL file goes on");
-    let (cameras, points, observations) = (next() as usize, next() as usize, next() as usize);
-    let seen: Vec<(usize, usize, Vector2<f64>)> = (0..observations)
-        .map(|_| {
-            (
-                next() as usize,
-                next() as usize,
-                Vector2::new(next(), next()),
-            )
-        })
-        .collect();
-    let mut problem = Problem::new();
-    let vector = |next: &mut dyn FnMut() -> f64| Vector3::new(next(), next(), next());
-    let cameras: Vec<_> = (0..cameras)
-        .map(|k| {
-            let camera = problem.add_block(BalCamera {
-                camera_from_world: so3::exp(&vector(&mut next)),
-                translation: vector(&mut next),
-                intrinsics: vector(&mut next),
-            });
-            problem.set_name(camera.id(), format!("camera {k}"));
-            camera
-        })
-        .collect();
-    let points: Vec<_> = (0..points)
-        .map(|_| problem.add_eliminated_point(vector(&mut next)))
-        .collect();
+pub fn parse(text: &str, kernel: Kernel) -> Result<BalProblem, Box<dyn std::error::Error>> {
+    let mut words = text.split_ascii_whitespace();
+    let count = |word: Option<&str>| -> Result<usize, Box<dyn std::error::Error>> {
+        Ok(word.ok_or("the file ends too early")?.parse()?)
+    };
+    let number = |word: Option<&str>| -> Result<f64, Box<dyn std::error::Error>> {
+        Ok(word.ok_or("the file ends too early")?.parse()?)
+    };
+    let cameras = count(words.next())?;
+    let points = count(words.next())?;
+    let observations = count(words.next())?;
+    let mut seen = Vec::new();
+    for _ in 0..observations {
+        let (camera, point) = (count(words.next())?, count(words.next())?);
+        let pixel = Vector2::new(number(words.next())?, number(words.next())?);
+        seen.push((camera, point, pixel));
+    }
+    let mut vector = || -> Result<Vector3<f64>, Box<dyn std::error::Error>> {
+        let mut next = || number(words.next());
+        Ok(Vector3::new(next()?, next()?, next()?))
+    };
+    let mut bal = BalProblem {
+        problem: Problem::new(),
+        cameras: Vec::new(),
+        points: Vec::new(),
+    };
+    for k in 0..cameras {
+        let camera = bal.problem.add_block(BalCamera {
+            camera_from_world: so3::exp(&vector()?),
+            translation: vector()?,
+            intrinsics: vector()?,
+        });
+        bal.problem.set_name(camera.id(), format!("camera {k}"));
+        bal.cameras.push(camera);
+    }
+    for _ in 0..points {
+        let point = bal.problem.add_eliminated_point(vector()?);
+        bal.points.push(point);
+    }
     for (camera, point, pixel) in seen {
-        let blocks = [cameras[camera].id(), points[point].id()];
-        problem
-            .add_residual(BalObservation { pixel }, &blocks, kernel)
-            .expect("blocks fit");
+        let camera = bal
+            .cameras
+            .get(camera)
+            .ok_or("a camera that is not there")?;
+        let point = bal.points.get(point).ok_or("a point that is not there")?;
+        let blocks = [camera.id(), point.id()];
+        bal.problem
+            .add_residual(BalObservation { pixel }, &blocks, kernel)?;
     }
-    BalProblem {
-        problem,
-        cameras,
-        points,
-    }
+    Ok(bal)
 }

@@ -46,7 +46,7 @@ fn main() -> Outcome {
                 },
                 ..SolveConfig::default()
             };
-            let mut bal = bal::parse(&cost::read_text(path)?, Kernel::Squared);
+            let mut bal = bal::parse(&cost::read_text(path)?, Kernel::Squared)?;
             println!("{} cameras, {} points", bal.cameras.len(), bal.points.len());
             measure(&mut bal.problem, &config)
         }

@@ -9,7 +9,7 @@ use lsfb_solver::Kernel;
 
 pub fn run(path: &str, out: &str) -> Outcome {
     let text = cost::read_text(path)?;
-    let mut bal = bal::parse(&text, Kernel::Squared);
+    let mut bal = bal::parse(&text, Kernel::Squared)?;
     let report = solve_to_the_last_bit(&mut bal)?;
     println!(
         "cost {:.9} -> {:.9}, {} iterations, {:?}",

@@ -13,7 +13,7 @@ use crate::recordings;
 /// The real problem; `None`, with a line, where it is absent.
 pub fn ladybug(test: &str) -> Option<BalProblem> {
     let text = recordings::text(test, "vision/ba/problem-16-22106-pre.txt.gz")?;
-    Some(parse(&text, Kernel::Squared))
+    Some(parse(&text, Kernel::Squared).expect("a BAL file"))
 }
 
 #[test]

@@ -111,7 +111,8 @@ fn free_gauge_has_no_covariance_and_the_error_says_which_parameter() {
     let mut bal = parse(
         "1 1 1  0 0 -300.0 120.0  0.1 -0.2 0.3  0.5 -0.4 -5.0  500.0 -0.1 0.02  1.0 2.0 -3.0",
         Kernel::Squared,
-    );
+    )
+    .expect("a problem");
     bal.problem.set_constant(bal.cameras[0]);
     let error = covariance(&bal.problem, &[bal.cameras[0].id()]).expect_err("constant");
     assert!(matches!(error, Error::NoCovariance { .. }), "{error}");

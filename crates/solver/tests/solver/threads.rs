@@ -51,7 +51,7 @@ pub fn scattered(cameras: usize, points: usize) -> BalProblem {
             x[2] + uniform(0.1)
         );
     }
-    bal::parse(&text, Kernel::Squared)
+    bal::parse(&text, Kernel::Squared).expect("its own text")
 }
 
 #[test]
