@@ -30,8 +30,9 @@ fn parse(text: &str) -> Result<Vec<(Timestamp, ImuSample)>, String> {
         let stamp: i64 = stamp.trim().parse().map_err(|_| expected())?;
         let values: Vec<f64> = rest
             .split(',')
-            .map(|w| w.trim().parse().map_err(|_| expected()))
-            .collect::<Result<_, _>>()?;
+            .map(|w| w.trim().parse().ok().filter(|v: &f64| v.is_finite()))
+            .collect::<Option<_>>()
+            .ok_or_else(expected)?;
         let [gx, gy, gz, ax, ay, az] = values[..] else {
             return Err(expected());
         };
@@ -53,7 +54,13 @@ mod tests {
         let samples = parse("#t,w,a\n7, 1,2,3, 4,5,6\n").expect("a table");
         assert_eq!(samples[0].0.nanos(), 7);
         assert_eq!(samples[0].1.specific_force_m_s2, [4.0, 5.0, 6.0]);
-        for bad in ["7,1,2,3,4,5", "x,1,2,3,4,5,6", "7,1,2,3,4,5,six", "7"] {
+        for bad in [
+            "7,1,2,3,4,5",
+            "x,1,2,3,4,5,6",
+            "7,1,2,3,4,5,six",
+            "7,1,2,3,4,5,nan",
+            "7",
+        ] {
             let error = parse(&format!("#\n{bad}")).expect_err(bad);
             assert!(error.starts_with("line 2: "), "{error}");
         }
