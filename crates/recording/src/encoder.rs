@@ -29,8 +29,8 @@ const DIRECT_BYTES: u64 = 256 << 10;
 const MESSAGE_RECORD_BYTES: u64 = 31;
 /// Schema and channel record without the schema's text, generously.
 const DEFINITION_RECORDS_BYTES: u64 = 256;
-/// Stamps of ROS messages are `int32` seconds.
-const MAX_STAMP_NANOS: i64 = (i32::MAX as i64) * 1_000_000_000;
+/// The latest time that a recording can hold, and zero the earliest: stamps of ROS messages are `int32` seconds.
+pub const LAST_STAMP: Timestamp = Timestamp::from_nanos((i32::MAX as i64) * 1_000_000_000);
 
 /// Puts messages into chunks and chunks into the file.
 pub(crate) struct Encoder {
@@ -283,7 +283,7 @@ impl Encoder {
     ) -> Result<(), Error> {
         self.check()?;
         for stamp in [time, arrival] {
-            if !(0..=MAX_STAMP_NANOS).contains(&stamp.nanos()) {
+            if !(0..=LAST_STAMP.nanos()).contains(&stamp.nanos()) {
                 let topic = messages.first().map_or("", |m| m.topic);
                 let reason =
                     format!("time {stamp} s is outside 1970 … 2038; check the device's clock");

@@ -50,6 +50,7 @@ mod walk;
 mod writer;
 
 pub use calibration::{RecordedCalibration, rig_sha256};
+pub use encoder::LAST_STAMP;
 pub use error::{Damage, Error};
 pub use layout::{Channel, Compression, Durability, Existing, Summary, TopicSummary, WriterConfig};
 pub use pcd::read_pcd;
