@@ -2,7 +2,7 @@
 
 use std::io::{self, IoSliceMut};
 use std::os::fd::{AsFd, AsRawFd};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use lsfb_types::{Packet, Timestamp};
 use nix::errno::Errno;
@@ -18,6 +18,10 @@ use crate::{Error, WireError};
 pub const FRAME_LEN: usize = 16;
 /// Most data bytes of a classic frame.
 pub const MAX_DATA_LEN: usize = 8;
+
+/// A frame takes a tenth of a millisecond on the bus: a queue that stays full belongs to a bus that is down.
+const QUEUE_PATIENCE: Duration = Duration::from_secs(1);
+const QUEUE_NAP: Duration = Duration::from_micros(500);
 
 const EXTENDED: u32 = 0x8000_0000;
 const REMOTE: u32 = 0x4000_0000;
@@ -222,6 +226,47 @@ impl CanSource {
             arrival: arrival.unwrap_or_else(arrival_now),
             bytes,
         }))
+    }
+}
+
+/// Puts frames on a bus, as a device does; hears nothing.
+#[derive(Debug)]
+pub struct CanSender {
+    socket: CanSocket,
+    device: String,
+}
+
+impl CanSender {
+    /// Opens the interface.
+    pub fn open(interface: &str) -> Result<Self, Error> {
+        let device = format!("can {interface}");
+        let failed = |cause| Error::Open {
+            device: device.clone(),
+            action: "open the interface",
+            cause,
+        };
+        let socket = CanSocket::open(interface).map_err(failed)?;
+        socket.set_filter_drop_all().map_err(failed)?;
+        Ok(Self { socket, device })
+    }
+
+    /// Puts a frame on the bus; waits a little while its queue is full.
+    pub fn send(&mut self, frame: &CanFrame) -> Result<(), Error> {
+        let began = Instant::now();
+        loop {
+            match nix::unistd::write(&self.socket, &frame.emit()) {
+                Ok(_) => return Ok(()),
+                Err(Errno::ENOBUFS | Errno::EAGAIN) if began.elapsed() < QUEUE_PATIENCE => {
+                    std::thread::sleep(QUEUE_NAP);
+                }
+                Err(errno) => {
+                    return Err(Error::Send {
+                        device: self.device.clone(),
+                        cause: errno.into(),
+                    });
+                }
+            }
+        }
     }
 }
 

@@ -19,9 +19,9 @@ use crate::transport::{PacketSource, arrival_now};
 /// libusb takes zero for eternity.
 const SHORTEST_WAIT: Duration = Duration::from_millis(1);
 
-/// Packets of one endpoint.
+/// A real device.
 #[derive(Debug)]
-pub struct UsbSource {
+pub(super) struct RealDevice {
     /// Dropped before the node that it works on.
     handle: DeviceHandle<Context>,
     _node: File,
@@ -30,9 +30,9 @@ pub struct UsbSource {
     longest: usize,
 }
 
-impl UsbSource {
+impl RealDevice {
     /// Opens the node, checks what it is, and claims its interface.
-    pub fn open(config: &UsbConfig) -> Result<Self, Error> {
+    pub(super) fn open(config: &UsbConfig) -> Result<Self, Error> {
         let device = config.path.display().to_string();
         let failed = |action| {
             let device = device.clone();
@@ -61,16 +61,7 @@ impl UsbSource {
             .device()
             .device_descriptor()
             .map_err(refused("read the USB descriptor"))?;
-        let (vendor, product) = (descriptor.vendor_id(), descriptor.product_id());
-        if (vendor, product) != (config.vendor, config.product) {
-            return Err(Error::Protocol {
-                device,
-                problem: format!(
-                    "{vendor:04x}:{product:04x} is here where {:04x}:{:04x} is expected",
-                    config.vendor, config.product
-                ),
-            });
-        }
+        config.expect(&device, descriptor.vendor_id(), descriptor.product_id())?;
         match handle.set_auto_detach_kernel_driver(true) {
             Ok(()) | Err(rusb::Error::NotSupported) => {}
             Err(error) => return Err(refused("take the USB device from its driver")(error)),
@@ -88,7 +79,7 @@ impl UsbSource {
     }
 }
 
-impl PacketSource for UsbSource {
+impl PacketSource for RealDevice {
     fn recv(&mut self, timeout: Duration) -> Result<Option<Packet>, Error> {
         let mut bytes = vec![0; self.longest];
         let timeout = timeout.max(SHORTEST_WAIT);
