@@ -168,7 +168,8 @@ fn stamped<T>(n: u64, sample: T, began: Instant, period: f64) -> Stamped<T> {
     Stamped {
         time: Timestamp::from_nanos(start_ns).plus_secs(n as f64 * period),
         arrival: Timestamp::from_nanos(now.as_nanos() as i64),
-        device_ticks: n + 1,
+        // Microseconds, as cameras count; nobody looks at those of the others.
+        device_ticks: (n as f64 * period * 1e6) as u64 + 1,
         sample,
     }
 }

@@ -157,7 +157,7 @@ impl CameraStream {
                 .collect(),
             names,
             decoder: Decoder::new(unit.decoder()),
-            clock: OneWayClock::default(),
+            clock: OneWayClock::ticking(TICK_NS),
             imu,
             report: meter.report(),
             free_running: 0,
@@ -225,12 +225,13 @@ impl CameraStream {
             Some(Reading::Locked {
                 device_ns,
                 time: stamp,
+                epoch: 1,
             })
         } else {
             self.clock.estimate().map(Reading::Fitted)
         };
         if let Some(reading) = reading {
-            meter.set_sync(reading.sync_state());
+            meter.set_sync(reading.sync_state(), reading.steps());
             for model in self.models.iter_mut().filter(|m| m.is_due(decoded.arrival)) {
                 let entry = model.entry(&reading, time, decoded.arrival);
                 inlet.put(entry, &mut self.report)?;
@@ -301,7 +302,11 @@ impl CameraStream {
                 self.clock.time(device_ns)
             };
             let reading = if external {
-                Some(Reading::Locked { device_ns, time })
+                Some(Reading::Locked {
+                    device_ns,
+                    time,
+                    epoch: 1,
+                })
             } else {
                 self.clock.estimate().map(Reading::Fitted)
             };

@@ -1,17 +1,19 @@
 //! Which devices are recorded: `devices.toml`.
 
+mod lidar;
+
 use std::collections::BTreeSet;
-use std::net::{IpAddr, SocketAddr};
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use lsfb_drivers::camera::model::FrameFormat;
 use lsfb_drivers::camera::{self, CameraConfig, Exposure};
-use lsfb_drivers::velodyne::model::Model;
-use lsfb_drivers::velodyne::{DecoderConfig, ModelChoice, VelodyneConfig};
 use lsfb_recording::{Compression, Durability, Existing};
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
+
+pub use lidar::{LidarModel, LidarNetConfig, LidarReturns, LidarSettingsConfig};
 
 /// What happens to a message when the writer's queue is full.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -88,70 +90,6 @@ impl Default for RecorderConfig {
             least_space_secs: 600.0,
             expected_bytes_per_sec: 0.0,
             queue_bytes: 384 << 20,
-        }
-    }
-}
-
-/// Models that can be asked for.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum LidarModel {
-    /// Whatever the packets say.
-    #[default]
-    Any,
-    /// VLP-32C.
-    Vlp32c,
-    /// VLP-16.
-    Vlp16,
-    /// HDL-32E.
-    Hdl32e,
-}
-
-/// A Velodyne sensor on the network.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct LidarNetConfig {
-    /// Address for data packets; port 0 takes a free one.
-    pub data: SocketAddr,
-    /// Address for position packets; port 0 takes a free one.
-    pub position: SocketAddr,
-    /// The sensor it must be.
-    pub model: LidarModel,
-    /// A scan ends where the rotor passes this angle, degrees. With a field-of-view window, choose one outside it.
-    pub cut_azimuth_deg: f64,
-    /// Take packets from this address only; several sensors share the factory ports.
-    pub sensor: Option<IpAddr>,
-    /// Wanted kernel receive buffer, bytes.
-    pub receive_buffer_bytes: usize,
-}
-
-impl Default for LidarNetConfig {
-    /// The factory ports on every interface, any sensor.
-    fn default() -> Self {
-        let wire = VelodyneConfig::default();
-        Self {
-            data: wire.data_bind,
-            position: wire.position_bind,
-            model: LidarModel::default(),
-            cut_azimuth_deg: 0.0,
-            sensor: wire.sensor,
-            receive_buffer_bytes: wire.receive_buffer_bytes,
-        }
-    }
-}
-
-impl LidarNetConfig {
-    pub(crate) fn decoder(&self) -> DecoderConfig {
-        DecoderConfig {
-            model: match self.model {
-                LidarModel::Any => ModelChoice::FromPackets,
-                LidarModel::Vlp32c => ModelChoice::Expect(Model::Vlp32c),
-                LidarModel::Vlp16 => ModelChoice::Expect(Model::Vlp16),
-                LidarModel::Hdl32e => ModelChoice::Expect(Model::Hdl32e),
-            },
-            // A float cast saturates, and a whole turn is none.
-            cut_azimuth_centideg: (self.cut_azimuth_deg.rem_euclid(360.0) * 100.0) as u16 % 36_000,
-            ..DecoderConfig::default()
         }
     }
 }

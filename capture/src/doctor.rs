@@ -326,7 +326,16 @@ impl Findings {
 
 fn judge_clock(model: &ClockModel, config: &DoctorConfig) -> (Verdict, String) {
     if model.kind == "locked" {
-        return (Verdict::Pass, "names the second itself".to_owned());
+        return match model.epoch {
+            0 | 1 => (Verdict::Pass, "names the second itself".to_owned()),
+            epochs => (
+                Verdict::Warn,
+                format!(
+                    "names the second itself, and was set {} times meanwhile: `lsfb clock` says when and by how much",
+                    epochs - 1
+                ),
+            ),
+        };
     }
     let sigma_us = model.sigma_ns / 1e3;
     if model.kind == "holdover" {

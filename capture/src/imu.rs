@@ -3,7 +3,7 @@
 mod unit;
 
 use std::sync::atomic::Ordering;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use lsfb_types::{Packet, Stamped, Timestamp};
 
@@ -17,6 +17,8 @@ use crate::session::Control;
 pub(crate) use unit::ImuUnit;
 use unit::{ImuDecoder, Reading};
 
+/// After all other devices have ended, a unit on a bus that is silent for this long has ended too.
+const SILENT: Duration = Duration::from_millis(500);
 /// Name of the backpack's IMU in topics.
 pub(crate) const IMU: &str = "imu0";
 
@@ -34,7 +36,7 @@ impl Clock {
         Self {
             unwrap: Unwrap::default(),
             counter,
-            one_way: OneWayClock::default(),
+            one_way: OneWayClock::ticking(counter.tick_ns),
             model: ModelTopic::new(IMU, counter.tick_ns, counter.period_ticks.cast_unsigned()),
             without_utc: 0,
         }
@@ -50,7 +52,11 @@ impl Clock {
         if let Some(time) = reading.utc {
             return Timed {
                 time,
-                how: Some(model_topic::Reading::Locked { device_ns, time }),
+                how: Some(model_topic::Reading::Locked {
+                    device_ns,
+                    time,
+                    epoch: 1,
+                }),
             };
         }
         self.without_utc += 1;
@@ -82,9 +88,12 @@ pub(crate) fn record(
     meter: &Meter,
 ) -> StreamReport {
     let mut stream = ImuStream::new(line.config.family, meter);
+    let is_silent_at_its_end = line.config.family == ImuFamily::Sbg;
+    let mut last_heard = Instant::now();
     stream.report.ending = loop {
         match line.unit.recv(Duration::from_millis(50)) {
             Ok(Some(packet)) => {
+                last_heard = Instant::now();
                 let put = stream.packet(packet, inlet, meter);
                 if put.is_err() {
                     break Ending::Stopped;
@@ -97,6 +106,13 @@ pub(crate) fn record(
                     .store(stream.report.decoded, Ordering::Relaxed);
             }
             Ok(None) if control.is_stopping() => break Ending::Stopped,
+            Ok(None)
+                if is_silent_at_its_end
+                    && control.only_one_is_left()
+                    && last_heard.elapsed() > SILENT =>
+            {
+                break Ending::EndOfStream;
+            }
             Ok(None) => {}
             Err(lsfb_drivers::Error::EndOfStream { .. }) => break Ending::EndOfStream,
             Err(error) => {
@@ -174,7 +190,7 @@ impl ImuStream {
             if let Some(how) = how
                 && self.clock.model.is_due(reading.arrival)
             {
-                meter.set_sync(how.sync_state());
+                meter.set_sync(how.sync_state(), how.steps());
                 let model = self.clock.model.entry(&how, time, reading.arrival);
                 inlet.put(model, &mut self.report)?;
             }

@@ -40,7 +40,8 @@ mod tap;
 pub use clouds::{CloudsConfig, import_clouds};
 pub use config::{
     CameraUnitConfig, DevicesConfig, ExposureConfig, ImuFamily, ImuLineConfig, LidarModel,
-    LidarNetConfig, Overflow, RecorderConfig, SidecarConfig, StampInstant,
+    LidarNetConfig, LidarReturns, LidarSettingsConfig, Overflow, RecorderConfig, SidecarConfig,
+    StampInstant,
 };
 pub use error::Error;
 pub use feed::{Feed, Feeder};

@@ -169,20 +169,27 @@ impl LidarStream {
             .clock
             .time(scan.device_ticks.cast_signed(), scan.arrival);
         let device_ns = scan.device_ticks.cast_signed();
+        let jumps = self.decoder.counters().clock_jumps;
+        let epoch = u32::try_from(jumps).unwrap_or(u32::MAX).saturating_add(1);
         let reading = match (self.clock.estimate(), self.clock.holdover_since()) {
             (Some(estimate), _) => Some(Reading::Fitted(estimate)),
             (None, Some(since)) => Some(Reading::Holdover {
                 device_ns,
                 time,
                 since,
+                epoch,
             }),
-            (None, None) if self.clock.is_locked() => Some(Reading::Locked { device_ns, time }),
+            (None, None) if self.clock.is_locked() => Some(Reading::Locked {
+                device_ns,
+                time,
+                epoch,
+            }),
             (None, None) => None,
         };
         if let Some(reading) = reading
             && self.model.is_due(scan.arrival)
         {
-            self.meter.set_sync(reading.sync_state());
+            self.meter.set_sync(reading.sync_state(), reading.steps());
             let entry = self.model.entry(&reading, time, scan.arrival);
             inlet.put(entry, &mut self.report)?;
         }

@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 use lsfb_drivers::phone::Receipt;
 use lsfb_geometry::Rig;
 use lsfb_recording::message::{self, Schema};
-use lsfb_recording::{Attachment, Summary};
+use lsfb_recording::{Attachment, LAST_STAMP, Summary};
 use lsfb_types::{Image, ImuSample, LidarScan, Packet, Stamped, Timestamp};
 
 use crate::config::{Overflow, RecorderConfig};
@@ -112,6 +112,44 @@ impl Entry {
             Self::Imu { .. } | Self::Skipped(_) | Self::Rig { .. } | Self::Ended(_) => 0,
         };
         payload as u64 + ENTRY_BYTES
+    }
+}
+
+/// Stamps of an entry that may be those of a device.
+struct Stamps<'a> {
+    time: &'a mut Timestamp,
+    arrival: Timestamp,
+}
+
+impl Entry {
+    fn stamps(&mut self) -> Option<Stamps<'_>> {
+        let (time, arrival) = match self {
+            Self::Image { image, .. } => (&mut image.time, image.arrival),
+            Self::Imu { sample, .. } => (&mut sample.time, sample.arrival),
+            Self::Scan { scan, .. } => (&mut scan.time, scan.arrival),
+            Self::Raw { time, packet, .. } => (time, packet.arrival),
+            Self::Cdr { time, arrival, .. } => (time, *arrival),
+            Self::Own(message) | Self::ClockModel { message, .. } => {
+                (&mut message.time, message.arrival)
+            }
+            Self::Packets { .. }
+            | Self::Skipped(_)
+            | Self::Attachment(_)
+            | Self::Rig { .. }
+            | Self::Ended(_) => return None,
+        };
+        Some(Stamps { time, arrival })
+    }
+
+    /// Gives a time that no recording can hold up for that of arrival: one device that names an impossible year must not
+    /// end the recording of all. The time that was given up.
+    fn give_up_impossible_time(&mut self) -> Option<Timestamp> {
+        let can_be_written = |time: Timestamp| (Timestamp::default()..=LAST_STAMP).contains(&time);
+        let Stamps { time, arrival } = self.stamps()?;
+        if can_be_written(*time) || !can_be_written(arrival) {
+            return None;
+        }
+        Some(std::mem::replace(time, arrival))
     }
 }
 
@@ -237,7 +275,17 @@ impl Inlet {
     }
 
     /// Hands an entry to the writer, or drops and counts it. `Err`: the writer is gone, so the device may stop.
-    pub(crate) fn put(&self, entry: Entry, report: &mut StreamReport) -> Result<(), WriterGone> {
+    pub(crate) fn put(
+        &self,
+        mut entry: Entry,
+        report: &mut StreamReport,
+    ) -> Result<(), WriterGone> {
+        if let Some(time) = entry.give_up_impossible_time() {
+            report.bad += 1;
+            report.first_bad.get_or_insert_with(|| {
+                format!("it said {time} s, which no recording can hold: its time of arrival is written; check its clock")
+            });
+        }
         if let Some(tap) = &self.tap {
             tap.offer(&entry);
         }

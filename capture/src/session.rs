@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use lsfb_drivers::camera::MyntCamera;
 use lsfb_drivers::phone::{self, SidecarServer};
 use lsfb_drivers::transport::udp::UdpSource;
+use lsfb_drivers::velodyne::SensorPage;
 use lsfb_drivers::velodyne::{self, VelodyneConfig};
 use lsfb_geometry::Rig;
 use lsfb_types::{Progress, ProgressFn};
@@ -32,6 +33,8 @@ pub(crate) struct Control {
     stop: AtomicBool,
     /// Devices that end by themselves and have not ended yet.
     running: AtomicUsize,
+    /// How many of them there were.
+    finite: usize,
     lidar_alive: AtomicBool,
     pub(crate) progress: Counts,
 }
@@ -42,6 +45,7 @@ impl Control {
         Self {
             stop: AtomicBool::new(false),
             running: AtomicUsize::new(0),
+            finite: 0,
             lidar_alive: AtomicBool::new(false),
             progress: Counts::default(),
         }
@@ -54,6 +58,12 @@ impl Control {
     /// Whether no device is left that says when it ends. A LiDAR alone never ends by itself.
     pub(crate) fn others_ended(&self) -> bool {
         self.running.load(Ordering::Relaxed) == 0
+    }
+
+    /// Whether of several devices one is left, and the LiDAR is silent too. A unit on a bus cannot say that it has ended.
+    pub(crate) fn only_one_is_left(&self) -> bool {
+        let left = self.running.load(Ordering::Relaxed);
+        self.finite > 1 && left <= 1 && !self.lidar_alive.load(Ordering::Relaxed)
     }
 
     /// Whether the LiDAR was heard lately: then the session goes on, and devices that are gone may come back.
@@ -123,7 +133,7 @@ pub struct Session {
 }
 
 impl Session {
-    /// Reads the rig and begins to listen for the LiDAR and for sidecars.
+    /// Reads the rig, sets the LiDAR where that is asked for, and begins to listen for it and for sidecars.
     pub fn open(config: &DevicesConfig) -> Result<Self, Error> {
         if config.lidar.is_none()
             && config.cameras.is_empty()
@@ -134,6 +144,12 @@ impl Session {
         }
         config.check_cameras()?;
         let rig = config.rig.as_deref().map(Rig::read).transpose()?;
+        if let Some(net) = &config.lidar
+            && let Some(settings) = &net.settings
+        {
+            let changes = settings.changes(net.data.port(), net.position.port());
+            SensorPage::at(settings.page).apply(&changes)?;
+        }
         let lidar = match &config.lidar {
             Some(net) => Some(velodyne::open(&VelodyneConfig {
                 data_bind: net.data,
@@ -224,6 +240,7 @@ impl Session {
             stop: AtomicBool::new(false),
             // A LiDAR alone runs until it is stopped.
             running: AtomicUsize::new(if finite == 0 { usize::MAX } else { finite }),
+            finite,
             lidar_alive: AtomicBool::new(false),
             progress: self.counts.clone(),
         });

@@ -32,7 +32,7 @@ const ENCODING: &str = "cdr";
 const RIG_KEY: &str = "rig_toml";
 
 /// A channel whose stamps step back by more has a clock that began anew.
-const RESET_NS: i64 = 1_000_000_000;
+const RESET_NS: i64 = 750_000_000;
 
 /// One app.
 #[derive(Default)]

@@ -1,10 +1,15 @@
 //! Camera groups: images of one trigger, from N units with K cameras each that know nothing of each other.
 //!
 //! Each unit counts its triggers. What differs between the units is where they began to count: that is settled once, by
-//! the times of a few frames, and from then on the counters alone decide which images belong together. Order of arrival
+//! the times of several frames, and from then on the counters alone decide which images belong together. Order of arrival
 //! decides nothing.
+//!
+//! The stamps of a unit's first frames are as late as their first arrivals were. So the times by which units are compared
+//! are made anew whenever something arrives: the unit's own counter, moved to where the fastest of its last frames
+//! puts it. Late frames and batches change nothing of that. A unit is fitted in when its frames lie within
+//! a quarter of a period of others', and have said the same for a while; until then all of them are kept.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 
 use lsfb_types::{Image, Stamped, Timestamp};
 use serde::Serialize;
@@ -13,15 +18,27 @@ use serde::Serialize;
 const COUNTER_PERIOD: i64 = 1 << 16;
 /// A counter that jumps further than this may have begun anew; less is a late frame, or a few that were lost.
 const RESTART_STEP: i64 = 64;
-/// Images of one trigger lie this close; far below half a period at 20 Hz (protocol notes on the four-camera rig).
-const TOLERANCE_NS: i64 = 2_000_000;
-/// Frames that must agree on where a unit began to count.
+/// The counters of units run in microseconds.
+const TICK_NS: i64 = 1_000;
+/// A unit whose counter is this close to the recording's time names the second itself.
+const NAMED_NS: i64 = 1_000_000_000;
+/// Frames of a unit that tell where its counter lies; few enough that no drift matters.
+const RECENT: usize = 64;
+/// Images of one trigger lie closer than this share of a period …
+const TOLERANCE_SHARE: i64 = 4;
+/// … and than this.
+const MOST_TOLERANCE_NS: i64 = 15_000_000;
+/// Until a unit has sent two frames its period is taken for this.
+const USUAL_PERIOD_NS: i64 = 50_000_000;
+/// Frames that must agree on where a unit began to count …
 const VOTES: usize = 3;
-/// Frames in a row whose time contradicts the counter: the unit began anew without our noticing.
+/// … and frames in a row after which that was the answer: two batches of a slow link.
+const STEADY_FRAMES: u32 = 10;
+/// Frames in a row that are half a period away from where the counter puts them: the unit began anew without our noticing.
 const CONTRADICTIONS: u32 = 5;
 /// Groups that wait for their last image, at most: minutes, since the links of two units may run far apart.
 const OPEN_GROUPS: usize = 4096;
-/// Triggers whose time is remembered, for units that still have to be fitted in.
+/// Triggers of a unit whose time is remembered, for units that still have to be fitted in.
 const REMEMBERED: usize = 2 * OPEN_GROUPS;
 
 /// How the images of the cameras fit together.
@@ -61,8 +78,6 @@ pub(crate) struct Groups {
     cameras: Vec<Camera>,
     units: Vec<Unit>,
     open: BTreeMap<i64, Open>,
-    /// Triggers by their time.
-    times: BTreeMap<Timestamp, i64>,
     last_arrival: Timestamp,
     report: GroupReport,
 }
@@ -81,6 +96,12 @@ struct Unit {
     trigger_from_index: Option<i64>,
     /// Frames that wait until that is known.
     unfitted: Vec<Frame>,
+    /// What its last frames say of where its clock lies.
+    recent: VecDeque<Hint>,
+    /// Its frames that are placed, in order of time.
+    placed: VecDeque<Placed>,
+    /// What the frames that wait would have `trigger_from_index` be, and how many frames ago they began to.
+    proposed: Option<(i64, u32)>,
     contradictions: u32,
     last_trigger: Option<i64>,
 }
@@ -89,13 +110,112 @@ struct Unit {
 struct Frame {
     camera: usize,
     index: i64,
+    device_ns: i64,
     time: Timestamp,
+}
+
+/// Recording time less the unit's, at most.
+#[derive(Clone, Copy, Debug)]
+struct Hint {
+    index: i64,
+    device_ns: i64,
+    offset_ns: i64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Placed {
+    device_ns: i64,
+    trigger: i64,
 }
 
 #[derive(Debug)]
 struct Open {
+    /// Whose frame came first, and when that was taken by its own clock.
+    unit: usize,
+    device_ns: i64,
     time: Timestamp,
     seen: Vec<bool>,
+}
+
+impl Unit {
+    /// Takes what a frame says of the clock; of the images of one frame the first.
+    fn hear(&mut self, hint: Hint) -> IsNew {
+        if self
+            .recent
+            .back()
+            .is_some_and(|last| last.index == hint.index)
+        {
+            return IsNew::No;
+        }
+        self.recent.push_back(hint);
+        if self.recent.len() > RECENT {
+            self.recent.pop_front();
+        }
+        IsNew::Yes
+    }
+
+    /// Recording time less the unit's.
+    fn offset_ns(&self) -> i64 {
+        let offsets = self.recent.iter().map(|hint| hint.offset_ns);
+        offsets.min().unwrap_or_default()
+    }
+
+    /// Time between two triggers.
+    fn period_ns(&self) -> i64 {
+        let (Some(first), Some(last)) = (self.recent.front(), self.recent.back()) else {
+            return USUAL_PERIOD_NS;
+        };
+        let span_ns = last.device_ns.saturating_sub(first.device_ns);
+        match last.index.saturating_sub(first.index) {
+            triggers @ 1.. if span_ns > 0 => span_ns / triggers,
+            _ => USUAL_PERIOD_NS,
+        }
+    }
+
+    /// The trigger of the frame taken nearest to a time of the unit, and how far from it.
+    fn nearest(&self, device_ns: i64) -> Option<(i64, i64)> {
+        let after = self.placed.partition_point(|p| p.device_ns < device_ns);
+        let around = after.saturating_sub(1)..(after + 1).min(self.placed.len());
+        self.placed
+            .range(around)
+            .map(|p| {
+                (
+                    p.device_ns.saturating_sub(device_ns).saturating_abs(),
+                    p.trigger,
+                )
+            })
+            .min()
+    }
+
+    fn remember(&mut self, placed: Placed) {
+        // A late frame is no less true, but the search wants them in order.
+        if self
+            .placed
+            .back()
+            .is_none_or(|last| last.device_ns < placed.device_ns)
+        {
+            self.placed.push_back(placed);
+        }
+        if self.placed.len() > REMEMBERED {
+            self.placed.pop_front();
+        }
+    }
+
+    /// Its place among the others is not known any more.
+    fn forget_place(&mut self) {
+        self.trigger_from_index = None;
+        self.recent.clear();
+        self.placed.clear();
+        self.proposed = None;
+        self.contradictions = 0;
+    }
+}
+
+/// Whether an image is the first of its frame.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum IsNew {
+    Yes,
+    No,
 }
 
 impl Groups {
@@ -114,7 +234,6 @@ impl Groups {
             cameras: cameras.iter().enumerate().flat_map(named).collect(),
             units: cameras.iter().map(|_| Unit::default()).collect(),
             open: BTreeMap::new(),
-            times: BTreeMap::new(),
             last_arrival: Timestamp::default(),
             report: GroupReport::default(),
         }
@@ -129,14 +248,29 @@ impl Groups {
             return Vec::new();
         };
         self.last_arrival = image.arrival;
+        let device_ns = image.device_ticks.cast_signed().saturating_mul(TICK_NS);
         let frame = Frame {
             camera,
             index: self.index(unit, image.sample.frame_id),
+            device_ns,
             time: image.time,
         };
+        // A unit that names the second is believed; the fitted time of another is no better at first than its arrivals.
+        let named_ns = image.time.nanos().saturating_sub(device_ns);
+        let arrived_ns = image.arrival.nanos().saturating_sub(device_ns);
+        let hint = Hint {
+            index: frame.index,
+            device_ns,
+            offset_ns: if named_ns.saturating_abs() < NAMED_NS {
+                named_ns
+            } else {
+                arrived_ns
+            },
+        };
+        let is_new = self.units.get_mut(unit).map_or(IsNew::No, |u| u.hear(hint));
         match self.units.get(unit).and_then(|u| u.trigger_from_index) {
-            Some(offset) => self.place(unit, frame, offset),
-            None => self.fit_in(unit, frame),
+            Some(offset) => self.place(unit, frame, offset, is_new),
+            None => self.fit_in(unit, frame, is_new),
         }
         self.decide(unit)
     }
@@ -149,9 +283,7 @@ impl Groups {
     /// Decides what is still open.
     pub(crate) fn finish(&mut self) -> Decided {
         for unit in 0..self.units.len() {
-            // Too few frames to agree on anything: the best guess there is, or triggers of their own.
-            self.settle(unit, 1);
-            self.start_own_count(unit);
+            self.give_up(unit);
         }
         let mut groups = Vec::new();
         while let Some((trigger, open)) = self.open.pop_first() {
@@ -165,101 +297,143 @@ impl Groups {
 
     /// The counter, continued beyond its wrap. A restart makes the unit's place unknown.
     fn index(&mut self, unit: usize, frame_id: u32) -> i64 {
-        let Some(unit) = self.units.get_mut(unit) else {
-            return i64::from(frame_id);
-        };
         let id = i64::from(frame_id);
-        let Some(last) = unit.last_index else {
-            unit.last_index = Some(id);
+        let Some(last) = self.units.get(unit).and_then(|u| u.last_index) else {
+            if let Some(state) = self.units.get_mut(unit) {
+                state.last_index = Some(id);
+            }
             return id;
         };
         let half = COUNTER_PERIOD / 2;
         let step = (id - last + half).rem_euclid(COUNTER_PERIOD) - half;
         let index = last + step;
-        if step.abs() <= RESTART_STEP {
-            unit.last_index = Some(last.max(index));
-            return index;
+        let restarts = step.abs() > RESTART_STEP;
+        if restarts {
+            // Frames of the old count cannot wait for what the new one tells.
+            self.give_up(unit);
         }
-        unit.last_index = Some(index);
-        unit.last_trigger = None;
-        if unit.trigger_from_index.take().is_some() {
+        let Some(state) = self.units.get_mut(unit) else {
+            return index;
+        };
+        state.last_index = Some(if restarts { index } else { last.max(index) });
+        if restarts {
+            state.last_trigger = None;
+            state.forget_place();
             self.report.refitted += 1;
         }
         index
     }
 
-    fn place(&mut self, unit: usize, frame: Frame, offset: i64) {
+    fn place(&mut self, unit: usize, frame: Frame, offset: i64, is_new: IsNew) {
         let trigger = frame.index + offset;
-        let known = self.open.get(&trigger).map(|open| open.time);
-        let contradicts = known.is_some_and(|time| (time - frame.time).abs() > TOLERANCE_NS);
+        let contradicts = self.contradicts(unit, &frame, trigger);
         if let Some(state) = self.units.get_mut(unit) {
-            state.contradictions = if contradicts {
-                state.contradictions + 1
-            } else {
-                0
+            state.contradictions = match (contradicts, is_new) {
+                (true, IsNew::Yes) => state.contradictions + 1,
+                (true, IsNew::No) => state.contradictions,
+                (false, _) => 0,
             };
             if state.contradictions >= CONTRADICTIONS {
-                state.contradictions = 0;
-                state.trigger_from_index = None;
+                state.forget_place();
                 self.report.refitted += 1;
-                return self.fit_in(unit, frame);
+                return self.fit_in(unit, frame, IsNew::Yes);
             }
             state.last_trigger = state.last_trigger.max(Some(trigger));
+            state.remember(Placed {
+                device_ns: frame.device_ns,
+                trigger,
+            });
         }
         let cameras = self.cameras.len();
         let open = self.open.entry(trigger).or_insert_with(|| Open {
+            unit,
+            device_ns: frame.device_ns,
             time: frame.time,
             seen: vec![false; cameras],
         });
         if let Some(seen) = open.seen.get_mut(frame.camera) {
             *seen = true;
         }
-        self.times.insert(open.time, trigger);
-        if self.times.len() > REMEMBERED {
-            self.times.pop_first();
-        }
+    }
+
+    /// Whether a frame lies more than half a period from another of its trigger.
+    fn contradicts(&self, unit: usize, frame: &Frame, trigger: i64) -> bool {
+        let Some(state) = self.units.get(unit) else {
+            return false;
+        };
+        let other = self.open.get(&trigger).filter(|open| open.unit != unit);
+        other.is_some_and(|open| {
+            let offset_ns = self.units.get(open.unit).map_or(0, Unit::offset_ns);
+            let other_ns = open.device_ns.saturating_add(offset_ns);
+            let own_ns = frame.device_ns.saturating_add(state.offset_ns());
+            own_ns.saturating_sub(other_ns).saturating_abs() > state.period_ns() / 2
+        })
     }
 
     /// Finds out where a unit began to count.
-    fn fit_in(&mut self, unit: usize, frame: Frame) {
+    fn fit_in(&mut self, unit: usize, frame: Frame, is_new: IsNew) {
         if let Some(state) = self.units.get_mut(unit) {
             state.unfitted.push(frame);
         }
         let nobody_counts = self.units.iter().all(|u| u.trigger_from_index.is_none());
         if nobody_counts {
-            self.start_own_count(unit);
+            return self.start_own_count(unit);
         }
-        self.settle(unit, VOTES);
-        let waited_too_long = self
-            .units
-            .get(unit)
-            .is_some_and(|u| u.unfitted.len() > OPEN_GROUPS);
-        if waited_too_long {
-            self.start_own_count(unit);
+        let proposal = match is_new {
+            IsNew::Yes => self.proposal(unit, VOTES),
+            IsNew::No => return,
+        };
+        let Some(state) = self.units.get_mut(unit) else {
+            return;
+        };
+        state.proposed = match (proposal, state.proposed) {
+            (Some(offset), Some((before, frames))) if offset == before => {
+                Some((offset, frames + 1))
+            }
+            (offset, _) => offset.map(|offset| (offset, 1)),
+        };
+        let waited_too_long = state.unfitted.len() > OPEN_GROUPS;
+        match state.proposed {
+            Some((offset, STEADY_FRAMES..)) => self.place_all(unit, offset),
+            _ if waited_too_long => self.give_up(unit),
+            _ => {}
         }
     }
 
-    /// Fits a unit in where enough of its frames agree.
-    fn settle(&mut self, unit: usize, votes_needed: usize) {
-        let Some(state) = self.units.get(unit) else {
-            return;
-        };
+    /// Where a unit began to count, by the frames that wait: what most of them say, if enough do.
+    fn proposal(&self, unit: usize, votes_needed: usize) -> Option<i64> {
+        let state = self.units.get(unit)?;
+        let tolerance_ns = (state.period_ns() / TOLERANCE_SHARE).min(MOST_TOLERANCE_NS);
+        let offset_ns = state.offset_ns();
         let mut votes: BTreeMap<i64, usize> = BTreeMap::new();
-        for frame in &state.unfitted {
-            let window = frame.time.plus_nanos(-TOLERANCE_NS)..=frame.time.plus_nanos(TOLERANCE_NS);
+        let mut last = None;
+        for frame in state.unfitted.iter().rev().take(RECENT) {
+            if last.replace(frame.index) == Some(frame.index) {
+                continue;
+            }
+            let time_ns = frame.device_ns.saturating_add(offset_ns);
             let nearest = self
-                .times
-                .range(window)
-                .min_by_key(|(time, _)| (**time - frame.time).abs());
-            if let Some((_, trigger)) = nearest {
+                .units
+                .iter()
+                .filter(|other| other.trigger_from_index.is_some())
+                .filter_map(|other| other.nearest(time_ns.saturating_sub(other.offset_ns())))
+                .min();
+            if let Some((away_ns, trigger)) = nearest
+                && away_ns <= tolerance_ns
+            {
                 *votes.entry(trigger - frame.index).or_default() += 1;
             }
         }
         let best = votes.into_iter().max_by_key(|(_, votes)| *votes);
-        if let Some((offset, votes)) = best
-            && votes >= votes_needed
-        {
-            self.place_all(unit, offset);
+        best.filter(|(_, votes)| *votes >= votes_needed)
+            .map(|(offset, _)| offset)
+    }
+
+    /// Places frames that cannot wait any longer: by the best guess there is, or as triggers of their own.
+    fn give_up(&mut self, unit: usize) {
+        match self.proposal(unit, 1) {
+            Some(offset) => self.place_all(unit, offset),
+            None => self.start_own_count(unit),
         }
     }
 
@@ -283,8 +457,10 @@ impl Groups {
             return;
         };
         state.trigger_from_index = Some(offset);
+        state.proposed = None;
         for frame in std::mem::take(&mut state.unfitted) {
-            self.place(unit, frame, offset);
+            // What is known now has decided; the frames say nothing new.
+            self.place(unit, frame, offset, IsNew::No);
         }
     }
 

@@ -80,3 +80,27 @@ fn a_recorded_clock_is_estimated_again_with_its_step() {
     );
     assert!(clock.samples.len() <= 4_000 && clock.samples.len() > 1_000);
 }
+
+#[test]
+fn a_counter_that_jumps_by_years_costs_no_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scan.mcap");
+    let mut writer = Writer::create(&path, &WriterConfig::default()).unwrap();
+    for n in 0..2_000_u64 {
+        let time = Timestamp::from_nanos(START + (n * 5_000_000).cast_signed());
+        // Two days and a half of ticks of 100 µs.
+        let device_ticks = 1 + n * TICKS + u64::from(n >= 1_000) * (1 << 31);
+        let sample = Stamped {
+            time,
+            arrival: time,
+            device_ticks,
+            sample: ImuSample::default(),
+        };
+        writer.write_imu("imu0", &sample).unwrap();
+    }
+    writer.finish().unwrap();
+    let recording = Recording::open(&path).unwrap();
+    let config = ClockConfig { window_secs: 1.0 };
+    let report = estimate_clocks(&recording, &config, &no_progress).unwrap();
+    assert_eq!(report.devices[0].pairs, 2_000);
+}

@@ -8,6 +8,8 @@
 #[path = "session/live.rs"]
 mod live;
 mod mock;
+#[path = "session/steps.rs"]
+mod steps;
 
 use std::net::SocketAddr;
 use std::path::Path;

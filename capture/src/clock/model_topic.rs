@@ -23,19 +23,33 @@ const LOCKED_SIGMA_NS: f64 = 1_000.0;
 /// How a device's stamps are made at the moment.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Reading {
-    /// The device itself says what time it is.
-    Locked { device_ns: i64, time: Timestamp },
+    /// The device itself says what time it is; `epoch` counts how often it was told another, from 1.
+    Locked {
+        device_ns: i64,
+        time: Timestamp,
+        epoch: u32,
+    },
     /// It did until `since`, and its quartz goes on.
     Holdover {
         device_ns: i64,
         time: Timestamp,
         since: Timestamp,
+        epoch: u32,
     },
     /// Its counter is fitted to arrival.
     Fitted(ClockEstimate),
 }
 
 impl Reading {
+    /// How often the counter, or what it is compared with, was set.
+    pub(crate) fn steps(&self) -> u32 {
+        let epoch = match self {
+            Self::Locked { epoch, .. } | Self::Holdover { epoch, .. } => *epoch,
+            Self::Fitted(estimate) => estimate.epoch,
+        };
+        epoch.saturating_sub(1)
+    }
+
     /// The same for the operator.
     pub(crate) fn sync_state(&self) -> SyncState {
         match self {
@@ -87,9 +101,13 @@ impl ModelTopic {
     ) -> Entry {
         self.last = Some(arrival);
         let model = match reading {
-            Reading::Locked { device_ns, time } => ClockModel {
+            Reading::Locked {
+                device_ns,
+                time,
+                epoch,
+            } => ClockModel {
                 kind: LOCKED.to_owned(),
-                epoch: 1,
+                epoch: *epoch,
                 reference_device_ns: *device_ns,
                 reference_time_ns: time.nanos(),
                 sigma_ns: LOCKED_SIGMA_NS,
@@ -99,9 +117,10 @@ impl ModelTopic {
                 device_ns,
                 time,
                 since,
+                epoch,
             } => ClockModel {
                 kind: HOLDOVER.to_owned(),
-                epoch: 1,
+                epoch: *epoch,
                 reference_device_ns: *device_ns,
                 reference_time_ns: time.nanos(),
                 sigma_ns: LOCKED_SIGMA_NS + HOLDOVER_SKEW * (*time - *since).max(0) as f64,

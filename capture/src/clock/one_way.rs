@@ -4,7 +4,7 @@
 //! clock; [`super::envelope`] says where the line below them is. The smallest delay stays inside as a bias; no one-way
 //! method sees it.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 use lsfb_types::Timestamp;
 
@@ -20,14 +20,21 @@ const RESIDUAL_NS: i64 = 50_000_000;
 const LATE_POINTS: usize = 10;
 /// … over this long on the host's clock are a clock that was set: what waited in a queue comes all at once.
 const LATE_SPAN_NS: i64 = 500_000_000;
-/// A counter that steps back by more has begun anew.
-const RESET_NS: i64 = 1_000_000_000;
+/// A counter that steps back by more has begun anew: one that was set back by a second is seen at once, whatever its rate.
+const RESET_NS: i64 = 750_000_000;
 /// The line is drawn anew this often, in device time.
 const REFIT_NS: i64 = 250_000_000;
 /// The first lines are drawn anew with every pair.
 const EAGER_PAIRS: u64 = 50;
 /// A new line is reached within a second, or at this rate.
 const SLEW: f64 = 100e-6;
+/// Advances of a counter that are told apart.
+const MOST_ADVANCES: usize = 16;
+/// Standard deviation of the skew of a counter that slipped twice or less, in ticks over the span: found by simulation, as
+/// the hull follows a staircase.
+const FEW_SLIPS: f64 = 0.65;
+/// The same of a counter that slips all the time: the hull still follows stairs, if small ones.
+const MANY_SLIPS: f64 = 0.015;
 /// Of the points in each such stretch the lowest is kept to judge how dense they lie.
 const THINNED_NS: i64 = 20_000_000;
 
@@ -88,6 +95,8 @@ pub struct ClockStep {
 /// Fits host time to a free-running counter, online. The constant part of the delay cannot be seen and stays in.
 #[derive(Clone, Debug, Default)]
 pub struct OneWayClock {
+    /// One tick of the counter, where that is known.
+    tick_ns: i64,
     last_device_ns: Option<i64>,
     current: Window,
     /// Those that will take its place, the oldest first.
@@ -114,9 +123,47 @@ struct Window {
     /// The lowest point of each short stretch.
     thinned: Vec<Point>,
     smallest_offset_ns: i64,
+    rhythm: Rhythm,
+}
+
+/// By how much the counter advances from one point to the next.
+#[derive(Clone, Debug, Default)]
+struct Rhythm {
+    advances: BTreeMap<i64, u32>,
+    /// More kinds of advances than are worth counting.
+    uneven: bool,
+}
+
+impl Rhythm {
+    fn push(&mut self, advance_ns: i64) {
+        if let Some(times) = self.advances.get_mut(&advance_ns) {
+            *times += 1;
+        } else if self.advances.len() < MOST_ADVANCES {
+            self.advances.insert(advance_ns, 1);
+        } else {
+            self.uneven = true;
+        }
+    }
+
+    /// How often the counter missed its usual advance, or a multiple of that: then a tick was reached sooner or later than
+    /// usual. `None`: it has no usual one.
+    fn slips(&self) -> Option<u32> {
+        let most = self.advances.iter().max_by_key(|(_, times)| **times);
+        let (&usual_ns, _) = most.filter(|(usual_ns, _)| **usual_ns > 0 && !self.uneven)?;
+        let others = self.advances.iter().filter(|(ns, _)| *ns % usual_ns != 0);
+        Some(others.map(|(_, times)| *times).sum())
+    }
 }
 
 impl OneWayClock {
+    /// A clock whose counter advances in ticks of so many nanoseconds.
+    pub fn ticking(tick_ns: u64) -> Self {
+        Self {
+            tick_ns: i64::try_from(tick_ns).unwrap_or(i64::MAX),
+            ..Self::default()
+        }
+    }
+
     /// Takes one pair of stamps. A counter that does not advance says nothing.
     pub fn push(&mut self, device_ns: i64, arrival: Timestamp) {
         let point = Point {
@@ -128,11 +175,16 @@ impl OneWayClock {
             if device_ns < last_ns.saturating_sub(RESET_NS) || residual < -RESIDUAL_NS {
                 return self.begin_anew(&[point]);
             }
-            if device_ns <= last_ns {
-                return;
-            }
             if residual > RESIDUAL_NS {
-                self.last_device_ns = Some(device_ns);
+                // Steps back that are too small to tell from disorder at once are told by what follows them.
+                self.last_device_ns = Some(device_ns.max(last_ns));
+                if self
+                    .late
+                    .last()
+                    .is_some_and(|late| late.device_ns >= device_ns)
+                {
+                    self.late.clear();
+                }
                 self.late.push(point);
                 let first = self.late.first().map_or(point, |p| *p);
                 let span = point.host_ns.saturating_sub(first.host_ns);
@@ -143,6 +195,9 @@ impl OneWayClock {
                 return;
             }
             self.late.clear();
+            if device_ns <= last_ns {
+                return;
+            }
         }
         self.take(point);
     }
@@ -192,6 +247,7 @@ impl OneWayClock {
         });
         *self = Self {
             steps,
+            tick_ns: self.tick_ns,
             ..Self::default()
         };
         points.iter().for_each(|point| self.take(*point));
@@ -220,7 +276,7 @@ impl OneWayClock {
     fn refit(&mut self, device_ns: i64) {
         let before = self.fitted.map(|_| self.line(device_ns));
         self.refit_at_ns = device_ns.saturating_add(REFIT_NS);
-        self.fitted = self.current.fit();
+        self.fitted = self.current.fit(self.tick_ns);
         self.since_ns = device_ns;
         self.step_ns = match (before, self.fitted) {
             (Some(before), Some(fitted)) => {
@@ -241,8 +297,9 @@ impl OneWayClock {
     }
 }
 
-/// The line below `pairs` of one epoch, device times rising: [`OneWayClock`] without its window.
-pub fn fit_pairs(pairs: &[StampPair]) -> Option<ClockEstimate> {
+/// The line below `pairs` of one epoch, device times rising: [`OneWayClock`] without its window. `tick_ns` is one tick of the
+/// counter; 0 where it is fine.
+pub fn fit_pairs(pairs: &[StampPair], tick_ns: u64) -> Option<ClockEstimate> {
     let mut window = Window::default();
     for pair in pairs {
         window.push(Point {
@@ -250,7 +307,8 @@ pub fn fit_pairs(pairs: &[StampPair]) -> Option<ClockEstimate> {
             host_ns: pair.arrival.nanos(),
         });
     }
-    window.fit().map(|fitted| ClockEstimate {
+    let tick_ns = i64::try_from(tick_ns).unwrap_or(i64::MAX);
+    window.fit(tick_ns).map(|fitted| ClockEstimate {
         epoch: 1,
         pairs: pairs.len() as u64,
         ..fitted
@@ -259,6 +317,10 @@ pub fn fit_pairs(pairs: &[StampPair]) -> Option<ClockEstimate> {
 
 impl Window {
     fn push(&mut self, point: Point) {
+        if let Some(last) = self.hull.last() {
+            let advance_ns = point.device_ns.saturating_sub(last.device_ns);
+            self.rhythm.push(advance_ns);
+        }
         let offset = point.offset_ns();
         self.smallest_offset_ns = if self.hull.is_empty() {
             offset
@@ -290,7 +352,24 @@ impl Window {
         }
     }
 
-    fn fit(&self) -> Option<ClockEstimate> {
+    /// What the counter hides within a tick. One that advances evenly may be read where its ticks begin or anywhere in
+    /// between, always the same: nothing of the time, but a skew of less than a tick over the span is not seen. Where it
+    /// slips now and then, stamps are late by anything within a tick, and the skew is known from slip to slip. Where
+    /// it slips all the time the line lies where ticks begin, whatever it hides.
+    fn sigma_of_ticks(&self, tick_ns: i64) -> SigmaOfTicks {
+        let slips = self.rhythm.slips();
+        let tick_ns = tick_ns as f64;
+        let spread_ns = tick_ns / 12.0_f64.sqrt();
+        let share = slips.map_or(MANY_SLIPS, |n| {
+            MANY_SLIPS.max(FEW_SLIPS * 2.0 / f64::from(n.max(2)))
+        });
+        SigmaOfTicks {
+            sigma_ns: if slips == Some(0) { 0.0 } else { spread_ns },
+            sigma_skew: share * tick_ns / (self.span_ns().max(1) as f64),
+        }
+    }
+
+    fn fit(&self, tick_ns: i64) -> Option<ClockEstimate> {
         // Relative to a near point: nanoseconds since 1970 do not fit the mantissa of an f64.
         let origin = *self.hull.first()?;
         let arrival = |p: &Point| Arrival {
@@ -306,6 +385,7 @@ impl Window {
             sigma_secs,
             sigma_skew,
         } = envelope::fit(&hull, &arrivals)?;
+        let ticks = self.sigma_of_ticks(tick_ns);
         let reference_device_ns = origin.device_ns.saturating_add((secs * 1e9) as i64);
         let offset_ns = origin
             .offset_ns()
@@ -315,11 +395,17 @@ impl Window {
             reference_device_ns,
             reference_time: Timestamp::from_nanos(reference_device_ns.saturating_add(offset_ns)),
             skew,
-            sigma_ns: sigma_secs * 1e9,
-            sigma_skew,
+            sigma_ns: (sigma_secs * 1e9).hypot(ticks.sigma_ns),
+            sigma_skew: sigma_skew.hypot(ticks.sigma_skew),
             pairs: 0,
         })
     }
+}
+
+/// Standard deviations that a counter's ticks add.
+struct SigmaOfTicks {
+    sigma_ns: f64,
+    sigma_skew: f64,
 }
 
 impl Point {

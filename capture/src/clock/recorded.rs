@@ -122,9 +122,12 @@ pub fn estimate_clocks(
         if triples.len() < 3 {
             continue;
         }
-        let name = source.name();
-        let locked = model.is_some_and(|model| [LOCKED, HOLDOVER].contains(&&*model.kind));
-        clocks.push(estimate(&name, locked, &triples, start, config));
+        let counter = Counter {
+            device: source.name(),
+            locked: model.is_some_and(|model| [LOCKED, HOLDOVER].contains(&&*model.kind)),
+            tick_ns: source.tick_ns(model),
+        };
+        clocks.push(estimate(counter, &triples, start, config));
     }
     Ok(ClockReport { devices: clocks })
 }
@@ -144,6 +147,13 @@ fn recorded_models(recording: &Recording) -> Result<Vec<ClockModel>, Error> {
         }
     }
     Ok(models)
+}
+
+/// What is known of a counter beside its values.
+struct Counter {
+    device: String,
+    locked: bool,
+    tick_ns: u64,
 }
 
 /// Where counters are found.
@@ -193,6 +203,15 @@ impl Source {
         }
     }
 
+    /// One tick of the counter, nanoseconds. Without a recorded model an IMU is an Xsens unit.
+    fn tick_ns(&self, model: Option<&ClockModel>) -> u64 {
+        match self {
+            Self::Lidar | Self::Camera(_) => 1_000,
+            Self::Imu(_) => model.map_or(SAMPLE_TIME_FINE_NS, |model| model.tick_ns),
+            Self::Sidecar(_) => 1,
+        }
+    }
+
     fn triples(
         &self,
         recording: &Recording,
@@ -232,12 +251,8 @@ impl Source {
                 }
             }
             Self::Imu(imu) => {
-                // Without a recorded model it is an Xsens unit.
-                let (tick_ns, period) = model.map_or((SAMPLE_TIME_FINE_NS, 1 << 32), |m| {
-                    (m.tick_ns, m.period_ticks)
-                });
-                let tick_ns = i64::try_from(tick_ns).unwrap_or(1);
-                let period = match i64::try_from(period) {
+                let tick_ns = i64::try_from(self.tick_ns(model)).unwrap_or(1);
+                let period = match i64::try_from(model.map_or(1 << 32, |m| m.period_ticks)) {
                     Ok(0) | Err(_) => i64::MAX,
                     Ok(period) => period,
                 };
@@ -274,14 +289,13 @@ fn references(
 }
 
 fn estimate(
-    device: &str,
-    locked: bool,
+    counter: Counter,
     triples: &[Triple],
     start: Timestamp,
     config: &ClockConfig,
 ) -> DeviceClock {
     // The online clock finds the steps; the lines between them are drawn anew with all there is.
-    let mut online = OneWayClock::default();
+    let mut online = OneWayClock::ticking(counter.tick_ns);
     for triple in triples {
         online.push(triple.device_ns, triple.arrival);
     }
@@ -302,7 +316,7 @@ fn estimate(
         let to = bounds.get(n + 1).map_or(triples.len(), |(to, _)| *to);
         let part = triples.get(*from..to).unwrap_or_default();
         let pairs = rising(part);
-        let whole = fit_pairs(&pairs);
+        let whole = fit_pairs(&pairs, counter.tick_ns);
         if let (Some(first), Some(whole)) = (part.first(), whole) {
             epochs.push(ClockEpoch {
                 device_start_ns: first.device_ns,
@@ -314,10 +328,10 @@ fn estimate(
                 pairs: whole.pairs,
             });
         }
-        let lines = windows(&pairs, config);
+        let lines = windows(&pairs, counter.tick_ns, config);
         estimated.extend(part.iter().map(|t| time_of(&lines, t.device_ns)));
     }
-    summarize(device, locked, triples, &estimated, epochs, start)
+    summarize(counter, triples, &estimated, epochs, start)
 }
 
 /// Pairs whose counter advances; batches repeat none, late ones say nothing.
@@ -340,7 +354,7 @@ fn rising(triples: &[Triple]) -> Vec<StampPair> {
 }
 
 /// Lines of overlapping stretches, in order.
-fn windows(pairs: &[StampPair], config: &ClockConfig) -> Vec<ClockEstimate> {
+fn windows(pairs: &[StampPair], tick_ns: u64, config: &ClockConfig) -> Vec<ClockEstimate> {
     let window_ns = ((config.window_secs.max(1.0)) * 1e9) as i64;
     let (Some(first), Some(last)) = (pairs.first(), pairs.last()) else {
         return Vec::new();
@@ -351,17 +365,23 @@ fn windows(pairs: &[StampPair], config: &ClockConfig) -> Vec<ClockEstimate> {
         let end = start.saturating_add(window_ns);
         let from = pairs.partition_point(|p| p.device_ns < start);
         // A last stretch that would be short belongs to the one before.
-        let is_last = end.saturating_add(window_ns / 2) > last.device_ns;
+        let is_last = last.device_ns.saturating_sub(end) < window_ns / 2;
         let to = if is_last {
             pairs.len()
         } else {
             pairs.partition_point(|p| p.device_ns < end)
         };
-        lines.extend(fit_pairs(pairs.get(from..to).unwrap_or_default()));
+        lines.extend(fit_pairs(pairs.get(from..to).unwrap_or_default(), tick_ns));
         if is_last {
             return lines;
         }
         start = start.saturating_add(window_ns / 2);
+        // A counter that jumped far ahead leaves nothing in between.
+        if let Some(next) = pairs.get(to)
+            && next.device_ns > start.saturating_add(window_ns)
+        {
+            start = next.device_ns;
+        }
     }
 }
 
@@ -386,8 +406,7 @@ fn time_of(lines: &[ClockEstimate], device_ns: i64) -> Option<Timestamp> {
 }
 
 fn summarize(
-    device: &str,
-    locked: bool,
+    counter: Counter,
     triples: &[Triple],
     estimated: &[Option<Timestamp>],
     epochs: Vec<ClockEpoch>,
@@ -426,9 +445,8 @@ fn summarize(
     let variance = recorded_us.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / count;
     let stride = samples.len().div_ceil(PLOTTED).max(1);
     DeviceClock {
-        device: device.to_owned(),
-        // Without a recorded model: stamps that do not follow arrival at all come from a lock.
-        locked,
+        device: counter.device,
+        locked: counter.locked,
         pairs: triples.len() as u64,
         epochs,
         delay_p50_ms: quantile(0.5),

@@ -25,6 +25,7 @@ struct State {
     longest_gap: Duration,
     last_seen: Seen,
     sync: SyncState,
+    clock_steps: u32,
     exposure_ms: Option<f64>,
     saturated_share: Option<f64>,
     temperature_celsius: Option<f64>,
@@ -52,6 +53,7 @@ impl Meter {
                 lost: 0,
             },
             sync: SyncState::Unknown,
+            clock_steps: 0,
             exposure_ms: None,
             saturated_share: None,
             temperature_celsius: None,
@@ -91,8 +93,11 @@ impl Meter {
         self.lock().connected = is == Connection::There;
     }
 
-    pub(crate) fn set_sync(&self, sync: SyncState) {
-        self.lock().sync = sync;
+    /// Whose clock its stamps follow, and how often that was set since the beginning.
+    pub(crate) fn set_sync(&self, sync: SyncState, clock_steps: u32) {
+        let mut state = self.lock();
+        state.sync = sync;
+        state.clock_steps = clock_steps;
     }
 
     pub(crate) fn set_frame(&self, exposure_ms: f64, saturated_share: f64) {
@@ -202,6 +207,13 @@ impl State {
             return (
                 Level::Warn,
                 format!("its time is uncertain by {sigma_us:.0} µs"),
+            );
+        }
+        if self.clock_steps > 0 {
+            let times = self.clock_steps;
+            return (
+                Level::Warn,
+                format!("its clock, or this machine's, was set {times} times: its time may be off"),
             );
         }
         match lost {

@@ -1,7 +1,14 @@
 //! What a session says about itself while it runs, and devices that go and come back.
 
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+
 use lsfb_capture::health::{DeviceHealth, Level, Snapshot, SyncState};
 use lsfb_drivers::phone::ClientConfig;
+use lsfb_drivers::transport::http::{HttpListener, HttpRequest};
+use lsfb_drivers::velodyne::settings::{SensorInfo, SensorStatus, Settings, Switch};
+use lsfb_drivers::velodyne::wire::{PpsStatus, ReturnMode};
+use lsfb_drivers::velodyne::{Obedience, SensorWeb};
 use lsfb_recording::message::{decode_clock_model, decode_health_value};
 use lsfb_recording::{CLOCK_MODELS, HEALTH};
 
@@ -91,7 +98,17 @@ fn health_is_told_and_recorded_and_the_units_own_imu_too() {
     assert!(late.storage.secs_to_full.is_some(), "{:?}", late.storage);
 
     let recording = Recording::open(&out).unwrap();
-    for quantity in ["rate", "gap", "drops", "duplicates", "sync", "space"] {
+    for quantity in [
+        "rate",
+        "gap",
+        "drops",
+        "duplicates",
+        "sync",
+        "exposure",
+        "saturation",
+        "temperature",
+        "space",
+    ] {
         let topic = format!("{HEALTH}{quantity}");
         let values: Vec<_> = recording
             .messages(&topic)
@@ -127,9 +144,7 @@ fn health_is_told_and_recorded_and_the_units_own_imu_too() {
     );
 }
 
-fn spawn_collector(
-    snapshots: std::sync::mpsc::Receiver<Snapshot>,
-) -> std::thread::JoinHandle<Vec<Snapshot>> {
+fn spawn_collector(snapshots: std::sync::mpsc::Receiver<Snapshot>) -> JoinHandle<Vec<Snapshot>> {
     mock::spawn("page", move || snapshots.iter().collect())
 }
 
@@ -214,4 +229,94 @@ fn a_sidecar_is_acknowledged_when_its_message_is_in_the_file() {
     client.bye().unwrap();
     let report = recording.join().unwrap();
     assert_eq!((stream(&report, "sidecar").decoded, report.lost), (8, 0));
+}
+
+/// A sensor's web page, until it is dropped.
+struct Page {
+    sensor: Arc<Mutex<SensorWeb>>,
+    address: SocketAddr,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Page {
+    fn serve() -> Self {
+        let listener = HttpListener::bind(LOOPBACK).unwrap();
+        let address = listener.address();
+        let info = SensorInfo {
+            model: "VLP-32C".to_owned(),
+            serial: "11001170750012".to_owned(),
+        };
+        let status = SensorStatus {
+            pps: PpsStatus::Locked,
+            motor: Switch::On,
+            motor_rpm: 600,
+            laser: Switch::On,
+        };
+        let sensor = Arc::new(Mutex::new(SensorWeb::new(info, status)));
+        let stop = Arc::new(AtomicBool::new(false));
+        let (served, stopped) = (Arc::clone(&sensor), Arc::clone(&stop));
+        let thread = mock::spawn("mock-velodyne-page", move || {
+            while !stopped.load(Ordering::Relaxed) {
+                let answer = |request: &HttpRequest| served.lock().unwrap().handle(request);
+                listener.serve(Duration::from_millis(20), answer).unwrap();
+            }
+        });
+        Self {
+            sensor,
+            address,
+            stop,
+            thread: Some(thread),
+        }
+    }
+}
+
+impl Drop for Page {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+#[test]
+fn the_lidar_is_set_as_asked_before_it_is_recorded_and_a_refusal_is_found_out() {
+    let page = Page::serve();
+    let folder = tempfile::tempdir().unwrap();
+    let list = folder.path().join("devices.toml");
+    let text = format!(
+        "[lidar]\ndata = \"127.0.0.1:0\"\nposition = \"127.0.0.1:0\"\n[lidar.settings]\npage = \"{}\"\nrpm = 1200\n\
+         returns = \"dual\"\nfield_of_view_deg = [270, 90]\nphase_lock_centideg = 18000\n",
+        page.address
+    );
+    std::fs::write(&list, &text).unwrap();
+    let config = DevicesConfig::read(&list).unwrap();
+    Session::open(&config).unwrap();
+    let set = *page.sensor.lock().unwrap().settings();
+    assert_eq!((set.rpm, set.returns), (1200, ReturnMode::Dual));
+    let sector = set.field_of_view;
+    assert_eq!((sector.start_deg, sector.end_deg), (270, 90));
+    assert_eq!(set.phase_lock.lock, Switch::On);
+    assert_eq!(set.phase_lock.offset_centideg, 18_000);
+    // Where it sends was not asked for.
+    assert_eq!(set.destination, Settings::default().destination);
+
+    let refused = |config: &DevicesConfig| Session::open(config).err().unwrap().to_string();
+    let mut other = config.clone();
+    let settings = other.lidar.as_mut().and_then(|l| l.settings.as_mut());
+    settings.unwrap().rpm = Some(900);
+    page.sensor
+        .lock()
+        .unwrap()
+        .set_obedience(Obedience::Ignores);
+    let error = refused(&other);
+    assert!(
+        error.contains("was set to rpm=900 and reads rpm=1200"),
+        "{error}"
+    );
+    let settings = other.lidar.as_mut().and_then(|l| l.settings.as_mut());
+    settings.unwrap().rpm = Some(910);
+    let error = refused(&other);
+    assert!(error.contains("rpm cannot be `910`"), "{error}");
 }

@@ -1,0 +1,146 @@
+//! The LiDAR: where it sends, what it must be, how it is set.
+
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+
+use lsfb_drivers::velodyne::model::Model;
+use lsfb_drivers::velodyne::settings::{Destination, FieldOfView, PhaseLock, Setting, Switch};
+use lsfb_drivers::velodyne::wire::ReturnMode;
+use lsfb_drivers::velodyne::{DecoderConfig, ModelChoice, VelodyneConfig};
+use serde::{Deserialize, Serialize};
+
+/// Models that can be asked for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LidarModel {
+    /// Whatever the packets say.
+    #[default]
+    Any,
+    /// VLP-32C.
+    Vlp32c,
+    /// VLP-16.
+    Vlp16,
+    /// HDL-32E.
+    Hdl32e,
+}
+
+/// A Velodyne sensor on the network.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LidarNetConfig {
+    /// Address for data packets; port 0 takes a free one.
+    pub data: SocketAddr,
+    /// Address for position packets; port 0 takes a free one.
+    pub position: SocketAddr,
+    /// The sensor it must be.
+    pub model: LidarModel,
+    /// A scan ends where the rotor passes this angle, degrees. With a field-of-view window, choose one outside it.
+    pub cut_azimuth_deg: f64,
+    /// Take packets from this address only; several sensors share the factory ports.
+    pub sensor: Option<IpAddr>,
+    /// Wanted kernel receive buffer, bytes.
+    pub receive_buffer_bytes: usize,
+    /// What to set on the sensor's web page before anything is recorded. Without it the sensor stays as it is.
+    pub settings: Option<LidarSettingsConfig>,
+}
+
+/// Echoes that a LiDAR may send.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LidarReturns {
+    /// The strongest of each shot.
+    Strongest,
+    /// The last of each shot.
+    Last,
+    /// Both.
+    Dual,
+}
+
+/// Settings of a Velodyne sensor. Each is written to its web page and read back; the first that was not taken is an error. What
+/// is not named stays. They last until the sensor loses power.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LidarSettingsConfig {
+    /// The sensor's web page, for instance `192.168.1.201:80`.
+    pub page: SocketAddr,
+    /// Speed of the motor, revolutions per minute: 300 to 1200 in steps of 60.
+    #[serde(default)]
+    pub rpm: Option<u16>,
+    /// Which echoes it sends.
+    #[serde(default)]
+    pub returns: Option<LidarReturns>,
+    /// First and last degree of the sector in which it fires, clockwise, 0 to 359.
+    #[serde(default)]
+    pub field_of_view_deg: Option<[u16; 2]>,
+    /// Where the rotor points at each pulse per second, hundredths of a degree; needs the pulse.
+    #[serde(default)]
+    pub phase_lock_centideg: Option<u16>,
+    /// This host's address, to which it sends; the ports are those of the list of devices.
+    #[serde(default)]
+    pub destination: Option<Ipv4Addr>,
+}
+
+impl LidarSettingsConfig {
+    /// The changes, one by one.
+    pub(crate) fn changes(&self, data_port: u16, position_port: u16) -> Vec<Setting> {
+        let returns = self.returns.map(|returns| {
+            Setting::Returns(match returns {
+                LidarReturns::Strongest => ReturnMode::Strongest,
+                LidarReturns::Last => ReturnMode::Last,
+                LidarReturns::Dual => ReturnMode::Dual,
+            })
+        });
+        let field_of_view = self
+            .field_of_view_deg
+            .map(|[start_deg, end_deg]| Setting::FieldOfView(FieldOfView { start_deg, end_deg }));
+        let phase_lock = self.phase_lock_centideg.map(|offset_centideg| {
+            Setting::PhaseLock(PhaseLock {
+                lock: Switch::On,
+                offset_centideg,
+            })
+        });
+        let destination = self.destination.map(|address| {
+            Setting::Destination(Destination {
+                address,
+                data_port,
+                position_port,
+            })
+        });
+        let rpm = self.rpm.map(Setting::Rpm);
+        [rpm, returns, field_of_view, phase_lock, destination]
+            .into_iter()
+            .flatten()
+            .collect()
+    }
+}
+
+impl Default for LidarNetConfig {
+    /// The factory ports on every interface, any sensor.
+    fn default() -> Self {
+        let wire = VelodyneConfig::default();
+        Self {
+            data: wire.data_bind,
+            position: wire.position_bind,
+            model: LidarModel::default(),
+            cut_azimuth_deg: 0.0,
+            sensor: wire.sensor,
+            receive_buffer_bytes: wire.receive_buffer_bytes,
+            settings: None,
+        }
+    }
+}
+
+impl LidarNetConfig {
+    pub(crate) fn decoder(&self) -> DecoderConfig {
+        DecoderConfig {
+            model: match self.model {
+                LidarModel::Any => ModelChoice::FromPackets,
+                LidarModel::Vlp32c => ModelChoice::Expect(Model::Vlp32c),
+                LidarModel::Vlp16 => ModelChoice::Expect(Model::Vlp16),
+                LidarModel::Hdl32e => ModelChoice::Expect(Model::Hdl32e),
+            },
+            // A float cast saturates, and a whole turn is none.
+            cut_azimuth_centideg: (self.cut_azimuth_deg.rem_euclid(360.0) * 100.0) as u16 % 36_000,
+            ..DecoderConfig::default()
+        }
+    }
+}

@@ -1,0 +1,188 @@
+//! A LiDAR whose clock is set while it is recorded: by whole seconds above all, as a wrong sentence sets it.
+
+use lsfb_capture::clock::{ClockConfig, estimate_clocks};
+use lsfb_capture::doctor::{DoctorConfig, Verdict, examine};
+use lsfb_capture::{Incoming, record_incoming};
+use lsfb_drivers::camera::model::FrameFormat;
+use lsfb_drivers::camera::wire::{TimeSource, Trailer, emit_frame};
+use lsfb_drivers::velodyne::wire::DataPacket;
+use lsfb_recording::CLOCK_MODELS;
+use lsfb_recording::message::decode_clock_model;
+
+use super::*;
+
+const PACKETS: u64 = 3_000;
+const STEP_AT: u64 = 1_500;
+/// A packet of a VLP-32C with one return, nanoseconds.
+const PERIOD_NS: u64 = 663_552;
+const STEPS_US: [i64; 7] = [
+    -1_000_000, 1_000_000, -999_000, 999_000, -1_001_000, -2_000_000, 3_000_000,
+];
+
+/// Time past the hour of packet `n`, microseconds; ten seconds past it begins.
+fn counted_us(n: u64, step_us: i64) -> u32 {
+    let true_us = 10_000_000 + (n * PERIOD_NS / 1_000).cast_signed();
+    let stepped_us = if n < STEP_AT { 0 } else { step_us };
+    u32::try_from(true_us + stepped_us).unwrap()
+}
+
+fn arrival(n: u64) -> Timestamp {
+    // Half a millisecond on the way, and a little disorder of the host's.
+    let late_ns = 500_000 + (n * 7_919 % 101) * 1_000;
+    Timestamp::from_nanos(START_NS + 10_000_000_000 + (n * PERIOD_NS + late_ns).cast_signed())
+}
+
+/// Records packets of a LiDAR whose clock steps, with or without a pulse.
+fn recorded(out: &Path, step_us: i64, locked: bool) -> (CaptureReport, Recording) {
+    let packets = (0..PACKETS).flat_map(|n| {
+        let counted = counted_us(n, step_us);
+        let mut data = DataPacket::new(mock::lidar_packet(n)).unwrap();
+        data.set_timestamp_us(counted);
+        let position = (locked && n % 14 == 0).then(|| mock::position_packet(counted));
+        let bytes = position.into_iter().chain([data.into_inner()]);
+        bytes.map(move |bytes| {
+            Incoming::Lidar(Packet {
+                arrival: arrival(n),
+                bytes,
+            })
+        })
+    });
+    let config = DevicesConfig {
+        lidar: Some(LidarNetConfig::default()),
+        ..anywhere()
+    };
+    let stop = AtomicBool::new(false);
+    let report = record_incoming(packets, &config, out, &stop, &no_progress).unwrap();
+    (report, Recording::open(out).unwrap())
+}
+
+fn assert_told(report: &CaptureReport, recording: &Recording, step_us: i64) {
+    // Nothing is lost, and the step is told once, in the report, by the doctor and in the model of the clock.
+    assert_eq!(report.lost, 0, "{step_us}: {report:?}");
+    let lidar = stream(report, "lidar");
+    let told = "1 jumps of the sensor's clock";
+    assert!(
+        lidar.notes.iter().any(|n| n == told),
+        "{step_us}: {lidar:?}"
+    );
+    let packets = recording.packets("lidar/packets").unwrap();
+    assert_eq!(packets.count() as u64, PACKETS);
+    let model = recording.last_message(&format!("{CLOCK_MODELS}lidar"));
+    let model = decode_clock_model(&model.unwrap().unwrap().bytes).unwrap();
+    assert_eq!(model.epoch, 2, "{step_us}: {model:?}");
+    let diagnosis = examine(recording, &DoctorConfig::default(), &no_progress).unwrap();
+    let clock = diagnosis
+        .findings
+        .iter()
+        .find(|f| f.subject == "clock lidar");
+    assert_eq!(
+        clock.unwrap().verdict,
+        Verdict::Warn,
+        "{step_us}: {clock:?}"
+    );
+
+    // Afterwards it is found again: its size, and the very packet.
+    let clocks = estimate_clocks(recording, &ClockConfig::default(), &no_progress).unwrap();
+    let [first, second] = &clocks.devices[0].epochs[..] else {
+        panic!("{step_us}: {:?}", clocks.devices[0].epochs);
+    };
+    assert_eq!(first.pairs, STEP_AT);
+    assert_eq!(
+        second.arrival_start_ns,
+        arrival(STEP_AT).nanos(),
+        "{step_us}"
+    );
+    let size_error_ns = second.step_ns + step_us * 1_000;
+    assert!(size_error_ns.abs() < 200_000, "{step_us}: {size_error_ns}");
+}
+
+#[test]
+fn a_lidar_without_pulse_keeps_the_hosts_time_over_every_step() {
+    let folder = tempfile::tempdir().unwrap();
+    for (k, step_us) in STEPS_US.into_iter().enumerate() {
+        let out = folder.path().join(format!("{k}.mcap"));
+        let (report, recording) = recorded(&out, step_us, false);
+        assert_told(&report, &recording, step_us);
+        for scan in recording.scans().unwrap() {
+            let scan = scan.unwrap();
+            let late_ns = scan.arrival - scan.time;
+            assert!(late_ns.abs() < 2_000_000, "{step_us}: {late_ns}");
+        }
+    }
+}
+
+#[test]
+fn a_locked_lidar_is_believed_and_its_steps_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    for (k, step_us) in STEPS_US.into_iter().enumerate() {
+        let out = folder.path().join(format!("{k}.mcap"));
+        let (report, recording) = recorded(&out, step_us, true);
+        assert_told(&report, &recording, step_us);
+        let mut scans = 0;
+        for scan in recording.scans().unwrap() {
+            let scan = scan.unwrap();
+            // The sensor names the second: what it names stays.
+            let named = Timestamp::from_nanos(START_NS + scan.device_ticks.cast_signed());
+            assert_eq!(scan.time, named, "{step_us}");
+            scans += 1;
+        }
+        assert!(scans >= 20, "{step_us}: {scans}");
+    }
+}
+
+#[test]
+fn a_device_that_names_an_impossible_year_does_not_end_the_recording() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("scan.mcap");
+    let frame = |n: u16, timestamp_us: u64| {
+        let trailer = Trailer {
+            time_source: TimeSource::External,
+            frame_id: n,
+            timestamp_us,
+            exposure_steps: 10,
+            checksum: 0,
+        }
+        .with_checksum();
+        let format = FrameFormat {
+            width: 64,
+            height: 4,
+        };
+        let mut bytes = Vec::new();
+        emit_frame(format, &[&[7; 128], &[9; 128]], &trailer, &mut bytes).unwrap();
+        let arrival = Timestamp::from_nanos(START_NS + i64::from(n) * CAMERA_PERIOD_NS);
+        let packet = Packet { arrival, bytes };
+        Incoming::Frame { unit: 0, packet }
+    };
+    let time_us = |n: u16| ((START_NS + i64::from(n) * CAMERA_PERIOD_NS) / 1_000).cast_unsigned();
+    // The year 2065, and nothing at all.
+    let frames = (0..20).map(|n| match n {
+        7 => frame(n, 3_000_000_000_000_000),
+        12 => frame(n, u64::MAX),
+        _ => frame(n, time_us(n)),
+    });
+    let config = DevicesConfig {
+        cameras: vec![CameraUnitConfig {
+            frame_px: [64, 4],
+            ..unit(Path::new(""), ["cam0", "cam1"])
+        }],
+        ..anywhere()
+    };
+    let stop = AtomicBool::new(false);
+    let report = record_incoming(frames, &config, &out, &stop, &no_progress).unwrap();
+    assert_eq!(report.failure, None);
+    let camera = stream(&report, "cam0+cam1");
+    assert!(camera.bad > 0 && report.lost > 0, "{camera:?}");
+    let why = camera.first_bad.clone().unwrap_or_default();
+    assert!(why.contains("which no recording can hold"), "{why}");
+    let recording = Recording::open(&out).unwrap();
+    let images: Vec<_> = recording
+        .images("cam1")
+        .unwrap()
+        .map(Result::unwrap)
+        .collect();
+    assert_eq!(images.len(), 20);
+    for (n, image) in (0..).zip(&images) {
+        assert_eq!(image.arrival.nanos(), START_NS + n * CAMERA_PERIOD_NS);
+        assert!((image.time - image.arrival).abs() < CAMERA_PERIOD_NS, "{n}");
+    }
+}
