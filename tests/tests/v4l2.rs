@@ -573,6 +573,8 @@ fn units_behind_nodes_are_recorded_and_played() {
         lidar_data: nowhere,
         lidar_position: nowhere,
         camera_sockets: sockets.clone(),
+        can: String::new(),
+        usb: PathBuf::new(),
         sidecar: nowhere,
         patience: Duration::ZERO,
     };

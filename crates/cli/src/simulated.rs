@@ -12,7 +12,7 @@ use lsfb_capture::{
 use lsfb_recording::Existing;
 use lsfb_sim::{
     Clocked, Emitted, FlowControl, GlassesEndpoint, ImuFamily, LidarModel, LidarReturns, Pace,
-    ScanEndpoints, SimConfig, SimSession, Simulation,
+    PlayedImu, ScanEndpoints, SimConfig, SimSession, Simulation,
 };
 
 use crate::context::Context;
@@ -75,6 +75,16 @@ pub fn to_be_opened(family: ImuFamily) -> lsfb_capture::ImuFamily {
     match family {
         ImuFamily::Xsens => lsfb_capture::ImuFamily::Xsens,
         ImuFamily::Microstrain => lsfb_capture::ImuFamily::Microstrain,
+    }
+}
+
+/// How the recorder opens a unit that is played.
+pub fn played(family: PlayedImu) -> lsfb_capture::ImuFamily {
+    match family {
+        PlayedImu::Xsens => lsfb_capture::ImuFamily::Xsens,
+        PlayedImu::Microstrain => lsfb_capture::ImuFamily::Microstrain,
+        PlayedImu::Sbg => lsfb_capture::ImuFamily::Sbg,
+        PlayedImu::MyntD => lsfb_capture::ImuFamily::MyntD,
     }
 }
 

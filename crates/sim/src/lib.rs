@@ -72,8 +72,8 @@ pub use config::{
 };
 pub use device::{
     CameraPlan, Emitted, FlowControl, GlassesEndpoint, MYNT_UNITS, Pace, Playback,
-    PlaybackEndpoints, ScanEmission, ScanEndpoints, SessionReport, SimSession, StopHandle, Turns,
-    WalkEmission,
+    PlaybackEndpoints, PlayedImu, ScanEmission, ScanEndpoints, SessionReport, SimSession,
+    StopHandle, Turns, WalkEmission,
 };
 pub use error::Error;
 pub use place::{Board, Place, TAG_M};

@@ -1,44 +1,16 @@
 //! Runs a test a second time, below `lsfb-fakekernel`, where it finds devices that this kernel may not have.
 
-use std::path::PathBuf;
+mod library;
+
 use std::process::Command;
 
-use lsfb_tests::workspace_root;
-use serde_json::Value;
-
-/// Builds the emulated kernel.
-fn library() -> PathBuf {
-    let output = Command::new(env!("CARGO"))
-        .args(["build", "--release", "--offline", "-p", "lsfb-fakekernel"])
-        .arg("--message-format=json")
-        .current_dir(workspace_root())
-        .output()
-        .expect("cargo runs");
-    let messages = String::from_utf8_lossy(&output.stdout);
-    let failed = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{failed}");
-    let file = messages
-        .lines()
-        .filter_map(|line| serde_json::from_str::<Value>(line).ok())
-        .filter(|message| message["target"]["name"] == "lsfb_fakekernel")
-        .find_map(|message| message["filenames"][0].as_str().map(PathBuf::from));
-    file.expect("a library")
-}
-
-/// Whether the emulated kernel can be loaded here; says why not.
-pub fn is_possible(name: &str) -> bool {
-    let possible = cfg!(target_arch = "x86_64");
-    if !possible {
-        println!("skipped: {name}: the emulated kernel is for x86_64");
-    }
-    possible
-}
+pub use library::is_possible;
 
 /// Runs the test `name` of this program again, below the emulated kernel, with `variables` set.
 pub fn run_below(name: &str, variables: &[(&str, String)]) {
     let output = Command::new(std::env::current_exe().expect("this program"))
         .args(["--exact", name, "--nocapture"])
-        .env("LD_PRELOAD", library())
+        .env("LD_PRELOAD", library::library())
         .envs(variables.iter().map(|(key, value)| (*key, value)))
         .output()
         .expect("this program runs");

@@ -8,24 +8,29 @@ use anyhow::Context as _;
 use lsfb_capture::{
     CameraUnitConfig, DevicesConfig, ImuLineConfig, LidarNetConfig, Overflow, SidecarConfig,
 };
-use lsfb_sim::{Pace, Playback, PlaybackEndpoints, Turns};
+use lsfb_sim::{Pace, Playback, PlaybackEndpoints, PlayedImu, Turns};
 
 use super::sim;
 use crate::context::Context;
 use crate::outcome::Outcome;
-use crate::simulated::{Endpoints, Equipment, short_walk, to_be_opened};
+use crate::simulated::{Endpoints, Equipment, played, short_walk};
 
+/// Name of the IMU among the mock devices.
+const IMU: &str = "imu0";
 /// How long sidecars look for their recorder.
 const PATIENCE: Duration = Duration::from_secs(3600);
 
 /// Play a recording, a capture file or the simulator as live devices.
 ///
-/// LiDAR packets go to the network, the IMU's bytes to a pseudo-terminal, frames to camera sockets and a phone's messages to
-/// the sidecar port, each exactly as received and at the time its device gave it: `lsfb scan` in another process cannot tell
-/// the difference. The list of devices for it is written into the folder. Nothing is sent before every device has its host.
+/// LiDAR packets go to the network, the IMU's bytes to a pseudo-terminal, a CAN interface or a mock USB device, frames to
+/// camera sockets and a phone's messages to the sidecar port, each exactly as received and at the time its device gave it:
+/// `lsfb scan` in another process cannot tell the difference. The list of devices for it is written into the folder. Nothing is sent before every device has its host.
 ///
 /// With --loop the devices' own clocks begin anew with each turn, and the recorder reports it.
-/// A capture file (pcap, pcapng, db3) has a LiDAR alone, which never says that it has ended: stop the recorder with Ctrl-C.
+/// A capture file (pcap, pcapng, db3) has a LiDAR alone, which never says that it has ended: stop the recorder with Ctrl-C. A
+/// CAN bus does not say so either; beside other devices that do, the recorder takes its silence for the end.
+///
+/// An SBG unit needs a CAN interface, for instance a virtual one: ip link add vcan0 type vcan && ip link set vcan0 up
 ///
 /// Examples:
 ///   lsfb mock scan.mcap --out mock              # then, in another terminal:
@@ -50,6 +55,9 @@ pub struct Arguments {
     /// Play it N times; without a number until Ctrl-C.
     #[arg(long = "loop", value_name = "N", num_args = 0..=1, default_missing_value = "0")]
     turns: Option<u32>,
+    /// CAN interface that an SBG unit sends on.
+    #[arg(long, value_name = "INTERFACE", default_value = "vcan0")]
+    can: String,
     #[command(flatten)]
     equipment: Equipment,
     #[command(flatten)]
@@ -83,7 +91,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         ));
     }
     let folder = Folder::create(&arguments.out)?;
-    let devices = folder.devices(&playback, &arguments.endpoints);
+    let devices = folder.devices(&playback, arguments);
     if let (Some(path), Some(rig)) = (&devices.rig, playback.rig()) {
         write(path, &rig.to_toml())?;
     }
@@ -93,6 +101,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         lidar_data: arguments.endpoints.lidar_data,
         lidar_position: arguments.endpoints.lidar_position,
         camera_sockets: devices.cameras.iter().map(|c| c.path.clone()).collect(),
+        can: arguments.can.clone(),
+        usb: folder.device(IMU),
         sidecar: arguments.endpoints.sidecar,
         patience: PATIENCE,
     };
@@ -101,7 +111,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         Some(0) => Turns::Endless,
         Some(times) => Turns::Times(times),
     };
-    let session = playback.start(&endpoints, Pace::RealTimes(arguments.rate), turns)?;
+    let session = playback
+        .start(&endpoints, Pace::RealTimes(arguments.rate), turns)
+        .with_context(|| playback_needs(&playback, arguments))?;
     if let (Some(line), Some(imu)) = (session.imu_path(), &devices.imu) {
         symlink(line, &imu.path).with_context(|| imu.path.display().to_string())?;
     }
@@ -153,6 +165,17 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     })
 }
 
+/// What a source that cannot be played is told.
+fn playback_needs(playback: &Playback, arguments: &Arguments) -> String {
+    match playback.imu_family() {
+        Some(PlayedImu::Sbg) => format!(
+            "the recorded SBG unit needs the CAN interface {}: make it, or name another with --can",
+            arguments.can
+        ),
+        _ => format!("the devices in {}", arguments.out.display()),
+    }
+}
+
 fn write(path: &Path, text: &str) -> anyhow::Result<()> {
     std::fs::write(path, text).with_context(|| path.display().to_string())
 }
@@ -179,16 +202,21 @@ impl Folder {
         self.path.join(name)
     }
 
+    /// A mock device.
+    fn device(&self, name: &str) -> PathBuf {
+        self.path.join("devices").join(name)
+    }
+
     /// The devices as `lsfb scan` sees them.
-    fn devices(&self, playback: &Playback, endpoints: &Endpoints) -> DevicesConfig {
-        let device = |name: &str| self.path.join("devices").join(name);
+    fn devices(&self, playback: &Playback, arguments: &Arguments) -> DevicesConfig {
+        let endpoints = &arguments.endpoints;
         let cameras = playback.cameras().iter().map(|unit| CameraUnitConfig {
             names: unit.names.clone(),
             frame_px: unit.frame_px,
             rate_hz: unit.rate_hz,
             imu: unit.imu.clone(),
             ..CameraUnitConfig::stereo(
-                device(&format!("mynt_{}", unit.names.join("_"))),
+                self.device(&format!("mynt_{}", unit.names.join("_"))),
                 Default::default(),
             )
         });
@@ -212,8 +240,11 @@ impl Folder {
                 .imu_family()
                 .zip(playback.imu_rate_hz())
                 .map(|(family, rate_hz)| ImuLineConfig {
-                    family: to_be_opened(family),
-                    path: device("imu0"),
+                    family: played(family),
+                    path: match family {
+                        PlayedImu::Sbg => PathBuf::from(&arguments.can),
+                        _ => self.device(IMU),
+                    },
                     baud: 921_600,
                     rate_hz,
                 }),

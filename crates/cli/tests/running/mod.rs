@@ -21,19 +21,27 @@ pub struct Running {
 impl Running {
     /// Starts `lsfb` in `folder`.
     pub fn lsfb(folder: &Path, arguments: impl IntoIterator<Item = String>) -> Self {
+        Self::command(folder, arguments, |lsfb| lsfb)
+    }
+
+    /// The same, with what else is to be said of the process.
+    pub fn command(
+        folder: &Path,
+        arguments: impl IntoIterator<Item = String>,
+        prepare: impl FnOnce(&mut Command) -> &mut Command,
+    ) -> Self {
         let errors = NamedTempFile::new().expect("file");
         let log = File::options()
             .append(true)
             .open(errors.path())
             .expect("file");
-        let process = Command::new(env!("CARGO_BIN_EXE_lsfb"))
-            .args(arguments)
+        let mut lsfb = Command::new(env!("CARGO_BIN_EXE_lsfb"));
+        lsfb.args(arguments)
             .current_dir(folder)
             .stdin(Stdio::null())
             .stdout(Stdio::null())
-            .stderr(log)
-            .spawn()
-            .expect("the built binary");
+            .stderr(log);
+        let process = prepare(&mut lsfb).spawn().expect("the built binary");
         Self { process, errors }
     }
 

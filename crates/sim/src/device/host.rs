@@ -73,6 +73,23 @@ fn queued_bytes(target: SocketAddr) -> Option<u64> {
     })
 }
 
+/// Whether somebody on this machine takes frames of a CAN interface. A system that does not tell counts as one who does.
+pub(super) fn listens_on_can(interface: &str) -> bool {
+    let Ok(lists) = std::fs::read_dir("/proc/net/can") else {
+        return true;
+    };
+    let mut lists = lists
+        .flatten()
+        .filter(|list| list.file_name().to_string_lossy().starts_with("rcvlist_"))
+        .filter_map(|list| std::fs::read_to_string(list.path()).ok());
+    lists.any(|list| {
+        let mut devices = list
+            .lines()
+            .filter_map(|line| line.split_whitespace().next());
+        devices.any(|device| device == interface)
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use std::net::UdpSocket;

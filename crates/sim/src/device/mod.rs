@@ -21,7 +21,7 @@ mod session;
 pub use clock::Pace;
 pub use emission::{Emitted, ScanEmission, WalkEmission};
 pub use lidar::FlowControl;
-pub use playback::{CameraPlan, Playback, PlaybackEndpoints, Turns};
+pub use playback::{CameraPlan, Playback, PlaybackEndpoints, PlayedImu, Turns};
 pub use session::{
     GlassesEndpoint, MYNT_UNITS, ScanEndpoints, SessionReport, SimSession, StopHandle,
 };

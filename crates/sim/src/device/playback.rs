@@ -24,13 +24,15 @@ use lsfb_recording::Recording;
 use lsfb_types::Timestamp;
 
 use super::clock::Pace;
-use super::inertial::InertialDevice;
 use super::mynt::MyntDevice;
 use super::session::{SessionReport, SimSession};
-use crate::{Error, ImuFamily};
+use crate::Error;
 
+use self::imu::PlayedUnit;
 use self::lidar::LidarPlayer;
 use self::sidecar::SidecarPlayer;
+
+pub use self::imu::PlayedImu;
 
 /// Between the end of a turn and the beginning of the next.
 const PAUSE_NS: i64 = 100_000_000;
@@ -64,6 +66,10 @@ pub struct PlaybackEndpoints {
     pub lidar_position: SocketAddr,
     /// Sockets that the camera units make, one for each of [`Playback::cameras`].
     pub camera_sockets: Vec<PathBuf>,
+    /// Interface that an SBG unit sends on; its host listens there.
+    pub can: String,
+    /// Socket that the unit of a Mynt D makes.
+    pub usb: PathBuf,
     /// Sidecars connect here.
     pub sidecar: SocketAddr,
     /// How long sidecars try to connect.
@@ -94,7 +100,7 @@ impl CameraPlan {
 /// An inertial unit as it was recorded.
 #[derive(Clone, Copy, Debug)]
 struct RecordedUnit {
-    family: ImuFamily,
+    family: PlayedImu,
     rate_hz: u16,
 }
 
@@ -193,7 +199,7 @@ impl Playback {
     }
 
     /// What the IMU speaks; `None` without one.
-    pub fn imu_family(&self) -> Option<ImuFamily> {
+    pub fn imu_family(&self) -> Option<PlayedImu> {
         self.imu.map(|unit| unit.family)
     }
 
@@ -255,11 +261,13 @@ impl Playback {
             })?;
         }
         if let Some(RecordedUnit { family, rate_hz }) = self.imu {
-            let unit = InertialDevice::new(family, rate_hz)?;
-            session.set_imu_path(unit.path());
+            let unit = PlayedUnit::new(family, rate_hz, endpoints)?;
+            if let Some(line) = unit.line() {
+                session.set_imu_path(line);
+            }
             let play = play.clone();
             session.spawn_device("mock-imu", next(), move |clock, device| {
-                imu::run(unit, rate_hz, &play, clock, device)
+                imu::run(family, unit, rate_hz, &play, clock, device)
             })?;
         }
         for (unit, plan) in units.into_iter().zip(&self.cameras) {

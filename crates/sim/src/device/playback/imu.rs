@@ -1,16 +1,25 @@
-//! The byte stream of an IMU on a serial line, as it was received.
+//! What an IMU sent, as it was received: bytes of a serial line, frames of a CAN bus, reports of a USB device.
+
+use std::path::PathBuf;
+use std::time::Duration;
 
 use lsfb_drivers::imu::model::SAMPLE_TIME_FINE_NS;
 use lsfb_drivers::imu::{Decoder, DecoderConfig};
-use lsfb_drivers::microstrain;
+use lsfb_drivers::transport::can::{CanFrame, CanSender};
+use lsfb_drivers::transport::usb::MockUsb;
+use lsfb_drivers::{microstrain, mynt_d, sbg};
 use lsfb_recording::{RecordedPacket, Recording};
-use lsfb_types::Timestamp;
+use lsfb_types::{Packet, Timestamp};
 
-use super::{Play, readable};
+use super::{Play, PlaybackEndpoints, readable};
 use crate::device::clock::{SimClock, Turn};
+use crate::device::host;
 use crate::device::inertial::InertialDevice;
 use crate::device::session::SessionReport;
 use crate::{Error, ImuFamily};
+
+/// How often it is looked whether there is a host.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
 
 /// Where the samples are.
 pub(super) const SAMPLES_TOPIC: &str = "/imu0/data_raw";
@@ -20,14 +29,106 @@ const TICKS_PERIOD: i64 = 1 << 32;
 /// Samples that the rate is told by.
 const RATE_SAMPLES: usize = 101;
 
-/// Kinds of the packets that are pieces of a unit's stream, by what the unit speaks.
-const KINDS: [(u16, ImuFamily); 2] = [(0, ImuFamily::Xsens), (1, ImuFamily::Microstrain)];
+/// What a recorded inertial unit speaks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PlayedImu {
+    /// Xsens MTData2, on a pseudo-terminal.
+    Xsens,
+    /// MicroStrain MIP, on a pseudo-terminal.
+    Microstrain,
+    /// SBG, on a CAN interface.
+    Sbg,
+    /// The unit in a Mynt D, a mock USB device.
+    MyntD,
+}
 
-/// What the recorded unit speaks; `None` without one, or where it is none on a serial line.
-pub(super) fn family(recording: &Recording) -> Option<ImuFamily> {
+/// Kinds of the packets, by what the unit speaks.
+const KINDS: [(u16, PlayedImu); 4] = [
+    (0, PlayedImu::Xsens),
+    (1, PlayedImu::Microstrain),
+    (2, PlayedImu::Sbg),
+    (3, PlayedImu::MyntD),
+];
+
+/// What the recorded unit speaks; `None` without one, or where nobody knows its packets.
+pub(super) fn family(recording: &Recording) -> Option<PlayedImu> {
     let first = recording.packets(SOURCE).ok()?.next()?.ok()?;
     let found = KINDS.into_iter().find(|(kind, _)| *kind == first.kind);
     found.map(|(_, family)| family)
+}
+
+/// A unit and its end of the line, of the bus, or of the cable.
+pub(super) enum PlayedUnit {
+    Serial(InertialDevice),
+    Can { bus: CanSender, interface: String },
+    Usb(MockUsb),
+}
+
+impl PlayedUnit {
+    pub(super) fn new(
+        family: PlayedImu,
+        rate_hz: u16,
+        endpoints: &PlaybackEndpoints,
+    ) -> Result<Self, Error> {
+        let serial = |family| InertialDevice::new(family, rate_hz).map(Self::Serial);
+        Ok(match family {
+            PlayedImu::Xsens => serial(ImuFamily::Xsens)?,
+            PlayedImu::Microstrain => serial(ImuFamily::Microstrain)?,
+            PlayedImu::Sbg => Self::Can {
+                bus: CanSender::open(&endpoints.can)?,
+                interface: endpoints.can.clone(),
+            },
+            PlayedImu::MyntD => Self::Usb(MockUsb::bind(
+                &endpoints.usb,
+                mynt_d::model::USB_VENDOR,
+                mynt_d::model::USB_PRODUCT,
+            )?),
+        })
+    }
+
+    /// The serial line that the host opens; the others are where they were told to be.
+    pub(super) fn line(&self) -> Option<PathBuf> {
+        match self {
+            Self::Serial(unit) => Some(unit.path()),
+            Self::Can { .. } | Self::Usb(_) => None,
+        }
+    }
+
+    /// Waits for the host. `false`: the session was stopped before.
+    fn configure(&mut self, rate_hz: u16, clock: &SimClock) -> Result<bool, Error> {
+        loop {
+            let is_there = match self {
+                Self::Serial(unit) => return unit.configure(rate_hz, clock),
+                Self::Can { interface, .. } => host::listens_on_can(interface),
+                Self::Usb(unit) => unit.accept(LOOK_EVERY)?,
+            };
+            if is_there || clock.is_stopped() {
+                return Ok(is_there);
+            }
+            std::thread::sleep(LOOK_EVERY);
+        }
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> Result<(), Error> {
+        match self {
+            Self::Serial(unit) => unit.send(bytes),
+            // Errors of the bus were told by the kernel: no device can send them.
+            Self::Can { bus, .. } => match CanFrame::parse(bytes) {
+                Ok(frame) if !frame.is_error() => Ok(bus.send(&frame)?),
+                _ => Ok(()),
+            },
+            Self::Usb(unit) => Ok(unit.send(bytes)?),
+        }
+    }
+
+    /// Hangs up once the host has, or can have, read everything. A bus stays.
+    fn finish(self) -> Result<(), Error> {
+        match self {
+            Self::Serial(unit) => unit.finish(),
+            Self::Can { .. } => Ok(()),
+            Self::Usb(unit) => Ok(unit.finish()?),
+        }
+    }
 }
 
 /// Samples per second, from the first of them; 200 where there are none.
@@ -50,7 +151,8 @@ pub(super) fn rate_hz(recording: &Recording) -> u16 {
 
 /// Waits for the host to configure the unit, then sends the stream.
 pub(super) fn run(
-    mut unit: InertialDevice,
+    family: PlayedImu,
+    mut unit: PlayedUnit,
     rate_hz: u16,
     play: &Play,
     clock: &SimClock,
@@ -63,9 +165,12 @@ pub(super) fn run(
     let recording = play.recording()?;
     for base_ns in play.turns() {
         let mut unreadable = SessionReport::default();
-        let mut schedule = match unit {
-            InertialDevice::Xsens(_) => Schedule::ByTime(PacketTimes::new(&recording, play.start)),
-            InertialDevice::Microstrain(_) => Schedule::ByTicks(PacketTicks::new(&recording)),
+        let by_ticks = |counter| Schedule::ByTicks(PacketTicks::new(&recording, counter));
+        let mut schedule = match family {
+            PlayedImu::Xsens => Schedule::ByTime(PacketTimes::new(&recording, play.start)),
+            PlayedImu::Microstrain => by_ticks(Counter::Microstrain(Default::default())),
+            PlayedImu::Sbg => by_ticks(Counter::Sbg(Default::default())),
+            PlayedImu::MyntD => by_ticks(Counter::MyntD(Default::default())),
         };
         for packet in readable(recording.packets(SOURCE)?, &mut unreadable) {
             let due_ns = base_ns + schedule.offset_ns(play, &packet);
@@ -98,24 +203,55 @@ impl Schedule {
     }
 }
 
-/// A unit that knows no time but its own: the first of its packets is due as long after the beginning as it arrived, the
-/// others by the unit's counter.
+/// What a unit that knows no time but its own counts.
+enum Counter {
+    Microstrain(microstrain::Decoder),
+    Sbg(sbg::Decoder),
+    MyntD(mynt_d::Decoder),
+}
+
+impl Counter {
+    /// Of the last reading that a packet ends, nanoseconds.
+    fn last_ns(&mut self, packet: &Packet) -> Option<u64> {
+        match self {
+            Self::Microstrain(decoder) => {
+                decoder.push(packet);
+                std::iter::from_fn(|| decoder.next_reading())
+                    .last()
+                    .map(|reading| reading.device_ticks)
+            }
+            Self::Sbg(decoder) => {
+                let reading = decoder.push(packet).ok().flatten()?;
+                Some(reading.device_ticks.saturating_mul(1_000))
+            }
+            Self::MyntD(decoder) => {
+                // The readings before a damaged part are good.
+                let _ = decoder.push(packet);
+                std::iter::from_fn(|| decoder.next_reading())
+                    .last()
+                    .map(|reading| reading.device_ticks.saturating_mul(mynt_d::model::TICK_NS))
+            }
+        }
+    }
+}
+
+/// The first of the unit's packets is due as long after the beginning as it arrived, the others by its counter.
 struct PacketTicks {
-    decoder: microstrain::Decoder,
+    counter: Counter,
     began: Option<Timestamp>,
     first: Option<FirstPacket>,
     last_ns: i64,
 }
 
 struct FirstPacket {
-    ticks: u64,
+    counted_ns: u64,
     offset_ns: i64,
 }
 
 impl PacketTicks {
-    fn new(recording: &Recording) -> Self {
+    fn new(recording: &Recording, counter: Counter) -> Self {
         Self {
-            decoder: microstrain::Decoder::new(),
+            counter,
             began: recording.arrival_range().map(|range| range.start),
             first: None,
             last_ns: 0,
@@ -124,18 +260,19 @@ impl PacketTicks {
 
     /// Of the last reading in a piece; that of the piece before where it ends none.
     fn offset_ns(&mut self, packet: &RecordedPacket) -> i64 {
-        self.decoder.push(&packet.packet);
-        let readings = std::iter::from_fn(|| self.decoder.next_reading());
-        let Some(ticks) = readings.last().map(|r| r.device_ticks) else {
+        let Some(counted_ns) = self.counter.last_ns(&packet.packet) else {
             return self.last_ns;
         };
         let arrival = packet.packet.arrival;
         let first = self.first.get_or_insert_with(|| FirstPacket {
-            ticks,
+            counted_ns,
             offset_ns: self.began.map_or(0, |began| (arrival - began).max(0)),
         });
         // A unit that began anew goes on where it was.
-        let past_ns = ticks.saturating_sub(first.ticks).cast_signed().max(0);
+        let past_ns = counted_ns
+            .saturating_sub(first.counted_ns)
+            .cast_signed()
+            .max(0);
         self.last_ns = self.last_ns.max(first.offset_ns.saturating_add(past_ns));
         self.last_ns
     }

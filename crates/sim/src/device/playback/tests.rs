@@ -65,6 +65,8 @@ fn a_host_that_never_comes_does_not_hold_the_mock() {
         lidar_data: ([127, 0, 0, 1], 2368).into(),
         lidar_position: ([127, 0, 0, 1], 8308).into(),
         camera_sockets: Vec::new(),
+        can: String::new(),
+        usb: PathBuf::new(),
         sidecar: ([127, 0, 0, 1], 8790).into(),
         patience: Duration::ZERO,
     };
@@ -188,6 +190,8 @@ fn a_unit_of_four_cameras_and_its_imu_are_played_to_any_host() {
         lidar_data: ([127, 0, 0, 1], 2368).into(),
         lidar_position: ([127, 0, 0, 1], 8308).into(),
         camera_sockets: vec![socket.clone()],
+        can: String::new(),
+        usb: PathBuf::new(),
         sidecar: ([127, 0, 0, 1], 8790).into(),
         patience: Duration::ZERO,
     };
