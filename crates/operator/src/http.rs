@@ -216,7 +216,10 @@ pub(crate) fn is_quiet(error: &tungstenite::Error) -> bool {
     matches!(
         error,
         tungstenite::Error::Io(e)
-            if matches!(e.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut)
+            if matches!(
+                e.kind(),
+                io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut | io::ErrorKind::Interrupted
+            )
     )
 }
 
