@@ -65,7 +65,7 @@ fn problem() -> lsfb_solver::Problem {
         let [x, y, z] = position(p);
         text += &format!("{} {} {}\n", x + 0.1, y - 0.1, z + 0.1);
     }
-    let mut bal = camera::parse(&text, Kernel::Huber { scale: 1.0 });
+    let mut bal = camera::parse(&text, Kernel::Huber { scale: 1.0 }).expect("a BAL file");
     let loose = bal.problem.add_block(Vector3::zeros());
     let prior = VectorPrior::new(Vector3::new(1.0, 2.0, 3.0), Vector3::repeat(1.0));
     bal.problem

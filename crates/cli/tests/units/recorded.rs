@@ -40,7 +40,7 @@ pub fn mynt_d() -> Vec<Packet> {
             Item::Gyroscope(reading(n as i16)),
         ];
         let bytes = Report::emit(n as u16, &items).expect("it fits");
-        packet(i64::from(n) * PERIOD_NS, bytes)
+        packet(i64::from(n) * PERIOD_NS, bytes.to_vec())
     };
     (0..SAMPLES).map(report).collect()
 }
@@ -71,11 +71,16 @@ pub fn frames() -> Vec<Packet> {
 
 /// Records what a unit and the cameras sent.
 pub fn record(out: &Path, family: ImuFamily, sent: Vec<Packet>, frames: Vec<Packet>) {
+    let unit = CameraUnitConfig {
+        frame_px: FRAME_PX,
+        ..CameraUnitConfig::stereo("".into(), ["cam0", "cam1"].map(str::to_owned))
+    };
     let config = DevicesConfig {
-        cameras: vec![CameraUnitConfig {
-            frame_px: FRAME_PX,
-            ..CameraUnitConfig::stereo("".into(), ["cam0", "cam1"].map(str::to_owned))
-        }],
+        cameras: if frames.is_empty() {
+            Vec::new()
+        } else {
+            vec![unit]
+        },
         imu: Some(ImuLineConfig {
             family,
             path: "".into(),

@@ -1,8 +1,5 @@
 //! What goes wrong is on the operator's screen within a second, in the recording, and in the exit code.
 
-mod recorded_units;
-mod running;
-
 use std::net::TcpStream;
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -11,10 +8,11 @@ use lsfb_capture::ImuFamily;
 use lsfb_recording::message::decode_health_value;
 use lsfb_recording::{HEALTH, Recording};
 use nix::sys::signal::Signal;
-use recorded_units::{frames, mynt_d, record};
-use running::Running;
 use serde_json::Value;
 use tungstenite::{Message, WebSocket};
+
+use crate::recorded::{frames, mynt_d, record};
+use crate::running::Running;
 
 const ATTEMPTS: usize = 3;
 const WITHIN: Duration = Duration::from_secs(1);
