@@ -376,6 +376,16 @@ fn what_can_be_calibrated_all_the_same_is_warned_of() {
     let named = |w: &String| w.contains("the board is of another size");
     assert!(found.warnings.iter().any(named), "{:?}", found.warnings);
 
+    let mut pushed = simulated.clone();
+    for (_, sample) in &mut pushed.imu {
+        let x = &mut sample.specific_force_m_s2[0];
+        *x = x.clamp(-1.5, 1.5);
+    }
+    let found = calibrate(&pushed, &config);
+    let named = |w: &String| w.contains("the accelerometer saturates along x");
+    assert!(found.warnings.iter().any(named), "{:?}", found.warnings);
+    assert_eq!(found.outcome(), Outcome::Warn);
+
     let mut saturated = simulate(&Setup {
         duration_s: 8.0,
         ..Setup::default()
