@@ -33,6 +33,11 @@ fuzz_target!(|data: &[u8]| {
         .accept(Duration::from_secs(1))
         .expect("it connected")
         .expect("it connected");
+    // Replies need a reader: a unit waits for its host, and the buffer between them holds a few hundred.
+    let mut replies = host.try_clone().expect("a second handle");
+    let reader = std::thread::spawn(move || std::io::copy(&mut replies, &mut std::io::sink()));
     let mut device = XuDevice::new(DeviceInfo::default(), ImuProtocol::Float);
     while let Ok(Some(_)) = unit.serve(&mut device, Duration::ZERO) {}
+    drop(unit);
+    let _ = reader.join();
 });
