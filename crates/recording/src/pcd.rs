@@ -179,7 +179,7 @@ fn layout(
     let mut fields = Vec::new();
     for (i, ((name, &size), &kind)) in names.iter().zip(sizes).zip(kinds).enumerate() {
         let count = counts.get(i).copied().unwrap_or(1);
-        if !matches!(size, 1 | 2 | 4 | 8) || count > 1024 {
+        if !matches!(size, 1 | 2 | 4 | 8) || !(1..=1024).contains(&count) {
             return Err(format!("field {name}: size {size}, count {count}"));
         }
         fields.push(Field {
@@ -280,6 +280,9 @@ mod tests {
             message.contains("a.pcd") && message.contains("truncated"),
             "{message}"
         );
+        let nothing = HEADER.replace("COUNT 1 1 1 1 1", "COUNT 0 0 0 0 0");
+        let message = written(format!("{nothing}DATA binary\n").as_bytes()).unwrap_err();
+        assert!(message.to_string().contains("count 0"), "{message}");
         let compressed = format!("{HEADER}DATA binary_compressed\n");
         assert!(
             written(compressed.as_bytes())

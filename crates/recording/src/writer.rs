@@ -189,8 +189,8 @@ impl Writer {
         self.encoder.attach(name, media_type, bytes)
     }
 
-    /// Attaches the rig as `rig.toml`, and says its hash and age in metadata. Its frames follow on `/tf_static` with the first message, and its intrinsics on
-    /// `camera_info` beside the images, once a second, so that viewers place everything.
+    /// Attaches the rig as `rig.toml`, and says its hash and age in metadata. Its frames follow on `/tf_static` with the first
+    /// message, and its intrinsics on `camera_info` beside the images, once a second, so that viewers place everything.
     pub fn attach_rig(&mut self, rig: &Rig) -> Result<(), Error> {
         let text = rig.to_toml();
         self.attach(RIG_ATTACHMENT, "application/toml", text.as_bytes())?;

@@ -1,8 +1,9 @@
 //! A short simulated session, recorded from `lsfb sim` in another process.
 
-use std::net::UdpSocket;
+use std::net::{TcpListener, UdpSocket};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use serde_json::Value;
 
@@ -18,10 +19,20 @@ const TINY: &str = "texel_m = 0.012\n\
 pub struct Ports(pub [u16; 3]);
 
 impl Ports {
-    /// Takes and gives back.
+    /// Below those that the system gives to connections, of which one may come before the port is used.
     pub fn free() -> Self {
-        let sockets = [0; 3].map(|_| UdpSocket::bind("127.0.0.1:0").expect("socket"));
-        Self(sockets.map(|s| s.local_addr().expect("address").port()))
+        static TRIED: AtomicU32 = AtomicU32::new(0);
+        let first = std::process::id().wrapping_mul(16);
+        let is_free = |port: &u16| {
+            let address = ("127.0.0.1", *port);
+            UdpSocket::bind(address).is_ok() && TcpListener::bind(address).is_ok()
+        };
+        let mut ports = std::iter::repeat_with(|| {
+            let n = first.wrapping_add(TRIED.fetch_add(1, Ordering::Relaxed));
+            20_000 + (n % 12_000) as u16
+        })
+        .filter(is_free);
+        Self([0; 3].map(|_| ports.next().expect("one of 12 000")))
     }
 
     /// As `lsfb sim` and `lsfb mock` take them.
