@@ -1,6 +1,7 @@
 //! Trajectory files in TUM format: `t x y z qx qy qz qw` on each line, `t` in seconds.
 
 use std::fmt::Write as _;
+use std::ops::Range;
 use std::path::Path;
 
 use lsfb_geometry::{Se3, StampedPose, Trajectory, UnitQuaternion, Vector3};
@@ -10,8 +11,8 @@ use nalgebra::Quaternion;
 use crate::error::Error;
 
 const COLUMNS: usize = 8;
-/// A quaternion shorter than this has no direction worth normalising.
-const MIN_QUATERNION_NORM: f64 = 1e-3;
+/// A quaternion of another length has no direction worth normalising, or no length.
+const QUATERNION_NORMS: Range<f64> = 1e-3..1e3;
 
 /// Reads a trajectory. Lines that are empty or start with `#` are skipped; stamps are taken to the nanosecond; quaternions
 /// are normalised. Poses are sorted by time, and of poses with one stamp the first is kept.
@@ -78,7 +79,7 @@ fn parse_line(line: &str) -> Result<StampedPose, String> {
     }
     let [x, y, z, qx, qy, qz, qw] = values;
     let q = Quaternion::new(qw, qx, qy, qz);
-    if !(q.norm() > MIN_QUATERNION_NORM) {
+    if !QUATERNION_NORMS.contains(&q.norm()) {
         return Err(format!("quaternion has norm {}, expected 1", q.norm()));
     }
     Ok(StampedPose {
@@ -200,6 +201,7 @@ mod tests {
         for (line, reason) in [
             ("1 2 3", "3 columns, expected 8"),
             ("1 0 0 0 0 0 0 0", "norm 0"),
+            ("1 0 0 0 0 0 0 4e160", "norm inf"),
             ("1 0 0 inf 0 0 0 1", "not finite"),
             ("1 0 0 nan 0 0 0 1", "not finite"),
             ("1 0 0 x 0 0 0 1", "`x` is no number"),
