@@ -1,5 +1,6 @@
 //! What cannot be used is refused with one sentence, and what was there before stays as it was.
 
+mod answer;
 mod capture_file;
 mod process;
 mod refusal;
@@ -8,25 +9,13 @@ mod velodyne_packets;
 
 use std::path::Path;
 
+use answer::json;
 use capture_file::pcap;
 use lsfb_recording::{Recording, read_tum};
 use process::lsfb;
 use refusal::{contents, refused};
-use serde_json::Value;
 use session::{inputs, with};
 use tempfile::TempDir;
-
-/// Runs a command that must end with `code`, and takes its JSON.
-fn json(folder: &Path, arguments: &[&str], code: i32) -> Value {
-    let output = lsfb(folder, &[arguments, &["--json"]].concat());
-    assert_eq!(
-        output.status.code(),
-        Some(code),
-        "{arguments:?}: {}",
-        String::from_utf8_lossy(&output.stderr)
-    );
-    serde_json::from_slice(&output.stdout).expect("one JSON object")
-}
 
 fn noise(bytes: usize) -> Vec<u8> {
     let mut state = 0x9E37_79B9_u32;

@@ -1,17 +1,16 @@
 //! `lsfb calib camera` and `camera-imu`: what they write, what they refuse, and that one takes what the other gives.
 
+mod answer;
 mod board_images;
 mod process;
 mod refusal;
 
-use std::path::Path;
-
+use answer::json;
 use board_images::{BASELINE_M, CHECKERBOARD, blind, write_stereo};
 use lsfb_calib::TransformEdge;
 use lsfb_geometry::Rig;
 use process::lsfb;
 use refusal::refused;
-use serde_json::Value;
 
 const CAMERA: [&str; 12] = [
     "calib",
@@ -27,18 +26,6 @@ const CAMERA: [&str; 12] = [
     "--out",
     "rig.toml",
 ];
-
-/// Runs a command that must end with `code`, and takes its JSON.
-fn json(folder: &Path, arguments: &[&str], code: i32) -> Value {
-    let output = lsfb(folder, &[arguments, &["--json"]].concat());
-    assert_eq!(
-        output.status.code(),
-        Some(code),
-        "{arguments:?}: {}",
-        String::from_utf8_lossy(&output.stderr)
-    );
-    serde_json::from_slice(&output.stdout).expect("one JSON object")
-}
 
 #[test]
 fn a_stereo_pair_is_calibrated_and_its_baseline_joins() {
