@@ -141,8 +141,7 @@ pub fn prepare(
         ("glasses.toml", simulation.glasses().rig().to_toml()),
         ("sim.toml", toml::to_string(config)?),
     ] {
-        std::fs::write(layout.file(name), text)
-            .with_context(|| layout.file(name).display().to_string())?;
+        crate::commands::write(&layout.file(name), text)?;
     }
     simulation.write_truth(&layout.truth())?;
     Ok(simulation)

@@ -1,14 +1,15 @@
 //! `lsfb calib import` and `export`, both ways: rigs of the simulator, and files of others.
 #![allow(clippy::print_stdout, reason = "a skipped test says so")]
 
+mod answer;
 mod process;
 mod refusal;
 
 use std::path::{Path, PathBuf};
 
+use answer::json;
 use lsfb_geometry::{Camera, Rig, Se3};
 use lsfb_sim::{SimConfig, rigs};
-use process::lsfb;
 use refusal::refused;
 
 /// What is written and read again, at most.
@@ -28,12 +29,6 @@ fn backpack(offsets_s: [f64; 4]) -> Rig {
         mounted.timing.rig_from_camera_s = offset_s;
     }
     rig
-}
-
-fn json(folder: &Path, arguments: &[&str]) -> serde_json::Value {
-    let output = lsfb(folder, &[arguments, &["--json"]].concat());
-    assert_eq!(output.status.code(), Some(0), "{arguments:?}: {output:?}");
-    serde_json::from_slice(&output.stdout).expect("JSON")
 }
 
 fn notes(printed: &serde_json::Value) -> Vec<String> {
@@ -102,6 +97,7 @@ fn the_simulators_rig_comes_back_from_every_format() {
         let written = json(
             folder.path(),
             &["calib", "export", program, "rig.toml", "--out", program],
+            0,
         );
         let paths: Vec<String> = files.iter().map(|f| format!("{program}/{f}")).collect();
         assert_eq!(written["files"], serde_json::json!(paths), "{program}");
@@ -121,7 +117,10 @@ fn the_simulators_rig_comes_back_from_every_format() {
         let mut import = vec!["calib", "import", program];
         import.extend(paths.iter().map(String::as_str));
         let alone = [&import[..], &["--out", "alone.toml"]].concat();
-        assert!(notes(&json(folder.path(), &alone)).is_empty(), "{program}");
+        assert!(
+            notes(&json(folder.path(), &alone, 0)).is_empty(),
+            "{program}"
+        );
         let found = read(folder.path(), "alone.toml");
         for (name, mounted) in &rig.cameras {
             assert_same_camera(name, &mounted.camera, &found.cameras[name].camera);
@@ -146,7 +145,7 @@ fn the_simulators_rig_comes_back_from_every_format() {
 
         // Into a rig that has the rest: everything is as it was, but nobody knows since when.
         let into = [&import[..], &["--into", "rig.toml", "--out", "into.toml"]].concat();
-        json(folder.path(), &into);
+        json(folder.path(), &into, 0);
         let again = read(folder.path(), "into.toml");
         assert_same_rig(program, &rig, &again);
         assert_eq!(again.lidar, rig.lidar, "{program}");
@@ -169,7 +168,7 @@ fn what_a_format_cannot_hold_is_said_with_its_size() {
     std::fs::write(folder.path().join("rig.toml"), rig.to_toml()).expect("file");
     let said = |program: &str| {
         let arguments = ["calib", "export", program, "rig.toml", "--out", program];
-        notes(&json(folder.path(), &arguments)).join("\n")
+        notes(&json(folder.path(), &arguments, 0)).join("\n")
     };
     let kalibr = said("kalibr");
     for words in [
@@ -250,6 +249,7 @@ fn files_of_others_come_back() {
         json(
             folder.path(),
             &["calib", "import", program, &path, "--out", "first.toml"],
+            0,
         );
         let first = read(folder.path(), "first.toml");
         assert!(!first.cameras.is_empty());
@@ -260,13 +260,14 @@ fn files_of_others_come_back() {
         };
         for through in through {
             let export = ["calib", "export", through, "first.toml", "--out", through];
-            let written = json(folder.path(), &export);
+            let written = json(folder.path(), &export, 0);
             let mut import = vec!["calib", "import", through];
             let files = written["files"].as_array().expect("files");
             import.extend(files.iter().map(|f| f.as_str().expect("a path")));
             json(
                 folder.path(),
                 &[&import[..], &["--out", "again.toml"]].concat(),
+                0,
             );
             let again = read(folder.path(), "again.toml");
             let mut held = first.clone();

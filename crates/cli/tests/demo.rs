@@ -1,23 +1,15 @@
 //! `lsfb demo` twice and its stages once more, on a walk short enough for a test.
 
+mod answer;
 mod process;
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use process::lsfb;
-use serde_json::Value;
+use answer::json;
 
 /// The demo but for its length.
 const SHORT: &str = "[scan]\nduration_s = 14.0\n[glasses]\nduration_s = 6.0\nheight_m = 1.62\n";
-
-/// Runs a command that must lose nothing, and takes its JSON.
-fn json(folder: &Path, arguments: &[&str]) -> Value {
-    let output = lsfb(folder, &[arguments, &["--json"]].concat());
-    let errors = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(0), "{arguments:?}: {errors}");
-    serde_json::from_slice(&output.stdout).expect("one JSON object")
-}
 
 /// What must not depend on the run: both trajectories and every file of the map.
 fn results(folder: &Path) -> BTreeMap<String, Vec<u8>> {
@@ -51,8 +43,8 @@ fn the_same_seed_gives_the_same_bytes_and_no_stage_needs_the_truth() {
     let root = folder.path();
     std::fs::write(root.join("short.toml"), SHORT).expect("settings");
     let demo = ["demo", "--seed", "1", "--sim-config", "short.toml", "--out"];
-    let one = json(root, &[&demo[..], &["one", "--threads", "1"]].concat());
-    let many = json(root, &[&demo[..], &["many"]].concat());
+    let one = json(root, &[&demo[..], &["one", "--threads", "1"]].concat(), 0);
+    let many = json(root, &[&demo[..], &["many"]].concat(), 0);
     for run in [&one, &many] {
         let figure = |name: &str| run[name].as_f64().expect("figure");
         assert!(figure("ate_glasses_rms_m") <= 0.03, "{run}");
@@ -81,6 +73,7 @@ fn the_same_seed_gives_the_same_bytes_and_no_stage_needs_the_truth() {
             "--trajectory",
             "scan.tum",
         ],
+        0,
     );
     json(
         &alone,
@@ -92,6 +85,7 @@ fn the_same_seed_gives_the_same_bytes_and_no_stage_needs_the_truth() {
             "--out",
             "walk.tum",
         ],
+        0,
     );
     assert_same(&expected, &results(&alone));
 }

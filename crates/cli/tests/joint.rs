@@ -1,24 +1,14 @@
 //! The joint graph of all sensors as an operator runs it: loops closed, and a transform that contradicts named.
 
+mod answer;
 mod process;
 
 use std::path::Path;
-use std::process::Output;
 
+use answer::json;
 use lsfb_calib::TransformEdge;
 use lsfb_geometry::{Matrix6, Rig, RigLidar, Se3, Vector6};
 use lsfb_sim::SimConfig;
-use process::lsfb;
-use serde_json::Value;
-
-/// Runs a command and takes its JSON, whatever its exit code.
-fn json(folder: &Path, arguments: &[&str]) -> (Option<i32>, Value) {
-    let output: Output = lsfb(folder, &[arguments, &["--json"]].concat());
-    let errors = String::from_utf8_lossy(&output.stderr);
-    let value = serde_json::from_slice(&output.stdout);
-    let value = value.unwrap_or_else(|_| panic!("{arguments:?}: {errors}"));
-    (output.status.code(), value)
-}
 
 /// Degrees and millimetres between two poses.
 fn apart(a: &Se3, b: &Se3) -> [f64; 2] {
@@ -77,8 +67,7 @@ fn a_loop_is_closed_and_a_transform_that_contradicts_is_named() {
     arguments.extend(["--rig", "before.toml", "--out", "joined.toml"].map(str::to_owned));
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
 
-    let (code, found) = json(folder.path(), &arguments);
-    assert_eq!(code, Some(0), "{found}");
+    let found = json(folder.path(), &arguments, 0);
     assert_eq!(found["redundancy"], 18, "{found}");
     let joined = Rig::read(&folder.path().join("joined.toml")).expect("rig");
     let RigLidar { rig_from_lidar, .. } = joined.lidar.expect("placed");
@@ -94,8 +83,7 @@ fn a_loop_is_closed_and_a_transform_that_contradicts_is_named() {
     let bump = Vector6::new(0.0, 0.02, 0.0, 0.03, 0.0, 0.0);
     moved.target_from_source = moved.target_from_source * Se3::exp(&bump);
     std::fs::write(&path, moved.to_json()).expect("a transform");
-    let (code, found) = json(folder.path(), &arguments);
-    assert_eq!(code, Some(1), "{found}");
+    let found = json(folder.path(), &arguments, 1);
     let named: Vec<&str> = found["edges"]
         .as_array()
         .expect("edges")

@@ -1,26 +1,19 @@
 //! The documented commands on recordings made by others (`LSFB_TEST_DATA`).
 
+mod answer;
 mod process;
 
 use std::path::{Path, PathBuf};
 
+use answer::json;
 use lsfb_geometry::Vector3;
 use lsfb_recording::{Recording, read_tum};
-use process::lsfb;
 use serde_json::Value;
 
 /// Absolute, as the commands run in a folder of their own.
 fn recordings(test: &str, below: &str) -> Option<PathBuf> {
     let path = lsfb_tests::recordings(test, below)?;
     Some(path.canonicalize().expect("a path that exists"))
-}
-
-/// Runs a command that must do all it was asked, and takes its JSON.
-fn json(folder: &Path, arguments: &[&str]) -> Value {
-    let output = lsfb(folder, &[arguments, &["--json"]].concat());
-    let errors = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(0), "{arguments:?}: {errors}");
-    serde_json::from_slice(&output.stdout).expect("one JSON object")
 }
 
 fn text(path: &Path) -> &str {
@@ -58,6 +51,7 @@ fn capture_files_become_recordings_with_every_point() {
         let report = json(
             folder.path(),
             &["scan", flag, text(&capture), "--out", "drive.mcap"],
+            0,
         );
         assert_eq!(report["lost"], 0, "{below}");
         let recording = Recording::open(&folder.path().join("drive.mcap")).expect("recording");
@@ -90,6 +84,7 @@ fn a_street_ends_where_kiss_icp_ends() {
             "--out",
             "street.tum",
         ],
+        0,
     );
     assert_eq!(
         (&report["scans"], &report["registered"]),
@@ -139,7 +134,7 @@ fn an_office_is_recognised_by_every_fifth_image() {
         "--out",
         "office-map",
     ];
-    assert!(json(folder.path(), &map)["points"].as_u64() > Some(1_000));
+    assert!(json(folder.path(), &map, 0)["points"].as_u64() > Some(1_000));
     let queries = [
         "localize",
         "--posed-images",
@@ -149,7 +144,7 @@ fn an_office_is_recognised_by_every_fifth_image() {
         "--map",
         "office-map",
     ];
-    let found = json(folder.path(), &queries);
+    let found = json(folder.path(), &queries, 0);
     let share = found["right"].as_f64().expect("count") / found["images"].as_f64().expect("count");
     assert!(share >= 0.9, "{found}");
 }
@@ -164,7 +159,7 @@ fn figures_are_those_of_evo() {
     let judge = |estimate: &str, truth: &str, more: &[&str]| {
         let (estimate, truth) = (file(estimate), file(truth));
         let arguments = ["eval", text(&estimate), "--truth", text(&truth)];
-        json(Path::new("."), &[&arguments, more].concat())
+        json(Path::new("."), &[&arguments, more].concat(), 0)
     };
     let digits = |value: &Value| format!("{:.6}", value.as_f64().expect("figure"));
     for (estimate, truth, align, rmse_m) in [

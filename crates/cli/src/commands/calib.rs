@@ -2,7 +2,6 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
 use lsfb_calib::camera::{CameraViews, views_from_folder, views_from_recording};
 use lsfb_calib::camera_imu::read_imu_table;
 use lsfb_calib::joint::IMU;
@@ -215,12 +214,7 @@ impl<C: Serialize> Judged<'_, C> {
             self.page.display()
         );
         if !self.transforms.is_empty() {
-            let paths: Vec<String> = self
-                .transforms
-                .iter()
-                .map(|p| p.display().to_string())
-                .collect();
-            text += &format!("; for `lsfb calib joint`: {}", paths.join(", "));
+            text += &format!("; for `lsfb calib joint`: {}", listed(self.transforms));
         }
         text + "."
     }
@@ -247,10 +241,16 @@ pub fn write_transforms(rig: &Path, edges: &[TransformEdge]) -> anyhow::Result<V
             (&edge.target, &edge.source)
         };
         let path = rig.with_extension(format!("{a}-{b}.json"));
-        std::fs::write(&path, edge.to_json()).with_context(|| path.display().to_string())?;
+        super::write(&path, edge.to_json())?;
         paths.push(path);
     }
     Ok(paths)
+}
+
+/// Files in a sentence.
+pub fn listed(paths: &[PathBuf]) -> String {
+    let names: Vec<String> = paths.iter().map(|p| p.display().to_string()).collect();
+    names.join(", ")
 }
 
 /// `FOLDER` or `FOLDER/PREFIX*`.

@@ -1,8 +1,7 @@
 //! `lsfb calib camera`: views of a board → lenses and poses of cameras.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use anyhow::Context as _;
 use lsfb_calib::camera::{CameraConfig, CameraViews, calibrate_cameras};
 use lsfb_calib::verify::Outcome as Judgement;
 use lsfb_geometry::Rig;
@@ -10,6 +9,7 @@ use lsfb_geometry::camera::LensModel;
 use lsfb_recording::Provenance;
 
 use super::calib::{Judged, TargetArguments, calibrated_unix_s, views_of, write_transforms};
+use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;
 
@@ -101,9 +101,6 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let stamps_ns = views.iter().filter_map(|v| v.views.keys().next_back());
     rig.calibrated_unix_s = calibrated_unix_s(recording.as_ref(), stamps_ns.copied())?;
     let page = arguments.out.with_extension("html");
-    let write = |path: &Path, text: String| {
-        std::fs::write(path, text).with_context(|| path.display().to_string())
-    };
     write(&page, calibration.to_html("Camera calibration"))?;
     let mut transforms = Vec::new();
     if calibration.outcome() != Judgement::Fail {

@@ -1,6 +1,6 @@
 //! `lsfb calib camera-imu`: views of a board and an IMU → poses and clocks of cameras on the IMU.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::Context as _;
 use lsfb_calib::camera_imu::{
@@ -13,6 +13,7 @@ use lsfb_recording::{Provenance, write_tum};
 use super::calib::{
     Judged, TargetArguments, calibrated_unix_s, imu_of, views_of, write_transforms,
 };
+use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;
 
@@ -107,9 +108,6 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let stamps_ns = imu.iter().map(|(time, _)| time.nanos());
     rig.calibrated_unix_s = calibrated_unix_s(recording.as_ref(), stamps_ns)?;
     let page = arguments.out.with_extension("html");
-    let write = |path: &Path, text: String| {
-        std::fs::write(path, text).with_context(|| path.display().to_string())
-    };
     write(&page, calibration.to_html("Camera–IMU calibration"))?;
     let mut transforms = Vec::new();
     if calibration.outcome() != Judgement::Fail {

@@ -95,8 +95,7 @@ pub fn run_import(arguments: &ImportArguments, context: &Context) -> anyhow::Res
         }
         None => found,
     };
-    std::fs::write(&arguments.out, rig.to_toml())
-        .with_context(|| arguments.out.display().to_string())?;
+    super::write(&arguments.out, rig.to_toml())?;
     provenance.write(&arguments.out)?;
     let names: Vec<&str> = rig.cameras.keys().map(String::as_str).collect();
     context.print(
@@ -209,7 +208,7 @@ pub fn run_export(arguments: &ExportArguments, context: &Context) -> anyhow::Res
     let mut paths = Vec::new();
     for file in &exported.files {
         let path = arguments.out.join(&file.name);
-        std::fs::write(&path, &file.text).with_context(|| path.display().to_string())?;
+        super::write(&path, &file.text)?;
         paths.push(path);
     }
     context.print(

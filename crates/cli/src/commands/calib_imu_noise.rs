@@ -2,13 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
 use lsfb_calib::exchange::imu_to_kalibr;
 use lsfb_calib::imu_noise::{ImuNoise, ImuNoiseConfig, imu_noise};
 use lsfb_geometry::Rig;
 use lsfb_recording::Provenance;
 
 use super::calib::imu_of;
+use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;
 
@@ -59,9 +59,6 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     };
     let samples = imu_of(arguments.imu.as_deref(), recording.as_ref())?;
     let found = imu_noise(&samples, &config)?;
-    let write = |path: &Path, text: String| {
-        std::fs::write(path, text).with_context(|| path.display().to_string())
-    };
     write(&arguments.out, found.to_html("Noise of the IMU"))?;
     if let Some(path) = &arguments.kalibr {
         let rate_hz = found.rate_hz.round();

@@ -1,13 +1,13 @@
 //! `lsfb calib joint`: pairwise transforms → one rig, Eq. 3.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use anyhow::Context as _;
 use lsfb_calib::TransformEdge;
 use lsfb_calib::joint::{IMU, JointConfig, Weights, join_transforms};
 use lsfb_geometry::{Rig, RigLidar};
 use lsfb_recording::Provenance;
 
+use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;
 
@@ -76,9 +76,6 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     }
     found.put_into(&mut rig);
     let page = arguments.out.with_extension("html");
-    let write = |path: &Path, text: String| {
-        std::fs::write(path, text).with_context(|| path.display().to_string())
-    };
     write(&arguments.out, rig.to_toml())?;
     write(&page, found.to_html("Joint calibration"))?;
     provenance.write(&arguments.out)?;

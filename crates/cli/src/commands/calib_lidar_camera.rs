@@ -10,7 +10,10 @@ use lsfb_calib::lidar_camera::{
 use lsfb_geometry::{Rig, RigLidar};
 use lsfb_recording::Provenance;
 
-use super::calib::{TargetArguments, calibrated_unix_s, number, views_of, words};
+use super::calib::{
+    TargetArguments, calibrated_unix_s, listed, number, views_of, words, write_transforms,
+};
+use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;
 
@@ -136,13 +139,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let stamps_ns = views.views.keys().next_back().copied().into_iter();
     rig.calibrated_unix_s = calibrated_unix_s(recording.as_ref(), stamps_ns)?;
     let page = arguments.out.with_extension("html");
-    let transform = arguments.out.with_extension(format!("{name}-lidar.json"));
-    let write = |path: &Path, text: String| {
-        std::fs::write(path, text).with_context(|| path.display().to_string())
-    };
     write(&arguments.out, rig.to_toml())?;
     write(&page, found.to_html("LiDAR–camera calibration"))?;
-    write(&transform, found.edge().to_json())?;
+    let transforms = write_transforms(&arguments.out, &[found.edge()])?;
     provenance.write(&arguments.out)?;
     context.print(&found, || {
         let mut text = format!(
@@ -150,7 +149,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             arguments.out.display(),
             found.verdict(),
             page.display(),
-            transform.display()
+            listed(&transforms)
         );
         let t = &found.camera_from_lidar;
         let (roll, pitch, yaw) = t.rotation.euler_angles();

@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
-use anyhow::Context as _;
 use lsfb_calib::verify::{VerifyConfig, refine};
 use lsfb_recording::Provenance;
 
+use super::calib::{listed, write_transforms};
 use crate::context::Context;
 use crate::outcome::Outcome;
 
@@ -47,17 +47,14 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let mut lines = Vec::new();
     for refined in &found {
         let mut line = format!("{}: {}", refined.camera, refined.sentence);
-        if let Some(edge) = &refined.edge {
-            let path = arguments
-                .out
-                .with_extension(format!("{}-lidar.json", refined.camera));
-            std::fs::write(&path, edge.to_json()).with_context(|| path.display().to_string())?;
-            line += &format!(", {}", path.display());
+        let transforms = write_transforms(&arguments.out, refined.edge.as_slice())?;
+        if !transforms.is_empty() {
+            line += &format!(", {}", listed(&transforms));
         }
         lines.push(line);
     }
     let text = serde_json::to_string_pretty(&found)? + "\n";
-    std::fs::write(&arguments.out, text).with_context(|| arguments.out.display().to_string())?;
+    super::write(&arguments.out, text)?;
     provenance.write(&arguments.out)?;
     context.print(&found, || lines.join("\n"))?;
     Ok(Outcome::Done)

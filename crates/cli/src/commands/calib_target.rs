@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 
-use anyhow::Context as _;
 use lsfb_calib::target::PageSize;
 
 use super::calib::TargetArguments;
@@ -47,10 +46,8 @@ fn page(text: &str) -> Result<PageSize, String> {
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     let target = arguments.target.target()?;
     let yaml = arguments.out.with_extension("yaml");
-    let name = |path: &PathBuf| path.display().to_string();
-    std::fs::write(&arguments.out, target.to_pdf(arguments.page)?)
-        .with_context(|| name(&arguments.out))?;
-    std::fs::write(&yaml, target.to_kalibr()).with_context(|| name(&yaml))?;
+    super::write(&arguments.out, target.to_pdf(arguments.page)?)?;
+    super::write(&yaml, target.to_kalibr())?;
     context.print(&target, || {
         format!(
             "{}: print without scaling, then measure the line of 100 mm; {} describes it to the tools",

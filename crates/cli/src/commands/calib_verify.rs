@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 
-use anyhow::Context as _;
 use lsfb_calib::verify::{Outcome as Judgement, VerifyConfig, verify};
 use lsfb_recording::Provenance;
 use serde::Serialize;
@@ -62,7 +61,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let mut pictures = Vec::new();
     for overlay in &found.overlays {
         let path = picture(&overlay.camera);
-        std::fs::write(&path, &overlay.png).with_context(|| path.display().to_string())?;
+        super::write(&path, &overlay.png)?;
         pictures.push(path);
     }
     let beside = |camera: &str| {
@@ -72,8 +71,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             .to_string_lossy()
             .into_owned()
     };
-    std::fs::write(&page, found.to_html("Does the rig fit?", &beside))
-        .with_context(|| page.display().to_string())?;
+    super::write(&page, found.to_html("Does the rig fit?", &beside))?;
     provenance.write(&page)?;
     let result = Printed {
         outcome: found.outcome(),

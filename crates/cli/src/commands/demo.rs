@@ -170,8 +170,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     };
     report(&summary, &judged, &map, &walk, &sim_config)?.write(&summary.outputs.report)?;
     let json = layout.file("demo.json");
-    std::fs::write(&json, serde_json::to_vec_pretty(&summary)?)
-        .with_context(|| json.display().to_string())?;
+    super::write(&json, serde_json::to_vec_pretty(&summary)?)?;
     context.print(&summary, || text(&summary))?;
     Ok(if lost == 0 {
         Outcome::Done

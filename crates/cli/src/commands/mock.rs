@@ -93,10 +93,10 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let folder = Folder::create(&arguments.out)?;
     let devices = folder.devices(&playback, arguments);
     if let (Some(path), Some(rig)) = (&devices.rig, playback.rig()) {
-        write(path, &rig.to_toml())?;
+        super::write(path, rig.to_toml())?;
     }
     let list = folder.file("devices.toml");
-    write(&list, &devices.to_toml())?;
+    super::write(&list, devices.to_toml())?;
     let endpoints = PlaybackEndpoints {
         lidar_data: arguments.endpoints.lidar_data,
         lidar_position: arguments.endpoints.lidar_position,
@@ -174,10 +174,6 @@ fn playback_needs(playback: &Playback, arguments: &Arguments) -> String {
         ),
         _ => format!("the devices in {}", arguments.out.display()),
     }
-}
-
-fn write(path: &Path, text: &str) -> anyhow::Result<()> {
-    std::fs::write(path, text).with_context(|| path.display().to_string())
 }
 
 /// Where the mock devices appear.

@@ -52,6 +52,11 @@ fn read_config<C: DeserializeOwned>(path: &Path) -> anyhow::Result<C> {
     })
 }
 
+/// Writes a file; an error names it.
+pub fn write(path: &Path, contents: impl AsRef<[u8]>) -> anyhow::Result<()> {
+    std::fs::write(path, contents).with_context(|| path.display().to_string())
+}
+
 /// Fails early, and with what to do, where nothing is at `path`.
 pub fn expect_file(path: &Path, remedy: &str) -> anyhow::Result<()> {
     anyhow::ensure!(
