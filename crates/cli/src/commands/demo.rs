@@ -3,7 +3,6 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use anyhow::Context as _;
 use lsfb_eval::alignment::AlignmentMode;
 use lsfb_eval::report::{Distribution, Figure, Provenance, Report, StageTime, Threshold, Track};
 use lsfb_eval::{DuplicateStamps, EvalConfig, Evaluation, evaluate, read_poses};
@@ -141,13 +140,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let judged = judge(&layout, &files)?;
     watch.lap("judging");
     #[cfg(feature = "view")]
-    {
+    if let Some(rrd) = files.rrd.as_deref() {
         let recordings = [files.scan.clone(), files.walk.clone()];
         let trajectories = [files.scan_trajectory.clone(), files.walk_trajectory.clone()];
-        let rrd = files
-            .rrd
-            .as_deref()
-            .context("no place for the viewer's file")?;
         super::view::write(&recordings, &trajectories, Some(&files.map), rrd, context)?;
         watch.lap("viewer file");
     }
