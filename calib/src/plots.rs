@@ -9,6 +9,7 @@ pub(crate) const LARGEST_SHOWN_PX: f64 = 1.0;
 /// Points drawn at most.
 const MOST_POINTS: usize = 4000;
 const ERROR_BINS: usize = 40;
+const CURVE_STEPS: usize = 80;
 
 /// Corners per cell of an image.
 pub(crate) fn coverage(cells: &[u32], size_px: [u32; 2]) -> Markup {
@@ -74,20 +75,48 @@ pub(crate) fn lengths(errors_px: &[[f64; 2]]) -> Markup {
             *count += 1;
         }
     }
-    histogram(&bins)
+    histogram(&bins, [0.0, LARGEST_SHOWN_PX], Expected::Unknown)
 }
 
-/// Counts as bars.
-pub(crate) fn histogram(bins: &[u32]) -> Markup {
+/// What the values of a histogram should be distributed like.
+#[derive(Clone, Copy, PartialEq)]
+pub(crate) enum Expected {
+    /// Nobody says.
+    Unknown,
+    /// Normally with a standard deviation of one; drawn as a curve.
+    Normal,
+}
+
+/// Counts as bars over an axis that spans the bins.
+pub(crate) fn histogram(bins: &[u32], span: [f64; 2], expected: Expected) -> Markup {
+    let [low, high] = span;
+    let total: f64 = bins.iter().copied().map(f64::from).sum();
+    let bin = (high - low) / bins.len().max(1) as f64;
+    let normal = |x: f64| total * bin * (-0.5 * x * x).exp() / std::f64::consts::TAU.sqrt();
+    let curve = |share: f64| normal(low + share * (high - low));
     let most = f64::from(bins.iter().copied().max().unwrap_or(1).max(1));
+    let most = match expected {
+        Expected::Unknown => most,
+        Expected::Normal => most.max(normal(0.0)),
+    };
     let width = 240.0 / bins.len().max(1) as f64;
+    let line = (0..=CURVE_STEPS).map(|k| {
+        let share = k as f64 / CURVE_STEPS as f64;
+        let command = if k == 0 { 'M' } else { 'L' };
+        let height = 155.0 * curve(share) / most;
+        format!("{command}{:.1} {:.1}", share * 240.0, 160.0 - height)
+    });
     html! {
-        svg viewBox="0 0 240 160" role="img" aria-label="histogram" {
-            path.axis d="M0 160H240" {}
+        svg viewBox="0 0 240 178" role="img" aria-label="histogram" {
             @for (k, n) in bins.iter().enumerate() {
                 @let height = 155.0 * f64::from(*n) / most;
                 rect.seen x=(format!("{:.1}", k as f64 * width)) y=(format!("{:.1}", 160.0 - height))
                     width=(format!("{:.1}", width * 0.9)) height=(format!("{height:.1}")) {}
+            }
+            @if expected == Expected::Normal { path class="curve fit" d=(line.collect::<String>()) {} }
+            path.axis d="M0 160H240M0.5 160v4M120 160v4M239.5 160v4" {}
+            @for (u, anchor, value) in [(2, "start", low), (120, "middle", 0.5 * (low + high)), (238, "end", high)] {
+                text x=(u) y="174" text-anchor=(anchor) font-size="10" { (value) }
             }
         }
     }

@@ -3,6 +3,8 @@
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 const STYLE: &str = include_str!("style.css");
+/// Bars that still have room for their labels.
+const MOST_LABELS: usize = 4;
 
 /// A bar of a chart.
 pub(crate) struct Bar {
@@ -42,7 +44,7 @@ pub(crate) fn page(title: &str, verdict: &str, warnings: &[String], body: &Marku
     page.into_string()
 }
 
-/// Bars side by side, each with its label and value as a tooltip.
+/// Bars side by side, each with its label and value as a tooltip; few of them bear their labels.
 pub(crate) fn bars(bars: &[Bar]) -> Markup {
     let most = bars
         .iter()
@@ -51,7 +53,7 @@ pub(crate) fn bars(bars: &[Bar]) -> Markup {
         .fold(1e-12, f64::max);
     let width = 240.0 / bars.len().max(1) as f64;
     html! {
-        svg viewBox="0 0 240 160" role="img" aria-label="bars" {
+        svg viewBox="0 -16 240 194" role="img" aria-label="bars" {
             path.axis d="M0 160H240" {}
             @for (k, bar) in bars.iter().enumerate() {
                 @let height = 155.0 * (bar.value / most).clamp(0.0, 1.0);
@@ -59,8 +61,12 @@ pub(crate) fn bars(bars: &[Bar]) -> Markup {
                     width=(format!("{:.1}", width * 0.85)) height=(format!("{height:.1}")) {
                     title { (bar.label) ": " (format!("{:.3}", bar.value)) }
                 }
+                @if bars.len() <= MOST_LABELS {
+                    text x=(format!("{:.1}", (k as f64 + 0.43) * width)) y="173" text-anchor="middle" font-size="10" { (bar.label) }
+                }
             }
-            text x="236" y="12" text-anchor="end" font-size="10" fill="currentColor" { (format!("{most:.3}")) }
+            path.axis d="M0 5H240" {}
+            text x="236" y="0" text-anchor="end" font-size="10" { (format!("{most:.3}")) }
         }
     }
 }

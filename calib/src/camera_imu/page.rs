@@ -2,10 +2,10 @@
 
 use maud::{Markup, html};
 
-use super::report::POOR_AXIS;
+use super::report::{HISTOGRAM_SPAN, POOR_AXIS};
 use super::{CameraImuCalibration, CameraOnImu, FoundImu};
 use crate::misfit::FAILED_RMS_PX;
-use crate::plots::{self, LARGEST_SHOWN_PX};
+use crate::plots::{self, Expected, LARGEST_SHOWN_PX};
 use crate::report::{self, Bar};
 use crate::verify::Outcome;
 
@@ -171,8 +171,8 @@ fn imu(imu: &FoundImu) -> Markup {
                 }
                 figure { (excitation(&imu.rate_rms_rad_s)) figcaption { "Turning about x, y and z, rad/s rms" } }
                 figure { (excitation(&imu.force_rms_m_s2)) figcaption { "Pushing along x, y and z, m/s² rms" } }
-                figure { (plots::histogram(&imu.gyro_histogram)) figcaption { "Gyroscope's residuals, ±5 times the stated noise" } }
-                figure { (plots::histogram(&imu.accel_histogram)) figcaption { "Accelerometer's residuals, ±5 times the stated noise" } }
+                figure { (plots::histogram(&imu.gyro_histogram, HISTOGRAM_SPAN, Expected::Normal)) figcaption { "Gyroscope's residuals, in units of the stated noise; the curve is what that noise gives" } }
+                figure { (plots::histogram(&imu.accel_histogram, HISTOGRAM_SPAN, Expected::Normal)) figcaption { "Accelerometer's residuals, in units of the stated noise; the curve is what that noise gives" } }
             }
         }
     }

@@ -25,9 +25,9 @@ const WORRYING_POSITION_M: f64 = 0.002;
 const WORRYING_CLOCK_S: f64 = 0.0005;
 /// Times by which the axis least moved about falls behind the one most moved about when it gets the blame.
 pub(super) const POOR_AXIS: f64 = 4.0;
-/// Residuals of the IMU in bins, as multiples of its noise.
+/// Residuals of the IMU in bins, as multiples of its noise; those beyond the span are in the bins at its ends.
 const BINS: usize = 40;
-const BIN: f64 = 0.25;
+pub(super) const HISTOGRAM_SPAN: [f64; 2] = [-5.0, 5.0];
 
 /// Root mean squares of the inertial residuals and their histograms, gyroscope first.
 struct Inertial {
@@ -335,7 +335,8 @@ impl State {
                     let error = errors[triad][axis];
                     squares[triad] += error * error;
                     count[triad] += 1.0;
-                    let bin = (error / BIN + 0.5 * BINS as f64).max(0.0) as usize;
+                    let [low, high] = HISTOGRAM_SPAN;
+                    let bin = ((error - low) / (high - low) * BINS as f64).max(0.0) as usize;
                     histogram[triad][bin.min(BINS - 1)] += 1;
                 }
             }

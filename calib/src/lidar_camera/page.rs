@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 
 use super::{LidarCameraCalibration, PoseFit};
-use crate::plots::{coverage, histogram};
+use crate::plots::{Expected, coverage, histogram};
 use crate::report::{self, Bar};
 use crate::transform::TransformEdge;
 
@@ -107,12 +107,12 @@ impl LidarCameraCalibration {
                         figcaption { "Corners per part of the image" }
                     }
                     figure {
-                        (histogram(&counts(&self.residuals.ranges_m, RANGES_M)))
-                        figcaption { "Ranges less those of their planes, ±" (RANGES_M * 1e3) " mm" }
+                        (histogram(&counts(&self.residuals.ranges_m, RANGES_M), [-1e3 * RANGES_M, 1e3 * RANGES_M], Expected::Unknown))
+                        figcaption { "Ranges less those of their planes, mm" }
                     }
                     figure {
-                        (histogram(&counts(&self.residuals.edges_m, EDGES_M)))
-                        figcaption { "Places on the outlines, ±" (EDGES_M * 1e3) " mm across them" }
+                        (histogram(&counts(&self.residuals.edges_m, EDGES_M), [-1e3 * EDGES_M, 1e3 * EDGES_M], Expected::Unknown))
+                        figcaption { "Places on the outlines, mm across them" }
                     }
                     figure {
                         (self.vectors())

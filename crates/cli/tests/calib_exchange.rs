@@ -224,6 +224,31 @@ fn data(test: &str, name: &str) -> Option<String> {
     Some(path.display().to_string())
 }
 
+#[test]
+fn the_noise_of_an_imu_alone_goes_into_a_rig() {
+    let folder = tempfile::tempdir().expect("folder");
+    let rig = backpack([1.9e-3; 4]);
+    let without = Rig {
+        imu: None,
+        ..rig.clone()
+    };
+    std::fs::write(folder.path().join("rig.toml"), rig.to_toml()).expect("file");
+    std::fs::write(folder.path().join("bare.toml"), without.to_toml()).expect("file");
+    let export = ["calib", "export", "kalibr", "rig.toml", "--out", "out"];
+    json(folder.path(), &export, 0);
+    let import = ["calib", "import", "kalibr", "out/imu.yaml"];
+    let into = ["--into", "bare.toml", "--out", "whole.toml"];
+    json(folder.path(), &[&import[..], &into].concat(), 0);
+    // The lenses are as old as they were.
+    assert_eq!(read(folder.path(), "whole.toml"), rig);
+
+    refused(
+        folder.path(),
+        &[&import[..], &["--out", "alone.toml"]].concat(),
+        &["out/imu.yaml", "--into"],
+    );
+}
+
 /// Files that Kalibr, Basalt and a ROS driver wrote: read, written for each program that holds them, and read again.
 #[test]
 fn files_of_others_come_back() {

@@ -67,8 +67,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let mut rig = Rig::read(&arguments.rig)?;
     let noise = rig.imu.clone().with_context(|| {
         format!(
-            "{} has no [imu]: add its noise densities",
-            arguments.rig.display()
+            "{rig} has no [imu]: measure its noise (`lsfb calib imu-noise --rig {rig}`), or take it from Kalibr's \
+             file (`lsfb calib import kalibr imu.yaml --into {rig} --out {rig}`)",
+            rig = arguments.rig.display()
         )
     })?;
     let mut provenance = Provenance::new(&config);

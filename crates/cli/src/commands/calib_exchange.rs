@@ -17,6 +17,7 @@ use crate::outcome::Outcome;
 ///
 /// Examples:
 ///   lsfb calib import kalibr camchain-imucam.yaml imu.yaml --out rig.toml
+///   lsfb calib import kalibr imu.yaml --into rig.toml --out rig.toml
 ///   lsfb calib import ros left.yaml right.yaml --into rig.toml --out rig.toml
 ///   lsfb calib import colmap cameras.txt rig_config.json --out rig.toml
 ///   lsfb calib import basalt calibration.json --out rig.toml
@@ -89,8 +90,10 @@ pub fn run_import(arguments: &ImportArguments, context: &Context) -> anyhow::Res
             provenance.add_input(path)?;
             let mut rig = Rig::read(path)?;
             put(&found, arguments.program, &mut rig);
-            // None of these files says when it was made.
-            rig.calibrated_unix_s = None;
+            if !found.cameras.is_empty() {
+                // None of these files says when it was made.
+                rig.calibrated_unix_s = None;
+            }
             rig
         }
         None => found,
@@ -101,7 +104,9 @@ pub fn run_import(arguments: &ImportArguments, context: &Context) -> anyhow::Res
     context.print(
         &serde_json::json!({ "cameras": &names, "notes": &notes }),
         || {
-            let mut text = format!("{}: {}", arguments.out.display(), names.join(", "));
+            let imu = rig.imu.as_ref().map(|_| "noise of the IMU");
+            let held: Vec<&str> = names.iter().copied().chain(imu).collect();
+            let mut text = format!("{}: {}", arguments.out.display(), held.join(", "));
             for note in &notes {
                 text += &format!("\n  {note}");
             }
@@ -135,13 +140,11 @@ fn read(arguments: &ImportArguments) -> anyhow::Result<ImportedRig> {
     let mut notes = Vec::new();
     let rig = match arguments.program {
         Program::Kalibr => {
-            let mut rig = import_kalibr(&text(first)?, &name)?;
-            if let Some(path) = second {
-                rig.imu = Some(import_kalibr_imu(
-                    &text(path)?,
-                    &path.display().to_string(),
-                )?);
-            }
+            let rig = read_kalibr(files)?;
+            anyhow::ensure!(
+                !rig.cameras.is_empty() || arguments.into.is_some(),
+                "{name} has no camera: name the rig that its IMU belongs to with --into"
+            );
             rig
         }
         Program::Colmap => {
@@ -166,6 +169,21 @@ fn read(arguments: &ImportArguments) -> anyhow::Result<ImportedRig> {
         }
     };
     Ok(ImportedRig { rig, notes })
+}
+
+/// A camera chain, the noise of an IMU, or both in either order.
+fn read_kalibr(files: &[PathBuf]) -> anyhow::Result<Rig> {
+    let mut rig = Rig::empty("kalibr");
+    for path in files {
+        let (text, name) = (text(path)?, path.display().to_string());
+        if text.contains("noise_density") {
+            rig.imu = Some(import_kalibr_imu(&text, &name)?);
+        } else {
+            anyhow::ensure!(rig.cameras.is_empty(), "{name}: a second camera chain");
+            rig.cameras = import_kalibr(&text, &name)?.cameras;
+        }
+    }
+    Ok(rig)
 }
 
 /// What was read put into a rig. Files without an IMU say how cameras stand to each other: the first one that the rig has
