@@ -132,6 +132,7 @@ fn errors(simulated: &Simulated, found: &CameraImuCalibration) -> DVector<f64> {
             format!("{} clock", c.name),
             c.rig_from_camera_s - truth.rig_from_camera_s,
         );
+        put(format!("{} drift", c.name), c.clock_drift);
         for (p, truth) in c.lens.iter().zip(truth.camera.lens.parameters().values) {
             put(format!("{} {}", c.name, p.name), p.value - truth);
         }
@@ -167,6 +168,7 @@ fn kind(name: &str) -> &'static str {
         (_, "turn") => "rotation",
         (_, "shift") => "translation",
         (_, "clock") => "clock",
+        (_, "drift") => "drift",
         (_, "fx" | "fy") => "focal length",
         (_, "cx" | "cy") => "principal point",
         _ => "distortion",
@@ -207,6 +209,9 @@ impl Tally {
         let (error, covariance) = (errors(simulated, found), &found.covariance);
         for (k, name) in covariance.names.iter().enumerate() {
             let ratio = error[k] / covariance.matrix[(k, k)].sqrt();
+            if std::env::var_os("RATIOS").is_some() {
+                println!("R {name} {ratio}");
+            }
             let of_kind = self.by_kind.entry(kind(name)).or_default();
             of_kind.all += 1;
             of_kind.inside += usize::from(ratio.abs() <= 1.96);

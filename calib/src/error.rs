@@ -40,6 +40,18 @@ pub enum Error {
         /// What was looked for.
         target: String,
     },
+    /// A camera saw another target.
+    #[error("camera {camera}: the {target} is in none of {images} images, but {problem}")]
+    OtherTarget {
+        /// The camera.
+        camera: String,
+        /// What was looked for.
+        target: String,
+        /// Images looked at.
+        images: usize,
+        /// What was seen, and what to do.
+        problem: String,
+    },
     /// The views do not fit the model.
     #[error(
         "camera {camera}: corners miss the model by {rms_px:.1} px: the target's geometry is wrong ({target}), the board is upside down or bent, or the lens is not {model}"
@@ -78,6 +90,12 @@ pub enum Error {
     #[error("the motion is too poor: {problem}")]
     Motion {
         /// What is missing and what to do.
+        problem: String,
+    },
+    /// Samples of an IMU that contradict what cameras see.
+    #[error("the IMU's samples cannot be right: {problem}")]
+    Imu {
+        /// What contradicts, and what to check.
         problem: String,
     },
     /// A recording from which an IMU's noise cannot be read.

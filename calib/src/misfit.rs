@@ -81,6 +81,13 @@ impl<'a> Diagnosis<'a> {
     /// What is to be said of corners that miss by `rms_px`; `None` where that is no more than detectors do and nothing
     /// else explains most of it.
     pub fn warning(&self, rms_px: f64) -> Option<String> {
+        if let Some(times) = self.sums.off_their_stamps() {
+            return Some(format!(
+                "corners are met to {rms_px:.2} px, but {:.0} % of the squares would be explained by {}",
+                times.share * 100.0,
+                times.words
+            ));
+        }
         let cause = self.sums.explain(self.target, self.camera);
         let explained = |share: f64, words: &str| {
             format!(

@@ -2,6 +2,8 @@
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
+use crate::verify::Outcome;
+
 const STYLE: &str = include_str!("style.css");
 /// Bars that still have room for their labels.
 const MOST_LABELS: usize = 4;
@@ -12,13 +14,19 @@ pub(crate) struct Bar {
     pub value: f64,
 }
 
-/// The sentence at the top: PASS or WARN, what was found, how many warnings follow.
-pub(crate) fn verdict(found: &str, warnings: usize) -> String {
-    match warnings {
-        0 => format!("PASS. {found}; nothing speaks against this calibration."),
-        1 => format!("WARN. {found}; one thing should be better."),
-        n => format!("WARN. {found}; {n} things should be better."),
-    }
+/// The sentence at the top: PASS, WARN or FAIL, what was found, and the first of what speaks against it.
+pub(crate) fn verdict(outcome: Outcome, found: &str, warnings: &[String]) -> String {
+    let outcome_name = outcome.name();
+    let against = match warnings {
+        [] => "nothing speaks against this calibration".to_owned(),
+        [only] => only.clone(),
+        [first, rest @ ..] => format!("{first}; and {} more", rest.len()),
+    };
+    let advice = match outcome {
+        Outcome::Fail => " Do not use it.",
+        _ => "",
+    };
+    format!("{outcome_name}. {found}; {against}.{advice}")
 }
 
 /// A page with the verdict at the top: no script, no network.

@@ -89,7 +89,7 @@ fn the_joint_covariance_holds_what_is_reported() {
     });
     let found = calibrate(&simulated, &CameraImuConfig::default());
     let JointCovariance { names, matrix } = &found.covariance;
-    assert_eq!(names.len(), 2 * (6 + 1 + 8) + 9);
+    assert_eq!(names.len(), 2 * (6 + 2 + 8) + 9);
     let sigma = |name: &str| {
         let row = names.iter().position(|n| n == name).expect(name);
         matrix[(row, row)].sqrt()

@@ -20,6 +20,8 @@ pub(super) struct Start<'a> {
     pub chosen: Vec<i64>,
     pub camera: Camera,
     pub camera_from_first: Se3,
+    /// Root mean square of its inliers' errors when it was adjusted for itself, pixels; `None` where it is the only camera.
+    pub alone_rms_px: Option<f64>,
 }
 
 /// Cameras, poses and outliers after adjustment.
@@ -106,6 +108,7 @@ pub(super) fn adjust_each_then_all<'a>(
         cameras.push(Start {
             chosen,
             camera_from_first,
+            alone_rms_px: Some(solved.rms_px(target)),
             ..own.clone()
         });
     }
@@ -256,6 +259,23 @@ fn adjust_from<'a>(
 }
 
 impl Solved<'_> {
+    /// Root mean square of the errors of all inliers.
+    fn rms_px(&self, target: &Target) -> f64 {
+        let (mut squares, mut count) = (0.0, 0);
+        for (k, camera) in self.cameras.iter().enumerate() {
+            for instant in &camera.chosen {
+                let errors = self.errors_px(target, k, *instant).into_iter();
+                for (error, inlier) in errors.zip(&self.inliers[k][instant]) {
+                    if let Some(error) = error.filter(|_| *inlier) {
+                        squares += error.norm_squared();
+                        count += 1;
+                    }
+                }
+            }
+        }
+        (squares / f64::from(count.max(1))).sqrt()
+    }
+
     /// Minimises over the inliers.
     pub fn adjust(
         &mut self,

@@ -7,6 +7,7 @@ mod adjustment;
 mod corner_residual;
 mod export;
 mod guess;
+mod held_back;
 mod normal;
 mod page;
 mod selection;
@@ -16,7 +17,7 @@ mod views;
 use std::collections::BTreeMap;
 
 use lsfb_geometry::camera::LensModel;
-use lsfb_geometry::{Camera, Matrix6, Se3};
+use lsfb_geometry::{Camera, Matrix6, Rig, Se3};
 use lsfb_types::{Progress, ProgressFn};
 use serde::{Deserialize, Serialize};
 
@@ -189,6 +190,7 @@ pub fn calibrate_cameras(
             chosen,
             camera: start,
             camera_from_first: Se3::identity(),
+            alone_rms_px: None,
         });
     }
     let solved = adjustment::adjust_each_then_all(target, alone, config)?;
@@ -200,6 +202,43 @@ pub fn calibrate_cameras(
         last.warnings.extend(warning);
     }
     Ok(calibration)
+}
+
+/// Difference of two cameras' places that counts as much as another camera: radians and metres.
+const TURN_RAD: f64 = 0.1;
+const SHIFT_M: f64 = 0.05;
+/// Cameras are exchanged where they stand so much nearer to each other's places than to their own.
+const NEARER: f64 = 0.25;
+
+impl CameraCalibration {
+    /// Compares the result with the rig it goes into, where that has these cameras: those that were exchanged are added to the
+    /// warnings.
+    pub fn compare_with(&mut self, rig: &Rig) {
+        let Some((first, others)) = self.cameras.split_first_mut() else {
+            return;
+        };
+        let expected = |to: &str, from: &str| {
+            let (to, from) = (rig.cameras.get(to)?, rig.cameras.get(from)?);
+            Some(to.rig_from_camera.inverse() * from.rig_from_camera)
+        };
+        for c in others {
+            let off = |pose: Se3| {
+                let off = pose.inverse() * c.camera_from_first;
+                off.rotation.angle() / TURN_RAD + off.translation.norm() / SHIFT_M
+            };
+            let as_named = expected(&c.name, &first.name).map(off);
+            let exchanged = expected(&first.name, &c.name).map(off);
+            if let (Some(as_named), Some(exchanged)) = (as_named, exchanged)
+                && exchanged < 1.0
+                && exchanged < NEARER * as_named
+            {
+                c.warnings.push(format!(
+                    "{} and {} stand to each other as the rig has them the other way round: their views are swapped, or their names",
+                    first.name, c.name
+                ));
+            }
+        }
+    }
 }
 
 /// What is said of cameras whose names and places contradict each other.

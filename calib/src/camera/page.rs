@@ -22,7 +22,11 @@ impl CameraCalibration {
 
     /// One sentence: whether the result may be trusted.
     pub fn verdict(&self) -> String {
-        let warnings: usize = self.cameras.iter().map(|c| c.warnings.len()).sum();
+        let warnings: Vec<String> = self
+            .cameras
+            .iter()
+            .flat_map(|c| c.warnings.iter().map(|w| format!("{}: {w}", c.name)))
+            .collect();
         let views: usize = self.cameras.iter().map(|c| c.views).sum();
         let cameras = match self.cameras.len() {
             1 => "1 camera".to_owned(),
@@ -32,10 +36,7 @@ impl CameraCalibration {
             "{cameras}, {views} views: corners are met to {:.2} px",
             self.rms_px
         );
-        if self.outcome() == Outcome::Fail {
-            return format!("FAIL. {fits}: more than any detector leaves. Do not use it.");
-        }
-        report::verdict(&fits, warnings)
+        report::verdict(self.outcome(), &fits, &warnings)
     }
 
     /// The page: no script, no network.

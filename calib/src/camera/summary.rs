@@ -1,11 +1,9 @@
 //! From an adjustment to what is told about it.
 
-use std::collections::BTreeMap;
+use lsfb_geometry::{Matrix6, Vector2};
 
-use lsfb_geometry::{Camera, Matrix6, Vector2};
-use lsfb_solver::Kernel;
-
-use super::adjustment::{Freedom, Solved, Start};
+use super::adjustment::Solved;
+use super::held_back::HeldBack;
 use super::normal::{Covariances, covariances, parameter_count};
 use super::{
     BoardDoubt, COVERAGE_CELLS, CalibratedCamera, CameraCalibration, CameraConfig, CameraViews,
@@ -20,6 +18,8 @@ use crate::target::Target;
 const LARGEST_FOCAL_SIGMA: f64 = 0.02;
 /// Coverage below which a warning is due.
 const LEAST_COVERAGE: f64 = 0.5;
+/// Errors of a camera among others, as a multiple of those it leaves for itself, that are no accident.
+const WORSE_TOGETHER: f64 = 1.3;
 
 /// Errors of one camera over the views adjusted.
 struct Errors {
@@ -85,8 +85,8 @@ impl Solved<'_> {
         let variance = squares / freedom as f64 * effect;
         let mut cameras = Vec::with_capacity(given.len());
         for (k, errors) in errors.into_iter().enumerate() {
-            let held_back_rms_px = self.held_back(target, k, config)?;
-            let mut camera = self.camera(k, errors, &covariances, variance, held_back_rms_px)?;
+            let held_back = self.held_back(target, k, config)?;
+            let mut camera = self.camera(k, errors, &covariances, variance, held_back)?;
             let rms_px = camera.inlier_rms_px;
             let diagnosis = Diagnosis::new(
                 target,
@@ -114,7 +114,7 @@ impl Solved<'_> {
         errors: Errors,
         covariances: &Covariances,
         variance: f64,
-        held_back_rms_px: Option<f64>,
+        held_back: Option<HeldBack>,
     ) -> Result<CalibratedCamera, Error> {
         let start = &self.cameras[k];
         let lens = &start.camera.lens;
@@ -163,6 +163,15 @@ impl Solved<'_> {
             ));
         }
         let inlier_rms_px = (errors.inlier_squares / errors.inliers.max(1) as f64).sqrt();
+        if let Some(alone_px) = start.alone_rms_px
+            && inlier_rms_px > WORSE_TOGETHER * alone_px
+        {
+            warnings.push(format!(
+                "for itself it meets corners to {alone_px:.2} px, together with the other cameras to {inlier_rms_px:.2} px: they are not triggered together, their stamps are off, or one of them is loose"
+            ));
+        }
+        let held_back_rms_px = held_back.as_ref().map(|h| h.rms_px);
+        warnings.extend(held_back.and_then(|h| h.wrong_model));
         if let Some(held_back) = held_back_rms_px
             && held_back > 1.5 * inlier_rms_px
         {
@@ -214,53 +223,6 @@ impl Solved<'_> {
                     .collect(),
             }
         })
-    }
-
-    /// Error of views that a second adjustment did not see: only the target's pose is fitted to them.
-    fn held_back(
-        &self,
-        target: &Target,
-        k: usize,
-        config: &CameraConfig,
-    ) -> Result<Option<f64>, Error> {
-        let start = &self.cameras[k];
-        let every = config.hold_back_every;
-        if every == 0 || start.chosen.len() < 2 * every.max(config.min_views) {
-            return Ok(None);
-        }
-        let split = |held: bool| -> Vec<i64> {
-            let numbered = start.chosen.iter().enumerate();
-            numbered
-                .filter(|(n, _)| (n % every == every - 1) == held)
-                .map(|(_, t)| *t)
-                .collect()
-        };
-        let part = |chosen: Vec<i64>, camera: Camera| -> Solved<'_> {
-            let poses = chosen
-                .iter()
-                .map(|t| (*t, start.camera_from_first * self.first_from_target[t]))
-                .collect();
-            let inliers: BTreeMap<i64, Vec<bool>> = chosen
-                .iter()
-                .map(|t| (*t, self.inliers[k][t].clone()))
-                .collect();
-            Solved {
-                cameras: vec![Start {
-                    views: start.views,
-                    chosen,
-                    camera,
-                    camera_from_first: lsfb_geometry::Se3::identity(),
-                }],
-                first_from_target: poses,
-                inliers: vec![inliers],
-            }
-        };
-        let mut kept = part(split(false), start.camera);
-        kept.adjust(target, Kernel::Squared, Freedom::Everything)?;
-        let mut held = part(split(true), kept.cameras[0].camera);
-        held.adjust(target, Kernel::Squared, Freedom::PosesOfTarget)?;
-        let errors = Errors::of(target, &held, 0);
-        Ok((errors.inliers > 0).then(|| (errors.inlier_squares / errors.inliers as f64).sqrt()))
     }
 }
 

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::CameraViews;
 use crate::Error;
-use crate::detect::{Corner, detect};
+use crate::detect::{Corner, Instead, detect, seen_instead};
 use crate::images;
 use crate::target::Target;
 
@@ -20,6 +20,8 @@ struct Looked {
     width: u32,
     height: u32,
     corners: Vec<Corner>,
+    /// Where there are none.
+    instead: Option<Instead>,
 }
 
 /// Finds the target in all images of a folder whose names begin with `prefix` (all of them if it is empty). The number in a
@@ -58,7 +60,7 @@ pub fn views_from_folder(
             Ok(looked)
         })
         .collect();
-    gather(name, looked?)
+    gather(name, target, looked?)
 }
 
 /// Finds the target in the images of a recording's camera; the synchronized time is the instant.
@@ -97,20 +99,45 @@ pub fn views_from_recording(
         }
     }
     flush(&mut batch, &mut looked);
-    gather(name, looked)
+    gather(name, target, looked)
 }
 
 fn look(instant: i64, image: &Image, target: &Target) -> Looked {
+    let corners = detect(image, target);
     Looked {
         instant,
         width: image.width,
         height: image.height,
-        corners: detect(image, target),
+        instead: if corners.is_empty() {
+            seen_instead(image, target)
+        } else {
+            None
+        },
+        corners,
     }
 }
 
-fn gather(name: &str, looked: Vec<Looked>) -> Result<CameraViews, Error> {
+/// Fails where the target is never seen, but something that tells why.
+fn gather(name: &str, target: &Target, looked: Vec<Looked>) -> Result<CameraViews, Error> {
     let images = looked.len();
+    let count = |what| looked.iter().filter(|l| l.instead == Some(what)).count();
+    let [mirrored, others] = [Instead::Mirrored, Instead::OtherTags].map(count);
+    if looked.iter().all(|l| l.corners.is_empty()) && mirrored + others > 0 {
+        return Err(Error::OtherTarget {
+            camera: name.to_owned(),
+            target: super::describe(target),
+            images,
+            problem: if mirrored >= others {
+                format!(
+                    "{mirrored} show its tags mirrored: have the camera's driver not flip its images, or print the board again"
+                )
+            } else {
+                format!(
+                    "{others} show tags that are none of its own: another family than 36h11, or other numbers than those from 0 on"
+                )
+            },
+        });
+    }
     let (width, height) = looked.first().map_or((0, 0), |l| (l.width, l.height));
     let mut views = BTreeMap::new();
     for l in looked {

@@ -1,8 +1,9 @@
 //! Input that cannot give a good answer, found before and after the first guess, and named.
 
-use lsfb_geometry::{RigImu, Se3, Vector3};
+use lsfb_geometry::{Rig, RigImu, Se3, Vector3};
 
-use super::{CameraImuConfig, KnownCamera};
+use super::start::Sample;
+use super::{CameraImuCalibration, CameraImuConfig, KnownCamera};
 use crate::Error;
 use crate::target::Target;
 
@@ -12,6 +13,11 @@ const SATURATED_RUN: usize = 3;
 /// Difference between the rig's and the seen pose of two cameras that is an error: radians and metres.
 const MAX_TURN_RAD: f64 = 0.1;
 const MAX_SHIFT_M: f64 = 0.05;
+/// Mean of an accelerometer as a share of gravity: between these its unit is right, and around this it counts in g.
+const RIGHT_UNIT: std::ops::Range<f64> = 0.7..1.5;
+const IN_G: std::ops::Range<f64> = 0.08..0.13;
+/// A camera is another one of the rig where it stands so much nearer to that one's place than to its own.
+const NEARER: f64 = 0.25;
 
 /// Settings and sensors that are impossible.
 pub(super) fn before(
@@ -67,6 +73,60 @@ pub(super) fn saturated(values: &[f64]) -> Vec<bool> {
         at_end
     } else {
         vec![false; values.len()]
+    }
+}
+
+/// Fails where what the accelerometer reads is not about gravity.
+pub(super) fn unit_of_accelerometer(
+    samples: &[Sample],
+    config: &CameraImuConfig,
+) -> Result<(), Error> {
+    let sum: f64 = samples.iter().map(|s| s.accel.norm()).sum();
+    let mean_m_s2 = sum / samples.len().max(1) as f64;
+    let share = mean_m_s2 / config.gravity_m_s2;
+    if RIGHT_UNIT.contains(&share) {
+        return Ok(());
+    }
+    let advice = if IN_G.contains(&share) {
+        "it counts in g: give m/s²"
+    } else {
+        "check its unit and its range, and that gravity was not taken off"
+    };
+    Err(Error::Imu {
+        problem: format!(
+            "the accelerometer reads {mean_m_s2:.2} m/s² on average where gravity is {:.2}: {advice}",
+            config.gravity_m_s2
+        ),
+    })
+}
+
+impl CameraImuCalibration {
+    /// Compares the result with the rig it started from: a camera that is found where that has another one is added to the
+    /// warnings.
+    pub fn compare_with(&mut self, rig: &Rig) {
+        for c in &self.cameras {
+            let off = |name: &str| {
+                let off = c.camera_from_rig * rig.cameras.get(name)?.rig_from_camera;
+                let turn = off.rotation.angle() / MAX_TURN_RAD;
+                Some(turn + off.translation.norm() / MAX_SHIFT_M)
+            };
+            let Some(own) = off(&c.name) else {
+                continue;
+            };
+            let others = rig.cameras.keys().filter(|name| **name != c.name);
+            let nearest = others
+                .filter_map(|name| Some((name, off(name)?)))
+                .min_by(|a, b| a.1.total_cmp(&b.1));
+            if let Some((other, distance)) = nearest
+                && distance < NEARER * own
+                && distance < 1.0
+            {
+                self.warnings.push(format!(
+                    "{} is found where the rig has {other}: their images are swapped, or their names",
+                    c.name
+                ));
+            }
+        }
     }
 }
 

@@ -2,17 +2,17 @@
 //!
 //! `r = (project(lens, camera_from_rig · R(t)ᵀ (X − p(t))) − x) / σ` with `t` the view's stamp plus the camera's offset plus the
 //! share of the readout time at which the corner's row is exposed. Blocks: [`ORDER`] rotations, [`ORDER`] positions,
-//! `camera_from_rig`, the offset, the lens, the board's [`Bend`], the readout time.
+//! `camera_from_rig`, the [`Clock`], the lens, the board's [`Bend`], the readout time.
 
 use lsfb_geometry::camera::{LensModel, MAX_PARAMETERS};
 use lsfb_geometry::rolling_shutter::row_time_s;
 use lsfb_geometry::spline::{self, Weights};
 use lsfb_geometry::{Se3, UnitQuaternion, Vector2, Vector3, so3};
 use lsfb_solver::{Linearization, Parameters, Residual, Shape, Undefined};
-use nalgebra::{SVector, Vector1};
+use nalgebra::{RowVector2, SVector, Vector1};
 
 use super::bend::{Bend, bends};
-use super::{ORDER, view_residual};
+use super::{Clock, ORDER, view_residual};
 use crate::camera::{lens_camera, moved_by_pose};
 
 pub(super) struct CornerResidual {
@@ -20,6 +20,8 @@ pub(super) struct CornerResidual {
     pub size: [u32; 2],
     /// Stamp of the view after the start of the first control point's segment, and the spacing, seconds.
     pub time_in_segment_s: f64,
+    /// Stamp of the view after the time at which the offset holds, seconds.
+    pub after_middle_s: f64,
     pub spacing_s: f64,
     /// Middle of the flat board.
     pub centre: Vector3<f64>,
@@ -58,7 +60,7 @@ impl Residual for CornerResidual {
         let rotations: [UnitQuaternion<f64>; ORDER] = std::array::from_fn(|k| parameters.get(k));
         let positions: [Vector3<f64>; ORDER] = std::array::from_fn(|k| parameters.get(ORDER + k));
         let camera_from_rig: Se3 = parameters.get(2 * ORDER);
-        let offset: Vector1<f64> = parameters.get(2 * ORDER + 1);
+        let clock: Clock = parameters.get(2 * ORDER + 1);
         let lens: SVector<f64, MAX_PARAMETERS> = parameters.get(2 * ORDER + 2);
         let bend: Bend = parameters.get(2 * ORDER + 3);
         let readout: Vector1<f64> = parameters.get(VIEW);
@@ -67,7 +69,8 @@ impl Residual for CornerResidual {
             return Err(Undefined);
         }
         let row_share = row_time_s(&camera, 1.0, self.pixel.y);
-        let time_s = self.time_in_segment_s + offset.x + row_share * readout.x;
+        let offset_s = clock.x + clock.y * self.after_middle_s;
+        let time_s = self.time_in_segment_s + offset_s + row_share * readout.x;
         let weights = Weights::<ORDER>::at(time_s / self.spacing_s, self.spacing_s);
         let rotation = spline::rotation_with_jacobians(&weights, &rotations).ok_or(Undefined)?;
         let position = spline::position(&weights, &positions).ok_or(Undefined)?;
@@ -92,7 +95,8 @@ impl Residual for CornerResidual {
             &(by_point * moved_by_pose(&camera_from_rig, &in_rig)),
         );
         let by_time = by_turn * rotation.at.angular_velocity + by_position * position.velocity;
-        out.set_jacobian(2 * ORDER + 1, &by_time);
+        let by_clock = by_time * RowVector2::new(1.0, self.after_middle_s);
+        out.set_jacobian(2 * ORDER + 1, &by_clock);
         out.set_jacobian(
             2 * ORDER + 2,
             &(seen.pixel_by_parameter * self.inverse_sigma),
@@ -125,7 +129,7 @@ mod tests {
         }
         let pose = Se3::exp(&Vector6::new(0.1, -0.05, 0.02, 0.01, 0.02, 0.03));
         blocks.push(problem.add_block(pose).id());
-        blocks.push(problem.add_block(Vector1::new(0.003)).id());
+        blocks.push(problem.add_block(Clock::new(0.003, 2e-4)).id());
         let lens = Lens::PinholeRadtan {
             focal_px: [400.0, 401.0],
             principal_px: [320.0, 240.0],
@@ -135,7 +139,7 @@ mod tests {
         blocks.push(problem.add_block(values).id());
         blocks.push(
             problem
-                .add_block(Bend::new(3e-3, -8e-3, 2e-3, 1e-3, -2e-3))
+                .add_block(Bend::new(3e-3, -8e-3, 2e-3, 1e-3, -2e-3, 4e-3))
                 .id(),
         );
         blocks.push(problem.add_block(Vector1::new(0.02)).id());
@@ -144,6 +148,7 @@ mod tests {
                 model: lens.model(),
                 size: [640, 480],
                 time_in_segment_s: 0.007,
+                after_middle_s: 3.0,
                 spacing_s: 0.02,
                 centre: Vector3::new(0.1, 0.1, 0.0),
                 point: Vector3::new(x, y, 0.0),

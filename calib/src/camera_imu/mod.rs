@@ -19,7 +19,8 @@ mod uncertainty;
 mod view_residual;
 
 use lsfb_geometry::{
-    Camera, Matrix3, Matrix6, RigImu, Se3, StampedPose, Trajectory, UnitQuaternion, Vector3, spline,
+    Camera, Matrix3, Matrix6, RigImu, Se3, StampedPose, Trajectory, UnitQuaternion, Vector2,
+    Vector3, spline,
 };
 use lsfb_types::{ImuSample, Progress, ProgressFn, Timestamp};
 use serde::{Deserialize, Serialize};
@@ -33,6 +34,9 @@ use crate::target::Target;
 
 /// Order of the spline: its angular velocity and its acceleration have continuous derivatives.
 pub const ORDER: usize = 5;
+
+/// A camera's clock: its offset in the middle of the recording (s) and by how much that grows in a second.
+type Clock = Vector2<f64>;
 
 /// A camera whose lens is known, if only nearly.
 #[derive(Clone, Debug, PartialEq)]
@@ -167,10 +171,14 @@ pub struct CameraOnImu {
     pub rotation_sigma_rad: [f64; 3],
     /// Standard deviation of the camera's position along the axes of the rig, metres.
     pub position_sigma_m: [f64; 3],
-    /// Added to the camera's stamps it gives the IMU's time, seconds.
+    /// Added to the camera's stamps it gives the IMU's time, in the middle of the recording, seconds.
     pub rig_from_camera_s: f64,
     /// Its standard deviation, seconds.
     pub rig_from_camera_sigma_s: f64,
+    /// By how much that grows in a second of the recording, seconds.
+    pub clock_drift: f64,
+    /// Its standard deviation.
+    pub clock_drift_sigma: f64,
     /// Readout time, seconds.
     pub readout_s: f64,
     /// Its standard deviation, seconds; zero where it was not searched.
@@ -241,6 +249,12 @@ pub struct CameraImuCalibration {
     pub gravity_in_target_m_s2: [f64; 3],
     /// Its standard deviations.
     pub gravity_sigma_m_s2: [f64; 3],
+    /// Whether its size is measured: not where something else keeps corners from being met.
+    pub board_is_measured: bool,
+    /// By how much all of the board is larger than said, as a share: by what the accelerometer says beside gravity.
+    pub board_excess: f64,
+    /// Its standard deviation.
+    pub board_excess_sigma: f64,
     /// How far a corner lies out of the board's plane at most, metres.
     pub board_bend_m: f64,
     /// Its standard deviation, metres.
@@ -338,7 +352,8 @@ pub fn calibrate_camera_imu(
     }
     show(ROUNDS);
     let uncertainty = state.uncertainty(config)?;
-    let mut calibration = state.report(target, config, &held_back, uncertainty);
+    let excess = state.board_excess(config)?;
+    let mut calibration = state.report(target, config, &held_back, uncertainty, excess);
     // Back into the order given.
     let mut places: Vec<usize> = (0..order.len()).collect();
     places.sort_by_key(|k| order[*k]);

@@ -12,7 +12,7 @@ use crate::verify::Outcome;
 impl CameraImuCalibration {
     /// Whether the result may be used: not where corners miss by more than any detector does.
     pub fn outcome(&self) -> Outcome {
-        if self.cameras.iter().any(|c| c.rms_px > FAILED_RMS_PX) {
+        if self.board_is_another() || self.cameras.iter().any(|c| c.rms_px > FAILED_RMS_PX) {
             Outcome::Fail
         } else if self.warnings.is_empty() {
             Outcome::Pass
@@ -34,10 +34,7 @@ impl CameraImuCalibration {
             self.imu.gyro_ratio,
             self.imu.accel_ratio
         );
-        if self.outcome() == Outcome::Fail {
-            return format!("FAIL. {fits}: more than any detector leaves. Do not use it.");
-        }
-        report::verdict(&fits, self.warnings.len())
+        report::verdict(self.outcome(), &fits, &self.warnings)
     }
 
     /// The page: no script, no network.
@@ -63,6 +60,13 @@ impl CameraImuCalibration {
                                 td { "gravity along its " (axis) ", m/s²" }
                                 td { (format!("{:+.4}", g[k])) }
                                 td { (format!("{:.4}", self.gravity_sigma_m_s2[k])) }
+                            }
+                        }
+                        @if self.board_is_measured {
+                            tr {
+                                td { "larger than said, %" }
+                                td { (format!("{:+.2}", self.board_excess * 100.0)) }
+                                td { (format!("{:.2}", self.board_excess_sigma * 100.0)) }
                             }
                         }
                         @if self.board_bend_sigma_m > 0.0 {
@@ -115,6 +119,11 @@ fn section(c: &CameraOnImu) -> Markup {
                             td { "clock, ms" }
                             td { (format!("{:+.3}", c.rig_from_camera_s * 1e3)) }
                             td { (format!("{:.4}", c.rig_from_camera_sigma_s * 1e3)) }
+                        }
+                        tr {
+                            td { "drift of the clock, ppm" }
+                            td { (format!("{:+.1}", c.clock_drift * 1e6)) }
+                            td { (format!("{:.1}", c.clock_drift_sigma * 1e6)) }
                         }
                         @if c.readout_s != 0.0 {
                             tr {

@@ -2,15 +2,17 @@
 
 use lsfb_geometry::camera::MAX_PARAMETERS;
 use lsfb_geometry::{Se3, UnitQuaternion, Vector2, Vector3, spline};
-use lsfb_solver::{Block, BlockId, Diagnosis, Kernel, Problem, SolveConfig, VectorPrior, solve};
+use lsfb_solver::{
+    Block, BlockId, Diagnosis, Kernel, Problem, SolveConfig, VectorPrior, covariance, solve,
+};
 use nalgebra::{SVector, Vector1};
 
-use super::bend::{Bend, bends};
+use super::bend::{BEND, Bend, SIZE, bends};
 use super::corner_residual::CornerResidual;
 use super::inertial::{AccelAxes, Accelerometer, BiasWalk, GravityNorm, Gyro, GyroAxes};
 use super::start::{State, View};
 use super::view_residual::ViewResidual;
-use super::{Axes, Board, CameraImuConfig, Lenses, ORDER, Readout};
+use super::{Axes, Board, CameraImuConfig, Clock, Lenses, ORDER, Readout};
 use crate::Error;
 use crate::camera::lens_camera;
 use crate::clusters::{Clusters, share_of_board};
@@ -26,6 +28,13 @@ const MIN_CORNERS: usize = 8;
 const BEND_SIGMA_M: f64 = 2e-3;
 /// Standard deviation of what printers stretch and shear.
 const STRETCH_SIGMA: f64 = 1e-3;
+/// How much is known of what was measured at the end of a range, as a share of that: next to nothing, but enough to keep the
+/// motion between two views from being anything.
+const SATURATED_SIGMA: f64 = 0.5;
+/// Standard deviation of a board's size of which nothing is known, as a share.
+const SIZE_SIGMA: f64 = 0.1;
+/// Standard deviation of an accelerometer's scale, as data sheets have it.
+const ACCELEROMETER_SCALE_SIGMA: f64 = 0.03;
 /// Stretch of time in which errors are not independent, seconds.
 const CLUSTER_S: f64 = 0.5;
 /// Least standard deviation of a corner that is believed, pixels.
@@ -40,7 +49,7 @@ pub(super) struct Blocks {
     rotations: Vec<Block<UnitQuaternion<f64>>>,
     positions: Vec<Block<Vector3<f64>>>,
     pub poses: Vec<Block<Se3>>,
-    pub offsets: Vec<Block<Vector1<f64>>>,
+    pub clocks: Vec<Block<Clock>>,
     pub lenses: Vec<LensBlock>,
     pub readouts: Vec<Block<Vector1<f64>>>,
     pub gyro_bias: Vec<Block<Vector3<f64>>>,
@@ -61,12 +70,30 @@ impl Blocks {
     }
 }
 
+/// By how much all of a board is larger than said, as a share.
+#[derive(Clone, Copy)]
+pub(super) struct BoardExcess {
+    pub share: f64,
+    pub sigma: f64,
+    /// Share of the corners' squares that it takes off.
+    pub explains: f64,
+}
+
+/// What is believed of the board's size.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum BoardSize {
+    AsSaid,
+    /// It is searched, and so is the scale of the accelerometer, which gravity tells.
+    Searched,
+}
+
 /// How far to go.
 #[derive(Clone, Copy)]
 pub(super) struct Effort {
     cost_tolerance: f64,
     /// Whether views that are held back take part.
     all_views: bool,
+    size: BoardSize,
 }
 
 impl Effort {
@@ -78,6 +105,25 @@ impl Effort {
                 (_, false) => 1e-7,
             },
             all_views: last,
+            size: BoardSize::AsSaid,
+        }
+    }
+
+    fn settings(self) -> SolveConfig {
+        SolveConfig {
+            max_iterations: 40,
+            cost_tolerance: self.cost_tolerance,
+            diagnosis: Diagnosis::Off,
+            ..SolveConfig::default()
+        }
+    }
+
+    /// What it takes to measure the board.
+    pub fn of_size() -> Self {
+        Self {
+            cost_tolerance: 1e-9,
+            all_views: true,
+            size: BoardSize::Searched,
         }
     }
 }
@@ -90,7 +136,7 @@ impl State {
         effort: Effort,
     ) -> Result<(Problem, Blocks), Error> {
         let mut problem = Problem::new();
-        let blocks = self.add_blocks(&mut problem, config)?;
+        let blocks = self.add_blocks(&mut problem, config, effort.size)?;
         for view in &self.views {
             if effort.all_views || !view.held_back {
                 self.add_view(&mut problem, &blocks, view, config)?;
@@ -99,7 +145,10 @@ impl State {
         self.add_samples(&mut problem, &blocks)?;
         let norm = GravityNorm {
             expected_m_s2: config.gravity_m_s2,
-            inverse_sigma: 1.0 / config.gravity_sigma_m_s2,
+            inverse_sigma: match effort.size {
+                BoardSize::AsSaid => 1.0 / config.gravity_sigma_m_s2,
+                BoardSize::Searched => 1.0 / (ACCELEROMETER_SCALE_SIGMA * config.gravity_m_s2),
+            },
         };
         problem.add_residual(norm, &[blocks.gravity.id()], Kernel::Squared)?;
         Ok((problem, blocks))
@@ -108,19 +157,13 @@ impl State {
     /// Minimises over everything.
     pub fn adjust(&mut self, config: &CameraImuConfig, effort: Effort) -> Result<(), Error> {
         let (mut problem, blocks) = self.problem(config, effort)?;
-        let settings = SolveConfig {
-            max_iterations: 40,
-            cost_tolerance: effort.cost_tolerance,
-            diagnosis: Diagnosis::Off,
-            ..SolveConfig::default()
-        };
-        solve(&mut problem, &settings)?;
+        solve(&mut problem, &effort.settings())?;
         let vector = |b: &Block<Vector3<f64>>| problem.value(*b);
         self.motion.rotations = blocks.rotations.iter().map(|b| problem.value(*b)).collect();
         self.motion.positions = blocks.positions.iter().map(vector).collect();
         for (k, camera) in self.cameras.iter_mut().enumerate() {
             camera.camera_from_rig = problem.value(blocks.poses[k]);
-            camera.offset_s = problem.value(blocks.offsets[k]).x;
+            camera.clock = problem.value(blocks.clocks[k]);
             camera.readout_s = problem.value(blocks.readouts[k]).x;
             let size = [camera.camera.width, camera.camera.height];
             camera.camera = lens_camera(camera.model(), size, &problem.value(blocks.lenses[k]));
@@ -134,7 +177,41 @@ impl State {
         Ok(())
     }
 
-    fn add_blocks(&self, problem: &mut Problem, config: &CameraImuConfig) -> Result<Blocks, Error> {
+    /// By how much all of the board is larger than said, as the accelerometer has it against gravity: a wrong scale of the
+    /// accelerometer is none of the board.
+    pub fn board_excess(&self, config: &CameraImuConfig) -> Result<BoardExcess, Error> {
+        let effort = Effort::of_size();
+        let (mut problem, blocks) = self.problem(config, effort)?;
+        let report = solve(&mut problem, &effort.settings())?;
+        let size = 1.0 + problem.value(blocks.bend)[SIZE];
+        let gravity = problem.value(blocks.gravity);
+        let share = config.gravity_m_s2 / gravity.norm();
+        let Ok(found) = covariance(&problem, &[blocks.bend.id(), blocks.gravity.id()]) else {
+            // So little motion that only the prior is left.
+            return Ok(BoardExcess {
+                share: 0.0,
+                sigma: SIZE_SIGMA,
+                explains: 0.0,
+            });
+        };
+        let mut by = SVector::<f64, { BEND + 3 }>::zeros();
+        by[SIZE] = share;
+        by.fixed_rows_mut::<3>(BEND)
+            .copy_from(&(-gravity * (size * share / gravity.norm_squared())));
+        let variance = (by.transpose() * found.joint() * by)[0];
+        Ok(BoardExcess {
+            share: size * share - 1.0,
+            sigma: variance.max(0.0).sqrt(),
+            explains: (report.initial_cost - report.final_cost) / self.cost_of_corners().max(1e-12),
+        })
+    }
+
+    fn add_blocks(
+        &self,
+        problem: &mut Problem,
+        config: &CameraImuConfig,
+        size: BoardSize,
+    ) -> Result<Blocks, Error> {
         let mut vectors = |values: &[Vector3<f64>]| -> Vec<Block<Vector3<f64>>> {
             values.iter().map(|v| problem.add_block(*v)).collect()
         };
@@ -150,7 +227,7 @@ impl State {
                 .collect(),
             positions,
             poses: Vec::new(),
-            offsets: Vec::new(),
+            clocks: Vec::new(),
             lenses: Vec::new(),
             readouts: Vec::new(),
             gyro_bias,
@@ -162,14 +239,30 @@ impl State {
         };
         problem.set_name(blocks.bend.id(), "bend of the board");
         match config.board {
-            Board::Flat => problem.set_constant(blocks.bend),
+            Board::Flat if size == BoardSize::AsSaid => problem.set_constant(blocks.bend),
+            Board::Flat => {
+                // A rig that does not move says nothing of it.
+                let prior = VectorPrior::new(Bend::zeros(), Bend::repeat(SIZE_SIGMA));
+                problem.add_residual(prior, &[blocks.bend.id()], Kernel::Squared)?;
+                problem.set_constant_components(blocks.bend, &[0, 1, 2, 3, 4])?;
+            }
             Board::Bent => {
                 let sigma = BEND_SIGMA_M / (self.half_board_m * self.half_board_m);
                 let prior = VectorPrior::new(
                     Bend::zeros(),
-                    Bend::new(sigma, sigma, sigma, STRETCH_SIGMA, STRETCH_SIGMA),
+                    Bend::new(
+                        sigma,
+                        sigma,
+                        sigma,
+                        STRETCH_SIGMA,
+                        STRETCH_SIGMA,
+                        SIZE_SIGMA,
+                    ),
                 );
                 problem.add_residual(prior, &[blocks.bend.id()], Kernel::Squared)?;
+                if size == BoardSize::AsSaid {
+                    problem.set_constant_components(blocks.bend, &[SIZE])?;
+                }
             }
         }
         if config.axes == Axes::Ideal {
@@ -178,13 +271,14 @@ impl State {
         }
         for camera in &self.cameras {
             let pose = problem.add_block(camera.camera_from_rig);
-            let offset = problem.add_block(Vector1::new(camera.offset_s));
+            let clock = problem.add_block(camera.clock);
             let readout = problem.add_block(Vector1::new(camera.readout_s));
             let parameters = camera.camera.lens.parameters();
             let values: SVector<f64, MAX_PARAMETERS> = parameters.values.into();
             let lens = problem.add_block(values);
             problem.set_name(pose.id(), format!("{} on the rig", camera.name));
-            problem.set_name(offset.id(), format!("{} clock", camera.name));
+            problem.set_name(clock.id(), format!("{} clock", camera.name));
+            problem.set_component_names(clock.id(), &["offset", "drift"]);
             problem.set_name(readout.id(), format!("{} readout", camera.name));
             problem.set_name(lens.id(), format!("{} lens", camera.name));
             problem.set_component_names(lens.id(), camera.model().parameter_names());
@@ -199,7 +293,7 @@ impl State {
                 problem.set_constant(readout);
             }
             blocks.poses.push(pose);
-            blocks.offsets.push(offset);
+            blocks.clocks.push(clock);
             blocks.readouts.push(readout);
             blocks.lenses.push(lens);
         }
@@ -227,14 +321,14 @@ impl State {
         let inverse_sigma = 1.0 / camera.sigma_px;
         let rest = [
             blocks.poses[k].id(),
-            blocks.offsets[k].id(),
+            blocks.clocks[k].id(),
             blocks.lenses[k].id(),
             blocks.bend.id(),
             blocks.readouts[k].id(),
         ];
         // The control points that move a time, and the view's stamp in their segment.
         let place = |row_s: f64| {
-            let segment = self.segment(view.stamp_s + camera.offset_s + row_s)?;
+            let segment = self.segment(self.time_s(view) + row_s)?;
             let start_s = knots.start_s + segment.first as f64 * knots.spacing_s;
             Some((blocks.motion(segment.first), view.stamp_s - start_s))
         };
@@ -256,6 +350,7 @@ impl State {
                 model: camera.model(),
                 size,
                 time_in_segment_s,
+                after_middle_s: view.stamp_s - self.middle_s,
                 spacing_s: knots.spacing_s,
                 centre: self.centre,
                 corners: seen,
@@ -273,6 +368,7 @@ impl State {
                 model: camera.model(),
                 size,
                 time_in_segment_s,
+                after_middle_s: view.stamp_s - self.middle_s,
                 spacing_s: knots.spacing_s,
                 centre: self.centre,
                 point,
@@ -282,6 +378,25 @@ impl State {
             problem.add_residual(residual, &ids, Kernel::Squared)?;
         }
         Ok(())
+    }
+
+    /// When a view was taken, by the IMU's clock.
+    pub fn time_s(&self, view: &View) -> f64 {
+        let clock = &self.cameras[view.camera].clock;
+        view.stamp_s + clock.x + clock.y * (view.stamp_s - self.middle_s)
+    }
+
+    /// Half the weighted squares of all corners that count.
+    fn cost_of_corners(&self) -> f64 {
+        let of_view = |view: &View| {
+            let errors = self.errors_px(view).into_iter().zip(&view.inliers);
+            let squares: f64 = errors
+                .filter(|(_, inlier)| **inlier)
+                .filter_map(|(error, _)| Some(error?.norm_squared()))
+                .sum();
+            0.5 * squares / self.cameras[view.camera].sigma_px.powi(2)
+        };
+        self.views.iter().map(of_view).sum()
     }
 
     /// A corner of the board as it is bent.
@@ -297,8 +412,11 @@ impl State {
     }
 
     fn add_samples(&self, problem: &mut Problem, blocks: &Blocks) -> Result<(), Error> {
-        let weights = |sigma: f64, saturated: &[bool; 3]| {
-            Vector3::from(saturated.map(|end| if end { 0.0 } else { 1.0 / sigma }))
+        let weights = |sigma: f64, measured: &Vector3<f64>, saturated: &[bool; 3]| {
+            Vector3::from_fn(|k, _| match saturated[k] {
+                true => 1.0 / (SATURATED_SIGMA * measured[k].abs()).max(sigma),
+                false => 1.0 / sigma,
+            })
         };
         for sample in &self.samples {
             let Some(segment) = self.segment(sample.time_s) else {
@@ -310,7 +428,7 @@ impl State {
                 weights: segment.weights,
                 bias_share,
                 measured: sample.gyro,
-                inverse_sigma: weights(self.gyro_sigma, &sample.gyro_saturated),
+                inverse_sigma: weights(self.gyro_sigma, &sample.gyro, &sample.gyro_saturated),
             };
             let last = [
                 blocks.gyro_bias[bias].id(),
@@ -322,7 +440,7 @@ impl State {
                 weights: segment.weights,
                 bias_share,
                 measured: sample.accel,
-                inverse_sigma: weights(self.accel_sigma, &sample.accel_saturated),
+                inverse_sigma: weights(self.accel_sigma, &sample.accel, &sample.accel_saturated),
             };
             let last = [
                 blocks.accel_bias[bias].id(),
@@ -356,7 +474,7 @@ impl State {
             .iter()
             .map(|(point, pixel)| {
                 if pose.is_none() || camera.readout_s != 0.0 {
-                    let time_s = view.stamp_s + camera.offset_s + camera.row_s(pixel);
+                    let time_s = self.time_s(view) + camera.row_s(pixel);
                     pose = self.motion.pose_at(time_s);
                 }
                 let in_rig = pose?.inverse() * self.bent(point);
@@ -402,6 +520,16 @@ impl State {
                 .get(lengths.len() / 2)
                 .copied()
                 .unwrap_or(f64::INFINITY);
+            if !(median < MAX_MEDIAN_PX) && self.cameras[k].alone_px < 0.5 * MAX_MEDIAN_PX {
+                return Err(Error::NotJoined {
+                    first: self.cameras[k].name.clone(),
+                    second: "the IMU".to_owned(),
+                    problem: format!(
+                        "each view for itself is met to {:.1} px, all of them along one motion with the IMU's samples miss by {median:.1} px: an axis of the accelerometer has the wrong sign or is exchanged, the images are mirrored, or the board is of quite another size",
+                        self.cameras[k].alone_px
+                    ),
+                });
+            }
             if !(median < MAX_MEDIAN_PX) {
                 return Err(Error::DoesNotFit {
                     camera: self.cameras[k].name.clone(),

@@ -5,11 +5,12 @@ use nalgebra::{RowSVector, SMatrix};
 
 use super::bend::{BEND, bends};
 use super::inertial::{accel_matrix, gyro_matrix};
+use super::problem::BoardExcess;
 use super::start::{State, View};
 use super::uncertainty::Uncertainty;
 use super::{Axes, CameraImuCalibration, CameraImuConfig, CameraOnImu, FoundImu, ORDER, checks};
 use crate::camera::{CellErrors, Estimate};
-use crate::misfit::{Diagnosis, SeenCorner, SeenView};
+use crate::misfit::{Diagnosis, SeenCorner, SeenView, WORRYING_RMS_PX};
 use crate::target::Target;
 
 /// Residual of the IMU, as a multiple of its noise, above which something is wrong with it.
@@ -23,6 +24,24 @@ const MOST_OUTLIERS: f64 = 0.05;
 /// Standard deviations of position and clock above which a warning is due: metres and seconds.
 const WORRYING_POSITION_M: f64 = 0.002;
 const WORRYING_CLOCK_S: f64 = 0.0005;
+/// Offset of a clock that one which is synchronised does not have, seconds.
+const WORRYING_OFFSET_S: f64 = 0.025;
+/// Drift of a clock that is worth a word: seconds per second, and over the recording.
+const WORRYING_DRIFT: f64 = 1e-5;
+const WORRYING_DRIFT_S: f64 = 1e-4;
+/// Errors of the board's size as a share: what is worth a word, what spoils every distance, what is too uncertain to say.
+const WORRYING_SIZE: f64 = 0.005;
+const FAILED_SIZE: f64 = 0.02;
+const UNKNOWN_SIZE: f64 = 0.01;
+/// Share of the squares that a wrong size must explain where corners are met badly.
+const EXPLAINED_BY_SIZE: f64 = 0.7;
+/// Standard deviations beyond which a finding is none of chance.
+const DEVIATIONS: f64 = 4.0;
+/// Jitter of the IMU's stamps that is worth a word, seconds, and the share of the gyroscope's squares that it must explain.
+const WORRYING_JITTER_S: f64 = 2e-4;
+const SHARE_OF_JITTER: f64 = 0.3;
+/// Half the step over which an angular acceleration is taken, seconds.
+const STEP_S: f64 = 2e-3;
 /// Times by which the axis least moved about falls behind the one most moved about when it gets the blame.
 pub(super) const POOR_AXIS: f64 = 4.0;
 /// Residuals of the IMU in bins, as multiples of its noise; those beyond the span are in the bins at its ends.
@@ -33,6 +52,8 @@ pub(super) const HISTOGRAM_SPAN: [f64; 2] = [-5.0, 5.0];
 struct Inertial {
     ratio: [f64; 2],
     histogram: [Vec<u32>; 2],
+    /// Spread of the times that samples are off their stamps, as far as the gyroscope tells, seconds.
+    jitter_s: f64,
 }
 
 impl State {
@@ -60,13 +81,33 @@ impl State {
         config: &CameraImuConfig,
         held_back: &[Option<f64>],
         uncertainty: Uncertainty,
+        excess: BoardExcess,
     ) -> CameraImuCalibration {
         let inertial = self.inertial();
+        // A noise that was understated makes this no surer.
+        let excess = BoardExcess {
+            sigma: excess.sigma * inertial.ratio[1].max(1.0),
+            ..excess
+        };
         let cameras: Vec<CameraOnImu> = (0..self.cameras.len())
             .map(|k| self.camera(k, held_back[k], &uncertainty))
             .collect();
-        let mut warnings = self.warnings.clone();
+        let worst_px = cameras.iter().map(|c| c.rms_px).fold(0.0, f64::max);
+        // Where something else is wrong as well, the size takes what it can of that.
+        let board_is_measured = worst_px < WORRYING_RMS_PX || excess.explains > EXPLAINED_BY_SIZE;
+        let mut warnings = Vec::new();
+        if board_is_measured {
+            warnings.extend(size_warning(target, &excess));
+        }
+        warnings.extend(self.warnings.iter().cloned());
         warnings.extend(checks::upside_down(target, &self.gravity));
+        warnings.extend(self.poor_axis());
+        if inertial.jitter_s > WORRYING_JITTER_S {
+            warnings.push(format!(
+                "stamps of the IMU jitter by {:.1} ms rms: the gyroscope misses the more the faster the turning changes. Stamp samples when they are taken, not when they arrive",
+                inertial.jitter_s * 1e3
+            ));
+        }
         for (name, ratio) in ["gyroscope", "accelerometer"].iter().zip(inertial.ratio) {
             if ratio > WORRYING_RATIO {
                 warnings.push(format!(
@@ -113,6 +154,9 @@ impl State {
             },
             gravity_in_target_m_s2: self.gravity.into(),
             gravity_sigma_m_s2: uncertainty.gravity.into(),
+            board_is_measured,
+            board_excess: excess.share,
+            board_excess_sigma: excess.sigma,
             board_bend_m,
             board_bend_sigma_m,
             motion: self.motion,
@@ -182,8 +226,10 @@ impl State {
             covariance: own.pose,
             rotation_sigma_rad,
             position_sigma_m,
-            rig_from_camera_s: camera.offset_s,
+            rig_from_camera_s: camera.clock.x,
             rig_from_camera_sigma_s: own.offset_s,
+            clock_drift: camera.clock.y,
+            clock_drift_sigma: own.drift,
             readout_s: camera.readout_s,
             readout_sigma_s: own.readout_s,
             views,
@@ -206,7 +252,7 @@ impl State {
 
     fn seen_view(&self, view: &View) -> Option<SeenView> {
         let camera = &self.cameras[view.camera];
-        let at = self.at(view.stamp_s + camera.offset_s)?;
+        let at = self.at(self.time_s(view))?;
         let rig_from_target = at.target_from_rig().inverse();
         let camera_from_target = camera.camera_from_rig * rig_from_target;
         let corners = view.corners.iter().zip(&view.inliers);
@@ -270,6 +316,29 @@ impl State {
                 self.advice()
             ));
         }
+        if c.rig_from_camera_s.abs() > WORRYING_OFFSET_S {
+            warnings.push(format!(
+                "{}: its stamps are {:.1} ms {} beside the IMU's: that is taken into account (rig_from_camera_s), but clocks that far apart are not synchronised and may differ again next time: check with `lsfb clock`",
+                c.name,
+                c.rig_from_camera_s.abs() * 1e3,
+                if c.rig_from_camera_s > 0.0 { "early" } else { "late" }
+            ));
+        }
+        let drift = c.clock_drift.abs();
+        let knots = self.motion.knots;
+        let drifted_s = drift * (knots.end_s::<ORDER>(self.motion.rotations.len()) - knots.start_s);
+        if drift > WORRYING_DRIFT.max(DEVIATIONS * c.clock_drift_sigma)
+            && drifted_s > WORRYING_DRIFT_S
+        {
+            warnings.push(format!(
+                "{}: its clock runs {:.0} ± {:.0} ppm {} than the IMU's, {:.1} ms over this recording: its offset holds in the middle alone. Synchronise the clocks (`lsfb clock` compares them)",
+                c.name,
+                drift * 1e6,
+                c.clock_drift_sigma * 1e6,
+                if c.clock_drift > 0.0 { "slower" } else { "faster" },
+                drifted_s * 1e3
+            ));
+        }
         if c.rig_from_camera_sigma_s > WORRYING_CLOCK_S {
             warnings.push(format!(
                 "{}: its clock is known to {:.2} ms only: move faster",
@@ -281,14 +350,24 @@ impl State {
     }
 
     /// What would help most, in words.
-    fn advice(&self) -> String {
-        let axis = ["x", "y", "z"];
-        let weakest = self.rate_rms.imin();
-        if self.rate_rms[weakest] * POOR_AXIS < self.rate_rms.max() {
-            format!("rotate more around {}", axis[weakest])
+    fn advice(&self) -> &'static str {
+        if self.poor_axis().is_some() {
+            "see which axis it hardly turns about"
         } else {
-            "turn faster about all axes, or record longer".to_owned()
+            "turn faster about all axes, or record longer"
         }
+    }
+
+    /// What is said of an axis that is turned about far less than the others.
+    fn poor_axis(&self) -> Option<String> {
+        let weakest = self.rate_rms.imin();
+        let (least, most) = (self.rate_rms[weakest], self.rate_rms.max());
+        (least * POOR_AXIS < most).then(|| {
+            format!(
+                "it hardly turns about {} ({least:.2} rad/s rms, {most:.2} about another axis): rotate more around it",
+                ["x", "y", "z"][weakest]
+            )
+        })
     }
 
     /// Errors of the IMU's axes with their standard deviations.
@@ -312,6 +391,7 @@ impl State {
         let mut squares = [0.0; 2];
         let mut count = [0.0; 2];
         let mut histogram = [vec![0; BINS], vec![0; BINS]];
+        let mut jitter = Jitter::default();
         let matrices = [gyro_matrix(&self.gyro_axes), accel_matrix(&self.accel_axes)];
         for sample in &self.samples {
             let Some(At {
@@ -330,6 +410,15 @@ impl State {
                 (matrices[1] * force + bias(&self.accel_bias) - sample.accel) / self.accel_sigma,
             ];
             let ends = [&sample.gyro_saturated, &sample.accel_saturated];
+            let around = [-STEP_S, STEP_S].map(|step| self.at(sample.time_s + step));
+            if let [Some(before), Some(after)] = around {
+                let change = matrices[0]
+                    * (after.rotation.angular_velocity - before.rotation.angular_velocity)
+                    / (2.0 * STEP_S);
+                for axis in (0..3).filter(|axis| !sample.gyro_saturated[*axis]) {
+                    jitter.add(errors[0][axis] * self.gyro_sigma, change[axis]);
+                }
+            }
             for triad in 0..2 {
                 for axis in (0..3).filter(|axis| !ends[triad][*axis]) {
                     let error = errors[triad][axis];
@@ -344,6 +433,7 @@ impl State {
         Inertial {
             ratio: [0, 1].map(|k| (squares[k] / f64::max(count[k], 1.0)).sqrt()),
             histogram,
+            jitter_s: jitter.seconds(),
         }
     }
 
@@ -357,6 +447,70 @@ impl State {
             rotation: spline::rotation(&segment.weights, rotations)?,
             position: spline::position(&segment.weights, motion.positions.get(range)?)?,
         })
+    }
+}
+
+/// What is said of the board's size.
+fn size_warning(target: &Target, excess: &BoardExcess) -> Option<String> {
+    if excess.share.abs() > WORRYING_SIZE.max(DEVIATIONS * excess.sigma) {
+        return Some(format!(
+            "the board is {:.1} ± {:.2} % {} than said, by the accelerometer: {}. Measure it and correct the target",
+            excess.share.abs() * 100.0,
+            excess.sigma * 100.0,
+            if excess.share > 0.0 {
+                "larger"
+            } else {
+                "smaller"
+            },
+            target.scaled_words(1.0 + excess.share)
+        ));
+    }
+    (excess.sigma > UNKNOWN_SIZE).then(|| {
+        format!(
+            "the board's size is not checked (± {:.0} %): the rig hardly moves. Move it by 20 cm along all axes as well",
+            excess.sigma * 100.0
+        )
+    })
+}
+
+impl CameraImuCalibration {
+    /// Whether the board is of another size than said by so much that every distance is wrong.
+    pub(super) fn board_is_another(&self) -> bool {
+        self.board_is_measured
+            && self.board_excess.abs() > FAILED_SIZE.max(DEVIATIONS * self.board_excess_sigma)
+    }
+}
+
+/// Squared errors of a gyroscope beside the squared change of its rate: stamps that jitter make them grow together.
+#[derive(Default)]
+struct Jitter {
+    count: f64,
+    squares: f64,
+    changes: f64,
+    /// Sums of products: change with itself, change with error.
+    both: [f64; 2],
+}
+
+impl Jitter {
+    fn add(&mut self, error_rad_s: f64, change_rad_s2: f64) {
+        let (error, change) = (error_rad_s.powi(2), change_rad_s2.powi(2));
+        self.count += 1.0;
+        self.squares += error;
+        self.changes += change;
+        self.both[0] += change * change;
+        self.both[1] += change * error;
+    }
+
+    /// Zero where it explains little.
+    fn seconds(&self) -> f64 {
+        let spread = self.both[0] - self.changes * self.changes / self.count;
+        let together = self.both[1] - self.changes * self.squares / self.count;
+        let variance = together / spread;
+        if variance * self.changes > SHARE_OF_JITTER * self.squares {
+            variance.sqrt()
+        } else {
+            0.0
+        }
     }
 }
 

@@ -13,7 +13,7 @@ use lsfb_types::{ImuSample, Timestamp};
 use super::bend::Bend;
 use super::inertial::{AccelAxes, GyroAxes};
 use super::turning::Turning;
-use super::{CameraImuConfig, KnownCamera, Motion, ORDER, checks};
+use super::{CameraImuConfig, Clock, KnownCamera, Motion, ORDER, checks};
 use crate::Error;
 use crate::camera::pose_of_target;
 use crate::target::Target;
@@ -56,10 +56,12 @@ pub(super) struct Mounted {
     pub name: String,
     pub camera: Camera,
     pub camera_from_rig: Se3,
-    pub offset_s: f64,
+    pub clock: Clock,
     pub readout_s: f64,
     /// Standard deviation of a corner in one direction, pixels.
     pub sigma_px: f64,
+    /// Median error of its corners with each view for itself, pixels.
+    pub alone_px: f64,
     pub cells: Vec<u32>,
 }
 
@@ -86,6 +88,8 @@ pub(super) struct State {
     pub accel_axes: AccelAxes,
     pub gravity: Vector3<f64>,
     pub bend: Bend,
+    /// Time at which the offsets of the clocks hold, seconds after the origin.
+    pub middle_s: f64,
     /// Middle of the board, and how far its corners lie from it, metres.
     pub centre: Vector3<f64>,
     pub half_board_m: f64,
@@ -105,6 +109,8 @@ struct Seen {
     views: Vec<View>,
     /// Stamp and `target_from_camera`.
     poses: Vec<(f64, Se3)>,
+    /// Median error of its corners, each view for itself, pixels.
+    median_px: f64,
 }
 
 impl State {
@@ -144,6 +150,7 @@ impl State {
                 ),
             });
         }
+        checks::unit_of_accelerometer(&samples, config)?;
         let [rate_rms, force_rms] = excitation(&samples);
         check_rotation(&rate_rms, config)?;
         let from_rig =
@@ -161,9 +168,10 @@ impl State {
                 name: known.views.name.clone(),
                 camera: known.camera,
                 camera_from_rig: from_rig(known) * Se3::new(first_from_rig, Vector3::zeros()),
-                offset_s: turned.offset_s,
+                clock: Clock::new(turned.offset_s, 0.0),
                 readout_s: known.readout_s,
                 sigma_px: config.corner_sigma_px,
+                alone_px: own.median_px,
                 cells: crate::camera::cells(&known.views),
             });
         }
@@ -222,6 +230,7 @@ impl State {
             accel_axes: AccelAxes::zeros(),
             gravity,
             bend: Bend::zeros(),
+            middle_s: 0.5 * (start_s + end_s),
             centre,
             half_board_m,
             samples,
@@ -309,7 +318,7 @@ fn saturation(samples: &[Sample]) -> Vec<String> {
             let mut ends = samples.iter().filter(|s| at_end(s)[k]);
             if let Some(first) = ends.next() {
                 warnings.push(format!(
-                    "the {triad} saturates along {name}: {} samples at the end of its range, the first at {:.2} s; they are left out. Move more gently or widen the range",
+                    "the {triad} saturates along {name}: {} samples at the end of its range, the first at {:.2} s; they count for nothing. Move more gently or widen the range",
                     ends.count() + 1,
                     first.time_s
                 ));
@@ -330,6 +339,7 @@ fn look(
     let mut seen = Seen {
         views: Vec::new(),
         poses: Vec::new(),
+        median_px: f64::INFINITY,
     };
     let mut errors = Vec::new();
     let step = config.view_step.max(1);
@@ -391,6 +401,7 @@ fn look(
             model: known.camera.lens.model().name(),
         });
     }
+    seen.median_px = median_px;
     Ok(seen)
 }
 
@@ -476,7 +487,7 @@ fn path_of(cameras: &[Mounted], seen: &[Seen], origin: Timestamp) -> Trajectory 
     for (camera, own) in cameras.iter().zip(seen) {
         let taken: Vec<f64> = poses.iter().map(|p| p.0).collect();
         for (stamp_s, target_from_camera) in &own.poses {
-            let time_s = stamp_s + camera.offset_s;
+            let time_s = stamp_s + camera.clock.x;
             let next = taken.partition_point(|t| *t < time_s);
             let near = |k: usize| taken.get(k).is_some_and(|t| (t - time_s).abs() < APART_S);
             let before = next.checked_sub(1).is_some_and(near);

@@ -17,6 +17,15 @@ const MIN_RATES_OF_PART: usize = 60;
 const OFFSET_STEP_S: f64 = 0.002;
 /// Share of the spread of angular rates that must agree.
 const LEAST_AGREEMENT: f64 = 0.7;
+/// Offsets that are tried where none of the allowed ones fits, and their step, seconds.
+const FAR_OFFSET_S: f64 = 10.0;
+const FAR_STEP_S: f64 = 0.01;
+/// Share of the views that must then have samples.
+const FAR_VIEWS: f64 = 1.0 / 3.0;
+/// Share of the turning that may be about other axes than the camera's.
+const OTHER_AXES: f64 = 0.5;
+/// How near a factor must be to that from radians to degrees.
+const DEGREES_WITHIN: f64 = 0.2;
 
 pub(super) struct Turning {
     /// Start, end, mean angular velocity in the camera.
@@ -84,25 +93,16 @@ impl Turning {
             )));
         }
         let all = 0..self.seen.len();
-        let offset_s = self.offset_s(all.clone(), config.max_offset_s);
+        let offset_s = self.offset_s(all.clone(), config.max_offset_s, OFFSET_STEP_S);
         let agreement = self.agreement(all, offset_s);
-        if !(agreement >= LEAST_AGREEMENT) {
-            return Err(not_joined(format!(
-                "camera and gyroscope do not turn alike at any offset within {} s ({:.0} % of their turning agrees): their clocks are not synchronised, jump, or one of them is another device's",
-                config.max_offset_s,
-                100.0 * agreement.max(0.0)
-            )));
-        }
-        if offset_s.abs() > config.max_offset_s - 2.0 * OFFSET_STEP_S {
-            return Err(not_joined(format!(
-                "their clocks differ by more than {} s: raise max_offset_s or check the stamps",
-                config.max_offset_s
-            )));
+        let at_the_end = offset_s.abs() > config.max_offset_s - 2.0 * OFFSET_STEP_S;
+        if !(agreement >= LEAST_AGREEMENT) || at_the_end {
+            return Err(not_joined(self.why_apart(agreement, config)));
         }
         if self.seen.len() >= 2 * MIN_RATES_OF_PART {
             let half = self.seen.len() / 2;
             let [start_s, end_s] = [0..half, half..self.seen.len()]
-                .map(|part| self.offset_s(part, config.max_offset_s));
+                .map(|part| self.offset_s(part, config.max_offset_s, OFFSET_STEP_S));
             // Halves are half the recording apart: over all of it the drift is twice that.
             if 2.0 * (end_s - start_s).abs() > config.max_drift_s + 2.0 * OFFSET_STEP_S {
                 return Err(not_joined(format!(
@@ -117,10 +117,51 @@ impl Turning {
             umeyama(&rig_rates, &camera_rates, Scale::Fixed).ok_or_else(|| Error::Motion {
                 problem: "it turns about one axis alone: turn the rig about all three".into(),
             })?;
+        let camera_from_rig = aligned.target_from_source.rotation;
+        if about_other_axes(&camera_rates, &rig_rates, &camera_from_rig) > OTHER_AXES {
+            let mirrored: Vec<Vector3<f64>> = camera_rates.iter().map(|c| -c).collect();
+            let left_handed = umeyama(&rig_rates, &mirrored, Scale::Fixed).is_some_and(|a| {
+                let turn = a.target_from_source.rotation;
+                about_other_axes(&mirrored, &rig_rates, &turn) < OTHER_AXES
+            });
+            let problem = if left_handed {
+                "the gyroscope's axes are left-handed beside the camera: one has the wrong sign, or two are exchanged"
+            } else {
+                "camera and gyroscope turn equally fast, but about axes that no mounting explains: an axis of the gyroscope has the wrong scale, or its columns are mixed up"
+            };
+            return Err(Error::Imu {
+                problem: format!("{camera}: {problem}"),
+            });
+        }
         Ok(Turned {
             offset_s,
-            camera_from_rig: aligned.target_from_source.rotation,
+            camera_from_rig,
         })
+    }
+
+    /// Why no offset that is allowed makes camera and gyroscope turn alike.
+    fn why_apart(&self, agreement: f64, config: &CameraImuConfig) -> String {
+        let all = 0..self.seen.len();
+        let far_s = self.offset_s(all.clone(), FAR_OFFSET_S, FAR_STEP_S);
+        let (camera, rig) = self.pairs(all.clone(), far_s);
+        let enough = camera.len() as f64 > FAR_VIEWS * self.seen.len() as f64;
+        if enough && self.agreement(all.clone(), far_s) >= LEAST_AGREEMENT {
+            return format!(
+                "their clocks are not synchronised: they turn alike once {far_s:+.2} s are added to the camera's stamps, more than max_offset_s = {} allows. Correct the stamps (`lsfb clock` compares clocks), or raise max_offset_s",
+                config.max_offset_s
+            );
+        }
+        let sum = |rates: &[Vector3<f64>]| rates.iter().map(|r| r.norm()).sum::<f64>();
+        let faster = sum(&rig) / sum(&camera).max(1e-9);
+        if (faster.to_radians() - 1.0).abs() < DEGREES_WITHIN {
+            return format!(
+                "the gyroscope turns {faster:.0} times as fast as the camera: its samples are in degrees, radians per second are needed"
+            );
+        }
+        format!(
+            "camera and gyroscope do not turn alike at any offset within {FAR_OFFSET_S} s ({:.0} % of their turning agrees): their clocks are not synchronised, jump, or one of them is another device's",
+            100.0 * agreement.max(0.0)
+        )
     }
 
     /// The integral up to a time, and how many samples before its end say nothing.
@@ -153,7 +194,7 @@ impl Turning {
     }
 
     /// The offset at which the norms of both differ least, finer than the step by a parabola.
-    fn offset_s(&self, part: std::ops::Range<usize>, largest_s: f64) -> f64 {
+    fn offset_s(&self, part: std::ops::Range<usize>, largest_s: f64, step_s: f64) -> f64 {
         let cost = |offset_s: f64| {
             let (camera, rig) = self.pairs(part.clone(), offset_s);
             if camera.len() < MIN_RATES {
@@ -165,9 +206,9 @@ impl Turning {
                 .map(|(c, r)| (c.norm() - r.norm()).abs());
             differences.sum::<f64>() / camera.len() as f64
         };
-        let steps = (largest_s / OFFSET_STEP_S).ceil() as i32;
+        let steps = (largest_s / step_s).ceil() as i32;
         let costs: Vec<f64> = (-steps..=steps)
-            .map(|k| cost(f64::from(k) * OFFSET_STEP_S))
+            .map(|k| cost(f64::from(k) * step_s))
             .collect();
         let best = (0..costs.len())
             .min_by(|a, b| costs[*a].total_cmp(&costs[*b]))
@@ -180,7 +221,7 @@ impl Turning {
                 at += (0.5 * (before - after) / bend).clamp(-0.5, 0.5);
             }
         }
-        at * OFFSET_STEP_S
+        at * step_s
     }
 
     /// Share of the spread of the rig's rates that the camera's have as well.
@@ -196,4 +237,22 @@ impl Turning {
             .sum();
         1.0 - differs / spread.max(1e-12)
     }
+}
+
+/// Share of a camera's turning that its mounting does not explain.
+fn about_other_axes(
+    camera: &[Vector3<f64>],
+    rig: &[Vector3<f64>],
+    camera_from_rig: &UnitQuaternion<f64>,
+) -> f64 {
+    let mean =
+        |rates: &[Vector3<f64>]| rates.iter().sum::<Vector3<f64>>() / rates.len().max(1) as f64;
+    let (camera_mean, rig_mean) = (mean(camera), mean(rig));
+    let (mut missed, mut all) = (0.0, 0.0);
+    for (c, r) in camera.iter().zip(rig) {
+        let c = c - camera_mean;
+        missed += (c - camera_from_rig * (r - rig_mean)).norm();
+        all += c.norm();
+    }
+    missed / all.max(1e-12)
 }

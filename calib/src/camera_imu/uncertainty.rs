@@ -15,7 +15,7 @@ use crate::Error;
 /// in the middle of the recording, gravity in the target's frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointCovariance {
-    /// What each row is: `cam0 turn x`, `cam0 shift x`, `cam0 clock`, `cam0 fx`, `cam0 readout`, `gyroscope bias x`,
+    /// What each row is: `cam0 turn x`, `cam0 shift x`, `cam0 clock`, `cam0 drift`, `cam0 fx`, `cam0 readout`, `gyroscope bias x`,
     /// `accelerometer bias x`, `gravity x`; cameras by name.
     pub names: Vec<String>,
     /// The covariance, in SI units and pixels.
@@ -26,6 +26,7 @@ pub struct JointCovariance {
 pub(super) struct OfCamera {
     pub pose: Matrix6<f64>,
     pub offset_s: f64,
+    pub drift: f64,
     pub readout_s: f64,
     /// By lens parameter; zero where they were not searched.
     pub lens: Vec<f64>,
@@ -83,7 +84,10 @@ impl State {
                     pose: pose.map_or_else(Matrix6::zeros, |c| {
                         Matrix6::from_iterator(c.iter().copied())
                     }),
-                    offset_s: scalar(blocks.offsets[k].id()),
+                    offset_s: scalar(blocks.clocks[k].id()),
+                    drift: padded(sigmas(blocks.clocks[k].id()))
+                        .nth(1)
+                        .unwrap_or_default(),
                     readout_s: scalar(blocks.readouts[k].id()),
                     lens: padded(lens).take(count).collect(),
                 }
@@ -117,7 +121,8 @@ impl State {
             let name = &camera.name;
             let [turn, shift] = ["turn", "shift"].map(|word| along(&format!("{name} {word}")));
             named.push((blocks.poses[k].id(), [turn, shift].concat()));
-            named.push((blocks.offsets[k].id(), vec![Some(format!("{name} clock"))]));
+            let clock = ["clock", "drift"].map(|word| Some(format!("{name} {word}")));
+            named.push((blocks.clocks[k].id(), clock.to_vec()));
             if config.lenses == Lenses::Refined {
                 let names = camera.model().parameter_names().iter();
                 let mut names: Vec<_> = names.map(|p| Some(format!("{name} {p}"))).collect();

@@ -1,21 +1,21 @@
 //! Reprojection errors of all corners of one view of a global shutter against the motion.
 //!
-//! With `t` the view's stamp plus the camera's offset, the errors are
+//! With `t` the view's stamp plus the camera's offset and drift, the errors are
 //! `e_i = (project(lens, camera_from_rig · R(t)ᵀ (X_i − p(t))) − x_i) / σ`. All corners depend on the motion through the six
 //! components of one pose, so their derivative is `E D`: `E` by that pose, the lens and the board, with two rows per corner, and `D` by the
 //! blocks. With `E = Q U` (QR) the residual `[Qᵀ e, ‖e − Q Qᵀ e‖]` has the derivative `[U D, 0]`: the same cost, gradient and
 //! normal matrix in 21 rows, however many corners there are.
 //!
-//! Blocks: [`ORDER`] rotations, [`ORDER`] positions, `camera_from_rig`, the offset, the lens, the board's [`Bend`].
+//! Blocks: [`ORDER`] rotations, [`ORDER`] positions, `camera_from_rig`, the [`Clock`], the lens, the board's [`Bend`].
 
 use lsfb_geometry::camera::{LensModel, MAX_PARAMETERS};
 use lsfb_geometry::spline::{self, Weights};
 use lsfb_geometry::{Camera, Matrix2x6, Se3, UnitQuaternion, Vector2, Vector3, so3};
 use lsfb_solver::{Linearization, Parameters, Residual, Shape, Undefined};
-use nalgebra::{DMatrix, SMatrix, SVector, Vector1};
+use nalgebra::{DMatrix, SMatrix, SVector};
 
-use super::ORDER;
 use super::bend::{BEND, Bend, bends};
+use super::{Clock, ORDER};
 use crate::camera::lens_camera;
 
 /// The pose's components, the lens's and the board's.
@@ -28,6 +28,8 @@ pub(super) struct ViewResidual {
     pub size: [u32; 2],
     /// Stamp of the view after the start of the first control point's segment, and the spacing, seconds.
     pub time_in_segment_s: f64,
+    /// Stamp of the view after the time at which the offset holds, seconds.
+    pub after_middle_s: f64,
     pub spacing_s: f64,
     /// Middle of the flat board.
     pub centre: Vector3<f64>,
@@ -44,7 +46,7 @@ pub(super) const SHAPES: [Shape; 2 * ORDER + 4] = {
         k += 1;
     }
     shapes[2 * ORDER] = Shape::of::<Se3>();
-    shapes[2 * ORDER + 1] = Shape::of::<Vector1<f64>>();
+    shapes[2 * ORDER + 1] = Shape::of::<Clock>();
     shapes[2 * ORDER + 2] = Shape::of::<SVector<f64, MAX_PARAMETERS>>();
     shapes[2 * ORDER + 3] = Shape::of::<Bend>();
     shapes
@@ -67,14 +69,14 @@ impl Residual for ViewResidual {
         let rotations: [UnitQuaternion<f64>; ORDER] = std::array::from_fn(|k| parameters.get(k));
         let positions: [Vector3<f64>; ORDER] = std::array::from_fn(|k| parameters.get(ORDER + k));
         let camera_from_rig: Se3 = parameters.get(2 * ORDER);
-        let offset: Vector1<f64> = parameters.get(2 * ORDER + 1);
+        let clock: Clock = parameters.get(2 * ORDER + 1);
         let lens: SVector<f64, MAX_PARAMETERS> = parameters.get(2 * ORDER + 2);
         let bend: Bend = parameters.get(2 * ORDER + 3);
         let camera = lens_camera(self.model, self.size, &lens);
         if camera.lens.problem().is_some() {
             return Err(Undefined);
         }
-        let time_s = self.time_in_segment_s + offset.x;
+        let time_s = self.time_in_segment_s + clock.x + clock.y * self.after_middle_s;
         let weights = Weights::<ORDER>::at(time_s / self.spacing_s, self.spacing_s);
         let position = spline::position(&weights, &positions).ok_or(Undefined)?;
         let wanted = (0..SHAPES.len()).any(|k| out.wants_jacobian(k));
@@ -113,7 +115,10 @@ impl Residual for ViewResidual {
         }
         out.set_jacobian(2 * ORDER, &-inner.by_rig);
         let by_offset = by_turn * rotation.at.angular_velocity + by_position * position.velocity;
-        out.set_jacobian(2 * ORDER + 1, &by_offset);
+        let mut by_clock = Rows::<2>::zeros();
+        by_clock.set_column(0, &by_offset);
+        by_clock.set_column(1, &(by_offset * self.after_middle_s));
+        out.set_jacobian(2 * ORDER + 1, &by_clock);
         out.set_jacobian(2 * ORDER + 2, &inner.by_lens);
         out.set_jacobian(2 * ORDER + 3, &inner.by_bend);
         Ok(())
@@ -263,7 +268,7 @@ mod tests {
         }
         let pose = Se3::exp(&Vector6::new(0.1, -0.05, 0.02, 0.01, 0.02, 0.03));
         blocks.push(problem.add_block(pose).id());
-        blocks.push(problem.add_block(Vector1::new(0.003)).id());
+        blocks.push(problem.add_block(Clock::new(0.003, 2e-4)).id());
         let lens = SVector::from(LENS.parameters().values);
         let lens = problem.add_block::<SVector<f64, MAX_PARAMETERS>>(lens);
         let absent: Vec<usize> = (LENS.parameters().count..MAX_PARAMETERS).collect();
@@ -273,7 +278,7 @@ mod tests {
         blocks.push(lens.id());
         blocks.push(
             problem
-                .add_block(Bend::new(3e-3, -8e-3, 2e-3, 1e-3, -2e-3))
+                .add_block(Bend::new(3e-3, -8e-3, 2e-3, 1e-3, -2e-3, 4e-3))
                 .id(),
         );
         (problem, blocks)
@@ -284,6 +289,7 @@ mod tests {
             model: LENS.model(),
             size: [512, 512],
             time_in_segment_s: 0.007,
+            after_middle_s: -2.0,
             spacing_s: 0.02,
             centre: CENTRE,
             corners,
@@ -310,7 +316,7 @@ mod tests {
         one.add_residual(view(corners.clone()), &blocks, Kernel::Squared)
             .expect("fits");
         let (mut many, mut blocks) = problem();
-        let readout = many.add_block(Vector1::new(0.0));
+        let readout = many.add_block(nalgebra::Vector1::new(0.0));
         many.set_constant(readout);
         blocks.push(readout.id());
         for (point, pixel) in corners {
@@ -318,6 +324,7 @@ mod tests {
                 model: LENS.model(),
                 size: [512, 512],
                 time_in_segment_s: 0.007,
+                after_middle_s: -2.0,
                 spacing_s: 0.02,
                 centre: CENTRE,
                 point,

@@ -15,6 +15,8 @@ use super::{Seen, sample};
 const EDGE_BITS: usize = 10;
 const BORDER_BITS: usize = 2;
 const CODE_BITS: usize = EDGE_BITS - 2 * BORDER_BITS;
+/// White bits that a tag has at least.
+const LEAST_WHITE: usize = 6;
 /// Wrong bits forgiven; codes of the family differ by 11.
 const MAX_WRONG: u32 = 3;
 
@@ -85,7 +87,7 @@ fn dark_square(saddles: &[Saddle], links: &Links, start: usize, ray: usize) -> O
 }
 
 /// The cells of a tag by rows from its upper left, white is `true`: border, code, border.
-pub(crate) fn tag_cells(number: usize) -> [[bool; EDGE_BITS]; EDGE_BITS] {
+pub fn tag_cells(number: usize) -> [[bool; EDGE_BITS]; EDGE_BITS] {
     let code = CODES.get(number).copied().unwrap_or_default();
     let mut cells = [[false; EDGE_BITS]; EDGE_BITS];
     for k in 0..CODE_BITS * CODE_BITS {
@@ -103,7 +105,36 @@ struct Tag {
     wrong: u32,
 }
 
+/// How many dark squares of an image are tags, though none of the grid's: those that can be read in a mirror, and the others.
+pub(super) fn strangers(image: &Image, saddles: &[Saddle], links: &Links, tags: u32) -> [usize; 2] {
+    let pixels: Vec<f32> = image.pixels.iter().map(|p| f32::from(*p)).collect();
+    let mut counts = [0; 2];
+    let starts = (0..saddles.len()).flat_map(|i| (0..4).map(move |ray| (i, ray)));
+    for square in starts.filter_map(|(i, ray)| dark_square(saddles, links, i, ray)) {
+        let corners = square.map(|k| saddles[k].position);
+        let Some(mut bits) = read_bits(image.width as usize, &pixels, &corners) else {
+            continue;
+        };
+        // Squares without any white are those between tags, or no tags at all.
+        let white = bits.iter().flatten().filter(|b| **b).count();
+        if white < LEAST_WHITE {
+            continue;
+        }
+        bits.iter_mut().for_each(|row| row.reverse());
+        counts[usize::from(nearest(&bits, tags).is_none())] += 1;
+    }
+    counts
+}
+
 fn decode(width: usize, pixels: &[f32], corners: &[Vector2<f64>; 4], tags: u32) -> Option<Tag> {
+    nearest(&read_bits(width, pixels, corners)?, tags)
+}
+
+/// What is inside of a tag's border, by rows from corner 0 of the square; white is `true`.
+type Bits = [[bool; CODE_BITS]; CODE_BITS];
+
+/// `None` where there is no border.
+fn read_bits(width: usize, pixels: &[f32], corners: &[Vector2<f64>; 4]) -> Option<Bits> {
     let pixel_from_tag = homography(corners)?;
     let at = |x: f64, y: f64| {
         let p = pixel_from_tag * Vector3::new(x, y, 1.0);
@@ -146,9 +177,14 @@ fn decode(width: usize, pixels: &[f32], corners: &[Vector2<f64>; 4], tags: u32) 
             *value = at(centre(i), centre(j))? > threshold;
         }
     }
+    Some(bits)
+}
+
+/// The tag of the family whose code it is, in whatever turn.
+fn nearest(bits: &Bits, tags: u32) -> Option<Tag> {
     (0..4)
         .flat_map(|turn| {
-            let code = code(&bits, turn);
+            let code = code(bits, turn);
             (0..tags as usize).map(move |number| Tag {
                 number,
                 turn,
@@ -162,7 +198,7 @@ fn decode(width: usize, pixels: &[f32], corners: &[Vector2<f64>; 4], tags: u32) 
 }
 
 /// The 36 bits as the family writes them, by rows from the tag's lower right, if corner `turn` of the square is its lower left.
-fn code(bits: &[[bool; CODE_BITS]; CODE_BITS], turn: usize) -> u64 {
+fn code(bits: &Bits, turn: usize) -> u64 {
     let last = CODE_BITS - 1;
     let mut code = 0;
     for row in 0..CODE_BITS {

@@ -19,7 +19,7 @@ use lsfb_types::Image;
 
 use crate::target::Target;
 
-pub(crate) use april_grid::tag_cells;
+pub use april_grid::tag_cells;
 pub(crate) use charuco::square_of;
 
 /// A corner of the target as seen in an image.
@@ -78,6 +78,35 @@ pub fn detect(image: &Image, target: &Target) -> Vec<Corner> {
     }
     corners.sort_by_key(|c| c.index);
     corners
+}
+
+/// What an image shows where the target is not found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Instead {
+    /// Its tags as in a mirror.
+    Mirrored,
+    /// Tags, but none of its own.
+    OtherTags,
+}
+
+/// Tags that an image must show to say something.
+const TAGS_TO_SAY: usize = 3;
+
+/// What an image shows in which the target was not found; `None` where that is nothing that is known.
+pub fn seen_instead(image: &Image, target: &Target) -> Option<Instead> {
+    let Target::AprilGrid { columns, rows, .. } = *target else {
+        return None;
+    };
+    let gray = saddle::Blurred::new(image)?;
+    let saddles = saddle::find(&gray);
+    let links = link::join(&gray, &saddles);
+    match april_grid::strangers(image, &saddles, &links, columns * rows) {
+        [mirrored, others] if mirrored >= TAGS_TO_SAY && mirrored > others => {
+            Some(Instead::Mirrored)
+        }
+        [_, others] if others >= TAGS_TO_SAY => Some(Instead::OtherTags),
+        _ => None,
+    }
 }
 
 /// A corner on its way: with the length within which nothing else is seen.

@@ -9,6 +9,7 @@
 
 mod consistency;
 mod edge_residual;
+mod exchange;
 mod page;
 
 use std::collections::BTreeMap;
@@ -122,40 +123,21 @@ pub fn join_transforms(
         .map(|edge| GraphEdge::new(edge, config))
         .collect::<Result<_, _>>()?;
     graph.sort_by(|a, b| a.ends().cmp(&b.ends()).then(a.order(b)));
-    let start = start(&graph)?;
-
-    let mut problem = Problem::new();
-    let mut blocks: BTreeMap<&str, Block<Se3>> = BTreeMap::new();
-    for (name, pose) in &start {
-        let block = problem.add_block(*pose);
-        problem.set_name(block.id(), format!("pose of {name}"));
-        problem.set_component_names(block.id(), &["roll", "pitch", "yaw", "x", "y", "z"]);
-        if name == IMU {
-            problem.set_constant(block);
-        }
-        blocks.insert(name, block);
-    }
-    for edge in &graph {
-        let ends = [
-            blocks[edge.target.as_str()].id(),
-            blocks[edge.source.as_str()].id(),
-        ];
-        problem.add_residual(edge.residual(), &ends, Kernel::Squared)?;
-    }
-    let report = solve(
-        &mut problem,
-        &SolveConfig {
-            max_iterations: 100,
-            cost_tolerance: 1e-14,
-            ..SolveConfig::default()
-        },
-    )?;
-    let names: Vec<&str> = blocks.keys().copied().filter(|n| *n != IMU).collect();
-    let ids: Vec<BlockId> = names.iter().map(|n| blocks[n].id()).collect();
+    let Adjusted {
+        problem,
+        blocks,
+        cost,
+    } = adjust(&graph)?;
+    let names: Vec<&str> = blocks
+        .keys()
+        .map(String::as_str)
+        .filter(|n| *n != IMU)
+        .collect();
+    let ids: Vec<BlockId> = names.iter().map(|n| blocks[*n].id()).collect();
     let joint: DMatrix<f64> = covariance(&problem, &ids)?.joint().clone();
 
     let redundancy = 6 * (graph.len() - names.len());
-    let chi_square = 2.0 * report.final_cost;
+    let chi_square = 2.0 * cost;
     let factor = if redundancy > 0 {
         chi_square / redundancy as f64
     } else {
@@ -170,10 +152,13 @@ pub fn join_transforms(
     };
     let poses: BTreeMap<&str, Se3> = blocks
         .iter()
-        .map(|(n, b)| (*n, problem.value(*b)))
+        .map(|(n, b)| (n.as_str(), problem.value(*b)))
         .collect();
     let mut table = consistency::table(&graph, &names, &poses, &joint);
-    let warnings = consistency::judge(&mut table, &graph, chi_square, redundancy, relative);
+    let mut warnings = consistency::judge(&mut table, &graph, chi_square, redundancy, relative);
+    if table.iter().any(|e| e.outlier) {
+        warnings.splice(0..0, exchange::exchanged(&graph, &names, cost)?);
+    }
     let sensors = names
         .iter()
         .enumerate()
@@ -191,10 +176,49 @@ pub fn join_transforms(
     Ok(JointCalibration {
         sensors,
         edges: table,
-        cost: report.final_cost,
+        cost,
         redundancy,
         variance_factor: factor,
         warnings,
+    })
+}
+
+/// A graph at the least cost.
+struct Adjusted {
+    problem: Problem,
+    blocks: BTreeMap<String, Block<Se3>>,
+    cost: f64,
+}
+
+fn adjust(graph: &[GraphEdge]) -> Result<Adjusted, Error> {
+    let mut problem = Problem::new();
+    let mut blocks: BTreeMap<String, Block<Se3>> = BTreeMap::new();
+    for (name, pose) in start(graph)? {
+        let block = problem.add_block(pose);
+        problem.set_name(block.id(), format!("pose of {name}"));
+        problem.set_component_names(block.id(), &["roll", "pitch", "yaw", "x", "y", "z"]);
+        if name == IMU {
+            problem.set_constant(block);
+        }
+        blocks.insert(name, block);
+    }
+    for edge in graph {
+        let ends = [
+            blocks[edge.target.as_str()].id(),
+            blocks[edge.source.as_str()].id(),
+        ];
+        problem.add_residual(edge.residual(), &ends, Kernel::Squared)?;
+    }
+    let config = SolveConfig {
+        max_iterations: 100,
+        cost_tolerance: 1e-14,
+        ..SolveConfig::default()
+    };
+    let cost = solve(&mut problem, &config)?.final_cost;
+    Ok(Adjusted {
+        problem,
+        blocks,
+        cost,
     })
 }
 

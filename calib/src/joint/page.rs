@@ -4,6 +4,7 @@ use maud::{Markup, html};
 
 use super::JointCalibration;
 use crate::report::{self, Bar};
+use crate::verify::Outcome;
 
 impl JointCalibration {
     /// One sentence: whether the result may be trusted.
@@ -19,10 +20,18 @@ impl JointCalibration {
             largest(|e| e.loop_rotation_rad).to_degrees(),
             largest(|e| e.loop_translation_m) * 1e3
         );
+        report::verdict(self.outcome(), &found, &self.warnings)
+    }
+
+    /// Whether the result may be used: not where an edge contradicts the others.
+    pub fn outcome(&self) -> Outcome {
         if self.has_outlier() {
-            return format!("FAIL. {found}; {}.", self.warnings.join("; "));
+            Outcome::Fail
+        } else if self.warnings.is_empty() {
+            Outcome::Pass
+        } else {
+            Outcome::Warn
         }
-        report::verdict(&found, self.warnings.len())
     }
 
     /// Whether an edge contradicts the others.

@@ -245,6 +245,7 @@ fn converge(
             camera_from_lidar: &pose,
             apparent_m: &apparent,
             factors: &factors,
+            pattern: 1.0,
         };
         let mut built = build(board, scenes, used, &state, reach, Shift::None)?;
         let report = solve(&mut built.problem, &solve_config())?;
@@ -307,6 +308,7 @@ pub(super) fn plate_shift(
         camera_from_lidar: &solved.camera_from_lidar,
         apparent_m: &nothing,
         factors: &solved.spread,
+        pattern: 1.0,
     };
     let reach = Reach::Within(config.max_edge_error_m);
     let mut built = build(board, scenes, &mut used, &state, reach, Shift::Free)?;
@@ -316,6 +318,57 @@ pub(super) fn plate_shift(
         shift_m: built.problem.value(built.shift),
         covariance: joint.joint().fixed_view::<2, 2>(0, 0).into_owned(),
     })
+}
+
+/// Size of the pattern over what was said, as the LiDAR has it.
+pub(super) struct PatternSize {
+    pub factor: f64,
+    pub sigma: f64,
+}
+
+/// Steps of the size at which the cost is asked for, first wide, then narrow.
+const SIZE_STEPS: [f64; 3] = [0.02, 0.01, 0.005];
+
+/// The size of the pattern at which cameras, planes and outlines agree best: the bottom of a parabola through the costs of three
+/// sizes, with weights from what is expected, since a wrong size is no noise.
+pub(super) fn pattern_size(
+    board: &Board,
+    scenes: &[Scene],
+    solved: &Solved,
+    config: &LidarCameraConfig,
+) -> Result<PatternSize, Error> {
+    let cost = |pattern: f64| -> Result<(f64, usize), Error> {
+        let mut used = solved.used.clone();
+        let state = State {
+            camera_from_lidar: &solved.camera_from_lidar,
+            apparent_m: &Vector3::zeros(),
+            factors: &[1.0; 3],
+            pattern,
+        };
+        let reach = Reach::Within(config.max_edge_error_m);
+        let mut built = build(board, scenes, &mut used, &state, reach, Shift::None)?;
+        let cost = solve(&mut built.problem, &solve_config())?.final_cost;
+        Ok((cost, built.edges))
+    };
+    let mut size = PatternSize {
+        factor: 1.0,
+        sigma: f64::INFINITY,
+    };
+    for step in SIZE_STEPS {
+        let (here, edges) = cost(size.factor)?;
+        let [below, above] = [cost(size.factor - step)?.0, cost(size.factor + step)?.0];
+        let bend = (below - 2.0 * here + above) / (step * step);
+        if !(bend > 0.0) {
+            break;
+        }
+        // Corners and planes of all boards beside their poses, outlines, less the transform and the apparent size.
+        let freedom = (3 * solved.used.len() + edges).saturating_sub(9).max(1) as f64;
+        size = PatternSize {
+            factor: size.factor + (0.5 * (below - above) / (step * bend)).clamp(-0.1, 0.1),
+            sigma: ((2.0 * here / freedom).max(1.0) / bend).sqrt(),
+        };
+    }
+    Ok(size)
 }
 
 /// The LiDAR's part of a pose, for reports.

@@ -74,7 +74,8 @@ pub(super) fn join(
     {
         return Err(Error::BoardSize {
             problem: format!(
-                "images of {camera} fit the LiDAR when the pattern is made about {scale:.2} times as large: measure its squares or tags"
+                "images of {camera} fit the LiDAR when the pattern is made about {scale:.2} times as large, {}: measure it",
+                board.target.scaled_words(scale)
             ),
         });
     }

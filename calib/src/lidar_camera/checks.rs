@@ -4,6 +4,7 @@ use lsfb_geometry::{Rig, Se3, Vector3};
 
 use super::adjustment::{Solved, patch};
 use super::association::direction_name;
+use super::summary::size_words;
 use super::{Board, LidarCameraCalibration, Scene};
 
 /// Apparent excess of half the plate that the width of the beam does not explain, metres.
@@ -113,6 +114,12 @@ pub(super) fn warnings(
             c.poses.len()
         ));
     }
+    if (c.scale - 1.0).abs() > (4.0 * c.scale_sigma).max(LARGE_SCALE) {
+        out.push(format!(
+            "{}. Measure it, and check the camera's focal length",
+            size_words(board, c.scale, c.scale_sigma)
+        ));
+    }
     for (k, side) in ["x", "y"].iter().enumerate() {
         if c.edge_excess_m[k].abs() > LARGE_EXCESS_M.max(5.0 * c.edge_excess_sigma_m[k]) {
             out.push(format!(
@@ -130,12 +137,6 @@ pub(super) fn warnings(
             late.abs() * 1e3,
             sigma * 1e3,
             if late > 0.0 { "later" } else { "earlier" }
-        ));
-    }
-    if (c.scale - 1.0).abs() > (4.0 * c.scale_sigma).max(LARGE_SCALE) {
-        out.push(format!(
-            "the pattern looks {:.1} % too large to the camera: measure its squares or tags, and check the camera's focal length",
-            (c.scale - 1.0) * 100.0
         ));
     }
     let worst = |from: usize| {

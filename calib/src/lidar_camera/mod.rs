@@ -138,6 +138,8 @@ pub struct LidarCameraCalibration {
     pub sigma: [f64; 6],
     /// By pose, in the order given.
     pub poses: Vec<PoseFit>,
+    /// Root mean square of [`PoseFit::corner_rms_px`] over the poses used, pixels.
+    pub corner_rms_px: f64,
     /// Root mean square of [`PoseFit::center_error_m`] over the poses used, metres.
     pub center_rms_m: f64,
     /// Root mean square distance from the plane along the ray over all points, metres.
@@ -215,6 +217,8 @@ struct InCamera {
 struct Scene<'a> {
     name: String,
     in_camera: InCamera,
+    /// Corners of the image that stands for the scan.
+    corners: &'a [Corner],
     track: Track,
     scan: &'a LidarScan,
     in_lidar: Vec<candidates::Patch>,
@@ -330,28 +334,32 @@ impl<'a> Scene<'a> {
         pose: &'a BoardPose,
         config: &LidarCameraConfig,
     ) -> Self {
-        let seen: Vec<(f64, InCamera)> = pose
+        let seen: Vec<(f64, &[Corner], InCamera)> = pose
             .sights
             .iter()
             .filter_map(|s| {
                 let in_camera = board_view::view(board, camera, &s.corners)?;
-                Some((s.time_offset_ns as f64 * 1e-9, in_camera))
+                Some((s.time_offset_ns as f64 * 1e-9, &s.corners[..], in_camera))
             })
             .collect();
         let track = Track::new(
             &pose.scan,
-            seen.iter().map(|s| (s.0, s.1.camera_from_board)),
+            seen.iter().map(|s| (s.0, s.2.camera_from_board)),
         );
         // A board that moved, but was seen once only, is where nobody knows.
         let lost = pose.sights.len() > 1 && !track.moved();
         let chosen = seen.into_iter().nth(track.chosen()).filter(|_| !lost);
-        let (in_camera, in_lidar) = match chosen {
-            Some((_, in_camera)) => (in_camera, candidates::find(board, &pose.scan, config)),
-            None => (InCamera::nothing(), Vec::new()),
+        let (in_camera, corners, in_lidar) = match chosen {
+            Some((_, corners, in_camera)) => {
+                let in_lidar = candidates::find(board, &pose.scan, config);
+                (in_camera, corners, in_lidar)
+            }
+            None => (InCamera::nothing(), &[][..], Vec::new()),
         };
         Self {
             name: pose.name.clone(),
             in_camera,
+            corners,
             track,
             scan: &pose.scan,
             in_lidar,

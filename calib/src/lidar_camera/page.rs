@@ -3,9 +3,11 @@
 use maud::{Markup, html};
 
 use super::{LidarCameraCalibration, PoseFit};
+use crate::misfit::FAILED_RMS_PX;
 use crate::plots::{Expected, coverage, histogram};
 use crate::report::{self, Bar};
 use crate::transform::TransformEdge;
+use crate::verify::Outcome;
 
 /// Errors at the ends of the histograms, metres.
 const RANGES_M: f64 = 0.1;
@@ -34,13 +36,25 @@ impl LidarCameraCalibration {
             .to_degrees();
         let shift = self.sigma[3..].iter().fold(0.0, |a: f64, b| a.max(*b)) * 1e3;
         report::verdict(
+            self.outcome(),
             &format!(
                 "{} and LiDAR from {used} poses: known to {turn:.3}° and {shift:.1} mm (1 σ), middles of the board meet to {:.1} mm",
                 self.camera,
                 self.center_rms_m * 1e3
             ),
-            self.warnings.len(),
+            &self.warnings,
         )
+    }
+
+    /// Whether the result may be used: not where corners miss by more than any detector does.
+    pub fn outcome(&self) -> Outcome {
+        if self.corner_rms_px > FAILED_RMS_PX {
+            Outcome::Fail
+        } else if self.warnings.is_empty() {
+            Outcome::Pass
+        } else {
+            Outcome::Warn
+        }
     }
 
     /// The transform for the joint graph.

@@ -46,7 +46,7 @@ pub(super) struct Built {
     pub apparent: Block<Vector3<f64>>,
     pub shift: Block<Vector2<f64>>,
     pub boards: Vec<Block<Se3>>,
-    edges: usize,
+    pub edges: usize,
 }
 
 /// The state that a problem starts from.
@@ -54,6 +54,8 @@ pub(super) struct State<'a> {
     pub camera_from_lidar: &'a Se3,
     pub apparent_m: &'a Vector3<f64>,
     pub factors: &'a Factors,
+    /// Size of the pattern over what was said: the camera has boards so much nearer.
+    pub pattern: f64,
 }
 
 pub(super) fn build(
@@ -68,6 +70,7 @@ pub(super) fn build(
         camera_from_lidar: pose,
         apparent_m: apparent,
         factors,
+        pattern,
     } = state;
     let mut problem = Problem::new();
     let camera_from_lidar = problem.add_block(**pose);
@@ -97,8 +100,9 @@ pub(super) fn build(
         let block = problem.add_block(u.camera_from_board);
         problem.set_name(block.id(), format!("board of {}", scene.name));
         let whitening = whitening6(&scene.in_camera.information)? / factors[0];
+        let seen = scene.in_camera.camera_from_board;
         let prior = PosePrior {
-            value: scene.in_camera.camera_from_board,
+            value: Se3::new(seen.rotation, seen.translation * *pattern),
             sqrt_information: whitening,
         };
         problem.add_residual(prior, &[block.id()], Kernel::Squared)?;

@@ -1,9 +1,10 @@
 //! What a LiDAR–camera calibration leaves.
 
-use lsfb_geometry::align::{Scale, umeyama};
 use lsfb_geometry::{Camera, Se3, Vector2, Vector3};
 
-use super::adjustment::{PlateShift, Solved, Used, adjust, patch, plate_shift};
+use super::adjustment::{
+    PatternSize, PlateShift, Solved, Used, adjust, patch, pattern_size, plate_shift,
+};
 use super::association::Joined;
 use super::outline::{Rectangle, fitted};
 use super::problem::edge_errors_m;
@@ -13,6 +14,8 @@ use super::{
 };
 use crate::Error;
 use crate::camera::COVERAGE_CELLS;
+use crate::detect::Corner;
+use crate::misfit::{Diagnosis, SeenCorner, SeenView};
 
 /// Poses from which halves are compared, and poses held back.
 const MIN_FOR_PARTS: usize = 8;
@@ -20,6 +23,8 @@ const MIN_FOR_PARTS: usize = 8;
 const PARTS: usize = 4;
 /// Scale that differs from one by more than this, and by more than its own spread, is no accident.
 const WRONG_SCALE: f64 = 0.03;
+/// Corners that miss by more than this many times the rest of their view say nothing.
+const CORNER_OUTLIER: f64 = 4.0;
 /// Distance between the middles beyond which sensors have not seen the same boards, metres.
 const STRANGERS_M: f64 = 0.06;
 
@@ -78,12 +83,16 @@ pub(super) fn summarize(
             ),
         });
     }
-    let (scale, scale_sigma) = scale(&alone, center_rms_m);
+    let PatternSize {
+        factor,
+        sigma: factor_sigma,
+    } = pattern_size(board, scenes, solved, config)?;
+    let (scale, scale_sigma) = (1.0 / factor, factor_sigma / (factor * factor));
     if (scale - 1.0).abs() > (5.0 * scale_sigma).max(WRONG_SCALE) {
         return Err(Error::BoardSize {
             problem: format!(
-                "distances between boards are {scale:.3} ± {scale_sigma:.3} times as large in {camera} as in the LiDAR: the squares or tags are {:.3} times as large as was said",
-                1.0 / scale
+                "{}. Measure it and correct the target",
+                size_words(board, scale, scale_sigma)
             ),
         });
     }
@@ -107,7 +116,13 @@ pub(super) fn summarize(
         corners.filter_map(|k| lens.project(&(*pose * board.corner(k))))
     });
     let difference = halves.map(|[a, b]| (a.inverse() * b).log());
+    let squares = solved
+        .used
+        .iter()
+        .map(|u| scenes[u.scene].in_camera.rms_px.powi(2));
+    let corner_rms_px = (squares.sum::<f64>() / n).sqrt();
     let mut calibration = LidarCameraCalibration {
+        corner_rms_px,
         camera: camera.to_owned(),
         camera_from_lidar: solved.camera_from_lidar,
         covariance: solved.covariance,
@@ -147,8 +162,44 @@ pub(super) fn summarize(
         },
         warnings: Vec::new(),
     };
-    calibration.warnings = checks::warnings(&calibration, board, scenes, solved);
+    let seen = solved
+        .used
+        .iter()
+        .map(|u| seen(board, lens, &scenes[u.scene]));
+    let diagnosis = Diagnosis::new(&board.target, lens, seen.collect());
+    calibration
+        .warnings
+        .extend(diagnosis.warning(corner_rms_px));
+    calibration
+        .warnings
+        .extend(checks::warnings(&calibration, board, scenes, solved));
     Ok(calibration)
+}
+
+/// The corners of a pose, less those that are none.
+fn seen(board: &Board, lens: &Camera, scene: &Scene) -> SeenView {
+    let pose = &scene.in_camera.camera_from_board;
+    let off_px = |corner: &Corner| {
+        let seen = lens.project(&(*pose * board.corner(corner.index)));
+        seen.map_or(f64::INFINITY, |seen| (seen - corner.pixel).norm())
+    };
+    let known = scene
+        .corners
+        .iter()
+        .filter(|c| c.index < board.target.corner_count());
+    let limit_px = CORNER_OUTLIER * scene.in_camera.rms_px;
+    let board_from_target = Se3::new(Default::default(), board.corner(0) - board.target.corner(0));
+    SeenView {
+        camera_from_target: *pose * board_from_target,
+        corners: known
+            .filter(|c| off_px(c) < limit_px)
+            .map(|c| SeenCorner {
+                point: board.target.corner(c.index),
+                pixel: c.pixel,
+                velocity_px_s: Vector2::zeros(),
+            })
+            .collect(),
+    }
 }
 
 /// A pose that was not used, with the reason as far as it is known here.
@@ -236,17 +287,16 @@ fn alone(
     }
 }
 
-/// Size of the camera's scene over the LiDAR's, and its standard deviation.
-fn scale(alone: &[Alone], center_rms_m: f64) -> (f64, f64) {
-    let camera: Vec<Vector3<f64>> = alone.iter().map(|a| a.camera_center).collect();
-    let lidar: Vec<Vector3<f64>> = alone.iter().map(|a| a.lidar_center).collect();
-    let Some(found) = umeyama(&lidar, &camera, Scale::Free) else {
-        return (1.0, f64::INFINITY);
-    };
-    let mean = lidar.iter().sum::<Vector3<f64>>() / lidar.len() as f64;
-    let extent = lidar.iter().map(|p| (p - mean).norm_squared()).sum::<f64>();
-    let sigma = center_rms_m / 3f64.sqrt() / extent.sqrt().max(1e-9);
-    (found.scale, sigma)
+/// What the scale of the camera's scene says of the pattern, in words.
+pub(super) fn size_words(board: &Board, scale: f64, scale_sigma: f64) -> String {
+    let excess = 1.0 / scale - 1.0;
+    format!(
+        "the pattern is {:.1} ± {:.1} % {} than said, by the LiDAR: {}",
+        excess.abs() * 100.0,
+        scale_sigma / (scale * scale) * 100.0,
+        if excess > 0.0 { "larger" } else { "smaller" },
+        board.target.scaled_words(1.0 / scale)
+    )
 }
 
 /// Solutions from parts of the poses.

@@ -22,6 +22,10 @@ const SHUTTER: usize = 6;
 const PROFILE: usize = 7;
 const SIZE: usize = MAX_PARAMETERS + EXTRA;
 
+/// Share of what views' own poses explain that their times alone must, and of all squares: by chance a sixth, and a hundredth.
+const TIMES_OF_POSES: f64 = 0.7;
+const LEAST_OF_TIMES: f64 = 0.15;
+
 /// Stretch, shear and bends: what a board that may not be flat may be off by.
 const DOUBTS: usize = 5;
 /// Standard deviations of a board: how far the middle of an edge is out of its plane, metres; stretch and shear.
@@ -100,6 +104,9 @@ pub(super) struct Sums {
     squares: f64,
     /// What the views' own poses took off.
     of_poses: f64,
+    /// What views' own times would take off, each alone; the sum of their squares, s², and how many there are.
+    of_times: f64,
+    times: [f64; 2],
     corners: f64,
     centre: Vector3<f64>,
 }
@@ -123,6 +130,8 @@ impl Sums {
             gradient: SVector::zeros(),
             squares: 0.0,
             of_poses: 0.0,
+            of_times: 0.0,
+            times: [0.0; 2],
             corners: 0.0,
             centre: Vector3::new(0.5 * width, 0.5 * height, 0.0),
         }
@@ -132,6 +141,7 @@ impl Sums {
         let mut of_pose = Matrix6::zeros();
         let mut gradient_of_pose = Vector6::zeros();
         let mut coupling = SMatrix::<f64, SIZE, 6>::zeros();
+        let (mut of_time, mut gradient_of_time) = (0.0, 0.0);
         for corner in &view.corners {
             let in_camera = view.camera_from_target * corner.point;
             let Some(seen) = camera.project_full(&in_camera) else {
@@ -153,6 +163,13 @@ impl Sums {
             of_pose += by_pose.transpose() * by_pose;
             gradient_of_pose += by_pose.transpose() * error;
             coupling += by.transpose() * by_pose;
+            of_time += corner.velocity_px_s.norm_squared();
+            gradient_of_time += corner.velocity_px_s.dot(&error);
+        }
+        if of_time > 0.0 {
+            self.of_times += gradient_of_time * gradient_of_time / of_time;
+            self.times[0] += (gradient_of_time / of_time).powi(2);
+            self.times[1] += 1.0;
         }
         if let Some(inverse) = of_pose.try_inverse() {
             let solved = inverse * gradient_of_pose;
@@ -223,6 +240,19 @@ impl Sums {
             matrix: causes - &to_lens * &inverse * to_lens.transpose(),
             lens_by_cause: -(inverse * to_lens.transpose()),
         }
+    }
+
+    /// Views that were not taken when their stamps say, if that is what keeps them off the IMU's motion.
+    pub fn off_their_stamps(&self) -> Option<Explained> {
+        let share = self.of_times / (self.of_poses + self.squares).max(1e-12);
+        let dominant = self.of_times > TIMES_OF_POSES * self.of_poses;
+        (dominant && share > LEAST_OF_TIMES).then(|| Explained {
+            share,
+            words: format!(
+                "views that were taken {:.1} ms rms off their stamps: these jitter or jump, stamp images when they are taken (`lsfb clock` compares clocks)",
+                (self.times[0] / self.times[1].max(1.0)).sqrt() * 1e3
+            ),
+        })
     }
 
     /// The cause that explains most; `None` where nothing can be said.

@@ -67,6 +67,19 @@ pub enum MarkerDictionary {
     Aruco6x6,
 }
 
+impl Target {
+    /// The edges of a board that is so many times as large, in words.
+    pub(crate) fn scaled_words(&self, factor: f64) -> String {
+        let (what, edge_m) = match *self {
+            Self::AprilGrid { tag_size_m, .. } => ("tags", tag_size_m),
+            Self::Checkerboard { square_m, .. } | Self::Charuco { square_m, .. } => {
+                ("squares", square_m)
+            }
+        };
+        format!("{what} of {:.1} mm", edge_m * factor * 1e3)
+    }
+}
+
 impl MarkerDictionary {
     /// Its name: `4x4`, `5x5` or `6x6`.
     pub fn name(self) -> &'static str {

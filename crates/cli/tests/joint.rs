@@ -77,6 +77,34 @@ fn a_loop_is_closed_and_a_transform_that_contradicts_is_named() {
         "{turn_deg}° {shift_mm} mm"
     );
 
+    // The images of two cameras were exchanged when the LiDAR was calibrated.
+    let files = ["cam0-lidar.json", "cam1-lidar.json"].map(|name| folder.path().join(name));
+    let [first, second] = files
+        .each_ref()
+        .map(|path| TransformEdge::read(path).expect("edge"));
+    let exchanged = |edge: &TransformEdge, camera: &TransformEdge| TransformEdge {
+        target: camera.target.clone(),
+        ..edge.clone()
+    };
+    for (path, edge) in files
+        .iter()
+        .zip([exchanged(&second, &first), exchanged(&first, &second)])
+    {
+        std::fs::write(path, edge.to_json()).expect("a transform");
+    }
+    let found = json(folder.path(), &arguments, 1);
+    let words = "cam0 and cam1 are swapped in the transforms to the LiDAR";
+    let verdict = found["verdict"].as_str().expect("a verdict");
+    assert!(
+        verdict.starts_with("FAIL. ") && verdict.contains(words),
+        "{found}"
+    );
+    let page = std::fs::read_to_string(folder.path().join("joined.html")).expect("a page");
+    assert!(page.contains(words), "{page}");
+    for (path, edge) in files.iter().zip([first, second]) {
+        std::fs::write(path, edge.to_json()).expect("a transform");
+    }
+
     // One camera was moved between its two calibrations.
     let path = folder.path().join("cam2-lidar.json");
     let mut moved = TransformEdge::read(&path).expect("edge");

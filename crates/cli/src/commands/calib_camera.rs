@@ -35,7 +35,7 @@ pub struct Arguments {
     /// Lens model of all cameras.
     #[arg(long, value_enum, default_value_t = Model::KannalaBrandt)]
     model: Model,
-    /// Rig to put the cameras into; its other parts stay.
+    /// Rig to put the cameras into; its other parts stay. Cameras that it has the other way round are warned of.
     #[arg(long, value_name = "TOML")]
     rig: Option<PathBuf>,
     /// The rig; a page with plots and, of several cameras, transforms for `lsfb calib joint` are written beside it.
@@ -96,7 +96,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         .iter()
         .map(|camera| views_of(camera, recording.as_ref(), &target, context))
         .collect::<anyhow::Result<_>>()?;
-    let calibration = calibrate_cameras(&target, &views, &config, &show)?;
+    let mut calibration = calibrate_cameras(&target, &views, &config, &show)?;
+    calibration.compare_with(&rig);
     calibration.put_into(&mut rig);
     let stamps_ns = views.iter().filter_map(|v| v.views.keys().next_back());
     rig.calibrated_unix_s = calibrated_unix_s(recording.as_ref(), stamps_ns.copied())?;

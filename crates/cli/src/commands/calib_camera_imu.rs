@@ -104,7 +104,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         });
     }
     let show = |p| context.show(p);
-    let calibration = calibrate_camera_imu(&target, &known, &imu, &noise, &config, &show)?;
+    let mut calibration = calibrate_camera_imu(&target, &known, &imu, &noise, &config, &show)?;
+    calibration.compare_with(&rig);
     calibration.put_into(&mut rig);
     let stamps_ns = imu.iter().map(|(time, _)| time.nanos());
     rig.calibrated_unix_s = calibrated_unix_s(recording.as_ref(), stamps_ns)?;
@@ -160,6 +161,13 @@ fn summary(calibration: &CameraImuCalibration) -> String {
             s[1],
             s[2],
             worst_turn.to_degrees()
+        );
+    }
+    if calibration.board_is_measured {
+        text += &format!(
+            "\n  board: {:+.2} ± {:.2} % larger than said, by the accelerometer",
+            calibration.board_excess * 100.0,
+            calibration.board_excess_sigma * 100.0
         );
     }
     for warning in &calibration.warnings {

@@ -7,6 +7,7 @@ use lsfb_calib::joint::{IMU, JointConfig, Weights, join_transforms};
 use lsfb_geometry::{Rig, RigLidar};
 use lsfb_recording::Provenance;
 
+use super::calib::Judged;
 use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;
@@ -79,7 +80,14 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     write(&arguments.out, rig.to_toml())?;
     write(&page, found.to_html("Joint calibration"))?;
     provenance.write(&arguments.out)?;
-    context.print(&found, || {
+    let result = Judged {
+        outcome: found.outcome(),
+        verdict: found.verdict(),
+        page: &page,
+        transforms: &[],
+        calibration: &found,
+    };
+    context.print(&result, || {
         let mut text = format!(
             "{}: {} See {}.\n  transform            loop rotation  translation    χ² (6)",
             arguments.out.display(),

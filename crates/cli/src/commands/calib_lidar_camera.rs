@@ -7,11 +7,12 @@ use lsfb_calib::lidar_camera::{
     Board, LidarCameraConfig, RecordingConfig, calibrate_lidar_camera, poses_from_folder,
     poses_from_recording,
 };
+use lsfb_calib::verify::Outcome as Judgement;
 use lsfb_geometry::{Rig, RigLidar};
 use lsfb_recording::Provenance;
 
 use super::calib::{
-    TargetArguments, calibrated_unix_s, listed, number, views_of, words, write_transforms,
+    Judged, TargetArguments, calibrated_unix_s, number, views_of, words, write_transforms,
 };
 use super::write;
 use crate::context::Context;
@@ -139,18 +140,22 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let stamps_ns = views.views.keys().next_back().copied().into_iter();
     rig.calibrated_unix_s = calibrated_unix_s(recording.as_ref(), stamps_ns)?;
     let page = arguments.out.with_extension("html");
-    write(&arguments.out, rig.to_toml())?;
     write(&page, found.to_html("LiDAR–camera calibration"))?;
-    let transforms = write_transforms(&arguments.out, &[found.edge()])?;
-    provenance.write(&arguments.out)?;
-    context.print(&found, || {
-        let mut text = format!(
-            "{}: {} See {}; {} is for `lsfb calib joint`.",
-            arguments.out.display(),
-            found.verdict(),
-            page.display(),
-            listed(&transforms)
-        );
+    let mut transforms = Vec::new();
+    if found.outcome() != Judgement::Fail {
+        write(&arguments.out, rig.to_toml())?;
+        transforms = write_transforms(&arguments.out, &[found.edge()])?;
+        provenance.write(&arguments.out)?;
+    }
+    let result = Judged {
+        outcome: found.outcome(),
+        verdict: found.verdict(),
+        page: &page,
+        transforms: &transforms,
+        calibration: &found,
+    };
+    context.print(&result, || {
+        let mut text = result.headline(&arguments.out);
         let t = &found.camera_from_lidar;
         let (roll, pitch, yaw) = t.rotation.euler_angles();
         for (k, (axis, value)) in [("roll", roll), ("pitch", pitch), ("yaw", yaw)]
@@ -180,6 +185,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         }
         text
     })?;
+    result.ensure_usable(&arguments.out)?;
     Ok(Outcome::Done)
 }
 

@@ -1,0 +1,709 @@
+//! Everything that goes wrong when a rig is calibrated, by the words in which the built binary names it: as text, in the
+//! JSON, on the page. The table for users is `docs/calibration-faults.md`.
+
+mod board_walk;
+mod process;
+#[path = "../../../calib/tests/simulated_board/mod.rs"]
+mod simulated_board;
+
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+use board_walk::{FISHEYE, GRID, ORIGIN_NS, Sample, Tags, Walk, write_samples};
+use lsfb_geometry::camera::Lens;
+use process::lsfb;
+use serde_json::Value;
+use tempfile::TempDir;
+
+fn folder() -> TempDir {
+    TempDir::new_in(env!("CARGO_TARGET_TMPDIR")).expect("folder")
+}
+
+/// A walk as it should be, for all tests that spoil one thing of it.
+fn good() -> &'static Path {
+    static FOLDER: OnceLock<PathBuf> = OnceLock::new();
+    FOLDER.get_or_init(|| {
+        let path = folder().keep();
+        Walk::default().write(&path);
+        path
+    })
+}
+
+/// How a command must end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum End {
+    Pass,
+    Warn,
+    /// A page that says why, and no rig.
+    Fail,
+    /// One sentence.
+    Refused,
+}
+
+/// Runs a command that writes `out` and must end so, with all of `words` in its JSON and on its page, or in its one sentence.
+fn ends(path: &Path, arguments: &[&str], out: &str, end: End, words: &[&str]) -> Value {
+    let output = lsfb(path, &[arguments, &["--out", out, "--json"]].concat());
+    let sentence = String::from_utf8_lossy(&output.stderr).into_owned();
+    let printed = String::from_utf8_lossy(&output.stdout).into_owned();
+    let all = format!("{arguments:?}\n{printed}\n{sentence}");
+    let page = path.join(out).with_extension("html");
+    let found: Value = serde_json::from_str(&printed).unwrap_or_default();
+    let places = match end {
+        End::Refused => {
+            assert!(printed.is_empty(), "{all}");
+            vec![sentence]
+        }
+        _ => {
+            let page = std::fs::read_to_string(page).unwrap_or_else(|_| panic!("no page: {all}"));
+            vec![printed, page]
+        }
+    };
+    let code = i32::from(matches!(end, End::Fail | End::Refused));
+    assert_eq!(output.status.code(), Some(code), "{all}");
+    assert_eq!(path.join(out).exists(), code == 0, "{all}");
+    let outcome = match end {
+        End::Pass => "PASS",
+        End::Warn => "WARN",
+        End::Fail => "FAIL",
+        End::Refused => "",
+    };
+    assert_eq!(
+        found["outcome"].as_str().unwrap_or_default(),
+        outcome,
+        "{all}"
+    );
+    for word in words {
+        for place in &places {
+            assert!(place.contains(word), "{word:?} is not said: {all}");
+        }
+    }
+    found
+}
+
+/// Says the words in text as well.
+fn says(path: &Path, arguments: &[&str], words: &[&str]) {
+    let output = lsfb(path, &[arguments, &["--out", "said.toml"]].concat());
+    let text = String::from_utf8_lossy(&output.stdout);
+    for word in words {
+        assert!(text.contains(word), "{word:?} is not said: {text}");
+    }
+}
+
+/// `lsfb calib camera-imu` with one camera and a table of samples.
+fn camera_imu<'a>(grid: &'a str, camera: &'a str, imu: &'a str) -> Vec<&'a str> {
+    let command = ["calib", "camera-imu", "--rig", "rig.toml"];
+    let rest = ["--april-grid", grid, "--camera", camera, "--imu", imu];
+    [&command[..], &rest].concat()
+}
+
+/// The samples of the good walk, spoilt, and what is said of them.
+fn samples_end(name: &str, spoil: impl Fn(&mut Sample), end: End, words: &[&str]) {
+    let mut samples = Walk::default().samples();
+    samples.iter_mut().for_each(spoil);
+    let table = format!("{name}.csv");
+    write_samples(&good().join(&table), &samples);
+    let arguments = camera_imu(GRID, "cam0=cam0", &table);
+    ends(good(), &arguments, &format!("{name}.toml"), end, words);
+}
+
+/// Images of the good walk under other names, by stamp.
+fn restamped(name: &str, camera: &str, stamp: impl Fn(i64, usize) -> i64) {
+    let from = good().join(camera);
+    let to = good().join(name);
+    std::fs::create_dir(&to).expect("folder");
+    let mut names: Vec<i64> = std::fs::read_dir(&from)
+        .expect("folder")
+        .filter_map(|f| f.ok()?.path().file_stem()?.to_str()?.parse().ok())
+        .collect();
+    names.sort_unstable();
+    for (k, old) in names.into_iter().enumerate() {
+        let new = to.join(format!("{}.png", stamp(old, k)));
+        std::fs::hard_link(from.join(format!("{old}.png")), new).expect("image");
+    }
+}
+
+#[test]
+fn samples_of_an_imu() {
+    samples_end(
+        "as_they_are",
+        |_| {},
+        End::Pass,
+        &["nothing speaks against"],
+    );
+    samples_end(
+        "gyro_range",
+        |s| s.gyro_rad_s[0] = s.gyro_rad_s[0].clamp(-1.1, 1.1),
+        End::Warn,
+        &["the gyroscope saturates along x", "widen the range"],
+    );
+    samples_end(
+        "accel_range",
+        |s| s.accel_m_s2[1] = s.accel_m_s2[1].clamp(-4.0, 4.0),
+        End::Warn,
+        &["the accelerometer saturates along y", "widen the range"],
+    );
+    samples_end(
+        "degrees",
+        |s| s.gyro_rad_s = s.gyro_rad_s.map(f64::to_degrees),
+        End::Refused,
+        &["in degrees", "radians per second are needed"],
+    );
+    samples_end(
+        "in_g",
+        |s| s.accel_m_s2 = s.accel_m_s2.map(|a| a / 9.80665),
+        End::Refused,
+        &["it counts in g"],
+    );
+    samples_end(
+        "gyro_sign",
+        |s| s.gyro_rad_s[1] = -s.gyro_rad_s[1],
+        End::Refused,
+        &["the gyroscope's axes are left-handed"],
+    );
+    samples_end(
+        "accel_sign",
+        |s| s.accel_m_s2[1] = -s.accel_m_s2[1],
+        End::Refused,
+        &["an axis of the accelerometer has the wrong sign"],
+    );
+}
+
+#[test]
+fn clocks_of_camera_and_imu() {
+    samples_end(
+        "early",
+        |s| s.stamp_ns += 50_000_000,
+        End::Warn,
+        &["stamps are 50.0 ms early", "lsfb clock"],
+    );
+    says(
+        good(),
+        &camera_imu(GRID, "cam0=cam0", "early.csv"),
+        &["WARN. ", "stamps are 50.0 ms early"],
+    );
+    samples_end(
+        "a_second",
+        |s| s.stamp_ns += 1_000_000_000,
+        End::Refused,
+        &["clocks are not synchronised", "+1.00 s"],
+    );
+    samples_end(
+        "drift",
+        |s| s.stamp_ns += (s.stamp_ns - ORIGIN_NS) / 10_000,
+        End::Warn,
+        &["ppm slower than the IMU's", "Synchronise the clocks"],
+    );
+    // The same for every run: a sample in five comes late.
+    samples_end(
+        "late_samples",
+        |s| {
+            let number = (s.stamp_ns - ORIGIN_NS) / 5_000_000;
+            s.stamp_ns += [0, 0, 4_000_000, 0, 2_000_000, 0, 0][(number * number % 7) as usize];
+        },
+        End::Warn,
+        &["stamps of the IMU jitter by"],
+    );
+    restamped("jitter", "cam0", |stamp, k| {
+        stamp + [0, 5_000_000, -4_000_000, 2_000_000, -3_000_000][k * k % 5]
+    });
+    restamped("jump", "cam0", |stamp, k| {
+        stamp + if k > 60 { 6_000_000 } else { 0 }
+    });
+    for (camera, words) in [
+        ("cam0=jitter", &["off their stamps", "jitter or jump"][..]),
+        ("cam0=jump", &["Synchronise the clocks"]),
+    ] {
+        let out = format!("{}.toml", &camera[5..]);
+        ends(
+            good(),
+            &camera_imu(GRID, camera, "imu.csv"),
+            &out,
+            End::Warn,
+            words,
+        );
+    }
+}
+
+#[test]
+fn boards_before_camera_and_imu() {
+    let fails = |name: &str, grid: &str, words: &[&str]| {
+        let arguments = camera_imu(grid, "cam0=cam0", "imu.csv");
+        ends(good(), &arguments, name, End::Fail, words)
+    };
+    // Said to be 5 % smaller than it is.
+    let larger = fails(
+        "larger.toml",
+        "4,3,0.133333,0.3",
+        &["% larger than said", "tags of 1", "Measure it"],
+    );
+    let number = |name: &str| larger[name].as_f64().expect("a number");
+    let (excess, sigma) = (number("board_excess"), number("board_excess_sigma"));
+    assert!(
+        (excess - 0.05).abs() < 4.0 * sigma && sigma < 0.003,
+        "{excess} ± {sigma}"
+    );
+    fails(
+        "gaps.toml",
+        "4,3,0.14,0.36",
+        &["gaps of 0.2", "correct tagSpacing"],
+    );
+    let head = folder();
+    Walk {
+        upside_down: true,
+        seconds: 8.0,
+        ..Walk::default()
+    }
+    .write(head.path());
+    let arguments = camera_imu(GRID, "cam0=cam0", "imu.csv");
+    ends(
+        head.path(),
+        &arguments,
+        "o.toml",
+        End::Warn,
+        &["the board hangs upside down"],
+    );
+}
+
+#[test]
+fn cameras_that_are_not_what_they_are_called() {
+    let imu = "imu.csv";
+    ends(
+        good(),
+        &camera_imu(GRID, "cam0=cam1", imu),
+        "one_swapped.toml",
+        End::Warn,
+        &[
+            "cam0 is found where the rig has cam1",
+            "their images are swapped",
+        ],
+    );
+    let both = [
+        &camera_imu(GRID, "cam0=cam1", imu)[..],
+        &["--camera", "cam1=cam0"],
+    ]
+    .concat();
+    ends(
+        good(),
+        &both,
+        "swapped.toml",
+        End::Refused,
+        &["their views are swapped"],
+    );
+    let lenses = ["calib", "camera", "--rig", "rig.toml", "--april-grid", GRID];
+    let cameras = ["--camera", "cam0=cam1", "--camera", "cam1=cam0"];
+    let words = &["the other way round", "their views are swapped"];
+    ends(
+        good(),
+        &[&lenses[..], &cameras].concat(),
+        "lenses.toml",
+        End::Warn,
+        words,
+    );
+}
+
+#[test]
+fn motions_that_say_too_little() {
+    let base = Walk {
+        seconds: 8.0,
+        ..Walk::default()
+    };
+    let motion = |turning_rad, moving_m| Walk {
+        turning_rad,
+        moving_m,
+        ..base
+    };
+    let moving = base.moving_m;
+    let cases = [
+        (
+            "x",
+            motion([0.0, 0.02, 0.3], moving),
+            End::Refused,
+            &["rotate more around x"][..],
+        ),
+        (
+            "y",
+            motion([0.35, 0.0, 0.02], moving),
+            End::Refused,
+            &["rotate more around", "y ("],
+        ),
+        (
+            "z",
+            motion([0.02, 0.3, 0.0], moving),
+            End::Refused,
+            &["rotate more around", "z ("],
+        ),
+        (
+            "hardly_x",
+            motion([0.0, 0.3, 0.3], moving),
+            End::Warn,
+            &["hardly turns about x", "rotate more around it"],
+        ),
+        (
+            "turning_alone",
+            motion(base.turning_rad, [0.0; 3]),
+            End::Warn,
+            &["size is not checked", "Move it by 20 cm"],
+        ),
+        (
+            "moving_alone",
+            motion([0.0; 3], moving),
+            End::Refused,
+            &["rotate more around x"],
+        ),
+        (
+            "still",
+            motion([0.0; 3], [0.0; 3]),
+            End::Refused,
+            &["rotate more around x"],
+        ),
+    ];
+    let root = folder();
+    for (name, walk, end, words) in cases {
+        let path = root.path().join(name);
+        std::fs::create_dir(&path).expect("folder");
+        walk.write(&path);
+        ends(
+            &path,
+            &camera_imu(GRID, "cam0=cam0", "imu.csv"),
+            "o.toml",
+            end,
+            words,
+        );
+        if matches!(name, "moving_alone" | "still") {
+            let lens = [
+                "calib",
+                "camera",
+                "--april-grid",
+                GRID,
+                "--camera",
+                "cam0=cam0",
+            ];
+            let words = &["cannot be determined", "tilted by 30°", "near and far"];
+            ends(&path, &lens, "lens.toml", End::Refused, words);
+        }
+    }
+}
+
+#[test]
+fn images_without_the_board() {
+    let root = folder();
+    let path = root.path();
+    let short = Walk {
+        seconds: 4.0,
+        ..Walk::default()
+    };
+    short.write(path);
+    // As a driver that flips its images, as another family, and as a cap on the lens.
+    let other = Walk {
+        tags: Tags::Other,
+        ..short
+    };
+    std::fs::create_dir(path.join("other")).expect("folder");
+    other.write(&path.join("other"));
+    for (name, change) in [
+        (
+            "mirrored",
+            (|row: &mut [u8]| row.reverse()) as fn(&mut [u8]),
+        ),
+        ("dark", |row| row.fill(3)),
+    ] {
+        std::fs::create_dir(path.join(name)).expect("folder");
+        board_walk::changed_images(&path.join("cam0"), &path.join(name), change);
+    }
+    for (images, words) in [
+        (
+            "mirrored",
+            &["show its tags mirrored", "not flip its images"][..],
+        ),
+        (
+            "other/cam0",
+            &["none of its own", "another family than 36h11"],
+        ),
+        ("dark", &["the target was found in 0 of 37 images", "focus"]),
+    ] {
+        let second = format!("cam1={images}");
+        let imu = camera_imu(GRID, "cam0=cam0", "imu.csv");
+        let lenses = [
+            "calib",
+            "camera",
+            "--april-grid",
+            GRID,
+            "--camera",
+            "cam0=cam0",
+        ];
+        for arguments in [&imu[..], &lenses] {
+            let both = [arguments, &["--camera", &second]].concat();
+            let words = [words, &["camera cam1"]].concat();
+            ends(path, &both, "o.toml", End::Refused, &words);
+        }
+    }
+    let lenses = [
+        "calib",
+        "camera",
+        "--camera",
+        "cam0=cam0",
+        "--checkerboard",
+        "9,6,0.03",
+    ];
+    let words = &[
+        "found in 0 of 37 images",
+        "check the target's kind and size",
+    ];
+    ends(path, &lenses, "o.toml", End::Refused, words);
+}
+
+#[test]
+fn lenses_and_triggers() {
+    let lenses = [
+        "calib",
+        "camera",
+        "--april-grid",
+        GRID,
+        "--camera",
+        "cam0=cam0",
+    ];
+    ends(good(), &lenses, "fisheye.toml", End::Pass, &[]);
+    let pinhole = [&lenses[..], &["--model", "pinhole-radtan"]].concat();
+    let words = &["the lens model does not fit", "use --model kannala-brandt"];
+    ends(good(), &pinhole, "pinhole.toml", End::Warn, words);
+    says(good(), &pinhole, words);
+    // The right one is not accused: seen through a pinhole, a fisheye's model has no pattern to take off.
+    let narrow = folder();
+    let Lens::KannalaBrandt { principal_px, .. } = FISHEYE else {
+        panic!("a fisheye")
+    };
+    Walk {
+        lens: Lens::PinholeRadtan {
+            focal_px: [180.0, 180.5],
+            principal_px,
+            distortion: [-0.08, 0.02, 0.0, 0.0, 0.0],
+        },
+        seconds: 8.0,
+        ..Walk::default()
+    }
+    .write(narrow.path());
+    ends(narrow.path(), &pinhole, "pinhole.toml", End::Pass, &[]);
+
+    // One camera a few milliseconds late, and one image late.
+    restamped("next", "cam1", |stamp, _| stamp + 100_000_000);
+    let pair = [&lenses[..], &["--camera", "cam1=next"]].concat();
+    ends(
+        good(),
+        &pair,
+        "next.toml",
+        End::Refused,
+        &["not triggered together"],
+    );
+    let late = folder();
+    let walk = Walk {
+        seconds: 8.0,
+        ..Walk::default()
+    };
+    walk.write(late.path());
+    walk.write_late(&late.path().join("late"), 0.006);
+    let pair = [&lenses[..], &["--camera", "cam1=late/cam1"]].concat();
+    let words = &["for itself it meets corners", "not triggered together"];
+    ends(late.path(), &pair, "late.toml", End::Warn, words);
+}
+
+mod before_a_lidar {
+    use super::*;
+    use board_walk::{Grid, rays, seen, write_png};
+    use lsfb_calib::camera::pose_of_target;
+    use lsfb_calib::lidar_camera::{Board, BoardPose};
+    use lsfb_geometry::{CameraTiming, Rig, RigCamera, RigLidar, Se3};
+    use simulated_board::{BOARD, Session, calibrate, camera, error, truth};
+
+    const SESSION: Session = Session {
+        poses: 8,
+        tilt_rad: 0.7,
+        noise_m: 0.03,
+        board: BOARD,
+        behind_wall: false,
+        turned: false,
+        speed_m_s: 0.0,
+        lidar_late_s: 0.0,
+    };
+
+    /// Writes `images/N.png` and `clouds/N.pcd`, the latter as those of pose `N + shift`.
+    fn write(path: &Path, board: &Board, poses: &[BoardPose], shift: usize) {
+        let grid = Grid {
+            columns: 6,
+            rows: 6,
+            tag_m: 0.088,
+            spacing: 0.3,
+            tags: Tags::Own,
+        };
+        let rays = rays(&camera());
+        for name in ["images", "clouds"] {
+            std::fs::create_dir_all(path.join(name)).expect("folder");
+        }
+        for (k, pose) in poses.iter().enumerate() {
+            let corners = &pose.sights[0].corners;
+            let seen_from = pose_of_target(&board.target, &camera(), corners).expect("a pose");
+            let pixels = seen(&grid, &seen_from.inverse(), &rays);
+            write_png(&path.join(format!("images/{k}.png")), &camera(), &pixels);
+            let other = &poses[(k + shift) % poses.len()];
+            std::fs::write(path.join(format!("clouds/{k}.pcd")), pcd(other)).expect("cloud");
+        }
+        std::fs::write(path.join("rig.toml"), rig(Se3::identity()).to_toml()).expect("rig");
+    }
+
+    /// The LiDAR is the rig; the other camera looks to the left.
+    fn rig(of_cam0: Se3) -> Rig {
+        let here = truth().inverse();
+        let left = Se3::exp(&lsfb_geometry::Vector6::new(0.0, 0.0, 1.57, 0.0, 0.0, 0.0)) * here;
+        let mounted = |rig_from_camera: Se3| RigCamera {
+            camera: camera(),
+            rig_from_camera,
+            timing: CameraTiming::default(),
+        };
+        Rig {
+            cameras: [
+                ("cam0".to_owned(), mounted(of_cam0 * here)),
+                ("cam1".to_owned(), mounted(left)),
+            ]
+            .into(),
+            lidar: Some(RigLidar {
+                rig_from_lidar: Se3::identity(),
+                range_noise_m: 0.03,
+            }),
+            ..Rig::empty("backpack")
+        }
+    }
+
+    fn pcd(pose: &BoardPose) -> Vec<u8> {
+        let points = &pose.scan.points;
+        let mut bytes = format!(
+            "VERSION 0.7\nFIELDS x y z ring\nSIZE 4 4 4 2\nTYPE F F F U\nCOUNT 1 1 1 1\nWIDTH {n}\nHEIGHT 1\nPOINTS {n}\nDATA binary\n",
+            n = points.len()
+        )
+        .into_bytes();
+        for point in points {
+            bytes.extend(point.position_m.iter().flat_map(|x| x.to_le_bytes()));
+            bytes.extend(point.ring.to_le_bytes());
+        }
+        bytes
+    }
+
+    fn arguments<'a>(grid: &'a str, plate: &'a str, camera: &'a str) -> Vec<&'a str> {
+        let command = [
+            "calib",
+            "lidar-camera",
+            "--rig",
+            "rig.toml",
+            "--clouds",
+            "clouds",
+        ];
+        let rest = ["--april-grid", grid, "--plate", plate, "--camera", camera];
+        [&command[..], &rest].concat()
+    }
+
+    const OWN: &str = "6,6,0.088,0.3";
+    const PLATE: &str = "830,750";
+
+    #[test]
+    fn boards_and_cameras() {
+        let root = folder();
+        let path = root.path();
+        let poses = SESSION.simulate(5);
+        write(path, &BOARD, &poses, 0);
+        let own = arguments(OWN, PLATE, "cam0=images");
+        ends(path, &own, "good.toml", End::Pass, &[]);
+        // From rendered images as from the corners themselves.
+        let from_corners = calibrate(&BOARD, &poses).expect("calibrated");
+        let rig = Rig::read(&path.join("good.toml")).expect("rig");
+        let found = rig.lidar.expect("a LiDAR").rig_from_lidar.log();
+        let apart = (error(&from_corners) + found).norm();
+        assert!(apart < 5e-3, "{apart}");
+        // 5 % larger than said, and 2 %.
+        let larger = arguments("6,6,0.08381,0.3", PLATE, "cam0=images");
+        ends(
+            path,
+            &larger,
+            "larger.toml",
+            End::Refused,
+            &["% larger than said", "tags of 8"],
+        );
+        let larger = arguments("6,6,0.08627,0.3", PLATE, "cam0=images");
+        let words = &["% larger than said", "Measure it"];
+        ends(path, &larger, "a_little.toml", End::Warn, words);
+        let gaps = arguments("6,6,0.088,0.4", "860,860", "cam0=images");
+        let words = &["gaps of 0.30", "correct tagSpacing"];
+        ends(path, &gaps, "gaps.toml", End::Fail, words);
+        let wider = arguments(OWN, "890,750", "cam0=images");
+        ends(
+            path,
+            &wider,
+            "wider.toml",
+            End::Warn,
+            &["-60 mm longer", "x axis"],
+        );
+        let exchanged = arguments(OWN, "750,1100", "cam0=images");
+        ends(path, &exchanged, "sides.toml", End::Refused, &["board"]);
+        let middle = [&own[..], &["--offset", "0,35"]].concat();
+        ends(
+            path,
+            &middle,
+            "middle.toml",
+            End::Warn,
+            &["the plate's middle lies", "measure it"],
+        );
+        let swapped = arguments(OWN, PLATE, "cam1=images");
+        let words = &[
+            "cam1 is found where the rig has cam0",
+            "their images are swapped",
+        ];
+        ends(path, &swapped, "swapped.toml", End::Warn, words);
+        for (name, change, words) in [
+            (
+                "dark",
+                (|row: &mut [u8]| row.fill(3)) as fn(&mut [u8]),
+                &["the target was found in 0 of 8 images"][..],
+            ),
+            ("mirrored", |row| row.reverse(), &["show its tags mirrored"]),
+        ] {
+            std::fs::create_dir(path.join(name)).expect("folder");
+            board_walk::changed_images(&path.join("images"), &path.join(name), change);
+            let images = format!("cam0={name}");
+            let blind = arguments(OWN, PLATE, &images);
+            ends(path, &blind, "blind.toml", End::Refused, words);
+        }
+    }
+
+    #[test]
+    fn poses() {
+        for (name, session, shift, words) in [
+            ("strangers", SESSION, 3, &["belong together"][..]),
+            (
+                "hidden",
+                Session {
+                    behind_wall: true,
+                    ..SESSION
+                },
+                0,
+                &["found in 0 of 8 scans", "stands free"],
+            ),
+            (
+                "parallel",
+                Session {
+                    tilt_rad: 0.0,
+                    ..SESSION
+                },
+                0,
+                &["any direction along the board", "tilt the board about"],
+            ),
+        ] {
+            let root = folder();
+            write(root.path(), &BOARD, &session.simulate(5), shift);
+            let own = arguments(OWN, PLATE, "cam0=images");
+            ends(
+                root.path(),
+                &own,
+                &format!("{name}.toml"),
+                End::Refused,
+                words,
+            );
+        }
+    }
+}
