@@ -209,9 +209,6 @@ impl Tally {
         let (error, covariance) = (errors(simulated, found), &found.covariance);
         for (k, name) in covariance.names.iter().enumerate() {
             let ratio = error[k] / covariance.matrix[(k, k)].sqrt();
-            if std::env::var_os("RATIOS").is_some() {
-                println!("R {name} {ratio}");
-            }
             let of_kind = self.by_kind.entry(kind(name)).or_default();
             of_kind.all += 1;
             of_kind.inside += usize::from(ratio.abs() <= 1.96);

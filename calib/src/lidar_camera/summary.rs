@@ -73,12 +73,24 @@ pub(super) fn summarize(
         .sum::<f64>()
         / n)
         .sqrt();
+    let squares = solved
+        .used
+        .iter()
+        .map(|u| scenes[u.scene].in_camera.rms_px.powi(2));
+    let corner_rms_px = (squares.sum::<f64>() / n).sqrt();
+    let seen = solved
+        .used
+        .iter()
+        .map(|u| seen(board, lens, &scenes[u.scene]));
+    let misfit = Diagnosis::new(&board.target, lens, seen.collect()).warning(corner_rms_px);
+    // What is wrong with the corners is wrong with all that rests on them.
+    let also = misfit.as_ref().map_or(String::new(), |w| format!("; {w}"));
     if center_rms_m > STRANGERS_M {
         return Err(Error::NotJoined {
             first: camera.to_owned(),
             second: "lidar".to_owned(),
             problem: format!(
-                "middles of the board are {:.0} mm apart where both sensors agree best: images and scans do not belong together, or the board's size is wrong",
+                "middles of the board are {:.0} mm apart where both sensors agree best: images and scans do not belong together, or the board's size is wrong{also}",
                 center_rms_m * 1e3
             ),
         });
@@ -91,7 +103,7 @@ pub(super) fn summarize(
     if (scale - 1.0).abs() > (5.0 * scale_sigma).max(WRONG_SCALE) {
         return Err(Error::BoardSize {
             problem: format!(
-                "{}. Measure it and correct the target",
+                "{}. Measure it and correct the target{also}",
                 size_words(board, scale, scale_sigma)
             ),
         });
@@ -116,11 +128,6 @@ pub(super) fn summarize(
         corners.filter_map(|k| lens.project(&(*pose * board.corner(k))))
     });
     let difference = halves.map(|[a, b]| (a.inverse() * b).log());
-    let squares = solved
-        .used
-        .iter()
-        .map(|u| scenes[u.scene].in_camera.rms_px.powi(2));
-    let corner_rms_px = (squares.sum::<f64>() / n).sqrt();
     let mut calibration = LidarCameraCalibration {
         corner_rms_px,
         camera: camera.to_owned(),
@@ -162,14 +169,7 @@ pub(super) fn summarize(
         },
         warnings: Vec::new(),
     };
-    let seen = solved
-        .used
-        .iter()
-        .map(|u| seen(board, lens, &scenes[u.scene]));
-    let diagnosis = Diagnosis::new(&board.target, lens, seen.collect());
-    calibration
-        .warnings
-        .extend(diagnosis.warning(corner_rms_px));
+    calibration.warnings.extend(misfit);
     calibration
         .warnings
         .extend(checks::warnings(&calibration, board, scenes, solved));

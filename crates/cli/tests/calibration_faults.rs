@@ -629,8 +629,8 @@ mod before_a_lidar {
         let words = &["% larger than said", "Measure it"];
         ends(path, &larger, "a_little.toml", End::Warn, words);
         let gaps = arguments("6,6,0.088,0.4", "860,860", "cam0=images");
-        let words = &["gaps of 0.30", "correct tagSpacing"];
-        ends(path, &gaps, "gaps.toml", End::Fail, words);
+        let words = &["gaps of 0.", "correct tagSpacing"];
+        ends(path, &gaps, "gaps.toml", End::Refused, words);
         let wider = arguments(OWN, "890,750", "cam0=images");
         ends(
             path,
