@@ -1,16 +1,15 @@
 //! LiDAR against images without a target, by one of two scores whose maximum over small rotations about the camera's axes
-//! says by how much the camera is turned.
+//! says by how much the camera is turned: mutual information (`mutual_information.rs`), or edges.
 //!
-//! Edges: steps in range fall on edges of brightness where the rig is right.
+//! Steps in range fall on edges of brightness where the rig is right.
 //! `J(T) = Σ step(p) · E(project(T p)) / Σ step(p)`, where `E` is the image's gradient with a falloff around each edge
 //! (Levinson and Thrun, "Automatic Online Calibration of Cameras and Lasers", 2013).
-//!
-//! Mutual information: what is bright to the LiDAR and to the camera depends on each other where the rig is right,
-//! `I = Σ p(a, b) log (p(a, b) / p(a) p(b))` over reflectivity `a` and grey value `b` (Pandey et al., "Automatic Extrinsic
-//! Calibration of Vision and Lidar by Maximizing Mutual Information", 2015).
 
 use lsfb_geometry::{Camera, Se3, Vector3, so3};
 use lsfb_types::Image;
+
+use super::frame::Gray;
+use super::mutual_information::{Return, mutual_information};
 
 /// Factor of the falloff per pixel of the reduced image, and the share that does not fall off to neighbours.
 const FALLOFF: f32 = 0.92;
@@ -29,11 +28,6 @@ pub(super) struct StepPoint {
     pub weight: f64,
 }
 
-/// Bins of reflectivity and of grey value.
-const BINS: usize = 20;
-/// Returns of a view that count at most.
-const MOST_RETURNS: usize = 3000;
-
 /// What is compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Score {
@@ -41,34 +35,12 @@ pub(super) enum Score {
     MutualInformation,
 }
 
-/// A return with its reflectivity as a bin.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Return {
-    /// In the rig at the image's time, metres.
-    pub position: Vector3<f64>,
-    pub bin: usize,
-}
-
-/// Bins that hold as many returns each, by reflectivity.
-pub(super) fn bins_of(reflectivity: &[u8]) -> [usize; 256] {
-    let mut counts = [0usize; 256];
-    for r in reflectivity {
-        counts[usize::from(*r)] += 1;
-    }
-    let mut below = 0;
-    counts.map(|n| {
-        let bin = (below + n / 2) * BINS / reflectivity.len().max(1);
-        below += n;
-        bin.min(BINS - 1)
-    })
-}
-
 /// Edges of an image, with falloff.
 pub(super) struct EdgeImage {
-    camera: Camera,
+    pub camera: Camera,
     width: usize,
     strength: Vec<f32>,
-    gray: Vec<f32>,
+    pub gray: Vec<f32>,
 }
 
 /// An image with the steps of the scan nearest in time.
@@ -81,14 +53,9 @@ pub(super) struct View {
 impl EdgeImage {
     pub fn new(image: &Image, camera: &Camera) -> Self {
         let factor = image.width.div_ceil(MAX_WIDTH).max(1);
-        let (width, height) = (
-            (image.width / factor) as usize,
-            (image.height / factor) as usize,
-        );
-        let camera =
-            super::time_offset::reduced(camera, f64::from(factor), width as u32, height as u32);
-        let values = super::time_offset::averaged(image, factor);
-        let at = |x: usize, y: usize| values[y * width + x];
+        let gray = Gray::reduced(image, camera, factor);
+        let (width, height) = (gray.width(), gray.height());
+        let at = |x: usize, y: usize| gray.values[y * width + x];
         let mut strength = vec![0f32; width * height];
         for y in 1..height.saturating_sub(1) {
             for x in 1..width.saturating_sub(1) {
@@ -119,15 +86,15 @@ impl EdgeImage {
             *s -= mean;
         }
         Self {
-            camera,
+            camera: gray.camera,
             width,
             strength,
-            gray: values,
+            gray: gray.values,
         }
     }
 
     /// The image between pixels where a point is seen.
-    fn at(&self, values: &[f32], point_in_camera: &Vector3<f64>) -> Option<f64> {
+    pub fn at(&self, values: &[f32], point_in_camera: &Vector3<f64>) -> Option<f64> {
         if point_in_camera.z < 0.2 {
             return None;
         }
@@ -204,41 +171,6 @@ fn edge_strength(views: &[&View], camera_from_rig: &Se3) -> f64 {
     if total > 0.0 { sum / total } else { 0.0 }
 }
 
-/// Mutual information of reflectivity and grey value, nats.
-fn mutual_information(views: &[&View], camera_from_rig: &Se3) -> f64 {
-    let mut joint = [[0.0; BINS]; BINS];
-    let mut total = 0.0;
-    for view in views {
-        let every = view.returns.len().div_ceil(MOST_RETURNS).max(1);
-        for seen in view.returns.iter().step_by(every) {
-            let point = *camera_from_rig * seen.position;
-            let Some(gray) = view.edges.at(&view.edges.gray, &point) else {
-                continue;
-            };
-            // Shared between the two nearest bins, so that the score is smooth.
-            let place = (gray / 256.0 * BINS as f64 - 0.5).clamp(0.0, (BINS - 1) as f64 - 1e-9);
-            let (bin, share) = (place as usize, place.fract());
-            joint[seen.bin][bin] += 1.0 - share;
-            joint[seen.bin][bin + 1] += share;
-            total += 1.0;
-        }
-    }
-    if total < 100.0 {
-        return 0.0;
-    }
-    let by_gray: [f64; BINS] = std::array::from_fn(|b| joint.iter().map(|row| row[b]).sum());
-    let mut information = 0.0;
-    for row in &joint {
-        let by_reflectivity: f64 = row.iter().sum();
-        for (n, gray) in row.iter().zip(&by_gray) {
-            if *n > 0.0 {
-                information += n / total * (n * total / (by_reflectivity * gray)).ln();
-            }
-        }
-    }
-    information
-}
-
 /// How a camera would have to be turned for LiDAR and images to fit best.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Misalignment {
@@ -246,10 +178,6 @@ pub(super) struct Misalignment {
     pub turn: Vector3<f64>,
     /// Standard deviation, from groups of views.
     pub sigma_rad: Vector3<f64>,
-    /// Score now, and at the best.
-    pub score: f64,
-    pub best_score: f64,
-    pub steps: usize,
 }
 
 /// Groups of views whose answers are compared.
@@ -257,20 +185,23 @@ const GROUPS: usize = 4;
 /// Rotations searched at first about each axis, radians.
 const REACH_RAD: f64 = 0.045;
 
+/// Views that show enough; `None` with fewer than groups.
+pub(super) fn usable(views: &[View], by: Score) -> Option<Vec<&View>> {
+    let enough = |v: &&View| match by {
+        Score::Edges => v.steps.len() >= 20,
+        Score::MutualInformation => v.returns.len() >= 200,
+    };
+    let usable: Vec<&View> = views.iter().filter(enough).collect();
+    (usable.len() >= GROUPS).then_some(usable)
+}
+
 /// The best small rotation; `None` with fewer views than groups.
 pub(super) fn misalignment(
     views: &[View],
     camera_from_rig: &Se3,
     by: Score,
 ) -> Option<Misalignment> {
-    let enough = |v: &&View| match by {
-        Score::Edges => v.steps.len() >= 20,
-        Score::MutualInformation => v.returns.len() >= 200,
-    };
-    let usable: Vec<&View> = views.iter().filter(enough).collect();
-    if usable.len() < GROUPS {
-        return None;
-    }
+    let usable = usable(views, by)?;
     let turn = best_turn(&usable, camera_from_rig, by);
     let parts: Vec<Vector3<f64>> = (0..GROUPS)
         .map(|g| {
@@ -287,18 +218,15 @@ pub(super) fn misalignment(
     Some(Misalignment {
         turn,
         sigma_rad: (variance / GROUPS as f64).map(f64::sqrt),
-        score: score(&usable, camera_from_rig, by),
-        best_score: score(&usable, &turned(camera_from_rig, &turn), by),
-        steps: usable.iter().map(|v| v.steps.len()).sum(),
     })
 }
 
-fn turned(camera_from_rig: &Se3, turn: &Vector3<f64>) -> Se3 {
+pub(super) fn turned(camera_from_rig: &Se3, turn: &Vector3<f64>) -> Se3 {
     Se3::new(so3::exp(turn), Vector3::zeros()) * *camera_from_rig
 }
 
 /// Axis by axis, then finer.
-fn best_turn(views: &[&View], camera_from_rig: &Se3, by: Score) -> Vector3<f64> {
+pub(super) fn best_turn(views: &[&View], camera_from_rig: &Se3, by: Score) -> Vector3<f64> {
     let mut turn = Vector3::zeros();
     let mut reach = REACH_RAD;
     for _ in 0..4 {

@@ -6,8 +6,10 @@
 use lsfb_geometry::{Camera, Se3, Vector2};
 use lsfb_types::Image;
 
-/// Corners looked for at most, one per cell.
-const CELLS: [u32; 2] = [20, 14];
+use super::corners::corners;
+
+/// Gradients that a corner needs, grey levels squared: it must be told from others along the whole curve.
+const STRONG: f64 = 2000.0;
 /// Half the edge of a patch, pixels.
 const HALF: i32 = 5;
 /// Errors looked for across the curve, pixels.
@@ -19,8 +21,6 @@ const GOOD: f64 = 0.9;
 const SECOND: f64 = 0.8;
 /// Drop of the correlation two pixels across the curve: an edge along the curve has none, and says nothing.
 const SHARP: f64 = 0.04;
-/// Share of the larger eigenvalue of a corner's gradients that the smaller one has.
-const ROUND: f64 = 0.1;
 /// Places looked at along the curve at most.
 const MOST_PLACES: usize = 160;
 
@@ -49,54 +49,14 @@ pub(super) fn errors_px(
     second: (&Image, &Camera),
     second_from_first: &Se3,
 ) -> Vec<f64> {
-    corners(first.0)
-        .iter()
-        .filter_map(|corner| error_px(first, second, second_from_first, corner))
-        .collect()
-}
-
-/// The strongest corner of each cell: the larger the smaller eigenvalue of its gradients.
-fn corners(image: &Image) -> Vec<Vector2<f64>> {
-    let margin = HALF as u32 + 2;
-    let mut out = Vec::new();
-    if image.width < 4 * margin || image.height < 4 * margin {
-        return out;
-    }
-    let cell = [image.width / CELLS[0], image.height / CELLS[1]].map(|c| c.max(1));
-    let value = |x: u32, y: u32| f64::from(image.pixels[(y * image.width + x) as usize]);
-    for cy in 0..image.height / cell[1] {
-        for cx in 0..image.width / cell[0] {
-            let mut best: Option<(f64, [u32; 2])> = None;
-            for y in (cy * cell[1]..(cy + 1) * cell[1]).step_by(2) {
-                for x in (cx * cell[0]..(cx + 1) * cell[0]).step_by(2) {
-                    let inside = x >= margin
-                        && y >= margin
-                        && x + margin < image.width
-                        && y + margin < image.height;
-                    if !inside {
-                        continue;
-                    }
-                    let (mut a, mut b, mut c) = (0.0, 0.0, 0.0);
-                    for v in y - 2..=y + 2 {
-                        for u in x - 2..=x + 2 {
-                            let dx = value(u + 1, v) - value(u - 1, v);
-                            let dy = value(u, v + 1) - value(u, v - 1);
-                            a += dx * dx;
-                            b += dx * dy;
-                            c += dy * dy;
-                        }
-                    }
-                    let smaller = 0.5 * (a + c - ((a - c).powi(2) + 4.0 * b * b).sqrt());
-                    if smaller > ROUND * (a + c - smaller) && smaller > best.map_or(2000.0, |b| b.0)
-                    {
-                        best = Some((smaller, [x, y]));
-                    }
-                }
-            }
-            out.extend(best.map(|(_, [x, y])| Vector2::new(f64::from(x), f64::from(y))));
-        }
-    }
-    out
+    let image = first.0;
+    let (width, height) = (image.width as usize, image.height as usize);
+    corners(STRONG, width, height, |x, y| {
+        f64::from(image.pixels[y * width + x])
+    })
+    .iter()
+    .filter_map(|corner| error_px(first, second, second_from_first, corner))
+    .collect()
 }
 
 fn error_px(

@@ -1,50 +1,84 @@
-//! Rotation between LiDAR and cameras from any recording, without a target: mutual information first, edges as a check.
+//! The LiDAR's pose to cameras from any recording, without a target: mutual information first, edges as a check.
 
-use lsfb_geometry::{Rig, Se3, Vector3, Vector6, so3};
+use lsfb_geometry::{Matrix6, Rig, RigCamera, Se3, Vector6};
 use lsfb_recording::Recording;
 use lsfb_types::ProgressFn;
-use nalgebra::Matrix6;
 use serde::Serialize;
 
-use super::alignment::{Misalignment, Score, misalignment};
-use super::{Seen, VerifyConfig, gyro, scans, views};
+use super::against_lidar::{overlay, views};
+use super::alignment::{Score, View, misalignment, usable};
+use super::gyro::{Gyro, gyro};
+use super::mutual_information::mutual_information;
+use super::pose_search::{Found, Steps, following, maximum, profiles, turned_best};
+use super::scans::{ScanInRig, scans};
+use super::seen::{Seen, present};
+use super::{Overlay, VerifyConfig};
 use crate::{Error, TransformEdge};
 
-/// How well a translation is known that this step leaves as it was, metres: as a tape measure has it.
-const TRANSLATION_SIGMA_M: f64 = 0.02;
-/// Smallest standard deviation that is claimed for a rotation, radians: a third of a step of most LiDARs.
-const LEAST_SIGMA_RAD: f64 = 1e-3;
-/// Standard deviation beyond which the scene does not determine a rotation, radians.
-const LARGEST_SIGMA_RAD: f64 = 0.012;
-/// Standard deviations by which both scores may differ.
+/// How well a translation is known that is left as it was, metres: as a tape measure has it.
+const BY_HAND_M: f64 = 0.02;
+/// Smallest standard deviations that are claimed: a tenth of a step of most LiDARs in azimuth, and of the noise of one range.
+const LEAST_SIGMA: [f64; 2] = [4e-4, 0.003];
+/// Standard deviations beyond which the scene does not determine a rotation (rad), or a translation (m).
+const LARGEST_SIGMA: [f64; 2] = [0.006, 0.01];
+/// Standard deviations by which both scores may differ, and the most that edges are trusted to, radians.
 const MOST_DIFFERENCE: f64 = 4.0;
+const EDGES_SIGMA_RAD: f64 = 0.012;
+/// Half the width of the profiles: radians and metres.
+const PROFILE: [f64; 2] = [0.02, 0.06];
+/// Names of the six numbers.
+const NAMES: [&str; 6] = ["rotation x", "rotation y", "rotation z", "x", "y", "z"];
+
+/// One number of the camera's pose, about or along its own axes.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Component {
+    /// `rotation x` … `z`.
+    pub name: &'static str,
+    /// What was added to what the rig says, radians or metres; `None` where the recording does not determine it: it is as it
+    /// was.
+    pub change: Option<f64>,
+    /// Standard deviation, radians or metres; of what is not determined, what it would be. `None`: nothing is known.
+    pub sigma: Option<f64>,
+    /// The score around the result: pairs of the number, with the result at zero, and the mutual information (nats).
+    #[serde(skip)]
+    pub profile: Vec<[f64; 2]>,
+}
 
 /// What is said of one camera.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Refinement {
     /// The camera.
     pub camera: String,
-    /// Rotation of the camera to what the rig says, about its own axes, radians.
-    pub turn_rad: [f64; 3],
-    /// Its standard deviations, radians.
-    pub sigma_rad: [f64; 3],
-    /// The same from edges, where these say anything, radians.
-    pub edges_turn_rad: Option<[f64; 3]>,
-    /// Pose of the LiDAR in the camera with its covariance: rotation from here, translation as the rig had it. `None` where
-    /// the recording does not determine the rotation.
+    /// Its six numbers; none where nothing can be said.
+    pub components: Vec<Component>,
+    /// Mutual information with the rig's pose and with the one found, nats.
+    pub score: [f64; 2],
+    /// By what edges would turn the camera further, radians, and its standard deviation; `None` where they say nothing.
+    pub edges_turn_rad: Option<[f64; 2]>,
+    /// Pose of the LiDAR in the camera with its covariance. `None` where the recording does not determine it.
     #[serde(skip)]
     pub edge: Option<TransformEdge>,
+    /// Returns over an image, with the rig's pose and with the one found.
+    #[serde(skip)]
+    pub overlays: Option<[Overlay; 2]>,
     /// In words.
     pub sentence: String,
 }
 
-/// Rotations between the LiDAR and all cameras of a rig that is nearly right: within 2.5°.
+/// All cameras.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RefinementReport {
+    /// By name.
+    pub cameras: Vec<Refinement>,
+}
+
+/// Poses between the LiDAR and all cameras of a rig that is nearly right: within 2.5° and 5 cm.
 pub fn refine(
     recording: &Recording,
     rig: &Rig,
     config: &VerifyConfig,
     progress: ProgressFn,
-) -> Result<Vec<Refinement>, Error> {
+) -> Result<RefinementReport, Error> {
     let unknown = |problem: &str| Error::NotJoined {
         first: "cameras".to_owned(),
         second: "lidar".to_owned(),
@@ -55,106 +89,273 @@ pub fn refine(
         .as_ref()
         .ok_or_else(|| unknown("the rig has no LiDAR: give it a pose as measured by hand"))?;
     let gyro = gyro(recording)?;
-    let scans = scans(recording, rig, config)?;
+    let scans = scans(recording, rig, gyro.as_ref(), config)?;
     if scans.is_empty() {
         return Err(unknown("the recording has no scans"));
     }
-    let mut out = Vec::new();
-    for (name, mounted) in &rig.cameras {
-        if recording.images(name).is_err() {
-            continue;
-        }
-        let only_views = VerifyConfig {
-            max_frames: 0,
-            ..*config
-        };
-        let seen = Seen::read(recording, name, mounted, &scans, &only_views, progress)?;
-        let views = views(mounted, &seen, &scans, gyro.as_ref());
-        let camera_from_rig = mounted.rig_from_camera.inverse();
-        let by = |score| misalignment(&views, &camera_from_rig, score);
-        let Some(found) = by(Score::MutualInformation) else {
-            out.push(silent(name, "too few scans and images of the same time"));
-            continue;
-        };
-        let camera_from_lidar = camera_from_rig * lidar.rig_from_lidar;
-        out.push(judge(
+    let only_views = VerifyConfig {
+        max_frames: 0,
+        ..*config
+    };
+    let mut cameras = Vec::new();
+    for (name, mounted) in present(recording, rig) {
+        let seen = Seen::read(recording, (name, mounted), &scans, &only_views, progress)?;
+        let one = One {
             name,
-            &found,
-            by(Score::Edges).as_ref(),
-            &camera_from_lidar,
-        ));
+            mounted,
+            rig_from_lidar: &lidar.rig_from_lidar,
+            seen: &seen,
+            scans: &scans,
+            gyro: gyro.as_ref(),
+        };
+        cameras.push(one.refined()?);
     }
-    if out.is_empty() {
+    if cameras.is_empty() {
         return Err(unknown("none of the rig's cameras is in the recording"));
     }
-    Ok(out)
+    Ok(RefinementReport { cameras })
 }
 
-fn silent(camera: &str, why: &str) -> Refinement {
-    Refinement {
-        camera: camera.to_owned(),
-        turn_rad: [0.0; 3],
-        sigma_rad: [f64::INFINITY; 3],
-        edges_turn_rad: None,
-        edge: None,
-        sentence: why.to_owned(),
-    }
+/// Everything about one camera.
+struct One<'a> {
+    name: &'a str,
+    mounted: &'a RigCamera,
+    rig_from_lidar: &'a Se3,
+    seen: &'a Seen,
+    scans: &'a [ScanInRig],
+    gyro: Option<&'a Gyro>,
 }
 
-fn judge(
-    camera: &str,
-    found: &Misalignment,
-    edges: Option<&Misalignment>,
-    camera_from_lidar: &Se3,
-) -> Refinement {
-    let sigma = found.sigma_rad.map(|s| s.max(LEAST_SIGMA_RAD));
-    let mut refinement = Refinement {
-        camera: camera.to_owned(),
-        turn_rad: found.turn.into(),
-        sigma_rad: sigma.into(),
-        edges_turn_rad: edges.map(|e| e.turn.into()),
-        edge: None,
-        sentence: String::new(),
-    };
-    let weak = sigma.iamax();
-    if sigma[weak] > LARGEST_SIGMA_RAD {
-        refinement.sentence = format!(
-            "rotation about the camera's {} axis is not determined (σ {:.1}°): record a place with surfaces of different brightness",
-            ["x", "y", "z"][weak],
-            sigma[weak].to_degrees()
-        );
-        return refinement;
+impl One<'_> {
+    fn refined(&self) -> Result<Refinement, Error> {
+        let views = views(self.mounted, self.seen, self.scans, self.gyro);
+        let start = self.mounted.rig_from_camera.inverse();
+        let Some(usable) = usable(&views, Score::MutualInformation) else {
+            return Ok(self.silent("too few scans and images of the same time"));
+        };
+        let Some((found, sigma)) = determined(&usable, &start) else {
+            return Ok(self.silent("brightness in LiDAR and images has no maximum near the rig's pose: look at the overlay of `lsfb calib verify`, or record a place with surfaces of different brightness"));
+        };
+        let mut refinement = Refinement {
+            camera: self.name.to_owned(),
+            components: components(&usable, &start, &found, &sigma),
+            score: [&start, &found.camera_from_rig].map(|p| mutual_information(&usable, p)),
+            edges_turn_rad: None,
+            edge: None,
+            overlays: self.overlays(&start, &found.camera_from_rig)?,
+            sentence: String::new(),
+        };
+        self.judge(&mut refinement, &views, &found, &sigma);
+        Ok(refinement)
     }
-    if let Some(edges) = edges {
-        let spread = (edges.sigma_rad.norm_squared() + sigma.norm_squared()).sqrt();
-        let apart = (edges.turn - found.turn).norm();
-        if edges.sigma_rad.norm() < LARGEST_SIGMA_RAD && apart > MOST_DIFFERENCE * spread {
-            refinement.sentence = format!(
-                "brightness and edges differ by {:.2}°: look at the overlay of `lsfb calib verify`",
-                apart.to_degrees()
-            );
-            return refinement;
+
+    fn silent(&self, why: &str) -> Refinement {
+        Refinement {
+            camera: self.name.to_owned(),
+            components: Vec::new(),
+            score: [0.0; 2],
+            edges_turn_rad: None,
+            edge: None,
+            overlays: None,
+            sentence: why.to_owned(),
         }
     }
-    let turned = Se3::new(so3::exp(&found.turn), Vector3::zeros()) * *camera_from_lidar;
-    // The turn is about the camera's axes; covariances of edges are in those of the LiDAR.
-    let to_lidar = turned.rotation_matrix().transpose();
-    let rotation = to_lidar
-        * nalgebra::Matrix3::from_diagonal(&sigma.component_mul(&sigma))
-        * to_lidar.transpose();
-    let variance = TRANSLATION_SIGMA_M * TRANSLATION_SIGMA_M;
-    let mut covariance = Matrix6::from_diagonal(&Vector6::repeat(variance));
-    covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
-    refinement.sentence = format!(
-        "turned by {:.2}° ± {:.2}°",
-        found.turn.norm().to_degrees(),
-        sigma.norm().to_degrees()
-    );
-    refinement.edge = Some(TransformEdge {
-        target: camera.to_owned(),
-        source: crate::joint::LIDAR.to_owned(),
-        target_from_source: turned,
-        covariance: Some(covariance),
+
+    fn overlays(&self, before: &Se3, after: &Se3) -> Result<Option<[Overlay; 2]>, Error> {
+        let drawn = |pose: &Se3| {
+            overlay(
+                self.name,
+                self.mounted,
+                pose,
+                self.seen,
+                self.scans,
+                self.gyro,
+            )
+        };
+        Ok(drawn(before)?.zip(drawn(after)?).map(|(a, b)| [a, b]))
+    }
+
+    /// What is said of it, and whether it is given out.
+    fn judge(
+        &self,
+        refinement: &mut Refinement,
+        views: &[View],
+        found: &Found,
+        sigma: &Vector6<f64>,
+    ) {
+        let undetermined: Vec<String> = refinement
+            .components
+            .iter()
+            .filter(|c| c.change.is_none())
+            .map(Component::in_words)
+            .collect();
+        if (0..3).any(|k| !found.free.contains(&k)) {
+            refinement.sentence = format!(
+                "not determined: {}; record a place with surfaces of different brightness, all around",
+                undetermined.join(", ")
+            );
+            return;
+        }
+        // Edges start from what was found: they should not want to go elsewhere.
+        if let Some(edges) = misalignment(views, &found.camera_from_rig, Score::Edges) {
+            let (apart, spread) = (edges.turn.norm(), edges.sigma_rad.norm());
+            refinement.edges_turn_rad = Some([apart, spread]);
+            let chance = (spread.powi(2) + sigma.fixed_rows::<3>(0).norm_squared()).sqrt();
+            if spread < EDGES_SIGMA_RAD && apart > MOST_DIFFERENCE * chance {
+                refinement.sentence = format!(
+                    "brightness and edges differ by {:.2}°: look at the overlays",
+                    apart.to_degrees()
+                );
+                return;
+            }
+        }
+        let lost = if undetermined.is_empty() {
+            String::new()
+        } else {
+            format!(
+                "; as it was, since not determined: {}",
+                undetermined.join(", ")
+            )
+        };
+        refinement.sentence = format!("{}{lost}", refinement.change_in_words(sigma));
+        refinement.edge = Some(self.edge(found, sigma));
+    }
+
+    /// The transform for the joint graph.
+    fn edge(&self, found: &Found, sigma: &Vector6<f64>) -> TransformEdge {
+        let camera_from_lidar = found.camera_from_rig * *self.rig_from_lidar;
+        let mut covariance = found.covariance;
+        for k in 0..6 {
+            // Correlations stay as they are; what is added is each number's own. An angle that is not determined is not given.
+            let least = if found.free.contains(&k) {
+                sigma[k]
+            } else {
+                0.0
+            };
+            covariance[(k, k)] = covariance[(k, k)].max(least * least);
+        }
+        // The change is in the camera's axes; covariances of edges are in those of the LiDAR.
+        let through = camera_from_lidar.inverse().adjoint();
+        let covariance: Matrix6<f64> = through * covariance * through.transpose();
+        TransformEdge {
+            target: self.name.to_owned(),
+            source: crate::joint::LIDAR.to_owned(),
+            target_from_source: camera_from_lidar,
+            covariance: Some(0.5 * (covariance + covariance.transpose())),
+        }
+    }
+}
+
+/// The pose in what the views determine, and standard deviations of all six numbers: of those that are not determined, what
+/// they would be had they been found.
+fn determined(views: &[&View], start: &Se3) -> Option<(Found, Vector6<f64>)> {
+    let steps = Steps::of(views, start)?;
+    let turned = turned_best(views, start);
+    let all = maximum(views, &turned, &steps, &[0, 1, 2, 3, 4, 5])?;
+    let own = |found: &Found, k: usize| found.covariance[(k, k)].sqrt().max(LEAST_SIGMA[k / 3]);
+    let sigma = Vector6::from_fn(|k, _| own(&all, k));
+    let good = |k: usize| sigma[k] <= LARGEST_SIGMA[k / 3];
+    if (0..6).all(good) {
+        return Some((all, sigma));
+    }
+    // Translations first: without them rotations are known better.
+    let mut free: Vec<usize> = (0..6).filter(|k| *k < 3 || good(*k)).collect();
+    let mut found = maximum(views, &turned, &steps, &free)?;
+    let bad = |found: &Found, free: &[usize]| -> Vec<usize> {
+        let far = |k: &usize| own(found, *k) > LARGEST_SIGMA[*k / 3];
+        free.iter().copied().filter(far).collect()
+    };
+    let worse = bad(&found, &free);
+    if !worse.is_empty() {
+        free.retain(|k| !worse.contains(k));
+        if free.is_empty() {
+            return None;
+        }
+        found = maximum(views, &turned, &steps, &free)?;
+    }
+    // What was held is wrong by as much as hands measure, and what was found follows it.
+    let mut held = Matrix6::zeros();
+    for k in (3..6).filter(|k| !found.free.contains(k)) {
+        held[(k, k)] = BY_HAND_M * BY_HAND_M;
+    }
+    let follow = following(views, &found, &steps)? + Matrix6::identity();
+    found.covariance += follow * held * follow.transpose();
+    let sigma = Vector6::from_fn(|k, _| {
+        if found.free.contains(&k) {
+            own(&found, k)
+        } else {
+            sigma[k].max(found.covariance[(k, k)].sqrt())
+        }
     });
-    refinement
+    Some((found, sigma))
+}
+
+fn components(views: &[&View], start: &Se3, found: &Found, sigma: &Vector6<f64>) -> Vec<Component> {
+    let change = (found.camera_from_rig * start.inverse()).log();
+    let reach = std::array::from_fn(|k| PROFILE[k / 3]);
+    profiles(views, &found.camera_from_rig, &reach)
+        .into_iter()
+        .enumerate()
+        .map(|(k, profile)| Component {
+            name: NAMES[k],
+            change: found.free.contains(&k).then(|| change[k]),
+            sigma: Some(sigma[k]).filter(|s| s.is_finite()),
+            profile,
+        })
+        .collect()
+}
+
+impl Component {
+    /// Whether it is an angle.
+    pub fn is_angle(&self) -> bool {
+        self.name.starts_with("rotation")
+    }
+
+    /// A value of it in degrees or millimetres.
+    pub(super) fn shown(&self, value: f64) -> f64 {
+        if self.is_angle() {
+            value.to_degrees()
+        } else {
+            value * 1e3
+        }
+    }
+
+    pub(super) fn unit(&self) -> &'static str {
+        if self.is_angle() { "°" } else { "mm" }
+    }
+
+    fn in_words(&self) -> String {
+        match self.sigma {
+            Some(sigma) => format!("{} (σ {:.1} {})", self.name, self.shown(sigma), self.unit()),
+            None => format!("{} (σ unknown)", self.name),
+        }
+    }
+}
+
+impl Refinement {
+    fn change_in_words(&self, sigma: &Vector6<f64>) -> String {
+        let size = |angles: bool| {
+            let own = self.components.iter().filter(|c| c.is_angle() == angles);
+            own.filter_map(|c| Some(c.change?.powi(2)))
+                .sum::<f64>()
+                .sqrt()
+        };
+        let spread = |from: usize| {
+            let own = (from..from + 3).filter(|k| self.components[*k].change.is_some());
+            own.map(|k| sigma[k].powi(2)).sum::<f64>().sqrt()
+        };
+        let turned = format!(
+            "turned by {:.2}° ± {:.2}°",
+            size(true).to_degrees(),
+            spread(0).to_degrees()
+        );
+        if self.components[3..].iter().all(|c| c.change.is_none()) {
+            return turned;
+        }
+        format!(
+            "{turned} and moved by {:.0} ± {:.0} mm",
+            size(false) * 1e3,
+            spread(3) * 1e3
+        )
+    }
 }

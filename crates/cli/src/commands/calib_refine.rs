@@ -1,21 +1,24 @@
-//! `lsfb calib refine`: rotation between LiDAR and cameras without a board.
+//! `lsfb calib refine`: the LiDAR's pose to cameras without a board.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use lsfb_calib::verify::{VerifyConfig, refine};
+use lsfb_calib::verify::{Compared, Refinement, VerifyConfig, refine};
 use lsfb_recording::Provenance;
+use serde::Serialize;
 
 use super::calib::{listed, write_transforms};
 use crate::context::Context;
 use crate::outcome::Outcome;
 
-/// Refine the rotation between LiDAR and cameras on any recording, without a board.
+/// Refine the LiDAR's pose to cameras on any recording, without a board.
 ///
-/// Brightness in LiDAR and images (mutual information) says how a camera is turned, edges check it; the rig must be right
-/// within 2.5°. Each camera's transform goes to `lsfb calib joint`, which joins them with those to the IMU.
+/// Brightness in LiDAR and images (mutual information) says how a camera is turned and moved, edges check it; the rig must be
+/// right within 2.5° and 5 cm. What the recording does not determine is named and left as it was. Each camera's transform
+/// goes to `lsfb calib joint`, which joins them with those to the IMU. Exit code 1 where no camera could be refined.
 ///
 /// Examples:
-///   lsfb calib refine scan.mcap --out refined.json
+///   lsfb calib refine scan.mcap --out refined.html
+///   lsfb calib refine scan.mcap --rig by-hand.toml --out refined.html --json
 ///   lsfb calib joint --rig rig.toml --transform refined.cam0-lidar.json --transform refined.cam1-lidar.json --out rig2.toml
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -26,15 +29,23 @@ pub struct Arguments {
     /// The rig to start from, instead of the recording's own.
     #[arg(long, value_name = "TOML")]
     rig: Option<PathBuf>,
-    /// What was found; the transforms lie beside it.
-    #[arg(long, value_name = "JSON")]
+    /// The page; pictures and the transforms of cameras lie beside it.
+    #[arg(long, value_name = "HTML")]
     out: PathBuf,
     /// Settings (TOML), instead of the defaults.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
 }
 
-/// Refines, writes the transforms, prints what was found.
+#[derive(Serialize)]
+struct Printed<'a> {
+    page: &'a Path,
+    transforms: &'a [PathBuf],
+    pictures: &'a [PathBuf],
+    cameras: &'a [Refinement],
+}
+
+/// Refines, writes page, pictures and transforms, prints what was found.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     let config: VerifyConfig = super::config_or_default(arguments.config.as_deref())?;
     let recording = context.open(&arguments.recording)?;
@@ -44,18 +55,46 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     super::expect_writable(&arguments.out)?;
     let show = |p| context.show_or_end(p);
     let found = refine(&recording, &rig, &config, &show)?;
-    let mut lines = Vec::new();
-    for refined in &found {
-        let mut line = format!("{}: {}", refined.camera, refined.sentence);
-        let transforms = write_transforms(&arguments.out, refined.edge.as_slice())?;
-        if !transforms.is_empty() {
-            line += &format!(", {}", listed(&transforms));
+    let page = &arguments.out;
+    let picture = |camera: &str, which: Compared| {
+        page.with_extension(format!("{camera}-{}.png", which.name()))
+    };
+    let (mut transforms, mut pictures) = (Vec::new(), Vec::new());
+    for refined in &found.cameras {
+        transforms.extend(write_transforms(page, refined.edge.as_slice())?);
+        let overlays = refined.overlays.iter().flatten();
+        for (overlay, which) in overlays.zip([Compared::Before, Compared::After]) {
+            let path = picture(&refined.camera, which);
+            super::write(&path, &overlay.png)?;
+            pictures.push(path);
         }
-        lines.push(line);
     }
-    let text = serde_json::to_string_pretty(&found)? + "\n";
-    super::write(&arguments.out, text)?;
-    provenance.write(&arguments.out)?;
-    context.print(&found, || lines.join("\n"))?;
+    let beside = |camera: &str, which: Compared| super::name_of(&picture(camera, which));
+    super::write(
+        page,
+        found.to_html("LiDAR to cameras without a board", &beside),
+    )?;
+    provenance.write(page)?;
+    let printed = Printed {
+        page,
+        transforms: &transforms,
+        pictures: &pictures,
+        cameras: &found.cameras,
+    };
+    context.print(&printed, || {
+        let mut text = format!("{} See {}.", found.verdict(), page.display());
+        for c in &found.cameras {
+            text += &format!("\n  {}: {}", c.camera, c.sentence);
+        }
+        if !transforms.is_empty() {
+            text += &format!("\n  for `lsfb calib joint`: {}", listed(&transforms));
+        }
+        text
+    })?;
+    anyhow::ensure!(
+        !transforms.is_empty(),
+        "{}: no camera could be placed to the LiDAR: see the reasons above",
+        arguments.recording.display()
+    );
     Ok(Outcome::Done)
 }

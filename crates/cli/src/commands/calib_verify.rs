@@ -64,13 +64,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         super::write(&path, &overlay.png)?;
         pictures.push(path);
     }
-    let beside = |camera: &str| {
-        let path = picture(camera);
-        path.file_name()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .into_owned()
-    };
+    let beside = |camera: &str| super::name_of(&picture(camera));
     super::write(&page, found.to_html("Does the rig fit?", &beside))?;
     provenance.write(&page)?;
     let result = Printed {

@@ -106,6 +106,14 @@ fn expect_writable(result: &Path) -> anyhow::Result<()> {
         })
 }
 
+/// The name of a file without its folder, for pages beside it.
+fn name_of(path: &Path) -> String {
+    path.file_name()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .into_owned()
+}
+
 /// Names the file in an error that does not.
 fn about<T, E: Into<anyhow::Error>>(path: &Path, result: Result<T, E>) -> anyhow::Result<T> {
     result.map_err(|error| {

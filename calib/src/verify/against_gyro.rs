@@ -1,0 +1,98 @@
+//! A camera against the gyroscope: time offset and rotation.
+
+use lsfb_geometry::{RigCamera, so3};
+
+use super::gyro::Gyro;
+use super::judgement::{judged, unclear};
+use super::time_offset::{self, Agreement, Silent, Turn};
+use super::{Check, Outcome, VerifyConfig};
+
+/// Both checks; none without a gyroscope.
+pub(super) fn against_gyro(
+    name: &str,
+    mounted: &RigCamera,
+    turns: &[Turn],
+    gyro: Option<&Gyro>,
+    config: &VerifyConfig,
+) -> Vec<Check> {
+    let Some(gyro) = gyro else {
+        return Vec::new();
+    };
+    let mut time = Check::unknown(format!("{name} time offset"), "ms", config.time_offset_ms);
+    let mut rotation = Check::unknown(
+        format!("{name} rotation to the IMU"),
+        "°",
+        config.imu_rotation_deg,
+    );
+    match time_offset::agree(turns, gyro) {
+        Ok(found) => {
+            judge_time(&mut time, mounted, &found);
+            judge_rotation(&mut rotation, mounted, &found);
+        }
+        Err(silent) => {
+            let why = match silent {
+                Silent::TooFewPairs(n) => format!(
+                    "{n} pairs of images follow the gyroscope, 30 are needed: a longer recording, and something to see, would tell"
+                ),
+                Silent::TooLittleTurning(rate) => format!(
+                    "it turns by {rate:.3} rad/s only about a second axis: turning more would tell"
+                ),
+                Silent::EndOfSearch(offset_s) => {
+                    time.outcome = Outcome::Fail;
+                    format!(
+                        "no time offset within {:.0} ms makes images follow the gyroscope: the clocks are not those of one rig",
+                        offset_s.abs() * 1e3
+                    )
+                }
+            };
+            time.sentence.clone_from(&why);
+            rotation.sentence = why;
+        }
+    }
+    vec![time, rotation]
+}
+
+fn judge_time(check: &mut Check, mounted: &RigCamera, found: &Agreement) {
+    let offset_ms = found.offset_s * 1e3;
+    let sigma_ms = found.offset_sigma_s * 1e3;
+    check.outcome = judged(offset_ms.abs(), sigma_ms, check.limits);
+    check.value = Some(offset_ms);
+    check.sigma = Some(sigma_ms);
+    // What a wrong clock moves the image by while the rig turns as it does here.
+    let moved_px = |ms: f64| mounted.camera.focal_px()[0] * found.rate_rad_s * ms * 1e-3;
+    check.sentence = match check.outcome {
+        Outcome::Unknown => unclear(sigma_ms, "ms"),
+        Outcome::Pass => format!(
+            "images and gyroscope agree in time over {} pairs of images; {:.0} ms would move the image by {:.1} px while it turns as here",
+            found.pairs,
+            check.limits[0],
+            moved_px(check.limits[0])
+        ),
+        _ => format!(
+            "images were taken {:.1} ms {} than the rig says, which moves them by {:.1} px while it turns as here: check triggers and clocks, or calibrate camera and IMU again",
+            offset_ms.abs(),
+            if offset_ms > 0.0 { "later" } else { "earlier" },
+            moved_px(offset_ms.abs())
+        ),
+    };
+}
+
+fn judge_rotation(check: &mut Check, mounted: &RigCamera, found: &Agreement) {
+    let expected = mounted.rig_from_camera.rotation.inverse();
+    let off = so3::log(&(expected.inverse() * found.camera_from_rig));
+    let (off_deg, sigma_deg) = (
+        off.norm().to_degrees(),
+        found.rotation_sigma_rad.to_degrees(),
+    );
+    check.outcome = judged(off_deg, sigma_deg, check.limits);
+    check.value = Some(off_deg);
+    check.sigma = Some(sigma_deg);
+    check.sentence = match check.outcome {
+        Outcome::Unknown => unclear(sigma_deg, "°"),
+        Outcome::Pass => "the camera turns as the gyroscope does".to_owned(),
+        _ => format!(
+            "the camera is turned by {off_deg:.1}° about the rig's {} axis: it was moved, or the rig is another's",
+            ["x", "y", "z"][off.iamax()]
+        ),
+    };
+}

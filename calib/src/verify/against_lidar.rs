@@ -1,0 +1,166 @@
+//! A camera against the LiDAR: edges of both, and a picture.
+
+use lsfb_geometry::{RigCamera, Se3, Vector3, so3};
+use rayon::prelude::*;
+
+use super::alignment::{self, EdgeImage, Score, StepPoint, View};
+use super::gyro::Gyro;
+use super::judgement::judged;
+use super::mutual_information::{Return, mutual_information};
+use super::overlay::Picture;
+use super::pose_search::{Steps, maximum, turned_best};
+use super::scans::ScanInRig;
+use super::seen::{NearScan, Seen};
+use super::{Check, Outcome, Overlay, VerifyConfig};
+use crate::Error;
+
+/// Mutual information below which brightness in LiDAR and images has nothing in common, nats.
+const LEAST_INFORMATION: f64 = 0.02;
+/// What a rotation is known to at best, radians: a translation that is a centimetre wrong, ten metres away.
+const LEAST_SIGMA_RAD: f64 = 1e-3;
+
+/// Each image with what the scan of its time shows.
+pub(super) fn views(
+    mounted: &RigCamera,
+    seen: &Seen,
+    scans: &[ScanInRig],
+    gyro: Option<&Gyro>,
+) -> Vec<View> {
+    let camera_from_rig = mounted.rig_from_camera.inverse();
+    scans
+        .par_iter()
+        .zip(&seen.near_scan)
+        .filter_map(|(scan, near)| {
+            let NearScan { time_s, image, .. } = near.as_ref()?;
+            // What this camera may see, also when it is turned a little.
+            let mut ahead = scan.at(*time_s, gyro);
+            ahead.retain(|p| (camera_from_rig * p.in_rig).z > 0.0);
+            Some(View {
+                steps: ahead
+                    .iter()
+                    .filter_map(|p| {
+                        Some(StepPoint {
+                            position: p.in_rig,
+                            weight: p.step?,
+                        })
+                    })
+                    .collect(),
+                returns: ahead
+                    .iter()
+                    .map(|p| Return {
+                        position: p.in_rig,
+                        bin: p.bin,
+                    })
+                    .collect(),
+                edges: EdgeImage::new(image, &mounted.camera),
+            })
+        })
+        .collect()
+}
+
+/// The returns over the image in the middle of the recording; `None` without an image of a scan's time.
+pub(super) fn overlay(
+    name: &str,
+    mounted: &RigCamera,
+    camera_from_rig: &Se3,
+    seen: &Seen,
+    scans: &[ScanInRig],
+    gyro: Option<&Gyro>,
+) -> Result<Option<Overlay>, Error> {
+    let middle = scans.len() / 2;
+    let near = seen.near_scan.iter().enumerate();
+    let near = near.filter_map(|(k, near)| Some((k, near.as_ref()?)));
+    let Some((k, near)) = near.min_by_key(|(k, _)| k.abs_diff(middle)) else {
+        return Ok(None);
+    };
+    let returns = scans[k].at(near.time_s, gyro);
+    let points: Vec<Vector3<f64>> = returns.iter().map(|p| p.in_rig).collect();
+    let (picture, points) = Picture::new(&near.image, &mounted.camera, camera_from_rig, &points);
+    Ok(Some(Overlay {
+        camera: name.to_owned(),
+        time_ns: near.time_ns,
+        points,
+        png: picture.to_png()?,
+    }))
+}
+
+pub(super) fn against_lidar(
+    name: &str,
+    mounted: &RigCamera,
+    seen: &Seen,
+    scans: &[ScanInRig],
+    gyro: Option<&Gyro>,
+    config: &VerifyConfig,
+) -> Result<(Check, Option<Overlay>), Error> {
+    let camera_from_rig = mounted.rig_from_camera.inverse();
+    let views = views(mounted, seen, scans, gyro);
+    let overlay = overlay(name, mounted, &camera_from_rig, seen, scans, gyro)?;
+    let mut check = Check::unknown(
+        format!("{name} rotation to the LiDAR"),
+        "°",
+        config.lidar_rotation_deg,
+    );
+    match turned(&views, &camera_from_rig) {
+        Some(found) => {
+            let off = found.turn.norm().to_degrees();
+            let sigma = found.sigma_rad.to_degrees();
+            check.value = Some(off);
+            check.sigma = Some(sigma);
+            check.outcome = judged(off, sigma, check.limits);
+            check.sentence = match check.outcome {
+                Outcome::Unknown => format!(
+                    "{} of LiDAR and images fit in too many ways (σ {sigma:.1}°): look at the overlay, or record a place with posts, pictures and furniture",
+                    found.what
+                ),
+                Outcome::Pass => format!("{} of LiDAR and images agree", found.what),
+                _ => format!(
+                    "{} of LiDAR and images agree better when the camera is turned by {off:.2}° about its {} axis: it was moved, or calibrate LiDAR and camera again",
+                    found.what,
+                    ["x", "y", "z"][found.turn.iamax()]
+                ),
+            };
+        }
+        None => {
+            check.sentence =
+                "too few scans and images of the same time with steps in range".to_owned();
+        }
+    }
+    Ok((check, overlay))
+}
+
+/// By how much a camera is turned to the LiDAR.
+struct Turned {
+    /// About the camera's axes, radians.
+    turn: Vector3<f64>,
+    sigma_rad: f64,
+    what: &'static str,
+}
+
+/// Brightness says more than edges, where the LiDAR knows it.
+fn turned(views: &[View], camera_from_rig: &Se3) -> Option<Turned> {
+    by_brightness(views, camera_from_rig).or_else(|| {
+        let found = alignment::misalignment(views, camera_from_rig, Score::Edges)?;
+        Some(Turned {
+            turn: found.turn,
+            sigma_rad: found.sigma_rad.norm(),
+            what: "edges",
+        })
+    })
+}
+
+fn by_brightness(views: &[View], camera_from_rig: &Se3) -> Option<Turned> {
+    let usable = alignment::usable(views, Score::MutualInformation)?;
+    if mutual_information(&usable, camera_from_rig) < LEAST_INFORMATION {
+        return None;
+    }
+    let steps = Steps::of(&usable, camera_from_rig)?;
+    let start = turned_best(&usable, camera_from_rig);
+    let found = maximum(&usable, &start, &steps, &[0, 1, 2])?;
+    let turn = so3::log(&(found.camera_from_rig.rotation * camera_from_rig.rotation.inverse()));
+    let variance = found.covariance.fixed_view::<3, 3>(0, 0).trace();
+    Some(Turned {
+        turn,
+        sigma_rad: (variance + LEAST_SIGMA_RAD * LEAST_SIGMA_RAD).sqrt(),
+        what: "brightness",
+    })
+}

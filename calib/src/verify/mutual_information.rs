@@ -1,0 +1,121 @@
+//! What is bright to the LiDAR and to the camera depends on each other where the rig is right:
+//! `I = Σ p(a, b) log (p(a, b) / p(a) p(b))` over reflectivity `a` and grey value `b` (Pandey et al., "Automatic Extrinsic
+//! Calibration of Vision and Lidar by Maximizing Mutual Information", 2015).
+//!
+//! `N·I` changes with the pose as the sum of `L(a, b) = log (p(a, b) / p(a) p(b))` over all returns does with `L` held: the log
+//! likelihood of the images. Its derivatives by view say how far views disagree, and so how well the maximum is known.
+
+use lsfb_geometry::{Se3, Vector3};
+
+use super::alignment::View;
+
+/// Bins of reflectivity and of grey value.
+const BINS: usize = 20;
+/// Returns of a view that count at most.
+const MOST_RETURNS: usize = 3000;
+/// Returns needed in view.
+const MIN_RETURNS: f64 = 100.0;
+
+/// A return with its reflectivity as a bin.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Return {
+    /// In the rig at the image's time, metres.
+    pub position: Vector3<f64>,
+    pub bin: usize,
+}
+
+type Table = [[f64; BINS]; BINS];
+
+/// Bins that hold as many returns each, by reflectivity.
+pub(super) fn bins_of(reflectivity: &[u8]) -> [usize; 256] {
+    let mut counts = [0usize; 256];
+    for r in reflectivity {
+        counts[usize::from(*r)] += 1;
+    }
+    let mut below = 0;
+    counts.map(|n| {
+        let bin = (below + n / 2) * BINS / reflectivity.len().max(1);
+        below += n;
+        bin.min(BINS - 1)
+    })
+}
+
+/// Calls with the bin of each return in view, that of its grey value, and the share of the next.
+fn for_each(view: &View, camera_from_rig: &Se3, mut call: impl FnMut(usize, usize, f64)) {
+    let every = view.returns.len().div_ceil(MOST_RETURNS).max(1);
+    for seen in view.returns.iter().step_by(every) {
+        let point = *camera_from_rig * seen.position;
+        let Some(gray) = view.edges.at(&view.edges.gray, &point) else {
+            continue;
+        };
+        // Shared between the two nearest bins, so that the score is smooth.
+        let place = (gray / 256.0 * BINS as f64 - 0.5).clamp(0.0, (BINS - 1) as f64 - 1e-9);
+        call(seen.bin, place as usize, place.fract());
+    }
+}
+
+/// Counts of reflectivity and grey value, and of all.
+fn counts(views: &[&View], camera_from_rig: &Se3) -> (Table, f64) {
+    let mut joint = [[0.0; BINS]; BINS];
+    let mut total = 0.0;
+    for view in views {
+        for_each(view, camera_from_rig, |a, b, share| {
+            joint[a][b] += 1.0 - share;
+            joint[a][b + 1] += share;
+            total += 1.0;
+        });
+    }
+    (joint, total)
+}
+
+/// `L(a, b)`; zero where nothing was seen.
+fn log_ratios(joint: &Table, total: f64) -> Table {
+    let by_gray: [f64; BINS] = std::array::from_fn(|b| joint.iter().map(|row| row[b]).sum());
+    joint.map(|row| {
+        let by_reflectivity: f64 = row.iter().sum();
+        std::array::from_fn(|b| {
+            if row[b] > 0.0 {
+                (row[b] * total / (by_reflectivity * by_gray[b])).ln()
+            } else {
+                0.0
+            }
+        })
+    })
+}
+
+/// Mutual information of reflectivity and grey value, nats.
+pub(super) fn mutual_information(views: &[&View], camera_from_rig: &Se3) -> f64 {
+    let (joint, total) = counts(views, camera_from_rig);
+    if total < MIN_RETURNS {
+        return 0.0;
+    }
+    let ratios = log_ratios(&joint, total);
+    let pairs = joint.iter().flatten().zip(ratios.iter().flatten());
+    pairs.map(|(n, l)| n / total * l).sum()
+}
+
+/// The dependence at a pose, held while the pose moves.
+pub(super) struct Likelihood {
+    ratios: Table,
+    /// Returns in view.
+    pub total: f64,
+}
+
+impl Likelihood {
+    pub fn at(views: &[&View], camera_from_rig: &Se3) -> Self {
+        let (joint, total) = counts(views, camera_from_rig);
+        Self {
+            ratios: log_ratios(&joint, total),
+            total,
+        }
+    }
+
+    /// Log likelihood of one view's image at a pose.
+    pub fn of(&self, view: &View, camera_from_rig: &Se3) -> f64 {
+        let mut sum = 0.0;
+        for_each(view, camera_from_rig, |a, b, share| {
+            sum += (1.0 - share) * self.ratios[a][b] + share * self.ratios[a][b + 1];
+        });
+        sum
+    }
+}
