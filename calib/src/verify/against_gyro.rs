@@ -4,14 +4,15 @@ use lsfb_geometry::{RigCamera, so3};
 
 use super::gyro::Gyro;
 use super::judgement::{judged, unclear};
-use super::time_offset::{self, Agreement, Silent, Turn};
+use super::time_offset::{self, Agreement, Silent};
+use super::tracks::Pair;
 use super::{Check, Outcome, VerifyConfig};
 
 /// Both checks; none without a gyroscope.
 pub(super) fn against_gyro(
     name: &str,
     mounted: &RigCamera,
-    turns: &[Turn],
+    pairs: &[Pair],
     gyro: Option<&Gyro>,
     config: &VerifyConfig,
 ) -> Vec<Check> {
@@ -24,7 +25,7 @@ pub(super) fn against_gyro(
         "°",
         config.imu_rotation_deg,
     );
-    match time_offset::agree(turns, gyro) {
+    match time_offset::agree(pairs, mounted, gyro) {
         Ok(found) => {
             judge_time(&mut time, mounted, &found);
             judge_rotation(&mut rotation, mounted, &found);

@@ -10,6 +10,9 @@ use nalgebra::Matrix1x6;
 const WIDTHS: [u32; 2] = [64, 160];
 /// Widest image in which corners are followed, pixels.
 const FINE_WIDTH: u32 = 640;
+/// Levels of the pyramid in which they are followed at most, and the narrowest one, pixels.
+const FINE_LEVELS: u32 = 4;
+const LEAST_WIDTH: u32 = 60;
 const ITERATIONS: usize = 8;
 /// Brightness error at which a pixel's weight is halved, in units of the image's contrast.
 const SCALE: f64 = 0.4;
@@ -29,8 +32,8 @@ pub(super) struct Frame {
     pub time_s: f64,
     /// Contrast, registered as a whole.
     levels: Vec<Gray>,
-    /// Brightness, half as large and as large as corners are followed in.
-    pub fine: [Gray; 2],
+    /// Brightness in which corners are followed, each half as wide as the one before.
+    pub fine: Vec<Gray>,
 }
 
 impl Frame {
@@ -43,7 +46,11 @@ impl Frame {
         Self {
             time_s,
             levels: WIDTHS.iter().map(level).collect(),
-            fine: [2 * factor, factor].map(|f| Gray::reduced(image, camera, f)),
+            fine: (0..FINE_LEVELS)
+                .map(|k| factor << k)
+                .filter(|f| image.width / f >= LEAST_WIDTH)
+                .map(|f| Gray::reduced(image, camera, f).smoothed())
+                .collect(),
         }
     }
 }
@@ -70,6 +77,29 @@ impl Gray {
         self
     }
 
+    /// Each pixel with its neighbours, 1 : 2 : 1 both ways: finer than that nothing can be followed.
+    fn smoothed(mut self) -> Self {
+        let (width, height) = (self.width(), self.height());
+        for row in self.values.chunks_exact_mut(width.max(1)) {
+            let mut before = row[0];
+            for x in 1..width.saturating_sub(1) {
+                let own = row[x];
+                row[x] = 0.25 * (before + 2.0 * own + row[x + 1]);
+                before = own;
+            }
+        }
+        let mut before = self.values[..width.min(self.values.len())].to_vec();
+        for y in 1..height.saturating_sub(1) {
+            for (x, above) in before.iter_mut().enumerate() {
+                let own = self.values[y * width + x];
+                let below = self.values[(y + 1) * width + x];
+                self.values[y * width + x] = 0.25 * (*above + 2.0 * own + below);
+                *above = own;
+            }
+        }
+        self
+    }
+
     pub fn width(&self) -> usize {
         self.camera.width as usize
     }
@@ -80,6 +110,37 @@ impl Gray {
 
     pub fn at(&self, x: usize, y: usize) -> f64 {
         f64::from(self.values[y * self.width() + x])
+    }
+
+    /// A square of `N` × `N` values a pixel apart around a place between pixels, row by row; `None` where it is not all inside.
+    pub fn window<const N: usize>(&self, middle: &Vector2<f64>) -> Option<[[f64; N]; N]> {
+        let first = middle.map(|c| c - (N / 2) as f64);
+        let last = first.map(|c| c + N as f64);
+        let (width, height) = (self.width(), self.height());
+        let inside =
+            first.x >= 0.0 && first.y >= 0.0 && last.x < width as f64 && last.y < height as f64;
+        if !inside {
+            return None;
+        }
+        let (i, j) = (first.x as usize, first.y as usize);
+        let (u, v) = (first.x - i as f64, first.y - j as f64);
+        let mut out = [[0.0; N]; N];
+        for (y, out) in out.iter_mut().enumerate() {
+            let start = (j + y) * width + i;
+            let above = self.values.get(start..=start + N)?;
+            let below = self.values.get(start + width..=start + width + N)?;
+            let down = |x: usize| {
+                let (a, b) = (f64::from(above[x]), f64::from(below[x]));
+                a + (b - a) * v
+            };
+            let mut left = down(0);
+            for (x, out) in out.iter_mut().enumerate() {
+                let right = down(x + 1);
+                *out = left + (right - left) * u;
+                left = right;
+            }
+        }
+        Some(out)
     }
 
     /// Between pixels, with the gradient; `None` outside.

@@ -159,7 +159,7 @@ pub fn verify(
             total: present.len() as u64,
         });
         let seen = Seen::read(recording, (name, mounted), &scans, config, progress)?;
-        let turning = against_gyro::against_gyro(name, mounted, &seen.turns, gyro.as_ref(), config);
+        let turning = against_gyro::against_gyro(name, mounted, &seen.pairs, gyro.as_ref(), config);
         checks.extend(turning);
         if !scans.is_empty() {
             let (check, overlay) =

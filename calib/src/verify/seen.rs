@@ -1,4 +1,4 @@
-//! What is kept of a camera's images: how it turned from one to the next, and the images nearest to scans.
+//! What is kept of a camera's images: corners followed from one to the next, and the images nearest to scans.
 
 use lsfb_geometry::{Rig, RigCamera};
 use lsfb_recording::Recording;
@@ -7,15 +7,15 @@ use rayon::prelude::*;
 
 use super::frame::Frame;
 use super::scans::ScanInRig;
-use super::time_offset::{Turn, turn};
+use super::tracks::Pair;
 use super::{VerifyConfig, seconds, unreadable};
 use crate::Error;
 
 /// Images read before they are looked at together.
 const AT_ONCE: usize = 32;
-/// Images that are compared are about this far apart, seconds: long enough for the turning to stand out of the noise of
-/// corners, short enough for it to be one motion; and at most so far.
-const APART_S: f64 = 0.15;
+/// Images that are compared are at least this far apart, a tenth of a second at most rates: there noise of corners is below the
+/// gyroscope's, and corners are still found; and at most so far.
+const APART_S: f64 = 0.09;
 const MOST_APART_S: f64 = 0.35;
 /// An image of a scan's time is at most this far from its middle, seconds.
 const BESIDE_S: f64 = 0.06;
@@ -30,7 +30,7 @@ pub(super) struct NearScan {
 }
 
 pub(super) struct Seen {
-    pub turns: Vec<Turn>,
+    pub pairs: Vec<Pair>,
     /// By scan.
     pub near_scan: Vec<Option<NearScan>>,
 }
@@ -54,9 +54,9 @@ impl Seen {
     ) -> Result<Self, Error> {
         let offset_s = mounted.timing.rig_from_camera_s;
         let mut near_scan: Vec<Option<NearScan>> = vec![None; scans.len()];
-        let mut turns = Turns::default();
+        let mut pairs = Pairs::default();
         let mut batch: Vec<Stamped<Image>> = Vec::with_capacity(AT_ONCE);
-        let mut looked = 0;
+        let (mut looked, mut last_s) = (0, None::<f64>);
         for image in recording.images(name).map_err(unreadable(recording))? {
             let image = image.map_err(unreadable(recording))?;
             expect_size(recording, name, mounted, &image.sample)?;
@@ -74,12 +74,14 @@ impl Seen {
                     });
                 }
             }
-            if looked < config.max_frames {
+            let due = last_s.is_none_or(|last| time_s - last > APART_S);
+            if due && looked < config.max_frames {
                 batch.push(image);
+                last_s = Some(time_s);
                 looked += 1;
             }
             if batch.len() == AT_ONCE {
-                turns.add(recording, mounted, &mut batch);
+                pairs.add(recording, mounted, &mut batch);
                 progress(Progress {
                     stage: "images",
                     done: looked as u64,
@@ -87,9 +89,9 @@ impl Seen {
                 });
             }
         }
-        turns.add(recording, mounted, &mut batch);
+        pairs.add(recording, mounted, &mut batch);
         Ok(Self {
-            turns: turns.found,
+            pairs: pairs.found,
             near_scan,
         })
     }
@@ -114,16 +116,14 @@ fn expect_size(
     })
 }
 
-/// Turns so far, and the last images, at which the next ones begin.
+/// Pairs so far, and the last image, at which the next one begins.
 #[derive(Default)]
-struct Turns {
-    found: Vec<Turn>,
-    last: Vec<Frame>,
-    /// How many images farther on the other one of a pair is; unknown at first.
-    apart: Option<usize>,
+struct Pairs {
+    found: Vec<Pair>,
+    last: Option<Frame>,
 }
 
-impl Turns {
+impl Pairs {
     /// Looks at a batch of images and empties it.
     fn add(&mut self, recording: &Recording, mounted: &RigCamera, batch: &mut Vec<Stamped<Image>>) {
         let offset_s = mounted.timing.rig_from_camera_s;
@@ -131,26 +131,15 @@ impl Turns {
             let time_s = seconds(i.time.nanos(), recording) + offset_s;
             Frame::new(time_s, &i.sample, &mounted.camera)
         });
-        let mut frames = std::mem::take(&mut self.last);
-        frames.extend(made.collect::<Vec<Frame>>());
+        let made: Vec<Frame> = made.collect();
         batch.clear();
-        let apart = *self.apart.get_or_insert_with(|| apart(&frames));
-        let turns: Vec<Option<Turn>> = frames
-            .par_windows(apart + 1)
-            .map(|w| turn(&w[0], &w[apart]).filter(|t| t.to_s - t.from_s < MOST_APART_S))
+        let frames: Vec<Frame> = self.last.take().into_iter().chain(made).collect();
+        let pairs: Vec<Option<Pair>> = frames
+            .par_windows(2)
+            .filter(|w| w[1].time_s > w[0].time_s && w[1].time_s - w[0].time_s < MOST_APART_S)
+            .map(|w| Pair::new(&w[0], &w[1]))
             .collect();
-        self.found.extend(turns.into_iter().flatten());
-        self.last = frames.split_off(frames.len().saturating_sub(apart));
+        self.found.extend(pairs.into_iter().flatten());
+        self.last = frames.into_iter().next_back();
     }
-}
-
-/// How many images make up the time that those of a pair are apart.
-fn apart(frames: &[Frame]) -> usize {
-    let mut gaps: Vec<f64> = frames
-        .windows(2)
-        .map(|w| w[1].time_s - w[0].time_s)
-        .collect();
-    gaps.sort_by(f64::total_cmp);
-    let usual = gaps.get(gaps.len() / 2).copied().unwrap_or(APART_S);
-    ((APART_S / usual.max(1e-3)).round() as usize).clamp(1, 30)
 }

@@ -2,16 +2,18 @@
 //!
 //! Between two images a camera turns with `ω`; the gyroscope, which is turned by `R` and reads `τ` later, says `R ω̄(t + τ) + b`.
 //! Rotation, bias and time offset are found over all pairs of images, each weighed by what it knows of the three axes.
-//! Standard deviations come from leaving out a tenth of the recording at a time: errors of neighbouring pairs are
-//! not independent, and what a tenth more or less changes is what another recording would.
+//! Pairs follow each other without overlap. Standard deviations come from how unlike the seconds of the recording are: what they pull
+//! by at the minimum, summed as squares.
 
-use lsfb_geometry::{Matrix3, UnitQuaternion, Vector3, so3};
+use std::collections::BTreeMap;
+
+use lsfb_geometry::{Matrix3, RigCamera, UnitQuaternion, Vector3, so3};
 use nalgebra::{Rotation3, SMatrix, SVector};
+use rayon::prelude::*;
 
-use super::frame::{Frame, register};
 use super::gyro::Gyro;
 use super::relative::relative;
-use super::tracks::follow;
+use super::tracks::Pair;
 
 /// Offsets searched, seconds.
 const REACH_S: f64 = 0.15;
@@ -25,8 +27,8 @@ const FLOOR_RAD_S: f64 = 1.5e-3;
 /// Normalized errors at which the weight of a pair is halved.
 const ROBUST_SCALE: f64 = 3.0;
 const ITERATIONS: usize = 10;
-/// Parts of the recording that are left out in turn.
-const PARTS: usize = 10;
+/// Span in which errors of pairs may depend on each other, seconds.
+const BLOCK_S: f64 = 1.0;
 /// Span over which the gyroscope's rate of change is read, seconds.
 const SLOPE_S: f64 = 0.005;
 
@@ -62,31 +64,33 @@ pub(super) enum Silent {
     EndOfSearch(f64),
 }
 
-/// Angular velocity between two images; `None` where they do not fit.
-pub(super) fn turn(a: &Frame, b: &Frame) -> Option<Turn> {
-    let span_s = b.time_s - a.time_s;
-    if span_s <= 0.0 {
-        return None;
-    }
-    let guess = register(a, b)?;
-    let found = relative(&follow(a, b, &guess), &guess)?;
-    Some(Turn {
-        from_s: a.time_s,
-        to_s: b.time_s,
-        rate: -so3::log(&found.b_from_a) / span_s,
-        covariance: found.information.try_inverse()? / (span_s * span_s),
-    })
+/// How a camera turned over each pair; those in which it cannot be told are left out.
+fn turns(pairs: &[Pair], mounted: &RigCamera, gyro: &Gyro) -> Vec<Turn> {
+    let camera_from_rig = mounted.rig_from_camera.rotation.inverse();
+    let found = pairs.par_iter().map(|pair| {
+        let span_s = pair.to_s - pair.from_s;
+        let rate = gyro.mean_rate(pair.from_s, pair.to_s)?;
+        // Of two answers the one beside the gyroscope's is right; that of the images as a whole serves where the rig is wrong.
+        let expected = so3::exp(&(camera_from_rig * rate * -span_s));
+        let found = relative(&pair.tracks, &[expected, pair.b_from_a])?;
+        Some(Turn {
+            from_s: pair.from_s,
+            to_s: pair.to_s,
+            rate: -so3::log(&found.b_from_a) / span_s,
+            covariance: found.information.try_inverse()? / (span_s * span_s),
+        })
+    });
+    found.collect::<Vec<_>>().into_iter().flatten().collect()
 }
 
-/// Compares turns with the gyroscope; times of the turns are those the rig says.
-pub(super) fn agree(turns: &[Turn], gyro: &Gyro) -> Result<Agreement, Silent> {
-    let usable: Vec<Turn> = turns
-        .iter()
+/// Compares pairs of images with the gyroscope; their times are those the rig says.
+pub(super) fn agree(pairs: &[Pair], mounted: &RigCamera, gyro: &Gyro) -> Result<Agreement, Silent> {
+    let usable: Vec<Turn> = turns(pairs, mounted, gyro)
+        .into_iter()
         .filter(|t| {
             gyro.angle(t.from_s - 1.1 * REACH_S).is_some()
                 && gyro.angle(t.to_s + 1.1 * REACH_S).is_some()
         })
-        .copied()
         .collect();
     if usable.len() < MIN_PAIRS {
         return Err(Silent::TooFewPairs(usable.len()));
@@ -103,33 +107,16 @@ pub(super) fn agree(turns: &[Turn], gyro: &Gyro) -> Result<Agreement, Silent> {
     if second < MIN_TURNING {
         return Err(Silent::TooLittleTurning(second));
     }
-    let all: Vec<&Turn> = kept.iter().collect();
-    let found = start.refined(&all, gyro);
-    let part = |k: usize| k * PARTS / kept.len();
-    let parts: Vec<Fit> = (0..PARTS)
-        .map(|left_out| {
-            let rest: Vec<&Turn> = kept
-                .iter()
-                .enumerate()
-                .filter(|(k, _)| part(*k) != left_out)
-                .map(|k| k.1)
-                .collect();
-            found.refined(&rest, gyro)
-        })
-        .collect();
-    // The jackknife's variance.
-    let grown = (PARTS - 1) as f64 / PARTS as f64;
-    let mean_s = parts.iter().map(|p| p.offset_s).sum::<f64>() / PARTS as f64;
-    let times = parts.iter().map(|p| (p.offset_s - mean_s).powi(2));
-    let turned = |p: &Fit| so3::log(&(p.camera_from_rig * found.camera_from_rig.inverse()));
-    let mean = parts.iter().map(turned).sum::<Vector3<f64>>() / PARTS as f64;
-    let angles = parts.iter().map(|p| (turned(p) - mean).norm_squared());
+    let (found, normal) = start.refined(&kept, gyro);
+    let covariance = found
+        .covariance(&kept, gyro, &normal)
+        .ok_or(Silent::TooLittleTurning(second))?;
     let squares = rates.iter().map(Vector3::norm_squared).sum::<f64>();
     Ok(Agreement {
         offset_s: found.offset_s,
-        offset_sigma_s: (grown * times.sum::<f64>()).sqrt(),
+        offset_sigma_s: covariance[(6, 6)].sqrt(),
         camera_from_rig: found.camera_from_rig,
-        rotation_sigma_rad: (grown * angles.sum::<f64>()).sqrt(),
+        rotation_sigma_rad: covariance.fixed_view::<3, 3>(0, 0).trace().sqrt(),
         pairs: kept.len(),
         rate_rad_s: (squares / rates.len() as f64).sqrt(),
     })
@@ -229,42 +216,38 @@ impl Fit {
         errors.map(|e| e.norm_squared()).sum()
     }
 
-    /// Down to the minimum, each pair with its own weight.
-    fn refined(&self, turns: &[&Turn], gyro: &Gyro) -> Self {
-        let mut fit = *self;
+    /// A pair's error in units of what is not known of it, and how it moves with rotation, bias and offset.
+    fn term(&self, turn: &Turn, gyro: &Gyro) -> Option<Term> {
         let floor = Matrix3::identity() * (FLOOR_RAD_S * FLOOR_RAD_S);
-        let weights: Vec<Matrix3<f64>> = turns
-            .iter()
-            .filter_map(|t| (t.covariance + floor).try_inverse())
-            .collect();
-        if weights.len() < turns.len() {
-            return fit;
-        }
+        let information = (turn.covariance + floor).try_inverse()?;
+        let error = self.error(turn, gyro);
+        let at = |offset_s: f64| Self { offset_s, ..*self }.error(turn, gyro);
+        let slope = at(self.offset_s + SLOPE_S) - at(self.offset_s - SLOPE_S);
+        let mut by = SMatrix::<f64, 3, 7>::zeros();
+        // exp(φ) R ω moves by φ × R ω.
+        let turned = self.camera_from_rig * self.rate(turn, gyro);
+        by.fixed_columns_mut::<3>(0).copy_from(&so3::hat(&turned));
+        by.fixed_columns_mut::<3>(3)
+            .copy_from(&-Matrix3::identity());
+        by.set_column(6, &(slope / (2.0 * SLOPE_S)));
+        let size = (error.transpose() * information * error)[0];
+        let weight = information / (1.0 + size / (ROBUST_SCALE * ROBUST_SCALE));
+        Some(Term {
+            right: -by.transpose() * weight * error,
+            normal: by.transpose() * weight * by,
+        })
+    }
+
+    /// Down to the minimum, each pair with its own weight; with the normal equations there.
+    fn refined(&self, turns: &[Turn], gyro: &Gyro) -> (Self, Matrix7) {
+        let mut fit = *self;
+        let mut normal = Matrix7::zeros();
         for _ in 0..ITERATIONS {
-            let mut normal = SMatrix::<f64, 7, 7>::zeros();
-            let mut right = SVector::<f64, 7>::zeros();
-            for (turn, information) in turns.iter().zip(&weights) {
-                let error = fit.error(turn, gyro);
-                let size = (error.transpose() * information * error)[0];
-                let weight = information / (1.0 + size / (ROBUST_SCALE * ROBUST_SCALE));
-                let turned = fit.camera_from_rig * fit.rate(turn, gyro);
-                let sooner = Self {
-                    offset_s: fit.offset_s - SLOPE_S,
-                    ..fit
-                };
-                let later = Self {
-                    offset_s: fit.offset_s + SLOPE_S,
-                    ..fit
-                };
-                let slope = (later.error(turn, gyro) - sooner.error(turn, gyro)) / (2.0 * SLOPE_S);
-                let mut by = SMatrix::<f64, 3, 7>::zeros();
-                // exp(φ) R ω moves by φ × R ω.
-                by.fixed_columns_mut::<3>(0).copy_from(&so3::hat(&turned));
-                by.fixed_columns_mut::<3>(3)
-                    .copy_from(&-Matrix3::identity());
-                by.set_column(6, &slope);
-                normal += by.transpose() * weight * by;
-                right -= by.transpose() * weight * error;
+            let mut right = Vector7::zeros();
+            normal = Matrix7::zeros();
+            for term in turns.iter().filter_map(|t| fit.term(t, gyro)) {
+                normal += term.normal;
+                right += term.right;
             }
             let Some(step) = normal.cholesky().map(|c| c.solve(&right)) else {
                 break;
@@ -276,6 +259,29 @@ impl Fit {
                 break;
             }
         }
-        fit
+        (fit, normal)
     }
+
+    /// From how much blocks of the recording pull: errors of neighbouring pairs need not be independent.
+    fn covariance(&self, turns: &[Turn], gyro: &Gyro, normal: &Matrix7) -> Option<Matrix7> {
+        let mut blocks = BTreeMap::<i64, Vector7>::new();
+        for turn in turns {
+            let block = (turn.from_s / BLOCK_S).floor() as i64;
+            *blocks.entry(block).or_default() += self.term(turn, gyro)?.right;
+        }
+        let pulls: Matrix7 = blocks.values().map(|p| p * p.transpose()).sum();
+        let n = blocks.len() as f64;
+        let inverse = normal.try_inverse()?;
+        // As many blocks fewer as numbers are found from the three axes of each.
+        (n > 4.0).then(|| inverse * pulls * inverse * (n / (n - 7.0 / 3.0)))
+    }
+}
+
+type Matrix7 = SMatrix<f64, 7, 7>;
+type Vector7 = SVector<f64, 7>;
+
+/// What a pair adds to the normal equations.
+struct Term {
+    normal: Matrix7,
+    right: Vector7,
 }

@@ -20,8 +20,9 @@ use crate::outcome::Outcome;
 
 /// Pose of the LiDAR to a camera, from poses of a board that both see.
 ///
-/// Images and clouds (PCD with rings) belong together where the last numbers in their names are the same. The board stands
-/// still, free (nothing within 20 cm behind it), tilted another way each time: ten poses are few, thirty are good.
+/// Images and clouds (PCD with rings) belong together where the last numbers in their names are the same; there the board stands
+/// still. In a recording it, or the rig, may move as well: images around each scan say where the board was at each return. It is free
+/// (nothing within 20 cm behind it) and tilted another way each time: ten poses are few, thirty are good.
 ///
 /// Examples:
 ///   lsfb calib lidar-camera --checkerboard 7,5,0.095 --plate 850,610 --camera cam0=images --clouds 'pcd/*_full.pcd' --rig rig.toml --out calibrated.toml
@@ -48,7 +49,8 @@ pub struct Arguments {
         required_unless_present = "recording"
     )]
     clouds: Option<String>,
-    /// The recording, with the board held still for two seconds in each pose.
+    /// The recording: the board held still for two seconds in each pose is best, since nothing then rests on the clocks; motion is
+    /// followed.
     #[arg(long, value_name = "MCAP", group = "source")]
     recording: Option<PathBuf>,
     /// Poses taken from a recording at most.
