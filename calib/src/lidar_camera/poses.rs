@@ -114,7 +114,8 @@ const BESIDE_NS: i64 = 150_000_000;
 struct Around {
     moved_px: f64,
     scan_ns: i64,
-    /// Stamps of the images from the last before the scan to the first after it.
+    /// Stamps of the images from the last before the scan to the first after it, and one more on either side, where there is one:
+    /// so the motion between them is known better.
     images_ns: Vec<i64>,
 }
 
@@ -193,7 +194,14 @@ fn images_around(views: &CameraViews, [start, end]: [i64; 2]) -> Option<(f64, Ve
     if start - first > BESIDE_NS || last - end > BESIDE_NS {
         return None;
     }
-    let stamps: Vec<i64> = views.views.range(first..=last).map(|v| *v.0).collect();
+    let before = views.views.range(..first).next_back().map(|v| *v.0);
+    let after = views.views.range(last + 1..).next().map(|v| *v.0);
+    let stamps: Vec<i64> = before
+        .filter(|b| first - b < BESIDE_NS)
+        .into_iter()
+        .chain(views.views.range(first..=last).map(|v| *v.0))
+        .chain(after.filter(|a| a - last < BESIDE_NS))
+        .collect();
     let moved_px = median_distance_px(&views.views[first], &views.views[last])?;
     Some((moved_px, stamps))
 }

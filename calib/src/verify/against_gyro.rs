@@ -8,7 +8,7 @@ use super::time_offset::{self, Agreement, Silent};
 use super::tracks::Pair;
 use super::{Check, Outcome, VerifyConfig};
 
-/// Both checks; none without a gyroscope.
+/// Both checks.
 pub(super) fn against_gyro(
     name: &str,
     mounted: &RigCamera,
@@ -16,15 +16,19 @@ pub(super) fn against_gyro(
     gyro: Option<&Gyro>,
     config: &VerifyConfig,
 ) -> Vec<Check> {
-    let Some(gyro) = gyro else {
-        return Vec::new();
-    };
     let mut time = Check::unknown(format!("{name} time offset"), "ms", config.time_offset_ms);
     let mut rotation = Check::unknown(
         format!("{name} rotation to the IMU"),
         "°",
         config.imu_rotation_deg,
     );
+    let Some(gyro) = gyro else {
+        for check in [&mut time, &mut rotation] {
+            "the recording has no gyroscope: record the rig's IMU with its cameras"
+                .clone_into(&mut check.sentence);
+        }
+        return vec![time, rotation];
+    };
     match time_offset::agree(pairs, mounted, gyro) {
         Ok(found) => {
             judge_time(&mut time, mounted, &found);

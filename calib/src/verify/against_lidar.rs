@@ -121,8 +121,12 @@ pub(super) fn against_lidar(
             };
         }
         None => {
-            check.sentence =
-                "too few scans and images of the same time with steps in range".to_owned();
+            check.sentence = if scans.is_empty() {
+                "the recording has no scans: record the LiDAR with the cameras"
+            } else {
+                "too few scans with images of the same time, with anything to see in both: record a place with posts, pictures and furniture"
+            }
+            .to_owned();
         }
     }
     Ok((check, overlay))

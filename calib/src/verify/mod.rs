@@ -161,18 +161,14 @@ pub fn verify(
         let seen = Seen::read(recording, (name, mounted), &scans, config, progress)?;
         let turning = against_gyro::against_gyro(name, mounted, &seen.pairs, gyro.as_ref(), config);
         checks.extend(turning);
-        if !scans.is_empty() {
+        if rig.lidar.is_some() {
             let (check, overlay) =
                 against_lidar::against_lidar(name, mounted, &seen, &scans, gyro.as_ref(), config)?;
             checks.push(check);
             overlays.extend(overlay);
         }
     }
-    for (i, first) in present.iter().enumerate() {
-        for second in present.iter().skip(i + 1) {
-            checks.extend(against_camera::pair(recording, *first, *second, config)?);
-        }
-    }
+    checks.extend(against_camera::all(recording, &present, config)?);
     if checks.is_empty() {
         checks.push(Check {
             sentence: "none of the rig's cameras is in this recording: check the names".to_owned(),
