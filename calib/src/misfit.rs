@@ -8,6 +8,7 @@
 mod sums;
 
 use lsfb_geometry::{Camera, Se3, Vector2, Vector3};
+use nalgebra::DMatrix;
 use serde::Serialize;
 
 use crate::target::Target;
@@ -50,8 +51,18 @@ pub struct BoardDoubt {
     pub bend_sigma_m: f64,
     /// What the focal length would change by, as a share of it.
     pub focal_change: f64,
-    /// The focal length's standard deviation if the board may be bent, as a share of it.
+    /// What that adds to the focal length's standard deviation, as a share of it.
     pub focal_sigma: f64,
+    /// Whether the views make such a board likely: with one that is flat, once in a thousand recordings. It is then in the
+    /// standard deviations of the lens.
+    pub is_likely: bool,
+}
+
+/// A [`BoardDoubt`], and what it makes of a lens that was found with a flat board.
+pub(crate) struct Doubt {
+    pub board: BoardDoubt,
+    /// Added to the covariance of the lens parameters; zero where the board is likely to be flat.
+    pub of_lens: DMatrix<f64>,
 }
 
 /// What the errors of one camera say.
@@ -113,8 +124,13 @@ impl<'a> Diagnosis<'a> {
         ))
     }
 
+    /// What is to be said of a lens that was given, where one of its model fits these views clearly better.
+    pub fn given_lens(&self) -> Option<String> {
+        self.sums.given_lens(self.camera)
+    }
+
     /// The board as it would be if it were not what its file says; `variance` is that of a corner in one direction, px².
-    pub fn board(&self, variance: f64) -> BoardDoubt {
+    pub fn board(&self, variance: f64) -> Doubt {
         self.sums.board(self.target, self.camera, variance)
     }
 }

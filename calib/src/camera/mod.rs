@@ -87,7 +87,7 @@ pub struct Estimate {
     pub name: String,
     /// Value.
     pub value: f64,
-    /// Standard deviation, from the residuals' own spread.
+    /// Standard deviation, from the residuals' own spread, and from what a board does that is likely to be bent.
     pub sigma: f64,
 }
 

@@ -48,6 +48,28 @@ impl CameraCalibration {
     }
 }
 
+/// How well the focal length is known, in words.
+fn focal_length(c: &CalibratedCamera) -> String {
+    let sigma = c.parameters[0].sigma / c.parameters[0].value;
+    let bend = format!(
+        "{:.1} ± {:.1} mm",
+        c.board.bend_m * 1e3,
+        c.board.bend_sigma_m * 1e3
+    );
+    let change = format!("{:+.2} %", 100.0 * c.board.focal_change);
+    if c.board.is_likely {
+        return format!(
+            "Focal length: ± {:.2} %, with a board in it that is bent by {bend}, as these views make likely; it would change by {change} with that one.",
+            100.0 * sigma
+        );
+    }
+    format!(
+        "Focal length if the board is flat: ± {:.2} %; if it may be bent by 2 mm and stretched by 0.1 %: ± {:.2} %, and {change} with the bend of {bend} that these views have best.",
+        100.0 * sigma,
+        100.0 * c.board.focal_sigma.hypot(sigma)
+    )
+}
+
 fn section(c: &CalibratedCamera) -> Markup {
     html! {
         section {
@@ -60,12 +82,7 @@ fn section(c: &CalibratedCamera) -> Markup {
                 @if let Some(held_back) = c.held_back_rms_px { ", " (format!("{held_back:.3}")) " px on views held back" }
                 ")."
             }
-            p {
-                "Focal length if the board is flat: ± " (format!("{:.2}", 100.0 * c.parameters[0].sigma / c.parameters[0].value))
-                " %; if it may be bent by 2 mm and stretched by 0.1 %: ± " (format!("{:.2}", 100.0 * c.board.focal_sigma.hypot(c.parameters[0].sigma / c.parameters[0].value)))
-                " %, and " (format!("{:+.2}", 100.0 * c.board.focal_change)) " % with the bend of " (format!("{:.1} ± {:.1}", c.board.bend_m * 1e3, c.board.bend_sigma_m * 1e3))
-                " mm that these views make likely. Views tilted by 30° about both axes, near and far, tell focal length from distance."
-            }
+            p { (focal_length(c)) " Views tilted by 30° about both axes, near and far, tell focal length from distance." }
             div.row {
                 table {
                     thead { tr { th { "parameter" } th { "value" } th { "σ" } } }

@@ -95,7 +95,15 @@ impl Solved<'_> {
             );
             // What matters most comes first.
             camera.warnings.splice(0..0, diagnosis.warning(rms_px));
-            camera.board = diagnosis.board(variance);
+            let doubt = diagnosis.board(variance);
+            for (p, more) in camera
+                .parameters
+                .iter_mut()
+                .zip(doubt.of_lens.diagonal().iter())
+            {
+                p.sigma = p.sigma.hypot(more.max(0.0).sqrt());
+            }
+            camera.board = doubt.board;
             cameras.push(camera);
         }
         let (sum, n) = cameras.iter().fold((0.0, 0), |(sum, n), c| {

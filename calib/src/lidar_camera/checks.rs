@@ -165,10 +165,24 @@ pub(super) fn warnings(
             c.sigma[shift] * 1e3
         ));
     }
-    for (name, spread) in ["corners", "planes", "outlines"].iter().zip(c.spread) {
+    let causes = [
+        (
+            "corners",
+            "the lens is not that of these images, or the board is bent",
+        ),
+        (
+            "planes",
+            "the LiDAR's beams differ from each other or measure black and white differently, the board is bent, or it did not stand still",
+        ),
+        (
+            "outlines",
+            "something stands close to the board, or it did not stand still",
+        ),
+    ];
+    for ((name, cause), spread) in causes.iter().zip(c.spread) {
         if spread > LARGE_SPREAD {
             out.push(format!(
-                "{name} miss by {spread:.1} times what their noise explains: check the lens, that the board is flat, and that it stood still"
+                "{name} miss by {spread:.1} times what their noise explains, which is in the standard deviations: {cause}"
             ));
         }
     }

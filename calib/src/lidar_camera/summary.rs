@@ -82,7 +82,10 @@ pub(super) fn summarize(
         .used
         .iter()
         .map(|u| seen(board, lens, &scenes[u.scene]));
-    let misfit = Diagnosis::new(&board.target, lens, seen.collect()).warning(corner_rms_px);
+    let diagnosis = Diagnosis::new(&board.target, lens, seen.collect());
+    let misfit = diagnosis
+        .warning(corner_rms_px)
+        .or_else(|| diagnosis.given_lens());
     // What is wrong with the corners is wrong with all that rests on them.
     let also = misfit.as_ref().map_or(String::new(), |w| format!("; {w}"));
     if center_rms_m > STRANGERS_M {

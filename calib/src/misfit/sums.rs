@@ -4,7 +4,7 @@ use lsfb_geometry::camera::MAX_PARAMETERS;
 use lsfb_geometry::{Camera, Matrix6, Vector2, Vector3, Vector6};
 use nalgebra::{DMatrix, DVector, RowSVector, SMatrix, SVector};
 
-use super::{BoardDoubt, SeenCorner, SeenView, from_middle};
+use super::{BoardDoubt, Doubt, SeenCorner, SeenView, from_middle};
 use crate::camera::moved_by_pose;
 use crate::target::Target;
 
@@ -31,6 +31,11 @@ const DOUBTS: usize = 5;
 /// Standard deviations of a board: how far the middle of an edge is out of its plane, metres; stretch and shear.
 const BEND_SIGMA_M: f64 = 2e-3;
 const STRETCH_SIGMA: f64 = 1e-3;
+/// Chi-square of [`DOUBTS`] that a flat board exceeds once in a thousand recordings.
+const FLAT_CHI_SQUARE: f64 = 20.5;
+/// Share of the squares, and of their variance, that another lens must take off one that was given.
+const LENS_SHARE: f64 = 0.2;
+const LENS_CHI_SQUARE: f64 = 60.0;
 
 /// One thing that would explain errors.
 struct Cause {
@@ -242,6 +247,38 @@ impl Sums {
         }
     }
 
+    /// A lens that was given, beside the one that these views have for themselves: one step of its own parameters.
+    pub fn given_lens(&self, camera: &Camera) -> Option<String> {
+        let lens = camera.lens.parameters();
+        let own = self
+            .matrix
+            .view((0, 0), (lens.count, lens.count))
+            .into_owned();
+        let inverse = inverse(&own, &own.diagonal());
+        let gradient = self.gradient.rows(0, lens.count).into_owned();
+        let step = -(&inverse * &gradient);
+        let taken = -gradient.dot(&step);
+        let left = (self.squares - taken).max(1e-12);
+        let variance = left / (2.0 * self.corners - lens.count as f64).max(1.0);
+        if taken < LENS_SHARE * self.squares || taken < LENS_CHI_SQUARE * variance {
+            return None;
+        }
+        // Focal lengths and the principal point come first in every model.
+        let sigma = |k: usize| (inverse[(k, k)] * variance).max(0.0).sqrt();
+        let clearest = (0..4).max_by(|a, b| {
+            let clear = |k: usize| step[k].abs() / sigma(k).max(1e-12);
+            clear(*a).total_cmp(&clear(*b))
+        })?;
+        Some(format!(
+            "the lens that was given does not fit these images: {:.0} % of the squares would be explained by another, with {} = {:.1} ± {:.1} px instead of {:.1}: calibrate the camera again",
+            100.0 * taken / self.squares,
+            camera.lens.model().parameter_names()[clearest],
+            lens.values[clearest] + step[clearest],
+            sigma(clearest),
+            lens.values[clearest]
+        ))
+    }
+
     /// Views that were not taken when their stamps say, if that is what keeps them off the IMU's motion.
     pub fn off_their_stamps(&self) -> Option<Explained> {
         let share = self.of_times / (self.of_poses + self.squares).max(1e-12);
@@ -281,7 +318,7 @@ impl Sums {
     }
 
     /// The board if it may be stretched, sheared and bent, by what boards usually are.
-    pub fn board(&self, target: &Target, camera: &Camera, variance: f64) -> BoardDoubt {
+    pub fn board(&self, target: &Target, camera: &Camera, variance: f64) -> Doubt {
         let variance = variance.max(1e-12);
         let reduced = self.reduced(camera);
         let half_m = self.centre.amax().max(1e-9);
@@ -292,10 +329,23 @@ impl Sums {
             .matrix
             .fixed_view::<DOUBTS, DOUBTS>(STRETCH, STRETCH);
         let information = own / variance + SMatrix::from_diagonal(&usual);
+        let lens = reduced.lens_by_cause.nrows();
         let Some(covariance) = information.try_inverse() else {
-            return BoardDoubt::default();
+            return Doubt {
+                board: BoardDoubt::default(),
+                of_lens: DMatrix::zeros(lens, lens),
+            };
         };
-        let step = -covariance * reduced.gradient.fixed_rows::<DOUBTS>(STRETCH) / variance;
+        let gradient = reduced.gradient.fixed_rows::<DOUBTS>(STRETCH) / variance;
+        let step = -covariance * gradient;
+        // What freeing the board takes off, in variances, is a chi-square where it is flat.
+        let is_likely = -gradient.dot(&step) > FLAT_CHI_SQUARE;
+        let by_doubts = reduced.lens_by_cause.columns(STRETCH, DOUBTS);
+        let of_lens = if is_likely {
+            &by_doubts * (covariance + step * step.transpose()) * by_doubts.transpose()
+        } else {
+            DMatrix::zeros(lens, lens)
+        };
         let root = |variance: f64| variance.max(0.0).sqrt();
 
         let focal_px = camera.focal_px();
@@ -322,11 +372,15 @@ impl Sums {
             })
             .max_by(|a, b| a.0.total_cmp(&b.0))
             .unwrap_or_default();
-        BoardDoubt {
-            bend_m,
-            bend_sigma_m,
-            focal_change: (of_focal * step)[0],
-            focal_sigma: root((of_focal * covariance * of_focal.transpose())[0]),
+        Doubt {
+            board: BoardDoubt {
+                bend_m,
+                bend_sigma_m,
+                focal_change: (of_focal * step)[0],
+                focal_sigma: root((of_focal * covariance * of_focal.transpose())[0]),
+                is_likely,
+            },
+            of_lens,
         }
     }
 }

@@ -121,6 +121,42 @@ fn the_cause_is_named_with_its_size() {
 }
 
 #[test]
+fn a_bent_board_makes_the_lens_less_certain() {
+    let bent = |k: usize| {
+        let p = grid(0.3).corner(k);
+        p + Vector3::new(0.0, 0.0, 0.015 * (p.x - 0.33) * (p.y - 0.33))
+    };
+    let (target, camera) = (grid(0.3), camera(LENS));
+    let diagnosis = Diagnosis::new(&target, &camera, views(bent, LENS, 0.0));
+    let Doubt { board, of_lens } = diagnosis.board(0.013);
+    assert!(
+        board.is_likely && (board.bend_m / 1.6e-3 - 1.0).abs() < 0.2,
+        "{board:?}"
+    );
+    let focal = of_lens[(0, 0)].sqrt() / 300.0;
+    assert!(
+        focal > board.focal_change.abs() && focal > board.focal_sigma,
+        "{focal}"
+    );
+}
+
+#[test]
+fn a_lens_that_was_given_is_compared_with_the_views() {
+    let flat = |k: usize| grid(0.3).corner(k);
+    let mut other = LENS;
+    if let Lens::KannalaBrandt { principal_px, .. } = &mut other {
+        principal_px[1] += 6.0;
+    }
+    let (target, camera) = (grid(0.3), camera(LENS));
+    let said = Diagnosis::new(&target, &camera, views(flat, other, 0.0)).given_lens();
+    let said = said.expect("another lens");
+    assert!(
+        said.contains("with cy = 24") && said.contains("instead of 238.0"),
+        "{said}"
+    );
+}
+
+#[test]
 fn noise_alone_is_blamed_on_nothing() {
     let flat = |k: usize| grid(0.3).corner(k);
     let text = said(views(flat, LENS, 0.0));
@@ -131,7 +167,9 @@ fn noise_alone_is_blamed_on_nothing() {
     let (target, camera) = (grid(0.3), camera(LENS));
     let diagnosis = Diagnosis::new(&target, &camera, views(flat, LENS, 0.0));
     assert!(diagnosis.warning(0.43).is_none());
-    let board = diagnosis.board(0.01);
+    let Doubt { board, of_lens } = diagnosis.board(0.01);
+    assert!(!board.is_likely && of_lens.amax() == 0.0);
+    assert!(diagnosis.given_lens().is_none());
     assert!(
         board.bend_m < 5.0 * board.bend_sigma_m && board.bend_m < 2e-4,
         "{board:?}"

@@ -129,6 +129,13 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             for p in &c.parameters {
                 text += &format!("\n    {:5} {:10.4} ± {:.4}", p.name, p.value, p.sigma);
             }
+            if c.board.is_likely {
+                text += &format!(
+                    "\n    board bent by {:.1} ± {:.1} mm, as the views make likely: it is in these standard deviations",
+                    c.board.bend_m * 1e3,
+                    c.board.bend_sigma_m * 1e3
+                );
+            }
             for warning in &c.warnings {
                 text += &format!("\n    {warning}");
             }
