@@ -11,6 +11,21 @@ use crate::Error;
 use crate::camera::{CameraViews, last_number};
 use crate::detect::Corner;
 
+/// Fails where the board is in no image at all.
+fn seen_at_all(views: &CameraViews) -> Result<(), Error> {
+    if !views.views.is_empty() {
+        return Ok(());
+    }
+    Err(Error::NotJoined {
+        first: views.name.clone(),
+        second: "lidar".to_owned(),
+        problem: format!(
+            "the target was found in 0 of {} images: check its kind and size, focus, and that all of the board is lit",
+            views.images
+        ),
+    })
+}
+
 /// Joins a camera's views with the PCD files of a folder whose names begin with `prefix` and end with `suffix`: the last
 /// number in a name says to which image it belongs.
 pub fn poses_from_folder(
@@ -19,6 +34,7 @@ pub fn poses_from_folder(
     prefix: &str,
     suffix: &str,
 ) -> Result<Vec<BoardPose>, Error> {
+    seen_at_all(views)?;
     let io = |source| Error::Io {
         path: folder.display().to_string(),
         source,
@@ -126,6 +142,7 @@ pub fn poses_from_recording(
     recording: &Recording,
     config: &RecordingConfig,
 ) -> Result<Vec<BoardPose>, Error> {
+    seen_at_all(views)?;
     let unreadable = |e: lsfb_recording::Error| Error::Parse {
         path: recording.path().display().to_string(),
         problem: e.to_string(),

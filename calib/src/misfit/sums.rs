@@ -342,7 +342,7 @@ impl Sums {
         let is_likely = -gradient.dot(&step) > FLAT_CHI_SQUARE;
         let by_doubts = reduced.lens_by_cause.columns(STRETCH, DOUBTS);
         let of_lens = if is_likely {
-            &by_doubts * (covariance + step * step.transpose()) * by_doubts.transpose()
+            by_doubts * (covariance + step * step.transpose()) * by_doubts.transpose()
         } else {
             DMatrix::zeros(lens, lens)
         };
