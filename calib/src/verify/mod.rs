@@ -22,7 +22,6 @@ mod overlay;
 mod page;
 mod pose_search;
 mod refine;
-mod refine_page;
 mod relative;
 mod scan_motion;
 mod scans;
@@ -37,8 +36,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 use gyro::gyro;
-pub use refine::{Component, Refinement, RefinementReport, refine};
-pub use refine_page::Compared;
+pub use refine::{
+    Compared, Component, Evidence, RefineConfig, Refinement, RefinementReport, Transfer, refine,
+};
 use scans::scans;
 use seen::Seen;
 

@@ -2,8 +2,7 @@
 //! numbers by Newton's method on differences.
 //!
 //! How well it is known: with `g` the derivative of each view's log likelihood and `H` the second derivative of their sum,
-//! `H⁻¹ (Σ g gᵀ) H⁻¹` is what other views of the same place would have changed (White 1982). Numbers that are not known well
-//! enough keep their value, and the others are found again.
+//! `H⁻¹ (Σ g gᵀ) H⁻¹` is what other views of the same place would have changed (White 1982).
 
 use lsfb_geometry::{Matrix6, Se3, Vector6};
 use nalgebra::{DMatrix, DVector};
@@ -29,8 +28,6 @@ pub(super) struct Found {
     pub camera_from_rig: Se3,
     /// Covariance of `δ`, rotation (rad) then translation (m); zero rows for what was held.
     pub covariance: Matrix6<f64>,
-    /// What was found; the others are as they were.
-    pub free: Vec<usize>,
 }
 
 /// Steps of differences for each number.
@@ -104,7 +101,6 @@ pub(super) fn maximum(
     Some(Found {
         camera_from_rig: pose,
         covariance,
-        free: free.to_vec(),
     })
 }
 
@@ -220,39 +216,4 @@ fn covariance(views: &[&View], pose: &Se3, steps: &Steps, free: &[usize]) -> Opt
         }
     }
     Some(covariance)
-}
-
-/// By how much the numbers found would follow those that were held, were these moved: rows and columns by number.
-pub(super) fn following(views: &[&View], found: &Found, steps: &Steps) -> Option<Matrix6<f64>> {
-    let all: Vec<usize> = (0..6).collect();
-    let local = Local::at(views, &found.camera_from_rig, steps, &all);
-    let held: Vec<usize> = (0..6).filter(|k| !found.free.contains(k)).collect();
-    let own = local.curvature.select_rows(&found.free);
-    let by_held = own.select_columns(&held);
-    let mut eigen = (-own.select_columns(&found.free)).symmetric_eigen();
-    let most = eigen.eigenvalues.max();
-    eigen.eigenvalues.apply(|e| *e = e.max(FLAT * most));
-    let follow = eigen.recompose().try_inverse()? * by_held;
-    let mut out = Matrix6::zeros();
-    for (i, a) in found.free.iter().enumerate() {
-        for (k, b) in held.iter().enumerate() {
-            out[(*a, *b)] = follow[(i, k)] * steps.0[*a] / steps.0[*b];
-        }
-    }
-    Some(out)
-}
-
-/// The score along each number, from so many steps below to so many above: pairs of the number (rad or m) and the score.
-pub(super) fn profiles(views: &[&View], pose: &Se3, reach: &[f64; 6]) -> [Vec<[f64; 2]>; 6] {
-    const SIDE: i32 = 12;
-    std::array::from_fn(|axis| {
-        (-SIDE..=SIDE)
-            .into_par_iter()
-            .map(|k| {
-                let mut delta = Vector6::zeros();
-                delta[axis] = reach[axis] * f64::from(k) / f64::from(SIDE);
-                [delta[axis], mutual_information(views, &moved(pose, &delta))]
-            })
-            .collect()
-    })
 }

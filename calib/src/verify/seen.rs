@@ -97,7 +97,7 @@ impl Seen {
     }
 }
 
-fn expect_size(
+pub(super) fn expect_size(
     recording: &Recording,
     name: &str,
     mounted: &RigCamera,

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use lsfb_calib::verify::{Compared, Refinement, VerifyConfig, refine};
+use lsfb_calib::verify::{Compared, RefineConfig, Refinement, refine};
 use lsfb_recording::Provenance;
 use serde::Serialize;
 
@@ -12,9 +12,10 @@ use crate::outcome::Outcome;
 
 /// Refine the LiDAR's pose to cameras on any recording, without a board.
 ///
-/// Brightness in LiDAR and images (mutual information) says how a camera is turned and moved, edges check it; the rig must be
-/// right within 2.5° and 5 cm. What the recording does not determine is named and left as it was. Each camera's transform
-/// goes to `lsfb calib joint`, which joins them with those to the IMU. Exit code 1 where no camera could be refined.
+/// Corners of images are put onto surfaces that the LiDAR saw and found again from elsewhere, which says how each camera is
+/// turned and moved to the LiDAR; the rig must be right within 2.5° and 5 cm. Walk through a furnished place for 30 s or more,
+/// and turn. What the recording does not determine is named and left as it was. Each camera's transform goes to
+/// `lsfb calib joint`, which joins them with those to the IMU. Exit code 1 where a camera could not be placed.
 ///
 /// Examples:
 ///   lsfb calib refine scan.mcap --out refined.html
@@ -47,7 +48,7 @@ struct Printed<'a> {
 
 /// Refines, writes page, pictures and transforms, prints what was found.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    let config: VerifyConfig = super::config_or_default(arguments.config.as_deref())?;
+    let config: RefineConfig = super::config_or_default(arguments.config.as_deref())?;
     let recording = context.open(&arguments.recording)?;
     let mut provenance = Provenance::new(&config);
     provenance.add_input(&arguments.recording)?;
@@ -91,10 +92,14 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         }
         text
     })?;
-    anyhow::ensure!(
-        !transforms.is_empty(),
-        "{}: no camera could be placed to the LiDAR: see the reasons above",
-        arguments.recording.display()
-    );
+    let lost = found.cameras.iter().find(|c| c.edge.is_none());
+    if let Some(camera) = lost {
+        anyhow::bail!(
+            "{}: {} could not be placed to the LiDAR: {}",
+            arguments.recording.display(),
+            camera.camera,
+            camera.sentence
+        );
+    }
     Ok(Outcome::Done)
 }

@@ -1,0 +1,500 @@
+//! The pose of a camera to the LiDAR from corners on surfaces (the paper's Eq. 4, with the calibration as an unknown).
+//!
+//! A corner `X` on a plane `(q, n)` that the LiDAR saw, in an image taken when the LiDAR was at `T`:
+//!
+//! `Σ ‖π(E (T exp(v τ + ξ))⁻¹ X) − x‖² / σ² + Σ (nᵀ(X − q))² / σ_p² + Σ ξᵀ Σ_ξ⁻¹ ξ`
+//!
+//! over the pose `E`, the camera's clock `τ`, each image's own error of the odometry `ξ`, and all corners. `v` is the LiDAR's velocity at
+//! that time. Spreads `σ`, `σ_p` and the two of `Σ_ξ` are measured along with it. Blocks of images share `E` and `τ` alone: each
+//! is reduced to an information matrix over these seven numbers, and how well blocks agree says what they are worth.
+
+use lsfb_geometry::{Camera, Matrix3, Matrix6, Se3, Vector2, Vector3, Vector6, so3};
+use nalgebra::{DMatrix, DVector, Matrix2x3, SMatrix, SVector};
+use rayon::prelude::*;
+
+use super::landmarks::{Keyframe, Landmark, Observation};
+
+/// The six numbers of the pose, in the camera's axes, and the clock.
+pub(super) const SHARED: usize = 7;
+pub(super) type SharedMatrix = SMatrix<f64, SHARED, SHARED>;
+pub(super) type SharedVector = SVector<f64, SHARED>;
+
+/// How far a pose by hand may be wrong (rad, m), and how far clocks may be that were calibrated (s): standard deviations.
+pub(super) const BY_HAND: [f64; 2] = [0.026, 0.03];
+pub(super) const CLOCK_S: f64 = 1e-3;
+
+const ITERATIONS: usize = 25;
+/// Steps of a corner after each of the pose's.
+const CORNER_STEPS: usize = 3;
+/// Normalized error at which an observation's weight is halved.
+const ROBUST_SCALE: f64 = 3.0;
+/// Median of the size of a normal number.
+const MEDIAN_SIZE: f64 = 0.6745;
+/// A step shorter than this ends the search: radians, metres.
+const SHORTEST: [f64; 2] = [2e-6, 1e-5];
+/// Nearest that a corner may be to the camera, metres.
+const NEAREST_M: f64 = 0.1;
+
+/// Images that share their corners with no others.
+pub(super) struct Block {
+    pub frames: Vec<Keyframe>,
+    pub landmarks: Vec<Landmark>,
+    /// What the odometry errs by in each image, perturbed on the right.
+    shifts: Vec<Vector6<f64>>,
+}
+
+/// What all images share.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Shared {
+    pub camera_from_lidar: Se3,
+    /// What is to be added to the camera's times.
+    pub delay_s: f64,
+}
+
+/// Standard deviations, as measured.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Noise {
+    pub pixel_px: f64,
+    pub plane_m: f64,
+    /// Of the odometry in each image, beside what the scan's returns say.
+    pub turn_rad: f64,
+    pub shift_m: f64,
+}
+
+/// Where they start, and the least that is believed.
+const START: Noise = Noise {
+    pixel_px: 1.0,
+    plane_m: 0.02,
+    turn_rad: 5e-4,
+    shift_m: 3e-3,
+};
+const LEAST: Noise = Noise {
+    pixel_px: 0.03,
+    plane_m: 1e-3,
+    turn_rad: 5e-5,
+    shift_m: 3e-4,
+};
+
+/// Normal equations over what is shared.
+#[derive(Clone, Copy)]
+pub(super) struct Normal {
+    pub information: SharedMatrix,
+    pub right: SharedVector,
+}
+
+/// What was found.
+pub(super) struct Adjusted {
+    pub shared: Shared,
+    pub noise: Noise,
+    /// By block, at what was found.
+    pub normals: Vec<Normal>,
+}
+
+/// A block's equations, with what leads back to its images.
+struct Linear {
+    normal: Normal,
+    step: DVector<f64>,
+    by_shared: DMatrix<f64>,
+    /// Of each image's error, after the fact.
+    variances: DVector<f64>,
+    /// Errors over the square root of the share that is not fitted away: pixels, metres.
+    pixel_errors: Vec<f64>,
+    plane_errors: Vec<f64>,
+}
+
+/// Starts from a pose that is known as well as by hand. Numbers in `held` stay as they are there.
+pub(super) fn adjusted(
+    camera: &Camera,
+    blocks: &mut [Block],
+    start: &Se3,
+    first: &Shared,
+    held: &[usize],
+) -> Option<Adjusted> {
+    let mut shared = *first;
+    let mut noise = START;
+    for round in 0..=ITERATIONS {
+        let linears: Vec<Linear> = blocks
+            .par_iter_mut()
+            .map(|b| {
+                b.settle(camera, &shared, &noise);
+                b.linear(camera, &shared, &noise)
+            })
+            .collect::<Option<_>>()?;
+        let normals: Vec<Normal> = linears.iter().map(|l| l.normal).collect();
+        let step = total(&normals, start, &shared, held).solved()?;
+        let still = step.fixed_rows::<3>(0).norm() < SHORTEST[0]
+            && step.fixed_rows::<3>(3).norm() < SHORTEST[1];
+        if round == ITERATIONS || (still && round > 6) {
+            return Some(Adjusted {
+                shared,
+                noise,
+                normals,
+            });
+        }
+        shared = shared.moved(&step);
+        for (block, linear) in blocks.iter_mut().zip(&linears) {
+            let own = &linear.step - &linear.by_shared * step;
+            for (k, shift) in block.shifts.iter_mut().enumerate() {
+                *shift += own.fixed_rows::<6>(6 * k);
+            }
+        }
+        noise = noise.measured(blocks, &linears);
+    }
+    None
+}
+
+/// All blocks together with what was known before.
+pub(super) fn total(normals: &[Normal], start: &Se3, shared: &Shared, held: &[usize]) -> Normal {
+    const FAST: f64 = 1e14;
+    let off = (shared.camera_from_lidar * start.inverse()).log();
+    let mut all = Normal {
+        information: SharedMatrix::zeros(),
+        right: SharedVector::zeros(),
+    };
+    for k in 0..SHARED {
+        let (sigma, value) = match k {
+            6 => (CLOCK_S, shared.delay_s),
+            _ => (BY_HAND[k / 3], off[k]),
+        };
+        let weight = if held.contains(&k) {
+            FAST
+        } else {
+            1.0 / (sigma * sigma)
+        };
+        all.information[(k, k)] = weight;
+        all.right[k] = -weight * value;
+    }
+    for normal in normals {
+        all.information += normal.information;
+        all.right += normal.right;
+    }
+    all
+}
+
+impl Normal {
+    pub fn solved(&self) -> Option<SharedVector> {
+        Some(self.information.cholesky()?.solve(&self.right))
+    }
+}
+
+impl Shared {
+    pub fn moved(&self, step: &SharedVector) -> Self {
+        Self {
+            camera_from_lidar: Se3::exp(&step.fixed_rows::<6>(0).into()) * self.camera_from_lidar,
+            delay_s: self.delay_s + step[6],
+        }
+    }
+}
+
+/// A corner in an image, by everything that it depends on.
+struct Seen {
+    error: Vector2<f64>,
+    by_point: Matrix2x3<f64>,
+    /// By what is shared, then by the image's own error.
+    by_rest: SMatrix<f64, 2, 13>,
+}
+
+impl Block {
+    /// Images without corners.
+    pub fn new(frames: Vec<Keyframe>) -> Self {
+        Self {
+            shifts: vec![Vector6::zeros(); frames.len()],
+            frames,
+            landmarks: Vec::new(),
+        }
+    }
+
+    /// Other corners; what was found of the images is forgotten.
+    pub fn take(&mut self, landmarks: Vec<Landmark>) {
+        self.shifts.fill(Vector6::zeros());
+        self.landmarks = landmarks;
+    }
+
+    fn lidar_from_world(&self, frame: usize, shared: &Shared) -> Se3 {
+        let own = &self.frames[frame];
+        let off = own.twist * shared.delay_s + self.shifts[frame];
+        (own.world_from_lidar * Se3::exp(&off)).inverse()
+    }
+
+    fn seen(
+        &self,
+        camera: &Camera,
+        shared: &Shared,
+        lidar_from_world: &Se3,
+        at: &Observation,
+        place: &Vector3<f64>,
+    ) -> Option<Seen> {
+        let in_lidar = *lidar_from_world * *place;
+        let in_camera = shared.camera_from_lidar * in_lidar;
+        if in_camera.z < NEAREST_M {
+            return None;
+        }
+        let projected = camera.project_with_jacobian(&in_camera)?;
+        let by_camera = projected.pixel_by_point;
+        let turned = by_camera * shared.camera_from_lidar.rotation_matrix();
+        let mut by_shift = SMatrix::<f64, 2, 6>::zeros();
+        by_shift
+            .fixed_view_mut::<2, 3>(0, 0)
+            .copy_from(&(turned * so3::hat(&in_lidar)));
+        by_shift.fixed_view_mut::<2, 3>(0, 3).copy_from(&-turned);
+        let mut by_rest = SMatrix::<f64, 2, 13>::zeros();
+        by_rest
+            .fixed_view_mut::<2, 3>(0, 0)
+            .copy_from(&(-by_camera * so3::hat(&in_camera)));
+        by_rest.fixed_view_mut::<2, 3>(0, 3).copy_from(&by_camera);
+        by_rest
+            .fixed_view_mut::<2, 1>(0, 6)
+            .copy_from(&(by_shift * self.frames[at.frame].twist));
+        by_rest.fixed_view_mut::<2, 6>(0, 7).copy_from(&by_shift);
+        Some(Seen {
+            error: projected.pixel - at.pixel,
+            by_point: turned * lidar_from_world.rotation_matrix(),
+            by_rest,
+        })
+    }
+
+    fn poses(&self, shared: &Shared) -> Vec<Se3> {
+        (0..self.frames.len())
+            .map(|k| self.lidar_from_world(k, shared))
+            .collect()
+    }
+
+    /// Where corners are seen, and by how much they miss, pixels.
+    pub fn errors(&self, camera: &Camera, shared: &Shared) -> Vec<[Vector2<f64>; 2]> {
+        let poses = self.poses(shared);
+        let all = self.landmarks.iter().flat_map(|landmark| {
+            landmark.observations.iter().filter_map(|at| {
+                let pose = &poses[at.frame];
+                let seen = self.seen(camera, shared, pose, at, &landmark.place)?;
+                Some([at.pixel, seen.error])
+            })
+        });
+        all.collect()
+    }
+
+    /// By how much corners, put from the first image onto their planes, are elsewhere in the others, pixels.
+    pub fn transfers_px(&self, camera: &Camera, camera_from_lidar: &Se3) -> Vec<f64> {
+        let poses: Vec<Se3> = self
+            .frames
+            .iter()
+            .map(|f| *camera_from_lidar * f.world_from_lidar.inverse())
+            .collect();
+        let mut out = Vec::new();
+        for landmark in &self.landmarks {
+            let Some((first, others)) = landmark.observations.split_first() else {
+                continue;
+            };
+            let world_from_camera = poses[first.frame].inverse();
+            let Some(ray) = camera.unproject(&first.pixel) else {
+                continue;
+            };
+            let ray = world_from_camera.rotation * ray;
+            let origin = world_from_camera.translation;
+            let normal = &landmark.plane_normal;
+            let along = normal.dot(&(landmark.plane_place - origin)) / normal.dot(&ray);
+            out.extend(others.iter().filter_map(|at| {
+                let point = poses[at.frame] * (origin + ray * along);
+                Some((camera.project(&point)? - at.pixel).norm())
+            }));
+        }
+        out
+    }
+
+    /// Corners where they fit best.
+    fn settle(&mut self, camera: &Camera, shared: &Shared, noise: &Noise) {
+        let poses = self.poses(shared);
+        let mut landmarks = std::mem::take(&mut self.landmarks);
+        for landmark in &mut landmarks {
+            for _ in 0..CORNER_STEPS {
+                let (mut information, mut right) = landmark.by_plane(noise);
+                for at in &landmark.observations {
+                    let pose = &poses[at.frame];
+                    let Some(seen) = self.seen(camera, shared, pose, at, &landmark.place) else {
+                        continue;
+                    };
+                    let weight = noise.weight(&seen.error);
+                    information += seen.by_point.transpose() * seen.by_point * weight;
+                    right -= seen.by_point.transpose() * seen.error * weight;
+                }
+                let Some(step) = information.cholesky().map(|c| c.solve(&right)) else {
+                    break;
+                };
+                landmark.place += step;
+            }
+        }
+        self.landmarks = landmarks;
+    }
+
+    fn linear(&self, camera: &Camera, shared: &Shared, noise: &Noise) -> Option<Linear> {
+        let n = SHARED + 6 * self.frames.len();
+        let poses = self.poses(shared);
+        let mut information = DMatrix::<f64>::zeros(n, n);
+        let mut right = DVector::<f64>::zeros(n);
+        let (mut pixel_errors, mut plane_errors) = (Vec::new(), Vec::new());
+        let column = |k: usize, frame: usize| if k < SHARED { k } else { k + 6 * frame };
+        for landmark in &self.landmarks {
+            let (mut by_place, mut right_place) = landmark.by_plane(noise);
+            let mut seen: Vec<(usize, f64, Seen)> = Vec::new();
+            for at in &landmark.observations {
+                let pose = &poses[at.frame];
+                if let Some(s) = self.seen(camera, shared, pose, at, &landmark.place) {
+                    let weight = noise.weight(&s.error);
+                    by_place += s.by_point.transpose() * s.by_point * weight;
+                    right_place -= s.by_point.transpose() * s.error * weight;
+                    seen.push((at.frame, weight, s));
+                }
+            }
+            let Some(inverse) = by_place.try_inverse() else {
+                continue;
+            };
+            // Columns of the mixed part: by what is shared, then by each image.
+            let mut mixed: Vec<(usize, Vector3<f64>)> =
+                (0..SHARED).map(|k| (k, Vector3::zeros())).collect();
+            for (frame, weight, s) in &seen {
+                let own = s.by_rest.transpose() * s.by_rest * *weight;
+                let pull = s.by_rest.transpose() * s.error * *weight;
+                for i in 0..13 {
+                    right[column(i, *frame)] -= pull[i];
+                    for k in 0..13 {
+                        information[(column(i, *frame), column(k, *frame))] += own[(i, k)];
+                    }
+                }
+                let by_rest = s.by_point.transpose() * s.by_rest * *weight;
+                for k in 0..13 {
+                    if k < SHARED {
+                        mixed[k].1 += by_rest.column(k);
+                    } else {
+                        mixed.push((column(k, *frame), by_rest.column(k).into()));
+                    }
+                }
+                let fitted = s.by_point * inverse * s.by_point.transpose();
+                for k in 0..2 {
+                    let free = 1.0 - fitted[(k, k)] / (noise.pixel_px * noise.pixel_px);
+                    pixel_errors.push(s.error[k] / free.max(0.05).sqrt());
+                }
+            }
+            for (i, a) in &mixed {
+                let taken = inverse * a;
+                right[*i] -= taken.dot(&right_place);
+                for (k, b) in &mixed {
+                    information[(*i, *k)] -= taken.dot(b);
+                }
+            }
+            let fitted = (landmark.plane_normal.transpose() * inverse * landmark.plane_normal)[0];
+            let free = 1.0 - fitted / (noise.plane_m * noise.plane_m);
+            plane_errors.push(landmark.off_plane_m() / free.max(0.05).sqrt());
+        }
+        for (k, shift) in self.shifts.iter().enumerate() {
+            let prior = noise.odometry(&self.frames[k].information)?;
+            let at = SHARED + 6 * k;
+            let mut own = information.fixed_view_mut::<6, 6>(at, at);
+            own += prior;
+            let mut pull = right.fixed_rows_mut::<6>(at);
+            pull -= prior * shift;
+        }
+        let m = n - SHARED;
+        let own = information.view((SHARED, SHARED), (m, m)).into_owned();
+        let factor = own.cholesky()?;
+        let by_shared = factor.solve(&information.view((SHARED, 0), (m, SHARED)));
+        let step = factor.solve(&right.rows(SHARED, m));
+        let across = information.view((0, SHARED), (SHARED, m));
+        let reduced = information.view((0, 0), (SHARED, SHARED)) - across * &by_shared;
+        let reduced_right = right.rows(0, SHARED) - across * &step;
+        Some(Linear {
+            normal: Normal {
+                information: SharedMatrix::from_fn(|i, k| {
+                    0.5 * (reduced[(i, k)] + reduced[(k, i)])
+                }),
+                right: SharedVector::from_fn(|k, _| reduced_right[k]),
+            },
+            step,
+            by_shared,
+            variances: factor.inverse().diagonal(),
+            pixel_errors,
+            plane_errors,
+        })
+    }
+}
+
+impl Landmark {
+    fn off_plane_m(&self) -> f64 {
+        self.plane_normal.dot(&(self.place - self.plane_place))
+    }
+
+    /// What the plane says of where it is.
+    fn by_plane(&self, noise: &Noise) -> (Matrix3<f64>, Vector3<f64>) {
+        let off_m = self.off_plane_m();
+        let variance = noise.plane_m * noise.plane_m;
+        let weight = robust(off_m * off_m / variance) / variance;
+        // A little everywhere, so that there is always an answer.
+        let little = Matrix3::identity() * 1e-3;
+        let n = &self.plane_normal;
+        (n * n.transpose() * weight + little, -n * (off_m * weight))
+    }
+}
+
+/// Weight by the square of a normalized error.
+fn robust(square: f64) -> f64 {
+    1.0 / (1.0 + square / (ROBUST_SCALE * ROBUST_SCALE))
+}
+
+impl Noise {
+    fn weight(&self, error: &Vector2<f64>) -> f64 {
+        let variance = self.pixel_px * self.pixel_px;
+        robust(error.norm_squared() / variance) / variance
+    }
+
+    /// Information of an image's own error.
+    fn odometry(&self, by_returns: &Matrix6<f64>) -> Option<Matrix6<f64>> {
+        let own = self.own_variance();
+        // 1/(a + b) where the returns say little: (A⁻¹ + B)⁻¹ = A (1 + B A)⁻¹
+        let by_returns = by_returns + Matrix6::identity();
+        let inner = Matrix6::identity() + Matrix6::from_diagonal(&own) * by_returns;
+        let out = by_returns * inner.try_inverse()?;
+        Some(0.5 * (out + out.transpose()))
+    }
+
+    fn own_variance(&self) -> Vector6<f64> {
+        Vector6::from_fn(|k, _| {
+            let sigma = if k < 3 { self.turn_rad } else { self.shift_m };
+            sigma * sigma
+        })
+    }
+
+    /// As the errors left say.
+    fn measured(&self, blocks: &[Block], linears: &[Linear]) -> Self {
+        let median = |values: &mut dyn Iterator<Item = f64>| {
+            let mut sizes: Vec<f64> = values.map(f64::abs).collect();
+            sizes.sort_by(f64::total_cmp);
+            sizes.get(sizes.len() / 2).copied().unwrap_or(0.0) / MEDIAN_SIZE
+        };
+        // What is left of an image's error over what of it can be left.
+        let mut squares = [0.0; 2];
+        let mut free = [0.0; 2];
+        let own = self.own_variance();
+        for (block, linear) in blocks.iter().zip(linears) {
+            for (frame, shift) in block.shifts.iter().enumerate() {
+                for k in 0..6 {
+                    squares[k / 3] += shift[k] * shift[k];
+                    free[k / 3] += 1.0 - (linear.variances[6 * frame + k] / own[k]).min(0.98);
+                }
+            }
+        }
+        let spread = |k: usize, before: f64, least: f64| {
+            let now = (squares[k] / free[k].max(1e-9)).sqrt();
+            // Slowly: both sides depend on it.
+            (before * now)
+                .sqrt()
+                .clamp(0.5 * before, 2.0 * before)
+                .max(least)
+        };
+        Self {
+            pixel_px: median(&mut linears.iter().flat_map(|l| l.pixel_errors.iter().copied()))
+                .max(LEAST.pixel_px),
+            plane_m: median(&mut linears.iter().flat_map(|l| l.plane_errors.iter().copied()))
+                .max(LEAST.plane_m),
+            turn_rad: spread(0, self.turn_rad, LEAST.turn_rad),
+            shift_m: spread(1, self.shift_m, LEAST.shift_m),
+        }
+    }
+}

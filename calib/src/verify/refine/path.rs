@@ -1,0 +1,560 @@
+//! The LiDAR's way through the place, by its own scans: each is registered to planes of all others, each return at its own time. The
+//! gyroscope says how it turned within a scan; how it sits on the LiDAR is found along with it, since the rig may be wrong.
+
+use std::collections::BTreeMap;
+
+use lsfb_geometry::{Matrix3, Matrix6, Rig, Se3, UnitQuaternion, Vector3, Vector6, so3};
+use lsfb_recording::Recording;
+use lsfb_types::{LidarPoint, Progress, ProgressFn};
+use rayon::prelude::*;
+
+use super::super::gyro::Gyro;
+use super::super::{seconds, unreadable};
+use super::surfaces::{Place, Plane, Surfaces};
+use crate::Error;
+
+/// Nearer returns are the rig's own, metres.
+const NEAREST_M: f64 = 0.4;
+/// Returns of a scan that are used at most, and those with which each scan is first put onto those before.
+const MOST_RETURNS: usize = 12_000;
+const FIRST_RETURNS: usize = 4000;
+/// Directions are told apart by elevation in bins of this, degrees: few beams see floor and ceiling.
+const ELEVATION_DEG: f64 = 1.0;
+/// What the gyroscope knows of the turn from one scan to the next, radians.
+const GYRO_RAD: f64 = 2e-4;
+/// What a scan knows of its pose beside what its returns do on their own: errors of planes are common to many returns.
+const SCAN_WORTH: f64 = 0.25;
+/// Returns that must lie on planes, and share of all.
+const MIN_MATCHES: usize = 150;
+const ITERATIONS: usize = 10;
+/// Times that the place is made again of all scans.
+const ROUNDS: usize = 4;
+/// Scans that are put a second time onto what was seen after them: at first too little of floor and ceiling is known.
+const AGAIN_S: f64 = 10.0;
+/// Normalized distance from a plane at which a return's weight is halved.
+const ROBUST_SCALE: f64 = 2.5;
+/// Least spread of returns about a plane, metres.
+const LEAST_NOISE_M: f64 = 0.008;
+/// By how much a scan is expected to be elsewhere than foretold.
+const EXPECTED: [f64; 2] = [0.02, 0.08];
+/// Scans that are compared with the gyroscope are so many apart.
+const APART: usize = 5;
+/// By how much the LiDAR may be turned against the rig's axes (rad), the gyroscope's bias (rad/s), and the noise of a scan's
+/// rotation (rad).
+const MOUNTED_RAD: f64 = 0.04;
+const BIAS_RAD_S: f64 = 0.02;
+const TURN_NOISE_RAD: f64 = 1e-3;
+/// The gyroscope is integrated in steps of this, seconds.
+const GYRO_STEP_S: f64 = 0.02;
+/// Within a scan poses are found in steps of this, seconds; between them they change evenly.
+const WITHIN_STEP_S: f64 = 0.005;
+/// Scans farther apart than this are not joined by the gyroscope, seconds.
+const MOST_GAP_S: f64 = 0.5;
+/// Beyond the first and last scan the way goes on for so long, seconds.
+const BEYOND_S: f64 = 0.06;
+
+/// A return and when it was.
+#[derive(Clone, Copy)]
+pub(super) struct Return {
+    pub time_s: f64,
+    pub in_lidar: Vector3<f64>,
+}
+
+/// A scan, thinned out.
+pub(super) struct Scan {
+    pub middle_s: f64,
+    pub returns: Vec<Return>,
+}
+
+/// How the LiDAR turns as the gyroscope has it.
+struct Turning<'a> {
+    gyro: Option<&'a Gyro>,
+    lidar_from_rig: UnitQuaternion<f64>,
+    bias_rad_s: Vector3<f64>,
+}
+
+/// Poses of the LiDAR at the middle of each scan, and between.
+pub(super) struct LidarPath<'a> {
+    times_s: Vec<f64>,
+    world_from_lidar: Vec<Se3>,
+    /// What each scan knew of its pose, perturbed on the right.
+    information: Vec<Matrix6<f64>>,
+    turning: Turning<'a>,
+}
+
+/// Scans of the first so many seconds, thinned out.
+pub(super) fn read(
+    recording: &Recording,
+    longest_s: f64,
+    progress: ProgressFn,
+) -> Result<Vec<Scan>, Error> {
+    let mut out: Vec<Scan> = Vec::new();
+    for scan in recording.scans().map_err(unreadable(recording))? {
+        let scan = scan.map_err(unreadable(recording))?;
+        let start_s = seconds(scan.time.nanos(), recording);
+        if out
+            .first()
+            .is_some_and(|f| start_s - f.middle_s > longest_s)
+        {
+            break;
+        }
+        let points = &scan.sample.points;
+        let (first, last) = points
+            .iter()
+            .map(|p| p.time_offset_ns)
+            .fold((u32::MAX, 0), |(a, b), t| (a.min(t), b.max(t)));
+        let middle_s = start_s + 0.5e-9 * (f64::from(first.min(last)) + f64::from(last));
+        if out.last().is_some_and(|l| middle_s <= l.middle_s) {
+            continue;
+        }
+        let placed = thinned(points).into_iter().map(|p| Return {
+            time_s: start_s + f64::from(p.time_offset_ns) * 1e-9,
+            in_lidar: Vector3::from(p.position_m).map(f64::from),
+        });
+        let returns: Vec<Return> = placed.collect();
+        if returns.len() >= MIN_MATCHES {
+            out.push(Scan { middle_s, returns });
+        }
+        progress(Progress {
+            stage: "scans",
+            done: out.len() as u64,
+            total: 0,
+        });
+    }
+    Ok(out)
+}
+
+/// Returns of a scan, as many by elevation where there are so many: what sees floor and ceiling is kept.
+fn thinned(points: &[LidarPoint]) -> Vec<&LidarPoint> {
+    let mut bins = BTreeMap::<i32, Vec<&LidarPoint>>::new();
+    for point in points {
+        let [x, y, z] = point.position_m.map(f64::from);
+        let elevation_deg = z.atan2(x.hypot(y)).to_degrees();
+        if x.hypot(y).hypot(z) > NEAREST_M {
+            let bin = (elevation_deg / ELEVATION_DEG).floor() as i32;
+            bins.entry(bin).or_default().push(point);
+        }
+    }
+    // The fullest bins give up most.
+    let mut sizes: Vec<usize> = bins.values().map(Vec::len).collect();
+    sizes.sort_unstable();
+    let (mut left, mut cap) = (MOST_RETURNS, usize::MAX);
+    for (k, size) in sizes.iter().enumerate() {
+        let share = left / (sizes.len() - k);
+        if *size > share {
+            cap = share.max(1);
+            break;
+        }
+        left -= size;
+    }
+    let kept = bins.values().flat_map(|bin| {
+        let every = bin.len().div_ceil(cap).max(1);
+        bin.iter().copied().step_by(every)
+    });
+    kept.collect()
+}
+
+/// The way, and the place as all scans have it; `None` where scans do not fit on each other.
+pub(super) fn follow<'a>(
+    scans: &[Scan],
+    rig: &Rig,
+    gyro: Option<&'a Gyro>,
+    progress: ProgressFn,
+) -> Option<(LidarPath<'a>, Place)> {
+    let lidar = rig.lidar.as_ref()?;
+    let turning = Turning {
+        gyro,
+        lidar_from_rig: lidar.rig_from_lidar.rotation.inverse(),
+        bias_rad_s: Vector3::zeros(),
+    };
+    let mut path = one_by_one(scans, turning, progress)?;
+    path.begin_again(scans);
+    for round in 0..ROUNDS {
+        progress(Progress {
+            stage: "LiDAR odometry",
+            done: round as u64,
+            total: ROUNDS as u64,
+        });
+        path.turning.fit(&path.times_s, &path.world_from_lidar);
+        let still = path.deskewed(scans);
+        let place = path.place(&still);
+        let refined: Vec<(Se3, Matrix6<f64>)> = still
+            .par_iter()
+            .zip(&path.world_from_lidar)
+            .map(|(scan, pose)| {
+                let found = registered(scan, *pose, |at| place.plane(at).copied());
+                found.unwrap_or((*pose, Matrix6::zeros()))
+            })
+            .collect();
+        (path.world_from_lidar, path.information) = refined.into_iter().unzip();
+        path.steady();
+    }
+    let place = path.place(&path.deskewed(scans));
+    Some((path, place))
+}
+
+/// Each scan after the one before, onto planes of all before.
+fn one_by_one<'a>(
+    scans: &[Scan],
+    turning: Turning<'a>,
+    progress: ProgressFn,
+) -> Option<LidarPath<'a>> {
+    let mut surfaces = Surfaces::default();
+    let mut path = LidarPath {
+        times_s: Vec::new(),
+        world_from_lidar: Vec::new(),
+        information: Vec::new(),
+        turning,
+    };
+    for (k, scan) in scans.iter().enumerate() {
+        if k % 16 == 0 {
+            progress(Progress {
+                stage: "LiDAR odometry",
+                done: k as u64,
+                total: scans.len() as u64,
+            });
+        }
+        let (pose, speed) = path.foretold(scan.middle_s);
+        let every = scan.returns.len().div_ceil(FIRST_RETURNS).max(1);
+        let still: Vec<Vector3<f64>> = scan
+            .returns
+            .iter()
+            .step_by(every)
+            .map(|r| {
+                let turn = path.turning.between(scan.middle_s, r.time_s);
+                turn * r.in_lidar + pose.rotation.inverse() * speed * (r.time_s - scan.middle_s)
+            })
+            .collect();
+        let (pose, information) = if k == 0 {
+            (pose, Matrix6::zeros())
+        } else {
+            registered(&still, pose, |at| surfaces.plane(at))?
+        };
+        surfaces.add(still.iter().map(|p| pose * *p));
+        path.times_s.push(scan.middle_s);
+        path.world_from_lidar.push(pose);
+        path.information.push(information);
+    }
+    (path.times_s.len() > 2).then_some(path)
+}
+
+/// The pose at which returns lie on planes, with its information; `None` where too few do.
+fn registered(
+    returns: &[Vector3<f64>],
+    start: Se3,
+    mut plane: impl FnMut(&Vector3<f64>) -> Option<Plane>,
+) -> Option<(Se3, Matrix6<f64>)> {
+    let mut pose = start;
+    let mut information = Matrix6::zeros();
+    for _ in 0..ITERATIONS {
+        let off = (start.inverse() * pose).log();
+        let prior = |k: usize| 1.0 / (EXPECTED[k / 3] * EXPECTED[k / 3]);
+        let mut right = Vector6::from_fn(|k, _| -off[k] * prior(k));
+        information = Matrix6::zeros();
+        let mut matches = 0;
+        for point in returns {
+            let place = pose * *point;
+            let Some(plane) = plane(&place) else {
+                continue;
+            };
+            let noise = plane.thickness_m.max(LEAST_NOISE_M);
+            let error = plane.normal.dot(&(place - plane.place)) / noise;
+            let normal = pose.rotation.inverse() * plane.normal / noise;
+            let lever = point.cross(&normal);
+            let row = Vector6::new(lever.x, lever.y, lever.z, normal.x, normal.y, normal.z);
+            let weight = 1.0 / (1.0 + (error / ROBUST_SCALE).powi(2));
+            information += row * row.transpose() * weight;
+            right -= row * (error * weight);
+            matches += 1;
+        }
+        if matches < MIN_MATCHES {
+            return None;
+        }
+        let normal = information + Matrix6::from_diagonal(&Vector6::from_fn(|k, _| prior(k)));
+        let step = normal.cholesky()?.solve(&right);
+        pose = pose * Se3::exp(&step);
+        if step.fixed_rows::<3>(0).norm() < 2e-5 && step.fixed_rows::<3>(3).norm() < 1e-4 {
+            break;
+        }
+    }
+    Some((pose, information))
+}
+
+impl Turning<'_> {
+    /// How the LiDAR at one time is turned to itself at another: directions at `to_s` as it had them at `from_s`.
+    fn between(&self, from_s: f64, to_s: f64) -> UnitQuaternion<f64> {
+        let Some(gyro) = self.gyro else {
+            return UnitQuaternion::identity();
+        };
+        let steps = ((to_s - from_s).abs() / GYRO_STEP_S).ceil().max(1.0);
+        let mut turn = UnitQuaternion::identity();
+        for k in 0..steps as usize {
+            let at = |k: f64| from_s + (to_s - from_s) * k / steps;
+            let (a, b) = (at(k as f64), at(k as f64 + 1.0));
+            if let (Some(before), Some(after)) = (gyro.angle(a), gyro.angle(b)) {
+                turn *= so3::exp(&(after - before - self.bias_rad_s * (b - a)));
+            }
+        }
+        self.lidar_from_rig * turn * self.lidar_from_rig.inverse()
+    }
+
+    /// How the gyroscope sits on the LiDAR, and its bias, so that it turns as the scans do.
+    fn fit(&mut self, times_s: &[f64], world_from_lidar: &[Se3]) {
+        if self.gyro.is_none() {
+            return;
+        }
+        let prior = Matrix6::from_diagonal(&Vector6::from_fn(|k, _| {
+            let sigma = if k < 3 { MOUNTED_RAD } else { BIAS_RAD_S };
+            (TURN_NOISE_RAD / sigma).powi(2)
+        }));
+        for _ in 0..3 {
+            let mut normal = prior;
+            let mut right = Vector6::zeros();
+            for (t, p) in times_s
+                .windows(APART + 1)
+                .zip(world_from_lidar.windows(APART + 1))
+            {
+                let (from_s, to_s) = (t[0], t[APART]);
+                let foretold = self.between(from_s, to_s).to_rotation_matrix().into_inner();
+                let seen = (p[0].rotation.inverse() * p[APART].rotation).to_rotation_matrix();
+                let error = so3::log(&UnitQuaternion::from_rotation_matrix(
+                    &nalgebra::Rotation3::from_matrix_unchecked(
+                        foretold.transpose() * seen.into_inner(),
+                    ),
+                ));
+                // exp(c) Q exp(−c) is Q exp((Qᵀ − 1) c).
+                let by_mounting = foretold.transpose() - Matrix3::identity();
+                let by_bias =
+                    self.lidar_from_rig.to_rotation_matrix().into_inner() * (from_s - to_s);
+                let mut by = nalgebra::Matrix3x6::zeros();
+                by.fixed_view_mut::<3, 3>(0, 0).copy_from(&by_mounting);
+                by.fixed_view_mut::<3, 3>(0, 3).copy_from(&by_bias);
+                let weight = 1.0 / (1.0 + (error.norm() / (4.0 * TURN_NOISE_RAD)).powi(2));
+                normal += by.transpose() * by * weight;
+                right += by.transpose() * error * weight;
+            }
+            let Some(step) = normal.cholesky().map(|c| c.solve(&right)) else {
+                return;
+            };
+            self.lidar_from_rig = so3::exp(&step.fixed_rows::<3>(0).into()) * self.lidar_from_rig;
+            self.bias_rad_s += step.fixed_rows::<3>(3);
+        }
+    }
+}
+
+impl LidarPath<'_> {
+    /// Where the next scan should be, and the speed in the world, as far as is known.
+    fn foretold(&self, time_s: f64) -> (Se3, Vector3<f64>) {
+        let [.., last] = self.world_from_lidar.as_slice() else {
+            return (Se3::identity(), Vector3::zeros());
+        };
+        let n = self.times_s.len();
+        let since_s = time_s - self.times_s[n - 1];
+        let mut speed = Vector3::zeros();
+        if n > 1 {
+            let before = &self.world_from_lidar[n - 2];
+            let whole = (last.translation - before.translation)
+                / (self.times_s[n - 1] - self.times_s[n - 2]);
+            // As far as returns showed it: along a corridor nothing is believed.
+            let shown = self.information[n - 1]
+                .fixed_view::<3, 3>(3, 3)
+                .into_owned();
+            let prior = Matrix3::identity() / (EXPECTED[1] * EXPECTED[1]);
+            if let Some(inverse) = (shown + prior).try_inverse() {
+                speed = last.rotation * (inverse * shown * (last.rotation.inverse() * whole));
+            }
+        }
+        let turn = if self.turning.gyro.is_some() {
+            self.turning.between(self.times_s[n - 1], time_s)
+        } else if n > 1 {
+            let before = self.world_from_lidar[n - 2].rotation.inverse() * last.rotation;
+            let share = since_s / (self.times_s[n - 1] - self.times_s[n - 2]);
+            so3::exp(&(so3::log(&before) * share))
+        } else {
+            UnitQuaternion::identity()
+        };
+        let pose = Se3::new(last.rotation * turn, last.translation + speed * since_s);
+        (pose, speed)
+    }
+
+    /// The first and the last time at which the way is known, seconds.
+    pub fn span_s(&self) -> [f64; 2] {
+        [
+            self.times_s.first().copied().unwrap_or(0.0),
+            self.times_s.last().copied().unwrap_or(0.0),
+        ]
+    }
+
+    /// `world_from_lidar` at a time: the gyroscope's turning, bent so that it meets the scans; a cubic through positions.
+    pub fn at(&self, time_s: f64) -> Option<Se3> {
+        let [first, last] = self.span_s();
+        if time_s < first - BEYOND_S || time_s > last + BEYOND_S {
+            return None;
+        }
+        let t = &self.times_s;
+        let k = t.partition_point(|x| *x <= time_s).clamp(1, t.len() - 1) - 1;
+        let (a, b) = (&self.world_from_lidar[k], &self.world_from_lidar[k + 1]);
+        let gap_s = t[k + 1] - t[k];
+        let share = (time_s - t[k]) / gap_s;
+        let whole = self.turning.between(t[k], t[k + 1]);
+        let left = so3::log(&(whole.inverse() * a.rotation.inverse() * b.rotation));
+        let rotation = a.rotation * self.turning.between(t[k], time_s) * so3::exp(&(left * share));
+        let speed = |k: usize| {
+            let (from, to) = (k.saturating_sub(1), (k + 1).min(t.len() - 1));
+            (self.world_from_lidar[to].translation - self.world_from_lidar[from].translation)
+                / (t[to] - t[from])
+        };
+        let (u, v) = (share, 1.0 - share);
+        let translation = a.translation * (v * v * (1.0 + 2.0 * u))
+            + b.translation * (u * u * (1.0 + 2.0 * v))
+            + (speed(k) * (v * v * u) - speed(k + 1) * (u * u * v)) * gap_s;
+        Some(Se3::new(rotation, translation))
+    }
+
+    /// What is known of the pose at a time by the scan nearest to it.
+    pub fn information(&self, time_s: f64) -> Matrix6<f64> {
+        let after = self.times_s.partition_point(|x| *x <= time_s);
+        let near = [after.saturating_sub(1), after.min(self.times_s.len() - 1)];
+        let nearest = if time_s - self.times_s[near[0]] < self.times_s[near[1]] - time_s {
+            near[0]
+        } else {
+            near[1]
+        };
+        self.information[nearest]
+    }
+
+    /// The returns of a scan as the LiDAR would have them at a time.
+    pub fn returns_at(&self, scan: &Scan, time_s: f64) -> Vec<Vector3<f64>> {
+        let Some(now) = self.at(time_s).map(|p| p.inverse()) else {
+            return Vec::new();
+        };
+        let first_s = scan
+            .returns
+            .iter()
+            .map(|r| r.time_s)
+            .fold(f64::INFINITY, f64::min);
+        let last_s = scan
+            .returns
+            .iter()
+            .map(|r| r.time_s)
+            .fold(first_s, f64::max);
+        let steps = ((last_s - first_s) / WITHIN_STEP_S).ceil().max(1.0);
+        let knots: Vec<Option<Se3>> = (0..=steps as usize)
+            .map(|k| Some(now * self.at(first_s + (last_s - first_s) * k as f64 / steps)?))
+            .collect();
+        let moved = scan.returns.iter().filter_map(|r| {
+            let at = (r.time_s - first_s) / (last_s - first_s).max(1e-9) * steps;
+            let k = (at as usize).min(knots.len() - 2);
+            Some(knots[k]?.interpolate(&knots[k + 1]?, at - k as f64) * r.in_lidar)
+        });
+        moved.collect()
+    }
+
+    /// The first scans once more, last to first, onto planes of those after them.
+    fn begin_again(&mut self, scans: &[Scan]) {
+        let [first, last] = self.span_s();
+        let until_s = first + AGAIN_S.min(0.5 * (last - first));
+        let again = self.times_s.partition_point(|t| *t < until_s);
+        let thin = |scan: &Scan, path: &Self| -> Vec<Vector3<f64>> {
+            let every = scan.returns.len().div_ceil(FIRST_RETURNS).max(1);
+            let all = path.returns_at(scan, scan.middle_s);
+            all.into_iter().step_by(every).collect()
+        };
+        let mut surfaces = Surfaces::default();
+        for (scan, pose) in scans.iter().zip(&self.world_from_lidar).skip(again) {
+            surfaces.add(thin(scan, self).into_iter().map(|p| *pose * p));
+        }
+        for k in (0..again).rev() {
+            // As it was to the scan after it, which may have moved.
+            let still = thin(&scans[k], self);
+            let pose = self.world_from_lidar[k];
+            let Some((found, information)) = registered(&still, pose, |at| surfaces.plane(at))
+            else {
+                return;
+            };
+            surfaces.add(still.iter().map(|p| found * *p));
+            let moved = found * pose.inverse();
+            for earlier in &mut self.world_from_lidar[..k] {
+                *earlier = moved * *earlier;
+            }
+            self.world_from_lidar[k] = found;
+            self.information[k] = information;
+        }
+    }
+
+    /// Scans as they lie on planes and the gyroscope's turns between them, together.
+    fn steady(&mut self) {
+        let n = self.times_s.len();
+        if self.turning.gyro.is_none() || n < 2 {
+            return;
+        }
+        let weight = Matrix3::identity() / (GYRO_RAD * GYRO_RAD);
+        let mut own: Vec<Matrix6<f64>> = self
+            .information
+            .iter()
+            .map(|i| i * SCAN_WORTH + Matrix6::identity())
+            .collect();
+        let mut right = vec![Vector6::zeros(); n];
+        // Rotations of the next scan by those of each.
+        let mut across = vec![Matrix6::zeros(); n - 1];
+        for k in 0..n - 1 {
+            if self.times_s[k + 1] - self.times_s[k] > MOST_GAP_S {
+                continue;
+            }
+            let seen =
+                self.world_from_lidar[k].rotation.inverse() * self.world_from_lidar[k + 1].rotation;
+            let foretold = self.turning.between(self.times_s[k], self.times_s[k + 1]);
+            let error = so3::log(&(foretold.inverse() * seen));
+            let back = -seen.inverse().to_rotation_matrix().into_inner();
+            let (first, second) = (back.transpose() * weight, weight);
+            let mut add = |at: usize, by: &Matrix3<f64>, pull: &Matrix3<f64>| {
+                let mut block = own[at].fixed_view_mut::<3, 3>(0, 0);
+                block += pull * by;
+                let mut rows = right[at].fixed_rows_mut::<3>(0);
+                rows -= pull * error;
+            };
+            add(k, &back, &first);
+            add(k + 1, &Matrix3::identity(), &second);
+            across[k]
+                .fixed_view_mut::<3, 3>(0, 0)
+                .copy_from(&(weight * back));
+        }
+        // From the first to the last, and back.
+        for k in 1..n {
+            let Some(inverse) = own[k - 1].try_inverse() else {
+                return;
+            };
+            let taken = across[k - 1] * inverse;
+            own[k] -= taken * across[k - 1].transpose();
+            right[k] = right[k] - taken * right[k - 1];
+        }
+        let mut next = Vector6::zeros();
+        for k in (0..n).rev() {
+            let pull = if k + 1 < n {
+                right[k] - across[k].transpose() * next
+            } else {
+                right[k]
+            };
+            let Some(step) = own[k].cholesky().map(|c| c.solve(&pull)) else {
+                return;
+            };
+            self.world_from_lidar[k] = self.world_from_lidar[k] * Se3::exp(&step);
+            next = step;
+        }
+    }
+
+    fn deskewed(&self, scans: &[Scan]) -> Vec<Vec<Vector3<f64>>> {
+        scans
+            .par_iter()
+            .map(|s| self.returns_at(s, s.middle_s))
+            .collect()
+    }
+
+    fn place(&self, still: &[Vec<Vector3<f64>>]) -> Place {
+        let mut surfaces = Surfaces::default();
+        for (scan, pose) in still.iter().zip(&self.world_from_lidar) {
+            surfaces.add(scan.iter().map(|p| *pose * *p));
+        }
+        surfaces.finish()
+    }
+}
