@@ -242,23 +242,6 @@ fn a_rig_that_fits_passes_and_what_does_not_is_named() {
         Outcome::Pass
     );
 
-    // Without a board the turn is found again.
-    let refined = refine(&recording, &moved, &config, &no_progress).expect("refined");
-    let lidar = rig.lidar.as_ref().expect("a LiDAR").rig_from_lidar;
-    for (found, before) in refined.cameras.iter().zip([2.0, 0.0_f64]) {
-        let truth = rig.cameras[&found.camera].rig_from_camera.inverse() * lidar;
-        let edge = found.edge.as_ref().expect("determined");
-        let off = (truth.inverse() * edge.target_from_source).log();
-        let left = off.fixed_rows::<3>(0).norm().to_degrees();
-        assert!(
-            left < 0.2,
-            "{before}° before, {left}° after: {}",
-            found.sentence
-        );
-        let shift = off.fixed_rows::<3>(3).norm();
-        assert!(shift < 0.03, "{shift} m after: {}", found.sentence);
-    }
-
     // Turned about the x axis: curves move across.
     let mut rolled = rig.clone();
     let camera = rolled.cameras.get_mut("cam1").expect("cam1");

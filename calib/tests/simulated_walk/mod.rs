@@ -8,6 +8,7 @@ use lsfb_sim::{SimConfig, Simulation};
 use lsfb_types::{Image, ImuSample, LidarScan, Stamped, no_progress};
 
 /// Everything a rig measured.
+#[derive(Clone)]
 pub struct Walk {
     /// The rig as it is, with the cameras that were asked for.
     pub rig: Rig,
@@ -55,6 +56,20 @@ impl Walk {
             scans: (0..revolutions.min(scan.revolution_count()))
                 .filter_map(|k| scan.scan(world, k))
                 .collect(),
+        }
+    }
+
+    /// Changes every image, for what goes wrong with cameras.
+    pub fn change_images(&mut self, mut change: impl FnMut(&mut Image)) {
+        for (_, image) in &mut self.images {
+            change(&mut image.sample);
+        }
+    }
+
+    /// Changes every scan, for what goes wrong with LiDARs.
+    pub fn change_scans(&mut self, mut change: impl FnMut(&mut LidarScan)) {
+        for scan in &mut self.scans {
+            change(&mut scan.sample);
         }
     }
 

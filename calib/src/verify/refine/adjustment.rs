@@ -498,3 +498,6 @@ impl Noise {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

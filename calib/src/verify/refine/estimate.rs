@@ -8,7 +8,7 @@ use super::adjustment::{
 
 /// Share of errors of surfaces and of the odometry that is common to all blocks, so that their scatter does not show it: walls
 /// are met from the same side again and again.
-const COMMON: f64 = 0.4;
+const COMMON: f64 = 0.3;
 
 /// Squared normalized distance of six numbers that one in a thousand exceeds.
 const UNLIKELY: f64 = 22.46;
