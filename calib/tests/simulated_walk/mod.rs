@@ -13,8 +13,10 @@ pub struct Walk {
     /// The rig as it is, with the cameras that were asked for.
     pub rig: Rig,
     imu: Vec<Stamped<ImuSample>>,
-    images: Vec<(String, Stamped<Image>)>,
-    scans: Vec<Stamped<LidarScan>>,
+    /// Images with the names of their cameras.
+    pub images: Vec<(String, Stamped<Image>)>,
+    /// Scans of the LiDAR.
+    pub scans: Vec<Stamped<LidarScan>>,
 }
 
 impl Walk {
@@ -56,20 +58,6 @@ impl Walk {
             scans: (0..revolutions.min(scan.revolution_count()))
                 .filter_map(|k| scan.scan(world, k))
                 .collect(),
-        }
-    }
-
-    /// Changes every image, for what goes wrong with cameras.
-    pub fn change_images(&mut self, mut change: impl FnMut(&mut Image)) {
-        for (_, image) in &mut self.images {
-            change(&mut image.sample);
-        }
-    }
-
-    /// Changes every scan, for what goes wrong with LiDARs.
-    pub fn change_scans(&mut self, mut change: impl FnMut(&mut LidarScan)) {
-        for scan in &mut self.scans {
-            change(&mut scan.sample);
         }
     }
 

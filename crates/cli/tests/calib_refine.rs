@@ -119,20 +119,22 @@ fn a_lidar_that_is_nearly_right_is_refined_and_what_cannot_be_is_said() {
 
     // A covered lens.
     let mut covered = walk.clone();
-    covered.change_images(|image| image.pixels.fill(12));
+    for (_, image) in &mut covered.images {
+        image.sample.pixels.fill(12);
+    }
     covered.write(&path.join("covered.mcap"), 0.0);
     lost("by-hand.toml", "covered.mcap", &["cam0", "covered, dark"]);
 
     // Nothing that stands still.
     let mut leaves = walk.clone();
     let mut state = 1u32;
-    leaves.change_scans(|scan| {
-        for point in &mut scan.points {
+    for scan in &mut leaves.scans {
+        for point in &mut scan.sample.points {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
             let longer = 1.0 + (state >> 8) as f32 / 16_777_216.0;
             point.position_m = point.position_m.map(|c| c * longer);
         }
-    });
+    }
     leaves.write(&path.join("leaves.mcap"), 0.0);
     refuse(
         path,
@@ -142,7 +144,9 @@ fn a_lidar_that_is_nearly_right_is_refined_and_what_cannot_be_is_said() {
     );
 
     let mut blind = walk.clone();
-    blind.change_scans(|scan| scan.points.clear());
+    for scan in &mut blind.scans {
+        scan.sample.points.clear();
+    }
     blind.write(&path.join("blind.mcap"), 0.0);
     refuse(path, "blind.mcap", "by-hand.toml", &["lidar", "too short"]);
 

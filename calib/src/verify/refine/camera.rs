@@ -22,6 +22,8 @@ use crate::{Error, TransformEdge};
 const FINE_WIDTH: u32 = 640;
 /// Half the time over which the LiDAR's velocity at an image is taken, seconds.
 const BESIDE_S: f64 = 0.02;
+/// Corners that the best image has where a camera sees anything.
+const LEAST_IN_IMAGE: usize = 8;
 /// Corners on surfaces, and blocks that say something, that a camera needs.
 const LEAST_CORNERS: usize = 60;
 const LEAST_BLOCKS: usize = 3;
@@ -29,8 +31,10 @@ const LEAST_BLOCKS: usize = 3;
 const FARTHEST: [f64; 2] = [0.07, 0.12];
 /// Spreads beyond which corners and surfaces do not fit: pixels, metres, radians, metres.
 const MISFIT: [f64; 4] = [0.7, 0.02, 6e-3, 0.02];
-/// A transfer that was this good needs not become better, pixels.
-const GOOD_PX: f64 = 0.5;
+/// By how much worse corners may be transferred after than before, where both are good: a share, and pixels.
+const WORSE: [f64; 2] = [1.1, 0.1];
+/// Squared normalized change of six numbers below which the rig was right: 95 % of chance.
+const UNCHANGED: f64 = 12.59;
 
 /// A camera and what the LiDAR saw.
 pub(super) struct OneCamera<'a> {
@@ -47,8 +51,15 @@ pub(super) struct OneCamera<'a> {
 /// Images of a recording that are looked at.
 struct Images {
     keyframes: Vec<Keyframe>,
-    /// One of them as it was, with its time and that on the recording's clock.
-    middle: Option<(f64, i64, Image)>,
+    /// The one with the most corners as it was.
+    shown: Option<Shown>,
+}
+
+struct Shown {
+    time_s: f64,
+    time_ns: i64,
+    image: Image,
+    corners: usize,
 }
 
 /// What was found for good.
@@ -71,7 +82,11 @@ impl OneCamera<'_> {
                 images.keyframes.len()
             )));
         }
-        if images.keyframes.iter().all(|k| !k.shows_anything()) {
+        if images
+            .shown
+            .as_ref()
+            .is_none_or(|s| s.corners < LEAST_IN_IMAGE)
+        {
             return Ok(self.silent(
                 "its images show nothing: it is covered, dark, or has no contrast".to_owned(),
             ));
@@ -89,14 +104,15 @@ impl OneCamera<'_> {
             Ok(found) => self.judged(&lens, &blocks, &found),
         };
         if let Some(after) = refinement.camera_from_lidar
-            && let Some((time_s, time_ns, image)) = &images.middle
+            && let Some(shown) = &images.shown
         {
-            let returns = self.returns_at(*time_s);
+            let returns = self.returns_at(shown.time_s);
             let drawn = |pose: &Se3| -> Result<Overlay, Error> {
-                let (picture, points) = Picture::new(image, &self.mounted.camera, pose, &returns);
+                let (picture, points) =
+                    Picture::new(&shown.image, &self.mounted.camera, pose, &returns);
                 Ok(Overlay {
                     camera: self.name.to_owned(),
-                    time_ns: *time_ns,
+                    time_ns: shown.time_ns,
                     points,
                     png: picture.to_png()?,
                 })
@@ -121,9 +137,8 @@ impl OneCamera<'_> {
 
     fn images(&self, recording: &Recording, progress: ProgressFn) -> Result<Images, Error> {
         let mut keyframes: Vec<Keyframe> = Vec::new();
-        let mut middle: Option<(f64, i64, Image)> = None;
+        let mut shown: Option<Shown> = None;
         let [first_s, last_s] = self.path.span_s();
-        let middle_s = 0.5 * (first_s + last_s);
         for image in recording.images(self.name).map_err(unreadable(recording))? {
             let image = image.map_err(unreadable(recording))?;
             expect_size(recording, self.name, self.mounted, &image.sample)?;
@@ -142,19 +157,23 @@ impl OneCamera<'_> {
                 continue;
             };
             let factor = image.sample.width.div_ceil(FINE_WIDTH).max(1);
-            keyframes.push(Keyframe {
+            let keyframe = Keyframe {
                 time_s,
                 levels: [2 * factor, factor]
                     .map(|f| Gray::reduced(&image.sample, &self.mounted.camera, f)),
                 world_from_lidar: now,
                 twist: (before.inverse() * after).log() / (2.0 * BESIDE_S),
                 information: self.path.information(time_s),
-            });
-            let nearer = middle
-                .as_ref()
-                .is_none_or(|(t, ..)| (time_s - middle_s).abs() < (t - middle_s).abs());
-            if nearer {
-                middle = Some((time_s, image.time.nanos(), image.sample));
+            };
+            let corners = keyframe.corners();
+            keyframes.push(keyframe);
+            if shown.as_ref().is_none_or(|s| corners > s.corners) {
+                shown = Some(Shown {
+                    time_s,
+                    time_ns: image.time.nanos(),
+                    image: image.sample,
+                    corners,
+                });
             }
             progress(Progress {
                 stage: "images",
@@ -162,7 +181,7 @@ impl OneCamera<'_> {
                 total: (last_s - first_s).max(0.0) as u64,
             });
         }
-        Ok(Images { keyframes, middle })
+        Ok(Images { keyframes, shown })
     }
 
     fn returns_at(&self, time_s: f64) -> Vec<Vector3<f64>> {
@@ -253,6 +272,10 @@ impl OneCamera<'_> {
         let refusal = self.refusal(&change, found, &evidence);
         refinement.sentence = match &refusal {
             Some(why) => why.clone(),
+            None if found.is_no_change(&change) => format!(
+                "the rig was right, as far as can be seen; {}",
+                refinement.in_words()
+            ),
             None => refinement.in_words(),
         };
         if refusal.is_none() && found.held.iter().all(|k| *k > 2) {
@@ -293,7 +316,7 @@ impl OneCamera<'_> {
                 shift * 1e3
             ));
         }
-        if transfer.after_px > transfer.before_px.max(GOOD_PX) {
+        if transfer.after_px > WORSE[0] * transfer.before_px + WORSE[1] {
             return Some(format!(
                 "no better pose was found: corners are {:.2} px off as the rig was and {:.2} px with the best pose",
                 transfer.before_px, transfer.after_px
@@ -301,7 +324,7 @@ impl OneCamera<'_> {
         }
         if found.estimate.halves.disagree() {
             return Some(format!(
-                "two halves of the recording disagree, beyond what one in a thousand would ({:.1} σ² for 6 numbers): something moved, or a clock is wrong",
+                "two halves of the recording disagree, beyond what one in ten thousand would ({:.1} σ² for 6 numbers): something moved, or a clock is wrong",
                 found.estimate.halves.square
             ));
         }
@@ -383,6 +406,15 @@ impl OneCamera<'_> {
             target_from_source: *camera_from_lidar,
             covariance: Some(0.5 * (covariance + covariance.transpose())),
         }
+    }
+}
+
+impl Found {
+    /// Whether all that was found may be chance.
+    fn is_no_change(&self, change: &Vector6<f64>) -> bool {
+        let covariance = self.estimate.covariance.fixed_view::<6, 6>(0, 0);
+        let weighted = covariance.into_owned().cholesky().map(|c| c.solve(change));
+        weighted.is_some_and(|w| change.dot(&w) < UNCHANGED)
     }
 }
 

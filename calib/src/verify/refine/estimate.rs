@@ -10,8 +10,8 @@ use super::adjustment::{
 /// are met from the same side again and again.
 const COMMON: f64 = 0.3;
 
-/// Squared normalized distance of six numbers that one in a thousand exceeds.
-const UNLIKELY: f64 = 22.46;
+/// Squared normalized distance of six numbers that one in ten thousand exceeds.
+const UNLIKELY: f64 = 27.86;
 
 /// The six numbers with what they are worth.
 pub(super) struct Estimate {

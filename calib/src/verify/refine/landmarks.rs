@@ -25,8 +25,6 @@ const STRETCH: [f64; 2] = [0.5, 1.9];
 const SAME_PX: f64 = 6.0;
 /// Images of a block in which new corners are looked for are so many apart.
 const ANCHORS_APART: usize = 3;
-/// Corners of an image that shows something.
-const LEAST_CORNERS: usize = 8;
 /// Images, beside its own, that a corner must be found in.
 const MIN_OTHERS: usize = 2;
 
@@ -71,11 +69,10 @@ pub(super) enum Reach {
 }
 
 impl Keyframe {
-    /// Whether there is anything in it that could be found again.
-    pub fn shows_anything(&self) -> bool {
+    /// How many corners there are.
+    pub fn corners(&self) -> usize {
         let fine = &self.levels[1];
-        let found = corners(FAINT, fine.width(), fine.height(), |x, y| fine.at(x, y));
-        found.len() >= LEAST_CORNERS
+        corners(FAINT, fine.width(), fine.height(), |x, y| fine.at(x, y)).len()
     }
 }
 
