@@ -8,11 +8,12 @@
 //! that time. Spreads `σ`, `σ_p` and the two of `Σ_ξ` are measured along with it. Blocks of images share `E` and `τ` alone: each
 //! is reduced to an information matrix over these seven numbers, and how well blocks agree says what they are worth.
 
-use lsfb_geometry::{Camera, Matrix3, Matrix6, Se3, Vector2, Vector3, Vector6, so3};
+use lsfb_geometry::{Camera, Matrix3, Se3, Vector2, Vector3, Vector6, so3};
 use nalgebra::{DMatrix, DVector, Matrix2x3, SMatrix, SVector};
 use rayon::prelude::*;
 
 use super::landmarks::{Keyframe, Landmark, Observation};
+use super::noise::{Noise, START, robust};
 
 /// The six numbers of the pose, in the camera's axes, and the clock.
 pub(super) const SHARED: usize = 7;
@@ -26,10 +27,6 @@ pub(super) const CLOCK_S: f64 = 1e-3;
 const ITERATIONS: usize = 25;
 /// Steps of a corner after each of the pose's.
 const CORNER_STEPS: usize = 3;
-/// Normalized error at which an observation's weight is halved.
-const ROBUST_SCALE: f64 = 3.0;
-/// Median of the size of a normal number.
-const MEDIAN_SIZE: f64 = 0.6745;
 /// A step shorter than this ends the search: radians, metres.
 const SHORTEST: [f64; 2] = [2e-6, 1e-5];
 /// Nearest that a corner may be to the camera, metres.
@@ -40,7 +37,7 @@ pub(super) struct Block {
     pub frames: Vec<Keyframe>,
     pub landmarks: Vec<Landmark>,
     /// What the odometry errs by in each image, perturbed on the right.
-    shifts: Vec<Vector6<f64>>,
+    pub shifts: Vec<Vector6<f64>>,
 }
 
 /// What all images share.
@@ -50,30 +47,6 @@ pub(super) struct Shared {
     /// What is to be added to the camera's times.
     pub delay_s: f64,
 }
-
-/// Standard deviations, as measured.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Noise {
-    pub pixel_px: f64,
-    pub plane_m: f64,
-    /// Of the odometry in each image, beside what the scan's returns say.
-    pub turn_rad: f64,
-    pub shift_m: f64,
-}
-
-/// Where they start, and the least that is believed.
-const START: Noise = Noise {
-    pixel_px: 1.0,
-    plane_m: 0.02,
-    turn_rad: 5e-4,
-    shift_m: 3e-3,
-};
-const LEAST: Noise = Noise {
-    pixel_px: 0.03,
-    plane_m: 1e-3,
-    turn_rad: 5e-5,
-    shift_m: 3e-4,
-};
 
 /// Normal equations over what is shared.
 #[derive(Clone, Copy)]
@@ -91,15 +64,15 @@ pub(super) struct Adjusted {
 }
 
 /// A block's equations, with what leads back to its images.
-struct Linear {
+pub(super) struct Linear {
     normal: Normal,
     step: DVector<f64>,
     by_shared: DMatrix<f64>,
     /// Of each image's error, after the fact.
-    variances: DVector<f64>,
+    pub variances: DVector<f64>,
     /// Errors over the square root of the share that is not fitted away: pixels, metres.
-    pixel_errors: Vec<f64>,
-    plane_errors: Vec<f64>,
+    pub pixel_errors: Vec<f64>,
+    pub plane_errors: Vec<f64>,
 }
 
 /// Starts from a pose that is known as well as by hand. Numbers in `held` stay as they are there.
@@ -430,72 +403,6 @@ impl Landmark {
         let little = Matrix3::identity() * 1e-3;
         let n = &self.plane_normal;
         (n * n.transpose() * weight + little, -n * (off_m * weight))
-    }
-}
-
-/// Weight by the square of a normalized error.
-fn robust(square: f64) -> f64 {
-    1.0 / (1.0 + square / (ROBUST_SCALE * ROBUST_SCALE))
-}
-
-impl Noise {
-    fn weight(&self, error: &Vector2<f64>) -> f64 {
-        let variance = self.pixel_px * self.pixel_px;
-        robust(error.norm_squared() / variance) / variance
-    }
-
-    /// Information of an image's own error.
-    fn odometry(&self, by_returns: &Matrix6<f64>) -> Option<Matrix6<f64>> {
-        let own = self.own_variance();
-        // 1/(a + b) where the returns say little: (A⁻¹ + B)⁻¹ = A (1 + B A)⁻¹
-        let by_returns = by_returns + Matrix6::identity();
-        let inner = Matrix6::identity() + Matrix6::from_diagonal(&own) * by_returns;
-        let out = by_returns * inner.try_inverse()?;
-        Some(0.5 * (out + out.transpose()))
-    }
-
-    fn own_variance(&self) -> Vector6<f64> {
-        Vector6::from_fn(|k, _| {
-            let sigma = if k < 3 { self.turn_rad } else { self.shift_m };
-            sigma * sigma
-        })
-    }
-
-    /// As the errors left say.
-    fn measured(&self, blocks: &[Block], linears: &[Linear]) -> Self {
-        let median = |values: &mut dyn Iterator<Item = f64>| {
-            let mut sizes: Vec<f64> = values.map(f64::abs).collect();
-            sizes.sort_by(f64::total_cmp);
-            sizes.get(sizes.len() / 2).copied().unwrap_or(0.0) / MEDIAN_SIZE
-        };
-        // What is left of an image's error over what of it can be left.
-        let mut squares = [0.0; 2];
-        let mut free = [0.0; 2];
-        let own = self.own_variance();
-        for (block, linear) in blocks.iter().zip(linears) {
-            for (frame, shift) in block.shifts.iter().enumerate() {
-                for k in 0..6 {
-                    squares[k / 3] += shift[k] * shift[k];
-                    free[k / 3] += 1.0 - (linear.variances[6 * frame + k] / own[k]).min(0.98);
-                }
-            }
-        }
-        let spread = |k: usize, before: f64, least: f64| {
-            let now = (squares[k] / free[k].max(1e-9)).sqrt();
-            // Slowly: both sides depend on it.
-            (before * now)
-                .sqrt()
-                .clamp(0.5 * before, 2.0 * before)
-                .max(least)
-        };
-        Self {
-            pixel_px: median(&mut linears.iter().flat_map(|l| l.pixel_errors.iter().copied()))
-                .max(LEAST.pixel_px),
-            plane_m: median(&mut linears.iter().flat_map(|l| l.plane_errors.iter().copied()))
-                .max(LEAST.plane_m),
-            turn_rad: spread(0, self.turn_rad, LEAST.turn_rad),
-            shift_m: spread(1, self.shift_m, LEAST.shift_m),
-        }
     }
 }
 

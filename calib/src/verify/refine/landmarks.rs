@@ -258,9 +258,9 @@ impl Level {
             }
             normalized(&mut there)?;
             let (mut right, mut left) = (Vector2::zeros(), 0.0);
-            for k in 0..PATCH {
-                let error = there[k] - self.values[k];
-                right += self.gradients[k] * error;
+            for ((seen, value), gradient) in there.iter().zip(&self.values).zip(&self.gradients) {
+                let error = seen - value;
+                right += gradient * error;
                 left += error * error;
             }
             let step = there_by_here * (self.inverse * right);

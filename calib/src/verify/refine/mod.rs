@@ -2,10 +2,10 @@
 //!
 //! | step | file |
 //! | --- | --- |
-//! | the LiDAR's way, by its own scans | `path.rs` |
+//! | the LiDAR's way, by its own scans and the gyroscope | `scan.rs`, `path.rs`, `turning.rs` |
 //! | planes of the place | `surfaces.rs` |
 //! | corners on planes, found in images from far apart | `landmarks.rs` |
-//! | the pose at which both agree (Eq. 4) | `adjustment.rs` |
+//! | the pose at which both agree (Eq. 4) | `adjustment.rs`, `noise.rs` |
 //! | what it is worth | `estimate.rs` |
 //! | all of it for one camera, and what is said of it | `camera.rs`, `report.rs`, `page.rs` |
 
@@ -13,10 +13,13 @@ mod adjustment;
 mod camera;
 mod estimate;
 mod landmarks;
+mod noise;
 mod page;
 mod path;
 mod report;
+mod scan;
 mod surfaces;
+mod turning;
 
 use lsfb_geometry::Rig;
 use lsfb_recording::Recording;
@@ -106,7 +109,7 @@ pub fn refine(
         return Err(unknown("the recording has no scans".to_owned()));
     }
     let gyro = gyro(recording)?;
-    let scans = path::read(recording, config.longest_s, progress)?;
+    let scans = scan::read(recording, config.longest_s, progress)?;
     let length_s = match scans.as_slice() {
         [first, .., last] => last.middle_s - first.middle_s,
         _ => 0.0,

@@ -1,30 +1,16 @@
 //! The LiDAR's way through the place, by its own scans: each is registered to planes of all others, each return at its own time. The
-//! gyroscope says how it turned within a scan; how it sits on the LiDAR is found along with it, since the rig may be wrong.
-
-use std::collections::BTreeMap;
+//! gyroscope says how it turned in between.
 
 use lsfb_geometry::{Matrix3, Matrix6, Rig, Se3, UnitQuaternion, Vector3, Vector6, so3};
-use lsfb_recording::Recording;
-use lsfb_types::{LidarPoint, Progress, ProgressFn};
+use lsfb_types::{Progress, ProgressFn};
 use rayon::prelude::*;
 
 use super::super::gyro::Gyro;
-use super::super::{seconds, unreadable};
+use super::scan::Scan;
 use super::surfaces::{Place, Plane, Surfaces};
-use crate::Error;
+use super::turning::Turning;
 
-/// Nearer returns are the rig's own, metres.
-const NEAREST_M: f64 = 0.4;
-/// Returns of a scan that are used at most, and those with which each scan is first put onto those before.
-const MOST_RETURNS: usize = 12_000;
-const FIRST_RETURNS: usize = 4000;
-/// Directions are told apart by elevation in bins of this, degrees: few beams see floor and ceiling.
-const ELEVATION_DEG: f64 = 1.0;
-/// What the gyroscope knows of the turn from one scan to the next, radians.
-const GYRO_RAD: f64 = 2e-4;
-/// What a scan knows of its pose beside what its returns do on their own: errors of planes are common to many returns.
-const SCAN_WORTH: f64 = 0.25;
-/// Returns that must lie on planes, and share of all.
+/// Returns that must lie on planes.
 const MIN_MATCHES: usize = 150;
 const ITERATIONS: usize = 10;
 /// Times that the place is made again of all scans.
@@ -37,41 +23,18 @@ const ROBUST_SCALE: f64 = 2.5;
 const LEAST_NOISE_M: f64 = 0.008;
 /// By how much a scan is expected to be elsewhere than foretold.
 const EXPECTED: [f64; 2] = [0.02, 0.08];
-/// Scans that are compared with the gyroscope are so many apart.
-const APART: usize = 5;
-/// By how much the LiDAR may be turned against the rig's axes (rad), the gyroscope's bias (rad/s), and the noise of a scan's
-/// rotation (rad).
-const MOUNTED_RAD: f64 = 0.04;
-const BIAS_RAD_S: f64 = 0.02;
-const TURN_NOISE_RAD: f64 = 1e-3;
-/// The gyroscope is integrated in steps of this, seconds.
-const GYRO_STEP_S: f64 = 0.02;
+/// Returns of a scan with which it is first put onto those before.
+const FIRST_RETURNS: usize = 4000;
+/// What the gyroscope knows of the turn from one scan to the next, radians.
+const GYRO_RAD: f64 = 2e-4;
+/// What a scan knows of its pose beside what its returns do on their own: errors of planes are common to many returns.
+const SCAN_WORTH: f64 = 0.25;
 /// Within a scan poses are found in steps of this, seconds; between them they change evenly.
 const WITHIN_STEP_S: f64 = 0.005;
-/// Scans farther apart than this are not joined by the gyroscope, seconds.
+/// Between scans farther apart than this nothing is known, seconds.
 const MOST_GAP_S: f64 = 0.5;
 /// Beyond the first and last scan the way goes on for so long, seconds.
 const BEYOND_S: f64 = 0.06;
-
-/// A return and when it was.
-#[derive(Clone, Copy)]
-pub(super) struct Return {
-    pub time_s: f64,
-    pub in_lidar: Vector3<f64>,
-}
-
-/// A scan, thinned out.
-pub(super) struct Scan {
-    pub middle_s: f64,
-    pub returns: Vec<Return>,
-}
-
-/// How the LiDAR turns as the gyroscope has it.
-struct Turning<'a> {
-    gyro: Option<&'a Gyro>,
-    lidar_from_rig: UnitQuaternion<f64>,
-    bias_rad_s: Vector3<f64>,
-}
 
 /// Poses of the LiDAR at the middle of each scan, and between.
 pub(super) struct LidarPath<'a> {
@@ -80,78 +43,6 @@ pub(super) struct LidarPath<'a> {
     /// What each scan knew of its pose, perturbed on the right.
     information: Vec<Matrix6<f64>>,
     turning: Turning<'a>,
-}
-
-/// Scans of the first so many seconds, thinned out.
-pub(super) fn read(
-    recording: &Recording,
-    longest_s: f64,
-    progress: ProgressFn,
-) -> Result<Vec<Scan>, Error> {
-    let mut out: Vec<Scan> = Vec::new();
-    for scan in recording.scans().map_err(unreadable(recording))? {
-        let scan = scan.map_err(unreadable(recording))?;
-        let start_s = seconds(scan.time.nanos(), recording);
-        if out
-            .first()
-            .is_some_and(|f| start_s - f.middle_s > longest_s)
-        {
-            break;
-        }
-        let points = &scan.sample.points;
-        let (first, last) = points
-            .iter()
-            .map(|p| p.time_offset_ns)
-            .fold((u32::MAX, 0), |(a, b), t| (a.min(t), b.max(t)));
-        let middle_s = start_s + 0.5e-9 * (f64::from(first.min(last)) + f64::from(last));
-        if out.last().is_some_and(|l| middle_s <= l.middle_s) {
-            continue;
-        }
-        let placed = thinned(points).into_iter().map(|p| Return {
-            time_s: start_s + f64::from(p.time_offset_ns) * 1e-9,
-            in_lidar: Vector3::from(p.position_m).map(f64::from),
-        });
-        let returns: Vec<Return> = placed.collect();
-        if returns.len() >= MIN_MATCHES {
-            out.push(Scan { middle_s, returns });
-        }
-        progress(Progress {
-            stage: "scans",
-            done: out.len() as u64,
-            total: 0,
-        });
-    }
-    Ok(out)
-}
-
-/// Returns of a scan, as many by elevation where there are so many: what sees floor and ceiling is kept.
-fn thinned(points: &[LidarPoint]) -> Vec<&LidarPoint> {
-    let mut bins = BTreeMap::<i32, Vec<&LidarPoint>>::new();
-    for point in points {
-        let [x, y, z] = point.position_m.map(f64::from);
-        let elevation_deg = z.atan2(x.hypot(y)).to_degrees();
-        if x.hypot(y).hypot(z) > NEAREST_M {
-            let bin = (elevation_deg / ELEVATION_DEG).floor() as i32;
-            bins.entry(bin).or_default().push(point);
-        }
-    }
-    // The fullest bins give up most.
-    let mut sizes: Vec<usize> = bins.values().map(Vec::len).collect();
-    sizes.sort_unstable();
-    let (mut left, mut cap) = (MOST_RETURNS, usize::MAX);
-    for (k, size) in sizes.iter().enumerate() {
-        let share = left / (sizes.len() - k);
-        if *size > share {
-            cap = share.max(1);
-            break;
-        }
-        left -= size;
-    }
-    let kept = bins.values().flat_map(|bin| {
-        let every = bin.len().div_ceil(cap).max(1);
-        bin.iter().copied().step_by(every)
-    });
-    kept.collect()
 }
 
 /// The way, and the place as all scans have it; `None` where scans do not fit on each other.
@@ -280,68 +171,6 @@ fn registered(
     Some((pose, information))
 }
 
-impl Turning<'_> {
-    /// How the LiDAR at one time is turned to itself at another: directions at `to_s` as it had them at `from_s`.
-    fn between(&self, from_s: f64, to_s: f64) -> UnitQuaternion<f64> {
-        let Some(gyro) = self.gyro else {
-            return UnitQuaternion::identity();
-        };
-        let steps = ((to_s - from_s).abs() / GYRO_STEP_S).ceil().max(1.0);
-        let mut turn = UnitQuaternion::identity();
-        for k in 0..steps as usize {
-            let at = |k: f64| from_s + (to_s - from_s) * k / steps;
-            let (a, b) = (at(k as f64), at(k as f64 + 1.0));
-            if let (Some(before), Some(after)) = (gyro.angle(a), gyro.angle(b)) {
-                turn *= so3::exp(&(after - before - self.bias_rad_s * (b - a)));
-            }
-        }
-        self.lidar_from_rig * turn * self.lidar_from_rig.inverse()
-    }
-
-    /// How the gyroscope sits on the LiDAR, and its bias, so that it turns as the scans do.
-    fn fit(&mut self, times_s: &[f64], world_from_lidar: &[Se3]) {
-        if self.gyro.is_none() {
-            return;
-        }
-        let prior = Matrix6::from_diagonal(&Vector6::from_fn(|k, _| {
-            let sigma = if k < 3 { MOUNTED_RAD } else { BIAS_RAD_S };
-            (TURN_NOISE_RAD / sigma).powi(2)
-        }));
-        for _ in 0..3 {
-            let mut normal = prior;
-            let mut right = Vector6::zeros();
-            for (t, p) in times_s
-                .windows(APART + 1)
-                .zip(world_from_lidar.windows(APART + 1))
-            {
-                let (from_s, to_s) = (t[0], t[APART]);
-                let foretold = self.between(from_s, to_s).to_rotation_matrix().into_inner();
-                let seen = (p[0].rotation.inverse() * p[APART].rotation).to_rotation_matrix();
-                let error = so3::log(&UnitQuaternion::from_rotation_matrix(
-                    &nalgebra::Rotation3::from_matrix_unchecked(
-                        foretold.transpose() * seen.into_inner(),
-                    ),
-                ));
-                // exp(c) Q exp(−c) is Q exp((Qᵀ − 1) c).
-                let by_mounting = foretold.transpose() - Matrix3::identity();
-                let by_bias =
-                    self.lidar_from_rig.to_rotation_matrix().into_inner() * (from_s - to_s);
-                let mut by = nalgebra::Matrix3x6::zeros();
-                by.fixed_view_mut::<3, 3>(0, 0).copy_from(&by_mounting);
-                by.fixed_view_mut::<3, 3>(0, 3).copy_from(&by_bias);
-                let weight = 1.0 / (1.0 + (error.norm() / (4.0 * TURN_NOISE_RAD)).powi(2));
-                normal += by.transpose() * by * weight;
-                right += by.transpose() * error * weight;
-            }
-            let Some(step) = normal.cholesky().map(|c| c.solve(&right)) else {
-                return;
-            };
-            self.lidar_from_rig = so3::exp(&step.fixed_rows::<3>(0).into()) * self.lidar_from_rig;
-            self.bias_rad_s += step.fixed_rows::<3>(3);
-        }
-    }
-}
-
 impl LidarPath<'_> {
     /// Where the next scan should be, and the speed in the world, as far as is known.
     fn foretold(&self, time_s: f64) -> (Se3, Vector3<f64>) {
@@ -395,6 +224,9 @@ impl LidarPath<'_> {
         let k = t.partition_point(|x| *x <= time_s).clamp(1, t.len() - 1) - 1;
         let (a, b) = (&self.world_from_lidar[k], &self.world_from_lidar[k + 1]);
         let gap_s = t[k + 1] - t[k];
+        if gap_s > MOST_GAP_S {
+            return None;
+        }
         let share = (time_s - t[k]) / gap_s;
         let whole = self.turning.between(t[k], t[k + 1]);
         let left = so3::log(&(whole.inverse() * a.rotation.inverse() * b.rotation));
@@ -497,7 +329,7 @@ impl LidarPath<'_> {
         let mut right = vec![Vector6::zeros(); n];
         // Rotations of the next scan by those of each.
         let mut across = vec![Matrix6::zeros(); n - 1];
-        for k in 0..n - 1 {
+        for (k, across) in across.iter_mut().enumerate() {
             if self.times_s[k + 1] - self.times_s[k] > MOST_GAP_S {
                 continue;
             }
@@ -515,7 +347,7 @@ impl LidarPath<'_> {
             };
             add(k, &back, &first);
             add(k + 1, &Matrix3::identity(), &second);
-            across[k]
+            across
                 .fixed_view_mut::<3, 3>(0, 0)
                 .copy_from(&(weight * back));
         }

@@ -1,4 +1,4 @@
-use lsfb_geometry::{UnitQuaternion, Vector2};
+use lsfb_geometry::{Matrix6, UnitQuaternion};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
