@@ -250,7 +250,8 @@ fn boards_before_camera_and_imu() {
     let head = folder();
     Walk {
         upside_down: true,
-        seconds: 8.0,
+        seconds: 6.0,
+        cameras: &["cam0"],
         ..Walk::default()
     }
     .write(head.path());
@@ -304,7 +305,8 @@ fn cameras_that_are_not_what_they_are_called() {
 #[test]
 fn motions_that_say_too_little() {
     let base = Walk {
-        seconds: 8.0,
+        seconds: 7.0,
+        cameras: &["cam0"],
         ..Walk::default()
     };
     let motion = |turning_rad, moving_m| Walk {
@@ -390,12 +392,14 @@ fn images_without_the_board() {
     let path = root.path();
     let short = Walk {
         seconds: 4.0,
+        cameras: &["cam0"],
         ..Walk::default()
     };
     short.write(path);
     // As a driver that flips its images, as another family, and as a cap on the lens.
     let other = Walk {
         tags: Tags::Other,
+        cameras: &["cam0"],
         ..short
     };
     std::fs::create_dir(path.join("other")).expect("folder");
@@ -479,6 +483,7 @@ fn lenses_and_triggers() {
             distortion: [-0.08, 0.02, 0.0, 0.0, 0.0],
         },
         seconds: 8.0,
+        cameras: &["cam0"],
         ..Walk::default()
     }
     .write(narrow.path());
@@ -495,12 +500,13 @@ fn lenses_and_triggers() {
         &["not triggered together"],
     );
     let late = folder();
-    let walk = Walk {
+    let of = |cameras| Walk {
         seconds: 8.0,
+        cameras,
         ..Walk::default()
     };
-    walk.write(late.path());
-    walk.write_late(&late.path().join("late"), 0.006);
+    of(&["cam0"]).write(late.path());
+    of(&["cam1"]).write_late(&late.path().join("late"), 0.006);
     let pair = [&lenses[..], &["--camera", "cam1=late/cam1"]].concat();
     let words = &["for itself it meets corners", "not triggered together"];
     ends(late.path(), &pair, "late.toml", End::Warn, words);

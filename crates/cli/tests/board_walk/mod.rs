@@ -66,6 +66,8 @@ pub struct Walk {
     pub upside_down: bool,
     /// What is printed in its tags.
     pub tags: Tags,
+    /// The cameras that record.
+    pub cameras: &'static [&'static str],
 }
 
 impl Default for Walk {
@@ -78,6 +80,7 @@ impl Default for Walk {
             lens: FISHEYE,
             upside_down: false,
             tags: Tags::Own,
+            cameras: &["cam0", "cam1"],
         }
     }
 }
@@ -202,7 +205,9 @@ impl Walk {
             ..BOARD
         };
         let rays = rays(&self.camera());
-        for (name, mounted) in &rig.cameras {
+        let recording = |name: &&String| self.cameras.contains(&name.as_str());
+        for name in rig.cameras.keys().filter(recording) {
+            let mounted = &rig.cameras[name];
             std::fs::create_dir_all(folder.join(name)).expect("folder");
             for k in 0..((self.seconds - 0.3) * self.views_per_s) as i64 {
                 let stamp_ns = 150_000_000 + (k as f64 / self.views_per_s * 1e9) as i64;
