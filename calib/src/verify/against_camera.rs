@@ -13,6 +13,11 @@ use crate::Error;
 const LEAST_OVERLAP: f64 = 0.1;
 /// Corners that must be found in both.
 const LEAST_MATCHES: usize = 40;
+/// Errors that are looked for, pixels; and once more where too little is found so near.
+const REACH_PX: i32 = 6;
+const FAR_PX: i32 = 24;
+/// Median distance from their median of errors that agree, pixels.
+const AGREE_PX: f64 = 3.0;
 /// Images of one time are at most this far apart, nanoseconds.
 const TOGETHER_NS: i64 = 2_000_000;
 
@@ -86,35 +91,42 @@ fn pair(
         }
         before = Some((own, image.image));
     }
-    let errors: Vec<Vec<f64>> = pairs
-        .par_iter()
-        .map(|(x, y)| epipolar::errors_px((x, &a.camera), (y, &b.camera), &second_from_first))
-        .collect();
-    let mut errors: Vec<f64> = errors.into_iter().flatten().collect();
+    let look = |reach_px: i32| -> Vec<Vec<f64>> {
+        let errors = pairs.par_iter().map(|(x, y)| {
+            let (x, y) = ((x, &a.camera), (y, &b.camera));
+            epipolar::errors_px(x, y, &second_from_first, reach_px)
+        });
+        errors.collect()
+    };
     let mut check = Check::unknown(
         format!("{first}–{second} epipolar"),
         "px",
         config.epipolar_px,
     );
-    if errors.len() < LEAST_MATCHES {
+    let mut found = Errors::of(look(REACH_PX));
+    if found.signed.len() < LEAST_MATCHES {
+        // A camera that was moved by degrees; what is found so far away is believed where it agrees.
+        let far = Errors::of(look(FAR_PX));
+        if far.signed.len() >= LEAST_MATCHES && far.spread_px() < AGREE_PX {
+            found = far;
+        }
+    }
+    if found.signed.len() < LEAST_MATCHES {
         check.sentence = match pairs.len() {
             0 => "no two images were taken within 2 ms, as the rig has their clocks: trigger both together".to_owned(),
             n => format!(
                 "{} corners of {n} pairs of images were found in both, {LEAST_MATCHES} are needed: a longer recording, with things to see where both look, would tell",
-                errors.len()
+                found.signed.len()
             ),
         };
         return Ok(Some(check));
     }
-    errors.sort_by(f64::total_cmp);
-    let signed = errors[errors.len() / 2];
-    let mut sizes: Vec<f64> = errors.iter().map(|e| e.abs()).collect();
-    sizes.sort_by(f64::total_cmp);
-    let median = sizes[sizes.len() / 2];
-    let sigma = 1.25 * median / (errors.len() as f64).sqrt();
-    check.value = Some(median);
+    let errors = &found.signed;
+    let signed = median(errors.clone());
+    let (size, sigma) = (found.size_px, found.sigma_px);
+    check.value = Some(size);
     check.sigma = Some(sigma);
-    check.outcome = judged(median, sigma, config.epipolar_px);
+    check.outcome = judged(size, sigma, config.epipolar_px);
     check.sentence = match check.outcome {
         Outcome::Pass => format!(
             "{} corners lie on their curves (median {signed:+.2} px)",
@@ -126,4 +138,45 @@ fn pair(
         ),
     };
     Ok(Some(check))
+}
+
+/// Errors over all pairs of images.
+struct Errors {
+    signed: Vec<f64>,
+    /// Median of their sizes, and its standard deviation by how unlike pairs of images are.
+    size_px: f64,
+    sigma_px: f64,
+}
+
+impl Errors {
+    fn of(by_pair: Vec<Vec<f64>>) -> Self {
+        let sizes = |errors: &[f64]| errors.iter().map(|e| e.abs()).collect::<Vec<f64>>();
+        let medians: Vec<f64> = by_pair
+            .iter()
+            .filter(|e| !e.is_empty())
+            .map(|e| median(sizes(e)))
+            .collect();
+        let signed: Vec<f64> = by_pair.into_iter().flatten().collect();
+        let size_px = median(sizes(&signed));
+        let off = medians.iter().map(|m| (m - size_px).abs()).collect();
+        // A median of normal numbers scatters by 1.25 of their mean's σ, which is 1.48 of the median deviation.
+        let sigma_px = 1.25 * 1.48 * median(off) / (medians.len() as f64).sqrt();
+        Self {
+            size_px,
+            sigma_px,
+            signed,
+        }
+    }
+
+    /// Median distance from the median.
+    fn spread_px(&self) -> f64 {
+        let middle = median(self.signed.clone());
+        median(self.signed.iter().map(|e| (e - middle).abs()).collect())
+    }
+}
+
+/// Not a number where there is none.
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }

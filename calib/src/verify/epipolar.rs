@@ -1,7 +1,8 @@
 //! Two cameras against each other: what one sees lies on the epipolar curve in the other.
 //!
 //! Corners of one image are looked for around the curve that the rig draws into the other, by correlation of patches. How far
-//! across the curve they are found is the error; along it is depth, which says nothing.
+//! from the curve they are found is the error; along it is depth, which says nothing, but at its far end the curve ends: nothing is
+//! farther away than infinity.
 
 use lsfb_geometry::{Camera, Se3, Vector2};
 use lsfb_types::Image;
@@ -12,8 +13,6 @@ use super::corners::corners;
 const STRONG: f64 = 2000.0;
 /// Half the edge of a patch, pixels.
 const HALF: i32 = 5;
-/// Errors looked for across the curve, pixels.
-const REACH_PX: i32 = 6;
 /// Nearest thing expected, metres.
 const NEAREST_M: f64 = 0.4;
 /// Correlation of a match, and of the next best one elsewhere.
@@ -22,7 +21,7 @@ const SECOND: f64 = 0.8;
 /// Drop of the correlation two pixels across the curve: an edge along the curve has none, and says nothing.
 const SHARP: f64 = 0.04;
 /// Places looked at along the curve at most.
-const MOST_PLACES: usize = 160;
+const MOST_PLACES: i32 = 160;
 
 /// Share of the first image that the second one sees, far away.
 pub(super) fn overlap(first: &Camera, second: &Camera, second_from_first: &Se3) -> f64 {
@@ -43,11 +42,12 @@ pub(super) fn overlap(first: &Camera, second: &Camera, second_from_first: &Se3) 
     inside as f64 / f64::from(all)
 }
 
-/// Errors across the curve of the corners that are found, pixels.
+/// Distances from their curves of the corners that are found up to `reach_px` from it, pixels; their sign is the side.
 pub(super) fn errors_px(
     first: (&Image, &Camera),
     second: (&Image, &Camera),
     second_from_first: &Se3,
+    reach_px: i32,
 ) -> Vec<f64> {
     let image = first.0;
     let (width, height) = (image.width as usize, image.height as usize);
@@ -55,7 +55,7 @@ pub(super) fn errors_px(
         f64::from(image.pixels[y * width + x])
     })
     .iter()
-    .filter_map(|corner| error_px(first, second, second_from_first, corner))
+    .filter_map(|corner| error_px(first, second, second_from_first, corner, reach_px))
     .collect()
 }
 
@@ -64,6 +64,7 @@ fn error_px(
     second: (&Image, &Camera),
     second_from_first: &Se3,
     corner: &Vector2<f64>,
+    reach_px: i32,
 ) -> Option<f64> {
     let ray = first.1.unproject(corner)?;
     let own = patch(first.0, corner)?;
@@ -72,10 +73,10 @@ fn error_px(
         second.1.project(&point)
     };
     let (far, near) = (at_depth(0.0)?, at_depth(1.0 / NEAREST_M)?);
-    let places = ((far - near).norm().ceil() as usize + 2).min(MOST_PLACES);
-    let mut found: Vec<(f64, f64, f64)> = Vec::new();
-    for k in 0..places {
-        let share = k as f64 / (places - 1) as f64;
+    let places = ((far - near).norm().ceil() as i32 + 2).min(MOST_PLACES);
+    let mut found: Vec<Found> = Vec::new();
+    for k in -reach_px..places {
+        let share = f64::from(k) / f64::from(places - 1);
         let (Some(on), Some(next)) = (
             at_depth(share / NEAREST_M),
             at_depth((share + 0.01) / NEAREST_M),
@@ -84,14 +85,14 @@ fn error_px(
         };
         let along = (next - on).try_normalize(1e-6).unwrap_or_else(Vector2::x);
         let across = Vector2::new(-along.y, along.x);
-        let scores: Vec<f64> = (-REACH_PX..=REACH_PX)
+        let scores: Vec<f64> = (-reach_px..=reach_px)
             .map(|e| {
                 patch(second.0, &(on + across * f64::from(e)))
                     .map_or(-1.0, |other| correlation(&own, &other))
             })
             .collect();
         let best = (0..scores.len()).max_by(|a, b| scores[*a].total_cmp(&scores[*b]))?;
-        let mut error = best as f64 - f64::from(REACH_PX);
+        let mut across_px = best as f64 - f64::from(reach_px);
         let sharp = [best.checked_sub(2), Some(best + 2)]
             .into_iter()
             .flatten()
@@ -104,20 +105,39 @@ fn error_px(
             let (l, m, r) = (scores[best - 1], scores[best], scores[best + 1]);
             let bend = l + r - 2.0 * m;
             if bend < -1e-9 {
-                error += (0.5 * (l - r) / bend).clamp(-0.5, 0.5);
+                across_px += (0.5 * (l - r) / bend).clamp(-0.5, 0.5);
             }
         }
-        found.push((scores[best], error, k as f64));
+        found.push(Found {
+            score: scores[best],
+            across_px,
+            along_px: f64::from(k),
+        });
     }
-    let best = found.iter().copied().max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let best = found.iter().max_by(|a, b| a.score.total_cmp(&b.score))?;
     let second_best = found
         .iter()
-        .filter(|f| (f.2 - best.2).abs() > 3.0)
-        .map(|f| f.0)
+        .filter(|f| (f.along_px - best.along_px).abs() > 3.0)
+        .map(|f| f.score)
         .fold(-1.0, f64::max);
     // At the end of the reach the best may lie beyond.
-    let inside = best.1.abs() < f64::from(REACH_PX) - 0.5;
-    (best.0 > GOOD && second_best < SECOND.max(best.0 - 0.1) && inside).then_some(best.1)
+    let inside = |px: f64| px < f64::from(reach_px) - 0.5;
+    // Half a pixel is what a place along the curve is known to.
+    let beyond_px = (-best.along_px - 0.5).max(0.0);
+    let error_px = best.across_px.hypot(beyond_px).copysign(best.across_px);
+    (best.score > GOOD
+        && second_best < SECOND.max(best.score - 0.1)
+        && inside(best.across_px.abs())
+        && inside(beyond_px))
+    .then_some(error_px)
+}
+
+/// The best place across the curve, somewhere along it.
+struct Found {
+    score: f64,
+    across_px: f64,
+    /// From infinity towards the camera.
+    along_px: f64,
 }
 
 const PATCH: usize = ((2 * HALF + 1) * (2 * HALF + 1)) as usize;
