@@ -140,15 +140,27 @@ struct Turned {
     what: &'static str,
 }
 
-/// Brightness says more than edges, where the LiDAR knows it.
+/// Brightness says more than edges, where the LiDAR knows it. Either may be drawn by what has nothing to do with the other, a lamp's
+/// light on a blank wall: then parts of the recording do not agree.
 fn turned(views: &[View], camera_from_rig: &Se3) -> Option<Turned> {
-    by_brightness(views, camera_from_rig).or_else(|| {
-        let found = alignment::misalignment(views, camera_from_rig, Score::Edges)?;
-        Some(Turned {
-            turn: found.turn,
-            sigma_rad: found.sigma_rad.norm(),
-            what: "edges",
-        })
+    let (found, by) = match by_brightness(views, camera_from_rig) {
+        Some(found) => (found, Score::MutualInformation),
+        None => (by_edges(views, camera_from_rig)?, Score::Edges),
+    };
+    let usable = alignment::usable(views, by)?;
+    let scatter_rad = alignment::scatter_rad(&usable, camera_from_rig, &found.turn, by);
+    Some(Turned {
+        sigma_rad: found.sigma_rad.max(scatter_rad),
+        ..found
+    })
+}
+
+fn by_edges(views: &[View], camera_from_rig: &Se3) -> Option<Turned> {
+    let found = alignment::misalignment(views, camera_from_rig, Score::Edges)?;
+    (!alignment::at_the_end(&found.turn)).then(|| Turned {
+        turn: found.turn,
+        sigma_rad: found.sigma_rad.norm(),
+        what: "edges",
     })
 }
 

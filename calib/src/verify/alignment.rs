@@ -7,6 +7,7 @@
 
 use lsfb_geometry::{Camera, Se3, Vector3, so3};
 use lsfb_types::Image;
+use rayon::prelude::*;
 
 use super::frame::Gray;
 use super::mutual_information::{Return, mutual_information};
@@ -182,8 +183,12 @@ pub(super) struct Misalignment {
 
 /// Groups of views whose answers are compared.
 const GROUPS: usize = 4;
-/// Rotations searched at first about each axis, radians.
+/// Parts of the views that are left out in turn.
+const LEFT_OUT: usize = 6;
+/// Rotations searched at first about each axis, radians, and those around one that was found; rounds, each finer.
 const REACH_RAD: f64 = 0.045;
+const AGAIN_RAD: f64 = 0.02;
+const ROUNDS: usize = 4;
 
 /// Views that show enough; `None` with fewer than groups.
 pub(super) fn usable(views: &[View], by: Score) -> Option<Vec<&View>> {
@@ -221,15 +226,54 @@ pub(super) fn misalignment(
     })
 }
 
+/// What a rotation is known to, by how far it moves when a part of the views is left out; the middle one of the parts, so that one in
+/// which little is to be seen does not count.
+pub(super) fn scatter_rad(
+    views: &[&View],
+    camera_from_rig: &Se3,
+    turn: &Vector3<f64>,
+    by: Score,
+) -> f64 {
+    let off = (0..LEFT_OUT).into_par_iter().map(|out| {
+        let rest = views.iter().enumerate();
+        let rest: Vec<&View> = rest
+            .filter(|(k, _)| k % LEFT_OUT != out)
+            .map(|v| *v.1)
+            .collect();
+        let found = search(&rest, camera_from_rig, turn, (AGAIN_RAD, ROUNDS - 1), by);
+        (found - turn).norm()
+    });
+    let mut off: Vec<f64> = off.collect();
+    off.sort_by(f64::total_cmp);
+    let middle = 0.5 * (off[(LEFT_OUT - 1) / 2] + off[LEFT_OUT / 2]);
+    // As the jackknife has it, of parts that are alike.
+    middle * ((LEFT_OUT - 1) as f64).sqrt()
+}
+
+/// Whether a rotation is where the search ends.
+pub(super) fn at_the_end(turn: &Vector3<f64>) -> bool {
+    turn.amax() > 1.6 * REACH_RAD
+}
+
 pub(super) fn turned(camera_from_rig: &Se3, turn: &Vector3<f64>) -> Se3 {
     Se3::new(so3::exp(turn), Vector3::zeros()) * *camera_from_rig
 }
 
 /// Axis by axis, then finer.
 pub(super) fn best_turn(views: &[&View], camera_from_rig: &Se3, by: Score) -> Vector3<f64> {
-    let mut turn = Vector3::zeros();
-    let mut reach = REACH_RAD;
-    for _ in 0..4 {
+    let start = Vector3::zeros();
+    search(views, camera_from_rig, &start, (REACH_RAD, ROUNDS), by)
+}
+
+fn search(
+    views: &[&View],
+    camera_from_rig: &Se3,
+    start: &Vector3<f64>,
+    (mut reach, rounds): (f64, usize),
+    by: Score,
+) -> Vector3<f64> {
+    let mut turn = *start;
+    for _ in 0..rounds {
         for axis in [1, 0, 2] {
             turn[axis] = best_along(views, camera_from_rig, &turn, axis, reach, by);
         }
