@@ -213,25 +213,25 @@ impl OneCamera<'_> {
             shared = found.shared;
             last = Some(found);
         }
-        let found = last.ok_or_else(unsettled)?;
-        let worth = estimate(&found, &self.start, &[]).ok_or_else(unsettled)?;
-        let held: Vec<usize> = (0..6)
-            .filter(|k| worth.covariance[(*k, *k)].sqrt() > self.largest(*k))
-            .collect();
-        if held.is_empty() {
-            return Ok(Found {
-                adjusted: found,
-                estimate: worth,
-                held,
-            });
+        let mut found = last.ok_or_else(unsettled)?;
+        let mut held: Vec<usize> = Vec::new();
+        loop {
+            let worth = estimate(&found, &self.start, &held).ok_or_else(unsettled)?;
+            let sigma = |k: usize| worth.covariance[(k, k)].sqrt();
+            // What others are not known without is not known either.
+            let lost: Vec<usize> = (0..6)
+                .filter(|k| !held.contains(k) && sigma(*k) > self.largest(*k))
+                .collect();
+            if lost.is_empty() {
+                return Ok(Found {
+                    adjusted: found,
+                    estimate: worth,
+                    held,
+                });
+            }
+            held.extend(lost);
+            found = self.adjusted(lens, blocks, &shared, &held)?;
         }
-        let found = self.adjusted(lens, blocks, &shared, &held)?;
-        let worth = estimate(&found, &self.start, &held).ok_or_else(unsettled)?;
-        Ok(Found {
-            adjusted: found,
-            estimate: worth,
-            held,
-        })
     }
 
     fn adjusted(
