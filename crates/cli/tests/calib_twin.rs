@@ -1,0 +1,113 @@
+//! Calibration without hardware: the board of the twin's calibration place, then the checks, as an operator runs them.
+
+mod answer;
+mod process;
+#[path = "../../../calib/tests/simulated_walk/mod.rs"]
+mod simulated_walk;
+
+use std::path::Path;
+
+use answer::json;
+use lsfb_geometry::{Rig, Se3, Vector6};
+use lsfb_sim::{Place, SimConfig};
+use serde_json::Value;
+use simulated_walk::Walk;
+
+/// Degrees and millimetres between two poses.
+fn apart(a: &Se3, b: &Se3) -> [f64; 2] {
+    let off = (a.inverse() * *b).log();
+    [
+        off.fixed_rows::<3>(0).norm().to_degrees(),
+        off.fixed_rows::<3>(3).norm() * 1e3,
+    ]
+}
+
+fn write_rig(path: &Path, rig: &Rig) {
+    std::fs::write(path, rig.to_toml()).expect("rig");
+}
+
+/// A check of `lsfb calib verify`.
+fn outcome<'a>(printed: &'a Value, name: &str) -> &'a str {
+    let checks = printed["checks"].as_array().expect("checks");
+    let check = checks.iter().find(|c| c["name"] == name);
+    check.and_then(|c| c["outcome"].as_str()).unwrap_or("none")
+}
+
+#[test]
+fn the_board_of_the_twin_places_the_lidar_and_the_rig_is_verified() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut config = SimConfig {
+        place: Place::Calibration,
+        ..SimConfig::default()
+    };
+    config.scan.duration_s = 60.0;
+    let walk = Walk::simulate(&config, &["cam0"], 20.0);
+    walk.write(&folder.path().join("scan.mcap"), 0.0);
+    // The rig as it is before: nobody knows where the LiDAR is.
+    let mut before = walk.rig.clone();
+    before.lidar = None;
+    write_rig(&folder.path().join("before.toml"), &before);
+
+    let arguments = [
+        "calib",
+        "lidar-camera",
+        "--april-grid",
+        "6,6,0.088,0.3",
+        "--plate",
+        "833,833",
+        "--camera",
+        "cam0",
+        "--recording",
+        "scan.mcap",
+        "--rig",
+        "before.toml",
+        "--out",
+        "after.toml",
+    ];
+    let found = json(folder.path(), &arguments, 0);
+    let after = Rig::read(&folder.path().join("after.toml")).expect("rig");
+    let [turn_deg, shift_mm] = apart(
+        &after.lidar.expect("placed").rig_from_lidar,
+        &walk.rig.lidar.as_ref().expect("a LiDAR").rig_from_lidar,
+    );
+    assert!(
+        turn_deg < 0.15 && shift_mm < 8.0,
+        "{turn_deg}° {shift_mm} mm: {found}"
+    );
+    let page = std::fs::read_to_string(folder.path().join("after.html")).expect("a page");
+    assert!(
+        page.contains("held back") && page.contains("<svg"),
+        "{page}"
+    );
+
+    let checked = json(
+        folder.path(),
+        &["calib", "verify", "scan.mcap", "--rig", "after.toml"],
+        0,
+    );
+    assert_eq!(outcome(&checked, "cam0 time offset"), "PASS", "{checked}");
+    assert_eq!(
+        outcome(&checked, "cam0 rotation to the IMU"),
+        "PASS",
+        "{checked}"
+    );
+    assert!(folder.path().join("scan.verify.cam0.png").exists());
+
+    // The images as if their clock were 5 ms off either way, the camera as if it had been turned by 2°.
+    for wrong_s in [0.005, -0.005] {
+        let mut wrong = walk.rig.clone();
+        let camera = wrong.cameras.get_mut("cam0").expect("cam0");
+        camera.timing.rig_from_camera_s = wrong_s;
+        camera.rig_from_camera =
+            camera.rig_from_camera * Se3::exp(&Vector6::new(0.0, 0.035, 0.0, 0.0, 0.0, 0.0));
+        write_rig(&folder.path().join("wrong.toml"), &wrong);
+        let checked = json(
+            folder.path(),
+            &["calib", "verify", "scan.mcap", "--rig", "wrong.toml"],
+            1,
+        );
+        for name in ["cam0 time offset", "cam0 rotation to the IMU"] {
+            assert_eq!(outcome(&checked, name), "FAIL", "{checked}");
+        }
+    }
+}
