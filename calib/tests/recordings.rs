@@ -141,12 +141,7 @@ fn tum_vi_stereo_and_imu() {
         accel_bias_walk: 0.00086,
     };
     let imu = read_imu_table(&folder.join("imu0/data.csv")).expect("a table");
-    // Gravity at Garching, where it was recorded.
-    let config = CameraImuConfig {
-        gravity_m_s2: 9.807,
-        gravity_sigma_m_s2: 1e-3,
-        ..CameraImuConfig::default()
-    };
+    let config = CameraImuConfig::default();
     let found = calibrate_camera_imu(&TUM_VI_GRID, &known, &imu, &noise, &config, &no_progress)
         .expect("calibrated");
     assert!(found.warnings.is_empty(), "{:?}", found.warnings);

@@ -120,8 +120,8 @@ pub struct CameraImuConfig {
     pub max_drift_s: f64,
     /// Magnitude of gravity, m/s².
     pub gravity_m_s2: f64,
-    /// Its standard deviation, m/s². The default is that of the standard one between equator (9.780) and poles (9.832); where
-    /// gravity at the place is given, 0.001.
+    /// Its standard deviation, m/s². Gravity is 9.780 at the equator and 9.832 at the poles: far from 45° of latitude that of the
+    /// place should be given, or 0.03 here where nobody knows it.
     pub gravity_sigma_m_s2: f64,
     /// Least angular rate (rms) about each axis, rad/s.
     pub min_rate_rad_s: f64,
@@ -144,7 +144,7 @@ impl Default for CameraImuConfig {
             max_offset_s: 0.3,
             max_drift_s: 0.005,
             gravity_m_s2: 9.80665,
-            gravity_sigma_m_s2: 0.03,
+            gravity_sigma_m_s2: 1e-3,
             min_rate_rad_s: 0.1,
             view_step: 1,
             hold_back_every: 10,

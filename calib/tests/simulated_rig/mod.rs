@@ -64,7 +64,7 @@ impl Default for Setup {
             drift: 0.0,
             up: 1.0,
             scale_error: 0.0,
-            gravity_sigma_m_s2: 0.03,
+            gravity_sigma_m_s2: 1e-3,
         }
     }
 }
