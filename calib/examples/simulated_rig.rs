@@ -9,7 +9,9 @@ use std::collections::BTreeMap;
 use std::time::Instant;
 
 use lsfb_calib::camera::{CameraConfig, calibrate_cameras};
-use lsfb_calib::camera_imu::{CameraImuCalibration, CameraImuConfig, calibrate_camera_imu};
+use lsfb_calib::camera_imu::{
+    CameraImuCalibration, CameraImuConfig, KnownCamera, calibrate_camera_imu,
+};
 use lsfb_types::no_progress;
 use nalgebra::DVector;
 use rand::SeedableRng;
@@ -37,13 +39,15 @@ fn main() -> Result<(), Failure> {
 }
 
 /// Lenses first, from the views alone, then all together.
-fn calibrate(simulated: &Simulated) -> Result<CameraImuCalibration, lsfb_calib::Error> {
+fn calibrate(
+    simulated: &Simulated,
+    mut known: Vec<KnownCamera>,
+) -> Result<CameraImuCalibration, lsfb_calib::Error> {
     let config = CameraConfig {
         hold_back_every: 0,
         ..CameraConfig::default()
     };
     // Their clocks differ: each for itself.
-    let mut known = simulated.known();
     for camera in &mut known {
         let views = std::slice::from_ref(&camera.views);
         let lens = calibrate_cameras(&GRID, views, &config, &no_progress)?;
@@ -273,7 +277,7 @@ fn seeds_against_truth(seeds: u64, duration_s: f64) -> Result<(), Failure> {
             ..Setup::default()
         });
         let start = Instant::now();
-        let found = calibrate(&simulated)?;
+        let found = calibrate(&simulated, simulated.known())?;
         let line = tally.add(&simulated, &found, seeds)?;
         println!(
             "seed {seed} ({:.1} s): {line}",
@@ -292,18 +296,11 @@ fn shuffle(runs: u64) -> Result<(), Failure> {
         ..Setup::default()
     });
     let run = |simulated: &Simulated, reversed: bool| {
-        let (mut known, config) = (simulated.known(), CameraImuConfig::default());
+        let mut known = simulated.known();
         if reversed {
             known.reverse();
         }
-        let mut found = calibrate_camera_imu(
-            &GRID,
-            &known,
-            &simulated.imu,
-            &noise(),
-            &config,
-            &no_progress,
-        )?;
+        let mut found = calibrate(simulated, known)?;
         if reversed {
             found.cameras.reverse();
         }
