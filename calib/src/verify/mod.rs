@@ -17,6 +17,7 @@ mod epipolar;
 mod frame;
 mod gyro;
 mod judgement;
+mod moments;
 mod mutual_information;
 mod overlay;
 mod page;

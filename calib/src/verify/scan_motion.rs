@@ -3,14 +3,18 @@
 
 use std::collections::BTreeMap;
 
-use lsfb_geometry::{Matrix3, Matrix6, Vector3, Vector6};
+use lsfb_geometry::{Matrix6, Vector3, Vector6};
+
+use super::moments::{Limits, Moments};
 
 /// Edge of a cell, metres.
 const CELL_M: f64 = 0.6;
-/// Returns a cell needs, and how thick and how wide what is in it may be, as a plane, metres.
-const MIN_RETURNS: f64 = 8.0;
-const THICK_M: f64 = 0.05;
-const WIDE_M: f64 = 0.08;
+/// What is a plane in a cell.
+const LIMITS: Limits = Limits {
+    min_returns: 8.0,
+    thick_m: 0.05,
+    wide_m: 0.08,
+};
 /// Returns of the second scan that are used at most.
 const MOST_RETURNS: usize = 5000;
 /// Returns that must lie on planes.
@@ -33,9 +37,7 @@ pub(super) struct Moved {
 
 #[derive(Default)]
 struct Cell {
-    count: f64,
-    sum: Vector3<f64>,
-    squares: Matrix3<f64>,
+    moments: Moments,
     time_s: f64,
 }
 
@@ -100,9 +102,7 @@ fn planes(scan: &[Moved], speed: &Vector3<f64>) -> BTreeMap<[i32; 3], Plane> {
     for point in scan {
         let place = point.place + speed * point.after_s;
         let cell = cells.entry(cell_of(&place)).or_default();
-        cell.count += 1.0;
-        cell.sum += place;
-        cell.squares += place * place.transpose();
+        cell.moments.add(&place);
         cell.time_s += point.after_s;
     }
     cells
@@ -113,22 +113,11 @@ fn planes(scan: &[Moved], speed: &Vector3<f64>) -> BTreeMap<[i32; 3], Plane> {
 
 impl Cell {
     fn plane(&self) -> Option<Plane> {
-        if self.count < MIN_RETURNS {
-            return None;
-        }
-        let place = self.sum / self.count;
-        let spread = self.squares / self.count - place * place.transpose();
-        let eigen = spread.symmetric_eigen();
-        let mut sizes: Vec<f64> = eigen
-            .eigenvalues
-            .iter()
-            .map(|e| e.max(0.0).sqrt())
-            .collect();
-        sizes.sort_by(f64::total_cmp);
-        (sizes[0] < THICK_M && sizes[1] > WIDE_M).then(|| Plane {
-            place,
-            normal: eigen.eigenvectors.column(eigen.eigenvalues.imin()).into(),
-            time_s: self.time_s / self.count,
+        let fitted = self.moments.plane(&LIMITS)?;
+        Some(Plane {
+            place: fitted.place,
+            normal: fitted.normal,
+            time_s: self.time_s / self.moments.count,
         })
     }
 }

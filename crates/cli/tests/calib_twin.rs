@@ -2,29 +2,16 @@
 
 mod answer;
 mod process;
+mod rig_files;
 #[path = "../../../calib/tests/simulated_walk/mod.rs"]
 mod simulated_walk;
-
-use std::path::Path;
 
 use answer::json;
 use lsfb_geometry::{Rig, Se3, Vector6};
 use lsfb_sim::{Place, SimConfig};
+use rig_files::{apart, write_rig};
 use serde_json::Value;
 use simulated_walk::Walk;
-
-/// Degrees and millimetres between two poses.
-fn apart(a: &Se3, b: &Se3) -> [f64; 2] {
-    let off = (a.inverse() * *b).log();
-    [
-        off.fixed_rows::<3>(0).norm().to_degrees(),
-        off.fixed_rows::<3>(3).norm() * 1e3,
-    ]
-}
-
-fn write_rig(path: &Path, rig: &Rig) {
-    std::fs::write(path, rig.to_toml()).expect("rig");
-}
 
 /// A check of `lsfb calib verify`.
 fn outcome<'a>(printed: &'a Value, name: &str) -> &'a str {

@@ -90,6 +90,16 @@ fn says(path: &Path, arguments: &[&str], words: &[&str]) {
     }
 }
 
+/// `lsfb calib camera` with one camera.
+const LENSES: [&str; 6] = [
+    "calib",
+    "camera",
+    "--april-grid",
+    GRID,
+    "--camera",
+    "cam0=cam0",
+];
+
 /// `lsfb calib camera-imu` with one camera and a table of samples.
 fn camera_imu<'a>(grid: &'a str, camera: &'a str, imu: &'a str) -> Vec<&'a str> {
     let command = ["calib", "camera-imu", "--rig", "rig.toml"];
@@ -373,16 +383,8 @@ fn motions_that_say_too_little() {
             words,
         );
         if matches!(name, "moving_alone" | "still") {
-            let lens = [
-                "calib",
-                "camera",
-                "--april-grid",
-                GRID,
-                "--camera",
-                "cam0=cam0",
-            ];
             let words = &["cannot be determined", "tilted by 30°", "near and far"];
-            ends(&path, &lens, "lens.toml", End::Refused, words);
+            ends(&path, &LENSES, "lens.toml", End::Refused, words);
         }
     }
 }
@@ -428,15 +430,7 @@ fn images_without_the_board() {
     ] {
         let second = format!("cam1={images}");
         let imu = camera_imu(GRID, "cam0=cam0", "imu.csv");
-        let lenses = [
-            "calib",
-            "camera",
-            "--april-grid",
-            GRID,
-            "--camera",
-            "cam0=cam0",
-        ];
-        for arguments in [&imu[..], &lenses] {
+        for arguments in [&imu[..], &LENSES] {
             let both = [arguments, &["--camera", &second]].concat();
             let words = [words, &["camera cam1"]].concat();
             ends(path, &both, "o.toml", End::Refused, &words);
@@ -459,16 +453,8 @@ fn images_without_the_board() {
 
 #[test]
 fn lenses_and_triggers() {
-    let lenses = [
-        "calib",
-        "camera",
-        "--april-grid",
-        GRID,
-        "--camera",
-        "cam0=cam0",
-    ];
-    ends(good(), &lenses, "fisheye.toml", End::Pass, &[]);
-    let pinhole = [&lenses[..], &["--model", "pinhole-radtan"]].concat();
+    ends(good(), &LENSES, "fisheye.toml", End::Pass, &[]);
+    let pinhole = [&LENSES[..], &["--model", "pinhole-radtan"]].concat();
     let words = &["the lens model does not fit", "use --model kannala-brandt"];
     ends(good(), &pinhole, "pinhole.toml", End::Warn, words);
     says(good(), &pinhole, words);
@@ -492,7 +478,7 @@ fn lenses_and_triggers() {
 
     // One camera a few milliseconds late, and one image late.
     restamped("next", "cam1", |stamp, _| stamp + 100_000_000);
-    let pair = [&lenses[..], &["--camera", "cam1=next"]].concat();
+    let pair = [&LENSES[..], &["--camera", "cam1=next"]].concat();
     ends(
         good(),
         &pair,
@@ -508,7 +494,7 @@ fn lenses_and_triggers() {
     };
     of(&["cam0"]).write(late.path());
     of(&["cam1"]).write_late(&late.path().join("late"), 0.006);
-    let pair = [&lenses[..], &["--camera", "cam1=late/cam1"]].concat();
+    let pair = [&LENSES[..], &["--camera", "cam1=late/cam1"]].concat();
     let words = &["for itself it meets corners", "not triggered together"];
     ends(late.path(), &pair, "late.toml", End::Warn, words);
 }

@@ -2,26 +2,13 @@
 
 mod answer;
 mod process;
-
-use std::path::Path;
+mod rig_files;
 
 use answer::json;
 use lsfb_calib::TransformEdge;
 use lsfb_geometry::{Matrix6, Rig, RigLidar, Se3, Vector6};
 use lsfb_sim::SimConfig;
-
-/// Degrees and millimetres between two poses.
-fn apart(a: &Se3, b: &Se3) -> [f64; 2] {
-    let off = (a.inverse() * *b).log();
-    [
-        off.fixed_rows::<3>(0).norm().to_degrees(),
-        off.fixed_rows::<3>(3).norm() * 1e3,
-    ]
-}
-
-fn write_rig(path: &Path, rig: &Rig) {
-    std::fs::write(path, rig.to_toml()).expect("rig");
-}
+use rig_files::{apart, write_rig};
 
 /// A covariance as a good calibration has it: 0.06° and 3 mm.
 fn good() -> Matrix6<f64> {

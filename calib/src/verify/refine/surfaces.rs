@@ -3,15 +3,19 @@
 
 use std::collections::HashMap;
 
-use lsfb_geometry::{Matrix3, Vector3};
+use lsfb_geometry::Vector3;
 use rayon::prelude::*;
+
+use super::super::moments::{Limits, Moments};
 
 /// Edge of a cell, metres; a plane is fitted to those around it too.
 const CELL_M: f64 = 0.16;
-/// Returns a plane needs, and how thick and how wide what is in it may be, metres.
-const MIN_RETURNS: f64 = 12.0;
-const THICK_M: f64 = 0.05;
-const WIDE_M: f64 = 0.06;
+/// What is a plane in and around a cell.
+const LIMITS: Limits = Limits {
+    min_returns: 12.0,
+    thick_m: 0.05,
+    wide_m: 0.06,
+};
 /// A plane that landmarks may lie on: more returns, all around, and no thicker than this many times the usual plane.
 const GOOD_RETURNS: f64 = 40.0;
 const GOOD_WIDE_M: f64 = 0.09;
@@ -26,13 +30,6 @@ const STEP_M: f64 = 0.5 * CELL_M;
 const LEAST_COSINE: f64 = 0.25;
 
 type Cell = [i32; 3];
-
-#[derive(Clone, Default)]
-struct Moments {
-    count: f64,
-    sum: Vector3<f64>,
-    squares: Matrix3<f64>,
-}
 
 /// A plane through returns.
 #[derive(Clone, Copy, Debug)]
@@ -73,10 +70,7 @@ impl Surfaces {
     pub fn add(&mut self, returns: impl Iterator<Item = Vector3<f64>>) {
         self.planes.clear();
         for place in returns {
-            let moments = self.cells.entry(cell_of(&place)).or_default();
-            moments.count += 1.0;
-            moments.sum += place;
-            moments.squares += place * place.transpose();
+            self.cells.entry(cell_of(&place)).or_default().add(&place);
         }
     }
 
@@ -97,15 +91,20 @@ impl Surfaces {
             for y in -1..=1 {
                 for z in -1..=1 {
                     let beside = [cell[0] + x, cell[1] + y, cell[2] + z];
-                    if let Some(m) = self.cells.get(&beside) {
-                        all.count += m.count;
-                        all.sum += m.sum;
-                        all.squares += m.squares;
+                    if let Some(moments) = self.cells.get(&beside) {
+                        all.merge(moments);
                     }
                 }
             }
         }
-        all.plane()
+        let fitted = all.plane(&LIMITS)?;
+        Some(Plane {
+            place: fitted.place,
+            normal: fitted.normal,
+            thickness_m: fitted.thickness_m,
+            wide_m: fitted.wide_m,
+            count: all.count,
+        })
     }
 
     /// All planes at once.
@@ -129,26 +128,6 @@ impl Surfaces {
             own_counts: self.cells.iter().map(|(c, m)| (*c, m.count)).collect(),
             planes: planes.into_iter().collect(),
         }
-    }
-}
-
-impl Moments {
-    fn plane(&self) -> Option<Plane> {
-        if self.count < MIN_RETURNS {
-            return None;
-        }
-        let place = self.sum / self.count;
-        let spread = self.squares / self.count - place * place.transpose();
-        let eigen = spread.symmetric_eigen();
-        let mut sizes: [f64; 3] = std::array::from_fn(|k| eigen.eigenvalues[k].max(0.0).sqrt());
-        sizes.sort_by(f64::total_cmp);
-        (sizes[0] < THICK_M && sizes[1] > WIDE_M).then(|| Plane {
-            place,
-            normal: eigen.eigenvectors.column(eigen.eigenvalues.imin()).into(),
-            thickness_m: sizes[0],
-            wide_m: sizes[1],
-            count: self.count,
-        })
     }
 }
 

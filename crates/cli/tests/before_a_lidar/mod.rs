@@ -7,16 +7,12 @@ use lsfb_calib::lidar_camera::{Board, BoardPose};
 use lsfb_geometry::{CameraTiming, Rig, RigCamera, RigLidar, Se3};
 use simulated_board::{BOARD, Session, calibrate, camera, error, truth};
 
-const SESSION: Session = Session {
-    poses: 8,
-    tilt_rad: 0.7,
-    noise_m: 0.03,
-    board: BOARD,
-    behind_wall: false,
-    turned: false,
-    speed_m_s: 0.0,
-    lidar_late_s: 0.0,
-};
+fn session() -> Session {
+    Session {
+        poses: 8,
+        ..Session::default()
+    }
+}
 
 /// Writes `images/N.png` and `clouds/N.pcd`, the latter as those of pose `N + shift`.
 fn write(path: &Path, board: &Board, poses: &[BoardPose], shift: usize) {
@@ -99,7 +95,7 @@ const PLATE: &str = "830,750";
 fn boards_and_cameras() {
     let root = folder();
     let path = root.path();
-    let poses = SESSION.simulate(5);
+    let poses = session().simulate(5);
     write(path, &BOARD, &poses, 0);
     let own = arguments(OWN, PLATE, "cam0=images");
     ends(path, &own, "good.toml", End::Pass, &[]);
@@ -167,12 +163,12 @@ fn boards_and_cameras() {
 #[test]
 fn poses() {
     for (name, session, shift, words) in [
-        ("strangers", SESSION, 3, &["belong together"][..]),
+        ("strangers", session(), 3, &["belong together"][..]),
         (
             "hidden",
             Session {
                 behind_wall: true,
-                ..SESSION
+                ..session()
             },
             0,
             &["found in 0 of 8 scans", "stands free"],
@@ -181,7 +177,7 @@ fn poses() {
             "parallel",
             Session {
                 tilt_rad: 0.0,
-                ..SESSION
+                ..session()
             },
             0,
             &["any direction along the board", "tilt the board about"],
