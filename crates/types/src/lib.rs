@@ -1,6 +1,7 @@
-//! What every crate shares: [`Timestamp`], [`Packet`], the samples, and [`Progress`].
+//! What every crate shares: [`Timestamp`], [`Packet`], the samples, [`Progress`], and [`Judgement`].
 //!
-//! No dependency, no logic beyond exact integer time. Vectors are plain arrays here; `lsfb-geometry` gives them algebra.
+//! No dependency, no logic beyond exact integer time and how verdicts are put into words. Vectors are plain arrays here;
+//! `lsfb-geometry` gives them algebra. With the feature `serde`, verdicts stand in JSON.
 //!
 //! Samples carry no time of their own: a decoder knows only device ticks. [`Stamped`] adds the three stamps
 //! (device, arrival, synchronized) that the recording keeps side by side and never overwrites.
@@ -9,8 +10,10 @@ mod packet;
 mod progress;
 mod sample;
 mod timestamp;
+mod verdict;
 
 pub use packet::Packet;
 pub use progress::{Progress, ProgressFn, no_progress};
 pub use sample::{Image, ImuSample, LidarPoint, LidarScan, Stamped};
 pub use timestamp::Timestamp;
+pub use verdict::{Finding, Judgement, Limit, Verdict};
