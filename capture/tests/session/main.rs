@@ -5,10 +5,8 @@
     reason = "a test file as a whole; clippy.toml only spares #[test] functions"
 )]
 
-#[path = "session/live.rs"]
 mod live;
 mod mock;
-#[path = "session/steps.rs"]
 mod steps;
 
 use std::net::SocketAddr;
