@@ -8,13 +8,13 @@ mod bend;
 mod checks;
 mod corner_residual;
 mod export;
+mod gyro_alignment;
 mod inertial;
 mod page;
 mod problem;
 mod report;
 mod start;
 mod table;
-mod turning;
 mod uncertainty;
 mod view_residual;
 

@@ -11,8 +11,8 @@ use lsfb_geometry::{
 use lsfb_types::{ImuSample, Timestamp};
 
 use super::bend::Bend;
+use super::gyro_alignment::GyroAlignment;
 use super::inertial::{AccelAxes, GyroAxes};
-use super::turning::Turning;
 use super::{CameraImuConfig, Clock, KnownCamera, Motion, ORDER, checks};
 use crate::Error;
 use crate::camera::pose_of_target;
@@ -158,7 +158,8 @@ impl State {
         let mut mounted = Vec::with_capacity(cameras.len());
         let mut first_from_rig = UnitQuaternion::identity();
         for (k, (known, own)) in cameras.iter().zip(&seen).enumerate() {
-            let turned = Turning::new(&samples, &own.poses).solve(&known.views.name, config)?;
+            let turned =
+                GyroAlignment::new(&samples, &own.poses).solve(&known.views.name, config)?;
             if k == 0 {
                 first_from_rig = turned.camera_from_rig;
             } else {

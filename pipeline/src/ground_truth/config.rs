@@ -50,9 +50,9 @@ pub struct GroundTruthConfig {
     /// Standard deviation of gravity in the map, in size and direction, m/s².
     pub gravity_sigma_m_s2: f64,
     /// Map points recognised this long before or after are looked for again, seconds.
-    pub second_chance_window_secs: f64,
+    pub guided_matching_window_secs: f64,
     /// How far from the predicted pixel they are looked for, pixels.
-    pub second_chance_radius_px: f64,
+    pub guided_matching_radius_px: f64,
     /// A frame with fewer map points is carried by its neighbours.
     pub min_map_points: usize,
     /// Longest stretch of frames carried by IMU and local points, seconds; longer ones are left out.
@@ -85,8 +85,8 @@ impl Default for GroundTruthConfig {
             gyro_bias_sigma_rad_s: 0.05,
             accel_bias_sigma_m_s2: 0.3,
             gravity_sigma_m_s2: 0.05,
-            second_chance_window_secs: 1.0,
-            second_chance_radius_px: 4.0,
+            guided_matching_window_secs: 1.0,
+            guided_matching_radius_px: 4.0,
             min_map_points: 6,
             max_bridge_secs: 3.0,
             max_extrapolation_secs: 1.0,
@@ -125,8 +125,8 @@ impl GroundTruthConfig {
             ),
             ("ground_truth.gravity_sigma_m_s2", self.gravity_sigma_m_s2),
             (
-                "ground_truth.second_chance_radius_px",
-                self.second_chance_radius_px,
+                "ground_truth.guided_matching_radius_px",
+                self.guided_matching_radius_px,
             ),
         ];
         for (field, value) in positive {

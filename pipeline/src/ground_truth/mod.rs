@@ -7,12 +7,12 @@
 
 mod config;
 mod frames;
+mod guided_matching;
 mod inertial;
 mod local_points;
 mod optimization;
 mod report;
 mod run;
-mod second_chance;
 mod walk;
 
 #[cfg(test)]
@@ -45,7 +45,7 @@ pub struct GroundTruth {
 struct Solved {
     states: Vec<State>,
     last: Optimized,
-    second_chance: usize,
+    guided_matching: usize,
     outliers: usize,
 }
 
@@ -69,11 +69,11 @@ fn solve_walk(
     let mut outliers = drop_outliers(walk, &first.states, &mut points, config);
 
     progress(Progress {
-        stage: "second chance",
+        stage: "guided matching",
         done: 0,
         total: 0,
     });
-    let second_chance = second_chance::search_again(walk, &first.states, features, config);
+    let guided_matching = guided_matching::match_again(walk, &first.states, features, config);
     let points = tracks.locate(walk, &first.states, features, config);
     let second = optimize(walk, &first.states, &points, config, progress)?;
     let mut kept = second.points.clone();
@@ -83,7 +83,7 @@ fn solve_walk(
     Ok(Solved {
         states: last.states.clone(),
         last,
-        second_chance,
+        guided_matching,
         outliers,
     })
 }

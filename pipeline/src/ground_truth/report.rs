@@ -74,7 +74,7 @@ pub struct GroundTruthReport {
     /// Stretches left out of the trajectory, because too long without the map.
     pub left_out: Vec<Span>,
     /// Observations of map points added by the search after the first solve.
-    pub second_chance: u64,
+    pub guided_matching: u64,
     /// Observations taken out because they were too far from where they should be.
     pub outliers: u64,
     /// Local points.

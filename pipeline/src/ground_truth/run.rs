@@ -225,7 +225,7 @@ fn report(
         poses: trusted.poses.len() as u64,
         bridged: trusted.bridged as u64,
         left_out: trusted.left_out.clone(),
-        second_chance: solved.second_chance as u64,
+        guided_matching: solved.guided_matching as u64,
         outliers: solved.outliers as u64,
         local_points: last.points.len() as u64,
         map_errors: map_errors(walk, states),

@@ -273,7 +273,7 @@ fn local_points_and_imu_carry_a_stretch_the_map_does_not_know() {
         mut features,
     } = make_walk(220, 220, seen);
     for (image, features) in features.iter_mut().enumerate() {
-        // What the map knows looks different there, so that the second chance finds nothing.
+        // What the map knows looks different there, so that guided matching finds nothing.
         if image / 2 >= 60 {
             let flip = |d: &mut [u8; DESCRIPTOR_LEN]| d.rotate_left(17);
             features.descriptors.iter_mut().for_each(flip);

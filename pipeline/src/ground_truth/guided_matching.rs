@@ -22,7 +22,7 @@ const LOOKS: usize = 4;
 /// Adds observations to the walk: each frame looks for the points that its neighbours in time have and it has not. What they
 /// look like is taken from those neighbours, which are closer to this frame than the map's own images. `features` are
 /// numbered `frame * cameras + camera`. Returns how many were added.
-pub(super) fn search_again(
+pub(super) fn match_again(
     walk: &mut Walk,
     states: &[State],
     features: &[Features],
@@ -55,8 +55,9 @@ fn candidates(
 ) -> BTreeMap<u32, Candidate> {
     let cameras = walk.cameras.len();
     let time = walk.frames[frame].time;
-    let near =
-        |k: &usize| walk.frames[*k].time.secs_since(time).abs() <= config.second_chance_window_secs;
+    let near = |k: &usize| {
+        walk.frames[*k].time.secs_since(time).abs() <= config.guided_matching_window_secs
+    };
     // Nearest in time first: their looks count.
     let mut neighbours: Vec<usize> = (0..walk.frames.len()).filter(near).collect();
     neighbours.sort_by_key(|k| (k.abs_diff(frame), *k));
@@ -111,7 +112,7 @@ fn search_image(
             });
         }
     }
-    let radius_px = config.second_chance_radius_px;
+    let radius_px = config.guided_matching_radius_px;
     let grid = KeypointGrid::new(&image.keypoints, lens.width, lens.height, 2.0 * radius_px);
     match_projected(
         &predictions,

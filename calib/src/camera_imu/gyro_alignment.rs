@@ -27,7 +27,7 @@ const OTHER_AXES: f64 = 0.5;
 /// How near a factor must be to that from radians to degrees.
 const DEGREES_WITHIN: f64 = 0.2;
 
-pub(super) struct Turning {
+pub(super) struct GyroAlignment {
     /// Start, end, mean angular velocity in the camera.
     seen: Vec<(f64, f64, Vector3<f64>)>,
     times_s: Vec<f64>,
@@ -37,12 +37,12 @@ pub(super) struct Turning {
 }
 
 /// What turning alone says of a camera.
-pub(super) struct Turned {
+pub(super) struct Aligned {
     pub offset_s: f64,
     pub camera_from_rig: UnitQuaternion<f64>,
 }
 
-impl Turning {
+impl GyroAlignment {
     /// `poses`: stamps and `target_from_camera`.
     pub fn new(samples: &[Sample], poses: &[(f64, Se3)]) -> Self {
         let mut integral = vec![Vector3::zeros()];
@@ -79,7 +79,7 @@ impl Turning {
     }
 
     /// Offset and orientation of the camera named `camera`; an error where the clocks cannot belong together.
-    pub fn solve(&self, camera: &str, config: &CameraImuConfig) -> Result<Turned, Error> {
+    pub fn solve(&self, camera: &str, config: &CameraImuConfig) -> Result<Aligned, Error> {
         let not_joined = |problem: String| Error::NotJoined {
             first: camera.to_owned(),
             second: "the IMU".into(),
@@ -133,7 +133,7 @@ impl Turning {
                 problem: format!("{camera}: {problem}"),
             });
         }
-        Ok(Turned {
+        Ok(Aligned {
             offset_s,
             camera_from_rig,
         })
