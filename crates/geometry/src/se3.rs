@@ -49,6 +49,16 @@ impl Se3 {
         Vector6::new(phi.x, phi.y, phi.z, rho.x, rho.y, rho.z)
     }
 
+    /// This transform moved by a tangent vector, on the right: `self * exp(delta)`, with `delta` in the source frame.
+    pub fn retract(&self, delta: &Vector6<f64>) -> Self {
+        *self * Self::exp(delta)
+    }
+
+    /// The tangent vector that moves this transform to another: `self.retract(&self.local(&other)) == other`.
+    pub fn local(&self, other: &Self) -> Vector6<f64> {
+        (self.inverse() * *other).log()
+    }
+
     /// `source_from_target`.
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.inverse();
@@ -196,6 +206,7 @@ mod tests {
             prop_assert!(near((a * b) * c, a * (b * c)));
             prop_assert!(near(a * a.inverse(), Se3::identity()));
             prop_assert!(near(Se3::exp(&a.log()), a));
+            prop_assert!(near(a.retract(&a.local(&b)), b));
         }
 
         #[test]

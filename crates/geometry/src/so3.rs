@@ -40,6 +40,16 @@ pub fn log(rotation: &UnitQuaternion<f64>) -> Vector3<f64> {
     }
 }
 
+/// A rotation moved by a rotation vector, on the right: `rotation * exp(phi)`, with `phi` in the source frame.
+pub fn retract(rotation: &UnitQuaternion<f64>, phi: &Vector3<f64>) -> UnitQuaternion<f64> {
+    rotation * exp(phi)
+}
+
+/// The rotation vector that moves one rotation to another: `retract(a, local(a, b)) == b`.
+pub fn local(from: &UnitQuaternion<f64>, to: &UnitQuaternion<f64>) -> Vector3<f64> {
+    log(&(from.inverse() * to))
+}
+
 /// Coefficients `(1 − cos a)/a²` and `(a − sin a)/a³` of the left Jacobian.
 fn left_coefficients(squared: f64) -> (f64, f64) {
     if squared < SERIES_BELOW {
@@ -153,6 +163,12 @@ mod tests {
             // At π itself a rotation has two vectors.
             let error = (again - phi).norm().min((again + phi).norm() + (phi.norm() - PI).abs());
             prop_assert!(error <= 4e-16 + 1e-15 * phi.norm(), "{error}");
+        }
+
+        #[test]
+        fn local_undoes_retract(phi in rotation_vector(), d in prop::array::uniform3(-1.0..1.0f64)) {
+            let (rotation, d) = (exp(&phi), Vector3::from(d));
+            prop_assert!((local(&rotation, &retract(&rotation, &d)) - d).norm() < 1e-13);
         }
 
         #[test]

@@ -32,7 +32,7 @@ pub use error::Error;
 pub use incremental::{Incremental, IncrementalConfig, UpdateReport};
 #[doc(hidden)]
 pub use jacobian_check::check_jacobians;
-pub use manifold::{Manifold, Shape};
+pub use manifold::{Manifold, Shape, directions_across};
 pub use minimise::{solve, solve_controlled, solve_observed};
 pub use priors::{DirectionPrior, PosePrior, RotationPrior, VectorPrior};
 pub use problem::{Block, BlockId, Problem, ResidualId};

@@ -69,7 +69,7 @@ impl Manifold for Se3 {
     }
 
     fn plus(&self, delta: &[f64]) -> Self {
-        *self * Self::exp(&Vector6::from_column_slice(delta))
+        self.retract(&Vector6::from_column_slice(delta))
     }
 
     fn tangent_name(component: usize) -> &'static str {
@@ -92,7 +92,7 @@ impl Manifold for UnitQuaternion<f64> {
     }
 
     fn plus(&self, delta: &[f64]) -> Self {
-        let mut rotation = self * so3::exp(&Vector3::from_column_slice(delta));
+        let mut rotation = so3::retract(self, &Vector3::from_column_slice(delta));
         rotation.renormalize_fast();
         rotation
     }
@@ -103,7 +103,7 @@ impl Manifold for UnitQuaternion<f64> {
 }
 
 /// Two unit vectors across a direction, which change smoothly but where the direction passes through `−z`.
-pub(crate) fn directions_across(direction: &Vector3<f64>) -> Matrix3x2<f64> {
+pub fn directions_across(direction: &Vector3<f64>) -> Matrix3x2<f64> {
     let sign = 1.0f64.copysign(direction.z);
     let a = -1.0 / (sign + direction.z);
     let b = direction.x * direction.y * a;
@@ -168,6 +168,35 @@ impl<const N: usize> Manifold for SVector<f64, N> {
     }
 }
 
+/// Two unknowns side by side: the numbers of the first, then those of the second.
+impl<A: Manifold, B: Manifold> Manifold for (A, B) {
+    const STORED: usize = A::STORED + B::STORED;
+    const TANGENT: usize = A::TANGENT + B::TANGENT;
+
+    fn load(stored: &[f64]) -> Self {
+        let (first, second) = stored.split_at(A::STORED);
+        (A::load(first), B::load(second))
+    }
+
+    fn store(&self, stored: &mut [f64]) {
+        let (first, second) = stored.split_at_mut(A::STORED);
+        self.0.store(first);
+        self.1.store(second);
+    }
+
+    fn plus(&self, delta: &[f64]) -> Self {
+        let (first, second) = delta.split_at(A::TANGENT);
+        (self.0.plus(first), self.1.plus(second))
+    }
+
+    fn tangent_name(component: usize) -> &'static str {
+        match component.checked_sub(A::TANGENT) {
+            Some(second) => B::tangent_name(second),
+            None => A::tangent_name(component),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -199,6 +228,11 @@ mod tests {
         laws(so3::exp(&Vector3::new(0.4, 0.1, -0.9)), &delta[..3]);
         laws(Vector3::new(4.0, 5.0, 6.0), &delta[..3]);
         laws(SVector::<f64, 1>::new(4.0), &delta[..1]);
+        laws(
+            (so3::exp(&Vector3::new(0.4, 0.1, -0.9)), Vector3::x()),
+            &delta,
+        );
+        assert_eq!(<(Vector3<f64>, Se3)>::tangent_name(3), "rotation x");
     }
 
     #[test]
