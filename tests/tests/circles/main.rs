@@ -1,0 +1,241 @@
+//! Inside each crate: modules that lie side by side never use each other in a circle (ARCHITECTURE.md, "Layers").
+
+#![allow(
+    clippy::unwrap_used,
+    reason = "a test file as a whole; clippy.toml only spares #[test] functions"
+)]
+
+mod graph;
+mod modules;
+mod tokens;
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use graph::Circle;
+use lsfb_tests::workspace_root;
+use modules::Modules;
+use tokens::tokens;
+
+/// Circles that are still to be cut: crate, parent, the modules. None is added.
+const KNOWN: &[(&str, &str, &[&str])] = &[
+    (
+        "calib",
+        "crate",
+        &[
+            "camera", "exchange", "joint", "misfit", "plots", "report", "verify",
+        ],
+    ),
+    ("calib", "crate", &["detect", "target"]),
+    (
+        "calib",
+        "crate::camera_imu",
+        &["checks", "start", "turning"],
+    ),
+    ("calib", "crate::lidar_camera", &["adjustment", "problem"]),
+    ("calib", "crate::lidar_camera", &["checks", "summary"]),
+    (
+        "calib",
+        "crate::verify",
+        &["alignment", "mutual_information"],
+    ),
+    ("calib", "crate::verify::refine", &["adjustment", "noise"]),
+    (
+        "capture",
+        "crate",
+        &["camera", "clock", "imu", "lidar", "session", "sidecar"],
+    ),
+    ("capture", "crate", &["health", "recorder", "tap"]),
+    (
+        "cli",
+        "crate",
+        &["commands", "context", "live", "simulated"],
+    ),
+    (
+        "cli",
+        "crate::commands",
+        &[
+            "calib",
+            "calib_camera",
+            "calib_camera_imu",
+            "calib_imu_noise",
+            "calib_joint",
+            "calib_lidar_camera",
+            "calib_refine",
+            "calib_target",
+        ],
+    ),
+    ("drivers", "crate", &["camera", "transport"]),
+    ("drivers", "crate::camera::wire", &["options", "xu"]),
+    ("drivers", "crate::imu::wire", &["item", "utc"]),
+    ("drivers", "crate::transport", &["camera_link", "v4l2"]),
+    ("drivers", "crate::velodyne", &["decode", "points"]),
+    ("drivers", "crate::velodyne", &["model", "wire"]),
+    (
+        "eval",
+        "crate",
+        &["association", "error", "metrics", "pairs"],
+    ),
+    ("pipeline", "crate::hd_map", &["index", "kmeans"]),
+    ("pipeline", "crate::localization", &["ransac", "refinement"]),
+    ("recording", "crate", &["calibration", "provenance"]),
+    ("recording", "crate", &["chunk", "index", "scan"]),
+    (
+        "sim",
+        "crate",
+        &[
+            "ambient",
+            "config",
+            "place",
+            "rigs",
+            "sensor",
+            "simulation",
+            "truth",
+            "walk",
+        ],
+    ),
+    (
+        "sim",
+        "crate::device",
+        &["feed", "glasses", "mynt", "session"],
+    ),
+    ("sim", "crate::walk", &["motion", "plan"]),
+    ("sim", "crate::world", &["bvh", "packet"]),
+    ("sim", "crate::world", &["corridor", "room"]),
+    ("solver", "crate", &["problem", "residual"]),
+];
+
+/// Name and root file of every library and program of ours.
+fn crates() -> Vec<(String, PathBuf)> {
+    let root = workspace_root();
+    let below = |folder: &Path| {
+        let entries = std::fs::read_dir(folder).unwrap();
+        entries.map(|e| e.unwrap().path()).collect::<Vec<_>>()
+    };
+    let mut found = Vec::new();
+    for folder in below(&root).into_iter().chain(below(&root.join("crates"))) {
+        let roots = ["lib.rs", "main.rs"].map(|file| folder.join("src").join(file));
+        for file in roots.into_iter().filter(|file| file.exists()) {
+            let name = folder.file_name().unwrap().to_string_lossy().into_owned();
+            found.push((name, file));
+        }
+    }
+    found.sort();
+    assert!(found.len() >= 13, "crates are missing: {found:?}");
+    found
+}
+
+fn describe(name: &str, circle: &Circle) -> String {
+    let mut text = format!("{name}, below {}: {:?}\n", circle.parent, circle.members);
+    for ((from, to), found) in &circle.uses {
+        let _ = writeln!(
+            text,
+            "    {from} -> {to}: {} x, {}",
+            found.count, found.example
+        );
+    }
+    text
+}
+
+#[test]
+fn modules_use_each_other_in_one_direction() {
+    let mut known: Vec<_> = KNOWN.to_vec();
+    let mut new = String::new();
+    for (name, file) in crates() {
+        for circle in Modules::read(&file).circles() {
+            let here = known.iter().position(|(crate_name, parent, members)| {
+                *crate_name == name
+                    && *parent == circle.parent
+                    && circle.members.iter().all(|m| members.contains(&m.as_str()))
+            });
+            match here {
+                Some(at) => drop(known.remove(at)),
+                None => new.push_str(&describe(&name, &circle)),
+            }
+        }
+    }
+    assert!(new.is_empty(), "circles between modules:\n{new}");
+    assert!(
+        known.is_empty(),
+        "no circle any more, strike them out: {known:?}"
+    );
+}
+
+/// A crate in memory: each pair a top-level module and its body.
+fn in_memory(root: &str, bodies: &[(&str, &str)]) -> Vec<Circle> {
+    let mut text = root.to_owned();
+    for (name, body) in bodies {
+        let _ = writeln!(text, "mod {name} {{ {body} }}");
+    }
+    let mut modules = Modules::default();
+    modules.add("crate", None, Path::new("memory.rs"), &tokens(&text));
+    modules.circles()
+}
+
+fn members(circles: &[Circle]) -> Vec<Vec<&str>> {
+    circles
+        .iter()
+        .map(|c| c.members.iter().map(String::as_str).collect())
+        .collect()
+}
+
+#[test]
+fn a_circle_is_found_by_each_way_of_naming_it() {
+    let one = "pub struct One; ";
+    for (root, back) in [
+        ("", "use crate::one::One;"),
+        ("", "use super::one::One;"),
+        ("", "fn f() { let _ = crate::one::One; }"),
+        ("", "use crate::{three, one::{self, One}};"),
+        ("", "use super::one as first; fn f() { first::One; }"),
+        ("", "mod deep { use super::super::one::One; }"),
+        ("", "#[serde(with = \"crate::one::One\")] struct X;"),
+        ("", "macro_rules! m { () => { $crate::one::One } }"),
+        // the root hides where it comes from
+        ("pub use one::One; ", "use crate::One;"),
+        ("pub use one::*; ", "use crate::One;"),
+        ("pub use one::One as Uno; ", "fn f(x: super::Uno) {}"),
+        ("use one::One; ", "use super::*; fn f(x: One) {}"),
+    ] {
+        let forth = format!("{one} use crate::two::Two;");
+        let two = format!("pub struct Two; {back}");
+        let found = in_memory(root, &[("one", &forth), ("two", &two), ("three", "")]);
+        assert_eq!(members(&found), [["one", "two"]], "{root} {back}");
+    }
+}
+
+#[test]
+fn three_modules_in_a_circle_are_one_circle() {
+    let found = in_memory(
+        "",
+        &[
+            ("a", "use crate::b::B; pub struct A;"),
+            ("b", "use crate::c::C; pub struct B;"),
+            ("c", "pub mod d { use crate::a::A; } pub struct C;"),
+            ("e", "use crate::a::A;"),
+        ],
+    );
+    assert_eq!(members(&found), [["a", "b", "c"]]);
+}
+
+#[test]
+fn parents_children_tests_and_other_crates_make_no_circle() {
+    let found = in_memory(
+        "pub use a::A; pub struct Root; fn f() { b::g(); }",
+        &[
+            (
+                "a",
+                "use crate::Root; pub struct A; use super::b::B; // crate::c::C",
+            ),
+            (
+                "b",
+                "use crate::Root; pub struct B; pub fn g() {} #[cfg(test)] mod tests { use crate::A; }",
+            ),
+            (
+                "c",
+                "use std::b::B; #[cfg(test)] use crate::a::A; #[test] fn t() { crate::a::A; } pub struct C;",
+            ),
+        ],
+    );
+    assert!(found.is_empty(), "{found:?}");
+}
