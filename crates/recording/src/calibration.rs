@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use lsfb_geometry::Rig;
 
 use crate::error::Error;
-use crate::provenance::sha256_of_bytes;
+use crate::hash::sha256_of_bytes;
 use crate::reader::Recording;
 
 /// Attachment with the rig.

@@ -1,15 +1,14 @@
 //! Where a result comes from: written beside it, so that it can be made again.
 
 use std::collections::BTreeMap;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use lsfb_geometry::Rig;
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 
 use crate::calibration::rig_sha256;
 use crate::error::Error;
+use crate::hash::sha256_of;
 
 /// What made a result: program, effective configuration and inputs. Times and host names are left out on purpose: equal
 /// inputs give equal bytes.
@@ -73,35 +72,6 @@ fn provenance_path(result: &Path) -> PathBuf {
     let mut name = result.file_name().unwrap_or_default().to_os_string();
     name.push(".provenance.json");
     result.with_file_name(name)
-}
-
-/// SHA-256 of a file in hexadecimal.
-pub fn sha256_of(path: &Path) -> Result<String, Error> {
-    let io = |source| Error::Io {
-        path: path.to_owned(),
-        action: "hash the file",
-        source,
-    };
-    let mut file = std::fs::File::open(path).map_err(io)?;
-    let mut hasher = Sha256::new();
-    let mut buffer = vec![0; 1 << 20];
-    loop {
-        let read = file.read(&mut buffer).map_err(io)?;
-        if read == 0 {
-            break;
-        }
-        hasher.update(&buffer[..read]);
-    }
-    Ok(hexadecimal(hasher))
-}
-
-pub(crate) fn sha256_of_bytes(bytes: &[u8]) -> String {
-    hexadecimal(Sha256::new().chain_update(bytes))
-}
-
-fn hexadecimal(hasher: Sha256) -> String {
-    let bytes = hasher.finalize();
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// Writes a file under a temporary name first, so that an interruption leaves the old one or the new one.

@@ -3,15 +3,15 @@ use std::path::Path;
 
 use lsfb_types::{ProgressFn, Timestamp};
 
+use crate::container::index::{ChunkEntry, Index};
+use crate::container::record::timestamp;
+use crate::container::record::{self, MessageRecord, NamedRecord, opcode};
+use crate::container::source::Source;
+use crate::container::verify::{self, TopicArrivals};
+use crate::container::{chunk, summary_reader};
 use crate::error::{Damage, Error};
-use crate::index::{ChunkEntry, Index};
 use crate::layout::TopicSummary;
 use crate::message;
-use crate::record::{self, MessageRecord, NamedRecord, opcode};
-use crate::source::Source;
-use crate::verify::{self, TopicArrivals};
-use crate::walk::timestamp;
-use crate::{chunk, index};
 
 /// A recording, read chunk by chunk: memory holds one chunk per iterator.
 ///
@@ -47,7 +47,7 @@ impl Recording {
     /// Opens a file. Its end may be missing and parts of it broken; see [`Recording::damage`].
     pub fn open(path: &Path) -> Result<Self, Error> {
         let source = Source::open(path)?;
-        let index = index::read(&source, source.data_start()?)?;
+        let index = summary_reader::read(&source, source.data_start()?)?;
         let topics = topics(&index);
         Ok(Self {
             source,

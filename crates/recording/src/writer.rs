@@ -5,11 +5,11 @@ use lsfb_geometry::{Rig, Se3};
 use lsfb_types::{Image, ImuSample, LidarScan, Packet, Stamped, Timestamp};
 
 use crate::calibration::{RIG_ATTACHMENT, rig_metadata};
-use crate::encoder::Encoder;
+use crate::container::encoder::Encoder;
+use crate::container::open_chunk::Outgoing;
 use crate::error::Error;
 use crate::layout::{Channel, Summary, WriterConfig};
 use crate::message::{self, FrameMeta, RawPacket, StaticTransform, TimeReference};
-use crate::open_chunk::Outgoing;
 use crate::topic;
 
 /// Spacing of the intrinsics beside the images.

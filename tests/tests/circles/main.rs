@@ -78,8 +78,6 @@ const KNOWN: &[(&str, &str, &[&str])] = &[
     ),
     ("pipeline", "crate::hd_map", &["index", "kmeans"]),
     ("pipeline", "crate::localization", &["ransac", "refinement"]),
-    ("recording", "crate", &["calibration", "provenance"]),
-    ("recording", "crate", &["chunk", "index", "scan"]),
     (
         "sim",
         "crate",

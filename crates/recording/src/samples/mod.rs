@@ -9,13 +9,15 @@ use std::rc::Rc;
 use lsfb_types::{Image, ImuSample, LidarScan, Packet, Stamped, Timestamp};
 
 use crate::cdr::CdrError;
+use crate::container::chunk_cache::ChunkCache;
+use crate::container::record::MessageRecord;
+use crate::container::record::timestamp;
 use crate::error::Error;
 use crate::layout::TopicSummary;
 use crate::message::{self, FrameMeta};
+use crate::message_iter::{MessageIter, Role, Waiting, stamped, with_ticks};
 use crate::reader::{CdrMessage, Recording};
-use crate::record::MessageRecord;
 use crate::topic;
-use crate::walk::{ChunkCache, Role, Waiting, Walk, stamped, timestamp, with_ticks};
 
 /// An image and which camera took it.
 #[derive(Clone, Debug, PartialEq)]
@@ -74,7 +76,7 @@ impl Recording {
                     .map(|id| (id, Role::Companion(0))),
             );
             let mut metas = Waiting::default();
-            let walk = Walk::through(&self.source, &self.index, roles, Rc::clone(&cache));
+            let walk = MessageIter::through(&self.source, &self.index, roles, Rc::clone(&cache));
             streams.push(self.decoded(walk, move |role, message| match role {
                 Role::Companion(of) => {
                     let meta = message::decode_frame_meta(message.data)?;
@@ -238,12 +240,12 @@ impl Recording {
         roles: BTreeMap<u16, Role>,
         decode: impl FnMut(Role, &MessageRecord<'_>) -> Result<Option<T>, CdrError> + 'a,
     ) -> impl Iterator<Item = Result<T, Error>> + 'a {
-        self.decoded(Walk::new(&self.source, &self.index, roles), decode)
+        self.decoded(MessageIter::new(&self.source, &self.index, roles), decode)
     }
 
     fn decoded<'a, T>(
         &'a self,
-        mut walk: Walk<'a>,
+        mut walk: MessageIter<'a>,
         mut decode: impl FnMut(Role, &MessageRecord<'_>) -> Result<Option<T>, CdrError> + 'a,
     ) -> impl Iterator<Item = Result<T, Error>> + 'a {
         std::iter::from_fn(move || {

@@ -5,9 +5,9 @@ use lsfb_types::Stamped;
 use crate::cdr::CdrError;
 use crate::error::Error;
 use crate::message::{self, BleAdvert, GnssReading, MagneticSample, PressureSample, WifiReading};
+use crate::message_iter::{Role, with_ticks};
 use crate::reader::Recording;
 use crate::topic::DEVICE_TIME;
-use crate::walk::{Role, with_ticks};
 
 impl Recording {
     /// Samples of a magnetometer, in the sensor's axes. `None`: the only one there is.

@@ -3,8 +3,8 @@
 
 use std::io::{Error, ErrorKind, Read, Result};
 
-use crate::pack::{LZ4_BLOCK_BYTES, LZ4_FRAME, LZ4_STORED};
-use crate::record::Packing;
+use crate::container::pack::{LZ4_BLOCK_BYTES, LZ4_FRAME, LZ4_STORED};
+use crate::container::record::Packing;
 
 /// A chunk that claims to unpack to more than this is unpacked piece by piece, so that a length that lies costs no memory.
 const AT_ONCE_BYTES: u64 = 64 << 20;
@@ -50,7 +50,7 @@ pub(crate) fn unpack(
     Ok(())
 }
 
-/// Unpacks a frame with the header that [`crate::pack`] writes: independent blocks without checksums. Returns its length.
+/// Unpacks a frame with the header that [`crate::container::pack`] writes: independent blocks without checksums. Returns its length.
 fn lz4_frame_of_ours(data: &[u8], out: &mut [u8]) -> Result<usize> {
     let broken = || Error::from(ErrorKind::InvalidData);
     let mut rest = data.strip_prefix(&LZ4_FRAME).ok_or_else(broken)?;
@@ -86,8 +86,8 @@ mod tests {
     use std::io::Write as _;
 
     use super::*;
+    use crate::container::pack::Packer;
     use crate::layout::Compression;
-    use crate::pack::Packer;
 
     fn samples() -> Vec<Vec<u8>> {
         let noise: Vec<u8> = (0..9_000_000_u32)

@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 
 use lsfb_types::Timestamp;
 
-use crate::emit::{self, IndexEntry};
+use crate::container::emit::{self, IndexEntry};
+use crate::container::record::opcode;
 use crate::message;
-use crate::record::opcode;
 
 /// Room before the data of a chunk that is written as it is.
 pub(crate) const PLAIN: &str = "";

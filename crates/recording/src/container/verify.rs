@@ -8,12 +8,12 @@ use std::time::Duration;
 
 use lsfb_types::{Progress, ProgressFn, Timestamp};
 
-use crate::chunk::{self, Scratch};
+use crate::container::chunk::{self, Scratch};
+use crate::container::index::Index;
+use crate::container::record::timestamp;
+use crate::container::record::{self, opcode};
+use crate::container::source::Source;
 use crate::error::{Damage, Error};
-use crate::index::Index;
-use crate::record::{self, opcode};
-use crate::source::Source;
-use crate::walk::timestamp;
 
 /// So many chunks are worth a thread.
 const WORTH_A_THREAD: usize = 16;

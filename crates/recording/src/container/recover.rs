@@ -7,14 +7,15 @@ use std::path::{Path, PathBuf};
 
 use lsfb_types::{Progress, ProgressFn};
 
-use crate::chunk;
-use crate::emit::{self, IndexEntry};
+use crate::container::chunk;
+use crate::container::emit::{self, IndexEntry};
+use crate::container::index::ChunkEntry;
+use crate::container::record::{self, HEAD_BYTES, NamedRecord, Packing, opcode};
+use crate::container::rescan::{Rescan, WhyRescan};
+use crate::container::source::Source;
+use crate::container::summary_reader;
+use crate::container::summary_writer::{self, ChunkIndex, NamedIndex, SummaryBuilder};
 use crate::error::{Damage, Error};
-use crate::index::{self, ChunkEntry};
-use crate::record::{self, HEAD_BYTES, NamedRecord, Packing, opcode};
-use crate::scan::{NoSummary, Scan};
-use crate::source::Source;
-use crate::summary::{self, ChunkIndex, NamedIndex, SummaryBuilder};
 
 /// What was recovered.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -38,7 +39,7 @@ pub struct Recovered {
 pub fn recover(path: &Path, out: &Path, progress: ProgressFn<'_>) -> Result<Recovered, Error> {
     let source = Source::open(path)?;
     let data_start = source.data_start()?;
-    let index = Scan::run(&source, data_start, NoSummary::CutOff)?;
+    let index = Rescan::run(&source, data_start, WhyRescan::CutOff)?;
     let mut copy = Copy::create(&source, out)?;
     copy.adopt_definitions(&source)?;
     let total = index.chunks.len() as u64;
@@ -148,7 +149,7 @@ impl Copy {
 
     /// Where the end of the file is there, it defines every topic, those too whose first chunk is broken.
     fn adopt_definitions(&mut self, source: &Source) -> Result<(), Error> {
-        let Some(summary) = index::summary_bytes(source)? else {
+        let Some(summary) = summary_reader::summary_bytes(source)? else {
             return Ok(());
         };
         let mut records = summary.as_slice();
@@ -229,7 +230,7 @@ impl Copy {
     ) -> Result<(), Error> {
         let offset = self.bytes;
         let record_bytes = record.len() as u64;
-        let indexed = summary::append_message_indices(record, offset, messages);
+        let indexed = summary_writer::append_message_indices(record, offset, messages);
         self.append(record)?;
         for (channel, entries) in messages {
             *self.summary.messages.entry(*channel).or_default() += entries.len() as u64;

@@ -2,11 +2,11 @@
 
 use std::io::Read;
 
+use crate::container::index::ChunkEntry;
+use crate::container::record::{self, HEAD_BYTES, Packing, opcode};
+use crate::container::source::Source;
+use crate::container::unpack;
 use crate::error::Error;
-use crate::index::ChunkEntry;
-use crate::record::{self, HEAD_BYTES, Packing, opcode};
-use crate::source::Source;
-use crate::unpack;
 
 /// Larger chunks, packed or unpacked, are refused: nobody writes them, and length fields may lie.
 const MAX_CHUNK_BYTES: u64 = 1 << 30;

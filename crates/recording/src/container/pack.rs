@@ -2,7 +2,7 @@
 
 use std::io::{Error, ErrorKind, Result};
 
-use crate::emit;
+use crate::container::emit;
 use crate::layout::Compression;
 
 /// Start of an LZ4 frame: magic, version 1 with independent blocks of up to 4 MiB and no checksums (the chunk has one), and

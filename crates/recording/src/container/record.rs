@@ -1,12 +1,21 @@
-//! MCAP records as bytes: framing and the fields we need, every length checked before use. The `mcap` crate parses too,
-//! but allocates what a length field asks for and panics on some broken attachments.
+//! MCAP records as bytes: framing and the fields we need, every length checked before use.
 
 use std::collections::BTreeMap;
+
+use lsfb_types::Timestamp;
+
+/// The bytes a file begins and ends with (MCAP 0, "Magic").
+pub(crate) const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
 
 /// Opcode and length.
 pub(crate) const HEAD_BYTES: u64 = 9;
 /// Size of a footer record, head included.
 pub(crate) const FOOTER_BYTES: u64 = HEAD_BYTES + 20;
+
+/// MCAP times are unsigned; what does not fit is far outside any recording.
+pub(crate) fn timestamp(nanos: u64) -> Timestamp {
+    Timestamp::from_nanos(i64::try_from(nanos).unwrap_or(i64::MAX))
+}
 
 pub(crate) mod opcode {
     pub const HEADER: u8 = 0x01;

@@ -1,8 +1,8 @@
-//! MCAP records to bytes: the counterpart of [`crate::record`].
+//! MCAP records to bytes: the counterpart of [`crate::container::record`].
 
 use std::collections::BTreeMap;
 
-use crate::record::HEAD_BYTES;
+use crate::container::record::HEAD_BYTES;
 
 /// Appends a record: opcode, length, and what `body` appends.
 pub(crate) fn record(out: &mut Vec<u8>, opcode: u8, body: impl FnOnce(&mut Vec<u8>)) {
@@ -63,7 +63,7 @@ pub(crate) fn string_map(out: &mut Vec<u8>, map: &BTreeMap<String, String>) {
 
 /// Appends an attachment record with its checksum.
 pub(crate) fn attachment(out: &mut Vec<u8>, name: &str, media_type: &str, data: &[u8]) {
-    record(out, crate::record::opcode::ATTACHMENT, |out| {
+    record(out, crate::container::record::opcode::ATTACHMENT, |out| {
         let start = out.len();
         // Log time and creation time stay 0: equal recordings shall have equal bytes.
         u64(out, 0);
@@ -78,7 +78,7 @@ pub(crate) fn attachment(out: &mut Vec<u8>, name: &str, media_type: &str, data: 
 }
 
 pub(crate) fn metadata(out: &mut Vec<u8>, name: &str, entries: &BTreeMap<String, String>) {
-    record(out, crate::record::opcode::METADATA, |out| {
+    record(out, crate::container::record::opcode::METADATA, |out| {
         string(out, name);
         string_map(out, entries);
     });
@@ -104,7 +104,7 @@ pub(crate) fn fill_chunk_prefix(out: &mut [u8], rest_bytes: u64, head: &ChunkHea
     let data_bytes = out.len().saturating_sub(prefix_bytes) as u64 + rest_bytes;
     let body_bytes = out.len() as u64 + rest_bytes - HEAD_BYTES;
     let mut prefix = Vec::with_capacity(prefix_bytes);
-    prefix.push(crate::record::opcode::CHUNK);
+    prefix.push(crate::container::record::opcode::CHUNK);
     u64(&mut prefix, body_bytes);
     u64(&mut prefix, head.start_time);
     u64(&mut prefix, head.end_time);
@@ -123,13 +123,17 @@ pub(crate) struct IndexEntry {
 }
 
 pub(crate) fn message_index(out: &mut Vec<u8>, channel: u16, entries: &[IndexEntry]) {
-    record(out, crate::record::opcode::MESSAGE_INDEX, |out| {
-        u16(out, channel);
-        sized(out, |out| {
-            for entry in entries {
-                u64(out, entry.log_time);
-                u64(out, entry.offset);
-            }
-        });
-    });
+    record(
+        out,
+        crate::container::record::opcode::MESSAGE_INDEX,
+        |out| {
+            u16(out, channel);
+            sized(out, |out| {
+                for entry in entries {
+                    u64(out, entry.log_time);
+                    u64(out, entry.offset);
+                }
+            });
+        },
+    );
 }

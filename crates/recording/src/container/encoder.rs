@@ -7,13 +7,13 @@ use std::path::{Path, PathBuf};
 
 use lsfb_types::Timestamp;
 
-use crate::emit;
+use crate::container::emit;
+use crate::container::open_chunk::{MessageHead, OpenChunk, Outgoing, PLAIN};
+use crate::container::pack::Packer;
+use crate::container::record::{self, opcode};
+use crate::container::summary_writer::{self, ChunkIndex, NamedIndex, SummaryBuilder};
 use crate::error::Error;
 use crate::layout::{Compression, Durability, Existing, Summary, TopicSummary, WriterConfig};
-use crate::open_chunk::{MessageHead, OpenChunk, Outgoing, PLAIN};
-use crate::pack::Packer;
-use crate::record::opcode;
-use crate::summary::{self, ChunkIndex, NamedIndex, SummaryBuilder};
 use crate::topic;
 
 struct OpenChannel {
@@ -80,7 +80,7 @@ impl Encoder {
             packer: Packer::new(config.zstd_level),
             summary: SummaryBuilder::default(),
         };
-        let mut head = mcap::MAGIC.to_vec();
+        let mut head = record::MAGIC.to_vec();
         emit::record(&mut head, opcode::HEADER, |out| {
             emit::string(out, "ros2");
             emit::string(out, concat!("lsfb-recording ", env!("CARGO_PKG_VERSION")));
@@ -179,8 +179,11 @@ impl Encoder {
         let record_bytes = record.len() as u64 + rest_bytes;
         let mut indices = std::mem::take(&mut self.indices);
         indices.clear();
-        let indexed =
-            summary::append_message_indices(&mut indices, offset + record_bytes, &self.chunk.index);
+        let indexed = summary_writer::append_message_indices(
+            &mut indices,
+            offset + record_bytes,
+            &self.chunk.index,
+        );
         let [first, second] = rest;
         let written = self.append_pieces(&[&record, first, second, &indices]);
         // The buffers are used again.
@@ -362,7 +365,7 @@ impl Encoder {
         if message.topic == topic::TF_STATIC {
             metadata.insert(
                 "offered_qos_profiles".to_owned(),
-                summary::TRANSIENT_LOCAL.to_owned(),
+                summary_writer::TRANSIENT_LOCAL.to_owned(),
             );
         }
         let mut body = Vec::new();

@@ -1,25 +1,21 @@
-//! Walking over the messages of some channels, and joining each sample with what was written beside it.
+//! The messages of some channels in the order of the file, and each sample joined with what was written beside it.
 
 use std::cell::RefCell;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::rc::Rc;
 
-use lsfb_types::{Stamped, Timestamp};
+use lsfb_types::Stamped;
 
 use crate::cdr::CdrError;
+use crate::container::chunk_cache::ChunkCache;
+use crate::container::index::Index;
+use crate::container::record::{self, MessageRecord, opcode, timestamp};
+use crate::container::source::Source;
 use crate::error::Error;
-use crate::index::{ChunkEntry, Index};
-use crate::record::{self, MessageRecord, opcode};
-use crate::source::Source;
-use crate::{chunk, message};
+use crate::message;
 
 /// Companion messages waiting for their sample; more than this many are not waited for.
 const MAX_WAITING_COMPANIONS: usize = 4096;
-
-/// MCAP times are unsigned; what does not fit is far outside any recording.
-pub(crate) fn timestamp(nanos: u64) -> Timestamp {
-    Timestamp::from_nanos(i64::try_from(nanos).unwrap_or(i64::MAX))
-}
 
 pub(crate) fn stamped<T>(message: &MessageRecord<'_>, device_ticks: u64, sample: T) -> Stamped<T> {
     Stamped {
@@ -80,52 +76,8 @@ pub(crate) fn with_ticks<T>(
     }
 }
 
-/// Unpacked chunks that several walks share: where they run side by side, each chunk is unpacked once.
-pub(crate) struct ChunkCache {
-    capacity: usize,
-    /// The latest last.
-    chunks: Vec<(u64, Rc<Vec<u8>>)>,
-    /// Chunks whose damage has been told: once, not by every walk.
-    broken: BTreeSet<u64>,
-}
-
-impl ChunkCache {
-    pub fn new(capacity: usize) -> Self {
-        Self {
-            capacity,
-            chunks: Vec::new(),
-            broken: BTreeSet::new(),
-        }
-    }
-
-    fn read(&mut self, source: &Source, entry: &ChunkEntry) -> Result<Rc<Vec<u8>>, Error> {
-        if let Some(at) = self.chunks.iter().position(|(at, _)| *at == entry.offset) {
-            let found = self.chunks.remove(at);
-            let records = Rc::clone(&found.1);
-            self.chunks.push(found);
-            return Ok(records);
-        }
-        if self.broken.contains(&entry.offset) {
-            return Ok(Rc::default());
-        }
-        let mut records = Vec::new();
-        if self.chunks.len() >= self.capacity && !self.chunks.is_empty() {
-            // Its memory is used again where nobody reads it any more.
-            let (_, oldest) = self.chunks.remove(0);
-            records = Rc::try_unwrap(oldest).unwrap_or_default();
-        }
-        if let Err(error) = chunk::read(source, entry, &mut records) {
-            self.broken.insert(entry.offset);
-            return Err(error);
-        }
-        let records = Rc::new(records);
-        self.chunks.push((entry.offset, Rc::clone(&records)));
-        Ok(records)
-    }
-}
-
 /// The messages of some channels, chunk after chunk.
-pub(crate) struct Walk<'a> {
+pub(crate) struct MessageIter<'a> {
     source: &'a Source,
     index: &'a Index,
     roles: BTreeMap<u16, Role>,
@@ -141,13 +93,13 @@ pub(crate) struct Found<'a> {
     pub message: MessageRecord<'a>,
 }
 
-impl<'a> Walk<'a> {
+impl<'a> MessageIter<'a> {
     pub fn new(source: &'a Source, index: &'a Index, roles: BTreeMap<u16, Role>) -> Self {
         let cache = Rc::new(RefCell::new(ChunkCache::new(1)));
         Self::through(source, index, roles, cache)
     }
 
-    /// A walk that shares unpacked chunks with others.
+    /// One that shares unpacked chunks with others.
     pub fn through(
         source: &'a Source,
         index: &'a Index,

@@ -4,8 +4,8 @@ use std::fs::File;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
+use crate::container::record::{self, HEAD_BYTES, opcode};
 use crate::error::{Damage, Error};
-use crate::record::{self, HEAD_BYTES, opcode};
 
 /// A file that is read in pieces, each checked against its size.
 pub(crate) struct Source {
@@ -60,7 +60,7 @@ impl Source {
             return Err(Error::Empty { path });
         }
         let start = self.read(0, 4096)?;
-        let Some(mut records) = start.strip_prefix(mcap::MAGIC) else {
+        let Some(mut records) = start.strip_prefix(record::MAGIC) else {
             return Err(Error::NotMcap { path });
         };
         let header = match record::next_record(&mut records) {
@@ -76,7 +76,7 @@ impl Source {
             let found = profile.to_owned();
             return Err(Error::Profile { path, found });
         }
-        Ok(mcap::MAGIC.len() as u64 + HEAD_BYTES + header_bytes)
+        Ok(record::MAGIC.len() as u64 + HEAD_BYTES + header_bytes)
     }
 
     pub fn damaged(&self, offset: u64, bytes: u64, messages: Option<u64>, reason: String) -> Error {

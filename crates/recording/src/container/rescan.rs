@@ -1,12 +1,12 @@
-//! Building an index by walking over the records of a file: for recordings without a summary, or with a broken one.
+//! Building an index record by record: for recordings without a summary, or with a broken one.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::chunk;
+use crate::container::chunk;
+use crate::container::index::{ChunkEntry, Index};
+use crate::container::record::{self, HEAD_BYTES, NamedRecord, opcode};
+use crate::container::source::Source;
 use crate::error::{Damage, Error};
-use crate::index::{ChunkEntry, Index};
-use crate::record::{self, HEAD_BYTES, NamedRecord, opcode};
-use crate::source::Source;
 
 /// No record but chunks and attachments is larger; nothing larger is read in one piece.
 const MAX_SMALL_RECORD_BYTES: u64 = 64 << 20;
@@ -15,16 +15,16 @@ const SEARCH_WINDOW_BYTES: usize = 1 << 20;
 /// Enough of an attachment for its name.
 const ATTACHMENT_NAME_BYTES: u64 = 4096;
 
-/// Why a file is walked over.
+/// Why a file is read record by record.
 #[derive(Clone, Copy)]
-pub(crate) enum NoSummary {
+pub(crate) enum WhyRescan {
     ByIntent,
     CutOff,
     Broken(&'static str),
 }
 
-/// Builds an index by walking over the file.
-pub(crate) struct Scan<'a> {
+/// Builds an index record by record.
+pub(crate) struct Rescan<'a> {
     source: &'a Source,
     index: Index,
     /// The chunk whose message indices are being read.
@@ -49,8 +49,8 @@ enum Step {
     Garbage,
 }
 
-impl<'a> Scan<'a> {
-    pub fn run(source: &'a Source, data_start: u64, no_summary: NoSummary) -> Result<Index, Error> {
+impl<'a> Rescan<'a> {
+    pub fn run(source: &'a Source, data_start: u64, no_summary: WhyRescan) -> Result<Index, Error> {
         let mut scan = Self {
             source,
             index: Index::default(),
@@ -104,9 +104,9 @@ impl<'a> Scan<'a> {
             });
         }
         let rebuilt = match no_summary {
-            NoSummary::Broken(reason) => Some(reason),
-            NoSummary::CutOff if found_end => Some("its end is cut off"),
-            NoSummary::CutOff | NoSummary::ByIntent => None,
+            WhyRescan::Broken(reason) => Some(reason),
+            WhyRescan::CutOff if found_end => Some("its end is cut off"),
+            WhyRescan::CutOff | WhyRescan::ByIntent => None,
         };
         scan.index.damage.extend(rebuilt.map(|reason| Damage {
             offset: source.bytes,

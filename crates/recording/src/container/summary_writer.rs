@@ -3,8 +3,8 @@
 
 use std::collections::BTreeMap;
 
-use crate::emit;
-use crate::record::opcode;
+use crate::container::emit;
+use crate::container::record::{self, opcode};
 
 /// How rosbag2 marks a latched topic: keep the last message, reliable, transient local.
 pub(crate) const TRANSIENT_LOCAL: &str = "- history: 1
@@ -114,7 +114,7 @@ impl SummaryBuilder {
         emit::u64(&mut out, offset + offsets_at as u64);
         let crc = crc32fast::hash(out.get(summary_at..).unwrap_or_default());
         emit::u32(&mut out, crc);
-        out.extend_from_slice(mcap::MAGIC);
+        out.extend_from_slice(record::MAGIC);
         out
     }
 

@@ -1,43 +1,18 @@
-//! What is where in a file: from its summary, or by walking over its records where it has none.
+//! The index of a file from the summary at its end; where it has none, or a broken one, record by record.
 
-use std::collections::{BTreeMap, BTreeSet};
-
-use crate::error::{Damage, Error};
-use crate::record::{self, ChannelRecord, HEAD_BYTES, NamedRecord, SchemaRecord, opcode};
-use crate::scan::{NoSummary, Scan};
-use crate::source::Source;
-
-/// A chunk: where it is and what is in it.
-#[derive(Clone, Debug)]
-pub(crate) struct ChunkEntry {
-    pub offset: u64,
-    /// Its size, head included.
-    pub record_bytes: u64,
-    pub start_time: u64,
-    pub end_time: u64,
-    pub channels: BTreeSet<u16>,
-    /// Size of the message indices that follow it.
-    pub index_bytes: u64,
-}
-
-#[derive(Default)]
-pub(crate) struct Index {
-    pub schemas: BTreeMap<u16, SchemaRecord>,
-    pub channels: BTreeMap<u16, ChannelRecord>,
-    pub chunks: Vec<ChunkEntry>,
-    pub attachments: Vec<NamedRecord>,
-    pub metadata: Vec<NamedRecord>,
-    pub messages_by_channel: BTreeMap<u16, u64>,
-    pub damage: Vec<Damage>,
-}
+use crate::container::index::{ChunkEntry, Index};
+use crate::container::record::{self, HEAD_BYTES, opcode};
+use crate::container::rescan::{Rescan, WhyRescan};
+use crate::container::source::Source;
+use crate::error::Error;
 
 /// Reads the index of a file whose first bytes are known to be good; `data_start` is the end of its header record.
 pub(crate) fn read(source: &Source, data_start: u64) -> Result<Index, Error> {
     match from_summary(source)? {
         FromSummary::Index(index) => Ok(index),
-        FromSummary::None => Scan::run(source, data_start, NoSummary::ByIntent),
-        FromSummary::CutOff => Scan::run(source, data_start, NoSummary::CutOff),
-        FromSummary::Broken(reason) => Scan::run(source, data_start, NoSummary::Broken(reason)),
+        FromSummary::None => Rescan::run(source, data_start, WhyRescan::ByIntent),
+        FromSummary::CutOff => Rescan::run(source, data_start, WhyRescan::CutOff),
+        FromSummary::Broken(reason) => Rescan::run(source, data_start, WhyRescan::Broken(reason)),
     }
 }
 
@@ -74,7 +49,7 @@ fn from_summary(source: &Source) -> Result<FromSummary, Error> {
 }
 
 fn find_summary(source: &Source) -> Result<Found, Error> {
-    let tail_bytes = record::FOOTER_BYTES + mcap::MAGIC.len() as u64;
+    let tail_bytes = record::FOOTER_BYTES + record::MAGIC.len() as u64;
     let Some(footer_offset) = source.bytes.checked_sub(tail_bytes) else {
         return Ok(Found::Not(FromSummary::CutOff));
     };
@@ -88,7 +63,7 @@ fn find_summary(source: &Source) -> Result<Found, Error> {
     else {
         return Ok(Found::Not(FromSummary::CutOff));
     };
-    if records != mcap::MAGIC {
+    if records != record::MAGIC {
         return Ok(Found::Not(FromSummary::CutOff));
     }
     if start == 0 {
@@ -166,14 +141,4 @@ fn parse_summary(mut summary: &[u8], data_end: u64) -> Option<Parsed> {
     index.messages_by_channel = statistics.by_channel;
     index.chunks.sort_by_key(|c| c.offset);
     Some(Parsed::Index(index))
-}
-
-impl Index {
-    pub fn add_schema(&mut self, schema: SchemaRecord) {
-        self.schemas.entry(schema.id).or_insert(schema);
-    }
-
-    pub fn add_channel(&mut self, channel: ChannelRecord) {
-        self.channels.entry(channel.id).or_insert(channel);
-    }
 }
