@@ -30,7 +30,7 @@ const KNOWN: &[(&str, &str, &[&str])] = &[
     (
         "calib",
         "crate::camera_imu",
-        &["checks", "start", "turning"],
+        &["checks", "gyro_alignment", "start"],
     ),
     ("calib", "crate::lidar_camera", &["adjustment", "problem"]),
     ("calib", "crate::lidar_camera", &["checks", "summary"]),
