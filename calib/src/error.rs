@@ -104,14 +104,9 @@ pub enum Error {
         /// What is wrong with it and what to do.
         problem: String,
     },
-    /// A setting that is impossible.
-    #[error("{name} is {value}: it must be positive")]
-    Setting {
-        /// The setting.
-        name: &'static str,
-        /// Its value.
-        value: f64,
-    },
+    /// A setting lies outside its bounds.
+    #[error(transparent)]
+    Setting(#[from] lsfb_types::OutOfBounds),
     /// The LiDAR saw the board too seldom.
     #[error(
         "lidar: a board of {:.0} × {:.0} mm was found in {found} of {scans} scans, {needed} are needed: check its size, that it stands free (no wall or person within 20 cm behind it), and that at least three beams meet it",

@@ -21,6 +21,9 @@ pub enum Error {
         /// Line and reason.
         message: String,
     },
+    /// A setting lies outside its bounds.
+    #[error(transparent)]
+    Setting(#[from] lsfb_types::OutOfBounds),
     /// A file could not be read.
     #[error("{}: {cause}", path.display())]
     Io {

@@ -55,7 +55,7 @@ pub fn record_incoming(
     stop: &AtomicBool,
     progress: ProgressFn<'_>,
 ) -> Result<CaptureReport, Error> {
-    config.check_cameras()?;
+    config.check()?;
     recorder::make_folder(out)?;
     let rig = config.rig.as_deref().map(Rig::read).transpose()?;
     let names: Vec<Vec<String>> = config.cameras.iter().map(|c| c.names.clone()).collect();

@@ -142,7 +142,7 @@ impl Session {
         {
             return Err(Error::NoDevice);
         }
-        config.check_cameras()?;
+        config.check()?;
         let rig = config.rig.as_deref().map(Rig::read).transpose()?;
         if let Some(net) = &config.lidar
             && let Some(settings) = &net.settings

@@ -14,16 +14,9 @@ pub enum Error {
         /// Why.
         source: std::io::Error,
     },
-    /// A configuration value has no meaning.
-    #[error("configuration: {field} is {value}, must be {expected}")]
-    Config {
-        /// The field, with its section.
-        field: &'static str,
-        /// What was given.
-        value: String,
-        /// What is allowed.
-        expected: &'static str,
-    },
+    /// A setting lies outside its bounds.
+    #[error(transparent)]
+    Setting(#[from] lsfb_types::OutOfBounds),
     /// A camera is used that the rig does not have.
     #[error("camera {camera} is not on rig {rig}: give the rig file that belongs to these images")]
     UnknownCamera {

@@ -11,7 +11,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("lsfb-types", &[]),
     ("lsfb-geometry", &["types"]),
     ("lsfb-drivers", &["types"]),
-    ("lsfb-solver", &["geometry"]),
+    ("lsfb-solver", &["types", "geometry"]),
     ("lsfb-recording", &["types", "geometry"]),
     (
         "lsfb-capture",

@@ -18,7 +18,7 @@ use std::collections::BTreeMap;
 
 use lsfb_geometry::camera::LensModel;
 use lsfb_geometry::{Camera, Matrix6, Rig, Se3};
-use lsfb_types::{Progress, ProgressFn};
+use lsfb_types::{Bounds, Progress, ProgressFn};
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
@@ -77,6 +77,17 @@ impl Default for CameraConfig {
             max_rms_px: 3.0,
             hold_back_every: 5,
         }
+    }
+}
+
+lsfb_types::bounds! {
+    CameraConfig {
+        model: any,
+        max_views: any,
+        min_views: any,
+        outlier_ratio: number(Bounds::POSITIVE),
+        max_rms_px: number(Bounds::POSITIVE),
+        hold_back_every: any,
     }
 }
 
@@ -163,6 +174,7 @@ pub fn calibrate_cameras(
     config: &CameraConfig,
     progress: ProgressFn,
 ) -> Result<CameraCalibration, Error> {
+    config.check_bounds("camera")?;
     if let Some(problem) = target.problem() {
         return Err(Error::Target { problem });
     }

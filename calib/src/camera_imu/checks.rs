@@ -1,6 +1,7 @@
 //! Input that cannot give a good answer, found before and after the first guess, and named.
 
 use lsfb_geometry::{Rig, RigImu, Se3, Vector3};
+use lsfb_types::{Bounds, OutOfBounds};
 
 use super::start::Sample;
 use super::{CameraImuCalibration, CameraImuConfig, KnownCamera};
@@ -29,24 +30,17 @@ pub(super) fn before(
     if let Some(problem) = target.problem() {
         return Err(Error::Target { problem });
     }
-    let positive = [
-        ("gyro_noise_density of the IMU", noise.gyro_noise_density),
-        ("accel_noise_density of the IMU", noise.accel_noise_density),
-        ("gyro_bias_walk of the IMU", noise.gyro_bias_walk),
-        ("accel_bias_walk of the IMU", noise.accel_bias_walk),
-        ("knot_spacing_s", config.knot_spacing_s),
-        ("bias_spacing_s", config.bias_spacing_s),
-        ("corner_sigma_px", config.corner_sigma_px),
-        ("max_offset_s", config.max_offset_s),
-        ("max_drift_s", config.max_drift_s),
-        ("gravity_m_s2", config.gravity_m_s2),
-        ("gravity_sigma_m_s2", config.gravity_sigma_m_s2),
-    ];
-    if let Some((name, value)) = positive
-        .into_iter()
-        .find(|(_, value)| !(*value > 0.0 && value.is_finite()))
-    {
-        return Err(Error::Setting { name, value });
+    config.check_bounds("camera_imu")?;
+    for (name, density) in [
+        ("gyro_noise_density", noise.gyro_noise_density),
+        ("accel_noise_density", noise.accel_noise_density),
+        ("gyro_bias_walk", noise.gyro_bias_walk),
+        ("accel_bias_walk", noise.accel_bias_walk),
+    ] {
+        let bounds = Bounds::POSITIVE;
+        if !bounds.hold(density) {
+            return Err(OutOfBounds::new("imu", name, &density, &bounds).into());
+        }
     }
     let mut names: Vec<&str> = cameras.iter().map(|c| c.views.name.as_str()).collect();
     names.sort_unstable();

@@ -22,7 +22,7 @@ use lsfb_geometry::{
     Camera, Matrix3, Matrix6, RigImu, Se3, StampedPose, Trajectory, UnitQuaternion, Vector2,
     Vector3, spline,
 };
-use lsfb_types::{ImuSample, Progress, ProgressFn, Timestamp};
+use lsfb_types::{Bounds, ImuSample, Progress, ProgressFn, Timestamp};
 use serde::{Deserialize, Serialize};
 
 pub use table::read_imu_table;
@@ -149,6 +149,25 @@ impl Default for CameraImuConfig {
             view_step: 1,
             hold_back_every: 10,
         }
+    }
+}
+
+lsfb_types::bounds! {
+    CameraImuConfig {
+        lenses: any,
+        board: any,
+        axes: any,
+        readout: any,
+        knot_spacing_s: number(Bounds::POSITIVE),
+        bias_spacing_s: number(Bounds::POSITIVE),
+        corner_sigma_px: number(Bounds::POSITIVE),
+        max_offset_s: number(Bounds::POSITIVE),
+        max_drift_s: number(Bounds::POSITIVE),
+        gravity_m_s2: number(Bounds::POSITIVE),
+        gravity_sigma_m_s2: number(Bounds::POSITIVE),
+        min_rate_rad_s: number(Bounds::NOT_NEGATIVE),
+        view_step: number(Bounds::AT_LEAST_ONE),
+        hold_back_every: any,
     }
 }
 

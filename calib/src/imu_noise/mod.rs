@@ -29,7 +29,7 @@ mod rest;
 mod uncertainty;
 
 use lsfb_geometry::RigImu;
-use lsfb_types::{ImuSample, Timestamp};
+use lsfb_types::{Bounds, ImuSample, Timestamp};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -58,6 +58,14 @@ impl Default for ImuNoiseConfig {
             motion_ratio: 4.0,
             min_cluster_s: 0.0,
         }
+    }
+}
+
+lsfb_types::bounds! {
+    ImuNoiseConfig {
+        min_duration_s: number(Bounds::NOT_NEGATIVE),
+        motion_ratio: number(Bounds::POSITIVE),
+        min_cluster_s: number(Bounds::NOT_NEGATIVE),
     }
 }
 
@@ -114,6 +122,7 @@ pub fn imu_noise(
     imu: &[(Timestamp, ImuSample)],
     config: &ImuNoiseConfig,
 ) -> Result<ImuNoise, Error> {
+    config.check_bounds("imu_noise")?;
     let log = rest::Log::new(imu, config)?;
     let lengths: Vec<usize> = allan::lengths(log.axes[0].len())
         .into_iter()

@@ -16,6 +16,7 @@ use std::collections::BTreeMap;
 
 use lsfb_geometry::{Matrix6, Rig, Se3};
 use lsfb_solver::{Block, BlockId, Kernel, Problem, SolveConfig, covariance, solve};
+use lsfb_types::Bounds;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
@@ -57,6 +58,14 @@ impl Default for JointConfig {
             camera_variance: [0.01, 0.01, 0.01, 0.03, 0.03, 0.03],
             lidar_variance: [0.01, 0.01, 0.01, 0.03, 0.03, 0.15],
         }
+    }
+}
+
+lsfb_types::bounds! {
+    JointConfig {
+        weights: any,
+        camera_variance: each(Bounds::POSITIVE),
+        lidar_variance: each(Bounds::POSITIVE),
     }
 }
 
@@ -118,6 +127,7 @@ pub fn join_transforms(
     edges: &[TransformEdge],
     config: &JointConfig,
 ) -> Result<JointCalibration, Error> {
+    config.check_bounds("joint")?;
     let mut graph: Vec<GraphEdge> = edges
         .iter()
         .map(|edge| GraphEdge::new(edge, config))

@@ -25,7 +25,7 @@ use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use lsfb_geometry::{Camera, Se3, Vector3};
-use lsfb_types::{LidarScan, Progress, ProgressFn};
+use lsfb_types::{Bounds, LidarScan, Progress, ProgressFn};
 use nalgebra::Matrix6;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -98,6 +98,17 @@ impl Default for LidarCameraConfig {
             max_edge_error_m: 0.05,
             min_tilt_deg: 4.0,
         }
+    }
+}
+
+lsfb_types::bounds! {
+    LidarCameraConfig {
+        range_noise_m: number(Bounds::POSITIVE),
+        jump_m: number(Bounds::POSITIVE),
+        max_range_m: number(Bounds::POSITIVE),
+        min_poses: any,
+        max_edge_error_m: number(Bounds::POSITIVE),
+        min_tilt_deg: number(Bounds::NOT_NEGATIVE),
     }
 }
 
@@ -236,6 +247,7 @@ pub fn calibrate_lidar_camera(
     config: &LidarCameraConfig,
     progress: ProgressFn,
 ) -> Result<LidarCameraCalibration, Error> {
+    config.check_bounds("lidar_camera")?;
     board.check()?;
     // One order, whatever was given: sums of floats depend on it.
     let mut order: Vec<usize> = (0..poses.len()).collect();

@@ -32,7 +32,7 @@ mod tracks;
 
 use lsfb_geometry::Rig;
 use lsfb_recording::Recording;
-use lsfb_types::{Progress, ProgressFn};
+use lsfb_types::{Bounds, Progress, ProgressFn};
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
@@ -71,6 +71,17 @@ impl Default for VerifyConfig {
             lidar_rotation_deg: [0.4, 0.8],
             epipolar_px: [1.0, 2.0],
         }
+    }
+}
+
+lsfb_types::bounds! {
+    VerifyConfig {
+        max_frames: any,
+        views: any,
+        time_offset_ms: each(Bounds::NOT_NEGATIVE),
+        imu_rotation_deg: each(Bounds::NOT_NEGATIVE),
+        lidar_rotation_deg: each(Bounds::NOT_NEGATIVE),
+        epipolar_px: each(Bounds::NOT_NEGATIVE),
     }
 }
 
@@ -148,6 +159,7 @@ pub fn verify(
     config: &VerifyConfig,
     progress: ProgressFn,
 ) -> Result<Verification, Error> {
+    config.check_bounds("verify")?;
     let gyro = gyro(recording)?;
     let scans = scans(recording, rig, gyro.as_ref(), config)?;
     let mut checks = Vec::new();

@@ -5,7 +5,7 @@ use lsfb_drivers::imu::model::SAMPLE_TIME_FINE_NS;
 use lsfb_drivers::velodyne::wire::DataPacket;
 use lsfb_recording::message::{self, ClockModel};
 use lsfb_recording::{CLOCK_MODELS, DEVICE_TIME, Recording};
-use lsfb_types::{Progress, ProgressFn, Timestamp};
+use lsfb_types::{Bounds, Progress, ProgressFn, Timestamp};
 use serde::{Deserialize, Serialize};
 
 use super::model_topic::{HOLDOVER, LOCKED};
@@ -28,6 +28,12 @@ pub struct ClockConfig {
 impl Default for ClockConfig {
     fn default() -> Self {
         Self { window_secs: 120.0 }
+    }
+}
+
+lsfb_types::bounds! {
+    ClockConfig {
+        window_secs: number(Bounds::AT_LEAST_ONE),
     }
 }
 
@@ -105,6 +111,7 @@ pub fn estimate_clocks(
     config: &ClockConfig,
     progress: ProgressFn<'_>,
 ) -> Result<ClockReport, Error> {
+    config.check_bounds("clock")?;
     let start = recording
         .arrival_range()
         .map_or(Timestamp::default(), |range| range.start);

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use lsfb_drivers::camera::model::FrameFormat;
 use lsfb_drivers::camera::{self, CameraConfig, Exposure};
 use lsfb_recording::{Compression, Durability, Existing};
+use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
@@ -94,6 +95,22 @@ impl Default for RecorderConfig {
     }
 }
 
+lsfb_types::bounds! {
+    RecorderConfig {
+        compression: any,
+        durability: any,
+        existing: any,
+        chunk_bytes: number(Bounds::AT_LEAST_ONE),
+        split_bytes: any,
+        split_secs: number(Bounds::NOT_NEGATIVE),
+        second_folder: any,
+        reserve_bytes: any,
+        least_space_secs: number(Bounds::NOT_NEGATIVE),
+        expected_bytes_per_sec: number(Bounds::NOT_NEGATIVE),
+        queue_bytes: number(Bounds::AT_LEAST_ONE),
+    }
+}
+
 /// Which instant of the exposure the stamps of a camera unit mark.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -158,6 +175,19 @@ pub struct CameraUnitConfig {
     /// Exposure time and gain; what is set is read back.
     #[serde(default)]
     pub exposure: ExposureConfig,
+}
+
+lsfb_types::bounds! {
+    CameraUnitConfig {
+        path: any,
+        serial: any,
+        names: any,
+        frame_px: each(Bounds::AT_LEAST_ONE),
+        rate_hz: number(Bounds::AT_LEAST_ONE),
+        imu: any,
+        stamp: any,
+        exposure: any,
+    }
 }
 
 impl CameraUnitConfig {
@@ -261,6 +291,15 @@ pub struct ImuLineConfig {
     pub rate_hz: u16,
 }
 
+lsfb_types::bounds! {
+    ImuLineConfig {
+        family: any,
+        path: any,
+        baud: number(Bounds::AT_LEAST_ONE),
+        rate_hz: number(Bounds::AT_LEAST_ONE),
+    }
+}
+
 impl ImuLineConfig {
     fn default_baud() -> u32 {
         lsfb_drivers::imu::model::DEFAULT_BAUD
@@ -277,6 +316,18 @@ impl ImuLineConfig {
 pub struct SidecarConfig {
     /// Address to listen on; port 0 takes a free one.
     pub listen: SocketAddr,
+}
+
+lsfb_types::bounds! {
+    DevicesConfig {
+        rig: any,
+        overflow: any,
+        recorder: section,
+        lidar: any,
+        cameras: sections,
+        imu: sections,
+        sidecar: any,
+    }
 }
 
 impl DevicesConfig {
@@ -309,8 +360,9 @@ impl DevicesConfig {
         Ok(config)
     }
 
-    /// Refuses cameras that cannot be told apart, or whose images do not fill a frame.
-    pub(crate) fn check_cameras(&self) -> Result<(), Error> {
+    /// Refuses settings outside their bounds, cameras that cannot be told apart, and images that do not fill a frame.
+    pub(crate) fn check(&self) -> Result<(), Error> {
+        self.check_bounds("")?;
         let mut known = BTreeSet::new();
         for unit in &self.cameras {
             let names = unit.names.join(", ");
@@ -406,7 +458,7 @@ mod tests {
             &[&["cam0"][..], &["cam1"]][..],
             &[&["a", "b", "c", "d"], &["e", "f"]],
         ] {
-            assert!(with(good).check_cameras().is_ok(), "{good:?}");
+            assert!(with(good).check().is_ok(), "{good:?}");
         }
         for (bad, expected) in [
             (&[&["cam0", "cam0"][..]][..], "cam0 is there twice"),
@@ -420,7 +472,7 @@ mod tests {
             ),
             (&[&[]], "0 images"),
         ] {
-            let message = with(bad).check_cameras().unwrap_err().to_string();
+            let message = with(bad).check().unwrap_err().to_string();
             assert!(message.contains(expected), "{message}");
         }
     }

@@ -4,7 +4,7 @@ mod calibration;
 
 use lsfb_recording::message::{self, ClockModel};
 use lsfb_recording::{CLOCK_MODELS, Recording, TopicArrivals};
-use lsfb_types::{ProgressFn, Timestamp};
+use lsfb_types::{Bounds, ProgressFn, Timestamp};
 use serde::{Deserialize, Serialize};
 
 pub use calibration::CalibrationFound;
@@ -63,6 +63,16 @@ impl Default for DoctorConfig {
     }
 }
 
+lsfb_types::bounds! {
+    DoctorConfig {
+        warn_gap_periods: number(Bounds::POSITIVE),
+        fail_gap_secs: number(Bounds::POSITIVE),
+        warn_sigma_us: number(Bounds::NOT_NEGATIVE),
+        warn_calibration_days: number(Bounds::NOT_NEGATIVE),
+        read: any,
+    }
+}
+
 /// One line of the diagnosis.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Finding {
@@ -99,6 +109,7 @@ pub fn examine(
     config: &DoctorConfig,
     progress: ProgressFn<'_>,
 ) -> Result<Diagnosis, Error> {
+    config.check_bounds("doctor")?;
     let path = recording.path();
     let bytes = std::fs::metadata(path)
         .map_err(|cause| Error::Io {

@@ -353,6 +353,7 @@ impl Recorder {
         config: &RecorderConfig,
         overflow: Overflow,
     ) -> Result<Self, Error> {
+        config.check_bounds("recorder")?;
         let parts = parts::Parts::create(out, config, rig)?;
         let (queue, entries) = sync_channel(QUEUE_ENTRIES);
         let shared = Shared::default();

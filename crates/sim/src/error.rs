@@ -4,16 +4,9 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A parameter makes no sense.
-    #[error("simulator config: {field} is {got}, expected {expected}")]
-    Config {
-        /// The field's name.
-        field: &'static str,
-        /// Its value.
-        got: String,
-        /// What it must be.
-        expected: &'static str,
-    },
+    /// A setting lies outside its bounds.
+    #[error("simulator: {0}")]
+    Setting(#[from] lsfb_types::OutOfBounds),
     /// A simulated device could not talk to its host.
     #[error("simulated device: {0}")]
     Device(#[from] lsfb_drivers::Error),

@@ -1,6 +1,5 @@
+use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
-
-use crate::Error;
 
 /// How steps are found and limited.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -66,7 +65,7 @@ pub struct SolveConfig {
     pub iterative_tolerance: f64,
     /// Steps of the iterative solver at most.
     pub max_iterative_steps: usize,
-    /// Factor by which graduated non-convexity narrows Geman–McClure kernels in each iteration, more than 1: they begin
+    /// Factor by which graduated non-convexity narrows Geman–McClure kernels in each iteration, 1.01 or more: they begin
     /// so wide that the problem is nearly quadratic, and end at their own scale. 1.4 is usual; 0 leaves them as they are.
     pub graduation: f64,
     /// What is found out after solving.
@@ -92,36 +91,19 @@ impl Default for SolveConfig {
     }
 }
 
-impl SolveConfig {
-    pub(crate) fn check(&self) -> Result<(), Error> {
-        let refused = |name, value, expected| {
-            Err(Error::Config {
-                name,
-                value,
-                expected,
-            })
-        };
-        let non_negative = [
-            ("cost_tolerance", self.cost_tolerance),
-            ("gradient_tolerance", self.gradient_tolerance),
-            ("step_tolerance", self.step_tolerance),
-        ];
-        for (name, value) in non_negative {
-            if !(value >= 0.0) {
-                return refused(name, value, "0 or more");
-            }
-        }
-        if !(self.initial_damping > 0.0 && self.initial_damping.is_finite()) {
-            return refused("initial_damping", self.initial_damping, "more than 0");
-        }
-        if !(self.iterative_tolerance > 0.0 && self.iterative_tolerance < 1.0) {
-            let value = self.iterative_tolerance;
-            return refused("iterative_tolerance", value, "between 0 and 1");
-        }
-        let graduated = self.graduation > 1.0 && self.graduation.is_finite();
-        if !(self.graduation == 0.0 || graduated) {
-            return refused("graduation", self.graduation, "0, or more than 1");
-        }
-        Ok(())
+lsfb_types::bounds! {
+    SolveConfig {
+        max_iterations: any,
+        cost_tolerance: number(Bounds::NOT_NEGATIVE),
+        gradient_tolerance: number(Bounds::NOT_NEGATIVE),
+        step_tolerance: number(Bounds::NOT_NEGATIVE),
+        initial_damping: number(Bounds::POSITIVE),
+        method: any,
+        linear_solver: any,
+        max_matrix_bytes: any,
+        iterative_tolerance: number(Bounds::Between(0.0, 1.0)),
+        max_iterative_steps: any,
+        graduation: number(Bounds::ZeroOr(1.01, f64::INFINITY)),
+        diagnosis: any,
     }
 }

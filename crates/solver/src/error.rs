@@ -104,16 +104,9 @@ pub enum Error {
         /// Indices of its blocks.
         blocks: Vec<usize>,
     },
-    /// A setting outside its domain.
-    #[error("solver setting {name} is {value}: it must be {expected}")]
-    Config {
-        /// Name of the field.
-        name: &'static str,
-        /// Its value.
-        value: f64,
-        /// What is allowed.
-        expected: &'static str,
-    },
+    /// A setting lies outside its bounds.
+    #[error("solver: {0}")]
+    Setting(#[from] lsfb_types::OutOfBounds),
     /// The reduced system has more entries than memory allows.
     #[error(
         "the reduced system of dimension {dimension} with {entries} entries could not be set up: eliminate points, or solve in parts"

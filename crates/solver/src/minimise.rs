@@ -44,7 +44,7 @@ pub fn solve_controlled(
     config: &SolveConfig,
     control: &mut dyn FnMut(&Iteration) -> ControlFlow<()>,
 ) -> Result<Report, Error> {
-    config.check()?;
+    config.check_bounds("")?;
     check_values(problem)?;
     let mut layout = Layout::new(problem)?;
     let mut values = problem.values.clone();

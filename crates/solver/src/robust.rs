@@ -1,3 +1,5 @@
+use lsfb_types::{Bounds, OutOfBounds};
+
 use crate::Error;
 
 /// A robust kernel: the cost of a residual with squared norm `s` is `½ ρ(s)`. Scales are in units of the residual's
@@ -38,15 +40,11 @@ impl Kernel {
         match *self {
             Kernel::Squared => Ok(()),
             Kernel::Huber { scale } | Kernel::Cauchy { scale } | Kernel::GemanMcClure { scale } => {
-                if scale > 0.0 && scale.is_finite() {
-                    Ok(())
-                } else {
-                    Err(Error::Config {
-                        name: "kernel scale",
-                        value: scale,
-                        expected: "more than 0 and finite",
-                    })
+                let bounds = Bounds::POSITIVE;
+                if bounds.hold(scale) {
+                    return Ok(());
                 }
+                Err(OutOfBounds::new("kernel", "scale", &scale, &bounds).into())
             }
         }
     }

@@ -1,4 +1,5 @@
-//! What every crate shares: [`Timestamp`], [`Packet`], the samples, [`Progress`], and [`Judgement`].
+//! What every crate shares: [`Timestamp`], [`Packet`], the samples, [`Progress`], [`Judgement`], and the
+//! [`Bounds`] of settings.
 //!
 //! No dependency, no logic beyond exact integer time and how verdicts are put into words. Vectors are plain arrays here;
 //! `lsfb-geometry` gives them algebra. With the feature `serde`, verdicts stand in JSON.
@@ -6,12 +7,14 @@
 //! Samples carry no time of their own: a decoder knows only device ticks. [`Stamped`] adds the three stamps
 //! (device, arrival, synchronized) that the recording keeps side by side and never overwrites.
 
+mod bounds;
 mod packet;
 mod progress;
 mod sample;
 mod timestamp;
 mod verdict;
 
+pub use bounds::{Bounds, OutOfBounds, setting_name};
 pub use packet::Packet;
 pub use progress::{Progress, ProgressFn, no_progress};
 pub use sample::{Image, ImuSample, LidarPoint, LidarScan, Stamped};

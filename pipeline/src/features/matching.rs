@@ -1,6 +1,7 @@
 //! Which features of two images show the same thing.
 
 use lsfb_geometry::{Se3, Vector2, Vector3};
+use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
 
 use super::{DESCRIPTOR_LEN, Descriptor, KeypointGrid};
@@ -32,6 +33,13 @@ impl Default for MatchConfig {
             max_ratio: 0.85,
             max_distance: 0.8,
         }
+    }
+}
+
+lsfb_types::bounds! {
+    MatchConfig {
+        max_ratio: number(Bounds::NOT_NEGATIVE),
+        max_distance: number(Bounds::NOT_NEGATIVE),
     }
 }
 

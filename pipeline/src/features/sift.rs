@@ -1,6 +1,6 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use lsfb_types::{Image, Progress, ProgressFn};
+use lsfb_types::{Bounds, Image, Progress, ProgressFn};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -59,30 +59,16 @@ impl Default for SiftConfig {
     }
 }
 
-impl SiftConfig {
-    fn validate(&self) -> Result<(), Error> {
-        let refuse = |field, value: String, expected| Error::Config {
-            field,
-            value,
-            expected,
-        };
-        if !(1..=8).contains(&self.scales_per_octave) {
-            let value = self.scales_per_octave.to_string();
-            return Err(refuse("sift.scales_per_octave", value, "1 to 8"));
-        }
-        if !(self.base_blur_px > 1.0 && self.base_blur_px < 10.0) {
-            let value = self.base_blur_px.to_string();
-            return Err(refuse("sift.base_blur_px", value, "between 1 and 10"));
-        }
-        if !(self.min_contrast > 0.0) {
-            let value = self.min_contrast.to_string();
-            return Err(refuse("sift.min_contrast", value, "above 0"));
-        }
-        if !(self.max_edge_ratio >= 1.0) {
-            let value = self.max_edge_ratio.to_string();
-            return Err(refuse("sift.max_edge_ratio", value, "at least 1"));
-        }
-        Ok(())
+lsfb_types::bounds! {
+    SiftConfig {
+        max_features: any,
+        first_octave: any,
+        scales_per_octave: number(Bounds::Within(1.0, 8.0)),
+        base_blur_px: number(Bounds::Between(1.0, 10.0)),
+        min_contrast: number(Bounds::POSITIVE),
+        max_edge_ratio: number(Bounds::AT_LEAST_ONE),
+        orientation_peak_ratio: number(Bounds::NOT_NEGATIVE),
+        max_orientations: any,
     }
 }
 
@@ -102,7 +88,7 @@ const BORDER_PX: usize = 5;
 impl SiftDetector {
     /// A detector; refuses a configuration without meaning.
     pub fn new(config: &SiftConfig) -> Result<Self, Error> {
-        config.validate()?;
+        config.check_bounds("sift")?;
         Ok(Self {
             config: config.clone(),
             lattice: Lattice::new(),

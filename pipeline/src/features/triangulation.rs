@@ -1,6 +1,7 @@
 //! A point from its viewing rays.
 
 use lsfb_geometry::{Camera, Matrix3, Se3, Vector2, Vector3};
+use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
 
 /// A pixel in a camera whose pose is known.
@@ -36,6 +37,15 @@ impl Default for TriangulationConfig {
             min_views: 2,
             min_depth_m: 0.1,
         }
+    }
+}
+
+lsfb_types::bounds! {
+    TriangulationConfig {
+        min_parallax_deg: number(Bounds::NOT_NEGATIVE),
+        max_reprojection_px: number(Bounds::POSITIVE),
+        min_views: any,
+        min_depth_m: number(Bounds::NOT_NEGATIVE),
     }
 }
 

@@ -1,7 +1,7 @@
 use lsfb_solver::SolveConfig;
+use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
 
-use crate::Error;
 use crate::features::SiftConfig;
 use crate::features::matching::MatchConfig;
 use crate::features::triangulation::TriangulationConfig;
@@ -95,56 +95,32 @@ impl Default for GroundTruthConfig {
     }
 }
 
-impl GroundTruthConfig {
-    pub(super) fn check(&self) -> Result<(), Error> {
-        let positive = [
-            (
-                "ground_truth.localization_sigma_m",
-                self.localization_sigma_m,
-            ),
-            (
-                "ground_truth.localization_sigma_rad",
-                self.localization_sigma_rad,
-            ),
-            (
-                "ground_truth.epipolar_tolerance_deg",
-                self.epipolar_tolerance_deg,
-            ),
-            ("ground_truth.map_sigma_px", self.map_sigma_px),
-            ("ground_truth.local_sigma_px", self.local_sigma_px),
-            ("ground_truth.kernel_scale", self.kernel_scale),
-            ("ground_truth.max_error_px", self.max_error_px),
-            ("ground_truth.imu_noise_factor", self.imu_noise_factor),
-            (
-                "ground_truth.gyro_bias_sigma_rad_s",
-                self.gyro_bias_sigma_rad_s,
-            ),
-            (
-                "ground_truth.accel_bias_sigma_m_s2",
-                self.accel_bias_sigma_m_s2,
-            ),
-            ("ground_truth.gravity_sigma_m_s2", self.gravity_sigma_m_s2),
-            (
-                "ground_truth.guided_matching_radius_px",
-                self.guided_matching_radius_px,
-            ),
-        ];
-        for (field, value) in positive {
-            if !(value > 0.0 && value.is_finite()) {
-                return Err(Error::Config {
-                    field,
-                    value: value.to_string(),
-                    expected: "more than 0",
-                });
-            }
-        }
-        if self.min_localized_frames < 2 {
-            return Err(Error::Config {
-                field: "ground_truth.min_localized_frames",
-                value: self.min_localized_frames.to_string(),
-                expected: "at least 2",
-            });
-        }
-        Ok(())
+lsfb_types::bounds! {
+    GroundTruthConfig {
+        features: section,
+        matching: section,
+        triangulation: section,
+        localization: section,
+        min_localized_frames: number(Bounds::AtLeast(2.0)),
+        localization_sigma_m: number(Bounds::POSITIVE),
+        localization_sigma_rad: number(Bounds::POSITIVE),
+        track_steps: each(Bounds::AT_LEAST_ONE),
+        epipolar_tolerance_deg: number(Bounds::POSITIVE),
+        min_track_images: any,
+        local_points_per_image: any,
+        map_sigma_px: number(Bounds::POSITIVE),
+        local_sigma_px: number(Bounds::POSITIVE),
+        kernel_scale: number(Bounds::POSITIVE),
+        max_error_px: number(Bounds::POSITIVE),
+        imu_noise_factor: number(Bounds::POSITIVE),
+        gyro_bias_sigma_rad_s: number(Bounds::POSITIVE),
+        accel_bias_sigma_m_s2: number(Bounds::POSITIVE),
+        gravity_sigma_m_s2: number(Bounds::POSITIVE),
+        guided_matching_window_secs: number(Bounds::NOT_NEGATIVE),
+        guided_matching_radius_px: number(Bounds::POSITIVE),
+        min_map_points: any,
+        max_bridge_secs: number(Bounds::NOT_NEGATIVE),
+        max_extrapolation_secs: number(Bounds::NOT_NEGATIVE),
+        solve: section,
     }
 }

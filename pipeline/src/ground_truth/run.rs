@@ -26,7 +26,7 @@ pub fn ground_truth(
     config: &GroundTruthConfig,
     progress: ProgressFn<'_>,
 ) -> Result<GroundTruth, Error> {
-    config.check()?;
+    config.check_bounds("ground_truth")?;
     let rig = recording.rig()?;
     let missing = |sensor| Error::SensorMissing {
         sensor,

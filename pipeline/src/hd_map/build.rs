@@ -1,6 +1,6 @@
 use arrow_buffer::Buffer;
 use lsfb_geometry::StampedPose;
-use lsfb_types::ProgressFn;
+use lsfb_types::{Bounds, ProgressFn};
 use serde::{Deserialize, Serialize};
 
 use super::index::{DescriptorIndex, IndexConfig};
@@ -41,6 +41,13 @@ impl Default for HdMapConfig {
             max_descriptors_per_point: 4,
             index: IndexConfig::default(),
         }
+    }
+}
+
+lsfb_types::bounds! {
+    HdMapConfig {
+        max_descriptors_per_point: number(Bounds::AT_LEAST_ONE),
+        index: section,
     }
 }
 

@@ -6,7 +6,7 @@
 //! where the bracket is stored with the entry, so that one table of products serves all lists of a query.
 
 use arrow_buffer::{Buffer, ScalarBuffer};
-use lsfb_types::{Progress, ProgressFn};
+use lsfb_types::{Bounds, Progress, ProgressFn};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -45,6 +45,16 @@ impl Default for IndexConfig {
             training_rounds: 6,
             seed: 1,
         }
+    }
+}
+
+lsfb_types::bounds! {
+    IndexConfig {
+        list_length: number(Bounds::AT_LEAST_ONE),
+        max_lists: number(Bounds::AT_LEAST_ONE),
+        training_per_centroid: any,
+        training_rounds: any,
+        seed: any,
     }
 }
 

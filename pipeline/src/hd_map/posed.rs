@@ -1,5 +1,5 @@
 use lsfb_geometry::{Se3, StampedPose};
-use lsfb_types::{Image, ProgressFn, Timestamp};
+use lsfb_types::{Bounds, Image, ProgressFn, Timestamp};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -39,12 +39,23 @@ impl Default for PosedMapConfig {
     }
 }
 
+lsfb_types::bounds! {
+    PosedMapConfig {
+        keyframe_distance_m: number(Bounds::NOT_NEGATIVE),
+        keyframe_angle_deg: number(Bounds::NOT_NEGATIVE),
+        sift: section,
+        reconstruction: section,
+        map: section,
+    }
+}
+
 /// Builds a map from images with poses. Keyframe `i` carries `i` ns as its time: the list has none.
 pub fn build_map_from_posed_images(
     posed: &PosedImages,
     config: &PosedMapConfig,
     progress: ProgressFn,
 ) -> Result<HdMap, Error> {
+    config.check_bounds("posed_map")?;
     let poses: Vec<Se3> = posed.images.iter().map(|i| i.world_from_rig).collect();
     let (distance_m, angle_deg) = (config.keyframe_distance_m, config.keyframe_angle_deg);
     let chosen = select_keyframes(&poses, distance_m, angle_deg);

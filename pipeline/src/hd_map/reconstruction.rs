@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use lsfb_geometry::{Rig, RigCamera, Se3, StampedPose, Vector3};
-use lsfb_types::{Progress, ProgressFn};
+use lsfb_types::{Bounds, Progress, ProgressFn};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -79,6 +79,19 @@ impl Default for ReconstructionConfig {
             matching: MatchConfig::default(),
             triangulation: TriangulationConfig::default(),
         }
+    }
+}
+
+lsfb_types::bounds! {
+    ReconstructionConfig {
+        neighbours: any,
+        best_baseline_m: number(Bounds::POSITIVE),
+        min_baseline_m: number(Bounds::NOT_NEGATIVE),
+        max_baseline_m: number(Bounds::NOT_NEGATIVE),
+        max_axis_angle_deg: number(Bounds::NOT_NEGATIVE),
+        max_epipolar_px: number(Bounds::POSITIVE),
+        matching: section,
+        triangulation: section,
     }
 }
 

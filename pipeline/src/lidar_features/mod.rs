@@ -9,6 +9,7 @@
 //! are no plane.
 
 use lsfb_geometry::{Matrix3, Se3, Vector3};
+use lsfb_types::Bounds;
 use nalgebra::SymmetricEigen;
 use serde::{Deserialize, Serialize};
 
@@ -40,6 +41,16 @@ impl Default for LidarFeatureConfig {
             gate_m: 0.15,
             max_angle_deg: 20.0,
         }
+    }
+}
+
+lsfb_types::bounds! {
+    LidarFeatureConfig {
+        plane_cell_m: number(Bounds::POSITIVE),
+        edge_window_m: number(Bounds::POSITIVE),
+        min_crease_deg: number(Bounds::NOT_NEGATIVE),
+        gate_m: number(Bounds::NOT_NEGATIVE),
+        max_angle_deg: number(Bounds::NOT_NEGATIVE),
     }
 }
 

@@ -1,6 +1,7 @@
 use std::fmt;
 
 use lsfb_geometry::{Matrix6, Rig, Se3};
+use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
 
 use super::ransac::{MountedCamera, PointMatch, RansacConfig, estimate_pose};
@@ -57,6 +58,22 @@ impl Default for LocalizerConfig {
             },
             min_inliers: 30,
         }
+    }
+}
+
+lsfb_types::bounds! {
+    LocalizerConfig {
+        nearest: number(Bounds::AT_LEAST_ONE),
+        probes: number(Bounds::AT_LEAST_ONE),
+        max_distance: number(Bounds::NOT_NEGATIVE),
+        max_candidate_ratio: number(Bounds::NOT_NEGATIVE),
+        min_votes: any,
+        max_places: any,
+        place_images: any,
+        ransac: section,
+        projection_radius_px: number(Bounds::POSITIVE),
+        projection_matching: section,
+        min_inliers: any,
     }
 }
 
@@ -156,20 +173,7 @@ struct Query<'a> {
 impl Localizer {
     /// A localizer in `map`; refuses a configuration without meaning.
     pub fn new(map: &HdMap, config: &LocalizerConfig) -> Result<Self, Error> {
-        let positive = |field, value: f64| {
-            (value > 0.0).then_some(()).ok_or(Error::Config {
-                field,
-                value: value.to_string(),
-                expected: "above 0",
-            })
-        };
-        positive("localizer.nearest", config.nearest as f64)?;
-        positive("localizer.probes", config.probes as f64)?;
-        positive(
-            "localizer.projection_radius_px",
-            config.projection_radius_px,
-        )?;
-        positive("localizer.ransac.max_error_px", config.ransac.max_error_px)?;
+        config.check_bounds("localizer")?;
         Ok(Self {
             map: map.clone(),
             places: Places::new(map),

@@ -2,6 +2,7 @@
 //! RANSAC", DAGM 2003), scored over the matches of all cameras.
 
 use lsfb_geometry::{Camera, Se3, Vector2, Vector3};
+use lsfb_types::Bounds;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -57,6 +58,17 @@ impl Default for RansacConfig {
             seed: 1,
             refinement: RefinementConfig::default(),
         }
+    }
+}
+
+lsfb_types::bounds! {
+    RansacConfig {
+        max_error_px: number(Bounds::POSITIVE),
+        max_samples: any,
+        min_samples: any,
+        confidence: number(Bounds::Within(0.0, 1.0)),
+        seed: any,
+        refinement: section,
     }
 }
 

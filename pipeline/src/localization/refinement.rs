@@ -1,6 +1,7 @@
 //! Pose of a rig by least squares of reprojection errors.
 
 use lsfb_geometry::{Matrix2x3, Matrix3, Matrix6, Se3, Vector6, so3};
+use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
 
 use super::ransac::{MountedCamera, PointMatch};
@@ -21,6 +22,13 @@ impl Default for RefinementConfig {
             huber_px: 1.0,
             max_iterations: 10,
         }
+    }
+}
+
+lsfb_types::bounds! {
+    RefinementConfig {
+        huber_px: number(Bounds::POSITIVE),
+        max_iterations: any,
     }
 }
 

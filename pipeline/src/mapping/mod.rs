@@ -11,7 +11,7 @@ mod tests;
 use lsfb_geometry::{Rig, StampedPose, Trajectory};
 use lsfb_recording::Recording;
 use lsfb_solver::SolveConfig;
-use lsfb_types::ProgressFn;
+use lsfb_types::{Bounds, ProgressFn};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -121,48 +121,33 @@ impl Default for MappingConfig {
     }
 }
 
-impl MappingConfig {
-    fn check(&self) -> Result<(), Error> {
-        let positive = [
-            ("mapping.keyframe_distance_m", self.keyframe_distance_m),
-            ("mapping.keyframe_angle_deg", self.keyframe_angle_deg),
-            ("mapping.pixel_sigma_px", self.pixel_sigma_px),
-            (
-                "mapping.odometry_rotation_sigma_deg",
-                self.odometry_rotation_sigma_deg,
-            ),
-            (
-                "mapping.odometry_translation_sigma_m",
-                self.odometry_translation_sigma_m,
-            ),
-            (
-                "mapping.lidar_weights.plane_sigma_m",
-                self.lidar_weights.plane_sigma_m,
-            ),
-            (
-                "mapping.lidar_weights.edge_sigma_m",
-                self.lidar_weights.edge_sigma_m,
-            ),
-            (
-                "mapping.lidar_features.plane_cell_m",
-                self.lidar_features.plane_cell_m,
-            ),
-            (
-                "mapping.lidar_features.edge_window_m",
-                self.lidar_features.edge_window_m,
-            ),
-            ("mapping.max_reprojection_px", self.max_reprojection_px),
-        ];
-        for (field, value) in positive {
-            if !(value > 0.0 && value.is_finite()) {
-                return Err(Error::Config {
-                    field,
-                    value: value.to_string(),
-                    expected: "a positive number",
-                });
-            }
-        }
-        Ok(())
+lsfb_types::bounds! {
+    LidarWeights {
+        plane_sigma_m: number(Bounds::POSITIVE),
+        edge_sigma_m: number(Bounds::POSITIVE),
+    }
+}
+
+lsfb_types::bounds! {
+    MappingConfig {
+        odometry: section,
+        keyframe_distance_m: number(Bounds::POSITIVE),
+        keyframe_angle_deg: number(Bounds::POSITIVE),
+        sift: section,
+        reconstruction: section,
+        map: section,
+        lidar_features: section,
+        lidar_weights: section,
+        scan_window_secs: number(Bounds::NOT_NEGATIVE),
+        scan_neighbours: any,
+        scan_revisits: any,
+        revisit_distance_m: number(Bounds::NOT_NEGATIVE),
+        pixel_sigma_px: number(Bounds::POSITIVE),
+        odometry_rotation_sigma_deg: number(Bounds::POSITIVE),
+        odometry_translation_sigma_m: number(Bounds::POSITIVE),
+        outer_iterations: any,
+        max_reprojection_px: number(Bounds::POSITIVE),
+        solver: section,
     }
 }
 
@@ -242,7 +227,7 @@ pub fn build_map(
     config: &MappingConfig,
     progress: ProgressFn<'_>,
 ) -> Result<MappingResult, Error> {
-    config.check()?;
+    config.check_bounds("mapping")?;
     let rig = recording.rig()?;
     let mut report = MappingReport::default();
     let mut damages = Damages::default();

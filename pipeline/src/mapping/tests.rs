@@ -166,6 +166,6 @@ fn weights_must_be_positive() {
         pixel_sigma_px: 0.0,
         ..MappingConfig::default()
     };
-    let error = config.check().expect_err("no weight");
+    let error = config.check_bounds("mapping").expect_err("no weight");
     assert!(error.to_string().contains("pixel_sigma_px"), "{error}");
 }

@@ -17,7 +17,7 @@ pub(crate) mod tests;
 use std::collections::VecDeque;
 
 use lsfb_geometry::{Matrix6, RigImu, RigLidar, Se3, StampedPose, Vector3, Vector6};
-use lsfb_types::{ImuSample, LidarScan, Stamped, Timestamp};
+use lsfb_types::{Bounds, ImuSample, LidarScan, Stamped, Timestamp};
 use serde::{Deserialize, Serialize};
 
 pub use inertial::{GRAVITY_M_S2, InertialFilter, InertialState};
@@ -87,43 +87,18 @@ impl Default for OdometryConfig {
     }
 }
 
-impl OdometryConfig {
-    fn check(&self) -> Result<(), Error> {
-        let positive = [
-            ("odometry.max_range_m", self.max_range_m),
-            ("odometry.cell_size_m", self.cell_size_m),
-            ("odometry.keypoint_voxel_m", self.keypoint_voxel_m),
-            ("odometry.insert_voxel_m", self.insert_voxel_m),
-            ("odometry.initial_gate_m", self.initial_gate_m),
-            (
-                "odometry.points_per_independent",
-                self.points_per_independent,
-            ),
-        ];
-        for (field, value) in positive {
-            if !(value > 0.0 && value.is_finite()) {
-                return Err(Error::Config {
-                    field,
-                    value: value.to_string(),
-                    expected: "a positive number",
-                });
-            }
-        }
-        if !(1..=8).contains(&self.cell_levels) {
-            return Err(Error::Config {
-                field: "odometry.cell_levels",
-                value: self.cell_levels.to_string(),
-                expected: "1 to 8",
-            });
-        }
-        if self.max_iterations == 0 {
-            return Err(Error::Config {
-                field: "odometry.max_iterations",
-                value: "0".to_owned(),
-                expected: "at least 1",
-            });
-        }
-        Ok(())
+lsfb_types::bounds! {
+    OdometryConfig {
+        min_range_m: number(Bounds::NOT_NEGATIVE),
+        max_range_m: number(Bounds::POSITIVE),
+        cell_size_m: number(Bounds::POSITIVE),
+        cell_levels: number(Bounds::Within(1.0, 8.0)),
+        keypoint_voxel_m: number(Bounds::POSITIVE),
+        insert_voxel_m: number(Bounds::POSITIVE),
+        initial_gate_m: number(Bounds::POSITIVE),
+        max_iterations: number(Bounds::AT_LEAST_ONE),
+        points_per_independent: number(Bounds::POSITIVE),
+        min_inlier_ratio: number(Bounds::Within(0.0, 1.0)),
     }
 }
 
@@ -211,7 +186,7 @@ impl Odometry {
         lidar: &RigLidar,
         imu: Option<&RigImu>,
     ) -> Result<Self, Error> {
-        config.check()?;
+        config.check_bounds("odometry")?;
         let motion = match imu {
             Some(noise) => Motion::Inertial(InertialMotion {
                 noise: noise.clone(),

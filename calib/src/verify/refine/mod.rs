@@ -23,7 +23,7 @@ mod turning;
 
 use lsfb_geometry::Rig;
 use lsfb_recording::Recording;
-use lsfb_types::{Progress, ProgressFn};
+use lsfb_types::{Bounds, Progress, ProgressFn};
 use serde::{Deserialize, Serialize};
 
 use super::gyro::gyro;
@@ -66,20 +66,13 @@ impl Default for RefineConfig {
     }
 }
 
-impl RefineConfig {
-    fn check(&self) -> Result<(), Error> {
-        for (name, value) in [
-            ("longest_s", self.longest_s),
-            ("image_gap_s", self.image_gap_s),
-            ("block_images", self.block_images as f64),
-            ("largest_sigma_deg", self.largest_sigma_deg),
-            ("largest_sigma_m", self.largest_sigma_m),
-        ] {
-            if !(value > 0.0) {
-                return Err(Error::Setting { name, value });
-            }
-        }
-        Ok(())
+lsfb_types::bounds! {
+    RefineConfig {
+        longest_s: number(Bounds::POSITIVE),
+        image_gap_s: number(Bounds::POSITIVE),
+        block_images: number(Bounds::AT_LEAST_ONE),
+        largest_sigma_deg: number(Bounds::POSITIVE),
+        largest_sigma_m: number(Bounds::POSITIVE),
     }
 }
 
@@ -90,7 +83,7 @@ pub fn refine(
     config: &RefineConfig,
     progress: ProgressFn,
 ) -> Result<RefinementReport, Error> {
-    config.check()?;
+    config.check_bounds("refine")?;
     let unknown = |problem: String| Error::NotJoined {
         first: "cameras".to_owned(),
         second: "lidar".to_owned(),

@@ -42,10 +42,6 @@ struct Printed<'a> {
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     let mut config = ClockConfig::default();
     if let Some(secs) = arguments.window {
-        anyhow::ensure!(
-            secs.is_finite() && secs >= 1.0,
-            "--window {secs}: it must be at least one second"
-        );
         config.window_secs = secs;
     }
     let recording = context.open(&arguments.recording)?;

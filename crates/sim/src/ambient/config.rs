@@ -1,8 +1,18 @@
 //! What can be set.
 
+use lsfb_types::{Bounds, OutOfBounds};
 use serde::{Deserialize, Serialize};
 
-use crate::{Error, SimConfig};
+/// Exponent of a path loss.
+const PATH_LOSS: Bounds = Bounds::Within(1.0, 6.0);
+/// Power of the direct wave over that of all echoes.
+const RICE_DB: Bounds = Bounds::Within(-40.0, 60.0);
+/// The weakest that is received.
+const FLOOR_DBM: Bounds = Bounds::Within(-200.0, 0.0);
+/// Standard deviations and sizes, whatever their unit.
+const SIGMA: Bounds = Bounds::Within(0.0, 1e4);
+/// How long something lasts, seconds.
+const LASTING_S: Bounds = Bounds::Within(0.1, 1e5);
 
 /// Wi-Fi, as an Android app gets it: lists of networks, a few times a minute.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -201,97 +211,74 @@ impl Default for GnssConfig {
     }
 }
 
-pub(super) fn check(config: &SimConfig) -> Result<(), Error> {
-    let require = |field, got: f64, expected, holds: bool| match holds {
-        true => Ok(()),
-        false => Err(Error::Config {
-            field,
-            got: got.to_string(),
-            expected,
-        }),
-    };
-    let (wifi, ble, gnss) = (&config.wifi, &config.ble, &config.gnss);
-    let every = wifi.request_every_s;
-    let sane = every == 0.0 || (1.0..=86_400.0).contains(&every);
-    require("request_every_s", every, "0, or 1 to 86400", sane)?;
-    let window = wifi.throttle_s;
-    let sane = (0.0..=86_400.0).contains(&window);
-    require("throttle_s", window, "0 to 86400", sane)?;
-    let reports = ble.report_hz;
-    let sane = reports == 0.0 || (0.01..=10.0).contains(&reports);
-    require("report_hz", reports, "0, or 0.01 to 10", sane)?;
-    for (exponent, distance) in [
-        (wifi.path_loss_exponent, wifi.shadowing_m),
-        (ble.path_loss_exponent, ble.shadowing_m),
-    ] {
-        let sane = (1.0..=6.0).contains(&exponent);
-        require("path_loss_exponent", exponent, "1 to 6", sane)?;
-        let sane = (0.1..=1000.0).contains(&distance);
-        require("shadowing_m", distance, "0.1 to 1000", sane)?;
+lsfb_types::bounds! {
+    WifiConfig {
+        request_every_s: number(Bounds::ZeroOr(1.0, 86_400.0)),
+        throttle_scans: any,
+        throttle_s: number(Bounds::Within(0.0, 86_400.0)),
+        path_loss_exponent: number(PATH_LOSS),
+        shadowing_db: number(SIGMA),
+        shadowing_m: number(Bounds::Within(0.1, 1000.0)),
+        rice_factor_db: number(RICE_DB),
+        body_loss_db: number(SIGMA),
+        floor_dbm: number(FLOOR_DBM),
     }
-    for (field, rate) in [
-        ("magnetic.rate_hz", config.magnetic.rate_hz),
-        ("barometer.rate_hz", config.barometer.rate_hz),
-    ] {
-        require(field, rate.into(), "0 to 1000", rate <= 1000)?;
+}
+
+lsfb_types::bounds! {
+    BleConfig {
+        report_hz: number(Bounds::ZeroOr(0.01, 10.0)),
+        path_loss_exponent: number(PATH_LOSS),
+        shadowing_db: number(SIGMA),
+        shadowing_m: number(Bounds::Within(0.1, 1000.0)),
+        rice_factor_db: number(RICE_DB),
+        body_loss_db: number(SIGMA),
+        floor_dbm: number(FLOOR_DBM),
     }
-    let pieces = config.magnetic.pieces_per_m2;
-    let sane = (0.0..=10.0).contains(&pieces);
-    require("pieces_per_m2", pieces, "0 to 10", sane)?;
-    require(
-        "gnss.rate_hz",
-        gnss.rate_hz.into(),
-        "0 or 1",
-        gnss.rate_hz <= 1,
-    )?;
-    let mask = gnss.mask_deg;
-    require("mask_deg", mask, "0 to 60", (0.0..=60.0).contains(&mask))?;
-    for (field, lasting) in [
-        ("atmosphere_s", gnss.atmosphere_s),
-        ("multipath_s", gnss.multipath_s),
-    ] {
-        require(
-            field,
-            lasting,
-            "0.1 to 100000",
-            (0.1..=1e5).contains(&lasting),
-        )?;
+}
+
+lsfb_types::bounds! {
+    MagneticConfig {
+        rate_hz: number(Bounds::Within(0.0, 1000.0)),
+        pieces_per_m2: number(Bounds::Within(0.0, 10.0)),
+        moment_a_m2: number(SIGMA),
+        hard_iron_t: number(SIGMA),
+        soft_iron: number(SIGMA),
+        noise_t: number(SIGMA),
+        step_t: number(SIGMA),
     }
-    for (factor, floor) in [
-        (wifi.rice_factor_db, wifi.floor_dbm),
-        (ble.rice_factor_db, ble.floor_dbm),
-    ] {
-        let sane = (-40.0..=60.0).contains(&factor);
-        require("rice_factor_db", factor, "-40 to 60", sane)?;
-        let sane = (-200.0..=0.0).contains(&floor);
-        require("floor_dbm", floor, "-200 to 0", sane)?;
+}
+
+lsfb_types::bounds! {
+    BarometerConfig {
+        rate_hz: number(Bounds::Within(0.0, 1000.0)),
+        offset_pa: number(SIGMA),
+        noise_pa: number(SIGMA),
+        weather_pa: number(SIGMA),
     }
-    let sigmas = [
-        ("shadowing_db", wifi.shadowing_db),
-        ("shadowing_db", ble.shadowing_db),
-        ("body_loss_db", wifi.body_loss_db),
-        ("body_loss_db", ble.body_loss_db),
-        ("moment_a_m2", config.magnetic.moment_a_m2),
-        ("hard_iron_t", config.magnetic.hard_iron_t),
-        ("soft_iron", config.magnetic.soft_iron),
-        ("noise_t", config.magnetic.noise_t),
-        ("step_t", config.magnetic.step_t),
-        ("offset_pa", config.barometer.offset_pa),
-        ("noise_pa", config.barometer.noise_pa),
-        ("weather_pa", config.barometer.weather_pa),
-        ("atmosphere_m", gnss.atmosphere_m),
-        ("noise_m", gnss.noise_m),
-        ("multipath_m", gnss.multipath_m),
-    ];
-    for (field, sigma) in sigmas {
-        let sane = (0.0..=1e4).contains(&sigma);
-        require(field, sigma, "0 to 10000", sane)?;
+}
+
+lsfb_types::bounds! {
+    GnssConfig {
+        rate_hz: number(Bounds::Within(0.0, 1.0)),
+        mask_deg: number(Bounds::Within(0.0, 60.0)),
+        atmosphere_m: number(SIGMA),
+        atmosphere_s: number(LASTING_S),
+        noise_m: number(SIGMA),
+        multipath_m: number(SIGMA),
+        multipath_s: number(LASTING_S),
+        pulse: any,
+        sentence: any,
     }
-    let (range, white) = (gnss.atmosphere_m, gnss.noise_m);
-    require(
-        "noise_m",
-        white,
-        "a receiver with some noise",
-        range + white > 0.0,
-    )
+}
+
+impl GnssConfig {
+    pub(crate) fn check(&self, section: &str) -> Result<(), OutOfBounds> {
+        self.check_bounds(section)?;
+        if self.atmosphere_m + self.noise_m > 0.0 {
+            return Ok(());
+        }
+        let bounds = "more than 0 where atmosphere_m is 0: no receiver is without noise";
+        Err(OutOfBounds::new(section, "noise_m", &self.noise_m, &bounds))
+    }
 }

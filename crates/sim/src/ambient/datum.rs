@@ -1,9 +1,8 @@
 //! Where on Earth a place is: x points east, y north, z up.
 
+use lsfb_types::Bounds;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
-
-use crate::Error;
 
 /// WGS 84: equatorial radius, metres.
 const EQUATOR_M: f64 = 6_378_137.0;
@@ -44,24 +43,15 @@ pub struct Geodetic {
     pub altitude_m: f64,
 }
 
-impl DatumConfig {
-    pub(super) fn check(&self) -> Result<(), Error> {
-        for (field, value, most, expected) in [
-            ("latitude_deg", self.latitude_deg, 89.0, "-89 to 89"),
-            ("longitude_deg", self.longitude_deg, 180.0, "-180 to 180"),
-            ("altitude_m", self.altitude_m, 9000.0, "-9000 to 9000"),
-        ] {
-            if !(value.abs() <= most) {
-                return Err(Error::Config {
-                    field,
-                    got: value.to_string(),
-                    expected,
-                });
-            }
-        }
-        Ok(())
+lsfb_types::bounds! {
+    DatumConfig {
+        latitude_deg: number(Bounds::Within(-89.0, 89.0)),
+        longitude_deg: number(Bounds::Within(-180.0, 180.0)),
+        altitude_m: number(Bounds::Within(-9000.0, 9000.0)),
     }
+}
 
+impl DatumConfig {
     fn origin(&self) -> Geodetic {
         Geodetic {
             latitude_deg: self.latitude_deg,

@@ -30,10 +30,10 @@ pub use truth::{SurroundingsTruth, TrueDipole, TrueTransmitter};
 
 use lsfb_types::Timestamp;
 
+use crate::SimConfig;
 use crate::noise::hash;
 use crate::walk::{Device, Walk};
 use crate::world::World;
-use crate::{Error, SimConfig};
 
 /// The receiver behind a LiDAR's pulse and sentences.
 #[derive(Clone, Debug, Default)]
@@ -158,11 +158,6 @@ impl Surroundings {
             seed,
         )
     }
-}
-
-pub(crate) fn check(config: &SimConfig) -> Result<(), Error> {
-    config.datum.check()?;
-    config::check(config)
 }
 
 #[cfg(test)]

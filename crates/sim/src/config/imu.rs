@@ -1,5 +1,6 @@
 //! What can be set about an IMU.
 
+use lsfb_types::{Bounds, OutOfBounds};
 use serde::{Deserialize, Serialize};
 
 /// What an inertial unit speaks.
@@ -77,5 +78,33 @@ impl Default for ImuConfig {
             gyro_range_rad_s: 34.9,
             accel_range_m_s2: 156.9,
         }
+    }
+}
+
+lsfb_types::bounds! {
+    ImuConfig {
+        rate_hz: number(Bounds::Within(1.0, 1e6)),
+        gyro_noise_density: number(Bounds::NOT_NEGATIVE),
+        accel_noise_density: number(Bounds::NOT_NEGATIVE),
+        gyro_bias_walk: number(Bounds::NOT_NEGATIVE),
+        accel_bias_walk: number(Bounds::NOT_NEGATIVE),
+        gyro_bias: number(Bounds::NOT_NEGATIVE),
+        accel_bias: number(Bounds::NOT_NEGATIVE),
+        gyro_bias_instability: number(Bounds::NOT_NEGATIVE),
+        accel_bias_instability: number(Bounds::NOT_NEGATIVE),
+        scale_error: number(Bounds::NOT_NEGATIVE),
+        misalignment_rad: number(Bounds::NOT_NEGATIVE),
+        gyro_range_rad_s: number(Bounds::POSITIVE),
+        accel_range_m_s2: number(Bounds::POSITIVE),
+    }
+}
+
+impl ImuConfig {
+    pub(super) fn check(&self, section: &str) -> Result<(), OutOfBounds> {
+        if 1_000_000_u32.is_multiple_of(self.rate_hz) {
+            return Ok(());
+        }
+        let bounds = "a divisor of 1000000";
+        Err(OutOfBounds::new(section, "rate_hz", &self.rate_hz, &bounds))
     }
 }

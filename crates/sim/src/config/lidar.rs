@@ -1,5 +1,6 @@
 //! What can be set about the LiDAR.
 
+use lsfb_types::{Bounds, OutOfBounds};
 use serde::{Deserialize, Serialize};
 
 /// Model of the LiDAR.
@@ -100,5 +101,32 @@ impl Default for LidarConfig {
             weakest_reflectance: 0.1,
             weakest_range_m: 100.0,
         }
+    }
+}
+
+lsfb_types::bounds! {
+    LidarConfig {
+        model: any,
+        returns: any,
+        divergence_rad: each(Bounds::Within(0.0, 0.02)),
+        separation_m: number(Bounds::NOT_NEGATIVE),
+        rpm: number(Bounds::Within(300.0, 1200.0)),
+        range_noise_m: number(Bounds::NOT_NEGATIVE),
+        min_range_m: number(Bounds::NOT_NEGATIVE),
+        max_range_m: number(Bounds::POSITIVE),
+        grazing_cosine: number(Bounds::Within(0.0, 1.0)),
+        dropout: number(Bounds::Within(0.0, 1.0)),
+        weakest_reflectance: number(Bounds::NOT_NEGATIVE),
+        weakest_range_m: number(Bounds::NOT_NEGATIVE),
+    }
+}
+
+impl LidarConfig {
+    pub(super) fn check(&self, section: &str) -> Result<(), OutOfBounds> {
+        if self.rpm.is_multiple_of(60) {
+            return Ok(());
+        }
+        let bounds = "a multiple of 60";
+        Err(OutOfBounds::new(section, "rpm", &self.rpm, &bounds))
     }
 }

@@ -5,15 +5,16 @@ mod lidar;
 
 use std::path::PathBuf;
 
+use lsfb_types::{Bounds, OutOfBounds};
 use serde::{Deserialize, Serialize};
 
+use crate::Error;
 use crate::ambient::{
     BarometerConfig, BleConfig, DatumConfig, GnssConfig, MagneticConfig, WifiConfig,
 };
 use crate::place::Place;
 use crate::timing::ClocksConfig;
 use crate::walk::{Device, PaperMotion};
-use crate::{Error, ambient};
 pub use imu::{ImuConfig, ImuFamily};
 pub use lidar::{LidarConfig, LidarModel, LidarReturns};
 
@@ -298,10 +299,9 @@ impl SimConfig {
             return Ok(None);
         }
         let found = PaperMotion::named(&self.motion).filter(|m| m.place == self.place);
-        found.map(Some).ok_or_else(|| Error::Config {
-            field: "motion",
-            got: self.motion.clone(),
-            expected: "a sequence of Table VII that belongs to the place",
+        found.map(Some).ok_or_else(|| {
+            let bounds = "a sequence of Table VII that belongs to the place";
+            OutOfBounds::new("", "motion", &self.motion, &bounds).into()
         })
     }
 
@@ -324,124 +324,110 @@ impl SimConfig {
 
     /// Refuses what cannot be simulated.
     pub fn check(&self) -> Result<(), Error> {
-        self.clocks.check()?;
-        ambient::check(self)?;
-        let require = |field, got: &dyn std::fmt::Display, expected, holds: bool| {
-            if holds {
-                Ok(())
-            } else {
-                Err(Error::Config {
-                    field,
-                    got: got.to_string(),
-                    expected,
-                })
-            }
-        };
-        let texel = self.texel_m;
-        require(
-            "texel_m",
-            &texel,
-            "0.001 to 0.1",
-            (0.001..=0.1).contains(&texel),
-        )?;
-        for walk in [&self.scan, &self.glasses] {
-            let (d, rest) = (walk.duration_s, walk.rest_s + walk.final_rest_s);
-            let route = d == 0.0 && self.place != Place::Demo;
-            require(
-                "duration_s",
-                &d,
-                "0.1 to 3600",
-                route || (0.1..=3600.0).contains(&d),
-            )?;
-            require(
-                "rest_s",
-                &rest,
-                "not negative",
-                walk.rest_s >= 0.0 && walk.final_rest_s >= 0.0,
-            )?;
-            require(
-                "speed_m_s",
-                &walk.speed_m_s,
-                "0.1 to 3",
-                (0.1..=3.0).contains(&walk.speed_m_s),
-            )?;
-            let turn = walk.turn_rate_rad_s;
-            require(
-                "turn_rate_rad_s",
-                &turn,
-                "0.1 to 6",
-                (0.1..=6.0).contains(&turn),
-            )?;
-            require(
-                "height_m",
-                &walk.height_m,
-                "0.3 to 2",
-                (0.3..=2.0).contains(&walk.height_m),
-            )?;
-        }
-        for cameras in [&self.scan_cameras, &self.glasses_cameras] {
-            let even = cameras.width % 8 == 0 && (16..=4096).contains(&cameras.width);
-            require(
-                "width",
-                &cameras.width,
-                "a multiple of 8 from 16 to 4096",
-                even,
-            )?;
-            let tall = (8..=4096).contains(&cameras.height);
-            require("height", &cameras.height, "8 to 4096", tall)?;
-            let focal = cameras.focal_per_width;
-            require(
-                "focal_per_width",
-                &focal,
-                "0.3 to 5",
-                (0.3..=5.0).contains(&focal),
-            )?;
-            let frames = cameras.rate_hz;
-            require("rate_hz", &frames, "1 to 240", (1..=240).contains(&frames))?;
-            let period_ns = 1_000_000_000 / cameras.rate_hz;
-            let readout = cameras.readout_ns;
-            require(
-                "readout_ns",
-                &readout,
-                "no longer than the period of the images",
-                readout <= period_ns,
-            )?;
-            let exposure = cameras.exposure_ns.max(cameras.longest_exposure_ns);
-            require(
-                "exposure_ns",
-                &exposure,
-                "up to 1000000000",
-                exposure <= 1_000_000_000,
-            )?;
-            let quality = cameras.jpeg_quality;
-            require("jpeg_quality", &quality, "0 to 100", quality <= 100)?;
-        }
-        for imu in [&self.scan_imu, &self.glasses_imu] {
-            rate(imu.rate_hz)?;
-        }
-        let [width, height] = self.lidar.divergence_rad;
-        let narrow = |angle: f64| (0.0..=0.02).contains(&angle);
-        require(
-            "divergence_rad",
-            &format!("{width}, {height}"),
-            "0 to 0.02",
-            narrow(width) && narrow(height),
-        )?;
-        let apart = self.lidar.separation_m;
-        require("separation_m", &apart, "not negative", apart >= 0.0)?;
-        let rpm = self.lidar.rpm;
-        let whole = rpm.is_multiple_of(60) && (300..=1200).contains(&rpm);
-        require("rpm", &rpm, "a multiple of 60 from 300 to 1200", whole)
+        self.check_bounds("")?;
+        self.clocks.check("clocks")?;
+        self.gnss.check("gnss")?;
+        self.scan.check("scan", self.place)?;
+        self.glasses.check("glasses", self.place)?;
+        self.scan_cameras.check("scan_cameras")?;
+        self.glasses_cameras.check("glasses_cameras")?;
+        self.scan_imu.check("scan_imu")?;
+        self.glasses_imu.check("glasses_imu")?;
+        self.lidar.check("lidar")?;
+        Ok(())
     }
 }
 
-fn rate(rate_hz: u32) -> Result<(), Error> {
-    if rate_hz > 0 && 1_000_000 % rate_hz == 0 {
-        return Ok(());
+lsfb_types::bounds! {
+    SimConfig {
+        seed: any,
+        place: any,
+        scene: any,
+        way_m: any,
+        months_later: any,
+        people: any,
+        device: any,
+        motion: any,
+        texel_m: number(Bounds::Within(0.001, 0.1)),
+        scan_imu_family: any,
+        scan: section,
+        glasses: section,
+        scan_cameras: section,
+        glasses_cameras: section,
+        lidar: section,
+        scan_imu: section,
+        glasses_imu: section,
+        clocks: section,
+        datum: section,
+        gnss: section,
+        wifi: section,
+        ble: section,
+        magnetic: section,
+        barometer: section,
     }
-    Err(Error::Config {
-        field: "rate_hz",
-        got: rate_hz.to_string(),
-        expected: "a divisor of 1000000",
-    })
+}
+
+lsfb_types::bounds! {
+    WalkConfig {
+        duration_s: number(Bounds::ZeroOr(0.1, 3600.0)),
+        rest_s: number(Bounds::NOT_NEGATIVE),
+        final_rest_s: number(Bounds::NOT_NEGATIVE),
+        speed_m_s: number(Bounds::Within(0.1, 3.0)),
+        turn_rate_rad_s: number(Bounds::Within(0.1, 6.0)),
+        height_m: number(Bounds::Within(0.3, 2.0)),
+    }
+}
+
+lsfb_types::bounds! {
+    CameraConfig {
+        width: number(Bounds::Within(16.0, 4096.0)),
+        height: number(Bounds::Within(8.0, 4096.0)),
+        focal_per_width: number(Bounds::Within(0.3, 5.0)),
+        rate_hz: number(Bounds::Within(1.0, 240.0)),
+        lens: any,
+        readout_ns: any,
+        exposure_ns: number(Bounds::Within(0.0, 1e9)),
+        motion_blur: any,
+        auto_exposure: any,
+        longest_exposure_ns: number(Bounds::Within(0.0, 1e9)),
+        jpeg_quality: number(Bounds::Within(0.0, 100.0)),
+        read_noise: number(Bounds::NOT_NEGATIVE),
+        shot_noise: number(Bounds::NOT_NEGATIVE),
+        vignetting: number(Bounds::Within(0.0, 1.0)),
+    }
+}
+
+impl WalkConfig {
+    /// The demo's place has no route that could say how long it takes.
+    fn check(&self, section: &str, place: Place) -> Result<(), OutOfBounds> {
+        if self.duration_s > 0.0 || place != Place::Demo {
+            return Ok(());
+        }
+        let bounds = "0.1 to 3600 in the demo's place";
+        Err(OutOfBounds::new(
+            section,
+            "duration_s",
+            &self.duration_s,
+            &bounds,
+        ))
+    }
+}
+
+impl CameraConfig {
+    fn check(&self, section: &str) -> Result<(), OutOfBounds> {
+        if !self.width.is_multiple_of(8) {
+            let bounds = "a multiple of 8";
+            return Err(OutOfBounds::new(section, "width", &self.width, &bounds));
+        }
+        if self.readout_ns > 1_000_000_000 / self.rate_hz {
+            let bounds = "no longer than the period of the images";
+            return Err(OutOfBounds::new(
+                section,
+                "readout_ns",
+                &self.readout_ns,
+                &bounds,
+            ));
+        }
+        Ok(())
+    }
 }

@@ -16,6 +16,8 @@ use lsfb_drivers::camera::wire::{
 };
 use lsfb_drivers::transport::camera_socket::{CameraListener, CameraUnit, UnitRequest};
 
+use lsfb_types::OutOfBounds;
+
 use super::clock::{Readiness, SimClock};
 use super::feed::{Next, Shot, ShotFeed, Which};
 use crate::noise::{Dice, next_gaussian, stream};
@@ -105,11 +107,9 @@ impl MyntDevice {
         };
         let camera = simulation.config().scan_cameras.clone();
         if [format.width, format.height] != [2 * camera.width, camera.height] {
-            return Err(Error::Config {
-                field: "frame format asked for by the host",
-                got: format!("{}x{}", format.width, format.height),
-                expected: "twice the width, and the height, of the simulated cameras",
-            });
+            let got = format!("{}x{}", format.width, format.height);
+            let bounds = "twice the width, and the height, of the simulated cameras";
+            return Err(OutOfBounds::new("host", "frame_format", &got, &bounds).into());
         }
         let feed = ShotFeed::start(
             &format!("sim-mynt{}-render", self.unit),
@@ -187,11 +187,8 @@ pub(crate) fn frame_bytes(
     out: &mut Vec<u8>,
 ) -> Result<(), Error> {
     let [left, right] = shot.images.as_slice() else {
-        return Err(Error::Config {
-            field: "cameras of a stereo unit",
-            got: shot.images.len().to_string(),
-            expected: "2",
-        });
+        let count = shot.images.len();
+        return Err(OutOfBounds::new("", "cameras of a stereo unit", &count, &2).into());
     };
     let trailer = Trailer {
         time_source: time_source(rig, unit),

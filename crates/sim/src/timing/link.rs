@@ -1,8 +1,8 @@
 //! From a device to its host: when what was sent arrives.
 
+use lsfb_types::{Bounds, OutOfBounds};
 use serde::{Deserialize, Serialize};
 
-use crate::Error;
 use crate::noise::{hash, unit};
 
 /// A link's latency changes this often: what is sent within it goes the same way.
@@ -37,31 +37,24 @@ impl Default for LinkConfig {
     }
 }
 
+lsfb_types::bounds! {
+    LinkConfig {
+        delay_s: number(Bounds::Within(0.0, 10.0)),
+        jitter_s: number(Bounds::Within(0.0, 10.0)),
+        batch: number(Bounds::Within(1.0, 4096.0)),
+        stall_s: number(Bounds::Within(0.0, 60.0)),
+        stall_every_s: number(Bounds::Within(0.0, 1e6)),
+    }
+}
+
 impl LinkConfig {
-    pub(super) fn check(&self) -> Result<(), Error> {
-        for (field, value, most, expected) in [
-            ("delay_s", self.delay_s, 10.0, "0 to 10"),
-            ("jitter_s", self.jitter_s, 10.0, "0 to 10"),
-            ("stall_s", self.stall_s, 60.0, "0 to 60"),
-            ("stall_every_s", self.stall_every_s, 1e6, "0 to 1000000"),
-        ] {
-            if !(0.0..=most).contains(&value) {
-                return Err(Error::Config {
-                    field,
-                    got: value.to_string(),
-                    expected,
-                });
-            }
+    pub(super) fn check(&self, section: &str) -> Result<(), OutOfBounds> {
+        if self.stall_every_s == 0.0 || self.stall_every_s > 2.0 * self.stall_s {
+            return Ok(());
         }
-        let whole = self.stall_every_s == 0.0 || self.stall_every_s > 2.0 * self.stall_s;
-        if !whole || !(1..=4096).contains(&self.batch) {
-            return Err(Error::Config {
-                field: "link",
-                got: format!("batch {}, stall_s {}", self.batch, self.stall_s),
-                expected: "a batch of 1 to 4096, stalls shorter than half the time between them",
-            });
-        }
-        Ok(())
+        let bounds = "0, or more than twice as long as stall_s";
+        let every_s = &self.stall_every_s;
+        Err(OutOfBounds::new(section, "stall_every_s", every_s, &bounds))
     }
 }
 

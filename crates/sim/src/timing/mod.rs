@@ -11,9 +11,8 @@ use std::f64::consts::TAU;
 
 use serde::{Deserialize, Serialize};
 
-use lsfb_types::Timestamp;
+use lsfb_types::{Bounds, OutOfBounds, Timestamp, setting_name};
 
-use crate::Error;
 use crate::noise::{hash, unit};
 pub use link::{Link, LinkConfig};
 pub use rig::{Clocked, RigClocks};
@@ -124,47 +123,48 @@ impl ClocksConfig {
         *self == Self::default()
     }
 
-    pub(crate) fn check(&self) -> Result<(), Error> {
-        for clock in [
-            &self.lidar,
-            &self.front_cameras,
-            &self.rear_cameras,
-            &self.scan_imu,
-            &self.walker,
+    pub(crate) fn check(&self, section: &str) -> Result<(), OutOfBounds> {
+        self.check_bounds(section)?;
+        for (name, clock) in [
+            ("lidar", &self.lidar),
+            ("front_cameras", &self.front_cameras),
+            ("rear_cameras", &self.rear_cameras),
+            ("scan_imu", &self.scan_imu),
+            ("walker", &self.walker),
         ] {
-            clock.check()?;
+            let link = setting_name(name, "link");
+            clock.link.check(&setting_name(section, &link))?;
         }
         Ok(())
     }
 }
 
-impl ClockConfig {
-    fn check(&self) -> Result<(), Error> {
-        let require = |field, got: f64, expected, holds: bool| match holds {
-            true => Ok(()),
-            false => Err(Error::Config {
-                field,
-                got: got.to_string(),
-                expected,
-            }),
-        };
-        let start = self.start_s;
-        let in_range = (0.0..=1e9).contains(&start);
-        require("start_s", start, "0 to 1000000000", in_range)?;
-        for (field, ppm) in [
-            ("drift_ppm", self.drift_ppm),
-            ("wander_ppm", self.wander_ppm),
-        ] {
-            require(field, ppm, "-1000 to 1000", ppm.abs() <= 1000.0)?;
-        }
-        let period = self.wander_period_s;
-        let in_range = (1.0..=1e6).contains(&period);
-        require("wander_period_s", period, "1 to 1000000", in_range)?;
-        for jump in &self.jumps {
-            let sane = jump.at_s.is_finite() && jump.by_s.abs() <= 1e6;
-            require("by_s", jump.by_s, "at most a million seconds", sane)?;
-        }
-        self.link.check()
+lsfb_types::bounds! {
+    ClocksConfig {
+        lidar: section,
+        front_cameras: section,
+        rear_cameras: section,
+        scan_imu: section,
+        walker: section,
+    }
+}
+
+lsfb_types::bounds! {
+    ClockJump {
+        at_s: number(Bounds::Within(-1e12, 1e12)),
+        by_s: number(Bounds::Within(-1e6, 1e6)),
+    }
+}
+
+lsfb_types::bounds! {
+    ClockConfig {
+        discipline: any,
+        start_s: number(Bounds::Within(0.0, 1e9)),
+        drift_ppm: number(Bounds::Within(-1000.0, 1000.0)),
+        wander_ppm: number(Bounds::Within(-1000.0, 1000.0)),
+        wander_period_s: number(Bounds::Within(1.0, 1e6)),
+        jumps: sections,
+        link: section,
     }
 }
 

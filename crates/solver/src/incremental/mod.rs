@@ -6,6 +6,7 @@ mod linearized;
 use std::collections::BTreeSet;
 
 use lsfb_geometry::Vector3;
+use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
 
 use crate::minimise::move_block;
@@ -46,6 +47,16 @@ impl Default for IncrementalConfig {
                 ..SolveConfig::default()
             },
         }
+    }
+}
+
+lsfb_types::bounds! {
+    IncrementalConfig {
+        relinearize_above: number(Bounds::NOT_NEGATIVE),
+        propagate_above: number(Bounds::NOT_NEGATIVE),
+        max_rounds: any,
+        damping: number(Bounds::NOT_NEGATIVE),
+        solve: section,
     }
 }
 
@@ -95,7 +106,7 @@ pub struct Incremental {
 impl Incremental {
     /// Takes a problem over, solved or not.
     pub fn new(problem: Problem, config: IncrementalConfig) -> Result<Self, Error> {
-        config.solve.check()?;
+        config.check_bounds("")?;
         let mut incremental = Self {
             linearized: Linearized::default(),
             factor: Factor::default(),

@@ -187,10 +187,7 @@ fn wrong_components_and_bounds_are_refused() {
     let kernel = Kernel::Huber { scale: 0.0 };
     assert!(matches!(
         problem.add_residual(leaning(), &[block.id()], kernel),
-        Err(Error::Config {
-            name: "kernel scale",
-            ..
-        })
+        Err(Error::Setting(refused)) if refused.field == "kernel.scale"
     ));
 }
 

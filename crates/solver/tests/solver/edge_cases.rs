@@ -187,10 +187,7 @@ fn what_is_not_finite_is_named() {
     };
     assert!(matches!(
         solve(&mut problem, &config),
-        Err(Error::Config {
-            name: "initial_damping",
-            ..
-        })
+        Err(Error::Setting(refused)) if refused.field == "initial_damping"
     ));
 }
 

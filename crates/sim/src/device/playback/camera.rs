@@ -8,7 +8,7 @@ use lsfb_drivers::camera::wire::{TimeSource, Trailer, UnitFile, XuDevice, emit_f
 use lsfb_drivers::transport::camera_socket::CameraUnit as HostedUnit;
 use lsfb_recording::message::FrameMeta;
 use lsfb_recording::{CameraUnit, Recording};
-use lsfb_types::{Image, Stamped, Timestamp};
+use lsfb_types::{Image, OutOfBounds, Stamped, Timestamp};
 
 use super::unit_imu::RecordedImu;
 use super::{CameraPlan, Play, readable};
@@ -110,11 +110,9 @@ pub(super) fn run(
         return Ok(report);
     };
     if [format.width, format.height] != plan.frame_px {
-        return Err(Error::Config {
-            field: "frame format asked for by the host",
-            got: format!("{}x{}", format.width, format.height),
-            expected: "that of the recorded frames",
-        });
+        let got = format!("{}x{}", format.width, format.height);
+        let bounds = "that of the recorded frames";
+        return Err(OutOfBounds::new("host", "frame_format", &got, &bounds).into());
     }
     let recording = play.recording()?;
     let mut bytes = Vec::new();

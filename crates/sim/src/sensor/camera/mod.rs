@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use wide::f32x8;
 
 use lsfb_geometry::{RigCamera, Se3, Vector2};
-use lsfb_types::Image;
+use lsfb_types::{Image, OutOfBounds};
 
 use crate::Error;
 use crate::config::CameraConfig;
@@ -84,14 +84,10 @@ impl CameraSim {
                 let mut lanes = [[0.0_f32; LANES]; 3];
                 for (lane, x) in (first..first + LANES).enumerate() {
                     let pixel = Vector2::new(x as f64, y as f64);
-                    let ray = camera
-                        .camera
-                        .unproject(&pixel)
-                        .ok_or_else(|| Error::Config {
-                            field: "focal_per_width",
-                            got: config.focal_per_width.to_string(),
-                            expected: "a lens that sees through every pixel",
-                        })?;
+                    let ray = camera.camera.unproject(&pixel).ok_or_else(|| {
+                        let bounds = "so that the lens sees through every pixel";
+                        OutOfBounds::new("", "focal_per_width", &config.focal_per_width, &bounds)
+                    })?;
                     for (lanes, component) in lanes.iter_mut().zip(ray.iter()) {
                         lanes[lane] = *component as f32;
                     }
