@@ -6,7 +6,7 @@
 use std::path::Path;
 use std::time::Instant;
 
-use lsfb_calib::target::MarkerDictionary;
+use lsfb_calib::board::MarkerDictionary;
 use lsfb_calib::{Target, detect, images};
 
 #[allow(clippy::print_stdout, reason = "an example prints its result")]

@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 
 use lsfb_geometry::{Vector2, Vector3};
 
-use crate::target::Target;
+use crate::board::Target;
 
 /// Parts along each edge of the board.
 const PARTS: f64 = 3.0;

@@ -15,6 +15,7 @@
 //! # Ok::<(), lsfb_calib::Error>(())
 //! ```
 
+pub mod board;
 pub mod camera;
 pub mod camera_imu;
 mod clusters;
@@ -25,13 +26,12 @@ pub mod images;
 pub mod imu_noise;
 pub mod joint;
 pub mod lidar_camera;
-mod misfit;
 mod plots;
 mod report;
-pub mod target;
+mod residual_diagnosis;
 mod transform;
 pub mod verify;
 
+pub use board::Target;
 pub use error::Error;
-pub use target::Target;
 pub use transform::TransformEdge;

@@ -1,8 +1,8 @@
 //! ChArUco boards drawn from their own PDF geometry by OpenCV's rules, seen through a known homography.
 
 use lsfb_calib::Target;
+use lsfb_calib::board::{MarkerDictionary, PageSize};
 use lsfb_calib::detect::detect;
-use lsfb_calib::target::{MarkerDictionary, PageSize};
 use lsfb_geometry::{Matrix3, Vector2, Vector3};
 use lsfb_types::Image;
 

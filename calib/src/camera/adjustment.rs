@@ -10,7 +10,7 @@ use super::corner_residual::{CornerResidual, lens_camera};
 use super::guess::pose_of_target;
 use super::{CameraConfig, CameraViews, describe};
 use crate::Error;
-use crate::target::Target;
+use crate::board::Target;
 
 /// A camera on its way.
 #[derive(Clone)]

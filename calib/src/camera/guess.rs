@@ -9,8 +9,8 @@ use nalgebra::{Rotation3, SMatrix, SVector};
 
 use super::CameraViews;
 use crate::Error;
+use crate::board::Target;
 use crate::detect::Corner;
-use crate::target::Target;
 
 /// Views that the focal length is guessed from.
 const GUESS_VIEWS: usize = 12;

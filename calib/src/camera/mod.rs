@@ -7,7 +7,7 @@ mod adjustment;
 mod corner_residual;
 mod export;
 mod guess;
-mod held_back;
+mod holdout;
 mod normal;
 mod page;
 mod selection;
@@ -22,10 +22,10 @@ use lsfb_types::{Bounds, Progress, ProgressFn};
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
+use crate::board::Target;
 use crate::detect::Corner;
-use crate::target::Target;
 
-pub use crate::misfit::BoardDoubt;
+pub use crate::residual_diagnosis::BoardDoubt;
 pub(crate) use adjustment::most_central;
 pub(crate) use corner_residual::{lens_camera, moved_by_pose};
 pub(crate) use guess::fit_lens;

@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector, Matrix6, SMatrix};
 use super::adjustment::Solved;
 use super::corner_residual::moved_by_pose;
 use crate::Error;
-use crate::target::Target;
+use crate::board::Target;
 
 /// Covariances of the parameters, for a residual variance of one.
 pub(super) struct Covariances {

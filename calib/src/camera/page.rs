@@ -3,9 +3,9 @@
 use maud::{Markup, html};
 
 use super::{CalibratedCamera, CameraCalibration};
-use crate::misfit::FAILED_RMS_PX;
 use crate::plots::{self, LARGEST_SHOWN_PX};
 use crate::report;
+use crate::residual_diagnosis::FAILED_RMS_PX;
 use crate::verify::Outcome;
 
 impl CameraCalibration {

@@ -3,16 +3,16 @@
 use lsfb_geometry::{Matrix6, Vector2};
 
 use super::adjustment::Solved;
-use super::held_back::HeldBack;
+use super::holdout::HeldBack;
 use super::normal::{Covariances, covariances, parameter_count};
 use super::{
     BoardDoubt, COVERAGE_CELLS, CalibratedCamera, CameraCalibration, CameraConfig, CameraViews,
     Estimate,
 };
 use crate::Error;
+use crate::board::Target;
 use crate::clusters::{Clusters, share_of_board};
-use crate::misfit::{Diagnosis, SeenCorner, SeenView};
-use crate::target::Target;
+use crate::residual_diagnosis::{Diagnosis, SeenCorner, SeenView};
 
 /// Relative standard deviation of a focal length above which it counts as not determined.
 const LARGEST_FOCAL_SIGMA: f64 = 0.02;

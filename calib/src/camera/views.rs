@@ -10,9 +10,9 @@ use rayon::prelude::*;
 
 use super::CameraViews;
 use crate::Error;
+use crate::board::Target;
 use crate::detect::{Corner, Instead, detect, seen_instead};
 use crate::images;
-use crate::target::Target;
 
 /// One image's part in a [`CameraViews`].
 struct Looked {

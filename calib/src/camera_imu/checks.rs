@@ -6,7 +6,7 @@ use lsfb_types::{Bounds, OutOfBounds};
 use super::start::Sample;
 use super::{CameraImuCalibration, CameraImuConfig, KnownCamera};
 use crate::Error;
-use crate::target::Target;
+use crate::board::Target;
 
 /// Samples at the end of a range that make it one, and how many of them in a row.
 const SATURATED: usize = 5;

@@ -29,8 +29,8 @@ pub use table::read_imu_table;
 pub use uncertainty::JointCovariance;
 
 use crate::Error;
+use crate::board::Target;
 use crate::camera::{CameraViews, Estimate};
-use crate::target::Target;
 
 /// Order of the spline: its angular velocity and its acceleration have continuous derivatives.
 pub const ORDER: usize = 5;

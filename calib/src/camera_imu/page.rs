@@ -4,9 +4,9 @@ use maud::{Markup, html};
 
 use super::report::{HISTOGRAM_SPAN, POOR_AXIS};
 use super::{CameraImuCalibration, CameraOnImu, FoundImu};
-use crate::misfit::FAILED_RMS_PX;
 use crate::plots::{self, Expected, LARGEST_SHOWN_PX};
 use crate::report::{self, Bar};
+use crate::residual_diagnosis::FAILED_RMS_PX;
 use crate::verify::Outcome;
 
 impl CameraImuCalibration {

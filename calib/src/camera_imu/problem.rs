@@ -14,9 +14,9 @@ use super::start::{State, View};
 use super::view_residual::ViewResidual;
 use super::{Axes, Board, CameraImuConfig, Clock, Lenses, ORDER, Readout};
 use crate::Error;
+use crate::board::Target;
 use crate::camera::lens_camera;
 use crate::clusters::{Clusters, share_of_board};
-use crate::target::Target;
 
 /// Corners that miss by more than this many times the median are outliers.
 const OUTLIER_RATIO: f64 = 5.0;

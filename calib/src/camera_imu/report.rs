@@ -9,9 +9,9 @@ use super::problem::BoardExcess;
 use super::start::{State, View};
 use super::uncertainty::Uncertainty;
 use super::{Axes, CameraImuCalibration, CameraImuConfig, CameraOnImu, FoundImu, ORDER, checks};
+use crate::board::Target;
 use crate::camera::{CellErrors, Estimate};
-use crate::misfit::{Diagnosis, SeenCorner, SeenView, WORRYING_RMS_PX};
-use crate::target::Target;
+use crate::residual_diagnosis::{Diagnosis, SeenCorner, SeenView, WORRYING_RMS_PX};
 
 /// Residual of the IMU, as a multiple of its noise, above which something is wrong with it.
 const WORRYING_RATIO: f64 = 5.0;

@@ -15,8 +15,8 @@ use super::gyro_alignment::GyroAlignment;
 use super::inertial::{AccelAxes, GyroAxes};
 use super::{CameraImuConfig, Clock, KnownCamera, Motion, ORDER, checks};
 use crate::Error;
+use crate::board::Target;
 use crate::camera::pose_of_target;
-use crate::target::Target;
 
 /// Corners farther than this from the first pose are outliers from the start, pixels.
 const FIRST_LIMIT_PX: f64 = 4.0;

@@ -11,7 +11,7 @@ use super::checkerboard::{Lattice, grow};
 use super::link::Links;
 use super::saddle::Saddle;
 use super::{Seen, sample};
-use crate::target::MarkerDictionary;
+use crate::board::MarkerDictionary;
 
 /// Most bits along the edge of a marker's code.
 const MOST_BITS: usize = 6;

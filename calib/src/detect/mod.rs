@@ -17,7 +17,7 @@ mod saddle;
 use lsfb_geometry::Vector2;
 use lsfb_types::Image;
 
-use crate::target::Target;
+use crate::board::Target;
 
 pub use april_grid::tag_cells;
 pub(crate) use charuco::square_of;

@@ -9,8 +9,8 @@
 
 mod consistency;
 mod edge_residual;
-mod exchange;
 mod page;
+mod swapped;
 
 use std::collections::BTreeMap;
 
@@ -167,7 +167,7 @@ pub fn join_transforms(
     let mut table = consistency::table(&graph, &names, &poses, &joint);
     let mut warnings = consistency::judge(&mut table, &graph, chi_square, redundancy, relative);
     if table.iter().any(|e| e.outlier) {
-        warnings.splice(0..0, exchange::exchanged(&graph, &names, cost)?);
+        warnings.splice(0..0, swapped::swapped(&graph, &names, cost)?);
     }
     let sensors = names
         .iter()

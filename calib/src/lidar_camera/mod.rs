@@ -31,8 +31,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
+use crate::board::Target;
 use crate::detect::Corner;
-use crate::target::Target;
 use motion::Track;
 
 pub use poses::{RecordingConfig, poses_from_folder, poses_from_recording};

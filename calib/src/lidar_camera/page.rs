@@ -3,9 +3,9 @@
 use maud::{Markup, html};
 
 use super::{LidarCameraCalibration, PoseFit};
-use crate::misfit::FAILED_RMS_PX;
 use crate::plots::{Expected, coverage, histogram};
 use crate::report::{self, Bar};
+use crate::residual_diagnosis::FAILED_RMS_PX;
 use crate::transform::TransformEdge;
 use crate::verify::Outcome;
 

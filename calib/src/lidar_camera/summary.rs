@@ -15,7 +15,7 @@ use super::{
 use crate::Error;
 use crate::camera::COVERAGE_CELLS;
 use crate::detect::Corner;
-use crate::misfit::{Diagnosis, SeenCorner, SeenView};
+use crate::residual_diagnosis::{Diagnosis, SeenCorner, SeenView};
 
 /// Poses from which halves are compared, and poses held back.
 const MIN_FOR_PARTS: usize = 8;

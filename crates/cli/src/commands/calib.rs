@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
+use lsfb_calib::board::MarkerDictionary;
 use lsfb_calib::camera::{CameraViews, views_from_folder, views_from_recording};
 use lsfb_calib::camera_imu::read_imu_table;
 use lsfb_calib::joint::IMU;
-use lsfb_calib::target::MarkerDictionary;
 use lsfb_calib::verify::Outcome as Judgement;
 use lsfb_calib::{Target, TransformEdge};
 use lsfb_recording::Recording;

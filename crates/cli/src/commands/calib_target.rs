@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use lsfb_calib::target::PageSize;
+use lsfb_calib::board::PageSize;
 
 use super::calib::TargetArguments;
 use crate::context::Context;

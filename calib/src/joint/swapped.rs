@@ -8,7 +8,7 @@ use crate::Error;
 const EXPLAINED: f64 = 0.05;
 
 /// What is said of two sensors whose transforms to a third kind of sensor close the loops when their names are exchanged there.
-pub(super) fn exchanged(
+pub(super) fn swapped(
     graph: &[GraphEdge],
     names: &[&str],
     cost: f64,

@@ -11,7 +11,7 @@ use lsfb_geometry::{Camera, Se3, Vector2, Vector3};
 use nalgebra::DMatrix;
 use serde::Serialize;
 
-use crate::target::Target;
+use crate::board::Target;
 use sums::Sums;
 
 /// Root mean square of the errors above which a calibration is warned of, pixels. Corners leave 0.16 to 0.21 px on TUM VI's and

@@ -15,7 +15,7 @@ use super::CameraConfig;
 use super::adjustment::{Freedom, Solved, Start};
 use super::guess::fit_lens;
 use crate::Error;
-use crate::target::Target;
+use crate::board::Target;
 
 /// Degree of the polynomial, and how many terms it has.
 const DEGREE: i32 = 7;

@@ -5,8 +5,8 @@ use lsfb_geometry::{Camera, Matrix6, Vector2, Vector3, Vector6};
 use nalgebra::{DMatrix, DVector, RowSVector, SMatrix, SVector};
 
 use super::{BoardDoubt, Doubt, SeenCorner, SeenView, from_middle};
+use crate::board::Target;
 use crate::camera::moved_by_pose;
-use crate::target::Target;
 
 /// Rings of the lens's radial profile.
 const RINGS: usize = 8;
