@@ -44,7 +44,7 @@ fn calibrate(
     mut known: Vec<KnownCamera>,
 ) -> Result<CameraImuCalibration, lsfb_calib::Error> {
     let config = CameraConfig {
-        hold_back_every: 0,
+        holdout_every: 0,
         ..CameraConfig::default()
     };
     // Their clocks differ: each for itself.

@@ -3,7 +3,7 @@
 mod simulated_board;
 
 use lsfb_calib::Target;
-use lsfb_calib::lidar_camera::{Board, BoardPose, LidarCameraCalibration};
+use lsfb_calib::lidar_camera::{BoardPose, LidarCameraCalibration, MountedBoard};
 use lsfb_geometry::{CameraTiming, Rig, RigCamera, RigLidar, Se3, Vector6};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
@@ -26,7 +26,7 @@ fn sizes(found: &LidarCameraCalibration) -> [f64; 2] {
     ]
 }
 
-fn refusal(board: &Board, poses: &[BoardPose]) -> String {
+fn refusal(board: &MountedBoard, poses: &[BoardPose]) -> String {
     match calibrate(board, poses) {
         Ok(found) => format!("no error but: {}", found.verdict()),
         Err(error) => error.to_string(),
@@ -60,7 +60,7 @@ fn transforms_are_found_from_every_pose() {
         assert!((error.transpose() * inverse * error)[0] < 28.0, "{seed}");
         assert!((found.range_noise_m - 0.03).abs() < 0.001, "{found:?}");
         assert!(found.center_rms_m < 0.008, "{}", found.center_rms_m);
-        let held_back_m = found.held_back_center_rms_m.expect("many poses");
+        let held_back_m = found.holdout_center_rms_m.expect("many poses");
         assert!(held_back_m < 0.009, "{held_back_m}");
         assert!(left_out(&found).is_empty(), "{seed}: {:?}", found.poses);
         assert!(found.verdict().starts_with("PASS"), "{:?}", found.warnings);
@@ -165,7 +165,7 @@ fn boards_that_face_one_way_are_named() {
 #[test]
 fn tags_of_another_size_are_named() {
     // 70 mm where 88 mm are said.
-    let smaller = Board {
+    let smaller = MountedBoard {
         target: Target::AprilGrid {
             columns: 6,
             rows: 6,
@@ -187,11 +187,11 @@ fn tags_of_another_size_are_named() {
 
 #[test]
 fn exchanged_sides_are_named() {
-    let long = Board {
+    let long = MountedBoard {
         width_m: 1.1,
         ..BOARD
     };
-    let turned = Board {
+    let turned = MountedBoard {
         width_m: 0.75,
         height_m: 1.1,
         ..BOARD
@@ -206,7 +206,7 @@ fn exchanged_sides_are_named() {
 
 #[test]
 fn a_plate_of_another_size_is_named() {
-    let wider = Board {
+    let wider = MountedBoard {
         width_m: 0.89,
         ..BOARD
     };
@@ -235,12 +235,12 @@ fn a_board_upside_down_changes_nothing_and_a_pattern_upside_down_is_named() {
     );
 
     // The plate's middle is 20 mm above that of the pattern; with the pattern on its head it is 20 mm below.
-    let said = Board {
+    let said = MountedBoard {
         offset_m: [0.0, 0.02],
         ..BOARD
     };
     let actual = Session {
-        board: Board {
+        board: MountedBoard {
             offset_m: [0.0, -0.02],
             ..BOARD
         },

@@ -3,7 +3,7 @@
 mod simulated_rig;
 
 use lsfb_calib::camera_imu::{
-    Axes, Board, CameraImuCalibration, CameraImuConfig, JointCovariance, KnownCamera, Readout,
+    Axes, BoardShape, CameraImuCalibration, CameraImuConfig, JointCovariance, KnownCamera, Readout,
     calibrate_camera_imu,
 };
 use lsfb_calib::joint::{JointConfig, join_transforms};
@@ -60,8 +60,8 @@ fn three_seeds_are_found_again() {
             assert!(nees < 27.9, "seed {seed}: {nees}");
             assert!(clock_s.abs() < 4.0 * c.rig_from_camera_sigma_s);
             assert!((c.rms_px - 0.15 * 2f64.sqrt()).abs() < 0.01, "{}", c.rms_px);
-            let held_back = c.held_back_rms_px.expect("views held back");
-            assert!(held_back < 1.1 * c.rms_px, "{held_back}");
+            let holdout = c.holdout_rms_px.expect("views held back");
+            assert!(holdout < 1.1 * c.rms_px, "{holdout}");
         }
         for (found, truth) in found
             .imu
@@ -197,7 +197,7 @@ fn axes_of_the_imu_and_readout_times_are_found() {
     });
     let config = CameraImuConfig {
         axes: Axes::Estimated,
-        board: Board::Bent,
+        board: BoardShape::Bent,
         ..CameraImuConfig::default()
     };
     let found = calibrate(&simulated, &config);

@@ -8,7 +8,7 @@ use lsfb_calib::Target;
 use lsfb_calib::camera::views_from_folder;
 use lsfb_calib::exchange::import_camera_info;
 use lsfb_calib::lidar_camera::{
-    Board, LidarCameraConfig, calibrate_lidar_camera, poses_from_folder,
+    LidarCameraConfig, MountedBoard, calibrate_lidar_camera, poses_from_folder,
 };
 use lsfb_types::no_progress;
 
@@ -29,7 +29,7 @@ fn acfr_poses_1_to_10() {
     let info = folder.join("camera_info.yaml");
     let text = std::fs::read_to_string(&info).expect("a camera");
     let camera = import_camera_info(&text, "camera_info.yaml").expect("a lens");
-    let board = Board {
+    let board = MountedBoard {
         target: Target::Checkerboard {
             columns: 7,
             rows: 5,

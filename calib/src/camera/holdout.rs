@@ -42,7 +42,7 @@ const MODELS: [LensModel; 5] = [
 ];
 
 /// What views say that an adjustment did not see.
-pub(super) struct HeldBack {
+pub(super) struct Holdout {
     pub rms_px: f64,
     /// What is to be said of the lens model.
     pub wrong_model: Option<String>,
@@ -72,14 +72,14 @@ impl Prediction {
 
 impl Solved<'_> {
     /// Error of views that a second adjustment did not see: only the target's pose is fitted to them. `None` with few views.
-    pub(super) fn held_back(
+    pub(super) fn holdout(
         &self,
         target: &Target,
         k: usize,
         config: &CameraConfig,
-    ) -> Result<Option<HeldBack>, Error> {
+    ) -> Result<Option<Holdout>, Error> {
         let start = &self.cameras[k];
-        let every = config.hold_back_every;
+        let every = config.holdout_every;
         if every == 0 || start.chosen.len() < 2 * every.max(config.min_views) {
             return Ok(None);
         }
@@ -88,7 +88,7 @@ impl Solved<'_> {
             return Ok(None);
         }
         let pattern = pattern(&own, &start.camera);
-        Ok(Some(HeldBack {
+        Ok(Some(Holdout {
             rms_px: own.rms_px(),
             wrong_model: match pattern {
                 Some(share) if share > SUSPICIOUS_PATTERN => {
@@ -135,7 +135,7 @@ impl Solved<'_> {
         let percent = pattern * 100.0;
         match best {
             Some(best) if is_better(&own.squares, &best.squares) => Some(format!(
-                "the lens model does not fit: on views held back {} leaves {:.3} px and {} {:.3} px, {percent:.0} % of its squares one pattern over the image: use --model {}",
+                "the lens model does not fit: on holdout views {} leaves {:.3} px and {} {:.3} px, {percent:.0} % of its squares one pattern over the image: use --model {}",
                 model.name(),
                 own.rms_px(),
                 best.camera.lens.model().name(),
@@ -143,7 +143,7 @@ impl Solved<'_> {
                 best.camera.lens.model().name(),
             )),
             _ if pattern > UNEXPLAINED_PATTERN => Some(format!(
-                "{percent:.0} % of the squares on views held back are one pattern over the image, and no lens model explains it: look for glass before the lens, a focus or zoom that moved, or a board that is bent"
+                "{percent:.0} % of the squares on holdout views are one pattern over the image, and no lens model explains it: look for glass before the lens, a focus or zoom that moved, or a board that is bent"
             )),
             _ => None,
         }

@@ -25,7 +25,7 @@ use crate::Error;
 use crate::board::Target;
 use crate::detect::Corner;
 
-pub use crate::residual_diagnosis::BoardDoubt;
+pub use crate::residual_diagnosis::BoardDeformation;
 pub(crate) use adjustment::most_central;
 pub(crate) use corner_residual::{lens_camera, moved_by_pose};
 pub(crate) use guess::fit_lens;
@@ -63,8 +63,8 @@ pub struct CameraConfig {
     pub outlier_ratio: f64,
     /// Root mean square error above which the model is said not to fit, pixels.
     pub max_rms_px: f64,
-    /// Every so-manieth view is held back and only predicted, as a check; 0 holds none back.
-    pub hold_back_every: usize,
+    /// Every n-th view is a holdout: it is only predicted, as a check; 0 for no holdout.
+    pub holdout_every: usize,
 }
 
 impl Default for CameraConfig {
@@ -75,7 +75,7 @@ impl Default for CameraConfig {
             min_views: 4,
             outlier_ratio: 6.0,
             max_rms_px: 3.0,
-            hold_back_every: 5,
+            holdout_every: 5,
         }
     }
 }
@@ -135,7 +135,7 @@ pub struct CalibratedCamera {
     /// Corners left out as outliers.
     pub outliers: usize,
     /// Root mean square over views that were held back from a second adjustment, pixels.
-    pub held_back_rms_px: Option<f64>,
+    pub holdout_rms_px: Option<f64>,
     /// Share of the image's cells (12 × 8) in which a corner was seen.
     pub coverage: f64,
     /// Corners per cell, by rows from the upper left.
@@ -143,7 +143,7 @@ pub struct CalibratedCamera {
     /// Mean reprojection error (x, y) per cell without outliers, pixels.
     pub cell_errors_px: Vec<[f64; 2]>,
     /// The board as it would be if it were not flat, and what that would do to the focal length.
-    pub board: BoardDoubt,
+    pub board: BoardDeformation,
     /// Reprojection errors (x, y) of all corners, pixels, in order.
     #[serde(skip)]
     pub errors_px: Vec<[f64; 2]>,

@@ -79,7 +79,7 @@ fn section(c: &CalibratedCamera) -> Markup {
                 "Found in " (c.found) " of " (c.images) " images, " (c.views) " of them adjusted: "
                 (c.corners) " corners, " (c.outliers) " outliers, "
                 (format!("{:.3}", c.rms_px)) " px rms (" (format!("{:.3}", c.inlier_rms_px)) " px without outliers"
-                @if let Some(held_back) = c.held_back_rms_px { ", " (format!("{held_back:.3}")) " px on views held back" }
+                @if let Some(holdout) = c.holdout_rms_px { ", " (format!("{holdout:.3}")) " px on holdout views" }
                 ")."
             }
             p { (focal_length(c)) " Views tilted by 30° about both axes, near and far, tell focal length from distance." }

@@ -3,16 +3,16 @@
 use lsfb_geometry::{Matrix6, Vector2};
 
 use super::adjustment::Solved;
-use super::holdout::HeldBack;
+use super::holdout::Holdout;
 use super::normal::{Covariances, covariances, parameter_count};
 use super::{
-    BoardDoubt, COVERAGE_CELLS, CalibratedCamera, CameraCalibration, CameraConfig, CameraViews,
-    Estimate,
+    BoardDeformation, COVERAGE_CELLS, CalibratedCamera, CameraCalibration, CameraConfig,
+    CameraViews, Estimate,
 };
 use crate::Error;
 use crate::board::Target;
 use crate::clusters::{Clusters, share_of_board};
-use crate::residual_diagnosis::{Diagnosis, SeenCorner, SeenView};
+use crate::residual_diagnosis::{AdjustedCorner, AdjustedView, Diagnosis};
 
 /// Relative standard deviation of a focal length above which it counts as not determined.
 const LARGEST_FOCAL_SIGMA: f64 = 0.02;
@@ -85,8 +85,8 @@ impl Solved<'_> {
         let variance = squares / freedom as f64 * effect;
         let mut cameras = Vec::with_capacity(given.len());
         for (k, errors) in errors.into_iter().enumerate() {
-            let held_back = self.held_back(target, k, config)?;
-            let mut camera = self.camera(k, errors, &covariances, variance, held_back)?;
+            let holdout = self.holdout(target, k, config)?;
+            let mut camera = self.camera(k, errors, &covariances, variance, holdout)?;
             let rms_px = camera.inlier_rms_px;
             let diagnosis = Diagnosis::new(
                 target,
@@ -95,15 +95,15 @@ impl Solved<'_> {
             );
             // What matters most comes first.
             camera.warnings.splice(0..0, diagnosis.warning(rms_px));
-            let doubt = diagnosis.board(variance);
+            let deformation = diagnosis.board(variance);
             for (p, more) in camera
                 .parameters
                 .iter_mut()
-                .zip(doubt.of_lens.diagonal().iter())
+                .zip(deformation.lens_covariance.diagonal().iter())
             {
                 p.sigma = p.sigma.hypot(more.max(0.0).sqrt());
             }
-            camera.board = doubt.board;
+            camera.board = deformation.board;
             cameras.push(camera);
         }
         let (sum, n) = cameras.iter().fold((0.0, 0), |(sum, n), c| {
@@ -122,7 +122,7 @@ impl Solved<'_> {
         errors: Errors,
         covariances: &Covariances,
         variance: f64,
-        held_back: Option<HeldBack>,
+        holdout: Option<Holdout>,
     ) -> Result<CalibratedCamera, Error> {
         let start = &self.cameras[k];
         let lens = &start.camera.lens;
@@ -178,13 +178,13 @@ impl Solved<'_> {
                 "for itself it meets corners to {alone_px:.2} px, together with the other cameras to {inlier_rms_px:.2} px: they are not triggered together, their stamps are off, or one of them is loose"
             ));
         }
-        let held_back_rms_px = held_back.as_ref().map(|h| h.rms_px);
-        warnings.extend(held_back.and_then(|h| h.wrong_model));
-        if let Some(held_back) = held_back_rms_px
-            && held_back > 1.5 * inlier_rms_px
+        let holdout_rms_px = holdout.as_ref().map(|h| h.rms_px);
+        warnings.extend(holdout.and_then(|h| h.wrong_model));
+        if let Some(holdout) = holdout_rms_px
+            && holdout > 1.5 * inlier_rms_px
         {
             warnings.push(format!(
-                "views that were held back miss by {held_back:.2} px, those adjusted by {inlier_rms_px:.2} px: record more views"
+                "holdout views miss by {holdout:.2} px, those adjusted by {inlier_rms_px:.2} px: record more views"
             ));
         }
         let at = lens.parameters().count;
@@ -203,27 +203,27 @@ impl Solved<'_> {
             inlier_rms_px,
             corners,
             outliers,
-            held_back_rms_px,
+            holdout_rms_px,
             coverage,
             cells,
             cell_errors_px: errors.by_cell.means(),
-            board: BoardDoubt::default(),
+            board: BoardDeformation::default(),
             errors_px: errors.all,
             warnings,
         })
     }
 
     /// The corners that count, as the adjustment leaves them.
-    fn seen<'a>(&'a self, target: &'a Target, k: usize) -> impl Iterator<Item = SeenView> + 'a {
+    fn seen<'a>(&'a self, target: &'a Target, k: usize) -> impl Iterator<Item = AdjustedView> + 'a {
         let start = &self.cameras[k];
         start.chosen.iter().map(move |instant| {
             let corners = start.views.views[instant].iter();
             let inliers = corners.zip(&self.inliers[k][instant]);
-            SeenView {
+            AdjustedView {
                 camera_from_target: start.camera_from_first * self.first_from_target[instant],
                 corners: inliers
                     .filter(|(_, inlier)| **inlier)
-                    .map(|(corner, _)| SeenCorner {
+                    .map(|(corner, _)| AdjustedCorner {
                         point: target.corner(corner.index),
                         pixel: corner.pixel,
                         velocity_px_s: Vector2::zeros(),

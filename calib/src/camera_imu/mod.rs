@@ -76,7 +76,7 @@ pub enum Axes {
 /// What the batch knows of the board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Board {
+pub enum BoardShape {
     /// It is what its file says.
     #[default]
     Flat,
@@ -103,7 +103,7 @@ pub struct CameraImuConfig {
     /// Whether lenses are searched.
     pub lenses: Lenses,
     /// Whether the board may be bent.
-    pub board: Board,
+    pub board: BoardShape,
     /// Whether scale and misalignment of the IMU are searched.
     pub axes: Axes,
     /// Whether readout times are searched.
@@ -125,17 +125,17 @@ pub struct CameraImuConfig {
     pub gravity_sigma_m_s2: f64,
     /// Least angular rate (rms) about each axis, rad/s.
     pub min_rate_rad_s: f64,
-    /// Every so-manieth view is used.
+    /// Every n-th view is used.
     pub view_step: usize,
-    /// Every so-manieth view is held back at first and only predicted, as a check; 0 holds none back.
-    pub hold_back_every: usize,
+    /// Every n-th view is a holdout: it is only predicted, as a check, before all views are adjusted; 0 for no holdout.
+    pub holdout_every: usize,
 }
 
 impl Default for CameraImuConfig {
     fn default() -> Self {
         Self {
             lenses: Lenses::Refined,
-            board: Board::Flat,
+            board: BoardShape::Flat,
             axes: Axes::Ideal,
             readout: Readout::Known,
             knot_spacing_s: 0.02,
@@ -147,7 +147,7 @@ impl Default for CameraImuConfig {
             gravity_sigma_m_s2: 1e-3,
             min_rate_rad_s: 0.1,
             view_step: 1,
-            hold_back_every: 10,
+            holdout_every: 10,
         }
     }
 }
@@ -207,7 +207,7 @@ pub struct CameraOnImu {
     /// Root mean square of the reprojection error, outliers left out, pixels.
     pub rms_px: f64,
     /// The same over views that were held back and only predicted.
-    pub held_back_rms_px: Option<f64>,
+    pub holdout_rms_px: Option<f64>,
     /// Corners used.
     pub corners: usize,
     /// Corners left out.
@@ -357,13 +357,13 @@ pub fn calibrate_camera_imu(
             total: ROUNDS as u64 + 1,
         });
     };
-    let mut held_back = vec![None; cameras.len()];
+    let mut holdout = vec![None; cameras.len()];
     for round in 0..ROUNDS {
         show(round);
         let last = round + 1 == ROUNDS;
         state.adjust(config, problem::Effort::of_round(round, last))?;
         if round + 2 == ROUNDS {
-            held_back = state.held_back_rms_px();
+            holdout = state.holdout_rms_px();
         }
         if !last {
             state.find_outliers(target)?;
@@ -372,7 +372,7 @@ pub fn calibrate_camera_imu(
     show(ROUNDS);
     let uncertainty = state.uncertainty(config)?;
     let excess = state.board_excess(config)?;
-    let mut calibration = state.report(target, config, &held_back, uncertainty, excess);
+    let mut calibration = state.report(target, config, &holdout, uncertainty, excess);
     // Back into the order given.
     let mut places: Vec<usize> = (0..order.len()).collect();
     places.sort_by_key(|k| order[*k]);

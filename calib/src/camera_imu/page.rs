@@ -94,7 +94,7 @@ fn section(c: &CameraOnImu) -> Markup {
             p {
                 (c.views) " views, " (c.corners) " corners, " (c.outliers) " outliers, "
                 (format!("{:.3}", c.rms_px)) " px rms"
-                @if let Some(held_back) = c.held_back_rms_px { ", " (format!("{held_back:.3}")) " px on views held back" }
+                @if let Some(holdout) = c.holdout_rms_px { ", " (format!("{holdout:.3}")) " px on holdout views" }
                 "."
             }
             div.row {

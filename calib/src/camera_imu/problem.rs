@@ -12,7 +12,7 @@ use super::corner_residual::CornerResidual;
 use super::inertial::{AccelAxes, Accelerometer, BiasWalk, GravityNorm, Gyro, GyroAxes};
 use super::start::{State, View};
 use super::view_residual::ViewResidual;
-use super::{Axes, Board, CameraImuConfig, Clock, Lenses, ORDER, Readout};
+use super::{Axes, BoardShape, CameraImuConfig, Clock, Lenses, ORDER, Readout};
 use crate::Error;
 use crate::board::Target;
 use crate::camera::lens_camera;
@@ -138,7 +138,7 @@ impl State {
         let mut problem = Problem::new();
         let blocks = self.add_blocks(&mut problem, config, effort.size)?;
         for view in &self.views {
-            if effort.all_views || !view.held_back {
+            if effort.all_views || !view.holdout {
                 self.add_view(&mut problem, &blocks, view, config)?;
             }
         }
@@ -239,14 +239,14 @@ impl State {
         };
         problem.set_name(blocks.bend.id(), "bend of the board");
         match config.board {
-            Board::Flat if size == BoardSize::AsSaid => problem.set_constant(blocks.bend),
-            Board::Flat => {
+            BoardShape::Flat if size == BoardSize::AsSaid => problem.set_constant(blocks.bend),
+            BoardShape::Flat => {
                 // A rig that does not move says nothing of it.
                 let prior = VectorPrior::new(Bend::zeros(), Bend::repeat(SIZE_SIGMA));
                 problem.add_residual(prior, &[blocks.bend.id()], Kernel::Squared)?;
                 problem.set_constant_components(blocks.bend, &[0, 1, 2, 3, 4])?;
             }
-            Board::Bent => {
+            BoardShape::Bent => {
                 let sigma = BEND_SIGMA_M / (self.half_board_m * self.half_board_m);
                 let prior = VectorPrior::new(
                     Bend::zeros(),

@@ -11,7 +11,7 @@ use super::uncertainty::Uncertainty;
 use super::{Axes, CameraImuCalibration, CameraImuConfig, CameraOnImu, FoundImu, ORDER, checks};
 use crate::board::Target;
 use crate::camera::{CellErrors, Estimate};
-use crate::residual_diagnosis::{Diagnosis, SeenCorner, SeenView, WORRYING_RMS_PX};
+use crate::residual_diagnosis::{AdjustedCorner, AdjustedView, Diagnosis, WORRYING_RMS_PX};
 
 /// Residual of the IMU, as a multiple of its noise, above which something is wrong with it.
 const WORRYING_RATIO: f64 = 5.0;
@@ -58,10 +58,10 @@ struct Inertial {
 
 impl State {
     /// Errors of views that the last adjustment did not see.
-    pub fn held_back_rms_px(&self) -> Vec<Option<f64>> {
+    pub fn holdout_rms_px(&self) -> Vec<Option<f64>> {
         (0..self.cameras.len())
             .map(|k| {
-                let held = self.views.iter().filter(|v| v.camera == k && v.held_back);
+                let held = self.views.iter().filter(|v| v.camera == k && v.holdout);
                 let mut lengths: Vec<f64> = held
                     .flat_map(|v| self.errors_px(v))
                     .map(|e| e.map_or(f64::INFINITY, |e| e.norm_squared()))
@@ -79,7 +79,7 @@ impl State {
         self,
         target: &Target,
         config: &CameraImuConfig,
-        held_back: &[Option<f64>],
+        holdout: &[Option<f64>],
         uncertainty: Uncertainty,
         excess: BoardExcess,
     ) -> CameraImuCalibration {
@@ -90,7 +90,7 @@ impl State {
             ..excess
         };
         let cameras: Vec<CameraOnImu> = (0..self.cameras.len())
-            .map(|k| self.camera(k, held_back[k], &uncertainty))
+            .map(|k| self.camera(k, holdout[k], &uncertainty))
             .collect();
         let worst_px = cameras.iter().map(|c| c.rms_px).fold(0.0, f64::max);
         // Where something else is wrong as well, the size takes what it can of that.
@@ -185,7 +185,7 @@ impl State {
     fn camera(
         &self,
         k: usize,
-        held_back_rms_px: Option<f64>,
+        holdout_rms_px: Option<f64>,
         uncertainty: &Uncertainty,
     ) -> CameraOnImu {
         let camera = &self.cameras[k];
@@ -234,7 +234,7 @@ impl State {
             readout_sigma_s: own.readout_s,
             views,
             rms_px: (squares / errors_px.len().max(1) as f64).sqrt(),
-            held_back_rms_px,
+            holdout_rms_px,
             corners: errors_px.len(),
             outliers,
             coverage: seen as f64 / camera.cells.len().max(1) as f64,
@@ -245,12 +245,12 @@ impl State {
     }
 
     /// The corners of a camera that count, as the adjustment leaves them.
-    fn seen(&self, k: usize) -> impl Iterator<Item = SeenView> + '_ {
+    fn seen(&self, k: usize) -> impl Iterator<Item = AdjustedView> + '_ {
         let own = self.views.iter().filter(move |v| v.camera == k);
         own.filter_map(move |view| self.seen_view(view))
     }
 
-    fn seen_view(&self, view: &View) -> Option<SeenView> {
+    fn seen_view(&self, view: &View) -> Option<AdjustedView> {
         let camera = &self.cameras[view.camera];
         let at = self.at(self.time_s(view))?;
         let rig_from_target = at.target_from_rig().inverse();
@@ -268,7 +268,7 @@ impl State {
                 let seen = camera.camera.project_with_jacobian(&in_camera)?;
                 let turned = camera.camera_from_rig.rotation * by_rig;
                 let velocity_px_s: Vector2<f64> = seen.pixel_by_point * turned;
-                Some(SeenCorner {
+                Some(AdjustedCorner {
                     point,
                     // At the view's own time.
                     pixel: pixel - velocity_px_s * camera.row_s(pixel),
@@ -276,7 +276,7 @@ impl State {
                 })
             })
             .collect();
-        Some(SeenView {
+        Some(AdjustedView {
             camera_from_target,
             corners,
         })
@@ -299,11 +299,11 @@ impl State {
                 c.corners + c.outliers
             ));
         }
-        if let Some(held_back) = c.held_back_rms_px
-            && held_back > 1.5 * c.rms_px + 0.05
+        if let Some(holdout) = c.holdout_rms_px
+            && holdout > 1.5 * c.rms_px + 0.05
         {
             warnings.push(format!(
-                "{}: views that were held back miss by {held_back:.2} px, those adjusted by {:.2} px: record longer",
+                "{}: holdout views miss by {holdout:.2} px, those adjusted by {:.2} px: record longer",
                 c.name, c.rms_px
             ));
         }

@@ -39,7 +39,7 @@ pub(super) struct View {
     pub stamp_s: f64,
     pub corners: Vec<(Vector3<f64>, Vector2<f64>)>,
     pub inliers: Vec<bool>,
-    pub held_back: bool,
+    pub holdout: bool,
 }
 
 pub(super) struct Sample {
@@ -105,7 +105,7 @@ pub(super) struct State {
 }
 
 /// A camera's views with its own pose of the target in each.
-struct Seen {
+struct PosedViews {
     views: Vec<View>,
     /// Stamp and `target_from_camera`.
     poses: Vec<(f64, Se3)>,
@@ -123,7 +123,7 @@ impl State {
     ) -> Result<Self, Error> {
         let (origin, mut samples) = samples_of(imu, cameras)?;
         let warnings = saturation(&samples);
-        let seen: Vec<Seen> = cameras
+        let seen: Vec<PosedViews> = cameras
             .iter()
             .enumerate()
             .map(|(k, known)| look(target, known, k, origin, config))
@@ -336,8 +336,8 @@ fn look(
     camera: usize,
     origin: Timestamp,
     config: &CameraImuConfig,
-) -> Result<Seen, Error> {
-    let mut seen = Seen {
+) -> Result<PosedViews, Error> {
+    let mut seen = PosedViews {
         views: Vec::new(),
         poses: Vec::new(),
         median_px: f64::INFINITY,
@@ -369,13 +369,13 @@ fn look(
             continue;
         }
         seen.poses.push((stamp_s, pose.inverse()));
-        let every = config.hold_back_every;
+        let every = config.holdout_every;
         seen.views.push(View {
             camera,
             stamp_s,
             inliers: vec![true; fitting.len()],
             corners: fitting,
-            held_back: every > 1 && number % every == every / 2,
+            holdout: every > 1 && number % every == every / 2,
         });
     }
     if known.views.views.len() < MIN_VIEWS {
@@ -407,7 +407,7 @@ fn look(
 }
 
 /// Leaves out samples far from all views.
-fn crop(samples: &mut Vec<Sample>, seen: &[Seen], max_offset_s: f64) {
+fn crop(samples: &mut Vec<Sample>, seen: &[PosedViews], max_offset_s: f64) {
     let stamps = || seen.iter().flat_map(|s| s.poses.iter().map(|p| p.0));
     let start_s = stamps().fold(f64::INFINITY, f64::min) - max_offset_s - MARGIN_S;
     let end_s = stamps().fold(f64::NEG_INFINITY, f64::max) + max_offset_s + MARGIN_S;
@@ -451,9 +451,9 @@ fn check_rotation(rate_rms: &Vector3<f64>, config: &CameraImuConfig) -> Result<(
 /// Compares the poses of two cameras to each other, seen at shared stamps, with the rig's.
 fn compare(
     first: &KnownCamera,
-    seen_first: &Seen,
+    seen_first: &PosedViews,
     other: &KnownCamera,
-    seen_other: &Seen,
+    seen_other: &PosedViews,
     other_from_first: &Se3,
 ) -> Result<(), Error> {
     let shared: Vec<Se3> = seen_other
@@ -482,7 +482,7 @@ fn compare(
 }
 
 /// The rig's own poses: the first camera's, and others' where that one sees nothing.
-fn path_of(cameras: &[Mounted], seen: &[Seen], origin: Timestamp) -> Trajectory {
+fn path_of(cameras: &[Mounted], seen: &[PosedViews], origin: Timestamp) -> Trajectory {
     const APART_S: f64 = 0.03;
     let mut poses: Vec<(f64, Se3)> = Vec::new();
     for (camera, own) in cameras.iter().zip(seen) {

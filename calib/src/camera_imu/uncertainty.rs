@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, Matrix3, SMatrix};
 use super::bend::BEND;
 use super::problem::{Blocks, Effort};
 use super::start::State;
-use super::{Axes, Board, CameraImuConfig, Lenses, Readout};
+use super::{Axes, BoardShape, CameraImuConfig, Lenses, Readout};
 use crate::Error;
 
 /// Joint covariance of what was found. Poses of cameras are there as right perturbations of `camera_from_rig`, biases as those
@@ -62,7 +62,7 @@ impl State {
         let named = self.named(&blocks, config);
         let mut asked: Vec<BlockId> = named.iter().map(|n| n.0).collect();
         asked.extend(&axes);
-        if config.board == Board::Bent {
+        if config.board == BoardShape::Bent {
             asked.push(blocks.bend.id());
         }
         let found = covariance(&problem, &asked)?;

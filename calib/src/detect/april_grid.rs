@@ -9,7 +9,7 @@ use nalgebra::{SMatrix, SVector};
 use super::codes::CODES;
 use super::link::Links;
 use super::saddle::Saddle;
-use super::{Seen, sample};
+use super::{RoughCorner, sample};
 
 /// Bits along the edge of a tag of Kalibr's grid: two of border, six of code, two of border.
 const EDGE_BITS: usize = 10;
@@ -21,7 +21,12 @@ const LEAST_WHITE: usize = 6;
 const MAX_WRONG: u32 = 3;
 
 /// The corners of all tags with numbers below `tags`.
-pub(super) fn read(image: &Image, saddles: &[Saddle], links: &Links, tags: u32) -> Vec<Seen> {
+pub(super) fn read(
+    image: &Image,
+    saddles: &[Saddle],
+    links: &Links,
+    tags: u32,
+) -> Vec<RoughCorner> {
     let pixels: Vec<f32> = image.pixels.iter().map(|p| f32::from(*p)).collect();
     let width = image.width as usize;
     let mut found: BTreeMap<usize, (u32, [usize; 4])> = BTreeMap::new();
@@ -50,7 +55,7 @@ pub(super) fn read(image: &Image, saddles: &[Saddle], links: &Links, tags: u32) 
                 .iter()
                 .flatten()
                 .fold(f64::INFINITY, |a, l| a.min(l.length_px));
-            seen.push(Seen {
+            seen.push(RoughCorner {
                 index: 4 * number + k,
                 pixel: saddles[saddle].position,
                 clear_px: 0.45 * shortest.min(0.3 * edge_px(saddles, &corners)),

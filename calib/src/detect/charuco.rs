@@ -10,7 +10,7 @@ use super::aruco;
 use super::checkerboard::{Lattice, grow};
 use super::link::Links;
 use super::saddle::Saddle;
-use super::{Seen, sample};
+use super::{RoughCorner, sample};
 use crate::board::MarkerDictionary;
 
 /// Most bits along the edge of a marker's code.
@@ -54,7 +54,7 @@ impl MarkerDictionary {
 }
 
 /// The board that is looked for.
-pub(super) struct Board {
+pub(super) struct Layout {
     /// Squares along x and y.
     pub columns: usize,
     pub rows: usize,
@@ -63,7 +63,7 @@ pub(super) struct Board {
     pub dictionary: MarkerDictionary,
 }
 
-impl Board {
+impl Layout {
     /// The square of a marker.
     fn square_of(&self, marker: usize) -> (i32, i32) {
         square_of(marker, self.columns)
@@ -114,9 +114,14 @@ fn turned_back((x, y): (i32, i32), turn: usize) -> (i32, i32) {
 }
 
 /// The corners of the board that can be numbered.
-pub(super) fn read(image: &Image, saddles: &[Saddle], links: &Links, board: &Board) -> Vec<Seen> {
+pub(super) fn read(
+    image: &Image,
+    saddles: &[Saddle],
+    links: &Links,
+    board: &Layout,
+) -> Vec<RoughCorner> {
     let pixels: Vec<f32> = image.pixels.iter().map(|p| f32::from(*p)).collect();
-    let eye = Eye {
+    let reader = MarkerReader {
         width: image.width as usize,
         pixels: &pixels,
         saddles,
@@ -128,13 +133,13 @@ pub(super) fn read(image: &Image, saddles: &[Saddle], links: &Links, board: &Boa
     for seed in 0..saddles.len() {
         if !visited[seed] {
             let lattice = grow(links, seed, &mut visited);
-            if let Some((markers, placement)) = eye.place(&lattice) {
+            if let Some((markers, placement)) = reader.place(&lattice) {
                 found.push((markers, lattice, placement));
             }
         }
     }
     found.sort_by_key(|(markers, ..)| std::cmp::Reverse(*markers));
-    let mut corners: BTreeMap<usize, Seen> = BTreeMap::new();
+    let mut corners: BTreeMap<usize, RoughCorner> = BTreeMap::new();
     for (_, lattice, placement) in &found {
         for (place, node) in lattice {
             let (x, y) = placement.vertex(*place);
@@ -150,7 +155,7 @@ pub(super) fn read(image: &Image, saddles: &[Saddle], links: &Links, board: &Boa
             // The nearest corner of a marker is this far away, and half a pixel of blur.
             let margin_px = 0.5 * (1.0 - board.marker_share) * square_px;
             let free_px = std::f64::consts::SQRT_2 * margin_px - 0.5;
-            corners.entry(index).or_insert(Seen {
+            corners.entry(index).or_insert(RoughCorner {
                 index,
                 pixel: saddles[node.saddle].position,
                 clear_px: free_px.min(0.45 * square_px),
@@ -161,14 +166,14 @@ pub(super) fn read(image: &Image, saddles: &[Saddle], links: &Links, board: &Boa
 }
 
 /// An image and what is looked for in it.
-struct Eye<'a> {
+struct MarkerReader<'a> {
     width: usize,
     pixels: &'a [f32],
     saddles: &'a [Saddle],
-    board: &'a Board,
+    board: &'a Layout,
 }
 
-impl Eye<'_> {
+impl MarkerReader<'_> {
     /// Where a lattice lies by the markers in it, and how many say so. A single marker must be without fault.
     fn place(&self, lattice: &Lattice) -> Option<(usize, Placement)> {
         let mut votes: BTreeMap<Placement, (usize, u32)> = BTreeMap::new();

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use lsfb_geometry::Vector2;
 
-use super::Seen;
+use super::RoughCorner;
 use super::link::Links;
 use super::saddle::Saddle;
 
@@ -21,7 +21,12 @@ pub(super) type Lattice = BTreeMap<(i32, i32), Node>;
 ///
 /// The first corner is the one whose outer square is dark; a board on which opposite outer squares are alike is turned so
 /// that the first corner is the upper or left one.
-pub(super) fn walk(saddles: &[Saddle], links: &Links, columns: usize, rows: usize) -> Vec<Seen> {
+pub(super) fn walk(
+    saddles: &[Saddle],
+    links: &Links,
+    columns: usize,
+    rows: usize,
+) -> Vec<RoughCorner> {
     let mut visited = vec![false; saddles.len()];
     for seed in 0..saddles.len() {
         if visited[seed] {
@@ -174,7 +179,12 @@ fn orient(
 }
 
 /// The corners; where no link led, the place that neighbours point to, for the refinement to confirm.
-fn seen(saddles: &[Saddle], links: &Links, board: &[Option<Node>], columns: usize) -> Vec<Seen> {
+fn seen(
+    saddles: &[Saddle],
+    links: &Links,
+    board: &[Option<Node>],
+    columns: usize,
+) -> Vec<RoughCorner> {
     let mut places: Vec<Option<Vector2<f64>>> = board
         .iter()
         .map(|n| n.map(|n| saddles[n.saddle].position))
@@ -198,7 +208,7 @@ fn seen(saddles: &[Saddle], links: &Links, board: &[Option<Node>], columns: usiz
         .iter()
         .enumerate()
         .filter_map(|(index, place)| {
-            Some(Seen {
+            Some(RoughCorner {
                 index,
                 pixel: (*place)?,
                 clear_px: 0.45 * spacing(index).unwrap_or(0.7 * median),

@@ -56,7 +56,7 @@ pub fn detect(image: &Image, target: &Target) -> Vec<Corner> {
             marker_m,
             dictionary,
         } => {
-            let board = charuco::Board {
+            let board = charuco::Layout {
                 columns: columns as usize,
                 rows: rows as usize,
                 marker_share: marker_m / square_m,
@@ -110,7 +110,7 @@ pub fn seen_instead(image: &Image, target: &Target) -> Option<Instead> {
 }
 
 /// A corner on its way: with the length within which nothing else is seen.
-struct Seen {
+struct RoughCorner {
     index: usize,
     pixel: Vector2<f64>,
     /// Half the edge of the window that holds this corner alone, pixels.

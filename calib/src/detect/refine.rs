@@ -3,7 +3,7 @@
 use lsfb_geometry::{Matrix2, Vector2};
 use lsfb_types::Image;
 
-use super::Seen;
+use super::RoughCorner;
 
 /// Windows, half their edge, pixels.
 const SMALLEST_PX: f64 = 2.0;
@@ -11,7 +11,7 @@ const LARGEST_PX: f64 = 8.0;
 const MAX_STEPS: usize = 12;
 
 /// Moves the corner; `false` where there is none: the window leaves the image or the steps run away.
-pub(super) fn refine(image: &Image, seen: &mut Seen) -> bool {
+pub(super) fn refine(image: &Image, seen: &mut RoughCorner) -> bool {
     // A square window turned against the edges reaches √2 farther.
     let half_px = (seen.clear_px / std::f64::consts::SQRT_2 * 1.2).clamp(SMALLEST_PX, LARGEST_PX);
     let start = seen.pixel;

@@ -10,7 +10,7 @@ use super::association::Joined;
 use super::candidates::Patch;
 use super::plane::{Chord, PlaneFit, Spread, regress};
 use super::problem::{APPARENT_SIGMA_M, Factors, Reach, Shift, State, build, plane_error};
-use super::{Board, LidarCameraConfig, Scene};
+use super::{LidarCameraConfig, MountedBoard, Scene};
 use crate::Error;
 
 /// Median of a chi-square with three degrees of freedom.
@@ -62,7 +62,7 @@ pub(super) struct Solved {
 }
 
 pub(super) fn adjust(
-    board: &Board,
+    board: &MountedBoard,
     camera: &str,
     scenes: &[Scene],
     joined: &Joined,
@@ -225,7 +225,7 @@ fn take_off(used: &mut [Used], offsets_m: &BTreeMap<u16, f64>) {
 
 /// Rounds of solving and weighing.
 fn converge(
-    board: &Board,
+    board: &MountedBoard,
     scenes: &[Scene],
     start: Se3,
     used: &mut [Used],
@@ -297,7 +297,7 @@ pub(super) struct PlateShift {
 
 /// Solves once more, with the plate's middle free: what the outlines say of it when nothing is believed beforehand.
 pub(super) fn plate_shift(
-    board: &Board,
+    board: &MountedBoard,
     scenes: &[Scene],
     solved: &Solved,
     config: &LidarCameraConfig,
@@ -332,7 +332,7 @@ const SIZE_STEPS: [f64; 3] = [0.02, 0.01, 0.005];
 /// The size of the pattern at which cameras, planes and outlines agree best: the bottom of a parabola through the costs of three
 /// sizes, with weights from what is expected, since a wrong size is no noise.
 pub(super) fn pattern_size(
-    board: &Board,
+    board: &MountedBoard,
     scenes: &[Scene],
     solved: &Solved,
     config: &LidarCameraConfig,

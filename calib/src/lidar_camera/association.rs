@@ -5,7 +5,7 @@ use lsfb_geometry::{Se3, Vector3};
 use nalgebra::Matrix3;
 
 use super::candidates::Patch;
-use super::{Board, LidarCameraConfig, Scene};
+use super::{LidarCameraConfig, MountedBoard, Scene};
 use crate::Error;
 
 /// Length at which a normal counts like a point, metres: a degree then weighs like 17 mm.
@@ -46,7 +46,7 @@ fn center(patch: &Patch) -> Vector3<f64> {
 }
 
 pub(super) fn join(
-    board: &Board,
+    board: &MountedBoard,
     camera: &str,
     scenes: &[Scene],
     config: &LidarCameraConfig,
@@ -258,7 +258,7 @@ pub(super) fn direction_name(direction: &Vector3<f64>) -> &'static str {
 }
 
 /// Refuses width and height that were exchanged.
-fn check_sides(board: &Board, scenes: &[Scene], joined: &Joined) -> Result<(), Error> {
+fn check_sides(board: &MountedBoard, scenes: &[Scene], joined: &Joined) -> Result<(), Error> {
     let longer = board.width_m.max(board.height_m);
     let square = (board.width_m - board.height_m).abs() < 0.1 * longer;
     let (mut same, mut exchanged) = (0, 0);

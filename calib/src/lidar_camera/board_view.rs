@@ -3,7 +3,7 @@
 use lsfb_geometry::{Camera, Matrix3x6, Se3, so3};
 use nalgebra::{Matrix6, SMatrix, Vector6};
 
-use super::{Board, InCamera};
+use super::{InCamera, MountedBoard};
 use crate::camera::pose_of_target;
 use crate::detect::Corner;
 
@@ -16,7 +16,7 @@ const OUTLIER_RATIO: f64 = 5.0;
 const LEAST_SIGMA_PX: f64 = 0.05;
 
 /// Pose of the board; `None` with too few corners. The information is in units of the corners' own spread.
-pub(super) fn view(board: &Board, camera: &Camera, corners: &[Corner]) -> Option<InCamera> {
+pub(super) fn view(board: &MountedBoard, camera: &Camera, corners: &[Corner]) -> Option<InCamera> {
     let mut known: Vec<Corner> = corners
         .iter()
         .filter(|c| c.index < board.target.corner_count())
@@ -55,7 +55,7 @@ pub(super) fn view(board: &Board, camera: &Camera, corners: &[Corner]) -> Option
 
 /// Normal matrix, squares and number of corners at the minimum.
 fn descend(
-    board: &Board,
+    board: &MountedBoard,
     camera: &Camera,
     corners: &[Corner],
     pose: &mut Se3,

@@ -8,7 +8,7 @@ use lsfb_types::LidarScan;
 use super::outline::{self, Edge, Rectangle};
 use super::plane::{Chord, Plane, PlaneFit, regress};
 use super::scan_grid::{Direction, Ring, rings};
-use super::{Board, LidarCameraConfig};
+use super::{LidarCameraConfig, MountedBoard};
 
 /// A flat patch that may be the board.
 #[derive(Clone, Debug)]
@@ -72,7 +72,11 @@ impl Run {
 }
 
 /// Candidates, the one nearest in size first.
-pub(super) fn find(board: &Board, scan: &LidarScan, config: &LidarCameraConfig) -> Vec<Patch> {
+pub(super) fn find(
+    board: &MountedBoard,
+    scan: &LidarScan,
+    config: &LidarCameraConfig,
+) -> Vec<Patch> {
     let rings = rings(scan);
     let segments = segments(board, &rings, config);
     let groups = join(&rings, &segments, config);
@@ -93,7 +97,7 @@ pub(super) fn find(board: &Board, scan: &LidarScan, config: &LidarCameraConfig) 
     patches
 }
 
-fn segments(board: &Board, rings: &[Ring], config: &LidarCameraConfig) -> Vec<Segment> {
+fn segments(board: &MountedBoard, rings: &[Ring], config: &LidarCameraConfig) -> Vec<Segment> {
     let short = SHORTEST_CHORD * board.width_m.min(board.height_m);
     let long = LONGEST_CHORD * board.width_m.hypot(board.height_m);
     let mut out = Vec::new();
@@ -196,7 +200,7 @@ fn rise(rings: &[Ring], a: &Segment, b: &Segment) -> f64 {
 }
 
 fn patch(
-    board: &Board,
+    board: &MountedBoard,
     rings: &[Ring],
     segments: &[Segment],
     group: &[usize],

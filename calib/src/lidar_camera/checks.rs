@@ -5,7 +5,7 @@ use lsfb_geometry::{Rig, Se3, Vector3};
 use super::adjustment::{Solved, patch};
 use super::association::direction_name;
 use super::summary::size_words;
-use super::{Board, LidarCameraCalibration, Scene};
+use super::{LidarCameraCalibration, MountedBoard, Scene};
 
 /// Apparent excess of half the plate that the width of the beam does not explain, metres.
 const LARGE_EXCESS_M: f64 = 0.015;
@@ -72,7 +72,7 @@ impl LidarCameraCalibration {
 }
 
 /// The plate's middle, against where it was said to be.
-fn shift_warning(c: &LidarCameraCalibration, board: &Board) -> Option<String> {
+fn shift_warning(c: &LidarCameraCalibration, board: &MountedBoard) -> Option<String> {
     let clear = |k: usize| {
         let limit = LARGE_SHIFT_M.max(DEVIATIONS * c.offset_error_sigma_m[k]);
         c.offset_error_m[k].abs() > limit
@@ -102,7 +102,7 @@ fn shift_warning(c: &LidarCameraCalibration, board: &Board) -> Option<String> {
 
 pub(super) fn warnings(
     c: &LidarCameraCalibration,
-    board: &Board,
+    board: &MountedBoard,
     scenes: &[Scene],
     solved: &Solved,
 ) -> Vec<String> {

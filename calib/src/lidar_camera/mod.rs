@@ -39,7 +39,7 @@ pub use poses::{RecordingConfig, poses_from_folder, poses_from_recording};
 
 /// The plate that the pattern is fixed on: the LiDAR sees its outline, not the pattern.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Board {
+pub struct MountedBoard {
     /// The pattern.
     pub target: Target,
     /// Edge of the plate along the pattern's x axis, metres.
@@ -181,9 +181,9 @@ pub struct LidarCameraCalibration {
     pub halves_translation_m: Option<f64>,
     /// Root mean square of the distance between the middles on poses that were held back from the solution they are judged by,
     /// a quarter at a time, metres; `None` with too few poses.
-    pub held_back_center_rms_m: Option<f64>,
+    pub holdout_center_rms_m: Option<f64>,
     /// The same of the angle between normals, radians.
-    pub held_back_normal_rms_rad: Option<f64>,
+    pub holdout_normal_rms_rad: Option<f64>,
     /// By how much the plate's middle lies elsewhere on the pattern than was said, along the pattern's axes, metres: a wrong
     /// offset, or a pattern that is upside down on its plate.
     pub offset_error_m: [f64; 2],
@@ -240,7 +240,7 @@ const MOTION_ROUNDS: usize = 2;
 
 /// Finds the pose of a LiDAR to a camera whose lens is known. The order of poses does not matter.
 pub fn calibrate_lidar_camera(
-    board: &Board,
+    board: &MountedBoard,
     name: &str,
     camera: &Camera,
     poses: &[BoardPose],
@@ -289,7 +289,7 @@ fn in_order(a: &BoardPose, b: &BoardPose) -> std::cmp::Ordering {
 }
 
 fn scenes<'a>(
-    board: &Board,
+    board: &MountedBoard,
     name: &str,
     camera: &Camera,
     poses: &[&'a BoardPose],
@@ -324,7 +324,7 @@ fn scenes<'a>(
 
 /// Looks for the boards again where they would have been, had they not moved.
 fn hold_still(
-    board: &Board,
+    board: &MountedBoard,
     scenes: &mut [Scene],
     camera_from_lidar: &Se3,
     config: &LidarCameraConfig,
@@ -341,7 +341,7 @@ fn hold_still(
 impl<'a> Scene<'a> {
     /// A pose that the camera did not see stays in the list, to be named.
     fn new(
-        board: &Board,
+        board: &MountedBoard,
         camera: &Camera,
         pose: &'a BoardPose,
         config: &LidarCameraConfig,
@@ -406,7 +406,7 @@ impl Scene<'_> {
     }
 }
 
-impl Board {
+impl MountedBoard {
     fn check(&self) -> Result<(), Error> {
         let target = |problem: String| Err(Error::Target { problem });
         if let Some(problem) = self.target.problem() {

@@ -105,8 +105,8 @@ impl LidarCameraCalibration {
                             @if let (Some(turn), Some(shift)) = (self.halves_rotation_rad, self.halves_translation_m) {
                                 tr { td { "every other pose against the rest" } td { (format!("{:.3}°, {:.1} mm", turn.to_degrees(), shift * 1e3)) } }
                             }
-                            @if let (Some(shift), Some(turn)) = (self.held_back_center_rms_m, self.held_back_normal_rms_rad) {
-                                tr { td { "poses held back: middles, normals (rms)" } td { (format!("{:.1} mm, {:.2}°", shift * 1e3, turn.to_degrees())) } }
+                            @if let (Some(shift), Some(turn)) = (self.holdout_center_rms_m, self.holdout_normal_rms_rad) {
+                                tr { td { "holdout poses: middles, normals (rms)" } td { (format!("{:.1} mm, {:.2}°", shift * 1e3, turn.to_degrees())) } }
                             }
                             tr { td { "plate's middle from where it was said, mm" } td { (format!("{:+.1} ± {:.1}, {:+.1} ± {:.1}", self.offset_error_m[0] * 1e3, self.offset_error_sigma_m[0] * 1e3, self.offset_error_m[1] * 1e3, self.offset_error_sigma_m[1] * 1e3)) } }
                             @if let (Some(late), Some(sigma)) = (self.lidar_late_s, self.lidar_late_sigma_s) {

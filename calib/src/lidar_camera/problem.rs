@@ -7,7 +7,7 @@ use nalgebra::DMatrix;
 use super::adjustment::{Solved, Used};
 use super::outline::{Edge, nearest_side};
 use super::residuals::{EdgeResidual, PlaneResidual, facing};
-use super::{Board, Scene};
+use super::{MountedBoard, Scene};
 use crate::Error;
 
 /// What an edge misses beside the angle between rays: beam width, bent plates, metres.
@@ -59,7 +59,7 @@ pub(super) struct State<'a> {
 }
 
 pub(super) fn build(
-    board: &Board,
+    board: &MountedBoard,
     scenes: &[Scene],
     used: &mut [Used],
     state: &State,
@@ -159,7 +159,7 @@ pub(super) fn build(
 }
 
 /// How far outside of the outline found the places are that the last round used, metres.
-pub(super) fn edge_errors_m(board: &Board, scenes: &[Scene], solved: &Solved) -> Vec<f64> {
+pub(super) fn edge_errors_m(board: &MountedBoard, scenes: &[Scene], solved: &Solved) -> Vec<f64> {
     let limit = EDGE_OUTLIER * solved.spread[2].max(1.0);
     let mut errors = Vec::new();
     for u in &solved.used {
@@ -178,7 +178,7 @@ pub(super) fn edge_errors_m(board: &Board, scenes: &[Scene], solved: &Solved) ->
 
 /// The residual of an edge with its side, and its normalized error now.
 fn edge_residual(
-    board: &Board,
+    board: &MountedBoard,
     edge: &Edge,
     lidar_from_board: &Se3,
     excess: &Vector2<f64>,

@@ -9,13 +9,13 @@ use super::association::Joined;
 use super::outline::{Rectangle, fitted};
 use super::problem::edge_errors_m;
 use super::{
-    Board, BoardResiduals, LidarCameraCalibration, LidarCameraConfig, PoseFit, Scene, checks,
-    clocks,
+    BoardResiduals, LidarCameraCalibration, LidarCameraConfig, MountedBoard, PoseFit, Scene,
+    checks, clocks,
 };
 use crate::Error;
 use crate::camera::COVERAGE_CELLS;
 use crate::detect::Corner;
-use crate::residual_diagnosis::{Diagnosis, SeenCorner, SeenView};
+use crate::residual_diagnosis::{AdjustedCorner, AdjustedView, Diagnosis};
 
 /// Poses from which halves are compared, and poses held back.
 const MIN_FOR_PARTS: usize = 8;
@@ -36,7 +36,7 @@ struct Alone {
 }
 
 pub(super) fn summarize(
-    board: &Board,
+    board: &MountedBoard,
     camera: &str,
     lens: &Camera,
     scenes: &[Scene],
@@ -119,7 +119,7 @@ pub(super) fn summarize(
         config,
     };
     let halves = apart.halves();
-    let held_back = apart.held_back(solved);
+    let holdout = apart.holdout(solved);
     let PlateShift {
         shift_m,
         covariance: shift_covariance,
@@ -151,8 +151,8 @@ pub(super) fn summarize(
         spread: solved.spread,
         halves_rotation_rad: difference.map(|d| d.fixed_rows::<3>(0).norm()),
         halves_translation_m: difference.map(|d| d.fixed_rows::<3>(3).norm()),
-        held_back_center_rms_m: held_back.map(|h| h[0]),
-        held_back_normal_rms_rad: held_back.map(|h| h[1]),
+        holdout_center_rms_m: holdout.map(|h| h[0]),
+        holdout_normal_rms_rad: holdout.map(|h| h[1]),
         offset_error_m: shift_m.into(),
         offset_error_sigma_m: [0, 1].map(|k| shift_covariance[(k, k)].max(0.0).sqrt()),
         lidar_late_s: late.map(|l| l.seconds),
@@ -180,7 +180,7 @@ pub(super) fn summarize(
 }
 
 /// The corners of a pose, less those that are none.
-fn seen(board: &Board, lens: &Camera, scene: &Scene) -> SeenView {
+fn seen(board: &MountedBoard, lens: &Camera, scene: &Scene) -> AdjustedView {
     let pose = &scene.in_camera.camera_from_board;
     let off_px = |corner: &Corner| {
         let seen = lens.project(&(*pose * board.corner(corner.index)));
@@ -192,11 +192,11 @@ fn seen(board: &Board, lens: &Camera, scene: &Scene) -> SeenView {
         .filter(|c| c.index < board.target.corner_count());
     let limit_px = CORNER_OUTLIER * scene.in_camera.rms_px;
     let board_from_target = Se3::new(Default::default(), board.corner(0) - board.target.corner(0));
-    SeenView {
+    AdjustedView {
         camera_from_target: *pose * board_from_target,
         corners: known
             .filter(|c| off_px(c) < limit_px)
-            .map(|c| SeenCorner {
+            .map(|c| AdjustedCorner {
                 point: board.target.corner(c.index),
                 pixel: c.pixel,
                 velocity_px_s: Vector2::zeros(),
@@ -252,7 +252,7 @@ fn ranges_m(solved: &Solved) -> Vec<f64> {
 }
 
 fn alone(
-    board: &Board,
+    board: &MountedBoard,
     scenes: &[Scene],
     used: &Used,
     solved: &Solved,
@@ -291,7 +291,7 @@ fn alone(
 }
 
 /// What the scale of the camera's scene says of the pattern, in words.
-pub(super) fn size_words(board: &Board, scale: f64, scale_sigma: f64) -> String {
+pub(super) fn size_words(board: &MountedBoard, scale: f64, scale_sigma: f64) -> String {
     let excess = 1.0 / scale - 1.0;
     format!(
         "the pattern is {:.1} ± {:.1} % {} than said, by the LiDAR: {}",
@@ -304,7 +304,7 @@ pub(super) fn size_words(board: &Board, scale: f64, scale_sigma: f64) -> String 
 
 /// Solutions from parts of the poses.
 struct Apart<'a> {
-    board: &'a Board,
+    board: &'a MountedBoard,
     camera: &'a str,
     scenes: &'a [Scene<'a>],
     joined: &'a Joined,
@@ -345,7 +345,7 @@ impl Apart<'_> {
     }
 
     /// Root mean square of the errors of middles (m) and normals (rad) of poses that a solution does not know.
-    fn held_back(&self, solved: &Solved) -> Option<[f64; 2]> {
+    fn holdout(&self, solved: &Solved) -> Option<[f64; 2]> {
         if !self.are_enough() {
             return None;
         }

@@ -29,12 +29,12 @@ const GROWS: f64 = 1.5;
 const MAX_VIEWS: usize = 240;
 
 /// One view as an adjustment leaves it.
-pub(crate) struct SeenView {
+pub(crate) struct AdjustedView {
     pub camera_from_target: Se3,
-    pub corners: Vec<SeenCorner>,
+    pub corners: Vec<AdjustedCorner>,
 }
 
-pub(crate) struct SeenCorner {
+pub(crate) struct AdjustedCorner {
     /// On the board as it is believed to be.
     pub point: Vector3<f64>,
     pub pixel: Vector2<f64>,
@@ -44,7 +44,7 @@ pub(crate) struct SeenCorner {
 
 /// How a board that may be bent and stretched would be, and what that would do to the focal length.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct BoardDoubt {
+pub struct BoardDeformation {
     /// How far a corner lies out of the board's plane at most, metres.
     pub bend_m: f64,
     /// Its standard deviation, metres.
@@ -58,11 +58,11 @@ pub struct BoardDoubt {
     pub is_likely: bool,
 }
 
-/// A [`BoardDoubt`], and what it makes of a lens that was found with a flat board.
-pub(crate) struct Doubt {
-    pub board: BoardDoubt,
+/// A [`BoardDeformation`], and what it makes of a lens that was found with a flat board.
+pub(crate) struct Deformation {
+    pub board: BoardDeformation,
     /// Added to the covariance of the lens parameters; zero where the board is likely to be flat.
-    pub of_lens: DMatrix<f64>,
+    pub lens_covariance: DMatrix<f64>,
 }
 
 /// What the errors of one camera say.
@@ -75,7 +75,7 @@ pub(crate) struct Diagnosis<'a> {
 
 impl<'a> Diagnosis<'a> {
     /// Of a camera's views as an adjustment leaves them.
-    pub fn new(target: &'a Target, camera: &'a Camera, views: Vec<SeenView>) -> Self {
+    pub fn new(target: &'a Target, camera: &'a Camera, views: Vec<AdjustedView>) -> Self {
         let mut diagnosis = Self {
             target,
             camera,
@@ -130,7 +130,7 @@ impl<'a> Diagnosis<'a> {
     }
 
     /// The board as it would be if it were not what its file says; `variance` is that of a corner in one direction, px².
-    pub fn board(&self, variance: f64) -> Doubt {
+    pub fn board(&self, variance: f64) -> Deformation {
         self.sums.board(self.target, self.camera, variance)
     }
 }
@@ -152,7 +152,7 @@ struct Places {
 }
 
 impl Places {
-    fn add(&mut self, target: &Target, camera: &Camera, view: &SeenView) {
+    fn add(&mut self, target: &Target, camera: &Camera, view: &AdjustedView) {
         let [width, height] = target.corners_size();
         for corner in &view.corners {
             let Some(seen) = camera.project(&(view.camera_from_target * corner.point)) else {

@@ -4,7 +4,7 @@ use lsfb_geometry::camera::MAX_PARAMETERS;
 use lsfb_geometry::{Camera, Matrix6, Vector2, Vector3, Vector6};
 use nalgebra::{DMatrix, DVector, RowSVector, SMatrix, SVector};
 
-use super::{BoardDoubt, Doubt, SeenCorner, SeenView, from_middle};
+use super::{AdjustedCorner, AdjustedView, BoardDeformation, Deformation, from_middle};
 use crate::board::Target;
 use crate::camera::moved_by_pose;
 
@@ -27,11 +27,11 @@ const TIMES_OF_POSES: f64 = 0.7;
 const LEAST_OF_TIMES: f64 = 0.15;
 
 /// Stretch, shear and bends: what a board that may not be flat may be off by.
-const DOUBTS: usize = 5;
+const DEFORMATIONS: usize = 5;
 /// Standard deviations of a board: how far the middle of an edge is out of its plane, metres; stretch and shear.
 const BEND_SIGMA_M: f64 = 2e-3;
 const STRETCH_SIGMA: f64 = 1e-3;
-/// Chi-square of [`DOUBTS`] that a flat board exceeds once in a thousand recordings.
+/// Chi-square of [`DEFORMATIONS`] that a flat board exceeds once in a thousand recordings.
 const FLAT_CHI_SQUARE: f64 = 20.5;
 /// Share of the squares, and of their variance, that another lens must take off one that was given.
 const LENS_SHARE: f64 = 0.2;
@@ -142,7 +142,7 @@ impl Sums {
         }
     }
 
-    pub fn add(&mut self, target: &Target, camera: &Camera, view: &SeenView) {
+    pub fn add(&mut self, target: &Target, camera: &Camera, view: &AdjustedView) {
         let mut of_pose = Matrix6::zeros();
         let mut gradient_of_pose = Vector6::zeros();
         let mut coupling = SMatrix::<f64, SIZE, 6>::zeros();
@@ -190,7 +190,7 @@ impl Sums {
         &self,
         target: &Target,
         camera: &Camera,
-        corner: &SeenCorner,
+        corner: &AdjustedCorner,
         seen: &Vector2<f64>,
         by_point: &SMatrix<f64, 2, 3>,
     ) -> SMatrix<f64, 2, EXTRA> {
@@ -318,7 +318,7 @@ impl Sums {
     }
 
     /// The board if it may be stretched, sheared and bent, by what boards usually are.
-    pub fn board(&self, target: &Target, camera: &Camera, variance: f64) -> Doubt {
+    pub fn board(&self, target: &Target, camera: &Camera, variance: f64) -> Deformation {
         let variance = variance.max(1e-12);
         let reduced = self.reduced(camera);
         let half_m = self.centre.amax().max(1e-9);
@@ -327,41 +327,46 @@ impl Sums {
         let usual = SVector::from([stretch, stretch, bend, bend, bend]);
         let own = reduced
             .matrix
-            .fixed_view::<DOUBTS, DOUBTS>(STRETCH, STRETCH);
+            .fixed_view::<DEFORMATIONS, DEFORMATIONS>(STRETCH, STRETCH);
         let information = own / variance + SMatrix::from_diagonal(&usual);
         let lens = reduced.lens_by_cause.nrows();
         let Some(covariance) = information.try_inverse() else {
-            return Doubt {
-                board: BoardDoubt::default(),
-                of_lens: DMatrix::zeros(lens, lens),
+            return Deformation {
+                board: BoardDeformation::default(),
+                lens_covariance: DMatrix::zeros(lens, lens),
             };
         };
-        let gradient = reduced.gradient.fixed_rows::<DOUBTS>(STRETCH) / variance;
+        let gradient = reduced.gradient.fixed_rows::<DEFORMATIONS>(STRETCH) / variance;
         let step = -covariance * gradient;
         // What freeing the board takes off, in variances, is a chi-square where it is flat.
         let is_likely = -gradient.dot(&step) > FLAT_CHI_SQUARE;
-        let by_doubts = reduced.lens_by_cause.columns(STRETCH, DOUBTS);
-        let of_lens = if is_likely {
-            by_doubts * (covariance + step * step.transpose()) * by_doubts.transpose()
+        let by_deformation = reduced.lens_by_cause.columns(STRETCH, DEFORMATIONS);
+        let lens_covariance = if is_likely {
+            by_deformation * (covariance + step * step.transpose()) * by_deformation.transpose()
         } else {
             DMatrix::zeros(lens, lens)
         };
         let root = |variance: f64| variance.max(0.0).sqrt();
 
         let focal_px = camera.focal_px();
-        let of_focal = |row: usize| -> RowSVector<f64, DOUBTS> {
-            let of_lens = reduced.lens_by_cause.fixed_view::<1, DOUBTS>(row, STRETCH);
+        let of_focal = |row: usize| -> RowSVector<f64, DEFORMATIONS> {
+            let of_lens = reduced
+                .lens_by_cause
+                .fixed_view::<1, DEFORMATIONS>(row, STRETCH);
             of_lens * (0.5 / focal_px[row])
         };
         let of_focal = of_focal(0) + of_focal(1);
 
-        let height = |k: usize| -> RowSVector<f64, DOUBTS> {
+        let height = |k: usize| -> RowSVector<f64, DEFORMATIONS> {
             let from = target.corner(k) - self.centre;
             [0.0, 0.0, from.x * from.x, from.x * from.y, from.y * from.y].into()
         };
         let count = target.corner_count();
         // The plane is that of the mean.
-        let mean = (0..count).map(height).sum::<RowSVector<f64, DOUBTS>>() / count.max(1) as f64;
+        let mean = (0..count)
+            .map(height)
+            .sum::<RowSVector<f64, DEFORMATIONS>>()
+            / count.max(1) as f64;
         let (bend_m, bend_sigma_m) = (0..count)
             .map(|k| {
                 let by = height(k) - mean;
@@ -372,15 +377,15 @@ impl Sums {
             })
             .max_by(|a, b| a.0.total_cmp(&b.0))
             .unwrap_or_default();
-        Doubt {
-            board: BoardDoubt {
+        Deformation {
+            board: BoardDeformation {
                 bend_m,
                 bend_sigma_m,
                 focal_change: (of_focal * step)[0],
                 focal_sigma: root((of_focal * covariance * of_focal.transpose())[0]),
                 is_likely,
             },
-            of_lens,
+            lens_covariance,
         }
     }
 }

@@ -32,7 +32,7 @@ fn camera(lens: Lens) -> Camera {
 }
 
 /// Views of a board whose corners stand at `at` and are seen through `lens`; the others are what is believed.
-fn views(at: impl Fn(usize) -> Vector3<f64>, lens: Lens, readout_s: f64) -> Vec<SeenView> {
+fn views(at: impl Fn(usize) -> Vector3<f64>, lens: Lens, readout_s: f64) -> Vec<AdjustedView> {
     let mut rng = ChaCha8Rng::seed_from_u64(4);
     let target = grid(0.3);
     (0..30)
@@ -51,13 +51,13 @@ fn views(at: impl Fn(usize) -> Vector3<f64>, lens: Lens, readout_s: f64) -> Vec<
                 let pixel = camera(lens).project(&(camera_from_target * at(k)))?;
                 let row = pixel.y / 480.0;
                 let noise = Vector2::new(uniform(0.2), uniform(0.2));
-                camera(lens).contains(&pixel, 2.0).then(|| SeenCorner {
+                camera(lens).contains(&pixel, 2.0).then(|| AdjustedCorner {
                     point: target.corner(k),
                     pixel: pixel + velocity_px_s * (row * readout_s) + noise,
                     velocity_px_s,
                 })
             });
-            let corners: Vec<SeenCorner> = corners.collect();
+            let corners: Vec<AdjustedCorner> = corners.collect();
             let seen: Vec<Corner> = corners
                 .iter()
                 .map(|c| Corner {
@@ -69,7 +69,7 @@ fn views(at: impl Fn(usize) -> Vector3<f64>, lens: Lens, readout_s: f64) -> Vec<
                 .collect();
             // As an adjustment leaves it.
             let adjusted = pose_of_target(&target, &camera(LENS), &seen).expect("a pose");
-            SeenView {
+            AdjustedView {
                 camera_from_target: adjusted,
                 corners,
             }
@@ -77,7 +77,7 @@ fn views(at: impl Fn(usize) -> Vector3<f64>, lens: Lens, readout_s: f64) -> Vec<
         .collect()
 }
 
-fn said(views: Vec<SeenView>) -> String {
+fn said(views: Vec<AdjustedView>) -> String {
     let (target, camera) = (grid(0.3), camera(LENS));
     let said = Diagnosis::new(&target, &camera, views).warning(1.0);
     said.expect("above the limit")
@@ -128,12 +128,15 @@ fn a_bent_board_makes_the_lens_less_certain() {
     };
     let (target, camera) = (grid(0.3), camera(LENS));
     let diagnosis = Diagnosis::new(&target, &camera, views(bent, LENS, 0.0));
-    let Doubt { board, of_lens } = diagnosis.board(0.013);
+    let Deformation {
+        board,
+        lens_covariance,
+    } = diagnosis.board(0.013);
     assert!(
         board.is_likely && (board.bend_m / 1.6e-3 - 1.0).abs() < 0.2,
         "{board:?}"
     );
-    let focal = of_lens[(0, 0)].sqrt() / 300.0;
+    let focal = lens_covariance[(0, 0)].sqrt() / 300.0;
     assert!(
         focal > board.focal_change.abs() && focal > board.focal_sigma,
         "{focal}"
@@ -167,8 +170,11 @@ fn noise_alone_is_blamed_on_nothing() {
     let (target, camera) = (grid(0.3), camera(LENS));
     let diagnosis = Diagnosis::new(&target, &camera, views(flat, LENS, 0.0));
     assert!(diagnosis.warning(0.43).is_none());
-    let Doubt { board, of_lens } = diagnosis.board(0.01);
-    assert!(!board.is_likely && of_lens.amax() == 0.0);
+    let Deformation {
+        board,
+        lens_covariance,
+    } = diagnosis.board(0.01);
+    assert!(!board.is_likely && lens_covariance.amax() == 0.0);
     assert!(diagnosis.given_lens().is_none());
     assert!(
         board.bend_m < 5.0 * board.bend_sigma_m && board.bend_m < 2e-4,

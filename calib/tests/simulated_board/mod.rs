@@ -5,7 +5,8 @@ use std::f64::consts::{PI, TAU};
 use lsfb_calib::Target;
 use lsfb_calib::detect::Corner;
 use lsfb_calib::lidar_camera::{
-    Board, BoardPose, BoardSight, LidarCameraCalibration, LidarCameraConfig, calibrate_lidar_camera,
+    BoardPose, BoardSight, LidarCameraCalibration, LidarCameraConfig, MountedBoard,
+    calibrate_lidar_camera,
 };
 use lsfb_geometry::camera::Lens;
 use lsfb_geometry::{Camera, Matrix3, Se3, UnitQuaternion, Vector2, Vector3, Vector6};
@@ -14,7 +15,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 /// The board as it is said to be.
-pub const BOARD: Board = Board {
+pub const BOARD: MountedBoard = MountedBoard {
     target: Target::AprilGrid {
         columns: 6,
         rows: 6,
@@ -90,7 +91,7 @@ pub struct Session {
     pub tilt_rad: f64,
     pub noise_m: f64,
     /// The board as it is.
-    pub board: Board,
+    pub board: MountedBoard,
     /// Whether the LiDAR does not see it.
     pub behind_wall: bool,
     /// Whether every other pose has the board on its head.
@@ -293,7 +294,7 @@ const POLE_BEHIND_M: f64 = 0.06;
 
 /// Calibrates with the default settings.
 pub fn calibrate(
-    board: &Board,
+    board: &MountedBoard,
     poses: &[BoardPose],
 ) -> Result<LidarCameraCalibration, lsfb_calib::Error> {
     let config = LidarCameraConfig::default();

@@ -63,7 +63,7 @@ fn the_board_of_the_twin_places_the_lidar_and_the_rig_is_verified() {
     );
     let page = std::fs::read_to_string(folder.path().join("after.html")).expect("a page");
     assert!(
-        page.contains("held back") && page.contains("<svg"),
+        page.contains("holdout") && page.contains("<svg"),
         "{page}"
     );
 

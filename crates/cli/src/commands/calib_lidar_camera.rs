@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use lsfb_calib::lidar_camera::{
-    Board, LidarCameraConfig, RecordingConfig, calibrate_lidar_camera, poses_from_folder,
+    LidarCameraConfig, MountedBoard, RecordingConfig, calibrate_lidar_camera, poses_from_folder,
     poses_from_recording,
 };
 use lsfb_calib::verify::Outcome as Judgement;
@@ -74,7 +74,7 @@ fn two_lengths(text: &str) -> Result<[f64; 2], String> {
 
 /// Calibrates, writes rig, transform and page, prints the report.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    let board = Board {
+    let board = MountedBoard {
         target: arguments.target.target()?,
         width_m: arguments.plate[0],
         height_m: arguments.plate[1],

@@ -3,7 +3,7 @@
 use super::*;
 use board_walk::{Grid, rays, seen, write_png};
 use lsfb_calib::camera::pose_of_target;
-use lsfb_calib::lidar_camera::{Board, BoardPose};
+use lsfb_calib::lidar_camera::{MountedBoard, BoardPose};
 use lsfb_geometry::{CameraTiming, Rig, RigCamera, RigLidar, Se3};
 use simulated_board::{BOARD, Session, calibrate, camera, error, truth};
 
@@ -15,7 +15,7 @@ fn session() -> Session {
 }
 
 /// Writes `images/N.png` and `clouds/N.pcd`, the latter as those of pose `N + shift`.
-fn write(path: &Path, board: &Board, poses: &[BoardPose], shift: usize) {
+fn write(path: &Path, board: &MountedBoard, poses: &[BoardPose], shift: usize) {
     let grid = Grid {
         columns: 6,
         rows: 6,
