@@ -2,7 +2,7 @@
 
 use maud::{Markup, html};
 
-use crate::camera::COVERAGE_CELLS;
+use crate::coverage::COVERAGE_CELLS;
 
 /// Errors beyond this leave the plots, pixels.
 pub(crate) const LARGEST_SHOWN_PX: f64 = 1.0;

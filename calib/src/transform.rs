@@ -7,6 +7,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 
+/// Name of the IMU, in whose frame all poses of a rig are.
+pub const IMU: &str = "imu";
+/// Name of the LiDAR.
+pub const LIDAR: &str = "lidar";
+
 /// Pose of one sensor in another, with its covariance where that was measured.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TransformEdge {

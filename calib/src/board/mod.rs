@@ -4,12 +4,17 @@
 //! Kalibr), with tag 0 at the origin; a checkerboard and a ChArUco board have x to the right and y down (as in OpenCV), with
 //! inner corner 0 at the origin. The grid's z axis comes out of the board, the checkerboard's goes into it.
 
+mod aruco;
 mod kalibr;
+mod markers;
 mod pdf;
+mod tag36h11;
 
 use lsfb_geometry::Vector3;
 use serde::{Deserialize, Serialize};
 
+pub use markers::{MARKERS, MarkerDictionary, TAGS_36H11, tag_cells};
+pub(crate) use markers::{BORDER_BITS, CODE_BITS, EDGE_BITS, charuco_square, tag_codes};
 pub use pdf::PageSize;
 
 /// A calibration board.
@@ -52,22 +57,28 @@ pub enum Target {
     },
 }
 
-/// Markers with numbers, as OpenCV predefines them. Its dictionaries of 50, 100, 250 and 1000 markers begin alike, so that
-/// the size needs not be said.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum MarkerDictionary {
-    /// 4 × 4 bits.
-    #[serde(rename = "4x4")]
-    Aruco4x4,
-    /// 5 × 5 bits.
-    #[serde(rename = "5x5")]
-    Aruco5x5,
-    /// 6 × 6 bits.
-    #[serde(rename = "6x6")]
-    Aruco6x6,
-}
-
 impl Target {
+    /// The target in a few words, for errors.
+    pub(crate) fn describe(&self) -> String {
+        match self {
+            Self::AprilGrid { columns, rows, .. } => {
+                format!("AprilGrid of {columns} × {rows} tags")
+            }
+            Self::Checkerboard { columns, rows, .. } => {
+                format!("checkerboard of {columns} × {rows} inner corners")
+            }
+            Self::Charuco {
+                columns,
+                rows,
+                dictionary,
+                ..
+            } => format!(
+                "ChArUco board of {columns} × {rows} squares with markers of {} bits",
+                dictionary.name()
+            ),
+        }
+    }
+
     /// The edges of a board that is so many times as large, in words.
     pub(crate) fn scaled_words(&self, factor: f64) -> String {
         let (what, edge_m) = match *self {
@@ -79,29 +90,6 @@ impl Target {
         format!("{what} of {:.1} mm", edge_m * factor * 1e3)
     }
 }
-
-impl MarkerDictionary {
-    /// Its name: `4x4`, `5x5` or `6x6`.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Aruco4x4 => "4x4",
-            Self::Aruco5x5 => "5x5",
-            Self::Aruco6x6 => "6x6",
-        }
-    }
-
-    /// The dictionary of a name.
-    pub fn named(name: &str) -> Option<Self> {
-        let all = [Self::Aruco4x4, Self::Aruco5x5, Self::Aruco6x6];
-        all.into_iter().find(|d| d.name() == name)
-    }
-}
-
-/// Markers known of each dictionary.
-pub const MARKERS: u32 = 250;
-
-/// Tags in the family 36h11.
-pub const TAGS_36H11: u32 = 587;
 
 impl Target {
     /// What is wrong with the numbers, if anything.

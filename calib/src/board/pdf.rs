@@ -2,9 +2,8 @@
 
 use std::fmt::Write as _;
 
-use super::Target;
+use super::{Target, charuco_square, tag_cells};
 use crate::Error;
-use crate::detect::{square_of, tag_cells};
 
 /// Points of a PDF per metre.
 const POINTS_PER_M: f64 = 72.0 / 0.0254;
@@ -168,7 +167,7 @@ impl Target {
                 let bits = dictionary.edge_bits();
                 let cell = marker_m / (bits + 2) as f64;
                 for marker in 0..(columns * rows / 2) as usize {
-                    let (column, row) = square_of(marker, columns as usize);
+                    let (column, row) = charuco_square(marker, columns as usize);
                     let left = f64::from(column) * square_m + margin;
                     let top = (f64::from(rows) - f64::from(row)) * square_m - margin;
                     for j in 0..bits + 2 {

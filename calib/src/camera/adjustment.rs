@@ -6,9 +6,10 @@ use lsfb_geometry::{Camera, Se3, UnitQuaternion, Vector2, Vector3};
 use lsfb_solver::{Block, Kernel, Problem, SolveConfig, solve};
 use nalgebra::SVector;
 
-use super::corner_residual::{CornerResidual, lens_camera};
+use super::corner_residual::CornerResidual;
+use crate::projection::lens_camera;
 use super::guess::pose_of_target;
-use super::{CameraConfig, CameraViews, describe};
+use super::{CameraConfig, CameraViews};
 use crate::Error;
 use crate::board::Target;
 
@@ -137,7 +138,7 @@ fn unreachable_camera(target: &Target) -> Error {
         found: 0,
         images: 0,
         needed: 1,
-        target: describe(target),
+        target: target.describe(),
     }
 }
 
@@ -395,7 +396,7 @@ impl Solved<'_> {
                 return Err(Error::DoesNotFit {
                     camera: self.cameras[k].views.name.clone(),
                     rms_px: median,
-                    target: describe(target),
+                    target: target.describe(),
                     model: self.cameras[k].camera.lens.model().name(),
                 });
             }

@@ -4,9 +4,11 @@
 //! `first_from_target`.
 
 use lsfb_geometry::camera::LensModel;
-use lsfb_geometry::{Camera, Matrix3x6, Se3, Vector2, Vector3, so3};
+use lsfb_geometry::{Se3, Vector2, Vector3};
 use lsfb_solver::{Linearization, Parameters, Residual, Shape, Undefined};
 use nalgebra::SVector;
+
+use crate::projection::{lens_camera, moved_by_pose};
 
 pub(super) struct CornerResidual<const N: usize> {
     pub model: LensModel,
@@ -21,31 +23,6 @@ impl<const N: usize> CornerResidual<N> {
         Shape::of::<Se3>(),
         Shape::of::<Se3>(),
     ];
-}
-
-/// The camera of a model with the first `N` parameters.
-pub(crate) fn lens_camera<const N: usize>(
-    model: LensModel,
-    [width, height]: [u32; 2],
-    parameters: &SVector<f64, N>,
-) -> Camera {
-    let mut values = [0.0; lsfb_geometry::camera::MAX_PARAMETERS];
-    values[..N].copy_from_slice(parameters.as_slice());
-    Camera {
-        width,
-        height,
-        lens: model.lens(&values),
-    }
-}
-
-/// Derivative of `pose · exp(δ) · point` by `δ`.
-pub(crate) fn moved_by_pose(pose: &Se3, point: &Vector3<f64>) -> Matrix3x6<f64> {
-    let r = pose.rotation_matrix();
-    let mut by = Matrix3x6::zeros();
-    by.fixed_view_mut::<3, 3>(0, 0)
-        .copy_from(&(-(r * so3::hat(point))));
-    by.fixed_view_mut::<3, 3>(0, 3).copy_from(&r);
-    by
 }
 
 impl<const N: usize> Residual for CornerResidual<N> {

@@ -72,7 +72,7 @@ pub(super) fn camera(
         found: 0,
         images: views.images,
         needed: 1,
-        target: super::describe(target),
+        target: target.describe(),
     })?;
     if ideal.lens.model() == model {
         return Ok(ideal);

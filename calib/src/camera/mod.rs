@@ -5,11 +5,11 @@
 
 mod adjustment;
 mod corner_residual;
-mod export;
 mod guess;
 mod holdout;
 mod normal;
 mod page;
+mod rig;
 mod selection;
 mod summary;
 mod views;
@@ -25,12 +25,12 @@ use crate::Error;
 use crate::board::Target;
 use crate::detect::Corner;
 
+pub use crate::coverage::COVERAGE_CELLS;
+
 pub use crate::residual_diagnosis::BoardDeformation;
 pub(crate) use adjustment::most_central;
-pub(crate) use corner_residual::{lens_camera, moved_by_pose};
 pub(crate) use guess::fit_lens;
 pub use guess::pose_of_target;
-pub(crate) use summary::{CellErrors, cells};
 pub(crate) use views::last_number;
 pub use views::{views_from_folder, views_from_recording};
 
@@ -163,9 +163,6 @@ pub struct CameraCalibration {
     pub first_from_target: BTreeMap<i64, Se3>,
 }
 
-/// Columns and rows of the coverage map.
-pub const COVERAGE_CELLS: [usize; 2] = [12, 8];
-
 /// Calibrates cameras that were triggered together; one is enough. The order of views and of cameras but the first does not
 /// matter.
 pub fn calibrate_cameras(
@@ -192,7 +189,7 @@ pub fn calibrate_cameras(
                 found: views.views.len(),
                 images: views.images,
                 needed: config.min_views,
-                target: describe(target),
+                target: target.describe(),
             });
         }
         let chosen = selection::choose(views, config.max_views);
@@ -280,25 +277,6 @@ fn in_order(cameras: &[CameraViews]) -> Vec<CameraViews> {
         corners.sort_by_key(|c| c.index);
     }
     ordered
-}
-
-/// The target in a few words, for errors.
-pub(crate) fn describe(target: &Target) -> String {
-    match target {
-        Target::AprilGrid { columns, rows, .. } => format!("AprilGrid of {columns} × {rows} tags"),
-        Target::Checkerboard { columns, rows, .. } => {
-            format!("checkerboard of {columns} × {rows} inner corners")
-        }
-        Target::Charuco {
-            columns,
-            rows,
-            dictionary,
-            ..
-        } => format!(
-            "ChArUco board of {columns} × {rows} squares with markers of {} bits",
-            dictionary.name()
-        ),
-    }
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use lsfb_geometry::Se3;
 use nalgebra::{DMatrix, DVector, Matrix6, SMatrix};
 
 use super::adjustment::Solved;
-use super::corner_residual::moved_by_pose;
+use crate::projection::moved_by_pose;
 use crate::Error;
 use crate::board::Target;
 

@@ -6,12 +6,12 @@ use super::adjustment::Solved;
 use super::holdout::Holdout;
 use super::normal::{Covariances, covariances, parameter_count};
 use super::{
-    BoardDeformation, COVERAGE_CELLS, CalibratedCamera, CameraCalibration, CameraConfig,
-    CameraViews, Estimate,
+    BoardDeformation, CalibratedCamera, CameraCalibration, CameraConfig, CameraViews, Estimate,
 };
 use crate::Error;
 use crate::board::Target;
 use crate::clusters::{Clusters, share_of_board};
+use crate::coverage::{CellErrors, cell, corners_by_cell, empty_parts};
 use crate::residual_diagnosis::{AdjustedCorner, AdjustedView, Diagnosis};
 
 /// Relative standard deviation of a focal length above which it counts as not determined.
@@ -33,12 +33,11 @@ struct Errors {
 
 impl Errors {
     fn of(target: &Target, solved: &Solved, camera: usize) -> Self {
+        let lens = &solved.cameras[camera].camera;
+        let size_px = [lens.width, lens.height];
         let mut errors = Self {
             all: Vec::new(),
-            by_cell: CellErrors::new([
-                solved.cameras[camera].camera.width,
-                solved.cameras[camera].camera.height,
-            ]),
+            by_cell: CellErrors::new(size_px),
             inlier_squares: 0.0,
             inliers: 0,
             clusters: Default::default(),
@@ -56,7 +55,7 @@ impl Errors {
                     errors.by_cell.add(&corner.pixel, &error);
                     let share = share_of_board(target, &target.corner(corner.index));
                     errors.clusters[0].add(*instant, share, &error);
-                    let place = cell(&corner.pixel, errors.by_cell.size_px);
+                    let place = cell(&corner.pixel, size_px);
                     errors.clusters[1].add(place as i64, [0.0; 2], &error);
                 }
             }
@@ -153,7 +152,8 @@ impl Solved<'_> {
         }
         let corners = errors.all.len();
         let squares: f64 = errors.all.iter().map(|e| e[0] * e[0] + e[1] * e[1]).sum();
-        let cells = cells(start.views);
+        let views = start.views;
+        let cells = corners_by_cell(views.views.values().flatten(), [views.width, views.height]);
         let seen = cells.iter().filter(|n| **n > 0).count();
         let coverage = seen as f64 / cells.len() as f64;
         let mut warnings = Vec::new();
@@ -231,81 +231,5 @@ impl Solved<'_> {
                     .collect(),
             }
         })
-    }
-}
-
-/// Cell of the coverage map in which a pixel lies.
-fn cell(pixel: &Vector2<f64>, [width, height]: [u32; 2]) -> usize {
-    let [columns, rows] = COVERAGE_CELLS;
-    let place = |x: f64, size: u32, count: usize| {
-        let share = (x + 0.5) / f64::from(size) * count as f64;
-        (share.max(0.0) as usize).min(count - 1)
-    };
-    place(pixel.y, height, rows) * columns + place(pixel.x, width, columns)
-}
-
-/// Corners of all views per cell of the image, by rows from the upper left.
-pub(crate) fn cells(views: &CameraViews) -> Vec<u32> {
-    let [columns, rows] = COVERAGE_CELLS;
-    let mut cells = vec![0; columns * rows];
-    for corner in views.views.values().flatten() {
-        cells[cell(&corner.pixel, [views.width, views.height])] += 1;
-    }
-    cells
-}
-
-/// Errors per cell of the image.
-pub(crate) struct CellErrors {
-    size_px: [u32; 2],
-    cells: Vec<(Vector2<f64>, f64)>,
-}
-
-impl CellErrors {
-    pub fn new(size_px: [u32; 2]) -> Self {
-        let [columns, rows] = COVERAGE_CELLS;
-        Self {
-            size_px,
-            cells: vec![(Vector2::zeros(), 0.0); columns * rows],
-        }
-    }
-
-    pub fn add(&mut self, pixel: &Vector2<f64>, error_px: &Vector2<f64>) {
-        let (sum, count) = &mut self.cells[cell(pixel, self.size_px)];
-        *sum += error_px;
-        *count += 1.0;
-    }
-
-    /// The mean of each cell, zero where there is none.
-    pub fn means(&self) -> Vec<[f64; 2]> {
-        let mean = |(sum, count): &(Vector2<f64>, f64)| (sum / count.max(1.0)).into();
-        self.cells.iter().map(mean).collect()
-    }
-}
-
-/// Which parts of the image have the fewest corners, in words.
-fn empty_parts(cells: &[u32]) -> String {
-    let [columns, rows] = COVERAGE_CELLS;
-    let mut parts = Vec::new();
-    for (name, top, left) in [
-        ("the upper left", true, true),
-        ("the upper right", true, false),
-        ("the lower left", false, true),
-        ("the lower right", false, false),
-    ] {
-        let inside =
-            |k: usize| ((k / columns) * 2 < rows) == top && ((k % columns) * 2 < columns) == left;
-        let (mut empty, mut all) = (0, 0);
-        for (_, n) in cells.iter().enumerate().filter(|(k, _)| inside(*k)) {
-            all += 1;
-            empty += usize::from(*n == 0);
-        }
-        if 2 * empty > all {
-            parts.push(name);
-        }
-    }
-    if parts.is_empty() {
-        "the border".to_owned()
-    } else {
-        parts.join(", ")
     }
 }

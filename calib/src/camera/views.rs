@@ -125,7 +125,7 @@ fn gather(name: &str, target: &Target, looked: Vec<Looked>) -> Result<CameraView
     if looked.iter().all(|l| l.corners.is_empty()) && mirrored + others > 0 {
         return Err(Error::OtherTarget {
             camera: name.to_owned(),
-            target: super::describe(target),
+            target: target.describe(),
             images,
             problem: if mirrored >= others {
                 format!(

@@ -3,7 +3,7 @@
 use lsfb_geometry::{Rig, RigImu, Se3, Vector3};
 use lsfb_types::{Bounds, OutOfBounds};
 
-use super::start::Sample;
+use super::state::Sample;
 use super::{CameraImuCalibration, CameraImuConfig, KnownCamera};
 use crate::Error;
 use crate::board::Target;

@@ -13,7 +13,7 @@ use nalgebra::{RowVector2, SVector, Vector1};
 
 use super::bend::{Bend, bends};
 use super::{Clock, ORDER, view_residual};
-use crate::camera::{lens_camera, moved_by_pose};
+use crate::projection::{lens_camera, moved_by_pose};
 
 pub(super) struct CornerResidual {
     pub model: LensModel,

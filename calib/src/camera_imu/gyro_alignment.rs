@@ -4,7 +4,7 @@ use lsfb_geometry::align::{Scale, umeyama};
 use lsfb_geometry::{Se3, UnitQuaternion, Vector3, so3};
 
 use super::CameraImuConfig;
-use super::start::Sample;
+use super::state::Sample;
 use crate::Error;
 
 /// Views closer than this give an angular velocity, seconds.

@@ -7,13 +7,14 @@
 mod bend;
 mod checks;
 mod corner_residual;
-mod export;
 mod gyro_alignment;
 mod inertial;
 mod page;
 mod problem;
 mod report;
+mod rig;
 mod start;
+mod state;
 mod table;
 mod uncertainty;
 mod view_residual;
@@ -349,7 +350,7 @@ pub fn calibrate_camera_imu(
     let mut order: Vec<usize> = (0..cameras.len()).collect();
     order.sort_by(|a, b| cameras[*a].views.name.cmp(&cameras[*b].views.name));
     let sorted: Vec<KnownCamera> = order.iter().map(|k| cameras[*k].clone()).collect();
-    let mut state = start::State::new(target, &sorted, imu, noise, config)?;
+    let mut state = state::State::new(target, &sorted, imu, noise, config)?;
     let show = |round: usize| {
         progress(Progress {
             stage: "camera-IMU",

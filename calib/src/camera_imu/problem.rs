@@ -10,12 +10,12 @@ use nalgebra::{SVector, Vector1};
 use super::bend::{BEND, Bend, SIZE, bends};
 use super::corner_residual::CornerResidual;
 use super::inertial::{AccelAxes, Accelerometer, BiasWalk, GravityNorm, Gyro, GyroAxes};
-use super::start::{State, View};
+use super::state::{State, View};
 use super::view_residual::ViewResidual;
 use super::{Axes, BoardShape, CameraImuConfig, Clock, Lenses, ORDER, Readout};
 use crate::Error;
 use crate::board::Target;
-use crate::camera::lens_camera;
+use crate::projection::lens_camera;
 use crate::clusters::{Clusters, share_of_board};
 
 /// Corners that miss by more than this many times the median are outliers.
@@ -534,7 +534,7 @@ impl State {
                 return Err(Error::DoesNotFit {
                     camera: self.cameras[k].name.clone(),
                     rms_px: median,
-                    target: crate::camera::describe(target),
+                    target: target.describe(),
                     model: self.cameras[k].model().name(),
                 });
             }

@@ -6,11 +6,12 @@ use nalgebra::{RowSVector, SMatrix};
 use super::bend::{BEND, bends};
 use super::inertial::{accel_matrix, gyro_matrix};
 use super::problem::BoardExcess;
-use super::start::{State, View};
+use super::state::{State, View};
 use super::uncertainty::Uncertainty;
 use super::{Axes, CameraImuCalibration, CameraImuConfig, CameraOnImu, FoundImu, ORDER, checks};
 use crate::board::Target;
-use crate::camera::{CellErrors, Estimate};
+use crate::camera::Estimate;
+use crate::coverage::CellErrors;
 use crate::residual_diagnosis::{AdjustedCorner, AdjustedView, Diagnosis, WORRYING_RMS_PX};
 
 /// Residual of the IMU, as a multiple of its noise, above which something is wrong with it.

@@ -13,10 +13,12 @@ use lsfb_types::{ImuSample, Timestamp};
 use super::bend::Bend;
 use super::gyro_alignment::GyroAlignment;
 use super::inertial::{AccelAxes, GyroAxes};
+use super::state::{Mounted, Sample, State, View};
 use super::{CameraImuConfig, Clock, KnownCamera, Motion, ORDER, checks};
 use crate::Error;
 use crate::board::Target;
 use crate::camera::pose_of_target;
+use crate::coverage::corners_by_cell;
 
 /// Corners farther than this from the first pose are outliers from the start, pixels.
 const FIRST_LIMIT_PX: f64 = 4.0;
@@ -32,77 +34,6 @@ const MIN_SHARED: usize = 5;
 const MIN_SAMPLES: usize = 200;
 /// Motion before the first and after the last view, seconds.
 const MARGIN_S: f64 = 0.1;
-
-pub(super) struct View {
-    pub camera: usize,
-    /// The camera's own stamp, seconds after the origin.
-    pub stamp_s: f64,
-    pub corners: Vec<(Vector3<f64>, Vector2<f64>)>,
-    pub inliers: Vec<bool>,
-    pub holdout: bool,
-}
-
-pub(super) struct Sample {
-    pub time_s: f64,
-    pub gyro: Vector3<f64>,
-    pub accel: Vector3<f64>,
-    /// Axes that are at the end of their range.
-    pub gyro_saturated: [bool; 3],
-    pub accel_saturated: [bool; 3],
-}
-
-/// A camera on its way.
-pub(super) struct Mounted {
-    pub name: String,
-    pub camera: Camera,
-    pub camera_from_rig: Se3,
-    pub clock: Clock,
-    pub readout_s: f64,
-    /// Standard deviation of a corner in one direction, pixels.
-    pub sigma_px: f64,
-    /// Median error of its corners with each view for itself, pixels.
-    pub alone_px: f64,
-    pub cells: Vec<u32>,
-}
-
-impl Mounted {
-    /// When the row of a pixel is exposed, after the view's time, seconds.
-    pub fn row_s(&self, pixel: &Vector2<f64>) -> f64 {
-        row_time_s(&self.camera, self.readout_s, pixel.y)
-    }
-
-    pub fn model(&self) -> LensModel {
-        self.camera.lens.model()
-    }
-}
-
-/// Everything that is estimated, and what it is estimated from.
-pub(super) struct State {
-    pub motion: Motion,
-    pub cameras: Vec<Mounted>,
-    /// Control points of the biases, and how far apart they are, seconds.
-    pub gyro_bias: Vec<Vector3<f64>>,
-    pub accel_bias: Vec<Vector3<f64>>,
-    pub bias_spacing_s: f64,
-    pub gyro_axes: GyroAxes,
-    pub accel_axes: AccelAxes,
-    pub gravity: Vector3<f64>,
-    pub bend: Bend,
-    /// Time at which the offsets of the clocks hold, seconds after the origin.
-    pub middle_s: f64,
-    /// Middle of the board, and how far its corners lie from it, metres.
-    pub centre: Vector3<f64>,
-    pub half_board_m: f64,
-    pub samples: Vec<Sample>,
-    pub views: Vec<View>,
-    pub noise: RigImu,
-    /// Standard deviation of a sample.
-    pub gyro_sigma: f64,
-    pub accel_sigma: f64,
-    pub rate_rms: Vector3<f64>,
-    pub force_rms: Vector3<f64>,
-    pub warnings: Vec<String>,
-}
 
 /// A camera's views with its own pose of the target in each.
 struct PosedViews {
@@ -134,7 +65,7 @@ impl State {
                 found: 0,
                 images: 0,
                 needed: MIN_VIEWS,
-                target: crate::camera::describe(target),
+                target: target.describe(),
             });
         };
         let length_s = samples.last().map_or(0.0, |s| s.time_s);
@@ -173,7 +104,10 @@ impl State {
                 readout_s: known.readout_s,
                 sigma_px: config.corner_sigma_px,
                 alone_px: own.median_px,
-                cells: crate::camera::cells(&known.views),
+                cells: corners_by_cell(
+                    known.views.views.values().flatten(),
+                    [known.views.width, known.views.height],
+                ),
             });
         }
         let path = path_of(&mounted, &seen, origin);
@@ -384,7 +318,7 @@ fn look(
             found: known.views.views.len(),
             images: known.views.images,
             needed: MIN_VIEWS,
-            target: crate::camera::describe(target),
+            target: target.describe(),
         });
     }
     errors.sort_by(f64::total_cmp);
@@ -398,7 +332,7 @@ fn look(
         return Err(Error::DoesNotFit {
             camera: known.views.name.clone(),
             rms_px: median_px,
-            target: crate::camera::describe(target),
+            target: target.describe(),
             model: known.camera.lens.model().name(),
         });
     }

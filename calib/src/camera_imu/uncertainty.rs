@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, Matrix3, SMatrix};
 
 use super::bend::BEND;
 use super::problem::{Blocks, Effort};
-use super::start::State;
+use super::state::State;
 use super::{Axes, BoardShape, CameraImuConfig, Lenses, Readout};
 use crate::Error;
 

@@ -16,7 +16,7 @@ use nalgebra::{DMatrix, SMatrix, SVector};
 
 use super::bend::{BEND, Bend, bends};
 use super::{Clock, ORDER};
-use crate::camera::lens_camera;
+use crate::projection::lens_camera;
 
 /// The pose's components, the lens's and the board's.
 const INNER: usize = 6 + MAX_PARAMETERS + BEND;

@@ -6,15 +6,11 @@ use lsfb_geometry::{Matrix3, Vector2, Vector3};
 use lsfb_types::Image;
 use nalgebra::{SMatrix, SVector};
 
-use super::codes::CODES;
 use super::link::Links;
 use super::saddle::Saddle;
 use super::{RoughCorner, sample};
+use crate::board::{BORDER_BITS, CODE_BITS, EDGE_BITS, tag_codes};
 
-/// Bits along the edge of a tag of Kalibr's grid: two of border, six of code, two of border.
-const EDGE_BITS: usize = 10;
-const BORDER_BITS: usize = 2;
-const CODE_BITS: usize = EDGE_BITS - 2 * BORDER_BITS;
 /// White bits that a tag has at least.
 const LEAST_WHITE: usize = 6;
 /// Wrong bits forgiven; codes of the family differ by 11.
@@ -89,18 +85,6 @@ fn dark_square(saddles: &[Saddle], links: &Links, start: usize, ray: usize) -> O
     }
     let closed = at == start && along == ray;
     (closed && corners[1..].iter().all(|c| *c > start)).then_some(corners)
-}
-
-/// The cells of a tag by rows from its upper left, white is `true`: border, code, border.
-pub fn tag_cells(number: usize) -> [[bool; EDGE_BITS]; EDGE_BITS] {
-    let code = CODES.get(number).copied().unwrap_or_default();
-    let mut cells = [[false; EDGE_BITS]; EDGE_BITS];
-    for k in 0..CODE_BITS * CODE_BITS {
-        let bit = CODE_BITS * CODE_BITS - 1 - k;
-        let place = |n: usize| BORDER_BITS + CODE_BITS - 1 - n;
-        cells[place(k / CODE_BITS)][place(k % CODE_BITS)] = code >> bit & 1 == 1;
-    }
-    cells
 }
 
 struct Tag {
@@ -193,7 +177,7 @@ fn nearest(bits: &Bits, tags: u32) -> Option<Tag> {
             (0..tags as usize).map(move |number| Tag {
                 number,
                 turn,
-                wrong: CODES
+                wrong: tag_codes()
                     .get(number)
                     .map_or(u32::MAX, |c| (c ^ code).count_ones()),
             })

@@ -6,52 +6,14 @@ use lsfb_geometry::Vector3;
 use lsfb_types::Image;
 
 use super::april_grid::homography;
-use super::aruco;
 use super::checkerboard::{Lattice, grow};
 use super::link::Links;
 use super::saddle::Saddle;
 use super::{RoughCorner, sample};
-use crate::board::MarkerDictionary;
+use crate::board::{MarkerDictionary, charuco_square};
 
 /// Most bits along the edge of a marker's code.
 const MOST_BITS: usize = 6;
-/// Wrong bits forgiven, of whatever dictionary.
-const MOST_WRONG: u32 = 3;
-
-impl MarkerDictionary {
-    /// Bits along the edge of a code.
-    pub(crate) fn edge_bits(self) -> usize {
-        match self {
-            Self::Aruco4x4 => 4,
-            Self::Aruco5x5 => 5,
-            Self::Aruco6x6 => 6,
-        }
-    }
-
-    fn codes(self) -> &'static [u64] {
-        match self {
-            Self::Aruco4x4 => &aruco::CODES_4X4,
-            Self::Aruco5x5 => &aruco::CODES_5X5,
-            Self::Aruco6x6 => &aruco::CODES_6X6,
-        }
-    }
-
-    /// Less than half of what any two codes differ by.
-    fn forgiven(self) -> u32 {
-        match self {
-            Self::Aruco4x4 => 1,
-            Self::Aruco5x5 => 2,
-            Self::Aruco6x6 => MOST_WRONG,
-        }
-    }
-
-    /// Whether the cell of a marker's code is white, by column and row from its upper left.
-    pub(crate) fn is_white(self, marker: usize, column: usize, row: usize) -> bool {
-        let bits = self.edge_bits();
-        let code = self.codes().get(marker).copied().unwrap_or_default();
-        code >> (bits * bits - 1 - (row * bits + column)) & 1 == 1
-    }
-}
 
 /// The board that is looked for.
 pub(super) struct Layout {
@@ -66,25 +28,12 @@ pub(super) struct Layout {
 impl Layout {
     /// The square of a marker.
     fn square_of(&self, marker: usize) -> (i32, i32) {
-        square_of(marker, self.columns)
+        charuco_square(marker, self.columns)
     }
 
     fn markers(&self) -> usize {
         self.columns * self.rows / 2
     }
-}
-
-/// The square of a marker: white ones by rows, the upper left square of the board is black.
-pub(crate) fn square_of(marker: usize, columns: usize) -> (i32, i32) {
-    // Two rows together have as many white squares as columns.
-    let (pair, rest) = (marker / columns, marker % columns);
-    let in_first = columns / 2;
-    let (x, y) = if rest < in_first {
-        (2 * rest + 1, 2 * pair)
-    } else {
-        (2 * (rest - in_first), 2 * pair + 1)
-    };
-    (x as i32, y as i32)
 }
 
 /// How a lattice lies on the board: quarter turns, and the vertex of the board under the lattice's origin. Vertex (0, 0) is

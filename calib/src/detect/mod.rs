@@ -6,10 +6,8 @@
 //! bits, and `refine` measures the corners.
 
 mod april_grid;
-mod aruco;
 mod charuco;
 mod checkerboard;
-mod codes;
 mod link;
 mod refine;
 mod saddle;
@@ -18,9 +16,6 @@ use lsfb_geometry::Vector2;
 use lsfb_types::Image;
 
 use crate::board::Target;
-
-pub use april_grid::tag_cells;
-pub(crate) use charuco::square_of;
 
 /// A corner of the target as seen in an image.
 #[derive(Clone, Copy, Debug, PartialEq)]

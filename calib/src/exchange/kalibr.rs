@@ -181,34 +181,41 @@ fn camera(link: &Link) -> Result<Camera, String> {
     })
 }
 
-/// A camera of a chain that is written.
-pub(crate) struct ChainCamera<'a> {
-    /// Its topic is `/<name>/image`.
-    pub name: &'a str,
-    pub camera: &'a Camera,
-    /// From the frame that all cameras of the chain share.
-    pub camera_from_shared: Se3,
-    /// Added to the camera's stamps it gives those of the IMU, whose frame the shared one then is; `None` in a chain without
-    /// IMU.
-    pub imu_from_camera_s: Option<f64>,
+/// From what the cameras of a chain are posed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ChainOrigin {
+    /// The IMU: Kalibr's `camchain-imucam.yaml`, with time shifts.
+    Imu,
+    /// The first camera: Kalibr's `camchain.yaml`.
+    FirstCamera,
 }
 
-/// Kalibr's camera chain, each camera joined to the one before. Its radtan has four coefficients: a `k3` is left out.
-pub(crate) fn camera_chain<'a>(cameras: impl Iterator<Item = ChainCamera<'a>>) -> String {
+/// Kalibr's camera chain of the named cameras of a rig, in that order, each joined to the one before; names that the rig does
+/// not have are left out. Kalibr's radtan has four coefficients: a `k3` is left out.
+pub fn camera_chain<'a>(
+    rig: &Rig,
+    names: impl IntoIterator<Item = &'a str>,
+    origin: ChainOrigin,
+) -> String {
+    let known = names
+        .into_iter()
+        .filter_map(|name| Some((name, rig.cameras.get(name)?)));
     let mut text = String::new();
-    let mut shared_from_before: Option<Se3> = None;
-    for (k, link) in cameras.enumerate() {
+    let mut rig_from_before: Option<Se3> = None;
+    for (k, (name, mounted)) in known.enumerate() {
+        let camera_from_rig = mounted.rig_from_camera.inverse();
         // Writing to a String cannot fail.
         let _ = writeln!(text, "cam{k}:");
-        if link.imu_from_camera_s.is_some() {
-            text += &matrix("T_cam_imu", &link.camera_from_shared);
+        if origin == ChainOrigin::Imu {
+            text += &matrix("T_cam_imu", &camera_from_rig);
         }
-        if let Some(shared_from_before) = shared_from_before {
-            text += &matrix("T_cn_cnm1", &(link.camera_from_shared * shared_from_before));
+        if let Some(rig_from_before) = rig_from_before {
+            text += &matrix("T_cn_cnm1", &(camera_from_rig * rig_from_before));
         }
-        shared_from_before = Some(link.camera_from_shared.inverse());
-        text += &lens_lines(link.name, link.camera);
-        if let Some(shift_s) = link.imu_from_camera_s {
+        rig_from_before = Some(mounted.rig_from_camera);
+        text += &lens_lines(name, &mounted.camera);
+        if origin == ChainOrigin::Imu {
+            let shift_s = mounted.timing.rig_from_camera_s;
             let _ = writeln!(text, "  timeshift_cam_imu: {}", exact(shift_s));
         }
     }
@@ -286,15 +293,13 @@ pub(super) fn export(rig: &Rig, imu_rate_hz: f64) -> Exported {
             out.notes.push(format!("{name} is cam{k} in these files"));
         }
     }
-    let chain = rig.cameras.iter().map(|(name, mounted)| ChainCamera {
-        name,
-        camera: &mounted.camera,
-        camera_from_shared: mounted.rig_from_camera.inverse(),
-        imu_from_camera_s: Some(mounted.timing.rig_from_camera_s),
-    });
     out.files.push(ExportedFile {
         name: "camchain-imucam.yaml".to_owned(),
-        text: camera_chain(chain),
+        text: camera_chain(
+            rig,
+            rig.cameras.keys().map(String::as_str),
+            ChainOrigin::Imu,
+        ),
     });
     if let Some(imu) = &rig.imu {
         out.files.push(ExportedFile {

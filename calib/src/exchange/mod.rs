@@ -31,8 +31,7 @@ use crate::camera::fit_lens;
 
 pub use basalt::import_basalt;
 pub use colmap::import_colmap;
-pub(crate) use kalibr::{ChainCamera, camera_chain};
-pub use kalibr::{import_kalibr, import_kalibr_imu, imu_to_kalibr};
+pub use kalibr::{ChainOrigin, camera_chain, import_kalibr, import_kalibr_imu, imu_to_kalibr};
 pub use ros::{ImportedCamera, import_camera_info};
 
 /// A rig from another program's file.

@@ -21,12 +21,8 @@ use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
 use crate::{Error, TransformEdge};
+pub use crate::transform::{IMU, LIDAR};
 use edge_residual::GraphEdge;
-
-/// Name of the sensor in whose frame all poses are.
-pub const IMU: &str = "imu";
-/// Name of the LiDAR.
-pub const LIDAR: &str = "lidar";
 
 /// Where covariances come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

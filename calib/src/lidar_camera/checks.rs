@@ -2,7 +2,7 @@
 
 use lsfb_geometry::{Rig, Se3, Vector3};
 
-use super::adjustment::{Solved, patch};
+use super::solved::{Solved, patch};
 use super::association::direction_name;
 use super::summary::size_words;
 use super::{LidarCameraCalibration, MountedBoard, Scene};

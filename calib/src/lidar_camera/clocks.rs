@@ -6,7 +6,7 @@
 use nalgebra::{SMatrix, SVector};
 
 use super::Scene;
-use super::adjustment::Solved;
+use super::solved::Solved;
 use super::residuals::{PlaneResidual, facing};
 
 /// By how much the LiDAR's stamps are late.

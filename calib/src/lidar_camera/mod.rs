@@ -19,6 +19,7 @@ mod poses;
 mod problem;
 mod residuals;
 mod scan_grid;
+mod solved;
 mod summary;
 
 use std::collections::BTreeMap;
@@ -316,7 +317,7 @@ fn scenes<'a>(
             found,
             images: poses.len(),
             needed: config.min_poses,
-            target: crate::camera::describe(&board.target),
+            target: board.target.describe(),
         });
     }
     Ok(scenes)

@@ -3,17 +3,18 @@
 use lsfb_geometry::{Camera, Se3, Vector2, Vector3};
 
 use super::adjustment::{
-    PatternSize, PlateShift, Solved, Used, adjust, patch, pattern_size, plate_shift,
+    PatternSize, PlateShift, adjust, pattern_size, plate_shift,
 };
 use super::association::Joined;
 use super::outline::{Rectangle, fitted};
 use super::problem::edge_errors_m;
+use super::solved::{Solved, Used, patch};
 use super::{
     BoardResiduals, LidarCameraCalibration, LidarCameraConfig, MountedBoard, PoseFit, Scene,
     checks, clocks,
 };
 use crate::Error;
-use crate::camera::COVERAGE_CELLS;
+use crate::coverage::COVERAGE_CELLS;
 use crate::detect::Corner;
 use crate::residual_diagnosis::{AdjustedCorner, AdjustedView, Diagnosis};
 

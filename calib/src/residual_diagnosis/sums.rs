@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector, RowSVector, SMatrix, SVector};
 
 use super::{AdjustedCorner, AdjustedView, BoardDeformation, Deformation, from_middle};
 use crate::board::Target;
-use crate::camera::moved_by_pose;
+use crate::projection::moved_by_pose;
 
 /// Rings of the lens's radial profile.
 const RINGS: usize = 8;

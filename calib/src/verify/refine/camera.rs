@@ -16,7 +16,7 @@ use super::path::LidarPath;
 use super::report::{Component, Evidence, NAMES, Refinement, Transfer};
 use super::scan::Scan;
 use super::surfaces::Place;
-use crate::camera::COVERAGE_CELLS;
+use crate::coverage::COVERAGE_CELLS;
 use crate::{Error, TransformEdge};
 
 /// Widest image in which corners are looked for, pixels.

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use lsfb_calib::camera::{CameraConfig, CameraViews, calibrate_cameras};
+use lsfb_calib::exchange::{ChainOrigin, camera_chain};
 use lsfb_calib::verify::Outcome as Judgement;
 use lsfb_geometry::Rig;
 use lsfb_geometry::camera::LensModel;
@@ -108,7 +109,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         write(&arguments.out, rig.to_toml())?;
         transforms = write_transforms(&arguments.out, &calibration.edges())?;
         if let Some(path) = &arguments.kalibr {
-            write(path, calibration.to_kalibr())?;
+            let names = calibration.cameras.iter().map(|c| c.name.as_str());
+            write(path, camera_chain(&rig, names, ChainOrigin::FirstCamera))?;
         }
         provenance.write(&arguments.out)?;
     }

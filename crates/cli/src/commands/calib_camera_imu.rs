@@ -6,6 +6,7 @@ use anyhow::Context as _;
 use lsfb_calib::camera_imu::{
     CameraImuCalibration, CameraImuConfig, KnownCamera, calibrate_camera_imu,
 };
+use lsfb_calib::exchange::{ChainOrigin, camera_chain};
 use lsfb_calib::verify::Outcome as Judgement;
 use lsfb_geometry::{Rig, Se3};
 use lsfb_recording::{Provenance, write_tum};
@@ -116,7 +117,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         write(&arguments.out, rig.to_toml())?;
         transforms = write_transforms(&arguments.out, &calibration.edges())?;
         if let Some(path) = &arguments.kalibr {
-            write(path, calibration.to_kalibr())?;
+            let names = calibration.cameras.iter().map(|c| c.name.as_str());
+            write(path, camera_chain(&rig, names, ChainOrigin::Imu))?;
         }
         if let Some(path) = &arguments.trajectory {
             write_tum(path, &calibration.motion.trajectory(INTERVAL_S))?;

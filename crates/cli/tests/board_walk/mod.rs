@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use lsfb_calib::detect::tag_cells;
+use lsfb_calib::board::tag_cells;
 use lsfb_geometry::camera::Lens;
 use lsfb_geometry::{
     Camera, CameraTiming, Matrix3, Rig, RigCamera, RigImu, Se3, UnitQuaternion, Vector2, Vector3,

@@ -1,10 +1,9 @@
-//! A calibration as a rig, and as Kalibr's camera chain.
+//! A calibration put into a rig, and as edges of the joint graph.
 
 use lsfb_geometry::{Rig, RigCamera, Se3};
 
 use super::CameraCalibration;
 use crate::TransformEdge;
-use crate::exchange::{ChainCamera, camera_chain};
 
 impl CameraCalibration {
     /// The cameras put into `rig`: those it has already keep the first one's pose on the rig and get lenses and poses to each
@@ -43,15 +42,5 @@ impl CameraCalibration {
             covariance: Some(other.pose_covariance),
         };
         others.iter().map(edge).collect()
-    }
-
-    /// Kalibr's camchain YAML. Kalibr's radtan has four coefficients: a `k3` is left out there.
-    pub fn to_kalibr(&self) -> String {
-        camera_chain(self.cameras.iter().map(|calibrated| ChainCamera {
-            name: &calibrated.name,
-            camera: &calibrated.camera,
-            camera_from_shared: calibrated.camera_from_first,
-            imu_from_camera_s: None,
-        }))
     }
 }

@@ -1,11 +1,9 @@
-//! A calibration in a rig, and as Kalibr's files.
+//! A calibration put into a rig, and as edges of the joint graph.
 
 use lsfb_geometry::Rig;
 
 use super::{CameraImuCalibration, CameraOnImu};
-use crate::TransformEdge;
-use crate::exchange::{ChainCamera, camera_chain};
-use crate::joint::IMU;
+use crate::transform::{IMU, TransformEdge};
 
 impl CameraImuCalibration {
     /// Lenses, poses, clocks and shutters put into `rig`, for those of its cameras that were calibrated.
@@ -35,15 +33,5 @@ impl CameraImuCalibration {
             }
         };
         self.cameras.iter().map(edge).collect()
-    }
-
-    /// Kalibr's `camchain-imucam.yaml`.
-    pub fn to_kalibr(&self) -> String {
-        camera_chain(self.cameras.iter().map(|found| ChainCamera {
-            name: &found.name,
-            camera: &found.camera,
-            camera_from_shared: found.camera_from_rig,
-            imu_from_camera_s: Some(found.rig_from_camera_s),
-        }))
     }
 }
