@@ -9,7 +9,9 @@ use lsfb_geometry::Rig;
 use lsfb_geometry::camera::LensModel;
 use lsfb_recording::Provenance;
 
-use super::calib::{Judged, TargetArguments, calibrated_unix_s, views_of, write_transforms};
+use super::calib_board::BoardArguments;
+use super::calib_input::{calibrated_unix_s, views_of};
+use super::calib_result::{Judged, write_transforms};
 use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;
@@ -26,7 +28,7 @@ use crate::outcome::Outcome;
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
     #[command(flatten)]
-    target: TargetArguments,
+    board: BoardArguments,
     /// A camera of the recording, or NAME=FOLDER, or NAME=FOLDER/PREFIX*; the first one is the reference.
     #[arg(long = "camera", required = true, value_name = "NAME[=FOLDER]")]
     cameras: Vec<String>,
@@ -73,7 +75,7 @@ impl From<Model> for LensModel {
 
 /// Calibrates, writes rig and page, prints the report.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    let target = arguments.target.target()?;
+    let target = arguments.board.target()?;
     let mut config: CameraConfig = match &arguments.config {
         Some(path) => super::read_config(path)?,
         None => CameraConfig::default(),

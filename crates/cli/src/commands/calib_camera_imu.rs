@@ -11,9 +11,9 @@ use lsfb_calib::verify::Outcome as Judgement;
 use lsfb_geometry::{Rig, Se3};
 use lsfb_recording::{Provenance, write_tum};
 
-use super::calib::{
-    Judged, TargetArguments, calibrated_unix_s, imu_of, views_of, write_transforms,
-};
+use super::calib_board::BoardArguments;
+use super::calib_input::{calibrated_unix_s, imu_of, views_of};
+use super::calib_result::{Judged, write_transforms};
 use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;
@@ -31,7 +31,7 @@ use crate::outcome::Outcome;
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
     #[command(flatten)]
-    target: TargetArguments,
+    board: BoardArguments,
     /// The rig, with the noise of its IMU.
     #[arg(long, value_name = "TOML")]
     rig: PathBuf,
@@ -60,7 +60,7 @@ pub struct Arguments {
 
 /// Calibrates, writes the rig, prints the report.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    let target = arguments.target.target()?;
+    let target = arguments.board.target()?;
     let config: CameraImuConfig = match &arguments.config {
         Some(path) => super::read_config(path)?,
         None => CameraImuConfig::default(),

@@ -7,7 +7,7 @@ use lsfb_calib::imu_noise::{ImuNoise, ImuNoiseConfig, imu_noise};
 use lsfb_geometry::Rig;
 use lsfb_recording::Provenance;
 
-use super::calib::imu_of;
+use super::calib_input::imu_of;
 use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;

@@ -7,7 +7,7 @@ use lsfb_calib::joint::{IMU, JointConfig, Weights, join_transforms};
 use lsfb_geometry::{Rig, RigLidar};
 use lsfb_recording::Provenance;
 
-use super::calib::Judged;
+use super::calib_result::Judged;
 use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;

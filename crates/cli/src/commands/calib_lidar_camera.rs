@@ -11,9 +11,9 @@ use lsfb_calib::verify::Outcome as Judgement;
 use lsfb_geometry::{Rig, RigLidar};
 use lsfb_recording::Provenance;
 
-use super::calib::{
-    Judged, TargetArguments, calibrated_unix_s, number, views_of, words, write_transforms,
-};
+use super::calib_board::{BoardArguments, number, words};
+use super::calib_input::{calibrated_unix_s, views_of};
+use super::calib_result::{Judged, write_transforms};
 use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;
@@ -31,7 +31,7 @@ use crate::outcome::Outcome;
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
     #[command(flatten)]
-    target: TargetArguments,
+    board: BoardArguments,
     /// The plate: its size along the pattern's x and y axis in millimetres.
     #[arg(long, value_name = "W,H", value_parser = two_lengths)]
     plate: [f64; 2],
@@ -75,7 +75,7 @@ fn two_lengths(text: &str) -> Result<[f64; 2], String> {
 /// Calibrates, writes rig, transform and page, prints the report.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     let board = MountedBoard {
-        target: arguments.target.target()?,
+        target: arguments.board.target()?,
         width_m: arguments.plate[0],
         height_m: arguments.plate[1],
         offset_m: arguments.offset,

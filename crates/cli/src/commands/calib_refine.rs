@@ -6,7 +6,7 @@ use lsfb_calib::verify::{Compared, RefineConfig, Refinement, refine};
 use lsfb_recording::Provenance;
 use serde::Serialize;
 
-use super::calib::{listed, write_transforms};
+use super::calib_result::{listed, write_transforms};
 use crate::context::Context;
 use crate::outcome::Outcome;
 

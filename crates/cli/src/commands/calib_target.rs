@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use lsfb_calib::board::PageSize;
 
-use super::calib::TargetArguments;
+use super::calib_board::BoardArguments;
 use crate::context::Context;
 use crate::outcome::Outcome;
 
@@ -18,7 +18,7 @@ use crate::outcome::Outcome;
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
     #[command(flatten)]
-    target: TargetArguments,
+    board: BoardArguments,
     /// Paper, width and height in millimetres.
     #[arg(long, value_name = "W,H", default_value = "297,210", value_parser = page)]
     page: PageSize,
@@ -44,7 +44,7 @@ fn page(text: &str) -> Result<PageSize, String> {
 
 /// Writes the board.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    let target = arguments.target.target()?;
+    let target = arguments.board.target()?;
     let yaml = arguments.out.with_extension("yaml");
     super::write(&arguments.out, target.to_pdf(arguments.page)?)?;
     super::write(&yaml, target.to_kalibr())?;

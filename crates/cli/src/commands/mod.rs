@@ -1,13 +1,16 @@
 //! The subcommands: arguments, one library call, printing.
 
 pub mod calib;
+mod calib_board;
 mod calib_camera;
 mod calib_camera_imu;
 mod calib_exchange;
 mod calib_imu_noise;
+mod calib_input;
 mod calib_joint;
 mod calib_lidar_camera;
 mod calib_refine;
+mod calib_result;
 mod calib_target;
 mod calib_verify;
 pub mod clock;

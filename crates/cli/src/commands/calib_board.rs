@@ -1,0 +1,88 @@
+//! Which board: the options that all steps with a board share.
+
+use std::path::PathBuf;
+
+use lsfb_calib::Target;
+use lsfb_calib::board::MarkerDictionary;
+
+/// Which board.
+#[derive(clap::Args)]
+#[group(required = true, multiple = false)]
+pub struct BoardArguments {
+    /// The board, as a Kalibr target file.
+    #[arg(long, value_name = "YAML")]
+    target: Option<PathBuf>,
+    /// AprilGrid: tags across, tags up, edge of a tag in metres, gap as a share of it.
+    #[arg(long, value_name = "COLS,ROWS,SIZE,SPACING", value_parser = april_grid)]
+    april_grid: Option<Target>,
+    /// Checkerboard: inner corners across, inner corners down, edge of a square in metres.
+    #[arg(long, value_name = "COLS,ROWS,SIZE", value_parser = checkerboard)]
+    checkerboard: Option<Target>,
+    /// ChArUco board: squares across, squares down, edge of a square and of a marker in metres, bits of a marker (4x4, 5x5,
+    /// 6x6).
+    #[arg(long, value_name = "COLS,ROWS,SQUARE,MARKER,BITS", value_parser = charuco)]
+    charuco: Option<Target>,
+}
+
+impl BoardArguments {
+    /// The board that was named.
+    pub fn target(&self) -> anyhow::Result<Target> {
+        if let Some(path) = &self.target {
+            return Ok(Target::read_kalibr(path)?);
+        }
+        let named = self.april_grid.or(self.checkerboard).or(self.charuco);
+        named.ok_or_else(|| {
+            anyhow::anyhow!("no target: give --target, --april-grid, --checkerboard or --charuco")
+        })
+    }
+}
+
+fn april_grid(text: &str) -> Result<Target, String> {
+    let [columns, rows, size, spacing] = words(text, "COLS,ROWS,SIZE,SPACING")?;
+    checked(Target::AprilGrid {
+        columns: count(columns)?,
+        rows: count(rows)?,
+        tag_size_m: number(size)?,
+        spacing_ratio: number(spacing)?,
+    })
+}
+
+fn checkerboard(text: &str) -> Result<Target, String> {
+    let [columns, rows, size] = words(text, "COLS,ROWS,SIZE")?;
+    checked(Target::Checkerboard {
+        columns: count(columns)?,
+        rows: count(rows)?,
+        square_m: number(size)?,
+    })
+}
+
+fn charuco(text: &str) -> Result<Target, String> {
+    let [columns, rows, square, marker, bits] = words(text, "COLS,ROWS,SQUARE,MARKER,BITS")?;
+    checked(Target::Charuco {
+        columns: count(columns)?,
+        rows: count(rows)?,
+        square_m: number(square)?,
+        marker_m: number(marker)?,
+        dictionary: MarkerDictionary::named(bits)
+            .ok_or_else(|| format!("{bits}: expected 4x4, 5x5 or 6x6"))?,
+    })
+}
+
+/// Exactly `N` words between commas.
+pub fn words<'a, const N: usize>(text: &'a str, expected: &str) -> Result<[&'a str; N], String> {
+    let words: Vec<&str> = text.split(',').map(str::trim).collect();
+    words.try_into().map_err(|_| format!("expected {expected}"))
+}
+
+fn count(word: &str) -> Result<u32, String> {
+    word.parse().map_err(|_| format!("{word} is not a count"))
+}
+
+/// A number, or what is wrong with it.
+pub fn number(word: &str) -> Result<f64, String> {
+    word.parse().map_err(|_| format!("{word} is not a number"))
+}
+
+fn checked(target: Target) -> Result<Target, String> {
+    target.problem().map_or(Ok(target), Err)
+}
