@@ -28,4 +28,3 @@ pub(crate) fn moved_by_pose(pose: &Se3, point: &Vector3<f64>) -> Matrix3x6<f64> 
     by.fixed_view_mut::<3, 3>(0, 3).copy_from(&r);
     by
 }
-

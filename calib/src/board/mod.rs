@@ -13,8 +13,8 @@ mod tag36h11;
 use lsfb_geometry::Vector3;
 use serde::{Deserialize, Serialize};
 
-pub use markers::{MARKERS, MarkerDictionary, TAGS_36H11, tag_cells};
 pub(crate) use markers::{BORDER_BITS, CODE_BITS, EDGE_BITS, charuco_square, tag_codes};
+pub use markers::{MARKERS, MarkerDictionary, TAGS_36H11, tag_cells};
 pub use pdf::PageSize;
 
 /// A calibration board.

@@ -7,11 +7,11 @@ use lsfb_solver::{Block, Kernel, Problem, SolveConfig, solve};
 use nalgebra::SVector;
 
 use super::corner_residual::CornerResidual;
-use crate::projection::lens_camera;
 use super::guess::pose_of_target;
 use super::{CameraConfig, CameraViews};
 use crate::Error;
 use crate::board::Target;
+use crate::projection::lens_camera;
 
 /// A camera on its way.
 #[derive(Clone)]

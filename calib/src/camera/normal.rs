@@ -4,9 +4,9 @@ use lsfb_geometry::Se3;
 use nalgebra::{DMatrix, DVector, Matrix6, SMatrix};
 
 use super::adjustment::Solved;
-use crate::projection::moved_by_pose;
 use crate::Error;
 use crate::board::Target;
+use crate::projection::moved_by_pose;
 
 /// Covariances of the parameters, for a residual variance of one.
 pub(super) struct Covariances {

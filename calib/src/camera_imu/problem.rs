@@ -15,8 +15,8 @@ use super::view_residual::ViewResidual;
 use super::{Axes, BoardShape, CameraImuConfig, Clock, Lenses, ORDER, Readout};
 use crate::Error;
 use crate::board::Target;
-use crate::projection::lens_camera;
 use crate::clusters::{Clusters, share_of_board};
+use crate::projection::lens_camera;
 
 /// Corners that miss by more than this many times the median are outliers.
 const OUTLIER_RATIO: f64 = 5.0;

@@ -20,8 +20,8 @@ use lsfb_types::Bounds;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
-use crate::{Error, TransformEdge};
 pub use crate::transform::{IMU, LIDAR};
+use crate::{Error, TransformEdge};
 use edge_residual::GraphEdge;
 
 /// Where covariances come from.

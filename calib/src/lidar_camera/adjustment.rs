@@ -9,8 +9,8 @@ use nalgebra::Matrix2;
 use super::association::Joined;
 use super::candidates::Patch;
 use super::plane::{Chord, PlaneFit, Spread, regress};
-use super::solved::{Solved, Used};
 use super::problem::{APPARENT_SIGMA_M, Factors, Reach, Shift, State, build, plane_error};
+use super::solved::{Solved, Used};
 use super::{LidarCameraConfig, MountedBoard, Scene};
 use crate::Error;
 

@@ -2,8 +2,8 @@
 
 use lsfb_geometry::{Rig, Se3, Vector3};
 
-use super::solved::{Solved, patch};
 use super::association::direction_name;
+use super::solved::{Solved, patch};
 use super::summary::size_words;
 use super::{LidarCameraCalibration, MountedBoard, Scene};
 

@@ -6,8 +6,8 @@
 use nalgebra::{SMatrix, SVector};
 
 use super::Scene;
-use super::solved::Solved;
 use super::residuals::{PlaneResidual, facing};
+use super::solved::Solved;
 
 /// By how much the LiDAR's stamps are late.
 #[derive(Clone, Copy, Debug)]

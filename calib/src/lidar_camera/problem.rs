@@ -4,9 +4,9 @@ use lsfb_geometry::{Matrix6, Se3, Vector2, Vector3};
 use lsfb_solver::{Block, Kernel, PosePrior, Problem, VectorPrior};
 use nalgebra::DMatrix;
 
-use super::solved::{Solved, Used};
 use super::outline::{Edge, nearest_side};
 use super::residuals::{EdgeResidual, PlaneResidual, facing};
+use super::solved::{Solved, Used};
 use super::{MountedBoard, Scene};
 use crate::Error;
 

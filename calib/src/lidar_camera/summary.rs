@@ -2,9 +2,7 @@
 
 use lsfb_geometry::{Camera, Se3, Vector2, Vector3};
 
-use super::adjustment::{
-    PatternSize, PlateShift, adjust, pattern_size, plate_shift,
-};
+use super::adjustment::{PatternSize, PlateShift, adjust, pattern_size, plate_shift};
 use super::association::Joined;
 use super::outline::{Rectangle, fitted};
 use super::problem::edge_errors_m;

@@ -62,10 +62,7 @@ fn the_board_of_the_twin_places_the_lidar_and_the_rig_is_verified() {
         "{turn_deg}° {shift_mm} mm: {found}"
     );
     let page = std::fs::read_to_string(folder.path().join("after.html")).expect("a page");
-    assert!(
-        page.contains("holdout") && page.contains("<svg"),
-        "{page}"
-    );
+    assert!(page.contains("holdout") && page.contains("<svg"), "{page}");
 
     let checked = json(
         folder.path(),
