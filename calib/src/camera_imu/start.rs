@@ -3,10 +3,8 @@
 //! A clock's offset is that at which camera and gyroscope turn equally fast; the orientation is the rotation between their
 //! angular velocities; the motion is the cameras' own, pose by pose.
 
-use lsfb_geometry::camera::LensModel;
-use lsfb_geometry::rolling_shutter::row_time_s;
 use lsfb_geometry::{
-    Camera, RigImu, Se3, StampedPose, Trajectory, UnitQuaternion, Vector2, Vector3, spline,
+    RigImu, Se3, StampedPose, Trajectory, UnitQuaternion, Vector2, Vector3, spline,
 };
 use lsfb_types::{ImuSample, Timestamp};
 

@@ -2,13 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use lsfb_geometry::{Matrix6, Se3, Vector2, Vector3};
+use lsfb_geometry::{Se3, Vector2, Vector3};
 use lsfb_solver::{BlockId, SolveConfig, covariance, solve};
 use nalgebra::Matrix2;
 
 use super::association::Joined;
-use super::candidates::Patch;
-use super::plane::{Chord, PlaneFit, Spread, regress};
+use super::plane::{Spread, regress};
 use super::problem::{APPARENT_SIGMA_M, Factors, Reach, Shift, State, build, plane_error};
 use super::solved::{Solved, Used};
 use super::{LidarCameraConfig, MountedBoard, Scene};

@@ -4,7 +4,6 @@ use lsfb_geometry::{Rig, Se3, Vector3};
 
 use super::association::direction_name;
 use super::solved::{Solved, patch};
-use super::summary::size_words;
 use super::{LidarCameraCalibration, MountedBoard, Scene};
 
 /// Apparent excess of half the plate that the width of the beam does not explain, metres.
@@ -198,4 +197,16 @@ pub(super) fn warnings(
         ));
     }
     out
+}
+
+/// What the scale of the camera's scene says of the pattern, in words.
+pub(super) fn size_words(board: &MountedBoard, scale: f64, scale_sigma: f64) -> String {
+    let excess = 1.0 / scale - 1.0;
+    format!(
+        "the pattern is {:.1} ± {:.1} % {} than said, by the LiDAR: {}",
+        excess.abs() * 100.0,
+        scale_sigma / (scale * scale) * 100.0,
+        if excess > 0.0 { "larger" } else { "smaller" },
+        board.target.scaled_words(1.0 / scale)
+    )
 }

@@ -106,7 +106,7 @@ pub(super) fn summarize(
         return Err(Error::BoardSize {
             problem: format!(
                 "{}. Measure it and correct the target{also}",
-                size_words(board, scale, scale_sigma)
+                checks::size_words(board, scale, scale_sigma)
             ),
         });
     }
@@ -287,18 +287,6 @@ fn alone(
         camera_center: in_camera.translation,
         normal_error_rad: normal.angle(&scenes[used.scene].normal_in_camera()),
     }
-}
-
-/// What the scale of the camera's scene says of the pattern, in words.
-pub(super) fn size_words(board: &MountedBoard, scale: f64, scale_sigma: f64) -> String {
-    let excess = 1.0 / scale - 1.0;
-    format!(
-        "the pattern is {:.1} ± {:.1} % {} than said, by the LiDAR: {}",
-        excess.abs() * 100.0,
-        scale_sigma / (scale * scale) * 100.0,
-        if excess > 0.0 { "larger" } else { "smaller" },
-        board.target.scaled_words(1.0 / scale)
-    )
 }
 
 /// Solutions from parts of the poses.

@@ -19,21 +19,7 @@ use tokens::tokens;
 
 /// Circles that are still to be cut: crate, parent, the modules. None is added.
 const KNOWN: &[(&str, &str, &[&str])] = &[
-    (
-        "calib",
-        "crate",
-        &[
-            "camera", "exchange", "joint", "misfit", "plots", "report", "verify",
-        ],
-    ),
-    ("calib", "crate", &["detect", "target"]),
-    (
-        "calib",
-        "crate::camera_imu",
-        &["checks", "gyro_alignment", "start"],
-    ),
-    ("calib", "crate::lidar_camera", &["adjustment", "problem"]),
-    ("calib", "crate::lidar_camera", &["checks", "summary"]),
+    ("calib", "crate", &["report", "verify"]),
     (
         "calib",
         "crate::verify",
@@ -50,20 +36,6 @@ const KNOWN: &[(&str, &str, &[&str])] = &[
         "cli",
         "crate",
         &["commands", "context", "live", "simulated"],
-    ),
-    (
-        "cli",
-        "crate::commands",
-        &[
-            "calib",
-            "calib_camera",
-            "calib_camera_imu",
-            "calib_imu_noise",
-            "calib_joint",
-            "calib_lidar_camera",
-            "calib_refine",
-            "calib_target",
-        ],
     ),
     ("drivers", "crate", &["camera", "transport"]),
     ("drivers", "crate::camera::wire", &["options", "xu"]),

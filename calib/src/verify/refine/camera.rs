@@ -403,7 +403,7 @@ impl OneCamera<'_> {
         let covariance: Matrix6<f64> = through * covariance * through.transpose();
         TransformEdge {
             target: self.name.to_owned(),
-            source: crate::joint::LIDAR.to_owned(),
+            source: crate::transform::LIDAR.to_owned(),
             target_from_source: *camera_from_lidar,
             covariance: Some(0.5 * (covariance + covariance.transpose())),
         }
