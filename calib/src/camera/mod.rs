@@ -87,7 +87,7 @@ lsfb_types::bounds! {
         min_views: any,
         outlier_ratio: number(Bounds::POSITIVE),
         max_rms_px: number(Bounds::POSITIVE),
-        hold_back_every: any,
+        holdout_every: any,
     }
 }
 

@@ -168,7 +168,7 @@ lsfb_types::bounds! {
         gravity_sigma_m_s2: number(Bounds::POSITIVE),
         min_rate_rad_s: number(Bounds::NOT_NEGATIVE),
         view_step: number(Bounds::AT_LEAST_ONE),
-        hold_back_every: any,
+        holdout_every: any,
     }
 }
 
