@@ -148,4 +148,7 @@ pub enum Error {
     /// The least-squares problem could not be solved.
     #[error("solving failed: {0}")]
     Solver(#[from] lsfb_solver::Error),
+    /// The progress callback asked for an early end.
+    #[error("{0}")]
+    Stopped(#[from] lsfb_types::Stopped),
 }

@@ -1,7 +1,6 @@
 //! A folder of point clouds → Recording, for datasets that keep scans as files.
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use lsfb_geometry::{Rig, RigLidar, Se3};
 use lsfb_recording::{Summary, Writer, WriterConfig, read_pcd};
@@ -28,17 +27,30 @@ impl Default for CloudsConfig {
     }
 }
 
-/// Records the PCD files of `folder`, in order of name, as scans of a rig that is its LiDAR.
+/// Records the PCD files of `folder`, in order of name, as scans of a rig that is its LiDAR. After an error `out` is gone.
 pub fn import_clouds(
     folder: &Path,
     config: &CloudsConfig,
     out: &Path,
-    stop: &AtomicBool,
     progress: ProgressFn<'_>,
 ) -> Result<Summary, Error> {
     let files = cloud_files(folder)?;
     make_folder(out)?;
-    let mut writer = Writer::create(out, &WriterConfig::default())?;
+    let writer = Writer::create(out, &WriterConfig::default())?;
+    let written = write_clouds(&files, config, writer, progress);
+    if written.is_err() {
+        // Half an import looks whole; what matters is the error above.
+        let _ = std::fs::remove_file(out);
+    }
+    written
+}
+
+fn write_clouds(
+    files: &[PathBuf],
+    config: &CloudsConfig,
+    mut writer: Writer,
+    progress: ProgressFn<'_>,
+) -> Result<Summary, Error> {
     writer.attach_rig(&Rig {
         lidar: Some(RigLidar {
             rig_from_lidar: Se3::identity(),
@@ -47,14 +59,11 @@ pub fn import_clouds(
         ..Rig::empty("clouds")
     })?;
     for (index, path) in files.iter().enumerate() {
-        if stop.load(Ordering::Relaxed) {
-            break;
-        }
         progress(Progress {
             stage: "reading clouds",
             done: index as u64,
             total: files.len() as u64,
-        });
+        })?;
         let time = Timestamp::from_secs_f64(index as f64 / config.rate_hz);
         let scan = Stamped {
             time,

@@ -83,4 +83,7 @@ pub enum Error {
         /// What happened.
         message: String,
     },
+    /// The progress callback asked for an early end.
+    #[error("{0}")]
+    Stopped(#[from] lsfb_types::Stopped),
 }

@@ -2,7 +2,6 @@
 //! at the host's clock: the same packets give the same messages.
 
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use lsfb_drivers::phone::SidecarMessage;
 use lsfb_geometry::Rig;
@@ -20,8 +19,8 @@ use crate::{CaptureReport, Error};
 
 /// Connection of the one sidecar.
 const CONNECTION: u64 = 1;
-/// Packets between two looks at progress.
-const SHOW_EVERY: u64 = 2_000;
+/// Packets between two looks at progress; simulated images among them take their time.
+const SHOW_EVERY: u64 = 64;
 
 /// Something that arrived.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,12 +46,11 @@ pub enum Incoming {
 }
 
 /// Records what arrives, in its order, into `out`. `config` says what the devices are; none is opened. What comes from devices
-/// that it does not name is passed over.
+/// that it does not name is passed over. What is told to stop leaves nothing.
 pub fn record_incoming(
     incoming: impl Iterator<Item = Incoming>,
     config: &DevicesConfig,
     out: &Path,
-    stop: &AtomicBool,
     progress: ProgressFn<'_>,
 ) -> Result<CaptureReport, Error> {
     config.check()?;
@@ -62,25 +60,25 @@ pub fn record_incoming(
     let recorder = Recorder::start(out, rig, &names, &config.recorder, Overflow::Wait)?;
     let inlet = recorder.inlet();
     let mut streams = Streams::new(config);
-    let mut taken = 0_u64;
     let mut ending = Ending::EndOfStream;
-    for item in incoming {
-        if stop.load(Ordering::Relaxed) || streams.take(item, &inlet).is_err() {
-            ending = Ending::Stopped;
-            break;
-        }
-        taken += 1;
+    let mut told = Ok(());
+    for (taken, item) in (0_u64..).zip(incoming) {
         if taken.is_multiple_of(SHOW_EVERY) {
-            progress(Progress {
+            told = progress(Progress {
                 stage: "recording",
                 done: taken,
                 total: 0,
             });
         }
+        if told.is_err() || streams.take(item, &inlet).is_err() {
+            ending = Ending::Stopped;
+            break;
+        }
     }
     let reports = streams.finish(&ending, &inlet);
     drop(inlet);
     let written = recorder.finish(&reports)?;
+    told.inspect_err(|_| written.discard())?;
     Ok(CaptureReport::new(out, written, reports))
 }
 

@@ -9,11 +9,10 @@
 //!
 //! ```no_run
 //! use std::path::Path;
-//! use std::sync::atomic::AtomicBool;
 //! use lsfb_capture::{DevicesConfig, Session};
 //!
 //! let config = DevicesConfig::read(Path::new("devices.toml"))?;
-//! let report = Session::open(&config)?.run(Path::new("scan.mcap"), &AtomicBool::new(false), &lsfb_types::no_progress)?;
+//! let report = Session::open(&config)?.run(Path::new("scan.mcap"), &lsfb_types::no_progress)?;
 //! println!("{} messages, {} lost", report.messages, report.lost);
 //! # Ok::<(), lsfb_capture::Error>(())
 //! ```

@@ -2,7 +2,6 @@
 
 use std::iter::Peekable;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use lsfb_drivers::transport::PacketSource;
@@ -17,6 +16,9 @@ use crate::lidar::{LIDAR, LidarStream};
 use crate::recorder::{self, Recorder};
 use crate::{CaptureReport, Error};
 
+/// Packets between two looks at progress.
+const SHOW_EVERY: u64 = 1_000;
+
 /// How a capture file is read.
 #[derive(Clone, Debug, Default)]
 pub struct ReplayConfig {
@@ -29,12 +31,11 @@ pub struct ReplayConfig {
 }
 
 /// Records the Velodyne packets of `source` into `out`, with the arrival stamps they have there. A file that is damaged in the
-/// middle gives what lies before, and the damage is the stream's [`Ending::Lost`].
+/// middle gives what lies before, and the damage is the stream's [`Ending::Lost`]. An import that is told to stop leaves nothing.
 pub fn replay(
     mut source: impl PacketSource,
     config: &ReplayConfig,
     out: &Path,
-    stop: &AtomicBool,
     progress: ProgressFn<'_>,
 ) -> Result<CaptureReport, Error> {
     recorder::make_folder(out)?;
@@ -48,9 +49,17 @@ pub fn replay(
     let inlet = recorder.inlet();
     let mut stream = LidarStream::new(config.decoder, &Meter::new(LIDAR));
     let mut packets = 0_u64;
+    let mut told = Ok(());
     let ending = loop {
-        if stop.load(Ordering::Relaxed) {
-            break Ending::Stopped;
+        if packets.is_multiple_of(SHOW_EVERY) {
+            told = progress(Progress {
+                stage: "reading packets",
+                done: packets,
+                total: 0,
+            });
+            if told.is_err() {
+                break Ending::Stopped;
+            }
         }
         match source.recv(Duration::from_millis(50)) {
             Ok(Some(packet)) => {
@@ -58,13 +67,6 @@ pub fn replay(
                     break Ending::Stopped;
                 }
                 packets += 1;
-                if packets.is_multiple_of(10_000) {
-                    progress(Progress {
-                        stage: "reading packets",
-                        done: packets,
-                        total: 0,
-                    });
-                }
             }
             Ok(None) => {}
             Err(lsfb_drivers::Error::EndOfStream { .. }) => break Ending::EndOfStream,
@@ -74,7 +76,9 @@ pub fn replay(
     let stream = stream.finish(ending, &inlet);
     drop(inlet);
     let streams = vec![stream];
-    Ok(CaptureReport::new(out, recorder.finish(&streams)?, streams))
+    let written = recorder.finish(&streams)?;
+    told.inspect_err(|_| written.discard())?;
+    Ok(CaptureReport::new(out, written, streams))
 }
 
 /// Records the Velodyne packets of an MCAP file, one of `rosbag2` or one of ours, as [`replay`] does.
@@ -82,7 +86,6 @@ pub fn replay_recording(
     path: &Path,
     config: &ReplayConfig,
     out: &Path,
-    stop: &AtomicBool,
     progress: ProgressFn<'_>,
 ) -> Result<CaptureReport, Error> {
     let recording = Recording::open(path)?;
@@ -97,7 +100,7 @@ pub fn replay_recording(
         data: recording.velodyne_packets()?.peekable(),
         positions: positions.peekable(),
     };
-    replay(source, &config, out, stop, progress)
+    replay(source, &config, out, progress)
 }
 
 /// Packets of both kinds, in the order of their arrival.

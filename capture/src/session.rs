@@ -120,6 +120,18 @@ pub struct Counts {
     pub sidecar_messages: Arc<AtomicU64>,
 }
 
+impl Counts {
+    fn sum(&self) -> u64 {
+        let counts = [
+            &self.lidar_packets,
+            &self.images,
+            &self.imu_samples,
+            &self.sidecar_messages,
+        ];
+        counts.iter().map(|c| c.load(Ordering::Relaxed)).sum()
+    }
+}
+
 /// Listening for the devices that send by themselves; not yet recording.
 pub struct Session {
     config: DevicesConfig,
@@ -219,13 +231,9 @@ impl Session {
     }
 
     /// Opens and configures cameras and IMU (the first that refuses is the error), records into `out` until every device
-    /// has ended or `stop` is set, and closes the file properly.
-    pub fn run(
-        self,
-        out: &Path,
-        stop: &AtomicBool,
-        progress: ProgressFn<'_>,
-    ) -> Result<CaptureReport, Error> {
+    /// has ended or `progress` asks for an end, and closes the file properly: to be told to stop is how a recording of
+    /// devices that never end is finished, and no error.
+    pub fn run(self, out: &Path, progress: ProgressFn<'_>) -> Result<CaptureReport, Error> {
         recorder::make_folder(out)?;
         self.check_space(out)?;
         let (cameras, imu) = open_devices(&self.config)?;
@@ -276,7 +284,7 @@ impl Session {
         }
         let meters = threads.meters.clone();
         let monitor = Monitor::new(&recorder, meters, self.health.clone(), out, &self.config);
-        let streams = threads.wait(stop, &recorder, monitor, progress);
+        let streams = threads.wait(&recorder, monitor, progress);
         self.health.close();
         let mut streams = streams?;
         streams.iter_mut().for_each(StreamReport::name_silence);
@@ -374,35 +382,22 @@ impl Threads {
 
     fn wait(
         mut self,
-        stop: &AtomicBool,
         recorder: &Recorder,
         mut monitor: Monitor,
         progress: ProgressFn<'_>,
     ) -> Result<Vec<StreamReport>, Error> {
-        let mut last_shown = Instant::now();
         while !self.running.iter().all(|(_, thread)| thread.is_finished()) {
-            if stop.load(Ordering::Relaxed) || recorder.has_ended() {
-                self.control.stop.store(true, Ordering::Relaxed);
-            }
             if let Some(remarks) = &mut self.remarks {
                 // A writer that is gone ends the loop by itself.
                 let _ = remarks.forward(&self.inlet);
             }
-            if last_shown.elapsed() > Duration::from_millis(250) {
-                last_shown = Instant::now();
-                let c = &self.control.progress;
-                let counts = [
-                    &c.lidar_packets,
-                    &c.images,
-                    &c.imu_samples,
-                    &c.sidecar_messages,
-                ];
-                let done = counts.iter().map(|c| c.load(Ordering::Relaxed)).sum();
-                progress(Progress {
-                    stage: "recording",
-                    done,
-                    total: 0,
-                });
+            let told = progress(Progress {
+                stage: "recording",
+                done: self.control.progress.sum(),
+                total: 0,
+            });
+            if told.is_err() || recorder.has_ended() {
+                self.control.stop.store(true, Ordering::Relaxed);
             }
             monitor.tick();
             std::thread::sleep(POLL);

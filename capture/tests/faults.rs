@@ -175,7 +175,7 @@ fn a_disk_with_too_little_room_is_refused_before_anything_is_opened() {
     };
     let out = folder.path().join("scan.mcap");
     let session = Session::open(&config).unwrap();
-    let error = session.run(&out, &true.into(), &no_progress).unwrap_err();
+    let error = session.run(&out, &no_progress).unwrap_err();
     assert!(matches!(error, Error::NoSpace { .. }), "{error}");
     let message = error.to_string();
     assert!(

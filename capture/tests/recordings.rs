@@ -5,8 +5,6 @@
     reason = "a test file as a whole; clippy.toml only spares #[test] functions"
 )]
 
-use std::sync::atomic::AtomicBool;
-
 use lsfb_capture::{CaptureReport, Ending, ReplayConfig, replay};
 use lsfb_drivers::transport::pcap::PcapSource;
 use lsfb_drivers::transport::rosbag2::Rosbag2Source;
@@ -23,14 +21,7 @@ struct Replayed {
 fn replayed(source: impl lsfb_drivers::transport::PacketSource) -> Replayed {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("replay.mcap");
-    let report = replay(
-        source,
-        &ReplayConfig::default(),
-        &out,
-        &AtomicBool::new(false),
-        &no_progress,
-    )
-    .unwrap();
+    let report = replay(source, &ReplayConfig::default(), &out, &no_progress).unwrap();
     Replayed {
         report,
         recording: Recording::open(&out).unwrap(),

@@ -3,7 +3,6 @@
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicBool;
 
 use lsfb_capture::clock::{ClockConfig, DeviceClock, Unwrap, estimate_clocks};
 use lsfb_capture::doctor::{DoctorConfig, Verdict, examine};
@@ -95,8 +94,7 @@ fn record(
         Emitted::Frame { unit, packet } => Incoming::Frame { unit, packet },
         Emitted::Sidecar { arrival, message } => Incoming::Sidecar { arrival, message },
     });
-    let stop = AtomicBool::new(false);
-    let report = record_incoming(incoming, devices, out, &stop, &no_progress).unwrap();
+    let report = record_incoming(incoming, devices, out, &no_progress).unwrap();
     assert_eq!(report.lost, 0, "{report:?}");
     Recording::open(out).unwrap()
 }

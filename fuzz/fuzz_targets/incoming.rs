@@ -1,7 +1,6 @@
 //! Whatever a rig sends, whenever it arrives: packets of every device through the functions used live, into a recording.
 #![no_main]
 
-use std::sync::atomic::AtomicBool;
 
 use libfuzzer_sys::fuzz_target;
 use lsfb_capture::{
@@ -199,13 +198,11 @@ fuzz_target!(|data: &[u8]| {
         });
     }
     let out = std::env::temp_dir().join(format!("lsfb-fuzz-{}-incoming.mcap", std::process::id()));
-    let stop = AtomicBool::new(false);
     let taken = items.into_iter();
     let report = record_incoming(
         taken,
         &config(family),
         &out,
-        &stop,
         &lsfb_types::no_progress,
     );
     let report = report.expect("a scratch file");

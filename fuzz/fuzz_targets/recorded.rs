@@ -1,7 +1,6 @@
 //! Recordings that are whole but say anything at any time: judged, their clocks estimated, replayed and looked at to be played.
 #![no_main]
 
-use std::sync::atomic::AtomicBool;
 
 use libfuzzer_sys::fuzz_target;
 use lsfb_capture::clock::{ClockConfig, estimate_clocks};
@@ -145,7 +144,6 @@ fuzz_target!(|data: &[u8]| {
         },
         ..ReplayConfig::default()
     };
-    let stop = AtomicBool::new(false);
-    let _ = replay_recording(&path, &config, &name("replayed"), &stop, &no_progress);
+    let _ = replay_recording(&path, &config, &name("replayed"), &no_progress);
     let _ = Playback::open(&path);
 });

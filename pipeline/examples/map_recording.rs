@@ -16,7 +16,7 @@ use lsfb_geometry::{Trajectory, Vector3};
 use lsfb_pipeline::mapping::{MappingConfig, build_map};
 use lsfb_pipeline::odometry::{OdometryConfig, run_odometry};
 use lsfb_recording::{Recording, read_tum, write_tum};
-use lsfb_types::{Progress, no_progress};
+use lsfb_types::{Progress, Stopped, no_progress};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let (options, files): (Vec<String>, Vec<String>) =
@@ -77,7 +77,7 @@ fn print_errors(trajectory: &Trajectory, truth: Option<&Trajectory>) {
 }
 
 /// Prints when each stage begins.
-fn stage_printer() -> impl Fn(Progress) + Sync {
+fn stage_printer() -> impl Fn(Progress) -> Result<(), Stopped> + Sync {
     let begun = Instant::now();
     let last = Mutex::new("");
     move |progress| {
@@ -91,5 +91,6 @@ fn stage_printer() -> impl Fn(Progress) + Sync {
                 progress.stage
             );
         }
+        Ok(())
     }
 }

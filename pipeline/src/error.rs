@@ -181,6 +181,9 @@ pub enum Error {
         /// Longest gap that is bridged, seconds.
         longest_secs: f64,
     },
+    /// The progress callback asked for an early end.
+    #[error("{0}")]
+    Stopped(#[from] lsfb_types::Stopped),
 }
 
 impl Error {

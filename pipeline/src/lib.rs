@@ -17,5 +17,6 @@ pub mod posed_images;
 pub mod preintegration;
 pub mod preprocess;
 pub mod residuals;
+mod solve;
 
 pub use error::Error;

@@ -10,7 +10,6 @@ mod fake_kernel;
 use std::io::IoSlice;
 use std::os::fd::AsRawFd;
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -194,8 +193,7 @@ fn what_the_kernel_drops_is_counted_and_told() {
     let out = folder.path().join("scan.mcap");
     let session = Session::open(&config).unwrap();
     let snapshots = session.health().subscribe();
-    let stop = AtomicBool::new(false);
-    let report = session.run(&out, &stop, &no_progress).unwrap();
+    let report = session.run(&out, &no_progress).unwrap();
     let [imu] = report.streams.as_slice() else {
         panic!("{report:?}");
     };

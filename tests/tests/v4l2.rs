@@ -30,7 +30,7 @@ use lsfb_drivers::transport::PacketSource;
 use lsfb_drivers::transport::camera_link::{CameraLink, LinkCounters};
 use lsfb_recording::Recording;
 use lsfb_sim::{Pace, Playback, PlaybackEndpoints, Turns};
-use lsfb_types::no_progress;
+use lsfb_types::{no_progress, until};
 
 const CAMERAS: &str = "LSFB_FAKE_CAMERAS";
 const FORMAT: FrameFormat = FrameFormat::S2_1280X400;
@@ -502,7 +502,7 @@ fn record(paths: &[PathBuf], out: &Path) -> CaptureReport {
     std::thread::scope(|scope| {
         let running = std::thread::Builder::new()
             .name("session".to_owned())
-            .spawn_scoped(scope, || session.run(out, &stop, &no_progress).unwrap())
+            .spawn_scoped(scope, || session.run(out, &until(&stop)).unwrap())
             .unwrap();
         let wanted = u64::from(FRAMES) * 2 * UNITS.len() as u64;
         while images.load(Ordering::Relaxed) < wanted && !running.is_finished() {

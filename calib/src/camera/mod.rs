@@ -182,7 +182,7 @@ pub fn calibrate_cameras(
             stage: "camera",
             done: done as u64,
             total: cameras.len() as u64,
-        });
+        })?;
         if views.views.len() < config.min_views {
             return Err(Error::TargetNotSeen {
                 camera: views.name.clone(),

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use lsfb_recording::Recording;
-use lsfb_types::{Image, Progress, ProgressFn};
+use lsfb_types::{Image, Progress, ProgressFn, Stopped};
 use rayon::prelude::*;
 
 use super::CameraViews;
@@ -56,7 +56,7 @@ pub fn views_from_folder(
                 stage: "corners",
                 done: done.fetch_add(1, Ordering::Relaxed) + 1,
                 total: files.len() as u64,
-            });
+            })?;
             Ok(looked)
         })
         .collect();
@@ -78,7 +78,7 @@ pub fn views_from_recording(
     };
     let mut looked = Vec::new();
     let mut batch = Vec::with_capacity(AT_ONCE);
-    let flush = |batch: &mut Vec<(i64, Image)>, looked: &mut Vec<Looked>| {
+    let flush = |batch: &mut Vec<(i64, Image)>, looked: &mut Vec<Looked>| -> Result<(), Stopped> {
         let found: Vec<Looked> = batch
             .par_iter()
             .map(|(instant, image)| look(*instant, image, target))
@@ -89,16 +89,16 @@ pub fn views_from_recording(
             stage: "corners",
             done: looked.len() as u64,
             total: 0,
-        });
+        })
     };
     for image in recording.images(name).map_err(unreadable)? {
         let image = image.map_err(unreadable)?;
         batch.push((image.time.nanos(), image.sample));
         if batch.len() == AT_ONCE {
-            flush(&mut batch, &mut looked);
+            flush(&mut batch, &mut looked)?;
         }
     }
-    flush(&mut batch, &mut looked);
+    flush(&mut batch, &mut looked)?;
     gather(name, target, looked)
 }
 

@@ -356,11 +356,11 @@ pub fn calibrate_camera_imu(
             stage: "camera-IMU",
             done: round as u64,
             total: ROUNDS as u64 + 1,
-        });
+        })
     };
     let mut holdout = vec![None; cameras.len()];
     for round in 0..ROUNDS {
-        show(round);
+        show(round)?;
         let last = round + 1 == ROUNDS;
         state.adjust(config, problem::Effort::of_round(round, last))?;
         if round + 2 == ROUNDS {
@@ -370,7 +370,7 @@ pub fn calibrate_camera_imu(
             state.find_outliers(target)?;
         }
     }
-    show(ROUNDS);
+    show(ROUNDS)?;
     let uncertainty = state.uncertainty(config)?;
     let excess = state.board_excess(config)?;
     let mut calibration = state.report(target, config, &holdout, uncertainty, excess);

@@ -298,7 +298,7 @@ fn scenes<'a>(
     progress: ProgressFn,
 ) -> Result<Vec<Scene<'a>>, Error> {
     let done = AtomicU64::new(0);
-    let scenes: Vec<Scene> = poses
+    let looked: Result<Vec<Scene>, Error> = poses
         .par_iter()
         .map(|pose| {
             let scene = Scene::new(board, camera, pose, config);
@@ -306,10 +306,11 @@ fn scenes<'a>(
                 stage: "boards",
                 done: done.fetch_add(1, Ordering::Relaxed) + 1,
                 total: poses.len() as u64,
-            });
-            scene
+            })?;
+            Ok(scene)
         })
         .collect();
+    let scenes = looked?;
     let found = scenes.iter().filter(|s| s.seen_by_camera()).count();
     if found < config.min_poses {
         return Err(Error::TargetNotSeen {

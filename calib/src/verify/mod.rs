@@ -170,7 +170,7 @@ pub fn verify(
             stage: "cameras",
             done: k as u64,
             total: present.len() as u64,
-        });
+        })?;
         let seen = Seen::read(recording, (name, mounted), &scans, config, progress)?;
         let turning = against_gyro::against_gyro(name, mounted, &seen.pairs, gyro.as_ref(), config);
         checks.extend(turning);

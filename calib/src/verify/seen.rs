@@ -86,7 +86,7 @@ impl Seen {
                     stage: "images",
                     done: looked as u64,
                     total: config.max_frames as u64,
-                });
+                })?;
             }
         }
         pairs.add(recording, mounted, &mut batch);

@@ -123,7 +123,7 @@ pub fn estimate_clocks(
             stage: "estimating clocks",
             done: done as u64,
             total: names.len() as u64,
-        });
+        })?;
         let model = models.iter().rev().find(|m| m.device == source.name());
         let triples = source.triples(recording, model)?;
         if triples.len() < 3 {

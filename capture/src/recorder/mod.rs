@@ -338,6 +338,16 @@ pub(crate) struct Written {
     pub(crate) write_longest_ms: f64,
 }
 
+impl Written {
+    /// Removes what was written: half an import is of no use, and looks whole.
+    pub(crate) fn discard(&self) {
+        for part in &self.parts {
+            // Somebody else may have been faster.
+            let _ = std::fs::remove_file(&part.path);
+        }
+    }
+}
+
 /// The writing thread.
 pub(crate) struct Recorder {
     thread: JoinHandle<Result<Written, Error>>,

@@ -32,7 +32,7 @@ fn run_until(session: Session, out: &Path, enough: impl FnMut() -> bool) -> Capt
     std::thread::scope(|scope| {
         let running = std::thread::Builder::new()
             .name("session".to_owned())
-            .spawn_scoped(scope, || session.run(out, &stop, &no_progress).unwrap())
+            .spawn_scoped(scope, || session.run(out, &until(&stop)).unwrap())
             .unwrap();
         wait_until("enough of the session", enough);
         stop.store(true, Ordering::Release);

@@ -22,7 +22,7 @@ use lsfb_capture::{
 use lsfb_drivers::camera::wire::DeviceInfo;
 use lsfb_recording::message::{Remark, decode_remark};
 use lsfb_recording::{Channel, LIDAR_POSITION, REMARKS, Recording, Writer, WriterConfig};
-use lsfb_types::{Packet, Timestamp, no_progress};
+use lsfb_types::{Packet, Timestamp, no_progress, until};
 use mock::{CAMERA_PERIOD_NS, Farewell, IMU_PERIOD_NS, START_NS};
 
 const LOOPBACK: SocketAddr =
@@ -61,9 +61,7 @@ fn stream<'a>(report: &'a CaptureReport, name: &str) -> &'a StreamReport {
 }
 
 fn run(session: Session, out: &Path) -> CaptureReport {
-    session
-        .run(out, &AtomicBool::new(false), &no_progress)
-        .unwrap()
+    session.run(out, &no_progress).unwrap()
 }
 
 #[test]
@@ -341,7 +339,7 @@ fn stopped_session() -> Duration {
     let (report, took) = std::thread::scope(|scope| {
         let running = std::thread::Builder::new()
             .name("session".to_owned())
-            .spawn_scoped(scope, || session.run(&out, &stop, &no_progress).unwrap())
+            .spawn_scoped(scope, || session.run(&out, &until(&stop)).unwrap())
             .unwrap();
         live::wait_until("every device is at work", || {
             let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
@@ -490,7 +488,7 @@ fn a_recording_of_a_process_that_was_killed_opens() {
     std::thread::scope(|scope| {
         std::thread::Builder::new()
             .name("session".to_owned())
-            .spawn_scoped(scope, || session.run(&out, &stop, &no_progress).unwrap())
+            .spawn_scoped(scope, || session.run(&out, &until(&stop)).unwrap())
             .unwrap();
         live::wait_until("samples", || samples.load(Ordering::Relaxed) > 200);
         // What has arrived is in the file after this.
@@ -622,8 +620,7 @@ fn packets_in_mcap_files_become_the_same_recording() {
     for (name, positions) in [("ours.mcap", 1), ("theirs.mcap", 0)] {
         let out = at(&format!("again-{name}"));
         let config = ReplayConfig::default();
-        let stop = AtomicBool::new(false);
-        let report = replay_recording(&at(name), &config, &out, &stop, &no_progress).unwrap();
+        let report = replay_recording(&at(name), &config, &out, &no_progress).unwrap();
         assert_eq!(report.lost, 0, "{report:?}");
         assert_eq!(stream(&report, "lidar").received, PACKETS + positions);
         let again = Recording::open(&out).unwrap();
@@ -658,13 +655,7 @@ fn packets_in_mcap_files_become_the_same_recording() {
         .finish()
         .unwrap();
     let config = ReplayConfig::default();
-    let error = replay_recording(
-        &empty,
-        &config,
-        &at("x"),
-        &AtomicBool::new(false),
-        &no_progress,
-    );
+    let error = replay_recording(&empty, &config, &at("x"), &no_progress);
     let message = error.unwrap_err().to_string();
     assert!(message.contains("Velodyne packets"), "{message}");
 }

@@ -51,8 +51,7 @@ fn recorded(out: &Path, step_us: i64, locked: bool) -> (CaptureReport, Recording
         lidar: Some(LidarNetConfig::default()),
         ..anywhere()
     };
-    let stop = AtomicBool::new(false);
-    let report = record_incoming(packets, &config, out, &stop, &no_progress).unwrap();
+    let report = record_incoming(packets, &config, out, &no_progress).unwrap();
     (report, Recording::open(out).unwrap())
 }
 
@@ -167,8 +166,7 @@ fn a_device_that_names_an_impossible_year_does_not_end_the_recording() {
         }],
         ..anywhere()
     };
-    let stop = AtomicBool::new(false);
-    let report = record_incoming(frames, &config, &out, &stop, &no_progress).unwrap();
+    let report = record_incoming(frames, &config, &out, &no_progress).unwrap();
     assert_eq!(report.failure, None);
     let camera = stream(&report, "cam0+cam1");
     assert!(camera.bad > 0 && report.lost > 0, "{camera:?}");

@@ -1,75 +1,64 @@
 //! What every command needs: where to print, when to stop.
 
 use std::path::Path;
-use std::sync::Arc;
+use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use anyhow::Context as _;
 use lsfb_recording::Recording;
-use lsfb_types::Progress;
+use lsfb_types::{Progress, Stopped};
 use serde::Serialize;
 
 use crate::progress::Display;
-
-/// Exit code after Ctrl-C, as shells have it: 128 and the number of SIGINT.
-const INTERRUPTED: i32 = 130;
+use crate::stop::StopSignal;
 
 /// Shared by a command and its stages.
 pub struct Context {
     json: bool,
     display: Display,
-    stop: Arc<AtomicBool>,
+    stop: StopSignal,
     data_lost: AtomicBool,
 }
 
 impl Context {
-    /// From now on Ctrl-C asks for an orderly end; a second one ends at once.
+    /// One per process: from now on signals only ask for an end.
     pub fn new(json: bool) -> anyhow::Result<Self> {
-        let stop = Arc::new(AtomicBool::new(false));
-        let flag = Arc::clone(&stop);
-        ctrlc::set_handler(move || {
-            if flag.swap(true, Ordering::Relaxed) {
-                std::process::exit(INTERRUPTED);
-            }
-        })
-        .context("cannot install the Ctrl-C handler")?;
         Ok(Self {
             json,
             display: Display::new(),
-            stop,
+            stop: StopSignal::install()?,
             data_lost: AtomicBool::new(false),
         })
     }
 
-    /// Set when the user asked for an orderly end.
-    pub fn stop(&self) -> &AtomicBool {
-        &self.stop
+    /// Fails where the user asked for an end.
+    pub fn check_stop(&self) -> Result<(), Stopped> {
+        self.stop.check()
     }
 
-    /// Fails where the user asked for an end; for stages that cannot be ended half-way.
-    pub fn check_stop(&self) -> anyhow::Result<()> {
-        anyhow::ensure!(
-            !self.stop.load(Ordering::Relaxed),
-            "stopped by Ctrl-C; what was written so far is kept"
-        );
+    /// What stages call: shows how far they are, and tells them where the user asked for an end.
+    pub fn show(&self, progress: Progress) -> Result<(), Stopped> {
+        self.stop.check()?;
+        self.display.show(progress);
         Ok(())
     }
 
-    /// What stages that end by themselves on Ctrl-C call.
-    pub fn show(&self, progress: Progress) {
-        self.display.show(progress);
-    }
-
-    /// What stages call that write only when all is done: on Ctrl-C there is nothing to keep, and they end here.
-    pub fn show_or_end(&self, progress: Progress) {
-        if self.stop.load(Ordering::Relaxed) {
-            self.note(&format!(
-                "error: stopped by Ctrl-C while {}; its result is not written, earlier files are kept",
-                progress.stage
-            ));
-            std::process::exit(INTERRUPTED);
-        }
-        self.display.show(progress);
+    /// Says why a command failed, or what stopped it; the exit code that goes with it.
+    pub fn failed(&self, error: &anyhow::Error) -> ExitCode {
+        let stopped = error.chain().any(|cause| cause.is::<Stopped>());
+        let Some(signal) = self.stop.name().filter(|_| stopped) else {
+            print_error(error);
+            return ExitCode::FAILURE;
+        };
+        let stage = self.display.stage();
+        self.display.finish();
+        let during = match stage {
+            "" => String::new(),
+            stage => format!(" during: {stage}"),
+        };
+        eprintln!(
+            "stopped by {signal}{during}; what was not finished is not written, earlier files are kept"
+        );
+        ExitCode::from(self.stop.exit_code())
     }
 
     /// What `lsfb scan` shows while it records: a few lines that replace those before.

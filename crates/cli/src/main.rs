@@ -15,6 +15,7 @@ mod live;
 mod outcome;
 mod progress;
 mod simulated;
+mod stop;
 
 use std::process::ExitCode;
 
@@ -65,36 +66,39 @@ enum Command {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    match run(arguments) {
-        Ok(outcome) => outcome.into(),
+    let context = match Context::new(arguments.global.json) {
+        Ok(context) => context,
         Err(error) => {
             context::print_error(&error);
-            ExitCode::FAILURE
+            return ExitCode::FAILURE;
         }
+    };
+    match run(arguments, &context) {
+        Ok(outcome) => outcome.into(),
+        Err(error) => context.failed(&error),
     }
 }
 
-fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
+fn run(arguments: Arguments, context: &Context) -> anyhow::Result<Outcome> {
     rayon::ThreadPoolBuilder::new()
         .num_threads(arguments.global.threads)
         .build_global()?;
-    let context = Context::new(arguments.global.json)?;
     let outcome = match arguments.command {
-        Command::Demo(a) => commands::demo::run(&a, &context),
-        Command::Calib(a) => commands::calib::run(&a, &context),
-        Command::Sim(a) => commands::sim::run(&a, &context),
-        Command::Mock(a) => commands::mock::run(&a, &context),
-        Command::Scan(a) => commands::scan::run(&a, &context),
-        Command::Doctor(a) => commands::doctor::run(&a, &context),
-        Command::Clock(a) => commands::clock::run(&a, &context),
-        Command::Recover(a) => commands::recover::run(&a, &context),
-        Command::Odometry(a) => commands::odometry::run(&a, &context),
-        Command::Map(a) => commands::map::run(&a, &context),
-        Command::Localize(a) => commands::localize::run(&a, &context),
-        Command::Groundtruth(a) => commands::groundtruth::run(&a, &context),
-        Command::Eval(a) => commands::eval::run(&a, &context),
+        Command::Demo(a) => commands::demo::run(&a, context),
+        Command::Calib(a) => commands::calib::run(&a, context),
+        Command::Sim(a) => commands::sim::run(&a, context),
+        Command::Mock(a) => commands::mock::run(&a, context),
+        Command::Scan(a) => commands::scan::run(&a, context),
+        Command::Doctor(a) => commands::doctor::run(&a, context),
+        Command::Clock(a) => commands::clock::run(&a, context),
+        Command::Recover(a) => commands::recover::run(&a, context),
+        Command::Odometry(a) => commands::odometry::run(&a, context),
+        Command::Map(a) => commands::map::run(&a, context),
+        Command::Localize(a) => commands::localize::run(&a, context),
+        Command::Groundtruth(a) => commands::groundtruth::run(&a, context),
+        Command::Eval(a) => commands::eval::run(&a, context),
         #[cfg(feature = "view")]
-        Command::View(a) => commands::view::run(&a, &context),
+        Command::View(a) => commands::view::run(&a, context),
     }?;
     Ok(if context.data_lost() {
         Outcome::DataLost

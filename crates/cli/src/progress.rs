@@ -91,6 +91,11 @@ impl Display {
         }
     }
 
+    /// What is being done; empty where nothing is.
+    pub fn stage(&self) -> &'static str {
+        self.state.lock().map_or("", |state| state.stage)
+    }
+
     /// Ends the current stage's bar; call before printing results.
     pub fn finish(&self) {
         if let Ok(mut state) = self.state.lock() {

@@ -283,8 +283,7 @@ fn record_emitted(
             None
         }
     });
-    let report = record_incoming(incoming, devices, out, context.stop(), &|p| context.show(p))?;
-    context.check_stop()?;
+    let report = record_incoming(incoming, devices, out, &|p| context.show(p))?;
     match failure {
         Some(error) => Err(error.into()),
         None => Ok(report),
@@ -356,6 +355,14 @@ pub fn record_glasses(
     )
 }
 
+/// Half a walk looks like a whole one.
+fn discard(report: &CaptureReport) {
+    for part in &report.parts {
+        // Somebody else may have been faster.
+        let _ = std::fs::remove_file(part);
+    }
+}
+
 fn record(
     recorder: Session,
     devices: SimSession,
@@ -368,7 +375,7 @@ fn record(
         let recording = std::thread::Builder::new()
             .name("recording".to_owned())
             .spawn_scoped(scope, || {
-                let report = recorder.run(out, context.stop(), &lsfb_types::no_progress);
+                let report = recorder.run(out, &|_| context.check_stop());
                 // A recorder that failed or was stopped must not leave the devices waiting for it.
                 stop.stop();
                 report
@@ -377,7 +384,10 @@ fn record(
         let report = recording
             .join()
             .map_err(|_| anyhow::anyhow!("the recording thread panicked"))??;
-        context.check_stop()?;
+        if let Err(stopped) = context.check_stop() {
+            discard(&report);
+            return Err(stopped.into());
+        }
         sent?;
         Ok(report)
     })

@@ -161,6 +161,9 @@ pub enum Error {
         /// What is wrong.
         reason: String,
     },
+    /// The progress callback asked for an early end.
+    #[error("{0}")]
+    Stopped(#[from] lsfb_types::Stopped),
 }
 
 /// A part of a recording that could not be read.

@@ -7,7 +7,7 @@
 use std::path::{Path, PathBuf};
 
 use lsfb_recording::{Compression, Error, Recording, Writer, WriterConfig, recover};
-use lsfb_types::{ImuSample, Stamped, Timestamp, no_progress};
+use lsfb_types::{ImuSample, Stamped, Stopped, Timestamp, no_progress};
 
 const START: i64 = 1_772_359_200_000_000_000;
 const SAMPLES: u32 = 200;
@@ -181,4 +181,20 @@ fn arrivals_and_the_last_message_come_from_the_indexes() {
         assert_eq!(last.time, sample(SAMPLES - 1).time);
         assert!(recording.last_message("/nothing").unwrap().is_none());
     }
+}
+
+#[test]
+fn what_is_stopped_leaves_no_file() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = put(dir.path(), &whole(dir.path(), Compression::Zstd));
+    let out = dir.path().join("recovered.mcap");
+    let stopped = recover(&path, &out, &|p| match p.done {
+        0..3 => Ok(()),
+        _ => Err(Stopped),
+    });
+    assert!(matches!(stopped, Err(Error::Stopped(_))), "{stopped:?}");
+    assert!(!out.exists());
+    let recording = Recording::open(&path).unwrap();
+    let stopped = recording.arrivals(&|_| Err(Stopped));
+    assert!(matches!(stopped, Err(Error::Stopped(_))), "{stopped:?}");
 }

@@ -60,4 +60,7 @@ pub enum Error {
         /// What is wrong with it.
         problem: String,
     },
+    /// The progress callback asked for an early end.
+    #[error("{0}")]
+    Stopped(#[from] lsfb_types::Stopped),
 }

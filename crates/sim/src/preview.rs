@@ -100,7 +100,7 @@ pub fn contact_sheet(
             stage: "contact sheet",
             done: k as u64,
             total: count as u64,
-        });
+        })?;
         let camera = k % rig.rig().cameras.len().max(1);
         let frame = (u64::from(rig.frame_count()) * (2 * k as u64 + 1) / (2 * count as u64)) as u32;
         let Some(image) = rig.image(simulation.world(), camera, frame) else {

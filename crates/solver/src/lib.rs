@@ -33,7 +33,7 @@ pub use incremental::{Incremental, IncrementalConfig, UpdateReport};
 #[doc(hidden)]
 pub use jacobian_check::check_jacobians;
 pub use manifold::{Manifold, Shape, directions_across};
-pub use minimise::{solve, solve_controlled, solve_observed};
+pub use minimise::{solve, solve_controlled};
 pub use priors::{DirectionPrior, PosePrior, RotationPrior, VectorPrior};
 pub use problem::{Block, BlockId, Problem, ResidualId};
 pub use report::{Iteration, Report, Termination, Undetermined};

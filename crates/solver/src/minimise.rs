@@ -25,18 +25,6 @@ pub fn solve(problem: &mut Problem, config: &SolveConfig) -> Result<Report, Erro
     solve_controlled(problem, config, &mut |_| ControlFlow::Continue(()))
 }
 
-/// [`solve`], telling `observe` after each step that was taken.
-pub fn solve_observed(
-    problem: &mut Problem,
-    config: &SolveConfig,
-    observe: &mut dyn FnMut(&Iteration),
-) -> Result<Report, Error> {
-    solve_controlled(problem, config, &mut |iteration| {
-        observe(iteration);
-        ControlFlow::Continue(())
-    })
-}
-
 /// [`solve`], asking `control` after each step, taken or refused, whether to go on: for progress, cancelling and time
 /// limits. The problem holds the best values found.
 pub fn solve_controlled(

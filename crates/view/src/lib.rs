@@ -27,7 +27,7 @@
 //!     world_from_rig: read_tum("scan.tum".as_ref())?,
 //! };
 //! let inputs = ViewInputs { walks: vec![walk], ..ViewInputs::default() };
-//! write_rrd("demo.rrd".as_ref(), &inputs, &ViewConfig::default(), &|_| {})?;
+//! write_rrd("demo.rrd".as_ref(), &inputs, &ViewConfig::default(), &lsfb_types::no_progress)?;
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
@@ -77,6 +77,9 @@ pub enum Error {
     /// A recording cannot be read.
     #[error(transparent)]
     Recording(#[from] lsfb_recording::Error),
+    /// The progress callback asked for an early end.
+    #[error("{0}")]
+    Stopped(#[from] lsfb_types::Stopped),
 }
 
 /// Points of a map.
@@ -166,7 +169,7 @@ const LINE_RADIUS: f32 = 2.0;
 /// The one timeline.
 const TIMELINE: &str = "time";
 
-/// Writes everything into `out`, replacing a file of that name.
+/// Writes everything into `out`, replacing a file of that name. After an error nothing is left of it.
 pub fn write_rrd(
     out: &Path,
     inputs: &ViewInputs<'_>,
@@ -181,6 +184,22 @@ pub fn write_rrd(
         });
     }
     let view = View::create(out, inputs)?;
+    let written = log_all(&view, inputs, config, progress);
+    if written.is_err() {
+        drop(view);
+        // What matters is the error above.
+        let _ = std::fs::remove_file(out);
+    }
+    written
+}
+
+fn log_all(
+    view: &View,
+    inputs: &ViewInputs<'_>,
+    config: &ViewConfig,
+    progress: ProgressFn<'_>,
+) -> Result<ViewReport, Error> {
+    let map = &inputs.map;
     view.log_static("world", &ViewCoordinates::RIGHT_HAND_Z_UP())?;
     if !map.positions_m.is_empty() {
         let points = Points3D::new(map.positions_m.iter().copied())
@@ -213,9 +232,9 @@ pub fn write_rrd(
                 stage: "write view",
                 done: done as u64 * walk::PARTS + part,
                 total: total * walk::PARTS,
-            });
+            })
         };
-        walk::log(&view, walk, config, &tell, &mut report)?;
+        walk::log(view, walk, config, &tell, &mut report)?;
     }
     view.finish()?;
     Ok(report)

@@ -2,7 +2,7 @@
 
 use lsfb_geometry::{Camera, Rig, Se3, Trajectory};
 use lsfb_recording::{Error as RecordingError, Recording};
-use lsfb_types::{ImuSample, LidarScan, Stamped, Timestamp};
+use lsfb_types::{ImuSample, LidarScan, Stamped, Stopped, Timestamp};
 use re_sdk_types::archetypes::{Image, Pinhole, Points3D, Scalars, SeriesLines, Transform3D};
 use re_sdk_types::components::{Color, PinholeProjection, Radius};
 use re_sdk_types::datatypes::Quaternion;
@@ -17,26 +17,28 @@ const IMAGE_PLANE_DISTANCE_M: f32 = 0.3;
 /// In points of the screen.
 const SCAN_POINT_RADIUS: f32 = 1.0;
 
+/// Tells that so many parts are done, and hears whether to stop.
+pub(crate) type Tell<'a> = dyn Fn(u64) -> Result<(), Stopped> + 'a;
+/// The same from within one part.
+type TellPart<'a> = dyn Fn() -> Result<(), Stopped> + 'a;
+
 pub(crate) fn log(
     view: &View,
     walk: &Walk<'_>,
     config: &ViewConfig,
-    tell: &dyn Fn(u64),
+    tell: &Tell<'_>,
     report: &mut ViewReport,
 ) -> Result<(), Error> {
     let rig_entity = format!("world/{}/rig", walk.name);
-    tell(0);
+    tell(0)?;
     for pose in walk.world_from_rig.poses() {
         view.set_time(pose.time);
         view.log(&rig_entity, &transform(&pose.world_from_rig))?;
     }
-    tell(1);
-    log_images(view, walk, &rig_entity, config, report)?;
-    tell(2);
-    log_scans(view, walk, config, report)?;
-    tell(3);
+    log_images(view, walk, &rig_entity, config, &|| tell(1), report)?;
+    log_scans(view, walk, config, &|| tell(2), report)?;
     log_imu(view, walk, config, report)?;
-    tell(4);
+    tell(PARTS)?;
     Ok(())
 }
 
@@ -45,6 +47,7 @@ fn log_images(
     walk: &Walk<'_>,
     rig_entity: &str,
     config: &ViewConfig,
+    tell: &TellPart<'_>,
     report: &mut ViewReport,
 ) -> Result<(), Error> {
     let mut recorded = Vec::new();
@@ -69,6 +72,7 @@ fn log_images(
         if !shown[item.camera].is_due(item.image.time) {
             continue;
         }
+        tell()?;
         view.set_time(item.image.time);
         let image = item.image.sample;
         let entity = format!("{rig_entity}/{}", recorded[item.camera]);
@@ -85,6 +89,7 @@ fn log_scans(
     view: &View,
     walk: &Walk<'_>,
     config: &ViewConfig,
+    tell: &TellPart<'_>,
     report: &mut ViewReport,
 ) -> Result<(), Error> {
     let Some(lidar) = &walk.rig.lidar else {
@@ -104,6 +109,7 @@ fn log_scans(
         if !shown.is_due(scan.time) {
             continue;
         }
+        tell()?;
         let placed = place(
             &scan,
             &walk.world_from_rig,

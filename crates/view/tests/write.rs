@@ -3,7 +3,9 @@
 
 use lsfb_geometry::{Camera, Rig, RigCamera, RigLidar, Se3, StampedPose, Trajectory, Vector6};
 use lsfb_recording::{Recording, Writer, WriterConfig};
-use lsfb_types::{Image, ImuSample, LidarPoint, LidarScan, Stamped, Timestamp, no_progress};
+use lsfb_types::{
+    Image, ImuSample, LidarPoint, LidarScan, Progress, Stamped, Stopped, Timestamp, no_progress,
+};
 use lsfb_view::{
     Error, MapPoints, NamedTrajectory, ViewConfig, ViewInputs, ViewReport, Walk, write_rrd,
 };
@@ -128,7 +130,17 @@ fn a_small_walk_is_written_with_everything_in_it() {
         }],
     };
     let out = dir.join("walk.rrd");
-    let report = write_rrd(&out, &inputs, &ViewConfig::default(), &no_progress).unwrap();
+    let config = ViewConfig::default();
+    for part in 0..=4 {
+        let stop = |p: Progress| match p.done == part {
+            true => Err(Stopped),
+            false => Ok(()),
+        };
+        let stopped = write_rrd(&out, &inputs, &config, &stop);
+        assert!(matches!(stopped, Err(Error::Stopped(_))), "{stopped:?}");
+        assert!(!out.exists(), "{part}");
+    }
+    let report = write_rrd(&out, &inputs, &config, &no_progress).unwrap();
     // Four seconds: images and scans every half second, inertial samples every 20 ms.
     let expected = ViewReport {
         images: 8,

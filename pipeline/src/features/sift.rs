@@ -223,11 +223,11 @@ pub fn detect_all(
                 stage: "image features",
                 done: done.fetch_add(1, Ordering::Relaxed) + 1,
                 total: images.len() as u64,
-            });
-            features
+            })?;
+            Ok(features)
         },
     );
-    Ok(features.collect())
+    features.collect()
 }
 
 #[cfg(test)]

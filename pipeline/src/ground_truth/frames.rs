@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use lsfb_geometry::Rig;
 use lsfb_recording::Recording;
-use lsfb_types::{Image, ImuSample, Progress, ProgressFn, Stamped, Timestamp};
+use lsfb_types::{Image, ImuSample, Progress, ProgressFn, Stamped, Stopped, Timestamp};
 use rayon::prelude::*;
 
 use crate::Error;
@@ -54,7 +54,7 @@ pub(super) fn read_frames(
     let mut found: BTreeMap<(Timestamp, usize), Features> = BTreeMap::new();
     let mut damaged = 0;
     let mut batch: Vec<(Timestamp, usize, Image)> = Vec::with_capacity(BATCH);
-    let mut flush = |batch: &mut Vec<(Timestamp, usize, Image)>| {
+    let mut flush = |batch: &mut Vec<(Timestamp, usize, Image)>| -> Result<(), Stopped> {
         let features: Vec<Features> = batch
             .par_iter()
             .map_init(
@@ -69,7 +69,7 @@ pub(super) fn read_frames(
             stage: "image features",
             done: found.len() as u64,
             total,
-        });
+        })
     };
     for item in recording.images_of(&cameras)? {
         match item {
@@ -77,10 +77,10 @@ pub(super) fn read_frames(
             Err(_) => damaged += 1,
         }
         if batch.len() == BATCH {
-            flush(&mut batch);
+            flush(&mut batch)?;
         }
     }
-    flush(&mut batch);
+    flush(&mut batch)?;
 
     let mut frames: Vec<FeatureFrame> = Vec::new();
     for ((time, camera), features) in found {

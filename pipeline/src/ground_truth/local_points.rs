@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use lsfb_geometry::{Se3, Vector3};
-use lsfb_types::{Progress, ProgressFn};
+use lsfb_types::{Progress, ProgressFn, Stopped};
 use rayon::prelude::*;
 
 use super::GroundTruthConfig;
@@ -49,7 +49,7 @@ impl LocalTracks {
         images: &[MatchableImage],
         config: &GroundTruthConfig,
         progress: ProgressFn<'_>,
-    ) -> Self {
+    ) -> Result<Self, Stopped> {
         let cameras = walk.cameras.len();
         let pose = |image: usize| camera_pose(walk, states, image / cameras, image % cameras);
         let features = |image: usize| RayFeatures {
@@ -58,7 +58,7 @@ impl LocalTracks {
         };
         let wanted = wanted_pairs(walk, config);
         let (done, total) = (AtomicU64::new(0), wanted.len() as u64);
-        let pairs: Vec<ImagePair> = wanted
+        let pairs: Result<Vec<ImagePair>, Stopped> = wanted
             .into_par_iter()
             .map(|(first, second)| {
                 let second_from_first = pose(second).inverse() * pose(first);
@@ -73,20 +73,20 @@ impl LocalTracks {
                     stage: "local tracks",
                     done: done.fetch_add(1, Ordering::Relaxed) + 1,
                     total,
-                });
-                ImagePair {
+                })?;
+                Ok(ImagePair {
                     first,
                     second,
                     matches,
-                }
+                })
             })
             .collect();
         let counts: Vec<usize> = images.iter().map(|image| image.rays.len()).collect();
-        Self(build_tracks(
+        Ok(Self(build_tracks(
             &counts,
-            &pairs,
+            &pairs?,
             config.min_track_images.max(2),
-        ))
+        )))
     }
 
     /// Local points: tracks of features that are not in the map, the longest first until their images have enough,

@@ -62,7 +62,7 @@ fn solve_walk(
         .enumerate()
         .map(|(k, features)| MatchableImage::new(walk, k % walk.cameras.len(), features))
         .collect();
-    let tracks = LocalTracks::follow(walk, &start.states, &images, config, progress);
+    let tracks = LocalTracks::follow(walk, &start.states, &images, config, progress)?;
 
     let mut points = tracks.locate(walk, &start.states, features, config);
     let first = optimize(walk, &start.states, &points, config, progress)?;
@@ -72,7 +72,7 @@ fn solve_walk(
         stage: "guided matching",
         done: 0,
         total: 0,
-    });
+    })?;
     let guided_matching = guided_matching::match_again(walk, &first.states, features, config);
     let points = tracks.locate(walk, &first.states, features, config);
     let second = optimize(walk, &first.states, &points, config, progress)?;

@@ -3,14 +3,15 @@
 use std::sync::Arc;
 
 use lsfb_geometry::Vector2;
-use lsfb_solver::{Kernel, Problem, Report, solve_observed};
-use lsfb_types::{Progress, ProgressFn};
+use lsfb_solver::{Kernel, Problem, Report};
+use lsfb_types::ProgressFn;
 
 use super::GroundTruthConfig;
 use super::inertial::{StateBlocks, add_inertial_residuals};
 use super::walk::{FixedObservation, LocalObservation, LocalPoint, State, Walk};
 use crate::Error;
 use crate::residuals::{FixedPointReprojection, ObservingCamera, Reprojection};
+use crate::solve::solve_or_stop;
 
 /// States and local points after a solve.
 pub(super) struct Optimized {
@@ -62,13 +63,7 @@ pub(super) fn optimize(
     }
     let intervals = walk.preintegrate(|k| states[k].bias)?;
     add_inertial_residuals(&mut problem, walk, &blocks, &intervals, config)?;
-    let report = solve_observed(&mut problem, &config.solve, &mut |iteration| {
-        progress(Progress {
-            stage: "bundle adjustment",
-            done: iteration.number as u64,
-            total: iteration.of as u64,
-        });
-    })?;
+    let report = solve_or_stop("bundle adjustment", &mut problem, &config.solve, progress)?;
     Ok(Optimized {
         states: blocks.iter().map(|b| b.read(&problem)).collect(),
         points: points

@@ -106,7 +106,7 @@ fn localize_all(
 ) -> Result<Vec<Option<Localization>>, Error> {
     let localizer = Localizer::new(map, &config.localization)?;
     let done = AtomicU64::new(0);
-    Ok(frames
+    frames
         .par_iter()
         .map(|frame| {
             let found = localizer.localize(&frame.features, rig).ok();
@@ -114,10 +114,10 @@ fn localize_all(
                 stage: "localization",
                 done: done.fetch_add(1, Ordering::Relaxed) + 1,
                 total: frames.len() as u64,
-            });
-            found
+            })?;
+            Ok(found)
         })
-        .collect())
+        .collect()
 }
 
 /// Frames from shortly before the first localized one to shortly after the last: beyond, nothing holds the IMU's drift.

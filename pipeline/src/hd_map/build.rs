@@ -125,7 +125,7 @@ impl HdMap {
                 .map(|p| p.point_in_world[a])
                 .collect::<Vec<f64>>()
         };
-        let index = DescriptorIndex::build(&kept, &config.index, progress);
+        let index = DescriptorIndex::build(&kept, &config.index, progress)?;
         Ok(Self {
             cameras,
             provenance: content.provenance.to_owned(),

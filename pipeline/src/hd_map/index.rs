@@ -6,7 +6,7 @@
 //! where the bracket is stored with the entry, so that one table of products serves all lists of a query.
 
 use arrow_buffer::{Buffer, ScalarBuffer};
-use lsfb_types::{Bounds, Progress, ProgressFn};
+use lsfb_types::{Bounds, Progress, ProgressFn, Stopped};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -97,13 +97,17 @@ fn widened(descriptor: &Descriptor) -> [f32; DESCRIPTOR_LEN] {
 
 impl DescriptorIndex {
     /// Trains and fills an index over `descriptors`. Same input and seed give the same bytes.
-    pub fn build(descriptors: &[Descriptor], config: &IndexConfig, progress: ProgressFn) -> Self {
+    pub fn build(
+        descriptors: &[Descriptor],
+        config: &IndexConfig,
+        progress: ProgressFn,
+    ) -> Result<Self, Stopped> {
         let step = |done| {
             progress(Progress {
                 stage: "descriptor index",
                 done,
                 total: 4,
-            });
+            })
         };
         let values: Vec<[f32; DESCRIPTOR_LEN]> = descriptors.iter().map(widened).collect();
         let lists =
@@ -114,9 +118,9 @@ impl DescriptorIndex {
             rounds: config.training_rounds,
             seed,
         };
-        step(0);
+        step(0)?;
         let centroids = train(&values, &training(lists, config.seed));
-        step(1);
+        step(1)?;
         let list_of: Vec<u32> = values
             .par_iter()
             .map(|v| nearest(v, &centroids) as u32)
@@ -129,7 +133,7 @@ impl DescriptorIndex {
                 std::array::from_fn(|d| v[d] - centroid[d])
             })
             .collect();
-        step(2);
+        step(2)?;
         let parts: Vec<Vec<[f32; PART_LEN]>> = (0..PARTS)
             .into_par_iter()
             .map(|part| {
@@ -138,7 +142,7 @@ impl DescriptorIndex {
                 train(&column, &training(CODEWORDS, seed))
             })
             .collect();
-        step(3);
+        step(3)?;
         let codebook = transposed(&parts);
         let codes: Vec<[u8; PARTS]> = residuals
             .par_iter()
@@ -164,15 +168,15 @@ impl DescriptorIndex {
         };
         let offsets: Vec<f32> = order.iter().map(offset).collect();
         let sorted_codes: Vec<u8> = order.iter().flat_map(|d| codes[*d as usize]).collect();
-        step(4);
-        Self {
+        step(4)?;
+        Ok(Self {
             centroids: centroids.into_flattened().into(),
             first_entry: first_entry.into(),
             entries: order.into(),
             codes: sorted_codes.into(),
             offsets: offsets.into(),
             codebook: codebook.into(),
-        }
+        })
     }
 
     /// The `count` entries with the smallest estimated distances among those of the `probes` nearest lists, nearest
@@ -361,9 +365,11 @@ mod tests {
         let queries: Vec<Descriptor> = (0..500)
             .map(|i| stored[i * 37].map(|v| v.saturating_add(rng.random_range(0..25))))
             .collect();
-        let index = DescriptorIndex::build(&stored, &IndexConfig::default(), &no_progress);
+        let index =
+            DescriptorIndex::build(&stored, &IndexConfig::default(), &no_progress).expect("built");
         assert_finds_the_nearest(&index, &stored, &queries);
-        let again = DescriptorIndex::build(&stored, &IndexConfig::default(), &no_progress);
+        let again =
+            DescriptorIndex::build(&stored, &IndexConfig::default(), &no_progress).expect("built");
         assert_eq!(index.codes.as_slice(), again.codes.as_slice());
         assert_eq!(index.codebook, again.codebook);
     }
@@ -371,9 +377,11 @@ mod tests {
     #[test]
     fn few_descriptors_and_none() {
         let stored = descriptors(40, 3);
-        let index = DescriptorIndex::build(&stored, &IndexConfig::default(), &no_progress);
+        let index =
+            DescriptorIndex::build(&stored, &IndexConfig::default(), &no_progress).expect("built");
         assert_finds_the_nearest(&index, &stored, &stored);
-        let empty = DescriptorIndex::build(&[], &IndexConfig::default(), &no_progress);
+        let empty =
+            DescriptorIndex::build(&[], &IndexConfig::default(), &no_progress).expect("built");
         assert!(
             empty
                 .search(&stored[0], 25, 8, &mut SearchScratch::default())

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use lsfb_geometry::{Rig, RigCamera, Se3, StampedPose, Vector3};
-use lsfb_types::{Bounds, Progress, ProgressFn};
+use lsfb_types::{Bounds, Progress, ProgressFn, Stopped};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -153,7 +153,7 @@ pub fn find_tracks(
         .collect::<Result<_, _>>()?;
     let pairs = choose_pairs(&prepared, config);
     let done = AtomicU64::new(0);
-    let matched: Vec<ImagePair> = pairs
+    let matched: Result<Vec<ImagePair>, Stopped> = pairs
         .par_iter()
         .map(|&(first, second)| {
             let pair = match_pair(&prepared, first, second, config);
@@ -161,13 +161,13 @@ pub fn find_tracks(
                 stage: "image matching",
                 done: done.fetch_add(1, Ordering::Relaxed) + 1,
                 total: pairs.len() as u64,
-            });
-            pair
+            })?;
+            Ok(pair)
         })
         .collect();
     let counts: Vec<usize> = images.iter().map(|i| i.features.len()).collect();
     let min_views = config.triangulation.min_views.max(2);
-    Ok(build_tracks(&counts, &matched, min_views))
+    Ok(build_tracks(&counts, &matched?, min_views))
 }
 
 /// The second half of [`reconstruct`], to be repeated when the keyframes have moved. Tracks must be those of these images.

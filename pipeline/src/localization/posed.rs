@@ -57,7 +57,7 @@ pub fn localize_posed_images(
                 stage: "localization",
                 done: done.fetch_add(1, Ordering::Relaxed) + 1,
                 total: posed.images.len() as u64,
-            });
+            })?;
             Ok(ImageLocalization {
                 path: image.path.clone(),
                 listed_world_from_rig: image.world_from_rig,

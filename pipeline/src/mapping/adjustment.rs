@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use lsfb_geometry::{Rig, Se3, StampedPose, Vector3};
-use lsfb_solver::{Block, Kernel, Problem, Report, solve_observed};
-use lsfb_types::{Progress, ProgressFn};
+use lsfb_solver::{Block, Kernel, Problem, Report};
+use lsfb_types::ProgressFn;
 use rayon::prelude::*;
 
 use super::keyframes::{Keyframe, Keyframes};
@@ -14,6 +14,7 @@ use crate::Error;
 use crate::hd_map::{MapPoint, PointObservation};
 use crate::lidar_features::{Correspondences, correspond};
 use crate::residuals::{LidarEdge, LidarPlane, ObservingCamera, RelativePose, Reprojection};
+use crate::solve::solve_or_stop;
 
 /// Two keyframes whose scans are compared: features of `n` on surfaces of `m`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -121,13 +122,7 @@ pub(super) fn adjust(
             problem.add_residual(residual, &[poses[image.keyframe].id(), block.id()], kernel)?;
         }
     }
-    let report = solve_observed(&mut problem, &config.solver, &mut |iteration| {
-        progress(Progress {
-            stage: "map adjustment",
-            done: iteration.number as u64,
-            total: iteration.of as u64,
-        });
-    })?;
+    let report = solve_or_stop("map adjustment", &mut problem, &config.solver, progress)?;
     for (keyframe, block) in keyframes.frames.iter_mut().zip(&poses) {
         keyframe.world_from_rig = problem.value(*block);
     }

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use lsfb_geometry::{RigLidar, Se3, Trajectory};
 use lsfb_recording::Recording;
-use lsfb_types::{LidarScan, Progress, ProgressFn, Stamped, Timestamp};
+use lsfb_types::{LidarScan, Progress, ProgressFn, Stamped, Stopped, Timestamp};
 use rayon::prelude::*;
 
 use super::MappingConfig;
@@ -43,12 +43,12 @@ pub(super) fn add_lidar_features(
         waiting.extend(damages.keep(scan));
         if waiting.len() >= BATCH {
             window.extract(&mut waiting);
-            window.join_ready(keyframes, progress);
+            window.join_ready(keyframes, progress)?;
         }
     }
     window.extract(&mut waiting);
-    window.join_ready(keyframes, progress);
-    window.join_until(keyframes, keyframes.len(), progress);
+    window.join_ready(keyframes, progress)?;
+    window.join_until(keyframes, keyframes.len(), progress)?;
     Ok(())
 }
 
@@ -115,19 +115,28 @@ impl ScanWindow<'_> {
     }
 
     /// Joins the keyframes whose scans have all come.
-    fn join_ready(&mut self, keyframes: &mut [Keyframe], progress: ProgressFn<'_>) {
+    fn join_ready(
+        &mut self,
+        keyframes: &mut [Keyframe],
+        progress: ProgressFn<'_>,
+    ) -> Result<(), Stopped> {
         let Some(newest) = self.scans.back().map(|s| s.time) else {
-            return;
+            return Ok(());
         };
         let complete = newest.plus_nanos(-self.reach_ns());
         let end = keyframes.partition_point(|k| k.time < complete);
-        self.join_until(keyframes, end, progress);
+        self.join_until(keyframes, end, progress)
     }
 
-    fn join_until(&mut self, keyframes: &mut [Keyframe], end: usize, progress: ProgressFn<'_>) {
+    fn join_until(
+        &mut self,
+        keyframes: &mut [Keyframe],
+        end: usize,
+        progress: ProgressFn<'_>,
+    ) -> Result<(), Stopped> {
         let total = keyframes.len() as u64;
         let Some(ready) = keyframes.get_mut(self.next_keyframe..end) else {
-            return;
+            return Ok(());
         };
         ready.par_iter_mut().for_each(|k| k.lidar = self.join(k));
         self.next_keyframe = end;
@@ -143,7 +152,7 @@ impl ScanWindow<'_> {
             stage: "lidar features",
             done: end as u64,
             total,
-        });
+        })
     }
 
     /// `None` where no scan is near.

@@ -111,7 +111,7 @@ pub(super) fn choose_keyframes(
                 done: before + p.done,
                 total,
                 ..p
-            });
+            })
         })?;
         for (picked, features) in waiting.drain(..).zip(features) {
             found.insert((picked.image.time, picked.camera), features);

@@ -1,9 +1,11 @@
+use std::collections::BTreeSet;
 use std::path::Path;
+use std::sync::Mutex;
 
 use lsfb_geometry::camera::Lens;
 use lsfb_geometry::{Camera, RigCamera, Se3, UnitQuaternion, Vector3};
 use lsfb_recording::{Writer, WriterConfig};
-use lsfb_types::no_progress;
+use lsfb_types::{Progress, Stopped, no_progress};
 use nalgebra::Matrix3;
 
 use super::*;
@@ -105,6 +107,31 @@ fn a_walk_becomes_a_map_though_one_camera_is_missing() {
         .collect();
     off.sort_by(f64::total_cmp);
     assert!(off[off.len() / 2] < 0.01, "{} m", off[off.len() / 2]);
+}
+
+#[test]
+fn a_map_can_be_stopped_in_each_of_its_stages() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("scan.mcap");
+    record(&path, 1.2, &["cam0"], 0.03);
+    let recording = Recording::open(&path).expect("recording");
+    let config = MappingConfig::default();
+    let stages = Mutex::new(BTreeSet::new());
+    let seen = |p: Progress| {
+        stages.lock().expect("stages").insert(p.stage);
+        Ok(())
+    };
+    build_map(&recording, &config, &seen).expect("map");
+    let stages = stages.into_inner().expect("stages");
+    assert!(stages.len() >= 6, "{stages:?}");
+    for stage in stages {
+        let stop = |p: Progress| match p.stage == stage {
+            true => Err(Stopped),
+            false => Ok(()),
+        };
+        let stopped = build_map(&recording, &config, &stop);
+        assert!(matches!(stopped, Err(Error::Stopped(_))), "{stage}");
+    }
 }
 
 #[test]

@@ -87,7 +87,7 @@ pub fn run_odometry(
             stage: "lidar odometry",
             done: run.report.scans,
             total,
-        });
+        })?;
         // Half a second ahead: more than one revolution of the slowest LiDAR.
         let ahead = scan.time.plus_nanos(500_000_000);
         while let Some(sample) = waiting.next_if(|s| s.time <= ahead) {

@@ -180,7 +180,7 @@ impl OneCamera<'_> {
                 stage: "images",
                 done: (time_s - first_s).max(0.0) as u64,
                 total: (last_s - first_s).max(0.0) as u64,
-            });
+            })?;
         }
         Ok(Images { keyframes, shown })
     }

@@ -112,7 +112,7 @@ pub fn refine(
             "scans of {length_s:.1} s are too short, {SHORTEST_S} s are the least and 30 s are better: walk through a furnished place and turn"
         )));
     }
-    let followed = path::follow(&scans, rig, gyro.as_ref(), progress);
+    let followed = path::follow(&scans, rig, gyro.as_ref(), progress)?;
     let Some((path, place)) = followed.filter(|(_, place)| place.planes() >= LEAST_PLANES) else {
         return Err(unknown(
             "scans do not fit on each other: the LiDAR sees too few surfaces, or moves too fast: record a place with walls, floor and furniture within 20 m".to_owned(),
@@ -124,7 +124,7 @@ pub fn refine(
             stage: "cameras",
             done: k as u64,
             total: present.len() as u64,
-        });
+        })?;
         let one = OneCamera {
             name,
             mounted,

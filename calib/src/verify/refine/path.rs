@@ -2,7 +2,7 @@
 //! gyroscope says how it turned in between.
 
 use lsfb_geometry::{Matrix3, Matrix6, Rig, Se3, UnitQuaternion, Vector3, Vector6, so3};
-use lsfb_types::{Progress, ProgressFn};
+use lsfb_types::{Progress, ProgressFn, Stopped};
 use rayon::prelude::*;
 
 use super::super::gyro::Gyro;
@@ -51,21 +51,25 @@ pub(super) fn follow<'a>(
     rig: &Rig,
     gyro: Option<&'a Gyro>,
     progress: ProgressFn,
-) -> Option<(LidarPath<'a>, Place)> {
-    let lidar = rig.lidar.as_ref()?;
+) -> Result<Option<(LidarPath<'a>, Place)>, Stopped> {
+    let Some(lidar) = &rig.lidar else {
+        return Ok(None);
+    };
     let turning = Turning {
         gyro,
         lidar_from_rig: lidar.rig_from_lidar.rotation.inverse(),
         bias_rad_s: Vector3::zeros(),
     };
-    let mut path = one_by_one(scans, turning, progress)?;
+    let Some(mut path) = one_by_one(scans, turning, progress)? else {
+        return Ok(None);
+    };
     path.begin_again(scans);
     for round in 0..ROUNDS {
         progress(Progress {
             stage: "LiDAR odometry",
             done: round as u64,
             total: ROUNDS as u64,
-        });
+        })?;
         path.turning.fit(&path.times_s, &path.world_from_lidar);
         let still = path.deskewed(scans);
         let place = path.place(&still);
@@ -81,7 +85,7 @@ pub(super) fn follow<'a>(
         path.steady();
     }
     let place = path.place(&path.deskewed(scans));
-    Some((path, place))
+    Ok(Some((path, place)))
 }
 
 /// Each scan after the one before, onto planes of all before.
@@ -89,7 +93,7 @@ fn one_by_one<'a>(
     scans: &[Scan],
     turning: Turning<'a>,
     progress: ProgressFn,
-) -> Option<LidarPath<'a>> {
+) -> Result<Option<LidarPath<'a>>, Stopped> {
     let mut surfaces = Surfaces::default();
     let mut path = LidarPath {
         times_s: Vec::new(),
@@ -103,7 +107,7 @@ fn one_by_one<'a>(
                 stage: "LiDAR odometry",
                 done: k as u64,
                 total: scans.len() as u64,
-            });
+            })?;
         }
         let (pose, speed) = path.foretold(scan.middle_s);
         let every = scan.returns.len().div_ceil(FIRST_RETURNS).max(1);
@@ -116,17 +120,20 @@ fn one_by_one<'a>(
                 turn * r.in_lidar + pose.rotation.inverse() * speed * (r.time_s - scan.middle_s)
             })
             .collect();
-        let (pose, information) = if k == 0 {
-            (pose, Matrix6::zeros())
+        let found = if k == 0 {
+            Some((pose, Matrix6::zeros()))
         } else {
-            registered(&still, pose, |at| surfaces.plane(at))?
+            registered(&still, pose, |at| surfaces.plane(at))
+        };
+        let Some((pose, information)) = found else {
+            return Ok(None);
         };
         surfaces.add(still.iter().map(|p| pose * *p));
         path.times_s.push(scan.middle_s);
         path.world_from_lidar.push(pose);
         path.information.push(information);
     }
-    (path.times_s.len() > 2).then_some(path)
+    Ok((path.times_s.len() > 2).then_some(path))
 }
 
 /// The pose at which returns lie on planes, with its information; `None` where too few do.

@@ -67,7 +67,7 @@ pub(super) fn read(
             stage: "scans",
             done: out.len() as u64,
             total: 0,
-        });
+        })?;
     }
     Ok(out)
 }

@@ -54,7 +54,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     provenance.add_input(&arguments.recording)?;
     let rig = super::rig_for(&recording, arguments.rig.as_deref(), &mut provenance)?;
     super::expect_writable(&arguments.out)?;
-    let show = |p| context.show_or_end(p);
+    let show = |p| context.show(p);
     let found = refine(&recording, &rig, &config, &show)?;
     let page = &arguments.out;
     let picture = |camera: &str, which: Compared| {

@@ -55,7 +55,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         None => arguments.recording.with_extension("verify.html"),
     };
     super::expect_writable(&page)?;
-    let show = |p| context.show_or_end(p);
+    let show = |p| context.show(p);
     let found = verify(&recording, &rig, &config, &show)?;
     let picture = |camera: &str| page.with_extension(format!("{camera}.png"));
     let mut pictures = Vec::new();

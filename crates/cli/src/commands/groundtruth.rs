@@ -77,7 +77,7 @@ pub fn compute(
     let (walk, hd_map) = (context.open(recording)?, super::open_map(map)?);
     let found = super::about(
         recording,
-        ground_truth(&walk, &hd_map, config, &|p| context.show_or_end(p)),
+        ground_truth(&walk, &hd_map, config, &|p| context.show(p)),
     )?;
     write_tum(out, &found.trajectory)?;
     let mut provenance = Provenance::new(config);

@@ -53,7 +53,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     super::expect_file(&arguments.posed_images, "name a folder of posed images")?;
     let posed = PosedImages::read(&arguments.posed_images)?.every(arguments.every);
     let found = localize_posed_images(&localizer, &posed, &SiftConfig::default(), &|p| {
-        context.show_or_end(p);
+        context.show(p)
     })?;
     let summary = summary(&found);
     context.print(&summary, || text(&summary))?;

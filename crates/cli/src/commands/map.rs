@@ -104,12 +104,7 @@ pub fn build(
         super::expect_writable(result)?;
     }
     let scan = context.open(recording)?;
-    let result = super::about(
-        recording,
-        build_map(&scan, config, &|p| {
-            context.show_or_end(p);
-        }),
-    )?;
+    let result = super::about(recording, build_map(&scan, config, &|p| context.show(p)))?;
     result.map.write(out)?;
     let mut provenance = Provenance::new(config);
     provenance.add_input(recording)?;
@@ -134,7 +129,7 @@ fn from_posed_images(
     super::expect_writable(&arguments.out)?;
     super::expect_file(folder, "name a folder of posed images")?;
     let posed = PosedImages::read(folder)?.without_every(arguments.without_every.unwrap_or(0));
-    let map = build_map_from_posed_images(&posed, &config, &|p| context.show_or_end(p))?;
+    let map = build_map_from_posed_images(&posed, &config, &|p| context.show(p))?;
     map.write(&arguments.out)?;
     context.print(&summary(&arguments.out, &map, ()), || {
         format!(

@@ -121,14 +121,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         "waiting for: lsfb scan --devices {} --out again.mcap",
         list.display()
     ));
-    let stop = session.stop_handle();
-    let sent = session.join(&|p| {
-        if context.check_stop().is_err() {
-            stop.stop();
-        }
-        if turns != Turns::Endless {
-            context.show(p);
-        }
+    let sent = session.join(&|p| match turns {
+        Turns::Endless => context.check_stop(),
+        Turns::Times(_) => context.show(p),
     })?;
     let report = serde_json::json!({
         "source": source,

@@ -41,13 +41,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     super::expect_writable(&arguments.out)?;
     let input = if arguments.input.is_dir() {
         let scans = arguments.out.with_extension("scans.mcap");
-        import_clouds(
-            &arguments.input,
-            &CloudsConfig::default(),
-            &scans,
-            context.stop(),
-            &show,
-        )?;
+        import_clouds(&arguments.input, &CloudsConfig::default(), &scans, &show)?;
         scans
     } else {
         arguments.input.clone()
@@ -55,7 +49,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     context.check_stop()?;
     let result = super::about(
         &input,
-        run_odometry(&context.open(&input)?, &config, &|p| context.show_or_end(p)),
+        run_odometry(&context.open(&input)?, &config, &|p| context.show(p)),
     )?;
     write_tum(&arguments.out, &result.trajectory)?;
     let mut provenance = Provenance::new(&config);

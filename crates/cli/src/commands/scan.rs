@@ -150,21 +150,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     arguments.apply(&mut config.recorder);
     let out: &Path = &arguments.out;
     let report = match (&arguments.pcap, &arguments.db3, &arguments.mcap) {
-        (Some(pcap), _, _) => replay(
-            PcapSource::open(pcap, &[2368, 8308])?,
-            &config,
-            out,
-            context.stop(),
-            &show,
-        )?,
-        (_, Some(db3), _) => replay(
-            Rosbag2Source::open(db3)?,
-            &config,
-            out,
-            context.stop(),
-            &show,
-        )?,
-        (_, _, Some(mcap)) => replay_recording(mcap, &config, out, context.stop(), &show)?,
+        (Some(pcap), _, _) => replay(PcapSource::open(pcap, &[2368, 8308])?, &config, out, &show)?,
+        (_, Some(db3), _) => replay(Rosbag2Source::open(db3)?, &config, out, &show)?,
+        (_, _, Some(mcap)) => replay_recording(mcap, &config, out, &show)?,
         _ => bail!("name a source: --devices, --pcap, --db3 or --mcap"),
     };
     print(&report, context)

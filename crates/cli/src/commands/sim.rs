@@ -365,12 +365,6 @@ fn draw(action: &Action, context: &Context) -> anyhow::Result<Outcome> {
 
 /// Plays to the end, or until Ctrl-C.
 fn play(devices: SimSession, context: &Context) -> anyhow::Result<()> {
-    let stop = devices.stop_handle();
-    devices.join(&|p| {
-        if context.check_stop().is_err() {
-            stop.stop();
-        }
-        context.show(p);
-    })?;
-    context.check_stop()
+    devices.join(&|p| context.show(p))?;
+    Ok(context.check_stop()?)
 }

@@ -22,6 +22,7 @@ use lsfb_capture::health::Snapshot;
 use lsfb_capture::{CaptureReport, DevicesConfig, Remarks, Session, Tap};
 use lsfb_geometry::Rig;
 use lsfb_operator::{Foxglove, Request, Screen, ScreenConfig};
+use lsfb_types::Stopped;
 
 use crate::context::Context;
 use conductor::{Conductor, Wires};
@@ -220,10 +221,11 @@ impl Live {
         };
         let _ = self.events.send(Event::Begin(Box::new(take)));
         let board = Arc::clone(&self.board);
-        Ok(session.run(out, &stop, &|_| {
+        Ok(session.run(out, &|_| {
             show(&board, context);
-            if context.check_stop().is_err() {
-                stop.store(true, Ordering::Relaxed);
+            match stop.load(Ordering::Relaxed) {
+                true => Err(Stopped),
+                false => context.check_stop(),
             }
         })?)
     }

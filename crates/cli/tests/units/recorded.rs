@@ -1,7 +1,6 @@
 //! Recordings of units whose packets are made here.
 
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
 
 use lsfb_capture::{
     CameraUnitConfig, DevicesConfig, ImuFamily, ImuLineConfig, Incoming, RecorderConfig,
@@ -101,8 +100,7 @@ pub fn record(out: &Path, family: ImuFamily, sent: Vec<Packet>, frames: Vec<Pack
         Incoming::Imu(packet) | Incoming::Frame { packet, .. } => packet.arrival,
         _ => Timestamp::default(),
     });
-    let stop = AtomicBool::new(false);
-    let report = record_incoming(items.into_iter(), &config, out, &stop, &no_progress);
+    let report = record_incoming(items.into_iter(), &config, out, &no_progress);
     let report = report.expect("recorded");
     assert_eq!(report.lost, 0, "{report:?}");
 }

@@ -9,7 +9,7 @@ use lsfb_types::{Progress, ProgressFn};
 
 use crate::container::chunk;
 use crate::container::emit::{self, IndexEntry};
-use crate::container::index::ChunkEntry;
+use crate::container::index::{ChunkEntry, Index};
 use crate::container::record::{self, HEAD_BYTES, NamedRecord, Packing, opcode};
 use crate::container::rescan::{Rescan, WhyRescan};
 use crate::container::source::Source;
@@ -35,13 +35,29 @@ pub struct Recovered {
 }
 
 /// Writes everything that can be read of `path` into a new file `out`, with a new index and end. Chunks whose checksum is
-/// right are copied byte by byte; of a torn one at the end the whole messages are taken. `out` must not exist.
+/// right are copied byte by byte; of a torn one at the end the whole messages are taken. `out` must not exist; after an error
+/// it does not.
 pub fn recover(path: &Path, out: &Path, progress: ProgressFn<'_>) -> Result<Recovered, Error> {
     let source = Source::open(path)?;
     let data_start = source.data_start()?;
     let index = Rescan::run(&source, data_start, WhyRescan::CutOff)?;
-    let mut copy = Copy::create(&source, out)?;
-    copy.adopt_definitions(&source)?;
+    let copy = Copy::create(out)?;
+    let recovered = copy_readable(&source, &index, copy, progress);
+    if recovered.is_err() {
+        // What matters is the error above.
+        let _ = std::fs::remove_file(out);
+    }
+    recovered
+}
+
+fn copy_readable(
+    source: &Source,
+    index: &Index,
+    mut copy: Copy,
+    progress: ProgressFn<'_>,
+) -> Result<Recovered, Error> {
+    copy.append(&source.read(0, source.data_start()?)?)?;
+    copy.adopt_definitions(source)?;
     let total = index.chunks.len() as u64;
     let mut pieces: Vec<Piece<'_>> = index.chunks.iter().map(Piece::Chunk).collect();
     pieces.extend(index.attachments.iter().map(Piece::Attachment));
@@ -61,11 +77,11 @@ pub fn recover(path: &Path, out: &Path, progress: ProgressFn<'_>) -> Result<Reco
                     stage: "recovering",
                     done: copy.chunks,
                     total,
-                });
-                copy.chunk(&source, entry)
+                })?;
+                copy.chunk(source, entry)
             }
-            Piece::Attachment(named) => copy.attachment(&source, named),
-            Piece::Metadata(named) => copy.metadata(&source, named),
+            Piece::Attachment(named) => copy.attachment(source, named),
+            Piece::Metadata(named) => copy.metadata(source, named),
         };
         match copied {
             Ok(()) => {}
@@ -79,13 +95,13 @@ pub fn recover(path: &Path, out: &Path, progress: ProgressFn<'_>) -> Result<Reco
     if let Some(at) = torn
         && let Some(found) = damage.get_mut(at)
     {
-        let salvaged = copy.torn_chunk(&source, found.offset)?;
+        let salvaged = copy.torn_chunk(source, found.offset)?;
         if salvaged > 0 {
             found.reason = format!("{}; {salvaged} messages of it were saved", found.reason);
         }
     }
     damage.sort_by_key(|d| d.offset);
-    copy.finish(path, damage)
+    copy.finish(&source.path, damage)
 }
 
 enum Piece<'a> {
@@ -113,7 +129,7 @@ struct Copy {
 }
 
 impl Copy {
-    fn create(source: &Source, out: &Path) -> Result<Self, Error> {
+    fn create(out: &Path) -> Result<Self, Error> {
         let file = File::create_new(out).map_err(|source| match source.kind() {
             std::io::ErrorKind::AlreadyExists => Error::Exists {
                 path: out.to_owned(),
@@ -124,17 +140,14 @@ impl Copy {
                 source,
             },
         })?;
-        let mut copy = Self {
+        Ok(Self {
             path: out.to_owned(),
             file: BufWriter::with_capacity(1 << 20, file),
             bytes: 0,
             summary: SummaryBuilder::default(),
             chunks: 0,
             salvaged_messages: 0,
-        };
-        let head = source.read(0, source.data_start()?)?;
-        copy.append(&head)?;
-        Ok(copy)
+        })
     }
 
     fn append(&mut self, bytes: &[u8]) -> Result<(), Error> {

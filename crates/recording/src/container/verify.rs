@@ -6,7 +6,7 @@ use std::sync::PoisonError;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-use lsfb_types::{Progress, ProgressFn, Timestamp};
+use lsfb_types::{Progress, ProgressFn, Stopped, Timestamp};
 
 use crate::container::chunk::{self, Scratch};
 use crate::container::index::Index;
@@ -43,7 +43,7 @@ pub(crate) fn all(
         }
     };
     let total = index.chunks.len();
-    std::thread::scope(|scope| {
+    std::thread::scope(|scope| -> Result<(), Stopped> {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         // A thread costs more than a few chunks.
         let threads: Vec<_> = (0..cores.min(total / WORTH_A_THREAD))
@@ -63,11 +63,14 @@ pub(crate) fn all(
                 stage: "verify recording",
                 done: next.load(Ordering::Relaxed).min(total) as u64,
                 total: total as u64,
-            });
+            })
+            // No chunk is left to take: the threads end with the one they have.
+            .inspect_err(|_| next.store(total, Ordering::Relaxed))?;
             std::thread::sleep(patience);
             patience = (2 * patience).min(TELL);
         }
-    });
+        Ok(())
+    })?;
     let mut damage = index.damage.clone();
     let found = found.into_inner().unwrap_or_else(PoisonError::into_inner);
     for problem in found {
@@ -100,7 +103,7 @@ pub(crate) fn arrivals(
                 stage: "reading indices",
                 done: done as u64,
                 total: index.chunks.len() as u64,
-            });
+            })?;
         }
         let offset = entry.offset.saturating_add(entry.record_bytes);
         source.read_into(&mut indices, offset, entry.index_bytes)?;

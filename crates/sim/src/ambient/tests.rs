@@ -18,7 +18,7 @@ fn world(build: impl Fn(&mut Blueprint)) -> World {
     let (corner, x, y) = ([-60.0, -60.0, 0.0], [120.0, 0.0, 0.0], [0.0, 120.0, 0.0]);
     plan.builder.quad(corner, x, y, ground);
     build(&mut plan);
-    World::of(&plan, 1, 0.1, &no_progress)
+    World::of(&plan, 1, 0.1, &no_progress).expect("built")
 }
 
 /// A wall along x = 0, thirty metres long.

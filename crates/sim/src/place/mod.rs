@@ -118,7 +118,7 @@ impl Place {
         let [w, d] = place.size_m().map(|v| v as f32);
         let whole = Area::new([0.0, w], [0.0, d]);
         match place {
-            Self::Demo => return Ok(World::build(seed, texel_m, progress)),
+            Self::Demo => return Ok(World::build(seed, texel_m, progress)?),
             Self::Imported => return World::of_file(&config.scene),
             Self::Calibration => calibration::room(&mut site),
             Self::OfficePark => park::buildings(&mut site),
@@ -135,7 +135,7 @@ impl Place {
         if !config.people {
             site.plan.strolls.clear();
         }
-        Ok(World::of(&site.plan, seed, texel_m, progress))
+        Ok(World::of(&site.plan, seed, texel_m, progress)?)
     }
 }
 

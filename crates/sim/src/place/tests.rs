@@ -71,7 +71,7 @@ fn places_have_their_size_and_walks_keep_clear_of_everything() {
 #[test]
 fn motions_have_the_frames_and_lengths_of_table_vii() {
     assert_eq!(PaperMotion::all().len(), 25);
-    let nowhere = World::of(&Default::default(), 0, 0.1, &no_progress);
+    let nowhere = World::of(&Default::default(), 0, 0.1, &no_progress).expect("built");
     for motion in PaperMotion::all() {
         for device in Device::ALL {
             // The longest walks of the three are alike: one is enough.

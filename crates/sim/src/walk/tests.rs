@@ -58,7 +58,7 @@ fn rests_at_both_ends_and_walks_between() {
 #[test]
 fn keeps_clear_of_everything() {
     for seed in 1..=4 {
-        let world = World::build(seed, 0.1, &no_progress);
+        let world = World::build(seed, 0.1, &no_progress).expect("built");
         let (_, walks) = walks(seed);
         for walk in &walks {
             let mut nearest = (f32::INFINITY, [0.0; 3]);

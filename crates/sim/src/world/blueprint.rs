@@ -4,7 +4,7 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use lsfb_types::{Progress, ProgressFn};
+use lsfb_types::{Progress, ProgressFn, Stopped};
 
 use super::atlas::Atlas;
 use super::builder::Builder;
@@ -94,7 +94,12 @@ impl World {
     }
 
     /// Paints and lights a place, with texels of `texel_m` metres where surfaces are looked at closely.
-    pub(crate) fn of(blueprint: &Blueprint, seed: u64, texel_m: f32, progress: ProgressFn) -> Self {
+    pub(crate) fn of(
+        blueprint: &Blueprint,
+        seed: u64,
+        texel_m: f32,
+        progress: ProgressFn,
+    ) -> Result<Self, Stopped> {
         let unsorted: Vec<Facet> = blueprint.builder.surfaces.iter().map(|s| s.facet).collect();
         let (bvh, order) = Bvh::build(&unsorted);
         let mut surfaces: Vec<_> = order
@@ -106,7 +111,7 @@ impl World {
         surfaces.extend(bodies);
 
         let mut atlas = Atlas::default();
-        let mut skins = pool::paint(&surfaces, texel_m, seed, &mut atlas, progress);
+        let mut skins = pool::paint(&surfaces, texel_m, seed, &mut atlas, progress)?;
         for skin in &mut skins[facets.len()..] {
             *skin = pool::unlit(*skin);
         }
@@ -125,7 +130,7 @@ impl World {
                 stage: "lighting world",
                 done: first as u64,
                 total,
-            });
+            })?;
             let grids: Vec<_> = chunk
                 .par_iter()
                 .enumerate()
@@ -140,7 +145,7 @@ impl World {
                 light.push(&grid, surface.material.glow);
             }
         }
-        Self {
+        Ok(Self {
             reflectances: surfaces.iter().map(|s| s.material.tone).collect(),
             substances: surfaces[..facets.len()]
                 .iter()
@@ -152,6 +157,6 @@ impl World {
             atlas,
             light,
             crowd,
-        }
+        })
     }
 }

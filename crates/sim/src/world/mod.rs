@@ -29,7 +29,7 @@ pub(crate) mod vector;
 use rayon::prelude::*;
 use wide::f32x8;
 
-use lsfb_types::{Progress, ProgressFn};
+use lsfb_types::{Progress, ProgressFn, Stopped};
 
 use crate::noise::hash;
 use atlas::Atlas;
@@ -77,7 +77,7 @@ pub struct Hit {
 
 impl World {
     /// Builds the furnished room and corridor of `seed`, with texels of `texel_m` metres.
-    pub fn build(seed: u64, texel_m: f32, progress: ProgressFn) -> Self {
+    pub fn build(seed: u64, texel_m: f32, progress: ProgressFn) -> Result<Self, Stopped> {
         let plan = FloorPlan::new(seed);
         let (builder, lamps) = room::furnish(&plan, seed);
         let lighting = Lighting {
@@ -99,7 +99,7 @@ impl World {
                 stage: "painting world",
                 done: reflectances.len() as u64,
                 total,
-            });
+            })?;
             let first = reflectances.len();
             let painted: Vec<_> = batch
                 .par_iter()
@@ -131,7 +131,7 @@ impl World {
             }
         }
         let substance = |&i: &usize| builder.surfaces[i].material.substance;
-        Self {
+        Ok(Self {
             skins: (0..facets.len()).map(Skin::baked).collect(),
             substances: order.iter().map(substance).collect(),
             facets,
@@ -140,7 +140,7 @@ impl World {
             atlas,
             light: LightMaps::default(),
             crowd: Crowd::default(),
-        }
+        })
     }
 
     /// One facet with a picture, for tests of the cameras.

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use lsfb_types::{Progress, ProgressFn};
+use lsfb_types::{Progress, ProgressFn, Stopped};
 
 use super::atlas::Atlas;
 use super::builder::Surface;
@@ -52,7 +52,7 @@ pub(super) fn paint(
     seed: u64,
     atlas: &mut Atlas,
     progress: ProgressFn,
-) -> Vec<Skin> {
+) -> Result<Vec<Skin>, Stopped> {
     let wanted: Vec<(Key, Order)> = surfaces
         .iter()
         .enumerate()
@@ -71,7 +71,7 @@ pub(super) fn paint(
             stage: "painting world",
             done,
             total: list.len() as u64,
-        });
+        })?;
         done += batch.len() as u64;
         let painted: Vec<Vec<_>> = batch
             .par_iter()
@@ -95,7 +95,7 @@ pub(super) fn paint(
             }
         }
     }
-    wanted
+    let skins = wanted
         .iter()
         .zip(surfaces)
         .enumerate()
@@ -108,7 +108,8 @@ pub(super) fn paint(
                 k as u64,
             )
         })
-        .collect()
+        .collect();
+    Ok(skins)
 }
 
 fn order(surface: &Surface, texel_m: f32, seed: u64, number: u64) -> (Key, Order) {

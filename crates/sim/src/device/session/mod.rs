@@ -190,15 +190,19 @@ impl SimSession {
     }
 
     /// Waits until everything is sent. The first device that failed decides the error; the others have run to their
-    /// end all the same.
+    /// end all the same. Told to stop, it ends the streams where they are,
+    /// as [`StopHandle::stop`] does.
     pub fn join(mut self, progress: ProgressFn) -> Result<SessionReport, Error> {
         while self.threads.iter().any(|thread| !thread.is_finished()) {
             let done_ns = self.clock.slowest_ns().unwrap_or(self.total_ns);
-            progress(Progress {
+            let told = progress(Progress {
                 stage: "simulated walk",
                 done: done_ns as u64 / 1_000_000,
                 total: self.total_ns as u64 / 1_000_000,
             });
+            if told.is_err() {
+                self.clock.stop();
+            }
             thread::sleep(REPORT_EVERY);
         }
         let mut outcome = Ok(SessionReport::default());

@@ -133,7 +133,7 @@ fn world_of(walls: &[(f32, [f32; 2], crate::world::material::Material)]) -> Worl
         ambient: 1.0,
         ..Default::default()
     };
-    World::of(&blueprint, 1, 0.1, &no_progress)
+    World::of(&blueprint, 1, 0.1, &no_progress).expect("built")
 }
 
 #[test]
