@@ -1,7 +1,7 @@
 use serde::Serialize;
 
 use crate::evaluation::Evaluation;
-use crate::pairs::DeltaUnit;
+use crate::relation::DeltaUnit;
 
 /// An estimate with its name.
 #[derive(Clone, Copy, Debug)]

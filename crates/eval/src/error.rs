@@ -1,7 +1,6 @@
 use std::path::PathBuf;
 
-use crate::metrics::PoseRelation;
-use crate::pairs::DeltaUnit;
+use crate::relation::{DeltaUnit, PoseRelation};
 
 /// Why a trajectory could not be judged.
 #[derive(Debug, thiserror::Error)]

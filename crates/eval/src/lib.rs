@@ -35,6 +35,7 @@ mod evaluation;
 pub mod metrics;
 pub mod pairs;
 mod read;
+pub mod relation;
 pub mod report;
 mod statistics;
 

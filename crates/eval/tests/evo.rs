@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 
 use lsfb_eval::alignment::{AlignmentMode, align, apply};
 use lsfb_eval::association::{PosePair, associate};
-use lsfb_eval::metrics::{PoseRelation, RelativeSpec, absolute_errors, relative_errors};
-use lsfb_eval::pairs::{DeltaUnit, PairSelection};
+use lsfb_eval::metrics::{RelativeSpec, absolute_errors, relative_errors};
+use lsfb_eval::pairs::PairSelection;
+use lsfb_eval::relation::{DeltaUnit, PoseRelation};
 use lsfb_eval::{EvalConfig, RpeConfig, Statistics, evaluate, read_kitti_poses, read_poses};
 use lsfb_geometry::StampedPose;
 

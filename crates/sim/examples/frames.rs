@@ -11,7 +11,7 @@ use std::path::Path;
 
 use lsfb_geometry::{Se3, Vector2, Vector3};
 use lsfb_sim::{
-    Board, CameraConfig, Device, PaperMotion, Place, RigSim, SimConfig, Simulation,
+    CalibrationBoard, CameraConfig, Device, PaperMotion, Place, RigSim, SimConfig, Simulation,
     preview::Picture,
 };
 use lsfb_types::no_progress;
@@ -143,7 +143,7 @@ fn corners(rig: &RigSim, frame: u32) -> Result<Value, Failure> {
     let camera = rig.rig().cameras.values().next().ok_or("no camera")?;
     let sim = rig.camera(0).ok_or("no camera")?;
     let middle = rig.frame_offset_ns(frame) as f64 * 1e-9;
-    let board = Board::of_room();
+    let board = CalibrationBoard::of_room();
     let mut tags = serde_json::Map::new();
     for id in 0..36 {
         let mut seen = Vec::new();

@@ -44,7 +44,9 @@
 //! ```
 
 mod ambient;
+mod calendar;
 mod config;
+mod datum;
 mod device;
 mod error;
 mod noise;
@@ -60,31 +62,32 @@ mod walk;
 pub mod world;
 
 pub use ambient::{
-    AccessPoint, AmbientChannel, AmbientMessage, AmbientSample, BarometerConfig, Beacon, BleConfig,
-    DatumConfig, Dipole, Geodetic, GnssConfig, GnssEpoch, MagneticConfig, MagneticSensor,
-    MagneticWorld, Network, NmeaSentence, PositionError, PulseSource, RadioSource, Receiver,
-    Surroundings, SurroundingsTruth, Transmitters, TrueDipole, TrueTransmitter, WifiConfig,
-    wall_loss_db,
+    AccessPoint, AmbientChannel, AmbientMessage, AmbientSample, Beacon, Dipole, GnssEpoch,
+    MagneticSensor, MagneticWorld, Network, PositionError, RadioSource, Receiver, Surroundings,
+    SurroundingsTruth, Transmitters, TrueDipole, TrueTransmitter, wall_loss_db,
 };
+pub use calendar::{EPOCH, GLASSES_EPOCH};
 pub use config::{
-    CameraConfig, ImuConfig, ImuFamily, LensKind, LidarConfig, LidarModel, LidarReturns, SimConfig,
-    WalkConfig,
+    BarometerConfig, BleConfig, CameraConfig, Device, GnssConfig, ImuConfig, ImuFamily, LensKind,
+    LidarConfig, LidarModel, LidarReturns, MagneticConfig, NmeaSentence, Place, PulseSource,
+    SimConfig, WalkConfig, WifiConfig,
 };
+pub use datum::{DatumConfig, Geodetic};
 pub use device::{
     CameraPlan, Emitted, FlowControl, GlassesEndpoint, MYNT_UNITS, Pace, Playback,
     PlaybackEndpoints, PlayedImu, ScanEmission, ScanEndpoints, SessionReport, SimSession,
     StopHandle, Turns, WalkEmission,
 };
 pub use error::Error;
-pub use place::{Board, Place, TAG_M};
+pub use place::{CalibrationBoard, TAG_M};
 pub use sensor::camera::CameraSim;
 pub use sensor::imu::{BiasedSample, GRAVITY_M_S2, at_rest, exact_sample};
 pub use sensor::lidar::{FiringCycle, LidarSim, Return};
-pub use simulation::{EPOCH, GLASSES_EPOCH, RigSim, Simulation};
+pub use simulation::{RigSim, Simulation};
 pub use timing::{
     ClockConfig, ClockJump, Clocked, ClocksConfig, DeviceClock, Discipline, Link, LinkConfig,
     RigClocks,
 };
 pub use truth::{TrueBias, Truth};
-pub use walk::{Device, Motion, PaperMotion, Walk, Walker};
+pub use walk::{Motion, PaperMotion, Walk, Walker};
 pub use world::World;

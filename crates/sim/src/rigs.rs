@@ -7,9 +7,8 @@ use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use lsfb_geometry::camera::{Camera, Lens};
 use lsfb_geometry::{Rig, RigCamera, RigImu, RigLidar, Se3};
 
-use crate::config::{CameraConfig, ImuConfig, LensKind, SimConfig};
-use crate::simulation::EPOCH;
-use crate::walk::Device;
+use crate::calendar::EPOCH;
+use crate::config::{CameraConfig, Device, ImuConfig, LensKind, SimConfig};
 
 /// Exact from the beginning on.
 const CALIBRATED: Option<i64> = Some(EPOCH.nanos() / 1_000_000_000);

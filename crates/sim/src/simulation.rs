@@ -1,26 +1,20 @@
 //! A world, two rigs in it, and what their sensors measure: the offline way to the data, without devices.
 
-use std::path::Path;
-
 use lsfb_geometry::{Matrix3, Rig, Se3, Vector3};
 use lsfb_types::{Image, LidarPoint, LidarScan, ProgressFn, Stamped, Timestamp};
 
 use crate::ambient::{Surroundings, TimeFeed};
-use crate::config::{CameraConfig, ImuConfig, SimConfig};
+use crate::calendar::{EPOCH, GLASSES_EPOCH};
+use crate::config::{CameraConfig, ImuConfig, Place, SimConfig};
 use crate::noise::hash;
-use crate::place::{Place, Route, route};
+use crate::place::{Route, route};
 use crate::sensor::camera::CameraSim;
 use crate::sensor::imu::{self, BiasedSample};
 use crate::sensor::lidar::{FiringCycle, LidarSim};
 use crate::timing::RigClocks;
 use crate::walk::{Gait, Gaze, Passers, Walk, WalkPlan, Walker};
 use crate::world::{FloorPlan, World};
-use crate::{Error, rigs, truth};
-
-/// When the scan begins: 2026-03-01T10:00:00Z.
-pub const EPOCH: Timestamp = Timestamp::from_nanos(1_772_359_200_000_000_000);
-/// When the walk with the glasses begins: ten minutes later.
-pub const GLASSES_EPOCH: Timestamp = Timestamp::from_nanos(1_772_359_800_000_000_000);
+use crate::{Error, rigs};
 
 /// A whole session.
 #[derive(Clone, Debug)]
@@ -122,27 +116,6 @@ impl Simulation {
     /// Radio, magnetic field and satellites.
     pub fn surroundings(&self) -> &Surroundings {
         &self.surroundings
-    }
-
-    /// Writes `truth_scan.tum`, `truth_walk.tum`, their `.json`, `_states.csv` and `_clocks.csv` files, what sends and what
-    /// is magnetic (`truth_surroundings.json`) and `world.ply` into a folder.
-    pub fn write_truth(&self, folder: &Path) -> Result<(), Error> {
-        self.scan.write_truth(
-            &folder.join("truth_scan.tum"),
-            &folder.join("truth_scan.json"),
-        )?;
-        self.glasses.write_truth(
-            &folder.join("truth_walk.tum"),
-            &folder.join("truth_walk.json"),
-        )?;
-        for (rig, name) in [
-            (&self.scan, "truth_scan_states.csv"),
-            (&self.glasses, "truth_walk_states.csv"),
-        ] {
-            truth::write(&folder.join(name), &rig.true_states_csv())?;
-        }
-        truth::write_ambient(self, folder)?;
-        truth::write(&folder.join("world.ply"), &self.world.to_ply())
     }
 }
 

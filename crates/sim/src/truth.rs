@@ -7,8 +7,10 @@ use serde::{Deserialize, Serialize};
 
 use lsfb_geometry::{StampedPose, Trajectory};
 
+use crate::Error;
+use crate::ambient::GnssEpoch;
+use crate::sensor::imu::{BiasedSample, GRAVITY_M_S2};
 use crate::simulation::{RigSim, Simulation};
-use crate::{Error, GnssEpoch};
 
 /// Biases of an IMU at one time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -42,10 +44,33 @@ pub struct Truth {
     pub biases: Vec<TrueBias>,
 }
 
+impl Simulation {
+    /// Writes `truth_scan.tum`, `truth_walk.tum`, their `.json`, `_states.csv` and `_clocks.csv` files, what sends and what
+    /// is magnetic (`truth_surroundings.json`) and `world.ply` into a folder.
+    pub fn write_truth(&self, folder: &Path) -> Result<(), Error> {
+        self.scan().write_truth(
+            &folder.join("truth_scan.tum"),
+            &folder.join("truth_scan.json"),
+        )?;
+        self.glasses().write_truth(
+            &folder.join("truth_walk.tum"),
+            &folder.join("truth_walk.json"),
+        )?;
+        for (rig, name) in [
+            (self.scan(), "truth_scan_states.csv"),
+            (self.glasses(), "truth_walk_states.csv"),
+        ] {
+            write(&folder.join(name), &rig.true_states_csv())?;
+        }
+        write_ambient(self, folder)?;
+        write(&folder.join("world.ply"), &self.world().to_ply())
+    }
+}
+
 impl RigSim {
     /// The poses of the rig at the times of its IMU.
     pub fn true_trajectory(&self) -> Trajectory {
-        let pose = |s: &crate::BiasedSample| StampedPose {
+        let pose = |s: &BiasedSample| StampedPose {
             time: self.time(s.offset_ns),
             world_from_rig: self.walk().at(s.offset_ns as f64 * 1e-9).world_from_rig,
         };
@@ -57,7 +82,7 @@ impl RigSim {
         Truth {
             rig: self.rig().name.clone(),
             seed: self.seed(),
-            gravity_m_s2: crate::GRAVITY_M_S2,
+            gravity_m_s2: GRAVITY_M_S2,
             gyro_axes: rows(self.imu_axes(0)),
             accel_axes: rows(self.imu_axes(1)),
             readout_ns: self.readout_ns(),
@@ -121,7 +146,7 @@ impl RigSim {
 }
 
 /// Writes how the clocks ran, what sends, what is magnetic, and how far off each position by satellites is.
-pub(crate) fn write_ambient(simulation: &Simulation, folder: &Path) -> Result<(), Error> {
+fn write_ambient(simulation: &Simulation, folder: &Path) -> Result<(), Error> {
     let (scan, walk) = (simulation.scan(), simulation.glasses());
     let clocks = scan.clocks().scan_csv(scan.walk().duration_s());
     write(&folder.join("truth_scan_clocks.csv"), &clocks)?;
@@ -170,7 +195,7 @@ fn rows(matrix: nalgebra::Matrix3<f64>) -> [[f64; 3]; 3] {
     std::array::from_fn(|row| std::array::from_fn(|column| matrix[(row, column)]))
 }
 
-pub(crate) fn write(path: &Path, text: &str) -> Result<(), Error> {
+fn write(path: &Path, text: &str) -> Result<(), Error> {
     std::fs::write(path, text).map_err(|source| Error::Write {
         path: path.to_owned(),
         source,

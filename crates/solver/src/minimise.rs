@@ -418,7 +418,7 @@ pub(crate) fn move_block(
     let entry = &problem.blocks[block];
     let range = entry.start..entry.start + entry.shape.stored;
     let (from, to) = (&values[range.clone()], &mut moved[range]);
-    if entry.mask == crate::problem::ALL {
+    if entry.mask == crate::residual::ALL {
         (entry.plus)(from, delta, to);
         return;
     }

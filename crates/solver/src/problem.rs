@@ -6,6 +6,7 @@ use lsfb_geometry::Vector3;
 use nalgebra::SVector;
 use serde::{Deserialize, Serialize};
 
+use crate::residual::ALL;
 use crate::{Error, Kernel, Manifold, Residual, Shape};
 
 /// Handle of a block, without the type of its value.
@@ -64,9 +65,6 @@ pub(crate) enum Role {
     /// No longer there.
     Removed,
 }
-
-/// [`BlockEntry::mask`] of a block that is searched in all its tangent.
-pub(crate) const ALL: u64 = u64::MAX;
 
 #[derive(Clone)]
 pub(crate) struct BlockEntry {

@@ -1,6 +1,5 @@
 use nalgebra::{SMatrix, SVector};
 
-use crate::problem::ALL;
 use crate::{Manifold, Shape};
 
 /// One term of a least-squares problem: `½ ρ(‖r(x)‖²)` over the blocks `x` it reads.
@@ -44,6 +43,9 @@ pub(crate) struct Slot {
     /// Range of the products with later Jacobians of the residual, in `Layout::couplings`.
     pub couplings: [u32; 2],
 }
+
+/// [`Slot::mask`] of a block that is searched in all its tangent.
+pub(crate) const ALL: u64 = u64::MAX;
 
 /// [`Slot::jacobian`] of a constant block.
 pub(crate) const CONSTANT: u32 = u32::MAX;

@@ -43,36 +43,8 @@ const KNOWN: &[(&str, &str, &[&str])] = &[
     ("drivers", "crate::transport", &["camera_link", "v4l2"]),
     ("drivers", "crate::velodyne", &["decode", "points"]),
     ("drivers", "crate::velodyne", &["model", "wire"]),
-    (
-        "eval",
-        "crate",
-        &["association", "error", "metrics", "pairs"],
-    ),
     ("pipeline", "crate::hd_map", &["index", "kmeans"]),
     ("pipeline", "crate::localization", &["ransac", "refinement"]),
-    (
-        "sim",
-        "crate",
-        &[
-            "ambient",
-            "config",
-            "place",
-            "rigs",
-            "sensor",
-            "simulation",
-            "truth",
-            "walk",
-        ],
-    ),
-    (
-        "sim",
-        "crate::device",
-        &["feed", "glasses", "mynt", "session"],
-    ),
-    ("sim", "crate::walk", &["motion", "plan"]),
-    ("sim", "crate::world", &["bvh", "packet"]),
-    ("sim", "crate::world", &["corridor", "room"]),
-    ("solver", "crate", &["problem", "residual"]),
 ];
 
 /// Name and root file of every library and program of ours.

@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use lsfb_eval::alignment::AlignmentMode;
-use lsfb_eval::pairs::{DeltaUnit, PairSelection};
+use lsfb_eval::pairs::PairSelection;
+use lsfb_eval::relation::DeltaUnit;
 use lsfb_eval::report::Report;
 use lsfb_eval::{EvalConfig, Evaluation, RpeConfig, evaluate, read_kitti_poses, read_poses};
 use lsfb_geometry::Trajectory;

@@ -5,8 +5,9 @@ use serde::Serialize;
 
 use crate::alignment::{AlignmentMode, align, apply};
 use crate::association::{PosePair, associate};
-use crate::metrics::{PoseRelation, RelativeSpec, absolute_errors, relative_errors};
-use crate::pairs::{DeltaUnit, PairSelection};
+use crate::metrics::{RelativeSpec, absolute_errors, relative_errors};
+use crate::pairs::PairSelection;
+use crate::relation::{DeltaUnit, PoseRelation};
 use crate::{Error, Statistics};
 
 /// What becomes of poses that share one stamp.

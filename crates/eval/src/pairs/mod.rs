@@ -1,39 +1,10 @@
 //! Which two poses a relative error compares.
 
-use std::fmt;
-
 use lsfb_geometry::{Se3, StampedPose, so3};
 use serde::Serialize;
 
 use crate::Error;
-
-/// What a delta counts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum DeltaUnit {
-    /// Poses.
-    Frames,
-    /// Metres of path.
-    Metres,
-    /// Seconds.
-    Seconds,
-    /// Degrees of rotation.
-    Degrees,
-    /// Radians of rotation.
-    Radians,
-}
-
-impl fmt::Display for DeltaUnit {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Frames => "frames",
-            Self::Metres => "m",
-            Self::Seconds => "s",
-            Self::Degrees => "deg",
-            Self::Radians => "rad",
-        })
-    }
-}
+use crate::relation::DeltaUnit;
 
 /// Which pairs are taken.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]

@@ -28,7 +28,7 @@ fn found(
         .unwrap_or_default()
 }
 
-use DeltaUnit::{Degrees, Frames, Metres, Radians, Seconds};
+use crate::relation::DeltaUnit::{Degrees, Frames, Metres, Radians, Seconds};
 use PairSelection::{All, Consecutive};
 
 const EVEN: [f64; 6] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0];

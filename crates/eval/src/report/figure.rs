@@ -1,5 +1,5 @@
 use crate::evaluation::Evaluation;
-use crate::pairs::DeltaUnit;
+use crate::relation::DeltaUnit;
 
 /// One number of the run.
 #[derive(Clone, Debug, PartialEq)]

@@ -7,7 +7,7 @@ use super::number::{significant, with_unit};
 use super::{Report, sections};
 use crate::compare::Comparison;
 use crate::error::Error;
-use crate::pairs::DeltaUnit;
+use crate::relation::DeltaUnit;
 
 const STYLE: &str = include_str!("style.css");
 

@@ -10,10 +10,10 @@ use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 use lsfb_recording::message::{GnssFix, GnssReading};
 use lsfb_types::Timestamp;
 
-use super::config::GnssConfig;
 use super::crossing;
-use super::datum::DatumConfig;
 use super::message::{AmbientMessage, AmbientSample};
+use crate::config::GnssConfig;
+use crate::datum::DatumConfig;
 use crate::noise::{Dice, next_gaussian, stream};
 use crate::walk::Walk;
 use crate::world::{Substance, World};

@@ -4,11 +4,11 @@ use nalgebra::{Matrix3, Vector3};
 
 use lsfb_recording::message::MagneticSample;
 
-use super::config::MagneticConfig;
 use super::crossing::area_m2;
-use super::datum::DatumConfig;
 use super::message::{AmbientMessage, AmbientSample};
-use crate::SimConfig;
+use crate::config::MagneticConfig;
+use crate::config::SimConfig;
+use crate::datum::DatumConfig;
 use crate::noise::{next_gaussian, stream, uniform};
 use crate::walk::Walk;
 use crate::world::World;

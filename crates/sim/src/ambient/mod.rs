@@ -3,9 +3,7 @@
 //! Everything follows from the world that the cameras see (walls in the way of a wave, steel near the compass, sky above the
 //! antenna), from the walk and from the seed.
 
-mod config;
 mod crossing;
-mod datum;
 mod gnss;
 mod magnetic;
 mod message;
@@ -15,11 +13,7 @@ mod smooth;
 mod transmitters;
 mod truth;
 
-pub use config::{
-    BarometerConfig, BleConfig, GnssConfig, MagneticConfig, NmeaSentence, PulseSource, WifiConfig,
-};
 pub use crossing::wall_loss_db;
-pub use datum::{DatumConfig, Geodetic};
 pub(crate) use gnss::course_deg;
 pub use gnss::{GnssEpoch, PositionError};
 pub use magnetic::{Dipole, MagneticSensor, MagneticWorld};
@@ -30,9 +24,11 @@ pub use truth::{SurroundingsTruth, TrueDipole, TrueTransmitter};
 
 use lsfb_types::Timestamp;
 
-use crate::SimConfig;
+use crate::calendar::{EPOCH, GLASSES_EPOCH};
+use crate::config::{Device, NmeaSentence, PulseSource, SimConfig};
+use crate::datum::Geodetic;
 use crate::noise::hash;
-use crate::walk::{Device, Walk};
+use crate::walk::Walk;
 use crate::world::World;
 
 /// The receiver behind a LiDAR's pulse and sentences.
@@ -133,7 +129,7 @@ impl Surroundings {
 
     /// What the receiver of the second walk's device says, second by second.
     pub fn gnss(&self, world: &World, walk: &Walk) -> Vec<GnssEpoch> {
-        let begin = crate::GLASSES_EPOCH;
+        let begin = GLASSES_EPOCH;
         self.gnss_on(world, walk, begin, self.seed(7))
     }
 
@@ -144,7 +140,7 @@ impl Surroundings {
             pulse: self.config.gnss.pulse,
             sentence: self.config.gnss.sentence,
             home: datum.geodetic(Default::default()),
-            epochs: self.gnss_on(world, walk, crate::EPOCH, self.seed(8)),
+            epochs: self.gnss_on(world, walk, EPOCH, self.seed(8)),
         }
     }
 

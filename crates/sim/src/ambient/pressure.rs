@@ -2,9 +2,9 @@
 
 use lsfb_recording::message::PressureSample;
 
-use super::config::BarometerConfig;
-use super::datum::DatumConfig;
 use super::message::{AmbientMessage, AmbientSample};
+use crate::config::BarometerConfig;
+use crate::datum::DatumConfig;
 use crate::noise::{next_gaussian, stream};
 use crate::walk::Walk;
 

@@ -4,13 +4,14 @@ use nalgebra::Vector3;
 
 use lsfb_recording::message::{BleAdvert, WifiReading};
 
-use super::config::{BleConfig, WifiConfig};
 use super::crossing::wall_loss_db;
 use super::message::{AmbientMessage, AmbientSample};
 use super::smooth::SmoothField;
 use super::transmitters::{RadioSource, Transmitters};
+use crate::config::Device;
+use crate::config::{BleConfig, WifiConfig};
 use crate::noise::{Dice, gaussian, hash, next_gaussian, stream, unit};
-use crate::walk::{Device, Walk};
+use crate::walk::Walk;
 use crate::world::World;
 
 /// Speed of light, metres per microsecond.

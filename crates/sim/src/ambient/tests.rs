@@ -3,10 +3,10 @@ use lsfb_types::no_progress;
 use nalgebra::{Matrix3, Vector3};
 
 use super::*;
+use crate::config::{DatumConfig, Place};
 use crate::noise::stream;
-use crate::place::Place;
 use crate::walk::{PaperMotion, Walker};
-use crate::world::builder::{Faces, Place as Spot};
+use crate::world::builder::{Faces, Placement};
 use crate::world::material::Material;
 use crate::world::{Blueprint, FloorPlan};
 use crate::{Simulation, WalkConfig};
@@ -23,7 +23,7 @@ fn world(build: impl Fn(&mut Blueprint)) -> World {
 
 /// A wall along x = 0, thirty metres long.
 fn wall(plan: &mut Blueprint, material: Material) {
-    let place = Spot::new([0.0, 0.0, 0.0], 0.0);
+    let place = Placement::new([0.0, 0.0, 0.0], 0.0);
     let (low, high) = ([0.0, -15.0, 0.0], [0.3, 15.0, 8.0]);
     plan.builder.cuboid(&place, low, high, Faces::All, material);
 }
@@ -296,7 +296,7 @@ fn positions_are_as_far_off_as_they_say() {
     let open = world(|_| {});
     // A façade to the south as well: its echoes are in the covariance.
     let street = world(|plan| {
-        let place = Spot::new([0.0, 0.0, 0.0], 0.0);
+        let place = Placement::new([0.0, 0.0, 0.0], 0.0);
         let (low, high) = ([-30.0, -8.0, 0.0], [30.0, -2.0, 12.0]);
         plan.builder
             .cuboid(&place, low, high, Faces::All, Material::BRICK);

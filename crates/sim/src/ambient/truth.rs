@@ -3,7 +3,8 @@
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::{DatumConfig, Surroundings};
+use super::Surroundings;
+use crate::datum::DatumConfig;
 
 /// What `truth_surroundings.json` holds.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

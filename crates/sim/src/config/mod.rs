@@ -1,7 +1,10 @@
 //! What can be set. `Default` is the demo.
 
+mod ambient;
+mod device;
 mod imu;
 mod lidar;
+mod place;
 
 use std::path::PathBuf;
 
@@ -9,14 +12,15 @@ use lsfb_types::{Bounds, OutOfBounds};
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
-use crate::ambient::{
-    BarometerConfig, BleConfig, DatumConfig, GnssConfig, MagneticConfig, WifiConfig,
-};
-use crate::place::Place;
+use crate::datum::DatumConfig;
 use crate::timing::ClocksConfig;
-use crate::walk::{Device, PaperMotion};
+pub use ambient::{
+    BarometerConfig, BleConfig, GnssConfig, MagneticConfig, NmeaSentence, PulseSource, WifiConfig,
+};
+pub use device::Device;
 pub use imu::{ImuConfig, ImuFamily};
 pub use lidar::{LidarConfig, LidarModel, LidarReturns};
+pub use place::Place;
 
 /// A whole simulated session: a scan with the backpack and a walk with the glasses.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -284,25 +288,6 @@ impl SimConfig {
             config.texel_m = 0.003;
         }
         config
-    }
-
-    /// [`SimConfig::for_place`] with the second walk of a sequence of Table VII.
-    pub fn for_motion(motion: &PaperMotion, device: Device) -> Self {
-        let mut config = Self::for_place(motion.place, device);
-        config.motion = motion.name.to_owned();
-        config
-    }
-
-    /// The sequence of Table VII that the second walk follows.
-    pub fn paper_motion(&self) -> Result<Option<&'static PaperMotion>, Error> {
-        if self.motion.is_empty() {
-            return Ok(None);
-        }
-        let found = PaperMotion::named(&self.motion).filter(|m| m.place == self.place);
-        found.map(Some).ok_or_else(|| {
-            let bounds = "a sequence of Table VII that belongs to the place";
-            OutOfBounds::new("", "motion", &self.motion, &bounds).into()
-        })
     }
 
     /// Small and short, for tests: coarse surfaces, low resolution, five seconds each.

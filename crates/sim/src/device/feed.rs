@@ -6,7 +6,7 @@ use std::thread::JoinHandle;
 
 use lsfb_types::Image;
 
-use super::session::spawn;
+use super::thread::spawn;
 use crate::{Error, RigSim, Simulation};
 
 /// Triggers rendered ahead.

@@ -17,6 +17,7 @@ mod outbox;
 mod playback;
 mod position;
 mod session;
+mod thread;
 
 pub use clock::Pace;
 pub use emission::{Emitted, ScanEmission, WalkEmission};

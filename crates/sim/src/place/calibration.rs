@@ -4,7 +4,7 @@ use super::dress::Dress;
 use super::site::{Area, Cladding, Site};
 use crate::noise::stream;
 use crate::world::april_grid;
-use crate::world::builder::{Faces, Place};
+use crate::world::builder::{Faces, Placement};
 use crate::world::furniture::{plant, shelf};
 use crate::world::material::Material;
 
@@ -21,7 +21,7 @@ const BOARD_M: f32 = 0.02;
 
 /// Where the board is: its face looks along −x, its corners from the grid's lower left are along −y and z.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Board {
+pub struct CalibrationBoard {
     /// Lower left corner of the grid (of its first black square), metres.
     pub corner_m: [f64; 3],
     /// Unit vector along increasing tag numbers of a row.
@@ -32,7 +32,7 @@ pub struct Board {
     pub tag_m: f64,
 }
 
-impl Board {
+impl CalibrationBoard {
     /// The board of the calibration room.
     pub fn of_room() -> Self {
         let half = 0.5 * f64::from(april_grid::edge_m(TAG_M));
@@ -79,7 +79,7 @@ pub(super) fn room(site: &mut Site) {
     );
     plant(site.out(), &rng, [0.6, 4.4, 0.0], 1.5, 0.4);
     // Looked at along x: right is −y.
-    let board = Place::new(CENTRE, -std::f32::consts::FRAC_PI_2);
+    let board = Placement::new(CENTRE, -std::f32::consts::FRAC_PI_2);
     let half = 0.5 * april_grid::edge_m(TAG_M) + MARGIN_M;
     let plate = Material::BLANK.toned(0.5);
     let out = site.out();

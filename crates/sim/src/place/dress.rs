@@ -2,10 +2,10 @@
 
 use super::site::{Site, Wall};
 use crate::noise::{Dice, below, stream, uniform};
-use crate::world::builder::{Faces, Place};
+use crate::world::builder::{Faces, Placement};
+use crate::world::fittings::skirting;
 use crate::world::furniture::{cabinet, chair, door, notice_board, picture, shelf, table};
 use crate::world::material::Material;
-use crate::world::room::skirting;
 
 /// What is on a wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -167,7 +167,7 @@ impl Site {
     /// A window with its frame, bright from the light outside.
     pub(crate) fn window(
         &mut self,
-        wall: &Place,
+        wall: &Placement,
         [l, r]: [f32; 2],
         [z0, z1]: [f32; 2],
         number: u64,
@@ -187,7 +187,7 @@ impl Site {
     }
 
     /// Four desks back to back with a screen between them, chairs at each; the place is the middle.
-    pub(crate) fn desks(&mut self, centre: &Place, number: u64) {
+    pub(crate) fn desks(&mut self, centre: &Placement, number: u64) {
         let rng = self.moved("desks", number);
         let fixed = self.built("desks", number);
         let screen = Material::FABRIC.toned(uniform(&fixed, 0.25, 0.55));
@@ -212,7 +212,7 @@ impl Site {
         }
     }
 
-    fn monitor(&mut self, rng: &Dice, desk: &Place) {
+    fn monitor(&mut self, rng: &Dice, desk: &Placement) {
         let place = desk.moved(
             [uniform(rng, -0.2, 0.3), 0.2, 0.73],
             uniform(rng, -0.2, 0.2),

@@ -3,7 +3,7 @@
 use super::dress::Dress;
 use super::site::{Area, Cladding, Site};
 use crate::noise::{below, uniform};
-use crate::world::builder::{Faces, Place};
+use crate::world::builder::{Faces, Placement};
 use crate::world::crowd::Stroll;
 use crate::world::furniture::{picture, plant, sofa, table};
 use crate::world::light::Lamp;
@@ -45,7 +45,7 @@ pub(super) fn exhibition(site: &mut Site, area: Area) {
             let number = (3 * row + column) as u64;
             let at = [area.x[0] + x * w, area.y[0] + y * d, 0.0];
             let turn = uniform(&site.built("stand", number), -0.2, 0.2);
-            stand(site, &Place::new(at, turn), number);
+            stand(site, &Placement::new(at, turn), number);
         }
     }
     let ring = area.shrunk(2.6);
@@ -62,7 +62,7 @@ pub(super) fn exhibition(site: &mut Site, area: Area) {
 }
 
 /// A stand: a partition with pictures on one side and a screen on the other, a desk, a glass case.
-fn stand(site: &mut Site, place: &Place, number: u64) {
+fn stand(site: &mut Site, place: &Placement, number: u64) {
     let rng = site.moved("stand", number);
     let body = Material::PAINT.toned(uniform(&rng, 0.2, 0.75));
     let out = site.out();
@@ -167,7 +167,7 @@ pub(super) fn atrium(site: &mut Site, area: Area) {
     // Skylights have beams below them.
     for k in 1..(w / 5.0) as usize {
         let x = area.x[0] + 5.0 * k as f32;
-        let beam = Place::new([x, area.y[0], 0.0], 0.0);
+        let beam = Placement::new([x, area.y[0], 0.0], 0.0);
         let (low, high) = ([-0.15, 0.0, ATRIUM_M - 0.6], [0.15, d, ATRIUM_M - 0.05]);
         site.out()
             .cuboid(&beam, low, high, Faces::All, Material::METAL.toned(0.5));
@@ -194,7 +194,7 @@ pub(super) fn atrium(site: &mut Site, area: Area) {
     island(site, area);
     for (k, x) in [0.08, 0.9].into_iter().enumerate() {
         let rng = site.moved("atrium bench", k as u64);
-        let at = Place::new([area.x[0] + x * w, area.y[0] + 0.5 * d, 0.0], 1.57);
+        let at = Placement::new([area.x[0] + x * w, area.y[0] + 0.5 * d, 0.0], 1.57);
         sofa(site.out(), &rng, &at, [2.0, 0.8, 0.75], 0.0);
         let pot = at.point([2.7, -0.4, 0.0]);
         plant(site.out(), &rng, pot, 1.8, 0.5);
@@ -214,7 +214,7 @@ pub(super) fn atrium(site: &mut Site, area: Area) {
 fn island(site: &mut Site, area: Area) {
     let [x, y] = area.centre();
     let rng = site.moved("island", 0);
-    let centre = Place::new([x, y, 0.0], 0.0);
+    let centre = Placement::new([x, y, 0.0], 0.0);
     let out = site.out();
     out.cuboid(
         &centre,
@@ -225,7 +225,7 @@ fn island(site: &mut Site, area: Area) {
     );
     for k in 0..4 {
         let yaw = k as f32 * std::f32::consts::FRAC_PI_2;
-        let side = Place::new([x, y, 0.0], yaw).moved([0.0, -0.7, 0.0], 0.0);
+        let side = Placement::new([x, y, 0.0], yaw).moved([0.0, -0.7, 0.0], 0.0);
         picture(out, &rng, &side, [0.0, 1.5], [1.2, 1.7]);
         let sign = Material::SIGN.toned(uniform(&rng, 0.1, 0.9));
         out.cuboid(
@@ -235,7 +235,7 @@ fn island(site: &mut Site, area: Area) {
             Faces::Hanging,
             sign,
         );
-        let desk = Place::new([x, y, 0.0], yaw + 0.785).moved([0.0, -2.1, 0.0], 0.0);
+        let desk = Placement::new([x, y, 0.0], yaw + 0.785).moved([0.0, -2.1, 0.0], 0.0);
         table(out, &rng, &desk, [1.4, 0.7, 0.95]);
         let pot = desk.point([1.3, 0.0, 0.0]);
         plant(out, &rng, pot, 1.3, 0.35);
@@ -304,7 +304,7 @@ pub(super) fn stairs(site: &mut Site, area: Area) {
     }
     site.lamps(area, height, 3.5, 5.0);
     let [w, d] = area.size();
-    let origin = Place::new([area.x[0], area.y[0], 0.0], 0.0);
+    let origin = Placement::new([area.x[0], area.y[0], 0.0], 0.0);
     let landing = Material::PARQUET;
     let (low, high) = ([0.0, FLIGHT[1], 0.0], [w, d, STOREY_M]);
     site.out()

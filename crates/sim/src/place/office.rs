@@ -8,7 +8,7 @@ use super::indoor::{
 };
 use super::site::{Area, Cladding, Site, WALL_M};
 use crate::noise::uniform;
-use crate::world::builder::{Faces, Place};
+use crate::world::builder::{Faces, Placement};
 use crate::world::furniture::{plant, sofa, table};
 use crate::world::material::Material;
 
@@ -49,7 +49,7 @@ pub(super) fn medium(site: &mut Site, area: Area) {
         for (side, x) in [(0, x0 + 1.9), (1, x0 + w - 1.9)] {
             if y < y0 + d - 3.0 {
                 site.desks(
-                    &Place::new([x, y, 0.0], FRAC_PI_2),
+                    &Placement::new([x, y, 0.0], FRAC_PI_2),
                     40 + 2 * k as u64 + side,
                 );
             }
@@ -84,7 +84,7 @@ fn core_room(site: &mut Site, area: Area, number: u64) {
     let ([x0, x1], [y0, y1]) = (area.x, area.y);
     let [w, d] = area.size();
     let wall = Material::PAINT.toned(0.6);
-    let corner = Place::new([x0, y0, 0.0], 0.0);
+    let corner = Placement::new([x0, y0, 0.0], 0.0);
     let h = CEILING_M;
     for (low, high) in [
         ([0.0, 0.0, 0.0], [0.1, d, h]),
@@ -96,10 +96,10 @@ fn core_room(site: &mut Site, area: Area, number: u64) {
     let mut y = y0 + 0.1;
     while y + 1.0 < y1 {
         let wide = 1.42_f32.min(y1 - 0.1 - y);
-        site.pane(&Place::new([x1, y, 0.0], FRAC_PI_2), wide, [0.0, 2.4]);
+        site.pane(&Placement::new([x1, y, 0.0], FRAC_PI_2), wide, [0.0, 2.4]);
         y += 1.45;
     }
-    let beam = Place::new([x1, y0, 0.0], 0.0);
+    let beam = Placement::new([x1, y0, 0.0], 0.0);
     site.out()
         .cuboid(&beam, [-0.08, 0.0, 2.4], [0.08, d, h], Faces::All, wall);
     let outside = site.outsides(
@@ -115,18 +115,18 @@ fn core_room(site: &mut Site, area: Area, number: u64) {
     table(
         site.out(),
         &rng,
-        &Place::new([cx, cy, 0.0], 1.57),
+        &Placement::new([cx, cy, 0.0], 1.57),
         [2.4, 1.1, 0.74],
     );
     for k in 0..4 {
         let side = if k % 2 == 0 { -1.0 } else { 1.0 };
-        let seat = Place::new(
+        let seat = Placement::new(
             [cx + 0.85 * side, cy + (k / 2) as f32 - 0.5, 0.0],
             -1.57 * side,
         );
         crate::world::furniture::chair(site.out(), &rng, &seat);
     }
-    let inner = Place::new([x0 + 0.1, y0, 0.0], FRAC_PI_2);
+    let inner = Placement::new([x0 + 0.1, y0, 0.0], FRAC_PI_2);
     let size = [uniform(&rng, 1.2, 1.8), 1.0];
     crate::world::furniture::picture(site.out(), &rng, &inner, [0.5 * d, 1.5], size);
 }
@@ -134,7 +134,7 @@ fn core_room(site: &mut Site, area: Area, number: u64) {
 /// Sofa, table, plants.
 fn lounge(site: &mut Site, [x, y]: [f32; 2], number: u64) {
     let rng = site.moved("lounge", number);
-    let place = Place::new([x - 1.0, y, 0.0], 0.0);
+    let place = Placement::new([x - 1.0, y, 0.0], 0.0);
     sofa(site.out(), &rng, &place, [2.0, 0.8, 0.75], 0.0);
     for side in [-0.6, 2.6] {
         let pot = place.point([side, -0.4, 0.0]);
@@ -162,7 +162,7 @@ fn open_plan(site: &mut Site, area: Area, number: u64) {
             let x = area.x[0] + 1.7 + (w - 3.4) * (i as f32 + 0.5) / columns as f32;
             let y = area.y[0] + d * (j as f32 + 0.5) / rows as f32;
             let bay = number * 256 + (i * rows + j) as u64;
-            site.desks(&Place::new([x, y, 0.0], FRAC_PI_2), bay);
+            site.desks(&Placement::new([x, y, 0.0], FRAC_PI_2), bay);
         }
     }
 }

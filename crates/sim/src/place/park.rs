@@ -6,7 +6,7 @@ use super::dress::Dress;
 use super::indoor::stroll_around;
 use super::site::{Area, Cladding, Site, WALL_M, Wall};
 use crate::noise::uniform;
-use crate::world::builder::{Faces, Place};
+use crate::world::builder::{Faces, Placement};
 use crate::world::furniture::door;
 use crate::world::light::Sun;
 use crate::world::material::{Marks, Material};
@@ -89,7 +89,7 @@ fn grounds(site: &mut Site) {
         ([42.0, 60.0], [66.0, 96.0]),
         ([2.0, 9.0], [8.0, 96.0]),
     ] {
-        let place = Place::new([x[0], y[0], 0.0], 0.0);
+        let place = Placement::new([x[0], y[0], 0.0], 0.0);
         let (low, high) = ([0.0, 0.0, 0.0], [x[1] - x[0], y[1] - y[0], 0.09]);
         out.cuboid(&place, low, high, Faces::Standing, Material::GRASS);
     }
@@ -97,7 +97,7 @@ fn grounds(site: &mut Site) {
     let middle = 0.5 * PARK_M;
     for k in 0..4 {
         let yaw = k as f32 * FRAC_PI_2;
-        let side = Place::new([middle, middle, 0.0], yaw);
+        let side = Placement::new([middle, middle, 0.0], yaw);
         for i in 0..8 {
             let x = 20.0 * i as f32 - 80.0;
             let height = 6.0
@@ -153,7 +153,7 @@ fn furnish(site: &mut Site) {
         tree(site, at, k as u64);
     }
     for k in 0..6 {
-        let place = Place::new(
+        let place = Placement::new(
             [41.0 + 3.6 * k as f32, 43.0 + 18.0 * (k % 2) as f32, 0.0],
             0.0,
         );
@@ -195,7 +195,7 @@ fn furnish(site: &mut Site) {
     for k in 0..6 {
         car(
             site,
-            &Place::new(
+            &Placement::new(
                 [46.5 + 2.9 * k as f32, 12.0 + 0.3 * (k % 3) as f32, 0.0],
                 FRAC_PI_2,
             ),
@@ -236,7 +236,7 @@ fn tree(site: &mut Site, [x, y]: [f32; 2], number: u64) {
     }
 }
 
-fn car(site: &mut Site, place: &Place, number: u64) {
+fn car(site: &mut Site, place: &Placement, number: u64) {
     // Next month other cars stand here.
     let rng = site.moved("car", number);
     let paint = Material::BLANK.toned(uniform(&rng, 0.1, 0.8));
@@ -358,7 +358,7 @@ fn house(site: &mut Site, area: Area, number: u64) {
             let rng = site.moved("house room", key);
             let [cx, cy] = room.centre();
             let across = if side == 0 { -0.9 } else { 0.9 };
-            let place = Place::new([cx, cy + across, 0.0], 0.0);
+            let place = Placement::new([cx, cy + across, 0.0], 0.0);
             crate::world::furniture::table(site.out(), &rng, &place, [1.6, 0.8, 0.74]);
         }
     }

@@ -1,7 +1,8 @@
 //! Closed lines through the places, for whoever walks there: feet on the floor, metres.
 
 use super::indoor::{FLIGHT, STOREY_M};
-use super::{Place, park};
+use super::park;
+use crate::config::Place;
 
 /// A kind of way through a place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

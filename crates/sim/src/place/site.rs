@@ -4,10 +4,10 @@ use std::f32::consts::{FRAC_PI_2, PI};
 
 use crate::noise::{Dice, stream};
 use crate::world::Blueprint;
-use crate::world::builder::{Builder, Faces, Place};
+use crate::world::builder::{Builder, Faces, Placement};
+use crate::world::fittings::walls;
 use crate::world::light::Lamp;
 use crate::world::material::Material;
-use crate::world::room::walls;
 
 /// Thickness of walls between halls, metres.
 pub(crate) const WALL_M: f32 = 0.3;
@@ -47,7 +47,7 @@ pub(crate) struct Cladding {
 /// A wall to hang things on.
 #[derive(Clone, Debug)]
 pub(crate) struct Wall {
-    pub place: Place,
+    pub place: Placement,
     pub length_m: f32,
     /// Stretches taken by passages.
     pub taken: Vec<[f32; 2]>,
@@ -133,17 +133,17 @@ impl Site {
         let [w, d] = area.size();
         let ([x0, x1], [y0, y1]) = (area.x, area.y);
         let places = [
-            Place::new([x0, y0, 0.0], 0.0),
-            Place::new([x1, y0, 0.0], FRAC_PI_2),
-            Place::new([x1, y1, 0.0], PI),
-            Place::new([x0, y1, 0.0], -FRAC_PI_2),
+            Placement::new([x0, y0, 0.0], 0.0),
+            Placement::new([x1, y0, 0.0], FRAC_PI_2),
+            Placement::new([x1, y1, 0.0], PI),
+            Placement::new([x0, y1, 0.0], -FRAC_PI_2),
         ];
         self.sides(&places, [w, d, w, d], height, material)
     }
 
     fn sides(
         &mut self,
-        places: &[Place; 4],
+        places: &[Placement; 4],
         lengths: [f32; 4],
         height: f32,
         material: Material,
@@ -205,7 +205,7 @@ impl Site {
 
     /// A lamp that hangs from a ceiling.
     pub(crate) fn lamp(&mut self, at: [f32; 3], half: [f32; 3], power: f32) {
-        let place = Place::new([at[0], at[1], 0.0], 0.0);
+        let place = Placement::new([at[0], at[1], 0.0], 0.0);
         let [x, y, z] = half;
         self.plan.builder.cuboid(
             &place,
@@ -234,7 +234,7 @@ impl Site {
     }
 
     /// A pane of glass that stands on the floor, seen from both sides.
-    pub(crate) fn pane(&mut self, place: &Place, width: f32, [low, high]: [f32; 2]) {
+    pub(crate) fn pane(&mut self, place: &Placement, width: f32, [low, high]: [f32; 2]) {
         let corner = place.point([0.0, 0.0, low]);
         let end = place.point([width, 0.0, low]);
         let along: [f32; 3] = std::array::from_fn(|i| end[i] - corner[i]);
@@ -254,7 +254,7 @@ impl Site {
 
 impl Passage {
     /// Where on a wall it is, metres from the wall's beginning; `None` on another wall.
-    fn along(&self, wall: &Place, length_m: f32) -> Option<[f32; 2]> {
+    fn along(&self, wall: &Placement, length_m: f32) -> Option<[f32; 2]> {
         let (s, c) = wall.yaw.sin_cos();
         let local = |x: f32, y: f32| {
             let (dx, dy) = (x - wall.origin[0], y - wall.origin[1]);

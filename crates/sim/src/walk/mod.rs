@@ -1,6 +1,6 @@
 //! How the rigs move: smooth, known exactly, at rest at both ends.
 
-mod motion;
+mod paper_motion;
 mod passers;
 mod plan;
 mod tour;
@@ -13,7 +13,7 @@ use crate::config::WalkConfig;
 use crate::noise::{stream, uniform};
 use crate::spline::QuinticSpline;
 use crate::world::FloorPlan;
-pub use motion::{Device, Motion as PaperMotion};
+pub use paper_motion::PaperMotion;
 pub(crate) use passers::Passers;
 pub(crate) use plan::{Gait, Gaze, WalkPlan};
 use tour::Tour;

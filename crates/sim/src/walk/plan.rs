@@ -8,6 +8,9 @@ use crate::config::WalkConfig;
 use crate::noise::{stream, uniform};
 use crate::spline::QuinticSpline;
 
+/// Images per second of all three devices of the paper.
+pub(super) const FRAME_RATE_HZ: f64 = 30.0;
+
 /// Where one looks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Gaze {
@@ -148,9 +151,9 @@ impl Walk {
 
     /// Length of the path of the rig, metres, at the rate of the images.
     pub fn length_m(&self) -> f64 {
-        let steps = (self.duration_s * super::motion::FRAME_RATE_HZ) as usize;
+        let steps = (self.duration_s * FRAME_RATE_HZ) as usize;
         let place = |k: usize| {
-            let time_s = k as f64 / super::motion::FRAME_RATE_HZ;
+            let time_s = k as f64 / FRAME_RATE_HZ;
             self.at(time_s).world_from_rig.translation
         };
         let mut length = 0.0;

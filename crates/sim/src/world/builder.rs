@@ -20,12 +20,12 @@ pub(crate) struct Builder {
 /// A place to build on: `origin`, and the direction called "right", in the plane of the floor. Depth goes to the
 /// left of "right", away from who looks at the piece of furniture; z is up.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Place {
+pub(crate) struct Placement {
     pub origin: [f32; 3],
     pub yaw: f32,
 }
 
-impl Place {
+impl Placement {
     pub(crate) fn new(origin: [f32; 3], yaw: f32) -> Self {
         Self { origin, yaw }
     }
@@ -82,7 +82,7 @@ impl Builder {
     /// A box from `low` to `high` in the directions of `place`.
     pub(crate) fn cuboid(
         &mut self,
-        place: &Place,
+        place: &Placement,
         low: [f32; 3],
         high: [f32; 3],
         faces: Faces,
@@ -94,7 +94,7 @@ impl Builder {
     /// A box whose front (towards the viewer, least depth) is of another material.
     pub(crate) fn cuboid_with_front(
         &mut self,
-        place: &Place,
+        place: &Placement,
         low: [f32; 3],
         high: [f32; 3],
         faces: Faces,

@@ -2,6 +2,7 @@
 
 use wide::f32x8;
 
+use super::bounds::Bounds;
 use super::facet::Facet;
 use super::packet::{Prepared, largest};
 use super::ray::{LANES, NO_FACET, Origin, PacketHit, RayPacket};
@@ -13,43 +14,6 @@ const BINS: usize = 16;
 const NODE_COST: f32 = 1.0;
 /// Deep enough for any tree over 2³² facets that halves at least now and then; deeper branches become leaves.
 const MAX_DEPTH: usize = 48;
-/// An axis-aligned box.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Bounds {
-    pub min: [f32; 3],
-    pub max: [f32; 3],
-}
-
-impl Bounds {
-    const EMPTY: Self = Self {
-        min: [f32::INFINITY; 3],
-        max: [f32::NEG_INFINITY; 3],
-    };
-
-    fn include(&mut self, other: &Self) {
-        for i in 0..3 {
-            self.min[i] = self.min[i].min(other.min[i]);
-            self.max[i] = self.max[i].max(other.max[i]);
-        }
-    }
-
-    fn half_area(&self) -> f32 {
-        let d: [f32; 3] = std::array::from_fn(|i| (self.max[i] - self.min[i]).max(0.0));
-        d[0] * d[1] + d[1] * d[2] + d[2] * d[0]
-    }
-
-    fn of(facet: &Facet) -> Self {
-        let mut bounds = Self::EMPTY;
-        for v in facet.vertices() {
-            bounds.include(&Self { min: v, max: v });
-        }
-        for i in 0..3 {
-            bounds.min[i] -= 1e-4;
-            bounds.max[i] += 1e-4;
-        }
-        bounds
-    }
-}
 
 #[derive(Clone, Copy, Debug)]
 struct Node {

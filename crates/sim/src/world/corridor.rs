@@ -1,10 +1,11 @@
 //! The corridor: doors, posters, notice boards, a cabinet, lamps, ducts.
 
-use super::builder::{Builder, Faces, Place};
+use super::builder::{Builder, Faces, Placement};
+use super::fittings::{ceiling_lamp, skirting, walls};
+use super::floor_plan::FloorPlan;
 use super::furniture::{cabinet, door, notice_board, picture};
 use super::light::Lamp;
 use super::material::{Marks, Material};
-use super::room::{FloorPlan, ceiling_lamp, skirting, walls};
 use crate::noise::{Dice, below, uniform};
 
 pub(super) fn corridor(out: &mut Builder, rng: &Dice, plan: &FloorPlan, lamps: &mut Vec<Lamp>) {
@@ -97,7 +98,7 @@ pub(super) fn corridor(out: &mut Builder, rng: &Dice, plan: &FloorPlan, lamps: &
 }
 
 /// Posters side by side between two points along a wall, some over others.
-fn posters(out: &mut Builder, rng: &Dice, wall: &Place, [from, to]: [f32; 2]) {
+fn posters(out: &mut Builder, rng: &Dice, wall: &Placement, [from, to]: [f32; 2]) {
     let mut x = from + 0.05;
     while x + 0.4 < to {
         let w = uniform(rng, 0.38, 0.75).min(to - x - 0.02);

@@ -1,7 +1,7 @@
-//! Pieces of furniture. A piece stands on a [`Place`]: right along the wall, depth from minus its own depth at the
+//! Pieces of furniture. A piece stands on a [`Placement`]: right along the wall, depth from minus its own depth at the
 //! front to 0 at the wall.
 
-use super::builder::{Builder, Faces, Place};
+use super::builder::{Builder, Faces, Placement};
 use super::material::{Marks, Material};
 use crate::noise::{Dice, below, uniform};
 
@@ -9,7 +9,7 @@ use crate::noise::{Dice, below, uniform};
 pub(crate) type Size = [f32; 3];
 
 /// An open shelf filled with books, boxes and jars.
-pub(crate) fn shelf(out: &mut Builder, rng: &Dice, place: &Place, [w, d, h]: Size) {
+pub(crate) fn shelf(out: &mut Builder, rng: &Dice, place: &Placement, [w, d, h]: Size) {
     let wood = Material::WOOD.toned(uniform(rng, 0.3, 0.6));
     let t = 0.022;
     let upright = wood.turned();
@@ -45,7 +45,7 @@ pub(crate) fn shelf(out: &mut Builder, rng: &Dice, place: &Place, [w, d, h]: Siz
 }
 
 /// Things side by side from left to right in the space given.
-pub(crate) fn fill_board(out: &mut Builder, rng: &Dice, place: &Place, [w, d, h]: Size) {
+pub(crate) fn fill_board(out: &mut Builder, rng: &Dice, place: &Placement, [w, d, h]: Size) {
     let mut x = uniform(rng, 0.01, 0.05);
     while x < w - 0.06 {
         match below(rng, 8) {
@@ -122,7 +122,7 @@ pub(crate) fn fill_board(out: &mut Builder, rng: &Dice, place: &Place, [w, d, h]
 }
 
 /// A closed cabinet with doors or drawers in front, and things on top.
-pub(crate) fn cabinet(out: &mut Builder, rng: &Dice, place: &Place, [w, d, h]: Size) {
+pub(crate) fn cabinet(out: &mut Builder, rng: &Dice, place: &Placement, [w, d, h]: Size) {
     let body = Material::CUPBOARD
         .toned(uniform(rng, 0.25, 0.65))
         .marked(Marks::None);
@@ -160,7 +160,7 @@ pub(crate) fn cabinet(out: &mut Builder, rng: &Dice, place: &Place, [w, d, h]: S
 }
 
 /// A table with what lies on it; the place is its centre.
-pub(crate) fn table(out: &mut Builder, rng: &Dice, centre: &Place, [w, d, h]: Size) {
+pub(crate) fn table(out: &mut Builder, rng: &Dice, centre: &Placement, [w, d, h]: Size) {
     let wood = Material::WOOD.toned(uniform(rng, 0.35, 0.6));
     let (x, y) = (0.5 * w, 0.5 * d);
     out.cuboid(centre, [-x, -y, h - 0.035], [x, y, h], Faces::All, wood);
@@ -228,7 +228,7 @@ pub(crate) fn table(out: &mut Builder, rng: &Dice, centre: &Place, [w, d, h]: Si
 }
 
 /// A chair; the place is the centre of its seat, its back is at positive depth.
-pub(crate) fn chair(out: &mut Builder, rng: &Dice, centre: &Place) {
+pub(crate) fn chair(out: &mut Builder, rng: &Dice, centre: &Placement) {
     let wood = Material::WOOD.toned(uniform(rng, 0.25, 0.5));
     let fabric = Material::FABRIC.toned(uniform(rng, 0.2, 0.6));
     let r = 0.2;
@@ -263,7 +263,7 @@ pub(crate) fn chair(out: &mut Builder, rng: &Dice, centre: &Place) {
 pub(crate) fn sofa(
     out: &mut Builder,
     rng: &Dice,
-    place: &Place,
+    place: &Placement,
     [w, d, h]: Size,
     above_floor_m: f32,
 ) {
@@ -331,7 +331,7 @@ pub(crate) fn plant(out: &mut Builder, rng: &Dice, base: [f32; 3], height: f32, 
 pub(crate) fn picture(
     out: &mut Builder,
     rng: &Dice,
-    wall: &Place,
+    wall: &Placement,
     [right, up]: [f32; 2],
     [w, h]: [f32; 2],
 ) {
@@ -371,7 +371,7 @@ pub(crate) fn picture(
 pub(crate) fn notice_board(
     out: &mut Builder,
     rng: &Dice,
-    wall: &Place,
+    wall: &Placement,
     [right, up]: [f32; 2],
     [w, h]: [f32; 2],
 ) {
@@ -408,7 +408,7 @@ pub(crate) fn notice_board(
 }
 
 /// A closed door with its frame, plate and handle, `right` being its left edge.
-pub(crate) fn door(out: &mut Builder, rng: &Dice, wall: &Place, right: f32) {
+pub(crate) fn door(out: &mut Builder, rng: &Dice, wall: &Placement, right: f32) {
     let (w, h) = (0.95, 2.05);
     let leaf = Material::CUPBOARD
         .toned(uniform(rng, 0.3, 0.65))

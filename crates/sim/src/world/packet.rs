@@ -2,7 +2,7 @@
 
 use wide::f32x8;
 
-use super::bvh::Bounds;
+use super::bounds::Bounds;
 use super::facet::Facet;
 use super::ray::{Origin, RayPacket};
 use super::vector::dot;

@@ -1,9 +1,11 @@
 //! The building: a furnished room of about 20 m² that opens into a corridor.
 
-use std::f32::consts::{FRAC_PI_2, PI};
+use std::f32::consts::FRAC_PI_2;
 
-use super::builder::{Builder, Faces, Place};
+use super::builder::{Builder, Faces, Placement};
 use super::corridor::corridor;
+use super::fittings::{ceiling_lamp, skirting, walls};
+use super::floor_plan::{FloorPlan, WALL_M};
 use super::furniture::{
     cabinet, chair, fill_board, notice_board, picture, plant, shelf, sofa, table,
 };
@@ -11,49 +13,7 @@ use super::light::Lamp;
 use super::material::Material;
 use crate::noise::{Dice, stream, uniform};
 
-/// Thickness of the wall between room and corridor, metres.
-const WALL_M: f32 = 0.12;
 const DOOR_HEIGHT_M: f32 = 2.1;
-const CEILING_M: f32 = 2.6;
-
-/// The dimensions a walk needs to know. The room is `0 ≤ x ≤ room[0]`, `0 ≤ y ≤ room[1]`; the corridor runs along x
-/// on the other side of the wall y = 0.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FloorPlan {
-    /// Inner size of the room along x and y, metres.
-    pub room_m: [f32; 2],
-    /// x of the middle of the doorway, metres.
-    pub doorway_x_m: f32,
-    /// Width of the doorway, metres.
-    pub doorway_width_m: f32,
-    /// Where the corridor begins and ends along x, metres.
-    pub corridor_x_m: [f32; 2],
-    /// Where the corridor begins and ends along y, metres.
-    pub corridor_y_m: [f32; 2],
-    /// Height of the ceilings, metres.
-    pub height_m: f32,
-}
-
-impl FloorPlan {
-    pub(crate) fn new(seed: u64) -> Self {
-        let rng = stream(seed, "plan", 0);
-        let width = uniform(&rng, 4.85, 5.1);
-        let corridor_width = uniform(&rng, 1.75, 1.95);
-        Self {
-            room_m: [width, 20.0 / width],
-            doorway_x_m: uniform(&rng, 1.15, 1.3),
-            doorway_width_m: 1.2,
-            corridor_x_m: [uniform(&rng, -1.4, -0.9), uniform(&rng, 9.3, 9.8)],
-            corridor_y_m: [-WALL_M - corridor_width, -WALL_M],
-            height_m: CEILING_M,
-        }
-    }
-
-    /// The middle of what one can walk around in the room.
-    pub(crate) fn table_centre(&self) -> [f32; 2] {
-        [0.5 * self.room_m[0], 0.5 * self.room_m[1]]
-    }
-}
 
 /// Everything that has a surface, and the lamps.
 pub(crate) fn furnish(plan: &FloorPlan, seed: u64) -> (Builder, Vec<Lamp>) {
@@ -66,19 +26,9 @@ pub(crate) fn furnish(plan: &FloorPlan, seed: u64) -> (Builder, Vec<Lamp>) {
     (out, lamps)
 }
 
-/// Walls of a rectangle seen from inside: far (greatest y), right (greatest x), near, left.
-pub(crate) fn walls([x0, x1]: [f32; 2], [y0, y1]: [f32; 2]) -> [Place; 4] {
-    [
-        Place::new([x0, y1, 0.0], 0.0),
-        Place::new([x1, y1, 0.0], -FRAC_PI_2),
-        Place::new([x1, y0, 0.0], PI),
-        Place::new([x0, y0, 0.0], FRAC_PI_2),
-    ]
-}
-
 fn wall(
     out: &mut Builder,
-    place: &Place,
+    place: &Placement,
     [from, to]: [f32; 2],
     [z0, z1]: [f32; 2],
     material: Material,
@@ -197,7 +147,7 @@ fn room(out: &mut Builder, rng: &Dice, plan: &FloorPlan, lamps: &mut Vec<Lamp>) 
     let [cx, cy] = plan.table_centre();
 
     // In the middle: a rug, a table with a chair at either end.
-    let centre = Place::new([cx, cy, 0.0], uniform(rng, -0.05, 0.05));
+    let centre = Placement::new([cx, cy, 0.0], uniform(rng, -0.05, 0.05));
     out.cuboid(
         &centre,
         [-0.95, -0.65, 0.0],
@@ -356,12 +306,18 @@ fn room(out: &mut Builder, rng: &Dice, plan: &FloorPlan, lamps: &mut Vec<Lamp>) 
     skirting(out, &left, d);
     for k in 0..2 {
         let (x, y) = (cx + (k as f32 - 0.5) * 1.5, cy + uniform(rng, -0.1, 0.1));
-        let place = Place::new([x, y, 0.0], 0.0);
+        let place = Placement::new([x, y, 0.0], 0.0);
         ceiling_lamp(out, &place, h, [0.28, 0.28, 0.09], lamps, 1.3);
     }
 }
 
-fn window(out: &mut Builder, rng: &Dice, wall: &Place, [right, up]: [f32; 2], [w, h]: [f32; 2]) {
+fn window(
+    out: &mut Builder,
+    rng: &Dice,
+    wall: &Placement,
+    [right, up]: [f32; 2],
+    [w, h]: [f32; 2],
+) {
     let (x, z) = (right - 0.5 * w, up - 0.5 * h);
     let view = Material::WINDOW.toned(uniform(rng, 0.5, 0.65));
     out.cuboid(
@@ -388,44 +344,11 @@ fn window(out: &mut Builder, rng: &Dice, wall: &Place, [right, up]: [f32; 2], [w
     );
 }
 
-fn window_light(wall: &Place, [right, up]: [f32; 2], lamps: &mut Vec<Lamp>) {
+fn window_light(wall: &Placement, [right, up]: [f32; 2], lamps: &mut Vec<Lamp>) {
     for side in [-0.4, 0.4] {
         lamps.push(Lamp {
             position: wall.point([right + side, -0.2, up + 0.1]),
             power: 0.5,
         });
     }
-}
-
-pub(crate) fn skirting(out: &mut Builder, wall: &Place, length: f32) {
-    let wood = Material::WOOD.toned(0.3);
-    out.cuboid(
-        wall,
-        [0.0, -0.015, 0.0],
-        [length, 0.0, 0.08],
-        Faces::Hanging,
-        wood,
-    );
-}
-
-pub(super) fn ceiling_lamp(
-    out: &mut Builder,
-    place: &Place,
-    ceiling: f32,
-    half: [f32; 3],
-    lamps: &mut Vec<Lamp>,
-    power: f32,
-) {
-    let [x, y, z] = half;
-    out.cuboid(
-        place,
-        [-x, -y, ceiling - z],
-        [x, y, ceiling],
-        Faces::All,
-        Material::LAMP,
-    );
-    lamps.push(Lamp {
-        position: place.point([0.0, 0.0, ceiling - z - 0.05]),
-        power,
-    });
 }

@@ -5,7 +5,8 @@ use lsfb_drivers::velodyne::nmea::{Gga, Rmc};
 use lsfb_drivers::velodyne::wire::{POSITION_PACKET_LEN, PositionPacket, PpsStatus};
 use lsfb_types::Timestamp;
 
-use crate::ambient::{GnssEpoch, NmeaSentence, PulseSource, course_deg};
+use crate::ambient::{GnssEpoch, course_deg};
+use crate::config::{NmeaSentence, PulseSource};
 use crate::timing::{Clocked, Discipline};
 use crate::{Error, Geodetic, RigSim};
 

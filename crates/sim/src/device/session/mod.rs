@@ -13,6 +13,7 @@ use super::glasses::GlassesDevice;
 use super::inertial::InertialDevice;
 use super::lidar::{FlowControl, LidarDevice};
 use super::mynt::MyntDevice;
+use super::thread::spawn;
 use crate::{Error, Simulation};
 
 /// Stereo units on the backpack.
@@ -274,20 +275,6 @@ impl Drop for SimSession {
             let _ = thread.join();
         }
     }
-}
-
-/// Starts a named thread.
-pub(crate) fn spawn<T: Send + 'static>(
-    name: &str,
-    run: impl FnOnce() -> T + Send + 'static,
-) -> Result<JoinHandle<T>, Error> {
-    thread::Builder::new()
-        .name(name.to_owned())
-        .spawn(run)
-        .map_err(|cause| Error::Thread {
-            name: name.to_owned(),
-            problem: cause.to_string(),
-        })
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! What can be set.
+//! What can be set about radio, the magnetic field, pressure and satellites.
 
 use lsfb_types::{Bounds, OutOfBounds};
 use serde::{Deserialize, Serialize};

@@ -1,40 +1,15 @@
 //! The motions of the paper's Table VII.
 
-use serde::{Deserialize, Serialize};
+use lsfb_types::OutOfBounds;
 
-use super::{Gait, Gaze};
-use crate::place::{Place, Route};
-
-/// What the second walk is recorded with.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Device {
-    /// An Android phone: one camera, rolling shutter.
-    Android,
-    /// An iPhone: one camera, rolling shutter.
-    Iphone,
-    /// AR glasses: two cameras, global shutter.
-    #[default]
-    Glasses,
-}
-
-impl Device {
-    /// All of them, in the order of the tables.
-    pub const ALL: [Self; 3] = [Self::Android, Self::Iphone, Self::Glasses];
-
-    /// Its name in topics and files.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Android => "android",
-            Self::Iphone => "iphone",
-            Self::Glasses => "glasses",
-        }
-    }
-}
+use super::plan::{FRAME_RATE_HZ, Gait, Gaze};
+use crate::Error;
+use crate::config::{Device, Place, SimConfig};
+use crate::place::Route;
 
 /// One row of Table VII.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Motion {
+pub struct PaperMotion {
     /// Name of the sequence: `O0` … `S2`.
     pub name: &'static str,
     /// Where it takes place.
@@ -48,10 +23,7 @@ pub struct Motion {
     pub(crate) gait: Gait,
 }
 
-/// Images per second of all three devices.
-pub(super) const FRAME_RATE_HZ: f64 = 30.0;
-
-impl Motion {
+impl PaperMotion {
     /// The row of a name.
     pub fn named(name: &str) -> Option<&'static Self> {
         TABLE.iter().find(|m| m.name.eq_ignore_ascii_case(name))
@@ -78,9 +50,30 @@ impl Motion {
     }
 }
 
+impl SimConfig {
+    /// [`SimConfig::for_place`] with the second walk of a sequence of Table VII.
+    pub fn for_motion(motion: &PaperMotion, device: Device) -> Self {
+        let mut config = Self::for_place(motion.place, device);
+        config.motion = motion.name.to_owned();
+        config
+    }
+
+    /// The sequence of Table VII that the second walk follows.
+    pub fn paper_motion(&self) -> Result<Option<&'static PaperMotion>, Error> {
+        if self.motion.is_empty() {
+            return Ok(None);
+        }
+        let found = PaperMotion::named(&self.motion).filter(|m| m.place == self.place);
+        found.map(Some).ok_or_else(|| {
+            let bounds = "a sequence of Table VII that belongs to the place";
+            OutOfBounds::new("", "motion", &self.motion, &bounds).into()
+        })
+    }
+}
+
 macro_rules! row {
     ($name:literal $place:ident [$($f:literal)*] [$($l:literal)*] $route:ident $gaze:expr, $gait:ident) => {
-        Motion {
+        PaperMotion {
             name: $name,
             place: Place::$place,
             frames: [$($f),*],
@@ -93,7 +86,7 @@ macro_rules! row {
 }
 
 /// Frames and lengths as printed, but for O1 on the iPhone: 1175 m in 107 s cannot be walked, so 175 m.
-static TABLE: [Motion; 25] = [
+static TABLE: [PaperMotion; 25] = [
     row!("O0" OfficePark [10528 9641 4909] [490 464 240] Loop Gaze::Ahead, WALK),
     row!("O1" HousePark [5116 3205 3831] [225 175 147] Loop Gaze::Ahead, WALK),
     row!("O2" HousePark [8363 8447 8119] [382 341 330] Rooms Gaze::Ahead, WALK),
