@@ -2,12 +2,9 @@
 //! beside what the graph can give at best, and how often all poses lie within their stated 95 % regions: mean over batches of
 //! rigs, and the worst batch.
 
-#[path = "../tests/simulated_graph/mod.rs"]
-mod simulated_graph;
-
 use lsfb_calib::joint::{JointConfig, LIDAR, Weights, join_transforms};
+use lsfb_rigs::graph::{Errors, Graph, difference, squares};
 use rayon::prelude::*;
-use simulated_graph::{Errors, Graph, difference, squares};
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 

@@ -2,15 +2,12 @@
 //! lie within their stated 95 % regions, and the boards that were not found; `simulated_board shuffle RUNS` gives the same
 //! input in other orders.
 
-#[path = "../tests/simulated_board/mod.rs"]
-mod simulated_board;
-
 use lsfb_geometry::Vector6;
+use lsfb_rigs::board::{BOARD, Session, calibrate, error};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
-use simulated_board::{BOARD, Session, calibrate, error};
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 

@@ -3,19 +3,16 @@
 //! LiDAR off by that share of 2.5° and 5 cm in any direction, refines, and prints what is left, over its standard deviations.
 //! `KIND` is `default`, or a place with the paper's cameras at their full rate: `demo`, `medium-office` …
 
-#[path = "../tests/simulated_walk/mod.rs"]
-mod simulated_walk;
-
 use std::path::{Path, PathBuf};
 
 use lsfb_calib::verify::{RefineConfig, Refinement, refine};
 use lsfb_geometry::{Rig, Se3, Vector3, Vector6};
 use lsfb_recording::Recording;
+use lsfb_rigs::walk::Walk;
 use lsfb_sim::{Device, Place, SimConfig};
 use lsfb_types::no_progress;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use simulated_walk::Walk;
 
 type Failure = Box<dyn std::error::Error>;
 

@@ -2,9 +2,6 @@
 //! how often they lie within 1.96 of their stated standard deviations; `simulated_rig shuffle RUNS` gives the same input in
 //! other orders.
 
-#[path = "../tests/simulated_rig/mod.rs"]
-mod simulated_rig;
-
 use std::collections::BTreeMap;
 use std::time::Instant;
 
@@ -12,12 +9,12 @@ use lsfb_calib::camera::{CameraConfig, calibrate_cameras};
 use lsfb_calib::camera_imu::{
     CameraImuCalibration, CameraImuConfig, KnownCamera, calibrate_camera_imu,
 };
+use lsfb_rigs::rig::{GRID, Setup, Simulated, noise, simulate};
 use lsfb_types::no_progress;
 use nalgebra::DVector;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
-use simulated_rig::{GRID, Setup, Simulated, noise, simulate};
 
 type Failure = Box<dyn std::error::Error>;
 

@@ -2,19 +2,16 @@
 //! the backpack and prints what `verify` says of the right rig, of one whose cameras are 5 ms late and early, and of one whose
 //! cameras are turned by DEGREES about any axis. SEEDS are `8`, the first eight, or `3-5`.
 
-#[path = "../tests/simulated_walk/mod.rs"]
-mod simulated_walk;
-
 use std::ops::RangeInclusive;
 
 use lsfb_calib::verify::{Check, Outcome, VerifyConfig, verify};
 use lsfb_geometry::{Rig, Se3, Vector3, Vector6};
 use lsfb_recording::Recording;
+use lsfb_rigs::walk::Walk;
 use lsfb_sim::SimConfig;
 use lsfb_types::no_progress;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use simulated_walk::Walk;
 
 type Failure = Box<dyn std::error::Error>;
 

@@ -1,14 +1,12 @@
 //! LiDAR to camera on simulated sessions: right answers within their stated spread, and every bad input by its name.
 
-mod simulated_board;
-
 use lsfb_calib::Target;
 use lsfb_calib::lidar_camera::{BoardPose, LidarCameraCalibration, MountedBoard};
 use lsfb_geometry::{CameraTiming, Rig, RigCamera, RigLidar, Se3, Vector6};
+use lsfb_rigs::board::{BOARD, Session, calibrate, camera, error, truth};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
-use simulated_board::{BOARD, Session, calibrate, camera, error, truth};
 
 fn few() -> Session {
     Session {

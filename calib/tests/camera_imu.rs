@@ -1,7 +1,5 @@
 //! Cameras on an IMU, against exact truth and with input that is bad.
 
-mod simulated_rig;
-
 use lsfb_calib::camera_imu::{
     Axes, BoardShape, CameraImuCalibration, CameraImuConfig, JointCovariance, KnownCamera, Readout,
     calibrate_camera_imu,
@@ -10,8 +8,8 @@ use lsfb_calib::joint::{JointConfig, join_transforms};
 use lsfb_calib::verify::Outcome;
 use lsfb_calib::{Target, TransformEdge};
 use lsfb_geometry::{Matrix6, Se3, Vector6};
+use lsfb_rigs::rig::{GRID, Setup, Simulated, noise, simulate};
 use lsfb_types::{ImuSample, Timestamp, no_progress};
-use simulated_rig::{GRID, Setup, Simulated, noise, simulate};
 
 fn run(
     known: &[KnownCamera],

@@ -1,14 +1,12 @@
 //! Eq. 3 on simulated rigs: how much it gains, how well it knows that, and what it says of bad graphs.
 
-mod simulated_graph;
-
 use lsfb_calib::TransformEdge;
 use lsfb_calib::joint::{IMU, JointConfig, LIDAR, Weights, join_transforms};
 use lsfb_geometry::{Matrix6, Se3, Vector6};
+use lsfb_rigs::graph::{Errors, Graph, difference, edge, squares};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
-use simulated_graph::{Errors, Graph, difference, edge, squares};
 
 /// Rotation and translation of the LiDAR, joint over separate, and the share of all poses within their 95 % region.
 fn gain_and_coverage(errors: Errors, seeds: std::ops::Range<u64>) -> ([f64; 2], f64) {

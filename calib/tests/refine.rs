@@ -1,13 +1,11 @@
 //! Refinement on a simulated walk: the same answer from any number of threads, and a clock that is wrong.
 
-mod simulated_walk;
-
 use lsfb_calib::verify::{RefineConfig, RefinementReport, refine};
 use lsfb_geometry::{Rig, Se3, Vector6};
 use lsfb_recording::Recording;
+use lsfb_rigs::walk::Walk;
 use lsfb_sim::SimConfig;
 use lsfb_types::no_progress;
-use simulated_walk::Walk;
 
 fn walk() -> Walk {
     let mut config = SimConfig {

@@ -2,14 +2,8 @@
 //! stereo odometry.
 #![no_main]
 
-#[path = "../../crates/solver/examples/solve/bal.rs"]
-mod bal;
-#[path = "../../crates/solver/examples/solve/g2o.rs"]
-mod g2o;
-#[path = "../../crates/solver/examples/solve/stereo.rs"]
-mod stereo;
-
 use libfuzzer_sys::fuzz_target;
+use lsfb_problems::{bal, g2o, stereo};
 use lsfb_solver::Kernel;
 
 fuzz_target!(|data: &[u8]| {

@@ -2,9 +2,6 @@
 #![no_main]
 #![feature(tcp_linger)]
 
-#[path = "../../crates/operator/src/http.rs"]
-mod http;
-
 use std::io::Write;
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::sync::mpsc::Receiver;
@@ -12,6 +9,7 @@ use std::sync::{LazyLock, Mutex, PoisonError};
 use std::time::Duration;
 
 use libfuzzer_sys::fuzz_target;
+use lsfb_operator::http;
 use lsfb_operator::{Command, Foxglove, Request, Screen, ScreenConfig};
 use tungstenite::{Message, WebSocket};
 

@@ -1,5 +1,7 @@
 //! What the end-to-end tests share: where the workspace is, where recordings made by others are.
 
+pub mod fake_kernel;
+
 use std::path::{Path, PathBuf};
 
 /// The workspace's root.

@@ -27,6 +27,11 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("lsfb-operator", &["types", "geometry", "recording"]),
     ("lsfb-sim", &["types", "geometry", "drivers", "recording"]),
     ("lsfb-fakekernel", &[]),
+    ("lsfb-problems", &["geometry", "solver"]),
+    (
+        "lsfb-rigs",
+        &["types", "geometry", "recording", "calib", "sim"],
+    ),
 ];
 
 /// Package → the names it depends on, dev-dependencies left out.

@@ -3,18 +3,16 @@
 mod answer;
 mod process;
 mod refusal;
-#[path = "../../../calib/tests/simulated_walk/mod.rs"]
-mod simulated_walk;
 
 use std::path::Path;
 
 use answer::json;
 use lsfb_calib::TransformEdge;
 use lsfb_geometry::{Rig, Se3, Vector6};
+use lsfb_rigs::walk::Walk;
 use lsfb_sim::SimConfig;
 use process::lsfb;
 use refusal::refused;
-use simulated_walk::Walk;
 
 /// 95 % of six normal numbers squared lie within this, and all but one in a hundred thousand within that.
 const SURELY_INSIDE: f64 = 33.1;

@@ -3,15 +3,13 @@
 mod answer;
 mod process;
 mod rig_files;
-#[path = "../../../calib/tests/simulated_walk/mod.rs"]
-mod simulated_walk;
 
 use answer::json;
 use lsfb_geometry::{Rig, Se3, Vector6};
+use lsfb_rigs::walk::Walk;
 use lsfb_sim::{Place, SimConfig};
 use rig_files::{apart, write_rig};
 use serde_json::Value;
-use simulated_walk::Walk;
 
 /// A check of `lsfb calib verify`.
 fn outcome<'a>(printed: &'a Value, name: &str) -> &'a str {

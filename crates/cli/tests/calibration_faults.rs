@@ -4,8 +4,6 @@
 mod before_a_lidar;
 mod board_walk;
 mod process;
-#[path = "../../../calib/tests/simulated_board/mod.rs"]
-mod simulated_board;
 
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;

@@ -26,7 +26,7 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; i
 
 /// What a request asks for.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Request {
+pub struct Request {
     /// Its path, without what follows a question mark.
     pub path: String,
     /// Name and port that the client believes to talk to.
@@ -54,7 +54,7 @@ impl Request {
 }
 
 /// Reads one request. An error has been answered where an answer is due.
-pub(crate) fn read(stream: &mut TcpStream) -> io::Result<Request> {
+pub fn read(stream: &mut TcpStream) -> io::Result<Request> {
     stream.set_nonblocking(false)?;
     stream.set_nodelay(true)?;
     stream.set_write_timeout(Some(WRITE_TIMEOUT))?;
@@ -134,7 +134,7 @@ fn parse(bytes: &[u8]) -> Result<Option<Request>, Status> {
 
 /// How a request is answered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Status {
+pub enum Status {
     Ok,
     BadRequest,
     Forbidden,
@@ -157,7 +157,7 @@ impl Status {
 }
 
 /// Answers and ends the conversation.
-pub(crate) fn answer(
+pub fn answer(
     stream: &mut TcpStream,
     status: Status,
     media_type: &str,
@@ -175,7 +175,7 @@ pub(crate) fn answer(
 }
 
 /// Turns the connection into a WebSocket that speaks `protocol`, where one was offered.
-pub(crate) fn upgrade(
+pub fn upgrade(
     mut stream: TcpStream,
     request: Request,
     protocol: Option<&str>,
@@ -212,7 +212,7 @@ pub(crate) fn upgrade(
 }
 
 /// Whether an error only says that nothing has arrived yet.
-pub(crate) fn is_quiet(error: &tungstenite::Error) -> bool {
+pub fn is_quiet(error: &tungstenite::Error) -> bool {
     matches!(
         error,
         tungstenite::Error::Io(e)

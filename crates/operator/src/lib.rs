@@ -25,7 +25,8 @@
 mod coverage;
 mod error;
 mod foxglove;
-mod http;
+#[doc(hidden)]
+pub mod http;
 mod map;
 mod page;
 mod screen;

@@ -6,10 +6,8 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-#[path = "../examples/solve/bal.rs"]
-mod camera;
-
 use lsfb_geometry::Vector3;
+use lsfb_problems::bal;
 use lsfb_solver::{
     Diagnosis, Kernel, LinearSolver, Method, SolveConfig, VectorPrior, solve_controlled,
 };
@@ -65,7 +63,7 @@ fn problem() -> lsfb_solver::Problem {
         let [x, y, z] = position(p);
         text += &format!("{} {} {}\n", x + 0.1, y - 0.1, z + 0.1);
     }
-    let mut bal = camera::parse(&text, Kernel::Huber { scale: 1.0 }).expect("a BAL file");
+    let mut bal = bal::parse(&text, Kernel::Huber { scale: 1.0 }).expect("a BAL file");
     let loose = bal.problem.add_block(Vector3::zeros());
     let prior = VectorPrior::new(Vector3::new(1.0, 2.0, 3.0), Vector3::repeat(1.0));
     bal.problem

@@ -103,6 +103,26 @@ fn modules_use_each_other_in_one_direction() {
     );
 }
 
+#[test]
+fn no_module_is_taken_from_another_place() {
+    let mut open = vec![workspace_root()];
+    while let Some(folder) = open.pop() {
+        for entry in std::fs::read_dir(&folder).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.file_name().unwrap().to_string_lossy().into_owned();
+            if path.is_dir() && name != "target" && !name.starts_with('.') {
+                open.push(path);
+            } else if name.ends_with(".rs") {
+                let found = tokens(&std::fs::read_to_string(&path).unwrap());
+                let attribute = found
+                    .windows(4)
+                    .find(|w| w[0].is('#') && w[1].is('[') && w[2].is_word("path") && w[3].is('='));
+                assert!(attribute.is_none(), "{}: no #[path]", path.display());
+            }
+        }
+    }
+}
+
 /// A crate in memory: each pair a top-level module and its body.
 fn in_memory(root: &str, bodies: &[(&str, &str)]) -> Vec<Circle> {
     let mut text = root.to_owned();

@@ -5,7 +5,7 @@ use board_walk::{Grid, rays, seen, write_png};
 use lsfb_calib::camera::pose_of_target;
 use lsfb_calib::lidar_camera::{BoardPose, MountedBoard};
 use lsfb_geometry::{CameraTiming, Rig, RigCamera, RigLidar, Se3};
-use simulated_board::{BOARD, Session, calibrate, camera, error, truth};
+use lsfb_rigs::board::{BOARD, Session, calibrate, camera, error, truth};
 
 fn session() -> Session {
     Session {

@@ -17,9 +17,9 @@ use nix::sys::socket::{
     AddressFamily, Backlog, SockFlag, SockType, UnixAddr, bind, listen, socket,
 };
 
-use crate::library::{is_possible, library};
-use crate::recorded::{PERIOD_NS, SAMPLES, frames, mynt_d, packet, record};
+use super::recorded::{PERIOD_NS, SAMPLES, frames, mynt_d, packet, record};
 use crate::running::Running;
+use lsfb_tests::fake_kernel::{is_possible, library};
 
 /// What an SBG unit puts on its bus in two seconds.
 fn sbg() -> Vec<Packet> {

@@ -11,7 +11,7 @@ use nix::sys::signal::Signal;
 use serde_json::Value;
 use tungstenite::{Message, WebSocket};
 
-use crate::recorded::{frames, mynt_d, record};
+use super::recorded::{frames, mynt_d, record};
 use crate::running::Running;
 
 const ATTEMPTS: usize = 3;

@@ -3,7 +3,7 @@
 use lsfb_solver::{Diagnosis, Incremental, IncrementalConfig, Problem, SolveConfig, solve};
 
 use crate::cost::cpu_secs;
-use crate::walk::{Added, Target, Walk};
+use lsfb_problems::walk::{Added, Target, Walk};
 
 pub fn run(keyframes: usize, points: usize) -> Result<(), Box<dyn std::error::Error>> {
     let walk = Walk::new(keyframes, points, 7);

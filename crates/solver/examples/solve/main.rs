@@ -12,15 +12,11 @@
 
 #![allow(clippy::print_stdout, reason = "an example talks to who runs it")]
 
-mod bal;
 mod cost;
-mod g2o;
-mod gauge;
 mod growing;
 mod optimum;
-mod stereo;
-mod walk;
 
+use lsfb_problems::{bal, g2o, stereo};
 use lsfb_solver::{Kernel, LinearSolver, Method, Problem, SolveConfig, solve};
 
 type Outcome = Result<(), Box<dyn std::error::Error>>;

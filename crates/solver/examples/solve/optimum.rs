@@ -2,9 +2,10 @@
 
 use std::fmt::Write;
 
-use crate::bal::BalProblem;
-use crate::gauge::solve_to_the_last_bit;
-use crate::{Outcome, bal, cost};
+use crate::{Outcome, cost};
+use lsfb_problems::bal;
+use lsfb_problems::bal::BalProblem;
+use lsfb_problems::gauge::solve_to_the_last_bit;
 use lsfb_solver::Kernel;
 
 pub fn run(path: &str, out: &str) -> Outcome {

@@ -1,12 +1,8 @@
 //! A real bundle adjustment problem in the large (BAL), with the optimum that two other programs found.
 
-#[path = "../../examples/solve/bal.rs"]
-mod camera;
-
 use lsfb_geometry::{Vector2, Vector3, so3};
+use lsfb_problems::bal::{self, BalProblem, parse};
 use lsfb_solver::{Kernel, SolveConfig, check_residual_jacobian, solve};
-
-pub use camera::{BalProblem, parse};
 
 use crate::recordings;
 
@@ -35,10 +31,10 @@ fn ladybug_reaches_the_known_optimum() {
 
 check_residual_jacobian!(
     bal_jacobians_match_differences,
-    camera::BalObservation {
+    bal::BalObservation {
         pixel: Vector2::new(-300.0, 120.0)
     },
-    camera::BalCamera {
+    bal::BalCamera {
         camera_from_world: so3::exp(&Vector3::new(0.1, -0.2, 0.3)),
         translation: Vector3::new(0.5, -0.4, -5.0),
         intrinsics: Vector3::new(500.0, -0.1, 0.02),

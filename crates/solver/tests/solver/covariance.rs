@@ -1,10 +1,11 @@
 //! Covariances against a dense inverse, and against those of Ceres.
 
+use lsfb_problems::bal::{BalProblem, parse};
+use lsfb_problems::gauge::{hold_gauge, solve_to_the_last_bit};
 use lsfb_solver::{BlockId, Error, Kernel, SolveConfig, covariance, dense_jacobian, solve};
 use nalgebra::DMatrix;
 
-use crate::bal::{BalProblem, ladybug, parse};
-use crate::gauge::{hold_gauge, solve_to_the_last_bit};
+use crate::bal::ladybug;
 use crate::threads::scattered;
 
 #[test]

@@ -1,16 +1,11 @@
 //! Growing problems against cold solves of the same.
 
-#[path = "../../examples/solve/walk.rs"]
-mod walk;
-
-use crate::pose_graph::g2o;
-use crate::stereo_odometry::stereo;
 use lsfb_geometry::{Se3, Vector2, Vector6};
+use lsfb_problems::walk::{Added, Target, Walk};
 use lsfb_solver::{
     Diagnosis, Incremental, IncrementalConfig, Kernel, PosePrior, Problem, SolveConfig,
     UpdateReport, VectorPrior, solve,
 };
-use walk::{Added, Target, Walk};
 
 fn cold(walk: &Walk, added: &Added, keyframes: usize) -> f64 {
     let mut problem = Problem::new();

@@ -5,8 +5,6 @@ mod bal;
 mod constraints;
 mod covariance;
 mod edge_cases;
-#[path = "../../examples/solve/gauge.rs"]
-mod gauge;
 mod incremental;
 mod pose_graph;
 mod recordings;

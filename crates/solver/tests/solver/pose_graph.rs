@@ -1,9 +1,7 @@
 //! Pose graphs, and the ways to solve them.
 
-#[path = "../../examples/solve/g2o.rs"]
-pub mod g2o;
-
 use lsfb_geometry::{Matrix6, Se3, Vector6};
+use lsfb_problems::g2o;
 use lsfb_solver::{LinearSolver, Method, SolveConfig, check_residual_jacobian, solve};
 
 use crate::recordings;

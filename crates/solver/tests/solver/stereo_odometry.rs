@@ -1,9 +1,7 @@
 //! Stereo factors of a real drive.
 
-#[path = "../../examples/solve/stereo.rs"]
-pub mod stereo;
-
 use lsfb_geometry::{Se3, Vector3, Vector6};
+use lsfb_problems::stereo;
 use lsfb_solver::{SolveConfig, check_residual_jacobian, solve};
 
 use crate::recordings;

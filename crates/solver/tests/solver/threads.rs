@@ -1,8 +1,7 @@
+use lsfb_problems::bal::{self, BalProblem};
 use lsfb_solver::{Kernel, LinearSolver, Method, Report, SolveConfig, solve};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-
-use crate::bal::{self, BalProblem};
 
 /// A made-up BAL problem: cameras on an arc look at scattered points; starting values are disturbed.
 pub fn scattered(cameras: usize, points: usize) -> BalProblem {

@@ -3,8 +3,9 @@
 use std::path::PathBuf;
 use std::process::Command;
 
-use lsfb_tests::workspace_root;
 use serde_json::Value;
+
+use crate::workspace_root;
 
 /// Builds the emulated kernel.
 pub fn library() -> PathBuf {

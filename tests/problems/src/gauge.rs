@@ -2,7 +2,7 @@
 
 use lsfb_solver::{Diagnosis, Error, Report, SolveConfig, solve};
 
-use super::bal::BalProblem;
+use crate::bal::BalProblem;
 
 /// Holds the gauge, by the first camera's pose and the second one's translation along z, and solves until no step lowers
 /// the cost any more.

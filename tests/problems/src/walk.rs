@@ -9,8 +9,8 @@ use nalgebra::Rotation3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::g2o::Between;
-use super::stereo::{StereoCamera, StereoObservation};
+use crate::g2o::Between;
+use crate::stereo::{StereoCamera, StereoObservation};
 
 const CAMERA: StereoCamera = StereoCamera {
     focal_px: [450.0, 450.0],

@@ -1,0 +1,3 @@
+mod buses;
+mod recorded;
+mod told_at_once;
