@@ -2,9 +2,7 @@
 //!
 //! Expected values: `benches/exchange/foreign.py` (OpenCV 5.0, pycolmap 4.2), which reads the files in `tests/exchange`.
 
-#![allow(clippy::print_stdout, reason = "a skipped test says so")]
-
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use lsfb_calib::exchange::{
     Format, export, import_basalt, import_camera_info, import_colmap, import_kalibr,
@@ -108,16 +106,8 @@ fn colmap_counts_pixels_from_the_corner() {
 }
 
 fn data(test: &str, name: &str) -> Option<String> {
-    let root = std::env::var_os("LSFB_TEST_DATA").map_or_else(
-        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"),
-        PathBuf::from,
-    );
-    let path = root.join(name);
-    let text = std::fs::read_to_string(&path).ok();
-    if text.is_none() {
-        println!("skipped: {test}: no recording at {}", path.display());
-    }
-    text
+    let path = lsfb_tests::recordings(test, name)?;
+    Some(std::fs::read_to_string(path).expect("a text"))
 }
 
 /// Kalibr's own file has both `T_cam_imu` and `T_cn_cnm1`: they say the same where frames are read as Kalibr means them.

@@ -1,9 +1,5 @@
 //! A board that a camera and a VLP-16 of others saw.
 
-#![allow(clippy::print_stdout, reason = "a skipped test says so")]
-
-use std::path::PathBuf;
-
 use lsfb_calib::Target;
 use lsfb_calib::camera::views_from_folder;
 use lsfb_calib::exchange::import_camera_info;
@@ -14,18 +10,9 @@ use lsfb_types::no_progress;
 
 #[test]
 fn acfr_poses_1_to_10() {
-    let root = std::env::var_os("LSFB_TEST_DATA").map_or_else(
-        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"),
-        PathBuf::from,
-    );
-    let folder = root.join("lidar/acfr_cam_lidar");
-    if !folder.exists() {
-        println!(
-            "skipped: acfr_poses_1_to_10: no recording at {}",
-            folder.display()
-        );
+    let Some(folder) = lsfb_tests::recordings("acfr_poses_1_to_10", "lidar/acfr_cam_lidar") else {
         return;
-    }
+    };
     let info = folder.join("camera_info.yaml");
     let text = std::fs::read_to_string(&info).expect("a camera");
     let camera = import_camera_info(&text, "camera_info.yaml").expect("a lens");

@@ -1,8 +1,6 @@
 //! Boards photographed by others, with known results.
 
-#![allow(clippy::print_stdout, reason = "a skipped test says so")]
-
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use lsfb_calib::Target;
 use lsfb_calib::camera::{CameraConfig, CameraViews, calibrate_cameras, views_from_folder};
@@ -12,20 +10,8 @@ use lsfb_calib::camera_imu::{
 use lsfb_geometry::align::{Scale, umeyama};
 use lsfb_geometry::camera::LensModel;
 use lsfb_geometry::{Matrix3, RigImu, Se3, UnitQuaternion, Vector3};
+use lsfb_tests::recordings as data;
 use lsfb_types::{Timestamp, no_progress};
-
-fn data(test: &str, folder: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("LSFB_TEST_DATA").map_or_else(
-        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"),
-        PathBuf::from,
-    );
-    let path = root.join(folder);
-    if !path.exists() {
-        println!("skipped: {test}: no recording at {}", path.display());
-        return None;
-    }
-    Some(path)
-}
 
 fn views(folder: &Path, prefix: &str, target: &Target) -> CameraViews {
     views_from_folder(prefix, folder, prefix, target, &no_progress).expect("images")

@@ -1,8 +1,8 @@
 //! The checks of a rig on what others recorded: TUM VI's calibration sequence with the official rig.
 
-#![allow(clippy::print_stdout, reason = "figures, and that a test is skipped")]
+#![allow(clippy::print_stdout, reason = "figures")]
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use lsfb_calib::camera_imu::read_imu_table;
 use lsfb_calib::images;
@@ -10,24 +10,12 @@ use lsfb_calib::verify::{Check, Outcome, Verification, VerifyConfig, verify};
 use lsfb_geometry::camera::Lens;
 use lsfb_geometry::{Camera, Matrix3, Rig, RigCamera, Se3, UnitQuaternion, Vector3};
 use lsfb_recording::{Recording, Writer, WriterConfig};
+use lsfb_tests::recordings as data;
 use lsfb_types::{Image, Stamped, Timestamp, no_progress};
 
 const CAMERAS: [&str; 2] = ["cam0", "cam1"];
 /// Stereo pairs that are used: twelve seconds.
 const IMAGES: usize = 240;
-
-fn data(test: &str, name: &str) -> Option<PathBuf> {
-    let folder = std::env::var_os("LSFB_TEST_DATA").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"),
-        PathBuf::from,
-    );
-    let path = folder.join(name);
-    if path.exists() {
-        return Some(path);
-    }
-    println!("skipped: {test}: no recording at {}", path.display());
-    None
-}
 
 /// The official calibration.
 fn rig(path: &Path) -> Rig {

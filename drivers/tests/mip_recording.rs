@@ -2,27 +2,17 @@
 
 #![allow(
     clippy::unwrap_used,
-    clippy::print_stdout,
     reason = "a test file as a whole; clippy.toml only spares #[test] functions"
 )]
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 
 use lsfb_drivers::microstrain::wire::MipPacket;
 use lsfb_drivers::microstrain::{Decoder, MipCounters, MipReading};
 use lsfb_types::{Packet, Timestamp};
 
 fn stream(test: &str) -> Option<Vec<u8>> {
-    let root = std::env::var_os("LSFB_TEST_DATA").map_or_else(
-        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"),
-        PathBuf::from,
-    );
-    let path = root.join("lidar/mip/mip_data.bin");
-    if !path.exists() {
-        println!("skipped: {test}: no recording at {}", path.display());
-        return None;
-    }
+    let path = lsfb_tests::recordings(test, "lidar/mip/mip_data.bin")?;
     Some(std::fs::read(path).unwrap())
 }
 

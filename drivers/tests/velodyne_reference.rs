@@ -11,7 +11,7 @@
 )]
 
 use std::io::Read;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
 
 use flate2::read::DeflateDecoder;
@@ -24,20 +24,8 @@ use lsfb_drivers::velodyne::wire::{DataPacket, ReturnMode};
 use lsfb_drivers::velodyne::{
     Decoder, DecoderConfig, ModelChoice, OpticalOffset, PacketLayout, returns,
 };
+use lsfb_tests::recordings as data;
 use lsfb_types::{LidarPoint, Packet};
-
-fn data(test: &str, relative: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("LSFB_TEST_DATA").map_or_else(
-        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"),
-        PathBuf::from,
-    );
-    let path = root.join(relative);
-    if path.exists() {
-        return Some(path);
-    }
-    println!("skipped: {test}: no recording at {}", path.display());
-    None
-}
 
 fn u16_at(bytes: &[u8], at: usize) -> usize {
     u16::from_le_bytes(bytes[at..at + 2].try_into().unwrap()).into()

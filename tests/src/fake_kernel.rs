@@ -5,7 +5,7 @@ use std::process::Command;
 
 use serde_json::Value;
 
-use crate::workspace_root;
+use crate::{Lacks, skip, workspace_root};
 
 /// Builds the emulated kernel.
 pub fn library() -> PathBuf {
@@ -27,14 +27,10 @@ pub fn library() -> PathBuf {
 }
 
 /// Whether the emulated kernel can be loaded here; says why not.
-#[allow(
-    clippy::print_stdout,
-    reason = "the one line a skipped test owes its reader"
-)]
 pub fn is_possible(name: &str) -> bool {
     let possible = cfg!(target_arch = "x86_64");
     if !possible {
-        println!("skipped: {name}: the emulated kernel is for x86_64");
+        skip(name, Lacks::Program, "the emulated kernel is for x86_64");
     }
     possible
 }

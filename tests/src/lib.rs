@@ -1,7 +1,8 @@
-//! What the end-to-end tests share: where the workspace is, where recordings made by others are.
+//! What the end-to-end tests share: where the workspace is, where recordings made by others are, who could not run.
 
 pub mod fake_kernel;
 
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 /// The workspace's root.
@@ -9,12 +10,45 @@ pub fn workspace_root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// A file or folder below the recordings made by others (`LSFB_TEST_DATA`, default `../shared/data`). `None`, with one
-/// line saying so, where it is absent.
+/// Why a test could not run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Lacks {
+    /// The recordings made by others: `.ci/run` fails where they are on the machine.
+    Recording,
+    /// A program or a kernel that not every machine has.
+    Program,
+}
+
+/// Says that a test is skipped: a line on the screen, and one in the file named by `LSFB_SKIPPED_TESTS`, by which `.ci/run` lists
+/// them at its end. A test that returns early without this call is a fault.
 #[allow(
     clippy::print_stdout,
     reason = "the one line a skipped test owes its reader"
 )]
+pub fn skip(test: &str, lacks: Lacks, why: &str) {
+    println!("skipped: {test}: {why}");
+    if let Some(list) = std::env::var_os("LSFB_SKIPPED_TESTS") {
+        let list = Path::new(&list);
+        append(list, test, lacks, why)
+            .unwrap_or_else(|error| panic!("{}: {error}", list.display()));
+    }
+}
+
+fn append(list: &Path, test: &str, lacks: Lacks, why: &str) -> std::io::Result<()> {
+    let kind = match lacks {
+        Lacks::Recording => "recording",
+        Lacks::Program => "program",
+    };
+    let mut file = std::fs::File::options()
+        .append(true)
+        .create(true)
+        .open(list)?;
+    // One write per line, so that lines of tests that run side by side do not mix.
+    file.write_all(format!("{kind}\t{test}: {why}\n").as_bytes())
+}
+
+/// A file or folder below the recordings made by others (`LSFB_TEST_DATA`, default `../shared/data`). `None`, and the test is
+/// [skipped](skip), where it is absent.
 pub fn recordings(test: &str, below: &str) -> Option<PathBuf> {
     let root = std::env::var_os("LSFB_TEST_DATA")
         .map_or_else(|| workspace_root().join("../shared/data"), PathBuf::from);
@@ -22,6 +56,20 @@ pub fn recordings(test: &str, below: &str) -> Option<PathBuf> {
     if path.exists() {
         return Some(path);
     }
-    println!("skipped: {test}: no recording at {}", path.display());
+    let why = format!("no recording at {}", path.display());
+    skip(test, Lacks::Recording, &why);
     None
+}
+
+#[test]
+fn each_skipped_test_is_a_line_of_the_list() {
+    let list = std::env::temp_dir().join(format!("lsfb-skipped-{}", std::process::id()));
+    append(&list, "a", Lacks::Recording, "no recording at x").expect("written");
+    append(&list, "b", Lacks::Program, "no Chromium").expect("written");
+    let text = std::fs::read_to_string(&list).expect("read");
+    std::fs::remove_file(&list).expect("removed");
+    assert_eq!(
+        text,
+        "recording\ta: no recording at x\nprogram\tb: no Chromium\n"
+    );
 }

@@ -1,11 +1,10 @@
 //! `lsfb calib import` and `export`, both ways: rigs of the simulator, and files of others.
-#![allow(clippy::print_stdout, reason = "a skipped test says so")]
 
 mod answer;
 mod process;
 mod refusal;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use answer::json;
 use lsfb_geometry::{Camera, Rig, Se3};
@@ -212,16 +211,7 @@ fn files_that_are_none_are_refused() {
 }
 
 fn data(test: &str, name: &str) -> Option<String> {
-    let root = std::env::var_os("LSFB_TEST_DATA").map_or_else(
-        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
-        PathBuf::from,
-    );
-    let path = root.join(name);
-    if !path.exists() {
-        println!("skipped: {test}: no recording at {}", path.display());
-        return None;
-    }
-    Some(path.display().to_string())
+    Some(lsfb_tests::recordings(test, name)?.display().to_string())
 }
 
 #[test]

@@ -28,19 +28,10 @@ fn nothing_waits(ports: &[u16]) -> bool {
     })
 }
 
-/// Recordings made by others (`LSFB_TEST_DATA`); where there are none the test says so.
-#[allow(clippy::print_stdout, reason = "a skipped test says so")]
+/// The recordings made by others.
 fn data(test: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("LSFB_TEST_DATA").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
-        PathBuf::from,
-    );
-    let path = root.join("lidar");
-    if path.exists() {
-        return root.canonicalize().ok();
-    }
-    println!("skipped: {test}: no recording at {}", path.display());
-    None
+    let lidar = lsfb_tests::recordings(test, "lidar")?;
+    lidar.parent()?.canonicalize().ok()
 }
 
 /// What a raw topic holds, in order.

@@ -11,6 +11,7 @@ use std::time::Duration;
 use chromium::Tab;
 use lsfb_recording::message::decode_remark;
 use lsfb_recording::{REMARKS, Recording};
+use lsfb_tests::{Lacks, skip};
 use nix::sys::signal::Signal;
 use running::Running;
 use serde_json::json;
@@ -46,10 +47,10 @@ fn check_layout(tab: &mut Tab, size: &str) {
 }
 
 #[test]
-#[allow(clippy::print_stdout, reason = "a skipped test says so")]
 fn an_operator_starts_watches_marks_and_stops() {
     let Some(probe) = Tab::open("about:blank") else {
-        println!("skipped: an_operator_starts_watches_marks_and_stops: no Chromium is installed");
+        let test = "an_operator_starts_watches_marks_and_stops";
+        skip(test, Lacks::Program, "no Chromium is installed");
         return;
     };
     drop(probe);

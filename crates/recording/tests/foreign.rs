@@ -1,6 +1,5 @@
 //! Readers written by others open our recordings and find the values we wrote.
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
-#![allow(clippy::print_stderr, reason = "a skipped test says so")]
 
 use std::process::Command;
 
@@ -9,6 +8,7 @@ use lsfb_recording::message::{
     self, BleAdvert, GnssFix, GnssReading, MagneticSample, PressureSample, WifiReading,
 };
 use lsfb_recording::{Channel, Compression, LIDAR_POSITION, Writer, WriterConfig};
+use lsfb_tests::{Lacks, skip};
 use lsfb_types::{Image, ImuSample, LidarPoint, LidarScan, Packet, Stamped, Timestamp};
 
 const START: Timestamp = Timestamp::from_nanos(1_772_359_200_123_456_789);
@@ -180,9 +180,8 @@ fn write_surroundings(writer: &mut Writer, n: u32) {
 #[test]
 fn mcap_and_rosbags_read_every_value() {
     let Some(python) = std::env::var_os("LSFB_FOREIGN_PYTHON") else {
-        eprintln!(
-            "skipped: mcap_and_rosbags_read_every_value: LSFB_FOREIGN_PYTHON names no python"
-        );
+        let test = "mcap_and_rosbags_read_every_value";
+        skip(test, Lacks::Program, "LSFB_FOREIGN_PYTHON names no python");
         return;
     };
     let dir = tempfile::tempdir().unwrap();

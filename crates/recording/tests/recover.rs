@@ -144,6 +144,67 @@ fn what_is_damaged_in_the_middle_is_left_out_and_named() {
     }
 }
 
+/// Any byte of the magic or of the header record: its opcode, its length, a string's length, a letter.
+#[test]
+fn a_recording_whose_header_is_damaged_becomes_whole() {
+    let dir = tempfile::tempdir().unwrap();
+    let bytes = whole(dir.path(), Compression::Lz4);
+    let header_bytes = 8 + 9 + u64::from_le_bytes(bytes[9..17].try_into().unwrap()) as usize;
+    let out = dir.path().join("out.mcap");
+    for at in 0..header_bytes {
+        let mut broken = bytes.clone();
+        broken[at] ^= 0x55;
+        let recovered = recover(&put(dir.path(), &broken), &out, &no_progress).unwrap();
+        assert_eq!(numbers(&out), (0..SAMPLES).collect::<Vec<_>>(), "byte {at}");
+        // A letter of the writer's name harms nobody.
+        let is_read = Recording::open(&put(dir.path(), &broken)).is_ok();
+        let told = recovered
+            .damage
+            .iter()
+            .any(|d| d.offset == 0 && d.bytes > 0);
+        assert!(is_read || told, "byte {at}: {:?}", recovered.damage);
+        std::fs::remove_file(&out).unwrap();
+    }
+    // All of it, and the end of the file as well.
+    let mut broken = bytes[..bytes.len() - 100].to_vec();
+    broken[..header_bytes].fill(0);
+    recover(&put(dir.path(), &broken), &out, &no_progress).unwrap();
+    assert_eq!(numbers(&out), (0..SAMPLES).collect::<Vec<_>>());
+}
+
+/// What was no recording does not become one.
+#[test]
+fn a_file_of_another_kind_is_not_recovered() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("out.mcap");
+    for bytes in [&[0; 5000][..], b"a text", &[6; 5000]] {
+        let refused = recover(&put(dir.path(), bytes), &out, &no_progress);
+        assert!(matches!(refused, Err(Error::NotMcap { .. })), "{refused:?}");
+        assert!(!out.exists());
+    }
+    let path = dir.path().join("ros1.mcap");
+    let mut writer = mcap::WriteOptions::new()
+        .profile("ros1")
+        .create(std::io::BufWriter::new(
+            std::fs::File::create(&path).unwrap(),
+        ))
+        .unwrap();
+    let channel = writer
+        .add_channel(0, "/imu", "ros1", &std::collections::BTreeMap::new())
+        .unwrap();
+    let header = mcap::records::MessageHeader {
+        channel_id: channel,
+        sequence: 0,
+        log_time: 1,
+        publish_time: 1,
+    };
+    writer.write_to_known_channel(&header, b"bytes").unwrap();
+    writer.finish().unwrap();
+    let refused = recover(&path, &out, &no_progress);
+    assert!(matches!(refused, Err(Error::Profile { .. })), "{refused:?}");
+    assert!(!out.exists());
+}
+
 #[test]
 fn a_whole_file_is_copied_message_by_message() {
     let dir = tempfile::tempdir().unwrap();

@@ -103,8 +103,9 @@ fn modules_use_each_other_in_one_direction() {
     );
 }
 
-#[test]
-fn no_module_is_taken_from_another_place() {
+/// Every source file of ours.
+fn sources() -> Vec<PathBuf> {
+    let mut found = Vec::new();
     let mut open = vec![workspace_root()];
     while let Some(folder) = open.pop() {
         for entry in std::fs::read_dir(&folder).unwrap() {
@@ -113,14 +114,34 @@ fn no_module_is_taken_from_another_place() {
             if path.is_dir() && name != "target" && !name.starts_with('.') {
                 open.push(path);
             } else if name.ends_with(".rs") {
-                let found = tokens(&std::fs::read_to_string(&path).unwrap());
-                let attribute = found
-                    .windows(4)
-                    .find(|w| w[0].is('#') && w[1].is('[') && w[2].is_word("path") && w[3].is('='));
-                assert!(attribute.is_none(), "{}: no #[path]", path.display());
+                found.push(path);
             }
         }
     }
+    found
+}
+
+#[test]
+fn no_module_is_taken_from_another_place() {
+    for path in sources() {
+        let found = tokens(&std::fs::read_to_string(&path).unwrap());
+        let attribute = found
+            .windows(4)
+            .find(|w| w[0].is('#') && w[1].is('[') && w[2].is_word("path") && w[3].is('='));
+        assert!(attribute.is_none(), "{}: no #[path]", path.display());
+    }
+}
+
+/// A test that looks for them by itself is skipped without anybody being told.
+#[test]
+fn recordings_of_others_are_found_by_one_helper() {
+    let asks = concat!("\"LSFB", "_TEST_DATA\"");
+    let who: Vec<_> = sources()
+        .into_iter()
+        .filter(|path| std::fs::read_to_string(path).unwrap().contains(asks))
+        .filter(|path| !path.ends_with("tests/src/lib.rs"))
+        .collect();
+    assert!(who.is_empty(), "use lsfb_tests::recordings: {who:?}");
 }
 
 /// A crate in memory: each pair a top-level module and its body.

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use lsfb_types::Timestamp;
 
 use crate::container::emit;
+use crate::container::header::header;
 use crate::container::open_chunk::{MessageHead, OpenChunk, Outgoing, PLAIN};
 use crate::container::pack::Packer;
 use crate::container::record::{self, opcode};
@@ -80,12 +81,7 @@ impl Encoder {
             packer: Packer::new(config.zstd_level),
             summary: SummaryBuilder::default(),
         };
-        let mut head = record::MAGIC.to_vec();
-        emit::record(&mut head, opcode::HEADER, |out| {
-            emit::string(out, "ros2");
-            emit::string(out, concat!("lsfb-recording ", env!("CARGO_PKG_VERSION")));
-        });
-        encoder.append(&head)?;
+        encoder.append(&header())?;
         Ok(encoder)
     }
 

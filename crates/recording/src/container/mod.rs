@@ -5,7 +5,7 @@
 //! | --- | --- |
 //! | records from bytes, and to bytes | `record.rs`, `emit.rs` |
 //! | chunks from bytes, and to bytes | `chunk.rs` `unpack.rs` `chunk_cache.rs`, `open_chunk.rs` `pack.rs` |
-//! | writing a file | `encoder.rs`, at its end `summary_writer.rs` |
+//! | writing a file | `header.rs`, `encoder.rs`, at its end `summary_writer.rs` |
 //! | reading one | `source.rs`; what is where in it: `index.rs`, from `summary_reader.rs` or, without a summary, `rescan.rs` |
 //! | judging and mending one | `verify.rs`, `recover.rs` |
 
@@ -13,6 +13,7 @@ pub(crate) mod chunk;
 pub(crate) mod chunk_cache;
 mod emit;
 pub(crate) mod encoder;
+mod header;
 pub(crate) mod index;
 pub(crate) mod open_chunk;
 mod pack;

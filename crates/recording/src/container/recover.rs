@@ -9,8 +9,9 @@ use lsfb_types::{Progress, ProgressFn};
 
 use crate::container::chunk;
 use crate::container::emit::{self, IndexEntry};
+use crate::container::header;
 use crate::container::index::{ChunkEntry, Index};
-use crate::container::record::{self, HEAD_BYTES, NamedRecord, Packing, opcode};
+use crate::container::record::{self, ChannelRecord, HEAD_BYTES, NamedRecord, Packing, opcode};
 use crate::container::rescan::{Rescan, WhyRescan};
 use crate::container::source::Source;
 use crate::container::summary_reader;
@@ -35,14 +36,13 @@ pub struct Recovered {
 }
 
 /// Writes everything that can be read of `path` into a new file `out`, with a new index and end. Chunks whose checksum is
-/// right are copied byte by byte; of a torn one at the end the whole messages are taken. `out` must not exist; after an error
-/// it does not.
+/// right are copied byte by byte; of a torn one at the end the whole messages are taken. A header that cannot be read is written
+/// anew. `out` must not exist; after an error it does not.
 pub fn recover(path: &Path, out: &Path, progress: ProgressFn<'_>) -> Result<Recovered, Error> {
     let source = Source::open(path)?;
-    let data_start = source.data_start()?;
-    let index = Rescan::run(&source, data_start, WhyRescan::CutOff)?;
+    let start = Start::find(&source)?;
     let copy = Copy::create(out)?;
-    let recovered = copy_readable(&source, &index, copy, progress);
+    let recovered = copy_readable(&source, &start, copy, progress);
     if recovered.is_err() {
         // What matters is the error above.
         let _ = std::fs::remove_file(out);
@@ -52,11 +52,11 @@ pub fn recover(path: &Path, out: &Path, progress: ProgressFn<'_>) -> Result<Reco
 
 fn copy_readable(
     source: &Source,
-    index: &Index,
+    Start { head, index }: &Start,
     mut copy: Copy,
     progress: ProgressFn<'_>,
 ) -> Result<Recovered, Error> {
-    copy.append(&source.read(0, source.data_start()?)?)?;
+    copy.append(head)?;
     copy.adopt_definitions(source)?;
     let total = index.chunks.len() as u64;
     let mut pieces: Vec<Piece<'_>> = index.chunks.iter().map(Piece::Chunk).collect();
@@ -102,6 +102,52 @@ fn copy_readable(
     }
     damage.sort_by_key(|d| d.offset);
     copy.finish(&source.path, damage)
+}
+
+/// The header of the new file, and what stands behind that of the old one.
+struct Start {
+    head: Vec<u8>,
+    index: Index,
+}
+
+impl Start {
+    fn find(source: &Source) -> Result<Self, Error> {
+        let unreadable = match source.data_start() {
+            // A length that was damaged may reach into the records behind.
+            Ok(data_start) if header::ends_at(source, data_start)? => {
+                return Ok(Self {
+                    head: source.read(0, data_start)?,
+                    index: Rescan::run(source, data_start, WhyRescan::CutOff)?,
+                });
+            }
+            Ok(_) => Error::NotMcap {
+                path: source.path.clone(),
+            },
+            Err(error @ (Error::NotMcap { .. } | Error::Profile { .. })) => error,
+            Err(error) => return Err(error),
+        };
+        let data_start = header::records_behind_damage(source)?;
+        let mut index = Rescan::run(source, data_start, WhyRescan::CutOff)?;
+        // Not every file is a recording that was damaged: one of another kind is left alone.
+        let is_ours = |c: &ChannelRecord| c.message_encoding == "cdr";
+        if index.chunks.is_empty() || !index.channels.values().all(is_ours) {
+            return Err(unreadable);
+        }
+        let reason = match &unreadable {
+            Error::Profile { found, .. } => format!("the header names profile `{found}`"),
+            _ => "the header is broken".to_owned(),
+        };
+        index.damage.push(Damage {
+            offset: 0,
+            bytes: data_start,
+            messages: None,
+            reason: format!("{reason}; a new one was written"),
+        });
+        Ok(Self {
+            head: header::header(),
+            index,
+        })
+    }
 }
 
 enum Piece<'a> {

@@ -116,17 +116,10 @@ fn any_number_of_threads_gives_the_same_place() {
 
 #[test]
 fn a_scene_of_others_can_be_walked_through() {
-    let data = std::env::var("LSFB_TEST_DATA").unwrap_or_else(|_| {
-        concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data").to_owned()
-    });
-    let scene = std::path::Path::new(&data).join("lidar/scenes/vr-gallery.glb");
-    if !scene.exists() {
-        println!(
-            "skipped: a_scene_of_others_can_be_walked_through: no scene at {}",
-            scene.display()
-        );
+    let test = "a_scene_of_others_can_be_walked_through";
+    let Some(scene) = lsfb_tests::recordings(test, "lidar/scenes/vr-gallery.glb") else {
         return;
-    }
+    };
     let config = SimConfig {
         scene,
         ..coarse(Place::Imported)
