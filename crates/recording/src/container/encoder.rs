@@ -11,7 +11,7 @@ use crate::container::emit;
 use crate::container::header::header;
 use crate::container::open_chunk::{MessageHead, OpenChunk, Outgoing, PLAIN};
 use crate::container::pack::Packer;
-use crate::container::record::{self, opcode};
+use crate::container::record::opcode;
 use crate::container::summary_writer::{self, ChunkIndex, NamedIndex, SummaryBuilder};
 use crate::error::Error;
 use crate::layout::{Compression, Durability, Existing, Summary, TopicSummary, WriterConfig};
