@@ -1,4 +1,4 @@
-use crate::layout::{Layout, POINT, Place};
+use crate::layout::{Layout, POINT, Part};
 use crate::normal::NormalEquations;
 use crate::problem::Problem;
 
@@ -28,11 +28,11 @@ pub(crate) fn hold_at_bounds(
         let drawn = |gradient: f64| {
             (value <= bounds.lower && gradient > 0.0) || (value >= bounds.upper && gradient < 0.0)
         };
-        match layout.places[*block] {
-            Place::Reduced(i) if drawn(normal.gradient[layout.row_start[i] + column]) => {
+        match layout.parts[*block] {
+            Part::Reduced(i) if drawn(normal.gradient[layout.row_start[i] + column]) => {
                 hold_reduced(layout, normal, i, column);
             }
-            Place::Point(p) if drawn(normal.point_gradient[p][column]) => {
+            Part::Point(p) if drawn(normal.point_gradient[p][column]) => {
                 hold_point(layout, normal, p, column);
             }
             _ => {}

@@ -3,7 +3,7 @@ use nalgebra::{DMatrix, Matrix3};
 use crate::diagnosis::undetermined;
 use crate::divide::on_pool;
 use crate::evaluation::{Evaluation, not_finite};
-use crate::layout::{Layout, POINT, Place};
+use crate::layout::{Layout, POINT, Part};
 use crate::linear_system::{LinearSystem, Solver};
 use crate::minimise::check_values;
 use crate::normal::{NormalEquations, ReducedSystem};
@@ -46,14 +46,14 @@ pub fn covariance(problem: &Problem, blocks: &[BlockId]) -> Result<Covariance, E
     check_values(problem)?;
     let mut layout = Layout::new(problem)?;
     for block in blocks {
-        match layout.places.get(block.0) {
+        match layout.parts.get(block.0) {
             None => {
                 return Err(Error::UnknownBlock {
                     block: block.0,
                     blocks: problem.blocks.len(),
                 });
             }
-            Some(Place::Constant) => {
+            Some(Part::Constant) => {
                 return Err(Error::NoCovariance {
                     name: problem.block_name(*block),
                 });
@@ -159,8 +159,8 @@ impl Columns {
             let entry = &problem.blocks[block.0];
             let first = columns.dimension();
             columns.start.push(first + entry.shape.tangent);
-            match layout.places[block.0] {
-                Place::Reduced(i) => {
+            match layout.parts[block.0] {
+                Part::Reduced(i) => {
                     for (k, row) in layout.rows(i).enumerate() {
                         let mut in_reduced = vec![0.0; layout.dimension()];
                         in_reduced[row] = 1.0;
@@ -172,7 +172,7 @@ impl Columns {
                         });
                     }
                 }
-                Place::Point(p) => {
+                Part::Point(p) => {
                     let inverse = reduced.point_inverse[p];
                     for coordinate in 0..POINT {
                         let in_reduced = point_column(layout, normal, p, &inverse, coordinate);
@@ -184,7 +184,7 @@ impl Columns {
                         });
                     }
                 }
-                Place::Constant => {}
+                Part::Constant => {}
             }
         }
         columns

@@ -1,7 +1,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::evaluation::Evaluation;
-use crate::layout::{Layout, Place};
+use crate::layout::{Layout, Part};
 use crate::minimise::check_values;
 use crate::problem::{BlockId, Problem};
 use crate::residual::CONSTANT;
@@ -33,10 +33,10 @@ pub fn dense_jacobian(problem: &Problem) -> Result<DenseJacobian, Error> {
     evaluation.start(problem, &layout, &problem.values);
     let mut width = 0;
     let mut columns = Vec::new();
-    for (place, entry) in layout.places.iter().zip(&problem.blocks) {
+    for (part, entry) in layout.parts.iter().zip(&problem.blocks) {
         let Shape { tangent, .. } = entry.shape;
         let mut own = vec![None; tangent];
-        if *place != Place::Constant {
+        if *part != Part::Constant {
             for k in 0..entry.free() {
                 own[entry.component(k)] = Some(width);
                 width += 1;

@@ -9,7 +9,7 @@ pub(crate) const POINT: usize = 3;
 
 /// The part that a block plays in the normal equations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Place {
+pub(crate) enum Part {
     /// Number of the block in the reduced system.
     Reduced(usize),
     /// Number of the point.
@@ -70,7 +70,7 @@ pub(crate) struct Layout {
     /// First position of each point's residuals; one more entry: the first position without a point.
     pub point_first: Vec<usize>,
     /// Part of each block.
-    pub places: Vec<Place>,
+    pub parts: Vec<Part>,
     /// Blocks of the reduced system in their order, and of the points.
     pub reduced: Vec<usize>,
     pub points: Vec<usize>,
@@ -151,23 +151,23 @@ impl Layout {
                 }
             }
         }
-        let mut places = Vec::with_capacity(problem.blocks.len());
+        let mut parts = Vec::with_capacity(problem.blocks.len());
         let (mut reduced, mut points, mut row_start) = (Vec::new(), Vec::new(), vec![0]);
         for (index, block) in problem.blocks.iter().enumerate() {
             // A block without residuals has no row: it stays where it is. A point of which components are held is
             // not a full point any more.
-            places.push(match block.role {
-                Role::Free | Role::Eliminated if !touched[index] => Place::Constant,
+            parts.push(match block.role {
+                Role::Free | Role::Eliminated if !touched[index] => Part::Constant,
                 Role::Eliminated if block.free() == POINT => {
                     points.push(index);
-                    Place::Point(points.len() - 1)
+                    Part::Point(points.len() - 1)
                 }
                 Role::Free | Role::Eliminated => {
                     row_start.push(row_start[reduced.len()] + block.free());
                     reduced.push(index);
-                    Place::Reduced(reduced.len() - 1)
+                    Part::Reduced(reduced.len() - 1)
                 }
-                Role::Constant | Role::Removed => Place::Constant,
+                Role::Constant | Role::Removed => Part::Constant,
             });
         }
         let mut layout = Self {
@@ -187,7 +187,7 @@ impl Layout {
             matrix_len: 0,
             block_of_pairs: Vec::new(),
             first_of_pairs: Vec::new(),
-            places,
+            parts,
             reduced,
             points,
             row_start,
@@ -203,8 +203,8 @@ impl Layout {
         problem
             .blocks_of(ResidualId(residual))
             .iter()
-            .find_map(|block| match self.places[block.0] {
-                Place::Point(p) => Some(p),
+            .find_map(|block| match self.parts[block.0] {
+                Part::Point(p) => Some(p),
                 _ => None,
             })
     }
@@ -227,7 +227,7 @@ impl Layout {
             let mut next = dimension;
             for block in problem.blocks_of(ResidualId(k as usize)) {
                 let entry = &problem.blocks[block.0];
-                let jacobian = if self.places[block.0] == Place::Constant {
+                let jacobian = if self.parts[block.0] == Part::Constant {
                     CONSTANT
                 } else {
                     next += dimension * entry.free();
@@ -260,8 +260,8 @@ impl Layout {
                 self.slot_start[self.point_first[p]]..self.slot_start[self.point_first[p + 1]];
             seen.clear();
             seen.extend(self.slots[slots.clone()].iter().filter_map(|slot| {
-                match self.places[slot.block as usize] {
-                    Place::Reduced(i) => Some(i as u32),
+                match self.parts[slot.block as usize] {
+                    Part::Reduced(i) => Some(i as u32),
                     _ => None,
                 }
             }));
@@ -277,7 +277,7 @@ impl Layout {
                 self.pair_len += POINT * self.tangent(reduced as usize);
             }
             for slot in &mut self.slots[slots] {
-                if let Place::Reduced(i) = self.places[slot.block as usize]
+                if let Part::Reduced(i) = self.parts[slot.block as usize]
                     && let Ok(found) = seen.binary_search(&(i as u32))
                 {
                     slot.pair = (first + found) as u32;
@@ -301,8 +301,8 @@ impl Layout {
         let incidences = (0..this.order.len()).flat_map(move |k| {
             let slots = this.slot_start[k]..this.slot_start[k + 1];
             slots.filter_map(
-                move |slot| match this.places[this.slots[slot].block as usize] {
-                    Place::Reduced(i) => Some((
+                move |slot| match this.parts[this.slots[slot].block as usize] {
+                    Part::Reduced(i) => Some((
                         i,
                         Incidence {
                             position: k as u32,
@@ -335,7 +335,7 @@ impl Layout {
     fn visit_coupled(&self, i: usize, pattern: Pattern, mut visit: impl FnMut(usize)) {
         for incidence in self.by_reduced.get(i) {
             for slot in self.slots_of(incidence.position as usize) {
-                if let Place::Reduced(j) = self.places[slot.block as usize]
+                if let Part::Reduced(j) = self.parts[slot.block as usize]
                     && j >= i
                 {
                     visit(j);
@@ -398,7 +398,7 @@ impl Layout {
                 let first = couplings.len() as u32;
                 let position = incidence.position as usize;
                 for slot in &self.slots[self.slot_start[position]..self.slot_start[position + 1]] {
-                    if let Place::Reduced(j) = self.places[slot.block as usize]
+                    if let Part::Reduced(j) = self.parts[slot.block as usize]
                         && j > i
                     {
                         couplings.push(Coupling {

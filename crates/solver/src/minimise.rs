@@ -5,7 +5,7 @@ use crate::diagnosis::diagnose;
 use crate::divide::on_pool;
 use crate::dogleg::Dogleg;
 use crate::evaluation::{Evaluation, TotalCost, not_finite, squared_norm};
-use crate::layout::{Layout, Place};
+use crate::layout::{Layout, Part};
 use crate::linear_system::LinearSystem;
 use crate::normal::{NormalEquations, Step};
 use crate::problem::{Problem, Role};
@@ -66,7 +66,7 @@ pub fn solve_controlled(
         report.termination = Termination::NothingFree;
         return Ok(report);
     }
-    let mut state = State {
+    let mut state = Workspace {
         normal: NormalEquations::new(&layout),
         step: Step::new(&layout),
         trial_values: values.clone(),
@@ -77,7 +77,7 @@ pub fn solve_controlled(
         problem,
     };
     state.minimise(&mut system, config, &mut report, control)?;
-    let State { values, normal, .. } = state;
+    let Workspace { values, normal, .. } = state;
     if config.diagnosis == Diagnosis::Full {
         diagnose(problem, &layout, &normal, &mut system, &mut report);
     }
@@ -101,13 +101,13 @@ fn untouched(problem: &Problem, layout: &Layout) -> usize {
     problem
         .blocks
         .iter()
-        .zip(&layout.places)
-        .filter(|(block, place)| free(block.role) && **place == Place::Constant)
+        .zip(&layout.parts)
+        .filter(|(block, part)| free(block.role) && **part == Part::Constant)
         .count()
 }
 
 /// Everything that iterations fill in; taken once.
-struct State<'a> {
+struct Workspace<'a> {
     problem: &'a Problem,
     layout: &'a Layout,
     evaluation: Evaluation,
@@ -136,7 +136,7 @@ struct Attempt {
     length: f64,
 }
 
-impl State<'_> {
+impl Workspace<'_> {
     fn minimise(
         &mut self,
         system: &mut LinearSystem,

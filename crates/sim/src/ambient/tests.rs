@@ -3,7 +3,8 @@ use lsfb_types::no_progress;
 use nalgebra::{Matrix3, Vector3};
 
 use super::*;
-use crate::config::{DatumConfig, Place};
+use crate::config::{GnssConfig, Place, WifiConfig};
+use crate::datum::DatumConfig;
 use crate::noise::stream;
 use crate::walk::{PaperMotion, Walker};
 use crate::world::builder::{Faces, Placement};
@@ -310,7 +311,7 @@ fn positions_are_as_far_off_as_they_say() {
         let mut sum = Matrix3::zeros();
         for seed in 0..1500 {
             // Another hour each time: other satellites.
-            let begin = crate::EPOCH.plus_nanos(seed as i64 * 3_600_000_000_000);
+            let begin = EPOCH.plus_nanos(seed as i64 * 3_600_000_000_000);
             let epochs = gnss::epochs(&config, &datum, world, &walk, begin, seed);
             let Some(error) = epochs[0].error else {
                 continue;
@@ -337,14 +338,7 @@ fn errors_of_positions_last_and_the_earth_is_round() {
     let open = world(|_| {});
     let datum = DatumConfig::default();
     let walk = walk(120.0);
-    let epochs = gnss::epochs(
-        &GnssConfig::default(),
-        &datum,
-        &open,
-        &walk,
-        crate::EPOCH,
-        4,
-    );
+    let epochs = gnss::epochs(&GnssConfig::default(), &datum, &open, &walk, EPOCH, 4);
     assert_eq!(epochs.len(), 121);
     let errors: Vec<Vector3<f64>> = epochs
         .iter()

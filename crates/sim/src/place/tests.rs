@@ -1,6 +1,7 @@
 use super::*;
-use crate::walk::{Device, PaperMotion};
-use crate::{SimConfig, Simulation};
+use crate::Simulation;
+use crate::config::Device;
+use crate::walk::PaperMotion;
 use lsfb_types::no_progress;
 
 fn coarse(place: Place) -> SimConfig {

@@ -10,7 +10,7 @@ use std::ops::Range;
 use nalgebra::{Matrix3, Vector3};
 
 use crate::kernels::add_product;
-use crate::layout::{Layout, POINT, Place};
+use crate::layout::{Layout, POINT, Part};
 use crate::problem::Problem;
 
 /// What the linearization of some points writes.
@@ -101,7 +101,7 @@ pub(super) fn assemble_points<const FUSED: bool>(
             let slots = layout.slots_of(k);
             let Some(own) = slots
                 .iter()
-                .find(|slot| layout.places[slot.block as usize] == Place::Point(point))
+                .find(|slot| layout.parts[slot.block as usize] == Part::Point(point))
             else {
                 continue;
             };
@@ -137,7 +137,7 @@ pub(super) fn assemble_columns<const FUSED: bool>(
     parts.gradient.fill(0.0);
     for (k, residual) in layout.order.iter().enumerate() {
         for slot in layout.slots_of(k) {
-            let Place::Reduced(i) = layout.places[slot.block as usize] else {
+            let Part::Reduced(i) = layout.parts[slot.block as usize] else {
                 continue;
             };
             if !columns.contains(&i) {
