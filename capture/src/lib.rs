@@ -36,7 +36,7 @@ mod sidecar;
 mod sync;
 mod tap;
 
-pub use clouds::{CloudsConfig, import_clouds};
+pub use clouds::{CloudsConfig, ImportedClouds, import_clouds};
 pub use config::{
     CameraUnitConfig, DevicesConfig, ExposureConfig, ImuFamily, ImuLineConfig, LidarModel,
     LidarNetConfig, LidarReturns, LidarSettingsConfig, Overflow, RecorderConfig, SidecarConfig,
