@@ -32,7 +32,7 @@ pub(crate) use adjustment::most_central;
 pub(crate) use guess::fit_lens;
 pub use guess::pose_of_target;
 pub(crate) use views::last_number;
-pub use views::{views_from_folder, views_from_recording};
+pub use views::{image_files, views_from_folder, views_from_recording};
 
 /// What one camera saw.
 #[derive(Clone, Debug, PartialEq)]

@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use lsfb_recording::Recording;
+use lsfb_perception::image;
+use lsfb_recording::{Recording, sort_naturally};
 use lsfb_types::{Image, Progress, ProgressFn, Stopped};
 use rayon::prelude::*;
 
@@ -12,7 +13,24 @@ use super::CameraViews;
 use crate::Error;
 use crate::board::Target;
 use crate::detect::{Corner, Instead, detect, seen_instead};
-use crate::images;
+
+/// The JPEG and PNG files of a folder in the order of their names; numbers in names count as numbers.
+pub fn image_files(folder: &Path) -> Result<Vec<PathBuf>, Error> {
+    let io = |source| Error::Io {
+        path: folder.display().to_string(),
+        source,
+    };
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(io)? {
+        let path = entry.map_err(io)?.path();
+        let extension = path.extension().map(|e| e.to_ascii_lowercase());
+        if extension.is_some_and(|e| e == "jpg" || e == "jpeg" || e == "png") {
+            files.push(path);
+        }
+    }
+    sort_naturally(&mut files);
+    Ok(files)
+}
 
 /// One image's part in a [`CameraViews`].
 struct Looked {
@@ -33,7 +51,7 @@ pub fn views_from_folder(
     target: &Target,
     progress: ProgressFn,
 ) -> Result<CameraViews, Error> {
-    let files: Vec<PathBuf> = images::list(folder)?
+    let files: Vec<PathBuf> = image_files(folder)?
         .into_iter()
         .filter(|f| {
             f.file_name()
@@ -51,7 +69,7 @@ pub fn views_from_folder(
         .par_iter()
         .zip(&instants)
         .map(|(file, instant)| {
-            let looked = look(*instant, &images::read(file)?, target);
+            let looked = look(*instant, &image::read(file)?, target);
             progress(Progress {
                 stage: "corners",
                 done: done.fetch_add(1, Ordering::Relaxed) + 1,

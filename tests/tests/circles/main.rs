@@ -21,12 +21,6 @@ use tokens::tokens;
 const KNOWN: &[(&str, &str, &[&str])] = &[
     ("calib", "crate", &["report", "verify"]),
     (
-        "calib",
-        "crate::verify",
-        &["alignment", "mutual_information"],
-    ),
-    ("calib", "crate::verify::refine", &["adjustment", "noise"]),
-    (
         "capture",
         "crate",
         &["camera", "clock", "imu", "lidar", "session", "sidecar"],
@@ -43,8 +37,6 @@ const KNOWN: &[(&str, &str, &[&str])] = &[
     ("drivers", "crate::transport", &["camera_link", "v4l2"]),
     ("drivers", "crate::velodyne", &["decode", "points"]),
     ("drivers", "crate::velodyne", &["model", "wire"]),
-    ("pipeline", "crate::hd_map", &["index", "kmeans"]),
-    ("pipeline", "crate::localization", &["ransac", "refinement"]),
 ];
 
 /// Name and root file of every library and program of ours.
