@@ -53,7 +53,7 @@ impl Feed {
     /// Writes what waits and closes the files. Waits until every [`Feeder`] is gone; their reports say what they lost.
     pub fn finish(self, reports: Vec<StreamReport>) -> Result<CaptureReport, Error> {
         let written = self.recorder.finish(&reports)?;
-        Ok(CaptureReport::new(&self.out, written, reports))
+        Ok(written.report(&self.out, reports))
     }
 }
 

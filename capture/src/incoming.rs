@@ -9,11 +9,11 @@ use lsfb_types::{Packet, Progress, ProgressFn, Timestamp};
 
 use crate::camera::CameraStream;
 use crate::config::{DevicesConfig, Overflow};
+use crate::control::Control;
 use crate::health::{Ending, Meter, StreamReport};
 use crate::imu::{self, ImuStream};
 use crate::lidar::{self, LidarStream};
 use crate::recorder::{self, Inlet, Recorder, WriterGone};
-use crate::session::Control;
 use crate::sidecar::{Origin, Sidecars};
 use crate::{CaptureReport, Error};
 
@@ -79,7 +79,7 @@ pub fn record_incoming(
     drop(inlet);
     let written = recorder.finish(&reports)?;
     told.inspect_err(|_| written.discard())?;
-    Ok(CaptureReport::new(out, written, reports))
+    Ok(written.report(out, reports))
 }
 
 /// One stream for each device that is configured.

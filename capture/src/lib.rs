@@ -21,7 +21,9 @@ mod camera;
 pub mod clock;
 mod clouds;
 mod config;
+mod control;
 pub mod doctor;
+mod entry;
 mod error;
 mod feed;
 pub mod health;
@@ -31,10 +33,13 @@ mod lidar;
 mod recorder;
 mod remark;
 mod replay;
+mod report;
 mod session;
 mod sidecar;
 mod sync;
 mod tap;
+mod threads;
+mod topics;
 
 pub use clouds::{CloudsConfig, import_clouds};
 pub use config::{
@@ -42,12 +47,13 @@ pub use config::{
     LidarNetConfig, LidarReturns, LidarSettingsConfig, Overflow, RecorderConfig, SidecarConfig,
     StampInstant,
 };
+pub use control::Counts;
 pub use error::Error;
 pub use feed::{Feed, Feeder};
-pub use health::{CaptureReport, Ending, StreamReport};
 pub use incoming::{Incoming, record_incoming};
 pub use remark::Remarks;
 pub use replay::{ReplayConfig, replay, replay_recording};
-pub use session::{Counts, Session};
+pub use report::{CaptureReport, Ending, StreamReport};
+pub use session::Session;
 pub use sync::GroupReport;
 pub use tap::{Tap, TapClosed, Tapped};

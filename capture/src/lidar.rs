@@ -17,15 +17,18 @@ use lsfb_types::{LidarScan, Packet, Stamped, Timestamp};
 
 use crate::clock::model_topic::{ModelTopic, Reading};
 use crate::clock::{LidarClock, PositionFix};
-use crate::health::{Ending, Meter, StreamReport};
+use crate::control::Control;
+use crate::health::{Ending, Expected, Meter, StreamReport};
 use crate::recorder::{Entry, Inlet, WriterGone};
-use crate::session::Control;
 
 /// Data packets that wait for the first position packet: one second of single returns. A sensor sends about 107 position
 /// packets a second, so that one without any in this time has none to send.
 const HELD_PACKETS: usize = 1_600;
 /// Its name.
 pub(crate) const LIDAR: &str = "lidar";
+/// What it sends all the time.
+const DATA: &str = "data";
+const POSITION: &str = "position";
 /// Source of datagrams that no Velodyne sends, kept as they came.
 const STRANGE: &str = "lidar";
 /// Its counter runs in microseconds and wraps with the hour.
@@ -33,6 +36,14 @@ const TICK_NS: u64 = 1_000;
 const TICKS_PER_HOUR: u64 = 3_600_000_000;
 /// After the other devices have ended, a LiDAR silent for this long has ended too.
 const SILENT: Duration = Duration::from_millis(500);
+
+/// What a LiDAR sends all the time; how often depends on its model, its returns and its sector, and is learned.
+pub(crate) fn expected() -> Vec<Expected> {
+    vec![
+        Expected::required(DATA, None),
+        Expected::once_heard(POSITION),
+    ]
+}
 
 /// Decodes and stamps, whatever the packets come from.
 pub(crate) struct LidarStream {
@@ -69,6 +80,9 @@ impl LidarStream {
         self.report.missing = counters.lost;
         self.report.duplicated = counters.duplicates;
         self.meter.heard(&self.report);
+        if packet.bytes.len() == DATA_PACKET_LEN {
+            self.meter.heard_part(DATA, 1);
+        }
         match packet.bytes.len() {
             POSITION_PACKET_LEN => self.position(packet, inlet),
             DATA_PACKET_LEN if self.clock.is_decided() || self.held.len() >= HELD_PACKETS => {
@@ -106,6 +120,7 @@ impl LidarStream {
     }
 
     fn position(&mut self, packet: Packet, inlet: &Inlet) -> Result<(), WriterGone> {
+        self.meter.heard_part(POSITION, 1);
         let mut time = packet.arrival;
         match PositionPacket::new(packet.bytes.as_slice()) {
             Ok(position) => {

@@ -78,7 +78,7 @@ pub fn replay(
     let streams = vec![stream];
     let written = recorder.finish(&streams)?;
     told.inspect_err(|_| written.discard())?;
-    Ok(CaptureReport::new(out, written, streams))
+    Ok(written.report(out, streams))
 }
 
 /// Records the Velodyne packets of an MCAP file, one of `rosbag2` or one of ours, as [`replay`] does.

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::model_topic::{HOLDOVER, LOCKED};
 use super::{ClockEstimate, OneWayClock, StampPair, Unwrap, fit_pairs};
-use crate::{Error, sidecar};
+use crate::{Error, topics};
 
 /// Points of a plot, at most, per device.
 const PLOTTED: usize = 4_000;
@@ -179,7 +179,7 @@ fn devices(recording: &Recording) -> Vec<Source> {
             name => {
                 if let Some(channel) = name.strip_suffix(DEVICE_TIME) {
                     // What waited to be sent says nothing about a clock; that of its app is told by the others.
-                    if !sidecar::is_heard(channel) {
+                    if !topics::is_occasional(channel) {
                         found.push(Source::Sidecar(name.to_owned()));
                     }
                 } else if let Some(camera) = name.strip_suffix("/frame_meta") {

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 pub use calibration::CalibrationFound;
 
-use crate::{Error, sidecar};
+use crate::{Error, topics};
 
 /// How good something is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -248,7 +248,7 @@ impl Findings {
             self.add(&sensor.topic, verdict, found, &threshold);
         }
         // What comes when there is something to hear has no rhythm to miss.
-        for heard in arrivals.iter().filter(|a| sidecar::is_heard(&a.topic)) {
+        for heard in arrivals.iter().filter(|a| topics::is_occasional(&a.topic)) {
             let rhythm = Rhythm::of(&heard.times, *start, *end);
             let found = format!(
                 "{} messages, longest silence {:.1} s",

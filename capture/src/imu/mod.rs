@@ -10,17 +10,28 @@ use lsfb_types::{Packet, Stamped, Timestamp};
 use crate::clock::model_topic::{self, ModelTopic};
 use crate::clock::{OneWayClock, Unwrap};
 use crate::config::{ImuFamily, ImuLineConfig};
-use crate::health::{Ending, Meter, StreamReport};
+use crate::control::Control;
+use crate::health::{Ending, Expected, Meter, StreamReport};
 use crate::recorder::{Entry, Inlet, WriterGone};
-use crate::session::Control;
 
 pub(crate) use unit::ImuUnit;
 use unit::{ImuDecoder, Reading};
 
 /// After all other devices have ended, a unit on a bus that is silent for this long has ended too.
 const SILENT: Duration = Duration::from_millis(500);
+/// What it sends all the time.
+const SAMPLES: &str = "samples";
 /// Name of the backpack's IMU in topics.
 pub(crate) const IMU: &str = "imu0";
+
+/// What a unit sends all the time; only some are told how often.
+pub(crate) fn expected(line: &ImuLineConfig) -> Vec<Expected> {
+    let is_told = matches!(line.family, ImuFamily::Xsens | ImuFamily::Microstrain);
+    vec![Expected::required(
+        SAMPLES,
+        is_told.then(|| line.rate_hz.into()),
+    )]
+}
 
 struct Clock {
     unwrap: Unwrap,
@@ -198,6 +209,7 @@ impl ImuStream {
                 continue;
             };
             self.report.decoded += 1;
+            meter.heard_part(SAMPLES, 1);
             let sample = Stamped {
                 time,
                 arrival: reading.arrival,

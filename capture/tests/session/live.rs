@@ -27,7 +27,11 @@ pub(super) fn wait_until(what: &str, mut happened: impl FnMut() -> bool) {
 }
 
 /// Runs a session until `enough` has happened.
-fn run_until(session: Session, out: &Path, enough: impl FnMut() -> bool) -> CaptureReport {
+pub(super) fn run_until(
+    session: Session,
+    out: &Path,
+    enough: impl FnMut() -> bool,
+) -> CaptureReport {
     let stop = AtomicBool::new(false);
     std::thread::scope(|scope| {
         let running = std::thread::Builder::new()

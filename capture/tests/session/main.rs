@@ -7,6 +7,9 @@
 
 mod live;
 mod mock;
+mod output;
+mod phones;
+mod silent;
 mod steps;
 
 use std::net::SocketAddr;

@@ -106,7 +106,7 @@ impl Context {
 }
 
 /// One sentence and, where there is more than one cause, the chain.
-pub fn print_error(error: &anyhow::Error) {
+pub fn sentence(error: &anyhow::Error) -> String {
     let mut message = error.to_string();
     for cause in error.chain().skip(1) {
         let cause = cause.to_string();
@@ -115,5 +115,10 @@ pub fn print_error(error: &anyhow::Error) {
             message = format!("{message}: {cause}");
         }
     }
-    eprintln!("error: {message}");
+    message
+}
+
+/// For the person at the terminal.
+pub fn print_error(error: &anyhow::Error) {
+    eprintln!("error: {}", sentence(error));
 }

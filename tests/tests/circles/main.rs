@@ -27,12 +27,6 @@ const KNOWN: &[(&str, &str, &[&str])] = &[
     ),
     ("calib", "crate::verify::refine", &["adjustment", "noise"]),
     (
-        "capture",
-        "crate",
-        &["camera", "clock", "imu", "lidar", "session", "sidecar"],
-    ),
-    ("capture", "crate", &["health", "recorder", "tap"]),
-    (
         "cli",
         "crate",
         &["commands", "context", "live", "simulated"],

@@ -143,8 +143,30 @@ pub fn camera_unit(
 ) -> JoinHandle<()> {
     let listener = CameraListener::bind(socket).unwrap();
     spawn("mock-camera", move || {
-        serve_unit(cameras, &listener, first_id, frames, farewell)
+        serve_unit(
+            cameras,
+            &listener,
+            first_id,
+            frames,
+            farewell,
+            OwnImu::Measures,
+        )
     })
+}
+
+/// A stereo unit that sends images endlessly and has nothing to say of its own IMU.
+pub fn unit_without_imu(socket: &Path) -> JoinHandle<()> {
+    let listener = CameraListener::bind(socket).unwrap();
+    spawn("mock-camera", move || {
+        serve_unit(2, &listener, 0, None, Farewell::Sudden, OwnImu::Silent)
+    })
+}
+
+/// Whether a unit's own IMU measures anything.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum OwnImu {
+    Measures,
+    Silent,
 }
 
 /// A unit that comes to `socket` after `delay`: one that was unplugged and is back.
@@ -157,7 +179,14 @@ pub fn stereo_unit_after(
     spawn("mock-camera-again", move || {
         std::thread::sleep(delay);
         let listener = CameraListener::bind(&socket).unwrap();
-        serve_unit(2, &listener, first_id, Some(frames), Farewell::Orderly);
+        serve_unit(
+            2,
+            &listener,
+            first_id,
+            Some(frames),
+            Farewell::Orderly,
+            OwnImu::Measures,
+        );
     })
 }
 
@@ -167,6 +196,7 @@ fn serve_unit(
     first_id: u16,
     frames: Option<u16>,
     farewell: Farewell,
+    own_imu: OwnImu,
 ) {
     {
         let info = DeviceInfo {
@@ -206,7 +236,7 @@ fn serve_unit(
                 return;
             }
             if frames.is_none() {
-                for k in 0..10 {
+                for k in (0..10).filter(|_| own_imu == OwnImu::Measures) {
                     device.push_imu(own_imu_segment(u32::from(n) * 10 + k));
                 }
                 let until = Instant::now() + Duration::from_millis(100);

@@ -15,7 +15,7 @@ use lsfb_geometry::Rig;
 use lsfb_operator::ScreenConfig;
 use lsfb_recording::Existing;
 
-use crate::context::Context;
+use crate::context::{Context, sentence};
 use crate::live::{Live, LiveConfig};
 use crate::outcome::Outcome;
 
@@ -76,6 +76,10 @@ pub struct Arguments {
     /// PIN of the screen, at least four characters; a random one where other machines can reach it.
     #[arg(long, value_name = "PIN", requires = "screen", value_parser = pin)]
     pin: Option<String>,
+    /// Another name by which this machine is reached (a DNS name, say), beside its own name and its addresses; the screen
+    /// answers to no others. Can be given more than once.
+    #[arg(long, value_name = "NAME", requires = "screen")]
+    screen_name: Vec<String>,
     /// Do not wait for START on the screen: begin the first recording at once.
     #[arg(long, requires = "screen")]
     now: bool,
@@ -136,7 +140,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         let live = Live::start(&arguments.live()?, &arguments.out)?;
         live.say_where(context);
         if arguments.screen.is_some() {
-            return takes(arguments, &devices, &live, context);
+            return record_on_demand(arguments, &devices, &live, context);
         }
         let report = live.record(&devices, &arguments.out, context)?;
         return print(&report, context);
@@ -167,6 +171,7 @@ impl Arguments {
                     None if !address.ip().is_loopback() => Some(random_pin()?),
                     pin => pin.clone(),
                 },
+                names: self.screen_name.clone(),
             }),
             None => None,
         };
@@ -190,7 +195,7 @@ fn random_pin() -> anyhow::Result<String> {
 }
 
 /// One recording after another, as the operator likes.
-fn takes(
+fn record_on_demand(
     arguments: &Arguments,
     devices: &DevicesConfig,
     live: &Live,
@@ -210,7 +215,7 @@ fn takes(
             // The operator mends it and presses START again.
             Err(error) => {
                 failures += 1;
-                context.note(&format!("{}: {error:#}", out.display()));
+                context.note(&format!("{}: {}", out.display(), sentence(&error)));
             }
         }
     }
@@ -271,6 +276,8 @@ pub fn text(report: &CaptureReport) -> String {
             (s.duplicated, "repeated"),
             (s.dropped, "dropped because the disk could not keep up"),
             (s.interruptions, "times gone and back"),
+            (s.silences, "times silent"),
+            (s.slowdowns, "times far too slow"),
         ] {
             if count > 0 {
                 let _ = write!(out, ", {count} {what}");
@@ -287,7 +294,10 @@ pub fn text(report: &CaptureReport) -> String {
     if let Some(why) = &report.failure {
         let _ = writeln!(out, "  STOPPED      {why}");
     }
-    for part in report.parts.iter().skip(1) {
+    for warning in &report.warnings {
+        let _ = writeln!(out, "  WARNING      {warning}");
+    }
+    for part in report.parts.iter().filter(|part| **part != report.path) {
         let _ = writeln!(out, "  continued in {}", part.display());
     }
     if report.groups.complete + report.groups.incomplete > 0 {

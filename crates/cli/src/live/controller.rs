@@ -11,8 +11,8 @@ use lsfb_capture::health::Snapshot;
 use lsfb_capture::{CaptureReport, Remarks, Tap, Tapped};
 use lsfb_geometry::{Rig, Vector3};
 use lsfb_operator::{
-    Command, ControlPoint, Level, LiveMap, MapConfig, Phase, Request, ScreenState, Tracking,
-    Viewer, terminal,
+    Command, ControlPoint, Level, LiveMap, MapConfig, Phase, Preview, Request, ScreenState,
+    Tracking, Viewer, terminal,
 };
 use lsfb_pipeline::odometry::{OdometryStep, StepOutcome};
 use lsfb_recording::message::Remark;
@@ -21,7 +21,8 @@ use lsfb_types::Timestamp;
 use super::host;
 use super::odometry::OdometryThread;
 use super::streams::Streams;
-use super::{Event, Outputs, Take};
+use super::{Event, Outputs, Run};
+use crate::context::sentence;
 
 /// How long the tap is waited for before the rest is looked at.
 const TAP_WAIT: Duration = Duration::from_millis(20);
@@ -33,12 +34,18 @@ const STATE_EVERY: Duration = Duration::from_millis(200);
 const MAP_EVERY: Duration = Duration::from_millis(500);
 /// Between two looks at disk and battery.
 const HOST_EVERY: Duration = Duration::from_secs(1);
+/// Between two previews of a camera.
+const PREVIEW_EVERY: Duration = Duration::from_secs(1);
+/// A map to which no scan was added for this long shows the past.
+const FROZEN_AFTER: Duration = Duration::from_secs(1);
+/// The odometry needs some scans before the first is registered.
+const BEGUN_AFTER: Duration = Duration::from_secs(5);
 /// Names of remarks in the recording.
 const NOTE: &str = "note";
 const CONTROL_POINT: &str = "control-point";
 
-/// What the conductor holds of the rest.
-pub struct Wires {
+/// What the controller holds of the rest.
+pub struct Channels {
     pub requests: Option<Receiver<Request>>,
     pub events: Receiver<Event>,
     pub starts: SyncSender<()>,
@@ -49,9 +56,9 @@ pub struct Wires {
 }
 
 /// See the module's page.
-pub struct Conductor {
+pub struct Controller {
     outputs: Outputs,
-    wires: Wires,
+    channels: Channels,
     state: ScreenState,
     map: LiveMap,
     running: Option<Running>,
@@ -79,10 +86,13 @@ struct Running {
     /// Synchronized and host time of one sample: how to stamp what people say.
     clock: Option<(Timestamp, Timestamp)>,
     cameras_sent: BTreeMap<String, Timestamp>,
+    previews_sent: BTreeMap<String, Instant>,
+    /// When a scan was registered last.
+    registered: Option<Instant>,
 }
 
-impl Conductor {
-    pub fn new(outputs: Outputs, wires: Wires) -> Self {
+impl Controller {
+    pub fn new(outputs: Outputs, channels: Channels) -> Self {
         let long_ago = Instant::now();
         Self {
             outputs,
@@ -92,8 +102,8 @@ impl Conductor {
                 ..ScreenState::default()
             },
             map: LiveMap::new(MapConfig::default(), Vec::new()),
-            folder: wires.folder.clone(),
-            wires,
+            folder: channels.folder.clone(),
+            channels,
             running: None,
             shown: Shown {
                 state: long_ago,
@@ -106,10 +116,10 @@ impl Conductor {
     /// Works until it is told to end.
     pub fn run(mut self) {
         self.look_at_host();
-        while !self.wires.end.load(Ordering::Relaxed) {
-            while let Ok(event) = self.wires.events.try_recv() {
+        while !self.channels.end.load(Ordering::Relaxed) {
+            while let Ok(event) = self.channels.events.try_recv() {
                 match event {
-                    Event::Begin(take) => self.begin(*take),
+                    Event::Begin(run) => self.begin(*run),
                     Event::End(outcome) => self.end(outcome),
                 }
             }
@@ -120,42 +130,47 @@ impl Conductor {
         }
     }
 
-    fn begin(&mut self, take: Take) {
+    fn begin(&mut self, run: Run) {
         self.map
-            .restart(take.rig.as_ref().map_or_else(Vec::new, viewers));
-        let name = take.out.file_name().unwrap_or_default();
+            .restart(run.rig.as_ref().map_or_else(Vec::new, viewers));
+        let name = run.out.file_name().unwrap_or_default();
         self.state = ScreenState {
             phase: Phase::Starting,
             file: name.to_string_lossy().into_owned(),
             battery: self.state.battery.take(),
             ..ScreenState::default()
         };
-        let odometry = take
+        let odometry = run
             .rig
             .as_ref()
             .filter(|rig| {
-                rig.lidar.is_some() && take.devices.lidar.is_some() && self.outputs.show_map()
+                rig.lidar.is_some() && run.devices.lidar.is_some() && self.outputs.show_map()
             })
             .map(OdometryThread::start)
             .transpose();
         let odometry = odometry.unwrap_or_else(|error| {
-            self.state.message = format!("no live map: {error:#}");
+            self.state.message = format!("There is no live map: {}", sentence(&error));
             self.state.message_level = Level::Warning;
             None
         });
-        if let Some(rig) = &take.rig {
+        if let Some(screen) = &self.outputs.screen {
+            screen.clear_previews();
+        }
+        if let Some(rig) = &run.rig {
             self.outputs.send_rig(rig, host_now());
         }
         self.running = Some(Running {
-            tap: take.tap,
-            remarks: take.remarks,
-            health: take.health,
-            stop: take.stop,
+            tap: run.tap,
+            remarks: run.remarks,
+            health: run.health,
+            stop: run.stop,
             began: Instant::now(),
-            streams: Streams::new(&take.devices),
+            streams: Streams::new(&run.devices),
             odometry,
             clock: None,
             cameras_sent: BTreeMap::new(),
+            previews_sent: BTreeMap::new(),
+            registered: None,
         });
     }
 
@@ -164,6 +179,8 @@ impl Conductor {
         self.read_odometry();
         let state = &mut self.state;
         state.phase = Phase::Ready;
+        state.tracking = Tracking::None;
+        state.tracking_problem = String::new();
         match outcome {
             Ok(report) => {
                 if let Some(running) = &mut self.running {
@@ -182,7 +199,7 @@ impl Conductor {
                     report.bytes as f64 / 1e6,
                     match report.lost {
                         0 => "nothing lost".to_owned(),
-                        lost => format!("{lost} LOST"),
+                        lost => format!("{lost} LOST; the report on the terminal says what"),
                     }
                 );
             }
@@ -197,28 +214,28 @@ impl Conductor {
     }
 
     fn answer_requests(&mut self) {
-        let Some(requests) = self.wires.requests.take() else {
+        let Some(requests) = self.channels.requests.take() else {
             return;
         };
         while let Ok(request) = requests.try_recv() {
-            let outcome = self.obey(&request.command);
+            let outcome = self.handle(&request.command);
             request.answer(outcome);
         }
-        self.wires.requests = Some(requests);
+        self.channels.requests = Some(requests);
     }
 
-    fn obey(&mut self, command: &Command) -> Result<String, String> {
+    fn handle(&mut self, command: &Command) -> Result<String, String> {
         match (command, &self.running) {
             (Command::Start, None) => {
                 self.state.phase = Phase::Starting;
                 self.state.message = "Opening the devices …".to_owned();
                 self.state.message_level = Level::Good;
                 // One start is enough.
-                let _ = self.wires.starts.try_send(());
+                let _ = self.channels.starts.try_send(());
                 Ok(String::new())
             }
-            (Command::Start, Some(_)) => Err("It is recording already.".to_owned()),
-            (_, None) => Err("Nothing is being recorded.".to_owned()),
+            (Command::Start, Some(_)) => Err("A recording is running already.".to_owned()),
+            (_, None) => Err("No recording is running.".to_owned()),
             (Command::Stop, Some(running)) => {
                 running.stop.store(true, Ordering::Relaxed);
                 self.state.phase = Phase::Stopping;
@@ -238,7 +255,9 @@ impl Conductor {
                 });
                 Ok(match position_m {
                     Some(_) => format!("Point {name} saved."),
-                    None => format!("Point {name} saved, without its place in the map."),
+                    None => {
+                        format!("Point {name} saved, without a position: the live map has none.")
+                    }
                 })
             }
         }
@@ -273,6 +292,16 @@ impl Conductor {
                 Tapped::Message { .. } => running.clock,
             };
             self.outputs.send(&entry, &mut running.cameras_sent);
+            if let (Some(screen), Tapped::Image { camera, image }) = (&self.outputs.screen, &entry)
+            {
+                let sent = running.previews_sent.get(camera);
+                if sent.is_none_or(|sent| sent.elapsed() >= PREVIEW_EVERY) {
+                    running.previews_sent.insert(camera.clone(), Instant::now());
+                    if let Some(preview) = Preview::of(&image.sample) {
+                        screen.publish_preview(camera, preview);
+                    }
+                }
+            }
             if let Some(odometry) = &running.odometry {
                 match entry {
                     Tapped::Imu { sample, .. } => odometry.push_imu(&sample),
@@ -298,6 +327,9 @@ impl Conductor {
 
     fn take_step(&mut self, step: &OdometryStep) {
         let lost = step.outcome == StepOutcome::Lost;
+        if let Some(running) = &mut self.running {
+            running.registered = Some(Instant::now());
+        }
         self.state.tracking = if lost { Tracking::Lost } else { Tracking::Good };
         let points: &[Vector3<f64>] = if lost { &[] } else { &step.keypoints_in_rig };
         self.map.push(step.time, &step.world_from_rig, points);
@@ -326,6 +358,21 @@ impl Conductor {
                 state.streams = running.streams.states();
                 state.sync = running.streams.sync(now);
                 state.lost = running.streams.lost();
+                if let Some(problem) = running.frozen(now) {
+                    state.tracking = Tracking::Frozen;
+                    state.tracking_problem = problem;
+                } else {
+                    state.tracking_problem = match state.tracking {
+                        Tracking::Lost => {
+                            "Map lost: slow down, or turn back to where it was good.".to_owned()
+                        }
+                        _ => String::new(),
+                    };
+                }
+                if !matches!(state.tracking, Tracking::None | Tracking::Good) {
+                    // Directions are as wrong as the pose that they start from.
+                    state.coverage.go_back.clear();
+                }
                 state.pose = self.map.pose();
                 state.path_m = self.map.path_m();
             }
@@ -334,7 +381,7 @@ impl Conductor {
             }
             let lines = terminal::lines(&self.state);
             *self
-                .wires
+                .channels
                 .board
                 .lock()
                 .unwrap_or_else(PoisonError::into_inner) = lines;
@@ -344,6 +391,9 @@ impl Conductor {
     fn publish_map(&mut self) {
         self.shown.map = Instant::now();
         self.state.coverage = self.map.coverage();
+        if matches!(self.state.tracking, Tracking::Lost | Tracking::Frozen) {
+            self.state.coverage.go_back.clear();
+        }
         if let Some(screen) = &self.outputs.screen {
             screen.publish_map(self.map.snapshot());
         }
@@ -352,7 +402,7 @@ impl Conductor {
     fn look_at_host(&mut self) {
         let now = Instant::now();
         self.shown.host = now;
-        self.state.battery = host::battery(&self.wires.power_supplies);
+        self.state.battery = host::battery(&self.channels.power_supplies);
         // While it records, the recorder says it.
         if self.running.is_none() {
             self.state.storage = self.folder.as_deref().and_then(host::idle_storage);
@@ -361,6 +411,23 @@ impl Conductor {
 }
 
 impl Running {
+    /// Why the map does not grow any more, or has not begun to; `None` while it does, and where there is none.
+    fn frozen(&self, now: Instant) -> Option<String> {
+        self.odometry.as_ref()?;
+        let secs = |since: Instant| now.duration_since(since).as_secs_f64();
+        match self.registered {
+            Some(last) if now.duration_since(last) > FROZEN_AFTER => Some(format!(
+                "The map has stood still for {:.1} s: no scan was registered. Is the LiDAR alive?",
+                secs(last)
+            )),
+            None if now.duration_since(self.began) > BEGUN_AFTER => Some(format!(
+                "There is no map after {:.0} s: no scan could be registered. Is the LiDAR alive?",
+                secs(self.began)
+            )),
+            _ => None,
+        }
+    }
+
     /// Writes what somebody said into the recording, stamped by the devices' clock.
     fn remark(&self, state: &ScreenState, kind: &str, text: &str) -> Result<(), String> {
         let arrival = host_now();
