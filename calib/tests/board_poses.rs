@@ -303,11 +303,12 @@ fn cameras_that_were_swapped_are_named() {
             ("cam1".to_owned(), mounted(cam1)),
         ]
         .into(),
-        imu: None,
-        lidar: Some(RigLidar {
+        imus: Default::default(),
+        lidars: RigLidar {
             rig_from_lidar: Se3::identity(),
             range_noise_m: 0.03,
-        }),
+        }
+        .alone(),
     };
     found.compare_with(&rig(here, left));
     assert!(found.warnings.is_empty(), "{:?}", found.warnings);

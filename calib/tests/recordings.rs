@@ -9,7 +9,7 @@ use lsfb_calib::camera_imu::{
 };
 use lsfb_geometry::align::{Scale, umeyama};
 use lsfb_geometry::camera::LensModel;
-use lsfb_geometry::{Matrix3, RigImu, Se3, UnitQuaternion, Vector3};
+use lsfb_geometry::{ImuNoiseModel, Matrix3, Se3, UnitQuaternion, Vector3};
 use lsfb_tests::recordings as data;
 use lsfb_types::{Timestamp, no_progress};
 
@@ -120,7 +120,7 @@ fn tum_vi_stereo_and_imu() {
         })
         .collect();
     // As the data set states it.
-    let noise = RigImu {
+    let noise = ImuNoiseModel {
         gyro_noise_density: 0.00016,
         accel_noise_density: 0.0028,
         gyro_bias_walk: 2.2e-5,

@@ -4,9 +4,9 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use lsfb_drivers::Decoded;
-use lsfb_drivers::camera::model::TRAILER_BYTES;
-use lsfb_drivers::camera::wire::{ImuProtocol, TimeSource};
-use lsfb_drivers::camera::{Decoder, ImuDecoder, MyntCamera, UnitFrame};
+use lsfb_drivers::mynt_s::model::TRAILER_BYTES;
+use lsfb_drivers::mynt_s::wire::{ImuProtocol, TimeSource};
+use lsfb_drivers::mynt_s::{Decoder, ImuDecoder, MyntCamera, UnitFrame};
 use lsfb_drivers::transport::PacketSource;
 use lsfb_recording::{Attachment, CameraUnit, KeptFile};
 use lsfb_types::{Image, ImuSample, Packet, Stamped, Timestamp};

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use lsfb_geometry::{Rig, RigLidar, Se3};
+use lsfb_geometry::{MAIN_LIDAR, Rig, RigLidar, Se3};
 use lsfb_recording::{Summary, Writer, WriterConfig, read_pcd};
 use lsfb_types::{Progress, ProgressFn, Stamped, Timestamp};
 
@@ -52,10 +52,11 @@ fn write_clouds(
     progress: ProgressFn<'_>,
 ) -> Result<Summary, Error> {
     writer.attach_rig(&Rig {
-        lidar: Some(RigLidar {
+        lidars: RigLidar {
             rig_from_lidar: Se3::identity(),
             range_noise_m: config.range_noise_m,
-        }),
+        }
+        .alone(),
         ..Rig::empty("clouds")
     })?;
     for (index, path) in files.iter().enumerate() {
@@ -71,7 +72,7 @@ fn write_clouds(
             device_ticks: 0,
             sample: read_pcd(path)?,
         };
-        writer.write_scan(&scan)?;
+        writer.write_scan(MAIN_LIDAR, &scan)?;
     }
     Ok(writer.finish()?)
 }

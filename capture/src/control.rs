@@ -20,7 +20,8 @@ pub(crate) struct Control {
     running: AtomicUsize,
     /// How many of them there were.
     finite: usize,
-    lidar_alive: AtomicBool,
+    /// LiDARs that were heard lately.
+    live_lidars: AtomicUsize,
     pub(crate) progress: Counts,
 }
 
@@ -31,7 +32,7 @@ impl Control {
             stop: AtomicBool::new(false),
             running: AtomicUsize::new(if finite == 0 { usize::MAX } else { finite }),
             finite,
-            lidar_alive: AtomicBool::new(false),
+            live_lidars: AtomicUsize::new(0),
             progress,
         }
     }
@@ -59,7 +60,7 @@ impl Control {
 
     /// Whether there is nothing left to record: all others have ended, and the LiDAR is silent.
     pub(crate) fn nothing_is_left(&self) -> bool {
-        self.others_ended() && !self.lidar_alive.load(Ordering::Relaxed)
+        self.others_ended() && self.live_lidars.load(Ordering::Relaxed) == 0
     }
 
     pub(crate) fn is_stopping(&self) -> bool {
@@ -74,12 +75,17 @@ impl Control {
     /// Whether of several devices one is left, and the LiDAR is silent too. A unit on a bus cannot say that it has ended.
     pub(crate) fn only_one_is_left(&self) -> bool {
         let left = self.running.load(Ordering::Relaxed);
-        self.finite > 1 && left <= 1 && !self.lidar_alive.load(Ordering::Relaxed)
+        self.finite > 1 && left <= 1 && self.live_lidars.load(Ordering::Relaxed) == 0
     }
 
-    /// Whether the LiDAR was heard lately: then the session goes on, and devices that are gone may come back.
-    pub(crate) fn set_lidar_alive(&self, alive: bool) {
-        self.lidar_alive.store(alive, Ordering::Relaxed);
+    /// A LiDAR is heard again, or has fallen silent: while one is heard the session goes on, and devices that are gone may come
+    /// back.
+    pub(crate) fn count_live_lidar(&self, is_alive: bool) {
+        if is_alive {
+            self.live_lidars.fetch_add(1, Ordering::Relaxed);
+        } else {
+            self.live_lidars.fetch_sub(1, Ordering::Relaxed);
+        }
     }
 
     /// Opens a device that is gone again and again, until it is back or the session has nothing left to record.

@@ -1,6 +1,6 @@
 //! What the devices hand to the thread that writes.
 
-use lsfb_drivers::phone::Receipt;
+use lsfb_drivers::sidecar::Receipt;
 use lsfb_geometry::Rig;
 use lsfb_recording::message::{self, Schema};
 use lsfb_recording::{Attachment, LAST_STAMP};
@@ -29,11 +29,13 @@ pub(crate) enum Entry {
     },
     /// A revolution: its packets as received, and the points.
     Scan {
+        lidar: String,
         scan: Stamped<LidarScan>,
         packets: Vec<Packet>,
     },
     /// Packets that completed no scan.
     Packets {
+        lidar: String,
         time: Timestamp,
         packets: Vec<Packet>,
     },
@@ -76,7 +78,7 @@ impl Entry {
     pub(crate) fn bytes(&self) -> u64 {
         let payload = match self {
             Self::Image { image, trailer, .. } => image.sample.pixels.len() + trailer.len(),
-            Self::Scan { scan, packets } => {
+            Self::Scan { scan, packets, .. } => {
                 return ENTRY_BYTES
                     + packets.iter().map(packet_bytes).sum::<u64>()
                     + scan.sample.points.len() as u64 * POINT_BYTES;

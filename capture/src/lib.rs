@@ -43,9 +43,8 @@ mod topics;
 
 pub use clouds::{CloudsConfig, import_clouds};
 pub use config::{
-    CameraUnitConfig, DevicesConfig, ExposureConfig, ImuFamily, ImuLineConfig, LidarModel,
-    LidarNetConfig, LidarReturns, LidarSettingsConfig, Overflow, RecorderConfig, SidecarConfig,
-    StampInstant,
+    CameraUnitConfig, DevicesConfig, ExposureConfig, ImuFamily, ImuLineConfig, LidarNetConfig,
+    LidarReturns, LidarSettingsConfig, Overflow, RecorderConfig, SidecarConfig, StampInstant,
 };
 pub use control::Counts;
 pub use error::Error;

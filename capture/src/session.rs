@@ -3,11 +3,10 @@
 use std::net::SocketAddr;
 use std::path::Path;
 
-use lsfb_drivers::camera::MyntCamera;
-use lsfb_drivers::phone::{self, SidecarServer};
-use lsfb_drivers::transport::udp::UdpSource;
+use lsfb_drivers::mynt_s::MyntCamera;
+use lsfb_drivers::sidecar::{SidecarConfig, SidecarServer};
+use lsfb_drivers::transport::udp::{UdpConfig, UdpSource};
 use lsfb_drivers::velodyne::SensorPage;
-use lsfb_drivers::velodyne::{self, VelodyneConfig};
 use lsfb_geometry::Rig;
 use lsfb_types::ProgressFn;
 
@@ -25,7 +24,7 @@ use crate::{CaptureReport, Error, camera, imu, lidar, sidecar};
 pub struct Session {
     config: DevicesConfig,
     rig: Option<Rig>,
-    lidar: Option<UdpSource>,
+    lidars: Vec<lidar::Listening>,
     sidecar: Option<SidecarServer>,
     counts: Counts,
     tap: Option<TapSender>,
@@ -36,44 +35,50 @@ pub struct Session {
 impl Session {
     /// Reads the rig, sets the LiDAR where that is asked for, and begins to listen for it and for sidecars.
     pub fn open(config: &DevicesConfig) -> Result<Self, Error> {
-        if config.lidar.is_none()
+        if config.lidars.is_empty()
             && config.cameras.is_empty()
-            && config.imu.is_none()
+            && config.imus.is_empty()
             && config.sidecar.is_none()
         {
             return Err(Error::NoDevice);
         }
         config.check()?;
         let rig = config.rig.as_deref().map(Rig::read).transpose()?;
-        if let Some(net) = &config.lidar
-            && let Some(settings) = &net.settings
-        {
-            let changes = settings.changes(net.data.port(), net.position.port());
-            SensorPage::at(settings.page).apply(&changes)?;
-        }
-        let lidar = match &config.lidar {
-            Some(net) => Some(velodyne::open(&VelodyneConfig {
-                data_bind: net.data,
-                position_bind: net.position,
-                sensor: net.sensor,
+        let mut lidars = Vec::new();
+        for net in &config.lidars {
+            // What it says that cannot be used is said before anything is set.
+            let settings = net.decoder()?;
+            if let Some(wanted) = &net.settings {
+                let changes = wanted.changes(net.data.port(), net.position.port());
+                SensorPage::at(wanted.page).apply(&changes)?;
+            }
+            let source = UdpSource::bind(&UdpConfig {
+                binds: vec![net.data, net.position],
+                // Others are counted by address.
+                sender: None,
                 receive_buffer_bytes: net.receive_buffer_bytes,
-            })?),
-            None => None,
-        };
+            })?;
+            lidars.push(lidar::Listening {
+                name: net.name.clone(),
+                source,
+                settings,
+                sensor: net.sensor,
+            });
+        }
         let sidecar = config
             .sidecar
             .as_ref()
             .map(|s| {
-                SidecarServer::bind(&phone::SidecarConfig {
+                SidecarServer::bind(&SidecarConfig {
                     address: s.listen,
-                    ..phone::SidecarConfig::default()
+                    ..SidecarConfig::default()
                 })
             })
             .transpose()?;
         Ok(Self {
             config: config.clone(),
             rig,
-            lidar,
+            lidars,
             sidecar,
             counts: Counts::default(),
             tap: None,
@@ -82,12 +87,12 @@ impl Session {
         })
     }
 
-    /// Where LiDAR data packets and position packets are expected, in this order; empty without a LiDAR.
+    /// Where data packets and position packets of each LiDAR are expected, in this order; empty without a LiDAR.
     pub fn lidar_addresses(&self) -> Vec<SocketAddr> {
-        self.lidar
-            .as_ref()
-            .map(UdpSource::local_addresses)
-            .unwrap_or_default()
+        self.lidars
+            .iter()
+            .flat_map(|lidar| lidar.source.local_addresses())
+            .collect()
     }
 
     /// Where sidecars connect.
@@ -125,30 +130,29 @@ impl Session {
     pub fn run(self, out: &Path, progress: ProgressFn<'_>) -> Result<CaptureReport, Error> {
         recorder::make_folder(out)?;
         self.check_space(out)?;
-        let (cameras, imu) = open_devices(&self.config)?;
+        let (cameras, imus) = open_devices(&self.config)?;
         let units = self.config.cameras.iter();
         let names: Vec<Vec<String>> = units.map(|unit| unit.names.clone()).collect();
         let settings = &self.config.recorder;
         let recorder = Recorder::start(out, self.rig, &names, settings, self.config.overflow)?;
         camera::introduce(&cameras, &recorder.inlet());
-        let finite =
-            cameras.len() + usize::from(imu.is_some()) + usize::from(self.sidecar.is_some());
+        let finite = cameras.len() + imus.len() + usize::from(self.sidecar.is_some());
         let mut threads = Threads::new(
             Control::of(finite, self.counts.clone()),
             self.config.overflow,
             recorder.inlet().tapped(self.tap),
             self.remarks,
         );
-        if let (Some(source), Some(net)) = (self.lidar, &self.config.lidar) {
-            let decoder = net.decoder();
+        for listening in self.lidars {
+            let name = listening.name.clone();
             let device = Device {
-                thread: lidar::LIDAR,
-                name: lidar::LIDAR,
+                thread: &name,
+                name: &name,
                 ends: Ends::Never,
                 expected: lidar::expected(),
             };
-            threads.start(device, move |on| {
-                lidar::record(source, decoder, on.inlet, on.control, on.meter)
+            threads.start(device, |on| {
+                lidar::record(listening, on.inlet, on.control, on.meter)
             })?;
         }
         for (index, unit) in cameras.into_iter().enumerate() {
@@ -162,10 +166,11 @@ impl Session {
                 camera::record(unit, on.inlet, on.control, on.meter)
             })?;
         }
-        if let Some(line) = imu {
+        for line in imus {
+            let name = line.config.name.clone();
             let device = Device {
-                thread: "imu",
-                name: imu::IMU,
+                thread: &name,
+                name: &name,
                 ends: Ends::ByItself,
                 expected: imu::expected(&line.config),
             };
@@ -221,7 +226,7 @@ impl Session {
 }
 
 /// The devices that are asked rather than listened to.
-fn open_devices(config: &DevicesConfig) -> Result<(Vec<camera::Unit>, Option<imu::Line>), Error> {
+fn open_devices(config: &DevicesConfig) -> Result<(Vec<camera::Unit>, Vec<imu::Line>), Error> {
     let mut cameras = Vec::new();
     for unit in &config.cameras {
         cameras.push(camera::Unit {
@@ -229,12 +234,12 @@ fn open_devices(config: &DevicesConfig) -> Result<(Vec<camera::Unit>, Option<imu
             config: unit.clone(),
         });
     }
-    let Some(line) = &config.imu else {
-        return Ok((cameras, None));
-    };
-    let line = imu::Line {
-        unit: imu::ImuUnit::open(line)?,
-        config: line.clone(),
-    };
-    Ok((cameras, Some(line)))
+    let mut imus = Vec::new();
+    for line in &config.imus {
+        imus.push(imu::Line {
+            unit: imu::ImuUnit::open(line)?,
+            config: line.clone(),
+        });
+    }
+    Ok((cameras, imus))
 }

@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use lsfb_drivers::phone::model::CLOCK_UTC;
-use lsfb_drivers::phone::wire::Advertise;
-use lsfb_drivers::phone::{
+use lsfb_drivers::sidecar::model::CLOCK_UTC;
+use lsfb_drivers::sidecar::wire::Advertise;
+use lsfb_drivers::sidecar::{
     Delivery, Receipt, SidecarCounters, SidecarEvent, SidecarMessage, SidecarServer,
 };
 use lsfb_geometry::Rig;

@@ -33,8 +33,13 @@ pub enum Tapped {
         /// The sample.
         sample: Stamped<ImuSample>,
     },
-    /// One revolution of the LiDAR.
-    Scan(Stamped<LidarScan>),
+    /// One revolution of a LiDAR.
+    Scan {
+        /// The LiDAR's name in the rig.
+        lidar: String,
+        /// The returns.
+        scan: Stamped<LidarScan>,
+    },
     /// A ready-made message, of a sidecar or of the operator.
     Message {
         /// Its topic.
@@ -119,7 +124,10 @@ impl TapSender {
                 imu: imu.clone(),
                 sample: sample.clone(),
             }),
-            Entry::Scan { scan, .. } => self.put(|| Tapped::Scan(scan.clone())),
+            Entry::Scan { lidar, scan, .. } => self.put(|| Tapped::Scan {
+                lidar: lidar.clone(),
+                scan: scan.clone(),
+            }),
             Entry::Cdr {
                 topic,
                 schema_name,

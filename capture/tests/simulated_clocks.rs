@@ -67,15 +67,16 @@ fn backpack(simulation: &Simulation, folder: &Path) -> DevicesConfig {
     };
     DevicesConfig {
         rig: Some(rig),
-        lidar: Some(LidarNetConfig::default()),
+        lidars: vec![LidarNetConfig::default()],
         cameras: vec![unit(["cam0", "cam1"]), unit(["cam2", "cam3"])],
-        imu: Some(imu_line()),
+        imus: vec![imu_line()],
         ..devices()
     }
 }
 
 fn imu_line() -> ImuLineConfig {
     ImuLineConfig {
+        name: "imu0".to_owned(),
         family: ImuFamily::Xsens,
         path: PathBuf::new(),
         baud: 921_600,
@@ -181,7 +182,7 @@ fn the_clock_of_an_imu_is_told_from_its_recording_step_included() {
     let dir = tempfile::tempdir().unwrap();
     simulation.write_truth(dir.path()).unwrap();
     let devices = DevicesConfig {
-        imu: Some(imu_line()),
+        imus: vec![imu_line()],
         ..devices()
     };
     let emitted = simulation.emit_scan(&[Clocked::Imu]);

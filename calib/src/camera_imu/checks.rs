@@ -1,6 +1,6 @@
 //! Input that cannot give a good answer, found before and after the first guess, and named.
 
-use lsfb_geometry::{Rig, RigImu, Se3, Vector3};
+use lsfb_geometry::{ImuNoiseModel, Rig, Se3, Vector3};
 use lsfb_types::{Bounds, OutOfBounds};
 
 use super::state::Sample;
@@ -24,7 +24,7 @@ const NEARER: f64 = 0.25;
 pub(super) fn before(
     target: &Target,
     cameras: &[KnownCamera],
-    noise: &RigImu,
+    noise: &ImuNoiseModel,
     config: &CameraImuConfig,
 ) -> Result<(), Error> {
     if let Some(problem) = target.problem() {

@@ -20,7 +20,7 @@ mod uncertainty;
 mod view_residual;
 
 use lsfb_geometry::{
-    Camera, Matrix3, Matrix6, RigImu, Se3, StampedPose, Trajectory, UnitQuaternion, Vector2,
+    Camera, ImuNoiseModel, Matrix3, Matrix6, Se3, StampedPose, Trajectory, UnitQuaternion, Vector2,
     Vector3, spline,
 };
 use lsfb_types::{Bounds, ImuSample, Progress, ProgressFn, Timestamp};
@@ -341,7 +341,7 @@ pub fn calibrate_camera_imu(
     target: &Target,
     cameras: &[KnownCamera],
     imu: &[(Timestamp, ImuSample)],
-    noise: &RigImu,
+    noise: &ImuNoiseModel,
     config: &CameraImuConfig,
     progress: ProgressFn,
 ) -> Result<CameraImuCalibration, Error> {

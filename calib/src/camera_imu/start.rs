@@ -4,7 +4,7 @@
 //! angular velocities; the motion is the cameras' own, pose by pose.
 
 use lsfb_geometry::{
-    RigImu, Se3, StampedPose, Trajectory, UnitQuaternion, Vector2, Vector3, spline,
+    ImuNoiseModel, Se3, StampedPose, Trajectory, UnitQuaternion, Vector2, Vector3, spline,
 };
 use lsfb_types::{ImuSample, Timestamp};
 
@@ -47,7 +47,7 @@ impl State {
         target: &Target,
         cameras: &[KnownCamera],
         imu: &[(Timestamp, ImuSample)],
-        noise: &RigImu,
+        noise: &ImuNoiseModel,
         config: &CameraImuConfig,
     ) -> Result<Self, Error> {
         let (origin, mut samples) = samples_of(imu, cameras)?;

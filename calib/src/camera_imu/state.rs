@@ -2,7 +2,7 @@
 
 use lsfb_geometry::camera::LensModel;
 use lsfb_geometry::rolling_shutter::row_time_s;
-use lsfb_geometry::{Camera, RigImu, Se3, Vector2, Vector3};
+use lsfb_geometry::{Camera, ImuNoiseModel, Se3, Vector2, Vector3};
 
 use super::bend::Bend;
 use super::inertial::{AccelAxes, GyroAxes};
@@ -70,7 +70,7 @@ pub(super) struct State {
     pub half_board_m: f64,
     pub samples: Vec<Sample>,
     pub views: Vec<View>,
-    pub noise: RigImu,
+    pub noise: ImuNoiseModel,
     /// Standard deviation of a sample.
     pub gyro_sigma: f64,
     pub accel_sigma: f64,

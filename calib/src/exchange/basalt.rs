@@ -1,7 +1,7 @@
 //! Basalt's calibration file.
 
 use lsfb_geometry::camera::{Lens, LensModel};
-use lsfb_geometry::{Camera, Rig, RigImu, Se3, Vector3};
+use lsfb_geometry::{Camera, ImuNoiseModel, Rig, Se3, Vector3};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 
@@ -135,7 +135,7 @@ pub fn import_basalt(text: &str, path: &str) -> Result<ImportedRig, Error> {
         mean(&c.accel_bias_std),
     ];
     if let [Some(gyro), Some(accel), Some(gyro_walk), Some(accel_walk)] = noise {
-        rig.imu = Some(RigImu {
+        rig.set_imu_noise(ImuNoiseModel {
             gyro_noise_density: gyro,
             accel_noise_density: accel,
             gyro_bias_walk: gyro_walk,
@@ -292,7 +292,7 @@ pub(super) fn export(rig: &Rig, imu_rate_hz: f64) -> Exported {
         "cam_time_offset_ns": offset_ns,
         "vignette": Vec::<f64>::new(),
     });
-    match &rig.imu {
+    match rig.imu_noise() {
         Some(imu) => {
             for (key, noise) in [
                 ("accel_noise_std", imu.accel_noise_density),

@@ -232,7 +232,7 @@ pub(super) fn export(rig: &Rig) -> Exported {
         name: "rig_config.json".to_owned(),
         text: text + "\n",
     });
-    if rig.imu.is_some() || first.is_some_and(|f| f != Se3::identity()) {
+    if rig.imu().is_some() || first.is_some_and(|f| f != Se3::identity()) {
         out.notes.push(
             "COLMAP's rig is its first camera: the pose in the IMU, noise and time offsets have no place".to_owned(),
         );

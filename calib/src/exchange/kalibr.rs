@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use lsfb_geometry::camera::Lens;
-use lsfb_geometry::{Camera, Matrix3, Rig, RigImu, Se3, Vector3};
+use lsfb_geometry::{Camera, ImuNoiseModel, Matrix3, Rig, Se3, Vector3};
 use serde::Deserialize;
 
 use super::{
@@ -85,14 +85,14 @@ pub fn import_kalibr(text: &str, path: &str) -> Result<Rig, Error> {
 }
 
 /// Reads the noise of an IMU.
-pub fn import_kalibr_imu(text: &str, path: &str) -> Result<RigImu, Error> {
+pub fn import_kalibr_imu(text: &str, path: &str) -> Result<ImuNoiseModel, Error> {
     // Older files are flat, those of the calibration itself name the IMU first.
     let nested: Result<BTreeMap<String, ImuFile>, _> = serde_norway::from_str(text);
     let file = match nested.ok().and_then(|n| n.into_values().next()) {
         Some(file) => file,
         None => serde_norway::from_str(text).map_err(|e| parse_error(path, e))?,
     };
-    Ok(RigImu {
+    Ok(ImuNoiseModel {
         gyro_noise_density: file.gyroscope_noise_density,
         accel_noise_density: file.accelerometer_noise_density,
         gyro_bias_walk: file.gyroscope_random_walk,
@@ -264,7 +264,7 @@ fn matrix(name: &str, pose: &Se3) -> String {
 }
 
 /// Kalibr's `imu.yaml`.
-pub fn imu_to_kalibr(noise: &RigImu, rate_hz: f64, topic: &str) -> String {
+pub fn imu_to_kalibr(noise: &ImuNoiseModel, rate_hz: f64, topic: &str) -> String {
     format!(
         "rostopic: {topic}\nupdate_rate: {}\naccelerometer_noise_density: {}\naccelerometer_random_walk: {}\ngyroscope_noise_density: {}\ngyroscope_random_walk: {}\n",
         exact(rate_hz),
@@ -301,7 +301,7 @@ pub(super) fn export(rig: &Rig, imu_rate_hz: f64) -> Exported {
             ChainOrigin::Imu,
         ),
     });
-    if let Some(imu) = &rig.imu {
+    if let Some(imu) = rig.imu_noise() {
         out.files.push(ExportedFile {
             name: "imu.yaml".to_owned(),
             text: imu_to_kalibr(imu, imu_rate_hz, "/imu0"),

@@ -88,7 +88,7 @@ pub fn export(rig: &Rig, format: Format, imu_rate_hz: f64) -> Result<Exported, E
         Format::Colmap => colmap::export(rig),
         Format::Basalt => basalt::export(rig, imu_rate_hz),
     };
-    if rig.lidar.is_some() {
+    if rig.lidar().is_some() {
         out.notes
             .push("the LiDAR's pose has no place in these files".to_owned());
     }

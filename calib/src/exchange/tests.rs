@@ -1,4 +1,4 @@
-use lsfb_geometry::{CameraTiming, RigImu, Vector6};
+use lsfb_geometry::{CameraTiming, ImuNoiseModel, Vector6};
 
 use super::*;
 
@@ -25,7 +25,7 @@ fn rig(lenses: &[Lens]) -> Rig {
         };
         rig.cameras.insert(format!("cam{k}"), camera);
     }
-    rig.imu = Some(RigImu {
+    rig.set_imu_noise(ImuNoiseModel {
         gyro_noise_density: 1.6e-4,
         accel_noise_density: 2.8e-3,
         gyro_bias_walk: 2.2e-5,
@@ -75,7 +75,7 @@ fn assert_same(a: &Rig, b: &Rig) {
             .norm();
         assert!(moved < 1e-12, "{name}: {moved}");
     }
-    assert_eq!(a.imu, b.imu);
+    assert_eq!(a.imus, b.imus);
 }
 
 fn text<'a>(exported: &'a Exported, name: &str) -> &'a str {
@@ -91,7 +91,7 @@ fn kalibr_round_trip() {
     let out = export(&rig, Format::Kalibr, 200.0).expect("exported");
     assert!(out.notes.is_empty(), "{:?}", out.notes);
     let mut back = import_kalibr(text(&out, "camchain-imucam.yaml"), "own").expect("own output");
-    back.imu = Some(import_kalibr_imu(text(&out, "imu.yaml"), "own").expect("own output"));
+    back.set_imu_noise(import_kalibr_imu(text(&out, "imu.yaml"), "own").expect("own output"));
     assert_same(&rig, &back);
 
     // Without the IMU the first camera is the origin.
@@ -126,7 +126,10 @@ fn basalt_round_trip() {
                 < 1e-12
         );
     }
-    let (a, b) = (rig.imu.expect("an IMU"), back.imu.expect("an IMU"));
+    let (a, b) = (
+        rig.imu_noise().expect("an IMU"),
+        back.imu_noise().expect("an IMU"),
+    );
     assert!((a.gyro_noise_density / b.gyro_noise_density - 1.0).abs() < 1e-12);
     assert!((a.accel_bias_walk / b.accel_bias_walk - 1.0).abs() < 1e-12);
 

@@ -28,7 +28,7 @@ mod page;
 mod rest;
 mod uncertainty;
 
-use lsfb_geometry::RigImu;
+use lsfb_geometry::ImuNoiseModel;
 use lsfb_types::{Bounds, ImuSample, Timestamp};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -107,8 +107,8 @@ pub struct ImuNoise {
 
 impl ImuNoise {
     /// As the rig has it.
-    pub fn rig_imu(&self) -> RigImu {
-        RigImu {
+    pub fn rig_imu(&self) -> ImuNoiseModel {
+        ImuNoiseModel {
             gyro_noise_density: self.gyro.density,
             accel_noise_density: self.accel.density,
             gyro_bias_walk: self.gyro.walk,

@@ -283,7 +283,7 @@ impl JointCalibration {
             if let Some(camera) = rig.cameras.get_mut(&sensor.name) {
                 camera.rig_from_camera = sensor.imu_from_sensor;
             } else if sensor.name == LIDAR
-                && let Some(lidar) = &mut rig.lidar
+                && let Some(lidar) = rig.lidar_mut()
             {
                 lidar.rig_from_lidar = sensor.imu_from_sensor;
             }

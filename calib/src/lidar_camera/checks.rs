@@ -29,7 +29,7 @@ impl LidarCameraCalibration {
     /// Compares the result with the rig it started from, where that has a LiDAR: a camera that was exchanged for another, or
     /// moved since, is added to the warnings.
     pub fn compare_with(&mut self, rig: &Rig) {
-        let Some(lidar) = &rig.lidar else {
+        let Some(lidar) = rig.lidar() else {
             return;
         };
         let off = |name: &str| {

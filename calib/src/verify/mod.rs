@@ -174,7 +174,7 @@ pub fn verify(
         let seen = Seen::read(recording, (name, mounted), &scans, config, progress)?;
         let turning = against_gyro::against_gyro(name, mounted, &seen.pairs, gyro.as_ref(), config);
         checks.extend(turning);
-        if rig.lidar.is_some() {
+        if rig.lidar().is_some() {
             let (check, overlay) =
                 against_lidar::against_lidar(name, mounted, &seen, &scans, gyro.as_ref(), config)?;
             checks.push(check);

@@ -43,7 +43,7 @@ pub(super) fn scans(
     gyro: Option<&Gyro>,
     config: &VerifyConfig,
 ) -> Result<Vec<ScanInRig>, Error> {
-    let Some(lidar) = &rig.lidar else {
+    let Some(lidar) = rig.lidar() else {
         return Ok(Vec::new());
     };
     let count = match recording.scans() {

@@ -2,7 +2,8 @@ use std::f64::consts::FRAC_PI_2;
 use std::path::Path;
 
 use lsfb_geometry::{
-    Camera, RigCamera, RigImu, RigLidar, Se3, UnitQuaternion, Vector2, Vector3, Vector6, so3,
+    Camera, ImuNoiseModel, RigCamera, RigImu, RigLidar, Se3, UnitQuaternion, Vector2, Vector3,
+    Vector6, so3,
 };
 use lsfb_recording::{Writer, WriterConfig};
 use lsfb_types::{Image, ImuSample, LidarPoint, LidarScan, Stamped, Timestamp, no_progress};
@@ -87,16 +88,18 @@ fn rig() -> Rig {
             ("cam1".to_owned(), mounted(-0.08)),
         ]
         .into(),
-        imu: Some(RigImu {
+        imus: RigImu::from(ImuNoiseModel {
             gyro_noise_density: 1e-3,
             accel_noise_density: 1e-2,
             gyro_bias_walk: 1e-5,
             accel_bias_walk: 1e-4,
-        }),
-        lidar: Some(RigLidar {
+        })
+        .alone(),
+        lidars: RigLidar {
             rig_from_lidar: Se3::exp(&Vector6::new(0.01, 0.02, -0.03, -0.02, 0.0, 0.25)),
             range_noise_m: 0.0,
-        }),
+        }
+        .alone(),
         ..Rig::empty("test")
     }
 }
@@ -126,7 +129,7 @@ fn image(rig: &Rig, name: &str, time_s: f64) -> Image {
 }
 
 fn scan(rig: &Rig, start_s: f64) -> LidarScan {
-    let lidar = rig.lidar.as_ref().expect("a LiDAR");
+    let lidar = rig.lidar().expect("a LiDAR");
     let mut points = Vec::new();
     for step in 0..900 {
         let offset_s = 0.1 * f64::from(step) / 900.0;
@@ -146,6 +149,7 @@ fn scan(rig: &Rig, start_s: f64) -> LidarScan {
                 intensity: (0.4 * brightness(&pose.translation, &turned)) as u8,
                 ring: ring as u16,
                 time_offset_ns: (offset_s * 1e9) as u32,
+                ..LidarPoint::default()
             });
         }
     }
@@ -187,7 +191,7 @@ fn record(path: &Path, rig: &Rig, late_s: f64) {
         }
         if k % 40 == 20 {
             writer
-                .write_scan(&stamped(start, t, scan(rig, t)))
+                .write_scan("lidar", &stamped(start, t, scan(rig, t)))
                 .expect("written");
         }
     }
@@ -267,9 +271,9 @@ fn late_images_are_found() {
     let path = folder.path().join("late.mcap");
     let mut rig = rig();
     rig.cameras.remove("cam1");
-    let lidar = rig.lidar.take();
+    let lidars = std::mem::take(&mut rig.lidars);
     let mut with_lidar = rig.clone();
-    with_lidar.lidar = lidar;
+    with_lidar.lidars = lidars;
     record(&path, &with_lidar, 0.012);
     let recording = Recording::open(&path).expect("a recording");
     let config = VerifyConfig::default();

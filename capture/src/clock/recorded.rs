@@ -1,8 +1,8 @@
 //! Clocks estimated again from the stamps that a recording keeps: nothing here depends on what was believed while it was
 //! made.
 
-use lsfb_drivers::imu::model::SAMPLE_TIME_FINE_NS;
-use lsfb_drivers::velodyne::wire::DataPacket;
+use lsfb_drivers::any_lidar::device_ns;
+use lsfb_drivers::xsens::model::SAMPLE_TIME_FINE_NS;
 use lsfb_recording::message::{self, ClockModel};
 use lsfb_recording::{CLOCK_MODELS, DEVICE_TIME, Recording};
 use lsfb_types::{Bounds, Progress, ProgressFn, Timestamp};
@@ -165,7 +165,7 @@ struct Counter {
 
 /// Where counters are found.
 enum Source {
-    Lidar,
+    Lidar(String),
     Camera(String),
     Imu(String),
     Sidecar(String),
@@ -173,9 +173,16 @@ enum Source {
 
 fn devices(recording: &Recording) -> Vec<Source> {
     let mut found = Vec::new();
+    // A LiDAR's counter is in its packets; beside its scans it is repeated.
+    let is_lidar = |name: &str| {
+        let points = format!("{name}/points");
+        recording.topics().iter().any(|t| t.topic == points)
+    };
     for topic in recording.topics() {
         match topic.topic.as_str() {
-            "/lidar/packets" => found.push(Source::Lidar),
+            _ if message::holds_lidar_packets(&topic.schema) => {
+                found.push(Source::Lidar(topic.topic.clone()));
+            }
             name => {
                 if let Some(channel) = name.strip_suffix(DEVICE_TIME) {
                     // What waited to be sent says nothing about a clock; that of its app is told by the others.
@@ -184,8 +191,7 @@ fn devices(recording: &Recording) -> Vec<Source> {
                     }
                 } else if let Some(camera) = name.strip_suffix("/frame_meta") {
                     found.push(Source::Camera(format!("{camera}/image")));
-                } else if let Some(imu) = name.strip_suffix("/time_ref").filter(|n| *n != "/lidar")
-                {
+                } else if let Some(imu) = name.strip_suffix("/time_ref").filter(|n| !is_lidar(n)) {
                     found.push(Source::Imu(imu.to_owned()));
                 }
             }
@@ -197,7 +203,10 @@ fn devices(recording: &Recording) -> Vec<Source> {
 impl Source {
     fn name(&self) -> String {
         match self {
-            Self::Lidar => "lidar".to_owned(),
+            Self::Lidar(topic) => topic
+                .trim_start_matches('/')
+                .trim_end_matches("/packets")
+                .to_owned(),
             Self::Camera(topic) => topic
                 .trim_start_matches('/')
                 .trim_end_matches("/image")
@@ -213,7 +222,7 @@ impl Source {
     /// One tick of the counter, nanoseconds. Without a recorded model an IMU is an Xsens unit.
     fn tick_ns(&self, model: Option<&ClockModel>) -> u64 {
         match self {
-            Self::Lidar | Self::Camera(_) => 1_000,
+            Self::Lidar(_) | Self::Camera(_) => 1_000,
             Self::Imu(_) => model.map_or(SAMPLE_TIME_FINE_NS, |model| model.tick_ns),
             Self::Sidecar(_) => 1,
         }
@@ -226,13 +235,12 @@ impl Source {
     ) -> Result<Vec<Triple>, Error> {
         let mut triples = Vec::new();
         match self {
-            Self::Lidar => {
+            Self::Lidar(topic) => {
                 let mut unwrap = Unwrap::default();
-                for packet in recording.packets("lidar/packets")?.flatten() {
-                    let Ok(data) = DataPacket::new(&packet.packet.bytes) else {
+                for packet in recording.packets_on(topic)?.flatten() {
+                    let Some(toh_ns) = device_ns(&packet.packet.bytes) else {
                         continue;
                     };
-                    let toh_ns = i64::from(data.timestamp_us()) * 1_000;
                     let device_ns = unwrap.unwrap(toh_ns.rem_euclid(HOUR_NS), HOUR_NS);
                     triples.push(Triple {
                         device_ns,

@@ -368,8 +368,8 @@ fn is_steady(topic: &str) -> bool {
     [
         "/image",
         "/data_raw",
-        "/lidar/packets",
-        "/lidar/points",
+        "/packets",
+        "/points",
         "/imu",
         "/mag",
         "/pressure",

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-use lsfb_drivers::phone::Receipt;
+use lsfb_drivers::sidecar::Receipt;
 use lsfb_recording::{Channel, Summary};
 
 use super::displacement::Displacement;
@@ -306,13 +306,23 @@ impl Writing {
                 }
             }
             Entry::Imu { imu, sample } => self.parts.writer().write_imu(&imu, &sample)?,
-            Entry::Scan { scan, packets } => {
+            Entry::Scan {
+                lidar,
+                scan,
+                packets,
+            } => {
                 let writer = self.parts.writer();
-                writer.write_velodyne_packets(scan.time, &packets)?;
-                writer.write_scan(&scan)?;
+                writer.write_lidar_packets(&lidar, scan.time, &packets)?;
+                writer.write_scan(&lidar, &scan)?;
             }
-            Entry::Packets { time, packets } => {
-                self.parts.writer().write_velodyne_packets(time, &packets)?;
+            Entry::Packets {
+                lidar,
+                time,
+                packets,
+            } => {
+                self.parts
+                    .writer()
+                    .write_lidar_packets(&lidar, time, &packets)?;
             }
             Entry::Raw {
                 source,

@@ -11,7 +11,7 @@ fn record_with(harm: impl Fn(&Path)) -> (tempfile::TempDir, CaptureReport, Durat
     let out = folder.path().join("walk/scan.mcap");
     let imu = mock::imu(None, &[]);
     let config = DevicesConfig {
-        imu: Some(line(&imu.path)),
+        imus: vec![line(&imu.path)],
         ..anywhere()
     };
     let session = Session::open(&config).unwrap();

@@ -1,8 +1,8 @@
 //! Several phones at one port: what one of them does costs that one only.
 
-use lsfb_drivers::phone::model::CLOCK_UTC;
-use lsfb_drivers::phone::wire::Advertise;
-use lsfb_drivers::phone::{ClientConfig, SidecarClient};
+use lsfb_drivers::sidecar::model::CLOCK_UTC;
+use lsfb_drivers::sidecar::wire::Advertise;
+use lsfb_drivers::sidecar::{ClientConfig, SidecarClient};
 
 use super::live::wait_until;
 use super::*;
@@ -37,7 +37,7 @@ fn one_phones_bad_message_costs_that_phone_only() {
     let folder = tempfile::tempdir().unwrap();
     let imu = mock::imu(None, &[]);
     let config = DevicesConfig {
-        imu: Some(line(&imu.path)),
+        imus: vec![line(&imu.path)],
         sidecar: Some(SidecarConfig { listen: LOOPBACK }),
         ..anywhere()
     };

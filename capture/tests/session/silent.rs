@@ -27,12 +27,12 @@ fn record_dead_lidar(alive: Duration, after: Duration) -> DeadLidar {
     let folder = tempfile::tempdir().unwrap();
     let imu = mock::imu(None, &[]);
     let config = DevicesConfig {
-        lidar: Some(LidarNetConfig {
+        lidars: vec![LidarNetConfig {
             data: LOOPBACK,
             position: LOOPBACK,
             ..LidarNetConfig::default()
-        }),
-        imu: Some(line(&imu.path)),
+        }],
+        imus: vec![line(&imu.path)],
         ..anywhere()
     };
     let session = Session::open(&config).unwrap();

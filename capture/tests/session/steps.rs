@@ -3,8 +3,8 @@
 use lsfb_capture::clock::{ClockConfig, estimate_clocks};
 use lsfb_capture::doctor::{DoctorConfig, Verdict, examine};
 use lsfb_capture::{Incoming, record_incoming};
-use lsfb_drivers::camera::model::FrameFormat;
-use lsfb_drivers::camera::wire::{TimeSource, Trailer, emit_frame};
+use lsfb_drivers::mynt_s::wire::{TimeSource, Trailer, emit_frame};
+use lsfb_drivers::transport::uvc::FrameFormat;
 use lsfb_drivers::velodyne::wire::DataPacket;
 use lsfb_recording::CLOCK_MODELS;
 use lsfb_recording::message::decode_clock_model;
@@ -48,7 +48,7 @@ fn recorded(out: &Path, step_us: i64, locked: bool) -> (CaptureReport, Recording
         })
     });
     let config = DevicesConfig {
-        lidar: Some(LidarNetConfig::default()),
+        lidars: vec![LidarNetConfig::default()],
         ..anywhere()
     };
     let report = record_incoming(packets, &config, out, &no_progress).unwrap();

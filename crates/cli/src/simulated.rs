@@ -9,6 +9,7 @@ use lsfb_capture::{
     CameraUnitConfig, CaptureReport, Counts, DevicesConfig, ImuLineConfig, Incoming,
     LidarNetConfig, Overflow, RecorderConfig, Session, SidecarConfig, record_incoming,
 };
+use lsfb_geometry::MAIN_IMU;
 use lsfb_recording::Existing;
 use lsfb_sim::{
     Clocked, Emitted, FlowControl, GlassesEndpoint, ImuFamily, LidarModel, LidarReturns, Pace,
@@ -173,14 +174,15 @@ pub fn backpack_devices(
     DevicesConfig {
         rig: Some(layout.file("backpack.toml")),
         overflow,
-        lidar: Some(lidar),
+        lidars: vec![lidar],
         cameras: vec![unit(front, ["cam0", "cam1"]), unit(rear, ["cam2", "cam3"])],
-        imu: Some(ImuLineConfig {
+        imus: vec![ImuLineConfig {
+            name: MAIN_IMU.to_owned(),
             family: to_be_opened(config.scan_imu_family),
             path: layout.imu_line(),
             baud: 921_600,
             rate_hz: u16::try_from(config.scan_imu.rate_hz).unwrap_or(u16::MAX),
-        }),
+        }],
         recorder: short_walk(),
         sidecar: None,
     }

@@ -28,7 +28,7 @@ fn walk() -> Walk {
 
 fn write_rig(path: &Path, rig: &Rig, wrong: Vector6<f64>) {
     let mut rig = rig.clone();
-    if let Some(lidar) = &mut rig.lidar {
+    if let Some(lidar) = rig.lidar_mut() {
         lidar.rig_from_lidar = lidar.rig_from_lidar * Se3::exp(&wrong);
     }
     std::fs::write(path, rig.to_toml()).expect("rig");
@@ -49,7 +49,7 @@ fn a_lidar_that_is_nearly_right_is_refined_and_what_cannot_be_is_said() {
     let found = json(path, &by_hand, 0);
     let edge = TransformEdge::read(&path.join("refined.cam0-lidar.json")).expect("edge");
     let truth = walk.rig.cameras["cam0"].rig_from_camera.inverse()
-        * walk.rig.lidar.as_ref().expect("a LiDAR").rig_from_lidar;
+        * walk.rig.lidar().expect("a LiDAR").rig_from_lidar;
     let off = (truth.inverse() * edge.target_from_source).log();
     let covariance = edge.covariance.expect("covariance");
     let weighted = covariance.cholesky().expect("positive").solve(&off);
@@ -149,7 +149,7 @@ fn a_lidar_that_is_nearly_right_is_refined_and_what_cannot_be_is_said() {
     refuse(path, "blind.mcap", "by-hand.toml", &["lidar", "too short"]);
 
     let mut unplaced = walk.rig.clone();
-    unplaced.lidar = None;
+    unplaced.lidars.clear();
     write_rig(&path.join("unplaced.toml"), &unplaced, Vector6::zeros());
     refuse(path, "scan.mcap", "unplaced.toml", &["no LiDAR", "by hand"]);
 

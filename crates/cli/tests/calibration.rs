@@ -122,7 +122,7 @@ fn camera_then_camera_imu_then_joint() {
 
     let mut rig = Rig::read(&path.join("lens.toml")).expect("rig");
     // As the data set states it.
-    rig.imu = Some(lsfb_geometry::RigImu {
+    rig.set_imu_noise(lsfb_geometry::ImuNoiseModel {
         gyro_noise_density: 0.00016,
         accel_noise_density: 0.0028,
         gyro_bias_walk: 2.2e-5,

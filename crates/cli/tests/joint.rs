@@ -23,7 +23,7 @@ fn a_loop_is_closed_and_a_transform_that_contradicts_is_named() {
         .scan()
         .rig()
         .clone();
-    let lidar = rig.lidar.as_ref().expect("a LiDAR").rig_from_lidar;
+    let lidar = rig.lidar().expect("a LiDAR").rig_from_lidar;
     let mut arguments = vec!["calib".to_owned(), "joint".to_owned()];
     let mut add = |name: String, edge: &TransformEdge| {
         std::fs::write(folder.path().join(&name), edge.to_json()).expect("a transform");
@@ -49,7 +49,7 @@ fn a_loop_is_closed_and_a_transform_that_contradicts_is_named() {
         );
     }
     let mut before = rig.clone();
-    before.lidar = None;
+    before.lidars.clear();
     write_rig(&folder.path().join("before.toml"), &before);
     arguments.extend(["--rig", "before.toml", "--out", "joined.toml"].map(str::to_owned));
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
@@ -57,7 +57,7 @@ fn a_loop_is_closed_and_a_transform_that_contradicts_is_named() {
     let found = json(folder.path(), &arguments, 0);
     assert_eq!(found["redundancy"], 18, "{found}");
     let joined = Rig::read(&folder.path().join("joined.toml")).expect("rig");
-    let RigLidar { rig_from_lidar, .. } = joined.lidar.expect("placed");
+    let RigLidar { rig_from_lidar, .. } = joined.lidar().expect("placed");
     let [turn_deg, shift_mm] = apart(&rig_from_lidar, &lidar);
     assert!(
         turn_deg < 0.06 && shift_mm < 3.0,

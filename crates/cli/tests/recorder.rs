@@ -6,7 +6,7 @@ mod velodyne_packets;
 
 use std::path::Path;
 
-use lsfb_geometry::{Rig, RigImu};
+use lsfb_geometry::{ImuNoiseModel, Rig};
 use lsfb_recording::{Writer, WriterConfig, rig_sha256, sha256_of};
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 use process::lsfb;
@@ -113,12 +113,13 @@ fn the_doctor_names_the_calibration_and_its_age() {
     let folder = tempfile::tempdir().expect("folder");
     let path = |name: &str| folder.path().join(name);
     let rig = |days_before: Option<i64>| Rig {
-        imu: Some(RigImu {
+        imus: lsfb_geometry::RigImu::from(ImuNoiseModel {
             gyro_noise_density: 1e-3,
             accel_noise_density: 1e-2,
             gyro_bias_walk: 1e-5,
             accel_bias_walk: 1e-4,
-        }),
+        })
+        .alone(),
         calibrated_unix_s: days_before.map(|days| START / 1_000_000_000 - days * 86_400),
         ..Rig::empty("backpack")
     };

@@ -107,41 +107,37 @@ impl Writer {
         )
     }
 
-    /// Writes a scan on `/lidar/points`.
-    pub fn write_scan(&mut self, scan: &Stamped<LidarScan>) -> Result<(), Error> {
-        let bytes = message::encode_points(scan.time, topic::LIDAR_FRAME, &scan.sample);
+    /// Writes a scan on `/<lidar>/points`.
+    pub fn write_scan(&mut self, lidar: &str, scan: &Stamped<LidarScan>) -> Result<(), Error> {
+        let bytes = message::encode_points(scan.time, lidar, &scan.sample);
         self.write_with_ticks(
-            topic::LIDAR_POINTS,
-            topic::LIDAR_TIME_REF,
-            topic::LIDAR_FRAME,
+            &topic::lidar_points(lidar),
+            &topic::lidar_time_ref(lidar),
+            lidar,
             scan,
             message::POINT_CLOUD,
             &bytes,
         )
     }
 
-    /// Writes the data packets of one revolution on `/lidar/packets`; `time` is the synchronized time of the first.
+    /// Writes the data packets of one revolution on `/<lidar>/packets`; `time` is the synchronized time of the first.
     /// Nothing is written for an empty slice.
-    pub fn write_velodyne_packets(
+    pub fn write_lidar_packets(
         &mut self,
+        lidar: &str,
         time: Timestamp,
         packets: &[Packet],
     ) -> Result<(), Error> {
         let Some(last) = packets.last() else {
             return Ok(());
         };
-        let Some(bytes) = message::encode_velodyne_scan(time, topic::LIDAR_FRAME, packets) else {
-            let reason = format!(
-                "a data packet has not {} bytes",
-                message::VELODYNE_PACKET_BYTES
-            );
-            return Err(self.encoder.unwritable(topic::LIDAR_PACKETS, reason));
-        };
-        let message = Outgoing::new(topic::LIDAR_PACKETS, message::VELODYNE_SCAN, &bytes);
+        let bytes = message::encode_lidar_packets(time, lidar, packets);
+        let topic = topic::lidar_packets(lidar);
+        let message = Outgoing::new(&topic, message::LIDAR_PACKETS, &bytes);
         self.write_together(time, last.arrival, &[message])
     }
 
-    /// Writes bytes exactly as received on `/raw/<source>` (`/lidar/position` for [`LIDAR_POSITION`](crate::LIDAR_POSITION)).
+    /// Writes bytes exactly as received on `/raw/<source>` (`/<lidar>/position` for [`lidar_position`](crate::lidar_position)).
     /// `sequence` counts what the source sent, gaps included; `time` is the synchronized time, the arrival where unknown.
     pub fn write_raw(
         &mut self,
@@ -206,13 +202,12 @@ impl Writer {
             .iter()
             .map(|(name, camera)| edge(name, camera.rig_from_camera))
             .collect();
-        self.static_transforms.extend(
-            rig.lidar
-                .iter()
-                .map(|l| edge(topic::LIDAR_FRAME, l.rig_from_lidar)),
-        );
+        let lidars = rig.lidars.iter();
         self.static_transforms
-            .extend(rig.imu.iter().map(|_| edge("imu0", Se3::identity())));
+            .extend(lidars.map(|(name, lidar)| edge(name, lidar.rig_from_lidar)));
+        let imus = rig.imus.iter();
+        self.static_transforms
+            .extend(imus.map(|(name, imu)| edge(name, imu.rig_from_imu)));
         self.rig = Some(rig.clone());
         Ok(())
     }

@@ -45,10 +45,11 @@ fn write(path: &std::path::Path, compression: Compression) {
                 },
             )]
             .into(),
-            lidar: Some(RigLidar {
+            lidars: RigLidar {
                 rig_from_lidar: pose,
                 range_noise_m: 0.02,
-            }),
+            }
+            .alone(),
             ..Rig::empty("backpack")
         })
         .unwrap();
@@ -74,14 +75,18 @@ fn write(path: &std::path::Path, compression: Compression) {
             intensity: 10 * i as u8,
             ring: i,
             time_offset_ns: 55_296 * u32::from(i),
+            ..LidarPoint::default()
         });
         writer
-            .write_scan(&stamped(
-                n,
-                LidarScan {
-                    points: points.collect(),
-                },
-            ))
+            .write_scan(
+                "lidar",
+                &stamped(
+                    n,
+                    LidarScan {
+                        points: points.collect(),
+                    },
+                ),
+            )
             .unwrap();
         let time = stamped(n, ()).time;
         let packet = |i: u8, bytes: usize| Packet {
@@ -89,7 +94,11 @@ fn write(path: &std::path::Path, compression: Compression) {
             bytes: vec![i + n as u8; bytes],
         };
         writer
-            .write_velodyne_packets(time, &[packet(0, 1206), packet(1, 1206), packet(2, 1206)])
+            .write_lidar_packets(
+                "lidar",
+                time,
+                &[packet(0, 1206), packet(1, 1206), packet(2, 1206)],
+            )
             .unwrap();
         writer
             .write_raw(LIDAR_POSITION, 0, u64::from(n), &packet(3, 512), time)

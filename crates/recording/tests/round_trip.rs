@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use lsfb_geometry::camera::Lens;
-use lsfb_geometry::{Camera, Rig, RigCamera, RigImu, RigLidar, Se3, Vector6};
+use lsfb_geometry::{Camera, ImuNoiseModel, Rig, RigCamera, RigImu, RigLidar, Se3, Vector6};
 use lsfb_recording::{
     Channel, Compression, LIDAR_POSITION, Recording, Summary, Writer, WriterConfig, message,
     rig_sha256,
@@ -41,16 +41,18 @@ fn rig() -> Rig {
     Rig {
         calibrated_unix_s: Some(1_772_350_000),
         cameras: cameras.collect(),
-        imu: Some(RigImu {
+        imus: RigImu::from(ImuNoiseModel {
             gyro_noise_density: 1e-3,
             accel_noise_density: 1e-2,
             gyro_bias_walk: 1e-5,
             accel_bias_walk: 1e-4,
-        }),
-        lidar: Some(RigLidar {
+        })
+        .alone(),
+        lidars: RigLidar {
             rig_from_lidar: pose(0.3),
             range_noise_m: 0.02,
-        }),
+        }
+        .alone(),
         ..Rig::empty("backpack")
     }
 }
@@ -93,6 +95,7 @@ fn scan(n: u32) -> Stamped<LidarScan> {
         intensity: i as u8,
         ring: i % 32,
         time_offset_ns: u32::from(i) * 2304,
+        ..LidarPoint::default()
     });
     Stamped {
         time,
@@ -109,7 +112,7 @@ fn data_packets(n: u32) -> Vec<Packet> {
     (0..4u8)
         .map(|i| Packet {
             arrival: start + i64::from(i) * 660_000,
-            bytes: vec![i.wrapping_add(n as u8); message::VELODYNE_PACKET_BYTES],
+            bytes: vec![i.wrapping_add(n as u8); 1206],
         })
         .collect()
 }
@@ -123,9 +126,13 @@ fn write_walk(path: &Path, config: &WriterConfig) -> Summary {
             writer.write_imu("imu0", &imu(n * 20 + k)).unwrap();
         }
         writer
-            .write_velodyne_packets(START + i64::from(n) * 100_000_000, &data_packets(n))
+            .write_lidar_packets(
+                "lidar",
+                START + i64::from(n) * 100_000_000,
+                &data_packets(n),
+            )
             .unwrap();
-        writer.write_scan(&scan(n)).unwrap();
+        writer.write_scan("lidar", &scan(n)).unwrap();
         writer.write_image("cam0", &image(0, n)).unwrap();
         writer
             .write_image_with_trailer("cam1", &image(1, n), &[0x3b, n as u8])
@@ -434,12 +441,6 @@ fn what_is_not_there_is_named() {
         error.to_string().contains("640 pixels in a 31×20 image"),
         "{error}"
     );
-    let short = Packet {
-        arrival: START,
-        bytes: vec![0; 512],
-    };
-    let error = writer.write_velodyne_packets(START, &[short]).unwrap_err();
-    assert!(error.to_string().contains("1206 bytes"), "{error}");
     writer.finish().unwrap();
 
     let recording = Recording::open(&path).unwrap();
@@ -475,11 +476,11 @@ fn the_rig_in_the_specification_is_one() {
     assert_eq!(
         (
             rig.cameras["cam0"].camera.width,
-            rig.lidar.unwrap().range_noise_m
+            rig.lidar().unwrap().range_noise_m
         ),
         (640, 0.03)
     );
-    assert_eq!(rig.imu.unwrap().accel_bias_walk, 1e-4);
+    assert_eq!(rig.imu_noise().unwrap().accel_bias_walk, 1e-4);
 }
 
 /// Without compression a large message goes into the file as it lies, and closes its chunk.

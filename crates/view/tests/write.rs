@@ -30,10 +30,11 @@ fn rig() -> Rig {
             },
         )]
         .into(),
-        lidar: Some(RigLidar {
+        lidars: RigLidar {
             rig_from_lidar: Se3::exp(&Vector6::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.3)),
             range_noise_m: 0.02,
-        }),
+        }
+        .alone(),
         ..Rig::empty("backpack")
     }
 }
@@ -63,6 +64,7 @@ fn scan(secs: f64) -> LidarScan {
             intensity: (i % 20 * 5) as u8,
             ring: i % 20,
             time_offset_ns: 0,
+            ..LidarPoint::default()
         }
     });
     LidarScan {
@@ -91,7 +93,7 @@ fn a_small_walk_is_written_with_everything_in_it() {
             frame_id: n,
         };
         writer.write_image("cam0", &at(secs, image)).unwrap();
-        writer.write_scan(&at(secs, scan(secs))).unwrap();
+        writer.write_scan("lidar", &at(secs, scan(secs))).unwrap();
         for k in 0..20 {
             let secs = secs + f64::from(k) * 0.005;
             let sample = ImuSample {

@@ -36,7 +36,8 @@ pub struct UdpConfig {
 pub struct UdpSource {
     ports: Vec<Port>,
     sender: Option<IpAddr>,
-    waiting: VecDeque<Packet>,
+    waiting: VecDeque<Datagram>,
+    last_sender: Option<IpAddr>,
     foreign: u64,
     wanted_buffer_bytes: usize,
     name: String,
@@ -69,6 +70,7 @@ impl UdpSource {
             ports,
             sender: config.sender,
             waiting: VecDeque::new(),
+            last_sender: None,
             foreign: 0,
             wanted_buffer_bytes: config.receive_buffer_bytes,
             name,
@@ -115,7 +117,7 @@ impl UdpSource {
                 Ok(Some(datagram)) if self.sender.is_some_and(|ip| datagram.sender != Some(ip)) => {
                     self.foreign += 1
                 }
-                Ok(Some(datagram)) => batch.push(datagram.packet),
+                Ok(Some(datagram)) => batch.push(datagram),
                 Ok(None) => {}
                 Err(cause) => {
                     return Err(Error::Lost {
@@ -125,7 +127,7 @@ impl UdpSource {
                 }
             }
         }
-        batch.sort_by_key(|packet| packet.arrival);
+        batch.sort_by_key(|datagram| datagram.packet.arrival);
         self.waiting.extend(batch);
         Ok(())
     }
@@ -154,10 +156,18 @@ impl PacketSource for UdpSource {
                 }
             }
         }
-        Ok(self.waiting.pop_front())
+        Ok(self.waiting.pop_front().map(|datagram| {
+            self.last_sender = datagram.sender;
+            datagram.packet
+        }))
+    }
+
+    fn sender(&self) -> Option<IpAddr> {
+        self.last_sender
     }
 }
 
+#[derive(Debug)]
 struct Datagram {
     packet: Packet,
     sender: Option<IpAddr>,

@@ -16,7 +16,7 @@ pub(crate) mod tests;
 
 use std::collections::VecDeque;
 
-use lsfb_geometry::{Matrix6, RigImu, RigLidar, Se3, StampedPose, Vector3, Vector6};
+use lsfb_geometry::{ImuNoiseModel, Matrix6, RigLidar, Se3, StampedPose, Vector3, Vector6};
 use lsfb_types::{Bounds, ImuSample, LidarScan, Stamped, Timestamp};
 use serde::{Deserialize, Serialize};
 
@@ -148,7 +148,7 @@ enum Motion {
 
 #[derive(Clone, Debug)]
 struct InertialMotion {
-    noise: RigImu,
+    noise: ImuNoiseModel,
     samples: Vec<Stamped<ImuSample>>,
     filter: Option<Box<InertialFilter>>,
 }
@@ -184,7 +184,7 @@ impl Odometry {
     pub fn new(
         config: &OdometryConfig,
         lidar: &RigLidar,
-        imu: Option<&RigImu>,
+        imu: Option<&ImuNoiseModel>,
     ) -> Result<Self, Error> {
         config.check_bounds("odometry")?;
         let motion = match imu {

@@ -31,12 +31,6 @@ const KNOWN: &[(&str, &str, &[&str])] = &[
         "crate",
         &["commands", "context", "live", "simulated"],
     ),
-    ("drivers", "crate", &["camera", "transport"]),
-    ("drivers", "crate::camera::wire", &["options", "xu"]),
-    ("drivers", "crate::imu::wire", &["item", "utc"]),
-    ("drivers", "crate::transport", &["camera_link", "v4l2"]),
-    ("drivers", "crate::velodyne", &["decode", "points"]),
-    ("drivers", "crate::velodyne", &["model", "wire"]),
     ("pipeline", "crate::hd_map", &["index", "kmeans"]),
     ("pipeline", "crate::localization", &["ransac", "refinement"]),
 ];

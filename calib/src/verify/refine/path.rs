@@ -52,7 +52,7 @@ pub(super) fn follow<'a>(
     gyro: Option<&'a Gyro>,
     progress: ProgressFn,
 ) -> Result<Option<(LidarPath<'a>, Place)>, Stopped> {
-    let Some(lidar) = &rig.lidar else {
+    let Some(lidar) = rig.lidar() else {
         return Ok(None);
     };
     let turning = Turning {

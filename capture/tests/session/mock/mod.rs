@@ -7,26 +7,26 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use lsfb_capture::Counts;
-use lsfb_drivers::camera::model::FrameFormat;
-use lsfb_drivers::camera::wire::{
-    DeviceInfo, ImuProtocol, ImuSegment, ImuValues, TimeSource, Trailer, Version, XuDevice,
-    emit_frame,
-};
-use lsfb_drivers::imu::model::message;
-use lsfb_drivers::imu::wire::{Item, Message, OutputSetting, UtcTime, Vector};
 use lsfb_drivers::microstrain::MipUnit;
 use lsfb_drivers::microstrain::model::set;
 use lsfb_drivers::microstrain::wire::{Field, MipPacket};
-use lsfb_drivers::phone::model::CLOCK_UTC;
-use lsfb_drivers::phone::wire::Advertise;
-use lsfb_drivers::phone::{ClientConfig, SidecarClient};
+use lsfb_drivers::mynt_s::wire::{
+    DeviceInfo, ImuProtocol, ImuSegment, ImuValues, TimeSource, Trailer, Version, XuDevice,
+    emit_frame,
+};
+use lsfb_drivers::sidecar::model::CLOCK_UTC;
+use lsfb_drivers::sidecar::wire::Advertise;
+use lsfb_drivers::sidecar::{ClientConfig, SidecarClient};
 use lsfb_drivers::transport::camera_socket::{CameraListener, UnitRequest};
 use lsfb_drivers::transport::serial::Pty;
+use lsfb_drivers::transport::uvc::FrameFormat;
 use lsfb_drivers::velodyne::model::{Model, Product};
 use lsfb_drivers::velodyne::nmea::Rmc;
 use lsfb_drivers::velodyne::wire::{
     DATA_PACKET_LEN, DataPacket, POSITION_PACKET_LEN, PositionPacket, PpsStatus, ReturnMode,
 };
+use lsfb_drivers::xsens::model::message;
+use lsfb_drivers::xsens::wire::{Item, Message, OutputSetting, UtcTime, Vector};
 
 /// 2026-03-01T10:00:00Z, where every mock starts.
 pub const START_NS: i64 = 1_772_359_200_000_000_000;

@@ -66,7 +66,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         None => CameraImuConfig::default(),
     };
     let mut rig = Rig::read(&arguments.rig)?;
-    let noise = rig.imu.clone().with_context(|| {
+    let noise = rig.imu_noise().cloned().with_context(|| {
         format!(
             "{rig} has no [imu]: measure its noise (`lsfb calib imu-noise --rig {rig}`), or take it from Kalibr's \
              file (`lsfb calib import kalibr imu.yaml --into {rig} --out {rig}`)",

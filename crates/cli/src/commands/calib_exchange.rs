@@ -104,7 +104,7 @@ pub fn run_import(arguments: &ImportArguments, context: &Context) -> anyhow::Res
     context.print(
         &serde_json::json!({ "cameras": &names, "notes": &notes }),
         || {
-            let imu = rig.imu.as_ref().map(|_| "noise of the IMU");
+            let imu = rig.imu_noise().map(|_| "noise of the IMU");
             let held: Vec<&str> = names.iter().copied().chain(imu).collect();
             let mut text = format!("{}: {}", arguments.out.display(), held.join(", "));
             for note in &notes {
@@ -177,7 +177,7 @@ fn read_kalibr(files: &[PathBuf]) -> anyhow::Result<Rig> {
     for path in files {
         let (text, name) = (text(path)?, path.display().to_string());
         if text.contains("noise_density") {
-            rig.imu = Some(import_kalibr_imu(&text, &name)?);
+            rig.set_imu_noise(import_kalibr_imu(&text, &name)?);
         } else {
             anyhow::ensure!(rig.cameras.is_empty(), "{name}: a second camera chain");
             rig.cameras = import_kalibr(&text, &name)?.cameras;
@@ -213,8 +213,8 @@ fn put(found: &Rig, program: Program, rig: &mut Rig) {
             },
         );
     }
-    if found.imu.is_some() {
-        rig.imu.clone_from(&found.imu);
+    if found.imu().is_some() {
+        rig.imus.clone_from(&found.imus);
     }
 }
 

@@ -69,7 +69,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     }
     if let Some(path) = &arguments.rig {
         let mut rig = Rig::read(path)?;
-        rig.imu = Some(found.rig_imu());
+        rig.set_imu_noise(found.rig_imu());
         write(path, rig.to_toml())?;
     }
     provenance.write(&arguments.out)?;

@@ -69,8 +69,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     }
     let found = join_transforms(&edges, &config)?;
     if let Some(lidar) = found.sensor(lsfb_calib::joint::LIDAR) {
-        let range_noise_m = rig.lidar.as_ref().map_or(0.03, |l| l.range_noise_m);
-        rig.lidar = Some(RigLidar {
+        let range_noise_m = rig.lidar().map_or(0.03, |l| l.range_noise_m);
+        rig.set_lidar(RigLidar {
             rig_from_lidar: lidar.imu_from_sensor,
             range_noise_m,
         });

@@ -135,7 +135,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let mut found = calibrate_lidar_camera(&board, name, &camera, &poses, &config, &show)?;
     found.compare_with(&rig);
 
-    rig.lidar = Some(RigLidar {
+    rig.set_lidar(RigLidar {
         rig_from_lidar: mounted.rig_from_camera * found.camera_from_lidar,
         range_noise_m: found.range_noise_m,
     });

@@ -114,7 +114,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let session = playback
         .start(&endpoints, Pace::RealTimes(arguments.rate), turns)
         .with_context(|| playback_needs(&playback, arguments))?;
-    if let (Some(line), Some(imu)) = (session.imu_path(), &devices.imu) {
+    if let (Some(line), Some(imu)) = (session.imu_path(), devices.imus.first()) {
         symlink(line, &imu.path).with_context(|| imu.path.display().to_string())?;
     }
     context.note(&format!(
@@ -221,16 +221,17 @@ impl Folder {
                 .filter(|_| wired)
                 .map(|_| self.file("rig.toml")),
             overflow: Overflow::Drop,
-            lidar: playback.has_lidar().then_some(LidarNetConfig {
+            lidars: Vec::from_iter(playback.has_lidar().then_some(LidarNetConfig {
                 data: endpoints.lidar_data,
                 position: endpoints.lidar_position,
                 ..LidarNetConfig::default()
-            }),
+            })),
             cameras: cameras.collect(),
-            imu: playback
+            imus: playback
                 .imu_family()
                 .zip(playback.imu_rate_hz())
                 .map(|(family, rate_hz)| ImuLineConfig {
+                    name: IMU.to_owned(),
                     family: played(family),
                     path: match family {
                         PlayedImu::Sbg => PathBuf::from(&arguments.can),
@@ -238,7 +239,9 @@ impl Folder {
                     },
                     baud: 921_600,
                     rate_hz,
-                }),
+                })
+                .into_iter()
+                .collect(),
             sidecar: (!playback.sidecars().is_empty()).then_some(SidecarConfig {
                 listen: endpoints.sidecar,
             }),

@@ -2,13 +2,15 @@
 
 use std::fmt::Write as _;
 use std::io::Read as _;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use lsfb_capture::{
     CaptureReport, DevicesConfig, RecorderConfig, ReplayConfig, replay, replay_recording,
 };
+use lsfb_drivers::any_lidar::{self, Model, Settings};
+use lsfb_drivers::lidar::{BeamAngles, Returns, ScanSettings};
 use lsfb_drivers::transport::pcap::PcapSource;
 use lsfb_drivers::transport::rosbag2::Rosbag2Source;
 use lsfb_geometry::Rig;
@@ -43,15 +45,18 @@ pub struct Arguments {
     /// List of devices (TOML); `lsfb sim` and `lsfb mock` write one for theirs.
     #[arg(long, value_name = "FILE", group = "source", required_unless_present_any = ["pcap", "db3", "mcap"])]
     devices: Option<PathBuf>,
-    /// Velodyne packets of a pcap or pcapng capture.
+    /// LiDAR packets of a pcap or pcapng capture.
     #[arg(long, value_name = "FILE", group = "source")]
     pcap: Option<PathBuf>,
-    /// Velodyne packets of a rosbag2 database.
+    /// LiDAR packets of a rosbag2 database: Velodyne's or Hesai's ROS driver recorded them.
     #[arg(long, value_name = "FILE", group = "source")]
     db3: Option<PathBuf>,
-    /// Velodyne packets of an MCAP file, rosbag2's or ours: its scans are made again.
+    /// LiDAR packets of an MCAP file, rosbag2's or ours: its scans are made again.
     #[arg(long, value_name = "FILE", group = "source")]
     mcap: Option<PathBuf>,
+    /// The LiDAR of a capture file; see `lsfb scan --help` for the models.
+    #[command(flatten)]
+    lidar: LidarArguments,
     /// Rig attached to what comes from a capture file.
     #[arg(long, value_name = "FILE", conflicts_with = "devices")]
     rig: Option<PathBuf>,
@@ -93,6 +98,69 @@ pub struct Arguments {
     #[cfg(feature = "view")]
     #[arg(long, value_name = "URL", num_args = 0..=1, default_missing_value = "rerun+http://127.0.0.1:9876/proxy", conflicts_with_all = ["pcap", "db3", "mcap"])]
     rerun: Option<String>,
+}
+
+/// How the LiDAR packets of a capture file are read; for devices their list says it.
+#[derive(clap::Args)]
+struct LidarArguments {
+    /// The sensor that packets of a capture file must be of: vlp-32c, vlp-16, hdl-32e, xt32, pandar64, qt64.
+    #[arg(long, value_name = "MODEL", conflicts_with = "devices", value_parser = lidar_model)]
+    lidar_model: Option<Model>,
+    /// Believe neither model nor returns that the packets name: they are of --lidar-model, with these.
+    #[arg(long, value_name = "WHICH", requires = "lidar_model", value_enum)]
+    force_returns: Option<ForcedReturns>,
+    /// Beam angles of this very unit (Hesai's angle correction file, CSV).
+    #[arg(long, value_name = "CSV", conflicts_with = "devices")]
+    lidar_angles: Option<PathBuf>,
+    /// Take packets of this sender only, where a capture holds several sensors.
+    #[arg(long, value_name = "IP", conflicts_with = "devices")]
+    lidar_sender: Option<IpAddr>,
+    /// UDP ports of the LiDAR in a pcap capture, data and others.
+    #[arg(long, value_name = "PORT", value_delimiter = ',', default_values_t = [2368, 8308, 10110], requires = "pcap")]
+    lidar_ports: Vec<u16>,
+}
+
+/// What packets hold, whatever they say.
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum ForcedReturns {
+    /// The strongest echo of each shot.
+    Strongest,
+    /// The last echo of each shot.
+    Last,
+    /// Both.
+    Dual,
+}
+
+fn lidar_model(name: &str) -> Result<Model, String> {
+    Model::from_key(name).ok_or_else(|| {
+        let known: Vec<String> = Model::all().into_iter().map(Model::key).collect();
+        format!("expected one of {}", known.join(", "))
+    })
+}
+
+impl LidarArguments {
+    fn settings(&self) -> anyhow::Result<Settings> {
+        let angles = match &self.lidar_angles {
+            Some(path) => {
+                let name = || path.display().to_string();
+                let text = std::fs::read_to_string(path).with_context(name)?;
+                Some(BeamAngles::parse_csv(&text).with_context(name)?)
+            }
+            None => None,
+        };
+        Ok(Settings {
+            model: self.lidar_model,
+            scans: ScanSettings {
+                force_returns: self.force_returns.map(|returns| match returns {
+                    ForcedReturns::Strongest => Returns::Strongest,
+                    ForcedReturns::Last => Returns::Last,
+                    ForcedReturns::Dual => Returns::Dual,
+                }),
+                angles,
+                ..ScanSettings::default()
+            },
+        })
+    }
 }
 
 impl Arguments {
@@ -149,17 +217,49 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let rig = arguments.rig.as_deref().map(Rig::read).transpose()?;
     let mut config = ReplayConfig {
         rig,
+        lidar: arguments.lidar.settings()?,
+        sensor: arguments.lidar.lidar_sender,
         ..ReplayConfig::default()
     };
     arguments.apply(&mut config.recorder);
     let out: &Path = &arguments.out;
+    let mut beside = String::new();
     let report = match (&arguments.pcap, &arguments.db3, &arguments.mcap) {
-        (Some(pcap), _, _) => replay(PcapSource::open(pcap, &[2368, 8308])?, &config, out, &show)?,
+        (Some(pcap), _, _) => {
+            let mut source = PcapSource::open(pcap, &arguments.lidar.lidar_ports)?;
+            let report = replay(&mut source, &config, out, &show)?;
+            beside = source.survey().describe(any_lidar::whose);
+            report
+        }
         (_, Some(db3), _) => replay(Rosbag2Source::open(db3)?, &config, out, &show)?,
         (_, _, Some(mcap)) => replay_recording(mcap, &config, out, &show)?,
         _ => bail!("name a source: --devices, --pcap, --db3 or --mcap"),
     };
+    if report.streams.iter().all(|stream| stream.decoded == 0) {
+        let why = nothing(&report, &beside);
+        if report.streams.iter().all(|stream| stream.received == 0) {
+            std::fs::remove_file(&report.path)
+                .with_context(|| report.path.display().to_string())?;
+            bail!("{why}");
+        }
+        bail!("{why}; the packets are in {}", report.path.display());
+    }
     print(&report, context)
+}
+
+/// Why no scan was made of a capture file, in one sentence.
+fn nothing(report: &CaptureReport, beside: &str) -> String {
+    let received: u64 = report.streams.iter().map(|s| s.received).sum();
+    let bad = report.streams.iter().find_map(|s| s.first_bad.as_deref());
+    let mut why = match (received, bad) {
+        (0, _) => "no scan: no datagram of the LiDAR is in it".to_owned(),
+        (_, Some(bad)) => format!("no scan was made of {received} datagrams: {bad}"),
+        (_, None) => format!("no scan was made of {received} datagrams"),
+    };
+    if !beside.is_empty() {
+        let _ = write!(why, "; beside it: {beside}");
+    }
+    why
 }
 
 impl Arguments {

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use lsfb_capture::health::Snapshot;
 use lsfb_capture::{CaptureReport, Remarks, Tap, Tapped};
-use lsfb_geometry::{Rig, Vector3};
+use lsfb_geometry::{MAIN_LIDAR, Rig, Vector3};
 use lsfb_operator::{
     Command, ControlPoint, Level, LiveMap, MapConfig, Phase, Preview, Request, ScreenState,
     Tracking, Viewer, terminal,
@@ -83,6 +83,8 @@ struct Running {
     began: Instant,
     streams: Streams,
     odometry: Option<OdometryThread>,
+    /// Whose scans it takes.
+    main_lidar: String,
     /// Synchronized and host time of one sample: how to stamp what people say.
     clock: Option<(Timestamp, Timestamp)>,
     cameras_sent: BTreeMap<String, Timestamp>,
@@ -144,7 +146,7 @@ impl Controller {
             .rig
             .as_ref()
             .filter(|rig| {
-                rig.lidar.is_some() && run.devices.lidar.is_some() && self.outputs.show_map()
+                rig.lidar().is_some() && !run.devices.lidars.is_empty() && self.outputs.show_map()
             })
             .map(OdometryThread::start)
             .transpose();
@@ -153,6 +155,8 @@ impl Controller {
             self.state.message_level = Level::Warning;
             None
         });
+        let rig = run.rig.as_ref();
+        let main_lidar = rig.and_then(Rig::main_lidar_name).unwrap_or(MAIN_LIDAR);
         if let Some(screen) = &self.outputs.screen {
             screen.clear_previews();
         }
@@ -167,6 +171,7 @@ impl Controller {
             began: Instant::now(),
             streams: Streams::new(&run.devices),
             odometry,
+            main_lidar: main_lidar.to_owned(),
             clock: None,
             cameras_sent: BTreeMap::new(),
             previews_sent: BTreeMap::new(),
@@ -287,7 +292,7 @@ impl Controller {
             running.streams.note(&entry, Instant::now());
             running.clock = match &entry {
                 Tapped::Imu { sample, .. } => Some((sample.time, sample.arrival)),
-                Tapped::Scan(scan) => Some((scan.time, scan.arrival)),
+                Tapped::Scan { scan, .. } => Some((scan.time, scan.arrival)),
                 Tapped::Image { image, .. } => Some((image.time, image.arrival)),
                 Tapped::Message { .. } => running.clock,
             };
@@ -305,7 +310,9 @@ impl Controller {
             if let Some(odometry) = &running.odometry {
                 match entry {
                     Tapped::Imu { sample, .. } => odometry.push_imu(&sample),
-                    Tapped::Scan(scan) => odometry.push_scan(scan),
+                    Tapped::Scan { lidar, scan } if lidar == running.main_lidar => {
+                        odometry.push_scan(scan);
+                    }
                     _ => {}
                 }
             }

@@ -53,10 +53,11 @@ fn rig(of_cam0: Se3) -> Rig {
             ("cam1".to_owned(), mounted(left)),
         ]
         .into(),
-        lidar: Some(RigLidar {
+        lidars: RigLidar {
             rig_from_lidar: Se3::identity(),
             range_noise_m: 0.03,
-        }),
+        }
+        .alone(),
         ..Rig::empty("backpack")
     }
 }
@@ -102,7 +103,7 @@ fn boards_and_cameras() {
     // From rendered images as from the corners themselves.
     let from_corners = calibrate(&BOARD, &poses).expect("calibrated");
     let rig = Rig::read(&path.join("good.toml")).expect("rig");
-    let found = rig.lidar.expect("a LiDAR").rig_from_lidar.log();
+    let found = rig.lidar().expect("a LiDAR").rig_from_lidar.log();
     let apart = (error(&from_corners) + found).norm();
     assert!(apart < 5e-3, "{apart}");
     // 5 % larger than said, and 2 %.

@@ -125,7 +125,33 @@ pub const TF_MESSAGE: Schema = Schema {
     ),
 };
 
-/// LiDAR data packets.
+/// LiDAR data packets as received, whatever the sensor: those of one revolution.
+pub const LIDAR_PACKETS: Schema = Schema {
+    name: "lsfb_msgs/msg/LidarPackets",
+    text: concat!(
+        "std_msgs/Header header\nlsfb_msgs/LidarPacket[] packets\n",
+        dependency!(
+            "lsfb_msgs/LidarPacket",
+            "builtin_interfaces/Time stamp\nuint8[] data\n"
+        ),
+        header!()
+    ),
+};
+
+/// LiDAR data packets of Hesai's ROS driver; read, never written.
+pub const PANDAR_SCAN: Schema = Schema {
+    name: "pandar_msgs/msg/PandarScan",
+    text: concat!(
+        "std_msgs/Header header\npandar_msgs/PandarPacket[] packets\n",
+        dependency!(
+            "pandar_msgs/PandarPacket",
+            "builtin_interfaces/Time stamp\nuint8[1500] data\nuint32 size\n"
+        ),
+        header!()
+    ),
+};
+
+/// LiDAR data packets of Velodyne's ROS driver and of recordings before version 2; read, never written.
 pub const VELODYNE_SCAN: Schema = Schema {
     name: "velodyne_msgs/msg/VelodyneScan",
     text: concat!(

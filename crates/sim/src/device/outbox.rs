@@ -1,7 +1,7 @@
 //! What the app on the phone or the glasses sends, in the order in which it does.
 
-use lsfb_drivers::phone::model::CLOCK_UTC;
-use lsfb_drivers::phone::wire::Advertise;
+use lsfb_drivers::sidecar::model::CLOCK_UTC;
+use lsfb_drivers::sidecar::wire::Advertise;
 use lsfb_recording::message::{IMAGE, IMU, Schema, encode_image, encode_imu};
 use lsfb_types::{Image, Timestamp};
 

@@ -1,4 +1,4 @@
-//! Velodyne packets out of rosbag2 sqlite files: CDR messages of type `velodyne_msgs/msg/VelodyneScan`.
+//! LiDAR packets out of rosbag2 sqlite files: CDR messages of the packet types of ROS drivers, which [`ScanType`] lists.
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -10,13 +10,41 @@ use rusqlite::{Connection, OpenFlags, OptionalExtension};
 use super::PacketSource;
 use crate::Error;
 
-const SCAN_TYPE: &str = "velodyne_msgs/msg/VelodyneScan";
-const PACKET_LEN: usize = 1206;
 const CDR_LITTLE_ENDIAN: [u8; 4] = [0, 1, 0, 0];
+
+/// A message type of a ROS driver that holds the packets of a revolution.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ScanType {
+    /// `velodyne_msgs/msg/VelodyneScan`: packets of 1206 bytes.
+    Velodyne,
+    /// `pandar_msgs/msg/PandarScan`, of Hesai's sensors: room for 1500 bytes, and how many of them are the packet.
+    Pandar,
+}
+
+impl ScanType {
+    /// All that are read.
+    pub const ALL: [Self; 2] = [Self::Velodyne, Self::Pandar];
+
+    /// Its name in ROS.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Velodyne => "velodyne_msgs/msg/VelodyneScan",
+            Self::Pandar => "pandar_msgs/msg/PandarScan",
+        }
+    }
+
+    /// Bytes that each packet takes in a message.
+    const fn room(self) -> usize {
+        match self {
+            Self::Velodyne => 1206,
+            Self::Pandar => 1500,
+        }
+    }
+}
 
 /// One message: the packets of a revolution, as the recording driver grouped them.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct VelodyneScan {
+pub struct BaggedScan {
     /// When the bag recorded it.
     pub recorded: Timestamp,
     /// The message's own stamp.
@@ -32,6 +60,7 @@ pub struct VelodyneScan {
 pub struct Rosbag2Source {
     path: PathBuf,
     database: Connection,
+    scan_type: ScanType,
     rows: VecDeque<i64>,
     waiting: VecDeque<Packet>,
 }
@@ -53,18 +82,22 @@ impl Rosbag2Source {
         let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let database = Connection::open_with_flags(path, flags)
             .map_err(|error| damaged("the start", format!("no sqlite database ({error})")))?;
-        let topics = || -> rusqlite::Result<Vec<i64>> {
+        let topics = || -> rusqlite::Result<Vec<(i64, ScanType)>> {
             let mut query = database
                 .prepare("SELECT id FROM topics WHERE type = ?1 AND serialization_format = 'cdr' ORDER BY id")?;
-            query.query_map([SCAN_TYPE], |row| row.get(0))?.collect()
+            let mut topics = Vec::new();
+            for scan_type in ScanType::ALL {
+                for id in query.query_map([scan_type.name()], |row| row.get(0))? {
+                    topics.push((id?, scan_type));
+                }
+            }
+            Ok(topics)
         };
         let topics = topics()
             .map_err(|error| damaged("table topics", format!("no rosbag2 database ({error})")))?;
-        let [topic] = topics[..] else {
-            let problem = format!(
-                "{} topics of {SCAN_TYPE} where one was expected",
-                topics.len()
-            );
+        let [(topic, scan_type)] = topics[..] else {
+            let names = ScanType::ALL.map(ScanType::name).join(" or ");
+            let problem = format!("{} topics of {names} where one was expected", topics.len());
             return Err(damaged("table topics", problem));
         };
         let rows = || -> rusqlite::Result<VecDeque<i64>> {
@@ -76,13 +109,14 @@ impl Rosbag2Source {
         Ok(Self {
             path: path.to_owned(),
             database,
+            scan_type,
             rows,
             waiting: VecDeque::new(),
         })
     }
 
     /// The next message whole, or `None` after the last.
-    pub fn next_scan(&mut self) -> Result<Option<VelodyneScan>, Error> {
+    pub fn next_scan(&mut self) -> Result<Option<BaggedScan>, Error> {
         let Some(row) = self.rows.pop_front() else {
             return Ok(None);
         };
@@ -101,8 +135,9 @@ impl Rosbag2Source {
             .optional()
             .map_err(|error| damaged(error.to_string()))?;
         let (recorded, data) = message.ok_or_else(|| damaged("row is gone".into()))?;
-        let scan = parse_scan(Timestamp::from_nanos(recorded), &data)
-            .ok_or_else(|| damaged(format!("{} bytes are no CDR {SCAN_TYPE}", data.len())))?;
+        let name = self.scan_type.name();
+        let scan = parse_scan(self.scan_type, Timestamp::from_nanos(recorded), &data)
+            .ok_or_else(|| damaged(format!("{} bytes are no CDR {name}", data.len())))?;
         Ok(Some(scan))
     }
 }
@@ -125,7 +160,7 @@ impl PacketSource for Rosbag2Source {
     }
 }
 
-fn parse_scan(recorded: Timestamp, data: &[u8]) -> Option<VelodyneScan> {
+fn parse_scan(scan_type: ScanType, recorded: Timestamp, data: &[u8]) -> Option<BaggedScan> {
     let body = data.strip_prefix(&CDR_LITTLE_ENDIAN)?;
     let mut cdr = Cdr { body, at: 0 };
     let stamp = cdr.time()?;
@@ -134,18 +169,23 @@ fn parse_scan(recorded: Timestamp, data: &[u8]) -> Option<VelodyneScan> {
     let frame_id = std::str::from_utf8(frame_id).ok()?.to_owned();
     let count = cdr.u32()? as usize;
     // Each packet takes more than its payload: a larger count is damage, and must not reserve memory.
-    if count > body.len() / PACKET_LEN {
+    if count > body.len() / scan_type.room() {
         return None;
     }
     let mut packets = Vec::with_capacity(count);
     for _ in 0..count {
         let arrival = cdr.time()?;
+        let room = cdr.take(scan_type.room())?;
+        let bytes = match scan_type {
+            ScanType::Velodyne => room,
+            ScanType::Pandar => room.get(..cdr.u32()? as usize)?,
+        };
         packets.push(Packet {
             arrival,
-            bytes: cdr.take(PACKET_LEN)?.to_vec(),
+            bytes: bytes.to_vec(),
         });
     }
-    Some(VelodyneScan {
+    Some(BaggedScan {
         recorded,
         stamp,
         frame_id,

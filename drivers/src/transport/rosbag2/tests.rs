@@ -12,7 +12,7 @@ fn message(count: u32, packets: &[(i32, u32, u8)]) -> Vec<u8> {
         body.resize(body.len().next_multiple_of(4), 0);
         body.extend(secs.to_le_bytes());
         body.extend(nanos.to_le_bytes());
-        body.extend([*fill; PACKET_LEN]);
+        body.extend([*fill; 1206]);
     }
     [&CDR_LITTLE_ENDIAN[..], &body].concat()
 }
@@ -99,7 +99,7 @@ fn damaged_messages_and_files_say_where() {
     }
     assert_eq!(source.next_scan().unwrap(), None);
     for cut in 0..whole.len() {
-        assert!(parse_scan(Timestamp::default(), &whole[..cut]).is_none());
+        assert!(parse_scan(ScanType::Velodyne, Timestamp::default(), &whole[..cut]).is_none());
     }
 
     let text = tempfile::NamedTempFile::new().unwrap();

@@ -11,8 +11,8 @@ const USB3_MBIT_S: f64 = 5_000.0;
 pub(super) fn cameras(root: &Path) -> Check {
     let name = "cameras";
     let hex = |id: u16| format!("{id:04x}");
-    let vendor = hex(lsfb_drivers::camera::model::USB_VENDOR);
-    let product = hex(lsfb_drivers::camera::model::USB_PRODUCT);
+    let vendor = hex(lsfb_drivers::mynt_s::model::USB_VENDOR);
+    let product = hex(lsfb_drivers::mynt_s::model::USB_PRODUCT);
     let mut speeds = Vec::new();
     for device in folders(root, "sys/bus/usb/devices") {
         let is = |file: &str, id: &String| read(&device, file).as_ref() == Some(id);

@@ -1,6 +1,7 @@
 use lsfb_drivers::velodyne::model::Model;
 use lsfb_drivers::velodyne::wire::ReturnMode;
-use lsfb_drivers::velodyne::{Decoder, Echo, PacketLayout, returns};
+use lsfb_drivers::velodyne::{Decoder, PacketLayout, returns};
+use lsfb_types::Echo;
 use lsfb_types::{Packet, no_progress};
 
 use super::*;
