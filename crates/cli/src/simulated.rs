@@ -12,8 +12,8 @@ use lsfb_capture::{
 use lsfb_geometry::MAIN_IMU;
 use lsfb_recording::Existing;
 use lsfb_sim::{
-    Clocked, Emitted, FlowControl, GlassesEndpoint, ImuFamily, LidarModel, LidarReturns, Pace,
-    PlayedImu, ScanEndpoints, SimConfig, SimSession, Simulation,
+    Clocked, Emitted, FlowControl, GlassesEndpoint, ImuFamily, LidarModel, Pace, PlayedImu,
+    ReturnMode, ScanEndpoints, SimConfig, SimSession, Simulation,
 };
 
 use crate::context::Context;
@@ -40,7 +40,7 @@ pub struct Equipment {
     lidar: Option<LidarModel>,
     /// Which echoes the LiDAR sends: strongest, last or dual.
     #[arg(long, value_parser = lidar_returns)]
-    returns: Option<LidarReturns>,
+    returns: Option<ReturnMode>,
     /// What the IMU speaks: xsens or microstrain.
     #[arg(long, value_parser = imu_family)]
     imu: Option<ImuFamily>,
@@ -61,8 +61,8 @@ fn lidar_model(name: &str) -> Result<LidarModel, String> {
     found.ok_or_else(|| "vlp32c or vlp16".to_owned())
 }
 
-fn lidar_returns(name: &str) -> Result<LidarReturns, String> {
-    let found = LidarReturns::ALL.into_iter().find(|r| r.name() == name);
+fn lidar_returns(name: &str) -> Result<ReturnMode, String> {
+    let found = ReturnMode::ALL.into_iter().find(|r| r.name() == name);
     found.ok_or_else(|| "strongest, last or dual".to_owned())
 }
 

@@ -388,7 +388,7 @@ fn foxglove_gets_the_recordings_own_messages() {
         angular_velocity_rad_s: [0.1, 0.2, 0.3],
         specific_force_m_s2: [0.0, 0.0, 9.81],
     };
-    let bytes = || message::encode_imu(arrival, "imu0", &sample);
+    let bytes = || message::encode_imu(arrival, "imu0", &sample, message::ImuVariance::UNKNOWN);
     // Nobody listens: nothing is made.
     foxglove.publish(&imu_message(arrival), || {
         unreachable!("nobody has subscribed")

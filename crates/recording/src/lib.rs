@@ -26,6 +26,7 @@ mod cdr;
 mod container;
 mod error;
 mod hash;
+mod interval;
 mod layout;
 pub mod message;
 mod message_iter;

@@ -8,12 +8,11 @@ use crate::calibration::{RIG_ATTACHMENT, rig_metadata};
 use crate::container::encoder::Encoder;
 use crate::container::open_chunk::Outgoing;
 use crate::error::Error;
+use crate::interval::SampleInterval;
 use crate::layout::{Channel, Summary, WriterConfig};
-use crate::message::{self, FrameMeta, RawPacket, StaticTransform, TimeReference};
+use crate::message::{self, FrameMeta, ImuVariance, RawPacket, StaticTransform, TimeReference};
 use crate::topic;
 
-/// Spacing of the intrinsics beside the images.
-const CAMERA_INFO_SECS: f64 = 1.0;
 /// Writes a recording. Chunks are closed after [`WriterConfig::chunk_secs`], so that a file without its end still opens
 /// up to the last of them.
 ///
@@ -23,7 +22,7 @@ pub struct Writer {
     encoder: Encoder,
     rig: Option<Rig>,
     static_transforms: Vec<StaticTransform>,
-    camera_info_times: BTreeMap<String, Timestamp>,
+    imu_intervals: BTreeMap<String, SampleInterval>,
 }
 
 impl Writer {
@@ -40,7 +39,7 @@ impl Writer {
             encoder,
             rig: None,
             static_transforms: Vec::new(),
-            camera_info_times: BTreeMap::new(),
+            imu_intervals: BTreeMap::new(),
         })
     }
 
@@ -93,10 +92,13 @@ impl Writer {
         )
     }
 
-    /// Writes an inertial sample on `/<imu>/data_raw`, and the device's counter, where there is one, on `/<imu>/time_ref`.
+    /// Writes an inertial sample on `/<imu>/data_raw`, and the device's counter, where there is one, on `/<imu>/time_ref`. Its
+    /// covariances are those of the rig's noise densities at the rate of the samples; zeros, which mean unknown, without a rig
+    /// and for the first sample.
     pub fn write_imu(&mut self, imu: &str, sample: &Stamped<ImuSample>) -> Result<(), Error> {
         let topic = topic::imu(imu);
-        let bytes = message::encode_imu(sample.time, imu, &sample.sample);
+        let variance = self.imu_variance(imu, sample.time);
+        let bytes = message::encode_imu(sample.time, imu, &sample.sample, variance);
         self.write_with_ticks(
             &topic,
             &topic::imu_time_ref(&topic),
@@ -105,6 +107,18 @@ impl Writer {
             message::IMU,
             &bytes,
         )
+    }
+
+    fn imu_variance(&mut self, imu: &str, time: Timestamp) -> ImuVariance {
+        let noise = self.rig.as_ref().and_then(|rig| rig.imus.get(imu));
+        let interval = self.imu_intervals.entry(imu.to_owned()).or_default();
+        match (noise, interval.secs(time)) {
+            (Some(imu), Some(interval_s)) => ImuVariance {
+                angular_velocity_rad2_s2: imu.noise.gyro_noise_density.powi(2) / interval_s,
+                specific_force_m2_s4: imu.noise.accel_noise_density.powi(2) / interval_s,
+            },
+            _ => ImuVariance::UNKNOWN,
+        }
     }
 
     /// Writes a scan on `/<lidar>/points`.
@@ -186,7 +200,8 @@ impl Writer {
     }
 
     /// Attaches the rig as `rig.toml`, and says its hash and age in metadata. Its frames follow on `/tf_static` with the first
-    /// message, and its intrinsics on `camera_info` beside the images, once a second, so that viewers place everything.
+    /// message, and its intrinsics on `camera_info` with every image, so that viewers place everything and ROS's
+    /// synchronizers pair the two.
     pub fn attach_rig(&mut self, rig: &Rig) -> Result<(), Error> {
         let text = rig.to_toml();
         self.attach(RIG_ATTACHMENT, "application/toml", text.as_bytes())?;
@@ -279,8 +294,26 @@ impl Writer {
         self.write_together(sample.time, sample.arrival, &[ticks, message])
     }
 
-    /// Writes messages of one instant into one chunk, preceded by what the rig says about them.
+    /// Writes messages of one instant into one chunk, an image preceded by its camera's intrinsics.
     fn write_together(
+        &mut self,
+        time: Timestamp,
+        arrival: Timestamp,
+        messages: &[Outgoing<'_>],
+    ) -> Result<(), Error> {
+        let image = messages
+            .iter()
+            .find(|message| message.schema_name == message::IMAGE.name);
+        let Some((topic, info)) = image.and_then(|image| self.camera_info(time, image.topic))
+        else {
+            return self.write_in_one_chunk(time, arrival, messages);
+        };
+        let mut all = vec![Outgoing::new(&topic, message::CAMERA_INFO, &info)];
+        all.extend_from_slice(messages);
+        self.write_in_one_chunk(time, arrival, &all)
+    }
+
+    fn write_in_one_chunk(
         &mut self,
         time: Timestamp,
         arrival: Timestamp,
@@ -308,39 +341,16 @@ impl Writer {
             )?;
         }
         for message in messages {
-            if message.schema_name == message::IMAGE.name {
-                self.put_camera_info(time, arrival, message.topic)?;
-            }
             self.encoder.put(time, arrival, message)?;
         }
         Ok(())
     }
 
-    fn put_camera_info(
-        &mut self,
-        time: Timestamp,
-        arrival: Timestamp,
-        image_topic: &str,
-    ) -> Result<(), Error> {
-        let rig_camera = || {
-            let name = topic::camera_of(image_topic)?;
-            Some((name, self.rig.as_ref()?.cameras.get(name)?))
-        };
-        let Some((name, rig_camera)) = rig_camera() else {
-            return Ok(());
-        };
-        let info_topic = topic::camera_info(image_topic);
-        let last = self.camera_info_times.get(&info_topic);
-        if last.is_some_and(|last| time.secs_since(*last).abs() < CAMERA_INFO_SECS) {
-            return Ok(());
-        }
-        let bytes = message::encode_camera_info(time, name, &rig_camera.camera);
-        self.encoder.put(
-            time,
-            arrival,
-            &Outgoing::new(&info_topic, message::CAMERA_INFO, &bytes),
-        )?;
-        self.camera_info_times.insert(info_topic, time);
-        Ok(())
+    /// Topic and bytes of the intrinsics of the camera of an image topic, where the rig has it.
+    fn camera_info(&self, time: Timestamp, image_topic: &str) -> Option<(String, Vec<u8>)> {
+        let name = topic::camera_of(image_topic)?;
+        let mounted = self.rig.as_ref()?.cameras.get(name)?;
+        let bytes = message::encode_camera_info(time, name, &mounted.camera);
+        Some((topic::camera_info(image_topic), bytes))
     }
 }

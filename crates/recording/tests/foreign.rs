@@ -3,7 +3,7 @@
 
 use std::process::Command;
 
-use lsfb_geometry::{Camera, Rig, RigCamera, RigLidar, Se3, Vector6};
+use lsfb_geometry::{Camera, ImuNoiseModel, Rig, RigCamera, RigImu, RigLidar, Se3, Vector6};
 use lsfb_recording::message::{
     self, BleAdvert, GnssFix, GnssReading, MagneticSample, PressureSample, WifiReading,
 };
@@ -49,6 +49,13 @@ fn write(path: &std::path::Path, compression: Compression) {
                 rig_from_lidar: pose,
                 range_noise_m: 0.02,
             }
+            .alone(),
+            imus: RigImu::from(ImuNoiseModel {
+                gyro_noise_density: 1e-3,
+                accel_noise_density: 1e-2,
+                gyro_bias_walk: 1e-5,
+                accel_bias_walk: 1e-4,
+            })
             .alone(),
             ..Rig::empty("backpack")
         })
@@ -187,9 +194,9 @@ fn write_surroundings(writer: &mut Writer, n: u32) {
 }
 
 #[test]
-fn mcap_and_rosbags_read_every_value() {
+fn foreign_readers_read_every_value_and_pair_images_with_intrinsics() {
     let Some(python) = std::env::var_os("LSFB_FOREIGN_PYTHON") else {
-        let test = "mcap_and_rosbags_read_every_value";
+        let test = "foreign_readers_read_every_value_and_pair_images_with_intrinsics";
         skip(test, Lacks::Program, "LSFB_FOREIGN_PYTHON names no python");
         return;
     };
@@ -210,7 +217,9 @@ fn mcap_and_rosbags_read_every_value() {
             String::from_utf8_lossy(&output.stderr)
         );
         assert!(
-            said.contains("mcap: 264 messages") && said.contains("rosbags: 264 messages"),
+            ["mcap", "rosbags", "mcap-ros2-support"]
+                .iter()
+                .all(|reader| said.contains(&format!("{reader}: 282 messages"))),
             "{said}"
         );
     }

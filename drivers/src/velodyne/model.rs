@@ -5,9 +5,15 @@ pub const BLOCKS: usize = 12;
 /// Distances in a block.
 pub const CHANNELS: usize = 32;
 /// Which of two echoes a sensor sends.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(rename_all = "kebab-case")
+)]
 pub enum ReturnMode {
     /// The brightest echo.
+    #[default]
     Strongest,
     /// The farthest echo.
     Last,
@@ -16,6 +22,18 @@ pub enum ReturnMode {
 }
 
 impl ReturnMode {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Strongest, Self::Last, Self::Dual];
+
+    /// Its name in settings.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Strongest => "strongest",
+            Self::Last => "last",
+            Self::Dual => "dual",
+        }
+    }
+
     /// The byte on the wire.
     pub const fn code(self) -> u8 {
         match self {

@@ -57,7 +57,12 @@ impl Outputs {
             Tapped::Imu { imu, sample } => {
                 let topic = format!("/{imu}/data_raw");
                 foxglove.publish(&about(&topic, &message::IMU, sample.arrival), || {
-                    message::encode_imu(sample.time, imu, &sample.sample)
+                    message::encode_imu(
+                        sample.time,
+                        imu,
+                        &sample.sample,
+                        message::ImuVariance::UNKNOWN,
+                    )
                 });
             }
             Tapped::Scan { lidar, scan } => {

@@ -21,7 +21,8 @@ mod tests;
 pub(crate) use image::encode_image_head;
 pub use image::{decode_image, encode_camera_info, encode_image};
 pub use imu::{
-    TimeReference, decode_imu, decode_time_reference, encode_imu, encode_time_reference,
+    ImuVariance, TimeReference, decode_imu, decode_time_reference, encode_imu,
+    encode_time_reference,
 };
 pub use lidar_packets::{decode_lidar_packets, encode_lidar_packets, holds_lidar_packets};
 pub use lsfb::{

@@ -82,24 +82,10 @@ impl Rosbag2Source {
         let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let database = Connection::open_with_flags(path, flags)
             .map_err(|error| damaged("the start", format!("no sqlite database ({error})")))?;
-        let topics = || -> rusqlite::Result<Vec<(i64, ScanType)>> {
-            let mut query = database
-                .prepare("SELECT id FROM topics WHERE type = ?1 AND serialization_format = 'cdr' ORDER BY id")?;
-            let mut topics = Vec::new();
-            for scan_type in ScanType::ALL {
-                for id in query.query_map([scan_type.name()], |row| row.get(0))? {
-                    topics.push((id?, scan_type));
-                }
-            }
-            Ok(topics)
-        };
-        let topics = topics()
+        let topics = topics(&database)
             .map_err(|error| damaged("table topics", format!("no rosbag2 database ({error})")))?;
-        let [(topic, scan_type)] = topics[..] else {
-            let names = ScanType::ALL.map(ScanType::name).join(" or ");
-            let problem = format!("{} topics of {names} where one was expected", topics.len());
-            return Err(damaged("table topics", problem));
-        };
+        let (topic, scan_type) =
+            choose(&topics).map_err(|problem| damaged("table topics", problem))?;
         let rows = || -> rusqlite::Result<VecDeque<i64>> {
             let mut query = database
                 .prepare("SELECT id FROM messages WHERE topic_id = ?1 ORDER BY timestamp, id")?;
@@ -139,6 +125,77 @@ impl Rosbag2Source {
         let scan = parse_scan(self.scan_type, Timestamp::from_nanos(recorded), &data)
             .ok_or_else(|| damaged(format!("{} bytes are no CDR {name}", data.len())))?;
         Ok(Some(scan))
+    }
+}
+
+/// A row of the table of topics.
+struct Topic {
+    id: i64,
+    name: String,
+    type_name: String,
+    /// Absent or empty in bags of some writers.
+    serialization: Option<String>,
+}
+
+impl Topic {
+    fn scan_type(&self) -> Option<ScanType> {
+        let mut types = ScanType::ALL.into_iter();
+        types.find(|scan_type| scan_type.name() == self.type_name)
+    }
+}
+
+fn topics(database: &Connection) -> rusqlite::Result<Vec<Topic>> {
+    let read = |columns: &str| -> rusqlite::Result<Vec<Topic>> {
+        let mut query = database.prepare(&format!("SELECT {columns} FROM topics ORDER BY id"))?;
+        let rows = query.query_map([], |row| {
+            Ok(Topic {
+                id: row.get(0)?,
+                name: row.get(1)?,
+                type_name: row.get(2)?,
+                serialization: row.get(3)?,
+            })
+        })?;
+        rows.collect()
+    };
+    // Without the column, what is said of the first error holds for the whole table.
+    read("id, name, type, serialization_format")
+        .or_else(|error| read("id, name, type, NULL").map_err(|_| error))
+}
+
+/// The one topic of scans. Where nothing says how its messages are serialized they are taken for CDR, which each message's head
+/// confirms or not.
+fn choose(topics: &[Topic]) -> Result<(i64, ScanType), String> {
+    let scans = || {
+        let scans = topics.iter();
+        scans.filter_map(|topic| Some((topic, topic.scan_type()?)))
+    };
+    let readable =
+        |topic: &Topic| matches!(topic.serialization.as_deref(), None | Some("" | "cdr"));
+    let mut found = scans().filter(|(topic, _)| readable(topic));
+    match (found.next(), found.next()) {
+        (Some((topic, scan_type)), None) => Ok((topic.id, scan_type)),
+        (Some(_), Some(_)) => {
+            let names: Vec<_> = scans().map(|(topic, _)| topic.name.as_str()).collect();
+            Err(format!(
+                "several topics of scans where one was expected: {}",
+                names.join(", ")
+            ))
+        }
+        (None, _) => Err(match scans().next() {
+            Some((topic, _)) => format!(
+                "{} is serialized as `{}`, and only `cdr` can be read",
+                topic.name,
+                topic.serialization.as_deref().unwrap_or_default()
+            ),
+            None => {
+                let wanted = ScanType::ALL.map(ScanType::name).join(" or ");
+                let there: Vec<_> = topics
+                    .iter()
+                    .map(|topic| format!("{} ({})", topic.name, topic.type_name))
+                    .collect();
+                format!("no topic of {wanted}; there is {}", there.join(", "))
+            }
+        }),
     }
 }
 

@@ -97,7 +97,10 @@ fn imu_values_and_layout() {
         specific_force_m_s2: [0.5, -0.25, 9.8125],
     };
     assert_eq!(decode_imu(&IMU_BYTES), Ok(sample));
-    assert_eq!(encode_imu(STAMP, "imu0", &sample), IMU_BYTES);
+    assert_eq!(
+        encode_imu(STAMP, "imu0", &sample, ImuVariance::UNKNOWN),
+        IMU_BYTES
+    );
 }
 
 #[test]
