@@ -43,8 +43,9 @@ mod topics;
 
 pub use clouds::{CloudsConfig, import_clouds};
 pub use config::{
-    CameraUnitConfig, DevicesConfig, ExposureConfig, ImuFamily, ImuLineConfig, LidarNetConfig,
-    LidarReturns, LidarSettingsConfig, Overflow, RecorderConfig, SidecarConfig, StampInstant,
+    CameraUnitConfig, DevicesConfig, ExposureConfig, ImuFamily, ImuLineConfig, LidarData,
+    LidarNetConfig, LidarReturns, LidarSettingsConfig, Overflow, RecorderConfig, SidecarConfig,
+    StampInstant,
 };
 pub use control::Counts;
 pub use error::Error;

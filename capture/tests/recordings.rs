@@ -5,7 +5,7 @@
     reason = "a test file as a whole; clippy.toml only spares #[test] functions"
 )]
 
-use lsfb_capture::{CaptureReport, Ending, ReplayConfig, replay};
+use lsfb_capture::{CaptureReport, Ending, LidarData, ReplayConfig, replay};
 use lsfb_drivers::transport::pcap::PcapSource;
 use lsfb_drivers::transport::rosbag2::Rosbag2Source;
 use lsfb_recording::{LIDAR_POSITION, Recording};
@@ -66,6 +66,42 @@ fn vlp32c_bag_becomes_a_recording() {
             scan.time,
             scan.arrival
         );
+    }
+}
+
+/// Each kind alone is what it is beside the other.
+#[test]
+fn packets_or_clouds_alone_can_be_kept() {
+    let name = "packets_or_clouds_alone_can_be_kept";
+    let Some(path) = recordings(
+        name,
+        "lidar/nebula_velodyne/vlp32/1713492677464078412_0.db3",
+    ) else {
+        return;
+    };
+    for (lidar_data, kept, left_out) in [
+        (LidarData::Packets, "/lidar/packets", "/lidar/points"),
+        (LidarData::Clouds, "/lidar/points", "/lidar/packets"),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("replay.mcap");
+        let mut config = ReplayConfig::default();
+        config.recorder.lidar_data = lidar_data;
+        replay(
+            Rosbag2Source::open(&path).unwrap(),
+            &config,
+            &out,
+            &no_progress,
+        )
+        .unwrap();
+        let recording = Recording::open(&out).unwrap();
+        let both = replayed(Rosbag2Source::open(&path).unwrap()).recording;
+        let messages = |recording: &Recording, topic: &str| -> Vec<Vec<u8>> {
+            let messages = recording.messages(topic).unwrap();
+            messages.map(|message| message.unwrap().bytes).collect()
+        };
+        assert_eq!(messages(&recording, kept), messages(&both, kept));
+        assert!(recording.messages(left_out).is_err());
     }
 }
 

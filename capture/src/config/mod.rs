@@ -84,6 +84,19 @@ where
     deserializer.deserialize_any(Tables(PhantomData))
 }
 
+/// What is kept of a LiDAR.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LidarData {
+    /// Packets as received, and the clouds made of them.
+    #[default]
+    Both,
+    /// Packets alone: less on the disk, and clouds are made of them again when the recording is replayed.
+    Packets,
+    /// Clouds alone: firings without an echo are gone.
+    Clouds,
+}
+
 /// How recordings are kept.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -94,6 +107,8 @@ pub struct RecorderConfig {
     pub durability: Durability,
     /// What happens to a recording of the same name.
     pub existing: Existing,
+    /// What is kept of LiDARs.
+    pub lidar_data: LidarData,
     /// Largest size of a chunk before compression, bytes.
     pub chunk_bytes: u64,
     /// A new file after this many bytes; 0 never.
@@ -119,6 +134,7 @@ impl Default for RecorderConfig {
             compression: Compression::default(),
             durability: Durability::default(),
             existing: Existing::Refuse,
+            lidar_data: LidarData::Both,
             chunk_bytes: 4 << 20,
             split_bytes: 0,
             split_secs: 0.0,
@@ -136,6 +152,7 @@ lsfb_types::bounds! {
         compression: any,
         durability: any,
         existing: any,
+        lidar_data: any,
         chunk_bytes: number(Bounds::AT_LEAST_ONE),
         split_bytes: any,
         split_secs: number(Bounds::NOT_NEGATIVE),

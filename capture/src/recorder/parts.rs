@@ -11,7 +11,7 @@ use super::disk_sync::DiskSync;
 use super::displacement::Displacement;
 use super::space;
 use crate::Error;
-use crate::config::RecorderConfig;
+use crate::config::{LidarData, RecorderConfig};
 
 /// How often the disk is asked how much room it has.
 const SPACE_PERIOD: Duration = Duration::from_millis(200);
@@ -35,6 +35,8 @@ pub(crate) struct Parts {
     config: RecorderConfig,
     writer: Writer,
     rig: Option<Rig>,
+    /// Rigs of sidecars, by device.
+    sidecars: BTreeMap<String, Rig>,
     /// Attachments that every part carries, by name.
     attachments: BTreeMap<String, (String, Vec<u8>)>,
     finished: Vec<Summary>,
@@ -59,6 +61,7 @@ impl Parts {
             config: config.clone(),
             writer,
             rig,
+            sidecars: BTreeMap::new(),
             attachments: BTreeMap::new(),
             finished: Vec::new(),
             number: 1,
@@ -103,6 +106,17 @@ impl Parts {
         self.writer.attach_rig(&rig)?;
         self.rig = Some(rig);
         Ok(())
+    }
+
+    /// Says where the sensors of a sidecar are, in this part and in all that follow.
+    pub(crate) fn place_sidecar(&mut self, device: String, rig: Rig) {
+        self.writer.place_sidecar(&device, &rig);
+        self.sidecars.insert(device, rig);
+    }
+
+    /// What is kept of LiDARs.
+    pub(crate) fn lidar_data(&self) -> LidarData {
+        self.config.lidar_data
     }
 
     /// Attaches a file to this part and to all that follow.
@@ -235,6 +249,9 @@ impl Parts {
     fn introduce(&mut self) -> Result<(), Error> {
         if let Some(rig) = &self.rig {
             self.writer.attach_rig(rig)?;
+        }
+        for (device, rig) in &self.sidecars {
+            self.writer.place_sidecar(device, rig);
         }
         for (name, (media_type, bytes)) in &self.attachments {
             self.writer.attach(name, media_type, bytes)?;

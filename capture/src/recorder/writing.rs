@@ -13,6 +13,7 @@ use super::latency::Latencies;
 use super::parts::{Parts, Turn};
 use super::{Entry, OwnMessage, Queued, Shared, WritingProgress, Written};
 use crate::Error;
+use crate::config::LidarData;
 use crate::report::{HealthAttachment, StreamReport};
 use crate::sync::{Group, Groups};
 
@@ -39,11 +40,13 @@ pub(super) struct Writing {
     displaced: Vec<String>,
     /// The first message of a sidecar that could not be written.
     refused: Option<String>,
+    lidar_data: LidarData,
 }
 
 impl Writing {
     pub(super) fn new(parts: Parts, groups: Groups, shared: Shared) -> Self {
         Self {
+            lidar_data: parts.lidar_data(),
             parts,
             groups,
             streams: Vec::new(),
@@ -312,17 +315,23 @@ impl Writing {
                 packets,
             } => {
                 let writer = self.parts.writer();
-                writer.write_lidar_packets(&lidar, scan.time, &packets)?;
-                writer.write_scan(&lidar, &scan)?;
+                if self.lidar_data != LidarData::Clouds {
+                    writer.write_lidar_packets(&lidar, scan.time, &packets)?;
+                }
+                if self.lidar_data != LidarData::Packets {
+                    writer.write_scan(&lidar, &scan)?;
+                }
             }
             Entry::Packets {
                 lidar,
                 time,
                 packets,
             } => {
-                self.parts
-                    .writer()
-                    .write_lidar_packets(&lidar, time, &packets)?;
+                if self.lidar_data != LidarData::Clouds {
+                    self.parts
+                        .writer()
+                        .write_lidar_packets(&lidar, time, &packets)?;
+                }
             }
             Entry::Raw {
                 source,
@@ -366,8 +375,12 @@ impl Writing {
                 let name = format!("sidecar/{owner}/rig.toml");
                 self.parts
                     .attach(&name, "application/toml", rig.to_toml().as_bytes())?;
+                self.parts.place_sidecar(owner, *rig);
             }
-            Entry::Rig { rig, .. } => self.parts.attach_rig(*rig)?,
+            Entry::Rig { owner, rig } => {
+                self.parts.attach_rig((*rig).clone())?;
+                self.parts.place_sidecar(owner, *rig);
+            }
             Entry::Own(message) => self.write_own(&message)?,
             Entry::ClockModel { device, message } => {
                 self.write_own(&message)?;

@@ -64,6 +64,12 @@ pub(crate) fn camera_of(image_topic: &str) -> Option<&str> {
         .filter(|name| !name.is_empty())
 }
 
+/// The device of a sidecar's topic: `glasses` of `/sidecar/glasses/imu`.
+pub(crate) fn sidecar_of(topic: &str) -> Option<&str> {
+    let (device, _) = topic.strip_prefix("/sidecar/")?.split_once('/')?;
+    Some(device)
+}
+
 pub(crate) fn imu(imu: &str) -> String {
     format!("/{imu}/data_raw")
 }

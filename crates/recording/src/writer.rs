@@ -21,6 +21,8 @@ use crate::topic;
 pub struct Writer {
     encoder: Encoder,
     rig: Option<Rig>,
+    /// Rigs of sidecars by the device in their topics.
+    sidecars: BTreeMap<String, Rig>,
     static_transforms: Vec<StaticTransform>,
     imu_intervals: BTreeMap<String, SampleInterval>,
 }
@@ -38,6 +40,7 @@ impl Writer {
         Ok(Self {
             encoder,
             rig: None,
+            sidecars: BTreeMap::new(),
             static_transforms: Vec::new(),
             imu_intervals: BTreeMap::new(),
         })
@@ -176,7 +179,8 @@ impl Writer {
         )
     }
 
-    /// Writes a message that is CDR already: what a sidecar sends goes into the recording as it came.
+    /// Writes a message that is CDR already. What a sidecar sends goes into the recording as it came but for the name of its frame:
+    /// `imu` of the device `glasses` becomes `glasses/imu`, as other devices have an `imu` too.
     pub fn write_cdr(
         &mut self,
         channel: &Channel<'_>,
@@ -184,12 +188,18 @@ impl Writer {
         arrival: Timestamp,
         bytes: &[u8],
     ) -> Result<(), Error> {
+        let reframed = topic::sidecar_of(channel.topic)
+            .and_then(|device| message::in_frame_of(device, channel.schema_name, bytes));
+        let (bytes, tail) = match &reframed {
+            Some(message) => (message.head.as_slice(), message.rest),
+            None => (bytes, [].as_slice()),
+        };
         let message = Outgoing {
             topic: channel.topic,
             schema_name: channel.schema_name,
             schema_text: channel.schema_text,
             bytes,
-            tail: &[],
+            tail,
         };
         self.write_together(time, arrival, &[message])
     }
@@ -225,6 +235,26 @@ impl Writer {
             .extend(imus.map(|(name, imu)| edge(name, imu.rig_from_imu)));
         self.rig = Some(rig.clone());
         Ok(())
+    }
+
+    /// Says where the sensors of a sidecar are and what its lenses do: frames and intrinsics of the messages on `/sidecar/<device>/…`.
+    /// Its frames hang on `<device>/rig`, which nobody places, or on the recording's own where the two are one.
+    pub fn place_sidecar(&mut self, device: &str, rig: &Rig) {
+        let parent = match &self.rig {
+            Some(own) if own == rig => topic::RIG_FRAME.to_owned(),
+            _ => message::frame_of(device, topic::RIG_FRAME),
+        };
+        let edge = |child: &str, parent_from_child: Se3| StaticTransform {
+            parent: parent.clone(),
+            child: message::frame_of(device, child),
+            parent_from_child,
+        };
+        let cameras = rig.cameras.iter();
+        let cameras = cameras.map(|(name, camera)| edge(name, camera.rig_from_camera));
+        let imus = rig.imus.iter();
+        let imus = imus.map(|(name, imu)| edge(name, imu.rig_from_imu));
+        self.static_transforms.extend(cameras.chain(imus));
+        self.sidecars.insert(device.to_owned(), rig.clone());
     }
 
     /// Adds a metadata record: names and values that belong to the whole recording.
@@ -349,8 +379,12 @@ impl Writer {
     /// Topic and bytes of the intrinsics of the camera of an image topic, where the rig has it.
     fn camera_info(&self, time: Timestamp, image_topic: &str) -> Option<(String, Vec<u8>)> {
         let name = topic::camera_of(image_topic)?;
-        let mounted = self.rig.as_ref()?.cameras.get(name)?;
-        let bytes = message::encode_camera_info(time, name, &mounted.camera);
+        let (rig, frame) = match topic::sidecar_of(image_topic) {
+            Some(device) => (self.sidecars.get(device)?, message::frame_of(device, name)),
+            None => (self.rig.as_ref()?, name.to_owned()),
+        };
+        let mounted = rig.cameras.get(name)?;
+        let bytes = message::encode_camera_info(time, &frame, &mounted.camera);
         Some((topic::camera_info(image_topic), bytes))
     }
 }

@@ -330,6 +330,7 @@ fn a_sidecar_is_found_by_its_camera() {
     let path = dir.path().join("glasses.mcap");
     let mut writer = Writer::create(&path, &WriterConfig::default()).unwrap();
     writer.attach_rig(&rig()).unwrap();
+    writer.place_sidecar("glasses", &rig());
     for n in 0..3 {
         let (frame, sample) = (image(0, n), imu(n));
         let meta = message::FrameMeta {
@@ -384,9 +385,87 @@ fn a_sidecar_is_found_by_its_camera() {
             .messages("/sidecar/glasses/cam0/camera_info")
             .unwrap()
             .count(),
-        1
+        3
     );
     assert_eq!(recording.messages("/tf_static").unwrap().count(), 1);
+}
+
+/// A phone whose names are those of the backpack. Frames and intrinsics that are told apart by name alone would be the backpack's.
+#[test]
+fn a_sidecar_beside_a_rig_has_frames_and_intrinsics_of_its_own() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("both.mcap");
+    let mut writer = Writer::create(&path, &WriterConfig::default()).unwrap();
+    writer.attach_rig(&rig()).unwrap();
+    let mut phone = rig();
+    phone.name = "phone".to_owned();
+    for camera in phone.cameras.values_mut() {
+        camera.camera = Camera::pinhole(32, 20, [41.0, 41.0], [15.5, 9.5]);
+    }
+    writer.place_sidecar("phone", &phone);
+    let (frame, sample) = (image(0, 0), imu(0));
+    writer.write_image("cam0", &frame).unwrap();
+    writer.write_imu("imu0", &sample).unwrap();
+    let variance = message::ImuVariance::UNKNOWN;
+    let messages = [
+        (
+            "/sidecar/phone/cam0/image",
+            message::IMAGE,
+            message::encode_image(frame.time, "cam0", &frame.sample),
+        ),
+        (
+            "/sidecar/phone/imu",
+            message::IMU,
+            message::encode_imu(sample.time, "imu0", &sample.sample, variance),
+        ),
+    ];
+    for (topic, schema, bytes) in messages {
+        let channel = Channel {
+            topic,
+            schema_name: schema.name,
+            schema_text: schema.text,
+        };
+        writer
+            .write_cdr(&channel, frame.time, frame.arrival, &bytes)
+            .unwrap();
+    }
+    writer.finish().unwrap();
+
+    let recording = Recording::open(&path).unwrap();
+    let only = |topic: &str| {
+        let mut messages = recording.messages(topic).unwrap();
+        let bytes = messages.next().unwrap().unwrap().bytes;
+        assert!(messages.next().is_none(), "{topic}");
+        bytes
+    };
+    assert_eq!(
+        only("/sidecar/phone/cam0/image"),
+        message::encode_image(frame.time, "phone/cam0", &frame.sample)
+    );
+    assert_eq!(
+        only("/sidecar/phone/imu"),
+        message::encode_imu(sample.time, "phone/imu0", &sample.sample, variance)
+    );
+    let lens = &phone.cameras["cam0"].camera;
+    assert_eq!(
+        only("/sidecar/phone/cam0/camera_info"),
+        message::encode_camera_info(frame.time, "phone/cam0", lens)
+    );
+    let own = &rig().cameras["cam0"].camera;
+    assert_eq!(
+        only("/cam0/camera_info"),
+        message::encode_camera_info(frame.time, "cam0", own)
+    );
+    let frames = only("/tf_static");
+    let holds = |name: &str| {
+        let name = format!("{name}\0");
+        frames.windows(name.len()).any(|w| w == name.as_bytes())
+    };
+    assert!(
+        ["cam0", "phone/rig", "phone/cam0", "phone/cam1"]
+            .iter()
+            .all(|name| holds(name))
+    );
 }
 
 /// Two units whose links run seconds apart; the file is in the order of arrival.

@@ -3,6 +3,7 @@
 //! Each `encode_*` gives the bytes that ROS 2 would serialise; each `decode_*` checks every length. Topics that carry
 //! them are listed in `FORMAT.md`.
 
+mod frame;
 mod image;
 mod imu;
 mod lidar_packets;
@@ -18,6 +19,7 @@ mod transform;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use frame::{frame_of, in_frame_of};
 pub(crate) use image::encode_image_head;
 pub use image::{decode_image, encode_camera_info, encode_image};
 pub use imu::{

@@ -148,7 +148,7 @@ impl<'a> Outbox<'a> {
                 IMU_CHANNEL,
                 encode_imu(
                     stamp,
-                    "imu",
+                    "imu0",
                     &self.rig.imu().get(k)?.sample,
                     ImuVariance::UNKNOWN,
                 ),

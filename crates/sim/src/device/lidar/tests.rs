@@ -5,7 +5,7 @@ use lsfb_types::Echo;
 use lsfb_types::{Packet, no_progress};
 
 use super::*;
-use crate::{Device, LidarModel, Place, ReturnMode, SimConfig};
+use crate::{Device, LidarModel, Place, SimConfig};
 
 /// A scanner in an office with rooms behind glass.
 fn office(model: LidarModel, returns: ReturnMode) -> Simulation {

@@ -2,6 +2,8 @@
 
 use wide::f32x8;
 
+use lsfb_drivers::velodyne::wire::ReturnMode;
+
 use super::{LidarSim, Return};
 use crate::noise::{gaussian, hash, unit};
 use crate::world::crowd::Moment;
