@@ -31,6 +31,8 @@ mod plots;
 mod projection;
 mod report;
 mod residual_diagnosis;
+pub mod rosbag;
+mod stamps;
 mod transform;
 pub mod verify;
 

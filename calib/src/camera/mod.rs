@@ -9,6 +9,8 @@ mod guess;
 mod holdout;
 mod normal;
 mod page;
+mod pairing;
+mod pose_choice;
 mod rig;
 mod selection;
 mod summary;
@@ -28,11 +30,12 @@ use crate::detect::Corner;
 pub use crate::coverage::COVERAGE_CELLS;
 
 pub use crate::residual_diagnosis::BoardDeformation;
-pub(crate) use adjustment::most_central;
 pub(crate) use guess::fit_lens;
 pub use guess::pose_of_target;
+pub(crate) use pairing::expect_different_images;
+pub(crate) use pose_choice::most_central;
 pub(crate) use views::last_number;
-pub use views::{views_from_folder, views_from_recording};
+pub use views::{views_from_bag, views_from_folder, views_from_recording};
 
 /// What one camera saw.
 #[derive(Clone, Debug, PartialEq)]
@@ -142,6 +145,8 @@ pub struct CalibratedCamera {
     pub cells: Vec<u32>,
     /// Mean reprojection error (x, y) per cell without outliers, pixels.
     pub cell_errors_px: Vec<[f64; 2]>,
+    /// Whether the gaps between its tags are clearly others than said: nothing here holds then.
+    pub is_another_board: bool,
     /// The board as it would be if it were not flat, and what that would do to the focal length.
     pub board: BoardDeformation,
     /// Reprojection errors (x, y) of all corners, pixels, in order.
@@ -175,6 +180,7 @@ pub fn calibrate_cameras(
     if let Some(problem) = target.problem() {
         return Err(Error::Target { problem });
     }
+    expect_different_images(cameras)?;
     let ordered = in_order(cameras);
     let mut alone = Vec::with_capacity(cameras.len());
     for (done, views) in ordered.iter().enumerate() {
@@ -210,9 +216,20 @@ pub fn calibrate_cameras(
     if let Some(last) = calibration.cameras.last_mut() {
         last.warnings.extend(warning);
     }
+    for c in &mut calibration.cameras {
+        let far_m = c.camera_from_first.translation.norm();
+        if far_m > FARTHEST_M {
+            c.warnings.push(format!(
+                "{} is {far_m:.1} m from the first camera: the board's size is not in metres, or it is not the same board",
+                c.name
+            ));
+        }
+    }
     Ok(calibration)
 }
 
+/// Cameras of a rig that is carried are nearer to each other, metres.
+const FARTHEST_M: f64 = 5.0;
 /// Difference of two cameras' places that counts as much as another camera: radians and metres.
 const TURN_RAD: f64 = 0.1;
 const SHIFT_M: f64 = 0.05;

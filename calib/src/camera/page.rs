@@ -11,7 +11,8 @@ use crate::verify::Outcome;
 impl CameraCalibration {
     /// Whether the result may be used: not where corners miss by more than any detector does.
     pub fn outcome(&self) -> Outcome {
-        if self.cameras.iter().any(|c| c.inlier_rms_px > FAILED_RMS_PX) {
+        let fails = |c: &CalibratedCamera| c.is_another_board || c.inlier_rms_px > FAILED_RMS_PX;
+        if self.cameras.iter().any(fails) {
             Outcome::Fail
         } else if self.cameras.iter().any(|c| !c.warnings.is_empty()) {
             Outcome::Warn

@@ -94,6 +94,7 @@ impl Solved<'_> {
             );
             // What matters most comes first.
             camera.warnings.splice(0..0, diagnosis.warning(rms_px));
+            camera.is_another_board = diagnosis.is_another_gap(rms_px);
             let deformation = diagnosis.board(variance);
             for (p, more) in camera
                 .parameters
@@ -207,6 +208,7 @@ impl Solved<'_> {
             coverage,
             cells,
             cell_errors_px: errors.by_cell.means(),
+            is_another_board: false,
             board: BoardDeformation::default(),
             errors_px: errors.all,
             warnings,

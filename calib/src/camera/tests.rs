@@ -260,7 +260,7 @@ fn the_order_of_corners_and_other_cameras_does_not_matter() {
     let [_, mut third] = stereo(lenses()[1], 15, 0.6, 0.1, 9);
     third.name = "cam2".into();
     for corner in third.views.values_mut().flatten() {
-        corner.pixel.x += 0.01 * (corner.index % 7) as f64;
+        corner.pixel.x += 2.0 + 0.01 * (corner.index % 7) as f64;
     }
     let run = |views: &[CameraViews]| {
         calibrate_cameras(&GRID, views, &CameraConfig::default(), &no_progress).expect("calibrated")
@@ -312,4 +312,39 @@ fn outliers_do_not_move_the_result() {
     let camera = &found.cameras[0];
     assert!((camera.parameters[0].value - 300.0).abs() < 4.5 * camera.parameters[0].sigma);
     assert!(camera.outliers * 21 > camera.corners && camera.outliers * 19 < camera.corners);
+}
+
+/// Lenses that one model finds can be started with the others as well, long ones too; a model whose parameters the views do not
+/// tell apart says so.
+#[test]
+fn models_start_where_others_do() {
+    let long = Lens::PinholeRadtan {
+        focal_px: [1400.0, 1402.0],
+        principal_px: [322.0, 238.0],
+        distortion: [-0.1, 0.02, 0.0, 0.0, 0.0],
+    };
+    for lens in lenses().into_iter().chain([long]) {
+        let [views, _] = stereo(lens, 20, 0.5, 0.1, 8);
+        for model in [
+            LensModel::KannalaBrandt,
+            LensModel::DoubleSphere,
+            LensModel::ExtendedUnified,
+        ] {
+            let found = calibrate_cameras(
+                &GRID,
+                std::slice::from_ref(&views),
+                &config(model),
+                &no_progress,
+            );
+            match found {
+                Ok(found) => assert!(
+                    found.rms_px < 0.4,
+                    "{lens:?} as {model:?}: {}",
+                    found.rms_px
+                ),
+                Err(Error::Undetermined { .. }) if model != LensModel::KannalaBrandt => (),
+                Err(error) => panic!("{lens:?} as {model:?}: {error}"),
+            }
+        }
+    }
 }

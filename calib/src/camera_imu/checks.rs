@@ -1,12 +1,14 @@
 //! Input that cannot give a good answer, found before and after the first guess, and named.
 
 use lsfb_geometry::{ImuNoiseModel, Rig, Se3, Vector3};
-use lsfb_types::{Bounds, OutOfBounds};
+use lsfb_types::{Bounds, ImuSample, OutOfBounds, Timestamp};
 
 use super::state::Sample;
 use super::{CameraImuCalibration, CameraImuConfig, KnownCamera};
 use crate::Error;
 use crate::board::Target;
+use crate::camera::expect_different_images;
+use crate::stamps::{CAMERA_HZ, IMU_HZ, expect_nanoseconds};
 
 /// Samples at the end of a range that make it one, and how many of them in a row.
 const SATURATED: usize = 5;
@@ -17,6 +19,8 @@ const MAX_SHIFT_M: f64 = 0.05;
 /// Mean of an accelerometer as a share of gravity: between these its unit is right, and around this it counts in g.
 const RIGHT_UNIT: std::ops::Range<f64> = 0.7..1.5;
 const IN_G: std::ops::Range<f64> = 0.08..0.13;
+/// End of the range of the fastest gyroscopes that a person carries, 2000 °/s.
+const FASTEST_RAD_S: f64 = 35.0;
 /// A camera is another one of the rig where it stands so much nearer to that one's place than to its own.
 const NEARER: f64 = 0.25;
 
@@ -49,6 +53,35 @@ pub(super) fn before(
             first: twice[0].into(),
             second: twice[1].into(),
             problem: "a camera is named twice".into(),
+        });
+    }
+    Ok(())
+}
+
+/// Fails where stamps or angular velocities are right in other units only, or two cameras were given the same images.
+pub(super) fn units(cameras: &[KnownCamera], imu: &[(Timestamp, ImuSample)]) -> Result<(), Error> {
+    expect_different_images(cameras.iter().map(|c| &c.views))?;
+    for known in cameras {
+        let what = format!("images of {}", known.views.name);
+        expect_nanoseconds(&what, known.views.views.keys().copied(), CAMERA_HZ)?;
+    }
+    expect_nanoseconds(
+        "samples of the IMU",
+        imu.iter().map(|s| s.0.nanos()),
+        IMU_HZ,
+    )?;
+    let mut rates: Vec<f64> = imu
+        .iter()
+        .map(|(_, s)| Vector3::from(s.angular_velocity_rad_s).norm())
+        .collect();
+    rates.sort_by(f64::total_cmp);
+    let fast = rates.get(rates.len() * 9 / 10).copied().unwrap_or(0.0);
+    if fast > FASTEST_RAD_S {
+        return Err(Error::Unit {
+            what: "the gyroscope".to_owned(),
+            problem: format!(
+                "a tenth of its samples turns faster than {fast:.0} rad/s: they are in degrees per second, radians per second are needed"
+            ),
         });
     }
     Ok(())

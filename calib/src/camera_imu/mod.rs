@@ -211,6 +211,8 @@ pub struct CameraOnImu {
     pub holdout_rms_px: Option<f64>,
     /// Corners used.
     pub corners: usize,
+    /// Whether the gaps between the board's tags are clearly others than said: nothing here holds then.
+    pub is_another_board: bool,
     /// Corners left out.
     pub outliers: usize,
     /// Share of the image's cells (12 × 8) in which a corner was seen.
@@ -346,6 +348,7 @@ pub fn calibrate_camera_imu(
     progress: ProgressFn,
 ) -> Result<CameraImuCalibration, Error> {
     checks::before(target, cameras, noise, config)?;
+    checks::units(cameras, imu)?;
     // Always in the order of names, so that sums round alike.
     let mut order: Vec<usize> = (0..cameras.len()).collect();
     order.sort_by(|a, b| cameras[*a].views.name.cmp(&cameras[*b].views.name));

@@ -12,7 +12,8 @@ use crate::verify::Outcome;
 impl CameraImuCalibration {
     /// Whether the result may be used: not where corners miss by more than any detector does.
     pub fn outcome(&self) -> Outcome {
-        if self.board_is_another() || self.cameras.iter().any(|c| c.rms_px > FAILED_RMS_PX) {
+        let fails = |c: &CameraOnImu| c.is_another_board || c.rms_px > FAILED_RMS_PX;
+        if self.board_is_another() || self.cameras.iter().any(fails) {
             Outcome::Fail
         } else if self.warnings.is_empty() {
             Outcome::Pass

@@ -90,7 +90,7 @@ impl State {
             sigma: excess.sigma * inertial.ratio[1].max(1.0),
             ..excess
         };
-        let cameras: Vec<CameraOnImu> = (0..self.cameras.len())
+        let mut cameras: Vec<CameraOnImu> = (0..self.cameras.len())
             .map(|k| self.camera(k, holdout[k], &uncertainty))
             .collect();
         let worst_px = cameras.iter().map(|c| c.rms_px).fold(0.0, f64::max);
@@ -116,10 +116,12 @@ impl State {
                 ));
             }
         }
-        for (k, camera) in cameras.iter().enumerate() {
+        for (k, camera) in cameras.iter_mut().enumerate() {
             let diagnosis = Diagnosis::new(target, &camera.camera, self.seen(k).collect());
             let misses = diagnosis.warning(camera.rms_px);
+            let is_another_board = diagnosis.is_another_gap(camera.rms_px);
             warnings.extend(misses.map(|w| format!("{}: {w}", camera.name)));
+            camera.is_another_board = is_another_board;
             warnings.extend(self.warnings_of(camera));
         }
         let middle = self.middle_bias();
@@ -235,6 +237,7 @@ impl State {
             readout_sigma_s: own.readout_s,
             views,
             rms_px: (squares / errors_px.len().max(1) as f64).sqrt(),
+            is_another_board: false,
             holdout_rms_px,
             corners: errors_px.len(),
             outliers,

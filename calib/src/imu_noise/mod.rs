@@ -37,6 +37,7 @@ pub use allan::Cluster;
 pub use fit::Noise;
 
 use crate::Error;
+use crate::stamps::{IMU_HZ, expect_nanoseconds};
 use uncertainty::Recorded;
 
 /// Settings of [`imu_noise`].
@@ -123,6 +124,11 @@ pub fn imu_noise(
     config: &ImuNoiseConfig,
 ) -> Result<ImuNoise, Error> {
     config.check_bounds("imu_noise")?;
+    expect_nanoseconds(
+        "samples of the IMU",
+        imu.iter().map(|s| s.0.nanos()),
+        IMU_HZ,
+    )?;
     let log = rest::Log::new(imu, config)?;
     let lengths: Vec<usize> = allan::lengths(log.axes[0].len())
         .into_iter()

@@ -124,6 +124,17 @@ impl<'a> Diagnosis<'a> {
         ))
     }
 
+    /// Whether the gaps between tags are others than the board's file says: where they explain what [`Diagnosis::warning`] blames.
+    pub fn is_another_gap(&self, rms_px: f64) -> bool {
+        let least = if rms_px > WORRYING_RMS_PX {
+            BLAME
+        } else {
+            MOST
+        };
+        let cause = self.sums.explain(self.target, self.camera);
+        cause.is_some_and(|c| c.is_another_gap && c.share >= least)
+    }
+
     /// What is to be said of a lens that was given, where one of its model fits these views clearly better.
     pub fn given_lens(&self) -> Option<String> {
         self.sums.given_lens(self.camera)

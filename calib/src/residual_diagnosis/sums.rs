@@ -37,6 +37,9 @@ const FLAT_CHI_SQUARE: f64 = 20.5;
 const LENS_SHARE: f64 = 0.2;
 const LENS_CHI_SQUARE: f64 = 60.0;
 
+/// Change of the gap between tags, as a share of their edge, that is no inaccuracy of a print.
+const ANOTHER_GAP: f64 = 0.02;
+
 /// One thing that would explain errors.
 struct Cause {
     /// First of its columns and how many it has.
@@ -100,6 +103,8 @@ const CAUSES: [Cause; 5] = [
 pub(super) struct Explained {
     pub share: f64,
     pub words: String,
+    /// Whether it is a gap between tags that no print of the board said has.
+    pub is_another_gap: bool,
 }
 
 /// Normal matrix of lens and causes with the views' poses eliminated.
@@ -289,6 +294,7 @@ impl Sums {
                 "views that were taken {:.1} ms rms off their stamps: these jitter or jump, stamp images when they are taken (`lsfb clock` compares clocks)",
                 (self.times[0] / self.times[1].max(1.0)).sqrt() * 1e3
             ),
+            is_another_gap: false,
         })
     }
 
@@ -301,6 +307,7 @@ impl Sums {
                 "poses of the views that do not follow the IMU (each alone is met to {:.2} px): the board is of another size, the IMU's noise is understated, or clocks jump",
                 (self.squares / self.corners.max(1.0)).max(0.0).sqrt()
             ),
+            is_another_gap: false,
         };
         let explained = CAUSES.iter().map(|cause| {
             let [first, count] = cause.columns;
@@ -311,6 +318,7 @@ impl Sums {
             Explained {
                 share: -gradient.dot(&step) / reduced.squares.max(1e-12),
                 words: (cause.words)(target, &step),
+                is_another_gap: first == GAP && step[0].abs() > ANOTHER_GAP,
             }
         });
         let explained = explained.chain([of_views]);

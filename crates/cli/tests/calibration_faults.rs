@@ -218,6 +218,21 @@ fn clocks_of_camera_and_imu() {
     restamped("jump", "cam0", |stamp, k| {
         stamp + if k > 60 { 6_000_000 } else { 0 }
     });
+    // Another unit, and the numbers of frames.
+    restamped("micro", "cam0", |stamp, _| stamp / 1000);
+    restamped("milli", "cam0", |stamp, _| stamp / 1_000_000);
+    restamped("frames", "cam0", |_, k| k as i64 + 1);
+    for (camera, words) in [
+        (
+            "cam0=micro",
+            &["images of cam0", "look like microseconds"][..],
+        ),
+        ("cam0=milli", &["images of cam0", "look like milliseconds"]),
+        ("cam0=frames", &["images of cam0", "1 apart are no stamps"]),
+    ] {
+        let arguments = camera_imu(GRID, camera, "imu.csv");
+        ends(good(), &arguments, "unit.toml", End::Refused, words);
+    }
     for (camera, words) in [
         ("cam0=jitter", &["off their stamps", "jitter or jump"][..]),
         ("cam0=jump", &["Synchronise the clocks"]),
@@ -255,6 +270,12 @@ fn boards_before_camera_and_imu() {
         "gaps.toml",
         "4,3,0.14,0.36",
         &["gaps of 0.2", "correct tagSpacing"],
+    );
+    // Met to less than what fails anything: it was a warning once.
+    fails(
+        "smaller_gaps.toml",
+        "4,3,0.14,0.25",
+        &["gaps of 0.", "correct tagSpacing"],
     );
     let head = folder();
     Walk {

@@ -68,7 +68,7 @@ fn known_noise_comes_back_within_its_sigma() {
                 "imu.csv",
                 "--out",
                 "noise.html",
-                "--kalibr",
+                "--out-kalibr",
                 "imu.yaml",
                 "--rig",
                 "rig.toml",

@@ -7,7 +7,7 @@ use lsfb_calib::joint::{IMU, JointConfig, Weights, join_transforms};
 use lsfb_geometry::{Rig, RigLidar};
 use lsfb_recording::Provenance;
 
-use super::calib_result::Judged;
+use super::calib_result::{Judged, set_aside};
 use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;
@@ -28,10 +28,10 @@ pub struct Arguments {
     /// A transform between two sensors, as other steps write it.
     #[arg(long = "transform", required = true, value_name = "JSON")]
     transforms: Vec<PathBuf>,
-    /// The paper's covariances for all, also where measured ones are known.
+    /// Use the paper's covariances for all transforms, even where measured ones are known.
     #[arg(long)]
     paper_weights: bool,
-    /// The joined rig; a page with the table of loops is written beside it.
+    /// The joined rig to write; a page with the table of loops goes beside it.
     #[arg(long, value_name = "TOML")]
     out: PathBuf,
     /// Settings (TOML), instead of the defaults.
@@ -45,6 +45,12 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     if arguments.paper_weights {
         config.weights = Weights::Paper;
     }
+    let read = arguments.transforms.iter().chain([&arguments.rig]);
+    set_aside(
+        &arguments.out,
+        &[],
+        &read.map(PathBuf::as_path).collect::<Vec<_>>(),
+    )?;
     let mut rig = Rig::read(&arguments.rig)?;
     let mut provenance = Provenance::new(&config);
     provenance.add_input(&arguments.rig)?;

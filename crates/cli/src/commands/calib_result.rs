@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use anyhow::Context as _;
 use lsfb_calib::TransformEdge;
 use lsfb_calib::joint::IMU;
 use lsfb_calib::verify::Outcome as Judgement;
@@ -46,20 +47,50 @@ impl<C: Serialize> Judged<'_, C> {
     }
 }
 
+/// Moves what an earlier run wrote to `out` and beside it aside, as `NAME.old`: whatever becomes of this run, nothing older looks
+/// like its result. `transforms` are the sensors of those that this run will write; an `out` that is also read stays.
+pub fn set_aside(out: &Path, transforms: &[[&str; 2]], inputs: &[&Path]) -> anyhow::Result<()> {
+    let pages = [out.to_owned(), out.with_extension("html")];
+    let transforms = transforms
+        .iter()
+        .map(|[target, source]| transform_path(out, target, source));
+    let old = pages.into_iter().chain(transforms);
+    let is_read = |path: &Path| {
+        let same = |input: &&Path| match (input.canonicalize(), path.canonicalize()) {
+            (Ok(input), Ok(path)) => input == path,
+            _ => false,
+        };
+        inputs.iter().any(same)
+    };
+    for path in old {
+        if path.is_file() && !is_read(&path) {
+            let mut aside = path.clone().into_os_string();
+            aside.push(".old");
+            std::fs::rename(&path, &aside).with_context(|| path.display().to_string())?;
+        }
+    }
+    Ok(())
+}
+
 /// Writes transforms beside a rig, `RIG.TARGET-SOURCE.json`, and says where; `imu` comes last in the names.
 pub fn write_transforms(rig: &Path, edges: &[TransformEdge]) -> anyhow::Result<Vec<PathBuf>> {
     let mut paths = Vec::new();
     for edge in edges {
-        let (a, b) = if edge.target == IMU {
-            (&edge.source, &edge.target)
-        } else {
-            (&edge.target, &edge.source)
-        };
-        let path = rig.with_extension(format!("{a}-{b}.json"));
+        let path = transform_path(rig, &edge.target, &edge.source);
         super::write(&path, edge.to_json())?;
         paths.push(path);
     }
     Ok(paths)
+}
+
+/// Where the transform between two sensors is written; `imu` comes last in the name.
+fn transform_path(rig: &Path, target: &str, source: &str) -> PathBuf {
+    let (a, b) = if target == IMU {
+        (source, target)
+    } else {
+        (target, source)
+    };
+    rig.with_extension(format!("{a}-{b}.json"))
 }
 
 /// Files in a sentence.

@@ -90,7 +90,7 @@ fn arguments<'a>(grid: &'a str, plate: &'a str, camera: &'a str) -> Vec<&'a str>
 }
 
 const OWN: &str = "6,6,0.088,0.3";
-const PLATE: &str = "830,750";
+const PLATE: &str = "0.83,0.75";
 
 #[test]
 fn boards_and_cameras() {
@@ -118,10 +118,10 @@ fn boards_and_cameras() {
     let larger = arguments("6,6,0.08627,0.3", PLATE, "cam0=images");
     let words = &["% larger than said", "Measure it"];
     ends(path, &larger, "a_little.toml", End::Warn, words);
-    let gaps = arguments("6,6,0.088,0.4", "860,860", "cam0=images");
+    let gaps = arguments("6,6,0.088,0.4", "0.86,0.86", "cam0=images");
     let words = &["gaps of 0.", "correct tagSpacing"];
     ends(path, &gaps, "gaps.toml", End::Refused, words);
-    let wider = arguments(OWN, "890,750", "cam0=images");
+    let wider = arguments(OWN, "0.89,0.75", "cam0=images");
     ends(
         path,
         &wider,
@@ -129,9 +129,9 @@ fn boards_and_cameras() {
         End::Warn,
         &["-60 mm longer", "x axis"],
     );
-    let exchanged = arguments(OWN, "750,1100", "cam0=images");
+    let exchanged = arguments(OWN, "0.75,1.1", "cam0=images");
     ends(path, &exchanged, "sides.toml", End::Refused, &["board"]);
-    let middle = [&own[..], &["--offset", "0,35"]].concat();
+    let middle = [&own[..], &["--offset", "0,0.035"]].concat();
     ends(
         path,
         &middle,
