@@ -41,7 +41,7 @@ mod tap;
 mod threads;
 mod topics;
 
-pub use clouds::{CloudsConfig, import_clouds};
+pub use clouds::{CloudsConfig, ImportedClouds, import_clouds};
 pub use config::{
     CameraUnitConfig, DevicesConfig, ExposureConfig, ImuFamily, ImuLineConfig, LidarData,
     LidarNetConfig, LidarReturns, LidarSettingsConfig, Overflow, RecorderConfig, SidecarConfig,

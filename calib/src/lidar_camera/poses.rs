@@ -92,7 +92,7 @@ pub fn poses_from_folder(
     pairs
         .into_par_iter()
         .map(|(number, path)| {
-            let scan = read_pcd(path).map_err(|e| Error::Parse {
+            let cloud = read_pcd(path).map_err(|e| Error::Parse {
                 path: path.display().to_string(),
                 problem: e.to_string(),
             })?;
@@ -102,7 +102,7 @@ pub fn poses_from_folder(
                     time_offset_ns: 0,
                     corners: views.views[&number].clone(),
                 }],
-                scan,
+                scan: cloud.scan,
             })
         })
         .collect()

@@ -1,10 +1,12 @@
-//! Point clouds in PCD files, format 0.7, ASCII and binary: fields x y z, and intensity, ring, t where they are there.
+//! Point clouds in PCD files, format 0.7, ASCII and binary: fields x y z, and intensity, ring and the points' times where they are
+//! there (`point_times.rs`).
 
 use std::path::Path;
 
 use lsfb_types::{Echo, LidarPoint, LidarScan};
 
 use crate::Error;
+use crate::point_times::{Numbers, PointTimes, is_time, point_times};
 
 /// Points in one file; more is a map, not a scan.
 const MAX_POINTS: usize = 20_000_000;
@@ -33,8 +35,17 @@ struct Header {
     data_at: usize,
 }
 
+/// A point cloud from a file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cloud {
+    /// Its points.
+    pub scan: LidarScan,
+    /// Where their times come from.
+    pub times: PointTimes,
+}
+
 /// Reads a point cloud from a PCD file, ASCII or binary. Points whose coordinates are not finite are left out.
-pub fn read_pcd(path: &Path) -> Result<LidarScan, Error> {
+pub fn read_pcd(path: &Path) -> Result<Cloud, Error> {
     let bytes = std::fs::read(path).map_err(|source| Error::Io {
         path: path.to_owned(),
         action: "read",
@@ -46,7 +57,7 @@ pub fn read_pcd(path: &Path) -> Result<LidarScan, Error> {
     };
     let header = header(&bytes).map_err(fail)?;
     let data = bytes.get(header.data_at..).unwrap_or_default();
-    let rows: Vec<Vec<f64>> = if header.binary {
+    let mut rows: Vec<Vec<f64>> = if header.binary {
         let need = header.points * header.point_bytes;
         if data.len() < need {
             return Err(fail(format!(
@@ -78,27 +89,44 @@ pub fn read_pcd(path: &Path) -> Result<LidarScan, Error> {
     let (Some(x), Some(y), Some(z)) = (column("x"), column("y"), column("z")) else {
         return Err(fail("no fields x, y and z".to_owned()));
     };
-    let (intensity, ring, offset) = (column("intensity"), column("ring"), column("t"));
-    let value =
-        |row: &[f64], at: Option<usize>| at.and_then(|i| row.get(i)).copied().unwrap_or(0.0);
-    let points = rows.iter().filter_map(|row| {
-        let position_m = [x, y, z].map(|i| value(row, Some(i)) as f32);
-        position_m
+    let (intensity, ring) = (column("intensity"), column("ring"));
+    rows.retain(|row| {
+        [x, y, z]
             .iter()
-            .all(|c| c.is_finite())
-            .then(|| LidarPoint {
-                position_m,
-                // Float casts saturate: what does not fit becomes the nearest that does.
-                intensity: value(row, intensity) as u8,
-                ring: value(row, ring) as u16,
-                // Programs number the kinds of returns differently, and the file does not say which one wrote it.
-                echo: Echo::Unknown,
-                time_offset_ns: value(row, offset) as u32,
-            })
+            .all(|i| row.get(*i).is_some_and(|c| (*c as f32).is_finite()))
     });
-    Ok(LidarScan {
-        points: points.collect(),
+    let time = header.fields.iter().position(|f| is_time(&f.name));
+    let (offsets_ns, times) = match time.and_then(|at| Some((at, header.fields.get(at)?))) {
+        None => (Vec::new(), PointTimes::Absent),
+        Some((at, field)) => {
+            let values: Vec<f64> = rows.iter().map(|r| value(r, Some(at))).collect();
+            let numbers = match field.kind {
+                Kind::Float => Numbers::Real,
+                Kind::Signed | Kind::Unsigned => Numbers::Whole,
+            };
+            point_times(&field.name, numbers, &values)
+        }
+    };
+    let points = rows.iter().enumerate().map(|(k, row)| LidarPoint {
+        position_m: [x, y, z].map(|i| value(row, Some(i)) as f32),
+        // Float casts saturate: what does not fit becomes the nearest that does.
+        intensity: value(row, intensity) as u8,
+        ring: value(row, ring) as u16,
+        // Programs number the kinds of returns differently, and the file does not say which one wrote it.
+        echo: Echo::Unknown,
+        time_offset_ns: offsets_ns.get(k).copied().unwrap_or(0),
+    });
+    Ok(Cloud {
+        scan: LidarScan {
+            points: points.collect(),
+        },
+        times,
     })
+}
+
+/// A number of a row; zero where the file has no such field.
+fn value(row: &[f64], at: Option<usize>) -> f64 {
+    at.and_then(|i| row.get(i)).copied().unwrap_or(0.0)
 }
 
 fn header(bytes: &[u8]) -> Result<Header, String> {
@@ -239,7 +267,7 @@ mod tests {
     const HEADER: &str = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z intensity ring\nSIZE 4 4 4 4 2\nTYPE F F F F U\n\
                           COUNT 1 1 1 1 1\nWIDTH 2\nHEIGHT 1\nPOINTS 2\n";
 
-    fn written(bytes: &[u8]) -> Result<LidarScan, Error> {
+    fn written(bytes: &[u8]) -> Result<Cloud, Error> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.pcd");
         std::fs::write(&path, bytes).unwrap();
@@ -268,8 +296,37 @@ mod tests {
             point([1.0, 2.0, 3.0], 40, 5),
             point([-1.0, -2.0, 0.5], 255, 6),
         ];
-        assert_eq!(written(ascii.as_bytes()).unwrap().points, expected);
-        assert_eq!(written(&binary).unwrap().points, expected);
+        for bytes in [ascii.as_bytes(), &binary] {
+            let cloud = written(bytes).unwrap();
+            assert_eq!(cloud.scan.points, expected);
+            assert_eq!(cloud.times, PointTimes::Absent);
+        }
+    }
+
+    #[test]
+    fn the_field_of_times_is_used_whatever_its_name() {
+        let cloud = |name: &str, kind: &str, size: usize, times: [&str; 2]| {
+            let text = format!(
+                "VERSION 0.7\nFIELDS x y z {name}\nSIZE 4 4 4 {size}\nTYPE F F F {kind}\nPOINTS 3\n\
+                 DATA ascii\n1 2 3 {}\nnan 2 3 7e18\n1 2 4 {}\n",
+                times[0], times[1]
+            );
+            written(text.as_bytes()).unwrap()
+        };
+        for (name, kind, size, times) in [
+            ("t", "U", 4, ["5000000", "85000000"]),
+            ("time", "F", 4, ["-0.08", "0"]),
+            ("timestamp", "F", 8, ["1700000000.25", "1700000000.33"]),
+            ("offset_time", "U", 4, ["20", "80020"]),
+        ] {
+            let found = cloud(name, kind, size, times);
+            assert!(matches!(&found.times, PointTimes::Field { name: n, .. } if n == name));
+            let offsets: Vec<u32> = found.scan.points.iter().map(|p| p.time_offset_ns).collect();
+            assert!(
+                offsets[0] == 0 && offsets[1].abs_diff(80_000_000) < 200,
+                "{name}: {offsets:?}"
+            );
+        }
     }
 
     #[test]
