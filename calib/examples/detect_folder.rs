@@ -7,7 +7,9 @@ use std::path::Path;
 use std::time::Instant;
 
 use lsfb_calib::board::MarkerDictionary;
-use lsfb_calib::{Target, detect, images};
+use lsfb_calib::camera::image_files;
+use lsfb_calib::{Target, detect};
+use lsfb_perception::image;
 
 #[allow(clippy::print_stdout, reason = "an example prints its result")]
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -37,9 +39,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let repeat = arguments.iter().position(|a| a == "--repeat");
     let times: usize = repeat.map_or(Ok(1), |k| word(k + 1).parse())?;
     let (mut seconds, mut corners_seen, mut images_seen, mut pixels) = (0.0, 0, 0, 0);
-    let files = images::list(Path::new(word(0)))?;
+    let files = image_files(Path::new(word(0)))?;
     for path in &files {
-        let image = images::read(path)?;
+        let image = image::read(path)?;
         let start = Instant::now();
         let mut corners = detect::detect(&image, &target);
         for _ in 1..times {

@@ -5,7 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-use lsfb_calib::verify::{RefineConfig, Refinement, refine};
+use lsfb_calib::refine::{RefineConfig, Refinement, refine};
 use lsfb_geometry::{Rig, Se3, Vector3, Vector6};
 use lsfb_recording::Recording;
 use lsfb_rigs::walk::Walk;
@@ -109,7 +109,7 @@ impl Left {
         let lidar = rig.lidar().ok_or("no LiDAR")?.rig_from_lidar;
         let truth = rig.cameras[&found.camera].rig_from_camera.inverse() * lidar;
         // In the camera's axes.
-        let off = (edge.target_from_source * truth.inverse()).log();
+        let off = edge.target_from_source.inverse().local(&truth.inverse());
         let through = edge.target_from_source.adjoint();
         let covariance = through * edge.covariance.ok_or("no covariance")? * through.transpose();
         let weighted = covariance.cholesky().ok_or("no covariance")?.solve(&off);

@@ -10,6 +10,9 @@ pub enum Error {
         /// Why.
         source: std::io::Error,
     },
+    /// An image could not be read.
+    #[error(transparent)]
+    Image(#[from] lsfb_perception::image::ImageError),
     /// A file is not what it should be.
     #[error("{path}: {problem}")]
     Parse {

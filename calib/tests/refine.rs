@@ -1,6 +1,6 @@
 //! Refinement on a simulated walk: the same answer from any number of threads, and a clock that is wrong.
 
-use lsfb_calib::verify::{RefineConfig, RefinementReport, refine};
+use lsfb_calib::refine::{RefineConfig, RefinementReport, refine};
 use lsfb_geometry::{Rig, Se3, Vector6};
 use lsfb_recording::Recording;
 use lsfb_rigs::walk::Walk;

@@ -4,11 +4,12 @@
 
 use std::path::Path;
 
+use lsfb_calib::camera::image_files;
 use lsfb_calib::camera_imu::read_imu_table;
-use lsfb_calib::images;
 use lsfb_calib::verify::{Check, Outcome, Verification, VerifyConfig, verify};
 use lsfb_geometry::camera::Lens;
 use lsfb_geometry::{Camera, Matrix3, Rig, RigCamera, Se3, UnitQuaternion, Vector3};
+use lsfb_perception::image;
 use lsfb_recording::{Recording, Writer, WriterConfig};
 use lsfb_tests::recordings as data;
 use lsfb_types::{Image, Stamped, Timestamp, no_progress};
@@ -60,7 +61,7 @@ fn record(folder: &Path, path: &Path) {
     let mut writer = Writer::create(path, &WriterConfig::default()).expect("a file");
     let table = read_imu_table(&folder.join("imu0/data.csv")).expect("a table");
     let mut samples = table.into_iter().peekable();
-    let files = CAMERAS.map(|c| images::list(&folder.join(c).join("data")).expect("images"));
+    let files = CAMERAS.map(|c| image_files(&folder.join(c).join("data")).expect("images"));
     for k in 0..IMAGES {
         for (name, files) in CAMERAS.iter().zip(&files) {
             let stem = files[k].file_stem().and_then(|s| s.to_str());
@@ -70,7 +71,7 @@ fn record(folder: &Path, path: &Path) {
                     .write_imu("imu0", &stamped(time, sample))
                     .expect("written");
             }
-            let image: Image = images::read(&files[k]).expect("an image");
+            let image: Image = image::read(&files[k]).expect("an image");
             writer
                 .write_image(name, &stamped(time, image))
                 .expect("written");

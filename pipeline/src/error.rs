@@ -35,14 +35,9 @@ pub enum Error {
         /// What is wrong.
         reason: &'static str,
     },
-    /// An image file cannot be decoded.
-    #[error("{path}: not a readable image ({reason}); copy it again from its source", path = path.display())]
-    ImageFile {
-        /// The file.
-        path: PathBuf,
-        /// What the decoder says.
-        reason: String,
-    },
+    /// An image file cannot be read.
+    #[error(transparent)]
+    Image(#[from] lsfb_perception::image::ImageError),
     /// A folder holds no map.
     #[error("{folder}: no map here (map.toml is missing): give a folder written by `lsfb map`, or map again if that was interrupted", folder = folder.display())]
     NoMap {

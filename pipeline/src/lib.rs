@@ -15,7 +15,6 @@ pub mod mapping;
 pub mod odometry;
 pub mod posed_images;
 pub mod preintegration;
-pub mod preprocess;
 pub mod residuals;
 mod solve;
 

@@ -1,11 +1,10 @@
 //! Folders of images whose poses are known: the input of a map without a backpack, and queries with an answer.
 
 use std::fs;
-use std::io::{BufReader, Cursor};
 use std::path::{Path, PathBuf};
 
 use lsfb_geometry::{Camera, Matrix3, Rig, RigCamera, Se3, UnitQuaternion, Vector3};
-use lsfb_types::Image;
+use lsfb_perception::image;
 use nalgebra::Rotation3;
 use sha2::{Digest, Sha256};
 
@@ -35,8 +34,6 @@ pub struct PosedImages {
 const INTRINSICS: &str = "K.txt";
 /// One line per image: file name and the rows of `world_from_camera`, 4 × 4.
 const POSES: &str = "poses_T_world_cam_rowmajor4x4.txt";
-/// Largest image accepted, unpacked.
-const MAX_IMAGE_BYTES: usize = 1 << 30;
 
 impl PosedImages {
     /// Reads a folder with `K.txt`, `poses_T_world_cam_rowmajor4x4.txt` and `images/`: an undistorted pinhole camera
@@ -70,7 +67,7 @@ impl PosedImages {
                 reason: "the list is empty",
             });
         };
-        let size = read_image(&first.path)?;
+        let size = image::read(&first.path)?;
         let camera = read_pinhole(&folder.join(INTRINSICS), size.width, size.height)?;
         let mounted = RigCamera {
             camera,
@@ -157,69 +154,6 @@ fn rigid(rows: &[f64; 16]) -> Option<Se3> {
     Some(Se3::new(rotation, Vector3::new(rows[3], rows[7], rows[11])))
 }
 
-/// Reads a PNG or JPEG file as grey values.
-pub fn read_image(path: &Path) -> Result<Image, Error> {
-    let bytes = fs::read(path).map_err(Error::io(path))?;
-    let decoded = match bytes.first() {
-        Some(0x89) => decode_png(&bytes),
-        Some(0xff) => decode_jpeg(&bytes),
-        _ => Err("neither PNG nor JPEG".to_owned()),
-    };
-    decoded.map_err(|reason| Error::ImageFile {
-        path: path.to_owned(),
-        reason,
-    })
-}
-
-fn decode_jpeg(bytes: &[u8]) -> Result<Image, String> {
-    use zune_jpeg::zune_core::{colorspace::ColorSpace, options::DecoderOptions};
-    let options = DecoderOptions::default().jpeg_set_out_colorspace(ColorSpace::Luma);
-    let cursor = zune_jpeg::zune_core::bytestream::ZCursor::new(bytes);
-    let mut decoder = zune_jpeg::JpegDecoder::new_with_options(cursor, options);
-    let pixels = decoder.decode().map_err(|e| format!("{e:?}"))?;
-    let info = decoder.info().ok_or("no size")?;
-    grey(u32::from(info.width), u32::from(info.height), pixels, 1)
-}
-
-fn decode_png(bytes: &[u8]) -> Result<Image, String> {
-    let mut decoder = png::Decoder::new(BufReader::new(Cursor::new(bytes)));
-    decoder.set_transformations(png::Transformations::normalize_to_color8());
-    let mut reader = decoder.read_info().map_err(|e| e.to_string())?;
-    let size = reader
-        .output_buffer_size()
-        .filter(|size| *size <= MAX_IMAGE_BYTES)
-        .ok_or("too large")?;
-    let mut pixels = vec![0; size];
-    let info = reader.next_frame(&mut pixels).map_err(|e| e.to_string())?;
-    pixels.truncate(info.buffer_size());
-    grey(info.width, info.height, pixels, info.color_type.samples())
-}
-
-/// Keeps the first of grey (and alpha), weighs red, green and blue as ITU-R BT.601 does.
-fn grey(width: u32, height: u32, samples: Vec<u8>, channels: usize) -> Result<Image, String> {
-    let pixels: Vec<u8> = match channels {
-        1 => samples,
-        2 => samples.chunks_exact(2).map(|p| p[0]).collect(),
-        _ => samples
-            .chunks_exact(channels)
-            .map(|p| {
-                let sum = 299 * u32::from(p[0]) + 587 * u32::from(p[1]) + 114 * u32::from(p[2]);
-                ((sum + 500) / 1000) as u8
-            })
-            .collect(),
-    };
-    if pixels.len() as u64 != u64::from(width) * u64::from(height) {
-        return Err(format!("{} pixels for {width}×{height}", pixels.len()));
-    }
-    Ok(Image {
-        width,
-        height,
-        pixels,
-        exposure_ns: 0,
-        frame_id: 0,
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -240,30 +174,5 @@ mod tests {
         assert!(message(folder.path()).contains("line 2"));
         fs::write(&poses, "a.png 2 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n").expect("write");
         assert!(message(folder.path()).contains("no rigid transform"));
-    }
-
-    #[test]
-    fn colour_and_damage_in_images() {
-        let folder = tempfile::tempdir().expect("scratch folder");
-        let path = folder.path().join("rgb.png");
-        let mut bytes = Vec::new();
-        let mut encoder = png::Encoder::new(&mut bytes, 2, 1);
-        encoder.set_color(png::ColorType::Rgb);
-        let mut writer = encoder.write_header().expect("header");
-        writer
-            .write_image_data(&[255, 0, 0, 255, 255, 255])
-            .expect("pixels");
-        writer.finish().expect("end");
-        fs::write(&path, &bytes).expect("write");
-        let image = read_image(&path).expect("valid");
-        assert_eq!(
-            (image.width, image.height, image.pixels),
-            (2, 1, vec![76, 255])
-        );
-        for damaged in [&bytes[..bytes.len() / 2], b"\xff\xd8\xff", b"text", b""] {
-            fs::write(&path, damaged).expect("write");
-            let message = read_image(&path).expect_err("damaged").to_string();
-            assert!(message.contains("rgb.png"), "{message}");
-        }
     }
 }

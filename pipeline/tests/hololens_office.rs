@@ -4,11 +4,12 @@
 use std::path::{Path, PathBuf};
 
 use lsfb_geometry::{Matrix3, Se3, Vector3};
+use lsfb_perception::image;
 use lsfb_pipeline::features::matching::{DescriptorSet, MatchConfig, match_mutual};
 use lsfb_pipeline::features::{SiftConfig, SiftDetector};
 use lsfb_pipeline::hd_map::{HdMap, PosedMapConfig, build_map_from_posed_images};
 use lsfb_pipeline::localization::{Localizer, LocalizerConfig, localize_posed_images};
-use lsfb_pipeline::posed_images::{PosedImage, PosedImages, read_image};
+use lsfb_pipeline::posed_images::{PosedImage, PosedImages};
 use lsfb_types::no_progress;
 
 fn recording(test: &str) -> Option<PathBuf> {
@@ -140,7 +141,7 @@ fn as_many_good_matches_as_opencv() {
                 .iter()
                 .find(|i| i.path.ends_with(name))
                 .expect("listed");
-            let features = detector.detect(&read_image(&posed.path).expect("an image"));
+            let features = detector.detect(&image::read(&posed.path).expect("an image"));
             (posed.world_from_rig, features)
         });
         let second_from_first = b.0.inverse() * a.0;

@@ -17,10 +17,14 @@ const ALLOWED: &[(&str, &[&str])] = &[
         "lsfb-capture",
         &["types", "geometry", "drivers", "recording"],
     ),
-    ("lsfb-calib", &["types", "geometry", "solver", "recording"]),
+    ("lsfb-perception", &["types", "geometry", "solver"]),
+    (
+        "lsfb-calib",
+        &["types", "geometry", "solver", "recording", "perception"],
+    ),
     (
         "lsfb-pipeline",
-        &["types", "geometry", "solver", "recording"],
+        &["types", "geometry", "solver", "recording", "perception"],
     ),
     ("lsfb-eval", &["types", "geometry", "recording"]),
     ("lsfb-view", &["types", "geometry", "recording"]),

@@ -35,7 +35,7 @@ pub use guess::pose_of_target;
 pub(crate) use pairing::expect_different_images;
 pub(crate) use pose_choice::most_central;
 pub(crate) use views::last_number;
-pub use views::{views_from_bag, views_from_folder, views_from_recording};
+pub use views::{image_files, views_from_bag, views_from_folder, views_from_recording};
 
 /// What one camera saw.
 #[derive(Clone, Debug, PartialEq)]

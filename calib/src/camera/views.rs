@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use lsfb_recording::Recording;
+use lsfb_perception::image;
+use lsfb_recording::{Recording, sort_naturally};
 use lsfb_types::{Image, Progress, ProgressFn, Stopped};
 use rayon::prelude::*;
 
@@ -12,8 +13,27 @@ use super::CameraViews;
 use crate::Error;
 use crate::board::Target;
 use crate::detect::{Corner, Instead, detect, seen_instead};
-use crate::images;
-use crate::rosbag::RosBag;
+
+/// Endings of files that are read as images.
+const IMAGES: [&str; 4] = ["jpg", "jpeg", "png", "bmp"];
+
+/// The JPEG, PNG and BMP files of a folder in the order of their names; numbers in names count as numbers.
+pub fn image_files(folder: &Path) -> Result<Vec<PathBuf>, Error> {
+    let io = |source| Error::Io {
+        path: folder.display().to_string(),
+        source,
+    };
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(io)? {
+        let path = entry.map_err(io)?.path();
+        let extension = path.extension().map(|e| e.to_ascii_lowercase());
+        if extension.is_some_and(|e| IMAGES.iter().any(|known| e == *known)) {
+            files.push(path);
+        }
+    }
+    sort_naturally(&mut files);
+    Ok(files)
+}
 
 /// One image's part in a [`CameraViews`].
 struct Looked {
@@ -34,7 +54,7 @@ pub fn views_from_folder(
     target: &Target,
     progress: ProgressFn,
 ) -> Result<CameraViews, Error> {
-    let all = images::list(folder)?;
+    let all = image_files(folder)?;
     let in_folder = all.len();
     let files: Vec<PathBuf> = all
         .into_iter()
@@ -63,7 +83,7 @@ pub fn views_from_folder(
         .par_iter()
         .zip(&instants)
         .map(|(file, instant)| {
-            let looked = look(*instant, &images::read(file)?, target);
+            let looked = look(*instant, &image::read(file)?, target);
             progress(Progress {
                 stage: "corners",
                 done: done.fetch_add(1, Ordering::Relaxed) + 1,

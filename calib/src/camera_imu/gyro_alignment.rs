@@ -2,6 +2,7 @@
 
 use lsfb_geometry::align::{Scale, umeyama};
 use lsfb_geometry::{Se3, UnitQuaternion, Vector3, so3};
+use lsfb_perception::gyro::IntegratedGyro;
 
 use super::CameraImuConfig;
 use super::state::Sample;
@@ -29,8 +30,7 @@ const OTHER_AXES: f64 = 0.5;
 pub(super) struct GyroAlignment {
     /// Start, end, mean angular velocity in the camera.
     seen: Vec<(f64, f64, Vector3<f64>)>,
-    times_s: Vec<f64>,
-    integral: Vec<Vector3<f64>>,
+    gyro: IntegratedGyro,
     /// Number of samples before each that are at the end of the gyroscope's range.
     saturated: Vec<usize>,
 }
@@ -44,12 +44,6 @@ pub(super) struct Aligned {
 impl GyroAlignment {
     /// `poses`: stamps and `target_from_camera`.
     pub fn new(samples: &[Sample], poses: &[(f64, Se3)]) -> Self {
-        let mut integral = vec![Vector3::zeros()];
-        let mut sum = Vector3::zeros();
-        for w in samples.windows(2) {
-            sum += (w[0].gyro + w[1].gyro) * (0.5 * (w[1].time_s - w[0].time_s));
-            integral.push(sum);
-        }
         let mut count = 0;
         let saturated = samples
             .iter()
@@ -66,13 +60,12 @@ impl GyroAlignment {
                 apart_s > 0.0 && apart_s < NEIGHBOURS_S && w[0].0 > 0.0 && w[1].0 < last_s
             })
             .map(|w| {
-                let turn = so3::log(&(w[0].1.rotation.inverse() * w[1].1.rotation));
+                let turn = so3::local(&w[0].1.rotation, &w[1].1.rotation);
                 (w[0].0, w[1].0, turn / (w[1].0 - w[0].0))
             });
         Self {
             seen: seen.collect(),
-            times_s: samples.iter().map(|s| s.time_s).collect(),
-            integral,
+            gyro: IntegratedGyro::new(samples.iter().map(|s| (s.time_s, s.gyro))),
             saturated,
         }
     }
@@ -85,7 +78,7 @@ impl GyroAlignment {
             problem,
         };
         if self.seen.len() < MIN_RATES {
-            let length_s = self.times_s.last().copied().unwrap_or(0.0);
+            let length_s = self.gyro.span_s().map_or(0.0, |span| span[1]);
             return Err(not_joined(format!(
                 "{} pairs of neighbouring views lie within the IMU's {length_s:.1} s, {MIN_RATES} are needed: check the clocks",
                 self.seen.len()
@@ -171,15 +164,8 @@ impl GyroAlignment {
 
     /// The integral up to a time, and how many samples before its end say nothing.
     fn integral_at(&self, time_s: f64) -> Option<(Vector3<f64>, usize)> {
-        let next = self.times_s.partition_point(|t| *t < time_s);
-        let (end, start) = (
-            *self.times_s.get(next)?,
-            *self.times_s.get(next.checked_sub(1)?)?,
-        );
-        let share = (time_s - start) / (end - start);
-        let turned =
-            self.integral[next - 1] + (self.integral[next] - self.integral[next - 1]) * share;
-        Some((turned, self.saturated[next]))
+        let before = self.gyro.sample_before(time_s)?;
+        Some((self.gyro.angle(time_s)?, self.saturated[before + 1]))
     }
 
     /// Angular velocities of camera and rig if the camera's clock has this offset.

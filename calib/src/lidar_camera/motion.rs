@@ -4,6 +4,7 @@
 //! `G⁻¹ B(t₀) B(t)⁻¹ G p` at the time `t₀` of the image. `G` need not be known well for that: it turns a way of centimetres.
 
 use lsfb_geometry::{Se3, Vector3, Vector6};
+use lsfb_perception::lidar::Motion;
 use lsfb_types::LidarScan;
 
 /// The board in the camera over time.
@@ -52,12 +53,12 @@ impl Track {
             let share: f64 = others
                 .map(|(_, (other_s, _))| (time_s - other_s) / (own_s - other_s))
                 .product();
-            (start.inverse() * *pose).log() * share
+            start.local(pose) * share
         });
         let way: Vector6<f64> = way.sum();
         way.iter()
             .all(|x| x.is_finite())
-            .then(|| *start * Se3::exp(&way))
+            .then(|| start.retract(&way))
     }
 
     /// The scan as if the board had stayed where the chosen image shows it.
@@ -66,22 +67,24 @@ impl Track {
             return scan.clone();
         };
         let lidar_from_camera = camera_from_lidar.inverse();
+        let last_ns = scan
+            .points
+            .iter()
+            .map(|p| i64::from(p.time_offset_ns))
+            .max();
+        let span_ns = 0..=last_ns.unwrap_or(0);
+        let motion = Motion::sampled(span_ns.clone(), |offset_ns| {
+            let now = self.at(offset_ns as f64 * 1e-9)?;
+            Some(lidar_from_camera * *then * now.inverse() * *camera_from_lidar)
+        });
+        if !(motion.covers(*span_ns.start()) && motion.covers(*span_ns.end())) {
+            return scan.clone();
+        }
         let mut still = scan.clone();
-        // Returns of one firing share their time.
-        let mut before: Option<(u32, Se3)> = None;
         for point in &mut still.points {
-            let moved = match before {
-                Some((time, moved)) if time == point.time_offset_ns => moved,
-                _ => {
-                    let Some(now) = self.at(f64::from(point.time_offset_ns) * 1e-9) else {
-                        return scan.clone();
-                    };
-                    lidar_from_camera * *then * now.inverse() * *camera_from_lidar
-                }
-            };
-            before = Some((point.time_offset_ns, moved));
             let position = Vector3::from(point.position_m).map(f64::from);
-            point.position_m = (moved * position).map(|x| x as f32).into();
+            let moved = motion.undo(i64::from(point.time_offset_ns), &position);
+            point.position_m = moved.map(|x| x as f32).into();
         }
         still
     }
@@ -91,7 +94,7 @@ impl Track {
         let first = self.chosen.saturating_sub(1);
         let last = (self.chosen + 1).min(self.poses.len().checked_sub(1)?);
         let (a, b) = (self.poses.get(first)?, self.poses.get(last)?);
-        (b.0 > a.0).then(|| (a.1.inverse() * b.1).log() / (b.0 - a.0))
+        (b.0 > a.0).then(|| a.1.local(&b.1) / (b.0 - a.0))
     }
 }
 

@@ -2,7 +2,7 @@
 
 use lsfb_types::{Image, ImuSample};
 
-use crate::images::{self, MAX_PIXELS};
+use lsfb_perception::image::{self, MAX_PIXELS};
 
 /// How fields lie in a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -127,7 +127,7 @@ pub(super) fn compressed_image(layout: Layout, bytes: &[u8]) -> Result<(i64, Ima
     let mut fields = Fields::new(layout, bytes)?;
     let stamp = fields.header()?;
     fields.text()?;
-    Ok((stamp, images::decode(fields.sequence()?)?))
+    Ok((stamp, image::decode(fields.sequence()?)?))
 }
 
 /// Stamp and grey image of a `sensor_msgs/Image`.
@@ -166,11 +166,11 @@ pub(super) fn image(layout: Layout, bytes: &[u8]) -> Result<(i64, Image), String
                         u16::from_le_bytes([v[0], v[1]])
                     }
                 });
-            images::gray_from_16_bits(&values.collect::<Vec<_>>())
+            image::gray_from_16_bits(&values.collect::<Vec<_>>())
         }
         Pixel::Colors { bytes, red, blue } => lines
             .flat_map(|l| l[..bytes * columns].chunks_exact(bytes))
-            .map(|p| images::luma([p[red], p[1], p[blue]]))
+            .map(|p| image::luma([p[red], p[1], p[blue]]))
             .collect(),
         Pixel::Luma { first } => lines
             .flat_map(|l| l[first..].iter().step_by(2).take(columns))

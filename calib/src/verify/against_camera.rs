@@ -1,13 +1,16 @@
 //! Two cameras against each other.
 
 use lsfb_geometry::RigCamera;
+use lsfb_perception::image::Gray;
 use lsfb_recording::Recording;
 use lsfb_types::{Image, Stamped};
 use rayon::prelude::*;
 
 use super::judgement::judged;
-use super::{Check, Outcome, VerifyConfig, epipolar, unreadable};
+use super::{Check, Outcome, VerifyConfig, epipolar};
 use crate::Error;
+use crate::recorded::unreadable;
+use crate::statistics::median;
 
 /// Share of one image that the other camera must see.
 const LEAST_OVERLAP: f64 = 0.1;
@@ -93,8 +96,8 @@ fn pair(
     }
     let look = |reach_px: i32| -> Vec<Vec<f64>> {
         let errors = pairs.par_iter().map(|(x, y)| {
-            let (x, y) = ((x, &a.camera), (y, &b.camera));
-            epipolar::errors_px(x, y, &second_from_first, reach_px)
+            let (x, y) = (Gray::new(x, &a.camera), Gray::new(y, &b.camera));
+            epipolar::errors_px(&x, &y, &second_from_first, reach_px)
         });
         errors.collect()
     };
@@ -122,7 +125,7 @@ fn pair(
         return Ok(Some(check));
     }
     let errors = &found.signed;
-    let signed = median(errors.clone());
+    let signed = median_px(errors.clone());
     let (size, sigma) = (found.size_px, found.sigma_px);
     check.value = Some(size);
     check.sigma = Some(sigma);
@@ -154,13 +157,13 @@ impl Errors {
         let medians: Vec<f64> = by_pair
             .iter()
             .filter(|e| !e.is_empty())
-            .map(|e| median(sizes(e)))
+            .map(|e| median_px(sizes(e)))
             .collect();
         let signed: Vec<f64> = by_pair.into_iter().flatten().collect();
-        let size_px = median(sizes(&signed));
+        let size_px = median_px(sizes(&signed));
         let off = medians.iter().map(|m| (m - size_px).abs()).collect();
         // A median of normal numbers scatters by 1.25 of their mean's σ, which is 1.48 of the median deviation.
-        let sigma_px = 1.25 * 1.48 * median(off) / (medians.len() as f64).sqrt();
+        let sigma_px = 1.25 * 1.48 * median_px(off) / (medians.len() as f64).sqrt();
         Self {
             size_px,
             sigma_px,
@@ -170,13 +173,12 @@ impl Errors {
 
     /// Median distance from the median.
     fn spread_px(&self) -> f64 {
-        let middle = median(self.signed.clone());
-        median(self.signed.iter().map(|e| (e - middle).abs()).collect())
+        let middle = median_px(self.signed.clone());
+        median_px(self.signed.iter().map(|e| (e - middle).abs()).collect())
     }
 }
 
 /// Not a number where there is none.
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+fn median_px(values: Vec<f64>) -> f64 {
+    median(values).unwrap_or(f64::NAN)
 }

@@ -1,11 +1,11 @@
 //! A camera against the gyroscope: time offset and rotation.
 
 use lsfb_geometry::{RigCamera, so3};
+use lsfb_perception::gyro::IntegratedGyro;
+use lsfb_perception::image::Pair;
 
-use super::gyro::Gyro;
 use super::judgement::{judged, unclear};
-use super::time_offset::{self, Agreement, Silent};
-use super::tracks::Pair;
+use super::time_offset::{self, Agreement, Inconclusive};
 use super::{Check, Outcome, VerifyConfig};
 
 /// Both checks.
@@ -13,7 +13,7 @@ pub(super) fn against_gyro(
     name: &str,
     mounted: &RigCamera,
     pairs: &[Pair],
-    gyro: Option<&Gyro>,
+    gyro: Option<&IntegratedGyro>,
     config: &VerifyConfig,
 ) -> Vec<Check> {
     let mut time = Check::unknown(format!("{name} time offset"), "ms", config.time_offset_ms);
@@ -34,15 +34,15 @@ pub(super) fn against_gyro(
             judge_time(&mut time, mounted, &found);
             judge_rotation(&mut rotation, mounted, &found);
         }
-        Err(silent) => {
-            let why = match silent {
-                Silent::TooFewPairs(n) => format!(
+        Err(inconclusive) => {
+            let why = match inconclusive {
+                Inconclusive::TooFewPairs(n) => format!(
                     "{n} pairs of images follow the gyroscope, 30 are needed: a longer recording, and something to see, would tell"
                 ),
-                Silent::TooLittleTurning(rate) => format!(
+                Inconclusive::TooLittleTurning(rate) => format!(
                     "it turns by {rate:.3} rad/s only about a second axis: turning more would tell"
                 ),
-                Silent::EndOfSearch(offset_s) => {
+                Inconclusive::EndOfSearch(offset_s) => {
                     time.outcome = Outcome::Fail;
                     format!(
                         "no time offset within {:.0} ms makes images follow the gyroscope: the clocks are not those of one rig",
@@ -84,7 +84,7 @@ fn judge_time(check: &mut Check, mounted: &RigCamera, found: &Agreement) {
 
 fn judge_rotation(check: &mut Check, mounted: &RigCamera, found: &Agreement) {
     let expected = mounted.rig_from_camera.rotation.inverse();
-    let off = so3::log(&(expected.inverse() * found.camera_from_rig));
+    let off = so3::local(&expected, &found.camera_from_rig);
     let (off_deg, sigma_deg) = (
         off.norm().to_degrees(),
         found.rotation_sigma_rad.to_degrees(),

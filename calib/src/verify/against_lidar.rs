@@ -1,18 +1,19 @@
 //! A camera against the LiDAR: edges of both, and a picture.
 
-use lsfb_geometry::{RigCamera, Se3, Vector3, so3};
+use lsfb_geometry::{RigCamera, Se3, Vector3};
+use lsfb_perception::gyro::IntegratedGyro;
 use rayon::prelude::*;
 
-use super::alignment::{self, EdgeImage, Score, StepPoint, View};
-use super::gyro::Gyro;
+use super::alignment::{self, Score};
+use super::camera_images::{CameraImages, NearScan};
 use super::judgement::judged;
-use super::mutual_information::{Return, mutual_information};
-use super::overlay::Picture;
+use super::mutual_information::mutual_information;
 use super::pose_search::{Steps, maximum, turned_best};
 use super::scans::ScanInRig;
-use super::seen::{NearScan, Seen};
-use super::{Check, Outcome, Overlay, VerifyConfig};
-use crate::Error;
+use super::view::{EdgeImage, Return, StepPoint, View};
+use super::{Check, Outcome, VerifyConfig};
+use crate::overlay::Picture;
+use crate::{Error, Overlay};
 
 /// Mutual information below which brightness in LiDAR and images has nothing in common, nats.
 const LEAST_INFORMATION: f64 = 0.02;
@@ -22,14 +23,14 @@ const LEAST_SIGMA_RAD: f64 = 1e-3;
 /// Each image with what the scan of its time shows.
 pub(super) fn views(
     mounted: &RigCamera,
-    seen: &Seen,
+    images: &CameraImages,
     scans: &[ScanInRig],
-    gyro: Option<&Gyro>,
+    gyro: Option<&IntegratedGyro>,
 ) -> Vec<View> {
     let camera_from_rig = mounted.rig_from_camera.inverse();
     scans
         .par_iter()
-        .zip(&seen.near_scan)
+        .zip(&images.near_scan)
         .filter_map(|(scan, near)| {
             let NearScan { time_s, image, .. } = near.as_ref()?;
             // What this camera may see, also when it is turned a little.
@@ -62,20 +63,20 @@ pub(super) fn views(
 pub(super) fn overlay(
     name: &str,
     mounted: &RigCamera,
-    camera_from_rig: &Se3,
-    seen: &Seen,
+    images: &CameraImages,
     scans: &[ScanInRig],
-    gyro: Option<&Gyro>,
+    gyro: Option<&IntegratedGyro>,
 ) -> Result<Option<Overlay>, Error> {
+    let camera_from_rig = mounted.rig_from_camera.inverse();
     let middle = scans.len() / 2;
-    let near = seen.near_scan.iter().enumerate();
+    let near = images.near_scan.iter().enumerate();
     let near = near.filter_map(|(k, near)| Some((k, near.as_ref()?)));
     let Some((k, near)) = near.min_by_key(|(k, _)| k.abs_diff(middle)) else {
         return Ok(None);
     };
     let returns = scans[k].at(near.time_s, gyro);
     let points: Vec<Vector3<f64>> = returns.iter().map(|p| p.in_rig).collect();
-    let (picture, points) = Picture::new(&near.image, &mounted.camera, camera_from_rig, &points);
+    let (picture, points) = Picture::new(&near.image, &mounted.camera, &camera_from_rig, &points);
     Ok(Some(Overlay {
         camera: name.to_owned(),
         time_ns: near.time_ns,
@@ -87,20 +88,19 @@ pub(super) fn overlay(
 pub(super) fn against_lidar(
     name: &str,
     mounted: &RigCamera,
-    seen: &Seen,
+    images: &CameraImages,
     scans: &[ScanInRig],
-    gyro: Option<&Gyro>,
+    gyro: Option<&IntegratedGyro>,
     config: &VerifyConfig,
 ) -> Result<(Check, Option<Overlay>), Error> {
-    let camera_from_rig = mounted.rig_from_camera.inverse();
-    let views = views(mounted, seen, scans, gyro);
-    let overlay = overlay(name, mounted, &camera_from_rig, seen, scans, gyro)?;
+    let views = views(mounted, images, scans, gyro);
+    let overlay = overlay(name, mounted, images, scans, gyro)?;
     let mut check = Check::unknown(
         format!("{name} rotation to the LiDAR"),
         "°",
         config.lidar_rotation_deg,
     );
-    match turned(&views, &camera_from_rig) {
+    match turned(&views, &mounted.rig_from_camera) {
         Some(found) => {
             let off = found.turn.norm().to_degrees();
             let sigma = found.sigma_rad.to_degrees();
@@ -142,21 +142,21 @@ struct Turned {
 
 /// Brightness says more than edges, where the LiDAR knows it. Either may be drawn by what has nothing to do with the other, a lamp's
 /// light on a blank wall: then parts of the recording do not agree.
-fn turned(views: &[View], camera_from_rig: &Se3) -> Option<Turned> {
-    let (found, by) = match by_brightness(views, camera_from_rig) {
+fn turned(views: &[View], rig_from_camera: &Se3) -> Option<Turned> {
+    let (found, by) = match by_brightness(views, rig_from_camera) {
         Some(found) => (found, Score::MutualInformation),
-        None => (by_edges(views, camera_from_rig)?, Score::Edges),
+        None => (by_edges(views, rig_from_camera)?, Score::Edges),
     };
     let usable = alignment::usable(views, by)?;
-    let scatter_rad = alignment::scatter_rad(&usable, camera_from_rig, &found.turn, by);
+    let scatter_rad = alignment::scatter_rad(&usable, rig_from_camera, &found.turn, by);
     Some(Turned {
         sigma_rad: found.sigma_rad.max(scatter_rad),
         ..found
     })
 }
 
-fn by_edges(views: &[View], camera_from_rig: &Se3) -> Option<Turned> {
-    let found = alignment::misalignment(views, camera_from_rig, Score::Edges)?;
+fn by_edges(views: &[View], rig_from_camera: &Se3) -> Option<Turned> {
+    let found = alignment::misalignment(views, rig_from_camera, Score::Edges)?;
     (!alignment::at_the_end(&found.turn)).then(|| Turned {
         turn: found.turn,
         sigma_rad: found.sigma_rad.norm(),
@@ -164,18 +164,20 @@ fn by_edges(views: &[View], camera_from_rig: &Se3) -> Option<Turned> {
     })
 }
 
-fn by_brightness(views: &[View], camera_from_rig: &Se3) -> Option<Turned> {
+fn by_brightness(views: &[View], rig_from_camera: &Se3) -> Option<Turned> {
     let usable = alignment::usable(views, Score::MutualInformation)?;
-    if mutual_information(&usable, camera_from_rig) < LEAST_INFORMATION {
+    if mutual_information(&usable, &rig_from_camera.inverse()) < LEAST_INFORMATION {
         return None;
     }
-    let steps = Steps::of(&usable, camera_from_rig)?;
-    let start = turned_best(&usable, camera_from_rig);
+    let steps = Steps::of(&usable, rig_from_camera)?;
+    let start = turned_best(&usable, rig_from_camera);
     let found = maximum(&usable, &start, &steps, &[0, 1, 2])?;
-    let turn = so3::log(&(found.camera_from_rig.rotation * camera_from_rig.rotation.inverse()));
     let variance = found.covariance.fixed_view::<3, 3>(0, 0).trace();
     Some(Turned {
-        turn,
+        turn: rig_from_camera
+            .local(&found.rig_from_camera)
+            .fixed_rows::<3>(0)
+            .into(),
         sigma_rad: (variance + LEAST_SIGMA_RAD * LEAST_SIGMA_RAD).sqrt(),
         what: "brightness",
     })

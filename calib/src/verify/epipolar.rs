@@ -5,14 +5,15 @@
 //! farther away than infinity.
 
 use lsfb_geometry::{Camera, Se3, Vector2};
-use lsfb_types::Image;
-
-use super::corners::corners;
+use lsfb_perception::image::{Gray, corners};
 
 /// Gradients that a corner needs, grey levels squared: it must be told from others along the whole curve.
 const STRONG: f64 = 2000.0;
-/// Half the edge of a patch, pixels.
-const HALF: i32 = 5;
+/// Edge of a patch, pixels, and pixels in it.
+const EDGE: usize = 11;
+const PATCH: usize = EDGE * EDGE;
+/// Grey levels by which pixels of a patch differ from their mean, rms; less is blank.
+const LEAST_CONTRAST: f64 = 3.0;
 /// Nearest thing expected, metres.
 const NEAREST_M: f64 = 0.4;
 /// Correlation of a match, and of the next best one elsewhere.
@@ -44,33 +45,29 @@ pub(super) fn overlap(first: &Camera, second: &Camera, second_from_first: &Se3) 
 
 /// Distances from their curves of the corners that are found up to `reach_px` from it, pixels; their sign is the side.
 pub(super) fn errors_px(
-    first: (&Image, &Camera),
-    second: (&Image, &Camera),
+    first: &Gray,
+    second: &Gray,
     second_from_first: &Se3,
     reach_px: i32,
 ) -> Vec<f64> {
-    let image = first.0;
-    let (width, height) = (image.width as usize, image.height as usize);
-    corners(STRONG, width, height, |x, y| {
-        f64::from(image.pixels[y * width + x])
-    })
-    .iter()
-    .filter_map(|corner| error_px(first, second, second_from_first, corner, reach_px))
-    .collect()
+    corners(first, STRONG)
+        .iter()
+        .filter_map(|corner| error_px(first, second, second_from_first, corner, reach_px))
+        .collect()
 }
 
 fn error_px(
-    first: (&Image, &Camera),
-    second: (&Image, &Camera),
+    first: &Gray,
+    second: &Gray,
     second_from_first: &Se3,
     corner: &Vector2<f64>,
     reach_px: i32,
 ) -> Option<f64> {
-    let ray = first.1.unproject(corner)?;
-    let own = patch(first.0, corner)?;
+    let ray = first.camera.unproject(corner)?;
+    let own = patch(first, corner)?;
     let at_depth = |inverse_m: f64| {
         let point = second_from_first.rotation * ray + second_from_first.translation * inverse_m;
-        second.1.project(&point)
+        second.camera.project(&point)
     };
     let (far, near) = (at_depth(0.0)?, at_depth(1.0 / NEAREST_M)?);
     let places = ((far - near).norm().ceil() as i32 + 2).min(MOST_PLACES);
@@ -87,7 +84,7 @@ fn error_px(
         let across = Vector2::new(-along.y, along.x);
         let scores: Vec<f64> = (-reach_px..=reach_px)
             .map(|e| {
-                patch(second.0, &(on + across * f64::from(e)))
+                patch(second, &(on + across * f64::from(e)))
                     .map_or(-1.0, |other| correlation(&own, &other))
             })
             .collect();
@@ -140,34 +137,17 @@ struct Found {
     along_px: f64,
 }
 
-const PATCH: usize = ((2 * HALF + 1) * (2 * HALF + 1)) as usize;
-
 /// A patch with mean zero and norm one; `None` off the image or where it is blank.
-fn patch(image: &Image, at: &Vector2<f64>) -> Option<[f64; PATCH]> {
-    let (w, h) = (image.width as i64, image.height as i64);
-    let (i, j) = (at.x.floor() as i64, at.y.floor() as i64);
-    let half = i64::from(HALF);
-    if i < half || j < half || i + half + 1 >= w || j + half + 1 >= h {
+fn patch(image: &Gray, at: &Vector2<f64>) -> Option<[f64; PATCH]> {
+    let window = image.window::<EDGE>(at)?;
+    let values = window.as_flattened();
+    let mean = values.iter().sum::<f64>() / PATCH as f64;
+    let squares: f64 = values.iter().map(|x| (x - mean).powi(2)).sum();
+    let norm = squares.sqrt();
+    if norm < LEAST_CONTRAST * (PATCH as f64).sqrt() {
         return None;
     }
-    let (u, v) = (at.x - i as f64, at.y - j as f64);
-    let value = |x: i64, y: i64| f64::from(image.pixels[(y * w + x) as usize]);
-    let mut out = [0.0; PATCH];
-    let mut at = 0;
-    for y in j - half..=j + half {
-        for x in i - half..=i + half {
-            let top = value(x, y) * (1.0 - u) + value(x + 1, y) * u;
-            let bottom = value(x, y + 1) * (1.0 - u) + value(x + 1, y + 1) * u;
-            out[at] = top * (1.0 - v) + bottom * v;
-            at += 1;
-        }
-    }
-    let mean = out.iter().sum::<f64>() / PATCH as f64;
-    let norm = out.iter().map(|x| (x - mean).powi(2)).sum::<f64>().sqrt();
-    if norm < 3.0 * (PATCH as f64).sqrt() {
-        return None;
-    }
-    Some(out.map(|x| (x - mean) / norm))
+    Some(std::array::from_fn(|k| (values[k] - mean) / norm))
 }
 
 fn correlation(a: &[f64; PATCH], b: &[f64; PATCH]) -> f64 {

@@ -12,36 +12,25 @@ mod against_camera;
 mod against_gyro;
 mod against_lidar;
 mod alignment;
-mod corners;
+mod camera_images;
 mod epipolar;
-mod frame;
-mod gyro;
 mod judgement;
-mod moments;
 mod mutual_information;
-mod overlay;
 mod page;
 mod pose_search;
-mod refine;
-mod relative;
 mod scan_motion;
 mod scans;
-mod seen;
 mod time_offset;
-mod tracks;
+mod view;
 
 use lsfb_geometry::Rig;
 use lsfb_recording::Recording;
 use lsfb_types::{Bounds, Progress, ProgressFn};
 use serde::{Deserialize, Serialize};
 
-use crate::Error;
-use gyro::gyro;
-pub use refine::{
-    Compared, Component, Evidence, RefineConfig, Refinement, RefinementReport, Transfer, refine,
-};
+use crate::{Error, Overlay, recorded};
+use camera_images::CameraImages;
 use scans::scans;
-use seen::Seen;
 
 /// Settings of [`verify`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -118,20 +107,6 @@ pub struct Check {
     pub sentence: String,
 }
 
-/// Returns of the LiDAR over an image.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Overlay {
-    /// The camera.
-    pub camera: String,
-    /// The image's time, nanoseconds.
-    pub time_ns: i64,
-    /// Returns in view.
-    pub points: usize,
-    /// The picture.
-    #[serde(skip)]
-    pub png: Vec<u8>,
-}
-
 /// All checks of a rig on a recording.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Verification {
@@ -160,23 +135,35 @@ pub fn verify(
     progress: ProgressFn,
 ) -> Result<Verification, Error> {
     config.check_bounds("verify")?;
-    let gyro = gyro(recording)?;
+    let gyro = recorded::gyro(recording)?;
     let scans = scans(recording, rig, gyro.as_ref(), config)?;
     let mut checks = Vec::new();
     let mut overlays = Vec::new();
-    let present = seen::present(recording, rig);
+    let present = recorded::cameras(recording, rig);
     for (k, (name, mounted)) in present.iter().enumerate() {
         progress(Progress {
             stage: "cameras",
             done: k as u64,
             total: present.len() as u64,
         })?;
-        let seen = Seen::read(recording, (name, mounted), &scans, config, progress)?;
-        let turning = against_gyro::against_gyro(name, mounted, &seen.pairs, gyro.as_ref(), config);
-        checks.extend(turning);
+        let images = CameraImages::read(recording, (name, mounted), &scans, config, progress)?;
+        let pairs = &images.pairs;
+        checks.extend(against_gyro::against_gyro(
+            name,
+            mounted,
+            pairs,
+            gyro.as_ref(),
+            config,
+        ));
         if rig.lidar().is_some() {
-            let (check, overlay) =
-                against_lidar::against_lidar(name, mounted, &seen, &scans, gyro.as_ref(), config)?;
+            let (check, overlay) = against_lidar::against_lidar(
+                name,
+                mounted,
+                &images,
+                &scans,
+                gyro.as_ref(),
+                config,
+            )?;
             checks.push(check);
             overlays.extend(overlay);
         }
@@ -204,19 +191,6 @@ impl Check {
             sentence: String::new(),
         }
     }
-}
-
-fn unreadable(recording: &Recording) -> impl Fn(lsfb_recording::Error) -> Error + '_ {
-    |e| Error::Parse {
-        path: recording.path().display().to_string(),
-        problem: e.to_string(),
-    }
-}
-
-/// Seconds of a time in nanoseconds after the recording's first.
-fn seconds(time_ns: i64, recording: &Recording) -> f64 {
-    let start = recording.arrival_range().map_or(0, |r| r.start.nanos());
-    time_ns.saturating_sub(start) as f64 * 1e-9
 }
 
 #[cfg(test)]

@@ -5,9 +5,9 @@
 //! `N·I` changes with the pose as the sum of `L(a, b) = log (p(a, b) / p(a) p(b))` over all returns does with `L` held: the log
 //! likelihood of the images. Its derivatives by view say how far views disagree, and so how well the maximum is known.
 
-use lsfb_geometry::{Se3, Vector3};
+use lsfb_geometry::Se3;
 
-use super::alignment::View;
+use super::view::{View, seen_at};
 
 /// Bins of reflectivity and of grey value.
 const BINS: usize = 20;
@@ -15,14 +15,6 @@ const BINS: usize = 20;
 const MOST_RETURNS: usize = 3000;
 /// Returns needed in view.
 const MIN_RETURNS: f64 = 100.0;
-
-/// A return with its reflectivity as a bin.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Return {
-    /// In the rig at the image's time, metres.
-    pub position: Vector3<f64>,
-    pub bin: usize,
-}
 
 type Table = [[f64; BINS]; BINS];
 
@@ -45,7 +37,7 @@ fn for_each(view: &View, camera_from_rig: &Se3, mut call: impl FnMut(usize, usiz
     let every = view.returns.len().div_ceil(MOST_RETURNS).max(1);
     for seen in view.returns.iter().step_by(every) {
         let point = *camera_from_rig * seen.position;
-        let Some(gray) = view.edges.at(&view.edges.gray, &point) else {
+        let Some(gray) = seen_at(&view.edges.gray, &point) else {
             continue;
         };
         // Shared between the two nearest bins, so that the score is smooth.

@@ -8,8 +8,9 @@ use lsfb_geometry::{Matrix6, Se3, Vector6};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use super::alignment::{Score, View, best_turn, turned};
+use super::alignment::{Score, best_turn, turned};
 use super::mutual_information::{Likelihood, mutual_information};
+use super::view::View;
 
 /// Step of differences, pixels: wide enough that grey values between pixels look smooth.
 const STEP_PX: f64 = 0.75;
@@ -24,9 +25,10 @@ const SHORTEST: f64 = 0.02;
 /// What was found.
 #[derive(Clone, Debug)]
 pub(super) struct Found {
-    /// The pose: `exp(δ)` from the left moves it in the camera's axes.
-    pub camera_from_rig: Se3,
-    /// Covariance of `δ`, rotation (rad) then translation (m); zero rows for what was held.
+    /// The camera's pose on the rig.
+    pub rig_from_camera: Se3,
+    /// Covariance of its error, perturbed on the right: rotation (rad), then translation (m) in the camera's axes; zero rows for what
+    /// was held.
     pub covariance: Matrix6<f64>,
 }
 
@@ -35,12 +37,13 @@ pub(super) struct Steps(pub [f64; 6]);
 
 impl Steps {
     /// As long as their effect in the image asks for, for things at the middle distance.
-    pub fn of(views: &[&View], camera_from_rig: &Se3) -> Option<Self> {
-        let focal_px = views.first()?.edges.camera.focal_px()[0];
+    pub fn of(views: &[&View], rig_from_camera: &Se3) -> Option<Self> {
+        let camera_from_rig = rig_from_camera.inverse();
+        let focal_px = views.first()?.edges.gray.camera.focal_px()[0];
         let mut depths: Vec<f64> = views
             .iter()
             .flat_map(|v| v.returns.iter().step_by(37))
-            .map(|r| (*camera_from_rig * r.position).norm())
+            .map(|r| (camera_from_rig * r.position).norm())
             .collect();
         depths.sort_by(f64::total_cmp);
         let angle = STEP_PX / focal_px;
@@ -49,15 +52,10 @@ impl Steps {
     }
 }
 
-/// The pose moved by so much in the camera's axes.
-pub(super) fn moved(camera_from_rig: &Se3, delta: &Vector6<f64>) -> Se3 {
-    Se3::exp(delta) * *camera_from_rig
-}
-
 /// Rotation alone, from within 2.5°.
-pub(super) fn turned_best(views: &[&View], camera_from_rig: &Se3) -> Se3 {
-    let turn = best_turn(views, camera_from_rig, Score::MutualInformation);
-    turned(camera_from_rig, &turn)
+pub(super) fn turned_best(views: &[&View], rig_from_camera: &Se3) -> Se3 {
+    let turn = best_turn(views, rig_from_camera, Score::MutualInformation);
+    turned(rig_from_camera, &turn)
 }
 
 /// The maximum over some of the six numbers; `None` where there is none near.
@@ -80,8 +78,8 @@ pub(super) fn maximum(
         // Shorter until the score is no lower.
         let mut share = 1.0;
         let next = loop {
-            let next = moved(&pose, &spread(&(&step * share), steps, free));
-            if mutual_information(views, &next) >= local.value {
+            let next = pose.retract(&spread(&(&step * share), steps, free));
+            if mutual_information(views, &next.inverse()) >= local.value {
                 break Some(next);
             }
             share *= 0.5;
@@ -99,7 +97,7 @@ pub(super) fn maximum(
     }
     let covariance = covariance(views, &pose, steps, free)?;
     Some(Found {
-        camera_from_rig: pose,
+        rig_from_camera: pose,
         covariance,
     })
 }
@@ -139,7 +137,7 @@ impl Local {
         }
         let values: Vec<f64> = trials
             .par_iter()
-            .map(|t| mutual_information(views, &moved(pose, &spread(t, steps, free))))
+            .map(|t| mutual_information(views, &pose.retract(&spread(t, steps, free)).inverse()))
             .collect();
         let value = values[0];
         let (up, down) = (|k: usize| values[1 + 2 * k], |k: usize| values[2 + 2 * k]);
@@ -180,7 +178,7 @@ impl Local {
 fn covariance(views: &[&View], pose: &Se3, steps: &Steps, free: &[usize]) -> Option<Matrix6<f64>> {
     let n = free.len();
     let local = Local::at(views, pose, steps, free);
-    let likelihood = Likelihood::at(views, pose);
+    let likelihood = Likelihood::at(views, &pose.inverse());
     let mut eigen = (-local.curvature * likelihood.total).symmetric_eigen();
     let most = eigen.eigenvalues.max();
     if !(most > 0.0) {
@@ -195,8 +193,8 @@ fn covariance(views: &[&View], pose: &Se3, steps: &Steps, free: &[usize]) -> Opt
             DVector::from_fn(n, |k, _| {
                 let mut unit = DVector::zeros(n);
                 unit[k] = 1.0;
-                let up = moved(pose, &spread(&unit, steps, free));
-                let down = moved(pose, &spread(&-unit, steps, free));
+                let up = pose.retract(&spread(&unit, steps, free)).inverse();
+                let down = pose.retract(&spread(&-unit, steps, free)).inverse();
                 0.5 * (likelihood.of(view, &up) - likelihood.of(view, &down))
             })
         })

@@ -1,25 +1,23 @@
 //! How the rig moved while it scanned: what the gyroscope does not know. Two scans that follow each other are registered, the
 //! second to planes in cells of the first, over one velocity; each return at its own time.
 
-use std::collections::BTreeMap;
-
 use lsfb_geometry::{Matrix6, Vector3, Vector6};
-
-use super::moments::{Limits, Moments};
+use lsfb_perception::gauss_newton::{NormalEquations, minimise, until_shorter_than};
+use lsfb_perception::lidar::{CellMap, Plane, PointSums, cell_key};
 
 /// Edge of a cell, metres.
 const CELL_M: f64 = 0.6;
-/// What is a plane in a cell.
-const LIMITS: Limits = Limits {
-    min_returns: 8.0,
-    thick_m: 0.05,
-    wide_m: 0.08,
-};
+/// What is a plane in a cell: returns, and how thick and wide they lie at most and at least, standard deviations in metres.
+const MIN_RETURNS: u32 = 8;
+const THICK_M: f64 = 0.05;
+const WIDE_M: f64 = 0.08;
 /// Returns of the second scan that are used at most.
 const MOST_RETURNS: usize = 5000;
 /// Returns that must lie on planes.
 const MIN_MATCHES: usize = 200;
-const ITERATIONS: usize = 8;
+const ITERATIONS: u32 = 8;
+/// A step shorter than this ends the search: m/s, radians.
+const SHORTEST: f64 = 1e-4;
 /// Distance from a plane at which a return's weight is halved, metres.
 const SCALE_M: f64 = 0.06;
 /// Speeds and errors of the gyroscope's angle that are expected, so that what a scene does not show stays zero.
@@ -35,74 +33,72 @@ pub(super) struct Moved {
     pub after_s: f64,
 }
 
+/// Returns of a cell.
 #[derive(Default)]
 struct Cell {
-    moments: Moments,
+    sums: PointSums,
     time_s: f64,
 }
 
-struct Plane {
-    place: Vector3<f64>,
-    normal: Vector3<f64>,
+/// A plane, and when it was seen on average.
+struct TimedPlane {
+    plane: Plane,
     time_s: f64,
 }
 
 /// Velocity of the rig in its own axes, m/s; `None` where the scans have little in common.
 pub(super) fn velocity(first: &[Moved], second: &[Moved]) -> Option<Vector3<f64>> {
     let every = second.len().div_ceil(MOST_RETURNS).max(1);
-    let (mut speed, mut angle) = (Vector3::<f64>::zeros(), Vector3::<f64>::zeros());
-    for _ in 0..ITERATIONS {
+    let rest = Vector6::from_fn(|k, _| {
+        let sigma = if k < 3 { SPEED_M_S } else { ANGLE_RAD };
+        1.0 / (sigma * sigma)
+    });
+    // Velocity, then the error of the gyroscope's angle.
+    let terms = |unknowns: &Vector6<f64>| {
+        let speed: Vector3<f64> = unknowns.fixed_rows::<3>(0).into();
+        let angle: Vector3<f64> = unknowns.fixed_rows::<3>(3).into();
         let planes = planes(first, &speed);
-        let mut normal = Matrix6::from_diagonal(&Vector6::from_fn(|k, _| {
-            let sigma = if k < 3 { SPEED_M_S } else { ANGLE_RAD };
-            1.0 / (sigma * sigma)
-        }));
-        let mut right = Vector6::zeros();
-        for k in 0..3 {
-            right[k] = -speed[k] * normal[(k, k)];
-            right[3 + k] = -angle[k] * normal[(3 + k, 3 + k)];
-        }
+        let mut terms = NormalEquations::default();
         let mut matches = 0;
         for point in second.iter().step_by(every) {
             let place = point.place + speed * point.after_s + angle.cross(&point.place);
-            let Some(plane) = planes.get(&cell_of(&place)) else {
+            let Some(found) = planes.get(&cell_of(&place)) else {
                 continue;
             };
-            let error = plane.normal.dot(&(place - plane.place));
-            let lever = point.place.cross(&plane.normal);
-            let by_speed = plane.normal * (point.after_s - plane.time_s);
-            let row = Vector6::new(
-                by_speed.x, by_speed.y, by_speed.z, lever.x, lever.y, lever.z,
+            let normal = &found.plane.normal;
+            let error = normal.dot(&(place - found.plane.point));
+            let by_angle = point.place.cross(normal);
+            let by_speed = normal * (point.after_s - found.time_s);
+            let derivative = Vector6::new(
+                by_speed.x, by_speed.y, by_speed.z, by_angle.x, by_angle.y, by_angle.z,
             );
             let weight = 1.0 / (1.0 + (error / SCALE_M).powi(2)) / (NOISE_M * NOISE_M);
-            normal += row * row.transpose() * weight;
-            right -= row * (error * weight);
+            terms.add(error, &derivative, weight);
             matches += 1;
         }
-        if matches < MIN_MATCHES {
-            return None;
-        }
-        let step = normal.cholesky()?.solve(&right);
-        speed += step.fixed_rows::<3>(0);
-        angle += step.fixed_rows::<3>(3);
-        if step.norm() < 1e-4 {
-            break;
-        }
-    }
-    Some(speed)
+        terms.add_prior(unknowns, &Matrix6::from_diagonal(&rest));
+        (matches >= MIN_MATCHES).then_some(terms)
+    };
+    let found = minimise(
+        Vector6::zeros(),
+        ITERATIONS,
+        terms,
+        until_shorter_than(SHORTEST),
+    )?;
+    Some(found.value.fixed_rows::<3>(0).into())
 }
 
-fn cell_of(place: &Vector3<f64>) -> [i32; 3] {
-    std::array::from_fn(|k| (place[k] / CELL_M).floor() as i32)
+fn cell_of(place: &Vector3<f64>) -> u64 {
+    cell_key(place, 1.0 / CELL_M)
 }
 
 /// Planes in the cells of a scan, as the rig's velocity has its returns.
-fn planes(scan: &[Moved], speed: &Vector3<f64>) -> BTreeMap<[i32; 3], Plane> {
-    let mut cells: BTreeMap<[i32; 3], Cell> = BTreeMap::new();
+fn planes(scan: &[Moved], speed: &Vector3<f64>) -> CellMap<TimedPlane> {
+    let mut cells: CellMap<Cell> = CellMap::default();
     for point in scan {
         let place = point.place + speed * point.after_s;
         let cell = cells.entry(cell_of(&place)).or_default();
-        cell.moments.add(&place);
+        cell.sums.add(&place);
         cell.time_s += point.after_s;
     }
     cells
@@ -112,12 +108,14 @@ fn planes(scan: &[Moved], speed: &Vector3<f64>) -> BTreeMap<[i32; 3], Plane> {
 }
 
 impl Cell {
-    fn plane(&self) -> Option<Plane> {
-        let fitted = self.moments.plane(&LIMITS)?;
-        Some(Plane {
-            place: fitted.place,
-            normal: fitted.normal,
-            time_s: self.time_s / self.moments.count,
+    fn plane(&self) -> Option<TimedPlane> {
+        if self.sums.count() < MIN_RETURNS {
+            return None;
+        }
+        let plane = self.sums.plane()?;
+        (plane.thickness_m < THICK_M && plane.breadth_m > WIDE_M).then(|| TimedPlane {
+            plane,
+            time_s: self.time_s / f64::from(self.sums.count()),
         })
     }
 }

@@ -3,15 +3,17 @@
 use std::collections::BTreeMap;
 
 use lsfb_geometry::{Rig, Se3, Vector3, so3};
+use lsfb_perception::gyro::IntegratedGyro;
+use lsfb_perception::lidar::Motion;
 use lsfb_recording::Recording;
 use lsfb_types::{LidarScan, Stamped};
 
-use super::alignment::step_weight;
-use super::gyro::Gyro;
+use super::VerifyConfig;
 use super::mutual_information::bins_of;
 use super::scan_motion::{Moved, velocity};
-use super::{VerifyConfig, seconds, unreadable};
+use super::view::step_weight;
 use crate::Error;
+use crate::recorded::{seconds, unreadable};
 
 /// Nearer returns are the rig's own, metres.
 const NEAREST_M: f64 = 0.3;
@@ -20,15 +22,19 @@ const NEXT_S: f64 = 0.35;
 
 /// A scan in the rig, each return with its own time.
 pub(super) struct ScanInRig {
+    /// Time of its first firing.
+    start_s: f64,
     pub middle_s: f64,
     pub points: Vec<TimedPoint>,
     /// Velocity of the rig in its own axes, m/s; zero where that is not known.
     pub speed: Vector3<f64>,
 }
 
+/// A return.
 #[derive(Clone, Copy)]
 pub(super) struct TimedPoint {
-    pub time_s: f64,
+    /// After the scan's first firing, nanoseconds.
+    offset_ns: u32,
     pub in_rig: Vector3<f64>,
     /// Weight of the step in range beside it, where there is one.
     pub step: Option<f64>,
@@ -40,7 +46,7 @@ pub(super) struct TimedPoint {
 pub(super) fn scans(
     recording: &Recording,
     rig: &Rig,
-    gyro: Option<&Gyro>,
+    gyro: Option<&IntegratedGyro>,
     config: &VerifyConfig,
 ) -> Result<Vec<ScanInRig>, Error> {
     let Some(lidar) = rig.lidar() else {
@@ -86,13 +92,14 @@ impl ScanInRig {
         let placed = points.iter().zip(&steps).filter_map(|(p, step)| {
             let position = Vector3::from(p.position_m).map(f64::from);
             (position.norm() > NEAREST_M).then(|| TimedPoint {
-                time_s: start_s + f64::from(p.time_offset_ns) * 1e-9,
+                offset_ns: p.time_offset_ns,
                 in_rig: *rig_from_lidar * position,
                 step: *step,
                 bin: bins[usize::from(p.intensity)],
             })
         });
         Self {
+            start_s,
             middle_s: start_s + 0.5e-9 * f64::from(last),
             points: placed.collect(),
             speed: Vector3::zeros(),
@@ -100,51 +107,45 @@ impl ScanInRig {
     }
 
     /// Velocity of the rig, from here to the scan that follows.
-    fn speed_to(&self, next: &Self, gyro: Option<&Gyro>) -> Option<Vector3<f64>> {
+    fn speed_to(&self, next: &Self, gyro: Option<&IntegratedGyro>) -> Option<Vector3<f64>> {
         if next.middle_s - self.middle_s > NEXT_S {
             return None;
         }
         let turned = |scan: &Self| -> Vec<Moved> {
-            let points = scan.turned_to(self.middle_s, gyro);
+            let motion = scan.motion(self.middle_s, gyro, &Vector3::zeros());
+            let points = scan.points.iter();
             points
                 .map(|p| Moved {
-                    place: p.in_rig,
-                    after_s: p.time_s - self.middle_s,
+                    place: motion.undo(i64::from(p.offset_ns), &p.in_rig),
+                    after_s: scan.start_s + f64::from(p.offset_ns) * 1e-9 - self.middle_s,
                 })
                 .collect()
         };
         velocity(&turned(self), &turned(next))
     }
 
-    /// The returns turned to how the rig was at a time, as far as the gyroscope knows.
-    fn turned_to(&self, time_s: f64, gyro: Option<&Gyro>) -> impl Iterator<Item = TimedPoint> {
+    /// How the rig moved to where it was at a time, as far as the gyroscope knows and at a constant velocity.
+    fn motion(&self, time_s: f64, gyro: Option<&IntegratedGyro>, speed: &Vector3<f64>) -> Motion {
+        let last = self.points.iter().map(|p| p.offset_ns).max().unwrap_or(0);
         let now = gyro.and_then(|g| g.angle(time_s));
-        // Returns of one firing share their time.
-        let mut before: Option<(f64, lsfb_geometry::UnitQuaternion<f64>)> = None;
-        self.points.iter().map(move |p| {
-            let turn = match before {
-                Some((time, turn)) if time == p.time_s => turn,
-                _ => match (now, gyro.and_then(|g| g.angle(p.time_s))) {
-                    (Some(now), Some(then)) => so3::exp(&(then - now)),
-                    _ => Default::default(),
-                },
+        Motion::sampled(0..=i64::from(last), |offset_ns| {
+            let at_s = self.start_s + offset_ns as f64 * 1e-9;
+            let turn = match (now, gyro.and_then(|g| g.angle(at_s))) {
+                (Some(now), Some(then)) => so3::exp(&(then - now)),
+                _ => Default::default(),
             };
-            before = Some((p.time_s, turn));
-            TimedPoint {
-                in_rig: turn * p.in_rig,
-                ..*p
-            }
+            Some(Se3::new(turn, speed * (at_s - time_s)))
         })
     }
 
     /// The returns as the rig would have them at a time.
-    pub fn at(&self, time_s: f64, gyro: Option<&Gyro>) -> Vec<TimedPoint> {
-        self.turned_to(time_s, gyro)
-            .map(|p| TimedPoint {
-                in_rig: p.in_rig + self.speed * (p.time_s - time_s),
-                ..p
-            })
-            .collect()
+    pub fn at(&self, time_s: f64, gyro: Option<&IntegratedGyro>) -> Vec<TimedPoint> {
+        let motion = self.motion(time_s, gyro, &self.speed);
+        let moved = self.points.iter().map(|p| TimedPoint {
+            in_rig: motion.undo(i64::from(p.offset_ns), &p.in_rig),
+            ..*p
+        });
+        moved.collect()
     }
 }
 

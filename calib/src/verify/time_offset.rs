@@ -8,12 +8,11 @@
 use std::collections::BTreeMap;
 
 use lsfb_geometry::{Matrix3, RigCamera, UnitQuaternion, Vector3, so3};
-use nalgebra::{Rotation3, SMatrix, SVector};
+use lsfb_perception::gauss_newton::{NormalEquations, minimise, until_shorter_than};
+use lsfb_perception::gyro::IntegratedGyro;
+use lsfb_perception::image::{Pair, relative_rotation};
+use nalgebra::{Rotation3, SMatrix, SVector, Vector1};
 use rayon::prelude::*;
-
-use super::gyro::Gyro;
-use super::relative::relative;
-use super::tracks::Pair;
 
 /// Offsets searched, seconds.
 const REACH_S: f64 = 0.15;
@@ -26,7 +25,9 @@ const MIN_PAIRS: usize = 30;
 const FLOOR_RAD_S: f64 = 1.5e-3;
 /// Normalized errors at which the weight of a pair is halved.
 const ROBUST_SCALE: f64 = 3.0;
-const ITERATIONS: usize = 10;
+const ITERATIONS: u32 = 10;
+/// A step shorter than this ends the search: radians, rad/s, seconds.
+const SHORTEST: f64 = 1e-9;
 /// Span in which errors of pairs may depend on each other, seconds.
 const BLOCK_S: f64 = 1.0;
 /// Span over which the gyroscope's rate of change is read, seconds.
@@ -58,21 +59,21 @@ pub(super) struct Agreement {
 }
 
 /// Why nothing can be said.
-pub(super) enum Silent {
+pub(super) enum Inconclusive {
     TooFewPairs(usize),
     TooLittleTurning(f64),
     EndOfSearch(f64),
 }
 
 /// How a camera turned over each pair; those in which it cannot be told are left out.
-fn turns(pairs: &[Pair], mounted: &RigCamera, gyro: &Gyro) -> Vec<Turn> {
+fn turns(pairs: &[Pair], mounted: &RigCamera, gyro: &IntegratedGyro) -> Vec<Turn> {
     let camera_from_rig = mounted.rig_from_camera.rotation.inverse();
     let found = pairs.par_iter().map(|pair| {
         let span_s = pair.to_s - pair.from_s;
         let rate = gyro.mean_rate(pair.from_s, pair.to_s)?;
         // Of two answers the one beside the gyroscope's is right; that of the images as a whole serves where the rig is wrong.
         let expected = so3::exp(&(camera_from_rig * rate * -span_s));
-        let found = relative(&pair.tracks, &[expected, pair.b_from_a])?;
+        let found = relative_rotation(&pair.tracks, &[expected, pair.b_from_a])?;
         Some(Turn {
             from_s: pair.from_s,
             to_s: pair.to_s,
@@ -84,7 +85,11 @@ fn turns(pairs: &[Pair], mounted: &RigCamera, gyro: &Gyro) -> Vec<Turn> {
 }
 
 /// Compares pairs of images with the gyroscope; their times are those the rig says.
-pub(super) fn agree(pairs: &[Pair], mounted: &RigCamera, gyro: &Gyro) -> Result<Agreement, Silent> {
+pub(super) fn agree(
+    pairs: &[Pair],
+    mounted: &RigCamera,
+    gyro: &IntegratedGyro,
+) -> Result<Agreement, Inconclusive> {
     let usable: Vec<Turn> = turns(pairs, mounted, gyro)
         .into_iter()
         .filter(|t| {
@@ -93,24 +98,29 @@ pub(super) fn agree(pairs: &[Pair], mounted: &RigCamera, gyro: &Gyro) -> Result<
         })
         .collect();
     if usable.len() < MIN_PAIRS {
-        return Err(Silent::TooFewPairs(usable.len()));
+        return Err(Inconclusive::TooFewPairs(usable.len()));
     }
     let (start, kept) = coarse(usable, gyro);
     if kept.len() < MIN_PAIRS {
-        return Err(Silent::TooFewPairs(kept.len()));
+        return Err(Inconclusive::TooFewPairs(kept.len()));
     }
     if start.offset_s.abs() > REACH_S - 2.0 * STEP_S {
-        return Err(Silent::EndOfSearch(start.offset_s));
+        return Err(Inconclusive::EndOfSearch(start.offset_s));
     }
     let rates: Vec<Vector3<f64>> = kept.iter().map(|t| start.rate(t, gyro)).collect();
     let second = second_turning(&rates);
     if second < MIN_TURNING {
-        return Err(Silent::TooLittleTurning(second));
+        return Err(Inconclusive::TooLittleTurning(second));
     }
-    let (found, normal) = start.refined(&kept, gyro);
+    let (found, normal) = start
+        .refined(&kept, gyro)
+        .ok_or(Inconclusive::TooLittleTurning(second))?;
+    if found.offset_s.abs() > REACH_S {
+        return Err(Inconclusive::EndOfSearch(found.offset_s));
+    }
     let covariance = found
         .covariance(&kept, gyro, &normal)
-        .ok_or(Silent::TooLittleTurning(second))?;
+        .ok_or(Inconclusive::TooLittleTurning(second))?;
     let squares = rates.iter().map(Vector3::norm_squared).sum::<f64>();
     Ok(Agreement {
         offset_s: found.offset_s,
@@ -135,7 +145,7 @@ fn second_turning(rates: &[Vector3<f64>]) -> f64 {
 }
 
 /// The best of a grid of offsets, and the pairs that fit there.
-fn coarse(mut kept: Vec<Turn>, gyro: &Gyro) -> (Fit, Vec<Turn>) {
+fn coarse(mut kept: Vec<Turn>, gyro: &IntegratedGyro) -> (Fit, Vec<Turn>) {
     let mut best = Fit::at(&kept, gyro, 0.0);
     for round in 0..2 {
         let steps = (REACH_S / STEP_S).round() as i32;
@@ -171,7 +181,7 @@ struct Fit {
 
 impl Fit {
     /// The best rotation and bias at one offset, all pairs alike.
-    fn at(turns: &[Turn], gyro: &Gyro, offset_s: f64) -> Self {
+    fn at(turns: &[Turn], gyro: &IntegratedGyro, offset_s: f64) -> Self {
         let mut fit = Self {
             offset_s,
             camera_from_rig: UnitQuaternion::identity(),
@@ -201,73 +211,81 @@ impl Fit {
     }
 
     /// Of the gyroscope over a pair, in its own axes.
-    fn rate(&self, turn: &Turn, gyro: &Gyro) -> Vector3<f64> {
+    fn rate(&self, turn: &Turn, gyro: &IntegratedGyro) -> Vector3<f64> {
         let span = gyro.mean_rate(turn.from_s + self.offset_s, turn.to_s + self.offset_s);
         // Turns near the ends of the gyroscope's samples were left out before.
         span.unwrap_or_default()
     }
 
-    fn error(&self, turn: &Turn, gyro: &Gyro) -> Vector3<f64> {
+    fn error(&self, turn: &Turn, gyro: &IntegratedGyro) -> Vector3<f64> {
         turn.rate - self.camera_from_rig * self.rate(turn, gyro) - self.bias
     }
 
-    fn cost(&self, turns: &[Turn], gyro: &Gyro) -> f64 {
+    fn cost(&self, turns: &[Turn], gyro: &IntegratedGyro) -> f64 {
         let errors = turns.iter().map(|t| self.error(t, gyro));
         errors.map(|e| e.norm_squared()).sum()
     }
 
     /// A pair's error in units of what is not known of it, and how it moves with rotation, bias and offset.
-    fn term(&self, turn: &Turn, gyro: &Gyro) -> Option<Term> {
+    fn term(&self, turn: &Turn, gyro: &IntegratedGyro) -> Option<NormalEquations<7>> {
         let floor = Matrix3::identity() * (FLOOR_RAD_S * FLOOR_RAD_S);
         let information = (turn.covariance + floor).try_inverse()?;
         let error = self.error(turn, gyro);
         let at = |offset_s: f64| Self { offset_s, ..*self }.error(turn, gyro);
         let slope = at(self.offset_s + SLOPE_S) - at(self.offset_s - SLOPE_S);
         let mut by = SMatrix::<f64, 3, 7>::zeros();
-        // exp(φ) R ω moves by φ × R ω.
-        let turned = self.camera_from_rig * self.rate(turn, gyro);
-        by.fixed_columns_mut::<3>(0).copy_from(&so3::hat(&turned));
+        // R exp(φ) ω moves by R (φ × ω).
+        let rotation = self.camera_from_rig.to_rotation_matrix().into_inner();
+        let by_turn = rotation * so3::hat(&self.rate(turn, gyro));
+        by.fixed_columns_mut::<3>(0).copy_from(&by_turn);
         by.fixed_columns_mut::<3>(3)
             .copy_from(&-Matrix3::identity());
         by.set_column(6, &(slope / (2.0 * SLOPE_S)));
         let size = (error.transpose() * information * error)[0];
         let weight = information / (1.0 + size / (ROBUST_SCALE * ROBUST_SCALE));
-        Some(Term {
-            right: -by.transpose() * weight * error,
-            normal: by.transpose() * weight * by,
+        Some(NormalEquations {
+            information: by.transpose() * weight * by,
+            gradient: by.transpose() * weight * error,
         })
     }
 
-    /// Down to the minimum, each pair with its own weight; with the normal equations there.
-    fn refined(&self, turns: &[Turn], gyro: &Gyro) -> (Self, Matrix7) {
-        let mut fit = *self;
-        let mut normal = Matrix7::zeros();
-        for _ in 0..ITERATIONS {
-            let mut right = Vector7::zeros();
-            normal = Matrix7::zeros();
+    /// Down to the minimum, each pair with its own weight; with the information there.
+    fn refined(&self, turns: &[Turn], gyro: &IntegratedGyro) -> Option<(Self, Matrix7)> {
+        let terms = |unknowns: &Unknowns| {
+            let fit = Self::of(unknowns);
+            let mut all = NormalEquations::default();
             for term in turns.iter().filter_map(|t| fit.term(t, gyro)) {
-                normal += term.normal;
-                right += term.right;
+                all.add_all(&term);
             }
-            let Some(step) = normal.cholesky().map(|c| c.solve(&right)) else {
-                break;
-            };
-            fit.camera_from_rig = so3::exp(&step.fixed_rows::<3>(0).into()) * fit.camera_from_rig;
-            fit.bias += step.fixed_rows::<3>(3);
-            fit.offset_s = (fit.offset_s + step[6]).clamp(-REACH_S, REACH_S);
-            if step.norm() < 1e-9 {
-                break;
-            }
+            Some(all)
+        };
+        let start = (
+            (self.camera_from_rig, self.bias),
+            Vector1::new(self.offset_s),
+        );
+        let found = minimise(start, ITERATIONS, terms, until_shorter_than(SHORTEST))?;
+        Some((Self::of(&found.value), found.information))
+    }
+
+    fn of(((camera_from_rig, bias), offset_s): &Unknowns) -> Self {
+        Self {
+            offset_s: offset_s.x,
+            camera_from_rig: *camera_from_rig,
+            bias: *bias,
         }
-        (fit, normal)
     }
 
     /// From how much blocks of the recording pull: errors of neighbouring pairs need not be independent.
-    fn covariance(&self, turns: &[Turn], gyro: &Gyro, normal: &Matrix7) -> Option<Matrix7> {
+    fn covariance(
+        &self,
+        turns: &[Turn],
+        gyro: &IntegratedGyro,
+        normal: &Matrix7,
+    ) -> Option<Matrix7> {
         let mut blocks = BTreeMap::<i64, Vector7>::new();
         for turn in turns {
             let block = (turn.from_s / BLOCK_S).floor() as i64;
-            *blocks.entry(block).or_default() += self.term(turn, gyro)?.right;
+            *blocks.entry(block).or_default() += self.term(turn, gyro)?.gradient;
         }
         let pulls: Matrix7 = blocks.values().map(|p| p * p.transpose()).sum();
         let n = blocks.len() as f64;
@@ -279,9 +297,5 @@ impl Fit {
 
 type Matrix7 = SMatrix<f64, 7, 7>;
 type Vector7 = SVector<f64, 7>;
-
-/// What a pair adds to the normal equations.
-struct Term {
-    normal: Matrix7,
-    right: Vector7,
-}
+/// Rotation, bias and time offset, in the order of their tangents.
+type Unknowns = ((UnitQuaternion<f64>, Vector3<f64>), Vector1<f64>);

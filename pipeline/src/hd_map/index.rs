@@ -10,7 +10,7 @@ use lsfb_types::{Bounds, Progress, ProgressFn, Stopped};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::kmeans::{Training, nearest, train};
+use super::kmeans::{Training, distance_squared, nearest, train};
 use crate::features::{DESCRIPTOR_LEN, Descriptor};
 
 /// Bytes of a code: one per part of the descriptor.
@@ -265,22 +265,6 @@ fn keep_nearest(found: &mut Vec<Neighbour>, count: usize) {
         found.select_nth_unstable_by(count - 1, by_distance);
     }
     found.truncate(count);
-}
-
-/// Sums side by side: the order of additions is fixed, and the compiler can use lanes. `N` is a multiple of 8.
-pub(crate) fn distance_squared<const N: usize>(a: &[f32; N], b: &[f32; N]) -> f32 {
-    let mut sums = [[0.0f32; 8]; 4];
-    let pairs = a.as_chunks::<8>().0.iter().zip(b.as_chunks::<8>().0);
-    for (i, (a, b)) in pairs.enumerate() {
-        for lane in 0..8 {
-            let difference = a[lane] - b[lane];
-            sums[i % 4][lane] += difference * difference;
-        }
-    }
-    let [p, q, r, s] = sums;
-    (0..8)
-        .map(|lane| (p[lane] + q[lane]) + (r[lane] + s[lane]))
-        .sum()
 }
 
 /// The parts of a vector.

@@ -54,7 +54,7 @@ pub(crate) fn train<const N: usize>(values: &[[f32; N]], training: &Training) ->
 pub(crate) fn nearest<const N: usize>(value: &[f32; N], centroids: &[[f32; N]]) -> usize {
     let mut best = (f32::INFINITY, 0);
     for (index, centroid) in centroids.iter().enumerate() {
-        let distance = super::index::distance_squared(value, centroid);
+        let distance = distance_squared(value, centroid);
         if distance < best.0 {
             best = (distance, index);
         }
@@ -72,6 +72,22 @@ fn sample(total: usize, count: usize, rng: &mut ChaCha8Rng) -> Vec<usize> {
     }
     all.truncate(count);
     all
+}
+
+/// Squared distance of two vectors. Sums side by side: the order of additions is fixed, and the compiler can use lanes. `N` is a multiple of 8.
+pub(crate) fn distance_squared<const N: usize>(a: &[f32; N], b: &[f32; N]) -> f32 {
+    let mut sums = [[0.0f32; 8]; 4];
+    let pairs = a.as_chunks::<8>().0.iter().zip(b.as_chunks::<8>().0);
+    for (i, (a, b)) in pairs.enumerate() {
+        for lane in 0..8 {
+            let difference = a[lane] - b[lane];
+            sums[i % 4][lane] += difference * difference;
+        }
+    }
+    let [p, q, r, s] = sums;
+    (0..8)
+        .map(|lane| (p[lane] + q[lane]) + (r[lane] + s[lane]))
+        .sum()
 }
 
 #[cfg(test)]

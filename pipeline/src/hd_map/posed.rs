@@ -9,7 +9,7 @@ use super::{
 };
 use crate::Error;
 use crate::features::{SiftConfig, detect_all};
-use crate::posed_images::{PosedImages, read_image};
+use crate::posed_images::PosedImages;
 
 /// Configuration of [`build_map_from_posed_images`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -61,7 +61,7 @@ pub fn build_map_from_posed_images(
     let chosen = select_keyframes(&poses, distance_m, angle_deg);
     let pixels: Vec<Image> = chosen
         .par_iter()
-        .map(|i| read_image(&posed.images[*i].path))
+        .map(|i| lsfb_perception::image::read(&posed.images[*i].path))
         .collect::<Result<_, _>>()?;
     let features = detect_all(&pixels.iter().collect::<Vec<_>>(), &config.sift, progress)?;
     let images: Vec<KeyframeImage> = chosen

@@ -9,12 +9,10 @@
 //! are no plane.
 
 use lsfb_geometry::{Matrix3, Se3, Vector3};
+use lsfb_perception::lidar::{LocalMap, LocalMapConfig, Plane, voxel_downsample};
 use lsfb_types::Bounds;
 use nalgebra::SymmetricEigen;
 use serde::{Deserialize, Serialize};
-
-use crate::odometry::{LocalMap, LocalMapConfig, Plane};
-use crate::preprocess::voxel_downsample;
 
 /// What counts as a feature, and as a correspondence.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -1,8 +1,8 @@
 use super::*;
 use crate::odometry::tests::room::{self, Room};
-use crate::preprocess::{MotionKnot, RangeWindow, deskew_rings};
 use crate::residuals::{LidarEdge, LidarPlane};
 use lsfb_geometry::{RigLidar, Vector6};
+use lsfb_perception::lidar::{MotionKnot, RangeWindow, deskew_rings};
 use lsfb_solver::{Kernel, Problem, SolveConfig, solve};
 
 /// Features at `t` from five scans before and after, placed with the true motion.

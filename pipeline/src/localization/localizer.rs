@@ -4,7 +4,8 @@ use lsfb_geometry::{Matrix6, Rig, Se3};
 use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
 
-use super::ransac::{MountedCamera, PointMatch, RansacConfig, estimate_pose};
+use super::matches::{MountedCamera, PointMatch};
+use super::ransac::{RansacConfig, estimate_pose};
 use super::refinement::refine_pose;
 use super::voting::{Candidates, Places};
 use crate::features::matching::{DESCRIPTOR_NORM, MatchConfig, Prediction, match_projected};

@@ -5,6 +5,7 @@
 //! most pairs agree with; projecting the map with it finds the rest (Liu et al., section V-A).
 
 mod localizer;
+mod matches;
 mod p3p;
 mod posed;
 mod ransac;
@@ -14,7 +15,8 @@ mod voting;
 pub use localizer::{
     FeatureMatch, Localization, Localizer, LocalizerConfig, NotLocalized, NotLocalizedReason,
 };
+pub use matches::{MountedCamera, PointMatch};
 pub use p3p::solve_p3p;
 pub use posed::{ImageLocalization, localize_posed_images};
-pub use ransac::{MountedCamera, PointMatch, PoseEstimate, RansacConfig, estimate_pose};
+pub use ransac::{PoseEstimate, RansacConfig, estimate_pose};
 pub use refinement::{RefinedPose, RefinementConfig, refine_pose};

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::{Localization, Localizer, NotLocalized};
 use crate::Error;
 use crate::features::{FrameFeatures, SiftConfig, SiftDetector};
-use crate::posed_images::{PosedImages, read_image};
+use crate::posed_images::PosedImages;
 
 /// What became of one image, beside the pose its list gives.
 #[derive(Clone, Debug, PartialEq)]
@@ -50,7 +50,7 @@ pub fn localize_posed_images(
         |detector, image| {
             let frame = FrameFeatures {
                 camera: image.camera.clone(),
-                features: detector.detect(&read_image(&image.path)?),
+                features: detector.detect(&lsfb_perception::image::read(&image.path)?),
             };
             let found = localizer.localize(&[frame], &posed.rig);
             progress(Progress {

@@ -1,34 +1,15 @@
 //! Robust pose of a rig of cameras: P3P hypotheses with local optimisation (Chum, Matas, Kittler, "Locally optimized
 //! RANSAC", DAGM 2003), scored over the matches of all cameras.
 
-use lsfb_geometry::{Camera, Se3, Vector2, Vector3};
+use lsfb_geometry::{Se3, Vector3};
 use lsfb_types::Bounds;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
+use super::matches::{MountedCamera, PointMatch};
 use super::p3p::solve_p3p;
 use super::refinement::{RefinementConfig, refine_pose};
-
-/// A camera with its place on the rig.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MountedCamera {
-    /// Size and lens.
-    pub camera: Camera,
-    /// Pose of the camera in the rig frame.
-    pub rig_from_camera: Se3,
-}
-
-/// A map point and the pixel that may show it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PointMatch {
-    /// Index of the camera among the mounted ones.
-    pub camera: usize,
-    /// Where it is seen.
-    pub pixel: Vector2<f64>,
-    /// The point, metres.
-    pub point_in_world: Vector3<f64>,
-}
 
 /// Configuration of [`estimate_pose`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -277,6 +258,8 @@ fn samples_needed(inlier_ratio: f64, confidence: f64) -> usize {
 
 #[cfg(test)]
 mod tests {
+    use lsfb_geometry::{Camera, Vector2};
+
     use super::*;
     use lsfb_geometry::Vector6;
     use lsfb_geometry::camera::Lens;

@@ -4,7 +4,7 @@ use lsfb_geometry::{Matrix2x3, Matrix3, Matrix6, Se3, Vector6, so3};
 use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
 
-use super::ransac::{MountedCamera, PointMatch};
+use super::matches::{MountedCamera, PointMatch};
 
 /// Configuration of [`refine_pose`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use lsfb_geometry::{Rig, Se3, StampedPose, Vector3};
+use lsfb_perception::RelativePose;
 use lsfb_solver::{Block, Kernel, Problem, Report};
 use lsfb_types::ProgressFn;
 use rayon::prelude::*;
@@ -13,7 +14,7 @@ use super::{LidarWeights, MappingConfig};
 use crate::Error;
 use crate::hd_map::{MapPoint, PointObservation};
 use crate::lidar_features::{Correspondences, correspond};
-use crate::residuals::{LidarEdge, LidarPlane, ObservingCamera, RelativePose, Reprojection};
+use crate::residuals::{LidarEdge, LidarPlane, ObservingCamera, Reprojection};
 use crate::solve::solve_or_stop;
 
 /// Two keyframes whose scans are compared: features of `n` on surfaces of `m`.

@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 
 use lsfb_geometry::{RigLidar, Se3, Trajectory};
+use lsfb_perception::lidar::{KNOT_NS, MotionKnot, RangeWindow, deskew_rings};
 use lsfb_recording::Recording;
 use lsfb_types::{LidarScan, Progress, ProgressFn, Stamped, Stopped, Timestamp};
 use rayon::prelude::*;
@@ -12,10 +13,8 @@ use super::keyframes::Keyframe;
 use crate::Error;
 use crate::lidar_features::{LidarFeatures, PlacedScan, ScanFeatures};
 use crate::odometry::Damages;
-use crate::preprocess::{MotionKnot, RangeWindow, deskew_rings};
 
-/// Distance of the poses a scan is deskewed by, nanoseconds, and how many: up to 0.2 s, the slowest revolution.
-const KNOT_NS: i64 = 5_000_000;
+/// Poses a scan is deskewed by: up to 0.2 s, the slowest revolution.
 const SCAN_KNOTS: i64 = 40;
 /// Scans worked on at once: bounds the memory.
 const BATCH: usize = 32;

@@ -8,10 +8,9 @@
 use lsfb_geometry::{
     ImuNoiseModel, Matrix3, Matrix6, Se3, StampedPose, UnitQuaternion, Vector3, Vector6, so3,
 };
+use lsfb_perception::lidar::PosePrior;
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 use nalgebra::{SMatrix, SVector};
-
-use super::registration::PosePrior;
 
 type Matrix18 = SMatrix<f64, 18, 18>;
 
@@ -210,7 +209,7 @@ impl InertialFilter {
         let turn = so3::exp(&(rate * dt));
         // Force at mid-time in the attitude of mid-time.
         let force = (from.specific_force + to.specific_force) * 0.5 - s.accel_bias_m_s2;
-        let middle = (s.world_from_rig.rotation * so3::exp(&(rate * (0.5 * dt))))
+        let middle = so3::retract(&s.world_from_rig.rotation, &(rate * (0.5 * dt)))
             .to_rotation_matrix()
             .into_inner();
         let acceleration = if blind {
@@ -285,7 +284,7 @@ impl InertialFilter {
             return;
         };
         // The pose is already the best of prior and scan; the rest of the state follows it by its correlation.
-        let deviation: Vector6<f64> = (self.state.world_from_rig.inverse() * *world_from_rig).log();
+        let deviation: Vector6<f64> = self.state.world_from_rig.local(world_from_rig);
         let all_by_pose = p.fixed_view::<18, 6>(0, 0) * prior_cholesky.inverse();
         let delta = all_by_pose * deviation;
         let s = &mut self.state;

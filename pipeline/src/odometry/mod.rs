@@ -6,9 +6,7 @@
 //! world that is not level.
 
 mod inertial;
-mod local_map;
 mod online;
-mod registration;
 mod run;
 
 #[cfg(test)]
@@ -17,18 +15,19 @@ pub(crate) mod tests;
 use std::collections::VecDeque;
 
 use lsfb_geometry::{ImuNoiseModel, Matrix6, RigLidar, Se3, StampedPose, Vector3, Vector6};
+use lsfb_perception::lidar::{
+    KNOT_NS, LocalMap, LocalMapConfig, MotionKnot, PosePrior, RangeWindow, Registration,
+    RegistrationConfig, Weighting, deskew, register, voxel_downsample,
+};
 use lsfb_types::{Bounds, ImuSample, LidarScan, Stamped, Timestamp};
 use serde::{Deserialize, Serialize};
 
 pub use inertial::{GRAVITY_M_S2, InertialFilter, InertialState};
-pub use local_map::{LocalMap, LocalMapConfig, Match, Plane};
 pub use online::OnlineOdometry;
-pub use registration::{PosePrior, Registration, RegistrationConfig, register};
 pub(crate) use run::Damages;
 pub use run::{DeskewedCloud, OdometryReport, OdometryResult, run_odometry};
 
 use crate::Error;
-use crate::preprocess::{MotionKnot, RangeWindow, deskew, voxel_downsample};
 
 /// Parameters of the odometry. The defaults suit rooms and corridors; outdoors take cells of 2 m and keypoints of 1 m.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -176,8 +175,6 @@ struct ReducedScan {
 const MIN_GATE_M: f64 = 0.3;
 /// Predictions looked back at for the gate.
 const CORRECTIONS: usize = 10;
-/// Distance of the knots by which scans are deskewed without an IMU, nanoseconds.
-const KNOT_NS: i64 = 5_000_000;
 
 impl Odometry {
     /// Odometry for a rig with this LiDAR and, if there is one, this IMU.
@@ -288,7 +285,8 @@ impl Odometry {
             Motion::Inertial(inertial) => inertial.predict(start, end),
             Motion::Constant { twist_per_s } => {
                 let predicted = self.last.map_or_else(Se3::identity, |last| {
-                    last.world_from_rig * Se3::exp(&(*twist_per_s * end.secs_since(last.time)))
+                    last.world_from_rig
+                        .retract(&(*twist_per_s * end.secs_since(last.time)))
                 });
                 Ok(constant_path(self.last, start, end, &predicted))
             }
@@ -338,15 +336,13 @@ impl Odometry {
             range_noise_m: noise_m,
             point_noise_m: noise_m.hypot(0.3 * finest_m),
             points_per_independent: self.config.points_per_independent,
+            weighting: Weighting::Tightening,
         };
         let sensor_in_rig = self.lidar.rig_from_lidar.translation;
-        register(
-            &reduced.keypoints,
-            &sensor_in_rig,
-            &self.map,
-            &prior,
-            &config,
-        )
+        register(&reduced.keypoints, &prior, &config, |pose, gate_m| {
+            let points = &reduced.keypoints;
+            self.map.find_all(points, &sensor_in_rig, pose, gate_m)
+        })
     }
 
     /// Farthest correspondence: three times what predictions were lately wrong by.
@@ -374,7 +370,7 @@ impl Odometry {
 
     /// Takes in the registered pose and bends the path so that it ends there.
     fn correct(&mut self, path: &mut [StampedPose], found: &Registration) {
-        let correction = (end_pose(path).inverse() * found.world_from_rig).log();
+        let correction = end_pose(path).local(&found.world_from_rig);
         // What the error does to a point at a usual range of 10 m.
         let moved_m =
             correction.fixed_rows::<3>(3).norm() + 10.0 * correction.fixed_rows::<3>(0).norm();
@@ -400,7 +396,7 @@ impl Odometry {
             } else {
                 1.0
             };
-            pose.world_from_rig = pose.world_from_rig * Se3::exp(&(correction * fraction));
+            pose.world_from_rig = pose.world_from_rig.retract(&(correction * fraction));
         }
     }
 
@@ -425,8 +421,8 @@ impl Odometry {
             }
             Motion::Constant { twist_per_s } => {
                 if let Some(last) = self.last {
-                    let moved = last.world_from_rig.inverse() * end.world_from_rig;
-                    *twist_per_s = moved.log() / end.time.secs_since(last.time);
+                    let moved = last.world_from_rig.local(&end.world_from_rig);
+                    *twist_per_s = moved / end.time.secs_since(last.time);
                 }
             }
         }
@@ -466,13 +462,15 @@ fn constant_path(
         time: start,
         world_from_rig: *end_pose,
     });
-    let twist = (begin.world_from_rig.inverse() * *end_pose).log();
+    let twist = begin.world_from_rig.local(end_pose);
     let span_ns = end - begin.time;
     let steps = (span_ns / KNOT_NS).clamp(1, 100);
     (0..=steps)
         .map(|i| StampedPose {
             time: begin.time.plus_nanos(span_ns * i / steps),
-            world_from_rig: begin.world_from_rig * Se3::exp(&(twist * (i as f64 / steps as f64))),
+            world_from_rig: begin
+                .world_from_rig
+                .retract(&(twist * (i as f64 / steps as f64))),
         })
         .collect()
 }

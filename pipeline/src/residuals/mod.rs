@@ -5,7 +5,6 @@ mod fixed_point_reprojection;
 mod imu_preintegration;
 mod lidar_edge;
 mod lidar_plane;
-mod relative_pose;
 mod reprojection;
 #[cfg(test)]
 mod strategies;
@@ -15,5 +14,4 @@ pub use fixed_point_reprojection::FixedPointReprojection;
 pub use imu_preintegration::ImuPreintegration;
 pub use lidar_edge::LidarEdge;
 pub use lidar_plane::LidarPlane;
-pub use relative_pose::RelativePose;
 pub use reprojection::{ObservingCamera, Reprojection};

@@ -21,18 +21,10 @@ use tokens::tokens;
 const KNOWN: &[(&str, &str, &[&str])] = &[
     ("calib", "crate", &["report", "verify"]),
     (
-        "calib",
-        "crate::verify",
-        &["alignment", "mutual_information"],
-    ),
-    ("calib", "crate::verify::refine", &["adjustment", "noise"]),
-    (
         "cli",
         "crate",
         &["commands", "context", "live", "simulated"],
     ),
-    ("pipeline", "crate::hd_map", &["index", "kmeans"]),
-    ("pipeline", "crate::localization", &["ransac", "refinement"]),
 ];
 
 /// Name and root file of every library and program of ours.

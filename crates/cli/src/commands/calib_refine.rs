@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use lsfb_calib::verify::{Compared, RefineConfig, Refinement, refine};
+use lsfb_calib::refine::{Compared, RefineConfig, Refinement, refine};
 use lsfb_recording::Provenance;
 use serde::Serialize;
 

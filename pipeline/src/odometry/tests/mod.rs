@@ -8,6 +8,7 @@ use room::Room;
 
 mod online;
 mod recorded;
+mod registration;
 pub(crate) mod room;
 
 /// Points of a binary PCD file of four floats per point.

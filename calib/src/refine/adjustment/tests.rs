@@ -1,0 +1,182 @@
+use lsfb_geometry::{Matrix6, UnitQuaternion};
+use lsfb_perception::image::Gray;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::*;
+
+/// Spread of what is measured.
+const NOISE: Noise = Noise {
+    pixel_px: 0.1,
+    plane_m: 3e-3,
+    turn_rad: 5e-4,
+    shift_m: 2e-3,
+};
+
+struct World {
+    lens: Camera,
+    truth: Se3,
+    rng: ChaCha8Rng,
+}
+
+impl World {
+    fn new(seed: u64) -> Self {
+        let turn = UnitQuaternion::from_euler_angles(0.02, -0.03, 0.01);
+        Self {
+            lens: Camera::pinhole(640, 400, [350.0, 350.0], [319.5, 199.5]),
+            truth: Se3::new(turn, Vector3::new(0.1, -0.2, 0.05)),
+            rng: ChaCha8Rng::seed_from_u64(seed),
+        }
+    }
+
+    fn normal(&mut self, sigma: f64) -> f64 {
+        // The sum of twelve even numbers is as good as normal.
+        (0..12)
+            .map(|_| self.rng.random_range(-0.5..0.5))
+            .sum::<f64>()
+            * sigma
+    }
+
+    fn vector(&mut self, size: f64) -> Vector3<f64> {
+        Vector3::from_fn(|_, _| self.rng.random_range(-1.0..1.0) * size)
+    }
+
+    /// Images from a way that turns and moves, before a room's walls.
+    fn block(&mut self) -> Block {
+        let (start, way) = (self.vector(0.3), self.vector(0.8));
+        let turning = self.vector(0.35);
+        let image = Gray {
+            camera: self.lens,
+            values: vec![0.0; 640 * 400],
+        };
+        let mut poses = Vec::new();
+        let frames = (0..6)
+            .map(|k| {
+                let share = f64::from(k) / 5.0 - 0.5;
+                let true_pose = Se3::new(so3::exp(&(turning * share)), start + way * share);
+                poses.push(true_pose);
+                let off = Vector6::from_fn(|k, _| {
+                    self.normal(if k < 3 { NOISE.turn_rad } else { NOISE.shift_m })
+                });
+                Keyframe {
+                    time_s: f64::from(k) * 0.25,
+                    levels: [image.clone(), image.clone()],
+                    world_from_lidar: true_pose * Se3::exp(&-off),
+                    twist: Vector6::new(0.1, 0.2, -0.3, 0.4, 0.5, -0.6),
+                    information: Matrix6::identity() * 1e12,
+                }
+            })
+            .collect();
+        let landmarks = (0..80)
+            .filter_map(|k| {
+                let mut place = self.vector(3.0);
+                place.z += 4.0;
+                let normal = [Vector3::x(), Vector3::y(), Vector3::z()][k % 3];
+                let place = place + normal * (5.0 - place.dot(&normal)) * 0.5;
+                let seen = poses.iter().enumerate().filter_map(|(frame, pose)| {
+                    let pixel = self
+                        .lens
+                        .project(&(self.truth * (pose.inverse() * place)))?;
+                    let noise =
+                        Vector2::new(self.normal(NOISE.pixel_px), self.normal(NOISE.pixel_px));
+                    let inside = self.lens.contains(&pixel, 5.0);
+                    inside.then_some(Observation {
+                        frame,
+                        pixel: pixel + noise,
+                    })
+                });
+                let observations: Vec<Observation> = seen.collect();
+                let plane_place = place + normal * self.normal(NOISE.plane_m);
+                (observations.len() > 2).then_some(Landmark {
+                    observations,
+                    plane_place,
+                    plane_normal: normal,
+                    place,
+                })
+            })
+            .collect();
+        let mut block = Block::new(frames);
+        block.take(landmarks);
+        block
+    }
+}
+
+#[test]
+fn derivatives_are_those_of_small_steps() {
+    let mut world = World::new(3);
+    let mut block = world.block();
+    let shared = Shared {
+        lidar_from_camera: world.truth.inverse(),
+        delay_s: 0.0,
+    };
+    let landmark = block.landmarks[0].clone();
+    let at = landmark.observations[1];
+    let seen = |block: &Block, shared: &Shared, place: &Vector3<f64>| {
+        let pose = block.lidar_from_world(at.frame, shared);
+        block
+            .seen(&world.lens, shared, &pose, &at, place)
+            .expect("in view")
+    };
+    let here = seen(&block, &shared, &landmark.place);
+    let h = 1e-6;
+    for k in 0..13 {
+        let mut error = |sign: f64| {
+            let mut step = SharedVector::zeros();
+            let mut shift = Vector6::zeros();
+            if k < SHARED {
+                step[k] = sign * h;
+            } else {
+                shift[k - SHARED] = sign * h;
+            }
+            block.shifts[at.frame] = shift;
+            seen(&block, &shared.moved(&step), &landmark.place).error
+        };
+        let numeric = (error(1.0) - error(-1.0)) / (2.0 * h);
+        let off = (numeric - here.by_rest.column(k)).norm();
+        assert!(
+            off < 1e-3,
+            "{k}: {numeric} against {}",
+            here.by_rest.column(k)
+        );
+    }
+    block.shifts[at.frame] = Vector6::zeros();
+    for k in 0..3 {
+        let mut step = Vector3::zeros();
+        step[k] = h;
+        let error = |place: Vector3<f64>| seen(&block, &shared, &place).error;
+        let numeric = (error(landmark.place + step) - error(landmark.place - step)) / (2.0 * h);
+        assert!((numeric - here.by_point.column(k)).norm() < 1e-3, "{k}");
+    }
+}
+
+#[test]
+fn a_pose_is_found_and_known_as_well_as_is_said() {
+    let (mut squares, runs) = (0.0, 20);
+    for seed in 0..runs {
+        let mut world = World::new(seed);
+        let mut blocks: Vec<Block> = (0..8).map(|_| world.block()).collect();
+        let wrong = Vector6::new(0.02, -0.02, 0.015, 0.02, -0.03, 0.02);
+        let first = Shared {
+            lidar_from_camera: world.truth.inverse().retract(&wrong),
+            delay_s: 0.0,
+        };
+        let start = first.lidar_from_camera;
+        let found = adjusted(&world.lens, &mut blocks, &start, &first, &[]).expect("settled");
+        let off = world.truth.inverse().local(&found.shared.lidar_from_camera);
+        assert!(
+            off.fixed_rows::<3>(0).norm() < 3e-3 && off.fixed_rows::<3>(3).norm() < 0.01,
+            "{off}"
+        );
+        assert!(
+            (found.noise.pixel_px / NOISE.pixel_px - 1.0).abs() < 0.15,
+            "{:?}",
+            found.noise
+        );
+        let all = total(&found.normals, &start, &found.shared, &[]);
+        let covariance = all.information.try_inverse().expect("known");
+        let own = covariance.fixed_view::<6, 6>(0, 0).into_owned();
+        squares += off.dot(&own.cholesky().expect("known").solve(&off)) / 6.0;
+    }
+    let mean = squares / runs as f64;
+    assert!((0.6..1.5).contains(&mean), "{mean}");
+}

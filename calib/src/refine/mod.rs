@@ -1,0 +1,138 @@
+//! The LiDAR's pose to cameras from any recording, without a target: corners of images on surfaces that the LiDAR saw.
+//!
+//! | step | file |
+//! | --- | --- |
+//! | the LiDAR's path, by its own scans and the gyroscope | `scan.rs`, `lidar_path.rs`, `lidar_turning.rs` |
+//! | planes of the place | `plane_map.rs` |
+//! | corners on planes, found in images from far apart | `landmarks.rs` |
+//! | the pose at which both agree (Eq. 4) | `adjustment.rs`, `noise.rs` |
+//! | what it is worth | `estimate.rs` |
+//! | all of it for one camera, and what is said of it | `camera.rs`, `report.rs`, `page.rs` |
+
+mod adjustment;
+mod camera;
+mod estimate;
+mod landmarks;
+mod lidar_path;
+mod lidar_turning;
+mod noise;
+mod page;
+mod plane_map;
+mod report;
+mod scan;
+
+use lsfb_geometry::Rig;
+use lsfb_recording::Recording;
+use lsfb_types::{Bounds, Progress, ProgressFn};
+use serde::{Deserialize, Serialize};
+
+use crate::{Error, recorded};
+use camera::CameraRefinement;
+pub use page::Compared;
+pub use report::{Component, Evidence, Refinement, RefinementReport, Transfer};
+
+/// Shortest recording that is looked at, seconds.
+const SHORTEST_S: f64 = 5.0;
+/// Cells with a plane that a place needs.
+const LEAST_PLANES: usize = 200;
+
+/// Settings of [`refine`].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RefineConfig {
+    /// How much of a recording is looked at, from its first scan, seconds.
+    pub longest_s: f64,
+    /// Time between images that are looked at, seconds.
+    pub image_gap_s: f64,
+    /// Images in which the same corners are looked for.
+    pub block_images: usize,
+    /// Standard deviation beyond which a rotation is not determined, degrees.
+    pub largest_sigma_deg: f64,
+    /// Standard deviation beyond which a translation is not determined, metres.
+    pub largest_sigma_m: f64,
+}
+
+impl Default for RefineConfig {
+    fn default() -> Self {
+        Self {
+            longest_s: 60.0,
+            image_gap_s: 0.25,
+            block_images: 10,
+            largest_sigma_deg: 0.3,
+            largest_sigma_m: 0.015,
+        }
+    }
+}
+
+lsfb_types::bounds! {
+    RefineConfig {
+        longest_s: number(Bounds::POSITIVE),
+        image_gap_s: number(Bounds::POSITIVE),
+        block_images: number(Bounds::AT_LEAST_ONE),
+        largest_sigma_deg: number(Bounds::POSITIVE),
+        largest_sigma_m: number(Bounds::POSITIVE),
+    }
+}
+
+/// Poses between the LiDAR and all cameras of a rig that is nearly right: within 2.5° and 5 cm.
+pub fn refine(
+    recording: &Recording,
+    rig: &Rig,
+    config: &RefineConfig,
+    progress: ProgressFn,
+) -> Result<RefinementReport, Error> {
+    config.check_bounds("refine")?;
+    let unknown = |problem: String| Error::NotJoined {
+        first: "cameras".to_owned(),
+        second: "lidar".to_owned(),
+        problem,
+    };
+    let Some(lidar) = rig.lidar() else {
+        let problem = "the rig has no LiDAR: give it a pose as measured by hand";
+        return Err(unknown(problem.to_owned()));
+    };
+    let present = recorded::cameras(recording, rig);
+    if present.is_empty() {
+        let problem = "none of the rig's cameras is in the recording: check the names";
+        return Err(unknown(problem.to_owned()));
+    }
+    if recording.scans().is_err() {
+        return Err(unknown("the recording has no scans".to_owned()));
+    }
+    let gyro = recorded::gyro(recording)?;
+    let scans = scan::read(recording, config.longest_s, progress)?;
+    let length_s = match scans.as_slice() {
+        [first, .., last] => last.middle_s - first.middle_s,
+        _ => 0.0,
+    };
+    if length_s < SHORTEST_S {
+        return Err(unknown(format!(
+            "scans of {length_s:.1} s are too short, {SHORTEST_S} s are the least and 30 s are better: walk through a furnished place and turn"
+        )));
+    }
+    let followed = lidar_path::follow(&scans, rig, gyro.as_ref(), progress)?;
+    let Some((path, place)) = followed.filter(|(_, place)| place.planes() >= LEAST_PLANES) else {
+        return Err(unknown(
+            "scans do not fit on each other: the LiDAR sees too few surfaces, or moves too fast: record a place with walls, floor and furniture within 20 m".to_owned(),
+        ));
+    };
+    let mut cameras = Vec::new();
+    for (k, (name, mounted)) in present.iter().enumerate() {
+        progress(Progress {
+            stage: "cameras",
+            done: k as u64,
+            total: present.len() as u64,
+        })?;
+        let one = CameraRefinement {
+            name,
+            mounted,
+            start: lidar.rig_from_lidar.inverse() * mounted.rig_from_camera,
+            path: &path,
+            place: &place,
+            scans: &scans,
+            config,
+        };
+        cameras.push(one.refined(recording, progress)?);
+    }
+    Ok(RefinementReport { cameras })
+}

@@ -1,0 +1,225 @@
+//! What is said of a refinement.
+
+use lsfb_geometry::Se3;
+use serde::Serialize;
+
+use crate::{Overlay, TransformEdge};
+
+/// Names of the six numbers.
+pub(super) const NAMES: [&str; 6] = ["rotation x", "rotation y", "rotation z", "x", "y", "z"];
+
+/// One number of the camera's pose, about or along its own axes.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Component {
+    /// `rotation x` … `z`.
+    pub name: &'static str,
+    /// What was added to what the rig says, radians or metres; `None` where the recording does not determine it: it is as it
+    /// was.
+    pub change: Option<f64>,
+    /// Standard deviation, radians or metres; of what is not determined, that of a pose by hand.
+    pub sigma: f64,
+}
+
+/// By how much corners, put from one image onto surfaces of the LiDAR, are elsewhere in others; medians, pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Transfer {
+    /// With the rig's pose.
+    pub before_px: f64,
+    /// With the one found.
+    pub after_px: f64,
+    /// In every other part of the recording with the pose found in the rest.
+    pub held_back_px: f64,
+}
+
+/// What speaks for a pose.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Evidence {
+    /// Images looked at.
+    pub images: usize,
+    /// Corners on surfaces.
+    pub corners: usize,
+    /// How often they were seen.
+    pub observations: usize,
+    /// Parts of the recording that say something on their own.
+    pub blocks: usize,
+    /// Standard deviation of a corner, pixels of the image as it was looked at.
+    pub pixel_px: f64,
+    /// Of a corner from its surface, metres.
+    pub plane_m: f64,
+    /// By how much the LiDAR's way turns wrong at an image, beside what its returns know, radians.
+    pub image_turn_rad: f64,
+    /// And by how much it is elsewhere, metres.
+    pub image_shift_m: f64,
+    /// Variance between parts of the recording over what their noise explains; standard deviations take it in.
+    pub inflation: f64,
+    /// What is to be added to the camera's times, seconds, and its standard deviation.
+    pub clock_s: [f64; 2],
+    /// How well corners are transferred.
+    pub transfer: Transfer,
+    /// The pose of every other part less that of the rest: radians, metres.
+    pub halves: [f64; 6],
+    /// Squared length of that over its covariance: 6 is expected.
+    pub halves_square: f64,
+    /// How fast the camera turned about its axes, rms, rad/s.
+    pub turning_rad_s: [f64; 3],
+    /// And moved along them, rms, m/s.
+    pub speed_m_s: [f64; 3],
+    /// Errors of corners over their standard deviation.
+    #[serde(skip)]
+    pub(super) normalized: Vec<f64>,
+    /// Corners by cell of the image, and their mean errors.
+    #[serde(skip)]
+    pub(super) coverage: Vec<u32>,
+    #[serde(skip)]
+    pub(super) cell_errors_px: Vec<[f64; 2]>,
+    #[serde(skip)]
+    pub(super) size_px: [u32; 2],
+}
+
+/// What is said of one camera.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Refinement {
+    /// The camera.
+    pub camera: String,
+    /// Its six numbers; none where nothing can be said.
+    pub components: Vec<Component>,
+    /// What speaks for them.
+    pub evidence: Option<Evidence>,
+    /// How to record what is not determined.
+    pub advice: Option<String>,
+    /// The best pose of the camera on the LiDAR, also where it is not given out.
+    #[serde(skip)]
+    pub(super) lidar_from_camera: Option<Se3>,
+    /// Pose of the LiDAR in the camera with its covariance. `None` where it may not be trusted.
+    #[serde(skip)]
+    pub edge: Option<TransformEdge>,
+    /// Returns over an image, with the rig's pose and with the best one.
+    #[serde(skip)]
+    pub overlays: Option<[Overlay; 2]>,
+    /// In words.
+    pub sentence: String,
+}
+
+/// All cameras.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RefinementReport {
+    /// By name.
+    pub cameras: Vec<Refinement>,
+}
+
+impl Component {
+    /// Whether it is an angle.
+    pub fn is_angle(&self) -> bool {
+        self.name.starts_with("rotation")
+    }
+
+    /// A value of it in degrees or millimetres.
+    pub(super) fn shown(&self, value: f64) -> f64 {
+        if self.is_angle() {
+            value.to_degrees()
+        } else {
+            value * 1e3
+        }
+    }
+
+    pub(super) fn unit(&self) -> &'static str {
+        if self.is_angle() { "°" } else { "mm" }
+    }
+}
+
+impl Evidence {
+    /// How to move where something is not determined.
+    pub(super) fn advice(&self, components: &[Component]) -> Option<String> {
+        let missing: Vec<&str> = components
+            .iter()
+            .filter(|c| c.change.is_none())
+            .map(|c| c.name)
+            .collect();
+        if missing.is_empty() {
+            return None;
+        }
+        let mut order = [0, 1, 2];
+        order.sort_by(|a, b| self.turning_rad_s[*a].total_cmp(&self.turning_rad_s[*b]));
+        let [least, next, _] = order.map(|k| ["x", "y", "z"][k]);
+        Some(format!(
+            "for {}: turn the rig more about the camera's {least} and {next} axes, walk past furniture and pictures within 5 m, and record longer",
+            missing.join(", ")
+        ))
+    }
+}
+
+impl Refinement {
+    /// What was found, and what was not.
+    pub(super) fn in_words(&self) -> String {
+        let norm =
+            |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>().sqrt();
+        let found = |angles: bool| {
+            let own = self.components.iter();
+            own.filter(move |c| c.is_angle() == angles && c.change.is_some())
+        };
+        let change = |angles: bool| norm(&mut found(angles).filter_map(|c| c.change));
+        let sigma = |angles: bool| norm(&mut found(angles).map(|c| c.sigma));
+        let mut words = Vec::new();
+        if found(true).next().is_some() {
+            words.push(format!(
+                "turned by {:.3}° ± {:.3}°",
+                change(true).to_degrees(),
+                sigma(true).to_degrees()
+            ));
+        }
+        if found(false).next().is_some() {
+            words.push(format!(
+                "moved by {:.1} ± {:.1} mm",
+                change(false) * 1e3,
+                sigma(false) * 1e3
+            ));
+        }
+        let lost: Vec<&str> = self
+            .components
+            .iter()
+            .filter(|c| c.change.is_none())
+            .map(|c| c.name)
+            .collect();
+        if !lost.is_empty() {
+            words.push(format!(
+                "not determined and left as it was: {}",
+                lost.join(", ")
+            ));
+        }
+        words.join("; ")
+    }
+
+    /// Whether all six numbers were found.
+    fn is_whole(&self) -> bool {
+        self.edge.is_some() && self.components.iter().all(|c| c.change.is_some())
+    }
+}
+
+impl RefinementReport {
+    /// One sentence: what was found, and what was not.
+    pub fn verdict(&self) -> String {
+        let named = |wanted: &dyn Fn(&Refinement) -> bool| -> Vec<&str> {
+            let those = self.cameras.iter().filter(|c| wanted(c));
+            those.map(|c| c.camera.as_str()).collect()
+        };
+        let lost = named(&|c| c.edge.is_none());
+        let partly = named(&|c| c.edge.is_some() && !c.is_whole());
+        let mut words = vec![format!(
+            "{} of {} cameras were placed to the LiDAR without a board",
+            self.cameras.len() - lost.len(),
+            self.cameras.len()
+        )];
+        if !lost.is_empty() {
+            words.push(format!("not {}: see why below", lost.join(", ")));
+        }
+        if !partly.is_empty() {
+            words.push(format!("{} not in all six numbers", partly.join(", ")));
+        }
+        let outcome = match (lost.is_empty(), partly.is_empty()) {
+            (true, true) => "PASS",
+            (true, false) => "WARN",
+            (false, _) => "FAIL",
+        };
+        format!("{outcome}. {}.", words.join("; "))
+    }
+}

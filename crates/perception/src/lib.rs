@@ -1,0 +1,19 @@
+//! What is seen, before anything is concluded from it: images, corners, scans, and how the gyroscope turned.
+//!
+//! Calibration and mapping both look at the world through these functions; neither has a second one of its own.
+//!
+//! | module | gives |
+//! | --- | --- |
+//! | [`image`] | grey images from files, reduced images with their cameras, corners, patches followed from image to image, the rotation between two images |
+//! | [`lidar`] | scans deskewed to one instant, planes of points in cells, scans registered to planes |
+//! | [`gyro`] | angular velocity integrated over time |
+//! | [`RelativePose`] | a measured transform between two poses, as a residual of the solver |
+//! | [`gauss_newton`] | least squares over a handful of unknowns |
+
+pub mod gauss_newton;
+pub mod gyro;
+pub mod image;
+pub mod lidar;
+mod relative_pose;
+
+pub use relative_pose::RelativePose;

@@ -1,0 +1,13 @@
+//! Scans: deskewed to one instant, reduced, gathered into planes, registered to planes.
+
+mod deskew;
+mod local_map;
+mod plane;
+mod registration;
+mod voxels;
+
+pub use deskew::{KNOT_NS, Motion, MotionKnot, RangeWindow, deskew, deskew_rings};
+pub use local_map::{LocalMap, LocalMapConfig};
+pub use plane::{Plane, PointSums};
+pub use registration::{Match, PosePrior, Registration, RegistrationConfig, Weighting, register};
+pub use voxels::{CellMap, cell_key, neighbour_key, voxel_downsample};
