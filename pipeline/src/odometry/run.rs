@@ -11,7 +11,7 @@ use crate::Error;
 /// The reduced scans and the trajectory of a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OdometryResult {
-    /// Pose of the rig at the end of every scan, and between scans at the rate of the IMU.
+    /// Pose of the rig at the end of every scan that found its place, and between such scans at the rate of the IMU.
     pub trajectory: Trajectory,
     /// Every scan that found its place.
     pub clouds: Vec<DeskewedCloud>,
@@ -35,8 +35,14 @@ pub struct OdometryReport {
     pub scans: u64,
     /// Scans registered to the map, the first included.
     pub registered: u64,
-    /// Scans that found no place in the map; their poses are predictions.
+    /// Scans that found no place in the map: they have no pose.
     pub lost: u64,
+    /// Lost scans behind the last registered one: the trajectory ends before them.
+    #[serde(default)]
+    pub lost_at_end: u64,
+    /// Scans whose points carry times of their own: only these are deskewed.
+    #[serde(default)]
+    pub timed: u64,
     /// Scans left out: empty, out of order, or before the first inertial sample.
     pub skipped: u64,
     /// Inertial samples used.
@@ -93,16 +99,19 @@ pub fn run_odometry(
         while let Some(sample) = waiting.next_if(|s| s.time <= ahead) {
             odometry.push_imu(sample);
         }
+        run.report.timed += u64::from(scan.sample.points.iter().any(|p| p.time_offset_ns > 0));
         run.take(odometry.push_scan(&scan))?;
     }
     let mut result = run.finish(odometry.inertial_state());
     if noise.is_some() {
         result.report.imu_samples = samples.len() as u64;
     } else {
-        result.report.warnings.push(
-            "no IMU: scans were deskewed by the motion between them, and the world is not level"
-                .to_owned(),
-        );
+        let deskewed = match result.report.timed {
+            0 => "",
+            _ => "scans were deskewed by the motion between them, and ",
+        };
+        let warning = format!("no IMU: {deskewed}the world is not level");
+        result.report.warnings.push(warning);
     }
     damages.report(&mut result.report.warnings);
     if result.trajectory.is_empty() {
@@ -188,26 +197,32 @@ impl Run {
             }
             Err(other) => return Err(other),
         };
-        match step.outcome {
-            StepOutcome::Lost => self.report.lost += 1,
-            StepOutcome::First => self.report.registered += 1,
-            StepOutcome::Registered => {
-                self.report.registered += 1;
-                self.measured += 1;
-                self.inlier_ratios += step.inlier_ratio;
-                self.plane_squares += step.plane_rms_m * step.plane_rms_m;
-            }
+        if step.outcome == StepOutcome::Lost {
+            self.report.lost += 1;
+            self.report.lost_at_end += 1;
+            return Ok(());
         }
-        if step.outcome != StepOutcome::Lost {
-            let points = step.keypoints_in_rig.iter();
-            self.clouds.push(DeskewedCloud {
-                time: step.time,
-                points_in_rig: points
-                    .map(|p| [p.x as f32, p.y as f32, p.z as f32])
-                    .collect(),
-            });
+        self.report.registered += 1;
+        if step.outcome == StepOutcome::Registered {
+            self.measured += 1;
+            self.inlier_ratios += step.inlier_ratio;
+            self.plane_squares += step.plane_rms_m * step.plane_rms_m;
         }
-        self.poses.extend(step.poses);
+        let points = step.keypoints_in_rig.iter();
+        self.clouds.push(DeskewedCloud {
+            time: step.time,
+            points_in_rig: points
+                .map(|p| [p.x as f32, p.y as f32, p.z as f32])
+                .collect(),
+        });
+        // After a gap only the pose of the scan itself is more than a prediction.
+        let gap = std::mem::take(&mut self.report.lost_at_end) > 0;
+        let known = if gap {
+            step.poses.len().saturating_sub(1)
+        } else {
+            0
+        };
+        self.poses.extend(step.poses.into_iter().skip(known));
         Ok(())
     }
 
@@ -233,8 +248,21 @@ impl Run {
         report.plane_rms_m = (self.plane_squares / measured).sqrt();
         if report.lost > 0 {
             report.warnings.push(format!(
-                "{} of {} scans found no place in the map; their poses are predictions",
+                "{} of {} scans found no place in the map and have no pose",
                 report.lost, report.scans
+            ));
+        }
+        if report.lost_at_end > 0 {
+            report.warnings.push(format!(
+                "the last {} scans are lost: the trajectory ends before them",
+                report.lost_at_end
+            ));
+        }
+        if report.timed < report.scans {
+            report.warnings.push(format!(
+                "the points of {} of {} scans carry no times: these scans are not deskewed",
+                report.scans - report.timed,
+                report.scans
             ));
         }
         if report.skipped > 0 {
@@ -248,5 +276,59 @@ impl Run {
             clouds: self.clouds,
             report,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::OdometryStep;
+    use super::*;
+
+    /// A step that ends at so many tenths of a second, with a pose in the middle, as an IMU gives it.
+    fn step(tenths: i64, outcome: StepOutcome) -> Result<OdometryStep, Error> {
+        let pose = |nanos: i64| StampedPose {
+            time: Timestamp::from_nanos(nanos),
+            world_from_rig: Se3::new(
+                UnitQuaternion::identity(),
+                Vector3::x() * nanos as f64 * 1e-9,
+            ),
+        };
+        let end = pose(tenths * 100_000_000);
+        Ok(OdometryStep {
+            time: end.time,
+            world_from_rig: end.world_from_rig,
+            poses: vec![pose(tenths * 100_000_000 - 50_000_000), end],
+            keypoints_in_rig: Vec::new(),
+            inlier_ratio: 0.9,
+            plane_rms_m: 0.01,
+            iterations: 4,
+            outcome,
+        })
+    }
+
+    #[test]
+    fn lost_scans_are_no_poses() {
+        use StepOutcome::{First, Lost, Registered};
+        let mut run = Run::default();
+        let outcomes = [First, Registered, Lost, Lost, Registered, Registered, Lost];
+        for (tenths, outcome) in (1..).zip(outcomes) {
+            run.take(step(tenths, outcome)).expect("taken");
+        }
+        let result = run.finish(None);
+        let millis: Vec<i64> = result
+            .trajectory
+            .poses()
+            .iter()
+            .map(|p| p.time.nanos() / 1_000_000)
+            .collect();
+        assert_eq!(millis, [50, 100, 150, 200, 500, 550, 600]);
+        let report = &result.report;
+        assert_eq!((report.registered, report.lost), (4, 3));
+        assert_eq!(report.lost_at_end, 1);
+        assert_eq!(result.clouds.len(), 4);
+        let warnings = report.warnings.join("\n");
+        assert!(warnings.contains("3 of 7 scans"), "{warnings}");
+        assert!(warnings.contains("the last 1 scans are lost"), "{warnings}");
+        assert!(warnings.contains("not deskewed"), "{warnings}");
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use lsfb_capture::{CloudsConfig, import_clouds};
+use lsfb_capture::{CloudsConfig, ImportedClouds, import_clouds};
 use lsfb_pipeline::odometry::{OdometryConfig, run_odometry};
 use lsfb_recording::{Provenance, write_tum};
 
@@ -10,6 +10,8 @@ use crate::context::Context;
 use crate::outcome::Outcome;
 
 /// LiDAR(-inertial) odometry over a recording, or over a folder of PCD scans.
+///
+/// Scans that find no place in the map have no pose; exit code 3 where the end of the recording is lost.
 ///
 /// Examples:
 ///   lsfb odometry scan.mcap --out scan.tum
@@ -39,18 +41,22 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         None => OdometryConfig::default(),
     };
     super::expect_writable(&arguments.out)?;
+    let mut times: Option<ImportedClouds> = None;
     let input = if arguments.input.is_dir() {
         let scans = arguments.out.with_extension("scans.mcap");
-        import_clouds(&arguments.input, &CloudsConfig::default(), &scans, &show)?;
+        let imported = import_clouds(&arguments.input, &CloudsConfig::default(), &scans, &show)?;
+        times = Some(imported);
         scans
     } else {
         arguments.input.clone()
     };
     context.check_stop()?;
-    let result = super::about(
+    let mut result = super::about(
         &input,
         run_odometry(&context.open(&input)?, &config, &|p| context.show(p)),
     )?;
+    let notes = times.iter().map(about_times);
+    result.report.warnings.splice(0..0, notes);
     write_tum(&arguments.out, &result.trajectory)?;
     let mut provenance = Provenance::new(&config);
     provenance.add_input(&input)?;
@@ -70,5 +76,22 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         }
         text
     })?;
-    Ok(Outcome::Done)
+    Ok(match r.lost_at_end {
+        0 => Outcome::Done,
+        _ => Outcome::DataLost,
+    })
+}
+
+/// Which times the points of a folder of clouds were given.
+fn about_times(imported: &ImportedClouds) -> String {
+    match (&imported.time_field, imported.timed) {
+        (None, _) => "the clouds have no field of times".to_owned(),
+        (Some(field), 0) => format!(
+            "the field `{field}` was not used: in no unit are its numbers times within one scan"
+        ),
+        (Some(field), timed) => format!(
+            "times of points from the field `{field}` in {timed} of {} clouds",
+            imported.clouds
+        ),
+    }
 }
