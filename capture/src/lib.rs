@@ -30,6 +30,7 @@ pub mod health;
 mod imu;
 mod incoming;
 mod lidar;
+mod pace;
 mod recorder;
 mod remark;
 mod replay;

@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 
 use lsfb_capture::clock::{ClockConfig, DeviceClock, Unwrap, estimate_clocks};
-use lsfb_capture::doctor::{DoctorConfig, Verdict, examine};
+use lsfb_capture::doctor::{DoctorConfig, examine};
 use lsfb_capture::{
     CameraUnitConfig, DevicesConfig, ImuFamily, ImuLineConfig, Incoming, LidarNetConfig,
     RecorderConfig, SidecarConfig, record_incoming,
@@ -16,7 +16,7 @@ use lsfb_sim::{
     ClockConfig as DeviceClockConfig, ClockJump, Clocked, ClocksConfig, Discipline, Emitted,
     LinkConfig, SimConfig, Simulation,
 };
-use lsfb_types::no_progress;
+use lsfb_types::{Verdict, no_progress};
 
 /// 5 ms to either side, silences of 45 ms, as asked of the estimate.
 fn rough(drift_ppm: f64, jumps: Vec<ClockJump>) -> DeviceClockConfig {
@@ -353,17 +353,21 @@ fn the_doctor_lists_what_is_around_and_finds_nothing_wrong() {
     for recording in [&scan, &walk] {
         let diagnosis = examine(recording, &DoctorConfig::default(), &no_progress).unwrap();
         assert_eq!(
-            diagnosis.verdict,
+            diagnosis.judgement.verdict(),
             Verdict::Pass,
             "{:#?}",
-            diagnosis.findings
+            diagnosis.judgement.findings()
         );
     }
     let diagnosis = examine(&walk, &DoctorConfig::default(), &no_progress).unwrap();
     for name in ["mag", "pressure", "gnss", "wifi", "ble"] {
         let topic = format!("/sidecar/glasses/{name}");
-        let listed = diagnosis.findings.iter().any(|f| f.subject == topic);
-        assert!(listed, "{topic}: {:#?}", diagnosis.findings);
+        let listed = diagnosis
+            .judgement
+            .findings()
+            .iter()
+            .any(|f| f.subject == topic);
+        assert!(listed, "{topic}: {:#?}", diagnosis.judgement.findings());
     }
     // Stamps that name the time themselves are those of the truth.
     for (sample, expected) in walk.magnetic(None).unwrap().zip(0_i64..) {

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::model_topic::{HOLDOVER, LOCKED};
 use super::{ClockEstimate, OneWayClock, StampPair, Unwrap, fit_pairs};
+use crate::pace::{faster_than_real_time, pace};
 use crate::{Error, topics};
 
 /// Points of a plot, at most, per device.
@@ -93,6 +94,9 @@ pub struct DeviceClock {
 /// The clocks of a recording.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ClockReport {
+    /// How many times faster than real time the recording was made; `None` where it was made in real time. There arrivals say
+    /// nothing about clocks, and no device is listed.
+    pub pace: Option<f64>,
     /// One entry per device with a counter.
     pub devices: Vec<DeviceClock>,
 }
@@ -117,7 +121,7 @@ pub fn estimate_clocks(
         .map_or(Timestamp::default(), |range| range.start);
     let models = recorded_models(recording)?;
     let names = devices(recording);
-    let mut clocks = Vec::new();
+    let mut counted = Vec::new();
     for (done, source) in names.iter().enumerate() {
         progress(Progress {
             stage: "estimating clocks",
@@ -134,9 +138,38 @@ pub fn estimate_clocks(
             locked: model.is_some_and(|model| [LOCKED, HOLDOVER].contains(&&*model.kind)),
             tick_ns: source.tick_ns(model),
         };
-        clocks.push(estimate(counter, &triples, start, config));
+        counted.push((counter, triples));
     }
-    Ok(ClockReport { devices: clocks })
+    let pace = faster_than_real_time(counted.iter().map(|(_, triples)| middle_pace(triples)));
+    let clocks = counted.into_iter().filter(|_| pace.is_none());
+    Ok(ClockReport {
+        pace,
+        devices: clocks
+            .map(|(counter, triples)| estimate(counter, &triples, start, config))
+            .collect(),
+    })
+}
+
+/// Parts of a recording whose paces are compared: a counter that was set spoils one of them.
+const PACE_PARTS: usize = 9;
+
+/// Seconds of a counter per second of arrivals, in the middle one of some parts of the recording.
+fn middle_pace(triples: &[Triple]) -> Option<f64> {
+    let length = (triples.len() / PACE_PARTS).max(2);
+    let mut paces: Vec<f64> = triples
+        .chunks(length)
+        .filter_map(|part| {
+            let (first, last) = (part.first()?, part.last()?);
+            let counted_ns = last.device_ns.saturating_sub(first.device_ns);
+            let parts = PACE_PARTS as f64;
+            // Together the parts are as long as the whole.
+            let counted_secs = counted_ns as f64 * 1e-9;
+            let arrived_secs = last.arrival.secs_since(first.arrival);
+            pace(parts * counted_secs, parts * arrived_secs)
+        })
+        .collect();
+    paces.sort_by(f64::total_cmp);
+    paces.get(paces.len() / 2).copied()
 }
 
 fn recorded_models(recording: &Recording) -> Result<Vec<ClockModel>, Error> {

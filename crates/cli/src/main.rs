@@ -1,6 +1,6 @@
 //! `lsfb`: one binary, one file per subcommand.
 //!
-//! Exit codes: 0 done, 1 failed, 2 bad arguments, 3 finished but data was lost.
+//! Exit codes: 0 done, 1 failed, 2 bad arguments, 3 finished but data was lost, 4 what was judged failed.
 
 #![allow(
     clippy::print_stdout,
@@ -11,6 +11,7 @@
 mod clock_page;
 mod commands;
 mod context;
+mod judged;
 mod live;
 mod outcome;
 mod progress;
@@ -100,9 +101,9 @@ fn run(arguments: Arguments, context: &Context) -> anyhow::Result<Outcome> {
         #[cfg(feature = "view")]
         Command::View(a) => commands::view::run(&a, context),
     }?;
-    Ok(if context.data_lost() {
-        Outcome::DataLost
-    } else {
-        outcome
+    // A judgement that failed says more than that some of what it rests on is missing.
+    Ok(match outcome {
+        Outcome::Done if context.data_lost() => Outcome::DataLost,
+        outcome => outcome,
     })
 }

@@ -4,12 +4,13 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use lsfb_eval::alignment::AlignmentMode;
-use lsfb_eval::report::{Distribution, Figure, Provenance, Report, StageTime, Threshold, Track};
+use lsfb_eval::report::{Distribution, Figure, Provenance, Report, StageTime, Track};
 use lsfb_eval::{DuplicateStamps, EvalConfig, Evaluation, evaluate, read_poses};
 use lsfb_geometry::{Quaternion, Se3, StampedPose, Trajectory, UnitQuaternion};
 use lsfb_pipeline::ground_truth::{GroundTruthConfig, ReprojectionErrors};
 use lsfb_pipeline::mapping::MappingConfig;
 use lsfb_sim::SimConfig;
+use lsfb_types::{Finding, Limit, Verdict};
 use nix::sys::resource::{UsageWho, getrusage};
 use serde::Serialize;
 
@@ -242,15 +243,15 @@ fn report(
     sim_config: &SimConfig,
 ) -> anyhow::Result<Report> {
     let (mapping, walk_report) = (&map.mapping, &walk.ground_truth.report);
-    let mut warnings = mapping.report.odometry.warnings.clone();
-    warnings.extend(
-        mapping
-            .report
-            .warnings
-            .iter()
-            .chain(&walk_report.warnings)
-            .cloned(),
-    );
+    let stages = [
+        ("odometry", &mapping.report.odometry.warnings),
+        ("mapping", &mapping.report.warnings),
+        ("ground truth", &walk_report.warnings),
+    ];
+    let findings = stages.into_iter().flat_map(|(stage, warnings)| {
+        let finding = move |w: &String| Finding::new("stage", Verdict::Warn, stage, w.clone());
+        warnings.iter().map(finding)
+    });
     let distribution = |title: &str, values| Distribution {
         title: title.to_owned(),
         quantity: "reprojection error".to_owned(),
@@ -261,7 +262,7 @@ fn report(
         title: format!("lsfb demo, seed {}", summary.seed),
         figures: vec![
             Figure::new("glasses ATE, rms", summary.ate_glasses_rms_m * 100.0, "cm")
-                .with(Threshold::AtMost(MAX_ATE_M * 100.0)),
+                .with(Limit::AtMost(MAX_ATE_M * 100.0)),
             Figure::new("glasses ATE, max", summary.ate_glasses_max_m * 100.0, "cm"),
             Figure::new(
                 "glasses in the map, rms",
@@ -269,10 +270,10 @@ fn report(
                 "cm",
             ),
             Figure::new("scanner ATE, rms", summary.ate_scanner_rms_m * 100.0, "cm")
-                .with(Threshold::AtMost(MAX_ATE_M * 100.0)),
+                .with(Limit::AtMost(MAX_ATE_M * 100.0)),
             Figure::new("scanner ATE, max", summary.ate_scanner_max_m * 100.0, "cm"),
             Figure::new("map reprojection, rms", summary.map_reprojection_px, "px")
-                .with(Threshold::AtMost(MAX_REPROJECTION_PX)),
+                .with(Limit::AtMost(MAX_REPROJECTION_PX)),
             Figure::new(
                 "map reprojection before Eq. 4",
                 mapping.report.reprojection_rms_before_px,
@@ -285,9 +286,9 @@ fn report(
             ),
             Figure::new("glasses localized", summary.glasses_localized * 100.0, "%"),
             Figure::new("map points", summary.map_points as f64, ""),
-            Figure::new("messages lost", summary.lost as f64, "").with(Threshold::AtMost(0.0)),
-            Figure::new("wall time", summary.wall_s, "s").with(Threshold::AtMost(300.0)),
-            Figure::new("peak memory", summary.peak_rss_mb, "MB").with(Threshold::AtMost(4096.0)),
+            Figure::new("messages lost", summary.lost as f64, "").with(Limit::AtMost(0.0)),
+            Figure::new("wall time", summary.wall_s, "s").with(Limit::AtMost(300.0)),
+            Figure::new("peak memory", summary.peak_rss_mb, "MB").with(Limit::AtMost(4096.0)),
         ],
         map_points: mapping
             .map
@@ -310,7 +311,7 @@ fn report(
                 wall_secs: *wall_secs,
             })
             .collect(),
-        warnings,
+        findings: findings.collect(),
         provenance: provenance(summary, map, walk, sim_config)?,
         ..Report::default()
     })

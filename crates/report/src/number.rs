@@ -1,12 +1,12 @@
 //! Numbers as people read them.
 
 /// About four significant digits, no exponent between 0.0001 and a million.
-pub(super) fn significant(value: f64) -> String {
+pub fn significant(value: f64) -> String {
     digits(value, 4)
 }
 
 /// As [`significant`] with three digits, for running text.
-pub(super) fn rounded(value: f64) -> String {
+pub fn rounded(value: f64) -> String {
     digits(value, 3)
 }
 
@@ -35,7 +35,7 @@ fn digits(value: f64, count: i32) -> String {
 }
 
 /// A value and its unit, never torn apart at the end of a line.
-pub(super) fn with_unit(number: &str, unit: &str) -> String {
+pub fn with_unit(number: &str, unit: &str) -> String {
     let gap = if unit.is_empty() || unit == "°" {
         ""
     } else {
@@ -61,39 +61,8 @@ fn grouped(value: f64) -> String {
     }
 }
 
-/// Ticks at 1, 2 or 5 times a power of ten.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Ticks {
-    /// Where they stand.
-    pub at: Vec<f64>,
-    /// Digits behind the point that tell them apart.
-    pub decimals: usize,
-}
-
-/// At most `count + 1` ticks within the range.
-pub(super) fn ticks(low: f64, high: f64, count: usize) -> Ticks {
-    let step = tick_step(high - low, count);
-    let first = (low / step - 1e-9).ceil() as i64;
-    let last = (high / step + 1e-9).floor() as i64;
-    Ticks {
-        at: (first..=last).map(|i| i as f64 * step).collect(),
-        decimals: (-(step.log10() + 1e-9).floor()).clamp(0.0, 9.0) as usize,
-    }
-}
-
-/// The distance of [`ticks`] over `span`.
-pub(super) fn tick_step(span: f64, count: usize) -> f64 {
-    let rough = span.max(1e-9) / count.max(1) as f64;
-    let power = 10f64.powf(rough.log10().floor());
-    let factor = [1.0, 2.0, 5.0]
-        .into_iter()
-        .find(|f| f * power >= rough * (1.0 - 1e-9))
-        .unwrap_or(10.0);
-    factor * power
-}
-
 /// `value` with the digits its axis needs.
-pub(super) fn tick_label(value: f64, decimals: usize) -> String {
+pub(crate) fn tick_label(value: f64, decimals: usize) -> String {
     let text = format!("{value:.decimals$}");
     if text.trim_start_matches(['-', '0', '.']).is_empty() {
         return text.trim_start_matches('-').to_owned();
@@ -123,16 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn ticks_are_round() {
-        let t = ticks(-0.3, 1.05, 5);
-        assert_eq!(t.decimals, 1);
-        let labels: Vec<String> = t.at.iter().map(|&v| tick_label(v, t.decimals)).collect();
-        assert_eq!(labels, ["0.0", "0.5", "1.0"]);
-        assert_eq!(
-            ticks(0.0, 100.0, 5).at,
-            [0.0, 20.0, 40.0, 60.0, 80.0, 100.0]
-        );
-        assert_eq!(ticks(0.0, 0.0, 5).decimals, 9);
+    fn labels_have_the_digits_of_their_axis() {
         assert_eq!(tick_label(-0.5, 1), "−0.5");
         assert_eq!(tick_label(-0.0, 1), "0.0");
     }

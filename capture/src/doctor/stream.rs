@@ -1,0 +1,89 @@
+//! Topics that a sensor fills at a steady rate.
+
+use lsfb_recording::{Recording, TopicArrivals};
+use lsfb_types::Timestamp;
+
+use super::{Depth, DoctorConfig};
+use crate::Error;
+use crate::pace::{faster_than_real_time, pace};
+
+/// A topic that a sensor fills at a steady rate.
+pub(super) struct Stream<'a> {
+    pub topic: &'a str,
+    pub arrivals: &'a [Timestamp],
+    /// Synchronized times of its first and its last message.
+    pub first_stamp: Timestamp,
+    pub last_stamp: Timestamp,
+    /// Synchronized times of all its messages, where they were read.
+    pub stamps: Option<Vec<Timestamp>>,
+}
+
+/// Endings of topics of sensors, and between which rates such a sensor can be, hertz.
+const SENSORS: &[(&str, [f64; 2])] = &[
+    // Rotating LiDARs turn 5 to 20 times a second (VLP-16 User Manual 63-9243 Rev. E, 300 to 1200 rpm).
+    ("/lidar/packets", [4.0, 25.0]),
+    ("/lidar/points", [4.0, 25.0]),
+    ("/image", [0.5, 1000.0]),
+    ("/data_raw", [20.0, 10_000.0]),
+    ("/imu", [20.0, 10_000.0]),
+    ("/mag", [0.5, 10_000.0]),
+    ("/pressure", [0.1, 10_000.0]),
+];
+
+/// Between which rates the sensor of a topic can be; `None` where no sensor fills it steadily.
+pub(super) fn possible_hz(topic: &str) -> Option<[f64; 2]> {
+    let sensor = SENSORS.iter().find(|(end, _)| topic.ends_with(end));
+    sensor.map(|(_, range)| *range)
+}
+
+impl<'a> Stream<'a> {
+    /// The steady topics of a recording. All stamps are read where everything is, or where arrivals say nothing.
+    pub(super) fn all(
+        recording: &Recording,
+        arrivals: &'a [TopicArrivals],
+        config: &DoctorConfig,
+    ) -> Result<Vec<Self>, Error> {
+        let mut streams = Vec::new();
+        for topic in arrivals.iter().filter(|a| possible_hz(&a.topic).is_some()) {
+            let first = recording.messages(&topic.topic)?.find_map(Result::ok);
+            let (Some(first), Some(last)) = (first, recording.last_message(&topic.topic)?) else {
+                continue;
+            };
+            streams.push(Self {
+                topic: &topic.topic,
+                arrivals: &topic.times,
+                first_stamp: first.time,
+                last_stamp: last.time,
+                stamps: None,
+            });
+        }
+        if config.read == Depth::Everything && pace_of(&streams).is_some() {
+            for stream in &mut streams {
+                let read = recording.messages(stream.topic)?;
+                // What is damaged is said elsewhere.
+                let mut stamps: Vec<Timestamp> =
+                    read.filter_map(Result::ok).map(|m| m.time).collect();
+                stamps.sort_unstable();
+                stream.stamps = Some(stamps);
+            }
+        }
+        Ok(streams)
+    }
+
+    pub(super) fn rate_by_stamps_hz(&self) -> f64 {
+        let span_secs = self.last_stamp.secs_since(self.first_stamp);
+        self.arrivals.len().saturating_sub(1) as f64 / span_secs.max(1e-9)
+    }
+
+    /// Seconds of the device's stamps per second of arrivals; `None` where there is too little to compare.
+    pub(super) fn pace(&self) -> Option<f64> {
+        let (first, last) = (self.arrivals.first()?, self.arrivals.last()?);
+        let stamped_secs = self.last_stamp.secs_since(self.first_stamp);
+        pace(stamped_secs, last.secs_since(*first)).filter(|_| self.arrivals.len() > 2)
+    }
+}
+
+/// How many times faster than real time a recording was made; `None` where it was not.
+pub(super) fn pace_of(streams: &[Stream<'_>]) -> Option<f64> {
+    faster_than_real_time(streams.iter().map(Stream::pace))
+}
