@@ -21,7 +21,7 @@ impl ClockReport {
     pub fn judgement(&self) -> Judgement {
         if let Some(pace) = self.pace {
             let found = format!(
-                "recorded {pace:.1} times faster than real time, a replay or a simulation: arrivals say nothing about clocks"
+                "not recorded in real time ({pace:.2} s of the devices' counters per second of arrivals), a replay or a simulation: arrivals say nothing about clocks"
             );
             let finding = Finding::new("pace", Verdict::Unknown, "clocks", found);
             return Judgement::new(vec![

@@ -10,7 +10,6 @@ use serde::{Deserialize, Serialize};
 
 use super::model_topic::{HOLDOVER, LOCKED};
 use super::{ClockEstimate, OneWayClock, StampPair, Unwrap, fit_pairs};
-use crate::pace::{faster_than_real_time, pace};
 use crate::{Error, topics};
 
 /// Points of a plot, at most, per device.
@@ -94,8 +93,8 @@ pub struct DeviceClock {
 /// The clocks of a recording.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ClockReport {
-    /// How many times faster than real time the recording was made; `None` where it was made in real time. There arrivals say
-    /// nothing about clocks, and no device is listed.
+    /// Seconds of the devices' counters per second of arrivals where the recording was not made in real time; `None` where it was.
+    /// There arrivals say nothing about clocks, and no device is listed.
     pub pace: Option<f64>,
     /// One entry per device with a counter.
     pub devices: Vec<DeviceClock>,
@@ -140,7 +139,9 @@ pub fn estimate_clocks(
         };
         counted.push((counter, triples));
     }
-    let pace = faster_than_real_time(counted.iter().map(|(_, triples)| middle_pace(triples)));
+    let told = || counted.iter().filter_map(|(_, triples)| passage(triples));
+    let unreal = told().next().is_some() && told().all(|p| !p.is_real_time);
+    let pace = told().map(|p| p.factor).reduce(f64::min).filter(|_| unreal);
     let clocks = counted.into_iter().filter(|_| pace.is_none());
     Ok(ClockReport {
         pace,
@@ -150,26 +151,56 @@ pub fn estimate_clocks(
     })
 }
 
-/// Parts of a recording whose paces are compared: a counter that was set spoils one of them.
-const PACE_PARTS: usize = 9;
+/// Parts of a recording that are compared at most, at least a second each, and how many are needed.
+const MOST_PARTS: usize = 16;
+const LEAST_PARTS: usize = 3;
+/// What the least delay of a part differs by from that of the part before, at most: seconds, and as a share of the time between.
+const SAME_DELAY_SECS: f64 = 0.03;
+const SAME_DELAY_SHARE: f64 = 0.003;
 
-/// Seconds of a counter per second of arrivals, in the middle one of some parts of the recording.
-fn middle_pace(triples: &[Triple]) -> Option<f64> {
-    let length = (triples.len() / PACE_PARTS).max(2);
-    let mut paces: Vec<f64> = triples
-        .chunks(length)
-        .filter_map(|part| {
-            let (first, last) = (part.first()?, part.last()?);
-            let counted_ns = last.device_ns.saturating_sub(first.device_ns);
-            let parts = PACE_PARTS as f64;
-            // Together the parts are as long as the whole.
-            let counted_secs = counted_ns as f64 * 1e-9;
-            let arrived_secs = last.arrival.secs_since(first.arrival);
-            pace(parts * counted_secs, parts * arrived_secs)
-        })
-        .collect();
-    paces.sort_by(f64::total_cmp);
-    paces.get(paces.len() / 2).copied()
+/// How time passed on a counter and at its arrivals.
+struct Passage {
+    is_real_time: bool,
+    /// Seconds of the counter per second of arrivals, in the middle one of the parts.
+    factor: f64,
+}
+
+/// In real time the least delay of each part of a recording is that of the part before but for the few in which a clock was set;
+/// a replay has hardly two alike. `None` where the recording is too short to tell.
+fn passage(triples: &[Triple]) -> Option<Passage> {
+    let (first, last) = (triples.first()?, triples.last()?);
+    let since = |t: &Triple| {
+        let counted_ns = t.device_ns.saturating_sub(first.device_ns);
+        (
+            counted_ns as f64 * 1e-9,
+            t.arrival.secs_since(first.arrival),
+        )
+    };
+    let (counted_secs, arrived_secs) = since(last);
+    let parts = (counted_secs.max(arrived_secs) as usize).min(MOST_PARTS);
+    if parts < LEAST_PARTS || triples.len() < 2 * parts {
+        return None;
+    }
+    let (mut least_delays, mut factors) = (Vec::new(), Vec::new());
+    for part in triples.chunks(triples.len() / parts) {
+        let delays = part
+            .iter()
+            .map(since)
+            .map(|(counted, arrived)| arrived - counted);
+        let (from, to) = (since(part.first()?), since(part.last()?));
+        least_delays.push((from.1, delays.fold(f64::INFINITY, f64::min)));
+        factors.push((to.0 - from.0) / (to.1 - from.1).max(1e-9));
+    }
+    let differ = |pair: &&[(f64, f64)]| {
+        let tolerance_secs = SAME_DELAY_SECS + SAME_DELAY_SHARE * (pair[1].0 - pair[0].0);
+        (pair[1].1 - pair[0].1).abs() > tolerance_secs
+    };
+    let different = least_delays.windows(2).filter(differ).count();
+    factors.sort_by(f64::total_cmp);
+    Some(Passage {
+        is_real_time: 3 * different <= 2 * (least_delays.len() - 1),
+        factor: factors[factors.len() / 2],
+    })
 }
 
 fn recorded_models(recording: &Recording) -> Result<Vec<ClockModel>, Error> {

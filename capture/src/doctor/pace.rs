@@ -3,27 +3,30 @@
 use lsfb_types::{Finding, Limit, Verdict};
 
 use super::Findings;
-use super::stream::{Stream, pace_of};
-use crate::pace::FASTEST;
+use super::stream::{Stream, unreal_pace};
+
+/// Seconds of one device's stamps per second of arrivals beyond which its clock was set, where the others keep real time.
+const FASTEST: f64 = 1.5;
 
 impl Findings {
     pub(super) fn pace(&mut self, streams: &[Stream<'_>]) {
-        if let Some(slowest) = pace_of(streams) {
+        if let Some(pace) = unreal_pace(streams) {
             let found = format!(
-                "recorded {slowest:.1} times faster than real time, a replay or a simulation: rates and silences are judged by the devices' stamps"
+                "not recorded in real time, {:.1} s of stamps arrived within {:.1} s: a replay or a simulation, whose rates and silences are judged by the devices' stamps",
+                pace.stamped_secs, pace.arrived_secs
             );
             let finding = Finding::new("pace", Verdict::Pass, "pace", found);
-            return self.add(finding.value(slowest, ""));
+            return self.add(finding.value(pace.factor(), ""));
         }
         for stream in streams {
-            let Some(pace) = stream.pace().filter(|pace| *pace > FASTEST) else {
+            let Some(factor) = stream.pace().map(|p| p.factor()).filter(|f| *f > FASTEST) else {
                 continue;
             };
             let found = format!(
-                "its stamps advance by {pace:.1} s for each second in which they arrive, those of other sensors do not: its clock was set"
+                "its stamps advance by {factor:.1} s for each second in which they arrive, those of other sensors do not: its clock was set"
             );
             let finding = Finding::new("pace", Verdict::Warn, stream.topic, found)
-                .value(pace, "")
+                .value(factor, "")
                 .limit(Limit::AtMost(FASTEST));
             self.add(finding.remedy("see when and by how much with `lsfb clock`"));
         }

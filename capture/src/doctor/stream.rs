@@ -5,7 +5,7 @@ use lsfb_types::Timestamp;
 
 use super::{Depth, DoctorConfig};
 use crate::Error;
-use crate::pace::{faster_than_real_time, pace};
+use crate::pace::{Pace, not_in_real_time};
 
 /// A topic that a sensor fills at a steady rate.
 pub(super) struct Stream<'a> {
@@ -21,8 +21,8 @@ pub(super) struct Stream<'a> {
 /// Endings of topics of sensors, and between which rates such a sensor can be, hertz.
 const SENSORS: &[(&str, [f64; 2])] = &[
     // Rotating LiDARs turn 5 to 20 times a second (VLP-16 User Manual 63-9243 Rev. E, 300 to 1200 rpm).
-    ("/lidar/packets", [4.0, 25.0]),
-    ("/lidar/points", [4.0, 25.0]),
+    ("/packets", [4.0, 25.0]),
+    ("/points", [4.0, 25.0]),
     ("/image", [0.5, 1000.0]),
     ("/data_raw", [20.0, 10_000.0]),
     ("/imu", [20.0, 10_000.0]),
@@ -57,7 +57,7 @@ impl<'a> Stream<'a> {
                 stamps: None,
             });
         }
-        if config.read == Depth::Everything && pace_of(&streams).is_some() {
+        if config.read == Depth::Everything && unreal_pace(&streams).is_some() {
             for stream in &mut streams {
                 let read = recording.messages(stream.topic)?;
                 // What is damaged is said elsewhere.
@@ -75,15 +75,18 @@ impl<'a> Stream<'a> {
         self.arrivals.len().saturating_sub(1) as f64 / span_secs.max(1e-9)
     }
 
-    /// Seconds of the device's stamps per second of arrivals; `None` where there is too little to compare.
-    pub(super) fn pace(&self) -> Option<f64> {
+    /// How long it took, by stamps and by arrivals; `None` with too few messages.
+    pub(super) fn pace(&self) -> Option<Pace> {
         let (first, last) = (self.arrivals.first()?, self.arrivals.last()?);
-        let stamped_secs = self.last_stamp.secs_since(self.first_stamp);
-        pace(stamped_secs, last.secs_since(*first)).filter(|_| self.arrivals.len() > 2)
+        let pace = Pace {
+            stamped_secs: self.last_stamp.secs_since(self.first_stamp),
+            arrived_secs: last.secs_since(*first),
+        };
+        (self.arrivals.len() > 2).then_some(pace)
     }
 }
 
-/// How many times faster than real time a recording was made; `None` where it was not.
-pub(super) fn pace_of(streams: &[Stream<'_>]) -> Option<f64> {
-    faster_than_real_time(streams.iter().map(Stream::pace))
+/// How long a recording took by stamps and by arrivals, where it was not made in real time.
+pub(super) fn unreal_pace(streams: &[Stream<'_>]) -> Option<Pace> {
+    not_in_real_time(streams.iter().filter_map(Stream::pace))
 }

@@ -5,7 +5,7 @@ use lsfb_types::{Finding, Limit, Timestamp, Verdict};
 
 use super::file::utc;
 use super::rhythm::Rhythm;
-use super::stream::{Stream, pace_of, possible_hz};
+use super::stream::{Stream, possible_hz, unreal_pace};
 use super::{DoctorConfig, Findings};
 
 /// Silences shorter than this are the host's, whatever the period, seconds.
@@ -28,7 +28,7 @@ impl Findings {
         let (Some(start), Some(end)) = (start, end) else {
             return;
         };
-        if pace_of(streams).is_some() {
+        if unreal_pace(streams).is_some() {
             self.by_stamps(streams, config);
         } else {
             for stream in streams {
@@ -54,7 +54,7 @@ impl Findings {
         }
     }
 
-    /// Of a recording that was made faster than real time.
+    /// Of a recording that was not made in real time.
     fn by_stamps(&mut self, streams: &[Stream<'_>], config: &DoctorConfig) {
         let start = streams.iter().map(|s| s.first_stamp).min();
         let end = streams.iter().map(|s| s.last_stamp).max();
