@@ -92,7 +92,7 @@ def check(topic, n, message, publish_time, log_time):
             assert (message.major, message.minor) == (258, n)
             assert (message.measured_power_dbm, message.rssi_dbm, data) == (-56, -84, bytes([2, 1, n]))
         elif topic == "/lidar/points":
-            assert [f.name for f in message.fields] == ["x", "y", "z", "intensity", "ring", "t"]
+            assert [f.name for f in message.fields] == ["x", "y", "z", "intensity", "ring", "return_type", "t"]
             points = [struct.unpack_from("<ffffHxxI", data, i * message.point_step) for i in range(message.width)]
             assert points == [(i + 0.5, n, -0.25, 10.0 * i, i, 55_296 * i) for i in range(3)], points
         else:
