@@ -13,9 +13,7 @@ use super::CameraViews;
 use crate::Error;
 use crate::board::Target;
 use crate::detect::{Corner, Instead, detect, seen_instead};
-
-/// Endings of files that are read as images.
-const IMAGES: [&str; 4] = ["jpg", "jpeg", "png", "bmp"];
+use crate::rosbag::RosBag;
 
 /// The JPEG, PNG and BMP files of a folder in the order of their names; numbers in names count as numbers.
 pub fn image_files(folder: &Path) -> Result<Vec<PathBuf>, Error> {
@@ -27,7 +25,11 @@ pub fn image_files(folder: &Path) -> Result<Vec<PathBuf>, Error> {
     for entry in std::fs::read_dir(folder).map_err(io)? {
         let path = entry.map_err(io)?.path();
         let extension = path.extension().map(|e| e.to_ascii_lowercase());
-        if extension.is_some_and(|e| IMAGES.iter().any(|known| e == *known)) {
+        if extension.is_some_and(|e| {
+            ["jpg", "jpeg", "png", "bmp"]
+                .iter()
+                .any(|known| e == *known)
+        }) {
             files.push(path);
         }
     }

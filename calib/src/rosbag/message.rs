@@ -1,8 +1,7 @@
 //! Messages as ROS 1 and ROS 2 lay them out: the same fields, packed in the one, aligned (CDR) in the other.
 
-use lsfb_types::{Image, ImuSample};
-
 use lsfb_perception::image::{self, MAX_PIXELS};
+use lsfb_types::{Image, ImuSample};
 
 /// How fields lie in a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -146,7 +145,7 @@ pub(super) fn image(layout: Layout, bytes: &[u8]) -> Result<(i64, Image), String
         .is_some_and(|row| row <= step && row > 0)
         && step.checked_mul(rows) == Some(data.len())
         && rows > 0
-        && columns.checked_mul(rows).is_some_and(|n| n <= MAX_PIXELS);
+        && u64::from(width) * u64::from(height) <= MAX_PIXELS;
     if !whole {
         return Err(format!(
             "an image of {width} × {height} pixels {encoding} in {} bytes, {step} a row",
@@ -166,7 +165,7 @@ pub(super) fn image(layout: Layout, bytes: &[u8]) -> Result<(i64, Image), String
                         u16::from_le_bytes([v[0], v[1]])
                     }
                 });
-            image::gray_from_16_bits(&values.collect::<Vec<_>>())
+            image::grey_from_16_bits(&values.collect::<Vec<_>>())
         }
         Pixel::Colors { bytes, red, blue } => lines
             .flat_map(|l| l[..bytes * columns].chunks_exact(bytes))

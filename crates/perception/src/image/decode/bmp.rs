@@ -2,7 +2,7 @@
 
 use lsfb_types::Image;
 
-use super::{gray, luma};
+use super::{grey, luma};
 
 /// Header of the file, then that of the bitmap.
 const FILE_HEADER: usize = 14;
@@ -64,7 +64,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Image, String> {
             [blue, green, red, ..] => luma([*red, *green, *blue]),
             _ => 0,
         });
-    gray(width, height, pixels.collect())
+    grey(width as u32, height as u32, pixels.collect(), 1)
 }
 
 #[cfg(test)]

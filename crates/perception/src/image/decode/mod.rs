@@ -2,6 +2,7 @@
 
 mod bmp;
 
+use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 use lsfb_types::Image;
@@ -11,7 +12,7 @@ use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
 /// Largest image accepted, pixels.
-pub const MAX_PIXELS: usize = 1 << 28;
+pub const MAX_PIXELS: u64 = 1 << 28;
 
 /// Why an image could not be read.
 #[derive(Debug, thiserror::Error)]
@@ -25,12 +26,18 @@ pub enum ImageError {
         /// Why.
         source: std::io::Error,
     },
-    /// The file is damaged, or of another kind.
-    #[error("{path}: not a readable image ({reason}); copy it again from its source", path = path.display())]
-    Unreadable {
+    /// The file is another kind of file.
+    #[error("{path}: neither JPEG, PNG nor BMP", path = path.display())]
+    OtherFormat {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+    },
+    /// The file is damaged.
+    #[error("{path}: not a readable image ({reason}); copy it again from its source", path = path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What the decoder says.
         reason: String,
     },
 }
@@ -41,22 +48,43 @@ pub fn read(path: &Path) -> Result<Image, ImageError> {
         path: path.to_owned(),
         source,
     })?;
-    decode(&bytes).map_err(|reason| ImageError::Unreadable {
-        path: path.to_owned(),
-        reason,
-    })
+    match Format::of(&bytes) {
+        Some(_) => decode(&bytes).map_err(|reason| ImageError::Damaged {
+            path: path.to_owned(),
+            reason,
+        }),
+        None => Err(ImageError::OtherFormat {
+            path: path.to_owned(),
+        }),
+    }
 }
 
-/// Decodes the bytes of one image as grey; an error says what is wrong with them.
+/// What a file is by its first bytes.
+enum Format {
+    Jpeg,
+    Png,
+    Bmp,
+}
+
+impl Format {
+    fn of(bytes: &[u8]) -> Option<Self> {
+        let signatures = [
+            (&b"\x89PNG"[..], Self::Png),
+            (&b"\xff\xd8"[..], Self::Jpeg),
+            (&b"BM"[..], Self::Bmp),
+        ];
+        let mut known = signatures.into_iter();
+        Some(known.find(|(s, _)| bytes.starts_with(s))?.1)
+    }
+}
+
+/// Decodes the bytes of one image as grey; what is wrong with them else, in words.
 pub fn decode(bytes: &[u8]) -> Result<Image, String> {
-    if bytes.starts_with(b"\x89PNG") {
-        decode_png(bytes)
-    } else if bytes.starts_with(b"BM") {
-        bmp::decode(bytes)
-    } else if bytes.starts_with(b"\xff\xd8") {
-        decode_jpeg(bytes)
-    } else {
-        Err("neither JPEG, PNG nor BMP".to_owned())
+    match Format::of(bytes) {
+        Some(Format::Jpeg) => decode_jpeg(bytes),
+        Some(Format::Png) => decode_png(bytes),
+        Some(Format::Bmp) => bmp::decode(bytes),
+        None => Err("neither JPEG, PNG nor BMP".to_owned()),
     }
 }
 
@@ -67,11 +95,9 @@ fn decode_jpeg(bytes: &[u8]) -> Result<Image, String> {
     }
     let options = DecoderOptions::default().jpeg_set_out_colorspace(ColorSpace::Luma);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
-    let pixels = decoder
-        .decode()
-        .map_err(|e| format!("not a readable JPEG: {e}"))?;
-    let (width, height) = decoder.dimensions().ok_or("a JPEG without a size")?;
-    gray(width, height, pixels)
+    let pixels = decoder.decode().map_err(|e| e.to_string())?;
+    let info = decoder.info().ok_or("no size")?;
+    grey(u32::from(info.width), u32::from(info.height), pixels, 1)
 }
 
 /// Whether the end of the image comes behind the start of its last scan. Within a scan a marker's first byte is followed by a zero
@@ -96,45 +122,33 @@ fn jpeg_is_whole(bytes: &[u8]) -> bool {
 }
 
 fn decode_png(bytes: &[u8]) -> Result<Image, String> {
-    let mut decoder = png::Decoder::new(std::io::Cursor::new(bytes));
+    let mut decoder = png::Decoder::new(Cursor::new(bytes));
     // Not to eight bits: of twelve in sixteen that would leave four.
     decoder.set_transformations(png::Transformations::EXPAND);
-    let mut reader = decoder
-        .read_info()
-        .map_err(|e| format!("not a readable PNG: {e}"))?;
+    let mut reader = decoder.read_info().map_err(|e| e.to_string())?;
     let size = reader
         .output_buffer_size()
-        .filter(|size| *size <= 4 * MAX_PIXELS)
-        .ok_or("a PNG of impossible size")?;
-    let mut buffer = vec![0; size];
-    let info = reader
-        .next_frame(&mut buffer)
-        .map_err(|e| format!("not a readable PNG: {e}"))?;
+        .filter(|size| *size as u64 <= 8 * MAX_PIXELS)
+        .ok_or("too large")?;
+    let mut samples = vec![0; size];
+    let info = reader.next_frame(&mut samples).map_err(|e| e.to_string())?;
+    samples.truncate(info.buffer_size());
     if info.bit_depth == png::BitDepth::Sixteen {
-        let values = buffer.chunks_exact(2);
+        let values = samples.chunks_exact(2);
         let values: Vec<u16> = values.map(|v| u16::from_be_bytes([v[0], v[1]])).collect();
-        buffer = gray_from_16_bits(&values);
+        samples = grey_from_16_bits(&values);
     }
-    let samples = info.color_type.samples();
-    let pixels = match samples {
-        1 => buffer,
-        2 => buffer.chunks_exact(2).map(|c| c[0]).collect(),
-        _ => buffer
-            .chunks_exact(samples)
-            .map(|c| luma([c[0], c[1], c[2]]))
-            .collect(),
-    };
-    gray(info.width as usize, info.height as usize, pixels)
+    grey(info.width, info.height, samples, info.color_type.samples())
 }
 
-/// Brightness of red, green and blue: Rec. 601, as JPEG has it.
+/// Brightness of red, green and blue by ITU-R BT.601, as JPEG has it.
 pub fn luma(color: [u8; 3]) -> u8 {
     let [r, g, b] = color.map(u32::from);
     ((299 * r + 587 * g + 114 * b + 500) / 1000) as u8
 }
 
 /// Eight bits of sixteen: the highest that are used, since cameras of ten, twelve and fourteen bits leave the others zero.
-pub fn gray_from_16_bits(values: &[u16]) -> Vec<u8> {
+pub fn grey_from_16_bits(values: &[u16]) -> Vec<u8> {
     let largest = values.iter().copied().max().unwrap_or(0);
     let used = (u16::BITS - largest.leading_zeros())
         .next_multiple_of(2)
@@ -142,18 +156,23 @@ pub fn gray_from_16_bits(values: &[u16]) -> Vec<u8> {
     values.iter().map(|v| (v >> (used - 8)) as u8).collect()
 }
 
-fn gray(width: usize, height: usize, mut pixels: Vec<u8>) -> Result<Image, String> {
-    let count = width
-        .checked_mul(height)
-        .filter(|n| (1..=MAX_PIXELS).contains(n))
-        .ok_or_else(|| format!("{width} × {height} pixels"))?;
-    if pixels.len() < count {
-        return Err(format!("{} pixels, expected {count}", pixels.len()));
+/// Keeps the first of grey and alpha, weighs colors by their brightness.
+fn grey(width: u32, height: u32, samples: Vec<u8>, channels: usize) -> Result<Image, String> {
+    let pixels: Vec<u8> = match channels {
+        1 => samples,
+        2 => samples.chunks_exact(2).map(|p| p[0]).collect(),
+        _ => samples
+            .chunks_exact(channels)
+            .map(|p| luma([p[0], p[1], p[2]]))
+            .collect(),
+    };
+    let expected = u64::from(width) * u64::from(height);
+    if pixels.len() as u64 != expected || !(1..=MAX_PIXELS).contains(&expected) {
+        return Err(format!("{} pixels for {width} × {height}", pixels.len()));
     }
-    pixels.truncate(count);
     Ok(Image {
-        width: width as u32,
-        height: height as u32,
+        width,
+        height,
         pixels,
         exposure_ns: 0,
         frame_id: 0,
@@ -165,10 +184,35 @@ mod tests {
     use super::*;
 
     #[test]
+    fn colour_and_damage_in_images() {
+        let folder = tempfile::tempdir().expect("scratch folder");
+        let path = folder.path().join("rgb.png");
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, 2, 1);
+        encoder.set_color(png::ColorType::Rgb);
+        let mut writer = encoder.write_header().expect("header");
+        writer
+            .write_image_data(&[255, 0, 0, 255, 255, 255])
+            .expect("pixels");
+        writer.finish().expect("end");
+        std::fs::write(&path, &bytes).expect("write");
+        let image = read(&path).expect("valid");
+        assert_eq!(
+            (image.width, image.height, image.pixels),
+            (2, 1, vec![76, 255])
+        );
+        for damaged in [&bytes[..bytes.len() / 2], b"\xff\xd8\xff", b"text", b""] {
+            std::fs::write(&path, damaged).expect("write");
+            let message = read(&path).expect_err("damaged").to_string();
+            assert!(message.contains("rgb.png"), "{message}");
+        }
+    }
+
+    #[test]
     fn twelve_bits_in_sixteen_keep_their_contrast() {
-        assert_eq!(gray_from_16_bits(&[0, 2048, 4095]), [0, 128, 255]);
-        assert_eq!(gray_from_16_bits(&[0, 0x8000, 0xffff]), [0, 128, 255]);
-        assert_eq!(gray_from_16_bits(&[0, 7]), [0, 7]);
+        assert_eq!(grey_from_16_bits(&[0, 2048, 4095]), [0, 128, 255]);
+        assert_eq!(grey_from_16_bits(&[0, 0x8000, 0xffff]), [0, 128, 255]);
+        assert_eq!(grey_from_16_bits(&[0, 7]), [0, 7]);
         let mut file = Vec::new();
         let mut encoder = png::Encoder::new(&mut file, 2, 1);
         encoder.set_color(png::ColorType::Grayscale);
@@ -195,31 +239,6 @@ mod tests {
         for length in 2..bytes.len() {
             let error = decode(&bytes[..length]).expect_err("it is cut");
             assert!(error.contains("cut short"), "{length}: {error}");
-        }
-    }
-
-    #[test]
-    fn colour_and_damage_in_images() {
-        let folder = tempfile::tempdir().expect("scratch folder");
-        let path = folder.path().join("rgb.png");
-        let mut bytes = Vec::new();
-        let mut encoder = png::Encoder::new(&mut bytes, 2, 1);
-        encoder.set_color(png::ColorType::Rgb);
-        let mut writer = encoder.write_header().expect("header");
-        writer
-            .write_image_data(&[255, 0, 0, 255, 255, 255])
-            .expect("pixels");
-        writer.finish().expect("end");
-        std::fs::write(&path, &bytes).expect("write");
-        let image = read(&path).expect("valid");
-        assert_eq!(
-            (image.width, image.height, image.pixels),
-            (2, 1, vec![76, 255])
-        );
-        for damaged in [&bytes[..bytes.len() / 2], b"\xff\xd8\xff", b"text", b""] {
-            std::fs::write(&path, damaged).expect("write");
-            let message = read(&path).expect_err("damaged").to_string();
-            assert!(message.contains("rgb.png"), "{message}");
         }
     }
 }
