@@ -18,6 +18,9 @@ use lsfb_sim::{
 
 use crate::context::Context;
 
+/// Name of the file with the settings of a simulated session.
+pub const SETTINGS: &str = "sim.toml";
+
 /// Where the devices send to, and a phone connects.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Endpoints {
@@ -140,9 +143,9 @@ pub fn prepare(
     for (name, text) in [
         ("backpack.toml", simulation.scan().rig().to_toml()),
         ("glasses.toml", simulation.glasses().rig().to_toml()),
-        ("sim.toml", toml::to_string(config)?),
+        (SETTINGS, toml::to_string(config)?),
     ] {
-        crate::commands::write(&layout.file(name), text)?;
+        crate::files::write(&layout.file(name), text)?;
     }
     simulation.write_truth(&layout.truth())?;
     Ok(simulation)
@@ -288,7 +291,7 @@ fn record_emitted(
     let report = record_incoming(incoming, devices, out, &|p| context.show(p))?;
     match failure {
         Some(error) => Err(error.into()),
-        None => Ok(report),
+        None => whole(report),
     }
 }
 
@@ -357,6 +360,14 @@ pub fn record_glasses(
     )
 }
 
+/// What the recorder could not go on with is an error here: nobody waits for the rest.
+fn whole(report: CaptureReport) -> anyhow::Result<CaptureReport> {
+    match &report.failure {
+        Some(why) => anyhow::bail!("{}: {why}", report.path.display()),
+        None => Ok(report),
+    }
+}
+
 /// Half a walk looks like a whole one.
 fn discard(report: &CaptureReport) {
     for part in &report.parts {
@@ -390,6 +401,7 @@ fn record(
             discard(&report);
             return Err(stopped.into());
         }
+        let report = whole(report)?;
         sent?;
         Ok(report)
     })

@@ -115,7 +115,7 @@ fn a_walk_becomes_a_map_though_one_camera_is_missing() {
 fn a_map_can_be_stopped_in_each_of_its_stages() {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("scan.mcap");
-    record(&path, 1.2, &["cam0"], 0.03);
+    record(&path, 2.2, &["cam0", "cam1"], 0.03);
     let recording = Recording::open(&path).expect("recording");
     let config = MappingConfig::default();
     let stages = Mutex::new(BTreeSet::new());

@@ -92,6 +92,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         }],
         ..EvalConfig::default()
     };
+    if let Some(page) = &arguments.report {
+        context.claim(page)?;
+    }
     let truth = match &arguments.truth_times {
         Some(times) => read_kitti_poses(&arguments.truth, times)?,
         None => read_poses(&arguments.truth)?,

@@ -44,7 +44,7 @@ pub struct Arguments {
     #[arg(required_unless_present = "seed", conflicts_with = "Equipment")]
     source: Option<PathBuf>,
     /// Play the simulator with this seed instead.
-    #[arg(long, conflicts_with_all = ["source", "turns"])]
+    #[arg(long, conflicts_with_all = ["source", "turns"], value_parser = super::seed, allow_hyphen_values = true)]
     seed: Option<u64>,
     /// Folder for the list of devices, the rig, and the mock devices' sockets.
     #[arg(long, value_name = "DIR")]
@@ -86,7 +86,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     };
     let playback = Playback::open(source)?;
     for topic in playback.unplayed() {
-        context.note(&format!(
+        context.say(&format!(
             "warning: {topic} is not played: the bytes that its device sent were not recorded"
         ));
     }

@@ -63,9 +63,6 @@ pub struct Arguments {
     /// The recording. A file that is there already is not replaced.
     #[arg(long, value_name = "MCAP")]
     out: PathBuf,
-    /// Replace a recording of the same name.
-    #[arg(long)]
-    force: bool,
     /// Begin a new file after this many megabytes; each opens by itself.
     #[arg(long, value_name = "MB")]
     split_mb: Option<u64>,
@@ -165,8 +162,8 @@ impl LidarArguments {
 
 impl Arguments {
     /// What the command line says about files goes before what the list of devices says.
-    fn apply(&self, recorder: &mut RecorderConfig) {
-        if self.force {
+    fn apply(&self, recorder: &mut RecorderConfig, context: &Context) {
+        if context.force() {
             recorder.existing = Existing::Replace;
         }
         if let Some(megabytes) = self.split_mb {
@@ -204,7 +201,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     }
     if let Some(devices) = &arguments.devices {
         let mut devices = DevicesConfig::read(devices)?;
-        arguments.apply(&mut devices.recorder);
+        arguments.apply(&mut devices.recorder, context);
         let live = Live::start(&arguments.live()?, &arguments.out)?;
         live.say_where(context);
         if arguments.screen.is_some() {
@@ -221,7 +218,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         sensor: arguments.lidar.lidar_sender,
         ..ReplayConfig::default()
     };
-    arguments.apply(&mut config.recorder);
+    arguments.apply(&mut config.recorder, context);
+    context.will_write(&arguments.out);
     let out: &Path = &arguments.out;
     let mut beside = String::new();
     let report = match (&arguments.pcap, &arguments.db3, &arguments.mcap) {
@@ -315,7 +313,7 @@ fn record_on_demand(
             // The operator mends it and presses START again.
             Err(error) => {
                 failures += 1;
-                context.note(&format!("{}: {}", out.display(), sentence(&error)));
+                context.say(&format!("{}: {}", out.display(), sentence(&error)));
             }
         }
     }

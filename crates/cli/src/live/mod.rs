@@ -163,8 +163,8 @@ impl Live {
     pub fn say_where(&self, context: &Context) {
         if let Some(url) = &self.url {
             match &self.pin {
-                Some(pin) => context.note(&format!("screen: {url}#pin={pin}  (PIN {pin})")),
-                None => context.note(&format!("screen: {url}")),
+                Some(pin) => context.say(&format!("screen: {url}#pin={pin}  (PIN {pin})")),
+                None => context.say(&format!("screen: {url}")),
             }
         }
         if let Some(address) = self.foxglove {

@@ -35,11 +35,11 @@ fn sentence(output: &Output) -> String {
     errors[0].to_owned()
 }
 
-/// Runs a command that must fail, saying all of `words`, and touch nothing: what it would have replaced may stand aside as
-/// `NAME.old`, so that it does not look new.
+/// Runs a command that must fail, saying all of `words`, and touch nothing though it might: what it would have replaced may
+/// stand aside as `NAME.old`, so that it does not look new.
 pub fn refused(folder: &Path, arguments: &[&str], words: &[&str]) {
     let before = contents(folder);
-    let output = lsfb(folder, arguments);
+    let output = lsfb(folder, &[arguments, &["--force"]].concat());
     let sentence = sentence(&output);
     assert_eq!(output.status.code(), Some(1), "{arguments:?}: {sentence}");
     for word in words {

@@ -127,7 +127,7 @@ pub fn inputs() -> &'static Path {
                 "scan.mcap",
                 "--out",
                 "map",
-                "--trajectory",
+                "--out-trajectory",
                 "scan.tum",
             ],
         );
