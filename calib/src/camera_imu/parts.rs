@@ -1,0 +1,50 @@
+//! Standard deviations of the batch from disjoint stretches of time.
+
+use lsfb_solver::{BlockId, Covariance, Influences, Problem, ResidualId, influences};
+use nalgebra::DVector;
+
+use crate::Error;
+use crate::scatter::{Scatter, moved};
+
+/// Shortest stretch whose errors are taken to be independent of the next one's, seconds.
+const PART_S: f64 = 0.5;
+
+/// How well blocks are known.
+pub(super) struct Known {
+    /// By the weights alone.
+    pub covariance: Covariance,
+    /// How stretches of time scatter beside that.
+    pub scatter: Scatter,
+    /// By how much what the models of lenses and board do not know would move them.
+    pub bias: DVector<f64>,
+}
+
+/// What a problem that knows more than the models of lenses and board says of blocks at the values found without.
+pub(super) fn known(
+    problem: &Problem,
+    blocks: &[BlockId],
+    timed: &[(f64, ResidualId)],
+) -> Result<Known, Error> {
+    let start_s = timed.iter().map(|t| t.0).fold(f64::INFINITY, f64::min);
+    let mut parts: Vec<Vec<ResidualId>> = Vec::new();
+    for (time_s, residual) in timed {
+        let part = ((time_s - start_s) / PART_S) as usize;
+        if parts.len() <= part {
+            parts.resize(part + 1, Vec::new());
+        }
+        parts[part].push(*residual);
+    }
+    parts.retain(|part| !part.is_empty());
+    let Influences {
+        covariance,
+        step,
+        groups,
+    } = influences(problem, blocks, &parts)?;
+    let groups = moved(covariance.joint(), groups, &step);
+    let scatter = Scatter::of_neighbours(covariance.joint(), &groups);
+    Ok(Known {
+        covariance,
+        scatter,
+        bias: step,
+    })
+}
