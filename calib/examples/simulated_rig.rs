@@ -155,10 +155,6 @@ fn errors(simulated: &Simulated, found: &CameraImuCalibration) -> DVector<f64> {
             put(format!("{what} {axis}"), found[k] - truth[k]);
         }
     }
-    put(
-        "accelerometer delay".into(),
-        found.imu.accel_delay_s - simulated.accel_delay_s,
-    );
     let names = &found.covariance.names;
     DVector::from_iterator(names.len(), names.iter().map(|name| by_name[name]))
 }
@@ -168,7 +164,6 @@ fn kind(name: &str) -> &'static str {
     let word = name.split(' ').nth(1).unwrap_or_default();
     match (name.split(' ').next().unwrap_or_default(), word) {
         ("gyroscope", _) => "gyroscope bias",
-        ("accelerometer", "delay") => "accelerometer delay",
         ("accelerometer", _) => "accelerometer bias",
         ("gravity", _) => "gravity",
         (_, "turn") => "rotation",

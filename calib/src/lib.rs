@@ -34,7 +34,6 @@ pub mod refine;
 mod report;
 mod residual_diagnosis;
 pub mod rosbag;
-mod scatter;
 mod stamps;
 mod statistics;
 mod transform;

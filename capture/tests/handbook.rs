@@ -57,9 +57,9 @@ fn every_key_is_described_and_every_default_is_right() {
     let imu: ImuLineConfig = toml::from_str("path = \"x\"").expect("an IMU");
     let whole = DevicesConfig {
         rig: Some(PathBuf::from("rig.toml")),
-        lidar: Some(lidar),
+        lidars: vec![lidar],
         cameras: vec![CameraUnitConfig::stereo(PathBuf::new(), Default::default())],
-        imu: Some(imu),
+        imus: vec![imu],
         sidecar: Some(SidecarConfig {
             listen: ([127, 0, 0, 1], 8790).into(),
         }),

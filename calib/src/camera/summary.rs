@@ -1,11 +1,10 @@
 //! From an adjustment to what is told about it.
 
 use lsfb_geometry::{Matrix6, Vector2};
-use nalgebra::DMatrix;
 
 use super::adjustment::Solved;
 use super::holdout::Holdout;
-use super::normal::{Doubt, covariances, parameter_count};
+use super::normal::{Covariances, covariances, parameter_count};
 use super::{
     BoardDeformation, CalibratedCamera, CameraCalibration, CameraConfig, CameraViews, Estimate,
 };
@@ -13,7 +12,7 @@ use crate::Error;
 use crate::board::Target;
 use crate::clusters::{Clusters, share_of_board};
 use crate::coverage::{CellErrors, cell, corners_by_cell, empty_parts};
-use crate::residual_diagnosis::{AdjustedCorner, AdjustedView, Diagnosis, Field};
+use crate::residual_diagnosis::{AdjustedCorner, AdjustedView, Diagnosis};
 
 /// Relative standard deviation of a focal length above which it counts as not determined.
 const LARGEST_FOCAL_SIGMA: f64 = 0.02;
@@ -83,18 +82,10 @@ impl Solved<'_> {
         let effects = errors.iter().flat_map(|e| &e.clusters);
         let effect = effects.map(Clusters::design_effect).fold(1.0, f64::max);
         let variance = squares / freedom as f64 * effect;
-        let fields: Vec<Field> = (0..self.cameras.len())
-            .map(|k| {
-                let seen = self.seen(target, k).collect();
-                Diagnosis::new(target, &self.cameras[k].camera, seen).field(variance)
-            })
-            .collect();
-        let doubts = covariances.doubts(target, self, &fields, variance);
         let mut cameras = Vec::with_capacity(given.len());
         for (k, errors) in errors.into_iter().enumerate() {
             let holdout = self.holdout(target, k, config)?;
-            let covariance = &covariances.by_camera[k] * variance;
-            let mut camera = self.camera(k, errors, &covariance, &doubts[k], holdout)?;
+            let mut camera = self.camera(k, errors, &covariances, variance, holdout)?;
             let rms_px = camera.inlier_rms_px;
             let diagnosis = Diagnosis::new(
                 target,
@@ -129,17 +120,13 @@ impl Solved<'_> {
         &self,
         k: usize,
         errors: Errors,
-        covariance: &DMatrix<f64>,
-        doubt: &Doubt,
+        covariances: &Covariances,
+        variance: f64,
         holdout: Option<Holdout>,
     ) -> Result<CalibratedCamera, Error> {
         let start = &self.cameras[k];
         let lens = &start.camera.lens;
-        let by_weights = covariance.map_diagonal(|v| v.max(0.0).sqrt());
-        let covariance = DMatrix::from_fn(covariance.nrows(), covariance.ncols(), |i, j| {
-            let own = covariance[(i, j)] * doubt.factors[i] * doubt.factors[j];
-            own + doubt.bias[i] * doubt.bias[j]
-        });
+        let covariance = &covariances.by_camera[k] * variance;
         let sigmas = covariance.map_diagonal(|v| v.max(0.0).sqrt());
         let names = lens.model().parameter_names();
         let parameters: Vec<Estimate> = names
@@ -152,12 +139,10 @@ impl Solved<'_> {
                 sigma: *sigma,
             })
             .collect();
-        // What is not determined even by the weights.
         let weak: Vec<String> = parameters[..2]
             .iter()
-            .zip(by_weights.iter())
-            .filter(|(p, sigma)| !(**sigma < LARGEST_FOCAL_SIGMA * p.value))
-            .map(|(p, sigma)| format!("{} = {:.0} ± {sigma:.0} px", p.name, p.value))
+            .filter(|p| !(p.sigma < LARGEST_FOCAL_SIGMA * p.value))
+            .map(|p| format!("{} = {:.0} ± {:.0} px", p.name, p.value, p.sigma))
             .collect();
         if !weak.is_empty() {
             return Err(Error::Undetermined {

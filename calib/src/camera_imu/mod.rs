@@ -3,13 +3,6 @@
 //! The motion is a B-spline on SO(3) × R³ of order [`ORDER`], in the frame of the target. All cameras and the IMU are measured
 //! against it at once. Furgale, Rehder, Siegwart, "Unified temporal and spatial calibration for multi-sensor systems",
 //! IROS 2013.
-//!
-//! Two things are in the model because real recordings contradict themselves without them. The filters of an IMU delay its two
-//! triads differently: TUM VI's accelerometer measures 1.6 ms before its gyroscope. Without a delay between them the clocks of the
-//! cameras lie between the two, more or less as the motion has it, and so does the size of the board. And boards are bent by a
-//! millimetre or two. Lenses are decentred, which their models do not know: the principal point then depends on where in the image
-//! corners were seen, and what that moves is in the standard deviations (`residual_diagnosis::field`). What is left over pulls parts of a recording in different directions: standard deviations come from the
-//! scatter of disjoint stretches of time where the weights do not explain it (`scatter`).
 
 mod bend;
 mod checks;
@@ -17,7 +10,6 @@ mod corner_residual;
 mod gyro_alignment;
 mod inertial;
 mod page;
-mod parts;
 mod problem;
 mod report;
 mod rig;
@@ -86,10 +78,8 @@ pub enum Axes {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum BoardShape {
-    /// It is what its file says, unless the views make a bent one likely: with a flat one, once in a thousand recordings.
-    #[default]
-    Auto,
     /// It is what its file says.
+    #[default]
     Flat,
     /// It is a little bent, stretched and sheared: how is searched. For boards that are known not to be flat; it takes views from
     /// all sides to tell such a board from another lens.
@@ -146,7 +136,7 @@ impl Default for CameraImuConfig {
     fn default() -> Self {
         Self {
             lenses: Lenses::Refined,
-            board: BoardShape::Auto,
+            board: BoardShape::Flat,
             axes: Axes::Ideal,
             readout: Readout::Known,
             knot_spacing_s: 0.02,
@@ -247,10 +237,6 @@ pub struct FoundImu {
     pub accel_bias_m_s2: [f64; 3],
     /// Its standard deviations.
     pub accel_bias_sigma_m_s2: [f64; 3],
-    /// How much later than the gyroscope the accelerometer measures, seconds: their filters differ.
-    pub accel_delay_s: f64,
-    /// Its standard deviation.
-    pub accel_delay_sigma_s: f64,
     /// `measured = matrix · true + bias` of the gyroscope; one where axes were not searched.
     #[serde(skip)]
     pub gyro_matrix: Matrix3<f64>,
@@ -376,29 +362,21 @@ pub fn calibrate_camera_imu(
         })
     };
     let mut holdout = vec![None; cameras.len()];
-    let mut config = *config;
     for round in 0..ROUNDS {
         show(round)?;
         let last = round + 1 == ROUNDS;
-        state.adjust(&config, problem::Effort::of_round(round, last))?;
+        state.adjust(config, problem::Effort::of_round(round, last))?;
         if round + 2 == ROUNDS {
             holdout = state.holdout_rms_px();
         }
         if !last {
             state.find_outliers(target)?;
         }
-        if config.board == BoardShape::Auto {
-            config.board = match state.board_is_bent(target) {
-                true => BoardShape::Bent,
-                false => BoardShape::Flat,
-            };
-        }
     }
     show(ROUNDS)?;
-    state.find_fields(target);
-    let uncertainty = state.uncertainty(&config)?;
-    let excess = state.board_excess(&config)?;
-    let mut calibration = state.report(target, &config, &holdout, uncertainty, excess);
+    let uncertainty = state.uncertainty(config)?;
+    let excess = state.board_excess(config)?;
+    let mut calibration = state.report(target, config, &holdout, uncertainty, excess);
     // Back into the order given.
     let mut places: Vec<usize> = (0..order.len()).collect();
     places.sort_by_key(|k| order[*k]);

@@ -169,7 +169,6 @@ fn imu(imu: &FoundImu) -> Markup {
                         }
                     }
                 }
-                p { "The accelerometer measures " (format!("{:+.2} ± {:.2}", imu.accel_delay_s * 1e3, imu.accel_delay_sigma_s * 1e3)) " ms after the gyroscope." }
                 @if !imu.axes.is_empty() {
                     table {
                         thead { tr { th { "error of axes" } th { "value" } th { "σ" } } }

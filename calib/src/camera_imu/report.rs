@@ -6,23 +6,20 @@ use nalgebra::{RowSVector, SMatrix};
 use super::bend::{BEND, bends};
 use super::inertial::{accel_matrix, gyro_matrix};
 use super::problem::BoardExcess;
-use super::state::{Mounted, State, View};
+use super::state::{State, View};
 use super::uncertainty::Uncertainty;
 use super::{Axes, CameraImuCalibration, CameraImuConfig, CameraOnImu, FoundImu, ORDER, checks};
 use crate::board::Target;
 use crate::camera::Estimate;
 use crate::coverage::CellErrors;
-use crate::residual_diagnosis::{
-    AdjustedCorner, AdjustedView, Diagnosis, WORRYING_RMS_PX, moved_by_field,
-};
+use crate::residual_diagnosis::{AdjustedCorner, AdjustedView, Diagnosis, WORRYING_RMS_PX};
 
 /// Residual of the IMU, as a multiple of its noise, above which something is wrong with it.
 const WORRYING_RATIO: f64 = 5.0;
 /// Coverage below which a warning is due.
 const LEAST_COVERAGE: f64 = 0.4;
-/// Height of a corner out of the board's plane above which a warning is due, metres: by less, boards are bent like a parabola,
-/// which is taken into account.
-const WORRYING_BEND_M: f64 = 2e-3;
+/// Height of a corner out of the board's plane above which a warning is due, metres.
+const WORRYING_BEND_M: f64 = 5e-4;
 /// Share of outliers above which a warning is due.
 const MOST_OUTLIERS: f64 = 0.05;
 /// Standard deviations of position and clock above which a warning is due: metres and seconds.
@@ -148,8 +145,6 @@ impl State {
                 gyro_bias_sigma_rad_s: uncertainty.gyro_bias.into(),
                 accel_bias_m_s2: self.accel_bias[middle].into(),
                 accel_bias_sigma_m_s2: uncertainty.accel_bias.into(),
-                accel_delay_s: self.accel_delay_s,
-                accel_delay_sigma_s: uncertainty.accel_delay_s,
                 gyro_matrix: gyro_matrix(&self.gyro_axes),
                 accel_matrix: accel_matrix(&self.accel_axes),
                 axes,
@@ -257,56 +252,6 @@ impl State {
     fn seen(&self, k: usize) -> impl Iterator<Item = AdjustedView> + '_ {
         let own = self.views.iter().filter(move |v| v.camera == k);
         own.filter_map(move |view| self.seen_view(view))
-    }
-
-    /// Whether a camera's views, each with a pose of its own, make a board likely that is not flat.
-    pub fn board_is_bent(&self, target: &Target) -> bool {
-        (0..self.cameras.len()).any(|k| {
-            let Mounted {
-                camera, sigma_px, ..
-            } = &self.cameras[k];
-            // Where corners miss by more, something else is wrong, and is to be named.
-            if sigma_px * 2f64.sqrt() > WORRYING_RMS_PX {
-                return false;
-            }
-            let diagnosis = Diagnosis::new(target, camera, self.seen(k).collect());
-            diagnosis.board(sigma_px * sigma_px).board.is_likely
-        })
-    }
-
-    /// Finds what moves the cameras' pixels that models do not know of, each view with a pose of its own.
-    pub fn find_fields(&mut self, target: &Target) {
-        for k in 0..self.cameras.len() {
-            let Mounted {
-                camera, sigma_px, ..
-            } = &self.cameras[k];
-            let diagnosis = Diagnosis::new(target, camera, self.seen(k).collect());
-            let field = diagnosis.field(sigma_px * sigma_px);
-            self.cameras[k].field = field;
-        }
-    }
-
-    /// By how much that moves each corner of a view, if it is to be counted.
-    pub fn moved_px(&self, view: &View, field: bool) -> Vec<Vector2<f64>> {
-        let still = vec![Vector2::zeros(); view.corners.len()];
-        let Some(at) = self.at(self.time_s(view)).filter(|_| field) else {
-            return still;
-        };
-        let camera = &self.cameras[view.camera];
-        let camera_from_target = camera.camera_from_rig * at.target_from_rig().inverse();
-        let turn = camera_from_target.rotation_matrix();
-        let corners = view.corners.iter().zip(still);
-        corners
-            .map(|((point, _), still)| {
-                let in_camera = camera_from_target * self.bent(point);
-                let Some(seen) = camera.camera.project_with_jacobian(&in_camera) else {
-                    return still;
-                };
-                let by_point = seen.pixel_by_point * turn;
-                let place = (point - self.centre) / self.half_board_m;
-                moved_by_field(&camera.camera, &seen.pixel, &by_point, &place) * camera.field
-            })
-            .collect()
     }
 
     fn seen_view(&self, view: &View) -> Option<AdjustedView> {
@@ -453,14 +398,16 @@ impl State {
         let mut jitter = Jitter::default();
         let matrices = [gyro_matrix(&self.gyro_axes), accel_matrix(&self.accel_axes)];
         for sample in &self.samples {
-            let places = [0.0, self.accel_delay_s].map(|delay_s| self.at(sample.time_s - delay_s));
-            let [Some(At { rotation: r, .. }), Some(delayed)] = places else {
+            let Some(At {
+                rotation: r,
+                position: p,
+            }) = self.at(sample.time_s)
+            else {
                 continue;
             };
             let (first, share) = self.bias_place(sample.time_s);
             let bias = |b: &[Vector3<f64>]| b[first] + (b[first + 1] - b[first]) * share;
-            let acceleration = delayed.position.acceleration;
-            let force = delayed.rotation.rotation.inverse() * (acceleration - self.gravity);
+            let force = r.rotation.inverse() * (p.acceleration - self.gravity);
             let errors = [
                 (matrices[0] * r.angular_velocity + bias(&self.gyro_bias) - sample.gyro)
                     / self.gyro_sigma,

@@ -17,7 +17,6 @@ use crate::Error;
 use crate::board::Target;
 use crate::camera::pose_of_target;
 use crate::coverage::corners_by_cell;
-use crate::residual_diagnosis::Field;
 
 /// Corners farther than this from the first pose are outliers from the start, pixels.
 const FIRST_LIMIT_PX: f64 = 4.0;
@@ -102,7 +101,6 @@ impl State {
                 clock: Clock::new(turned.offset_s, 0.0),
                 readout_s: known.readout_s,
                 sigma_px: config.corner_sigma_px,
-                field: Field::zeros(),
                 alone_px: own.median_px,
                 cells: corners_by_cell(
                     known.views.views.values().flatten(),
@@ -163,7 +161,6 @@ impl State {
             bias_spacing_s: (end_s - start_s) / spans,
             gyro_axes: GyroAxes::zeros(),
             accel_axes: AccelAxes::zeros(),
-            accel_delay_s: 0.0,
             gravity,
             bend: Bend::zeros(),
             middle_s: 0.5 * (start_s + end_s),

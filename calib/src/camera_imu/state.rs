@@ -7,7 +7,6 @@ use lsfb_geometry::{Camera, ImuNoiseModel, Se3, Vector2, Vector3};
 use super::bend::Bend;
 use super::inertial::{AccelAxes, GyroAxes};
 use super::{Clock, Motion};
-use crate::residual_diagnosis::Field;
 
 pub(super) struct View {
     pub camera: usize,
@@ -36,8 +35,6 @@ pub(super) struct Mounted {
     pub readout_s: f64,
     /// Standard deviation of a corner in one direction, pixels.
     pub sigma_px: f64,
-    /// What moves its pixels that the models of lens and board do not know of.
-    pub field: Field,
     /// Median error of its corners with each view for itself, pixels.
     pub alone_px: f64,
     pub cells: Vec<u32>,
@@ -64,8 +61,6 @@ pub(super) struct State {
     pub bias_spacing_s: f64,
     pub gyro_axes: GyroAxes,
     pub accel_axes: AccelAxes,
-    /// How much later than the gyroscope the accelerometer measures, seconds.
-    pub accel_delay_s: f64,
     pub gravity: Vector3<f64>,
     pub bend: Bend,
     /// Time at which the offsets of the clocks hold, seconds after the origin.

@@ -2,11 +2,10 @@
 
 use lsfb_geometry::camera::MAX_PARAMETERS;
 use lsfb_geometry::{Matrix6, Se3, Vector3, so3};
-use lsfb_solver::BlockId;
+use lsfb_solver::{BlockId, covariance};
 use nalgebra::{DMatrix, Matrix3, SMatrix};
 
 use super::bend::BEND;
-use super::parts::{Known, known};
 use super::problem::{Blocks, Effort};
 use super::state::State;
 use super::{Axes, BoardShape, CameraImuConfig, Lenses, Readout};
@@ -17,7 +16,7 @@ use crate::Error;
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointCovariance {
     /// What each row is: `cam0 turn x`, `cam0 shift x`, `cam0 clock`, `cam0 drift`, `cam0 fx`, `cam0 readout`, `gyroscope bias x`,
-    /// `accelerometer bias x`, `gravity x`, `accelerometer delay`; cameras by name.
+    /// `accelerometer bias x`, `gravity x`; cameras by name.
     pub names: Vec<String>,
     /// The covariance, in SI units and pixels.
     pub matrix: DMatrix<f64>,
@@ -39,7 +38,6 @@ pub(super) struct Uncertainty {
     pub gyro_bias: Vector3<f64>,
     pub accel_bias: Vector3<f64>,
     pub gravity: Vector3<f64>,
-    pub accel_delay_s: f64,
     /// Covariance of the bend; zero where it was not searched.
     pub bend: SMatrix<f64, BEND, BEND>,
     /// Errors of the axes of gyroscope and accelerometer; empty where they were not searched.
@@ -56,7 +54,7 @@ impl State {
     }
 
     pub fn uncertainty(&self, config: &CameraImuConfig) -> Result<Uncertainty, Error> {
-        let (problem, blocks) = self.problem(config, Effort::of_uncertainty())?;
+        let (problem, blocks) = self.problem(config, Effort::of_round(0, true))?;
         let axes = match config.axes {
             Axes::Ideal => vec![],
             Axes::Estimated => vec![blocks.gyro_axes.id(), blocks.accel_axes.id()],
@@ -67,13 +65,7 @@ impl State {
         if config.board == BoardShape::Bent {
             asked.push(blocks.bend.id());
         }
-        let Known {
-            covariance,
-            scatter,
-            bias,
-        } = known(&problem, &asked, &blocks.timed)?;
-        let factors = scatter.factors(bias.len());
-        let found = covariance.widened(&factors, &bias);
+        let found = covariance(&problem, &asked)?;
         let sigmas = |block: BlockId| -> Vec<f64> {
             let own = found.between(block, block);
             own.map_or_else(Vec::new, |c| {
@@ -107,7 +99,6 @@ impl State {
             gyro_bias: vector(blocks.gyro_bias[middle].id()),
             accel_bias: vector(blocks.accel_bias[middle].id()),
             gravity: vector(blocks.gravity.id()),
-            accel_delay_s: scalar(blocks.accel_delay.id()),
             bend: found
                 .between(blocks.bend.id(), blocks.bend.id())
                 .map_or_else(SMatrix::zeros, |c| {
@@ -153,8 +144,6 @@ impl State {
         ] {
             named.push((block.id(), along(what).to_vec()));
         }
-        let delay = Some("accelerometer delay".to_owned());
-        named.push((blocks.accel_delay.id(), vec![delay]));
         named
     }
 }

@@ -26,7 +26,8 @@ mod yaml;
 
 use lsfb_geometry::camera::{Lens, LensModel};
 use lsfb_geometry::{
-    Camera, ImuNoiseModel, Matrix3, Quaternion, Rig, RigCamera, Se3, UnitQuaternion, Vector2, Vector3,
+    Camera, ImuNoiseModel, Matrix3, Quaternion, Rig, RigCamera, Se3, UnitQuaternion, Vector2,
+    Vector3,
 };
 use nalgebra::Rotation3;
 

@@ -380,7 +380,12 @@ fn units_of_a_rig_are_looked_at() {
     let cam1 = rig.cameras.get_mut("cam1").expect("a camera");
     cam1.rig_from_camera.translation = Vector3::new(83.0, 0.0, 0.0);
     cam1.timing.rig_from_camera_s = 19.0;
-    rig.imus.values_mut().next().expect("an IMU").noise.gyro_noise_density = 0.4;
+    rig.imus
+        .values_mut()
+        .next()
+        .expect("an IMU")
+        .noise
+        .gyro_noise_density = 0.4;
     let notes = implausible(&rig);
     for (note, words) in notes
         .iter()

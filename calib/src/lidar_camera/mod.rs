@@ -11,7 +11,6 @@ mod board_view;
 mod candidates;
 mod checks;
 mod clocks;
-mod lens_bias;
 mod motion;
 mod outline;
 mod page;
@@ -266,8 +265,6 @@ pub fn calibrate_lidar_camera(
             solved = adjustment::adjust(board, name, &scenes, &joined, config)?;
         }
     }
-    let bias = lens_bias::lens_bias(board, name, camera, &mut scenes, &joined, &solved, config);
-    solved.covariance += bias * bias.transpose();
     let mut calibration =
         summary::summarize(board, name, camera, &scenes, &joined, &solved, config)?;
     // Back in the order given.

@@ -77,7 +77,11 @@ pub(super) fn summarize(
         .iter()
         .map(|u| scenes[u.scene].in_camera.rms_px.powi(2));
     let corner_rms_px = (squares.sum::<f64>() / n).sqrt();
-    let diagnosis = diagnosis(board, lens, scenes, solved);
+    let seen = solved
+        .used
+        .iter()
+        .map(|u| seen(board, lens, &scenes[u.scene]));
+    let diagnosis = Diagnosis::new(&board.target, lens, seen.collect());
     let misfit = diagnosis
         .warning(corner_rms_px)
         .or_else(|| diagnosis.given_lens());
@@ -172,18 +176,6 @@ pub(super) fn summarize(
         .warnings
         .extend(checks::warnings(&calibration, board, scenes, solved));
     Ok(calibration)
-}
-
-/// What the corners of the poses used say.
-pub(super) fn diagnosis<'a>(
-    board: &'a MountedBoard,
-    lens: &'a Camera,
-    scenes: &[Scene],
-    solved: &Solved,
-) -> Diagnosis<'a> {
-    let used = solved.used.iter();
-    let seen = used.map(|u| seen(board, lens, &scenes[u.scene]));
-    Diagnosis::new(&board.target, lens, seen.collect())
 }
 
 /// The corners of a pose, less those that are none.

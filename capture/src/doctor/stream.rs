@@ -45,15 +45,21 @@ impl<'a> Stream<'a> {
     ) -> Result<Vec<Self>, Error> {
         let mut streams = Vec::new();
         for topic in arrivals.iter().filter(|a| possible_hz(&a.topic).is_some()) {
-            let first = recording.messages(&topic.topic)?.find_map(Result::ok);
-            let (Some(first), Some(last)) = (first, recording.last_message(&topic.topic)?) else {
+            let (Some(first), Some(last)) = (topic.times.first(), topic.times.last()) else {
                 continue;
             };
+            let first_message = recording.messages(&topic.topic)?.next();
+            let stamps = first_message
+                .and_then(Result::ok)
+                .zip(recording.last_message(&topic.topic)?);
+            // What cannot be read is judged by its arrivals.
+            let [first_stamp, last_stamp] =
+                stamps.map_or([*first, *last], |(first, last)| [first.time, last.time]);
             streams.push(Self {
                 topic: &topic.topic,
                 arrivals: &topic.times,
-                first_stamp: first.time,
-                last_stamp: last.time,
+                first_stamp,
+                last_stamp,
                 stamps: None,
             });
         }

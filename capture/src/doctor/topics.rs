@@ -38,7 +38,10 @@ impl Findings {
             }
         }
         // What comes when there is something to hear has no rhythm to miss.
-        for heard in arrivals.iter().filter(|a| crate::topics::is_occasional(&a.topic)) {
+        for heard in arrivals
+            .iter()
+            .filter(|a| crate::topics::is_occasional(&a.topic))
+        {
             let rhythm = Rhythm::of(&heard.times, *start, *end);
             let found = format!(
                 "{} messages, longest silence {:.1} s",

@@ -283,7 +283,9 @@ impl Part {
 
     /// Over the last second.
     fn rate_hz(&self, now: Instant) -> f64 {
-        let Some((first_at, first)) = self.steps.front() else {
+        // Steps go when others come: of a part that fell silent they are older than the window.
+        let is_recent = |at: Instant| now.saturating_duration_since(at) <= RATE_WINDOW + RATE_STEP;
+        let Some((first_at, first)) = self.steps.iter().find(|(at, _)| is_recent(*at)) else {
             return 0.0;
         };
         // What came with the first step came before it.

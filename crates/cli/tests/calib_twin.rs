@@ -52,7 +52,7 @@ fn the_board_of_the_twin_places_the_lidar_and_the_rig_is_verified() {
     let found = json(folder.path(), &arguments, 0);
     let after = Rig::read(&folder.path().join("after.toml")).expect("rig");
     let [turn_deg, shift_mm] = apart(
-        after.lidar().expect("placed").rig_from_lidar,
+        &after.lidar().expect("placed").rig_from_lidar,
         &walk.rig.lidar().expect("a LiDAR").rig_from_lidar,
     );
     assert!(

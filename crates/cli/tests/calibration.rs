@@ -7,7 +7,7 @@ mod refusal;
 
 use answer::json;
 use board_images::{BASELINE_M, CHECKERBOARD, blind, write_stereo};
-use lsfb_calib::{TransformEdge, images};
+use lsfb_calib::TransformEdge;
 use lsfb_geometry::Rig;
 use lsfb_recording::{Writer, WriterConfig};
 use lsfb_types::{Stamped, Timestamp};
@@ -202,7 +202,8 @@ fn cameras_of_topics_are_calibrated_as_those_of_folders() {
         Writer::create(&path.join("walk.mcap"), &WriterConfig::default()).expect("a file");
     for k in 0..9 {
         for name in ["left", "right"] {
-            let image = images::read(&path.join(name).join(format!("{k}.png"))).expect("image");
+            let image = lsfb_perception::image::read(&path.join(name).join(format!("{k}.png")))
+                .expect("image");
             let time = Timestamp::from_nanos(k * 100_000_000);
             let stamped = Stamped {
                 time,

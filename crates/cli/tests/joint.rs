@@ -58,7 +58,7 @@ fn a_loop_is_closed_and_a_transform_that_contradicts_is_named() {
     assert_eq!(found["redundancy"], 18, "{found}");
     let joined = Rig::read(&folder.path().join("joined.toml")).expect("rig");
     let RigLidar { rig_from_lidar, .. } = joined.lidar().expect("placed");
-    let [turn_deg, shift_mm] = apart(&rig_from_lidar, &lidar);
+    let [turn_deg, shift_mm] = apart(rig_from_lidar, &lidar);
     assert!(
         turn_deg < 0.06 && shift_mm < 3.0,
         "{turn_deg}° {shift_mm} mm"

@@ -79,7 +79,7 @@ mod tests {
         let row = &preview.pixels[50 * 133..51 * 133];
         assert_eq!((row[0], row[132]), (10, 250));
         // Of the three columns of this square two are dark.
-        assert_eq!(row[66], (2 * 10 + 250) / 3);
+        assert_eq!(u16::from(row[66]), (2 * 10 + 250) / 3);
         let message = preview.message("cam0");
         assert_eq!(message[..10], *b"\x02\x04\x85\x00\x64\x00cam0");
         assert_eq!(message.len(), 10 + 133 * 100);

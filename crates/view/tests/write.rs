@@ -55,7 +55,7 @@ fn at<T>(secs: f64, sample: T) -> Stamped<T> {
 
 /// A ring of walls five metres around the world's origin, seen from the rig.
 fn scan(secs: f64) -> LidarScan {
-    let lidar_from_world = (pose(secs) * rig().lidar.unwrap().rig_from_lidar).inverse();
+    let lidar_from_world = (pose(secs) * rig().lidar().unwrap().rig_from_lidar).inverse();
     let points = (0..2000u16).map(|i| {
         let (angle, z) = (f64::from(i) * 0.05, f64::from(i % 20) * 0.1);
         let world = lsfb_geometry::Vector3::new(5.0 * angle.cos(), 5.0 * angle.sin(), z);

@@ -35,7 +35,7 @@ pub struct UdpConfig {
 #[derive(Debug)]
 pub struct UdpSource {
     ports: Vec<Port>,
-    sender: Option<IpAddr>,
+    only_sender: Option<IpAddr>,
     waiting: VecDeque<Datagram>,
     last_sender: Option<IpAddr>,
     foreign: u64,
@@ -68,7 +68,7 @@ impl UdpSource {
             .join(", ");
         Ok(Self {
             ports,
-            sender: config.sender,
+            only_sender: config.sender,
             waiting: VecDeque::new(),
             last_sender: None,
             foreign: 0,
@@ -114,7 +114,11 @@ impl UdpSource {
         let mut batch = Vec::with_capacity(self.ports.len());
         for port in &mut self.ports {
             match port.receive() {
-                Ok(Some(datagram)) if self.sender.is_some_and(|ip| datagram.sender != Some(ip)) => {
+                Ok(Some(datagram))
+                    if self
+                        .only_sender
+                        .is_some_and(|ip| datagram.sender != Some(ip)) =>
+                {
                     self.foreign += 1
                 }
                 Ok(Some(datagram)) => batch.push(datagram),

@@ -48,8 +48,6 @@ pub struct Setup {
     pub drift: f64,
     /// Direction of the board's y axis: 1 up, −1 down.
     pub up: f64,
-    /// How much later than the gyroscope the accelerometer measures, seconds.
-    pub accel_delay_s: f64,
     /// Errors of the accelerometer's and gyroscope's scales.
     pub scale_error: f64,
     /// Standard deviation of gravity's magnitude about the standard one, m/s².
@@ -67,7 +65,6 @@ impl Default for Setup {
             readout_s: 0.0,
             drift: 0.0,
             up: 1.0,
-            accel_delay_s: 0.0,
             scale_error: 0.0,
             gravity_sigma_m_s2: 1e-3,
         }
@@ -94,8 +91,6 @@ pub struct Simulated {
     pub accel_bias: Vector3<f64>,
     /// In the target's frame, m/s².
     pub gravity: Vector3<f64>,
-    /// How much later than the gyroscope the accelerometer measures, seconds.
-    pub accel_delay_s: f64,
 }
 
 /// The IMU's noise.
@@ -255,7 +250,6 @@ pub fn simulate(setup: &Setup) -> Simulated {
         gyro_bias,
         accel_bias,
         gravity,
-        accel_delay_s: setup.accel_delay_s,
     }
 }
 
@@ -273,9 +267,7 @@ fn imu(
     let count = (setup.duration_s * RATE_HZ) as i64;
     let samples = (0..count)
         .map(|k| {
-            let time_s = k as f64 / RATE_HZ;
-            let [rate, _] = motion.sample(time_s, gravity);
-            let [_, force] = motion.sample(time_s - setup.accel_delay_s, gravity);
+            let [rate, force] = motion.sample(k as f64 / RATE_HZ, gravity);
             let scale = 1.0 + setup.scale_error;
             let root = RATE_HZ.sqrt();
             let gyro = rate * scale + gyro_bias + normal3(rng) * (noise.gyro_noise_density * root);

@@ -209,7 +209,7 @@ fn serve_unit(
             return;
         };
         loop {
-            match unit.serve(&mut device, Duration::from_secs(5)) {
+            match device.serve(&mut unit, Duration::from_secs(5)) {
                 Ok(Some(UnitRequest::Start { .. })) => break,
                 Ok(_) => {}
                 Err(_) => return,
@@ -242,7 +242,7 @@ fn serve_unit(
                 let until = Instant::now() + Duration::from_millis(100);
                 while Instant::now() < until {
                     // Only a recorder that wants the unit's own IMU asks.
-                    if unit.serve(&mut device, Duration::from_millis(5)).is_err() {
+                    if device.serve(&mut unit, Duration::from_millis(5)).is_err() {
                         return;
                     }
                 }

@@ -16,7 +16,6 @@ const CLOCK_WINDOW: Duration = Duration::from_secs(4);
 const SYNC_GOOD_MS: f64 = 150.0;
 /// More than any transport: a clock is wrong.
 const SYNC_BAD_MS: f64 = 500.0;
-/// Where the LiDAR's scans come from.
 
 /// All devices of a recording.
 #[derive(Debug)]

@@ -161,7 +161,7 @@ impl Walk {
     /// The IMU's samples, with noise.
     pub fn samples(&self) -> Vec<Sample> {
         let mut rng = ChaCha8Rng::seed_from_u64(7);
-        let noise = self.rig().imu.expect("an IMU");
+        let noise = self.rig().imu_noise().cloned().expect("an IMU");
         let per_sample = (1e9 / SAMPLE_NS as f64).sqrt();
         let mut uniform = || rng.random_range(-1.0..1.0) * 3f64.sqrt();
         let up = if self.upside_down { -1.0 } else { 1.0 };

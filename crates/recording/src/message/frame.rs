@@ -100,7 +100,8 @@ mod tests {
         let gnss = GnssReading::default();
         let wifi = WifiReading::default();
         let ble = BleAdvert::default();
-        let encoders: [(Schema, &dyn Fn(&str) -> Vec<u8>); 7] = [
+        type Encode<'a> = &'a dyn Fn(&str) -> Vec<u8>;
+        let encoders: [(Schema, Encode<'_>); 7] = [
             (IMU, &|f| encode_imu(TIME, f, &imu, ImuVariance::UNKNOWN)),
             (IMAGE, &|f| encode_image(TIME, f, &image)),
             (MAGNETIC_FIELD, &|f| {

@@ -6,7 +6,7 @@ use super::files::UnitFile;
 use super::imu::{ImuProtocol, ImuRequest, ImuResponse, ImuSegment};
 use super::info::DeviceInfo;
 use super::options::{OptionCommand, OptionTable};
-use crate::transport::uvc::{LARGE_TRANSFER_BYTES, XuQuery, XuRefusal, XuSelector};
+use crate::transport::uvc::{XuQuery, XuRefusal, XuSelector};
 
 /// The device's side of the extension unit, byte for byte: a mock unit holds one and asks it for every answer.
 #[derive(Clone, Debug)]
