@@ -134,14 +134,15 @@ pub(crate) fn record(
             Ok(None) => {}
             Err(error) => break Ending::Lost(error.to_string()),
         }
+        // First, as the others have ended too by then.
+        if control.is_stopping() {
+            break Ending::Stopped;
+        }
         if let Some(since) = all_gone
             && control.nothing_is_left()
             && (recording.lost.is_empty() || since.elapsed() > COME_BACK)
         {
             break Ending::EndOfStream;
-        }
-        if control.is_stopping() {
-            break Ending::Stopped;
         }
     };
     if all_gone.is_some() {

@@ -216,8 +216,8 @@ fn every_point_of_nebulas_clouds_is_ours_and_no_other_is() {
 
 /// Without the file of the unit's beam angles the model's are taken: close, and not the same.
 #[test]
-fn the_models_angles_are_within_a_tenth_of_a_degree_of_a_units() {
-    let name = "the_models_angles_are_within_a_tenth_of_a_degree_of_a_units";
+fn the_models_angles_are_within_0_15_degrees_of_a_units() {
+    let name = "the_models_angles_are_within_0_15_degrees_of_a_units";
     let Some(folder) = recordings(name, "lidar/nebula_hesai/calibration") else {
         return;
     };
@@ -228,9 +228,9 @@ fn the_models_angles_are_within_a_tenth_of_a_degree_of_a_units() {
         for channel in 0..angles.channels() {
             let [elevation, azimuth] = case.model.angles_deg(channel);
             let off = (angles.elevation_deg[channel] - elevation).abs();
-            assert!(off < 0.1, "{} {channel}: {off}", case.model);
+            assert!(off < 0.15, "{} {channel}: {off}", case.model);
             let off = (angles.azimuth_deg[channel] - azimuth).abs();
-            assert!(off < 0.1, "{} {channel}: {off}", case.model);
+            assert!(off < 0.15, "{} {channel}: {off}", case.model);
         }
     }
 }

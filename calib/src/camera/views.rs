@@ -56,6 +56,36 @@ pub fn views_from_folder(
     target: &Target,
     progress: ProgressFn,
 ) -> Result<CameraViews, Error> {
+    let files = numbered(folder, prefix)?;
+    let done = AtomicU64::new(0);
+    let looked: Result<Vec<Looked>, Error> = files
+        .par_iter()
+        .map(|(instant, file)| {
+            let looked = look(*instant, &image::read(file)?, target);
+            progress(Progress {
+                stage: "corners",
+                done: done.fetch_add(1, Ordering::Relaxed) + 1,
+                total: files.len() as u64,
+            })?;
+            Ok(looked)
+        })
+        .collect();
+    gather(name, target, looked?)
+}
+
+/// The image of a folder that has an instant in [`views_from_folder`]; `None` where there is none.
+pub fn image_from_folder(
+    folder: &Path,
+    prefix: &str,
+    instant: i64,
+) -> Result<Option<Image>, Error> {
+    let files = numbered(folder, prefix)?;
+    let file = files.iter().find(|(own, _)| *own == instant);
+    Ok(file.map(|(_, file)| image::read(file)).transpose()?)
+}
+
+/// Images of a folder whose names begin with `prefix`, each with its instant.
+fn numbered(folder: &Path, prefix: &str) -> Result<Vec<(i64, PathBuf)>, Error> {
     let all = image_files(folder)?;
     let in_folder = all.len();
     let files: Vec<PathBuf> = all
@@ -80,21 +110,7 @@ pub fn views_from_folder(
     let instants = numbers
         .filter(distinct)
         .unwrap_or_else(|| (0..files.len() as i64).collect());
-    let done = AtomicU64::new(0);
-    let looked: Result<Vec<Looked>, Error> = files
-        .par_iter()
-        .zip(&instants)
-        .map(|(file, instant)| {
-            let looked = look(*instant, &image::read(file)?, target);
-            progress(Progress {
-                stage: "corners",
-                done: done.fetch_add(1, Ordering::Relaxed) + 1,
-                total: files.len() as u64,
-            })?;
-            Ok(looked)
-        })
-        .collect();
-    gather(name, target, looked?)
+    Ok(instants.into_iter().zip(files).collect())
 }
 
 /// Finds the target in the images of a recording's camera; the synchronized time is the instant.

@@ -1,7 +1,7 @@
 //! Input that cannot give a good answer, found before and after the first guess, and named.
 
 use lsfb_geometry::{ImuNoiseModel, Rig, Se3, Vector3};
-use lsfb_types::{Bounds, ImuSample, OutOfBounds, Timestamp};
+use lsfb_types::{Bounds, Finding, ImuSample, OutOfBounds, Timestamp, Verdict};
 
 use super::state::Sample;
 use super::{CameraImuCalibration, CameraImuConfig, KnownCamera};
@@ -129,7 +129,7 @@ pub(super) fn unit_of_accelerometer(
 
 impl CameraImuCalibration {
     /// Compares the result with the rig it started from: a camera that is found where that has another one is added to the
-    /// warnings.
+    /// findings.
     pub fn compare_with(&mut self, rig: &Rig) {
         for c in &self.cameras {
             let off = |name: &str| {
@@ -148,10 +148,12 @@ impl CameraImuCalibration {
                 && distance < NEARER * own
                 && distance < 1.0
             {
-                self.warnings.push(format!(
-                    "{} is found where the rig has {other}: their images are swapped, or their names",
-                    c.name
-                ));
+                let what = format!(
+                    "found where the rig has {other}: their images are swapped, or their names"
+                );
+                let finding = Finding::new("swapped", Verdict::Warn, &*c.name, what);
+                let remedy = "check which images belong to which camera";
+                self.findings.push(finding.remedy(remedy));
             }
         }
     }
@@ -184,14 +186,15 @@ pub(super) fn agree(first: &str, second: &str, seen: &Se3, from_rig: &Se3) -> Re
     })
 }
 
-/// Where a board that hangs on a wall has its top, in words, if it hangs upside down.
-pub(super) fn upside_down(target: &Target, gravity_in_target: &Vector3<f64>) -> Option<String> {
+/// A board that hangs upside down.
+pub(super) fn upside_down(target: &Target, gravity_in_target: &Vector3<f64>) -> Option<Finding> {
     let up = match target {
         Target::AprilGrid { .. } => Vector3::y(),
         Target::Checkerboard { .. } | Target::Charuco { .. } => -Vector3::y(),
     };
     let share = gravity_in_target.try_normalize(1e-9)?.dot(&up);
     (share > 0.5).then(|| {
-        "the board hangs upside down: this result holds, but where the board is a landmark its top is now its bottom".to_owned()
+        let what = "the board hangs upside down: this result holds, but where the board is a landmark its top is now its bottom";
+        Finding::new("upside-down", Verdict::Warn, "board", what).remedy("turn the board")
     })
 }

@@ -9,6 +9,7 @@ mod checks;
 mod corner_residual;
 mod gyro_alignment;
 mod inertial;
+mod judgement;
 mod page;
 mod problem;
 mod report;
@@ -23,7 +24,7 @@ use lsfb_geometry::{
     Camera, ImuNoiseModel, Matrix3, Matrix6, Se3, StampedPose, Trajectory, UnitQuaternion, Vector2,
     Vector3, spline,
 };
-use lsfb_types::{Bounds, ImuSample, Progress, ProgressFn, Timestamp};
+use lsfb_types::{Bounds, Finding, ImuSample, Progress, ProgressFn, Timestamp};
 use serde::{Deserialize, Serialize};
 
 pub use table::read_imu_table;
@@ -211,8 +212,6 @@ pub struct CameraOnImu {
     pub holdout_rms_px: Option<f64>,
     /// Corners used.
     pub corners: usize,
-    /// Whether the gaps between the board's tags are clearly others than said: nothing here holds then.
-    pub is_another_board: bool,
     /// Corners left out.
     pub outliers: usize,
     /// Share of the image's cells (12 × 8) in which a corner was seen.
@@ -287,8 +286,9 @@ pub struct CameraImuCalibration {
     /// How all of it varies together.
     #[serde(skip)]
     pub covariance: JointCovariance,
-    /// What should be recorded better, in words.
-    pub warnings: Vec<String>,
+    /// What was looked at, and how it came out.
+    #[serde(skip)]
+    pub findings: Vec<Finding>,
 }
 
 /// The motion as control points; times are seconds after `origin`.

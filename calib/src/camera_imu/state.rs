@@ -3,6 +3,7 @@
 use lsfb_geometry::camera::LensModel;
 use lsfb_geometry::rolling_shutter::row_time_s;
 use lsfb_geometry::{Camera, ImuNoiseModel, Se3, Vector2, Vector3};
+use lsfb_types::Finding;
 
 use super::bend::Bend;
 use super::inertial::{AccelAxes, GyroAxes};
@@ -76,5 +77,6 @@ pub(super) struct State {
     pub accel_sigma: f64,
     pub rate_rms: Vector3<f64>,
     pub force_rms: Vector3<f64>,
-    pub warnings: Vec<String>,
+    /// What was found before the first guess.
+    pub findings: Vec<Finding>,
 }

@@ -29,7 +29,7 @@ mod rest;
 mod uncertainty;
 
 use lsfb_geometry::ImuNoiseModel;
-use lsfb_types::{Bounds, ImuSample, Timestamp};
+use lsfb_types::{Bounds, Finding, ImuSample, Timestamp, Verdict};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -102,8 +102,9 @@ pub struct ImuNoise {
     pub accel: Noise,
     /// Their standard deviations.
     pub accel_sigma: Noise,
-    /// What should be recorded better, in words.
-    pub warnings: Vec<String>,
+    /// What was looked at, and how it came out.
+    #[serde(skip)]
+    pub findings: Vec<Finding>,
 }
 
 impl ImuNoise {
@@ -164,9 +165,9 @@ pub fn imu_noise(
             uncertainty::sigma(&noise, &clusters, &recorded(triad.len())),
         )
     });
-    let mut warnings = log.warnings;
+    let mut findings = log.findings;
     for (name, noise) in [("gyroscope", &gyro), ("accelerometer", &accel)] {
-        warnings.extend(too_short(name, noise, log.duration_s));
+        findings.push(random_walk(name, noise, log.duration_s));
     }
     Ok(ImuNoise {
         samples: log.axes[0].len(),
@@ -177,7 +178,7 @@ pub fn imu_noise(
         gyro_sigma,
         accel,
         accel_sigma,
-        warnings,
+        findings,
     })
 }
 
@@ -197,15 +198,21 @@ fn together(axes: &[AxisNoise]) -> Vec<Cluster> {
 }
 
 /// A random walk is seen where it outweighs the other noises: well within the recording.
-fn too_short(name: &str, noise: &Noise, duration_s: f64) -> Option<String> {
+fn random_walk(name: &str, noise: &Noise, duration_s: f64) -> Finding {
     let longest_s = duration_s / 9.0;
     let of_walk = noise.walk * (longest_s / 3.0).sqrt();
-    (of_walk < 0.5 * noise.deviation(longest_s)).then(|| {
+    let is_seen = of_walk >= 0.5 * noise.deviation(longest_s);
+    let minutes = duration_s / 60.0;
+    let what = if is_seen {
+        format!("its random walk is seen within the {minutes:.0} min")
+    } else {
         format!(
-            "the {name}'s random walk hides below its other noises for all of the {:.0} min: its value is an upper bound, record for hours to see it",
-            duration_s / 60.0
+            "its random walk hides below its other noises for all of the {minutes:.0} min: its value is an upper bound"
         )
-    })
+    };
+    Finding::new("random-walk", Verdict::Warn.unless(is_seen), name, what)
+        .value(minutes, "min")
+        .remedy("record for hours to see it")
 }
 
 #[cfg(test)]

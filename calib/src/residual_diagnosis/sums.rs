@@ -2,6 +2,7 @@
 
 use lsfb_geometry::camera::MAX_PARAMETERS;
 use lsfb_geometry::{Camera, Matrix6, Vector2, Vector3, Vector6};
+use lsfb_types::{Finding, Verdict};
 use nalgebra::{DMatrix, DVector, RowSVector, SMatrix, SVector};
 
 use super::{AdjustedCorner, AdjustedView, BoardDeformation, Deformation, from_middle};
@@ -253,7 +254,7 @@ impl Sums {
     }
 
     /// A lens that was given, beside the one that these views have for themselves: one step of its own parameters.
-    pub fn given_lens(&self, camera: &Camera) -> Option<String> {
+    pub fn given_lens(&self, name: &str, camera: &Camera) -> Option<Finding> {
         let lens = camera.lens.parameters();
         let own = self
             .matrix
@@ -274,14 +275,17 @@ impl Sums {
             let clear = |k: usize| step[k].abs() / sigma(k).max(1e-12);
             clear(*a).total_cmp(&clear(*b))
         })?;
-        Some(format!(
-            "the lens that was given does not fit these images: {:.0} % of the squares would be explained by another, with {} = {:.1} ± {:.1} px instead of {:.1}: calibrate the camera again",
+        let value = lens.values[clearest] + step[clearest];
+        let what = format!(
+            "the lens that was given does not fit these images: {:.0} % of the squares would be explained by another, with {} = {value:.1} ± {:.1} px instead of {:.1}",
             100.0 * taken / self.squares,
             camera.lens.model().parameter_names()[clearest],
-            lens.values[clearest] + step[clearest],
             sigma(clearest),
             lens.values[clearest]
-        ))
+        );
+        let finding = Finding::new("given-lens", Verdict::Warn, name, what);
+        let finding = finding.value(value, "px").sigma(sigma(clearest));
+        Some(finding.remedy("calibrate the camera again"))
     }
 
     /// Views that were not taken when their stamps say, if that is what keeps them off the IMU's motion.
@@ -291,7 +295,7 @@ impl Sums {
         (dominant && share > LEAST_OF_TIMES).then(|| Explained {
             share,
             words: format!(
-                "views that were taken {:.1} ms rms off their stamps: these jitter or jump, stamp images when they are taken (`lsfb clock` compares clocks)",
+                "views that were taken {:.1} ms rms off their stamps: these jitter or jump",
                 (self.times[0] / self.times[1].max(1.0)).sqrt() * 1e3
             ),
             is_another_gap: false,

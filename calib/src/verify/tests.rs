@@ -218,11 +218,15 @@ fn a_rig_that_fits_passes_and_what_does_not_is_named() {
 
     let found = run(&rig);
     assert_eq!(found.checks.len(), 7, "{:?}", found.checks);
-    assert!(found.outcome() < Outcome::Fail, "{:?}", found.checks);
+    assert!(
+        found.judgement().verdict() < Verdict::Fail,
+        "{:?}",
+        found.checks
+    );
     for name in ["cam0 time offset", "cam0 rotation to the LiDAR"] {
         assert_eq!(
             outcome(&found, name).outcome,
-            Outcome::Pass,
+            Verdict::Pass,
             "{:?}",
             found.checks
         );
@@ -236,14 +240,14 @@ fn a_rig_that_fits_passes_and_what_does_not_is_named() {
     camera.rig_from_camera =
         camera.rig_from_camera * Se3::exp(&Vector6::new(0.0, 0.035, 0.0, 0.0, 0.0, 0.0));
     let bad = run(&moved);
-    assert_eq!(bad.outcome(), Outcome::Fail);
+    assert_eq!(bad.judgement().verdict(), Verdict::Fail);
     assert_eq!(
         outcome(&bad, "cam0 rotation to the LiDAR").outcome,
-        Outcome::Fail
+        Verdict::Fail
     );
     assert_eq!(
         outcome(&bad, "cam1 rotation to the LiDAR").outcome,
-        Outcome::Pass
+        Verdict::Pass
     );
 
     // Turned about the x axis, a little and a lot: curves move across.
@@ -254,7 +258,7 @@ fn a_rig_that_fits_passes_and_what_does_not_is_named() {
             camera.rig_from_camera * Se3::exp(&Vector6::new(turn_rad, 0.0, 0.0, 0.0, 0.0, 0.0));
         let bad = run(&rolled);
         let check = outcome(&bad, "cam0–cam1 epipolar");
-        assert_eq!(check.outcome, Outcome::Fail, "{check:?}");
+        assert_eq!(check.outcome, Verdict::Fail, "{check:?}");
     }
 
     let mut other = rig;
@@ -284,12 +288,12 @@ fn late_images_are_found() {
         (check.value.expect("an offset") + 12.0).abs() < 4.0,
         "{check:?}"
     );
-    assert_eq!(check.outcome, Outcome::Fail);
+    assert_eq!(check.outcome, Verdict::Fail);
     rig.cameras
         .get_mut("cam0")
         .expect("cam0")
         .timing
         .rig_from_camera_s = -0.012;
     let found = verify(&recording, &rig, &config, &no_progress).expect("verified");
-    assert_eq!(outcome(&found, "cam0 time offset").outcome, Outcome::Pass);
+    assert_eq!(outcome(&found, "cam0 time offset").outcome, Verdict::Pass);
 }

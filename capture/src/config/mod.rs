@@ -352,7 +352,7 @@ lsfb_types::bounds! {
         name: any,
         family: any,
         path: any,
-        baud: number(Bounds::AT_LEAST_ONE),
+        baud: number(Bounds::NOT_NEGATIVE),
         rate_hz: number(Bounds::AT_LEAST_ONE),
     }
 }

@@ -4,6 +4,9 @@ use lsfb_types::Timestamp;
 
 /// Intervals from which a median says what a period is.
 const ENOUGH: usize = 5;
+/// Share of the median by which the lower quartile of the intervals of a regular stream falls short of it. What is lost makes
+/// intervals longer, not shorter.
+const REGULAR_SHARE: f64 = 0.15;
 
 /// How steadily messages came.
 pub(super) struct Rhythm<'a> {
@@ -12,6 +15,8 @@ pub(super) struct Rhythm<'a> {
     pub period_secs: f64,
     /// Median of the intervals, which single silences do not move, seconds.
     pub median_secs: f64,
+    /// Whether the shorter intervals are nearly as long as the median: only then is that the sensor's own period.
+    pub is_regular: bool,
     pub longest_secs: f64,
     /// When the longest silence began.
     pub longest_at: Timestamp,
@@ -43,13 +48,16 @@ impl<'a> Rhythm<'a> {
             times,
             period_secs,
             median_secs: period_secs,
+            is_regular: false,
             longest_secs,
             longest_at,
         };
         let mut intervals: Vec<f64> = rhythm.intervals().collect();
         if intervals.len() >= ENOUGH {
             intervals.sort_by(f64::total_cmp);
-            rhythm.median_secs = intervals[intervals.len() / 2];
+            let at = |quarter: usize| intervals[intervals.len() * quarter / 4];
+            rhythm.median_secs = at(2);
+            rhythm.is_regular = at(2) - at(1) <= REGULAR_SHARE * at(2);
         }
         rhythm
     }

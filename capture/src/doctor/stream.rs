@@ -49,12 +49,15 @@ impl<'a> Stream<'a> {
                 continue;
             };
             let first_message = recording.messages(&topic.topic)?.next();
-            let stamps = first_message
-                .and_then(Result::ok)
-                .zip(recording.last_message(&topic.topic)?);
-            // What cannot be read is judged by its arrivals.
-            let [first_stamp, last_stamp] =
-                stamps.map_or([*first, *last], |(first, last)| [first.time, last.time]);
+            // What cannot be read is judged by its arrivals; its end is not looked for in a whole file of the same.
+            let stamps = match first_message {
+                Some(Ok(first)) => {
+                    let last = recording.last_message(&topic.topic)?;
+                    last.map(|last| [first.time, last.time])
+                }
+                _ => None,
+            };
+            let [first_stamp, last_stamp] = stamps.unwrap_or([*first, *last]);
             streams.push(Self {
                 topic: &topic.topic,
                 arrivals: &topic.times,

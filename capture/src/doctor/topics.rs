@@ -93,7 +93,9 @@ impl Findings {
                 .limit(limit)
         };
         let [least, most] = possible_hz(stream.topic).unwrap_or([0.0, f64::INFINITY]);
-        let own_hz = rhythm.map(|rhythm| 1.0 / rhythm.median_secs);
+        // What arrives in bursts shows no period of its own.
+        let regular = rhythm.filter(|rhythm| rhythm.is_regular);
+        let own_hz = regular.map(|rhythm| 1.0 / rhythm.median_secs);
         let own_least = own_hz.map(|hz| config.warn_rate_share * hz);
         let said = format!("{count} messages, {rate_hz:.1} Hz");
         self.add(if !(rate_hz <= most) {

@@ -58,7 +58,7 @@ fn one_phones_bad_message_costs_that_phone_only() {
         mock::send_note(&mut visor, 0);
 
         // Somebody else's topic, with its schema and with another; a topic of the recorder's own; no sidecar topic.
-        let mut rude = client(address, "rude");
+        // A number of a channel means one thing per connection, so each comes with its own.
         for (topic, name, schema) in [
             (TOPIC, "std_msgs/msg/UInt32", "uint32 data"),
             (TOPIC, "std_msgs/msg/String", "string data"),
@@ -69,18 +69,22 @@ fn one_phones_bad_message_costs_that_phone_only() {
             ),
             ("/lidar/points", "std_msgs/msg/UInt32", "uint32 data"),
         ] {
+            let mut rude = client(address, "rude");
             rude.advertise(&advertise(topic, name, schema)).unwrap();
             mock::send_note(&mut rude, 99);
+            rude.bye().unwrap();
         }
-        rude.bye().unwrap();
         mock::send_note(&mut visor, 1);
         visor.bye().unwrap();
 
         // Everybody has gone. The same topic is free again, but not for another schema.
-        let mut heir = client(address, "heir");
-        heir.advertise(&advertise(TOPIC, "std_msgs/msg/String", "string data"))
+        let mut stranger = client(address, "stranger");
+        stranger
+            .advertise(&advertise(TOPIC, "std_msgs/msg/String", "string data"))
             .unwrap();
-        mock::send_note(&mut heir, 98);
+        mock::send_note(&mut stranger, 98);
+        stranger.bye().unwrap();
+        let mut heir = client(address, "heir");
         heir.advertise(&advertise(TOPIC, "std_msgs/msg/UInt32", "uint32 data"))
             .unwrap();
         mock::send_note(&mut heir, 2);

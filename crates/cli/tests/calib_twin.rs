@@ -86,7 +86,7 @@ fn the_board_of_the_twin_places_the_lidar_and_the_rig_is_verified() {
         let checked = json(
             folder.path(),
             &["calib", "verify", "scan.mcap", "--rig", "wrong.toml"],
-            1,
+            4,
         );
         for name in ["cam0 time offset", "cam0 rotation to the IMU"] {
             assert_eq!(outcome(&checked, name), "FAIL", "{checked}");

@@ -76,15 +76,15 @@ fn a_board_that_is_not_what_was_said_gives_a_page_and_no_rig() {
     let output = lsfb(path, &CAMERA);
     let errors = String::from_utf8_lossy(&output.stderr);
     let text = String::from_utf8_lossy(&output.stdout);
-    assert_eq!(output.status.code(), Some(1), "{text} {errors}");
+    assert_eq!(output.status.code(), Some(4), "{text} {errors}");
     assert!(
         errors.contains("error: rig.toml is not written"),
         "{errors}"
     );
-    assert!(text.contains("FAIL."));
+    assert!(text.contains("FAIL: "));
     assert!(!path.join("rig.toml").exists());
     let page = std::fs::read_to_string(path.join("rig.html")).expect("page");
-    assert!(page.contains("FAIL.") && page.contains("corners miss by"));
+    assert!(page.contains("FAIL: ") && page.contains("corners miss by"));
 
     let mut other = CAMERA;
     other[3] = "8,6,0.03";
@@ -325,7 +325,7 @@ fn camera_then_camera_imu_then_joint() {
     let files = ["--rig", "lens.toml", "--imu", &imu, "--out", "wrong.toml"];
     let output = lsfb(path, &[&wrong[..], &files, &both].concat());
     let text = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert_eq!(output.status.code(), Some(4), "{text}");
     assert!(
         text.contains("gaps of 0.") || text.contains("geometry is wrong"),
         "{text}"

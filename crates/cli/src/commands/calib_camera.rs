@@ -4,14 +4,14 @@ use std::path::{Path, PathBuf};
 
 use lsfb_calib::camera::{CameraConfig, CameraViews, calibrate_cameras};
 use lsfb_calib::exchange::{ChainOrigin, camera_chain};
-use lsfb_calib::verify::Outcome as Judgement;
 use lsfb_geometry::Rig;
 use lsfb_geometry::camera::LensModel;
 use lsfb_recording::Provenance;
+use lsfb_types::Verdict;
 
 use super::calib_board::BoardArguments;
 use super::calib_input::{Source, add_input, calibrated_unix_s, name_of_camera, views_of};
-use super::calib_result::{Judged, set_aside, write_transforms};
+use super::calib_result::{Calibrated, set_aside, write_transforms};
 use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;
@@ -19,7 +19,7 @@ use crate::outcome::Outcome;
 /// Calibrate camera lenses and the cameras' poses relative to each other, from views of a board.
 ///
 /// Images in folders belong together where the last numbers in their names are the same. Where corners miss by more than any
-/// detector does, the page says why, no rig is written and the exit code is 1.
+/// detector does, the page says why, no rig is written and the exit code is 4.
 ///
 /// Examples:
 ///   lsfb calib camera --checkerboard 9,6,0.025 --model pinhole-radtan --camera left=images/left* --camera right=images/right* --out rig.toml
@@ -117,7 +117,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let page = arguments.out.with_extension("html");
     write(&page, calibration.to_html("Camera calibration"))?;
     let mut transforms = Vec::new();
-    if calibration.outcome() != Judgement::Fail {
+    let judgement = calibration.judgement();
+    if judgement.verdict() != Verdict::Fail {
         write(&arguments.out, rig.to_toml())?;
         transforms = write_transforms(&arguments.out, &calibration.edges())?;
         if let Some(path) = &arguments.out_kalibr {
@@ -126,15 +127,16 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         }
         provenance.write(&arguments.out)?;
     }
-    let result = Judged {
-        outcome: calibration.outcome(),
-        verdict: calibration.verdict(),
+    let result = Calibrated {
+        judgement: &judgement,
+        summary: calibration.summary(),
+        out: &arguments.out,
         page: &page,
         transforms: &transforms,
         calibration: &calibration,
     };
-    context.print(&result, || {
-        let mut text = result.headline(&arguments.out);
+    result.print(context, || {
+        let mut text = String::new();
         for c in &calibration.cameras {
             text += &format!(
                 "\n  {}: {:.3} px rms over {} corners in {} of {} images, {} outliers",
@@ -150,12 +152,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
                     c.board.bend_sigma_m * 1e3
                 );
             }
-            for warning in &c.warnings {
-                text += &format!("\n    {warning}");
-            }
         }
         text
-    })?;
-    result.ensure_usable(&arguments.out)?;
-    Ok(Outcome::Done)
+    })
 }

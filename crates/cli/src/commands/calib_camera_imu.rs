@@ -8,13 +8,13 @@ use lsfb_calib::camera_imu::{
 };
 use lsfb_calib::exchange::{ChainOrigin, camera_chain};
 use lsfb_calib::joint::IMU;
-use lsfb_calib::verify::Outcome as Judgement;
 use lsfb_geometry::{Rig, Se3};
 use lsfb_recording::{Provenance, write_tum};
+use lsfb_types::Verdict;
 
 use super::calib_board::BoardArguments;
 use super::calib_input::{Source, add_input, calibrated_unix_s, imu_of, name_of_camera, views_of};
-use super::calib_result::{Judged, set_aside, write_transforms};
+use super::calib_result::{Calibrated, set_aside, write_transforms};
 use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;
@@ -23,7 +23,7 @@ use crate::outcome::Outcome;
 ///
 /// The rig has the lenses, the cameras' poses relative to each other (lsfb calib camera) and the noise of the IMU. Images in
 /// folders are named by their stamps in nanoseconds. Where corners miss by more than any detector does, the page says why, no rig
-/// is written and the exit code is 1.
+/// is written and the exit code is 4.
 ///
 /// Examples:
 ///   lsfb calib camera-imu --target grid.yaml --rig rig.toml --recording scan.mcap --camera cam0 --camera cam1 --out rig2.toml
@@ -122,7 +122,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let page = arguments.out.with_extension("html");
     write(&page, calibration.to_html("Camera–IMU calibration"))?;
     let mut transforms = Vec::new();
-    if calibration.outcome() != Judgement::Fail {
+    let judgement = calibration.judgement();
+    if judgement.verdict() != Verdict::Fail {
         write(&arguments.out, rig.to_toml())?;
         transforms = write_transforms(&arguments.out, &calibration.edges())?;
         if let Some(path) = &arguments.out_kalibr {
@@ -134,18 +135,15 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         }
         provenance.write(&arguments.out)?;
     }
-    let result = Judged {
-        outcome: calibration.outcome(),
-        verdict: calibration.verdict(),
+    let result = Calibrated {
+        judgement: &judgement,
+        summary: calibration.summary(),
+        out: &arguments.out,
         page: &page,
         transforms: &transforms,
         calibration: &calibration,
     };
-    context.print(&result, || {
-        result.headline(&arguments.out) + &summary(&calibration)
-    })?;
-    result.ensure_usable(&arguments.out)?;
-    Ok(Outcome::Done)
+    result.print(context, || summary(&calibration))
 }
 
 /// Time between poses of the trajectory, seconds.
@@ -180,9 +178,6 @@ fn summary(calibration: &CameraImuCalibration) -> String {
             calibration.board_excess * 100.0,
             calibration.board_excess_sigma * 100.0
         );
-    }
-    for warning in &calibration.warnings {
-        text += &format!("\n  {warning}");
     }
     text
 }

@@ -1,6 +1,6 @@
 //! `lsfb calib imu-noise`: a recording at rest → noise of the IMU.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use lsfb_calib::exchange::imu_to_kalibr;
 use lsfb_calib::imu_noise::{ImuNoise, ImuNoiseConfig, imu_noise};
@@ -11,6 +11,7 @@ use super::calib_input::{Source, add_input, imu_of};
 use super::calib_result::set_aside;
 use super::write;
 use crate::context::Context;
+use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
 
 /// Measure the IMU's noise (Allan variance) from a recording at rest; two hours show all of it.
@@ -77,12 +78,18 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         write(path, rig.to_toml())?;
     }
     provenance.write(&arguments.out)?;
-    context.print(&found, || summary(&found, &arguments.out))?;
-    Ok(Outcome::Done)
+    let judgement = found.judgement();
+    let judged = Judged::new(&judgement, &found.summary(), &found);
+    context.print(&judged, || {
+        let mut text = format!("{}: {}", arguments.out.display(), judged.summary);
+        text += &format!("{}\n{}", table(&found), judged::problem_lines(&judgement));
+        judged::printable(text.trim_end())
+    })?;
+    Ok(Outcome::of(judgement.verdict()))
 }
 
-fn summary(found: &ImuNoise, out: &Path) -> String {
-    let mut text = format!("{}: {}", out.display(), found.verdict());
+fn table(found: &ImuNoise) -> String {
+    let mut text = String::new();
     let axes = found
         .axes
         .iter()
@@ -101,9 +108,6 @@ fn summary(found: &ImuNoise, out: &Path) -> String {
             noise.walk,
             sigma.walk
         );
-    }
-    for warning in &found.warnings {
-        text += &format!("\n  {warning}");
     }
     text
 }

@@ -4,11 +4,13 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use lsfb_calib::Target;
-use lsfb_calib::camera::{CameraViews, views_from_bag, views_from_folder, views_from_recording};
+use lsfb_calib::camera::{
+    CameraViews, image_from_folder, views_from_bag, views_from_folder, views_from_recording,
+};
 use lsfb_calib::camera_imu::read_imu_table;
 use lsfb_calib::rosbag::RosBag;
 use lsfb_recording::{Provenance, Recording};
-use lsfb_types::{ImuSample, Timestamp};
+use lsfb_types::{Image, ImuSample, Timestamp};
 
 use crate::context::Context;
 
@@ -73,6 +75,45 @@ pub fn views_of(
     })
 }
 
+/// The image that a camera took at an instant of [`views_of`]; `None` where there is none.
+pub fn image_at(
+    camera: &str,
+    source: Option<&Source>,
+    instant: i64,
+) -> anyhow::Result<Option<Image>> {
+    match (camera.split_once('='), source) {
+        (Some((_, topic)), Some(Source::Bag(bag))) if topic_of(camera).is_some() => {
+            image_in_bag(bag, topic, instant)
+        }
+        (Some((_, place)), _) => {
+            let (folder, prefix) = folder_and_prefix(place);
+            Ok(image_from_folder(folder, prefix, instant)?)
+        }
+        (None, Some(Source::Recording(recording))) => {
+            for image in recording.images(camera)? {
+                let image = image?;
+                if image.time.nanos() == instant {
+                    return Ok(Some(image.sample));
+                }
+            }
+            Ok(None)
+        }
+        (None, Some(Source::Bag(bag))) => image_in_bag(bag, camera, instant),
+        (None, None) => Ok(None),
+    }
+}
+
+fn image_in_bag(bag: &RosBag, topic: &str, instant: i64) -> anyhow::Result<Option<Image>> {
+    let mut found = None;
+    bag.images(topic, &mut |stamp, image| {
+        if stamp == instant {
+            found = Some(image);
+        }
+        Ok(())
+    })?;
+    Ok(found)
+}
+
 /// Names a file, or all files of a bag's folder, in the provenance of a result.
 pub fn add_input(provenance: &mut Provenance, path: &Path) -> anyhow::Result<()> {
     if !path.is_dir() {
@@ -129,7 +170,7 @@ pub fn calibrated_unix_s(
 }
 
 /// `FOLDER` or `FOLDER/PREFIX*`.
-fn folder_and_prefix(place: &str) -> (&Path, &str) {
+pub fn folder_and_prefix(place: &str) -> (&Path, &str) {
     let Some(pattern) = place.strip_suffix('*') else {
         return (Path::new(place), "");
     };

@@ -6,8 +6,9 @@ use lsfb_calib::TransformEdge;
 use lsfb_calib::joint::{IMU, JointConfig, Weights, join_transforms};
 use lsfb_geometry::{Rig, RigLidar};
 use lsfb_recording::Provenance;
+use lsfb_types::Verdict;
 
-use super::calib_result::{Judged, set_aside};
+use super::calib_result::{Calibrated, set_aside};
 use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;
@@ -15,7 +16,8 @@ use crate::outcome::Outcome;
 /// Join pairwise transforms between sensors into one rig (Eq. 3), and check every loop.
 ///
 /// The poses of cameras on the rig are the transforms to the IMU; those named with --transform join them, and take the place
-/// of the rig's between the same sensors. Exit code 1 where a transform contradicts the others.
+/// of the rig's between the same sensors. Where a transform contradicts the others, the page says so, no rig is written and the
+/// exit code is 4.
 ///
 /// Examples:
 ///   lsfb calib joint --rig rig.toml --transform rig.cam0-lidar.json --transform rig.cam1-lidar.json --out joined.toml
@@ -83,23 +85,22 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     }
     found.put_into(&mut rig);
     let page = arguments.out.with_extension("html");
-    write(&arguments.out, rig.to_toml())?;
     write(&page, found.to_html("Joint calibration"))?;
-    provenance.write(&arguments.out)?;
-    let result = Judged {
-        outcome: found.outcome(),
-        verdict: found.verdict(),
+    let judgement = found.judgement();
+    if judgement.verdict() != Verdict::Fail {
+        write(&arguments.out, rig.to_toml())?;
+        provenance.write(&arguments.out)?;
+    }
+    let result = Calibrated {
+        judgement: &judgement,
+        summary: found.summary(),
+        out: &arguments.out,
         page: &page,
         transforms: &[],
         calibration: &found,
     };
-    context.print(&result, || {
-        let mut text = format!(
-            "{}: {} See {}.\n  transform            loop rotation  translation    χ² (6)",
-            arguments.out.display(),
-            found.verdict(),
-            page.display()
-        );
+    result.print(context, || {
+        let mut text = "\n  transform            loop rotation  translation    χ² (6)".to_owned();
         for e in &found.edges {
             let name = format!("{}–{}", e.target, e.source);
             text += &match (e.loop_rotation_rad, e.loop_translation_m, e.chi_square) {
@@ -112,15 +113,6 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
                 _ => format!("\n  {name:20} not checked by any loop"),
             };
         }
-        for warning in &found.warnings {
-            text += &format!("\n  {warning}");
-        }
         text
-    })?;
-    anyhow::ensure!(
-        !found.has_outlier(),
-        "{}: a transform contradicts the others: see the table above; the rig is written but should not be used",
-        arguments.out.display()
-    );
-    Ok(Outcome::Done)
+    })
 }

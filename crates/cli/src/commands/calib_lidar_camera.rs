@@ -3,18 +3,21 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use lsfb_calib::Angles;
 use lsfb_calib::joint::LIDAR;
 use lsfb_calib::lidar_camera::{
-    LidarCameraConfig, MountedBoard, RecordingConfig, calibrate_lidar_camera, poses_from_folder,
-    poses_from_recording,
+    BoardPose, LidarCameraConfig, MountedBoard, RecordingConfig, calibrate_lidar_camera,
+    poses_from_folder, poses_from_recording,
 };
-use lsfb_calib::verify::Outcome as Judgement;
 use lsfb_geometry::{Rig, RigLidar};
 use lsfb_recording::Provenance;
+use lsfb_types::{Image, Verdict};
 
 use super::calib_board::{BoardArguments, two_lengths};
-use super::calib_input::{Source, add_input, calibrated_unix_s, name_of_camera, views_of};
-use super::calib_result::{Judged, set_aside, write_transforms};
+use super::calib_input::{
+    Source, add_input, calibrated_unix_s, image_at, name_of_camera, views_of,
+};
+use super::calib_result::{Calibrated, picture_path, set_aside, write_transforms};
 use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;
@@ -139,37 +142,52 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let stamps_ns = views.views.keys().next_back().copied().into_iter();
     rig.calibrated_unix_s = calibrated_unix_s(recording.as_ref(), stamps_ns)?;
     let page = arguments.out.with_extension("html");
-    write(&page, found.to_html("LiDAR–camera calibration"))?;
+    let picture = picture_path(&arguments.out);
+    let overlay = match found.pictured_pose(&poses) {
+        Some(pose) => image_of(&arguments.camera, recording.as_ref(), pose)?
+            .map(|image| found.overlay(&camera, pose, &image))
+            .transpose()?,
+        None => None,
+    };
+    if let Some(overlay) = &overlay {
+        write(&picture, &overlay.png)?;
+    }
+    let beside = overlay.map(|_| super::name_of(&picture));
+    write(
+        &page,
+        found.to_html("LiDAR–camera calibration", beside.as_deref()),
+    )?;
     let mut transforms = Vec::new();
-    if found.outcome() != Judgement::Fail {
+    let judgement = found.judgement();
+    if judgement.verdict() != Verdict::Fail {
         write(&arguments.out, rig.to_toml())?;
         transforms = write_transforms(&arguments.out, &[found.edge()])?;
         provenance.write(&arguments.out)?;
     }
-    let result = Judged {
-        outcome: found.outcome(),
-        verdict: found.verdict(),
+    let result = Calibrated {
+        judgement: &judgement,
+        summary: found.summary(),
+        out: &arguments.out,
         page: &page,
         transforms: &transforms,
         calibration: &found,
     };
-    context.print(&result, || {
-        let mut text = result.headline(&arguments.out);
+    result.print(context, || {
+        let mut text = String::new();
         let t = &found.camera_from_lidar;
-        let (roll, pitch, yaw) = t.rotation.euler_angles();
-        for (k, (axis, value)) in [("roll", roll), ("pitch", pitch), ("yaw", yaw)]
-            .iter()
-            .enumerate()
-        {
+        let angles = Angles::of(t);
+        for (k, (axis, value)) in angles.names.iter().zip(angles.degrees).enumerate() {
             text += &format!(
-                "\n  {axis:5} {:9.3} ± {:.3} °",
-                value.to_degrees(),
+                "\n  {axis:10} {value:9.3} ± {:.3} °",
                 found.sigma[k].to_degrees()
             );
         }
+        if let Some(remark) = angles.remark {
+            text += &format!("\n  ({remark})");
+        }
         for (k, axis) in ["x", "y", "z"].iter().enumerate() {
             text += &format!(
-                "\n  {axis:5} {:9.1} ± {:.1} mm",
+                "\n  {axis:10} {:9.1} ± {:.1} mm",
                 t.translation[k] * 1e3,
                 found.sigma[3 + k] * 1e3
             );
@@ -179,13 +197,20 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
                 text += &format!("\n  {} left out: {why}", pose.name);
             }
         }
-        for warning in &found.warnings {
-            text += &format!("\n  {warning}");
-        }
         text
-    })?;
-    result.ensure_usable(&arguments.out)?;
-    Ok(Outcome::Done)
+    })
+}
+
+/// The image of a pose, from where its corners came.
+fn image_of(
+    camera: &str,
+    source: Option<&Source>,
+    pose: &BoardPose,
+) -> anyhow::Result<Option<Image>> {
+    match pose.middle_sight() {
+        Some(sight) => image_at(camera, source, sight.instant),
+        None => Ok(None),
+    }
 }
 
 /// `FOLDER` or `FOLDER/PREFIX*SUFFIX`.
