@@ -4,6 +4,7 @@
 
 use lsfb_geometry::Vector6;
 use lsfb_rigs::board::{BOARD, Session, calibrate, error};
+use lsfb_types::Finding;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -56,7 +57,11 @@ fn seeds_against_truth(seeds: u64, session: &Session) -> Result<(), Failure> {
                 sigma: found.sigma,
                 nees: (error.transpose() * inverse * error)[0],
                 lost: lost.collect(),
-                warnings: found.warnings,
+                warnings: found
+                    .judgement()
+                    .problems()
+                    .map(Finding::sentence)
+                    .collect(),
             })
         })
         .collect();

@@ -74,7 +74,7 @@ fn disturbed(truth: &Rig, seed: u64, share: f64) -> Result<Rig, Failure> {
     let (turn, shift) = (direction() * OFF[0] * share, direction() * OFF[1] * share);
     let wrong = Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z);
     let mut rig = truth.clone();
-    let lidar = rig.lidar.as_mut().ok_or("no LiDAR")?;
+    let lidar = rig.lidar_mut().ok_or("no LiDAR")?;
     lidar.rig_from_lidar = lidar.rig_from_lidar * Se3::exp(&wrong);
     Ok(rig)
 }
@@ -106,7 +106,7 @@ impl Left {
             .iter()
             .filter(|c| c.change.is_none())
             .count();
-        let lidar = rig.lidar.as_ref().ok_or("no LiDAR")?.rig_from_lidar;
+        let lidar = rig.lidar().ok_or("no LiDAR")?.rig_from_lidar;
         let truth = rig.cameras[&found.camera].rig_from_camera.inverse() * lidar;
         // In the camera's axes.
         let off = edge.target_from_source.inverse().local(&truth.inverse());

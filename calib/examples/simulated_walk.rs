@@ -4,12 +4,12 @@
 
 use std::ops::RangeInclusive;
 
-use lsfb_calib::verify::{Check, Outcome, VerifyConfig, verify};
+use lsfb_calib::verify::{Check, VerifyConfig, verify};
 use lsfb_geometry::{Rig, Se3, Vector3, Vector6};
 use lsfb_recording::Recording;
 use lsfb_rigs::walk::Walk;
 use lsfb_sim::SimConfig;
-use lsfb_types::no_progress;
+use lsfb_types::{Verdict, no_progress};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -147,9 +147,9 @@ impl Said {
             Wrong::Nothing => {
                 self.right[kind][0] += 1;
                 let place = match outcome {
-                    Outcome::Pass => None,
-                    Outcome::Warn => Some(1),
-                    Outcome::Fail => Some(2),
+                    Verdict::Pass => None,
+                    Verdict::Warn => Some(1),
+                    Verdict::Fail => Some(2),
                     _ => Some(3),
                 };
                 if let Some(place) = place {
@@ -164,14 +164,14 @@ impl Said {
                 // What must be added to the camera's times beyond what the rig says.
                 let off_ms = check.value.unwrap_or(f64::NAN) + size;
                 self.inserted_ms += 1;
-                let found = outcome == Outcome::Fail && off_ms.abs() < 1.0;
+                let found = outcome == Verdict::Fail && off_ms.abs() < 1.0;
                 self.failed_ms += usize::from(found);
             }
             Wrong::Clocks => {}
             Wrong::Mounts => {
                 self.turned[kind][0] += 1;
-                self.turned[kind][1] += usize::from(outcome >= Outcome::Warn);
-                self.turned[kind][2] += usize::from(outcome == Outcome::Fail);
+                self.turned[kind][1] += usize::from(outcome >= Verdict::Warn);
+                self.turned[kind][2] += usize::from(outcome == Verdict::Fail);
             }
         }
     }

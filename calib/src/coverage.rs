@@ -85,3 +85,27 @@ pub(crate) fn empty_parts(cells: &[u32]) -> String {
         parts.join(", ")
     }
 }
+
+/// Corners of the image, two cells wide and high, in which there is nothing.
+pub(crate) fn empty_corners(cells: &[u32]) -> Vec<&'static str> {
+    const SIDE: usize = 2;
+    let [columns, rows] = COVERAGE_CELLS;
+    let corners = [
+        ("the upper left corner", 0, 0),
+        ("the upper right corner", 0, columns - SIDE),
+        ("the lower left corner", rows - SIDE, 0),
+        ("the lower right corner", rows - SIDE, columns - SIDE),
+    ];
+    let is_empty = |top: usize, left: usize| {
+        let inside = |k: &usize| {
+            let (row, column) = (k / columns, k % columns);
+            (top..top + SIDE).contains(&row) && (left..left + SIDE).contains(&column)
+        };
+        let mut own = (0..cells.len()).filter(inside);
+        own.all(|k| cells.get(k) == Some(&0))
+    };
+    let empty = corners
+        .into_iter()
+        .filter(|(_, top, left)| is_empty(*top, *left));
+    empty.map(|(name, _, _)| name).collect()
+}

@@ -57,7 +57,8 @@ pub enum Error {
     },
     /// The views do not fit the model.
     #[error(
-        "camera {camera}: corners miss the model by {rms_px:.1} px: the target's geometry is wrong ({target}), the board is upside down or bent, or the lens is not {model}"
+        "camera {camera}: {}: the target's geometry is wrong ({target}), the board is upside down or bent, or the lens is not {model}",
+        missed(*rms_px)
     )]
     DoesNotFit {
         /// The camera.
@@ -78,6 +79,24 @@ pub enum Error {
         parameters: String,
         /// What to record.
         advice: &'static str,
+    },
+    /// Two cameras were given the same images.
+    #[error(
+        "{first} and {second} show the same images: one folder or topic was named for both of them"
+    )]
+    SameImages {
+        /// A camera.
+        first: String,
+        /// The other.
+        second: String,
+    },
+    /// Numbers that are right in other units only.
+    #[error("{what}: {problem}")]
+    Unit {
+        /// Whose numbers they are.
+        what: String,
+        /// What they look like, and what is needed.
+        problem: String,
     },
     /// Cameras or sensors do not share enough.
     #[error("{first} and {second}: {problem}")]
@@ -154,4 +173,13 @@ pub enum Error {
     /// The progress callback asked for an early end.
     #[error("{0}")]
     Stopped(#[from] lsfb_types::Stopped),
+}
+
+/// By how much corners are missed, in words: an error is infinite where a lens does not see them at all.
+pub(crate) fn missed(rms_px: f64) -> String {
+    if rms_px.is_finite() {
+        format!("corners are missed by {rms_px:.1} px")
+    } else {
+        "most corners lie where the lens sees nothing".to_owned()
+    }
 }

@@ -11,10 +11,11 @@
 //! let board = Target::Checkerboard { columns: 9, rows: 6, square_m: 0.025 };
 //! let views = views_from_folder("cam0", "images".as_ref(), "", &board, &no_progress)?;
 //! let calibration = calibrate_cameras(&board, &[views], &CameraConfig::default(), &no_progress)?;
-//! println!("{}", calibration.verdict());
+//! println!("{}", calibration.judgement().headline(&calibration.summary()));
 //! # Ok::<(), lsfb_calib::Error>(())
 //! ```
 
+mod angles;
 pub mod board;
 pub mod camera;
 pub mod camera_imu;
@@ -23,6 +24,7 @@ mod coverage;
 pub mod detect;
 mod error;
 pub mod exchange;
+mod findings;
 pub mod imu_noise;
 pub mod joint;
 pub mod lidar_camera;
@@ -31,12 +33,14 @@ mod plots;
 mod projection;
 mod recorded;
 pub mod refine;
-mod report;
 mod residual_diagnosis;
+pub mod rosbag;
+mod stamps;
 mod statistics;
 mod transform;
 pub mod verify;
 
+pub use angles::Angles;
 pub use board::Target;
 pub use error::Error;
 pub use overlay::Overlay;

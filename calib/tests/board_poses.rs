@@ -4,6 +4,7 @@ use lsfb_calib::Target;
 use lsfb_calib::lidar_camera::{BoardPose, LidarCameraCalibration, MountedBoard};
 use lsfb_geometry::{CameraTiming, Rig, RigCamera, RigLidar, Se3, Vector6};
 use lsfb_rigs::board::{BOARD, Session, calibrate, camera, error, truth};
+use lsfb_types::{Finding, Verdict};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -26,7 +27,7 @@ fn sizes(found: &LidarCameraCalibration) -> [f64; 2] {
 
 fn refusal(board: &MountedBoard, poses: &[BoardPose]) -> String {
     match calibrate(board, poses) {
-        Ok(found) => format!("no error but: {}", found.verdict()),
+        Ok(found) => format!("no error but: {:?}", found.findings),
         Err(error) => error.to_string(),
     }
 }
@@ -37,10 +38,16 @@ fn left_out(found: &LidarCameraCalibration) -> Vec<&str> {
 }
 
 /// The one warning of a session.
-fn warning(found: &LidarCameraCalibration) -> &str {
-    assert!(found.verdict().starts_with("WARN"), "{}", found.verdict());
-    assert_eq!(found.warnings.len(), 1, "{:?}", found.warnings);
-    &found.warnings[0]
+fn warning(found: &LidarCameraCalibration) -> String {
+    let judgement = found.judgement();
+    assert_eq!(judgement.verdict(), Verdict::Warn, "{judgement:?}");
+    let problems: Vec<&Finding> = judgement.problems().collect();
+    assert_eq!(problems.len(), 1, "{problems:?}");
+    problems[0].sentence()
+}
+
+fn passes(found: &LidarCameraCalibration) -> bool {
+    found.judgement().verdict() == Verdict::Pass
 }
 
 #[test]
@@ -61,7 +68,7 @@ fn transforms_are_found_from_every_pose() {
         let held_back_m = found.holdout_center_rms_m.expect("many poses");
         assert!(held_back_m < 0.009, "{held_back_m}");
         assert!(left_out(&found).is_empty(), "{seed}: {:?}", found.poses);
-        assert!(found.verdict().starts_with("PASS"), "{:?}", found.warnings);
+        assert!(passes(&found), "{:?}", found.findings);
     }
 }
 
@@ -78,7 +85,7 @@ fn a_board_that_moves_is_followed() {
         turn_deg < 0.1 && shift_mm < 5.0,
         "{turn_deg}° {shift_mm} mm"
     );
-    assert!(found.verdict().starts_with("PASS"), "{:?}", found.warnings);
+    assert!(passes(&found), "{:?}", found.findings);
     let (late, sigma) = (found.lidar_late_s, found.lidar_late_sigma_s);
     let (late, sigma) = (late.expect("it moved"), sigma.expect("it moved"));
     assert!(
@@ -97,12 +104,12 @@ fn clocks_that_differ_are_named() {
             ..Session::default()
         };
         let found = calibrate(&BOARD, &late.simulate(3)).expect("calibrated");
-        let named = found.warnings.iter().find(|w| w.starts_with("clocks: "));
+        let named = found.findings.iter().find(|f| f.code == "clocks");
         let word = if late_s > 0.0 { "later" } else { "earlier" };
         assert!(
-            named.is_some_and(|w| w.contains(word)),
+            named.is_some_and(|f| f.what.contains(word)),
             "{:?}",
-            found.warnings
+            found.findings
         );
         let off = found.lidar_late_s.expect("it moved") - late_s;
         assert!(off.abs() < 0.3 * late_s.abs(), "{off}");
@@ -225,7 +232,7 @@ fn a_board_upside_down_changes_nothing_and_a_pattern_upside_down_is_named() {
         ..Session::default()
     };
     let found = calibrate(&BOARD, &turned.simulate(5)).expect("calibrated");
-    assert!(found.verdict().starts_with("PASS"), "{:?}", found.warnings);
+    assert!(passes(&found), "{:?}", found.findings);
     let [turn_deg, shift_mm] = sizes(&found);
     assert!(
         turn_deg < 0.1 && shift_mm < 5.0,
@@ -245,12 +252,18 @@ fn a_board_upside_down_changes_nothing_and_a_pattern_upside_down_is_named() {
         ..turned
     };
     let found = calibrate(&said, &actual.simulate(5)).expect("calibrated");
-    let named = found.warnings.iter().find(|w| w.contains("upside down"));
-    assert!(named.is_some(), "{:?}", found.warnings);
+    let named = found
+        .findings
+        .iter()
+        .find(|f| f.what.contains("upside down"));
+    assert!(named.is_some(), "{:?}", found.findings);
 
     let found = calibrate(&BOARD, &actual.simulate(5)).expect("calibrated");
-    let named = found.warnings.iter().find(|w| w.contains("plate's middle"));
-    assert!(named.is_some(), "{:?}", found.warnings);
+    let named = found
+        .findings
+        .iter()
+        .find(|f| f.what.contains("plate's middle"));
+    assert!(named.is_some(), "{:?}", found.findings);
 }
 
 #[test]
@@ -303,25 +316,27 @@ fn cameras_that_were_swapped_are_named() {
             ("cam1".to_owned(), mounted(cam1)),
         ]
         .into(),
-        imu: None,
-        lidar: Some(RigLidar {
+        imus: Default::default(),
+        lidars: RigLidar {
             rig_from_lidar: Se3::identity(),
             range_noise_m: 0.03,
-        }),
+        }
+        .alone(),
     };
+    let before = found.findings.clone();
     found.compare_with(&rig(here, left));
-    assert!(found.warnings.is_empty(), "{:?}", found.warnings);
+    assert_eq!(found.findings, before);
     found.compare_with(&rig(left, here));
     let text = warning(&found);
     assert!(
-        text.contains("cam0 is found where the rig has cam1"),
+        text.contains("cam0: found where the rig has cam1"),
         "{text}"
     );
-    found.warnings.clear();
+    found.findings = before;
     found.compare_with(&rig(left, left));
     assert!(
         warning(&found).contains("away from what was found"),
         "{:?}",
-        found.warnings
+        found.findings
     );
 }

@@ -5,11 +5,10 @@ use lsfb_calib::camera_imu::{
     calibrate_camera_imu,
 };
 use lsfb_calib::joint::{JointConfig, join_transforms};
-use lsfb_calib::verify::Outcome;
 use lsfb_calib::{Target, TransformEdge};
 use lsfb_geometry::{Matrix6, Se3, Vector6};
 use lsfb_rigs::rig::{GRID, Setup, Simulated, noise, simulate};
-use lsfb_types::{ImuSample, Timestamp, no_progress};
+use lsfb_types::{Finding, ImuSample, Timestamp, Verdict, no_progress};
 
 fn run(
     known: &[KnownCamera],
@@ -38,7 +37,12 @@ fn three_seeds_are_found_again() {
             ..CameraImuConfig::default()
         };
         let found = calibrate(&simulated, &config);
-        assert!(found.warnings.is_empty(), "{:?}", found.warnings);
+        assert_eq!(
+            found.judgement().verdict(),
+            Verdict::Pass,
+            "{:?}",
+            found.findings
+        );
         for (c, truth) in found.cameras.iter().zip(&simulated.truth) {
             let off = (truth.camera_from_rig.inverse() * c.camera_from_rig).log();
             let turn = off.fixed_rows::<3>(0).norm().to_degrees();
@@ -69,7 +73,6 @@ fn three_seeds_are_found_again() {
         {
             assert!((found - truth).abs() < 2e-4);
         }
-        assert_eq!(found.outcome(), Outcome::Pass);
         for k in 0..3 {
             let off = found.imu.accel_bias_m_s2[k] - simulated.accel_bias[k];
             assert!(
@@ -80,7 +83,7 @@ fn three_seeds_are_found_again() {
             assert!(off.abs() < 4.5 * found.gravity_sigma_m_s2[k], "{off}");
         }
         let page = found.to_html("Camera–IMU");
-        assert!(page.contains("PASS.") && page.contains("clock, ms"));
+        assert!(page.contains("PASS: ") && page.contains("clock, ms"));
     }
 }
 
@@ -286,10 +289,16 @@ fn bad_input_is_named() {
         &no_progress,
     )
     .expect("calibrated");
-    assert_eq!(found.outcome(), Outcome::Fail, "{:?}", found.verdict());
-    let named = |w: &String| w.contains("explained by gaps of 0.29") || w.contains("of 0.30");
-    assert!(found.warnings.iter().any(named), "{:?}", found.warnings);
-    assert!(found.to_html("page").contains("FAIL."));
+    assert_eq!(
+        found.judgement().verdict(),
+        Verdict::Fail,
+        "{:?}",
+        found.findings
+    );
+    let named =
+        |f: &Finding| f.what.contains("explained by gaps of 0.29") || f.what.contains("of 0.30");
+    assert!(found.findings.iter().any(named), "{:?}", found.findings);
+    assert!(found.to_html("page").contains("FAIL: "));
 
     let mut swapped = good.known();
     let (left, right) = swapped.split_at_mut(1);
@@ -352,9 +361,12 @@ fn what_can_be_calibrated_all_the_same_is_warned_of() {
     });
     let found = calibrate(&upside_down, &config);
     assert!(
-        found.warnings.iter().any(|w| w.contains("upside down")),
+        found
+            .findings
+            .iter()
+            .any(|f| f.what.contains("upside down")),
         "{:?}",
-        found.warnings
+        found.findings
     );
 
     // All of the board larger than it is: only the accelerometer can tell.
@@ -377,8 +389,8 @@ fn what_can_be_calibrated_all_the_same_is_warned_of() {
         &no_progress,
     )
     .expect("calibrated");
-    let named = |w: &String| w.contains("the board is of another size");
-    assert!(found.warnings.iter().any(named), "{:?}", found.warnings);
+    let named = |f: &Finding| f.what.contains("the board is of another size");
+    assert!(found.findings.iter().any(named), "{:?}", found.findings);
 
     let mut pushed = simulated.clone();
     for (_, sample) in &mut pushed.imu {
@@ -386,9 +398,9 @@ fn what_can_be_calibrated_all_the_same_is_warned_of() {
         *x = x.clamp(-1.5, 1.5);
     }
     let found = calibrate(&pushed, &config);
-    let named = |w: &String| w.contains("the accelerometer saturates along x");
-    assert!(found.warnings.iter().any(named), "{:?}", found.warnings);
-    assert_eq!(found.outcome(), Outcome::Warn);
+    let named = |f: &Finding| f.what.contains("the accelerometer saturates along x");
+    assert!(found.findings.iter().any(named), "{:?}", found.findings);
+    assert_eq!(found.judgement().verdict(), Verdict::Warn);
 
     let mut saturated = simulate(&Setup {
         duration_s: 8.0,
@@ -399,8 +411,8 @@ fn what_can_be_calibrated_all_the_same_is_warned_of() {
         *x = x.clamp(-1.2, 1.2);
     }
     let found = calibrate(&saturated, &config);
-    let named = |w: &String| w.contains("the gyroscope saturates along x");
-    assert!(found.warnings.iter().any(named), "{:?}", found.warnings);
+    let named = |f: &Finding| f.what.contains("the gyroscope saturates along x");
+    assert!(found.findings.iter().any(named), "{:?}", found.findings);
     for (c, truth) in found.cameras.iter().zip(&saturated.truth) {
         let off = (truth.camera_from_rig.inverse() * c.camera_from_rig).log();
         assert!(off.fixed_rows::<3>(3).norm() < 3e-3, "{off}");

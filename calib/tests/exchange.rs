@@ -76,8 +76,9 @@ fn camera_info_is_read_and_written_as_opencv_has_it() {
 #[test]
 fn colmap_counts_pixels_from_the_corner() {
     let cameras = file("cameras.txt");
-    let rig =
-        import_colmap(&cameras, Some(&file("rig_config.json")), "cameras.txt").expect("a rig");
+    let rig = import_colmap(&cameras, Some(&file("rig_config.json")), "cameras.txt")
+        .expect("a rig")
+        .rig;
     for (mounted, expected) in rig.cameras.values().zip(&COLMAP) {
         assert_sees(&mounted.camera, expected, 0.5);
     }
@@ -117,12 +118,14 @@ fn kalibr_frames_of_the_hilti_rig() {
     let Some(text) = data("kalibr_frames_of_the_hilti_rig", name) else {
         return;
     };
-    let rig = import_kalibr(&text, name).expect("a camera chain");
+    let rig = import_kalibr(&text, name).expect("a camera chain").rig;
     assert_eq!(
         rig.cameras["cam0"].timing.rig_from_camera_s,
         0.0019071204237431304
     );
-    let alone = import_kalibr(&text.replace("T_cam_imu", "unused"), name).expect("a chain");
+    let alone = import_kalibr(&text.replace("T_cam_imu", "unused"), name)
+        .expect("a chain")
+        .rig;
     let relative = |rig: &Rig| {
         rig.cameras["cam1"].rig_from_camera.inverse() * rig.cameras["cam0"].rig_from_camera
     };
@@ -135,7 +138,9 @@ fn kalibr_frames_of_the_hilti_rig() {
         relative(&rig).translation
     );
     let out = export(&rig, Format::Kalibr, 200.0).expect("exported");
-    let back = import_kalibr(&out.files[0].text, "own").expect("own output");
+    let back = import_kalibr(&out.files[0].text, "own")
+        .expect("own output")
+        .rig;
     for (a, b) in rig.cameras.values().zip(back.cameras.values()) {
         assert_eq!((a.camera, a.timing), (b.camera, b.timing));
         assert!(

@@ -4,6 +4,7 @@ use lsfb_calib::TransformEdge;
 use lsfb_calib::joint::{IMU, JointConfig, LIDAR, Weights, join_transforms};
 use lsfb_geometry::{Matrix6, Se3, Vector6};
 use lsfb_rigs::graph::{Errors, Graph, difference, edge, squares};
+use lsfb_types::Verdict;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -73,7 +74,7 @@ fn false_alarms_are_rare() {
     let warned = (5000..5400).filter(|seed| {
         let edges = Graph::simulate(Errors::Measured, *seed).edges;
         let found = join_transforms(&edges, &JointConfig::default()).expect("joined");
-        !found.warnings.is_empty()
+        found.judgement().verdict() != Verdict::Pass
     });
     assert!(warned.count() <= 12);
 }
@@ -89,7 +90,11 @@ fn an_outlier_is_named() {
             cameras, mut edges, ..
         } = Graph::simulate(Errors::Measured, seed);
         let clean = join_transforms(&edges, &config).expect("joined");
-        assert!(!clean.has_outlier(), "{:?}", clean.warnings);
+        assert!(
+            !clean.edges.iter().any(|e| e.outlier),
+            "{:?}",
+            clean.findings
+        );
         let bump = Se3::exp(&Vector6::new(0.0, 0.05, 0.0, 0.0, 0.05, 0.0));
         edges[4].target_from_source = edges[4].target_from_source * bump;
         let found = join_transforms(&edges, &config).expect("joined");
@@ -101,8 +106,10 @@ fn an_outlier_is_named() {
             .map(|e| e.target.as_str())
             .collect();
         assert_eq!(outliers, ["cam2", IMU], "{:?}", found.edges);
-        assert!(found.verdict().starts_with("FAIL"), "{}", found.verdict());
-        assert!(found.verdict().contains("imu–cam2"), "{}", found.verdict());
+        let judgement = found.judgement();
+        assert_eq!(judgement.verdict(), Verdict::Fail, "{judgement:?}");
+        let headline = judgement.headline(&found.summary());
+        assert!(headline.contains("imu–cam2"), "{headline}");
         // With cameras joined among themselves it is.
         for k in 1..4 {
             let truth = cameras[k - 1].inverse() * cameras[k];
@@ -153,10 +160,8 @@ fn bad_graphs_are_named_and_order_does_not_matter() {
     let tree = [edge(IMU, "cam0", cameras[0]), edge("cam0", LIDAR, lidar)];
     let found = join_transforms(&tree, &config).expect("joined");
     assert_eq!(found.redundancy, 0);
-    assert!(found.verdict().starts_with("WARN"), "{}", found.verdict());
-    assert!(
-        found.warnings[0].contains("nothing checks"),
-        "{:?}",
-        found.warnings
-    );
+    let judgement = found.judgement();
+    assert_eq!(judgement.verdict(), Verdict::Warn, "{judgement:?}");
+    let unchecked = |f: &lsfb_types::Finding| f.what.contains("nothing checks");
+    assert!(judgement.findings().iter().all(unchecked), "{judgement:?}");
 }

@@ -46,7 +46,7 @@ fn acfr_poses_1_to_10() {
         &no_progress,
     )
     .expect("calibrated");
-    println!("{}", found.verdict());
+    println!("{}", found.judgement().headline(&found.summary()));
     println!("{:?}", found.camera_from_lidar);
     println!("{:?}", found.sigma);
     println!(

@@ -18,7 +18,7 @@ fn walk() -> Walk {
 
 fn off_by(rig: &Rig, wrong: Vector6<f64>) -> Rig {
     let mut rig = rig.clone();
-    let lidar = rig.lidar.as_mut().expect("a LiDAR");
+    let lidar = rig.lidar_mut().expect("a LiDAR");
     lidar.rig_from_lidar = lidar.rig_from_lidar * Se3::exp(&wrong);
     rig
 }
@@ -34,7 +34,7 @@ fn refined(recording: &Recording, rig: &Rig, threads: usize) -> RefinementReport
 /// Degrees and millimetres from the truth.
 fn left(found: &RefinementReport, rig: &Rig) -> [f64; 2] {
     let truth = rig.cameras["cam0"].rig_from_camera.inverse()
-        * rig.lidar.as_ref().expect("a LiDAR").rig_from_lidar;
+        * rig.lidar().expect("a LiDAR").rig_from_lidar;
     let camera = &found.cameras[0];
     let edge = camera.edge.as_ref();
     let pose = edge

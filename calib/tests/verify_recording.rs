@@ -6,13 +6,13 @@ use std::path::Path;
 
 use lsfb_calib::camera::image_files;
 use lsfb_calib::camera_imu::read_imu_table;
-use lsfb_calib::verify::{Check, Outcome, Verification, VerifyConfig, verify};
+use lsfb_calib::verify::{Check, Verification, VerifyConfig, verify};
 use lsfb_geometry::camera::Lens;
 use lsfb_geometry::{Camera, Matrix3, Rig, RigCamera, Se3, UnitQuaternion, Vector3};
 use lsfb_perception::image;
 use lsfb_recording::{Recording, Writer, WriterConfig};
 use lsfb_tests::recordings as data;
-use lsfb_types::{Image, Stamped, Timestamp, no_progress};
+use lsfb_types::{Image, Stamped, Timestamp, Verdict, no_progress};
 
 const CAMERAS: [&str; 2] = ["cam0", "cam1"];
 /// Stereo pairs that are used: twelve seconds.
@@ -113,7 +113,7 @@ fn clocks_and_mounts_of_tum_vi_are_right_and_wrong_ones_are_named() {
             "{name}: {:?} ± {:?} {}",
             found.value, found.sigma, found.unit
         );
-        assert_eq!(found.outcome, Outcome::Pass, "{found:?}");
+        assert_eq!(found.outcome, Verdict::Pass, "{found:?}");
     }
 
     // One camera is late, the other early.
@@ -124,7 +124,7 @@ fn clocks_and_mounts_of_tum_vi_are_right_and_wrong_ones_are_named() {
     let wrong = run(&rig);
     for (name, sign) in CAMERAS.iter().zip([-1.0, 1.0]) {
         let found = check(&wrong, &format!("{name} time offset"));
-        assert_eq!(found.outcome, Outcome::Fail, "{found:?}");
+        assert_eq!(found.outcome, Verdict::Fail, "{found:?}");
         let off_ms = found.value.expect("a value") - sign * 5.0;
         assert!(off_ms.abs() < 0.5, "{found:?}");
     }

@@ -96,7 +96,11 @@ fn main() {
                 let scan = LidarScan {
                     points: points.clone(),
                 };
-                feeder.scan(stamped(n, scan, began, 0.1 / speed), packets.clone());
+                feeder.scan(
+                    "lidar",
+                    stamped(n, scan, began, 0.1 / speed),
+                    packets.clone(),
+                );
                 n += 1;
             }
             feeder.finish()
@@ -203,6 +207,7 @@ fn revolution() -> (Vec<LidarPoint>, Vec<Packet>) {
             intensity: i as u8,
             ring: (i % 32) as u16,
             time_offset_ns: i * 1_720,
+            ..LidarPoint::default()
         })
         .collect();
     let packets = (0..151_u32)

@@ -4,9 +4,9 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use lsfb_drivers::Decoded;
-use lsfb_drivers::camera::model::TRAILER_BYTES;
-use lsfb_drivers::camera::wire::{ImuProtocol, TimeSource};
-use lsfb_drivers::camera::{Decoder, ImuDecoder, MyntCamera, UnitFrame};
+use lsfb_drivers::mynt_s::model::TRAILER_BYTES;
+use lsfb_drivers::mynt_s::wire::{ImuProtocol, TimeSource};
+use lsfb_drivers::mynt_s::{Decoder, ImuDecoder, MyntCamera, UnitFrame};
 use lsfb_drivers::transport::PacketSource;
 use lsfb_recording::{Attachment, CameraUnit, KeptFile};
 use lsfb_types::{Image, ImuSample, Packet, Stamped, Timestamp};
@@ -14,10 +14,12 @@ use lsfb_types::{Image, ImuSample, Packet, Stamped, Timestamp};
 use crate::clock::OneWayClock;
 use crate::clock::model_topic::{ModelTopic, Reading};
 use crate::config::CameraUnitConfig;
-use crate::health::{Ending, Meter, StreamReport};
+use crate::control::Control;
+use crate::health::{Ending, Expected, Meter, StreamReport};
 use crate::recorder::{Entry, Inlet, WriterGone};
-use crate::session::Control;
 
+/// What it sends all the time, beside the samples of its IMU, which are called as that is.
+const IMAGES: &str = "images";
 /// The unit's counter, in nanoseconds.
 const TICK_NS: u64 = 1_000;
 /// The unit keeps some 50 ms of IMU segments.
@@ -26,6 +28,13 @@ const IMU_PERIOD: Duration = Duration::from_millis(25);
 const MOST_EARLY_SAMPLES: usize = 4_096;
 /// Of so many pixels one is looked at for saturation.
 const PIXEL_STRIDE: usize = 16;
+
+/// What a unit sends all the time.
+pub(crate) fn expected(unit: &CameraUnitConfig) -> Vec<Expected> {
+    let images = Expected::required(IMAGES, Some(unit.rate_hz.into()));
+    let imu = unit.imu.as_ref().map(|name| Expected::required(name, None));
+    std::iter::once(images).chain(imu).collect()
+}
 
 /// A unit that can be opened again.
 pub(crate) struct Unit {
@@ -66,7 +75,7 @@ pub(crate) fn introduce(units: &[Unit], inlet: &Inlet) {
     for attachment in attachments {
         // A writer that is gone reports itself.
         let _ = inlet
-            .patient()
+            .waiting()
             .put(Entry::Attachment(attachment), &mut StreamReport::default());
     }
 }
@@ -97,7 +106,7 @@ pub(crate) fn record(
                 }
             }
         }
-        if stream.poll_imu(&mut unit.camera, inlet).is_err() || control.is_stopping() {
+        if stream.poll_imu(&mut unit.camera, inlet, meter).is_err() || control.is_stopping() {
             break Ending::Stopped;
         }
     };
@@ -183,6 +192,7 @@ impl CameraStream {
         match self.decoder.push(packet) {
             Ok(Some(decoded)) => {
                 let images = decoded.sample.images.len() as u64;
+                meter.heard_part(IMAGES, 1);
                 self.images(decoded, packet, inlet, meter)?;
                 control.progress.images.fetch_add(images, Ordering::Relaxed);
             }
@@ -258,7 +268,12 @@ impl CameraStream {
     }
 
     /// Asks the unit's IMU for what it has measured since, where it is time.
-    fn poll_imu(&mut self, camera: &mut MyntCamera, inlet: &Inlet) -> Result<(), WriterGone> {
+    fn poll_imu(
+        &mut self,
+        camera: &mut MyntCamera,
+        inlet: &Inlet,
+        meter: &Meter,
+    ) -> Result<(), WriterGone> {
         let Some(imu) = &mut self.imu else {
             return Ok(());
         };
@@ -273,8 +288,11 @@ impl CameraStream {
             return Ok(());
         };
         // A bad answer is counted by the decoder.
-        imu.early
-            .extend(imu.decoder.push(&answer).unwrap_or_default());
+        let decoded = imu.decoder.push(&answer).unwrap_or_default();
+        if !decoded.is_empty() {
+            meter.heard_part(&imu.name, decoded.len() as u64);
+        }
+        imu.early.extend(decoded);
         let arrival = answer.arrival;
         let raw = Entry::Raw {
             source: imu.name.clone(),

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use lsfb_geometry::{Rig, RigLidar, Se3};
+use lsfb_geometry::{MAIN_LIDAR, Rig, RigLidar, Se3};
 use lsfb_recording::{PointTimes, Summary, Writer, WriterConfig, read_pcd, sort_naturally};
 use lsfb_types::{Progress, ProgressFn, Stamped, Timestamp};
 
@@ -66,10 +66,11 @@ fn write_clouds(
     progress: ProgressFn<'_>,
 ) -> Result<ImportedClouds, Error> {
     writer.attach_rig(&Rig {
-        lidar: Some(RigLidar {
+        lidars: RigLidar {
             rig_from_lidar: Se3::identity(),
             range_noise_m: config.range_noise_m,
-        }),
+        }
+        .alone(),
         ..Rig::empty("clouds")
     })?;
     let mut found = Noted::default();
@@ -90,12 +91,13 @@ fn write_clouds(
             });
         }
         last = Some(time);
-        writer.write_scan(&Stamped {
+        let scan = Stamped {
             time,
             arrival: time,
             device_ticks: 0,
             sample: cloud.scan,
-        })?;
+        };
+        writer.write_scan(MAIN_LIDAR, &scan)?;
     }
     Ok(ImportedClouds {
         summary: writer.finish()?,

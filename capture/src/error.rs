@@ -49,6 +49,32 @@ pub enum Error {
         /// What is wrong.
         problem: String,
     },
+    /// A device cannot be called so.
+    #[error("{name}: {problem}")]
+    DeviceName {
+        /// The name.
+        name: String,
+        /// What is wrong with it.
+        problem: &'static str,
+    },
+    /// Two LiDARs would take each other's packets.
+    #[error(
+        "{first} and {second} listen on one port: give each its own `data` and `position`, there and in the sensor"
+    )]
+    LidarPorts {
+        /// One of them.
+        first: String,
+        /// The other.
+        second: String,
+    },
+    /// Its settings cannot be used.
+    #[error("{lidar}: {problem}")]
+    LidarSettings {
+        /// The LiDAR.
+        lidar: String,
+        /// What is wrong.
+        problem: String,
+    },
     /// The list of devices names none.
     #[error("no device is configured; name at least one of [lidar], [[camera]], [imu], [sidecar]")]
     NoDevice,

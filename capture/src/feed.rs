@@ -53,7 +53,7 @@ impl Feed {
     /// Writes what waits and closes the files. Waits until every [`Feeder`] is gone; their reports say what they lost.
     pub fn finish(self, reports: Vec<StreamReport>) -> Result<CaptureReport, Error> {
         let written = self.recorder.finish(&reports)?;
-        Ok(CaptureReport::new(&self.out, written, reports))
+        Ok(written.report(&self.out, reports))
     }
 }
 
@@ -76,8 +76,12 @@ impl Feeder {
     }
 
     /// Records a revolution and the packets it came in.
-    pub fn scan(&mut self, scan: Stamped<LidarScan>, packets: Vec<Packet>) -> bool {
-        self.put(Entry::Scan { scan, packets })
+    pub fn scan(&mut self, lidar: &str, scan: Stamped<LidarScan>, packets: Vec<Packet>) -> bool {
+        self.put(Entry::Scan {
+            lidar: lidar.to_owned(),
+            scan,
+            packets,
+        })
     }
 
     /// What went in, and what was dropped because the queue was full.

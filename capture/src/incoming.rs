@@ -3,17 +3,17 @@
 
 use std::path::Path;
 
-use lsfb_drivers::phone::SidecarMessage;
+use lsfb_drivers::sidecar::SidecarMessage;
 use lsfb_geometry::Rig;
 use lsfb_types::{Packet, Progress, ProgressFn, Timestamp};
 
 use crate::camera::CameraStream;
 use crate::config::{DevicesConfig, Overflow};
+use crate::control::Control;
 use crate::health::{Ending, Meter, StreamReport};
-use crate::imu::{self, ImuStream};
-use crate::lidar::{self, LidarStream};
+use crate::imu::ImuStream;
+use crate::lidar::LidarStream;
 use crate::recorder::{self, Inlet, Recorder, WriterGone};
-use crate::session::Control;
 use crate::sidecar::{Origin, Sidecars};
 use crate::{CaptureReport, Error};
 
@@ -25,9 +25,9 @@ const SHOW_EVERY: u64 = 64;
 /// Something that arrived.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Incoming {
-    /// A datagram of the LiDAR, of either kind.
+    /// A datagram of the first LiDAR, of either kind.
     Lidar(Packet),
-    /// A packet of the rig's IMU.
+    /// A packet of the first IMU.
     Imu(Packet),
     /// A frame of a camera unit.
     Frame {
@@ -59,7 +59,7 @@ pub fn record_incoming(
     let names: Vec<Vec<String>> = config.cameras.iter().map(|c| c.names.clone()).collect();
     let recorder = Recorder::start(out, rig, &names, &config.recorder, Overflow::Wait)?;
     let inlet = recorder.inlet();
-    let mut streams = Streams::new(config);
+    let mut streams = Streams::new(config)?;
     let mut ending = Ending::EndOfStream;
     let mut told = Ok(());
     for (taken, item) in (0_u64..).zip(incoming) {
@@ -79,7 +79,7 @@ pub fn record_incoming(
     drop(inlet);
     let written = recorder.finish(&reports)?;
     told.inspect_err(|_| written.discard())?;
-    Ok(CaptureReport::new(out, written, reports))
+    Ok(written.report(out, reports))
 }
 
 /// One stream for each device that is configured.
@@ -92,16 +92,18 @@ struct Streams {
 }
 
 impl Streams {
-    fn new(config: &DevicesConfig) -> Self {
-        Self {
+    fn new(config: &DevicesConfig) -> Result<Self, Error> {
+        let lidar = config.lidars.first();
+        let lidar = lidar.map(|net| {
+            let meter = Meter::new(&net.name);
+            Ok::<_, Error>(LidarStream::new(&net.name, net.decoder()?, None, &meter))
+        });
+        Ok(Self {
             control: Control::alone(),
-            lidar: config
-                .lidar
-                .as_ref()
-                .map(|net| LidarStream::new(net.decoder(), &Meter::new(lidar::LIDAR))),
-            imu: config.imu.as_ref().map(|line| {
-                let meter = Meter::new(imu::IMU);
-                (ImuStream::new(line.family, &meter), meter)
+            lidar: lidar.transpose()?,
+            imu: config.imus.first().map(|line| {
+                let meter = Meter::new(&line.name);
+                (ImuStream::new(line, &meter), meter)
             }),
             cameras: config
                 .cameras
@@ -115,13 +117,13 @@ impl Streams {
                 .sidecar
                 .as_ref()
                 .map(|_| Sidecars::new(&Meter::new("sidecar"))),
-        }
+        })
     }
 
     fn take(&mut self, item: Incoming, inlet: &Inlet) -> Result<(), WriterGone> {
         match item {
             Incoming::Lidar(packet) => match &mut self.lidar {
-                Some(stream) => stream.push(packet, inlet),
+                Some(stream) => stream.push(packet, None, inlet),
                 None => Ok(()),
             },
             Incoming::Imu(packet) => match &mut self.imu {

@@ -21,33 +21,40 @@ mod camera;
 pub mod clock;
 mod clouds;
 mod config;
+mod control;
 pub mod doctor;
+mod entry;
 mod error;
 mod feed;
 pub mod health;
 mod imu;
 mod incoming;
 mod lidar;
+mod pace;
 mod recorder;
 mod remark;
 mod replay;
+mod report;
 mod session;
 mod sidecar;
 mod sync;
 mod tap;
+mod threads;
+mod topics;
 
 pub use clouds::{CloudsConfig, ImportedClouds, import_clouds};
 pub use config::{
-    CameraUnitConfig, DevicesConfig, ExposureConfig, ImuFamily, ImuLineConfig, LidarModel,
+    CameraUnitConfig, DevicesConfig, ExposureConfig, ImuFamily, ImuLineConfig, LidarData,
     LidarNetConfig, LidarReturns, LidarSettingsConfig, Overflow, RecorderConfig, SidecarConfig,
     StampInstant,
 };
+pub use control::Counts;
 pub use error::Error;
 pub use feed::{Feed, Feeder};
-pub use health::{CaptureReport, Ending, StreamReport};
 pub use incoming::{Incoming, record_incoming};
 pub use remark::Remarks;
 pub use replay::{ReplayConfig, replay, replay_recording};
-pub use session::{Counts, Session};
+pub use report::{CaptureReport, Ending, StreamReport};
+pub use session::Session;
 pub use sync::GroupReport;
 pub use tap::{Tap, TapClosed, Tapped};

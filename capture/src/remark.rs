@@ -6,8 +6,9 @@ use lsfb_recording::REMARKS;
 use lsfb_recording::message::{self, Remark};
 use lsfb_types::Timestamp;
 
+use crate::Error;
 use crate::recorder::{Entry, Inlet, WriterGone};
-use crate::{Error, StreamReport};
+use crate::report::StreamReport;
 
 /// Remarks between their author and the recording.
 const QUEUE_REMARKS: usize = 64;
@@ -15,14 +16,14 @@ const QUEUE_REMARKS: usize = 64;
 /// Where remarks are put; see [`crate::Session::remarks`].
 #[derive(Clone, Debug)]
 pub struct Remarks {
-    queue: SyncSender<Said>,
+    queue: SyncSender<QueuedRemark>,
 }
 
 impl Remarks {
     /// Writes a remark into the recording that runs; `time` is on the devices' clock, `arrival` on the host's.
     pub fn put(&self, time: Timestamp, arrival: Timestamp, remark: Remark) -> Result<(), Error> {
         self.queue
-            .try_send(Said {
+            .try_send(QueuedRemark {
                 time,
                 arrival,
                 remark,
@@ -38,7 +39,7 @@ impl Remarks {
 
 /// A remark, and when it was made.
 #[derive(Debug)]
-struct Said {
+struct QueuedRemark {
     time: Timestamp,
     arrival: Timestamp,
     remark: Remark,
@@ -47,7 +48,7 @@ struct Said {
 /// The end that the session holds.
 #[derive(Debug)]
 pub(crate) struct RemarkQueue {
-    queue: Receiver<Said>,
+    queue: Receiver<QueuedRemark>,
     report: StreamReport,
 }
 
@@ -60,18 +61,18 @@ pub(crate) fn remarks() -> (Remarks, RemarkQueue) {
 impl RemarkQueue {
     /// Hands what has come to the writer.
     pub(crate) fn forward(&mut self, inlet: &Inlet) -> Result<(), WriterGone> {
-        while let Ok(said) = self.queue.try_recv() {
+        while let Ok(queued) = self.queue.try_recv() {
             let entry = Entry::Cdr {
                 topic: REMARKS.to_owned(),
                 schema_name: message::REMARK.name.to_owned(),
                 schema_text: message::REMARK.text.to_owned(),
-                time: said.time,
-                arrival: said.arrival,
-                bytes: message::encode_remark(said.time, &said.remark),
+                time: queued.time,
+                arrival: queued.arrival,
+                bytes: message::encode_remark(queued.time, &queued.remark),
                 receipt: None,
             };
             // A person's words are worth waiting for.
-            inlet.patient().put(entry, &mut self.report)?;
+            inlet.waiting().put(entry, &mut self.report)?;
         }
         Ok(())
     }

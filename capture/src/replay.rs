@@ -1,18 +1,19 @@
 //! Capture files → Recording, through the functions used live.
 
 use std::iter::Peekable;
+use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use lsfb_drivers::any_lidar::Settings;
 use lsfb_drivers::transport::PacketSource;
-use lsfb_drivers::velodyne::DecoderConfig;
-use lsfb_geometry::Rig;
+use lsfb_geometry::{MAIN_LIDAR, Rig};
 use lsfb_recording::{LIDAR_POSITION, RecordedPacket, Recording};
 use lsfb_types::{Packet, Progress, ProgressFn, Timestamp};
 
 use crate::config::{Overflow, RecorderConfig};
 use crate::health::{Ending, Meter};
-use crate::lidar::{LIDAR, LidarStream};
+use crate::lidar::LidarStream;
 use crate::recorder::{self, Recorder};
 use crate::{CaptureReport, Error};
 
@@ -22,15 +23,17 @@ const SHOW_EVERY: u64 = 1_000;
 /// How a capture file is read.
 #[derive(Clone, Debug, Default)]
 pub struct ReplayConfig {
-    /// Model, return mode and geometry.
-    pub decoder: DecoderConfig,
+    /// Model, beam angles, and where scans are cut.
+    pub lidar: Settings,
+    /// Take packets of this sender only; without it the first that sends what a LiDAR sends is the sensor.
+    pub sensor: Option<IpAddr>,
     /// Attached to the recording; without it, the rig of the recording that is replayed, if it has one.
     pub rig: Option<Rig>,
     /// Files and disks.
     pub recorder: RecorderConfig,
 }
 
-/// Records the Velodyne packets of `source` into `out`, with the arrival stamps they have there. A file that is damaged in the
+/// Records the LiDAR packets of `source` into `out`, with the arrival stamps they have there. A file that is damaged in the
 /// middle gives what lies before, and the damage is the stream's [`Ending::Lost`]. An import that is told to stop leaves nothing.
 pub fn replay(
     mut source: impl PacketSource,
@@ -47,7 +50,12 @@ pub fn replay(
         Overflow::Wait,
     )?;
     let inlet = recorder.inlet();
-    let mut stream = LidarStream::new(config.decoder, &Meter::new(LIDAR));
+    let mut stream = LidarStream::new(
+        MAIN_LIDAR,
+        config.lidar.clone(),
+        config.sensor,
+        &Meter::new(MAIN_LIDAR),
+    );
     let mut packets = 0_u64;
     let mut told = Ok(());
     let ending = loop {
@@ -63,7 +71,7 @@ pub fn replay(
         }
         match source.recv(Duration::from_millis(50)) {
             Ok(Some(packet)) => {
-                if stream.push(packet, &inlet).is_err() {
+                if stream.push(packet, source.sender(), &inlet).is_err() {
                     break Ending::Stopped;
                 }
                 packets += 1;
@@ -78,10 +86,10 @@ pub fn replay(
     let streams = vec![stream];
     let written = recorder.finish(&streams)?;
     told.inspect_err(|_| written.discard())?;
-    Ok(CaptureReport::new(out, written, streams))
+    Ok(written.report(out, streams))
 }
 
-/// Records the Velodyne packets of an MCAP file, one of `rosbag2` or one of ours, as [`replay`] does.
+/// Records the LiDAR packets of an MCAP file, one of `rosbag2` or one of ours, as [`replay`] does.
 pub fn replay_recording(
     path: &Path,
     config: &ReplayConfig,
@@ -97,7 +105,7 @@ pub fn replay_recording(
     let positions = recording.packets(LIDAR_POSITION).into_iter().flatten();
     let source = RecordedSource {
         path: path.to_owned(),
-        data: recording.velodyne_packets()?.peekable(),
+        data: recording.lidar_packets()?.peekable(),
         positions: positions.peekable(),
     };
     replay(source, &config, out, progress)

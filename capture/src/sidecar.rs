@@ -2,11 +2,11 @@
 
 use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use lsfb_drivers::phone::model::CLOCK_UTC;
-use lsfb_drivers::phone::wire::Advertise;
-use lsfb_drivers::phone::{
+use lsfb_drivers::sidecar::model::CLOCK_UTC;
+use lsfb_drivers::sidecar::wire::Advertise;
+use lsfb_drivers::sidecar::{
     Delivery, Receipt, SidecarCounters, SidecarEvent, SidecarMessage, SidecarServer,
 };
 use lsfb_geometry::Rig;
@@ -15,21 +15,21 @@ use lsfb_recording::message::{self, TimeReference};
 use lsfb_types::Timestamp;
 
 use crate::clock::OneWayClock;
-use crate::health::{Ending, Meter, StreamReport};
+use crate::control::Control;
+use crate::health::{Connection, Ending, Meter, StreamReport};
 use crate::recorder::{Entry, Inlet, OwnMessage, WriterGone};
-use crate::session::Control;
-
-/// Topics of what a phone hears (networks, beacons, satellites): it comes when there is something to hear, seconds after it was
-/// measured.
-pub(crate) fn is_heard(topic: &str) -> bool {
-    let ends = ["/wifi", "/ble", "/gnss"];
-    topic.starts_with("/sidecar/") && ends.iter().any(|end| topic.ends_with(end))
-}
 
 /// The only encoding a recording holds.
 const ENCODING: &str = "cdr";
 /// Key of the rig's TOML in a channel's static metadata.
 const RIG_KEY: &str = "rig_toml";
+
+/// Most channels of one app …
+const MAX_CHANNELS: usize = 256;
+/// … and topics of all that ever came.
+const MAX_TOPICS: usize = 4_096;
+/// How long an app that was lost is waited for when nothing else is recorded.
+const COME_BACK: Duration = Duration::from_secs(5);
 
 /// A channel whose stamps step back by more has a clock that began anew.
 const RESET_NS: i64 = 750_000_000;
@@ -70,7 +70,8 @@ impl AppClock {
     }
 }
 
-/// Records until every app that came has gone, or the session stops.
+/// Records until every app that came has gone and nothing else is recorded, or the session stops. As long as others send, apps
+/// may come, go and come back.
 pub(crate) fn record(
     mut server: SidecarServer,
     inlet: &Inlet,
@@ -78,21 +79,24 @@ pub(crate) fn record(
     meter: &Meter,
 ) -> StreamReport {
     let mut recording = Sidecars::new(meter);
-    let mut seen = false;
+    // Since when nobody is connected of those who came.
+    let mut all_gone: Option<Instant> = None;
     let ending = loop {
         let delivery = server.recv_unacknowledged(Duration::from_millis(50));
-        let (event, receipt) = match delivery {
-            Ok(Some(Delivery { event, receipt })) => (Ok(Some(event)), receipt),
-            Ok(None) => (Ok(None), None),
-            Err(error) => (Err(error), None),
-        };
-        match event {
-            Ok(Some(SidecarEvent::Message {
-                connection,
-                arrival,
-                message,
+        match delivery {
+            Ok(Some(Delivery {
+                event:
+                    SidecarEvent::Message {
+                        connection,
+                        arrival,
+                        message,
+                    },
+                receipt,
             })) => {
-                seen = true;
+                if all_gone.take().is_some() {
+                    control.come_back();
+                    meter.set_connected(Connection::There);
+                }
                 let from = Origin {
                     connection,
                     arrival,
@@ -107,26 +111,44 @@ pub(crate) fn record(
                     .sidecar_messages
                     .store(recording.report.decoded, Ordering::Relaxed);
             }
-            Ok(Some(SidecarEvent::Closed {
-                connection,
-                counters,
-                error,
+            Ok(Some(Delivery {
+                event:
+                    SidecarEvent::Closed {
+                        connection,
+                        counters,
+                        error,
+                    },
+                ..
             })) => {
                 recording.closed(connection, counters, error);
-                if seen && recording.apps.is_empty() {
-                    break recording
-                        .failure
-                        .take()
-                        .map_or(Ending::EndOfStream, Ending::Lost);
+                meter.count(&recording.report);
+                if recording.seen && recording.apps.is_empty() && all_gone.is_none() {
+                    all_gone = Some(Instant::now());
+                    control.leave();
+                    meter.set_connected(match recording.lost.is_empty() {
+                        true => Connection::Left,
+                        false => Connection::Gone,
+                    });
                 }
             }
             Ok(None) => {}
             Err(error) => break Ending::Lost(error.to_string()),
         }
+        // First, as the others have ended too by then.
         if control.is_stopping() {
             break Ending::Stopped;
         }
+        if let Some(since) = all_gone
+            && control.nothing_is_left()
+            && (recording.lost.is_empty() || since.elapsed() > COME_BACK)
+        {
+            break Ending::EndOfStream;
+        }
     };
+    if all_gone.is_some() {
+        // Whoever runs this thread counts it out again.
+        control.come_back();
+    }
     recording.finish(ending)
 }
 
@@ -161,21 +183,39 @@ pub(crate) struct Origin {
 
 pub(crate) struct Sidecars {
     apps: BTreeMap<u64, App>,
+    /// Everything that was ever advertised: one topic carries one schema, and belongs to one connection at a time.
+    topics: BTreeMap<String, Topic>,
     report: StreamReport,
-    failure: Option<String>,
+    /// Whether anybody ever came.
+    seen: bool,
+    /// Apps that went without a goodbye and have not come back, and why.
+    lost: BTreeMap<String, String>,
+}
+
+/// A topic of the recording that an app fills.
+struct Topic {
+    /// The connection that may send on it; `None`: it has gone.
+    owner: Option<u64>,
+    schema_name: String,
+    schema: Vec<u8>,
 }
 
 impl Sidecars {
     pub(crate) fn new(meter: &Meter) -> Self {
         Self {
             apps: BTreeMap::new(),
+            topics: BTreeMap::new(),
             report: meter.report(),
-            failure: None,
+            seen: false,
+            lost: BTreeMap::new(),
         }
     }
 
     pub(crate) fn finish(mut self, ending: Ending) -> StreamReport {
-        self.report.ending = ending;
+        self.report.ending = match self.lost.pop_first() {
+            Some((_, why)) if !matches!(ending, Ending::Lost(_)) => Ending::Lost(why),
+            _ => ending,
+        };
         self.report
     }
 
@@ -190,15 +230,35 @@ impl Sidecars {
             arrival,
             receipt,
         } = from;
+        self.seen = true;
         let app = self.apps.entry(connection).or_default();
         match message {
-            SidecarMessage::Hello(hello) => app.device = hello.device,
+            SidecarMessage::Hello(hello) => {
+                if self.lost.remove(&hello.device).is_some() {
+                    self.report.interruptions += 1;
+                }
+                app.device = hello.device;
+            }
             SidecarMessage::Advertise(advertised) => {
-                if let Some(problem) = unfit(&advertised) {
+                let known = self.topics.get(&advertised.topic);
+                let problem = unfit(&advertised)
+                    .or_else(|| taken(known, connection, &advertised))
+                    .or_else(|| too_many(app, &self.topics, &advertised));
+                if let Some(problem) = problem {
                     self.report.bad += 1;
                     self.report.first_bad.get_or_insert(problem);
+                    // What this number meant before, it does not mean any more.
+                    app.channels.remove(&advertised.channel);
                     return Ok(());
                 }
+                self.topics.insert(
+                    advertised.topic.clone(),
+                    Topic {
+                        owner: Some(connection),
+                        schema_name: advertised.schema_name.clone(),
+                        schema: advertised.schema.clone(),
+                    },
+                );
                 let rig = rig_of(&advertised).filter(|_| !app.rig_seen);
                 let owner = app.device.clone();
                 app.rig_seen |= rig.is_some();
@@ -270,13 +330,22 @@ impl Sidecars {
         counters: SidecarCounters,
         error: Option<lsfb_drivers::Error>,
     ) {
-        let app = self.apps.remove(&connection).unwrap_or_default();
         self.report.bad += counters.bad_checksum + counters.malformed;
         // Damaged envelopes are among the missing: their numbers never came.
         self.report.missing += counters.missing.saturating_sub(counters.bad_checksum);
         self.report.duplicated += counters.duplicated;
+        for topic in self.topics.values_mut() {
+            if topic.owner == Some(connection) {
+                topic.owner = None;
+            }
+        }
+        let Some(app) = self.apps.remove(&connection) else {
+            // Whoever never said what it is is none of ours: a browser, a port scanner.
+            return;
+        };
         if let Some(error) = error {
-            self.failure = Some(format!("{}: {error}", app.device));
+            let why = format!("{}: {error}", app.device);
+            self.lost.insert(app.device, why);
         }
     }
 }
@@ -292,12 +361,49 @@ fn unfit(advertised: &Advertise) -> Option<String> {
         ));
     }
     let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '/' | '_' | '-' | '.');
+    if topic.ends_with(DEVICE_TIME) {
+        return Some(format!(
+            "channel {topic}: topics that end in {DEVICE_TIME} are the recorder's own"
+        ));
+    }
     if !topic.starts_with("/sidecar/") || !topic.chars().all(allowed) {
         return Some(format!(
             "channel {topic:?}: the topic must begin with /sidecar/ and be plain ASCII"
         ));
     }
     None
+}
+
+/// Why a topic is not this connection's to advertise so.
+fn taken(known: Option<&Topic>, connection: u64, advertised: &Advertise) -> Option<String> {
+    let topic = &advertised.topic;
+    let known = known?;
+    if known.owner.is_some_and(|owner| owner != connection) {
+        return Some(format!(
+            "channel {topic}: another app that is connected sends on it"
+        ));
+    }
+    let same = (&known.schema_name, &known.schema) == (&advertised.schema_name, &advertised.schema);
+    (!same).then(|| {
+        format!(
+            "channel {topic}: the recording holds {} there, which is not the {} that is advertised",
+            known.schema_name, advertised.schema_name
+        )
+    })
+}
+
+/// Why an app, or all of them, may have no more topics: a recording holds 65 535.
+fn too_many(app: &App, topics: &BTreeMap<String, Topic>, advertised: &Advertise) -> Option<String> {
+    let is_new = !topics.contains_key(&advertised.topic);
+    let limit = match app.channels.len() {
+        MAX_CHANNELS.. if !app.channels.contains_key(&advertised.channel) => MAX_CHANNELS,
+        _ if is_new && topics.len() >= MAX_TOPICS => MAX_TOPICS,
+        _ => return None,
+    };
+    Some(format!(
+        "channel {}: there are {limit} already, and no more are taken",
+        advertised.topic
+    ))
 }
 
 /// The rig an app brings, if it does.

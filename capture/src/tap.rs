@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use lsfb_types::{Image, ImuSample, LidarScan, Stamped, Timestamp};
 
-use crate::recorder::Entry;
+use crate::entry::Entry;
 
 /// Most entries that wait for the reader: a second of the whole rig.
 const QUEUE_ENTRIES: usize = 512;
@@ -33,8 +33,13 @@ pub enum Tapped {
         /// The sample.
         sample: Stamped<ImuSample>,
     },
-    /// One revolution of the LiDAR.
-    Scan(Stamped<LidarScan>),
+    /// One revolution of a LiDAR.
+    Scan {
+        /// The LiDAR's name in the rig.
+        lidar: String,
+        /// The returns.
+        scan: Stamped<LidarScan>,
+    },
     /// A ready-made message, of a sidecar or of the operator.
     Message {
         /// Its topic.
@@ -90,24 +95,24 @@ impl Tap {
 pub struct TapClosed;
 
 /// Makes both ends.
-pub(crate) fn tap() -> (Spout, Tap) {
-    let (sender, entries) = sync_channel(QUEUE_ENTRIES);
+pub(crate) fn tap() -> (TapSender, Tap) {
+    let (queue, entries) = sync_channel(QUEUE_ENTRIES);
     let shared = Arc::new(Shared::default());
-    let spout = Spout {
-        entries: sender,
+    let sender = TapSender {
+        entries: queue,
         shared: Arc::clone(&shared),
     };
-    (spout, Tap { entries, shared })
+    (sender, Tap { entries, shared })
 }
 
 /// The end that the devices hold, one clone each.
 #[derive(Clone, Debug)]
-pub(crate) struct Spout {
+pub(crate) struct TapSender {
     entries: SyncSender<Tapped>,
     shared: Arc<Shared>,
 }
 
-impl Spout {
+impl TapSender {
     /// Copies an entry for the reader if there is room. Never waits.
     pub(crate) fn offer(&self, entry: &Entry) {
         match entry {
@@ -119,7 +124,10 @@ impl Spout {
                 imu: imu.clone(),
                 sample: sample.clone(),
             }),
-            Entry::Scan { scan, .. } => self.put(|| Tapped::Scan(scan.clone())),
+            Entry::Scan { lidar, scan, .. } => self.put(|| Tapped::Scan {
+                lidar: lidar.clone(),
+                scan: scan.clone(),
+            }),
             Entry::Cdr {
                 topic,
                 schema_name,
@@ -170,9 +178,9 @@ mod tests {
 
     #[test]
     fn a_full_tap_passes_over_and_a_read_one_goes_on() {
-        let (spout, tap) = tap();
+        let (sender, tap) = tap();
         for n in 0..2_000 {
-            spout.offer(&imu_entry(n));
+            sender.offer(&imu_entry(n));
         }
         assert!(tap.missed() >= 2_000 - QUEUE_ENTRIES as u64);
         let mut read = 0;
@@ -181,24 +189,24 @@ mod tests {
         }
         assert_eq!(read, QUEUE_ENTRIES);
         let missed = tap.missed();
-        spout.offer(&imu_entry(7));
+        sender.offer(&imu_entry(7));
         let entry = tap.next(Duration::ZERO).unwrap();
         assert!(
             matches!(&entry, Some(Tapped::Imu { sample, .. }) if sample.time.nanos() == 7),
             "{entry:?}"
         );
         assert_eq!(tap.missed(), missed);
-        drop(spout);
+        drop(sender);
         assert_eq!(tap.next(Duration::ZERO).unwrap_err(), TapClosed);
     }
 
     #[test]
     fn a_tap_whose_reader_is_gone_costs_nothing() {
-        let (spout, tap) = tap();
+        let (sender, tap) = tap();
         drop(tap);
         for n in 0..2_000 {
-            spout.offer(&imu_entry(n));
+            sender.offer(&imu_entry(n));
         }
-        assert_eq!(spout.shared.waiting.load(Ordering::Relaxed), 0);
+        assert_eq!(sender.shared.waiting.load(Ordering::Relaxed), 0);
     }
 }

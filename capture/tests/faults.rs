@@ -63,10 +63,11 @@ fn plain() -> RecorderConfig {
 
 fn rig() -> Rig {
     Rig {
-        lidar: Some(RigLidar {
+        lidars: RigLidar {
             rig_from_lidar: Se3::identity(),
             range_noise_m: 0.03,
-        }),
+        }
+        .alone(),
         ..Rig::empty("test")
     }
 }
@@ -162,11 +163,11 @@ fn a_recording_that_is_there_is_not_replaced() {
 fn a_disk_with_too_little_room_is_refused_before_anything_is_opened() {
     let folder = tempfile::tempdir().unwrap();
     let config = DevicesConfig {
-        lidar: Some(LidarNetConfig {
+        lidars: vec![LidarNetConfig {
             data: "127.0.0.1:0".parse().unwrap(),
             position: "127.0.0.1:0".parse().unwrap(),
             ..LidarNetConfig::default()
-        }),
+        }],
         recorder: RecorderConfig {
             expected_bytes_per_sec: 1e18,
             ..RecorderConfig::default()

@@ -16,10 +16,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use lsfb_capture::doctor::{DoctorConfig, Verdict, examine};
+use lsfb_capture::doctor::{DoctorConfig, examine};
 use lsfb_capture::{Feed, Overflow, RecorderConfig};
 use lsfb_recording::{Recording, recover};
-use lsfb_types::{Image, ImuSample, Stamped, Timestamp, no_progress};
+use lsfb_types::{Image, ImuSample, Stamped, Timestamp, Verdict, no_progress};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -155,11 +155,12 @@ fn check(killed: &Killed) {
     assert_eq!(samples, (0..samples.len() as u32).collect::<Vec<_>>());
     assert!(!recording.damage().is_empty());
     let diagnosis = examine(&recording, &DoctorConfig::default(), &no_progress).unwrap();
-    assert_eq!(diagnosis.verdict, Verdict::Fail);
+    assert_eq!(diagnosis.judgement.verdict(), Verdict::Fail);
     let named = diagnosis
-        .findings
+        .judgement
+        .findings()
         .iter()
-        .any(|f| f.subject == "file" && f.found.contains("last message arrived at"));
+        .any(|f| f.subject == "file" && f.what.contains("last message arrived at"));
     assert!(named, "{diagnosis:?}");
 
     let whole = killed.out.with_extension("whole.mcap");

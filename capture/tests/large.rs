@@ -14,9 +14,9 @@ use std::os::unix::fs::FileExt;
 use std::path::Path;
 use std::time::Instant;
 
-use lsfb_capture::doctor::{DoctorConfig, Verdict, examine};
+use lsfb_capture::doctor::{DoctorConfig, examine};
 use lsfb_recording::Recording;
-use lsfb_types::no_progress;
+use lsfb_types::{Verdict, no_progress};
 
 const START: u64 = 1_772_359_200_000_000_000;
 /// Four images of a megabyte each, every 50 ms.
@@ -144,20 +144,21 @@ fn the_doctor_reads_the_indexes_of_a_large_file_only() {
     let took = began.elapsed();
     println!(
         "{:.1} GB, {} chunks: {:.3} s",
-        diagnosis.bytes as f64 / 1e9,
+        diagnosis.facts.bytes as f64 / 1e9,
         chunks,
         took.as_secs_f64()
     );
-    assert!(diagnosis.bytes >= gigabytes * 990_000_000);
-    assert_eq!(diagnosis.messages, 4 * chunks);
+    assert!(diagnosis.facts.bytes >= gigabytes * 990_000_000);
+    assert_eq!(diagnosis.facts.messages, 4 * chunks);
     let camera = diagnosis
-        .findings
+        .judgement
+        .findings()
         .iter()
-        .find(|f| f.subject == "/cam0/image");
+        .find(|f| f.subject == "/cam0/image" && f.code == "silence");
     let camera = camera.unwrap();
     assert_eq!(camera.verdict, Verdict::Fail, "{camera:?}");
     assert!(
-        camera.found.contains("longest silence 1250 ms at"),
+        camera.what.contains("longest silence 1250 ms at"),
         "{camera:?}"
     );
     // Far below a second on an idle machine; this one may be busy.

@@ -5,7 +5,7 @@
     reason = "a test file as a whole; clippy.toml only spares #[test] functions"
 )]
 
-use lsfb_capture::{CaptureReport, Ending, ReplayConfig, replay};
+use lsfb_capture::{CaptureReport, Ending, LidarData, ReplayConfig, replay};
 use lsfb_drivers::transport::pcap::PcapSource;
 use lsfb_drivers::transport::rosbag2::Rosbag2Source;
 use lsfb_recording::{LIDAR_POSITION, Recording};
@@ -69,6 +69,42 @@ fn vlp32c_bag_becomes_a_recording() {
     }
 }
 
+/// Each kind alone is what it is beside the other.
+#[test]
+fn packets_or_clouds_alone_can_be_kept() {
+    let name = "packets_or_clouds_alone_can_be_kept";
+    let Some(path) = recordings(
+        name,
+        "lidar/nebula_velodyne/vlp32/1713492677464078412_0.db3",
+    ) else {
+        return;
+    };
+    for (lidar_data, kept, left_out) in [
+        (LidarData::Packets, "/lidar/packets", "/lidar/points"),
+        (LidarData::Clouds, "/lidar/points", "/lidar/packets"),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("replay.mcap");
+        let mut config = ReplayConfig::default();
+        config.recorder.lidar_data = lidar_data;
+        replay(
+            Rosbag2Source::open(&path).unwrap(),
+            &config,
+            &out,
+            &no_progress,
+        )
+        .unwrap();
+        let recording = Recording::open(&out).unwrap();
+        let both = replayed(Rosbag2Source::open(&path).unwrap()).recording;
+        let messages = |recording: &Recording, topic: &str| -> Vec<Vec<u8>> {
+            let messages = recording.messages(topic).unwrap();
+            messages.map(|message| message.unwrap().bytes).collect()
+        };
+        assert_eq!(messages(&recording, kept), messages(&both, kept));
+        assert!(recording.messages(left_out).is_err());
+    }
+}
+
 #[test]
 fn vlp16_pcap_with_gps_has_utc() {
     let name = "vlp16_pcap_with_gps_has_utc";
@@ -90,10 +126,13 @@ fn vlp16_pcap_with_gps_has_utc() {
         first.time.nanos(),
         1_453_363_200_000_000_000 + 1_082_340_595_000
     );
+    let lidar = &replayed.report.streams[0];
+    let [note] = &lidar.notes[..] else {
+        panic!("only what it is is worth a word: {lidar:?}");
+    };
     assert!(
-        replayed.report.streams[0].notes.is_empty(),
-        "{:?}",
-        replayed.report.streams[0]
+        note.starts_with("VLP-16 at 10.0.0.100, returns: strongest"),
+        "{note}"
     );
 }
 

@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 
 use lsfb_capture::clock::{ClockConfig, DeviceClock, Unwrap, estimate_clocks};
-use lsfb_capture::doctor::{DoctorConfig, Verdict, examine};
+use lsfb_capture::doctor::{DoctorConfig, examine};
 use lsfb_capture::{
     CameraUnitConfig, DevicesConfig, ImuFamily, ImuLineConfig, Incoming, LidarNetConfig,
     RecorderConfig, SidecarConfig, record_incoming,
@@ -16,7 +16,7 @@ use lsfb_sim::{
     ClockConfig as DeviceClockConfig, ClockJump, Clocked, ClocksConfig, Discipline, Emitted,
     LinkConfig, SimConfig, Simulation,
 };
-use lsfb_types::no_progress;
+use lsfb_types::{Verdict, no_progress};
 
 /// 5 ms to either side, silences of 45 ms, as asked of the estimate.
 fn rough(drift_ppm: f64, jumps: Vec<ClockJump>) -> DeviceClockConfig {
@@ -67,15 +67,16 @@ fn backpack(simulation: &Simulation, folder: &Path) -> DevicesConfig {
     };
     DevicesConfig {
         rig: Some(rig),
-        lidar: Some(LidarNetConfig::default()),
+        lidars: vec![LidarNetConfig::default()],
         cameras: vec![unit(["cam0", "cam1"]), unit(["cam2", "cam3"])],
-        imu: Some(imu_line()),
+        imus: vec![imu_line()],
         ..devices()
     }
 }
 
 fn imu_line() -> ImuLineConfig {
     ImuLineConfig {
+        name: "imu0".to_owned(),
         family: ImuFamily::Xsens,
         path: PathBuf::new(),
         baud: 921_600,
@@ -181,7 +182,7 @@ fn the_clock_of_an_imu_is_told_from_its_recording_step_included() {
     let dir = tempfile::tempdir().unwrap();
     simulation.write_truth(dir.path()).unwrap();
     let devices = DevicesConfig {
-        imu: Some(imu_line()),
+        imus: vec![imu_line()],
         ..devices()
     };
     let emitted = simulation.emit_scan(&[Clocked::Imu]);
@@ -352,17 +353,21 @@ fn the_doctor_lists_what_is_around_and_finds_nothing_wrong() {
     for recording in [&scan, &walk] {
         let diagnosis = examine(recording, &DoctorConfig::default(), &no_progress).unwrap();
         assert_eq!(
-            diagnosis.verdict,
+            diagnosis.judgement.verdict(),
             Verdict::Pass,
             "{:#?}",
-            diagnosis.findings
+            diagnosis.judgement.findings()
         );
     }
     let diagnosis = examine(&walk, &DoctorConfig::default(), &no_progress).unwrap();
     for name in ["mag", "pressure", "gnss", "wifi", "ble"] {
         let topic = format!("/sidecar/glasses/{name}");
-        let listed = diagnosis.findings.iter().any(|f| f.subject == topic);
-        assert!(listed, "{topic}: {:#?}", diagnosis.findings);
+        let listed = diagnosis
+            .judgement
+            .findings()
+            .iter()
+            .any(|f| f.subject == topic);
+        assert!(listed, "{topic}: {:#?}", diagnosis.judgement.findings());
     }
     // Stamps that name the time themselves are those of the truth.
     for (sample, expected) in walk.magnetic(None).unwrap().zip(0_i64..) {

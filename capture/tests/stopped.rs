@@ -71,7 +71,7 @@ fn packets_of_a_file() {
 fn packets_of_a_rig() {
     let folder = tempfile::tempdir().expect("folder");
     let config = DevicesConfig {
-        lidar: Some(LidarNetConfig::default()),
+        lidars: vec![LidarNetConfig::default()],
         recorder: anywhere(),
         ..DevicesConfig::default()
     };

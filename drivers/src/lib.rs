@@ -9,8 +9,8 @@
 //! Setters and `emit` exist for everything that can be read, so that the simulator speaks the real protocols.
 //!
 //! ```
-//! use lsfb_drivers::imu::wire::{Item, Message, Vector};
-//! use lsfb_drivers::imu::{Decoder, DecoderConfig, model::message};
+//! use lsfb_drivers::xsens::wire::{Item, Message, Vector};
+//! use lsfb_drivers::xsens::{Decoder, DecoderConfig, model::message};
 //! use lsfb_types::{Packet, Timestamp};
 //!
 //! // What a simulated unit says …
@@ -30,21 +30,37 @@
 //! # Ok::<(), lsfb_drivers::WireError>(())
 //! ```
 
+#[cfg(any(feature = "velodyne", feature = "hesai"))]
+pub mod any_lidar;
+#[cfg(any(feature = "xsens", feature = "microstrain"))]
 mod byte_stream;
-pub mod camera;
+#[cfg(any(feature = "xsens", feature = "microstrain"))]
 mod conversation;
 mod decoded;
 mod error;
-pub mod imu;
+#[cfg(feature = "hesai")]
+pub mod hesai;
+#[cfg(any(feature = "velodyne", feature = "hesai"))]
+pub mod lidar;
+#[cfg(feature = "microstrain")]
 pub mod microstrain;
+#[cfg(feature = "mynt-d")]
 pub mod mynt_d;
+#[cfg(feature = "mynt-s")]
+pub mod mynt_s;
+#[cfg(any(feature = "mynt-s", feature = "mynt-d"))]
 mod pairing;
-pub mod phone;
+#[cfg(feature = "sbg")]
 pub mod sbg;
+#[cfg(feature = "sidecar")]
+pub mod sidecar;
 #[cfg(test)]
 mod test_random;
 pub mod transport;
+#[cfg(feature = "velodyne")]
 pub mod velodyne;
+#[cfg(feature = "xsens")]
+pub mod xsens;
 
 pub use decoded::Decoded;
 pub use error::{Error, WireError};

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::PathBuf;
 
-use lsfb_drivers::{camera, imu, microstrain, mynt_d};
+use lsfb_drivers::{microstrain, mynt_d, mynt_s, xsens};
 
 fn rules(name: &str) -> Vec<String> {
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
@@ -29,7 +29,7 @@ fn every_camera_rule_is_about_the_units_the_driver_knows() {
     let rules = rules("70-lsfb-camera.rules");
     assert_eq!(rules.len(), 4);
     for rule in &rules {
-        let (vendor, product) = (camera::model::USB_VENDOR, camera::model::USB_PRODUCT);
+        let (vendor, product) = (mynt_s::model::USB_VENDOR, mynt_s::model::USB_PRODUCT);
         assert!(has_device(rule, vendor, Some(product)), "{rule}");
     }
 }
@@ -38,7 +38,7 @@ fn every_camera_rule_is_about_the_units_the_driver_knows() {
 fn every_imu_rule_is_about_the_units_the_driver_knows_or_their_converters() {
     let rules = rules("70-lsfb-imu.rules");
     let units = [
-        (imu::model::USB_VENDOR, None),
+        (xsens::model::USB_VENDOR, None),
         (microstrain::model::USB_VENDOR, None),
         (mynt_d::model::USB_VENDOR, Some(mynt_d::model::USB_PRODUCT)),
     ];

@@ -9,6 +9,7 @@
 use std::time::Duration;
 
 use lsfb_drivers::Error;
+use lsfb_drivers::lidar::Counters;
 use lsfb_drivers::transport::PacketSource;
 use lsfb_drivers::transport::pcap::PcapSource;
 use lsfb_drivers::transport::rosbag2::Rosbag2Source;
@@ -16,8 +17,7 @@ use lsfb_drivers::velodyne::model::{Model, Product};
 use lsfb_drivers::velodyne::nmea::Rmc;
 use lsfb_drivers::velodyne::wire::{DataPacket, PositionPacket, PpsStatus, ReturnMode, identify};
 use lsfb_drivers::velodyne::{
-    Counters, DecodeError, Decoder, DecoderConfig, ModelChoice, OpticalOffset, PacketLayout,
-    returns,
+    DecodeError, Decoder, DecoderConfig, ModelChoice, OpticalOffset, PacketLayout, returns,
 };
 use lsfb_tests::recordings;
 use lsfb_types::{LidarPoint, LidarScan, Packet};

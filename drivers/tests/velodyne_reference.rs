@@ -25,7 +25,7 @@ use lsfb_drivers::velodyne::{
     Decoder, DecoderConfig, ModelChoice, OpticalOffset, PacketLayout, returns,
 };
 use lsfb_tests::recordings as data;
-use lsfb_types::{LidarPoint, Packet};
+use lsfb_types::{Echo, LidarPoint, Packet};
 
 fn u16_at(bytes: &[u8], at: usize) -> usize {
     u16::from_le_bytes(bytes[at..at + 2].try_into().unwrap()).into()
@@ -65,6 +65,7 @@ struct Expected {
     xyz: [f32; 3],
     intensity: u8,
     ring: u16,
+    echo: Echo,
 }
 
 fn reference(path: &Path) -> Vec<Expected> {
@@ -79,11 +80,13 @@ fn reference(path: &Path) -> Vec<Expected> {
     };
     let [x, y, z, intensity] = ["x", "y", "z", "intensity"].map(floats);
     let ring = array(&archive, "ring");
+    let return_type = array(&archive, "return_type");
     (0..x.len())
         .map(|i| Expected {
             xyz: [x[i], y[i], z[i]],
             intensity: intensity[i] as u8,
             ring: ring[i].into(),
+            echo: Echo::from_code(return_type[i]),
         })
         .collect()
 }
@@ -126,7 +129,7 @@ fn in_gap(packets: &[Packet]) -> Vec<bool> {
     in_gap
 }
 
-/// Every point of the reference is one of ours: same ring, same intensity, same height and range, near in azimuth.
+/// Every point of the reference is one of ours: same ring, same echo, same intensity, same height and range, near in azimuth.
 fn assert_same(name: &str, packets: &[Packet], expected: &[Expected], tolerance: Tolerance) {
     const WINDOW: usize = 64;
     let (ours, in_gap) = (decode(packets), in_gap(packets));
@@ -145,6 +148,7 @@ fn assert_same(name: &str, packets: &[Packet], expected: &[Expected], tolerance:
             let [x, y, z] = p.position_m;
             p.ring == e.ring
                 && p.intensity == e.intensity
+                && p.echo == e.echo
                 && (z - e.xyz[2]).abs() <= tolerance.height_m * (1.0 + z.abs())
                 && (range(x, y) - range(e.xyz[0], e.xyz[1])).abs() < 1e-4
                 && (in_gap[j] || off_deg(p).abs() <= tolerance.azimuth_deg)

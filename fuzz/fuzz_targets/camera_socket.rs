@@ -7,7 +7,8 @@ use std::os::unix::net::{UnixListener, UnixStream};
 use std::time::Duration;
 
 use libfuzzer_sys::fuzz_target;
-use lsfb_drivers::camera::wire::{DeviceInfo, ImuProtocol, XuDevice, XuQuery, XuSelector};
+use lsfb_drivers::mynt_s::wire::{DeviceInfo, ImuProtocol, XuDevice};
+use lsfb_drivers::transport::uvc::{XuQuery, XuSelector};
 use lsfb_drivers::transport::camera_socket::{CameraListener, SocketLink};
 
 fuzz_target!(|data: &[u8]| {
@@ -37,7 +38,7 @@ fuzz_target!(|data: &[u8]| {
     let mut replies = host.try_clone().expect("a second handle");
     let reader = std::thread::spawn(move || std::io::copy(&mut replies, &mut std::io::sink()));
     let mut device = XuDevice::new(DeviceInfo::default(), ImuProtocol::Float);
-    while let Ok(Some(_)) = unit.serve(&mut device, Duration::ZERO) {}
+    while let Ok(Some(_)) = device.serve(&mut unit, Duration::ZERO) {}
     drop(unit);
     let _ = reader.join();
 });

@@ -12,7 +12,15 @@ fuzz_target!(|data: &[u8]| {
         0 => drop(message::decode_image(data)),
         1 => drop(message::decode_imu(data)),
         2 => drop(message::decode_time_reference(data)),
-        3 => drop(message::decode_velodyne_scan(data)),
+        3 => {
+            for schema in [
+                message::LIDAR_PACKETS,
+                message::VELODYNE_SCAN,
+                message::PANDAR_SCAN,
+            ] {
+                drop(message::decode_lidar_packets(schema.name, data));
+            }
+        }
         4 => drop(message::decode_points(data)),
         5 => drop(message::decode_raw_packet(data)),
         6 => drop(message::decode_frame_meta(data)),

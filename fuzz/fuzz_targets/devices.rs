@@ -18,7 +18,8 @@ fuzz_target!(|data: &[u8]| {
             Some(text)
         );
         // Nothing listens on the network here.
-        (config.lidar, config.sidecar, config.rig) = (None, None, None);
+        (config.sidecar, config.rig) = (None, None);
+        config.lidars.clear();
         let _ = Session::open(&config);
     }
 });

@@ -48,8 +48,8 @@ fuzz_target!(|data: &[u8]| {
     let text = String::from_utf8_lossy(data);
     match kind {
         b'k' => {
-            if let Ok(rig) = import_kalibr(&text, "fuzz") {
-                assert_rig(&rig, Format::Kalibr);
+            if let Ok(found) = import_kalibr(&text, "fuzz") {
+                assert_rig(&found.rig, Format::Kalibr);
             }
         }
         b'n' => drop(import_kalibr_imu(&text, "fuzz")),
@@ -61,8 +61,8 @@ fuzz_target!(|data: &[u8]| {
         b'c' => {
             // What follows the first zero is the rig.
             let (cameras, rig) = text.split_once('\0').unwrap_or((&text, ""));
-            if let Ok(rig) = import_colmap(cameras, Some(rig).filter(|r| !r.is_empty()), "fuzz") {
-                assert_rig(&rig, Format::Colmap);
+            if let Ok(found) = import_colmap(cameras, Some(rig).filter(|r| !r.is_empty()), "fuzz") {
+                assert_rig(&found.rig, Format::Colmap);
             }
         }
         b'b' => {

@@ -7,12 +7,12 @@ use lsfb_capture::{
     CameraUnitConfig, DevicesConfig, ImuFamily, ImuLineConfig, Incoming, LidarNetConfig,
     RecorderConfig, SidecarConfig, record_incoming,
 };
-use lsfb_drivers::camera::model::FrameFormat;
-use lsfb_drivers::camera::wire::{TimeSource, Trailer, emit_frame};
-use lsfb_drivers::imu::wire::Message;
+use lsfb_drivers::transport::uvc::FrameFormat;
+use lsfb_drivers::mynt_s::wire::{TimeSource, Trailer, emit_frame};
+use lsfb_drivers::xsens::wire::Message;
 use lsfb_drivers::microstrain::wire::MipPacket;
-use lsfb_drivers::phone::SidecarMessage;
-use lsfb_drivers::phone::wire::{Advertise, Hello};
+use lsfb_drivers::sidecar::SidecarMessage;
+use lsfb_drivers::sidecar::wire::{Advertise, Hello};
 use lsfb_drivers::velodyne::wire::{DATA_PACKET_LEN, POSITION_PACKET_LEN};
 use lsfb_recording::{Compression, Existing, LAST_STAMP};
 use lsfb_types::{Packet, Timestamp};
@@ -29,9 +29,10 @@ fn config(family: u8) -> DevicesConfig {
         ..CameraUnitConfig::stereo("".into(), names.map(str::to_owned))
     };
     DevicesConfig {
-        lidar: Some(LidarNetConfig::default()),
+        lidars: vec![LidarNetConfig::default()],
         cameras: vec![unit(["cam0", "cam1"]), unit(["cam2", "cam3"])],
-        imu: Some(ImuLineConfig {
+        imus: vec![ImuLineConfig {
+            name: "imu0".to_owned(),
             family: match family % 4 {
                 0 => ImuFamily::Xsens,
                 1 => ImuFamily::Microstrain,
@@ -41,7 +42,7 @@ fn config(family: u8) -> DevicesConfig {
             path: "".into(),
             baud: 115_200,
             rate_hz: 100,
-        }),
+        }],
         sidecar: Some(SidecarConfig {
             listen: ([127, 0, 0, 1], 0).into(),
         }),

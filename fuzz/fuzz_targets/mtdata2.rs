@@ -2,8 +2,8 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use lsfb_drivers::imu::wire::{Items, Message, OutputSetting};
-use lsfb_drivers::imu::{Decoder, DecoderConfig};
+use lsfb_drivers::xsens::wire::{Items, Message, OutputSetting};
+use lsfb_drivers::xsens::{Decoder, DecoderConfig};
 use lsfb_types::{Packet, Timestamp};
 
 fuzz_target!(|data: &[u8]| {

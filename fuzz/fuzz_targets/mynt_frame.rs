@@ -2,9 +2,9 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use lsfb_drivers::camera::model::FrameFormat;
-use lsfb_drivers::camera::wire::{Frame, Trailer, emit_frame};
-use lsfb_drivers::camera::{ChecksumRule, Decoder, DecoderConfig};
+use lsfb_drivers::transport::uvc::FrameFormat;
+use lsfb_drivers::mynt_s::wire::{Frame, Trailer, emit_frame};
+use lsfb_drivers::mynt_s::{ChecksumRule, Decoder, DecoderConfig};
 use lsfb_types::{Packet, Timestamp};
 
 const FORMAT: FrameFormat = FrameFormat {

@@ -2,8 +2,8 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use lsfb_drivers::camera::ImuDecoder;
-use lsfb_drivers::camera::wire::{ImuProtocol, ImuRequest, ImuResponse};
+use lsfb_drivers::mynt_s::ImuDecoder;
+use lsfb_drivers::mynt_s::wire::{ImuProtocol, ImuRequest, ImuResponse};
 use lsfb_types::{Packet, Timestamp};
 
 fuzz_target!(|data: &[u8]| {

@@ -2,10 +2,8 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use lsfb_drivers::camera::wire::{
-    CameraOption, DeviceInfo, ImageCalibration, ImuCalibration, ImuProtocol, OptionCommand,
-    UnitFile, XuDevice, XuQuery, XuSelector,
-};
+use lsfb_drivers::mynt_s::wire::{CameraOption, DeviceInfo, ImageCalibration, ImuCalibration, ImuProtocol, OptionCommand, UnitFile, XuDevice};
+use lsfb_drivers::transport::uvc::{XuQuery, XuSelector};
 
 fuzz_target!(|data: &[u8]| {
     // As it is, and with the length and checksum that an answer needs.

@@ -69,7 +69,7 @@ fn write(path: &std::path::Path, data: &[u8]) -> Result<(), lsfb_recording::Erro
                     position_m: [given[9].into(); 3],
                     ..LidarPoint::default()
                 };
-                writer.write_scan(stamped!(LidarScan {
+                writer.write_scan("lidar", stamped!(LidarScan {
                     points: vec![point]
                 }))?;
             }
@@ -81,7 +81,7 @@ fn write(path: &std::path::Path, data: &[u8]) -> Result<(), lsfb_recording::Erro
                 }
                 bytes[1200..1204].copy_from_slice(&given[5..9]);
                 bytes[1204..].copy_from_slice(&[0x37, 0x22]);
-                writer.write_velodyne_packets(last, &[Packet { arrival, bytes }])?;
+                writer.write_lidar_packets("lidar", last, &[Packet { arrival, bytes }])?;
             }
             4 | 5 => {
                 let bytes = if given[0] & 1 == 0 {

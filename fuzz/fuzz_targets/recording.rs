@@ -41,9 +41,9 @@ static WHOLE: LazyLock<Vec<u8>> = LazyLock::new(|| {
         writer
             .write_image("cam0", &stamped(time, image))
             .expect("it fits");
-        writer.write_scan(&stamped(time, scan)).expect("it fits");
+        writer.write_scan("lidar", &stamped(time, scan)).expect("it fits");
         writer
-            .write_velodyne_packets(time, &[packet])
+            .write_lidar_packets("lidar", time, &[packet])
             .expect("it fits");
     }
     writer.finish().expect("a scratch file");

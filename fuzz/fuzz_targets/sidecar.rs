@@ -2,7 +2,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use lsfb_drivers::phone::wire::{Advertise, Envelope, Hello};
+use lsfb_drivers::sidecar::wire::{Advertise, Envelope, Hello};
 
 fuzz_target!(|data: &[u8]| {
     if let Ok(envelope) = Envelope::parse(data) {

@@ -177,12 +177,13 @@ fn what_the_kernel_drops_is_counted_and_told() {
     }
     let folder = tempfile::tempdir().unwrap();
     let config = DevicesConfig {
-        imu: Some(ImuLineConfig {
+        imus: vec![ImuLineConfig {
+            name: "imu0".to_owned(),
             family: ImuFamily::Sbg,
             path: "vcan0".into(),
             baud: 0,
             rate_hz: 200,
-        }),
+        }],
         recorder: RecorderConfig {
             least_space_secs: 0.0,
             ..RecorderConfig::default()

@@ -20,14 +20,15 @@ use lsfb_capture::{
     CameraUnitConfig, CaptureReport, DevicesConfig, Overflow, RecorderConfig, Session,
 };
 use lsfb_drivers::Error;
-use lsfb_drivers::camera::model::{FrameFormat, TRAILER_BYTES};
-use lsfb_drivers::camera::wire::{
-    CameraOption, DeviceInfo, ImageControl, ImuProtocol, ImuRequest, ImuSegment, ImuValues,
-    OptionCommand, TimeSource, Trailer, Version, XuDevice, XuQuery, XuSelector, emit_frame,
+use lsfb_drivers::mynt_s::model::TRAILER_BYTES;
+use lsfb_drivers::mynt_s::wire::{
+    CameraOption, DeviceInfo, ImuProtocol, ImuRequest, ImuSegment, ImuValues, OptionCommand,
+    TimeSource, Trailer, Version, XuDevice, emit_frame,
 };
-use lsfb_drivers::camera::{CameraConfig, Decoder, DecoderConfig, Exposure, MyntCamera, Trigger};
+use lsfb_drivers::mynt_s::{CameraConfig, Decoder, DecoderConfig, Exposure, MyntCamera, Trigger};
 use lsfb_drivers::transport::PacketSource;
-use lsfb_drivers::transport::camera_link::{CameraLink, LinkCounters};
+use lsfb_drivers::transport::camera_link::CameraLink;
+use lsfb_drivers::transport::uvc::{FrameFormat, ImageControl, LinkCounters, XuQuery, XuSelector};
 use lsfb_recording::Recording;
 use lsfb_sim::{Pace, Playback, PlaybackEndpoints, Turns};
 use lsfb_types::{no_progress, until};

@@ -24,7 +24,8 @@ impl Target {
         let mut entries = BTreeMap::new();
         for (number, line) in text.lines().enumerate() {
             let line = line.split('#').next().unwrap_or_default().trim();
-            if line.is_empty() || line == "---" {
+            // OpenCV's head is no YAML directive, but many files begin with it.
+            if line.is_empty() || line == "---" || line.starts_with('%') {
                 continue;
             }
             let (key, value) = line
@@ -87,6 +88,32 @@ impl Target {
                 ));
             }
         };
+        // A key that is not understood may say that the board is another one.
+        let known: &[&str] = match target {
+            Target::AprilGrid { .. } => &["tagCols", "tagRows", "tagSize", "tagSpacing"],
+            Target::Checkerboard { .. } => &[
+                "targetCols",
+                "targetRows",
+                "rowSpacingMeters",
+                "colSpacingMeters",
+            ],
+            Target::Charuco { .. } => &[
+                "squareCols",
+                "squareRows",
+                "squareSize",
+                "markerSize",
+                "dictionary",
+            ],
+        };
+        let unknown = entries
+            .iter()
+            .find(|(key, _)| **key != "target_type" && !known.contains(key));
+        if let Some((key, (line, _))) = unknown {
+            return Err(format!(
+                "line {line}: {key} is not understood: target_type, {} are",
+                known.join(", ")
+            ));
+        }
         target.problem().map_or(Ok(target), Err)
     }
 
@@ -148,6 +175,8 @@ mod tests {
         };
         for target in [grid, board, charuco] {
             assert_eq!(Target::from_kalibr(&target.to_kalibr()), Ok(target));
+            let opencv = format!("%YAML:1.0\n---\n{}", target.to_kalibr());
+            assert_eq!(Target::from_kalibr(&opencv), Ok(target));
         }
         for (text, problem) in [
             (
@@ -164,6 +193,10 @@ mod tests {
                 "line 2: dictionary is 7x7",
             ),
             ("nonsense", "line 1: expected"),
+            (
+                "target_type: aprilgrid\ntagCols: 6\ntagRows: 6\ntagSize: 0.088\ntagSpacing: 0.3\ntagFamily: tag25h9",
+                "line 6: tagFamily is not understood",
+            ),
             (
                 "target_type: aprilgrid # mine\ntagCols: 60\ntagRows: 60\ntagSize: 1\ntagSpacing: 0.3",
                 "60 × 60 tags",

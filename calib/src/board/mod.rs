@@ -91,6 +91,9 @@ impl Target {
     }
 }
 
+/// Edges of squares and tags of boards that exist, metres.
+const EDGES_M: std::ops::Range<f64> = 0.001..1.5;
+
 impl Target {
     /// What is wrong with the numbers, if anything.
     pub fn problem(&self) -> Option<String> {
@@ -98,14 +101,29 @@ impl Target {
             (!(value > 0.0 && value.is_finite()))
                 .then(|| format!("{name} is {value}: it must be positive"))
         };
+        let edge =
+            |what: &str, value_m: f64| {
+                positive(what, value_m).or_else(|| {
+                if value_m < EDGES_M.start {
+                    Some(format!("{what} of {value_m} m is smaller than a millimetre"))
+                } else if value_m > EDGES_M.end {
+                    let metres = value_m / 1e3;
+                    Some(format!(
+                        "{what} of {value_m} m: lengths are in metres, {metres} for {value_m} mm"
+                    ))
+                } else {
+                    None
+                }
+            })
+            };
         match *self {
             Target::AprilGrid {
                 columns,
                 rows,
                 tag_size_m,
                 spacing_ratio,
-            } => positive("tagSize", tag_size_m)
-                .or_else(|| positive("tagSpacing", spacing_ratio))
+            } => edge("a tag", tag_size_m)
+                .or_else(|| positive("the gap between tags", spacing_ratio))
                 .or_else(|| {
                     let tags = u64::from(columns) * u64::from(rows);
                     (tags == 0 || tags > u64::from(TAGS_36H11)).then(|| {
@@ -116,7 +134,7 @@ impl Target {
                 columns,
                 rows,
                 square_m,
-            } => positive("square size", square_m).or_else(|| {
+            } => edge("a square", square_m).or_else(|| {
                 let sensible = (2..=100).contains(&columns) && (2..=100).contains(&rows);
                 (!sensible).then(|| {
                     format!("{columns} × {rows} inner corners: between 2 and 100 are possible")
@@ -128,8 +146,8 @@ impl Target {
                 square_m,
                 marker_m,
                 ..
-            } => positive("square size", square_m)
-                .or_else(|| positive("marker size", marker_m))
+            } => edge("a square", square_m)
+                .or_else(|| edge("a marker", marker_m))
                 .or_else(|| {
                     let markers = u64::from(columns) * u64::from(rows) / 2;
                     (columns < 3 || rows < 3 || markers > u64::from(MARKERS)).then(|| {

@@ -2,15 +2,18 @@
 
 use std::collections::BTreeMap;
 
+use lsfb_geometry::camera::LensModel;
 use lsfb_geometry::{Camera, Se3, UnitQuaternion, Vector2, Vector3};
 use lsfb_solver::{Block, Kernel, Problem, SolveConfig, solve};
 use nalgebra::SVector;
 
 use super::corner_residual::CornerResidual;
-use super::guess::pose_of_target;
+use super::guess::{self, fit_lens, lens_rays, pose_of_target};
+use super::pairing;
+use super::pose_choice::{most_central, spread};
 use super::{CameraConfig, CameraViews};
-use crate::Error;
 use crate::board::Target;
+use crate::error::{Error, missed};
 use crate::projection::lens_camera;
 
 /// A camera on its way.
@@ -60,7 +63,7 @@ pub(super) fn adjust_each_then_all<'a>(
 ) -> Result<Solved<'a>, Error> {
     let mut alone = Vec::with_capacity(starts.len());
     for start in starts {
-        alone.push(adjust_robustly(target, vec![start], config)?);
+        alone.push(adjust_alone(target, start, config)?);
     }
     if alone.len() == 1 {
         return alone.pop().ok_or_else(|| unreachable_camera(target));
@@ -125,7 +128,8 @@ pub(super) fn adjust_each_then_all<'a>(
             },
             first,
             problem: format!(
-                "each for itself sees the target well, together they miss it by {rms_px:.1} px: they are not triggered together, their stamps are off, or one of them is loose"
+                "each for itself sees the target well, together {}: they are not triggered together, their stamps are off, or one of them is loose",
+                missed(rms_px)
             ),
         },
         other => other,
@@ -140,28 +144,6 @@ fn unreachable_camera(target: &Target) -> Error {
         needed: 1,
         target: target.describe(),
     }
-}
-
-/// Of several guesses of one pose the one that agrees best with the others.
-pub(crate) fn most_central(candidates: &[Se3]) -> Option<Se3> {
-    let distance = |a: &Se3, b: &Se3| (a.inverse() * *b).log().norm();
-    let cost = |a: &Se3| candidates.iter().map(|b| distance(a, b)).sum::<f64>();
-    candidates
-        .iter()
-        .map(|c| (cost(c), c))
-        .min_by(|a, b| a.0.total_cmp(&b.0))
-        .map(|c| *c.1)
-}
-
-/// Median distance of guesses of one pose from the one that agrees best with the others.
-fn spread(candidates: &[Se3]) -> f64 {
-    let Some(central) = most_central(candidates) else {
-        return f64::INFINITY;
-    };
-    let distance = |c: &Se3| (central.inverse() * *c).log().norm();
-    let mut distances: Vec<f64> = candidates.iter().map(distance).collect();
-    distances.sort_by(f64::total_cmp);
-    distances[distances.len() / 2]
 }
 
 /// Pose of the first camera in another: the one of all shared instants that agrees best with the others.
@@ -190,6 +172,21 @@ fn relative_pose(
                 .into(),
         });
     }
+    if let Some(by) = pairing::shift(first_from_target, other_from_target) {
+        let (first, other) = (&first.views.name, &other.views.name);
+        return Err(Error::NotJoined {
+            first: first.clone(),
+            second: other.clone(),
+            problem: format!(
+                "their pairs are shifted: images of {other} belong to those that {first} took {} {}: they are not triggered together, or one of them lost images before they were numbered",
+                match by.abs() {
+                    1 => "one instant".to_owned(),
+                    n => format!("{n} instants"),
+                },
+                if by > 0 { "before" } else { "after" }
+            ),
+        });
+    }
     most_central(&candidates)
         .filter(|_| candidates.len() >= MIN_SHARED)
         .ok_or_else(|| Error::NotJoined {
@@ -209,6 +206,47 @@ fn half_turn(target: &Target) -> Se3 {
         UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI),
         Vector3::new(width, height, 0.0),
     )
+}
+
+/// Adjusts one camera. Where its model cannot be started from the views alone it is started from what another model, which
+/// starts nearly anywhere, makes of them.
+fn adjust_alone<'a>(
+    target: &Target,
+    start: Start<'a>,
+    config: &CameraConfig,
+) -> Result<Solved<'a>, Error> {
+    let wanted = start.camera.lens.model();
+    let failed = match adjust_robustly(target, vec![start.clone()], config) {
+        Ok(solved) => return Ok(solved),
+        Err(failed) => failed,
+    };
+    let other = [LensModel::KannalaBrandt, LensModel::PinholeRadtan]
+        .into_iter()
+        .filter(|model| *model != wanted)
+        .filter_map(|model| {
+            let camera = guess::camera(target, start.views, &start.chosen, model).ok()?;
+            let start = Start {
+                camera,
+                ..start.clone()
+            };
+            adjust_robustly(target, vec![start], config).ok()
+        })
+        .min_by(|a, b| a.rms_px(target).total_cmp(&b.rms_px(target)));
+    let Some(camera) = other.and_then(|solved| Some(solved.cameras.first()?.camera)) else {
+        return Err(failed);
+    };
+    let rays = lens_rays(
+        &camera,
+        start.chosen.iter().filter_map(|t| start.views.views.get(t)),
+    );
+    let start = Start {
+        camera: Camera {
+            lens: fit_lens(wanted, &camera, &rays),
+            ..camera
+        },
+        ..start
+    };
+    adjust_robustly(target, vec![start], config).map_err(|_| failed)
 }
 
 fn adjust_robustly<'a>(

@@ -77,14 +77,22 @@ pub(super) fn camera(
     if ideal.lens.model() == model {
         return Ok(ideal);
     }
-    let rays = corners.iter().flat_map(|c| c.iter()).filter_map(|corner| {
-        let ray = ideal.unproject(&corner.pixel)?;
-        Some((ray, corner.pixel))
-    });
+    let rays = lens_rays(&ideal, corners.iter().copied());
     Ok(Camera {
-        lens: fit_lens(model, &ideal, &rays.collect::<Vec<_>>()),
+        lens: fit_lens(model, &ideal, &rays),
         ..ideal
     })
+}
+
+/// The rays of corners by a lens, each with its pixel: what another lens is fitted to.
+pub(super) fn lens_rays<'a>(
+    camera: &Camera,
+    views: impl Iterator<Item = &'a Vec<Corner>>,
+) -> Vec<(Vector3<f64>, Vector2<f64>)> {
+    views
+        .flatten()
+        .filter_map(|corner| Some((camera.unproject(&corner.pixel)?, corner.pixel)))
+        .collect()
 }
 
 fn median_error_px(

@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 use lsfb_geometry::camera::LensModel;
 use lsfb_geometry::{Camera, Vector2, Vector3};
 use lsfb_solver::Kernel;
+use lsfb_types::{Finding, Limit, Verdict};
 use nalgebra::{DMatrix, DVector};
 
 use super::CameraConfig;
@@ -44,8 +45,8 @@ const MODELS: [LensModel; 5] = [
 /// What views say that an adjustment did not see.
 pub(super) struct Holdout {
     pub rms_px: f64,
-    /// What is to be said of the lens model.
-    pub wrong_model: Option<String>,
+    /// The lens model, where it does not fit.
+    pub wrong_model: Option<Finding>,
 }
 
 /// An error and the pixel it is at.
@@ -99,7 +100,7 @@ impl Solved<'_> {
         }))
     }
 
-    /// What is to be said where errors have a pattern over the image.
+    /// What errors that have a pattern over the image come from.
     fn other_models(
         &self,
         target: &Target,
@@ -107,7 +108,7 @@ impl Solved<'_> {
         every: usize,
         own: &Prediction,
         pattern: f64,
-    ) -> Option<String> {
+    ) -> Option<Finding> {
         let model = own.camera.lens.model();
         let seen = own.kept.iter().filter_map(|(pixel, _)| {
             let ray: Vector3<f64> = own.camera.unproject(pixel)?;
@@ -133,18 +134,36 @@ impl Solved<'_> {
             .fold(f64::INFINITY, f64::min);
         let best = others.iter().find(|o| o.sum() <= AS_GOOD * least);
         let percent = pattern * 100.0;
+        let name = &self.cameras[k].views.name;
+        let finding = |what: String| {
+            Finding::new("lens-model", Verdict::Warn, name, what)
+                .value(percent, "%")
+                .limit(Limit::AtMost(UNEXPLAINED_PATTERN * 100.0))
+        };
         match best {
-            Some(best) if is_better(&own.squares, &best.squares) => Some(format!(
-                "the lens model does not fit: on holdout views {} leaves {:.3} px and {} {:.3} px, {percent:.0} % of its squares one pattern over the image: use --model {}",
-                model.name(),
-                own.rms_px(),
-                best.camera.lens.model().name(),
-                best.rms_px(),
-                best.camera.lens.model().name(),
-            )),
-            _ if pattern > UNEXPLAINED_PATTERN => Some(format!(
-                "{percent:.0} % of the squares on holdout views are one pattern over the image, and no lens model explains it: look for glass before the lens, a focus or zoom that moved, or a board that is bent"
-            )),
+            Some(best) if is_better(&own.squares, &best.squares) => {
+                let better = best.camera.lens.model().name();
+                let what = format!(
+                    "the lens model does not fit: on holdout views {} leaves {:.3} px and {better} {:.3} px, {percent:.0} % of its squares one pattern over the image",
+                    model.name(),
+                    own.rms_px(),
+                    best.rms_px(),
+                );
+                let limit = Limit::AtMost(SUSPICIOUS_PATTERN * 100.0);
+                Some(
+                    finding(what)
+                        .limit(limit)
+                        .remedy(format!("use --model {better}")),
+                )
+            }
+            _ if pattern > UNEXPLAINED_PATTERN => {
+                let what = format!(
+                    "{percent:.0} % of the squares on holdout views are one pattern over the image, and no lens model explains it"
+                );
+                Some(finding(what).remedy(
+                    "look for glass in front of the lens, a focus or zoom that moved, or a board that is bent",
+                ))
+            }
             _ => None,
         }
     }

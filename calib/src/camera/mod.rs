@@ -9,6 +9,8 @@ mod guess;
 mod holdout;
 mod normal;
 mod page;
+mod pairing;
+mod pose_choice;
 mod rig;
 mod selection;
 mod summary;
@@ -18,7 +20,7 @@ use std::collections::BTreeMap;
 
 use lsfb_geometry::camera::LensModel;
 use lsfb_geometry::{Camera, Matrix6, Rig, Se3};
-use lsfb_types::{Bounds, Progress, ProgressFn};
+use lsfb_types::{Bounds, Finding, Limit, Progress, ProgressFn, Verdict};
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
@@ -28,11 +30,14 @@ use crate::detect::Corner;
 pub use crate::coverage::COVERAGE_CELLS;
 
 pub use crate::residual_diagnosis::BoardDeformation;
-pub(crate) use adjustment::most_central;
 pub(crate) use guess::fit_lens;
 pub use guess::pose_of_target;
+pub(crate) use pairing::expect_different_images;
+pub(crate) use pose_choice::most_central;
 pub(crate) use views::last_number;
-pub use views::{image_files, views_from_folder, views_from_recording};
+pub use views::{
+    image_files, image_from_folder, views_from_bag, views_from_folder, views_from_recording,
+};
 
 /// What one camera saw.
 #[derive(Clone, Debug, PartialEq)]
@@ -147,8 +152,9 @@ pub struct CalibratedCamera {
     /// Reprojection errors (x, y) of all corners, pixels, in order.
     #[serde(skip)]
     pub errors_px: Vec<[f64; 2]>,
-    /// What should be recorded better, in words.
-    pub warnings: Vec<String>,
+    /// What was looked at, and how it came out.
+    #[serde(skip)]
+    pub findings: Vec<Finding>,
 }
 
 /// All cameras.
@@ -175,6 +181,7 @@ pub fn calibrate_cameras(
     if let Some(problem) = target.problem() {
         return Err(Error::Target { problem });
     }
+    expect_different_images(cameras)?;
     let ordered = in_order(cameras);
     let mut alone = Vec::with_capacity(cameras.len());
     for (done, views) in ordered.iter().enumerate() {
@@ -206,13 +213,27 @@ pub fn calibrate_cameras(
     let mut calibration = solved.report(target, &ordered, config)?;
     let place = |c: &CalibratedCamera| cameras.iter().position(|given| given.name == c.name);
     calibration.cameras.sort_by_key(place);
-    let warning = swapped(&calibration.cameras);
+    let finding = swapped(&calibration.cameras);
     if let Some(last) = calibration.cameras.last_mut() {
-        last.warnings.extend(warning);
+        last.findings.extend(finding);
+    }
+    for c in &mut calibration.cameras {
+        let far_m = c.camera_from_first.translation.norm();
+        if far_m > FARTHEST_M {
+            let what = format!("it is {far_m:.1} m from the first camera");
+            let far = Finding::new("far-camera", Verdict::Warn, &c.name, what)
+                .value(far_m, "m")
+                .limit(Limit::AtMost(FARTHEST_M));
+            c.findings.push(far.remedy(
+                "check that the board's size is in metres, and that all cameras saw the same board",
+            ));
+        }
     }
     Ok(calibration)
 }
 
+/// Cameras of a rig that is carried are nearer to each other, metres.
+const FARTHEST_M: f64 = 5.0;
 /// Difference of two cameras' places that counts as much as another camera: radians and metres.
 const TURN_RAD: f64 = 0.1;
 const SHIFT_M: f64 = 0.05;
@@ -221,7 +242,7 @@ const NEARER: f64 = 0.25;
 
 impl CameraCalibration {
     /// Compares the result with the rig it goes into, where that has these cameras: those that were exchanged are added to the
-    /// warnings.
+    /// findings.
     pub fn compare_with(&mut self, rig: &Rig) {
         let Some((first, others)) = self.cameras.split_first_mut() else {
             return;
@@ -241,17 +262,20 @@ impl CameraCalibration {
                 && exchanged < 1.0
                 && exchanged < NEARER * as_named
             {
-                c.warnings.push(format!(
+                let what = format!(
                     "{} and {} stand to each other as the rig has them the other way round: their views are swapped, or their names",
                     first.name, c.name
-                ));
+                );
+                let finding = Finding::new("swapped", Verdict::Warn, &c.name, what);
+                c.findings
+                    .push(finding.remedy("check which images belong to which camera"));
             }
         }
     }
 }
 
-/// What is said of cameras whose names and places contradict each other.
-fn swapped(cameras: &[CalibratedCamera]) -> Option<String> {
+/// Cameras whose names and places contradict each other.
+fn swapped(cameras: &[CalibratedCamera]) -> Option<Finding> {
     let named = |word: &str| {
         cameras
             .iter()
@@ -260,10 +284,12 @@ fn swapped(cameras: &[CalibratedCamera]) -> Option<String> {
     let (left, right) = (named("left")?, named("right")?);
     let left_from_right = left.camera_from_first * right.camera_from_first.inverse();
     (left_from_right.translation.x < 0.0).then(|| {
-        format!(
+        let what = format!(
             "{} stands to the left of {}: their views are swapped, or their names",
             right.name, left.name
-        )
+        );
+        let finding = Finding::new("swapped", Verdict::Warn, &right.name, what);
+        finding.remedy("check which images belong to which camera")
     })
 }
 

@@ -1,50 +1,38 @@
 //! The report as one HTML page.
 
+use lsfb_report::{Page, scroll};
+use lsfb_types::Judgement;
 use maud::{Markup, html};
 
 use super::{CalibratedCamera, CameraCalibration};
-use crate::plots::{self, LARGEST_SHOWN_PX};
-use crate::report;
-use crate::residual_diagnosis::FAILED_RMS_PX;
-use crate::verify::Outcome;
+use crate::plots::{self, pose_rows};
 
 impl CameraCalibration {
-    /// Whether the result may be used: not where corners miss by more than any detector does.
-    pub fn outcome(&self) -> Outcome {
-        if self.cameras.iter().any(|c| c.inlier_rms_px > FAILED_RMS_PX) {
-            Outcome::Fail
-        } else if self.cameras.iter().any(|c| !c.warnings.is_empty()) {
-            Outcome::Warn
-        } else {
-            Outcome::Pass
-        }
-    }
-
-    /// One sentence: whether the result may be trusted.
-    pub fn verdict(&self) -> String {
-        let warnings: Vec<String> = self
-            .cameras
-            .iter()
-            .flat_map(|c| c.warnings.iter().map(|w| format!("{}: {w}", c.name)))
-            .collect();
+    /// What was calibrated and how well, in a few words.
+    pub fn summary(&self) -> String {
         let views: usize = self.cameras.iter().map(|c| c.views).sum();
         let cameras = match self.cameras.len() {
             1 => "1 camera".to_owned(),
             n => format!("{n} cameras"),
         };
-        let fits = format!(
-            "{cameras}, {views} views: corners are met to {:.2} px",
-            self.rms_px
-        );
-        report::verdict(self.outcome(), &fits, &warnings)
+        format!("{cameras}, {views} views, {:.2} px rms", self.rms_px)
     }
 
-    /// The page: no script, no network.
+    /// Whether the result may be used, and how far.
+    pub fn judgement(&self) -> Judgement {
+        let findings = self.cameras.iter().flat_map(|c| &c.findings);
+        Judgement::new(findings.cloned().collect())
+    }
+
+    /// The page.
     pub fn to_html(&self, title: &str) -> String {
         let body = html! {
             @for camera in &self.cameras { (section(camera)) }
         };
-        report::page(title, &self.verdict(), &[], &body)
+        Page::new(title)
+            .judged(&self.judgement(), &self.summary())
+            .body(body)
+            .to_html()
     }
 }
 
@@ -71,10 +59,20 @@ fn focal_length(c: &CalibratedCamera) -> String {
 }
 
 fn section(c: &CalibratedCamera) -> Markup {
+    let parameters = html! {
+        table.numbers {
+            thead { tr { th { "parameter" } th { "value" } th { "σ" } } }
+            tbody {
+                @for p in &c.parameters {
+                    tr { td { (p.name) } td { (format!("{:.5}", p.value)) } td { (format!("{:.5}", p.sigma)) } }
+                }
+                @if c.pose_sigma != [0.0; 6] { (pose_rows(&c.camera_from_first, &c.pose_sigma, [4, 2])) }
+            }
+        }
+    };
     html! {
         section {
             h2 { (c.name) ", " (c.camera.lens.model().name()) }
-            @for warning in &c.warnings { p.warning { (warning) } }
             p {
                 "Found in " (c.found) " of " (c.images) " images, " (c.views) " of them adjusted: "
                 (c.corners) " corners, " (c.outliers) " outliers, "
@@ -83,42 +81,8 @@ fn section(c: &CalibratedCamera) -> Markup {
                 ")."
             }
             p { (focal_length(c)) " Views tilted by 30° about both axes, near and far, tell focal length from distance." }
-            div.row {
-                table {
-                    thead { tr { th { "parameter" } th { "value" } th { "σ" } } }
-                    tbody {
-                        @for p in &c.parameters {
-                            tr { td { (p.name) } td { (format!("{:.5}", p.value)) } td { (format!("{:.5}", p.sigma)) } }
-                        }
-                        @if c.pose_sigma != [0.0; 6] { (pose(c)) }
-                    }
-                }
-                figure { (plots::coverage(&c.cells, [c.camera.width, c.camera.height])) figcaption { "Corners per part of the image" } }
-                figure { (plots::vectors(&c.cell_errors_px, [c.camera.width, c.camera.height])) figcaption { "Mean error per part of the image, enlarged: the longest is " (format!("{:.2}", plots::longest(&c.cell_errors_px))) " px" } }
-                figure { (plots::scatter(&c.errors_px)) figcaption { "Errors of corners within ±" (LARGEST_SHOWN_PX) " px" } }
-                figure { (plots::lengths(&c.errors_px)) figcaption { "Length of the errors, 0 to " (LARGEST_SHOWN_PX) " px" } }
-            }
-        }
-    }
-}
-
-/// Rows of the first camera's pose in this one.
-fn pose(c: &CalibratedCamera) -> Markup {
-    let (roll, pitch, yaw) = c.camera_from_first.rotation.euler_angles();
-    html! {
-        @for (k, (name, value)) in [("roll", roll), ("pitch", pitch), ("yaw", yaw)].iter().enumerate() {
-            tr {
-                td { (name) ", °" }
-                td { (format!("{:.4}", value.to_degrees())) }
-                td { (format!("{:.4}", c.pose_sigma[k].to_degrees())) }
-            }
-        }
-        @for (k, name) in ["x", "y", "z"].iter().enumerate() {
-            tr {
-                td { (name) ", mm" }
-                td { (format!("{:.2}", c.camera_from_first.translation[k] * 1e3)) }
-                td { (format!("{:.3}", c.pose_sigma[3 + k] * 1e3)) }
-            }
+            (scroll(&parameters))
+            (plots::of_corners(&c.cells, &c.cell_errors_px, &c.errors_px, [c.camera.width, c.camera.height]))
         }
     }
 }

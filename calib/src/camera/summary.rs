@@ -1,6 +1,7 @@
 //! From an adjustment to what is told about it.
 
 use lsfb_geometry::{Matrix6, Vector2};
+use lsfb_types::{Finding, Limit, Verdict};
 
 use super::adjustment::Solved;
 use super::holdout::Holdout;
@@ -11,7 +12,8 @@ use super::{
 use crate::Error;
 use crate::board::Target;
 use crate::clusters::{Clusters, share_of_board};
-use crate::coverage::{CellErrors, cell, corners_by_cell, empty_parts};
+use crate::coverage::{CellErrors, cell, corners_by_cell};
+use crate::findings;
 use crate::residual_diagnosis::{AdjustedCorner, AdjustedView, Diagnosis};
 
 /// Relative standard deviation of a focal length above which it counts as not determined.
@@ -93,7 +95,9 @@ impl Solved<'_> {
                 self.seen(target, k).collect(),
             );
             // What matters most comes first.
-            camera.warnings.splice(0..0, diagnosis.warning(rms_px));
+            let fit = diagnosis.finding(&camera.name, rms_px);
+            let gap = diagnosis.another_gap(&camera.name, rms_px);
+            camera.findings.splice(0..0, [fit].into_iter().chain(gap));
             let deformation = diagnosis.board(variance);
             for (p, more) in camera
                 .parameters
@@ -156,36 +160,28 @@ impl Solved<'_> {
         let cells = corners_by_cell(views.views.values().flatten(), [views.width, views.height]);
         let seen = cells.iter().filter(|n| **n > 0).count();
         let coverage = seen as f64 / cells.len() as f64;
-        let mut warnings = Vec::new();
-        if coverage < LEAST_COVERAGE {
-            warnings.push(format!(
-                "corners were seen in {:.0} % of the image: move the target into {}",
-                coverage * 100.0,
-                empty_parts(&cells)
-            ));
-        }
+        let name = &start.views.name;
         let outliers = corners - errors.inliers.min(corners);
-        if outliers * 20 > corners {
-            warnings.push(format!(
-                "{outliers} of {corners} corners are outliers: hold the target still and check that it is flat"
-            ));
-        }
         let inlier_rms_px = (errors.inlier_squares / errors.inliers.max(1) as f64).sqrt();
-        if let Some(alone_px) = start.alone_rms_px
-            && inlier_rms_px > WORSE_TOGETHER * alone_px
-        {
-            warnings.push(format!(
-                "for itself it meets corners to {alone_px:.2} px, together with the other cameras to {inlier_rms_px:.2} px: they are not triggered together, their stamps are off, or one of them is loose"
+        let mut found = vec![findings::coverage(name, &cells, LEAST_COVERAGE)];
+        found.extend(findings::unseen_corners(name, &cells));
+        found.push(findings::outliers(name, outliers, corners));
+        if let Some(alone_px) = start.alone_rms_px {
+            let limit = Limit::AtMost(WORSE_TOGETHER * alone_px);
+            let verdict = Verdict::Warn.unless(limit.holds(inlier_rms_px));
+            let what = format!(
+                "alone it meets corners to {alone_px:.2} px, together with the other cameras to {inlier_rms_px:.2} px"
+            );
+            let together = Finding::new("together", verdict, name, what);
+            found.push(together.value(inlier_rms_px, "px").limit(limit).remedy(
+                "check that the cameras are triggered together, that their stamps are right, and that none is loose",
             ));
         }
         let holdout_rms_px = holdout.as_ref().map(|h| h.rms_px);
-        warnings.extend(holdout.and_then(|h| h.wrong_model));
-        if let Some(holdout) = holdout_rms_px
-            && holdout > 1.5 * inlier_rms_px
-        {
-            warnings.push(format!(
-                "holdout views miss by {holdout:.2} px, those adjusted by {inlier_rms_px:.2} px: record more views"
-            ));
+        found.extend(holdout.and_then(|h| h.wrong_model));
+        if let Some(rms_px) = holdout_rms_px {
+            let most_px = 1.5 * inlier_rms_px;
+            found.push(findings::holdout(name, rms_px, inlier_rms_px, most_px));
         }
         let at = lens.parameters().count;
         let pose_covariance = Matrix6::from_fn(|i, j| covariance[(at + i, at + j)]);
@@ -209,7 +205,7 @@ impl Solved<'_> {
             cell_errors_px: errors.by_cell.means(),
             board: BoardDeformation::default(),
             errors_px: errors.all,
-            warnings,
+            findings: found,
         })
     }
 

@@ -1,12 +1,11 @@
 use lsfb_geometry::camera::Lens;
 use lsfb_geometry::{Vector2, Vector3, Vector6};
-use lsfb_types::no_progress;
+use lsfb_types::{Finding, Verdict, no_progress};
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::verify::Outcome;
 
 const GRID: Target = Target::AprilGrid {
     columns: 6,
@@ -231,23 +230,25 @@ fn corners_that_miss_by_more_than_a_detector_does_are_explained() {
         spacing_ratio,
     };
     for (ratio, outcome) in [
-        (0.3, Outcome::Pass),
-        (0.312, Outcome::Warn),
-        (0.36, Outcome::Fail),
+        (0.3, Verdict::Pass),
+        (0.312, Verdict::Warn),
+        (0.36, Verdict::Fail),
     ] {
         let both = [good.clone(), other.clone()];
         let config = CameraConfig::default();
         let found =
             calibrate_cameras(&spaced(ratio), &both, &config, &no_progress).expect("calibrated");
-        assert_eq!(found.outcome(), outcome, "{ratio}: {}", found.verdict());
+        let judgement = found.judgement();
+        assert_eq!(judgement.verdict(), outcome, "{ratio}: {judgement:?}");
         for camera in &found.cameras {
-            let named =
-                |w: &String| w.contains("explained by gaps of 0.29") || w.contains("of 0.30");
+            let named = |f: &Finding| {
+                f.what.contains("explained by gaps of 0.29") || f.what.contains("of 0.30")
+            };
             assert_eq!(
-                camera.warnings.iter().any(named),
+                camera.findings.iter().any(named),
                 ratio != 0.3,
                 "{:?}",
-                camera.warnings
+                camera.findings
             );
         }
         assert!(found.to_html("page").contains(outcome.name()));
@@ -260,7 +261,7 @@ fn the_order_of_corners_and_other_cameras_does_not_matter() {
     let [_, mut third] = stereo(lenses()[1], 15, 0.6, 0.1, 9);
     third.name = "cam2".into();
     for corner in third.views.values_mut().flatten() {
-        corner.pixel.x += 0.01 * (corner.index % 7) as f64;
+        corner.pixel.x += 2.0 + 0.01 * (corner.index % 7) as f64;
     }
     let run = |views: &[CameraViews]| {
         calibrate_cameras(&GRID, views, &CameraConfig::default(), &no_progress).expect("calibrated")
@@ -284,10 +285,10 @@ fn left_and_right_that_are_swapped_are_warned_of() {
     let mut views = stereo(lenses()[1], 20, 0.6, 0.1, 3);
     let warned = |views: &[CameraViews]| {
         let found = calibrate_cameras(&GRID, views, &CameraConfig::default(), &no_progress);
-        let warnings = found.expect("calibrated").cameras[1].warnings.clone();
-        warnings
+        let findings = found.expect("calibrated").cameras[1].findings.clone();
+        findings
             .iter()
-            .any(|w| w.contains("their views are swapped"))
+            .any(|f| f.what.contains("their views are swapped"))
     };
     views[0].name = "right".into();
     views[1].name = "left".into();

@@ -13,8 +13,9 @@ use super::CameraViews;
 use crate::Error;
 use crate::board::Target;
 use crate::detect::{Corner, Instead, detect, seen_instead};
+use crate::rosbag::RosBag;
 
-/// The JPEG and PNG files of a folder in the order of their names; numbers in names count as numbers.
+/// The JPEG, PNG and BMP files of a folder in the order of their names; numbers in names count as numbers.
 pub fn image_files(folder: &Path) -> Result<Vec<PathBuf>, Error> {
     let io = |source| Error::Io {
         path: folder.display().to_string(),
@@ -24,7 +25,11 @@ pub fn image_files(folder: &Path) -> Result<Vec<PathBuf>, Error> {
     for entry in std::fs::read_dir(folder).map_err(io)? {
         let path = entry.map_err(io)?.path();
         let extension = path.extension().map(|e| e.to_ascii_lowercase());
-        if extension.is_some_and(|e| e == "jpg" || e == "jpeg" || e == "png") {
+        if extension.is_some_and(|e| {
+            ["jpg", "jpeg", "png", "bmp"]
+                .iter()
+                .any(|known| e == *known)
+        }) {
             files.push(path);
         }
     }
@@ -51,24 +56,11 @@ pub fn views_from_folder(
     target: &Target,
     progress: ProgressFn,
 ) -> Result<CameraViews, Error> {
-    let files: Vec<PathBuf> = image_files(folder)?
-        .into_iter()
-        .filter(|f| {
-            f.file_name()
-                .is_some_and(|n| n.to_string_lossy().starts_with(prefix))
-        })
-        .collect();
-    let numbers: Option<Vec<i64>> = files.iter().map(|f| last_number(f)).collect();
-    // Names without numbers count in their order.
-    let distinct = |n: &Vec<i64>| n.windows(2).all(|w| w[0] < w[1]);
-    let instants = numbers
-        .filter(distinct)
-        .unwrap_or_else(|| (0..files.len() as i64).collect());
+    let files = numbered(folder, prefix)?;
     let done = AtomicU64::new(0);
     let looked: Result<Vec<Looked>, Error> = files
         .par_iter()
-        .zip(&instants)
-        .map(|(file, instant)| {
+        .map(|(instant, file)| {
             let looked = look(*instant, &image::read(file)?, target);
             progress(Progress {
                 stage: "corners",
@@ -81,6 +73,46 @@ pub fn views_from_folder(
     gather(name, target, looked?)
 }
 
+/// The image of a folder that has an instant in [`views_from_folder`]; `None` where there is none.
+pub fn image_from_folder(
+    folder: &Path,
+    prefix: &str,
+    instant: i64,
+) -> Result<Option<Image>, Error> {
+    let files = numbered(folder, prefix)?;
+    let file = files.iter().find(|(own, _)| *own == instant);
+    Ok(file.map(|(_, file)| image::read(file)).transpose()?)
+}
+
+/// Images of a folder whose names begin with `prefix`, each with its instant.
+fn numbered(folder: &Path, prefix: &str) -> Result<Vec<(i64, PathBuf)>, Error> {
+    let all = image_files(folder)?;
+    let in_folder = all.len();
+    let files: Vec<PathBuf> = all
+        .into_iter()
+        .filter(|f| {
+            f.file_name()
+                .is_some_and(|n| n.to_string_lossy().starts_with(prefix))
+        })
+        .collect();
+    if files.is_empty() {
+        return Err(Error::Parse {
+            path: folder.display().to_string(),
+            problem: match in_folder {
+                0 => "no image in this folder: JPEG, PNG and BMP files are read".to_owned(),
+                n => format!("none of its {n} images has a name that begins with {prefix}"),
+            },
+        });
+    }
+    let numbers: Option<Vec<i64>> = files.iter().map(|f| last_number(f)).collect();
+    // Names without numbers count in their order.
+    let distinct = |n: &Vec<i64>| n.windows(2).all(|w| w[0] < w[1]);
+    let instants = numbers
+        .filter(distinct)
+        .unwrap_or_else(|| (0..files.len() as i64).collect());
+    Ok(instants.into_iter().zip(files).collect())
+}
+
 /// Finds the target in the images of a recording's camera; the synchronized time is the instant.
 pub fn views_from_recording(
     name: &str,
@@ -88,36 +120,78 @@ pub fn views_from_recording(
     target: &Target,
     progress: ProgressFn,
 ) -> Result<CameraViews, Error> {
-    // Images are read one after the other and looked at in parallel, a few dozen at a time: an hour does not fit in memory.
-    const AT_ONCE: usize = 32;
     let unreadable = |e: lsfb_recording::Error| Error::Parse {
         path: format!("camera {name}"),
         problem: e.to_string(),
     };
-    let mut looked = Vec::new();
-    let mut batch = Vec::with_capacity(AT_ONCE);
-    let flush = |batch: &mut Vec<(i64, Image)>, looked: &mut Vec<Looked>| -> Result<(), Stopped> {
-        let found: Vec<Looked> = batch
-            .par_iter()
-            .map(|(instant, image)| look(*instant, image, target))
-            .collect();
-        looked.extend(found);
-        batch.clear();
-        progress(Progress {
-            stage: "corners",
-            done: looked.len() as u64,
-            total: 0,
-        })
-    };
+    let mut looking = Looking::new(target, progress);
     for image in recording.images(name).map_err(unreadable)? {
         let image = image.map_err(unreadable)?;
-        batch.push((image.time.nanos(), image.sample));
-        if batch.len() == AT_ONCE {
-            flush(&mut batch, &mut looked)?;
+        looking.push(image.time.nanos(), image.sample)?;
+    }
+    gather(name, target, looking.finish()?)
+}
+
+/// Finds the target in the images of a topic of a ROS bag; the stamp in the message's header is the instant.
+pub fn views_from_bag(
+    name: &str,
+    bag: &RosBag,
+    topic: &str,
+    target: &Target,
+    progress: ProgressFn,
+) -> Result<CameraViews, Error> {
+    let mut looking = Looking::new(target, progress);
+    bag.images(topic, &mut |stamp, image| Ok(looking.push(stamp, image)?))?;
+    gather(name, target, looking.finish()?)
+}
+
+/// Images that are read one after the other and looked at in parallel, a few dozen at a time: an hour does not fit in memory.
+struct Looking<'a> {
+    target: &'a Target,
+    progress: ProgressFn<'a>,
+    batch: Vec<(i64, Image)>,
+    looked: Vec<Looked>,
+}
+
+impl<'a> Looking<'a> {
+    const AT_ONCE: usize = 32;
+
+    fn new(target: &'a Target, progress: ProgressFn<'a>) -> Self {
+        Self {
+            target,
+            progress,
+            batch: Vec::with_capacity(Self::AT_ONCE),
+            looked: Vec::new(),
         }
     }
-    flush(&mut batch, &mut looked)?;
-    gather(name, target, looked)
+
+    fn push(&mut self, instant: i64, image: Image) -> Result<(), Stopped> {
+        self.batch.push((instant, image));
+        if self.batch.len() == Self::AT_ONCE {
+            self.flush()?;
+        }
+        Ok(())
+    }
+
+    fn flush(&mut self) -> Result<(), Stopped> {
+        let found: Vec<Looked> = self
+            .batch
+            .par_iter()
+            .map(|(instant, image)| look(*instant, image, self.target))
+            .collect();
+        self.looked.extend(found);
+        self.batch.clear();
+        (self.progress)(Progress {
+            stage: "corners",
+            done: self.looked.len() as u64,
+            total: 0,
+        })
+    }
+
+    fn finish(mut self) -> Result<Vec<Looked>, Stopped> {
+        self.flush()?;
+        Ok(self.looked)
+    }
 }
 
 fn look(instant: i64, image: &Image, target: &Target) -> Looked {

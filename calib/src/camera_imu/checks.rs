@@ -1,12 +1,14 @@
 //! Input that cannot give a good answer, found before and after the first guess, and named.
 
-use lsfb_geometry::{Rig, RigImu, Se3, Vector3};
-use lsfb_types::{Bounds, OutOfBounds};
+use lsfb_geometry::{ImuNoiseModel, Rig, Se3, Vector3};
+use lsfb_types::{Bounds, Finding, ImuSample, OutOfBounds, Timestamp, Verdict};
 
 use super::state::Sample;
 use super::{CameraImuCalibration, CameraImuConfig, KnownCamera};
 use crate::Error;
 use crate::board::Target;
+use crate::camera::expect_different_images;
+use crate::stamps::{CAMERA_HZ, IMU_HZ, expect_nanoseconds};
 
 /// Samples at the end of a range that make it one, and how many of them in a row.
 const SATURATED: usize = 5;
@@ -17,6 +19,8 @@ const MAX_SHIFT_M: f64 = 0.05;
 /// Mean of an accelerometer as a share of gravity: between these its unit is right, and around this it counts in g.
 const RIGHT_UNIT: std::ops::Range<f64> = 0.7..1.5;
 const IN_G: std::ops::Range<f64> = 0.08..0.13;
+/// End of the range of the fastest gyroscopes that a person carries, 2000 °/s.
+const FASTEST_RAD_S: f64 = 35.0;
 /// A camera is another one of the rig where it stands so much nearer to that one's place than to its own.
 const NEARER: f64 = 0.25;
 
@@ -24,7 +28,7 @@ const NEARER: f64 = 0.25;
 pub(super) fn before(
     target: &Target,
     cameras: &[KnownCamera],
-    noise: &RigImu,
+    noise: &ImuNoiseModel,
     config: &CameraImuConfig,
 ) -> Result<(), Error> {
     if let Some(problem) = target.problem() {
@@ -49,6 +53,35 @@ pub(super) fn before(
             first: twice[0].into(),
             second: twice[1].into(),
             problem: "a camera is named twice".into(),
+        });
+    }
+    Ok(())
+}
+
+/// Fails where stamps or angular velocities are right in other units only, or two cameras were given the same images.
+pub(super) fn units(cameras: &[KnownCamera], imu: &[(Timestamp, ImuSample)]) -> Result<(), Error> {
+    expect_different_images(cameras.iter().map(|c| &c.views))?;
+    for known in cameras {
+        let what = format!("images of {}", known.views.name);
+        expect_nanoseconds(&what, known.views.views.keys().copied(), CAMERA_HZ)?;
+    }
+    expect_nanoseconds(
+        "samples of the IMU",
+        imu.iter().map(|s| s.0.nanos()),
+        IMU_HZ,
+    )?;
+    let mut rates: Vec<f64> = imu
+        .iter()
+        .map(|(_, s)| Vector3::from(s.angular_velocity_rad_s).norm())
+        .collect();
+    rates.sort_by(f64::total_cmp);
+    let fast = rates.get(rates.len() * 9 / 10).copied().unwrap_or(0.0);
+    if fast > FASTEST_RAD_S {
+        return Err(Error::Unit {
+            what: "the gyroscope".to_owned(),
+            problem: format!(
+                "a tenth of its samples turns faster than {fast:.0} rad/s: they are in degrees per second, radians per second are needed"
+            ),
         });
     }
     Ok(())
@@ -96,7 +129,7 @@ pub(super) fn unit_of_accelerometer(
 
 impl CameraImuCalibration {
     /// Compares the result with the rig it started from: a camera that is found where that has another one is added to the
-    /// warnings.
+    /// findings.
     pub fn compare_with(&mut self, rig: &Rig) {
         for c in &self.cameras {
             let off = |name: &str| {
@@ -115,10 +148,12 @@ impl CameraImuCalibration {
                 && distance < NEARER * own
                 && distance < 1.0
             {
-                self.warnings.push(format!(
-                    "{} is found where the rig has {other}: their images are swapped, or their names",
-                    c.name
-                ));
+                let what = format!(
+                    "found where the rig has {other}: their images are swapped, or their names"
+                );
+                let finding = Finding::new("swapped", Verdict::Warn, &*c.name, what);
+                let remedy = "check which images belong to which camera";
+                self.findings.push(finding.remedy(remedy));
             }
         }
     }
@@ -151,14 +186,15 @@ pub(super) fn agree(first: &str, second: &str, seen: &Se3, from_rig: &Se3) -> Re
     })
 }
 
-/// Where a board that hangs on a wall has its top, in words, if it hangs upside down.
-pub(super) fn upside_down(target: &Target, gravity_in_target: &Vector3<f64>) -> Option<String> {
+/// A board that hangs upside down.
+pub(super) fn upside_down(target: &Target, gravity_in_target: &Vector3<f64>) -> Option<Finding> {
     let up = match target {
         Target::AprilGrid { .. } => Vector3::y(),
         Target::Checkerboard { .. } | Target::Charuco { .. } => -Vector3::y(),
     };
     let share = gravity_in_target.try_normalize(1e-9)?.dot(&up);
     (share > 0.5).then(|| {
-        "the board hangs upside down: this result holds, but where the board is a landmark its top is now its bottom".to_owned()
+        let what = "the board hangs upside down: this result holds, but where the board is a landmark its top is now its bottom";
+        Finding::new("upside-down", Verdict::Warn, "board", what).remedy("turn the board")
     })
 }

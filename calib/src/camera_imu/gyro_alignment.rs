@@ -25,9 +25,8 @@ const FAR_STEP_S: f64 = 0.01;
 const FAR_VIEWS: f64 = 1.0 / 3.0;
 /// Share of the turning that may be about other axes than the camera's.
 const OTHER_AXES: f64 = 0.5;
-/// How near a factor must be to that from radians to degrees.
-const DEGREES_WITHIN: f64 = 0.2;
 
+#[derive(Clone)]
 pub(super) struct GyroAlignment {
     /// Start, end, mean angular velocity in the camera.
     seen: Vec<(f64, f64, Vector3<f64>)>,
@@ -135,20 +134,26 @@ impl GyroAlignment {
     /// Why no offset that is allowed makes camera and gyroscope turn alike.
     fn why_apart(&self, agreement: f64, config: &CameraImuConfig) -> String {
         let all = 0..self.seen.len();
+        // No offset fits samples in degrees, so that the best one is any; the camera's rates in degrees are tried instead.
+        let in_degrees = Self {
+            seen: self
+                .seen
+                .iter()
+                .map(|(start, end, rate)| (*start, *end, rate * 1f64.to_degrees()))
+                .collect(),
+            ..self.clone()
+        };
+        let offset_s = in_degrees.offset_s(all.clone(), config.max_offset_s, OFFSET_STEP_S);
+        if in_degrees.agreement(all.clone(), offset_s) >= LEAST_AGREEMENT {
+            return "camera and gyroscope turn alike once its samples are taken for degrees: they are in degrees per second, radians per second are needed".to_owned();
+        }
         let far_s = self.offset_s(all.clone(), FAR_OFFSET_S, FAR_STEP_S);
-        let (camera, rig) = self.pairs(all.clone(), far_s);
+        let (camera, _) = self.pairs(all.clone(), far_s);
         let enough = camera.len() as f64 > FAR_VIEWS * self.seen.len() as f64;
         if enough && self.agreement(all.clone(), far_s) >= LEAST_AGREEMENT {
             return format!(
                 "their clocks are not synchronised: they turn alike once {far_s:+.2} s are added to the camera's stamps, more than max_offset_s = {} allows. Correct the stamps (`lsfb clock` compares clocks), or raise max_offset_s",
                 config.max_offset_s
-            );
-        }
-        let sum = |rates: &[Vector3<f64>]| rates.iter().map(|r| r.norm()).sum::<f64>();
-        let faster = sum(&rig) / sum(&camera).max(1e-9);
-        if (faster.to_radians() - 1.0).abs() < DEGREES_WITHIN {
-            return format!(
-                "the gyroscope turns {faster:.0} times as fast as the camera: its samples are in degrees, radians per second are needed"
             );
         }
         format!(

@@ -9,6 +9,7 @@ mod checks;
 mod corner_residual;
 mod gyro_alignment;
 mod inertial;
+mod judgement;
 mod page;
 mod problem;
 mod report;
@@ -20,10 +21,10 @@ mod uncertainty;
 mod view_residual;
 
 use lsfb_geometry::{
-    Camera, Matrix3, Matrix6, RigImu, Se3, StampedPose, Trajectory, UnitQuaternion, Vector2,
+    Camera, ImuNoiseModel, Matrix3, Matrix6, Se3, StampedPose, Trajectory, UnitQuaternion, Vector2,
     Vector3, spline,
 };
-use lsfb_types::{Bounds, ImuSample, Progress, ProgressFn, Timestamp};
+use lsfb_types::{Bounds, Finding, ImuSample, Progress, ProgressFn, Timestamp};
 use serde::{Deserialize, Serialize};
 
 pub use table::read_imu_table;
@@ -285,8 +286,9 @@ pub struct CameraImuCalibration {
     /// How all of it varies together.
     #[serde(skip)]
     pub covariance: JointCovariance,
-    /// What should be recorded better, in words.
-    pub warnings: Vec<String>,
+    /// What was looked at, and how it came out.
+    #[serde(skip)]
+    pub findings: Vec<Finding>,
 }
 
 /// The motion as control points; times are seconds after `origin`.
@@ -341,11 +343,12 @@ pub fn calibrate_camera_imu(
     target: &Target,
     cameras: &[KnownCamera],
     imu: &[(Timestamp, ImuSample)],
-    noise: &RigImu,
+    noise: &ImuNoiseModel,
     config: &CameraImuConfig,
     progress: ProgressFn,
 ) -> Result<CameraImuCalibration, Error> {
     checks::before(target, cameras, noise, config)?;
+    checks::units(cameras, imu)?;
     // Always in the order of names, so that sums round alike.
     let mut order: Vec<usize> = (0..cameras.len()).collect();
     order.sort_by(|a, b| cameras[*a].views.name.cmp(&cameras[*b].views.name));

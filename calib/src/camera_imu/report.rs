@@ -8,43 +8,18 @@ use super::inertial::{accel_matrix, gyro_matrix};
 use super::problem::BoardExcess;
 use super::state::{State, View};
 use super::uncertainty::Uncertainty;
-use super::{Axes, CameraImuCalibration, CameraImuConfig, CameraOnImu, FoundImu, ORDER, checks};
+use super::{Axes, CameraImuCalibration, CameraImuConfig, CameraOnImu, FoundImu, ORDER, judgement};
 use crate::board::Target;
 use crate::camera::Estimate;
 use crate::coverage::CellErrors;
-use crate::residual_diagnosis::{AdjustedCorner, AdjustedView, Diagnosis, WORRYING_RMS_PX};
+use crate::residual_diagnosis::{AdjustedCorner, AdjustedView, WORRYING_RMS_PX};
 
-/// Residual of the IMU, as a multiple of its noise, above which something is wrong with it.
-const WORRYING_RATIO: f64 = 5.0;
-/// Coverage below which a warning is due.
-const LEAST_COVERAGE: f64 = 0.4;
-/// Height of a corner out of the board's plane above which a warning is due, metres.
-const WORRYING_BEND_M: f64 = 5e-4;
-/// Share of outliers above which a warning is due.
-const MOST_OUTLIERS: f64 = 0.05;
-/// Standard deviations of position and clock above which a warning is due: metres and seconds.
-const WORRYING_POSITION_M: f64 = 0.002;
-const WORRYING_CLOCK_S: f64 = 0.0005;
-/// Offset of a clock that one which is synchronised does not have, seconds.
-const WORRYING_OFFSET_S: f64 = 0.025;
-/// Drift of a clock that is worth a word: seconds per second, and over the recording.
-const WORRYING_DRIFT: f64 = 1e-5;
-const WORRYING_DRIFT_S: f64 = 1e-4;
-/// Errors of the board's size as a share: what is worth a word, what spoils every distance, what is too uncertain to say.
-const WORRYING_SIZE: f64 = 0.005;
-const FAILED_SIZE: f64 = 0.02;
-const UNKNOWN_SIZE: f64 = 0.01;
 /// Share of the squares that a wrong size must explain where corners are met badly.
 const EXPLAINED_BY_SIZE: f64 = 0.7;
-/// Standard deviations beyond which a finding is none of chance.
-const DEVIATIONS: f64 = 4.0;
-/// Jitter of the IMU's stamps that is worth a word, seconds, and the share of the gyroscope's squares that it must explain.
-const WORRYING_JITTER_S: f64 = 2e-4;
+/// Share of the gyroscope's squares that jitter of the IMU's stamps must explain.
 const SHARE_OF_JITTER: f64 = 0.3;
 /// Half the step over which an angular acceleration is taken, seconds.
 const STEP_S: f64 = 2e-3;
-/// Times by which the axis least moved about falls behind the one most moved about when it gets the blame.
-pub(super) const POOR_AXIS: f64 = 4.0;
 /// Residuals of the IMU in bins, as multiples of its noise; those beyond the span are in the bins at its ends.
 const BINS: usize = 40;
 pub(super) const HISTOGRAM_SPAN: [f64; 2] = [-5.0, 5.0];
@@ -96,31 +71,10 @@ impl State {
         let worst_px = cameras.iter().map(|c| c.rms_px).fold(0.0, f64::max);
         // Where something else is wrong as well, the size takes what it can of that.
         let board_is_measured = worst_px < WORRYING_RMS_PX || excess.explains > EXPLAINED_BY_SIZE;
-        let mut warnings = Vec::new();
-        if board_is_measured {
-            warnings.extend(size_warning(target, &excess));
-        }
-        warnings.extend(self.warnings.iter().cloned());
-        warnings.extend(checks::upside_down(target, &self.gravity));
-        warnings.extend(self.poor_axis());
-        if inertial.jitter_s > WORRYING_JITTER_S {
-            warnings.push(format!(
-                "stamps of the IMU jitter by {:.1} ms rms: the gyroscope misses the more the faster the turning changes. Stamp samples when they are taken, not when they arrive",
-                inertial.jitter_s * 1e3
-            ));
-        }
-        for (name, ratio) in ["gyroscope", "accelerometer"].iter().zip(inertial.ratio) {
-            if ratio > WORRYING_RATIO {
-                warnings.push(format!(
-                    "the {name} misses the motion by {ratio:.1} times its stated noise: its noise is understated (lsfb calib imu-noise), it is loose, or clocks jump"
-                ));
-            }
-        }
+        let mut findings = vec![judgement::size(target, &excess, board_is_measured)];
+        findings.extend(self.motion_findings(target, inertial.ratio, inertial.jitter_s));
         for (k, camera) in cameras.iter().enumerate() {
-            let diagnosis = Diagnosis::new(target, &camera.camera, self.seen(k).collect());
-            let misses = diagnosis.warning(camera.rms_px);
-            warnings.extend(misses.map(|w| format!("{}: {w}", camera.name)));
-            warnings.extend(self.warnings_of(camera));
+            findings.extend(self.camera_findings(target, k, camera));
         }
         let middle = self.middle_bias();
         let axes = match config.axes {
@@ -129,12 +83,8 @@ impl State {
         };
         let [gyro_histogram, accel_histogram] = inertial.histogram;
         let (board_bend_m, board_bend_sigma_m) = self.largest_bend(target, &uncertainty.bend);
-        if board_bend_m > WORRYING_BEND_M {
-            warnings.push(format!(
-                "the board is bent: corners lie up to {:.1} ± {:.1} mm out of its plane. That is taken into account here, but not by lsfb calib camera: glue it to a stiff plate",
-                board_bend_m * 1e3,
-                board_bend_sigma_m * 1e3
-            ));
+        if board_bend_sigma_m > 0.0 {
+            findings.push(judgement::bend(board_bend_m, board_bend_sigma_m));
         }
         CameraImuCalibration {
             cameras,
@@ -162,7 +112,7 @@ impl State {
             board_bend_sigma_m,
             motion: self.motion,
             covariance: uncertainty.joint,
-            warnings,
+            findings,
         }
     }
 
@@ -246,7 +196,7 @@ impl State {
     }
 
     /// The corners of a camera that count, as the adjustment leaves them.
-    fn seen(&self, k: usize) -> impl Iterator<Item = AdjustedView> + '_ {
+    pub(super) fn seen(&self, k: usize) -> impl Iterator<Item = AdjustedView> + '_ {
         let own = self.views.iter().filter(move |v| v.camera == k);
         own.filter_map(move |view| self.seen_view(view))
     }
@@ -280,94 +230,6 @@ impl State {
         Some(AdjustedView {
             camera_from_target,
             corners,
-        })
-    }
-
-    fn warnings_of(&self, c: &CameraOnImu) -> Vec<String> {
-        let mut warnings = Vec::new();
-        if c.coverage < LEAST_COVERAGE {
-            warnings.push(format!(
-                "{}: corners were seen in {:.0} % of the image: show the target everywhere in it",
-                c.name,
-                c.coverage * 100.0
-            ));
-        }
-        if c.outliers as f64 > MOST_OUTLIERS * (c.corners + c.outliers) as f64 {
-            warnings.push(format!(
-                "{}: {} of {} corners are outliers: check that the board is flat and the light bright enough for short exposures",
-                c.name,
-                c.outliers,
-                c.corners + c.outliers
-            ));
-        }
-        if let Some(holdout) = c.holdout_rms_px
-            && holdout > 1.5 * c.rms_px + 0.05
-        {
-            warnings.push(format!(
-                "{}: holdout views miss by {holdout:.2} px, those adjusted by {:.2} px: record longer",
-                c.name, c.rms_px
-            ));
-        }
-        let worst = c.position_sigma_m.iter().copied().fold(0.0, f64::max);
-        if worst > WORRYING_POSITION_M {
-            warnings.push(format!(
-                "{}: its place on the IMU is known to {:.1} mm only: {}",
-                c.name,
-                worst * 1e3,
-                self.advice()
-            ));
-        }
-        if c.rig_from_camera_s.abs() > WORRYING_OFFSET_S {
-            warnings.push(format!(
-                "{}: its stamps are {:.1} ms {} beside the IMU's: that is taken into account (rig_from_camera_s), but clocks that far apart are not synchronised and may differ again next time: check with `lsfb clock`",
-                c.name,
-                c.rig_from_camera_s.abs() * 1e3,
-                if c.rig_from_camera_s > 0.0 { "early" } else { "late" }
-            ));
-        }
-        let drift = c.clock_drift.abs();
-        let knots = self.motion.knots;
-        let drifted_s = drift * (knots.end_s::<ORDER>(self.motion.rotations.len()) - knots.start_s);
-        if drift > WORRYING_DRIFT.max(DEVIATIONS * c.clock_drift_sigma)
-            && drifted_s > WORRYING_DRIFT_S
-        {
-            warnings.push(format!(
-                "{}: its clock runs {:.0} ± {:.0} ppm {} than the IMU's, {:.1} ms over this recording: its offset holds in the middle alone. Synchronise the clocks (`lsfb clock` compares them)",
-                c.name,
-                drift * 1e6,
-                c.clock_drift_sigma * 1e6,
-                if c.clock_drift > 0.0 { "slower" } else { "faster" },
-                drifted_s * 1e3
-            ));
-        }
-        if c.rig_from_camera_sigma_s > WORRYING_CLOCK_S {
-            warnings.push(format!(
-                "{}: its clock is known to {:.2} ms only: move faster",
-                c.name,
-                c.rig_from_camera_sigma_s * 1e3
-            ));
-        }
-        warnings
-    }
-
-    /// What would help most, in words.
-    fn advice(&self) -> &'static str {
-        if self.poor_axis().is_some() {
-            "see which axis it hardly turns about"
-        } else {
-            "turn faster about all axes, or record longer"
-        }
-    }
-
-    /// What is said of an axis that is turned about far less than the others.
-    fn poor_axis(&self) -> Option<String> {
-        let weakest = self.rate_rms.imin();
-        let (least, most) = (self.rate_rms[weakest], self.rate_rms.max());
-        (least * POOR_AXIS < most).then(|| {
-            format!(
-                "it hardly turns about {} ({least:.2} rad/s rms, {most:.2} about another axis): rotate more around it",
-                ["x", "y", "z"][weakest]
-            )
         })
     }
 
@@ -448,37 +310,6 @@ impl State {
             rotation: spline::rotation(&segment.weights, rotations)?,
             position: spline::position(&segment.weights, motion.positions.get(range)?)?,
         })
-    }
-}
-
-/// What is said of the board's size.
-fn size_warning(target: &Target, excess: &BoardExcess) -> Option<String> {
-    if excess.share.abs() > WORRYING_SIZE.max(DEVIATIONS * excess.sigma) {
-        return Some(format!(
-            "the board is {:.1} ± {:.2} % {} than said, by the accelerometer: {}. Measure it and correct the target",
-            excess.share.abs() * 100.0,
-            excess.sigma * 100.0,
-            if excess.share > 0.0 {
-                "larger"
-            } else {
-                "smaller"
-            },
-            target.scaled_words(1.0 + excess.share)
-        ));
-    }
-    (excess.sigma > UNKNOWN_SIZE).then(|| {
-        format!(
-            "the board's size is not checked (± {:.0} %): the rig hardly moves. Move it by 20 cm along all axes as well",
-            excess.sigma * 100.0
-        )
-    })
-}
-
-impl CameraImuCalibration {
-    /// Whether the board is of another size than said by so much that every distance is wrong.
-    pub(super) fn board_is_another(&self) -> bool {
-        self.board_is_measured
-            && self.board_excess.abs() > FAILED_SIZE.max(DEVIATIONS * self.board_excess_sigma)
     }
 }
 

@@ -4,9 +4,9 @@
 //! angular velocities; the motion is the cameras' own, pose by pose.
 
 use lsfb_geometry::{
-    RigImu, Se3, StampedPose, Trajectory, UnitQuaternion, Vector2, Vector3, spline,
+    ImuNoiseModel, Se3, StampedPose, Trajectory, UnitQuaternion, Vector2, Vector3, spline,
 };
-use lsfb_types::{ImuSample, Timestamp};
+use lsfb_types::{Finding, ImuSample, Limit, Timestamp, Verdict};
 
 use super::bend::Bend;
 use super::gyro_alignment::GyroAlignment;
@@ -47,11 +47,11 @@ impl State {
         target: &Target,
         cameras: &[KnownCamera],
         imu: &[(Timestamp, ImuSample)],
-        noise: &RigImu,
+        noise: &ImuNoiseModel,
         config: &CameraImuConfig,
     ) -> Result<Self, Error> {
         let (origin, mut samples) = samples_of(imu, cameras)?;
-        let warnings = saturation(&samples);
+        let findings = saturation(&samples);
         let seen: Vec<PosedViews> = cameras
             .iter()
             .enumerate()
@@ -173,7 +173,7 @@ impl State {
             noise: noise.clone(),
             rate_rms,
             force_rms,
-            warnings,
+            findings,
         })
     }
 }
@@ -236,9 +236,9 @@ fn samples_of(
     Ok((origin, samples))
 }
 
-/// What is said of axes at the end of their range.
-fn saturation(samples: &[Sample]) -> Vec<String> {
-    let mut warnings = Vec::new();
+/// Axes at the end of their range.
+fn saturation(samples: &[Sample]) -> Vec<Finding> {
+    let mut findings = Vec::new();
     let names = ["x", "y", "z"];
     for (triad, at_end) in [
         (
@@ -250,15 +250,23 @@ fn saturation(samples: &[Sample]) -> Vec<String> {
         for (k, name) in names.iter().enumerate() {
             let mut ends = samples.iter().filter(|s| at_end(s)[k]);
             if let Some(first) = ends.next() {
-                warnings.push(format!(
-                    "the {triad} saturates along {name}: {} samples at the end of its range, the first at {:.2} s; they count for nothing. Move more gently or widen the range",
-                    ends.count() + 1,
+                let count = ends.count() + 1;
+                let what = format!(
+                    "the {triad} saturates along {name}: {count} samples at the end of its range, the first at {:.2} s; they count for nothing",
                     first.time_s
-                ));
+                );
+                let finding = Finding::new("saturation", Verdict::Warn, triad, what);
+                let remedy = "move more gently or widen the range";
+                findings.push(
+                    finding
+                        .value(count as f64, "samples")
+                        .limit(Limit::AtMost(0.0))
+                        .remedy(remedy),
+                );
             }
         }
     }
-    warnings
+    findings
 }
 
 /// A camera's views and its own poses, with corners that one pose explains.

@@ -2,7 +2,8 @@
 
 use lsfb_geometry::camera::LensModel;
 use lsfb_geometry::rolling_shutter::row_time_s;
-use lsfb_geometry::{Camera, RigImu, Se3, Vector2, Vector3};
+use lsfb_geometry::{Camera, ImuNoiseModel, Se3, Vector2, Vector3};
+use lsfb_types::Finding;
 
 use super::bend::Bend;
 use super::inertial::{AccelAxes, GyroAxes};
@@ -70,11 +71,12 @@ pub(super) struct State {
     pub half_board_m: f64,
     pub samples: Vec<Sample>,
     pub views: Vec<View>,
-    pub noise: RigImu,
+    pub noise: ImuNoiseModel,
     /// Standard deviation of a sample.
     pub gyro_sigma: f64,
     pub accel_sigma: f64,
     pub rate_rms: Vector3<f64>,
     pub force_rms: Vector3<f64>,
-    pub warnings: Vec<String>,
+    /// What was found before the first guess.
+    pub findings: Vec<Finding>,
 }

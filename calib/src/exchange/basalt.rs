@@ -1,18 +1,21 @@
 //! Basalt's calibration file.
 
 use lsfb_geometry::camera::{Lens, LensModel};
-use lsfb_geometry::{Camera, Rig, RigImu, Se3, Vector3};
+use lsfb_geometry::{Camera, ImuNoiseModel, Rig, Se3, Vector3};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 
 use super::{
-    Exported, ExportedFile, ImportedRig, checked, in_model, mounted, parse_error, quaternion,
+    Exported, ExportedFile, ImportedRig, checked, in_model, mounted, not_used, parse_error,
+    quaternion,
 };
 use crate::Error;
 
 #[derive(Deserialize)]
 struct File {
     value0: Calibration,
+    #[serde(flatten)]
+    others: Map<String, Value>,
 }
 
 #[derive(Deserialize)]
@@ -37,6 +40,11 @@ struct Calibration {
     calib_gyro_bias: Vec<f64>,
     #[serde(default)]
     vignette: Vec<Value>,
+    /// Rate of the IMU, and where cameras overlap: nothing that a rig says.
+    #[serde(rename = "imu_update_rate")]
+    _imu_rate_hz: Option<f64>,
+    #[serde(flatten)]
+    others: Map<String, Value>,
 }
 
 impl Calibration {
@@ -60,6 +68,12 @@ impl Calibration {
             notes.push(
                 "a rig has one noise for three axes: their root mean square is taken".to_owned(),
             );
+        }
+        let is_zero = |value: &Value| value.as_f64() == Some(0.0);
+        let others = self.others.iter().filter(|(_, value)| !is_zero(value));
+        let names: Vec<&str> = others.map(|(name, _)| name.as_str()).collect();
+        if !names.is_empty() {
+            notes.push(not_used("value0", &names));
         }
         if !self.vignette.is_empty() {
             notes.push("vignettes have no place in a rig".to_owned());
@@ -135,14 +149,18 @@ pub fn import_basalt(text: &str, path: &str) -> Result<ImportedRig, Error> {
         mean(&c.accel_bias_std),
     ];
     if let [Some(gyro), Some(accel), Some(gyro_walk), Some(accel_walk)] = noise {
-        rig.imu = Some(RigImu {
+        rig.set_imu_noise(ImuNoiseModel {
             gyro_noise_density: gyro,
             accel_noise_density: accel,
             gyro_bias_walk: gyro_walk,
             accel_bias_walk: accel_walk,
         });
     }
-    let notes = c.notes();
+    let mut notes = c.notes();
+    if !file.others.is_empty() {
+        let names: Vec<&str> = file.others.keys().map(String::as_str).collect();
+        notes.push(not_used(path, &names));
+    }
     Ok(ImportedRig { rig, notes })
 }
 
@@ -292,7 +310,7 @@ pub(super) fn export(rig: &Rig, imu_rate_hz: f64) -> Exported {
         "cam_time_offset_ns": offset_ns,
         "vignette": Vec::<f64>::new(),
     });
-    match &rig.imu {
+    match rig.imu_noise() {
         Some(imu) => {
             for (key, noise) in [
                 ("accel_noise_std", imu.accel_noise_density),

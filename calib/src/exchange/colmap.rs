@@ -1,12 +1,16 @@
 //! COLMAP's `cameras.txt` and `rig_config.json`. Its pixel (0, 0) is the corner of the first pixel, not its centre.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use lsfb_geometry::camera::{Lens, LensModel};
 use lsfb_geometry::{Camera, Rig, Se3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::{Exported, ExportedFile, checked, exact, in_model, mounted, parse_error, quaternion};
+use super::{
+    Exported, ExportedFile, ImportedRig, checked, exact, in_model, mounted, not_used, parse_error,
+    quaternion,
+};
 use crate::Error;
 
 /// From our pixels to COLMAP's.
@@ -31,12 +35,18 @@ struct RigMember {
     camera_model_name: Option<String>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     camera_params: Option<Vec<f64>>,
+    #[serde(flatten)]
+    others: BTreeMap<String, serde_json::Value>,
 }
 
 /// Reads `cameras.txt` and, where given, the first rig of `rig_config.json`, whose members are the cameras in the order of
 /// their numbers; `path` names the former in errors. The first camera of the rig is the origin.
-pub fn import_colmap(cameras: &str, rig_config: Option<&str>, path: &str) -> Result<Rig, Error> {
-    let mut found: Vec<(u32, Camera)> = Vec::new();
+pub fn import_colmap(
+    cameras: &str,
+    rig_config: Option<&str>,
+    path: &str,
+) -> Result<ImportedRig, Error> {
+    let mut found: Vec<Listed> = Vec::new();
     for (number, line) in cameras.lines().enumerate() {
         let line = line.trim();
         if line.is_empty() || line.starts_with('#') {
@@ -46,20 +56,28 @@ pub fn import_colmap(cameras: &str, rig_config: Option<&str>, path: &str) -> Res
             camera(line).map_err(|p| parse_error(path, format!("line {}: {p}", number + 1)))?;
         found.push(camera);
     }
-    found.sort_by_key(|c| c.0);
+    found.sort_by_key(|c| c.id);
     if found.is_empty() {
         return Err(parse_error(path, "no camera in it"));
     }
     let mut rig = Rig::empty("colmap");
     let Some(text) = rig_config else {
-        for (k, (_, camera)) in found.into_iter().enumerate() {
+        for (k, listed) in found.into_iter().enumerate() {
             rig.cameras
-                .insert(format!("cam{k}"), mounted(camera, Se3::identity()));
+                .insert(format!("cam{k}"), mounted(listed.camera, Se3::identity()));
         }
-        return Ok(rig);
+        let notes = vec!["no poses in it: all cameras are at the origin".to_owned()];
+        return Ok(ImportedRig { rig, notes });
     };
     let fail = |problem: String| parse_error("rig_config.json", problem);
     let files: Vec<RigFile> = serde_json::from_str(text).map_err(|e| fail(e.to_string()))?;
+    let mut notes = Vec::new();
+    if files.len() > 1 {
+        notes.push(format!(
+            "rig_config.json has {} rigs: the first is taken",
+            files.len()
+        ));
+    }
     let members = files
         .into_iter()
         .next()
@@ -72,7 +90,7 @@ pub fn import_colmap(cameras: &str, rig_config: Option<&str>, path: &str) -> Res
             found.len()
         )));
     }
-    for (member, (_, camera)) in members.into_iter().zip(found) {
+    for (member, listed) in members.into_iter().zip(found) {
         let name = member
             .image_prefix
             .trim_end_matches('/')
@@ -80,6 +98,10 @@ pub fn import_colmap(cameras: &str, rig_config: Option<&str>, path: &str) -> Res
             .next()
             .unwrap_or_default()
             .to_owned();
+        if !member.others.is_empty() {
+            let names: Vec<&str> = member.others.keys().map(String::as_str).collect();
+            notes.push(not_used(&name, &names));
+        }
         let pose = match (
             member.cam_from_rig_rotation,
             member.cam_from_rig_translation,
@@ -92,12 +114,33 @@ pub fn import_colmap(cameras: &str, rig_config: Option<&str>, path: &str) -> Res
             }
             _ => return Err(fail(format!("{name}: it has no cam_from_rig"))),
         };
-        rig.cameras.insert(name, mounted(camera, pose));
+        if member
+            .camera_params
+            .is_some_and(|p| !same(&p, &listed.parameters))
+        {
+            notes.push(format!(
+                "{name}: camera_params of rig_config.json differ from {path} and are not used"
+            ));
+        }
+        rig.cameras.insert(name, mounted(listed.camera, pose));
     }
-    Ok(rig)
+    Ok(ImportedRig { rig, notes })
 }
 
-fn camera(line: &str) -> Result<(u32, Camera), String> {
+/// Whether two lists of parameters are the same but for the rounding of their texts.
+fn same(a: &[f64], b: &[f64]) -> bool {
+    let near = |(a, b): (&f64, &f64)| (a - b).abs() <= 1e-9 * a.abs().max(1.0);
+    a.len() == b.len() && a.iter().zip(b).all(near)
+}
+
+/// A line of `cameras.txt`.
+struct Listed {
+    id: u32,
+    camera: Camera,
+    parameters: Vec<f64>,
+}
+
+fn camera(line: &str) -> Result<Listed, String> {
     let words: Vec<&str> = line.split_whitespace().collect();
     let [id, model, width, height, values @ ..] = words.as_slice() else {
         return Err("expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS".to_owned());
@@ -112,7 +155,11 @@ fn camera(line: &str) -> Result<(u32, Camera), String> {
         height: count(height)?,
         lens: lens(model, &values)?,
     })?;
-    Ok((count(id)?, camera))
+    Ok(Listed {
+        id: count(id)?,
+        camera,
+        parameters: values,
+    })
 }
 
 fn lens(model: &str, values: &[f64]) -> Result<Lens, String> {
@@ -220,6 +267,7 @@ pub(super) fn export(rig: &Rig) -> Exported {
             cam_from_rig_translation: (!is_first).then_some(pose.translation.into()),
             camera_model_name: Some(model.to_owned()),
             camera_params: Some(parameters),
+            others: BTreeMap::new(),
         });
     }
     out.files.push(ExportedFile {
@@ -232,7 +280,7 @@ pub(super) fn export(rig: &Rig) -> Exported {
         name: "rig_config.json".to_owned(),
         text: text + "\n",
     });
-    if rig.imu.is_some() || first.is_some_and(|f| f != Se3::identity()) {
+    if rig.imu().is_some() || first.is_some_and(|f| f != Se3::identity()) {
         out.notes.push(
             "COLMAP's rig is its first camera: the pose in the IMU, noise and time offsets have no place".to_owned(),
         );

@@ -4,12 +4,14 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use lsfb_geometry::camera::Lens;
-use lsfb_geometry::{Camera, Matrix3, Rig, RigImu, Se3, Vector3};
+use lsfb_geometry::{Camera, ImuNoiseModel, Matrix3, Rig, Se3, Vector3};
 use serde::Deserialize;
 
+use super::omni::Omni;
+use super::yaml::{self, Others};
 use super::{
-    Exported, ExportedFile, checked, deviation_px, exact, list, mounted, parse_error, radtan,
-    rotation,
+    Exported, ExportedFile, ImportedImu, ImportedRig, checked, deviation_px, exact, list, mounted,
+    parse_error, radtan, rotation,
 };
 use crate::Error;
 
@@ -23,10 +25,20 @@ struct Link {
     resolution: [u32; 2],
     #[serde(rename = "T_cam_imu")]
     camera_from_imu: Option<[[f64; 4]; 4]>,
+    /// OpenVINS writes this one.
+    #[serde(rename = "T_imu_cam")]
+    imu_from_camera: Option<[[f64; 4]; 4]>,
     #[serde(rename = "T_cn_cnm1")]
     camera_from_before: Option<[[f64; 4]; 4]>,
     #[serde(default)]
     timeshift_cam_imu: f64,
+    /// Where its images come from, and which cameras see the same: nothing that a rig says.
+    #[serde(rename = "rostopic")]
+    _topic: Option<String>,
+    #[serde(rename = "cam_overlaps")]
+    _overlaps: Option<Vec<u32>>,
+    #[serde(flatten)]
+    others: Others,
 }
 
 #[derive(Deserialize)]
@@ -35,13 +47,21 @@ struct ImuFile {
     accelerometer_random_walk: f64,
     gyroscope_noise_density: f64,
     gyroscope_random_walk: f64,
+    #[serde(rename = "rostopic")]
+    _topic: Option<String>,
+    #[serde(rename = "update_rate")]
+    _rate_hz: Option<f64>,
+    #[serde(flatten)]
+    others: Others,
 }
 
-/// Reads a camera chain, with or without the IMU; `path` names it in errors. Without `T_cam_imu` the first camera is the
-/// origin.
-pub fn import_kalibr(text: &str, path: &str) -> Result<Rig, Error> {
-    let chain: BTreeMap<String, Link> =
-        serde_norway::from_str(text).map_err(|e| parse_error(path, e))?;
+/// Difference of two poses in one file that is more than their rounding, `[rad, m]` together.
+const SAME_POSE: f64 = 1e-3;
+
+/// Reads a camera chain, with or without the IMU; `path` names it in errors. Where no pose to an IMU is given the first camera
+/// is the origin.
+pub fn import_kalibr(text: &str, path: &str) -> Result<ImportedRig, Error> {
+    let chain: BTreeMap<String, Link> = yaml::read(text, path)?;
     let mut links: Vec<(u32, Link)> = Vec::new();
     for (name, link) in chain {
         let number = name.strip_prefix("cam").and_then(|n| n.parse().ok());
@@ -51,28 +71,34 @@ pub fn import_kalibr(text: &str, path: &str) -> Result<Rig, Error> {
     }
     links.sort_by_key(|l| l.0);
     let mut rig = Rig::empty("kalibr");
+    let mut notes = Vec::new();
     let mut before: Option<Se3> = None;
+    let has_imu = links.iter().any(|(_, l)| l.has_imu());
     for (number, link) in links {
         let name = format!("cam{number}");
         let fail = |problem: String| parse_error(path, format!("{name}: {problem}"));
-        let camera = camera(&link).map_err(fail)?;
-        let rig_from_camera = match (&link.camera_from_imu, &link.camera_from_before, before) {
-            (Some(rows), _, _) => pose(rows)
-                .map_err(|p| fail(format!("T_cam_imu {p}")))?
-                .inverse(),
-            (None, Some(rows), Some(before)) => {
-                before
-                    * pose(rows)
-                        .map_err(|p| fail(format!("T_cn_cnm1 {p}")))?
-                        .inverse()
+        let (camera, miss_px) = camera(&link).map_err(fail)?;
+        if miss_px > 0.0 {
+            notes.push(format!(
+                "{name}: the omni lens is read as {}, which misses it by up to {miss_px:.3} px",
+                camera.lens.model().name()
+            ));
+        }
+        let rig_from_camera = match (link.rig_from_camera(before).map_err(fail)?, before) {
+            (Some(pose), _) => pose,
+            (None, None) if !has_imu => {
+                notes.push(format!(
+                    "no pose to an IMU in it (T_cam_imu or T_imu_cam): {name} is the origin"
+                ));
+                Se3::identity()
             }
-            (None, None, None) => Se3::identity(),
             _ => {
                 return Err(fail(
-                    "neither T_cam_imu nor T_cn_cnm1 joins it to the camera before".to_owned(),
+                    "neither T_cam_imu, T_imu_cam nor T_cn_cnm1 says where it is".to_owned(),
                 ));
             }
         };
+        notes.extend(yaml::unused(&name, &link.others));
         before = Some(rig_from_camera);
         let mut mounted = mounted(camera, rig_from_camera);
         mounted.timing.rig_from_camera_s = link.timeshift_cam_imu;
@@ -81,23 +107,77 @@ pub fn import_kalibr(text: &str, path: &str) -> Result<Rig, Error> {
     if rig.cameras.is_empty() {
         return Err(parse_error(path, "no camera in it"));
     }
-    Ok(rig)
+    Ok(ImportedRig { rig, notes })
 }
 
-/// Reads the noise of an IMU.
-pub fn import_kalibr_imu(text: &str, path: &str) -> Result<RigImu, Error> {
-    // Older files are flat, those of the calibration itself name the IMU first.
-    let nested: Result<BTreeMap<String, ImuFile>, _> = serde_norway::from_str(text);
-    let file = match nested.ok().and_then(|n| n.into_values().next()) {
-        Some(file) => file,
-        None => serde_norway::from_str(text).map_err(|e| parse_error(path, e))?,
+impl Link {
+    fn has_imu(&self) -> bool {
+        self.camera_from_imu.is_some() || self.imu_from_camera.is_some()
+    }
+
+    /// The pose of the camera by whatever says it; `None` where nothing does. What says it twice must agree.
+    fn rig_from_camera(&self, before: Option<Se3>) -> Result<Option<Se3>, String> {
+        let read = |name: &'static str, rows: &Option<[[f64; 4]; 4]>| {
+            let pose = rows.as_ref().map(pose).transpose();
+            pose.map_err(|p| format!("{name} {p}"))
+        };
+        let said = [
+            read("T_cam_imu", &self.camera_from_imu)?.map(|p| ("T_cam_imu", p.inverse())),
+            read("T_imu_cam", &self.imu_from_camera)?.map(|p| ("T_imu_cam", p)),
+            read("T_cn_cnm1", &self.camera_from_before)?
+                .zip(before)
+                .map(|(p, before)| ("T_cn_cnm1", before * p.inverse())),
+        ];
+        let mut said = said.into_iter().flatten();
+        let Some((first, pose)) = said.next() else {
+            return Ok(None);
+        };
+        for (other, again) in said {
+            let off = (pose.inverse() * again).log();
+            if off.norm() > SAME_POSE {
+                return Err(format!(
+                    "{first} and {other} contradict each other by {:.1}° and {:.1} mm: delete the wrong one",
+                    off.fixed_rows::<3>(0).norm().to_degrees(),
+                    off.fixed_rows::<3>(3).norm() * 1e3
+                ));
+            }
+        }
+        Ok(Some(pose))
+    }
+}
+
+/// Reads the noise of an IMU: the file that Kalibr is given, which is flat, or that of its calibration, which names the IMU first.
+pub fn import_kalibr_imu(text: &str, path: &str) -> Result<ImportedImu, Error> {
+    let nested: Result<BTreeMap<String, ImuFile>, _> = yaml::read(text, path);
+    let mut notes = Vec::new();
+    let (name, file) = match nested.ok().map(BTreeMap::into_iter) {
+        Some(mut imus) => {
+            let first = imus
+                .next()
+                .ok_or_else(|| parse_error(path, "no IMU in it"))?;
+            for (other, _) in imus {
+                notes.push(format!(
+                    "{other} is not used: a rig has one IMU, {} is taken",
+                    first.0
+                ));
+            }
+            first
+        }
+        None => ("imu".to_owned(), yaml::read(text, path)?),
     };
-    Ok(RigImu {
+    let mut others = file.others;
+    // An IMU whose axes are taken as they are.
+    if others.get("model").and_then(|m| m.as_str()) == Some("calibrated") {
+        others.remove("model");
+    }
+    notes.extend(yaml::unused(&name, &others));
+    let noise = ImuNoiseModel {
         gyro_noise_density: file.gyroscope_noise_density,
         accel_noise_density: file.accelerometer_noise_density,
         gyro_bias_walk: file.gyroscope_random_walk,
         accel_bias_walk: file.accelerometer_random_walk,
-    })
+    };
+    Ok(ImportedImu { noise, notes })
 }
 
 fn pose(rows: &[[f64; 4]; 4]) -> Result<Se3, String> {
@@ -107,7 +187,8 @@ fn pose(rows: &[[f64; 4]; 4]) -> Result<Se3, String> {
     Ok(Se3::new(rotation, translation))
 }
 
-fn camera(link: &Link) -> Result<Camera, String> {
+/// The camera, and by how much its lens misses the one in the file at most, pixels.
+fn camera(link: &Link) -> Result<(Camera, f64), String> {
     let distortion_model = link.distortion_model.as_deref().unwrap_or("none");
     let expect = |values: &[f64], n: usize, what: &str| {
         if values.len() == n {
@@ -118,10 +199,11 @@ fn camera(link: &Link) -> Result<Camera, String> {
     };
     let own = match link.camera_model.as_str() {
         "pinhole" => 0,
+        "omni" => 1,
         "ds" | "eucm" => 2,
         other => {
             return Err(format!(
-                "camera_model {other} is not known: pinhole, ds and eucm are"
+                "camera_model {other} is not known: pinhole, omni, ds and eucm are"
             ));
         }
     };
@@ -130,7 +212,23 @@ fn camera(link: &Link) -> Result<Camera, String> {
     let focal_px = [pinhole[0], pinhole[1]];
     let principal_px = [pinhole[2], pinhole[3]];
     let d = &link.distortion_coeffs;
+    let [width, height] = link.resolution;
+    let mut miss_px = 0.0;
     let lens = match (link.camera_model.as_str(), distortion_model) {
+        ("omni", "none" | "radtan") => {
+            if distortion_model == "radtan" {
+                expect(d, 4, "distortion_coeffs")?;
+            }
+            let omni = Omni {
+                xi: shape[0],
+                focal_px,
+                principal_px,
+                distortion: std::array::from_fn(|k| d.get(k).copied().unwrap_or(0.0)),
+            };
+            let (lens, miss) = omni.to_lens(width, height)?;
+            miss_px = miss;
+            lens
+        }
         ("ds", "none") => Lens::DoubleSphere {
             focal_px,
             principal_px,
@@ -174,11 +272,12 @@ fn camera(link: &Link) -> Result<Camera, String> {
             return Err(format!("{model} with distortion {distortion} is not known"));
         }
     };
-    checked(Camera {
-        width: link.resolution[0],
-        height: link.resolution[1],
+    let camera = checked(Camera {
+        width,
+        height,
         lens,
-    })
+    })?;
+    Ok((camera, miss_px))
 }
 
 /// From what the cameras of a chain are posed.
@@ -264,7 +363,7 @@ fn matrix(name: &str, pose: &Se3) -> String {
 }
 
 /// Kalibr's `imu.yaml`.
-pub fn imu_to_kalibr(noise: &RigImu, rate_hz: f64, topic: &str) -> String {
+pub fn imu_to_kalibr(noise: &ImuNoiseModel, rate_hz: f64, topic: &str) -> String {
     format!(
         "rostopic: {topic}\nupdate_rate: {}\naccelerometer_noise_density: {}\naccelerometer_random_walk: {}\ngyroscope_noise_density: {}\ngyroscope_random_walk: {}\n",
         exact(rate_hz),
@@ -301,7 +400,7 @@ pub(super) fn export(rig: &Rig, imu_rate_hz: f64) -> Exported {
             ChainOrigin::Imu,
         ),
     });
-    if let Some(imu) = &rig.imu {
+    if let Some(imu) = rig.imu_noise() {
         out.files.push(ExportedFile {
             name: "imu.yaml".to_owned(),
             text: imu_to_kalibr(imu, imu_rate_hz, "/imu0"),

@@ -12,17 +12,22 @@
 //! IMU's spline for the pose at the image's stamp **plus** the offset. Basalt's odometry does not apply it at all (the line is
 //! commented out there), which [`Exported::notes`] says.
 //!
-//! What a format cannot hold is said in [`Exported::notes`], what a rig cannot hold in [`ImportedRig::notes`] and
-//! [`ImportedCamera::notes`]: nothing is dropped in silence.
+//! What a format cannot hold is said in [`Exported::notes`], what a rig cannot hold, and what was not understood, in the `notes` of
+//! [`ImportedRig`], [`ImportedImu`] and [`ImportedCamera`]: nothing is dropped in silence. Files of OpenCV and OpenVINS
+//! (`%YAML:1.0`, `T_imu_cam`) are read as those of ROS and Kalibr.
 
 mod basalt;
 mod colmap;
 mod kalibr;
+mod omni;
+mod plausible;
 mod ros;
+mod yaml;
 
 use lsfb_geometry::camera::{Lens, LensModel};
 use lsfb_geometry::{
-    Camera, Matrix3, Quaternion, Rig, RigCamera, Se3, UnitQuaternion, Vector2, Vector3,
+    Camera, ImuNoiseModel, Matrix3, Quaternion, Rig, RigCamera, Se3, UnitQuaternion, Vector2,
+    Vector3,
 };
 use nalgebra::Rotation3;
 
@@ -32,6 +37,7 @@ use crate::camera::fit_lens;
 pub use basalt::import_basalt;
 pub use colmap::import_colmap;
 pub use kalibr::{ChainOrigin, camera_chain, import_kalibr, import_kalibr_imu, imu_to_kalibr};
+pub use plausible::implausible;
 pub use ros::{ImportedCamera, import_camera_info};
 
 /// A rig from another program's file.
@@ -39,6 +45,15 @@ pub use ros::{ImportedCamera, import_camera_info};
 pub struct ImportedRig {
     /// The rig.
     pub rig: Rig,
+    /// What is in the file that a rig does not hold, in words.
+    pub notes: Vec<String>,
+}
+
+/// The noise of an IMU from another program's file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImportedImu {
+    /// The noise.
+    pub noise: ImuNoiseModel,
     /// What is in the file that a rig does not hold, in words.
     pub notes: Vec<String>,
 }
@@ -88,7 +103,7 @@ pub fn export(rig: &Rig, format: Format, imu_rate_hz: f64) -> Result<Exported, E
         Format::Colmap => colmap::export(rig),
         Format::Basalt => basalt::export(rig, imu_rate_hz),
     };
-    if rig.lidar.is_some() {
+    if rig.lidar().is_some() {
         out.notes
             .push("the LiDAR's pose has no place in these files".to_owned());
     }
@@ -194,6 +209,11 @@ fn checked(camera: Camera) -> Result<Camera, String> {
         ));
     }
     camera.lens.problem().map_or(Ok(camera), Err)
+}
+
+/// A note on names in a file that no reader knew.
+fn not_used(what: &str, names: &[&str]) -> String {
+    format!("{what}: not understood and not used: {}", names.join(", "))
 }
 
 fn parse_error(path: &str, problem: impl std::fmt::Display) -> Error {

@@ -1,15 +1,29 @@
-//! ROS `CameraInfo`: the file of `camera_calibration`, and the message as `ros2 topic echo` prints it.
+//! ROS `CameraInfo`: the file of `camera_calibration`, and messages as `ros2 topic echo` prints them. OpenCV's own calibration
+//! program writes the same keys.
 
 use lsfb_geometry::camera::{Lens, LensModel};
 use lsfb_geometry::{Camera, Rig};
 use serde::Deserialize;
 
+use super::yaml::{self, Others};
 use super::{Exported, ExportedFile, checked, in_model, list, parse_error};
 use crate::Error;
 
 #[derive(Deserialize)]
 struct Matrix {
     data: Vec<f64>,
+}
+
+/// The part of the sensor that images show, in its pixels; all of it where the size is zero.
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct Region {
+    x_offset: u32,
+    y_offset: u32,
+    width: u32,
+    height: u32,
+    /// Whether images that were rectified already are meant.
+    do_rectify: bool,
 }
 
 /// The keys of both forms; ROS 1 wrote those of the message in capitals.
@@ -20,16 +34,44 @@ struct Info {
     #[serde(alias = "image_height")]
     height: u32,
     camera_name: Option<String>,
-    distortion_model: String,
+    distortion_model: Option<String>,
+    /// OpenCV's word for the distortion model.
+    fisheye_model: Option<u8>,
     camera_matrix: Option<Matrix>,
     distortion_coefficients: Option<Matrix>,
     #[serde(alias = "K")]
     k: Option<Vec<f64>>,
     #[serde(alias = "D")]
     d: Option<Vec<f64>>,
+    rectification_matrix: Option<Matrix>,
+    #[serde(alias = "R")]
+    r: Option<Vec<f64>>,
     projection_matrix: Option<Matrix>,
     #[serde(alias = "P")]
     p: Option<Vec<f64>>,
+    #[serde(default)]
+    binning_x: u32,
+    #[serde(default)]
+    binning_y: u32,
+    #[serde(default)]
+    roi: Region,
+    /// Stamp and frame of one message.
+    #[serde(rename = "header")]
+    _header: Option<serde_norway::Value>,
+    #[serde(flatten)]
+    others: Others,
+}
+
+impl Info {
+    /// The distortion model by the name that ROS has for it, and whether the file says so.
+    fn distortion_model(&self) -> (&str, bool) {
+        match (self.distortion_model.as_deref(), self.fisheye_model) {
+            (Some(name), _) => (name, true),
+            (None, Some(0)) => ("plumb_bob", true),
+            (None, Some(_)) => ("equidistant", true),
+            (None, None) => ("plumb_bob", false),
+        }
+    }
 }
 
 /// A camera from a `CameraInfo`.
@@ -45,8 +87,50 @@ pub struct ImportedCamera {
 
 /// Reads a `CameraInfo`; `path` names it in errors.
 pub fn import_camera_info(text: &str, path: &str) -> Result<ImportedCamera, Error> {
-    let info: Info = serde_norway::from_str(text).map_err(|e| parse_error(path, e))?;
+    let info: Info = yaml::read(text, path)?;
     let fail = |problem: String| parse_error(path, problem);
+    let mut notes = Vec::new();
+    if info.binning_x > 1 || info.binning_y > 1 {
+        return Err(fail(format!(
+            "binning of {} × {} pixels: whether pixels are joined or left out is not said, and moves the image by up to half of one: calibrate images as they are recorded",
+            info.binning_x, info.binning_y
+        )));
+    }
+    let (model, is_said) = info.distortion_model();
+    let model = model.to_owned();
+    if !is_said {
+        notes.push(format!(
+            "{path}: no distortion_model in it: read as {model}"
+        ));
+    }
+    let roi = &info.roi;
+    if roi.do_rectify {
+        notes.push(format!(
+            "{path}: do_rectify is not used: a rig's lens is that of the images as they were taken"
+        ));
+    }
+    let is_cut = roi.width > 0 && roi.height > 0;
+    let size = if is_cut {
+        notes.push(format!(
+            "{path}: images are the part of {} × {} pixels from ({}, {}) on: the lens is that of this part",
+            roi.width, roi.height, roi.x_offset, roi.y_offset
+        ));
+        [roi.width, roi.height]
+    } else {
+        [info.width, info.height]
+    };
+    let corner = [roi.x_offset, roi.y_offset].map(f64::from);
+    if !is_cut && corner != [0.0; 2] {
+        return Err(fail("a region of interest without a size".to_owned()));
+    }
+    let is_inside = u64::from(roi.x_offset) + u64::from(size[0]) <= u64::from(info.width)
+        && u64::from(roi.y_offset) + u64::from(size[1]) <= u64::from(info.height);
+    if !is_inside {
+        return Err(fail(format!(
+            "a region of interest of {} × {} pixels from ({}, {}) on in an image of {} × {}",
+            size[0], size[1], roi.x_offset, roi.y_offset, info.width, info.height
+        )));
+    }
     let k = info
         .camera_matrix
         .map(|m| m.data)
@@ -70,10 +154,10 @@ pub fn import_camera_info(text: &str, path: &str) -> Result<ImportedCamera, Erro
         )));
     }
     let focal_px = [k[0], k[4]];
-    let principal_px = [k[2], k[5]];
+    let principal_px = [k[2] - corner[0], k[5] - corner[1]];
     let at = |i: usize| d.get(i).copied().unwrap_or(0.0);
     let beyond = |n: usize| d.iter().skip(n).any(|x| *x != 0.0);
-    let lens = match info.distortion_model.as_str() {
+    let lens = match model.as_str() {
         "plumb_bob" | "rational_polynomial" | "" if !beyond(5) => Lens::PinholeRadtan {
             focal_px,
             principal_px,
@@ -97,19 +181,29 @@ pub fn import_camera_info(text: &str, path: &str) -> Result<ImportedCamera, Erro
         }
     };
     let camera = checked(Camera {
-        width: info.width,
-        height: info.height,
+        width: size[0],
+        height: size[1],
         lens,
     })
     .map_err(fail)?;
     let p = info.projection_matrix.map(|m| m.data).or(info.p);
-    let mut notes = Vec::new();
     // That of the second camera of a rectified pair is −fx times their distance.
     if let Some(shift) = p.and_then(|p| p.get(3).copied()).filter(|t| *t != 0.0) {
         notes.push(format!(
             "{path}: the projection matrix of a rectified pair ({shift} in its fourth column) is not read: poses of cameras come from `lsfb calib camera`"
         ));
     }
+    let turned = info.rectification_matrix.map(|m| m.data).or(info.r);
+    let is_turned = |r: &Vec<f64>| {
+        let identity = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+        !r.is_empty() && *r != identity && r.iter().any(|x| *x != 0.0)
+    };
+    if turned.as_ref().is_some_and(is_turned) {
+        notes.push(format!(
+            "{path}: the rectification matrix is not read: a rig's lens is that of the images as they were taken"
+        ));
+    }
+    notes.extend(yaml::unused(path, &info.others));
     Ok(ImportedCamera {
         name: info.camera_name,
         camera,

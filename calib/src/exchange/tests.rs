@@ -1,4 +1,4 @@
-use lsfb_geometry::{CameraTiming, RigImu, Vector6};
+use lsfb_geometry::{CameraTiming, ImuNoiseModel, Vector6};
 
 use super::*;
 
@@ -25,7 +25,7 @@ fn rig(lenses: &[Lens]) -> Rig {
         };
         rig.cameras.insert(format!("cam{k}"), camera);
     }
-    rig.imu = Some(RigImu {
+    rig.set_imu_noise(ImuNoiseModel {
         gyro_noise_density: 1.6e-4,
         accel_noise_density: 2.8e-3,
         gyro_bias_walk: 2.2e-5,
@@ -75,7 +75,7 @@ fn assert_same(a: &Rig, b: &Rig) {
             .norm();
         assert!(moved < 1e-12, "{name}: {moved}");
     }
-    assert_eq!(a.imu, b.imu);
+    assert_eq!(a.imus, b.imus);
 }
 
 fn text<'a>(exported: &'a Exported, name: &str) -> &'a str {
@@ -91,12 +91,19 @@ fn kalibr_round_trip() {
     let out = export(&rig, Format::Kalibr, 200.0).expect("exported");
     assert!(out.notes.is_empty(), "{:?}", out.notes);
     let mut back = import_kalibr(text(&out, "camchain-imucam.yaml"), "own").expect("own output");
-    back.imu = Some(import_kalibr_imu(text(&out, "imu.yaml"), "own").expect("own output"));
-    assert_same(&rig, &back);
+    assert!(back.notes.is_empty(), "{:?}", back.notes);
+    let imu = import_kalibr_imu(text(&out, "imu.yaml"), "own").expect("own output");
+    assert!(imu.notes.is_empty(), "{:?}", imu.notes);
+    back.rig.set_imu_noise(imu.noise);
+    assert_same(&rig, &back.rig);
 
     // Without the IMU the first camera is the origin.
     let chain: String = text(&out, "camchain-imucam.yaml").replace("T_cam_imu", "T_unknown");
-    let alone = import_kalibr(&chain, "own").expect("a chain");
+    let ImportedRig { rig: alone, notes } = import_kalibr(&chain, "own").expect("a chain");
+    assert!(
+        notes[0].starts_with("no pose to an IMU in it") && notes[1].contains("not used: T_unknown"),
+        "{notes:?}"
+    );
     let first = rig.cameras["cam0"].rig_from_camera;
     for (name, camera) in &alone.cameras {
         let expected = first.inverse() * rig.cameras[name].rig_from_camera;
@@ -126,7 +133,10 @@ fn basalt_round_trip() {
                 < 1e-12
         );
     }
-    let (a, b) = (rig.imu.expect("an IMU"), back.imu.expect("an IMU"));
+    let (a, b) = (
+        rig.imu_noise().expect("an IMU"),
+        back.imu_noise().expect("an IMU"),
+    );
     assert!((a.gyro_noise_density / b.gyro_noise_density - 1.0).abs() < 1e-12);
     assert!((a.accel_bias_walk / b.accel_bias_walk - 1.0).abs() < 1e-12);
 
@@ -155,7 +165,8 @@ fn colmap_round_trip_keeps_half_a_pixel() {
         Some(text(&out, "rig_config.json")),
         "own",
     )
-    .expect("own output");
+    .expect("own output")
+    .rig;
     let first = rig.cameras["cam0"].rig_from_camera;
     for (name, camera) in &back.cameras {
         assert_eq!(camera.camera, rig.cameras[name].camera);
@@ -201,8 +212,8 @@ fn wrong_files_are_named() {
     for (from, to, problem) in [
         (
             "camera_model: ds",
-            "camera_model: omni",
-            "camera_model omni is not known",
+            "camera_model: sphere",
+            "camera_model sphere is not known",
         ),
         ("cam1:", "left:", "left: expected cam0"),
         ("equidistant", "radial", "pinhole with distortion radial"),
@@ -249,4 +260,154 @@ fn wrong_files_are_named() {
         .expect("exported")
         .notes;
     assert!(notes.iter().any(|n| n.contains("no k3")), "{notes:?}");
+}
+
+/// OpenVINS's files begin with OpenCV's head and name the pose the other way round: it was an identity once, with exit code 0.
+#[test]
+fn openvins_chains_are_read_with_their_poses() {
+    let text = "%YAML:1.0 # need to specify the file type at the top!\n\ncam0:\n  T_imu_cam: #rotation from camera to imu\n    - [0.0, 0.0, 1.0, 0.1]\n    - [-1.0, 0.0, 0.0, 0.2]\n    - [0.0, -1.0, 0.0, 0.3]\n    - [0.0, 0.0, 0.0, 1.0]\n  cam_overlaps: [1]\n  camera_model: pinhole\n  distortion_coeffs: [-0.28, 0.07, 0.0002, 0.00002]\n  distortion_model: radtan\n  intrinsics: [458.6, 457.3, 367.2, 248.4]\n  resolution: [752, 480]\n  rostopic: /cam0/image_raw\n  timeshift_cam_imu: 0.005\n";
+    let found = import_kalibr(text, "openvins").expect("a chain");
+    assert!(found.notes.is_empty(), "{:?}", found.notes);
+    let cam0 = &found.rig.cameras["cam0"];
+    assert_eq!(
+        cam0.rig_from_camera.translation,
+        Vector3::new(0.1, 0.2, 0.3)
+    );
+    // The camera looks along the rig's x axis.
+    let ahead = cam0.rig_from_camera.rotation * Vector3::z();
+    assert!((ahead - Vector3::x()).norm() < 1e-12, "{ahead}");
+    assert_eq!(cam0.timing.rig_from_camera_s, 0.005);
+
+    let both = format!(
+        "{text}  T_cam_imu:\n    - [1.0, 0.0, 0.0, 0.1]\n    - [0.0, 1.0, 0.0, 0.0]\n    - [0.0, 0.0, 1.0, 0.0]\n    - [0.0, 0.0, 0.0, 1.0]\n"
+    );
+    let error = import_kalibr(&both, "both")
+        .expect_err("they contradict")
+        .to_string();
+    assert!(
+        error.contains("T_cam_imu and T_imu_cam contradict"),
+        "{error}"
+    );
+
+    let imu = "%YAML:1.0\n\nimu0:\n  T_i_b:\n    - [1.0, 0.0, 0.0, 0.0]\n    - [0.0, 1.0, 0.0, 0.0]\n    - [0.0, 0.0, 1.0, 0.0]\n    - [0.0, 0.0, 0.0, 1.0]\n  accelerometer_noise_density: 2.0e-3\n  accelerometer_random_walk: 3.0e-3\n  gyroscope_noise_density: 1.7e-4\n  gyroscope_random_walk: 2.0e-5\n  model: calibrated\n  rostopic: /imu0\n  time_offset: 0.0\n  update_rate: 200.0\n";
+    let found = import_kalibr_imu(imu, "openvins").expect("an IMU");
+    assert_eq!(found.noise.gyro_noise_density, 1.7e-4);
+    assert!(found.notes.is_empty(), "{:?}", found.notes);
+    let late = imu.replace("time_offset: 0.0", "time_offset: 0.2");
+    let found = import_kalibr_imu(&late, "openvins").expect("an IMU");
+    assert!(
+        found.notes[0].contains("not used: time_offset"),
+        "{:?}",
+        found.notes
+    );
+}
+
+const ECHO: &str = "header:\n  stamp:\n    sec: 1\n    nanosec: 2\n  frame_id: cam0\nheight: 480\nwidth: 640\ndistortion_model: plumb_bob\nd:\n- -0.25\n- 0.06\n- 0.001\n- -0.0005\n- 0.0\nk: [500.0, 0.0, 321.25, 0.0, 503.0, 238.75, 0.0, 0.0, 1.0]\nr: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]\np: [500.0, 0.0, 321.25, 0.0, 0.0, 503.0, 238.75, 0.0, 0.0, 0.0, 1.0, 0.0]\nbinning_x: 0\nbinning_y: 0\nroi:\n  x_offset: 0\n  y_offset: 0\n  height: 0\n  width: 0\n  do_rectify: false\n---\n";
+
+#[test]
+fn the_output_of_ros2_topic_echo_is_read_as_it_is() {
+    let found = import_camera_info(ECHO, "echo").expect("a message");
+    assert!(found.notes.is_empty(), "{:?}", found.notes);
+    assert_eq!(found.camera.principal_px(), [321.25, 238.75]);
+    let twice = format!("{ECHO}{}", ECHO.replace("sec: 1", "sec: 7"));
+    assert_eq!(import_camera_info(&twice, "echo").expect("messages"), found);
+    let changed = format!("{ECHO}{}", ECHO.replace("[500.0", "[501.0"));
+    let error = import_camera_info(&changed, "echo").expect_err("two lenses");
+    assert!(
+        error.to_string().contains("document 2 of 2 differs"),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_part_of_the_sensor_is_honoured_and_binning_refused() {
+    let part = ECHO
+        .replace("x_offset: 0", "x_offset: 100")
+        .replace("y_offset: 0", "y_offset: 40")
+        .replace("height: 0\n  width: 0", "height: 240\n  width: 320");
+    let found = import_camera_info(&part, "echo").expect("a message");
+    assert_eq!((found.camera.width, found.camera.height), (320, 240));
+    assert_eq!(found.camera.principal_px(), [221.25, 198.75]);
+    assert!(found.notes[0].contains("320 × 240"), "{:?}", found.notes);
+    for (from, to, problem) in [
+        ("binning_x: 0", "binning_x: 2", "binning of 2 × 0"),
+        (
+            "x_offset: 0",
+            "x_offset: 9",
+            "region of interest without a size",
+        ),
+        (
+            "height: 0\n  width: 0",
+            "height: 481\n  width: 640",
+            "region of interest of 640 × 481",
+        ),
+    ] {
+        let error = import_camera_info(&ECHO.replace(from, to), "echo").expect_err(to);
+        assert!(error.to_string().contains(problem), "{error}");
+    }
+    let turned = ECHO.replace("r: [1.0, 0.0", "r: [0.9, 0.1");
+    let notes = import_camera_info(&turned, "echo")
+        .expect("a message")
+        .notes;
+    assert!(notes[0].contains("rectification matrix"), "{notes:?}");
+}
+
+#[test]
+fn opencvs_own_calibration_is_read() {
+    let text = "%YAML:1.0\n---\ncalibration_time: \"Sun Nov 22 2026\"\nimage_width: 640\nimage_height: 480\nboard_width: 9\ncamera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ 536.07, 0., 342.37, 0., 536.01, 235.53, 0., 0., 1. ]\ndistortion_coefficients: !!opencv-matrix\n   rows: 5\n   cols: 1\n   dt: d\n   data: [ -0.265, -0.0467, 0.00183, -0.000315, 0.252 ]\navg_reprojection_error: 0.2\n";
+    let found = import_camera_info(text, "out.yml").expect("a camera");
+    assert_eq!(
+        found.camera.lens.distortion(),
+        [-0.265, -0.0467, 0.00183, -0.000315, 0.252]
+    );
+    let [model, others] = &found.notes[..] else {
+        panic!("{:?}", found.notes)
+    };
+    assert!(
+        model.contains("no distortion_model in it: read as plumb_bob"),
+        "{model}"
+    );
+    assert!(
+        others.ends_with("avg_reprojection_error, board_width, calibration_time"),
+        "{others}"
+    );
+}
+
+#[test]
+fn units_of_a_rig_are_looked_at() {
+    let mut rig = rig(&lenses());
+    assert_eq!(implausible(&rig), Vec::<String>::new());
+    let cam1 = rig.cameras.get_mut("cam1").expect("a camera");
+    cam1.rig_from_camera.translation = Vector3::new(83.0, 0.0, 0.0);
+    cam1.timing.rig_from_camera_s = 19.0;
+    rig.imus
+        .values_mut()
+        .next()
+        .expect("an IMU")
+        .noise
+        .gyro_noise_density = 0.4;
+    let notes = implausible(&rig);
+    for (note, words) in notes
+        .iter()
+        .zip(["83.0 m from", "offsets are seconds", "rad/s/√Hz"])
+    {
+        assert!(note.contains(words), "{notes:?}");
+    }
+    assert_eq!(notes.len(), 3);
+}
+
+#[test]
+fn omni_lenses_of_kalibr_are_read() {
+    let text = "cam0:\n  camera_model: omni\n  intrinsics: [1.6, 900.0, 905.0, 320.0, 240.0]\n  distortion_model: none\n  resolution: [640, 480]\n";
+    let found = import_kalibr(text, "omni").expect("a chain");
+    assert_eq!(
+        found.rig.cameras["cam0"].camera.lens.model(),
+        LensModel::ExtendedUnified
+    );
+    let distorted = text.replace(
+        "none",
+        "radtan\n  distortion_coeffs: [-0.1, 0.03, 0.0, 0.0]",
+    );
+    let notes = import_kalibr(&distorted, "omni").expect("a chain").notes;
+    assert!(notes[0].contains("the omni lens is read as"), "{notes:?}");
 }

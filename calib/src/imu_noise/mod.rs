@@ -28,8 +28,8 @@ mod page;
 mod rest;
 mod uncertainty;
 
-use lsfb_geometry::RigImu;
-use lsfb_types::{Bounds, ImuSample, Timestamp};
+use lsfb_geometry::ImuNoiseModel;
+use lsfb_types::{Bounds, Finding, ImuSample, Timestamp, Verdict};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -37,6 +37,7 @@ pub use allan::Cluster;
 pub use fit::Noise;
 
 use crate::Error;
+use crate::stamps::{IMU_HZ, expect_nanoseconds};
 use uncertainty::Recorded;
 
 /// Settings of [`imu_noise`].
@@ -101,14 +102,15 @@ pub struct ImuNoise {
     pub accel: Noise,
     /// Their standard deviations.
     pub accel_sigma: Noise,
-    /// What should be recorded better, in words.
-    pub warnings: Vec<String>,
+    /// What was looked at, and how it came out.
+    #[serde(skip)]
+    pub findings: Vec<Finding>,
 }
 
 impl ImuNoise {
     /// As the rig has it.
-    pub fn rig_imu(&self) -> RigImu {
-        RigImu {
+    pub fn rig_imu(&self) -> ImuNoiseModel {
+        ImuNoiseModel {
             gyro_noise_density: self.gyro.density,
             accel_noise_density: self.accel.density,
             gyro_bias_walk: self.gyro.walk,
@@ -123,6 +125,11 @@ pub fn imu_noise(
     config: &ImuNoiseConfig,
 ) -> Result<ImuNoise, Error> {
     config.check_bounds("imu_noise")?;
+    expect_nanoseconds(
+        "samples of the IMU",
+        imu.iter().map(|s| s.0.nanos()),
+        IMU_HZ,
+    )?;
     let log = rest::Log::new(imu, config)?;
     let lengths: Vec<usize> = allan::lengths(log.axes[0].len())
         .into_iter()
@@ -158,9 +165,9 @@ pub fn imu_noise(
             uncertainty::sigma(&noise, &clusters, &recorded(triad.len())),
         )
     });
-    let mut warnings = log.warnings;
+    let mut findings = log.findings;
     for (name, noise) in [("gyroscope", &gyro), ("accelerometer", &accel)] {
-        warnings.extend(too_short(name, noise, log.duration_s));
+        findings.push(random_walk(name, noise, log.duration_s));
     }
     Ok(ImuNoise {
         samples: log.axes[0].len(),
@@ -171,7 +178,7 @@ pub fn imu_noise(
         gyro_sigma,
         accel,
         accel_sigma,
-        warnings,
+        findings,
     })
 }
 
@@ -191,15 +198,21 @@ fn together(axes: &[AxisNoise]) -> Vec<Cluster> {
 }
 
 /// A random walk is seen where it outweighs the other noises: well within the recording.
-fn too_short(name: &str, noise: &Noise, duration_s: f64) -> Option<String> {
+fn random_walk(name: &str, noise: &Noise, duration_s: f64) -> Finding {
     let longest_s = duration_s / 9.0;
     let of_walk = noise.walk * (longest_s / 3.0).sqrt();
-    (of_walk < 0.5 * noise.deviation(longest_s)).then(|| {
+    let is_seen = of_walk >= 0.5 * noise.deviation(longest_s);
+    let minutes = duration_s / 60.0;
+    let what = if is_seen {
+        format!("its random walk is seen within the {minutes:.0} min")
+    } else {
         format!(
-            "the {name}'s random walk hides below its other noises for all of the {:.0} min: its value is an upper bound, record for hours to see it",
-            duration_s / 60.0
+            "its random walk hides below its other noises for all of the {minutes:.0} min: its value is an upper bound"
         )
-    })
+    };
+    Finding::new("random-walk", Verdict::Warn.unless(is_seen), name, what)
+        .value(minutes, "min")
+        .remedy("record for hours to see it")
 }
 
 #[cfg(test)]

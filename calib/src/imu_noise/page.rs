@@ -1,28 +1,29 @@
 //! The report as one HTML page.
 
-use maud::html;
+use lsfb_report::{Axis, Ink, Layer, Page, Plot, scroll};
+use lsfb_types::Judgement;
+use maud::{Markup, html};
 
 use super::{AxisNoise, ImuNoise, Noise};
-use crate::{plots, report};
 
 impl ImuNoise {
-    /// One sentence: whether the result may be trusted.
-    pub fn verdict(&self) -> String {
-        let fits = format!(
+    /// What was found, in a few words.
+    pub fn summary(&self) -> String {
+        format!(
             "{:.0} min at {:.0} Hz: gyroscope {:.2e} rad/s/√Hz, accelerometer {:.2e} m/s²/√Hz",
             self.duration_s / 60.0,
             self.rate_hz,
             self.gyro.density,
             self.accel.density
-        );
-        match self.warnings.len() {
-            0 => format!("PASS. {fits}; nothing speaks against these figures."),
-            1 => format!("WARN. {fits}; one thing should be better."),
-            n => format!("WARN. {fits}; {n} things should be better."),
-        }
+        )
     }
 
-    /// The page: no script, no network.
+    /// Whether the result may be used, and how far.
+    pub fn judgement(&self) -> Judgement {
+        Judgement::new(self.findings.clone())
+    }
+
+    /// The page.
     pub fn to_html(&self, title: &str) -> String {
         let triads = [
             (
@@ -48,42 +49,60 @@ impl ImuNoise {
                 }
             }
         };
-        let body = html! {
-            @for warning in &self.warnings { p.warning { (warning) } }
-            @for (name, unit, (noise, sigma), axes) in triads {
-                section {
-                    h2 { (name) }
-                    div.row {
-                        table {
-                            thead { tr { th { "axis" } th { "noise density, " (unit) "/√Hz" } th { "bias instability, " (unit) } th { "random walk, " (unit) "/s/√Hz" } } }
-                            tbody {
-                                @for axis in axes { (row(&axis.name, &axis.noise, &axis.sigma)) }
-                                (row("together", noise, sigma))
-                            }
-                        }
-                        figure.large {
-                            (plots::log_log(&curves(axes, noise)))
-                            figcaption { "Allan deviation, " (unit) ", by cluster time, s; dashed: fit of all axes" }
-                        }
+        let table = |unit: &str, axes: &[AxisNoise], noise: &Noise, sigma: &Noise| {
+            html! {
+                table.numbers {
+                    thead { tr { th { "axis" } th { "noise density, " (unit) "/√Hz" } th { "bias instability, " (unit) } th { "random walk, " (unit) "/s/√Hz" } } }
+                    tbody {
+                        @for axis in axes { (row(&axis.name, &axis.noise, &axis.sigma)) }
+                        (row("together", noise, sigma))
                     }
                 }
             }
         };
-        report::page(title, &self.verdict(), &[], &body)
+        let body = html! {
+            @for (name, unit, (noise, sigma), axes) in triads {
+                section {
+                    h2 { (name) }
+                    (scroll(&table(unit, axes, noise, sigma)))
+                    figure {
+                        (deviation(unit, axes, noise))
+                        figcaption { "Allan deviation of each axis by cluster time; dashed: fit of all axes" }
+                    }
+                }
+            }
+        };
+        Page::new(title)
+            .judged(&self.judgement(), &self.summary())
+            .body(body)
+            .to_html()
     }
 }
 
-fn curves(axes: &[AxisNoise], noise: &Noise) -> Vec<(&'static str, Vec<[f64; 2]>)> {
-    let points = |axis: &AxisNoise| {
+/// Allan deviations over both logarithmic axes.
+fn deviation(unit: &str, axes: &[AxisNoise], noise: &Noise) -> Markup {
+    let of_axis = |axis: &AxisNoise| -> Vec<[f64; 2]> {
         let clusters = axis.clusters.iter();
         clusters.map(|c| [c.time_s, c.variance.sqrt()]).collect()
     };
-    let mut curves: Vec<(&str, Vec<[f64; 2]>)> =
-        axes.iter().map(|a| ("measured", points(a))).collect();
-    let times = axes.first().into_iter().flat_map(|a| a.clusters.iter());
-    let fit = times
-        .map(|c| [c.time_s, noise.deviation(c.time_s)])
-        .collect();
-    curves.push(("fit", fit));
-    curves
+    let measured: Vec<Vec<[f64; 2]>> = axes.iter().map(of_axis).collect();
+    let all = || measured.iter().flatten();
+    let times = axes.first().into_iter().flat_map(|a| &a.clusters);
+    let fit = times.map(|c| [c.time_s, noise.deviation(c.time_s)]);
+    let fit = Layer::line(fit.collect(), Ink::Truth);
+    let (x, y) = (
+        Axis::decades("cluster time (s)", all().map(|p| p[0])),
+        Axis::decades(format!("Allan deviation ({unit})"), all().map(|p| p[1])),
+    );
+    let lines = measured.into_iter().enumerate();
+    let lines = lines.map(|(k, points)| Layer::line(points, Ink::Series(k)));
+    let plot = Plot {
+        name: "Allan deviation".to_owned(),
+        width_px: 640,
+        height_px: 340,
+        x,
+        y,
+        layers: lines.chain([fit]).collect(),
+    };
+    plot.draw()
 }

@@ -1,6 +1,6 @@
 //! A recording at rest as six series of evenly spaced samples.
 
-use lsfb_types::{ImuSample, Timestamp};
+use lsfb_types::{Finding, ImuSample, Limit, Timestamp, Verdict};
 
 use super::ImuNoiseConfig;
 use crate::Error;
@@ -13,7 +13,7 @@ pub(super) struct Log {
     pub axes: [Vec<f64>; 6],
     pub interval_s: f64,
     pub duration_s: f64,
-    pub warnings: Vec<String>,
+    pub findings: Vec<Finding>,
 }
 
 fn value(sample: &ImuSample, axis: usize) -> f64 {
@@ -47,17 +47,18 @@ impl Log {
             .map(|i| (i / median_s).round() - 1.0)
             .filter(|n| *n > 0.0)
             .sum();
-        let mut warnings = Vec::new();
-        if missing > 0.0 {
-            let all = imu.len() as f64 + missing;
-            let text = format!("{missing:.0} of {all:.0} samples are missing");
-            if missing > MOST_MISSING * all {
-                return refuse(format!(
-                    "{text}: clusters would not be even; find out why they are lost (lsfb doctor)"
-                ));
-            }
-            warnings.push(format!("{text}: clusters are that much uneven"));
+        let all = imu.len() as f64 + missing;
+        let text = format!("{missing:.0} of {all:.0} samples are missing");
+        if missing > MOST_MISSING * all {
+            return refuse(format!(
+                "{text}: clusters would not be even; find out why they are lost (lsfb doctor)"
+            ));
         }
+        let verdict = Verdict::Warn.unless(missing == 0.0);
+        let samples = Finding::new("missing-samples", verdict, "samples", text)
+            .value(missing, "samples")
+            .limit(Limit::AtMost(0.0))
+            .remedy("find out why they are lost with `lsfb doctor`: clusters are that much uneven");
         let axes: [Vec<f64>; 6] =
             std::array::from_fn(|axis| imu.iter().map(|s| value(&s.1, axis)).collect());
         if let Some(bad) = axes
@@ -77,7 +78,7 @@ impl Log {
             axes,
             interval_s,
             duration_s,
-            warnings,
+            findings: vec![samples],
         })
     }
 }

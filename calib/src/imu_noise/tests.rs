@@ -29,18 +29,22 @@ fn order_of_samples_does_not_matter_and_lost_ones_are_counted() {
     let found = imu_noise(&samples, &config).expect("noise");
     samples.reverse();
     assert_eq!(imu_noise(&samples, &config).expect("noise"), found);
-    assert!(found.warnings[0].contains("1 of 6000 samples are missing"));
+    assert!(
+        found.findings[0]
+            .what
+            .contains("1 of 6000 samples are missing")
+    );
     let expected = 0.01 / 50f64.sqrt();
     assert!((found.gyro.density / expected - 1.0).abs() < 0.03);
     // Two minutes say nothing of a walk that is not there.
     assert!(
         found
-            .warnings
+            .findings
             .iter()
-            .any(|w| w.contains("random walk hides"))
+            .any(|f| f.what.contains("random walk hides"))
     );
     let page = found.to_html("Noise");
-    assert!(page.contains("WARN.") && page.contains("noise density"));
+    assert!(page.contains("WARN: ") && page.contains("noise density"));
 }
 
 /// White noise and a walk that outweighs it after half a minute, two hours at 10 Hz.

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use lsfb_geometry::{Matrix6, Se3, Vector6};
+use lsfb_types::{Finding, Limit, Verdict};
 use nalgebra::{DMatrix, SMatrix};
 
 use super::EdgeConsistency;
@@ -80,26 +81,15 @@ fn predicted(
     Some((disagreement, (error.transpose() * inverse * error)[0]))
 }
 
-/// Marks outliers and says what to look at.
+/// Marks outliers, and says of every edge how it agrees with the others.
 pub(super) fn judge(
     table: &mut [EdgeConsistency],
     graph: &[GraphEdge],
     chi_square: f64,
     redundancy: usize,
     relative: bool,
-) -> Vec<String> {
-    let mut warnings = Vec::new();
-    let unchecked: Vec<String> = table
-        .iter()
-        .filter(|e| e.chi_square.is_none())
-        .map(name)
-        .collect();
-    if !unchecked.is_empty() {
-        warnings.push(format!(
-            "nothing checks {}: no other path joins its ends",
-            unchecked.join(", ")
-        ));
-    }
+) -> Vec<Finding> {
+    let mut findings = Vec::new();
     let strange = |own: f64| {
         let rest = redundancy as f64 - NUMBERS;
         if relative {
@@ -116,35 +106,29 @@ pub(super) fn judge(
         .fold(0.0, f64::max);
     if strange(worst) {
         // Others are strange because of the worst one: those are for the next run.
-        let mut named = Vec::new();
         for edge in table.iter_mut() {
-            if edge.chi_square.is_some_and(|c| c > (1.0 - ALIKE) * worst) {
-                edge.outlier = true;
-                named.push(format!(
-                    "{} (off by {:.2}°, {:.1} mm)",
-                    name(edge),
-                    edge.loop_rotation_rad.unwrap_or_default().to_degrees(),
-                    edge.loop_translation_m.unwrap_or_default() * 1e3
-                ));
-            }
+            edge.outlier = edge.chi_square.is_some_and(|c| c > (1.0 - ALIKE) * worst);
         }
-        warnings.push(if named.len() == 1 {
-            format!("{} contradicts all others: measure it again", named[0])
-        } else {
-            format!(
-                "one of these contradicts all others: {}; they follow each other in every loop: measure them again, or add a transform to another sensor that tells which",
-                named.join(" or ")
-            )
-        });
     }
-    if !relative && redundancy > 0 {
-        let factor = chi_square / redundancy as f64;
-        if factor > f_quantile(RARE, redundancy as f64, MANY) && warnings.is_empty() {
-            warnings.push(format!(
-                "all edges together miss by {:.1} times what their covariances say: one of the steps is too sure of itself",
-                factor.sqrt()
+    findings.extend(contradictions(table));
+    findings.extend(table.iter().filter(|e| !e.outlier).map(agreement));
+    let factor = chi_square / redundancy.max(1) as f64;
+    let most = f_quantile(RARE, redundancy as f64, MANY);
+    let are_good = findings
+        .iter()
+        .all(|f: &Finding| f.verdict == Verdict::Pass);
+    if !relative && redundancy > 0 && factor > most && are_good {
+        let what = format!(
+            "all transforms together miss by {:.1} times what their covariances say",
+            factor.sqrt()
+        );
+        let finding = Finding::new("variance", Verdict::Warn, "covariances", what)
+            .value(factor, "")
+            .limit(Limit::AtMost(most));
+        findings
+            .push(finding.remedy(
+                "one of the steps is too sure of itself: repeat it with another recording",
             ));
-        }
     }
     if relative && graph.iter().any(|e| e.measured) {
         let without: Vec<String> = graph
@@ -153,12 +137,72 @@ pub(super) fn judge(
             .filter(|(g, _)| !g.measured)
             .map(|(_, e)| name(e))
             .collect();
-        warnings.push(format!(
+        let what = format!(
             "{} without measured covariance: the paper's is so wide that it hardly counts beside those that are measured",
             without.join(", ")
-        ));
+        );
+        let finding = Finding::new("weights", Verdict::Warn, "covariances", what);
+        findings.push(finding.remedy("give the transforms of `lsfb calib` with their covariances"));
     }
-    warnings
+    findings
+}
+
+/// Edges that contradict all others; none where they follow each other in every loop, and nobody knows which.
+fn contradictions(table: &[EdgeConsistency]) -> Option<Finding> {
+    let outliers: Vec<&EdgeConsistency> = table.iter().filter(|e| e.outlier).collect();
+    let words = |e: &EdgeConsistency| {
+        format!(
+            "{} (off by {:.2}°, {:.1} mm)",
+            name(e),
+            e.loop_rotation_rad.unwrap_or_default().to_degrees(),
+            e.loop_translation_m.unwrap_or_default() * 1e3
+        )
+    };
+    let finding = |subject: String, what: String| {
+        let chi_square = outliers.first().and_then(|e| e.chi_square);
+        Finding::new("contradiction", Verdict::Fail, subject, what)
+            .value(chi_square.unwrap_or(f64::NAN), "")
+            .limit(Limit::AtMost(NUMBERS * f_quantile(RARE, NUMBERS, MANY)))
+    };
+    let names: Vec<String> = outliers.iter().map(|e| words(e)).collect();
+    match outliers.as_slice() {
+        [] => None,
+        [only] => Some(
+            finding(
+                name(only),
+                format!("{} contradicts all others", words(only)),
+            )
+            .remedy("measure it again"),
+        ),
+        several => {
+            let subjects: Vec<String> = several.iter().map(|e| name(e)).collect();
+            let what = format!(
+                "one of these contradicts all others: {}; they follow each other in every loop",
+                names.join(" or ")
+            );
+            Some(finding(subjects.join(", "), what).remedy(
+                "measure them again, or add a transform to another sensor that tells which",
+            ))
+        }
+    }
+}
+
+/// How an edge that is no outlier agrees with the others.
+fn agreement(edge: &EdgeConsistency) -> Finding {
+    let subject = name(edge);
+    let Some(chi_square) = edge.chi_square else {
+        let what = format!("nothing checks {subject}: no other path joins its ends");
+        return Finding::new("unchecked", Verdict::Warn, subject, what)
+            .remedy("add a transform that closes a loop");
+    };
+    let what = format!(
+        "closes its loops to {:.3}° and {:.2} mm",
+        edge.loop_rotation_rad.unwrap_or_default().to_degrees(),
+        edge.loop_translation_m.unwrap_or_default() * 1e3
+    );
+    Finding::new("loop", Verdict::Pass, subject, what)
+        .value(chi_square, "")
+        .limit(Limit::AtMost(NUMBERS * f_quantile(RARE, NUMBERS, MANY)))
 }
 
 fn name(edge: &EdgeConsistency) -> String {

@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 
 use lsfb_geometry::{Matrix6, Rig, Se3};
 use lsfb_solver::{Block, BlockId, Kernel, Problem, SolveConfig, covariance, solve};
-use lsfb_types::Bounds;
+use lsfb_types::{Bounds, Finding};
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
@@ -114,8 +114,9 @@ pub struct JointCalibration {
     /// are relative (any edge without a measured covariance) or where it speaks of more noise than was said; and, since it is
     /// itself known from few numbers only, by what makes their 95 % regions hold 95 % (Fisher's F over chi-square).
     pub variance_factor: f64,
-    /// What should be looked at, in words.
-    pub warnings: Vec<String>,
+    /// What was looked at, and how it came out.
+    #[serde(skip)]
+    pub findings: Vec<Finding>,
 }
 
 /// Finds the poses that agree best with all edges. The order of edges does not matter.
@@ -161,9 +162,9 @@ pub fn join_transforms(
         .map(|(n, b)| (n.as_str(), problem.value(*b)))
         .collect();
     let mut table = consistency::table(&graph, &names, &poses, &joint);
-    let mut warnings = consistency::judge(&mut table, &graph, chi_square, redundancy, relative);
+    let mut findings = consistency::judge(&mut table, &graph, chi_square, redundancy, relative);
     if table.iter().any(|e| e.outlier) {
-        warnings.splice(0..0, swapped::swapped(&graph, &names, cost)?);
+        findings.splice(0..0, swapped::swapped(&graph, &names, cost)?);
     }
     let sensors = names
         .iter()
@@ -185,7 +186,7 @@ pub fn join_transforms(
         cost,
         redundancy,
         variance_factor: factor,
-        warnings,
+        findings,
     })
 }
 
@@ -283,7 +284,7 @@ impl JointCalibration {
             if let Some(camera) = rig.cameras.get_mut(&sensor.name) {
                 camera.rig_from_camera = sensor.imu_from_sensor;
             } else if sensor.name == LIDAR
-                && let Some(lidar) = &mut rig.lidar
+                && let Some(lidar) = rig.lidar_mut()
             {
                 lidar.rig_from_lidar = sensor.imu_from_sensor;
             }

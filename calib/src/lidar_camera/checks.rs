@@ -1,10 +1,12 @@
 //! What should be recorded better, and what contradicts the result.
 
 use lsfb_geometry::{Rig, Se3, Vector3};
+use lsfb_types::{Finding, Limit, Verdict};
 
 use super::association::direction_name;
 use super::solved::{Solved, patch};
 use super::{LidarCameraCalibration, MountedBoard, Scene};
+use crate::findings::unseen_corners;
 
 /// Apparent excess of half the plate that the width of the beam does not explain, metres.
 const LARGE_EXCESS_M: f64 = 0.015;
@@ -13,6 +15,8 @@ const LARGE_SCALE: f64 = 0.01;
 /// Standard deviations beyond which more poses are asked for.
 const GOOD_ROTATION_DEG: f64 = 0.1;
 const GOOD_TRANSLATION_M: f64 = 0.01;
+/// Points on a board below which it is too far away.
+const FEW_POINTS: usize = 100;
 /// Spread of planes and outlines beyond which the sensors contradict each other.
 const LARGE_SPREAD: f64 = 3.0;
 /// Plate's middle off by more than this, and by more than its own spread explains, is no accident, metres.
@@ -27,9 +31,9 @@ const BY_HAND_M: f64 = 0.1;
 
 impl LidarCameraCalibration {
     /// Compares the result with the rig it started from, where that has a LiDAR: a camera that was exchanged for another, or
-    /// moved since, is added to the warnings.
+    /// moved since, is added to the findings.
     pub fn compare_with(&mut self, rig: &Rig) {
-        let Some(lidar) = &rig.lidar else {
+        let Some(lidar) = rig.lidar() else {
             return;
         };
         let off = |name: &str| {
@@ -55,23 +59,31 @@ impl LidarCameraCalibration {
             .filter_map(|name| Some((name, off(name)?)))
             .filter(|(_, (turn_rad, _, all))| *turn_rad < BY_HAND_RAD && *all < 0.5 * own)
             .min_by(|a, b| a.1.2.total_cmp(&b.1.2));
-        self.warnings.push(match better {
-            Some((name, _)) => format!(
-                "{} is found where the rig has {name}: their images are swapped, or their names",
-                self.camera
-            ),
-            None => format!(
-                "the rig has {} {:.1}° and {:.0} mm away from what was found: check which camera and which rig this is",
-                self.camera,
+        let finding = |what| Finding::new("place", Verdict::Warn, &*self.camera, what);
+        self.findings.push(match better {
+            Some((name, _)) => finding(format!(
+                "found where the rig has {name}: their images are swapped, or their names"
+            ))
+            .remedy("check which images belong to which camera"),
+            None => finding(format!(
+                "the rig has it {:.1}° and {:.0} mm away from what was found",
                 turn_rad.to_degrees(),
                 shift_m * 1e3
-            ),
+            ))
+            .remedy("check which camera and which rig this is"),
         });
     }
 }
 
+/// A measure of the board beside what was said of it: millimetres.
+fn board_finding(code: &'static str, what: String, value_mm: f64, limit_mm: f64) -> Finding {
+    Finding::new(code, Verdict::Warn, "board", what)
+        .value(value_mm, "mm")
+        .limit(Limit::AtMost(limit_mm))
+}
+
 /// The plate's middle, against where it was said to be.
-fn shift_warning(c: &LidarCameraCalibration, board: &MountedBoard) -> Option<String> {
+fn shift(c: &LidarCameraCalibration, board: &MountedBoard) -> Option<Finding> {
     let clear = |k: usize| {
         let limit = LARGE_SHIFT_M.max(DEVIATIONS * c.offset_error_sigma_m[k]);
         c.offset_error_m[k].abs() > limit
@@ -92,52 +104,112 @@ fn shift_warning(c: &LidarCameraCalibration, board: &MountedBoard) -> Option<Str
         board.offset_m[0] * 1e3,
         board.offset_m[1] * 1e3
     );
+    let off_mm = c.offset_error_m[0].hypot(c.offset_error_m[1]) * 1e3;
+    let limit_mm = LARGE_SHIFT_M * 1e3;
     Some(if opposite {
-        format!("the pattern is upside down on its plate: {place}; turn the sign of --offset")
+        let what = format!("the pattern is upside down on its plate: {place}");
+        board_finding("plate-offset", what, off_mm, limit_mm).remedy("turn the sign of --offset")
     } else {
-        format!("{place}: measure it")
+        board_finding("plate-offset", place, off_mm, limit_mm).remedy("measure it")
     })
 }
 
-pub(super) fn warnings(
+/// What is to be said of a result.
+pub(super) fn findings(
     c: &LidarCameraCalibration,
     board: &MountedBoard,
     scenes: &[Scene],
     solved: &Solved,
-) -> Vec<String> {
-    let mut out = Vec::new();
-    let left_out = c.poses.iter().filter(|p| p.rejected.is_some()).count();
-    if 4 * left_out > c.poses.len() {
-        out.push(format!(
-            "{left_out} of {} poses were left out: see the table for the reasons",
-            c.poses.len()
-        ));
-    }
-    if (c.scale - 1.0).abs() > (4.0 * c.scale_sigma).max(LARGE_SCALE) {
-        out.push(format!(
-            "{}. Measure it, and check the camera's focal length",
-            size_words(board, c.scale, c.scale_sigma)
-        ));
-    }
+) -> Vec<Finding> {
+    let mut out = vec![poses_left_out(c)];
+    out.extend(unseen_corners(&c.camera, &c.cells));
+    let limit = (4.0 * c.scale_sigma).max(LARGE_SCALE);
+    let off = c.scale - 1.0;
+    let what = if off.abs() > limit {
+        size_words(board, c.scale, c.scale_sigma)
+    } else {
+        format!(
+            "the pattern is as large as said, by the LiDAR (± {:.1} %)",
+            100.0 * c.scale_sigma
+        )
+    };
+    out.push(
+        Finding::new(
+            "board-size",
+            Verdict::Warn.unless(off.abs() <= limit),
+            "board",
+            what,
+        )
+        .value(100.0 * off, "%")
+        .sigma(100.0 * c.scale_sigma)
+        .limit(Limit::AtMost(100.0 * limit))
+        .remedy("measure it, and check the camera's focal length"),
+    );
     for (k, side) in ["x", "y"].iter().enumerate() {
-        if c.edge_excess_m[k].abs() > LARGE_EXCESS_M.max(5.0 * c.edge_excess_sigma_m[k]) {
-            out.push(format!(
-                "the plate looks {:+.0} mm longer along the pattern's {side} axis than was said: measure it",
-                2e3 * c.edge_excess_m[k]
-            ));
+        let limit_m = LARGE_EXCESS_M.max(5.0 * c.edge_excess_sigma_m[k]);
+        if c.edge_excess_m[k].abs() > limit_m {
+            let longer_mm = 2e3 * c.edge_excess_m[k];
+            let what = format!(
+                "the plate looks {longer_mm:+.0} mm longer along the pattern's {side} axis than was said"
+            );
+            let finding = board_finding("plate-size", what, longer_mm, 2e3 * limit_m);
+            out.push(finding.remedy("measure it"));
         }
     }
-    out.extend(shift_warning(c, board));
-    if let (Some(late), Some(sigma)) = (c.lidar_late_s, c.lidar_late_sigma_s)
-        && late.abs() > LATE_S.max(DEVIATIONS * sigma)
-    {
-        out.push(format!(
-            "clocks: scans are stamped {:.0} ± {:.0} ms {} than images, by how boards moved: check with `lsfb clock`, or hold the board still",
-            late.abs() * 1e3,
-            sigma * 1e3,
-            if late > 0.0 { "later" } else { "earlier" }
-        ));
-    }
+    out.extend(shift(c, board));
+    out.extend(clocks(c));
+    out.extend(precision(c));
+    out.extend(spreads(c));
+    let few = solved
+        .used
+        .iter()
+        .filter(|u| patch(scenes, u).points < FEW_POINTS)
+        .count();
+    let of = solved.used.len();
+    let what = format!("{few} of {of} boards have fewer than {FEW_POINTS} points");
+    out.push(
+        Finding::new("points", Verdict::Warn.unless(2 * few <= of), "lidar", what)
+            .value(few as f64, "boards")
+            .limit(Limit::AtMost((of / 2) as f64))
+            .remedy("bring the board nearer"),
+    );
+    out
+}
+
+fn poses_left_out(c: &LidarCameraCalibration) -> Finding {
+    let left_out = c.poses.iter().filter(|p| p.rejected.is_some()).count();
+    let is_good = 4 * left_out <= c.poses.len();
+    let what = format!("{left_out} of {} poses were left out", c.poses.len());
+    Finding::new("poses", Verdict::Warn.unless(is_good), "poses", what)
+        .value(left_out as f64, "poses")
+        .limit(Limit::AtMost((c.poses.len() / 4) as f64))
+        .remedy("see the table for the reasons")
+}
+
+/// Times of scans against those of images, where boards moved.
+fn clocks(c: &LidarCameraCalibration) -> Option<Finding> {
+    let (late_s, sigma_s) = c.lidar_late_s.zip(c.lidar_late_sigma_s)?;
+    let limit_s = LATE_S.max(DEVIATIONS * sigma_s);
+    let is_good = late_s.abs() <= limit_s;
+    let (late_ms, sigma_ms) = (late_s * 1e3, sigma_s * 1e3);
+    let what = if is_good {
+        format!("scans and images agree in time by how boards moved (± {sigma_ms:.0} ms)")
+    } else {
+        format!(
+            "scans are stamped {:.0} ± {sigma_ms:.0} ms {} than images, by how boards moved",
+            late_ms.abs(),
+            if late_s > 0.0 { "later" } else { "earlier" }
+        )
+    };
+    let finding = Finding::new("clocks", Verdict::Warn.unless(is_good), "clocks", what)
+        .value(late_ms, "ms")
+        .sigma(sigma_ms)
+        .limit(Limit::AtMost(limit_s * 1e3));
+    Some(finding.remedy("check with `lsfb clock`, or hold the board still"))
+}
+
+/// How well the worst rotation and the worst translation are known.
+fn precision(c: &LidarCameraCalibration) -> [Finding; 2] {
     let worst = |from: usize| {
         (from..from + 3)
             .max_by(|a, b| c.sigma[*a].total_cmp(&c.sigma[*b]))
@@ -148,55 +220,65 @@ pub(super) fn warnings(
         unit[k % 3] = 1.0;
         direction_name(&unit)
     };
-    let turn = worst(0);
-    if c.sigma[turn].to_degrees() > GOOD_ROTATION_DEG {
-        out.push(format!(
-            "rotation about the LiDAR's {} axis is known to {:.2}° only: record more poses, with the board near the border of the image",
-            axis(turn),
-            c.sigma[turn].to_degrees()
-        ));
-    }
-    let shift = worst(3);
-    if c.sigma[shift] > GOOD_TRANSLATION_M {
-        out.push(format!(
-            "translation along the LiDAR's {} axis is known to {:.0} mm only: tilt the board so that it faces along it more",
-            axis(shift),
-            c.sigma[shift] * 1e3
-        ));
-    }
+    let (turn, shift) = (worst(0), worst(3));
+    let (turn_deg, shift_mm) = (c.sigma[turn].to_degrees(), c.sigma[shift] * 1e3);
+    let limit = Limit::AtMost(GOOD_ROTATION_DEG);
+    let what = format!(
+        "rotation about the LiDAR's {} axis is known to {turn_deg:.2}°",
+        axis(turn)
+    );
+    let rotation = Finding::new(
+        "rotation-sigma",
+        Verdict::Warn.unless(limit.holds(turn_deg)),
+        &*c.camera,
+        what,
+    )
+    .value(turn_deg, "°")
+    .limit(limit)
+    .remedy("record more poses, with the board near the border of the image");
+    let limit = Limit::AtMost(GOOD_TRANSLATION_M * 1e3);
+    let what = format!(
+        "translation along the LiDAR's {} axis is known to {shift_mm:.0} mm",
+        axis(shift)
+    );
+    let translation = Finding::new(
+        "translation-sigma",
+        Verdict::Warn.unless(limit.holds(shift_mm)),
+        &*c.camera,
+        what,
+    )
+    .value(shift_mm, "mm")
+    .limit(limit)
+    .remedy("tilt the board so that it faces along it more");
+    [rotation, translation]
+}
+
+/// Corners, planes and outlines that miss by more than their noise explains.
+fn spreads(c: &LidarCameraCalibration) -> impl Iterator<Item = Finding> {
     let causes = [
         (
             "corners",
-            "the lens is not that of these images, or the board is bent",
+            "check that the lens is that of these images, and that the board is flat",
         ),
         (
             "planes",
-            "the LiDAR's beams differ from each other or measure black and white differently, the board is bent, or it did not stand still",
+            "check that the board is flat and stood still; else the LiDAR's beams differ from each other, or measure black and white differently",
         ),
         (
             "outlines",
-            "something stands close to the board, or it did not stand still",
+            "check that nothing stands close to the board, and that it stood still",
         ),
     ];
-    for ((name, cause), spread) in causes.iter().zip(c.spread) {
-        if spread > LARGE_SPREAD {
-            out.push(format!(
-                "{name} miss by {spread:.1} times what their noise explains, which is in the standard deviations: {cause}"
-            ));
-        }
-    }
-    let few = solved
-        .used
-        .iter()
-        .filter(|u| patch(scenes, u).points < 100)
-        .count();
-    if 2 * few > solved.used.len() {
-        out.push(format!(
-            "{few} of {} boards have fewer than 100 points: bring the board nearer",
-            solved.used.len()
-        ));
-    }
-    out
+    causes.into_iter().zip(c.spread).map(|((name, remedy), spread)| {
+        let limit = Limit::AtMost(LARGE_SPREAD);
+        let what = format!(
+            "{name} miss by {spread:.1} times what their noise explains, which is in the standard deviations"
+        );
+        Finding::new("spread", Verdict::Warn.unless(limit.holds(spread)), name, what)
+            .value(spread, "")
+            .limit(limit)
+            .remedy(remedy)
+    })
 }
 
 /// What the scale of the camera's scene says of the pattern, in words.

@@ -14,6 +14,7 @@ mod clocks;
 mod motion;
 mod outline;
 mod page;
+mod picture;
 mod plane;
 mod poses;
 mod problem;
@@ -26,7 +27,7 @@ use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use lsfb_geometry::{Camera, Se3, Vector3};
-use lsfb_types::{Bounds, LidarScan, Progress, ProgressFn};
+use lsfb_types::{Bounds, Finding, LidarScan, Progress, ProgressFn};
 use nalgebra::Matrix6;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -65,6 +66,8 @@ pub struct BoardPose {
 /// The board in one image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BoardSight {
+    /// Number of the image, or its stamp in nanoseconds, as its [`CameraViews`](crate::camera::CameraViews) has it.
+    pub instant: i64,
     /// Time of the image after the scan's first firing, nanoseconds; of no account where it is the only one.
     pub time_offset_ns: i64,
     /// Its corners.
@@ -202,8 +205,9 @@ pub struct LidarCameraCalibration {
     /// What the plots show.
     #[serde(skip)]
     pub residuals: BoardResiduals,
-    /// What should be recorded better, in words.
-    pub warnings: Vec<String>,
+    /// What was looked at, and how it came out.
+    #[serde(skip)]
+    pub findings: Vec<Finding>,
 }
 
 /// What all poses used leave, for plots.

@@ -1,13 +1,13 @@
 //! The report as one HTML page.
 
+use lsfb_report::{Normal, Page, arrows, badge, bars, coverage, scroll};
+use lsfb_types::{Judgement, Verdict};
 use maud::{Markup, html};
 
 use super::{LidarCameraCalibration, PoseFit};
-use crate::plots::{Expected, coverage, histogram};
-use crate::report::{self, Bar};
-use crate::residual_diagnosis::FAILED_RMS_PX;
+use crate::coverage::COVERAGE_CELLS;
+use crate::plots::{self, pose_rows};
 use crate::transform::TransformEdge;
-use crate::verify::Outcome;
 
 /// Errors at the ends of the histograms, metres.
 const RANGES_M: f64 = 0.1;
@@ -27,34 +27,24 @@ fn counts(values: &[f64], limit: f64) -> Vec<u32> {
 }
 
 impl LidarCameraCalibration {
-    /// One sentence: whether the result may be trusted.
-    pub fn verdict(&self) -> String {
+    /// What was calibrated and how well, in a few words.
+    pub fn summary(&self) -> String {
         let used = self.poses.iter().filter(|p| p.rejected.is_none()).count();
         let turn = self.sigma[..3]
             .iter()
             .fold(0.0, |a: f64, b| a.max(*b))
             .to_degrees();
         let shift = self.sigma[3..].iter().fold(0.0, |a: f64, b| a.max(*b)) * 1e3;
-        report::verdict(
-            self.outcome(),
-            &format!(
-                "{} and LiDAR from {used} poses: known to {turn:.3}° and {shift:.1} mm (1 σ), middles of the board meet to {:.1} mm",
-                self.camera,
-                self.center_rms_m * 1e3
-            ),
-            &self.warnings,
+        format!(
+            "{} and LiDAR from {used} poses: known to {turn:.3}° and {shift:.1} mm (1 σ), middles of the board meet to {:.1} mm",
+            self.camera,
+            self.center_rms_m * 1e3
         )
     }
 
-    /// Whether the result may be used: not where corners miss by more than any detector does.
-    pub fn outcome(&self) -> Outcome {
-        if self.corner_rms_px > FAILED_RMS_PX {
-            Outcome::Fail
-        } else if self.warnings.is_empty() {
-            Outcome::Pass
-        } else {
-            Outcome::Warn
-        }
+    /// Whether the result may be used, and how far.
+    pub fn judgement(&self) -> Judgement {
+        Judgement::new(self.findings.clone())
     }
 
     /// The transform for the joint graph.
@@ -67,132 +57,163 @@ impl LidarCameraCalibration {
         }
     }
 
-    /// The page: no script, no network.
-    pub fn to_html(&self, title: &str) -> String {
-        report::page(title, &self.verdict(), &self.warnings, &self.body())
-    }
-
-    fn body(&self) -> Markup {
-        let t = &self.camera_from_lidar;
-        let (roll, pitch, yaw) = t.rotation.euler_angles();
-        html! {
+    /// The page; `picture` is the file beside it with the returns over an image, where there is one.
+    pub fn to_html(&self, title: &str, picture: Option<&str>) -> String {
+        let body = html! {
             section {
                 h2 { (self.camera) " from LiDAR" }
-                div.row {
-                    table {
-                        thead { tr { th { "parameter" } th { "value" } th { "σ (LiDAR axes)" } } }
-                        tbody {
-                            @for (k, (name, value)) in [("roll", roll), ("pitch", pitch), ("yaw", yaw)].iter().enumerate() {
-                                tr { td { (name) ", °" } td { (format!("{:.3}", value.to_degrees())) } td { (format!("{:.4}", self.sigma[k].to_degrees())) } }
-                            }
-                            @for (k, name) in ["x", "y", "z"].iter().enumerate() {
-                                tr { td { (name) ", mm" } td { (format!("{:.1}", t.translation[k] * 1e3)) } td { (format!("{:.2}", self.sigma[3 + k] * 1e3)) } }
-                            }
-                        }
-                    }
-                    table {
-                        tbody {
-                            tr { td { "noise of one range, mm" } td { (format!("{:.1}", self.range_noise_m * 1e3)) } }
-                            tr { td { "common to a beam on one board, mm" } td { (format!("{:.1}", self.beam_noise_m * 1e3)) } }
-                            tr { td { "largest offset of a beam, mm" } td { (format!("{:.1}", self.beam_offsets_m.values().fold(0.0, |a: f64, b| a.max(b.abs())) * 1e3)) } }
-                            tr { td { "excess of half the width, mm" } td { (format!("{:.1} ± {:.1}", self.edge_excess_m[0] * 1e3, self.edge_excess_sigma_m[0] * 1e3)) } }
-                            tr { td { "excess of half the height, mm" } td { (format!("{:.1} ± {:.1}", self.edge_excess_m[1] * 1e3, self.edge_excess_sigma_m[1] * 1e3)) } }
-                            tr { td { "excess of every range, mm" } td { (format!("{:.1} ± {:.1}", self.range_excess_m * 1e3, self.range_excess_sigma_m * 1e3)) } }
-                            tr { td { "camera's scale over LiDAR's" } td { (format!("{:.4} ± {:.4}", self.scale, self.scale_sigma)) } }
-                            @for (name, spread) in ["corners", "planes", "outlines"].iter().zip(self.spread) {
-                                tr { td { "spread of " (name) " over expected" } td { (format!("{spread:.2}")) } }
-                            }
-                            @if let (Some(turn), Some(shift)) = (self.halves_rotation_rad, self.halves_translation_m) {
-                                tr { td { "every other pose against the rest" } td { (format!("{:.3}°, {:.1} mm", turn.to_degrees(), shift * 1e3)) } }
-                            }
-                            @if let (Some(shift), Some(turn)) = (self.holdout_center_rms_m, self.holdout_normal_rms_rad) {
-                                tr { td { "holdout poses: middles, normals (rms)" } td { (format!("{:.1} mm, {:.2}°", shift * 1e3, turn.to_degrees())) } }
-                            }
-                            tr { td { "plate's middle from where it was said, mm" } td { (format!("{:+.1} ± {:.1}, {:+.1} ± {:.1}", self.offset_error_m[0] * 1e3, self.offset_error_sigma_m[0] * 1e3, self.offset_error_m[1] * 1e3, self.offset_error_sigma_m[1] * 1e3)) } }
-                            @if let (Some(late), Some(sigma)) = (self.lidar_late_s, self.lidar_late_sigma_s) {
-                                tr { td { "scans stamped late against images, ms" } td { (format!("{:+.1} ± {:.1}", late * 1e3, sigma * 1e3)) } }
-                            }
-                        }
-                    }
-                }
-                div.row {
-                    figure {
-                        (coverage(&self.cells, self.image_px))
-                        figcaption { "Corners per part of the image" }
-                    }
-                    figure {
-                        (histogram(&counts(&self.residuals.ranges_m, RANGES_M), [-1e3 * RANGES_M, 1e3 * RANGES_M], Expected::Unknown))
-                        figcaption { "Ranges less those of their planes, mm" }
-                    }
-                    figure {
-                        (histogram(&counts(&self.residuals.edges_m, EDGES_M), [-1e3 * EDGES_M, 1e3 * EDGES_M], Expected::Unknown))
-                        figcaption { "Places on the outlines, mm across them" }
-                    }
-                    figure {
-                        (self.vectors())
-                        figcaption { "Middles of the board in the image, and where the LiDAR has them: errors × " (EXAGGERATION) }
-                    }
-                    figure {
-                        (report::bars(&self.bars(|p| p.distance_m)))
-                        figcaption { "Distance of the board, m, by pose" }
-                    }
-                    figure {
-                        (report::bars(&self.bars(|p| p.center_error_m * 1e3)))
-                        figcaption { "Distance between the board's middles, mm, by pose" }
-                    }
-                    figure {
-                        (report::bars(&self.bars(|p| p.normal_error_rad.to_degrees())))
-                        figcaption { "Angle between its normals, °, by pose" }
-                    }
+                div.tables { (scroll(&self.pose_table())) (scroll(&self.figures())) }
+                div.plots { (self.plots()) }
+            }
+            @if let Some(picture) = picture {
+                section {
+                    h2 { "LiDAR on the image" }
+                    p { "Returns of one scan, red near to blue far: they should end where the board ends." }
+                    img src=(picture) alt="returns of the LiDAR over an image";
                 }
             }
-            section {
-                h2 { "Poses" }
-                table {
-                    thead { tr { th { "pose" } th { "distance, m" } th { "points" } th { "edges" } th { "middle, mm" } th { "normal, °" } th { "corners, px" } th { "" } } }
-                    tbody {
-                        @for p in &self.poses {
-                            tr {
-                                td { (p.name) }
-                                td { (format!("{:.2}", p.distance_m)) }
-                                td { (p.points) }
-                                td { (p.edges) }
-                                td { (format!("{:.1}", p.center_error_m * 1e3)) }
-                                td { (format!("{:.2}", p.normal_error_rad.to_degrees())) }
-                                td { (format!("{:.2}", p.corner_rms_px)) }
-                                td.warning { (p.rejected.as_deref().unwrap_or_default()) }
-                            }
-                        }
-                    }
-                }
-            }
-        }
+            section { h2 { "Poses" } (scroll(&self.pose_list())) }
+        };
+        Page::new(title)
+            .judged(&self.judgement(), &self.summary())
+            .body(body)
+            .to_html()
     }
 
-    /// Errors of the middles across the line of sight, drawn where the camera has them: those that all point one way, or away
-    /// from one place, are no noise.
-    fn vectors(&self) -> Markup {
-        let [width, height] = self.image_px.map(f64::from);
-        let scale = 240.0 / width.max(1.0);
+    fn pose_table(&self) -> Markup {
         html! {
-            svg viewBox=(format!("0 0 240 {:.0}", height * scale)) role="img" aria-label="vectors" {
-                @for [from, to] in &self.residuals.centers_px {
-                    circle cx=(format!("{:.1}", from[0] * scale)) cy=(format!("{:.1}", from[1] * scale)) r="2" {}
-                    path.curve d=(format!("M{:.1} {:.1}L{:.1} {:.1}", from[0] * scale, from[1] * scale,
-                        (from[0] + EXAGGERATION * (to[0] - from[0])) * scale, (from[1] + EXAGGERATION * (to[1] - from[1])) * scale)) {}
+            table.numbers {
+                thead { tr { th { "parameter" } th { "value" } th { "σ (LiDAR axes)" } } }
+                tbody { (pose_rows(&self.camera_from_lidar, &self.sigma, [3, 1])) }
+            }
+        }
+    }
+
+    fn figures(&self) -> Markup {
+        let mm = |m: f64| format!("{:.1}", m * 1e3);
+        let with_sigma = |m: f64, sigma_m: f64| format!("{:.1} ± {:.1}", m * 1e3, sigma_m * 1e3);
+        let largest = self.beam_offsets_m.values();
+        let largest_m = largest.fold(0.0, |a: f64, b| a.max(b.abs()));
+        let mut rows = vec![
+            ("noise of one range, mm", mm(self.range_noise_m)),
+            ("common to a beam on one board, mm", mm(self.beam_noise_m)),
+            ("largest offset of a beam, mm", mm(largest_m)),
+            (
+                "excess of half the width, mm",
+                with_sigma(self.edge_excess_m[0], self.edge_excess_sigma_m[0]),
+            ),
+            (
+                "excess of half the height, mm",
+                with_sigma(self.edge_excess_m[1], self.edge_excess_sigma_m[1]),
+            ),
+            (
+                "excess of every range, mm",
+                with_sigma(self.range_excess_m, self.range_excess_sigma_m),
+            ),
+            (
+                "camera's scale over LiDAR's",
+                format!("{:.4} ± {:.4}", self.scale, self.scale_sigma),
+            ),
+            (
+                "spread of corners, planes, outlines over expected",
+                self.spread.map(|s| format!("{s:.2}")).join(", "),
+            ),
+        ];
+        if let (Some(turn), Some(shift)) = (self.halves_rotation_rad, self.halves_translation_m) {
+            let halves = format!("{:.3}°, {:.1} mm", turn.to_degrees(), shift * 1e3);
+            rows.push(("every other pose against the rest", halves));
+        }
+        if let (Some(shift), Some(turn)) = (self.holdout_center_rms_m, self.holdout_normal_rms_rad)
+        {
+            let holdout = format!("{:.1} mm, {:.2}°", shift * 1e3, turn.to_degrees());
+            rows.push(("holdout poses: middles, normals (rms)", holdout));
+        }
+        let offsets =
+            [0, 1].map(|k| with_sigma(self.offset_error_m[k], self.offset_error_sigma_m[k]));
+        rows.push((
+            "plate's middle from where it was said, mm",
+            offsets.join(", "),
+        ));
+        if let (Some(late), Some(sigma)) = (self.lidar_late_s, self.lidar_late_sigma_s) {
+            let late = format!("{:+.1} ± {:.1}", late * 1e3, sigma * 1e3);
+            rows.push(("scans stamped late against images, ms", late));
+        }
+        html! {
+            table.numbers {
+                tbody { @for (name, value) in rows { tr { td { (name) } td { (value) } } } }
+            }
+        }
+    }
+
+    fn plots(&self) -> Markup {
+        let spread = |name: &str, values: &[f64], reach_m: f64| {
+            let (span_mm, bins) = ([-1e3 * reach_m, 1e3 * reach_m], counts(values, reach_m));
+            plots::counts(name, "error (mm)", span_mm, &bins, Normal::Unknown)
+        };
+        let centers: Vec<_> = self
+            .residuals
+            .centers_px
+            .iter()
+            .map(|[from, to]| (*from, [to[0] - from[0], to[1] - from[1]]))
+            .collect();
+        html! {
+            figure {
+                (coverage("corners per part of the image", &self.cells, COVERAGE_CELLS, self.image_px).draw())
+                figcaption { "Corners per part of the image, dark where there are many; none in red parts" }
+            }
+            figure {
+                (spread("ranges less those of their planes", &self.residuals.ranges_m, RANGES_M))
+                figcaption { "Ranges less those of their planes" }
+            }
+            figure {
+                (spread("places on the outlines", &self.residuals.edges_m, EDGES_M))
+                figcaption { "Places on the outlines, across them" }
+            }
+            figure {
+                // Errors that all point one way, or away from one place, are no noise.
+                (arrows("errors of the middles", &centers, EXAGGERATION, self.image_px).draw())
+                figcaption { "Middles of the board in the image, and where the LiDAR has them: errors × " (EXAGGERATION) }
+            }
+            figure {
+                (self.bars("distance", "distance (m)", |p| p.distance_m))
+                figcaption { "Distance of the board, by pose" }
+            }
+            figure {
+                (self.bars("errors of the middles by pose", "error (mm)", |p| p.center_error_m * 1e3))
+                figcaption { "Distance between the board's middles, by pose" }
+            }
+            figure {
+                (self.bars("errors of the normals by pose", "error (°)", |p| p.normal_error_rad.to_degrees()))
+                figcaption { "Angle between its normals, by pose" }
+            }
+        }
+    }
+
+    fn pose_list(&self) -> Markup {
+        html! {
+            table.numbers {
+                thead { tr { th { "pose" } th { "distance, m" } th { "points" } th { "edges" } th { "middle, mm" } th { "normal, °" } th { "corners, px" } th { "" } } }
+                tbody {
+                    @for p in &self.poses {
+                        tr {
+                            td { (p.name) }
+                            td { (format!("{:.2}", p.distance_m)) }
+                            td { (p.points) }
+                            td { (p.edges) }
+                            td { (format!("{:.1}", p.center_error_m * 1e3)) }
+                            td { (format!("{:.2}", p.normal_error_rad.to_degrees())) }
+                            td { (format!("{:.2}", p.corner_rms_px)) }
+                            td.words { @if let Some(why) = &p.rejected { (badge(Verdict::Unknown)) " " (why) } }
+                        }
+                    }
                 }
             }
         }
     }
 
-    fn bars(&self, value: impl Fn(&PoseFit) -> f64) -> Vec<Bar> {
-        self.poses
-            .iter()
-            .filter(|p| p.rejected.is_none())
-            .map(|p| Bar {
-                label: p.name.clone(),
-                value: value(p),
-            })
-            .collect()
+    fn bars(&self, name: &str, label: &str, value: impl Fn(&PoseFit) -> f64) -> Markup {
+        let used = self.poses.iter().filter(|p| p.rejected.is_none());
+        let values: Vec<(String, f64)> = used.map(|p| (p.name.clone(), value(p))).collect();
+        bars(name, label, &values).draw()
     }
 }

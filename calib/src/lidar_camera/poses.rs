@@ -99,6 +99,7 @@ pub fn poses_from_folder(
             Ok(BoardPose {
                 name: format!("{number:03}"),
                 sights: vec![BoardSight {
+                    instant: number,
                     time_offset_ns: 0,
                     corners: views.views[&number].clone(),
                 }],
@@ -192,6 +193,7 @@ pub fn poses_from_recording(
             continue;
         };
         let sights = images.iter().map(|image| BoardSight {
+            instant: *image,
             time_offset_ns: image + offset_ns - scan.time.nanos(),
             corners: views.views[image].clone(),
         });

@@ -1,6 +1,7 @@
 //! What a LiDAR–camera calibration leaves.
 
 use lsfb_geometry::{Camera, Se3, Vector2, Vector3};
+use lsfb_types::Verdict;
 
 use super::adjustment::{PatternSize, PlateShift, adjust, pattern_size, plate_shift};
 use super::association::Joined;
@@ -82,11 +83,17 @@ pub(super) fn summarize(
         .iter()
         .map(|u| seen(board, lens, &scenes[u.scene]));
     let diagnosis = Diagnosis::new(&board.target, lens, seen.collect());
-    let misfit = diagnosis
-        .warning(corner_rms_px)
-        .or_else(|| diagnosis.given_lens());
+    let fit = diagnosis.finding(camera, corner_rms_px);
+    let lens_finding = match fit.verdict {
+        Verdict::Pass => diagnosis.given_lens(camera),
+        _ => None,
+    };
     // What is wrong with the corners is wrong with all that rests on them.
-    let also = misfit.as_ref().map_or(String::new(), |w| format!("; {w}"));
+    let also = match (fit.verdict, &lens_finding) {
+        (Verdict::Pass, None) => String::new(),
+        (Verdict::Pass, Some(lens)) => format!("; {}", lens.what),
+        _ => format!("; {}", fit.what),
+    };
     if center_rms_m > STRANGERS_M {
         return Err(Error::NotJoined {
             first: camera.to_owned(),
@@ -169,12 +176,11 @@ pub(super) fn summarize(
                 })
                 .collect(),
         },
-        warnings: Vec::new(),
+        findings: vec![fit],
     };
-    calibration.warnings.extend(misfit);
-    calibration
-        .warnings
-        .extend(checks::warnings(&calibration, board, scenes, solved));
+    calibration.findings.extend(lens_finding);
+    let checked = checks::findings(&calibration, board, scenes, solved);
+    calibration.findings.extend(checked);
     Ok(calibration)
 }
 

@@ -62,7 +62,7 @@ pub(super) fn follow<'a>(
     gyro: Option<&'a IntegratedGyro>,
     progress: ProgressFn,
 ) -> Result<Option<(LidarPath<'a>, PlaneMap)>, Stopped> {
-    let Some(lidar) = &rig.lidar else {
+    let Some(lidar) = rig.lidar() else {
         return Ok(None);
     };
     let turning = LidarTurning {

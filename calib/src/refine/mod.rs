@@ -87,7 +87,7 @@ pub fn refine(
         second: "lidar".to_owned(),
         problem,
     };
-    let Some(lidar) = &rig.lidar else {
+    let Some(lidar) = rig.lidar() else {
         let problem = "the rig has no LiDAR: give it a pose as measured by hand";
         return Err(unknown(problem.to_owned()));
     };

@@ -1,10 +1,11 @@
 //! The report of a refinement as one HTML page.
 
+use lsfb_report::{Normal, Page, bars, coverage, scroll};
 use maud::{Markup, html};
 
 use super::report::{Component, Evidence, NAMES, Refinement, RefinementReport};
-use crate::plots::{self, Expected};
-use crate::report::{self, Bar};
+use crate::coverage::COVERAGE_CELLS;
+use crate::plots;
 
 /// Errors are drawn within so many standard deviations, in so many bins.
 const SHOWN_SIGMAS: f64 = 5.0;
@@ -30,7 +31,7 @@ impl Compared {
 }
 
 impl RefinementReport {
-    /// The page: no script, no network; pictures are named by `picture` and lie beside it.
+    /// The page; pictures are named by `picture` and lie beside it.
     pub fn to_html(&self, title: &str, picture: &dyn Fn(&str, Compared) -> String) -> String {
         let body = html! {
             @for camera in &self.cameras { (section(camera, picture)) }
@@ -42,7 +43,10 @@ impl RefinementReport {
                 }
             }
         };
-        report::page(title, &self.verdict(), &[], &body)
+        Page::new(title)
+            .judged(&self.judgement(), &self.summary())
+            .body(body)
+            .to_html()
     }
 }
 
@@ -50,17 +54,15 @@ fn section(c: &Refinement, picture: &dyn Fn(&str, Compared) -> String) -> Markup
     html! {
         section {
             h2 { (c.camera) }
-            @if c.edge.is_some() { p { (c.sentence) "." } } @else { p.warning { (c.sentence) "." } }
-            @if let Some(advice) = &c.advice { p.warning { (advice) "." } }
             @if let Some(evidence) = &c.evidence {
                 (numbers(&c.components, evidence))
                 (figures(evidence))
             }
             @if c.overlays.is_some() {
-                div.row {
+                div.plots {
                     @for which in [Compared::Before, Compared::After] {
                         figure.large {
-                            img src=(picture(&c.camera, which)) alt=(which.name()) style="max-width: 100%";
+                            img src=(picture(&c.camera, which)) alt=(which.name());
                             figcaption { (which.name()) ": returns red near to blue far" }
                         }
                     }
@@ -72,37 +74,38 @@ fn section(c: &Refinement, picture: &dyn Fn(&str, Compared) -> String) -> Markup
 
 fn numbers(components: &[Component], e: &Evidence) -> Markup {
     let median = |px: f64| format!("{px:.2} px");
-    html! {
-        div.row {
-            table {
-                thead { tr { th { "about or along the camera's axis" } th { "change" } th { "σ" } th { "halves differ" } th { "" } } }
-                tbody {
-                    @for (k, half) in components.iter().zip(e.halves) {
-                        tr {
-                            td { (k.name) ", " (k.unit()) }
-                            td { @if let Some(v) = k.change { (format!("{:+.3}", k.shown(v))) } @else { "–" } }
-                            td { (format!("{:.3}", k.shown(k.sigma))) }
-                            td { @if k.change.is_some() { (format!("{:+.3}", k.shown(half))) } @else { "–" } }
-                            td.warning { @if k.change.is_none() { "not determined: left as it was" } }
-                        }
+    let pose = html! {
+        table.numbers {
+            thead { tr { th { "about or along the camera's axis" } th { "change" } th { "σ" } th { "halves differ" } th { "" } } }
+            tbody {
+                @for (k, half) in components.iter().zip(e.halves) {
+                    tr {
+                        td { (k.name) ", " (k.unit()) }
+                        td { @if let Some(v) = k.change { (format!("{:+.3}", k.shown(v))) } @else { "–" } }
+                        td { (format!("{:.3}", k.shown(k.sigma))) }
+                        td { @if k.change.is_some() { (format!("{:+.3}", k.shown(half))) } @else { "–" } }
+                        td { @if k.change.is_none() { "not determined: left as it was" } }
                     }
                 }
             }
-            table {
-                tbody {
-                    tr { td { "corners on surfaces, seen" } td { (e.corners) ", " (e.observations) " times in " (e.images) " images" } }
-                    tr { td { "corners put from image to image: as the rig was" } td { (median(e.transfer.before_px)) } }
-                    tr { td { "now" } td { (median(e.transfer.after_px)) } }
-                    tr { td { "in parts held back" } td { (median(e.transfer.held_back_px)) } }
-                    tr { td { "halves of the recording, squared in σ" } td { (format!("{:.1}", e.halves_square)) " (6 expected)" } }
-                    tr { td { "noise of a corner, of surfaces" } td { (format!("{:.2} px, {:.1} mm", e.pixel_px, e.plane_m * 1e3)) } }
-                    tr { td { "the LiDAR's way, by image" } td { (format!("{:.3}°, {:.1} mm", e.image_turn_rad.to_degrees(), e.image_shift_m * 1e3)) } }
-                    tr { td { "parts, variance over that of noise" } td { (e.blocks) ", " (format!("{:.1}", e.inflation)) } }
-                    tr { td { "camera's clock" } td { (format!("{:+.2} ± {:.2} ms", e.clock_s[0] * 1e3, e.clock_s[1] * 1e3)) } }
-                }
+        }
+    };
+    let evidence = html! {
+        table.numbers {
+            tbody {
+                tr { td { "corners on surfaces, seen" } td { (e.corners) ", " (e.observations) " times in " (e.images) " images" } }
+                tr { td { "corners put from image to image: as the rig was" } td { (median(e.transfer.before_px)) } }
+                tr { td { "now" } td { (median(e.transfer.after_px)) } }
+                tr { td { "in holdout parts" } td { (median(e.transfer.held_back_px)) } }
+                tr { td { "halves of the recording, squared in σ" } td { (format!("{:.1}", e.halves_square)) " (6 expected)" } }
+                tr { td { "noise of a corner, of surfaces" } td { (format!("{:.2} px, {:.1} mm", e.pixel_px, e.plane_m * 1e3)) } }
+                tr { td { "the LiDAR's way, by image" } td { (format!("{:.3}°, {:.1} mm", e.image_turn_rad.to_degrees(), e.image_shift_m * 1e3)) } }
+                tr { td { "parts, variance over that of noise" } td { (e.blocks) ", " (format!("{:.1}", e.inflation)) } }
+                tr { td { "camera's clock" } td { (format!("{:+.2} ± {:.2} ms", e.clock_s[0] * 1e3, e.clock_s[1] * 1e3)) } }
             }
         }
-    }
+    };
+    html! { div.tables { (scroll(&pose)) (scroll(&evidence)) } }
 }
 
 fn figures(e: &Evidence) -> Markup {
@@ -111,37 +114,32 @@ fn figures(e: &Evidence) -> Markup {
         let at = (value + SHOWN_SIGMAS) / (2.0 * SHOWN_SIGMAS) * BINS as f64;
         bins[(at as usize).min(BINS - 1)] += 1;
     }
-    let by_axis = |values: &[f64; 3], scale: f64, unit: &str| -> Vec<Bar> {
-        let bar = |(k, value): (usize, &f64)| Bar {
-            label: format!("{}, {unit}", NAMES[3 + k]),
-            value: value * scale,
-        };
-        values.iter().enumerate().map(bar).collect()
+    let by_axis = |name: &str, label: &str, values: &[f64; 3], scale: f64| {
+        let values = NAMES[3..].iter().zip(values);
+        let values: Vec<(String, f64)> = values
+            .map(|(axis, value)| ((*axis).to_owned(), value * scale))
+            .collect();
+        bars(name, label, &values).draw()
     };
-    let in_words =
-        |values: &[f64; 3], scale: f64| values.map(|v| format!("{:.2}", v * scale)).join(", ");
-    let degrees = 1f64.to_degrees();
+    let span = [-SHOWN_SIGMAS, SHOWN_SIGMAS];
     html! {
-        div.row {
+        div.plots {
             figure {
-                (plots::histogram(&bins, [-SHOWN_SIGMAS, SHOWN_SIGMAS], Expected::Normal))
-                figcaption { "errors of corners over their σ" }
+                (plots::counts("errors of corners", "error (σ)", span, &bins, Normal::Unit))
+                figcaption { "Errors of corners over their σ; dashed: what noise gives" }
+            }
+            (plots::mean_errors(&e.cell_errors_px, e.size_px))
+            figure {
+                (coverage("corners per part of the image", &e.coverage, COVERAGE_CELLS, e.size_px).draw())
+                figcaption { "Corners per part of the image, dark where there are many; none in red parts" }
             }
             figure {
-                (plots::vectors(&e.cell_errors_px, e.size_px))
-                figcaption { "mean errors, the longest " (format!("{:.3}", plots::longest(&e.cell_errors_px))) " px" }
+                (by_axis("turning", "turning (°/s)", &e.turning_rad_s, 1f64.to_degrees()))
+                figcaption { "Turning about the camera's axes, rms" }
             }
             figure {
-                (plots::coverage(&e.coverage, e.size_px))
-                figcaption { "where corners were seen" }
-            }
-            figure {
-                (report::bars(&by_axis(&e.turning_rad_s, degrees, "°/s")))
-                figcaption { "turning about x, y, z: " (in_words(&e.turning_rad_s, degrees)) " °/s rms" }
-            }
-            figure {
-                (report::bars(&by_axis(&e.speed_m_s, 1.0, "m/s")))
-                figcaption { "way along x, y, z: " (in_words(&e.speed_m_s, 1.0)) " m/s rms" }
+                (by_axis("speed", "speed (m/s)", &e.speed_m_s, 1.0))
+                figcaption { "Speed along the camera's axes, rms" }
             }
         }
     }

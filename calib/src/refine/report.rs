@@ -1,10 +1,13 @@
 //! What is said of a refinement.
 
 use lsfb_geometry::Se3;
+use lsfb_types::{Finding, Judgement, Limit, Verdict};
 use serde::Serialize;
 
 use crate::{Overlay, TransformEdge};
 
+/// Squared σ of six numbers that chance leaves between halves in all but one of a thousand recordings (χ² of six).
+const HALVES_AGREE: f64 = 22.5;
 /// Names of the six numbers.
 pub(super) const NAMES: [&str; 6] = ["rotation x", "rotation y", "rotation z", "x", "y", "z"];
 
@@ -195,31 +198,51 @@ impl Refinement {
     }
 }
 
+impl Refinement {
+    /// Whether the camera was placed, and what speaks against its pose.
+    fn findings(&self) -> Vec<Finding> {
+        let (verdict, code) = match &self.edge {
+            None => (Verdict::Fail, "placed"),
+            Some(_) if !self.is_whole() => (Verdict::Warn, "placed"),
+            Some(_) => (Verdict::Pass, "placed"),
+        };
+        let placed = Finding::new(code, verdict, &*self.camera, &*self.sentence);
+        let mut findings = vec![match &self.advice {
+            Some(advice) => placed.remedy(&**advice),
+            None => placed,
+        }];
+        if let Some(evidence) = self.evidence.as_ref().filter(|_| self.edge.is_some()) {
+            let limit = Limit::AtMost(HALVES_AGREE);
+            let agrees = limit.holds(evidence.halves_square);
+            let what = format!(
+                "halves of the recording differ by {:.1} in squared σ of six numbers",
+                evidence.halves_square
+            );
+            let halves = Finding::new("halves", Verdict::Warn.unless(agrees), &*self.camera, what);
+            findings.push(
+                halves
+                    .value(evidence.halves_square, "")
+                    .limit(limit)
+                    .remedy("record another walk and compare"),
+            );
+        }
+        findings
+    }
+}
+
 impl RefinementReport {
-    /// One sentence: what was found, and what was not.
-    pub fn verdict(&self) -> String {
-        let named = |wanted: &dyn Fn(&Refinement) -> bool| -> Vec<&str> {
-            let those = self.cameras.iter().filter(|c| wanted(c));
-            those.map(|c| c.camera.as_str()).collect()
-        };
-        let lost = named(&|c| c.edge.is_none());
-        let partly = named(&|c| c.edge.is_some() && !c.is_whole());
-        let mut words = vec![format!(
-            "{} of {} cameras were placed to the LiDAR without a board",
-            self.cameras.len() - lost.len(),
+    /// What was found, in a few words.
+    pub fn summary(&self) -> String {
+        let placed = self.cameras.iter().filter(|c| c.edge.is_some()).count();
+        format!(
+            "{placed} of {} cameras placed to the LiDAR without a board",
             self.cameras.len()
-        )];
-        if !lost.is_empty() {
-            words.push(format!("not {}: see why below", lost.join(", ")));
-        }
-        if !partly.is_empty() {
-            words.push(format!("{} not in all six numbers", partly.join(", ")));
-        }
-        let outcome = match (lost.is_empty(), partly.is_empty()) {
-            (true, true) => "PASS",
-            (true, false) => "WARN",
-            (false, _) => "FAIL",
-        };
-        format!("{outcome}. {}.", words.join("; "))
+        )
+    }
+
+    /// Whether the result may be used, and how far.
+    pub fn judgement(&self) -> Judgement {
+        let findings = self.cameras.iter().flat_map(Refinement::findings);
+        Judgement::new(findings.collect())
     }
 }

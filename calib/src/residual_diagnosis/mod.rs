@@ -8,11 +8,12 @@
 mod sums;
 
 use lsfb_geometry::{Camera, Se3, Vector2, Vector3};
+use lsfb_types::{Finding, Limit, Verdict};
 use nalgebra::DMatrix;
 use serde::Serialize;
 
 use crate::board::Target;
-use sums::Sums;
+use sums::{Explained, Sums};
 
 /// Root mean square of the errors above which a calibration is warned of, pixels. Corners leave 0.16 to 0.21 px on TUM VI's and
 /// OpenCV's images and 0.43 px on the worst recording known to be good (camodocal, by hand): above 0.6 px more than half of the squares are
@@ -25,6 +26,7 @@ const BLAME: f64 = 0.3;
 const MOST: f64 = 0.5;
 /// Ratio of errors between outer and inner thirds that is worth a word.
 const GROWS: f64 = 1.5;
+const CORRECT_IT: &str = "measure the board, correct what was said of it, and calibrate again";
 /// Views that are looked at at most, spread over all.
 const MAX_VIEWS: usize = 240;
 
@@ -89,50 +91,89 @@ impl<'a> Diagnosis<'a> {
         diagnosis
     }
 
-    /// What is to be said of corners that miss by `rms_px`; `None` where that is no more than detectors do and nothing
-    /// else explains most of it.
-    pub fn warning(&self, rms_px: f64) -> Option<String> {
+    /// How well corners are met, and what else than noise explains that they miss by `rms_px`.
+    pub fn finding(&self, camera: &str, rms_px: f64) -> Finding {
+        let (verdict, what, remedy) = self.words(rms_px);
+        Finding::new("fit", verdict, camera, what)
+            .value(rms_px, "px")
+            .limit(Limit::AtMost(match verdict {
+                Verdict::Fail => FAILED_RMS_PX,
+                _ => WORRYING_RMS_PX,
+            }))
+            .remedy(remedy)
+    }
+
+    fn words(&self, rms_px: f64) -> (Verdict, String, &'static str) {
+        let limit = |limit: f64| Limit::AtMost(limit).holds(rms_px);
+        let worse = Verdict::Fail
+            .unless(limit(FAILED_RMS_PX))
+            .max(Verdict::Warn);
+        let met = format!("corners are met to {rms_px:.2} px");
         if let Some(times) = self.sums.off_their_stamps() {
-            return Some(format!(
-                "corners are met to {rms_px:.2} px, but {:.0} % of the squares would be explained by {}",
-                times.share * 100.0,
-                times.words
-            ));
+            return (
+                worse,
+                format!("{met}, but {}", explained(&times)),
+                "stamp images when they are taken; `lsfb clock` compares clocks",
+            );
         }
         let cause = self.sums.explain(self.target, self.camera);
-        let explained = |share: f64, words: &str| {
-            format!(
-                "{:.0} % of the squares would be explained by {words}",
-                share * 100.0
-            )
-        };
-        if rms_px <= WORRYING_RMS_PX {
-            return cause.filter(|e| e.share >= MOST).map(|e| {
-                format!(
-                    "corners are met to {rms_px:.2} px, but {}",
-                    explained(e.share, &e.words)
-                )
-            });
+        if limit(WORRYING_RMS_PX) {
+            return match cause.filter(|e| e.share >= MOST) {
+                None => (Verdict::Pass, met, ""),
+                Some(e) => (
+                    Verdict::Warn,
+                    format!("{met}, but {}", explained(&e)),
+                    CORRECT_IT,
+                ),
+            };
         }
         let cause = cause.filter(|e| e.share >= BLAME).map_or_else(
             || "likely causes are a wrong size or spacing of the tags, another lens model, or a rolling shutter".to_owned(),
-            |e| explained(e.share, &e.words),
+            |e| explained(&e),
         );
-        Some(format!(
+        let what = format!(
             "corners miss by {rms_px:.2} px, a detector leaves 0.1 to 0.4 px; {}; {cause}",
             self.places.words()
-        ))
+        );
+        (worse, what, CORRECT_IT)
     }
 
-    /// What is to be said of a lens that was given, where one of its model fits these views clearly better.
-    pub fn given_lens(&self) -> Option<String> {
-        self.sums.given_lens(self.camera)
+    /// Gaps between tags that are clearly others than the board's file says, where they explain what [`Diagnosis::finding`] blames:
+    /// nothing that rests on the board holds then.
+    pub fn another_gap(&self, camera: &str, rms_px: f64) -> Option<Finding> {
+        let least = if rms_px > WORRYING_RMS_PX {
+            BLAME
+        } else {
+            MOST
+        };
+        let cause = self.sums.explain(self.target, self.camera)?;
+        if !cause.is_another_gap || cause.share < least {
+            return None;
+        }
+        let what = format!("it is not the board of the file: {}", explained(&cause));
+        let finding = Finding::new("tag-gaps", Verdict::Fail, camera, what)
+            .value(100.0 * cause.share, "%")
+            .limit(Limit::AtMost(100.0 * least));
+        Some(finding.remedy(CORRECT_IT))
+    }
+
+    /// A lens that was given, where one of its model fits these views clearly better.
+    pub fn given_lens(&self, camera: &str) -> Option<Finding> {
+        self.sums.given_lens(camera, self.camera)
     }
 
     /// The board as it would be if it were not what its file says; `variance` is that of a corner in one direction, px².
     pub fn board(&self, variance: f64) -> Deformation {
         self.sums.board(self.target, self.camera, variance)
     }
+}
+
+fn explained(e: &Explained) -> String {
+    format!(
+        "{:.0} % of the squares would be explained by {}",
+        e.share * 100.0,
+        e.words
+    )
 }
 
 /// A pixel from the middle of the image, and how far that is as a share of half the diagonal.

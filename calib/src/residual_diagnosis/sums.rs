@@ -2,6 +2,7 @@
 
 use lsfb_geometry::camera::MAX_PARAMETERS;
 use lsfb_geometry::{Camera, Matrix6, Vector2, Vector3, Vector6};
+use lsfb_types::{Finding, Verdict};
 use nalgebra::{DMatrix, DVector, RowSVector, SMatrix, SVector};
 
 use super::{AdjustedCorner, AdjustedView, BoardDeformation, Deformation, from_middle};
@@ -36,6 +37,9 @@ const FLAT_CHI_SQUARE: f64 = 20.5;
 /// Share of the squares, and of their variance, that another lens must take off one that was given.
 const LENS_SHARE: f64 = 0.2;
 const LENS_CHI_SQUARE: f64 = 60.0;
+
+/// Change of the gap between tags, as a share of their edge, that is no inaccuracy of a print.
+const ANOTHER_GAP: f64 = 0.02;
 
 /// One thing that would explain errors.
 struct Cause {
@@ -100,6 +104,8 @@ const CAUSES: [Cause; 5] = [
 pub(super) struct Explained {
     pub share: f64,
     pub words: String,
+    /// Whether it is a gap between tags that no print of the board said has.
+    pub is_another_gap: bool,
 }
 
 /// Normal matrix of lens and causes with the views' poses eliminated.
@@ -248,7 +254,7 @@ impl Sums {
     }
 
     /// A lens that was given, beside the one that these views have for themselves: one step of its own parameters.
-    pub fn given_lens(&self, camera: &Camera) -> Option<String> {
+    pub fn given_lens(&self, name: &str, camera: &Camera) -> Option<Finding> {
         let lens = camera.lens.parameters();
         let own = self
             .matrix
@@ -269,14 +275,17 @@ impl Sums {
             let clear = |k: usize| step[k].abs() / sigma(k).max(1e-12);
             clear(*a).total_cmp(&clear(*b))
         })?;
-        Some(format!(
-            "the lens that was given does not fit these images: {:.0} % of the squares would be explained by another, with {} = {:.1} ± {:.1} px instead of {:.1}: calibrate the camera again",
+        let value = lens.values[clearest] + step[clearest];
+        let what = format!(
+            "the lens that was given does not fit these images: {:.0} % of the squares would be explained by another, with {} = {value:.1} ± {:.1} px instead of {:.1}",
             100.0 * taken / self.squares,
             camera.lens.model().parameter_names()[clearest],
-            lens.values[clearest] + step[clearest],
             sigma(clearest),
             lens.values[clearest]
-        ))
+        );
+        let finding = Finding::new("given-lens", Verdict::Warn, name, what);
+        let finding = finding.value(value, "px").sigma(sigma(clearest));
+        Some(finding.remedy("calibrate the camera again"))
     }
 
     /// Views that were not taken when their stamps say, if that is what keeps them off the IMU's motion.
@@ -286,9 +295,10 @@ impl Sums {
         (dominant && share > LEAST_OF_TIMES).then(|| Explained {
             share,
             words: format!(
-                "views that were taken {:.1} ms rms off their stamps: these jitter or jump, stamp images when they are taken (`lsfb clock` compares clocks)",
+                "views that were taken {:.1} ms rms off their stamps: these jitter or jump",
                 (self.times[0] / self.times[1].max(1.0)).sqrt() * 1e3
             ),
+            is_another_gap: false,
         })
     }
 
@@ -301,6 +311,7 @@ impl Sums {
                 "poses of the views that do not follow the IMU (each alone is met to {:.2} px): the board is of another size, the IMU's noise is understated, or clocks jump",
                 (self.squares / self.corners.max(1.0)).max(0.0).sqrt()
             ),
+            is_another_gap: false,
         };
         let explained = CAUSES.iter().map(|cause| {
             let [first, count] = cause.columns;
@@ -311,6 +322,7 @@ impl Sums {
             Explained {
                 share: -gradient.dot(&step) / reduced.squares.max(1e-12),
                 words: (cause.words)(target, &step),
+                is_another_gap: first == GAP && step[0].abs() > ANOTHER_GAP,
             }
         });
         let explained = explained.chain([of_views]);

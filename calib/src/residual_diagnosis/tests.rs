@@ -79,8 +79,9 @@ fn views(at: impl Fn(usize) -> Vector3<f64>, lens: Lens, readout_s: f64) -> Vec<
 
 fn said(views: Vec<AdjustedView>) -> String {
     let (target, camera) = (grid(0.3), camera(LENS));
-    let said = Diagnosis::new(&target, &camera, views).warning(1.0);
-    said.expect("above the limit")
+    Diagnosis::new(&target, &camera, views)
+        .finding("cam0", 1.0)
+        .what
 }
 
 #[test]
@@ -151,11 +152,11 @@ fn a_lens_that_was_given_is_compared_with_the_views() {
         principal_px[1] += 6.0;
     }
     let (target, camera) = (grid(0.3), camera(LENS));
-    let said = Diagnosis::new(&target, &camera, views(flat, other, 0.0)).given_lens();
+    let said = Diagnosis::new(&target, &camera, views(flat, other, 0.0)).given_lens("cam0");
     let said = said.expect("another lens");
     assert!(
-        said.contains("with cy = 24") && said.contains("instead of 238.0"),
-        "{said}"
+        said.what.contains("with cy = 24") && said.what.contains("instead of 238.0"),
+        "{said:?}"
     );
 }
 
@@ -169,13 +170,13 @@ fn noise_alone_is_blamed_on_nothing() {
     );
     let (target, camera) = (grid(0.3), camera(LENS));
     let diagnosis = Diagnosis::new(&target, &camera, views(flat, LENS, 0.0));
-    assert!(diagnosis.warning(0.43).is_none());
+    assert_eq!(diagnosis.finding("cam0", 0.43).verdict, Verdict::Pass);
     let Deformation {
         board,
         lens_covariance,
     } = diagnosis.board(0.01);
     assert!(!board.is_likely && lens_covariance.amax() == 0.0);
-    assert!(diagnosis.given_lens().is_none());
+    assert!(diagnosis.given_lens("cam0").is_none());
     assert!(
         board.bend_m < 5.0 * board.bend_sigma_m && board.bend_m < 2e-4,
         "{board:?}"

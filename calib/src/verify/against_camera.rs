@@ -3,11 +3,11 @@
 use lsfb_geometry::RigCamera;
 use lsfb_perception::image::Gray;
 use lsfb_recording::Recording;
-use lsfb_types::{Image, Stamped};
+use lsfb_types::{Image, Stamped, Verdict};
 use rayon::prelude::*;
 
 use super::judgement::judged;
-use super::{Check, Outcome, VerifyConfig, epipolar};
+use super::{Check, VerifyConfig, epipolar};
 use crate::Error;
 use crate::recorded::unreadable;
 use crate::statistics::median;
@@ -43,7 +43,7 @@ pub(super) fn all(
     for ((name, _), _) in present.iter().zip(alone).filter(|(_, alone)| *alone) {
         checks.push(Check {
             sentence: "no other camera sees enough of what this one sees, from another place: its mounting is checked by gyroscope and LiDAR alone".to_owned(),
-            ..Check::unknown(format!("{name} epipolar"), "px", config.epipolar_px)
+            ..Check::unknown("epipolar", format!("{name} epipolar"), "px", config.epipolar_px)
         });
     }
     Ok(checks)
@@ -102,6 +102,7 @@ fn pair(
         errors.collect()
     };
     let mut check = Check::unknown(
+        "epipolar",
         format!("{first}–{second} epipolar"),
         "px",
         config.epipolar_px,
@@ -131,7 +132,7 @@ fn pair(
     check.sigma = Some(sigma);
     check.outcome = judged(size, sigma, config.epipolar_px);
     check.sentence = match check.outcome {
-        Outcome::Pass => format!(
+        Verdict::Pass => format!(
             "{} corners lie on their curves (median {signed:+.2} px)",
             errors.len()
         ),

@@ -3,10 +3,11 @@
 use lsfb_geometry::{RigCamera, so3};
 use lsfb_perception::gyro::IntegratedGyro;
 use lsfb_perception::image::Pair;
+use lsfb_types::Verdict;
 
 use super::judgement::{judged, unclear};
 use super::time_offset::{self, Agreement, Inconclusive};
-use super::{Check, Outcome, VerifyConfig};
+use super::{Check, VerifyConfig};
 
 /// Both checks.
 pub(super) fn against_gyro(
@@ -16,8 +17,14 @@ pub(super) fn against_gyro(
     gyro: Option<&IntegratedGyro>,
     config: &VerifyConfig,
 ) -> Vec<Check> {
-    let mut time = Check::unknown(format!("{name} time offset"), "ms", config.time_offset_ms);
+    let mut time = Check::unknown(
+        "time-offset",
+        format!("{name} time offset"),
+        "ms",
+        config.time_offset_ms,
+    );
     let mut rotation = Check::unknown(
+        "imu-rotation",
         format!("{name} rotation to the IMU"),
         "°",
         config.imu_rotation_deg,
@@ -43,7 +50,7 @@ pub(super) fn against_gyro(
                     "it turns by {rate:.3} rad/s only about a second axis: turning more would tell"
                 ),
                 Inconclusive::EndOfSearch(offset_s) => {
-                    time.outcome = Outcome::Fail;
+                    time.outcome = Verdict::Fail;
                     format!(
                         "no time offset within {:.0} ms makes images follow the gyroscope: the clocks are not those of one rig",
                         offset_s.abs() * 1e3
@@ -66,8 +73,8 @@ fn judge_time(check: &mut Check, mounted: &RigCamera, found: &Agreement) {
     // What a wrong clock moves the image by while the rig turns as it does here.
     let moved_px = |ms: f64| mounted.camera.focal_px()[0] * found.rate_rad_s * ms * 1e-3;
     check.sentence = match check.outcome {
-        Outcome::Unknown => unclear(sigma_ms, "ms"),
-        Outcome::Pass => format!(
+        Verdict::Unknown => unclear(sigma_ms, "ms"),
+        Verdict::Pass => format!(
             "images and gyroscope agree in time over {} pairs of images; {:.0} ms would move the image by {:.1} px while it turns as here",
             found.pairs,
             check.limits[0],
@@ -93,8 +100,8 @@ fn judge_rotation(check: &mut Check, mounted: &RigCamera, found: &Agreement) {
     check.value = Some(off_deg);
     check.sigma = Some(sigma_deg);
     check.sentence = match check.outcome {
-        Outcome::Unknown => unclear(sigma_deg, "°"),
-        Outcome::Pass => "the camera turns as the gyroscope does".to_owned(),
+        Verdict::Unknown => unclear(sigma_deg, "°"),
+        Verdict::Pass => "the camera turns as the gyroscope does".to_owned(),
         _ => format!(
             "the camera is turned by {off_deg:.1}° about the rig's {} axis: it was moved, or the rig is another's",
             ["x", "y", "z"][off.iamax()]

@@ -2,6 +2,7 @@
 
 use lsfb_geometry::{RigCamera, Se3, Vector3};
 use lsfb_perception::gyro::IntegratedGyro;
+use lsfb_types::Verdict;
 use rayon::prelude::*;
 
 use super::alignment::{self, Score};
@@ -11,7 +12,7 @@ use super::mutual_information::mutual_information;
 use super::pose_search::{Steps, maximum, turned_best};
 use super::scans::ScanInRig;
 use super::view::{EdgeImage, Return, StepPoint, View};
-use super::{Check, Outcome, VerifyConfig};
+use super::{Check, VerifyConfig};
 use crate::overlay::Picture;
 use crate::{Error, Overlay};
 
@@ -96,6 +97,7 @@ pub(super) fn against_lidar(
     let views = views(mounted, images, scans, gyro);
     let overlay = overlay(name, mounted, images, scans, gyro)?;
     let mut check = Check::unknown(
+        "lidar-rotation",
         format!("{name} rotation to the LiDAR"),
         "°",
         config.lidar_rotation_deg,
@@ -108,11 +110,11 @@ pub(super) fn against_lidar(
             check.sigma = Some(sigma);
             check.outcome = judged(off, sigma, check.limits);
             check.sentence = match check.outcome {
-                Outcome::Unknown => format!(
+                Verdict::Unknown => format!(
                     "{} of LiDAR and images fit in too many ways (σ {sigma:.1}°): look at the overlay, or record a place with posts, pictures and furniture",
                     found.what
                 ),
-                Outcome::Pass => format!("{} of LiDAR and images agree", found.what),
+                Verdict::Pass => format!("{} of LiDAR and images agree", found.what),
                 _ => format!(
                     "{} of LiDAR and images agree better when the camera is turned by {off:.2}° about its {} axis: it was moved, or calibrate LiDAR and camera again",
                     found.what,

@@ -10,22 +10,22 @@
 //! | rotation to the LiDAR | 0.4, 0.8° | 0.4° are two steps of the LiDAR in azimuth, and 2 cm at 3 m |
 //! | epipolar | 1, 2 px | three times what corners are found to |
 
-use super::Outcome;
+use lsfb_types::Verdict;
 
 /// Standard deviations that chance explains.
 const DEVIATIONS: f64 = 3.0;
 
 /// The outcome of a size with limits. A limit that lies within what chance explains cannot be told from zero.
-pub(super) fn judged(value: f64, sigma: f64, limits: [f64; 2]) -> Outcome {
+pub(super) fn judged(value: f64, sigma: f64, limits: [f64; 2]) -> Verdict {
     let chance = DEVIATIONS * sigma;
     if chance.is_nan() || (chance > limits[1] && value <= limits[1] + chance) {
-        Outcome::Unknown
+        Verdict::Unknown
     } else if value <= limits[0].max(chance) {
-        Outcome::Pass
+        Verdict::Pass
     } else if value <= limits[1] || value <= limits[0] + chance {
-        Outcome::Warn
+        Verdict::Warn
     } else {
-        Outcome::Fail
+        Verdict::Fail
     }
 }
 
@@ -42,14 +42,14 @@ mod tests {
     fn findings_are_clear_of_their_limit_and_of_chance() {
         let limits = [2.0, 4.0];
         for (value, sigma, expected) in [
-            (1.0, 0.3, Outcome::Pass),
-            (2.4, 0.9, Outcome::Pass),
-            (2.4, 0.3, Outcome::Warn),
-            (4.6, 1.0, Outcome::Warn),
-            (5.0, 0.4, Outcome::Fail),
-            (1.0, 2.0, Outcome::Unknown),
-            (30.0, 2.0, Outcome::Fail),
-            (1.0, f64::NAN, Outcome::Unknown),
+            (1.0, 0.3, Verdict::Pass),
+            (2.4, 0.9, Verdict::Pass),
+            (2.4, 0.3, Verdict::Warn),
+            (4.6, 1.0, Verdict::Warn),
+            (5.0, 0.4, Verdict::Fail),
+            (1.0, 2.0, Verdict::Unknown),
+            (30.0, 2.0, Verdict::Fail),
+            (1.0, f64::NAN, Verdict::Unknown),
         ] {
             assert_eq!(judged(value, sigma, limits), expected, "{value} ± {sigma}");
         }

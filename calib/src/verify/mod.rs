@@ -25,8 +25,8 @@ mod view;
 
 use lsfb_geometry::Rig;
 use lsfb_recording::Recording;
-use lsfb_types::{Bounds, Progress, ProgressFn};
-use serde::{Deserialize, Serialize};
+use lsfb_types::{Bounds, Finding, Judgement, Limit, Progress, ProgressFn, Verdict};
+use serde::{Deserialize, Serialize, Serializer};
 
 use crate::{Error, Overlay, recorded};
 use camera_images::CameraImages;
@@ -74,27 +74,16 @@ lsfb_types::bounds! {
     }
 }
 
-/// How a check ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "UPPERCASE")]
-pub enum Outcome {
-    /// This recording says nothing about it.
-    Unknown,
-    /// As it should be.
-    Pass,
-    /// Look at it.
-    Warn,
-    /// The rig is not that of this recording.
-    Fail,
-}
-
 /// One check.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Check {
     /// What was compared: `cam0 time offset`.
     pub name: String,
+    /// The same for programs, whichever cameras it is: `time-offset`.
+    pub code: &'static str,
     /// How it ended.
-    pub outcome: Outcome,
+    #[serde(serialize_with = "named")]
+    pub outcome: Verdict,
     /// What was found, in the unit of [`Check::unit`].
     pub value: Option<f64>,
     /// Its standard deviation.
@@ -117,13 +106,20 @@ pub struct Verification {
 }
 
 impl Verification {
-    /// The worst of all checks; [`Outcome::Unknown`] where none says anything.
-    pub fn outcome(&self) -> Outcome {
-        self.checks
-            .iter()
-            .map(|c| c.outcome)
-            .max()
-            .unwrap_or(Outcome::Unknown)
+    /// What follows from the checks.
+    pub fn judgement(&self) -> Judgement {
+        Judgement::new(self.checks.iter().map(Check::finding).collect())
+    }
+
+    /// What was judged, in a few words.
+    pub fn summary(&self) -> String {
+        let determined = self.checks.iter();
+        let determined = determined.filter(|c| c.outcome != Verdict::Unknown);
+        format!(
+            "{} of {} checks determined",
+            determined.count(),
+            self.checks.len()
+        )
     }
 }
 
@@ -155,7 +151,7 @@ pub fn verify(
             gyro.as_ref(),
             config,
         ));
-        if rig.lidar.is_some() {
+        if rig.lidar().is_some() {
             let (check, overlay) = against_lidar::against_lidar(
                 name,
                 mounted,
@@ -172,18 +168,40 @@ pub fn verify(
     if checks.is_empty() {
         checks.push(Check {
             sentence: "none of the rig's cameras is in this recording: check the names".to_owned(),
-            ..Check::unknown("recording".to_owned(), "", [0.0; 2])
+            ..Check::unknown("cameras", "recording".to_owned(), "", [0.0; 2])
         });
     }
     Ok(Verification { checks, overlays })
 }
 
+/// As it stands in tables: `PASS`.
+fn named<S: Serializer>(verdict: &Verdict, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(verdict.name())
+}
+
 impl Check {
+    /// The check as all commands give theirs.
+    fn finding(&self) -> Finding {
+        let [warns, fails] = self.limits;
+        let limit = match self.outcome {
+            Verdict::Fail => fails,
+            _ => warns,
+        };
+        Finding {
+            value: self.value,
+            sigma: self.sigma,
+            unit: self.unit,
+            limit: self.value.map(|_| Limit::AtMost(limit)),
+            ..Finding::new(self.code, self.outcome, &*self.name, &*self.sentence)
+        }
+    }
+
     /// One that says nothing yet.
-    fn unknown(name: String, unit: &'static str, limits: [f64; 2]) -> Self {
+    fn unknown(code: &'static str, name: String, unit: &'static str, limits: [f64; 2]) -> Self {
         Self {
             name,
-            outcome: Outcome::Unknown,
+            code,
+            outcome: Verdict::Unknown,
             value: None,
             sigma: None,
             limits,

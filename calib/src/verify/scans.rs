@@ -49,7 +49,7 @@ pub(super) fn scans(
     gyro: Option<&IntegratedGyro>,
     config: &VerifyConfig,
 ) -> Result<Vec<ScanInRig>, Error> {
-    let Some(lidar) = &rig.lidar else {
+    let Some(lidar) = rig.lidar() else {
         return Ok(Vec::new());
     };
     let count = match recording.scans() {

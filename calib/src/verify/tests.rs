@@ -2,7 +2,8 @@ use std::f64::consts::FRAC_PI_2;
 use std::path::Path;
 
 use lsfb_geometry::{
-    Camera, RigCamera, RigImu, RigLidar, Se3, UnitQuaternion, Vector2, Vector3, Vector6, so3,
+    Camera, ImuNoiseModel, RigCamera, RigImu, RigLidar, Se3, UnitQuaternion, Vector2, Vector3,
+    Vector6, so3,
 };
 use lsfb_recording::{Writer, WriterConfig};
 use lsfb_types::{Image, ImuSample, LidarPoint, LidarScan, Stamped, Timestamp, no_progress};
@@ -87,16 +88,18 @@ fn rig() -> Rig {
             ("cam1".to_owned(), mounted(-0.08)),
         ]
         .into(),
-        imu: Some(RigImu {
+        imus: RigImu::from(ImuNoiseModel {
             gyro_noise_density: 1e-3,
             accel_noise_density: 1e-2,
             gyro_bias_walk: 1e-5,
             accel_bias_walk: 1e-4,
-        }),
-        lidar: Some(RigLidar {
+        })
+        .alone(),
+        lidars: RigLidar {
             rig_from_lidar: Se3::exp(&Vector6::new(0.01, 0.02, -0.03, -0.02, 0.0, 0.25)),
             range_noise_m: 0.0,
-        }),
+        }
+        .alone(),
         ..Rig::empty("test")
     }
 }
@@ -126,7 +129,7 @@ fn image(rig: &Rig, name: &str, time_s: f64) -> Image {
 }
 
 fn scan(rig: &Rig, start_s: f64) -> LidarScan {
-    let lidar = rig.lidar.as_ref().expect("a LiDAR");
+    let lidar = rig.lidar().expect("a LiDAR");
     let mut points = Vec::new();
     for step in 0..900 {
         let offset_s = 0.1 * f64::from(step) / 900.0;
@@ -146,6 +149,7 @@ fn scan(rig: &Rig, start_s: f64) -> LidarScan {
                 intensity: (0.4 * brightness(&pose.translation, &turned)) as u8,
                 ring: ring as u16,
                 time_offset_ns: (offset_s * 1e9) as u32,
+                ..LidarPoint::default()
             });
         }
     }
@@ -187,7 +191,7 @@ fn record(path: &Path, rig: &Rig, late_s: f64) {
         }
         if k % 40 == 20 {
             writer
-                .write_scan(&stamped(start, t, scan(rig, t)))
+                .write_scan("lidar", &stamped(start, t, scan(rig, t)))
                 .expect("written");
         }
     }
@@ -214,11 +218,15 @@ fn a_rig_that_fits_passes_and_what_does_not_is_named() {
 
     let found = run(&rig);
     assert_eq!(found.checks.len(), 7, "{:?}", found.checks);
-    assert!(found.outcome() < Outcome::Fail, "{:?}", found.checks);
+    assert!(
+        found.judgement().verdict() < Verdict::Fail,
+        "{:?}",
+        found.checks
+    );
     for name in ["cam0 time offset", "cam0 rotation to the LiDAR"] {
         assert_eq!(
             outcome(&found, name).outcome,
-            Outcome::Pass,
+            Verdict::Pass,
             "{:?}",
             found.checks
         );
@@ -232,14 +240,14 @@ fn a_rig_that_fits_passes_and_what_does_not_is_named() {
     camera.rig_from_camera =
         camera.rig_from_camera * Se3::exp(&Vector6::new(0.0, 0.035, 0.0, 0.0, 0.0, 0.0));
     let bad = run(&moved);
-    assert_eq!(bad.outcome(), Outcome::Fail);
+    assert_eq!(bad.judgement().verdict(), Verdict::Fail);
     assert_eq!(
         outcome(&bad, "cam0 rotation to the LiDAR").outcome,
-        Outcome::Fail
+        Verdict::Fail
     );
     assert_eq!(
         outcome(&bad, "cam1 rotation to the LiDAR").outcome,
-        Outcome::Pass
+        Verdict::Pass
     );
 
     // Turned about the x axis, a little and a lot: curves move across.
@@ -250,7 +258,7 @@ fn a_rig_that_fits_passes_and_what_does_not_is_named() {
             camera.rig_from_camera * Se3::exp(&Vector6::new(turn_rad, 0.0, 0.0, 0.0, 0.0, 0.0));
         let bad = run(&rolled);
         let check = outcome(&bad, "cam0–cam1 epipolar");
-        assert_eq!(check.outcome, Outcome::Fail, "{check:?}");
+        assert_eq!(check.outcome, Verdict::Fail, "{check:?}");
     }
 
     let mut other = rig;
@@ -267,9 +275,9 @@ fn late_images_are_found() {
     let path = folder.path().join("late.mcap");
     let mut rig = rig();
     rig.cameras.remove("cam1");
-    let lidar = rig.lidar.take();
+    let lidars = std::mem::take(&mut rig.lidars);
     let mut with_lidar = rig.clone();
-    with_lidar.lidar = lidar;
+    with_lidar.lidars = lidars;
     record(&path, &with_lidar, 0.012);
     let recording = Recording::open(&path).expect("a recording");
     let config = VerifyConfig::default();
@@ -280,12 +288,12 @@ fn late_images_are_found() {
         (check.value.expect("an offset") + 12.0).abs() < 4.0,
         "{check:?}"
     );
-    assert_eq!(check.outcome, Outcome::Fail);
+    assert_eq!(check.outcome, Verdict::Fail);
     rig.cameras
         .get_mut("cam0")
         .expect("cam0")
         .timing
         .rig_from_camera_s = -0.012;
     let found = verify(&recording, &rig, &config, &no_progress).expect("verified");
-    assert_eq!(outcome(&found, "cam0 time offset").outcome, Outcome::Pass);
+    assert_eq!(outcome(&found, "cam0 time offset").outcome, Verdict::Pass);
 }

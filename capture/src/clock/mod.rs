@@ -6,6 +6,7 @@
 //! for network measurements", INFOCOM 2002).
 
 mod envelope;
+mod judgement;
 pub(crate) mod model_topic;
 mod one_way;
 mod recorded;

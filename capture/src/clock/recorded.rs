@@ -1,8 +1,8 @@
 //! Clocks estimated again from the stamps that a recording keeps: nothing here depends on what was believed while it was
 //! made.
 
-use lsfb_drivers::imu::model::SAMPLE_TIME_FINE_NS;
-use lsfb_drivers::velodyne::wire::DataPacket;
+use lsfb_drivers::any_lidar::device_ns;
+use lsfb_drivers::xsens::model::SAMPLE_TIME_FINE_NS;
 use lsfb_recording::message::{self, ClockModel};
 use lsfb_recording::{CLOCK_MODELS, DEVICE_TIME, Recording};
 use lsfb_types::{Bounds, Progress, ProgressFn, Timestamp};
@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::model_topic::{HOLDOVER, LOCKED};
 use super::{ClockEstimate, OneWayClock, StampPair, Unwrap, fit_pairs};
-use crate::{Error, sidecar};
+use crate::{Error, topics};
 
 /// Points of a plot, at most, per device.
 const PLOTTED: usize = 4_000;
@@ -93,6 +93,9 @@ pub struct DeviceClock {
 /// The clocks of a recording.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ClockReport {
+    /// Seconds of the devices' counters per second of arrivals where the recording was not made in real time; `None` where it was.
+    /// There arrivals say nothing about clocks, and no device is listed.
+    pub pace: Option<f64>,
     /// One entry per device with a counter.
     pub devices: Vec<DeviceClock>,
 }
@@ -117,7 +120,7 @@ pub fn estimate_clocks(
         .map_or(Timestamp::default(), |range| range.start);
     let models = recorded_models(recording)?;
     let names = devices(recording);
-    let mut clocks = Vec::new();
+    let mut counted = Vec::new();
     for (done, source) in names.iter().enumerate() {
         progress(Progress {
             stage: "estimating clocks",
@@ -134,9 +137,70 @@ pub fn estimate_clocks(
             locked: model.is_some_and(|model| [LOCKED, HOLDOVER].contains(&&*model.kind)),
             tick_ns: source.tick_ns(model),
         };
-        clocks.push(estimate(counter, &triples, start, config));
+        counted.push((counter, triples));
     }
-    Ok(ClockReport { devices: clocks })
+    let told = || counted.iter().filter_map(|(_, triples)| passage(triples));
+    let unreal = told().next().is_some() && told().all(|p| !p.is_real_time);
+    let pace = told().map(|p| p.factor).reduce(f64::min).filter(|_| unreal);
+    let clocks = counted.into_iter().filter(|_| pace.is_none());
+    Ok(ClockReport {
+        pace,
+        devices: clocks
+            .map(|(counter, triples)| estimate(counter, &triples, start, config))
+            .collect(),
+    })
+}
+
+/// Parts of a recording that are compared at most, at least a second each, and how many are needed.
+const MOST_PARTS: usize = 16;
+const LEAST_PARTS: usize = 3;
+/// What the least delay of a part differs by from that of the part before, at most: seconds, and as a share of the time between.
+const SAME_DELAY_SECS: f64 = 0.03;
+const SAME_DELAY_SHARE: f64 = 0.003;
+
+/// How time passed on a counter and at its arrivals.
+struct Passage {
+    is_real_time: bool,
+    /// Seconds of the counter per second of arrivals, in the middle one of the parts.
+    factor: f64,
+}
+
+/// In real time the least delay of each part of a recording is that of the part before but for the few in which a clock was set;
+/// a replay has hardly two alike. `None` where the recording is too short to tell.
+fn passage(triples: &[Triple]) -> Option<Passage> {
+    let (first, last) = (triples.first()?, triples.last()?);
+    let since = |t: &Triple| {
+        let counted_ns = t.device_ns.saturating_sub(first.device_ns);
+        (
+            counted_ns as f64 * 1e-9,
+            t.arrival.secs_since(first.arrival),
+        )
+    };
+    let (counted_secs, arrived_secs) = since(last);
+    let parts = (counted_secs.max(arrived_secs) as usize).min(MOST_PARTS);
+    if parts < LEAST_PARTS || triples.len() < 2 * parts {
+        return None;
+    }
+    let (mut least_delays, mut factors) = (Vec::new(), Vec::new());
+    for part in triples.chunks(triples.len() / parts) {
+        let delays = part
+            .iter()
+            .map(since)
+            .map(|(counted, arrived)| arrived - counted);
+        let (from, to) = (since(part.first()?), since(part.last()?));
+        least_delays.push((from.1, delays.fold(f64::INFINITY, f64::min)));
+        factors.push((to.0 - from.0) / (to.1 - from.1).max(1e-9));
+    }
+    let differ = |pair: &&[(f64, f64)]| {
+        let tolerance_secs = SAME_DELAY_SECS + SAME_DELAY_SHARE * (pair[1].0 - pair[0].0);
+        (pair[1].1 - pair[0].1).abs() > tolerance_secs
+    };
+    let different = least_delays.windows(2).filter(differ).count();
+    factors.sort_by(f64::total_cmp);
+    Some(Passage {
+        is_real_time: 3 * different <= 2 * (least_delays.len() - 1),
+        factor: factors[factors.len() / 2],
+    })
 }
 
 fn recorded_models(recording: &Recording) -> Result<Vec<ClockModel>, Error> {
@@ -165,7 +229,7 @@ struct Counter {
 
 /// Where counters are found.
 enum Source {
-    Lidar,
+    Lidar(String),
     Camera(String),
     Imu(String),
     Sidecar(String),
@@ -173,19 +237,25 @@ enum Source {
 
 fn devices(recording: &Recording) -> Vec<Source> {
     let mut found = Vec::new();
+    // A LiDAR's counter is in its packets; beside its scans it is repeated.
+    let is_lidar = |name: &str| {
+        let points = format!("{name}/points");
+        recording.topics().iter().any(|t| t.topic == points)
+    };
     for topic in recording.topics() {
         match topic.topic.as_str() {
-            "/lidar/packets" => found.push(Source::Lidar),
+            _ if message::holds_lidar_packets(&topic.schema) => {
+                found.push(Source::Lidar(topic.topic.clone()));
+            }
             name => {
                 if let Some(channel) = name.strip_suffix(DEVICE_TIME) {
                     // What waited to be sent says nothing about a clock; that of its app is told by the others.
-                    if !sidecar::is_heard(channel) {
+                    if !topics::is_occasional(channel) {
                         found.push(Source::Sidecar(name.to_owned()));
                     }
                 } else if let Some(camera) = name.strip_suffix("/frame_meta") {
                     found.push(Source::Camera(format!("{camera}/image")));
-                } else if let Some(imu) = name.strip_suffix("/time_ref").filter(|n| *n != "/lidar")
-                {
+                } else if let Some(imu) = name.strip_suffix("/time_ref").filter(|n| !is_lidar(n)) {
                     found.push(Source::Imu(imu.to_owned()));
                 }
             }
@@ -197,7 +267,10 @@ fn devices(recording: &Recording) -> Vec<Source> {
 impl Source {
     fn name(&self) -> String {
         match self {
-            Self::Lidar => "lidar".to_owned(),
+            Self::Lidar(topic) => topic
+                .trim_start_matches('/')
+                .trim_end_matches("/packets")
+                .to_owned(),
             Self::Camera(topic) => topic
                 .trim_start_matches('/')
                 .trim_end_matches("/image")
@@ -213,7 +286,7 @@ impl Source {
     /// One tick of the counter, nanoseconds. Without a recorded model an IMU is an Xsens unit.
     fn tick_ns(&self, model: Option<&ClockModel>) -> u64 {
         match self {
-            Self::Lidar | Self::Camera(_) => 1_000,
+            Self::Lidar(_) | Self::Camera(_) => 1_000,
             Self::Imu(_) => model.map_or(SAMPLE_TIME_FINE_NS, |model| model.tick_ns),
             Self::Sidecar(_) => 1,
         }
@@ -226,13 +299,12 @@ impl Source {
     ) -> Result<Vec<Triple>, Error> {
         let mut triples = Vec::new();
         match self {
-            Self::Lidar => {
+            Self::Lidar(topic) => {
                 let mut unwrap = Unwrap::default();
-                for packet in recording.packets("lidar/packets")?.flatten() {
-                    let Ok(data) = DataPacket::new(&packet.packet.bytes) else {
+                for packet in recording.packets_on(topic)?.flatten() {
+                    let Some(toh_ns) = device_ns(&packet.packet.bytes) else {
                         continue;
                     };
-                    let toh_ns = i64::from(data.timestamp_us()) * 1_000;
                     let device_ns = unwrap.unwrap(toh_ns.rem_euclid(HOUR_NS), HOUR_NS);
                     triples.push(Triple {
                         device_ns,

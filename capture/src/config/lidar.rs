@@ -1,38 +1,37 @@
 //! The LiDAR: where it sends, what it must be, how it is set.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
 
-use lsfb_drivers::velodyne::model::Model;
+use lsfb_drivers::any_lidar::{Model, Settings};
+use lsfb_drivers::lidar::{BeamAngles, Returns, ScanSettings};
+use lsfb_drivers::velodyne::VelodyneConfig;
 use lsfb_drivers::velodyne::settings::{Destination, FieldOfView, PhaseLock, Setting, Switch};
 use lsfb_drivers::velodyne::wire::ReturnMode;
-use lsfb_drivers::velodyne::{DecoderConfig, ModelChoice, VelodyneConfig};
+use lsfb_geometry::MAIN_LIDAR;
 use serde::{Deserialize, Serialize};
 
-/// Models that can be asked for.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum LidarModel {
-    /// Whatever the packets say.
-    #[default]
-    Any,
-    /// VLP-32C.
-    Vlp32c,
-    /// VLP-16.
-    Vlp16,
-    /// HDL-32E.
-    Hdl32e,
-}
+use crate::Error;
 
-/// A Velodyne sensor on the network.
+/// Whatever the packets say.
+const ANY: &str = "any";
+
+/// A LiDAR on the network.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LidarNetConfig {
+    /// Its name in the recording and in the rig.
+    pub name: String,
     /// Address for data packets; port 0 takes a free one.
     pub data: SocketAddr,
     /// Address for position packets; port 0 takes a free one.
     pub position: SocketAddr,
-    /// The sensor it must be.
-    pub model: LidarModel,
+    /// The sensor it must be: `vlp-32c`, `vlp-16`, `hdl-32e`, `xt32`, `pandar64` or `qt64`; `any` takes what the packets say.
+    pub model: String,
+    /// The packets are of `model` with these returns, whatever they say themselves: old firmware of Velodyne sensors lies.
+    pub force_returns: Option<LidarReturns>,
+    /// File of the beam angles of this very unit, for Hesai sensors; relative to the file that names it.
+    pub angles: Option<PathBuf>,
     /// A scan ends where the rotor passes this angle, degrees. With a field-of-view window, choose one outside it.
     pub cut_azimuth_deg: f64,
     /// Take packets from this address only; several sensors share the factory ports.
@@ -118,9 +117,12 @@ impl Default for LidarNetConfig {
     fn default() -> Self {
         let wire = VelodyneConfig::default();
         Self {
+            name: MAIN_LIDAR.to_owned(),
             data: wire.data_bind,
             position: wire.position_bind,
-            model: LidarModel::default(),
+            model: ANY.to_owned(),
+            force_returns: None,
+            angles: None,
             cut_azimuth_deg: 0.0,
             sensor: wire.sensor,
             receive_buffer_bytes: wire.receive_buffer_bytes,
@@ -130,17 +132,50 @@ impl Default for LidarNetConfig {
 }
 
 impl LidarNetConfig {
-    pub(crate) fn decoder(&self) -> DecoderConfig {
-        DecoderConfig {
-            model: match self.model {
-                LidarModel::Any => ModelChoice::FromPackets,
-                LidarModel::Vlp32c => ModelChoice::Expect(Model::Vlp32c),
-                LidarModel::Vlp16 => ModelChoice::Expect(Model::Vlp16),
-                LidarModel::Hdl32e => ModelChoice::Expect(Model::Hdl32e),
-            },
-            // A float cast saturates, and a whole turn is none.
-            cut_azimuth_centideg: (self.cut_azimuth_deg.rem_euclid(360.0) * 100.0) as u16 % 36_000,
-            ..DecoderConfig::default()
+    /// How its packets are read; the file of beam angles is.
+    pub(crate) fn decoder(&self) -> Result<Settings, Error> {
+        let refused = |problem: String| Error::LidarSettings {
+            lidar: self.name.clone(),
+            problem,
+        };
+        let model = match self.model.as_str() {
+            ANY => None,
+            name => Some(Model::from_key(name).ok_or_else(|| {
+                let known: Vec<String> = Model::all().into_iter().map(Model::key).collect();
+                refused(format!(
+                    "model = {name:?} is none of {ANY}, {}",
+                    known.join(", ")
+                ))
+            })?),
+        };
+        if self.force_returns.is_some() && model.is_none() {
+            let problem = "force_returns needs the model that the packets are of";
+            return Err(refused(problem.to_owned()));
         }
+        let angles = match &self.angles {
+            Some(path) => {
+                let text = std::fs::read_to_string(path).map_err(|cause| Error::Io {
+                    path: path.clone(),
+                    cause,
+                })?;
+                let named = |error| refused(format!("{}: {error}", path.display()));
+                Some(BeamAngles::parse_csv(&text).map_err(named)?)
+            }
+            None => None,
+        };
+        Ok(Settings {
+            model,
+            scans: ScanSettings {
+                force_returns: self.force_returns.map(|returns| match returns {
+                    LidarReturns::Strongest => Returns::Strongest,
+                    LidarReturns::Last => Returns::Last,
+                    LidarReturns::Dual => Returns::Dual,
+                }),
+                // A float cast saturates, and a whole turn is none.
+                cut_azimuth_centideg: (self.cut_azimuth_deg.rem_euclid(360.0) * 100.0) as u16
+                    % 36_000,
+                angles,
+            },
+        })
     }
 }

@@ -3,18 +3,22 @@
 mod lidar;
 
 use std::collections::BTreeSet;
+use std::marker::PhantomData;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-use lsfb_drivers::camera::model::FrameFormat;
-use lsfb_drivers::camera::{self, CameraConfig, Exposure};
+use lsfb_drivers::mynt_s::{self, CameraConfig, Exposure};
+use lsfb_drivers::transport::uvc::FrameFormat;
+use lsfb_geometry::MAIN_IMU;
 use lsfb_recording::{Compression, Durability, Existing};
 use lsfb_types::Bounds;
-use serde::{Deserialize, Serialize};
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{MapAccess, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::Error;
 
-pub use lidar::{LidarModel, LidarNetConfig, LidarReturns, LidarSettingsConfig};
+pub use lidar::{LidarNetConfig, LidarReturns, LidarSettingsConfig};
 
 /// What happens to a message when the writer's queue is full.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -37,15 +41,60 @@ pub struct DevicesConfig {
     pub overflow: Overflow,
     /// Files, disks, queue.
     pub recorder: RecorderConfig,
-    /// Velodyne sensor.
-    pub lidar: Option<LidarNetConfig>,
+    /// LiDARs; one alone may be written `[lidar]`, several are `[[lidar]]`.
+    #[serde(rename = "lidar", deserialize_with = "one_or_many")]
+    pub lidars: Vec<LidarNetConfig>,
     /// Mynt units: together they form the camera group.
     #[serde(rename = "camera")]
     pub cameras: Vec<CameraUnitConfig>,
-    /// The rig's IMU.
-    pub imu: Option<ImuLineConfig>,
+    /// IMUs; one alone may be written `[imu]`, several are `[[imu]]`.
+    #[serde(rename = "imu", deserialize_with = "one_or_many")]
+    pub imus: Vec<ImuLineConfig>,
     /// Phones and glasses.
     pub sidecar: Option<SidecarConfig>,
+}
+
+/// Reads one table, or an array of them.
+fn one_or_many<'de, D, T>(deserializer: D) -> Result<Vec<T>, D::Error>
+where
+    D: Deserializer<'de>,
+    T: Deserialize<'de>,
+{
+    struct Tables<T>(PhantomData<T>);
+
+    impl<'de, T: Deserialize<'de>> Visitor<'de> for Tables<T> {
+        type Value = Vec<T>;
+
+        fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+            f.write_str("a table or an array of tables")
+        }
+
+        fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Self::Value, A::Error> {
+            T::deserialize(MapAccessDeserializer::new(map)).map(|one| vec![one])
+        }
+
+        fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<Self::Value, A::Error> {
+            let mut many = Vec::new();
+            while let Some(next) = seq.next_element()? {
+                many.push(next);
+            }
+            Ok(many)
+        }
+    }
+    deserializer.deserialize_any(Tables(PhantomData))
+}
+
+/// What is kept of a LiDAR.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LidarData {
+    /// Packets as received, and the clouds made of them.
+    #[default]
+    Both,
+    /// Packets alone: less on the disk, and clouds are made of them again when the recording is replayed.
+    Packets,
+    /// Clouds alone: firings without an echo are gone.
+    Clouds,
 }
 
 /// How recordings are kept.
@@ -58,6 +107,8 @@ pub struct RecorderConfig {
     pub durability: Durability,
     /// What happens to a recording of the same name.
     pub existing: Existing,
+    /// What is kept of LiDARs.
+    pub lidar_data: LidarData,
     /// Largest size of a chunk before compression, bytes.
     pub chunk_bytes: u64,
     /// A new file after this many bytes; 0 never.
@@ -83,6 +134,7 @@ impl Default for RecorderConfig {
             compression: Compression::default(),
             durability: Durability::default(),
             existing: Existing::Refuse,
+            lidar_data: LidarData::Both,
             chunk_bytes: 4 << 20,
             split_bytes: 0,
             split_secs: 0.0,
@@ -100,6 +152,7 @@ lsfb_types::bounds! {
         compression: any,
         durability: any,
         existing: any,
+        lidar_data: any,
         chunk_bytes: number(Bounds::AT_LEAST_ONE),
         split_bytes: any,
         split_secs: number(Bounds::NOT_NEGATIVE),
@@ -245,16 +298,16 @@ impl CameraUnitConfig {
     }
 
     /// How its frames are read.
-    pub(crate) fn decoder(&self) -> camera::DecoderConfig {
-        camera::DecoderConfig {
+    pub(crate) fn decoder(&self) -> mynt_s::DecoderConfig {
+        mynt_s::DecoderConfig {
             format: self.format(),
             cameras: self.names.len() as u32,
             stamp: match self.stamp {
-                StampInstant::ExposureStart => camera::StampInstant::ExposureStart,
-                StampInstant::ExposureMiddle => camera::StampInstant::ExposureMiddle,
-                StampInstant::ExposureEnd => camera::StampInstant::ExposureEnd,
+                StampInstant::ExposureStart => mynt_s::StampInstant::ExposureStart,
+                StampInstant::ExposureMiddle => mynt_s::StampInstant::ExposureMiddle,
+                StampInstant::ExposureEnd => mynt_s::StampInstant::ExposureEnd,
             },
-            ..camera::DecoderConfig::default()
+            ..mynt_s::DecoderConfig::default()
         }
     }
 }
@@ -274,10 +327,13 @@ pub enum ImuFamily {
     MyntD,
 }
 
-/// The rig's IMU.
+/// An IMU on a line or bus of its own.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ImuLineConfig {
+    /// Its name in the recording and in the rig.
+    #[serde(default = "ImuLineConfig::default_name")]
+    pub name: String,
     /// What it speaks.
     #[serde(default)]
     pub family: ImuFamily,
@@ -293,16 +349,21 @@ pub struct ImuLineConfig {
 
 lsfb_types::bounds! {
     ImuLineConfig {
+        name: any,
         family: any,
         path: any,
-        baud: number(Bounds::AT_LEAST_ONE),
+        baud: number(Bounds::NOT_NEGATIVE),
         rate_hz: number(Bounds::AT_LEAST_ONE),
     }
 }
 
 impl ImuLineConfig {
+    fn default_name() -> String {
+        MAIN_IMU.to_owned()
+    }
+
     fn default_baud() -> u32 {
-        lsfb_drivers::imu::model::DEFAULT_BAUD
+        lsfb_drivers::xsens::model::DEFAULT_BAUD
     }
 
     fn default_rate() -> u16 {
@@ -323,9 +384,9 @@ lsfb_types::bounds! {
         rig: any,
         overflow: any,
         recorder: section,
-        lidar: any,
+        lidars: any,
         cameras: sections,
-        imu: sections,
+        imus: sections,
         sidecar: any,
     }
 }
@@ -352,10 +413,19 @@ impl DevicesConfig {
             *second = folder.join(&*second);
         }
         // A CAN interface is no file.
-        if let Some(imu) = &mut config.imu
-            && imu.family != ImuFamily::Sbg
+        for imu in config
+            .imus
+            .iter_mut()
+            .filter(|imu| imu.family != ImuFamily::Sbg)
         {
             imu.path = folder.join(&imu.path);
+        }
+        for angles in config
+            .lidars
+            .iter_mut()
+            .filter_map(|lidar| lidar.angles.as_mut())
+        {
+            *angles = folder.join(&*angles);
         }
         Ok(config)
     }
@@ -376,6 +446,46 @@ impl DevicesConfig {
                 continue;
             };
             return Err(Error::Cameras { names, problem });
+        }
+        self.check_names()
+    }
+
+    /// Refuses devices of one name, names that are no parts of topics, and LiDARs that would take each other's packets.
+    fn check_names(&self) -> Result<(), Error> {
+        let units = self.cameras.iter();
+        let inside = units.flat_map(|unit| unit.names.iter().chain(&unit.imu));
+        let lidars = self.lidars.iter().map(|lidar| &lidar.name);
+        let names = inside
+            .chain(lidars)
+            .chain(self.imus.iter().map(|imu| &imu.name));
+        let mut known = BTreeSet::new();
+        for name in names {
+            let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '_';
+            let problem = if name.is_empty() || !name.chars().all(is_plain) {
+                "a name is made of letters, digits and underscores"
+            } else if !known.insert(name) {
+                "two devices have this name"
+            } else {
+                continue;
+            };
+            return Err(Error::DeviceName {
+                name: name.clone(),
+                problem,
+            });
+        }
+        for (index, lidar) in self.lidars.iter().enumerate() {
+            let takes_same = |other: &&LidarNetConfig| {
+                let ports = [lidar.data, lidar.position];
+                [other.data, other.position]
+                    .iter()
+                    .any(|port| port.port() != 0 && ports.contains(port))
+            };
+            if let Some(other) = self.lidars[..index].iter().find(takes_same) {
+                return Err(Error::LidarPorts {
+                    first: other.name.clone(),
+                    second: lidar.name.clone(),
+                });
+            }
         }
         Ok(())
     }
@@ -399,8 +509,8 @@ impl DevicesConfig {
             .sum();
         let part = |there: bool, rate: f64| if there { rate } else { 0.0 };
         cameras
-            + part(self.lidar.is_some(), LIDAR)
-            + part(self.imu.is_some(), IMU)
+            + self.lidars.len() as f64 * LIDAR
+            + self.imus.len() as f64 * IMU
             + part(self.sidecar.is_some(), SIDECAR)
     }
 
@@ -419,7 +529,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("devices.toml");
         let config = DevicesConfig {
-            lidar: Some(LidarNetConfig::default()),
+            lidars: vec![LidarNetConfig::default()],
             cameras: vec![CameraUnitConfig {
                 stamp: StampInstant::ExposureEnd,
                 exposure: ExposureConfig::Manual {
@@ -438,6 +548,38 @@ mod tests {
             message.contains("devices.toml: line 2: ")
                 && message.contains("rpm")
                 && message.lines().count() == 1,
+            "{message}"
+        );
+    }
+
+    #[test]
+    fn one_lidar_is_a_table_several_are_an_array_and_they_keep_apart() {
+        let read = |text: &str| toml::from_str::<DevicesConfig>(text).unwrap();
+        let one = read("[lidar]\nmodel = 'vlp-16'\n[imu]\npath = 'imu'\n");
+        assert_eq!(
+            (one.lidars.len(), one.lidars[0].name.as_str()),
+            (1, "lidar")
+        );
+        assert_eq!((one.imus.len(), one.imus[0].name.as_str()), (1, "imu0"));
+        let two = read(
+            "[[lidar]]\n[[lidar]]\nname = 'lidar_rear'\ndata = '0.0.0.0:2369'\nposition = '0.0.0.0:8309'\n",
+        );
+        assert!(two.check_names().is_ok());
+        assert_eq!(read(&two.to_toml()), two);
+        let problem = |text: &str| read(text).check_names().unwrap_err().to_string();
+        let message = problem("[[lidar]]\n[[lidar]]\nname = 'lidar_rear'\n");
+        assert!(
+            message.contains("lidar and lidar_rear listen on one port"),
+            "{message}"
+        );
+        let message = problem("[[lidar]]\n[[lidar]]\n");
+        assert!(
+            message.contains("lidar: two devices have this name"),
+            "{message}"
+        );
+        let message = problem("[lidar]\nname = 'rear/left'\n");
+        assert!(
+            message.contains("letters, digits and underscores"),
             "{message}"
         );
     }

@@ -4,10 +4,10 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use lsfb_recording::{RecordedCalibration, Recording};
-use lsfb_types::Timestamp;
+use lsfb_types::{Finding, Limit, Timestamp, Verdict};
 use serde::Serialize;
 
-use super::{DoctorConfig, Findings, Verdict};
+use super::{DoctorConfig, Findings};
 use crate::Error;
 
 const DAY_SECS: f64 = 86_400.0;
@@ -56,13 +56,14 @@ impl Findings {
         let found = match recording.calibration() {
             Ok(found) => found,
             Err(error) => {
-                self.add("rig", Verdict::Warn, error.to_string(), "attached");
+                let finding = Finding::new("rig", Verdict::Warn, "rig", error.to_string());
+                self.add(finding.remedy("name one where it is needed: `--rig rig.toml`"));
                 return Ok(None);
             }
         };
         let cameras = found.rig.cameras.len();
         let text = format!("{:?} with {cameras} cameras", found.rig.name);
-        self.add("rig", Verdict::Pass, text, "");
+        self.add(Finding::new("rig", Verdict::Pass, "rig", text));
         let found = CalibrationFound::new(found, recording.end_time()?);
         self.age(&found, config);
         if let Some(stated) = &found.stated_sha256
@@ -73,42 +74,42 @@ impl Findings {
                 short(stated),
                 short(&found.sha256)
             );
-            self.add("calibration", Verdict::Warn, text, "the hash of the rig");
+            self.add(Finding::new(
+                "calibration-hash",
+                Verdict::Warn,
+                "calibration",
+                text,
+            ));
         }
         self.parts(recording, &found);
         Ok(Some(found))
     }
 
     fn age(&mut self, found: &CalibrationFound, config: &DoctorConfig) {
-        let most = config.warn_calibration_days;
-        let threshold = format!("at most {most} days from the recording");
+        let limit = Limit::AtMost(config.warn_calibration_days);
         let hash = short(&found.sha256);
-        let (verdict, text) = match found.age_days {
-            None if found.calibrated_unix_s.is_none() => (
-                Verdict::Warn,
-                format!(
-                    "{hash}, made nobody knows when: `lsfb calib` writes calibrated_unix_s into the rig, or write it there yourself"
-                ),
-            ),
-            None => (
-                Verdict::Pass,
-                format!("{hash}; nothing was measured to compare its age with"),
-            ),
-            Some(days) => {
-                let side = if days < 0.0 { "after" } else { "before" };
-                let mut text = format!(
-                    "{hash}, calibrated {:.1} days {side} the end of this recording",
-                    days.abs()
-                );
-                if days.abs() <= most {
-                    (Verdict::Pass, text)
-                } else {
-                    text += ": see whether it still fits with `lsfb calib verify`";
-                    (Verdict::Warn, text)
-                }
-            }
+        let finding = |verdict, text| Finding::new("calibration-age", verdict, "calibration", text);
+        if found.calibrated_unix_s.is_none() {
+            let text = format!("{hash}, calibrated at an unknown time");
+            let remedy = "calibrate with `lsfb calib`, which writes calibrated_unix_s into the rig, or write it there yourself";
+            return self.add(finding(Verdict::Warn, text).remedy(remedy));
+        }
+        let Some(days) = found.age_days else {
+            let text = format!("{hash}; nothing was measured to compare its age with");
+            return self.add(finding(Verdict::Unknown, text));
         };
-        self.add("calibration", verdict, text, &threshold);
+        let text = match days.abs() {
+            age if age < 1.0 => format!("{hash}, calibrated within a day of this recording"),
+            age => format!(
+                "{hash}, calibrated {age:.1} days {} the end of this recording",
+                if days < 0.0 { "after" } else { "before" }
+            ),
+        };
+        let verdict = Verdict::Warn.unless(limit.holds(days.abs()));
+        let finding = finding(verdict, text)
+            .value(days.abs(), "days")
+            .limit(limit);
+        self.add(finding.remedy("see whether it still fits with `lsfb calib verify`"));
     }
 
     /// Whether the parts of the recording that lie beside this one carry the same calibration.
@@ -123,18 +124,17 @@ impl Findings {
             None => Some(format!("{} carries none", part.name)),
         };
         let others: Vec<String> = parts.iter().filter_map(other).collect();
-        let (verdict, text) = if others.is_empty() {
-            let text = format!("the same in all {} parts that lie here", parts.len() + 1);
-            (Verdict::Pass, text)
-        } else {
-            let text = format!(
-                "{} here, but {}: work on each part with the rig that was on the device then",
-                short(&found.sha256),
-                others.join(", ")
-            );
-            (Verdict::Warn, text)
+        let finding = |verdict, text| {
+            Finding::new("calibration-parts", verdict, "calibration of parts", text)
         };
-        self.add("calibration of parts", verdict, text, "one hash");
+        self.add(if others.is_empty() {
+            let text = format!("the same in all {} parts found here", parts.len() + 1);
+            finding(Verdict::Pass, text)
+        } else {
+            let text = format!("{} here, but {}", short(&found.sha256), others.join(", "));
+            finding(Verdict::Warn, text)
+                .remedy("work on each part with the rig that was on the device then")
+        });
     }
 }
 

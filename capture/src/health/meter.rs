@@ -3,9 +3,10 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use super::expected::{Expected, Part};
 use super::{DeviceHealth, Ending, Level, StreamReport, SyncState};
 
-/// A device that was heard and is silent for this long has a problem.
+/// A device of which nothing in particular is expected has a problem when it was heard and is silent for this long.
 const SILENT: Duration = Duration::from_millis(1_500);
 /// More of a frame than this at full white blinds the features.
 const SATURATED_SHARE: f64 = 0.2;
@@ -14,16 +15,19 @@ const SIGMA_US: f64 = 500.0;
 
 /// Shared by a device's thread, which writes, and the monitor, which reads.
 #[derive(Clone, Debug)]
-pub(crate) struct Meter(Arc<Mutex<State>>);
+pub(crate) struct Meter(Arc<Mutex<MeterState>>);
 
 #[derive(Debug)]
-struct State {
+struct MeterState {
     report: StreamReport,
     connected: bool,
+    /// Nothing is expected of it any more, or for the time being.
+    left: bool,
     ended: bool,
     last_heard: Option<Instant>,
     longest_gap: Duration,
-    last_seen: Seen,
+    parts: Vec<Part>,
+    last_reading: LastReading,
     sync: SyncState,
     clock_steps: u32,
     exposure_ms: Option<f64>,
@@ -33,21 +37,31 @@ struct State {
 
 /// The state at the last reading.
 #[derive(Debug)]
-struct Seen {
+struct LastReading {
     at: Instant,
     received: u64,
     lost: u64,
 }
 
 impl Meter {
+    /// For a device of which nothing in particular is expected.
     pub(crate) fn new(name: &str) -> Self {
-        Self(Arc::new(Mutex::new(State {
+        Self::expecting(name, Vec::new())
+    }
+
+    /// For a device that sends these all the time.
+    pub(crate) fn expecting(name: &str, expected: Vec<Expected>) -> Self {
+        let now = Instant::now();
+        let parts = expected.into_iter().map(|part| Part::new(part, now));
+        Self(Arc::new(Mutex::new(MeterState {
             report: StreamReport::new(name),
             connected: true,
+            left: false,
             ended: false,
             last_heard: None,
             longest_gap: Duration::ZERO,
-            last_seen: Seen {
+            parts: parts.collect(),
+            last_reading: LastReading {
                 at: Instant::now(),
                 received: 0,
                 lost: 0,
@@ -60,7 +74,7 @@ impl Meter {
         })))
     }
 
-    fn lock(&self) -> MutexGuard<'_, State> {
+    fn lock(&self) -> MutexGuard<'_, MeterState> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -75,14 +89,59 @@ impl Meter {
         state.connected = true;
     }
 
+    /// So many of a part of it came; a part that nobody expects is passed over.
+    pub(crate) fn heard_part(&self, name: &str, count: u64) {
+        let mut state = self.lock();
+        let now = Instant::now();
+        if let Some(part) = state.parts.iter_mut().find(|part| part.name() == name) {
+            part.hear(count, now);
+        }
+    }
+
+    /// Looks at what is expected; asked several times a second. What is wrong with the first part that something is wrong
+    /// with.
+    pub(crate) fn watch(&self) -> Option<String> {
+        let mut state = self.lock();
+        if state.ended || !state.connected {
+            return None;
+        }
+        let now = Instant::now();
+        state.parts.iter_mut().for_each(|part| part.watch(now));
+        state.parts.iter().find_map(|part| part.problem(now))
+    }
+
     /// The counts changed though nothing arrived.
     pub(crate) fn count(&self, report: &StreamReport) {
         self.lock().take_counts(report);
     }
 
-    /// The device's thread has ended, and this is its report.
-    pub(crate) fn end(&self, report: &StreamReport) {
+    /// The device's thread has ended, and this is its report; what stayed away is added to it.
+    pub(crate) fn end(&self, report: &mut StreamReport) {
         let mut state = self.lock();
+        let now = Instant::now();
+        let by_itself = report.ending == Ending::EndOfStream;
+        // A device that was never heard, or is gone, is lost as a whole.
+        if report.received > 0 && !matches!(report.ending, Ending::Lost(_)) {
+            for part in &mut state.parts {
+                part.finish(by_itself, now);
+            }
+        }
+        report.silences = state.parts.iter().map(Part::silences).sum();
+        report.slowdowns = state.parts.iter().map(Part::slowdowns).sum();
+        for part in &state.parts {
+            let (silences, slowdowns) = (part.silences(), part.slowdowns());
+            if silences > 0 {
+                report.notes.push(format!(
+                    "{silences} times no {} for more than a second",
+                    part.name()
+                ));
+            }
+            if slowdowns > 0 {
+                report
+                    .notes
+                    .push(format!("{slowdowns} times far too few {}", part.name()));
+            }
+        }
         state.take_counts(report);
         state.ended = true;
         state.connected = !matches!(report.ending, Ending::Lost(_));
@@ -90,7 +149,11 @@ impl Meter {
 
     /// The device is gone, or back.
     pub(crate) fn set_connected(&self, is: Connection) {
-        self.lock().connected = is == Connection::There;
+        let mut state = self.lock();
+        state.connected = is != Connection::Gone;
+        state.left = is == Connection::Left;
+        let now = Instant::now();
+        state.parts.iter_mut().for_each(|part| part.restart(now));
     }
 
     /// Whose clock its stamps follow, and how often that was set since the beginning.
@@ -121,10 +184,13 @@ impl Meter {
         let now = Instant::now();
         let silence = state.last_heard.map_or(Duration::ZERO, |last| now - last);
         let gap = state.longest_gap.max(silence);
-        let secs = (now - state.last_seen.at).as_secs_f64().max(1e-3);
+        let secs = (now - state.last_reading.at).as_secs_f64().max(1e-3);
         let report = &state.report;
-        let lost = report.bad + report.missing + report.dropped + report.interruptions;
-        let (level, problem) = state.judge(silence, lost);
+        let stayed_away = report.silences + report.slowdowns;
+        let lost =
+            report.bad + report.missing + report.dropped + report.interruptions + stayed_away;
+        let parts = state.parts.iter().map(|part| part.health(now)).collect();
+        let (level, problem) = state.judge(silence, lost, now);
         let health = DeviceHealth {
             name: report.name.clone(),
             level,
@@ -136,14 +202,15 @@ impl Meter {
             missing: report.missing,
             duplicated: report.duplicated,
             dropped: report.dropped,
-            rate_hz: report.received.saturating_sub(state.last_seen.received) as f64 / secs,
+            rate_hz: report.received.saturating_sub(state.last_reading.received) as f64 / secs,
             gap_secs: gap.as_secs_f64(),
+            parts,
             sync: state.sync,
             exposure_ms: state.exposure_ms,
             saturated_share: state.saturated_share,
             temperature_celsius: state.temperature_celsius,
         };
-        state.last_seen = Seen {
+        state.last_reading = LastReading {
             at: now,
             received: health.received,
             lost,
@@ -158,9 +225,11 @@ impl Meter {
 pub(crate) enum Connection {
     There,
     Gone,
+    /// It said goodbye and may come back.
+    Left,
 }
 
-impl State {
+impl MeterState {
     fn take_counts(&mut self, report: &StreamReport) {
         let own = &mut self.report;
         own.received = report.received;
@@ -170,22 +239,29 @@ impl State {
         own.duplicated = report.duplicated;
         own.dropped = report.dropped;
         own.interruptions = report.interruptions;
+        own.silences = report.silences;
+        own.slowdowns = report.slowdowns;
     }
 
     /// The worst that can be said.
-    fn judge(&self, silence: Duration, lost: u64) -> (Level, String) {
+    fn judge(&self, silence: Duration, lost: u64, now: Instant) -> (Level, String) {
         if !self.connected {
             return (Level::Error, "gone: check its cable and power".to_owned());
+        }
+        if !self.ended
+            && let Some(problem) = self.parts.iter().find_map(|part| part.problem(now))
+        {
+            return (Level::Error, problem);
         }
         if self.last_heard.is_none() {
             return (Level::Warn, "has sent nothing yet".to_owned());
         }
-        if silence > SILENT && !self.ended {
+        if self.parts.is_empty() && silence > SILENT && !self.ended && !self.left {
             let secs = silence.as_secs_f64();
             return (Level::Error, format!("silent for {secs:.1} s"));
         }
-        if lost > self.last_seen.lost {
-            let now = lost - self.last_seen.lost;
+        if lost > self.last_reading.lost {
+            let now = lost - self.last_reading.lost;
             return (Level::Error, format!("{now} lost just now, {lost} in all"));
         }
         if let Some(share) = self.saturated_share.filter(|s| *s > SATURATED_SHARE) {
@@ -210,10 +286,13 @@ impl State {
             );
         }
         if self.clock_steps > 0 {
-            let times = self.clock_steps;
+            let times = match self.clock_steps {
+                1 => "once".to_owned(),
+                times => format!("{times} times"),
+            };
             return (
                 Level::Warn,
-                format!("its clock, or this machine's, was set {times} times: its time may be off"),
+                format!("its clock, or this machine's, jumped {times}: its time may be off"),
             );
         }
         match lost {

@@ -1,4 +1,5 @@
-//! Twice a second: what the devices and the disk are doing, to whoever asked and into the recording.
+//! Twice a second, and at once when something falls silent: what the devices and the disk are doing, to whoever asked and into
+//! the recording.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -6,14 +7,18 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use lsfb_recording::message::{self, HealthValue};
 use lsfb_types::Timestamp;
 
-use super::{HealthFeed, Level, Meter, Snapshot, StorageHealth, StreamReport, SyncState};
+use super::{
+    DeviceHealth, HealthFeed, Level, Meter, Snapshot, StorageHealth, StreamReport, SyncState,
+};
 use crate::config::DevicesConfig;
-use crate::recorder::{Entry, Inlet, OwnMessage, Recorder, Shared, free_bytes_of};
+use crate::recorder::{Entry, Inlet, OwnMessage, Recorder, Shared, WritingProgress, free_bytes_of};
 
 /// Twice a second, so that nothing is shown later than one second after it happened.
 const PERIOD: Duration = Duration::from_millis(500);
 /// Weight of the last period in the rate that tells when the disk is full.
 const RATE_WEIGHT: f64 = 0.1;
+/// Share of the highest rate so far that is forgotten each period, as long as every device sends.
+const RATE_FORGOTTEN: f64 = 0.01;
 /// The measured rate is believed from here on.
 const RATE_KNOWN_AFTER: Duration = Duration::from_secs(5);
 /// An operator should know that the disk fills up in ten minutes.
@@ -28,6 +33,8 @@ pub(crate) struct Monitor {
     began: Instant,
     last: Option<Instant>,
     meters: Vec<Meter>,
+    /// Which of them had a problem when they were looked at last.
+    alarmed: Vec<bool>,
     shared: Shared,
     inlet: Inlet,
     feed: HealthFeed,
@@ -36,6 +43,8 @@ pub(crate) struct Monitor {
     expected_bytes_per_sec: f64,
     last_written_bytes: u64,
     rate_bytes_per_sec: Option<f64>,
+    /// What is written when every device sends: a device that fell silent makes no room on the disk, since it may come back.
+    full_rate_bytes_per_sec: f64,
     own: StreamReport,
 }
 
@@ -53,9 +62,10 @@ impl Monitor {
         Self {
             began: Instant::now(),
             last: None,
+            alarmed: vec![false; meters.len()],
             meters,
             shared: recorder.shared(),
-            inlet: recorder.inlet().impatient(),
+            inlet: recorder.inlet().dropping(),
             feed,
             folders: [folder]
                 .into_iter()
@@ -65,18 +75,24 @@ impl Monitor {
             expected_bytes_per_sec,
             last_written_bytes: 0,
             rate_bytes_per_sec: None,
+            full_rate_bytes_per_sec: 0.0,
             own: StreamReport::new("health"),
         }
     }
 
-    /// Call this often; it works when it is time.
+    /// Call this often; it works when it is time, or when something new is wrong.
     pub(crate) fn tick(&mut self) {
         let now = Instant::now();
         let since = self.last.unwrap_or(self.began);
-        if now - since < PERIOD {
-            return;
+        let alarmed: Vec<bool> = self.meters.iter().map(|m| m.watch().is_some()).collect();
+        let is_new = alarmed
+            .iter()
+            .zip(&self.alarmed)
+            .any(|(is, was)| *is && !*was);
+        self.alarmed = alarmed;
+        if is_new || now - since >= PERIOD {
+            self.tell(now, now - since);
         }
-        self.tell(now, now - since);
     }
 
     /// The last word.
@@ -96,13 +112,14 @@ impl Monitor {
     fn snapshot(&mut self, since_last: Duration) -> Snapshot {
         let devices: Vec<_> = self.meters.iter().map(Meter::read).collect();
         let progress = self.shared.progress();
-        let storage = self.storage(since_last);
+        let storage = self.storage(&progress, since_last);
         let lost = progress.lost
             + progress.groups.incomplete
             + devices
                 .iter()
                 .map(|d| d.bad + d.missing + d.dropped)
-                .sum::<u64>();
+                .sum::<u64>()
+            + progress.displaced.len() as u64;
         let level = devices
             .iter()
             .map(|d| d.level)
@@ -120,26 +137,33 @@ impl Monitor {
         }
     }
 
-    fn storage(&mut self, since_last: Duration) -> StorageHealth {
-        let progress = self.shared.progress();
+    fn storage(&mut self, progress: &WritingProgress, since_last: Duration) -> StorageHealth {
         let grown = progress
             .written_bytes
             .saturating_sub(self.last_written_bytes);
         self.last_written_bytes = progress.written_bytes;
         let rate = grown as f64 / since_last.as_secs_f64().max(1e-3);
+        // A period that an alarm cut short says less.
+        let weight = RATE_WEIGHT * (since_last.as_secs_f64() / PERIOD.as_secs_f64()).min(1.0);
         let smooth = self
             .rate_bytes_per_sec
-            .map_or(rate, |last| last + RATE_WEIGHT * (rate - last));
+            .map_or(rate, |last| last + weight * (rate - last));
         self.rate_bytes_per_sec = Some(smooth);
+        let all_send = !self.alarmed.contains(&true);
+        if all_send {
+            self.full_rate_bytes_per_sec *= 1.0 - RATE_FORGOTTEN;
+        }
+        self.full_rate_bytes_per_sec = self.full_rate_bytes_per_sec.max(smooth);
         let free = free_bytes_of(&self.folders, self.reserve_bytes);
         // At first nobody knows better than the list of devices.
         let rate = if self.began.elapsed() < RATE_KNOWN_AFTER {
             self.expected_bytes_per_sec
         } else {
-            smooth
+            self.full_rate_bytes_per_sec
         };
         let secs_to_full = (rate > 1.0).then(|| free as f64 / rate);
         let (level, problem) = match secs_to_full {
+            _ if !progress.displaced.is_empty() => (Level::Error, progress.displaced.join("; ")),
             Some(secs) if secs < ERROR_SECS => {
                 (Level::Error, format!("the disk is full in {secs:.0} s"))
             }
@@ -205,12 +229,22 @@ impl Monitor {
                     self.put(time, quantity, &device.name, level, value, text);
                 }
             }
+            self.record_parts(time, device);
         }
         let storage = &snapshot.storage;
         let secs = storage.secs_to_full.unwrap_or(-1.0);
         self.put(time, "space", "disk", storage.level, secs, &storage.problem);
         let queued = storage.queued_bytes as f64;
         self.put(time, "queue", "disk", storage.level, queued, "");
+    }
+
+    /// The rate of each part under the device's name and its own: `lidar/data`.
+    fn record_parts(&mut self, time: Timestamp, device: &DeviceHealth) {
+        for part in &device.parts {
+            let name = format!("{}/{}", device.name, part.name);
+            self.put(time, "rate", &name, part.level, part.rate_hz, &part.problem);
+            self.put(time, "gap", &name, part.level, part.silent_secs, "");
+        }
     }
 
     fn put(

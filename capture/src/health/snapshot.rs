@@ -75,6 +75,8 @@ pub struct DeviceHealth {
     pub rate_hz: f64,
     /// Longest silence since the last snapshot, the one that goes on included, seconds.
     pub gap_secs: f64,
+    /// What it is expected to send all the time, part by part.
+    pub parts: Vec<PartHealth>,
     /// Whose clock its stamps follow.
     pub sync: SyncState,
     /// Exposure time of the last frame, milliseconds.
@@ -83,6 +85,23 @@ pub struct DeviceHealth {
     pub saturated_share: Option<f64>,
     /// Temperature, °C.
     pub temperature_celsius: Option<f64>,
+}
+
+/// One thing that a device is expected to send all the time.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct PartHealth {
+    /// Its name: `data`, `position`, `images`, `samples`, the name of an IMU.
+    pub name: String,
+    /// How bad it is, and `problem` says why.
+    pub level: Level,
+    /// What is wrong; empty where nothing is.
+    pub problem: String,
+    /// How many came in the last second, hertz.
+    pub rate_hz: f64,
+    /// How many should: by the list of devices, or by its first seconds; `None` before.
+    pub nominal_hz: Option<f64>,
+    /// How long it has been silent, seconds.
+    pub silent_secs: f64,
 }
 
 /// The disk and the way to it.
@@ -132,7 +151,7 @@ pub struct Snapshot {
     pub level: Level,
 }
 
-/// Where [`Snapshot`]s come from: twice a second while a session runs. Bounded and lossy: no subscriber ever slows the
+/// Where [`Snapshot`]s come from: twice a second while a session runs, and at once when something falls silent. Bounded and lossy: no subscriber ever slows the
 /// recorder. Clones share their subscribers.
 #[derive(Clone, Debug, Default)]
 pub struct HealthFeed {

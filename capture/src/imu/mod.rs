@@ -1,4 +1,4 @@
-//! The IMU's thread: packets → readings → samples on the recording's clock.
+//! An IMU's thread: packets → readings → samples on the recording's clock.
 
 mod unit;
 
@@ -10,17 +10,26 @@ use lsfb_types::{Packet, Stamped, Timestamp};
 use crate::clock::model_topic::{self, ModelTopic};
 use crate::clock::{OneWayClock, Unwrap};
 use crate::config::{ImuFamily, ImuLineConfig};
-use crate::health::{Ending, Meter, StreamReport};
+use crate::control::Control;
+use crate::health::{Ending, Expected, Meter, StreamReport};
 use crate::recorder::{Entry, Inlet, WriterGone};
-use crate::session::Control;
 
 pub(crate) use unit::ImuUnit;
 use unit::{ImuDecoder, Reading};
 
 /// After all other devices have ended, a unit on a bus that is silent for this long has ended too.
 const SILENT: Duration = Duration::from_millis(500);
-/// Name of the backpack's IMU in topics.
-pub(crate) const IMU: &str = "imu0";
+/// What it sends all the time.
+const SAMPLES: &str = "samples";
+
+/// What a unit sends all the time; only some are told how often.
+pub(crate) fn expected(line: &ImuLineConfig) -> Vec<Expected> {
+    let is_told = matches!(line.family, ImuFamily::Xsens | ImuFamily::Microstrain);
+    vec![Expected::required(
+        SAMPLES,
+        is_told.then(|| line.rate_hz.into()),
+    )]
+}
 
 struct Clock {
     unwrap: Unwrap,
@@ -31,13 +40,13 @@ struct Clock {
 }
 
 impl Clock {
-    fn new(family: ImuFamily) -> Self {
+    fn new(name: &str, family: ImuFamily) -> Self {
         let counter = family.counter();
         Self {
             unwrap: Unwrap::default(),
             counter,
             one_way: OneWayClock::ticking(counter.tick_ns),
-            model: ModelTopic::new(IMU, counter.tick_ns, counter.period_ticks.cast_unsigned()),
+            model: ModelTopic::new(name, counter.tick_ns, counter.period_ticks.cast_unsigned()),
             without_utc: 0,
         }
     }
@@ -87,7 +96,7 @@ pub(crate) fn record(
     control: &Control,
     meter: &Meter,
 ) -> StreamReport {
-    let mut stream = ImuStream::new(line.config.family, meter);
+    let mut stream = ImuStream::new(&line.config, meter);
     let is_silent_at_its_end = line.config.family == ImuFamily::Sbg;
     let mut last_heard = Instant::now();
     stream.report.ending = loop {
@@ -133,6 +142,7 @@ pub(crate) fn record(
 }
 
 pub(crate) struct ImuStream {
+    name: String,
     family: ImuFamily,
     decoder: ImuDecoder,
     clock: Clock,
@@ -140,11 +150,13 @@ pub(crate) struct ImuStream {
 }
 
 impl ImuStream {
-    pub(crate) fn new(family: ImuFamily, meter: &Meter) -> Self {
+    pub(crate) fn new(config: &ImuLineConfig, meter: &Meter) -> Self {
+        let family = config.family;
         Self {
+            name: config.name.clone(),
             family,
             decoder: ImuDecoder::new(family),
-            clock: Clock::new(family),
+            clock: Clock::new(&config.name, family),
             report: meter.report(),
         }
     }
@@ -159,7 +171,7 @@ impl ImuStream {
         let readings = self.decoder.push(&packet);
         let time = packet.arrival;
         let raw = Entry::Raw {
-            source: IMU.to_owned(),
+            source: self.name.clone(),
             kind: self.family.raw_kind(),
             sequence: self.report.received,
             packet,
@@ -198,6 +210,7 @@ impl ImuStream {
                 continue;
             };
             self.report.decoded += 1;
+            meter.heard_part(SAMPLES, 1);
             let sample = Stamped {
                 time,
                 arrival: reading.arrival,
@@ -205,7 +218,7 @@ impl ImuStream {
                 sample,
             };
             let entry = Entry::Imu {
-                imu: IMU.to_owned(),
+                imu: self.name.clone(),
                 sample,
             };
             inlet.put(entry, &mut self.report)?;

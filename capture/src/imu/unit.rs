@@ -2,12 +2,12 @@
 
 use std::time::Duration;
 
-use lsfb_drivers::imu::model::SAMPLE_TIME_FINE_NS;
-use lsfb_drivers::imu::{self, ImuConfig, XsensImu};
 use lsfb_drivers::microstrain::{self, MipConfig, MipImu};
 use lsfb_drivers::mynt_d::{self, MyntDConfig, MyntDImu, MyntDReading};
 use lsfb_drivers::sbg::{self, SbgConfig, SbgImu};
 use lsfb_drivers::transport::PacketSource;
+use lsfb_drivers::xsens::model::SAMPLE_TIME_FINE_NS;
+use lsfb_drivers::xsens::{self, ImuConfig, XsensImu};
 use lsfb_drivers::{Decoded, Error};
 use lsfb_types::{ImuSample, Packet, Timestamp};
 
@@ -121,7 +121,7 @@ pub(super) struct Tally {
 /// Packets in, readings out.
 #[derive(Debug)]
 pub(super) enum ImuDecoder {
-    Xsens(imu::Decoder),
+    Xsens(xsens::Decoder),
     Microstrain(microstrain::Decoder),
     Sbg(sbg::Decoder),
     MyntD(mynt_d::Decoder),
@@ -130,7 +130,7 @@ pub(super) enum ImuDecoder {
 impl ImuDecoder {
     pub(super) fn new(family: ImuFamily) -> Self {
         match family {
-            ImuFamily::Xsens => Self::Xsens(imu::Decoder::new(imu::DecoderConfig::default())),
+            ImuFamily::Xsens => Self::Xsens(xsens::Decoder::new(xsens::DecoderConfig::default())),
             ImuFamily::Microstrain => Self::Microstrain(microstrain::Decoder::new()),
             ImuFamily::Sbg => Self::Sbg(sbg::Decoder::new()),
             ImuFamily::MyntD => Self::MyntD(mynt_d::Decoder::new()),
@@ -235,7 +235,7 @@ impl ImuDecoder {
     }
 }
 
-fn of_xsens(decoded: Decoded<imu::ImuReading>) -> Reading {
+fn of_xsens(decoded: Decoded<xsens::ImuReading>) -> Reading {
     let reading = &decoded.sample;
     let utc = reading.utc_ns.map(Timestamp::from_nanos);
     with(&decoded, reading.sample, utc, reading.temperature_celsius)

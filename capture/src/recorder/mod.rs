@@ -1,6 +1,7 @@
 //! The bounded queue between the devices and the one thread that writes.
 
 mod disk_sync;
+mod displacement;
 mod latency;
 mod parts;
 mod space;
@@ -13,16 +14,16 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use lsfb_drivers::phone::Receipt;
 use lsfb_geometry::Rig;
-use lsfb_recording::message::{self, Schema};
-use lsfb_recording::{Attachment, LAST_STAMP, Summary};
-use lsfb_types::{Image, ImuSample, LidarScan, Packet, Stamped, Timestamp};
+use lsfb_recording::Summary;
 
+use crate::Error;
 use crate::config::{Overflow, RecorderConfig};
-use crate::sync::{Group, GroupReport, Groups};
-use crate::tap::Spout;
-use crate::{Error, StreamReport};
+use crate::report::{CaptureReport, StreamReport};
+use crate::sync::{GroupReport, Groups};
+use crate::tap::TapSender;
+
+pub(crate) use crate::entry::{Entry, OwnMessage};
 
 pub(crate) use space::{check as check_space, free_bytes_of};
 
@@ -30,161 +31,6 @@ pub(crate) use space::{check as check_space, free_bytes_of};
 const QUEUE_ENTRIES: usize = 8_192;
 /// How often a device that may wait looks whether there is room.
 const ROOM_POLL: Duration = Duration::from_millis(1);
-/// What a queued entry takes beside its payload.
-const ENTRY_BYTES: u64 = 256;
-/// Bytes of a point in memory.
-const POINT_BYTES: u64 = 24;
-
-/// One thing to be recorded.
-pub(crate) enum Entry {
-    /// An image and the trailer it came with.
-    Image {
-        camera: String,
-        image: Stamped<Image>,
-        trailer: Vec<u8>,
-    },
-    /// An inertial sample.
-    Imu {
-        imu: String,
-        sample: Stamped<ImuSample>,
-    },
-    /// A revolution: its packets as received, and the points.
-    Scan {
-        scan: Stamped<LidarScan>,
-        packets: Vec<Packet>,
-    },
-    /// Packets that completed no scan.
-    Packets {
-        time: Timestamp,
-        packets: Vec<Packet>,
-    },
-    /// Bytes as received.
-    Raw {
-        source: String,
-        /// The driver's numbering of its traffic.
-        kind: u16,
-        sequence: u64,
-        packet: Packet,
-        time: Timestamp,
-    },
-    /// A ready-made message of a sidecar.
-    Cdr {
-        topic: String,
-        schema_name: String,
-        schema_text: String,
-        time: Timestamp,
-        arrival: Timestamp,
-        bytes: Vec<u8>,
-        /// Given back when the message is in the file.
-        receipt: Option<Receipt>,
-    },
-    /// A message of a sidecar that is not recorded; its sender may forget it when those before it are in the file.
-    Skipped(Receipt),
-    /// A file for this part and all that follow.
-    Attachment(Attachment),
-    /// The rig of a device that brings its own.
-    Rig { owner: String, rig: Box<Rig> },
-    /// What the recorder says itself.
-    Own(OwnMessage),
-    /// How a device's clock is read; repeated at the start of each part.
-    ClockModel { device: String, message: OwnMessage },
-    /// What became of the devices: the last entry.
-    Ended(Vec<StreamReport>),
-}
-
-impl Entry {
-    /// Memory it holds, about.
-    fn bytes(&self) -> u64 {
-        let payload = match self {
-            Self::Image { image, trailer, .. } => image.sample.pixels.len() + trailer.len(),
-            Self::Scan { scan, packets } => {
-                return ENTRY_BYTES
-                    + packets.iter().map(packet_bytes).sum::<u64>()
-                    + scan.sample.points.len() as u64 * POINT_BYTES;
-            }
-            Self::Packets { packets, .. } => {
-                return ENTRY_BYTES + packets.iter().map(packet_bytes).sum::<u64>();
-            }
-            Self::Raw { packet, .. } => packet.bytes.len(),
-            Self::Cdr { bytes, .. } => bytes.len(),
-            Self::Attachment(attachment) => attachment.bytes.len(),
-            Self::Own(message) | Self::ClockModel { message, .. } => message.bytes.len(),
-            Self::Imu { .. } | Self::Skipped(_) | Self::Rig { .. } | Self::Ended(_) => 0,
-        };
-        payload as u64 + ENTRY_BYTES
-    }
-}
-
-/// Stamps of an entry that may be those of a device.
-struct Stamps<'a> {
-    time: &'a mut Timestamp,
-    arrival: Timestamp,
-}
-
-impl Entry {
-    fn stamps(&mut self) -> Option<Stamps<'_>> {
-        let (time, arrival) = match self {
-            Self::Image { image, .. } => (&mut image.time, image.arrival),
-            Self::Imu { sample, .. } => (&mut sample.time, sample.arrival),
-            Self::Scan { scan, .. } => (&mut scan.time, scan.arrival),
-            Self::Raw { time, packet, .. } => (time, packet.arrival),
-            Self::Cdr { time, arrival, .. } => (time, *arrival),
-            Self::Own(message) | Self::ClockModel { message, .. } => {
-                (&mut message.time, message.arrival)
-            }
-            Self::Packets { .. }
-            | Self::Skipped(_)
-            | Self::Attachment(_)
-            | Self::Rig { .. }
-            | Self::Ended(_) => return None,
-        };
-        Some(Stamps { time, arrival })
-    }
-
-    /// Gives a time that no recording can hold up for that of arrival: one device that names an impossible year must not
-    /// end the recording of all. The time that was given up.
-    fn give_up_impossible_time(&mut self) -> Option<Timestamp> {
-        let can_be_written = |time: Timestamp| (Timestamp::default()..=LAST_STAMP).contains(&time);
-        let Stamps { time, arrival } = self.stamps()?;
-        if can_be_written(*time) || !can_be_written(arrival) {
-            return None;
-        }
-        Some(std::mem::replace(time, arrival))
-    }
-}
-
-fn packet_bytes(packet: &Packet) -> u64 {
-    packet.bytes.len() as u64 + 32
-}
-
-/// A message of the recorder's own.
-#[derive(Clone, Debug)]
-pub(crate) struct OwnMessage {
-    pub(crate) topic: String,
-    pub(crate) schema: Schema,
-    pub(crate) time: Timestamp,
-    pub(crate) arrival: Timestamp,
-    pub(crate) bytes: Vec<u8>,
-}
-
-impl OwnMessage {
-    fn camera_group(group: &Group) -> Self {
-        let content = message::CameraGroup {
-            trigger: group.trigger,
-            expected: group.expected,
-            present: group.present,
-            missing: group.missing.join(" "),
-        };
-        Self {
-            topic: lsfb_recording::CAMERA_GROUPS.to_owned(),
-            schema: message::CAMERA_GROUP,
-            time: group.time,
-            arrival: group.arrival,
-            bytes: message::encode_camera_group(group.time, "rig", &content),
-        }
-    }
-}
-
 /// An entry on its way.
 pub(crate) struct Queued {
     entry: Entry,
@@ -200,6 +46,8 @@ pub(crate) struct WritingProgress {
     pub(crate) part: PathBuf,
     pub(crate) groups: GroupReport,
     pub(crate) lost: u64,
+    /// What became of files that were taken away while they were written.
+    pub(crate) displaced: Vec<String>,
     pub(crate) write_p99_ms: f64,
 }
 
@@ -249,12 +97,12 @@ pub(crate) struct Inlet {
     shared: Shared,
     limit_bytes: u64,
     overflow: Overflow,
-    tap: Option<Spout>,
+    tap: Option<TapSender>,
 }
 
 impl Inlet {
     /// For a device whose protocol makes the other side wait, so that nothing ever needs to be dropped.
-    pub(crate) fn patient(&self) -> Self {
+    pub(crate) fn waiting(&self) -> Self {
         Self {
             overflow: Overflow::Wait,
             ..self.clone()
@@ -262,7 +110,7 @@ impl Inlet {
     }
 
     /// For what may be missing rather than make anybody wait.
-    pub(crate) fn impatient(self) -> Self {
+    pub(crate) fn dropping(self) -> Self {
         Self {
             overflow: Overflow::Drop,
             ..self
@@ -270,7 +118,7 @@ impl Inlet {
     }
 
     /// Lets a live view look at what passes.
-    pub(crate) fn tapped(self, tap: Option<Spout>) -> Self {
+    pub(crate) fn tapped(self, tap: Option<TapSender>) -> Self {
         Self { tap, ..self }
     }
 
@@ -334,6 +182,7 @@ pub(crate) struct Written {
     pub(crate) groups: GroupReport,
     pub(crate) lost: u64,
     pub(crate) failure: Option<String>,
+    pub(crate) warnings: Vec<String>,
     pub(crate) write_p99_ms: f64,
     pub(crate) write_longest_ms: f64,
 }
@@ -344,6 +193,23 @@ impl Written {
         for part in &self.parts {
             // Somebody else may have been faster.
             let _ = std::fs::remove_file(&part.path);
+        }
+    }
+
+    pub(crate) fn report(self, out: &Path, streams: Vec<StreamReport>) -> CaptureReport {
+        CaptureReport {
+            path: out.to_owned(),
+            parts: self.parts.iter().map(|p| p.path.clone()).collect(),
+            bytes: self.parts.iter().map(|p| p.bytes).sum(),
+            messages: self.parts.iter().map(|p| p.messages).sum(),
+            streams,
+            groups: self.groups,
+            // A recording that ended by itself has lost what came after, however much that is.
+            lost: self.lost + u64::from(self.failure.is_some()),
+            failure: self.failure,
+            warnings: self.warnings,
+            write_p99_ms: self.write_p99_ms,
+            write_longest_ms: self.write_longest_ms,
         }
     }
 }
@@ -398,7 +264,7 @@ impl Recorder {
         let ended = Entry::Ended(streams.to_vec());
         let _ = self
             .inlet
-            .patient()
+            .waiting()
             .put(ended, &mut StreamReport::default());
         drop(self.inlet);
         join("recorder", self.thread)?

@@ -8,12 +8,15 @@ use lsfb_geometry::Rig;
 use lsfb_recording::{Summary, Writer, WriterConfig};
 
 use super::disk_sync::DiskSync;
+use super::displacement::Displacement;
 use super::space;
 use crate::Error;
-use crate::config::RecorderConfig;
+use crate::config::{LidarData, RecorderConfig};
 
 /// How often the disk is asked how much room it has.
 const SPACE_PERIOD: Duration = Duration::from_millis(200);
+/// How often it is looked whether the file is still where it was made.
+const PLACE_PERIOD: Duration = Duration::from_millis(500);
 
 /// Why a part ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,6 +25,8 @@ pub(crate) enum Turn {
     Split,
     /// Its disk is nearly full.
     LowSpace,
+    /// The file is not where it was made: removed, renamed, or its disk is gone.
+    Displaced,
 }
 
 /// The open file and those before it.
@@ -30,6 +35,8 @@ pub(crate) struct Parts {
     config: RecorderConfig,
     writer: Writer,
     rig: Option<Rig>,
+    /// Rigs of sidecars, by device.
+    sidecars: BTreeMap<String, Rig>,
     /// Attachments that every part carries, by name.
     attachments: BTreeMap<String, (String, Vec<u8>)>,
     finished: Vec<Summary>,
@@ -37,6 +44,7 @@ pub(crate) struct Parts {
     began: Instant,
     on_second: bool,
     space_checked: Instant,
+    place_checked: Instant,
     sync: DiskSync,
 }
 
@@ -53,12 +61,14 @@ impl Parts {
             config: config.clone(),
             writer,
             rig,
+            sidecars: BTreeMap::new(),
             attachments: BTreeMap::new(),
             finished: Vec::new(),
             number: 1,
             began: Instant::now(),
             on_second: false,
             space_checked: Instant::now(),
+            place_checked: Instant::now(),
             sync,
         };
         parts.introduce()?;
@@ -98,6 +108,17 @@ impl Parts {
         Ok(())
     }
 
+    /// Says where the sensors of a sidecar are, in this part and in all that follow.
+    pub(crate) fn place_sidecar(&mut self, device: String, rig: Rig) {
+        self.writer.place_sidecar(&device, &rig);
+        self.sidecars.insert(device, rig);
+    }
+
+    /// What is kept of LiDARs.
+    pub(crate) fn lidar_data(&self) -> LidarData {
+        self.config.lidar_data
+    }
+
     /// Attaches a file to this part and to all that follow.
     pub(crate) fn attach(
         &mut self,
@@ -130,6 +151,20 @@ impl Parts {
         None
     }
 
+    /// What became of the open file where it is no longer what its path leads to; asked again and again, it looks twice a second.
+    pub(crate) fn displaced(&mut self) -> Option<Displacement> {
+        if self.place_checked.elapsed() < PLACE_PERIOD {
+            return None;
+        }
+        self.place_checked = Instant::now();
+        self.displaced_now()
+    }
+
+    /// The same, looking in any case.
+    pub(crate) fn displaced_now(&self) -> Option<Displacement> {
+        Displacement::of(&self.path(), self.writer.file().ok()?.metadata().ok()?)
+    }
+
     /// Whether there is another disk to go on with.
     pub(crate) fn can_move(&self) -> bool {
         self.config.second_folder.is_some() && !self.on_second
@@ -141,6 +176,23 @@ impl Parts {
         let last = std::mem::replace(&mut self.writer, next);
         self.finished.push(last.finish()?);
         self.introduce()
+    }
+
+    /// Goes on in another file after this one was taken away; it is closed where it is. How many messages are in it.
+    pub(crate) fn leave_displaced(&mut self) -> Result<u64, Error> {
+        let next = self.open_next(Turn::Displaced)?;
+        let last = std::mem::replace(&mut self.writer, next);
+        let messages = match last.finish() {
+            Ok(summary) => {
+                let messages = summary.messages;
+                self.finished.push(summary);
+                messages
+            }
+            // Its disk is gone, and what it held.
+            Err(_) => 0,
+        };
+        self.introduce()?;
+        Ok(messages)
     }
 
     /// Goes on behind a part whose disk failed; what it holds is closed as far as the disk allows.
@@ -168,9 +220,17 @@ impl Parts {
     }
 
     fn open_next(&mut self, turn: Turn) -> Result<Writer, Error> {
-        self.on_second |= turn == Turn::LowSpace;
-        let (number, previous) = (self.number + 1, self.path());
-        let path = path_of(&self.out, number, self.folder_override());
+        let previous = self.path();
+        // A file that was taken away may be followed by its whole disk.
+        self.on_second |= turn == Turn::LowSpace
+            || turn == Turn::Displaced && self.config.second_folder.is_some();
+        let mut number = self.number + 1;
+        let mut path = path_of(&self.out, number, self.folder_override());
+        // Whoever moved files may have put others there; nobody may be made to choose a name now.
+        while turn == Turn::Displaced && path.exists() {
+            number += 1;
+            path = path_of(&self.out, number, self.folder_override());
+        }
         super::make_folder(&path)?;
         let writer = open(&path, &self.config, number, Some(&previous))?;
         self.number = number;
@@ -189,6 +249,9 @@ impl Parts {
     fn introduce(&mut self) -> Result<(), Error> {
         if let Some(rig) = &self.rig {
             self.writer.attach_rig(rig)?;
+        }
+        for (device, rig) in &self.sidecars {
+            self.writer.place_sidecar(device, rig);
         }
         for (name, (media_type, bytes)) in &self.attachments {
             self.writer.attach(name, media_type, bytes)?;

@@ -1,17 +1,20 @@
 //! The thread that writes.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-use lsfb_drivers::phone::Receipt;
-use lsfb_recording::Channel;
+use lsfb_drivers::sidecar::Receipt;
+use lsfb_recording::{Channel, Summary};
 
+use super::displacement::Displacement;
 use super::latency::Latencies;
 use super::parts::{Parts, Turn};
 use super::{Entry, OwnMessage, Queued, Shared, WritingProgress, Written};
 use crate::Error;
-use crate::health::{HealthAttachment, StreamReport};
+use crate::config::LidarData;
+use crate::report::{HealthAttachment, StreamReport};
 use crate::sync::{Group, Groups};
 
 /// An open chunk goes to the file after this. Large images close theirs at once and take along what waited, but they come every
@@ -34,11 +37,16 @@ pub(super) struct Writing {
     clock_models: BTreeMap<String, OwnMessage>,
     lost: u64,
     failure: Option<String>,
+    displaced: Vec<String>,
+    /// The first message of a sidecar that could not be written.
+    refused: Option<String>,
+    lidar_data: LidarData,
 }
 
 impl Writing {
     pub(super) fn new(parts: Parts, groups: Groups, shared: Shared) -> Self {
         Self {
+            lidar_data: parts.lidar_data(),
             parts,
             groups,
             streams: Vec::new(),
@@ -49,6 +57,8 @@ impl Writing {
             clock_models: BTreeMap::new(),
             lost: 0,
             failure: None,
+            displaced: Vec::new(),
+            refused: None,
         }
     }
 
@@ -66,7 +76,9 @@ impl Writing {
                 Err(RecvTimeoutError::Timeout) => Ok(()),
                 Err(RecvTimeoutError::Disconnected) => break,
             };
-            let done = done.and_then(|()| self.flush_when_due());
+            let done = done
+                .and_then(|()| self.flush_when_due())
+                .and_then(|()| self.keep_in_place());
             if let Err(error) = done {
                 self.recover_from(error)?;
             }
@@ -122,13 +134,7 @@ impl Writing {
 
     /// Everything noted so far is in the file.
     fn written(&mut self) -> Result<(), Error> {
-        let now = Instant::now();
-        for at in self.waiting.drain(..) {
-            self.latencies.add(now.saturating_duration_since(at));
-        }
-        for receipt in self.receipts.drain(..) {
-            receipt.acknowledge();
-        }
+        self.settle();
         let turn = self.parts.turn();
         match turn {
             None => {}
@@ -145,6 +151,49 @@ impl Writing {
         }
         self.show();
         Ok(())
+    }
+
+    /// Looks whether the file is still where it was made, and goes on in another where it is not.
+    fn keep_in_place(&mut self) -> Result<(), Error> {
+        let Some(displacement) = self.parts.displaced() else {
+            return Ok(());
+        };
+        self.parts.writer().flush()?;
+        self.settle();
+        match self.parts.leave_displaced() {
+            Ok(messages) => {
+                let next = self.parts.path();
+                self.report_displaced(&displacement, messages, Some(&next));
+                self.introduce()?;
+            }
+            Err(error) => {
+                self.report_displaced(&displacement, 0, None);
+                self.failure = Some(error.to_string());
+            }
+        }
+        self.show();
+        Ok(())
+    }
+
+    fn report_displaced(
+        &mut self,
+        displacement: &Displacement,
+        messages: u64,
+        next: Option<&Path>,
+    ) {
+        self.displaced.push(displacement.sentence(messages, next));
+        self.lost += displacement.lost(messages);
+    }
+
+    /// What waited is in the file.
+    fn settle(&mut self) {
+        let now = Instant::now();
+        for at in self.waiting.drain(..) {
+            self.latencies.add(now.saturating_duration_since(at));
+        }
+        for receipt in self.receipts.drain(..) {
+            receipt.acknowledge();
+        }
     }
 
     /// What a new part must know from its beginning on.
@@ -186,6 +235,7 @@ impl Writing {
         let decided = self.groups.finish();
         let mut groups = decided.report;
         let failed = self.failure.is_some();
+        let displacement = self.parts.displaced_now();
         if !failed {
             for group in &decided.groups {
                 self.write_group(group)?;
@@ -215,11 +265,26 @@ impl Writing {
             self.receipts.iter().for_each(Receipt::acknowledge);
             parts
         };
+        let mut warnings = self.displaced;
+        let mut lost = lost;
+        if let Some(displacement) = displacement {
+            // Too late to go on elsewhere.
+            let messages = parts.last().map_or(0, |part: &Summary| part.messages);
+            warnings.push(displacement.sentence(messages, None));
+            lost += displacement.lost(messages);
+        }
+        warnings.extend(self.refused);
+        // A file that has no name is none.
+        let parts = parts
+            .into_iter()
+            .filter(|part| part.path.exists())
+            .collect();
         Ok(Written {
             parts,
             groups,
             lost,
             failure: self.failure,
+            warnings,
             write_p99_ms: self.latencies.quantile_ms(0.99),
             write_longest_ms: self.latencies.longest_ms(),
         })
@@ -244,13 +309,29 @@ impl Writing {
                 }
             }
             Entry::Imu { imu, sample } => self.parts.writer().write_imu(&imu, &sample)?,
-            Entry::Scan { scan, packets } => {
+            Entry::Scan {
+                lidar,
+                scan,
+                packets,
+            } => {
                 let writer = self.parts.writer();
-                writer.write_velodyne_packets(scan.time, &packets)?;
-                writer.write_scan(&scan)?;
+                if self.lidar_data != LidarData::Clouds {
+                    writer.write_lidar_packets(&lidar, scan.time, &packets)?;
+                }
+                if self.lidar_data != LidarData::Packets {
+                    writer.write_scan(&lidar, &scan)?;
+                }
             }
-            Entry::Packets { time, packets } => {
-                self.parts.writer().write_velodyne_packets(time, &packets)?;
+            Entry::Packets {
+                lidar,
+                time,
+                packets,
+            } => {
+                if self.lidar_data != LidarData::Clouds {
+                    self.parts
+                        .writer()
+                        .write_lidar_packets(&lidar, time, &packets)?;
+                }
             }
             Entry::Raw {
                 source,
@@ -276,9 +357,13 @@ impl Writing {
                     schema_name: &schema_name,
                     schema_text: &schema_text,
                 };
-                self.parts
+                let written = self
+                    .parts
                     .writer()
-                    .write_cdr(&channel, time, arrival, &bytes)?;
+                    .write_cdr(&channel, time, arrival, &bytes);
+                if let Err(error) = written {
+                    self.refuse(error)?;
+                }
                 return Ok(receipt);
             }
             Entry::Skipped(receipt) => return Ok(Some(receipt)),
@@ -290,8 +375,12 @@ impl Writing {
                 let name = format!("sidecar/{owner}/rig.toml");
                 self.parts
                     .attach(&name, "application/toml", rig.to_toml().as_bytes())?;
+                self.parts.place_sidecar(owner, *rig);
             }
-            Entry::Rig { rig, .. } => self.parts.attach_rig(*rig)?,
+            Entry::Rig { owner, rig } => {
+                self.parts.attach_rig((*rig).clone())?;
+                self.parts.place_sidecar(owner, *rig);
+            }
             Entry::Own(message) => self.write_own(&message)?,
             Entry::ClockModel { device, message } => {
                 self.write_own(&message)?;
@@ -300,6 +389,17 @@ impl Writing {
             Entry::Ended(streams) => self.streams = streams,
         }
         Ok(None)
+    }
+
+    /// Leaves out one message that cannot be written (another schema on its topic, say): whoever sent it must not end the
+    /// recording of all. A disk that failed is another matter.
+    fn refuse(&mut self, error: lsfb_recording::Error) -> Result<(), Error> {
+        if matches!(error, lsfb_recording::Error::WriterFailed { .. }) {
+            return Err(error.into());
+        }
+        self.lost += 1;
+        self.refused.get_or_insert_with(|| error.to_string());
+        Ok(())
     }
 
     fn write_own(&mut self, message: &OwnMessage) -> Result<(), Error> {
@@ -328,6 +428,7 @@ impl Writing {
             part: path,
             groups,
             lost: self.lost,
+            displaced: self.displaced.clone(),
             write_p99_ms: self.latencies.quantile_ms(0.99),
         });
     }

@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
 use lsfb_capture::health::{DeviceHealth, Level, Snapshot, SyncState};
-use lsfb_drivers::phone::ClientConfig;
+use lsfb_drivers::sidecar::ClientConfig;
 use lsfb_drivers::transport::http::{HttpListener, HttpRequest};
 use lsfb_drivers::velodyne::settings::{SensorInfo, SensorStatus, Settings, Switch};
 use lsfb_drivers::velodyne::wire::{PpsStatus, ReturnMode};
@@ -27,7 +27,11 @@ pub(super) fn wait_until(what: &str, mut happened: impl FnMut() -> bool) {
 }
 
 /// Runs a session until `enough` has happened.
-fn run_until(session: Session, out: &Path, enough: impl FnMut() -> bool) -> CaptureReport {
+pub(super) fn run_until(
+    session: Session,
+    out: &Path,
+    enough: impl FnMut() -> bool,
+) -> CaptureReport {
     let stop = AtomicBool::new(false);
     std::thread::scope(|scope| {
         let running = std::thread::Builder::new()
@@ -51,13 +55,13 @@ fn health_is_told_and_recorded_and_the_units_own_imu_too() {
         ..unit(&front, ["cam0", "cam1"])
     };
     let config = DevicesConfig {
-        lidar: Some(LidarNetConfig {
+        lidars: vec![LidarNetConfig {
             data: LOOPBACK,
             position: LOOPBACK,
             ..LidarNetConfig::default()
-        }),
+        }],
         cameras: vec![with_imu],
-        imu: Some(line(&imu.path)),
+        imus: vec![line(&imu.path)],
         ..anywhere()
     };
     let session = Session::open(&config).unwrap();
@@ -157,7 +161,7 @@ fn a_unit_that_is_unplugged_and_comes_back_goes_on_and_is_counted() {
     let imu = mock::imu(None, &[]);
     let config = DevicesConfig {
         cameras: vec![unit(&front, ["cam0", "cam1"])],
-        imu: Some(line(&imu.path)),
+        imus: vec![line(&imu.path)],
         ..anywhere()
     };
     let session = Session::open(&config).unwrap();
@@ -304,7 +308,7 @@ fn the_lidar_is_set_as_asked_before_it_is_recorded_and_a_refusal_is_found_out() 
 
     let refused = |config: &DevicesConfig| Session::open(config).err().unwrap().to_string();
     let mut other = config.clone();
-    let settings = other.lidar.as_mut().and_then(|l| l.settings.as_mut());
+    let settings = other.lidars.first_mut().and_then(|l| l.settings.as_mut());
     settings.unwrap().rpm = Some(900);
     page.sensor
         .lock()
@@ -315,7 +319,7 @@ fn the_lidar_is_set_as_asked_before_it_is_recorded_and_a_refusal_is_found_out() 
         error.contains("was set to rpm=900 and reads rpm=1200"),
         "{error}"
     );
-    let settings = other.lidar.as_mut().and_then(|l| l.settings.as_mut());
+    let settings = other.lidars.first_mut().and_then(|l| l.settings.as_mut());
     settings.unwrap().rpm = Some(910);
     let error = refused(&other);
     assert!(error.contains("rpm cannot be `910`"), "{error}");

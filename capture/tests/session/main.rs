@@ -7,6 +7,9 @@
 
 mod live;
 mod mock;
+mod output;
+mod phones;
+mod silent;
 mod steps;
 
 use std::net::SocketAddr;
@@ -19,8 +22,8 @@ use lsfb_capture::{
     LidarNetConfig, Overflow, RecorderConfig, ReplayConfig, Session, SidecarConfig, StreamReport,
     Tapped, replay_recording,
 };
-use lsfb_drivers::camera::wire::DeviceInfo;
-use lsfb_recording::message::{Remark, decode_remark};
+use lsfb_drivers::mynt_s::wire::DeviceInfo;
+use lsfb_recording::message::{self, Remark, decode_remark};
 use lsfb_recording::{Channel, LIDAR_POSITION, REMARKS, Recording, Writer, WriterConfig};
 use lsfb_types::{Packet, Timestamp, no_progress, until};
 use mock::{CAMERA_PERIOD_NS, Farewell, IMU_PERIOD_NS, START_NS};
@@ -34,6 +37,7 @@ fn unit(path: &Path, names: [&str; 2]) -> CameraUnitConfig {
 
 fn line(path: &Path) -> ImuLineConfig {
     ImuLineConfig {
+        name: "imu0".to_owned(),
         family: ImuFamily::Xsens,
         path: path.to_owned(),
         baud: 921_600,
@@ -79,16 +83,16 @@ fn every_packet_of_every_device_is_in_the_recording() {
     let imu = mock::imu(Some(SAMPLES), &[]);
     let config = DevicesConfig {
         overflow: Overflow::Wait,
-        lidar: Some(LidarNetConfig {
+        lidars: vec![LidarNetConfig {
             data: LOOPBACK,
             position: LOOPBACK,
             ..LidarNetConfig::default()
-        }),
+        }],
         cameras: vec![
             unit(&front, ["cam0", "cam1"]),
             unit(&rear, ["cam2", "cam3"]),
         ],
-        imu: Some(line(&imu.path)),
+        imus: vec![line(&imu.path)],
         sidecar: Some(SidecarConfig { listen: LOOPBACK }),
         ..anywhere()
     };
@@ -271,10 +275,11 @@ fn a_unit_of_another_family_is_recorded_too() {
     let imu = mock::microstrain(SAMPLES);
     let config = DevicesConfig {
         overflow: Overflow::Wait,
-        imu: Some(ImuLineConfig {
+        imus: vec![ImuLineConfig {
+            name: "imu0".to_owned(),
             family: ImuFamily::Microstrain,
             ..line(&imu.path)
-        }),
+        }],
         ..anywhere()
     };
     let out = folder.path().join("scan.mcap");
@@ -316,13 +321,13 @@ fn stopped_session() -> Duration {
     let unit_thread = mock::stereo_unit(&front, 0, None, Farewell::Sudden);
     let imu = mock::imu(None, &[]);
     let config = DevicesConfig {
-        lidar: Some(LidarNetConfig {
+        lidars: vec![LidarNetConfig {
             data: LOOPBACK,
             position: LOOPBACK,
             ..LidarNetConfig::default()
-        }),
+        }],
         cameras: vec![unit(&front, ["cam0", "cam1"])],
-        imu: Some(line(&imu.path)),
+        imus: vec![line(&imu.path)],
         sidecar: Some(SidecarConfig { listen: LOOPBACK }),
         ..anywhere()
     };
@@ -384,16 +389,16 @@ fn devices_that_go_away_send_garbage_or_nothing_are_named_and_the_rest_goes_on()
     let imu = mock::imu(Some(1_000), &[0xFA, 0xFF, 0x36, 0x04, 1, 2, 3, 4, 5]);
     let config = DevicesConfig {
         overflow: Overflow::Wait,
-        lidar: Some(LidarNetConfig {
+        lidars: vec![LidarNetConfig {
             data: LOOPBACK,
             position: LOOPBACK,
             ..LidarNetConfig::default()
-        }),
+        }],
         cameras: vec![
             unit(&front, ["cam0", "cam1"]),
             unit(&rear, ["cam2", "cam3"]),
         ],
-        imu: Some(line(&imu.path)),
+        imus: vec![line(&imu.path)],
         ..anywhere()
     };
     let out = folder.path().join("scan.mcap");
@@ -425,18 +430,90 @@ fn devices_that_go_away_send_garbage_or_nothing_are_named_and_the_rest_goes_on()
     assert_eq!(recording.imu().unwrap().count(), 1_000);
 }
 
+/// Two LiDARs and two IMUs have topics of their own, and nobody else's packets come into a cloud.
+#[test]
+fn lidars_and_imus_are_recorded_by_name_and_strangers_kept_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let imus = [mock::imu(Some(600), &[]), mock::imu(Some(300), &[])];
+    let lidar = |name: &str| LidarNetConfig {
+        name: name.to_owned(),
+        data: LOOPBACK,
+        position: LOOPBACK,
+        ..LidarNetConfig::default()
+    };
+    let config = DevicesConfig {
+        overflow: Overflow::Wait,
+        lidars: vec![lidar("lidar"), lidar("lidar_rear")],
+        imus: vec![
+            line(&imus[0].path),
+            ImuLineConfig {
+                name: "imu1".to_owned(),
+                ..line(&imus[1].path)
+            },
+        ],
+        ..anywhere()
+    };
+    let session = Session::open(&config).unwrap();
+    let addresses = session.lidar_addresses();
+    let sensor = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+    let stranger = std::net::UdpSocket::bind("127.0.0.2:0").unwrap();
+    for n in 0..300 {
+        sensor
+            .send_to(&mock::lidar_packet(n), addresses[0])
+            .unwrap();
+        // The same model, a third of a turn apart.
+        stranger
+            .send_to(&mock::lidar_packet(n + 50), addresses[0])
+            .unwrap();
+        stranger
+            .send_to(&mock::lidar_packet(n + 20), addresses[2])
+            .unwrap();
+    }
+    let out = folder.path().join("scan.mcap");
+    let report = run(session, &out);
+    imus.into_iter().for_each(|imu| imu.thread.join().unwrap());
+    let notes = stream(&report, "lidar").notes.join("\n");
+    assert!(
+        notes.contains("VLP-32C at 127.0.0.1, returns: strongest"),
+        "{notes}"
+    );
+    assert!(
+        notes.contains("300 packets of 127.0.0.2 were kept out: another LiDAR"),
+        "{notes}"
+    );
+    let notes = stream(&report, "lidar_rear").notes.join("\n");
+    assert!(
+        notes.contains("VLP-32C at 127.0.0.2") && !notes.contains("kept out"),
+        "{notes}"
+    );
+    assert_eq!(stream(&report, "imu1").decoded, 300);
+    let recording = Recording::open(&out).unwrap();
+    for (name, first) in [("lidar", 0), ("lidar_rear", 20)] {
+        let packets = recording.packets(&format!("{name}/packets")).unwrap();
+        let packets: Vec<_> = packets.map(|p| p.unwrap().packet.bytes).collect();
+        assert_eq!(
+            (packets.len(), &packets[0]),
+            (300, &mock::lidar_packet(first)),
+            "{name}"
+        );
+        assert!(recording.scans_of(name).unwrap().count() >= 2, "{name}");
+    }
+    assert_eq!(recording.main_lidar(), "lidar");
+    assert_eq!(recording.imu().unwrap().count(), 600);
+}
+
 #[test]
 fn lost_and_strange_datagrams_are_counted_and_kept() {
     let folder = tempfile::tempdir().unwrap();
     let imu = mock::imu(Some(600), &[]);
     let config = DevicesConfig {
         overflow: Overflow::Wait,
-        lidar: Some(LidarNetConfig {
+        lidars: vec![LidarNetConfig {
             data: LOOPBACK,
             position: LOOPBACK,
             ..LidarNetConfig::default()
-        }),
-        imu: Some(line(&imu.path)),
+        }],
+        imus: vec![line(&imu.path)],
         ..anywhere()
     };
     let session = Session::open(&config).unwrap();
@@ -478,7 +555,7 @@ fn a_recording_of_a_process_that_was_killed_opens() {
     let folder = tempfile::tempdir().unwrap();
     let imu = mock::imu(None, &[]);
     let config = DevicesConfig {
-        imu: Some(line(&imu.path)),
+        imus: vec![line(&imu.path)],
         ..anywhere()
     };
     let session = Session::open(&config).unwrap();
@@ -514,7 +591,7 @@ fn a_blocked_tap_loses_nothing_in_the_recording() {
     let config = DevicesConfig {
         overflow: Overflow::Wait,
         cameras: vec![unit(&front, ["cam0", "cam1"])],
-        imu: Some(line(&imu.path)),
+        imus: vec![line(&imu.path)],
         ..anywhere()
     };
     let mut session = Session::open(&config).unwrap();
@@ -548,7 +625,7 @@ fn remarks_go_into_the_recording_that_runs() {
     let imu = mock::imu(Some(2_000), &[]);
     let config = DevicesConfig {
         overflow: Overflow::Wait,
-        imu: Some(line(&imu.path)),
+        imus: vec![line(&imu.path)],
         ..anywhere()
     };
     let mut session = Session::open(&config).unwrap();
@@ -576,6 +653,26 @@ fn remarks_go_into_the_recording_that_runs() {
     assert!(late.contains("has ended"), "{late}");
 }
 
+/// A `velodyne_msgs/msg/VelodyneScan` as ROS serialises it.
+fn velodyne_scan(packets: &[&Packet]) -> Vec<u8> {
+    let stamp = |bytes: &mut Vec<u8>, time: Timestamp| {
+        let (secs, nanos) = (time.nanos() / 1_000_000_000, time.nanos() % 1_000_000_000);
+        bytes.extend((secs as u32).to_le_bytes());
+        bytes.extend((nanos as u32).to_le_bytes());
+    };
+    let mut bytes = vec![0, 1, 0, 0];
+    stamp(&mut bytes, packets[0].arrival);
+    bytes.extend(9_u32.to_le_bytes());
+    bytes.extend(b"velodyne\0\0\0\0");
+    bytes.extend((packets.len() as u32).to_le_bytes());
+    for packet in packets {
+        bytes.resize(bytes.len().next_multiple_of(4), 0);
+        stamp(&mut bytes, packet.arrival);
+        bytes.extend(&packet.bytes);
+    }
+    bytes
+}
+
 /// Issue 4: the packets of a rosbag2 MCAP and of a recording of ours go through the functions used live.
 #[test]
 fn packets_in_mcap_files_become_the_same_recording() {
@@ -584,6 +681,8 @@ fn packets_in_mcap_files_become_the_same_recording() {
     let at = |name: &str| folder.path().join(name);
     let mut ours = Writer::create(&at("ours.mcap"), &WriterConfig::default()).unwrap();
     let mut theirs = Writer::create(&at("theirs.mcap"), &WriterConfig::default()).unwrap();
+    // Recordings of ours before the packets' own type.
+    let mut older = Writer::create(&at("older.mcap"), &WriterConfig::default()).unwrap();
     let arrived = |n: u64, bytes: Vec<u8>| Packet {
         arrival: Timestamp::from_nanos(START_NS + (n * 663_552) as i64 + 300_000),
         bytes,
@@ -596,28 +695,43 @@ fn packets_in_mcap_files_become_the_same_recording() {
         let packets: Vec<Packet> = (first..first + 100)
             .map(|n| arrived(n, mock::lidar_packet(n)))
             .collect();
-        ours.write_velodyne_packets(packets[0].arrival, &packets)
+        ours.write_lidar_packets("lidar", packets[0].arrival, &packets)
             .unwrap();
     }
     ours.finish().unwrap();
     let recording = Recording::open(&at("ours.mcap")).unwrap();
-    let channel = Channel {
-        topic: "/velodyne_packets",
-        schema_name: "velodyne_msgs/msg/VelodyneScan",
-        schema_text: recording.schema_text("/lidar/packets").unwrap(),
-    };
-    for message in recording
-        .messages("/lidar/packets")
-        .unwrap()
-        .map(Result::unwrap)
-    {
-        let (time, arrival) = (message.time, message.arrival);
-        theirs
-            .write_cdr(&channel, time, arrival, &message.bytes)
+    for (topic, mcap) in [
+        ("/velodyne_packets", &mut theirs),
+        ("/lidar/packets", &mut older),
+    ] {
+        let channel = Channel {
+            topic,
+            schema_name: "velodyne_msgs/msg/VelodyneScan",
+            schema_text: message::VELODYNE_SCAN.text,
+        };
+        let packets: Vec<_> = recording
+            .lidar_packets()
+            .unwrap()
+            .map(Result::unwrap)
+            .collect();
+        for packets in packets.chunks(100) {
+            let (first, last) = (&packets[0], &packets[packets.len() - 1]);
+            let packets: Vec<_> = packets.iter().map(|p| &p.packet).collect();
+            mcap.write_cdr(
+                &channel,
+                first.time,
+                last.packet.arrival,
+                &velodyne_scan(&packets),
+            )
             .unwrap();
+        }
     }
+    older
+        .write_raw(LIDAR_POSITION, 0, 0, &position, position.arrival)
+        .unwrap();
+    older.finish().unwrap();
     theirs.finish().unwrap();
-    for (name, positions) in [("ours.mcap", 1), ("theirs.mcap", 0)] {
+    for (name, positions) in [("ours.mcap", 1), ("older.mcap", 1), ("theirs.mcap", 0)] {
         let out = at(&format!("again-{name}"));
         let config = ReplayConfig::default();
         let report = replay_recording(&at(name), &config, &out, &no_progress).unwrap();
@@ -626,12 +740,7 @@ fn packets_in_mcap_files_become_the_same_recording() {
         let again = Recording::open(&out).unwrap();
         let packets = again.packets("lidar/packets").unwrap().map(Result::unwrap);
         assert_eq!(packets.count() as u64, PACKETS);
-        for (packet, n) in again
-            .velodyne_packets()
-            .unwrap()
-            .map(Result::unwrap)
-            .zip(0..)
-        {
+        for (packet, n) in again.lidar_packets().unwrap().map(Result::unwrap).zip(0..) {
             assert_eq!(
                 packet.packet,
                 arrived(n, mock::lidar_packet(n)),
@@ -657,5 +766,5 @@ fn packets_in_mcap_files_become_the_same_recording() {
     let config = ReplayConfig::default();
     let error = replay_recording(&empty, &config, &at("x"), &no_progress);
     let message = error.unwrap_err().to_string();
-    assert!(message.contains("Velodyne packets"), "{message}");
+    assert!(message.contains("LiDAR packets"), "{message}");
 }

@@ -1,13 +1,14 @@
 //! A LiDAR whose clock is set while it is recorded: by whole seconds above all, as a wrong sentence sets it.
 
 use lsfb_capture::clock::{ClockConfig, estimate_clocks};
-use lsfb_capture::doctor::{DoctorConfig, Verdict, examine};
+use lsfb_capture::doctor::{DoctorConfig, examine};
 use lsfb_capture::{Incoming, record_incoming};
-use lsfb_drivers::camera::model::FrameFormat;
-use lsfb_drivers::camera::wire::{TimeSource, Trailer, emit_frame};
+use lsfb_drivers::mynt_s::wire::{TimeSource, Trailer, emit_frame};
+use lsfb_drivers::transport::uvc::FrameFormat;
 use lsfb_drivers::velodyne::wire::DataPacket;
 use lsfb_recording::CLOCK_MODELS;
 use lsfb_recording::message::decode_clock_model;
+use lsfb_types::Verdict;
 
 use super::*;
 
@@ -48,7 +49,7 @@ fn recorded(out: &Path, step_us: i64, locked: bool) -> (CaptureReport, Recording
         })
     });
     let config = DevicesConfig {
-        lidar: Some(LidarNetConfig::default()),
+        lidars: vec![LidarNetConfig::default()],
         ..anywhere()
     };
     let report = record_incoming(packets, &config, out, &no_progress).unwrap();
@@ -71,7 +72,8 @@ fn assert_told(report: &CaptureReport, recording: &Recording, step_us: i64) {
     assert_eq!(model.epoch, 2, "{step_us}: {model:?}");
     let diagnosis = examine(recording, &DoctorConfig::default(), &no_progress).unwrap();
     let clock = diagnosis
-        .findings
+        .judgement
+        .findings()
         .iter()
         .find(|f| f.subject == "clock lidar");
     assert_eq!(

@@ -1,33 +1,81 @@
 //! What every command needs: where to print, when to stop.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use lsfb_recording::Recording;
+use lsfb_recording::{Provenance, Recording};
 use lsfb_types::{Progress, Stopped};
 use serde::Serialize;
+use serde::de::DeserializeOwned;
 
+use crate::GlobalArguments;
 use crate::progress::Display;
 use crate::stop::StopSignal;
+use crate::{full_disk, standing, terminal};
 
 /// Shared by a command and its stages.
 pub struct Context {
     json: bool,
+    quiet: bool,
+    force: bool,
     display: Display,
     stop: StopSignal,
     data_lost: AtomicBool,
+    /// Where is written.
+    places: Mutex<Vec<PathBuf>>,
 }
 
 impl Context {
     /// One per process: from now on signals only ask for an end.
-    pub fn new(json: bool) -> anyhow::Result<Self> {
+    pub fn new(global: &GlobalArguments) -> anyhow::Result<Self> {
         Ok(Self {
-            json,
-            display: Display::new(),
+            json: global.json,
+            quiet: global.quiet,
+            force: global.force,
+            display: Display::new(global.quiet),
             stop: StopSignal::install()?,
             data_lost: AtomicBool::new(false),
+            places: Mutex::new(Vec::new()),
         })
+    }
+
+    /// Whether results of the same name may be replaced.
+    pub fn force(&self) -> bool {
+        self.force
+    }
+
+    /// Fails before the work is done where its result must not or cannot be written, by [`crate::existing`]'s rule.
+    pub fn claim(&self, result: &Path) -> anyhow::Result<()> {
+        self.will_write(result);
+        crate::existing::expect_free(result, self.force)?;
+        crate::files::expect_writable(result)
+    }
+
+    /// What was said about results that stand, made from the same by this program; `None` where they are to be made.
+    pub fn standing<R: DeserializeOwned>(
+        &self,
+        outputs: &[&Path],
+        made_from: &Provenance,
+    ) -> Option<R> {
+        if self.force {
+            return None;
+        }
+        let said = standing::report(outputs, made_from)?;
+        let names: Vec<String> = outputs.iter().map(|o| o.display().to_string()).collect();
+        self.note(&format!(
+            "{}: stands already; --force makes it again",
+            names.join(", ")
+        ));
+        Some(said)
+    }
+
+    /// Remembers where is written, so that a full disk can be named.
+    pub fn will_write(&self, place: &Path) {
+        if let Ok(mut places) = self.places.lock() {
+            places.push(place.to_owned());
+        }
     }
 
     /// Fails where the user asked for an end.
@@ -46,7 +94,9 @@ impl Context {
     pub fn failed(&self, error: &anyhow::Error) -> ExitCode {
         let stopped = error.chain().any(|cause| cause.is::<Stopped>());
         let Some(signal) = self.stop.name().filter(|_| stopped) else {
-            print_error(error);
+            self.display.finish();
+            let places = self.places.lock().map(|places| places.clone());
+            print_error(error, &places.unwrap_or_default());
             return ExitCode::FAILURE;
         };
         let stage = self.display.stage();
@@ -55,9 +105,9 @@ impl Context {
             "" => String::new(),
             stage => format!(" during: {stage}"),
         };
-        eprintln!(
+        terminal::say(&format!(
             "stopped by {signal}{during}; what was not finished is not written, earlier files are kept"
-        );
+        ));
         ExitCode::from(self.stop.exit_code())
     }
 
@@ -78,16 +128,15 @@ impl Context {
         } else {
             text()
         };
-        println!("{out}");
-        Ok(())
+        terminal::print(&out)
     }
 
     /// Opens a recording; says what is missing from it, and remembers that something is.
     pub fn open(&self, path: &Path) -> anyhow::Result<Recording> {
-        crate::commands::expect_file(path, "record one with `lsfb scan`")?;
+        crate::files::expect_file(path, "record one with `lsfb scan`")?;
         let recording = Recording::open(path)?;
         for damage in recording.damage() {
-            self.note(&format!("warning: {}: {damage}", path.display()));
+            self.say(&format!("warning: {}: {damage}", path.display()));
             self.data_lost.store(true, Ordering::Relaxed);
         }
         Ok(recording)
@@ -99,14 +148,21 @@ impl Context {
     }
 
     /// A line for the person at the terminal, on stderr.
-    pub fn note(&self, line: &str) {
+    pub fn say(&self, line: &str) {
         self.display.finish();
-        eprintln!("{line}");
+        terminal::say(line);
+    }
+
+    /// The same, for what `--quiet` leaves out.
+    pub fn note(&self, line: &str) {
+        if !self.quiet {
+            self.say(line);
+        }
     }
 }
 
 /// One sentence and, where there is more than one cause, the chain.
-pub fn print_error(error: &anyhow::Error) {
+pub fn sentence(error: &anyhow::Error) -> String {
     let mut message = error.to_string();
     for cause in error.chain().skip(1) {
         let cause = cause.to_string();
@@ -115,5 +171,14 @@ pub fn print_error(error: &anyhow::Error) {
             message = format!("{message}: {cause}");
         }
     }
-    eprintln!("error: {message}");
+    message
+}
+
+/// For the person at the terminal; a disk that is full is named.
+pub fn print_error(error: &anyhow::Error, places: &[PathBuf]) {
+    let mut message = sentence(error);
+    if let Some(full) = full_disk::named(error, places) {
+        message = format!("{message}: {full}");
+    }
+    terminal::say(&format!("error: {message}"));
 }

@@ -1,6 +1,6 @@
 //! `lsfb`: one binary, one file per subcommand.
 //!
-//! Exit codes: 0 done, 1 failed, 2 bad arguments, 3 finished but data was lost.
+//! Exit codes: see [`EXIT_CODES`].
 
 #![allow(
     clippy::print_stdout,
@@ -11,11 +11,17 @@
 mod clock_page;
 mod commands;
 mod context;
+mod existing;
+mod files;
+mod full_disk;
+mod judged;
 mod live;
 mod outcome;
 mod progress;
 mod simulated;
+mod standing;
 mod stop;
+mod terminal;
 
 use std::process::ExitCode;
 
@@ -24,9 +30,17 @@ use clap::{Parser, Subcommand};
 use crate::context::Context;
 use crate::outcome::Outcome;
 
+/// One meaning each, in all commands.
+const EXIT_CODES: &str = "Exit codes: 0 done · 1 failed · 2 bad arguments · 3 finished, but data was lost · \
+4 finished, and what was judged has failed · 130 stopped by Ctrl-C · 143 stopped by SIGTERM
+
+Results that are there already are not replaced, unless --force is given. Ctrl-C ends a command in order and leaves nothing \
+half-written (a recording of devices is finished by it, with 0 or 3); a second one ends it at once. \
+Colours are for terminals; NO_COLOR turns them off.";
+
 /// Ground truth for AR: from a backpack scan to centimetre-accurate trajectories of every walk.
 #[derive(Parser)]
-#[command(name = "lsfb", version, arg_required_else_help = true)]
+#[command(name = "lsfb", version, arg_required_else_help = true, after_help = EXIT_CODES)]
 struct Arguments {
     #[command(flatten)]
     global: GlobalArguments,
@@ -40,9 +54,24 @@ struct GlobalArguments {
     /// Print one JSON object on stdout instead of text.
     #[arg(long, global = true)]
     json: bool,
+    /// Say nothing on stderr but warnings and errors.
+    #[arg(long, short, global = true)]
+    quiet: bool,
+    /// Replace results that are there already.
+    #[arg(long, global = true)]
+    force: bool,
     /// Threads to compute with; 0 takes all cores. The result does not depend on it.
-    #[arg(long, global = true, default_value_t = 0, value_name = "T")]
+    #[arg(long, global = true, default_value_t = 0, value_name = "N", value_parser = threads)]
     threads: usize,
+}
+
+/// More cores than any machine has; each thread takes memory before it does anything.
+const MOST_THREADS: usize = 1024;
+
+fn threads(text: &str) -> Result<usize, String> {
+    let number: Option<usize> = text.parse().ok();
+    let within = number.filter(|threads| *threads <= MOST_THREADS);
+    within.ok_or_else(|| format!("expected a whole number from 0 (all cores) to {MOST_THREADS}"))
 }
 
 #[derive(Subcommand)]
@@ -62,14 +91,15 @@ enum Command {
     Eval(commands::eval::Arguments),
     #[cfg(feature = "view")]
     View(commands::view::Arguments),
+    Completions(commands::completions::Arguments),
 }
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    let context = match Context::new(arguments.global.json) {
+    let context = match Context::new(&arguments.global) {
         Ok(context) => context,
         Err(error) => {
-            context::print_error(&error);
+            context::print_error(&error, &[]);
             return ExitCode::FAILURE;
         }
     };
@@ -99,10 +129,11 @@ fn run(arguments: Arguments, context: &Context) -> anyhow::Result<Outcome> {
         Command::Eval(a) => commands::eval::run(&a, context),
         #[cfg(feature = "view")]
         Command::View(a) => commands::view::run(&a, context),
+        Command::Completions(a) => commands::completions::run(&a),
     }?;
-    Ok(if context.data_lost() {
-        Outcome::DataLost
-    } else {
-        outcome
+    // A judgement that failed says more than that some of what it rests on is missing.
+    Ok(match outcome {
+        Outcome::Done if context.data_lost() => Outcome::DataLost,
+        outcome => outcome,
     })
 }

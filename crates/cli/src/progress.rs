@@ -7,6 +7,8 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use lsfb_types::Progress;
 
+use crate::terminal;
+
 /// Seconds between two lines where there is no terminal.
 const LINE_EVERY: Duration = Duration::from_secs(5);
 
@@ -17,6 +19,7 @@ const BOARD: &str = "board";
 pub struct Display {
     state: Mutex<State>,
     terminal: bool,
+    quiet: bool,
 }
 
 struct State {
@@ -27,8 +30,8 @@ struct State {
 }
 
 impl Display {
-    /// Draws on stderr, so that stdout stays clean for `--json`.
-    pub fn new() -> Self {
+    /// Draws on stderr, so that stdout stays clean for `--json`; quiet, it remembers the stage and shows nothing.
+    pub fn new(quiet: bool) -> Self {
         let now = Instant::now();
         Self {
             state: Mutex::new(State {
@@ -38,6 +41,7 @@ impl Display {
                 last_line: now,
             }),
             terminal: std::io::stderr().is_terminal(),
+            quiet,
         }
     }
 
@@ -46,6 +50,10 @@ impl Display {
         let Ok(mut state) = self.state.lock() else {
             return;
         };
+        if self.quiet {
+            state.stage = progress.stage;
+            return;
+        }
         if state.stage != progress.stage {
             self.begin(&mut state, progress);
         }
@@ -64,6 +72,9 @@ impl Display {
 
     /// Shows some lines in place of those shown before; elsewhere than on a terminal, the first of them every few seconds.
     pub fn show_board(&self, lines: &str) {
+        if self.quiet {
+            return;
+        }
         let Ok(mut state) = self.state.lock() else {
             return;
         };
@@ -85,7 +96,7 @@ impl Display {
             Some(bar) => bar.set_message(lines.to_owned()),
             None if state.last_line.elapsed() >= LINE_EVERY => {
                 state.last_line = Instant::now();
-                eprintln!("{}", lines.lines().next().unwrap_or_default());
+                terminal::say(lines.lines().next().unwrap_or_default());
             }
             None => {}
         }
@@ -98,7 +109,9 @@ impl Display {
 
     /// Ends the current stage's bar; call before printing results.
     pub fn finish(&self) {
-        if let Ok(mut state) = self.state.lock() {
+        if let Ok(mut state) = self.state.lock()
+            && !self.quiet
+        {
             end(&mut state);
         }
     }
@@ -135,11 +148,11 @@ fn end(state: &mut State) {
         state.stage = "";
         return;
     }
-    eprintln!(
+    terminal::say(&format!(
         "{:<28} {:6.1} s",
         state.stage,
         state.started.elapsed().as_secs_f64()
-    );
+    ));
     state.stage = "";
 }
 
@@ -148,14 +161,14 @@ fn line(state: &State, progress: Progress) {
     if progress.total > 0 && progress.done > 0 {
         let eta =
             elapsed * (progress.total.saturating_sub(progress.done)) as f64 / progress.done as f64;
-        eprintln!(
+        terminal::say(&format!(
             "{:<28} {}/{} ETA {eta:.0} s",
             progress.stage, progress.done, progress.total
-        );
+        ));
     } else {
-        eprintln!(
+        terminal::say(&format!(
             "{:<28} {} after {elapsed:.0} s",
             progress.stage, progress.done
-        );
+        ));
     }
 }

@@ -9,13 +9,17 @@ use lsfb_capture::{
     CameraUnitConfig, CaptureReport, Counts, DevicesConfig, ImuLineConfig, Incoming,
     LidarNetConfig, Overflow, RecorderConfig, Session, SidecarConfig, record_incoming,
 };
+use lsfb_geometry::MAIN_IMU;
 use lsfb_recording::Existing;
 use lsfb_sim::{
-    Clocked, Emitted, FlowControl, GlassesEndpoint, ImuFamily, LidarModel, LidarReturns, Pace,
-    PlayedImu, ScanEndpoints, SimConfig, SimSession, Simulation,
+    Clocked, Emitted, FlowControl, GlassesEndpoint, ImuFamily, LidarModel, Pace, PlayedImu,
+    ReturnMode, ScanEndpoints, SimConfig, SimSession, Simulation,
 };
 
 use crate::context::Context;
+
+/// Name of the file with the settings of a simulated session.
+pub const SETTINGS: &str = "sim.toml";
 
 /// Where the devices send to, and a phone connects.
 #[derive(clap::Args, Clone, Debug)]
@@ -39,7 +43,7 @@ pub struct Equipment {
     lidar: Option<LidarModel>,
     /// Which echoes the LiDAR sends: strongest, last or dual.
     #[arg(long, value_parser = lidar_returns)]
-    returns: Option<LidarReturns>,
+    returns: Option<ReturnMode>,
     /// What the IMU speaks: xsens or microstrain.
     #[arg(long, value_parser = imu_family)]
     imu: Option<ImuFamily>,
@@ -60,8 +64,8 @@ fn lidar_model(name: &str) -> Result<LidarModel, String> {
     found.ok_or_else(|| "vlp32c or vlp16".to_owned())
 }
 
-fn lidar_returns(name: &str) -> Result<LidarReturns, String> {
-    let found = LidarReturns::ALL.into_iter().find(|r| r.name() == name);
+fn lidar_returns(name: &str) -> Result<ReturnMode, String> {
+    let found = ReturnMode::ALL.into_iter().find(|r| r.name() == name);
     found.ok_or_else(|| "strongest, last or dual".to_owned())
 }
 
@@ -139,9 +143,9 @@ pub fn prepare(
     for (name, text) in [
         ("backpack.toml", simulation.scan().rig().to_toml()),
         ("glasses.toml", simulation.glasses().rig().to_toml()),
-        ("sim.toml", toml::to_string(config)?),
+        (SETTINGS, toml::to_string(config)?),
     ] {
-        crate::commands::write(&layout.file(name), text)?;
+        crate::files::write(&layout.file(name), text)?;
     }
     simulation.write_truth(&layout.truth())?;
     Ok(simulation)
@@ -173,14 +177,15 @@ pub fn backpack_devices(
     DevicesConfig {
         rig: Some(layout.file("backpack.toml")),
         overflow,
-        lidar: Some(lidar),
+        lidars: vec![lidar],
         cameras: vec![unit(front, ["cam0", "cam1"]), unit(rear, ["cam2", "cam3"])],
-        imu: Some(ImuLineConfig {
+        imus: vec![ImuLineConfig {
+            name: MAIN_IMU.to_owned(),
             family: to_be_opened(config.scan_imu_family),
             path: layout.imu_line(),
             baud: 921_600,
             rate_hz: u16::try_from(config.scan_imu.rate_hz).unwrap_or(u16::MAX),
-        }),
+        }],
         recorder: short_walk(),
         sidecar: None,
     }
@@ -286,7 +291,7 @@ fn record_emitted(
     let report = record_incoming(incoming, devices, out, &|p| context.show(p))?;
     match failure {
         Some(error) => Err(error.into()),
-        None => Ok(report),
+        None => whole(report),
     }
 }
 
@@ -355,6 +360,14 @@ pub fn record_glasses(
     )
 }
 
+/// What the recorder could not go on with is an error here: nobody waits for the rest.
+fn whole(report: CaptureReport) -> anyhow::Result<CaptureReport> {
+    match &report.failure {
+        Some(why) => anyhow::bail!("{}: {why}", report.path.display()),
+        None => Ok(report),
+    }
+}
+
 /// Half a walk looks like a whole one.
 fn discard(report: &CaptureReport) {
     for part in &report.parts {
@@ -388,6 +401,7 @@ fn record(
             discard(&report);
             return Err(stopped.into());
         }
+        let report = whole(report)?;
         sent?;
         Ok(report)
     })

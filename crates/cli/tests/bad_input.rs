@@ -236,7 +236,7 @@ fn sensors_that_are_not_there() {
     ]);
     let path = folder.path();
     for (name, word) in [("no-imu.mcap", "no IMU"), ("no-cam2.mcap", "cam2")] {
-        let report = json(path, &["map", name, "--out", "other-map"], 0);
+        let report = json(path, &["map", name, "--out", &format!("map-of-{name}")], 0);
         let warnings = [
             &report["report"]["odometry"]["warnings"],
             &report["report"]["warnings"],

@@ -64,7 +64,7 @@ fn assert_same_rig(program: &str, a: &Rig, b: &Rig) {
         assert!(late_s.abs() < SAME, "{name}: {late_s}");
     }
     let noises = |rig: &Rig| {
-        rig.imu.as_ref().map(|i| {
+        rig.imu_noise().map(|i| {
             [
                 i.gyro_noise_density,
                 i.accel_noise_density,
@@ -127,7 +127,7 @@ fn the_simulators_rig_comes_back_from_every_format() {
         match program {
             "kalibr" | "basalt" => {
                 let held = Rig {
-                    lidar: None,
+                    lidars: Default::default(),
                     ..rig.clone()
                 };
                 assert_same_rig(program, &held, &found);
@@ -139,7 +139,7 @@ fn the_simulators_rig_comes_back_from_every_format() {
                     assert_same_pose(name, &expected, &found.rig_from_camera);
                 }
             }
-            _ => assert!(found.imu.is_none() && found.lidar.is_none()),
+            _ => assert!(found.imus.is_empty() && found.lidars.is_empty()),
         }
 
         // Into a rig that has the rest: everything is as it was, but nobody knows since when.
@@ -147,7 +147,7 @@ fn the_simulators_rig_comes_back_from_every_format() {
         json(folder.path(), &into, 0);
         let again = read(folder.path(), "into.toml");
         assert_same_rig(program, &rig, &again);
-        assert_eq!(again.lidar, rig.lidar, "{program}");
+        assert_eq!(again.lidars, rig.lidars, "{program}");
         assert_eq!(again.calibrated_unix_s, None);
     }
 }
@@ -219,7 +219,7 @@ fn the_noise_of_an_imu_alone_goes_into_a_rig() {
     let folder = tempfile::tempdir().expect("folder");
     let rig = backpack([1.9e-3; 4]);
     let without = Rig {
-        imu: None,
+        imus: Default::default(),
         ..rig.clone()
     };
     std::fs::write(folder.path().join("rig.toml"), rig.to_toml()).expect("file");

@@ -30,7 +30,7 @@ fn the_board_of_the_twin_places_the_lidar_and_the_rig_is_verified() {
     walk.write(&folder.path().join("scan.mcap"), 0.0);
     // The rig as it is before: nobody knows where the LiDAR is.
     let mut before = walk.rig.clone();
-    before.lidar = None;
+    before.lidars.clear();
     write_rig(&folder.path().join("before.toml"), &before);
 
     let arguments = [
@@ -39,7 +39,7 @@ fn the_board_of_the_twin_places_the_lidar_and_the_rig_is_verified() {
         "--april-grid",
         "6,6,0.088,0.3",
         "--plate",
-        "833,833",
+        "0.833,0.833",
         "--camera",
         "cam0",
         "--recording",
@@ -52,8 +52,8 @@ fn the_board_of_the_twin_places_the_lidar_and_the_rig_is_verified() {
     let found = json(folder.path(), &arguments, 0);
     let after = Rig::read(&folder.path().join("after.toml")).expect("rig");
     let [turn_deg, shift_mm] = apart(
-        &after.lidar.expect("placed").rig_from_lidar,
-        &walk.rig.lidar.as_ref().expect("a LiDAR").rig_from_lidar,
+        &after.lidar().expect("placed").rig_from_lidar,
+        &walk.rig.lidar().expect("a LiDAR").rig_from_lidar,
     );
     assert!(
         turn_deg < 0.15 && shift_mm < 8.0,
@@ -86,7 +86,7 @@ fn the_board_of_the_twin_places_the_lidar_and_the_rig_is_verified() {
         let checked = json(
             folder.path(),
             &["calib", "verify", "scan.mcap", "--rig", "wrong.toml"],
-            1,
+            4,
         );
         for name in ["cam0 time offset", "cam0 rotation to the IMU"] {
             assert_eq!(outcome(&checked, name), "FAIL", "{checked}");

@@ -9,6 +9,8 @@ use answer::json;
 use board_images::{BASELINE_M, CHECKERBOARD, blind, write_stereo};
 use lsfb_calib::TransformEdge;
 use lsfb_geometry::Rig;
+use lsfb_recording::{Writer, WriterConfig};
+use lsfb_types::{Stamped, Timestamp};
 use process::lsfb;
 use refusal::refused;
 
@@ -74,15 +76,15 @@ fn a_board_that_is_not_what_was_said_gives_a_page_and_no_rig() {
     let output = lsfb(path, &CAMERA);
     let errors = String::from_utf8_lossy(&output.stderr);
     let text = String::from_utf8_lossy(&output.stdout);
-    assert_eq!(output.status.code(), Some(1), "{text} {errors}");
+    assert_eq!(output.status.code(), Some(4), "{text} {errors}");
     assert!(
         errors.contains("error: rig.toml is not written"),
         "{errors}"
     );
-    assert!(text.contains("FAIL."));
+    assert!(text.contains("FAIL: "));
     assert!(!path.join("rig.toml").exists());
     let page = std::fs::read_to_string(path.join("rig.html")).expect("page");
-    assert!(page.contains("FAIL.") && page.contains("corners miss by"));
+    assert!(page.contains("FAIL: ") && page.contains("corners miss by"));
 
     let mut other = CAMERA;
     other[3] = "8,6,0.03";
@@ -93,6 +95,164 @@ fn a_board_that_is_not_what_was_said_gives_a_page_and_no_rig() {
     );
     blind(path, "right");
     refused(path, &CAMERA, &["right", "found in 0 of 9 images"]);
+}
+
+/// Numbers that are right in other units only, before anything is read.
+#[test]
+fn lengths_in_other_units_are_refused() {
+    let folder = tempfile::tempdir().expect("folder");
+    let lidar = [
+        "calib",
+        "lidar-camera",
+        "--checkerboard",
+        "9,6,0.03",
+        "--camera",
+        "a=a",
+    ];
+    let rest = ["--clouds", "c", "--rig", "r.toml", "--out", "o.toml"];
+    let plate = |size| [&lidar[..], &rest, &["--plate", size]].concat();
+    let squares = |board| {
+        [
+            "calib",
+            "target",
+            "--checkerboard",
+            board,
+            "--out",
+            "board.pdf",
+        ]
+    };
+    let page = [
+        "calib",
+        "target",
+        "--checkerboard",
+        "9,6,0.02",
+        "--page",
+        "297,210",
+        "--out",
+        "b.pdf",
+    ];
+    for (arguments, words) in [
+        (
+            squares("9,6,25").to_vec(),
+            "a square of 25 m: lengths are in metres, 0.025 for 25 mm",
+        ),
+        (squares("9,6,0.00003").to_vec(), "a square of 0.00003 m"),
+        (
+            plate("833,833"),
+            "833 m: lengths are in metres, 0.833 for 833 mm",
+        ),
+        (
+            page.to_vec(),
+            "297 m: lengths are in metres, 0.297 for 297 mm",
+        ),
+    ] {
+        let output = lsfb(folder.path(), &arguments);
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {text}");
+        assert!(text.contains(words), "{arguments:?}: {text}");
+    }
+}
+
+#[test]
+fn images_that_were_named_wrongly_are_refused() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path();
+    write_stereo(path, 0.0);
+    let cameras = |left, right| {
+        let mut arguments = CAMERA;
+        (arguments[7], arguments[9]) = (left, right);
+        arguments
+    };
+    let twice = cameras("left=left", "right=left");
+    refused(path, &twice, &["left and right show the same images"]);
+    std::fs::create_dir(path.join("empty")).expect("folder");
+    refused(
+        path,
+        &cameras("left=left", "right=empty"),
+        &["empty: no image in this folder"],
+    );
+    let nobody = cameras("left=left/x*", "right=right");
+    refused(
+        path,
+        &nobody,
+        &["none of its 9 images has a name that begins with x"],
+    );
+
+    // Each image of the right camera under the number of the one after it.
+    std::fs::create_dir(path.join("late")).expect("folder");
+    for k in 0..8 {
+        let from = path.join("right").join(format!("{k}.png"));
+        std::fs::copy(from, path.join("late").join(format!("{}.png", k + 1))).expect("image");
+    }
+    refused(
+        path,
+        &cameras("left=left", "right=late"),
+        &["their pairs are shifted", "took one instant before"],
+    );
+}
+
+/// The same images as files and as messages of topics give the same rig.
+#[test]
+fn cameras_of_topics_are_calibrated_as_those_of_folders() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path();
+    write_stereo(path, 0.0);
+    json(path, &CAMERA, 0);
+    let mut writer =
+        Writer::create(&path.join("walk.mcap"), &WriterConfig::default()).expect("a file");
+    for k in 0..9 {
+        for name in ["left", "right"] {
+            let image = lsfb_perception::image::read(&path.join(name).join(format!("{k}.png")))
+                .expect("image");
+            let time = Timestamp::from_nanos(k * 100_000_000);
+            let stamped = Stamped {
+                time,
+                arrival: time,
+                device_ticks: 0,
+                sample: image,
+            };
+            writer.write_image(name, &stamped).expect("written");
+        }
+    }
+    writer.finish().expect("a file");
+    let mut topics = CAMERA;
+    (topics[7], topics[9]) = ("left=/left/image", "right=/right/image");
+    topics[11] = "bag.toml";
+    let recording = ["--recording", "walk.mcap"];
+    json(path, &[&topics[..], &recording].concat(), 0);
+    let [files, bag] =
+        ["rig.toml", "bag.toml"].map(|name| Rig::read(&path.join(name)).expect(name));
+    assert_eq!(files.cameras, bag.cameras);
+    topics[7] = "left=/gone";
+    refused(path, &[&topics[..], &recording].concat(), &["/gone"]);
+}
+
+#[test]
+fn a_failed_run_leaves_nothing_older_that_looks_new() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path();
+    write_stereo(path, 0.0);
+    json(path, &CAMERA, 0);
+    let results = ["rig.toml", "rig.html", "rig.right-left.json"];
+    let before = results.map(|name| std::fs::read(path.join(name)).expect("a result"));
+    blind(path, "right");
+    refused(path, &CAMERA, &["right", "found in 0 of 9 images"]);
+    for (name, before) in results.iter().zip(&before) {
+        assert!(!path.join(name).exists(), "{name}");
+        let old = std::fs::read(path.join(format!("{name}.old"))).expect("the older one");
+        assert_eq!(&old, before, "{name}");
+    }
+    // A rig that is read as well is no result of this run.
+    std::fs::write(path.join("rig.toml"), &before[0]).expect("rig");
+    refused(
+        path,
+        &[&CAMERA[..], &["--rig", "rig.toml"]].concat(),
+        &["right"],
+    );
+    assert_eq!(
+        std::fs::read(path.join("rig.toml")).expect("rig"),
+        before[0]
+    );
 }
 
 /// Half of TUM VI's calibration sequence, from images to a joint rig.
@@ -122,7 +282,7 @@ fn camera_then_camera_imu_then_joint() {
 
     let mut rig = Rig::read(&path.join("lens.toml")).expect("rig");
     // As the data set states it.
-    rig.imu = Some(lsfb_geometry::RigImu {
+    rig.set_imu_noise(lsfb_geometry::ImuNoiseModel {
         gyro_noise_density: 0.00016,
         accel_noise_density: 0.0028,
         gyro_bias_walk: 2.2e-5,
@@ -165,7 +325,7 @@ fn camera_then_camera_imu_then_joint() {
     let files = ["--rig", "lens.toml", "--imu", &imu, "--out", "wrong.toml"];
     let output = lsfb(path, &[&wrong[..], &files, &both].concat());
     let text = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert_eq!(output.status.code(), Some(4), "{text}");
     assert!(
         text.contains("gaps of 0.") || text.contains("geometry is wrong"),
         "{text}"

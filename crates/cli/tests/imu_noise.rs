@@ -5,14 +5,14 @@ mod process;
 use std::fmt::Write as _;
 use std::path::Path;
 
-use lsfb_geometry::{Rig, RigImu};
+use lsfb_geometry::{ImuNoiseModel, Rig};
 use process::lsfb;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 const RATE_HZ: i64 = 10;
 const SECONDS: i64 = 5400;
-const TRUTH: RigImu = RigImu {
+const TRUTH: ImuNoiseModel = ImuNoiseModel {
     gyro_noise_density: 1.6e-4,
     accel_noise_density: 2.8e-3,
     gyro_bias_walk: 1.5e-5,
@@ -68,7 +68,7 @@ fn known_noise_comes_back_within_its_sigma() {
                 "imu.csv",
                 "--out",
                 "noise.html",
-                "--kalibr",
+                "--out-kalibr",
                 "imu.yaml",
                 "--rig",
                 "rig.toml",
@@ -95,7 +95,7 @@ fn known_noise_comes_back_within_its_sigma() {
 
         // The same figures in the rig and in Kalibr's file.
         let rig = Rig::read(&path("rig.toml")).expect("rig");
-        let imu = rig.imu.expect("noise");
+        let imu = rig.imu_noise().expect("noise");
         assert_eq!(Some(imu.gyro_bias_walk), found["gyro"]["walk"].as_f64());
         let kalibr = std::fs::read_to_string(path("imu.yaml")).expect("file");
         let line = format!("gyroscope_noise_density: {:?}", imu.gyro_noise_density);

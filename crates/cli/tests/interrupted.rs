@@ -10,11 +10,14 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use session::with;
 
-/// Exit code of a process that Ctrl-C ended, as shells have it.
-const INTERRUPTED: i32 = 130;
-
 #[test]
 fn mapping_ends_at_once() {
+    // Exit codes as shells have them: 128 and the number of the signal.
+    ends_at_once(Signal::SIGINT, 130, "stopped by Ctrl-C");
+    ends_at_once(Signal::SIGTERM, 143, "stopped by SIGTERM");
+}
+
+fn ends_at_once(signal: Signal, code: i32, words: &str) {
     let folder = with(&["scan.mcap"]);
     let process = Command::new(env!("CARGO_BIN_EXE_lsfb"))
         .args(["map", "scan.mcap", "--out", "map"])
@@ -27,12 +30,12 @@ fn mapping_ends_at_once() {
     std::thread::sleep(Duration::from_millis(500));
     let asked = Instant::now();
     let id = i32::try_from(process.id()).expect("process id");
-    kill(Pid::from_raw(id), Signal::SIGINT).expect("signal");
+    kill(Pid::from_raw(id), signal).expect("signal");
     let output = process.wait_with_output().expect("an end");
     let text = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(INTERRUPTED), "{text}");
+    assert_eq!(output.status.code(), Some(code), "{text}");
     assert!(asked.elapsed() < Duration::from_secs(3), "{text}");
-    assert!(text.contains("stopped by Ctrl-C"), "{text}");
+    assert!(text.contains(words), "{text}");
     let left = std::fs::read_dir(folder.path()).expect("folder").count();
     assert_eq!(left, 1, "the recording and nothing else");
 }

@@ -23,7 +23,7 @@ fn a_loop_is_closed_and_a_transform_that_contradicts_is_named() {
         .scan()
         .rig()
         .clone();
-    let lidar = rig.lidar.as_ref().expect("a LiDAR").rig_from_lidar;
+    let lidar = rig.lidar().expect("a LiDAR").rig_from_lidar;
     let mut arguments = vec!["calib".to_owned(), "joint".to_owned()];
     let mut add = |name: String, edge: &TransformEdge| {
         std::fs::write(folder.path().join(&name), edge.to_json()).expect("a transform");
@@ -49,7 +49,7 @@ fn a_loop_is_closed_and_a_transform_that_contradicts_is_named() {
         );
     }
     let mut before = rig.clone();
-    before.lidar = None;
+    before.lidars.clear();
     write_rig(&folder.path().join("before.toml"), &before);
     arguments.extend(["--rig", "before.toml", "--out", "joined.toml"].map(str::to_owned));
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
@@ -57,8 +57,8 @@ fn a_loop_is_closed_and_a_transform_that_contradicts_is_named() {
     let found = json(folder.path(), &arguments, 0);
     assert_eq!(found["redundancy"], 18, "{found}");
     let joined = Rig::read(&folder.path().join("joined.toml")).expect("rig");
-    let RigLidar { rig_from_lidar, .. } = joined.lidar.expect("placed");
-    let [turn_deg, shift_mm] = apart(&rig_from_lidar, &lidar);
+    let RigLidar { rig_from_lidar, .. } = joined.lidar().expect("placed");
+    let [turn_deg, shift_mm] = apart(rig_from_lidar, &lidar);
     assert!(
         turn_deg < 0.06 && shift_mm < 3.0,
         "{turn_deg}° {shift_mm} mm"
@@ -79,11 +79,12 @@ fn a_loop_is_closed_and_a_transform_that_contradicts_is_named() {
     {
         std::fs::write(path, edge.to_json()).expect("a transform");
     }
-    let found = json(folder.path(), &arguments, 1);
+    let found = json(folder.path(), &arguments, 4);
     let words = "cam0 and cam1 are swapped in the transforms to the LiDAR";
-    let verdict = found["verdict"].as_str().expect("a verdict");
+    let summary = found["summary"].as_str().expect("a summary");
+    assert_eq!(found["verdict"], "fail", "{found}");
     assert!(
-        verdict.starts_with("FAIL. ") && verdict.contains(words),
+        summary.starts_with("FAIL: ") && summary.contains(words),
         "{found}"
     );
     let page = std::fs::read_to_string(folder.path().join("joined.html")).expect("a page");
@@ -98,7 +99,7 @@ fn a_loop_is_closed_and_a_transform_that_contradicts_is_named() {
     let bump = Vector6::new(0.0, 0.02, 0.0, 0.03, 0.0, 0.0);
     moved.target_from_source = moved.target_from_source * Se3::exp(&bump);
     std::fs::write(&path, moved.to_json()).expect("a transform");
-    let found = json(folder.path(), &arguments, 1);
+    let found = json(folder.path(), &arguments, 4);
     let named: Vec<&str> = found["edges"]
         .as_array()
         .expect("edges")
@@ -109,7 +110,7 @@ fn a_loop_is_closed_and_a_transform_that_contradicts_is_named() {
     assert_eq!(named, ["cam2", "imu"], "{found}");
     let page = std::fs::read_to_string(folder.path().join("joined.html")).expect("a page");
     assert!(
-        page.contains("FAIL. ") && page.contains("cam2–lidar"),
+        page.contains("FAIL: ") && page.contains("cam2–lidar"),
         "{page}"
     );
 }

@@ -7,7 +7,7 @@ mod simulated_session;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use lsfb_drivers::camera::wire::{ImuProtocol, ImuResponse, ImuSegment};
+use lsfb_drivers::mynt_s::wire::{ImuProtocol, ImuResponse, ImuSegment};
 use lsfb_recording::{LIDAR_POSITION, Recording};
 use nix::sys::signal::Signal;
 use process::lsfb;

@@ -132,12 +132,4 @@ pub enum Error {
         /// Value given, seconds.
         value: f64,
     },
-    /// A plot could not be drawn.
-    #[error("plot '{plot}': {what}")]
-    Plot {
-        /// Which plot.
-        plot: &'static str,
-        /// What the plotting library said.
-        what: String,
-    },
 }

@@ -27,6 +27,9 @@ pub use nalgebra::{
     Matrix2, Matrix2x3, Matrix2x6, Matrix3, Matrix3x6, Matrix6, Quaternion, UnitQuaternion,
     Vector2, Vector3, Vector6,
 };
-pub use rig::{CameraTiming, Rig, RigCamera, RigError, RigImu, RigLidar, toml_problem};
+pub use rig::{
+    CameraTiming, ImuNoiseModel, MAIN_IMU, MAIN_LIDAR, Rig, RigCamera, RigError, RigImu, RigLidar,
+    toml_problem,
+};
 pub use se3::Se3;
 pub use trajectory::{StampedPose, Trajectory};

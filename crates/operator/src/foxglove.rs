@@ -16,6 +16,7 @@ use tungstenite::{Bytes, Message, WebSocket};
 
 use crate::error::Error;
 use crate::http::{self, Status};
+use crate::presence::Presence;
 use crate::server::{Server, Stop};
 
 /// Names of the protocol, the newer first; the messages used here are the same in both.
@@ -237,6 +238,7 @@ fn serve(mut stream: TcpStream, shared: &Shared, stop: &Stop) -> Result<(), tung
         missed,
         missed_told: 0,
         advertised: 0,
+        presence: Presence::new(),
     };
     let outcome = client.run(stop);
     shared.lock().clients.remove(&number);
@@ -253,6 +255,7 @@ struct Client<'a> {
     missed_told: u64,
     /// Channels up to this one are known there.
     advertised: u32,
+    presence: Presence,
 }
 
 impl Client<'_> {
@@ -260,9 +263,12 @@ impl Client<'_> {
         while !stop.is_set() {
             self.advertise()?;
             match self.socket.read() {
-                Ok(Message::Text(text)) => self.take(&text)?,
+                Ok(Message::Text(text)) => {
+                    self.presence.heard();
+                    self.take(&text)?;
+                }
                 Ok(Message::Close(_)) => return Ok(()),
-                Ok(_) => {}
+                Ok(_) => self.presence.heard(),
                 Err(error) if http::is_quiet(&error) => {}
                 Err(error) => return Err(error),
             }
@@ -271,6 +277,7 @@ impl Client<'_> {
             }
             self.socket.flush()?;
             self.tell_missed()?;
+            self.presence.check(&mut self.socket)?;
         }
         self.socket.close(None)
     }

@@ -140,6 +140,7 @@ pub enum Status {
     Forbidden,
     NotFound,
     NotAllowed,
+    Misdirected,
     TooLong,
 }
 
@@ -151,6 +152,7 @@ impl Status {
             Self::Forbidden => "403 Forbidden",
             Self::NotFound => "404 Not Found",
             Self::NotAllowed => "405 Method Not Allowed",
+            Self::Misdirected => "421 Misdirected Request",
             Self::TooLong => "431 Request Header Fields Too Large",
         }
     }

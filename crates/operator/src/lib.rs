@@ -5,6 +5,7 @@
 //! [`Screen`], and takes [`Request`]s from it. A browser that is slow, or gone, is not waited for.
 //!
 //! - [`Screen`] serves the page and its WebSocket, without any other program or the internet.
+//! - [`Preview`] is a small picture of what a camera sees.
 //! - [`LiveMap`] grows from registered scans: a floor plan, how well each place was seen, and where to go back.
 //! - [`terminal`] writes the same state as lines of text.
 //! - [`Foxglove`] offers live messages to the Foxglove app.
@@ -28,7 +29,10 @@ mod foxglove;
 #[doc(hidden)]
 pub mod http;
 mod map;
+mod names;
 mod page;
+mod presence;
+mod preview;
 mod screen;
 mod server;
 mod state;
@@ -38,6 +42,7 @@ pub use coverage::{CoverageConfig, GoBack, Reason, Viewer};
 pub use error::Error;
 pub use foxglove::{Foxglove, LiveMessage};
 pub use map::{LiveMap, MapConfig, MapSnapshot};
+pub use preview::Preview;
 pub use screen::{Command, Request, Screen, ScreenConfig};
 pub use state::{
     BatteryState, ControlPoint, CoverageState, Level, Phase, PoseState, ScreenState, StorageState,

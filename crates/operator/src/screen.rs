@@ -1,10 +1,11 @@
 //! The page's server: files by HTTP, state and map by WebSocket, and what the operator presses.
 //!
 //! The WebSocket at `/live` speaks subprotocol `lsfb.operator.v1`. The server sends the [`ScreenState`] as JSON text when it
-//! has changed, and the map as binary messages (laid out in `map.rs`). The client sends JSON objects with a `command`:
+//! has changed, and map and previews as binary messages (laid out in `map.rs` and `preview.rs`). The client sends JSON objects with a `command`:
 //! `pin` (with `pin`, before everything else where one is set), `start`, `stop`, `note` (with `text`), `control-point` (with
 //! `name`); each but the first is answered by `{"answer": <command>, "error": null | <why>, "said": <words>}`.
 
+use std::collections::BTreeMap;
 use std::net::{IpAddr, SocketAddr, TcpStream, UdpSocket};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
@@ -18,7 +19,10 @@ use tungstenite::{Message, WebSocket};
 use crate::error::Error;
 use crate::http::{self, Status};
 use crate::map::{MapSnapshot, Shown};
+use crate::names::Names;
 use crate::page;
+use crate::presence::Presence;
+use crate::preview::Preview;
 use crate::server::{Server, Stop};
 use crate::state::ScreenState;
 
@@ -37,6 +41,8 @@ const HEARTBEAT: Duration = Duration::from_secs(1);
 const WRONG_PIN_PAUSE: Duration = Duration::from_secs(1);
 const WRONG_PINS: u32 = 10;
 const MANY_WRONG_PINS_PAUSE: Duration = Duration::from_secs(10);
+/// Who has not typed the PIN by then makes room for others; the page connects anew.
+const ADMISSION_TIMEOUT: Duration = Duration::from_secs(60);
 /// Shortest PIN.
 const MIN_PIN_CHARS: usize = 4;
 
@@ -47,6 +53,8 @@ pub struct ScreenConfig {
     pub address: SocketAddr,
     /// What must be typed before anything is shown or taken. Needed where other machines can reach the address.
     pub pin: Option<String>,
+    /// Names by which this machine is reached, beside its own and its addresses. Asked under another, the server refuses.
+    pub names: Vec<String>,
 }
 
 impl Default for ScreenConfig {
@@ -55,6 +63,7 @@ impl Default for ScreenConfig {
         Self {
             address: SocketAddr::from(([127, 0, 0, 1], 8700)),
             pin: None,
+            names: Vec::new(),
         }
     }
 }
@@ -103,6 +112,7 @@ pub struct Screen {
 
 #[derive(Debug)]
 struct Shared {
+    names: Names,
     pin: Option<String>,
     wrong_pins: AtomicU32,
     shown: Mutex<Published>,
@@ -114,6 +124,7 @@ struct Shared {
 struct Published {
     state: Arc<str>,
     map: Arc<MapSnapshot>,
+    previews: BTreeMap<String, Arc<Preview>>,
 }
 
 impl Screen {
@@ -128,6 +139,7 @@ impl Screen {
         }
         let (requests, taken) = sync_channel(QUEUE_REQUESTS);
         let shared = Arc::new(Shared {
+            names: Names::new(&config.names),
             pin,
             wrong_pins: AtomicU32::new(0),
             shown: Mutex::new(Published {
@@ -170,6 +182,17 @@ impl Screen {
         let map = Arc::new(map);
         self.shared.lock().map = map;
     }
+
+    /// Shows what a camera sees from now on.
+    pub fn publish_preview(&self, camera: &str, preview: Preview) {
+        let mut shown = self.shared.lock();
+        shown.previews.insert(camera.to_owned(), Arc::new(preview));
+    }
+
+    /// Shows no camera any more: another recording begins.
+    pub fn clear_previews(&self) {
+        self.shared.lock().previews.clear();
+    }
 }
 
 impl Shared {
@@ -192,6 +215,16 @@ fn own_address() -> Option<IpAddr> {
 
 fn serve(mut stream: TcpStream, shared: &Shared, stop: &Stop) -> Result<(), tungstenite::Error> {
     let request = http::read(&mut stream)?;
+    if !request
+        .host
+        .as_deref()
+        .is_some_and(|host| shared.names.include(host))
+    {
+        let problem = b"this screen is not known by that name: open it by the address on the scanner's terminal, or start the \
+            scanner with --screen-name";
+        http::answer(&mut stream, Status::Misdirected, "text/plain", problem)?;
+        return Ok(());
+    }
     if request.path != "/live" {
         match page::file(&request.path) {
             Some(file) => http::answer(
@@ -224,6 +257,9 @@ fn serve(mut stream: TcpStream, shared: &Shared, stop: &Stop) -> Result<(), tung
         socket,
         shared,
         admitted: shared.pin.is_none(),
+        presence: Presence::new(),
+        opened: Instant::now(),
+        previews: BTreeMap::new(),
         state: Arc::default(),
         state_sent: None,
         map: Shown::default(),
@@ -238,6 +274,10 @@ struct Client<'a> {
     socket: WebSocket<TcpStream>,
     shared: &'a Shared,
     admitted: bool,
+    presence: Presence,
+    opened: Instant,
+    /// What was sent last of each camera.
+    previews: BTreeMap<String, Arc<Preview>>,
     state: Arc<str>,
     state_sent: Option<Instant>,
     map: Shown,
@@ -259,15 +299,21 @@ impl Client<'_> {
         }
         while !stop.is_set() {
             match self.socket.read() {
-                Ok(Message::Text(text)) => self.take(&text)?,
+                Ok(Message::Text(text)) => {
+                    self.presence.heard();
+                    self.take(&text)?;
+                }
                 Ok(Message::Close(_)) => return Ok(()),
-                Ok(_) => {}
+                Ok(_) => self.presence.heard(),
                 Err(error) if http::is_quiet(&error) => {}
                 Err(error) => return Err(error),
             }
+            self.presence.check(&mut self.socket)?;
             if self.admitted {
                 self.show()?;
                 self.give_answers()?;
+            } else if self.opened.elapsed() > ADMISSION_TIMEOUT {
+                break;
             }
         }
         self.socket.close(None)
@@ -344,6 +390,14 @@ impl Client<'_> {
             self.map_sent = Some(Instant::now());
             if let Some(news) = published.map.news(&mut self.map) {
                 self.socket.send(Message::binary(news))?;
+            }
+        }
+        for (camera, preview) in published.previews {
+            let known = self.previews.get(&camera);
+            if !known.is_some_and(|known| Arc::ptr_eq(known, &preview)) {
+                self.socket
+                    .send(Message::binary(preview.message(&camera)))?;
+                self.previews.insert(camera, preview);
             }
         }
         Ok(())

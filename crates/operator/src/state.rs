@@ -61,6 +61,8 @@ pub struct ScreenState {
     pub pose: Option<PoseState>,
     /// Whether the live odometry follows.
     pub tracking: Tracking,
+    /// Why the live map is not to be believed, and what to do; empty where it is.
+    pub tracking_problem: String,
     /// Length of the path so far, metres.
     pub path_m: f64,
     /// How well the place was seen.
@@ -149,6 +151,8 @@ pub enum Tracking {
     Good,
     /// The last scans found no place in the map.
     Lost,
+    /// No scan has been registered for a while: the map shows the past.
+    Frozen,
 }
 
 /// How well the place was seen.
@@ -156,9 +160,9 @@ pub enum Tracking {
 pub struct CoverageState {
     /// Area seen, square metres.
     pub seen_m2: f64,
-    /// Part of it that was seen well.
+    /// Part of it that is well covered.
     pub good_m2: f64,
-    /// Places to go back to, the largest first.
+    /// Places to go back to, the largest first; none while it is not known where the rig is.
     pub go_back: Vec<GoBack>,
 }
 

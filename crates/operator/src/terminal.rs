@@ -57,14 +57,14 @@ pub fn lines(state: &ScreenState) -> String {
         }
     }
     if let Some(pose) = &state.pose {
-        let lost = if state.tracking == Tracking::Lost {
-            " !LOST"
-        } else {
-            ""
+        let warning = match state.tracking {
+            Tracking::None | Tracking::Good => "",
+            Tracking::Lost => " !LOST",
+            Tracking::Frozen => " !FROZEN",
         };
         let _ = write!(
             out,
-            "\n  map{lost}          {:.0} m walked, {:.0} of {:.0} m² seen well",
+            "\n  map{warning}          {:.0} m walked, {:.0} of {:.0} m² well covered",
             state.path_m, state.coverage.good_m2, state.coverage.seen_m2
         );
         for spot in &state.coverage.go_back {
@@ -80,7 +80,12 @@ pub fn lines(state: &ScreenState) -> String {
         }
     }
     let disk = state.storage.as_ref().map_or("", |s| &s.problem);
-    for problem in [disk, &state.sync.problem, &state.message] {
+    for problem in [
+        disk,
+        &state.sync.problem,
+        &state.tracking_problem,
+        &state.message,
+    ] {
         if !problem.is_empty() {
             let _ = write!(out, "\n  {problem}");
         }
@@ -126,8 +131,8 @@ fn direction(angle_rad: f64) -> &'static str {
 
 fn lacks(reason: Reason) -> &'static str {
     match reason {
-        Reason::Far => "seen from afar only",
-        Reason::Unfaced => "not faced by a camera",
+        Reason::Far => "seen from far away only",
+        Reason::Unfaced => "not seen by a camera",
         Reason::OneSided => "seen from one side only",
     }
 }
@@ -190,8 +195,8 @@ mod tests {
         for words in [
             "RECORDING 1:02:05 scan.mcap · lost 3 · sync 0.4 ms · disk ?12.3 GB, full in 2:03 · battery 83 %",
             "lidar        !   10.0 Hz     37000  lost 3  silent for 4 s",
-            "go back      5 m left: 6 m² seen from afar only",
-            "40 m walked, 90 of 120 m² seen well",
+            "go back      5 m left: 6 m² seen from far away only",
+            "40 m walked, 90 of 120 m² well covered",
         ] {
             assert!(text.contains(words), "{words:?} is not in\n{text}");
         }

@@ -12,11 +12,11 @@ use std::time::{Duration, Instant};
 
 use lsfb_geometry::{Se3, Vector3};
 use lsfb_operator::{
-    Command, Error, Foxglove, LiveMap, LiveMessage, MapConfig, Phase, Request, Screen,
+    Command, Error, Foxglove, LiveMap, LiveMessage, MapConfig, Phase, Preview, Request, Screen,
     ScreenConfig, ScreenState,
 };
 use lsfb_recording::message;
-use lsfb_types::{ImuSample, Timestamp};
+use lsfb_types::{Image, ImuSample, Timestamp};
 use serde_json::{Value, json};
 use tungstenite::{ClientRequestBuilder, Message, WebSocket};
 
@@ -28,6 +28,7 @@ fn open(pin: Option<&str>) -> (Screen, Receiver<Request>) {
     let config = ScreenConfig {
         address: LOOPBACK,
         pin: pin.map(str::to_owned),
+        ..ScreenConfig::default()
     };
     Screen::open(&config).unwrap()
 }
@@ -135,6 +136,90 @@ fn odd_requests_are_refused_and_the_server_goes_on() {
     assert!(ask(address, &stranger).starts_with("HTTP/1.1 403"));
     assert!(get(address, "/live").starts_with("HTTP/1.1 400"));
     assert!(get(address, "/").starts_with("HTTP/1.1 200"));
+}
+
+/// A page that has its own name lead to this machine is of one site with what it loads from here: only `Host` tells.
+#[test]
+fn a_page_that_rebinds_its_name_presses_no_keys() {
+    let (screen, _requests) = open(None);
+    let port = screen.address().port();
+    let asked_as = |host: &str, path: &str| {
+        let request = format!(
+            "GET {path} HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\
+             Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
+        );
+        let mut stream = TcpStream::connect(screen.address()).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream.write_all(request.as_bytes()).unwrap();
+        let mut status = [0; 12];
+        stream.read_exact(&mut status).unwrap();
+        String::from_utf8_lossy(&status).into_owned()
+    };
+    for path in ["/live", "/", "/screen.js"] {
+        let answer = asked_as(&format!("evil.example:{port}"), path);
+        assert_eq!(answer, "HTTP/1.1 421", "{path}");
+    }
+    assert_eq!(
+        asked_as(&format!("localhost:{port}"), "/live"),
+        "HTTP/1.1 101"
+    );
+    assert!(ask(screen.address(), "GET / HTTP/1.1\r\n\r\n").starts_with("HTTP/1.1 421"));
+    drop(screen);
+    let config = ScreenConfig {
+        address: LOOPBACK,
+        names: vec!["scanner.example".to_owned()],
+        ..ScreenConfig::default()
+    };
+    let (screen, _requests) = Screen::open(&config).unwrap();
+    let request = "GET / HTTP/1.1\r\nHost: Scanner.example\r\n\r\n";
+    assert!(ask(screen.address(), request).starts_with("HTTP/1.1 200"));
+}
+
+/// Phones that left the network take no place for ever: sixteen of them used to lock the operator out.
+#[test]
+fn clients_that_have_gone_make_room() {
+    let (screen, _requests) = open(None);
+    let gone: Vec<_> = (0..16).map(|_| live(&screen)).collect();
+    let began = Instant::now();
+    let mut operator = loop {
+        assert!(began.elapsed() < 2 * PATIENCE, "locked out");
+        let stream = TcpStream::connect(screen.address()).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        let uri = format!("ws://{}/live", screen.address()).parse().unwrap();
+        let request = ClientRequestBuilder::new(uri).with_sub_protocol("lsfb.operator.v1");
+        match tungstenite::client(request, stream) {
+            Ok((socket, _)) => break socket,
+            Err(_) => std::thread::sleep(Duration::from_millis(300)),
+        }
+    };
+    json_until(&mut operator, |v| v["phase"] == "ready");
+    // Who answers stays.
+    let began = Instant::now();
+    while began.elapsed() < Duration::from_secs(12) {
+        operator.read().unwrap();
+    }
+    drop(gone);
+}
+
+#[test]
+fn what_the_cameras_see_arrives_in_small() {
+    let (screen, _requests) = open(None);
+    let mut socket = live(&screen);
+    let image = Image {
+        width: 640,
+        height: 400,
+        pixels: vec![77; 640 * 400],
+        ..Image::default()
+    };
+    screen.publish_preview("cam1", Preview::of(&image).unwrap());
+    loop {
+        let bytes = binary(&mut socket);
+        if bytes[0] == 2 {
+            assert_eq!(bytes[1..10], *b"\x04\xa0\x00\x64\x00cam1");
+            assert!(bytes.len() == 10 + 160 * 100 && bytes[10..].iter().all(|grey| *grey == 77));
+            break;
+        }
+    }
 }
 
 #[test]
@@ -259,6 +344,7 @@ fn an_address_that_others_can_reach_needs_a_pin() {
         let config = ScreenConfig {
             address: SocketAddr::from(([0, 0, 0, 0], 0)),
             pin,
+            ..ScreenConfig::default()
         };
         assert!(matches!(Screen::open(&config), Err(Error::Pin { .. })));
     }
@@ -302,7 +388,7 @@ fn foxglove_gets_the_recordings_own_messages() {
         angular_velocity_rad_s: [0.1, 0.2, 0.3],
         specific_force_m_s2: [0.0, 0.0, 9.81],
     };
-    let bytes = || message::encode_imu(arrival, "imu0", &sample);
+    let bytes = || message::encode_imu(arrival, "imu0", &sample, message::ImuVariance::UNKNOWN);
     // Nobody listens: nothing is made.
     foxglove.publish(&imu_message(arrival), || {
         unreachable!("nobody has subscribed")

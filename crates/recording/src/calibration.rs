@@ -65,7 +65,7 @@ impl Recording {
 
 #[cfg(test)]
 mod tests {
-    use lsfb_geometry::{Camera, RigCamera, RigImu, Se3};
+    use lsfb_geometry::{Camera, ImuNoiseModel, RigCamera, Se3};
 
     use super::*;
 
@@ -74,12 +74,13 @@ mod tests {
     fn the_text_that_is_hashed_and_its_hash() {
         let mut rig = Rig {
             calibrated_unix_s: Some(1_772_359_200),
-            imu: Some(RigImu {
+            imus: lsfb_geometry::RigImu::from(ImuNoiseModel {
                 gyro_noise_density: 1e-3,
                 accel_noise_density: 1e-2,
                 gyro_bias_walk: 1e-5,
                 accel_bias_walk: 1e-4,
-            }),
+            })
+            .alone(),
             ..Rig::empty("backpack")
         };
         rig.cameras.insert(

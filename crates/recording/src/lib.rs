@@ -26,6 +26,7 @@ mod cdr;
 mod container;
 mod error;
 mod hash;
+mod interval;
 mod layout;
 pub mod message;
 mod message_iter;
@@ -53,7 +54,9 @@ pub use point_times::PointTimes;
 pub use provenance::Provenance;
 pub use reader::{ArrivalRange, CdrMessage, Recording};
 pub use samples::{CameraImage, RecordedPacket};
-pub use topic::{CAMERA_GROUPS, CLOCK_MODELS, DEVICE_TIME, HEALTH, LIDAR_POSITION, REMARKS};
+pub use topic::{
+    CAMERA_GROUPS, CLOCK_MODELS, DEVICE_TIME, HEALTH, LIDAR_POSITION, REMARKS, lidar_position,
+};
 pub use tum::{read_tum, write_tum};
 pub use unit::{Attachment, CameraUnit, KeptFile};
 pub use writer::Writer;

@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use lsfb_types::{LidarPoint, LidarScan};
+use lsfb_types::{Echo, LidarPoint, LidarScan};
 
 use crate::Error;
 use crate::point_times::{Numbers, PointTimes, is_time, point_times};
@@ -112,6 +112,8 @@ pub fn read_pcd(path: &Path) -> Result<Cloud, Error> {
         // Float casts saturate: what does not fit becomes the nearest that does.
         intensity: value(row, intensity) as u8,
         ring: value(row, ring) as u16,
+        // Programs number the kinds of returns differently, and the file does not say which one wrote it.
+        echo: Echo::Unknown,
         time_offset_ns: offsets_ns.get(k).copied().unwrap_or(0),
     });
     Ok(Cloud {
@@ -284,6 +286,7 @@ mod tests {
             binary.extend(ring.to_le_bytes());
         }
         let point = |position_m, intensity, ring| LidarPoint {
+            echo: Echo::Unknown,
             position_m,
             intensity,
             ring,

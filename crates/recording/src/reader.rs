@@ -112,6 +112,7 @@ impl Recording {
             message::IMAGE,
             message::IMU,
             message::POINT_CLOUD,
+            message::LIDAR_PACKETS,
             message::VELODYNE_SCAN,
         ];
         let schemas = &self.index.schemas;

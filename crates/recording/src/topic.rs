@@ -1,24 +1,36 @@
 //! Names of topics, in one place for writer and reader.
 
-/// LiDAR data packets.
-pub(crate) const LIDAR_PACKETS: &str = "/lidar/packets";
-/// LiDAR scans.
-pub(crate) const LIDAR_POINTS: &str = "/lidar/points";
-/// The LiDAR's own clock at each scan.
-pub(crate) const LIDAR_TIME_REF: &str = "/lidar/time_ref";
 /// Frames of the rig.
 pub(crate) const TF_STATIC: &str = "/tf_static";
 /// Ties the rig to the frame that Rerun looks from, on a topic of its own: ROS would take it for a second parent.
 pub(crate) const RERUN_TF_STATIC: &str = "/rerun/tf_static";
 /// Rerun's own name for the root of its entities.
 pub(crate) const RERUN_ROOT_FRAME: &str = "tf#/";
-/// Frame of the LiDAR.
-pub(crate) const LIDAR_FRAME: &str = "lidar";
 /// Frame of the rig.
 pub(crate) const RIG_FRAME: &str = "rig";
 
-/// Source of the LiDAR's position packets, which have a topic of their own.
+/// Source of the main LiDAR's position packets, which have a topic of their own.
 pub const LIDAR_POSITION: &str = "lidar/position";
+
+/// Source of the position packets of the LiDAR named `lidar`.
+pub fn lidar_position(lidar: &str) -> String {
+    format!("{lidar}/position")
+}
+
+/// Data packets of the LiDAR named `lidar`.
+pub(crate) fn lidar_packets(lidar: &str) -> String {
+    format!("/{lidar}/packets")
+}
+
+/// Its scans.
+pub(crate) fn lidar_points(lidar: &str) -> String {
+    format!("/{lidar}/points")
+}
+
+/// Its own clock at each scan.
+pub(crate) fn lidar_time_ref(lidar: &str) -> String {
+    format!("/{lidar}/time_ref")
+}
 
 /// What the operator says while recording.
 pub const REMARKS: &str = "/operator/remarks";
@@ -52,6 +64,12 @@ pub(crate) fn camera_of(image_topic: &str) -> Option<&str> {
         .filter(|name| !name.is_empty())
 }
 
+/// The device of a sidecar's topic: `glasses` of `/sidecar/glasses/imu`.
+pub(crate) fn sidecar_of(topic: &str) -> Option<&str> {
+    let (device, _) = topic.strip_prefix("/sidecar/")?.split_once('/')?;
+    Some(device)
+}
+
 pub(crate) fn imu(imu: &str) -> String {
     format!("/{imu}/data_raw")
 }
@@ -64,11 +82,12 @@ pub(crate) fn imu_time_ref(imu_topic: &str) -> String {
     }
 }
 
-/// Raw bytes: `/raw/<source>`, but `/lidar/position` for position packets.
+/// Raw bytes: `/raw/<source>`, but `/<lidar>/position` for position packets.
 pub(crate) fn raw(source: &str) -> String {
-    match source {
-        LIDAR_POSITION => format!("/{source}"),
-        _ => format!("/raw/{source}"),
+    if source.ends_with("/position") {
+        format!("/{source}")
+    } else {
+        format!("/raw/{source}")
     }
 }
 

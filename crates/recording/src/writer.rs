@@ -8,12 +8,11 @@ use crate::calibration::{RIG_ATTACHMENT, rig_metadata};
 use crate::container::encoder::Encoder;
 use crate::container::open_chunk::Outgoing;
 use crate::error::Error;
+use crate::interval::SampleInterval;
 use crate::layout::{Channel, Summary, WriterConfig};
-use crate::message::{self, FrameMeta, RawPacket, StaticTransform, TimeReference};
+use crate::message::{self, FrameMeta, ImuVariance, RawPacket, StaticTransform, TimeReference};
 use crate::topic;
 
-/// Spacing of the intrinsics beside the images.
-const CAMERA_INFO_SECS: f64 = 1.0;
 /// Writes a recording. Chunks are closed after [`WriterConfig::chunk_secs`], so that a file without its end still opens
 /// up to the last of them.
 ///
@@ -22,8 +21,10 @@ const CAMERA_INFO_SECS: f64 = 1.0;
 pub struct Writer {
     encoder: Encoder,
     rig: Option<Rig>,
+    /// Rigs of sidecars by the device in their topics.
+    sidecars: BTreeMap<String, Rig>,
     static_transforms: Vec<StaticTransform>,
-    camera_info_times: BTreeMap<String, Timestamp>,
+    imu_intervals: BTreeMap<String, SampleInterval>,
 }
 
 impl Writer {
@@ -39,8 +40,9 @@ impl Writer {
         Ok(Self {
             encoder,
             rig: None,
+            sidecars: BTreeMap::new(),
             static_transforms: Vec::new(),
-            camera_info_times: BTreeMap::new(),
+            imu_intervals: BTreeMap::new(),
         })
     }
 
@@ -93,10 +95,13 @@ impl Writer {
         )
     }
 
-    /// Writes an inertial sample on `/<imu>/data_raw`, and the device's counter, where there is one, on `/<imu>/time_ref`.
+    /// Writes an inertial sample on `/<imu>/data_raw`, and the device's counter, where there is one, on `/<imu>/time_ref`. Its
+    /// covariances are those of the rig's noise densities at the rate of the samples; zeros, which mean unknown, without a rig
+    /// and for the first sample.
     pub fn write_imu(&mut self, imu: &str, sample: &Stamped<ImuSample>) -> Result<(), Error> {
         let topic = topic::imu(imu);
-        let bytes = message::encode_imu(sample.time, imu, &sample.sample);
+        let variance = self.imu_variance(imu, sample.time);
+        let bytes = message::encode_imu(sample.time, imu, &sample.sample, variance);
         self.write_with_ticks(
             &topic,
             &topic::imu_time_ref(&topic),
@@ -107,41 +112,49 @@ impl Writer {
         )
     }
 
-    /// Writes a scan on `/lidar/points`.
-    pub fn write_scan(&mut self, scan: &Stamped<LidarScan>) -> Result<(), Error> {
-        let bytes = message::encode_points(scan.time, topic::LIDAR_FRAME, &scan.sample);
+    fn imu_variance(&mut self, imu: &str, time: Timestamp) -> ImuVariance {
+        let noise = self.rig.as_ref().and_then(|rig| rig.imus.get(imu));
+        let interval = self.imu_intervals.entry(imu.to_owned()).or_default();
+        match (noise, interval.secs(time)) {
+            (Some(imu), Some(interval_s)) => ImuVariance {
+                angular_velocity_rad2_s2: imu.noise.gyro_noise_density.powi(2) / interval_s,
+                specific_force_m2_s4: imu.noise.accel_noise_density.powi(2) / interval_s,
+            },
+            _ => ImuVariance::UNKNOWN,
+        }
+    }
+
+    /// Writes a scan on `/<lidar>/points`.
+    pub fn write_scan(&mut self, lidar: &str, scan: &Stamped<LidarScan>) -> Result<(), Error> {
+        let bytes = message::encode_points(scan.time, lidar, &scan.sample);
         self.write_with_ticks(
-            topic::LIDAR_POINTS,
-            topic::LIDAR_TIME_REF,
-            topic::LIDAR_FRAME,
+            &topic::lidar_points(lidar),
+            &topic::lidar_time_ref(lidar),
+            lidar,
             scan,
             message::POINT_CLOUD,
             &bytes,
         )
     }
 
-    /// Writes the data packets of one revolution on `/lidar/packets`; `time` is the synchronized time of the first.
+    /// Writes the data packets of one revolution on `/<lidar>/packets`; `time` is the synchronized time of the first.
     /// Nothing is written for an empty slice.
-    pub fn write_velodyne_packets(
+    pub fn write_lidar_packets(
         &mut self,
+        lidar: &str,
         time: Timestamp,
         packets: &[Packet],
     ) -> Result<(), Error> {
         let Some(last) = packets.last() else {
             return Ok(());
         };
-        let Some(bytes) = message::encode_velodyne_scan(time, topic::LIDAR_FRAME, packets) else {
-            let reason = format!(
-                "a data packet has not {} bytes",
-                message::VELODYNE_PACKET_BYTES
-            );
-            return Err(self.encoder.unwritable(topic::LIDAR_PACKETS, reason));
-        };
-        let message = Outgoing::new(topic::LIDAR_PACKETS, message::VELODYNE_SCAN, &bytes);
+        let bytes = message::encode_lidar_packets(time, lidar, packets);
+        let topic = topic::lidar_packets(lidar);
+        let message = Outgoing::new(&topic, message::LIDAR_PACKETS, &bytes);
         self.write_together(time, last.arrival, &[message])
     }
 
-    /// Writes bytes exactly as received on `/raw/<source>` (`/lidar/position` for [`LIDAR_POSITION`](crate::LIDAR_POSITION)).
+    /// Writes bytes exactly as received on `/raw/<source>` (`/<lidar>/position` for [`lidar_position`](crate::lidar_position)).
     /// `sequence` counts what the source sent, gaps included; `time` is the synchronized time, the arrival where unknown.
     pub fn write_raw(
         &mut self,
@@ -166,7 +179,8 @@ impl Writer {
         )
     }
 
-    /// Writes a message that is CDR already: what a sidecar sends goes into the recording as it came.
+    /// Writes a message that is CDR already. What a sidecar sends goes into the recording as it came but for the name of its frame:
+    /// `imu` of the device `glasses` becomes `glasses/imu`, as other devices have an `imu` too.
     pub fn write_cdr(
         &mut self,
         channel: &Channel<'_>,
@@ -174,12 +188,18 @@ impl Writer {
         arrival: Timestamp,
         bytes: &[u8],
     ) -> Result<(), Error> {
+        let reframed = topic::sidecar_of(channel.topic)
+            .and_then(|device| message::in_frame_of(device, channel.schema_name, bytes));
+        let (bytes, tail) = match &reframed {
+            Some(message) => (message.head.as_slice(), message.rest),
+            None => (bytes, [].as_slice()),
+        };
         let message = Outgoing {
             topic: channel.topic,
             schema_name: channel.schema_name,
             schema_text: channel.schema_text,
             bytes,
-            tail: &[],
+            tail,
         };
         self.write_together(time, arrival, &[message])
     }
@@ -190,7 +210,8 @@ impl Writer {
     }
 
     /// Attaches the rig as `rig.toml`, and says its hash and age in metadata. Its frames follow on `/tf_static` with the first
-    /// message, and its intrinsics on `camera_info` beside the images, once a second, so that viewers place everything.
+    /// message, and its intrinsics on `camera_info` with every image, so that viewers place everything and ROS's
+    /// synchronizers pair the two.
     pub fn attach_rig(&mut self, rig: &Rig) -> Result<(), Error> {
         let text = rig.to_toml();
         self.attach(RIG_ATTACHMENT, "application/toml", text.as_bytes())?;
@@ -206,15 +227,34 @@ impl Writer {
             .iter()
             .map(|(name, camera)| edge(name, camera.rig_from_camera))
             .collect();
-        self.static_transforms.extend(
-            rig.lidar
-                .iter()
-                .map(|l| edge(topic::LIDAR_FRAME, l.rig_from_lidar)),
-        );
+        let lidars = rig.lidars.iter();
         self.static_transforms
-            .extend(rig.imu.iter().map(|_| edge("imu0", Se3::identity())));
+            .extend(lidars.map(|(name, lidar)| edge(name, lidar.rig_from_lidar)));
+        let imus = rig.imus.iter();
+        self.static_transforms
+            .extend(imus.map(|(name, imu)| edge(name, imu.rig_from_imu)));
         self.rig = Some(rig.clone());
         Ok(())
+    }
+
+    /// Says where the sensors of a sidecar are and what its lenses do: frames and intrinsics of the messages on `/sidecar/<device>/…`.
+    /// Its frames hang on `<device>/rig`, which nobody places, or on the recording's own where the two are one.
+    pub fn place_sidecar(&mut self, device: &str, rig: &Rig) {
+        let parent = match &self.rig {
+            Some(own) if own == rig => topic::RIG_FRAME.to_owned(),
+            _ => message::frame_of(device, topic::RIG_FRAME),
+        };
+        let edge = |child: &str, parent_from_child: Se3| StaticTransform {
+            parent: parent.clone(),
+            child: message::frame_of(device, child),
+            parent_from_child,
+        };
+        let cameras = rig.cameras.iter();
+        let cameras = cameras.map(|(name, camera)| edge(name, camera.rig_from_camera));
+        let imus = rig.imus.iter();
+        let imus = imus.map(|(name, imu)| edge(name, imu.rig_from_imu));
+        self.static_transforms.extend(cameras.chain(imus));
+        self.sidecars.insert(device.to_owned(), rig.clone());
     }
 
     /// Adds a metadata record: names and values that belong to the whole recording.
@@ -284,8 +324,26 @@ impl Writer {
         self.write_together(sample.time, sample.arrival, &[ticks, message])
     }
 
-    /// Writes messages of one instant into one chunk, preceded by what the rig says about them.
+    /// Writes messages of one instant into one chunk, an image preceded by its camera's intrinsics.
     fn write_together(
+        &mut self,
+        time: Timestamp,
+        arrival: Timestamp,
+        messages: &[Outgoing<'_>],
+    ) -> Result<(), Error> {
+        let image = messages
+            .iter()
+            .find(|message| message.schema_name == message::IMAGE.name);
+        let Some((topic, info)) = image.and_then(|image| self.camera_info(time, image.topic))
+        else {
+            return self.write_in_one_chunk(time, arrival, messages);
+        };
+        let mut all = vec![Outgoing::new(&topic, message::CAMERA_INFO, &info)];
+        all.extend_from_slice(messages);
+        self.write_in_one_chunk(time, arrival, &all)
+    }
+
+    fn write_in_one_chunk(
         &mut self,
         time: Timestamp,
         arrival: Timestamp,
@@ -313,39 +371,20 @@ impl Writer {
             )?;
         }
         for message in messages {
-            if message.schema_name == message::IMAGE.name {
-                self.put_camera_info(time, arrival, message.topic)?;
-            }
             self.encoder.put(time, arrival, message)?;
         }
         Ok(())
     }
 
-    fn put_camera_info(
-        &mut self,
-        time: Timestamp,
-        arrival: Timestamp,
-        image_topic: &str,
-    ) -> Result<(), Error> {
-        let rig_camera = || {
-            let name = topic::camera_of(image_topic)?;
-            Some((name, self.rig.as_ref()?.cameras.get(name)?))
+    /// Topic and bytes of the intrinsics of the camera of an image topic, where the rig has it.
+    fn camera_info(&self, time: Timestamp, image_topic: &str) -> Option<(String, Vec<u8>)> {
+        let name = topic::camera_of(image_topic)?;
+        let (rig, frame) = match topic::sidecar_of(image_topic) {
+            Some(device) => (self.sidecars.get(device)?, message::frame_of(device, name)),
+            None => (self.rig.as_ref()?, name.to_owned()),
         };
-        let Some((name, rig_camera)) = rig_camera() else {
-            return Ok(());
-        };
-        let info_topic = topic::camera_info(image_topic);
-        let last = self.camera_info_times.get(&info_topic);
-        if last.is_some_and(|last| time.secs_since(*last).abs() < CAMERA_INFO_SECS) {
-            return Ok(());
-        }
-        let bytes = message::encode_camera_info(time, name, &rig_camera.camera);
-        self.encoder.put(
-            time,
-            arrival,
-            &Outgoing::new(&info_topic, message::CAMERA_INFO, &bytes),
-        )?;
-        self.camera_info_times.insert(info_topic, time);
-        Ok(())
+        let mounted = rig.cameras.get(name)?;
+        let bytes = message::encode_camera_info(time, &frame, &mounted.camera);
+        Some((topic::camera_info(image_topic), bytes))
     }
 }

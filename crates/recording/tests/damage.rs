@@ -355,7 +355,12 @@ fn a_message_that_is_too_short_is_named_and_the_next_is_read() {
         schema_name: schema.name,
         schema_text: schema.text,
     };
-    let good = lsfb_recording::message::encode_imu(START, "imu", &sample(2).sample);
+    let good = lsfb_recording::message::encode_imu(
+        START,
+        "imu",
+        &sample(2).sample,
+        lsfb_recording::message::ImuVariance::UNKNOWN,
+    );
     for bytes in [&good[..], &good[..100], &good[..]] {
         writer.write_cdr(&channel, START, START, bytes).unwrap();
     }

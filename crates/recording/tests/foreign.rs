@@ -3,7 +3,7 @@
 
 use std::process::Command;
 
-use lsfb_geometry::{Camera, Rig, RigCamera, RigLidar, Se3, Vector6};
+use lsfb_geometry::{Camera, ImuNoiseModel, Rig, RigCamera, RigImu, RigLidar, Se3, Vector6};
 use lsfb_recording::message::{
     self, BleAdvert, GnssFix, GnssReading, MagneticSample, PressureSample, WifiReading,
 };
@@ -45,10 +45,18 @@ fn write(path: &std::path::Path, compression: Compression) {
                 },
             )]
             .into(),
-            lidar: Some(RigLidar {
+            lidars: RigLidar {
                 rig_from_lidar: pose,
                 range_noise_m: 0.02,
-            }),
+            }
+            .alone(),
+            imus: RigImu::from(ImuNoiseModel {
+                gyro_noise_density: 1e-3,
+                accel_noise_density: 1e-2,
+                gyro_bias_walk: 1e-5,
+                accel_bias_walk: 1e-4,
+            })
+            .alone(),
             ..Rig::empty("backpack")
         })
         .unwrap();
@@ -74,14 +82,18 @@ fn write(path: &std::path::Path, compression: Compression) {
             intensity: 10 * i as u8,
             ring: i,
             time_offset_ns: 55_296 * u32::from(i),
+            ..LidarPoint::default()
         });
         writer
-            .write_scan(&stamped(
-                n,
-                LidarScan {
-                    points: points.collect(),
-                },
-            ))
+            .write_scan(
+                "lidar",
+                &stamped(
+                    n,
+                    LidarScan {
+                        points: points.collect(),
+                    },
+                ),
+            )
             .unwrap();
         let time = stamped(n, ()).time;
         let packet = |i: u8, bytes: usize| Packet {
@@ -89,7 +101,11 @@ fn write(path: &std::path::Path, compression: Compression) {
             bytes: vec![i + n as u8; bytes],
         };
         writer
-            .write_velodyne_packets(time, &[packet(0, 1206), packet(1, 1206), packet(2, 1206)])
+            .write_lidar_packets(
+                "lidar",
+                time,
+                &[packet(0, 1206), packet(1, 1206), packet(2, 1206)],
+            )
             .unwrap();
         writer
             .write_raw(LIDAR_POSITION, 0, u64::from(n), &packet(3, 512), time)
@@ -178,9 +194,9 @@ fn write_surroundings(writer: &mut Writer, n: u32) {
 }
 
 #[test]
-fn mcap_and_rosbags_read_every_value() {
+fn foreign_readers_read_every_value_and_pair_images_with_intrinsics() {
     let Some(python) = std::env::var_os("LSFB_FOREIGN_PYTHON") else {
-        let test = "mcap_and_rosbags_read_every_value";
+        let test = "foreign_readers_read_every_value_and_pair_images_with_intrinsics";
         skip(test, Lacks::Program, "LSFB_FOREIGN_PYTHON names no python");
         return;
     };
@@ -201,7 +217,9 @@ fn mcap_and_rosbags_read_every_value() {
             String::from_utf8_lossy(&output.stderr)
         );
         assert!(
-            said.contains("mcap: 264 messages") && said.contains("rosbags: 264 messages"),
+            ["mcap", "rosbags", "mcap-ros2-support"]
+                .iter()
+                .all(|reader| said.contains(&format!("{reader}: 282 messages"))),
             "{said}"
         );
     }

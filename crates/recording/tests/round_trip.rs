@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use lsfb_geometry::camera::Lens;
-use lsfb_geometry::{Camera, Rig, RigCamera, RigImu, RigLidar, Se3, Vector6};
+use lsfb_geometry::{Camera, ImuNoiseModel, Rig, RigCamera, RigImu, RigLidar, Se3, Vector6};
 use lsfb_recording::{
     Channel, Compression, LIDAR_POSITION, Recording, Summary, Writer, WriterConfig, message,
     rig_sha256,
@@ -41,16 +41,18 @@ fn rig() -> Rig {
     Rig {
         calibrated_unix_s: Some(1_772_350_000),
         cameras: cameras.collect(),
-        imu: Some(RigImu {
+        imus: RigImu::from(ImuNoiseModel {
             gyro_noise_density: 1e-3,
             accel_noise_density: 1e-2,
             gyro_bias_walk: 1e-5,
             accel_bias_walk: 1e-4,
-        }),
-        lidar: Some(RigLidar {
+        })
+        .alone(),
+        lidars: RigLidar {
             rig_from_lidar: pose(0.3),
             range_noise_m: 0.02,
-        }),
+        }
+        .alone(),
         ..Rig::empty("backpack")
     }
 }
@@ -93,6 +95,7 @@ fn scan(n: u32) -> Stamped<LidarScan> {
         intensity: i as u8,
         ring: i % 32,
         time_offset_ns: u32::from(i) * 2304,
+        ..LidarPoint::default()
     });
     Stamped {
         time,
@@ -109,7 +112,7 @@ fn data_packets(n: u32) -> Vec<Packet> {
     (0..4u8)
         .map(|i| Packet {
             arrival: start + i64::from(i) * 660_000,
-            bytes: vec![i.wrapping_add(n as u8); message::VELODYNE_PACKET_BYTES],
+            bytes: vec![i.wrapping_add(n as u8); 1206],
         })
         .collect()
 }
@@ -123,9 +126,13 @@ fn write_walk(path: &Path, config: &WriterConfig) -> Summary {
             writer.write_imu("imu0", &imu(n * 20 + k)).unwrap();
         }
         writer
-            .write_velodyne_packets(START + i64::from(n) * 100_000_000, &data_packets(n))
+            .write_lidar_packets(
+                "lidar",
+                START + i64::from(n) * 100_000_000,
+                &data_packets(n),
+            )
             .unwrap();
-        writer.write_scan(&scan(n)).unwrap();
+        writer.write_scan("lidar", &scan(n)).unwrap();
         writer.write_image("cam0", &image(0, n)).unwrap();
         writer
             .write_image_with_trailer("cam1", &image(1, n), &[0x3b, n as u8])
@@ -234,7 +241,7 @@ fn everything_comes_back_with_every_compression() {
             ),
             (600, 600, 1)
         );
-        assert_eq!(count("/cam0/camera_info"), 3, "once a second");
+        assert_eq!(count("/cam0/camera_info"), count("/cam0/image"), "one each");
         assert_eq!(recording.verify(&no_progress).unwrap(), []);
         assert_eq!(recording.metadata("lsfb.session").unwrap()["seed"], "7");
         assert!(recording.metadata("lsfb.session").unwrap()["software"].starts_with("lsfb "));
@@ -296,7 +303,7 @@ fn the_mcap_crate_reads_it_and_chunks_are_bounded() {
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
     assert!(summary.chunk_indexes.len() > 10);
     for chunk in &summary.chunk_indexes {
-        // Intrinsics and frames come on top: small, and once a second.
+        // Frames come on top: small, and once.
         assert!(
             chunk.uncompressed_size < 24_000,
             "{}",
@@ -323,6 +330,7 @@ fn a_sidecar_is_found_by_its_camera() {
     let path = dir.path().join("glasses.mcap");
     let mut writer = Writer::create(&path, &WriterConfig::default()).unwrap();
     writer.attach_rig(&rig()).unwrap();
+    writer.place_sidecar("glasses", &rig());
     for n in 0..3 {
         let (frame, sample) = (image(0, n), imu(n));
         let meta = message::FrameMeta {
@@ -344,7 +352,12 @@ fn a_sidecar_is_found_by_its_camera() {
             (
                 "/sidecar/glasses/imu",
                 message::IMU,
-                message::encode_imu(sample.time, "imu", &sample.sample),
+                message::encode_imu(
+                    sample.time,
+                    "imu",
+                    &sample.sample,
+                    message::ImuVariance::UNKNOWN,
+                ),
             ),
         ];
         for (topic, schema, bytes) in pairs {
@@ -372,9 +385,87 @@ fn a_sidecar_is_found_by_its_camera() {
             .messages("/sidecar/glasses/cam0/camera_info")
             .unwrap()
             .count(),
-        1
+        3
     );
     assert_eq!(recording.messages("/tf_static").unwrap().count(), 1);
+}
+
+/// A phone whose names are those of the backpack. Frames and intrinsics that are told apart by name alone would be the backpack's.
+#[test]
+fn a_sidecar_beside_a_rig_has_frames_and_intrinsics_of_its_own() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("both.mcap");
+    let mut writer = Writer::create(&path, &WriterConfig::default()).unwrap();
+    writer.attach_rig(&rig()).unwrap();
+    let mut phone = rig();
+    phone.name = "phone".to_owned();
+    for camera in phone.cameras.values_mut() {
+        camera.camera = Camera::pinhole(32, 20, [41.0, 41.0], [15.5, 9.5]);
+    }
+    writer.place_sidecar("phone", &phone);
+    let (frame, sample) = (image(0, 0), imu(0));
+    writer.write_image("cam0", &frame).unwrap();
+    writer.write_imu("imu0", &sample).unwrap();
+    let variance = message::ImuVariance::UNKNOWN;
+    let messages = [
+        (
+            "/sidecar/phone/cam0/image",
+            message::IMAGE,
+            message::encode_image(frame.time, "cam0", &frame.sample),
+        ),
+        (
+            "/sidecar/phone/imu",
+            message::IMU,
+            message::encode_imu(sample.time, "imu0", &sample.sample, variance),
+        ),
+    ];
+    for (topic, schema, bytes) in messages {
+        let channel = Channel {
+            topic,
+            schema_name: schema.name,
+            schema_text: schema.text,
+        };
+        writer
+            .write_cdr(&channel, frame.time, frame.arrival, &bytes)
+            .unwrap();
+    }
+    writer.finish().unwrap();
+
+    let recording = Recording::open(&path).unwrap();
+    let only = |topic: &str| {
+        let mut messages = recording.messages(topic).unwrap();
+        let bytes = messages.next().unwrap().unwrap().bytes;
+        assert!(messages.next().is_none(), "{topic}");
+        bytes
+    };
+    assert_eq!(
+        only("/sidecar/phone/cam0/image"),
+        message::encode_image(frame.time, "phone/cam0", &frame.sample)
+    );
+    assert_eq!(
+        only("/sidecar/phone/imu"),
+        message::encode_imu(sample.time, "phone/imu0", &sample.sample, variance)
+    );
+    let lens = &phone.cameras["cam0"].camera;
+    assert_eq!(
+        only("/sidecar/phone/cam0/camera_info"),
+        message::encode_camera_info(frame.time, "phone/cam0", lens)
+    );
+    let own = &rig().cameras["cam0"].camera;
+    assert_eq!(
+        only("/cam0/camera_info"),
+        message::encode_camera_info(frame.time, "cam0", own)
+    );
+    let frames = only("/tf_static");
+    let holds = |name: &str| {
+        let name = format!("{name}\0");
+        frames.windows(name.len()).any(|w| w == name.as_bytes())
+    };
+    assert!(
+        ["cam0", "phone/rig", "phone/cam0", "phone/cam1"]
+            .iter()
+            .all(|name| holds(name))
+    );
 }
 
 /// Two units whose links run seconds apart; the file is in the order of arrival.
@@ -434,12 +525,6 @@ fn what_is_not_there_is_named() {
         error.to_string().contains("640 pixels in a 31×20 image"),
         "{error}"
     );
-    let short = Packet {
-        arrival: START,
-        bytes: vec![0; 512],
-    };
-    let error = writer.write_velodyne_packets(START, &[short]).unwrap_err();
-    assert!(error.to_string().contains("1206 bytes"), "{error}");
     writer.finish().unwrap();
 
     let recording = Recording::open(&path).unwrap();
@@ -475,11 +560,11 @@ fn the_rig_in_the_specification_is_one() {
     assert_eq!(
         (
             rig.cameras["cam0"].camera.width,
-            rig.lidar.unwrap().range_noise_m
+            rig.lidar().unwrap().range_noise_m
         ),
         (640, 0.03)
     );
-    assert_eq!(rig.imu.unwrap().accel_bias_walk, 1e-4);
+    assert_eq!(rig.imu_noise().unwrap().accel_bias_walk, 1e-4);
 }
 
 /// Without compression a large message goes into the file as it lies, and closes its chunk.

@@ -9,7 +9,7 @@
 use std::path::Path;
 
 use lsfb_drivers::transport::save::{Encapsulation, PcapWriter};
-use lsfb_sim::{Device, LidarModel, LidarReturns, Place, RigSim, SimConfig, Simulation};
+use lsfb_sim::{Device, LidarModel, Place, ReturnMode, RigSim, SimConfig, Simulation};
 use lsfb_types::{Packet, no_progress};
 use serde_json::json;
 
@@ -28,15 +28,11 @@ fn main() -> Result<(), Failure> {
         (
             "vlp32c-strongest",
             LidarModel::Vlp32c,
-            LidarReturns::Strongest,
+            ReturnMode::Strongest,
         ),
-        ("vlp32c-dual", LidarModel::Vlp32c, LidarReturns::Dual),
-        (
-            "vlp16-strongest",
-            LidarModel::Vlp16,
-            LidarReturns::Strongest,
-        ),
-        ("vlp16-dual", LidarModel::Vlp16, LidarReturns::Dual),
+        ("vlp32c-dual", LidarModel::Vlp32c, ReturnMode::Dual),
+        ("vlp16-strongest", LidarModel::Vlp16, ReturnMode::Strongest),
+        ("vlp16-dual", LidarModel::Vlp16, ReturnMode::Dual),
     ] {
         let mut config = SimConfig::for_place(Place::MediumOffice, Device::Glasses);
         (config.texel_m, config.people) = (0.05, false);
@@ -51,7 +47,7 @@ fn main() -> Result<(), Failure> {
         streams.push(json!({
             "name": name,
             "model": model,
-            "dual": returns == LidarReturns::Dual,
+            "dual": returns == ReturnMode::Dual,
             "range_noise_m": config.lidar.range_noise_m,
             "divergence_rad": config.lidar.divergence_rad,
             "separation_m": config.lidar.separation_m,

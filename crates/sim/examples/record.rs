@@ -118,9 +118,9 @@ fn record(
             }
             frame += 1;
         }
-        if rig.rig().lidar.is_some() && revolution < rig.revolution_count() {
+        if rig.rig().lidar().is_some() && revolution < rig.revolution_count() {
             if let Some(scan) = rig.scan(world, revolution) {
-                writer.write_scan(&scan)?;
+                writer.write_scan(lsfb_geometry::MAIN_LIDAR, &scan)?;
             }
             revolution += 1;
         }

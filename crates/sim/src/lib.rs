@@ -69,8 +69,8 @@ pub use ambient::{
 pub use calendar::{EPOCH, GLASSES_EPOCH};
 pub use config::{
     BarometerConfig, BleConfig, CameraConfig, Device, GnssConfig, ImuConfig, ImuFamily, LensKind,
-    LidarConfig, LidarModel, LidarReturns, MagneticConfig, NmeaSentence, Place, PulseSource,
-    SimConfig, WalkConfig, WifiConfig,
+    LidarConfig, LidarModel, MagneticConfig, NmeaSentence, Place, PulseSource, SimConfig,
+    WalkConfig, WifiConfig,
 };
 pub use datum::{DatumConfig, Geodetic};
 pub use device::{
@@ -79,6 +79,7 @@ pub use device::{
     StopHandle, Turns, WalkEmission,
 };
 pub use error::Error;
+pub use lsfb_drivers::velodyne::wire::ReturnMode;
 pub use place::{CalibrationBoard, TAG_M};
 pub use sensor::camera::CameraSim;
 pub use sensor::imu::{BiasedSample, GRAVITY_M_S2, at_rest, exact_sample};

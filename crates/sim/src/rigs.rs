@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use lsfb_geometry::camera::{Camera, Lens};
-use lsfb_geometry::{Rig, RigCamera, RigImu, RigLidar, Se3};
+use lsfb_geometry::{ImuNoiseModel, Rig, RigCamera, RigImu, RigLidar, Se3};
 
 use crate::calendar::EPOCH;
 use crate::config::{CameraConfig, Device, ImuConfig, LensKind, SimConfig};
@@ -32,11 +32,12 @@ pub fn backpack(config: &SimConfig) -> Rig {
             &config.scan_cameras,
             [-0.021, 0.0061, -0.0032, 0.0004],
         ),
-        imu: Some(imu(&config.scan_imu)),
-        lidar: Some(RigLidar {
+        imus: RigImu::from(imu(&config.scan_imu)).alone(),
+        lidars: RigLidar {
             rig_from_lidar: Se3::new(angles([0.7, 3.2, -1.1]), Vector3::new(-0.015, 0.006, 0.35)),
             range_noise_m: config.lidar.range_noise_m,
-        }),
+        }
+        .alone(),
     }
 }
 
@@ -54,8 +55,8 @@ pub fn glasses(config: &SimConfig) -> Rig {
             &config.glasses_cameras,
             [-0.013, 0.0042, -0.0024, 0.0003],
         ),
-        imu: Some(imu(&config.glasses_imu)),
-        lidar: None,
+        imus: RigImu::from(imu(&config.glasses_imu)).alone(),
+        lidars: BTreeMap::new(),
     }
 }
 
@@ -77,13 +78,13 @@ fn phone_rig(config: &SimConfig) -> Rig {
         name: "phone".into(),
         calibrated_unix_s: CALIBRATED,
         cameras: cameras(&mounts, &config.glasses_cameras, [0.0; 4]),
-        imu: Some(imu(&config.glasses_imu)),
-        lidar: None,
+        imus: RigImu::from(imu(&config.glasses_imu)).alone(),
+        lidars: BTreeMap::new(),
     }
 }
 
-fn imu(config: &ImuConfig) -> RigImu {
-    RigImu {
+fn imu(config: &ImuConfig) -> ImuNoiseModel {
+    ImuNoiseModel {
         gyro_noise_density: config.gyro_noise_density,
         accel_noise_density: config.accel_noise_density,
         gyro_bias_walk: config.gyro_bias_walk,

@@ -1,7 +1,8 @@
 //! A world, two rigs in it, and what their sensors measure: the offline way to the data, without devices.
 
+use lsfb_drivers::velodyne::wire::ReturnMode;
 use lsfb_geometry::{Matrix3, Rig, Se3, Vector3};
-use lsfb_types::{Image, LidarPoint, LidarScan, ProgressFn, Stamped, Timestamp};
+use lsfb_types::{Echo, Image, LidarPoint, LidarScan, ProgressFn, Stamped, Timestamp};
 
 use crate::ambient::{Surroundings, TimeFeed};
 use crate::calendar::{EPOCH, GLASSES_EPOCH};
@@ -60,7 +61,7 @@ impl Simulation {
             RigClocks::new(&config.clocks, EPOCH, config.seed),
             config.seed,
         )?;
-        scan.lidar = scan.rig.lidar.as_ref().map(|lidar| {
+        scan.lidar = scan.rig.lidar().map(|lidar| {
             LidarSim::new(
                 lidar.rig_from_lidar,
                 &config.lidar,
@@ -368,7 +369,14 @@ impl RigSim {
                 let direction = lidar.beam_direction(channel, azimuth_deg);
                 let second = &cycle.second_returns[channel];
                 let other = second.range_count != first.range_count;
-                for (echo, is_sent) in [(first, true), (second, other)] {
+                let kind = match lidar.return_mode() {
+                    ReturnMode::Strongest => Echo::Strongest,
+                    ReturnMode::Last => Echo::Last,
+                    ReturnMode::Dual if other => Echo::Last,
+                    ReturnMode::Dual => Echo::Both,
+                };
+                for (echo, kind, is_sent) in [(first, kind, true), (second, Echo::Strongest, other)]
+                {
                     if echo.range_count == 0 || !is_sent {
                         continue;
                     }
@@ -378,6 +386,7 @@ impl RigSim {
                         position_m: position.map(|v| v as f32).into(),
                         intensity: echo.reflectivity,
                         ring: lidar.ring(channel),
+                        echo: kind,
                         time_offset_ns: (cycle.offset_ns + delay_ns - first_ns) as u32,
                     });
                 }
@@ -402,8 +411,7 @@ impl RigSim {
     pub fn world_from_lidar(&self, offset_s: f64) -> Se3 {
         let rig_from_lidar = self
             .rig
-            .lidar
-            .as_ref()
+            .lidar()
             .map_or(Se3::identity(), |l| l.rig_from_lidar);
         self.walk.at(offset_s).world_from_rig * rig_from_lidar
     }

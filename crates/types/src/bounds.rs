@@ -81,11 +81,17 @@ impl Bounds {
             && match self {
                 Self::MoreThan(limit) => value > limit,
                 Self::AtLeast(least) => value >= least,
-                Self::Within(least, most) => (least..=most).contains(&value),
+                Self::Within(least, most) => is_within(value, least, most),
                 Self::Between(below, above) => value > below && value < above,
-                Self::ZeroOr(least, most) => value == 0.0 || (least..=most).contains(&value),
+                Self::ZeroOr(least, most) => value == 0.0 || is_within(value, least, most),
             }
     }
+}
+
+/// Whether a value lies between two, both taken in. A setting of single precision lies at a bound where it is as near as it can be.
+fn is_within(value: f64, least: f64, most: f64) -> bool {
+    let is_at = |bound: f64| value as f32 == bound as f32;
+    (least..=most).contains(&value) || is_at(least) || is_at(most)
 }
 
 impl fmt::Display for Bounds {

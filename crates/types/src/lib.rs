@@ -17,6 +17,6 @@ mod verdict;
 pub use bounds::{Bounds, OutOfBounds, setting_name};
 pub use packet::Packet;
 pub use progress::{Progress, ProgressFn, Stopped, no_progress, until};
-pub use sample::{Image, ImuSample, LidarPoint, LidarScan, Stamped};
+pub use sample::{Echo, Image, ImuSample, LidarPoint, LidarScan, Stamped};
 pub use timestamp::Timestamp;
 pub use verdict::{Finding, Judgement, Limit, Verdict};

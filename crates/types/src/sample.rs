@@ -22,8 +22,54 @@ pub struct LidarPoint {
     pub intensity: u8,
     /// Rank of the laser by elevation, 0 lowest.
     pub ring: u16,
+    /// Which echo of its shot it is.
+    pub echo: Echo,
     /// Time after the scan's first firing, nanoseconds.
     pub time_offset_ns: u32,
+}
+
+/// Which echo of a shot a return is. The numbers of the first four are those of PyPI `velodyne-decoder`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[repr(u8)]
+pub enum Echo {
+    /// Nobody said.
+    #[default]
+    Unknown = 0,
+    /// The brightest.
+    Strongest = 1,
+    /// The farthest.
+    Last = 2,
+    /// The brightest and the farthest in one: sensors that report both found no other.
+    Both = 3,
+    /// The nearest.
+    First = 4,
+    /// The second nearest.
+    Second = 5,
+}
+
+impl Echo {
+    /// All, in the order of their numbers.
+    pub const ALL: [Self; 6] = [
+        Self::Unknown,
+        Self::Strongest,
+        Self::Last,
+        Self::Both,
+        Self::First,
+        Self::Second,
+    ];
+
+    /// Its number in files.
+    pub const fn code(self) -> u8 {
+        self as u8
+    }
+
+    /// [`Echo::Unknown`] for a number that names none.
+    pub fn from_code(code: u8) -> Self {
+        Self::ALL
+            .get(usize::from(code))
+            .copied()
+            .unwrap_or_default()
+    }
 }
 
 /// One revolution (or less, with a FOV window), in firing order.

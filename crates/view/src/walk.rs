@@ -92,7 +92,7 @@ fn log_scans(
     tell: &TellPart<'_>,
     report: &mut ViewReport,
 ) -> Result<(), Error> {
-    let Some(lidar) = &walk.rig.lidar else {
+    let Some(lidar) = walk.rig.lidar() else {
         return Ok(());
     };
     let scans = match walk.recording.scans() {

@@ -1,6 +1,8 @@
 //! A small recording becomes a file that the viewer's own library reads again.
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use lsfb_geometry::{Camera, Rig, RigCamera, RigLidar, Se3, StampedPose, Trajectory, Vector6};
 use lsfb_recording::{Recording, Writer, WriterConfig};
 use lsfb_types::{
@@ -30,10 +32,11 @@ fn rig() -> Rig {
             },
         )]
         .into(),
-        lidar: Some(RigLidar {
+        lidars: RigLidar {
             rig_from_lidar: Se3::exp(&Vector6::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.3)),
             range_noise_m: 0.02,
-        }),
+        }
+        .alone(),
         ..Rig::empty("backpack")
     }
 }
@@ -54,7 +57,7 @@ fn at<T>(secs: f64, sample: T) -> Stamped<T> {
 
 /// A ring of walls five metres around the world's origin, seen from the rig.
 fn scan(secs: f64) -> LidarScan {
-    let lidar_from_world = (pose(secs) * rig().lidar.unwrap().rig_from_lidar).inverse();
+    let lidar_from_world = (pose(secs) * rig().lidar().unwrap().rig_from_lidar).inverse();
     let points = (0..2000u16).map(|i| {
         let (angle, z) = (f64::from(i) * 0.05, f64::from(i % 20) * 0.1);
         let world = lsfb_geometry::Vector3::new(5.0 * angle.cos(), 5.0 * angle.sin(), z);
@@ -63,6 +66,7 @@ fn scan(secs: f64) -> LidarScan {
             intensity: (i % 20 * 5) as u8,
             ring: i % 20,
             time_offset_ns: 0,
+            ..LidarPoint::default()
         }
     });
     LidarScan {
@@ -91,7 +95,7 @@ fn a_small_walk_is_written_with_everything_in_it() {
             frame_id: n,
         };
         writer.write_image("cam0", &at(secs, image)).unwrap();
-        writer.write_scan(&at(secs, scan(secs))).unwrap();
+        writer.write_scan("lidar", &at(secs, scan(secs))).unwrap();
         for k in 0..20 {
             let secs = secs + f64::from(k) * 0.005;
             let sample = ImuSample {
@@ -131,14 +135,24 @@ fn a_small_walk_is_written_with_everything_in_it() {
     };
     let out = dir.join("walk.rrd");
     let config = ViewConfig::default();
-    for part in 0..=4 {
-        let stop = |p: Progress| match p.done == part {
+    let steps = AtomicU64::new(0);
+    let count = |_: Progress| {
+        steps.fetch_add(1, Ordering::Relaxed);
+        Ok(())
+    };
+    write_rrd(&out, &inputs, &config, &count).unwrap();
+    std::fs::remove_file(&out).unwrap();
+    let steps = steps.into_inner();
+    assert!(steps >= 4, "{steps}");
+    for last in 0..steps {
+        let step = AtomicU64::new(0);
+        let stop = |_: Progress| match step.fetch_add(1, Ordering::Relaxed) == last {
             true => Err(Stopped),
             false => Ok(()),
         };
         let stopped = write_rrd(&out, &inputs, &config, &stop);
         assert!(matches!(stopped, Err(Error::Stopped(_))), "{stopped:?}");
-        assert!(!out.exists(), "{part}");
+        assert!(!out.exists(), "{last}");
     }
     let report = write_rrd(&out, &inputs, &config, &no_progress).unwrap();
     // Four seconds: images and scans every half second, inertial samples every 20 ms.

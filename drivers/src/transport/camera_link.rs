@@ -12,19 +12,7 @@ use super::camera_socket::SocketLink;
 #[cfg(feature = "hardware")]
 use super::v4l2::NodeLink;
 use crate::Error;
-use crate::camera::model::FrameFormat;
-use crate::camera::wire::{ImageControl, XuQuery, XuSelector};
-
-/// What the link itself has met, as opposed to what the frames say.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct LinkCounters {
-    /// Frames handed over.
-    pub frames: u64,
-    /// Frames that the kernel counted and never handed over: the host was too slow, or USB lost a part.
-    pub missing: u64,
-    /// Frames that the kernel marked as damaged; they are handed over as they are.
-    pub damaged: u64,
-}
+use crate::transport::uvc::{FrameFormat, ImageControl, LinkCounters, XuQuery, XuSelector};
 
 /// A link to one camera: frames, and transactions with its extension unit.
 #[derive(Debug)]

@@ -2,6 +2,7 @@
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
+use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -156,6 +157,10 @@ impl<S: PacketSource> PacketSource for Saving<S> {
             self.writer.write(packet)?;
         }
         Ok(packet)
+    }
+
+    fn sender(&self) -> Option<IpAddr> {
+        self.source.sender()
     }
 }
 

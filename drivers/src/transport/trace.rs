@@ -2,6 +2,7 @@
 
 use std::fmt::Write as _;
 use std::io::Write;
+use std::net::IpAddr;
 use std::time::Duration;
 
 use lsfb_types::{Packet, Timestamp};
@@ -78,6 +79,10 @@ impl<S: PacketSource, W: Write> PacketSource for Tracing<S, W> {
             self.unwritten += 1;
         }
         received
+    }
+
+    fn sender(&self) -> Option<IpAddr> {
+        self.source.sender()
     }
 }
 

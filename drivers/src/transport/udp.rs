@@ -35,8 +35,9 @@ pub struct UdpConfig {
 #[derive(Debug)]
 pub struct UdpSource {
     ports: Vec<Port>,
-    sender: Option<IpAddr>,
-    waiting: VecDeque<Packet>,
+    only_sender: Option<IpAddr>,
+    waiting: VecDeque<Datagram>,
+    last_sender: Option<IpAddr>,
     foreign: u64,
     wanted_buffer_bytes: usize,
     name: String,
@@ -67,8 +68,9 @@ impl UdpSource {
             .join(", ");
         Ok(Self {
             ports,
-            sender: config.sender,
+            only_sender: config.sender,
             waiting: VecDeque::new(),
+            last_sender: None,
             foreign: 0,
             wanted_buffer_bytes: config.receive_buffer_bytes,
             name,
@@ -112,10 +114,14 @@ impl UdpSource {
         let mut batch = Vec::with_capacity(self.ports.len());
         for port in &mut self.ports {
             match port.receive() {
-                Ok(Some(datagram)) if self.sender.is_some_and(|ip| datagram.sender != Some(ip)) => {
+                Ok(Some(datagram))
+                    if self
+                        .only_sender
+                        .is_some_and(|ip| datagram.sender != Some(ip)) =>
+                {
                     self.foreign += 1
                 }
-                Ok(Some(datagram)) => batch.push(datagram.packet),
+                Ok(Some(datagram)) => batch.push(datagram),
                 Ok(None) => {}
                 Err(cause) => {
                     return Err(Error::Lost {
@@ -125,7 +131,7 @@ impl UdpSource {
                 }
             }
         }
-        batch.sort_by_key(|packet| packet.arrival);
+        batch.sort_by_key(|datagram| datagram.packet.arrival);
         self.waiting.extend(batch);
         Ok(())
     }
@@ -154,10 +160,18 @@ impl PacketSource for UdpSource {
                 }
             }
         }
-        Ok(self.waiting.pop_front())
+        Ok(self.waiting.pop_front().map(|datagram| {
+            self.last_sender = datagram.sender;
+            datagram.packet
+        }))
+    }
+
+    fn sender(&self) -> Option<IpAddr> {
+        self.last_sender
     }
 }
 
+#[derive(Debug)]
 struct Datagram {
     packet: Packet,
     sender: Option<IpAddr>,

@@ -1,21 +1,13 @@
 //! When and where each laser of one packet fired: rotor motion, gaps of a field-of-view window, dual returns.
 
+use lsfb_types::Echo;
+
 use super::model::Model;
 use super::wire::{BLOCKS, CHANNELS, DataPacket, ReturnMode, TURN_CENTIDEG};
+use crate::lidar::turn;
 
 /// A step of the rotor below this is never a gap, however slow it turns.
 const SMALLEST_GAP_CENTIDEG: u16 = 50;
-
-/// Which echo a return is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Echo {
-    /// The brightest.
-    Strongest,
-    /// The farthest.
-    Last,
-    /// The only one, or the brightest is the farthest.
-    Both,
-}
 
 /// One distance of a packet that is not empty, as raw as it can be placed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -244,12 +236,6 @@ fn wrap(centideg: f32) -> f32 {
     } else {
         centideg
     }
-}
-
-/// How far the rotor turns forward from `from` to `to`.
-pub(super) fn turn(from: u16, to: u16) -> u16 {
-    (u32::from(to) + u32::from(TURN_CENTIDEG) - u32::from(from)).rem_euclid(TURN_CENTIDEG.into())
-        as u16
 }
 
 pub(super) const fn stride(mode: ReturnMode) -> usize {

@@ -26,7 +26,11 @@ pub mod settings;
 mod web;
 pub mod wire;
 
-pub use decode::{Counters, DecodeError, Decoder, DecoderConfig, ModelChoice, OpticalOffset};
+pub use decode::{
+    DecodeError, Decoder, DecoderConfig, ModelChoice, device_ns, position, recognise,
+};
 pub use device::{VelodyneConfig, open};
-pub use layout::{Echo, PacketLayout, Return, returns};
+pub use layout::{PacketLayout, Return, returns};
+pub use model::Model;
+pub use points::OpticalOffset;
 pub use web::{Obedience, SensorPage, SensorWeb};

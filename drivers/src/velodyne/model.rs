@@ -1,6 +1,58 @@
 //! Constants of the supported models, each with its manual page.
 
-use super::wire::{CHANNELS, ReturnMode};
+/// Blocks in a data packet.
+pub const BLOCKS: usize = 12;
+/// Distances in a block.
+pub const CHANNELS: usize = 32;
+/// Which of two echoes a sensor sends.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(rename_all = "kebab-case")
+)]
+pub enum ReturnMode {
+    /// The brightest echo.
+    #[default]
+    Strongest,
+    /// The farthest echo.
+    Last,
+    /// Both: even blocks hold the last, odd blocks the strongest.
+    Dual,
+}
+
+impl ReturnMode {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Strongest, Self::Last, Self::Dual];
+
+    /// Its name in settings.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Strongest => "strongest",
+            Self::Last => "last",
+            Self::Dual => "dual",
+        }
+    }
+
+    /// The byte on the wire.
+    pub const fn code(self) -> u8 {
+        match self {
+            Self::Strongest => 0x37,
+            Self::Last => 0x38,
+            Self::Dual => 0x39,
+        }
+    }
+
+    /// `None` for a byte that names no mode.
+    pub const fn from_code(code: u8) -> Option<Self> {
+        match code {
+            0x37 => Some(Self::Strongest),
+            0x38 => Some(Self::Last),
+            0x39 => Some(Self::Dual),
+            _ => None,
+        }
+    }
+}
 
 /// A sensor this driver decodes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -158,7 +210,7 @@ impl Model {
 
     /// Time from one packet to the next while the sensor fires, nanoseconds.
     pub const fn packet_period_ns(self, mode: ReturnMode) -> u32 {
-        self.block_time_ns(mode, super::wire::BLOCKS)
+        self.block_time_ns(mode, BLOCKS)
     }
 }
 

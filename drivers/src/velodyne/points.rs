@@ -4,7 +4,7 @@
 use std::f32::consts::PI;
 use std::sync::LazyLock;
 
-use lsfb_types::LidarPoint;
+use lsfb_types::{Echo, LidarPoint};
 
 use super::model::{Model, ModelTable};
 use super::wire::{CHANNELS, DataPacket, TURN_CENTIDEG};
@@ -104,6 +104,8 @@ pub(super) struct Firing {
     pub pace_centideg_ns: f32,
     /// Time of the first laser after the scan's first, nanoseconds.
     pub offset_ns: u32,
+    /// Which echo a block holds where it is the only one of its shot.
+    pub echo: Echo,
 }
 
 /// The echoes of a block, laser by laser.
@@ -128,6 +130,16 @@ impl Echoes {
     }
 }
 
+/// Whether the optical centre's vertical offset is modelled.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum OpticalOffset {
+    /// Beams start at the origin, as in ros-drivers and nebula.
+    #[default]
+    Ignored,
+    /// `z += f tan(-elevation)`, as in velodyne_decoder: up to 2 cm at the steepest beam.
+    Applied,
+}
+
 /// Makes the points of one model's blocks.
 pub(super) struct PointMaker {
     beams: &'static Beams,
@@ -139,13 +151,13 @@ pub(super) struct PointMaker {
 }
 
 impl PointMaker {
-    pub(super) fn new(model: Model, optical_offset: super::OpticalOffset) -> Self {
+    pub(super) fn new(model: Model, optical_offset: OpticalOffset) -> Self {
         let beams = Beams::of(model);
         Self {
             beams,
             lift_m: match optical_offset {
-                super::OpticalOffset::Ignored => [0.0; CHANNELS],
-                super::OpticalOffset::Applied => beams.optical_offset_m,
+                OpticalOffset::Ignored => [0.0; CHANNELS],
+                OpticalOffset::Applied => beams.optical_offset_m,
             },
             made: [LidarPoint::default(); 2 * CHANNELS],
         }
@@ -163,7 +175,8 @@ impl PointMaker {
         let placed = self.place(&self.aim(firing), &echoes.range_raw);
         let mut count = 0;
         for k in 0..CHANNELS {
-            self.made[count % (2 * CHANNELS)] = self.point(k, &placed, &echoes, firing);
+            self.made[count % (2 * CHANNELS)] =
+                self.point(k, &placed, &echoes, firing, firing.echo);
             count += usize::from(echoes.range_raw[k] != 0);
         }
         out.extend_from_slice(&self.made[..count]);
@@ -186,10 +199,15 @@ impl PointMaker {
         let mut count = 0;
         for k in 0..CHANNELS {
             let (last_raw, strongest_raw) = (last.range_raw[k], strongest.range_raw[k]);
-            self.made[count % (2 * CHANNELS)] = self.point(k, &last_placed, &last, firing);
+            let first = if last_raw == strongest_raw {
+                Echo::Both
+            } else {
+                Echo::Last
+            };
+            self.made[count % (2 * CHANNELS)] = self.point(k, &last_placed, &last, firing, first);
             count += usize::from(last_raw != 0);
             self.made[count % (2 * CHANNELS)] =
-                self.point(k, &strongest_placed, &strongest, firing);
+                self.point(k, &strongest_placed, &strongest, firing, Echo::Strongest);
             count += usize::from(strongest_raw != 0) & usize::from(strongest_raw != last_raw);
         }
         out.extend_from_slice(&self.made[..count]);
@@ -242,11 +260,19 @@ impl PointMaker {
     }
 
     #[inline]
-    fn point(&self, k: usize, placed: &Placed, echoes: &Echoes, firing: &Firing) -> LidarPoint {
+    fn point(
+        &self,
+        k: usize,
+        placed: &Placed,
+        echoes: &Echoes,
+        firing: &Firing,
+        echo: Echo,
+    ) -> LidarPoint {
         LidarPoint {
             position_m: [placed.x_m[k], placed.y_m[k], placed.z_m[k]],
             intensity: echoes.reflectivity[k],
             ring: self.beams.ring[k],
+            echo,
             time_offset_ns: firing.offset_ns + self.beams.firing_ns[k],
         }
     }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::error::Error;
 use std::sync::Arc;
 
-use lsfb_geometry::{Matrix6, RigImu, Se3, UnitQuaternion, Vector2, Vector3, Vector6};
+use lsfb_geometry::{ImuNoiseModel, Matrix6, Se3, UnitQuaternion, Vector2, Vector3, Vector6};
 use lsfb_pipeline::preintegration::{ImuBias, NavState, PreintegratedImu};
 use lsfb_pipeline::residuals::{BiasWalk, ImuPreintegration, ObservingCamera, Reprojection};
 use lsfb_solver::{Block, Incremental, IncrementalConfig, Kernel, PosePrior, Problem, VectorPrior};
@@ -13,7 +13,7 @@ use crate::tracks::{FOCAL_PX, Keyframe, Sight, Tracks};
 
 const GRAVITY_M_S2: f64 = 9.81;
 
-const NOISE: RigImu = RigImu {
+const NOISE: ImuNoiseModel = ImuNoiseModel {
     gyro_noise_density: 3.4e-4,
     accel_noise_density: 4e-3,
     // From keyframe to keyframe, whatever the time between them: as the peer has it.

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use lsfb_geometry::{Rig, RigImu, StampedPose, Trajectory};
+use lsfb_geometry::{ImuNoiseModel, Rig, StampedPose, Trajectory};
 use lsfb_recording::Recording;
 use lsfb_types::{Progress, ProgressFn};
 use rayon::prelude::*;
@@ -32,7 +32,7 @@ pub fn ground_truth(
         sensor,
         rig: rig.name.clone(),
     };
-    let noise = rig.imu.as_ref().ok_or_else(|| missing("IMU"))?;
+    let noise = rig.imu_noise().ok_or_else(|| missing("IMU"))?;
     if rig.cameras.is_empty() {
         return Err(missing("camera"));
     }
@@ -88,8 +88,8 @@ pub fn ground_truth(
     Ok(GroundTruth { trajectory, report })
 }
 
-fn inflated(noise: &RigImu, factor: f64) -> RigImu {
-    RigImu {
+fn inflated(noise: &ImuNoiseModel, factor: f64) -> ImuNoiseModel {
+    ImuNoiseModel {
         gyro_noise_density: noise.gyro_noise_density * factor,
         accel_noise_density: noise.accel_noise_density * factor,
         gyro_bias_walk: noise.gyro_bias_walk * factor,

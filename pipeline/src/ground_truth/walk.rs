@@ -1,6 +1,6 @@
 use std::sync::Arc;
 
-use lsfb_geometry::{RigImu, Se3, Vector2, Vector3};
+use lsfb_geometry::{ImuNoiseModel, Se3, Vector2, Vector3};
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 
 use crate::Error;
@@ -16,7 +16,7 @@ pub(super) struct Walk {
     /// Inertial samples, in order.
     pub imu: Vec<Stamped<ImuSample>>,
     /// Noise of the IMU, as the optimisation should take it.
-    pub noise: RigImu,
+    pub noise: ImuNoiseModel,
 }
 
 /// One instant.

@@ -246,7 +246,7 @@ pub fn build_map(
             path: recording.path().to_owned(),
         });
     }
-    if let Some(lidar) = &rig.lidar {
+    if let Some(lidar) = rig.lidar() {
         add_lidar_features(
             recording,
             lidar,

@@ -36,8 +36,8 @@ fn rig() -> Rig {
         cameras: [("cam0", 0.0), ("cam1", 2.1), ("cam2", -2.1)]
             .map(|(name, yaw)| (name.to_owned(), camera(yaw)))
             .into(),
-        imu: Some(room::imu()),
-        lidar: Some(room::lidar()),
+        imus: lsfb_geometry::RigImu::from(room::imu()).alone(),
+        lidars: room::lidar().alone(),
         ..Rig::empty("backpack")
     }
 }
@@ -52,7 +52,9 @@ fn record(path: &Path, duration_s: f64, cameras: &[&str], image_delay_s: f64) {
     }
     for i in 0..(duration_s * 10.0) as u64 - 1 {
         let t = i as f64 * 0.1;
-        writer.write_scan(&room::scan(&room, t, i)).expect("scan");
+        writer
+            .write_scan("lidar", &room::scan(&room, t, i))
+            .expect("scan");
         for name in cameras {
             let image = room::render(&room, &rig.cameras[*name], t + image_delay_s);
             writer.write_image(name, &image).expect("image");
@@ -113,7 +115,7 @@ fn a_walk_becomes_a_map_though_one_camera_is_missing() {
 fn a_map_can_be_stopped_in_each_of_its_stages() {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("scan.mcap");
-    record(&path, 1.2, &["cam0"], 0.03);
+    record(&path, 2.2, &["cam0", "cam1"], 0.03);
     let recording = Recording::open(&path).expect("recording");
     let config = MappingConfig::default();
     let stages = Mutex::new(BTreeSet::new());

@@ -6,7 +6,7 @@
 //! error in the tangent of SE(3).
 
 use lsfb_geometry::{
-    Matrix3, Matrix6, RigImu, Se3, StampedPose, UnitQuaternion, Vector3, Vector6, so3,
+    ImuNoiseModel, Matrix3, Matrix6, Se3, StampedPose, UnitQuaternion, Vector3, Vector6, so3,
 };
 use lsfb_perception::lidar::PosePrior;
 use lsfb_types::{ImuSample, Stamped, Timestamp};
@@ -49,7 +49,7 @@ pub struct InertialFilter {
     state: InertialState,
     covariance: Matrix18,
     time: Timestamp,
-    noise: RigImu,
+    noise: ImuNoiseModel,
 }
 
 /// Angular velocity and specific force at one time.
@@ -105,7 +105,11 @@ fn reading_at(samples: &[Stamped<ImuSample>], time: Timestamp) -> Option<Reading
 impl InertialFilter {
     /// Starts at the world's origin at `time`, level by the mean specific force of `samples`, heading along x.
     /// While the carrier stands the mean angular velocity is the gyroscope bias. `None` without samples.
-    pub fn start(samples: &[Stamped<ImuSample>], time: Timestamp, noise: &RigImu) -> Option<Self> {
+    pub fn start(
+        samples: &[Stamped<ImuSample>],
+        time: Timestamp,
+        noise: &ImuNoiseModel,
+    ) -> Option<Self> {
         if samples.is_empty() {
             return None;
         }
@@ -304,7 +308,7 @@ mod tests {
     use super::*;
     use lsfb_types::ImuSample;
 
-    const NOISE: RigImu = RigImu {
+    const NOISE: ImuNoiseModel = ImuNoiseModel {
         gyro_noise_density: 1e-4,
         accel_noise_density: 1e-3,
         gyro_bias_walk: 1e-5,

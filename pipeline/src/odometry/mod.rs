@@ -14,7 +14,7 @@ pub(crate) mod tests;
 
 use std::collections::VecDeque;
 
-use lsfb_geometry::{Matrix6, RigImu, RigLidar, Se3, StampedPose, Vector3, Vector6};
+use lsfb_geometry::{ImuNoiseModel, Matrix6, RigLidar, Se3, StampedPose, Vector3, Vector6};
 use lsfb_perception::lidar::{
     KNOT_NS, LocalMap, LocalMapConfig, MotionKnot, PosePrior, RangeWindow, Registration,
     RegistrationConfig, Weighting, deskew, register, voxel_downsample,
@@ -147,7 +147,7 @@ enum Motion {
 
 #[derive(Clone, Debug)]
 struct InertialMotion {
-    noise: RigImu,
+    noise: ImuNoiseModel,
     samples: Vec<Stamped<ImuSample>>,
     filter: Option<Box<InertialFilter>>,
 }
@@ -181,7 +181,7 @@ impl Odometry {
     pub fn new(
         config: &OdometryConfig,
         lidar: &RigLidar,
-        imu: Option<&RigImu>,
+        imu: Option<&ImuNoiseModel>,
     ) -> Result<Self, Error> {
         config.check_bounds("odometry")?;
         let motion = match imu {

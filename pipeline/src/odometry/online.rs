@@ -26,13 +26,13 @@ pub struct OnlineOdometry {
 impl OnlineOdometry {
     /// For a rig with a LiDAR and, if there is one, an IMU.
     pub fn new(config: &OdometryConfig, rig: &Rig) -> Result<Self, Error> {
-        let lidar = rig.lidar.as_ref().ok_or_else(|| Error::SensorMissing {
+        let lidar = rig.lidar().ok_or_else(|| Error::SensorMissing {
             sensor: "LiDAR",
             rig: rig.name.clone(),
         })?;
         Ok(Self {
-            odometry: Odometry::new(config, lidar, rig.imu.as_ref())?,
-            has_imu: rig.imu.is_some(),
+            odometry: Odometry::new(config, lidar, rig.imu_noise())?,
+            has_imu: rig.imu().is_some(),
             newest_imu: None,
             waiting: VecDeque::new(),
         })

@@ -74,13 +74,13 @@ pub fn run_odometry(
     progress: ProgressFn<'_>,
 ) -> Result<OdometryResult, Error> {
     let rig = recording.rig()?;
-    let lidar = rig.lidar.as_ref().ok_or_else(|| Error::SensorMissing {
+    let lidar = rig.lidar().ok_or_else(|| Error::SensorMissing {
         sensor: "LiDAR",
         rig: rig.name.clone(),
     })?;
     let mut damages = Damages::default();
     let samples = imu_samples(recording, &rig, &mut damages);
-    let noise = rig.imu.as_ref().filter(|_| !samples.is_empty());
+    let noise = rig.imu_noise().filter(|_| !samples.is_empty());
     let mut odometry = Odometry::new(config, lidar, noise)?;
     let mut run = Run::default();
     let mut waiting = samples.iter().peekable();
@@ -125,7 +125,7 @@ pub fn run_odometry(
 
 /// Inertial samples in order of time; none where the rig or the recording has no IMU.
 fn imu_samples(recording: &Recording, rig: &Rig, damages: &mut Damages) -> Vec<Stamped<ImuSample>> {
-    if rig.imu.is_none() {
+    if rig.imu().is_none() {
         return Vec::new();
     }
     let Ok(stream) = recording.imu() else {
@@ -137,10 +137,11 @@ fn imu_samples(recording: &Recording, rig: &Rig, damages: &mut Damages) -> Vec<S
 }
 
 fn scan_count(recording: &Recording) -> u64 {
+    let points = format!("/{}/points", recording.main_lidar());
     recording
         .topics()
         .iter()
-        .filter(|t| t.topic == "/lidar/points")
+        .filter(|t| t.topic == points)
         .map(|t| t.messages)
         .sum()
 }

@@ -4,7 +4,7 @@
 //! TRO 2017. Between samples angular velocity and specific force are straight lines; each piece is integrated with its
 //! middle value and the rotation in its middle, which leaves an error of third order in the sample period.
 
-use lsfb_geometry::{Matrix3, RigImu, Se3, UnitQuaternion, Vector3, so3};
+use lsfb_geometry::{ImuNoiseModel, Matrix3, Se3, UnitQuaternion, Vector3, so3};
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 use nalgebra::SMatrix;
 
@@ -148,7 +148,7 @@ impl PreintegratedImu {
         start: Timestamp,
         end: Timestamp,
         bias: ImuBias,
-        noise: &RigImu,
+        noise: &ImuNoiseModel,
     ) -> Result<Self, Error> {
         let first = samples
             .partition_point(|s| s.time <= start)
@@ -186,7 +186,13 @@ impl PreintegratedImu {
     }
 
     /// Adds one piece of constant angular velocity and specific force. Eq. (35)–(43), (A.9) with the middle rotation.
-    fn advance(&mut self, dt: f64, gyro: &Vector3<f64>, accel: &Vector3<f64>, noise: &RigImu) {
+    fn advance(
+        &mut self,
+        dt: f64,
+        gyro: &Vector3<f64>,
+        accel: &Vector3<f64>,
+        noise: &ImuNoiseModel,
+    ) {
         let angle = (gyro - self.bias.gyro_rad_s) * dt;
         let half = angle * 0.5;
         let force = accel - self.bias.accel_m_s2;

@@ -7,7 +7,7 @@ use nalgebra::Quaternion;
 
 use super::*;
 
-const NOISE: RigImu = RigImu {
+const NOISE: ImuNoiseModel = ImuNoiseModel {
     gyro_noise_density: 1.7e-4,
     accel_noise_density: 2.0e-3,
     gyro_bias_walk: 1.9e-5,
@@ -135,7 +135,7 @@ fn bias_jacobians_match_differences() {
 #[test]
 fn covariance_is_the_spread_of_noisy_runs() {
     use rand::{RngExt, SeedableRng};
-    let noise = RigImu {
+    let noise = ImuNoiseModel {
         gyro_noise_density: 2e-3,
         accel_noise_density: 2e-2,
         ..NOISE

@@ -154,7 +154,7 @@ fn stack(rotation: &Matrix3<f64>, velocity: &Matrix3<f64>, position: &Matrix3<f6
 
 #[cfg(test)]
 mod tests {
-    use lsfb_geometry::{RigImu, Vector6};
+    use lsfb_geometry::{ImuNoiseModel, Vector6};
     use lsfb_solver::{Kernel, Problem, check_residual_jacobian};
     use lsfb_types::{ImuSample, Stamped, Timestamp};
 
@@ -177,7 +177,7 @@ mod tests {
                 }
             })
             .collect();
-        let noise = RigImu {
+        let noise = ImuNoiseModel {
             gyro_noise_density: 0.05,
             accel_noise_density: 0.3,
             gyro_bias_walk: 1e-5,

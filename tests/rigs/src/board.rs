@@ -154,6 +154,7 @@ impl Session {
                 .iter()
                 .map(|t| {
                     Some(BoardSight {
+                        instant: 0,
                         time_offset_ns: (t * 1e9) as i64,
                         corners: self.corners(&motion.at(*t), &mut rng)?,
                     })

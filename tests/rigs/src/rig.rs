@@ -9,7 +9,9 @@ use lsfb_calib::camera_imu::KnownCamera;
 use lsfb_calib::detect::Corner;
 use lsfb_geometry::camera::Lens;
 use lsfb_geometry::rolling_shutter::row_time_s;
-use lsfb_geometry::{Camera, Matrix3, RigImu, Se3, UnitQuaternion, Vector2, Vector3, Vector6, so3};
+use lsfb_geometry::{
+    Camera, ImuNoiseModel, Matrix3, Se3, UnitQuaternion, Vector2, Vector3, Vector6, so3,
+};
 use lsfb_types::{ImuSample, Timestamp};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -92,8 +94,8 @@ pub struct Simulated {
 }
 
 /// The IMU's noise.
-pub fn noise() -> RigImu {
-    RigImu {
+pub fn noise() -> ImuNoiseModel {
+    ImuNoiseModel {
         gyro_noise_density: 1.6e-4,
         accel_noise_density: 2e-3,
         gyro_bias_walk: 2e-5,

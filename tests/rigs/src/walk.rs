@@ -74,7 +74,7 @@ impl Walk {
                 writer.write_imu("imu0", sample).expect("sample");
             }
             while let Some(scan) = scans.next_if(|s| s.time <= image.time) {
-                writer.write_scan(scan).expect("scan");
+                writer.write_scan("lidar", scan).expect("scan");
             }
             writer.write_image(camera, &image).expect("image");
         }

@@ -18,26 +18,7 @@ use modules::Modules;
 use tokens::tokens;
 
 /// Circles that are still to be cut: crate, parent, the modules. None is added.
-const KNOWN: &[(&str, &str, &[&str])] = &[
-    ("calib", "crate", &["report", "verify"]),
-    (
-        "capture",
-        "crate",
-        &["camera", "clock", "imu", "lidar", "session", "sidecar"],
-    ),
-    ("capture", "crate", &["health", "recorder", "tap"]),
-    (
-        "cli",
-        "crate",
-        &["commands", "context", "live", "simulated"],
-    ),
-    ("drivers", "crate", &["camera", "transport"]),
-    ("drivers", "crate::camera::wire", &["options", "xu"]),
-    ("drivers", "crate::imu::wire", &["item", "utc"]),
-    ("drivers", "crate::transport", &["camera_link", "v4l2"]),
-    ("drivers", "crate::velodyne", &["decode", "points"]),
-    ("drivers", "crate::velodyne", &["model", "wire"]),
-];
+const KNOWN: &[(&str, &str, &[&str])] = &[];
 
 /// Name and root file of every library and program of ours.
 fn crates() -> Vec<(String, PathBuf)> {

@@ -7,26 +7,26 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use lsfb_capture::Counts;
-use lsfb_drivers::camera::model::FrameFormat;
-use lsfb_drivers::camera::wire::{
-    DeviceInfo, ImuProtocol, ImuSegment, ImuValues, TimeSource, Trailer, Version, XuDevice,
-    emit_frame,
-};
-use lsfb_drivers::imu::model::message;
-use lsfb_drivers::imu::wire::{Item, Message, OutputSetting, UtcTime, Vector};
 use lsfb_drivers::microstrain::MipUnit;
 use lsfb_drivers::microstrain::model::set;
 use lsfb_drivers::microstrain::wire::{Field, MipPacket};
-use lsfb_drivers::phone::model::CLOCK_UTC;
-use lsfb_drivers::phone::wire::Advertise;
-use lsfb_drivers::phone::{ClientConfig, SidecarClient};
+use lsfb_drivers::mynt_s::wire::{
+    DeviceInfo, ImuProtocol, ImuSegment, ImuValues, TimeSource, Trailer, Version, XuDevice,
+    emit_frame,
+};
+use lsfb_drivers::sidecar::model::CLOCK_UTC;
+use lsfb_drivers::sidecar::wire::Advertise;
+use lsfb_drivers::sidecar::{ClientConfig, SidecarClient};
 use lsfb_drivers::transport::camera_socket::{CameraListener, UnitRequest};
 use lsfb_drivers::transport::serial::Pty;
+use lsfb_drivers::transport::uvc::FrameFormat;
 use lsfb_drivers::velodyne::model::{Model, Product};
 use lsfb_drivers::velodyne::nmea::Rmc;
 use lsfb_drivers::velodyne::wire::{
     DATA_PACKET_LEN, DataPacket, POSITION_PACKET_LEN, PositionPacket, PpsStatus, ReturnMode,
 };
+use lsfb_drivers::xsens::model::message;
+use lsfb_drivers::xsens::wire::{Item, Message, OutputSetting, UtcTime, Vector};
 
 /// 2026-03-01T10:00:00Z, where every mock starts.
 pub const START_NS: i64 = 1_772_359_200_000_000_000;
@@ -143,8 +143,30 @@ pub fn camera_unit(
 ) -> JoinHandle<()> {
     let listener = CameraListener::bind(socket).unwrap();
     spawn("mock-camera", move || {
-        serve_unit(cameras, &listener, first_id, frames, farewell)
+        serve_unit(
+            cameras,
+            &listener,
+            first_id,
+            frames,
+            farewell,
+            OwnImu::Measures,
+        )
     })
+}
+
+/// A stereo unit that sends images endlessly and has nothing to say of its own IMU.
+pub fn unit_without_imu(socket: &Path) -> JoinHandle<()> {
+    let listener = CameraListener::bind(socket).unwrap();
+    spawn("mock-camera", move || {
+        serve_unit(2, &listener, 0, None, Farewell::Sudden, OwnImu::Silent)
+    })
+}
+
+/// Whether a unit's own IMU measures anything.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum OwnImu {
+    Measures,
+    Silent,
 }
 
 /// A unit that comes to `socket` after `delay`: one that was unplugged and is back.
@@ -157,7 +179,14 @@ pub fn stereo_unit_after(
     spawn("mock-camera-again", move || {
         std::thread::sleep(delay);
         let listener = CameraListener::bind(&socket).unwrap();
-        serve_unit(2, &listener, first_id, Some(frames), Farewell::Orderly);
+        serve_unit(
+            2,
+            &listener,
+            first_id,
+            Some(frames),
+            Farewell::Orderly,
+            OwnImu::Measures,
+        );
     })
 }
 
@@ -167,6 +196,7 @@ fn serve_unit(
     first_id: u16,
     frames: Option<u16>,
     farewell: Farewell,
+    own_imu: OwnImu,
 ) {
     {
         let info = DeviceInfo {
@@ -179,7 +209,7 @@ fn serve_unit(
             return;
         };
         loop {
-            match unit.serve(&mut device, Duration::from_secs(5)) {
+            match device.serve(&mut unit, Duration::from_secs(5)) {
                 Ok(Some(UnitRequest::Start { .. })) => break,
                 Ok(_) => {}
                 Err(_) => return,
@@ -206,13 +236,13 @@ fn serve_unit(
                 return;
             }
             if frames.is_none() {
-                for k in 0..10 {
+                for k in (0..10).filter(|_| own_imu == OwnImu::Measures) {
                     device.push_imu(own_imu_segment(u32::from(n) * 10 + k));
                 }
                 let until = Instant::now() + Duration::from_millis(100);
                 while Instant::now() < until {
                     // Only a recorder that wants the unit's own IMU asks.
-                    if unit.serve(&mut device, Duration::from_millis(5)).is_err() {
+                    if device.serve(&mut unit, Duration::from_millis(5)).is_err() {
                         return;
                     }
                 }

@@ -8,7 +8,9 @@ use super::{
     calib_lidar_camera, calib_refine, calib_target, calib_verify,
 };
 
-/// Calibrate: print a board, find lenses and poses of cameras, IMU and LiDAR, join and verify them.
+/// Calibrate cameras, IMU and LiDAR: print a board, find lenses, poses and clocks, join and verify them.
+///
+/// All lengths are in metres.
 #[derive(clap::Args)]
 pub struct Arguments {
     #[command(subcommand)]

@@ -12,7 +12,7 @@ pub struct BoardArguments {
     /// The board, as a Kalibr target file.
     #[arg(long, value_name = "YAML")]
     target: Option<PathBuf>,
-    /// AprilGrid: tags across, tags up, edge of a tag in metres, gap as a share of it.
+    /// AprilGrid: tags across, tags up, edge of a tag in metres, gap between tags as a share of that edge.
     #[arg(long, value_name = "COLS,ROWS,SIZE,SPACING", value_parser = april_grid)]
     april_grid: Option<Target>,
     /// Checkerboard: inner corners across, inner corners down, edge of a square in metres.
@@ -69,7 +69,7 @@ fn charuco(text: &str) -> Result<Target, String> {
 }
 
 /// Exactly `N` words between commas.
-pub fn words<'a, const N: usize>(text: &'a str, expected: &str) -> Result<[&'a str; N], String> {
+fn words<'a, const N: usize>(text: &'a str, expected: &str) -> Result<[&'a str; N], String> {
     let words: Vec<&str> = text.split(',').map(str::trim).collect();
     words.try_into().map_err(|_| format!("expected {expected}"))
 }
@@ -79,8 +79,28 @@ fn count(word: &str) -> Result<u32, String> {
 }
 
 /// A number, or what is wrong with it.
-pub fn number(word: &str) -> Result<f64, String> {
+fn number(word: &str) -> Result<f64, String> {
     word.parse().map_err(|_| format!("{word} is not a number"))
+}
+
+/// Nothing that is carried before a camera is longer, metres.
+const LONGEST_M: f64 = 10.0;
+
+/// Two lengths in metres, as all lengths on the command line are.
+pub fn two_lengths(text: &str) -> Result<[f64; 2], String> {
+    let [a, b] = words(text, "two lengths in metres")?;
+    Ok([length(a)?, length(b)?])
+}
+
+fn length(word: &str) -> Result<f64, String> {
+    let metres = number(word)?;
+    if metres.abs() <= LONGEST_M {
+        return Ok(metres);
+    }
+    Err(format!(
+        "{word} m: lengths are in metres, {} for {word} mm",
+        metres / 1e3
+    ))
 }
 
 fn checked(target: Target) -> Result<Target, String> {

@@ -1,52 +1,53 @@
 //! `lsfb calib camera`: views of a board → lenses and poses of cameras.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use lsfb_calib::camera::{CameraConfig, CameraViews, calibrate_cameras};
 use lsfb_calib::exchange::{ChainOrigin, camera_chain};
-use lsfb_calib::verify::Outcome as Judgement;
 use lsfb_geometry::Rig;
 use lsfb_geometry::camera::LensModel;
 use lsfb_recording::Provenance;
+use lsfb_types::Verdict;
 
 use super::calib_board::BoardArguments;
-use super::calib_input::{calibrated_unix_s, views_of};
-use super::calib_result::{Judged, write_transforms};
+use super::calib_input::{Source, add_input, calibrated_unix_s, name_of_camera, views_of};
+use super::calib_result::{Calibrated, set_aside, write_transforms};
 use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;
 
-/// Lenses of cameras and their poses to each other, from views of a board.
+/// Calibrate camera lenses and the cameras' poses relative to each other, from views of a board.
 ///
-/// Images of folders belong together where the numbers in their names are the same. Where corners miss by more than any
-/// detector does, the page says why, no rig is written and the exit code is 1.
+/// Images in folders belong together where the last numbers in their names are the same. Where corners miss by more than any
+/// detector does, the page says why, no rig is written and the exit code is 4.
 ///
 /// Examples:
 ///   lsfb calib camera --checkerboard 9,6,0.025 --model pinhole-radtan --camera left=images/left* --camera right=images/right* --out rig.toml
 ///   lsfb calib camera --target grid.yaml --recording scan.mcap --camera cam0 --camera cam1 --out rig.toml
+///   lsfb calib camera --target grid.yaml --recording ros.bag --camera cam0=/cam0/image_raw --out rig.toml
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
     #[command(flatten)]
     board: BoardArguments,
-    /// A camera of the recording, or NAME=FOLDER, or NAME=FOLDER/PREFIX*; the first one is the reference.
+    /// A camera of the recording, NAME=TOPIC of a ROS bag, NAME=FOLDER, or NAME=FOLDER/PREFIX*; the first one is the reference.
     #[arg(long = "camera", required = true, value_name = "NAME[=FOLDER]")]
     cameras: Vec<String>,
-    /// The recording of cameras that have no folder.
+    /// The recording of cameras that have no folder, or a ROS bag (.bag, .mcap, .db3, or a folder of rosbag2).
     #[arg(long, value_name = "MCAP")]
     recording: Option<PathBuf>,
     /// Lens model of all cameras.
     #[arg(long, value_enum, default_value_t = Model::KannalaBrandt)]
     model: Model,
-    /// Rig to put the cameras into; its other parts stay. Cameras that it has the other way round are warned of.
+    /// Rig to put the cameras into; the rest of it is kept. A warning names cameras that it has swapped.
     #[arg(long, value_name = "TOML")]
     rig: Option<PathBuf>,
-    /// The rig; a page with plots and, of several cameras, transforms for `lsfb calib joint` are written beside it.
+    /// The rig to write; a page with plots and, for several cameras, transforms for `lsfb calib joint` go beside it.
     #[arg(long, value_name = "TOML")]
     out: PathBuf,
-    /// Write Kalibr's camchain as well.
+    /// Write Kalibr's camera chain as well.
     #[arg(long, value_name = "YAML")]
-    kalibr: Option<PathBuf>,
+    out_kalibr: Option<PathBuf>,
     /// Settings (TOML), instead of the defaults; --model still decides the model.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -76,6 +77,14 @@ impl From<Model> for LensModel {
 /// Calibrates, writes rig and page, prints the report.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     let target = arguments.board.target()?;
+    let names: Vec<&str> = arguments
+        .cameras
+        .iter()
+        .map(|c| name_of_camera(c))
+        .collect();
+    let pairs: Vec<[&str; 2]> = names.iter().skip(1).map(|n| [*n, names[0]]).collect();
+    let inputs: Vec<&Path> = arguments.rig.iter().map(PathBuf::as_path).collect();
+    set_aside(&arguments.out, &pairs, &inputs)?;
     let mut config: CameraConfig = match &arguments.config {
         Some(path) => super::read_config(path)?,
         None => CameraConfig::default(),
@@ -86,10 +95,11 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         None => Rig::empty("rig"),
     };
     let mut provenance = Provenance::new(&config);
+    let cameras: Vec<&str> = arguments.cameras.iter().map(String::as_str).collect();
     let recording = match &arguments.recording {
         Some(path) => {
-            provenance.add_input(path)?;
-            Some(context.open(path)?)
+            add_input(&mut provenance, path)?;
+            Some(Source::open(path, &cameras, context)?)
         }
         None => None,
     };
@@ -107,24 +117,26 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let page = arguments.out.with_extension("html");
     write(&page, calibration.to_html("Camera calibration"))?;
     let mut transforms = Vec::new();
-    if calibration.outcome() != Judgement::Fail {
+    let judgement = calibration.judgement();
+    if judgement.verdict() != Verdict::Fail {
         write(&arguments.out, rig.to_toml())?;
         transforms = write_transforms(&arguments.out, &calibration.edges())?;
-        if let Some(path) = &arguments.kalibr {
+        if let Some(path) = &arguments.out_kalibr {
             let names = calibration.cameras.iter().map(|c| c.name.as_str());
             write(path, camera_chain(&rig, names, ChainOrigin::FirstCamera))?;
         }
         provenance.write(&arguments.out)?;
     }
-    let result = Judged {
-        outcome: calibration.outcome(),
-        verdict: calibration.verdict(),
+    let result = Calibrated {
+        judgement: &judgement,
+        summary: calibration.summary(),
+        out: &arguments.out,
         page: &page,
         transforms: &transforms,
         calibration: &calibration,
     };
-    context.print(&result, || {
-        let mut text = result.headline(&arguments.out);
+    result.print(context, || {
+        let mut text = String::new();
         for c in &calibration.cameras {
             text += &format!(
                 "\n  {}: {:.3} px rms over {} corners in {} of {} images, {} outliers",
@@ -140,12 +152,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
                     c.board.bend_sigma_m * 1e3
                 );
             }
-            for warning in &c.warnings {
-                text += &format!("\n    {warning}");
-            }
         }
         text
-    })?;
-    result.ensure_usable(&arguments.out)?;
-    Ok(Outcome::Done)
+    })
 }

@@ -7,26 +7,28 @@ use lsfb_calib::camera_imu::{
     CameraImuCalibration, CameraImuConfig, KnownCamera, calibrate_camera_imu,
 };
 use lsfb_calib::exchange::{ChainOrigin, camera_chain};
-use lsfb_calib::verify::Outcome as Judgement;
+use lsfb_calib::joint::IMU;
 use lsfb_geometry::{Rig, Se3};
 use lsfb_recording::{Provenance, write_tum};
+use lsfb_types::Verdict;
 
 use super::calib_board::BoardArguments;
-use super::calib_input::{calibrated_unix_s, imu_of, views_of};
-use super::calib_result::{Judged, write_transforms};
+use super::calib_input::{Source, add_input, calibrated_unix_s, imu_of, name_of_camera, views_of};
+use super::calib_result::{Calibrated, set_aside, write_transforms};
 use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;
 
-/// Poses and clocks of cameras on the IMU, from a walk in front of a board.
+/// Calibrate the cameras' poses and clocks relative to the IMU, from a walk in front of a board.
 ///
-/// The rig brings lenses and poses of the cameras to each other (lsfb calib camera) and the noise of the IMU. Names of images
-/// in folders are their stamps in nanoseconds. Where corners miss by more than any detector does, the page says why, no rig
-/// is written and the exit code is 1.
+/// The rig has the lenses, the cameras' poses relative to each other (lsfb calib camera) and the noise of the IMU. Images in
+/// folders are named by their stamps in nanoseconds. Where corners miss by more than any detector does, the page says why, no rig
+/// is written and the exit code is 4.
 ///
 /// Examples:
 ///   lsfb calib camera-imu --target grid.yaml --rig rig.toml --recording scan.mcap --camera cam0 --camera cam1 --out rig2.toml
 ///   lsfb calib camera-imu --april-grid 6,6,0.088,0.3 --rig rig.toml --camera cam0=mav0/cam0/data --imu mav0/imu0/data.csv --out rig2.toml
+///   lsfb calib camera-imu --target grid.yaml --rig rig.toml --recording ros.bag --camera cam0=/cam0/image_raw --imu /imu0 --out rig2.toml
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
@@ -35,24 +37,24 @@ pub struct Arguments {
     /// The rig, with the noise of its IMU.
     #[arg(long, value_name = "TOML")]
     rig: PathBuf,
-    /// A camera of the rig: in the recording, or NAME=FOLDER, or NAME=FOLDER/PREFIX*; the first one gives the first guess.
+    /// A camera of the rig: in the recording, NAME=TOPIC of a ROS bag, NAME=FOLDER, or NAME=FOLDER/PREFIX*; the first one gives the first guess.
     #[arg(long = "camera", required = true, value_name = "NAME[=FOLDER]")]
     cameras: Vec<String>,
-    /// The recording of the IMU, and of cameras that have no folder.
+    /// The recording of the IMU, and of cameras that have no folder; or a ROS bag (.bag, .mcap, .db3, or a folder of rosbag2).
     #[arg(long, value_name = "MCAP")]
     recording: Option<PathBuf>,
-    /// The IMU as a table (EuRoC: ns, rad/s, m/s²), instead of the recording's.
+    /// The IMU as a table (EuRoC: ns, rad/s, m/s²), instead of the recording's; or its topic in a bag.
     #[arg(long, value_name = "CSV")]
     imu: Option<PathBuf>,
-    /// The rig with what was found; a page with plots and transforms for `lsfb calib joint` are written beside it.
+    /// The rig to write; a page with plots and transforms for `lsfb calib joint` go beside it.
     #[arg(long, value_name = "TOML")]
     out: PathBuf,
-    /// Write Kalibr's camchain-imucam as well.
+    /// Write Kalibr's camera chain with the IMU as well.
     #[arg(long, value_name = "YAML")]
-    kalibr: Option<PathBuf>,
+    out_kalibr: Option<PathBuf>,
     /// Write the motion of the rig in the board's frame as well, 200 poses per second.
     #[arg(long, value_name = "TUM")]
-    trajectory: Option<PathBuf>,
+    out_trajectory: Option<PathBuf>,
     /// Settings (TOML), instead of the defaults.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -61,12 +63,18 @@ pub struct Arguments {
 /// Calibrates, writes the rig, prints the report.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     let target = arguments.board.target()?;
+    let pairs: Vec<[&str; 2]> = arguments
+        .cameras
+        .iter()
+        .map(|c| [IMU, name_of_camera(c)])
+        .collect();
+    set_aside(&arguments.out, &pairs, &[&arguments.rig])?;
     let config: CameraImuConfig = match &arguments.config {
         Some(path) => super::read_config(path)?,
         None => CameraImuConfig::default(),
     };
     let mut rig = Rig::read(&arguments.rig)?;
-    let noise = rig.imu.clone().with_context(|| {
+    let noise = rig.imu_noise().cloned().with_context(|| {
         format!(
             "{rig} has no [imu]: measure its noise (`lsfb calib imu-noise --rig {rig}`), or take it from Kalibr's \
              file (`lsfb calib import kalibr imu.yaml --into {rig} --out {rig}`)",
@@ -75,14 +83,15 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     })?;
     let mut provenance = Provenance::new(&config);
     provenance.add_input(&arguments.rig)?;
+    let cameras: Vec<&str> = arguments.cameras.iter().map(String::as_str).collect();
     let recording = match &arguments.recording {
         Some(path) => {
-            provenance.add_input(path)?;
-            Some(context.open(path)?)
+            add_input(&mut provenance, path)?;
+            Some(Source::open(path, &cameras, context)?)
         }
         None => None,
     };
-    if let Some(path) = &arguments.imu {
+    if let Some(path) = arguments.imu.as_deref().filter(|p| p.is_file()) {
         provenance.add_input(path)?;
     }
     let imu = imu_of(arguments.imu.as_deref(), recording.as_ref())?;
@@ -113,30 +122,28 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let page = arguments.out.with_extension("html");
     write(&page, calibration.to_html("Camera–IMU calibration"))?;
     let mut transforms = Vec::new();
-    if calibration.outcome() != Judgement::Fail {
+    let judgement = calibration.judgement();
+    if judgement.verdict() != Verdict::Fail {
         write(&arguments.out, rig.to_toml())?;
         transforms = write_transforms(&arguments.out, &calibration.edges())?;
-        if let Some(path) = &arguments.kalibr {
+        if let Some(path) = &arguments.out_kalibr {
             let names = calibration.cameras.iter().map(|c| c.name.as_str());
             write(path, camera_chain(&rig, names, ChainOrigin::Imu))?;
         }
-        if let Some(path) = &arguments.trajectory {
+        if let Some(path) = &arguments.out_trajectory {
             write_tum(path, &calibration.motion.trajectory(INTERVAL_S))?;
         }
         provenance.write(&arguments.out)?;
     }
-    let result = Judged {
-        outcome: calibration.outcome(),
-        verdict: calibration.verdict(),
+    let result = Calibrated {
+        judgement: &judgement,
+        summary: calibration.summary(),
+        out: &arguments.out,
         page: &page,
         transforms: &transforms,
         calibration: &calibration,
     };
-    context.print(&result, || {
-        result.headline(&arguments.out) + &summary(&calibration)
-    })?;
-    result.ensure_usable(&arguments.out)?;
-    Ok(Outcome::Done)
+    result.print(context, || summary(&calibration))
 }
 
 /// Time between poses of the trajectory, seconds.
@@ -171,9 +178,6 @@ fn summary(calibration: &CameraImuCalibration) -> String {
             calibration.board_excess * 100.0,
             calibration.board_excess_sigma * 100.0
         );
-    }
-    for warning in &calibration.warnings {
-        text += &format!("\n  {warning}");
     }
     text
 }

@@ -4,16 +4,19 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use lsfb_calib::exchange::{
-    Format, ImportedRig, export, import_basalt, import_camera_info, import_colmap, import_kalibr,
-    import_kalibr_imu,
+    Format, ImportedRig, export, implausible, import_basalt, import_camera_info, import_colmap,
+    import_kalibr, import_kalibr_imu,
 };
 use lsfb_geometry::{Rig, RigCamera, Se3};
 use lsfb_recording::Provenance;
 
+use super::calib_result::set_aside;
 use crate::context::Context;
 use crate::outcome::Outcome;
 
-/// A rig from the files of Kalibr, ROS, COLMAP or Basalt.
+/// Import a rig from the files of Kalibr or OpenVINS, ROS or OpenCV, COLMAP, or Basalt.
+///
+/// What was not understood is listed.
 ///
 /// Examples:
 ///   lsfb calib import kalibr camchain-imucam.yaml imu.yaml --out rig.toml
@@ -30,7 +33,7 @@ pub struct ImportArguments {
     /// The files, in the order of the examples.
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
-    /// A rig to put the cameras into: what the files do not say stays.
+    /// A rig to put the cameras into: what the files do not say is kept.
     #[arg(long, value_name = "TOML")]
     into: Option<PathBuf>,
     /// The rig.
@@ -38,7 +41,7 @@ pub struct ImportArguments {
     out: PathBuf,
 }
 
-/// A rig in the files of Kalibr, ROS, COLMAP or Basalt.
+/// Export a rig to the files of Kalibr, ROS, COLMAP or Basalt.
 ///
 /// Examples:
 ///   lsfb calib export kalibr rig.toml --out folder
@@ -80,7 +83,17 @@ impl From<Program> for Format {
 
 /// Reads the files, writes the rig.
 pub fn run_import(arguments: &ImportArguments, context: &Context) -> anyhow::Result<Outcome> {
-    let ImportedRig { rig: found, notes } = read(arguments)?;
+    let read_too = arguments.files.iter().chain(&arguments.into);
+    set_aside(
+        &arguments.out,
+        &[],
+        &read_too.map(PathBuf::as_path).collect::<Vec<_>>(),
+    )?;
+    let ImportedRig {
+        rig: found,
+        mut notes,
+    } = read(arguments)?;
+    notes.extend(implausible(&found));
     let mut provenance = Provenance::new(&());
     for path in &arguments.files {
         provenance.add_input(path)?;
@@ -104,7 +117,7 @@ pub fn run_import(arguments: &ImportArguments, context: &Context) -> anyhow::Res
     context.print(
         &serde_json::json!({ "cameras": &names, "notes": &notes }),
         || {
-            let imu = rig.imu.as_ref().map(|_| "noise of the IMU");
+            let imu = rig.imu_noise().map(|_| "noise of the IMU");
             let held: Vec<&str> = names.iter().copied().chain(imu).collect();
             let mut text = format!("{}: {}", arguments.out.display(), held.join(", "));
             for note in &notes {
@@ -140,7 +153,8 @@ fn read(arguments: &ImportArguments) -> anyhow::Result<ImportedRig> {
     let mut notes = Vec::new();
     let rig = match arguments.program {
         Program::Kalibr => {
-            let rig = read_kalibr(files)?;
+            let ImportedRig { rig, notes: said } = read_kalibr(files)?;
+            notes = said;
             anyhow::ensure!(
                 !rig.cameras.is_empty() || arguments.into.is_some(),
                 "{name} has no camera: name the rig that its IMU belongs to with --into"
@@ -149,7 +163,7 @@ fn read(arguments: &ImportArguments) -> anyhow::Result<ImportedRig> {
         }
         Program::Colmap => {
             let config = second.map(|p| text(p)).transpose()?;
-            import_colmap(&text(first)?, config.as_deref(), &name)?
+            return Ok(import_colmap(&text(first)?, config.as_deref(), &name)?);
         }
         Program::Basalt => return Ok(import_basalt(&text(first)?, &name)?),
         Program::Ros => {
@@ -158,6 +172,11 @@ fn read(arguments: &ImportArguments) -> anyhow::Result<ImportedRig> {
                 let found = import_camera_info(&text(path)?, &path.display().to_string())?;
                 notes.extend(found.notes);
                 let name = found.name.unwrap_or_else(|| format!("cam{k}"));
+                anyhow::ensure!(
+                    !rig.cameras.contains_key(&name),
+                    "{}: a second camera named {name}",
+                    path.display()
+                );
                 let mounted = RigCamera {
                     camera: found.camera,
                     rig_from_camera: Se3::identity(),
@@ -172,18 +191,24 @@ fn read(arguments: &ImportArguments) -> anyhow::Result<ImportedRig> {
 }
 
 /// A camera chain, the noise of an IMU, or both in either order.
-fn read_kalibr(files: &[PathBuf]) -> anyhow::Result<Rig> {
+fn read_kalibr(files: &[PathBuf]) -> anyhow::Result<ImportedRig> {
     let mut rig = Rig::empty("kalibr");
+    let mut notes = Vec::new();
     for path in files {
         let (text, name) = (text(path)?, path.display().to_string());
         if text.contains("noise_density") {
-            rig.imu = Some(import_kalibr_imu(&text, &name)?);
+            anyhow::ensure!(rig.imus.is_empty(), "{name}: a second IMU");
+            let found = import_kalibr_imu(&text, &name)?;
+            rig.set_imu_noise(found.noise);
+            notes.extend(found.notes);
         } else {
             anyhow::ensure!(rig.cameras.is_empty(), "{name}: a second camera chain");
-            rig.cameras = import_kalibr(&text, &name)?.cameras;
+            let found = import_kalibr(&text, &name)?;
+            rig.cameras = found.rig.cameras;
+            notes.extend(found.notes);
         }
     }
-    Ok(rig)
+    Ok(ImportedRig { rig, notes })
 }
 
 /// What was read put into a rig. Files without an IMU say how cameras stand to each other: the first one that the rig has
@@ -213,8 +238,8 @@ fn put(found: &Rig, program: Program, rig: &mut Rig) {
             },
         );
     }
-    if found.imu.is_some() {
-        rig.imu.clone_from(&found.imu);
+    if found.imu().is_some() {
+        rig.imus.clone_from(&found.imus);
     }
 }
 

@@ -1,29 +1,31 @@
 //! `lsfb calib imu-noise`: a recording at rest → noise of the IMU.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use lsfb_calib::exchange::imu_to_kalibr;
 use lsfb_calib::imu_noise::{ImuNoise, ImuNoiseConfig, imu_noise};
 use lsfb_geometry::Rig;
 use lsfb_recording::Provenance;
 
-use super::calib_input::imu_of;
+use super::calib_input::{Source, add_input, imu_of};
+use super::calib_result::set_aside;
 use super::write;
 use crate::context::Context;
+use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
 
-/// Noise of the IMU by Allan variance, from a recording at rest; two hours show all of it.
+/// Measure the IMU's noise (Allan variance) from a recording at rest; two hours show all of it.
 ///
 /// Examples:
 ///   lsfb calib imu-noise --recording night.mcap --out noise.html
-///   lsfb calib imu-noise --imu imu0/data.csv --out noise.html --kalibr imu.yaml --rig rig.toml
+///   lsfb calib imu-noise --imu imu0/data.csv --out noise.html --out-kalibr imu.yaml --rig rig.toml
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// The recording.
+    /// The recording, or a ROS bag (.bag, .mcap, .db3, or a folder of rosbag2).
     #[arg(long, value_name = "MCAP", required_unless_present = "imu")]
     recording: Option<PathBuf>,
-    /// The IMU as a table (EuRoC: ns, rad/s, m/s²), instead of the recording's.
+    /// The IMU as a table (EuRoC: ns, rad/s, m/s²), instead of the recording's; or its topic in a bag.
     #[arg(long, value_name = "CSV")]
     imu: Option<PathBuf>,
     /// The page with figures and plots.
@@ -31,7 +33,7 @@ pub struct Arguments {
     out: PathBuf,
     /// Write Kalibr's imu.yaml as well.
     #[arg(long, value_name = "YAML")]
-    kalibr: Option<PathBuf>,
+    out_kalibr: Option<PathBuf>,
     /// Topic that Kalibr's file names.
     #[arg(long, default_value = "/imu")]
     topic: String,
@@ -49,18 +51,21 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         Some(path) => super::read_config(path)?,
         None => ImuNoiseConfig::default(),
     };
+    set_aside(&arguments.out, &[], &[])?;
     let mut provenance = Provenance::new(&config);
     for path in [&arguments.recording, &arguments.imu].into_iter().flatten() {
-        provenance.add_input(path)?;
+        if path.exists() {
+            add_input(&mut provenance, path)?;
+        }
     }
     let recording = match &arguments.recording {
-        Some(path) => Some(context.open(path)?),
+        Some(path) => Some(Source::open(path, &[], context)?),
         None => None,
     };
     let samples = imu_of(arguments.imu.as_deref(), recording.as_ref())?;
     let found = imu_noise(&samples, &config)?;
     write(&arguments.out, found.to_html("Noise of the IMU"))?;
-    if let Some(path) = &arguments.kalibr {
+    if let Some(path) = &arguments.out_kalibr {
         let rate_hz = found.rate_hz.round();
         write(
             path,
@@ -69,16 +74,22 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     }
     if let Some(path) = &arguments.rig {
         let mut rig = Rig::read(path)?;
-        rig.imu = Some(found.rig_imu());
+        rig.set_imu_noise(found.rig_imu());
         write(path, rig.to_toml())?;
     }
     provenance.write(&arguments.out)?;
-    context.print(&found, || summary(&found, &arguments.out))?;
-    Ok(Outcome::Done)
+    let judgement = found.judgement();
+    let judged = Judged::new(&judgement, &found.summary(), &found);
+    context.print(&judged, || {
+        let mut text = format!("{}: {}", arguments.out.display(), judged.summary);
+        text += &format!("{}\n{}", table(&found), judged::problem_lines(&judgement));
+        judged::printable(text.trim_end())
+    })?;
+    Ok(Outcome::of(judgement.verdict()))
 }
 
-fn summary(found: &ImuNoise, out: &Path) -> String {
-    let mut text = format!("{}: {}", out.display(), found.verdict());
+fn table(found: &ImuNoise) -> String {
+    let mut text = String::new();
     let axes = found
         .axes
         .iter()
@@ -97,9 +108,6 @@ fn summary(found: &ImuNoise, out: &Path) -> String {
             noise.walk,
             sigma.walk
         );
-    }
-    for warning in &found.warnings {
-        text += &format!("\n  {warning}");
     }
     text
 }

@@ -3,39 +3,43 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use lsfb_calib::Angles;
+use lsfb_calib::joint::LIDAR;
 use lsfb_calib::lidar_camera::{
-    LidarCameraConfig, MountedBoard, RecordingConfig, calibrate_lidar_camera, poses_from_folder,
-    poses_from_recording,
+    BoardPose, LidarCameraConfig, MountedBoard, RecordingConfig, calibrate_lidar_camera,
+    poses_from_folder, poses_from_recording,
 };
-use lsfb_calib::verify::Outcome as Judgement;
 use lsfb_geometry::{Rig, RigLidar};
 use lsfb_recording::Provenance;
+use lsfb_types::{Image, Verdict};
 
-use super::calib_board::{BoardArguments, number, words};
-use super::calib_input::{calibrated_unix_s, views_of};
-use super::calib_result::{Judged, write_transforms};
+use super::calib_board::{BoardArguments, two_lengths};
+use super::calib_input::{
+    Source, add_input, calibrated_unix_s, image_at, name_of_camera, views_of,
+};
+use super::calib_result::{Calibrated, picture_path, set_aside, write_transforms};
 use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;
 
-/// Pose of the LiDAR to a camera, from poses of a board that both see.
+/// Calibrate the LiDAR's pose relative to a camera, from poses of a board that both see.
 ///
 /// Images and clouds (PCD with rings) belong together where the last numbers in their names are the same; there the board stands
-/// still. In a recording it, or the rig, may move as well: images around each scan say where the board was at each return. It is free
-/// (nothing within 20 cm behind it) and tilted another way each time: ten poses are few, thirty are good.
+/// still. In a recording it, or the rig, may move as well: images around each scan say where the board was at each return. It
+/// must stand free (nothing within 20 cm behind it) and be tilted differently each time: ten poses are few, thirty are good.
 ///
 /// Examples:
-///   lsfb calib lidar-camera --checkerboard 7,5,0.095 --plate 850,610 --camera cam0=images --clouds 'pcd/*_full.pcd' --rig rig.toml --out calibrated.toml
-///   lsfb calib lidar-camera --target grid.yaml --plate 830,750 --camera cam0 --recording scan.mcap --rig rig.toml --out calibrated.toml
+///   lsfb calib lidar-camera --checkerboard 7,5,0.095 --plate 0.85,0.61 --camera cam0=images --clouds 'pcd/*_full.pcd' --rig rig.toml --out calibrated.toml
+///   lsfb calib lidar-camera --target grid.yaml --plate 0.83,0.75 --camera cam0 --recording scan.mcap --rig rig.toml --out calibrated.toml
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
     #[command(flatten)]
     board: BoardArguments,
-    /// The plate: its size along the pattern's x and y axis in millimetres.
+    /// The plate: its size along the pattern's x and y axis in metres.
     #[arg(long, value_name = "W,H", value_parser = two_lengths)]
     plate: [f64; 2],
-    /// Middle of the plate from the middle of the corners, along the pattern's x and y axis, in millimetres.
+    /// Middle of the plate from the middle of the corners, along the pattern's x and y axis, in metres.
     #[arg(long, value_name = "X,Y", value_parser = two_lengths, default_value = "0,0", allow_hyphen_values = true)]
     offset: [f64; 2],
     /// The camera: NAME of the recording, NAME=FOLDER or NAME=FOLDER/PREFIX*; the rig has its lens.
@@ -59,17 +63,12 @@ pub struct Arguments {
     /// The rig with the camera in it.
     #[arg(long, value_name = "TOML")]
     rig: PathBuf,
-    /// The rig with the LiDAR in it; a page with plots and the transform for `lsfb calib joint` are written beside it.
+    /// The rig to write, with the LiDAR in it; a page with plots and the transform for `lsfb calib joint` go beside it.
     #[arg(long, value_name = "TOML")]
     out: PathBuf,
     /// Settings (TOML), instead of the defaults.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-}
-
-fn two_lengths(text: &str) -> Result<[f64; 2], String> {
-    let [a, b] = words(text, "two lengths in millimetres")?;
-    Ok([number(a)? * 1e-3, number(b)? * 1e-3])
 }
 
 /// Calibrates, writes rig, transform and page, prints the report.
@@ -80,11 +79,12 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         height_m: arguments.plate[1],
         offset_m: arguments.offset,
     };
+    let name = name_of_camera(&arguments.camera);
+    set_aside(&arguments.out, &[[name, LIDAR]], &[&arguments.rig])?;
     let config: LidarCameraConfig = super::config_or_default(arguments.config.as_deref())?;
     let mut rig = Rig::read(&arguments.rig)?;
     let mut provenance = Provenance::new(&config);
     provenance.add_input(&arguments.rig)?;
-    let name = arguments.camera.split('=').next().unwrap_or_default();
     let mounted = rig.cameras.get(name).with_context(|| {
         let known: Vec<&str> = rig.cameras.keys().map(String::as_str).collect();
         format!(
@@ -95,8 +95,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     })?;
     let recording = match &arguments.recording {
         Some(path) => {
-            provenance.add_input(path)?;
-            Some(context.open(path)?)
+            add_input(&mut provenance, path)?;
+            Some(Source::open(path, &[&arguments.camera], context)?)
         }
         None => None,
     };
@@ -121,9 +121,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             let (folder, prefix, suffix) = pattern(clouds);
             poses_from_folder(&views, folder, prefix, suffix)?
         }
-        (None, Some(recording)) => poses_from_recording(
+        (None, Some(source)) => poses_from_recording(
             &views,
-            recording,
+            source.recording()?,
             &RecordingConfig {
                 most: arguments.max_poses,
                 rig_from_camera_s: mounted.timing.rig_from_camera_s,
@@ -135,44 +135,59 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let mut found = calibrate_lidar_camera(&board, name, &camera, &poses, &config, &show)?;
     found.compare_with(&rig);
 
-    rig.lidar = Some(RigLidar {
+    rig.set_lidar(RigLidar {
         rig_from_lidar: mounted.rig_from_camera * found.camera_from_lidar,
         range_noise_m: found.range_noise_m,
     });
     let stamps_ns = views.views.keys().next_back().copied().into_iter();
     rig.calibrated_unix_s = calibrated_unix_s(recording.as_ref(), stamps_ns)?;
     let page = arguments.out.with_extension("html");
-    write(&page, found.to_html("LiDAR–camera calibration"))?;
+    let picture = picture_path(&arguments.out);
+    let overlay = match found.pictured_pose(&poses) {
+        Some(pose) => image_of(&arguments.camera, recording.as_ref(), pose)?
+            .map(|image| found.overlay(&camera, pose, &image))
+            .transpose()?,
+        None => None,
+    };
+    if let Some(overlay) = &overlay {
+        write(&picture, &overlay.png)?;
+    }
+    let beside = overlay.map(|_| super::name_of(&picture));
+    write(
+        &page,
+        found.to_html("LiDAR–camera calibration", beside.as_deref()),
+    )?;
     let mut transforms = Vec::new();
-    if found.outcome() != Judgement::Fail {
+    let judgement = found.judgement();
+    if judgement.verdict() != Verdict::Fail {
         write(&arguments.out, rig.to_toml())?;
         transforms = write_transforms(&arguments.out, &[found.edge()])?;
         provenance.write(&arguments.out)?;
     }
-    let result = Judged {
-        outcome: found.outcome(),
-        verdict: found.verdict(),
+    let result = Calibrated {
+        judgement: &judgement,
+        summary: found.summary(),
+        out: &arguments.out,
         page: &page,
         transforms: &transforms,
         calibration: &found,
     };
-    context.print(&result, || {
-        let mut text = result.headline(&arguments.out);
+    result.print(context, || {
+        let mut text = String::new();
         let t = &found.camera_from_lidar;
-        let (roll, pitch, yaw) = t.rotation.euler_angles();
-        for (k, (axis, value)) in [("roll", roll), ("pitch", pitch), ("yaw", yaw)]
-            .iter()
-            .enumerate()
-        {
+        let angles = Angles::of(t);
+        for (k, (axis, value)) in angles.names.iter().zip(angles.degrees).enumerate() {
             text += &format!(
-                "\n  {axis:5} {:9.3} ± {:.3} °",
-                value.to_degrees(),
+                "\n  {axis:10} {value:9.3} ± {:.3} °",
                 found.sigma[k].to_degrees()
             );
         }
+        if let Some(remark) = angles.remark {
+            text += &format!("\n  ({remark})");
+        }
         for (k, axis) in ["x", "y", "z"].iter().enumerate() {
             text += &format!(
-                "\n  {axis:5} {:9.1} ± {:.1} mm",
+                "\n  {axis:10} {:9.1} ± {:.1} mm",
                 t.translation[k] * 1e3,
                 found.sigma[3 + k] * 1e3
             );
@@ -182,13 +197,20 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
                 text += &format!("\n  {} left out: {why}", pose.name);
             }
         }
-        for warning in &found.warnings {
-            text += &format!("\n  {warning}");
-        }
         text
-    })?;
-    result.ensure_usable(&arguments.out)?;
-    Ok(Outcome::Done)
+    })
+}
+
+/// The image of a pose, from where its corners came.
+fn image_of(
+    camera: &str,
+    source: Option<&Source>,
+    pose: &BoardPose,
+) -> anyhow::Result<Option<Image>> {
+    match pose.middle_sight() {
+        Some(sight) => image_at(camera, source, sight.instant),
+        None => Ok(None),
+    }
 }
 
 /// `FOLDER` or `FOLDER/PREFIX*SUFFIX`.

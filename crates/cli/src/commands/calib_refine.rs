@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use super::calib_result::{listed, write_transforms};
 use crate::context::Context;
+use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
 
 /// Refine the LiDAR's pose to cameras on any recording, without a board.
@@ -15,7 +16,7 @@ use crate::outcome::Outcome;
 /// Corners of images are put onto surfaces that the LiDAR saw and found again from elsewhere, which says how each camera is
 /// turned and moved to the LiDAR; the rig must be right within 2.5° and 5 cm. Walk through a furnished place for 30 s or more,
 /// and turn. What the recording does not determine is named and left as it was. Each camera's transform goes to
-/// `lsfb calib joint`, which joins them with those to the IMU. Exit code 1 where a camera could not be placed.
+/// `lsfb calib joint`, which joins them with those to the IMU. Exit code 4 where a camera could not be placed.
 ///
 /// Examples:
 ///   lsfb calib refine scan.mcap --out refined.html
@@ -82,24 +83,17 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         pictures: &pictures,
         cameras: &found.cameras,
     };
-    context.print(&printed, || {
-        let mut text = format!("{} See {}.", found.verdict(), page.display());
+    let judgement = found.judgement();
+    let judged = Judged::new(&judgement, &found.summary(), &printed);
+    context.print(&judged, || {
+        let mut text = format!("{}. See {}.", judged.summary, page.display());
         for c in &found.cameras {
             text += &format!("\n  {}: {}", c.camera, c.sentence);
         }
         if !transforms.is_empty() {
             text += &format!("\n  for `lsfb calib joint`: {}", listed(&transforms));
         }
-        text
+        judged::printable(&text)
     })?;
-    let lost = found.cameras.iter().find(|c| c.edge.is_none());
-    if let Some(camera) = lost {
-        anyhow::bail!(
-            "{}: {} could not be placed to the LiDAR: {}",
-            arguments.recording.display(),
-            camera.camera,
-            camera.sentence
-        );
-    }
-    Ok(Outcome::Done)
+    Ok(Outcome::of(judgement.verdict()))
 }

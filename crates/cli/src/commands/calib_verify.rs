@@ -2,17 +2,18 @@
 
 use std::path::PathBuf;
 
-use lsfb_calib::verify::{Outcome as Judgement, VerifyConfig, verify};
+use lsfb_calib::verify::{VerifyConfig, verify};
 use lsfb_recording::Provenance;
 use serde::Serialize;
 
 use crate::context::Context;
+use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
 
 /// Check a rig on any recording: no board needed.
 ///
 /// Compares cameras with the gyroscope (time offset, rotation), the LiDAR with the images, and cameras with each other;
-/// draws the LiDAR's returns over one image of each camera. Exit code 1 where a check fails.
+/// draws the LiDAR's returns over one image of each camera. Exit code 4 where a check fails.
 ///
 /// Examples:
 ///   lsfb calib verify scan.mcap
@@ -36,7 +37,7 @@ pub struct Arguments {
 
 #[derive(Serialize)]
 struct Printed<'a> {
-    outcome: Judgement,
+    outcome: &'static str,
     page: PathBuf,
     pictures: &'a [PathBuf],
     #[serde(flatten)]
@@ -67,14 +68,16 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let beside = |camera: &str| super::name_of(&picture(camera));
     super::write(&page, found.to_html("Does the rig fit?", &beside))?;
     provenance.write(&page)?;
-    let result = Printed {
-        outcome: found.outcome(),
+    let judgement = found.judgement();
+    let printed = Printed {
+        outcome: judgement.verdict().name(),
         page: page.clone(),
         pictures: &pictures,
         verification: &found,
     };
-    context.print(&result, || {
-        let mut text = format!("{} See {}.", found.verdict(), page.display());
+    let judged = Judged::new(&judgement, &found.summary(), &printed);
+    context.print(&judged, || {
+        let mut text = format!("{}. See {}.", judged.summary, page.display());
         for c in &found.checks {
             let value = match (c.value, c.sigma) {
                 (Some(value), Some(sigma)) => format!("{value:8.2} ± {sigma:.2} {}", c.unit),
@@ -82,20 +85,13 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             };
             text += &format!(
                 "\n  {:7} {:28} {value:20} {}",
-                c.outcome.name(),
-                c.name,
-                c.sentence
+                c.outcome, c.name, c.sentence
             );
         }
         for path in &pictures {
             text += &format!("\n  {}", path.display());
         }
-        text
+        judged::printable(&text)
     })?;
-    anyhow::ensure!(
-        found.outcome() != Judgement::Fail,
-        "the rig is not that of {}: see the checks above",
-        arguments.recording.display()
-    );
-    Ok(Outcome::Done)
+    Ok(Outcome::of(judgement.verdict()))
 }

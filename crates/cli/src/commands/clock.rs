@@ -1,7 +1,7 @@
 //! `lsfb clock`: the clocks of a recording, estimated again from its stamps.
 
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use lsfb_capture::clock::{ClockConfig, ClockReport, DeviceClock, estimate_clocks};
@@ -9,6 +9,7 @@ use serde::Serialize;
 
 use crate::clock_page;
 use crate::context::Context;
+use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
 
 /// Estimate the clock of every device again from the recorded counters and arrivals, and plot it.
@@ -33,7 +34,7 @@ pub struct Arguments {
 
 #[derive(Serialize)]
 struct Printed<'a> {
-    page: PathBuf,
+    page: &'a Path,
     #[serde(flatten)]
     report: &'a ClockReport,
 }
@@ -51,21 +52,21 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         .clone()
         .unwrap_or_else(|| arguments.recording.with_extension("clocks.html"));
     let name = arguments.recording.display().to_string();
-    std::fs::write(&page, clock_page::html(&name, &report))
+    let judgement = report.judgement();
+    std::fs::write(&page, clock_page::html(&name, &report, &judgement))
         .with_context(|| page.display().to_string())?;
     let printed = Printed {
-        page,
+        page: &page,
         report: &report,
     };
-    context.print(&printed, || {
-        let mut out: String = report.devices.iter().map(line).collect();
-        if report.devices.is_empty() {
-            out.push_str("no device with a counter of its own\n");
-        }
-        let _ = write!(out, "{}", printed.page.display());
-        out
+    let judged = Judged::new(&judgement, &report.summary(), &printed);
+    context.print(&judged, || {
+        let mut out = judged::problem_lines(&judgement);
+        out.extend(report.devices.iter().map(line));
+        let _ = write!(out, "{}\n{}", judged.summary, page.display());
+        judged::printable(&out)
     })?;
-    Ok(Outcome::Done)
+    Ok(Outcome::of(judgement.verdict()))
 }
 
 fn line(clock: &DeviceClock) -> String {

@@ -1,28 +1,34 @@
 //! `lsfb demo`: the main job from nothing, in one folder.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use anyhow::Context as _;
 use lsfb_eval::alignment::AlignmentMode;
-use lsfb_eval::report::{Distribution, Figure, Provenance, Report, StageTime, Threshold, Track};
+use lsfb_eval::report::{self, Distribution, Figure, Report, StageTime, Track};
 use lsfb_eval::{DuplicateStamps, EvalConfig, Evaluation, evaluate, read_poses};
 use lsfb_geometry::{Quaternion, Se3, StampedPose, Trajectory, UnitQuaternion};
 use lsfb_pipeline::ground_truth::{GroundTruthConfig, ReprojectionErrors};
 use lsfb_pipeline::mapping::MappingConfig;
+use lsfb_recording::Provenance;
 use lsfb_sim::SimConfig;
+use lsfb_types::{Finding, Limit, Verdict};
 use nix::sys::resource::{UsageWho, getrusage};
 use serde::Serialize;
 
-use super::groundtruth::{self, WrittenTrajectory};
-use super::map::{self, WrittenMap};
+use super::groundtruth::{WalkJob, WrittenTrajectory};
+use super::map::{MapJob, WrittenMap};
 use crate::context::Context;
+use crate::existing::expect_free;
 use crate::outcome::Outcome;
 use crate::simulated::{self, Layout};
+use crate::standing;
 
-/// Simulate, record, map, localize and judge: the whole way, in a few minutes.
+/// Simulate, record, map, localize and evaluate: the whole way, in a few minutes.
 ///
 /// A backpack scans a furnished room and a corridor, glasses walk through them later; simulated devices send real bytes
 /// to the recorder, and all that follows reads recordings only. The same seed gives the same trajectories and map.
+/// In a folder where it was interrupted it goes on after the last stage that is finished.
 ///
 /// Example:
 ///   lsfb demo --out demo-out --seed 7
@@ -33,7 +39,7 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR", default_value = "demo-out")]
     out: PathBuf,
     /// Seed of building, walks and noise.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = super::seed, allow_hyphen_values = true)]
     seed: u64,
     /// Settings of the simulation (TOML), instead of the defaults; --seed overrides its seed.
     #[arg(long, value_name = "FILE")]
@@ -92,7 +98,7 @@ impl Stopwatch {
     }
 }
 
-/// Runs everything.
+/// Runs everything that does not stand from a run that was interrupted.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     let began = Instant::now();
     let mut watch = Stopwatch {
@@ -101,41 +107,28 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     };
     let mut sim_config: SimConfig = super::config_or_default(arguments.sim_config.as_deref())?;
     sim_config.seed = arguments.seed;
+    context.will_write(&arguments.out);
+    begin(&arguments.out, &sim_config, context)?;
     let layout = Layout::create(&arguments.out)?;
     let files = outputs(&layout);
-    let lost = {
-        let simulation = simulated::prepare(&layout, &sim_config, context)?;
-        watch.lap("building the world");
-        if sim_config.clocks.is_ideal() {
-            let scan = simulated::record_backpack(&layout, &simulation, context)?;
-            watch.lap("recording the scan");
-            let walk = simulated::record_glasses(&layout, &simulation, context)?;
-            watch.lap("recording the walk");
-            scan.lost + walk.lost
-        } else {
-            // Clocks that drift are told from arrivals: those of sockets read as fast as they go tell nothing.
-            let reports = simulated::record_with_simulated_arrivals(&layout, &simulation, context)?;
-            watch.lap("recording scan and walk");
-            reports.iter().map(|r| r.lost).sum()
-        }
+    let lost = record(&layout, &files, &sim_config, &mut watch, context)?;
+    // The folder is this demo's own: what does not stand in it is half a result.
+    let replace = |_: &Path| Ok(());
+    let map_job = MapJob {
+        recording: &files.scan,
+        out: &files.map,
+        out_trajectory: Some(&files.scan_trajectory),
+        config: &MappingConfig::default(),
     };
-    let mapping_config = MappingConfig::default();
-    let map = map::build(
-        &files.scan,
-        &files.map,
-        Some(&files.scan_trajectory),
-        &mapping_config,
-        context,
-    )?;
+    let map = map_job.build(context, replace)?;
     watch.lap("mapping");
-    let walk_config = GroundTruthConfig::default();
-    let walk = groundtruth::compute(
-        &files.walk,
-        &files.map,
-        &files.walk_trajectory,
-        &walk_config,
-        context,
-    )?;
+    let walk_job = WalkJob {
+        recording: &files.walk,
+        map: &files.map,
+        out: &files.walk_trajectory,
+        config: &GroundTruthConfig::default(),
+    };
+    let walk = walk_job.compute(context, replace)?;
     watch.lap("ground truth");
     let judged = judge(&layout, &files)?;
     watch.lap("judging");
@@ -154,8 +147,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         ate_glasses_in_map_rms_m: judged.glasses_in_map.ate_translation_m.rmse,
         ate_scanner_rms_m: judged.scanner.ate_translation_m.rmse,
         ate_scanner_max_m: judged.scanner.ate_translation_m.max,
-        map_reprojection_px: map.mapping.report.reprojection_rms_px,
-        map_points: map.mapping.report.points,
+        map_reprojection_px: map.report.reprojection_rms_px,
+        map_points: map.report.points,
         glasses_localized: localized.localized as f64 / localized.frames.max(1) as f64,
         lost,
         wall_s: began.elapsed().as_secs_f64(),
@@ -164,14 +157,106 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         outputs: files,
     };
     report(&summary, &judged, &map, &walk, &sim_config)?.write(&summary.outputs.report)?;
-    let json = layout.file("demo.json");
-    super::write(&json, serde_json::to_vec_pretty(&summary)?)?;
+    // Last of all: a folder that has it is finished.
+    super::write(&layout.file(FINISHED), serde_json::to_vec_pretty(&summary)?)?;
     context.print(&summary, || text(&summary))?;
     Ok(if lost == 0 {
         Outcome::Done
     } else {
         Outcome::DataLost
     })
+}
+
+/// Settings of the demo that a folder belongs to.
+const BEGUN: &str = "demo.toml";
+/// Figures of a demo that is finished.
+const FINISHED: &str = "demo.json";
+
+/// Takes the folder for this demo: an empty one, or one where it was interrupted. What is finished, or not its own, stays
+/// unless it may be replaced.
+fn begin(out: &Path, sim_config: &SimConfig, context: &Context) -> anyhow::Result<()> {
+    let settings = toml::to_string(sim_config)?;
+    let (begun, finished) = (out.join(BEGUN), out.join(FINISHED));
+    let folder = out.display();
+    if !context.force() {
+        match std::fs::read_to_string(&begun) {
+            Ok(_) if finished.exists() => anyhow::bail!(
+                "{folder}: this demo is finished, see report.html in it: choose another --out, or run it again with --force"
+            ),
+            Ok(before) => anyhow::ensure!(
+                before == settings,
+                "{folder}: a demo with another seed or other settings was begun here: choose another --out, or replace it with --force"
+            ),
+            Err(_) => {
+                for name in [
+                    "scan.mcap",
+                    "walk.mcap",
+                    "map",
+                    "scan.tum",
+                    "walk.tum",
+                    FINISHED,
+                ] {
+                    expect_free(&out.join(name), false)?;
+                }
+            }
+        }
+    }
+    std::fs::create_dir_all(out).with_context(|| folder.to_string())?;
+    if finished.exists() {
+        std::fs::remove_file(&finished).with_context(|| finished.display().to_string())?;
+    }
+    super::write(&begun, settings)
+}
+
+/// Simulates and records scan and walk, each unless it stands; how many messages were lost.
+fn record(
+    layout: &Layout,
+    files: &Outputs,
+    sim_config: &SimConfig,
+    watch: &mut Stopwatch,
+    context: &Context,
+) -> anyhow::Result<u64> {
+    let made_from = Provenance::new(sim_config);
+    let truth = ["truth_scan.tum", "truth_walk.tum"].map(|name| layout.truth().join(name));
+    let [truth_scan, truth_walk] = &truth;
+    let scan: &[&Path] = &[&files.scan, &files.rig_backpack, truth_scan];
+    let walk: &[&Path] = &[&files.walk, &files.rig_glasses, truth_walk];
+    let stand: [Option<u64>; 2] = [scan, walk].map(|outputs| context.standing(outputs, &made_from));
+    if let [Some(scan), Some(walk)] = stand {
+        return Ok(scan + walk);
+    }
+    let simulation = simulated::prepare(layout, sim_config, context)?;
+    watch.lap("building the world");
+    if !sim_config.clocks.is_ideal() {
+        // Clocks that drift are told from arrivals: those of sockets read as fast as they go tell nothing.
+        [scan, walk].into_iter().try_for_each(standing::forget)?;
+        let reports = simulated::record_with_simulated_arrivals(layout, &simulation, context)?;
+        for (outputs, report) in [scan, walk].into_iter().zip(&reports) {
+            standing::finish(outputs, &made_from, &report.lost)?;
+        }
+        watch.lap("recording scan and walk");
+        return Ok(reports.iter().map(|r| r.lost).sum());
+    }
+    let mut lost = 0;
+    if let Some(before) = stand[0] {
+        lost += before;
+    } else {
+        standing::forget(scan)?;
+        let report = simulated::record_backpack(layout, &simulation, context)?;
+        standing::finish(scan, &made_from, &report.lost)?;
+        lost += report.lost;
+        watch.lap("recording the scan");
+    }
+    if let Some(before) = stand[1] {
+        lost += before;
+    } else {
+        standing::forget(walk)?;
+        let report = simulated::record_glasses(layout, &simulation, context)?;
+        standing::finish(walk, &made_from, &report.lost)?;
+        lost += report.lost;
+        watch.lap("recording the walk");
+    }
+    Ok(lost)
 }
 
 fn outputs(layout: &Layout) -> Outputs {
@@ -241,16 +326,16 @@ fn report(
     walk: &WrittenTrajectory,
     sim_config: &SimConfig,
 ) -> anyhow::Result<Report> {
-    let (mapping, walk_report) = (&map.mapping, &walk.ground_truth.report);
-    let mut warnings = mapping.report.odometry.warnings.clone();
-    warnings.extend(
-        mapping
-            .report
-            .warnings
-            .iter()
-            .chain(&walk_report.warnings)
-            .cloned(),
-    );
+    let (mapping, walk_report) = (&map.report, &walk.ground_truth.report);
+    let stages = [
+        ("odometry", &mapping.odometry.warnings),
+        ("mapping", &mapping.warnings),
+        ("ground truth", &walk_report.warnings),
+    ];
+    let findings = stages.into_iter().flat_map(|(stage, warnings)| {
+        let finding = move |w: &String| Finding::new("stage", Verdict::Warn, stage, w.clone());
+        warnings.iter().map(finding)
+    });
     let distribution = |title: &str, values| Distribution {
         title: title.to_owned(),
         quantity: "reprojection error".to_owned(),
@@ -261,7 +346,7 @@ fn report(
         title: format!("lsfb demo, seed {}", summary.seed),
         figures: vec![
             Figure::new("glasses ATE, rms", summary.ate_glasses_rms_m * 100.0, "cm")
-                .with(Threshold::AtMost(MAX_ATE_M * 100.0)),
+                .with(Limit::AtMost(MAX_ATE_M * 100.0)),
             Figure::new("glasses ATE, max", summary.ate_glasses_max_m * 100.0, "cm"),
             Figure::new(
                 "glasses in the map, rms",
@@ -269,13 +354,13 @@ fn report(
                 "cm",
             ),
             Figure::new("scanner ATE, rms", summary.ate_scanner_rms_m * 100.0, "cm")
-                .with(Threshold::AtMost(MAX_ATE_M * 100.0)),
+                .with(Limit::AtMost(MAX_ATE_M * 100.0)),
             Figure::new("scanner ATE, max", summary.ate_scanner_max_m * 100.0, "cm"),
             Figure::new("map reprojection, rms", summary.map_reprojection_px, "px")
-                .with(Threshold::AtMost(MAX_REPROJECTION_PX)),
+                .with(Limit::AtMost(MAX_REPROJECTION_PX)),
             Figure::new(
                 "map reprojection before Eq. 4",
-                mapping.report.reprojection_rms_before_px,
+                mapping.reprojection_rms_before_px,
                 "px",
             ),
             Figure::new(
@@ -285,11 +370,11 @@ fn report(
             ),
             Figure::new("glasses localized", summary.glasses_localized * 100.0, "%"),
             Figure::new("map points", summary.map_points as f64, ""),
-            Figure::new("messages lost", summary.lost as f64, "").with(Threshold::AtMost(0.0)),
-            Figure::new("wall time", summary.wall_s, "s").with(Threshold::AtMost(300.0)),
-            Figure::new("peak memory", summary.peak_rss_mb, "MB").with(Threshold::AtMost(4096.0)),
+            Figure::new("messages lost", summary.lost as f64, "").with(Limit::AtMost(0.0)),
+            Figure::new("wall time", summary.wall_s, "s").with(Limit::AtMost(300.0)),
+            Figure::new("peak memory", summary.peak_rss_mb, "MB").with(Limit::AtMost(4096.0)),
         ],
-        map_points: mapping
+        map_points: map
             .map
             .positions()
             .map(|point| judged.truth_from_map * point)
@@ -299,7 +384,14 @@ fn report(
             Track::of("glasses", &judged.glasses, &judged.truth_glasses),
         ],
         histograms: vec![
-            distribution("Map", mapping.report.reprojection_errors_px.clone()),
+            distribution(
+                "Map",
+                map.reprojection_errors_px
+                    .iter()
+                    .copied()
+                    .map(f64::from)
+                    .collect(),
+            ),
             distribution("Glasses", spread(&walk_report.map_errors)),
         ],
         stages: summary
@@ -310,7 +402,7 @@ fn report(
                 wall_secs: *wall_secs,
             })
             .collect(),
-        warnings,
+        findings: findings.collect(),
         provenance: provenance(summary, map, walk, sim_config)?,
         ..Report::default()
     })
@@ -322,7 +414,7 @@ fn provenance(
     map: &WrittenMap,
     walk: &WrittenTrajectory,
     sim_config: &SimConfig,
-) -> anyhow::Result<Vec<Provenance>> {
+) -> anyhow::Result<Vec<report::Provenance>> {
     let mut lines = vec![
         ("seed".to_owned(), summary.seed.to_string()),
         ("lsfb".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
@@ -341,7 +433,7 @@ fn provenance(
     lines.push(("simulation".to_owned(), toml::to_string(sim_config)?));
     let lines = lines.into_iter();
     Ok(lines
-        .map(|(name, value)| Provenance { name, value })
+        .map(|(name, value)| report::Provenance { name, value })
         .collect())
 }
 

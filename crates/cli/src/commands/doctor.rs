@@ -1,21 +1,23 @@
 //! `lsfb doctor`: is this recording good?
 
-use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use lsfb_capture::doctor::{Depth, Diagnosis, DoctorConfig, Verdict, examine};
+use lsfb_capture::doctor::{Depth, DoctorConfig, examine};
 use lsfb_recording::Recording;
+use lsfb_types::Judgement;
+use serde::Serialize;
 
-use super::doctor_host::{self, HostReport};
+use super::doctor_host;
 use crate::context::Context;
+use crate::judged;
 use crate::outcome::Outcome;
 
 /// Judge a recording: PASS, WARN or FAIL for the file, each sensor, each clock, and what was lost.
 ///
 /// With --host: judge this machine instead, before it records: limits, permissions, clock, disk; with the remedy of each.
 ///
-/// Looks at the indexes, which is fast whatever the size of the file; --full reads everything and compares checksums.
-/// Exit code 3: something failed.
+/// Looks at the indexes, which is fast whatever the size of the file, and says what it did not read; --full reads everything and
+/// compares checksums. Exit code 4: something failed.
 ///
 /// Examples:
 ///   lsfb doctor scan.mcap
@@ -41,12 +43,8 @@ pub struct Arguments {
 /// Examines, prints the verdicts.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     if let Some(folder) = &arguments.host {
-        let report = HostReport::of_this_machine(folder);
-        context.print(&report, || report.text())?;
-        return Ok(match report.verdict {
-            doctor_host::Verdict::Pass | doctor_host::Verdict::Warn => Outcome::Done,
-            doctor_host::Verdict::Fail => Outcome::DataLost,
-        });
+        let judgement = doctor_host::judge_this_machine(folder);
+        return print(&judgement, "this machine", &Host { folder }, context);
     }
     let Some(path) = &arguments.recording else {
         anyhow::bail!("name a recording, or --host");
@@ -60,43 +58,29 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     }
     let recording = Recording::open(path)?;
     let diagnosis = examine(&recording, &config, &|p| context.show(p))?;
-    context.print(&diagnosis, || text(&diagnosis))?;
-    Ok(match diagnosis.verdict {
-        Verdict::Pass | Verdict::Warn => Outcome::Done,
-        Verdict::Fail => Outcome::DataLost,
-    })
+    print(
+        &diagnosis.judgement,
+        &diagnosis.summary(),
+        &diagnosis.facts,
+        context,
+    )
 }
 
-fn text(diagnosis: &Diagnosis) -> String {
-    let mut out = String::new();
-    for finding in &diagnosis.findings {
-        let _ = write!(
-            out,
-            "{}  {:<20} {}",
-            label(finding.verdict),
-            finding.subject,
-            finding.found
-        );
-        if finding.verdict != Verdict::Pass && !finding.threshold.is_empty() {
-            let _ = write!(out, " (good: {})", finding.threshold);
-        }
-        out.push('\n');
-    }
-    let _ = write!(
-        out,
-        "{}  {:.1} MB, {:.1} s, {} messages",
-        label(diagnosis.verdict),
-        diagnosis.bytes as f64 / 1e6,
-        diagnosis.duration_secs,
-        diagnosis.messages
-    );
-    out
+/// What `--host` looked at beside the machine.
+#[derive(Serialize)]
+struct Host<'a> {
+    folder: &'a Path,
 }
 
-fn label(verdict: Verdict) -> &'static str {
-    match verdict {
-        Verdict::Pass => "PASS",
-        Verdict::Warn => "WARN",
-        Verdict::Fail => "FAIL",
-    }
+fn print<T: Serialize>(
+    judgement: &Judgement,
+    summary: &str,
+    result: &T,
+    context: &Context,
+) -> anyhow::Result<Outcome> {
+    let printed = judged::Judged::new(judgement, summary, result);
+    context.print(&printed, || {
+        judged::printable(&format!("{}{}", judged::lines(judgement), printed.summary))
+    })?;
+    Ok(Outcome::of(judgement.verdict()))
 }

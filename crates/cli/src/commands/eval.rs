@@ -12,7 +12,7 @@ use lsfb_geometry::Trajectory;
 use crate::context::Context;
 use crate::outcome::Outcome;
 
-/// Judge a trajectory by its truth: absolute and relative errors.
+/// Evaluate a trajectory against ground truth: absolute and relative errors.
 ///
 /// Reads TUM, EuRoC and KITTI files. KITTI's carry no time: row n is at n seconds unless --truth-times says otherwise.
 ///
@@ -22,30 +22,30 @@ use crate::outcome::Outcome;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// The trajectory to judge.
+    /// The trajectory to evaluate.
     estimate: PathBuf,
-    /// The truth.
+    /// The ground truth.
     #[arg(long, value_name = "FILE")]
     truth: PathBuf,
-    /// Stamps of a truth in KITTI's format, one per line in seconds.
+    /// Stamps of a ground truth in KITTI's format, one per line in seconds.
     #[arg(long, value_name = "FILE")]
     truth_times: Option<PathBuf>,
-    /// What is taken away before errors are measured.
+    /// How the estimate is aligned before errors are measured.
     #[arg(long, value_enum, default_value_t = Align::Se3)]
     align: Align,
-    /// Largest difference of two stamps that belong together, seconds.
+    /// Largest difference between matching stamps, seconds.
     #[arg(long, default_value_t = 0.01, value_name = "S")]
     max_difference: f64,
-    /// Distance of the two poses of a relative error.
+    /// Distance between the two poses of a relative error.
     #[arg(long, default_value_t = 1.0, value_name = "D")]
     rpe_delta: f64,
-    /// What that distance counts.
+    /// Unit of that distance.
     #[arg(long, value_enum, default_value_t = RpeUnit::Metres)]
     rpe_unit: RpeUnit,
-    /// Write a page with plots.
+    /// Write a page with plots and a view that can be turned.
     #[arg(long, value_name = "HTML")]
     report: Option<PathBuf>,
-    /// Take every pair, not only those end to end.
+    /// Use all pairs of poses, not only consecutive ones.
     #[arg(long)]
     rpe_all_pairs: bool,
 }
@@ -66,7 +66,7 @@ enum RpeUnit {
     Degrees,
 }
 
-/// Judges, prints.
+/// Evaluates, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     let config = EvalConfig {
         max_difference_secs: arguments.max_difference,
@@ -92,6 +92,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         }],
         ..EvalConfig::default()
     };
+    if let Some(page) = &arguments.report {
+        context.claim(page)?;
+    }
     let truth = match &arguments.truth_times {
         Some(times) => read_kitti_poses(&arguments.truth, times)?,
         None => read_poses(&arguments.truth)?,
@@ -114,7 +117,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
 
 fn text(e: &Evaluation) -> String {
     let mut out = format!(
-        "{} of {} poses matched, {:.1} % of the truth covered, aligned by {}\n\
+        "{} of {} poses matched, {:.1} % of the ground truth covered, aligned by {}\n\
          ATE  rmse {:.6} m  mean {:.6}  median {:.6}  max {:.6};  rotation rmse {:.4}°",
         e.matched_poses,
         e.estimate_poses,

@@ -4,12 +4,15 @@ use std::path::{Path, PathBuf};
 
 use lsfb_pipeline::ground_truth::{GroundTruth, GroundTruthConfig, ground_truth};
 use lsfb_pipeline::hd_map::HdMap;
-use lsfb_recording::{Provenance, write_tum};
+use lsfb_recording::{Provenance, read_tum, write_tum};
 
 use crate::context::Context;
 use crate::outcome::Outcome;
+use crate::standing;
 
 /// Compute the ground-truth trajectory of a walk in an HD map.
+///
+/// One that stands already, made by this program from the same walk and map with the same settings, is not computed again.
 ///
 /// Example:
 ///   lsfb groundtruth walk.mcap --map map --out walk.tum
@@ -32,14 +35,15 @@ pub struct Arguments {
 /// Computes, writes, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     let config: GroundTruthConfig = super::config_or_default(arguments.config.as_deref())?;
-    let found = compute(
-        &arguments.recording,
-        &arguments.map,
-        &arguments.out,
-        &config,
-        context,
-    )?
-    .ground_truth;
+    let job = WalkJob {
+        recording: &arguments.recording,
+        map: &arguments.map,
+        out: &arguments.out,
+        config: &config,
+    };
+    let found = job
+        .compute(context, |result| context.claim(result))?
+        .ground_truth;
     let r = &found.report;
     context.print(r, || {
         let mut text = format!(
@@ -65,29 +69,47 @@ pub struct WrittenTrajectory {
     pub provenance: Provenance,
 }
 
-/// Computes the trajectory and writes it with where it comes from.
-pub fn compute(
-    recording: &Path,
-    map: &Path,
-    out: &Path,
-    config: &GroundTruthConfig,
-    context: &Context,
-) -> anyhow::Result<WrittenTrajectory> {
-    super::expect_writable(out)?;
-    let (walk, hd_map) = (context.open(recording)?, super::open_map(map)?);
-    let found = super::about(
-        recording,
-        ground_truth(&walk, &hd_map, config, &|p| context.show(p)),
-    )?;
-    write_tum(out, &found.trajectory)?;
-    let mut provenance = Provenance::new(config);
-    provenance.add_input(recording)?;
-    provenance.add_rig(&walk.rig()?);
-    // The map's header has the hashes of its other files.
-    provenance.add_input(&map.join(HdMap::HEADER))?;
-    provenance.write(out)?;
-    Ok(WrittenTrajectory {
-        ground_truth: found,
-        provenance,
-    })
+/// A trajectory to be computed of a walk.
+pub struct WalkJob<'a> {
+    pub recording: &'a Path,
+    pub map: &'a Path,
+    pub out: &'a Path,
+    pub config: &'a GroundTruthConfig,
+}
+
+impl WalkJob<'_> {
+    /// Computes the trajectory and writes it with where it comes from, unless it stands. `claim` is asked before anything is
+    /// replaced.
+    pub fn compute(
+        &self,
+        context: &Context,
+        claim: impl Fn(&Path) -> anyhow::Result<()>,
+    ) -> anyhow::Result<WrittenTrajectory> {
+        let (walk, hd_map) = (context.open(self.recording)?, super::open_map(self.map)?);
+        let mut provenance = Provenance::new(self.config);
+        provenance.add_input(self.recording)?;
+        provenance.add_rig(&super::about(self.recording, walk.rig())?);
+        // The map's header has the hashes of its other files.
+        provenance.add_input(&self.map.join(HdMap::HEADER))?;
+        if let Some(report) = context.standing(&[self.out], &provenance) {
+            let trajectory = read_tum(self.out)?;
+            return Ok(WrittenTrajectory {
+                ground_truth: GroundTruth { trajectory, report },
+                provenance,
+            });
+        }
+        claim(self.out)?;
+        let found = super::about(
+            self.recording,
+            ground_truth(&walk, &hd_map, self.config, &|p| context.show(p)),
+        )?;
+        standing::forget(&[self.out])?;
+        write_tum(self.out, &found.trajectory)?;
+        provenance.write(self.out)?;
+        standing::finish(&[self.out], &provenance, &found.report)?;
+        Ok(WrittenTrajectory {
+            ground_truth: found,
+            provenance,
+        })
+    }
 }

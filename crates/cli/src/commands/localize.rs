@@ -22,7 +22,7 @@ pub struct Arguments {
     /// Folder with K.txt, poses_T_world_cam_rowmajor4x4.txt and images/.
     #[arg(long, value_name = "DIR")]
     posed_images: PathBuf,
-    /// Take every N-th image only.
+    /// Use every N-th image only.
     #[arg(long, value_name = "N", default_value_t = 1)]
     every: usize,
     /// The map: a folder.
@@ -45,7 +45,10 @@ struct Summary {
 
 /// Localizes, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    anyhow::ensure!(arguments.every > 0, "--every 0 takes no image");
+    anyhow::ensure!(
+        arguments.every > 0,
+        "--every 0 uses no image: give 1 or more"
+    );
     let localizer = Localizer::new(
         &super::open_map(&arguments.map)?,
         &LocalizerConfig::default(),

@@ -4,18 +4,21 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use lsfb_pipeline::hd_map::{HdMap, PosedMapConfig, build_map_from_posed_images};
-use lsfb_pipeline::mapping::{MappingConfig, MappingResult, build_map};
+use lsfb_pipeline::mapping::{MappingConfig, MappingReport, build_map};
 use lsfb_pipeline::posed_images::PosedImages;
 use lsfb_recording::{Provenance, write_tum};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::context::Context;
 use crate::outcome::Outcome;
+use crate::standing;
 
 /// Build an HD map from a scanner's recording, or from images with known poses.
 ///
+/// A map that stands already, made by this program from the same recording with the same settings, is not built again.
+///
 /// Examples:
-///   lsfb map scan.mcap --out map --trajectory scan.tum
+///   lsfb map scan.mcap --out map --out-trajectory scan.tum
 ///   lsfb map --posed-images hololens_office --without-every 5 --out office-map
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -29,15 +32,15 @@ pub struct Arguments {
     /// Folder with K.txt, poses_T_world_cam_rowmajor4x4.txt and images/.
     #[arg(long, value_name = "DIR")]
     posed_images: Option<PathBuf>,
-    /// Leave out every N-th of those images, so that they can be localized.
+    /// Leave out every N-th of those images, to localize them later.
     #[arg(long, value_name = "N", requires = "posed_images")]
     without_every: Option<usize>,
     /// The map: a folder.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// The scanner's trajectory (TUM).
+    /// Write the scanner's trajectory too (TUM).
     #[arg(long, value_name = "TUM", conflicts_with = "posed_images")]
-    trajectory: Option<PathBuf>,
+    out_trajectory: Option<PathBuf>,
     /// Settings (TOML), instead of the defaults.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -59,16 +62,15 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     }
     let recording = arguments.recording.as_deref().context("name a recording")?;
     let config: MappingConfig = super::config_or_default(arguments.config.as_deref())?;
-    let result = build(
+    let job = MapJob {
         recording,
-        &arguments.out,
-        arguments.trajectory.as_deref(),
-        &config,
-        context,
-    )?
-    .mapping;
-    let r = &result.report;
-    context.print(&summary(&arguments.out, &result.map, r), || {
+        out: &arguments.out,
+        out_trajectory: arguments.out_trajectory.as_deref(),
+        config: &config,
+    };
+    let built = job.build(context, |result| context.claim(result))?;
+    let r = &built.report;
+    context.print(&summary(&arguments.out, &built.map, r), || {
         let mut text = format!(
             "{}: {} points, {} observations in {} images, reprojection {:.3} px rms ({:.3} px before Eq. 4)",
             arguments.out.display(),
@@ -88,36 +90,81 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
 
 /// A map that was written, and where it comes from.
 pub struct WrittenMap {
-    pub mapping: MappingResult,
+    pub map: HdMap,
+    pub report: MappingReport,
+    /// Of every observation in the map.
+    pub reprojection_errors_px: Vec<f32>,
     pub provenance: Provenance,
 }
 
-/// Builds the map of a recording and writes it, its trajectory and where both come from.
-pub fn build(
-    recording: &Path,
-    out: &Path,
-    trajectory: Option<&Path>,
-    config: &MappingConfig,
-    context: &Context,
-) -> anyhow::Result<WrittenMap> {
-    for result in [Some(out), trajectory].into_iter().flatten() {
-        super::expect_writable(result)?;
+/// What is said of a map that stands.
+#[derive(Serialize, Deserialize)]
+struct Said {
+    report: MappingReport,
+    reprojection_errors_px: Vec<f32>,
+}
+
+/// A map to be built of a recording.
+pub struct MapJob<'a> {
+    pub recording: &'a Path,
+    pub out: &'a Path,
+    pub out_trajectory: Option<&'a Path>,
+    pub config: &'a MappingConfig,
+}
+
+impl MapJob<'_> {
+    /// Builds the map and writes it, its trajectory and where both come from, unless they stand. `claim` is asked before
+    /// anything is replaced.
+    pub fn build(
+        &self,
+        context: &Context,
+        claim: impl Fn(&Path) -> anyhow::Result<()>,
+    ) -> anyhow::Result<WrittenMap> {
+        let outputs: Vec<&Path> = [Some(self.out), self.out_trajectory]
+            .into_iter()
+            .flatten()
+            .collect();
+        let scan = context.open(self.recording)?;
+        let mut provenance = Provenance::new(self.config);
+        provenance.add_input(self.recording)?;
+        provenance.add_rig(&super::about(self.recording, scan.rig())?);
+        if let Some(Said {
+            report,
+            reprojection_errors_px,
+        }) = context.standing(&outputs, &provenance)
+        {
+            return Ok(WrittenMap {
+                map: super::open_map(self.out)?,
+                report,
+                reprojection_errors_px,
+                provenance,
+            });
+        }
+        outputs.iter().try_for_each(|result| claim(result))?;
+        let result = super::about(
+            self.recording,
+            build_map(&scan, self.config, &|p| context.show(p)),
+        )?;
+        standing::forget(&outputs)?;
+        result.map.write(self.out)?;
+        provenance.write(self.out)?;
+        if let Some(path) = self.out_trajectory {
+            write_tum(path, &result.trajectory)?;
+            provenance.write(path)?;
+        }
+        let errors_px = result.report.reprojection_errors_px.iter();
+        let said = Said {
+            reprojection_errors_px: errors_px.map(|px| *px as f32).collect(),
+            report: result.report,
+        };
+        standing::finish(&outputs, &provenance, &said)?;
+        Ok(WrittenMap {
+            map: result.map,
+            report: said.report,
+            reprojection_errors_px: said.reprojection_errors_px,
+            provenance,
+        })
     }
-    let scan = context.open(recording)?;
-    let result = super::about(recording, build_map(&scan, config, &|p| context.show(p)))?;
-    result.map.write(out)?;
-    let mut provenance = Provenance::new(config);
-    provenance.add_input(recording)?;
-    provenance.add_rig(&scan.rig()?);
-    provenance.write(out)?;
-    if let Some(path) = trajectory {
-        write_tum(path, &result.trajectory)?;
-        provenance.write(path)?;
-    }
-    Ok(WrittenMap {
-        mapping: result,
-        provenance,
-    })
 }
 
 fn from_posed_images(
@@ -126,8 +173,8 @@ fn from_posed_images(
     context: &Context,
 ) -> anyhow::Result<Outcome> {
     let config: PosedMapConfig = super::config_or_default(arguments.config.as_deref())?;
-    super::expect_writable(&arguments.out)?;
     super::expect_file(folder, "name a folder of posed images")?;
+    context.claim(&arguments.out)?;
     let posed = PosedImages::read(folder)?.without_every(arguments.without_every.unwrap_or(0));
     let map = build_map_from_posed_images(&posed, &config, &|p| context.show(p))?;
     map.write(&arguments.out)?;

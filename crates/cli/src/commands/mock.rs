@@ -44,7 +44,7 @@ pub struct Arguments {
     #[arg(required_unless_present = "seed", conflicts_with = "Equipment")]
     source: Option<PathBuf>,
     /// Play the simulator with this seed instead.
-    #[arg(long, conflicts_with_all = ["source", "turns"])]
+    #[arg(long, conflicts_with_all = ["source", "turns"], value_parser = super::seed, allow_hyphen_values = true)]
     seed: Option<u64>,
     /// Folder for the list of devices, the rig, and the mock devices' sockets.
     #[arg(long, value_name = "DIR")]
@@ -86,7 +86,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     };
     let playback = Playback::open(source)?;
     for topic in playback.unplayed() {
-        context.note(&format!(
+        context.say(&format!(
             "warning: {topic} is not played: the bytes that its device sent were not recorded"
         ));
     }
@@ -114,7 +114,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let session = playback
         .start(&endpoints, Pace::RealTimes(arguments.rate), turns)
         .with_context(|| playback_needs(&playback, arguments))?;
-    if let (Some(line), Some(imu)) = (session.imu_path(), &devices.imu) {
+    if let (Some(line), Some(imu)) = (session.imu_path(), devices.imus.first()) {
         symlink(line, &imu.path).with_context(|| imu.path.display().to_string())?;
     }
     context.note(&format!(
@@ -221,16 +221,17 @@ impl Folder {
                 .filter(|_| wired)
                 .map(|_| self.file("rig.toml")),
             overflow: Overflow::Drop,
-            lidar: playback.has_lidar().then_some(LidarNetConfig {
+            lidars: Vec::from_iter(playback.has_lidar().then_some(LidarNetConfig {
                 data: endpoints.lidar_data,
                 position: endpoints.lidar_position,
                 ..LidarNetConfig::default()
-            }),
+            })),
             cameras: cameras.collect(),
-            imu: playback
+            imus: playback
                 .imu_family()
                 .zip(playback.imu_rate_hz())
                 .map(|(family, rate_hz)| ImuLineConfig {
+                    name: IMU.to_owned(),
                     family: played(family),
                     path: match family {
                         PlayedImu::Sbg => PathBuf::from(&arguments.can),
@@ -238,7 +239,9 @@ impl Folder {
                     },
                     baud: 921_600,
                     rate_hz,
-                }),
+                })
+                .into_iter()
+                .collect(),
             sidecar: (!playback.sidecars().is_empty()).then_some(SidecarConfig {
                 listen: endpoints.sidecar,
             }),

@@ -40,10 +40,12 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         None if arguments.outdoor => OdometryConfig::outdoor(),
         None => OdometryConfig::default(),
     };
-    super::expect_writable(&arguments.out)?;
+    super::expect_file(&arguments.input, "record one with `lsfb scan`")?;
+    context.claim(&arguments.out)?;
     let mut times: Option<ImportedClouds> = None;
     let input = if arguments.input.is_dir() {
         let scans = arguments.out.with_extension("scans.mcap");
+        context.claim(&scans)?;
         let imported = import_clouds(&arguments.input, &CloudsConfig::default(), &scans, &show)?;
         times = Some(imported);
         scans

@@ -1,8 +1,9 @@
 //! `lsfb recover`: a whole file from an interrupted or damaged recording.
 
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
+use anyhow::Context as _;
 use lsfb_recording::recover;
 use serde::Serialize;
 
@@ -36,8 +37,21 @@ struct Report {
     missing: Vec<String>,
 }
 
+/// Whether both names lead to one file, which must not be replaced by itself.
+fn same_file(a: &Path, b: &Path) -> bool {
+    match (a.canonicalize(), b.canonicalize()) {
+        (Ok(a), Ok(b)) => a == b,
+        _ => false,
+    }
+}
+
 /// Recovers, prints what is missing.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    context.claim(&arguments.out)?;
+    if arguments.out.is_file() && !same_file(&arguments.recording, &arguments.out) {
+        std::fs::remove_file(&arguments.out)
+            .with_context(|| arguments.out.display().to_string())?;
+    }
     let recovered = recover(&arguments.recording, &arguments.out, &|p| context.show(p))?;
     let report = Report {
         path: recovered.path,

@@ -2,20 +2,22 @@
 
 use std::fmt::Write as _;
 use std::io::Read as _;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use lsfb_capture::{
     CaptureReport, DevicesConfig, RecorderConfig, ReplayConfig, replay, replay_recording,
 };
+use lsfb_drivers::any_lidar::{self, Model, Settings};
+use lsfb_drivers::lidar::{BeamAngles, Returns, ScanSettings};
 use lsfb_drivers::transport::pcap::PcapSource;
 use lsfb_drivers::transport::rosbag2::Rosbag2Source;
 use lsfb_geometry::Rig;
 use lsfb_operator::ScreenConfig;
 use lsfb_recording::Existing;
 
-use crate::context::Context;
+use crate::context::{Context, sentence};
 use crate::live::{Live, LiveConfig};
 use crate::outcome::Outcome;
 
@@ -43,24 +45,24 @@ pub struct Arguments {
     /// List of devices (TOML); `lsfb sim` and `lsfb mock` write one for theirs.
     #[arg(long, value_name = "FILE", group = "source", required_unless_present_any = ["pcap", "db3", "mcap"])]
     devices: Option<PathBuf>,
-    /// Velodyne packets of a pcap or pcapng capture.
+    /// LiDAR packets of a pcap or pcapng capture.
     #[arg(long, value_name = "FILE", group = "source")]
     pcap: Option<PathBuf>,
-    /// Velodyne packets of a rosbag2 database.
+    /// LiDAR packets of a rosbag2 database: Velodyne's or Hesai's ROS driver recorded them.
     #[arg(long, value_name = "FILE", group = "source")]
     db3: Option<PathBuf>,
-    /// Velodyne packets of an MCAP file, rosbag2's or ours: its scans are made again.
+    /// LiDAR packets of an MCAP file, rosbag2's or ours: its scans are made again.
     #[arg(long, value_name = "FILE", group = "source")]
     mcap: Option<PathBuf>,
+    /// The LiDAR of a capture file; see `lsfb scan --help` for the models.
+    #[command(flatten)]
+    lidar: LidarArguments,
     /// Rig attached to what comes from a capture file.
     #[arg(long, value_name = "FILE", conflicts_with = "devices")]
     rig: Option<PathBuf>,
     /// The recording. A file that is there already is not replaced.
     #[arg(long, value_name = "MCAP")]
     out: PathBuf,
-    /// Replace a recording of the same name.
-    #[arg(long)]
-    force: bool,
     /// Begin a new file after this many megabytes; each opens by itself.
     #[arg(long, value_name = "MB")]
     split_mb: Option<u64>,
@@ -76,6 +78,10 @@ pub struct Arguments {
     /// PIN of the screen, at least four characters; a random one where other machines can reach it.
     #[arg(long, value_name = "PIN", requires = "screen", value_parser = pin)]
     pin: Option<String>,
+    /// Another name by which this machine is reached (a DNS name, say), beside its own name and its addresses; the screen
+    /// answers to no others. Can be given more than once.
+    #[arg(long, value_name = "NAME", requires = "screen")]
+    screen_name: Vec<String>,
     /// Do not wait for START on the screen: begin the first recording at once.
     #[arg(long, requires = "screen")]
     now: bool,
@@ -91,10 +97,73 @@ pub struct Arguments {
     rerun: Option<String>,
 }
 
+/// How the LiDAR packets of a capture file are read; for devices their list says it.
+#[derive(clap::Args)]
+struct LidarArguments {
+    /// The sensor that packets of a capture file must be of: vlp-32c, vlp-16, hdl-32e, xt32, pandar64, qt64.
+    #[arg(long, value_name = "MODEL", conflicts_with = "devices", value_parser = lidar_model)]
+    lidar_model: Option<Model>,
+    /// Believe neither model nor returns that the packets name: they are of --lidar-model, with these.
+    #[arg(long, value_name = "WHICH", requires = "lidar_model", value_enum)]
+    force_returns: Option<ForcedReturns>,
+    /// Beam angles of this very unit (Hesai's angle correction file, CSV).
+    #[arg(long, value_name = "CSV", conflicts_with = "devices")]
+    lidar_angles: Option<PathBuf>,
+    /// Take packets of this sender only, where a capture holds several sensors.
+    #[arg(long, value_name = "IP", conflicts_with = "devices")]
+    lidar_sender: Option<IpAddr>,
+    /// UDP ports of the LiDAR in a pcap capture, data and others.
+    #[arg(long, value_name = "PORT", value_delimiter = ',', default_values_t = [2368, 8308, 10110], requires = "pcap")]
+    lidar_ports: Vec<u16>,
+}
+
+/// What packets hold, whatever they say.
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum ForcedReturns {
+    /// The strongest echo of each shot.
+    Strongest,
+    /// The last echo of each shot.
+    Last,
+    /// Both.
+    Dual,
+}
+
+fn lidar_model(name: &str) -> Result<Model, String> {
+    Model::from_key(name).ok_or_else(|| {
+        let known: Vec<String> = Model::all().into_iter().map(Model::key).collect();
+        format!("expected one of {}", known.join(", "))
+    })
+}
+
+impl LidarArguments {
+    fn settings(&self) -> anyhow::Result<Settings> {
+        let angles = match &self.lidar_angles {
+            Some(path) => {
+                let name = || path.display().to_string();
+                let text = std::fs::read_to_string(path).with_context(name)?;
+                Some(BeamAngles::parse_csv(&text).with_context(name)?)
+            }
+            None => None,
+        };
+        Ok(Settings {
+            model: self.lidar_model,
+            scans: ScanSettings {
+                force_returns: self.force_returns.map(|returns| match returns {
+                    ForcedReturns::Strongest => Returns::Strongest,
+                    ForcedReturns::Last => Returns::Last,
+                    ForcedReturns::Dual => Returns::Dual,
+                }),
+                angles,
+                ..ScanSettings::default()
+            },
+        })
+    }
+}
+
 impl Arguments {
     /// What the command line says about files goes before what the list of devices says.
-    fn apply(&self, recorder: &mut RecorderConfig) {
-        if self.force {
+    fn apply(&self, recorder: &mut RecorderConfig, context: &Context) {
+        if context.force() {
             recorder.existing = Existing::Replace;
         }
         if let Some(megabytes) = self.split_mb {
@@ -132,11 +201,11 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     }
     if let Some(devices) = &arguments.devices {
         let mut devices = DevicesConfig::read(devices)?;
-        arguments.apply(&mut devices.recorder);
+        arguments.apply(&mut devices.recorder, context);
         let live = Live::start(&arguments.live()?, &arguments.out)?;
         live.say_where(context);
         if arguments.screen.is_some() {
-            return takes(arguments, &devices, &live, context);
+            return record_on_demand(arguments, &devices, &live, context);
         }
         let report = live.record(&devices, &arguments.out, context)?;
         return print(&report, context);
@@ -145,17 +214,50 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let rig = arguments.rig.as_deref().map(Rig::read).transpose()?;
     let mut config = ReplayConfig {
         rig,
+        lidar: arguments.lidar.settings()?,
+        sensor: arguments.lidar.lidar_sender,
         ..ReplayConfig::default()
     };
-    arguments.apply(&mut config.recorder);
+    arguments.apply(&mut config.recorder, context);
+    context.will_write(&arguments.out);
     let out: &Path = &arguments.out;
+    let mut beside = String::new();
     let report = match (&arguments.pcap, &arguments.db3, &arguments.mcap) {
-        (Some(pcap), _, _) => replay(PcapSource::open(pcap, &[2368, 8308])?, &config, out, &show)?,
+        (Some(pcap), _, _) => {
+            let mut source = PcapSource::open(pcap, &arguments.lidar.lidar_ports)?;
+            let report = replay(&mut source, &config, out, &show)?;
+            beside = source.survey().describe(any_lidar::whose);
+            report
+        }
         (_, Some(db3), _) => replay(Rosbag2Source::open(db3)?, &config, out, &show)?,
         (_, _, Some(mcap)) => replay_recording(mcap, &config, out, &show)?,
         _ => bail!("name a source: --devices, --pcap, --db3 or --mcap"),
     };
+    if report.streams.iter().all(|stream| stream.decoded == 0) {
+        let why = nothing(&report, &beside);
+        if report.streams.iter().all(|stream| stream.received == 0) {
+            std::fs::remove_file(&report.path)
+                .with_context(|| report.path.display().to_string())?;
+            bail!("{why}");
+        }
+        bail!("{why}; the packets are in {}", report.path.display());
+    }
     print(&report, context)
+}
+
+/// Why no scan was made of a capture file, in one sentence.
+fn nothing(report: &CaptureReport, beside: &str) -> String {
+    let received: u64 = report.streams.iter().map(|s| s.received).sum();
+    let bad = report.streams.iter().find_map(|s| s.first_bad.as_deref());
+    let mut why = match (received, bad) {
+        (0, _) => "no scan: no datagram of the LiDAR is in it".to_owned(),
+        (_, Some(bad)) => format!("no scan was made of {received} datagrams: {bad}"),
+        (_, None) => format!("no scan was made of {received} datagrams"),
+    };
+    if !beside.is_empty() {
+        let _ = write!(why, "; beside it: {beside}");
+    }
+    why
 }
 
 impl Arguments {
@@ -167,6 +269,7 @@ impl Arguments {
                     None if !address.ip().is_loopback() => Some(random_pin()?),
                     pin => pin.clone(),
                 },
+                names: self.screen_name.clone(),
             }),
             None => None,
         };
@@ -190,7 +293,7 @@ fn random_pin() -> anyhow::Result<String> {
 }
 
 /// One recording after another, as the operator likes.
-fn takes(
+fn record_on_demand(
     arguments: &Arguments,
     devices: &DevicesConfig,
     live: &Live,
@@ -210,7 +313,7 @@ fn takes(
             // The operator mends it and presses START again.
             Err(error) => {
                 failures += 1;
-                context.note(&format!("{}: {error:#}", out.display()));
+                context.say(&format!("{}: {}", out.display(), sentence(&error)));
             }
         }
     }
@@ -271,6 +374,8 @@ pub fn text(report: &CaptureReport) -> String {
             (s.duplicated, "repeated"),
             (s.dropped, "dropped because the disk could not keep up"),
             (s.interruptions, "times gone and back"),
+            (s.silences, "times silent"),
+            (s.slowdowns, "times far too slow"),
         ] {
             if count > 0 {
                 let _ = write!(out, ", {count} {what}");
@@ -287,7 +392,10 @@ pub fn text(report: &CaptureReport) -> String {
     if let Some(why) = &report.failure {
         let _ = writeln!(out, "  STOPPED      {why}");
     }
-    for part in report.parts.iter().skip(1) {
+    for warning in &report.warnings {
+        let _ = writeln!(out, "  WARNING      {warning}");
+    }
+    for part in report.parts.iter().filter(|part| **part != report.path) {
         let _ = writeln!(out, "  continued in {}", part.display());
     }
     if report.groups.complete + report.groups.incomplete > 0 {

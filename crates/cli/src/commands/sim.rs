@@ -13,6 +13,7 @@ use lsfb_sim::{
 use serde::Serialize;
 
 use crate::context::Context;
+use crate::existing::expect_free;
 use crate::outcome::Outcome;
 use crate::simulated::{self, Endpoints, Equipment, Layout};
 
@@ -45,7 +46,7 @@ pub struct Arguments {
     /// Folder for everything.
     #[arg(long, value_name = "DIR", required = true)]
     out: Option<PathBuf>,
-    /// Where: demo, calibration, office-park, house-park, medium-office, large-office, exhibition-hall, atrium,
+    /// The place: demo, calibration, office-park, house-park, medium-office, large-office, exhibition-hall, atrium,
     /// wide-corridor, narrow-corridor or stairs.
     #[arg(long, value_parser = place, conflicts_with_all = ["config", "motion"])]
     place: Option<Place>,
@@ -58,11 +59,11 @@ pub struct Arguments {
     /// What the second walk is recorded with: glasses, android or iphone.
     #[arg(long, value_parser = device, default_value = "glasses", conflicts_with = "config")]
     device: Device,
-    /// How often things have been moved about since the place was built.
+    /// How many times furniture and things have been moved since the place was built.
     #[arg(long, default_value_t = 0, conflicts_with = "config")]
     months_later: u32,
     /// Seed of building, walks and noise.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = super::seed, allow_hyphen_values = true)]
     seed: u64,
     /// Settings of the simulation (TOML), instead of the defaults; --seed overrides its seed.
     #[arg(long, value_name = "FILE")]
@@ -94,7 +95,7 @@ enum Action {
         /// Folder for the pictures.
         #[arg(long, value_name = "DIR")]
         out: PathBuf,
-        /// Where; may be repeated. Without it and --motion: all nine environments.
+        /// The place; may be repeated. Without it and --motion: all nine environments.
         #[arg(long, value_parser = place)]
         place: Vec<Place>,
         /// Sequences of Table VII; may be repeated.
@@ -104,9 +105,9 @@ enum Action {
         #[arg(long, value_parser = device, default_value = "glasses")]
         device: Device,
         /// Seed of buildings, walks and noise.
-        #[arg(long, default_value_t = 1)]
+        #[arg(long, default_value_t = 1, value_parser = super::seed, allow_hyphen_values = true)]
         seed: u64,
-        /// How often things have been moved about since.
+        /// How many times furniture and things have been moved since.
         #[arg(long, default_value_t = 0)]
         months_later: u32,
     },
@@ -217,6 +218,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     // Clocks that drift are told from arrivals: those of sockets that are read as fast as they go tell nothing.
     let with_arrivals = arguments.clocks.is_some() || !config.clocks.is_ideal();
     arguments.equipment.apply(&mut config);
+    expect_no_other(out, &config, arguments.record, context)?;
     let layout = Layout::create(out)?;
     let simulation = simulated::prepare(&layout, &config, context)?;
     let mut recordings = Vec::new();
@@ -302,6 +304,28 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     })
 }
 
+/// Fails where recordings, or the truth of other settings, would be replaced. The same settings give the same truth.
+fn expect_no_other(
+    out: &Path,
+    config: &SimConfig,
+    record: bool,
+    context: &Context,
+) -> anyhow::Result<()> {
+    let settings = out.join(simulated::SETTINGS);
+    let same = std::fs::read_to_string(&settings).is_ok_and(|s| Ok(s) == toml::to_string(config));
+    if !same {
+        expect_free(&settings, context.force())?;
+    }
+    for recording in ["scan.mcap", "walk.mcap"] {
+        let path = out.join(recording);
+        context.will_write(&path);
+        if record {
+            expect_free(&path, context.force())?;
+        }
+    }
+    Ok(())
+}
+
 #[derive(Serialize)]
 struct Drawn {
     pictures: Vec<PathBuf>,
@@ -339,6 +363,9 @@ fn draw(action: &Action, context: &Context) -> anyhow::Result<Outcome> {
     let mut pictures = Vec::new();
     for (name, mut config) in wanted {
         (config.seed, config.months_later) = (*seed, *months_later);
+        for kind in ["scan", "walk", "top"] {
+            context.claim(&out.join(format!("{name}-{kind}.png")))?;
+        }
         let show = |p: lsfb_types::Progress| context.show(p);
         let simulation = Simulation::new(&config, &show)?;
         for (kind, rig) in [("scan", simulation.scan()), ("walk", simulation.glasses())] {

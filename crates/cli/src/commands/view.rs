@@ -28,6 +28,7 @@ const COLORS: [[u8; 3]; 4] = [
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
     /// Recordings (MCAP).
+    #[arg(required_unless_present_any = ["trajectory", "map"])]
     recordings: Vec<PathBuf>,
     /// Trajectories (TUM).
     #[arg(long, value_name = "TUM")]
@@ -42,6 +43,7 @@ pub struct Arguments {
 
 /// Writes, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    context.claim(&arguments.out)?;
     let report = write(
         &arguments.recordings,
         &arguments.trajectory,
@@ -106,7 +108,6 @@ pub fn write(
                 .unwrap_or_else(|| Trajectory::new(Vec::new())),
         });
     }
-    super::expect_writable(out)?;
     write_rrd(out, &inputs, &ViewConfig::default(), &|p| context.show(p))
         .context("cannot write the viewer's file")
 }

@@ -57,13 +57,19 @@ impl Outputs {
             Tapped::Imu { imu, sample } => {
                 let topic = format!("/{imu}/data_raw");
                 foxglove.publish(&about(&topic, &message::IMU, sample.arrival), || {
-                    message::encode_imu(sample.time, imu, &sample.sample)
+                    message::encode_imu(
+                        sample.time,
+                        imu,
+                        &sample.sample,
+                        message::ImuVariance::UNKNOWN,
+                    )
                 });
             }
-            Tapped::Scan(scan) => {
-                let about = about("/lidar/points", &message::POINT_CLOUD, scan.arrival);
+            Tapped::Scan { lidar, scan } => {
+                let topic = format!("/{lidar}/points");
+                let about = about(&topic, &message::POINT_CLOUD, scan.arrival);
                 foxglove.publish(&about, || {
-                    message::encode_points(scan.time, "lidar", &scan.sample)
+                    message::encode_points(scan.time, lidar, &scan.sample)
                 });
             }
             Tapped::Message {
@@ -103,8 +109,10 @@ impl Outputs {
         let mut edges: Vec<_> = cameras
             .map(|(name, camera)| edge(name, camera.rig_from_camera))
             .collect();
-        edges.extend(rig.lidar.iter().map(|l| edge("lidar", l.rig_from_lidar)));
-        edges.extend(rig.imu.iter().map(|_| edge("imu0", Se3::identity())));
+        let lidars = rig.lidars.iter();
+        edges.extend(lidars.map(|(name, lidar)| edge(name, lidar.rig_from_lidar)));
+        let imus = rig.imus.iter();
+        edges.extend(imus.map(|(name, imu)| edge(name, imu.rig_from_imu)));
         foxglove.publish_latched(
             &about("/tf_static", &message::TF_MESSAGE, now),
             message::encode_static_transforms(now, &edges),

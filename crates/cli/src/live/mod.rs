@@ -1,9 +1,9 @@
 //! What is shown while scanning: the operator's screen, the terminal, Foxglove and Rerun, all fed by the recorder's tap.
 //!
-//! One thread, the conductor, reads the tap and answers the operator; one more runs the online odometry. Neither is waited
+//! One thread, the controller, reads the tap and answers the operator; one more runs the online odometry. Neither is waited
 //! for by the recorder: what they are too slow for is recorded without being shown.
 
-mod conductor;
+mod controller;
 mod host;
 mod messages;
 mod odometry;
@@ -24,8 +24,8 @@ use lsfb_geometry::Rig;
 use lsfb_operator::{Foxglove, Request, Screen, ScreenConfig};
 use lsfb_types::Stopped;
 
-use crate::context::Context;
-use conductor::{Conductor, Wires};
+use crate::context::{Context, sentence};
+use controller::{Channels, Controller};
 
 /// Who looks.
 #[derive(Clone, Debug, Default)]
@@ -86,16 +86,16 @@ impl Outputs {
     }
 }
 
-/// Tells the conductor what the recorder does.
+/// Tells the controller what the recorder does.
 enum Event {
     /// A recording begins.
-    Begin(Box<Take>),
+    Begin(Box<Run>),
     /// It has ended, or never began.
     End(Result<Box<CaptureReport>, String>),
 }
 
 /// One recording.
-struct Take {
+struct Run {
     out: PathBuf,
     devices: DevicesConfig,
     rig: Option<Rig>,
@@ -118,7 +118,7 @@ pub struct Live {
 }
 
 impl Live {
-    /// Opens the outputs and starts the conductor; `out`: the first recording.
+    /// Opens the outputs and starts the controller; `out`: the first recording.
     pub fn start(config: &LiveConfig, out: &Path) -> anyhow::Result<Self> {
         let (outputs, requests) = Outputs::open(config)?;
         let url = outputs.screen.as_ref().map(Screen::url);
@@ -127,9 +127,9 @@ impl Live {
         let (wanted, starts) = sync_channel(1);
         let end = Arc::new(AtomicBool::new(false));
         let board = Arc::new(Mutex::new(String::new()));
-        let conductor = Conductor::new(
+        let controller = Controller::new(
             outputs,
-            Wires {
+            Channels {
                 requests,
                 events: happened,
                 starts: wanted,
@@ -145,7 +145,7 @@ impl Live {
         );
         let thread = std::thread::Builder::new()
             .name("live".to_owned())
-            .spawn(move || conductor.run())
+            .spawn(move || controller.run())
             .context("cannot start the live view's thread")?;
         Ok(Self {
             events,
@@ -163,8 +163,8 @@ impl Live {
     pub fn say_where(&self, context: &Context) {
         if let Some(url) = &self.url {
             match &self.pin {
-                Some(pin) => context.note(&format!("screen: {url}#pin={pin}  (PIN {pin})")),
-                None => context.note(&format!("screen: {url}")),
+                Some(pin) => context.say(&format!("screen: {url}#pin={pin}  (PIN {pin})")),
+                None => context.say(&format!("screen: {url}")),
             }
         }
         if let Some(address) = self.foxglove {
@@ -195,9 +195,9 @@ impl Live {
         let outcome = self.record_shown(devices, out, context);
         let told = match &outcome {
             Ok(report) => Ok(Box::new(report.clone())),
-            Err(error) => Err(format!("{error:#}")),
+            Err(error) => Err(sentence(error)),
         };
-        // A conductor that died has said so; the recording is made all the same.
+        // A controller that died has said so; the recording is made all the same.
         let _ = self.events.send(Event::End(told));
         outcome
     }
@@ -210,7 +210,7 @@ impl Live {
     ) -> anyhow::Result<CaptureReport> {
         let mut session = Session::open(devices)?;
         let stop = Arc::new(AtomicBool::new(false));
-        let take = Take {
+        let run = Run {
             out: out.to_owned(),
             devices: devices.clone(),
             rig: devices.rig.as_deref().map(Rig::read).transpose()?,
@@ -219,7 +219,7 @@ impl Live {
             health: session.health().subscribe(),
             stop: Arc::clone(&stop),
         };
-        let _ = self.events.send(Event::Begin(Box::new(take)));
+        let _ = self.events.send(Event::Begin(Box::new(run)));
         let board = Arc::clone(&self.board);
         Ok(session.run(out, &|_| {
             show(&board, context);

@@ -16,8 +16,6 @@ const CLOCK_WINDOW: Duration = Duration::from_secs(4);
 const SYNC_GOOD_MS: f64 = 150.0;
 /// More than any transport: a clock is wrong.
 const SYNC_BAD_MS: f64 = 500.0;
-/// Where the LiDAR's scans come from.
-const LIDAR: &str = "lidar";
 
 /// All devices of a recording.
 #[derive(Debug)]
@@ -57,9 +55,9 @@ impl Streams {
         match entry {
             Tapped::Image { camera, image } => self.delay(camera, image.time, image.arrival, now),
             Tapped::Imu { imu, sample } => self.delay(imu, sample.time, sample.arrival, now),
-            Tapped::Scan(scan) => {
+            Tapped::Scan { lidar, scan } => {
                 // A scan is stamped by its first packet.
-                self.delay(LIDAR, scan.time, scan.arrival, now);
+                self.delay(lidar, scan.time, scan.arrival, now);
             }
             Tapped::Message { .. } => {}
         }
@@ -273,7 +271,10 @@ mod tests {
             imu: "imu0".to_owned(),
             sample: stamped(0, delay_ms * ms, ImuSample::default()),
         };
-        let scan = || Tapped::Scan(stamped(0, 12 * ms, LidarScan::default()));
+        let scan = || Tapped::Scan {
+            lidar: "lidar".to_owned(),
+            scan: stamped(0, 12 * ms, LidarScan::default()),
+        };
         streams.note(&imu(2), now);
         assert_eq!(streams.sync(now), SyncState::default());
         streams.note(&scan(), now);

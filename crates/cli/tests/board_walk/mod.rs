@@ -5,8 +5,8 @@ use std::path::Path;
 use lsfb_calib::board::tag_cells;
 use lsfb_geometry::camera::Lens;
 use lsfb_geometry::{
-    Camera, CameraTiming, Matrix3, Rig, RigCamera, RigImu, Se3, UnitQuaternion, Vector2, Vector3,
-    so3,
+    Camera, CameraTiming, ImuNoiseModel, Matrix3, Rig, RigCamera, Se3, UnitQuaternion, Vector2,
+    Vector3, so3,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -125,12 +125,13 @@ impl Walk {
         };
         Rig {
             cameras: [mounted("cam0", 0.06), mounted("cam1", -0.05)].into(),
-            imu: Some(RigImu {
+            imus: lsfb_geometry::RigImu::from(ImuNoiseModel {
                 gyro_noise_density: 1.6e-4,
                 accel_noise_density: 2e-3,
                 gyro_bias_walk: 2e-5,
                 accel_bias_walk: 2e-4,
-            }),
+            })
+            .alone(),
             ..Rig::empty("walk")
         }
     }
@@ -160,7 +161,7 @@ impl Walk {
     /// The IMU's samples, with noise.
     pub fn samples(&self) -> Vec<Sample> {
         let mut rng = ChaCha8Rng::seed_from_u64(7);
-        let noise = self.rig().imu.expect("an IMU");
+        let noise = self.rig().imu_noise().cloned().expect("an IMU");
         let per_sample = (1e9 / SAMPLE_NS as f64).sqrt();
         let mut uniform = || rng.random_range(-1.0..1.0) * 3f64.sqrt();
         let up = if self.upside_down { -1.0 } else { 1.0 };

@@ -1,14 +1,48 @@
-//! A pcap file of a LiDAR, made in memory.
+//! A pcap file, made in memory.
 
 use crate::velodyne_packets::{data_packet, position_packet};
 
-/// A capture of raw IPv4: every position packet is followed by 14 data packets.
-pub fn pcap(data_packets: u64) -> Vec<u8> {
+/// Protocol number of IP.
+const UDP: u8 = 17;
+
+/// One frame of a capture.
+pub struct Frame {
+    /// Half milliseconds and a bit since the beginning: when packet `n` of a VLP-32C arrives.
+    pub n: u64,
+    /// Last byte of the sender's address, 192.168.1.x.
+    pub sender: u8,
+    pub protocol: u8,
+    pub port: u16,
+    pub payload: Vec<u8>,
+}
+
+impl Frame {
+    /// A datagram of the sensor at 192.168.1.201.
+    pub fn udp(n: u64, port: u16, payload: Vec<u8>) -> Self {
+        Self {
+            n,
+            sender: 201,
+            protocol: UDP,
+            port,
+            payload,
+        }
+    }
+}
+
+/// A capture of raw IPv4.
+pub fn capture(frames: impl IntoIterator<Item = Frame>) -> Vec<u8> {
     let mut bytes = Vec::new();
     for word in [0xa1b2_c3d4_u32, 0x0004_0002, 0, 0, 65_535, 101] {
         bytes.extend(word.to_le_bytes());
     }
-    let mut frame = |n: u64, port: u16, payload: &[u8]| {
+    for frame in frames {
+        let Frame {
+            n,
+            sender,
+            protocol,
+            port,
+            payload,
+        } = frame;
         let length = payload.len() + 28;
         let micros = (n * 664) as u32;
         for word in [
@@ -22,18 +56,24 @@ pub fn pcap(data_packets: u64) -> Vec<u8> {
         bytes.extend([0x45, 0]);
         bytes.extend((length as u16).to_be_bytes());
         bytes.extend([
-            0, 0, 0, 0, 64, 17, 0, 0, 192, 168, 1, 201, 255, 255, 255, 255,
+            0, 0, 0, 0, 64, protocol, 0, 0, 192, 168, 1, sender, 255, 255, 255, 255,
         ]);
         for half in [port, port, length as u16 - 20, 0] {
             bytes.extend(half.to_be_bytes());
         }
         bytes.extend(payload);
-    };
-    for n in 0..data_packets {
-        if n.is_multiple_of(14) {
-            frame(n, 8308, &position_packet(n));
-        }
-        frame(n, 2368, &data_packet(n));
     }
     bytes
+}
+
+/// A capture of a VLP-32C: every position packet is followed by 14 data packets.
+pub fn pcap(data_packets: u64) -> Vec<u8> {
+    capture((0..data_packets).flat_map(|n| {
+        let position = n
+            .is_multiple_of(14)
+            .then(|| Frame::udp(n, 8308, position_packet(n)));
+        position
+            .into_iter()
+            .chain([Frame::udp(n, 2368, data_packet(n))])
+    }))
 }

@@ -60,7 +60,7 @@ impl Measured {
             rig: rig.rig().clone(),
             imu: imu.collect(),
             images: images.collect(),
-            scans: if rig.rig().lidar.is_some() {
+            scans: if rig.rig().lidar().is_some() {
                 scans.collect()
             } else {
                 Vec::new()
@@ -85,7 +85,7 @@ impl Measured {
             }
             while let Some(scan) = scans.next_if(|s| s.time <= image.time) {
                 if has("lidar") {
-                    writer.write_scan(scan).expect("scan");
+                    writer.write_scan("lidar", scan).expect("scan");
                 }
             }
             if has(camera) {
@@ -127,7 +127,7 @@ pub fn inputs() -> &'static Path {
                 "scan.mcap",
                 "--out",
                 "map",
-                "--trajectory",
+                "--out-trajectory",
                 "scan.tum",
             ],
         );

@@ -6,10 +6,10 @@ use lsfb_capture::{
     CameraUnitConfig, DevicesConfig, ImuFamily, ImuLineConfig, Incoming, RecorderConfig,
     record_incoming,
 };
-use lsfb_drivers::camera::model::FrameFormat;
-use lsfb_drivers::camera::wire::{TimeSource, Trailer, emit_frame};
 use lsfb_drivers::mynt_d::model::TICK_NS;
 use lsfb_drivers::mynt_d::wire::{Item, RawReading, Report};
+use lsfb_drivers::mynt_s::wire::{TimeSource, Trailer, emit_frame};
+use lsfb_drivers::transport::uvc::FrameFormat;
 use lsfb_types::{Packet, Timestamp, no_progress};
 
 const START: Timestamp = Timestamp::from_nanos(1_772_359_200_000_000_000);
@@ -80,12 +80,13 @@ pub fn record(out: &Path, family: ImuFamily, sent: Vec<Packet>, frames: Vec<Pack
         } else {
             vec![unit]
         },
-        imu: Some(ImuLineConfig {
+        imus: vec![ImuLineConfig {
+            name: "imu0".to_owned(),
             family,
             path: "".into(),
             baud: 921_600,
             rate_hz: 200,
-        }),
+        }],
         recorder: RecorderConfig {
             least_space_secs: 0.0,
             ..RecorderConfig::default()

@@ -1,11 +1,9 @@
 //! Errors pose by pose, along the seconds since each trajectory's start.
 
-use plotters::series::LineSeries;
+use lsfb_report::{Axis, Ink, Layer, Plot};
+use maud::Markup;
 
-use super::chart::{self, Axis, Frame, break_secs, stroke};
-use super::number::ticks;
-use super::{Track, theme};
-use crate::error::Error;
+use super::{Track, longest_joined_secs};
 use crate::evaluation::PoseError;
 
 /// Which error.
@@ -49,58 +47,48 @@ impl Length {
 }
 
 /// `None` where no trajectory has errors.
-pub(super) fn draw(tracks: &[Track], part: Part) -> Result<Option<String>, Error> {
+pub(super) fn draw(tracks: &[Track], part: Part) -> Option<Markup> {
     let length = Length::of(tracks);
     let value = |e: &PoseError| match part {
         Part::Translation => length.of_metres(e.translation_m),
         Part::Rotation => e.rotation_deg,
     };
-    let series: Vec<Vec<(f64, f64)>> = tracks.iter().map(|t| places(&t.errors, value)).collect();
-    let largest = |of: fn(&(f64, f64)) -> f64| series.iter().flatten().map(of).reduce(f64::max);
-    let (Some(last_secs), Some(most)) = (largest(|p| p.0), largest(|p| p.1)) else {
-        return Ok(None);
-    };
+    let series: Vec<Vec<[f64; 2]>> = tracks.iter().map(|t| places(&t.errors, value)).collect();
+    let largest = |axis: usize| series.iter().flatten().map(|p| p[axis]).reduce(f64::max);
+    let (last_secs, most) = (largest(0)?, largest(1)?);
     let (end, top) = (last_secs.max(1e-3), (1.08 * most).max(1e-6));
-    let frame = Frame {
+    let joined_secs = longest_joined_secs(end);
+    let lines = series.iter().enumerate().flat_map(|(i, places)| {
+        let pieces = places.chunk_by(|a, b| b[0] - a[0] <= joined_secs);
+        pieces.map(move |piece| Layer::line(piece.to_vec(), Ink::Series(i)))
+    });
+    let plot = Plot {
         name: match part {
-            Part::Translation => "translation error over time",
-            Part::Rotation => "rotation error over time",
+            Part::Translation => "translation error over time".to_owned(),
+            Part::Rotation => "rotation error over time".to_owned(),
         },
-        width: 560,
-        height: 260,
-        x: Axis {
-            label: "time since start (s)".to_owned(),
-            range: 0.0..end,
-            ticks: ticks(0.0, end, 7),
-        },
-        y: Axis {
-            label: match part {
+        width_px: 560,
+        height_px: 260,
+        x: Axis::linear("time since start (s)", [0.0, end]),
+        y: Axis::linear(
+            match part {
                 Part::Translation => format!("error ({})", length.unit()),
                 Part::Rotation => "error (°)".to_owned(),
             },
-            range: 0.0..top,
-            ticks: ticks(0.0, top, 5),
-        },
+            [0.0, top],
+        ),
+        layers: lines.collect(),
     };
-    chart::draw(frame, |chart| {
-        for (i, places) in series.iter().enumerate() {
-            for piece in places.chunk_by(|a, b| b.0 - a.0 <= break_secs(end)) {
-                let line = LineSeries::new(piece.iter().copied(), stroke(theme::track(i), 1.6));
-                chart.draw_series(line).map_err(|e| e.to_string())?;
-            }
-        }
-        Ok(())
-    })
-    .map(Some)
+    Some(plot.draw())
 }
 
-fn places(errors: &[PoseError], value: impl Fn(&PoseError) -> f64) -> Vec<(f64, f64)> {
+fn places(errors: &[PoseError], value: impl Fn(&PoseError) -> f64) -> Vec<[f64; 2]> {
     let Some(first) = errors.first() else {
         return Vec::new();
     };
     errors
         .iter()
-        .map(|e| (e.time.secs_since(first.time), value(e)))
-        .filter(|(_, v)| v.is_finite())
+        .map(|e| [e.time.secs_since(first.time), value(e)])
+        .filter(|[_, v]| v.is_finite())
         .collect()
 }

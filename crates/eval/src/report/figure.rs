@@ -1,3 +1,8 @@
+//! The numbers of a run, and what they must keep.
+
+use lsfb_report::{significant, with_unit};
+use lsfb_types::{Finding, Limit, Verdict};
+
 use crate::evaluation::Evaluation;
 use crate::relation::DeltaUnit;
 
@@ -9,62 +14,37 @@ pub struct Figure {
     /// Its value in `unit`.
     pub value: f64,
     /// Unit; empty for a pure number.
-    pub unit: String,
+    pub unit: &'static str,
     /// What it must keep; without one it merely informs.
-    pub threshold: Option<Threshold>,
-}
-
-/// A bound in the unit of its figure.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Threshold {
-    /// This or less.
-    AtMost(f64),
-    /// This or more.
-    AtLeast(f64),
-}
-
-/// How a figure stands to its threshold.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Standing {
-    /// Within.
-    Pass,
-    /// Beyond, or no number at all.
-    Warn,
-    /// There is no threshold.
-    Informs,
+    pub limit: Option<Limit>,
 }
 
 impl Figure {
-    /// A figure without threshold.
-    pub fn new(name: &str, value: f64, unit: &str) -> Self {
+    /// A figure without a limit.
+    pub fn new(name: &str, value: f64, unit: &'static str) -> Self {
         Self {
             name: name.to_owned(),
             value,
-            unit: unit.to_owned(),
-            threshold: None,
+            unit,
+            limit: None,
         }
     }
 
-    /// The same figure, which must keep `threshold`.
-    pub fn with(self, threshold: Threshold) -> Self {
+    /// The same figure, which must keep `limit`.
+    pub fn with(self, limit: Limit) -> Self {
         Self {
-            threshold: Some(threshold),
+            limit: Some(limit),
             ..self
         }
     }
 
-    /// How it stands to its threshold.
-    pub fn standing(&self) -> Standing {
-        let within = match self.threshold {
-            None => return Standing::Informs,
-            Some(Threshold::AtMost(limit)) => self.value <= limit,
-            Some(Threshold::AtLeast(limit)) => self.value >= limit,
-        };
-        if within {
-            Standing::Pass
-        } else {
-            Standing::Warn
-        }
+    /// Whether it keeps its limit; `None` where it has none.
+    pub fn finding(&self) -> Option<Finding> {
+        let limit = self.limit?;
+        let verdict = Verdict::Warn.unless(limit.holds(self.value));
+        let found = with_unit(&significant(self.value), self.unit);
+        let finding = Finding::new("figure", verdict, self.name.clone(), found);
+        Some(finding.value(self.value, self.unit).limit(limit))
     }
 }
 
@@ -102,14 +82,14 @@ pub(super) fn of_evaluation(evaluation: &Evaluation) -> Vec<Figure> {
     }
     let covered = 100.0 * evaluation.coverage.fraction;
     figures.extend([
-        Figure::new("Truth covered", covered, "%"),
+        Figure::new("Ground truth covered", covered, "%"),
         Figure::new("Longest gap", evaluation.coverage.longest_gap_secs, "s"),
         Figure::new(
             &format!("Poses matched, of {}", evaluation.estimate_poses),
             evaluation.matched_poses as f64,
             "",
         ),
-        Figure::new("Path of the truth", evaluation.truth_path_m, "m"),
+        Figure::new("Length of the true path", evaluation.truth_path_m, "m"),
         Figure::new(
             &format!("Scale of the alignment ({})", evaluation.alignment),
             evaluation.alignment_scale,
@@ -124,14 +104,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn nan_keeps_no_threshold() {
-        let figure = |value| Figure::new("x", value, "m");
-        let standing = |value, threshold| figure(value).with(threshold).standing();
-        assert_eq!(standing(0.03, Threshold::AtMost(0.03)), Standing::Pass);
-        assert_eq!(standing(0.031, Threshold::AtMost(0.03)), Standing::Warn);
-        assert_eq!(standing(89.9, Threshold::AtLeast(90.0)), Standing::Warn);
-        assert_eq!(standing(f64::NAN, Threshold::AtMost(1.0)), Standing::Warn);
-        assert_eq!(standing(f64::NAN, Threshold::AtLeast(1.0)), Standing::Warn);
-        assert_eq!(figure(1.0).standing(), Standing::Informs);
+    fn nan_keeps_no_limit() {
+        let verdict = |value, limit| {
+            let figure = Figure::new("x", value, "m").with(limit);
+            figure.finding().map(|f| f.verdict)
+        };
+        assert_eq!(verdict(0.03, Limit::AtMost(0.03)), Some(Verdict::Pass));
+        assert_eq!(verdict(0.031, Limit::AtMost(0.03)), Some(Verdict::Warn));
+        assert_eq!(verdict(89.9, Limit::AtLeast(90.0)), Some(Verdict::Warn));
+        assert_eq!(verdict(f64::NAN, Limit::AtMost(1.0)), Some(Verdict::Warn));
+        assert_eq!(verdict(f64::NAN, Limit::AtLeast(1.0)), Some(Verdict::Warn));
+        assert_eq!(Figure::new("x", 1.0, "m").finding(), None);
     }
 }

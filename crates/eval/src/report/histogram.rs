@@ -1,96 +1,49 @@
 //! How values spread: shares of equally wide bins.
 
-use plotters::element::{PathElement, Polygon};
-use plotters::style::Color;
+use lsfb_report::{Normal, Plot, tick_step};
+use maud::Markup;
 
-use super::chart::{self, Axis, Frame, stroke};
-use super::number::{tick_step, ticks};
-use super::theme;
-use crate::error::Error;
 use crate::statistics::Statistics;
 
 const BINS: usize = 40;
 /// Share of the values that the plot must show; the few beyond are told in words.
 const SHOWN: f64 = 0.995;
 
-/// Values of one colour.
-pub(super) struct Series<'a> {
-    /// Which colour of the trajectories.
-    pub color: usize,
-    /// The values, none below zero.
-    pub values: &'a [f64],
-}
-
 /// A drawn histogram.
 pub(super) struct Histogram {
-    pub svg: String,
+    pub drawing: Markup,
     /// Of all finite values, also those beyond the plot; in the order of the series.
     pub statistics: Vec<Option<Statistics>>,
     /// Share beyond the last bin, 0 to 1, over all series.
     pub beyond: f64,
 }
 
-/// `None` where there is no value.
-pub(super) fn draw(
-    name: &'static str,
-    label: String,
-    series: &[Series<'_>],
-) -> Result<Option<Histogram>, Error> {
+/// One list of values, none below zero, for each colour; `None` where there is no value.
+pub(super) fn draw(name: &str, label: &str, series: &[&[f64]]) -> Option<Histogram> {
     let finite: Vec<Vec<f64>> = series
         .iter()
-        .map(|s| s.values.iter().copied().filter(|v| v.is_finite()).collect())
+        .map(|values| values.iter().copied().filter(|v| v.is_finite()).collect())
         .collect();
     let mut all: Vec<f64> = finite.iter().flatten().copied().collect();
     all.sort_by(f64::total_cmp);
-    let Some(&largest) = all.get((all.len() as f64 * SHOWN) as usize).or(all.last()) else {
-        return Ok(None);
-    };
+    let shown = all.get((all.len() as f64 * SHOWN) as usize);
+    let largest = *shown.or(all.last())?;
     let step = tick_step(largest.max(1e-9), 6) / 2.0;
     let end = step * (largest / step).ceil().max(1.0);
     let width = end / BINS as f64;
     let shares: Vec<Vec<f64>> = finite.iter().map(|values| shares(values, width)).collect();
-    let most = shares.iter().flatten().copied().fold(0.0, f64::max);
-    let top = (1.08 * most).max(1e-6);
-    let frame = Frame {
-        name,
-        width: 560,
-        height: 260,
-        x: Axis {
-            label,
-            range: 0.0..end,
-            ticks: ticks(0.0, end, 7),
-        },
-        y: Axis {
-            label: "share (%)".to_owned(),
-            range: 0.0..top,
-            ticks: ticks(0.0, top, 5),
-        },
+    let labels = (label, "share (%)");
+    let plot = Plot {
+        width_px: 560,
+        height_px: 260,
+        ..lsfb_report::histogram(name, labels, [0.0, end], &shares, Normal::Unknown)
     };
-    let svg = chart::draw(frame, |chart| {
-        for (shares, series) in shares.iter().zip(series) {
-            let color = theme::track(series.color);
-            let steps = shares.iter().enumerate().flat_map(|(i, &share)| {
-                [(i as f64 * width, share), ((i + 1) as f64 * width, share)]
-            });
-            let outline: Vec<(f64, f64)> = steps.collect();
-            // One shape: bars side by side would show seams.
-            let area = [(0.0, 0.0)].into_iter().chain(outline.iter().copied());
-            let area: Vec<(f64, f64)> = area.chain([(end, 0.0)]).collect();
-            chart
-                .draw_series([Polygon::new(area, color.mix(0.35).filled())])
-                .map_err(|e| e.to_string())?;
-            chart
-                .draw_series([PathElement::new(outline, stroke(color, 1.4))])
-                .map_err(|e| e.to_string())?;
-        }
-        Ok(())
-    })?;
     let beyond = all.iter().filter(|v| **v > end).count() as f64 / all.len() as f64;
-    Ok(Some(Histogram {
-        svg,
+    Some(Histogram {
+        drawing: plot.draw(),
         statistics: finite.iter().map(|values| Statistics::of(values)).collect(),
         beyond,
-    }))
+    })
 }
 
 /// Per cent of all values in each bin.
@@ -122,18 +75,12 @@ mod tests {
             .map(|i| f64::from(i) / 1000.0)
             .chain([50.0])
             .collect();
-        let series = [Series {
-            color: 0,
-            values: &values,
-        }];
-        let drawn = draw("test", "error (px)".to_owned(), &series)
-            .expect("drawn")
-            .expect("values");
+        let drawn = draw("test", "error (px)", &[&values]).expect("values");
         assert!((drawn.beyond - 1.0 / 1001.0).abs() < 1e-12);
         assert_eq!(drawn.statistics[0].map(|s| s.count), Some(1001));
         let shares = shares(&values, 1.0 / BINS as f64);
         assert!((shares.iter().sum::<f64>() - 100.0 * 1000.0 / 1001.0).abs() < 1e-9);
         assert!((shares[0] - 100.0 * 25.0 / 1001.0).abs() < 1e-9);
-        assert!(draw("none", String::new(), &[]).expect("empty").is_none());
+        assert!(draw("none", "", &[]).is_none());
     }
 }

@@ -1,34 +1,32 @@
-//! `report.html`: what a run achieved, on one page that opens anywhere. One file, no script, nothing fetched; it reads on
-//! a phone, prints, and follows the reader's light or dark setting.
+//! `report.html`: what a run achieved, on one page that opens anywhere (`lsfb-report`).
 //!
 //! A [`Report`] is plain data, so that whoever ran the stages fills it in; sections without data are left out.
 
 use std::path::Path;
 
-use lsfb_geometry::{Trajectory, Vector3};
+use lsfb_geometry::{StampedPose, Trajectory, Vector3};
+use lsfb_types::{Finding, Judgement, Verdict};
 
 use crate::compare::Comparison;
 use crate::error::Error;
 use crate::evaluation::{Evaluation, PoseError};
 
-mod chart;
 mod errors_over_time;
 mod figure;
 mod histogram;
-mod number;
 mod page;
+mod scene;
 mod sections;
-mod theme;
 mod top_view;
 
-pub use figure::{Figure, Standing, Threshold};
+pub use figure::Figure;
 
 /// All that the page shows.
 #[derive(Clone, Debug, Default)]
 pub struct Report {
     /// What was run, in a few words.
     pub title: String,
-    /// The figures of the run; their thresholds make the verdict.
+    /// The figures of the run; their limits, and `findings`, make the verdict.
     pub figures: Vec<Figure>,
     /// Map points in the world, metres; drawn thinned out.
     pub map_points: Vec<Vector3<f64>>,
@@ -42,8 +40,8 @@ pub struct Report {
     pub histograms: Vec<Distribution>,
     /// How long each stage took, in the order they ran.
     pub stages: Vec<StageTime>,
-    /// What the reader should know before trusting a figure.
-    pub warnings: Vec<String>,
+    /// What else the reader should know before trusting a figure.
+    pub findings: Vec<Finding>,
     /// Seed, versions, configuration, hashes of the inputs.
     pub provenance: Vec<Provenance>,
 }
@@ -117,37 +115,54 @@ pub struct Provenance {
 impl Report {
     /// The page of `lsfb eval`: one estimate against the truth.
     pub fn of_evaluation(name: &str, evaluation: &Evaluation, truth: &Trajectory) -> Self {
-        let mut warnings = Vec::new();
-        match evaluation.duplicate_stamps {
-            0 => {}
-            1 => warnings
-                .push("One pose repeats the stamp of the pose before it; both count.".to_owned()),
-            n => warnings.push(format!(
-                "{n} poses repeat the stamp of the pose before them; all count."
+        let repeated = match evaluation.duplicate_stamps {
+            0 => None,
+            1 => Some("one pose repeats the stamp of the pose before it; both count".to_owned()),
+            n => Some(format!(
+                "{n} poses repeat the stamp of the pose before them; all count"
             )),
-        }
+        };
+        let finding = |what| Finding::new("duplicate-stamps", Verdict::Warn, name, what);
         Self {
-            title: format!("{name} against the truth"),
+            title: format!("{name} evaluated against ground truth"),
             figures: figure::of_evaluation(evaluation),
             tracks: vec![Track::of(name, evaluation, truth)],
             view: View::Widest,
-            warnings,
+            findings: repeated.map(finding).into_iter().collect(),
             ..Self::default()
         }
     }
 
+    /// What follows from the limits of the figures and from the findings.
+    pub fn judgement(&self) -> Judgement {
+        let mut findings: Vec<Finding> = self.figures.iter().filter_map(Figure::finding).collect();
+        findings.extend(self.findings.iter().cloned());
+        Judgement::new(findings)
+    }
+
     /// The page as text.
-    pub fn to_html(&self) -> Result<String, Error> {
+    pub fn to_html(&self) -> String {
         page::render(self)
     }
 
     /// Writes the page.
     pub fn write(&self, path: &Path) -> Result<(), Error> {
-        std::fs::write(path, self.to_html()?).map_err(|source| Error::Io {
+        std::fs::write(path, self.to_html()).map_err(|source| Error::Io {
             path: path.to_owned(),
             source,
         })
     }
+}
+
+/// Neighbours further apart in time than this are not joined by a line: nobody knows what lies between.
+fn longest_joined_secs(duration_secs: f64) -> f64 {
+    (duration_secs / 50.0).max(1.0)
+}
+
+/// The same for poses.
+fn break_secs(poses: &[StampedPose]) -> f64 {
+    let ends = poses.first().zip(poses.last());
+    longest_joined_secs(ends.map_or(0.0, |(first, last)| last.time.secs_since(first.time)))
 }
 
 #[cfg(test)]

@@ -1,23 +1,22 @@
 //! Sections of the page that show rather than list.
 
-use maud::{Markup, PreEscaped, html};
+use lsfb_report::{SHADES, ink_css, rounded, significant, with_unit};
+use maud::{Markup, html};
 
 use super::errors_over_time::{self, Length, Part};
-use super::histogram::{self, Histogram, Series};
-use super::number::{rounded, significant, with_unit};
-use super::{Report, theme, top_view};
-use crate::error::Error;
+use super::histogram::{self, Histogram};
+use super::{Report, top_view};
 use crate::statistics::Statistics;
 
-pub(super) fn from_above(report: &Report) -> Result<Markup, Error> {
-    let Some(view) = top_view::draw(report)? else {
-        return Ok(html! {});
+pub(super) fn from_above(report: &Report) -> Markup {
+    let Some(view) = top_view::draw(report) else {
+        return html! {};
     };
-    Ok(html! {
+    html! {
         section.above {
             h2 { @if let Some(axes) = &view.plane { "In the plane of " (axes) } @else { "From above" } }
             figure {
-                (PreEscaped(view.svg))
+                (view.drawing)
                 figcaption {
                     (legend(report))
                     @if report.tracks.iter().any(|t| t.truth.is_some()) {
@@ -26,7 +25,7 @@ pub(super) fn from_above(report: &Report) -> Result<Markup, Error> {
                     @if let Some([low, high]) = view.heights_m {
                         span.key {
                             "map, height " (format!("{low:.1}").replace('-', "−")) "\u{a0}m "
-                            span.ramp { @for i in 0..theme::SHADES { span style=(format!("background:var(--shade{i})")) { } } }
+                            span.ramp { @for i in 0..SHADES { span style=(format!("background:var(--shade{i})")) { } } }
                             " " (format!("{high:.1}").replace('-', "−")) "\u{a0}m"
                         }
                     }
@@ -34,73 +33,67 @@ pub(super) fn from_above(report: &Report) -> Result<Markup, Error> {
                 }
             }
         }
-    })
+    }
 }
 
 fn legend(report: &Report) -> Markup {
     html! {
         @for (i, track) in report.tracks.iter().enumerate() {
-            span.key { span.line style=(format!("border-color:{}", theme::track_variable(i))) { } (track.name) }
+            span.key { span.line style=(format!("border-color:{}", ink_css(i))) { } (track.name) }
         }
     }
 }
 
-pub(super) fn errors(report: &Report) -> Result<Markup, Error> {
+pub(super) fn errors(report: &Report) -> Markup {
     let tracks = &report.tracks;
-    let translation = errors_over_time::draw(tracks, Part::Translation)?;
-    let rotation = errors_over_time::draw(tracks, Part::Rotation)?;
+    let translation = errors_over_time::draw(tracks, Part::Translation);
+    let rotation = errors_over_time::draw(tracks, Part::Rotation);
     let length = Length::of(tracks);
     let lengths: Vec<Vec<f64>> = tracks
         .iter()
         .map(|t| {
-            t.errors
-                .iter()
-                .map(|e| length.of_metres(e.translation_m))
-                .collect()
+            let errors = t.errors.iter();
+            errors.map(|e| length.of_metres(e.translation_m)).collect()
         })
         .collect();
-    let series: Vec<Series<'_>> = lengths
-        .iter()
-        .enumerate()
-        .map(|(color, values)| Series { color, values })
-        .collect();
+    let series: Vec<&[f64]> = lengths.iter().map(Vec::as_slice).collect();
     let spread = histogram::draw(
-        "how translation errors spread",
-        format!("translation error ({})", length.unit()),
+        "distribution of translation errors",
+        &format!("translation error ({})", length.unit()),
         &series,
-    )?;
-    let plot = |heading: &str, svg: &str| {
+    );
+    let plot = |heading: &str, drawing: &Markup| {
         html! {
             section {
                 h2 { (heading) }
-                figure { (PreEscaped(svg)) figcaption { (legend(report)) } }
+                figure { (drawing) figcaption { (legend(report)) } }
             }
         }
     };
-    Ok(html! {
+    html! {
         @if let (Some(translation), Some(rotation)) = (translation, rotation) {
-                (plot("Translation error over time", &translation))
-                (plot("Rotation error over time", &rotation))
-                @if let Some(spread) = spread {
-                    section {
-                        h2 { "How translation errors spread" }
-                        figure {
-                            (PreEscaped(&spread.svg))
-                            figcaption {
-                                @for (i, track) in tracks.iter().enumerate() {
-                                    span.key {
-                                        span.line style=(format!("border-color:{}", theme::track_variable(i))) { }
-                                        (track.name)
-                                        @if let Some(s) = spread.statistics.get(i).copied().flatten() { ": " (in_words(&s, length.unit())) }
-                                    }
+            (plot("Translation error over time", &translation))
+            (plot("Rotation error over time", &rotation))
+            @if let Some(spread) = spread {
+                section {
+                    h2 { "Distribution of translation errors" }
+                    figure {
+                        (spread.drawing)
+                        figcaption {
+                            @for (i, track) in tracks.iter().enumerate() {
+                                span.key {
+                                    span.line style=(format!("border-color:{}", ink_css(i))) { }
+                                    (track.name)
+                                    @if let Some(s) = spread.statistics.get(i).copied().flatten() { ": " (in_words(&s, length.unit())) }
                                 }
-                                (beyond(&spread))
                             }
+                            (beyond(&spread))
                         }
                     }
                 }
+            }
         }
-    })
+    }
 }
 
 fn in_words(s: &Statistics, unit: &str) -> String {
@@ -120,38 +113,34 @@ fn beyond(histogram: &Histogram) -> Markup {
     }
 }
 
-pub(super) fn distributions(report: &Report) -> Result<Markup, Error> {
-    let mut drawn = Vec::new();
-    for (i, distribution) in report.histograms.iter().enumerate() {
-        let label = if distribution.unit.is_empty() {
-            distribution.quantity.clone()
-        } else {
-            format!("{} ({})", distribution.quantity, distribution.unit)
+pub(super) fn distributions(report: &Report) -> Markup {
+    let drawn = report.histograms.iter().filter_map(|distribution| {
+        let label = match distribution.unit.as_str() {
+            "" => distribution.quantity.clone(),
+            unit => format!("{} ({unit})", distribution.quantity),
         };
-        let series = [Series {
-            color: i,
-            values: &distribution.values,
-        }];
-        if let Some(histogram) = histogram::draw("how values spread", label, &series)? {
-            drawn.push((distribution, histogram));
-        }
-    }
-    Ok(html! {
-                @for (distribution, histogram) in &drawn {
-                    section {
-                        h2 { (distribution.title) }
-                        figure {
-                            (PreEscaped(&histogram.svg))
-                            figcaption {
-                                @if let Some(s) = histogram.statistics.first().copied().flatten() {
-                                    span.key { (in_words(&s, &distribution.unit)) " over " (significant(s.count as f64)) " values" }
-                                }
-                                (beyond(histogram))
-                            }
+        let values: &[f64] = &distribution.values;
+        Some((
+            distribution,
+            histogram::draw(&distribution.title, &label, &[values])?,
+        ))
+    });
+    html! {
+        @for (distribution, histogram) in drawn {
+            section {
+                h2 { (distribution.title) }
+                figure {
+                    (histogram.drawing)
+                    figcaption {
+                        @if let Some(s) = histogram.statistics.first().copied().flatten() {
+                            span.key { (in_words(&s, &distribution.unit)) " over " (significant(s.count as f64)) " values" }
                         }
+                        (beyond(&histogram))
                     }
                 }
-    })
+            }
+        }
+    }
 }
 
 pub(super) fn stages(report: &Report) -> Markup {
@@ -176,7 +165,7 @@ pub(super) fn stages(report: &Report) -> Markup {
                             }
                         }
                     }
-                    tfoot { tr { th scope="row" { "in all" } td { } td.number { (format!("{total:.1}")) "\u{a0}s" } } }
+                    tfoot { tr { th scope="row" { "total" } td { } td.number { (format!("{total:.1}")) "\u{a0}s" } } }
                 }
             }
         }

@@ -3,14 +3,10 @@
 use std::collections::BTreeMap;
 
 use lsfb_geometry::{StampedPose, Trajectory, Vector3};
-use plotters::element::{Circle, EmptyElement};
-use plotters::series::LineSeries;
-use plotters::style::{Color, ShapeStyle};
+use lsfb_report::{Axis, Ink, Layer, Plot, SHADES, plot_height_px, plot_width_px, tick_step};
+use maud::Markup;
 
-use super::chart::{self, Axis, Chart, Frame, break_secs, frame_height, plot_width, stroke};
-use super::number::{tick_step, ticks};
-use super::{Report, View, theme};
-use crate::error::Error;
+use super::{Report, View, break_secs};
 
 const WIDTH: u32 = 680;
 /// Of the plot itself, pixels.
@@ -21,7 +17,7 @@ const MAX_DOTS: usize = 5_000;
 
 /// A drawn top view.
 pub(super) struct TopView {
-    pub svg: String,
+    pub drawing: Markup,
     /// Lowest and highest map point drawn; absent without a map.
     pub heights_m: Option<[f64; 2]>,
     /// Where the axes of the plane are not x and y: their names.
@@ -83,64 +79,57 @@ fn axis_name(axis: usize) -> &'static str {
 }
 
 /// `None` where there is neither map nor trajectory.
-pub(super) fn draw(report: &Report) -> Result<Option<TopView>, Error> {
+pub(super) fn draw(report: &Report) -> Option<TopView> {
     let plane = Plane::of(report);
-    let Some(bounds) = Bounds::of(report, plane) else {
-        return Ok(None);
-    };
+    let bounds = Bounds::of(report, plane)?;
     let dots = thinned(&report.map_points, plane, bounds);
     let heights_m = height_range(&dots);
-    let frame = frame(plane, bounds);
-    let svg = chart::draw(frame, |chart| {
-        chart
-            .draw_series(dots.iter().map(|dot| {
-                let color = theme::shade(shade(dot.z, heights_m));
-                EmptyElement::at(plane.point(dot))
-                    + Circle::new((0, 0), chart::FINE, color.filled())
-            }))
-            .map_err(|e| e.to_string())?;
-        for (i, track) in report.tracks.iter().enumerate() {
-            draw_path(chart, plane, &track.estimate, stroke(theme::track(i), 2.2))?;
-        }
-        for (i, track) in report.tracks.iter().enumerate() {
-            if let Some(truth) = &track.truth {
-                draw_path(chart, plane, truth, stroke(theme::TRUTH, 1.0))?;
+    let mut layers: Vec<Layer> = (0..SHADES)
+        .map(|own| {
+            let of_shade = dots.iter().filter(|dot| shade(dot.z, heights_m) == own);
+            Layer::Dots {
+                points: of_shade.map(|dot| plane.point(dot).into()).collect(),
+                ink: Ink::Shade(own),
+                radius_px: 1.0,
             }
-            let start = plane.path(track.estimate.poses()).next();
-            chart
-                .draw_series(start.map(|at| {
-                    let (size, color) = (5 * chart::FINE, theme::track(i));
-                    EmptyElement::at(at) + Circle::new((0, 0), size, color.filled())
-                }))
-                .map_err(|e| e.to_string())?;
-        }
-        Ok(())
-    })?;
-    Ok(Some(TopView {
-        svg,
+        })
+        .collect();
+    for (i, track) in report.tracks.iter().enumerate() {
+        layers.extend(path(plane, &track.estimate, Ink::Series(i), 2.2));
+    }
+    for (i, track) in report.tracks.iter().enumerate() {
+        let truth = track.truth.iter();
+        layers.extend(truth.flat_map(|truth| path(plane, truth, Ink::Truth, 1.0)));
+        let start = plane.path(track.estimate.poses()).next();
+        layers.push(Layer::Dots {
+            points: start.map(<[f64; 2]>::from).into_iter().collect(),
+            ink: Ink::Series(i),
+            radius_px: 5.0,
+        });
+    }
+    let plot = Plot {
+        layers,
+        ..frame(plane, bounds)
+    };
+    Some(TopView {
+        drawing: plot.draw(),
         heights_m,
         plane: (plane != ABOVE)
             .then(|| format!("{} and {}", axis_name(plane.right), axis_name(plane.up))),
-    }))
+    })
 }
 
-fn draw_path(
-    chart: &mut Chart<'_, '_>,
-    plane: Plane,
-    trajectory: &Trajectory,
-    style: ShapeStyle,
-) -> Result<(), String> {
+/// A trajectory in the plane, apart where nothing is known for a while.
+fn path(plane: Plane, trajectory: &Trajectory, ink: Ink, width_px: f64) -> Vec<Layer> {
     let poses = trajectory.poses();
-    let (Some(first), Some(last)) = (poses.first(), poses.last()) else {
-        return Ok(());
+    let longest_secs = break_secs(poses);
+    let pieces = poses.chunk_by(|a, b| b.time.secs_since(a.time) <= longest_secs);
+    let line = |piece| Layer::Line {
+        points: plane.path(piece).map(<[f64; 2]>::from).collect(),
+        ink,
+        width_px,
     };
-    let longest_secs = break_secs(last.time.secs_since(first.time));
-    for piece in poses.chunk_by(|a, b| b.time.secs_since(a.time) <= longest_secs) {
-        chart
-            .draw_series(LineSeries::new(plane.path(piece), style))
-            .map_err(|e| e.to_string())?;
-    }
-    Ok(())
+    pieces.map(line).collect()
 }
 
 #[derive(Clone, Copy)]
@@ -189,10 +178,10 @@ impl Bounds {
     }
 }
 
-/// A frame of equal scale.
-fn frame(plane: Plane, bounds: Bounds) -> Frame {
+/// An empty plot of equal scale.
+fn frame(plane: Plane, bounds: Bounds) -> Plot {
     let [mut x, mut y] = [bounds.x, bounds.y];
-    let plot_w = f64::from(plot_width(WIDTH));
+    let plot_w = f64::from(plot_width_px(WIDTH));
     let wanted = plot_w * (y[1] - y[0]) / (x[1] - x[0]);
     let plot_h = wanted.round().clamp(MIN_HEIGHT.into(), MAX_HEIGHT.into());
     let metres_per_pixel = ((x[1] - x[0]) / plot_w).max((y[1] - y[0]) / plot_h);
@@ -202,21 +191,16 @@ fn frame(plane: Plane, bounds: Bounds) -> Frame {
     }
     // One distance of lines for both axes.
     let step = tick_step(x[1] - x[0], 8).max(tick_step(y[1] - y[0], 8));
-    let axis = |axis: usize, range: [f64; 2]| Axis {
-        label: format!("{} (m)", axis_name(axis)),
-        range: range[0]..range[1],
-        ticks: ticks(
-            range[0],
-            range[1],
-            ((range[1] - range[0]) / step).ceil() as usize,
-        ),
+    let axis = |axis: usize, range: [f64; 2]| {
+        Axis::stepped(format!("{} (m)", axis_name(axis)), range, step)
     };
-    Frame {
-        name: "map and trajectories",
-        width: WIDTH,
-        height: frame_height(plot_h as u32),
+    Plot {
+        name: "map and trajectories".to_owned(),
+        width_px: WIDTH,
+        height_px: plot_height_px(plot_h as u32),
         x: axis(plane.right, x),
         y: axis(plane.up, y),
+        layers: Vec::new(),
     }
 }
 
@@ -255,5 +239,5 @@ fn shade(height_m: f64, heights_m: Option<[f64; 2]>) -> u8 {
         return 0;
     };
     let place = (height_m - low) / (high - low).max(1e-9);
-    (place * f64::from(theme::SHADES)) as u8
+    ((place * f64::from(SHADES)) as u8).min(SHADES - 1)
 }

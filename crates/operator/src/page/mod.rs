@@ -13,6 +13,7 @@ pub(crate) fn file(path: &str) -> Option<PageFile> {
         "/style.css" => ("text/css; charset=utf-8", include_str!("style.css")),
         "/screen.js" => ("text/javascript; charset=utf-8", include_str!("screen.js")),
         "/map.js" => ("text/javascript; charset=utf-8", include_str!("map.js")),
+        "/cameras.js" => ("text/javascript; charset=utf-8", include_str!("cameras.js")),
         "/icon.svg" => ("image/svg+xml", include_str!("icon.svg")),
         "/manifest.json" => ("application/manifest+json", include_str!("manifest.json")),
         _ => return None,

@@ -1,16 +1,18 @@
 // State in, keys out. The page decides nothing: it shows what the recorder says, and asks it for what is pressed.
 
 import { MapView } from "/map.js";
+import { Cameras } from "/cameras.js";
 
 const HOLD_MS = 900;
 const SILENT_MS = 3000;
 const RETRY_MS = 700;
 const QUICK_NOTES = ["Door moved", "People here", "Glass or mirror", "Repeat this part"];
-const LACKS = { far: "only seen from afar", unfaced: "no camera faced it", "one-sided": "seen from one side" };
+const LACKS = { far: "only seen from far away", unfaced: "not seen by a camera", "one-sided": "seen from one side only" };
 const MARKS = { good: "✓", warning: "!", bad: "✕", unknown: "·" };
 
 const $ = (id) => document.getElementById(id);
 const map = new MapView($("map"));
+const cameras = new Cameras($("cameras"));
 let socket = null;
 let lastHeard = performance.now();
 let state = null;
@@ -24,7 +26,7 @@ function connect() {
     lastHeard = performance.now();
     $("offline").hidden = true;
     if (typeof data !== "string") {
-      map.take(data);
+      if (!cameras.take(data)) map.take(data);
       $("map-empty").hidden = !map.empty;
       return;
     }
@@ -40,6 +42,7 @@ function connect() {
 }
 
 setInterval(() => {
+  cameras.age();
   const waiting = $("ask").open;
   if (!waiting && performance.now() - lastHeard > SILENT_MS) $("offline").hidden = false;
 }, 500);
@@ -58,14 +61,14 @@ function askPin(what) {
     pinOfLink = null;
     return;
   }
-  $("ask-why").textContent = what === "wrong" ? "That was not it. It is on the scanner's terminal." : "It is on the scanner's terminal.";
+  $("ask-why").textContent = what === "wrong" ? "Wrong PIN. It is shown on the scanner's terminal." : "It is shown on the scanner's terminal.";
   $("ask-pin").value = "";
   if (!$("ask").open) $("ask").showModal();
 }
 $("ask").addEventListener("cancel", (e) => e.preventDefault());
 $("ask").querySelector("form").addEventListener("submit", (e) => {
   e.preventDefault();
-  $("ask-why").textContent = "One moment …";
+  $("ask-why").textContent = "Checking …";
   socket.send(JSON.stringify({ pin: $("ask-pin").value.trim() }));
 });
 
@@ -89,10 +92,14 @@ function toast(words, level) {
 const PHASES = { ready: "READY", starting: "STARTING", recording: "RECORDING", stopping: "STOPPING" };
 
 function show(next) {
+  if (state?.phase !== "starting" && next.phase === "starting") cameras.clear();
   state = next;
   document.body.dataset.phase = state.phase;
+  // A recording that ended badly is not "ready": nobody should press START without having read why.
+  const failed = state.phase === "ready" && state.message_level === "bad";
+  document.body.dataset.failed = String(failed);
   const recording = state.phase === "recording";
-  $("phase-word").textContent = PHASES[state.phase];
+  $("phase-word").textContent = failed ? "FAILED" : PHASES[state.phase];
   $("clock").textContent = recording ? clock(state.recording_s) : "";
   $("file").textContent = state.file || " ";
   showTiles();
@@ -101,16 +108,17 @@ function show(next) {
   showStreams();
   const run = $("run");
   const does = recording || state.phase === "stopping" ? "stop" : "start";
-  if (run.dataset.does !== does || run.dataset.phase !== state.phase) {
+  if (run.dataset.does !== does || run.dataset.phase !== state.phase || run.dataset.failed !== String(failed)) {
     run.dataset.does = does;
     run.dataset.phase = state.phase;
-    run.innerHTML = does === "stop" ? "STOP<small>hold for a second</small>" : "START";
+    run.dataset.failed = String(failed);
+    run.innerHTML = does === "stop" ? "STOP<small>hold for a second</small>" : failed ? "START AGAIN" : "START";
     run.disabled = state.phase === "starting" || state.phase === "stopping";
   }
   $("note").disabled = $("point").disabled = !recording;
   $("walked").textContent = `${state.path_m.toFixed(0)} m walked`;
   const { seen_m2, good_m2 } = state.coverage;
-  $("covered").textContent = seen_m2 > 0 ? `${Math.round((100 * good_m2) / seen_m2)} % seen well` : "";
+  $("covered").textContent = seen_m2 > 0 ? `${Math.round((100 * good_m2) / seen_m2)} % well covered` : "";
   map.state(state.pose, state.coverage.go_back, state.control_points);
 }
 
@@ -125,13 +133,13 @@ function tile(id, level, value, small) {
 function showTiles() {
   const { sync, storage, battery, lost, streams } = state;
   const spread = sync.spread_ms;
-  tile("sync", sync.level, spread === null ? "–" : duration(spread), spread === null ? "" : sync.level === "good" ? "in step" : "differs");
+  tile("sync", sync.level, spread === null ? "–" : duration(spread), spread === null ? "" : sync.level === "good" ? "in sync" : "apart");
   const losing = streams.filter((s) => s.lost > 0).map((s) => s.name);
   const live = streams.length > 0;
-  tile("lost", lost > 0 ? "bad" : live ? "good" : "unknown", live ? String(lost) : "–", losing.join(", ") || (live ? "nothing" : ""));
+  tile("lost", lost > 0 ? "bad" : live ? "good" : "unknown", live ? count(lost) : "–", losing.join(", "));
   tile("disk", storage?.level ?? "unknown",
     storage ? (storage.full_in_s === null ? bytes(storage.free_bytes) : roughly(storage.full_in_s)) : "–",
-    storage ? (storage.full_in_s === null ? "free" : `${bytes(storage.free_bytes)} left`) : "");
+    storage ? (storage.full_in_s === null ? "free" : bytes(storage.free_bytes)) : "");
   $("tile-battery").hidden = false;
   tile("battery", battery?.level ?? "unknown", battery ? `${Math.round(battery.percent)} %` : "–", battery ? (battery.charging ? "charging" : "") : "none");
 }
@@ -141,9 +149,12 @@ function showAlarm() {
   const problems = state.streams.filter((s) => s.problem).map((s) => ({ level: s.level, text: `${s.name}: ${s.problem}` }));
   if (state.sync.problem) problems.push({ level: state.sync.level, text: state.sync.problem });
   if (state.storage?.problem) problems.push({ level: state.storage.level, text: state.storage.problem });
-  if (state.tracking === "lost") problems.push({ level: "warning", text: "Map lost: slow down, or turn back to where it was good." });
+  if (state.tracking_problem) problems.push({ level: "warning", text: state.tracking_problem });
   if (state.message) problems.push({ level: state.message_level, text: state.message });
   const worst = problems.some((p) => p.level === "bad") ? "bad" : problems.some((p) => p.level === "warning") ? "warning" : "good";
+  // The worst first: what does not fit is the least of it.
+  const rank = { bad: 0, warning: 1 };
+  problems.sort((a, b) => (rank[a.level] ?? 2) - (rank[b.level] ?? 2));
   const text = problems.slice(0, 3).map((p) => p.text).join("\n");
   const alarm = $("alarm");
   alarm.hidden = !text;
@@ -158,7 +169,7 @@ function showGoBack() {
   const list = $("go-back");
   list.replaceChildren(...(pose ? coverage.go_back : []).map((spot, i) => {
     const [dx, dy] = [spot.x_m - pose.x_m, spot.y_m - pose.y_m];
-    // Up is ahead.
+    // Up is straight ahead.
     const turn = pose.yaw_rad - Math.atan2(dy, dx);
     const item = document.createElement("li");
     item.append(
@@ -203,6 +214,11 @@ function roughly(secs) {
 function duration(ms) {
   if (ms >= 1000) return `${(ms / 1000).toFixed(1)} s`;
   return `${ms < 10 ? ms.toFixed(1) : ms.toFixed(0)} ms`;
+}
+
+function count(n) {
+  if (n < 10000) return String(n);
+  return n < 1e6 ? `${Math.floor(n / 1e3)} k` : `${(n / 1e6).toFixed(1)} M`;
 }
 
 function bytes(n) {
@@ -279,8 +295,21 @@ map.onScale = (mPerPx) => {
   $("scale").querySelector("span").textContent = `${step} m`;
 };
 
-// Browsers allow it to pages of this machine and to secure ones; elsewhere the phone's own setting must do.
-const stayAwake = () => navigator.wakeLock?.request("screen").catch(() => {});
+// Browsers let only secure pages, and those of the same machine, keep the screen on. Elsewhere the person must set it, and is
+// told so until they have said that they know.
+const KNOWN = "screen-timeout-known";
+async function stayAwake() {
+  try {
+    await navigator.wakeLock.request("screen");
+    $("awake").hidden = true;
+  } catch {
+    $("awake").hidden = document.hidden || localStorage.getItem(KNOWN) !== null;
+  }
+}
+$("awake-ok").onclick = () => {
+  localStorage.setItem(KNOWN, "yes");
+  $("awake").hidden = true;
+};
 document.addEventListener("visibilitychange", () => { if (!document.hidden) stayAwake(); });
 stayAwake();
 connect();

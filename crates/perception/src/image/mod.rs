@@ -10,7 +10,7 @@ mod tracking;
 
 pub use alignment::{Alignment, Frame, align};
 pub use corners::corners;
-pub use decode::{ImageError, read};
+pub use decode::{ImageError, MAX_PIXELS, decode, grey_from_16_bits, luma, read};
 pub use gray::Gray;
 pub use patch::{Patch, PatchSearch};
 pub use relative_rotation::{RelativeRotation, relative_rotation};

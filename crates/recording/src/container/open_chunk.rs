@@ -12,6 +12,7 @@ use crate::message;
 pub(crate) const PLAIN: &str = "";
 
 /// A message on its way into the file: its bytes are `bytes` and, behind them, `tail`, which need not be copied together.
+#[derive(Clone, Copy)]
 pub(crate) struct Outgoing<'a> {
     pub topic: &'a str,
     pub schema_name: &'a str,

@@ -2,19 +2,48 @@ use lsfb_types::{ImuSample, Timestamp};
 
 use crate::cdr::{CdrError, CdrReader, CdrWriter};
 
-const NO_COVARIANCE: [f64; 9] = [0.0; 9];
+/// Variance of each axis of an inertial sample.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ImuVariance {
+    /// Of the gyroscope, rad²/s².
+    pub angular_velocity_rad2_s2: f64,
+    /// Of the accelerometer, m²/s⁴.
+    pub specific_force_m2_s4: f64,
+}
+
+impl ImuVariance {
+    /// All zeros, as the type of the message has it.
+    pub const UNKNOWN: Self = Self {
+        angular_velocity_rad2_s2: 0.0,
+        specific_force_m2_s4: 0.0,
+    };
+}
+
+/// Alike and independent along each axis.
+fn diagonal(variance: f64) -> [f64; 9] {
+    let mut matrix = [0.0; 9];
+    for k in [0, 4, 8] {
+        matrix[k] = variance;
+    }
+    matrix
+}
 
 /// `sensor_msgs/msg/Imu` without orientation (`orientation_covariance[0]` is −1, as the type asks for).
-pub fn encode_imu(time: Timestamp, frame: &str, sample: &ImuSample) -> Vec<u8> {
+pub fn encode_imu(
+    time: Timestamp,
+    frame: &str,
+    sample: &ImuSample,
+    variance: ImuVariance,
+) -> Vec<u8> {
     let mut w = CdrWriter::with_capacity(336);
     w.header(time, frame);
     w.f64s(&[0.0, 0.0, 0.0, 1.0]);
     w.f64(-1.0);
-    w.f64s(&NO_COVARIANCE[1..]);
+    w.f64s(&[0.0; 8]);
     w.f64s(&sample.angular_velocity_rad_s);
-    w.f64s(&NO_COVARIANCE);
+    w.f64s(&diagonal(variance.angular_velocity_rad2_s2));
     w.f64s(&sample.specific_force_m_s2);
-    w.f64s(&NO_COVARIANCE);
+    w.f64s(&diagonal(variance.specific_force_m2_s4));
     w.finish()
 }
 

@@ -3,8 +3,10 @@
 //! Each `encode_*` gives the bytes that ROS 2 would serialise; each `decode_*` checks every length. Topics that carry
 //! them are listed in `FORMAT.md`.
 
+mod frame;
 mod image;
 mod imu;
+mod lidar_packets;
 mod lsfb;
 mod points;
 mod radio;
@@ -13,16 +15,18 @@ mod remark;
 mod schema;
 mod surroundings;
 mod transform;
-mod velodyne;
 
 #[cfg(test)]
 mod tests;
 
+pub(crate) use frame::{frame_of, in_frame_of};
 pub(crate) use image::encode_image_head;
 pub use image::{decode_image, encode_camera_info, encode_image};
 pub use imu::{
-    TimeReference, decode_imu, decode_time_reference, encode_imu, encode_time_reference,
+    ImuVariance, TimeReference, decode_imu, decode_time_reference, encode_imu,
+    encode_time_reference,
 };
+pub use lidar_packets::{decode_lidar_packets, encode_lidar_packets, holds_lidar_packets};
 pub use lsfb::{
     FrameMeta, RawPacket, decode_frame_meta, decode_raw_packet, encode_frame_meta,
     encode_raw_packet,
@@ -36,14 +40,13 @@ pub use recorder::{
 pub use remark::{Remark, decode_remark, encode_remark};
 pub use schema::{
     BLE_ADVERT, CAMERA_GROUP, CAMERA_INFO, CLOCK_MODEL, FLUID_PRESSURE, FRAME_META, HEALTH_VALUE,
-    IMAGE, IMU, MAGNETIC_FIELD, NAV_SAT_FIX, POINT_CLOUD, RAW_PACKET, REMARK, Schema, TF_MESSAGE,
-    TIME_REFERENCE, VELODYNE_SCAN, WIFI_READING,
+    IMAGE, IMU, LIDAR_PACKETS, MAGNETIC_FIELD, NAV_SAT_FIX, PANDAR_SCAN, POINT_CLOUD, RAW_PACKET,
+    REMARK, Schema, TF_MESSAGE, TIME_REFERENCE, VELODYNE_SCAN, WIFI_READING,
 };
 pub use surroundings::{
     GnssFix, GnssReading, MagneticSample, PressureSample, decode_gnss, decode_magnetic,
     decode_pressure, encode_gnss, encode_magnetic, encode_pressure,
 };
 pub use transform::{StaticTransform, encode_static_transforms};
-pub use velodyne::{VELODYNE_PACKET_BYTES, decode_velodyne_scan, encode_velodyne_scan};
 
 pub use crate::cdr::CdrError;

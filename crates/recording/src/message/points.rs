@@ -1,19 +1,21 @@
-use lsfb_types::{LidarPoint, LidarScan, Timestamp};
+use lsfb_types::{Echo, LidarPoint, LidarScan, Timestamp};
 
 use crate::cdr::{CdrError, CdrReader, CdrWriter};
 
 /// Datatype codes of `sensor_msgs/msg/PointField`.
+const UINT8: u8 = 2;
 const UINT16: u8 = 4;
 const UINT32: u8 = 6;
 const FLOAT32: u8 = 7;
 
 /// Name, offset and datatype of the fields we write: each aligned to its size, `t` in nanoseconds after the header stamp.
-const FIELDS: [(&str, u32, u8); 6] = [
+const FIELDS: [(&str, u32, u8); 7] = [
     ("x", 0, FLOAT32),
     ("y", 4, FLOAT32),
     ("z", 8, FLOAT32),
     ("intensity", 12, FLOAT32),
     ("ring", 16, UINT16),
+    ("return_type", 18, UINT8),
     ("t", 20, UINT32),
 ];
 const POINT_STEP: usize = 24;
@@ -42,15 +44,15 @@ pub fn encode_points(time: Timestamp, frame: &str, scan: &LidarScan) -> Vec<u8> 
         }
         w.raw(&f32::from(point.intensity).to_le_bytes());
         w.raw(&point.ring.to_le_bytes());
-        w.raw(&[0, 0]);
+        w.raw(&[point.echo.code(), 0]);
         w.raw(&point.time_offset_ns.to_le_bytes());
     }
     w.u8(1);
     w.finish()
 }
 
-/// The scan of a `sensor_msgs/msg/PointCloud2` with `x y z` (f32); `intensity` (f32), `ring` (u16) and `t` (u32) are zero
-/// where the cloud lacks them.
+/// The scan of a `sensor_msgs/msg/PointCloud2` with `x y z` (f32); `intensity` (f32), `ring` (u16), `return_type` (u8) and `t`
+/// (u32) are zero where the cloud lacks them.
 pub fn decode_points(bytes: &[u8]) -> Result<LidarScan, CdrError> {
     let mut r = CdrReader::new(bytes)?;
     r.header()?;
@@ -75,7 +77,7 @@ pub fn decode_points(bytes: &[u8]) -> Result<LidarScan, CdrError> {
     let row_step = r.u32("row_step")? as usize;
     let data = r.byte_sequence("data")?;
     r.u8("is_dense")?;
-    let [Some(x), Some(y), Some(z), intensity, ring, t] = offsets else {
+    let [Some(x), Some(y), Some(z), intensity, ring, echo, t] = offsets else {
         return Err(CdrError::Value { field: "fields" });
     };
     if point_step == 0
@@ -97,6 +99,9 @@ pub fn decode_points(bytes: &[u8]) -> Result<LidarScan, CdrError> {
                 ring: ring
                     .map_or(Ok([0; 2]), |at| field_at(bytes, at))
                     .map(u16::from_le_bytes)?,
+                echo: echo
+                    .map_or(Ok([0; 1]), |at| field_at(bytes, at))
+                    .map(|[code]| Echo::from_code(code))?,
                 time_offset_ns: t
                     .map_or(Ok([0; 4]), |at| field_at(bytes, at))
                     .map(u32::from_le_bytes)?,

@@ -8,7 +8,7 @@ pub struct Schema {
 }
 
 macro_rules! dependency {
-    ($name:literal, $text:literal) => {
+    ($name:literal, $text:expr) => {
         concat!(
             "================================================================================\nMSG: ",
             $name,
@@ -125,7 +125,33 @@ pub const TF_MESSAGE: Schema = Schema {
     ),
 };
 
-/// LiDAR data packets.
+/// LiDAR data packets as received, whatever the sensor: those of one revolution.
+pub const LIDAR_PACKETS: Schema = Schema {
+    name: "lsfb_msgs/msg/LidarPackets",
+    text: concat!(
+        include_str!("../../lsfb_msgs/msg/LidarPackets.msg"),
+        dependency!(
+            "lsfb_msgs/LidarPacket",
+            include_str!("../../lsfb_msgs/msg/LidarPacket.msg")
+        ),
+        header!()
+    ),
+};
+
+/// LiDAR data packets of Hesai's ROS driver; read, never written.
+pub const PANDAR_SCAN: Schema = Schema {
+    name: "pandar_msgs/msg/PandarScan",
+    text: concat!(
+        "std_msgs/Header header\npandar_msgs/PandarPacket[] packets\n",
+        dependency!(
+            "pandar_msgs/PandarPacket",
+            "builtin_interfaces/Time stamp\nuint8[1500] data\nuint32 size\n"
+        ),
+        header!()
+    ),
+};
+
+/// LiDAR data packets of Velodyne's ROS driver and of recordings before version 2; read, never written.
 pub const VELODYNE_SCAN: Schema = Schema {
     name: "velodyne_msgs/msg/VelodyneScan",
     text: concat!(
@@ -141,36 +167,26 @@ pub const VELODYNE_SCAN: Schema = Schema {
 /// Bytes as a device sent them.
 pub const RAW_PACKET: Schema = Schema {
     name: "lsfb_msgs/msg/RawPacket",
-    text: concat!(
-        "std_msgs/Header header\nstring source\nuint16 kind\nuint64 seq\nuint8[] data\n",
-        header!()
-    ),
+    text: concat!(include_str!("../../lsfb_msgs/msg/RawPacket.msg"), header!()),
 };
 
 /// What the operator says.
 pub const REMARK: Schema = Schema {
     name: "lsfb_msgs/msg/Remark",
-    text: concat!(
-        "std_msgs/Header header\nstring kind\nstring text\nfloat64 x\nfloat64 y\nfloat64 z\n",
-        header!()
-    ),
+    text: concat!(include_str!("../../lsfb_msgs/msg/Remark.msg"), header!()),
 };
 
 /// What a camera says about a frame.
 pub const FRAME_META: Schema = Schema {
     name: "lsfb_msgs/msg/FrameMeta",
-    text: concat!(
-        "std_msgs/Header header\nuint32 frame_id\nuint64 device_ticks\nuint32 exposure_ns\nuint8[] trailer\n",
-        header!()
-    ),
+    text: concat!(include_str!("../../lsfb_msgs/msg/FrameMeta.msg"), header!()),
 };
 
 /// How a device's counter is read.
 pub const CLOCK_MODEL: Schema = Schema {
     name: "lsfb_msgs/msg/ClockModel",
     text: concat!(
-        "std_msgs/Header header\nstring device\nstring kind\nuint32 epoch\nint64 reference_device_ns\n",
-        "int64 reference_time_ns\nfloat64 skew\nfloat64 sigma_ns\nfloat64 sigma_skew\nuint64 pairs\nuint64 tick_ns\nuint64 period_ticks\n",
+        include_str!("../../lsfb_msgs/msg/ClockModel.msg"),
         header!()
     ),
 };
@@ -179,7 +195,7 @@ pub const CLOCK_MODEL: Schema = Schema {
 pub const CAMERA_GROUP: Schema = Schema {
     name: "lsfb_msgs/msg/CameraGroup",
     text: concat!(
-        "std_msgs/Header header\nuint64 trigger\nuint32 expected\nuint32 present\nstring missing\n",
+        include_str!("../../lsfb_msgs/msg/CameraGroup.msg"),
         header!()
     ),
 };
@@ -188,7 +204,7 @@ pub const CAMERA_GROUP: Schema = Schema {
 pub const HEALTH_VALUE: Schema = Schema {
     name: "lsfb_msgs/msg/HealthValue",
     text: concat!(
-        "std_msgs/Header header\nstring device\nfloat64 value\nuint8 level\nstring text\n",
+        include_str!("../../lsfb_msgs/msg/HealthValue.msg"),
         header!()
     ),
 };
@@ -234,7 +250,7 @@ pub const NAV_SAT_FIX: Schema = Schema {
 pub const WIFI_READING: Schema = Schema {
     name: "lsfb_msgs/msg/WifiReading",
     text: concat!(
-        "std_msgs/Header header\nuint32 scan\nstring bssid\nstring ssid\nuint32 frequency_mhz\nint16 rssi_dbm\n",
+        include_str!("../../lsfb_msgs/msg/WifiReading.msg"),
         header!()
     ),
 };
@@ -242,9 +258,5 @@ pub const WIFI_READING: Schema = Schema {
 /// One advertisement of a Bluetooth beacon.
 pub const BLE_ADVERT: Schema = Schema {
     name: "lsfb_msgs/msg/BleAdvert",
-    text: concat!(
-        "std_msgs/Header header\nstring address\nstring uuid\nuint16 major\nuint16 minor\n",
-        "int16 measured_power_dbm\nint16 rssi_dbm\nuint8[] data\n",
-        header!()
-    ),
+    text: concat!(include_str!("../../lsfb_msgs/msg/BleAdvert.msg"), header!()),
 };

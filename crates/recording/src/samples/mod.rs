@@ -6,6 +6,7 @@ use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::rc::Rc;
 
+use lsfb_geometry::MAIN_LIDAR;
 use lsfb_types::{Image, ImuSample, LidarScan, Packet, Stamped, Timestamp};
 
 use crate::cdr::CdrError;
@@ -127,50 +128,79 @@ impl Recording {
         Ok(self.samples(roles, with_ticks(message::decode_imu)))
     }
 
-    /// LiDAR scans.
+    /// Scans of the main LiDAR: of [`MAIN_LIDAR`], or of the first by name where there is none of that name.
     pub fn scans(
         &self,
     ) -> Result<impl Iterator<Item = Result<Stamped<LidarScan>, Error>> + use<'_>, Error> {
-        let mut roles = self.sample_role(topic::LIDAR_POINTS, message::POINT_CLOUD.name)?;
+        self.scans_of(&self.main_lidar())
+    }
+
+    /// Name of the LiDAR whose scans [`Recording::scans`] gives.
+    pub fn main_lidar(&self) -> String {
+        let clouds = self.topics().iter().filter_map(|t| {
+            let name = t.topic.strip_prefix('/')?.strip_suffix("/points")?;
+            (t.schema == message::POINT_CLOUD.name && !name.contains('/')).then_some(name)
+        });
+        // As a rig chooses its own.
+        let first = clouds.min_by_key(|name| (*name != MAIN_LIDAR, *name));
+        first.unwrap_or(MAIN_LIDAR).to_owned()
+    }
+
+    /// Scans of the LiDAR named `lidar`.
+    pub fn scans_of(
+        &self,
+        lidar: &str,
+    ) -> Result<impl Iterator<Item = Result<Stamped<LidarScan>, Error>> + use<'_>, Error> {
+        let mut roles = self.sample_role(&topic::lidar_points(lidar), message::POINT_CLOUD.name)?;
         roles.extend(
-            self.channels_of(topic::LIDAR_TIME_REF)
+            self.channels_of(&topic::lidar_time_ref(lidar))
                 .map(|id| (id, Role::Companion(0))),
         );
         Ok(self.samples(roles, with_ticks(message::decode_points)))
     }
 
-    /// Packets of a source as received: `lidar/packets`, `lidar/position`, or a device on `/raw/<device>`.
+    /// Packets of a source as received: `<lidar>/packets`, `<lidar>/position`, or a device on `/raw/<device>`.
     pub fn packets(
         &self,
         source: &str,
     ) -> Result<impl Iterator<Item = Result<RecordedPacket, Error>> + use<'_>, Error> {
-        let name = topic::LIDAR_PACKETS.trim_start_matches('/');
-        if source.trim_start_matches('/') == name {
-            self.packets_of(topic::LIDAR_PACKETS, PacketsAre::InScans)
-        } else {
-            self.packets_of(&topic::raw(source), PacketsAre::Single)
-        }
+        let source = source.trim_start_matches('/');
+        let topic = match source.strip_suffix("/packets") {
+            Some(lidar) => topic::lidar_packets(lidar),
+            None => topic::raw(source),
+        };
+        self.packets_on(&topic)
     }
 
-    /// Velodyne data packets from the one topic that carries them, whatever its name: recordings of `rosbag2` have them too.
-    pub fn velodyne_packets(
+    /// Topics with LiDAR data packets, whatever their names: recordings of `rosbag2` have them too.
+    pub fn lidar_packet_topics(&self) -> impl Iterator<Item = &str> {
+        self.topics()
+            .iter()
+            .filter(|t| message::holds_lidar_packets(&t.schema))
+            .map(|t| t.topic.as_str())
+    }
+
+    /// LiDAR data packets from the one topic that carries them.
+    pub fn lidar_packets(
         &self,
     ) -> Result<impl Iterator<Item = Result<RecordedPacket, Error>> + use<'_>, Error> {
-        let carries = |t: &TopicSummary| t.schema == message::VELODYNE_SCAN.name;
-        let topic = self.only_topic("Velodyne packets", carries)?;
-        self.packets_of(&topic, PacketsAre::InScans)
+        let carries = |t: &TopicSummary| message::holds_lidar_packets(&t.schema);
+        self.packets_on(&self.only_topic("LiDAR packets", carries)?)
     }
 
-    fn packets_of(
+    /// Packets of the topic `topic`.
+    pub fn packets_on(
         &self,
         topic: &str,
-        packets_are: PacketsAre,
     ) -> Result<impl Iterator<Item = Result<RecordedPacket, Error>> + use<'_>, Error> {
-        let schema = match packets_are {
-            PacketsAre::InScans => message::VELODYNE_SCAN.name,
-            PacketsAre::Single => message::RAW_PACKET.name,
+        let there = self.topics().iter().find(|t| t.topic == topic);
+        let (schema, packets_are) = match there {
+            Some(t) if message::holds_lidar_packets(&t.schema) => {
+                (t.schema.clone(), PacketsAre::InScans)
+            }
+            _ => (message::RAW_PACKET.name.to_owned(), PacketsAre::Single),
         };
-        let roles = self.sample_role(topic, schema)?;
+        let roles = self.sample_role(topic, &schema)?;
         let mut recorded = 0;
         let batches = self.samples(roles, move |_, message| {
             let time = timestamp(message.publish_time);
@@ -186,7 +216,7 @@ impl Recording {
                     },
                 }]));
             }
-            let packets = message::decode_velodyne_scan(message.data)?
+            let packets = message::decode_lidar_packets(&schema, message.data)?
                 .into_iter()
                 .map(|packet| {
                     recorded += 1;

@@ -1,6 +1,7 @@
-"""Reads the recording that tests/foreign.rs writes with PyPI `mcap` and `rosbags`, and compares every value.
+"""Reads the recording that tests/foreign.rs writes with PyPI `mcap`, `mcap-ros2-support` and `rosbags`, and compares
+every value and which intrinsics belong to which image.
 
-Usage: check.py RECORDING. Needs: mcap lz4 zstandard rosbags.
+Usage: check.py RECORDING. Needs: mcap lz4 zstandard rosbags mcap-ros2-support.
 """
 
 import hashlib
@@ -8,6 +9,7 @@ import struct
 import sys
 
 from mcap.reader import SeekingReader, NonSeekingReader
+from mcap_ros2.reader import read_ros2_messages
 from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -23,7 +25,7 @@ def check(topic, n, message, publish_time, log_time):
     time = START + n * 100_000_000
     if topic == "/tf_static":
         frames = [(t.header.frame_id, t.child_frame_id) for t in message.transforms]
-        assert frames == [("rig", "cam0"), ("rig", "lidar")], frames
+        assert frames == [("rig", "cam0"), ("rig", "lidar"), ("rig", "imu0")], frames
         rotation = message.transforms[0].transform.rotation
         assert abs(rotation.z - 0.24740395925452294) < 1e-15 and abs(rotation.w - 0.9689124217106447) < 1e-15
         return
@@ -58,6 +60,14 @@ def check(topic, n, message, publish_time, log_time):
             assert (rate.x, rate.y, rate.z) == (n * 0.25, -1.0, 0.5)
             assert (force.x, force.y, force.z) == (0.125, n, 9.75)
             assert message.orientation_covariance[0] == -1.0
+            # The densities of the rig at the rate of the samples, 10 Hz; unknown for the first.
+            for covariance, density in (
+                (message.angular_velocity_covariance, 1e-3),
+                (message.linear_acceleration_covariance, 1e-2),
+            ):
+                variance = density**2 * 10.0 if n else 0.0
+                expected = [variance, 0, 0, 0, variance, 0, 0, 0, variance]
+                assert all(abs(a - b) <= 1e-9 * density**2 for a, b in zip(covariance, expected)), covariance
         elif topic in ("/imu0/time_ref", "/lidar/time_ref"):
             assert message.time_ref.sec * 10**9 + message.time_ref.nanosec == 5_000_000_000 + n
         elif topic == "/sidecar/phone/mag":
@@ -82,7 +92,7 @@ def check(topic, n, message, publish_time, log_time):
             assert (message.major, message.minor) == (258, n)
             assert (message.measured_power_dbm, message.rssi_dbm, data) == (-56, -84, bytes([2, 1, n]))
         elif topic == "/lidar/points":
-            assert [f.name for f in message.fields] == ["x", "y", "z", "intensity", "ring", "t"]
+            assert [f.name for f in message.fields] == ["x", "y", "z", "intensity", "ring", "return_type", "t"]
             points = [struct.unpack_from("<ffffHxxI", data, i * message.point_step) for i in range(message.width)]
             assert points == [(i + 0.5, n, -0.25, 10.0 * i, i, 55_296 * i) for i in range(3)], points
         else:
@@ -98,13 +108,25 @@ def types_of(schemas):
     return store
 
 
+def check_pairs(stamps):
+    """What an exact time synchronizer (message_filters) does: each image has intrinsics with its own frame and stamp."""
+    images, intrinsics = stamps["/cam0/image"], stamps["/cam0/camera_info"]
+    assert len(images) == 20 and images == intrinsics, (images[:3], intrinsics[:3])
+
+
 def check_all(reader_name, messages, deserialise):
     counts = {}
+    stamps = {}
     for topic, kind, data, publish_time, log_time in messages:
         n = counts.get(topic, 0)
-        check(topic, n, deserialise(data, kind), publish_time, log_time)
+        message = deserialise(data, kind)
+        check(topic, n, message, publish_time, log_time)
         counts[topic] = n + 1
-    expected = {"/tf_static": 1, "/rerun/tf_static": 1, "/cam0/camera_info": 2}
+        if topic.startswith("/cam0/"):
+            header = message.header
+            stamps.setdefault(topic, []).append((header.frame_id, stamp_of(header)))
+    check_pairs(stamps)
+    expected = {"/tf_static": 1, "/rerun/tf_static": 1}
     for topic, count in counts.items():
         assert count == expected.get(topic, 20), (topic, count)
     print(f"{reader_name}: {sum(counts.values())} messages")
@@ -154,6 +176,18 @@ def main(path):
 
     check_all("rosbags", messages(), store.deserialize_cdr)
     bag.close()
+
+    # As `mcap-ros2-support` decodes it, from the schemas in the file.
+    with open(path, "rb") as stream:
+        decoded = [
+            (m.channel.topic, m.ros_msg, m.publish_time_ns, m.log_time_ns)
+            for m in read_ros2_messages(stream, log_time_order=False)
+        ]
+    check_all(
+        "mcap-ros2-support",
+        ((topic, None, message, publish, log) for topic, message, publish, log in decoded),
+        lambda message, _: message,
+    )
 
 
 if __name__ == "__main__":

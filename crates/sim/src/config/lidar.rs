@@ -1,5 +1,6 @@
 //! What can be set about the LiDAR.
 
+use lsfb_drivers::velodyne::wire::ReturnMode;
 use lsfb_types::{Bounds, OutOfBounds};
 use serde::{Deserialize, Serialize};
 
@@ -27,33 +28,6 @@ impl LidarModel {
     }
 }
 
-/// Which of a shot's echoes the LiDAR sends.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum LidarReturns {
-    /// The brightest.
-    #[default]
-    Strongest,
-    /// The farthest.
-    Last,
-    /// The farthest, and the brightest or, where that is the farthest, the second brightest.
-    Dual,
-}
-
-impl LidarReturns {
-    /// All of them.
-    pub const ALL: [Self; 3] = [Self::Strongest, Self::Last, Self::Dual];
-
-    /// Its name in settings.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Strongest => "strongest",
-            Self::Last => "last",
-            Self::Dual => "dual",
-        }
-    }
-}
-
 /// The LiDAR.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -61,7 +35,7 @@ pub struct LidarConfig {
     /// Which sensor it is.
     pub model: LidarModel,
     /// Which echoes it sends.
-    pub returns: LidarReturns,
+    pub returns: ReturnMode,
     /// Width and height of the beam, radians: what lies inside answers together. 0 is a line.
     pub divergence_rad: [f64; 2],
     /// Surfaces in one beam that are nearer to each other than this give one echo, between them, metres.
@@ -88,7 +62,7 @@ impl Default for LidarConfig {
     fn default() -> Self {
         Self {
             model: LidarModel::default(),
-            returns: LidarReturns::default(),
+            returns: ReturnMode::default(),
             divergence_rad: [0.0; 2],
             // VLP-32C 63-9325 p. 33.
             separation_m: 1.0,

@@ -19,7 +19,7 @@ pub use ambient::{
 };
 pub use device::Device;
 pub use imu::{ImuConfig, ImuFamily};
-pub use lidar::{LidarConfig, LidarModel, LidarReturns};
+pub use lidar::{LidarConfig, LidarModel};
 pub use place::Place;
 
 /// A whole simulated session: a scan with the backpack and a walk with the glasses.

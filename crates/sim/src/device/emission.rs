@@ -3,9 +3,9 @@
 
 use std::collections::VecDeque;
 
-use lsfb_drivers::camera::model::FrameFormat;
-use lsfb_drivers::phone::SidecarMessage;
-use lsfb_drivers::phone::wire::Hello;
+use lsfb_drivers::sidecar::SidecarMessage;
+use lsfb_drivers::sidecar::wire::Hello;
+use lsfb_drivers::transport::uvc::FrameFormat;
 use lsfb_types::{Image, Packet, Timestamp};
 
 use super::feed::Shot;

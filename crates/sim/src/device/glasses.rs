@@ -3,7 +3,7 @@
 use std::net::SocketAddr;
 use std::sync::Arc;
 
-use lsfb_drivers::phone::{ClientConfig, SidecarClient};
+use lsfb_drivers::sidecar::{ClientConfig, SidecarClient};
 
 use super::clock::{SimClock, Turn};
 use super::feed::{Shot, ShotFeed, Which};

@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use lsfb_drivers::imu::Framer;
-use lsfb_drivers::imu::model::{SAMPLE_TIME_FINE_NS, WITH_EVERY_PACKET, data_id, message};
-use lsfb_drivers::imu::wire::{Item, Message, OutputSetting, UtcTime, Vector};
 use lsfb_drivers::transport::serial::Pty;
+use lsfb_drivers::xsens::Framer;
+use lsfb_drivers::xsens::model::{SAMPLE_TIME_FINE_NS, WITH_EVERY_PACKET, data_id, message};
+use lsfb_drivers::xsens::wire::{Item, Message, OutputSetting, UtcTime, Vector};
 use lsfb_types::Timestamp;
 
 use super::clock::{SimClock, Turn};

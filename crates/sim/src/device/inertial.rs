@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
-use lsfb_drivers::imu::ImuConfig;
-use lsfb_drivers::imu::wire::OutputSetting;
 use lsfb_drivers::microstrain::MipConfig;
+use lsfb_drivers::xsens::ImuConfig;
+use lsfb_drivers::xsens::wire::OutputSetting;
 
 use super::clock::SimClock;
 use super::imu::{ImuDevice, measurement};

@@ -7,14 +7,15 @@ use std::time::Duration;
 
 use nalgebra::Vector3;
 
-use lsfb_drivers::camera::model::{
-    EXPOSURE_STEP_NS, FrameFormat, STANDARD_GRAVITY_M_S2, USB_PRODUCT, USB_VENDOR,
+use lsfb_drivers::mynt_s::model::{
+    EXPOSURE_STEP_NS, STANDARD_GRAVITY_M_S2, USB_PRODUCT, USB_VENDOR,
 };
-use lsfb_drivers::camera::wire::{
+use lsfb_drivers::mynt_s::wire::{
     DeviceInfo, ImuProtocol, ImuSegment, ImuValues, TimeSource, Trailer, UnitFile, Version,
     XuDevice, emit_frame,
 };
 use lsfb_drivers::transport::camera_socket::{CameraListener, CameraUnit, UnitRequest};
+use lsfb_drivers::transport::uvc::FrameFormat;
 
 use lsfb_types::OutOfBounds;
 
@@ -123,7 +124,7 @@ impl MyntDevice {
         let mut bytes = Vec::new();
         loop {
             // Requests are answered also while the frame, or its time, has not come yet.
-            unit.serve(&mut xu, LISTEN)?;
+            xu.serve(&mut unit, LISTEN)?;
             let shot = match waiting.take().map_or_else(|| feed.poll(), Next::Shot) {
                 Next::Shot(shot) => shot,
                 Next::NotYet if !clock.is_stopped() => continue,
@@ -158,7 +159,7 @@ impl MyntDevice {
                 continue;
             };
             while !clock.is_stopped() {
-                match unit.serve(xu, 50 * LISTEN) {
+                match xu.serve(&mut unit, 50 * LISTEN) {
                     Ok(Some(UnitRequest::Start { format, .. })) => {
                         return Ok(Some(Started { unit, format }));
                     }

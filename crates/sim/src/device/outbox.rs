@@ -1,8 +1,8 @@
 //! What the app on the phone or the glasses sends, in the order in which it does.
 
-use lsfb_drivers::phone::model::CLOCK_UTC;
-use lsfb_drivers::phone::wire::Advertise;
-use lsfb_recording::message::{IMAGE, IMU, Schema, encode_image, encode_imu};
+use lsfb_drivers::sidecar::model::CLOCK_UTC;
+use lsfb_drivers::sidecar::wire::Advertise;
+use lsfb_recording::message::{IMAGE, IMU, ImuVariance, Schema, encode_image, encode_imu};
 use lsfb_types::{Image, Timestamp};
 
 use crate::ambient::{AmbientChannel, AmbientMessage};
@@ -146,7 +146,12 @@ impl<'a> Outbox<'a> {
         let (channel, payload) = match item.content {
             Content::Imu(k) => (
                 IMU_CHANNEL,
-                encode_imu(stamp, "imu", &self.rig.imu().get(k)?.sample),
+                encode_imu(
+                    stamp,
+                    "imu0",
+                    &self.rig.imu().get(k)?.sample,
+                    ImuVariance::UNKNOWN,
+                ),
             ),
             Content::Image { camera, .. } => (
                 self.camera_channel(camera),

@@ -1,5 +1,6 @@
 //! One thing that was looked at.
 
+use std::borrow::Cow;
 use std::fmt;
 
 use super::Verdict;
@@ -11,7 +12,7 @@ use super::Verdict;
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub struct Finding {
     /// Name of the check for programs; it stays the same when words change.
-    pub code: &'static str,
+    pub code: Cow<'static, str>,
     /// How it came out.
     pub verdict: Verdict,
     /// What it is about: a topic, a camera, a setting. Empty where it is about everything.
@@ -64,13 +65,13 @@ impl fmt::Display for Limit {
 impl Finding {
     /// What was found, without a number.
     pub fn new(
-        code: &'static str,
+        code: impl Into<Cow<'static, str>>,
         verdict: Verdict,
         subject: impl Into<String>,
         what: impl Into<String>,
     ) -> Self {
         Self {
-            code,
+            code: code.into(),
             verdict,
             subject: subject.into(),
             what: what.into(),

@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use lsfb_types::{Packet, Timestamp};
 
 use super::MAX_BODY_BYTES;
-use crate::camera::model::FrameFormat;
 use crate::transport::arrival_now;
+use crate::transport::uvc::FrameFormat;
 
 const HEADER_BYTES: usize = 8;
 

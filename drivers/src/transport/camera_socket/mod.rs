@@ -39,8 +39,7 @@ use lsfb_types::Packet;
 use self::message::{Header, Kind, MessageReader, StreamRequest};
 use super::PacketSource;
 use crate::Error;
-use crate::camera::model::FrameFormat;
-use crate::camera::wire::{ImageControl, XuQuery, XuSelector};
+use crate::transport::uvc::{FrameFormat, ImageControl, XuQuery, XuSelector};
 
 pub use self::unit::{CameraListener, CameraUnit, UnitRequest};
 

@@ -5,7 +5,7 @@ use std::thread::{self, JoinHandle};
 use tempfile::TempDir;
 
 use super::*;
-use crate::camera::wire::XuRefusal;
+use crate::transport::uvc::XuRefusal;
 
 fn listen() -> (TempDir, std::path::PathBuf, CameraListener) {
     let dir = tempfile::tempdir().unwrap();

@@ -8,9 +8,8 @@ use std::time::{Duration, Instant};
 
 use super::message::{self, Header, Kind, MessageReader, StreamRequest};
 use crate::Error;
-use crate::camera::model::FrameFormat;
-use crate::camera::wire::{ImageControl, XuDevice, XuQuery, XuRefusal, XuSelector};
 use crate::transport::poll::readable;
+use crate::transport::uvc::{FrameFormat, ImageControl, XuQuery, XuRefusal, XuSelector};
 
 /// Waits for hosts at a socket path. The file at the path is removed when this is dropped.
 #[derive(Debug)]
@@ -172,25 +171,6 @@ impl CameraUnit {
             ..request
         };
         self.send(header, &answer.unwrap_or_default())
-    }
-
-    /// Answers one request from `device`: the usual way to serve. A start is left to the caller and given back.
-    pub fn serve(
-        &mut self,
-        device: &mut XuDevice,
-        timeout: Duration,
-    ) -> Result<Option<UnitRequest>, Error> {
-        let request = self.next_request(timeout)?;
-        match &request {
-            Some(UnitRequest::XuSet { selector, bytes }) => {
-                self.reply_set(*selector, device.set(*selector, bytes))?;
-            }
-            Some(UnitRequest::XuGet { selector, query }) => {
-                self.reply_get(*selector, *query, device.get(*selector, *query))?;
-            }
-            Some(UnitRequest::Start { .. }) | None => {}
-        }
-        Ok(request)
     }
 
     /// Answers a write.

@@ -5,10 +5,12 @@
 //! them. Here the UDP length counts, bounded by what was captured.
 
 mod fragments;
+mod survey;
 
 use std::borrow::Cow;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -20,6 +22,8 @@ use pcap_file::pcapng::{Block, PcapNgReader};
 use pcap_file::{DataLink, PcapError, TsResolution};
 
 use self::fragments::{Fragment, Fragments, payload};
+use self::survey::Passed;
+pub use self::survey::Survey;
 use super::PacketSource;
 use super::save::BARE_LINK;
 use crate::Error;
@@ -36,6 +40,8 @@ pub struct PcapSource {
     skipped: u64,
     ended: bool,
     fragments: Fragments,
+    survey: Survey,
+    last_sender: Option<IpAddr>,
 }
 
 enum Reader {
@@ -85,12 +91,19 @@ impl PcapSource {
             skipped: 0,
             ended: false,
             fragments: Fragments::default(),
+            survey: Survey::default(),
+            last_sender: None,
         })
     }
 
     /// Frames passed over: no UDP, another port, a fragment that fits no other.
     pub fn skipped(&self) -> u64 {
         self.skipped
+    }
+
+    /// What the frames held that were passed over so far.
+    pub fn survey(&self) -> &Survey {
+        &self.survey
     }
 
     /// Reads one frame.
@@ -135,13 +148,17 @@ impl PcapSource {
         };
         self.frames += 1;
         Ok(match found {
-            Found::Payload(bytes) => Frame::Packet(Packet {
-                arrival: Timestamp::from_nanos(nanos),
-                bytes: bytes.into_owned(),
-            }),
+            Found::Payload { sender, bytes } => {
+                self.last_sender = sender;
+                Frame::Packet(Packet {
+                    arrival: Timestamp::from_nanos(nanos),
+                    bytes: bytes.into_owned(),
+                })
+            }
             Found::Part => Frame::None,
-            Found::Nothing => {
+            Found::Other(passed) => {
                 self.skipped += 1;
+                self.survey.note(passed);
                 Frame::None
             }
         })
@@ -157,18 +174,24 @@ enum Frame {
 
 /// What a frame holds.
 enum Found<'a> {
-    Payload(Cow<'a, [u8]>),
+    Payload {
+        sender: Option<IpAddr>,
+        bytes: Cow<'a, [u8]>,
+    },
     /// A fragment of a datagram that is not complete yet.
     Part,
-    Nothing,
+    Other(Passed),
 }
 
 impl Found<'_> {
     fn into_owned(self) -> Found<'static> {
         match self {
-            Self::Payload(bytes) => Found::Payload(Cow::Owned(bytes.into_owned())),
+            Self::Payload { sender, bytes } => Found::Payload {
+                sender,
+                bytes: Cow::Owned(bytes.into_owned()),
+            },
             Self::Part => Found::Part,
-            Self::Nothing => Found::Nothing,
+            Self::Other(passed) => Found::Other(passed),
         }
     }
 }
@@ -195,6 +218,10 @@ impl PacketSource for PcapSource {
             }
         }
     }
+
+    fn sender(&self) -> Option<IpAddr> {
+        self.last_sender
+    }
 }
 
 /// The UDP payload of a frame, where there is one for a wanted port.
@@ -205,31 +232,58 @@ fn datagram<'a>(
     fragments: &mut Fragments,
 ) -> Found<'a> {
     if u32::from(link) == BARE_LINK {
-        return Found::Payload(frame.into());
-    }
-    let Some(sliced) = slice(link, frame) else {
-        return Found::Nothing;
-    };
-    if let Some(TransportSlice::Udp(udp)) = sliced.transport {
-        let wanted = ports.is_empty() || ports.contains(&udp.destination_port());
-        return if wanted {
-            Found::Payload(udp.payload().into())
-        } else {
-            Found::Nothing
+        return Found::Payload {
+            sender: None,
+            bytes: frame.into(),
         };
     }
-    match sliced.net {
-        Some(LaxNetSlice::Ipv4(part)) if part.is_payload_fragmented() => {
+    let Some(sliced) = slice(link, frame) else {
+        return Found::Other(Passed::Unreadable);
+    };
+    let sender = match &sliced.net {
+        Some(LaxNetSlice::Ipv4(ip)) => Some(IpAddr::V4(ip.header().source_addr())),
+        Some(LaxNetSlice::Ipv6(ip)) => Some(IpAddr::V6(ip.header().source_addr())),
+        _ => None,
+    };
+    match (sliced.transport, sliced.net) {
+        (Some(TransportSlice::Udp(udp)), _) => {
+            let port = udp.destination_port();
+            if ports.is_empty() || ports.contains(&port) {
+                return Found::Payload {
+                    sender,
+                    bytes: udp.payload().into(),
+                };
+            }
+            Found::Other(Passed::Udp {
+                sender,
+                port,
+                payload: udp.payload().to_vec(),
+            })
+        }
+        (Some(TransportSlice::Tcp(_)), _) => Found::Other(Passed::Tcp),
+        (None, Some(LaxNetSlice::Ipv4(part))) if part.is_payload_fragmented() => {
             match fragments.push(&part) {
                 Fragment::Waiting => Found::Part,
-                Fragment::Useless => Found::Nothing,
+                Fragment::Useless => Found::Other(Passed::Unreadable),
                 Fragment::Complete(udp) => match payload(&udp, ports) {
-                    Some(bytes) => Found::Payload(bytes.to_vec().into()),
-                    None => Found::Nothing,
+                    Some(bytes) => Found::Payload {
+                        sender,
+                        bytes: bytes.to_vec().into(),
+                    },
+                    None => {
+                        let bytes = payload(&udp, &[]).unwrap_or_default();
+                        let port = udp.get(2..4).and_then(|p| p.try_into().ok());
+                        let port = port.map_or(0, u16::from_be_bytes);
+                        Found::Other(Passed::Udp {
+                            sender,
+                            port,
+                            payload: bytes.to_vec(),
+                        })
+                    }
                 },
             }
         }
-        _ => Found::Nothing,
+        _ => Found::Other(Passed::NoUdp),
     }
 }
 

@@ -1,4 +1,4 @@
-//! Velodyne packets out of rosbag2 sqlite files: CDR messages of type `velodyne_msgs/msg/VelodyneScan`.
+//! LiDAR packets out of rosbag2 sqlite files: CDR messages of the packet types of ROS drivers, which [`ScanType`] lists.
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -10,13 +10,41 @@ use rusqlite::{Connection, OpenFlags, OptionalExtension};
 use super::PacketSource;
 use crate::Error;
 
-const SCAN_TYPE: &str = "velodyne_msgs/msg/VelodyneScan";
-const PACKET_LEN: usize = 1206;
 const CDR_LITTLE_ENDIAN: [u8; 4] = [0, 1, 0, 0];
+
+/// A message type of a ROS driver that holds the packets of a revolution.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ScanType {
+    /// `velodyne_msgs/msg/VelodyneScan`: packets of 1206 bytes.
+    Velodyne,
+    /// `pandar_msgs/msg/PandarScan`, of Hesai's sensors: room for 1500 bytes, and how many of them are the packet.
+    Pandar,
+}
+
+impl ScanType {
+    /// All that are read.
+    pub const ALL: [Self; 2] = [Self::Velodyne, Self::Pandar];
+
+    /// Its name in ROS.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Velodyne => "velodyne_msgs/msg/VelodyneScan",
+            Self::Pandar => "pandar_msgs/msg/PandarScan",
+        }
+    }
+
+    /// Bytes that each packet takes in a message.
+    const fn room(self) -> usize {
+        match self {
+            Self::Velodyne => 1206,
+            Self::Pandar => 1500,
+        }
+    }
+}
 
 /// One message: the packets of a revolution, as the recording driver grouped them.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct VelodyneScan {
+pub struct BaggedScan {
     /// When the bag recorded it.
     pub recorded: Timestamp,
     /// The message's own stamp.
@@ -32,6 +60,7 @@ pub struct VelodyneScan {
 pub struct Rosbag2Source {
     path: PathBuf,
     database: Connection,
+    scan_type: ScanType,
     rows: VecDeque<i64>,
     waiting: VecDeque<Packet>,
 }
@@ -53,20 +82,10 @@ impl Rosbag2Source {
         let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let database = Connection::open_with_flags(path, flags)
             .map_err(|error| damaged("the start", format!("no sqlite database ({error})")))?;
-        let topics = || -> rusqlite::Result<Vec<i64>> {
-            let mut query = database
-                .prepare("SELECT id FROM topics WHERE type = ?1 AND serialization_format = 'cdr' ORDER BY id")?;
-            query.query_map([SCAN_TYPE], |row| row.get(0))?.collect()
-        };
-        let topics = topics()
+        let topics = topics(&database)
             .map_err(|error| damaged("table topics", format!("no rosbag2 database ({error})")))?;
-        let [topic] = topics[..] else {
-            let problem = format!(
-                "{} topics of {SCAN_TYPE} where one was expected",
-                topics.len()
-            );
-            return Err(damaged("table topics", problem));
-        };
+        let (topic, scan_type) =
+            choose(&topics).map_err(|problem| damaged("table topics", problem))?;
         let rows = || -> rusqlite::Result<VecDeque<i64>> {
             let mut query = database
                 .prepare("SELECT id FROM messages WHERE topic_id = ?1 ORDER BY timestamp, id")?;
@@ -76,13 +95,14 @@ impl Rosbag2Source {
         Ok(Self {
             path: path.to_owned(),
             database,
+            scan_type,
             rows,
             waiting: VecDeque::new(),
         })
     }
 
     /// The next message whole, or `None` after the last.
-    pub fn next_scan(&mut self) -> Result<Option<VelodyneScan>, Error> {
+    pub fn next_scan(&mut self) -> Result<Option<BaggedScan>, Error> {
         let Some(row) = self.rows.pop_front() else {
             return Ok(None);
         };
@@ -101,9 +121,81 @@ impl Rosbag2Source {
             .optional()
             .map_err(|error| damaged(error.to_string()))?;
         let (recorded, data) = message.ok_or_else(|| damaged("row is gone".into()))?;
-        let scan = parse_scan(Timestamp::from_nanos(recorded), &data)
-            .ok_or_else(|| damaged(format!("{} bytes are no CDR {SCAN_TYPE}", data.len())))?;
+        let name = self.scan_type.name();
+        let scan = parse_scan(self.scan_type, Timestamp::from_nanos(recorded), &data)
+            .ok_or_else(|| damaged(format!("{} bytes are no CDR {name}", data.len())))?;
         Ok(Some(scan))
+    }
+}
+
+/// A row of the table of topics.
+struct Topic {
+    id: i64,
+    name: String,
+    type_name: String,
+    /// Absent or empty in bags of some writers.
+    serialization: Option<String>,
+}
+
+impl Topic {
+    fn scan_type(&self) -> Option<ScanType> {
+        let mut types = ScanType::ALL.into_iter();
+        types.find(|scan_type| scan_type.name() == self.type_name)
+    }
+}
+
+fn topics(database: &Connection) -> rusqlite::Result<Vec<Topic>> {
+    let read = |columns: &str| -> rusqlite::Result<Vec<Topic>> {
+        let mut query = database.prepare(&format!("SELECT {columns} FROM topics ORDER BY id"))?;
+        let rows = query.query_map([], |row| {
+            Ok(Topic {
+                id: row.get(0)?,
+                name: row.get(1)?,
+                type_name: row.get(2)?,
+                serialization: row.get(3)?,
+            })
+        })?;
+        rows.collect()
+    };
+    // Without the column, what is said of the first error holds for the whole table.
+    read("id, name, type, serialization_format")
+        .or_else(|error| read("id, name, type, NULL").map_err(|_| error))
+}
+
+/// The one topic of scans. Where nothing says how its messages are serialized they are taken for CDR, which each message's head
+/// confirms or not.
+fn choose(topics: &[Topic]) -> Result<(i64, ScanType), String> {
+    let scans = || {
+        let scans = topics.iter();
+        scans.filter_map(|topic| Some((topic, topic.scan_type()?)))
+    };
+    let readable =
+        |topic: &Topic| matches!(topic.serialization.as_deref(), None | Some("" | "cdr"));
+    let mut found = scans().filter(|(topic, _)| readable(topic));
+    match (found.next(), found.next()) {
+        (Some((topic, scan_type)), None) => Ok((topic.id, scan_type)),
+        (Some(_), Some(_)) => {
+            let names: Vec<_> = scans().map(|(topic, _)| topic.name.as_str()).collect();
+            Err(format!(
+                "several topics of scans where one was expected: {}",
+                names.join(", ")
+            ))
+        }
+        (None, _) => Err(match scans().next() {
+            Some((topic, _)) => format!(
+                "{} is serialized as `{}`, and only `cdr` can be read",
+                topic.name,
+                topic.serialization.as_deref().unwrap_or_default()
+            ),
+            None => {
+                let wanted = ScanType::ALL.map(ScanType::name).join(" or ");
+                let there: Vec<_> = topics
+                    .iter()
+                    .map(|topic| format!("{} ({})", topic.name, topic.type_name))
+                    .collect();
+                format!("no topic of {wanted}; there is {}", there.join(", "))
+            }
+        }),
     }
 }
 
@@ -125,7 +217,7 @@ impl PacketSource for Rosbag2Source {
     }
 }
 
-fn parse_scan(recorded: Timestamp, data: &[u8]) -> Option<VelodyneScan> {
+fn parse_scan(scan_type: ScanType, recorded: Timestamp, data: &[u8]) -> Option<BaggedScan> {
     let body = data.strip_prefix(&CDR_LITTLE_ENDIAN)?;
     let mut cdr = Cdr { body, at: 0 };
     let stamp = cdr.time()?;
@@ -134,18 +226,23 @@ fn parse_scan(recorded: Timestamp, data: &[u8]) -> Option<VelodyneScan> {
     let frame_id = std::str::from_utf8(frame_id).ok()?.to_owned();
     let count = cdr.u32()? as usize;
     // Each packet takes more than its payload: a larger count is damage, and must not reserve memory.
-    if count > body.len() / PACKET_LEN {
+    if count > body.len() / scan_type.room() {
         return None;
     }
     let mut packets = Vec::with_capacity(count);
     for _ in 0..count {
         let arrival = cdr.time()?;
+        let room = cdr.take(scan_type.room())?;
+        let bytes = match scan_type {
+            ScanType::Velodyne => room,
+            ScanType::Pandar => room.get(..cdr.u32()? as usize)?,
+        };
         packets.push(Packet {
             arrival,
-            bytes: cdr.take(PACKET_LEN)?.to_vec(),
+            bytes: bytes.to_vec(),
         });
     }
-    Some(VelodyneScan {
+    Some(BaggedScan {
         recorded,
         stamp,
         frame_id,

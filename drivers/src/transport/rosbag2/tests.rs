@@ -12,7 +12,7 @@ fn message(count: u32, packets: &[(i32, u32, u8)]) -> Vec<u8> {
         body.resize(body.len().next_multiple_of(4), 0);
         body.extend(secs.to_le_bytes());
         body.extend(nanos.to_le_bytes());
-        body.extend([*fill; PACKET_LEN]);
+        body.extend([*fill; 1206]);
     }
     [&CDR_LITTLE_ENDIAN[..], &body].concat()
 }
@@ -99,7 +99,7 @@ fn damaged_messages_and_files_say_where() {
     }
     assert_eq!(source.next_scan().unwrap(), None);
     for cut in 0..whole.len() {
-        assert!(parse_scan(Timestamp::default(), &whole[..cut]).is_none());
+        assert!(parse_scan(ScanType::Velodyne, Timestamp::default(), &whole[..cut]).is_none());
     }
 
     let text = tempfile::NamedTempFile::new().unwrap();
@@ -123,5 +123,49 @@ fn damaged_messages_and_files_say_where() {
         .execute("DELETE FROM topics WHERE id = 2", [])
         .unwrap();
     let error = Rosbag2Source::open(empty.path()).unwrap_err().to_string();
-    assert!(error.contains("0 topics of velodyne_msgs"), "{error}");
+    assert!(error.contains("no topic of velodyne_msgs"), "{error}");
+}
+
+/// As some writers leave it: the column empty, or not there at all.
+#[test]
+fn a_bag_that_does_not_say_how_it_is_serialized_is_read() {
+    for change in [
+        "UPDATE topics SET serialization_format = ''",
+        "ALTER TABLE topics DROP COLUMN serialization_format",
+    ] {
+        let file = bag(&[message(1, &[(3, 4, 0xAB)])]);
+        Connection::open(file.path())
+            .unwrap()
+            .execute_batch(change)
+            .unwrap();
+        let mut source = Rosbag2Source::open(file.path()).unwrap();
+        let packet = source.recv(Duration::ZERO).unwrap().unwrap();
+        assert_eq!(packet.bytes, vec![0xAB; 1206], "{change}");
+    }
+}
+
+#[test]
+fn what_is_wrong_with_a_bag_is_said() {
+    for (change, reason) in [
+        (
+            "UPDATE topics SET serialization_format = 'protobuf'",
+            "/packets is serialized as `protobuf`, and only `cdr` can be read",
+        ),
+        (
+            "UPDATE topics SET type = 'sensor_msgs/msg/PointCloud2' WHERE id = 2",
+            "there is /imu (sensor_msgs/msg/Imu), /packets (sensor_msgs/msg/PointCloud2)",
+        ),
+        (
+            "INSERT INTO topics VALUES (3,'/back','velodyne_msgs/msg/VelodyneScan','cdr','')",
+            "several topics of scans where one was expected: /packets, /back",
+        ),
+    ] {
+        let file = bag(&[message(1, &[(3, 4, 0xAB)])]);
+        Connection::open(file.path())
+            .unwrap()
+            .execute_batch(change)
+            .unwrap();
+        let refused = Rosbag2Source::open(file.path()).unwrap_err().to_string();
+        assert!(refused.contains(reason), "{refused}");
+    }
 }

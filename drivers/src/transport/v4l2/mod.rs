@@ -21,11 +21,10 @@ use v4l::video::Capture;
 use v4l::video::capture::Parameters;
 use v4l::{Device, Format, FourCC};
 
-use super::camera_link::LinkCounters;
+use super::uvc::LinkCounters;
 use super::{PacketSource, arrival_now};
 use crate::Error;
-use crate::camera::model::{EXTENSION_UNIT, FrameFormat};
-use crate::camera::wire::{ImageControl, XuQuery, XuSelector};
+use crate::transport::uvc::{EXTENSION_UNIT, FrameFormat, ImageControl, XuQuery, XuSelector};
 
 /// Buffers between the kernel and us: a second and more at 20 Hz, as many as the vendor's SDK asks for.
 const BUFFERS: u32 = 24;

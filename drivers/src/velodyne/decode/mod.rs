@@ -1,26 +1,21 @@
 //! Packets to scans: model and mode, loss, the cut into revolutions. Geometry of one packet is in [`super::layout`].
 
-use std::collections::VecDeque;
+use lsfb_types::{Echo, LidarScan, Packet, Timestamp};
 
-use lsfb_types::{LidarPoint, LidarScan, Packet, Timestamp};
-
-use super::layout::{PacketLayout, stride, turn};
+use super::layout::{PacketLayout, stride};
 use super::model::{Model, Product};
-use super::points::{Firing, PointMaker};
-use super::wire::{DataPacket, ReturnMode, TURN_CENTIDEG, identify};
+use super::nmea::Sentence;
+use super::points::{Firing, OpticalOffset, PointMaker};
+use super::wire::{
+    DATA_PACKET_LEN, DataPacket, POSITION_PACKET_LEN, PositionPacket, PpsStatus, ReturnMode,
+    identify,
+};
+use crate::lidar::{
+    Counters, Found, Instants, MOST_LATE, Position, Returns, ScanBuilder, ScanSettings, Step, step,
+    turn,
+};
 use crate::{Decoded, WireError};
 
-const HOUR_NS: i64 = 3_600_000_000_000;
-/// UDP on one network reorders within milliseconds; a larger step back is a clock that was set.
-const LATE_NS: i64 = 100_000_000;
-/// Packets in a row that come late: from then on it was the one before them whose time is wrong.
-const MOST_LATE: u32 = 8;
-/// A device clock and a host clock that disagree by more between two packets: one of them was set.
-const CLOCK_JUMP_NS: i64 = 500_000_000;
-/// The slowest motor setting, 300 rpm, turns in 0.2 s: a longer scan means a stopped rotor.
-const LONGEST_SCAN_NS: i64 = 1_000_000_000;
-/// Encoder jitter around a stop may step back this far.
-const JITTER_CENTIDEG: u16 = 30;
 /// Timestamps are whole microseconds.
 const PERIOD_TOLERANCE_NS: i64 = 3_000;
 /// Packets at another model's rate that settle that the factory bytes are wrong: far less than one revolution.
@@ -38,16 +33,6 @@ pub enum ModelChoice {
     Force(Model, ReturnMode),
 }
 
-/// Whether the optical centre's vertical offset is modelled.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum OpticalOffset {
-    /// Beams start at the origin, as in ros-drivers and nebula.
-    #[default]
-    Ignored,
-    /// `z += f tan(-elevation)`, as in velodyne_decoder: up to 2 cm at the steepest beam.
-    Applied,
-}
-
 /// How packets become scans.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DecoderConfig {
@@ -57,6 +42,56 @@ pub struct DecoderConfig {
     pub cut_azimuth_centideg: u16,
     /// Whether the optical centre's vertical offset is modelled.
     pub optical_offset: OpticalOffset,
+}
+
+impl DecoderConfig {
+    /// What the settings of any LiDAR mean for these.
+    pub fn new(model: Option<Model>, settings: &ScanSettings) -> Self {
+        let returns = settings.force_returns.map(|returns| match returns {
+            Returns::Strongest => ReturnMode::Strongest,
+            Returns::Last => ReturnMode::Last,
+            Returns::Dual => ReturnMode::Dual,
+        });
+        Self {
+            model: match (model, returns) {
+                (Some(model), Some(returns)) => ModelChoice::Force(model, returns),
+                (Some(model), None) => ModelChoice::Expect(model),
+                (None, _) => ModelChoice::FromPackets,
+            },
+            cut_azimuth_centideg: settings.cut_azimuth_centideg,
+            optical_offset: OpticalOffset::default(),
+        }
+    }
+}
+
+/// Whether a datagram is as long as the data packets of this family, decoded or not.
+pub fn recognise(bytes: &[u8]) -> bool {
+    bytes.len() == DATA_PACKET_LEN
+}
+
+/// Time of a data packet past the sensor's hour, nanoseconds.
+pub fn device_ns(bytes: &[u8]) -> Option<i64> {
+    let packet = DataPacket::new(bytes).ok()?;
+    Some(i64::from(packet.timestamp_us()) * 1_000)
+}
+
+/// What a position packet says; `None` where it is none.
+pub fn position(bytes: &[u8], arrival: Timestamp) -> Option<Result<Position, WireError>> {
+    if bytes.len() != POSITION_PACKET_LEN {
+        return None;
+    }
+    Some(PositionPacket::new(bytes).map(|packet| {
+        let about_secs = arrival.nanos().div_euclid(1_000_000_000);
+        let sentence = Sentence::parse(packet.nmea()).ok();
+        let named_secs = sentence.and_then(|sentence| sentence.unix_secs(about_secs));
+        Position {
+            toh_ns: i64::from(packet.timestamp_us()) * 1_000,
+            pps_locked: packet.pps_status() == PpsStatus::Locked,
+            sentence: named_secs
+                .map(|secs| Timestamp::from_nanos(secs.saturating_mul(1_000_000_000))),
+            temperature_celsius: Some(f64::from(packet.top_temperature_celsius())),
+        }
+    }))
 }
 
 /// Why a packet gave no points. Every such packet is counted in [`Counters`] too.
@@ -82,7 +117,7 @@ pub enum DecodeError {
     },
     /// The factory bytes contradict the packet rate.
     #[error(
-        "packets claim to be of a {declared} but come at the rate of a {looks_like}: force the model"
+        "packets claim to be of a {declared} but come at the rate of a {looks_like}: force the model (in devices.toml `model` and `force_returns`, at the command line --lidar-model and --force-returns)"
     )]
     WrongBytes {
         /// What the packets say.
@@ -91,40 +126,13 @@ pub enum DecodeError {
         looks_like: Model,
     },
     /// The return mode byte names no mode.
-    #[error("return mode {code:#04x} is none of 0x37, 0x38, 0x39: force the mode")]
+    #[error(
+        "return mode {code:#04x} is none of 0x37, 0x38, 0x39: force the mode (in devices.toml `model` and `force_returns`, at the command line --lidar-model and --force-returns)"
+    )]
     ReturnMode {
         /// The byte.
         code: u8,
     },
-}
-
-/// What a [`Decoder`] has seen. All counts only grow.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Counters {
-    /// Data packets decoded.
-    pub packets: u64,
-    /// Returns decoded.
-    pub points: u64,
-    /// Scans finished.
-    pub scans: u64,
-    /// Packets of a wrong length, flag or azimuth.
-    pub malformed: u64,
-    /// Packets of another model or mode than can be decoded.
-    pub refused: u64,
-    /// Packets that are missing by the timestamps of their neighbours.
-    pub lost: u64,
-    /// Packets that came after a later one; left out of the scan.
-    pub late: u64,
-    /// Packets that came twice; the second is left out.
-    pub duplicates: u64,
-    /// Times the sensor's clock was set.
-    pub clock_jumps: u64,
-    /// Times model or return mode changed.
-    pub mode_changes: u64,
-    /// Packets decoded as [`ModelChoice::Force`] says whose factory bytes name another model or mode.
-    pub contradicting: u64,
-    /// Scans ended because the rotor did not come round.
-    pub overlong: u64,
 }
 
 /// Turns data packets into scans. Times are the sensor's own.
@@ -134,16 +142,13 @@ pub struct Counters {
 pub struct Decoder {
     config: DecoderConfig,
     held: Option<Held>,
-    scan: Option<Building>,
-    previous_azimuth: Option<u16>,
+    scans: ScanBuilder,
     dead_sector: Option<Sector>,
     wrong_rate: u32,
     late_in_a_row: u32,
     proven: bool,
     refusal: Option<DecodeError>,
-    ready: VecDeque<Decoded<LidarScan>>,
-    /// Points of the last scan: room for the next.
-    usual_points: usize,
+    found: Option<(Model, ReturnMode)>,
     maker: Option<(Model, Box<PointMaker>)>,
     /// Buffer of the last packet: room for the next.
     spare: Vec<u8>,
@@ -156,10 +161,13 @@ struct Held {
     layout: PacketLayout,
 }
 
-struct Building {
-    first_ns: i64,
-    arrival: Timestamp,
-    points: Vec<LidarPoint>,
+impl Held {
+    fn instants(&self) -> Instants {
+        Instants {
+            toh_ns: i64::from(self.packet.timestamp_us()) * 1_000,
+            arrival: self.arrival,
+        }
+    }
 }
 
 /// Where a field-of-view window keeps the sensor from firing: last block before, first block after.
@@ -169,29 +177,19 @@ struct Sector {
     to: u16,
 }
 
-/// What the time between two packets says.
-enum Step {
-    Next { elapsed_ns: i64 },
-    Duplicate,
-    Late,
-    ClockJump,
-}
-
 impl Decoder {
     /// A decoder that has seen nothing.
     pub fn new(config: DecoderConfig) -> Self {
         Self {
             config,
             held: None,
-            scan: None,
-            previous_azimuth: None,
+            scans: ScanBuilder::new(config.cut_azimuth_centideg),
             dead_sector: None,
             wrong_rate: 0,
             late_in_a_row: 0,
             proven: false,
             refusal: None,
-            ready: VecDeque::new(),
-            usual_points: 0,
+            found: None,
             maker: None,
             spare: Vec::new(),
             counters: Counters::default(),
@@ -206,6 +204,7 @@ impl Decoder {
                 DecodeError::Wire(_) => self.counters.malformed += 1,
                 _ => self.counters.refused += 1,
             })?;
+        self.found = Some((model, mode));
         let layout = PacketLayout::new(&data, model, mode);
         self.counters.contradicting += u64::from(contradicts(&data, model, mode));
         let next = Held {
@@ -218,22 +217,24 @@ impl Decoder {
                 self.counters.mode_changes += 1;
                 self.proven = false;
                 self.assemble(held);
-                self.flush();
+                self.scans.flush(&mut self.counters);
             } else {
-                match step(&held, &next) {
+                match step(held.instants(), next.instants()) {
                     Step::Duplicate => {
                         self.counters.duplicates += 1;
                         return Ok(self.keep(held, next));
                     }
                     Step::Late if self.late_in_a_row < MOST_LATE => {
                         self.late_in_a_row += 1;
-                        self.counters.late += 1;
+                        self.counters.reordered += 1;
+                        // It was missed before.
+                        self.counters.lost = self.counters.lost.saturating_sub(1);
                         return Ok(self.keep(held, next));
                     }
                     Step::Late | Step::ClockJump => {
                         self.counters.clock_jumps += 1;
                         self.assemble(held);
-                        self.flush();
+                        self.scans.flush(&mut self.counters);
                     }
                     Step::Next { elapsed_ns } => self.advance(held, &next, elapsed_ns)?,
                 }
@@ -241,14 +242,14 @@ impl Decoder {
         }
         self.late_in_a_row = 0;
         self.held = Some(next);
-        Ok(self.ready.pop_front())
+        Ok(self.scans.next_scan())
     }
 
     /// Goes on waiting for the successor of `held`.
     fn keep(&mut self, held: Held, left_out: Held) -> Option<Decoded<LidarScan>> {
         self.spare = left_out.packet.into_inner();
         self.held = Some(held);
-        self.ready.pop_front()
+        self.scans.next_scan()
     }
 
     /// Ends the stream: what is left, one scan per call, until `None`.
@@ -256,13 +257,27 @@ impl Decoder {
         if let Some(held) = self.held.take() {
             self.assemble(held);
         }
-        self.flush();
-        self.ready.pop_front()
+        self.scans.flush(&mut self.counters);
+        self.scans.next_scan()
     }
 
     /// What was seen so far.
     pub fn counters(&self) -> &Counters {
         &self.counters
+    }
+
+    /// What the sensor is; `None` before its first packet.
+    pub fn found(&self) -> Option<Found<Model>> {
+        let (model, mode) = self.found?;
+        Some(Found {
+            model,
+            returns: match mode {
+                ReturnMode::Strongest => "strongest",
+                ReturnMode::Last => "last",
+                ReturnMode::Dual => "last + strongest",
+            },
+            rpm: None,
+        })
     }
 
     fn accept<'a>(
@@ -335,7 +350,7 @@ impl Decoder {
                     looks_like,
                 };
                 self.refusal = Some(refusal);
-                self.scan = None;
+                self.scans.discard();
                 self.counters.refused += 1;
                 return Err(refusal);
             }
@@ -365,69 +380,33 @@ impl Decoder {
         for group in 0..layout.groups() {
             let fired_ns = start_ns + layout.group_time_ns(group);
             let azimuth_centideg = layout.group_azimuth(group);
-            self.cut_before(azimuth_centideg, fired_ns);
-            let scan = self.scan.get_or_insert_with(|| Building {
-                first_ns: fired_ns.rem_euclid(HOUR_NS),
-                arrival,
-                points: Vec::with_capacity(self.usual_points),
-            });
+            let block = self
+                .scans
+                .block(azimuth_centideg, fired_ns, arrival, &mut self.counters);
             let firing = Firing {
                 azimuth_centideg,
                 pace_centideg_ns: layout.pace_centideg_ns(group),
-                offset_ns: (fired_ns - scan.first_ns).rem_euclid(HOUR_NS) as u32,
+                offset_ns: block.offset_ns,
+                echo: match layout.mode {
+                    ReturnMode::Strongest => Echo::Strongest,
+                    ReturnMode::Last => Echo::Last,
+                    ReturnMode::Dual => Echo::Both,
+                },
             };
-            let before = scan.points.len();
+            let before = block.points.len();
             match layout.mode {
                 ReturnMode::Dual => {
                     let even_block = group * stride(layout.mode);
-                    maker.dual(&packet, even_block, &firing, &mut scan.points);
+                    maker.dual(&packet, even_block, &firing, block.points);
                 }
                 ReturnMode::Strongest | ReturnMode::Last => {
-                    maker.single(&packet, group, &firing, &mut scan.points);
+                    maker.single(&packet, group, &firing, block.points);
                 }
             }
-            self.counters.points += (scan.points.len() - before) as u64;
+            self.counters.points += (block.points.len() - before) as u64;
         }
         self.maker = Some((layout.model, maker));
         self.spare = packet.into_inner();
-    }
-
-    /// Ends the scan where the rotor passed the cut since the last block, or did not come round for too long.
-    fn cut_before(&mut self, azimuth: u16, time_ns: i64) {
-        if let Some(scan) = &self.scan
-            && (time_ns - scan.first_ns).rem_euclid(HOUR_NS) > LONGEST_SCAN_NS
-        {
-            self.counters.overlong += 1;
-            self.flush();
-        }
-        let Some(previous) = self.previous_azimuth else {
-            self.previous_azimuth = Some(azimuth);
-            return;
-        };
-        let moved = turn(previous, azimuth);
-        if moved > TURN_CENTIDEG - JITTER_CENTIDEG {
-            return;
-        }
-        let to_cut = turn(previous, self.config.cut_azimuth_centideg % TURN_CENTIDEG);
-        if to_cut > 0 && to_cut <= moved {
-            self.flush();
-        }
-        self.previous_azimuth = Some(azimuth);
-    }
-
-    fn flush(&mut self) {
-        if let Some(scan) = self.scan.take() {
-            self.counters.scans += 1;
-            // Revolutions differ by a few blocks: with room for these the next one need not move.
-            self.usual_points = scan.points.len() + scan.points.len() / 16;
-            self.ready.push_back(Decoded {
-                arrival: scan.arrival,
-                device_ticks: scan.first_ns as u64,
-                sample: LidarScan {
-                    points: scan.points,
-                },
-            });
-        }
     }
 }
 
@@ -438,23 +417,6 @@ fn contradicts(packet: &DataPacket<&[u8]>, model: Model, mode: ReturnMode) -> bo
     let says_other_mode =
         ReturnMode::from_code(packet.return_mode_code()).is_some_and(|said| said != mode);
     says_other_model || says_other_mode
-}
-
-fn step(held: &Held, next: &Held) -> Step {
-    let moved =
-        (i64::from(next.packet.timestamp_us()) - i64::from(held.packet.timestamp_us())) * 1000;
-    // Into half an hour around zero: the counter wraps at the hour.
-    let elapsed_ns = (moved + HOUR_NS / 2).rem_euclid(HOUR_NS) - HOUR_NS / 2;
-    let disagreement = (elapsed_ns - (next.arrival - held.arrival)).abs();
-    if elapsed_ns == 0 {
-        Step::Duplicate
-    } else if (-LATE_NS..0).contains(&elapsed_ns) {
-        Step::Late
-    } else if elapsed_ns < 0 || (elapsed_ns > CLOCK_JUMP_NS && disagreement > CLOCK_JUMP_NS) {
-        Step::ClockJump
-    } else {
-        Step::Next { elapsed_ns }
-    }
 }
 
 #[cfg(test)]

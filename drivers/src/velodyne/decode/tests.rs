@@ -1,11 +1,12 @@
+use std::collections::VecDeque;
 use std::time::Duration;
 
-use lsfb_types::Timestamp;
+use lsfb_types::{Echo, Timestamp};
 
 use super::*;
+use crate::lidar::HOUR_NS;
 use crate::transport::PacketSource;
 use crate::transport::faults::{Fault, Faulty};
-use crate::velodyne::layout::Echo;
 use crate::velodyne::wire::DATA_PACKET_LEN;
 
 const START_NS: i64 = 1_772_359_200_000_000_000;
@@ -155,6 +156,7 @@ fn our_vectors_decode_to_every_listed_point() {
                 assert!((f64::from(got) - want).abs() < 3e-4, "{point:?}");
             }
             assert_eq!((point.intensity, point.ring), (hit.reflectivity, hit.ring));
+            assert_eq!(point.echo, hit.echo);
         }
     }
 }
@@ -223,7 +225,7 @@ fn a_missing_packet_is_counted_once_and_a_late_or_double_one_left_out() {
     let run = run(DecoderConfig::default(), &faulty);
     let counters = run.counters;
     assert_eq!(
-        (counters.lost, counters.late, counters.duplicates),
+        (counters.lost, counters.reordered, counters.duplicates),
         (4, 1, 1)
     );
     assert_eq!((counters.packets, counters.clock_jumps), (196, 0));
@@ -404,7 +406,7 @@ fn a_packet_with_a_wrong_time_costs_a_few_packets_and_not_a_tenth_of_a_second() 
     wrong.set_timestamp_us(wrong.timestamp_us() + 65_536);
     packets[100].bytes = wrong.into_inner();
     let counters = run(DecoderConfig::default(), &packets).counters;
-    assert_eq!((counters.late, counters.clock_jumps), (8, 1));
+    assert_eq!((counters.reordered, counters.clock_jumps), (8, 1));
     assert_eq!(counters.packets, 292);
 }
 
@@ -453,7 +455,7 @@ fn faults_on_the_way_cost_what_they_took_and_are_counted() {
             places: 2,
         });
         // Who is overtaken by a packet that is overtaken itself, or by none any more at the end, comes in order.
-        let late = outcome.counters.late;
+        let late = outcome.counters.reordered;
         assert!(
             late <= affected && late + 4 >= affected,
             "{late} {affected}"

@@ -3,17 +3,13 @@
 use crate::WireError;
 
 use super::model::Product;
+pub use super::model::{BLOCKS, CHANNELS, ReturnMode};
+pub use crate::lidar::TURN_CENTIDEG;
 
 /// Payload length of a data packet (UDP port 2368 by default).
 pub const DATA_PACKET_LEN: usize = 1206;
 /// Payload length of a position packet (UDP port 8308 by default).
 pub const POSITION_PACKET_LEN: usize = 512;
-/// Blocks in a data packet.
-pub const BLOCKS: usize = 12;
-/// Distances in a block.
-pub const CHANNELS: usize = 32;
-/// One turn in hundredths of a degree.
-pub const TURN_CENTIDEG: u16 = 36_000;
 
 const BLOCK_LEN: usize = 100;
 const TIMESTAMP: usize = 1200;
@@ -21,38 +17,6 @@ const RETURN_MODE: usize = 1204;
 const PRODUCT: usize = 1205;
 const FLAG_UPPER: u16 = 0xEEFF;
 const FLAGS_OF_LARGER_SENSORS: [u16; 3] = [0xDDFF, 0xCCFF, 0xBBFF];
-
-/// Which of two echoes a sensor sends.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ReturnMode {
-    /// The brightest echo.
-    Strongest,
-    /// The farthest echo.
-    Last,
-    /// Both: even blocks hold the last, odd blocks the strongest.
-    Dual,
-}
-
-impl ReturnMode {
-    /// The byte on the wire.
-    pub const fn code(self) -> u8 {
-        match self {
-            Self::Strongest => 0x37,
-            Self::Last => 0x38,
-            Self::Dual => 0x39,
-        }
-    }
-
-    /// `None` for a byte that names no mode.
-    pub const fn from_code(code: u8) -> Option<Self> {
-        match code {
-            0x37 => Some(Self::Strongest),
-            0x38 => Some(Self::Last),
-            0x39 => Some(Self::Dual),
-            _ => None,
-        }
-    }
-}
 
 /// What the sensor is, by its factory byte or, where it has none, by its block flags.
 pub fn identify(bytes: &[u8]) -> Result<Product, WireError> {

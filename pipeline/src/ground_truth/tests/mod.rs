@@ -5,7 +5,8 @@ mod recorded;
 use std::sync::Arc;
 
 use lsfb_geometry::{
-    Camera, Matrix3, RigCamera, RigImu, Se3, UnitQuaternion, Vector2, Vector3, camera::Lens, so3,
+    Camera, ImuNoiseModel, Matrix3, RigCamera, Se3, UnitQuaternion, Vector2, Vector3, camera::Lens,
+    so3,
 };
 use lsfb_types::{ImuSample, Stamped, Timestamp, no_progress};
 use rand::{RngExt, SeedableRng};
@@ -21,7 +22,7 @@ use crate::residuals::ObservingCamera;
 
 const FRAMES: usize = 100;
 const FRAME_SECS: f64 = 0.1;
-const NOISE: RigImu = RigImu {
+const NOISE: ImuNoiseModel = ImuNoiseModel {
     gyro_noise_density: 1.5e-3,
     accel_noise_density: 2e-3,
     gyro_bias_walk: 6e-5,

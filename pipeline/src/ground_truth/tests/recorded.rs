@@ -61,7 +61,7 @@ fn shade(seed: u64, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
 
 fn rig() -> Rig {
     let mut rig = Rig {
-        imu: Some(NOISE),
+        imus: lsfb_geometry::RigImu::from(NOISE).alone(),
         ..Rig::empty("glasses")
     };
     for (k, camera) in glasses().iter().enumerate() {

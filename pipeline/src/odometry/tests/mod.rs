@@ -90,7 +90,7 @@ fn kitti_end_point_agrees_with_kiss_icp() {
 }
 
 /// Root mean square position error after rigid alignment, of a walk through the synthetic room.
-fn walk(duration_s: f64, with_imu: Option<&RigImu>) -> (f64, Odometry) {
+fn walk(duration_s: f64, with_imu: Option<&ImuNoiseModel>) -> (f64, Odometry) {
     let room = Room::furnished();
     let config = OdometryConfig::default();
     let mut odometry = Odometry::new(&config, &room::lidar(), with_imu).expect("config");

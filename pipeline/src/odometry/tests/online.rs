@@ -5,8 +5,8 @@ use super::*;
 
 fn rig() -> lsfb_geometry::Rig {
     lsfb_geometry::Rig {
-        imu: Some(room::imu()),
-        lidar: Some(room::lidar()),
+        imus: lsfb_geometry::RigImu::from(room::imu()).alone(),
+        lidars: room::lidar().alone(),
         ..lsfb_geometry::Rig::empty("room")
     }
 }

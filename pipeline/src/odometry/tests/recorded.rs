@@ -22,15 +22,15 @@ fn record(path: &Path, duration_s: f64, rig: &Rig, with_imu_samples: usize) {
     let room = Room::furnished();
     for i in 0..(duration_s * 10.0) as u64 - 1 {
         let scan = room::scan(&room, i as f64 * 0.1, i);
-        writer.write_scan(&scan).expect("scan");
+        writer.write_scan("lidar", &scan).expect("scan");
     }
     writer.finish().expect("finish");
 }
 
 fn rig() -> Rig {
     Rig {
-        imu: Some(room::imu()),
-        lidar: Some(room::lidar()),
+        imus: lsfb_geometry::RigImu::from(room::imu()).alone(),
+        lidars: room::lidar().alone(),
         ..Rig::empty("backpack")
     }
 }
@@ -107,7 +107,7 @@ fn without_lidar_it_says_so() {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("scan.mcap");
     let blind = Rig {
-        lidar: None,
+        lidars: Default::default(),
         ..rig()
     };
     record(&path, 0.5, &blind, usize::MAX);

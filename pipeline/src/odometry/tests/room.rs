@@ -1,6 +1,6 @@
 //! A furnished room in closed form: boxes, a walk with known derivatives, a VLP-32C and an IMU in it.
 
-use lsfb_geometry::{RigCamera, RigImu, RigLidar, Se3, Vector2, Vector3, Vector6, so3};
+use lsfb_geometry::{ImuNoiseModel, RigCamera, RigLidar, Se3, Vector2, Vector3, Vector6, so3};
 use lsfb_types::{Image, ImuSample, LidarPoint, LidarScan, Stamped, Timestamp};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -119,8 +119,8 @@ pub fn lidar() -> RigLidar {
     }
 }
 
-pub fn imu() -> RigImu {
-    RigImu {
+pub fn imu() -> ImuNoiseModel {
+    ImuNoiseModel {
         gyro_noise_density: 1e-4,
         accel_noise_density: 1e-3,
         gyro_bias_walk: 1e-5,
@@ -167,6 +167,7 @@ pub fn scan(room: &Room, t: f64, seed: u64) -> Stamped<LidarScan> {
                         intensity: 10,
                         ring,
                         time_offset_ns: offset_ns as u32,
+                        ..LidarPoint::default()
                     }
                 })
                 .collect();

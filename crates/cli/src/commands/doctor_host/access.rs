@@ -3,7 +3,9 @@
 use std::fs;
 use std::path::Path;
 
-use super::{Check, INSTALL, Verdict, check, read};
+use lsfb_types::{Finding, Limit, Verdict};
+
+use super::{INSTALL, check, read};
 
 macro_rules! rules {
     ($name:literal) => {
@@ -30,19 +32,25 @@ const GOOD_RT_PRIORITY: u64 = 60;
 const GOOD_NICE: u64 = 35;
 const GOOD_OPEN_FILES: u64 = 4_096;
 
-/// Members of groups may open devices; root may anyway.
-pub(super) fn groups(root: &Path) -> Check {
-    let name = "groups";
+/// Numbers of a field of this process's status.
+fn own_ids(root: &Path, field: &str) -> Vec<u32> {
     let status = read(root, "proc/self/status").unwrap_or_default();
-    let ids = |field: &str| -> Vec<u32> {
-        let line = status.lines().find_map(|line| line.strip_prefix(field));
-        let words = line.unwrap_or_default().split_whitespace();
-        words.filter_map(|word| word.parse().ok()).collect()
-    };
-    if ids("Uid:").get(1) == Some(&0) {
+    let line = status.lines().find_map(|line| line.strip_prefix(field));
+    let words = line.unwrap_or_default().split_whitespace();
+    words.filter_map(|word| word.parse().ok()).collect()
+}
+
+fn is_root(root: &Path) -> bool {
+    own_ids(root, "Uid:").get(1) == Some(&0)
+}
+
+/// Members of groups may open devices; root may anyway.
+pub(super) fn groups(root: &Path) -> Finding {
+    let name = "groups";
+    if is_root(root) {
         return check(name, Verdict::Pass, "root, who may open every device", "");
     }
-    let mine = [ids("Groups:"), ids("Gid:")].concat();
+    let mine = [own_ids(root, "Groups:"), own_ids(root, "Gid:")].concat();
     let table = read(root, "etc/group").unwrap_or_default();
     let id_of = |group: &str| -> Option<u32> {
         let line = table
@@ -69,7 +77,7 @@ pub(super) fn groups(root: &Path) -> Check {
 }
 
 /// Names the devices and lets users open them.
-pub(super) fn device_rules(root: &Path) -> Check {
+pub(super) fn device_rules(root: &Path) -> Finding {
     let places = [
         "etc/udev/rules.d",
         "usr/lib/udev/rules.d",
@@ -79,7 +87,7 @@ pub(super) fn device_rules(root: &Path) -> Check {
 }
 
 /// Brings the interface of a CAN unit up.
-pub(super) fn can_network(root: &Path) -> Check {
+pub(super) fn can_network(root: &Path) -> Finding {
     let places = ["etc/systemd/network", "usr/lib/systemd/network"];
     installed(root, "CAN interface", &places, &[CAN_NETWORK])
 }
@@ -90,7 +98,7 @@ fn installed(
     name: &'static str,
     places: &[&str],
     files: &[(&'static str, &str)],
-) -> Check {
+) -> Finding {
     let found_in = |file: &str| {
         places
             .iter()
@@ -129,36 +137,37 @@ pub(super) fn limit(root: &Path, name: &str) -> Option<u64> {
     }
 }
 
-pub(super) fn real_time(root: &Path) -> Check {
+pub(super) fn real_time(root: &Path) -> Finding {
     let priority = limit(root, "Max realtime priority").unwrap_or_default();
     let locked = limit(root, "Max locked memory").unwrap_or_default();
     // 20 less the lowest nice value that may be asked for.
     let nice = limit(root, "Max nice priority").unwrap_or_default();
-    let effective_root = groups(root).found.starts_with("root");
     let may_hurry = priority >= GOOD_RT_PRIORITY && nice >= GOOD_NICE;
-    let good = (may_hurry || effective_root) && locked >= 64 << 20;
+    let good = (may_hurry || is_root(root)) && locked >= 64 << 20;
     let locked_text = match locked {
         u64::MAX => "any amount of".to_owned(),
         bytes => format!("{} kB of", bytes / 1024),
     };
     check(
         "real-time limits",
-        if good { Verdict::Pass } else { Verdict::Warn },
+        Verdict::Warn.unless(good),
         format!("priority up to {priority}, nice limit {nice}, {locked_text} locked memory"),
         format!("{INSTALL} --user $USER, then log in again"),
     )
 }
 
-pub(super) fn open_files(root: &Path) -> Check {
+pub(super) fn open_files(root: &Path) -> Finding {
     let files = limit(root, "Max open files").unwrap_or_default();
     let good = files >= GOOD_OPEN_FILES;
     check(
         "open files",
-        if good { Verdict::Pass } else { Verdict::Warn },
+        Verdict::Warn.unless(good),
         match files {
             u64::MAX => "unlimited".to_owned(),
             files => format!("up to {files}"),
         },
         format!("ulimit -n {GOOD_OPEN_FILES}, for good: {INSTALL}"),
     )
+    .value(files as f64, "files")
+    .limit(Limit::AtLeast(GOOD_OPEN_FILES as f64))
 }

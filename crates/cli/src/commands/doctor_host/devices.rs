@@ -2,17 +2,19 @@
 
 use std::path::Path;
 
-use super::{Check, INSTALL, Verdict, check, folders, number, read};
+use lsfb_types::{Finding, Verdict};
+
+use super::{INSTALL, check, folders, number, read};
 
 /// SuperSpeed, Mbit/s.
 const USB3_MBIT_S: f64 = 5_000.0;
 
 /// Cameras must have a port that is fast enough.
-pub(super) fn cameras(root: &Path) -> Check {
+pub(super) fn cameras(root: &Path) -> Finding {
     let name = "cameras";
     let hex = |id: u16| format!("{id:04x}");
-    let vendor = hex(lsfb_drivers::camera::model::USB_VENDOR);
-    let product = hex(lsfb_drivers::camera::model::USB_PRODUCT);
+    let vendor = hex(lsfb_drivers::mynt_s::model::USB_VENDOR);
+    let product = hex(lsfb_drivers::mynt_s::model::USB_PRODUCT);
     let mut speeds = Vec::new();
     for device in folders(root, "sys/bus/usb/devices") {
         let is = |file: &str, id: &String| read(&device, file).as_ref() == Some(id);
@@ -23,7 +25,7 @@ pub(super) fn cameras(root: &Path) -> Check {
     }
     let slow = speeds.iter().filter(|speed| **speed < USB3_MBIT_S).count();
     match (speeds.len(), slow) {
-        (0, _) => check(name, Verdict::Pass, "none is plugged in", ""),
+        (0, _) => check(name, Verdict::Unknown, "none is plugged in", ""),
         (units, 0) => check(name, Verdict::Pass, format!("{units} on USB 3"), ""),
         (units, slow) => check(
             name,
@@ -34,7 +36,7 @@ pub(super) fn cameras(root: &Path) -> Check {
     }
 }
 
-pub(super) fn serial_latency(root: &Path) -> Check {
+pub(super) fn serial_latency(root: &Path) -> Finding {
     let name = "serial converters";
     let lines = folders(root, "sys/bus/usb-serial/devices");
     let late: Vec<String> = lines
@@ -43,7 +45,7 @@ pub(super) fn serial_latency(root: &Path) -> Check {
         .filter_map(|line| Some(line.file_name()?.to_string_lossy().into_owned()))
         .collect();
     match (lines.len(), late.len()) {
-        (0, _) => check(name, Verdict::Pass, "none is plugged in", ""),
+        (0, _) => check(name, Verdict::Unknown, "none is plugged in", ""),
         (all, 0) => check(name, Verdict::Pass, format!("{all}, without delay"), ""),
         (_, _) => check(
             name,

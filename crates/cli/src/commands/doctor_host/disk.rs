@@ -5,7 +5,9 @@ use std::io::Write as _;
 use std::path::Path;
 use std::time::Instant;
 
-use super::{Check, Verdict, at_least, check};
+use lsfb_types::{Finding, Limit, Verdict};
+
+use super::{at_least, check};
 
 /// Four cameras of 1280×800 at 20 Hz, YUYV, with a fifth to spare.
 const GOOD_DISK_BYTES_S: f64 = 200e6;
@@ -17,22 +19,26 @@ const GOOD_FREE_BYTES: u64 = 100_000_000_000;
 const POOR_FREE_BYTES: u64 = 10_000_000_000;
 
 /// Space and speed of the disk where recordings go.
-pub(super) fn checks(folder: &Path) -> Vec<Check> {
+pub(super) fn checks(folder: &Path) -> Vec<Finding> {
     let place = folder.display();
     let mut checks = Vec::new();
     match nix::sys::statvfs::statvfs(folder) {
         Ok(disk) => {
             let free = disk.blocks_available() * disk.fragment_size();
-            checks.push(check(
-                "disk space",
-                at_least(free as f64, GOOD_FREE_BYTES as f64, POOR_FREE_BYTES as f64),
-                format!(
-                    "{:.0} GB free in {place}: {:.0} min of four cameras",
-                    free as f64 / 1e9,
-                    free as f64 / 164e6 / 60.0
-                ),
-                "make room, or record to another disk",
-            ));
+            checks.push(
+                check(
+                    "disk space",
+                    at_least(free as f64, GOOD_FREE_BYTES as f64, POOR_FREE_BYTES as f64),
+                    format!(
+                        "{:.0} GB free in {place}: {:.0} min of four cameras",
+                        free as f64 / 1e9,
+                        free as f64 / 164e6 / 60.0
+                    ),
+                    "make room, or record to another disk",
+                )
+                .value((free as f64 / 1e9).round(), "GB")
+                .limit(Limit::AtLeast(GOOD_FREE_BYTES as f64 / 1e9)),
+            );
         }
         Err(error) => checks.push(check(
             "disk space",
@@ -47,7 +53,9 @@ pub(super) fn checks(folder: &Path) -> Vec<Check> {
             at_least(bytes_s, GOOD_DISK_BYTES_S, POOR_DISK_BYTES_S),
             format!("{:.0} MB/s written and synced in {place}", bytes_s / 1e6),
             "four cameras of 1280×800 at 20 Hz need 82 MB/s grey, 164 MB/s in YUYV: use a faster disk or fewer frames",
-        ),
+        )
+        .value((bytes_s / 1e6).round(), "MB/s")
+        .limit(Limit::AtLeast(GOOD_DISK_BYTES_S / 1e6)),
         Err(error) => check(
             "disk speed",
             Verdict::Fail,

@@ -2,8 +2,10 @@
 
 use std::path::Path;
 
+use lsfb_types::{Finding, Limit, Verdict};
+
 use super::machine::meminfo_bytes;
-use super::{Check, INSTALL, Verdict, at_least, check, number, read};
+use super::{INSTALL, at_least, check, number, read};
 
 /// A VLP-32C with dual returns fills this in four seconds, receive buffers' overhead included.
 const GOOD_RMEM_BYTES: u64 = 33_554_432;
@@ -22,7 +24,7 @@ const VIDEO_OPTIONS: [(&str, &str, &[&str]); 3] = [
     ("nodrop", "1", &["1", "Y"]),
 ];
 
-pub(super) fn receive_buffer(root: &Path) -> Check {
+pub(super) fn receive_buffer(root: &Path) -> Finding {
     let name = "receive buffer";
     match number(root, "proc/sys/net/core/rmem_max") {
         Some(bytes) => check(
@@ -30,22 +32,24 @@ pub(super) fn receive_buffer(root: &Path) -> Check {
             at_least(bytes as f64, GOOD_RMEM_BYTES as f64, POOR_RMEM_BYTES as f64),
             format!("net.core.rmem_max = {bytes}"),
             format!("sudo sysctl -w net.core.rmem_max={GOOD_RMEM_BYTES}, for good: {INSTALL}"),
-        ),
+        )
+        .value(bytes as f64, "bytes")
+        .limit(Limit::AtLeast(GOOD_RMEM_BYTES as f64)),
         None => check(
             name,
-            Verdict::Warn,
+            Verdict::Unknown,
             "net.core.rmem_max cannot be read",
             "check it by hand",
         ),
     }
 }
 
-pub(super) fn backlog(root: &Path) -> Check {
+pub(super) fn backlog(root: &Path) -> Finding {
     let found = number(root, "proc/sys/net/core/netdev_max_backlog");
     let good = found.is_none_or(|packets| packets >= GOOD_BACKLOG);
     check(
         "network backlog",
-        if good { Verdict::Pass } else { Verdict::Warn },
+        Verdict::Warn.unless(good),
         match found {
             Some(packets) => format!("net.core.netdev_max_backlog = {packets}"),
             None => "not of this network namespace".to_owned(),
@@ -54,7 +58,7 @@ pub(super) fn backlog(root: &Path) -> Check {
     )
 }
 
-pub(super) fn dirty_pages(root: &Path) -> Check {
+pub(super) fn dirty_pages(root: &Path) -> Finding {
     let bytes = number(root, "proc/sys/vm/dirty_bytes").unwrap_or_default();
     let ratio = number(root, "proc/sys/vm/dirty_ratio").unwrap_or_default();
     let memory = meminfo_bytes(root, "MemTotal:").unwrap_or_default();
@@ -64,17 +68,15 @@ pub(super) fn dirty_pages(root: &Path) -> Check {
     };
     check(
         "write-back",
-        if limit <= GOOD_DIRTY_BYTES {
-            Verdict::Pass
-        } else {
-            Verdict::Warn
-        },
+        Verdict::Warn.unless(limit <= GOOD_DIRTY_BYTES),
         format!("up to {} MB wait in memory for the disk", limit / 1_000_000),
         format!("sudo sysctl -w vm.dirty_bytes=536870912, for good: {INSTALL}"),
     )
+    .value((limit / 1_000_000) as f64, "MB")
+    .limit(Limit::AtMost((GOOD_DIRTY_BYTES / 1_000_000) as f64))
 }
 
-pub(super) fn usbfs(root: &Path) -> Check {
+pub(super) fn usbfs(root: &Path) -> Finding {
     let name = "USB buffers";
     match number(root, "sys/module/usbcore/parameters/usbfs_memory_mb") {
         // Zero is no limit.
@@ -102,7 +104,7 @@ pub(super) fn usbfs(root: &Path) -> Check {
 }
 
 /// From how many bytes on the kernel begins to write by itself.
-pub(super) fn early_writing(root: &Path) -> Check {
+pub(super) fn early_writing(root: &Path) -> Finding {
     let bytes = number(root, "proc/sys/vm/dirty_background_bytes").unwrap_or_default();
     let ratio = number(root, "proc/sys/vm/dirty_background_ratio").unwrap_or_default();
     let memory = meminfo_bytes(root, "MemTotal:").unwrap_or_default();
@@ -112,22 +114,25 @@ pub(super) fn early_writing(root: &Path) -> Check {
     };
     check(
         "early writing",
-        if start <= GOOD_BACKGROUND_BYTES {
-            Verdict::Pass
-        } else {
-            Verdict::Warn
-        },
+        Verdict::Warn.unless(start <= GOOD_BACKGROUND_BYTES),
         format!("begins at {} MB", start / 1_000_000),
         format!("sudo sysctl -w vm.dirty_background_bytes=67108864, for good: {INSTALL}"),
     )
+    .value((start / 1_000_000) as f64, "MB")
+    .limit(Limit::AtMost((GOOD_BACKGROUND_BYTES / 1_000_000) as f64))
 }
 
 /// How frames of cameras are stamped, and whether damaged ones are handed over.
-pub(super) fn video_options(root: &Path) -> Check {
+pub(super) fn video_options(root: &Path) -> Finding {
     let name = "video options";
     let parameters = "sys/module/uvcvideo/parameters";
     if !root.join(parameters).exists() {
-        return check(name, Verdict::Pass, "no UVC camera was ever plugged in", "");
+        return check(
+            name,
+            Verdict::Unknown,
+            "no UVC camera was ever plugged in",
+            "",
+        );
     }
     let wrong: Vec<String> = VIDEO_OPTIONS
         .iter()

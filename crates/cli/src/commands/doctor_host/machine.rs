@@ -2,11 +2,13 @@
 
 use std::path::Path;
 
-use super::{Check, Verdict, at_least, check, folders, read};
+use lsfb_types::{Finding, Limit, Verdict};
+
+use super::{at_least, check, folders, read};
 
 const GOOD_MEMORY_BYTES: u64 = 2 << 30;
 
-pub(super) fn governor(root: &Path) -> Check {
+pub(super) fn governor(root: &Path) -> Finding {
     let name = "processor speed";
     let cores = folders(root, "sys/devices/system/cpu");
     let governors: Vec<String> = cores
@@ -39,7 +41,7 @@ pub(super) fn meminfo_bytes(root: &Path, field: &str) -> Option<u64> {
     Some(kilobytes * 1024)
 }
 
-pub(super) fn memory(root: &Path) -> Check {
+pub(super) fn memory(root: &Path) -> Finding {
     let free = meminfo_bytes(root, "MemAvailable:").unwrap_or_default();
     check(
         "memory",
@@ -51,4 +53,6 @@ pub(super) fn memory(root: &Path) -> Check {
         format!("{:.1} GB free", free as f64 / 1e9),
         "close other programs",
     )
+    .value((free as f64 / 1e8).round() / 10.0, "GB")
+    .limit(Limit::AtLeast(GOOD_MEMORY_BYTES as f64 / 1e9))
 }

@@ -12,97 +12,29 @@ mod tests;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use serde::Serialize;
+use lsfb_types::{Finding, Judgement, Verdict};
 
 const INSTALL: &str = "sudo udev/install.sh --apply";
 
-/// How a check went.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "UPPERCASE")]
-pub enum Verdict {
-    /// As it should be.
-    Pass,
-    /// It will do, and could be better.
-    Warn,
-    /// Data will be lost.
-    Fail,
+/// Looks at this machine. `folder`: where recordings are to be written.
+pub fn judge_this_machine(folder: &Path) -> Judgement {
+    let root = Path::new("/");
+    let mut findings = kernel_checks(root);
+    findings.push(network::clock(root, &network::time_services()));
+    findings.push(network::lidar());
+    findings.extend(disk::checks(folder));
+    Judgement::new(findings)
 }
 
-/// One thing looked at.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Check {
-    /// What.
-    pub name: &'static str,
-    /// How it went.
-    pub verdict: Verdict,
-    /// What was found.
-    pub found: String,
-    /// What to do; empty where nothing is to be done.
-    pub remedy: String,
-}
-
-/// Everything that was looked at.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct HostReport {
-    /// The worst verdict.
-    pub verdict: Verdict,
-    /// One entry per check.
-    pub checks: Vec<Check>,
-}
-
-impl HostReport {
-    /// Looks at this machine. `folder`: where recordings are to be written.
-    pub fn of_this_machine(folder: &Path) -> Self {
-        let root = Path::new("/");
-        let mut checks = kernel_checks(root);
-        checks.push(network::clock(root, &network::time_services()));
-        checks.push(network::lidar());
-        checks.extend(disk::checks(folder));
-        Self::new(checks)
-    }
-
-    fn new(checks: Vec<Check>) -> Self {
-        let worst = checks.iter().map(|check| check.verdict).max();
-        Self {
-            verdict: worst.unwrap_or(Verdict::Pass),
-            checks,
-        }
-    }
-
-    /// The report for people.
-    pub fn text(&self) -> String {
-        let mut lines = Vec::new();
-        for check in &self.checks {
-            let word = match check.verdict {
-                Verdict::Pass => "PASS",
-                Verdict::Warn => "WARN",
-                Verdict::Fail => "FAIL",
-            };
-            lines.push(format!("{word}  {:<22} {}", check.name, check.found));
-            if !check.remedy.is_empty() {
-                lines.push(format!("      {:<22} → {}", "", check.remedy));
-            }
-        }
-        lines.join("\n")
-    }
-}
-
+/// How a check went; its code is its name as programs like it: `receive-buffer`.
 fn check(
     name: &'static str,
     verdict: Verdict,
     found: impl Into<String>,
     remedy: impl Into<String>,
-) -> Check {
-    let remedy = match verdict {
-        Verdict::Pass => String::new(),
-        Verdict::Warn | Verdict::Fail => remedy.into(),
-    };
-    Check {
-        name,
-        verdict,
-        found: found.into(),
-        remedy,
-    }
+) -> Finding {
+    let code = name.to_lowercase().replace(' ', "-");
+    Finding::new(code, verdict, name, found).remedy(remedy)
 }
 
 /// Good from `good` on, poor below `poor`.
@@ -135,7 +67,7 @@ fn folders(root: &Path, path: &str) -> Vec<PathBuf> {
 }
 
 /// What can be read from files.
-fn kernel_checks(root: &Path) -> Vec<Check> {
+fn kernel_checks(root: &Path) -> Vec<Finding> {
     vec![
         kernel::receive_buffer(root),
         kernel::backlog(root),

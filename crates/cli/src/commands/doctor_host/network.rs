@@ -3,7 +3,9 @@
 use std::path::Path;
 use std::process::Command;
 
-use super::{Check, Verdict, check};
+use lsfb_types::{Finding, Verdict};
+
+use super::check;
 
 /// What the services that keep the time say.
 #[derive(Clone, Debug, Default)]
@@ -26,7 +28,7 @@ pub(super) fn time_services() -> TimeServices {
     }
 }
 
-pub(super) fn clock(root: &Path, services: &TimeServices) -> Check {
+pub(super) fn clock(root: &Path, services: &TimeServices) -> Finding {
     let name = "clock";
     let pulse = if root.join("dev/pps0").exists() {
         ", with a pulse per second"
@@ -64,7 +66,7 @@ pub(super) fn clock(root: &Path, services: &TimeServices) -> Check {
 }
 
 /// Velodyne sensors send to 192.168.1.0/24 unless told otherwise.
-pub(super) fn lidar() -> Check {
+pub(super) fn lidar() -> Finding {
     let name = "LiDAR network";
     let addresses = nix::ifaddrs::getifaddrs().into_iter().flatten();
     let ready = addresses

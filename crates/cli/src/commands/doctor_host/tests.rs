@@ -8,9 +8,12 @@ fn write(root: &Path, path: &str, text: &str) {
     fs::write(path, text).unwrap();
 }
 
-fn verdict(root: &Path, name: &str) -> Check {
+fn verdict(root: &Path, name: &str) -> Finding {
     let checks = kernel_checks(root);
-    checks.into_iter().find(|check| check.name == name).unwrap()
+    checks
+        .into_iter()
+        .find(|check| check.subject == name)
+        .unwrap()
 }
 
 /// A machine on which nothing has been set up, and the same after `udev/install.sh`.
@@ -95,7 +98,8 @@ fn what_is_missing_is_named_with_its_remedy_and_what_is_there_passes() {
     ] {
         let found = verdict(root, name);
         assert_eq!(found.verdict, expected, "{found:?}");
-        assert!(found.remedy.contains(words), "{found:?}");
+        let remedy = found.remedy.as_deref().unwrap_or_default();
+        assert!(remedy.contains(words), "{found:?}");
     }
 
     write(root, "proc/sys/net/core/rmem_max", "33554432\n");
@@ -143,12 +147,12 @@ fn what_is_missing_is_named_with_its_remedy_and_what_is_there_passes() {
     for (file, text) in RULES {
         write(root, &format!("etc/udev/rules.d/{file}"), text);
     }
-    let report = HostReport::new(kernel_checks(root));
-    assert_eq!(report.verdict, Verdict::Pass, "{}", report.text());
-    assert!(report.checks.iter().all(|check| check.remedy.is_empty()));
+    let judgement = Judgement::new(kernel_checks(root));
+    assert_eq!(judgement.verdict(), Verdict::Pass, "{judgement:?}");
+    assert!(judgement.findings().iter().all(|f| f.remedy.is_none()));
     write(root, "etc/udev/rules.d/70-lsfb-imu.rules", "# older\n");
     let rules = verdict(root, "device rules");
-    assert!(rules.found.contains("70-lsfb-imu.rules"), "{rules:?}");
+    assert!(rules.what.contains("70-lsfb-imu.rules"), "{rules:?}");
 }
 
 #[test]
@@ -165,7 +169,7 @@ fn a_clock_that_follows_nothing_is_a_warning() {
     };
     let found = clock(folder.path(), &chrony);
     assert_eq!(found.verdict, Verdict::Pass);
-    assert!(found.found.contains("0.000012 seconds"), "{found:?}");
+    assert!(found.what.contains("0.000012 seconds"), "{found:?}");
     let unsynchronized = TimeServices {
         chrony: Some("Leap status     : Not synchronised\n".to_owned()),
         systemd: Some("NTPSynchronized=yes\n".to_owned()),
@@ -178,7 +182,7 @@ fn the_disk_is_measured_and_nothing_is_left_behind() {
     let folder = tempfile::tempdir().unwrap();
     let checks = disk::checks(folder.path());
     assert_eq!(checks.len(), 2);
-    assert!(checks[1].found.contains("MB/s"), "{checks:?}");
+    assert!(checks[1].what.contains("MB/s"), "{checks:?}");
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
     let missing = disk::checks(&folder.path().join("missing"));
     assert!(missing.iter().all(|check| check.verdict == Verdict::Fail));

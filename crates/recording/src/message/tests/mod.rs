@@ -2,7 +2,7 @@
 
 use super::*;
 use lsfb_geometry::{Camera, Se3, UnitQuaternion, Vector3};
-use lsfb_types::{Image, ImuSample, LidarPoint, LidarScan, Packet, Timestamp};
+use lsfb_types::{Echo, Image, ImuSample, LidarPoint, LidarScan, Packet, Timestamp};
 
 mod surroundings;
 
@@ -97,7 +97,10 @@ fn imu_values_and_layout() {
         specific_force_m_s2: [0.5, -0.25, 9.8125],
     };
     assert_eq!(decode_imu(&IMU_BYTES), Ok(sample));
-    assert_eq!(encode_imu(STAMP, "imu0", &sample), IMU_BYTES);
+    assert_eq!(
+        encode_imu(STAMP, "imu0", &sample, ImuVariance::UNKNOWN),
+        IMU_BYTES
+    );
 }
 
 #[test]
@@ -136,34 +139,76 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|b| format!("{b:02x}")).collect()
 }
 
+fn lidar_packets(sizes: &[usize]) -> Vec<Packet> {
+    let numbered = (0_i64..).zip(sizes);
+    numbered
+        .map(|(k, size)| {
+            let mut bytes = vec![7 + k as u8; *size];
+            bytes[..4].copy_from_slice(&[0xff, 0xee, 0x3c, 0x8c]);
+            Packet {
+                arrival: Timestamp::from_nanos(
+                    (STAMP.nanos() / 1_000_000_000 + k) * 1_000_000_000 + 1,
+                ),
+                bytes,
+            }
+        })
+        .collect()
+}
+
+#[test]
+fn lidar_packets_of_any_size_come_back() {
+    let packets = lidar_packets(&[1206, 1080, 5, 1198]);
+    let bytes = encode_lidar_packets(STAMP, "lidar", &packets);
+    assert_eq!(
+        decode_lidar_packets(LIDAR_PACKETS.name, &bytes).unwrap(),
+        packets
+    );
+}
+
 #[test]
 fn velodyne_scan_pads_before_the_second_packet() {
-    let packet = |second: i64, fill: u8| {
-        let mut bytes = vec![fill; VELODYNE_PACKET_BYTES];
-        bytes[..4].copy_from_slice(&[0xff, 0xee, 0x3c, 0x8c]);
-        Packet {
-            arrival: Timestamp::from_nanos(
-                (STAMP.nanos() / 1_000_000_000 + second) * 1_000_000_000 + 1,
-            ),
-            bytes,
-        }
-    };
-    let packets = [packet(0, 7), packet(1, 9)];
-    let bytes = encode_velodyne_scan(STAMP, "lidar", &packets).unwrap();
+    let packets = lidar_packets(&[1206, 1206]);
+    let mut w = crate::cdr::CdrWriter::with_capacity(4096);
+    w.header(STAMP, "lidar");
+    w.u32(2);
+    for packet in &packets {
+        w.time(packet.arrival);
+        w.raw(&packet.bytes);
+    }
+    let bytes = w.finish();
     assert_eq!(bytes[..40], VELODYNE_SCAN_START);
     assert_eq!(bytes.len(), VELODYNE_SCAN_BYTES);
     assert_eq!(
-        bytes[1244..1248],
-        1_771_234_568u32.to_le_bytes(),
-        "the second stamp"
+        decode_lidar_packets(VELODYNE_SCAN.name, &bytes).unwrap(),
+        packets
     );
-    assert_eq!(decode_velodyne_scan(&bytes).unwrap(), packets);
+}
 
-    let short = Packet {
-        arrival: STAMP,
-        bytes: vec![0; 512],
+#[test]
+fn a_pandar_scan_has_packets_as_long_as_it_says() {
+    let packets = lidar_packets(&[1080, 1198]);
+    let message = |sizes: [u32; 2]| {
+        let mut w = crate::cdr::CdrWriter::with_capacity(4096);
+        w.header(STAMP, "hesai");
+        w.u32(2);
+        for (packet, size) in packets.iter().zip(sizes) {
+            let mut data = packet.bytes.clone();
+            data.resize(1500, 0);
+            w.time(packet.arrival);
+            w.raw(&data);
+            w.u32(size);
+        }
+        w.finish()
     };
-    assert_eq!(encode_velodyne_scan(STAMP, "lidar", &[short]), None);
+    assert_eq!(
+        decode_lidar_packets(PANDAR_SCAN.name, &message([1080, 1198])).unwrap(),
+        packets
+    );
+    let field = "packets.size";
+    assert_eq!(
+        decode_lidar_packets(PANDAR_SCAN.name, &message([1080, 1501])),
+        Err(CdrError::Value { field })
+    );
 }
 
 #[test]
@@ -174,6 +219,7 @@ fn points_round_trip_field_by_field() {
                 position_m: [i as f32 + 0.25, -1.5, 1e-3],
                 intensity: 50 * i as u8,
                 ring: 31 - i,
+                echo: Echo::ALL[usize::from(i)],
                 time_offset_ns: 55_296 * u32::from(i),
             })
             .collect(),
@@ -213,15 +259,7 @@ fn own_messages_round_trip() {
 #[test]
 fn every_cut_message_is_refused() {
     type Decode = fn(&[u8]) -> Option<CdrError>;
-    let velodyne = encode_velodyne_scan(
-        STAMP,
-        "",
-        &[Packet {
-            arrival: STAMP,
-            bytes: vec![0; 1206],
-        }],
-    )
-    .unwrap();
+    let packets = encode_lidar_packets(STAMP, "", &lidar_packets(&[4, 5]));
     let points = encode_points(
         STAMP,
         "lidar",
@@ -241,7 +279,9 @@ fn every_cut_message_is_refused() {
         (TIME_REFERENCE_BYTES.to_vec(), |b| {
             decode_time_reference(b).err()
         }),
-        (velodyne, |b| decode_velodyne_scan(b).err()),
+        (packets, |b| {
+            decode_lidar_packets(LIDAR_PACKETS.name, b).err()
+        }),
         (points, |b| decode_points(b).err()),
         (encode_raw_packet(STAMP, "", &raw), |b| {
             decode_raw_packet(b).err()

@@ -1,13 +1,14 @@
 use lsfb_drivers::velodyne::model::Model;
 use lsfb_drivers::velodyne::wire::ReturnMode;
-use lsfb_drivers::velodyne::{Decoder, Echo, PacketLayout, returns};
+use lsfb_drivers::velodyne::{Decoder, PacketLayout, returns};
+use lsfb_types::Echo;
 use lsfb_types::{Packet, no_progress};
 
 use super::*;
-use crate::{Device, LidarModel, LidarReturns, Place, SimConfig};
+use crate::{Device, LidarModel, Place, SimConfig};
 
 /// A scanner in an office with rooms behind glass.
-fn office(model: LidarModel, returns: LidarReturns) -> Simulation {
+fn office(model: LidarModel, returns: ReturnMode) -> Simulation {
     let mut config = SimConfig::for_place(Place::MediumOffice, Device::Glasses);
     config.texel_m = 0.1;
     (config.scan.duration_s, config.glasses.duration_s) = (12.0, 1.0);
@@ -33,25 +34,25 @@ fn the_driver_reads_every_model_and_return_mode() {
     for (model, returns, product, mode) in [
         (
             LidarModel::Vlp32c,
-            LidarReturns::Dual,
+            ReturnMode::Dual,
             Model::Vlp32c,
             ReturnMode::Dual,
         ),
         (
             LidarModel::Vlp32c,
-            LidarReturns::Last,
+            ReturnMode::Last,
             Model::Vlp32c,
             ReturnMode::Last,
         ),
         (
             LidarModel::Vlp16,
-            LidarReturns::Strongest,
+            ReturnMode::Strongest,
             Model::Vlp16,
             ReturnMode::Strongest,
         ),
         (
             LidarModel::Vlp16,
-            LidarReturns::Dual,
+            ReturnMode::Dual,
             Model::Vlp16,
             ReturnMode::Dual,
         ),
@@ -101,7 +102,7 @@ fn norm(v: [f32; 3]) -> f32 {
 
 #[test]
 fn two_returns_are_the_last_and_the_strongest_and_one_is_sent_twice() {
-    let simulation = office(LidarModel::Vlp32c, LidarReturns::Dual);
+    let simulation = office(LidarModel::Vlp32c, ReturnMode::Dual);
     let separation_m = simulation.config().lidar.separation_m;
     let (mut both, mut two, mut shots) = (0, 0, 0);
     for bytes in packets(&simulation) {

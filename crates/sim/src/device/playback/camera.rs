@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use lsfb_drivers::camera::model::{EXPOSURE_STEP_NS, FrameFormat, TRAILER_BYTES};
-use lsfb_drivers::camera::wire::{TimeSource, Trailer, UnitFile, XuDevice, emit_frame};
+use lsfb_drivers::mynt_s::model::{EXPOSURE_STEP_NS, TRAILER_BYTES};
+use lsfb_drivers::mynt_s::wire::{TimeSource, Trailer, UnitFile, XuDevice, emit_frame};
 use lsfb_drivers::transport::camera_socket::CameraUnit as HostedUnit;
+use lsfb_drivers::transport::uvc::FrameFormat;
 use lsfb_recording::message::FrameMeta;
 use lsfb_recording::{CameraUnit, Recording};
 use lsfb_types::{Image, OutOfBounds, Stamped, Timestamp};
@@ -163,7 +164,7 @@ impl Hosted {
     /// Answers requests until the time has come.
     fn wait_until(&mut self, due_ns: i64, clock: &SimClock, device: usize) -> Result<Turn, Error> {
         loop {
-            self.unit.serve(&mut self.xu, LISTEN)?;
+            self.xu.serve(&mut self.unit, LISTEN)?;
             match clock.poll(device, due_ns) {
                 Readiness::Ready => return Ok(Turn::Go),
                 Readiness::Early => {}
@@ -176,7 +177,7 @@ impl Hosted {
     fn serve_until_imu_is_taken(&mut self, clock: &SimClock) -> Result<(), Error> {
         let mut last_heard = Instant::now();
         while !self.xu.imu_is_taken() && last_heard.elapsed() < LAST_POLL && !clock.is_stopped() {
-            if self.unit.serve(&mut self.xu, LISTEN)?.is_some() {
+            if self.xu.serve(&mut self.unit, LISTEN)?.is_some() {
                 last_heard = Instant::now();
             }
         }

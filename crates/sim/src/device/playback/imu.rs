@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use lsfb_drivers::imu::model::SAMPLE_TIME_FINE_NS;
-use lsfb_drivers::imu::{Decoder, DecoderConfig};
 use lsfb_drivers::transport::can::{CanFrame, CanSender};
 use lsfb_drivers::transport::usb::MockUsb;
+use lsfb_drivers::xsens::model::SAMPLE_TIME_FINE_NS;
+use lsfb_drivers::xsens::{Decoder, DecoderConfig};
 use lsfb_drivers::{microstrain, mynt_d, sbg};
 use lsfb_recording::{RecordedPacket, Recording};
 use lsfb_types::{Packet, Timestamp};

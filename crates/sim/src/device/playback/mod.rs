@@ -18,7 +18,7 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use lsfb_drivers::camera::wire::UnitFile;
+use lsfb_drivers::mynt_s::wire::UnitFile;
 use lsfb_geometry::Rig;
 use lsfb_recording::Recording;
 use lsfb_types::Timestamp;

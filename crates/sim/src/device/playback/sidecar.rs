@@ -3,9 +3,9 @@
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
 
-use lsfb_drivers::phone::model::CLOCK_UTC;
-use lsfb_drivers::phone::wire::Advertise;
-use lsfb_drivers::phone::{ClientConfig, SidecarClient};
+use lsfb_drivers::sidecar::model::CLOCK_UTC;
+use lsfb_drivers::sidecar::wire::Advertise;
+use lsfb_drivers::sidecar::{ClientConfig, SidecarClient};
 use lsfb_recording::Recording;
 
 use super::{Play, PlaybackEndpoints, readable};
@@ -162,7 +162,7 @@ impl SidecarPlayer {
             Err(_) => recording
                 .rig()
                 .ok()
-                .filter(|rig| rig.lidar.is_none())
+                .filter(|rig| rig.lidar().is_none())
                 .map(|rig| rig.to_toml().into_bytes()),
         };
         match rig {

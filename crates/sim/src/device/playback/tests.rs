@@ -1,11 +1,11 @@
 use std::time::Duration;
 
-use lsfb_drivers::camera::model::FrameFormat;
-use lsfb_drivers::camera::wire::{
+use lsfb_drivers::mynt_s::wire::{
     DeviceInfo, ImuProtocol, ImuResponse, ImuSegment, ImuValues, TimeSource, Version,
 };
-use lsfb_drivers::camera::{CameraConfig, Decoder, DecoderConfig, ImuDecoder, MyntCamera};
+use lsfb_drivers::mynt_s::{CameraConfig, Decoder, DecoderConfig, ImuDecoder, MyntCamera};
 use lsfb_drivers::transport::PacketSource;
+use lsfb_drivers::transport::uvc::FrameFormat;
 use lsfb_recording::{CameraUnit, KeptFile, Writer, WriterConfig};
 use lsfb_types::{Image, ImuSample, Packet, Stamped, Timestamp};
 

@@ -3,7 +3,7 @@
 //! A mock's host polls at instants of its own, so that the answers are made again from their segments, each queued when it was
 //! measured. An answer that was damaged when it was recorded has no segments; it is given as it came.
 
-use lsfb_drivers::camera::wire::{ImuProtocol, ImuResponse, ImuSegment, TimeSource, XuDevice};
+use lsfb_drivers::mynt_s::wire::{ImuProtocol, ImuResponse, ImuSegment, TimeSource, XuDevice};
 use lsfb_recording::{RecordedPacket, Recording};
 use lsfb_types::Timestamp;
 

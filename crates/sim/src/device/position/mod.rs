@@ -1,8 +1,8 @@
 //! A LiDAR's position packets: what it knows of the time, and the last sentence of its receiver.
 
-use lsfb_drivers::imu::wire::UtcTime;
 use lsfb_drivers::velodyne::nmea::{Gga, Rmc};
 use lsfb_drivers::velodyne::wire::{POSITION_PACKET_LEN, PositionPacket, PpsStatus};
+use lsfb_drivers::xsens::wire::UtcTime;
 use lsfb_types::Timestamp;
 
 use crate::ambient::{GnssEpoch, course_deg};

@@ -3,16 +3,16 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
-use lsfb_drivers::camera::model::FrameFormat;
-use lsfb_drivers::camera::{self, CameraConfig, MyntCamera};
-use lsfb_drivers::imu::{self, ImuConfig, XsensImu};
-use lsfb_drivers::phone::{SidecarConfig, SidecarEvent, SidecarMessage, SidecarServer};
+use lsfb_drivers::mynt_s::{self, CameraConfig, MyntCamera};
+use lsfb_drivers::sidecar::{SidecarConfig, SidecarEvent, SidecarMessage, SidecarServer};
 use lsfb_drivers::transport::PacketSource;
+use lsfb_drivers::transport::uvc::FrameFormat;
 use lsfb_drivers::velodyne::nmea::Rmc;
 use lsfb_drivers::velodyne::wire::{
     DATA_PACKET_LEN, POSITION_PACKET_LEN, PositionPacket, PpsStatus,
 };
 use lsfb_drivers::velodyne::{self, VelodyneConfig};
+use lsfb_drivers::xsens::{self, ImuConfig, XsensImu};
 use lsfb_recording::message::{decode_image, decode_imu};
 use lsfb_types::{Packet, no_progress};
 
@@ -102,7 +102,7 @@ fn host(simulation: &Arc<Simulation>) -> Received {
                         ..CameraConfig::default()
                     })
                     .expect("unit");
-                    let mut decoder = camera::ImuDecoder::new(unit.imu_protocol());
+                    let mut decoder = mynt_s::ImuDecoder::new(unit.imu_protocol());
                     let mut frames = Stream::new();
                     let mut samples = 0;
                     loop {
@@ -215,7 +215,7 @@ fn drivers_decode_what_the_sensors_measured() {
         height: 100,
     };
     for (unit, frames) in got.frames.iter().enumerate() {
-        let mut decoder = camera::Decoder::new(camera::DecoderConfig {
+        let mut decoder = mynt_s::Decoder::new(mynt_s::DecoderConfig {
             format,
             ..Default::default()
         });
@@ -241,7 +241,7 @@ fn drivers_decode_what_the_sensors_measured() {
     }
 
     // IMU: single precision, exact times.
-    let mut decoder = imu::Decoder::new(Default::default());
+    let mut decoder = xsens::Decoder::new(Default::default());
     got.imu
         .iter()
         .for_each(|bytes| decoder.push(&packet(bytes)));

@@ -11,7 +11,7 @@ use crate::noise::{Dice, next_gaussian, stream};
 use crate::walk::{Motion, Walk};
 
 /// Magnitude of gravity in the world, m/s²; it points along −z. The standard value, that of the drivers.
-pub const GRAVITY_M_S2: f64 = lsfb_drivers::camera::model::STANDARD_GRAVITY_M_S2;
+pub const GRAVITY_M_S2: f64 = lsfb_drivers::mynt_s::model::STANDARD_GRAVITY_M_S2;
 
 /// Correlation times of the parts of a flickering bias, seconds: one per decade makes its Allan deviation flat.
 const FLICKER_S: [f64; 4] = [1.0, 10.0, 100.0, 1000.0];

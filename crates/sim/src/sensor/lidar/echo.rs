@@ -2,8 +2,9 @@
 
 use wide::f32x8;
 
+use lsfb_drivers::velodyne::wire::ReturnMode;
+
 use super::{LidarSim, Return};
-use crate::config::LidarReturns;
 use crate::noise::{gaussian, hash, unit};
 use crate::world::crowd::Moment;
 use crate::world::vector::dot;
@@ -224,11 +225,11 @@ impl LidarSim {
         };
         let [strongest_heard, last_heard] = [strongest, last].map(|k| heard[k].1);
         match self.config.returns {
-            LidarReturns::Strongest => [strongest_heard, Return::default()],
-            LidarReturns::Last => [last_heard, Return::default()],
+            ReturnMode::Strongest => [strongest_heard, Return::default()],
+            ReturnMode::Last => [last_heard, Return::default()],
             // VLP-32C 63-9325 p. 57.
-            LidarReturns::Dual if strongest != last => [last_heard, strongest_heard],
-            LidarReturns::Dual => {
+            ReturnMode::Dual if strongest != last => [last_heard, strongest_heard],
+            ReturnMode::Dual => {
                 let second = brightest(Some(strongest)).unwrap_or(strongest);
                 [last_heard, heard[second].1]
             }

@@ -9,7 +9,7 @@ use lsfb_drivers::velodyne::model::{Model, ModelTable};
 use lsfb_drivers::velodyne::wire::{BLOCKS, CHANNELS, ReturnMode};
 use lsfb_geometry::{Se3, Vector3};
 
-use crate::config::{LidarConfig, LidarModel, LidarReturns};
+use crate::config::{LidarConfig, LidarModel};
 use crate::walk::Walk;
 use crate::world::crowd::Moment;
 use crate::world::{LANES, Origin, RayPacket, World};
@@ -68,11 +68,7 @@ impl LidarSim {
 
     /// Which echoes it sends.
     pub fn return_mode(&self) -> ReturnMode {
-        match self.config.returns {
-            LidarReturns::Strongest => ReturnMode::Strongest,
-            LidarReturns::Last => ReturnMode::Last,
-            LidarReturns::Dual => ReturnMode::Dual,
-        }
+        self.config.returns
     }
 
     fn table(&self) -> &'static ModelTable {
@@ -87,8 +83,8 @@ impl LidarSim {
     /// Firing cycles in a data packet.
     pub fn cycles_per_packet(&self) -> usize {
         match self.config.returns {
-            LidarReturns::Strongest | LidarReturns::Last => BLOCKS,
-            LidarReturns::Dual => BLOCKS / 2,
+            ReturnMode::Strongest | ReturnMode::Last => BLOCKS,
+            ReturnMode::Dual => BLOCKS / 2,
         }
     }
 

@@ -1,0 +1,144 @@
+//! Which images of two cameras belong together: not those of one camera with themselves, nor those of neighbouring instants.
+
+use std::collections::BTreeMap;
+
+use lsfb_geometry::Se3;
+
+use super::CameraViews;
+use super::pose_choice::spread;
+use crate::Error;
+
+/// Median distance of corners below which two cameras show the same images, pixels: no two cameras stand in one place.
+const SAME_PX: f64 = 0.5;
+/// Corners that both must show to say so.
+const LEAST_CORNERS: usize = 20;
+/// Instants by which pairs are tried to be shifted.
+const MOST_SHIFTED: i64 = 3;
+/// Instants that must still be shared then.
+const LEAST_SHARED: usize = 4;
+/// Spread of relative poses with pairs shifted, as a share of that without, at which they are.
+const SHIFTED: f64 = 0.2;
+
+/// Fails where two cameras were given the same images.
+pub(crate) fn expect_different_images<'a>(
+    cameras: impl IntoIterator<Item = &'a CameraViews>,
+) -> Result<(), Error> {
+    let cameras: Vec<&CameraViews> = cameras.into_iter().collect();
+    for (k, first) in cameras.iter().enumerate() {
+        for second in &cameras[k + 1..] {
+            if show_the_same(first, second) {
+                return Err(Error::SameImages {
+                    first: first.name.clone(),
+                    second: second.name.clone(),
+                });
+            }
+        }
+    }
+    Ok(())
+}
+
+fn show_the_same(first: &CameraViews, second: &CameraViews) -> bool {
+    let mut apart_px: Vec<f64> = Vec::new();
+    for (instant, corners) in &first.views {
+        let others = second.views.get(instant).into_iter().flatten();
+        let by_index: BTreeMap<usize, _> = others.map(|c| (c.index, c.pixel)).collect();
+        let both = corners
+            .iter()
+            .filter_map(|c| Some((by_index.get(&c.index)? - c.pixel).norm()));
+        apart_px.extend(both);
+    }
+    apart_px.sort_by(f64::total_cmp);
+    apart_px.len() >= LEAST_CORNERS && apart_px[apart_px.len() / 2] < SAME_PX
+}
+
+/// By how many instants the images of another camera come after those of the first one they belong to; `None` where they belong to
+/// those of their own instant. From poses of the target in both.
+pub(super) fn shift(
+    first_from_target: &BTreeMap<i64, Se3>,
+    other_from_target: &BTreeMap<i64, Se3>,
+) -> Option<i64> {
+    let shared: Vec<(Se3, Se3)> = other_from_target
+        .iter()
+        .filter_map(|(t, other)| Some((*first_from_target.get(t)?, *other)))
+        .collect();
+    let spread_of = |by: i64| {
+        let poses: Vec<Se3> = (0..shared.len() as i64)
+            .filter_map(|k| {
+                let first = shared.get(usize::try_from(k - by).ok()?)?.0;
+                Some(shared[k as usize].1 * first.inverse())
+            })
+            .collect();
+        (poses.len() >= LEAST_SHARED).then(|| spread(&poses))
+    };
+    let as_named = spread_of(0)?;
+    (-MOST_SHIFTED..=MOST_SHIFTED)
+        .filter(|by| *by != 0)
+        .filter_map(|by| Some((by, spread_of(by)?)))
+        .min_by(|a, b| a.1.total_cmp(&b.1))
+        .filter(|(_, least)| *least < SHIFTED * as_named)
+        .map(|(by, _)| by)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::detect::Corner;
+    use lsfb_geometry::{Vector2, Vector6};
+
+    fn views(name: &str, shift_px: f64) -> CameraViews {
+        let corner = |index: usize, instant: i64| Corner {
+            index,
+            pixel: Vector2::new(index as f64 * 9.0 + shift_px, 3.0 * instant as f64),
+        };
+        CameraViews {
+            name: name.to_owned(),
+            width: 640,
+            height: 480,
+            images: 5,
+            views: (0..5)
+                .map(|t| (t, (0..10).map(|k| corner(k, t)).collect()))
+                .collect(),
+        }
+    }
+
+    #[test]
+    fn one_camera_twice_is_refused() {
+        let error = expect_different_images(&[views("left", 0.0), views("right", 0.0)])
+            .expect_err("the same images")
+            .to_string();
+        assert!(
+            error.contains("left and right show the same images"),
+            "{error}"
+        );
+        expect_different_images(&[views("left", 0.0), views("right", 4.0)]).expect("two cameras");
+    }
+
+    #[test]
+    fn pairs_that_are_shifted_are_found() {
+        let other_from_first = Se3::exp(&Vector6::new(0.01, 0.02, 0.0, -0.1, 0.0, 0.0));
+        let pose = |t: i64| {
+            let t = t as f64;
+            let turn = [0.3 * t.sin(), 0.2 * (1.7 * t).cos(), 0.1 * t.cos()];
+            Se3::exp(&Vector6::new(
+                turn[0],
+                turn[1],
+                turn[2],
+                0.1 * t.sin(),
+                0.05 * t.cos(),
+                0.6,
+            ))
+        };
+        let first: BTreeMap<i64, Se3> = (0..12).map(|t| (t, pose(t))).collect();
+        for by in [-2, -1, 1, 2] {
+            let other = (0..12)
+                .map(|t| (t, other_from_first * pose(t - by)))
+                .collect();
+            assert_eq!(shift(&first, &other), Some(by));
+        }
+        let other = (0..12).map(|t| (t, other_from_first * pose(t))).collect();
+        assert_eq!(shift(&first, &other), None);
+        // A board at rest says nothing.
+        let still: BTreeMap<i64, Se3> = (0..12).map(|t| (t, pose(3))).collect();
+        assert_eq!(shift(&still, &still), None);
+    }
+}

@@ -1,0 +1,263 @@
+//! What was looked at in a camera–IMU calibration, and how it came out.
+
+use lsfb_types::{Finding, Judgement, Limit, Verdict};
+
+use super::problem::BoardExcess;
+use super::state::State;
+use super::{CameraImuCalibration, CameraOnImu, ORDER, checks};
+use crate::board::Target;
+use crate::findings;
+use crate::residual_diagnosis::Diagnosis;
+
+/// Residual of the IMU, as a multiple of its noise, above which something is wrong with it.
+const WORRYING_RATIO: f64 = 5.0;
+/// Coverage below which a warning is due.
+const LEAST_COVERAGE: f64 = 0.4;
+/// Height of a corner out of the board's plane above which a warning is due, metres.
+const WORRYING_BEND_M: f64 = 5e-4;
+/// Standard deviations of position and clock above which a warning is due: metres and seconds.
+const WORRYING_POSITION_M: f64 = 0.002;
+const WORRYING_CLOCK_S: f64 = 0.0005;
+/// Offset of a clock that one which is synchronised does not have, seconds.
+const WORRYING_OFFSET_S: f64 = 0.025;
+/// Drift of a clock that is worth a word: seconds per second, and over the recording.
+const WORRYING_DRIFT: f64 = 1e-5;
+const WORRYING_DRIFT_S: f64 = 1e-4;
+/// Errors of the board's size as a share: what is worth a word, what spoils every distance, what is too uncertain to say.
+const WORRYING_SIZE: f64 = 0.005;
+const FAILED_SIZE: f64 = 0.02;
+const UNKNOWN_SIZE: f64 = 0.01;
+/// Standard deviations beyond which a finding is none of chance.
+const DEVIATIONS: f64 = 4.0;
+/// Jitter of the IMU's stamps that is worth a word, seconds.
+const WORRYING_JITTER_S: f64 = 2e-4;
+/// Times by which the axis least moved about falls behind the one most moved about when it gets the blame.
+pub(super) const POOR_AXIS: f64 = 4.0;
+
+impl CameraImuCalibration {
+    /// Whether the result may be used, and how far.
+    pub fn judgement(&self) -> Judgement {
+        Judgement::new(self.findings.clone())
+    }
+}
+
+/// What is said of the board's size; of none where something else is wrong as well, which takes what it can of that.
+pub(super) fn size(target: &Target, excess: &BoardExcess, is_measured: bool) -> Finding {
+    let percent = 100.0 * excess.share;
+    let finding = |verdict, what: String, limit: f64| {
+        Finding::new("board-size", verdict, "board", what)
+            .value(percent, "%")
+            .sigma(100.0 * excess.sigma)
+            .limit(Limit::AtMost(100.0 * limit))
+    };
+    if !is_measured {
+        let what = "its size is not checked: corners miss for another reason".to_owned();
+        return Finding::new("board-size", Verdict::Unknown, "board", what);
+    }
+    let (size, chance) = (excess.share.abs(), DEVIATIONS * excess.sigma);
+    if size > WORRYING_SIZE.max(chance) {
+        let is_failed = size > FAILED_SIZE.max(chance);
+        let what = format!(
+            "the board is {:.1} ± {:.2} % {} than said, by the accelerometer: {}",
+            percent.abs(),
+            excess.sigma * 100.0,
+            if percent > 0.0 { "larger" } else { "smaller" },
+            target.scaled_words(1.0 + excess.share)
+        );
+        let limit = if is_failed {
+            FAILED_SIZE
+        } else {
+            WORRYING_SIZE
+        };
+        return finding(
+            Verdict::Fail.unless(!is_failed).max(Verdict::Warn),
+            what,
+            limit,
+        )
+        .remedy("measure it and correct the target");
+    }
+    if excess.sigma > UNKNOWN_SIZE {
+        let what = format!(
+            "the board's size is not checked (± {:.0} %): the rig hardly moves",
+            excess.sigma * 100.0
+        );
+        return finding(Verdict::Warn, what, WORRYING_SIZE)
+            .remedy("move the rig by 20 cm along all axes as well");
+    }
+    let what = format!(
+        "the board is as large as said (± {:.2} %)",
+        100.0 * excess.sigma
+    );
+    finding(Verdict::Pass, what, WORRYING_SIZE)
+}
+
+/// How far the board's corners lie out of its plane.
+pub(super) fn bend(bend_m: f64, sigma_m: f64) -> Finding {
+    let (mm, limit) = (bend_m * 1e3, Limit::AtMost(WORRYING_BEND_M * 1e3));
+    let what = format!(
+        "its corners lie up to {mm:.1} ± {:.1} mm out of its plane, which is taken into account",
+        sigma_m * 1e3
+    );
+    let verdict = Verdict::Warn.unless(limit.holds(mm));
+    Finding::new("board-bend", verdict, "board", what)
+        .value(mm, "mm")
+        .sigma(sigma_m * 1e3)
+        .limit(limit)
+        .remedy("glue it to a stiff plate: `lsfb calib camera` takes boards for flat")
+}
+
+impl State {
+    /// What is said of motion, IMU and board: `ratios` of the residuals of gyroscope and accelerometer to their stated noise, and the
+    /// jitter of the IMU's stamps, seconds.
+    pub(super) fn motion_findings(
+        &self,
+        target: &Target,
+        ratios: [f64; 2],
+        jitter_s: f64,
+    ) -> Vec<Finding> {
+        let mut found = self.findings.clone();
+        found.extend(checks::upside_down(target, &self.gravity));
+        found.push(self.excitation());
+        let jitter_ms = jitter_s * 1e3;
+        let limit = Limit::AtMost(WORRYING_JITTER_S * 1e3);
+        if !limit.holds(jitter_ms) {
+            let what = format!(
+                "stamps of the IMU jitter by {jitter_ms:.1} ms rms: the gyroscope misses the more the faster the turning changes"
+            );
+            let jitter = Finding::new("imu-stamps", Verdict::Warn, "IMU", what);
+            found.push(
+                jitter
+                    .value(jitter_ms, "ms")
+                    .limit(limit)
+                    .remedy("stamp samples when they are taken, not when they arrive"),
+            );
+        }
+        for (name, ratio) in ["gyroscope", "accelerometer"].iter().zip(ratios) {
+            let limit = Limit::AtMost(WORRYING_RATIO);
+            let verdict = Verdict::Warn.unless(limit.holds(ratio));
+            let what = format!("it follows the motion to {ratio:.1} times its stated noise");
+            let fit = Finding::new("imu-fit", verdict, *name, what);
+            found.push(fit.value(ratio, "").limit(limit).remedy(
+                "measure its noise (`lsfb calib imu-noise`), and check that it is not loose and that clocks do not jump",
+            ));
+        }
+        found
+    }
+
+    /// What is said of one camera.
+    pub(super) fn camera_findings(
+        &self,
+        target: &Target,
+        k: usize,
+        c: &CameraOnImu,
+    ) -> Vec<Finding> {
+        let name = &c.name;
+        let diagnosis = Diagnosis::new(target, &c.camera, self.seen(k).collect());
+        let mut found = vec![diagnosis.finding(name, c.rms_px)];
+        found.extend(diagnosis.another_gap(name, c.rms_px));
+        found.push(findings::coverage(name, &c.cells, LEAST_COVERAGE));
+        found.push(findings::outliers(name, c.outliers, c.corners + c.outliers));
+        if let Some(holdout_px) = c.holdout_rms_px {
+            let most_px = 1.5 * c.rms_px + 0.05;
+            found.push(findings::holdout(name, holdout_px, c.rms_px, most_px));
+        }
+        let worst_mm = c.position_sigma_m.iter().copied().fold(0.0, f64::max) * 1e3;
+        let limit = Limit::AtMost(WORRYING_POSITION_M * 1e3);
+        let verdict = Verdict::Warn.unless(limit.holds(worst_mm));
+        let what = format!("its place on the IMU is known to {worst_mm:.1} mm");
+        let place = Finding::new("position-sigma", verdict, name, what);
+        found.push(
+            place
+                .value(worst_mm, "mm")
+                .limit(limit)
+                .remedy(self.advice()),
+        );
+        found.push(clock_sigma(c));
+        found.extend(clock_offset(c));
+        found.extend(self.clock_drift(c));
+        found
+    }
+
+    fn clock_drift(&self, c: &CameraOnImu) -> Option<Finding> {
+        let drift = c.clock_drift.abs();
+        let knots = self.motion.knots;
+        let drifted_s = drift * (knots.end_s::<ORDER>(self.motion.rotations.len()) - knots.start_s);
+        let is_clear = drift > WORRYING_DRIFT.max(DEVIATIONS * c.clock_drift_sigma);
+        if !is_clear || drifted_s <= WORRYING_DRIFT_S {
+            return None;
+        }
+        let what = format!(
+            "its clock runs {:.0} ± {:.0} ppm {} than the IMU's, {:.1} ms over this recording: its offset holds in the middle alone",
+            drift * 1e6,
+            c.clock_drift_sigma * 1e6,
+            if c.clock_drift > 0.0 {
+                "slower"
+            } else {
+                "faster"
+            },
+            drifted_s * 1e3
+        );
+        let finding = Finding::new("clock-drift", Verdict::Warn, &*c.name, what)
+            .value(drift * 1e6, "ppm")
+            .sigma(c.clock_drift_sigma * 1e6)
+            .limit(Limit::AtMost(WORRYING_DRIFT * 1e6));
+        Some(finding.remedy("synchronise the clocks; `lsfb clock` compares them"))
+    }
+
+    /// What would help most, in words.
+    fn advice(&self) -> &'static str {
+        match self.excitation().verdict {
+            Verdict::Warn => "see which axis it hardly turns about",
+            _ => "turn faster about all axes, or record longer",
+        }
+    }
+
+    /// Whether an axis is turned about far less than the others.
+    fn excitation(&self) -> Finding {
+        let weakest = self.rate_rms.imin();
+        let (least, most) = (self.rate_rms[weakest], self.rate_rms.max());
+        let axis = ["x", "y", "z"][weakest];
+        let limit = Limit::AtLeast(most / POOR_AXIS);
+        let verdict = Verdict::Warn.unless(limit.holds(least));
+        let what = if verdict == Verdict::Pass {
+            format!("it turns by {least:.2} rad/s rms at least, about {axis}")
+        } else {
+            format!(
+                "it hardly turns about {axis} ({least:.2} rad/s rms, {most:.2} about another axis)"
+            )
+        };
+        Finding::new("motion", verdict, "motion", what)
+            .value(least, "rad/s")
+            .limit(limit)
+            .remedy(format!("rotate more around {axis}"))
+    }
+}
+
+fn clock_sigma(c: &CameraOnImu) -> Finding {
+    let sigma_ms = c.rig_from_camera_sigma_s * 1e3;
+    let limit = Limit::AtMost(WORRYING_CLOCK_S * 1e3);
+    let verdict = Verdict::Warn.unless(limit.holds(sigma_ms));
+    let what = format!("its clock is known to {sigma_ms:.2} ms");
+    Finding::new("clock-sigma", verdict, &*c.name, what)
+        .value(sigma_ms, "ms")
+        .limit(limit)
+        .remedy("move faster")
+}
+
+fn clock_offset(c: &CameraOnImu) -> Option<Finding> {
+    let offset_ms = c.rig_from_camera_s * 1e3;
+    let limit = Limit::AtMost(WORRYING_OFFSET_S * 1e3);
+    if limit.holds(offset_ms.abs()) {
+        return None;
+    }
+    let what = format!(
+        "its stamps are {:.1} ms {} beside the IMU's: that is taken into account (rig_from_camera_s), but clocks that far apart are not synchronised and may differ again next time",
+        offset_ms.abs(),
+        if offset_ms > 0.0 { "early" } else { "late" }
+    );
+    let finding = Finding::new("clock-offset", Verdict::Warn, &*c.name, what)
+        .value(offset_ms, "ms")
+        .sigma(c.rig_from_camera_sigma_s * 1e3)
+        .limit(limit);
+    Some(finding.remedy("check the clocks with `lsfb clock`"))
+}

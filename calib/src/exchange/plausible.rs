@@ -1,0 +1,58 @@
+//! Rigs whose numbers are right only in other units.
+
+use lsfb_geometry::{ImuNoiseModel, Rig};
+
+/// Farther than this from the rig's origin no sensor of a rig that is carried is, metres.
+const FARTHEST_M: f64 = 3.0;
+/// No clock of a calibrated camera is farther off, seconds.
+const LATEST_S: f64 = 1.0;
+/// Focal lengths of lenses that exist, as shares of the image's width.
+const FOCAL_SHARES: std::ops::Range<f64> = 0.1..20.0;
+/// Noise densities of IMUs that exist, from the best to the worst: rad/s/√Hz, m/s²/√Hz.
+const GYRO_DENSITIES: std::ops::Range<f64> = 1e-7..0.1;
+const ACCEL_DENSITIES: std::ops::Range<f64> = 1e-6..1.0;
+
+/// What in a rig is right in other units only, in words.
+pub fn implausible(rig: &Rig) -> Vec<String> {
+    let mut notes = Vec::new();
+    for (name, mounted) in &rig.cameras {
+        let far_m = mounted.rig_from_camera.translation.norm();
+        if far_m > FARTHEST_M {
+            notes.push(format!(
+                "{name} is {far_m:.1} m from the rig's origin: lengths are metres, not millimetres"
+            ));
+        }
+        let late_s = mounted.timing.rig_from_camera_s;
+        if late_s.abs() > LATEST_S {
+            notes.push(format!(
+                "{name}: a time offset of {late_s} s: offsets are seconds, not milliseconds"
+            ));
+        }
+        let width = f64::from(mounted.camera.width);
+        let [focal_px, _] = mounted.camera.focal_px();
+        if !FOCAL_SHARES.contains(&(focal_px / width)) {
+            notes.push(format!(
+                "{name}: a focal length of {focal_px} px in an image {width} px wide: focal lengths are pixels"
+            ));
+        }
+    }
+    notes.extend(rig.imu_noise().into_iter().flat_map(implausible_noise));
+    notes
+}
+
+fn implausible_noise(noise: &ImuNoiseModel) -> Vec<String> {
+    let mut notes = Vec::new();
+    if !GYRO_DENSITIES.contains(&noise.gyro_noise_density) {
+        notes.push(format!(
+            "a noise density of {} of the gyroscope: densities are rad/s/√Hz",
+            noise.gyro_noise_density
+        ));
+    }
+    if !ACCEL_DENSITIES.contains(&noise.accel_noise_density) {
+        notes.push(format!(
+            "a noise density of {} of the accelerometer: densities are m/s²/√Hz",
+            noise.accel_noise_density
+        ));
+    }
+    notes
+}

@@ -1,0 +1,207 @@
+//! The `.bag` files of ROS 1, version 2.0: records, each a header of `name=value` fields and data; messages lie in chunks.
+//!
+//! Read from the start to the end without the index, so that a bag that was not closed is read as far as it goes.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufReader, Read};
+use std::path::{Path, PathBuf};
+
+use super::{Visit, unreadable};
+use crate::Error;
+
+const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
+/// Kinds of records.
+const MESSAGE: u8 = 2;
+const CHUNK: u8 = 5;
+const CONNECTION: u8 = 7;
+/// Longest header and data that are believed, bytes.
+const LONGEST_HEADER: usize = 1 << 20;
+const LONGEST_DATA: usize = 1 << 30;
+
+pub(super) struct Bag {
+    path: PathBuf,
+    /// By number: topic and type.
+    connections: BTreeMap<u32, (String, String)>,
+}
+
+impl Bag {
+    /// Opens a bag and reads which topics it has.
+    pub fn open(path: &Path) -> Result<Self, Error> {
+        let mut bag = Self {
+            path: path.to_owned(),
+            connections: BTreeMap::new(),
+        };
+        let mut connections = BTreeMap::new();
+        bag.read(&mut |record| {
+            if record.kind == CONNECTION {
+                let (id, connection) = record.connection()?;
+                connections.insert(id, connection);
+            }
+            Ok(())
+        })?;
+        bag.connections = connections;
+        Ok(bag)
+    }
+
+    pub fn topics(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.connections
+            .values()
+            .map(|(topic, kind)| (topic.as_str(), kind.as_str()))
+    }
+
+    /// Gives the messages of a topic in the order of the file.
+    pub fn visit(&self, topic: &str, each: Visit<'_>) -> Result<(), Error> {
+        self.read(&mut |record| {
+            if record.kind != MESSAGE {
+                return Ok(());
+            }
+            let connection = self.connections.get(&record.u32("conn")?);
+            match connection {
+                Some((of, _)) if of == topic => each(record.data),
+                _ => Ok(()),
+            }
+        })
+    }
+
+    /// Gives every record, those of chunks too.
+    fn read(&self, each: &mut dyn FnMut(&Record<'_>) -> Result<(), String>) -> Result<(), Error> {
+        let io = |source| Error::Io {
+            path: self.path.display().to_string(),
+            source,
+        };
+        let wrong = |problem: String| unreadable(&self.path, problem);
+        let mut file = BufReader::new(File::open(&self.path).map_err(io)?);
+        let mut magic = [0; MAGIC.len()];
+        let is_bag = file.read_exact(&mut magic).is_ok() && magic == MAGIC;
+        if !is_bag {
+            return Err(wrong("no ROS bag of version 2.0".to_owned()));
+        }
+        loop {
+            let Some(header) = block(&mut file, LONGEST_HEADER).map_err(wrong)? else {
+                return Ok(());
+            };
+            // A bag that was not closed ends anywhere: what is whole before was read.
+            let Some(data) = block(&mut file, LONGEST_DATA).map_err(wrong)? else {
+                return Ok(());
+            };
+            let record = Record::new(&header, &data).map_err(wrong)?;
+            if record.kind == CHUNK {
+                let unpacked = record.unpack().map_err(wrong)?;
+                let mut rest = unpacked.as_slice();
+                while let Some(header) = block(&mut rest, LONGEST_HEADER).map_err(wrong)? {
+                    let Some(data) = block(&mut rest, LONGEST_DATA).map_err(wrong)? else {
+                        return Err(wrong("a chunk that is cut short".to_owned()));
+                    };
+                    let inner = Record::new(&header, &data).map_err(wrong)?;
+                    each(&inner).map_err(wrong)?;
+                }
+            } else {
+                each(&record).map_err(wrong)?;
+            }
+        }
+    }
+}
+
+/// A length and as many bytes; `None` where the input ends before them.
+fn block(input: &mut impl Read, longest: usize) -> Result<Option<Vec<u8>>, String> {
+    let mut length = [0; 4];
+    if input.read_exact(&mut length).is_err() {
+        return Ok(None);
+    }
+    let length = u32::from_le_bytes(length) as usize;
+    if length > longest {
+        return Err(format!("a record of {length} bytes"));
+    }
+    let mut bytes = Vec::new();
+    let read = input.take(length as u64).read_to_end(&mut bytes);
+    let read = read.map_err(|e| e.to_string())?;
+    Ok((read == length).then_some(bytes))
+}
+
+struct Record<'a> {
+    kind: u8,
+    fields: BTreeMap<&'a [u8], &'a [u8]>,
+    data: &'a [u8],
+}
+
+impl<'a> Record<'a> {
+    fn new(header: &'a [u8], data: &'a [u8]) -> Result<Self, String> {
+        let fields = fields(header)?;
+        let kind = match fields.get(b"op".as_slice()) {
+            Some([kind]) => *kind,
+            _ => return Err("a record without its kind".to_owned()),
+        };
+        Ok(Self { kind, fields, data })
+    }
+
+    fn field(&self, name: &str) -> Result<&'a [u8], String> {
+        let value = self.fields.get(name.as_bytes()).copied();
+        value.ok_or_else(|| format!("a record without {name}"))
+    }
+
+    fn u32(&self, name: &str) -> Result<u32, String> {
+        let bytes = self.field(name)?.try_into();
+        let bytes = bytes.map_err(|_| format!("{name} of another length"))?;
+        Ok(u32::from_le_bytes(bytes))
+    }
+
+    /// Number, topic and type of a connection.
+    fn connection(&self) -> Result<(u32, (String, String)), String> {
+        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+        let of_data = fields(self.data)?;
+        let kind = of_data.get(b"type".as_slice());
+        let kind = kind.ok_or("a connection without its type")?;
+        let connection = (text(self.field("topic")?), text(kind));
+        Ok((self.u32("conn")?, connection))
+    }
+
+    /// The records of a chunk.
+    fn unpack(&self) -> Result<Vec<u8>, String> {
+        let size = self.u32("size")? as usize;
+        if size > LONGEST_DATA {
+            return Err(format!("a chunk of {size} bytes"));
+        }
+        let unpack = |from: &mut dyn Read| {
+            let mut bytes = Vec::new();
+            let read = from.take(size as u64 + 1).read_to_end(&mut bytes);
+            read.map_err(|e| format!("a damaged chunk ({e})"))?;
+            Ok::<_, String>(bytes)
+        };
+        let bytes = match self.field("compression")? {
+            b"none" => self.data.to_vec(),
+            b"lz4" => {
+                let decoder = lz4::Decoder::new(self.data);
+                unpack(&mut decoder.map_err(|e| format!("a damaged chunk ({e})"))?)?
+            }
+            b"bz2" => unpack(&mut bzip2::read::BzDecoder::new(self.data))?,
+            other => {
+                return Err(format!(
+                    "chunks packed with {}: none, lz4 and bz2 are read",
+                    String::from_utf8_lossy(other)
+                ));
+            }
+        };
+        if bytes.len() != size {
+            return Err(format!(
+                "a chunk of {} bytes, {size} were announced",
+                bytes.len()
+            ));
+        }
+        Ok(bytes)
+    }
+}
+
+/// Fields of a header: each a length, then `name=value`.
+fn fields(mut header: &[u8]) -> Result<BTreeMap<&[u8], &[u8]>, String> {
+    let mut fields = BTreeMap::new();
+    while let Some((length, rest)) = header.split_first_chunk::<4>() {
+        let length = u32::from_le_bytes(*length) as usize;
+        let field = rest.get(..length).ok_or("a header that is cut short")?;
+        let equals = field.iter().position(|b| *b == b'=');
+        let equals = equals.ok_or("a field without a value")?;
+        fields.insert(&field[..equals], &field[equals + 1..]);
+        header = &rest[length..];
+    }
+    Ok(fields)
+}

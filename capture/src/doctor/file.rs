@@ -1,0 +1,165 @@
+//! Whether the file is whole, and what the recorder itself counted.
+
+use lsfb_recording::{Recording, TopicArrivals};
+use lsfb_types::{Finding, Limit, ProgressFn, Timestamp, Verdict};
+
+use super::{Depth, DoctorConfig, Findings};
+use crate::Error;
+
+const RECOVER: &str = "make a whole file of what is left with `lsfb recover`";
+
+impl Findings {
+    /// Whether index and end are there, and where in time what is missing was.
+    pub(super) fn file(&mut self, recording: &Recording, arrivals: &[TopicArrivals]) {
+        if recording.damage().is_empty() {
+            let found = "index and end are there";
+            return self.add(Finding::new("file", Verdict::Pass, "file", found));
+        }
+        let last = arrivals.iter().filter_map(|a| a.times.last()).max();
+        let until = last.map_or(String::new(), |last| {
+            format!("; the last message arrived at {}", utc(*last))
+        });
+        for damage in recording.damage() {
+            let at_end = damage.reason.contains("breaks off") || damage.reason.contains("no end");
+            let found = if at_end {
+                format!("{damage}{until}; at most one second after it is missing")
+            } else {
+                damage.to_string()
+            };
+            self.add(Finding::new("file", Verdict::Fail, "file", found).remedy(RECOVER));
+        }
+    }
+
+    /// Whether the messages that the indexes hold are those that were counted while they were written: an index that was
+    /// overwritten is silent about what it held.
+    pub(super) fn counts(&mut self, recording: &Recording, arrivals: &[TopicArrivals]) {
+        let mut missing = Vec::new();
+        let (mut written, mut indexed) = (0, 0);
+        for topic in recording.topics() {
+            let own = arrivals.iter().find(|a| a.topic == topic.topic);
+            let own = own.map_or(0, |a| a.times.len() as u64);
+            // Without a summary nobody counted.
+            if topic.messages > 0 && own != topic.messages {
+                missing.push(format!("{}: {own} of {}", topic.topic, topic.messages));
+            }
+            written += topic.messages;
+            indexed += own;
+        }
+        if written == 0 {
+            return;
+        }
+        let finding = |verdict, found| {
+            Finding::new("counts", verdict, "message counts", found)
+                .value(indexed as f64, "messages")
+                .limit(Limit::AtLeast(written as f64))
+        };
+        self.add(if missing.is_empty() {
+            let found = format!("the index holds all {written} messages that were written");
+            finding(Verdict::Pass, found)
+        } else {
+            let found = format!(
+                "the index holds {indexed} of {written} messages that were written ({}): part of the file was overwritten",
+                missing.join(", ")
+            );
+            finding(Verdict::Fail, found).remedy(RECOVER)
+        });
+    }
+
+    pub(super) fn checksums(
+        &mut self,
+        recording: &Recording,
+        config: &DoctorConfig,
+        progress: ProgressFn<'_>,
+    ) -> Result<(), Error> {
+        let finding =
+            |verdict, found: String| Finding::new("checksums", verdict, "checksums", found);
+        if config.read == Depth::Indexes {
+            let found = "not read".to_owned();
+            self.add(finding(Verdict::Unknown, found).remedy("read every byte with `--full`"));
+            return Ok(());
+        }
+        let damage = recording.verify(progress)?;
+        let new: Vec<_> = damage
+            .iter()
+            .filter(|d| !recording.damage().contains(d))
+            .collect();
+        if new.is_empty() {
+            let found = "every chunk unpacks and has its checksum".to_owned();
+            self.add(finding(Verdict::Pass, found));
+        }
+        for found in new {
+            self.add(finding(Verdict::Fail, found.to_string()).remedy(RECOVER));
+        }
+        Ok(())
+    }
+
+    pub(super) fn part(&mut self, recording: &Recording) {
+        let session = recording.metadata("lsfb.session").unwrap_or_default();
+        let (Some(part), Some(previous)) = (session.get("part"), session.get("previous")) else {
+            return;
+        };
+        let found = format!("number {part} of a recording, after {previous}");
+        self.add(Finding::new("part", Verdict::Pass, "part", found));
+    }
+
+    /// What the recorder itself counted.
+    pub(super) fn losses(&mut self, recording: &Recording) {
+        let finding = |verdict, found: String| Finding::new("losses", verdict, "losses", found);
+        let Ok(bytes) = recording.attachment("health.json") else {
+            let found =
+                "the recorder left no report: it was interrupted, or another program wrote this";
+            return self.add(finding(Verdict::Warn, found.to_owned()));
+        };
+        let health: serde_json::Value = serde_json::from_slice(&bytes).unwrap_or_default();
+        let Some(lost) = health.get("lost").and_then(serde_json::Value::as_u64) else {
+            let found = "the recorder's report does not say what was lost".to_owned();
+            return self.add(finding(Verdict::Warn, found));
+        };
+        let found = match lost {
+            0 => "nothing lost".to_owned(),
+            lost => format!("{lost} lost ({})", lost_parts(&health).join("; ")),
+        };
+        let verdict = Verdict::Fail.unless(lost == 0);
+        let finding = finding(verdict, found).value(lost as f64, "");
+        self.add(finding.limit(Limit::AtMost(0.0)));
+    }
+}
+
+/// Who lost what, in words.
+fn lost_parts(health: &serde_json::Value) -> Vec<String> {
+    let mut parts = Vec::new();
+    let streams = health.get("streams").and_then(|s| s.as_array());
+    for stream in streams.into_iter().flatten() {
+        let count = |key: &str| stream.get(key).and_then(serde_json::Value::as_u64);
+        let name = stream.get("name").and_then(|n| n.as_str()).unwrap_or("?");
+        for key in ["bad", "missing", "dropped", "interruptions"] {
+            if let Some(count) = count(key).filter(|c| *c > 0) {
+                parts.push(format!("{name}: {count} {key}"));
+            }
+        }
+        if let Some(why) = stream.get("ending").and_then(|e| e.get("lost")) {
+            parts.push(format!("{name}: {}", why.as_str().unwrap_or("lost")));
+        }
+    }
+    let groups = health
+        .get("groups")
+        .and_then(|g| g.get("incomplete"))
+        .and_then(serde_json::Value::as_u64);
+    if let Some(groups) = groups.filter(|g| *g > 0) {
+        parts.push(format!("{groups} triggers without all images"));
+    }
+    parts
+}
+
+/// Time of day and seconds since 1970, as both are looked for.
+pub(super) fn utc(time: Timestamp) -> String {
+    let secs = time.nanos().div_euclid(1_000_000_000);
+    let millis = time.nanos().rem_euclid(1_000_000_000) / 1_000_000;
+    let of_day = secs.rem_euclid(86_400);
+    format!(
+        "{:02}:{:02}:{:02}.{millis:03} UTC ({secs}.{millis:03} s)",
+        of_day / 3600,
+        of_day / 60 % 60,
+        of_day % 60
+    )
+}

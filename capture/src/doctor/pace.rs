@@ -1,0 +1,34 @@
+//! Whether the recording was made in real time.
+
+use lsfb_types::{Finding, Limit, Verdict};
+
+use super::Findings;
+use super::stream::{Stream, unreal_pace};
+
+/// Seconds of one device's stamps per second of arrivals beyond which its clock was set, where the others keep real time.
+const FASTEST: f64 = 1.5;
+
+impl Findings {
+    pub(super) fn pace(&mut self, streams: &[Stream<'_>]) {
+        if let Some(pace) = unreal_pace(streams) {
+            let found = format!(
+                "not recorded in real time, {:.1} s of stamps arrived within {:.1} s: a replay or a simulation, whose rates and silences are judged by the devices' stamps",
+                pace.stamped_secs, pace.arrived_secs
+            );
+            let finding = Finding::new("pace", Verdict::Pass, "pace", found);
+            return self.add(finding.value(pace.factor(), ""));
+        }
+        for stream in streams {
+            let Some(factor) = stream.pace().map(|p| p.factor()).filter(|f| *f > FASTEST) else {
+                continue;
+            };
+            let found = format!(
+                "its stamps advance by {factor:.1} s for each second in which they arrive, those of other sensors do not: its clock was set"
+            );
+            let finding = Finding::new("pace", Verdict::Warn, stream.topic, found)
+                .value(factor, "")
+                .limit(Limit::AtMost(FASTEST));
+            self.add(finding.remedy("see when and by how much with `lsfb clock`"));
+        }
+    }
+}

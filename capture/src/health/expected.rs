@@ -1,0 +1,385 @@
+//! What a device is expected to send all the time, part by part: the data of a LiDAR beside its position packets, the images of
+//! a camera unit beside its inertial samples. A device whose one part goes on is not alive as a whole.
+
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+use super::{Level, PartHealth};
+
+/// A silence is a problem after this, and after [`SILENT_PERIODS`] of what is expected.
+const SILENT: Duration = Duration::from_millis(500);
+const SILENT_PERIODS: f64 = 5.0;
+/// As long as nobody knows how often a part comes.
+const SILENT_UNKNOWN: Duration = Duration::from_millis(900);
+/// A silence longer than this, and than what is a problem, has lost data.
+const LOST: Duration = Duration::from_secs(1);
+/// Devices that end by themselves do not end at the same moment.
+const LOST_AT_END: Duration = Duration::from_secs(3);
+/// Rates are taken over this time …
+const RATE_WINDOW: Duration = Duration::from_secs(1);
+/// … in steps of this.
+const RATE_STEP: Duration = Duration::from_millis(50);
+/// A rate below this share of the nominal one is a problem …
+const SLOW_SHARE: f64 = 0.4;
+/// … of parts that come at least this often …
+const SLOW_FROM_HZ: f64 = 5.0;
+/// … and has lost data after this long.
+const SLOW_LOST: Duration = Duration::from_secs(3);
+/// A part whose nominal rate nobody knows tells it in this time after it was first heard.
+const LEARNING: Duration = Duration::from_secs(3);
+
+/// Something that a device is expected to send all the time.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Expected {
+    /// Its name: `data`, `images`, the name of an IMU.
+    pub(crate) name: String,
+    /// How often, hertz, where the list of devices says it.
+    pub(crate) nominal_hz: Option<f64>,
+    pub(crate) need: Need,
+}
+
+/// Whether a part must come at all.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Need {
+    /// Without it there is nothing to record.
+    Required,
+    /// Not every model sends it; once it was heard, it is missed.
+    OnceHeard,
+}
+
+impl Expected {
+    pub(crate) fn required(name: &str, nominal_hz: Option<f64>) -> Self {
+        Self {
+            name: name.to_owned(),
+            nominal_hz,
+            need: Need::Required,
+        }
+    }
+
+    pub(crate) fn once_heard(name: &str) -> Self {
+        Self {
+            name: name.to_owned(),
+            nominal_hz: None,
+            need: Need::OnceHeard,
+        }
+    }
+}
+
+/// One part of a device, as it comes.
+#[derive(Debug)]
+pub(super) struct Part {
+    expected: Expected,
+    /// Since when it is waited for.
+    began: Instant,
+    first_heard: Option<Instant>,
+    last_heard: Option<Instant>,
+    count: u64,
+    /// Counts of the last second: end of each step, and how many until then.
+    steps: VecDeque<(Instant, u64)>,
+    learned_hz: Option<f64>,
+    slow_since: Option<Instant>,
+    /// Whether this slow stretch is counted already.
+    slow_counted: bool,
+    silences: u64,
+    slowdowns: u64,
+}
+
+/// How a part is doing.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Pace {
+    Fine,
+    /// It has not come yet, and need not.
+    Awaited,
+    Silent(Duration),
+    Slow {
+        rate_hz: f64,
+        nominal_hz: f64,
+    },
+}
+
+impl Part {
+    pub(super) fn new(expected: Expected, now: Instant) -> Self {
+        Self {
+            expected,
+            began: now,
+            first_heard: None,
+            last_heard: None,
+            count: 0,
+            steps: VecDeque::new(),
+            learned_hz: None,
+            slow_since: None,
+            slow_counted: false,
+            silences: 0,
+            slowdowns: 0,
+        }
+    }
+
+    pub(super) fn name(&self) -> &str {
+        &self.expected.name
+    }
+
+    /// So many have come.
+    pub(super) fn hear(&mut self, count: u64, now: Instant) {
+        if let Some(silence) = self.silence(now)
+            && silence > self.lost_after()
+        {
+            self.silences += 1;
+        }
+        let first = *self.first_heard.get_or_insert(now);
+        self.last_heard = Some(now);
+        self.count += count;
+        match self.steps.back_mut() {
+            Some((at, until)) if now.duration_since(*at) < RATE_STEP => *until = self.count,
+            _ => self.steps.push_back((now, self.count)),
+        }
+        while self
+            .steps
+            .get(1)
+            .is_some_and(|(at, _)| now.duration_since(*at) >= RATE_WINDOW)
+        {
+            self.steps.pop_front();
+        }
+        let heard_for = now.duration_since(first);
+        if self.learned_hz.is_none() && heard_for >= LEARNING {
+            self.learned_hz = Some(self.count as f64 / heard_for.as_secs_f64());
+        }
+    }
+
+    /// The device was gone and is back, which is counted as such; what lies between is no silence.
+    pub(super) fn restart(&mut self, now: Instant) {
+        self.last_heard = self.last_heard.map(|_| now);
+        self.steps.clear();
+        self.slow_since = None;
+    }
+
+    /// The device has ended, by itself or not, and what was still expected of this part is missing.
+    pub(super) fn finish(&mut self, ended_by_itself: bool, now: Instant) {
+        let most = match ended_by_itself {
+            true => LOST_AT_END,
+            false => self.lost_after(),
+        };
+        match self.silence(now) {
+            Some(silence) if silence > most => self.silences += 1,
+            // Never, though the device was there.
+            None if self.expected.need == Need::Required => self.silences += 1,
+            _ => {}
+        }
+    }
+
+    pub(super) fn silences(&self) -> u64 {
+        self.silences
+    }
+
+    pub(super) fn slowdowns(&self) -> u64 {
+        self.slowdowns
+    }
+
+    /// Notes how it is doing; asked several times a second.
+    pub(super) fn watch(&mut self, now: Instant) {
+        if !matches!(self.pace(now), Pace::Slow { .. }) {
+            self.slow_since = None;
+            self.slow_counted = false;
+            return;
+        }
+        let since = *self.slow_since.get_or_insert(now);
+        if !self.slow_counted && now.duration_since(since) > SLOW_LOST {
+            self.slow_counted = true;
+            self.slowdowns += 1;
+        }
+    }
+
+    /// What is wrong with it; `None` where nothing is.
+    pub(super) fn problem(&self, now: Instant) -> Option<String> {
+        let name = self.name();
+        match self.pace(now) {
+            Pace::Fine | Pace::Awaited => None,
+            Pace::Silent(silence) => Some(format!(
+                "no {name} for {:.1} s: check its cable, power and address",
+                silence.as_secs_f64()
+            )),
+            Pace::Slow {
+                rate_hz,
+                nominal_hz,
+            } => Some(format!(
+                "{name} at {rate_hz:.1} Hz instead of {nominal_hz:.0} Hz"
+            )),
+        }
+    }
+
+    pub(super) fn health(&self, now: Instant) -> PartHealth {
+        let problem = self.problem(now).unwrap_or_default();
+        PartHealth {
+            name: self.name().to_owned(),
+            level: if problem.is_empty() {
+                Level::Ok
+            } else {
+                Level::Error
+            },
+            problem,
+            rate_hz: self.rate_hz(now),
+            nominal_hz: self.nominal_hz(),
+            silent_secs: self.waited(now).as_secs_f64(),
+        }
+    }
+
+    fn pace(&self, now: Instant) -> Pace {
+        let waited = self.waited(now);
+        if self.last_heard.is_none() && self.expected.need == Need::OnceHeard {
+            return Pace::Awaited;
+        }
+        if waited > self.silent_after() {
+            return Pace::Silent(waited);
+        }
+        let rate_hz = self.rate_hz(now);
+        match self.nominal_hz() {
+            Some(nominal_hz)
+                if nominal_hz >= SLOW_FROM_HZ
+                    && rate_hz < SLOW_SHARE * nominal_hz
+                    && self.is_watched_long_enough(now) =>
+            {
+                Pace::Slow {
+                    rate_hz,
+                    nominal_hz,
+                }
+            }
+            _ => Pace::Fine,
+        }
+    }
+
+    /// Whether the window of rates is full.
+    fn is_watched_long_enough(&self, now: Instant) -> bool {
+        let since = self.steps.front().map(|(at, _)| *at);
+        since.is_some_and(|since| now.duration_since(since) >= RATE_WINDOW - RATE_STEP)
+    }
+
+    fn nominal_hz(&self) -> Option<f64> {
+        self.expected.nominal_hz.or(self.learned_hz)
+    }
+
+    /// Since it was heard, or since it is waited for.
+    fn waited(&self, now: Instant) -> Duration {
+        now.saturating_duration_since(self.last_heard.unwrap_or(self.began))
+    }
+
+    fn silence(&self, now: Instant) -> Option<Duration> {
+        self.last_heard
+            .map(|last| now.saturating_duration_since(last))
+    }
+
+    fn silent_after(&self) -> Duration {
+        match self.nominal_hz() {
+            Some(hz) => {
+                // A rate so low that its periods are no time at all is none.
+                let periods = Duration::try_from_secs_f64(SILENT_PERIODS / hz);
+                SILENT.max(periods.unwrap_or(SILENT_UNKNOWN))
+            }
+            None => SILENT_UNKNOWN,
+        }
+    }
+
+    fn lost_after(&self) -> Duration {
+        LOST.max(self.silent_after())
+    }
+
+    /// Over the last second.
+    fn rate_hz(&self, now: Instant) -> f64 {
+        // Steps go when others come: of a part that fell silent they are older than the window.
+        let is_recent = |at: Instant| now.saturating_duration_since(at) <= RATE_WINDOW + RATE_STEP;
+        let Some((first_at, first)) = self.steps.iter().find(|(at, _)| is_recent(*at)) else {
+            return 0.0;
+        };
+        // What came with the first step came before it.
+        let secs = now.saturating_duration_since(*first_at).as_secs_f64();
+        (self.count - first) as f64 / secs.max(RATE_STEP.as_secs_f64())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: Duration = Duration::from_millis(1);
+
+    /// Hears a part every `period_ms` from `from_ms` to `to_ms`, watching all the while.
+    fn hear(part: &mut Part, began: Instant, period_ms: u32, from_ms: u32, to_ms: u32) {
+        for ms in from_ms..to_ms {
+            let now = began + MS * ms;
+            if (ms - from_ms).is_multiple_of(period_ms) {
+                part.hear(1, now);
+            }
+            if ms.is_multiple_of(20) {
+                part.watch(now);
+            }
+        }
+    }
+
+    #[test]
+    fn a_part_that_stops_is_a_problem_within_a_second_and_lost_after_it() {
+        let began = Instant::now();
+        for nominal_hz in [Some(1_500.0), None] {
+            let mut part = Part::new(Expected::required("data", nominal_hz), began);
+            hear(&mut part, began, 1, 0, 4_000);
+            assert_eq!(part.problem(began + MS * 4_000), None);
+            let alarm = part.problem(began + MS * 4_700).expect("an alarm");
+            assert!(alarm.contains("no data for 0.7 s"), "{alarm}");
+            part.finish(false, began + MS * 5_500);
+            assert_eq!((part.silences(), part.slowdowns()), (1, 0));
+        }
+    }
+
+    #[test]
+    fn a_rate_far_below_the_nominal_one_is_a_problem_within_a_second() {
+        let began = Instant::now();
+        for nominal_hz in [Some(100.0), None] {
+            let mut part = Part::new(Expected::required("samples", nominal_hz), began);
+            hear(&mut part, began, 10, 0, 4_000);
+            assert_eq!(part.problem(began + MS * 4_000), None);
+            hear(&mut part, began, 100, 4_000, 4_900);
+            let alarm = part.problem(began + MS * 4_900).expect("an alarm");
+            assert!(
+                alarm.contains("samples at") && alarm.contains("100 Hz"),
+                "{alarm}"
+            );
+            assert_eq!(part.slowdowns(), 0);
+            hear(&mut part, began, 100, 4_900, 9_000);
+            // One slow stretch, however long.
+            assert_eq!((part.silences(), part.slowdowns()), (0, 1));
+            // Half of the nominal rate is a matter of taste.
+            hear(&mut part, began, 20, 9_000, 12_000);
+            assert_eq!(part.problem(began + MS * 12_000), None);
+            assert_eq!(part.slowdowns(), 1);
+        }
+    }
+
+    #[test]
+    fn what_never_comes_is_missed_where_it_is_needed() {
+        let began = Instant::now();
+        let mut data = Part::new(Expected::required("data", Some(100.0)), began);
+        let mut position = Part::new(Expected::once_heard("position"), began);
+        let later = began + MS * 900;
+        assert!(data.problem(later).is_some());
+        assert_eq!(position.problem(later), None);
+        for part in [&mut data, &mut position] {
+            part.finish(false, later);
+        }
+        assert_eq!((data.silences(), position.silences()), (1, 0));
+        let mut position = Part::new(Expected::once_heard("position"), began);
+        hear(&mut position, began, 10, 0, 3_500);
+        assert!(position.problem(began + MS * 4_200).is_some());
+    }
+
+    #[test]
+    fn slow_parts_and_devices_that_come_back_are_no_silence() {
+        let began = Instant::now();
+        // One image every two seconds.
+        let mut part = Part::new(Expected::required("images", Some(0.5)), began);
+        hear(&mut part, began, 2_000, 0, 9_000);
+        assert_eq!(part.problem(began + MS * 9_900), None);
+        let mut part = Part::new(Expected::required("images", Some(20.0)), began);
+        hear(&mut part, began, 50, 0, 2_000);
+        part.restart(began + MS * 9_000);
+        hear(&mut part, began, 50, 9_010, 12_000);
+        part.finish(true, began + MS * 12_100);
+        assert_eq!((part.silences(), part.slowdowns()), (0, 0));
+    }
+}

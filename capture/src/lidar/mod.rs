@@ -1,0 +1,429 @@
+//! LiDARs: data and position packets → scans on the recording's clock. Live and replayed packets go through one
+//! [`LidarStream`].
+
+mod senders;
+
+use std::net::IpAddr;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use lsfb_drivers::any_lidar::{DecodeError, Decoder, Reorder, Settings, device_ns};
+use lsfb_drivers::lidar::Position;
+use lsfb_drivers::transport::PacketSource;
+use lsfb_drivers::transport::udp::UdpSource;
+use lsfb_drivers::{Decoded, WireError};
+use lsfb_recording::lidar_position;
+use lsfb_types::{LidarScan, Packet, Stamped, Timestamp};
+
+use crate::clock::model_topic::{ModelTopic, Reading};
+use crate::clock::{LidarClock, PositionFix};
+use crate::control::Control;
+use crate::health::{Ending, Expected, Meter, StreamReport};
+use crate::recorder::{Entry, Inlet, WriterGone};
+use senders::Senders;
+
+/// Data packets that wait for the first position packet: one second of single returns. A sensor sends about 107 position
+/// packets a second, so that one without any in this time has none to send.
+const HELD_PACKETS: usize = 1_600;
+/// What it sends all the time.
+const DATA: &str = "data";
+const POSITION: &str = "position";
+/// Its counter runs in microseconds and wraps with the hour.
+const TICK_NS: u64 = 1_000;
+const TICKS_PER_HOUR: u64 = 3_600_000_000;
+/// After the other devices have ended, a LiDAR silent for this long has ended too.
+const SILENT: Duration = Duration::from_millis(500);
+
+/// What a LiDAR sends all the time; how often depends on its model, its returns and its sector, and is learned.
+pub(crate) fn expected() -> Vec<Expected> {
+    vec![
+        Expected::required(DATA, None),
+        Expected::once_heard(POSITION),
+    ]
+}
+
+/// Decodes and stamps, whatever the packets come from.
+pub(crate) struct LidarStream {
+    name: String,
+    senders: Senders,
+    decoder: Decoder,
+    reorder: Reorder,
+    clock: LidarClock,
+    held: Vec<Packet>,
+    revolution: Vec<Packet>,
+    positions: u64,
+    model: ModelTopic,
+    meter: Meter,
+    report: StreamReport,
+    last_data_time: Option<Timestamp>,
+    /// When the first and the last scan began.
+    scans: Option<(Timestamp, Timestamp)>,
+}
+
+impl LidarStream {
+    pub(crate) fn new(
+        name: &str,
+        settings: Settings,
+        sensor: Option<IpAddr>,
+        meter: &Meter,
+    ) -> Self {
+        Self {
+            name: name.to_owned(),
+            senders: Senders::new(sensor),
+            decoder: Decoder::new(settings),
+            reorder: Reorder::default(),
+            clock: LidarClock::default(),
+            held: Vec::new(),
+            revolution: Vec::new(),
+            positions: 0,
+            model: ModelTopic::new(name, TICK_NS, TICKS_PER_HOUR),
+            meter: meter.clone(),
+            report: meter.report(),
+            last_data_time: None,
+            scans: None,
+        }
+    }
+
+    /// Takes a datagram: a data packet, a position packet, or what nobody knows. What comes from another sender than the sensor
+    /// is counted and kept out.
+    pub(crate) fn push(
+        &mut self,
+        packet: Packet,
+        sender: Option<IpAddr>,
+        inlet: &Inlet,
+    ) -> Result<(), WriterGone> {
+        let is_data = self.decoder.is_data(&packet.bytes);
+        let position = self.decoder.position(&packet.bytes, packet.arrival);
+        if !self.senders.admits(sender, is_data || position.is_some()) {
+            return Ok(());
+        }
+        self.report.received += 1;
+        let counters = *self.decoder.counters();
+        self.report.missing = counters.lost;
+        self.report.duplicated = counters.duplicates;
+        self.meter.heard(&self.report);
+        if is_data {
+            self.meter.heard_part(DATA, 1);
+            for packet in self.reorder.push(packet) {
+                self.ordered(packet, inlet)?;
+            }
+            return Ok(());
+        }
+        match position {
+            Some(position) => self.position(position, packet, inlet),
+            None => self.strange(packet, inlet),
+        }
+    }
+
+    /// A datagram that no LiDAR sends, kept as it came.
+    fn strange(&mut self, packet: Packet, inlet: &Inlet) -> Result<(), WriterGone> {
+        // The decoder says whose it seems to be.
+        if let Err(error) = self.decoder.push(&packet) {
+            self.refused(&error);
+        }
+        let time = packet.arrival;
+        let raw = Entry::Raw {
+            source: self.name.clone(),
+            kind: 0,
+            sequence: self.report.bad,
+            packet,
+            time,
+        };
+        inlet.put(raw, &mut self.report)
+    }
+
+    fn refused(&mut self, error: &DecodeError) {
+        match error {
+            DecodeError::Wire(error) => self.report.count_bad(*error),
+            error => {
+                self.report.bad += 1;
+                self.report
+                    .first_bad
+                    .get_or_insert_with(|| format!("packet {}: {error}", self.report.received));
+            }
+        }
+    }
+
+    /// Data packets in the order in which they were sent.
+    fn ordered(&mut self, packet: Packet, inlet: &Inlet) -> Result<(), WriterGone> {
+        if self.clock.is_decided() || self.held.len() >= HELD_PACKETS {
+            self.release(inlet)?;
+            self.data(packet, inlet)
+        } else {
+            self.held.push(packet);
+            Ok(())
+        }
+    }
+
+    /// Data packets waiting for a clock go through with the clock as it is.
+    fn release(&mut self, inlet: &Inlet) -> Result<(), WriterGone> {
+        for packet in std::mem::take(&mut self.held) {
+            self.data(packet, inlet)?;
+        }
+        Ok(())
+    }
+
+    fn position(
+        &mut self,
+        position: Result<Position, WireError>,
+        packet: Packet,
+        inlet: &Inlet,
+    ) -> Result<(), WriterGone> {
+        self.meter.heard_part(POSITION, 1);
+        let mut time = packet.arrival;
+        match position {
+            Ok(position) => {
+                self.clock.fix(&PositionFix {
+                    toh_ns: position.toh_ns,
+                    pps_locked: position.pps_locked,
+                    sentence: position.sentence,
+                });
+                if let Some(celsius) = position.temperature_celsius {
+                    self.meter.set_temperature(celsius);
+                }
+                if self.clock.is_locked() {
+                    time = self.clock.time(position.toh_ns, packet.arrival);
+                }
+            }
+            Err(error) => self.report.count_bad(error),
+        }
+        let raw = Entry::Raw {
+            source: lidar_position(&self.name),
+            kind: 0,
+            sequence: self.positions,
+            packet,
+            time,
+        };
+        self.positions += 1;
+        inlet.put(raw, &mut self.report)
+    }
+
+    fn data(&mut self, packet: Packet, inlet: &Inlet) -> Result<(), WriterGone> {
+        match self.decoder.push(&packet) {
+            Ok(scan) => {
+                if let Some(scan) = scan {
+                    self.scan(scan, inlet)?;
+                }
+            }
+            Err(error) => self.refused(&error),
+        }
+        if let Some(toh_ns) = device_ns(&packet.bytes) {
+            self.clock.observe(toh_ns, packet.arrival);
+        }
+        self.last_data_time = Some(packet.arrival);
+        self.revolution.push(packet);
+        Ok(())
+    }
+
+    fn scan(&mut self, scan: Decoded<LidarScan>, inlet: &Inlet) -> Result<(), WriterGone> {
+        self.report.decoded += 1;
+        self.report.missing = self.decoder.counters().lost;
+        let time = self
+            .clock
+            .time(scan.device_ticks.cast_signed(), scan.arrival);
+        self.scans = Some((self.scans.map_or(time, |(first, _)| first), time));
+        let device_ns = scan.device_ticks.cast_signed();
+        let jumps = self.decoder.counters().clock_jumps;
+        let epoch = u32::try_from(jumps).unwrap_or(u32::MAX).saturating_add(1);
+        let reading = match (self.clock.estimate(), self.clock.holdover_since()) {
+            (Some(estimate), _) => Some(Reading::Fitted(estimate)),
+            (None, Some(since)) => Some(Reading::Holdover {
+                device_ns,
+                time,
+                since,
+                epoch,
+            }),
+            (None, None) if self.clock.is_locked() => Some(Reading::Locked {
+                device_ns,
+                time,
+                epoch,
+            }),
+            (None, None) => None,
+        };
+        if let Some(reading) = reading
+            && self.model.is_due(scan.arrival)
+        {
+            self.meter.set_sync(reading.sync_state(), reading.steps());
+            let entry = self.model.entry(&reading, time, scan.arrival);
+            inlet.put(entry, &mut self.report)?;
+        }
+        let scan = Stamped {
+            time,
+            arrival: scan.arrival,
+            device_ticks: scan.device_ticks,
+            sample: scan.sample,
+        };
+        inlet.put(
+            Entry::Scan {
+                lidar: self.name.clone(),
+                scan,
+                packets: std::mem::take(&mut self.revolution),
+            },
+            &mut self.report,
+        )
+    }
+
+    /// Ends the stream.
+    pub(crate) fn finish(mut self, ending: Ending, inlet: &Inlet) -> StreamReport {
+        self.report.ending = ending;
+        // A failed writer reports itself.
+        let _ = self.finish_scans(inlet);
+        let counters = *self.decoder.counters();
+        self.report.missing = counters.lost;
+        self.report.duplicated = counters.duplicates;
+        for (count, what) in [
+            (
+                counters.reordered,
+                "packets came after a later one and are left out of the scans",
+            ),
+            (
+                self.reorder.moved(),
+                "packets overtook others on the network and were put back in order",
+            ),
+            (self.clock.lock_losses(), "times the PPS lock was lost"),
+            (counters.clock_jumps, "jumps of the sensor's clock"),
+            (counters.mode_changes, "changes of model or return mode"),
+            (counters.overlong, "scans without a full turn of the rotor"),
+        ] {
+            if count > 0 {
+                self.report.notes.push(format!("{count} {what}"));
+            }
+        }
+        if let Some(what) = self.what_it_is() {
+            self.report.notes.insert(0, what);
+        }
+        self.report.notes.extend(self.senders.remarks());
+        if self.report.decoded > 0 && !self.clock.is_locked() {
+            self.report.notes.push(
+                "the sensor's clock is not locked to PPS: its time is fitted to arrival".to_owned(),
+            );
+        }
+        self.report
+    }
+
+    /// Model, address, returns and speed of the sensor, as they were found.
+    fn what_it_is(&self) -> Option<String> {
+        let found = self.decoder.found()?;
+        let mut what = found.model.to_string();
+        if let Some(ip) = self.senders.sensor() {
+            what += &format!(" at {ip}");
+        }
+        what += &format!(", returns: {}", found.returns);
+        if let Some(rpm) = found.rpm {
+            what += &format!(", {rpm} rpm");
+        }
+        if let Some((first, last)) = self.scans
+            && last > first
+        {
+            let scans = self.report.decoded.saturating_sub(1) as f64;
+            what += &format!(", {:.1} scans a second", scans / last.secs_since(first));
+        }
+        Some(what)
+    }
+
+    fn finish_scans(&mut self, inlet: &Inlet) -> Result<(), WriterGone> {
+        for packet in self.reorder.finish() {
+            self.ordered(packet, inlet)?;
+        }
+        self.release(inlet)?;
+        while let Some(scan) = self.decoder.finish() {
+            self.scan(scan, inlet)?;
+        }
+        let packets = std::mem::take(&mut self.revolution);
+        match (packets.is_empty(), self.last_data_time) {
+            (false, Some(time)) => {
+                let lidar = self.name.clone();
+                let rest = Entry::Packets {
+                    lidar,
+                    time,
+                    packets,
+                };
+                inlet.put(rest, &mut self.report)
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Tells the session whether this LiDAR was heard lately.
+struct Alive<'a> {
+    control: &'a Control,
+    is_alive: bool,
+}
+
+impl<'a> Alive<'a> {
+    fn new(control: &'a Control) -> Self {
+        Self {
+            control,
+            is_alive: false,
+        }
+    }
+
+    fn set(&mut self, is_alive: bool) {
+        if is_alive != self.is_alive {
+            self.is_alive = is_alive;
+            self.control.count_live_lidar(is_alive);
+        }
+    }
+}
+
+/// A LiDAR that is listened for.
+pub(crate) struct Listening {
+    pub(crate) name: String,
+    pub(crate) source: UdpSource,
+    pub(crate) settings: Settings,
+    /// Its address, where that is known beforehand.
+    pub(crate) sensor: Option<IpAddr>,
+}
+
+/// Records until the session stops, or until the others have ended and nothing comes any more.
+pub(crate) fn record(
+    lidar: Listening,
+    inlet: &Inlet,
+    control: &Control,
+    meter: &Meter,
+) -> StreamReport {
+    let mut source = lidar.source;
+    let mut stream = LidarStream::new(&lidar.name, lidar.settings, lidar.sensor, meter);
+    let mut last_heard = Instant::now();
+    let mut alive = Alive::new(control);
+    let ending = loop {
+        match source.recv(Duration::from_millis(50)) {
+            Ok(Some(packet)) => {
+                let sender = source.sender();
+                let heard = stream.report.received;
+                if stream.push(packet, sender, inlet).is_err() {
+                    break Ending::Stopped;
+                }
+                // A stranger's packets say nothing about the sensor.
+                if stream.report.received > heard {
+                    last_heard = Instant::now();
+                    alive.set(true);
+                }
+                control
+                    .progress
+                    .lidar_packets
+                    .fetch_add(1, Ordering::Relaxed);
+            }
+            Ok(None) if control.others_ended() && last_heard.elapsed() > SILENT => {
+                break Ending::EndOfStream;
+            }
+            Ok(None) => alive.set(last_heard.elapsed() <= SILENT),
+            Err(lsfb_drivers::Error::EndOfStream { .. }) => break Ending::EndOfStream,
+            Err(error) => break Ending::Lost(error.to_string()),
+        }
+        if control.is_stopping() {
+            break Ending::Stopped;
+        }
+    };
+    alive.set(false);
+    let mut report = stream.finish(ending, inlet);
+    if source.kernel_drops() > 0 {
+        report.notes.push(format!(
+            "the kernel dropped {} packets: raise net.core.rmem_max (receive buffer: {} bytes)",
+            source.kernel_drops(),
+            source.receive_buffer_bytes()
+        ));
+    }
+    report
+}

@@ -1,0 +1,89 @@
+//! Output that is taken away while it is written: what was written to a removed file is gone when it is closed.
+
+use std::fs::Metadata;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+
+/// What became of a file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Displacement {
+    path: PathBuf,
+    how: How,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum How {
+    /// It has no name left: all that is in it is gone when it is closed.
+    Removed,
+    /// It has another name, or its disk is mounted elsewhere or nowhere.
+    Moved,
+}
+
+impl Displacement {
+    /// Of an open file that was made at `path`; `None` where the path still leads to it.
+    pub(crate) fn of(path: &Path, open: Metadata) -> Option<Self> {
+        let there = std::fs::metadata(path);
+        if there.is_ok_and(|there| (there.dev(), there.ino()) == (open.dev(), open.ino())) {
+            return None;
+        }
+        let how = match open.nlink() {
+            0 => How::Removed,
+            _ => How::Moved,
+        };
+        Some(Self {
+            path: path.to_owned(),
+            how,
+        })
+    }
+
+    /// What counts as lost of the messages in it.
+    pub(crate) fn lost(&self, messages: u64) -> u64 {
+        match self.how {
+            How::Removed => messages.max(1),
+            // Nothing, but it is not where whoever looks for it will look.
+            How::Moved => 1,
+        }
+    }
+
+    /// For the operator; `next`: the file with which the recording goes on.
+    pub(crate) fn sentence(&self, messages: u64, next: Option<&Path>) -> String {
+        let path = self.path.display();
+        let what = match self.how {
+            How::Removed => {
+                format!("{path} was removed while it was written: its {messages} messages are lost")
+            }
+            How::Moved => format!(
+                "{path} was renamed, or its disk was unmounted, while it was written: its {messages} messages are in it wherever it is now"
+            ),
+        };
+        match next {
+            Some(next) => format!("{what}; the recording goes on in {}", next.display()),
+            None => what,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_is_removed_renamed_or_replaced_is_noticed() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scan.mcap");
+        let other = folder.path().join("other.mcap");
+        let open = std::fs::File::create(&path).unwrap();
+        let found = || Displacement::of(&path, open.metadata().unwrap());
+        assert_eq!(found(), None);
+        std::fs::rename(&path, &other).unwrap();
+        assert_eq!(found().unwrap().lost(7), 1);
+        // A file of the same name is not the same file.
+        std::fs::write(&path, "").unwrap();
+        assert_eq!(found().unwrap().lost(7), 1);
+        std::fs::remove_file(&other).unwrap();
+        let gone = found().unwrap();
+        assert_eq!((gone.lost(7), gone.lost(0)), (7, 1));
+        let sentence = gone.sentence(7, Some(&other));
+        assert!(sentence.contains("its 7 messages are lost") && sentence.contains("other.mcap"));
+    }
+}

@@ -1,0 +1,48 @@
+//! The one rule about what is there already: no command replaces a result of its name unless `--force` is given.
+//!
+//! A map is a result when it has its header: a folder without it is empty, or half a map. Lists of devices and sockets that
+//! `lsfb sim` and `lsfb mock` make for a recorder are no results, and are made again.
+
+use std::path::Path;
+
+use lsfb_pipeline::hd_map::HdMap;
+
+/// Fails where a result is there and may not be replaced.
+pub fn expect_free(result: &Path, force: bool) -> anyhow::Result<()> {
+    anyhow::ensure!(
+        force || !is_result(result),
+        "{}: is there already: choose another name, or replace it with --force",
+        result.display()
+    );
+    Ok(())
+}
+
+fn is_result(path: &Path) -> bool {
+    match path.is_dir() {
+        true => path.join(HdMap::HEADER).exists(),
+        // Devices and pipes are written to, not replaced.
+        false => path.is_file() || path.is_symlink() && !path.exists(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_and_whole_maps_stay_unless_forced() {
+        let folder = tempfile::tempdir().expect("folder");
+        let (file, map) = (folder.path().join("a.tum"), folder.path().join("map"));
+        std::fs::create_dir(&map).expect("folder");
+        for path in [&file, &map, Path::new("/dev/null")] {
+            expect_free(path, false).expect("free");
+        }
+        std::fs::write(&file, "yesterday").expect("file");
+        std::fs::write(map.join(HdMap::HEADER), "yesterday").expect("file");
+        for path in [&file, &map] {
+            let refusal = expect_free(path, false).expect_err("taken").to_string();
+            assert!(refusal.contains("--force"), "{refusal}");
+            expect_free(path, true).expect("forced");
+        }
+    }
+}

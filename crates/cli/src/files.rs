@@ -1,0 +1,57 @@
+//! Files that commands read and write: errors name them and say what to do.
+
+use std::path::Path;
+
+use anyhow::Context as _;
+
+/// Writes a file; an error names it.
+pub fn write(path: &Path, contents: impl AsRef<[u8]>) -> anyhow::Result<()> {
+    std::fs::write(path, contents).with_context(|| path.display().to_string())
+}
+
+/// Fails early, and with what to do, where nothing is at `path`.
+pub fn expect_file(path: &Path, remedy: &str) -> anyhow::Result<()> {
+    anyhow::ensure!(
+        path.exists(),
+        "{}: there is no such file or folder: check the path, or {remedy}",
+        path.display()
+    );
+    Ok(())
+}
+
+/// Fails before the work is done where its result could not be written: makes the folder around it and a trial file in it.
+pub fn expect_writable(result: &Path) -> anyhow::Result<()> {
+    let folder = match result.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    };
+    let trial = folder.join(format!(".lsfb-{}", std::process::id()));
+    std::fs::create_dir_all(folder)
+        .and_then(|()| std::fs::write(&trial, b""))
+        .and_then(|()| std::fs::remove_file(&trial))
+        .with_context(|| {
+            let result = result.display();
+            format!("{result}: cannot be written here: name another place, or change the folder's rights")
+        })
+}
+
+/// The name of a file without its folder, for pages beside it.
+pub fn name_of(path: &Path) -> String {
+    path.file_name()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .into_owned()
+}
+
+/// Names the file in an error that does not.
+pub fn about<T, E: Into<anyhow::Error>>(path: &Path, result: Result<T, E>) -> anyhow::Result<T> {
+    result.map_err(|error| {
+        let error: anyhow::Error = error.into();
+        let name = path.display().to_string();
+        if error.to_string().contains(&name) {
+            error
+        } else {
+            error.context(name)
+        }
+    })
+}

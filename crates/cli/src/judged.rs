@@ -1,0 +1,92 @@
+//! How a judgement stands on the terminal and in JSON: it decides nothing.
+
+use std::fmt::Write as _;
+
+use lsfb_types::{Finding, Judgement, Verdict};
+use serde::Serialize;
+
+/// Width of the column of subjects.
+const SUBJECTS: usize = 22;
+
+/// A result with the judgement beside it, as `--json` gives it: `verdict`, `findings`, `summary`, and what the command found.
+#[derive(Serialize)]
+pub struct Judged<'a, T: Serialize> {
+    /// The verdict and the findings.
+    #[serde(flatten)]
+    pub judgement: &'a Judgement,
+    /// The line at the top.
+    pub summary: String,
+    /// What the command found.
+    #[serde(flatten)]
+    pub result: &'a T,
+}
+
+impl<'a, T: Serialize> Judged<'a, T> {
+    /// `what` says in a few words what was judged.
+    pub fn new(judgement: &'a Judgement, what: &str, result: &'a T) -> Self {
+        Self {
+            judgement,
+            summary: judgement.headline(what),
+            result,
+        }
+    }
+}
+
+/// One line per finding, and one more where there is something to do.
+pub fn lines(judgement: &Judgement) -> String {
+    judgement.findings().iter().map(line).collect()
+}
+
+/// One line per finding that somebody should look at, or that is not known.
+pub fn problem_lines(judgement: &Judgement) -> String {
+    let unknown = judgement.findings().iter();
+    let unknown = unknown.filter(|f| f.verdict == Verdict::Unknown);
+    judgement.problems().chain(unknown).map(line).collect()
+}
+
+fn line(finding: &Finding) -> String {
+    let mut text = format!(
+        "{:<7}  {:<SUBJECTS$} {}",
+        finding.verdict, finding.subject, finding.what
+    );
+    if let Some(limit) = finding.crossed_limit() {
+        let _ = write!(text, " ({limit})");
+    }
+    if let Some(remedy) = &finding.remedy {
+        let _ = write!(text, "\n{:<7}  {:<SUBJECTS$} → {remedy}", "", "");
+    }
+    text.push('\n');
+    text
+}
+
+/// Words from a file, without anything that a terminal would obey.
+pub fn printable(text: &str) -> String {
+    let shown = |c: char| match c {
+        '\n' | '\t' => c,
+        c if c.is_control() => char::REPLACEMENT_CHARACTER,
+        c => c,
+    };
+    text.chars().map(shown).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_recording_cannot_command_the_terminal() {
+        let said = printable("\u{1b}]0;owned\u{7} /imu\u{9b}31m\n");
+        assert_eq!(said, "\u{fffd}]0;owned\u{fffd} /imu\u{fffd}31m\n");
+    }
+
+    #[test]
+    fn what_to_do_stands_below_what_is_wrong() {
+        let found = Finding::new("clock", Verdict::Warn, "clock", "follows nothing")
+            .remedy("install chrony");
+        let text = lines(&Judgement::new(vec![found]));
+        assert_eq!(
+            text,
+            "WARN     clock                  follows nothing\n                                → install chrony\n"
+        );
+    }
+}

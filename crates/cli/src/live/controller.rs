@@ -1,0 +1,481 @@
+//! The thread that reads the tap, answers the operator and shows everything.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use lsfb_capture::health::Snapshot;
+use lsfb_capture::{CaptureReport, Remarks, Tap, Tapped};
+use lsfb_geometry::{MAIN_LIDAR, Rig, Vector3};
+use lsfb_operator::{
+    Command, ControlPoint, Level, LiveMap, MapConfig, Phase, Preview, Request, ScreenState,
+    Tracking, Viewer, terminal,
+};
+use lsfb_pipeline::odometry::{OdometryStep, StepOutcome};
+use lsfb_recording::message::Remark;
+use lsfb_types::Timestamp;
+
+use super::host;
+use super::odometry::OdometryThread;
+use super::streams::Streams;
+use super::{Event, Outputs, Run};
+use crate::context::sentence;
+
+/// How long the tap is waited for before the rest is looked at.
+const TAP_WAIT: Duration = Duration::from_millis(20);
+/// Entries of the tap taken at once.
+const TAP_BATCH: usize = 256;
+/// Between two states.
+const STATE_EVERY: Duration = Duration::from_millis(200);
+/// Between two maps.
+const MAP_EVERY: Duration = Duration::from_millis(500);
+/// Between two looks at disk and battery.
+const HOST_EVERY: Duration = Duration::from_secs(1);
+/// Between two previews of a camera.
+const PREVIEW_EVERY: Duration = Duration::from_secs(1);
+/// A map to which no scan was added for this long shows the past.
+const FROZEN_AFTER: Duration = Duration::from_secs(1);
+/// The odometry needs some scans before the first is registered.
+const BEGUN_AFTER: Duration = Duration::from_secs(5);
+/// Names of remarks in the recording.
+const NOTE: &str = "note";
+const CONTROL_POINT: &str = "control-point";
+
+/// What the controller holds of the rest.
+pub struct Channels {
+    pub requests: Option<Receiver<Request>>,
+    pub events: Receiver<Event>,
+    pub starts: SyncSender<()>,
+    pub end: Arc<AtomicBool>,
+    pub board: Arc<Mutex<String>>,
+    pub folder: Option<PathBuf>,
+    pub power_supplies: PathBuf,
+}
+
+/// See the module's page.
+pub struct Controller {
+    outputs: Outputs,
+    channels: Channels,
+    state: ScreenState,
+    map: LiveMap,
+    running: Option<Running>,
+    /// Where recordings go.
+    folder: Option<PathBuf>,
+    shown: Shown,
+}
+
+/// When what was shown last.
+struct Shown {
+    state: Instant,
+    map: Instant,
+    host: Instant,
+}
+
+/// The recording that runs.
+struct Running {
+    tap: Tap,
+    remarks: Remarks,
+    health: Receiver<Snapshot>,
+    stop: Arc<AtomicBool>,
+    began: Instant,
+    streams: Streams,
+    odometry: Option<OdometryThread>,
+    /// Whose scans it takes.
+    main_lidar: String,
+    /// Synchronized and host time of one sample: how to stamp what people say.
+    clock: Option<(Timestamp, Timestamp)>,
+    cameras_sent: BTreeMap<String, Timestamp>,
+    previews_sent: BTreeMap<String, Instant>,
+    /// When a scan was registered last.
+    registered: Option<Instant>,
+}
+
+impl Controller {
+    pub fn new(outputs: Outputs, channels: Channels) -> Self {
+        let long_ago = Instant::now();
+        Self {
+            outputs,
+            state: ScreenState {
+                message: "Press START to begin.".to_owned(),
+                message_level: Level::Good,
+                ..ScreenState::default()
+            },
+            map: LiveMap::new(MapConfig::default(), Vec::new()),
+            folder: channels.folder.clone(),
+            channels,
+            running: None,
+            shown: Shown {
+                state: long_ago,
+                map: long_ago,
+                host: long_ago,
+            },
+        }
+    }
+
+    /// Works until it is told to end.
+    pub fn run(mut self) {
+        self.look_at_host();
+        while !self.channels.end.load(Ordering::Relaxed) {
+            while let Ok(event) = self.channels.events.try_recv() {
+                match event {
+                    Event::Begin(run) => self.begin(*run),
+                    Event::End(outcome) => self.end(outcome),
+                }
+            }
+            self.answer_requests();
+            self.read_tap();
+            self.read_odometry();
+            self.show();
+        }
+    }
+
+    fn begin(&mut self, run: Run) {
+        self.map
+            .restart(run.rig.as_ref().map_or_else(Vec::new, viewers));
+        let name = run.out.file_name().unwrap_or_default();
+        self.state = ScreenState {
+            phase: Phase::Starting,
+            file: name.to_string_lossy().into_owned(),
+            battery: self.state.battery.take(),
+            ..ScreenState::default()
+        };
+        let odometry = run
+            .rig
+            .as_ref()
+            .filter(|rig| {
+                rig.lidar().is_some() && !run.devices.lidars.is_empty() && self.outputs.show_map()
+            })
+            .map(OdometryThread::start)
+            .transpose();
+        let odometry = odometry.unwrap_or_else(|error| {
+            self.state.message = format!("There is no live map: {}", sentence(&error));
+            self.state.message_level = Level::Warning;
+            None
+        });
+        let rig = run.rig.as_ref();
+        let main_lidar = rig.and_then(Rig::main_lidar_name).unwrap_or(MAIN_LIDAR);
+        if let Some(screen) = &self.outputs.screen {
+            screen.clear_previews();
+        }
+        if let Some(rig) = &run.rig {
+            self.outputs.send_rig(rig, host_now());
+        }
+        self.running = Some(Running {
+            tap: run.tap,
+            remarks: run.remarks,
+            health: run.health,
+            stop: run.stop,
+            began: Instant::now(),
+            streams: Streams::new(&run.devices),
+            odometry,
+            main_lidar: main_lidar.to_owned(),
+            clock: None,
+            cameras_sent: BTreeMap::new(),
+            previews_sent: BTreeMap::new(),
+            registered: None,
+        });
+    }
+
+    fn end(&mut self, outcome: Result<Box<CaptureReport>, String>) {
+        self.read_tap();
+        self.read_odometry();
+        let state = &mut self.state;
+        state.phase = Phase::Ready;
+        state.tracking = Tracking::None;
+        state.tracking_problem = String::new();
+        match outcome {
+            Ok(report) => {
+                if let Some(running) = &mut self.running {
+                    running.streams.end(&report.streams);
+                    state.streams = running.streams.states();
+                }
+                state.lost = report.lost;
+                state.message_level = if report.lost == 0 {
+                    Level::Good
+                } else {
+                    Level::Bad
+                };
+                state.message = format!(
+                    "{} saved: {:.1} MB, {}.",
+                    state.file,
+                    report.bytes as f64 / 1e6,
+                    match report.lost {
+                        0 => "nothing lost".to_owned(),
+                        lost => format!("{lost} LOST; the report on the terminal says what"),
+                    }
+                );
+            }
+            Err(problem) => {
+                state.message_level = Level::Bad;
+                state.message = problem;
+            }
+        }
+        self.running = None;
+        self.look_at_host();
+        self.publish_map();
+    }
+
+    fn answer_requests(&mut self) {
+        let Some(requests) = self.channels.requests.take() else {
+            return;
+        };
+        while let Ok(request) = requests.try_recv() {
+            let outcome = self.handle(&request.command);
+            request.answer(outcome);
+        }
+        self.channels.requests = Some(requests);
+    }
+
+    fn handle(&mut self, command: &Command) -> Result<String, String> {
+        match (command, &self.running) {
+            (Command::Start, None) => {
+                self.state.phase = Phase::Starting;
+                self.state.message = "Opening the devices …".to_owned();
+                self.state.message_level = Level::Good;
+                // One start is enough.
+                let _ = self.channels.starts.try_send(());
+                Ok(String::new())
+            }
+            (Command::Start, Some(_)) => Err("A recording is running already.".to_owned()),
+            (_, None) => Err("No recording is running.".to_owned()),
+            (Command::Stop, Some(running)) => {
+                running.stop.store(true, Ordering::Relaxed);
+                self.state.phase = Phase::Stopping;
+                Ok(String::new())
+            }
+            (Command::Note { text }, Some(running)) => {
+                running.remark(&self.state, NOTE, text)?;
+                self.state.notes += 1;
+                Ok("Note saved.".to_owned())
+            }
+            (Command::ControlPoint { name }, Some(running)) => {
+                running.remark(&self.state, CONTROL_POINT, name)?;
+                let position_m = position(&self.state);
+                self.state.control_points.push(ControlPoint {
+                    name: name.clone(),
+                    position_m,
+                });
+                Ok(match position_m {
+                    Some(_) => format!("Point {name} saved."),
+                    None => {
+                        format!("Point {name} saved, without a position: the live map has none.")
+                    }
+                })
+            }
+        }
+    }
+
+    fn read_tap(&mut self) {
+        let Some(running) = &mut self.running else {
+            std::thread::sleep(TAP_WAIT);
+            return;
+        };
+        let mut wait = TAP_WAIT;
+        for _ in 0..TAP_BATCH {
+            let entry = match running.tap.next(wait) {
+                Ok(Some(entry)) => entry,
+                Ok(None) => return,
+                // The recording ends; its report comes as an event.
+                Err(lsfb_capture::TapClosed) => {
+                    std::thread::sleep(wait);
+                    return;
+                }
+            };
+            wait = Duration::ZERO;
+            if self.state.phase == Phase::Starting {
+                self.state.phase = Phase::Recording;
+                running.began = Instant::now();
+            }
+            running.streams.note(&entry, Instant::now());
+            running.clock = match &entry {
+                Tapped::Imu { sample, .. } => Some((sample.time, sample.arrival)),
+                Tapped::Scan { scan, .. } => Some((scan.time, scan.arrival)),
+                Tapped::Image { image, .. } => Some((image.time, image.arrival)),
+                Tapped::Message { .. } => running.clock,
+            };
+            self.outputs.send(&entry, &mut running.cameras_sent);
+            if let (Some(screen), Tapped::Image { camera, image }) = (&self.outputs.screen, &entry)
+            {
+                let sent = running.previews_sent.get(camera);
+                if sent.is_none_or(|sent| sent.elapsed() >= PREVIEW_EVERY) {
+                    running.previews_sent.insert(camera.clone(), Instant::now());
+                    if let Some(preview) = Preview::of(&image.sample) {
+                        screen.publish_preview(camera, preview);
+                    }
+                }
+            }
+            if let Some(odometry) = &running.odometry {
+                match entry {
+                    Tapped::Imu { sample, .. } => odometry.push_imu(&sample),
+                    Tapped::Scan { lidar, scan } if lidar == running.main_lidar => {
+                        odometry.push_scan(scan);
+                    }
+                    _ => {}
+                }
+            }
+        }
+    }
+
+    fn read_odometry(&mut self) {
+        let Some(odometry) = self.running.as_ref().and_then(|r| r.odometry.as_ref()) else {
+            return;
+        };
+        let mut steps = Vec::new();
+        while let Some(step) = odometry.next_step() {
+            steps.push(step);
+        }
+        for step in steps {
+            self.take_step(&step);
+        }
+    }
+
+    fn take_step(&mut self, step: &OdometryStep) {
+        let lost = step.outcome == StepOutcome::Lost;
+        if let Some(running) = &mut self.running {
+            running.registered = Some(Instant::now());
+        }
+        self.state.tracking = if lost { Tracking::Lost } else { Tracking::Good };
+        let points: &[Vector3<f64>] = if lost { &[] } else { &step.keypoints_in_rig };
+        self.map.push(step.time, &step.world_from_rig, points);
+        self.outputs.send_step(step, host_now());
+    }
+
+    fn show(&mut self) {
+        let now = Instant::now();
+        if now.duration_since(self.shown.host) >= HOST_EVERY {
+            self.look_at_host();
+        }
+        if now.duration_since(self.shown.map) >= MAP_EVERY && self.running.is_some() {
+            self.publish_map();
+        }
+        if now.duration_since(self.shown.state) >= STATE_EVERY {
+            self.shown.state = now;
+            if let Some(running) = &mut self.running {
+                let state = &mut self.state;
+                if state.phase != Phase::Starting {
+                    state.recording_s = now.duration_since(running.began).as_secs_f64();
+                }
+                while let Ok(snapshot) = running.health.try_recv() {
+                    running.streams.take(&snapshot, now);
+                    state.storage = Some(host::recording_storage(&snapshot.storage));
+                }
+                state.streams = running.streams.states();
+                state.sync = running.streams.sync(now);
+                state.lost = running.streams.lost();
+                if let Some(problem) = running.frozen(now) {
+                    state.tracking = Tracking::Frozen;
+                    state.tracking_problem = problem;
+                } else {
+                    state.tracking_problem = match state.tracking {
+                        Tracking::Lost => {
+                            "Map lost: slow down, or turn back to where it was good.".to_owned()
+                        }
+                        _ => String::new(),
+                    };
+                }
+                if !matches!(state.tracking, Tracking::None | Tracking::Good) {
+                    // Directions are as wrong as the pose that they start from.
+                    state.coverage.go_back.clear();
+                }
+                state.pose = self.map.pose();
+                state.path_m = self.map.path_m();
+            }
+            if let Some(screen) = &self.outputs.screen {
+                screen.publish(&self.state);
+            }
+            let lines = terminal::lines(&self.state);
+            *self
+                .channels
+                .board
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner) = lines;
+        }
+    }
+
+    fn publish_map(&mut self) {
+        self.shown.map = Instant::now();
+        self.state.coverage = self.map.coverage();
+        if matches!(self.state.tracking, Tracking::Lost | Tracking::Frozen) {
+            self.state.coverage.go_back.clear();
+        }
+        if let Some(screen) = &self.outputs.screen {
+            screen.publish_map(self.map.snapshot());
+        }
+    }
+
+    fn look_at_host(&mut self) {
+        let now = Instant::now();
+        self.shown.host = now;
+        self.state.battery = host::battery(&self.channels.power_supplies);
+        // While it records, the recorder says it.
+        if self.running.is_none() {
+            self.state.storage = self.folder.as_deref().and_then(host::idle_storage);
+        }
+    }
+}
+
+impl Running {
+    /// Why the map does not grow any more, or has not begun to; `None` while it does, and where there is none.
+    fn frozen(&self, now: Instant) -> Option<String> {
+        self.odometry.as_ref()?;
+        let secs = |since: Instant| now.duration_since(since).as_secs_f64();
+        match self.registered {
+            Some(last) if now.duration_since(last) > FROZEN_AFTER => Some(format!(
+                "The map has stood still for {:.1} s: no scan was registered. Is the LiDAR alive?",
+                secs(last)
+            )),
+            None if now.duration_since(self.began) > BEGUN_AFTER => Some(format!(
+                "There is no map after {:.0} s: no scan could be registered. Is the LiDAR alive?",
+                secs(self.began)
+            )),
+            _ => None,
+        }
+    }
+
+    /// Writes what somebody said into the recording, stamped by the devices' clock.
+    fn remark(&self, state: &ScreenState, kind: &str, text: &str) -> Result<(), String> {
+        let arrival = host_now();
+        let time = match self.clock {
+            Some((time, heard)) => time.plus_nanos(arrival - heard),
+            None => arrival,
+        };
+        let remark = Remark {
+            kind: kind.to_owned(),
+            text: text.to_owned(),
+            position_in_world_m: position(state),
+        };
+        self.remarks
+            .put(time, arrival, remark)
+            .map_err(|error| error.to_string())
+    }
+}
+
+fn position(state: &ScreenState) -> Option<[f64; 3]> {
+    state.pose.map(|pose| [pose.x_m, pose.y_m, pose.z_m])
+}
+
+/// The host's clock, as packets are stamped by.
+fn host_now() -> Timestamp {
+    let since = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .unwrap_or_default();
+    Timestamp::from_nanos(i64::try_from(since.as_nanos()).unwrap_or(i64::MAX))
+}
+
+/// The cameras of a rig, seen from above.
+fn viewers(rig: &Rig) -> Vec<Viewer> {
+    rig.cameras
+        .values()
+        .map(|camera| {
+            let axis = camera.rig_from_camera.rotation * Vector3::z();
+            let [focal_px, _] = camera.camera.focal_px();
+            Viewer {
+                yaw_rad: axis.y.atan2(axis.x),
+                half_fov_rad: (0.5 * f64::from(camera.camera.width) / focal_px).atan(),
+            }
+        })
+        .collect()
+}

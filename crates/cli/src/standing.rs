@@ -1,0 +1,115 @@
+//! Results that stand: beside each result of a long command lies a record of what made it, so that the same command on the
+//! same input has nothing to do, and one that was interrupted goes on after the last result that is finished.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use lsfb_pipeline::hd_map::HdMap;
+use lsfb_recording::{Provenance, sha256_of};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+/// Written last, as `<result>.finished.json`.
+#[derive(Serialize, Deserialize)]
+struct Record {
+    /// SHA-256 of the program: another build may give another result.
+    program_sha256: String,
+    /// Settings and hashes of the inputs.
+    made_from: Provenance,
+    /// SHA-256 of what was written by name; of a map that of its header, which has those of its tables.
+    outputs: BTreeMap<String, String>,
+    /// What the stage said about its result.
+    report: serde_json::Value,
+}
+
+/// Notes that results are finished. The first of them gives the record its name.
+pub fn finish(
+    outputs: &[&Path],
+    made_from: &Provenance,
+    report: &impl Serialize,
+) -> anyhow::Result<()> {
+    let Some(path) = record_path(outputs) else {
+        return Ok(());
+    };
+    let record = Record {
+        program_sha256: program_sha256()?,
+        made_from: made_from.clone(),
+        outputs: hashes(outputs)?,
+        report: serde_json::to_value(report)?,
+    };
+    crate::files::write(&path, serde_json::to_vec_pretty(&record)?)
+}
+
+/// What was said about results that stand as this program would make them of this input; `None` where they do not.
+pub fn report<R: DeserializeOwned>(outputs: &[&Path], made_from: &Provenance) -> Option<R> {
+    let text = std::fs::read(record_path(outputs)?).ok()?;
+    // A record of another version, or half of one, is none.
+    let record: Record = serde_json::from_slice(&text).ok()?;
+    // Read back as the record was: the last digits of numbers may change on the way.
+    let asked: Provenance = serde_json::from_slice(&serde_json::to_vec(made_from).ok()?).ok()?;
+    let stands = record.made_from == asked
+        && record.program_sha256 == program_sha256().ok()?
+        && record.outputs == hashes(outputs).ok()?;
+    serde_json::from_value(record.report)
+        .ok()
+        .filter(|_| stands)
+}
+
+/// Forgets that results are finished, before they are made again.
+pub fn forget(outputs: &[&Path]) -> anyhow::Result<()> {
+    match record_path(outputs) {
+        Some(path) if path.exists() => {
+            std::fs::remove_file(&path).with_context(|| path.display().to_string())
+        }
+        _ => Ok(()),
+    }
+}
+
+fn record_path(outputs: &[&Path]) -> Option<PathBuf> {
+    let first = outputs.first()?;
+    let mut name = first.file_name()?.to_os_string();
+    name.push(".finished.json");
+    Some(first.with_file_name(name))
+}
+
+fn hashes(outputs: &[&Path]) -> anyhow::Result<BTreeMap<String, String>> {
+    let mut found = BTreeMap::new();
+    for output in outputs {
+        let file = match output.is_dir() {
+            true => output.join(HdMap::HEADER),
+            false => output.to_path_buf(),
+        };
+        found.insert(crate::files::name_of(output), sha256_of(&file)?);
+    }
+    Ok(found)
+}
+
+fn program_sha256() -> anyhow::Result<String> {
+    let program = std::env::current_exe().context("the program does not find itself")?;
+    Ok(sha256_of(&program)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_result_stands_until_it_its_input_or_its_settings_change() {
+        let folder = tempfile::tempdir().expect("folder");
+        let out = folder.path().join("walk.tum");
+        let made_from = Provenance::new(&BTreeMap::from([("voxel_size_m", 0.25)]));
+        let other = Provenance::new(&BTreeMap::from([("voxel_size_m", 0.5)]));
+        std::fs::write(&out, "0 0 0 0 0 0 0 1\n").expect("result");
+        assert_eq!(report::<u32>(&[&out], &made_from), None, "no record");
+        finish(&[&out], &made_from, &7).expect("record");
+        assert_eq!(report::<u32>(&[&out], &made_from), Some(7));
+        assert_eq!(report::<u32>(&[&out], &other), None, "other settings");
+        std::fs::write(&out, "0 0 0").expect("half a result");
+        assert_eq!(report::<u32>(&[&out], &made_from), None, "half a result");
+        std::fs::write(&out, "0 0 0 0 0 0 0 1\n").expect("result");
+        assert_eq!(report::<u32>(&[&out], &made_from), Some(7));
+        forget(&[&out]).expect("forgotten");
+        assert_eq!(report::<u32>(&[&out], &made_from), None, "forgotten");
+    }
+}

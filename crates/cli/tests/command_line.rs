@@ -1,0 +1,199 @@
+//! What every command shares: refusals in one sentence, exit codes, stdout that is full or closed, results that stay.
+
+mod process;
+mod session;
+
+use std::fs::File;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+use process::lsfb;
+use session::with;
+
+fn here() -> &'static Path {
+    Path::new(env!("CARGO_TARGET_TMPDIR"))
+}
+
+fn said(output: &Output) -> String {
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(!text.contains("panicked"), "{text}");
+    text
+}
+
+/// A command with bad arguments, and the sentence it must say.
+fn bad_arguments(arguments: &[&str], words: &str) {
+    let output = lsfb(here(), arguments);
+    let text = said(&output);
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {text}");
+    assert!(text.contains(words), "{arguments:?}: {text}");
+}
+
+#[test]
+fn numbers_out_of_range_are_refused_with_a_sentence() {
+    bad_arguments(
+        &["--threads", "100000", "doctor", "x.mcap"],
+        "expected a whole number from 0 (all cores) to 1024",
+    );
+    for command in ["demo", "sim", "mock"] {
+        bad_arguments(
+            &[command, "--out", "never", "--seed", "-5"],
+            "expected a whole number from 0 to",
+        );
+    }
+    bad_arguments(
+        &["sim", "preview", "--out", "never", "--seed", "-5"],
+        "expected a whole number from 0 to",
+    );
+    assert!(!here().join("never").exists());
+}
+
+#[test]
+#[cfg(feature = "view")]
+fn a_view_of_nothing_is_refused() {
+    bad_arguments(&["view", "--out", "never.rrd"], "RECORDINGS");
+    assert!(!here().join("never.rrd").exists());
+}
+
+#[test]
+fn exit_codes_are_in_the_help() {
+    let output = lsfb(here(), &["--help"]);
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    for code in [
+        "0 done",
+        "1 failed",
+        "2 bad",
+        "3 finished",
+        "4 finished",
+        "130",
+        "143",
+    ] {
+        assert!(text.contains(code), "{text}");
+    }
+}
+
+#[test]
+fn a_full_disk_under_stdout_is_an_error_and_no_panic() {
+    let full = File::options()
+        .write(true)
+        .open("/dev/full")
+        .expect("/dev/full");
+    let output = Command::new(env!("CARGO_BIN_EXE_lsfb"))
+        .args(["completions", "bash"])
+        .stdout(full)
+        .stderr(Stdio::piped())
+        .output()
+        .expect("the built binary");
+    let text = said(&output);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("standard output"), "{text}");
+    assert!(text.contains("disk") && text.contains("full"), "{text}");
+}
+
+#[test]
+fn a_full_disk_under_stderr_is_no_panic() {
+    let full = File::options()
+        .write(true)
+        .open("/dev/full")
+        .expect("/dev/full");
+    let status = Command::new(env!("CARGO_BIN_EXE_lsfb"))
+        .args(["doctor", "no-such.mcap"])
+        .stdout(Stdio::null())
+        .stderr(full)
+        .status()
+        .expect("the built binary");
+    assert_eq!(status.code(), Some(1));
+}
+
+#[test]
+fn who_closes_stdout_has_read_enough() {
+    let mut process = Command::new(env!("CARGO_BIN_EXE_lsfb"))
+        .args(["completions", "zsh"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the built binary");
+    drop(process.stdout.take());
+    let output = process.wait_with_output().expect("an end");
+    assert_eq!(output.status.code(), Some(0), "{}", said(&output));
+    assert!(output.stderr.is_empty());
+}
+
+#[test]
+fn results_stay_unless_they_may_be_replaced() {
+    let folder = with(&["scan.mcap"]);
+    let path = folder.path();
+    for (arguments, result) in [
+        (
+            &["odometry", "scan.mcap", "--out", "new.tum"][..],
+            "new.tum",
+        ),
+        (&["recover", "scan.mcap", "--out", "new.mcap"], "new.mcap"),
+    ] {
+        std::fs::write(path.join(result), "yesterday").expect("file");
+        let output = lsfb(path, arguments);
+        assert_eq!(output.status.code(), Some(1), "{}", said(&output));
+        assert!(said(&output).contains("--force"), "{}", said(&output));
+        let left = std::fs::read(path.join(result)).expect("file");
+        assert_eq!(left, b"yesterday", "{arguments:?}");
+        let output = lsfb(path, &[arguments, &["--force", "--quiet"]].concat());
+        assert_eq!(output.status.code(), Some(0), "{}", said(&output));
+        assert_eq!(said(&output), "", "quiet");
+        let left = std::fs::read(path.join(result)).expect("file");
+        assert_ne!(left, b"yesterday", "{arguments:?}");
+    }
+    // A recording is not replaced by what is recovered of itself.
+    let before = std::fs::read(path.join("scan.mcap")).expect("recording");
+    let output = lsfb(
+        path,
+        &["recover", "scan.mcap", "--out", "scan.mcap", "--force"],
+    );
+    assert_eq!(output.status.code(), Some(1), "{}", said(&output));
+    assert!(std::fs::read(path.join("scan.mcap")).expect("recording") == before);
+}
+
+#[test]
+fn a_map_that_stands_is_not_built_again_and_another_is_not_replaced() {
+    let folder = with(&["scan.mcap"]);
+    let path = folder.path();
+    let map = [
+        "map",
+        "scan.mcap",
+        "--out",
+        "map",
+        "--out-trajectory",
+        "scan.tum",
+        "--json",
+    ];
+    let first = lsfb(path, &map);
+    assert_eq!(first.status.code(), Some(0), "{}", said(&first));
+    let written = |name: &str| {
+        let meta = std::fs::metadata(path.join(name)).expect("result");
+        meta.modified().expect("time")
+    };
+    let names = ["map/map.toml", "scan.tum", "map.finished.json"];
+    let before = names.map(written);
+    let again = lsfb(path, &map);
+    assert_eq!(again.status.code(), Some(0), "{}", said(&again));
+    assert!(said(&again).contains("stands already"), "{}", said(&again));
+    let points = |output: &Output| {
+        let said: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+        said["points"].as_u64().expect("points")
+    };
+    assert_eq!(points(&again), points(&first));
+    assert_eq!(names.map(written), before);
+
+    // Other settings are another map.
+    std::fs::write(path.join("other.toml"), "keyframe_distance_m = 0.5\n").expect("settings");
+    let other = [&map[..], &["--config", "other.toml"]].concat();
+    let refused = lsfb(path, &other);
+    assert_eq!(refused.status.code(), Some(1), "{}", said(&refused));
+    assert_eq!(names.map(written), before);
+
+    // Half a trajectory is none: it is made again, as soon as it may be.
+    std::fs::write(path.join("scan.tum"), "# half").expect("trajectory");
+    let refused = lsfb(path, &map);
+    assert_eq!(refused.status.code(), Some(1), "{}", said(&refused));
+    let forced = lsfb(path, &[&map[..], &["--force"]].concat());
+    assert_eq!(forced.status.code(), Some(0), "{}", said(&forced));
+    assert_eq!(forced.stdout, first.stdout);
+}

@@ -1,0 +1,250 @@
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use self::file::{ImuTable, RigFile, pose_as_table};
+use crate::{Camera, Se3};
+
+mod file;
+
+/// The sensors, their intrinsics and their poses on the rig. The rig frame is the frame of its main IMU.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "RigFile", into = "RigFile")]
+pub struct Rig {
+    /// Name of the device: `backpack`, `glasses`.
+    pub name: String,
+    /// End of the recording that its geometry was last calibrated from, seconds since 1970; `None` where nobody knows.
+    pub calibrated_unix_s: Option<i64>,
+    /// Cameras by name (`cam0` …), in the order of their topics.
+    pub cameras: BTreeMap<String, RigCamera>,
+    /// IMUs by name; [`Rig::imu`] is the main one.
+    pub imus: BTreeMap<String, RigImu>,
+    /// LiDARs by name; [`Rig::lidar`] is the main one.
+    pub lidars: BTreeMap<String, RigLidar>,
+}
+
+/// Name of a rig's main IMU, which is its only one in most rigs.
+pub const MAIN_IMU: &str = "imu0";
+/// Name of a rig's main LiDAR, which is its only one in most rigs.
+pub const MAIN_LIDAR: &str = "lidar";
+
+/// A camera on the rig.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RigCamera {
+    /// Size and lens.
+    pub camera: Camera,
+    /// Pose of the camera in the rig frame.
+    #[serde(with = "pose_as_table")]
+    pub rig_from_camera: Se3,
+    /// Its clock and shutter; an ideal global shutter where nothing is said.
+    #[serde(default, skip_serializing_if = "CameraTiming::is_ideal")]
+    pub timing: CameraTiming,
+}
+
+/// When a camera sees what its stamp says.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CameraTiming {
+    /// Added to the camera's stamps it gives the time of the rig (IMU), seconds.
+    pub rig_from_camera_s: f64,
+    /// Time from the first row's exposure to that of one row below the last, seconds; 0 for a global shutter, negative where
+    /// rows are read upwards.
+    pub readout_s: f64,
+}
+
+impl CameraTiming {
+    /// Whether stamps are the rig's own and the shutter is global.
+    pub fn is_ideal(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+/// An IMU on the rig.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "ImuTable", into = "ImuTable")]
+pub struct RigImu {
+    /// Pose of the IMU in the rig frame: the identity for the main one.
+    pub rig_from_imu: Se3,
+    /// How noisy it is.
+    pub noise: ImuNoiseModel,
+}
+
+impl RigImu {
+    /// The IMUs of a rig that has this one only.
+    pub fn alone(self) -> BTreeMap<String, Self> {
+        BTreeMap::from([(MAIN_IMU.to_owned(), self)])
+    }
+}
+
+impl From<ImuNoiseModel> for RigImu {
+    /// The IMU whose frame is the rig's.
+    fn from(noise: ImuNoiseModel) -> Self {
+        Self {
+            rig_from_imu: Se3::identity(),
+            noise,
+        }
+    }
+}
+
+/// Noise of an IMU.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImuNoiseModel {
+    /// Gyroscope white noise, rad/s/√Hz.
+    pub gyro_noise_density: f64,
+    /// Accelerometer white noise, m/s²/√Hz.
+    pub accel_noise_density: f64,
+    /// Gyroscope bias random walk, rad/s²/√Hz.
+    pub gyro_bias_walk: f64,
+    /// Accelerometer bias random walk, m/s³/√Hz.
+    pub accel_bias_walk: f64,
+}
+
+/// A LiDAR on the rig.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RigLidar {
+    /// Pose of the LiDAR in the rig frame.
+    #[serde(with = "pose_as_table")]
+    pub rig_from_lidar: Se3,
+    /// Standard deviation of one range, metres.
+    pub range_noise_m: f64,
+}
+
+/// What is wrong with a rig file.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RigError {
+    /// The file could not be read.
+    #[error("rig file {path}: {source}")]
+    Io {
+        /// The file.
+        path: String,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The text is not a rig.
+    #[error("rig file {path}: {message}")]
+    Parse {
+        /// The file, or where the text came from.
+        path: String,
+        /// Line and reason.
+        message: String,
+    },
+}
+
+/// What is wrong with a TOML text, on one line: messages of this project are one sentence.
+pub fn toml_problem(text: &str, error: &toml::de::Error) -> String {
+    let before = error.span().and_then(|span| text.get(..span.start));
+    let place = before.map_or_else(String::new, |before| {
+        format!("line {}: ", before.matches('\n').count() + 1)
+    });
+    format!("{place}{}", error.message().replace('\n', ", "))
+}
+
+impl Rig {
+    /// A device without sensors, calibrated nobody knows when.
+    pub fn empty(name: &str) -> Self {
+        Self {
+            name: name.to_owned(),
+            calibrated_unix_s: None,
+            cameras: BTreeMap::new(),
+            imus: BTreeMap::new(),
+            lidars: BTreeMap::new(),
+        }
+    }
+
+    /// The LiDAR that stages work with: the one named [`MAIN_LIDAR`], else the first by name.
+    pub fn lidar(&self) -> Option<&RigLidar> {
+        main(&self.lidars, MAIN_LIDAR).map(|(_, lidar)| lidar)
+    }
+
+    /// Name of [`Rig::lidar`].
+    pub fn main_lidar_name(&self) -> Option<&str> {
+        main(&self.lidars, MAIN_LIDAR).map(|(name, _)| name)
+    }
+
+    /// [`Rig::lidar`], to be changed.
+    pub fn lidar_mut(&mut self) -> Option<&mut RigLidar> {
+        let name = main(&self.lidars, MAIN_LIDAR)?.0.to_owned();
+        self.lidars.get_mut(&name)
+    }
+
+    /// Puts `lidar` in the place of the main LiDAR.
+    pub fn set_lidar(&mut self, lidar: RigLidar) {
+        match self.lidar_mut() {
+            Some(place) => *place = lidar,
+            None => self.lidars = lidar.alone(),
+        }
+    }
+
+    /// The IMU whose frame is the rig's: the one named [`MAIN_IMU`], else the first by name.
+    pub fn imu(&self) -> Option<&RigImu> {
+        self.main_imu().map(|(_, imu)| imu)
+    }
+
+    /// Noise of the main IMU.
+    pub fn imu_noise(&self) -> Option<&ImuNoiseModel> {
+        self.imu().map(|imu| &imu.noise)
+    }
+
+    /// Says how noisy the main IMU is.
+    pub fn set_imu_noise(&mut self, noise: ImuNoiseModel) {
+        let name = self
+            .main_imu()
+            .map_or(MAIN_IMU, |(name, _)| name)
+            .to_owned();
+        self.imus.insert(name, noise.into());
+    }
+
+    fn main_imu(&self) -> Option<(&str, &RigImu)> {
+        main(&self.imus, MAIN_IMU)
+    }
+
+    /// Reads a rig from its TOML text; `origin` names it in errors.
+    pub fn from_toml(text: &str, origin: &str) -> Result<Self, RigError> {
+        let rig: Self = toml::from_str(text).map_err(|e| RigError::Parse {
+            path: origin.to_owned(),
+            message: toml_problem(text, &e),
+        })?;
+        for (name, mounted) in &rig.cameras {
+            if let Some(problem) = mounted.camera.lens.problem() {
+                return Err(RigError::Parse {
+                    path: origin.to_owned(),
+                    message: format!("camera {name}: {problem}"),
+                });
+            }
+        }
+        Ok(rig)
+    }
+
+    /// Reads a rig file.
+    pub fn read(path: &Path) -> Result<Self, RigError> {
+        let text = std::fs::read_to_string(path).map_err(|source| RigError::Io {
+            path: path.display().to_string(),
+            source,
+        })?;
+        Self::from_toml(&text, &path.display().to_string())
+    }
+}
+
+fn main<'a, T>(sensors: &'a BTreeMap<String, T>, name: &'a str) -> Option<(&'a str, &'a T)> {
+    match sensors.get(name) {
+        Some(sensor) => Some((name, sensor)),
+        None => sensors
+            .iter()
+            .next()
+            .map(|(name, sensor)| (name.as_str(), sensor)),
+    }
+}
+
+impl RigLidar {
+    /// The LiDARs of a rig that has this one only.
+    pub fn alone(self) -> BTreeMap<String, Self> {
+        BTreeMap::from([(MAIN_LIDAR.to_owned(), self)])
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,87 @@
+//! Under which names the server is asked.
+//!
+//! A page of somebody else can have its own name lead to this machine (DNS rebinding): its scripts would then be of the same
+//! site as the operator's page and could start and stop recordings. They cannot choose the `Host` that a browser sends. So what
+//! is asked under a name that nobody gave this server is refused. Addresses are safe: a page that was loaded from one of ours is
+//! ours.
+
+use std::net::IpAddr;
+
+/// Where the kernel tells the machine's name.
+const HOST_NAME: &str = "/proc/sys/kernel/hostname";
+/// What multicast DNS adds to it.
+const LOCAL_DOMAIN: &str = ".local";
+
+/// The names that are ours.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Names(Vec<String>);
+
+impl Names {
+    /// This machine's own names, and those it was `given`.
+    pub fn new(given: &[String]) -> Self {
+        let own = std::fs::read_to_string(HOST_NAME).unwrap_or_default();
+        Self::of(own.trim(), given)
+    }
+
+    fn of(own: &str, given: &[String]) -> Self {
+        let mut names = vec!["localhost".to_owned()];
+        if !own.is_empty() {
+            names.extend([own.to_owned(), format!("{own}{LOCAL_DOMAIN}")]);
+        }
+        names.extend(given.iter().cloned());
+        Self(names)
+    }
+
+    /// Whether a request's `Host` (a name or an address, with or without a port) is one of ours.
+    pub fn include(&self, host: &str) -> bool {
+        let name = without_port(host);
+        let address = name.trim_start_matches('[').trim_end_matches(']');
+        let is_address = address.parse::<IpAddr>().is_ok();
+        // A dot at the end says that the name is complete.
+        let name = name.trim_end_matches('.');
+        is_address || self.0.iter().any(|ours| ours.eq_ignore_ascii_case(name))
+    }
+}
+
+fn without_port(host: &str) -> &str {
+    match host.rsplit_once(':') {
+        Some((name, port)) if port.bytes().all(|b| b.is_ascii_digit()) => name,
+        _ => host,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_and_own_names_are_ours_and_no_others() {
+        let names = Names::of("rig7", &["scanner.example".to_owned()]);
+        for ours in [
+            "127.0.0.1:8700",
+            "192.168.1.5",
+            "[::1]:8700",
+            "[fe80::1]",
+            "localhost:8700",
+            "LOCALHOST",
+            "rig7",
+            "rig7.local:8700",
+            "rig7.local.:80",
+            "scanner.example:1",
+        ] {
+            assert!(names.include(ours), "{ours}");
+        }
+        for others in [
+            "",
+            ":8700",
+            "evil.example:8700",
+            "127.0.0.1.evil.example",
+            "rig7.evil.example",
+            "localhost.evil.example:8700",
+            "127.0.0.1:80@evil.example",
+        ] {
+            assert!(!names.include(others), "{others}");
+        }
+        assert!(!Names::of("", &[]).include(""));
+    }
+}
