@@ -4,9 +4,8 @@ use lsfb_types::Timestamp;
 
 /// Intervals from which a median says what a period is.
 const ENOUGH: usize = 5;
-/// Share of the median by which the lower quartile of the intervals of a regular stream falls short of it. What is lost makes
-/// intervals longer, not shorter.
-const REGULAR_SHARE: f64 = 0.15;
+/// Share of the intervals of a regular stream that are whole multiples of its period: what is lost leaves a multiple.
+const REGULAR_SHARE: f64 = 0.8;
 
 /// How steadily messages came.
 pub(super) struct Rhythm<'a> {
@@ -15,7 +14,7 @@ pub(super) struct Rhythm<'a> {
     pub period_secs: f64,
     /// Median of the intervals, which single silences do not move, seconds.
     pub median_secs: f64,
-    /// Whether the shorter intervals are nearly as long as the median: only then is that the sensor's own period.
+    /// Whether most intervals are multiples of the median: only then is that the sensor's own period.
     pub is_regular: bool,
     pub longest_secs: f64,
     /// When the longest silence began.
@@ -55,9 +54,10 @@ impl<'a> Rhythm<'a> {
         let mut intervals: Vec<f64> = rhythm.intervals().collect();
         if intervals.len() >= ENOUGH {
             intervals.sort_by(f64::total_cmp);
-            let at = |quarter: usize| intervals[intervals.len() * quarter / 4];
-            rhythm.median_secs = at(2);
-            rhythm.is_regular = at(2) - at(1) <= REGULAR_SHARE * at(2);
+            rhythm.median_secs = intervals[intervals.len() / 2];
+            let periods = intervals.iter().map(|i| i / rhythm.median_secs);
+            let whole = periods.filter(|p| p.round() >= 1.0 && (p - p.round()).abs() < 0.1);
+            rhythm.is_regular = whole.count() as f64 >= REGULAR_SHARE * intervals.len() as f64;
         }
         rhythm
     }
