@@ -1,11 +1,11 @@
-//! `lsfb demo` twice and its stages once more, and a demo that is interrupted, on a walk short enough for a test.
+//! `lsfb demo` twice, once interrupted, and its stages once more, on a walk short enough for a test.
 
 mod answer;
 mod process;
 mod running;
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use answer::json;
 use lsfb_recording::sha256_of;
@@ -31,6 +31,26 @@ fn results(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     names.into_iter().map(read).collect()
 }
 
+/// The demo as it runs to its end, looked at.
+fn finished(root: &Path, arguments: &[&str]) {
+    let run = json(root, arguments, 0);
+    let figure = |name: &str| run[name].as_f64().expect("figure");
+    assert!(figure("ate_glasses_rms_m") <= 0.03, "{run}");
+    assert!(figure("ate_scanner_rms_m") <= 0.03, "{run}");
+    assert!(figure("map_reprojection_px") <= 1.5, "{run}");
+    assert_eq!(run["lost"], 0, "{run}");
+}
+
+/// Refused with these words; nothing was computed.
+fn refused(root: &Path, arguments: &[&str], says: &str) {
+    let run = lsfb(root, arguments);
+    assert_eq!(run.status.code(), Some(1), "{run:?}");
+    assert!(
+        String::from_utf8_lossy(&run.stderr).contains(says),
+        "{run:?}"
+    );
+}
+
 /// Like `assert_eq!`, without printing megabytes.
 fn assert_same(left: &BTreeMap<String, Vec<u8>>, right: &BTreeMap<String, Vec<u8>>) {
     assert!(left.keys().eq(right.keys()));
@@ -43,22 +63,54 @@ fn assert_same(left: &BTreeMap<String, Vec<u8>>, right: &BTreeMap<String, Vec<u8
 }
 
 #[test]
-fn the_same_seed_gives_the_same_bytes_and_no_stage_needs_the_truth() {
+fn the_same_seed_gives_the_same_bytes_also_when_interrupted_and_no_stage_needs_the_truth() {
     let folder = tempfile::tempdir().expect("folder");
     let root = folder.path();
     std::fs::write(root.join("short.toml"), SHORT).expect("settings");
-    let demo = ["demo", "--seed", "1", "--sim-config", "short.toml", "--out"];
-    let one = json(root, &[&demo[..], &["one", "--threads", "1"]].concat(), 0);
-    let many = json(root, &[&demo[..], &["many"]].concat(), 0);
-    for run in [&one, &many] {
-        let figure = |name: &str| run[name].as_f64().expect("figure");
-        assert!(figure("ate_glasses_rms_m") <= 0.03, "{run}");
-        assert!(figure("ate_scanner_rms_m") <= 0.03, "{run}");
-        assert!(figure("map_reprojection_px") <= 1.5, "{run}");
-        assert_eq!(run["lost"], 0, "{run}");
-    }
-    let expected = results(&root.join("one"));
+    let demo = |out, seed| {
+        [
+            "demo",
+            "--sim-config",
+            "short.toml",
+            "--out",
+            out,
+            "--seed",
+            seed,
+        ]
+    };
+    let once = [&demo("once", "1")[..], &["--threads", "1"]].concat();
+    finished(root, &once);
+    let expected = results(&root.join("once"));
+    std::fs::remove_dir_all(root.join("once")).expect("folder");
+
+    let many = demo("many", "1");
+    let mut running = Running::lsfb(root, many.into_iter().map(str::to_owned));
+    running.wait_for("lidar odometry");
+    running.signal(Signal::SIGTERM);
+    assert_eq!(running.wait().code(), Some(143), "{}", running.said());
+    let said = running.said();
+    assert!(said.contains("stopped by SIGTERM"), "{said}");
+    let recordings = ["scan.mcap", "walk.mcap"].map(|name| root.join("many").join(name));
+    let hashes = || {
+        let of = |path: &PathBuf| sha256_of(path).expect("recording");
+        recordings.each_ref().map(of)
+    };
+    let before = hashes();
+    // Another demo does not take the folder.
+    refused(root, &demo("many", "4"), "--force");
+    finished(root, &many);
+    assert_eq!(hashes(), before, "recorded once");
     assert_same(&expected, &results(&root.join("many")));
+
+    // What is finished stays as it is.
+    let report = || {
+        let report = std::fs::metadata(root.join("many/report.html")).expect("report");
+        report.modified().expect("time")
+    };
+    let written = report();
+    refused(root, &many, "this demo is finished");
+    assert_eq!(report(), written);
+    assert_eq!(hashes(), before);
 
     // The stages as subcommands, where there are recordings and nothing else.
     let alone = root.join("alone");
@@ -66,89 +118,22 @@ fn the_same_seed_gives_the_same_bytes_and_no_stage_needs_the_truth() {
     for name in ["scan.mcap", "walk.mcap"] {
         std::fs::rename(root.join("many").join(name), alone.join(name)).expect("recording");
     }
-    std::fs::remove_dir_all(root.join("one")).expect("folder");
     std::fs::remove_dir_all(root.join("many")).expect("folder");
-    json(
-        &alone,
-        &[
-            "map",
-            "scan.mcap",
-            "--out",
-            "map",
-            "--out-trajectory",
-            "scan.tum",
-        ],
-        0,
-    );
-    json(
-        &alone,
-        &[
-            "groundtruth",
-            "walk.mcap",
-            "--map",
-            "map",
-            "--out",
-            "walk.tum",
-        ],
-        0,
-    );
+    let map = "map scan.mcap --out map --out-trajectory scan.tum";
+    let truth = "groundtruth walk.mcap --map map --out walk.tum";
+    for command in [map, truth] {
+        json(&alone, &command.split(' ').collect::<Vec<_>>(), 0);
+    }
     assert_same(&expected, &results(&alone));
 }
 
 #[test]
-fn an_interrupted_demo_goes_on_and_a_finished_one_is_not_recorded_over() {
+fn somebodys_recordings_are_no_demo() {
     let folder = tempfile::tempdir().expect("folder");
     let root = folder.path();
-    std::fs::write(root.join("short.toml"), SHORT).expect("settings");
-    let demo = [
-        "demo",
-        "--sim-config",
-        "short.toml",
-        "--out",
-        "out",
-        "--seed",
-    ];
-    let with_seed = |seed: &'static str| [&demo[..], &[seed]].concat();
-    let mut running = Running::lsfb(root, with_seed("3").into_iter().map(str::to_owned));
-    running.wait_for("lidar odometry");
-    running.signal(Signal::SIGTERM);
-    assert_eq!(running.wait().code(), Some(143), "{}", running.said());
-    assert!(
-        running.said().contains("stopped by SIGTERM"),
-        "{}",
-        running.said()
-    );
-    let recordings = ["scan.mcap", "walk.mcap"].map(|name| root.join("out").join(name));
-    let hashes = || {
-        recordings
-            .clone()
-            .map(|path| sha256_of(&path).expect("recording"))
-    };
-    let before = hashes();
-
-    // Another demo does not take the folder.
-    let refused = lsfb(root, &with_seed("4"));
-    assert_eq!(refused.status.code(), Some(1), "{refused:?}");
-    assert!(String::from_utf8_lossy(&refused.stderr).contains("--force"));
-
-    json(root, &with_seed("3"), 0);
-    assert_eq!(hashes(), before, "recorded once");
-    let report = std::fs::metadata(root.join("out/report.html")).expect("report");
-    let refused = lsfb(root, &with_seed("3"));
-    assert_eq!(refused.status.code(), Some(1), "{refused:?}");
-    assert!(String::from_utf8_lossy(&refused.stderr).contains("this demo is finished"));
-    let after = std::fs::metadata(root.join("out/report.html")).expect("report");
-    assert_eq!(
-        after.modified().expect("time"),
-        report.modified().expect("time")
-    );
-    assert_eq!(hashes(), before);
-
-    // Somebody's recordings are no demo.
     std::fs::create_dir(root.join("mine")).expect("folder");
     std::fs::write(root.join("mine/scan.mcap"), "mine").expect("recording");
-    let refused = lsfb(root, &["demo", "--out", "mine"]);
-    assert_eq!(refused.status.code(), Some(1), "{refused:?}");
+    refused(root, &["demo", "--out", "mine"], "mine");
     assert_eq!(
         std::fs::read(root.join("mine/scan.mcap")).expect("recording"),
         b"mine"
