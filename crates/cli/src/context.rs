@@ -65,7 +65,7 @@ impl Context {
         let said = standing::report(outputs, made_from)?;
         let names: Vec<String> = outputs.iter().map(|o| o.display().to_string()).collect();
         self.note(&format!(
-            "{}: stands already; --force makes it again",
+            "{}: up to date; --force makes it again",
             names.join(", ")
         ));
         Some(said)
@@ -106,7 +106,7 @@ impl Context {
             stage => format!(" during: {stage}"),
         };
         terminal::say(&format!(
-            "stopped by {signal}{during}; what was not finished is not written, earlier files are kept"
+            "stopped by {signal}{during}; unfinished results are not written, earlier files are kept"
         ));
         ExitCode::from(self.stop.exit_code())
     }
@@ -123,12 +123,11 @@ impl Context {
         text: impl FnOnce() -> String,
     ) -> anyhow::Result<()> {
         self.display.finish();
-        let out = if self.json {
-            serde_json::to_string(value)?
+        if self.json {
+            terminal::print_plain(&serde_json::to_string(value)?)
         } else {
-            text()
-        };
-        terminal::print(&out)
+            terminal::print(&text())
+        }
     }
 
     /// Opens a recording; says what is missing from it, and remembers that something is.

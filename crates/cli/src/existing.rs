@@ -1,4 +1,4 @@
-//! The one rule about what is there already: no command replaces a result of its name unless `--force` is given.
+//! The one rule for existing results: no command replaces one unless `--force` is given.
 //!
 //! A map is a result when it has its header: a folder without it is empty, or half a map. Lists of devices and sockets that
 //! `lsfb sim` and `lsfb mock` make for a recorder are no results, and are made again.
@@ -11,7 +11,7 @@ use lsfb_pipeline::hd_map::HdMap;
 pub fn expect_free(result: &Path, force: bool) -> anyhow::Result<()> {
     anyhow::ensure!(
         force || !is_result(result),
-        "{}: is there already: choose another name, or replace it with --force",
+        "{}: exists already: choose another name, or replace it with --force",
         result.display()
     );
     Ok(())

@@ -13,7 +13,7 @@ pub fn write(path: &Path, contents: impl AsRef<[u8]>) -> anyhow::Result<()> {
 pub fn expect_file(path: &Path, remedy: &str) -> anyhow::Result<()> {
     anyhow::ensure!(
         path.exists(),
-        "{}: there is no such file or folder: check the path, or {remedy}",
+        "{}: no such file or folder: check the path, or {remedy}",
         path.display()
     );
     Ok(())
@@ -31,8 +31,16 @@ pub fn expect_writable(result: &Path) -> anyhow::Result<()> {
         .and_then(|()| std::fs::remove_file(&trial))
         .with_context(|| {
             let result = result.display();
-            format!("{result}: cannot be written here: name another place, or change the folder's rights")
+            format!("{result}: cannot be written here: choose another folder, or change the permissions of this one")
         })
+}
+
+/// Whether both names lead to one file.
+pub fn is_same(a: &Path, b: &Path) -> bool {
+    match (a.canonicalize(), b.canonicalize()) {
+        (Ok(a), Ok(b)) => a == b,
+        _ => false,
+    }
 }
 
 /// The name of a file without its folder, for pages beside it.

@@ -22,6 +22,8 @@ mod simulated;
 mod standing;
 mod stop;
 mod terminal;
+#[cfg(test)]
+mod tests;
 
 use std::process::ExitCode;
 
@@ -32,11 +34,20 @@ use crate::outcome::Outcome;
 
 /// One meaning each, in all commands.
 const EXIT_CODES: &str = "Exit codes: 0 done · 1 failed · 2 bad arguments · 3 finished, but data was lost · \
-4 finished, and what was judged has failed · 130 stopped by Ctrl-C · 143 stopped by SIGTERM
+4 finished, but what was judged has failed · 130 stopped by Ctrl-C · 143 stopped by SIGTERM
 
-Results that are there already are not replaced, unless --force is given. Ctrl-C ends a command in order and leaves nothing \
-half-written (a recording of devices is finished by it, with 0 or 3); a second one ends it at once. \
-Colours are for terminals; NO_COLOR turns them off.";
+Existing results are not replaced without --force. Ctrl-C stops a command cleanly and leaves no half-written file (when recording \
+devices it ends the recording, with 0 or 3); a second Ctrl-C stops it at once. Output is coloured on terminals; NO_COLOR turns colours off.
+
+Examples:
+  lsfb demo --out demo-out                               # everything below, simulated; open demo-out/report.html
+  lsfb scan --devices devices.toml --out scan.mcap       # record the backpack
+  lsfb map scan.mcap --out map                           # build the HD map
+  lsfb groundtruth walk.mcap --map map --out walk.tum    # ground truth of a walk
+  lsfb eval slam.tum --truth walk.tum                    # evaluate a SLAM system";
+
+/// Heading, in every command's help, of the options that all commands have.
+const COMMON_OPTIONS: &str = "Options of all commands";
 
 /// Ground truth for AR: from a backpack scan to centimetre-accurate trajectories of every walk.
 #[derive(Parser)]
@@ -52,16 +63,16 @@ struct Arguments {
 #[derive(clap::Args, Clone, Copy)]
 struct GlobalArguments {
     /// Print one JSON object on stdout instead of text.
-    #[arg(long, global = true)]
+    #[arg(long, global = true, help_heading = COMMON_OPTIONS)]
     json: bool,
-    /// Say nothing on stderr but warnings and errors.
-    #[arg(long, short, global = true)]
+    /// Print nothing on stderr except warnings and errors.
+    #[arg(long, short, global = true, help_heading = COMMON_OPTIONS)]
     quiet: bool,
-    /// Replace results that are there already.
-    #[arg(long, global = true)]
+    /// Replace existing results.
+    #[arg(long, global = true, help_heading = COMMON_OPTIONS)]
     force: bool,
-    /// Threads to compute with; 0 takes all cores. The result does not depend on it.
-    #[arg(long, global = true, default_value_t = 0, value_name = "N", value_parser = threads)]
+    /// Number of threads; 0 uses all cores. Results do not depend on it.
+    #[arg(long, global = true, help_heading = COMMON_OPTIONS, default_value_t = 0, value_name = "N", value_parser = threads)]
     threads: usize,
 }
 

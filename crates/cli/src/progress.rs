@@ -93,7 +93,7 @@ impl Display {
             }
         }
         match &state.bar {
-            Some(bar) => bar.set_message(lines.to_owned()),
+            Some(bar) => bar.set_message(terminal::for_stderr(lines)),
             None if state.last_line.elapsed() >= LINE_EVERY => {
                 state.last_line = Instant::now();
                 terminal::say(lines.lines().next().unwrap_or_default());
@@ -124,9 +124,14 @@ impl Display {
         if self.terminal {
             let bar =
                 ProgressBar::with_draw_target(Some(progress.total), ProgressDrawTarget::stderr());
-            let template = "{msg:<28} {bar:32} {pos}/{len} {elapsed} (ETA {eta})";
+            let bar_style = match terminal::stderr_is_coloured() {
+                true => "bar:32.cyan",
+                false => "bar:32",
+            };
+            let template =
+                format!("{{msg:<28}} {{{bar_style}}} {{pos}}/{{len}} {{elapsed}} (ETA {{eta}})");
             bar.set_style(
-                ProgressStyle::with_template(template)
+                ProgressStyle::with_template(&template)
                     .unwrap_or_else(|_| ProgressStyle::default_bar()),
             );
             bar.set_message(progress.stage);

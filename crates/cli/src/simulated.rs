@@ -24,13 +24,13 @@ pub const SETTINGS: &str = "sim.toml";
 /// Where the devices send to, and a phone connects.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Endpoints {
-    /// Where the LiDAR's data packets go.
+    /// Address to send the LiDAR's data packets to.
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:2368")]
     pub lidar_data: SocketAddr,
-    /// Where the LiDAR's position packets go.
+    /// Address to send the LiDAR's position packets to.
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8308")]
     pub lidar_position: SocketAddr,
-    /// Where phones and glasses connect.
+    /// Address of the recorder that phones and glasses connect to.
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8790")]
     pub sidecar: SocketAddr,
 }
@@ -38,40 +38,40 @@ pub struct Endpoints {
 /// What the simulated backpack carries, where it is not as configured.
 #[derive(clap::Args, Clone, Debug, Default)]
 pub struct Equipment {
-    /// The LiDAR: vlp32c or vlp16.
-    #[arg(long, value_parser = lidar_model)]
-    lidar: Option<LidarModel>,
-    /// Which echoes the LiDAR sends: strongest, last or dual.
-    #[arg(long, value_parser = lidar_returns)]
+    /// The LiDAR: vlp-32c or vlp-16.
+    #[arg(long, value_name = "MODEL", value_parser = lidar_model)]
+    lidar_model: Option<LidarModel>,
+    /// Return mode of the LiDAR: strongest, last or dual.
+    #[arg(long, value_name = "MODE", value_parser = lidar_returns)]
     returns: Option<ReturnMode>,
-    /// What the IMU speaks: xsens or microstrain.
-    #[arg(long, value_parser = imu_family)]
-    imu: Option<ImuFamily>,
+    /// Protocol of the IMU: xsens or microstrain.
+    #[arg(long, value_name = "FAMILY", value_parser = imu_family)]
+    imu_family: Option<ImuFamily>,
 }
 
 impl Equipment {
     /// Puts it into the settings.
     pub fn apply(&self, config: &mut SimConfig) {
         let lidar = &mut config.lidar;
-        lidar.model = self.lidar.unwrap_or(lidar.model);
+        lidar.model = self.lidar_model.unwrap_or(lidar.model);
         lidar.returns = self.returns.unwrap_or(lidar.returns);
-        config.scan_imu_family = self.imu.unwrap_or(config.scan_imu_family);
+        config.scan_imu_family = self.imu_family.unwrap_or(config.scan_imu_family);
     }
 }
 
 fn lidar_model(name: &str) -> Result<LidarModel, String> {
     let found = LidarModel::ALL.into_iter().find(|m| m.name() == name);
-    found.ok_or_else(|| "vlp32c or vlp16".to_owned())
+    found.ok_or_else(|| "expected vlp-32c or vlp-16".to_owned())
 }
 
 fn lidar_returns(name: &str) -> Result<ReturnMode, String> {
     let found = ReturnMode::ALL.into_iter().find(|r| r.name() == name);
-    found.ok_or_else(|| "strongest, last or dual".to_owned())
+    found.ok_or_else(|| "expected strongest, last or dual".to_owned())
 }
 
 fn imu_family(name: &str) -> Result<ImuFamily, String> {
     let found = ImuFamily::ALL.into_iter().find(|f| f.name() == name);
-    found.ok_or_else(|| "xsens or microstrain".to_owned())
+    found.ok_or_else(|| "expected xsens or microstrain".to_owned())
 }
 
 /// How the recorder opens a unit that speaks so.

@@ -10,11 +10,17 @@ const YELLOW: &str = "\x1b[1;33m";
 const GREEN: &str = "\x1b[1;32m";
 const PLAIN: &str = "\x1b[0m";
 
-/// Writes text and a line end to stdout. Whoever closed the other end has read enough; anything else is an error.
+/// Writes text for people to stdout, in colour where that helps.
 pub fn print(text: &str) -> anyhow::Result<()> {
+    match is_coloured(&std::io::stdout()) {
+        true => print_plain(&painted(text)),
+        false => print_plain(text),
+    }
+}
+
+/// Writes text for programs and a line end to stdout. Whoever closed the other end has read enough; anything else is an error.
+pub fn print_plain(text: &str) -> anyhow::Result<()> {
     let mut stdout = std::io::stdout().lock();
-    let coloured = colours(&stdout).then(|| painted(text));
-    let text = coloured.as_deref().unwrap_or(text);
     match writeln!(stdout, "{text}").and_then(|()| stdout.flush()) {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => {
             Err(error).context("cannot write to standard output")
@@ -26,12 +32,25 @@ pub fn print(text: &str) -> anyhow::Result<()> {
 /// Writes a line to stderr; where that fails there is nobody left to tell.
 pub fn say(line: &str) {
     let mut stderr = std::io::stderr().lock();
-    let coloured = colours(&stderr).then(|| painted(line));
+    let coloured = is_coloured(&stderr).then(|| painted(line));
     let _ = writeln!(stderr, "{}", coloured.as_deref().unwrap_or(line));
 }
 
+/// The same lines, in colour where stderr shows colours: for what is drawn there in place.
+pub fn for_stderr(lines: &str) -> String {
+    match stderr_is_coloured() {
+        true => painted(lines),
+        false => lines.to_owned(),
+    }
+}
+
+/// Whether progress may be drawn in colour.
+pub fn stderr_is_coloured() -> bool {
+    is_coloured(&std::io::stderr())
+}
+
 /// Colours are for terminals, and for people who want them (<https://no-color.org>).
-fn colours(stream: &impl IsTerminal) -> bool {
+fn is_coloured(stream: &impl IsTerminal) -> bool {
     let unwanted = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
     let plain = std::env::var_os("TERM").is_some_and(|term| term == "dumb");
     stream.is_terminal() && !unwanted && !plain

@@ -322,7 +322,7 @@ fn places_that_cannot_be_written() {
         "scan.tum",
         "--truth",
         "scan.tum",
-        "--report",
+        "--out",
         "scan.tum/report.html",
     ];
     refused(path, &report, &["scan.tum"]);
@@ -348,7 +348,7 @@ fn files_that_are_not_there() {
             "posed images",
         ),
     ] {
-        refused(path, arguments, &["there is no such file", remedy]);
+        refused(path, arguments, &["no such file or folder", remedy]);
     }
 }
 
@@ -397,11 +397,7 @@ fn settings_that_mean_nothing() {
             words,
         );
         refused(path, &["sim", "--config", name, "--out", "sim"], words);
-        refused(
-            path,
-            &["demo", "--sim-config", name, "--out", "demo"],
-            words,
-        );
+        refused(path, &["demo", "--config", name, "--out", "demo"], words);
         refused(
             path,
             &["scan", "--devices", name, "--out", "scan.mcap"],

@@ -143,7 +143,7 @@ fn the_simulators_rig_comes_back_from_every_format() {
         }
 
         // Into a rig that has the rest: everything is as it was, but nobody knows since when.
-        let into = [&import[..], &["--into", "rig.toml", "--out", "into.toml"]].concat();
+        let into = [&import[..], &["--rig", "rig.toml", "--out", "into.toml"]].concat();
         json(folder.path(), &into, 0);
         let again = read(folder.path(), "into.toml");
         assert_same_rig(program, &rig, &again);
@@ -227,7 +227,7 @@ fn the_noise_of_an_imu_alone_goes_into_a_rig() {
     let export = ["calib", "export", "kalibr", "rig.toml", "--out", "out"];
     json(folder.path(), &export, 0);
     let import = ["calib", "import", "kalibr", "out/imu.yaml"];
-    let into = ["--into", "bare.toml", "--out", "whole.toml"];
+    let into = ["--rig", "bare.toml", "--out", "whole.toml"];
     json(folder.path(), &[&import[..], &into].concat(), 0);
     // The lenses are as old as they were.
     assert_eq!(read(folder.path(), "whole.toml"), rig);
@@ -235,7 +235,7 @@ fn the_noise_of_an_imu_alone_goes_into_a_rig() {
     refused(
         folder.path(),
         &[&import[..], &["--out", "alone.toml"]].concat(),
-        &["out/imu.yaml", "--into"],
+        &["out/imu.yaml", "--rig"],
     );
 }
 

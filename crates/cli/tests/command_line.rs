@@ -50,7 +50,7 @@ fn numbers_out_of_range_are_refused_with_a_sentence() {
 #[test]
 #[cfg(feature = "view")]
 fn a_view_of_nothing_is_refused() {
-    bad_arguments(&["view", "--out", "never.rrd"], "RECORDINGS");
+    bad_arguments(&["view", "--out", "never.rrd"], "MCAP");
     assert!(!here().join("never.rrd").exists());
 }
 
@@ -174,7 +174,7 @@ fn a_map_that_stands_is_not_built_again_and_another_is_not_replaced() {
     let before = names.map(written);
     let again = lsfb(path, &map);
     assert_eq!(again.status.code(), Some(0), "{}", said(&again));
-    assert!(said(&again).contains("stands already"), "{}", said(&again));
+    assert!(said(&again).contains("up to date"), "{}", said(&again));
     let points = |output: &Output| {
         let said: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
         said["points"].as_u64().expect("points")

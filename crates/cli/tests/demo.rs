@@ -70,7 +70,7 @@ fn the_same_seed_gives_the_same_bytes_also_when_interrupted_and_no_stage_needs_t
     let demo = |out, seed| {
         [
             "demo",
-            "--sim-config",
+            "--config",
             "short.toml",
             "--out",
             out,

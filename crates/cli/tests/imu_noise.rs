@@ -72,6 +72,8 @@ fn known_noise_comes_back_within_its_sigma() {
                 "imu.yaml",
                 "--rig",
                 "rig.toml",
+                "--out-rig",
+                "rig.toml",
                 "--json",
             ],
         );

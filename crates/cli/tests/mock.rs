@@ -92,7 +92,7 @@ fn a_mock_of_a_recording_gives_the_same_recording() {
         let folder = tempfile::tempdir().expect("folder");
         let source = recorded.join(source);
         let ports = Ports::free().arguments();
-        let arguments = ["mock", text(&source), "--out", "mock", "--rate", rate];
+        let arguments = ["mock", text(&source), "--out", "mock", "--speed", rate];
         let arguments = arguments.into_iter().map(str::to_owned).chain(ports);
         let mut mock = Running::lsfb(folder.path(), arguments);
         mock.wait_for("devices.toml");
@@ -213,11 +213,11 @@ fn a_puck_with_two_returns_and_a_microstrain_unit_are_recorded_too() {
         "sim",
         "--config",
         "tiny.toml",
-        "--lidar",
-        "vlp16",
+        "--lidar-model",
+        "vlp-16",
         "--returns",
         "dual",
-        "--imu",
+        "--imu-family",
         "microstrain",
     ];
     let arguments = arguments.map(str::to_owned).into_iter();
@@ -254,7 +254,8 @@ fn a_puck_with_two_returns_and_a_microstrain_unit_are_recorded_too() {
 fn a_mock_of_a_microstrain_unit_sends_its_stream_again() {
     let folder = tempfile::tempdir().expect("folder");
     std::fs::write(folder.path().join("tiny.toml"), settings(2)).expect("settings");
-    let arguments = "sim --out sim --config tiny.toml --imu microstrain --record --clocks ideal";
+    let arguments =
+        "sim --out sim --config tiny.toml --imu-family microstrain --record --clocks ideal";
     let arguments: Vec<&str> = arguments.split(' ').collect();
     let output = lsfb(folder.path(), &arguments);
     assert_eq!(output.status.code(), Some(0), "{output:?}");
@@ -276,10 +277,20 @@ fn sources_that_hold_nothing_to_play_are_refused() {
     for (arguments, reason) in [
         (&["mock", "missing.mcap", "--out", "m"][..], "missing.mcap"),
         (&["mock", "empty.pcap", "--out", "m"], "empty.pcap"),
-        (&["mock", "a.mcap", "--out", "m", "--rate", "0"], "positive"),
+        (
+            &["mock", "a.mcap", "--out", "m", "--speed", "0"],
+            "positive",
+        ),
         (&["mock", "--out", "m"], "<SOURCE>"),
         (
-            &["mock", "a.mcap", "--out", "m", "--imu", "microstrain"],
+            &[
+                "mock",
+                "a.mcap",
+                "--out",
+                "m",
+                "--imu-family",
+                "microstrain",
+            ],
             "cannot be used with",
         ),
     ] {

@@ -129,7 +129,7 @@ fn an_office_is_recognised_by_every_fifth_image() {
         "map",
         "--posed-images",
         office,
-        "--without-every",
+        "--holdout-every",
         "5",
         "--out",
         "office-map",

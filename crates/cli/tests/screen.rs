@@ -58,7 +58,7 @@ fn an_operator_starts_watches_marks_and_stops() {
     let root = folder.path();
     let source = recorded(10).join("scan.mcap");
     let ports = Ports::free().arguments();
-    let arguments = ["mock", text(&source), "--out", "mock", "--rate", "0.5"];
+    let arguments = ["mock", text(&source), "--out", "mock", "--speed", "0.5"];
     let mut mock = Running::lsfb(root, arguments.map(str::to_owned).into_iter().chain(ports));
     mock.wait_for("devices.toml");
     let arguments = [

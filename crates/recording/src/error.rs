@@ -17,7 +17,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// A file of this name is there, and was not to be replaced.
-    #[error("{}: is there already; choose another name, or allow it to be replaced", path.display())]
+    #[error("{}: exists already; choose another name, or allow it to be replaced", path.display())]
     Exists {
         /// The file.
         path: PathBuf,

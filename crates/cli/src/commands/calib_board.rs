@@ -12,13 +12,13 @@ pub struct BoardArguments {
     /// The board, as a Kalibr target file.
     #[arg(long, value_name = "YAML")]
     target: Option<PathBuf>,
-    /// AprilGrid: tags across, tags up, edge of a tag in metres, gap between tags as a share of that edge.
+    /// AprilGrid: tags across, tags up, size of a tag in metres, gap between tags as a fraction of the tag size.
     #[arg(long, value_name = "COLS,ROWS,SIZE,SPACING", value_parser = april_grid)]
     april_grid: Option<Target>,
-    /// Checkerboard: inner corners across, inner corners down, edge of a square in metres.
+    /// Checkerboard: inner corners across, inner corners down, size of a square in metres.
     #[arg(long, value_name = "COLS,ROWS,SIZE", value_parser = checkerboard)]
     checkerboard: Option<Target>,
-    /// ChArUco board: squares across, squares down, edge of a square and of a marker in metres, bits of a marker (4x4, 5x5,
+    /// ChArUco board: squares across, squares down, sizes of a square and of a marker in metres, bits of a marker (4x4, 5x5,
     /// 6x6).
     #[arg(long, value_name = "COLS,ROWS,SQUARE,MARKER,BITS", value_parser = charuco)]
     charuco: Option<Target>,

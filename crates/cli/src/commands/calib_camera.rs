@@ -18,8 +18,8 @@ use crate::outcome::Outcome;
 
 /// Calibrate camera lenses and the cameras' poses relative to each other, from views of a board.
 ///
-/// Images in folders belong together where the last numbers in their names are the same. Where corners miss by more than any
-/// detector does, the page says why, no rig is written and the exit code is 4.
+/// Images in different folders belong together if the last numbers in their names are equal. If the reprojection errors are larger
+/// than any detector's noise, no rig is written, the page says why, and the exit code is 4.
 ///
 /// Examples:
 ///   lsfb calib camera --checkerboard 9,6,0.025 --model pinhole-radtan --camera left=images/left* --camera right=images/right* --out rig.toml
@@ -30,26 +30,27 @@ use crate::outcome::Outcome;
 pub struct Arguments {
     #[command(flatten)]
     board: BoardArguments,
-    /// A camera of the recording, NAME=TOPIC of a ROS bag, NAME=FOLDER, or NAME=FOLDER/PREFIX*; the first one is the reference.
+    /// A camera: NAME in the recording, NAME=TOPIC in a ROS bag, NAME=FOLDER, or NAME=FOLDER/PREFIX*; may be repeated. The first is
+    /// the reference.
     #[arg(long = "camera", required = true, value_name = "NAME[=FOLDER]")]
     cameras: Vec<String>,
-    /// The recording of cameras that have no folder, or a ROS bag (.bag, .mcap, .db3, or a folder of rosbag2).
+    /// Recording with the cameras given without a folder; or a ROS bag (.bag, .mcap, .db3, or a rosbag2 folder).
     #[arg(long, value_name = "MCAP")]
     recording: Option<PathBuf>,
     /// Lens model of all cameras.
-    #[arg(long, value_enum, default_value_t = Model::KannalaBrandt)]
+    #[arg(long, value_name = "NAME", value_enum, default_value_t = Model::KannalaBrandt)]
     model: Model,
-    /// Rig to put the cameras into; the rest of it is kept. A warning names cameras that it has swapped.
+    /// Rig to put the cameras into; the rest of it is kept. Cameras that seem to be swapped are named in a warning.
     #[arg(long, value_name = "TOML")]
     rig: Option<PathBuf>,
-    /// The rig to write; a page with plots and, for several cameras, transforms for `lsfb calib joint` go beside it.
+    /// The rig to write; a page with plots and, for several cameras, the transforms for `lsfb calib joint` are written beside it.
     #[arg(long, value_name = "TOML")]
     out: PathBuf,
-    /// Write Kalibr's camera chain as well.
+    /// Also write Kalibr's camera chain.
     #[arg(long, value_name = "YAML")]
     out_kalibr: Option<PathBuf>,
-    /// Settings (TOML), instead of the defaults; --model still decides the model.
-    #[arg(long, value_name = "FILE")]
+    /// Settings instead of the defaults; --model still selects the model.
+    #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
 }
 

@@ -21,9 +21,9 @@ use crate::outcome::Outcome;
 
 /// Calibrate the cameras' poses and clocks relative to the IMU, from a walk in front of a board.
 ///
-/// The rig has the lenses, the cameras' poses relative to each other (lsfb calib camera) and the noise of the IMU. Images in
-/// folders are named by their stamps in nanoseconds. Where corners miss by more than any detector does, the page says why, no rig
-/// is written and the exit code is 4.
+/// The rig must hold the lenses, the cameras' poses relative to each other (`lsfb calib camera`) and the noise of the IMU. Images in
+/// folders are named by their stamps in nanoseconds. If the reprojection errors are larger than any detector's noise, no rig is
+/// written, the page says why, and the exit code is 4.
 ///
 /// Examples:
 ///   lsfb calib camera-imu --target grid.yaml --rig rig.toml --recording scan.mcap --camera cam0 --camera cam1 --out rig2.toml
@@ -34,29 +34,30 @@ use crate::outcome::Outcome;
 pub struct Arguments {
     #[command(flatten)]
     board: BoardArguments,
-    /// The rig, with the noise of its IMU.
+    /// The rig to start from, with the noise of its IMU.
     #[arg(long, value_name = "TOML")]
     rig: PathBuf,
-    /// A camera of the rig: in the recording, NAME=TOPIC of a ROS bag, NAME=FOLDER, or NAME=FOLDER/PREFIX*; the first one gives the first guess.
+    /// A camera of the rig: NAME in the recording, NAME=TOPIC in a ROS bag, NAME=FOLDER, or NAME=FOLDER/PREFIX*; may be repeated. The
+    /// first gives the initial guess.
     #[arg(long = "camera", required = true, value_name = "NAME[=FOLDER]")]
     cameras: Vec<String>,
-    /// The recording of the IMU, and of cameras that have no folder; or a ROS bag (.bag, .mcap, .db3, or a folder of rosbag2).
+    /// Recording with the IMU and the cameras given without a folder; or a ROS bag (.bag, .mcap, .db3, or a rosbag2 folder).
     #[arg(long, value_name = "MCAP")]
     recording: Option<PathBuf>,
-    /// The IMU as a table (EuRoC: ns, rad/s, m/s²), instead of the recording's; or its topic in a bag.
+    /// IMU table (EuRoC: ns, rad/s, m/s²) instead of the recording's IMU; or its topic in a bag.
     #[arg(long, value_name = "CSV")]
     imu: Option<PathBuf>,
-    /// The rig to write; a page with plots and transforms for `lsfb calib joint` go beside it.
+    /// The rig to write; a page with plots and the transforms for `lsfb calib joint` are written beside it.
     #[arg(long, value_name = "TOML")]
     out: PathBuf,
-    /// Write Kalibr's camera chain with the IMU as well.
+    /// Also write Kalibr's camera chain with the IMU.
     #[arg(long, value_name = "YAML")]
     out_kalibr: Option<PathBuf>,
-    /// Write the motion of the rig in the board's frame as well, 200 poses per second.
+    /// Also write the trajectory of the rig in the board's frame, 200 poses per second.
     #[arg(long, value_name = "TUM")]
     out_trajectory: Option<PathBuf>,
-    /// Settings (TOML), instead of the defaults.
-    #[arg(long, value_name = "FILE")]
+    /// Settings instead of the defaults.
+    #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
 }
 
@@ -76,8 +77,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let mut rig = Rig::read(&arguments.rig)?;
     let noise = rig.imu_noise().cloned().with_context(|| {
         format!(
-            "{rig} has no [imu]: measure its noise (`lsfb calib imu-noise --rig {rig}`), or take it from Kalibr's \
-             file (`lsfb calib import kalibr imu.yaml --into {rig} --out {rig}`)",
+            "{rig} has no [imu]: measure its noise (`lsfb calib imu-noise --rig {rig} --out-rig {rig}`), or import \
+             Kalibr's file (`lsfb calib import kalibr imu.yaml --rig {rig} --out {rig}`)",
             rig = arguments.rig.display()
         )
     })?;

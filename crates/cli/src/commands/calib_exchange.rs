@@ -16,27 +16,27 @@ use crate::outcome::Outcome;
 
 /// Import a rig from the files of Kalibr or OpenVINS, ROS or OpenCV, COLMAP, or Basalt.
 ///
-/// What was not understood is listed.
+/// Anything that was not understood is listed.
 ///
 /// Examples:
 ///   lsfb calib import kalibr camchain-imucam.yaml imu.yaml --out rig.toml
-///   lsfb calib import kalibr imu.yaml --into rig.toml --out rig.toml
-///   lsfb calib import ros left.yaml right.yaml --into rig.toml --out rig.toml
+///   lsfb calib import kalibr imu.yaml --rig rig.toml --out rig.toml
+///   lsfb calib import ros left.yaml right.yaml --rig rig.toml --out rig.toml
 ///   lsfb calib import colmap cameras.txt rig_config.json --out rig.toml
 ///   lsfb calib import basalt calibration.json --out rig.toml
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct ImportArguments {
-    /// Whose files they are.
+    /// The program whose files these are.
     #[arg(value_enum)]
     program: Program,
     /// The files, in the order of the examples.
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
-    /// A rig to put the cameras into: what the files do not say is kept.
+    /// Rig to put the cameras into; what the files do not say is kept.
     #[arg(long, value_name = "TOML")]
-    into: Option<PathBuf>,
-    /// The rig.
+    rig: Option<PathBuf>,
+    /// The rig to write; may be the one given with --rig.
     #[arg(long, value_name = "TOML")]
     out: PathBuf,
 }
@@ -44,20 +44,21 @@ pub struct ImportArguments {
 /// Export a rig to the files of Kalibr, ROS, COLMAP or Basalt.
 ///
 /// Examples:
-///   lsfb calib export kalibr rig.toml --out folder
+///   lsfb calib export kalibr rig.toml --out kalibr
+///   lsfb calib export colmap rig.toml --out colmap
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct ExportArguments {
-    /// Whose files.
+    /// The program to write files for.
     #[arg(value_enum)]
     program: Program,
-    /// The rig.
+    /// The rig to export.
     #[arg(value_name = "TOML")]
     rig: PathBuf,
-    /// Folder for the files.
+    /// Folder to write the files to.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Samples of the IMU per second, which a rig does not say.
+    /// IMU samples per second, which a rig does not hold.
     #[arg(long, value_name = "HZ", default_value_t = 200.0)]
     imu_rate_hz: f64,
 }
@@ -83,7 +84,7 @@ impl From<Program> for Format {
 
 /// Reads the files, writes the rig.
 pub fn run_import(arguments: &ImportArguments, context: &Context) -> anyhow::Result<Outcome> {
-    let read_too = arguments.files.iter().chain(&arguments.into);
+    let read_too = arguments.files.iter().chain(&arguments.rig);
     set_aside(
         &arguments.out,
         &[],
@@ -98,7 +99,7 @@ pub fn run_import(arguments: &ImportArguments, context: &Context) -> anyhow::Res
     for path in &arguments.files {
         provenance.add_input(path)?;
     }
-    let rig = match &arguments.into {
+    let rig = match &arguments.rig {
         Some(path) => {
             provenance.add_input(path)?;
             let mut rig = Rig::read(path)?;
@@ -146,7 +147,7 @@ fn read(arguments: &ImportArguments) -> anyhow::Result<ImportedRig> {
         files.len()
     );
     let Some(first) = files.first() else {
-        anyhow::bail!("no file was named");
+        anyhow::bail!("no file was given");
     };
     let name = first.display().to_string();
     let second = files.get(1);
@@ -156,8 +157,8 @@ fn read(arguments: &ImportArguments) -> anyhow::Result<ImportedRig> {
             let ImportedRig { rig, notes: said } = read_kalibr(files)?;
             notes = said;
             anyhow::ensure!(
-                !rig.cameras.is_empty() || arguments.into.is_some(),
-                "{name} has no camera: name the rig that its IMU belongs to with --into"
+                !rig.cameras.is_empty() || arguments.rig.is_some(),
+                "{name} has no camera: give the rig of its IMU with --rig"
             );
             rig
         }

@@ -11,37 +11,41 @@ use super::calib_input::{Source, add_input, imu_of};
 use super::calib_result::set_aside;
 use super::write;
 use crate::context::Context;
+use crate::files::is_same;
 use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
 
-/// Measure the IMU's noise (Allan variance) from a recording at rest; two hours show all of it.
+/// Measure the IMU's noise (Allan variance) from a recording at rest; two hours are enough for all parameters.
 ///
 /// Examples:
 ///   lsfb calib imu-noise --recording night.mcap --out noise.html
-///   lsfb calib imu-noise --imu imu0/data.csv --out noise.html --out-kalibr imu.yaml --rig rig.toml
+///   lsfb calib imu-noise --imu imu0/data.csv --out noise.html --out-kalibr imu.yaml --rig rig.toml --out-rig rig.toml
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// The recording, or a ROS bag (.bag, .mcap, .db3, or a folder of rosbag2).
+    /// Recording with the IMU; or a ROS bag (.bag, .mcap, .db3, or a rosbag2 folder).
     #[arg(long, value_name = "MCAP", required_unless_present = "imu")]
     recording: Option<PathBuf>,
-    /// The IMU as a table (EuRoC: ns, rad/s, m/s²), instead of the recording's; or its topic in a bag.
+    /// IMU table (EuRoC: ns, rad/s, m/s²) instead of the recording's IMU; or its topic in a bag.
     #[arg(long, value_name = "CSV")]
     imu: Option<PathBuf>,
-    /// The page with figures and plots.
+    /// The page with figures and plots to write.
     #[arg(long, value_name = "HTML")]
     out: PathBuf,
-    /// Write Kalibr's imu.yaml as well.
+    /// Also write Kalibr's imu.yaml.
     #[arg(long, value_name = "YAML")]
     out_kalibr: Option<PathBuf>,
-    /// Topic that Kalibr's file names.
-    #[arg(long, default_value = "/imu")]
+    /// Topic to name in Kalibr's file.
+    #[arg(long, value_name = "TOPIC", default_value = "/imu")]
     topic: String,
-    /// Write the noise into this rig as well.
-    #[arg(long, value_name = "TOML")]
+    /// Rig to put the noise into; the rest of it is kept.
+    #[arg(long, value_name = "TOML", requires = "out_rig")]
     rig: Option<PathBuf>,
-    /// Settings (TOML), instead of the defaults.
-    #[arg(long, value_name = "FILE")]
+    /// The rig with the noise to write; may be the one given with --rig.
+    #[arg(long, value_name = "TOML", requires = "rig")]
+    out_rig: Option<PathBuf>,
+    /// Settings instead of the defaults.
+    #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
 }
 
@@ -50,6 +54,15 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let config: ImuNoiseConfig = match &arguments.config {
         Some(path) => super::read_config(path)?,
         None => ImuNoiseConfig::default(),
+    };
+    let rig = match (&arguments.rig, &arguments.out_rig) {
+        (Some(before), Some(after)) => {
+            if !is_same(before, after) {
+                context.claim(after)?;
+            }
+            Some((Rig::read(before)?, after))
+        }
+        _ => None,
     };
     set_aside(&arguments.out, &[], &[])?;
     let mut provenance = Provenance::new(&config);
@@ -72,8 +85,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             imu_to_kalibr(&found.rig_imu(), rate_hz, &arguments.topic),
         )?;
     }
-    if let Some(path) = &arguments.rig {
-        let mut rig = Rig::read(path)?;
+    if let Some((mut rig, path)) = rig {
         rig.set_imu_noise(found.rig_imu());
         write(path, rig.to_toml())?;
     }

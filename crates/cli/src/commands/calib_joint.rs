@@ -15,29 +15,29 @@ use crate::outcome::Outcome;
 
 /// Join pairwise transforms between sensors into one rig (Eq. 3), and check every loop.
 ///
-/// The poses of cameras on the rig are the transforms to the IMU; those named with --transform join them, and take the place
-/// of the rig's between the same sensors. Where a transform contradicts the others, the page says so, no rig is written and the
-/// exit code is 4.
+/// The cameras' poses in the rig are the transforms to the IMU; those given with --transform are added, and replace the rig's
+/// between the same sensors. If a transform contradicts the others, no rig is written, the page says which, and the exit code
+/// is 4.
 ///
 /// Examples:
 ///   lsfb calib joint --rig rig.toml --transform rig.cam0-lidar.json --transform rig.cam1-lidar.json --out joined.toml
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// The rig with lenses and the cameras' poses in the IMU.
+    /// The rig to start from, with lenses and the cameras' poses in the IMU frame.
     #[arg(long, value_name = "TOML")]
     rig: PathBuf,
-    /// A transform between two sensors, as other steps write it.
+    /// A transform between two sensors, as written by the other steps; may be repeated.
     #[arg(long = "transform", required = true, value_name = "JSON")]
     transforms: Vec<PathBuf>,
-    /// Use the paper's covariances for all transforms, even where measured ones are known.
+    /// Use the paper's covariances for all transforms instead of measured ones.
     #[arg(long)]
     paper_weights: bool,
-    /// The joined rig to write; a page with the table of loops goes beside it.
+    /// The joined rig to write; a page with the table of loops is written beside it.
     #[arg(long, value_name = "TOML")]
     out: PathBuf,
-    /// Settings (TOML), instead of the defaults.
-    #[arg(long, value_name = "FILE")]
+    /// Settings instead of the defaults.
+    #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
 }
 

@@ -24,8 +24,8 @@ use crate::outcome::Outcome;
 
 /// Calibrate the LiDAR's pose relative to a camera, from poses of a board that both see.
 ///
-/// Images and clouds (PCD with rings) belong together where the last numbers in their names are the same; there the board stands
-/// still. In a recording it, or the rig, may move as well: images around each scan say where the board was at each return. It
+/// Images and clouds (PCD with rings) belong together if the last numbers in their names are equal; the board must then be at rest.
+/// In a recording, the board or the rig may move: the images around each scan give the board's pose at each return. The board
 /// must stand free (nothing within 20 cm behind it) and be tilted differently each time: ten poses are few, thirty are good.
 ///
 /// Examples:
@@ -36,13 +36,13 @@ use crate::outcome::Outcome;
 pub struct Arguments {
     #[command(flatten)]
     board: BoardArguments,
-    /// The plate: its size along the pattern's x and y axis in metres.
+    /// Size of the plate along the pattern's x and y axes, in metres.
     #[arg(long, value_name = "W,H", value_parser = two_lengths)]
     plate: [f64; 2],
-    /// Middle of the plate from the middle of the corners, along the pattern's x and y axis, in metres.
+    /// Centre of the plate relative to the centre of the corners, along the pattern's x and y axes, in metres.
     #[arg(long, value_name = "X,Y", value_parser = two_lengths, default_value = "0,0", allow_hyphen_values = true)]
     offset: [f64; 2],
-    /// The camera: NAME of the recording, NAME=FOLDER or NAME=FOLDER/PREFIX*; the rig has its lens.
+    /// The camera, whose lens is in the rig: NAME in the recording, NAME=FOLDER, or NAME=FOLDER/PREFIX*.
     #[arg(long, value_name = "NAME[=FOLDER]")]
     camera: String,
     /// The clouds: FOLDER or FOLDER/PREFIX*SUFFIX.
@@ -53,21 +53,20 @@ pub struct Arguments {
         required_unless_present = "recording"
     )]
     clouds: Option<String>,
-    /// The recording: the board held still for two seconds in each pose is best, since nothing then rests on the clocks; motion is
-    /// followed.
+    /// The recording. Best is to hold the board still for two seconds in each pose, since the result then does not depend on the clocks.
     #[arg(long, value_name = "MCAP", group = "source")]
     recording: Option<PathBuf>,
-    /// Poses taken from a recording at most.
+    /// Largest number of poses to use from a recording.
     #[arg(long, value_name = "N", default_value_t = 60)]
     max_poses: usize,
-    /// The rig with the camera in it.
+    /// The rig to start from, with the camera.
     #[arg(long, value_name = "TOML")]
     rig: PathBuf,
-    /// The rig to write, with the LiDAR in it; a page with plots and the transform for `lsfb calib joint` go beside it.
+    /// The rig with the LiDAR to write; a page with plots and the transform for `lsfb calib joint` are written beside it.
     #[arg(long, value_name = "TOML")]
     out: PathBuf,
-    /// Settings (TOML), instead of the defaults.
-    #[arg(long, value_name = "FILE")]
+    /// Settings instead of the defaults.
+    #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
 }
 

@@ -11,12 +11,12 @@ use crate::context::Context;
 use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
 
-/// Refine the LiDAR's pose to cameras on any recording, without a board.
+/// Refine the LiDAR's pose relative to the cameras on any recording, without a board.
 ///
-/// Corners of images are put onto surfaces that the LiDAR saw and found again from elsewhere, which says how each camera is
-/// turned and moved to the LiDAR; the rig must be right within 2.5° and 5 cm. Walk through a furnished place for 30 s or more,
-/// and turn. What the recording does not determine is named and left as it was. Each camera's transform goes to
-/// `lsfb calib joint`, which joins them with those to the IMU. Exit code 4 where a camera could not be placed.
+/// Image corners are placed on surfaces measured by the LiDAR and found again from other viewpoints, which determines each camera's
+/// rotation and translation to the LiDAR. The rig must be right within 2.5° and 5 cm. Walk through a furnished place for 30 s or
+/// more, and turn. What the recording does not determine is named and left unchanged. `lsfb calib joint` joins the transforms
+/// written here with those to the IMU. Exit code 4 if a camera could not be placed.
 ///
 /// Examples:
 ///   lsfb calib refine scan.mcap --out refined.html
@@ -31,11 +31,11 @@ pub struct Arguments {
     /// The rig to start from, instead of the recording's own.
     #[arg(long, value_name = "TOML")]
     rig: Option<PathBuf>,
-    /// The page; pictures and the transforms of cameras lie beside it.
+    /// The page to write; pictures and the cameras' transforms are written beside it.
     #[arg(long, value_name = "HTML")]
     out: PathBuf,
-    /// Settings (TOML), instead of the defaults.
-    #[arg(long, value_name = "FILE")]
+    /// Settings instead of the defaults.
+    #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
 }
 

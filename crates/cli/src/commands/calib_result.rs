@@ -9,6 +9,7 @@ use lsfb_types::{Judgement, Verdict};
 use serde::Serialize;
 
 use crate::context::Context;
+use crate::files::is_same;
 use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
 
@@ -86,13 +87,7 @@ pub fn set_aside(out: &Path, transforms: &[[&str; 2]], inputs: &[&Path]) -> anyh
         .iter()
         .map(|[target, source]| transform_path(out, target, source));
     let old = pages.into_iter().chain(transforms);
-    let is_read = |path: &Path| {
-        let same = |input: &&Path| match (input.canonicalize(), path.canonicalize()) {
-            (Ok(input), Ok(path)) => input == path,
-            _ => false,
-        };
-        inputs.iter().any(same)
-    };
+    let is_read = |path: &Path| inputs.iter().any(|input| is_same(input, path));
     for path in old {
         if path.is_file() && !is_read(&path) {
             let mut aside = path.clone().into_os_string();

@@ -8,7 +8,7 @@ use super::calib_board::{BoardArguments, two_lengths};
 use crate::context::Context;
 use crate::outcome::Outcome;
 
-/// Print a calibration board: a PDF true to scale, and its Kalibr file.
+/// Print a calibration board: a PDF at true scale, and its Kalibr file.
 ///
 /// Examples:
 ///   lsfb calib target --checkerboard 9,6,0.025 --page 0.297,0.21 --out board.pdf
@@ -19,10 +19,10 @@ use crate::outcome::Outcome;
 pub struct Arguments {
     #[command(flatten)]
     board: BoardArguments,
-    /// Paper, width and height in metres.
+    /// Size of the paper: width and height in metres.
     #[arg(long, value_name = "W,H", default_value = "0.297,0.21", value_parser = two_lengths)]
     page: [f64; 2],
-    /// The PDF; the Kalibr file is written beside it.
+    /// The PDF to write; the Kalibr file is written beside it.
     #[arg(long, value_name = "PDF")]
     out: PathBuf,
 }

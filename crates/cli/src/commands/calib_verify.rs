@@ -10,10 +10,10 @@ use crate::context::Context;
 use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
 
-/// Check a rig on any recording: no board needed.
+/// Check a rig on any recording, without a board.
 ///
-/// Compares cameras with the gyroscope (time offset, rotation), the LiDAR with the images, and cameras with each other;
-/// draws the LiDAR's returns over one image of each camera. Exit code 4 where a check fails.
+/// Compares the cameras with the gyroscope (time offset, rotation), the LiDAR with the images, and the cameras with each other;
+/// draws LiDAR returns over one image of each camera. Exit code 4 if a check fails.
 ///
 /// Examples:
 ///   lsfb calib verify scan.mcap
@@ -27,11 +27,11 @@ pub struct Arguments {
     /// The rig to check, instead of the recording's own.
     #[arg(long, value_name = "TOML")]
     rig: Option<PathBuf>,
-    /// The page; pictures lie beside it. Without it, beside the recording.
+    /// The page to write, with pictures beside it; by default beside the recording.
     #[arg(long, value_name = "HTML")]
     out: Option<PathBuf>,
-    /// Settings (TOML), instead of the defaults.
-    #[arg(long, value_name = "FILE")]
+    /// Settings instead of the defaults.
+    #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
 }
 

@@ -12,24 +12,25 @@ use crate::context::Context;
 use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
 
-/// Estimate the clock of every device again from the recorded counters and arrivals, and plot it.
+/// Estimate every device's clock again from the recorded counters and arrival times, and plot it.
 ///
-/// The constant part of a transport delay cannot be seen by any one-way method and is in the offsets.
+/// The constant part of a transport delay cannot be observed by any one-way method and remains in the offsets.
 ///
 /// Examples:
 ///   lsfb clock scan.mcap
-///   lsfb clock scan.mcap --out clocks.html --window 300 --json
+///   lsfb clock scan.mcap --out clocks.html --window-secs 300 --json
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
     /// The recording.
+    #[arg(value_name = "MCAP")]
     recording: PathBuf,
-    /// The page with the plots; beside the recording unless named.
+    /// The page with plots to write; by default beside the recording.
     #[arg(long, value_name = "HTML")]
     out: Option<PathBuf>,
-    /// Length of the stretches that get a line of their own, seconds.
-    #[arg(long, value_name = "S")]
-    window: Option<f64>,
+    /// Length of the windows in which a line is fitted.
+    #[arg(long, value_name = "SECS")]
+    window_secs: Option<f64>,
 }
 
 #[derive(Serialize)]
@@ -42,7 +43,7 @@ struct Printed<'a> {
 /// Estimates, plots, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     let mut config = ClockConfig::default();
-    if let Some(secs) = arguments.window {
+    if let Some(secs) = arguments.window_secs {
         config.window_secs = secs;
     }
     let recording = context.open(&arguments.recording)?;

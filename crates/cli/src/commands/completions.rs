@@ -15,7 +15,7 @@ use crate::terminal;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// The shell.
+    /// The shell to write completions for.
     shell: Shell,
 }
 
@@ -24,6 +24,6 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let mut script = Vec::new();
     let mut command = crate::Arguments::command();
     generate(arguments.shell, &mut command, "lsfb", &mut script);
-    terminal::print(String::from_utf8(script)?.trim_end())?;
+    terminal::print_plain(String::from_utf8(script)?.trim_end())?;
     Ok(Outcome::Done)
 }

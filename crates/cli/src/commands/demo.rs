@@ -24,26 +24,27 @@ use crate::outcome::Outcome;
 use crate::simulated::{self, Layout};
 use crate::standing;
 
-/// Simulate, record, map, localize and evaluate: the whole way, in a few minutes.
+/// Simulate, record, map, localize and evaluate: the whole pipeline in a few minutes.
 ///
-/// A backpack scans a furnished room and a corridor, glasses walk through them later; simulated devices send real bytes
-/// to the recorder, and all that follows reads recordings only. The same seed gives the same trajectories and map.
-/// In a folder where it was interrupted it goes on after the last stage that is finished.
+/// A simulated backpack scans a furnished room and a corridor; simulated glasses walk through them later. The devices send
+/// real bytes to the recorder, and every later stage reads the recordings only. The same seed gives the same trajectories
+/// and map. An interrupted demo continues after its last finished stage.
 ///
-/// Example:
+/// Examples:
 ///   lsfb demo --out demo-out --seed 7
+///   lsfb demo --config sim.toml --out demo-out
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
     /// Folder for recordings, map, trajectories and report.
-    #[arg(long, value_name = "DIR", default_value = "demo-out")]
+    #[arg(long, value_name = "FOLDER", default_value = "demo-out")]
     out: PathBuf,
-    /// Seed of building, walks and noise.
-    #[arg(long, default_value_t = 1, value_parser = super::seed, allow_hyphen_values = true)]
+    /// Seed of the building, the walks and the noise.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = super::seed, allow_hyphen_values = true)]
     seed: u64,
-    /// Settings of the simulation (TOML), instead of the defaults; --seed overrides its seed.
-    #[arg(long, value_name = "FILE")]
-    sim_config: Option<PathBuf>,
+    /// Settings of the simulation instead of the defaults; --seed overrides its seed.
+    #[arg(long, value_name = "TOML")]
+    config: Option<PathBuf>,
 }
 
 /// The figures of a run and where its files are.
@@ -105,7 +106,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         stages: Vec::new(),
         last: began,
     };
-    let mut sim_config: SimConfig = super::config_or_default(arguments.sim_config.as_deref())?;
+    let mut sim_config: SimConfig = super::config_or_default(arguments.config.as_deref())?;
     sim_config.seed = arguments.seed;
     context.will_write(&arguments.out);
     begin(&arguments.out, &sim_config, context)?;
@@ -181,11 +182,11 @@ fn begin(out: &Path, sim_config: &SimConfig, context: &Context) -> anyhow::Resul
     if !context.force() {
         match std::fs::read_to_string(&begun) {
             Ok(_) if finished.exists() => anyhow::bail!(
-                "{folder}: this demo is finished, see report.html in it: choose another --out, or run it again with --force"
+                "{folder}: this demo is finished, see report.html there: choose another --out, or run it again with --force"
             ),
             Ok(before) => anyhow::ensure!(
                 before == settings,
-                "{folder}: a demo with another seed or other settings was begun here: choose another --out, or replace it with --force"
+                "{folder}: a demo with another seed or other settings was started here: choose another --out, or replace it with --force"
             ),
             Err(_) => {
                 for name in [

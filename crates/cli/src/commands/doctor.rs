@@ -14,10 +14,9 @@ use crate::outcome::Outcome;
 
 /// Judge a recording: PASS, WARN or FAIL for the file, each sensor, each clock, and what was lost.
 ///
-/// With --host: judge this machine instead, before it records: limits, permissions, clock, disk; with the remedy of each.
-///
-/// Looks at the indexes, which is fast whatever the size of the file, and says what it did not read; --full reads everything and
-/// compares checksums. Exit code 4: something failed.
+/// Reads the indexes only, which is fast for files of any size, and says what was not checked; --full reads everything and
+/// verifies the checksums. With --host, judges this machine before a recording: limits, permissions, clock, disk, with a remedy
+/// for each problem. Exit code 4: something failed.
 ///
 /// Examples:
 ///   lsfb doctor scan.mcap
@@ -26,17 +25,17 @@ use crate::outcome::Outcome;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// The recording.
-    #[arg(required_unless_present = "host")]
+    /// The recording to judge.
+    #[arg(value_name = "MCAP", required_unless_present = "host")]
     recording: Option<PathBuf>,
-    /// Look at this machine, and at the disk of FOLDER, where 256 MB are written for a moment.
+    /// Judge this machine, and the disk of FOLDER, to which 256 MB are written and removed.
     #[arg(long, value_name = "FOLDER", num_args = 0..=1, default_missing_value = ".", conflicts_with_all = ["recording", "full", "config"])]
     host: Option<PathBuf>,
-    /// Read every byte and compare the checksums.
+    /// Read every byte and verify the checksums.
     #[arg(long)]
     full: bool,
-    /// Thresholds (TOML) instead of the recommended ones.
-    #[arg(long, value_name = "FILE")]
+    /// Thresholds instead of the recommended ones.
+    #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
 }
 
@@ -47,7 +46,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         return print(&judgement, "this machine", &Host { folder }, context);
     }
     let Some(path) = &arguments.recording else {
-        anyhow::bail!("name a recording, or --host");
+        anyhow::bail!("give a recording, or --host");
     };
     let mut config: DoctorConfig = match &arguments.config {
         Some(path) => super::read_config(path)?,

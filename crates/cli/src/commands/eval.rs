@@ -14,40 +14,42 @@ use crate::outcome::Outcome;
 
 /// Evaluate a trajectory against ground truth: absolute and relative errors.
 ///
-/// Reads TUM, EuRoC and KITTI files. KITTI's carry no time: row n is at n seconds unless --truth-times says otherwise.
+/// Reads TUM, EuRoC and KITTI files. KITTI files have no time: row n is at n seconds unless --truth-times is given.
 ///
 /// Examples:
 ///   lsfb eval walk.tum --truth truth_walk.tum
+///   lsfb eval walk.tum --truth truth_walk.tum --out report.html
 ///   lsfb eval orb.tum --truth gt.tum --align sim3 --rpe-delta 100 --rpe-unit frames --json
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
     /// The trajectory to evaluate.
+    #[arg(value_name = "TUM")]
     estimate: PathBuf,
     /// The ground truth.
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "TUM")]
     truth: PathBuf,
-    /// Stamps of a ground truth in KITTI's format, one per line in seconds.
+    /// Stamps of a ground truth in KITTI's format, one per line, in seconds.
     #[arg(long, value_name = "FILE")]
     truth_times: Option<PathBuf>,
-    /// How the estimate is aligned before errors are measured.
-    #[arg(long, value_enum, default_value_t = Align::Se3)]
+    /// How the estimate is aligned to the ground truth before errors are computed.
+    #[arg(long, value_name = "MODE", value_enum, default_value_t = Align::Se3)]
     align: Align,
-    /// Largest difference between matching stamps, seconds.
-    #[arg(long, default_value_t = 0.01, value_name = "S")]
-    max_difference: f64,
-    /// Distance between the two poses of a relative error.
-    #[arg(long, default_value_t = 1.0, value_name = "D")]
+    /// Largest difference between the stamps of matched poses.
+    #[arg(long, default_value_t = 0.01, value_name = "SECS")]
+    max_difference_secs: f64,
+    /// Distance between the two poses of a relative error, in the unit of --rpe-unit.
+    #[arg(long, default_value_t = 1.0, value_name = "NUMBER")]
     rpe_delta: f64,
-    /// Unit of that distance.
-    #[arg(long, value_enum, default_value_t = RpeUnit::Metres)]
+    /// Unit of --rpe-delta.
+    #[arg(long, value_name = "UNIT", value_enum, default_value_t = RpeUnit::Metres)]
     rpe_unit: RpeUnit,
-    /// Write a page with plots and a view that can be turned.
-    #[arg(long, value_name = "HTML")]
-    report: Option<PathBuf>,
     /// Use all pairs of poses, not only consecutive ones.
     #[arg(long)]
     rpe_all_pairs: bool,
+    /// Also write a page with plots and a 3D view.
+    #[arg(long, value_name = "HTML")]
+    out: Option<PathBuf>,
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -69,7 +71,7 @@ enum RpeUnit {
 /// Evaluates, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     let config = EvalConfig {
-        max_difference_secs: arguments.max_difference,
+        max_difference_secs: arguments.max_difference_secs,
         alignment: match arguments.align {
             Align::None => AlignmentMode::None,
             Align::Se3 => AlignmentMode::Se3,
@@ -92,7 +94,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         }],
         ..EvalConfig::default()
     };
-    if let Some(page) = &arguments.report {
+    if let Some(page) = &arguments.out {
         context.claim(page)?;
     }
     let truth = match &arguments.truth_times {
@@ -103,7 +105,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         &arguments.estimate,
         evaluate(&truth, &read_poses(&arguments.estimate)?, &config),
     )?;
-    if let Some(page) = &arguments.report {
+    if let Some(page) = &arguments.out {
         let name = arguments
             .estimate
             .file_name()

@@ -12,23 +12,24 @@ use crate::standing;
 
 /// Compute the ground-truth trajectory of a walk in an HD map.
 ///
-/// One that stands already, made by this program from the same walk and map with the same settings, is not computed again.
+/// An existing trajectory, made by this program from the same walk and map with the same settings, is not computed again.
 ///
-/// Example:
+/// Examples:
 ///   lsfb groundtruth walk.mcap --map map --out walk.tum
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// The walk (MCAP) of a phone or glasses.
+    /// The recording of a walk with a phone or glasses.
+    #[arg(value_name = "MCAP")]
     recording: PathBuf,
-    /// The map: a folder.
-    #[arg(long, value_name = "DIR")]
+    /// The map, a folder.
+    #[arg(long, value_name = "FOLDER")]
     map: PathBuf,
-    /// The trajectory (TUM), in the world of the map.
+    /// The trajectory to write, in the map's world frame.
     #[arg(long, value_name = "TUM")]
     out: PathBuf,
-    /// Settings (TOML), instead of the defaults.
-    #[arg(long, value_name = "FILE")]
+    /// Settings instead of the defaults.
+    #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
 }
 

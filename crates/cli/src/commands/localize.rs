@@ -12,21 +12,21 @@ use serde::Serialize;
 use crate::context::Context;
 use crate::outcome::Outcome;
 
-/// Localize images with known poses in an HD map, and say how many were found where they are.
+/// Localize images with known poses in an HD map, and report how many were placed correctly.
 ///
-/// Example:
+/// Examples:
 ///   lsfb localize --posed-images hololens_office --every 5 --map office-map
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
     /// Folder with K.txt, poses_T_world_cam_rowmajor4x4.txt and images/.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "FOLDER")]
     posed_images: PathBuf,
-    /// Use every N-th image only.
+    /// Use only every N-th image.
     #[arg(long, value_name = "N", default_value_t = 1)]
     every: usize,
-    /// The map: a folder.
-    #[arg(long, value_name = "DIR")]
+    /// The map, a folder.
+    #[arg(long, value_name = "FOLDER")]
     map: PathBuf,
 }
 

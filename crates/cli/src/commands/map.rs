@@ -15,34 +15,35 @@ use crate::standing;
 
 /// Build an HD map from a scanner's recording, or from images with known poses.
 ///
-/// A map that stands already, made by this program from the same recording with the same settings, is not built again.
+/// An existing map, built by this program from the same recording with the same settings, is not built again.
 ///
 /// Examples:
 ///   lsfb map scan.mcap --out map --out-trajectory scan.tum
-///   lsfb map --posed-images hololens_office --without-every 5 --out office-map
+///   lsfb map --posed-images hololens_office --holdout-every 5 --out office-map
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// The recording (MCAP).
+    /// The scanner's recording.
     #[arg(
+        value_name = "MCAP",
         required_unless_present = "posed_images",
         conflicts_with = "posed_images"
     )]
     recording: Option<PathBuf>,
     /// Folder with K.txt, poses_T_world_cam_rowmajor4x4.txt and images/.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "FOLDER")]
     posed_images: Option<PathBuf>,
-    /// Leave out every N-th of those images, to localize them later.
+    /// Hold out every N-th of those images, to localize them later.
     #[arg(long, value_name = "N", requires = "posed_images")]
-    without_every: Option<usize>,
-    /// The map: a folder.
-    #[arg(long, value_name = "DIR")]
+    holdout_every: Option<usize>,
+    /// The map to write, a folder.
+    #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Write the scanner's trajectory too (TUM).
+    /// Also write the scanner's trajectory.
     #[arg(long, value_name = "TUM", conflicts_with = "posed_images")]
     out_trajectory: Option<PathBuf>,
-    /// Settings (TOML), instead of the defaults.
-    #[arg(long, value_name = "FILE")]
+    /// Settings instead of the defaults.
+    #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
 }
 
@@ -60,7 +61,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     if let Some(folder) = &arguments.posed_images {
         return from_posed_images(folder, arguments, context);
     }
-    let recording = arguments.recording.as_deref().context("name a recording")?;
+    let recording = arguments.recording.as_deref().context("give a recording")?;
     let config: MappingConfig = super::config_or_default(arguments.config.as_deref())?;
     let job = MapJob {
         recording,
@@ -175,7 +176,7 @@ fn from_posed_images(
     let config: PosedMapConfig = super::config_or_default(arguments.config.as_deref())?;
     super::expect_file(folder, "name a folder of posed images")?;
     context.claim(&arguments.out)?;
-    let posed = PosedImages::read(folder)?.without_every(arguments.without_every.unwrap_or(0));
+    let posed = PosedImages::read(folder)?.without_every(arguments.holdout_every.unwrap_or(0));
     let map = build_map_from_posed_images(&posed, &config, &|p| context.show(p))?;
     map.write(&arguments.out)?;
     context.print(&summary(&arguments.out, &map, ()), || {

@@ -22,40 +22,41 @@ const PATIENCE: Duration = Duration::from_secs(3600);
 
 /// Play a recording, a capture file or the simulator as live devices.
 ///
-/// LiDAR packets go to the network, the IMU's bytes to a pseudo-terminal, a CAN interface or a mock USB device, frames to
-/// camera sockets and a phone's messages to the sidecar port, each exactly as received and at the time its device gave it:
-/// `lsfb scan` in another process cannot tell the difference. The list of devices for it is written into the folder. Nothing is sent before every device has its host.
+/// LiDAR packets go to the network, IMU bytes to a pseudo-terminal, a CAN interface or a mock USB device, camera frames to
+/// sockets, and a phone's messages to the sidecar port, each exactly as received and at its device's own time: `lsfb scan` in
+/// another process cannot tell the difference. The list of devices to record from is written into the folder. Nothing is sent
+/// until every device is connected.
 ///
-/// With --loop the devices' own clocks begin anew with each turn, and the recorder reports it.
-/// A capture file (pcap, pcapng, db3) has a LiDAR alone, which never says that it has ended: stop the recorder with Ctrl-C. A
-/// CAN bus does not say so either; beside other devices that do, the recorder takes its silence for the end.
+/// With --loop, the devices' clocks start again with each repetition, and the recorder reports it. A capture file (pcap, pcapng,
+/// db3) holds a LiDAR only, which never signals its end: stop the recorder with Ctrl-C. A CAN bus does not signal its end
+/// either; beside devices that do, the recorder takes its silence for the end.
 ///
-/// An SBG unit needs a CAN interface, for instance a virtual one: ip link add vcan0 type vcan && ip link set vcan0 up
+/// An SBG unit needs a CAN interface, e.g. a virtual one: ip link add vcan0 type vcan && ip link set vcan0 up
 ///
 /// Examples:
 ///   lsfb mock scan.mcap --out mock              # then, in another terminal:
 ///   lsfb scan --devices mock/devices.toml --out again.mcap
-///   lsfb mock drive.pcap --out mock --rate 2 --loop
-///   lsfb mock --seed 7 --out sim --lidar vlp16  # the simulator, as lsfb sim
+///   lsfb mock drive.pcap --out mock --speed 2 --loop
+///   lsfb mock --seed 7 --out sim --lidar-model vlp-16  # the simulator, like `lsfb sim`
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
     /// Recording (MCAP), pcap, pcapng or rosbag2 database (db3).
     #[arg(required_unless_present = "seed", conflicts_with = "Equipment")]
     source: Option<PathBuf>,
-    /// Play the simulator with this seed instead.
-    #[arg(long, conflicts_with_all = ["source", "turns"], value_parser = super::seed, allow_hyphen_values = true)]
+    /// Play the simulator with this seed instead of a file.
+    #[arg(long, value_name = "N", conflicts_with_all = ["source", "turns"], value_parser = super::seed, allow_hyphen_values = true)]
     seed: Option<u64>,
     /// Folder for the list of devices, the rig, and the mock devices' sockets.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Recorded seconds per second.
-    #[arg(long, default_value_t = 1.0, value_parser = rate)]
-    rate: f64,
-    /// Play it N times; without a number until Ctrl-C.
+    /// Playback speed: recorded seconds per second.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = speed)]
+    speed: f64,
+    /// Play it N times; without a number, until Ctrl-C.
     #[arg(long = "loop", value_name = "N", num_args = 0..=1, default_missing_value = "0")]
     turns: Option<u32>,
-    /// CAN interface that an SBG unit sends on.
+    /// CAN interface on which an SBG unit sends.
     #[arg(long, value_name = "INTERFACE", default_value = "vcan0")]
     can: String,
     #[command(flatten)]
@@ -64,10 +65,10 @@ pub struct Arguments {
     endpoints: Endpoints,
 }
 
-/// A rate that time can pass at.
-fn rate(text: &str) -> Result<f64, String> {
+/// A speed at which time can pass.
+fn speed(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
-        Ok(rate) if rate > 0.0 && rate.is_finite() => Ok(rate),
+        Ok(speed) if speed > 0.0 && speed.is_finite() => Ok(speed),
         _ => Err("expected a positive number, for instance 1 or 0.5".to_owned()),
     }
 }
@@ -78,7 +79,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         let simulator = sim::Arguments::playing(
             &arguments.out,
             arguments.seed.unwrap_or_default(),
-            arguments.rate,
+            arguments.speed,
             arguments.equipment.clone(),
             arguments.endpoints.clone(),
         );
@@ -112,7 +113,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         Some(times) => Turns::Times(times),
     };
     let session = playback
-        .start(&endpoints, Pace::RealTimes(arguments.rate), turns)
+        .start(&endpoints, Pace::RealTimes(arguments.speed), turns)
         .with_context(|| playback_needs(&playback, arguments))?;
     if let (Some(line), Some(imu)) = (session.imu_path(), devices.imus.first()) {
         symlink(line, &imu.path).with_context(|| imu.path.display().to_string())?;

@@ -9,9 +9,9 @@ use lsfb_recording::{Provenance, write_tum};
 use crate::context::Context;
 use crate::outcome::Outcome;
 
-/// LiDAR(-inertial) odometry over a recording, or over a folder of PCD scans.
+/// Run LiDAR(-inertial) odometry on a recording, or on a folder of PCD scans.
 ///
-/// Scans that find no place in the map have no pose; exit code 3 where the end of the recording is lost.
+/// Scans that could not be registered have no pose; exit code 3 if the end of the recording was lost.
 ///
 /// Examples:
 ///   lsfb odometry scan.mcap --out scan.tum
@@ -19,16 +19,17 @@ use crate::outcome::Outcome;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// Recording (MCAP), or folder of PCD files; the latter is recorded beside the result first.
+    /// Recording (MCAP), or a folder of PCD files, which is first converted to a recording beside the result.
+    #[arg(value_name = "MCAP|FOLDER")]
     input: PathBuf,
-    /// The trajectory (TUM).
+    /// The trajectory to write.
     #[arg(long, value_name = "TUM")]
     out: PathBuf,
-    /// Settings for streets: far ranges, coarse cells.
+    /// Use settings for streets: long ranges, coarse voxels.
     #[arg(long)]
     outdoor: bool,
-    /// Settings (TOML), instead of the defaults.
-    #[arg(long, value_name = "FILE", conflicts_with = "outdoor")]
+    /// Settings instead of the defaults.
+    #[arg(long, value_name = "TOML", conflicts_with = "outdoor")]
     config: Option<PathBuf>,
 }
 

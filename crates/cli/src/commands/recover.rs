@@ -1,28 +1,30 @@
 //! `lsfb recover`: a whole file from an interrupted or damaged recording.
 
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::Context as _;
 use lsfb_recording::recover;
 use serde::Serialize;
 
 use crate::context::Context;
+use crate::files::is_same;
 use crate::outcome::Outcome;
 
-/// Write what can be read of a damaged recording into a new file, with a new index and end.
+/// Recover a damaged or interrupted recording: copy what can be read into a new file with a new index.
 ///
-/// Chunks whose checksum is right are copied as they are; of one that was torn at the end the whole messages are taken.
-/// The damaged file stays as it is. Exit code 3: recovered, but something is missing.
+/// Chunks with a correct checksum are copied unchanged; from a chunk cut off at the end, the complete messages are copied.
+/// The damaged file is not changed. Exit code 3: recovered, but data is missing.
 ///
 /// Examples:
-///   lsfb recover scan.mcap --out scan-whole.mcap
+///   lsfb recover scan.mcap --out scan-recovered.mcap
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
     /// The damaged recording.
+    #[arg(value_name = "MCAP")]
     recording: PathBuf,
-    /// The new file; one that is there already is not replaced.
+    /// The new recording.
     #[arg(long, value_name = "MCAP")]
     out: PathBuf,
 }
@@ -37,18 +39,10 @@ struct Report {
     missing: Vec<String>,
 }
 
-/// Whether both names lead to one file, which must not be replaced by itself.
-fn same_file(a: &Path, b: &Path) -> bool {
-    match (a.canonicalize(), b.canonicalize()) {
-        (Ok(a), Ok(b)) => a == b,
-        _ => false,
-    }
-}
-
 /// Recovers, prints what is missing.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     context.claim(&arguments.out)?;
-    if arguments.out.is_file() && !same_file(&arguments.recording, &arguments.out) {
+    if arguments.out.is_file() && !is_same(&arguments.recording, &arguments.out) {
         std::fs::remove_file(&arguments.out)
             .with_context(|| arguments.out.display().to_string())?;
     }

@@ -21,19 +21,19 @@ use crate::context::{Context, sentence};
 use crate::live::{Live, LiveConfig};
 use crate::outcome::Outcome;
 
-/// Record devices, or the packets of a capture file, into one MCAP.
+/// Record devices, or the packets of a capture file, into one MCAP file.
 ///
-/// Ctrl-C ends the recording and closes the file. Exit code 3: recorded, but something was lost.
+/// Ctrl-C ends the recording and closes the file. Exit code 3: recorded, but data was lost.
 ///
 /// --screen serves a page for the operator's phone or tablet: live map, state of every sensor, disk and battery, start and
-/// stop, notes and control points (which go into the recording). Recordings then begin and end there; each gets a file of
-/// its own (scan.mcap, scan-2.mcap, …), no existing file is overwritten, and Ctrl-C ends the program. The page needs no
-/// internet. By default it can be opened on this machine only; at an address that others can reach (0.0.0.0:8700) it asks
-/// for a PIN, which is printed at the start. It is not encrypted: use it in a network of your own.
+/// stop, notes and control points (which are recorded). Recordings are then started and stopped there; each gets its own file
+/// (scan.mcap, scan-2.mcap, …), no existing file is overwritten, and Ctrl-C ends the program. The page needs no internet. By
+/// default it can be opened on this machine only; at an address that other machines can reach (0.0.0.0:8700) it asks for a PIN,
+/// which is printed at the start. It is not encrypted: use it in a private network.
 ///
 /// Examples:
 ///   lsfb scan --devices devices.toml --out scan.mcap
-///   lsfb scan --devices devices.toml --out scan.mcap --split-secs 300 --second-disk /media/spare
+///   lsfb scan --devices devices.toml --out scan.mcap --split-secs 300 --out-second-disk /media/spare
 ///   lsfb scan --devices devices.toml --out scan.mcap --screen 0.0.0.0:8700
 ///   lsfb scan --devices devices.toml --out scan.mcap --foxglove --rerun
 ///   lsfb scan --pcap drive.pcap --out drive.mcap
@@ -42,56 +42,56 @@ use crate::outcome::Outcome;
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// List of devices (TOML); `lsfb sim` and `lsfb mock` write one for theirs.
-    #[arg(long, value_name = "FILE", group = "source", required_unless_present_any = ["pcap", "db3", "mcap"])]
+    /// List of devices (see docs/devices.md); `lsfb sim` and `lsfb mock` write one for theirs.
+    #[arg(long, value_name = "TOML", group = "source", required_unless_present_any = ["pcap", "db3", "mcap"])]
     devices: Option<PathBuf>,
     /// LiDAR packets of a pcap or pcapng capture.
-    #[arg(long, value_name = "FILE", group = "source")]
+    #[arg(long, value_name = "PCAP", group = "source")]
     pcap: Option<PathBuf>,
-    /// LiDAR packets of a rosbag2 database: Velodyne's or Hesai's ROS driver recorded them.
-    #[arg(long, value_name = "FILE", group = "source")]
+    /// LiDAR packets of a rosbag2 database, as recorded by Velodyne's or Hesai's ROS driver.
+    #[arg(long, value_name = "DB3", group = "source")]
     db3: Option<PathBuf>,
-    /// LiDAR packets of an MCAP file, rosbag2's or ours: its scans are made again.
-    #[arg(long, value_name = "FILE", group = "source")]
+    /// LiDAR packets of an MCAP file, from rosbag2 or from `lsfb scan`: scans are decoded again.
+    #[arg(long, value_name = "MCAP", group = "source")]
     mcap: Option<PathBuf>,
     /// The LiDAR of a capture file; see `lsfb scan --help` for the models.
     #[command(flatten)]
     lidar: LidarArguments,
-    /// Rig attached to what comes from a capture file.
-    #[arg(long, value_name = "FILE", conflicts_with = "devices")]
+    /// Rig to attach to the recording of a capture file.
+    #[arg(long, value_name = "TOML", conflicts_with = "devices")]
     rig: Option<PathBuf>,
-    /// The recording. A file that is there already is not replaced.
+    /// The recording to write.
     #[arg(long, value_name = "MCAP")]
     out: PathBuf,
-    /// Begin a new file after this many megabytes; each opens by itself.
+    /// Start a new file after this many megabytes; each file can be read on its own.
     #[arg(long, value_name = "MB")]
     split_mb: Option<u64>,
-    /// Begin a new file after this many seconds.
-    #[arg(long, value_name = "S")]
+    /// Start a new file after this many seconds.
+    #[arg(long, value_name = "SECS")]
     split_secs: Option<f64>,
-    /// Folder on another disk, to go on with when the first is nearly full.
+    /// Folder on another disk, to continue in when the first is nearly full.
     #[arg(long, value_name = "FOLDER")]
-    second_disk: Option<PathBuf>,
+    out_second_disk: Option<PathBuf>,
     /// Serve the operator's screen; only this machine can open it unless ADDR says otherwise.
     #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = "127.0.0.1:8700", conflicts_with_all = ["pcap", "db3", "mcap"])]
     screen: Option<SocketAddr>,
-    /// PIN of the screen, at least four characters; a random one where other machines can reach it.
+    /// PIN of the screen, at least four characters; by default a random one where other machines can reach the screen.
     #[arg(long, value_name = "PIN", requires = "screen", value_parser = pin)]
     pin: Option<String>,
-    /// Another name by which this machine is reached (a DNS name, say), beside its own name and its addresses; the screen
-    /// answers to no others. Can be given more than once.
+    /// Another name of this machine (e.g. a DNS name), besides its host name and addresses; the screen answers to no others. May
+    /// be repeated.
     #[arg(long, value_name = "NAME", requires = "screen")]
     screen_name: Vec<String>,
-    /// Do not wait for START on the screen: begin the first recording at once.
+    /// Start the first recording at once, without waiting for START on the screen.
     #[arg(long, requires = "screen")]
     now: bool,
-    /// Send what is recorded to Foxglove, which connects to ADDR.
+    /// Stream live data to Foxglove, which connects to ADDR.
     #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = "127.0.0.1:8765", conflicts_with_all = ["pcap", "db3", "mcap"])]
     foxglove: Option<SocketAddr>,
-    /// Folder that tells of batteries, for hosts whose battery is told of elsewhere than in /sys/class/power_supply.
+    /// Folder with the state of batteries, for hosts where it is not /sys/class/power_supply.
     #[arg(long, value_name = "FOLDER")]
     power_supplies: Option<PathBuf>,
-    /// Send what is recorded to the Rerun viewer at URL.
+    /// Stream live data to the Rerun viewer at URL.
     #[cfg(feature = "view")]
     #[arg(long, value_name = "URL", num_args = 0..=1, default_missing_value = "rerun+http://127.0.0.1:9876/proxy", conflicts_with_all = ["pcap", "db3", "mcap"])]
     rerun: Option<String>,
@@ -100,19 +100,19 @@ pub struct Arguments {
 /// How the LiDAR packets of a capture file are read; for devices their list says it.
 #[derive(clap::Args)]
 struct LidarArguments {
-    /// The sensor that packets of a capture file must be of: vlp-32c, vlp-16, hdl-32e, xt32, pandar64, qt64.
+    /// Expected LiDAR of a capture file: vlp-32c, vlp-16, hdl-32e, xt32, pandar64 or qt64.
     #[arg(long, value_name = "MODEL", conflicts_with = "devices", value_parser = lidar_model)]
     lidar_model: Option<Model>,
-    /// Believe neither model nor returns that the packets name: they are of --lidar-model, with these.
-    #[arg(long, value_name = "WHICH", requires = "lidar_model", value_enum)]
+    /// Ignore the model and return mode stated in the packets; use --lidar-model and these returns.
+    #[arg(long, value_name = "MODE", requires = "lidar_model", value_enum)]
     force_returns: Option<ForcedReturns>,
-    /// Beam angles of this very unit (Hesai's angle correction file, CSV).
+    /// Beam angles of this unit (Hesai's angle correction file).
     #[arg(long, value_name = "CSV", conflicts_with = "devices")]
     lidar_angles: Option<PathBuf>,
-    /// Take packets of this sender only, where a capture holds several sensors.
+    /// Read packets of this sender only, where a capture holds several sensors.
     #[arg(long, value_name = "IP", conflicts_with = "devices")]
     lidar_sender: Option<IpAddr>,
-    /// UDP ports of the LiDAR in a pcap capture, data and others.
+    /// UDP ports of the LiDAR in a pcap capture, separated by commas.
     #[arg(long, value_name = "PORT", value_delimiter = ',', default_values_t = [2368, 8308, 10110], requires = "pcap")]
     lidar_ports: Vec<u16>,
 }
@@ -172,7 +172,7 @@ impl Arguments {
         if let Some(secs) = self.split_secs {
             recorder.split_secs = secs;
         }
-        if let Some(folder) = &self.second_disk {
+        if let Some(folder) = &self.out_second_disk {
             recorder.second_folder = Some(folder.clone());
         }
     }

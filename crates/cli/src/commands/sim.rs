@@ -20,19 +20,19 @@ use crate::simulated::{self, Endpoints, Equipment, Layout};
 /// How long the glasses look for their recorder.
 const PATIENCE: Duration = Duration::from_secs(3600);
 
-/// Simulate a building, a backpack and glasses; play the devices, or record them at once.
+/// Simulate a building, a backpack and glasses; play the devices live, or record them directly.
 ///
-/// Writes rigs, settings, and the truth (in a folder of its own, for `lsfb eval`). Without --record the devices wait for
-/// `lsfb scan` in another terminal: first the backpack, then the glasses.
+/// Writes the rigs, the settings, and the ground truth (in a folder of its own, for `lsfb eval`). Without --record, the devices
+/// wait for `lsfb scan` in another terminal: first the backpack, then the glasses.
 ///
 /// Examples:
 ///   lsfb sim --out sim --seed 7 --record
-///   lsfb sim --out sim --pace 1        # then, in another terminal:
+///   lsfb sim --out sim --speed 1       # then, in another terminal:
 ///   lsfb scan --devices sim/backpack-devices.toml --out scan.mcap
 ///   lsfb scan --devices sim/glasses-devices.toml --out walk.mcap
 ///   lsfb sim --out c3 --motion C3 --device android --record
 ///   lsfb sim --out q --place stairs --clocks quartz --record && lsfb clock q/scan.mcap
-///   lsfb sim --out puck --place stairs --lidar vlp16 --returns dual --record
+///   lsfb sim --out puck --place stairs --lidar-model vlp-16 --returns dual --record
 ///   lsfb sim preview --out pictures --place atrium
 #[derive(clap::Args)]
 #[command(
@@ -43,45 +43,50 @@ const PATIENCE: Duration = Duration::from_secs(3600);
 pub struct Arguments {
     #[command(subcommand)]
     action: Option<Action>,
-    /// Folder for everything.
-    #[arg(long, value_name = "DIR", required = true)]
+    /// Folder for all results.
+    #[arg(long, value_name = "FOLDER", required = true)]
     out: Option<PathBuf>,
-    /// The place: demo, calibration, office-park, house-park, medium-office, large-office, exhibition-hall, atrium,
+    /// The environment: demo, calibration, office-park, house-park, medium-office, large-office, exhibition-hall, atrium,
     /// wide-corridor, narrow-corridor or stairs.
-    #[arg(long, value_parser = place, conflicts_with_all = ["config", "motion"])]
+    #[arg(long, value_name = "NAME", value_parser = place, conflicts_with_all = ["config", "motion"])]
     place: Option<Place>,
-    /// A textured scene of your own, a binary glTF file in metres, instead of a place.
-    #[arg(long, value_name = "FILE.glb", conflicts_with_all = ["config", "motion", "place"])]
+    /// Your own textured scene, a binary glTF file in metres, instead of --place.
+    #[arg(long, value_name = "GLB", conflicts_with_all = ["config", "motion", "place"])]
     scene: Option<PathBuf>,
-    /// A sequence of the paper's Table VII, O0 to S2, in its place.
-    #[arg(long, value_parser = motion, conflicts_with = "config")]
+    /// A sequence of the paper's Table VII, O0 to S2, in its environment.
+    #[arg(long, value_name = "NAME", value_parser = motion, conflicts_with = "config")]
     motion: Option<&'static PaperMotion>,
-    /// What the second walk is recorded with: glasses, android or iphone.
-    #[arg(long, value_parser = device, default_value = "glasses", conflicts_with = "config")]
+    /// The device of the second walk: glasses, android or iphone.
+    #[arg(long, value_name = "NAME", value_parser = device, default_value = "glasses", conflicts_with = "config")]
     device: Device,
-    /// How many times furniture and things have been moved since the place was built.
-    #[arg(long, default_value_t = 0, conflicts_with = "config")]
+    /// Age of the environment in months; furniture and objects move once a month.
+    #[arg(long, value_name = "N", default_value_t = 0, conflicts_with = "config")]
     months_later: u32,
-    /// Seed of building, walks and noise.
-    #[arg(long, default_value_t = 1, value_parser = super::seed, allow_hyphen_values = true)]
+    /// Seed of the building, the walks and the noise.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = super::seed, allow_hyphen_values = true)]
     seed: u64,
-    /// Settings of the simulation (TOML), instead of the defaults; --seed overrides its seed.
-    #[arg(long, value_name = "FILE")]
+    /// Settings of the simulation instead of the defaults; --seed overrides its seed.
+    #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
     /// Record scan.mcap and walk.mcap in this process.
     #[arg(long)]
     record: bool,
-    /// Clocks of the devices: ideal (all keep UTC) or quartz (each runs as it likes, links delay and stall). With --record,
-    /// arrivals are simulated too, so that `lsfb clock` has something to find; the truth is in truth/truth_*_clocks.csv.
+    /// Clocks of the devices: ideal (all keep UTC) or quartz (each drifts, links delay and stall). With --record, arrival times
+    /// are simulated too, so that `lsfb clock` has something to estimate; the truth is in truth/truth_*_clocks.csv.
     #[arg(long, value_parser = clocks, value_name = "KIND")]
     clocks: Option<Clocks>,
-    /// Where on Earth: latitude and longitude in degrees and height above the ellipsoid in metres, as 48.15,11.58,565. x points
-    /// east, y north. Satellites, sentences and Earth's magnetic field follow from it.
+    /// Position on Earth: latitude and longitude in degrees, height above the ellipsoid in metres, e.g. 48.15,11.58,565. x points
+    /// east, y north. Satellites, NMEA sentences and the Earth's magnetic field follow from it.
     #[arg(long, value_parser = datum, value_name = "LAT,LON,H", allow_hyphen_values = true)]
     datum: Option<DatumConfig>,
-    /// Simulated seconds per second at most; 0 is as fast as it goes.
-    #[arg(long, default_value_t = 1.0, conflicts_with = "record")]
-    pace: f64,
+    /// Playback speed: simulated seconds per second, at most; 0 is as fast as possible.
+    #[arg(
+        long,
+        value_name = "FACTOR",
+        default_value_t = 1.0,
+        conflicts_with = "record"
+    )]
+    speed: f64,
     #[command(flatten)]
     equipment: Equipment,
     #[command(flatten)]
@@ -91,34 +96,39 @@ pub struct Arguments {
 #[derive(clap::Subcommand)]
 enum Action {
     /// Draw contact sheets of both walks and a view from above, as PNG.
+    ///
+    /// Examples:
+    ///   lsfb sim preview --out pictures --place atrium
+    ///   lsfb sim preview --out pictures --motion C3 --device android
+    #[command(verbatim_doc_comment)]
     Preview {
         /// Folder for the pictures.
-        #[arg(long, value_name = "DIR")]
+        #[arg(long, value_name = "FOLDER")]
         out: PathBuf,
-        /// The place; may be repeated. Without it and --motion: all nine environments.
-        #[arg(long, value_parser = place)]
+        /// An environment of `lsfb sim --place`; may be repeated. Without it and --motion: all nine of the paper.
+        #[arg(long, value_name = "NAME", value_parser = place)]
         place: Vec<Place>,
-        /// Sequences of Table VII; may be repeated.
-        #[arg(long, value_parser = motion)]
+        /// A sequence of the paper's Table VII, O0 to S2; may be repeated.
+        #[arg(long, value_name = "NAME", value_parser = motion)]
         motion: Vec<&'static PaperMotion>,
-        /// What the second walk is recorded with.
-        #[arg(long, value_parser = device, default_value = "glasses")]
+        /// The device of the second walk: glasses, android or iphone.
+        #[arg(long, value_name = "NAME", value_parser = device, default_value = "glasses")]
         device: Device,
-        /// Seed of buildings, walks and noise.
-        #[arg(long, default_value_t = 1, value_parser = super::seed, allow_hyphen_values = true)]
+        /// Seed of the buildings, the walks and the noise.
+        #[arg(long, value_name = "N", default_value_t = 1, value_parser = super::seed, allow_hyphen_values = true)]
         seed: u64,
-        /// How many times furniture and things have been moved since.
-        #[arg(long, default_value_t = 0)]
+        /// Age of the environment in months; furniture and objects move once a month.
+        #[arg(long, value_name = "N", default_value_t = 0)]
         months_later: u32,
     },
 }
 
 fn place(name: &str) -> Result<Place, String> {
-    Place::named(name).ok_or_else(|| "no such place; see lsfb sim --help".to_owned())
+    Place::named(name).ok_or_else(|| "no such environment; see lsfb sim --help".to_owned())
 }
 
 fn motion(name: &str) -> Result<&'static PaperMotion, String> {
-    PaperMotion::named(name).ok_or_else(|| "not in Table VII; O0 to S2 are".to_owned())
+    PaperMotion::named(name).ok_or_else(|| "expected a sequence of Table VII, O0 to S2".to_owned())
 }
 
 /// How the devices tell the time.
@@ -132,7 +142,7 @@ fn clocks(name: &str) -> Result<Clocks, String> {
     match name {
         "ideal" => Ok(Clocks::Ideal),
         "quartz" => Ok(Clocks::Quartz),
-        _ => Err("ideal or quartz".to_owned()),
+        _ => Err("expected ideal or quartz".to_owned()),
     }
 }
 
@@ -144,13 +154,13 @@ fn datum(text: &str) -> Result<DatumConfig, String> {
             longitude_deg,
             altitude_m,
         }),
-        _ => Err("three numbers, as 48.15,11.58,565".to_owned()),
+        _ => Err("expected three numbers, e.g. 48.15,11.58,565".to_owned()),
     }
 }
 
 fn device(name: &str) -> Result<Device, String> {
     let found = Device::ALL.into_iter().find(|d| d.name() == name);
-    found.ok_or_else(|| "glasses, android or iphone".to_owned())
+    found.ok_or_else(|| "expected glasses, android or iphone".to_owned())
 }
 
 impl Arguments {
@@ -158,7 +168,7 @@ impl Arguments {
     pub fn playing(
         out: &Path,
         seed: u64,
-        pace: f64,
+        speed: f64,
         equipment: Equipment,
         endpoints: Endpoints,
     ) -> Self {
@@ -175,7 +185,7 @@ impl Arguments {
             record: false,
             clocks: None,
             datum: None,
-            pace,
+            speed,
             equipment,
             endpoints,
         }
@@ -228,8 +238,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         recordings.push(simulated::record_backpack(&layout, &simulation, context)?);
         recordings.push(simulated::record_glasses(&layout, &simulation, context)?);
     } else {
-        let pace = if arguments.pace > 0.0 {
-            Pace::RealTimes(arguments.pace)
+        let pace = if arguments.speed > 0.0 {
+            Pace::RealTimes(arguments.speed)
         } else {
             Pace::Unlimited
         };

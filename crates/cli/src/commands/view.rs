@@ -20,23 +20,23 @@ const COLORS: [[u8; 3]; 4] = [
 
 /// Write a file for the Rerun viewer (`pip install rerun-sdk==0.36.3; rerun FILE`).
 ///
-/// The i-th recording is placed by the i-th trajectory; recordings without one are shown without place.
+/// The n-th trajectory places the n-th recording; a recording without a trajectory is shown in its own frame.
 ///
-/// Example:
+/// Examples:
 ///   lsfb view scan.mcap walk.mcap --trajectory scan.tum --trajectory walk.tum --map map --out session.rrd
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// Recordings (MCAP).
-    #[arg(required_unless_present_any = ["trajectory", "map"])]
+    /// Recordings to show.
+    #[arg(value_name = "MCAP", required_unless_present_any = ["trajectory", "map"])]
     recordings: Vec<PathBuf>,
-    /// Trajectories (TUM).
+    /// A trajectory; may be repeated.
     #[arg(long, value_name = "TUM")]
     trajectory: Vec<PathBuf>,
-    /// An HD map: a folder.
-    #[arg(long, value_name = "DIR")]
+    /// An HD map, a folder.
+    #[arg(long, value_name = "FOLDER")]
     map: Option<PathBuf>,
-    /// The file.
+    /// The viewer's file to write.
     #[arg(long, value_name = "RRD")]
     out: PathBuf,
 }

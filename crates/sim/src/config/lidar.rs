@@ -6,12 +6,13 @@ use serde::{Deserialize, Serialize};
 
 /// Model of the LiDAR.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
 pub enum LidarModel {
     /// Velodyne VLP-32C (Ultra Puck).
     #[default]
+    #[serde(rename = "vlp-32c")]
     Vlp32c,
     /// Velodyne VLP-16 (Puck).
+    #[serde(rename = "vlp-16")]
     Vlp16,
 }
 
@@ -22,8 +23,8 @@ impl LidarModel {
     /// Its name in settings.
     pub const fn name(self) -> &'static str {
         match self {
-            Self::Vlp32c => "vlp32c",
-            Self::Vlp16 => "vlp16",
+            Self::Vlp32c => "vlp-32c",
+            Self::Vlp16 => "vlp-16",
         }
     }
 }

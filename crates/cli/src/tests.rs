@@ -1,0 +1,177 @@
+//! What the help of all commands has in common.
+
+use std::collections::BTreeMap;
+
+use clap::error::ErrorKind;
+use clap::{Arg, Command, CommandFactory};
+
+use crate::Arguments;
+
+/// All commands with their names, subcommands of subcommands among them, without clap's own `help`.
+fn commands() -> Vec<(String, Command)> {
+    fn add(name: &str, command: &Command, all: &mut Vec<(String, Command)>) {
+        all.push((name.to_owned(), command.clone()));
+        for inner in command.get_subcommands().filter(|c| c.get_name() != "help") {
+            add(&format!("{name} {}", inner.get_name()), inner, all);
+        }
+    }
+    let mut root = Arguments::command();
+    root.build();
+    let mut all = Vec::new();
+    add("lsfb", &root, &mut all);
+    all
+}
+
+/// `--name` and what it takes, of every option that takes something.
+fn options(command: &Command) -> impl Iterator<Item = (&Arg, &str, String)> {
+    command.get_arguments().filter_map(|argument| {
+        let takes = argument.get_action().takes_values();
+        let names = argument.get_value_names().unwrap_or_default();
+        let value = names.first().filter(|_| takes)?.to_string();
+        Some((argument, argument.get_long()?, value))
+    })
+}
+
+#[test]
+fn every_command_shows_examples() {
+    for (name, mut command) in commands() {
+        let help = command.render_long_help().to_string();
+        let examples = help.split("Examples").nth(1).unwrap_or_default();
+        assert!(examples.contains("\n  lsfb "), "{name}: {help}");
+    }
+}
+
+/// The examples are what people copy: each must parse.
+#[test]
+fn every_example_parses() {
+    for (name, mut command) in commands() {
+        let help = command.render_long_help().to_string();
+        for line in help.lines().filter(|line| line.starts_with("  lsfb ")) {
+            // Neither the comment behind it nor what is done with its output.
+            let words = line.split(['#', '>']).next().unwrap_or_default();
+            for part in words.split("&&") {
+                let words = part.split_whitespace().map(|w| w.trim_matches('\''));
+                let parsed = Arguments::command().try_get_matches_from(words);
+                assert!(parsed.is_ok(), "{name}: {part}: {:?}", parsed.err());
+            }
+        }
+    }
+}
+
+/// Commands of the documentation: those of `sh` blocks, and of the figures' table. What a shell would put in is left out.
+fn documented() -> Vec<(String, String)> {
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../../");
+    let mut found = Vec::new();
+    for name in [
+        "README.md",
+        "docs/calibration.md",
+        "docs/devices.md",
+        "docs/twin.md",
+        "docs/figures.md",
+    ] {
+        let text = std::fs::read_to_string(format!("{root}{name}")).expect("documentation");
+        let blocks = text
+            .split("```sh\n")
+            .skip(1)
+            .filter_map(|rest| rest.split("```").next());
+        let mut lines: Vec<String> = blocks
+            .flat_map(|block| {
+                block
+                    .replace("\\\n", " ")
+                    .lines()
+                    .map(str::to_owned)
+                    .collect::<Vec<_>>()
+            })
+            .collect();
+        // Odd pieces between backquotes are code.
+        lines.extend(
+            text.split('`')
+                .skip(1)
+                .step_by(2)
+                .map(|code| code.replace('\n', " ")),
+        );
+        for line in lines {
+            let is_whole =
+                !line.contains("STEP") && !line.contains(['…', '(', ')', '{', '[', ';', '|', '\'']);
+            if is_whole && line.trim_start().starts_with("lsfb ") && line.contains(" --") {
+                found.push((name.to_owned(), line));
+            }
+        }
+    }
+    found
+}
+
+#[test]
+fn every_command_in_the_documentation_parses() {
+    let commands = documented();
+    assert!(commands.len() > 20, "{commands:?}");
+    for (name, line) in commands {
+        for part in line
+            .split("&&")
+            .map(|part| part.split(['#', '>']).next().unwrap_or_default())
+        {
+            let parsed = Arguments::command().try_get_matches_from(part.split_whitespace());
+            // Values may be placeholders; commands and options may not.
+            let unknown = parsed.err().filter(|error| {
+                matches!(
+                    error.kind(),
+                    ErrorKind::UnknownArgument | ErrorKind::InvalidSubcommand
+                )
+            });
+            assert!(unknown.is_none(), "{name}: {part}: {unknown:?}");
+        }
+    }
+}
+
+/// An option of one name takes the same thing in every command, and is said in the same words of the file system.
+#[test]
+fn an_option_takes_the_same_thing_everywhere() {
+    let mut known: BTreeMap<String, (String, String)> = BTreeMap::new();
+    for (name, command) in commands() {
+        for (_, option, value) in options(&command) {
+            assert!(value != "DIR", "{name} --{option}: folders are FOLDER");
+            // What a command writes first is its own.
+            if option == "out" {
+                continue;
+            }
+            let entry = (value.clone(), name.clone());
+            let (before, where_) = known.entry(option.to_owned()).or_insert(entry);
+            assert!(
+                *before == value,
+                "--{option} takes {before} in {where_} and {value} in {name}"
+            );
+        }
+    }
+}
+
+/// Durations, rates and sizes have their unit at the end of their name.
+#[test]
+fn units_end_the_names_of_options() {
+    let units = [("SECS", "-secs"), ("HZ", "-hz"), ("MB", "-mb")];
+    for (name, command) in commands() {
+        for (_, option, value) in options(&command) {
+            assert!(value != "S", "{name} --{option}: seconds are SECS");
+            for (unit, end) in units {
+                assert_eq!(value == unit, option.ends_with(end), "{name} --{option}");
+            }
+        }
+    }
+}
+
+/// `--out` and `--out-…` alone name what is written: an option that says so has such a name.
+#[test]
+fn what_is_written_is_named_out() {
+    for (name, command) in commands() {
+        for (argument, option, _) in options(&command) {
+            let help = argument
+                .get_help()
+                .map(ToString::to_string)
+                .unwrap_or_default();
+            let writes = help.starts_with("Also write") || help.contains(" to write");
+            assert!(
+                !writes || option.starts_with("out"),
+                "{name} --{option}: {help}"
+            );
+        }
+    }
+}
