@@ -15,7 +15,7 @@ use crate::clock::OneWayClock;
 use crate::clock::model_topic::{ModelTopic, Reading};
 use crate::config::CameraUnitConfig;
 use crate::control::Control;
-use crate::health::{Ending, Expected, Meter, StreamReport};
+use crate::health::{Ending, Expected, Meter, Repeats, StreamReport};
 use crate::recorder::{Entry, Inlet, WriterGone};
 
 /// What it sends all the time, beside the samples of its IMU, which are called as that is.
@@ -24,9 +24,13 @@ const IMAGES: &str = "images";
 const TICK_NS: u64 = 1_000;
 /// The unit keeps some 50 ms of IMU segments.
 const IMU_PERIOD: Duration = Duration::from_millis(25);
+/// Problems of a unit that sends nothing new.
+const SAME_IMAGE: &str =
+    "the same image again and again: is its lens covered, or the camera frozen?";
+const SAME_SAMPLE: &str = "its IMU measures the same again and again: restart it";
 /// Samples of the IMU before the first frame that are kept until it comes: some seconds.
 const MOST_EARLY_SAMPLES: usize = 4_096;
-/// Of so many pixels one is looked at for saturation.
+/// Of so many pixels one is looked at for saturation, and for whether it changes.
 const PIXEL_STRIDE: usize = 16;
 
 /// What a unit sends all the time.
@@ -96,7 +100,7 @@ pub(crate) fn record(
                     break Ending::Stopped;
                 }
             }
-            Ok(None) => {}
+            Ok(None) => meter.looked(),
             Err(lsfb_drivers::Error::EndOfStream { .. }) => break Ending::EndOfStream,
             Err(error) => {
                 let reopen = || MyntCamera::open(&unit.config.open());
@@ -121,6 +125,8 @@ pub(crate) struct CameraStream {
     imu: Option<UnitImu>,
     report: StreamReport,
     free_running: u64,
+    /// Some pixels of each frame: sensors have noise, so that not even a dark one sends the same twice.
+    frames: Repeats<Vec<u8>>,
 }
 
 /// The unit's own IMU; its counter is the unit's.
@@ -137,6 +143,7 @@ struct UnitImu {
     external: Option<bool>,
     /// Samples that wait until that is known.
     early: Vec<Decoded<ImuSample>>,
+    samples: Repeats<ImuSample>,
 }
 
 impl CameraStream {
@@ -158,6 +165,7 @@ impl CameraStream {
             model: ModelTopic::new(name, TICK_NS, 0),
             external: None,
             early: Vec::new(),
+            samples: Repeats::default(),
         });
         Self {
             models: names
@@ -170,6 +178,7 @@ impl CameraStream {
             imu,
             report: meter.report(),
             free_running: 0,
+            frames: Repeats::default(),
         }
     }
 
@@ -200,7 +209,7 @@ impl CameraStream {
             Err(error) => self.report.count_bad(error),
         }
         self.take_counters();
-        meter.heard(&self.report);
+        meter.heard(&self.report, packet.arrival);
         Ok(())
     }
 
@@ -228,6 +237,10 @@ impl CameraStream {
         if let Some(imu) = &mut self.imu {
             imu.external = Some(external);
         }
+        let pixels = frame.images.iter().flat_map(|image| &image.pixels);
+        let some = pixels.step_by(PIXEL_STRIDE).copied().collect();
+        self.frames.note(some, decoded.arrival);
+        self.take_stale(meter);
         if let Some(first) = frame.images.first() {
             meter.set_frame(f64::from(first.exposure_ns) / 1e6, saturated_share(first));
         }
@@ -292,8 +305,11 @@ impl CameraStream {
         if !decoded.is_empty() {
             meter.heard_part(&imu.name, decoded.len() as u64);
         }
-        imu.early.extend(decoded);
         let arrival = answer.arrival;
+        for sample in &decoded {
+            imu.samples.note(sample.sample.clone(), arrival);
+        }
+        imu.early.extend(decoded);
         let raw = Entry::Raw {
             source: imu.name.clone(),
             kind: 0,
@@ -347,6 +363,17 @@ impl CameraStream {
         Ok(())
     }
 
+    fn take_stale(&mut self, meter: &Meter) {
+        let of_imu = self.imu.as_ref().map(|imu| imu.samples.stale());
+        self.report.stale =
+            self.frames.stale().stretches() + of_imu.map_or(0, |stale| stale.stretches());
+        let same_sample = of_imu.filter(|stale| stale.is_problem());
+        meter.set_stale(match self.frames.stale().is_problem() {
+            true => Some(SAME_IMAGE),
+            false => same_sample.map(|_| SAME_SAMPLE),
+        });
+    }
+
     fn take_counters(&mut self) {
         let counters = self.decoder.counters();
         // Damaged frames are among the missing: their ids never came.
@@ -357,12 +384,17 @@ impl CameraStream {
     pub(crate) fn finish(mut self) -> StreamReport {
         self.take_counters();
         let counters = self.decoder.counters();
+        let stale = self.report.stale;
         let mut note = |count: u64, what: &str| {
             if count > 0 {
                 self.report.notes.push(format!("{count} {what}"));
             }
         };
         note(counters.restarts, "times the unit began anew");
+        note(
+            stale,
+            "times the same image, or the same sample of its IMU, for more than a second",
+        );
         note(
             self.free_running,
             "frames without external time: their time is fitted to arrival",

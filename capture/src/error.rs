@@ -59,7 +59,7 @@ pub enum Error {
     },
     /// Two LiDARs would take each other's packets.
     #[error(
-        "{first} and {second} listen on one port: give each its own `data` and `position`, there and in the sensor"
+        "{first} and {second} listen on one port: name the address of each (`sensor`), or give each its own `data` and `position`, there and in the sensor"
     )]
     LidarPorts {
         /// One of them.

@@ -25,10 +25,20 @@ const SHOW_EVERY: u64 = 64;
 /// Something that arrived.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Incoming {
-    /// A datagram of the first LiDAR, of either kind.
-    Lidar(Packet),
-    /// A packet of the first IMU.
-    Imu(Packet),
+    /// A datagram of a LiDAR, of either kind.
+    Lidar {
+        /// Which of [`DevicesConfig::lidars`].
+        lidar: usize,
+        /// Its bytes.
+        packet: Packet,
+    },
+    /// A packet of an IMU.
+    Imu {
+        /// Which of [`DevicesConfig::imus`].
+        imu: usize,
+        /// Its bytes.
+        packet: Packet,
+    },
     /// A frame of a camera unit.
     Frame {
         /// Which of [`DevicesConfig::cameras`].
@@ -85,26 +95,26 @@ pub fn record_incoming(
 /// One stream for each device that is configured.
 struct Streams {
     control: Control,
-    lidar: Option<LidarStream>,
-    imu: Option<(ImuStream, Meter)>,
+    lidars: Vec<LidarStream>,
+    imus: Vec<(ImuStream, Meter)>,
     cameras: Vec<(CameraStream, Meter)>,
     sidecars: Option<Sidecars>,
 }
 
 impl Streams {
     fn new(config: &DevicesConfig) -> Result<Self, Error> {
-        let lidar = config.lidars.first();
-        let lidar = lidar.map(|net| {
+        let lidars = config.lidars.iter().map(|net| {
             let meter = Meter::new(&net.name);
-            Ok::<_, Error>(LidarStream::new(&net.name, net.decoder()?, None, &meter))
+            Ok::<_, Error>(LidarStream::new(&net.name, net.decoder()?, &meter))
+        });
+        let imus = config.imus.iter().map(|line| {
+            let meter = Meter::new(&line.name);
+            (ImuStream::new(line, &meter), meter)
         });
         Ok(Self {
             control: Control::alone(),
-            lidar: lidar.transpose()?,
-            imu: config.imus.first().map(|line| {
-                let meter = Meter::new(&line.name);
-                (ImuStream::new(line, &meter), meter)
-            }),
+            lidars: lidars.collect::<Result<_, _>>()?,
+            imus: imus.collect(),
             cameras: config
                 .cameras
                 .iter()
@@ -122,11 +132,11 @@ impl Streams {
 
     fn take(&mut self, item: Incoming, inlet: &Inlet) -> Result<(), WriterGone> {
         match item {
-            Incoming::Lidar(packet) => match &mut self.lidar {
-                Some(stream) => stream.push(packet, None, inlet),
+            Incoming::Lidar { lidar, packet } => match self.lidars.get_mut(lidar) {
+                Some(stream) => stream.push(packet, inlet),
                 None => Ok(()),
             },
-            Incoming::Imu(packet) => match &mut self.imu {
+            Incoming::Imu { imu, packet } => match self.imus.get_mut(imu) {
                 Some((stream, meter)) => stream.packet(packet, inlet, meter),
                 None => Ok(()),
             },
@@ -150,7 +160,8 @@ impl Streams {
 
     fn finish(self, ending: &Ending, inlet: &Inlet) -> Vec<StreamReport> {
         let mut reports = Vec::new();
-        reports.extend(self.lidar.map(|s| s.finish(ending.clone(), inlet)));
+        let lidars = self.lidars.into_iter();
+        reports.extend(lidars.map(|s| s.finish(ending.clone(), inlet)));
         for (stream, _) in self.cameras {
             let report = stream.finish();
             reports.push(StreamReport {
@@ -158,7 +169,7 @@ impl Streams {
                 ..report
             });
         }
-        if let Some((mut stream, meter)) = self.imu {
+        for (mut stream, meter) in self.imus {
             // A writer that is gone reports itself.
             let _ = stream.rest(inlet, &meter);
             reports.push(StreamReport {

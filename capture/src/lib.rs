@@ -53,7 +53,7 @@ pub use error::Error;
 pub use feed::{Feed, Feeder};
 pub use incoming::{Incoming, record_incoming};
 pub use remark::Remarks;
-pub use replay::{ReplayConfig, replay, replay_recording};
+pub use replay::{ReplayConfig, ReplayedSensor, replay, replay_recording};
 pub use report::{CaptureReport, Ending, StreamReport};
 pub use session::Session;
 pub use sync::GroupReport;

@@ -2,19 +2,19 @@
 
 use std::iter::Peekable;
 use std::net::IpAddr;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
 
 use lsfb_drivers::any_lidar::Settings;
 use lsfb_drivers::transport::PacketSource;
 use lsfb_geometry::{MAIN_LIDAR, Rig};
-use lsfb_recording::{LIDAR_POSITION, RecordedPacket, Recording};
-use lsfb_types::{Packet, Progress, ProgressFn, Timestamp};
+use lsfb_recording::{RecordedPacket, Recording, lidar_position};
+use lsfb_types::{Progress, ProgressFn, Stopped, Timestamp};
 
-use crate::config::{Overflow, RecorderConfig};
-use crate::health::{Ending, Meter};
-use crate::lidar::LidarStream;
-use crate::recorder::{self, Recorder};
+use crate::config::{Overflow, RecorderConfig, check_device_names};
+use crate::health::{Ending, Meter, StreamReport};
+use crate::lidar::{LidarStream, Lidars};
+use crate::recorder::{self, Inlet, Recorder, WriterGone};
 use crate::{CaptureReport, Error};
 
 /// Packets between two looks at progress.
@@ -25,71 +25,58 @@ const SHOW_EVERY: u64 = 1_000;
 pub struct ReplayConfig {
     /// Model, beam angles, and where scans are cut.
     pub lidar: Settings,
-    /// Take packets of this sender only; without it the first that sends what a LiDAR sends is the sensor.
-    pub sensor: Option<IpAddr>,
+    /// The sensors whose packets are taken; without any, every sender of what a LiDAR sends is one: `lidar`, `lidar2`, …
+    pub sensors: Vec<ReplayedSensor>,
     /// Attached to the recording; without it, the rig of the recording that is replayed, if it has one.
     pub rig: Option<Rig>,
     /// Files and disks.
     pub recorder: RecorderConfig,
 }
 
-/// Records the LiDAR packets of `source` into `out`, with the arrival stamps they have there. A file that is damaged in the
-/// middle gives what lies before, and the damage is the stream's [`Ending::Lost`]. An import that is told to stop leaves nothing.
+/// A sensor of a capture file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ReplayedSensor {
+    /// Its name in the new recording.
+    pub name: String,
+    /// Its address in the capture file.
+    pub address: IpAddr,
+}
+
+/// Records the LiDAR packets of `source` into `out`, with the arrival stamps they have there, each LiDAR under a name of its own. A
+/// file that is damaged in the middle gives what lies before, and the damage is the streams' [`Ending::Lost`]. An import that is told to stop leaves
+/// nothing.
 pub fn replay(
     mut source: impl PacketSource,
     config: &ReplayConfig,
     out: &Path,
     progress: ProgressFn<'_>,
 ) -> Result<CaptureReport, Error> {
-    recorder::make_folder(out)?;
-    let recorder = Recorder::start(
-        out,
-        config.rig.clone(),
-        &[],
-        &config.recorder,
-        Overflow::Wait,
-    )?;
-    let inlet = recorder.inlet();
-    let mut stream = LidarStream::new(
-        MAIN_LIDAR,
-        config.lidar.clone(),
-        config.sensor,
-        &Meter::new(MAIN_LIDAR),
-    );
-    let mut packets = 0_u64;
-    let mut told = Ok(());
-    let ending = loop {
-        if packets.is_multiple_of(SHOW_EVERY) {
-            told = progress(Progress {
-                stage: "reading packets",
-                done: packets,
-                total: 0,
-            });
-            if told.is_err() {
-                break Ending::Stopped;
-            }
-        }
-        match source.recv(Duration::from_millis(50)) {
-            Ok(Some(packet)) => {
-                if stream.push(packet, source.sender(), &inlet).is_err() {
-                    break Ending::Stopped;
-                }
-                packets += 1;
-            }
-            Ok(None) => {}
-            Err(lsfb_drivers::Error::EndOfStream { .. }) => break Ending::EndOfStream,
-            Err(error) => break Ending::Lost(error.to_string()),
-        }
+    check_device_names(config.sensors.iter().map(|sensor| &sensor.name))?;
+    let mut lidars = match config.sensors.as_slice() {
+        [] => Lidars::as_found(config.lidar.clone()),
+        sensors => Lidars::named(sensors.iter().map(|sensor| {
+            let stream = new_stream(&sensor.name, &config.lidar);
+            (stream, Some(sensor.address))
+        })),
     };
-    let stream = stream.finish(ending, &inlet);
-    drop(inlet);
-    let streams = vec![stream];
-    let written = recorder.finish(&streams)?;
-    told.inspect_err(|_| written.discard())?;
-    Ok(written.report(out, streams))
+    let import = Import::begin(out, config.rig.clone(), &config.recorder)?;
+    let (ending, told) = import.take_all(progress, |inlet| {
+        // A file gives its packets or its end at once.
+        match source.recv(Duration::ZERO) {
+            Ok(Some(packet)) => match lidars.push(packet, source.sender(), inlet) {
+                Ok(_) => Next::Taken,
+                Err(WriterGone) => Next::Ended(Ending::Stopped),
+            },
+            Ok(None) => Next::Taken,
+            Err(lsfb_drivers::Error::EndOfStream { .. }) => Next::Ended(Ending::EndOfStream),
+            Err(error) => Next::Ended(Ending::Lost(error.to_string())),
+        }
+    });
+    let reports = lidars.finish(&ending, &import.inlet);
+    import.finish(reports, told)
 }
 
-/// Records the LiDAR packets of an MCAP file, one of `rosbag2` or one of ours, as [`replay`] does.
+/// Records the LiDAR packets of an MCAP file, one of `rosbag2` or one of ours, as [`replay`] does: each topic of packets is a LiDAR.
 pub fn replay_recording(
     path: &Path,
     config: &ReplayConfig,
@@ -97,62 +84,163 @@ pub fn replay_recording(
     progress: ProgressFn<'_>,
 ) -> Result<CaptureReport, Error> {
     let recording = Recording::open(path)?;
-    let config = ReplayConfig {
-        rig: config.rig.clone().or_else(|| recording.rig().ok()),
-        ..config.clone()
-    };
-    // Others keep no position packets, or not as packets.
-    let positions = recording.packets(LIDAR_POSITION).into_iter().flatten();
-    let source = RecordedSource {
-        path: path.to_owned(),
-        data: recording.lidar_packets()?.peekable(),
-        positions: positions.peekable(),
-    };
-    replay(source, &config, out, progress)
+    let topics: Vec<&str> = recording.lidar_packet_topics().collect();
+    if topics.is_empty() {
+        // The error names what is there.
+        drop(recording.lidar_packets()?);
+    }
+    let names = lidar_names(&recording, &topics);
+    let mut streams = Vec::new();
+    let mut sources = Vec::new();
+    for (name, topic) in names.iter().zip(topics) {
+        streams.push(new_stream(name, &config.lidar));
+        // Others keep no position packets, or not as packets.
+        let positions = recording.packets(&lidar_position(name));
+        sources.push(RecordedSource {
+            data: recording.packets_on(topic)?.peekable(),
+            positions: positions.into_iter().flatten().peekable(),
+        });
+    }
+    let rig = config.rig.clone().or_else(|| recording.rig().ok());
+    let import = Import::begin(out, rig, &config.recorder)?;
+    let (ending, told) = import.take_all(progress, |inlet| {
+        let sources = sources.iter_mut().zip(&mut streams);
+        let earliest = sources
+            .filter_map(|(source, stream)| Some((source.next_arrival()?, source, stream)))
+            .min_by_key(|(arrival, _, _)| *arrival);
+        let Some((_, source, stream)) = earliest else {
+            return Next::Ended(Ending::EndOfStream);
+        };
+        match source.next() {
+            Some(Ok(recorded)) => match stream.push(recorded.packet, inlet) {
+                Ok(()) => Next::Taken,
+                Err(WriterGone) => Next::Ended(Ending::Stopped),
+            },
+            Some(Err(error)) => Next::Ended(Ending::Lost(error.to_string())),
+            None => Next::Ended(Ending::EndOfStream),
+        }
+    });
+    let finish = |stream: LidarStream| stream.finish(ending.clone(), &import.inlet);
+    let reports = streams.into_iter().map(finish).collect();
+    import.finish(reports, told)
 }
 
-/// Packets of both kinds, in the order of their arrival.
+fn new_stream(name: &str, settings: &Settings) -> LidarStream {
+    LidarStream::new(name, settings.clone(), &Meter::new(name))
+}
+
+/// What the LiDARs of topics are called: as they were in recordings of ours, else `lidar`, `lidar2`, …
+fn lidar_names(recording: &Recording, topics: &[&str]) -> Vec<String> {
+    let session = recording.metadata("lsfb.session").unwrap_or_default();
+    let is_ours = !session.is_empty();
+    let named = |(index, topic): (usize, &&str)| {
+        let own = topic
+            .strip_prefix('/')
+            .and_then(|t| t.strip_suffix("/packets"));
+        match (own.filter(|name| is_ours && !name.contains('/')), index) {
+            (Some(name), _) => name.to_owned(),
+            (None, 0) => MAIN_LIDAR.to_owned(),
+            (None, _) => format!("{MAIN_LIDAR}{}", index + 1),
+        }
+    };
+    topics.iter().enumerate().map(named).collect()
+}
+
+/// What became of the next packet.
+enum Next {
+    Taken,
+    Ended(Ending),
+}
+
+/// The recording that a capture file becomes.
+struct Import<'a> {
+    out: &'a Path,
+    recorder: Recorder,
+    inlet: Inlet,
+}
+
+impl<'a> Import<'a> {
+    fn begin(out: &'a Path, rig: Option<Rig>, config: &RecorderConfig) -> Result<Self, Error> {
+        recorder::make_folder(out)?;
+        let recorder = Recorder::start(out, rig, &[], config, Overflow::Wait)?;
+        let inlet = recorder.inlet();
+        Ok(Self {
+            out,
+            recorder,
+            inlet,
+        })
+    }
+
+    /// Takes packet by packet until the end, or until it is told to stop.
+    fn take_all(
+        &self,
+        progress: ProgressFn<'_>,
+        mut take: impl FnMut(&Inlet) -> Next,
+    ) -> (Ending, Result<(), Stopped>) {
+        for packets in 0.. {
+            if u64::is_multiple_of(packets, SHOW_EVERY) {
+                let told = progress(Progress {
+                    stage: "reading packets",
+                    done: packets,
+                    total: 0,
+                });
+                if told.is_err() {
+                    return (Ending::Stopped, told);
+                }
+            }
+            if let Next::Ended(ending) = take(&self.inlet) {
+                return (ending, Ok(()));
+            }
+        }
+        (Ending::EndOfStream, Ok(()))
+    }
+
+    fn finish(
+        self,
+        streams: Vec<StreamReport>,
+        told: Result<(), Stopped>,
+    ) -> Result<CaptureReport, Error> {
+        drop(self.inlet);
+        let written = self.recorder.finish(&streams)?;
+        told.inspect_err(|_| written.discard())?;
+        Ok(written.report(self.out, streams))
+    }
+}
+
+/// Packets of one LiDAR of both kinds, in the order of their arrival.
 struct RecordedSource<D: Iterator, P: Iterator> {
-    path: PathBuf,
     data: Peekable<D>,
     positions: Peekable<P>,
 }
 
 type Recorded = Result<RecordedPacket, lsfb_recording::Error>;
 
-impl<D, P> PacketSource for RecordedSource<D, P>
+impl<D, P> RecordedSource<D, P>
 where
     D: Iterator<Item = Recorded>,
     P: Iterator<Item = Recorded>,
 {
-    fn recv(&mut self, _: Duration) -> Result<Option<Packet>, lsfb_drivers::Error> {
-        // What cannot be read comes first: its place is not known.
-        let arrival = |next: Option<&Recorded>| {
-            next.map(|next| {
-                next.as_ref()
-                    .map_or(Timestamp::from_nanos(i64::MIN), |p| p.packet.arrival)
-            })
-        };
+    /// When the next packet arrived; `None` at the end.
+    fn next_arrival(&mut self) -> Option<Timestamp> {
+        let (data, position) = (arrival(self.data.peek()), arrival(self.positions.peek()));
+        [data, position].into_iter().flatten().min()
+    }
+
+    fn next(&mut self) -> Option<Recorded> {
         let (data, position) = (arrival(self.data.peek()), arrival(self.positions.peek()));
         let position_is_next = match (data, position) {
             (Some(data), Some(position)) => position <= data,
             (data, _) => data.is_none(),
         };
-        let next = if position_is_next {
-            self.positions.next()
-        } else {
-            self.data.next()
-        };
-        match next {
-            Some(Ok(recorded)) => Ok(Some(recorded.packet)),
-            Some(Err(error)) => Err(lsfb_drivers::Error::File {
-                path: self.path.clone(),
-                position: "a message".to_owned(),
-                problem: error.to_string(),
-            }),
-            None => Err(lsfb_drivers::Error::EndOfStream {
-                device: self.path.display().to_string(),
-            }),
+        match position_is_next {
+            true => self.positions.next(),
+            false => self.data.next(),
         }
     }
+}
+
+/// When a packet arrived. What cannot be read comes first: its place is not known.
+fn arrival(next: Option<&Recorded>) -> Option<Timestamp> {
+    let unknown = Timestamp::from_nanos(i64::MIN);
+    next.map(|next| next.as_ref().map_or(unknown, |p| p.packet.arrival))
 }

@@ -33,6 +33,10 @@ pub struct StreamReport {
     pub bad: u64,
     /// What the device's own counters say never arrived.
     pub missing: u64,
+    /// Packets that came too late to be put back in order: they are recorded, and no scan has their points.
+    pub reordered: u64,
+    /// Packets of another LiDAR on its ports that nobody named: they are not in the recording.
+    pub kept_out: u64,
     /// Repetitions left out.
     pub duplicated: u64,
     /// Samples dropped because the writer's queue was full.
@@ -43,6 +47,8 @@ pub struct StreamReport {
     pub silences: u64,
     /// How often that came far too slowly for some seconds.
     pub slowdowns: u64,
+    /// How often it went on sending for more than a second and said nothing new: the same image or sample, scans without a return.
+    pub stale: u64,
     /// The first packet that could not be read: number and reason.
     pub first_bad: Option<String>,
     /// What an operator should know.
@@ -79,14 +85,20 @@ impl StreamReport {
 
     /// Whatever should have been recorded and was not.
     pub fn lost(&self) -> u64 {
-        let gone = u64::from(matches!(self.ending, Ending::Lost(_)));
+        self.counted_lost() + u64::from(matches!(self.ending, Ending::Lost(_)))
+    }
+
+    /// What was counted so far, whatever ends it.
+    pub(crate) fn counted_lost(&self) -> u64 {
         self.bad
             + self.missing
+            + self.reordered
+            + self.kept_out
             + self.dropped
             + self.interruptions
             + self.silences
             + self.slowdowns
-            + gone
+            + self.stale
     }
 }
 

@@ -10,7 +10,7 @@ use lsfb_drivers::velodyne::SensorPage;
 use lsfb_geometry::Rig;
 use lsfb_types::ProgressFn;
 
-use crate::config::DevicesConfig;
+use crate::config::{DevicesConfig, LidarNetConfig};
 use crate::control::{Control, Counts};
 use crate::health::{HealthFeed, Monitor};
 use crate::recorder::{self, Recorder};
@@ -44,27 +44,7 @@ impl Session {
         }
         config.check()?;
         let rig = config.rig.as_deref().map(Rig::read).transpose()?;
-        let mut lidars = Vec::new();
-        for net in &config.lidars {
-            // What it says that cannot be used is said before anything is set.
-            let settings = net.decoder()?;
-            if let Some(wanted) = &net.settings {
-                let changes = wanted.changes(net.data.port(), net.position.port());
-                SensorPage::at(wanted.page).apply(&changes)?;
-            }
-            let source = UdpSource::bind(&UdpConfig {
-                binds: vec![net.data, net.position],
-                // Others are counted by address.
-                sender: None,
-                receive_buffer_bytes: net.receive_buffer_bytes,
-            })?;
-            lidars.push(lidar::Listening {
-                name: net.name.clone(),
-                source,
-                settings,
-                sensor: net.sensor,
-            });
-        }
+        let lidars = listen(&config.lidars)?;
         let sidecar = config
             .sidecar
             .as_ref()
@@ -89,10 +69,22 @@ impl Session {
 
     /// Where data packets and position packets of each LiDAR are expected, in this order; empty without a LiDAR.
     pub fn lidar_addresses(&self) -> Vec<SocketAddr> {
-        self.lidars
-            .iter()
-            .flat_map(|lidar| lidar.source.local_addresses())
-            .collect()
+        let of = |net: &LidarNetConfig| {
+            let of_port = |listening: &lidar::Listening| {
+                let lidar = listening.lidars.iter().find(|l| l.name == net.name)?;
+                let addresses = listening.source.local_addresses();
+                let address = |port: usize| addresses.get(port).copied();
+                Some(
+                    lidar
+                        .ports
+                        .into_iter()
+                        .filter_map(address)
+                        .collect::<Vec<_>>(),
+                )
+            };
+            self.lidars.iter().find_map(of_port).unwrap_or_default()
+        };
+        self.config.lidars.iter().flat_map(of).collect()
     }
 
     /// Where sidecars connect.
@@ -144,15 +136,10 @@ impl Session {
             self.remarks,
         );
         for listening in self.lidars {
-            let name = listening.name.clone();
-            let device = Device {
-                thread: &name,
-                name: &name,
-                ends: Ends::Never,
-                expected: lidar::expected(),
-            };
-            threads.start(device, |on| {
-                lidar::record(listening, on.inlet, on.control, on.meter)
+            let names: Vec<String> = listening.lidars.iter().map(|l| l.name.clone()).collect();
+            let devices = names.iter().map(|name| (name.clone(), lidar::expected()));
+            threads.start_group(&names.join("+"), devices, |on| {
+                lidar::record(listening, on.inlet, on.control, on.meters)
             })?;
         }
         for (index, unit) in cameras.into_iter().enumerate() {
@@ -223,6 +210,53 @@ impl Session {
             settings.least_space_secs,
         )
     }
+}
+
+/// Sets the LiDARs where that is asked for, and binds their ports; those that share one, with an address each, share a source.
+fn listen(nets: &[LidarNetConfig]) -> Result<Vec<lidar::Listening>, Error> {
+    let mut groups: Vec<Vec<&LidarNetConfig>> = Vec::new();
+    for net in nets {
+        let shares = |group: &Vec<&LidarNetConfig>| group.iter().any(|l| l.shares_port_with(net));
+        match groups.iter_mut().find(|group| shares(group)) {
+            Some(group) => group.push(net),
+            None => groups.push(vec![net]),
+        }
+    }
+    groups.iter().map(|group| listen_together(group)).collect()
+}
+
+fn listen_together(nets: &[&LidarNetConfig]) -> Result<lidar::Listening, Error> {
+    let mut binds: Vec<SocketAddr> = Vec::new();
+    let mut lidars = Vec::new();
+    for net in nets {
+        // What it says that cannot be used is said before anything is set.
+        let settings = net.decoder()?;
+        if let Some(wanted) = &net.settings {
+            let changes = wanted.changes(net.data.port(), net.position.port());
+            SensorPage::at(wanted.page).apply(&changes)?;
+        }
+        let ports = [net.data, net.position].map(|address| {
+            let is_known = |bind: &SocketAddr| *bind == address && address.port() != 0;
+            binds.iter().position(is_known).unwrap_or_else(|| {
+                binds.push(address);
+                binds.len() - 1
+            })
+        });
+        lidars.push(lidar::Listened {
+            name: net.name.clone(),
+            settings,
+            sensor: net.sensor,
+            ports,
+        });
+    }
+    let buffers = nets.iter().map(|net| net.receive_buffer_bytes);
+    let source = UdpSource::bind(&UdpConfig {
+        binds,
+        // Others are counted by address.
+        sender: None,
+        receive_buffer_bytes: buffers.max().unwrap_or_default(),
+    })?;
+    Ok(lidar::Listening { source, lidars })
 }
 
 /// The devices that are asked rather than listened to.

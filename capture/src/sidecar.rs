@@ -105,7 +105,7 @@ pub(crate) fn record(
                 if recording.message(from, message, inlet).is_err() {
                     break Ending::Stopped;
                 }
-                meter.heard(&recording.report);
+                meter.heard(&recording.report, arrival);
                 control
                     .progress
                     .sidecar_messages

@@ -35,11 +35,19 @@ pub(crate) struct Device<'a> {
     pub(crate) expected: Vec<Expected>,
 }
 
+/// What several devices on one thread work with.
+pub(crate) struct GroupContext<'a> {
+    pub(crate) inlet: &'a Inlet,
+    pub(crate) control: &'a Control,
+    /// One for each of them, in their order.
+    pub(crate) meters: &'a [Meter],
+}
+
 /// The threads of one session.
 pub(crate) struct Threads {
     control: Arc<Control>,
     overflow: Overflow,
-    running: Vec<(String, JoinHandle<StreamReport>)>,
+    running: Vec<(String, JoinHandle<Vec<StreamReport>>)>,
     meters: Vec<Meter>,
     inlet: Inlet,
     remarks: Option<RemarkQueue>,
@@ -71,27 +79,68 @@ impl Threads {
         device: Device<'_>,
         work: impl FnOnce(&DeviceContext<'_>) -> StreamReport + Send + 'static,
     ) -> Result<(), Error> {
-        let (inlet, control) = (self.inlet.clone(), Arc::clone(&self.control));
-        let meter = match self.overflow {
-            Overflow::Drop => Meter::expecting(device.name, device.expected),
-            // Devices that wait for the disk, as only simulated ones can, come as fast as they may.
-            Overflow::Wait => Meter::new(device.name),
-        };
-        self.meters.push(meter.clone());
-        let ends = device.ends;
-        let handle = recorder::spawn(device.thread, move || {
+        let meter = self.meter(device.name, device.expected);
+        self.spawn(device.thread, device.ends, move |inlet, control| {
             let mut report = work(&DeviceContext {
-                inlet: &inlet,
-                control: &control,
+                inlet,
+                control,
                 meter: &meter,
             });
             meter.end(&mut report);
+            vec![report]
+        })
+    }
+
+    /// Starts one thread for devices that never end by themselves: `devices` are their names and what is expected of each, and
+    /// `work` gives a report for each.
+    pub(crate) fn start_group(
+        &mut self,
+        thread: &str,
+        devices: impl IntoIterator<Item = (String, Vec<Expected>)>,
+        work: impl FnOnce(&GroupContext<'_>) -> Vec<StreamReport> + Send + 'static,
+    ) -> Result<(), Error> {
+        let devices = devices.into_iter();
+        let meters: Vec<Meter> = devices
+            .map(|(name, expected)| self.meter(&name, expected))
+            .collect();
+        self.spawn(thread, Ends::Never, move |inlet, control| {
+            let mut reports = work(&GroupContext {
+                inlet,
+                control,
+                meters: &meters,
+            });
+            for (meter, report) in meters.iter().zip(&mut reports) {
+                meter.end(report);
+            }
+            reports
+        })
+    }
+
+    fn meter(&mut self, name: &str, expected: Vec<Expected>) -> Meter {
+        let meter = match self.overflow {
+            Overflow::Drop => Meter::expecting(name, expected),
+            // Devices that wait for the disk, as only simulated ones can, come as fast as they may.
+            Overflow::Wait => Meter::new(name),
+        };
+        self.meters.push(meter.clone());
+        meter
+    }
+
+    fn spawn(
+        &mut self,
+        thread: &str,
+        ends: Ends,
+        work: impl FnOnce(&Inlet, &Control) -> Vec<StreamReport> + Send + 'static,
+    ) -> Result<(), Error> {
+        let (inlet, control) = (self.inlet.clone(), Arc::clone(&self.control));
+        let handle = recorder::spawn(thread, move || {
+            let reports = work(&inlet, &control);
             if ends == Ends::ByItself {
                 control.leave();
             }
-            report
+            reports
         })?;
-        self.running.push((device.thread.to_owned(), handle));
+        self.running.push((thread.to_owned(), handle));
         Ok(())
     }
 
@@ -124,9 +173,10 @@ impl Threads {
         }
         // What happened since the last snapshot is told too, a device that was lost above all.
         monitor.finish();
-        self.running
-            .into_iter()
-            .map(|(name, thread)| recorder::join(&name, thread))
-            .collect()
+        let mut reports = Vec::new();
+        for (name, thread) in self.running {
+            reports.extend(recorder::join(&name, thread)?);
+        }
+        Ok(reports)
     }
 }

@@ -90,8 +90,8 @@ fn record(
     out: &Path,
 ) -> Recording {
     let incoming = emitted.map(|item| match item.unwrap() {
-        Emitted::Lidar(packet) => Incoming::Lidar(packet),
-        Emitted::Imu(packet) => Incoming::Imu(packet),
+        Emitted::Lidar(packet) => Incoming::Lidar { lidar: 0, packet },
+        Emitted::Imu(packet) => Incoming::Imu { imu: 0, packet },
         Emitted::Frame { unit, packet } => Incoming::Frame { unit, packet },
         Emitted::Sidecar { arrival, message } => Incoming::Sidecar { arrival, message },
     });

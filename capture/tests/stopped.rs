@@ -75,7 +75,10 @@ fn packets_of_a_rig() {
         recorder: anywhere(),
         ..DevicesConfig::default()
     };
-    let incoming = (1..=PACKETS).map(|n| Incoming::Lidar(packet(n)));
+    let incoming = (1..=PACKETS).map(|n| Incoming::Lidar {
+        lidar: 0,
+        packet: packet(n),
+    });
     let out = folder.path().join("scan.mcap");
     let stopped = record_incoming(incoming, &config, &out, &soon);
     assert_nothing_left(stopped, folder.path());

@@ -184,10 +184,10 @@ fuzz_target!(|data: &[u8]| {
         data = after;
         let packet = |bytes| Packet { arrival, bytes };
         items.push(match kind & 7 {
-            0 => Incoming::Lidar(packet(data_packet(given))),
-            1 => Incoming::Lidar(packet(position_packet(given))),
-            2 => Incoming::Lidar(packet(given.to_vec())),
-            3 => Incoming::Imu(packet(imu_packet(family, given))),
+            0 => Incoming::Lidar { lidar: 0, packet: packet(data_packet(given)) },
+            1 => Incoming::Lidar { lidar: 0, packet: packet(position_packet(given)) },
+            2 => Incoming::Lidar { lidar: 0, packet: packet(given.to_vec()) },
+            3 => Incoming::Imu { imu: 0, packet: packet(imu_packet(family, given)) },
             4 | 5 => Incoming::Frame {
                 unit: usize::from(kind & 1),
                 packet: packet(frame(given)),

@@ -132,6 +132,15 @@ impl Default for LidarNetConfig {
 }
 
 impl LidarNetConfig {
+    /// Whether both listen on a port of the same address.
+    pub(crate) fn shares_port_with(&self, other: &Self) -> bool {
+        let ports = [self.data, self.position];
+        let theirs = [other.data, other.position];
+        theirs
+            .iter()
+            .any(|port| port.port() != 0 && ports.contains(port))
+    }
+
     /// How its packets are read; the file of beam angles is.
     pub(crate) fn decoder(&self) -> Result<Settings, Error> {
         let refused = |problem: String| Error::LidarSettings {

@@ -458,27 +458,13 @@ impl DevicesConfig {
         let names = inside
             .chain(lidars)
             .chain(self.imus.iter().map(|imu| &imu.name));
-        let mut known = BTreeSet::new();
-        for name in names {
-            let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '_';
-            let problem = if name.is_empty() || !name.chars().all(is_plain) {
-                "a name is made of letters, digits and underscores"
-            } else if !known.insert(name) {
-                "two devices have this name"
-            } else {
-                continue;
-            };
-            return Err(Error::DeviceName {
-                name: name.clone(),
-                problem,
-            });
-        }
+        check_device_names(names)?;
         for (index, lidar) in self.lidars.iter().enumerate() {
             let takes_same = |other: &&LidarNetConfig| {
-                let ports = [lidar.data, lidar.position];
-                [other.data, other.position]
-                    .iter()
-                    .any(|port| port.port() != 0 && ports.contains(port))
+                let has_own_address = lidar.sensor.is_some()
+                    && other.sensor.is_some()
+                    && lidar.sensor != other.sensor;
+                lidar.shares_port_with(other) && !has_own_address
             };
             if let Some(other) = self.lidars[..index].iter().find(takes_same) {
                 return Err(Error::LidarPorts {
@@ -518,6 +504,28 @@ impl DevicesConfig {
     pub fn to_toml(&self) -> String {
         toml::to_string(self).unwrap_or_default()
     }
+}
+
+/// Refuses two devices of one name, and names that are no parts of topics.
+pub(crate) fn check_device_names<'a>(
+    names: impl IntoIterator<Item = &'a String>,
+) -> Result<(), Error> {
+    let mut known = BTreeSet::new();
+    for name in names {
+        let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '_';
+        let problem = if name.is_empty() || !name.chars().all(is_plain) {
+            "a name is made of letters, digits and underscores"
+        } else if !known.insert(name) {
+            "two devices have this name"
+        } else {
+            continue;
+        };
+        return Err(Error::DeviceName {
+            name: name.clone(),
+            problem,
+        });
+    }
+    Ok(())
 }
 
 #[cfg(test)]
@@ -572,6 +580,14 @@ mod tests {
             message.contains("lidar and lidar_rear listen on one port"),
             "{message}"
         );
+        let told_apart = read(
+            "[[lidar]]\nsensor = '192.168.1.201'\n[[lidar]]\nname = 'lidar_rear'\nsensor = '192.168.1.202'\n",
+        );
+        assert!(told_apart.check_names().is_ok());
+        let message = problem(
+            "[[lidar]]\nsensor = '192.168.1.201'\n[[lidar]]\nname = 'lidar_rear'\nsensor = '192.168.1.201'\n",
+        );
+        assert!(message.contains("listen on one port"), "{message}");
         let message = problem("[[lidar]]\n[[lidar]]\n");
         assert!(
             message.contains("lidar: two devices have this name"),

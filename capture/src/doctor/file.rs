@@ -6,6 +6,18 @@ use lsfb_types::{Finding, Limit, ProgressFn, Timestamp, Verdict};
 use super::{Depth, DoctorConfig, Findings};
 use crate::Error;
 
+/// What the recorder counts of each device that is lost, and how it is called.
+const COUNTS: &[(&str, &str)] = &[
+    ("bad", "unreadable"),
+    ("missing", "missing"),
+    ("reordered", "too late for their scan"),
+    ("kept_out", "of another LiDAR kept out"),
+    ("dropped", "dropped"),
+    ("interruptions", "interruptions"),
+    ("silences", "silences"),
+    ("slowdowns", "times far too slow"),
+    ("stale", "times nothing new"),
+];
 const RECOVER: &str = "make a whole file of what is left with `lsfb recover`";
 
 impl Findings {
@@ -132,9 +144,9 @@ fn lost_parts(health: &serde_json::Value) -> Vec<String> {
     for stream in streams.into_iter().flatten() {
         let count = |key: &str| stream.get(key).and_then(serde_json::Value::as_u64);
         let name = stream.get("name").and_then(|n| n.as_str()).unwrap_or("?");
-        for key in ["bad", "missing", "dropped", "interruptions"] {
+        for (key, what) in COUNTS {
             if let Some(count) = count(key).filter(|c| *c > 0) {
-                parts.push(format!("{name}: {count} {key}"));
+                parts.push(format!("{name}: {count} {what}"));
             }
         }
         if let Some(why) = stream.get("ending").and_then(|e| e.get("lost")) {

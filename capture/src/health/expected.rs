@@ -19,8 +19,8 @@ const LOST_AT_END: Duration = Duration::from_secs(3);
 const RATE_WINDOW: Duration = Duration::from_secs(1);
 /// … in steps of this.
 const RATE_STEP: Duration = Duration::from_millis(50);
-/// A rate below this share of the nominal one is a problem …
-const SLOW_SHARE: f64 = 0.4;
+/// A rate below this share of the nominal one is a problem: half of it is …
+const SLOW_SHARE: f64 = 0.6;
 /// … of parts that come at least this often …
 const SLOW_FROM_HZ: f64 = 5.0;
 /// … and has lost data after this long.
@@ -73,6 +73,9 @@ pub(super) struct Part {
     began: Instant,
     first_heard: Option<Instant>,
     last_heard: Option<Instant>,
+    /// Until when its thread has looked for what came: a thread that a busy machine did not run has heard nothing, and missed nothing
+    /// that waited in the kernel meanwhile.
+    looked: Option<Instant>,
     count: u64,
     /// Counts of the last second: end of each step, and how many until then.
     steps: VecDeque<(Instant, u64)>,
@@ -91,6 +94,8 @@ enum Pace {
     /// It has not come yet, and need not.
     Awaited,
     Silent(Duration),
+    /// Nobody has looked for so long.
+    Unattended(Duration),
     Slow {
         rate_hz: f64,
         nominal_hz: f64,
@@ -104,6 +109,7 @@ impl Part {
             began: now,
             first_heard: None,
             last_heard: None,
+            looked: None,
             count: 0,
             steps: VecDeque::new(),
             learned_hz: None,
@@ -118,9 +124,14 @@ impl Part {
         &self.expected.name
     }
 
+    /// Its thread has looked for what had come until then.
+    pub(super) fn look(&mut self, at: Instant) {
+        self.looked = self.looked.max(Some(at));
+    }
+
     /// So many have come.
     pub(super) fn hear(&mut self, count: u64, now: Instant) {
-        if let Some(silence) = self.silence(now)
+        if let Some(silence) = self.silence()
             && silence > self.lost_after()
         {
             self.silences += 1;
@@ -147,18 +158,19 @@ impl Part {
 
     /// The device was gone and is back, which is counted as such; what lies between is no silence.
     pub(super) fn restart(&mut self, now: Instant) {
+        self.look(now);
         self.last_heard = self.last_heard.map(|_| now);
         self.steps.clear();
         self.slow_since = None;
     }
 
     /// The device has ended, by itself or not, and what was still expected of this part is missing.
-    pub(super) fn finish(&mut self, ended_by_itself: bool, now: Instant) {
+    pub(super) fn finish(&mut self, ended_by_itself: bool) {
         let most = match ended_by_itself {
             true => LOST_AT_END,
             false => self.lost_after(),
         };
-        match self.silence(now) {
+        match self.silence() {
             Some(silence) if silence > most => self.silences += 1,
             // Never, though the device was there.
             None if self.expected.need == Need::Required => self.silences += 1,
@@ -197,6 +209,10 @@ impl Part {
                 "no {name} for {:.1} s: check its cable, power and address",
                 silence.as_secs_f64()
             )),
+            Pace::Unattended(since) => Some(format!(
+                "not listened to for {:.1} s: this machine is too busy",
+                since.as_secs_f64()
+            )),
             Pace::Slow {
                 rate_hz,
                 nominal_hz,
@@ -228,7 +244,11 @@ impl Part {
             return Pace::Awaited;
         }
         if waited > self.silent_after() {
-            return Pace::Silent(waited);
+            let unattended = now.saturating_duration_since(self.looked.unwrap_or(self.began));
+            return match unattended > SILENT {
+                true => Pace::Unattended(unattended),
+                false => Pace::Silent(waited),
+            };
         }
         let rate_hz = self.rate_hz(now);
         match self.nominal_hz() {
@@ -261,9 +281,11 @@ impl Part {
         now.saturating_duration_since(self.last_heard.unwrap_or(self.began))
     }
 
-    fn silence(&self, now: Instant) -> Option<Duration> {
+    /// For how long it was looked for in vain since it was heard.
+    fn silence(&self) -> Option<Duration> {
+        let looked = self.looked?;
         self.last_heard
-            .map(|last| now.saturating_duration_since(last))
+            .map(|last| looked.saturating_duration_since(last))
     }
 
     fn silent_after(&self) -> Duration {
@@ -308,6 +330,7 @@ mod tests {
                 part.hear(1, now);
             }
             if ms.is_multiple_of(20) {
+                part.look(now);
                 part.watch(now);
             }
         }
@@ -320,9 +343,11 @@ mod tests {
             let mut part = Part::new(Expected::required("data", nominal_hz), began);
             hear(&mut part, began, 1, 0, 4_000);
             assert_eq!(part.problem(began + MS * 4_000), None);
+            part.look(began + MS * 4_690);
             let alarm = part.problem(began + MS * 4_700).expect("an alarm");
             assert!(alarm.contains("no data for 0.7 s"), "{alarm}");
-            part.finish(false, began + MS * 5_500);
+            part.look(began + MS * 5_500);
+            part.finish(false);
             assert_eq!((part.silences(), part.slowdowns()), (1, 0));
         }
     }
@@ -344,10 +369,13 @@ mod tests {
             hear(&mut part, began, 100, 4_900, 9_000);
             // One slow stretch, however long.
             assert_eq!((part.silences(), part.slowdowns()), (0, 1));
-            // Half of the nominal rate is a matter of taste.
-            hear(&mut part, began, 20, 9_000, 12_000);
+            // A third more or less is a matter of taste, half is not.
+            hear(&mut part, began, 14, 9_000, 12_000);
             assert_eq!(part.problem(began + MS * 12_000), None);
             assert_eq!(part.slowdowns(), 1);
+            hear(&mut part, began, 20, 12_000, 17_000);
+            assert!(part.problem(began + MS * 17_000).is_some());
+            assert_eq!(part.slowdowns(), 2);
         }
     }
 
@@ -360,11 +388,13 @@ mod tests {
         assert!(data.problem(later).is_some());
         assert_eq!(position.problem(later), None);
         for part in [&mut data, &mut position] {
-            part.finish(false, later);
+            part.look(later);
+            part.finish(false);
         }
         assert_eq!((data.silences(), position.silences()), (1, 0));
         let mut position = Part::new(Expected::once_heard("position"), began);
         hear(&mut position, began, 10, 0, 3_500);
+        position.look(began + MS * 4_190);
         assert!(position.problem(began + MS * 4_200).is_some());
     }
 
@@ -379,7 +409,32 @@ mod tests {
         hear(&mut part, began, 50, 0, 2_000);
         part.restart(began + MS * 9_000);
         hear(&mut part, began, 50, 9_010, 12_000);
-        part.finish(true, began + MS * 12_100);
+        part.look(began + MS * 12_100);
+        part.finish(true);
         assert_eq!((part.silences(), part.slowdowns()), (0, 0));
+    }
+
+    /// The machine did not run the device's thread for three seconds, and what came meanwhile waited in the kernel: naively three
+    /// seconds of silence, and exit code 3 of a recording that lacks nothing.
+    #[test]
+    fn a_thread_that_was_not_run_has_missed_nothing() {
+        let began = Instant::now();
+        let mut part = Part::new(Expected::required("samples", Some(200.0)), began);
+        hear(&mut part, began, 5, 0, 2_000);
+        let later = began + MS * 5_000;
+        let alarm = part.problem(later).expect("an alarm");
+        assert!(alarm.contains("too busy"), "{alarm}");
+        part.hear(600, later);
+        part.look(later);
+        hear(&mut part, began, 5, 5_000, 8_000);
+        assert_eq!(part.problem(began + MS * 8_000), None);
+        part.finish(false);
+        assert_eq!((part.silences(), part.slowdowns()), (0, 0));
+        // It looked all the while, and there was nothing.
+        let mut silent = Part::new(Expected::required("samples", Some(200.0)), began);
+        hear(&mut silent, began, 5, 0, 2_000);
+        (2_000..5_000).for_each(|ms| silent.look(began + MS * ms));
+        silent.hear(1, later);
+        assert_eq!(silent.silences(), 1);
     }
 }

@@ -4,6 +4,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::expected::{Expected, Part};
+use lsfb_types::Timestamp;
+
+use super::monitor::arrival_now;
 use super::{DeviceHealth, Ending, Level, StreamReport, SyncState};
 
 /// A device of which nothing in particular is expected has a problem when it was heard and is silent for this long.
@@ -32,6 +35,8 @@ struct MeterState {
     clock_steps: u32,
     exposure_ms: Option<f64>,
     saturated_share: Option<f64>,
+    /// What it says again and again, and what to check.
+    stale: Option<&'static str>,
     temperature_celsius: Option<f64>,
 }
 
@@ -70,6 +75,7 @@ impl Meter {
             clock_steps: 0,
             exposure_ms: None,
             saturated_share: None,
+            stale: None,
             temperature_celsius: None,
         })))
     }
@@ -79,14 +85,22 @@ impl Meter {
     }
 
     /// Something arrived, and these are the counts now.
-    pub(crate) fn heard(&self, report: &StreamReport) {
+    pub(crate) fn heard(&self, report: &StreamReport, arrival: Timestamp) {
         let mut state = self.lock();
         let now = Instant::now();
+        // What waited in a queue of the kernel says what there was to hear when it arrived, and nothing about later.
+        let waited = Duration::try_from_secs_f64(arrival_now().secs_since(arrival));
+        state.look(now.checked_sub(waited.unwrap_or_default()).unwrap_or(now));
         if let Some(last) = state.last_heard.replace(now) {
             state.longest_gap = state.longest_gap.max(now - last);
         }
         state.take_counts(report);
         state.connected = true;
+    }
+
+    /// Its thread looked, and nothing had arrived.
+    pub(crate) fn looked(&self) {
+        self.lock().look(Instant::now());
     }
 
     /// So many of a part of it came; a part that nobody expects is passed over.
@@ -118,12 +132,11 @@ impl Meter {
     /// The device's thread has ended, and this is its report; what stayed away is added to it.
     pub(crate) fn end(&self, report: &mut StreamReport) {
         let mut state = self.lock();
-        let now = Instant::now();
         let by_itself = report.ending == Ending::EndOfStream;
         // A device that was never heard, or is gone, is lost as a whole.
         if report.received > 0 && !matches!(report.ending, Ending::Lost(_)) {
             for part in &mut state.parts {
-                part.finish(by_itself, now);
+                part.finish(by_itself);
             }
         }
         report.silences = state.parts.iter().map(Part::silences).sum();
@@ -169,6 +182,11 @@ impl Meter {
         state.saturated_share = Some(saturated_share);
     }
 
+    /// What it says again and again, and what to check; `None` while it says something new.
+    pub(crate) fn set_stale(&self, problem: Option<&'static str>) {
+        self.lock().stale = problem;
+    }
+
     pub(crate) fn set_temperature(&self, celsius: f64) {
         self.lock().temperature_celsius = Some(celsius);
     }
@@ -186,9 +204,7 @@ impl Meter {
         let gap = state.longest_gap.max(silence);
         let secs = (now - state.last_reading.at).as_secs_f64().max(1e-3);
         let report = &state.report;
-        let stayed_away = report.silences + report.slowdowns;
-        let lost =
-            report.bad + report.missing + report.dropped + report.interruptions + stayed_away;
+        let lost = state.lost();
         let parts = state.parts.iter().map(|part| part.health(now)).collect();
         let (level, problem) = state.judge(silence, lost, now);
         let health = DeviceHealth {
@@ -202,6 +218,7 @@ impl Meter {
             missing: report.missing,
             duplicated: report.duplicated,
             dropped: report.dropped,
+            lost,
             rate_hz: report.received.saturating_sub(state.last_reading.received) as f64 / secs,
             gap_secs: gap.as_secs_f64(),
             parts,
@@ -230,17 +247,38 @@ pub(crate) enum Connection {
 }
 
 impl MeterState {
+    fn look(&mut self, at: Instant) {
+        self.parts.iter_mut().for_each(|part| part.look(at));
+    }
+
     fn take_counts(&mut self, report: &StreamReport) {
         let own = &mut self.report;
         own.received = report.received;
         own.decoded = report.decoded;
         own.bad = report.bad;
         own.missing = report.missing;
+        own.reordered = report.reordered;
+        own.kept_out = report.kept_out;
         own.duplicated = report.duplicated;
         own.dropped = report.dropped;
         own.interruptions = report.interruptions;
         own.silences = report.silences;
         own.slowdowns = report.slowdowns;
+        own.stale = report.stale;
+    }
+
+    /// Everything that should have been recorded and was not, so far.
+    fn lost(&self) -> u64 {
+        let stayed_away = match self.ended {
+            // The report has them.
+            true => 0,
+            false => self
+                .parts
+                .iter()
+                .map(|p| p.silences() + p.slowdowns())
+                .sum(),
+        };
+        self.report.counted_lost() + stayed_away
     }
 
     /// The worst that can be said.
@@ -252,6 +290,9 @@ impl MeterState {
             && let Some(problem) = self.parts.iter().find_map(|part| part.problem(now))
         {
             return (Level::Error, problem);
+        }
+        if let Some(stale) = self.stale.filter(|_| !self.ended) {
+            return (Level::Error, stale.to_owned());
         }
         if self.last_heard.is_none() {
             return (Level::Warn, "has sent nothing yet".to_owned());

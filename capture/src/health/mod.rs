@@ -4,6 +4,7 @@ mod expected;
 mod meter;
 mod monitor;
 mod snapshot;
+mod stale;
 
 pub(crate) use crate::report::{Ending, StreamReport};
 pub(crate) use expected::Expected;
@@ -12,3 +13,4 @@ pub(crate) use monitor::Monitor;
 pub use snapshot::{
     DeviceHealth, HealthFeed, Level, PartHealth, Snapshot, StorageHealth, SyncState,
 };
+pub(crate) use stale::{Repeats, Says, Stale};

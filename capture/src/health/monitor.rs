@@ -115,10 +115,7 @@ impl Monitor {
         let storage = self.storage(&progress, since_last);
         let lost = progress.lost
             + progress.groups.incomplete
-            + devices
-                .iter()
-                .map(|d| d.bad + d.missing + d.dropped)
-                .sum::<u64>()
+            + devices.iter().map(|d| d.lost).sum::<u64>()
             + progress.displaced.len() as u64;
         let level = devices
             .iter()
@@ -127,7 +124,7 @@ impl Monitor {
             .max()
             .unwrap_or_default();
         Snapshot {
-            time_nanos: now_utc().nanos(),
+            time_nanos: arrival_now().nanos(),
             elapsed_secs: self.began.elapsed().as_secs_f64(),
             devices,
             groups: progress.groups,
@@ -274,7 +271,8 @@ impl Monitor {
     }
 }
 
-fn now_utc() -> Timestamp {
+/// The host's clock, which arrivals are stamped by.
+pub(super) fn arrival_now() -> Timestamp {
     let since = SystemTime::now()
         .duration_since(UNIX_EPOCH)
         .unwrap_or_default();

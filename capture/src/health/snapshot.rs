@@ -71,6 +71,8 @@ pub struct DeviceHealth {
     pub duplicated: u64,
     /// Samples dropped because the writer's queue was full.
     pub dropped: u64,
+    /// Everything of it that should have been recorded and was not, silences among it.
+    pub lost: u64,
     /// Packets per second since the last snapshot.
     pub rate_hz: f64,
     /// Longest silence since the last snapshot, the one that goes on included, seconds.

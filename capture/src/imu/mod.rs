@@ -5,13 +5,13 @@ mod unit;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use lsfb_types::{Packet, Stamped, Timestamp};
+use lsfb_types::{ImuSample, Packet, Stamped, Timestamp};
 
 use crate::clock::model_topic::{self, ModelTopic};
 use crate::clock::{OneWayClock, Unwrap};
 use crate::config::{ImuFamily, ImuLineConfig};
 use crate::control::Control;
-use crate::health::{Ending, Expected, Meter, StreamReport};
+use crate::health::{Ending, Expected, Meter, Repeats, StreamReport};
 use crate::recorder::{Entry, Inlet, WriterGone};
 
 pub(crate) use unit::ImuUnit;
@@ -21,6 +21,8 @@ use unit::{ImuDecoder, Reading};
 const SILENT: Duration = Duration::from_millis(500);
 /// What it sends all the time.
 const SAMPLES: &str = "samples";
+/// Problem of a unit that sends nothing new.
+const SAME_SAMPLE: &str = "it measures the same again and again: restart it";
 
 /// What a unit sends all the time; only some are told how often.
 pub(crate) fn expected(line: &ImuLineConfig) -> Vec<Expected> {
@@ -103,16 +105,18 @@ pub(crate) fn record(
         match line.unit.recv(Duration::from_millis(50)) {
             Ok(Some(packet)) => {
                 last_heard = Instant::now();
+                let arrival = packet.arrival;
+                let before = stream.report.decoded;
                 let put = stream.packet(packet, inlet, meter);
                 if put.is_err() {
                     break Ending::Stopped;
                 }
                 stream.take_counters(line.unit.kernel_drops());
-                meter.heard(&stream.report);
+                meter.heard(&stream.report, arrival);
                 control
                     .progress
                     .imu_samples
-                    .store(stream.report.decoded, Ordering::Relaxed);
+                    .fetch_add(stream.report.decoded - before, Ordering::Relaxed);
             }
             Ok(None) if control.is_stopping() => break Ending::Stopped,
             Ok(None)
@@ -122,7 +126,7 @@ pub(crate) fn record(
             {
                 break Ending::EndOfStream;
             }
-            Ok(None) => {}
+            Ok(None) => meter.looked(),
             Err(lsfb_drivers::Error::EndOfStream { .. }) => break Ending::EndOfStream,
             Err(error) => {
                 let reopen = || ImuUnit::open(&line.config);
@@ -147,6 +151,8 @@ pub(crate) struct ImuStream {
     decoder: ImuDecoder,
     clock: Clock,
     report: StreamReport,
+    /// Sensors have noise: even at rest they do not measure the same for a second.
+    samples: Repeats<ImuSample>,
 }
 
 impl ImuStream {
@@ -158,6 +164,7 @@ impl ImuStream {
             decoder: ImuDecoder::new(family),
             clock: Clock::new(&config.name, family),
             report: meter.report(),
+            samples: Repeats::default(),
         }
     }
 
@@ -211,6 +218,9 @@ impl ImuStream {
             };
             self.report.decoded += 1;
             meter.heard_part(SAMPLES, 1);
+            self.samples.note(sample.clone(), reading.arrival);
+            self.report.stale = self.samples.stale().stretches();
+            meter.set_stale(self.samples.stale().is_problem().then_some(SAME_SAMPLE));
             let sample = Stamped {
                 time,
                 arrival: reading.arrival,
@@ -244,8 +254,12 @@ impl ImuStream {
             kernel_drops,
             "frames dropped by the kernel because nobody took them in time",
         );
+        let stale = (
+            self.report.stale,
+            "times the same sample for more than a second",
+        );
         let remarks = self.decoder.tally().remarks;
-        for (count, what) in remarks.into_iter().chain([without_utc, drops]) {
+        for (count, what) in remarks.into_iter().chain([without_utc, drops, stale]) {
             if count > 0 {
                 self.report.notes.push(format!("{count} {what}"));
             }

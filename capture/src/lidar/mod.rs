@@ -2,6 +2,7 @@
 //! [`LidarStream`].
 
 mod senders;
+mod shared_ports;
 
 use std::net::IpAddr;
 use std::sync::atomic::Ordering;
@@ -18,9 +19,9 @@ use lsfb_types::{LidarScan, Packet, Stamped, Timestamp};
 use crate::clock::model_topic::{ModelTopic, Reading};
 use crate::clock::{LidarClock, PositionFix};
 use crate::control::Control;
-use crate::health::{Ending, Expected, Meter, StreamReport};
+use crate::health::{Ending, Expected, Meter, Says, Stale, StreamReport};
 use crate::recorder::{Entry, Inlet, WriterGone};
-use senders::Senders;
+pub(crate) use shared_ports::{Admission, Lidars};
 
 /// Data packets that wait for the first position packet: one second of single returns. A sensor sends about 107 position
 /// packets a second, so that one without any in this time has none to send.
@@ -31,6 +32,9 @@ const POSITION: &str = "position";
 /// Its counter runs in microseconds and wraps with the hour.
 const TICK_NS: u64 = 1_000;
 const TICKS_PER_HOUR: u64 = 3_600_000_000;
+/// Problems of a sensor that sends, and nothing to see.
+const NO_SCAN: &str = "its data make no scan: is its rotor turning?";
+const NO_RETURN: &str = "not a single return: is its window covered?";
 /// After the other devices have ended, a LiDAR silent for this long has ended too.
 const SILENT: Duration = Duration::from_millis(500);
 
@@ -45,7 +49,8 @@ pub(crate) fn expected() -> Vec<Expected> {
 /// Decodes and stamps, whatever the packets come from.
 pub(crate) struct LidarStream {
     name: String,
-    senders: Senders,
+    /// Whose packets these are, where they carry a sender.
+    address: Option<IpAddr>,
     decoder: Decoder,
     reorder: Reorder,
     clock: LidarClock,
@@ -56,20 +61,18 @@ pub(crate) struct LidarStream {
     meter: Meter,
     report: StreamReport,
     last_data_time: Option<Timestamp>,
+    /// Data of which no scan is made, and scans without a return.
+    without_scan: Stale,
+    without_return: Stale,
     /// When the first and the last scan began.
     scans: Option<(Timestamp, Timestamp)>,
 }
 
 impl LidarStream {
-    pub(crate) fn new(
-        name: &str,
-        settings: Settings,
-        sensor: Option<IpAddr>,
-        meter: &Meter,
-    ) -> Self {
+    pub(crate) fn new(name: &str, settings: Settings, meter: &Meter) -> Self {
         Self {
             name: name.to_owned(),
-            senders: Senders::new(sensor),
+            address: None,
             decoder: Decoder::new(settings),
             reorder: Reorder::default(),
             clock: LidarClock::default(),
@@ -80,28 +83,19 @@ impl LidarStream {
             meter: meter.clone(),
             report: meter.report(),
             last_data_time: None,
+            without_scan: Stale::default(),
+            without_return: Stale::default(),
             scans: None,
         }
     }
 
-    /// Takes a datagram: a data packet, a position packet, or what nobody knows. What comes from another sender than the sensor
-    /// is counted and kept out.
-    pub(crate) fn push(
-        &mut self,
-        packet: Packet,
-        sender: Option<IpAddr>,
-        inlet: &Inlet,
-    ) -> Result<(), WriterGone> {
+    /// Takes a datagram of this LiDAR: a data packet, a position packet, or what nobody knows.
+    pub(crate) fn push(&mut self, packet: Packet, inlet: &Inlet) -> Result<(), WriterGone> {
         let is_data = self.decoder.is_data(&packet.bytes);
         let position = self.decoder.position(&packet.bytes, packet.arrival);
-        if !self.senders.admits(sender, is_data || position.is_some()) {
-            return Ok(());
-        }
         self.report.received += 1;
-        let counters = *self.decoder.counters();
-        self.report.missing = counters.lost;
-        self.report.duplicated = counters.duplicates;
-        self.meter.heard(&self.report);
+        self.take_counters();
+        self.meter.heard(&self.report, packet.arrival);
         if is_data {
             self.meter.heard_part(DATA, 1);
             for packet in self.reorder.push(packet) {
@@ -211,13 +205,30 @@ impl LidarStream {
             self.clock.observe(toh_ns, packet.arrival);
         }
         self.last_data_time = Some(packet.arrival);
+        self.without_scan.note(Says::NothingNew, packet.arrival);
+        self.take_stale();
         self.revolution.push(packet);
         Ok(())
     }
 
+    fn take_stale(&mut self) {
+        self.report.stale = self.without_scan.stretches() + self.without_return.stretches();
+        self.meter.set_stale(if self.without_scan.is_problem() {
+            Some(NO_SCAN)
+        } else if self.without_return.is_problem() {
+            Some(NO_RETURN)
+        } else {
+            None
+        });
+    }
+
     fn scan(&mut self, scan: Decoded<LidarScan>, inlet: &Inlet) -> Result<(), WriterGone> {
         self.report.decoded += 1;
-        self.report.missing = self.decoder.counters().lost;
+        self.take_counters();
+        let has_returns = !scan.sample.points.is_empty();
+        self.without_return
+            .note(Says::news_if(has_returns), scan.arrival);
+        self.without_scan.note(Says::News, scan.arrival);
         let time = self
             .clock
             .time(scan.device_ticks.cast_signed(), scan.arrival);
@@ -263,24 +274,38 @@ impl LidarStream {
         )
     }
 
+    fn take_counters(&mut self) {
+        let counters = self.decoder.counters();
+        self.report.missing = counters.lost;
+        self.report.reordered = counters.reordered;
+        self.report.duplicated = counters.duplicates;
+    }
+
     /// Ends the stream.
     pub(crate) fn finish(mut self, ending: Ending, inlet: &Inlet) -> StreamReport {
         self.report.ending = ending;
         // A failed writer reports itself.
         let _ = self.finish_scans(inlet);
+        self.take_counters();
         let counters = *self.decoder.counters();
-        self.report.missing = counters.lost;
-        self.report.duplicated = counters.duplicates;
         for (count, what) in [
             (
                 counters.reordered,
-                "packets came after a later one and are left out of the scans",
+                "packets came too late to be put back in order: they are recorded, but in no scan",
             ),
             (
                 self.reorder.moved(),
                 "packets overtook others on the network and were put back in order",
             ),
             (self.clock.lock_losses(), "times the PPS lock was lost"),
+            (
+                self.without_scan.stretches(),
+                "times its data made no scan for more than a second",
+            ),
+            (
+                self.without_return.stretches(),
+                "times its scans had not a single return for more than a second",
+            ),
             (counters.clock_jumps, "jumps of the sensor's clock"),
             (counters.mode_changes, "changes of model or return mode"),
             (counters.overlong, "scans without a full turn of the rotor"),
@@ -292,7 +317,6 @@ impl LidarStream {
         if let Some(what) = self.what_it_is() {
             self.report.notes.insert(0, what);
         }
-        self.report.notes.extend(self.senders.remarks());
         if self.report.decoded > 0 && !self.clock.is_locked() {
             self.report.notes.push(
                 "the sensor's clock is not locked to PPS: its time is fitted to arrival".to_owned(),
@@ -305,7 +329,7 @@ impl LidarStream {
     fn what_it_is(&self) -> Option<String> {
         let found = self.decoder.found()?;
         let mut what = found.model.to_string();
-        if let Some(ip) = self.senders.sensor() {
+        if let Some(ip) = self.address {
             what += &format!(" at {ip}");
         }
         what += &format!(", returns: {}", found.returns);
@@ -367,38 +391,49 @@ impl<'a> Alive<'a> {
     }
 }
 
-/// A LiDAR that is listened for.
+/// LiDARs that are listened for on the same ports: one, or several that are told apart by sender.
 pub(crate) struct Listening {
-    pub(crate) name: String,
     pub(crate) source: UdpSource,
+    pub(crate) lidars: Vec<Listened>,
+}
+
+/// One of them.
+pub(crate) struct Listened {
+    pub(crate) name: String,
     pub(crate) settings: Settings,
     /// Its address, where that is known beforehand.
     pub(crate) sensor: Option<IpAddr>,
+    /// Which of the source's ports its data packets and its position packets come to.
+    pub(crate) ports: [usize; 2],
 }
 
-/// Records until the session stops, or until the others have ended and nothing comes any more.
+/// Records until the session stops, or until the others have ended and nothing comes any more. One report for each LiDAR.
 pub(crate) fn record(
-    lidar: Listening,
+    listening: Listening,
     inlet: &Inlet,
     control: &Control,
-    meter: &Meter,
-) -> StreamReport {
-    let mut source = lidar.source;
-    let mut stream = LidarStream::new(&lidar.name, lidar.settings, lidar.sensor, meter);
+    meters: &[Meter],
+) -> Vec<StreamReport> {
+    let mut source = listening.source;
+    let streams = listening.lidars.into_iter().zip(meters);
+    let mut lidars = Lidars::named(streams.map(|(lidar, meter)| {
+        let stream = LidarStream::new(&lidar.name, lidar.settings, meter);
+        (stream, lidar.sensor)
+    }));
     let mut last_heard = Instant::now();
     let mut alive = Alive::new(control);
     let ending = loop {
         match source.recv(Duration::from_millis(50)) {
             Ok(Some(packet)) => {
                 let sender = source.sender();
-                let heard = stream.report.received;
-                if stream.push(packet, sender, inlet).is_err() {
-                    break Ending::Stopped;
-                }
-                // A stranger's packets say nothing about the sensor.
-                if stream.report.received > heard {
-                    last_heard = Instant::now();
-                    alive.set(true);
+                match lidars.push(packet, sender, inlet) {
+                    Ok(Admission::Taken) => {
+                        last_heard = Instant::now();
+                        alive.set(true);
+                    }
+                    // A stranger's packets say nothing about the sensor.
+                    Ok(Admission::KeptOut) => {}
+                    Err(WriterGone) => break Ending::Stopped,
                 }
                 control
                     .progress
@@ -408,7 +443,10 @@ pub(crate) fn record(
             Ok(None) if control.others_ended() && last_heard.elapsed() > SILENT => {
                 break Ending::EndOfStream;
             }
-            Ok(None) => alive.set(last_heard.elapsed() <= SILENT),
+            Ok(None) => {
+                alive.set(last_heard.elapsed() <= SILENT);
+                meters.iter().for_each(Meter::looked);
+            }
             Err(lsfb_drivers::Error::EndOfStream { .. }) => break Ending::EndOfStream,
             Err(error) => break Ending::Lost(error.to_string()),
         }
@@ -417,13 +455,16 @@ pub(crate) fn record(
         }
     };
     alive.set(false);
-    let mut report = stream.finish(ending, inlet);
+    let mut reports = lidars.finish(&ending, inlet);
     if source.kernel_drops() > 0 {
-        report.notes.push(format!(
+        let drops = format!(
             "the kernel dropped {} packets: raise net.core.rmem_max (receive buffer: {} bytes)",
             source.kernel_drops(),
             source.receive_buffer_bytes()
-        ));
+        );
+        for report in &mut reports {
+            report.notes.push(drops.clone());
+        }
     }
-    report
+    reports
 }

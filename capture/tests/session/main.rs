@@ -9,7 +9,9 @@ mod live;
 mod mock;
 mod output;
 mod phones;
+mod several;
 mod silent;
+mod stale;
 mod steps;
 
 use std::net::SocketAddr;
@@ -481,6 +483,9 @@ fn lidars_and_imus_are_recorded_by_name_and_strangers_kept_out() {
         notes.contains("300 packets of 127.0.0.2 were kept out: another LiDAR"),
         "{notes}"
     );
+    // Nobody chose which of the two counts.
+    let lidar = stream(&report, "lidar");
+    assert_eq!((lidar.kept_out, lidar.lost()), (300, 300), "{report:?}");
     let notes = stream(&report, "lidar_rear").notes.join("\n");
     assert!(
         notes.contains("VLP-32C at 127.0.0.2") && !notes.contains("kept out"),

@@ -41,11 +41,12 @@ fn recorded(out: &Path, step_us: i64, locked: bool) -> (CaptureReport, Recording
         data.set_timestamp_us(counted);
         let position = (locked && n % 14 == 0).then(|| mock::position_packet(counted));
         let bytes = position.into_iter().chain([data.into_inner()]);
-        bytes.map(move |bytes| {
-            Incoming::Lidar(Packet {
+        bytes.map(move |bytes| Incoming::Lidar {
+            lidar: 0,
+            packet: Packet {
                 arrival: arrival(n),
                 bytes,
-            })
+            },
         })
     });
     let config = DevicesConfig {

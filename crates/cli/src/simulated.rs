@@ -279,8 +279,8 @@ fn record_emitted(
 ) -> anyhow::Result<CaptureReport> {
     let mut failure = None;
     let incoming = emitted.map_while(|item| match item {
-        Ok(Emitted::Lidar(packet)) => Some(Incoming::Lidar(packet)),
-        Ok(Emitted::Imu(packet)) => Some(Incoming::Imu(packet)),
+        Ok(Emitted::Lidar(packet)) => Some(Incoming::Lidar { lidar: 0, packet }),
+        Ok(Emitted::Imu(packet)) => Some(Incoming::Imu { imu: 0, packet }),
         Ok(Emitted::Frame { unit, packet }) => Some(Incoming::Frame { unit, packet }),
         Ok(Emitted::Sidecar { arrival, message }) => Some(Incoming::Sidecar { arrival, message }),
         Err(error) => {

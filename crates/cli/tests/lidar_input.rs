@@ -18,6 +18,8 @@ use velodyne_packets::data_packet;
 
 /// Protocol number of IP.
 const TCP: u8 = 6;
+/// Exit code of a recording from which something is missing.
+const DATA_LOST: i32 = 3;
 
 fn write(folder: &Path, name: &str, bytes: &[u8]) {
     std::fs::write(folder.join(name), bytes).expect("file");
@@ -33,9 +35,9 @@ fn notes(report: &Value) -> String {
     report["streams"][0]["notes"].to_string()
 }
 
-/// Naively every packet of the port went into one cloud: twice the points, and a scan at every change of sender.
+/// Naively every packet of the port went into one cloud; then the second sensor was left out with exit code 0.
 #[test]
-fn two_lidars_on_one_port_never_make_one_cloud() {
+fn two_lidars_on_one_port_are_two_and_never_make_one_cloud() {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path();
     write(path, "one.pcap", &pcap(600));
@@ -60,31 +62,55 @@ fn two_lidars_on_one_port_never_make_one_cloud() {
         scans(&path.join("both.mcap")),
         scans(&path.join("one.mcap"))
     );
-    let said = notes(&report);
-    for word in [
-        "VLP-32C at 192.168.1.201, returns: strongest",
-        "600 packets of 192.168.1.202 were kept out: another LiDAR",
-    ] {
-        assert!(said.contains(word), "{said}");
+    for (index, name, address) in [(0, "lidar", 201), (1, "lidar2", 202)] {
+        let stream = &report["streams"][index];
+        assert_eq!(stream["name"], name);
+        let said = stream["notes"].to_string();
+        let what = format!("VLP-32C at 192.168.1.{address}, returns: strongest");
+        assert!(said.contains(&what), "{said}");
     }
-    let chosen = [
-        "scan",
-        "--pcap",
-        "both.pcap",
-        "--lidar-sender",
-        "192.168.1.202",
-    ];
-    let report = json(path, &[&chosen[..], &["--out", "other.mcap"]].concat(), 0);
-    assert!(
-        notes(&report).contains("VLP-32C at 192.168.1.202"),
-        "{report}"
+    let packets = |file: &str, lidar: &str| -> Vec<Vec<u8>> {
+        let recording = Recording::open(&path.join(file)).expect("recording");
+        let packets = recording.packets(&format!("{lidar}/packets"));
+        let packets = packets.expect("packets");
+        packets.map(|p| p.expect("packet").packet.bytes).collect()
+    };
+    let second: Vec<_> = (0..600).map(|n| data_packet(n + 38)).collect();
+    assert_eq!(packets("both.mcap", "lidar2"), second);
+    // Made again from the recording.
+    json(
+        path,
+        &["scan", "--mcap", "both.mcap", "--out", "again.mcap"],
+        0,
     );
-    let recording = Recording::open(&path.join("other.mcap")).expect("recording");
-    let first = recording.packets("lidar/packets").expect("packets").next();
+    assert_eq!(packets("again.mcap", "lidar2"), second);
     assert_eq!(
-        first.expect("one").expect("packet").packet.bytes,
-        data_packet(38)
+        packets("again.mcap", "lidar"),
+        packets("both.mcap", "lidar")
     );
+
+    let chosen = ["scan", "--pcap", "both.pcap", "--lidar-sender"];
+    let other = ["192.168.1.202", "--out", "other.mcap"];
+    let report = json(path, &[&chosen[..], &other].concat(), 0);
+    let said = notes(&report);
+    assert!(
+        said.contains("VLP-32C at 192.168.1.202")
+            && said.contains("600 packets of 192.168.1.201 were kept out"),
+        "{said}"
+    );
+    assert_eq!(packets("other.mcap", "lidar"), second);
+    let named = [
+        "front=192.168.1.201",
+        "--lidar-sender",
+        "rear=192.168.1.202",
+        "--out",
+        "named.mcap",
+    ];
+    json(path, &[&chosen[..], &named].concat(), 0);
+    assert_eq!(packets("named.mcap", "rear"), second);
+    let unusable = ["a/b=192.168.1.201", "--out", "refused.mcap"];
+    let why = "letters, digits and underscores";
+    refused(path, &[&chosen[..], &unusable].concat(), &[why]);
 }
 
 /// Naively such a capture gave an empty recording and exit code 0.
@@ -203,11 +229,16 @@ fn packets_that_overtook_each_other_are_put_back() {
     let report = json(
         path,
         &["scan", "--pcap", "late.pcap", "--out", "late.mcap"],
-        0,
+        DATA_LOST,
     );
-    assert_eq!(report["streams"][0]["missing"], 0, "{report}");
+    let lidar = &report["streams"][0];
+    assert_eq!(
+        (&lidar["missing"], &lidar["reordered"], &report["lost"]),
+        (&0.into(), &1.into(), &1.into()),
+        "{report}"
+    );
     assert!(
-        notes(&report).contains("1 packets came after a later one"),
+        notes(&report).contains("1 packets came too late to be put back"),
         "{report}"
     );
 }

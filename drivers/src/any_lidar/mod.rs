@@ -238,6 +238,11 @@ pub fn whose(bytes: &[u8]) -> Option<&'static str> {
     looks_like(bytes).or_else(|| maker(bytes))
 }
 
+/// Whether a datagram is one that a LiDAR sends, by its content and not by its length alone.
+pub fn is_of_a_lidar(bytes: &[u8]) -> bool {
+    device_ns(bytes).is_some() || matches!(any_position(bytes, Timestamp::default()), Some(Ok(_)))
+}
+
 impl Model {
     /// Its name in settings: `vlp-32c`, `xt32`.
     pub fn key(self) -> String {

@@ -262,7 +262,7 @@ fn own_imu_segment(n: u32) -> ImuSegment {
         time_source: TimeSource::External,
         temperature: 30.0,
         values: if n.is_multiple_of(2) {
-            ImuValues::AccelerometerG([0.0, 0.0, 1.0])
+            ImuValues::AccelerometerG([0.0, 1e-3 * (n % 100) as f32, 1.0])
         } else {
             ImuValues::GyroscopeDegS([0.0, 0.0, 90.0])
         },

@@ -7,13 +7,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use lsfb_capture::{
-    CaptureReport, DevicesConfig, RecorderConfig, ReplayConfig, replay, replay_recording,
+    CaptureReport, DevicesConfig, RecorderConfig, ReplayConfig, ReplayedSensor, replay,
+    replay_recording,
 };
 use lsfb_drivers::any_lidar::{self, Model, Settings};
 use lsfb_drivers::lidar::{BeamAngles, Returns, ScanSettings};
 use lsfb_drivers::transport::pcap::PcapSource;
 use lsfb_drivers::transport::rosbag2::Rosbag2Source;
-use lsfb_geometry::Rig;
+use lsfb_geometry::{MAIN_LIDAR, Rig};
 use lsfb_operator::ScreenConfig;
 use lsfb_recording::Existing;
 
@@ -37,6 +38,7 @@ use crate::outcome::Outcome;
 ///   lsfb scan --devices devices.toml --out scan.mcap --screen 0.0.0.0:8700
 ///   lsfb scan --devices devices.toml --out scan.mcap --foxglove --rerun
 ///   lsfb scan --pcap drive.pcap --out drive.mcap
+///   lsfb scan --pcap drive.pcap --lidar-sender front=192.168.1.201 --lidar-sender rear=192.168.1.202 --out drive.mcap
 ///   lsfb scan --db3 rosbag2_0.db3 --out bag.mcap
 ///   lsfb scan --mcap rosbag2_0.mcap --out bag.mcap
 #[derive(clap::Args)]
@@ -109,12 +111,34 @@ struct LidarArguments {
     /// Beam angles of this unit (Hesai's angle correction file).
     #[arg(long, value_name = "CSV", conflicts_with = "devices")]
     lidar_angles: Option<PathBuf>,
-    /// Read packets of this sender only, where a capture holds several sensors.
-    #[arg(long, value_name = "IP", conflicts_with = "devices")]
-    lidar_sender: Option<IpAddr>,
+    /// Read packets of this sender only, under this name. Can be given more than once; without it every LiDAR of a pcap capture is
+    /// recorded: lidar, lidar2, … in the order in which they were first heard.
+    #[arg(long, value_name = "[NAME=]IP", requires = "pcap", value_parser = lidar_sender)]
+    lidar_sender: Vec<Sender>,
     /// UDP ports of the LiDAR in a pcap capture, separated by commas.
     #[arg(long, value_name = "PORT", value_delimiter = ',', default_values_t = [2368, 8308, 10110], requires = "pcap")]
     lidar_ports: Vec<u16>,
+}
+
+/// A LiDAR of a capture file.
+#[derive(Clone)]
+struct Sender {
+    name: Option<String>,
+    address: IpAddr,
+}
+
+fn lidar_sender(text: &str) -> Result<Sender, String> {
+    let (name, address) = match text.split_once('=') {
+        Some((name, address)) => (Some(name.to_owned()), address),
+        None => (None, text),
+    };
+    let refused = |_| {
+        format!(
+            "expected an address as 192.168.1.201, or a name and an address as rear=192.168.1.201, not {text:?}"
+        )
+    };
+    let address = address.parse().map_err(refused)?;
+    Ok(Sender { name, address })
 }
 
 /// What packets hold, whatever they say.
@@ -136,6 +160,19 @@ fn lidar_model(name: &str) -> Result<Model, String> {
 }
 
 impl LidarArguments {
+    /// Those that were chosen, if any.
+    fn sensors(&self) -> Vec<ReplayedSensor> {
+        let named = |(index, sender): (usize, &Sender)| ReplayedSensor {
+            name: match (&sender.name, index) {
+                (Some(name), _) => name.clone(),
+                (None, 0) => MAIN_LIDAR.to_owned(),
+                (None, _) => format!("{MAIN_LIDAR}{}", index + 1),
+            },
+            address: sender.address,
+        };
+        self.lidar_sender.iter().enumerate().map(named).collect()
+    }
+
     fn settings(&self) -> anyhow::Result<Settings> {
         let angles = match &self.lidar_angles {
             Some(path) => {
@@ -215,7 +252,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let mut config = ReplayConfig {
         rig,
         lidar: arguments.lidar.settings()?,
-        sensor: arguments.lidar.lidar_sender,
+        sensors: arguments.lidar.sensors(),
         ..ReplayConfig::default()
     };
     arguments.apply(&mut config.recorder, context);
@@ -371,11 +408,14 @@ pub fn text(report: &CaptureReport) -> String {
         for (count, what) in [
             (s.bad, "unreadable"),
             (s.missing, "missing"),
+            (s.reordered, "too late for their scan"),
+            (s.kept_out, "of another LiDAR kept out"),
             (s.duplicated, "repeated"),
             (s.dropped, "dropped because the disk could not keep up"),
             (s.interruptions, "times gone and back"),
             (s.silences, "times silent"),
             (s.slowdowns, "times far too slow"),
+            (s.stale, "times nothing new"),
         ] {
             if count > 0 {
                 let _ = write!(out, ", {count} {what}");

@@ -83,7 +83,7 @@ impl Streams {
             stream.count(device.decoded, now);
             stream.state.level = level(device);
             stream.state.problem.clone_from(&device.problem);
-            stream.state.lost = device.bad + device.missing + device.dropped;
+            stream.state.lost = device.lost;
         }
     }
 
@@ -215,6 +215,7 @@ mod tests {
                 received: decoded,
                 decoded,
                 missing,
+                lost: missing,
                 problem: problem.to_owned(),
                 level: if problem.is_empty() {
                     health::Level::Ok

@@ -96,9 +96,13 @@ pub fn record(out: &Path, family: ImuFamily, sent: Vec<Packet>, frames: Vec<Pack
     let frames = frames
         .into_iter()
         .map(|packet| Incoming::Frame { unit: 0, packet });
-    let mut items: Vec<Incoming> = sent.into_iter().map(Incoming::Imu).chain(frames).collect();
+    let mut items: Vec<Incoming> = sent
+        .into_iter()
+        .map(|packet| Incoming::Imu { imu: 0, packet })
+        .chain(frames)
+        .collect();
     items.sort_by_key(|item| match item {
-        Incoming::Imu(packet) | Incoming::Frame { packet, .. } => packet.arrival,
+        Incoming::Imu { packet, .. } | Incoming::Frame { packet, .. } => packet.arrival,
         _ => Timestamp::default(),
     });
     let report = record_incoming(items.into_iter(), &config, out, &no_progress);

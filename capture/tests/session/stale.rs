@@ -1,0 +1,147 @@
+//! Devices that go on sending and say nothing new: naively every one of them is healthy, as nothing is missing.
+
+use lsfb_capture::{Incoming, record_incoming};
+use lsfb_drivers::mynt_s::wire::{TimeSource, Trailer, emit_frame};
+use lsfb_drivers::transport::uvc::FrameFormat;
+use lsfb_drivers::velodyne::wire::DataPacket;
+use lsfb_drivers::xsens::model::message;
+use lsfb_drivers::xsens::wire::{Item, Message, Vector};
+
+use super::*;
+
+/// How long each of them is recorded.
+const SECS: u64 = 4;
+
+fn packet(at_ns: u64, bytes: Vec<u8>) -> Packet {
+    Packet {
+        arrival: Timestamp::from_nanos(START_NS + at_ns.cast_signed()),
+        bytes,
+    }
+}
+
+fn record(incoming: impl Iterator<Item = Incoming>, devices: DevicesConfig) -> CaptureReport {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("scan.mcap");
+    record_incoming(incoming, &devices, &out, &no_progress).unwrap()
+}
+
+/// Four seconds of a LiDAR.
+fn lidar(bytes: impl Fn(u64) -> Vec<u8>) -> CaptureReport {
+    const PERIOD_NS: u64 = 663_552;
+    let packets = (0..SECS * 1_000_000_000 / PERIOD_NS).map(|n| Incoming::Lidar {
+        lidar: 0,
+        packet: packet(n * PERIOD_NS, bytes(n)),
+    });
+    let devices = DevicesConfig {
+        lidars: vec![LidarNetConfig::default()],
+        ..anywhere()
+    };
+    record(packets, devices)
+}
+
+fn assert_stale(report: &CaptureReport, name: &str, word: &str) {
+    let found = stream(report, name);
+    assert_eq!((found.stale, report.lost), (1, 1), "{found:?}");
+    let notes = found.notes.join("\n");
+    assert!(notes.contains(word), "{notes}");
+}
+
+#[test]
+fn a_lidar_that_sees_nothing_is_not_healthy() {
+    let blind = lidar(|n| {
+        let mut packet = DataPacket::new(mock::lidar_packet(n)).unwrap();
+        for block in 0..12 {
+            (0..32).for_each(|channel| packet.set_return(block, channel, 0, 0));
+        }
+        packet.into_inner()
+    });
+    assert!(stream(&blind, "lidar").decoded > 30);
+    assert_stale(&blind, "lidar", "not a single return");
+    assert_eq!(lidar(mock::lidar_packet).lost, 0);
+}
+
+/// The same packet again and again is a repetition to be left out, and nothing else comes.
+#[test]
+fn a_lidar_whose_packets_make_no_scan_is_not_healthy() {
+    let stuck = lidar(|n| mock::lidar_packet(n.min(300)));
+    assert_stale(&stuck, "lidar", "its data made no scan");
+    let all_zeros = lidar(|_| vec![0; 1206]);
+    assert!(all_zeros.lost > 5_000, "{all_zeros:?}");
+}
+
+/// Frames of a unit at 20 Hz, whose number and stamps go on while its pixels are those of `image`.
+fn camera(image: impl Fn(u64) -> u8) -> CaptureReport {
+    const PERIOD_NS: u64 = 50_000_000;
+    let frames = (0..SECS * 20).map(|n| {
+        let trailer = Trailer {
+            time_source: TimeSource::External,
+            frame_id: n as u16,
+            timestamp_us: (START_NS.cast_unsigned() + n * PERIOD_NS) / 1_000,
+            exposure_steps: 10,
+            checksum: 0,
+        };
+        let format = FrameFormat {
+            width: 64,
+            height: 4,
+        };
+        let (mut bytes, grey) = (Vec::new(), image(n));
+        let images: [&[u8]; 2] = [&[grey; 128], &[grey; 128]];
+        emit_frame(format, &images, &trailer.with_checksum(), &mut bytes).unwrap();
+        Incoming::Frame {
+            unit: 0,
+            packet: packet(n * PERIOD_NS, bytes),
+        }
+    });
+    let devices = DevicesConfig {
+        cameras: vec![CameraUnitConfig {
+            frame_px: [64, 4],
+            rate_hz: 20,
+            ..unit(Path::new(""), ["cam0", "cam1"])
+        }],
+        ..anywhere()
+    };
+    record(frames, devices)
+}
+
+#[test]
+fn a_camera_that_repeats_an_image_is_not_healthy() {
+    assert_eq!(camera(|n| n as u8).lost, 0);
+    assert_stale(&camera(|n| n.min(30) as u8), "cam0+cam1", "the same image");
+    // A few repetitions are a dropped frame somewhere in the unit.
+    assert_eq!(camera(|n| (n / 4) as u8).lost, 0);
+}
+
+/// Samples at 200 Hz whose counters go on while what they measure is that of `measured`.
+fn imu(measured: impl Fn(u64) -> f64) -> CaptureReport {
+    const PERIOD_NS: u64 = 5_000_000;
+    let packets = (0..SECS * 200).map(|n| {
+        let items = [
+            Item::PacketCounter(n as u16),
+            Item::SampleTimeFine(50 * n as u32),
+            Item::Acceleration(Vector::single([0.0, 0.0, 9.8125])),
+            Item::RateOfTurn(Vector::single([0.0, 0.5, measured(n)])),
+        ];
+        let (mut data, mut bytes) = (Vec::new(), Vec::new());
+        items.iter().for_each(|item| item.emit(&mut data).unwrap());
+        let message = Message {
+            id: message::MT_DATA2,
+            data: &data,
+        };
+        message.emit(&mut bytes).unwrap();
+        Incoming::Imu {
+            imu: 0,
+            packet: packet(n * PERIOD_NS, bytes),
+        }
+    });
+    let devices = DevicesConfig {
+        imus: vec![line(Path::new(""))],
+        ..anywhere()
+    };
+    record(packets, devices)
+}
+
+#[test]
+fn an_imu_whose_values_are_frozen_is_not_healthy() {
+    assert_eq!(imu(|n| n as f64).lost, 0);
+    assert_stale(&imu(|n| n.min(300) as f64), "imu0", "the same sample");
+}
