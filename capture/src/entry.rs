@@ -6,6 +6,7 @@ use lsfb_recording::message::{self, Schema};
 use lsfb_recording::{Attachment, LAST_STAMP};
 use lsfb_types::{Image, ImuSample, LidarScan, Packet, Stamped, Timestamp};
 
+use crate::device_note::DeviceNote;
 use crate::report::StreamReport;
 use crate::sync::Group;
 
@@ -63,6 +64,10 @@ pub(crate) enum Entry {
     Skipped(Receipt),
     /// A file for this part and all that follow.
     Attachment(Attachment),
+    /// The rig's poses follow in this part and all that come after it.
+    OdometryFollows,
+    /// What a device turned out to be, for this part and all that follow.
+    Device(DeviceNote),
     /// The rig of a device that brings its own.
     Rig { owner: String, rig: Box<Rig> },
     /// What the recorder says itself.
@@ -90,7 +95,12 @@ impl Entry {
             Self::Cdr { bytes, .. } => bytes.len(),
             Self::Attachment(attachment) => attachment.bytes.len(),
             Self::Own(message) | Self::ClockModel { message, .. } => message.bytes.len(),
-            Self::Imu { .. } | Self::Skipped(_) | Self::Rig { .. } | Self::Ended(_) => 0,
+            Self::Imu { .. }
+            | Self::Skipped(_)
+            | Self::OdometryFollows
+            | Self::Device(_)
+            | Self::Rig { .. }
+            | Self::Ended(_) => 0,
         };
         payload as u64 + ENTRY_BYTES
     }
@@ -116,6 +126,8 @@ impl Entry {
             Self::Packets { .. }
             | Self::Skipped(_)
             | Self::Attachment(_)
+            | Self::OdometryFollows
+            | Self::Device(_)
             | Self::Rig { .. }
             | Self::Ended(_) => return None,
         };

@@ -11,7 +11,7 @@ use crate::camera::CameraStream;
 use crate::config::{DevicesConfig, Overflow};
 use crate::control::Control;
 use crate::health::{Ending, Meter, StreamReport};
-use crate::imu::ImuStream;
+use crate::imu::{self, ImuStream};
 use crate::lidar::LidarStream;
 use crate::recorder::{self, Inlet, Recorder, WriterGone};
 use crate::sidecar::{Origin, Sidecars};
@@ -69,6 +69,7 @@ pub fn record_incoming(
     let names: Vec<Vec<String>> = config.cameras.iter().map(|c| c.names.clone()).collect();
     let recorder = Recorder::start(out, rig, &names, &config.recorder, Overflow::Wait)?;
     let inlet = recorder.inlet();
+    imu::introduce(&config.imus, &inlet);
     let mut streams = Streams::new(config)?;
     let mut ending = Ending::EndOfStream;
     let mut told = Ok(());

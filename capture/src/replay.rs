@@ -52,6 +52,10 @@ pub fn replay(
     progress: ProgressFn<'_>,
 ) -> Result<CaptureReport, Error> {
     check_device_names(config.sensors.iter().map(|sensor| &sensor.name))?;
+    check_angles(
+        &config.lidar,
+        config.sensors.iter().map(|s| s.name.as_str()),
+    )?;
     let mut lidars = match config.sensors.as_slice() {
         [] => Lidars::as_found(config.lidar.clone()),
         sensors => Lidars::named(sensors.iter().map(|sensor| {
@@ -90,6 +94,7 @@ pub fn replay_recording(
         drop(recording.lidar_packets()?);
     }
     let names = lidar_names(&recording, &topics);
+    check_angles(&config.lidar, names.iter().map(String::as_str))?;
     let mut streams = Vec::new();
     let mut sources = Vec::new();
     for (name, topic) in names.iter().zip(topics) {
@@ -123,6 +128,21 @@ pub fn replay_recording(
     let finish = |stream: LidarStream| stream.finish(ending.clone(), &import.inlet);
     let reports = streams.into_iter().map(finish).collect();
     import.finish(reports, told)
+}
+
+/// Refuses to read several sensors with the beam angles of one.
+fn check_angles<'a>(
+    settings: &Settings,
+    lidars: impl Iterator<Item = &'a str>,
+) -> Result<(), Error> {
+    let lidars: Vec<&str> = lidars.collect();
+    if settings.scans.angles.is_none() || lidars.len() < 2 {
+        return Ok(());
+    }
+    Err(Error::LidarSettings {
+        lidar: lidars.join(", "),
+        problem: "a file of beam angles is of one sensor: read them one by one".to_owned(),
+    })
 }
 
 fn new_stream(name: &str, settings: &Settings) -> LidarStream {

@@ -13,6 +13,7 @@ use lsfb_types::ProgressFn;
 use crate::config::{DevicesConfig, LidarNetConfig};
 use crate::control::{Control, Counts};
 use crate::health::{HealthFeed, Monitor};
+use crate::poses::{PoseQueue, Poses, poses};
 use crate::recorder::{self, Recorder};
 use crate::remark::{RemarkQueue, Remarks, remarks};
 use crate::report::StreamReport;
@@ -29,6 +30,7 @@ pub struct Session {
     counts: Counts,
     tap: Option<TapSender>,
     remarks: Option<RemarkQueue>,
+    poses: Option<PoseQueue>,
     health: HealthFeed,
 }
 
@@ -63,6 +65,7 @@ impl Session {
             counts: Counts::default(),
             tap: None,
             remarks: None,
+            poses: None,
             health: HealthFeed::default(),
         })
     }
@@ -111,6 +114,13 @@ impl Session {
         sender
     }
 
+    /// Where the rig's poses go while this session records, on `/tf`. There is one: of several the last is heard.
+    pub fn poses(&mut self) -> Poses {
+        let (sender, queue) = poses();
+        self.poses = Some(queue);
+        sender
+    }
+
     /// What the rig is doing, twice a second while [`Session::run`] runs.
     pub fn health(&self) -> HealthFeed {
         self.health.clone()
@@ -127,13 +137,18 @@ impl Session {
         let names: Vec<Vec<String>> = units.map(|unit| unit.names.clone()).collect();
         let settings = &self.config.recorder;
         let recorder = Recorder::start(out, self.rig, &names, settings, self.config.overflow)?;
+        if self.poses.is_some() {
+            recorder.expect_odometry();
+        }
         camera::introduce(&cameras, &recorder.inlet());
+        imu::introduce(&self.config.imus, &recorder.inlet());
         let finite = cameras.len() + imus.len() + usize::from(self.sidecar.is_some());
         let mut threads = Threads::new(
             Control::of(finite, self.counts.clone()),
             self.config.overflow,
             recorder.inlet().tapped(self.tap),
             self.remarks,
+            self.poses,
         );
         for listening in self.lidars {
             let names: Vec<String> = listening.lidars.iter().map(|l| l.name.clone()).collect();
@@ -245,6 +260,7 @@ fn listen_together(nets: &[&LidarNetConfig]) -> Result<lidar::Listening, Error> 
         lidars.push(lidar::Listened {
             name: net.name.clone(),
             settings,
+            set_rpm: net.settings.as_ref().and_then(|wanted| wanted.rpm),
             sensor: net.sensor,
             ports,
         });

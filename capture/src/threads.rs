@@ -9,6 +9,7 @@ use crate::Error;
 use crate::config::Overflow;
 use crate::control::{Control, POLL};
 use crate::health::{Expected, Meter, Monitor};
+use crate::poses::PoseQueue;
 use crate::recorder::{self, Inlet, Recorder};
 use crate::remark::RemarkQueue;
 use crate::report::StreamReport;
@@ -51,6 +52,7 @@ pub(crate) struct Threads {
     meters: Vec<Meter>,
     inlet: Inlet,
     remarks: Option<RemarkQueue>,
+    poses: Option<PoseQueue>,
 }
 
 impl Threads {
@@ -59,6 +61,7 @@ impl Threads {
         overflow: Overflow,
         inlet: Inlet,
         remarks: Option<RemarkQueue>,
+        poses: Option<PoseQueue>,
     ) -> Self {
         Self {
             control: Arc::new(control),
@@ -67,6 +70,7 @@ impl Threads {
             meters: Vec::new(),
             inlet,
             remarks,
+            poses,
         }
     }
 
@@ -155,6 +159,9 @@ impl Threads {
             if let Some(remarks) = &mut self.remarks {
                 // A writer that is gone ends the loop by itself.
                 let _ = remarks.forward(&self.inlet);
+            }
+            if let Some(poses) = &mut self.poses {
+                let _ = poses.forward(&self.inlet);
             }
             let told = progress(Progress {
                 stage: "recording",

@@ -4,9 +4,11 @@
 
 mod calibration;
 mod clocks;
+mod devices;
 mod file;
 mod pace;
 mod rhythm;
+mod stamps;
 mod stream;
 mod topics;
 
@@ -29,6 +31,11 @@ pub struct DoctorConfig {
     pub fail_gap_secs: f64,
     /// Share of the messages that a device's own period promises below which its rate is worth a look.
     pub warn_rate_share: f64,
+    /// Share of the rate that the recorder wrote of a device below which its stream has failed.
+    pub fail_rate_share: f64,
+    /// Stamps of devices that lie further from their arrivals than those of others, or than this where there are none, are worth a
+    /// look, seconds.
+    pub warn_stamp_offset_secs: f64,
     /// Fitted clocks less certain than this are worth a look, microseconds.
     pub warn_sigma_us: f64,
     /// A calibration further than this from the recording is worth a look, days. A rig that is carried is knocked, and taken
@@ -55,6 +62,8 @@ impl Default for DoctorConfig {
             warn_gap_periods: 3.0,
             fail_gap_secs: 1.0,
             warn_rate_share: 0.9,
+            fail_rate_share: 0.6,
+            warn_stamp_offset_secs: 1.0,
             warn_sigma_us: 500.0,
             warn_calibration_days: 30.0,
             read: Depth::default(),
@@ -67,6 +76,8 @@ lsfb_types::bounds! {
         warn_gap_periods: number(Bounds::POSITIVE),
         fail_gap_secs: number(Bounds::POSITIVE),
         warn_rate_share: number(Bounds::NOT_NEGATIVE),
+        fail_rate_share: number(Bounds::NOT_NEGATIVE),
+        warn_stamp_offset_secs: number(Bounds::POSITIVE),
         warn_sigma_us: number(Bounds::NOT_NEGATIVE),
         warn_calibration_days: number(Bounds::NOT_NEGATIVE),
         read: any,
@@ -129,7 +140,9 @@ pub fn examine(
     findings.part(recording);
     let calibration = findings.calibration(recording, config)?;
     let streams = Stream::all(recording, &arrivals, config)?;
+    findings.devices(recording, &streams);
     findings.pace(&streams);
+    findings.stamps(&streams, config);
     findings.topics(&streams, &arrivals, config);
     findings.losses(recording);
     findings.clocks(recording, config)?;

@@ -1,9 +1,10 @@
 use std::path::Path;
 
-use lsfb_recording::{Writer, WriterConfig};
-use lsfb_types::{ImuSample, Stamped, Timestamp, no_progress};
+use lsfb_recording::{CameraUnit, Writer, WriterConfig};
+use lsfb_types::{Image, ImuSample, LidarScan, Stamped, Timestamp, no_progress};
 
 use super::*;
+use crate::device_note::DeviceNote;
 use lsfb_types::Verdict;
 
 const START: i64 = 1_772_359_200_000_000_000;
@@ -152,4 +153,106 @@ fn a_rate_that_no_sensor_has_is_no_pass() {
     let rate = diagnosis(&path, Depth::Indexes);
     let rate = found(&rate, "rate");
     assert_eq!(rate.verdict, Verdict::Fail, "{rate:?}");
+}
+
+/// A recording of a LiDAR whose recorder said that it turns ten times a second, and of a camera that takes an image a second; `scan_ns`:
+/// from scan to scan.
+fn write_described(path: &Path, scan_ns: i64, lidar_offset_ns: i64) {
+    let mut writer = Writer::create(path, &WriterConfig::default()).unwrap();
+    let note = DeviceNote::new("lidar")
+        .with("model", "VLP-32C")
+        .with("returns", "strongest")
+        .with_rate_hz(10.0);
+    writer
+        .write_metadata(&note.record(), note.entries().clone())
+        .unwrap();
+    let unit = CameraUnit {
+        cameras: vec!["cam0".to_owned()],
+        rate_hz: 1,
+        ..CameraUnit::default()
+    };
+    let listed = CameraUnit::attachment(&[unit]);
+    writer
+        .attach(&listed.name, &listed.media_type, &listed.bytes)
+        .unwrap();
+    for n in 0..20_000_000_000 / scan_ns {
+        let arrival = Timestamp::from_nanos(START + n * scan_ns);
+        let scan = Stamped {
+            time: arrival + lidar_offset_ns,
+            arrival,
+            device_ticks: 0,
+            sample: LidarScan::default(),
+        };
+        writer.write_scan("lidar", &scan).unwrap();
+        if (n * scan_ns) % 1_000_000_000 == 0 {
+            let image = Stamped {
+                time: arrival,
+                arrival,
+                device_ticks: 0,
+                sample: Image {
+                    width: 1,
+                    height: 1,
+                    pixels: vec![n as u8],
+                    exposure_ns: 0,
+                    frame_id: n as u32,
+                },
+            };
+            writer.write_image("cam0", &image).unwrap();
+        }
+    }
+    writer.finish().unwrap();
+}
+
+fn found_at<'a>(judgement: &'a Judgement, code: &str, subject: &str) -> &'a Finding {
+    let mut all = judgement.findings().iter();
+    all.find(|f| f.code == code && f.subject == subject)
+        .unwrap_or_else(|| panic!("{code} of {subject} is not among {judgement:#?}"))
+}
+
+/// Five scans a second are as regular as ten, and sensors that turn so slowly exist.
+#[test]
+fn a_lidar_at_half_its_rate_has_failed_and_a_time_lapse_has_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scan.mcap");
+    for (scan_ns, expected) in [
+        (100_000_000, Verdict::Pass),
+        (125_000_000, Verdict::Warn),
+        (200_000_000, Verdict::Fail),
+    ] {
+        let _ = std::fs::remove_file(&path);
+        write_described(&path, scan_ns, 0);
+        let judgement = diagnosis(&path, Depth::Indexes);
+        let rate = found_at(&judgement, "rate", "/lidar/points");
+        assert_eq!(rate.verdict, expected, "{rate:?}");
+        for code in ["rate", "silence"] {
+            let camera = found_at(&judgement, code, "/cam0/image");
+            assert_eq!(camera.verdict, Verdict::Pass, "{camera:?}");
+        }
+    }
+    // What the sensor is outlives a recorder that was killed.
+    let bytes = std::fs::read(&path).unwrap();
+    std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+    let judgement = diagnosis(&path, Depth::Indexes);
+    let device = found_at(&judgement, "device", "device lidar");
+    assert!(
+        device.what.contains("model VLP-32C, returns strongest"),
+        "{device:?}"
+    );
+    let rate = found_at(&judgement, "rate", "/lidar/points");
+    assert_eq!(rate.verdict, Verdict::Fail, "{rate:?}");
+}
+
+/// A receiver whose almanac is old names a second of years ago, and as steadily as any other.
+#[test]
+fn a_device_that_names_another_year_is_no_pass() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scan.mcap");
+    write_described(&path, 100_000_000, 0);
+    let judgement = diagnosis(&path, Depth::Indexes);
+    assert_eq!(found(&judgement, "stamps").verdict, Verdict::Pass);
+    let path = folder.path().join("years.mcap");
+    write_described(&path, 100_000_000, -619_315_200_000_000_000);
+    let judgement = diagnosis(&path, Depth::Indexes);
+    let apart = judgement.findings().iter().filter(|f| f.code == "stamps");
+    assert!(apart.clone().count() > 0 && apart.clone().all(|f| f.verdict != Verdict::Pass));
 }

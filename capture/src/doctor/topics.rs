@@ -93,6 +93,11 @@ impl Findings {
                 .limit(limit)
         };
         let [least, most] = possible_hz(stream.topic).unwrap_or([0.0, f64::INFINITY]);
+        // Whoever set a device knows better than anybody what it can be.
+        let least = match stream.nominal_hz {
+            Some(nominal_hz) => least.min(nominal_hz * config.fail_rate_share),
+            None => least,
+        };
         // What arrives in bursts shows no period of its own.
         let regular = rhythm.filter(|rhythm| rhythm.is_regular);
         let own_hz = regular.map(|rhythm| 1.0 / rhythm.median_secs);
@@ -103,6 +108,16 @@ impl Findings {
             finding(Verdict::Fail, Limit::AtMost(most), found).remedy(
                 "look who sends on its port: each device needs a port, or an address, of its own",
             )
+        } else if let Some(nominal_hz) = stream.nominal_hz
+            && rate_hz < config.warn_rate_share * nominal_hz
+        {
+            let found = format!("{said} instead of the {nominal_hz:.1} Hz of this device");
+            let (verdict, share) = match rate_hz < config.fail_rate_share * nominal_hz {
+                true => (Verdict::Fail, config.fail_rate_share),
+                false => (Verdict::Warn, config.warn_rate_share),
+            };
+            finding(verdict, Limit::AtLeast(share * nominal_hz), found)
+                .remedy("check its cable, its settings and the load of the machine")
         } else if !(rate_hz >= least) {
             let found = format!("{said}: no such sensor is that slow");
             finding(Verdict::Fail, Limit::AtLeast(least), found)

@@ -19,8 +19,10 @@ const LOST_AT_END: Duration = Duration::from_secs(3);
 const RATE_WINDOW: Duration = Duration::from_secs(1);
 /// … in steps of this.
 const RATE_STEP: Duration = Duration::from_millis(50);
-/// A rate below this share of the nominal one is a problem: half of it is …
-const SLOW_SHARE: f64 = 0.6;
+/// A rate below this share of the one in the list of devices is a problem …
+const SLOW_SHARE: f64 = 0.4;
+/// … and so is one below this share of what came in the first seconds: half of that is too little …
+const SLOWER_SHARE: f64 = 0.6;
 /// … of parts that come at least this often …
 const SLOW_FROM_HZ: f64 = 5.0;
 /// … and has lost data after this long.
@@ -251,19 +253,21 @@ impl Part {
             };
         }
         let rate_hz = self.rate_hz(now);
-        match self.nominal_hz() {
-            Some(nominal_hz)
-                if nominal_hz >= SLOW_FROM_HZ
-                    && rate_hz < SLOW_SHARE * nominal_hz
-                    && self.is_watched_long_enough(now) =>
-            {
-                Pace::Slow {
-                    rate_hz,
-                    nominal_hz,
-                }
-            }
+        match self.missed_hz(rate_hz) {
+            Some(nominal_hz) if self.is_watched_long_enough(now) => Pace::Slow {
+                rate_hz,
+                nominal_hz,
+            },
             _ => Pace::Fine,
         }
+    }
+
+    /// The rate that it should have, where it is far from it.
+    fn missed_hz(&self, rate_hz: f64) -> Option<f64> {
+        let is_far = |nominal: Option<f64>, share: f64| {
+            nominal.filter(|hz| *hz >= SLOW_FROM_HZ && rate_hz < share * hz)
+        };
+        is_far(self.expected.nominal_hz, SLOW_SHARE).or(is_far(self.learned_hz, SLOWER_SHARE))
     }
 
     /// Whether the window of rates is full.

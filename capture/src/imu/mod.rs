@@ -11,6 +11,7 @@ use crate::clock::model_topic::{self, ModelTopic};
 use crate::clock::{OneWayClock, Unwrap};
 use crate::config::{ImuFamily, ImuLineConfig};
 use crate::control::Control;
+use crate::device_note::DeviceNote;
 use crate::health::{Ending, Expected, Meter, Repeats, StreamReport};
 use crate::recorder::{Entry, Inlet, WriterGone};
 
@@ -26,11 +27,26 @@ const SAME_SAMPLE: &str = "it measures the same again and again: restart it";
 
 /// What a unit sends all the time; only some are told how often.
 pub(crate) fn expected(line: &ImuLineConfig) -> Vec<Expected> {
+    vec![Expected::required(SAMPLES, told_hz(line))]
+}
+
+fn told_hz(line: &ImuLineConfig) -> Option<f64> {
     let is_told = matches!(line.family, ImuFamily::Xsens | ImuFamily::Microstrain);
-    vec![Expected::required(
-        SAMPLES,
-        is_told.then(|| line.rate_hz.into()),
-    )]
+    is_told.then(|| line.rate_hz.into())
+}
+
+/// Says in the recording what the units are.
+pub(crate) fn introduce(lines: &[ImuLineConfig], inlet: &Inlet) {
+    for line in lines {
+        let mut note = DeviceNote::new(&line.name).with("family", line.family.key());
+        if let Some(rate_hz) = told_hz(line) {
+            note = note.with_rate_hz(rate_hz);
+        }
+        // A writer that is gone reports itself.
+        let _ = inlet
+            .waiting()
+            .put(Entry::Device(note), &mut StreamReport::default());
+    }
 }
 
 struct Clock {

@@ -34,6 +34,16 @@ impl ImuFamily {
         }
     }
 
+    /// Its name in settings and in the recording.
+    pub(super) fn key(self) -> &'static str {
+        match self {
+            Self::Xsens => "xsens",
+            Self::Microstrain => "microstrain",
+            Self::Sbg => "sbg",
+            Self::MyntD => "mynt-d",
+        }
+    }
+
     pub(super) fn counter(self) -> Counter {
         let (tick_ns, period_ticks) = match self {
             Self::Xsens => (SAMPLE_TIME_FINE_NS, XSENS_PERIOD_TICKS),

@@ -3,6 +3,7 @@
 
 mod senders;
 mod shared_ports;
+mod turns;
 
 use std::net::IpAddr;
 use std::sync::atomic::Ordering;
@@ -19,13 +20,17 @@ use lsfb_types::{LidarScan, Packet, Stamped, Timestamp};
 use crate::clock::model_topic::{ModelTopic, Reading};
 use crate::clock::{LidarClock, PositionFix};
 use crate::control::Control;
+use crate::device_note::DeviceNote;
 use crate::health::{Ending, Expected, Meter, Says, Stale, StreamReport};
 use crate::recorder::{Entry, Inlet, WriterGone};
 pub(crate) use shared_ports::{Admission, Lidars};
+use turns::Turns;
 
 /// Data packets that wait for the first position packet: one second of single returns. A sensor sends about 107 position
 /// packets a second, so that one without any in this time has none to send.
 const HELD_PACKETS: usize = 1_600;
+/// How often the recording is told what the sensor is: one that says something else all the time is several.
+const MOST_NOTES: usize = 16;
 /// What it sends all the time.
 const DATA: &str = "data";
 const POSITION: &str = "position";
@@ -51,6 +56,8 @@ pub(crate) struct LidarStream {
     name: String,
     /// Whose packets these are, where they carry a sender.
     address: Option<IpAddr>,
+    /// The speed that it was set to, revolutions per minute, where that is known.
+    set_rpm: Option<u16>,
     decoder: Decoder,
     reorder: Reorder,
     clock: LidarClock,
@@ -66,6 +73,11 @@ pub(crate) struct LidarStream {
     without_return: Stale,
     /// When the first and the last scan began.
     scans: Option<(Timestamp, Timestamp)>,
+    turns: Turns,
+    /// Turns a second, once they are known.
+    rate_hz: Option<f64>,
+    /// What the recording says of it.
+    noted: Vec<DeviceNote>,
 }
 
 impl LidarStream {
@@ -73,6 +85,7 @@ impl LidarStream {
         Self {
             name: name.to_owned(),
             address: None,
+            set_rpm: None,
             decoder: Decoder::new(settings),
             reorder: Reorder::default(),
             clock: LidarClock::default(),
@@ -86,6 +99,9 @@ impl LidarStream {
             without_scan: Stale::default(),
             without_return: Stale::default(),
             scans: None,
+            turns: Turns::default(),
+            rate_hz: None,
+            noted: Vec::new(),
         }
     }
 
@@ -234,6 +250,8 @@ impl LidarStream {
             .time(scan.device_ticks.cast_signed(), scan.arrival);
         self.scans = Some((self.scans.map_or(time, |(first, _)| first), time));
         let device_ns = scan.device_ticks.cast_signed();
+        self.turns.note(device_ns);
+        self.note_device(inlet)?;
         let jumps = self.decoder.counters().clock_jumps;
         let epoch = u32::try_from(jumps).unwrap_or(u32::MAX).saturating_add(1);
         let reading = match (self.clock.estimate(), self.clock.holdover_since()) {
@@ -279,6 +297,31 @@ impl LidarStream {
         self.report.missing = counters.lost;
         self.report.reordered = counters.reordered;
         self.report.duplicated = counters.duplicates;
+    }
+
+    /// Says in the recording what the sensor is, where that is new.
+    fn note_device(&mut self, inlet: &Inlet) -> Result<(), WriterGone> {
+        let Some(found) = self.decoder.found() else {
+            return Ok(());
+        };
+        if self.rate_hz.is_none() {
+            let set_hz = self.set_rpm.map(|rpm| f64::from(rpm) / 60.0);
+            self.rate_hz = set_hz.or(self.turns.rate_hz());
+        }
+        let mut note = DeviceNote::new(&self.name)
+            .with("model", found.model)
+            .with("returns", found.returns);
+        if let Some(ip) = self.address {
+            note = note.with("address", ip);
+        }
+        if let Some(rate_hz) = self.rate_hz {
+            note = note.with_rate_hz(rate_hz);
+        }
+        if self.noted.last() == Some(&note) || self.noted.len() >= MOST_NOTES {
+            return Ok(());
+        }
+        self.noted.push(note.clone());
+        inlet.put(Entry::Device(note), &mut self.report)
     }
 
     /// Ends the stream.
@@ -401,6 +444,8 @@ pub(crate) struct Listening {
 pub(crate) struct Listened {
     pub(crate) name: String,
     pub(crate) settings: Settings,
+    /// The speed that it was set to, revolutions per minute, where that was asked for.
+    pub(crate) set_rpm: Option<u16>,
     /// Its address, where that is known beforehand.
     pub(crate) sensor: Option<IpAddr>,
     /// Which of the source's ports its data packets and its position packets come to.
@@ -417,7 +462,8 @@ pub(crate) fn record(
     let mut source = listening.source;
     let streams = listening.lidars.into_iter().zip(meters);
     let mut lidars = Lidars::named(streams.map(|(lidar, meter)| {
-        let stream = LidarStream::new(&lidar.name, lidar.settings, meter);
+        let mut stream = LidarStream::new(&lidar.name, lidar.settings, meter);
+        stream.set_rpm = lidar.set_rpm;
         (stream, lidar.sensor)
     }));
     let mut last_heard = Instant::now();

@@ -36,24 +36,31 @@ impl Displacement {
         })
     }
 
-    /// What counts as lost of the messages in it.
-    pub(crate) fn lost(&self, messages: u64) -> u64 {
+    /// What counts as lost of the messages in it; `messages` as for [`Displacement::sentence`].
+    pub(crate) fn lost(&self, messages: Option<u64>) -> u64 {
         match self.how {
-            How::Removed => messages.max(1),
+            How::Removed => messages.unwrap_or_default().max(1),
             // Nothing, but it is not where whoever looks for it will look.
             How::Moved => 1,
         }
     }
 
-    /// For the operator; `next`: the file with which the recording goes on.
-    pub(crate) fn sentence(&self, messages: u64, next: Option<&Path>) -> String {
+    /// For the operator; `messages`: how many are in it, `None` where it could not be closed; `next`: the file with which the recording
+    /// goes on.
+    pub(crate) fn sentence(&self, messages: Option<u64>, next: Option<&Path>) -> String {
         let path = self.path.display();
-        let what = match self.how {
-            How::Removed => {
+        let what = match (self.how, messages) {
+            (How::Removed, Some(messages)) => {
                 format!("{path} was removed while it was written: its {messages} messages are lost")
             }
-            How::Moved => format!(
+            (How::Removed, None) => {
+                format!("{path} was removed while it was written: its messages are lost")
+            }
+            (How::Moved, Some(messages)) => format!(
                 "{path} was renamed, or its disk was unmounted, while it was written: its {messages} messages are in it wherever it is now"
+            ),
+            (How::Moved, None) => format!(
+                "{path} was renamed, or its disk was unmounted, while it was written, and could not be closed: what is left of it is wherever it is now (`lsfb recover`)"
             ),
         };
         match next {
@@ -76,14 +83,14 @@ mod tests {
         let found = || Displacement::of(&path, open.metadata().unwrap());
         assert_eq!(found(), None);
         std::fs::rename(&path, &other).unwrap();
-        assert_eq!(found().unwrap().lost(7), 1);
+        assert_eq!(found().unwrap().lost(Some(7)), 1);
         // A file of the same name is not the same file.
         std::fs::write(&path, "").unwrap();
-        assert_eq!(found().unwrap().lost(7), 1);
+        assert_eq!(found().unwrap().lost(Some(7)), 1);
         std::fs::remove_file(&other).unwrap();
         let gone = found().unwrap();
-        assert_eq!((gone.lost(7), gone.lost(0)), (7, 1));
-        let sentence = gone.sentence(7, Some(&other));
+        assert_eq!((gone.lost(Some(7)), gone.lost(None)), (7, 1));
+        let sentence = gone.sentence(Some(7), Some(&other));
         assert!(sentence.contains("its 7 messages are lost") && sentence.contains("other.mcap"));
     }
 }

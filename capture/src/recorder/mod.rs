@@ -245,6 +245,15 @@ impl Recorder {
         Ok(Self { thread, inlet })
     }
 
+    /// The rig's poses follow: to be called before any other entry is put.
+    pub(crate) fn expect_odometry(&self) {
+        // A writer that is gone reports itself.
+        let _ = self
+            .inlet
+            .waiting()
+            .put(Entry::OdometryFollows, &mut StreamReport::default());
+    }
+
     pub(crate) fn inlet(&self) -> Inlet {
         self.inlet.clone()
     }

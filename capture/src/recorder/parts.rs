@@ -12,6 +12,7 @@ use super::displacement::Displacement;
 use super::space;
 use crate::Error;
 use crate::config::{LidarData, RecorderConfig};
+use crate::device_note::DeviceNote;
 
 /// How often the disk is asked how much room it has.
 const SPACE_PERIOD: Duration = Duration::from_millis(200);
@@ -37,6 +38,10 @@ pub(crate) struct Parts {
     rig: Option<Rig>,
     /// Rigs of sidecars, by device.
     sidecars: BTreeMap<String, Rig>,
+    /// Whether the rig's poses are among the messages.
+    has_odometry: bool,
+    /// What is known of the devices, by name of the metadata record.
+    devices: BTreeMap<String, BTreeMap<String, String>>,
     /// Attachments that every part carries, by name.
     attachments: BTreeMap<String, (String, Vec<u8>)>,
     finished: Vec<Summary>,
@@ -62,6 +67,8 @@ impl Parts {
             writer,
             rig,
             sidecars: BTreeMap::new(),
+            has_odometry: false,
+            devices: BTreeMap::new(),
             attachments: BTreeMap::new(),
             finished: Vec::new(),
             number: 1,
@@ -132,6 +139,20 @@ impl Parts {
         Ok(())
     }
 
+    /// Says that the rig's poses follow, in this part and in all that follow.
+    pub(crate) fn expect_odometry(&mut self) {
+        self.has_odometry = true;
+        self.writer.expect_odometry();
+    }
+
+    /// Says what a device is, in this part and in all that follow.
+    pub(crate) fn note_device(&mut self, note: &DeviceNote) -> Result<(), Error> {
+        let (record, entries) = (note.record(), note.entries().clone());
+        self.writer.write_metadata(&record, entries.clone())?;
+        self.devices.insert(record, entries);
+        Ok(())
+    }
+
     /// Whether this part should end now; asked whenever a chunk has been written.
     pub(crate) fn turn(&mut self) -> Option<Turn> {
         let bytes = self.writer.bytes();
@@ -178,18 +199,19 @@ impl Parts {
         self.introduce()
     }
 
-    /// Goes on in another file after this one was taken away; it is closed where it is. How many messages are in it.
-    pub(crate) fn leave_displaced(&mut self) -> Result<u64, Error> {
+    /// Goes on in another file after this one was taken away; it is closed where it is. How many messages are in it; `None` where it
+    /// could not be closed.
+    pub(crate) fn leave_displaced(&mut self) -> Result<Option<u64>, Error> {
         let next = self.open_next(Turn::Displaced)?;
         let last = std::mem::replace(&mut self.writer, next);
         let messages = match last.finish() {
             Ok(summary) => {
                 let messages = summary.messages;
                 self.finished.push(summary);
-                messages
+                Some(messages)
             }
-            // Its disk is gone, and what it held.
-            Err(_) => 0,
+            // Its disk is gone.
+            Err(_) => None,
         };
         self.introduce()?;
         Ok(messages)
@@ -255,6 +277,12 @@ impl Parts {
         }
         for (name, (media_type, bytes)) in &self.attachments {
             self.writer.attach(name, media_type, bytes)?;
+        }
+        if self.has_odometry {
+            self.writer.expect_odometry();
+        }
+        for (record, entries) in &self.devices {
+            self.writer.write_metadata(record, entries.clone())?;
         }
         self.sync.follow(self.writer.file());
         Ok(())

@@ -167,7 +167,7 @@ impl Writing {
                 self.introduce()?;
             }
             Err(error) => {
-                self.report_displaced(&displacement, 0, None);
+                self.report_displaced(&displacement, None, None);
                 self.failure = Some(error.to_string());
             }
         }
@@ -178,7 +178,7 @@ impl Writing {
     fn report_displaced(
         &mut self,
         displacement: &Displacement,
-        messages: u64,
+        messages: Option<u64>,
         next: Option<&Path>,
     ) {
         self.displaced.push(displacement.sentence(messages, next));
@@ -269,7 +269,7 @@ impl Writing {
         let mut lost = lost;
         if let Some(displacement) = displacement {
             // Too late to go on elsewhere.
-            let messages = parts.last().map_or(0, |part: &Summary| part.messages);
+            let messages = parts.last().map(|part: &Summary| part.messages);
             warnings.push(displacement.sentence(messages, None));
             lost += displacement.lost(messages);
         }
@@ -371,6 +371,8 @@ impl Writing {
                 self.parts
                     .attach(&file.name, &file.media_type, &file.bytes)?;
             }
+            Entry::OdometryFollows => self.parts.expect_odometry(),
+            Entry::Device(note) => self.parts.note_device(&note)?,
             Entry::Rig { owner, rig } if self.parts.has_rig() => {
                 let name = format!("sidecar/{owner}/rig.toml");
                 self.parts

@@ -108,6 +108,10 @@ fn two_lidars_on_one_port_are_two_and_never_make_one_cloud() {
     ];
     json(path, &[&chosen[..], &named].concat(), 0);
     assert_eq!(packets("named.mcap", "rear"), second);
+    write(path, "angles.csv", b"channel,elevation,azimuth\n1,0,0\n");
+    let one_file = ["--lidar-angles", "angles.csv", "--out", "refused.mcap"];
+    let one_file = [&chosen[..], &named[..3], &one_file].concat();
+    refused(path, &one_file, &["front, rear", "of one sensor"]);
     let unusable = ["a/b=192.168.1.201", "--out", "refused.mcap"];
     let why = "letters, digits and underscores";
     refused(path, &[&chosen[..], &unusable].concat(), &[why]);

@@ -8,7 +8,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use lsfb_drivers::mynt_s::wire::{ImuProtocol, ImuResponse, ImuSegment};
-use lsfb_recording::{LIDAR_POSITION, Recording};
+use lsfb_recording::{LIDAR_POSITION, Recording, TF};
 use nix::sys::signal::Signal;
 use process::lsfb;
 use running::{Running, wait_until};
@@ -136,6 +136,38 @@ fn a_mock_of_a_recording_gives_the_same_recording() {
             assert_eq!(rig(&source), rig(&again));
         }
     }
+}
+
+/// What another program's viewer needs: where the rig was, at the very stamps of the clouds, below the frames of the sensors.
+#[test]
+fn a_recording_with_odometry_shows_a_moving_rig() {
+    let source = recorded(5).join("scan.mcap");
+    let folder = tempfile::tempdir().expect("folder");
+    let ports = Ports::free().arguments();
+    let arguments = ["mock", text(&source), "--out", "mock"].map(str::to_owned);
+    let mut mock = Running::lsfb(folder.path(), arguments.into_iter().chain(ports));
+    mock.wait_for("devices.toml");
+    let arguments = ["--devices", "mock/devices.toml", "--out", "again.mcap"];
+    let scan = [&["scan", "--odometry"][..], &arguments].concat();
+    let output = lsfb(folder.path(), &scan);
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    assert_eq!(mock.wait().code(), Some(0), "{}", mock.said());
+    let recording = Recording::open(&folder.path().join("again.mcap")).expect("recording");
+    let clouds = recording.scans().expect("scans");
+    let clouds: Vec<_> = clouds.map(|scan| scan.expect("scan").time).collect();
+    let poses = recording.messages(TF).expect("poses");
+    let poses: Vec<_> = poses.map(|pose| pose.expect("pose")).collect();
+    // The odometry needs the first scan, and a busy machine leaves some out.
+    assert!(
+        poses.len() > clouds.len() / 4,
+        "{} of {}",
+        poses.len(),
+        clouds.len()
+    );
+    for pair in poses.windows(2) {
+        assert!(pair[0].time < pair[1].time && pair[0].bytes != pair[1].bytes);
+    }
+    assert!(poses.iter().all(|pose| clouds.contains(&pose.time)));
 }
 
 #[test]

@@ -55,7 +55,8 @@ pub use provenance::Provenance;
 pub use reader::{ArrivalRange, CdrMessage, Recording};
 pub use samples::{CameraImage, RecordedPacket};
 pub use topic::{
-    CAMERA_GROUPS, CLOCK_MODELS, DEVICE_TIME, HEALTH, LIDAR_POSITION, REMARKS, lidar_position,
+    CAMERA_GROUPS, CLOCK_MODELS, DEVICE_TIME, HEALTH, LIDAR_POSITION, ODOM_FRAME, REMARKS, TF,
+    lidar_position,
 };
 pub use tum::{read_tum, write_tum};
 pub use unit::{Attachment, CameraUnit, KeptFile};

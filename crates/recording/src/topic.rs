@@ -2,6 +2,10 @@
 
 /// Frames of the rig.
 pub(crate) const TF_STATIC: &str = "/tf_static";
+/// Where the rig is, by the odometry that ran while it was recorded: its frame in [`ODOM_FRAME`], at the stamps of the clouds.
+pub const TF: &str = "/tf";
+/// Frame in which the live odometry gives the rig's pose: it drifts, and begins anew with each recording.
+pub const ODOM_FRAME: &str = "odom";
 /// Ties the rig to the frame that Rerun looks from, on a topic of its own: ROS would take it for a second parent.
 pub(crate) const RERUN_TF_STATIC: &str = "/rerun/tf_static";
 /// Rerun's own name for the root of its entities.

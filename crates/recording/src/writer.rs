@@ -24,6 +24,8 @@ pub struct Writer {
     /// Rigs of sidecars by the device in their topics.
     sidecars: BTreeMap<String, Rig>,
     static_transforms: Vec<StaticTransform>,
+    /// The frame that hangs on the root of Rerun's.
+    outermost_frame: &'static str,
     imu_intervals: BTreeMap<String, SampleInterval>,
 }
 
@@ -42,6 +44,7 @@ impl Writer {
             rig: None,
             sidecars: BTreeMap::new(),
             static_transforms: Vec::new(),
+            outermost_frame: topic::RIG_FRAME,
             imu_intervals: BTreeMap::new(),
         })
     }
@@ -237,6 +240,12 @@ impl Writer {
         Ok(())
     }
 
+    /// Says that the rig's poses in the odometry's frame follow on `/tf`: a frame has one parent, so that viewers are to begin at that
+    /// frame. To be called before the first message.
+    pub fn expect_odometry(&mut self) {
+        self.outermost_frame = topic::ODOM_FRAME;
+    }
+
     /// Says where the sensors of a sidecar are and what its lenses do: frames and intrinsics of the messages on `/sidecar/<device>/…`.
     /// Its frames hang on `<device>/rig`, which nobody places, or on the recording's own where the two are one.
     pub fn place_sidecar(&mut self, device: &str, rig: &Rig) {
@@ -354,7 +363,7 @@ impl Writer {
             let transforms = std::mem::take(&mut self.static_transforms);
             let root = StaticTransform {
                 parent: topic::RERUN_ROOT_FRAME.to_owned(),
-                child: topic::RIG_FRAME.to_owned(),
+                child: self.outermost_frame.to_owned(),
                 parent_from_child: Se3::identity(),
             };
             let bytes = message::encode_static_transforms(time, &[root]);

@@ -3,11 +3,13 @@
 
 use std::process::Command;
 
-use lsfb_geometry::{Camera, ImuNoiseModel, Rig, RigCamera, RigImu, RigLidar, Se3, Vector6};
+use lsfb_geometry::{
+    Camera, ImuNoiseModel, Rig, RigCamera, RigImu, RigLidar, Se3, Vector3, Vector6,
+};
 use lsfb_recording::message::{
     self, BleAdvert, GnssFix, GnssReading, MagneticSample, PressureSample, WifiReading,
 };
-use lsfb_recording::{Channel, Compression, LIDAR_POSITION, Writer, WriterConfig};
+use lsfb_recording::{Channel, Compression, LIDAR_POSITION, TF, Writer, WriterConfig};
 use lsfb_tests::{Lacks, skip};
 use lsfb_types::{Image, ImuSample, LidarPoint, LidarScan, Packet, Stamped, Timestamp};
 
@@ -31,6 +33,7 @@ fn write(path: &std::path::Path, compression: Compression) {
         ..WriterConfig::default()
     };
     let mut writer = Writer::create(path, &config).unwrap();
+    writer.expect_odometry();
     let pose = Se3::exp(&Vector6::new(0.0, 0.0, 0.5, 0.25, -0.5, 1.0));
     let camera = Camera::pinhole(6, 4, [5.0, 5.5], [2.5, 1.5]);
     writer
@@ -110,6 +113,19 @@ fn write(path: &std::path::Path, compression: Compression) {
         writer
             .write_raw(LIDAR_POSITION, 0, u64::from(n), &packet(3, 512), time)
             .unwrap();
+        let odom_from_rig = Se3::exp(&Vector6::new(0.0, 0.0, 0.5, 0.0, 0.0, 0.0));
+        let odom_from_rig = Se3 {
+            translation: Vector3::new(f64::from(n), 0.5, -0.25),
+            ..odom_from_rig
+        };
+        let channel = Channel {
+            topic: TF,
+            schema_name: message::TF_MESSAGE.name,
+            schema_text: message::TF_MESSAGE.text,
+        };
+        let bytes = message::encode_odometry(time, &odom_from_rig);
+        let known = time + 3_000_000;
+        writer.write_cdr(&channel, time, known, &bytes).unwrap();
         write_surroundings(&mut writer, n);
     }
     writer.finish().unwrap();
@@ -219,7 +235,7 @@ fn foreign_readers_read_every_value_and_pair_images_with_intrinsics() {
         assert!(
             ["mcap", "rosbags", "mcap-ros2-support"]
                 .iter()
-                .all(|reader| said.contains(&format!("{reader}: 282 messages"))),
+                .all(|reader| said.contains(&format!("{reader}: 302 messages"))),
             "{said}"
         );
     }

@@ -19,7 +19,7 @@ use lsfb_operator::ScreenConfig;
 use lsfb_recording::Existing;
 
 use crate::context::{Context, sentence};
-use crate::live::{Live, LiveConfig};
+use crate::live::{Live, LiveConfig, Odometry};
 use crate::outcome::Outcome;
 
 /// Record devices, or the packets of a capture file, into one MCAP file.
@@ -90,6 +90,10 @@ pub struct Arguments {
     /// Stream live data to Foxglove, which connects to ADDR.
     #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = "127.0.0.1:8765", conflicts_with_all = ["pcap", "db3", "mcap"])]
     foxglove: Option<SocketAddr>,
+    /// Run the odometry while recording, and record where the rig was (/tf), though nobody looks at the live map. It runs in any
+    /// case with --screen, --foxglove and --rerun, and needs a rig with the LiDAR.
+    #[arg(long, requires = "devices")]
+    odometry: bool,
     /// Folder with the state of batteries, for hosts where it is not /sys/class/power_supply.
     #[arg(long, value_name = "FOLDER")]
     power_supplies: Option<PathBuf>,
@@ -313,6 +317,10 @@ impl Arguments {
         Ok(LiveConfig {
             screen,
             foxglove: self.foxglove,
+            odometry: match self.odometry {
+                true => Odometry::Always,
+                false => Odometry::WhereShown,
+            },
             power_supplies: self.power_supplies.clone().unwrap_or_default(),
             #[cfg(feature = "view")]
             rerun: self.rerun.clone(),

@@ -8,18 +8,18 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use lsfb_capture::health::Snapshot;
-use lsfb_capture::{CaptureReport, Remarks, Tap, Tapped};
-use lsfb_geometry::{MAIN_LIDAR, Rig, Vector3};
+use lsfb_capture::{CaptureReport, Poses, Remarks, Tap, Tapped};
+use lsfb_geometry::{MAIN_IMU, MAIN_LIDAR, Rig, Vector3};
 use lsfb_operator::{
     Command, ControlPoint, Level, LiveMap, MapConfig, Phase, Preview, Request, ScreenState,
     Tracking, Viewer, terminal,
 };
-use lsfb_pipeline::odometry::{OdometryStep, StepOutcome};
+use lsfb_pipeline::odometry::StepOutcome;
 use lsfb_recording::message::Remark;
 use lsfb_types::Timestamp;
 
 use super::host;
-use super::odometry::OdometryThread;
+use super::odometry::{LiveStep, OdometryThread};
 use super::streams::Streams;
 use super::{Event, Outputs, Run};
 use crate::context::sentence;
@@ -83,8 +83,11 @@ struct Running {
     began: Instant,
     streams: Streams,
     odometry: Option<OdometryThread>,
-    /// Whose scans it takes.
+    /// Whose scans and whose samples it takes.
     main_lidar: String,
+    main_imu: String,
+    /// Where its poses go.
+    poses: Option<Poses>,
     /// Synchronized and host time of one sample: how to stamp what people say.
     clock: Option<(Timestamp, Timestamp)>,
     cameras_sent: BTreeMap<String, Timestamp>,
@@ -145,9 +148,7 @@ impl Controller {
         let odometry = run
             .rig
             .as_ref()
-            .filter(|rig| {
-                rig.lidar().is_some() && !run.devices.lidars.is_empty() && self.outputs.show_map()
-            })
+            .filter(|_| run.poses.is_some())
             .map(OdometryThread::start)
             .transpose();
         let odometry = odometry.unwrap_or_else(|error| {
@@ -157,6 +158,10 @@ impl Controller {
         });
         let rig = run.rig.as_ref();
         let main_lidar = rig.and_then(Rig::main_lidar_name).unwrap_or(MAIN_LIDAR);
+        // As the rig chooses its own.
+        let imus = rig.into_iter().flat_map(|rig| rig.imus.keys());
+        let main_imu = imus.min_by_key(|name| (*name != MAIN_IMU, *name));
+        let main_imu = main_imu.map_or(MAIN_IMU, String::as_str);
         if let Some(screen) = &self.outputs.screen {
             screen.clear_previews();
         }
@@ -172,6 +177,8 @@ impl Controller {
             streams: Streams::new(&run.devices),
             odometry,
             main_lidar: main_lidar.to_owned(),
+            main_imu: main_imu.to_owned(),
+            poses: run.poses,
             clock: None,
             cameras_sent: BTreeMap::new(),
             previews_sent: BTreeMap::new(),
@@ -309,7 +316,9 @@ impl Controller {
             }
             if let Some(odometry) = &running.odometry {
                 match entry {
-                    Tapped::Imu { sample, .. } => odometry.push_imu(&sample),
+                    Tapped::Imu { imu, sample } if imu == running.main_imu => {
+                        odometry.push_imu(&sample);
+                    }
                     Tapped::Scan { lidar, scan } if lidar == running.main_lidar => {
                         odometry.push_scan(scan);
                     }
@@ -332,15 +341,19 @@ impl Controller {
         }
     }
 
-    fn take_step(&mut self, step: &OdometryStep) {
+    fn take_step(&mut self, live: &LiveStep) {
+        let step = &live.step;
         let lost = step.outcome == StepOutcome::Lost;
         if let Some(running) = &mut self.running {
             running.registered = Some(Instant::now());
+            if let (Some(poses), Some(pose)) = (&running.poses, &live.at_cloud) {
+                poses.put(pose, host_now());
+            }
         }
         self.state.tracking = if lost { Tracking::Lost } else { Tracking::Good };
         let points: &[Vector3<f64>] = if lost { &[] } else { &step.keypoints_in_rig };
         self.map.push(step.time, &step.world_from_rig, points);
-        self.outputs.send_step(step, host_now());
+        self.outputs.send_step(live, host_now());
     }
 
     fn show(&mut self) {

@@ -5,16 +5,15 @@ use std::collections::BTreeMap;
 use lsfb_capture::Tapped;
 use lsfb_geometry::{Rig, Se3};
 use lsfb_operator::LiveMessage;
-use lsfb_pipeline::odometry::OdometryStep;
+use lsfb_recording::TF;
 use lsfb_recording::message::{self, Schema, StaticTransform};
 use lsfb_types::Timestamp;
 
 use super::Outputs;
+use super::odometry::LiveStep;
 
 /// Shortest time between two images of a camera that are shown, nanoseconds: what an eye needs, and a wireless link bears.
 const IMAGE_EVERY_NS: i64 = 190_000_000;
-/// Frame of the live map.
-const WORLD: &str = "world";
 const RIG: &str = "rig";
 
 fn about<'a>(topic: &'a str, schema: &Schema, arrival: Timestamp) -> LiveMessage<'a> {
@@ -127,19 +126,15 @@ impl Outputs {
     }
 
     /// Shows where the rig is, and what the LiDAR saw there.
-    pub fn send_step(&self, step: &OdometryStep, now: Timestamp) {
+    pub fn send_step(&self, live: &LiveStep, now: Timestamp) {
         #[cfg(feature = "view")]
         if let Some(rerun) = &self.rerun {
+            let step = &live.step;
             rerun.step(step.time, &step.world_from_rig, &step.keypoints_in_rig);
         }
-        if let Some(foxglove) = &self.foxglove {
-            foxglove.publish(&about("/tf", &message::TF_MESSAGE, now), || {
-                let edge = StaticTransform {
-                    parent: WORLD.to_owned(),
-                    child: RIG.to_owned(),
-                    parent_from_child: step.world_from_rig,
-                };
-                message::encode_static_transforms(step.time, &[edge])
+        if let (Some(foxglove), Some(pose)) = (&self.foxglove, &live.at_cloud) {
+            foxglove.publish(&about(TF, &message::TF_MESSAGE, now), || {
+                message::encode_odometry(pose.time, &pose.world_from_rig)
             });
         }
     }

@@ -19,7 +19,7 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use lsfb_capture::health::Snapshot;
-use lsfb_capture::{CaptureReport, DevicesConfig, Remarks, Session, Tap};
+use lsfb_capture::{CaptureReport, DevicesConfig, Poses, Remarks, Session, Tap};
 use lsfb_geometry::Rig;
 use lsfb_operator::{Foxglove, Request, Screen, ScreenConfig};
 use lsfb_types::Stopped;
@@ -34,11 +34,23 @@ pub struct LiveConfig {
     pub screen: Option<ScreenConfig>,
     /// Where Foxglove connects.
     pub foxglove: Option<SocketAddr>,
+    /// Whether the odometry runs where nobody looks, for the recording alone.
+    pub odometry: Odometry,
     /// Where batteries are told of; empty for the kernel's folder.
     pub power_supplies: PathBuf,
     /// URL of a Rerun viewer.
     #[cfg(feature = "view")]
     pub rerun: Option<String>,
+}
+
+/// When the odometry runs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Odometry {
+    /// Where somebody wants to see the map.
+    #[default]
+    WhereShown,
+    /// In any case.
+    Always,
 }
 
 /// The outputs that are open.
@@ -103,6 +115,8 @@ struct Run {
     remarks: Remarks,
     health: Receiver<Snapshot>,
     stop: Arc<AtomicBool>,
+    /// Where the rig's poses go, where the odometry runs.
+    poses: Option<Poses>,
 }
 
 /// Everything live, running.
@@ -111,6 +125,7 @@ pub struct Live {
     starts: Receiver<()>,
     end: Arc<AtomicBool>,
     board: Arc<Mutex<String>>,
+    has_odometry: bool,
     thread: Option<JoinHandle<()>>,
     url: Option<String>,
     pin: Option<String>,
@@ -123,6 +138,7 @@ impl Live {
         let (outputs, requests) = Outputs::open(config)?;
         let url = outputs.screen.as_ref().map(Screen::url);
         let foxglove = outputs.foxglove.as_ref().map(Foxglove::address);
+        let has_odometry = outputs.show_map() || config.odometry == Odometry::Always;
         let (events, happened) = sync_channel(4);
         let (wanted, starts) = sync_channel(1);
         let end = Arc::new(AtomicBool::new(false));
@@ -152,6 +168,7 @@ impl Live {
             starts,
             end,
             board,
+            has_odometry,
             thread: Some(thread),
             url,
             pin: config.screen.as_ref().and_then(|s| s.pin.clone()),
@@ -210,10 +227,14 @@ impl Live {
     ) -> anyhow::Result<CaptureReport> {
         let mut session = Session::open(devices)?;
         let stop = Arc::new(AtomicBool::new(false));
+        let rig = devices.rig.as_deref().map(Rig::read).transpose()?;
+        let can_run = rig.as_ref().is_some_and(|rig| rig.lidar().is_some());
+        let has_odometry = self.has_odometry && can_run && !devices.lidars.is_empty();
         let run = Run {
             out: out.to_owned(),
             devices: devices.clone(),
-            rig: devices.rig.as_deref().map(Rig::read).transpose()?,
+            rig,
+            poses: has_odometry.then(|| session.poses()),
             tap: session.tap(),
             remarks: session.remarks(),
             health: session.health().subscribe(),

@@ -47,6 +47,6 @@ pub use surroundings::{
     GnssFix, GnssReading, MagneticSample, PressureSample, decode_gnss, decode_magnetic,
     decode_pressure, encode_gnss, encode_magnetic, encode_pressure,
 };
-pub use transform::{StaticTransform, encode_static_transforms};
+pub use transform::{StaticTransform, encode_odometry, encode_static_transforms};
 
 pub use crate::cdr::CdrError;

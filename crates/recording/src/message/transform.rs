@@ -2,6 +2,7 @@ use lsfb_geometry::Se3;
 use lsfb_types::Timestamp;
 
 use crate::cdr::CdrWriter;
+use crate::topic;
 
 /// One edge of `/tf_static`.
 #[derive(Clone, Debug, PartialEq)]
@@ -12,6 +13,16 @@ pub struct StaticTransform {
     pub child: String,
     /// Pose of the child in the parent frame.
     pub parent_from_child: Se3,
+}
+
+/// `tf2_msgs/msg/TFMessage` of one edge: where the live odometry has the rig.
+pub fn encode_odometry(time: Timestamp, odom_from_rig: &Se3) -> Vec<u8> {
+    let edge = StaticTransform {
+        parent: topic::ODOM_FRAME.to_owned(),
+        child: topic::RIG_FRAME.to_owned(),
+        parent_from_child: *odom_from_rig,
+    };
+    encode_static_transforms(time, &[edge])
 }
 
 /// `tf2_msgs/msg/TFMessage`.

@@ -30,7 +30,15 @@ def check(topic, n, message, publish_time, log_time):
         assert abs(rotation.z - 0.24740395925452294) < 1e-15 and abs(rotation.w - 0.9689124217106447) < 1e-15
         return
     if topic == "/rerun/tf_static":
-        assert [(t.header.frame_id, t.child_frame_id) for t in message.transforms] == [("tf#/", "rig")]
+        assert [(t.header.frame_id, t.child_frame_id) for t in message.transforms] == [("tf#/", "odom")]
+        return
+    if topic == "/tf":
+        (edge,) = message.transforms
+        assert (edge.header.frame_id, edge.child_frame_id) == ("odom", "rig")
+        assert stamp_of(edge.header) == time == publish_time and log_time == time + 3_000_000
+        translation, rotation = edge.transform.translation, edge.transform.rotation
+        assert (translation.x, translation.y, translation.z) == (n, 0.5, -0.25)
+        assert abs(rotation.z - 0.24740395925452294) < 1e-15 and abs(rotation.w - 0.9689124217106447) < 1e-15
         return
     if topic == "/cam0/camera_info":
         assert (message.width, message.height, message.distortion_model) == (6, 4, "plumb_bob")
@@ -112,6 +120,9 @@ def check_pairs(stamps):
     """What an exact time synchronizer (message_filters) does: each image has intrinsics with its own frame and stamp."""
     images, intrinsics = stamps["/cam0/image"], stamps["/cam0/camera_info"]
     assert len(images) == 20 and images == intrinsics, (images[:3], intrinsics[:3])
+    # Each cloud can be placed at its very stamp.
+    clouds, poses = stamps["/lidar/points"], stamps["/tf"]
+    assert [stamp for _, stamp in clouds] == [stamp for _, stamp in poses]
 
 
 def check_all(reader_name, messages, deserialise):
@@ -122,8 +133,8 @@ def check_all(reader_name, messages, deserialise):
         message = deserialise(data, kind)
         check(topic, n, message, publish_time, log_time)
         counts[topic] = n + 1
-        if topic.startswith("/cam0/"):
-            header = message.header
+        if topic.startswith("/cam0/") or topic in ("/lidar/points", "/tf"):
+            header = message.transforms[0].header if topic == "/tf" else message.header
             stamps.setdefault(topic, []).append((header.frame_id, stamp_of(header)))
     check_pairs(stamps)
     expected = {"/tf_static": 1, "/rerun/tf_static": 1}
