@@ -25,6 +25,34 @@ pub enum Error {
         /// The rig's name.
         rig: String,
     },
+    /// The principal point of a camera lies where no lens has it in images of its size.
+    #[error(
+        "the principal point of camera {camera}, ({x:.1}, {y:.1}) px, is far from the centre of its {width} × {height} images: give the intrinsics for images of this size",
+        x = principal_px[0], y = principal_px[1], width = size_px[0], height = size_px[1]
+    )]
+    PrincipalPointOffCentre {
+        /// The camera.
+        camera: String,
+        /// Size of its images, pixels.
+        size_px: [u32; 2],
+        /// Its principal point, pixels.
+        principal_px: [f64; 2],
+    },
+    /// An image is not as large as its camera's images are.
+    #[error(
+        "{path}: {found_width} × {found_height} px, but camera {camera} has {width} × {height}: give the intrinsics for images of this size, or the images as the camera took them", path = path.display(),
+        found_width = found_px[0], found_height = found_px[1], width = expected_px[0], height = expected_px[1]
+    )]
+    ImageSize {
+        /// The image.
+        path: PathBuf,
+        /// The camera.
+        camera: String,
+        /// Size of the camera's images, pixels.
+        expected_px: [u32; 2],
+        /// Size of this one, pixels.
+        found_px: [u32; 2],
+    },
     /// A list of posed images is not what it should be.
     #[error("{path}, line {line}: {reason}", path = path.display())]
     PosedImages {

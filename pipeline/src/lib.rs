@@ -5,8 +5,10 @@
 //!
 //! Everything here is deterministic: same input, config and seed give bit-identical results on any number of threads.
 
+mod camera_fit;
 mod error;
 pub mod features;
+mod frames;
 pub mod ground_truth;
 pub mod hd_map;
 pub mod lidar_features;

@@ -5,10 +5,12 @@ use std::path::{Path, PathBuf};
 
 use lsfb_geometry::{Camera, Matrix3, Rig, RigCamera, Se3, UnitQuaternion, Vector3};
 use lsfb_perception::image;
+use lsfb_types::Image;
 use nalgebra::Rotation3;
 use sha2::{Digest, Sha256};
 
 use crate::Error;
+use crate::camera_fit::principal_point_fits;
 
 /// An image file with the pose at which it was taken.
 #[derive(Clone, Debug, PartialEq)]
@@ -67,21 +69,53 @@ impl PosedImages {
                 reason: "the list is empty",
             });
         };
-        let size = image::read(&first.path)?;
-        let camera = read_pinhole(&folder.join(INTRINSICS), size.width, size.height)?;
-        let mounted = RigCamera {
-            camera,
-            rig_from_camera: Se3::identity(),
-            timing: Default::default(),
-        };
         Ok(Self {
-            rig: Rig {
-                cameras: [("cam0".to_owned(), mounted)].into(),
-                ..Rig::empty(&folder.file_name().unwrap_or_default().to_string_lossy())
-            },
+            rig: rig_of(folder, &first.path)?,
             images,
         })
     }
+}
+
+/// The rig of a folder of images that one undistorted pinhole camera took: its `K.txt`, and the size of `image`.
+pub fn rig_of(folder: &Path, image: &Path) -> Result<Rig, Error> {
+    let size = image::read(image)?;
+    let camera = read_pinhole(&folder.join(INTRINSICS), size.width, size.height)?;
+    let mounted = RigCamera {
+        camera,
+        rig_from_camera: Se3::identity(),
+        timing: Default::default(),
+    };
+    Ok(Rig {
+        cameras: [("cam0".to_owned(), mounted)].into(),
+        ..Rig::empty(&folder.file_name().unwrap_or_default().to_string_lossy())
+    })
+}
+
+impl PosedImage {
+    /// The pixels; refuses an image that is not as large as its camera's images are.
+    pub fn read(&self, rig: &Rig) -> Result<Image, Error> {
+        read_image(&self.path, &self.camera, rig)
+    }
+}
+
+/// The pixels of an image of a camera of the rig; refuses an image that is not as large as that camera's images are.
+pub fn read_image(path: &Path, camera: &str, rig: &Rig) -> Result<Image, Error> {
+    let image = image::read(path)?;
+    let mounted = rig.cameras.get(camera).ok_or(Error::UnknownCamera {
+        camera: camera.to_owned(),
+        rig: rig.name.clone(),
+    })?;
+    let expected_px = [mounted.camera.width, mounted.camera.height];
+    let found_px = [image.width, image.height];
+    if found_px == expected_px {
+        return Ok(image);
+    }
+    Err(Error::ImageSize {
+        path: path.to_owned(),
+        camera: camera.to_owned(),
+        expected_px,
+        found_px,
+    })
 }
 
 impl PosedImages {
@@ -129,7 +163,15 @@ fn read_pinhole(path: &Path, width: u32, height: u32) -> Result<Camera, Error> {
         line: 1,
         reason: "the intrinsics need 9 numbers",
     })?;
-    Ok(Camera::pinhole(width, height, [k[0], k[4]], [k[2], k[5]]))
+    let camera = Camera::pinhole(width, height, [k[0], k[4]], [k[2], k[5]]);
+    if !principal_point_fits(&camera) {
+        return Err(Error::PrincipalPointOffCentre {
+            camera: path.display().to_string(),
+            size_px: [width, height],
+            principal_px: camera.principal_px(),
+        });
+    }
+    Ok(camera)
 }
 
 /// Exactly `N` finite numbers.
@@ -174,5 +216,58 @@ mod tests {
         assert!(message(folder.path()).contains("line 2"));
         fs::write(&poses, "a.png 2 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n").expect("write");
         assert!(message(folder.path()).contains("no rigid transform"));
+    }
+
+    #[test]
+    fn intrinsics_and_images_of_different_sizes_are_refused() {
+        let folder = tempfile::tempdir().expect("scratch folder");
+        let images = folder.path().join("images");
+        fs::create_dir(&images).expect("folder");
+        let write = |name: &str, side: u32| {
+            // A bitmap of one grey: header, then rows of three bytes per pixel.
+            let mut bytes = b"BM".to_vec();
+            for value in [
+                54 + 3 * side * side,
+                0,
+                54,
+                40,
+                side,
+                side,
+                0x0018_0001,
+                0,
+                0,
+                0,
+                0,
+                0,
+                0,
+            ] {
+                bytes.extend(value.to_le_bytes());
+            }
+            bytes.extend(vec![128; (3 * side * side) as usize]);
+            fs::write(images.join(name), bytes).expect("image");
+        };
+        write("a.bmp", 64);
+        write("b.bmp", 32);
+        let pose = "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1";
+        fs::write(
+            folder.path().join(POSES),
+            format!("a.bmp {pose}\nb.bmp {pose}\n"),
+        )
+        .expect("poses");
+        let intrinsics = |c: f64| {
+            let text = format!("60 0 {c} 0 60 {c} 0 0 1");
+            fs::write(folder.path().join(INTRINSICS), text).expect("intrinsics");
+        };
+        intrinsics(63.5);
+        let refused = PosedImages::read(folder.path()).expect_err("twice as large");
+        assert!(
+            matches!(refused, Error::PrincipalPointOffCentre { .. }),
+            "{refused}"
+        );
+        intrinsics(31.5);
+        let posed = PosedImages::read(folder.path()).expect("a rig");
+        assert!(posed.images[0].read(&posed.rig).is_ok());
+        let refused = posed.images[1].read(&posed.rig).expect_err("half as large");
+        assert!(matches!(refused, Error::ImageSize { .. }), "{refused}");
     }
 }

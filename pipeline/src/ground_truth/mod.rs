@@ -6,7 +6,6 @@
 //! say they must be, and everything is solved once more.
 
 mod config;
-mod frames;
 mod guided_matching;
 mod inertial;
 mod local_points;

@@ -1,20 +1,17 @@
 //! The stage as a whole: a recording and a map in, a trajectory out.
 
-use std::sync::atomic::{AtomicU64, Ordering};
-
-use lsfb_geometry::{ImuNoiseModel, Rig, StampedPose, Trajectory};
+use lsfb_geometry::{ImuNoiseModel, StampedPose, Trajectory};
 use lsfb_recording::Recording;
-use lsfb_types::{Progress, ProgressFn};
-use rayon::prelude::*;
+use lsfb_types::ProgressFn;
 
-use super::frames::{FeatureFrame, read_frames, read_imu};
 use super::inertial::start_states;
 use super::report::{local_errors, map_errors};
 use super::walk::{FixedObservation, Frame, State, Walk};
 use super::{GroundTruth, GroundTruthConfig, GroundTruthReport, Solved, Span, solve_walk};
 use crate::Error;
+use crate::frames::{FeatureFrame, read_frames, read_imu};
 use crate::hd_map::HdMap;
-use crate::localization::{Localization, Localizer};
+use crate::localization::{Localization, Localizer, localize_frames};
 use crate::residuals::ObservingCamera;
 
 /// Where the device was at each of its images, in the world of the map.
@@ -41,7 +38,12 @@ pub fn ground_truth(
         return Err(missing("IMU"));
     }
     let read = read_frames(recording, &rig, &config.features, progress)?;
-    let localized = localize_all(&read.frames, map, &rig, config, progress)?;
+    let localizer = Localizer::new(map, &config.localization)?;
+    let localized: Vec<Option<Localization>> =
+        localize_frames(&localizer, &read.frames, &rig, progress)?
+            .into_iter()
+            .map(Result::ok)
+            .collect();
     let count = localized.iter().flatten().count();
     if count < config.min_localized_frames {
         return Err(Error::NotLocalized {
@@ -95,29 +97,6 @@ fn inflated(noise: &ImuNoiseModel, factor: f64) -> ImuNoiseModel {
         gyro_bias_walk: noise.gyro_bias_walk * factor,
         accel_bias_walk: noise.accel_bias_walk * factor,
     }
-}
-
-fn localize_all(
-    frames: &[FeatureFrame],
-    map: &HdMap,
-    rig: &Rig,
-    config: &GroundTruthConfig,
-    progress: ProgressFn<'_>,
-) -> Result<Vec<Option<Localization>>, Error> {
-    let localizer = Localizer::new(map, &config.localization)?;
-    let done = AtomicU64::new(0);
-    frames
-        .par_iter()
-        .map(|frame| {
-            let found = localizer.localize(&frame.features, rig).ok();
-            progress(Progress {
-                stage: "localization",
-                done: done.fetch_add(1, Ordering::Relaxed) + 1,
-                total: frames.len() as u64,
-            })?;
-            Ok(found)
-        })
-        .collect()
 }
 
 /// Frames from shortly before the first localized one to shortly after the last: beyond, nothing holds the IMU's drift.

@@ -61,7 +61,7 @@ pub fn build_map_from_posed_images(
     let chosen = select_keyframes(&poses, distance_m, angle_deg);
     let pixels: Vec<Image> = chosen
         .par_iter()
-        .map(|i| lsfb_perception::image::read(&posed.images[*i].path))
+        .map(|i| posed.images[*i].read(&posed.rig))
         .collect::<Result<_, _>>()?;
     let features = detect_all(&pixels.iter().collect::<Vec<_>>(), &config.sift, progress)?;
     let images: Vec<KeyframeImage> = chosen

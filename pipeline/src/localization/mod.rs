@@ -4,19 +4,29 @@
 //! them; around the images with most votes, features and points are paired and [`estimate_pose`] looks for the pose
 //! most pairs agree with; projecting the map with it finds the rest (Liu et al., section V-A).
 
+mod acceptance;
+mod config;
+mod covariance;
+mod guided_matching;
 mod localizer;
 mod matches;
+mod outcome;
 mod p3p;
-mod posed;
+mod queries;
 mod ransac;
 mod refinement;
 mod voting;
 
-pub use localizer::{
-    FeatureMatch, Localization, Localizer, LocalizerConfig, NotLocalized, NotLocalizedReason,
-};
+pub use acceptance::Evidence;
+pub use config::LocalizerConfig;
+pub use localizer::Localizer;
 pub use matches::{MountedCamera, PointMatch};
+pub use outcome::{FeatureMatch, Localization, NotLocalized, NotLocalizedReason};
 pub use p3p::solve_p3p;
-pub use posed::{ImageLocalization, localize_posed_images};
+pub(crate) use queries::localize_frames;
+pub use queries::{
+    ImageLocalization, InstantLocalization, QueryImage, WalkLocalization, localize_images,
+    localize_posed_images, localize_recording,
+};
 pub use ransac::{PoseEstimate, RansacConfig, estimate_pose};
 pub use refinement::{RefinedPose, RefinementConfig, refine_pose};

@@ -32,7 +32,7 @@ pub struct RansacConfig {
 impl Default for RansacConfig {
     fn default() -> Self {
         Self {
-            max_error_px: 3.0,
+            max_error_px: 8.0,
             max_samples: 2000,
             min_samples: 30,
             confidence: 0.9999,

@@ -1,7 +1,11 @@
 //! Pose of a rig by least squares of reprojection errors.
 
-use lsfb_geometry::{Matrix2x3, Matrix3, Matrix6, Se3, Vector6, so3};
+use std::cell::Cell;
+
+use lsfb_geometry::{Matrix2x3, Matrix3, Matrix6, Se3, so3};
+use lsfb_perception::gauss_newton::{Next, NormalEquations, minimise};
 use lsfb_types::Bounds;
+use nalgebra::Matrix2x6;
 use serde::{Deserialize, Serialize};
 
 use super::matches::{MountedCamera, PointMatch};
@@ -13,7 +17,7 @@ pub struct RefinementConfig {
     /// Errors beyond this count linearly (Huber), pixels.
     pub huber_px: f64,
     /// Most iterations.
-    pub max_iterations: usize,
+    pub max_iterations: u32,
 }
 
 impl Default for RefinementConfig {
@@ -39,20 +43,13 @@ pub struct RefinedPose {
     pub world_from_rig: Se3,
     /// Sum of the robust costs, square pixels.
     pub cost_px2: f64,
-    /// Second derivatives of the cost by the pose's tangent: its inverse, times the variance of a pixel, is the
+    /// Half of the second derivatives of the cost by the pose's tangent: its inverse, times the variance of a pixel, is the
     /// covariance of the pose. Square pixels per rad², per m².
     pub information: Matrix6<f64>,
 }
 
-/// What the matches say about a pose.
-struct Linearised {
-    cost: f64,
-    hessian: Matrix6<f64>,
-    gradient: Vector6<f64>,
-}
-
-/// Levenberg–Marquardt from `start`; `None` with fewer than three matches, or where a point falls behind its camera at
-/// the start. Matches of cameras that are not given are ignored.
+/// Gauss–Newton from `start`, until a step no longer lowers the cost; `None` with fewer than three matches, or where a point
+/// falls behind its camera at the start. Matches of cameras that are not given are ignored.
 pub fn refine_pose(
     cameras: &[MountedCamera],
     matches: &[PointMatch],
@@ -62,49 +59,43 @@ pub fn refine_pose(
     if matches.len() < 3 {
         return None;
     }
-    let mut pose = *start;
-    let mut here = linearise(cameras, matches, &pose, config.huber_px)?;
-    let mut damping = 1e-6;
-    for _ in 0..config.max_iterations {
-        let mut damped = here.hessian;
-        for i in 0..6 {
-            damped[(i, i)] += damping * here.hessian[(i, i)].max(1e-9);
+    let fit = |pose: &Se3| fit(cameras, matches, pose, config.huber_px);
+    let best = Cell::new((*start, fit(start)?));
+    let terms = |pose: &Se3| {
+        let here = fit(pose)?;
+        let gain = best.get().1.cost_px2 - here.cost_px2;
+        if gain > 0.0 {
+            best.set((*pose, here));
         }
-        let Some(step) = damped.cholesky().map(|c| -c.solve(&here.gradient)) else {
-            damping *= 100.0;
-            continue;
-        };
-        let moved = pose * Se3::exp(&step);
-        match linearise(cameras, matches, &moved, config.huber_px) {
-            Some(next) if next.cost < here.cost => {
-                let gain = (here.cost - next.cost) / here.cost;
-                (pose, here) = (moved, next);
-                damping = (damping * 0.1).max(1e-12);
-                if gain < 1e-9 {
-                    break;
-                }
-            }
-            _ => {
-                if step.norm() < 1e-10 {
-                    break;
-                }
-                damping *= 100.0;
-            }
-        }
+        let moved = *pose != *start;
+        (!moved || gain > 1e-9 * here.cost_px2).then_some(here.equations)
+    };
+    // The search ends where the terms end: what counts is the best pose on the way.
+    let ended = minimise::<Se3, 6>(*start, config.max_iterations, terms, |_| Next::Iterate);
+    if let Some(last) = ended {
+        terms(&last.value);
     }
+    let (world_from_rig, fit) = best.get();
     Some(RefinedPose {
-        world_from_rig: pose,
-        cost_px2: here.cost,
-        information: here.hessian,
+        world_from_rig,
+        cost_px2: fit.cost_px2,
+        information: fit.equations.information,
     })
 }
 
-fn linearise(
+/// What the matches say about a pose.
+#[derive(Clone, Copy)]
+pub(super) struct Fit {
+    pub cost_px2: f64,
+    pub equations: NormalEquations<6>,
+}
+
+pub(super) fn fit(
     cameras: &[MountedCamera],
     matches: &[PointMatch],
     world_from_rig: &Se3,
     huber_px: f64,
-) -> Option<Linearised> {
+) -> Option<Fit> {
     let rig_from_world = world_from_rig.inverse();
     let from_rig: Vec<(Se3, Matrix3<f64>)> = cameras
         .iter()
@@ -113,10 +104,9 @@ fn linearise(
             (camera_from_rig, camera_from_rig.rotation_matrix())
         })
         .collect();
-    let mut sum = Linearised {
-        cost: 0.0,
-        hessian: Matrix6::zeros(),
-        gradient: Vector6::zeros(),
+    let mut sum = Fit {
+        cost_px2: 0.0,
+        equations: NormalEquations::default(),
     };
     for m in matches {
         let (Some(mounted), Some((camera_from_rig, rotation))) =
@@ -131,30 +121,19 @@ fn linearise(
         let residual = seen.pixel - m.pixel;
         let by_point: Matrix2x3<f64> = seen.pixel_by_point * rotation;
         // A step of the pose on the right moves the point in the rig frame by −(φ × p) − ρ … = [p]× φ − ρ.
-        let by_rotation = by_point * so3::hat(&point_in_rig);
+        let mut jacobian = Matrix2x6::zeros();
+        jacobian
+            .fixed_columns_mut::<3>(0)
+            .copy_from(&(by_point * so3::hat(&point_in_rig)));
+        jacobian.fixed_columns_mut::<3>(3).copy_from(&-by_point);
         let norm = residual.norm();
-        let weight = if norm <= huber_px {
-            1.0
+        let (weight, cost) = if norm <= huber_px {
+            (1.0, norm * norm)
         } else {
-            huber_px / norm
+            (huber_px / norm, huber_px * (2.0 * norm - huber_px))
         };
-        sum.cost += if norm <= huber_px {
-            norm * norm
-        } else {
-            huber_px * (2.0 * norm - huber_px)
-        };
-        for row in 0..2 {
-            let jacobian = Vector6::new(
-                by_rotation[(row, 0)],
-                by_rotation[(row, 1)],
-                by_rotation[(row, 2)],
-                -by_point[(row, 0)],
-                -by_point[(row, 1)],
-                -by_point[(row, 2)],
-            );
-            sum.hessian += jacobian * jacobian.transpose() * weight;
-            sum.gradient += jacobian * (weight * residual[row]);
-        }
+        sum.cost_px2 += cost;
+        sum.equations.add_block(&residual, &jacobian, weight);
     }
     Some(sum)
 }
@@ -162,7 +141,7 @@ fn linearise(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use lsfb_geometry::{Camera, Vector2, Vector3};
+    use lsfb_geometry::{Camera, Vector2, Vector3, Vector6};
 
     #[test]
     fn gradient_is_that_of_the_cost_and_the_minimum_is_the_truth() {
@@ -187,21 +166,22 @@ mod tests {
             })
             .collect();
         let start = truth * Se3::exp(&Vector6::new(0.03, -0.02, 0.04, 0.05, -0.1, 0.08));
-        let here = linearise(&cameras, &matches, &start, 2.0).expect("in front");
+        let here = fit(&cameras, &matches, &start, 2.0).expect("in front");
         for axis in 0..6 {
             let cost = |h: f64| {
                 let mut delta = Vector6::zeros();
                 delta[axis] = h;
                 let moved = start * Se3::exp(&delta);
-                linearise(&cameras, &matches, &moved, 2.0)
+                fit(&cameras, &matches, &moved, 2.0)
                     .expect("in front")
-                    .cost
+                    .cost_px2
             };
             let numeric = (cost(1e-6) - cost(-1e-6)) / 4e-6;
             assert!(
-                (numeric - here.gradient[axis]).abs() < 1e-4 * here.gradient.norm(),
+                (numeric - here.equations.gradient[axis]).abs()
+                    < 1e-4 * here.equations.gradient.norm(),
                 "{axis}: {numeric} {}",
-                here.gradient[axis]
+                here.equations.gradient[axis]
             );
         }
         let config = RefinementConfig::default();

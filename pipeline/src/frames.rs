@@ -1,4 +1,4 @@
-//! From a recording to what the optimisation sees: images in groups of one instant, their features, the IMU.
+//! The images of a walk in groups of one instant, their features, and the IMU.
 
 use std::collections::BTreeMap;
 
@@ -11,7 +11,7 @@ use crate::Error;
 use crate::features::{Features, FrameFeatures, SiftConfig, SiftDetector};
 
 /// Features of all images of one instant, in the order of the rig's cameras; an image that is missing has none.
-pub(super) struct FeatureFrame {
+pub(crate) struct FeatureFrame {
     pub time: Timestamp,
     pub features: Vec<FrameFeatures>,
 }
@@ -24,7 +24,7 @@ impl FeatureFrame {
 }
 
 /// What was read, and what could not be.
-pub(super) struct ReadFrames {
+pub(crate) struct ReadFrames {
     pub frames: Vec<FeatureFrame>,
     /// Damaged messages.
     pub damaged: u64,
@@ -37,7 +37,7 @@ const SAME_INSTANT_NS: i64 = 2_000_000;
 const BATCH: usize = 32;
 
 /// Finds the features of all images of the rig's cameras.
-pub(super) fn read_frames(
+pub(crate) fn read_frames(
     recording: &Recording,
     rig: &Rig,
     config: &SiftConfig,
@@ -73,7 +73,10 @@ pub(super) fn read_frames(
     };
     for item in recording.images_of(&cameras)? {
         match item {
-            Ok(item) => batch.push((item.image.time, item.camera, item.image.sample)),
+            Ok(item) => {
+                check_size(recording, rig, cameras[item.camera], &item.image.sample)?;
+                batch.push((item.image.time, item.camera, item.image.sample));
+            }
             Err(_) => damaged += 1,
         }
         if batch.len() == BATCH {
@@ -100,6 +103,24 @@ pub(super) fn read_frames(
     Ok(ReadFrames { frames, damaged })
 }
 
+/// Refuses images of another size than the rig says: its intrinsics are not theirs.
+fn check_size(recording: &Recording, rig: &Rig, camera: &str, image: &Image) -> Result<(), Error> {
+    let found_px = [image.width, image.height];
+    let expected_px = rig
+        .cameras
+        .get(camera)
+        .map_or(found_px, |m| [m.camera.width, m.camera.height]);
+    if found_px == expected_px {
+        return Ok(());
+    }
+    Err(Error::ImageSize {
+        path: recording.path().to_owned(),
+        camera: camera.to_owned(),
+        expected_px,
+        found_px,
+    })
+}
+
 fn empty(cameras: &[&str]) -> Vec<FrameFeatures> {
     cameras
         .iter()
@@ -111,7 +132,7 @@ fn empty(cameras: &[&str]) -> Vec<FrameFeatures> {
 }
 
 /// Inertial samples in order of time, each instant once.
-pub(super) fn read_imu(recording: &Recording) -> Result<Vec<Stamped<ImuSample>>, Error> {
+pub(crate) fn read_imu(recording: &Recording) -> Result<Vec<Stamped<ImuSample>>, Error> {
     let mut samples: Vec<_> = recording.imu()?.filter_map(Result::ok).collect();
     samples.sort_by_key(|sample| sample.time);
     samples.dedup_by_key(|sample| sample.time);

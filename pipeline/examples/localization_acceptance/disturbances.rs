@@ -1,0 +1,188 @@
+//! Queries: an image, what is done to it, and where it was taken if that can be found.
+
+use std::path::PathBuf;
+
+use lsfb_geometry::{Camera, Se3, UnitQuaternion, Vector3};
+use lsfb_pipeline::features::Features;
+use lsfb_pipeline::posed_images::PosedImage;
+use lsfb_types::Image;
+
+use crate::places::Place;
+
+/// What is done to an image of the place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Disturbance {
+    /// Nothing.
+    None,
+    /// Turned by 180°, as by a camera held upside down.
+    Turned,
+    /// At half of its size, with the camera that belongs to it.
+    Half,
+    /// At half of its size, with the intrinsics of the whole one.
+    HalfWithWrongMatrix,
+    /// With every tenth of its features only, as of a view that shows little.
+    Tenth,
+    /// With every thirtieth of its features only.
+    Thirtieth,
+    /// Left and right exchanged: no camera sees this.
+    Mirrored,
+}
+
+impl Disturbance {
+    pub const ALL: [Self; 7] = [
+        Self::None,
+        Self::Turned,
+        Self::Half,
+        Self::HalfWithWrongMatrix,
+        Self::Tenth,
+        Self::Thirtieth,
+        Self::Mirrored,
+    ];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::None => "left out",
+            Self::Turned => "turned by 180°",
+            Self::Half => "half size",
+            Self::HalfWithWrongMatrix => "half size, wrong matrix",
+            Self::Tenth => "every 10th feature",
+            Self::Thirtieth => "every 30th feature",
+            Self::Mirrored => "mirrored",
+        }
+    }
+}
+
+/// An image to be localized.
+pub struct Query {
+    pub path: PathBuf,
+    camera: Camera,
+    /// `None` for an image of another place.
+    disturbance: Option<Disturbance>,
+    /// Where it was taken; `None` where no pose is right.
+    pub world_from_rig: Option<Se3>,
+}
+
+impl Query {
+    /// An image of the place, disturbed.
+    pub fn of(place: &Place, image: &PosedImage, disturbance: Disturbance) -> Self {
+        let half_turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI);
+        let turned = Se3::new(half_turn, Vector3::zeros());
+        let pose = image.world_from_rig;
+        Self {
+            path: image.path.clone(),
+            camera: camera_of(place),
+            disturbance: Some(disturbance),
+            world_from_rig: match disturbance {
+                Disturbance::Mirrored => None,
+                Disturbance::Turned => Some(pose * turned),
+                _ => Some(pose),
+            },
+        }
+    }
+
+    /// An image of another place, as if the camera of this one had taken it.
+    pub fn elsewhere(place: &Place, path: PathBuf) -> Self {
+        Self {
+            path,
+            camera: camera_of(place),
+            disturbance: None,
+            world_from_rig: None,
+        }
+    }
+
+    /// Name of the row of the table.
+    pub fn kind(&self) -> &'static str {
+        self.disturbance.map_or("another place", Disturbance::name)
+    }
+
+    /// The features that the localizer gets, of those that were found.
+    pub fn thinned(&self, features: Features) -> Features {
+        let step = match self.disturbance {
+            Some(Disturbance::Tenth) => 10,
+            Some(Disturbance::Thirtieth) => 30,
+            _ => 1,
+        };
+        Features {
+            keypoints: features.keypoints.into_iter().step_by(step).collect(),
+            descriptors: features.descriptors.into_iter().step_by(step).collect(),
+        }
+    }
+
+    /// The file, short.
+    pub fn name(&self) -> String {
+        let parts: Vec<_> = self.path.iter().rev().take(2).collect();
+        let parts = parts.iter().rev().map(|p| p.to_string_lossy());
+        parts.collect::<Vec<_>>().join("/")
+    }
+
+    /// The image as the localizer gets it, with the camera that it is told.
+    pub fn disturbed(&self, image: Image) -> (Image, Camera) {
+        let Some(disturbance) = self.disturbance else {
+            // Its own size, the field of view of the camera of the place.
+            let zoom = f64::from(image.width) / f64::from(self.camera.width);
+            let focal = self.camera.focal_px().map(|f| f * zoom);
+            let centre = [image.width, image.height].map(|s| f64::from(s) / 2.0 - 0.5);
+            let camera = Camera::pinhole(image.width, image.height, focal, centre);
+            return (image, camera);
+        };
+        let (focal, [x, y]) = (self.camera.focal_px(), self.camera.principal_px());
+        let (right, bottom) = (f64::from(image.width) - 1.0, f64::from(image.height) - 1.0);
+        let pinhole = |image: &Image, focal, principal| {
+            Camera::pinhole(image.width, image.height, focal, principal)
+        };
+        let whole = pinhole(&image, focal, [x, y]);
+        match disturbance {
+            Disturbance::None | Disturbance::Tenth | Disturbance::Thirtieth => (image, whole),
+            Disturbance::Turned => {
+                let mut turned = image;
+                turned.pixels.reverse();
+                let camera = pinhole(&turned, focal, [right - x, bottom - y]);
+                (turned, camera)
+            }
+            Disturbance::Mirrored => {
+                let mut mirrored = image;
+                let width = mirrored.width.max(1) as usize;
+                mirrored.pixels.chunks_mut(width).for_each(<[u8]>::reverse);
+                let camera = pinhole(&mirrored, focal, [right - x, y]);
+                (mirrored, camera)
+            }
+            Disturbance::Half => {
+                let half = half_size(&image);
+                let principal = [x, y].map(|p| (p + 0.5) / 2.0 - 0.5);
+                let camera = pinhole(&half, focal.map(|f| f / 2.0), principal);
+                (half, camera)
+            }
+            Disturbance::HalfWithWrongMatrix => {
+                let half = half_size(&image);
+                let camera = pinhole(&half, focal, [x, y]);
+                (half, camera)
+            }
+        }
+    }
+}
+
+fn camera_of(place: &Place) -> Camera {
+    let mut cameras = place.queries.rig.cameras.values();
+    cameras.next().map_or_else(
+        || Camera::pinhole(1, 1, [1.0; 2], [0.0; 2]),
+        |mounted| mounted.camera,
+    )
+}
+
+/// Means of two by two pixels.
+fn half_size(image: &Image) -> Image {
+    let (width, height) = (image.width / 2, image.height / 2);
+    let at = |x: u32, y: u32| u32::from(image.pixels[(y * image.width + x) as usize]);
+    let mean = |x: u32, y: u32| {
+        let (x, y) = (2 * x, 2 * y);
+        ((at(x, y) + at(x + 1, y) + at(x, y + 1) + at(x + 1, y + 1) + 2) / 4) as u8
+    };
+    Image {
+        width,
+        height,
+        pixels: (0..height)
+            .flat_map(|y| (0..width).map(move |x| mean(x, y)))
+            .collect(),
+        ..Image::default()
+    }
+}

@@ -1,0 +1,145 @@
+//! What a query gets: a pose in the map, or the reason why there is none.
+
+use std::fmt;
+
+use lsfb_geometry::{Matrix6, Se3};
+
+use super::acceptance::Evidence;
+
+/// A feature that shows a map point.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FeatureMatch {
+    /// Index of the map point.
+    pub point: u32,
+    /// Index of the frame among the query's.
+    pub frame: usize,
+    /// Index of its keypoint.
+    pub keypoint: u32,
+}
+
+/// A pose in the map.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Localization {
+    /// Pose of the rig.
+    pub world_from_rig: Se3,
+    /// Covariance of the pose, tangent `[rotation, translation]` on the right, rad² and m²: of the errors that its matches show, alone
+    /// and in neighbourhoods. Errors that all of the map around shares do not show, and are not in it.
+    pub covariance: Matrix6<f64>,
+    /// Its inliers, by frame and keypoint.
+    pub matches: Vec<FeatureMatch>,
+    /// Root mean square of their reprojection errors, pixels.
+    pub reprojection_rms_px: f64,
+    /// Votes of the place where it was found.
+    pub votes: u32,
+    /// What speaks for the pose.
+    pub evidence: Evidence,
+    /// Probability that the pose is right: [`Evidence::probability`].
+    pub probability: f64,
+}
+
+/// Why there is no pose.
+#[derive(Clone, Debug, PartialEq)]
+pub enum NotLocalizedReason {
+    /// A frame's camera is not on the rig.
+    UnknownCamera {
+        /// The camera.
+        camera: String,
+    },
+    /// The principal point lies where no lens of an image of this size has it.
+    PrincipalPointOffCentre {
+        /// The camera.
+        camera: String,
+        /// Size of its images, pixels.
+        size_px: [u32; 2],
+        /// Its principal point, pixels.
+        principal_px: [f64; 2],
+    },
+    /// The image is not as large as its camera's images are.
+    ImageSize {
+        /// The camera.
+        camera: String,
+        /// Size of the camera's images, pixels.
+        expected_px: [u32; 2],
+        /// Size of this one, pixels.
+        found_px: [u32; 2],
+    },
+    /// No place got enough votes.
+    NoPlace {
+        /// Votes of the best one.
+        votes: u32,
+    },
+    /// No place gave a pose that more than a handful of features agree with.
+    NoPose,
+    /// The best pose may be one of chance.
+    Improbable {
+        /// The pose, with what speaks for it: to be shown, not to be used.
+        best: Box<Localization>,
+        /// How probable it must be.
+        needed: f64,
+    },
+}
+
+/// A query that could not be localized.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NotLocalized {
+    /// Why.
+    pub reason: NotLocalizedReason,
+}
+
+impl fmt::Display for NotLocalized {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.reason {
+            NotLocalizedReason::UnknownCamera { camera } => {
+                write!(
+                    f,
+                    "camera {camera} is not on the rig: give the rig of these images"
+                )
+            }
+            NotLocalizedReason::PrincipalPointOffCentre {
+                camera,
+                size_px: [width, height],
+                principal_px: [x, y],
+            } => write!(
+                f,
+                "the principal point of camera {camera}, ({x:.1}, {y:.1}) px, is far from the centre of its \
+                 {width} × {height} images: give the intrinsics for images of this size"
+            ),
+            NotLocalizedReason::ImageSize {
+                camera,
+                expected_px: [width, height],
+                found_px: [found_width, found_height],
+            } => write!(
+                f,
+                "the image has {found_width} × {found_height} px, but camera {camera} has {width} × {height}: give the \
+                 intrinsics for images of this size, or the images as the camera took them"
+            ),
+            NotLocalizedReason::NoPlace { votes } => write!(
+                f,
+                "no place of the map resembles this view (best: {votes} votes): it may be outside the map"
+            ),
+            NotLocalizedReason::NoPose => write!(
+                f,
+                "the features agree on no pose: the view may be outside the map"
+            ),
+            NotLocalizedReason::Improbable { best, needed } => write!(
+                f,
+                "the best pose, of {} inliers, is right with a probability of {:.3} only, {needed} is needed: the view \
+                 may be outside the map",
+                best.matches.len(),
+                best.probability
+            ),
+        }
+    }
+}
+
+impl std::error::Error for NotLocalized {}
+
+impl NotLocalized {
+    /// The best pose all the same, to be shown and not to be used; `None` where there is none.
+    pub fn best(&self) -> Option<&Localization> {
+        match &self.reason {
+            NotLocalizedReason::Improbable { best, .. } => Some(best),
+            _ => None,
+        }
+    }
+}

@@ -1,0 +1,180 @@
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use lsfb_geometry::{Rig, Se3};
+use lsfb_recording::Recording;
+use lsfb_types::{Progress, ProgressFn, Timestamp};
+use rayon::prelude::*;
+
+use super::{Localization, Localizer, NotLocalized, NotLocalizedReason};
+use crate::Error;
+use crate::features::{FrameFeatures, SiftConfig, SiftDetector};
+use crate::frames::{FeatureFrame, read_frames};
+use crate::posed_images::{PosedImages, read_image};
+
+/// What became of one image, beside the pose its list gives.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImageLocalization {
+    /// The image file.
+    pub path: PathBuf,
+    /// The pose that the list gives: never used to find the other.
+    pub listed_world_from_rig: Se3,
+    /// The pose found in the map.
+    pub found: Result<Localization, NotLocalized>,
+}
+
+impl ImageLocalization {
+    /// Distance of the pose found from the listed one, metres; `None` where none was found.
+    pub fn distance_m(&self) -> Option<f64> {
+        let found = self.found.as_ref().ok()?;
+        Some((found.world_from_rig.translation - self.listed_world_from_rig.translation).norm())
+    }
+
+    /// Angle between the pose found and the listed one, degrees; `None` where none was found.
+    pub fn angle_deg(&self) -> Option<f64> {
+        let found = self.found.as_ref().ok()?;
+        let off = self.listed_world_from_rig.inverse() * found.world_from_rig;
+        Some(off.rotation.angle().to_degrees())
+    }
+}
+
+/// Localizes each image of a list on its own, in the list's order.
+pub fn localize_posed_images(
+    localizer: &Localizer,
+    posed: &PosedImages,
+    sift: &SiftConfig,
+    progress: ProgressFn,
+) -> Result<Vec<ImageLocalization>, Error> {
+    let queries: Vec<QueryImage> = posed
+        .images
+        .iter()
+        .map(|image| QueryImage {
+            path: image.path.clone(),
+            camera: image.camera.clone(),
+        })
+        .collect();
+    let found = localize_images(localizer, &posed.rig, &queries, sift, progress)?;
+    let localized = posed.images.iter().zip(found);
+    Ok(localized
+        .map(|(image, found)| ImageLocalization {
+            path: image.path.clone(),
+            listed_world_from_rig: image.world_from_rig,
+            found,
+        })
+        .collect())
+}
+
+/// An image file to be localized.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct QueryImage {
+    /// The file: PNG or JPEG.
+    pub path: PathBuf,
+    /// Name of the camera on the rig.
+    pub camera: String,
+}
+
+/// Localizes each image on its own, in their order.
+pub fn localize_images(
+    localizer: &Localizer,
+    rig: &Rig,
+    images: &[QueryImage],
+    sift: &SiftConfig,
+    progress: ProgressFn,
+) -> Result<Vec<Result<Localization, NotLocalized>>, Error> {
+    let prototype = SiftDetector::new(sift)?;
+    let done = AtomicU64::new(0);
+    let localized = images.par_iter().map_init(
+        || prototype.clone(),
+        |detector, image| {
+            let found = match read_image(&image.path, &image.camera, rig) {
+                Ok(pixels) => {
+                    let frame = FrameFeatures {
+                        camera: image.camera.clone(),
+                        features: detector.detect(&pixels),
+                    };
+                    localizer.localize(&[frame], rig)
+                }
+                Err(Error::ImageSize {
+                    camera,
+                    expected_px,
+                    found_px,
+                    ..
+                }) => Err(NotLocalized {
+                    reason: NotLocalizedReason::ImageSize {
+                        camera,
+                        expected_px,
+                        found_px,
+                    },
+                }),
+                Err(error) => return Err(error),
+            };
+            progress(Progress {
+                stage: "localization",
+                done: done.fetch_add(1, Ordering::Relaxed) + 1,
+                total: images.len() as u64,
+            })?;
+            Ok(found)
+        },
+    );
+    localized.collect()
+}
+
+/// What became of the images of one instant of a walk.
+#[derive(Clone, Debug, PartialEq)]
+pub struct InstantLocalization {
+    /// When they were taken.
+    pub time: Timestamp,
+    /// The pose found in the map.
+    pub found: Result<Localization, NotLocalized>,
+}
+
+/// What became of a walk.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WalkLocalization {
+    /// By time.
+    pub instants: Vec<InstantLocalization>,
+    /// Messages that were damaged, and left out.
+    pub damaged: u64,
+}
+
+/// Localizes the images of each instant of a walk on their own.
+pub fn localize_recording(
+    localizer: &Localizer,
+    recording: &Recording,
+    sift: &SiftConfig,
+    progress: ProgressFn,
+) -> Result<WalkLocalization, Error> {
+    let rig = recording.rig()?;
+    let read = read_frames(recording, &rig, sift, progress)?;
+    let found = localize_frames(localizer, &read.frames, &rig, progress)?;
+    let instants = read.frames.iter().zip(found);
+    Ok(WalkLocalization {
+        instants: instants
+            .map(|(frame, found)| InstantLocalization {
+                time: frame.time,
+                found,
+            })
+            .collect(),
+        damaged: read.damaged,
+    })
+}
+
+/// Localizes each frame of a walk on its own, in their order.
+pub(crate) fn localize_frames(
+    localizer: &Localizer,
+    frames: &[FeatureFrame],
+    rig: &Rig,
+    progress: ProgressFn,
+) -> Result<Vec<Result<Localization, NotLocalized>>, Error> {
+    let done = AtomicU64::new(0);
+    let localized = frames.par_iter().map(|frame| {
+        let found = localizer.localize(&frame.features, rig);
+        progress(Progress {
+            stage: "localization",
+            done: done.fetch_add(1, Ordering::Relaxed) + 1,
+            total: frames.len() as u64,
+        })?;
+        Ok(found)
+    });
+    localized.collect()
+}
