@@ -2,12 +2,14 @@
 
 mod answer;
 mod process;
+mod refusal;
 
 use std::path::{Path, PathBuf};
 
 use answer::json;
 use lsfb_geometry::Vector3;
 use lsfb_recording::{Recording, read_tum};
+use refusal::refused;
 use serde_json::Value;
 
 /// Absolute, as the commands run in a folder of their own.
@@ -147,6 +149,52 @@ fn an_office_is_recognised_by_every_fifth_image() {
     let found = json(folder.path(), &queries, 0);
     let share = found["right"].as_f64().expect("count") / found["images"].as_f64().expect("count");
     assert!(share >= 0.9, "{found}");
+    a_folder_of_images_is_localized(folder.path(), Path::new(office));
+}
+
+/// Images without poses: a line for each, a drawing, and intrinsics of another size refused.
+fn a_folder_of_images_is_localized(folder: &Path, office: &Path) {
+    let photos = folder.join("photos");
+    std::fs::create_dir(&photos).expect("folder");
+    for name in ["00033.jpg", "00063.jpg"] {
+        let image = office.join("images").join(name);
+        std::fs::copy(image, photos.join(name)).expect("an image");
+    }
+    let elsewhere = office.with_file_name("sevenscenes_redkitchen");
+    let elsewhere = elsewhere.join("frame-000000.color.jpg");
+    std::fs::copy(elsewhere, photos.join("other.jpg")).expect("an image");
+    let intrinsics = std::fs::read_to_string(office.join("K.txt")).expect("intrinsics");
+    std::fs::write(photos.join("K.txt"), &intrinsics).expect("intrinsics");
+    let arguments = ["localize", "office-map", "photos"];
+    let found = json(folder, &[&arguments[..], &["--out", "a.csv"]].concat(), 0);
+    assert_eq!(found["localized"], 2, "{found}");
+    let frames = found["frames"].as_array().expect("frames");
+    for frame in &frames[..2] {
+        let pose = &frame["pose"];
+        assert!(pose["probability"].as_f64() > Some(0.99), "{frame}");
+        assert!(pose["position_sigma_m"].as_f64() < Some(0.05), "{frame}");
+        assert_eq!(pose["covariance"].as_array().map(Vec::len), Some(36));
+    }
+    // Another camera's image: of another size.
+    let reason = frames[2]["reason"].as_str().expect("a reason");
+    assert!(reason.contains("640 × 480"), "{reason}");
+    let csv = std::fs::read_to_string(folder.join("a.csv")).expect("lines");
+    let fields = |line: &str| line.split(',').count();
+    let lines: Vec<&str> = csv.lines().collect();
+    assert_eq!(lines.len(), 4);
+    assert_eq!(fields(lines[1]), fields(lines[0]));
+
+    let drawing = ["--explain", "1", "--drawing", "a.svg"];
+    json(folder, &[&arguments[..], &drawing].concat(), 0);
+    let svg = std::fs::read_to_string(folder.join("a.svg")).expect("a drawing");
+    assert!(svg.contains("00063.jpg") && svg.matches("stroke=\"lime\"").count() > 30);
+
+    let twice: Vec<String> = intrinsics
+        .split_whitespace()
+        .map(|v| (2.0 * v.parse::<f64>().expect("a number")).to_string())
+        .collect();
+    std::fs::write(photos.join("K.txt"), twice.join(" ")).expect("intrinsics");
+    refused(folder, &arguments, &["principal point", "540 × 360"]);
 }
 
 #[test]

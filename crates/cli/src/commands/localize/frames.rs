@@ -1,0 +1,149 @@
+//! What became of each frame, for JSON and CSV.
+
+use std::fmt::Write;
+
+use lsfb_geometry::Se3;
+use lsfb_pipeline::localization::{Evidence, Localization, NotLocalized};
+use serde::Serialize;
+
+use super::PAPER_INLIERS;
+
+/// What became of one frame.
+#[derive(Serialize)]
+pub struct Frame {
+    /// Name of the image, or time of the instant, seconds.
+    pub frame: String,
+    /// Whether the pose is right with the probability that is asked for.
+    pub localized: bool,
+    /// Why not, where it is not.
+    pub reason: Option<String>,
+    /// The best pose, localized or not.
+    pub pose: Option<Pose>,
+    /// Distance from the listed pose, metres.
+    pub distance_m: Option<f64>,
+    /// Angle to the listed pose, degrees.
+    pub angle_deg: Option<f64>,
+}
+
+/// A pose and what speaks for it.
+#[derive(Serialize)]
+pub struct Pose {
+    /// Position of the rig in the world of the map, metres.
+    pub translation_m: [f64; 3],
+    /// Rotation of the rig to the world.
+    pub rotation_xyzw: [f64; 4],
+    /// Standard deviation of the position, metres.
+    pub position_sigma_m: f64,
+    /// Standard deviation of the rotation, degrees.
+    pub rotation_sigma_deg: f64,
+    /// Covariance, tangent `[rotation, translation]` on the right, rad² and m²; by rows.
+    pub covariance: Vec<f64>,
+    /// Probability that the pose is right.
+    pub probability: f64,
+    /// Inliers after guided matching.
+    pub inliers: usize,
+    /// Whether the paper's rule would count the frame as localized.
+    pub more_than_30_inliers: bool,
+    /// Root mean square of their reprojection errors, pixels.
+    pub reprojection_rms_px: f64,
+    /// What speaks for it.
+    pub evidence: Evidence,
+}
+
+impl Frame {
+    /// Of a frame and, where it is known, its listed pose.
+    pub fn new(
+        frame: String,
+        found: &Result<Localization, NotLocalized>,
+        listed: Option<&Se3>,
+    ) -> Self {
+        let best = found.as_ref().map_or_else(NotLocalized::best, Some);
+        let off = best
+            .zip(listed)
+            .map(|(best, listed)| listed.inverse() * best.world_from_rig);
+        Self {
+            frame,
+            localized: found.is_ok(),
+            reason: found.as_ref().err().map(ToString::to_string),
+            pose: best.map(Pose::new),
+            distance_m: off.map(|off| off.translation.norm()),
+            angle_deg: off.map(|off| off.rotation.angle().to_degrees()),
+        }
+    }
+}
+
+impl Pose {
+    fn new(found: &Localization) -> Self {
+        let covariance = &found.covariance;
+        let deviation = |first: usize| {
+            let variances = (first..first + 3).map(|i| covariance[(i, i)]);
+            variances.sum::<f64>().sqrt()
+        };
+        Self {
+            translation_m: found.world_from_rig.translation.into(),
+            rotation_xyzw: found.world_from_rig.rotation.coords.into(),
+            position_sigma_m: deviation(3),
+            rotation_sigma_deg: deviation(0).to_degrees(),
+            covariance: covariance.transpose().as_slice().to_vec(),
+            probability: found.probability,
+            inliers: found.matches.len(),
+            more_than_30_inliers: found.matches.len() > PAPER_INLIERS,
+            reprojection_rms_px: found.reprojection_rms_px,
+            evidence: found.evidence,
+        }
+    }
+}
+
+/// A line for each frame; empty fields where there is no pose.
+pub fn csv(frames: &[Frame]) -> String {
+    let mut text = "frame,localized,probability,inliers,more_than_30_inliers,x_m,y_m,z_m,qx,qy,qz,qw,position_sigma_m,\
+                    rotation_sigma_deg,reprojection_rms_px,first_matches,first_inliers,log10_false_alarms,decoy_inliers,\
+                    rival_inliers"
+        .to_owned();
+    for row in 0..6 {
+        for column in 0..6 {
+            let _ = write!(text, ",cov_{row}{column}");
+        }
+    }
+    text.push_str(",reason\n");
+    for frame in frames {
+        let mut fields = vec![frame.frame.clone(), u8::from(frame.localized).to_string()];
+        match &frame.pose {
+            Some(pose) => fields.extend(pose.fields()),
+            None => fields.resize(EMPTY_FIELDS, String::new()),
+        }
+        let reason = frame.reason.as_deref().unwrap_or_default();
+        fields.push(format!("\"{}\"", reason.replace('"', "'")));
+        text.push_str(&fields.join(","));
+        text.push('\n');
+    }
+    text
+}
+
+/// Fields of a line before the reason.
+const EMPTY_FIELDS: usize = 20 + 36;
+
+impl Pose {
+    fn fields(&self) -> Vec<String> {
+        let mut fields = vec![
+            self.probability.to_string(),
+            self.inliers.to_string(),
+            u8::from(self.more_than_30_inliers).to_string(),
+        ];
+        let [position, rotation] = [&self.translation_m[..], &self.rotation_xyzw[..]];
+        fields.extend(position.iter().chain(rotation).map(f64::to_string));
+        let e = &self.evidence;
+        fields.extend([
+            self.position_sigma_m.to_string(),
+            self.rotation_sigma_deg.to_string(),
+            self.reprojection_rms_px.to_string(),
+            e.first_matches.to_string(),
+            e.first_inliers.to_string(),
+            e.log10_false_alarms.to_string(),
+            e.decoy_inliers.to_string(),
+            e.rival_inliers.to_string(),
+        ]);
+        fields.extend(self.covariance.iter().map(f64::to_string));
+        fields
+    }
+}

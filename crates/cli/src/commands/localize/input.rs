@@ -1,0 +1,201 @@
+//! What is localized: posed images, images without poses, a walk.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use lsfb_geometry::{Rig, Se3};
+use lsfb_pipeline::features::SiftConfig;
+use lsfb_pipeline::localization::{Localizer, QueryImage, localize_images, localize_recording};
+use lsfb_pipeline::posed_images::{PosedImages, rig_of};
+use lsfb_recording::Recording;
+
+use super::Arguments;
+use super::frames::Frame;
+use crate::context::Context;
+
+/// The map's folder and the path of what is localized.
+pub fn resolve(arguments: &Arguments) -> anyhow::Result<(PathBuf, PathBuf)> {
+    let named = arguments.map.iter().chain(&arguments.paths);
+    let named: Vec<&PathBuf> = named.chain(&arguments.posed_images).collect();
+    match named[..] {
+        [map, input] => Ok((map.clone(), input.clone())),
+        _ => anyhow::bail!(
+            "name one map and one walk or folder of images: lsfb localize MAP WALK.mcap, or lsfb localize MAP FOLDER"
+        ),
+    }
+}
+
+/// What is localized.
+pub enum Input {
+    /// Images of one rig, each alone; poses beside them where a list gives them.
+    Images {
+        rig: Box<Rig>,
+        images: Vec<QueryImage>,
+        listed: Option<Vec<Se3>>,
+    },
+    /// The instants of a walk.
+    Walk(Box<Recording>),
+}
+
+impl Input {
+    /// Reads what the arguments name.
+    pub fn open(path: &Path, arguments: &Arguments, context: &Context) -> anyhow::Result<Self> {
+        if arguments.posed_images.is_some() {
+            crate::files::expect_file(path, "name a folder of posed images")?;
+            return Ok(Self::of_posed(
+                &PosedImages::read(path)?.every(arguments.every),
+            ));
+        }
+        crate::files::expect_file(path, "name a walk (MCAP) or a folder of images")?;
+        if path.is_file() {
+            anyhow::ensure!(
+                arguments.rig.is_none() && arguments.every == 1 && arguments.explain.is_none(),
+                "{}: --rig, --every and --explain are for folders of images; a walk brings its own rig",
+                path.display()
+            );
+            return Ok(Self::Walk(Box::new(context.open(path)?)));
+        }
+        let files = image_files(path)?;
+        let Some(first) = files.first() else {
+            anyhow::bail!(
+                "{}: no .png, .jpg or .jpeg file here: name the folder that holds the images",
+                path.display()
+            );
+        };
+        let rig = match &arguments.rig {
+            Some(rig) => Rig::read(rig)?,
+            None => rig_of(path, first).context(
+                "a folder of images needs the intrinsics of its camera: --rig, or K.txt",
+            )?,
+        };
+        let camera = camera_of(&rig, arguments.camera.as_deref())?;
+        let chosen = files.into_iter().skip(arguments.every - 1);
+        let images = chosen.step_by(arguments.every).map(|path| QueryImage {
+            path,
+            camera: camera.clone(),
+        });
+        Ok(Self::Images {
+            images: images.collect(),
+            rig: Box::new(rig),
+            listed: None,
+        })
+    }
+
+    fn of_posed(posed: &PosedImages) -> Self {
+        let images = posed.images.iter().map(|image| QueryImage {
+            path: image.path.clone(),
+            camera: image.camera.clone(),
+        });
+        Self::Images {
+            rig: Box::new(posed.rig.clone()),
+            images: images.collect(),
+            listed: Some(posed.images.iter().map(|i| i.world_from_rig).collect()),
+        }
+    }
+
+    /// Whether poses stand beside the images.
+    pub fn lists_poses(&self) -> bool {
+        matches!(
+            self,
+            Self::Images {
+                listed: Some(_),
+                ..
+            }
+        )
+    }
+
+    /// A folder of images reduced to one of them.
+    pub fn only(self, frame: usize) -> anyhow::Result<Self> {
+        match self {
+            Self::Images {
+                rig,
+                images,
+                listed,
+            } => {
+                let count = images.len();
+                let image = images.into_iter().nth(frame);
+                let image = image.with_context(|| {
+                    format!("--explain {frame}: there are {count} images, counted from 0")
+                })?;
+                Ok(Self::Images {
+                    rig,
+                    images: vec![image],
+                    listed: listed.map(|poses| poses.into_iter().skip(frame).take(1).collect()),
+                })
+            }
+            Self::Walk(walk) => Ok(Self::Walk(walk)),
+        }
+    }
+
+    /// Localizes each frame.
+    pub fn localize(&self, localizer: &Localizer, context: &Context) -> anyhow::Result<Found> {
+        let (sift, show) = (SiftConfig::default(), |p| context.show(p));
+        match self {
+            Self::Images {
+                rig,
+                images,
+                listed,
+            } => {
+                let found = localize_images(localizer, rig, images, &sift, &show)?;
+                let listed = listed.iter().flatten().map(Some);
+                let listed = listed.chain(std::iter::repeat(None));
+                let frames = images.iter().zip(&found).zip(listed);
+                Ok(Found {
+                    frames: frames
+                        .map(|((image, found), listed)| {
+                            Frame::new(crate::files::name_of(&image.path), found, listed)
+                        })
+                        .collect(),
+                    damaged: 0,
+                })
+            }
+            Self::Walk(walk) => {
+                let found = localize_recording(localizer, walk, &sift, &show)?;
+                let frames = found.instants.iter();
+                Ok(Found {
+                    frames: frames
+                        .map(|f| Frame::new(f.time.to_string(), &f.found, None))
+                        .collect(),
+                    damaged: found.damaged,
+                })
+            }
+        }
+    }
+}
+
+/// The frames, and how many messages were damaged.
+pub struct Found {
+    pub frames: Vec<Frame>,
+    pub damaged: u64,
+}
+
+/// The image files of a folder, by name.
+fn image_files(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
+    let entries = std::fs::read_dir(folder).with_context(|| folder.display().to_string())?;
+    let mut files = Vec::new();
+    for entry in entries {
+        let path = entry.with_context(|| folder.display().to_string())?.path();
+        let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
+        if ["png", "jpg", "jpeg"]
+            .iter()
+            .any(|known| extension == *known)
+        {
+            files.push(path);
+        }
+    }
+    files.sort();
+    Ok(files)
+}
+
+fn camera_of(rig: &Rig, named: Option<&str>) -> anyhow::Result<String> {
+    let cameras: Vec<&str> = rig.cameras.keys().map(String::as_str).collect();
+    match (named, &cameras[..]) {
+        (None, [only]) => Ok((*only).to_owned()),
+        (Some(name), _) if cameras.contains(&name) => Ok(name.to_owned()),
+        _ => anyhow::bail!(
+            "rig {} has the cameras {}: name with --camera the one that took the images",
+            rig.name,
+            cameras.join(", ")
+        ),
+    }
+}

@@ -1,0 +1,154 @@
+//! `lsfb localize`: images or a walk against a map.
+
+mod drawing;
+mod frames;
+mod input;
+
+use std::path::PathBuf;
+
+use lsfb_pipeline::localization::{Localizer, LocalizerConfig};
+use serde::Serialize;
+
+use crate::context::Context;
+use crate::outcome::Outcome;
+use frames::Frame;
+use input::Input;
+
+/// Localize images, or the instants of a walk, in an HD map: a pose for each with its probability, or why there is none.
+///
+/// Each is localized on its own. A pose is given where it is right with a probability of 0.99. A folder of images needs the
+/// intrinsics of its camera: K.txt in it, or --rig.
+///
+/// Examples:
+///   lsfb localize map walk.mcap --out walk.csv
+///   lsfb localize map photos --rig phone.toml --out photos.csv
+///   lsfb localize map photos --explain 12 --drawing 12.svg
+///   lsfb localize --posed-images hololens_office --every 5 --map office-map
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    /// The map, a folder, unless --map names it; then a walk (MCAP) or a folder of images.
+    #[arg(value_name = "PATH", num_args = 0..=2)]
+    paths: Vec<PathBuf>,
+    /// The map, a folder.
+    #[arg(long, value_name = "FOLDER")]
+    map: Option<PathBuf>,
+    /// Folder with K.txt, poses_T_world_cam_rowmajor4x4.txt and images/: reports how many were placed correctly.
+    #[arg(long, value_name = "FOLDER")]
+    posed_images: Option<PathBuf>,
+    /// Use only every N-th image.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    every: usize,
+    /// The rig of a folder of images (TOML), instead of its K.txt.
+    #[arg(long, value_name = "FILE")]
+    rig: Option<PathBuf>,
+    /// Which camera of that rig took the images, where it has several.
+    #[arg(long, value_name = "NAME", requires = "rig")]
+    camera: Option<String>,
+    /// Write a line for each frame (CSV): pose, inliers, probability, standard deviations, covariance.
+    #[arg(long, value_name = "CSV")]
+    out: Option<PathBuf>,
+    /// Draw the matches of this frame, counted from 0, of a folder of images.
+    #[arg(long, value_name = "FRAME", requires = "drawing")]
+    explain: Option<usize>,
+    /// Where to draw them (SVG).
+    #[arg(long, value_name = "SVG", requires = "explain")]
+    drawing: Option<PathBuf>,
+}
+
+/// A pose counts as right within these, as in the benchmarks of the field.
+const RIGHT_DISTANCE_M: f64 = 0.10;
+const RIGHT_ANGLE_DEG: f64 = 5.0;
+/// Inliers beyond which the paper counts an image as localized (Liu et al., section V-A).
+const PAPER_INLIERS: usize = 30;
+
+#[derive(Serialize)]
+struct Summary {
+    images: usize,
+    localized: usize,
+    /// By the paper's rule, whatever their probability.
+    more_than_30_inliers: usize,
+    /// Within 10 cm and 5° of the listed pose; `None` where no poses are listed.
+    right: Option<usize>,
+    median_distance_m: Option<f64>,
+    median_angle_deg: Option<f64>,
+    frames: Vec<Frame>,
+}
+
+/// Localizes, writes, prints.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    anyhow::ensure!(
+        arguments.every > 0,
+        "--every 0 uses no image: give 1 or more"
+    );
+    let (map, input) = input::resolve(arguments)?;
+    for result in [&arguments.out, &arguments.drawing].into_iter().flatten() {
+        context.claim(result)?;
+    }
+    let localizer = Localizer::new(&super::open_map(&map)?, &LocalizerConfig::default())?;
+    let input = Input::open(&input, arguments, context)?;
+    let input = match arguments.explain {
+        Some(frame) => input.only(frame)?,
+        None => input,
+    };
+    let found = input.localize(&localizer, context)?;
+    if let Some(path) = &arguments.drawing {
+        crate::files::write(path, drawing::draw(&localizer, &input)?)?;
+    }
+    if let Some(path) = &arguments.out {
+        crate::files::write(path, frames::csv(&found.frames))?;
+    }
+    let summary = summary(found.frames, &input);
+    context.print(&summary, || text(&summary))?;
+    if found.damaged > 0 {
+        context.say(&format!("{} damaged messages were left out", found.damaged));
+        return Ok(Outcome::DataLost);
+    }
+    Ok(Outcome::Done)
+}
+
+fn summary(frames: Vec<Frame>, input: &Input) -> Summary {
+    let localized: Vec<&Frame> = frames.iter().filter(|f| f.localized).collect();
+    let median = |value: fn(&Frame) -> Option<f64>| {
+        let mut values: Vec<f64> = localized.iter().filter_map(|f| value(f)).collect();
+        values.sort_by(f64::total_cmp);
+        values.get(values.len() / 2).copied()
+    };
+    let is_right = |frame: &&&Frame| {
+        frame.distance_m.is_some_and(|d| d <= RIGHT_DISTANCE_M)
+            && frame.angle_deg.is_some_and(|a| a <= RIGHT_ANGLE_DEG)
+    };
+    let more_than_30 = |frame: &&Frame| frame.pose.as_ref().is_some_and(|p| p.more_than_30_inliers);
+    Summary {
+        images: frames.len(),
+        localized: localized.len(),
+        more_than_30_inliers: frames.iter().filter(more_than_30).count(),
+        right: input
+            .lists_poses()
+            .then(|| localized.iter().filter(is_right).count()),
+        median_distance_m: median(|f| f.distance_m),
+        median_angle_deg: median(|f| f.angle_deg),
+        frames,
+    }
+}
+
+fn text(s: &Summary) -> String {
+    let mut text = String::new();
+    if let Some(right) = s.right {
+        let share = 100.0 * right as f64 / s.images.max(1) as f64;
+        text = format!(
+            "{right} of {} images right within 10 cm and 5° ({share:.1} %)",
+            s.images
+        );
+        if let (Some(m), Some(deg)) = (s.median_distance_m, s.median_angle_deg) {
+            text += &format!("; median {:.1} mm, {deg:.2}°", m * 1e3);
+        }
+        text.push('\n');
+    }
+    let share = 100.0 * s.localized as f64 / s.images.max(1) as f64;
+    text += &format!(
+        "{} of {} localized ({share:.1} %), each right with a probability of 0.99; {} have more than 30 inliers",
+        s.localized, s.images, s.more_than_30_inliers
+    );
+    text
+}
