@@ -29,6 +29,7 @@ pub mod imu_noise;
 pub mod joint;
 pub mod lidar_camera;
 mod overlay;
+mod plane_map;
 mod plots;
 mod projection;
 mod recorded;
@@ -36,7 +37,6 @@ pub mod refine;
 mod residual_diagnosis;
 pub mod rosbag;
 mod stamps;
-mod statistics;
 mod transform;
 pub mod verify;
 

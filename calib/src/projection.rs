@@ -1,7 +1,8 @@
-//! What residuals of corners share: a lens from a block of parameters, and how a point moves with a pose.
+//! What residuals of corners share: a lens from a block of parameters, and how points move with poses.
 
+use lsfb_geometry::Camera;
 use lsfb_geometry::camera::{LensModel, MAX_PARAMETERS};
-use lsfb_geometry::{Camera, Matrix3x6, Se3, Vector3, so3};
+pub(crate) use lsfb_perception::projection::{moved_by_inverse, moved_by_pose};
 use nalgebra::SVector;
 
 /// The camera of a model with the first `N` parameters.
@@ -17,14 +18,4 @@ pub(crate) fn lens_camera<const N: usize>(
         height,
         lens: model.lens(&values),
     }
-}
-
-/// Derivative of `pose · exp(δ) · point` by `δ`.
-pub(crate) fn moved_by_pose(pose: &Se3, point: &Vector3<f64>) -> Matrix3x6<f64> {
-    let r = pose.rotation_matrix();
-    let mut by = Matrix3x6::zeros();
-    by.fixed_view_mut::<3, 3>(0, 0)
-        .copy_from(&(-(r * so3::hat(point))));
-    by.fixed_view_mut::<3, 3>(0, 3).copy_from(&r);
-    by
 }

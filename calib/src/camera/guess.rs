@@ -5,6 +5,7 @@
 
 use lsfb_geometry::camera::{Lens, LensModel, MAX_PARAMETERS};
 use lsfb_geometry::{Camera, Matrix3, Se3, UnitQuaternion, Vector2, Vector3};
+use lsfb_perception::gauss_newton::{NormalEquations, minimise_damped};
 use nalgebra::{Rotation3, SMatrix, SVector};
 
 use super::CameraViews;
@@ -18,6 +19,10 @@ const GUESS_VIEWS: usize = 12;
 const FOCAL_STEPS: i32 = 36;
 const FOCAL_FIRST: f64 = 0.15;
 const FOCAL_RATIO: f64 = 1.105;
+/// Steps tried at most to fit a lens.
+const FIT_TRIALS: u32 = 60;
+
+type Parameters = SVector<f64, MAX_PARAMETERS>;
 
 /// The camera under which the views fit best.
 pub(super) fn camera(
@@ -183,14 +188,13 @@ pub fn pose_of_target(target: &Target, camera: &Camera, corners: &[Corner]) -> O
     Some(Se3::new(rotation, translation))
 }
 
-/// The lens of a model that sees the given rays at the given pixels best, in least squares: damped Gauss–Newton.
+/// The lens of a model that sees the given rays at the given pixels best, in least squares.
 pub(crate) fn fit_lens(
     model: LensModel,
     like: &Camera,
     rays: &[(Vector3<f64>, Vector2<f64>)],
 ) -> Lens {
     let ([fx, fy], [cx, cy]) = (like.focal_px(), like.principal_px());
-    let mut best: Option<(f64, [f64; MAX_PARAMETERS])> = None;
     let starts: &[[f64; 3]] = match model {
         LensModel::PinholeRadtan | LensModel::KannalaBrandt => &[[1.0, 0.0, 0.0], [0.7, 0.0, 0.0]],
         // Factor of the focal length, then the distortion.
@@ -198,33 +202,34 @@ pub(crate) fn fit_lens(
         LensModel::ExtendedUnified => &[[1.0, 0.6, 1.0], [1.0, 0.2, 1.0]],
         LensModel::FieldOfView => &[[1.0, 0.9, 0.0], [1.0, 0.3, 0.0]],
     };
-    for [factor, d0, d1] in starts {
-        let mut values = [0.0; MAX_PARAMETERS];
-        values[..6].copy_from_slice(&[fx * factor, fy * factor, cx, cy, *d0, *d1]);
-        let cost = descend(model, like, rays, &mut values);
-        if best.as_ref().is_none_or(|b| cost < b.0) {
-            best = Some((cost, values));
-        }
-    }
+    let fits = starts.iter().map(|[factor, d0, d1]| {
+        let mut start = [0.0; MAX_PARAMETERS];
+        start[..6].copy_from_slice(&[fx * factor, fy * factor, cx, cy, *d0, *d1]);
+        fit_from(model, like, rays, start)
+    });
+    let best = fits.min_by(|a, b| a.1.total_cmp(&b.1));
     // There is always a start.
-    model.lens(&best.map_or([0.0; MAX_PARAMETERS], |b| b.1))
+    model.lens(&best.map_or([0.0; MAX_PARAMETERS], |(values, _)| values.into()))
 }
 
-fn descend(
+/// From one start: the parameters, and the cost.
+fn fit_from(
     model: LensModel,
     like: &Camera,
     rays: &[(Vector3<f64>, Vector2<f64>)],
-    values: &mut [f64; MAX_PARAMETERS],
-) -> f64 {
-    type Normal = SMatrix<f64, MAX_PARAMETERS, MAX_PARAMETERS>;
-    let camera = |values: &[f64; MAX_PARAMETERS]| Camera {
-        lens: model.lens(values),
+    start: [f64; MAX_PARAMETERS],
+) -> (Parameters, f64) {
+    let camera = |values: &Parameters| Camera {
+        lens: model.lens(values.as_ref()),
         ..*like
     };
     // What the lens does not see counts like an error of a tenth of the image.
     let unseen = (0.1 * f64::from(like.width)).powi(2);
-    let cost = |values: &[f64; MAX_PARAMETERS]| {
+    let cost = |values: &Parameters| {
         let camera = camera(values);
+        if camera.lens.problem().is_some() {
+            return f64::INFINITY;
+        }
         rays.iter()
             .map(|(ray, pixel)| {
                 camera
@@ -233,42 +238,15 @@ fn descend(
             })
             .sum::<f64>()
     };
-    let mut now = cost(values);
-    let mut damping = 1e-3;
-    for _ in 0..60 {
-        let mut normal = Normal::zeros();
-        let mut right = SVector::<f64, MAX_PARAMETERS>::zeros();
-        let current = camera(values);
+    let terms = |values: &Parameters| {
+        let camera = camera(values);
+        let mut terms = NormalEquations::default();
         for (ray, pixel) in rays {
-            if let Some(p) = current.project_full(ray) {
-                let j = p.pixel_by_parameter;
-                normal += j.transpose() * j;
-                right += j.transpose() * (pixel - p.pixel);
+            if let Some(p) = camera.project_full(ray) {
+                terms.add_block(&(p.pixel - pixel), &p.pixel_by_parameter, 1.0);
             }
         }
-        for k in 0..MAX_PARAMETERS {
-            // Parameters that the model does not have stay where they are.
-            normal[(k, k)] = normal[(k, k)] * (1.0 + damping) + 1e-12;
-        }
-        let Some(step) = normal.cholesky().map(|c| c.solve(&right)) else {
-            break;
-        };
-        let trial: [f64; MAX_PARAMETERS] = std::array::from_fn(|k| values[k] + step[k]);
-        let next = cost(&trial);
-        if next < now && model.lens(&trial).problem().is_none() {
-            let share = (now - next) / now;
-            *values = trial;
-            now = next;
-            damping = (damping * 0.2).max(1e-12);
-            if share < 1e-10 {
-                break;
-            }
-        } else {
-            damping *= 5.0;
-            if damping > 1e10 {
-                break;
-            }
-        }
-    }
-    now
+        terms
+    };
+    minimise_damped(start.into(), FIT_TRIALS, terms, cost)
 }

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use lsfb_geometry::Vector2;
+use lsfb_perception::statistics::median;
 
 use super::RoughCorner;
 use super::link::Links;
@@ -201,9 +202,7 @@ fn seen(
         let lengths = links[node.saddle].iter().flatten().map(|l| l.length_px);
         lengths.reduce(f64::min)
     };
-    let mut typical: Vec<f64> = (0..board.len()).filter_map(spacing).collect();
-    typical.sort_by(f64::total_cmp);
-    let median = typical.get(typical.len() / 2).copied().unwrap_or_default();
+    let usual = median((0..board.len()).filter_map(spacing).collect()).unwrap_or_default();
     places
         .iter()
         .enumerate()
@@ -211,7 +210,7 @@ fn seen(
             Some(RoughCorner {
                 index,
                 pixel: (*place)?,
-                clear_px: 0.45 * spacing(index).unwrap_or(0.7 * median),
+                clear_px: 0.45 * spacing(index).unwrap_or(0.7 * usual),
             })
         })
         .collect()

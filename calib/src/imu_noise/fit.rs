@@ -1,13 +1,14 @@
 //! Three noises from an Allan variance: `σ²(τ) = N²/τ + (2 ln 2 / π) B² + K² τ / 3` with the density `N` of white noise, the bias
 //! instability `B` and the random walk `K` (IEEE 952-1997, annex C).
 
-use lsfb_geometry::{Matrix3, Vector3};
+use lsfb_geometry::Vector3;
+use lsfb_perception::gauss_newton::{NormalEquations, minimise_damped};
 
 use super::allan::Cluster;
 
 /// `2 ln 2 / π`: the flat of an Allan variance over the square of the bias instability.
 pub(super) const FLAT: f64 = 2.0 * std::f64::consts::LN_2 / std::f64::consts::PI;
-const MAX_STEPS: usize = 200;
+const MAX_TRIALS: u32 = 200;
 
 /// The noises of one signal in units `u` of it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
@@ -58,47 +59,19 @@ pub(super) fn fit(clusters: &[Cluster]) -> Noise {
         0.5 * lowest,
         0.5 * last.variance / last.time_s,
     );
-    let mut y = start.map(f64::sqrt);
-    let mut now = cost(&start);
-    let mut damping = 1e-3;
-    for _ in 0..MAX_STEPS {
-        let x = y.component_mul(&y);
-        let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
+    let terms = |y: &Vector3<f64>| {
+        let x = y.component_mul(y);
+        let mut terms = NormalEquations::default();
         for c in &good {
             let model = bases(c).dot(&x);
-            let by = bases(c).component_mul(&y) * (2.0 / model);
-            normal += by * by.transpose() * c.freedom;
-            right -= by * (c.freedom * (model / c.variance).ln());
+            let by = bases(c).component_mul(y) * (2.0 / model);
+            terms.add((model / c.variance).ln(), &by, c.freedom);
         }
-        // A part that is zero has no slope: it is held by a trace of the others' scale.
-        for k in 0..3 {
-            normal[(k, k)] = normal[(k, k)] * (1.0 + damping) + 1e-300;
-        }
-        let scale = normal.diagonal().map(|d| 1.0 / d.sqrt());
-        let scaled = Matrix3::from_fn(|i, j| normal[(i, j)] * scale[i] * scale[j]);
-        let Some(factor) = scaled.cholesky() else {
-            break;
-        };
-        let step = factor
-            .solve(&right.component_mul(&scale))
-            .component_mul(&scale);
-        let trial = (y + step).map(f64::abs);
-        let next = cost(&trial.component_mul(&trial));
-        if next < now {
-            let share = (now - next) / now;
-            y = trial;
-            now = next;
-            damping = (damping * 0.3).max(1e-9);
-            if share < 1e-12 {
-                break;
-            }
-        } else {
-            damping *= 4.0;
-            if damping > 1e12 {
-                break;
-            }
-        }
-    }
+        terms
+    };
+    let of_roots = |y: &Vector3<f64>| cost(&y.component_mul(y));
+    let (y, _) = minimise_damped(start.map(f64::sqrt), MAX_TRIALS, terms, of_roots);
+    let y = y.map(f64::abs);
     Noise {
         density: y[0],
         instability: y[1] / FLAT.sqrt(),

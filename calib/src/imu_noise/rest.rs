@@ -1,5 +1,6 @@
 //! A recording at rest as six series of evenly spaced samples.
 
+use lsfb_perception::statistics::median;
 use lsfb_types::{Finding, ImuSample, Limit, Timestamp, Verdict};
 
 use super::ImuNoiseConfig;
@@ -39,9 +40,8 @@ impl Log {
                 config.min_duration_s
             ));
         }
-        let mut intervals: Vec<f64> = imu.windows(2).map(|w| w[1].0.secs_since(w[0].0)).collect();
-        intervals.sort_by(f64::total_cmp);
-        let median_s = intervals[intervals.len() / 2];
+        let intervals: Vec<f64> = imu.windows(2).map(|w| w[1].0.secs_since(w[0].0)).collect();
+        let median_s = median(intervals.clone()).unwrap_or(f64::INFINITY);
         let missing: f64 = intervals
             .iter()
             .map(|i| (i / median_s).round() - 1.0)
@@ -96,9 +96,7 @@ fn first_motion(axes: &[Vec<f64>; 6], interval_s: f64, config: &ImuNoiseConfig) 
                     (second.iter().map(|v| (v - mean) * (v - mean)).sum::<f64>() / n).sqrt()
                 })
                 .collect();
-            let mut sorted = spreads.clone();
-            sorted.sort_by(f64::total_cmp);
-            let typical = *sorted.get(sorted.len() / 2)?;
+            let typical = median(spreads.clone())?;
             let far = |s: &f64| typical > 0.0 && *s > config.motion_ratio * typical;
             spreads.iter().position(far)
         })

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use lsfb_geometry::{Se3, Vector2, Vector3};
+use lsfb_perception::statistics::median;
 use lsfb_solver::{BlockId, SolveConfig, covariance, solve};
 use nalgebra::Matrix2;
 
@@ -73,7 +74,7 @@ pub(super) fn adjust(
     let mut rejected = Vec::new();
     loop {
         let solved = converge(board, scenes, joined.camera_from_lidar, &mut used, config)?;
-        let mut errors: Vec<f64> = used
+        let errors: Vec<f64> = used
             .iter()
             .map(|u| plane_error(u, &solved.camera_from_lidar, solved.apparent_m.z))
             .collect();
@@ -82,10 +83,8 @@ pub(super) fn adjust(
             .copied()
             .enumerate()
             .max_by(|a, b| a.1.total_cmp(&b.1));
-        errors.sort_by(f64::total_cmp);
         // Against what most poses have: a single bad one would raise the spread of all.
-        let median = errors.get(errors.len() / 2).copied().unwrap_or(0.0);
-        let usual = (median / MEDIAN_CHI_SQUARE).max(0.5);
+        let usual = (median(errors).unwrap_or(0.0) / MEDIAN_CHI_SQUARE).max(0.5);
         let worst = worst.map(|(k, error)| (k, error / usual));
         match worst {
             Some((k, error)) if error > POSE_OUTLIER && used.len() > config.min_poses => {

@@ -3,7 +3,8 @@
 use std::f64::consts::PI;
 
 use lsfb_geometry::{Vector2, Vector3};
-use nalgebra::{Matrix3, Rotation3};
+use lsfb_perception::gauss_newton::{NormalEquations, minimise, until_shorter_than};
+use nalgebra::Rotation3;
 
 use super::LidarCameraConfig;
 use super::plane::{Chord, Plane};
@@ -148,12 +149,21 @@ pub(super) fn fitted(
         .iter()
         .filter_map(|e| Some(plane.local(&plane.meet(&e.ray)?).xy()))
         .collect();
-    let mut now = Rectangle { size_m, ..*start };
-    for _ in 0..30 {
+    let at = |unknowns: &Vector3<f64>| {
+        let (sine, cosine) = unknowns.z.sin_cos();
+        Rectangle {
+            center: unknowns.xy(),
+            along: Vector2::new(cosine, sine),
+            size_m,
+        }
+    };
+    // The middle, then the angle of the longer side.
+    let terms = |unknowns: &Vector3<f64>| {
+        let now = at(unknowns);
         let across = Vector2::new(-now.along.y, now.along.x);
-        // Little is known beforehand, so that a side without edges does not fly away.
-        let mut normal = Matrix3::from_diagonal(&Vector3::repeat(1e-3 / (SCALE_M * SCALE_M)));
-        let mut right = Vector3::zeros();
+        let mut terms = NormalEquations::<3>::default();
+        // A trace of stiffness, so that a side without edges does not fly away.
+        terms.information.fill_diagonal(1e-3 / (SCALE_M * SCALE_M));
         for place in &places {
             let d = place - now.center;
             let at = Vector2::new(d.dot(&now.along), d.dot(&across));
@@ -162,20 +172,14 @@ pub(super) fn fitted(
             // Turning by φ moves a place at p, seen from the rectangle, by φ (p.y, −p.x).
             let row = Vector3::new(-outward.x, -outward.y, side.x * at.y - side.y * at.x);
             let weight = 1.0 / (1.0 + (error / SCALE_M).powi(2)) / (SCALE_M * SCALE_M);
-            normal += row * row.transpose() * weight;
-            right -= row * (error * weight);
+            terms.add(error, &row, weight);
         }
-        let Some(step) = normal.cholesky().map(|c| c.solve(&right)) else {
-            break;
-        };
-        now.center += step.xy();
-        let (sine, cosine) = step.z.sin_cos();
-        now.along = now.along * cosine + across * sine;
-        if step.norm() < 1e-7 {
-            break;
-        }
-    }
-    now
+        Some(terms)
+    };
+    let angle = start.along.y.atan2(start.along.x);
+    let unknowns = Vector3::new(start.center.x, start.center.y, angle);
+    let found = minimise(unknowns, 30, terms, until_shorter_than(1e-7));
+    at(&found.map_or(unknowns, |f| f.value))
 }
 
 /// Outward normal of the side that is nearest to a place, and how far outside of it the place is.

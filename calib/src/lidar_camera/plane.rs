@@ -2,6 +2,7 @@
 //! have in common as an error of its own.
 
 use lsfb_geometry::{Matrix3, Vector3};
+use lsfb_perception::lidar::PointSums;
 
 /// Noise of the direction of a ray, radians.
 const POINTING_RAD: f64 = 5e-4;
@@ -43,18 +44,10 @@ pub(super) struct Spread {
 impl Plane {
     /// The plane of least squares; `None` for points on a line.
     pub fn through(points: &[Vector3<f64>]) -> Option<Self> {
-        if points.len() < 3 {
-            return None;
-        }
-        let origin = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
-        let spread: Matrix3<f64> = points
-            .iter()
-            .map(|p| (p - origin) * (p - origin).transpose())
-            .sum();
-        let eigen = spread.symmetric_eigen();
-        let thin = eigen.eigenvalues.imin();
-        let normal: Vector3<f64> = eigen.eigenvectors.column(thin).into();
-        Self::new(origin, normal)
+        let mut sums = PointSums::default();
+        points.iter().for_each(|p| sums.add(p));
+        let found = sums.plane()?;
+        Self::new(found.point, found.normal)
     }
 
     /// With a normal of any sign and axes of its own choice.

@@ -10,6 +10,7 @@ use super::{BoardPose, BoardSight};
 use crate::Error;
 use crate::camera::{CameraViews, last_number};
 use crate::detect::Corner;
+use lsfb_perception::statistics::median;
 
 /// Fails where the board is in no image at all.
 fn seen_at_all(views: &CameraViews) -> Result<(), Error> {
@@ -255,10 +256,12 @@ fn stillest(views: &CameraViews, around: &mut [Around], most: usize) -> BTreeMap
 /// Median distance of the corners that two views share; `None` where they share few.
 fn median_distance_px(a: &[Corner], b: &[Corner]) -> Option<f64> {
     let places: BTreeMap<usize, _> = a.iter().map(|c| (c.index, c.pixel)).collect();
-    let mut distances: Vec<f64> = b
+    let distances: Vec<f64> = b
         .iter()
         .filter_map(|c| Some((places.get(&c.index)? - c.pixel).norm()))
         .collect();
-    distances.sort_by(f64::total_cmp);
-    (distances.len() >= 8).then(|| distances[distances.len() / 2])
+    match distances.len() {
+        8.. => median(distances),
+        _ => None,
+    }
 }

@@ -15,6 +15,7 @@ use lsfb_solver::{Linearization, Parameters, Residual, Shape, Undefined};
 use nalgebra::{RowVector3, SMatrix, SVector};
 
 use super::plane::Plane;
+use crate::projection::moved_by_inverse;
 
 pub(super) type Rows<const D: usize> = SMatrix<f64, D, 6>;
 
@@ -156,13 +157,7 @@ impl Residual for EdgeResidual {
             let origin = pose.inverse() * Vector3::zeros();
             let direction = pose.rotation.inverse() * self.ray;
             // Points in the board move by −φ × p − ρ, directions by −φ × u.
-            let mut origin_by = SMatrix::<f64, 3, 6>::zeros();
-            origin_by
-                .fixed_view_mut::<3, 3>(0, 0)
-                .copy_from(&so3::hat(&origin));
-            origin_by
-                .fixed_view_mut::<3, 3>(0, 3)
-                .copy_from(&-Matrix3::identity());
+            let origin_by = moved_by_inverse(&origin);
             let mut direction_by = SMatrix::<f64, 3, 6>::zeros();
             direction_by
                 .fixed_view_mut::<3, 3>(0, 0)

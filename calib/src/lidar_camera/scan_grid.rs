@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
 use lsfb_geometry::Vector3;
+use lsfb_perception::statistics::median;
 use lsfb_types::LidarScan;
 
 /// A return on its ring.
@@ -57,13 +58,11 @@ fn ring(number: u16, mut points: Vec<GridPoint>) -> Ring {
             .total_cmp(&b.azimuth_rad)
             .then(a.range_m.total_cmp(&b.range_m))
     });
-    let mut gaps: Vec<f64> = points
+    let gaps = points
         .windows(2)
         .map(|w| w[1].azimuth_rad - w[0].azimuth_rad)
-        .filter(|gap| *gap > 1e-5)
-        .collect();
-    gaps.sort_by(f64::total_cmp);
-    let step_rad = gaps.get(gaps.len() / 2).copied().unwrap_or(TAU);
+        .filter(|gap| *gap > 1e-5);
+    let step_rad = median(gaps.collect()).unwrap_or(TAU);
     // Two returns of one firing: the nearer one is what the beam meets first.
     points.dedup_by(|b, a| b.azimuth_rad - a.azimuth_rad < 0.2 * step_rad);
     Ring {

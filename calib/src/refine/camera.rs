@@ -2,6 +2,7 @@
 
 use lsfb_geometry::{Camera, Matrix6, RigCamera, Se3, Vector2, Vector3, Vector6};
 use lsfb_perception::image::Gray;
+use lsfb_perception::statistics::median;
 use lsfb_recording::Recording;
 use lsfb_types::{Image, Progress, ProgressFn};
 
@@ -10,13 +11,13 @@ use super::adjustment::{Adjusted, Block, Shared, adjusted};
 use super::estimate::{Estimate, estimate};
 use super::landmarks::{Keyframe, Reach, landmarks};
 use super::lidar_path::LidarPath;
-use super::plane_map::PlaneMap;
+use super::refusal::Refusal;
 use super::report::{Component, Evidence, NAMES, Refinement, Transfer};
 use super::scan::Scan;
 use crate::coverage::COVERAGE_CELLS;
 use crate::overlay::Picture;
+use crate::plane_map::PlaneMap;
 use crate::recorded::{expect_size, seconds, unreadable};
-use crate::statistics::median;
 use crate::{Error, Overlay, TransformEdge};
 
 /// Widest image in which corners are looked for, pixels.
@@ -78,19 +79,15 @@ impl CameraRefinement<'_> {
     ) -> Result<Refinement, Error> {
         let images = self.images(recording, progress)?;
         if images.keyframes.len() < LEAST_BLOCKS * self.config.block_images / 2 {
-            return Ok(self.without_result(format!(
-                "{} images lie within the time of the scans, too few: check clocks, or record longer",
-                images.keyframes.len()
-            )));
+            let images = images.keyframes.len();
+            return Ok(self.without_result(Refusal::FewImages { images }));
         }
         if images
             .shown
             .as_ref()
             .is_none_or(|s| s.corners < LEAST_IN_IMAGE)
         {
-            return Ok(self.without_result(
-                "its images show nothing: it is covered, dark, or has no contrast".to_owned(),
-            ));
+            return Ok(self.without_result(Refusal::Blank));
         }
         let mut keyframes = images.keyframes;
         let lens = keyframes[0].levels[1].camera;
@@ -127,7 +124,11 @@ impl CameraRefinement<'_> {
         Ok(refinement)
     }
 
-    fn without_result(&self, why: String) -> Refinement {
+    fn without_result(&self, why: Refusal) -> Refinement {
+        self.refinement(why.to_string())
+    }
+
+    fn refinement(&self, sentence: String) -> Refinement {
         Refinement {
             camera: self.name.to_owned(),
             components: Vec::new(),
@@ -136,7 +137,7 @@ impl CameraRefinement<'_> {
             lidar_from_camera: None,
             edge: None,
             overlays: None,
-            sentence: why,
+            sentence,
         }
     }
 
@@ -196,7 +197,7 @@ impl CameraRefinement<'_> {
     }
 
     /// From corners in neighbouring images to those far apart, and without what is not determined.
-    fn found(&self, lens: &Camera, blocks: &mut [Block]) -> Result<Found, String> {
+    fn found(&self, lens: &Camera, blocks: &mut [Block]) -> Result<Found, Refusal> {
         let mut shared = Shared {
             lidar_from_camera: self.start,
             delay_s: 0.0,
@@ -209,18 +210,19 @@ impl CameraRefinement<'_> {
             }
             let corners: usize = blocks.iter().map(|b| b.landmarks.len()).sum();
             if corners < LEAST_CORNERS {
-                return Err(format!(
-                    "{corners} corners of images lie on surfaces that the LiDAR saw, {LEAST_CORNERS} are needed: record a place with pictures, furniture and floor in sight of both, or the rig is farther off than 2.5° and 5 cm"
-                ));
+                return Err(Refusal::FewCorners {
+                    corners,
+                    needed: LEAST_CORNERS,
+                });
             }
             let found = self.adjusted(lens, blocks, &shared, &[])?;
             shared = found.shared;
             last = Some(found);
         }
-        let mut found = last.ok_or_else(unsettled)?;
+        let mut found = last.ok_or(Refusal::Unsettled)?;
         let mut held: Vec<usize> = Vec::new();
         loop {
-            let worth = estimate(&found, &self.start, &held).ok_or_else(unsettled)?;
+            let worth = estimate(&found, &self.start, &held).ok_or(Refusal::Unsettled)?;
             let sigma = |k: usize| worth.covariance[(k, k)].sqrt();
             // What others are not known without is not known either.
             let lost: Vec<usize> = (0..6)
@@ -244,8 +246,8 @@ impl CameraRefinement<'_> {
         blocks: &mut [Block],
         first: &Shared,
         held: &[usize],
-    ) -> Result<Adjusted, String> {
-        adjusted(lens, blocks, &self.start, first, held).ok_or_else(unsettled)
+    ) -> Result<Adjusted, Refusal> {
+        adjusted(lens, blocks, &self.start, first, held).ok_or(Refusal::Unsettled)
     }
 
     fn largest(&self, k: usize) -> f64 {
@@ -271,12 +273,12 @@ impl CameraRefinement<'_> {
         let mut refinement = Refinement {
             components: components.collect(),
             lidar_from_camera: Some(pose),
-            ..self.without_result(String::new())
+            ..self.refinement(String::new())
         };
         refinement.advice = evidence.advice(&refinement.components);
         let refusal = self.refusal(&change, found, &evidence);
         refinement.sentence = match &refusal {
-            Some(why) => why.clone(),
+            Some(why) => why.to_string(),
             None if found.is_no_change(&change) => format!(
                 "the rig was right, as far as can be seen; {}",
                 refinement.in_words()
@@ -291,53 +293,45 @@ impl CameraRefinement<'_> {
     }
 
     /// Why the pose is not given out.
-    fn refusal(&self, change: &Vector6<f64>, found: &Found, evidence: &Evidence) -> Option<String> {
+    fn refusal(
+        &self,
+        change: &Vector6<f64>,
+        found: &Found,
+        evidence: &Evidence,
+    ) -> Option<Refusal> {
         let noise = &found.adjusted.noise;
         let spreads = [noise.pixel_px, noise.plane_m, noise.turn_rad, noise.shift_m];
-        let (turn, shift) = (
+        let mut large = spreads.iter().zip(LARGEST_SPREADS);
+        let (turn_rad, shift_m) = (
             change.fixed_rows::<3>(0).norm(),
             change.fixed_rows::<3>(3).norm(),
         );
-        let transfer = &evidence.transfer;
-        if found.estimate.blocks < LEAST_BLOCKS {
-            return Some(format!(
-                "{} parts of the recording say something, {LEAST_BLOCKS} are needed: record longer, in a place with pictures and furniture",
-                found.estimate.blocks
-            ));
+        let Transfer {
+            before_px,
+            after_px,
+            ..
+        } = evidence.transfer;
+        let (parts, halves) = (found.estimate.blocks, &found.estimate.halves);
+        if parts < LEAST_BLOCKS {
+            Some(Refusal::FewParts {
+                parts,
+                needed: LEAST_BLOCKS,
+            })
+        } else if large.any(|(s, most)| *s > most) {
+            Some(Refusal::Misfit(*noise))
+        } else if turn_rad > FARTHEST[0] || shift_m > FARTHEST[1] {
+            Some(Refusal::FarAway { turn_rad, shift_m })
+        } else if after_px > WORSE[0] * before_px + WORSE[1] {
+            Some(Refusal::NoBetter {
+                before_px,
+                after_px,
+            })
+        } else if halves.disagree() {
+            let square = halves.square;
+            Some(Refusal::HalvesDisagree { square })
+        } else {
+            None
         }
-        if spreads
-            .iter()
-            .zip(LARGEST_SPREADS)
-            .any(|(s, most)| *s > most)
-        {
-            return Some(format!(
-                "corners and surfaces do not fit on each other ({:.2} px, {:.0} mm; images {:.2}° and {:.0} mm off the LiDAR's way): the rig is farther off than 2.5° and 5 cm, or the lens or a clock is wrong; look at the overlays, and run `lsfb calib verify`",
-                noise.pixel_px,
-                noise.plane_m * 1e3,
-                noise.turn_rad.to_degrees(),
-                noise.shift_m * 1e3
-            ));
-        }
-        if turn > FARTHEST[0] || shift > FARTHEST[1] {
-            return Some(format!(
-                "the best pose is {:.1}° and {:.0} mm away, farther than can be vouched for: start from a rig that is right within 2.5° and 5 cm, or use `lsfb calib lidar-camera`",
-                turn.to_degrees(),
-                shift * 1e3
-            ));
-        }
-        if transfer.after_px > WORSE[0] * transfer.before_px + WORSE[1] {
-            return Some(format!(
-                "no better pose was found: corners are {:.2} px off as the rig was and {:.2} px with the best pose",
-                transfer.before_px, transfer.after_px
-            ));
-        }
-        if found.estimate.halves.disagree() {
-            return Some(format!(
-                "two halves of the recording disagree, beyond what one in ten thousand would ({:.1} σ² for 6 numbers): something moved, or a clock is wrong",
-                found.estimate.halves.square
-            ));
-        }
-        None
     }
 
     fn evidence(&self, lens: &Camera, blocks: &[Block], found: &Found) -> Evidence {
@@ -428,10 +422,6 @@ impl Found {
         let weighted = covariance.into_owned().cholesky().map(|c| c.solve(change));
         weighted.is_some_and(|w| change.dot(&w) < UNCHANGED)
     }
-}
-
-fn unsettled() -> String {
-    "the search for the pose did not settle: too little is seen by both, or the rig is farther off than 2.5° and 5 cm".to_owned()
 }
 
 fn median_px(values: Vec<f64>) -> f64 {

@@ -6,7 +6,7 @@ use lsfb_perception::image::{Gray, Patch, PatchSearch, corners};
 use nalgebra::Matrix2;
 use rayon::prelude::*;
 
-use super::plane_map::PlaneMap;
+use crate::plane_map::PlaneMap;
 
 /// Share of the brightness's variance that may be left.
 const MOST_LEFT: f64 = 0.25;

@@ -1,39 +1,23 @@
 //! The LiDAR's way through the place, by its own scans: each is registered to planes of all others, each return at its own time. The
 //! gyroscope says how it turned in between.
 
-use lsfb_geometry::{Matrix3, Matrix6, Rig, Se3, UnitQuaternion, Vector3, Vector6, so3};
+use lsfb_geometry::{Matrix3, Matrix6, Rig, Se3, UnitQuaternion, Vector3, so3};
 use lsfb_perception::RelativePose;
 use lsfb_perception::gyro::IntegratedGyro;
-use lsfb_perception::lidar::{
-    Match, Motion, Plane, PosePrior, Registration, RegistrationConfig, Weighting, register,
-};
-use lsfb_solver::{self as solver, Kernel, Problem, SolveConfig};
+use lsfb_perception::lidar::Motion;
+use lsfb_solver::{Kernel, PosePrior, Problem, SolveConfig, solve};
 use lsfb_types::{Progress, ProgressFn, Stopped};
 use rayon::prelude::*;
 
 use super::lidar_turning::LidarTurning;
-use super::plane_map::{PlaneMap, PlaneMapBuilder};
 use super::scan::Scan;
+use crate::plane_map::{PlaneMap, PlaneMapBuilder, register_to_planes};
 
-/// Returns that must lie on planes.
-const MIN_MATCHES: f64 = 150.0;
 /// Times that the place is made again of all scans.
 const ROUNDS: usize = 4;
 /// Scans that are put a second time onto what was seen after them: at first too little of floor and ceiling is known.
 const AGAIN_S: f64 = 10.0;
-/// How scans are put onto planes.
-const REGISTRATION: RegistrationConfig = RegistrationConfig {
-    max_iterations: 10,
-    // Cells say what is near: nothing is gained by a narrower one.
-    gate_m: 0.75,
-    min_kernel_m: 0.25,
-    // Least spread of returns about a plane.
-    range_noise_m: 0.008,
-    point_noise_m: 0.1,
-    points_per_independent: 1.0,
-    weighting: Weighting::ByPlane { deviations: 2.5 },
-};
-/// By how much a scan is expected to be elsewhere than predicted.
+/// By how much a scan is expected to be elsewhere than predicted, radians and metres.
 const EXPECTED: [f64; 2] = [0.02, 0.08];
 /// Returns of a scan with which it is first put onto those before.
 const FIRST_RETURNS: usize = 4000;
@@ -87,7 +71,7 @@ pub(super) fn follow<'a>(
             .par_iter()
             .zip(&path.world_from_lidar)
             .map(|(scan, pose)| {
-                let found = registered(scan, *pose, |at| place.plane(at));
+                let found = register_to_planes(scan, *pose, EXPECTED, |at| place.plane(at));
                 found.unwrap_or((*pose, Matrix6::zeros()))
             })
             .collect();
@@ -134,7 +118,7 @@ fn register_in_sequence<'a>(
         let found = if k == 0 {
             Some((pose, Matrix6::zeros()))
         } else {
-            registered(&still, pose, |at| surfaces.plane(at))
+            register_to_planes(&still, pose, EXPECTED, |at| surfaces.plane(at))
         };
         let Some((pose, information)) = found else {
             return Ok(None);
@@ -145,25 +129,6 @@ fn register_in_sequence<'a>(
         path.information.push(information);
     }
     Ok((path.times_s.len() > 2).then_some(path))
-}
-
-/// The pose at which returns lie on planes, with its information; `None` where too few do.
-fn registered(
-    returns: &[Vector3<f64>],
-    start: Se3,
-    mut plane: impl FnMut(&Vector3<f64>) -> Option<Plane>,
-) -> Option<(Se3, Matrix6<f64>)> {
-    let expected = Vector6::from_fn(|k, _| 1.0 / (EXPECTED[k / 3] * EXPECTED[k / 3]));
-    let prior = PosePrior {
-        world_from_rig: start,
-        information: Matrix6::from_diagonal(&expected),
-    };
-    let found: Registration = register(returns, &prior, &REGISTRATION, |pose, _| {
-        let planes = returns.iter().map(|p| plane(&(*pose * *p)));
-        planes.map(|p| p.map(Match::Plane)).collect()
-    });
-    let inliers = found.inlier_ratio * returns.len() as f64;
-    (inliers >= MIN_MATCHES).then_some((found.world_from_rig, found.information))
 }
 
 impl LidarPath<'_> {
@@ -284,7 +249,8 @@ impl LidarPath<'_> {
             // As it was to the scan after it, which may have moved.
             let still = thin(&scans[k], self);
             let pose = self.world_from_lidar[k];
-            let Some((found, information)) = registered(&still, pose, |at| surfaces.plane(at))
+            let Some((found, information)) =
+                register_to_planes(&still, pose, EXPECTED, |at| surfaces.plane(at))
             else {
                 return;
             };
@@ -320,7 +286,7 @@ impl LidarPath<'_> {
             .collect();
         for (k, information) in self.information.iter().enumerate() {
             let information = information * SCAN_WORTH + Matrix6::identity();
-            let prior = solver::PosePrior {
+            let prior = PosePrior {
                 value: self.world_from_lidar[k],
                 sqrt_information: information.cholesky()?.l().transpose(),
             };
@@ -343,7 +309,7 @@ impl LidarPath<'_> {
                 problem.add_residual(turn, &[poses[k].id(), poses[k + 1].id()], Kernel::Squared);
             added.ok()?;
         }
-        solver::solve(&mut problem, &SolveConfig::default()).ok()?;
+        solve(&mut problem, &SolveConfig::default()).ok()?;
         Some(poses.iter().map(|p| problem.value(*p)).collect())
     }
 

@@ -3,11 +3,11 @@
 //! | step | file |
 //! | --- | --- |
 //! | the LiDAR's path, by its own scans and the gyroscope | `scan.rs`, `lidar_path.rs`, `lidar_turning.rs` |
-//! | planes of the place | `plane_map.rs` |
+//! | planes of the place | `../plane_map.rs` |
 //! | corners on planes, found in images from far apart | `landmarks.rs` |
-//! | the pose at which both agree (Eq. 4) | `adjustment.rs`, `noise.rs` |
+//! | the pose at which both agree (Eq. 4) | `adjustment/`, `residuals.rs`, `noise.rs` |
 //! | what it is worth | `estimate.rs` |
-//! | all of it for one camera, and what is said of it | `camera.rs`, `report.rs`, `page.rs` |
+//! | all of it for one camera, and what is said of it | `camera.rs`, `refusal.rs`, `report.rs`, `page.rs` |
 
 mod adjustment;
 mod camera;
@@ -17,8 +17,9 @@ mod lidar_path;
 mod lidar_turning;
 mod noise;
 mod page;
-mod plane_map;
+mod refusal;
 mod report;
+mod residuals;
 mod scan;
 
 use lsfb_geometry::Rig;

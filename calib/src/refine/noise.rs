@@ -1,10 +1,11 @@
 //! How much everything errs, measured from the errors that an adjustment leaves.
 
-use lsfb_geometry::{Matrix6, Vector2, Vector6};
+use lsfb_geometry::{Matrix6, Vector6};
+use lsfb_perception::statistics::median;
 use nalgebra::DVector;
 
 /// Normalized error at which an observation's weight is halved.
-const ROBUST_SCALE: f64 = 3.0;
+pub(super) const ROBUST_SCALE: f64 = 3.0;
 /// Median of the size of a normal number.
 const MEDIAN_SIZE: f64 = 0.6745;
 
@@ -37,7 +38,9 @@ pub(super) struct Left {
     /// Errors over the square root of the share that is not fitted away: pixels, metres.
     pub pixel_errors: Vec<f64>,
     pub plane_errors: Vec<f64>,
-    /// Of each image's own error, after the fact.
+    /// Each image's own error, perturbed on the right.
+    pub shifts: Vec<Vector6<f64>>,
+    /// Variances of these, after the fact.
     pub variances: DVector<f64>,
 }
 
@@ -47,11 +50,6 @@ pub(super) fn robust(square: f64) -> f64 {
 }
 
 impl Noise {
-    pub fn weight(&self, error: &Vector2<f64>) -> f64 {
-        let variance = self.pixel_px * self.pixel_px;
-        robust(error.norm_squared() / variance) / variance
-    }
-
     /// Information of an image's own error.
     pub fn odometry(&self, by_returns: &Matrix6<f64>) -> Option<Matrix6<f64>> {
         let own = self.own_variance();
@@ -69,22 +67,19 @@ impl Noise {
         })
     }
 
-    /// As the errors left say.
-    pub fn measured<'a>(
-        &self,
-        by_block: impl Iterator<Item = (&'a [Vector6<f64>], &'a Left)> + Clone,
-    ) -> Self {
-        let median = |values: &mut dyn Iterator<Item = f64>| {
-            let mut sizes: Vec<f64> = values.map(f64::abs).collect();
-            sizes.sort_by(f64::total_cmp);
-            sizes.get(sizes.len() / 2).copied().unwrap_or(0.0) / MEDIAN_SIZE
+    /// As the errors left in all blocks say.
+    pub fn measured(&self, by_block: &[Left]) -> Self {
+        let spread_of = |errors: fn(&Left) -> &[f64], least: f64| {
+            let sizes = by_block.iter().flat_map(errors).map(|e| e.abs());
+            let middle = median(sizes.collect()).unwrap_or(0.0);
+            (middle / MEDIAN_SIZE).max(least)
         };
         // What is left of an image's error over what of it can be left.
         let mut squares = [0.0; 2];
         let mut free = [0.0; 2];
         let own = self.own_variance();
-        for (shifts, left) in by_block.clone() {
-            for (frame, shift) in shifts.iter().enumerate() {
+        for left in by_block {
+            for (frame, shift) in left.shifts.iter().enumerate() {
                 for k in 0..6 {
                     squares[k / 3] += shift[k] * shift[k];
                     free[k / 3] += 1.0 - (left.variances[6 * frame + k] / own[k]).min(0.98);
@@ -100,14 +95,8 @@ impl Noise {
                 .max(least)
         };
         Self {
-            pixel_px: median(
-                &mut by_block
-                    .clone()
-                    .flat_map(|(_, l)| l.pixel_errors.iter().copied()),
-            )
-            .max(LEAST.pixel_px),
-            plane_m: median(&mut by_block.flat_map(|(_, l)| l.plane_errors.iter().copied()))
-                .max(LEAST.plane_m),
+            pixel_px: spread_of(|l| &l.pixel_errors, LEAST.pixel_px),
+            plane_m: spread_of(|l| &l.plane_errors, LEAST.plane_m),
             turn_rad: spread(0, self.turn_rad, LEAST.turn_rad),
             shift_m: spread(1, self.shift_m, LEAST.shift_m),
         }

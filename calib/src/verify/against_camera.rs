@@ -2,6 +2,7 @@
 
 use lsfb_geometry::RigCamera;
 use lsfb_perception::image::Gray;
+use lsfb_perception::statistics::median;
 use lsfb_recording::Recording;
 use lsfb_types::{Image, Stamped, Verdict};
 use rayon::prelude::*;
@@ -10,7 +11,6 @@ use super::judgement::judged;
 use super::{Check, VerifyConfig, epipolar};
 use crate::Error;
 use crate::recorded::unreadable;
-use crate::statistics::median;
 
 /// Share of one image that the other camera must see.
 const LEAST_OVERLAP: f64 = 0.1;

@@ -9,7 +9,6 @@ use super::alignment::{self, Score};
 use super::camera_images::{CameraImages, NearScan};
 use super::judgement::judged;
 use super::mutual_information::mutual_information;
-use super::pose_search::{Steps, maximum, turned_best};
 use super::scans::ScanInRig;
 use super::view::{EdgeImage, Return, StepPoint, View};
 use super::{Check, VerifyConfig};
@@ -171,16 +170,10 @@ fn by_brightness(views: &[View], rig_from_camera: &Se3) -> Option<Turned> {
     if mutual_information(&usable, &rig_from_camera.inverse()) < LEAST_INFORMATION {
         return None;
     }
-    let steps = Steps::of(&usable, rig_from_camera)?;
-    let start = turned_best(&usable, rig_from_camera);
-    let found = maximum(&usable, &start, &steps, &[0, 1, 2])?;
-    let variance = found.covariance.fixed_view::<3, 3>(0, 0).trace();
+    let found = alignment::misalignment(views, rig_from_camera, Score::MutualInformation)?;
     Some(Turned {
-        turn: rig_from_camera
-            .local(&found.rig_from_camera)
-            .fixed_rows::<3>(0)
-            .into(),
-        sigma_rad: (variance + LEAST_SIGMA_RAD * LEAST_SIGMA_RAD).sqrt(),
+        turn: found.turn,
+        sigma_rad: found.sigma_rad.norm().hypot(LEAST_SIGMA_RAD),
         what: "brightness",
     })
 }

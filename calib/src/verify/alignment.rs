@@ -6,6 +6,7 @@
 //! (Levinson and Thrun, "Automatic Online Calibration of Cameras and Lasers", 2013).
 
 use lsfb_geometry::{Se3, Vector3, Vector6};
+use lsfb_perception::statistics::peak;
 use rayon::prelude::*;
 
 use super::mutual_information::mutual_information;
@@ -152,7 +153,7 @@ fn search(
     turn
 }
 
-/// The best value about one axis: the largest of a grid, refined by its neighbours.
+/// The best value about one axis, from a grid.
 fn best_along(
     views: &[&View],
     rig_from_camera: &Se3,
@@ -169,18 +170,6 @@ fn best_along(
         score(views, &turned(rig_from_camera, &trial).inverse(), by)
     };
     let scores: Vec<f64> = (-SIDE..=SIDE).map(at).collect();
-    let best = scores
-        .iter()
-        .enumerate()
-        .max_by(|a, b| a.1.total_cmp(b.1))
-        .map_or(SIDE as usize, |b| b.0);
-    let mut offset = best as f64 - f64::from(SIDE);
-    if best > 0 && best + 1 < scores.len() {
-        let (l, m, r) = (scores[best - 1], scores[best], scores[best + 1]);
-        let bend = l + r - 2.0 * m;
-        if bend < 0.0 {
-            offset += (0.5 * (l - r) / bend).clamp(-0.5, 0.5);
-        }
-    }
-    turn[axis] + offset * step
+    let middle = f64::from(SIDE);
+    turn[axis] + (peak(&scores).unwrap_or(middle) - middle) * step
 }

@@ -6,6 +6,7 @@
 
 use lsfb_geometry::{Camera, Se3, Vector2};
 use lsfb_perception::image::{Gray, corners};
+use lsfb_perception::statistics::peak;
 
 /// Gradients that a corner needs, grey levels squared: it must be told from others along the whole curve.
 const STRONG: f64 = 2000.0;
@@ -89,7 +90,6 @@ fn error_px(
             })
             .collect();
         let best = (0..scores.len()).max_by(|a, b| scores[*a].total_cmp(&scores[*b]))?;
-        let mut across_px = best as f64 - f64::from(reach_px);
         let sharp = [best.checked_sub(2), Some(best + 2)]
             .into_iter()
             .flatten()
@@ -98,16 +98,9 @@ fn error_px(
         if !sharp {
             continue;
         }
-        if best > 0 && best + 1 < scores.len() {
-            let (l, m, r) = (scores[best - 1], scores[best], scores[best + 1]);
-            let bend = l + r - 2.0 * m;
-            if bend < -1e-9 {
-                across_px += (0.5 * (l - r) / bend).clamp(-0.5, 0.5);
-            }
-        }
         found.push(Found {
             score: scores[best],
-            across_px,
+            across_px: peak(&scores)? - f64::from(reach_px),
             along_px: f64::from(k),
         });
     }

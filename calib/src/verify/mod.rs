@@ -17,7 +17,6 @@ mod epipolar;
 mod judgement;
 mod mutual_information;
 mod page;
-mod pose_search;
 mod scan_motion;
 mod scans;
 mod time_offset;

@@ -1,9 +1,6 @@
 //! What is bright to the LiDAR and to the camera depends on each other where the rig is right:
 //! `I = Σ p(a, b) log (p(a, b) / p(a) p(b))` over reflectivity `a` and grey value `b` (Pandey et al., "Automatic Extrinsic
 //! Calibration of Vision and Lidar by Maximizing Mutual Information", 2015).
-//!
-//! `N·I` changes with the pose as the sum of `L(a, b) = log (p(a, b) / p(a) p(b))` over all returns does with `L` held: the log
-//! likelihood of the images. Its derivatives by view say how far views disagree, and so how well the maximum is known.
 
 use lsfb_geometry::Se3;
 
@@ -84,30 +81,4 @@ pub(super) fn mutual_information(views: &[&View], camera_from_rig: &Se3) -> f64 
     let ratios = log_ratios(&joint, total);
     let pairs = joint.iter().flatten().zip(ratios.iter().flatten());
     pairs.map(|(n, l)| n / total * l).sum()
-}
-
-/// The dependence at a pose, held while the pose moves.
-pub(super) struct Likelihood {
-    ratios: Table,
-    /// Returns in view.
-    pub total: f64,
-}
-
-impl Likelihood {
-    pub fn at(views: &[&View], camera_from_rig: &Se3) -> Self {
-        let (joint, total) = counts(views, camera_from_rig);
-        Self {
-            ratios: log_ratios(&joint, total),
-            total,
-        }
-    }
-
-    /// Log likelihood of one view's image at a pose.
-    pub fn of(&self, view: &View, camera_from_rig: &Se3) -> f64 {
-        let mut sum = 0.0;
-        for_each(view, camera_from_rig, |a, b, share| {
-            sum += (1.0 - share) * self.ratios[a][b] + share * self.ratios[a][b + 1];
-        });
-        sum
-    }
 }

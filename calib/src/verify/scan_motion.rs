@@ -1,30 +1,17 @@
 //! How the rig moved while it scanned: what the gyroscope does not know. Two scans that follow each other are registered, the
-//! second to planes in cells of the first, over one velocity; each return at its own time.
+//! second to planes of the first, each return at its own time.
 
-use lsfb_geometry::{Matrix6, Vector3, Vector6};
-use lsfb_perception::gauss_newton::{NormalEquations, minimise, until_shorter_than};
-use lsfb_perception::lidar::{CellMap, Plane, PointSums, cell_key};
+use lsfb_geometry::{Se3, Vector3};
 
-/// Edge of a cell, metres.
-const CELL_M: f64 = 0.6;
-/// What is a plane in a cell: returns, and how thick and wide they lie at most and at least, standard deviations in metres.
-const MIN_RETURNS: u32 = 8;
-const THICK_M: f64 = 0.05;
-const WIDE_M: f64 = 0.08;
+use crate::plane_map::{PlaneMapBuilder, register_to_planes};
+
 /// Returns of the second scan that are used at most.
 const MOST_RETURNS: usize = 5000;
-/// Returns that must lie on planes.
-const MIN_MATCHES: usize = 200;
-const ITERATIONS: u32 = 8;
-/// A step shorter than this ends the search: m/s, radians.
-const SHORTEST: f64 = 1e-4;
-/// Distance from a plane at which a return's weight is halved, metres.
-const SCALE_M: f64 = 0.06;
-/// Speeds and errors of the gyroscope's angle that are expected, so that what a scene does not show stays zero.
-const SPEED_M_S: f64 = 1.5;
+/// Times that both scans are deskewed by the velocity found and registered again.
+const ROUNDS: usize = 3;
+/// Errors of the gyroscope's angle (rad) and speeds (m/s) that are expected, so that what a scene does not show stays zero.
 const ANGLE_RAD: f64 = 0.003;
-/// Spread of a return's distance from its plane, metres.
-const NOISE_M: f64 = 0.04;
+const SPEED_M_S: f64 = 1.5;
 
 /// A return turned to one time by the gyroscope, and its own time after that one.
 #[derive(Clone, Copy, Debug)]
@@ -33,91 +20,26 @@ pub(super) struct Moved {
     pub after_s: f64,
 }
 
-/// Returns of a cell.
-#[derive(Default)]
-struct Cell {
-    sums: PointSums,
-    time_s: f64,
-}
-
-/// A plane, and when it was seen on average.
-struct TimedPlane {
-    plane: Plane,
-    time_s: f64,
-}
-
 /// Velocity of the rig in its own axes, m/s; `None` where the scans have little in common.
 pub(super) fn velocity(first: &[Moved], second: &[Moved]) -> Option<Vector3<f64>> {
     let every = second.len().div_ceil(MOST_RETURNS).max(1);
-    let rest = Vector6::from_fn(|k, _| {
-        let sigma = if k < 3 { SPEED_M_S } else { ANGLE_RAD };
-        1.0 / (sigma * sigma)
-    });
-    // Velocity, then the error of the gyroscope's angle.
-    let terms = |unknowns: &Vector6<f64>| {
-        let speed: Vector3<f64> = unknowns.fixed_rows::<3>(0).into();
-        let angle: Vector3<f64> = unknowns.fixed_rows::<3>(3).into();
-        let planes = planes(first, &speed);
-        let mut terms = NormalEquations::default();
-        let mut matches = 0;
-        for point in second.iter().step_by(every) {
-            let place = point.place + speed * point.after_s + angle.cross(&point.place);
-            let Some(found) = planes.get(&cell_of(&place)) else {
-                continue;
-            };
-            let normal = &found.plane.normal;
-            let error = normal.dot(&(place - found.plane.point));
-            let by_angle = point.place.cross(normal);
-            let by_speed = normal * (point.after_s - found.time_s);
-            let derivative = Vector6::new(
-                by_speed.x, by_speed.y, by_speed.z, by_angle.x, by_angle.y, by_angle.z,
-            );
-            let weight = 1.0 / (1.0 + (error / SCALE_M).powi(2)) / (NOISE_M * NOISE_M);
-            terms.add(error, &derivative, weight);
-            matches += 1;
-        }
-        terms.add_prior(unknowns, &Matrix6::from_diagonal(&rest));
-        (matches >= MIN_MATCHES).then_some(terms)
-    };
-    let found = minimise(
-        Vector6::zeros(),
-        ITERATIONS,
-        terms,
-        until_shorter_than(SHORTEST),
-    )?;
-    Some(found.value.fixed_rows::<3>(0).into())
-}
-
-fn cell_of(place: &Vector3<f64>) -> u64 {
-    cell_key(place, 1.0 / CELL_M)
-}
-
-/// Planes in the cells of a scan, as the rig's velocity has its returns.
-fn planes(scan: &[Moved], speed: &Vector3<f64>) -> CellMap<TimedPlane> {
-    let mut cells: CellMap<Cell> = CellMap::default();
-    for point in scan {
-        let place = point.place + speed * point.after_s;
-        let cell = cells.entry(cell_of(&place)).or_default();
-        cell.sums.add(&place);
-        cell.time_s += point.after_s;
+    let mean_s = |scan: &[Moved]| scan.iter().map(|p| p.after_s).sum::<f64>() / scan.len() as f64;
+    let apart_s = mean_s(second) - mean_s(first);
+    if !(apart_s > 0.0) {
+        return None;
     }
-    cells
-        .into_iter()
-        .filter_map(|(at, cell)| Some((at, cell.plane()?)))
-        .collect()
-}
-
-impl Cell {
-    fn plane(&self) -> Option<TimedPlane> {
-        if self.sums.count() < MIN_RETURNS {
-            return None;
-        }
-        let plane = self.sums.plane()?;
-        (plane.thickness_m < THICK_M && plane.breadth_m > WIDE_M).then(|| TimedPlane {
-            plane,
-            time_s: self.time_s / f64::from(self.sums.count()),
-        })
+    let expected = [ANGLE_RAD, SPEED_M_S * apart_s];
+    let mut speed = Vector3::zeros();
+    for _ in 0..ROUNDS {
+        let still = |point: &Moved| point.place + speed * point.after_s;
+        let mut planes = PlaneMapBuilder::default();
+        planes.add(first.iter().map(still));
+        let second: Vec<Vector3<f64>> = second.iter().step_by(every).map(still).collect();
+        let start = Se3::identity();
+        let (left, _) = register_to_planes(&second, start, expected, |at| planes.plane(at))?;
+        speed += left.translation / apart_s;
     }
+    Some(speed)
 }
 
 #[cfg(test)]

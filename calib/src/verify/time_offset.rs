@@ -11,6 +11,7 @@ use lsfb_geometry::{Matrix3, RigCamera, UnitQuaternion, Vector3, so3};
 use lsfb_perception::gauss_newton::{NormalEquations, minimise, until_shorter_than};
 use lsfb_perception::gyro::IntegratedGyro;
 use lsfb_perception::image::{Pair, relative_rotation};
+use lsfb_perception::statistics::median;
 use nalgebra::{Rotation3, SMatrix, SVector, Vector1};
 use rayon::prelude::*;
 
@@ -160,9 +161,7 @@ fn coarse(mut kept: Vec<Turn>, gyro: &IntegratedGyro) -> (Fit, Vec<Turn>) {
         if round == 0 {
             // Pairs that do not fit: something walked by.
             let errors: Vec<f64> = kept.iter().map(|t| best.error(t, gyro).norm()).collect();
-            let mut sorted = errors.clone();
-            sorted.sort_by(f64::total_cmp);
-            let limit = 5.0 * sorted[sorted.len() / 2];
+            let limit = 5.0 * median(errors.clone()).unwrap_or(f64::INFINITY);
             let mut flags = errors.iter().map(|e| *e <= limit);
             kept.retain(|_| flags.next().unwrap_or(false));
             best = Fit::at(&kept, gyro, best.offset_s);

@@ -85,6 +85,26 @@ impl<const N: usize> NormalEquations<N> {
     {
         Some(-self.information.cholesky()?.solve(&self.gradient))
     }
+
+    /// The step, shortened by a share of what is known of each unknown alone; one of which nothing is known stays.
+    fn damped_step(&self, damping: f64) -> Option<SVector<f64, N>>
+    where
+        Const<N>: DimMin<Const<N>, Output = Const<N>>,
+    {
+        // Unknowns in units of their own information: these may differ by many powers of ten.
+        let known = self.information.diagonal();
+        let scale = known.map(|d| if d > 0.0 { d.sqrt().recip() } else { 0.0 });
+        let mut scaled = self.information;
+        for (k, factor) in scale.iter().enumerate() {
+            scaled.row_mut(k).scale_mut(*factor);
+            scaled.column_mut(k).scale_mut(*factor);
+        }
+        scaled.fill_diagonal(1.0 + damping);
+        let step = scaled
+            .cholesky()?
+            .solve(&self.gradient.component_mul(&scale));
+        Some(-step.component_mul(&scale))
+    }
 }
 
 /// Steps from `start` until `inspect` says that it is enough, at most so many. `inspect` sees each step before it is taken, and may
@@ -122,6 +142,54 @@ where
         }
     }
     Some(found)
+}
+
+/// Damping at first, its least and its most, as shares of what is known of each unknown.
+const DAMPING: [f64; 3] = [1e-3, 1e-12, 1e10];
+/// Factors of the damping after a step that lowered the cost, and after one that did not.
+const EASED: f64 = 0.2;
+const TIGHTENED: f64 = 5.0;
+/// A step that lowers the cost by less than this share is the last.
+const RESTS: f64 = 1e-10;
+
+/// Steps that lower `cost`, damped until they do (Levenberg and Marquardt): for starts from which [`minimise`] would not arrive.
+/// `terms` are those of the cost, twice; where that is infinite nobody goes. Gives where it ends, with the cost there.
+pub fn minimise_damped<M: Manifold, const N: usize>(
+    start: M,
+    max_trials: u32,
+    mut terms: impl FnMut(&M) -> NormalEquations<N>,
+    mut cost: impl FnMut(&M) -> f64,
+) -> (M, f64)
+where
+    Const<N>: DimMin<Const<N>, Output = Const<N>>,
+{
+    const { assert!(N == M::TANGENT) };
+    let [mut damping, least_damping, most_damping] = DAMPING;
+    let mut least = cost(&start);
+    let mut equations = terms(&start);
+    let mut value = start;
+    for _ in 0..max_trials {
+        let Some(step) = equations.damped_step(damping) else {
+            break;
+        };
+        let trial = value.plus(step.as_slice());
+        let next = cost(&trial);
+        if next < least {
+            let share = (least - next) / least;
+            (value, least) = (trial, next);
+            if share < RESTS {
+                break;
+            }
+            damping = (damping * EASED).max(least_damping);
+            equations = terms(&value);
+        } else {
+            damping *= TIGHTENED;
+            if damping > most_damping {
+                break;
+            }
+        }
+    }
+    (value, least)
 }
 
 /// [`Next::Settled`] after a step shorter than this, else [`Next::Iterate`].
@@ -170,6 +238,31 @@ mod tests {
         assert!(found.settled && found.iterations < 12);
         assert!(so3::local(&found.value.0, &truth.0).norm() < 1e-12);
         assert!((found.value.1 - truth.1).norm() < 1e-12);
+    }
+
+    /// Rosenbrock's valley, from where undamped steps climb; a third number that nothing depends on.
+    #[test]
+    fn a_bent_valley_is_followed_and_what_nothing_depends_on_stays() {
+        let residuals = |p: &Vector3<f64>| [10.0 * (p.y - p.x * p.x), 1.0 - p.x];
+        let terms = |p: &Vector3<f64>| {
+            let [a, b] = residuals(p);
+            let mut terms = NormalEquations::<3>::default();
+            terms.add(a, &Vector3::new(-20.0 * p.x, 10.0, 0.0), 1.0);
+            terms.add(b, &Vector3::new(-1.0, 0.0, 0.0), 1.0);
+            terms
+        };
+        let cost = |p: &Vector3<f64>| residuals(p).iter().map(|r| r * r).sum();
+        let start = Vector3::new(-1.9, 2.0, 7.0);
+        let (found, left) = minimise_damped(start, 60, terms, cost);
+        assert!(left < 1e-12, "{found} {left}");
+        assert!(
+            (found - Vector3::new(1.0, 1.0, 7.0)).norm() < 1e-6,
+            "{found}"
+        );
+        // Nobody goes where the cost is infinite.
+        let fenced = |p: &Vector3<f64>| if p.x > 0.0 { f64::INFINITY } else { cost(p) };
+        let (found, _) = minimise_damped(start, 60, terms, fenced);
+        assert!(found.x <= 0.0, "{found}");
     }
 
     #[test]

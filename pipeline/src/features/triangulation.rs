@@ -1,8 +1,12 @@
 //! A point from its viewing rays.
 
 use lsfb_geometry::{Camera, Matrix3, Se3, Vector2, Vector3};
+use lsfb_perception::gauss_newton::{NormalEquations, minimise_damped};
 use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
+
+/// Steps tried at most to refine a point.
+const MAX_TRIALS: u32 = 12;
 
 /// A pixel in a camera whose pose is known.
 #[derive(Clone, Copy, Debug)]
@@ -156,45 +160,27 @@ fn midpoint(rays: &[Ray]) -> Option<Vector3<f64>> {
     Some(normal.cholesky()?.solve(&right))
 }
 
-/// Gauss–Newton on the reprojection errors, with halved steps where one does not help.
+/// The point with the least reprojection errors.
 fn refine(views: &[View], rays: &[Ray], start: Vector3<f64>) -> Vector3<f64> {
     let cost = |point: &Vector3<f64>| -> f64 {
         rays.iter()
             .map(|ray| reprojection_px(&views[ray.index], point, 0.0).powi(2))
             .sum()
     };
-    let (mut point, mut best) = (start, cost(&start));
-    for _ in 0..10 {
-        let mut hessian = Matrix3::zeros();
-        let mut gradient = Vector3::zeros();
+    let terms = |point: &Vector3<f64>| {
+        let mut terms = NormalEquations::default();
         for ray in rays {
             let view = &views[ray.index];
             let camera_from_world = view.world_from_camera.inverse();
-            let Some(seen) = view
-                .camera
-                .project_with_jacobian(&(camera_from_world * point))
-            else {
-                continue;
-            };
-            let jacobian = seen.pixel_by_point * camera_from_world.rotation_matrix();
-            hessian += jacobian.transpose() * jacobian;
-            gradient += jacobian.transpose() * (seen.pixel - view.pixel);
+            let in_camera = camera_from_world * *point;
+            if let Some(seen) = view.camera.project_with_jacobian(&in_camera) {
+                let by_point = seen.pixel_by_point * camera_from_world.rotation_matrix();
+                terms.add_block(&(seen.pixel - view.pixel), &by_point, 1.0);
+            }
         }
-        let Some(step) = hessian.cholesky().map(|c| c.solve(&gradient)) else {
-            break;
-        };
-        let halves = (0..5).map(|i| point - step * 0.5f64.powi(i));
-        let Some(better) = halves.into_iter().find(|p| cost(p) < best) else {
-            break;
-        };
-        let moved = (better - point).norm();
-        best = cost(&better);
-        point = better;
-        if moved < 1e-9 {
-            break;
-        }
-    }
-    point
+        terms
+    };
+    minimise_damped(start, MAX_TRIALS, terms, cost).0
 }
 
 /// Distance between where the point should be and is seen, pixels; infinite behind or nearer than `min_depth_m`.

@@ -10,6 +10,7 @@
 
 use lsfb_geometry::{Matrix3, Se3, Vector3};
 use lsfb_perception::lidar::{LocalMap, LocalMapConfig, Plane, voxel_downsample};
+use lsfb_perception::statistics::median;
 use lsfb_types::Bounds;
 use nalgebra::SymmetricEigen;
 use serde::{Deserialize, Serialize};
@@ -292,16 +293,14 @@ fn creases_of_ring(
 
 /// Usual angle between neighbouring returns.
 fn azimuth_step_rad(points: &[Vector3<f64>], sensor: &Vector3<f64>) -> Option<f64> {
-    let mut angles: Vec<f64> = points
+    let angles: Vec<f64> = points
         .windows(2)
         .map(|w| (w[0] - sensor).angle(&(w[1] - sensor)))
         .collect();
     if angles.len() < 20 {
         return None;
     }
-    let middle = angles.len() / 2;
-    let (_, median, _) = angles.select_nth_unstable_by(middle, f64::total_cmp);
-    (*median > 1e-5).then_some(*median)
+    median(angles).filter(|usual| *usual > 1e-5)
 }
 
 /// A line fitted to points.

@@ -1,4 +1,5 @@
-use lsfb_geometry::{Matrix3x6, Se3, Vector3, so3};
+use lsfb_geometry::{Se3, Vector3, so3};
+use lsfb_perception::projection::{moved_by_inverse, moved_by_pose};
 use lsfb_solver::{Linearization, Parameters, Residual, Shape, Undefined};
 
 /// Eq. (4), second term: a point of keyframe n on an edge of keyframe m,
@@ -38,18 +39,9 @@ impl Residual for LidarEdge {
         let across = so3::hat(&(self.direction_in_m / self.sigma_m));
         out.set_residual(&(across * (p - self.point_in_m)));
         // ∂p/∂δm = [[p]×, −I]
-        let mut by_m = Matrix3x6::zeros();
-        by_m.fixed_view_mut::<3, 3>(0, 0)
-            .copy_from(&(across * so3::hat(&p)));
-        by_m.fixed_view_mut::<3, 3>(0, 3).copy_from(&-across);
-        out.set_jacobian(0, &by_m);
+        out.set_jacobian(0, &(across * moved_by_inverse(&p)));
         // ∂p/∂δn = R [−[ⁿp]×, I]
-        let turned = across * m_from_n.rotation_matrix();
-        let mut by_n = Matrix3x6::zeros();
-        by_n.fixed_view_mut::<3, 3>(0, 0)
-            .copy_from(&-(turned * so3::hat(&self.point_in_n)));
-        by_n.fixed_view_mut::<3, 3>(0, 3).copy_from(&turned);
-        out.set_jacobian(1, &by_n);
+        out.set_jacobian(1, &(across * moved_by_pose(&m_from_n, &self.point_in_n)));
         Ok(())
     }
 }

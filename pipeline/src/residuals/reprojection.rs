@@ -1,8 +1,7 @@
 use std::sync::Arc;
 
-use lsfb_geometry::{
-    Camera, Matrix2x3, Matrix2x6, Matrix3, Matrix3x6, RigCamera, Se3, Vector2, Vector3, so3,
-};
+use lsfb_geometry::{Camera, Matrix2x3, Matrix2x6, Matrix3, RigCamera, Se3, Vector2, Vector3};
+use lsfb_perception::projection::moved_by_inverse;
 use lsfb_solver::{Linearization, Parameters, Residual, Shape, Undefined};
 
 /// A camera of a rig, as residuals share it.
@@ -68,16 +67,9 @@ impl ObservingCamera {
             .project_with_jacobian(&point_in_camera)
             .ok_or(Undefined)?;
         let by_point_in_rig = projection.pixel_by_point * self.camera_from_rig_rotation;
-        let mut point_by_pose = Matrix3x6::zeros();
-        point_by_pose
-            .fixed_view_mut::<3, 3>(0, 0)
-            .copy_from(&so3::hat(&point_in_rig));
-        point_by_pose
-            .fixed_view_mut::<3, 3>(0, 3)
-            .copy_from(&-Matrix3::identity());
         Ok(Seen {
             pixel: projection.pixel,
-            by_pose: by_point_in_rig * point_by_pose,
+            by_pose: by_point_in_rig * moved_by_inverse(&point_in_rig),
             by_point: by_point_in_rig * rig_from_world,
         })
     }

@@ -15,6 +15,7 @@ use nalgebra::{SVector, UnitVector3};
 
 use super::tracking::Track;
 use crate::gauss_newton::{NormalEquations, minimise, until_shorter_than};
+use crate::statistics::median;
 
 /// Tracks needed.
 const MIN_TRACKS: usize = 16;
@@ -88,7 +89,7 @@ fn from(
         let errors: Vec<Error> = tracks.iter().map(|t| Error::of(t, b_from_a, way)).collect();
         let sizes = errors.iter().map(|e| e.size.abs()).collect();
         // Half of all errors are as small as half of all should be; at first no more than halved, so that nothing is lost.
-        noise_rad = (median(sizes) / MEDIAN_SIZE).clamp(0.5 * noise_rad, f64::INFINITY);
+        noise_rad = (median(sizes)? / MEDIAN_SIZE).clamp(0.5 * noise_rad, f64::INFINITY);
         noise_rad = noise_rad.max(LEAST_NOISE_RAD);
         let mut terms = NormalEquations::default();
         for error in &errors {
@@ -172,12 +173,6 @@ fn first_ways(tracks: &[Track], b_from_a: &UnitQuaternion<f64>) -> Vec<UnitVecto
         }
     }
     taken
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    let (_, found, _) = values.select_nth_unstable_by(middle, f64::total_cmp);
-    *found
 }
 
 #[cfg(test)]

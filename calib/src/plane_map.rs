@@ -1,11 +1,13 @@
 //! What the LiDAR saw of a place: planes in small cells, each fitted to all returns around the cell, so that no wall is cut in two by
 //! a cell's border.
 
-use lsfb_geometry::Vector3;
-use lsfb_perception::lidar::{CellMap, Plane, PointSums, cell_key, neighbour_key};
+use lsfb_geometry::{Matrix6, Se3, Vector3, Vector6};
+use lsfb_perception::lidar::{
+    CellMap, Match, Plane, PointSums, PosePrior, Registration, RegistrationConfig, Weighting,
+    cell_key, neighbour_key, register,
+};
+use lsfb_perception::statistics::median;
 use rayon::prelude::*;
-
-use crate::statistics::median;
 
 /// Edge of a cell, metres; a plane is fitted to those around it too.
 const CELL_M: f64 = 0.16;
@@ -27,6 +29,21 @@ const STEP_M: f64 = 0.5 * CELL_M;
 /// A ray that meets a plane more aslant than this cosine says little of where.
 const LEAST_COSINE: f64 = 0.25;
 
+/// Returns that must lie on planes.
+const MIN_MATCHES: f64 = 150.0;
+/// How scans are put onto planes.
+const REGISTRATION: RegistrationConfig = RegistrationConfig {
+    max_iterations: 10,
+    // Cells say what is near: nothing is gained by a narrower one.
+    gate_m: 0.75,
+    min_kernel_m: 0.25,
+    // Least spread of returns about a plane.
+    range_noise_m: 0.008,
+    point_noise_m: 0.1,
+    points_per_independent: 1.0,
+    weighting: Weighting::ByPlane { deviations: 2.5 },
+};
+
 /// A plane through the returns in and around a cell.
 #[derive(Clone, Copy)]
 struct Fitted {
@@ -36,13 +53,13 @@ struct Fitted {
 
 /// Returns by cell, with the planes asked for so far.
 #[derive(Default)]
-pub(super) struct PlaneMapBuilder {
+pub(crate) struct PlaneMapBuilder {
     cells: CellMap<PointSums>,
     planes: CellMap<Option<Fitted>>,
 }
 
 /// All planes of a place, when nothing is added to it any more.
-pub(super) struct PlaneMap {
+pub(crate) struct PlaneMap {
     planes: CellMap<Option<Fitted>>,
     own_counts: CellMap<u32>,
     usual_thickness_m: f64,
@@ -55,6 +72,27 @@ fn cell_of(place: &Vector3<f64>) -> u64 {
 
 fn middle_of_cell(place: &Vector3<f64>) -> Vector3<f64> {
     place.map(|x| ((x / CELL_M).floor() + 0.5) * CELL_M)
+}
+
+/// The pose at which returns lie on planes, with what they say of it; `None` where too few do. `expected`: by how much, in radians
+/// and metres, it is expected to be elsewhere than `start`.
+pub(crate) fn register_to_planes(
+    returns: &[Vector3<f64>],
+    start: Se3,
+    expected: [f64; 2],
+    mut plane: impl FnMut(&Vector3<f64>) -> Option<Plane>,
+) -> Option<(Se3, Matrix6<f64>)> {
+    let information = Vector6::from_fn(|k, _| expected[k / 3].powi(-2));
+    let prior = PosePrior {
+        world_from_rig: start,
+        information: Matrix6::from_diagonal(&information),
+    };
+    let found: Registration = register(returns, &prior, &REGISTRATION, |pose, _| {
+        let planes = returns.iter().map(|p| plane(&(*pose * *p)));
+        planes.map(|p| p.map(Match::Plane)).collect()
+    });
+    let inliers = found.inlier_ratio * returns.len() as f64;
+    (inliers >= MIN_MATCHES).then_some((found.world_from_rig, found.information))
 }
 
 impl PlaneMapBuilder {
