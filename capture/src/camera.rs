@@ -307,7 +307,7 @@ impl CameraStream {
         }
         let arrival = answer.arrival;
         for sample in &decoded {
-            imu.samples.note(sample.sample.clone(), arrival);
+            imu.samples.note(sample.sample, arrival);
         }
         imu.early.extend(decoded);
         let raw = Entry::Raw {

@@ -234,7 +234,7 @@ impl ImuStream {
             };
             self.report.decoded += 1;
             meter.heard_part(SAMPLES, 1);
-            self.samples.note(sample.clone(), reading.arrival);
+            self.samples.note(sample, reading.arrival);
             self.report.stale = self.samples.stale().stretches();
             meter.set_stale(self.samples.stale().is_problem().then_some(SAME_SAMPLE));
             let sample = Stamped {

@@ -130,6 +130,12 @@ impl Context {
         }
     }
 
+    /// What [`Context::print`] would have printed, kept from when it was.
+    pub fn print_kept(&self, json: &str, text: &str) -> anyhow::Result<()> {
+        self.display.finish();
+        terminal::print(if self.json { json } else { text })
+    }
+
     /// Opens a recording; says what is missing from it, and remembers that something is.
     pub fn open(&self, path: &Path) -> anyhow::Result<Recording> {
         crate::files::expect_file(path, "record one with `lsfb scan`")?;

@@ -1,9 +1,15 @@
 //! How a judgement stands on the terminal and in JSON: it decides nothing.
 
 use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
 
+use lsfb_recording::Provenance;
 use lsfb_types::{Finding, Judgement, Verdict};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+
+use crate::context::Context;
+use crate::outcome::Outcome;
+use crate::standing;
 
 /// Width of the column of subjects.
 const SUBJECTS: usize = 22;
@@ -29,6 +35,60 @@ impl<'a, T: Serialize> Judged<'a, T> {
             summary: judgement.headline(what),
             result,
         }
+    }
+}
+
+/// A page with its verdict, made of a recording and settings alone.
+pub struct Page<'a> {
+    pub path: &'a Path,
+    /// Pictures and transforms that belong to it.
+    pub beside: &'a [PathBuf],
+    pub made_from: &'a Provenance,
+}
+
+/// What was said of a page that stands.
+#[derive(Serialize, Deserialize)]
+struct Said {
+    json: String,
+    text: String,
+    failed: bool,
+}
+
+impl Said {
+    fn print(&self, context: &Context) -> anyhow::Result<Outcome> {
+        context.print_kept(&self.json, &self.text)?;
+        Ok(match self.failed {
+            true => Outcome::JudgementFailed,
+            false => Outcome::Done,
+        })
+    }
+}
+
+/// Says again what was said of a page that stands; `None` where it is to be made.
+pub fn said_before(
+    context: &Context,
+    page: &Path,
+    made_from: &Provenance,
+) -> Option<anyhow::Result<Outcome>> {
+    let said: Said = context.standing(&[page], made_from)?;
+    Some(said.print(context))
+}
+
+impl Page<'_> {
+    /// Notes that the page is finished, and says what it found.
+    pub fn finish<T: Serialize>(
+        &self,
+        context: &Context,
+        judged: &Judged<'_, T>,
+        text: &str,
+    ) -> anyhow::Result<Outcome> {
+        let said = Said {
+            json: serde_json::to_string(judged)?,
+            text: printable(text),
+            failed: judged.judgement.verdict() == Verdict::Fail,
+        };
+        standing::finish(&[self.path], self.beside, self.made_from, &said)?;
+        said.print(context)
     }
 }
 

@@ -19,13 +19,17 @@ struct Record {
     made_from: Provenance,
     /// SHA-256 of what was written by name; of a map that of its header, which has those of its tables.
     outputs: BTreeMap<String, String>,
+    /// SHA-256 of what lies beside the first output and belongs to it, by name.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    beside: BTreeMap<String, String>,
     /// What the stage said about its result.
     report: serde_json::Value,
 }
 
-/// Notes that results are finished. The first of them gives the record its name.
+/// Notes that results are finished. The first of them gives the record its name; what lies `beside` it belongs to it.
 pub fn finish(
     outputs: &[&Path],
+    beside: &[PathBuf],
     made_from: &Provenance,
     report: &impl Serialize,
 ) -> anyhow::Result<()> {
@@ -36,6 +40,7 @@ pub fn finish(
         program_sha256: program_sha256()?,
         made_from: made_from.clone(),
         outputs: hashes(outputs)?,
+        beside: hashes(&beside.iter().map(PathBuf::as_path).collect::<Vec<_>>())?,
         report: serde_json::to_value(report)?,
     };
     crate::files::write(&path, serde_json::to_vec_pretty(&record)?)
@@ -48,9 +53,14 @@ pub fn report<R: DeserializeOwned>(outputs: &[&Path], made_from: &Provenance) ->
     let record: Record = serde_json::from_slice(&text).ok()?;
     // Read back as the record was: the last digits of numbers may change on the way.
     let asked: Provenance = serde_json::from_slice(&serde_json::to_vec(made_from).ok()?).ok()?;
+    let first = outputs.first()?;
+    let is_same = |(name, hash): (&String, &String)| {
+        sha256_of(&first.with_file_name(name)).is_ok_and(|own| own == *hash)
+    };
     let stands = record.made_from == asked
         && record.program_sha256 == program_sha256().ok()?
-        && record.outputs == hashes(outputs).ok()?;
+        && record.outputs == hashes(outputs).ok()?
+        && record.beside.iter().all(is_same);
     serde_json::from_value(record.report)
         .ok()
         .filter(|_| stands)
@@ -102,12 +112,18 @@ mod tests {
         let other = Provenance::new(&BTreeMap::from([("voxel_size_m", 0.5)]));
         std::fs::write(&out, "0 0 0 0 0 0 0 1\n").expect("result");
         assert_eq!(report::<u32>(&[&out], &made_from), None, "no record");
-        finish(&[&out], &made_from, &7).expect("record");
+        let beside = folder.path().join("walk.png");
+        std::fs::write(&beside, "a picture").expect("picture");
+        finish(&[&out], std::slice::from_ref(&beside), &made_from, &7).expect("record");
         assert_eq!(report::<u32>(&[&out], &made_from), Some(7));
         assert_eq!(report::<u32>(&[&out], &other), None, "other settings");
         std::fs::write(&out, "0 0 0").expect("half a result");
         assert_eq!(report::<u32>(&[&out], &made_from), None, "half a result");
         std::fs::write(&out, "0 0 0 0 0 0 0 1\n").expect("result");
+        assert_eq!(report::<u32>(&[&out], &made_from), Some(7));
+        std::fs::write(&beside, "another").expect("picture");
+        assert_eq!(report::<u32>(&[&out], &made_from), None, "another picture");
+        std::fs::write(&beside, "a picture").expect("picture");
         assert_eq!(report::<u32>(&[&out], &made_from), Some(7));
         forget(&[&out]).expect("forgotten");
         assert_eq!(report::<u32>(&[&out], &made_from), None, "forgotten");

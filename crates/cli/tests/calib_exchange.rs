@@ -115,7 +115,7 @@ fn the_simulators_rig_comes_back_from_every_format() {
 
         let mut import = vec!["calib", "import", program];
         import.extend(paths.iter().map(String::as_str));
-        let alone = [&import[..], &["--out", "alone.toml"]].concat();
+        let alone = [&import[..], &["--out", "alone.toml", "--force"]].concat();
         assert!(
             notes(&json(folder.path(), &alone, 0)).is_empty(),
             "{program}"
@@ -143,7 +143,8 @@ fn the_simulators_rig_comes_back_from_every_format() {
         }
 
         // Into a rig that has the rest: everything is as it was, but nobody knows since when.
-        let into = [&import[..], &["--rig", "rig.toml", "--out", "into.toml"]].concat();
+        let into = ["--rig", "rig.toml", "--out", "into.toml", "--force"];
+        let into = [&import[..], &into].concat();
         json(folder.path(), &into, 0);
         let again = read(folder.path(), "into.toml");
         assert_same_rig(program, &rig, &again);
@@ -263,7 +264,15 @@ fn files_of_others_come_back() {
         };
         json(
             folder.path(),
-            &["calib", "import", program, &path, "--out", "first.toml"],
+            &[
+                "calib",
+                "import",
+                program,
+                &path,
+                "--out",
+                "first.toml",
+                "--force",
+            ],
             0,
         );
         let first = read(folder.path(), "first.toml");
@@ -275,13 +284,13 @@ fn files_of_others_come_back() {
         };
         for through in through {
             let export = ["calib", "export", through, "first.toml", "--out", through];
-            let written = json(folder.path(), &export, 0);
+            let written = json(folder.path(), &[&export[..], &["--force"]].concat(), 0);
             let mut import = vec!["calib", "import", through];
             let files = written["files"].as_array().expect("files");
             import.extend(files.iter().map(|f| f.as_str().expect("a path")));
             json(
                 folder.path(),
-                &[&import[..], &["--out", "again.toml"]].concat(),
+                &[&import[..], &["--out", "again.toml", "--force"]].concat(),
                 0,
             );
             let again = read(folder.path(), "again.toml");

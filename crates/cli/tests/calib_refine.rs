@@ -102,6 +102,7 @@ fn a_lidar_that_is_nearly_right_is_refined_and_what_cannot_be_is_said() {
             rig,
             "--out",
             "lost.html",
+            "--force",
         ];
         let output = lsfb(path, &arguments);
         let text = String::from_utf8_lossy(&output.stdout);

@@ -8,6 +8,7 @@ use answer::json;
 use lsfb_geometry::{Rig, Se3, Vector6};
 use lsfb_rigs::walk::Walk;
 use lsfb_sim::{Place, SimConfig};
+use process::lsfb;
 use rig_files::{apart, write_rig};
 use serde_json::Value;
 
@@ -73,7 +74,21 @@ fn the_board_of_the_twin_places_the_lidar_and_the_rig_is_verified() {
         "PASS",
         "{checked}"
     );
-    assert!(folder.path().join("scan.verify.cam0.png").exists());
+    let picture = folder.path().join("scan.verify.cam0.png");
+    // What was said stands, and is said again, until one of the files that were written is another.
+    let verify = ["calib", "verify", "scan.mcap", "--rig", "after.toml"];
+    let drawn = std::fs::metadata(&picture).expect("a picture");
+    assert_eq!(json(folder.path(), &verify, 0), checked);
+    let again = std::fs::metadata(&picture).expect("a picture");
+    assert_eq!(again.modified().ok(), drawn.modified().ok());
+    std::fs::write(&picture, "another").expect("a picture");
+    let output = lsfb(folder.path(), &verify);
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert!(
+        text.contains("scan.verify.html: is there already"),
+        "{text}"
+    );
+    assert_eq!(output.status.code(), Some(1), "{text}");
 
     // The images as if their clock were 5 ms off either way, the camera as if it had been turned by 2°.
     for wrong_s in [0.005, -0.005] {
@@ -85,7 +100,14 @@ fn the_board_of_the_twin_places_the_lidar_and_the_rig_is_verified() {
         write_rig(&folder.path().join("wrong.toml"), &wrong);
         let checked = json(
             folder.path(),
-            &["calib", "verify", "scan.mcap", "--rig", "wrong.toml"],
+            &[
+                "calib",
+                "verify",
+                "scan.mcap",
+                "--rig",
+                "wrong.toml",
+                "--force",
+            ],
             4,
         );
         for name in ["cam0 time offset", "cam0 rotation to the IMU"] {

@@ -12,7 +12,7 @@ use lsfb_geometry::Rig;
 use lsfb_recording::{Writer, WriterConfig};
 use lsfb_types::{Stamped, Timestamp};
 use process::lsfb;
-use refusal::refused;
+use refusal::{contents, refused};
 
 const CAMERA: [&str; 12] = [
     "calib",
@@ -63,7 +63,7 @@ fn a_stereo_pair_is_calibrated_and_its_baseline_joins() {
     // Named the wrong way round.
     let mut swapped = CAMERA;
     (swapped[7], swapped[9]) = ("left=right", "right=left");
-    let report = json(path, &swapped, 0);
+    let report = json(path, &[&swapped[..], &["--force"]].concat(), 0);
     assert_eq!(report["outcome"], "WARN");
     assert!(report.to_string().contains("their views are swapped"));
 }
@@ -235,6 +235,17 @@ fn a_failed_run_leaves_nothing_older_that_looks_new() {
     json(path, &CAMERA, 0);
     let results = ["rig.toml", "rig.html", "rig.right-left.json"];
     let before = results.map(|name| std::fs::read(path.join(name)).expect("a result"));
+    // Nor is anything replaced unasked, by whichever of the files that a run writes.
+    for gone in ["none", "rig.toml"] {
+        let _ = std::fs::remove_file(path.join(gone));
+        let there = contents(path);
+        let output = lsfb(path, &CAMERA);
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert!(text.contains("--force"), "{text}");
+        assert_eq!(output.status.code(), Some(1), "{text}");
+        assert_eq!(contents(path), there, "without {gone}");
+    }
+    std::fs::write(path.join("rig.toml"), &before[0]).expect("rig");
     blind(path, "right");
     refused(path, &CAMERA, &["right", "found in 0 of 9 images"]);
     for (name, before) in results.iter().zip(&before) {

@@ -80,7 +80,10 @@ fn ends(path: &Path, arguments: &[&str], out: &str, end: End, words: &[&str]) ->
 
 /// Says the words in text as well.
 fn says(path: &Path, arguments: &[&str], words: &[&str]) {
-    let output = lsfb(path, &[arguments, &["--out", "said.toml"]].concat());
+    let output = lsfb(
+        path,
+        &[arguments, &["--out", "said.toml", "--force"]].concat(),
+    );
     let text = String::from_utf8_lossy(&output.stdout);
     for word in words {
         assert!(text.contains(word), "{word:?} is not said: {text}");

@@ -74,6 +74,7 @@ fn known_noise_comes_back_within_its_sigma() {
                 "rig.toml",
                 "--out-rig",
                 "rig.toml",
+                "--force",
                 "--json",
             ],
         );

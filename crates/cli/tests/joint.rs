@@ -55,6 +55,7 @@ fn a_loop_is_closed_and_a_transform_that_contradicts_is_named() {
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
 
     let found = json(folder.path(), &arguments, 0);
+    let arguments = [&arguments[..], &["--force"]].concat();
     assert_eq!(found["redundancy"], 18, "{found}");
     let joined = Rig::read(&folder.path().join("joined.toml")).expect("rig");
     let RigLidar { rig_from_lidar, .. } = joined.lidar().expect("placed");

@@ -11,7 +11,7 @@ use lsfb_types::Verdict;
 
 use super::calib_board::BoardArguments;
 use super::calib_input::{Source, add_input, calibrated_unix_s, name_of_camera, views_of};
-use super::calib_result::{Calibrated, set_aside, write_transforms};
+use super::calib_result::{Calibrated, Results, write_transforms};
 use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;
@@ -85,7 +85,13 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         .collect();
     let pairs: Vec<[&str; 2]> = names.iter().skip(1).map(|n| [*n, names[0]]).collect();
     let inputs: Vec<&Path> = arguments.rig.iter().map(PathBuf::as_path).collect();
-    set_aside(&arguments.out, &pairs, &inputs)?;
+    let results = Results {
+        out: &arguments.out,
+        transforms: &pairs,
+        others: &[arguments.out_kalibr.as_deref()],
+        inputs: &inputs,
+    };
+    results.claim(context)?;
     let mut config: CameraConfig = match &arguments.config {
         Some(path) => super::read_config(path)?,
         None => CameraConfig::default(),

@@ -14,7 +14,7 @@ use lsfb_types::Verdict;
 
 use super::calib_board::BoardArguments;
 use super::calib_input::{Source, add_input, calibrated_unix_s, imu_of, name_of_camera, views_of};
-use super::calib_result::{Calibrated, set_aside, write_transforms};
+use super::calib_result::{Calibrated, Results, write_transforms};
 use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;
@@ -69,7 +69,16 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         .iter()
         .map(|c| [IMU, name_of_camera(c)])
         .collect();
-    set_aside(&arguments.out, &pairs, &[&arguments.rig])?;
+    let results = Results {
+        out: &arguments.out,
+        transforms: &pairs,
+        others: &[
+            arguments.out_kalibr.as_deref(),
+            arguments.out_trajectory.as_deref(),
+        ],
+        inputs: &[&arguments.rig],
+    };
+    results.claim(context)?;
     let config: CameraImuConfig = match &arguments.config {
         Some(path) => super::read_config(path)?,
         None => CameraImuConfig::default(),

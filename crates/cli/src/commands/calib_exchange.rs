@@ -10,7 +10,7 @@ use lsfb_calib::exchange::{
 use lsfb_geometry::{Rig, RigCamera, Se3};
 use lsfb_recording::Provenance;
 
-use super::calib_result::set_aside;
+use super::calib_result::Results;
 use crate::context::Context;
 use crate::outcome::Outcome;
 
@@ -85,11 +85,13 @@ impl From<Program> for Format {
 /// Reads the files, writes the rig.
 pub fn run_import(arguments: &ImportArguments, context: &Context) -> anyhow::Result<Outcome> {
     let read_too = arguments.files.iter().chain(&arguments.rig);
-    set_aside(
-        &arguments.out,
-        &[],
-        &read_too.map(PathBuf::as_path).collect::<Vec<_>>(),
-    )?;
+    let results = Results {
+        out: &arguments.out,
+        transforms: &[],
+        others: &[],
+        inputs: &read_too.map(PathBuf::as_path).collect::<Vec<_>>(),
+    };
+    results.claim(context)?;
     let ImportedRig {
         rig: found,
         mut notes,
@@ -249,11 +251,11 @@ pub fn run_export(arguments: &ExportArguments, context: &Context) -> anyhow::Res
     let rig = Rig::read(&arguments.rig)?;
     let exported = export(&rig, arguments.program.into(), arguments.imu_rate_hz)?;
     std::fs::create_dir_all(&arguments.out).with_context(|| arguments.out.display().to_string())?;
-    let mut paths = Vec::new();
-    for file in &exported.files {
-        let path = arguments.out.join(&file.name);
-        super::write(&path, &file.text)?;
-        paths.push(path);
+    let files = exported.files.iter();
+    let paths: Vec<PathBuf> = files.map(|f| arguments.out.join(&f.name)).collect();
+    paths.iter().try_for_each(|path| context.claim(path))?;
+    for (path, file) in paths.iter().zip(&exported.files) {
+        super::write(path, &file.text)?;
     }
     context.print(
         &serde_json::json!({ "files": &paths, "notes": &exported.notes }),

@@ -8,10 +8,9 @@ use lsfb_geometry::Rig;
 use lsfb_recording::Provenance;
 
 use super::calib_input::{Source, add_input, imu_of};
-use super::calib_result::set_aside;
+use super::calib_result::Results;
 use super::write;
 use crate::context::Context;
-use crate::files::is_same;
 use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
 
@@ -55,16 +54,21 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         Some(path) => super::read_config(path)?,
         None => ImuNoiseConfig::default(),
     };
+    let read_too = arguments.rig.as_deref();
+    let results = Results {
+        out: &arguments.out,
+        transforms: &[],
+        others: &[
+            arguments.out_kalibr.as_deref(),
+            arguments.out_rig.as_deref(),
+        ],
+        inputs: read_too.as_slice(),
+    };
+    results.claim(context)?;
     let rig = match (&arguments.rig, &arguments.out_rig) {
-        (Some(before), Some(after)) => {
-            if !is_same(before, after) {
-                context.claim(after)?;
-            }
-            Some((Rig::read(before)?, after))
-        }
+        (Some(before), Some(after)) => Some((Rig::read(before)?, after)),
         _ => None,
     };
-    set_aside(&arguments.out, &[], &[])?;
     let mut provenance = Provenance::new(&config);
     for path in [&arguments.recording, &arguments.imu].into_iter().flatten() {
         if path.exists() {

@@ -8,7 +8,7 @@ use lsfb_geometry::{Rig, RigLidar};
 use lsfb_recording::Provenance;
 use lsfb_types::Verdict;
 
-use super::calib_result::{Calibrated, set_aside};
+use super::calib_result::{Calibrated, Results};
 use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;
@@ -48,11 +48,13 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         config.weights = Weights::Paper;
     }
     let read = arguments.transforms.iter().chain([&arguments.rig]);
-    set_aside(
-        &arguments.out,
-        &[],
-        &read.map(PathBuf::as_path).collect::<Vec<_>>(),
-    )?;
+    let results = Results {
+        out: &arguments.out,
+        transforms: &[],
+        others: &[],
+        inputs: &read.map(PathBuf::as_path).collect::<Vec<_>>(),
+    };
+    results.claim(context)?;
     let mut rig = Rig::read(&arguments.rig)?;
     let mut provenance = Provenance::new(&config);
     provenance.add_input(&arguments.rig)?;

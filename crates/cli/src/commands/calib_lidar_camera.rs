@@ -17,7 +17,7 @@ use super::calib_board::{BoardArguments, two_lengths};
 use super::calib_input::{
     Source, add_input, calibrated_unix_s, image_at, name_of_camera, views_of,
 };
-use super::calib_result::{Calibrated, picture_path, set_aside, write_transforms};
+use super::calib_result::{Calibrated, Results, picture_path, write_transforms};
 use super::write;
 use crate::context::Context;
 use crate::outcome::Outcome;
@@ -79,7 +79,13 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         offset_m: arguments.offset,
     };
     let name = name_of_camera(&arguments.camera);
-    set_aside(&arguments.out, &[[name, LIDAR]], &[&arguments.rig])?;
+    let results = Results {
+        out: &arguments.out,
+        transforms: &[[name, LIDAR]],
+        others: &[],
+        inputs: &[&arguments.rig],
+    };
+    results.claim(context)?;
     let config: LidarCameraConfig = super::config_or_default(arguments.config.as_deref())?;
     let mut rig = Rig::read(&arguments.rig)?;
     let mut provenance = Provenance::new(&config);

@@ -2,11 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
+use lsfb_calib::joint::LIDAR;
 use lsfb_calib::refine::{Compared, RefineConfig, Refinement, refine};
 use lsfb_recording::Provenance;
 use serde::Serialize;
 
-use super::calib_result::{listed, write_transforms};
+use super::calib_result::{Results, listed, write_transforms};
 use crate::context::Context;
 use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
@@ -54,7 +55,18 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let mut provenance = Provenance::new(&config);
     provenance.add_input(&arguments.recording)?;
     let rig = super::rig_for(&recording, arguments.rig.as_deref(), &mut provenance)?;
-    super::expect_writable(&arguments.out)?;
+    if let Some(said) = judged::said_before(context, &arguments.out, &provenance) {
+        return said;
+    }
+    let cameras = rig.cameras.keys();
+    let pairs: Vec<[&str; 2]> = cameras.map(|name| [name.as_str(), LIDAR]).collect();
+    let results = Results {
+        out: &arguments.out,
+        transforms: &pairs,
+        others: &[],
+        inputs: &[],
+    };
+    results.claim(context)?;
     let show = |p| context.show(p);
     let found = refine(&recording, &rig, &config, &show)?;
     let page = &arguments.out;
@@ -85,15 +97,17 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     };
     let judgement = found.judgement();
     let judged = Judged::new(&judgement, &found.summary(), &printed);
-    context.print(&judged, || {
-        let mut text = format!("{}. See {}.", judged.summary, page.display());
-        for c in &found.cameras {
-            text += &format!("\n  {}: {}", c.camera, c.sentence);
-        }
-        if !transforms.is_empty() {
-            text += &format!("\n  for `lsfb calib joint`: {}", listed(&transforms));
-        }
-        judged::printable(&text)
-    })?;
-    Ok(Outcome::of(judgement.verdict()))
+    let mut text = format!("{}. See {}.", judged.summary, page.display());
+    for c in &found.cameras {
+        text += &format!("\n  {}: {}", c.camera, c.sentence);
+    }
+    if !transforms.is_empty() {
+        text += &format!("\n  for `lsfb calib joint`: {}", listed(&transforms));
+    }
+    let finished = judged::Page {
+        path: page,
+        beside: &[&transforms[..], &pictures].concat(),
+        made_from: &provenance,
+    };
+    finished.finish(context, &judged, &text)
 }

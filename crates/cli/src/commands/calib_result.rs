@@ -12,6 +12,7 @@ use crate::context::Context;
 use crate::files::is_same;
 use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
+use crate::standing;
 
 /// A calibration with its judgement, and what was written beside the rig.
 pub struct Calibrated<'a, C: Serialize> {
@@ -75,27 +76,49 @@ impl<C: Serialize> Calibrated<'_, C> {
     }
 }
 
-/// Moves what an earlier run wrote to `out` and beside it aside, as `NAME.old`: whatever becomes of this run, nothing older looks
-/// like its result. `transforms` are the sensors of those that this run will write; an `out` that is also read stays.
-pub fn set_aside(out: &Path, transforms: &[[&str; 2]], inputs: &[&Path]) -> anyhow::Result<()> {
-    let pages = [
-        out.to_owned(),
-        out.with_extension("html"),
-        picture_path(out),
-    ];
-    let transforms = transforms
-        .iter()
-        .map(|[target, source]| transform_path(out, target, source));
-    let old = pages.into_iter().chain(transforms);
-    let is_read = |path: &Path| inputs.iter().any(|input| is_same(input, path));
-    for path in old {
-        if path.is_file() && !is_read(&path) {
-            let mut aside = path.clone().into_os_string();
-            aside.push(".old");
-            std::fs::rename(&path, &aside).with_context(|| path.display().to_string())?;
+/// What a step writes.
+pub struct Results<'a> {
+    /// The result, with its page and picture beside it.
+    pub out: &'a Path,
+    /// Sensors of the transforms beside it.
+    pub transforms: &'a [[&'a str; 2]],
+    /// Other files that were named.
+    pub others: &'a [Option<&'a Path>],
+    /// What is read: a result of the same name is no older one, but brought up to date.
+    pub inputs: &'a [&'a Path],
+}
+
+impl Results<'_> {
+    /// Fails where a result is there and may not be replaced. What may be, and pages of a run that came to nothing, becomes
+    /// `NAME.old`: whatever becomes of this run, nothing older looks like its result.
+    pub fn claim(&self, context: &Context) -> anyhow::Result<()> {
+        let transforms = self.transforms.iter();
+        let transforms =
+            transforms.map(|[target, source]| transform_path(self.out, target, source));
+        let named = self.others.iter().flatten().map(|p| p.to_path_buf());
+        let results = [self.out.to_owned()]
+            .into_iter()
+            .chain(transforms)
+            .chain(named);
+        let results: Vec<PathBuf> = results.filter(|path| !self.is_read(path)).collect();
+        for result in &results {
+            context.claim(result)?;
         }
+        standing::forget(&[self.out])?;
+        let pages = [self.out.with_extension("html"), picture_path(self.out)];
+        for older in results.iter().chain(&pages) {
+            if older.is_file() && !self.is_read(older) {
+                let mut aside = older.clone().into_os_string();
+                aside.push(".old");
+                std::fs::rename(older, &aside).with_context(|| older.display().to_string())?;
+            }
+        }
+        Ok(())
     }
-    Ok(())
+
+    fn is_read(&self, path: &Path) -> bool {
+        self.inputs.iter().any(|input| is_same(input, path))
+    }
 }
 
 /// Writes transforms beside a rig, `RIG.TARGET-SOURCE.json`, and says where; `imu` comes last in the names.

@@ -6,6 +6,7 @@ use lsfb_calib::verify::{VerifyConfig, verify};
 use lsfb_recording::Provenance;
 use serde::Serialize;
 
+use super::calib_result::Results;
 use crate::context::Context;
 use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
@@ -55,7 +56,16 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         Some(path) => path.clone(),
         None => arguments.recording.with_extension("verify.html"),
     };
-    super::expect_writable(&page)?;
+    if let Some(said) = judged::said_before(context, &page, &provenance) {
+        return said;
+    }
+    let results = Results {
+        out: &page,
+        transforms: &[],
+        others: &[],
+        inputs: &[],
+    };
+    results.claim(context)?;
     let show = |p| context.show(p);
     let found = verify(&recording, &rig, &config, &show)?;
     let picture = |camera: &str| page.with_extension(format!("{camera}.png"));
@@ -76,22 +86,24 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         verification: &found,
     };
     let judged = Judged::new(&judgement, &found.summary(), &printed);
-    context.print(&judged, || {
-        let mut text = format!("{}. See {}.", judged.summary, page.display());
-        for c in &found.checks {
-            let value = match (c.value, c.sigma) {
-                (Some(value), Some(sigma)) => format!("{value:8.2} ± {sigma:.2} {}", c.unit),
-                _ => String::new(),
-            };
-            text += &format!(
-                "\n  {:7} {:28} {value:20} {}",
-                c.outcome, c.name, c.sentence
-            );
-        }
-        for path in &pictures {
-            text += &format!("\n  {}", path.display());
-        }
-        judged::printable(&text)
-    })?;
-    Ok(Outcome::of(judgement.verdict()))
+    let mut text = format!("{}. See {}.", judged.summary, page.display());
+    for c in &found.checks {
+        let value = match (c.value, c.sigma) {
+            (Some(value), Some(sigma)) => format!("{value:8.2} ± {sigma:.2} {}", c.unit),
+            _ => String::new(),
+        };
+        text += &format!(
+            "\n  {:7} {:28} {value:20} {}",
+            c.outcome, c.name, c.sentence
+        );
+    }
+    for path in &pictures {
+        text += &format!("\n  {}", path.display());
+    }
+    let finished = judged::Page {
+        path: &page,
+        beside: &pictures,
+        made_from: &provenance,
+    };
+    finished.finish(context, &judged, &text)
 }

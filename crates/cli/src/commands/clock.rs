@@ -3,14 +3,15 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
 use lsfb_capture::clock::{ClockConfig, ClockReport, DeviceClock, estimate_clocks};
+use lsfb_recording::Provenance;
 use serde::Serialize;
 
 use crate::clock_page;
 use crate::context::Context;
 use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
+use crate::standing;
 
 /// Estimate every device's clock again from the recorded counters and arrival times, and plot it.
 ///
@@ -46,28 +47,36 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     if let Some(secs) = arguments.window_secs {
         config.window_secs = secs;
     }
-    let recording = context.open(&arguments.recording)?;
-    let report = estimate_clocks(&recording, &config, &|p| context.show(p))?;
     let page = arguments
         .out
         .clone()
         .unwrap_or_else(|| arguments.recording.with_extension("clocks.html"));
+    let recording = context.open(&arguments.recording)?;
+    let mut provenance = Provenance::new(&config);
+    provenance.add_input(&arguments.recording)?;
+    if let Some(said) = judged::said_before(context, &page, &provenance) {
+        return said;
+    }
+    context.claim(&page)?;
+    let report = estimate_clocks(&recording, &config, &|p| context.show(p))?;
     let name = arguments.recording.display().to_string();
     let judgement = report.judgement();
-    std::fs::write(&page, clock_page::html(&name, &report, &judgement))
-        .with_context(|| page.display().to_string())?;
+    standing::forget(&[&page])?;
+    super::write(&page, clock_page::html(&name, &report, &judgement))?;
     let printed = Printed {
         page: &page,
         report: &report,
     };
     let judged = Judged::new(&judgement, &report.summary(), &printed);
-    context.print(&judged, || {
-        let mut out = judged::problem_lines(&judgement);
-        out.extend(report.devices.iter().map(line));
-        let _ = write!(out, "{}\n{}", judged.summary, page.display());
-        judged::printable(&out)
-    })?;
-    Ok(Outcome::of(judgement.verdict()))
+    let mut out = judged::problem_lines(&judgement);
+    out.extend(report.devices.iter().map(line));
+    let _ = write!(out, "{}\n{}", judged.summary, page.display());
+    let finished = judged::Page {
+        path: &page,
+        beside: &[],
+        made_from: &provenance,
+    };
+    finished.finish(context, &judged, &out)
 }
 
 fn line(clock: &DeviceClock) -> String {

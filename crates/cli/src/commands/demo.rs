@@ -233,7 +233,7 @@ fn record(
         [scan, walk].into_iter().try_for_each(standing::forget)?;
         let reports = simulated::record_with_simulated_arrivals(layout, &simulation, context)?;
         for (outputs, report) in [scan, walk].into_iter().zip(&reports) {
-            standing::finish(outputs, &made_from, &report.lost)?;
+            standing::finish(outputs, &[], &made_from, &report.lost)?;
         }
         watch.lap("recording scan and walk");
         return Ok(reports.iter().map(|r| r.lost).sum());
@@ -244,7 +244,7 @@ fn record(
     } else {
         standing::forget(scan)?;
         let report = simulated::record_backpack(layout, &simulation, context)?;
-        standing::finish(scan, &made_from, &report.lost)?;
+        standing::finish(scan, &[], &made_from, &report.lost)?;
         lost += report.lost;
         watch.lap("recording the scan");
     }
@@ -253,7 +253,7 @@ fn record(
     } else {
         standing::forget(walk)?;
         let report = simulated::record_glasses(layout, &simulation, context)?;
-        standing::finish(walk, &made_from, &report.lost)?;
+        standing::finish(walk, &[], &made_from, &report.lost)?;
         lost += report.lost;
         watch.lap("recording the walk");
     }

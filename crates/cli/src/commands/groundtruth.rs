@@ -107,7 +107,7 @@ impl WalkJob<'_> {
         standing::forget(&[self.out])?;
         write_tum(self.out, &found.trajectory)?;
         provenance.write(self.out)?;
-        standing::finish(&[self.out], &provenance, &found.report)?;
+        standing::finish(&[self.out], &[], &provenance, &found.report)?;
         Ok(WrittenTrajectory {
             ground_truth: found,
             provenance,

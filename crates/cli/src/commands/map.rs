@@ -158,7 +158,7 @@ impl MapJob<'_> {
             reprojection_errors_px: errors_px.map(|px| *px as f32).collect(),
             report: result.report,
         };
-        standing::finish(&outputs, &provenance, &said)?;
+        standing::finish(&outputs, &[], &provenance, &said)?;
         Ok(WrittenMap {
             map: result.map,
             report: said.report,

@@ -38,7 +38,7 @@ use lsfb_pipeline::hd_map::HdMap;
 use lsfb_recording::{Provenance, Recording};
 use serde::de::DeserializeOwned;
 
-use crate::files::{about, expect_file, expect_writable, name_of, write};
+use crate::files::{about, expect_file, name_of, write};
 
 /// A seed, which is no negative number.
 fn seed(text: &str) -> Result<u64, String> {
