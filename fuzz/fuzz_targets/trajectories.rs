@@ -1,8 +1,9 @@
-//! Trajectories as other programs write them: TUM text, KITTI poses with and without a file of times, EuRoC csv, gzipped.
+//! Trajectories as other programs write them: tables of any kind with or without names, KITTI poses with and without a file of times,
+//! kapture, gzipped.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use lsfb_eval::{read_kitti_poses, read_poses};
+use lsfb_eval::{ReadOptions, read_kitti_poses, read_poses, read_trajectory};
 use lsfb_geometry::StampedPose;
 use lsfb_recording::{read_tum, write_tum};
 
@@ -22,8 +23,10 @@ fuzz_target!(|data: &[u8]| {
     let (poses, times) = data.split_at(zero.unwrap_or(data.len()));
     let (path, times_path) = (name("poses"), name("times"));
     std::fs::write(&path, poses).expect("a scratch file");
-    if let Ok(poses) = read_poses(&path) {
-        assert_poses(&poses);
+    if let Ok(file) = read_trajectory(&path, &ReadOptions::default()) {
+        assert_poses(&file.poses);
+        assert!(file.poses.windows(2).all(|w| w[0].time <= w[1].time));
+        assert!(file.covariances.is_empty() || file.covariances.len() == file.poses.len());
     }
     if !times.is_empty() {
         std::fs::write(&times_path, &times[1..]).expect("a scratch file");

@@ -34,7 +34,10 @@ const ALLOWED: &[(&str, &[&str])] = &[
         "lsfb-pipeline",
         &["types", "geometry", "solver", "recording", "perception"],
     ),
-    ("lsfb-eval", &["types", "geometry", "recording", "report"]),
+    (
+        "lsfb-eval",
+        &["types", "geometry", "solver", "recording", "report"],
+    ),
     ("lsfb-view", &["types", "geometry", "recording"]),
     ("lsfb-operator", &["types", "geometry", "recording"]),
     ("lsfb-sim", &["types", "geometry", "drivers", "recording"]),

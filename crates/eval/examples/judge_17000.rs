@@ -45,7 +45,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         "{} poses matched: ATE rmse {:.6} m, RPE rmse per 1 m {:.6} m, scale {:.6}",
         found.matched_poses,
         found.ate_translation_m.rmse,
-        found.rpe[0].translation_m.rmse,
+        found.rpe[0].translation_m.map_or(f64::NAN, |t| t.rmse),
         found.alignment_scale
     );
     println!("median of {RUNS}: {all_secs:.4} s in all, {read_secs:.4} s of it reading");

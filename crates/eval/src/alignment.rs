@@ -1,7 +1,7 @@
 //! Which transform takes the estimate's world to the truth's.
 
 use lsfb_geometry::align::{Alignment, Scale, umeyama};
-use lsfb_geometry::{Se3, Vector3};
+use lsfb_geometry::{Se3, UnitQuaternion, Vector3};
 
 use crate::Error;
 use crate::association::PosePair;
@@ -16,6 +16,9 @@ pub enum AlignmentMode {
     Se3,
     /// As `Se3`, with one scale: for a monocular estimate.
     Sim3,
+    /// The rotation about the vertical axis z and the translation that bring the matched positions closest: for an estimate and
+    /// a truth that both know gravity.
+    Yaw,
     /// The transform that makes the first matched poses equal.
     Origin,
     /// A transform known beforehand, `truth_from_estimate`.
@@ -29,6 +32,7 @@ impl AlignmentMode {
             Self::None => "none",
             Self::Se3 => "SE(3)",
             Self::Sim3 => "Sim(3)",
+            Self::Yaw => "yaw",
             Self::Origin => "origin",
             Self::Given(_) => "given",
         }
@@ -42,6 +46,7 @@ pub fn align(pairs: &[PosePair], mode: AlignmentMode) -> Result<Alignment, Error
         AlignmentMode::Given(truth_from_estimate) => Ok(rigid(truth_from_estimate)),
         AlignmentMode::Se3 => fit(pairs, Scale::Fixed),
         AlignmentMode::Sim3 => fit(pairs, Scale::Free),
+        AlignmentMode::Yaw => yaw(pairs),
         AlignmentMode::Origin => {
             let first = pairs.first().ok_or(Error::TooFewMatches {
                 matched: 0,
@@ -70,7 +75,33 @@ fn rigid(target_from_source: Se3) -> Alignment {
     }
 }
 
-fn fit(pairs: &[PosePair], scale: Scale) -> Result<Alignment, Error> {
+/// The angle that turns the horizontal parts of the centred positions onto each other, in closed form.
+fn yaw(pairs: &[PosePair]) -> Result<Alignment, Error> {
+    check_count(pairs)?;
+    let mean = |of: fn(&PosePair) -> Vector3<f64>| {
+        pairs.iter().map(of).sum::<Vector3<f64>>() / pairs.len() as f64
+    };
+    let mean_truth = mean(|p| p.truth.world_from_rig.translation);
+    let mean_estimate = mean(|p| p.estimate.world_from_rig.translation);
+    let (mut along, mut across, mut size) = (0.0, 0.0, 0.0);
+    for pair in pairs {
+        let t = pair.truth.world_from_rig.translation - mean_truth;
+        let e = pair.estimate.world_from_rig.translation - mean_estimate;
+        along += e.x * t.x + e.y * t.y;
+        across += e.x * t.y - e.y * t.x;
+        size += t.norm_squared() + e.norm_squared();
+    }
+    if !(along.hypot(across) > 1e-12 * size) {
+        return Err(Error::NoHeading);
+    }
+    let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), across.atan2(along));
+    Ok(rigid(Se3::new(
+        rotation,
+        mean_truth - rotation * mean_estimate,
+    )))
+}
+
+fn check_count(pairs: &[PosePair]) -> Result<(), Error> {
     if pairs.len() < 3 {
         return Err(Error::TooFewMatches {
             matched: pairs.len(),
@@ -78,6 +109,11 @@ fn fit(pairs: &[PosePair], scale: Scale) -> Result<Alignment, Error> {
             purpose: "alignment",
         });
     }
+    Ok(())
+}
+
+fn fit(pairs: &[PosePair], scale: Scale) -> Result<Alignment, Error> {
+    check_count(pairs)?;
     let positions = |of: fn(&PosePair) -> Vector3<f64>| pairs.iter().map(of).collect::<Vec<_>>();
     umeyama(
         &positions(|p| p.estimate.world_from_rig.translation),

@@ -50,6 +50,7 @@ pub fn associate(
             max_difference_secs,
             truth_span: span(truth),
             estimate_span: span(estimate),
+            hint: unit_hint(truth, estimate),
         });
     }
     Ok(pairs)
@@ -66,6 +67,33 @@ fn nearest(poses: &[StampedPose], time: Timestamp, max_nanos: i64) -> Option<Sta
         (None, None) => return None,
     };
     ((found.time - time).abs() <= max_nanos).then_some(*found)
+}
+
+/// Whether one of the two seems to have its stamps in another unit: how long they last, or when, differs by a power of a thousand.
+fn unit_hint(truth: &[StampedPose], estimate: &[StampedPose]) -> String {
+    let ends = |poses: &[StampedPose]| Some((poses.first()?.time, poses.last()?.time));
+    let (Some((a, b)), Some((c, d))) = (ends(truth), ends(estimate)) else {
+        return String::new();
+    };
+    let epoch = Timestamp::from_nanos(0);
+    let ratios = [
+        d.secs_since(c) / b.secs_since(a),
+        c.secs_since(epoch) / a.secs_since(epoch),
+    ];
+    let hint = ratios.into_iter().find_map(|ratio| {
+        let thousands = (ratio.log10() / 3.0).round();
+        let is_near = (ratio / 1000f64.powf(thousands)).log2().abs() < 1.0;
+        (is_near && (1.0..=3.0).contains(&thousands.abs())).then_some(thousands)
+    });
+    let unit =
+        |thousands: f64| ["milliseconds", "microseconds", "nanoseconds"][thousands as usize - 1];
+    match hint {
+        Some(thousands) if thousands > 0.0 => {
+            format!("; the estimate's stamps look like {}", unit(thousands))
+        }
+        Some(thousands) => format!("; the truth's stamps look like {}", unit(-thousands)),
+        None => String::new(),
+    }
 }
 
 fn span(poses: &[StampedPose]) -> String {
@@ -116,6 +144,16 @@ mod tests {
         let text = error.to_string();
         assert!(
             text.contains("0.000000000 to 1.000000000 s") && text.contains("0.5"),
+            "{text}"
+        );
+        let millis = associate(
+            &at(&[0, 1000, 2000]),
+            &at(&[9_000, 1_009_000, 1_909_000]),
+            0.01,
+        );
+        let text = millis.expect_err("other unit").to_string();
+        assert!(
+            text.ends_with("the estimate's stamps look like milliseconds"),
             "{text}"
         );
         for bad in [-1.0, f64::NAN, f64::INFINITY] {

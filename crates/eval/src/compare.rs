@@ -21,8 +21,8 @@ pub struct Comparison {
     pub ate_rmse_m: f64,
     /// Largest absolute translation error, metres.
     pub ate_max_m: f64,
-    /// Root mean square of the absolute rotation error, degrees.
-    pub ate_rotation_rmse_deg: f64,
+    /// Root mean square of the absolute rotation error, degrees; absent without orientations.
+    pub ate_rotation_rmse_deg: Option<f64>,
     /// Delta of the relative errors.
     pub rpe_delta: Option<f64>,
     /// Unit of that delta.
@@ -50,11 +50,11 @@ pub fn compare(contenders: &[Contender<'_>]) -> Vec<Comparison> {
                 name: contender.name.to_owned(),
                 ate_rmse_m: e.ate_translation_m.rmse,
                 ate_max_m: e.ate_translation_m.max,
-                ate_rotation_rmse_deg: e.ate_rotation_deg.rmse,
+                ate_rotation_rmse_deg: e.ate_rotation_deg.map(|r| r.rmse),
                 rpe_delta: rpe.map(|r| r.delta),
                 rpe_delta_unit: rpe.map(|r| r.delta_unit),
-                rpe_translation_rmse_m: rpe.map(|r| r.translation_m.rmse),
-                rpe_rotation_rmse_deg: rpe.map(|r| r.rotation_deg.rmse),
+                rpe_translation_rmse_m: rpe.and_then(|r| Some(r.translation_m?.rmse)),
+                rpe_rotation_rmse_deg: rpe.and_then(|r| Some(r.rotation_deg?.rmse)),
                 scale_error_percent: e.scale_error_percent,
                 coverage: e.coverage.fraction,
                 matched_poses: e.matched_poses,
@@ -113,7 +113,7 @@ mod tests {
         assert_eq!(rows[1].ate_max_m, rough.ate_translation_m.max);
         assert_eq!(
             rows[1].rpe_translation_rmse_m,
-            Some(rough.rpe[0].translation_m.rmse)
+            rough.rpe[0].translation_m.map(|t| t.rmse)
         );
         assert_eq!(
             (rows[0].rpe_delta, rows[0].coverage, rows[0].matched_poses),

@@ -32,6 +32,198 @@ pub enum Error {
         /// What was found and what is understood.
         what: String,
     },
+    /// A recording could not be read.
+    #[error(transparent)]
+    Recording(#[from] lsfb_recording::Error),
+    /// The unit of the stamps is not clear.
+    #[error(
+        "{path}: stamps advance by {step} from pose to pose, which may be {possible}; say which (s, ms, us, ns)"
+    )]
+    UnknownStampUnit {
+        /// The file.
+        path: PathBuf,
+        /// Median step, in the file's unit.
+        step: f64,
+        /// Units in which that makes sense.
+        possible: String,
+    },
+    /// Most poses share a stamp with another pose, elsewhere.
+    #[error(
+        "{path}: {poses} poses have only {distinct} different stamps; were they printed with too few digits? write at least \
+         millisecond digits"
+    )]
+    CoarseStamps {
+        /// The file.
+        path: PathBuf,
+        /// Poses.
+        poses: usize,
+        /// Different stamps.
+        distinct: usize,
+    },
+    /// The device is not there, or none of several was chosen.
+    #[error("{path}: say which device's trajectory; the file has {devices}")]
+    NoSuchDevice {
+        /// The file.
+        path: PathBuf,
+        /// Devices there are.
+        devices: String,
+    },
+    /// Positions are not enough.
+    #[error("{purpose} need orientations, and the file has positions only")]
+    NeedsOrientation {
+        /// What for.
+        purpose: &'static str,
+    },
+    /// A file is no survey.
+    #[error("{path}: no survey: {what}")]
+    NotASurvey {
+        /// The file.
+        path: PathBuf,
+        /// What was found.
+        what: String,
+    },
+    /// Nothing says where a mark is.
+    #[error(
+        "the distances do not determine where mark {mark} is; measure a further one to it, or one along a line"
+    )]
+    UndeterminedMark {
+        /// The mark.
+        mark: String,
+    },
+    /// The distances fit a mark on either side of others.
+    #[error(
+        "mark {mark} fits at two places, {apart_m:.2} m apart; measure a further distance to it"
+    )]
+    TwoPlaces {
+        /// The mark.
+        mark: String,
+        /// How far apart, metres.
+        apart_m: f64,
+    },
+    /// A mark is visited that no distance names.
+    #[error("mark {mark} is visited, and no distance names it")]
+    UnknownMark {
+        /// The mark.
+        mark: String,
+    },
+    /// The device did not rest on marks, or so it seems.
+    #[error(
+        "{rests} rests in the trajectory, and no three of them lie like three of the {marks} marks; does its z point upwards? \
+         allow a larger spread of rests, or a larger reach of marks"
+    )]
+    TooFewRests {
+        /// Rests found.
+        rests: usize,
+        /// Marks, or visits of marks.
+        marks: usize,
+    },
+    /// More rests and marks than can be tried.
+    #[error(
+        "{rests} rests and {marks} marks are too many to try; ask for longer rests, or check in parts"
+    )]
+    TooManyRests {
+        /// Rests found.
+        rests: usize,
+        /// Marks, or visits of marks.
+        marks: usize,
+    },
+    /// Rests fit different marks equally well.
+    #[error(
+        "{rests} rests fit the marks in more than one way; write the order of visits into the survey (visit A B …)"
+    )]
+    AmbiguousRests {
+        /// Rests that fit.
+        rests: usize,
+    },
+    /// No distance of a survey is between points of the map.
+    #[error("no distance has both ends among the survey's points; name map points (point A x y z)")]
+    NoMapDistance,
+    /// Too few poses for what was asked.
+    #[error("{role} trajectory: {poses} poses, {needed} are needed")]
+    TooFewPoses {
+        /// "estimate", "reference" or "aligned".
+        role: &'static str,
+        /// Poses there are.
+        poses: usize,
+        /// Poses needed.
+        needed: usize,
+    },
+    /// Stamps that cannot be of one walk.
+    #[error(
+        "{role} trajectory: its stamps span {span_secs:.0} s; are they in another unit, or is one wrong?"
+    )]
+    TooLong {
+        /// "estimate" or "reference".
+        role: &'static str,
+        /// From the first to the last stamp, seconds.
+        span_secs: f64,
+    },
+    /// Two trajectories are never at one time within the search.
+    #[error(
+        "the trajectories have less than 5 s in common within {search_secs} s of an offset of {around_secs} s (they span {spans}); say \
+         about how far the clocks are apart"
+    )]
+    NoCommonTime {
+        /// How far was searched, seconds.
+        search_secs: f64,
+        /// Around which offset, seconds.
+        around_secs: f64,
+        /// What both span, seconds since the estimate's first pose.
+        spans: String,
+    },
+    /// Their angular speeds are not alike at any offset.
+    #[error(
+        "the angular speeds are not alike at any offset (correlation {correlation:.2}); are both of one rigid body?"
+    )]
+    NotOneBody {
+        /// The best correlation.
+        correlation: f64,
+    },
+    /// Two offsets fit equally well.
+    #[error(
+        "the motion repeats itself: offsets of {first_secs:.2} and {second_secs:.2} s fit equally well; search less far, or move unevenly"
+    )]
+    TwoOffsets {
+        /// The one, seconds.
+        first_secs: f64,
+        /// The other, seconds.
+        second_secs: f64,
+    },
+    /// The bodies turned about one axis only.
+    #[error(
+        "the device turned about one axis only ({first_deg:.2}° about the first, {second_deg:.2}° about the second): where one body sits \
+         on the other does not follow; turn it about two"
+    )]
+    OneAxis {
+        /// Turns about the main axis, degrees rms.
+        first_deg: f64,
+        /// Turns about the second axis, degrees rms.
+        second_deg: f64,
+    },
+    /// A benchmark's plan means nothing.
+    #[error("{path}: {what}")]
+    BadPlan {
+        /// The file, or the run's folder.
+        path: PathBuf,
+        /// What is wrong.
+        what: String,
+    },
+    /// Only recordings can be written in other layouts.
+    #[error(
+        "{path}: no recording that could be written in the layout {layout}; name an MCAP file, or take `as_is`"
+    )]
+    NotExported {
+        /// What the plan names.
+        path: PathBuf,
+        /// The layout.
+        layout: &'static str,
+    },
+    /// The caller asked for an early end.
+    #[error(transparent)]
+    Stopped(#[from] lsfb_types::Stopped),
+    /// Least squares had no answer.
+    #[error(transparent)]
+    Solver(#[from] lsfb_solver::Error),
     /// There is no pose.
     #[error("the {role} trajectory has no pose")]
     Empty {
@@ -75,7 +267,7 @@ pub enum Error {
     /// No two stamps are near enough.
     #[error(
         "no pose of the estimate is within {max_difference_secs} s of one of the truth: truth spans {truth_span}, \
-         estimate {estimate_span}; same clock? shift the stamps or raise the allowed difference"
+         estimate {estimate_span}; same clock? shift the stamps or raise the allowed difference{hint}"
     )]
     NoMatch {
         /// Allowed difference, seconds.
@@ -84,6 +276,8 @@ pub enum Error {
         truth_span: String,
         /// First and last stamp.
         estimate_span: String,
+        /// What may be wrong with them; empty, or begins with `; `.
+        hint: String,
     },
     /// Fewer pairs than the computation needs.
     #[error("only {matched} poses match, {needed} are needed for {purpose}")]
@@ -100,6 +294,19 @@ pub enum Error {
         "the matched positions lie on one line, so that no rotation follows from them; evaluate with origin alignment or none"
     )]
     Degenerate,
+    /// The matched positions do not move sideways.
+    #[error(
+        "the matched positions do not move horizontally, so that no heading follows from them; evaluate without alignment"
+    )]
+    NoHeading,
+    /// All matched poses have one stamp.
+    #[error(
+        "all matched poses are of one moment, t = {time_secs} s; there is no trajectory to judge"
+    )]
+    NoDuration {
+        /// That moment, seconds, as text.
+        time_secs: String,
+    },
     /// A relative error was asked for, and no two poses are so far apart.
     #[error("no two of {poses} matched poses are {delta} {unit} apart; choose a smaller delta")]
     NoPairs {

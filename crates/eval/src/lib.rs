@@ -30,19 +30,37 @@
 pub mod alignment;
 pub mod association;
 mod compare;
+mod consistency;
 mod error;
 mod evaluation;
 pub mod metrics;
 pub mod pairs;
 mod read;
+mod recall;
 pub mod relation;
 pub mod report;
+mod smoothness;
 mod statistics;
 
 pub use compare::{Comparison, Contender, compare};
+pub use consistency::Consistency;
 pub use error::Error;
 pub use evaluation::{
-    Coverage, DuplicateStamps, EvalConfig, Evaluation, PoseError, RpeConfig, RpeFigures, evaluate,
+    AlignedError, Coverage, DuplicateStamps, EvalConfig, Evaluation, PoseError, RpeConfig,
+    RpeFigures, SmoothnessFigures, evaluate, evaluate_files,
 };
-pub use read::{read_kitti_poses, read_poses};
+pub use read::{
+    Columns, Orientations, ReadOptions, StampUnit, TrajectoryFile, read_kitti_poses, read_poses,
+    read_trajectory,
+};
+pub use recall::{Recall, Threshold};
+pub use smoothness::Smoothness;
 pub use statistics::Statistics;
+
+/// `1 pose`, `2 poses`.
+fn count(number: usize, one: &str, many: &str) -> String {
+    match number {
+        1 => format!("1 {one}"),
+        number => format!("{number} {many}"),
+    }
+}

@@ -6,41 +6,49 @@ use lsfb_eval::alignment::AlignmentMode;
 use lsfb_eval::pairs::PairSelection;
 use lsfb_eval::relation::DeltaUnit;
 use lsfb_eval::report::Report;
-use lsfb_eval::{EvalConfig, Evaluation, RpeConfig, evaluate, read_kitti_poses, read_poses};
+use lsfb_eval::{
+    Columns, EvalConfig, Evaluation, Orientations, ReadOptions, RpeConfig, StampUnit,
+    TrajectoryFile, evaluate_files, read_kitti_poses, read_trajectory,
+};
 use lsfb_geometry::Trajectory;
+use lsfb_types::Judgement;
 
 use crate::context::Context;
+use crate::judged::{Judged, printable, problem_lines};
 use crate::outcome::Outcome;
 
-/// Evaluate a trajectory against ground truth: absolute and relative errors.
+/// Evaluate a trajectory against ground truth: absolute and relative errors, recall, smoothness.
 ///
-/// Reads TUM, EuRoC and KITTI files. KITTI files have no time: row n is at n seconds unless --truth-times is given.
+/// Reads the trajectories of any program: TUM text, positions (t x y z), EuRoC csv, KITTI poses, any table with a row of names, kapture,
+/// and poses in MCAP recordings. Unsorted and repeated stamps are sorted and counted. Stamps may be in any unit. KITTI's files carry no
+/// time: row n is at n seconds unless --truth-times is given.
 ///
 /// Examples:
 ///   lsfb eval walk.tum --truth truth_walk.tum
 ///   lsfb eval walk.tum --truth truth_walk.tum --out report.html
 ///   lsfb eval orb.tum --truth gt.tum --align sim3 --rpe-delta 100 --rpe-unit frames --json
+///   lsfb eval robot.mcap --estimate-stream /odometry --truth state_groundtruth_estimate0/data.csv --align yaw
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
     /// The trajectory to evaluate.
-    #[arg(value_name = "TUM")]
+    #[arg(value_name = "TRAJECTORY")]
     estimate: PathBuf,
     /// The ground truth.
-    #[arg(long, value_name = "TUM")]
+    #[arg(long, value_name = "TRAJECTORY")]
     truth: PathBuf,
     /// Stamps of a ground truth in KITTI's format, one per line, in seconds.
     #[arg(long, value_name = "FILE")]
     truth_times: Option<PathBuf>,
-    /// How the estimate is aligned to the ground truth before errors are computed.
+    /// How the estimate is aligned to the ground truth before errors are computed; yaw turns about the vertical z axis alone.
     #[arg(long, value_name = "MODE", value_enum, default_value_t = Align::Se3)]
     align: Align,
     /// Largest difference between the stamps of matched poses.
     #[arg(long, default_value_t = 0.01, value_name = "SECS")]
     max_difference_secs: f64,
-    /// Distance between the two poses of a relative error, in the unit of --rpe-unit.
-    #[arg(long, default_value_t = 1.0, value_name = "NUMBER")]
-    rpe_delta: f64,
+    /// Distance between the two poses of a relative error, in the unit of --rpe-unit; 1 m and 1 s where it is not given.
+    #[arg(long, value_name = "NUMBER")]
+    rpe_delta: Option<f64>,
     /// Unit of --rpe-delta.
     #[arg(long, value_name = "UNIT", value_enum, default_value_t = RpeUnit::Metres)]
     rpe_unit: RpeUnit,
@@ -50,6 +58,24 @@ pub struct Arguments {
     /// Also write a page with plots and a 3D view.
     #[arg(long, value_name = "HTML")]
     out: Option<PathBuf>,
+    /// Unit of the estimate's stamps, where the file does not tell: s, ms, us or ns.
+    #[arg(long, value_name = "UNIT")]
+    estimate_stamps: Option<StampUnit>,
+    /// Unit of the ground truth's stamps, likewise.
+    #[arg(long, value_name = "UNIT")]
+    truth_stamps: Option<StampUnit>,
+    /// Columns of the estimate, where the file does not name them, as t,x,y,z,qw,qx,qy,qz; - for others.
+    #[arg(long, value_name = "NAMES")]
+    estimate_columns: Option<Columns>,
+    /// Columns of the ground truth, likewise.
+    #[arg(long, value_name = "NAMES")]
+    truth_columns: Option<Columns>,
+    /// The topic of a recording or the device of a kapture file that holds the estimate.
+    #[arg(long, value_name = "NAME")]
+    estimate_stream: Option<String>,
+    /// The topic or the device that holds the ground truth.
+    #[arg(long, value_name = "NAME")]
+    truth_stream: Option<String>,
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -57,6 +83,7 @@ enum Align {
     None,
     Se3,
     Sim3,
+    Yaw,
     Origin,
 }
 
@@ -70,57 +97,95 @@ enum RpeUnit {
 
 /// Evaluates, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    let config = EvalConfig {
+    if let Some(page) = &arguments.out {
+        context.claim(page)?;
+    }
+    let truth = truth(arguments)?;
+    let estimate = read_trajectory(
+        &arguments.estimate,
+        &ReadOptions {
+            stamp_unit: arguments.estimate_stamps,
+            columns: arguments.estimate_columns,
+            stream: arguments.estimate_stream.clone(),
+        },
+    )?;
+    let config = config(arguments);
+    let evaluation = super::about(
+        &arguments.estimate,
+        evaluate_files(&truth, &estimate, &config),
+    )?;
+    let name = arguments.estimate.file_name().unwrap_or_default();
+    let name = printable(&name.to_string_lossy());
+    if let Some(page) = &arguments.out {
+        Report::of_evaluation(&name, &evaluation, &Trajectory::new(truth.poses)).write(page)?;
+    }
+    let judgement = Judgement::new(evaluation.findings.clone());
+    let judged = Judged::new(&judgement, &name, &evaluation);
+    context.print(&judged, || {
+        format!("{}\n{}", text(&evaluation), problem_lines(&judgement))
+            .trim_end()
+            .to_owned()
+    })?;
+    Ok(Outcome::of(judgement.verdict()))
+}
+
+fn truth(arguments: &Arguments) -> anyhow::Result<TrajectoryFile> {
+    if let Some(times) = &arguments.truth_times {
+        return Ok(TrajectoryFile {
+            poses: read_kitti_poses(&arguments.truth, times)?,
+            orientations: Orientations::Known,
+            covariances: Vec::new(),
+            findings: Vec::new(),
+        });
+    }
+    let options = ReadOptions {
+        stamp_unit: arguments.truth_stamps,
+        columns: arguments.truth_columns,
+        stream: arguments.truth_stream.clone(),
+    };
+    Ok(read_trajectory(&arguments.truth, &options)?)
+}
+
+fn config(arguments: &Arguments) -> EvalConfig {
+    let rpe = |delta, unit| RpeConfig {
+        delta,
+        unit,
+        selection: match arguments.rpe_all_pairs {
+            true => PairSelection::All,
+            false => PairSelection::Consecutive,
+        },
+    };
+    let unit = match arguments.rpe_unit {
+        RpeUnit::Frames => DeltaUnit::Frames,
+        RpeUnit::Metres => DeltaUnit::Metres,
+        RpeUnit::Seconds => DeltaUnit::Seconds,
+        RpeUnit::Degrees => DeltaUnit::Degrees,
+    };
+    let usual = [rpe(1.0, DeltaUnit::Metres), rpe(1.0, DeltaUnit::Seconds)];
+    let (required, possible) = match (arguments.rpe_delta, arguments.rpe_unit) {
+        (Some(delta), _) => (vec![rpe(delta, unit)], Vec::new()),
+        (None, RpeUnit::Metres) => (Vec::new(), usual.to_vec()),
+        (None, _) => (vec![rpe(1.0, unit)], Vec::new()),
+    };
+    EvalConfig {
         max_difference_secs: arguments.max_difference_secs,
         alignment: match arguments.align {
             Align::None => AlignmentMode::None,
             Align::Se3 => AlignmentMode::Se3,
             Align::Sim3 => AlignmentMode::Sim3,
+            Align::Yaw => AlignmentMode::Yaw,
             Align::Origin => AlignmentMode::Origin,
         },
-        rpe: vec![RpeConfig {
-            delta: arguments.rpe_delta,
-            unit: match arguments.rpe_unit {
-                RpeUnit::Frames => DeltaUnit::Frames,
-                RpeUnit::Metres => DeltaUnit::Metres,
-                RpeUnit::Seconds => DeltaUnit::Seconds,
-                RpeUnit::Degrees => DeltaUnit::Degrees,
-            },
-            selection: if arguments.rpe_all_pairs {
-                PairSelection::All
-            } else {
-                PairSelection::Consecutive
-            },
-        }],
+        rpe: required,
+        rpe_where_possible: possible,
         ..EvalConfig::default()
-    };
-    if let Some(page) = &arguments.out {
-        context.claim(page)?;
     }
-    let truth = match &arguments.truth_times {
-        Some(times) => read_kitti_poses(&arguments.truth, times)?,
-        None => read_poses(&arguments.truth)?,
-    };
-    let evaluation = super::about(
-        &arguments.estimate,
-        evaluate(&truth, &read_poses(&arguments.estimate)?, &config),
-    )?;
-    if let Some(page) = &arguments.out {
-        let name = arguments
-            .estimate
-            .file_name()
-            .unwrap_or_default()
-            .to_string_lossy();
-        Report::of_evaluation(&name, &evaluation, &Trajectory::new(truth)).write(page)?;
-    }
-    context.print(&evaluation, || text(&evaluation))?;
-    Ok(Outcome::Done)
 }
 
 fn text(e: &Evaluation) -> String {
     let mut out = format!(
         "{} of {} poses matched, {:.1} % of the ground truth covered, aligned by {}\n\
-         ATE  rmse {:.6} m  mean {:.6}  median {:.6}  max {:.6};  rotation rmse {:.4}°",
+         ATE  rmse {:.6} m  mean {:.6}  median {:.6}  max {:.6}",
         e.matched_poses,
         e.estimate_poses,
         e.coverage.fraction * 100.0,
@@ -129,20 +194,72 @@ fn text(e: &Evaluation) -> String {
         e.ate_translation_m.mean,
         e.ate_translation_m.median,
         e.ate_translation_m.max,
-        e.ate_rotation_deg.rmse,
     );
+    match e.ate_rotation_deg {
+        Some(rotation) => out += &format!(";  rotation rmse {:.4}°", rotation.rmse),
+        None => out += ";  positions only",
+    }
+    out += "\n     rmse by alignment:";
+    for other in &e.ate_by_alignment {
+        match other.rmse_m {
+            Some(rmse_m) => out += &format!("  {} {rmse_m:.6} m", other.alignment),
+            None => out += &format!("  {} –", other.alignment),
+        }
+    }
     for rpe in &e.rpe {
+        let delta = format!("\nRPE  per {} {}:", rpe.delta, rpe.delta_unit);
+        out += &match (rpe.translation_m, rpe.rotation_deg) {
+            (Some(t), Some(r)) => format!(
+                "{delta} rmse {:.6} m  max {:.6};  rotation rmse {:.6}°",
+                t.rmse, t.max, r.rmse
+            ),
+            _ => format!(
+                "{delta} distance rmse {:.6} m  max {:.6}",
+                rpe.distance_m.rmse, rpe.distance_m.max
+            ),
+        };
+    }
+    if let (Some(signed), Some(absolute)) = (e.scale_error_percent, e.scale_error_abs_percent) {
+        out += &format!("\nscale {signed:+.3} %  |1 − s| {absolute:.3} %");
+    }
+    for found in &e.recall {
+        let threshold = found.threshold;
         out += &format!(
-            "\nRPE  per {} {:?}: rmse {:.6} m  max {:.6};  rotation rmse {:.6}°",
-            rpe.delta,
-            rpe.delta_unit,
-            rpe.translation_m.rmse,
-            rpe.translation_m.max,
-            rpe.rotation_deg.rmse
+            "\nrecall within {}°, {} m: {:.1} % of the ground truth, {:.1} % of matched poses",
+            threshold.rotation_deg,
+            threshold.translation_m,
+            100.0 * found.of_truth,
+            100.0 * found.of_matched
         );
     }
-    if let Some(scale) = e.scale_error_percent {
-        out += &format!("\nscale {scale:+.3} %");
+    out + &shaking(e)
+}
+
+fn shaking(e: &Evaluation) -> String {
+    let mut out = String::new();
+    for (whose, of) in [
+        ("estimate", e.smoothness.estimate),
+        ("truth", e.smoothness.truth),
+    ] {
+        let Some(of) = of else { continue };
+        out += &format!(
+            "\nsmoothness of the {whose}: jerk rms {:.2} m/s³, second difference rms {:.3} mm",
+            of.jerk_rms_m_s3,
+            1000.0 * of.second_difference_rms_m
+        );
+        if let Some(fast_m) = of.above_5_hz_rms_m {
+            out += &format!(", above 5 Hz rms {:.3} mm", 1000.0 * fast_m);
+        }
     }
-    out
+    if let Some(c) = e.consistency {
+        out += &format!(
+            "\nNEES mean {:.2} of 6, {:.1} % within 95 %",
+            c.nees_mean,
+            100.0 * c.within_95
+        );
+    }
+    out + &format!(
+        "\nlongest gap {:.2} s, begins {:.2} s after the truth, ends {:.2} s before it",
+        e.coverage.longest_gap_secs, e.coverage.initialisation_secs, e.coverage.missing_end_secs
+    )
 }

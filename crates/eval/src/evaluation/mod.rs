@@ -1,143 +1,30 @@
+//! An estimate judged by the truth.
+
+mod config;
+mod coverage;
+mod figures;
+mod input;
+mod remarks;
+
 use lsfb_geometry::align::Alignment;
-use lsfb_geometry::{StampedPose, Trajectory};
-use lsfb_types::Timestamp;
-use serde::Serialize;
+use lsfb_geometry::{Matrix6, StampedPose, Trajectory};
 
 use crate::alignment::{AlignmentMode, align, apply};
 use crate::association::{PosePair, associate};
+use crate::consistency::consistency;
 use crate::metrics::{RelativeSpec, absolute_errors, relative_errors};
-use crate::pairs::PairSelection;
+use crate::read::{Orientations, TrajectoryFile};
+use crate::recall::recall;
 use crate::relation::{DeltaUnit, PoseRelation};
+use crate::smoothness::smoothness;
 use crate::{Error, Statistics};
 
-/// What becomes of poses that share one stamp.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum DuplicateStamps {
-    /// Each counts, as evo has it; [`Evaluation::duplicate_stamps`] says how many there were.
-    #[default]
-    Keep,
-    /// They are an error.
-    Refuse,
-}
+pub use config::{DuplicateStamps, EvalConfig, RpeConfig};
+pub use coverage::Coverage;
+pub use figures::{AlignedError, Evaluation, PoseError, RpeFigures, SmoothnessFigures};
 
-/// One relative error to compute.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RpeConfig {
-    /// How far apart the two poses of a pair are.
-    pub delta: f64,
-    /// What `delta` counts.
-    pub unit: DeltaUnit,
-    /// Which pairs are taken.
-    pub selection: PairSelection,
-}
-
-/// How a trajectory is judged.
-#[derive(Clone, Debug, PartialEq)]
-pub struct EvalConfig {
-    /// Largest difference of two stamps that belong together, seconds.
-    pub max_difference_secs: f64,
-    /// What is taken away before errors are measured.
-    pub alignment: AlignmentMode,
-    /// Poses that share one stamp.
-    pub duplicates: DuplicateStamps,
-    /// The relative errors wanted.
-    pub rpe: Vec<RpeConfig>,
-    /// Neighbouring poses of the estimate further apart than this leave the truth between them uncovered, seconds.
-    pub coverage_gap_secs: f64,
-}
-
-impl Default for EvalConfig {
-    fn default() -> Self {
-        Self {
-            max_difference_secs: 0.01,
-            alignment: AlignmentMode::Se3,
-            duplicates: DuplicateStamps::Keep,
-            rpe: vec![RpeConfig {
-                delta: 1.0,
-                unit: DeltaUnit::Metres,
-                selection: PairSelection::Consecutive,
-            }],
-            coverage_gap_secs: 1.0,
-        }
-    }
-}
-
-/// How much of the truth the estimate speaks about.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Coverage {
-    /// Share of the truth's poses between two neighbouring poses of the estimate, 0 to 1.
-    pub fraction: f64,
-    /// Longest time between two neighbouring poses of the estimate, seconds.
-    pub longest_gap_secs: f64,
-}
-
-/// A relative error of both parts of the pose.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct RpeFigures {
-    /// How far apart the two poses of a pair are.
-    pub delta: f64,
-    /// What `delta` counts.
-    pub delta_unit: DeltaUnit,
-    /// Which pairs were taken.
-    pub selection: PairSelection,
-    /// Translation, metres.
-    pub translation_m: Statistics,
-    /// Rotation, degrees.
-    pub rotation_deg: Statistics,
-}
-
-/// Errors of one matched pose after alignment.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PoseError {
-    /// Stamp of the estimate.
-    pub time: Timestamp,
-    /// Distance, metres.
-    pub translation_m: f64,
-    /// Angle, degrees.
-    pub rotation_deg: f64,
-}
-
-/// What is known of an estimate once the truth has spoken. Serialized, it is the object of `lsfb eval --json`.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Evaluation {
-    /// Poses of the truth.
-    pub truth_poses: usize,
-    /// Poses of the estimate.
-    pub estimate_poses: usize,
-    /// Pairs that count.
-    pub matched_poses: usize,
-    /// Poses of either that repeat the stamp before them.
-    pub duplicate_stamps: usize,
-    /// How much of the truth the estimate speaks about.
-    pub coverage: Coverage,
-    /// Path of the whole truth, metres.
-    pub truth_path_m: f64,
-    /// Path of the whole estimate, metres of its own scale.
-    pub estimate_path_m: f64,
-    /// Alignment taken away: none, SE(3), Sim(3), origin, given.
-    pub alignment: &'static str,
-    /// `truth_from_estimate` of that alignment: rotation x y z w.
-    pub alignment_rotation_xyzw: [f64; 4],
-    /// `truth_from_estimate` of that alignment: translation, metres.
-    pub alignment_translation_m: [f64; 3],
-    /// Scale of that alignment; 1 but for Sim(3).
-    pub alignment_scale: f64,
-    /// By how many per cent the estimate is larger than the truth, by a Sim(3) alignment of its own; absent where the
-    /// matched positions determine none.
-    pub scale_error_percent: Option<f64>,
-    /// Absolute error of the translation, metres.
-    pub ate_translation_m: Statistics,
-    /// Absolute error of the rotation, degrees.
-    pub ate_rotation_deg: Statistics,
-    /// Relative errors, in the order of the configuration.
-    pub rpe: Vec<RpeFigures>,
-    /// Errors pose by pose, in order of time.
-    #[serde(skip)]
-    pub errors: Vec<PoseError>,
-    /// The whole estimate in the world of the truth; of poses with one stamp the first.
-    #[serde(skip)]
-    pub aligned_estimate: Trajectory,
-}
+use coverage::coverage;
+use input::{check, check_pairs};
 
 /// Judges `estimate` by `truth`. Both must be in order of time.
 pub fn evaluate(
@@ -145,45 +32,132 @@ pub fn evaluate(
     estimate: &[StampedPose],
     config: &EvalConfig,
 ) -> Result<Evaluation, Error> {
+    let mut found = judge(truth, estimate, &[], config)?;
+    let repeated = remarks::duplicates(found.duplicate_stamps);
+    found.findings.extend(repeated);
+    Ok(found)
+}
+
+/// The same for files as they were read: with their findings, without rotations where one has none, and with the estimate's
+/// covariances.
+pub fn evaluate_files(
+    truth: &TrajectoryFile,
+    estimate: &TrajectoryFile,
+    config: &EvalConfig,
+) -> Result<Evaluation, Error> {
+    let both = [
+        truth.orientations,
+        estimate.orientations,
+        config.orientations,
+    ];
+    let config = EvalConfig {
+        orientations: match both.contains(&Orientations::Missing) {
+            true => Orientations::Missing,
+            false => Orientations::Known,
+        },
+        ..config.clone()
+    };
+    let covariances = match config.orientations {
+        Orientations::Known => estimate.covariances.as_slice(),
+        Orientations::Missing => &[],
+    };
+    let mut found = judge(&truth.poses, &estimate.poses, covariances, &config)?;
+    let of_files = truth.findings.iter().chain(&estimate.findings);
+    found.findings.splice(0..0, of_files.cloned());
+    Ok(found)
+}
+
+/// `covariances` stand beside the poses of the estimate, or are none.
+fn judge(
+    truth: &[StampedPose],
+    estimate: &[StampedPose],
+    covariances: &[Matrix6<f64>],
+    config: &EvalConfig,
+) -> Result<Evaluation, Error> {
     let duplicate_stamps =
         check(truth, "truth", config.duplicates)? + check(estimate, "estimate", config.duplicates)?;
     let pairs = associate(truth, estimate, config.max_difference_secs)?;
+    check_pairs(&pairs)?;
+    let has_rotations = config.orientations == Orientations::Known;
+    if !has_rotations && config.alignment == AlignmentMode::Origin {
+        return Err(Error::NeedsOrientation {
+            purpose: "alignments to the origin",
+        });
+    }
     let alignment = align(&pairs, config.alignment)?;
     let aligned = aligned_pairs(&pairs, &alignment);
     let translation = absolute_errors(&aligned, PoseRelation::TranslationPart)?;
-    let rotation = absolute_errors(&aligned, PoseRelation::RotationAngleDeg)?;
-    let rpe = config
-        .rpe
-        .iter()
-        .map(|&spec| relative_figures(&aligned, spec))
-        .collect::<Result<_, _>>()?;
-    let quaternion = alignment.target_from_source.rotation.into_inner().coords;
-    Ok(Evaluation {
+    let rotation = match has_rotations {
+        true => absolute_errors(&aligned, PoseRelation::RotationAngleDeg)?,
+        false => vec![0.0; translation.len()],
+    };
+    let mut findings = Vec::new();
+    let mut rpe = Vec::new();
+    for &spec in &config.rpe {
+        rpe.push(relative_figures(&aligned, spec, config.orientations)?);
+    }
+    for &spec in &config.rpe_where_possible {
+        match relative_figures(&aligned, spec, config.orientations) {
+            Ok(figures) => rpe.push(figures),
+            Err(why @ Error::NoPairs { .. }) => findings.push(remarks::left_out(&why)),
+            Err(error) => return Err(error),
+        }
+    }
+    let coverage = coverage(truth, estimate, config.coverage_gap_secs);
+    let scale = sim3_scale(&pairs);
+    let each_error = || translation.iter().copied().zip(rotation.iter().copied());
+    let thresholds = config.recall.iter().filter(|_| has_rotations);
+    let aligned_estimate: Vec<StampedPose> =
+        estimate.iter().map(|p| moved(p, &alignment)).collect();
+    let of_pairs = covariances_of(&pairs, estimate, covariances);
+    let found = Evaluation {
         truth_poses: truth.len(),
         estimate_poses: estimate.len(),
         matched_poses: pairs.len(),
         duplicate_stamps,
-        coverage: coverage(truth, estimate, config.coverage_gap_secs),
+        orientations: config.orientations,
+        coverage,
         truth_path_m: path_m(truth),
         estimate_path_m: path_m(estimate),
         alignment: config.alignment.label(),
-        alignment_rotation_xyzw: quaternion.into(),
+        alignment_rotation_xyzw: alignment
+            .target_from_source
+            .rotation
+            .into_inner()
+            .coords
+            .into(),
         alignment_translation_m: alignment.target_from_source.translation.into(),
         alignment_scale: alignment.scale,
-        scale_error_percent: scale_error_percent(&pairs),
+        scale_error_percent: scale.map(|s| 100.0 * (1.0 / s - 1.0)),
+        scale_error_abs_percent: scale.map(|s| 100.0 * (1.0 - s).abs()),
         ate_translation_m: statistics(&translation)?,
-        ate_rotation_deg: statistics(&rotation)?,
+        ate_rotation_deg: has_rotations.then(|| statistics(&rotation)).transpose()?,
+        ate_by_alignment: by_alignment(&pairs),
         rpe,
+        recall: thresholds
+            .map(|threshold| recall(each_error(), *threshold, coverage.fraction))
+            .collect(),
+        smoothness: SmoothnessFigures {
+            estimate: smoothness(&aligned_estimate),
+            truth: smoothness(truth),
+        },
+        consistency: consistency(&aligned, &of_pairs, alignment.scale),
+        findings,
         errors: aligned
             .iter()
-            .zip(translation.iter().zip(&rotation))
-            .map(|(pair, (&translation_m, &rotation_deg))| PoseError {
+            .zip(each_error())
+            .map(|(pair, (translation_m, rotation_deg))| PoseError {
                 time: pair.estimate.time,
                 translation_m,
-                rotation_deg,
+                rotation_deg: has_rotations.then_some(rotation_deg),
             })
             .collect(),
-        aligned_estimate: Trajectory::new(estimate.iter().map(|p| moved(p, &alignment)).collect()),
+        aligned_estimate: Trajectory::new(aligned_estimate),
+    };
+    let more = remarks::of(&found, &pairs);
+    Ok(Evaluation {
+        findings: [found.findings, more].concat(),
+        ..found
     })
 }
 
@@ -204,7 +178,48 @@ fn aligned_pairs(pairs: &[PosePair], alignment: &Alignment) -> Vec<PosePair> {
         .collect()
 }
 
-fn relative_figures(aligned: &[PosePair], spec: RpeConfig) -> Result<RpeFigures, Error> {
+/// The covariance of each pair's estimate; none where there are none.
+fn covariances_of(
+    pairs: &[PosePair],
+    estimate: &[StampedPose],
+    covariances: &[Matrix6<f64>],
+) -> Vec<Matrix6<f64>> {
+    let of = |pair: &PosePair| {
+        let first = estimate.partition_point(|p| p.time < pair.estimate.time);
+        let same = estimate
+            .get(first..)?
+            .iter()
+            .position(|p| *p == pair.estimate)?;
+        covariances.get(first + same).copied()
+    };
+    pairs.iter().filter_map(of).collect()
+}
+
+fn by_alignment(pairs: &[PosePair]) -> Vec<AlignedError> {
+    use AlignmentMode::{None, Se3, Sim3, Yaw};
+    let error = |mode: AlignmentMode| -> Result<f64, Error> {
+        let aligned = aligned_pairs(pairs, &align(pairs, mode)?);
+        let errors = absolute_errors(&aligned, PoseRelation::TranslationPart)?;
+        Ok(statistics(&errors)?.rmse)
+    };
+    let modes = [None, Yaw, Se3, Sim3].into_iter();
+    modes
+        .map(|mode| {
+            let found = error(mode);
+            AlignedError {
+                alignment: mode.label(),
+                rmse_m: found.as_ref().ok().copied(),
+                why_not: found.err().map(|why| why.to_string()),
+            }
+        })
+        .collect()
+}
+
+fn relative_figures(
+    aligned: &[PosePair],
+    spec: RpeConfig,
+    orientations: Orientations,
+) -> Result<RpeFigures, Error> {
     let errors = |relation| {
         let spec = RelativeSpec {
             relation,
@@ -214,12 +229,24 @@ fn relative_figures(aligned: &[PosePair], spec: RpeConfig) -> Result<RpeFigures,
         };
         statistics(&relative_errors(aligned, spec)?)
     };
+    let with_rotations = |relation| match orientations {
+        Orientations::Known => errors(relation).map(Some),
+        Orientations::Missing => Ok(None),
+    };
+    if orientations == Orientations::Missing
+        && matches!(spec.unit, DeltaUnit::Degrees | DeltaUnit::Radians)
+    {
+        return Err(Error::NeedsOrientation {
+            purpose: "relative errors per angle",
+        });
+    }
     Ok(RpeFigures {
         delta: spec.delta,
         delta_unit: spec.unit,
         selection: spec.selection,
-        translation_m: errors(PoseRelation::TranslationPart)?,
-        rotation_deg: errors(PoseRelation::RotationAngleDeg)?,
+        distance_m: errors(PoseRelation::PointDistance)?,
+        translation_m: with_rotations(PoseRelation::TranslationPart)?,
+        rotation_deg: with_rotations(PoseRelation::RotationAngleDeg)?,
     })
 }
 
@@ -231,9 +258,9 @@ fn statistics(errors: &[f64]) -> Result<Statistics, Error> {
     })
 }
 
-fn scale_error_percent(pairs: &[PosePair]) -> Option<f64> {
+fn sim3_scale(pairs: &[PosePair]) -> Option<f64> {
     let scale = align(pairs, AlignmentMode::Sim3).ok()?.scale;
-    (scale > 0.0).then(|| 100.0 * (1.0 / scale - 1.0))
+    (scale > 0.0).then_some(scale)
 }
 
 fn path_m(poses: &[StampedPose]) -> f64 {
@@ -241,71 +268,6 @@ fn path_m(poses: &[StampedPose]) -> f64 {
         .windows(2)
         .map(|w| (w[1].world_from_rig.translation - w[0].world_from_rig.translation).norm())
         .sum()
-}
-
-fn coverage(truth: &[StampedPose], estimate: &[StampedPose], gap_secs: f64) -> Coverage {
-    let gap = |earlier: &StampedPose, later: &StampedPose| later.time.secs_since(earlier.time);
-    let covered = truth
-        .iter()
-        .filter(|t| {
-            let next = estimate.partition_point(|e| e.time < t.time);
-            match (
-                next.checked_sub(1).and_then(|i| estimate.get(i)),
-                estimate.get(next),
-            ) {
-                (_, Some(after)) if after.time == t.time => true,
-                (Some(before), Some(after)) => gap(before, after) <= gap_secs,
-                _ => false,
-            }
-        })
-        .count();
-    Coverage {
-        fraction: covered as f64 / truth.len().max(1) as f64,
-        longest_gap_secs: estimate
-            .windows(2)
-            .map(|w| gap(&w[0], &w[1]))
-            .fold(0.0, f64::max),
-    }
-}
-
-/// Number of poses that repeat the stamp before them.
-fn check(
-    poses: &[StampedPose],
-    role: &'static str,
-    duplicates: DuplicateStamps,
-) -> Result<usize, Error> {
-    if poses.is_empty() {
-        return Err(Error::Empty { role });
-    }
-    let not_finite = poses.iter().position(|p| {
-        let pose = &p.world_from_rig;
-        !pose.translation.iter().all(|v| v.is_finite())
-            || !pose.rotation.coords.iter().all(|v| v.is_finite())
-    });
-    if let Some(index) = not_finite {
-        return Err(Error::NotFinite {
-            role,
-            index,
-            time_secs: poses[index].time.to_string(),
-        });
-    }
-    if let Some(index) = poses.windows(2).position(|w| w[1].time < w[0].time) {
-        return Err(Error::Reordered {
-            role,
-            index: index + 1,
-            time_secs: poses[index + 1].time.to_string(),
-        });
-    }
-    let mut repeated = poses.windows(2).filter(|w| w[0].time == w[1].time);
-    match (repeated.next(), duplicates) {
-        (None, _) => Ok(0),
-        (Some(_), DuplicateStamps::Keep) => Ok(1 + repeated.count()),
-        (Some(first), DuplicateStamps::Refuse) => Err(Error::Duplicated {
-            role,
-            count: 1 + repeated.count(),
-            time_secs: first[0].time.to_string(),
-        }),
-    }
 }
 
 #[cfg(test)]

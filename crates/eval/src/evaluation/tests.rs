@@ -1,5 +1,8 @@
 use super::*;
+use crate::Threshold;
+use crate::pairs::PairSelection;
 use lsfb_geometry::{Se3, Vector3, Vector6};
+use lsfb_types::Timestamp;
 
 const STEP_NANOS: i64 = 100_000_000;
 
@@ -44,14 +47,20 @@ fn alignment_takes_away_what_it_says() {
         evaluate(&truth, &estimate, &config).expect("valid")
     };
     let sim3 = rmse(AlignmentMode::Sim3);
-    assert!(sim3.ate_translation_m.max < 1e-9 && sim3.ate_rotation_deg.max < 1e-6);
+    assert!(sim3.ate_translation_m.max < 1e-9 && sim3.ate_rotation_deg.expect("known").max < 1e-6);
     assert!((sim3.alignment_scale - 1.25).abs() < 1e-12);
     assert!((sim3.scale_error_percent.expect("curved") + 20.0).abs() < 1e-9);
-    assert!(sim3.rpe[0].translation_m.max < 1e-9 && sim3.rpe[0].rotation_deg.max < 1e-6);
+    assert!(
+        sim3.rpe[0].translation_m.expect("known").max < 1e-9
+            && sim3.rpe[0].rotation_deg.expect("known").max < 1e-6
+    );
     assert!(rmse(AlignmentMode::Se3).ate_translation_m.rmse > 0.1);
     assert!(rmse(AlignmentMode::None).ate_translation_m.rmse > 3.0);
     let origin = rmse(AlignmentMode::Origin);
-    assert!(origin.errors[0].translation_m < 1e-12 && origin.ate_rotation_deg.max < 1e-6);
+    assert!(
+        origin.errors[0].translation_m < 1e-12
+            && origin.ate_rotation_deg.expect("known").max < 1e-6
+    );
 
     let unscaled = changed(&truth, |_, p| p.world_from_rig = shift * p.world_from_rig);
     let config = EvalConfig {
@@ -101,7 +110,7 @@ fn seconds_equal_frames_where_poses_are_evenly_timed() {
         let frames = figures(7.0, DeltaUnit::Frames, selection);
         let seconds = figures(0.7, DeltaUnit::Seconds, selection);
         assert_eq!(
-            frames.translation_m.count,
+            frames.distance_m.count,
             if selection == PairSelection::All {
                 293
             } else {
@@ -173,7 +182,7 @@ fn refuses_bad_input_and_says_why() {
 
     assert_eq!(
         refused(&truth, &truth[..2], &default),
-        "only 2 poses match, 3 are needed for alignment"
+        "only 2 poses match, 3 are needed for alignment and statistics"
     );
 
     let line = changed(&truth, |i, p| {
@@ -186,7 +195,7 @@ fn refuses_bad_input_and_says_why() {
         ..EvalConfig::default()
     };
     assert!(
-        refused(&truth, &truth[..2], &still).contains("no two of 2 matched poses are 1 m apart")
+        refused(&truth, &truth[..3], &still).contains("no two of 3 matched poses are 1 m apart")
     );
 }
 
@@ -231,4 +240,211 @@ fn json_has_every_figure_and_no_lists() {
     assert!(json.get("errors").is_none() && json.get("aligned_estimate").is_none());
     let text = serde_json::to_string(&found).expect("serializable");
     assert!(!text.contains("null"), "{text}");
+}
+
+/// Both worlds know gravity: what is left after yaw is what a wrong tilt is hidden by in SE(3).
+#[test]
+fn yaw_takes_away_heading_alone() {
+    let truth = curl(100);
+    let by = |turn: Vector3<f64>| {
+        let shift = Se3::exp(&Vector6::new(turn.x, turn.y, turn.z, 4.0, -7.0, 2.0));
+        let estimate = changed(&truth, |_, p| p.world_from_rig = shift * p.world_from_rig);
+        let config = EvalConfig {
+            alignment: AlignmentMode::Yaw,
+            ..EvalConfig::default()
+        };
+        evaluate(&truth, &estimate, &config).expect("valid")
+    };
+    for heading_rad in [0.0, 0.9, -2.5, 3.1] {
+        let found = by(Vector3::new(0.0, 0.0, heading_rad));
+        assert!(found.ate_translation_m.max < 1e-12, "{heading_rad}");
+        assert!(found.ate_rotation_deg.expect("known").max < 1e-6);
+    }
+    let tilted = by(Vector3::new(0.05, 0.0, 0.4));
+    assert!(tilted.ate_translation_m.rmse > 0.01);
+    let of = |name| tilted.ate_by_alignment.iter().find(|a| a.alignment == name);
+    assert!(of("SE(3)").and_then(|a| a.rmse_m).expect("exists") < 1e-9);
+    assert_eq!(
+        of("yaw").and_then(|a| a.rmse_m),
+        Some(tilted.ate_translation_m.rmse)
+    );
+    let rising = changed(&truth, |i, p| {
+        p.world_from_rig.translation = Vector3::new(0.0, 0.0, i as f64);
+    });
+    let config = EvalConfig {
+        alignment: AlignmentMode::Yaw,
+        ..EvalConfig::default()
+    };
+    let refused = evaluate(&rising, &rising, &config).expect_err("no heading");
+    assert!(refused.to_string().contains("do not move horizontally"));
+}
+
+/// A file of positions has the identity for rotations: naive figures of rotations would look like an estimate's.
+#[test]
+fn positions_are_judged_without_rotations() {
+    let truth = curl(100);
+    let file = |poses: &[StampedPose], orientations| TrajectoryFile {
+        poses: poses.to_vec(),
+        orientations,
+        covariances: Vec::new(),
+        findings: Vec::new(),
+    };
+    let estimate = changed(&truth, |_, p| {
+        p.world_from_rig.rotation = Default::default()
+    });
+    let (known, missing) = (Orientations::Known, Orientations::Missing);
+    for pair in [[known, missing], [missing, known], [missing, missing]] {
+        let files = (file(&truth, pair[0]), file(&estimate, pair[1]));
+        let found = evaluate_files(&files.0, &files.1, &EvalConfig::default()).expect("valid");
+        assert!(found.ate_translation_m.max < 1e-9);
+        assert!(found.ate_rotation_deg.is_none() && found.recall.is_empty());
+        assert!(found.rpe[0].rotation_deg.is_none() && found.rpe[0].translation_m.is_none());
+        assert!(found.rpe[0].distance_m.max < 1e-9);
+        let text = serde_json::to_string(&found).expect("serializable");
+        assert!(
+            !text.contains("null") && !text.contains("rotation_deg"),
+            "{text}"
+        );
+        for refused in [
+            EvalConfig {
+                alignment: AlignmentMode::Origin,
+                ..EvalConfig::default()
+            },
+            EvalConfig {
+                rpe: vec![RpeConfig {
+                    delta: 5.0,
+                    unit: DeltaUnit::Degrees,
+                    selection: PairSelection::Consecutive,
+                }],
+                ..EvalConfig::default()
+            },
+        ] {
+            let why = evaluate_files(&files.0, &files.1, &refused).expect_err("positions only");
+            assert!(matches!(why, Error::NeedsOrientation { .. }));
+        }
+    }
+}
+
+#[test]
+fn what_nobody_asked_for_is_left_out() {
+    let truth = curl(100);
+    let config = EvalConfig {
+        rpe: Vec::new(),
+        rpe_where_possible: [1.0, 1000.0]
+            .map(|delta| RpeConfig {
+                delta,
+                unit: DeltaUnit::Seconds,
+                selection: PairSelection::Consecutive,
+            })
+            .to_vec(),
+        ..EvalConfig::default()
+    };
+    let found = evaluate(&truth, &truth, &config).expect("valid");
+    assert_eq!(found.rpe.len(), 1);
+    let left_out = found
+        .findings
+        .iter()
+        .find(|f| f.code == "rpe")
+        .expect("said");
+    assert!(left_out.what.contains("1000 s apart"));
+}
+
+#[test]
+fn degenerate_walks_are_refused_or_remarked() {
+    let truth = curl(50);
+    let none = EvalConfig {
+        alignment: AlignmentMode::None,
+        rpe: Vec::new(),
+        ..EvalConfig::default()
+    };
+    let two = evaluate(&truth, &truth[..2], &none).expect_err("two poses");
+    assert!(two.to_string().contains("only 2 poses match"));
+    let moment = vec![truth[3]; 5];
+    let refused = evaluate(&moment, &moment, &none).expect_err("one moment");
+    assert!(
+        refused
+            .to_string()
+            .contains("all matched poses are of one moment")
+    );
+    let still = changed(&truth, |_, p| p.world_from_rig = Se3::identity());
+    let config = EvalConfig {
+        rpe: Vec::new(),
+        ..EvalConfig::default()
+    };
+    let refused = evaluate(&still, &still, &config).expect_err("no extent");
+    assert!(matches!(refused, Error::Degenerate));
+    // Nearly on a line: an answer there is, and a warning.
+    let corridor = changed(&truth, |i, p| {
+        p.world_from_rig.translation =
+            Vector3::new(i as f64, 0.001 * (i % 3) as f64, 0.001 * (i % 5) as f64);
+    });
+    let found = evaluate(&corridor, &corridor, &config).expect("valid");
+    assert!(found.findings.iter().any(|f| f.code == "line"));
+    let text = serde_json::to_string(&found).expect("serializable");
+    assert!(!text.contains("null"), "{text}");
+}
+
+#[test]
+fn recall_counts_what_is_missing() {
+    let truth = curl(100);
+    let estimate = changed(&truth[..50], |i, p| {
+        if i >= 25 {
+            p.world_from_rig.translation.x += 0.5;
+        }
+    });
+    let config = EvalConfig {
+        alignment: AlignmentMode::None,
+        ..EvalConfig::default()
+    };
+    let found = evaluate(&truth, &estimate, &config).expect("valid");
+    let fine = found.recall[0];
+    assert_eq!(fine.threshold, Threshold::USUAL[0]);
+    assert_eq!((fine.of_matched, fine.of_truth), (0.5, 0.25));
+    assert_eq!(found.recall[1].of_truth, 0.5);
+    assert_eq!(found.coverage.missing_end_secs, 5.0);
+}
+
+/// Errors drawn from the covariance that is stated: the mean of NEES is its six degrees of freedom.
+#[test]
+fn covariances_are_tried() {
+    let truth = curl(4000);
+    let sigma = [0.02, 0.01, 0.03, 0.2, 0.1, 0.05];
+    // Sums of twelve even numbers are normal enough.
+    let normal = |i: usize| {
+        let even = |k: usize| ((12 * i + k) as f64 * 12.9898).sin() * 43_758.545;
+        (0..12).map(|k| even(k).rem_euclid(1.0)).sum::<f64>() - 6.0
+    };
+    let estimate = changed(&truth, |i, p| {
+        let delta = Vector6::from_fn(|k, _| sigma[k] * normal(6 * i + k));
+        p.world_from_rig = p.world_from_rig.retract(&delta);
+    });
+    let covariance = Matrix6::from_diagonal(&Vector6::from(sigma.map(|s| s * s)));
+    let judged = |factor: f64| {
+        let file = |poses: &[StampedPose], covariances| TrajectoryFile {
+            poses: poses.to_vec(),
+            orientations: Orientations::Known,
+            covariances,
+            findings: Vec::new(),
+        };
+        let estimate = file(&estimate, vec![covariance * factor; estimate.len()]);
+        let config = EvalConfig {
+            alignment: AlignmentMode::None,
+            ..EvalConfig::default()
+        };
+        let found = evaluate_files(&file(&truth, Vec::new()), &estimate, &config).expect("valid");
+        let remark = found
+            .findings
+            .iter()
+            .find(|f| f.code == "consistency")
+            .cloned();
+        (found.consistency.expect("tried"), remark.expect("said"))
+    };
+    let (right, remark) = judged(1.0);
+    assert!((right.nees_mean - 6.0).abs() < 0.3, "{right:?}");
+    assert!((right.within_95 - 0.95).abs() < 0.02, "{right:?}");
+    assert_eq!(remark.verdict, lsfb_types::Verdict::Pass);
+    let (boastful, remark) = judged(0.1);
+    assert!((boastful.nees_mean / right.nees_mean - 10.0).abs() < 1e-9);
+    assert_eq!(remark.verdict, lsfb_types::Verdict::Warn);
+    assert_eq!(right.bad_covariances, 0);
 }

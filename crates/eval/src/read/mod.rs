@@ -1,68 +1,188 @@
-//! Trajectory files as they stand: TUM text, KITTI pose text and EuRoC csv, gzipped or not. Rows keep their order and
-//! double stamps stay, so that the judge sees what was handed in (`lsfb_recording::read_tum` sorts and keeps the first).
+//! Trajectory files of any program: TUM text, positions, KITTI pose text, EuRoC csv, any table with names, kapture, COLMAP, poses in MCAP;
+//! text gzipped or not. Poses come in order of time; what had to be sorted, guessed or left out is a finding.
 
-use std::fs::File;
-use std::io::Read;
+mod columns;
+mod decimal;
+mod layout;
+mod mcap;
+mod order;
+mod row;
+mod stamp_unit;
+mod text;
+
+use std::collections::BTreeSet;
 use std::path::Path;
 
-use flate2::read::MultiGzDecoder;
-use lsfb_geometry::{Matrix3, Se3, StampedPose, UnitQuaternion, Vector3};
-use lsfb_types::Timestamp;
-use nalgebra::{Quaternion, Rotation3};
+use lsfb_geometry::{Matrix6, StampedPose};
+use lsfb_types::{Finding, Timestamp, Verdict};
+use serde::Serialize;
 
 use crate::Error;
+use decimal::decimal_nanos;
+use layout::{Content, Layout};
+use order::{Unordered, put_in_order};
+use row::Row;
+use stamp_unit::StampSize;
+use text::{Line, shown};
 
-/// A day at 1 kHz is some 10 GB; a walk is below 1 GiB, and a gzipped bomb is not.
-const MAX_TEXT_BYTES: u64 = 1 << 30;
+pub use columns::Columns;
+pub use stamp_unit::StampUnit;
 
-/// By how much a KITTI row's matrix may miss being a rotation (printed with 7 digits).
-const ORTHONORMAL_TOLERANCE: f64 = 1e-3;
+/// What is understood, in the words of an error.
+const UNDERSTOOD: &str = "TUM text, positions, KITTI poses, EuRoC csv, a table with names, kapture, COLMAP's images.txt or MCAP";
 
-/// Reads a trajectory; the columns tell the format. Eight numbers: TUM, `time_secs x y z qx qy qz qw`. Twelve: KITTI, the
-/// upper three rows of the pose matrix; row n gets the stamp n s. Eight or more with commas: EuRoC,
-/// `time_ns,x,y,z,qw,qx,qy,qz,…`. Lines that begin with `#` are skipped.
-pub fn read_poses(path: &Path) -> Result<Vec<StampedPose>, Error> {
-    let text = read_text(path)?;
-    let mut poses = Vec::new();
-    let mut format = None;
-    for (index, line) in rows(&text) {
-        let bad = |what: String| Error::BadLine {
-            path: path.to_owned(),
-            line: index + 1,
-            what,
-        };
-        let this = Format::of(line).ok_or_else(|| {
-            bad(format!(
-                "{} columns; expected 8 (TUM), 12 (KITTI) or 8 and more with commas (EuRoC)",
-                line.split_ascii_whitespace().count()
-            ))
-        })?;
-        if *format.get_or_insert(this) != this {
-            return Err(bad(format!(
-                "a row of {this:?} among rows of another format"
-            )));
+/// Whether poses say how the body is turned.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Orientations {
+    /// They do.
+    #[default]
+    Known,
+    /// Positions only: rotations are identity, and mean nothing.
+    Missing,
+}
+
+/// What a file cannot say itself.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ReadOptions {
+    /// Unit of the stamps; `None` takes what the file says or what follows from their size.
+    pub stamp_unit: Option<StampUnit>,
+    /// What the columns of a table are; `None` takes what the file says or what follows from their number.
+    pub columns: Option<Columns>,
+    /// The device of a kapture file, the topic of a recording; `None` takes the only one there is.
+    pub stream: Option<String>,
+}
+
+/// A file that was read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrajectoryFile {
+    /// In order of time; poses of one stamp stay side by side, as the file has them.
+    pub poses: Vec<StampedPose>,
+    /// Whether rotations are known.
+    pub orientations: Orientations,
+    /// Beside the poses, in their tangent (`[rotation, translation]`, rad and metres); empty where not every pose has one.
+    pub covariances: Vec<Matrix6<f64>>,
+    /// What had to be sorted, guessed or left out.
+    pub findings: Vec<Finding>,
+}
+
+/// Reads a trajectory; the file itself tells its format. Eight columns are TUM's `t x y z qx qy qz qw`; four `t x y z`; twelve or
+/// sixteen a pose matrix (row n gets the stamp n s); eight or more with commas and whole stamps EuRoC's `t,x,y,z,qw,qx,qy,qz,…`; a row
+/// or comment with names overrules all that. Forty-four are TUM's with a covariance of x, y, z and rotations about the world's axes, row
+/// by row. Stamps may be seconds, milliseconds, microseconds or nanoseconds.
+pub fn read_trajectory(path: &Path, options: &ReadOptions) -> Result<TrajectoryFile, Error> {
+    if text::is_mcap(path)? {
+        return mcap::read(path, options.stream.as_deref());
+    }
+    let text = text::read(path)?;
+    let (mut rows, comments) = text::lines(&text);
+    layout::keep_poses(&mut rows, &comments);
+    let bad = |number: usize, what: String| Error::BadLine {
+        path: path.to_owned(),
+        line: number,
+        what,
+    };
+    let nothing = || Error::NotATrajectory {
+        path: path.to_owned(),
+        what: format!("no pose in it; expected {UNDERSTOOD}"),
+    };
+    if rows.is_empty() {
+        return Err(nothing());
+    }
+    let layout = Layout::of(&rows, &comments, options.columns);
+    let layout = layout.map_err(|(number, what)| bad(number, what))?;
+    let mut read: Vec<(Line<'_>, Row<'_>)> = Vec::with_capacity(rows.len());
+    let mut left_out = 0;
+    for line in rows.iter().skip(layout.header_rows) {
+        let columns = layout.separator.split(line.text);
+        if columns.len() != layout.columns {
+            let what = format!(
+                "a row of {} columns among rows of {}",
+                columns.len(),
+                layout.columns
+            );
+            return Err(bad(line.number, what));
         }
-        poses.push(this.pose(line, poses.len()).map_err(bad)?);
+        match row::parse(layout.content, &columns).map_err(|what| bad(line.number, what))? {
+            Some(row) => read.push((*line, row)),
+            None => left_out += 1,
+        }
     }
-    if poses.is_empty() {
-        return Err(Error::NotATrajectory {
-            path: path.to_owned(),
-            what: "no pose in it; expected TUM text, KITTI poses or EuRoC csv".to_owned(),
-        });
+    let mut findings = Vec::new();
+    let mut warn = |code, what: String, remedy: &str| {
+        findings.push(Finding::new(code, Verdict::Warn, name(path), what).remedy(remedy));
+    };
+    if left_out > 0 {
+        let what = format!(
+            "{} left out",
+            crate::count(left_out, "row without a pose", "rows without a pose")
+        );
+        warn("rows-without-pose", what, "");
     }
-    Ok(poses)
+    if let Some(assumed) = layout.assumed {
+        warn(
+            "columns",
+            assumed.to_owned(),
+            "name the columns in a first row",
+        );
+    }
+    choose_device(path, &mut read, options.stream.as_deref())?;
+    if read.is_empty() {
+        return Err(nothing());
+    }
+    let times = if layout.content == Content::Matrix {
+        (0..read.len()).map(whole_secs).collect()
+    } else {
+        let stamps: Vec<(usize, &str)> = read
+            .iter()
+            .map(|(line, row)| (line.number, row.stamp.unwrap_or_default()))
+            .collect();
+        let said = options.stamp_unit.or(layout.unit);
+        let (times, remark) = stamp_times(path, &stamps, said)?;
+        if let Some(remark) = remark {
+            warn("stamp-unit", remark, "say the unit of the stamps");
+        }
+        times
+    };
+    let poses = read.into_iter().zip(times);
+    let mut poses: Vec<Unordered> = poses
+        .map(|((_, row), time)| Unordered {
+            time,
+            world_from_rig: row.world_from_rig,
+            covariance: row.covariance,
+        })
+        .collect();
+    if layout.content == Content::Colmap {
+        // By image number, which is no order of time.
+        poses.sort_by_key(|p| p.time);
+    }
+    let orientations = match layout.content.has_rotation() {
+        true => Orientations::Known,
+        false => Orientations::Missing,
+    };
+    put_in_order(path, poses, orientations, findings)
+}
+
+/// The poses of a file that says what it holds, in order of time, where every pose has a rotation.
+pub fn read_poses(path: &Path) -> Result<Vec<StampedPose>, Error> {
+    let file = read_trajectory(path, &ReadOptions::default())?;
+    match file.orientations {
+        Orientations::Known => Ok(file.poses),
+        Orientations::Missing => Err(Error::NeedsOrientation { purpose: "poses" }),
+    }
 }
 
 /// Reads KITTI poses and the file with their stamps, seconds, one per line.
 pub fn read_kitti_poses(path: &Path, times_path: &Path) -> Result<Vec<StampedPose>, Error> {
     let mut poses = read_poses(path)?;
-    let text = read_text(times_path)?;
+    let text = text::read(times_path)?;
+    let (rows, _) = text::lines(&text);
     let mut times = Vec::with_capacity(poses.len());
-    for (index, line) in rows(&text) {
-        times.push(decimal_nanos(line, 9).ok_or_else(|| Error::BadLine {
+    for line in rows {
+        times.push(decimal_nanos(line.text, 9).ok_or_else(|| Error::BadLine {
             path: times_path.to_owned(),
-            line: index + 1,
-            what: format!("'{}' is no time in seconds", shown(line)),
+            line: line.number,
+            what: format!("'{}' is no time in seconds", shown(line.text)),
         })?);
     }
     if times.len() != poses.len() {
@@ -82,188 +202,93 @@ pub fn read_kitti_poses(path: &Path, times_path: &Path) -> Result<Vec<StampedPos
     Ok(poses)
 }
 
-fn rows(text: &str) -> impl Iterator<Item = (usize, &str)> {
-    text.trim_start_matches('\u{feff}')
-        .lines()
-        .enumerate()
-        .map(|(i, line)| (i, line.trim()))
-        .filter(|(_, line)| !line.is_empty() && !line.starts_with('#'))
+/// Leaves the rows of one device of a kapture file.
+fn choose_device(
+    path: &Path,
+    read: &mut Vec<(Line<'_>, Row<'_>)>,
+    wanted: Option<&str>,
+) -> Result<(), Error> {
+    let devices: BTreeSet<&str> = read.iter().filter_map(|(_, row)| row.device).collect();
+    let chosen = match wanted {
+        Some(wanted) => devices.get(wanted).copied(),
+        None if devices.len() <= 1 => return Ok(()),
+        None => None,
+    };
+    let Some(chosen) = chosen else {
+        let names: Vec<String> = devices.iter().map(|d| shown(d)).collect();
+        return Err(Error::NoSuchDevice {
+            path: path.to_owned(),
+            devices: match names.is_empty() {
+                true => "no names".to_owned(),
+                false => names.join(", "),
+            },
+        });
+    };
+    read.retain(|(_, row)| row.device == Some(chosen));
+    Ok(())
 }
 
-fn read_text(path: &Path) -> Result<String, Error> {
-    let io = |source| Error::Io {
+/// Stamps as times, and what is to be said where their unit was guessed or is doubtful.
+fn stamp_times(
+    path: &Path,
+    stamps: &[(usize, &str)],
+    said: Option<StampUnit>,
+) -> Result<(Vec<Timestamp>, Option<String>), Error> {
+    let bad = |number: usize, text: &str| Error::BadLine {
         path: path.to_owned(),
-        source,
+        line: number,
+        what: format!("'{}' is no stamp", shown(text)),
     };
-    let mut bytes = Vec::new();
-    let file = File::open(path).map_err(io)?;
-    file.take(MAX_TEXT_BYTES + 1)
-        .read_to_end(&mut bytes)
-        .map_err(io)?;
-    if bytes.starts_with(&[0x1f, 0x8b]) {
-        let mut plain = Vec::new();
-        MultiGzDecoder::new(bytes.as_slice())
-            .take(MAX_TEXT_BYTES + 1)
-            .read_to_end(&mut plain)
-            .map_err(io)?;
-        bytes = plain;
+    let mut sizes = Vec::with_capacity(stamps.len());
+    for (number, text) in stamps {
+        let size: Option<f64> = text.parse().ok().filter(|v: &f64| v.is_finite());
+        sizes.push(size.ok_or_else(|| bad(*number, text))?);
     }
-    let refused = |what: String| Error::NotATrajectory {
-        path: path.to_owned(),
-        what,
+    let size = StampSize::of(&sizes);
+    let unit = match said {
+        Some(unit) => unit,
+        None => size.unit().map_err(|possible| Error::UnknownStampUnit {
+            path: path.to_owned(),
+            step: size.step,
+            possible: match possible.is_empty() {
+                true => "none that makes sense".to_owned(),
+                false => possible
+                    .iter()
+                    .map(StampUnit::to_string)
+                    .collect::<Vec<_>>()
+                    .join(" or "),
+            },
+        })?,
     };
-    if bytes.len() as u64 > MAX_TEXT_BYTES {
-        return Err(refused(format!("more than {MAX_TEXT_BYTES} bytes of text")));
-    }
-    String::from_utf8(bytes).map_err(|e| {
-        refused(format!(
-            "not text (byte {}); expected TUM text, KITTI poses or EuRoC csv",
-            e.utf8_error().valid_up_to()
-        ))
-    })
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Format {
-    Tum,
-    Kitti,
-    Euroc,
-}
-
-impl Format {
-    fn of(line: &str) -> Option<Self> {
-        if line.contains(',') {
-            return (line.split(',').count() >= 8).then_some(Self::Euroc);
+    let remark = match size.doubtful_step_secs(unit) {
+        Some(step_secs) => Some(format!(
+            "poses are {step_secs:.3e} s apart by the median, with stamps read as {unit}"
+        )),
+        None if said.is_none() && unit != StampUnit::Seconds && size.largest < 1e11 => {
+            Some(format!(
+                "stamps read as {unit}, as poses are {} apart by the median",
+                size.step
+            ))
         }
-        match line.split_ascii_whitespace().count() {
-            8 => Some(Self::Tum),
-            12 => Some(Self::Kitti),
-            _ => None,
-        }
-    }
-
-    fn pose(self, line: &str, index: usize) -> Result<StampedPose, String> {
-        let (stamp, world_from_rig) = match self {
-            Self::Tum => {
-                let [x, y, z, qx, qy, qz, qw] = numbers(line.split_ascii_whitespace().skip(1))?;
-                let pose = Se3::new(rotation(qw, qx, qy, qz)?, Vector3::new(x, y, z));
-                (stamp(line.split_ascii_whitespace().next(), 9)?, pose)
-            }
-            Self::Euroc => {
-                let [x, y, z, qw, qx, qy, qz] = numbers(line.split(',').skip(1).take(7))?;
-                let pose = Se3::new(rotation(qw, qx, qy, qz)?, Vector3::new(x, y, z));
-                (stamp(line.split(',').next(), 0)?, pose)
-            }
-            Self::Kitti => {
-                let row: [f64; 12] = numbers(line.split_ascii_whitespace())?;
-                let nanos = i64::try_from(index)
-                    .ok()
-                    .and_then(|i| i.checked_mul(1_000_000_000))
-                    .ok_or("too many poses")?;
-                (Timestamp::from_nanos(nanos), from_matrix_rows(&row)?)
-            }
-        };
-        Ok(StampedPose {
-            time: stamp,
-            world_from_rig,
-        })
-    }
-}
-
-fn stamp(text: Option<&str>, exponent: i64) -> Result<Timestamp, String> {
-    let text = text.unwrap_or_default().trim();
-    decimal_nanos(text, exponent).ok_or_else(|| format!("'{}' is no stamp", shown(text)))
-}
-
-fn numbers<'a, const N: usize>(columns: impl Iterator<Item = &'a str>) -> Result<[f64; N], String> {
-    let mut values = [0.0; N];
-    let mut count = 0;
-    for (slot, column) in values.iter_mut().zip(columns) {
-        let column = column.trim();
-        *slot = column
-            .parse()
-            .ok()
-            .filter(|v: &f64| v.is_finite())
-            .ok_or_else(|| format!("'{}' is no finite number", shown(column)))?;
-        count += 1;
-    }
-    if count == N {
-        Ok(values)
-    } else {
-        Err(format!("{count} numbers where {N} are expected"))
-    }
-}
-
-fn rotation(w: f64, x: f64, y: f64, z: f64) -> Result<UnitQuaternion<f64>, String> {
-    let quaternion = Quaternion::new(w, x, y, z);
-    let norm = quaternion.norm();
-    // Files print as few as four digits, and some programs none too exactly: normalise, but refuse what is no rotation.
-    if (0.5..2.0).contains(&norm) {
-        Ok(UnitQuaternion::new_normalize(quaternion))
-    } else {
-        Err(format!("quaternion of length {norm}; expected 1"))
-    }
-}
-
-fn from_matrix_rows(row: &[f64; 12]) -> Result<Se3, String> {
-    let matrix = Matrix3::new(
-        row[0], row[1], row[2], row[4], row[5], row[6], row[8], row[9], row[10],
-    );
-    let off = (matrix * matrix.transpose() - Matrix3::identity()).norm();
-    if !(off < ORTHONORMAL_TOLERANCE) || matrix.determinant() < 0.0 {
-        return Err(format!(
-            "the first three columns are no rotation (off by {off:.1e})"
-        ));
-    }
-    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
-    Ok(Se3::new(
-        UnitQuaternion::new_normalize(rotation.into_inner()),
-        Vector3::new(row[3], row[7], row[11]),
-    ))
-}
-
-/// `text × 10^exponent` as whole nanoseconds, exactly: seconds of this century in `f64` are off by 100 ns.
-fn decimal_nanos(text: &str, exponent: i64) -> Option<Timestamp> {
-    let (negative, unsigned) = match text.strip_prefix('-') {
-        Some(rest) => (true, rest),
-        None => (false, text.strip_prefix('+').unwrap_or(text)),
+        None => None,
     };
-    let (mantissa, power) = match unsigned.split_once(['e', 'E']) {
-        Some((mantissa, power)) => (mantissa, power.parse::<i32>().ok()?),
-        None => (unsigned, 0),
-    };
-    let (whole, fraction) = mantissa.split_once('.').unwrap_or((mantissa, ""));
-    if whole.is_empty() && fraction.is_empty() {
-        return None;
-    }
-    // Digits beyond the thirtieth cannot matter to a nanosecond that fits 64 bits.
-    let mut digits: i128 = 0;
-    let mut shift = exponent.checked_add(i64::from(power))?;
-    for (place, byte) in whole.bytes().chain(fraction.bytes()).enumerate() {
-        let digit = byte.is_ascii_digit().then(|| i128::from(byte - b'0'))?;
-        if place < 30 {
-            digits = digits * 10 + digit;
-        } else {
-            shift = shift.checked_add(1)?;
-        }
-    }
-    shift = shift.checked_sub(i64::try_from(fraction.len()).ok()?)?;
-    let ten_to = |n: i64| 10i128.checked_pow(u32::try_from(n).ok()?);
-    let magnitude = if digits == 0 {
-        0
-    } else if shift >= 0 {
-        digits.checked_mul(ten_to(shift)?)?
-    } else {
-        // Half up; below 10^-38 nothing is left.
-        ten_to(-shift).map_or(0, |divisor| (digits + divisor / 2) / divisor)
-    };
-    let nanos = i64::try_from(if negative { -magnitude } else { magnitude }).ok()?;
-    Some(Timestamp::from_nanos(nanos))
+    let times = stamps.iter().map(|(number, text)| {
+        decimal_nanos(text, unit.exponent()).ok_or_else(|| bad(*number, text))
+    });
+    Ok((times.collect::<Result<_, _>>()?, remark))
 }
 
-/// At most forty characters of what a file holds.
-fn shown(text: &str) -> String {
-    text.chars().take(40).collect()
+fn whole_secs(index: usize) -> Timestamp {
+    // A file below 1 GiB has fewer rows than seconds fit 64 bits of nanoseconds.
+    Timestamp::from_nanos(index as i64 * 1_000_000_000)
+}
+
+/// A file as findings call it.
+fn name(path: &Path) -> String {
+    path.file_name()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .into_owned()
 }
 
 #[cfg(test)]

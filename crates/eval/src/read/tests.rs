@@ -1,4 +1,6 @@
 use super::*;
+use lsfb_geometry::Vector3;
+use lsfb_recording::{Channel, Recording, Writer, WriterConfig};
 use std::io::Write;
 use std::path::PathBuf;
 
@@ -15,44 +17,6 @@ fn read(content: &str) -> Result<Vec<StampedPose>, Error> {
 }
 
 #[test]
-fn stamps_are_exact() {
-    let nanos = |text, exponent| decimal_nanos(text, exponent).map(Timestamp::nanos);
-    assert_eq!(
-        nanos("1311868164.363181", 9),
-        Some(1_311_868_164_363_181_000)
-    );
-    assert_eq!(
-        nanos("1.403715529112143517e+09", 9),
-        Some(1_403_715_529_112_143_517)
-    );
-    assert_eq!(
-        nanos("1403715524907143168", 0),
-        Some(1_403_715_524_907_143_168)
-    );
-    assert_eq!(nanos("-0.0000000015", 9), Some(-2));
-    assert_eq!(nanos("1e-60", 9), Some(0));
-    assert_eq!(nanos("0e99", 9), Some(0));
-    assert_eq!(
-        nanos("0.00000000000000000000000000000000000000001", 9),
-        Some(0)
-    );
-    for bad in [
-        "",
-        ".",
-        "-",
-        "1.2.3",
-        "nan",
-        "1e",
-        "0x10",
-        "1e12",
-        "99999999999999999999",
-        "1e2147483648",
-    ] {
-        assert_eq!(nanos(bad, 9), None, "{bad}");
-    }
-}
-
-#[test]
 fn reads_the_three_formats() {
     let tum = read("\u{feff}# a comment\n\n1.5 1 2 3 0 0 2e0 0.0\r\n").expect_err("length 2");
     assert!(
@@ -61,19 +25,25 @@ fn reads_the_three_formats() {
     );
     let tum = read("# a comment\n1.5 1 2 3 0 0 0.8 0.6\n1.25 1 2 3 0 0 0 1\n").expect("valid");
     assert_eq!(tum.len(), 2);
-    assert_eq!(tum[0].time.nanos(), 1_500_000_000);
-    assert_eq!(tum[1].time.nanos(), 1_250_000_000);
+    // Sorted: the earlier row comes first.
+    assert_eq!(tum[0].time.nanos(), 1_250_000_000);
+    assert_eq!(tum[1].time.nanos(), 1_500_000_000);
     assert_eq!(
         tum[0].world_from_rig.translation,
         Vector3::new(1.0, 2.0, 3.0)
     );
-    let q = tum[0].world_from_rig.rotation;
+    let q = tum[1].world_from_rig.rotation;
     assert_eq!((q.w, q.i, q.j, q.k), (0.6, 0.0, 0.0, 0.8));
 
     let euroc =
         read("#timestamp, p_x\n1403715524907143168,1,2,3,0.6,0,0,0.8,9,9\n").expect("valid");
     assert_eq!(euroc[0].time.nanos(), 1_403_715_524_907_143_168);
-    assert_eq!(euroc[0].world_from_rig, tum[0].world_from_rig);
+    assert_eq!(
+        euroc[0].world_from_rig.translation,
+        Vector3::new(1.0, 2.0, 3.0)
+    );
+    let q = euroc[0].world_from_rig.rotation;
+    assert_eq!((q.w, q.i, q.j, q.k), (0.6, 0.0, 0.0, 0.8));
 
     let kitti = read("1 0 0 7 0 1 0 8 0 0 1 9\n0 -1 0 1 1 0 0 2 0 0 1 3\n").expect("valid");
     assert_eq!(kitti[1].time.nanos(), 1_000_000_000);
@@ -125,10 +95,10 @@ fn says_what_is_wrong_and_where() {
         ),
         ("now 0 0 0 0 0 0 1\n", "line 1: 'now' is no stamp"),
         ("1 0 0 0 0 0 0 0\n", "quaternion of length 0"),
-        ("1,2,3\n", "line 1: 1 columns"),
+        ("1,2,3\n", "line 1: 3 columns"),
         (
             "1 0 0 0 0 0 0 1\n1 0 0 7 0 1 0 8 0 0 1 9\n",
-            "line 2: a row of Kitti among",
+            "line 2: a row of 12 columns among rows of 8",
         ),
         ("2 0 0 7 0 1 0 8 0 0 1 9\n", "no rotation"),
         ("-1 0 0 7 0 1 0 8 0 0 1 9\n", "no rotation"),
@@ -147,4 +117,310 @@ fn says_what_is_wrong_and_where() {
         .expect_err("missing")
         .to_string();
     assert!(missing.starts_with("/nowhere/t.txt: "), "{missing}");
+}
+
+fn whole(content: &str) -> Result<TrajectoryFile, Error> {
+    let (_dir, path) = file(content.as_bytes());
+    read_trajectory(&path, &ReadOptions::default())
+}
+
+fn codes(file: &TrajectoryFile) -> Vec<&str> {
+    file.findings.iter().map(|f| f.code.as_ref()).collect()
+}
+
+/// A walk in the TUM order, two poses of it.
+fn rows(stamps: [&str; 3], separator: &str) -> String {
+    let row = |stamp: &str, x: &str| [stamp, x, "2", "3", "0", "0", "0.8", "0.6"].join(separator);
+    stamps
+        .iter()
+        .zip(["1", "1.5", "2"])
+        .map(|(stamp, x)| row(stamp, x) + "\n")
+        .collect()
+}
+
+#[test]
+fn stamps_of_any_unit_and_any_separator() {
+    for (stamps, separator, first_nanos, step_nanos, remarks) in [
+        (
+            [
+                "1403636579763555584",
+                "1403636579813555584",
+                "1403636579863555584",
+            ],
+            " ",
+            1_403_636_579_763_555_584,
+            50_000_000,
+            vec![],
+        ),
+        (
+            ["1403636579763", "1403636579813", "1403636579863"],
+            " ",
+            1_403_636_579_763_000_000,
+            50_000_000,
+            vec![],
+        ),
+        (
+            ["5000000000", "5050000000", "5100000000"],
+            " ",
+            5_000_000_000,
+            50_000_000,
+            vec!["stamp-unit"],
+        ),
+        (
+            ["1403636579.763", "1403636579.813", "1403636579.863"],
+            ",",
+            1_403_636_579_763_000_000,
+            50_000_000,
+            vec!["columns"],
+        ),
+        (
+            ["0.10", "0.15", "0.20"],
+            "; ",
+            100_000_000,
+            50_000_000,
+            vec!["columns"],
+        ),
+        (
+            ["0", "33", "66"],
+            " ",
+            0,
+            33_000_000_000,
+            vec!["stamp-unit"],
+        ),
+    ] {
+        let read = whole(&rows(stamps, separator)).expect("valid");
+        assert_eq!(codes(&read), remarks, "{stamps:?}");
+        let times: Vec<i64> = read.poses.iter().map(|p| p.time.nanos()).collect();
+        assert_eq!(
+            times[..2],
+            [first_nanos, first_nanos + step_nanos],
+            "{stamps:?}"
+        );
+        let pose = read.poses[1].world_from_rig;
+        assert_eq!(pose.translation, Vector3::new(1.5, 2.0, 3.0));
+        let q = pose.rotation;
+        assert_eq!((q.w, q.i, q.j, q.k), (0.6, 0.0, 0.0, 0.8), "{stamps:?}");
+    }
+    let unclear = whole(&rows(["0", "1000000", "2000000"], " ")).expect_err("ambiguous");
+    let text = unclear.to_string();
+    assert!(
+        text.contains("microseconds or nanoseconds; say which"),
+        "{text}"
+    );
+    let said = ReadOptions {
+        stamp_unit: Some(StampUnit::Nanoseconds),
+        ..ReadOptions::default()
+    };
+    let (_dir, path) = file(rows(["0", "1000000", "2000000"], " ").as_bytes());
+    let read = read_trajectory(&path, &said).expect("said");
+    assert_eq!(read.poses[1].time.nanos(), 1_000_000);
+}
+
+/// A quaternion in the other order is one as well: without a word the file would be judged by wrong rotations.
+#[test]
+fn names_overrule_the_order_of_columns() {
+    let row = "1.5,1,2,3,0.6,0,0,0.8\n1.6,1,2,3,0.6,0,0,0.8\n";
+    let w_of = |content: &str| {
+        let read = whole(content).expect("valid");
+        (read.poses[0].world_from_rig.rotation.w, read.findings.len())
+    };
+    assert_eq!(w_of(&format!("t,x,y,z,qw,qx,qy,qz\n{row}")), (0.6, 0));
+    assert_eq!(
+        w_of(&format!("# t, x, y, z, qw, qx, qy, qz\n{row}")),
+        (0.6, 0)
+    );
+    assert_eq!(w_of(&format!("t,x,y,z,qx,qy,qz,qw\n{row}")), (0.8, 0));
+    // Not said: TUM's order is assumed, with a warning.
+    assert_eq!(w_of(row), (0.8, 1));
+    let given = ReadOptions {
+        columns: Some(Columns::EUROC),
+        ..ReadOptions::default()
+    };
+    let (_dir, path) = file(row.as_bytes());
+    let read = read_trajectory(&path, &given).expect("given");
+    assert_eq!(read.poses[0].world_from_rig.rotation.w, 0.6);
+    let unnamed = whole(&format!("a,b,c,d,e,f,g,h\n{row}"))
+        .expect_err("no names")
+        .to_string();
+    assert!(
+        unnamed.contains("line 1: 'a,b,c,d,e,f,g,h' names no stamp"),
+        "{unnamed}"
+    );
+    let nine = whole("1.5,1,2,3,0.6,0,0,0.8,7\n")
+        .expect_err("which is which")
+        .to_string();
+    assert!(nine.contains("9 columns with stamps in seconds"), "{nine}");
+    // VINS-Mono: a comma at the end.
+    let vins = whole("1403636579763555584,1,2,3,0.6,0,0,0.8,1,1,1,\n").expect("valid");
+    assert_eq!(vins.poses[0].world_from_rig.rotation.w, 0.6);
+}
+
+#[test]
+fn positions_alone_have_no_orientation() {
+    for content in [
+        "1 1 2 3\n2 1 2 3\n",
+        "1,1,2,3\n2,1,2,3\n",
+        "t,x,y,z\n1,1,2,3\n",
+    ] {
+        let read = whole(content).expect("valid");
+        assert_eq!(read.orientations, Orientations::Missing);
+        assert_eq!(
+            read.poses[0].world_from_rig.translation,
+            Vector3::new(1.0, 2.0, 3.0)
+        );
+        let (_dir, path) = file(content.as_bytes());
+        assert!(matches!(
+            read_poses(&path),
+            Err(Error::NeedsOrientation { .. })
+        ));
+    }
+}
+
+#[test]
+fn disorder_is_sorted_and_counted() {
+    let read = whole(
+        "2 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n3 0 0 0 0 0 0 1\n3 0 0 0 0 0 0 1\n2.5 0 0 0 0 0 0 1\n",
+    );
+    let read = read.expect("valid");
+    assert_eq!(codes(&read), ["unsorted-stamps", "duplicate-stamps"]);
+    assert_eq!(read.findings[0].value, Some(2.0));
+    assert!(read.findings[1].what.contains("at the same place"));
+    let secs: Vec<f64> = read
+        .poses
+        .iter()
+        .map(|p| p.time.nanos() as f64 * 1e-9)
+        .collect();
+    assert_eq!(secs, [1.0, 2.0, 2.5, 3.0, 3.0]);
+    let elsewhere = whole("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n2 0 3 4 0 0 0 1\n").expect("valid");
+    assert!(
+        elsewhere.findings[0]
+            .what
+            .contains("1 of them elsewhere (up to 5.000 m)")
+    );
+}
+
+/// `std::cout << stamp` prints six digits: a whole run under two stamps.
+#[test]
+fn stamps_without_their_last_digits_are_refused() {
+    let content: String = (0..40)
+        .map(|i| format!("1.40364e+09 {i} 0 0 0 0 0 1\n"))
+        .collect();
+    let refused = whole(&content).expect_err("coarse").to_string();
+    assert!(
+        refused.contains("40 poses have only 1 different stamps"),
+        "{refused}"
+    );
+}
+
+#[test]
+fn kapture_has_the_world_in_the_device() {
+    let content = "# kapture format: 1.1\n# timestamp, device_id, qw, qx, qy, qz, tx, ty, tz\n\
+        1555399760151000, rig, 0.6, 0, 0, 0.8, 1, 0, 0\n1555399760251000, rig, 0.6, 0, 0, 0.8, 1, 0, 0\n\
+        1555399760351000, rig, , , , , 1, 0, 0\n";
+    let read = whole(content).expect("valid");
+    assert_eq!(read.poses[0].time.nanos(), 1_555_399_760_151_000_000);
+    let pose = read.poses[0].world_from_rig;
+    assert!((pose.rotation.k + 0.8).abs() < 1e-15);
+    // −R⁻¹ t of a turn by 2 atan(0.8/0.6) about z.
+    assert!((pose.translation - Vector3::new(0.28, 0.96, 0.0)).norm() < 1e-12);
+    assert_eq!(codes(&read), ["rows-without-pose"]);
+    let two = content.replace("60251000, rig", "60251000, phone");
+    let refused = whole(&two).expect_err("two devices").to_string();
+    assert!(refused.contains("the file has phone, rig"), "{refused}");
+    let (_dir, path) = file(two.as_bytes());
+    let phone = ReadOptions {
+        stream: Some("phone".to_owned()),
+        ..ReadOptions::default()
+    };
+    assert_eq!(
+        read_trajectory(&path, &phone).expect("chosen").poses.len(),
+        1
+    );
+}
+
+#[test]
+fn covariances_turn_with_the_body() {
+    // A quarter turn about z: the world's y is the body's x.
+    let mut cells = vec!["0.0".to_owned(); 36];
+    for (i, value) in [1.0, 4.0, 9.0, 0.01, 0.04, 0.09].iter().enumerate() {
+        cells[7 * i] = value.to_string();
+    }
+    let half = std::f64::consts::FRAC_1_SQRT_2;
+    let read = whole(&format!("1 0 0 0 0 0 {half} {half} {}\n", cells.join(" "))).expect("valid");
+    let diagonal = read.covariances[0].diagonal();
+    for (value, expected) in diagonal.iter().zip([0.04, 0.01, 0.09, 4.0, 1.0, 9.0]) {
+        assert!((value - expected).abs() < 1e-12, "{diagonal}");
+    }
+}
+
+#[test]
+fn poses_of_a_recording() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("robot.mcap");
+    let mut writer = Writer::create(&path, &WriterConfig::default()).expect("a file");
+    let write = |writer: &mut Writer, topic: &str, stamp_s: u32| {
+        // `geometry_msgs/PoseStamped`: header, position, orientation.
+        let mut bytes = vec![0, 1, 0, 0];
+        bytes.extend(stamp_s.to_le_bytes());
+        bytes.extend([0; 4]);
+        bytes.extend([4, 0, 0, 0]);
+        bytes.extend(*b"map\0");
+        for value in [1.0, 2.0, 3.0, 0.0, 0.0, 0.8, 0.6f64] {
+            bytes.extend(value.to_le_bytes());
+        }
+        let channel = Channel {
+            topic,
+            schema_name: "geometry_msgs/msg/PoseStamped",
+            schema_text: "std_msgs/Header header",
+        };
+        let time = Timestamp::from_nanos(i64::from(stamp_s) * 1_000_000_000);
+        writer
+            .write_cdr(&channel, time, time, &bytes)
+            .expect("written");
+    };
+    for stamp_s in [10, 12, 11] {
+        write(&mut writer, "/slam/pose", stamp_s);
+    }
+    write(&mut writer, "/truth", 10);
+    writer.finish().expect("finished");
+    assert_eq!(
+        Recording::open(&path).expect("opens").pose_topics().count(),
+        2
+    );
+    let several = read_trajectory(&path, &ReadOptions::default())
+        .expect_err("two topics")
+        .to_string();
+    assert!(
+        several.contains("/slam/pose") && several.contains("/truth"),
+        "{several}"
+    );
+    let chosen = ReadOptions {
+        stream: Some("/slam/pose".to_owned()),
+        ..ReadOptions::default()
+    };
+    let read = read_trajectory(&path, &chosen).expect("chosen");
+    assert_eq!(codes(&read), ["unsorted-stamps"]);
+    assert_eq!(read.poses[2].time.nanos(), 12_000_000_000);
+    assert_eq!(
+        read.poses[2].world_from_rig.translation,
+        Vector3::new(1.0, 2.0, 3.0)
+    );
+    assert!((read.poses[2].world_from_rig.rotation.k - 0.8).abs() < 1e-15);
+}
+
+#[test]
+fn colmap_has_the_world_in_the_camera() {
+    let content = "# Image list with two lines of data per image:\n#   IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n\
+        #   POINTS2D[] as (X, Y, POINT3D_ID)\n\
+        2 0.6 0 0 0.8 1 0 0 1 cam0/frame_1403636579.813.png\n1 2 -1 3 4 -1 5 6 7\n\
+        1 0.6 0 0 0.8 1 0 0 1 cam0/frame_1403636579.763.png\n\n";
+    let read = whole(content).expect("valid");
+    assert!(read.findings.is_empty() && read.poses.len() == 2);
+    assert_eq!(read.poses[0].time.nanos(), 1_403_636_579_763_000_000);
+    let place = read.poses[0].world_from_rig.translation;
+    assert!((place - Vector3::new(0.28, 0.96, 0.0)).norm() < 1e-12);
+    let nameless = whole(&content.replace("_1403636579.763", ""))
+        .expect_err("no stamp")
+        .to_string();
+    assert!(nameless.contains("does not end with a stamp"), "{nameless}");
 }

@@ -50,7 +50,7 @@ impl Length {
 pub(super) fn draw(tracks: &[Track], part: Part) -> Option<Markup> {
     let length = Length::of(tracks);
     let value = |e: &PoseError| match part {
-        Part::Translation => length.of_metres(e.translation_m),
+        Part::Translation => Some(length.of_metres(e.translation_m)),
         Part::Rotation => e.rotation_deg,
     };
     let series: Vec<Vec<[f64; 2]>> = tracks.iter().map(|t| places(&t.errors, value)).collect();
@@ -82,13 +82,13 @@ pub(super) fn draw(tracks: &[Track], part: Part) -> Option<Markup> {
     Some(plot.draw())
 }
 
-fn places(errors: &[PoseError], value: impl Fn(&PoseError) -> f64) -> Vec<[f64; 2]> {
+fn places(errors: &[PoseError], value: impl Fn(&PoseError) -> Option<f64>) -> Vec<[f64; 2]> {
     let Some(first) = errors.first() else {
         return Vec::new();
     };
     errors
         .iter()
-        .map(|e| [e.time.secs_since(first.time), value(e)])
+        .filter_map(|e| Some([e.time.secs_since(first.time), value(e)?]))
         .filter(|[_, v]| v.is_finite())
         .collect()
 }

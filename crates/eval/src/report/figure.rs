@@ -51,39 +51,52 @@ impl Figure {
 /// The figures of one judged trajectory.
 pub(super) fn of_evaluation(evaluation: &Evaluation) -> Vec<Figure> {
     let translation = evaluation.ate_translation_m;
-    let rotation = evaluation.ate_rotation_deg;
     let mut figures = vec![
         Figure::new("ATE translation rmse", translation.rmse, "m"),
         Figure::new("ATE translation mean", translation.mean, "m"),
         Figure::new("ATE translation median", translation.median, "m"),
         Figure::new("ATE translation max", translation.max, "m"),
-        Figure::new("ATE rotation rmse", rotation.rmse, "°"),
-        Figure::new("ATE rotation max", rotation.max, "°"),
     ];
-    for rpe in &evaluation.rpe {
-        let delta = match rpe.delta_unit {
-            DeltaUnit::Degrees => format!("{}°", rpe.delta),
-            unit => format!("{} {unit}", rpe.delta),
-        };
-        let (t, r) = (rpe.translation_m.rmse, rpe.rotation_deg.rmse);
-        figures.push(Figure::new(
-            &format!("RPE translation rmse per {delta}"),
-            t,
-            "m",
-        ));
-        figures.push(Figure::new(
-            &format!("RPE rotation rmse per {delta}"),
-            r,
-            "°",
-        ));
+    if let Some(rotation) = evaluation.ate_rotation_deg {
+        figures.push(Figure::new("ATE rotation rmse", rotation.rmse, "°"));
+        figures.push(Figure::new("ATE rotation max", rotation.max, "°"));
     }
+    let others = evaluation.ate_by_alignment.iter();
+    for other in others.filter(|o| o.alignment != evaluation.alignment) {
+        if let Some(rmse_m) = other.rmse_m {
+            let name = format!("ATE translation rmse, alignment {}", other.alignment);
+            figures.push(Figure::new(&name, rmse_m, "m"));
+        }
+    }
+    figures.extend(relative(evaluation));
     if let Some(percent) = evaluation.scale_error_percent {
         figures.push(Figure::new("Scale error", percent, "%"));
     }
-    let covered = 100.0 * evaluation.coverage.fraction;
+    for found in &evaluation.recall {
+        let threshold = found.threshold;
+        let name = format!(
+            "Recall within {}°, {} m",
+            threshold.rotation_deg, threshold.translation_m
+        );
+        figures.push(Figure::new(&name, 100.0 * found.of_truth, "%"));
+    }
+    figures.extend(shaking(evaluation));
+    if let Some(consistency) = evaluation.consistency {
+        figures.push(Figure::new(
+            "NEES mean (6 expected)",
+            consistency.nees_mean,
+            "",
+        ));
+    }
+    let coverage = evaluation.coverage;
     figures.extend([
-        Figure::new("Ground truth covered", covered, "%"),
-        Figure::new("Longest gap", evaluation.coverage.longest_gap_secs, "s"),
+        Figure::new("Ground truth covered", 100.0 * coverage.fraction, "%"),
+        Figure::new("Longest gap", coverage.longest_gap_secs, "s"),
+        Figure::new(
+            "Begins after the ground truth by",
+            coverage.initialisation_secs,
+            "s",
+        ),
         Figure::new(
             &format!("Poses matched, of {}", evaluation.estimate_poses),
             evaluation.matched_poses as f64,
@@ -96,6 +109,46 @@ pub(super) fn of_evaluation(evaluation: &Evaluation) -> Vec<Figure> {
             "",
         ),
     ]);
+    figures
+}
+
+fn relative(evaluation: &Evaluation) -> Vec<Figure> {
+    let mut figures = Vec::new();
+    for rpe in &evaluation.rpe {
+        let delta = match rpe.delta_unit {
+            DeltaUnit::Degrees => format!("{}°", rpe.delta),
+            unit => format!("{} {unit}", rpe.delta),
+        };
+        match (rpe.translation_m, rpe.rotation_deg) {
+            (Some(t), Some(r)) => {
+                let name = |part: &str| format!("RPE {part} rmse per {delta}");
+                figures.push(Figure::new(&name("translation"), t.rmse, "m"));
+                figures.push(Figure::new(&name("rotation"), r.rmse, "°"));
+            }
+            _ => {
+                let name = format!("RPE distance rmse per {delta}");
+                figures.push(Figure::new(&name, rpe.distance_m.rmse, "m"));
+            }
+        }
+    }
+    figures
+}
+
+fn shaking(evaluation: &Evaluation) -> Vec<Figure> {
+    let mut figures = Vec::new();
+    let both = evaluation.smoothness;
+    for (whose, of) in [("estimate", both.estimate), ("ground truth", both.truth)] {
+        let Some(of) = of else { continue };
+        let name = |what: &str| format!("{what} of the {whose}, rms");
+        figures.push(Figure::new(&name("Jerk"), of.jerk_rms_m_s3, "m/s³"));
+        if let Some(fast_m) = of.above_5_hz_rms_m {
+            figures.push(Figure::new(
+                &name("Motion above 5 Hz"),
+                1000.0 * fast_m,
+                "mm",
+            ));
+        }
+    }
     figures
 }
 

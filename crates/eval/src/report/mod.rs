@@ -5,7 +5,7 @@
 use std::path::Path;
 
 use lsfb_geometry::{StampedPose, Trajectory, Vector3};
-use lsfb_types::{Finding, Judgement, Verdict};
+use lsfb_types::{Finding, Judgement};
 
 use crate::compare::Comparison;
 use crate::error::Error;
@@ -115,20 +115,12 @@ pub struct Provenance {
 impl Report {
     /// The page of `lsfb eval`: one estimate against the truth.
     pub fn of_evaluation(name: &str, evaluation: &Evaluation, truth: &Trajectory) -> Self {
-        let repeated = match evaluation.duplicate_stamps {
-            0 => None,
-            1 => Some("one pose repeats the stamp of the pose before it; both count".to_owned()),
-            n => Some(format!(
-                "{n} poses repeat the stamp of the pose before them; all count"
-            )),
-        };
-        let finding = |what| Finding::new("duplicate-stamps", Verdict::Warn, name, what);
         Self {
             title: format!("{name} evaluated against ground truth"),
             figures: figure::of_evaluation(evaluation),
             tracks: vec![Track::of(name, evaluation, truth)],
             view: View::Widest,
-            findings: repeated.map(finding).into_iter().collect(),
+            findings: evaluation.findings.clone(),
             ..Self::default()
         }
     }

@@ -93,7 +93,7 @@ fn comparison(rows: &[Comparison]) -> Markup {
                         th scope="row" { (row.name) }
                         td.number { (significant(row.ate_rmse_m)) }
                         td.number { (significant(row.ate_max_m)) }
-                        td.number { (significant(row.ate_rotation_rmse_deg)) }
+                        td.number { (optional(row.ate_rotation_rmse_deg)) }
                         td.number { (optional(row.rpe_translation_rmse_m)) }
                         td.number { (optional(row.rpe_rotation_rmse_deg)) }
                         td.number { (optional(row.scale_error_percent)) }

@@ -71,9 +71,10 @@ pub(super) fn errors(report: &Report) -> Markup {
         }
     };
     html! {
-        @if let (Some(translation), Some(rotation)) = (translation, rotation) {
+        @if let Some(translation) = translation {
             (plot("Translation error over time", &translation))
-            (plot("Rotation error over time", &rotation))
+            // Positions alone have no rotation error, not one of zero.
+            @if let Some(rotation) = rotation { (plot("Rotation error over time", &rotation)) }
             @if let Some(spread) = spread {
                 section {
                     h2 { "Distribution of translation errors" }

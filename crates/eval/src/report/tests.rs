@@ -1,7 +1,7 @@
 use super::*;
 use crate::{EvalConfig, compare, evaluate};
 use lsfb_geometry::{Se3, StampedPose, Vector6};
-use lsfb_types::{Limit, Timestamp};
+use lsfb_types::{Limit, Timestamp, Verdict};
 
 /// Repeatable numbers from −1 to 1 without a generator: the fractional part of a large sine.
 fn noise(i: usize) -> f64 {
@@ -122,7 +122,11 @@ fn made_up() -> Report {
             Figure::new("Scanner ATE max", scanner.ate_translation_m.max, "m"),
             most("Glasses ATE rms", glasses.ate_translation_m.rmse, "m", 0.03),
             Figure::new("Glasses ATE max", glasses.ate_translation_m.max, "m"),
-            Figure::new("Glasses rotation rms", glasses.ate_rotation_deg.rmse, "°"),
+            Figure::new(
+                "Glasses rotation rms",
+                glasses.ate_rotation_deg.expect("known").rmse,
+                "°",
+            ),
             most("Map reprojection rms", 0.74, "px", 1.5),
             Figure::new("Glasses frames localized", 98.3, "%").with(Limit::AtLeast(90.0)),
             Figure::new("Map points", 48_213.0, ""),
@@ -306,4 +310,18 @@ fn other_worlds_are_seen_where_they_are_widest() {
     assert!(report.to_html().contains("In the plane of x and z"));
     report.view = View::Above;
     assert!(report.to_html().contains("From above"));
+}
+
+/// A flat line at zero would look like perfect rotations.
+#[test]
+fn positions_alone_have_no_rotation_error() {
+    let truth = walk(36.0, 20.0, scanner_place);
+    let config = EvalConfig {
+        orientations: crate::Orientations::Missing,
+        ..EvalConfig::default()
+    };
+    let found = evaluate(&truth, &shaken(&truth, 0.02, 1), &config).expect("valid");
+    let page = Report::of_evaluation("positions", &found, &Trajectory::new(truth)).to_html();
+    assert!(page.contains("Translation error over time"));
+    assert!(!page.contains("Rotation error") && !page.contains("rotation rmse"));
 }

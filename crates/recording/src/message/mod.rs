@@ -9,6 +9,7 @@ mod imu;
 mod lidar_packets;
 mod lsfb;
 mod points;
+mod pose;
 mod radio;
 mod recorder;
 mod remark;
@@ -32,6 +33,7 @@ pub use lsfb::{
     encode_raw_packet,
 };
 pub use points::{decode_points, encode_points};
+pub use pose::{PoseReading, decode_pose, holds_pose};
 pub use radio::{BleAdvert, WifiReading, decode_ble, decode_wifi, encode_ble, encode_wifi};
 pub use recorder::{
     CameraGroup, ClockModel, HealthValue, decode_camera_group, decode_clock_model,

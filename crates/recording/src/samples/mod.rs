@@ -1,5 +1,6 @@
 //! What a recording holds, decoded: one walk over the chunks per iterator.
 
+mod poses;
 mod surroundings;
 
 use std::cell::RefCell;

@@ -4,6 +4,7 @@ use super::*;
 use lsfb_geometry::{Camera, Se3, UnitQuaternion, Vector3};
 use lsfb_types::{Echo, Image, ImuSample, LidarPoint, LidarScan, Packet, Timestamp};
 
+mod pose;
 mod surroundings;
 
 const STAMP: Timestamp = Timestamp::from_nanos(1_771_234_567_123_456_789);

@@ -1,0 +1,102 @@
+//! What a reader should know of the figures of an evaluation.
+
+use lsfb_geometry::{Matrix3, Vector3};
+use lsfb_types::{Finding, Limit, Verdict};
+
+use super::Evaluation;
+use crate::Error;
+use crate::association::PosePair;
+
+/// Share of the truth that an estimate should speak about.
+const LEAST_COVERED: f64 = 0.9;
+/// Share of the estimate's poses that should find one of the truth.
+const LEAST_MATCHED: f64 = 0.5;
+/// Positions that extend sideways by less than this share of their length lie on a line.
+const LINE_RATIO: f64 = 0.01;
+/// Mean NEES of six between which a covariance is called right.
+const NEES_RANGE: std::ops::RangeInclusive<f64> = 1.5..=12.0;
+
+/// Poses that repeat a stamp.
+pub(super) fn duplicates(count: usize) -> Option<Finding> {
+    let what = match count {
+        0 => return None,
+        1 => "one pose repeats the stamp of the pose before it; both count".to_owned(),
+        n => format!("{n} poses repeat the stamp of the pose before them; all count"),
+    };
+    Some(Finding::new("duplicate-stamps", Verdict::Warn, "stamps", what).value(count as f64, ""))
+}
+
+/// A relative error that nobody asked for, and that does not exist.
+pub(super) fn left_out(why: &Error) -> Finding {
+    Finding::new("rpe", Verdict::Unknown, "relative error", why.to_string())
+}
+
+/// What the figures themselves tell.
+pub(super) fn of(found: &Evaluation, pairs: &[PosePair]) -> Vec<Finding> {
+    let mut findings = vec![coverage(found), matches(found)];
+    findings.extend(line(pairs));
+    findings.extend(covariance(found));
+    findings
+}
+
+fn coverage(found: &Evaluation) -> Finding {
+    let covered = found.coverage.fraction;
+    let verdict = Verdict::Warn.unless(covered >= LEAST_COVERED);
+    let what = format!("{:.1} % of the ground truth covered", 100.0 * covered);
+    Finding::new("coverage", verdict, "coverage", what)
+        .value(100.0 * covered, "%")
+        .limit(Limit::AtLeast(100.0 * LEAST_COVERED))
+        .remedy("compare it only with estimates that cover as much")
+}
+
+fn matches(found: &Evaluation) -> Finding {
+    let fewer = found.truth_poses.min(found.estimate_poses).max(1);
+    let share = found.matched_poses as f64 / fewer as f64;
+    let verdict = Verdict::Warn.unless(share >= LEAST_MATCHED);
+    let what = format!(
+        "{} of {fewer} poses matched by their stamps",
+        found.matched_poses
+    );
+    Finding::new("matches", verdict, "stamps", what)
+        .value(100.0 * share, "%")
+        .limit(Limit::AtLeast(100.0 * LEAST_MATCHED))
+        .remedy("check that both have one clock, or raise the allowed difference of stamps")
+}
+
+/// A walk along a line leaves open how the estimate is turned about it: noise decides.
+fn line(pairs: &[PosePair]) -> Option<Finding> {
+    let places = || pairs.iter().map(|p| p.truth.world_from_rig.translation);
+    let mean = places().sum::<Vector3<f64>>() / pairs.len().max(1) as f64;
+    let scatter: Matrix3<f64> = places().map(|p| (p - mean) * (p - mean).transpose()).sum();
+    let mut extents: Vec<f64> = scatter
+        .symmetric_eigenvalues()
+        .iter()
+        .map(|v| v.max(0.0).sqrt())
+        .collect();
+    extents.sort_by(|a, b| b.total_cmp(a));
+    let ratio = extents[1] / extents[0];
+    (ratio < LINE_RATIO).then(|| {
+        let what =
+            "the matched positions lie nearly on a line: the rotation about it follows from noise";
+        Finding::new("line", Verdict::Warn, "alignment", what)
+            .value(ratio, "")
+            .limit(Limit::AtLeast(LINE_RATIO))
+            .remedy("do not rely on rotation errors, or align by yaw")
+    })
+}
+
+fn covariance(found: &Evaluation) -> Option<Finding> {
+    let consistency = found.consistency?;
+    let mean = consistency.nees_mean;
+    let verdict = Verdict::Warn.unless(NEES_RANGE.contains(&mean));
+    let what = match mean {
+        mean if mean > *NEES_RANGE.end() => {
+            format!("errors are larger than the covariance says (NEES {mean:.1}, 6 expected)")
+        }
+        mean if mean < *NEES_RANGE.start() => {
+            format!("errors are smaller than the covariance says (NEES {mean:.2}, 6 expected)")
+        }
+        mean => format!("errors are as large as the covariance says (NEES {mean:.1}, 6 expected)"),
+    };
+    Some(Finding::new("consistency", verdict, "covariance", what).value(mean, ""))
+}

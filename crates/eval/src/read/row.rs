@@ -1,0 +1,163 @@
+//! One row of a file.
+
+use lsfb_geometry::{Matrix3, Matrix6, Se3, UnitQuaternion, Vector3};
+use nalgebra::{Quaternion, Rotation3};
+
+use super::columns::Columns;
+use super::layout::Content;
+use super::text::shown;
+
+/// By how much a row's matrix may miss being a rotation (KITTI prints seven digits).
+const ORTHONORMAL_TOLERANCE: f64 = 1e-3;
+
+/// What a row says, its stamp as it is written.
+#[derive(Clone, Debug)]
+pub(super) struct Row<'a> {
+    /// `None` where the format has none.
+    pub stamp: Option<&'a str>,
+    /// kapture's device.
+    pub device: Option<&'a str>,
+    /// Without rotation where the file has positions only.
+    pub world_from_rig: Se3,
+    /// In the tangent of the pose; `None` where the file has none.
+    pub covariance: Option<Matrix6<f64>>,
+}
+
+/// `None` for a row that is whole and says no pose: kapture leaves out what is not known.
+pub(super) fn parse<'a>(content: Content, columns: &[&'a str]) -> Result<Option<Row<'a>>, String> {
+    let row = |stamp, world_from_rig| Row {
+        stamp,
+        device: None,
+        world_from_rig,
+        covariance: None,
+    };
+    Ok(Some(match content {
+        Content::Columns(at) => {
+            let pose = Se3::new(
+                quaternion(columns, at)?,
+                Vector3::from(numbers(columns, at.position)?),
+            );
+            row(Some(column(columns, at.time)?), pose)
+        }
+        Content::WithCovariance => {
+            let at = Columns::TUM;
+            let pose = Se3::new(
+                quaternion(columns, at)?,
+                Vector3::from(numbers(columns, at.position)?),
+            );
+            let covariance: [f64; 36] = numbers(columns, std::array::from_fn(|i| 8 + i))?;
+            let covariance = covariance_in_tangent(&covariance, &pose)?;
+            Row {
+                covariance: Some(covariance),
+                ..row(Some(column(columns, at.time)?), pose)
+            }
+        }
+        Content::Matrix => {
+            let upper: [f64; 12] = numbers(columns, std::array::from_fn(|i| i))?;
+            if columns.len() == 16 {
+                let last: [f64; 4] = numbers(columns, [12, 13, 14, 15])?;
+                if last != [0.0, 0.0, 0.0, 1.0] {
+                    return Err("the last row of the matrix is not 0 0 0 1".to_owned());
+                }
+            }
+            row(None, from_matrix_rows(&upper)?)
+        }
+        Content::Colmap => {
+            let [qw, qx, qy, qz, x, y, z] = numbers(columns, std::array::from_fn(|i| 1 + i))?;
+            let camera_from_world = Se3::new(rotation(qw, qx, qy, qz)?, Vector3::new(x, y, z));
+            let name = column(columns, 9)?;
+            row(Some(stamp_in_name(name)?), camera_from_world.inverse())
+        }
+        Content::Kapture => {
+            if columns.iter().skip(2).any(|c| c.is_empty()) {
+                return Ok(None);
+            }
+            let [qw, qx, qy, qz, x, y, z] = numbers(columns, std::array::from_fn(|i| 2 + i))?;
+            let device_from_world = Se3::new(rotation(qw, qx, qy, qz)?, Vector3::new(x, y, z));
+            Row {
+                device: Some(column(columns, 1)?),
+                ..row(Some(column(columns, 0)?), device_from_world.inverse())
+            }
+        }
+    }))
+}
+
+/// A covariance of x y z and of rotations about the world's axes, row by row, as one of `[rotation, translation]` in the body.
+pub(super) fn covariance_in_tangent(
+    values: &[f64; 36],
+    world_from_rig: &Se3,
+) -> Result<Matrix6<f64>, String> {
+    let given = Matrix6::from_row_slice(values);
+    let size = given.abs().max();
+    if !size.is_finite() || (given - given.transpose()).abs().max() > 1e-6 * size {
+        return Err("the covariance is not symmetric".to_owned());
+    }
+    let back = world_from_rig.rotation.inverse().to_rotation_matrix();
+    let mut turn = Matrix6::zeros();
+    turn.fixed_view_mut::<3, 3>(0, 3).copy_from(back.matrix());
+    turn.fixed_view_mut::<3, 3>(3, 0).copy_from(back.matrix());
+    Ok(turn * given * turn.transpose())
+}
+
+/// The number at the end of a file's name: `cam0/1403636579.763555.png`.
+fn stamp_in_name(name: &str) -> Result<&str, String> {
+    let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
+    let is_digit = |c: char| c.is_ascii_digit() || c == '.';
+    let start = stem.trim_end_matches(is_digit).len();
+    let stamp = stem[start..].trim_start_matches('.');
+    match stamp.is_empty() {
+        true => Err(format!("'{}' does not end with a stamp", shown(name))),
+        false => Ok(stamp),
+    }
+}
+
+fn column<'a>(columns: &[&'a str], index: usize) -> Result<&'a str, String> {
+    let found = columns.get(index).copied();
+    found.ok_or_else(|| format!("{} columns where {} are expected", columns.len(), index + 1))
+}
+
+fn numbers<const N: usize>(columns: &[&str], at: [usize; N]) -> Result<[f64; N], String> {
+    let mut values = [0.0; N];
+    for (value, index) in values.iter_mut().zip(at) {
+        let text = column(columns, index)?;
+        let number: Option<f64> = text.parse().ok().filter(|v: &f64| v.is_finite());
+        *value = number.ok_or_else(|| format!("'{}' is no finite number", shown(text)))?;
+    }
+    Ok(values)
+}
+
+fn quaternion(columns: &[&str], at: Columns) -> Result<UnitQuaternion<f64>, String> {
+    let Some(at) = at.rotation_xyzw else {
+        return Ok(UnitQuaternion::identity());
+    };
+    let [x, y, z, w] = numbers(columns, at)?;
+    rotation(w, x, y, z)
+}
+
+fn rotation(w: f64, x: f64, y: f64, z: f64) -> Result<UnitQuaternion<f64>, String> {
+    let quaternion = Quaternion::new(w, x, y, z);
+    let norm = quaternion.norm();
+    // Files print as few as four digits, and some programs none too exactly: normalise, but refuse what is no rotation.
+    if (0.5..2.0).contains(&norm) {
+        Ok(UnitQuaternion::new_normalize(quaternion))
+    } else {
+        Err(format!("quaternion of length {norm}; expected 1"))
+    }
+}
+
+fn from_matrix_rows(row: &[f64; 12]) -> Result<Se3, String> {
+    let matrix = Matrix3::new(
+        row[0], row[1], row[2], row[4], row[5], row[6], row[8], row[9], row[10],
+    );
+    let off = (matrix * matrix.transpose() - Matrix3::identity()).norm();
+    if !(off < ORTHONORMAL_TOLERANCE) || matrix.determinant() < 0.0 {
+        return Err(format!(
+            "the first three columns are no rotation (off by {off:.1e})"
+        ));
+    }
+    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
+    Ok(Se3::new(
+        UnitQuaternion::new_normalize(rotation.into_inner()),
+        Vector3::new(row[3], row[7], row[11]),
+    ))
+}

@@ -1,0 +1,171 @@
+//! In which unit a file gives its stamps.
+
+use std::fmt;
+use std::str::FromStr;
+
+/// Unit of a file's stamps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StampUnit {
+    /// Seconds.
+    Seconds,
+    /// Milliseconds.
+    Milliseconds,
+    /// Microseconds.
+    Microseconds,
+    /// Nanoseconds.
+    Nanoseconds,
+}
+
+/// Poses come faster than the one and slower than the other wherever stamps are what they seem.
+const RATES_HZ: std::ops::RangeInclusive<f64> = 0.5..=5000.0;
+/// Poses so far apart are none of one walk, if these are seconds.
+const ABSURD_STEP_SECS: f64 = 1000.0;
+/// Poses so far apart may be those of keyframes, or milliseconds.
+const DOUBTFUL_STEP_SECS: f64 = 10.0;
+
+impl StampUnit {
+    const ALL: [Self; 4] = [
+        Self::Seconds,
+        Self::Milliseconds,
+        Self::Microseconds,
+        Self::Nanoseconds,
+    ];
+
+    /// Power of ten that makes nanoseconds of it.
+    pub(super) fn exponent(self) -> i64 {
+        match self {
+            Self::Seconds => 9,
+            Self::Milliseconds => 6,
+            Self::Microseconds => 3,
+            Self::Nanoseconds => 0,
+        }
+    }
+
+    /// Length of the unit.
+    pub(crate) fn secs(self) -> f64 {
+        match self {
+            Self::Seconds => 1.0,
+            Self::Milliseconds => 1e-3,
+            Self::Microseconds => 1e-6,
+            Self::Nanoseconds => 1e-9,
+        }
+    }
+}
+
+impl fmt::Display for StampUnit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Seconds => "seconds",
+            Self::Milliseconds => "milliseconds",
+            Self::Microseconds => "microseconds",
+            Self::Nanoseconds => "nanoseconds",
+        })
+    }
+}
+
+impl FromStr for StampUnit {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.to_lowercase().as_str() {
+            "s" | "sec" | "secs" | "seconds" => Ok(Self::Seconds),
+            "ms" | "msec" | "milliseconds" => Ok(Self::Milliseconds),
+            "us" | "µs" | "usec" | "microseconds" => Ok(Self::Microseconds),
+            "ns" | "nsec" | "nanoseconds" => Ok(Self::Nanoseconds),
+            _ => Err("expected s, ms, us or ns".to_owned()),
+        }
+    }
+}
+
+/// What stamps are judged by.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct StampSize {
+    /// Largest magnitude.
+    pub largest: f64,
+    /// Median of the steps that are not zero; zero where there is none.
+    pub step: f64,
+}
+
+impl StampSize {
+    pub(super) fn of(stamps: &[f64]) -> Self {
+        let mut steps: Vec<f64> = stamps.windows(2).map(|w| (w[1] - w[0]).abs()).collect();
+        steps.retain(|step| *step > 0.0 && step.is_finite());
+        steps.sort_by(f64::total_cmp);
+        Self {
+            largest: stamps.iter().fold(0.0, |most, s| most.max(s.abs())),
+            step: steps.get(steps.len() / 2).copied().unwrap_or(0.0),
+        }
+    }
+
+    /// The unit that follows: stamps since 1970 tell it by their size, others by how often poses come. `Err` with the units
+    /// that are possible where that is not one.
+    pub(super) fn unit(self) -> Result<StampUnit, Vec<StampUnit>> {
+        match self.largest {
+            size if size >= 1e17 => Ok(StampUnit::Nanoseconds),
+            size if size >= 1e14 => Ok(StampUnit::Microseconds),
+            size if size >= 1e11 => Ok(StampUnit::Milliseconds),
+            _ if self.step < ABSURD_STEP_SECS => Ok(StampUnit::Seconds),
+            _ => {
+                let possible =
+                    |unit: &StampUnit| RATES_HZ.contains(&(1.0 / (self.step * unit.secs())));
+                let units: Vec<StampUnit> = StampUnit::ALL.into_iter().filter(possible).collect();
+                match units.as_slice() {
+                    [unit] => Ok(*unit),
+                    _ => Err(units),
+                }
+            }
+        }
+    }
+
+    /// Median time between poses where that is doubtful in this unit.
+    pub(super) fn doubtful_step_secs(self, unit: StampUnit) -> Option<f64> {
+        let step_secs = self.step * unit.secs();
+        let is_fine = step_secs == 0.0 || (1e-5..DOUBTFUL_STEP_SECS).contains(&step_secs);
+        (!is_fine).then_some(step_secs)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn unit(first: f64, step: f64) -> Result<StampUnit, Vec<StampUnit>> {
+        let stamps: Vec<f64> = (0..50).map(|i| first + step * f64::from(i)).collect();
+        StampSize::of(&stamps).unit()
+    }
+
+    #[test]
+    fn stamps_since_1970_tell_by_their_size() {
+        use StampUnit::*;
+        for (scale, expected) in [
+            (1.0, Seconds),
+            (1e3, Milliseconds),
+            (1e6, Microseconds),
+            (1e9, Nanoseconds),
+        ] {
+            assert_eq!(unit(1.403_636_579e9 * scale, 0.05 * scale), Ok(expected));
+        }
+    }
+
+    #[test]
+    fn stamps_since_a_start_tell_by_their_steps() {
+        use StampUnit::*;
+        for rate_hz in [1.0, 10.0, 20.0, 200.0] {
+            assert_eq!(unit(0.0, 1.0 / rate_hz), Ok(Seconds));
+        }
+        assert_eq!(unit(3e9, 5e7), Ok(Nanoseconds));
+        assert_eq!(unit(0.0, 5e4), Ok(Microseconds));
+        // A million is a millisecond or a second: nobody can tell.
+        assert_eq!(unit(0.0, 1e6), Err(vec![Microseconds, Nanoseconds]));
+        assert_eq!(unit(0.0, 1000.0), Err(vec![Milliseconds, Microseconds]));
+    }
+
+    #[test]
+    fn what_may_be_milliseconds_is_doubted() {
+        let size = StampSize::of(&[0.0, 33.0, 67.0, 100.0]);
+        assert_eq!(size.unit(), Ok(StampUnit::Seconds));
+        assert_eq!(size.doubtful_step_secs(StampUnit::Seconds), Some(33.0));
+        assert_eq!(size.doubtful_step_secs(StampUnit::Milliseconds), None);
+        assert_eq!(StampSize::of(&[]).unit(), Ok(StampUnit::Seconds));
+    }
+}

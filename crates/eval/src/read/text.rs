@@ -1,0 +1,84 @@
+//! The text of a file, gzipped or not, and its rows.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+use flate2::read::MultiGzDecoder;
+
+use crate::Error;
+
+/// A day at 1 kHz is some 10 GB; a walk is below 1 GiB, and a gzipped bomb is not.
+const MAX_TEXT_BYTES: u64 = 1 << 30;
+
+/// A line with something in it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Line<'a> {
+    /// Counted from one.
+    pub number: usize,
+    /// Without blanks around it.
+    pub text: &'a str,
+}
+
+/// Lines of data, and those that begin with `#` or `%`.
+pub(super) fn lines(text: &str) -> (Vec<Line<'_>>, Vec<Line<'_>>) {
+    let all = text.trim_start_matches('\u{feff}').lines().enumerate();
+    let all = all.map(|(i, line)| Line {
+        number: i + 1,
+        text: line.trim(),
+    });
+    all.filter(|line| !line.text.is_empty())
+        .partition(|line| !line.text.starts_with(['#', '%']))
+}
+
+/// Whether a file begins like an MCAP file.
+pub(super) fn is_mcap(path: &Path) -> Result<bool, Error> {
+    let io = |source| Error::Io {
+        path: path.to_owned(),
+        source,
+    };
+    let mut head = Vec::new();
+    let file = File::open(path).map_err(io)?;
+    file.take(5).read_to_end(&mut head).map_err(io)?;
+    Ok(head == *b"\x89MCAP")
+}
+
+/// The whole text.
+pub(super) fn read(path: &Path) -> Result<String, Error> {
+    let io = |source| Error::Io {
+        path: path.to_owned(),
+        source,
+    };
+    let mut bytes = Vec::new();
+    let file = File::open(path).map_err(io)?;
+    file.take(MAX_TEXT_BYTES + 1)
+        .read_to_end(&mut bytes)
+        .map_err(io)?;
+    if bytes.starts_with(&[0x1f, 0x8b]) {
+        let mut plain = Vec::new();
+        MultiGzDecoder::new(bytes.as_slice())
+            .take(MAX_TEXT_BYTES + 1)
+            .read_to_end(&mut plain)
+            .map_err(io)?;
+        bytes = plain;
+    }
+    let refused = |what: String| Error::NotATrajectory {
+        path: path.to_owned(),
+        what,
+    };
+    if bytes.len() as u64 > MAX_TEXT_BYTES {
+        return Err(refused(format!("more than {MAX_TEXT_BYTES} bytes of text")));
+    }
+    String::from_utf8(bytes).map_err(|e| {
+        refused(format!(
+            "not text (byte {}); expected {}",
+            e.utf8_error().valid_up_to(),
+            super::UNDERSTOOD
+        ))
+    })
+}
+
+/// At most forty characters of what a file holds.
+pub(super) fn shown(text: &str) -> String {
+    text.chars().take(40).collect()
+}

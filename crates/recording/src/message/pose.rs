@@ -1,0 +1,82 @@
+//! Poses as ROS programs publish them.
+
+use lsfb_geometry::{Se3, Vector3};
+use lsfb_types::Timestamp;
+use nalgebra::{Quaternion, UnitQuaternion};
+
+use crate::cdr::{CdrError, CdrReader};
+
+/// The pose that one message says.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PoseReading {
+    /// Stamp of its header.
+    pub time: Timestamp,
+    /// The frame in which the pose is given.
+    pub frame: String,
+    /// The frame that is placed; empty where the type does not say it.
+    pub child_frame: String,
+    /// `frame_from_child`.
+    pub pose: Se3,
+    /// Covariance of x y z and of rotations about the fixed axes x y z, row by row, m² and rad²; `None` where the type has none or all
+    /// of it is zero.
+    pub covariance: Option<[f64; 36]>,
+}
+
+/// A message type that says one pose.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    Pose,
+    PoseWithCovariance,
+    Odometry,
+    Transform,
+}
+
+impl Kind {
+    fn of(schema: &str) -> Option<Self> {
+        match schema {
+            "geometry_msgs/msg/PoseStamped" => Some(Self::Pose),
+            "geometry_msgs/msg/PoseWithCovarianceStamped" => Some(Self::PoseWithCovariance),
+            "nav_msgs/msg/Odometry" => Some(Self::Odometry),
+            "geometry_msgs/msg/TransformStamped" => Some(Self::Transform),
+            _ => None,
+        }
+    }
+}
+
+/// Whether messages of a type say one pose each, as [`decode_pose`] reads it.
+pub fn holds_pose(schema: &str) -> bool {
+    Kind::of(schema).is_some()
+}
+
+/// The pose in a message of the type `schema`.
+pub fn decode_pose(schema: &str, bytes: &[u8]) -> Result<PoseReading, CdrError> {
+    let kind = Kind::of(schema).ok_or(CdrError::Value { field: "type" })?;
+    let mut r = CdrReader::new(bytes)?;
+    let header = r.header()?;
+    let child_frame = match kind {
+        Kind::Odometry | Kind::Transform => r.string("child_frame_id")?,
+        Kind::Pose | Kind::PoseWithCovariance => "",
+    };
+    let translation = Vector3::from(r.f64_array("position")?);
+    let [x, y, z, w] = r.f64_array("orientation")?;
+    let quaternion = Quaternion::new(w, x, y, z);
+    // Zero is what a message holds that nobody filled in.
+    let is_rotation = (0.5..2.0).contains(&quaternion.norm());
+    if !is_rotation || !translation.iter().all(|v| v.is_finite()) {
+        return Err(CdrError::Value { field: "pose" });
+    }
+    let covariance = match kind {
+        Kind::PoseWithCovariance | Kind::Odometry => {
+            let values: [f64; 36] = r.f64_array("covariance")?;
+            values.iter().any(|v| *v != 0.0).then_some(values)
+        }
+        Kind::Pose | Kind::Transform => None,
+    };
+    Ok(PoseReading {
+        time: header.stamp,
+        frame: header.frame_id.to_owned(),
+        child_frame: child_frame.to_owned(),
+        pose: Se3::new(UnitQuaternion::new_normalize(quaternion), translation),
+        covariance,
+    })
+}
