@@ -100,6 +100,7 @@ enum Command {
     Localize(commands::localize::Arguments),
     Groundtruth(commands::groundtruth::Arguments),
     Eval(commands::eval::Arguments),
+    Survey(commands::survey::Arguments),
     #[cfg(feature = "view")]
     View(commands::view::Arguments),
     Completions(commands::completions::Arguments),
@@ -138,6 +139,7 @@ fn run(arguments: Arguments, context: &Context) -> anyhow::Result<Outcome> {
         Command::Localize(a) => commands::localize::run(&a, context),
         Command::Groundtruth(a) => commands::groundtruth::run(&a, context),
         Command::Eval(a) => commands::eval::run(&a, context),
+        Command::Survey(a) => commands::survey::run(&a, context),
         #[cfg(feature = "view")]
         Command::View(a) => commands::view::run(&a, context),
         Command::Completions(a) => commands::completions::run(&a),

@@ -41,6 +41,7 @@ pub mod relation;
 pub mod report;
 mod smoothness;
 mod statistics;
+pub mod survey;
 
 pub use compare::{Comparison, Contender, compare};
 pub use consistency::Consistency;

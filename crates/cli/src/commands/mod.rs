@@ -27,6 +27,7 @@ pub mod odometry;
 pub mod recover;
 pub mod scan;
 pub mod sim;
+pub mod survey;
 #[cfg(feature = "view")]
 pub mod view;
 

@@ -1,0 +1,277 @@
+//! `lsfb survey`: floor marks measured with a tape or a laser, and what is checked by them.
+
+use std::path::PathBuf;
+
+use lsfb_eval::survey::{
+    CheckConfig, DistanceReport, MarkReport, RestConfig, Survey, SurveySolution, check_marks,
+    compare_distances, read_survey, solve_survey,
+};
+use lsfb_eval::{ReadOptions, read_trajectory};
+use lsfb_types::{Finding, Judgement, Verdict};
+use serde::Serialize;
+
+use crate::context::Context;
+use crate::files::name_of;
+use crate::judged::{Judged, problem_lines};
+use crate::outcome::Outcome;
+
+/// Compute floor marks from measured distances, and check a trajectory or a map by them.
+///
+/// A survey is a text file, a statement a line, in metres: horizontal|vertical|distance A B metres [σ]; sigma distance|line σ;
+/// visit A B … (the order in which the device rested on the marks); point A x y z (a point of a map).
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(subcommand)]
+    step: Step,
+}
+
+#[derive(clap::Subcommand)]
+enum Step {
+    Solve(SolveArguments),
+    Check(CheckArguments),
+}
+
+/// Compute the marks: least squares, redundancy of each measurement, blunders by name.
+///
+/// Example:
+///   lsfb survey solve floor.survey
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+struct SolveArguments {
+    /// The survey.
+    #[arg(value_name = "SURVEY")]
+    survey: PathBuf,
+}
+
+/// Check a trajectory at the marks on which the device rested, or distances between points of a map.
+///
+/// Examples:
+///   lsfb survey check floor.survey --trajectory walk.tum
+///   lsfb survey check hall.survey
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+struct CheckArguments {
+    /// The survey; without --trajectory its points are checked by its distances.
+    #[arg(value_name = "SURVEY")]
+    survey: PathBuf,
+    /// The trajectory, of any program; its z points upwards.
+    #[arg(long, value_name = "FILE")]
+    trajectory: Option<PathBuf>,
+    /// A rest keeps within this, metres.
+    #[arg(long, default_value_t = 0.01, value_name = "M")]
+    rest_spread: f64,
+    /// A rest lasts at least so long, seconds.
+    #[arg(long, default_value_t = 1.0, value_name = "S")]
+    rest_secs: f64,
+    /// A rest belongs to no mark further away than this, metres.
+    #[arg(long, default_value_t = 0.3, value_name = "M")]
+    reach: f64,
+}
+
+/// Runs the step.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    match &arguments.step {
+        Step::Solve(a) => run_solve(a, context),
+        Step::Check(a) => run_check(a, context),
+    }
+}
+
+fn run_solve(arguments: &SolveArguments, context: &Context) -> anyhow::Result<Outcome> {
+    let survey = read_survey(&arguments.survey)?;
+    let solution = solve_survey(&survey)?;
+    let judgement = Judgement::new(solution.findings.clone());
+    let judged = Judged::new(&judgement, &name_of(&arguments.survey), &solution);
+    context.print(&judged, || {
+        format!(
+            "{}{}{}",
+            judgement.headline(&name_of(&arguments.survey)),
+            solution_text(&solution),
+            tail(&judgement)
+        )
+    })?;
+    Ok(Outcome::of(judgement.verdict()))
+}
+
+#[derive(Serialize)]
+struct Checked {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    at_marks: Option<MarkReport>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    distances: Option<DistanceReport>,
+}
+
+fn run_check(arguments: &CheckArguments, context: &Context) -> anyhow::Result<Outcome> {
+    let survey = read_survey(&arguments.survey)?;
+    let positive = [arguments.rest_spread, arguments.rest_secs, arguments.reach];
+    anyhow::ensure!(
+        positive.iter().all(|v| *v > 0.0 && v.is_finite()),
+        "--rest-spread, --rest-secs and --reach must be above zero"
+    );
+    let mut findings = Vec::new();
+    let at_marks = arguments.trajectory.as_ref().map(|path| {
+        let file = read_trajectory(path, &ReadOptions::default())?;
+        let solution = solve_survey(&survey)?;
+        let config = CheckConfig {
+            rest: RestConfig {
+                spread_m: arguments.rest_spread,
+                least_secs: arguments.rest_secs,
+                ..RestConfig::default()
+            },
+            reach_m: arguments.reach,
+        };
+        findings.extend(file.findings.iter().chain(&solution.findings).cloned());
+        check_marks(&survey, &solution, &file.poses, &config)
+    });
+    let checked = Checked {
+        at_marks: at_marks.transpose()?,
+        distances: distances(&survey, arguments)?,
+    };
+    findings.extend(checked.at_marks.as_ref().map(completeness));
+    findings.extend(checked.distances.as_ref().map(largest));
+    let judgement = Judgement::new(findings);
+    let judged = Judged::new(&judgement, &name_of(&arguments.survey), &checked);
+    context.print(&judged, || {
+        format!("{}{}", checked_text(&checked), tail(&judgement))
+            .trim_start()
+            .to_owned()
+    })?;
+    Ok(Outcome::of(judgement.verdict()))
+}
+
+/// An error where nothing else was asked for.
+fn distances(
+    survey: &Survey,
+    arguments: &CheckArguments,
+) -> anyhow::Result<Option<DistanceReport>> {
+    match compare_distances(survey) {
+        Ok(report) => Ok(Some(report)),
+        Err(lsfb_eval::Error::NoMapDistance) if arguments.trajectory.is_some() => Ok(None),
+        Err(error) => Err(error.into()),
+    }
+}
+
+fn completeness(report: &MarkReport) -> Finding {
+    let found = report.marks.len();
+    let verdict = Verdict::Warn.unless(report.missing.is_empty());
+    let what = match report.missing.is_empty() {
+        true => format!("a rest at each of {found} marks"),
+        false => format!("no rest found at {}", report.missing.join(", ")),
+    };
+    Finding::new("marks", verdict, "trajectory", what).value(report.ate_m.rmse, "m")
+}
+
+fn largest(report: &DistanceReport) -> Finding {
+    let what = format!(
+        "{} distances off by {:.1} mm on average, at most {:.1} mm",
+        report.distances.len(),
+        1000.0 * report.error_m.mean,
+        1000.0 * report.error_m.max
+    );
+    Finding::new("distances", Verdict::Pass, "map", what).value(report.error_m.max, "m")
+}
+
+fn solution_text(solution: &SurveySolution) -> String {
+    let mut out = format!(
+        "\n\n{:<12} {:>10} {:>10} {:>8} {:>8}\n",
+        "mark", "x (m)", "y (m)", "σx (mm)", "σy (mm)"
+    );
+    for mark in &solution.marks {
+        out += &format!(
+            "{:<12} {:>10.4} {:>10.4} {:>8.2} {:>8.2}\n",
+            mark.name,
+            mark.x_m,
+            mark.y_m,
+            1000.0 * mark.sigma_x_m,
+            1000.0 * mark.sigma_y_m
+        );
+    }
+    out += &format!(
+        "\n{:<20} {:>10} {:>13} {:>10} {:>7} {:>14}\n",
+        "measurement", "read (m)", "residual (mm)", "redundancy", "w", "finds (mm)"
+    );
+    for o in &solution.observations {
+        let or_dash = |value: Option<f64>, digits: usize| {
+            value.map_or("–".to_owned(), |v| format!("{v:.digits$}"))
+        };
+        out += &format!(
+            "{:<20} {:>10} {:>13.2} {:>10.2} {:>7} {:>14}{}\n",
+            o.what,
+            or_dash(o.measured_m, 4),
+            1000.0 * o.residual_m,
+            o.redundancy,
+            or_dash(o.w, 2),
+            or_dash(o.smallest_blunder_m.map(|m| 1000.0 * m), 1),
+            if o.left_out { "  left out" } else { "" }
+        );
+    }
+    let rms = solution.rms;
+    for (term, rms_m) in [
+        ("distances", rms.distance_m),
+        ("horizontal lines", rms.horizontal_m),
+        ("vertical lines", rms.vertical_m),
+    ] {
+        if let Some(rms_m) = rms_m {
+            out += &format!("rms of {term}: {:.2} mm\n", 1000.0 * rms_m);
+        }
+    }
+    out
+}
+
+fn checked_text(checked: &Checked) -> String {
+    let mut out = String::new();
+    if let Some(report) = &checked.at_marks {
+        out += &format!(
+            "{:<12} {:>8} {:>8} {:>11} {:>24}\n",
+            "mark", "at (s)", "for (s)", "error (cm)", "x y z (cm)"
+        );
+        for mark in &report.marks {
+            let [x, y, z] = mark.error_m.map(|v| 100.0 * v);
+            out += &format!(
+                "{:<12} {:>8.1} {:>8.1} {:>11.2} {:>8.2}{:>8.2}{:>8.2}\n",
+                mark.mark,
+                mark.start_secs,
+                mark.duration_secs,
+                100.0 * mark.distance_m,
+                x,
+                y,
+                z
+            );
+        }
+        out += &format!(
+            "ATE at {} marks: rmse {:.2} cm  max {:.2} cm; {} other rests\n",
+            report.marks.len(),
+            100.0 * report.ate_m.rmse,
+            100.0 * report.ate_m.max,
+            report.other_rests
+        );
+    }
+    if let Some(report) = &checked.distances {
+        out += &format!(
+            "\n{:<20} {:>12} {:>10} {:>10}\n",
+            "distance", "measured (m)", "map (m)", "error (cm)"
+        );
+        for d in &report.distances {
+            let name = d.ends.join("–");
+            out += &format!(
+                "{name:<20} {:>12.4} {:>10.4} {:>10.2}\n",
+                d.measured_m,
+                d.map_m,
+                100.0 * d.error_m
+            );
+        }
+        out += &format!(
+            "average {:.2} cm, largest {:.2} cm\n",
+            100.0 * report.error_m.mean,
+            100.0 * report.error_m.max
+        );
+    }
+    out
+}
+
+/// What somebody should look at, below the tables.
+fn tail(judgement: &Judgement) -> String {
+    match problem_lines(judgement) {
+        lines if lines.is_empty() => String::new(),
+        lines => format!("\n{}", lines.trim_end()),
+    }
+}
