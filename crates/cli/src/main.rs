@@ -101,6 +101,7 @@ enum Command {
     Groundtruth(commands::groundtruth::Arguments),
     Eval(commands::eval::Arguments),
     Survey(commands::survey::Arguments),
+    Align(commands::align::Arguments),
     #[cfg(feature = "view")]
     View(commands::view::Arguments),
     Completions(commands::completions::Arguments),
@@ -140,6 +141,7 @@ fn run(arguments: Arguments, context: &Context) -> anyhow::Result<Outcome> {
         Command::Groundtruth(a) => commands::groundtruth::run(&a, context),
         Command::Eval(a) => commands::eval::run(&a, context),
         Command::Survey(a) => commands::survey::run(&a, context),
+        Command::Align(a) => commands::align::run(&a, context),
         #[cfg(feature = "view")]
         Command::View(a) => commands::view::run(&a, context),
         Command::Completions(a) => commands::completions::run(&a),

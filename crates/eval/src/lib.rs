@@ -33,6 +33,7 @@ mod compare;
 mod consistency;
 mod error;
 mod evaluation;
+pub mod hand_eye;
 pub mod metrics;
 pub mod pairs;
 mod read;

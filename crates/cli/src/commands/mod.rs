@@ -1,5 +1,6 @@
 //! The subcommands: arguments, one library call, printing.
 
+pub mod align;
 pub mod calib;
 mod calib_board;
 mod calib_camera;

@@ -1,0 +1,134 @@
+//! `lsfb align`: two trajectories of one body by two systems → both transforms and the offset of their clocks.
+
+use std::path::{Path, PathBuf};
+
+use lsfb_eval::hand_eye::{ClockModel, HandEye, HandEyeConfig, UncertainPose, align_trajectories};
+use lsfb_eval::{Error, Orientations, ReadOptions, TrajectoryFile, read_trajectory};
+use lsfb_geometry::Trajectory;
+use lsfb_recording::write_tum;
+use lsfb_types::Judgement;
+
+use crate::context::Context;
+use crate::files::name_of;
+use crate::judged::{Judged, lines};
+use crate::outcome::Outcome;
+
+/// Align two trajectories of one rigid body: GNSS/INS or motion capture beside glasses.
+///
+/// Each may have its own world, its own body and its own clock. Found are where one body sits on the other, how the worlds lie, and the
+/// offset of the clocks, with standard deviations; a motion that does not show them is refused (turn about two axes). With --out the
+/// reference is written as ground truth of the estimate's body, on the estimate's clock, for `lsfb eval`.
+///
+/// Examples:
+///   lsfb align glasses.tum --reference mocap.csv --out truth.tum
+///   lsfb align glasses.tum --reference novatel.tum --offset 18 --drift --json
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    /// The trajectory to align, of any program.
+    estimate: PathBuf,
+    /// The reference.
+    #[arg(long, value_name = "FILE")]
+    reference: PathBuf,
+    /// About what must be added to the estimate's stamps to have the reference's, seconds.
+    #[arg(
+        long,
+        default_value_t = 0.0,
+        value_name = "S",
+        allow_negative_numbers = true
+    )]
+    offset: f64,
+    /// How far around that is searched, seconds.
+    #[arg(long, default_value_t = 10.0, value_name = "S")]
+    search: f64,
+    /// Let the offset change evenly over time.
+    #[arg(long)]
+    drift: bool,
+    /// Write the reference as ground truth of the estimate's body (TUM).
+    #[arg(long, value_name = "TUM")]
+    out: Option<PathBuf>,
+}
+
+/// Aligns, writes, prints.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    anyhow::ensure!(
+        arguments.offset.is_finite() && (0.0..=3600.0).contains(&arguments.search),
+        "--offset must be a number of seconds, --search one from 0 to 3600"
+    );
+    if let Some(out) = &arguments.out {
+        context.claim(out)?;
+    }
+    let estimate = read(&arguments.estimate)?;
+    let reference = read(&arguments.reference)?;
+    let config = HandEyeConfig {
+        offset_guess_secs: arguments.offset,
+        search_secs: arguments.search,
+        clock: match arguments.drift {
+            true => ClockModel::Drifting,
+            false => ClockModel::Constant,
+        },
+    };
+    let found = align_trajectories(&estimate.poses, &reference.poses, &config)?;
+    let mut findings = [estimate.findings, reference.findings].concat();
+    findings.extend(found.findings.iter().cloned());
+    let judgement = Judgement::new(findings);
+    let outcome = Outcome::of(judgement.verdict());
+    // What must not be used is not written.
+    if let Some(out) = arguments.out.as_ref().filter(|_| outcome == Outcome::Done) {
+        let truth = found.as_truth(&estimate.poses, &reference.poses);
+        write_tum(out, &Trajectory::new(truth))?;
+    }
+    let judged = Judged::new(&judgement, &name_of(&arguments.estimate), &found);
+    context.print(&judged, || {
+        format!("{}\n{}", text(&found), lines(&judgement))
+            .trim_end()
+            .to_owned()
+    })?;
+    Ok(outcome)
+}
+
+fn read(path: &Path) -> anyhow::Result<TrajectoryFile> {
+    let file = read_trajectory(path, &ReadOptions::default())?;
+    match file.orientations {
+        Orientations::Known => Ok(file),
+        Orientations::Missing => super::about(
+            path,
+            Err(Error::NeedsOrientation {
+                purpose: "alignments of two bodies",
+            }),
+        ),
+    }
+}
+
+fn text(found: &HandEye) -> String {
+    let pose = |name: &str, pose: &UncertainPose| {
+        let [x, y, z] = pose.translation_m;
+        let [qx, qy, qz, qw] = pose.rotation_xyzw;
+        let worst = |values: [f64; 3]| values.into_iter().fold(0.0, f64::max);
+        format!(
+            "{name}: translation {x:.4} {y:.4} {z:.4} m (σ up to {:.1} mm), rotation x y z w {qx:.6} {qy:.6} {qz:.6} {qw:.6} (σ up to {:.3}°)\n",
+            1000.0 * worst(pose.sigma_translation_m),
+            worst(pose.sigma_rotation_deg)
+        )
+    };
+    let [first, second, third] = found.excitation.turn_rms_deg;
+    pose(
+        "estimate's body on the reference's",
+        &found.reference_from_estimate_body,
+    ) + &pose(
+        "estimate's world in the reference's",
+        &found.reference_from_estimate_world,
+    ) + &format!(
+        "offset of the clocks: {:+.6} s (σ {:.3} ms), drift {:.2} ppm; correlation of angular speeds {:.3}\n\
+             turned by {first:.1}°, {second:.1}°, {third:.1}° rms about its three axes\n\
+             left over: {:.4} m rms, {:.3}° rms; {} of {} poses do not fit\n",
+        found.offset_secs,
+        1000.0 * found.sigma_offset_secs,
+        1e6 * found.drift,
+        found.correlation,
+        found.translation_m.rmse,
+        found.rotation_deg.rmse,
+        found.outliers,
+        found.poses
+    )
+}
