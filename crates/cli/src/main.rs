@@ -102,6 +102,7 @@ enum Command {
     Eval(commands::eval::Arguments),
     Survey(commands::survey::Arguments),
     Align(commands::align::Arguments),
+    Bench(commands::bench::Arguments),
     #[cfg(feature = "view")]
     View(commands::view::Arguments),
     Completions(commands::completions::Arguments),
@@ -142,6 +143,7 @@ fn run(arguments: Arguments, context: &Context) -> anyhow::Result<Outcome> {
         Command::Eval(a) => commands::eval::run(&a, context),
         Command::Survey(a) => commands::survey::run(&a, context),
         Command::Align(a) => commands::align::run(&a, context),
+        Command::Bench(a) => commands::bench::run(&a, context),
         #[cfg(feature = "view")]
         Command::View(a) => commands::view::run(&a, context),
         Command::Completions(a) => commands::completions::run(&a),

@@ -40,6 +40,7 @@ mod read;
 mod recall;
 pub mod relation;
 pub mod report;
+pub mod slam_bench;
 mod smoothness;
 mod statistics;
 pub mod survey;

@@ -1,6 +1,7 @@
 //! The subcommands: arguments, one library call, printing.
 
 pub mod align;
+pub mod bench;
 pub mod calib;
 mod calib_board;
 mod calib_camera;

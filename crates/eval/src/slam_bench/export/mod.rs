@@ -1,0 +1,265 @@
+//! Recordings in the layouts that SLAM systems read.
+
+use std::collections::BTreeSet;
+use std::fmt::Write as _;
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write as _};
+use std::path::{Path, PathBuf};
+
+use lsfb_recording::{Recording, message};
+use lsfb_types::{Image, Timestamp};
+use serde::{Deserialize, Serialize};
+
+use crate::Error;
+
+/// What a system reads.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Layout {
+    /// The recording itself, a ROS 2 MCAP, or the folder that the plan names.
+    #[default]
+    AsIs,
+    /// EuRoC ASL: `mav0/camN/data/<ns>.png`, `mav0/camN/data.csv`, `mav0/imu0/data.csv`.
+    Euroc,
+    /// TUM-VI: as EuRoC, and `dso/camN/times.txt`, `dso/imu.txt`.
+    TumVi,
+    /// KITTI odometry: `image_N/000000.png`, `velodyne/000000.bin`, `times.txt`; and with the stamps unshifted `stamps.txt` of the images
+    /// and `velodyne_stamps.txt` of the scans, as scans need not come with images.
+    Kitti,
+    /// `camN/000000.png` and `camN/times.txt`, seconds.
+    Images,
+}
+
+impl Layout {
+    /// As folders are called.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::AsIs => "as_is",
+            Self::Euroc => "euroc",
+            Self::TumVi => "tum_vi",
+            Self::Kitti => "kitti",
+            Self::Images => "images",
+        }
+    }
+}
+
+/// Writes a recording in a layout, with its rig as `rig.toml` (for `lsfb calib export`). The folder is there whole, or not at all.
+pub fn export(recording: &Recording, layout: Layout, folder: &Path) -> Result<(), Error> {
+    let io = |source| Error::Io {
+        path: folder.to_owned(),
+        source,
+    };
+    let half = folder.with_extension("part");
+    if half.exists() {
+        fs::remove_dir_all(&half).map_err(io)?;
+    }
+    fs::create_dir_all(&half).map_err(io)?;
+    write(recording, layout, &half)?;
+    fs::rename(&half, folder).map_err(io)
+}
+
+fn write(recording: &Recording, layout: Layout, folder: &Path) -> Result<(), Error> {
+    let out = Output {
+        folder: folder.to_owned(),
+    };
+    if let Ok(rig) = recording.rig() {
+        out.text("rig.toml", &rig.to_toml())?;
+    }
+    let cameras = cameras(recording);
+    let names: Vec<&str> = cameras.iter().map(String::as_str).collect();
+    match layout {
+        Layout::AsIs => Ok(()),
+        Layout::Euroc => euroc(recording, &names, &out),
+        Layout::TumVi => {
+            euroc(recording, &names, &out)?;
+            dso(recording, &names, &out)
+        }
+        Layout::Kitti => kitti(recording, &names, &out),
+        Layout::Images => images(recording, &names, &out),
+    }
+}
+
+/// Image topics, by name.
+fn cameras(recording: &Recording) -> Vec<String> {
+    let topics = recording.topics().iter();
+    let images = topics.filter(|t| t.schema == message::IMAGE.name && t.messages > 0);
+    images.map(|t| t.topic.clone()).collect()
+}
+
+fn euroc(recording: &Recording, cameras: &[&str], out: &Output) -> Result<(), Error> {
+    for (i, camera) in cameras.iter().enumerate() {
+        let mut list = "#timestamp [ns],filename\n".to_owned();
+        for image in recording.images(camera)? {
+            let image = image?;
+            let name = format!("{}.png", image.time.nanos());
+            let _ = writeln!(list, "{},{name}", image.time.nanos());
+            out.png(&format!("mav0/cam{i}/data/{name}"), &image.sample)?;
+        }
+        out.text(&format!("mav0/cam{i}/data.csv"), &list)?;
+    }
+    let heading = "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],\
+         a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]";
+    out.text("mav0/imu0/data.csv", &inertial(recording, heading, ",")?)
+}
+
+fn dso(recording: &Recording, cameras: &[&str], out: &Output) -> Result<(), Error> {
+    for (i, camera) in cameras.iter().enumerate() {
+        let mut times = "# id timestamp[s] exposure[ms]\n".to_owned();
+        for image in recording.images(camera)? {
+            let image = image?;
+            let exposure_ms = f64::from(image.sample.exposure_ns) * 1e-6;
+            let _ = writeln!(times, "{} {} {exposure_ms}", image.time.nanos(), image.time);
+        }
+        out.text(&format!("dso/cam{i}/times.txt"), &times)?;
+    }
+    let heading = "# timestamp[ns] w.x w.y w.z a.x a.y a.z";
+    out.text("dso/imu.txt", &inertial(recording, heading, " ")?)
+}
+
+fn kitti(recording: &Recording, cameras: &[&str], out: &Output) -> Result<(), Error> {
+    let mut stamps = Vec::new();
+    if !cameras.is_empty() {
+        // An image of each camera in every row, or cameras slip against each other.
+        let shared = shared_times(recording, cameras)?;
+        for (i, camera) in cameras.iter().enumerate() {
+            let mut row = 0;
+            for image in recording.images(camera)? {
+                let image = image?;
+                if shared.contains(&image.time) {
+                    out.png(&format!("image_{i}/{row:06}.png"), &image.sample)?;
+                    row += 1;
+                }
+            }
+        }
+        stamps = shared.into_iter().collect();
+    }
+    let has_scans = recording
+        .topics()
+        .iter()
+        .any(|t| t.schema == message::POINT_CLOUD.name);
+    if has_scans {
+        let mut of_scans = Vec::new();
+        for scan in recording.scans()? {
+            let scan = scan?;
+            let mut bytes = Vec::with_capacity(16 * scan.sample.points.len());
+            for point in &scan.sample.points {
+                let [x, y, z] = point.position_m;
+                let row = [x, y, z, f32::from(point.intensity) / 255.0];
+                bytes.extend(row.into_iter().flat_map(f32::to_le_bytes));
+            }
+            out.bytes(&format!("velodyne/{:06}.bin", of_scans.len()), &bytes)?;
+            of_scans.push(scan.time);
+        }
+        let absolute: String = of_scans.iter().map(|stamp| format!("{stamp}\n")).collect();
+        out.text("velodyne_stamps.txt", &absolute)?;
+        if stamps.is_empty() {
+            stamps = of_scans;
+        }
+    }
+    let first = stamps.first().copied().unwrap_or_default();
+    let (mut times, mut absolute) = (String::new(), String::new());
+    for stamp in stamps {
+        let _ = writeln!(times, "{:.9}", stamp.secs_since(first));
+        let _ = writeln!(absolute, "{stamp}");
+    }
+    out.text("times.txt", &times)?;
+    out.text("stamps.txt", &absolute)
+}
+
+fn images(recording: &Recording, cameras: &[&str], out: &Output) -> Result<(), Error> {
+    for (i, camera) in cameras.iter().enumerate() {
+        let mut times = String::new();
+        for (row, image) in recording.images(camera)?.enumerate() {
+            let image = image?;
+            let _ = writeln!(times, "{}", image.time);
+            out.png(&format!("cam{i}/{row:06}.png"), &image.sample)?;
+        }
+        out.text(&format!("cam{i}/times.txt"), &times)?;
+    }
+    Ok(())
+}
+
+fn shared_times(recording: &Recording, cameras: &[&str]) -> Result<BTreeSet<Timestamp>, Error> {
+    let mut shared: Option<BTreeSet<Timestamp>> = None;
+    for camera in cameras {
+        let mut times = BTreeSet::new();
+        for image in recording.images(camera)? {
+            times.insert(image?.time);
+        }
+        shared = Some(match shared {
+            Some(before) => before.intersection(&times).copied().collect(),
+            None => times,
+        });
+    }
+    Ok(shared.unwrap_or_default())
+}
+
+/// Below a heading: stamp, angular velocity, rad/s, and specific force, m/s². No row where there is no IMU.
+fn inertial(recording: &Recording, heading: &str, separator: &str) -> Result<String, Error> {
+    let mut rows = format!("{heading}\n");
+    if recording
+        .topics()
+        .iter()
+        .all(|t| t.schema != message::IMU.name)
+    {
+        return Ok(rows);
+    }
+    for sample in recording.imu()? {
+        let sample = sample?;
+        rows += &sample.time.nanos().to_string();
+        let (w, a) = (
+            sample.sample.angular_velocity_rad_s,
+            sample.sample.specific_force_m_s2,
+        );
+        for value in w.into_iter().chain(a) {
+            let _ = write!(rows, "{separator}{value}");
+        }
+        rows.push('\n');
+    }
+    Ok(rows)
+}
+
+/// Where is written.
+struct Output {
+    folder: PathBuf,
+}
+
+impl Output {
+    fn place(&self, name: &str) -> Result<PathBuf, Error> {
+        let path = self.folder.join(name);
+        if let Some(parent) = path.parent() {
+            fs::create_dir_all(parent).map_err(|source| Error::Io {
+                path: parent.to_owned(),
+                source,
+            })?;
+        }
+        Ok(path)
+    }
+
+    fn bytes(&self, name: &str, bytes: &[u8]) -> Result<(), Error> {
+        let path = self.place(name)?;
+        fs::write(&path, bytes).map_err(|source| Error::Io { path, source })
+    }
+
+    fn text(&self, name: &str, text: &str) -> Result<(), Error> {
+        self.bytes(name, text.as_bytes())
+    }
+
+    fn png(&self, name: &str, image: &Image) -> Result<(), Error> {
+        let path = self.place(name)?;
+        let written = || -> Result<(), io::Error> {
+            let mut file = BufWriter::new(File::create(&path)?);
+            let mut encoder = png::Encoder::new(&mut file, image.width, image.height);
+            encoder.set_color(png::ColorType::Grayscale);
+            encoder.set_compression(png::Compression::Fast);
+            let mut writer = encoder.write_header()?;
+            writer.write_image_data(&image.pixels)?;
+            writer.finish()?;
+            file.flush()
+        };
+        written().map_err(|source| Error::Io { path, source })
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,404 @@
+//! Runs of a plan: started, limited, judged, remembered.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::thread;
+
+use lsfb_recording::{Recording, sha256_of};
+use lsfb_types::{Progress, ProgressFn};
+use serde::{Deserialize, Serialize};
+
+use super::cause::Cause;
+use super::command::{filled, words};
+use super::export::{Layout, export};
+use super::plan::{Plan, Scale, Sequence, System};
+use super::process::{self, Limits};
+use super::table::{Cell, Column, SlamRow, SlamTable};
+use crate::alignment::AlignmentMode;
+use crate::{
+    Error, EvalConfig, ReadOptions, TrajectoryFile, evaluate_files, read_kitti_poses,
+    read_trajectory,
+};
+
+/// What one run came to.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RunResult {
+    /// Sequence.
+    pub sequence: String,
+    /// System.
+    pub system: String,
+    /// Number of the run, from one.
+    pub run: usize,
+    /// What it was made of: another command, input, truth or limit makes another run.
+    pub made_of: String,
+    /// Time it took, seconds.
+    pub wall_secs: f64,
+    /// Largest memory, MB.
+    pub peak_mb: u64,
+    /// Share of the truth covered, 0 to 1; absent where it was not judged.
+    pub covered: Option<f64>,
+    /// Error after SE(3) alignment, metres.
+    pub se3_m: Option<f64>,
+    /// 100 · |1 − s|.
+    pub scale_percent: Option<f64>,
+    /// Error after Sim(3) alignment, metres.
+    pub sim3_m: Option<f64>,
+    /// Why there are no figures.
+    pub cause: Option<Cause>,
+}
+
+/// Runs what has not been run before; results lie in `out` by sequence, system and run.
+pub fn run_plan(
+    plan: &Plan,
+    out: &Path,
+    progress: ProgressFn<'_>,
+) -> Result<Vec<RunResult>, Error> {
+    let mut jobs = Vec::new();
+    for sequence in &plan.sequences {
+        let prepared = prepare(plan, sequence, out)?;
+        for system in &plan.systems {
+            for run in 1..=plan.runs {
+                jobs.push(Job {
+                    plan,
+                    sequence,
+                    system,
+                    run,
+                    folder: out
+                        .join(&sequence.name)
+                        .join(&system.name)
+                        .join(format!("run-{run}")),
+                    prepared: prepared.clone(),
+                });
+            }
+        }
+    }
+    let total = jobs.len() as u64;
+    let queue = Mutex::new(jobs.iter().enumerate());
+    let results: Mutex<Vec<Option<Result<RunResult, Error>>>> =
+        Mutex::new(jobs.iter().map(|_| None).collect());
+    let done = || {
+        let results = results.lock().map(|r| r.iter().flatten().count());
+        Progress {
+            stage: "SLAM systems",
+            done: results.unwrap_or_default() as u64,
+            total,
+        }
+    };
+    let work = || {
+        loop {
+            let next = queue.lock().ok().and_then(|mut q| q.next());
+            let Some((i, job)) = next else { break };
+            let found = job.result(&|| progress(done()));
+            let failed = found.is_err();
+            if let Ok(mut results) = results.lock() {
+                results[i] = Some(found);
+            }
+            // What is left is not begun after an error.
+            if failed && let Ok(mut queue) = queue.lock() {
+                queue.by_ref().for_each(drop);
+            }
+        }
+    };
+    thread::scope(|scope| -> Result<(), Error> {
+        for number in 0..plan.parallel.min(jobs.len()) {
+            let name = format!("slam run {number}");
+            let spawned = thread::Builder::new().name(name).spawn_scoped(scope, work);
+            spawned.map_err(|source| Error::Io {
+                path: out.to_owned(),
+                source,
+            })?;
+        }
+        Ok(())
+    })?;
+    let results = results.into_inner().unwrap_or_default();
+    // A run that was stopped or could not be kept ends all: what was not begun has no result.
+    results.into_iter().flatten().collect()
+}
+
+/// The folders and hashes that all runs of a sequence share.
+#[derive(Clone)]
+struct Prepared {
+    inputs: BTreeMap<Layout, PathBuf>,
+    made_of: String,
+}
+
+fn prepare(plan: &Plan, sequence: &Sequence, out: &Path) -> Result<Prepared, Error> {
+    let is_file = sequence.input.is_file();
+    let input = match is_file {
+        true => sha256_of(&sequence.input)?,
+        false => sequence.input.display().to_string(),
+    };
+    let truth = sha256_of(&sequence.truth)?;
+    let mut inputs = BTreeMap::new();
+    for layout in plan.systems.iter().map(|system| system.layout) {
+        let place = match layout {
+            Layout::AsIs => sequence.input.clone(),
+            _ if !is_file => {
+                return Err(Error::NotExported {
+                    path: sequence.input.clone(),
+                    layout: layout.name(),
+                });
+            }
+            layout => {
+                let name = format!("input-{}-{}", layout.name(), &input[..12.min(input.len())]);
+                let folder = out.join(&sequence.name).join(name);
+                if !folder.exists() {
+                    export(&Recording::open(&sequence.input)?, layout, &folder)?;
+                }
+                folder
+            }
+        };
+        let place = place.canonicalize().map_err(|source| Error::Io {
+            path: place.clone(),
+            source,
+        })?;
+        inputs.insert(layout, place);
+    }
+    Ok(Prepared {
+        inputs,
+        made_of: format!("input {input}, truth {truth}"),
+    })
+}
+
+struct Job<'a> {
+    plan: &'a Plan,
+    sequence: &'a Sequence,
+    system: &'a System,
+    run: usize,
+    folder: PathBuf,
+    prepared: Prepared,
+}
+
+impl Job<'_> {
+    /// What was found before, where it was made of the same, or what is found now.
+    fn result(
+        &self,
+        check: &dyn Fn() -> Result<(), lsfb_types::Stopped>,
+    ) -> Result<RunResult, Error> {
+        let io = |source| Error::Io {
+            path: self.folder.clone(),
+            source,
+        };
+        let kept = self.folder.join("result.json");
+        let made_of = self.made_of();
+        let before = fs::read_to_string(&kept).ok();
+        let before: Option<RunResult> = before.and_then(|text| serde_json::from_str(&text).ok());
+        if let Some(before) = before.filter(|b| b.made_of == made_of) {
+            return Ok(before);
+        }
+        // A trajectory of an earlier run would be judged as this one's.
+        if self.folder.exists() {
+            fs::remove_dir_all(&self.folder).map_err(io)?;
+        }
+        fs::create_dir_all(&self.folder).map_err(io)?;
+        let folder = self.folder.canonicalize().map_err(io)?;
+        let values = self.values(&folder);
+        let bad = |what: String| Error::BadPlan {
+            path: self.folder.clone(),
+            what: format!("{}: {what}", self.system.name),
+        };
+        let words = words(&self.system.command).map_err(bad)?;
+        let words = words
+            .iter()
+            .map(|word| filled(word, &values))
+            .collect::<Result<Vec<_>, _>>();
+        let trajectory = filled(&self.system.trajectory, &values).map_err(bad)?;
+        let times = self
+            .system
+            .times
+            .as_ref()
+            .map(|t| filled(t, &values))
+            .transpose()
+            .map_err(bad)?;
+        let limits = Limits {
+            time_secs: self.plan.time_limit_secs,
+            memory_mb: self.plan.memory_limit_mb,
+        };
+        let ended = process::run(&words.map_err(bad)?, &folder, limits, check).map_err(io)??;
+        let empty = RunResult {
+            sequence: self.sequence.name.clone(),
+            system: self.system.name.clone(),
+            run: self.run,
+            made_of,
+            wall_secs: ended.wall_secs,
+            peak_mb: ended.peak_mb,
+            covered: None,
+            se3_m: None,
+            scale_percent: None,
+            sim3_m: None,
+            cause: ended.cause,
+        };
+        let result = match empty.cause {
+            Some(_) => empty,
+            None => self.judged(
+                empty,
+                &folder.join(trajectory),
+                times.map(|t| folder.join(t)),
+            )?,
+        };
+        let text = serde_json::to_string_pretty(&result).map_err(|error| io(error.into()))?;
+        let half = self.folder.join("result.part");
+        fs::write(&half, text).map_err(io)?;
+        fs::rename(&half, &kept).map_err(io)?;
+        Ok(result)
+    }
+
+    fn made_of(&self) -> String {
+        let (plan, system) = (self.plan, self.system);
+        format!(
+            "{}; {} → {} {:?} ({}, {:?}); {} s, {} MB, {} covered, stamps within {} s; lsfb {}",
+            self.prepared.made_of,
+            system.command,
+            system.trajectory,
+            system.times,
+            system.layout.name(),
+            system.scale,
+            plan.time_limit_secs,
+            plan.memory_limit_mb,
+            plan.least_covered,
+            plan.max_difference_secs,
+            env!("CARGO_PKG_VERSION")
+        )
+    }
+
+    fn values(&self, folder: &Path) -> BTreeMap<&'static str, String> {
+        let shown = |path: &Path| path.display().to_string();
+        let input = self.prepared.inputs.get(&self.system.layout);
+        BTreeMap::from([
+            ("input", input.map(|p| shown(p)).unwrap_or_default()),
+            ("out", shown(folder)),
+            ("trajectory", shown(&folder.join("trajectory.tum"))),
+            ("sequence", self.sequence.name.clone()),
+            ("run", self.run.to_string()),
+        ])
+    }
+
+    fn judged(
+        &self,
+        run: RunResult,
+        path: &Path,
+        times: Option<PathBuf>,
+    ) -> Result<RunResult, Error> {
+        let failed = |cause| RunResult {
+            cause: Some(cause),
+            ..run.clone()
+        };
+        if !path.exists() {
+            return Ok(failed(Cause::NeverInitialised));
+        }
+        let estimate = match &times {
+            Some(times) => read_kitti_poses(path, times).map(|poses| TrajectoryFile {
+                poses,
+                orientations: Default::default(),
+                covariances: Vec::new(),
+                findings: Vec::new(),
+            }),
+            None => read_trajectory(path, &ReadOptions::default()),
+        };
+        let estimate = match estimate {
+            Ok(estimate) => estimate,
+            Err(Error::NotATrajectory { .. }) => return Ok(failed(Cause::NeverInitialised)),
+            Err(why) => {
+                return Ok(failed(Cause::NotJudged {
+                    why: why.to_string(),
+                }));
+            }
+        };
+        // A truth that cannot be read is the plan's fault, not the system's.
+        let truth = read_trajectory(&self.sequence.truth, &ReadOptions::default())?;
+        let judge = |alignment| {
+            let config = EvalConfig {
+                max_difference_secs: self.plan.max_difference_secs,
+                alignment,
+                rpe: Vec::new(),
+                ..EvalConfig::default()
+            };
+            evaluate_files(&truth, &estimate, &config)
+        };
+        let metric = match self.system.scale {
+            Scale::Metric => Some(judge(AlignmentMode::Se3)),
+            Scale::Free => None,
+        };
+        let sim3 = match judge(AlignmentMode::Sim3) {
+            Ok(sim3) => sim3,
+            Err(why) => {
+                return Ok(failed(Cause::NotJudged {
+                    why: why.to_string(),
+                }));
+            }
+        };
+        let covered = sim3.coverage.fraction;
+        if covered < self.plan.least_covered {
+            return Ok(RunResult {
+                covered: Some(covered),
+                ..failed(Cause::Lost { covered })
+            });
+        }
+        let metric = metric.transpose()?;
+        Ok(RunResult {
+            covered: Some(covered),
+            se3_m: metric.as_ref().map(|m| m.ate_translation_m.rmse),
+            scale_percent: metric.and_then(|m| m.scale_error_abs_percent),
+            sim3_m: Some(sim3.ate_translation_m.rmse),
+            ..run
+        })
+    }
+}
+
+/// The table of a plan: of several runs the one whose error is the median; × where all failed, with the cause of the first.
+pub fn table_of(plan: &Plan, results: &[RunResult]) -> SlamTable {
+    let cell = |sequence: &Sequence, system: &System| {
+        let own = || {
+            results
+                .iter()
+                .filter(|r| r.sequence == sequence.name && r.system == system.name)
+        };
+        let error = |r: &RunResult| r.se3_m.or(r.sim3_m);
+        let mut good: Vec<&RunResult> = own()
+            .filter(|r| r.cause.is_none() && error(r).is_some())
+            .collect();
+        good.sort_by(|a, b| {
+            error(a)
+                .unwrap_or_default()
+                .total_cmp(&error(b).unwrap_or_default())
+        });
+        match good.get(good.len().saturating_sub(1) / 2) {
+            Some(median) => Cell {
+                se3_m: median.se3_m,
+                scale_percent: median.scale_percent,
+                sim3_m: median.sim3_m,
+                cause: None,
+            },
+            None => Cell {
+                cause: own().find_map(|r| r.cause.clone()),
+                ..Cell::default()
+            },
+        }
+    };
+    let row = |sequence: &Sequence| SlamRow {
+        sequence: sequence.name.clone(),
+        longer_side_m: sequence.longer_side_m,
+        cells: plan
+            .systems
+            .iter()
+            .map(|system| cell(sequence, system))
+            .collect(),
+    };
+    SlamTable {
+        title: plan.title.clone(),
+        systems: plan
+            .systems
+            .iter()
+            .map(|system| Column {
+                name: system.name.clone(),
+                has_scale: system.scale == Scale::Metric,
+            })
+            .collect(),
+        rows: plan.sequences.iter().map(row).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests;

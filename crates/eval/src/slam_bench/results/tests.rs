@@ -1,0 +1,162 @@
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use super::super::plan::read_plan;
+use super::*;
+use lsfb_types::no_progress;
+
+/// A truth of a curl, ten poses a second for ten seconds, its plan, and a folder for the results.
+fn setup(systems: &str) -> (tempfile::TempDir, Plan) {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut truth = String::new();
+    for i in 0..100 {
+        let t = f64::from(i) * 0.1;
+        truth += &format!("{t:.1} {} {} {} 0 0 0 1\n", t.cos(), t.sin(), 0.1 * t);
+    }
+    fs::write(folder.path().join("truth.tum"), truth).expect("file");
+    fs::create_dir(folder.path().join("room")).expect("folder");
+    let plan = format!(
+        "runs = 3\ntime_limit_secs = 20\nparallel = 2\n[[sequence]]\nname = 'M0'\ninput = 'room'\ntruth = 'truth.tum'\n\
+         longer_side_m = 15\n{systems}"
+    );
+    fs::write(folder.path().join("plan.toml"), plan).expect("file");
+    let plan = read_plan(&folder.path().join("plan.toml")).expect("valid");
+    (folder, plan)
+}
+
+fn system(name: &str, script: &str) -> String {
+    format!(
+        "[[system]]\nname = '{name}'\ncommand = '''sh -c \"{script}\" sh {{trajectory}} {{run}}'''\n"
+    )
+}
+
+/// One result of each kind; nothing but the good one has figures.
+#[test]
+fn every_end_has_its_cause() {
+    let copy = "cp ../../../../truth.tum $1";
+    let systems = [
+        system("good", copy),
+        system("mute", "true"),
+        system("crash", "exit 7"),
+        system("lost", "head -n 20 ../../../../truth.tum > $1"),
+        system("rubbish", "echo hello world > $1"),
+        system("empty", "touch $1"),
+        system("elsewhen", "sed s/^/9/ ../../../../truth.tum > $1"),
+    ];
+    let (folder, plan) = setup(&systems.concat());
+    let out = folder.path().join("out");
+    let results = run_plan(&plan, &out, &no_progress).expect("run");
+    assert_eq!(results.len(), 21);
+    let marked = table_of(&plan, &results).marked();
+    let figures = &marked.rows[0].1;
+    assert!(figures[0].value.expect("judged") < 1e-9 && figures[0].is_bold);
+    assert!(figures[3..].iter().all(|f| f.value.is_none() && f.is_grey));
+    let causes: Vec<String> = marked
+        .failures
+        .iter()
+        .map(|f| format!("{}: {}", f.1, f.2))
+        .collect();
+    for (cause, begins) in causes.iter().zip([
+        "mute: never initialised",
+        "crash: crashed (exit status: 7)",
+        "lost: lost (20 % covered)",
+        "rubbish: not judged",
+        "empty: never initialised",
+        "elsewhen: not judged: no pose of the estimate is within",
+    ]) {
+        assert!(cause.starts_with(begins), "{cause}");
+    }
+}
+
+/// A run that is there is not run again; one made of something else is.
+#[test]
+fn what_was_run_is_remembered() {
+    let count = "echo x >> ../../../../runs; cp ../../../../truth.tum $1";
+    let (folder, mut plan) = setup(&system("good", count));
+    let out = folder.path().join("out");
+    let runs = || {
+        fs::read_to_string(folder.path().join("runs"))
+            .expect("runs")
+            .lines()
+            .count()
+    };
+    let first = run_plan(&plan, &out, &no_progress).expect("run");
+    assert_eq!((first.len(), runs()), (3, 3));
+    fs::remove_file(out.join("M0/good/run-2/result.json")).expect("a result");
+    assert_eq!(run_plan(&plan, &out, &no_progress).expect("run").len(), 3);
+    assert_eq!(runs(), 4);
+    plan.time_limit_secs = 10.0;
+    run_plan(&plan, &out, &no_progress).expect("run");
+    assert_eq!(runs(), 7);
+}
+
+/// Of three runs the median; a run that failed does not hide the others.
+#[test]
+fn the_median_run_counts() {
+    let noisy = "awk -v e=$2 '{{ $2 += 0.1 * e * sin(7 * $1); print }}' ../../../../truth.tum > $1";
+    let once = "test $2 != 2 && cp ../../../../truth.tum $1";
+    let (folder, plan) = setup(&[system("noisy", noisy), system("once", once)].concat());
+    let results = run_plan(&plan, &folder.path().join("out"), &no_progress).expect("run");
+    let error = |run: usize| results[run - 1].se3_m.expect("judged");
+    assert!(error(1) < error(2) && error(2) < error(3));
+    let table = table_of(&plan, &results);
+    assert_eq!(table.rows[0].cells[0].se3_m, Some(error(2)));
+    assert!(table.rows[0].cells[1].se3_m.is_some_and(|m| m < 1e-9));
+    assert!(matches!(results[4].cause, Some(Cause::Crashed { .. })));
+}
+
+#[test]
+fn a_plan_is_stopped_in_order() {
+    let (folder, plan) = setup(&system("slow", "sleep 30"));
+    let calls = AtomicU64::new(0);
+    let stop = |_: Progress| match calls.fetch_add(1, Ordering::Relaxed) {
+        0..3 => Ok(()),
+        _ => Err(lsfb_types::Stopped),
+    };
+    let stopped = run_plan(&plan, &folder.path().join("out"), &stop);
+    assert!(matches!(stopped, Err(Error::Stopped(_))), "{stopped:?}");
+}
+
+#[test]
+fn plans_that_mean_nothing_are_refused() {
+    let (folder, _) = setup(&system("good", "true"));
+    let path = folder.path().join("wrong.toml");
+    let sequence =
+        "[[sequence]]\nname = 'M0'\ninput = 'room'\ntruth = 'truth.tum'\nlonger_side_m = 15\n";
+    let good = system("good", "true");
+    for (text, part) in [
+        (String::new(), "at least one"),
+        (format!("run = 3\n{sequence}{good}"), "run"),
+        (
+            format!("runs = 0\n{sequence}{good}"),
+            "runs must be 1 to 99",
+        ),
+        (format!("{sequence}{sequence}{good}"), "'M0' is there twice"),
+        (
+            format!("{sequence}{}", good.replace("'good'", "'../x'")),
+            "'../x' is no name",
+        ),
+        (
+            format!("{}{good}", sequence.replace("15", "-1")),
+            "longer_side_m",
+        ),
+        (
+            format!("{sequence}[[system]]\nname = 'q'\ncommand = \"sh 'x\"\n"),
+            "quote is not closed",
+        ),
+    ] {
+        fs::write(&path, text).expect("file");
+        let why = read_plan(&path).expect_err(part).to_string();
+        assert!(why.contains(part), "{why}");
+    }
+    let (folder, mut plan) = setup("[[system]]\nname = 'q'\ncommand = 'true {inputs}'\n");
+    let out = folder.path().join("out");
+    let why = run_plan(&plan, &out, &no_progress)
+        .expect_err("placeholder")
+        .to_string();
+    assert!(why.contains("{inputs} is no placeholder"), "{why}");
+    plan.systems[0].layout = Layout::Euroc;
+    let why = run_plan(&plan, &out, &no_progress)
+        .expect_err("a folder")
+        .to_string();
+    assert!(why.contains("euroc"), "{why}");
+}
