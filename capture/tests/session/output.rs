@@ -140,7 +140,7 @@ fn a_disk_that_is_unmounted_while_it_is_written_is_told_and_followed_by_another(
         assert!(after < Duration::from_millis(2_000), "{after:?}");
         assert_eq!((report.lost, &report.failure), (1, &None), "{report:?}");
         assert!(report.warnings[0].contains("unmounted"), "{report:?}");
-        assert_eq!(report.parts, [next.clone()]);
+        assert_eq!(report.parts, std::slice::from_ref(&next));
         assert!(Recording::open(&next).unwrap().imu().unwrap().count() > 50);
     }
 }

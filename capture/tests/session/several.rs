@@ -47,13 +47,14 @@ fn two_lidars_on_one_port_are_told_apart_by_address() {
     let mut sent = 0;
     let out = folder.path().join("scan.mcap");
     let report = run_until(session, &out, || {
-        for n in sent..(sent + 20).min(PACKETS) {
+        let until = (sent + 20).min(PACKETS);
+        for n in sent..until {
             for (socket, offset) in sockets.iter().zip([0, 1_000, 2_000]) {
                 let bytes = mock::lidar_packet(n + offset);
                 socket.send_to(&bytes, data).unwrap();
             }
-            sent = n + 1;
         }
+        sent = until;
         shown.extend(snapshots.try_iter());
         received.load(Ordering::Relaxed) == 3 * PACKETS
     });
