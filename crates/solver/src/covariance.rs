@@ -1,8 +1,9 @@
-use nalgebra::{DMatrix, Matrix3};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use crate::diagnosis::undetermined;
 use crate::divide::on_pool;
 use crate::evaluation::{Evaluation, not_finite};
+use crate::factorization::Factorization;
 use crate::layout::{Layout, POINT, Part};
 use crate::linear_system::{LinearSystem, Solver};
 use crate::minimise::check_values;
@@ -32,6 +33,31 @@ impl Covariance {
         Some(view.into_owned())
     }
 
+    /// The same were the dimension of one row of [`Covariance::joint`] known: its row and column are zero.
+    pub fn conditioned(mut self, row: usize) -> Self {
+        let column = self.matrix.column(row).into_owned();
+        let variance = column[row];
+        if variance > 0.0 {
+            self.matrix.ger(-1.0 / variance, &column, &column, 1.0);
+        }
+        self.matrix.fill_row(row, 0.0);
+        self.matrix.fill_column(row, 0.0);
+        self
+    }
+
+    /// The same with each standard deviation multiplied, and the square of what a bias may be added: one number of each for a row
+    /// of [`Covariance::joint`].
+    pub fn widened(mut self, factors: &[f64], bias: &DVector<f64>) -> Self {
+        for (row, factor) in factors.iter().enumerate().take(self.matrix.nrows()) {
+            let mut of_row = self.matrix.row_mut(row);
+            of_row *= *factor;
+            let mut of_column = self.matrix.column_mut(row);
+            of_column *= *factor;
+        }
+        self.matrix.ger(1.0, bias, bias, 1.0);
+        self
+    }
+
     /// All blocks, in the order in which they were asked for.
     pub fn joint(&self) -> &DMatrix<f64> {
         &self.matrix
@@ -43,85 +69,131 @@ impl Covariance {
 /// Exact for any blocks, eliminated points included; the work is one factorization and one solve for each dimension
 /// asked for. Where the data does not determine the problem there is no covariance, and the error names a parameter.
 pub fn covariance(problem: &Problem, blocks: &[BlockId]) -> Result<Covariance, Error> {
-    check_values(problem)?;
-    let mut layout = Layout::new(problem)?;
-    for block in blocks {
-        match layout.parts.get(block.0) {
-            None => {
-                return Err(Error::UnknownBlock {
-                    block: block.0,
-                    blocks: problem.blocks.len(),
-                });
-            }
-            Some(Part::Constant) => {
-                return Err(Error::NoCovariance {
-                    name: problem.block_name(*block),
-                });
-            }
-            Some(_) => {}
-        }
-    }
-    let config = SolveConfig {
-        max_matrix_bytes: usize::MAX,
-        ..SolveConfig::default()
-    };
-    let mut system = LinearSystem::new(&mut layout, &config)?;
-    let mut evaluation = Evaluation::new(problem, &layout);
-    if let Some(position) = evaluation
-        .start(problem, &layout, &problem.values)
-        .not_finite
-    {
-        return Err(not_finite(problem, &layout, position));
-    }
-    let mut normal = NormalEquations::new(&layout);
-    on_pool(|| normal.linearize(problem, &layout, &evaluation, &problem.values));
-    evaluation.outcome(problem, &layout)?;
-    let unknown = undetermined(problem, &layout, &normal, &mut system);
-    let refuse = |parameters: usize, first: String| Error::Undetermined {
-        dimension: layout.dimension(),
-        parameters,
-        first,
-    };
-    if let Some(first) = unknown.first() {
-        return Err(refuse(unknown.len(), first.to_string()));
-    }
-    let LinearSystem {
-        reduced, solver, ..
-    } = &mut system;
-    on_pool(|| normal.reduce(&layout, 0.0, reduced));
-    let Solver::Direct(factorization) = solver else {
-        return Err(layout.too_large(layout.dimension()));
-    };
-    if !factorization.factor(&layout, &reduced.matrix) {
-        return Err(refuse(0, "the reduced matrix is singular".into()));
-    }
-    let columns = Columns::of(problem, &layout, &normal, reduced, blocks);
+    let mut factored = Factored::new(problem, blocks)?;
+    let columns = factored.columns(problem, blocks);
     let mut matrix = DMatrix::zeros(columns.dimension(), columns.dimension());
-    let mut solved = vec![0.0; layout.dimension()];
+    let mut solved = vec![0.0; factored.layout.dimension()];
     for column in &columns.list {
-        solved.copy_from_slice(&column.in_reduced);
-        factorization.solve(&mut solved);
-        for other in &columns.list {
-            let product: f64 = other
-                .nonzero
-                .clone()
-                .map(|k| other.in_reduced[k] * solved[k])
-                .sum();
-            matrix[(other.row, column.row)] = product + column.in_point(other);
-        }
+        factored.solve(column, &mut solved);
+        columns.fill(&mut matrix, column, &solved);
     }
-    // Symmetric to the last bit.
-    matrix = (&matrix + matrix.transpose()) * 0.5;
-    Ok(Covariance {
-        blocks: blocks.to_vec(),
-        start: columns.start,
-        matrix,
-    })
+    Ok(columns.covariance(blocks, matrix))
+}
+
+/// The normal matrix at a problem's values, factored.
+pub(crate) struct Factored {
+    pub layout: Layout,
+    pub evaluation: Evaluation,
+    normal: NormalEquations,
+    reduced: ReducedSystem,
+    factorization: Factorization,
+}
+
+impl Factored {
+    /// Fails where one of the blocks has no covariance, or the data does not determine the problem.
+    pub fn new(problem: &Problem, blocks: &[BlockId]) -> Result<Self, Error> {
+        check_values(problem)?;
+        let mut layout = Layout::new(problem)?;
+        for block in blocks {
+            match layout.parts.get(block.0) {
+                None => {
+                    return Err(Error::UnknownBlock {
+                        block: block.0,
+                        blocks: problem.blocks.len(),
+                    });
+                }
+                Some(Part::Constant) => {
+                    return Err(Error::NoCovariance {
+                        name: problem.block_name(*block),
+                    });
+                }
+                Some(_) => {}
+            }
+        }
+        let config = SolveConfig {
+            max_matrix_bytes: usize::MAX,
+            ..SolveConfig::default()
+        };
+        let mut system = LinearSystem::new(&mut layout, &config)?;
+        let mut evaluation = Evaluation::new(problem, &layout);
+        if let Some(position) = evaluation
+            .start(problem, &layout, &problem.values)
+            .not_finite
+        {
+            return Err(not_finite(problem, &layout, position));
+        }
+        let mut normal = NormalEquations::new(&layout);
+        on_pool(|| normal.linearize(problem, &layout, &evaluation, &problem.values));
+        evaluation.outcome(problem, &layout)?;
+        let unknown = undetermined(problem, &layout, &normal, &mut system);
+        let refuse = |parameters: usize, first: String| Error::Undetermined {
+            dimension: layout.dimension(),
+            parameters,
+            first,
+        };
+        if let Some(first) = unknown.first() {
+            return Err(refuse(unknown.len(), first.to_string()));
+        }
+        let LinearSystem {
+            mut reduced,
+            solver,
+            ..
+        } = system;
+        on_pool(|| normal.reduce(&layout, 0.0, &mut reduced));
+        let Solver::Direct(mut factorization) = solver else {
+            return Err(layout.too_large(layout.dimension()));
+        };
+        if !factorization.factor(&layout, &reduced.matrix) {
+            return Err(refuse(0, "the reduced matrix is singular".into()));
+        }
+        Ok(Self {
+            layout,
+            evaluation,
+            normal,
+            reduced,
+            factorization,
+        })
+    }
+
+    /// The dimensions of the blocks.
+    pub fn columns(&self, problem: &Problem, blocks: &[BlockId]) -> Columns {
+        Columns::of(problem, &self.layout, &self.normal, &self.reduced, blocks)
+    }
+
+    /// The column of the inverse of the reduced matrix that belongs to a dimension.
+    pub fn solve(&mut self, column: &Column, solved: &mut [f64]) {
+        solved.copy_from_slice(&column.in_reduced);
+        self.factorization.solve(solved);
+    }
+
+    /// The rest of that column of the whole inverse: what belongs to eliminated points, one after the other.
+    pub fn at_points(&self, column: &Column, solved: &[f64]) -> Vec<f64> {
+        let mut at_points = Vec::with_capacity(POINT * self.layout.points.len());
+        for (p, inverse) in self.reduced.point_inverse.iter().enumerate() {
+            let mut right = Vector3::zeros();
+            for pair in self.layout.pairs_at(p) {
+                let rows = self.layout.rows(pair.reduced as usize);
+                let n = rows.len();
+                for (r, value) in solved[rows].iter().enumerate() {
+                    for k in 0..POINT {
+                        right[k] -= self.normal.coupling[pair.start + k * n + r] * value;
+                    }
+                }
+            }
+            if let Some((own, coordinate, _)) = column.point
+                && own == p
+            {
+                right[coordinate] += 1.0;
+            }
+            at_points.extend((inverse * right).iter());
+        }
+        at_points
+    }
 }
 
 /// One dimension asked for: the row of the inverse it selects, as the Schur complement sees it.
-struct Column {
-    row: usize,
+pub(crate) struct Column {
+    pub row: usize,
     in_reduced: Vec<f64>,
     nonzero: std::ops::Range<usize>,
     /// Point and coordinate.
@@ -138,8 +210,8 @@ impl Column {
     }
 }
 
-struct Columns {
-    list: Vec<Column>,
+pub(crate) struct Columns {
+    pub list: Vec<Column>,
     start: Vec<usize>,
 }
 
@@ -190,8 +262,29 @@ impl Columns {
         columns
     }
 
-    fn dimension(&self) -> usize {
+    pub fn dimension(&self) -> usize {
         self.start[self.start.len() - 1]
+    }
+
+    /// Writes the covariances of one dimension with all others.
+    pub fn fill(&self, matrix: &mut DMatrix<f64>, column: &Column, solved: &[f64]) {
+        for other in &self.list {
+            let product: f64 = other
+                .nonzero
+                .clone()
+                .map(|k| other.in_reduced[k] * solved[k])
+                .sum();
+            matrix[(other.row, column.row)] = product + column.in_point(other);
+        }
+    }
+
+    pub fn covariance(self, blocks: &[BlockId], matrix: DMatrix<f64>) -> Covariance {
+        Covariance {
+            blocks: blocks.to_vec(),
+            start: self.start,
+            // Symmetric to the last bit.
+            matrix: (&matrix + matrix.transpose()) * 0.5,
+        }
     }
 }
 

@@ -12,6 +12,7 @@ mod error;
 mod evaluation;
 mod factorization;
 mod incremental;
+mod influence;
 mod jacobian_check;
 mod kernels;
 mod layout;
@@ -30,6 +31,7 @@ pub use covariance::{Covariance, covariance};
 pub use dense_jacobian::{DenseJacobian, dense_jacobian};
 pub use error::Error;
 pub use incremental::{Incremental, IncrementalConfig, UpdateReport};
+pub use influence::{Influence, Influences, influences};
 #[doc(hidden)]
 pub use jacobian_check::check_jacobians;
 pub use manifold::{Manifold, Shape, directions_across};

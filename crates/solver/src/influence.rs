@@ -1,0 +1,254 @@
+//! What groups of residuals do to a result, and what they should do by their weights.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::Error;
+use crate::covariance::{Covariance, Factored};
+use crate::layout::{POINT, Part};
+use crate::problem::{BlockId, Problem, ResidualId};
+use crate::residual::CONSTANT;
+
+/// What one group of residuals `r` with Jacobian `J` does to blocks of covariance `C`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Influence {
+    /// By how much the group moves the blocks from where the others have them, to first order: `−C Jᵀ r`. At a minimum all
+    /// residuals together move them by nothing.
+    pub shift: DVector<f64>,
+    /// Covariance of the noise in that, were the residuals' own of unit variance and independent: `C Jᵀ J C`. Those of all residuals
+    /// together are `C`.
+    pub noise: DMatrix<f64>,
+}
+
+/// What residuals say of some blocks at the problem's present values.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Influences {
+    /// Joint covariance of the blocks.
+    pub covariance: Covariance,
+    /// By how much all residuals together would move the blocks: zero at a minimum.
+    pub step: DVector<f64>,
+    /// By group.
+    pub groups: Vec<Influence>,
+}
+
+/// The joint covariance of blocks, and the influence of each group of residuals on them, at the problem's present values.
+///
+/// Groups whose shifts are larger than their noise explains have something in common that the problem does not know of.
+pub fn influences(
+    problem: &Problem,
+    blocks: &[BlockId],
+    groups: &[Vec<ResidualId>],
+) -> Result<Influences, Error> {
+    let mut factored = Factored::new(problem, blocks)?;
+    let columns = factored.columns(problem, blocks);
+    let (size, reduced) = (columns.dimension(), factored.layout.dimension());
+    let mut matrix = DMatrix::zeros(size, size);
+    // By row of the whole system, so that what belongs to one block lies together.
+    let mut inverse = DMatrix::zeros(size, reduced + POINT * factored.layout.points.len());
+    let mut solved = vec![0.0; reduced];
+    for column in &columns.list {
+        factored.solve(column, &mut solved);
+        columns.fill(&mut matrix, column, &solved);
+        let at_points = factored.at_points(column, &solved);
+        for (k, value) in solved.iter().chain(&at_points).enumerate() {
+            inverse[(column.row, k)] = *value;
+        }
+    }
+    let mut group_of = vec![Vec::new(); problem.residuals.len()];
+    for (group, members) in groups.iter().enumerate() {
+        for id in members {
+            if let Some(own) = group_of.get_mut(id.0) {
+                own.push(group);
+            }
+        }
+    }
+    let nothing = Influence {
+        shift: DVector::zeros(size),
+        noise: DMatrix::zeros(size, size),
+    };
+    let mut step = DVector::zeros(size);
+    let mut influences = vec![nothing; groups.len()];
+    for (position, residual) in factored.layout.order.iter().enumerate() {
+        let (error, moves) = factored.moves(problem, position, &inverse);
+        let shift = -(&moves * error);
+        for group in &group_of[*residual as usize] {
+            let influence = &mut influences[*group];
+            influence.shift += &shift;
+            influence.noise.gemm(1.0, &moves, &moves.transpose(), 1.0);
+        }
+        step += shift;
+    }
+    factored.evaluation.outcome(problem, &factored.layout)?;
+    Ok(Influences {
+        covariance: columns.covariance(blocks, matrix),
+        step,
+        groups: influences,
+    })
+}
+
+impl Factored {
+    /// A residual and `C Jᵀ` of it, with `inverse` the rows of the inverse asked for.
+    fn moves(
+        &self,
+        problem: &Problem,
+        position: usize,
+        inverse: &DMatrix<f64>,
+    ) -> (DVector<f64>, DMatrix<f64>) {
+        let layout = &self.layout;
+        let range = layout.record_start[position]..layout.record_start[position + 1];
+        let mut record = vec![0.0; range.len()];
+        self.evaluation.linearize(
+            problem,
+            layout,
+            &problem.values,
+            position..position + 1,
+            &mut record,
+        );
+        let rows = problem.residuals[layout.order[position] as usize].dimension;
+        let mut moves = DMatrix::zeros(inverse.nrows(), rows);
+        for slot in layout.slots_of(position) {
+            if slot.jacobian == CONSTANT {
+                continue;
+            }
+            let columns = match layout.parts[slot.block as usize] {
+                Part::Reduced(i) => layout.rows(i),
+                Part::Point(p) => {
+                    let first = layout.dimension() + POINT * p;
+                    first..first + POINT
+                }
+                Part::Constant => continue,
+            };
+            let free = columns.len();
+            let jacobian = &record[slot.jacobian as usize..][..rows * free];
+            let by_block = DMatrix::from_row_slice(rows, free, jacobian);
+            let of_block = inverse.columns(columns.start, free);
+            moves.gemm(1.0, &of_block, &by_block.transpose(), 1.0);
+        }
+        record.truncate(rows);
+        (DVector::from_vec(record), moves)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{SMatrix, SVector, Vector2, Vector3};
+
+    use super::*;
+    use crate::{
+        Block, Kernel, Linearization, Parameters, Residual, Shape, SolveConfig, Undefined,
+        covariance, dense_jacobian, solve,
+    };
+
+    /// `A x + B p − z` of a block and a point.
+    struct Linear {
+        a: SMatrix<f64, 2, 2>,
+        b: SMatrix<f64, 2, 3>,
+        z: Vector2<f64>,
+    }
+
+    impl Residual for Linear {
+        fn dimension(&self) -> usize {
+            2
+        }
+
+        fn blocks(&self) -> &[Shape] {
+            const { &[Shape::of::<Vector2<f64>>(), Shape::of::<Vector3<f64>>()] }
+        }
+
+        fn evaluate(
+            &self,
+            parameters: &Parameters<'_>,
+            out: &mut Linearization<'_>,
+        ) -> Result<(), Undefined> {
+            let (x, p): (Vector2<f64>, Vector3<f64>) = (parameters.get(0), parameters.get(1));
+            out.set_residual(&(self.a * x + self.b * p - self.z));
+            out.set_jacobian(0, &self.a);
+            out.set_jacobian(1, &self.b);
+            Ok(())
+        }
+    }
+
+    type Blocks = ([Block<Vector2<f64>>; 2], [Block<Vector3<f64>>; 3]);
+
+    /// Two blocks and three eliminated points at their minimum, and their residuals.
+    fn solved() -> (Problem, Blocks, Vec<ResidualId>) {
+        // Numbers without a pattern.
+        let mut at = 0.0;
+        let mut next = move || {
+            at += 1.0;
+            f64::sin(at * at)
+        };
+        let mut problem = Problem::new();
+        let blocks = [0, 1].map(|_| problem.add_block(Vector2::<f64>::zeros()));
+        let points = [0, 1, 2].map(|_| problem.add_eliminated_point(Vector3::zeros()));
+        let mut ids = Vec::new();
+        for _ in 0..4 {
+            for block in blocks {
+                for point in points {
+                    let residual = Linear {
+                        a: SMatrix::from_fn(|_, _| next()),
+                        b: SMatrix::from_fn(|_, _| next()),
+                        z: SVector::from_fn(|_, _| next()),
+                    };
+                    let on = [block.id(), point.id()];
+                    let id = problem.add_residual(residual, &on, Kernel::Squared);
+                    ids.push(id.expect("fits"));
+                }
+            }
+        }
+        solve(&mut problem, &SolveConfig::default()).expect("solves");
+        (problem, (blocks, points), ids)
+    }
+
+    #[test]
+    fn a_dimension_that_is_known_is_one_that_is_held() {
+        let (mut problem, (blocks, points), _) = solved();
+        let [first, second] = blocks.map(|b| b.id());
+        let asked = [first, second, points[1].id()];
+        let free = covariance(&problem, &asked).expect("determined");
+        let known = free.conditioned(0).conditioned(1);
+        problem.set_constant(blocks[0]);
+        let held = covariance(&problem, &asked[1..]).expect("determined");
+        let rest = known.joint().view((2, 2), (5, 5)).into_owned();
+        assert!((rest - held.joint()).amax() < 1e-10);
+        assert_eq!(known.joint().rows(0, 2).amax(), 0.0);
+    }
+
+    #[test]
+    fn influences_are_those_of_the_dense_inverse_and_add_up() {
+        let (problem, (blocks, points), ids) = solved();
+        let asked = [blocks[1].id(), points[2].id()];
+        let group: Vec<ResidualId> = ids.iter().copied().step_by(3).collect();
+        let Influences {
+            covariance: found,
+            step,
+            groups: parts,
+        } = influences(&problem, &asked, &[ids.clone(), group.clone()]).expect("determined");
+        assert!(step.amax() < 1e-8, "at a minimum they balance");
+        assert_eq!(found, covariance(&problem, &asked).expect("determined"));
+        assert!((&parts[0].noise - found.joint()).amax() < 1e-10);
+        assert!(parts[0].shift.amax() < 1e-8, "at a minimum they balance");
+
+        let dense = dense_jacobian(&problem).expect("defined");
+        let inverse = (dense.matrix.transpose() * &dense.matrix).cholesky();
+        let inverse = inverse.expect("determined").inverse();
+        let moves = inverse * dense.matrix.transpose();
+        let layout = Factored::new(&problem, &[]).expect("determined").layout;
+        let rows: Vec<usize> = asked
+            .iter()
+            .flat_map(|b| dense.columns_of(*b).iter().flatten().copied())
+            .collect();
+        let mut shift = DVector::zeros(rows.len());
+        let mut noise = DMatrix::zeros(rows.len(), rows.len());
+        for (position, k) in layout.order.iter().enumerate() {
+            if !group.contains(&ResidualId(*k as usize)) {
+                continue;
+            }
+            let own = moves.columns(2 * position, 2).select_rows(&rows);
+            shift -= &own * dense.residual.rows(2 * position, 2);
+            noise += &own * own.transpose();
+        }
+        assert!(shift.norm() > 1e-3);
+        assert!((&parts[1].shift - shift).amax() < 1e-10);
+        assert!((&parts[1].noise - noise).amax() < 1e-10);
+    }
+}
