@@ -46,9 +46,8 @@ mod topics;
 
 pub use clouds::{CloudsConfig, ImportedClouds, import_clouds};
 pub use config::{
-    CameraUnitConfig, DevicesConfig, ExposureConfig, ImuFamily, ImuLineConfig, LidarData,
-    LidarNetConfig, LidarReturns, LidarSettingsConfig, Overflow, RecorderConfig, SidecarConfig,
-    StampInstant,
+    CameraUnitConfig, DevicesConfig, ImuLineConfig, LidarData, LidarNetConfig, LidarSettingsConfig,
+    Overflow, RecorderConfig, SidecarConfig,
 };
 pub use control::Counts;
 pub use error::Error;
@@ -60,4 +59,6 @@ pub use replay::{ReplayConfig, ReplayedSensor, replay, replay_recording};
 pub use report::{CaptureReport, Ending, StreamReport};
 pub use session::Session;
 pub use sync::GroupReport;
+// The families of units are the drivers'; a list of devices names one.
+pub use lsfb_drivers::ImuFamily;
 pub use tap::{Tap, TapClosed, Tapped};

@@ -40,6 +40,7 @@ mod decoded;
 mod error;
 #[cfg(feature = "hesai")]
 pub mod hesai;
+mod imu_family;
 #[cfg(any(feature = "velodyne", feature = "hesai"))]
 pub mod lidar;
 #[cfg(feature = "microstrain")]
@@ -64,3 +65,4 @@ pub mod xsens;
 
 pub use decoded::Decoded;
 pub use error::{Error, WireError};
+pub use imu_family::ImuFamily;

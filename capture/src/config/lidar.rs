@@ -9,6 +9,7 @@ use lsfb_drivers::velodyne::VelodyneConfig;
 use lsfb_drivers::velodyne::settings::{Destination, FieldOfView, PhaseLock, Setting, Switch};
 use lsfb_drivers::velodyne::wire::ReturnMode;
 use lsfb_geometry::MAIN_LIDAR;
+use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
@@ -29,7 +30,7 @@ pub struct LidarNetConfig {
     /// The sensor it must be: `vlp-32c`, `vlp-16`, `hdl-32e`, `xt32`, `pandar64` or `qt64`; `any` takes what the packets say.
     pub model: String,
     /// The packets are of `model` with these returns, whatever they say themselves: old firmware of Velodyne sensors lies.
-    pub force_returns: Option<LidarReturns>,
+    pub force_returns: Option<Returns>,
     /// File of the beam angles of this very unit, for Hesai sensors; relative to the file that names it.
     pub angles: Option<PathBuf>,
     /// A scan ends where the rotor passes this angle, degrees. With a field-of-view window, choose one outside it.
@@ -40,18 +41,6 @@ pub struct LidarNetConfig {
     pub receive_buffer_bytes: usize,
     /// What to set on the sensor's web page before anything is recorded. Without it the sensor stays as it is.
     pub settings: Option<LidarSettingsConfig>,
-}
-
-/// Echoes that a LiDAR may send.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum LidarReturns {
-    /// The strongest of each shot.
-    Strongest,
-    /// The last of each shot.
-    Last,
-    /// Both.
-    Dual,
 }
 
 /// Settings of a Velodyne sensor. Each is written to its web page and read back; the first that was not taken is an error. What
@@ -66,7 +55,7 @@ pub struct LidarSettingsConfig {
     pub rpm: Option<u16>,
     /// Which echoes it sends.
     #[serde(default)]
-    pub returns: Option<LidarReturns>,
+    pub returns: Option<Returns>,
     /// First and last degree of the sector in which it fires, clockwise, 0 to 359.
     #[serde(default)]
     pub field_of_view_deg: Option<[u16; 2]>,
@@ -78,14 +67,40 @@ pub struct LidarSettingsConfig {
     pub destination: Option<Ipv4Addr>,
 }
 
+lsfb_types::bounds! {
+    LidarNetConfig {
+        name: any,
+        data: any,
+        position: any,
+        model: any,
+        force_returns: any,
+        angles: any,
+        cut_azimuth_deg: number(Bounds::Within(-360.0, 360.0)),
+        sensor: any,
+        receive_buffer_bytes: number(Bounds::AT_LEAST_ONE),
+        settings: sections,
+    }
+}
+
+lsfb_types::bounds! {
+    LidarSettingsConfig {
+        page: any,
+        rpm: optional(Bounds::Within(300.0, 1200.0)),
+        returns: any,
+        field_of_view_deg: any,
+        phase_lock_centideg: optional(Bounds::Within(0.0, 35_999.0)),
+        destination: any,
+    }
+}
+
 impl LidarSettingsConfig {
     /// The changes, one by one.
     pub(crate) fn changes(&self, data_port: u16, position_port: u16) -> Vec<Setting> {
         let returns = self.returns.map(|returns| {
             Setting::Returns(match returns {
-                LidarReturns::Strongest => ReturnMode::Strongest,
-                LidarReturns::Last => ReturnMode::Last,
-                LidarReturns::Dual => ReturnMode::Dual,
+                Returns::Strongest => ReturnMode::Strongest,
+                Returns::Last => ReturnMode::Last,
+                Returns::Dual => ReturnMode::Dual,
             })
         });
         let field_of_view = self
@@ -141,6 +156,19 @@ impl LidarNetConfig {
             .any(|port| port.port() != 0 && ports.contains(port))
     }
 
+    /// Refuses what the sensor would: before anything is opened, and before any of its settings is changed.
+    pub(super) fn check_settings(&self) -> Result<(), Error> {
+        let (data, position) = (self.data.port(), self.position.port());
+        let changes = self.settings.iter().flat_map(|s| s.changes(data, position));
+        for change in changes {
+            change.emit().map_err(|problem| Error::LidarSettings {
+                lidar: self.name.clone(),
+                problem: problem.to_string(),
+            })?;
+        }
+        Ok(())
+    }
+
     /// How its packets are read; the file of beam angles is.
     pub(crate) fn decoder(&self) -> Result<Settings, Error> {
         let refused = |problem: String| Error::LidarSettings {
@@ -175,11 +203,7 @@ impl LidarNetConfig {
         Ok(Settings {
             model,
             scans: ScanSettings {
-                force_returns: self.force_returns.map(|returns| match returns {
-                    LidarReturns::Strongest => Returns::Strongest,
-                    LidarReturns::Last => Returns::Last,
-                    LidarReturns::Dual => Returns::Dual,
-                }),
+                force_returns: self.force_returns,
                 // A float cast saturates, and a whole turn is none.
                 cut_azimuth_centideg: (self.cut_azimuth_deg.rem_euclid(360.0) * 100.0) as u16
                     % 36_000,

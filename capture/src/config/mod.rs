@@ -7,7 +7,8 @@ use std::marker::PhantomData;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-use lsfb_drivers::mynt_s::{self, CameraConfig, Exposure};
+use lsfb_drivers::ImuFamily;
+use lsfb_drivers::mynt_s::{self, CameraConfig, Exposure, StampInstant};
 use lsfb_drivers::transport::uvc::FrameFormat;
 use lsfb_geometry::MAIN_IMU;
 use lsfb_recording::{Compression, Durability, Existing};
@@ -18,7 +19,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::Error;
 
-pub use lidar::{LidarNetConfig, LidarReturns, LidarSettingsConfig};
+pub use lidar::{LidarNetConfig, LidarSettingsConfig};
 
 /// What happens to a message when the writer's queue is full.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -164,44 +165,6 @@ lsfb_types::bounds! {
     }
 }
 
-/// Which instant of the exposure the stamps of a camera unit mark.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum StampInstant {
-    /// The shutter opens.
-    ExposureStart,
-    /// Half-way: stamps are taken as they are.
-    #[default]
-    ExposureMiddle,
-    /// The shutter closes, as owners report of some units.
-    ExposureEnd,
-}
-
-/// Who chooses exposure time and gain of a camera unit.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case", tag = "mode", deny_unknown_fields)]
-pub enum ExposureConfig {
-    /// As the unit is.
-    #[default]
-    Unchanged,
-    /// The unit, within limits.
-    Automatic {
-        /// Largest gain.
-        max_gain: u16,
-        /// Longest exposure, steps of 0.1 ms.
-        max_exposure_steps: u16,
-        /// Mean grey value that it aims at.
-        desired_brightness: u16,
-    },
-    /// Every frame alike.
-    Manual {
-        /// Gain.
-        gain: u16,
-        /// Exposure time, in the unit's steps of its brightness control.
-        exposure: u16,
-    },
-}
-
 /// One Mynt unit: a stereo unit, or one of any number of cameras whose images lie side by side in its frames.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -227,7 +190,7 @@ pub struct CameraUnitConfig {
     pub stamp: StampInstant,
     /// Exposure time and gain; what is set is read back.
     #[serde(default)]
-    pub exposure: ExposureConfig,
+    pub exposure: Exposure,
 }
 
 lsfb_types::bounds! {
@@ -254,7 +217,7 @@ impl CameraUnitConfig {
             rate_hz: Self::default_rate(),
             imu: None,
             stamp: StampInstant::default(),
-            exposure: ExposureConfig::default(),
+            exposure: Exposure::default(),
         }
     }
 
@@ -281,19 +244,7 @@ impl CameraUnitConfig {
             format: self.format(),
             rate_hz: self.rate_hz,
             options: Vec::new(),
-            exposure: match self.exposure {
-                ExposureConfig::Unchanged => Exposure::Unchanged,
-                ExposureConfig::Automatic {
-                    max_gain,
-                    max_exposure_steps,
-                    desired_brightness,
-                } => Exposure::Automatic {
-                    max_gain,
-                    max_exposure_steps,
-                    desired_brightness,
-                },
-                ExposureConfig::Manual { gain, exposure } => Exposure::Manual { gain, exposure },
-            },
+            exposure: self.exposure,
         }
     }
 
@@ -302,29 +253,10 @@ impl CameraUnitConfig {
         mynt_s::DecoderConfig {
             format: self.format(),
             cameras: self.names.len() as u32,
-            stamp: match self.stamp {
-                StampInstant::ExposureStart => mynt_s::StampInstant::ExposureStart,
-                StampInstant::ExposureMiddle => mynt_s::StampInstant::ExposureMiddle,
-                StampInstant::ExposureEnd => mynt_s::StampInstant::ExposureEnd,
-            },
+            stamp: self.stamp,
             ..mynt_s::DecoderConfig::default()
         }
     }
-}
-
-/// What an inertial unit speaks.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum ImuFamily {
-    /// Xsens MTData2 on a serial line.
-    #[default]
-    Xsens,
-    /// MicroStrain MIP on a serial line.
-    Microstrain,
-    /// SBG on a CAN bus; what it sends is set in the unit beforehand.
-    Sbg,
-    /// The unit in a Mynt D camera, on USB (feature `hardware`); it sends as soon as it has power.
-    MyntD,
 }
 
 /// An IMU on a line or bus of its own.
@@ -384,7 +316,7 @@ lsfb_types::bounds! {
         rig: any,
         overflow: any,
         recorder: section,
-        lidars: any,
+        lidars: sections,
         cameras: sections,
         imus: sections,
         sidecar: any,
@@ -433,6 +365,9 @@ impl DevicesConfig {
     /// Refuses settings outside their bounds, cameras that cannot be told apart, and images that do not fill a frame.
     pub(crate) fn check(&self) -> Result<(), Error> {
         self.check_bounds("")?;
+        for lidar in &self.lidars {
+            lidar.check_settings()?;
+        }
         let mut known = BTreeSet::new();
         for unit in &self.cameras {
             let names = unit.names.join(", ");
@@ -540,7 +475,7 @@ mod tests {
             lidars: vec![LidarNetConfig::default()],
             cameras: vec![CameraUnitConfig {
                 stamp: StampInstant::ExposureEnd,
-                exposure: ExposureConfig::Manual {
+                exposure: Exposure::Manual {
                     gain: 24,
                     exposure: 90,
                 },
@@ -598,6 +533,36 @@ mod tests {
             message.contains("letters, digits and underscores"),
             "{message}"
         );
+    }
+
+    #[test]
+    fn numbers_of_a_lidar_outside_their_bounds_are_refused_by_name() {
+        let refused = |text: &str| {
+            let config: DevicesConfig = toml::from_str(text).unwrap();
+            config.check().unwrap_err().to_string()
+        };
+        // A whole number of degrees that is not there saturated to 0, and an empty buffer lost every packet.
+        for (setting, expected) in [
+            ("cut_azimuth_deg = nan", "cut_azimuth_deg is NaN"),
+            ("cut_azimuth_deg = 36000.0", "it must be -360 to 360"),
+            ("receive_buffer_bytes = 0", "receive_buffer_bytes is 0"),
+        ] {
+            let message = refused(&format!("[lidar]\n{setting}\n"));
+            assert!(message.contains(expected), "{message}");
+        }
+        let page = "[lidar.settings]\npage = '192.168.1.201:80'\n";
+        for (setting, expected) in [
+            ("rpm = 200", "settings.rpm is 200: it must be 300 to 1200"),
+            ("rpm = 601", "lidar: rpm cannot be `601`"),
+            ("field_of_view_deg = [0, 360]", "field of view cannot be `360`"),
+            ("phase_lock_centideg = 36000", "it must be 0 to 35999"),
+        ] {
+            let message = refused(&format!("{page}{setting}\n"));
+            assert!(message.contains(expected), "{message}");
+        }
+        let good = format!("{page}rpm = 600\nfield_of_view_deg = [0, 359]\n");
+        let config: DevicesConfig = toml::from_str(&good).unwrap();
+        assert!(config.check().is_ok());
     }
 
     #[test]

@@ -10,7 +10,8 @@ use crate::sync::GroupReport;
 /// Snapshots that wait for a subscriber; a slower one misses some.
 const WAITING_SNAPSHOTS: usize = 4;
 
-/// How bad something is.
+/// How bad something is right now. No [`lsfb_types::Verdict`]: it changes back and forth many times in a recording, judges nothing that is
+/// finished, and a device of which nothing is known yet is as it should be until it is late. The doctor gives the verdict.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Level {

@@ -5,11 +5,12 @@ mod unit;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
+use lsfb_drivers::ImuFamily;
 use lsfb_types::{ImuSample, Packet, Stamped, Timestamp};
 
 use crate::clock::model_topic::{self, ModelTopic};
 use crate::clock::{OneWayClock, Unwrap};
-use crate::config::{ImuFamily, ImuLineConfig};
+use crate::config::ImuLineConfig;
 use crate::control::Control;
 use crate::device_note::DeviceNote;
 use crate::health::{Ending, Expected, Meter, Repeats, StreamReport};
@@ -59,7 +60,7 @@ struct Clock {
 
 impl Clock {
     fn new(name: &str, family: ImuFamily) -> Self {
-        let counter = family.counter();
+        let counter = unit::Counter::of(family);
         Self {
             unwrap: Unwrap::default(),
             counter,

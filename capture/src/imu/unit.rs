@@ -8,10 +8,10 @@ use lsfb_drivers::sbg::{self, SbgConfig, SbgImu};
 use lsfb_drivers::transport::PacketSource;
 use lsfb_drivers::xsens::model::SAMPLE_TIME_FINE_NS;
 use lsfb_drivers::xsens::{self, ImuConfig, XsensImu};
-use lsfb_drivers::{Decoded, Error};
+use lsfb_drivers::{Decoded, Error, ImuFamily};
 use lsfb_types::{ImuSample, Packet, Timestamp};
 
-use crate::config::{ImuFamily, ImuLineConfig};
+use crate::config::ImuLineConfig;
 
 /// `SampleTimeFine` of Xsens units wraps at 2³² ticks.
 const XSENS_PERIOD_TICKS: i64 = 1 << 32;
@@ -23,35 +23,16 @@ pub(super) struct Counter {
     pub(super) period_ticks: i64,
 }
 
-impl ImuFamily {
-    /// Kind of its packets in the recording.
-    pub(super) fn raw_kind(self) -> u16 {
-        match self {
-            Self::Xsens => 0,
-            Self::Microstrain => 1,
-            Self::Sbg => 2,
-            Self::MyntD => 3,
-        }
-    }
-
-    /// Its name in settings and in the recording.
-    pub(super) fn key(self) -> &'static str {
-        match self {
-            Self::Xsens => "xsens",
-            Self::Microstrain => "microstrain",
-            Self::Sbg => "sbg",
-            Self::MyntD => "mynt-d",
-        }
-    }
-
-    pub(super) fn counter(self) -> Counter {
-        let (tick_ns, period_ticks) = match self {
-            Self::Xsens => (SAMPLE_TIME_FINE_NS, XSENS_PERIOD_TICKS),
-            Self::Microstrain => (1, 0),
-            Self::Sbg => (1_000, 0),
-            Self::MyntD => (mynt_d::model::TICK_NS, 0),
+impl Counter {
+    /// Of the units of a family.
+    pub(super) fn of(family: ImuFamily) -> Self {
+        let (tick_ns, period_ticks) = match family {
+            ImuFamily::Xsens => (SAMPLE_TIME_FINE_NS, XSENS_PERIOD_TICKS),
+            ImuFamily::Microstrain => (1, 0),
+            ImuFamily::Sbg => (1_000, 0),
+            ImuFamily::MyntD => (mynt_d::model::TICK_NS, 0),
         };
-        Counter {
+        Self {
             tick_ns,
             period_ticks,
         }

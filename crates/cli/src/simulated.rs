@@ -12,8 +12,8 @@ use lsfb_capture::{
 use lsfb_geometry::MAIN_IMU;
 use lsfb_recording::Existing;
 use lsfb_sim::{
-    Clocked, Emitted, FlowControl, GlassesEndpoint, ImuFamily, LidarModel, Pace, PlayedImu,
-    ReturnMode, ScanEndpoints, SimConfig, SimSession, Simulation,
+    Clocked, Emitted, FlowControl, GlassesEndpoint, LidarModel, Pace, ReturnMode, ScanEndpoints,
+    SimConfig, SimSession, SimulatedImu, Simulation,
 };
 
 use crate::context::Context;
@@ -46,7 +46,7 @@ pub struct Equipment {
     returns: Option<ReturnMode>,
     /// Protocol of the IMU: xsens or microstrain.
     #[arg(long, value_name = "FAMILY", value_parser = imu_family)]
-    imu_family: Option<ImuFamily>,
+    imu_family: Option<SimulatedImu>,
 }
 
 impl Equipment {
@@ -69,27 +69,10 @@ fn lidar_returns(name: &str) -> Result<ReturnMode, String> {
     found.ok_or_else(|| "expected strongest, last or dual".to_owned())
 }
 
-fn imu_family(name: &str) -> Result<ImuFamily, String> {
-    let found = ImuFamily::ALL.into_iter().find(|f| f.name() == name);
+fn imu_family(name: &str) -> Result<SimulatedImu, String> {
+    let mut known = SimulatedImu::ALL.into_iter();
+    let found = known.find(|unit| unit.family().key() == name);
     found.ok_or_else(|| "expected xsens or microstrain".to_owned())
-}
-
-/// How the recorder opens a unit that speaks so.
-pub fn to_be_opened(family: ImuFamily) -> lsfb_capture::ImuFamily {
-    match family {
-        ImuFamily::Xsens => lsfb_capture::ImuFamily::Xsens,
-        ImuFamily::Microstrain => lsfb_capture::ImuFamily::Microstrain,
-    }
-}
-
-/// How the recorder opens a unit that is played.
-pub fn played(family: PlayedImu) -> lsfb_capture::ImuFamily {
-    match family {
-        PlayedImu::Xsens => lsfb_capture::ImuFamily::Xsens,
-        PlayedImu::Microstrain => lsfb_capture::ImuFamily::Microstrain,
-        PlayedImu::Sbg => lsfb_capture::ImuFamily::Sbg,
-        PlayedImu::MyntD => lsfb_capture::ImuFamily::MyntD,
-    }
 }
 
 /// Names of the files of a simulated session in its folder.
@@ -181,7 +164,7 @@ pub fn backpack_devices(
         cameras: vec![unit(front, ["cam0", "cam1"]), unit(rear, ["cam2", "cam3"])],
         imus: vec![ImuLineConfig {
             name: MAIN_IMU.to_owned(),
-            family: to_be_opened(config.scan_imu_family),
+            family: config.scan_imu_family.family(),
             path: layout.imu_line(),
             baud: 921_600,
             rate_hz: u16::try_from(config.scan_imu.rate_hz).unwrap_or(u16::MAX),

@@ -4,7 +4,8 @@ use serde::Serialize;
 
 use crate::coverage::GoBack;
 
-/// Whether something needs the operator.
+/// Whether something needs the operator right now: a colour on the screen. No `Verdict` of `lsfb-types`: it has no finding behind it, is
+/// gone a second later, and its names are what the page's style sheet knows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Level {

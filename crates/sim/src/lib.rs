@@ -68,15 +68,15 @@ pub use ambient::{
 };
 pub use calendar::{EPOCH, GLASSES_EPOCH};
 pub use config::{
-    BarometerConfig, BleConfig, CameraConfig, Device, GnssConfig, ImuConfig, ImuFamily, LensKind,
-    LidarConfig, LidarModel, MagneticConfig, NmeaSentence, Place, PulseSource, SimConfig,
+    BarometerConfig, BleConfig, CameraConfig, Device, GnssConfig, ImuConfig, LensKind, LidarConfig,
+    LidarModel, MagneticConfig, NmeaSentence, Place, PulseSource, SimConfig, SimulatedImu,
     WalkConfig, WifiConfig,
 };
 pub use datum::{DatumConfig, Geodetic};
 pub use device::{
     CameraPlan, Emitted, FlowControl, GlassesEndpoint, MYNT_UNITS, Pace, Playback,
-    PlaybackEndpoints, PlayedImu, ScanEmission, ScanEndpoints, SessionReport, SimSession,
-    StopHandle, Turns, WalkEmission,
+    PlaybackEndpoints, ScanEmission, ScanEndpoints, SessionReport, SimSession, StopHandle, Turns,
+    WalkEmission,
 };
 pub use error::Error;
 pub use lsfb_drivers::velodyne::wire::ReturnMode;

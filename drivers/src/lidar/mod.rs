@@ -15,6 +15,11 @@ pub(crate) use scan_builder::{ScanBuilder, turn};
 
 /// Which echoes a sensor sends, as one asks for them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(rename_all = "kebab-case")
+)]
 pub enum Returns {
     /// The strongest of each shot.
     Strongest,
@@ -22,6 +27,20 @@ pub enum Returns {
     Last,
     /// Both.
     Dual,
+}
+
+impl Returns {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Strongest, Self::Last, Self::Dual];
+
+    /// Its name in settings.
+    pub const fn key(self) -> &'static str {
+        match self {
+            Self::Strongest => "strongest",
+            Self::Last => "last",
+            Self::Dual => "dual",
+        }
+    }
 }
 
 /// How packets become scans, whichever sensor sent them.

@@ -1,4 +1,5 @@
-//! As much HTTP/1.1 as a sensor's web page needs: one request per connection, on both sides of it.
+//! As much HTTP/1.1 as a sensor's web page needs: one request per connection, on both sides of it. Heads are parsed by `httparse`, as
+//! those of the operator's screen are; framing and limits are here.
 
 use std::io::{self, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
@@ -9,9 +10,10 @@ use crate::{Error, WireError};
 
 /// Longest head of a message: start line and header fields.
 const MAX_HEAD_LEN: usize = 16 << 10;
+/// Most header fields.
+const MAX_HEADERS: usize = 64;
 /// Longest body.
 const MAX_BODY_LEN: usize = 1 << 20;
-const END_OF_HEAD: &[u8] = b"\r\n\r\n";
 const CHUNK_BYTES: usize = 4096;
 
 /// What is asked for.
@@ -79,17 +81,19 @@ impl HttpRequest {
 
     /// Reads a request. `None`: its end is not there yet.
     pub fn parse(bytes: &[u8]) -> Result<Option<Self>, WireError> {
-        let Some(head) = Head::parse(bytes)? else {
+        let mut headers = [httparse::EMPTY_HEADER; MAX_HEADERS];
+        let mut request = httparse::Request::new(&mut headers);
+        let Some(len) = whole_head(request.parse(bytes), bytes)? else {
             return Ok(None);
         };
-        let mut words = head.start_line.split(' ');
-        let method = match words.next() {
+        let method = match request.method {
             Some("GET") => Method::Get,
             Some("POST") => Method::Post,
             _ => return Err(bad("method", 0, bytes.first())),
         };
-        let path = words.next().filter(|path| path.starts_with('/'));
+        let path = request.path.filter(|path| path.starts_with('/'));
         let path = path.ok_or(bad("path", 0, bytes.first()))?.to_owned();
+        let head = Head::of(request.headers, len)?;
         let body = bytes.get(head.len..).unwrap_or_default();
         let len = head.content_len.unwrap_or(0);
         Ok(body.get(..len).map(|body| Self {
@@ -114,16 +118,19 @@ impl HttpResponse {
 
     /// Reads an answer. `None`: its end is not there yet. Without a length, the body ends where the stream does.
     pub fn parse(bytes: &[u8], stream: Stream) -> Result<Option<Self>, WireError> {
-        let Some(head) = Head::parse(bytes)? else {
+        let mut headers = [httparse::EMPTY_HEADER; MAX_HEADERS];
+        let mut response = httparse::Response::new(&mut headers);
+        // A sensor's page is read whatever else stands in its head.
+        let mut parser = httparse::ParserConfig::default();
+        parser
+            .ignore_invalid_headers_in_responses(true)
+            .allow_spaces_after_header_name_in_responses(true);
+        let Some(len) = whole_head(parser.parse_response(&mut response, bytes), bytes)? else {
             return cut_off(bytes, stream);
         };
-        let status = head
-            .start_line
-            .strip_prefix("HTTP/1.")
-            .and_then(|rest| rest.get(1..)?.strip_prefix(' ')?.get(..3))
-            .and_then(|code| code.parse().ok())
-            .filter(|code| (100..600).contains(code));
-        let status: u16 = status.ok_or(bad("status line", 0, bytes.first()))?;
+        let status = response.code.filter(|code| (100..600).contains(code));
+        let status = status.ok_or(bad("status line", 0, bytes.first()))?;
+        let head = Head::of(response.headers, len)?;
         let rest = bytes.get(head.len..).unwrap_or_default();
         let body = match (status, head.content_len) {
             (100..200 | 204 | 304, _) => Some(Vec::new()),
@@ -150,49 +157,51 @@ fn cut_off<T>(bytes: &[u8], stream: Stream) -> Result<Option<T>, WireError> {
     }
 }
 
-/// What stands before the body.
-struct Head<'a> {
-    start_line: &'a str,
+/// Length of a head that has been parsed. `None`: its end is not there yet.
+fn whole_head(
+    parsed: Result<httparse::Status<usize>, httparse::Error>,
+    bytes: &[u8],
+) -> Result<Option<usize>, WireError> {
+    let len = match parsed {
+        Ok(httparse::Status::Complete(len)) => Some(len),
+        Ok(httparse::Status::Partial) => None,
+        Err(_) => return Err(bad("head", 0, bytes.first())),
+    };
+    if len.unwrap_or(bytes.len()) >= MAX_HEAD_LEN {
+        return Err(WireError::Length {
+            expected: MAX_HEAD_LEN,
+            got: bytes.len(),
+        });
+    }
+    Ok(len)
+}
+
+/// What a head says about its body, and where that begins.
+struct Head {
     content_len: Option<usize>,
     is_chunked: bool,
     /// Bytes up to the body.
     len: usize,
 }
 
-impl<'a> Head<'a> {
-    fn parse(bytes: &'a [u8]) -> Result<Option<Self>, WireError> {
-        let searched = bytes.get(..MAX_HEAD_LEN).unwrap_or(bytes);
-        let end = searched
-            .windows(END_OF_HEAD.len())
-            .position(|window| window == END_OF_HEAD);
-        let Some(end) = end else {
-            if bytes.len() >= MAX_HEAD_LEN {
-                return Err(WireError::Length {
-                    expected: MAX_HEAD_LEN,
-                    got: bytes.len(),
-                });
-            }
-            return Ok(None);
-        };
-        let text = std::str::from_utf8(&bytes[..end])
-            .map_err(|e| bad("head", e.valid_up_to(), bytes.get(e.valid_up_to())))?;
-        let mut lines = text.split("\r\n");
+impl Head {
+    fn of(headers: &[httparse::Header<'_>], len: usize) -> Result<Self, WireError> {
         let mut head = Self {
-            start_line: lines.next().unwrap_or_default(),
             content_len: None,
             is_chunked: false,
-            len: end + END_OF_HEAD.len(),
+            len,
         };
-        for (name, value) in lines.filter_map(|line| line.split_once(':')) {
-            let value = value.trim();
-            if name.eq_ignore_ascii_case("content-length") {
-                let len = value.parse().ok().filter(|&len| len <= MAX_BODY_LEN);
+        for header in headers {
+            let value = std::str::from_utf8(header.value).map(str::trim);
+            if header.name.eq_ignore_ascii_case("content-length") {
+                let len = value.ok().and_then(|value| value.parse().ok());
+                let len = len.filter(|&len| len <= MAX_BODY_LEN);
                 head.content_len = Some(len.ok_or(bad("content length", 0, None))?);
-            } else if name.eq_ignore_ascii_case("transfer-encoding") {
-                head.is_chunked = value.eq_ignore_ascii_case("chunked");
+            } else if header.name.eq_ignore_ascii_case("transfer-encoding") {
+                head.is_chunked = value.is_ok_and(|value| value.eq_ignore_ascii_case("chunked"));
             }
         }
-        Ok(Some(head))
+        Ok(head)
     }
 }
 
@@ -439,7 +448,13 @@ mod tests {
             assert!(outcome.is_err(), "{text}: {outcome:?}");
         }
         let endless = vec![b'x'; MAX_HEAD_LEN];
-        assert!(HttpResponse::parse(&endless, Stream::Open).is_err());
+        let unfinished = [b"HTTP/1.1 200 OK\r\nServer: ", &endless[..]].concat();
+        for head in [endless, unfinished] {
+            assert!(HttpResponse::parse(&head, Stream::Open).is_err());
+        }
+        // What belongs in no head does not keep a sensor's answer from being read.
+        let odd = b"HTTP/1.1 200 OK\r\nno field\r\nServer : x\r\nContent-Length : 1\r\n\r\ny";
+        assert_eq!(whole(odd).body, b"y");
         let mut random = Random::new(4);
         for _ in 0..20_000 {
             let mut bytes = b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\nContent-Length: 2\r\n\r\n3\r\nabc\r\n0\r\n\r\n".to_vec();

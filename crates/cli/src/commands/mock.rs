@@ -8,12 +8,13 @@ use anyhow::Context as _;
 use lsfb_capture::{
     CameraUnitConfig, DevicesConfig, ImuLineConfig, LidarNetConfig, Overflow, SidecarConfig,
 };
-use lsfb_sim::{Pace, Playback, PlaybackEndpoints, PlayedImu, Turns};
+use lsfb_drivers::ImuFamily;
+use lsfb_sim::{Pace, Playback, PlaybackEndpoints, Turns};
 
 use super::sim;
 use crate::context::Context;
 use crate::outcome::Outcome;
-use crate::simulated::{Endpoints, Equipment, played, short_walk};
+use crate::simulated::{Endpoints, Equipment, short_walk};
 
 /// Name of the IMU among the mock devices.
 const IMU: &str = "imu0";
@@ -164,7 +165,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
 /// What a source that cannot be played is told.
 fn playback_needs(playback: &Playback, arguments: &Arguments) -> String {
     match playback.imu_family() {
-        Some(PlayedImu::Sbg) => format!(
+        Some(ImuFamily::Sbg) => format!(
             "the recorded SBG unit needs the CAN interface {}: make it, or name another with --can",
             arguments.can
         ),
@@ -233,9 +234,9 @@ impl Folder {
                 .zip(playback.imu_rate_hz())
                 .map(|(family, rate_hz)| ImuLineConfig {
                     name: IMU.to_owned(),
-                    family: played(family),
+                    family,
                     path: match family {
-                        PlayedImu::Sbg => PathBuf::from(&arguments.can),
+                        ImuFamily::Sbg => PathBuf::from(&arguments.can),
                         _ => self.device(IMU),
                     },
                     baud: 921_600,

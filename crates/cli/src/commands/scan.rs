@@ -109,9 +109,10 @@ struct LidarArguments {
     /// Expected LiDAR of a capture file: vlp-32c, vlp-16, hdl-32e, xt32, pandar64 or qt64.
     #[arg(long, value_name = "MODEL", conflicts_with = "devices", value_parser = lidar_model)]
     lidar_model: Option<Model>,
-    /// Ignore the model and return mode stated in the packets; use --lidar-model and these returns.
-    #[arg(long, value_name = "MODE", requires = "lidar_model", value_enum)]
-    force_returns: Option<ForcedReturns>,
+    /// Ignore the model and return mode stated in the packets; use --lidar-model and these returns: strongest,
+    /// last or dual.
+    #[arg(long, value_name = "MODE", requires = "lidar_model", value_parser = returns)]
+    force_returns: Option<Returns>,
     /// Beam angles of this unit (Hesai's angle correction file).
     #[arg(long, value_name = "CSV", conflicts_with = "devices")]
     lidar_angles: Option<PathBuf>,
@@ -145,22 +146,16 @@ fn lidar_sender(text: &str) -> Result<Sender, String> {
     Ok(Sender { name, address })
 }
 
-/// What packets hold, whatever they say.
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum ForcedReturns {
-    /// The strongest echo of each shot.
-    Strongest,
-    /// The last echo of each shot.
-    Last,
-    /// Both.
-    Dual,
-}
-
 fn lidar_model(name: &str) -> Result<Model, String> {
     Model::from_key(name).ok_or_else(|| {
         let known: Vec<String> = Model::all().into_iter().map(Model::key).collect();
         format!("expected one of {}", known.join(", "))
     })
+}
+
+fn returns(name: &str) -> Result<Returns, String> {
+    let found = Returns::ALL.into_iter().find(|r| r.key() == name);
+    found.ok_or_else(|| "expected strongest, last or dual".to_owned())
 }
 
 impl LidarArguments {
@@ -189,11 +184,7 @@ impl LidarArguments {
         Ok(Settings {
             model: self.lidar_model,
             scans: ScanSettings {
-                force_returns: self.force_returns.map(|returns| match returns {
-                    ForcedReturns::Strongest => Returns::Strongest,
-                    ForcedReturns::Last => Returns::Last,
-                    ForcedReturns::Dual => Returns::Dual,
-                }),
+                force_returns: self.force_returns,
                 angles,
                 ..ScanSettings::default()
             },

@@ -1,12 +1,13 @@
 //! What can be set about an IMU.
 
+use lsfb_drivers::ImuFamily;
 use lsfb_types::{Bounds, OutOfBounds};
 use serde::{Deserialize, Serialize};
 
-/// What an inertial unit speaks.
+/// What the backpack's inertial unit speaks: the families that are simulated, the others are played from recordings alone.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum ImuFamily {
+pub enum SimulatedImu {
     /// Xsens MTData2, with UTC.
     #[default]
     Xsens,
@@ -14,15 +15,15 @@ pub enum ImuFamily {
     Microstrain,
 }
 
-impl ImuFamily {
+impl SimulatedImu {
     /// All of them.
     pub const ALL: [Self; 2] = [Self::Xsens, Self::Microstrain];
 
-    /// Its name in settings.
-    pub const fn name(self) -> &'static str {
+    /// The family, as drivers know it.
+    pub const fn family(self) -> ImuFamily {
         match self {
-            Self::Xsens => "xsens",
-            Self::Microstrain => "microstrain",
+            Self::Xsens => ImuFamily::Xsens,
+            Self::Microstrain => ImuFamily::Microstrain,
         }
     }
 }

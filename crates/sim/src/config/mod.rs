@@ -18,7 +18,7 @@ pub use ambient::{
     BarometerConfig, BleConfig, GnssConfig, MagneticConfig, NmeaSentence, PulseSource, WifiConfig,
 };
 pub use device::Device;
-pub use imu::{ImuConfig, ImuFamily};
+pub use imu::{ImuConfig, SimulatedImu};
 pub use lidar::{LidarConfig, LidarModel};
 pub use place::Place;
 
@@ -47,7 +47,7 @@ pub struct SimConfig {
     /// Edge of the texels that surfaces are painted with, metres.
     pub texel_m: f32,
     /// What the IMU of the backpack speaks.
-    pub scan_imu_family: ImuFamily,
+    pub scan_imu_family: SimulatedImu,
     /// The walk with the backpack.
     pub scan: WalkConfig,
     /// The walk with the glasses.
@@ -153,7 +153,7 @@ impl Default for SimConfig {
             device: Device::Glasses,
             motion: String::new(),
             texel_m: 0.003,
-            scan_imu_family: ImuFamily::default(),
+            scan_imu_family: SimulatedImu::default(),
             scan: WalkConfig::default(),
             glasses: WalkConfig {
                 duration_s: 24.0,

@@ -9,7 +9,7 @@ use lsfb_drivers::xsens::wire::OutputSetting;
 use super::clock::SimClock;
 use super::imu::{ImuDevice, measurement};
 use super::mip::{MipDevice, MipStream};
-use crate::config::ImuFamily;
+use crate::config::SimulatedImu;
 use crate::{BiasedSample, Error, RigSim, Simulation};
 
 /// A unit and its end of the line.
@@ -20,10 +20,10 @@ pub(super) enum InertialDevice {
 
 impl InertialDevice {
     /// A unit that samples at a rate.
-    pub(super) fn new(family: ImuFamily, rate_hz: u16) -> Result<Self, Error> {
+    pub(super) fn new(family: SimulatedImu, rate_hz: u16) -> Result<Self, Error> {
         Ok(match family {
-            ImuFamily::Xsens => Self::Xsens(ImuDevice::new()?),
-            ImuFamily::Microstrain => Self::Microstrain(MipDevice::new(rate_hz)?),
+            SimulatedImu::Xsens => Self::Xsens(ImuDevice::new()?),
+            SimulatedImu::Microstrain => Self::Microstrain(MipDevice::new(rate_hz)?),
         })
     }
 
@@ -82,7 +82,7 @@ impl InertialStream {
     pub(super) fn new(simulation: &Simulation) -> Self {
         let rate_hz = simulation.scan().imu_rate_hz() as u16;
         match simulation.config().scan_imu_family {
-            ImuFamily::Xsens => Self::Xsens {
+            SimulatedImu::Xsens => Self::Xsens {
                 outputs: ImuConfig {
                     rate_hz,
                     ..ImuConfig::default()
@@ -90,7 +90,7 @@ impl InertialStream {
                 .outputs(),
                 sent: 0,
             },
-            ImuFamily::Microstrain => Self::Microstrain(MipStream::new(MipConfig::format(1))),
+            SimulatedImu::Microstrain => Self::Microstrain(MipStream::new(MipConfig::format(1))),
         }
     }
 

@@ -22,7 +22,7 @@ mod thread;
 pub use clock::Pace;
 pub use emission::{Emitted, ScanEmission, WalkEmission};
 pub use lidar::FlowControl;
-pub use playback::{CameraPlan, Playback, PlaybackEndpoints, PlayedImu, Turns};
+pub use playback::{CameraPlan, Playback, PlaybackEndpoints, Turns};
 pub use session::{
     GlassesEndpoint, MYNT_UNITS, ScanEndpoints, SessionReport, SimSession, StopHandle,
 };

@@ -19,6 +19,11 @@ pub enum ChecksumRule {
 
 /// Which instant of the exposure the trailer's stamp marks. The vendor does not say; owners report the end.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(rename_all = "kebab-case")
+)]
 pub enum StampInstant {
     /// The shutter opens.
     ExposureStart,

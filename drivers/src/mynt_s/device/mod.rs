@@ -17,6 +17,11 @@ use crate::{Error, WireError};
 
 /// Who chooses exposure time and gain. What is set is read back.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(rename_all = "kebab-case", tag = "mode", deny_unknown_fields)
+)]
 pub enum Exposure {
     /// As the unit is.
     #[default]
@@ -30,7 +35,7 @@ pub enum Exposure {
         /// Mean grey value that it aims at.
         desired_brightness: u16,
     },
-    /// We: every frame alike.
+    /// Nobody: every frame alike.
     Manual {
         /// Gain.
         gain: u16,

@@ -6,7 +6,7 @@ use lsfb_types::no_progress;
 
 use super::*;
 use crate::device::clock::Pace;
-use crate::{Clocked, Emitted, ImuFamily, SimConfig, Simulation};
+use crate::{Clocked, Emitted, SimConfig, SimulatedImu, Simulation};
 
 const PATIENCE: Duration = Duration::from_secs(20);
 
@@ -71,7 +71,7 @@ fn the_driver_gets_every_sample_or_every_second_one() {
 #[test]
 fn without_sockets_the_bytes_are_the_same() {
     let mut config = SimConfig::tiny();
-    (config.texel_m, config.scan_imu_family) = (0.1, ImuFamily::Microstrain);
+    (config.texel_m, config.scan_imu_family) = (0.1, SimulatedImu::Microstrain);
     (config.scan.duration_s, config.glasses.duration_s) = (1.2, 1.2);
     let simulation = Simulation::new(&config, &no_progress).expect("valid");
     let rig = simulation.scan();

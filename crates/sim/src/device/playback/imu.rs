@@ -7,7 +7,7 @@ use lsfb_drivers::transport::can::{CanFrame, CanSender};
 use lsfb_drivers::transport::usb::MockUsb;
 use lsfb_drivers::xsens::model::SAMPLE_TIME_FINE_NS;
 use lsfb_drivers::xsens::{Decoder, DecoderConfig};
-use lsfb_drivers::{microstrain, mynt_d, sbg};
+use lsfb_drivers::{ImuFamily, microstrain, mynt_d, sbg};
 use lsfb_recording::{RecordedPacket, Recording};
 use lsfb_types::{Packet, Timestamp};
 
@@ -16,7 +16,7 @@ use crate::device::clock::{SimClock, Turn};
 use crate::device::host;
 use crate::device::inertial::InertialDevice;
 use crate::device::session::SessionReport;
-use crate::{Error, ImuFamily};
+use crate::{Error, SimulatedImu};
 
 /// How often it is looked whether there is a host.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
@@ -29,32 +29,11 @@ const TICKS_PERIOD: i64 = 1 << 32;
 /// Samples that the rate is told by.
 const RATE_SAMPLES: usize = 101;
 
-/// What a recorded inertial unit speaks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PlayedImu {
-    /// Xsens MTData2, on a pseudo-terminal.
-    Xsens,
-    /// MicroStrain MIP, on a pseudo-terminal.
-    Microstrain,
-    /// SBG, on a CAN interface.
-    Sbg,
-    /// The unit in a Mynt D, a mock USB device.
-    MyntD,
-}
-
-/// Kinds of the packets, by what the unit speaks.
-const KINDS: [(u16, PlayedImu); 4] = [
-    (0, PlayedImu::Xsens),
-    (1, PlayedImu::Microstrain),
-    (2, PlayedImu::Sbg),
-    (3, PlayedImu::MyntD),
-];
-
 /// What the recorded unit speaks; `None` without one, or where nobody knows its packets.
-pub(super) fn family(recording: &Recording) -> Option<PlayedImu> {
+pub(super) fn family(recording: &Recording) -> Option<ImuFamily> {
     let first = recording.packets(SOURCE).ok()?.next()?.ok()?;
-    let found = KINDS.into_iter().find(|(kind, _)| *kind == first.kind);
-    found.map(|(_, family)| family)
+    let mut known = ImuFamily::ALL.into_iter();
+    known.find(|family| family.raw_kind() == first.kind)
 }
 
 /// A unit and its end of the line, of the bus, or of the cable.
@@ -66,19 +45,19 @@ pub(super) enum PlayedUnit {
 
 impl PlayedUnit {
     pub(super) fn new(
-        family: PlayedImu,
+        family: ImuFamily,
         rate_hz: u16,
         endpoints: &PlaybackEndpoints,
     ) -> Result<Self, Error> {
-        let serial = |family| InertialDevice::new(family, rate_hz).map(Self::Serial);
+        let serial = |unit| InertialDevice::new(unit, rate_hz).map(Self::Serial);
         Ok(match family {
-            PlayedImu::Xsens => serial(ImuFamily::Xsens)?,
-            PlayedImu::Microstrain => serial(ImuFamily::Microstrain)?,
-            PlayedImu::Sbg => Self::Can {
+            ImuFamily::Xsens => serial(SimulatedImu::Xsens)?,
+            ImuFamily::Microstrain => serial(SimulatedImu::Microstrain)?,
+            ImuFamily::Sbg => Self::Can {
                 bus: CanSender::open(&endpoints.can)?,
                 interface: endpoints.can.clone(),
             },
-            PlayedImu::MyntD => Self::Usb(MockUsb::bind(
+            ImuFamily::MyntD => Self::Usb(MockUsb::bind(
                 &endpoints.usb,
                 mynt_d::model::USB_VENDOR,
                 mynt_d::model::USB_PRODUCT,
@@ -151,7 +130,7 @@ pub(super) fn rate_hz(recording: &Recording) -> u16 {
 
 /// Waits for the host to configure the unit, then sends the stream.
 pub(super) fn run(
-    family: PlayedImu,
+    family: ImuFamily,
     mut unit: PlayedUnit,
     rate_hz: u16,
     play: &Play,
@@ -167,10 +146,10 @@ pub(super) fn run(
         let mut unreadable = SessionReport::default();
         let by_ticks = |counter| Schedule::ByTicks(PacketTicks::new(&recording, counter));
         let mut schedule = match family {
-            PlayedImu::Xsens => Schedule::ByTime(PacketTimes::new(&recording, play.start)),
-            PlayedImu::Microstrain => by_ticks(Counter::Microstrain(Default::default())),
-            PlayedImu::Sbg => by_ticks(Counter::Sbg(Default::default())),
-            PlayedImu::MyntD => by_ticks(Counter::MyntD(Default::default())),
+            ImuFamily::Xsens => Schedule::ByTime(PacketTimes::new(&recording, play.start)),
+            ImuFamily::Microstrain => by_ticks(Counter::Microstrain(Default::default())),
+            ImuFamily::Sbg => by_ticks(Counter::Sbg(Default::default())),
+            ImuFamily::MyntD => by_ticks(Counter::MyntD(Default::default())),
         };
         for packet in readable(recording.packets(SOURCE)?, &mut unreadable) {
             let due_ns = base_ns + schedule.offset_ns(play, &packet);

@@ -18,6 +18,7 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use lsfb_drivers::ImuFamily;
 use lsfb_drivers::mynt_s::wire::UnitFile;
 use lsfb_geometry::Rig;
 use lsfb_recording::Recording;
@@ -31,8 +32,6 @@ use crate::Error;
 use self::imu::PlayedUnit;
 use self::lidar::LidarPlayer;
 use self::sidecar::SidecarPlayer;
-
-pub use self::imu::PlayedImu;
 
 /// Between the end of a turn and the beginning of the next.
 const PAUSE_NS: i64 = 100_000_000;
@@ -100,7 +99,7 @@ impl CameraPlan {
 /// An inertial unit as it was recorded.
 #[derive(Clone, Copy, Debug)]
 struct RecordedUnit {
-    family: PlayedImu,
+    family: ImuFamily,
     rate_hz: u16,
 }
 
@@ -199,7 +198,7 @@ impl Playback {
     }
 
     /// What the IMU speaks; `None` without one.
-    pub fn imu_family(&self) -> Option<PlayedImu> {
+    pub fn imu_family(&self) -> Option<ImuFamily> {
         self.imu.map(|unit| unit.family)
     }
 
