@@ -30,6 +30,11 @@
 //! # Ok::<(), lsfb_drivers::WireError>(())
 //! ```
 
+/// The example of the README runs.
+#[cfg(all(doctest, any(feature = "velodyne", feature = "hesai")))]
+#[doc = include_str!("../README.md")]
+struct Readme;
+
 #[cfg(any(feature = "velodyne", feature = "hesai"))]
 pub mod any_lidar;
 #[cfg(any(feature = "xsens", feature = "microstrain"))]

@@ -1,4 +1,5 @@
-//! What the end-to-end tests share: where the workspace is, where recordings made by others are, who could not run.
+//! What the end-to-end tests share: where the workspace is, where recordings made by others and built examples are, who could
+//! not run.
 
 pub mod fake_kernel;
 
@@ -59,6 +60,20 @@ pub fn recordings(test: &str, below: &str) -> Option<PathBuf> {
     let why = format!("no recording at {}", path.display());
     skip(test, Lacks::Recording, &why);
     None
+}
+
+/// The built example of that name, beside the test that runs it: `cargo test` without a filter builds both. `None`, and the test is
+/// [skipped](skip), where only tests were built.
+pub fn example(test: &str, name: &str) -> Option<PathBuf> {
+    let program = std::env::current_exe().ok();
+    let target = program.as_deref().and_then(|path| path.parent()?.parent());
+    let path = target.map(|folder| folder.join("examples").join(name));
+    let built = path.filter(|path| path.is_file());
+    if built.is_none() {
+        let why = format!("the example {name} is not built: add --examples");
+        skip(test, Lacks::Program, &why);
+    }
+    built
 }
 
 #[test]

@@ -554,7 +554,10 @@ mod tests {
         for (setting, expected) in [
             ("rpm = 200", "settings.rpm is 200: it must be 300 to 1200"),
             ("rpm = 601", "lidar: rpm cannot be `601`"),
-            ("field_of_view_deg = [0, 360]", "field of view cannot be `360`"),
+            (
+                "field_of_view_deg = [0, 360]",
+                "field of view cannot be `360`",
+            ),
             ("phase_lock_centideg = 36000", "it must be 0 to 35999"),
         ] {
             let message = refused(&format!("{page}{setting}\n"));
