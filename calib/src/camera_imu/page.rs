@@ -106,7 +106,7 @@ fn section(c: &CameraOnImu) -> Markup {
     };
     html! {
         section {
-            h2 { (c.name) " on the IMU" }
+            h2 { (c.name) " relative to the IMU" }
             p {
                 (c.views) " views, " (c.corners) " corners, " (c.outliers) " outliers, "
                 (format!("{:.3}", c.rms_px)) " px rms"

@@ -68,7 +68,7 @@ impl JointCalibration {
                     }
                 }
             }
-            section { h2 { "Poses in the IMU" } (scroll(&self.poses())) }
+            section { h2 { "Poses in the IMU frame" } (scroll(&self.poses())) }
         }
     }
 

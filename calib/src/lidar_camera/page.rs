@@ -61,7 +61,7 @@ impl LidarCameraCalibration {
     pub fn to_html(&self, title: &str, picture: Option<&str>) -> String {
         let body = html! {
             section {
-                h2 { (self.camera) " from LiDAR" }
+                h2 { "LiDAR relative to " (self.camera) }
                 div.tables { (scroll(&self.pose_table())) (scroll(&self.figures())) }
                 div.plots { (self.plots()) }
             }

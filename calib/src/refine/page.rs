@@ -36,7 +36,7 @@ impl RefinementReport {
         let body = html! {
             @for camera in &self.cameras { (section(camera, picture)) }
             section {
-                h2 { "How this is known" }
+                h2 { "How this was estimated" }
                 p.note {
                     "Corners of images are put onto planes that the LiDAR saw, and found in other images from elsewhere: where they should be rests on the LiDAR's way, on the planes, and on the pose of the camera to the LiDAR. "
                     "Corners, planes and the way may err by what the table says, which is measured along. Standard deviations take in by how much parts of the recording differ, and three tenths of the errors of planes and of the way as if all parts shared them."

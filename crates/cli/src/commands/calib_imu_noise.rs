@@ -81,7 +81,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     };
     let samples = imu_of(arguments.imu.as_deref(), recording.as_ref())?;
     let found = imu_noise(&samples, &config)?;
-    write(&arguments.out, found.to_html("Noise of the IMU"))?;
+    write(&arguments.out, found.to_html("IMU noise"))?;
     if let Some(path) = &arguments.out_kalibr {
         let rate_hz = found.rate_hz.round();
         write(

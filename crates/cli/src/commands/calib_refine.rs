@@ -84,10 +84,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         }
     }
     let beside = |camera: &str, which: Compared| super::name_of(&picture(camera, which));
-    super::write(
-        page,
-        found.to_html("LiDAR to cameras without a board", &beside),
-    )?;
+    super::write(page, found.to_html("LiDAR–camera refinement", &beside))?;
     provenance.write(page)?;
     let printed = Printed {
         page,

@@ -76,7 +76,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         pictures.push(path);
     }
     let beside = |camera: &str| super::name_of(&picture(camera));
-    super::write(&page, found.to_html("Does the rig fit?", &beside))?;
+    super::write(&page, found.to_html("Rig verification", &beside))?;
     provenance.write(&page)?;
     let judgement = found.judgement();
     let printed = Printed {

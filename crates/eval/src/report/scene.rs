@@ -26,7 +26,7 @@ pub(super) fn in_space(report: &Report) -> Markup {
     };
     html! {
         @if let Some(drawn) = scene.draw() {
-            section { h2 { "In space" } (drawn) }
+            section { h2 { "3D view" } (drawn) }
         }
     }
 }
