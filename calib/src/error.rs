@@ -70,6 +70,23 @@ pub enum Error {
         /// The lens model.
         model: &'static str,
     },
+    /// The views fit another lens model, not the one that was asked for.
+    #[error(
+        "camera {camera}: no {model} lens is found under which these views fit ({}), a {other} lens fits to {other_rms_px:.2} px: choose the model {other}",
+        missed(*rms_px)
+    )]
+    AnotherModelFits {
+        /// The camera.
+        camera: String,
+        /// The lens model asked for.
+        model: &'static str,
+        /// Median reprojection error under it, pixels.
+        rms_px: f64,
+        /// A lens model that fits.
+        other: &'static str,
+        /// Root mean square of the reprojection error under that one, pixels.
+        other_rms_px: f64,
+    },
     /// The views do not determine a parameter.
     #[error("camera {camera}: {parameters} cannot be determined from these views: {advice}")]
     Undetermined {

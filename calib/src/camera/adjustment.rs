@@ -209,8 +209,8 @@ fn half_turn(target: &Target) -> Se3 {
 }
 
 /// Adjusts one camera. Where its model cannot be started from the views alone it is started from what another model, which
-/// starts nearly anywhere, makes of them.
-fn adjust_alone<'a>(
+/// starts nearly anywhere, makes of them; where that fails as well, the error names the model that fits.
+pub(super) fn adjust_alone<'a>(
     target: &Target,
     start: Start<'a>,
     config: &CameraConfig,
@@ -232,9 +232,13 @@ fn adjust_alone<'a>(
             adjust_robustly(target, vec![start], config).ok()
         })
         .min_by(|a, b| a.rms_px(target).total_cmp(&b.rms_px(target)));
-    let Some(camera) = other.and_then(|solved| Some(solved.cameras.first()?.camera)) else {
+    let Some(other) = other else {
         return Err(failed);
     };
+    let Some(camera) = other.cameras.first().map(|c| c.camera) else {
+        return Err(failed);
+    };
+    let other_rms_px = other.rms_px(target);
     let rays = lens_rays(
         &camera,
         start.chosen.iter().filter_map(|t| start.views.views.get(t)),
@@ -246,10 +250,24 @@ fn adjust_alone<'a>(
         },
         ..start
     };
-    adjust_robustly(target, vec![start], config).map_err(|_| failed)
+    adjust_robustly(target, vec![start], config).map_err(|_| match failed {
+        Error::DoesNotFit {
+            camera: name,
+            rms_px,
+            model,
+            ..
+        } => Error::AnotherModelFits {
+            camera: name,
+            model,
+            rms_px,
+            other: camera.lens.model().name(),
+            other_rms_px,
+        },
+        failed => failed,
+    })
 }
 
-fn adjust_robustly<'a>(
+pub(super) fn adjust_robustly<'a>(
     target: &Target,
     cameras: Vec<Start<'a>>,
     config: &CameraConfig,

@@ -5,6 +5,7 @@ use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use super::adjustment::{Start, adjust_alone, adjust_robustly};
 use super::*;
 
 const GRID: Target = Target::AprilGrid {
@@ -142,6 +143,69 @@ fn every_model_is_found_again() {
             assert!(off[k].abs() < 4.5 * second.pose_sigma[k], "{off}");
         }
     }
+}
+
+/// From a first lens that is far off a double sphere finds nothing, and the other models are no better judges of it: they only
+/// say where to start.
+#[test]
+fn a_double_sphere_that_cannot_start_is_started_from_another_model() {
+    let lens = lenses()[2];
+    let [views, _] = stereo(lens, 20, 0.6, 0.1, 5);
+    let config = config(lens.model());
+    let start = Start {
+        chosen: views.views.keys().copied().collect(),
+        views: &views,
+        camera: Camera {
+            width: 640,
+            height: 480,
+            lens: Lens::DoubleSphere {
+                focal_px: [2400.0, 2400.0],
+                principal_px: [320.0, 240.0],
+                distortion: [0.9, 0.1],
+            },
+        },
+        camera_from_first: Se3::identity(),
+        alone_rms_px: None,
+    };
+    let alone = adjust_robustly(&GRID, vec![start.clone()], &config);
+    assert!(matches!(alone, Err(Error::DoesNotFit { .. })));
+    let found = adjust_alone(&GRID, start, &config).expect("started from another model");
+    let found = found.cameras[0].camera;
+    assert_eq!(found.lens.model(), LensModel::DoubleSphere);
+    let real = Camera { lens, ..found };
+    for pixel in [[60.0, 60.0], [320.0, 240.0], [580.0, 420.0]].map(Vector2::from) {
+        let rays = [real, found].map(|c| c.unproject(&pixel).expect("in the lens"));
+        let off_px = rays[0].angle(&rays[1]) * real.focal_px()[0];
+        assert!(off_px < 0.3, "{pixel} {off_px}");
+    }
+}
+
+/// A lens whose distortion turns back and forth, which two spheres cannot.
+#[test]
+fn a_model_that_fits_is_named_where_the_one_asked_for_does_not() {
+    let lens = Lens::KannalaBrandt {
+        focal_px: [300.0, 301.0],
+        principal_px: [322.0, 238.0],
+        distortion: [0.15, -0.35, 0.35, -0.11],
+    };
+    let views = stereo(lens, 20, 0.6, 0.1, 5);
+    let asked = CameraConfig {
+        max_rms_px: 0.3,
+        ..config(LensModel::DoubleSphere)
+    };
+    let failed = calibrate_cameras(&GRID, &views[..1], &asked, &no_progress);
+    let failed = failed.expect_err("no double sphere");
+    let Error::AnotherModelFits {
+        other,
+        other_rms_px,
+        ..
+    } = &failed
+    else {
+        panic!("{failed}");
+    };
+    assert_eq!(*other, LensModel::KannalaBrandt.name());
+    assert!(*other_rms_px < 0.2, "{other_rms_px}");
+    assert!(failed.to_string().contains("choose the model"), "{failed}");
 }
 
 #[test]
