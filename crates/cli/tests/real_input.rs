@@ -184,7 +184,7 @@ fn a_folder_of_images_is_localized(folder: &Path, office: &Path) {
     assert_eq!(lines.len(), 4);
     assert_eq!(fields(lines[1]), fields(lines[0]));
 
-    let drawing = ["--explain", "1", "--drawing", "a.svg"];
+    let drawing = ["--explain", "1", "--out-drawing", "a.svg"];
     json(folder, &[&arguments[..], &drawing].concat(), 0);
     let svg = std::fs::read_to_string(folder.join("a.svg")).expect("a drawing");
     assert!(svg.contains("00063.jpg") && svg.matches("stroke=\"lime\"").count() > 30);

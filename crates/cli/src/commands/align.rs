@@ -21,30 +21,31 @@ use crate::outcome::Outcome;
 ///
 /// Examples:
 ///   lsfb align glasses.tum --reference mocap.csv --out truth.tum
-///   lsfb align glasses.tum --reference novatel.tum --offset 18 --drift --json
+///   lsfb align glasses.tum --reference novatel.tum --offset-secs 18 --drift --json
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
     /// The trajectory to align, of any program.
+    #[arg(value_name = "TRAJECTORY")]
     estimate: PathBuf,
-    /// The reference.
-    #[arg(long, value_name = "FILE")]
+    /// The reference trajectory, of any program.
+    #[arg(long, value_name = "TRAJECTORY")]
     reference: PathBuf,
-    /// About what must be added to the estimate's stamps to have the reference's, seconds.
+    /// Approximate offset to add to the estimate's stamps to get the reference's.
     #[arg(
         long,
         default_value_t = 0.0,
-        value_name = "S",
+        value_name = "SECS",
         allow_negative_numbers = true
     )]
-    offset: f64,
-    /// How far around that is searched, seconds.
-    #[arg(long, default_value_t = 10.0, value_name = "S")]
-    search: f64,
-    /// Let the offset change evenly over time.
+    offset_secs: f64,
+    /// Range around --offset-secs in which the offset is searched.
+    #[arg(long, default_value_t = 10.0, value_name = "SECS")]
+    search_secs: f64,
+    /// Estimate a constant drift of the offset as well.
     #[arg(long)]
     drift: bool,
-    /// Write the reference as ground truth of the estimate's body (TUM).
+    /// Also write the reference as ground truth of the estimate's body.
     #[arg(long, value_name = "TUM")]
     out: Option<PathBuf>,
 }
@@ -52,8 +53,8 @@ pub struct Arguments {
 /// Aligns, writes, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     anyhow::ensure!(
-        arguments.offset.is_finite() && (0.0..=3600.0).contains(&arguments.search),
-        "--offset must be a number of seconds, --search one from 0 to 3600"
+        arguments.offset_secs.is_finite() && (0.0..=3600.0).contains(&arguments.search_secs),
+        "--offset-secs must be a finite number, --search-secs one from 0 to 3600"
     );
     if let Some(out) = &arguments.out {
         context.claim(out)?;
@@ -61,8 +62,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let estimate = read(&arguments.estimate)?;
     let reference = read(&arguments.reference)?;
     let config = HandEyeConfig {
-        offset_guess_secs: arguments.offset,
-        search_secs: arguments.search,
+        offset_guess_secs: arguments.offset_secs,
+        search_secs: arguments.search_secs,
         clock: match arguments.drift {
             true => ClockModel::Drifting,
             false => ClockModel::Constant,

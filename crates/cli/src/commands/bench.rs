@@ -10,7 +10,11 @@ use crate::files::write;
 use crate::outcome::Outcome;
 
 /// Benchmark other programs on sequences with ground truth.
+///
+/// Examples:
+///   lsfb bench slam plan.toml --out bench
 #[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
 pub struct Arguments {
     #[command(subcommand)]
     what: What,
@@ -21,13 +25,13 @@ enum What {
     Slam(SlamArguments),
 }
 
-/// Run SLAM systems on sequences, and table their errors as the paper's Tables VIII and IX.
+/// Run SLAM systems on sequences, and tabulate their errors as in the paper's Tables VIII and IX.
 ///
 /// The plan (TOML) names sequences (a recording, its truth, the longer side of the place) and systems (a command with {input}, {out},
 /// {trajectory}, {sequence}, {run}; the layout that it reads: as_is, euroc, tum_vi, kitti, images). The median of several runs counts; ×
 /// stands where all failed, with the cause. Runs that are there are not run again. Written are table.txt, .csv, .tex and .html.
 ///
-/// Example:
+/// Examples:
 ///   lsfb bench slam plan.toml --out bench
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -35,7 +39,7 @@ struct SlamArguments {
     /// The plan.
     #[arg(value_name = "TOML")]
     plan: PathBuf,
-    /// Where inputs, runs and tables are written.
+    /// Folder for inputs, runs and tables.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
 }

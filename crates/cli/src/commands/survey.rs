@@ -17,9 +17,14 @@ use crate::outcome::Outcome;
 
 /// Compute floor marks from measured distances, and check a trajectory or a map by them.
 ///
-/// A survey is a text file, a statement a line, in metres: horizontal|vertical|distance A B metres [σ]; sigma distance|line σ;
+/// A survey is a text file with one statement per line, in metres: horizontal|vertical|distance A B metres [σ]; sigma distance|line σ;
 /// visit A B … (the order in which the device rested on the marks); point A x y z (a point of a map).
+///
+/// Examples:
+///   lsfb survey solve floor.survey
+///   lsfb survey check floor.survey --trajectory walk.tum
 #[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
 pub struct Arguments {
     #[command(subcommand)]
     step: Step,
@@ -33,7 +38,7 @@ enum Step {
 
 /// Compute the marks: least squares, redundancy of each measurement, blunders by name.
 ///
-/// Example:
+/// Examples:
 ///   lsfb survey solve floor.survey
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -54,16 +59,16 @@ struct CheckArguments {
     /// The survey; without --trajectory its points are checked by its distances.
     #[arg(value_name = "SURVEY")]
     survey: PathBuf,
-    /// The trajectory, of any program; its z points upwards.
-    #[arg(long, value_name = "FILE")]
+    /// The trajectory, of any program; its z axis points upwards.
+    #[arg(long, value_name = "TUM")]
     trajectory: Option<PathBuf>,
-    /// A rest keeps within this, metres.
+    /// Largest spread of the positions of a rest, metres.
     #[arg(long, default_value_t = 0.01, value_name = "M")]
     rest_spread: f64,
-    /// A rest lasts at least so long, seconds.
-    #[arg(long, default_value_t = 1.0, value_name = "S")]
+    /// Shortest rest.
+    #[arg(long, default_value_t = 1.0, value_name = "SECS")]
     rest_secs: f64,
-    /// A rest belongs to no mark further away than this, metres.
+    /// Largest distance of a rest from its mark, metres.
     #[arg(long, default_value_t = 0.3, value_name = "M")]
     reach: f64,
 }

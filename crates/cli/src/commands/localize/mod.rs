@@ -22,7 +22,7 @@ use input::Input;
 /// Examples:
 ///   lsfb localize map walk.mcap --out walk.csv
 ///   lsfb localize map photos --rig phone.toml --out photos.csv
-///   lsfb localize map photos --explain 12 --drawing 12.svg
+///   lsfb localize map photos --explain 12 --out-drawing 12.svg
 ///   lsfb localize --posed-images hololens_office --every 5 --map office-map
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -39,8 +39,8 @@ pub struct Arguments {
     /// Use only every N-th image.
     #[arg(long, value_name = "N", default_value_t = 1)]
     every: usize,
-    /// The rig of a folder of images (TOML), instead of its K.txt.
-    #[arg(long, value_name = "FILE")]
+    /// The rig of a folder of images, instead of its K.txt.
+    #[arg(long, value_name = "TOML")]
     rig: Option<PathBuf>,
     /// Which camera of that rig took the images, where it has several.
     #[arg(long, value_name = "NAME", requires = "rig")]
@@ -49,11 +49,11 @@ pub struct Arguments {
     #[arg(long, value_name = "CSV")]
     out: Option<PathBuf>,
     /// Draw the matches of this frame, counted from 0, of a folder of images.
-    #[arg(long, value_name = "FRAME", requires = "drawing")]
+    #[arg(long, value_name = "FRAME", requires = "out_drawing")]
     explain: Option<usize>,
     /// Where to draw them (SVG).
     #[arg(long, value_name = "SVG", requires = "explain")]
-    drawing: Option<PathBuf>,
+    out_drawing: Option<PathBuf>,
 }
 
 /// A pose counts as right within these, as in the benchmarks of the field.
@@ -82,7 +82,10 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         "--every 0 uses no image: give 1 or more"
     );
     let (map, input) = input::resolve(arguments)?;
-    for result in [&arguments.out, &arguments.drawing].into_iter().flatten() {
+    for result in [&arguments.out, &arguments.out_drawing]
+        .into_iter()
+        .flatten()
+    {
         context.claim(result)?;
     }
     let localizer = Localizer::new(&super::open_map(&map)?, &LocalizerConfig::default())?;
@@ -92,7 +95,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         None => input,
     };
     let found = input.localize(&localizer, context)?;
-    if let Some(path) = &arguments.drawing {
+    if let Some(path) = &arguments.out_drawing {
         crate::files::write(path, drawing::draw(&localizer, &input)?)?;
     }
     if let Some(path) = &arguments.out {
