@@ -13,6 +13,7 @@
 //! point a 1.20 3.40 0.95            # a point of the map, metres of its world
 //! ```
 
+mod adjustment;
 mod check;
 mod distances;
 mod file;
@@ -21,9 +22,11 @@ mod network;
 mod observation;
 mod rests;
 mod snooping;
+mod solution;
 
 pub use check::{CheckConfig, MarkError, MarkReport, check_marks};
 pub use distances::{DistanceError, DistanceReport, compare_distances};
 pub use file::{Survey, Tape, TapeKind, read_survey};
-pub use network::{Mark, ObservationReport, SurveySolution, TermRms, solve_survey};
+pub use network::solve_survey;
 pub use rests::{Rest, RestConfig, find_rests};
+pub use solution::{Mark, ObservationReport, SurveySolution, TermRms};

@@ -3,8 +3,9 @@
 use lsfb_geometry::Vector2;
 use lsfb_types::{Finding, Limit, Verdict};
 
-use super::network::{Adjusted, Mark, ObservationReport, SurveySolution, TermRms, adjust};
+use super::adjustment::{Adjusted, adjust};
 use super::observation::{Observation, Quantity};
+use super::solution::{Mark, ObservationReport, SurveySolution, TermRms};
 use crate::Error;
 
 /// Of correct measurements one of a thousand is beyond this.

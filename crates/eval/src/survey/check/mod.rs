@@ -5,8 +5,8 @@ use lsfb_geometry::{StampedPose, Vector2, Vector3};
 use serde::Serialize;
 
 use super::file::Survey;
-use super::network::SurveySolution;
 use super::rests::{Rest, RestConfig, find_rests};
+use super::solution::SurveySolution;
 use crate::{Error, Statistics};
 
 /// How rests are told to be marks.
