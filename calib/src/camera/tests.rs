@@ -180,34 +180,6 @@ fn a_double_sphere_that_cannot_start_is_started_from_another_model() {
     }
 }
 
-/// A lens whose distortion turns back and forth, which two spheres cannot.
-#[test]
-fn a_model_that_fits_is_named_where_the_one_asked_for_does_not() {
-    let lens = Lens::KannalaBrandt {
-        focal_px: [300.0, 301.0],
-        principal_px: [322.0, 238.0],
-        distortion: [0.15, -0.35, 0.35, -0.11],
-    };
-    let views = stereo(lens, 20, 0.6, 0.1, 5);
-    let asked = CameraConfig {
-        max_rms_px: 0.3,
-        ..config(LensModel::DoubleSphere)
-    };
-    let failed = calibrate_cameras(&GRID, &views[..1], &asked, &no_progress);
-    let failed = failed.expect_err("no double sphere");
-    let Error::AnotherModelFits {
-        other,
-        other_rms_px,
-        ..
-    } = &failed
-    else {
-        panic!("{failed}");
-    };
-    assert_eq!(*other, LensModel::KannalaBrandt.name());
-    assert!(*other_rms_px < 0.2, "{other_rms_px}");
-    assert!(failed.to_string().contains("choose the model"), "{failed}");
-}
-
 #[test]
 fn what_views_do_not_determine_is_named() {
     // Always facing the board: focal length and distance cannot be told apart.
