@@ -13,6 +13,9 @@ pub enum Error {
     /// An image could not be read.
     #[error(transparent)]
     Image(#[from] lsfb_perception::image::ImageError),
+    /// What another program recorded could not be read.
+    #[error(transparent)]
+    Dataset(#[from] lsfb_datasets::Error),
     /// A file is not what it should be.
     #[error("{path}: {problem}")]
     Parse {

@@ -35,7 +35,6 @@ mod projection;
 mod recorded;
 pub mod refine;
 mod residual_diagnosis;
-pub mod rosbag;
 mod stamps;
 mod transform;
 pub mod verify;

@@ -33,14 +33,6 @@ pub enum Error {
         #[source]
         cause: std::io::Error,
     },
-    /// A point cloud is unusable.
-    #[error("{}: {message}", path.display())]
-    Cloud {
-        /// The file or folder.
-        path: PathBuf,
-        /// What is wrong.
-        message: String,
-    },
     /// A camera unit of the list of devices is unusable.
     #[error("camera unit [{names}]: {problem}")]
     Cameras {

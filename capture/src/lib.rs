@@ -19,7 +19,6 @@
 
 mod camera;
 pub mod clock;
-mod clouds;
 mod config;
 mod control;
 mod device_note;
@@ -44,7 +43,6 @@ mod tap;
 mod threads;
 mod topics;
 
-pub use clouds::{CloudsConfig, ImportedClouds, import_clouds};
 pub use config::{
     CameraUnitConfig, DevicesConfig, ImuLineConfig, LidarData, LidarNetConfig, LidarSettingsConfig,
     Overflow, RecorderConfig, SidecarConfig,

@@ -4,8 +4,8 @@ use std::path::Path;
 use std::time::Duration;
 
 use lsfb_capture::{
-    CloudsConfig, DevicesConfig, Error, Incoming, LidarNetConfig, RecorderConfig, ReplayConfig,
-    import_clouds, record_incoming, replay,
+    DevicesConfig, Error, Incoming, LidarNetConfig, RecorderConfig, ReplayConfig, record_incoming,
+    replay,
 };
 use lsfb_drivers::transport::PacketSource;
 use lsfb_types::{Packet, Progress, Stopped, Timestamp};
@@ -81,21 +81,5 @@ fn packets_of_a_rig() {
     });
     let out = folder.path().join("scan.mcap");
     let stopped = record_incoming(incoming, &config, &out, &soon);
-    assert_nothing_left(stopped, folder.path());
-}
-
-#[test]
-fn a_folder_of_clouds() {
-    let (clouds, folder) = (
-        tempfile::tempdir().expect("folder"),
-        tempfile::tempdir().expect("folder"),
-    );
-    let head = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 1\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\n";
-    for n in 0..3 {
-        let text = format!("{head}POINTS 1\nDATA ascii\n{n}.5 1 2\n");
-        std::fs::write(clouds.path().join(format!("{n}.pcd")), text).expect("cloud");
-    }
-    let out = folder.path().join("scans.mcap");
-    let stopped = import_clouds(clouds.path(), &CloudsConfig::default(), &out, &soon);
     assert_nothing_left(stopped, folder.path());
 }

@@ -21,7 +21,10 @@ fuzz_target!(|data: &[u8]| {
                 drop(message::decode_lidar_packets(schema.name, data));
             }
         }
-        4 => drop(message::decode_points(data)),
+        4 => {
+            drop(message::decode_cloud(message::Layout::Cdr, data));
+            drop(message::decode_cloud(message::Layout::Ros1, data));
+        }
         5 => drop(message::decode_raw_packet(data)),
         6 => drop(message::decode_frame_meta(data)),
         7 => drop(message::decode_clock_model(data)),

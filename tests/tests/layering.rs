@@ -20,6 +20,10 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("lsfb-perception", &["types", "geometry", "solver"]),
     ("lsfb-report", &["types"]),
     (
+        "lsfb-datasets",
+        &["types", "geometry", "recording", "perception"],
+    ),
+    (
         "lsfb-calib",
         &[
             "types",
@@ -27,6 +31,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "solver",
             "recording",
             "perception",
+            "datasets",
             "report",
         ],
     ),
@@ -114,8 +119,8 @@ fn heavy_and_dangerous_crates_are_seen_where_they_belong() {
         ("socketcan", &["lsfb-drivers"]),
         ("rusb", &["lsfb-drivers"]),
         ("libc", &["lsfb-fakekernel"]),
-        // Bags of packets, and bags of images and inertial samples: neither crate may use the other.
-        ("rusqlite", &["lsfb-drivers", "lsfb-calib"]),
+        // Bags of packets, and bags of everything else: neither crate may use the other.
+        ("rusqlite", &["lsfb-drivers", "lsfb-datasets"]),
         ("faer", &["lsfb-solver"]),
         ("anyhow", &["lsfb-cli"]),
     ] {

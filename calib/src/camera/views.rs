@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use lsfb_datasets::RosBag;
 use lsfb_perception::image;
 use lsfb_recording::{Recording, sort_naturally};
 use lsfb_types::{Image, Progress, ProgressFn, Stopped};
@@ -13,7 +14,6 @@ use super::CameraViews;
 use crate::Error;
 use crate::board::Target;
 use crate::detect::{Corner, Instead, detect, seen_instead};
-use crate::rosbag::RosBag;
 
 /// The JPEG, PNG and BMP files of a folder in the order of their names; numbers in names count as numbers.
 pub fn image_files(folder: &Path) -> Result<Vec<PathBuf>, Error> {
@@ -141,7 +141,9 @@ pub fn views_from_bag(
     progress: ProgressFn,
 ) -> Result<CameraViews, Error> {
     let mut looking = Looking::new(target, progress);
-    bag.images(topic, &mut |stamp, image| Ok(looking.push(stamp, image)?))?;
+    bag.images(topic, &mut |stamp, image| {
+        Ok::<(), Error>(looking.push(stamp, image)?)
+    })?;
     gather(name, target, looking.finish()?)
 }
 

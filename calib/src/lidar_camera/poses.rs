@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use lsfb_recording::{Recording, read_pcd};
+use lsfb_datasets::read_cloud;
+use lsfb_recording::Recording;
 use rayon::prelude::*;
 
 use super::{BoardPose, BoardSight};
@@ -93,10 +94,7 @@ pub fn poses_from_folder(
     pairs
         .into_par_iter()
         .map(|(number, path)| {
-            let cloud = read_pcd(path).map_err(|e| Error::Parse {
-                path: path.display().to_string(),
-                problem: e.to_string(),
-            })?;
+            let cloud = read_cloud(path)?;
             Ok(BoardPose {
                 name: format!("{number:03}"),
                 sights: vec![BoardSight {

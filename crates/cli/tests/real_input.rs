@@ -117,6 +117,52 @@ fn a_street_ends_where_kiss_icp_ends() {
         .translation;
     let off_m = (end - reference.last().expect("poses")).norm();
     assert!(off_m < 0.01 * path_m, "{off_m} m off after {path_m} m");
+
+    // KISS-ICP finds its first steps without a motion to go by: 0.872, 0.702 and 0.802 m, where a car moves evenly. From there on:
+    let steady = 3;
+    let at_steady = found
+        .poses()
+        .iter()
+        .find(|p| p.time.nanos() >= 100_000_000 * steady as i64);
+    let ours = end - at_steady.expect("poses").world_from_rig.translation;
+    let theirs = reference[reference.len() - 1] - reference[steady];
+    let off_m = (ours - theirs).norm();
+    assert!(
+        off_m < 0.005 * theirs.norm(),
+        "{off_m} m off after {} m",
+        theirs.norm()
+    );
+}
+
+/// The pair that small_gicp is tried on, as files of a folder.
+#[test]
+fn a_pair_of_plys_is_registered_as_given() {
+    let test = "a_pair_of_plys_is_registered_as_given";
+    let Some(pair) = recordings(test, "lidar/small_gicp") else {
+        return;
+    };
+    let folder = tempfile::tempdir().expect("folder");
+    let clouds = folder.path().join("pair");
+    std::fs::create_dir(&clouds).expect("folder");
+    for (from, to) in [("target.ply", "0.ply"), ("source.ply", "1.ply")] {
+        std::fs::copy(pair.join(from), clouds.join(to)).expect("copied");
+    }
+    let command = ["odometry", "pair", "--outdoor", "--out", "pair.tum"];
+    json(folder.path(), &command, 0);
+    let found = read_tum(&folder.path().join("pair.tum")).expect("trajectory");
+    let found = found.poses().last().expect("poses").world_from_rig;
+    let given = std::fs::read_to_string(pair.join("T_target_source.txt")).expect("transform");
+    let given: Vec<f64> = given
+        .split_whitespace()
+        .map(|n| n.parse().expect("number"))
+        .collect();
+    let off_m = (found.translation - Vector3::new(given[3], given[7], given[11])).norm();
+    let trace: f64 = (0..3)
+        .flat_map(|r| (0..3).map(move |c| (r, c)))
+        .map(|(r, c)| given[4 * r + c] * found.rotation_matrix()[(r, c)])
+        .sum();
+    let off_deg = ((trace - 1.0) / 2.0).clamp(-1.0, 1.0).acos().to_degrees();
+    assert!(off_m < 0.05 && off_deg < 0.5, "{off_m} m, {off_deg}°");
 }
 
 #[test]

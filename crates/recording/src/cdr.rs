@@ -121,18 +121,31 @@ impl CdrWriter {
 
 /// A `std_msgs/Header`.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Header<'a> {
+pub struct Header<'a> {
+    /// When it was measured.
     pub stamp: Timestamp,
+    /// Its frame of reference.
     pub frame_id: &'a str,
 }
 
+/// How fields lie in a message of ROS.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Layout {
+    /// Of ROS 1: without gaps; headers begin with a counter.
+    Ros1,
+    /// Of ROS 2: each number at a multiple of its size behind an encapsulation of four bytes.
+    Cdr,
+}
+
 /// Takes fields off a message; every length is checked against what is there.
-pub(crate) struct CdrReader<'a> {
+pub struct CdrReader<'a> {
+    layout: Layout,
     payload: &'a [u8],
     position: usize,
 }
 
 impl<'a> CdrReader<'a> {
+    /// Of a message of ROS 2.
     pub fn new(bytes: &'a [u8]) -> Result<Self, CdrError> {
         let Some((head, payload)) = bytes.split_first_chunk::<4>() else {
             return Err(CdrError::TooShort {
@@ -148,11 +161,25 @@ impl<'a> CdrReader<'a> {
             });
         }
         Ok(Self {
+            layout: Layout::Cdr,
             payload,
             position: 0,
         })
     }
 
+    /// Of a message of either ROS.
+    pub fn with_layout(layout: Layout, bytes: &'a [u8]) -> Result<Self, CdrError> {
+        match layout {
+            Layout::Cdr => Self::new(bytes),
+            Layout::Ros1 => Ok(Self {
+                layout,
+                payload: bytes,
+                position: 0,
+            }),
+        }
+    }
+
+    /// A `uint8[N]`.
     pub fn raw(&mut self, field: &'static str, length: usize) -> Result<&'a [u8], CdrError> {
         let rest = self.payload.get(self.position..).unwrap_or_default();
         let taken = rest.get(..length).ok_or(CdrError::TooShort {
@@ -166,32 +193,40 @@ impl<'a> CdrReader<'a> {
     }
 
     fn take<const N: usize>(&mut self, field: &'static str) -> Result<[u8; N], CdrError> {
-        self.position += self.position.wrapping_neg() % N;
+        if self.layout == Layout::Cdr {
+            self.position += self.position.wrapping_neg() % N;
+        }
         let mut value = [0; N];
         value.copy_from_slice(self.raw(field, N)?);
         Ok(value)
     }
 
+    /// Eight bits.
     pub fn u8(&mut self, field: &'static str) -> Result<u8, CdrError> {
         Ok(self.take::<1>(field)?[0])
     }
 
+    /// Sixteen bits.
     pub fn u16(&mut self, field: &'static str) -> Result<u16, CdrError> {
         Ok(u16::from_le_bytes(self.take(field)?))
     }
 
+    /// Thirty-two bits.
     pub fn u32(&mut self, field: &'static str) -> Result<u32, CdrError> {
         Ok(u32::from_le_bytes(self.take(field)?))
     }
 
+    /// Sixty-four bits.
     pub fn u64(&mut self, field: &'static str) -> Result<u64, CdrError> {
         Ok(u64::from_le_bytes(self.take(field)?))
     }
 
+    /// Double precision.
     pub fn f64(&mut self, field: &'static str) -> Result<f64, CdrError> {
         Ok(f64::from_le_bytes(self.take(field)?))
     }
 
+    /// A `float64[N]`.
     pub fn f64_array<const N: usize>(&mut self, field: &'static str) -> Result<[f64; N], CdrError> {
         let mut values = [0.0; N];
         for value in &mut values {
@@ -200,6 +235,7 @@ impl<'a> CdrReader<'a> {
         Ok(values)
     }
 
+    /// Seconds and nanoseconds.
     pub fn time(&mut self, field: &'static str) -> Result<Timestamp, CdrError> {
         let secs = self.u32(field)? as i32;
         let nanos = self.u32(field)?;
@@ -211,6 +247,7 @@ impl<'a> CdrReader<'a> {
         ))
     }
 
+    /// Text in UTF-8.
     pub fn string(&mut self, field: &'static str) -> Result<&'a str, CdrError> {
         let length = self.u32(field)? as usize;
         let bytes = self.raw(field, length)?;
@@ -219,12 +256,17 @@ impl<'a> CdrReader<'a> {
         std::str::from_utf8(text).map_err(|_| CdrError::Value { field })
     }
 
+    /// A `uint8[]`.
     pub fn byte_sequence(&mut self, field: &'static str) -> Result<&'a [u8], CdrError> {
         let length = self.u32(field)? as usize;
         self.raw(field, length)
     }
 
+    /// A `std_msgs/Header`.
     pub fn header(&mut self) -> Result<Header<'a>, CdrError> {
+        if self.layout == Layout::Ros1 {
+            self.u32("header.seq")?;
+        }
         Ok(Header {
             stamp: self.time("header.stamp")?,
             frame_id: self.string("header.frame_id")?,

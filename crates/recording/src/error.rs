@@ -143,14 +143,6 @@ pub enum Error {
         /// The first failure.
         cause: String,
     },
-    /// A point cloud is unusable.
-    #[error("{}: {message}", path.display())]
-    Cloud {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        message: String,
-    },
     /// A line of a trajectory file is wrong.
     #[error("{}: line {line}: {reason}", path.display())]
     TrajectoryLine {

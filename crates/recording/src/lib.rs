@@ -23,6 +23,7 @@
 
 mod calibration;
 mod cdr;
+pub mod cloud;
 mod container;
 mod error;
 mod hash;
@@ -31,8 +32,6 @@ mod layout;
 pub mod message;
 mod message_iter;
 mod natural_order;
-mod pcd;
-mod point_times;
 mod provenance;
 mod reader;
 mod samples;
@@ -49,8 +48,6 @@ pub use error::{Damage, Error};
 pub use hash::sha256_of;
 pub use layout::{Channel, Compression, Durability, Existing, Summary, TopicSummary, WriterConfig};
 pub use natural_order::sort_naturally;
-pub use pcd::{Cloud, read_pcd};
-pub use point_times::PointTimes;
 pub use provenance::Provenance;
 pub use reader::{ArrivalRange, CdrMessage, Recording};
 pub use samples::{CameraImage, RecordedPacket};

@@ -22,8 +22,11 @@ const GRAVITY: usize = 15;
 /// Standard gravity, m/s².
 pub const GRAVITY_M_S2: f64 = 9.80665;
 
-/// Beyond this the motion between two samples is not what they say, seconds.
-const MAX_SAMPLE_GAP_S: f64 = 0.04;
+/// Beyond this the motion between two samples is not what they say, seconds: steps shake at a few hertz, and a straight line
+/// between samples still follows that.
+const MAX_SAMPLE_GAP_S: f64 = 0.08;
+/// Longer than this between two samples a straight line between them misses some of the motion, seconds.
+const SURE_SAMPLE_GAP_S: f64 = 0.02;
 /// What a walker may do unseen: turn rate, rad/s, and acceleration, m/s².
 const UNSEEN_RATE_RAD_S: f64 = 0.5;
 const UNSEEN_ACCELERATION_M_S2: f64 = 2.0;
@@ -134,9 +137,12 @@ impl InertialFilter {
             && spread(|s| s.angular_velocity_rad_s, &rate) < 0.05
             && spread(|s| s.specific_force_m_s2, &force) < 0.5;
 
-        // Only the horizontal part of the rotation is known from gravity; the shortest arc leaves the heading at 0.
-        let rotation = UnitQuaternion::rotation_between(&force, &Vector3::z())
-            .unwrap_or_else(UnitQuaternion::identity);
+        // Only the horizontal part of the rotation is known from gravity; the shortest arc leaves the heading at 0. Upside down
+        // there is no shortest one, and half a turn about any horizontal axis will do.
+        let half_turn =
+            || UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+        let rotation =
+            UnitQuaternion::rotation_between(&force, &Vector3::z()).unwrap_or_else(half_turn);
         let forward = rotation * Vector3::x();
         let heading = so3::exp(&Vector3::new(0.0, 0.0, -forward.y.atan2(forward.x)));
         let mut variance = SVector::<f64, 18>::zeros();
@@ -244,8 +250,16 @@ impl InertialFilter {
         set(VELOCITY, GRAVITY, Matrix3::identity() * dt);
 
         let mut noise = SVector::<f64, 18>::zeros();
+        // What a straight line misses grows with the square of its length.
+        let missed = if blind {
+            1.0
+        } else if dt > SURE_SAMPLE_GAP_S {
+            (dt / MAX_SAMPLE_GAP_S).powi(2)
+        } else {
+            0.0
+        };
         let mut add = |at: usize, density: f64, unseen: f64| {
-            let sigma = if blind { unseen * dt } else { 0.0 };
+            let sigma = missed * unseen * dt;
             let variance = density * density * dt + sigma * sigma;
             noise.fixed_rows_mut::<3>(at).fill(variance);
         };
@@ -349,6 +363,52 @@ mod tests {
         assert!(forward.y.abs() < 1e-9);
         let up = end.world_from_rig.rotation.inverse() * Vector3::z();
         assert!((up - tilted.inverse() * Vector3::z()).norm() < 1e-9);
+    }
+
+    #[test]
+    fn upside_down_is_level_too() {
+        let samples = at_rest(
+            &UnitQuaternion::from_axis_angle(&Vector3::y_axis(), std::f64::consts::PI),
+            [0.0; 3],
+        );
+        // Exactly upside down, where no shortest way leads to level.
+        let exactly: Vec<_> = samples
+            .iter()
+            .cloned()
+            .map(|mut s| {
+                s.sample.specific_force_m_s2 = [0.0, 0.0, -GRAVITY_M_S2];
+                s
+            })
+            .collect();
+        for samples in [samples, exactly] {
+            let zero = Timestamp::from_nanos(0);
+            let mut filter = InertialFilter::start(&samples, zero, &NOISE).expect("samples");
+            let up = filter.state().world_from_rig.rotation * -Vector3::z();
+            assert!((up - Vector3::z()).norm() < 1e-6, "{up}");
+            filter.predict(&samples, Timestamp::from_nanos(500_000_000));
+            assert!(filter.state().velocity_m_s.norm() < 1e-6);
+        }
+    }
+
+    /// Naively a gap of 45 ms was taken for even motion, and a second at 1 m/s² cost several centimetres a second.
+    #[test]
+    fn a_gap_of_45_ms_is_bridged_by_its_ends() {
+        let samples: Vec<_> = at_rest(&UnitQuaternion::identity(), [0.0; 3])
+            .into_iter()
+            .enumerate()
+            .filter(|(i, _)| i.is_multiple_of(20) || i % 20 > 8)
+            .map(|(_, mut s)| {
+                s.sample.specific_force_m_s2[0] = 1.0;
+                s
+            })
+            .collect();
+        let zero = Timestamp::from_nanos(0);
+        let mut filter = InertialFilter::start(&samples[..1], zero, &NOISE).expect("samples");
+        // The start takes what it feels for up: here the world is known.
+        filter.state.world_from_rig = Se3::identity();
+        filter.predict(&samples, Timestamp::from_nanos(1_000_000_000));
+        let velocity = filter.state().velocity_m_s;
+        assert!((velocity.x - 1.0).abs() < 0.01, "{velocity}");
     }
 
     #[test]

@@ -5,8 +5,11 @@
 //! prior of the registration). Without one, motion is taken to continue as in the last scan, and the start defines a
 //! world that is not level.
 
+mod imu_check;
 mod inertial;
 mod online;
+mod point_clock;
+mod report;
 mod run;
 
 #[cfg(test)]
@@ -24,8 +27,10 @@ use serde::{Deserialize, Serialize};
 
 pub use inertial::{GRAVITY_M_S2, InertialFilter, InertialState};
 pub use online::OnlineOdometry;
+pub use point_clock::{DeskewReport, TimedScan};
+pub use report::OdometryReport;
 pub(crate) use run::Damages;
-pub use run::{DeskewedCloud, OdometryReport, OdometryResult, run_odometry};
+pub use run::{DeskewedCloud, ImuSamples, OdometryResult, OdometryRun, run_odometry};
 
 use crate::Error;
 
@@ -161,6 +166,8 @@ pub struct Odometry {
     map: LocalMap,
     /// Pose at the end of the last scan.
     last: Option<StampedPose>,
+    /// Shortest time from scan to scan so far, nanoseconds.
+    interval_ns: Option<i64>,
     /// How far registrations moved from their predictions lately, metres.
     corrections_m: VecDeque<f64>,
 }
@@ -171,6 +178,8 @@ struct ReducedScan {
     keypoints: Vec<Vector3<f64>>,
 }
 
+/// How far a usual point is: what an error of rotation does to a scan, metres.
+const USUAL_RANGE_M: f64 = 10.0;
 /// Smallest gate: the noise of a scan needs this much room, metres.
 const MIN_GATE_M: f64 = 0.3;
 /// Predictions looked back at for the gate.
@@ -204,6 +213,7 @@ impl Odometry {
             lidar: lidar.clone(),
             motion,
             last: None,
+            interval_ns: None,
             corrections_m: VecDeque::new(),
         })
     }
@@ -331,7 +341,7 @@ impl Odometry {
         let finest_m = self.config.cell_size_m / f64::from(1u32 << (self.config.cell_levels - 1));
         let config = RegistrationConfig {
             max_iterations: self.config.max_iterations,
-            gate_m: self.gate_m(),
+            gate_m: self.gate_m(path, &prior),
             min_kernel_m: (3.0 * noise_m).max(0.03),
             range_noise_m: noise_m,
             point_noise_m: noise_m.hypot(0.3 * finest_m),
@@ -345,17 +355,40 @@ impl Odometry {
         })
     }
 
-    /// Farthest correspondence: three times what predictions were lately wrong by.
-    fn gate_m(&self) -> f64 {
-        if self.corrections_m.len() < 3 {
+    /// Farthest correspondence: three times what predictions were lately wrong by, or what this one says it may be. After a gap
+    /// without an IMU nothing is known of either.
+    fn gate_m(&self, path: &[StampedPose], prior: &PosePrior) -> f64 {
+        if self.corrections_m.len() < 3 || self.is_after_gap(path) {
             return self.config.initial_gate_m;
         }
         let squares: f64 = self.corrections_m.iter().map(|c| c * c).sum();
-        let rms_m = (squares / self.corrections_m.len() as f64).sqrt();
-        (3.0 * rms_m).clamp(
+        let lately_m = (squares / self.corrections_m.len() as f64).sqrt();
+        let predicted_m = match &self.motion {
+            Motion::Inertial(_) => prior.information.cholesky().map_or(0.0, |information| {
+                let covariance = information.inverse();
+                let turned = covariance.fixed_view::<3, 3>(0, 0).trace();
+                let moved = covariance.fixed_view::<3, 3>(3, 3).trace();
+                (moved + (USUAL_RANGE_M * USUAL_RANGE_M) * turned).sqrt()
+            }),
+            Motion::Constant { .. } => 0.0,
+        };
+        (3.0 * lately_m.max(predicted_m)).clamp(
             MIN_GATE_M.min(self.config.initial_gate_m),
             self.config.initial_gate_m,
         )
+    }
+
+    /// Whether scans are missing before this one, and no IMU tells what happened meanwhile.
+    fn is_after_gap(&self, path: &[StampedPose]) -> bool {
+        let passed_ns = self
+            .last
+            .zip(path.last())
+            .map(|(last, end)| end.time - last.time);
+        let is_blind = matches!(self.motion, Motion::Constant { .. });
+        is_blind
+            && passed_ns
+                .zip(self.interval_ns)
+                .is_some_and(|(passed, usual)| passed > 2 * usual)
     }
 
     fn judge(&self, found: &Registration) -> StepOutcome {
@@ -371,9 +404,8 @@ impl Odometry {
     /// Takes in the registered pose and bends the path so that it ends there.
     fn correct(&mut self, path: &mut [StampedPose], found: &Registration) {
         let correction = end_pose(path).local(&found.world_from_rig);
-        // What the error does to a point at a usual range of 10 m.
-        let moved_m =
-            correction.fixed_rows::<3>(3).norm() + 10.0 * correction.fixed_rows::<3>(0).norm();
+        let moved_m = correction.fixed_rows::<3>(3).norm()
+            + USUAL_RANGE_M * correction.fixed_rows::<3>(0).norm();
         self.corrections_m.push_back(moved_m);
         if self.corrections_m.len() > CORRECTIONS {
             self.corrections_m.pop_front();
@@ -425,6 +457,10 @@ impl Odometry {
                     *twist_per_s = moved / end.time.secs_since(last.time);
                 }
             }
+        }
+        if let Some(last) = self.last {
+            let interval_ns = end.time - last.time;
+            self.interval_ns = Some(self.interval_ns.map_or(interval_ns, |i| i.min(interval_ns)));
         }
         self.last = Some(end);
     }

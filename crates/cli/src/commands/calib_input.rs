@@ -8,7 +8,7 @@ use lsfb_calib::camera::{
     CameraViews, image_from_folder, views_from_bag, views_from_folder, views_from_recording,
 };
 use lsfb_calib::camera_imu::read_imu_table;
-use lsfb_calib::rosbag::RosBag;
+use lsfb_datasets::RosBag;
 use lsfb_recording::{Provenance, Recording};
 use lsfb_types::{Image, ImuSample, Timestamp};
 
@@ -109,7 +109,7 @@ fn image_in_bag(bag: &RosBag, topic: &str, instant: i64) -> anyhow::Result<Optio
         if stamp == instant {
             found = Some(image);
         }
-        Ok(())
+        Ok::<(), lsfb_datasets::Error>(())
     })?;
     Ok(found)
 }
@@ -142,7 +142,9 @@ pub fn imu_of(
 ) -> anyhow::Result<Vec<(Timestamp, ImuSample)>> {
     let topic = named.and_then(Path::to_str);
     Ok(match (named, source) {
-        (_, Some(Source::Bag(bag))) if topic.is_none_or(|t| bag.has_topic(t)) => bag.imu(topic)?,
+        (_, Some(Source::Bag(bag))) if topic.is_none_or(|t| bag.has_topic(t)) => {
+            bag.imu(topic)?.samples
+        }
         (Some(path), _) => read_imu_table(path)?,
         (None, Some(Source::Recording(recording))) => recording
             .imu()?

@@ -26,6 +26,7 @@ pub mod localize;
 pub mod map;
 pub mod mock;
 pub mod odometry;
+mod odometry_input;
 pub mod recover;
 pub mod scan;
 pub mod sim;

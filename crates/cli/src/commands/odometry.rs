@@ -2,25 +2,31 @@
 
 use std::path::PathBuf;
 
-use lsfb_capture::{CloudsConfig, ImportedClouds, import_clouds};
-use lsfb_pipeline::odometry::{OdometryConfig, run_odometry};
+use lsfb_drivers::any_lidar::Model;
+use lsfb_pipeline::odometry::{OdometryConfig, OdometryReport};
 use lsfb_recording::{Provenance, write_tum};
+use serde::Serialize;
 
+use super::odometry_input::{Choice, InputReport, run as run_on};
 use crate::context::Context;
 use crate::outcome::Outcome;
 
-/// Run LiDAR(-inertial) odometry on a recording, or on a folder of PCD scans.
+/// Run LiDAR(-inertial) odometry on a recording, a ROS bag, a capture of packets, or a folder of point clouds.
 ///
+/// A ROS bag (.bag, .db3, .mcap or a folder of rosbag2) has clouds or packets of Velodyne or Hesai on any topic, and may have
+/// an IMU; files of clouds are .pcd, .ply, and .bin of KITTI or .pcd.bin of nuScenes.
 /// Scans that could not be registered have no pose; exit code 3 if the end of the recording was lost.
 ///
 /// Examples:
 ///   lsfb odometry scan.mcap --out scan.tum
-///   lsfb odometry kitti/velodyne_pcd --outdoor --out kitti.tum
+///   lsfb odometry kitti/velodyne_points/data --outdoor --out kitti.tum
+///   lsfb odometry walk.bag --lidar /os_cloud_node/points --imu /imu --rig rig.toml --out walk.tum
+///   lsfb odometry drive.pcap --out drive.tum
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
-    /// Recording (MCAP), or a folder of PCD files, which is first converted to a recording beside the result.
-    #[arg(value_name = "MCAP|FOLDER")]
+    /// Recording, ROS bag, capture of packets, or folder of point clouds.
+    #[arg(value_name = "MCAP|BAG|PCAP|FOLDER")]
     input: PathBuf,
     /// The trajectory to write.
     #[arg(long, value_name = "TUM")]
@@ -31,11 +37,38 @@ pub struct Arguments {
     /// Settings instead of the defaults.
     #[arg(long, value_name = "TOML", conflicts_with = "outdoor")]
     config: Option<PathBuf>,
+    /// Where the LiDAR is on the IMU, and the noise of both; a recording of ours has it, a bag may say the former in /tf_static.
+    #[arg(long, value_name = "TOML")]
+    rig: Option<PathBuf>,
+    /// Topic of the scans, where a bag has several.
+    #[arg(long, value_name = "TOPIC")]
+    lidar: Option<String>,
+    /// Topic of the inertial samples, where a bag has several.
+    #[arg(long, value_name = "TOPIC")]
+    imu: Option<String>,
+    /// Scans per second of a folder of clouds, where neither points, names nor a list beside them say when they were taken.
+    #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = rate_hz)]
+    rate_hz: f64,
+    /// The spinning sensor: packets must be its own; clouds are as it fired them, so that azimuths are times where there are no others.
+    #[arg(long, value_name = "MODEL", value_parser = super::scan::lidar_model)]
+    lidar_model: Option<Model>,
+}
+
+/// What is said about a trajectory.
+#[derive(Serialize)]
+struct Report<'a> {
+    #[serde(flatten)]
+    odometry: &'a OdometryReport,
+    input: &'a InputReport,
+}
+
+fn rate_hz(text: &str) -> Result<f64, String> {
+    let rate = text.parse().ok().filter(|hz| (0.01..=1000.0).contains(hz));
+    rate.ok_or_else(|| "expected a number from 0.01 to 1000".to_owned())
 }
 
 /// Runs the odometry, prints its report.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    let show = |p| context.show(p);
     let config = match &arguments.config {
         Some(path) => super::read_config(path)?,
         None if arguments.outdoor => OdometryConfig::outdoor(),
@@ -43,29 +76,29 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     };
     super::expect_file(&arguments.input, "record one with `lsfb scan`")?;
     context.claim(&arguments.out)?;
-    let mut times: Option<ImportedClouds> = None;
-    let input = if arguments.input.is_dir() {
-        let scans = arguments.out.with_extension("scans.mcap");
-        context.claim(&scans)?;
-        let imported = import_clouds(&arguments.input, &CloudsConfig::default(), &scans, &show)?;
-        times = Some(imported);
-        scans
-    } else {
-        arguments.input.clone()
+    let choice = Choice {
+        path: &arguments.input,
+        rig: arguments.rig.as_deref(),
+        lidar: arguments.lidar.as_deref(),
+        imu: arguments.imu.as_deref(),
+        rate_hz: arguments.rate_hz,
+        model: arguments.lidar_model,
     };
+    let found = run_on(&choice, &config, context)?;
     context.check_stop()?;
-    let mut result = super::about(
-        &input,
-        run_odometry(&context.open(&input)?, &config, &|p| context.show(p)),
-    )?;
-    let notes = times.iter().map(about_times);
-    result.report.warnings.splice(0..0, notes);
-    write_tum(&arguments.out, &result.trajectory)?;
+    write_tum(&arguments.out, &found.result.trajectory)?;
     let mut provenance = Provenance::new(&config);
-    provenance.add_input(&input)?;
+    super::calib_input::add_input(&mut provenance, &arguments.input)?;
+    if let Some(rig) = &arguments.rig {
+        provenance.add_input(rig)?;
+    }
     provenance.write(&arguments.out)?;
-    let r = &result.report;
-    context.print(r, || {
+    let r = &found.result.report;
+    let report = Report {
+        odometry: r,
+        input: &found.input,
+    };
+    context.print(&report, || {
         let mut text = format!(
             "{}: {} of {} scans registered, {:.2} m of path, {:.1} mm to the map's planes",
             arguments.out.display(),
@@ -74,7 +107,15 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             r.path_length_m,
             r.plane_rms_m * 1e3
         );
-        for warning in &r.warnings {
+        let deskewed = [
+            (r.deskew.by_times, "by the times of their points"),
+            (r.deskew.by_azimuth, "by azimuth"),
+            (r.deskew.none, "not at all"),
+        ];
+        let deskewed = deskewed.iter().filter(|(scans, _)| *scans > 0);
+        let deskewed: Vec<String> = deskewed.map(|(n, how)| format!("{n} {how}")).collect();
+        text += &format!("\n  scans deskewed: {}", deskewed.join(", "));
+        for warning in r.warnings.iter().chain(&found.input.warnings) {
             text += &format!("\n  {warning}");
         }
         text
@@ -83,18 +124,4 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         0 => Outcome::Done,
         _ => Outcome::DataLost,
     })
-}
-
-/// Which times the points of a folder of clouds were given.
-fn about_times(imported: &ImportedClouds) -> String {
-    match (&imported.time_field, imported.timed) {
-        (None, _) => "the clouds have no field of times".to_owned(),
-        (Some(field), 0) => format!(
-            "the field `{field}` was not used: in no unit are its numbers times within one scan"
-        ),
-        (Some(field), timed) => format!(
-            "times of points from the field `{field}` in {timed} of {} clouds",
-            imported.clouds
-        ),
-    }
 }

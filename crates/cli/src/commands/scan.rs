@@ -146,7 +146,8 @@ fn lidar_sender(text: &str) -> Result<Sender, String> {
     Ok(Sender { name, address })
 }
 
-fn lidar_model(name: &str) -> Result<Model, String> {
+/// A sensor by its name on the command line.
+pub fn lidar_model(name: &str) -> Result<Model, String> {
     Model::from_key(name).ok_or_else(|| {
         let known: Vec<String> = Model::all().into_iter().map(Model::key).collect();
         format!("expected one of {}", known.join(", "))

@@ -3,7 +3,7 @@
 use lsfb_types::{Packet, Timestamp};
 
 use super::schema::{LIDAR_PACKETS, PANDAR_SCAN, VELODYNE_SCAN};
-use crate::cdr::{CdrError, CdrReader, CdrWriter};
+use crate::cdr::{CdrError, CdrReader, CdrWriter, Layout};
 
 /// `VelodynePacket.data` is a fixed array.
 const VELODYNE_DATA_BYTES: usize = 1206;
@@ -38,7 +38,16 @@ pub fn encode_lidar_packets(time: Timestamp, frame: &str, packets: &[Packet]) ->
 /// The packets of a message of the type `schema`: `lsfb_msgs/msg/LidarPackets`, `velodyne_msgs/msg/VelodyneScan` or
 /// `pandar_msgs/msg/PandarScan`.
 pub fn decode_lidar_packets(schema: &str, bytes: &[u8]) -> Result<Vec<Packet>, CdrError> {
-    let mut r = CdrReader::new(bytes)?;
+    decode_packets_of(Layout::Cdr, schema, bytes)
+}
+
+/// [`decode_lidar_packets`] of a message of either ROS.
+pub fn decode_packets_of(
+    layout: Layout,
+    schema: &str,
+    bytes: &[u8],
+) -> Result<Vec<Packet>, CdrError> {
+    let mut r = CdrReader::with_layout(layout, bytes)?;
     r.header()?;
     let count = r.u32("packets")? as usize;
     let mut packets = Vec::with_capacity(count.min(bytes.len() / LEAST_PACKET_BYTES));

@@ -27,12 +27,14 @@ pub use imu::{
     ImuVariance, TimeReference, decode_imu, decode_time_reference, encode_imu,
     encode_time_reference,
 };
-pub use lidar_packets::{decode_lidar_packets, encode_lidar_packets, holds_lidar_packets};
+pub use lidar_packets::{
+    decode_lidar_packets, decode_packets_of, encode_lidar_packets, holds_lidar_packets,
+};
 pub use lsfb::{
     FrameMeta, RawPacket, decode_frame_meta, decode_raw_packet, encode_frame_meta,
     encode_raw_packet,
 };
-pub use points::{decode_points, encode_points};
+pub use points::{CloudMessage, decode_cloud, encode_points};
 pub use pose::{PoseReading, decode_pose, holds_pose};
 pub use radio::{BleAdvert, WifiReading, decode_ble, decode_wifi, encode_ble, encode_wifi};
 pub use recorder::{
@@ -51,4 +53,4 @@ pub use surroundings::{
 };
 pub use transform::{StaticTransform, encode_odometry, encode_static_transforms};
 
-pub use crate::cdr::CdrError;
+pub use crate::cdr::{CdrError, CdrReader, Header, Layout};

@@ -1,24 +1,25 @@
-use lsfb_types::{Echo, LidarPoint, LidarScan, Timestamp};
+use lsfb_types::{LidarScan, Timestamp};
 
-use crate::cdr::{CdrError, CdrReader, CdrWriter};
+use crate::cdr::{CdrError, CdrReader, CdrWriter, Layout};
+use crate::cloud::{
+    ByteOrder, Cloud, CloudError, NumberKind, OWN_FIELDS, PackedCloud, PackedField, PointTimes,
+    TimesBegin,
+};
 
-/// Datatype codes of `sensor_msgs/msg/PointField`.
-const UINT8: u8 = 2;
-const UINT16: u8 = 4;
-const UINT32: u8 = 6;
-const FLOAT32: u8 = 7;
-
-/// Name, offset and datatype of the fields we write: each aligned to its size, `t` in nanoseconds after the header stamp.
-const FIELDS: [(&str, u32, u8); 7] = [
-    ("x", 0, FLOAT32),
-    ("y", 4, FLOAT32),
-    ("z", 8, FLOAT32),
-    ("intensity", 12, FLOAT32),
-    ("ring", 16, UINT16),
-    ("return_type", 18, UINT8),
-    ("t", 20, UINT32),
+/// Kinds of numbers by their codes in `sensor_msgs/msg/PointField`, which begin with one.
+const KINDS: [NumberKind; 8] = [
+    NumberKind::I8,
+    NumberKind::U8,
+    NumberKind::I16,
+    NumberKind::U16,
+    NumberKind::I32,
+    NumberKind::U32,
+    NumberKind::F32,
+    NumberKind::F64,
 ];
 const POINT_STEP: usize = 24;
+/// A scan and the way of its message to the recorder take less, seconds.
+const SAME_CLOCK_S: f64 = 2.0;
 
 /// `sensor_msgs/msg/PointCloud2`, one row, in firing order.
 pub fn encode_points(time: Timestamp, frame: &str, scan: &LidarScan) -> Vec<u8> {
@@ -27,11 +28,12 @@ pub fn encode_points(time: Timestamp, frame: &str, scan: &LidarScan) -> Vec<u8> 
     w.header(time, frame);
     w.u32(1);
     w.u32(scan.points.len() as u32);
-    w.u32(FIELDS.len() as u32);
-    for (name, offset, datatype) in FIELDS {
+    w.u32(OWN_FIELDS.len() as u32);
+    for (name, offset, kind) in OWN_FIELDS {
         w.string(name);
-        w.u32(offset);
-        w.u8(datatype);
+        w.u32(offset as u32);
+        let code = KINDS.iter().position(|k| *k == kind).map_or(0, |k| k + 1);
+        w.u8(code as u8);
         w.u32(1);
     }
     w.u8(0);
@@ -51,76 +53,89 @@ pub fn encode_points(time: Timestamp, frame: &str, scan: &LidarScan) -> Vec<u8> 
     w.finish()
 }
 
-/// The scan of a `sensor_msgs/msg/PointCloud2` with `x y z` (f32); `intensity` (f32), `ring` (u16), `return_type` (u8) and `t`
-/// (u32) are zero where the cloud lacks them.
-pub fn decode_points(bytes: &[u8]) -> Result<LidarScan, CdrError> {
-    let mut r = CdrReader::new(bytes)?;
-    r.header()?;
-    let height = r.u32("height")? as usize;
-    let width = r.u32("width")? as usize;
-    let mut offsets = [None; FIELDS.len()];
-    for _ in 0..r.u32("fields")? {
-        let name = r.string("fields.name")?;
-        let offset = r.u32("fields.offset")? as usize;
-        let datatype = r.u8("fields.datatype")?;
-        r.u32("fields.count")?;
-        if let Some(index) = FIELDS.iter().position(|f| f.0 == name && f.2 == datatype) {
-            offsets[index] = Some(offset);
+/// A `sensor_msgs/msg/PointCloud2`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CloudMessage {
+    /// Stamp of its header.
+    pub stamp: Timestamp,
+    /// Frame of its header.
+    pub frame: String,
+    /// Its points and their times.
+    pub cloud: Cloud,
+}
+
+impl CloudMessage {
+    /// When the offsets of its points are zero. Clocks that count from an epoch agree with the stamp to a scan, or are others
+    /// than the clock of the messages: then the stamp holds.
+    pub fn begins(&self) -> Timestamp {
+        match &self.cloud.times {
+            PointTimes::Field { begins, .. } => match begins {
+                TimesBegin::AfterStamp { nanos } => self.stamp.plus_nanos(*nanos),
+                TimesBegin::At(time) if self.counts_as_the_stamp(*time) => *time,
+                TimesBegin::At(_) => self.stamp,
+            },
+            PointTimes::Absent | PointTimes::Unusable { .. } => self.stamp,
         }
     }
-    if r.u8("is_bigendian")? != 0 {
-        return Err(CdrError::Value {
-            field: "is_bigendian",
-        });
+
+    /// Whether the points have times of another clock than the stamp.
+    pub fn has_two_clocks(&self) -> bool {
+        matches!(&self.cloud.times, PointTimes::Field { begins: TimesBegin::At(time), .. }
+            if !self.counts_as_the_stamp(*time))
     }
-    let point_step = r.u32("point_step")? as usize;
-    let row_step = r.u32("row_step")? as usize;
+
+    fn counts_as_the_stamp(&self, time: Timestamp) -> bool {
+        time.secs_since(self.stamp).abs() < SAME_CLOCK_S
+    }
+}
+
+/// The cloud of a `PointCloud2` with `x y z` of floating-point numbers, as either ROS lays it out.
+pub fn decode_cloud(layout: Layout, bytes: &[u8]) -> Result<CloudMessage, CdrError> {
+    let mut r = CdrReader::with_layout(layout, bytes)?;
+    let header = r.header()?;
+    let rows = r.u32("height")? as usize;
+    let columns = r.u32("width")? as usize;
+    let mut fields = Vec::new();
+    for _ in 0..r.u32("fields")? {
+        let name = r.string("fields.name")?.to_owned();
+        let offset = r.u32("fields.offset")? as usize;
+        let kind = KINDS.get(usize::from(r.u8("fields.datatype")?).wrapping_sub(1));
+        r.u32("fields.count")?;
+        // Kinds of other versions may be skipped: their offsets are not needed.
+        fields.extend(kind.map(|kind| PackedField {
+            name,
+            kind: *kind,
+            offset,
+        }));
+    }
+    let order = match r.u8("is_bigendian")? {
+        0 => ByteOrder::Little,
+        _ => ByteOrder::Big,
+    };
+    let point_bytes = r.u32("point_step")? as usize;
+    let row_bytes = r.u32("row_step")? as usize;
     let data = r.byte_sequence("data")?;
     r.u8("is_dense")?;
-    let [Some(x), Some(y), Some(z), intensity, ring, echo, t] = offsets else {
-        return Err(CdrError::Value { field: "fields" });
+    let packed = PackedCloud {
+        fields,
+        order,
+        point_bytes,
+        columns,
+        row_bytes,
+        rows,
+        data,
     };
-    if point_step == 0
-        || width
-            .checked_mul(point_step)
-            .is_none_or(|row| row > row_step)
-    {
-        return Err(CdrError::Value { field: "row_step" });
-    }
-    if row_step.checked_mul(height) != Some(data.len()) {
-        return Err(CdrError::Value { field: "data" });
-    }
-    let mut points = Vec::with_capacity(data.len() / point_step);
-    for row in data.chunks_exact(row_step.max(1)) {
-        for bytes in row.chunks_exact(point_step).take(width) {
-            points.push(LidarPoint {
-                position_m: [f32_at(bytes, x)?, f32_at(bytes, y)?, f32_at(bytes, z)?],
-                intensity: intensity.map_or(Ok(0.0), |at| f32_at(bytes, at))? as u8,
-                ring: ring
-                    .map_or(Ok([0; 2]), |at| field_at(bytes, at))
-                    .map(u16::from_le_bytes)?,
-                echo: echo
-                    .map_or(Ok([0; 1]), |at| field_at(bytes, at))
-                    .map(|[code]| Echo::from_code(code))?,
-                time_offset_ns: t
-                    .map_or(Ok([0; 4]), |at| field_at(bytes, at))
-                    .map(u32::from_le_bytes)?,
-            });
-        }
-    }
-    Ok(LidarScan { points })
-}
-
-fn field_at<const N: usize>(point: &[u8], offset: usize) -> Result<[u8; N], CdrError> {
-    point
-        .get(offset..)
-        .and_then(|rest| rest.first_chunk::<N>())
-        .copied()
-        .ok_or(CdrError::Value {
-            field: "fields.offset",
-        })
-}
-
-fn f32_at(point: &[u8], offset: usize) -> Result<f32, CdrError> {
-    field_at(point, offset).map(f32::from_le_bytes)
+    let cloud = packed.unpack().map_err(|error| CdrError::Value {
+        field: match error {
+            CloudError::NoCoordinates { .. } => "fields",
+            CloudError::FieldOutside { .. } => "fields.offset",
+            CloudError::RowTooShort { .. } => "row_step",
+            _ => "data",
+        },
+    })?;
+    Ok(CloudMessage {
+        stamp: header.stamp,
+        frame: header.frame_id.to_owned(),
+        cloud,
+    })
 }

@@ -157,7 +157,19 @@ impl Recording {
             self.channels_of(&topic::lidar_time_ref(lidar))
                 .map(|id| (id, Role::Companion(0))),
         );
-        Ok(self.samples(roles, with_ticks(message::decode_points)))
+        let mut decode = with_ticks(|bytes| message::decode_cloud(message::Layout::Cdr, bytes));
+        Ok(self.samples(roles, move |role, message| {
+            let cloud = decode(role, message)?;
+            Ok(cloud.map(|stamped| {
+                let late_ns = stamped.sample.begins() - stamped.sample.stamp;
+                Stamped {
+                    time: stamped.time.plus_nanos(late_ns),
+                    arrival: stamped.arrival,
+                    device_ticks: stamped.device_ticks,
+                    sample: stamped.sample.cloud.scan,
+                }
+            }))
+        }))
     }
 
     /// Packets of a source as received: `<lidar>/packets`, `<lidar>/position`, or a device on `/raw/<device>`.

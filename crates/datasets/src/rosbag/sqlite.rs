@@ -19,7 +19,7 @@ impl Database {
         let wrong = |e: rusqlite::Error| unreadable(path, format!("no database of rosbag2 ({e})"));
         // sqlite would report a missing file without its cause.
         std::fs::metadata(path).map_err(|source| Error::Io {
-            path: path.display().to_string(),
+            path: path.to_owned(),
             source,
         })?;
         let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;

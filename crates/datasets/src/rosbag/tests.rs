@@ -103,6 +103,38 @@ fn png() -> Vec<u8> {
     file
 }
 
+/// A cloud of two points 80 ms apart, times as Velodyne's driver of ROS 1 has them: seconds before the stamp.
+fn cloud(layout: Layout, stamp_ns: i64) -> Vec<u8> {
+    let mut fields = Fields::new(layout).header(stamp_ns).u32(1).u32(2).u32(4);
+    for (name, offset) in [("x", 0), ("y", 4), ("z", 8), ("time", 12)] {
+        fields = fields.text(name).u32(offset).put(&[7]).u32(1);
+    }
+    let points = [[1.0_f32, 2.0, 3.0, -0.08], [4.0, 5.0, 6.0, 0.0]];
+    let data: Vec<u8> = points
+        .as_flattened()
+        .iter()
+        .flat_map(|v| v.to_le_bytes())
+        .collect();
+    fields
+        .put(&[0])
+        .u32(16)
+        .u32(32)
+        .sequence(&data)
+        .put(&[1])
+        .finish()
+}
+
+/// The LiDAR on the camera, half a metre to the left and turned about z by half a turn.
+fn transform(layout: Layout) -> Vec<u8> {
+    Fields::new(layout)
+        .u32(1)
+        .header(0)
+        .text("lidar")
+        .f64s(&[0.0, 0.5, 0.0])
+        .f64s(&[0.0, 0.0, 1.0, 0.0])
+        .finish()
+}
+
 /// Topic, type, message.
 fn messages(layout: Layout) -> Vec<(&'static str, &'static str, Vec<u8>)> {
     let compressed = Fields::new(layout)
@@ -119,6 +151,8 @@ fn messages(layout: Layout) -> Vec<(&'static str, &'static str, Vec<u8>)> {
         ("/cam1/compressed", COMPRESSED_IMAGE, compressed),
         ("/imu0", IMU, imu(layout, STAMP_NS + 2)),
         ("/imu0", IMU, imu(layout, STAMP_NS + 3)),
+        ("/velodyne_points", CLOUD, cloud(layout, STAMP_NS)),
+        (TF_STATIC, TF, transform(layout)),
     ]
 }
 
@@ -198,7 +232,7 @@ fn images_of(bag: &RosBag, topic: &str) -> Vec<(i64, Image)> {
     let mut all = Vec::new();
     bag.images(topic, &mut |stamp, image| {
         all.push((stamp, image));
-        Ok(())
+        Ok::<(), Error>(())
     })
     .expect("images");
     all
@@ -215,21 +249,48 @@ fn assert_messages(bag: &RosBag) {
         assert_eq!((*stamp, image.width, image.height), (stamp_ns, 2, 2));
         assert_eq!(image.pixels, [1, 2, 3, 4]);
     }
-    let samples = bag.imu(None).expect("samples");
+    let samples = bag.imu(None).expect("samples").samples;
     assert_eq!(samples.len(), 2);
     assert_eq!(samples[0].0.nanos(), STAMP_NS + 2);
     assert_eq!(samples[1].1.angular_velocity_rad_s, [0.1, 0.2, 0.3]);
     assert_eq!(samples[1].1.specific_force_m_s2, [1.0, 2.0, 9.8]);
+    let lidar = bag.lidar(None).expect("one LiDAR");
+    assert_eq!(
+        (lidar.topic.as_str(), lidar.messages),
+        ("/velodyne_points", LidarMessages::Clouds)
+    );
+    let mut clouds = Vec::new();
+    bag.clouds(&lidar.topic, &mut |cloud| {
+        clouds.push(cloud);
+        Ok::<(), Error>(())
+    })
+    .expect("clouds");
+    let [found] = &clouds[..] else {
+        panic!("one cloud")
+    };
+    assert!((found.begins().nanos() - (STAMP_NS - 80_000_000)).abs() < 100);
+    let points = &found.cloud.scan.points;
+    assert_eq!(points[1].position_m, [4.0, 5.0, 6.0]);
+    assert!(points[0].time_offset_ns == 0 && points[1].time_offset_ns.abs_diff(80_000_000) < 100);
+    let frame = bag.frame(&lidar.topic).expect("a frame");
+    let pose =
+        pose_in(&frame, "lidar", &bag.static_transforms().expect("edges")).expect("connected");
+    assert!((pose.translation.y - 0.5).abs() < 1e-12);
+    let error = bag.lidar(Some("/imu0")).expect_err("no LiDAR").to_string();
+    assert!(error.contains("these have: /velodyne_points"), "{error}");
     let wrong = bag
-        .images("/gone", &mut |_, _| Ok(()))
+        .images("/gone", &mut |_, _| Ok::<(), Error>(()))
         .expect_err("no such topic");
     assert!(
-        wrong
-            .to_string()
-            .contains("images are on /cam0/image_raw, /cam1/compressed, IMUs on /imu0"),
+        wrong.to_string().contains(
+            "images are on /cam0/image_raw, /cam1/compressed, IMUs on /imu0, clouds on /velodyne_points"
+        ),
         "{wrong}"
     );
-    assert!(bag.images("/imu0", &mut |_, _| Ok(())).is_err());
+    assert!(
+        bag.images("/imu0", &mut |_, _| Ok::<(), Error>(()))
+            .is_err()
+    );
     assert!(bag.imu(Some("/cam0/image_raw")).is_err());
 }
 
@@ -255,7 +316,7 @@ fn bags_of_ros_1_are_read() {
         std::fs::write(&path, damaged).expect("file");
         if let Ok(bag) = RosBag::open(&path) {
             let _ = bag.imu(None);
-            let _ = bag.images("/cam0/image_raw", &mut |_, _| Ok(()));
+            let _ = bag.images("/cam0/image_raw", &mut |_, _| Ok::<(), Error>(()));
         }
     }
 }
@@ -300,7 +361,7 @@ fn databases_of_rosbag2_are_read_alone_and_in_their_folder() {
     database(&folder.path().join("walk_10.db3"), "cdr");
     database(&folder.path().join("walk_2.db3"), "cdr");
     let bag = RosBag::open(folder.path()).expect("three parts");
-    assert_eq!(bag.imu(None).expect("samples").len(), 6);
+    assert_eq!(bag.imu(None).expect("samples").samples.len(), 6);
 
     let other = folder.path().join("other.db3");
     database(&other, "protobuf");

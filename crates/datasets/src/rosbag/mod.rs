@@ -1,7 +1,8 @@
-//! Images and samples of an IMU out of ROS bags: `.bag` of ROS 1, and `.mcap`, `.db3` or the folder of rosbag2.
+//! Images, clouds, LiDAR packets and samples of an IMU out of ROS bags: `.bag` of ROS 1, and `.mcap`, `.db3` or the folder of rosbag2.
 //!
 //! A message's time is that of its header, when it was measured, not that of the bag, when it arrived.
 
+mod frames;
 mod message;
 mod ros1;
 mod sqlite;
@@ -10,15 +11,52 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use lsfb_recording::Recording;
-use lsfb_types::{Image, ImuSample, Timestamp};
+use lsfb_recording::message::{
+    CdrReader, CloudMessage, Layout, StaticTransform, decode_cloud, decode_packets_of,
+    holds_lidar_packets,
+};
+use lsfb_types::{Image, ImuSample, Packet, Timestamp};
 
 use crate::Error;
-use message::Layout;
+pub use frames::pose_in;
 
 /// Message types by their names in ROS 1; those of ROS 2 have `msg` between.
 const IMAGE: &str = "sensor_msgs/Image";
 const COMPRESSED_IMAGE: &str = "sensor_msgs/CompressedImage";
 const IMU: &str = "sensor_msgs/Imu";
+const CLOUD: &str = "sensor_msgs/PointCloud2";
+const TF: &str = "tf2_msgs/TFMessage";
+/// Where the poses of sensors on their carrier are told.
+const TF_STATIC: &str = "/tf_static";
+
+/// What a topic of a LiDAR carries.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LidarMessages {
+    /// Clouds of points.
+    Clouds,
+    /// Packets as the sensor sent them.
+    Packets,
+}
+
+/// A topic of a LiDAR.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LidarTopic {
+    /// Its name.
+    pub topic: String,
+    /// What it carries.
+    pub messages: LidarMessages,
+}
+
+/// The samples of an IMU.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BagImu {
+    /// Its topic.
+    pub topic: String,
+    /// The frame in which it measures, as the first message has it.
+    pub frame: String,
+    /// Stamps and samples in the order of the bag.
+    pub samples: Vec<(Timestamp, ImuSample)>,
+}
 
 /// A bag, in one file or several.
 pub struct RosBag {
@@ -43,6 +81,12 @@ impl RosBag {
     pub fn is_one(path: &Path) -> bool {
         let extension = path.extension().and_then(|e| e.to_str());
         path.is_dir() || matches!(extension, Some("bag" | "db3"))
+    }
+
+    /// Whether a file is a part of a bag of ROS 2 by its name.
+    pub fn is_file_of_one(path: &Path) -> bool {
+        let extension = path.extension().and_then(|e| e.to_str());
+        matches!(extension, Some("mcap" | "db3"))
     }
 
     /// Opens a bag: a file, or the folder of rosbag2 with all its parts.
@@ -77,31 +121,130 @@ impl RosBag {
 
     /// Gives each image of a topic, with its stamp in nanoseconds, in the order of the bag, until all are given or one is
     /// answered with an error.
-    pub fn images(
+    pub fn images<E: From<Error>>(
         &self,
         topic: &str,
-        each: &mut dyn FnMut(i64, Image) -> Result<(), Error>,
-    ) -> Result<(), Error> {
+        each: &mut dyn FnMut(i64, Image) -> Result<(), E>,
+    ) -> Result<(), E> {
         let decode = match self.type_of(topic)? {
             IMAGE => message::image,
             COMPRESSED_IMAGE => message::compressed_image,
             other => {
-                return Err(self.wrong(format!(
+                let problem = format!(
                     "{topic} has messages {other}, {IMAGE} or {COMPRESSED_IMAGE} are needed; images are on {}",
                     self.listed(&[IMAGE, COMPRESSED_IMAGE])
-                )));
+                );
+                return Err(self.wrong(problem).into());
             }
         };
-        let mut ended = None;
+        self.visit_until(topic, decode, |(stamp, image)| each(stamp, image))
+    }
+
+    /// The topic of a LiDAR: `topic`, or the only one there is; clouds go before packets.
+    pub fn lidar(&self, topic: Option<&str>) -> Result<LidarTopic, Error> {
+        let all: Vec<LidarTopic> = self
+            .topics
+            .iter()
+            .filter_map(|(topic, kind)| {
+                Some(LidarTopic {
+                    topic: topic.clone(),
+                    messages: lidar_messages(kind)?,
+                })
+            })
+            .collect();
+        let names = || {
+            let names: Vec<&str> = all.iter().map(|t| t.topic.as_str()).collect();
+            names.join(", ")
+        };
+        if let Some(topic) = topic {
+            let found = all.iter().find(|t| t.topic == topic).cloned();
+            return found.ok_or_else(|| {
+                self.wrong(match all.is_empty() {
+                    true => format!("{topic} has no scans, and no other topic has"),
+                    false => format!("{topic} has no scans; these have: {}", names()),
+                })
+            });
+        }
+        let clouds = || all.iter().filter(|t| t.messages == LidarMessages::Clouds);
+        let chosen: Vec<&LidarTopic> = match clouds().count() {
+            0 => all.iter().collect(),
+            _ => clouds().collect(),
+        };
+        match chosen.as_slice() {
+            [only] => Ok((*only).clone()),
+            [] => {
+                let kinds = self.topics.iter().map(|(t, kind)| format!("{t} ({kind})"));
+                let kinds = kinds.collect::<Vec<_>>().join(", ");
+                Err(self.wrong(format!(
+                    "no topic of scans: {CLOUD}, Velodyne's and Hesai's packets are read; there is {kinds}"
+                )))
+            }
+            _ => Err(self.wrong(format!(
+                "several LiDARs: name the topic of one with --lidar: {}",
+                names()
+            ))),
+        }
+    }
+
+    /// Gives each cloud of a topic in the order of the bag, until all are given or one is answered with an error.
+    pub fn clouds<E: From<Error>>(
+        &self,
+        topic: &str,
+        each: &mut dyn FnMut(CloudMessage) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let decode = |layout, bytes: &[u8]| decode_cloud(layout, bytes).map_err(|e| e.to_string());
+        self.visit_until(topic, decode, each)
+    }
+
+    /// Gives the LiDAR packets of each message of a topic in the order of the bag, until all are given or some are answered with
+    /// an error.
+    pub fn packets<E: From<Error>>(
+        &self,
+        topic: &str,
+        each: &mut dyn FnMut(Vec<Packet>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let schema = self.type_of(topic)?.replacen('/', "/msg/", 1);
+        let decode = |layout, bytes: &[u8]| {
+            decode_packets_of(layout, &schema, bytes).map_err(|e| e.to_string())
+        };
+        self.visit_until(topic, decode, each)
+    }
+
+    /// The frame of the first message of a topic.
+    pub fn frame(&self, topic: &str) -> Result<String, Error> {
+        let mut frame = None;
         let visited = self.visit(topic, |layout, bytes| {
-            let (stamp, image) = decode(layout, bytes)?;
-            each(stamp, image).map_err(|error| ended.insert(error).to_string())
+            let header = CdrReader::with_layout(layout, bytes)
+                .and_then(|mut r| r.header().map(|h| h.frame_id.to_owned()));
+            frame = Some(header.map_err(|e| e.to_string())?);
+            // One is enough.
+            Err(String::new())
         });
-        ended.map_or(visited, Err)
+        match frame {
+            Some(frame) => Ok(frame),
+            None => visited.and_then(|()| Err(self.wrong(format!("no message on {topic}")))),
+        }
+    }
+
+    /// The edges of `/tf_static`; none where the bag has no such topic.
+    pub fn static_transforms(&self) -> Result<Vec<StaticTransform>, Error> {
+        let mut all = Vec::new();
+        if self.topics.get(TF_STATIC).is_some_and(|kind| kind == TF) {
+            self.visit(TF_STATIC, |layout, bytes| {
+                all.extend(message::transforms(layout, bytes)?);
+                Ok(())
+            })?;
+        }
+        Ok(all)
+    }
+
+    /// Whether it has samples of an IMU.
+    pub fn has_imu(&self) -> bool {
+        self.topics.values().any(|kind| kind == IMU)
     }
 
     /// The samples of an IMU: of `topic`, or of the only one there is.
-    pub fn imu(&self, topic: Option<&str>) -> Result<Vec<(Timestamp, ImuSample)>, Error> {
+    pub fn imu(&self, topic: Option<&str>) -> Result<BagImu, Error> {
         let all: Vec<&String> = self
             .topics
             .iter()
@@ -125,13 +268,38 @@ impl RosBag {
                 self.listed(&[IMU])
             )));
         }
-        let mut samples = Vec::new();
+        let mut imu = BagImu {
+            topic: topic.to_owned(),
+            frame: String::new(),
+            samples: Vec::new(),
+        };
         self.visit(topic, |layout, bytes| {
-            let (stamp, sample) = message::imu(layout, bytes)?;
-            samples.push((Timestamp::from_nanos(stamp), sample));
+            let (stamp, frame, sample) = message::imu(layout, bytes)?;
+            if imu.samples.is_empty() {
+                imu.frame = frame;
+            }
+            imu.samples.push((stamp, sample));
             Ok(())
         })?;
-        Ok(samples)
+        Ok(imu)
+    }
+
+    /// Gives each message of a topic, decoded, until one is answered with an error.
+    fn visit_until<T, E: From<Error>>(
+        &self,
+        topic: &str,
+        decode: impl Fn(Layout, &[u8]) -> Result<T, String>,
+        mut each: impl FnMut(T) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let mut ended = None;
+        let visited = self.visit(topic, |layout, bytes| {
+            let message = decode(layout, bytes)?;
+            each(message).map_err(|error| {
+                ended = Some(error);
+                String::new()
+            })
+        });
+        ended.map_or(visited.map_err(E::from), Err)
     }
 
     fn visit(
@@ -155,9 +323,10 @@ impl RosBag {
     fn type_of(&self, topic: &str) -> Result<&str, Error> {
         self.topics.get(topic).map(String::as_str).ok_or_else(|| {
             self.wrong(format!(
-                "no topic {topic}; images are on {}, IMUs on {}",
+                "no topic {topic}; images are on {}, IMUs on {}, clouds on {}",
                 self.listed(&[IMAGE, COMPRESSED_IMAGE]),
-                self.listed(&[IMU])
+                self.listed(&[IMU]),
+                self.listed(&[CLOUD])
             ))
         })
     }
@@ -177,6 +346,17 @@ impl RosBag {
 
     fn wrong(&self, problem: String) -> Error {
         unreadable(&self.path, problem)
+    }
+}
+
+/// What messages of a type carry of a LiDAR; nothing where it is another type.
+fn lidar_messages(kind: &str) -> Option<LidarMessages> {
+    if kind == CLOUD {
+        Some(LidarMessages::Clouds)
+    } else if holds_lidar_packets(&kind.replacen('/', "/msg/", 1)) {
+        Some(LidarMessages::Packets)
+    } else {
+        None
     }
 }
 
@@ -223,7 +403,7 @@ impl Part {
 /// The parts of a rosbag2 folder, in the order of their numbers.
 fn parts_of(folder: &Path) -> Result<Vec<PathBuf>, Error> {
     let io = |source| Error::Io {
-        path: folder.display().to_string(),
+        path: folder.to_owned(),
         source,
     };
     let mut parts = Vec::new();
@@ -240,7 +420,7 @@ fn parts_of(folder: &Path) -> Result<Vec<PathBuf>, Error> {
                 "a bag that was compressed as a whole: unpack it with `zstd -d` first",
             ));
         }
-        if name.ends_with(".db3") || name.ends_with(".mcap") {
+        if RosBag::is_file_of_one(&path) {
             // rosbag2 numbers parts without leading zeros: the shorter name comes first.
             parts.push((name.len(), path));
         }
@@ -253,8 +433,8 @@ fn parts_of(folder: &Path) -> Result<Vec<PathBuf>, Error> {
 }
 
 fn unreadable(path: &Path, problem: impl std::fmt::Display) -> Error {
-    Error::Parse {
-        path: path.display().to_string(),
+    Error::Bag {
+        path: path.to_owned(),
         problem: problem.to_string(),
     }
 }

@@ -67,7 +67,7 @@ impl Bag {
     /// Gives every record, those of chunks too.
     fn read(&self, each: &mut dyn FnMut(&Record<'_>) -> Result<(), String>) -> Result<(), Error> {
         let io = |source| Error::Io {
-            path: self.path.display().to_string(),
+            path: self.path.clone(),
             source,
         };
         let wrong = |problem: String| unreadable(&self.path, problem);

@@ -1,115 +1,24 @@
-//! Messages as ROS 1 and ROS 2 lay them out: the same fields, packed in the one, aligned (CDR) in the other.
+//! Messages as ROS 1 and ROS 2 lay them out.
 
+use lsfb_geometry::{Quaternion, Se3, UnitQuaternion, Vector3};
 use lsfb_perception::image::{self, MAX_PIXELS};
-use lsfb_types::{Image, ImuSample};
-
-/// How fields lie in a message.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Layout {
-    /// Without gaps; headers begin with a counter.
-    Ros1,
-    /// Each number at a multiple of its size behind an encapsulation of four bytes.
-    Cdr,
-}
-
-/// Takes fields off a message; every length is checked against what is there.
-struct Fields<'a> {
-    layout: Layout,
-    bytes: &'a [u8],
-    at: usize,
-}
-
-impl<'a> Fields<'a> {
-    fn new(layout: Layout, bytes: &'a [u8]) -> Result<Self, String> {
-        let bytes = match layout {
-            Layout::Ros1 => bytes,
-            Layout::Cdr => match bytes {
-                [0, 1, _, _, body @ ..] => body,
-                _ => return Err("no CDR with little-endian numbers".to_owned()),
-            },
-        };
-        Ok(Self {
-            layout,
-            bytes,
-            at: 0,
-        })
-    }
-
-    fn raw(&mut self, length: usize) -> Result<&'a [u8], String> {
-        let end = self.at.checked_add(length);
-        let bytes = end.and_then(|end| self.bytes.get(self.at..end));
-        let bytes = bytes.ok_or_else(|| {
-            format!(
-                "{length} bytes at {} of {}: the message is cut short",
-                self.at,
-                self.bytes.len()
-            )
-        })?;
-        self.at += length;
-        Ok(bytes)
-    }
-
-    fn number<const N: usize>(&mut self) -> Result<[u8; N], String> {
-        if self.layout == Layout::Cdr {
-            self.at = self.at.next_multiple_of(N);
-        }
-        let mut value = [0; N];
-        value.copy_from_slice(self.raw(N)?);
-        Ok(value)
-    }
-
-    fn u8(&mut self) -> Result<u8, String> {
-        Ok(self.number::<1>()?[0])
-    }
-
-    fn u32(&mut self) -> Result<u32, String> {
-        Ok(u32::from_le_bytes(self.number()?))
-    }
-
-    fn f64s<const N: usize>(&mut self) -> Result<[f64; N], String> {
-        let mut values = [0.0; N];
-        for value in &mut values {
-            *value = f64::from_le_bytes(self.number()?);
-        }
-        Ok(values)
-    }
-
-    fn sequence(&mut self) -> Result<&'a [u8], String> {
-        let length = self.u32()? as usize;
-        self.raw(length)
-    }
-
-    fn text(&mut self) -> Result<&'a str, String> {
-        let bytes = self.sequence()?;
-        // CDR counts the zero at the end.
-        let bytes = bytes.strip_suffix(&[0]).unwrap_or(bytes);
-        std::str::from_utf8(bytes).map_err(|_| "text that is no UTF-8".to_owned())
-    }
-
-    /// The stamp of a `std_msgs/Header`, nanoseconds.
-    fn header(&mut self) -> Result<i64, String> {
-        if self.layout == Layout::Ros1 {
-            self.u32()?;
-        }
-        let (seconds, nanoseconds) = (self.u32()?, self.u32()?);
-        self.text()?;
-        if nanoseconds >= 1_000_000_000 {
-            return Err(format!("a stamp with {nanoseconds} ns"));
-        }
-        Ok(i64::from(seconds) * 1_000_000_000 + i64::from(nanoseconds))
-    }
-}
+use lsfb_recording::message::{CdrError, CdrReader, Layout, StaticTransform};
+use lsfb_types::{Image, ImuSample, Timestamp};
 
 /// Stamp and samples of a `sensor_msgs/Imu`.
-pub(super) fn imu(layout: Layout, bytes: &[u8]) -> Result<(i64, ImuSample), String> {
-    let mut fields = Fields::new(layout, bytes)?;
-    let stamp = fields.header()?;
-    // Orientation and its covariance.
-    fields.f64s::<13>()?;
-    let angular_velocity_rad_s = fields.f64s()?;
-    fields.f64s::<9>()?;
-    let specific_force_m_s2 = fields.f64s()?;
-    fields.f64s::<9>()?;
+pub(super) fn imu(layout: Layout, bytes: &[u8]) -> Result<(Timestamp, String, ImuSample), String> {
+    let sample = || -> Result<_, CdrError> {
+        let mut r = CdrReader::with_layout(layout, bytes)?;
+        let header = r.header()?;
+        r.f64_array::<4>("orientation")?;
+        r.f64_array::<9>("orientation_covariance")?;
+        let angular_velocity_rad_s = r.f64_array("angular_velocity")?;
+        r.f64_array::<9>("angular_velocity_covariance")?;
+        let specific_force_m_s2 = r.f64_array("linear_acceleration")?;
+        r.f64_array::<9>("linear_acceleration_covariance")?;
+        Ok((header, angular_velocity_rad_s, specific_force_m_s2))
+    };
+    let (header, angular_velocity_rad_s, specific_force_m_s2) = sample().map_err(said)?;
     let finite = |v: &[f64; 3]| v.iter().all(|x| x.is_finite());
     if !(finite(&angular_velocity_rad_s) && finite(&specific_force_m_s2)) {
         return Err("a sample that is no number".to_owned());
@@ -118,26 +27,66 @@ pub(super) fn imu(layout: Layout, bytes: &[u8]) -> Result<(i64, ImuSample), Stri
         angular_velocity_rad_s,
         specific_force_m_s2,
     };
-    Ok((stamp, sample))
+    Ok((header.stamp, header.frame_id.to_owned(), sample))
+}
+
+/// The edges of a `tf2_msgs/TFMessage`.
+pub(super) fn transforms(layout: Layout, bytes: &[u8]) -> Result<Vec<StaticTransform>, String> {
+    let read = || -> Result<Vec<StaticTransform>, CdrError> {
+        let mut r = CdrReader::with_layout(layout, bytes)?;
+        let mut transforms = Vec::new();
+        for _ in 0..r.u32("transforms")? {
+            let parent = r.header()?.frame_id.to_owned();
+            let child = r.string("child_frame_id")?.to_owned();
+            let [x, y, z] = r.f64_array("translation")?;
+            let [qx, qy, qz, qw] = r.f64_array("rotation")?;
+            let rotation = UnitQuaternion::try_new(Quaternion::new(qw, qx, qy, qz), 1e-6);
+            let finite = [x, y, z, qx, qy, qz, qw].iter().all(|v| v.is_finite());
+            let rotation = rotation
+                .filter(|_| finite)
+                .ok_or(CdrError::Value { field: "rotation" })?;
+            transforms.push(StaticTransform {
+                parent,
+                child,
+                parent_from_child: Se3::new(rotation, Vector3::new(x, y, z)),
+            });
+        }
+        Ok(transforms)
+    };
+    read().map_err(said)
+}
+
+fn said(error: CdrError) -> String {
+    error.to_string()
 }
 
 /// Stamp and grey image of a `sensor_msgs/CompressedImage`.
 pub(super) fn compressed_image(layout: Layout, bytes: &[u8]) -> Result<(i64, Image), String> {
-    let mut fields = Fields::new(layout, bytes)?;
-    let stamp = fields.header()?;
-    fields.text()?;
-    Ok((stamp, image::decode(fields.sequence()?)?))
+    let packed = || -> Result<_, CdrError> {
+        let mut r = CdrReader::with_layout(layout, bytes)?;
+        let stamp = r.header()?.stamp;
+        r.string("format")?;
+        Ok((stamp, r.byte_sequence("data")?))
+    };
+    let (stamp, data) = packed().map_err(said)?;
+    Ok((stamp.nanos(), image::decode(data)?))
 }
 
 /// Stamp and grey image of a `sensor_msgs/Image`.
 pub(super) fn image(layout: Layout, bytes: &[u8]) -> Result<(i64, Image), String> {
-    let mut fields = Fields::new(layout, bytes)?;
-    let stamp = fields.header()?;
-    let (height, width) = (fields.u32()?, fields.u32()?);
-    let encoding = fields.text()?;
-    let is_bigendian = fields.u8()? != 0;
-    let step = fields.u32()? as usize;
-    let data = fields.sequence()?;
+    let raw = || -> Result<_, CdrError> {
+        let mut r = CdrReader::with_layout(layout, bytes)?;
+        Ok((
+            r.header()?.stamp.nanos(),
+            r.u32("height")?,
+            r.u32("width")?,
+            r.string("encoding")?,
+            r.u8("is_bigendian")? != 0,
+            r.u32("step")? as usize,
+            r.byte_sequence("data")?,
+        ))
+    };
+    let (stamp, height, width, encoding, is_bigendian, step, data) = raw().map_err(said)?;
     let (columns, rows) = (width as usize, height as usize);
     let pixel = Pixel::of(encoding)?;
     let whole = columns

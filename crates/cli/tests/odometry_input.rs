@@ -1,0 +1,213 @@
+//! `lsfb odometry` on what people have: their topics, their files, their packets.
+
+mod answer;
+mod process;
+mod refusal;
+
+use std::path::{Path, PathBuf};
+
+use answer::json;
+use lsfb_geometry::UnitQuaternion;
+use lsfb_recording::{Writer, WriterConfig, read_tum};
+use lsfb_types::{ImuSample, LidarPoint, LidarScan, Stamped, Timestamp};
+use refusal::refused;
+
+/// A room of 8 × 6 × 3 m with a pillar, seen from a sensor that moves 5 cm along x from scan to scan, also while it turns.
+fn scan(number: usize) -> LidarScan {
+    let mut points = Vec::new();
+    for column in 0..900_u16 {
+        let turns = number as f32 + f32::from(column) / 1000.0;
+        let sensor = [0.05 * turns, 0.3, 1.2];
+        for ring in 0..16_u16 {
+            let azimuth = f32::from(column) * std::f32::consts::TAU / 900.0;
+            let elevation = (f32::from(ring) * 4.0 - 30.0).to_radians();
+            let ray = [
+                elevation.cos() * azimuth.cos(),
+                -elevation.cos() * azimuth.sin(),
+                elevation.sin(),
+            ];
+            let walls = [(-4.0, 4.0), (-3.0, 3.0), (0.0, 3.0)];
+            let mut range_m = f32::INFINITY;
+            for ((along, from), (low, high)) in ray.iter().zip(sensor).zip(walls) {
+                let wall = if *along > 0.0 { high } else { low };
+                range_m = range_m.min((wall - from) / along);
+            }
+            // The pillar's face towards the sensor, at x = 2 m.
+            let to_pillar = (2.0 - sensor[0]) / ray[0];
+            let side = sensor[1] + to_pillar * ray[1];
+            if to_pillar > 0.0 && (-1.0..-0.4).contains(&side) {
+                range_m = range_m.min(to_pillar);
+            }
+            points.push(LidarPoint {
+                position_m: ray.map(|c| c * range_m),
+                ring,
+                time_offset_ns: 100_000 * u32::from(column),
+                ..LidarPoint::default()
+            });
+        }
+    }
+    LidarScan { points }
+}
+
+const SCANS: usize = 12;
+
+fn at(number: usize) -> Timestamp {
+    Timestamp::from_nanos(1_700_000_000_000_000_000 + 100_000_000 * number as i64)
+}
+
+fn stamped<T>(time: Timestamp, sample: T) -> Stamped<T> {
+    Stamped {
+        time,
+        arrival: time,
+        device_ticks: 0,
+        sample,
+    }
+}
+
+/// A recording without a rig: to this program that of a stranger.
+fn foreign_mcap(path: &Path) {
+    let mut writer = Writer::create(path, &WriterConfig::default()).expect("a file");
+    for number in 0..SCANS {
+        for tenth in 0..10 {
+            let level = ImuSample {
+                angular_velocity_rad_s: [0.0; 3],
+                specific_force_m_s2: [0.0, 0.0, 9.81],
+            };
+            let sample = stamped(at(number).plus_nanos(10_000_000 * tenth), level);
+            writer.write_imu("imu0", &sample).expect("a sample");
+        }
+        writer
+            .write_scan("lidar", &stamped(at(number), scan(number)))
+            .expect("a scan");
+    }
+    writer.finish().expect("a file");
+}
+
+/// Where the trajectory ends, from where it starts.
+fn moved_m(path: &Path) -> [f64; 3] {
+    let found = read_tum(path).expect("a trajectory");
+    let [first, .., last] = found.poses() else {
+        panic!("poses")
+    };
+    (first.world_from_rig.inverse() * last.world_from_rig)
+        .translation
+        .into()
+}
+
+fn expect_path(path: &Path) {
+    let [x, y, z] = moved_m(path);
+    // From the last firing of the first scan to that of the last.
+    assert!(
+        (x - 0.55).abs() < 0.06 && y.abs() < 0.03 && z.abs() < 0.03,
+        "{x} {y} {z}"
+    );
+}
+
+#[test]
+fn an_mcap_of_a_stranger_is_run_on_without_an_imu_of_which_nothing_is_known() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path();
+    foreign_mcap(&path.join("walk.mcap"));
+    let command = ["odometry", "walk.mcap", "--out", "walk.tum"];
+    let report = json(path, &command, 0);
+    assert_eq!(report["registered"], SCANS);
+    assert_eq!(report["deskew"]["by_times"], SCANS);
+    assert_eq!(report["input"]["lidar_topic"], "/lidar/points");
+    assert_eq!(report["imu_samples"], 0);
+    let said = report["input"]["warnings"].to_string();
+    assert!(said.contains("neither --rig nor /tf_static"), "{said}");
+    expect_path(&path.join("walk.tum"));
+
+    // Asked for, it is an error and no silence.
+    let asked = [&command[..], &["--imu", "/imu0/data_raw", "--force"]].concat();
+    refused(path, &asked, &["--rig", "/tf_static"]);
+    let missing = [&command[..], &["--lidar", "/os/points", "--force"]].concat();
+    refused(path, &missing, &["/os/points", "these have: /lidar/points"]);
+
+    let rig = "name = \"handheld\"\n[lidars.lidar]\nrange_noise_m = 0.02\n[lidars.lidar.rig_from_lidar]\n\
+               rotation_xyzw = [0.0, 0.0, 0.0, 1.0]\ntranslation_m = [0.0, 0.0, 0.0]\n";
+    std::fs::write(path.join("rig.toml"), rig).expect("a rig");
+    let with_rig = [&command[..], &["--rig", "rig.toml", "--force"]].concat();
+    let report = json(path, &with_rig, 0);
+    assert_eq!(report["input"]["extrinsic"], "rig");
+    assert_eq!(report["input"]["imu_topic"], "/imu0/data_raw");
+    assert_eq!(report["imu_samples"], SCANS * 10);
+    let found = read_tum(&path.join("walk.tum")).expect("a trajectory");
+    let turned = found.poses().iter().map(|p| {
+        p.world_from_rig
+            .rotation
+            .angle_to(&UnitQuaternion::identity())
+    });
+    assert!(turned.fold(0.0, f64::max) < 0.02);
+}
+
+#[test]
+fn a_folder_of_kitti_is_read_and_nothing_is_left_beside_the_result() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path();
+    let scans = path.join("velodyne");
+    std::fs::create_dir(&scans).expect("folder");
+    for number in 0..SCANS {
+        let points = scan(number).points;
+        let numbers = points.iter().flat_map(|p| {
+            let [x, y, z] = p.position_m;
+            [x, y, z, 0.5].map(f32::to_le_bytes)
+        });
+        std::fs::write(
+            scans.join(format!("{number}.bin")),
+            numbers.flatten().collect::<Vec<u8>>(),
+        )
+        .expect("a scan");
+    }
+    let command = ["odometry", "velodyne", "--out", "k.tum", "--force"];
+    let report = json(path, &command, 0);
+    assert_eq!(
+        (&report["registered"], &report["deskew"]["none"]),
+        (&SCANS.into(), &SCANS.into())
+    );
+    let said = report.to_string();
+    assert!(
+        said.contains("10 scans a second") && said.contains("not deskewed"),
+        "{said}"
+    );
+    expect_path(&path.join("k.tum"));
+    let mut there: Vec<PathBuf> = std::fs::read_dir(path)
+        .expect("folder")
+        .map(|entry| entry.expect("an entry").path())
+        .collect();
+    there.sort();
+    let names = ["k.tum", "k.tum.provenance.json", "velodyne"].map(|name| path.join(name));
+    assert_eq!(there, names);
+
+    // The order of its points shows the turn of the sensor.
+    let by_azimuth = [&command[..], &["--lidar-model", "vlp-16"]].concat();
+    let report = json(path, &by_azimuth, 0);
+    assert_eq!(
+        (&report["deskew"]["by_azimuth"], &report["deskew"]["none"]),
+        (&SCANS.into(), &0.into())
+    );
+}
+
+#[test]
+fn packets_in_a_bag_of_a_driver_are_run_on() {
+    let test = "packets_in_a_bag_of_a_driver_are_run_on";
+    let below = "lidar/nebula_velodyne/vlp32/1713492677464078412_0.db3";
+    let Some(bag) = lsfb_tests::recordings(test, below) else {
+        return;
+    };
+    let bag = bag.canonicalize().expect("a path that exists");
+    let folder = tempfile::tempdir().expect("folder");
+    let arguments = [
+        "odometry",
+        bag.to_str().expect("UTF-8"),
+        "--out",
+        "v.tum",
+        "--outdoor",
+    ];
+    let report = json(folder.path(), &arguments, 0);
+    assert!(report["registered"].as_u64() >= Some(4), "{report}");
+    assert_eq!(report["deskew"]["none"], 0, "{report}");
+    assert_eq!(report["input"]["scan_times"], "packets");
+    let left = std::fs::read_dir(folder.path()).expect("folder").count();
+    assert_eq!(left, 2, "the trajectory and its provenance");
+}

@@ -1,0 +1,24 @@
+//! What other programs recorded: ROS bags ([`RosBag`]) and files of point clouds ([`read_cloud`], [`CloudFolder`]).
+//!
+//! Readers only, and as tolerant as can be without guessing: what a file does not say is asked for or told, never made up.
+//!
+//! ```
+//! use lsfb_datasets::{ScanTimes, CloudFolder};
+//!
+//! # let folder = tempfile::tempdir()?;
+//! # std::fs::write(folder.path().join("7.bin"), [[1.0_f32, 2.0, 3.0, 0.5].map(f32::to_le_bytes); 2].as_flattened().as_flattened())?;
+//! let clouds = CloudFolder::open(folder.path(), 10.0)?;
+//! for cloud in clouds.scans() {
+//!     assert_eq!(cloud?.cloud.scan.points.len(), 2);
+//! }
+//! assert_eq!(clouds.scan_times(), ScanTimes::Rate);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod clouds;
+mod error;
+mod rosbag;
+
+pub use clouds::{CloudFolder, FileScan, ScanTimes, read_cloud};
+pub use error::Error;
+pub use rosbag::{BagImu, LidarMessages, LidarTopic, RosBag, pose_in};

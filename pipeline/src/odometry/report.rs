@@ -1,0 +1,63 @@
+//! What the odometry says about its result.
+
+use serde::{Deserialize, Serialize};
+
+use super::point_clock::DeskewReport;
+
+/// What the odometry says about its own result.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct OdometryReport {
+    /// Scans in the recording.
+    pub scans: u64,
+    /// Scans registered to the map, the first included.
+    pub registered: u64,
+    /// Scans that found no place in the map: they have no pose.
+    pub lost: u64,
+    /// Lost scans behind the last registered one: the trajectory ends before them.
+    #[serde(default)]
+    pub lost_at_end: u64,
+    /// How motion within scans was undone.
+    #[serde(default)]
+    pub deskew: DeskewReport,
+    /// Scans left out: empty, out of order, or before the first inertial sample.
+    pub skipped: u64,
+    /// Inertial samples used.
+    pub imu_samples: u64,
+    /// Length of the path, metres.
+    pub path_length_m: f64,
+    /// Mean share of keypoints that agreed with the map.
+    pub mean_inlier_ratio: f64,
+    /// Root mean square distance of keypoints to the planes of the map, metres.
+    pub plane_rms_m: f64,
+    /// Gyroscope bias at the end, rad/s; absent without IMU.
+    pub gyro_bias_rad_s: Option<[f64; 3]>,
+    /// Accelerometer bias at the end, m/s²; absent without IMU.
+    pub accel_bias_m_s2: Option<[f64; 3]>,
+    /// What the reader should know: missing sensors, damage, lost stretches.
+    pub warnings: Vec<String>,
+}
+
+impl OdometryReport {
+    /// Adds the sentences for people, in the order of their weight.
+    pub(super) fn add_warnings(&mut self) {
+        if self.lost > 0 {
+            self.warnings.push(format!(
+                "{} of {} scans found no place in the map and have no pose",
+                self.lost, self.scans
+            ));
+        }
+        if self.lost_at_end > 0 {
+            self.warnings.push(format!(
+                "the last {} scans are lost: the trajectory ends before them",
+                self.lost_at_end
+            ));
+        }
+        self.warnings.extend(self.deskew.warnings());
+        if self.skipped > 0 {
+            self.warnings.push(format!(
+                "{} of {} scans were empty, out of order, or before the first inertial sample",
+                self.skipped, self.scans
+            ));
+        }
+    }
+}
