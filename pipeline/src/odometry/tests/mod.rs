@@ -6,6 +6,7 @@ use lsfb_types::LidarPoint;
 use super::*;
 use room::Room;
 
+mod gaps;
 mod online;
 mod recorded;
 mod registration;
