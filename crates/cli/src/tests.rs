@@ -66,6 +66,7 @@ fn documented() -> Vec<(String, String)> {
         "README.md",
         "docs/calibration.md",
         "docs/devices.md",
+        "docs/odometry.md",
         "docs/twin.md",
         "docs/from/colmap.md",
         "docs/from/euroc.md",

@@ -20,7 +20,7 @@ use crate::outcome::Outcome;
 /// Examples:
 ///   lsfb odometry scan.mcap --out scan.tum
 ///   lsfb odometry kitti/velodyne_points/data --outdoor --out kitti.tum
-///   lsfb odometry walk.bag --lidar /os_cloud_node/points --imu /imu --rig rig.toml --out walk.tum
+///   lsfb odometry walk.bag --lidar-topic /os_cloud_node/points --imu-topic /imu --rig rig.toml --out walk.tum
 ///   lsfb odometry drive.pcap --out drive.tum
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -41,10 +41,10 @@ pub struct Arguments {
     #[arg(long, value_name = "TOML")]
     rig: Option<PathBuf>,
     /// Topic of the scans, where a bag has several.
-    #[arg(long, value_name = "TOPIC")]
+    #[arg(long = "lidar-topic", alias = "lidar", value_name = "TOPIC")]
     lidar: Option<String>,
     /// Topic of the inertial samples, where a bag has several.
-    #[arg(long, value_name = "TOPIC")]
+    #[arg(long = "imu-topic", alias = "imu", value_name = "TOPIC")]
     imu: Option<String>,
     /// Scans per second of a folder of clouds, where neither points, names nor a list beside them say when they were taken.
     #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = rate_hz)]

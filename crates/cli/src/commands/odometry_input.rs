@@ -284,7 +284,7 @@ fn of_capture(choice: &Choice, config: &OdometryConfig, context: &Context) -> an
 fn expect_no_topics(choice: &Choice) -> anyhow::Result<()> {
     anyhow::ensure!(
         choice.imu.is_none() && choice.lidar.is_none(),
-        "--imu and --lidar name topics of a bag, and {} is none",
+        "--imu-topic and --lidar-topic name topics of a bag, and {} is none",
         choice.path.display()
     );
     Ok(())
@@ -452,7 +452,14 @@ fn about_packets(report: &CaptureReport) -> Vec<String> {
         .streams
         .iter()
         .flat_map(|stream| stream.notes.iter().cloned());
-    lost.into_iter().chain(notes).collect()
+    let others = (report.streams.len() > 1).then(|| {
+        let names: Vec<&str> = report.streams.iter().map(|s| s.name.as_str()).collect();
+        format!(
+            "there are packets of several LiDARs ({}): the scans of {MAIN_LIDAR} are used",
+            names.join(", ")
+        )
+    });
+    lost.into_iter().chain(others).chain(notes).collect()
 }
 
 /// A folder for scans between decoder and odometry, away from the result; gone with this.

@@ -180,7 +180,7 @@ impl RosBag {
                 )))
             }
             _ => Err(self.wrong(format!(
-                "several LiDARs: name the topic of one with --lidar: {}",
+                "several LiDARs: name the topic of one with --lidar-topic: {}",
                 names()
             ))),
         }
