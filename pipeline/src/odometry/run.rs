@@ -8,7 +8,7 @@ use lsfb_geometry::{
 };
 use lsfb_recording::Recording;
 use lsfb_recording::cloud::{PointTimes, TimesBegin};
-use lsfb_types::{ImuSample, Progress, ProgressFn, Stamped, Timestamp};
+use lsfb_types::{ImuSample, LidarScan, Progress, ProgressFn, Stamped, Timestamp};
 
 use super::imu_check::{ImuUnits, mend_units};
 use super::point_clock::{PointClock, TimedScan};
