@@ -45,7 +45,7 @@ pub struct Arguments {
     #[arg(long, value_name = "MCAP")]
     recording: Option<PathBuf>,
     /// IMU table (EuRoC: ns, rad/s, m/s²) instead of the recording's IMU; or its topic in a bag.
-    #[arg(long, value_name = "CSV")]
+    #[arg(long, value_name = "CSV|TOPIC")]
     imu: Option<PathBuf>,
     /// The rig to write; a page with plots and the transforms for `lsfb calib joint` are written beside it.
     #[arg(long, value_name = "TOML")]

@@ -26,7 +26,7 @@ pub struct Arguments {
     #[arg(long, value_name = "MCAP", required_unless_present = "imu")]
     recording: Option<PathBuf>,
     /// IMU table (EuRoC: ns, rad/s, m/s²) instead of the recording's IMU; or its topic in a bag.
-    #[arg(long, value_name = "CSV")]
+    #[arg(long, value_name = "CSV|TOPIC")]
     imu: Option<PathBuf>,
     /// The page with figures and plots to write.
     #[arg(long, value_name = "HTML")]
