@@ -46,10 +46,11 @@ impl Context {
         self.force
     }
 
-    /// Fails before the work is done where its result must not or cannot be written, by [`crate::existing`]'s rule.
-    pub fn claim(&self, result: &Path) -> anyhow::Result<()> {
+    /// Fails before the work is done where its result must not or cannot be written, by [`crate::existing`]'s rule; `read` is
+    /// what it is made from.
+    pub fn claim(&self, result: &Path, read: &[&Path]) -> anyhow::Result<()> {
         self.will_write(result);
-        crate::existing::expect_free(result, self.force)?;
+        crate::existing::expect_free(result, read, self.force)?;
         crate::files::expect_writable(result)
     }
 

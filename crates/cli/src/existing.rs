@@ -1,4 +1,4 @@
-//! The one rule for existing results: no command replaces one unless `--force` is given.
+//! The one rule for existing results: no command replaces one unless `--force` is given, and none replaces what it reads.
 //!
 //! A map is a result when it has its header: a folder without it is empty, or half a map. Lists of devices and sockets that
 //! `lsfb sim` and `lsfb mock` make for a recorder are no results, and are made again.
@@ -7,8 +7,15 @@ use std::path::Path;
 
 use lsfb_pipeline::hd_map::HdMap;
 
-/// Fails where a result is there and may not be replaced.
-pub fn expect_free(result: &Path, force: bool) -> anyhow::Result<()> {
+use crate::files::is_same;
+
+/// Fails where a result is there and may not be replaced, and where it would take the place of what is `read`.
+pub fn expect_free(result: &Path, read: &[&Path], force: bool) -> anyhow::Result<()> {
+    anyhow::ensure!(
+        !read.iter().any(|input| is_same(input, result)),
+        "{}: would replace what is read: choose another name for the result",
+        result.display()
+    );
     anyhow::ensure!(
         force || !is_result(result),
         "{}: exists already: choose another name, or replace it with --force",
@@ -35,14 +42,22 @@ mod tests {
         let (file, map) = (folder.path().join("a.tum"), folder.path().join("map"));
         std::fs::create_dir(&map).expect("folder");
         for path in [&file, &map, Path::new("/dev/null")] {
-            expect_free(path, false).expect("free");
+            expect_free(path, &[], false).expect("free");
         }
         std::fs::write(&file, "yesterday").expect("file");
         std::fs::write(map.join(HdMap::HEADER), "yesterday").expect("file");
         for path in [&file, &map] {
-            let refusal = expect_free(path, false).expect_err("taken").to_string();
+            let refusal = expect_free(path, &[], false)
+                .expect_err("taken")
+                .to_string();
             assert!(refusal.contains("--force"), "{refusal}");
-            expect_free(path, true).expect("forced");
+            expect_free(path, &[], true).expect("forced");
+            let other_name = folder
+                .path()
+                .join(".")
+                .join(path.file_name().expect("name"));
+            let refusal = expect_free(path, &[&other_name], true).expect_err("read");
+            assert!(refusal.to_string().contains("what is read"), "{refusal}");
         }
     }
 }

@@ -141,14 +141,24 @@ fn results_stay_unless_they_may_be_replaced() {
         let left = std::fs::read(path.join(result)).expect("file");
         assert_ne!(left, b"yesterday", "{arguments:?}");
     }
-    // A recording is not replaced by what is recovered of itself.
+    // Nothing takes the place of what it was made from.
     let before = std::fs::read(path.join("scan.mcap")).expect("recording");
-    let output = lsfb(
-        path,
-        &["recover", "scan.mcap", "--out", "scan.mcap", "--force"],
-    );
-    assert_eq!(output.status.code(), Some(1), "{}", said(&output));
-    assert!(std::fs::read(path.join("scan.mcap")).expect("recording") == before);
+    for command in [
+        "recover scan.mcap --out scan.mcap",
+        "odometry scan.mcap --out ./scan.mcap",
+        "clock scan.mcap --out scan.mcap",
+        "map scan.mcap --out map --out-trajectory scan.mcap",
+        "view scan.mcap --out scan.mcap",
+        "calib verify scan.mcap --out scan.mcap",
+        "eval new.tum --truth scan.mcap --out scan.mcap",
+        "calib import kalibr scan.mcap --out scan.mcap",
+    ] {
+        let arguments: Vec<&str> = command.split(' ').chain(["--force"]).collect();
+        let output = lsfb(path, &arguments);
+        assert_eq!(output.status.code(), Some(1), "{}", said(&output));
+        let left = std::fs::read(path.join("scan.mcap")).expect("recording");
+        assert!(left == before, "{command}");
+    }
 }
 
 #[test]

@@ -57,7 +57,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         "--offset-secs must be a finite number, --search-secs one from 0 to 3600"
     );
     if let Some(out) = &arguments.out {
-        context.claim(out)?;
+        context.claim(out, &[&arguments.estimate, &arguments.reference])?;
     }
     let estimate = read(&arguments.estimate)?;
     let reference = read(&arguments.reference)?;

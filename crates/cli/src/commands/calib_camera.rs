@@ -1,6 +1,6 @@
 //! `lsfb calib camera`: views of a board → lenses and poses of cameras.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use lsfb_calib::camera::{CameraConfig, CameraViews, calibrate_cameras};
 use lsfb_calib::exchange::{ChainOrigin, camera_chain};
@@ -84,12 +84,12 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         .map(|c| name_of_camera(c))
         .collect();
     let pairs: Vec<[&str; 2]> = names.iter().skip(1).map(|n| [*n, names[0]]).collect();
-    let inputs: Vec<&Path> = arguments.rig.iter().map(PathBuf::as_path).collect();
     let results = Results {
         out: &arguments.out,
         transforms: &pairs,
         others: &[arguments.out_kalibr.as_deref()],
-        inputs: &inputs,
+        rig: arguments.rig.as_deref(),
+        read: arguments.recording.iter().map(PathBuf::as_path).collect(),
     };
     results.claim(context)?;
     let mut config: CameraConfig = match &arguments.config {

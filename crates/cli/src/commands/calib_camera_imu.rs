@@ -76,7 +76,12 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             arguments.out_kalibr.as_deref(),
             arguments.out_trajectory.as_deref(),
         ],
-        inputs: &[&arguments.rig],
+        rig: Some(&arguments.rig),
+        read: [&arguments.recording, &arguments.imu]
+            .into_iter()
+            .flatten()
+            .map(PathBuf::as_path)
+            .collect(),
     };
     results.claim(context)?;
     let config: CameraImuConfig = match &arguments.config {

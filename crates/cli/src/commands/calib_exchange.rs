@@ -84,12 +84,12 @@ impl From<Program> for Format {
 
 /// Reads the files, writes the rig.
 pub fn run_import(arguments: &ImportArguments, context: &Context) -> anyhow::Result<Outcome> {
-    let read_too = arguments.files.iter().chain(&arguments.rig);
     let results = Results {
         out: &arguments.out,
         transforms: &[],
         others: &[],
-        inputs: &read_too.map(PathBuf::as_path).collect::<Vec<_>>(),
+        rig: arguments.rig.as_deref(),
+        read: arguments.files.iter().map(PathBuf::as_path).collect(),
     };
     results.claim(context)?;
     let ImportedRig {
@@ -253,7 +253,9 @@ pub fn run_export(arguments: &ExportArguments, context: &Context) -> anyhow::Res
     std::fs::create_dir_all(&arguments.out).with_context(|| arguments.out.display().to_string())?;
     let files = exported.files.iter();
     let paths: Vec<PathBuf> = files.map(|f| arguments.out.join(&f.name)).collect();
-    paths.iter().try_for_each(|path| context.claim(path))?;
+    paths
+        .iter()
+        .try_for_each(|path| context.claim(path, &[&arguments.rig]))?;
     for (path, file) in paths.iter().zip(&exported.files) {
         super::write(path, &file.text)?;
     }

@@ -54,7 +54,6 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         Some(path) => super::read_config(path)?,
         None => ImuNoiseConfig::default(),
     };
-    let read_too = arguments.rig.as_deref();
     let results = Results {
         out: &arguments.out,
         transforms: &[],
@@ -62,7 +61,12 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             arguments.out_kalibr.as_deref(),
             arguments.out_rig.as_deref(),
         ],
-        inputs: read_too.as_slice(),
+        rig: arguments.rig.as_deref(),
+        read: [&arguments.recording, &arguments.imu]
+            .into_iter()
+            .flatten()
+            .map(PathBuf::as_path)
+            .collect(),
     };
     results.claim(context)?;
     let rig = match (&arguments.rig, &arguments.out_rig) {

@@ -47,12 +47,12 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     if arguments.paper_weights {
         config.weights = Weights::Paper;
     }
-    let read = arguments.transforms.iter().chain([&arguments.rig]);
     let results = Results {
         out: &arguments.out,
         transforms: &[],
         others: &[],
-        inputs: &read.map(PathBuf::as_path).collect::<Vec<_>>(),
+        rig: Some(&arguments.rig),
+        read: arguments.transforms.iter().map(PathBuf::as_path).collect(),
     };
     results.claim(context)?;
     let mut rig = Rig::read(&arguments.rig)?;

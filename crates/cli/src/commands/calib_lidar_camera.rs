@@ -83,7 +83,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         out: &arguments.out,
         transforms: &[[name, LIDAR]],
         others: &[],
-        inputs: &[&arguments.rig],
+        rig: Some(&arguments.rig),
+        read: arguments.recording.iter().map(PathBuf::as_path).collect(),
     };
     results.claim(context)?;
     let config: LidarCameraConfig = super::config_or_default(arguments.config.as_deref())?;

@@ -64,7 +64,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         out: &arguments.out,
         transforms: &pairs,
         others: &[],
-        inputs: &[],
+        rig: None,
+        read: vec![&arguments.recording],
     };
     results.claim(context)?;
     let show = |p| context.show(p);

@@ -84,8 +84,10 @@ pub struct Results<'a> {
     pub transforms: &'a [[&'a str; 2]],
     /// Other files that were named.
     pub others: &'a [Option<&'a Path>],
-    /// What is read: a result of the same name is no older one, but brought up to date.
-    pub inputs: &'a [&'a Path],
+    /// A rig that is read: a result of the same name brings it up to date.
+    pub rig: Option<&'a Path>,
+    /// The rest of what is read.
+    pub read: Vec<&'a Path>,
 }
 
 impl Results<'_> {
@@ -100,14 +102,14 @@ impl Results<'_> {
             .into_iter()
             .chain(transforms)
             .chain(named);
-        let results: Vec<PathBuf> = results.filter(|path| !self.is_read(path)).collect();
+        let results: Vec<PathBuf> = results.filter(|path| !self.is_rig(path)).collect();
         for result in &results {
-            context.claim(result)?;
+            context.claim(result, &self.read)?;
         }
         standing::forget(&[self.out])?;
         let pages = [self.out.with_extension("html"), picture_path(self.out)];
         for older in results.iter().chain(&pages) {
-            if older.is_file() && !self.is_read(older) {
+            if older.is_file() && !self.is_rig(older) {
                 let mut aside = older.clone().into_os_string();
                 aside.push(".old");
                 std::fs::rename(older, &aside).with_context(|| older.display().to_string())?;
@@ -116,8 +118,8 @@ impl Results<'_> {
         Ok(())
     }
 
-    fn is_read(&self, path: &Path) -> bool {
-        self.inputs.iter().any(|input| is_same(input, path))
+    fn is_rig(&self, path: &Path) -> bool {
+        self.rig.is_some_and(|rig| is_same(rig, path))
     }
 }
 

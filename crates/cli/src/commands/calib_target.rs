@@ -33,8 +33,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let [width_m, height_m] = arguments.page;
     let page = PageSize { width_m, height_m };
     let yaml = arguments.out.with_extension("yaml");
-    context.claim(&arguments.out)?;
-    context.claim(&yaml)?;
+    context.claim(&arguments.out, &[])?;
+    context.claim(&yaml, &[])?;
     super::write(&arguments.out, target.to_pdf(page)?)?;
     super::write(&yaml, target.to_kalibr())?;
     context.print(&target, || {

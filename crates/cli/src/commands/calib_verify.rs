@@ -63,7 +63,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         out: &page,
         transforms: &[],
         others: &[],
-        inputs: &[],
+        rig: None,
+        read: vec![&arguments.recording],
     };
     results.claim(context)?;
     let show = |p| context.show(p);

@@ -57,7 +57,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     if let Some(said) = judged::said_before(context, &page, &provenance) {
         return said;
     }
-    context.claim(&page)?;
+    context.claim(&page, &[&arguments.recording])?;
     let report = estimate_clocks(&recording, &config, &|p| context.show(p))?;
     let name = arguments.recording.display().to_string();
     let judgement = report.judgement();

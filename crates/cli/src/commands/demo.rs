@@ -197,7 +197,7 @@ fn begin(out: &Path, sim_config: &SimConfig, context: &Context) -> anyhow::Resul
                     "walk.tum",
                     FINISHED,
                 ] {
-                    expect_free(&out.join(name), false)?;
+                    expect_free(&out.join(name), &[], false)?;
                 }
             }
         }

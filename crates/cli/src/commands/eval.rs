@@ -98,7 +98,7 @@ enum RpeUnit {
 /// Evaluates, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     if let Some(page) = &arguments.out {
-        context.claim(page)?;
+        context.claim(page, &[&arguments.estimate, &arguments.truth])?;
     }
     let truth = truth(arguments)?;
     let estimate = read_trajectory(

@@ -43,7 +43,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         config: &config,
     };
     let found = job
-        .compute(context, |result| context.claim(result))?
+        .compute(context, |result| {
+            context.claim(result, &[&arguments.recording])
+        })?
         .ground_truth;
     let r = &found.report;
     context.print(r, || {

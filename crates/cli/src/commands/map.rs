@@ -69,7 +69,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         out_trajectory: arguments.out_trajectory.as_deref(),
         config: &config,
     };
-    let built = job.build(context, |result| context.claim(result))?;
+    let built = job.build(context, |result| context.claim(result, &[recording]))?;
     let r = &built.report;
     context.print(&summary(&arguments.out, &built.map, r), || {
         let mut text = format!(
@@ -175,7 +175,7 @@ fn from_posed_images(
 ) -> anyhow::Result<Outcome> {
     let config: PosedMapConfig = super::config_or_default(arguments.config.as_deref())?;
     super::expect_file(folder, "name a folder of posed images")?;
-    context.claim(&arguments.out)?;
+    context.claim(&arguments.out, &[])?;
     let posed = PosedImages::read(folder)?.without_every(arguments.holdout_every.unwrap_or(0));
     let map = build_map_from_posed_images(&posed, &config, &|p| context.show(p))?;
     map.write(&arguments.out)?;

@@ -1,6 +1,6 @@
 //! `lsfb odometry`: scans → trajectory.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use lsfb_drivers::any_lidar::Model;
 use lsfb_pipeline::odometry::{OdometryConfig, OdometryReport};
@@ -75,7 +75,12 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         None => OdometryConfig::default(),
     };
     super::expect_file(&arguments.input, "record one with `lsfb scan`")?;
-    context.claim(&arguments.out)?;
+    let read: Vec<&Path> = [&arguments.input]
+        .into_iter()
+        .chain(&arguments.rig)
+        .map(PathBuf::as_path)
+        .collect();
+    context.claim(&arguments.out, &read)?;
     let choice = Choice {
         path: &arguments.input,
         rig: arguments.rig.as_deref(),

@@ -41,7 +41,7 @@ struct Report {
 
 /// Recovers, prints what is missing.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    context.claim(&arguments.out)?;
+    context.claim(&arguments.out, &[])?;
     if arguments.out.is_file() && !is_same(&arguments.recording, &arguments.out) {
         std::fs::remove_file(&arguments.out)
             .with_context(|| arguments.out.display().to_string())?;

@@ -324,13 +324,13 @@ fn expect_no_other(
     let settings = out.join(simulated::SETTINGS);
     let same = std::fs::read_to_string(&settings).is_ok_and(|s| Ok(s) == toml::to_string(config));
     if !same {
-        expect_free(&settings, context.force())?;
+        expect_free(&settings, &[], context.force())?;
     }
     for recording in ["scan.mcap", "walk.mcap"] {
         let path = out.join(recording);
         context.will_write(&path);
         if record {
-            expect_free(&path, context.force())?;
+            expect_free(&path, &[], context.force())?;
         }
     }
     Ok(())
@@ -374,7 +374,7 @@ fn draw(action: &Action, context: &Context) -> anyhow::Result<Outcome> {
     for (name, mut config) in wanted {
         (config.seed, config.months_later) = (*seed, *months_later);
         for kind in ["scan", "walk", "top"] {
-            context.claim(&out.join(format!("{name}-{kind}.png")))?;
+            context.claim(&out.join(format!("{name}-{kind}.png")), &[])?;
         }
         let show = |p: lsfb_types::Progress| context.show(p);
         let simulation = Simulation::new(&config, &show)?;

@@ -43,7 +43,13 @@ pub struct Arguments {
 
 /// Writes, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    context.claim(&arguments.out)?;
+    let read: Vec<&Path> = arguments
+        .recordings
+        .iter()
+        .chain(&arguments.trajectory)
+        .map(PathBuf::as_path)
+        .collect();
+    context.claim(&arguments.out, &read)?;
     let report = write(
         &arguments.recordings,
         &arguments.trajectory,

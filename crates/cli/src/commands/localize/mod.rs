@@ -86,7 +86,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         .into_iter()
         .flatten()
     {
-        context.claim(result)?;
+        context.claim(result, &[&input])?;
     }
     let localizer = Localizer::new(&super::open_map(&map)?, &LocalizerConfig::default())?;
     let input = Input::open(&input, arguments, context)?;
