@@ -119,9 +119,9 @@ fn an_mcap_of_a_stranger_is_run_on_without_an_imu_of_which_nothing_is_known() {
     expect_path(&path.join("walk.tum"));
 
     // Asked for, it is an error and no silence.
-    let asked = [&command[..], &["--imu", "/imu0/data_raw", "--force"]].concat();
+    let asked = [&command[..], &["--imu-topic", "/imu0/data_raw"]].concat();
     refused(path, &asked, &["--rig", "/tf_static"]);
-    let missing = [&command[..], &["--lidar", "/os/points", "--force"]].concat();
+    let missing = [&command[..], &["--lidar-topic", "/os/points"]].concat();
     refused(path, &missing, &["/os/points", "these have: /lidar/points"]);
 
     let rig = "name = \"handheld\"\n[lidars.lidar]\nrange_noise_m = 0.02\n[lidars.lidar.rig_from_lidar]\n\
