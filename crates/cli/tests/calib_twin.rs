@@ -84,10 +84,7 @@ fn the_board_of_the_twin_places_the_lidar_and_the_rig_is_verified() {
     std::fs::write(&picture, "another").expect("a picture");
     let output = lsfb(folder.path(), &verify);
     let text = String::from_utf8_lossy(&output.stderr);
-    assert!(
-        text.contains("scan.verify.html: is there already"),
-        "{text}"
-    );
+    assert!(text.contains("scan.verify.html: exists already"), "{text}");
     assert_eq!(output.status.code(), Some(1), "{text}");
 
     // The images as if their clock were 5 ms off either way, the camera as if it had been turned by 2°.
