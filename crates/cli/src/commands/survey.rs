@@ -17,8 +17,8 @@ use crate::outcome::Outcome;
 
 /// Compute floor marks from measured distances, and check a trajectory or a map by them.
 ///
-/// A survey is a text file with one statement per line, in metres: horizontal|vertical|distance A B metres [σ]; sigma distance|line σ;
-/// visit A B … (the order in which the device rested on the marks); point A x y z (a point of a map).
+/// A survey is a text file with one statement per line, in metres: horizontal|vertical|distance A B LENGTH, with its σ behind it where
+/// it is known; sigma distance|line σ; visit A B … (the order in which the device rested on the marks); point A x y z (a point of a map).
 ///
 /// Examples:
 ///   lsfb survey solve floor.survey
