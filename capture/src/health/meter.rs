@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use super::expected::{Expected, Part};
 use lsfb_types::Timestamp;
 
-use super::monitor::arrival_now;
+use super::arrival::arrival_now;
 use super::{DeviceHealth, Ending, Level, StreamReport, SyncState};
 
 /// A device of which nothing in particular is expected has a problem when it was heard and is silent for this long.

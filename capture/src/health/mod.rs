@@ -1,5 +1,6 @@
 //! What is received, written and lost while a session runs.
 
+mod arrival;
 mod expected;
 mod meter;
 mod monitor;

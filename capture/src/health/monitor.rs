@@ -2,11 +2,12 @@
 //! the recording.
 
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use lsfb_recording::message::{self, HealthValue};
 use lsfb_types::Timestamp;
 
+use super::arrival::arrival_now;
 use super::{
     DeviceHealth, HealthFeed, Level, Meter, Snapshot, StorageHealth, StreamReport, SyncState,
 };
@@ -269,12 +270,4 @@ impl Monitor {
         // A full queue has its own quantity; a writer that has gone reports itself.
         let _ = self.inlet.put(Entry::Own(message), &mut self.own);
     }
-}
-
-/// The host's clock, which arrivals are stamped by.
-pub(super) fn arrival_now() -> Timestamp {
-    let since = SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .unwrap_or_default();
-    Timestamp::from_nanos(i64::try_from(since.as_nanos()).unwrap_or(i64::MAX))
 }

@@ -91,7 +91,7 @@ fn the_doctor_judges_and_recover_makes_whole() {
     assert_eq!(output.status.code(), Some(3), "something is missing");
     let again = lsfb(folder.path(), &recover);
     assert_eq!(again.status.code(), Some(1), "{again:?}");
-    assert!(String::from_utf8_lossy(&again.stderr).contains("there already"));
+    assert!(String::from_utf8_lossy(&again.stderr).contains("exists already"));
     let output = lsfb(folder.path(), &["doctor", "saved.mcap", "--full"]);
     // Whole, but its recorder never said what it lost.
     assert_eq!(output.status.code(), Some(0), "{output:?}");
@@ -263,7 +263,7 @@ fn a_recording_that_is_there_stays_unless_it_may_be_replaced() {
     let scan = ["scan", "--pcap", "drive.pcap", "--out", "drive.mcap"];
     let output = lsfb(folder.path(), &scan);
     assert_eq!(output.status.code(), Some(1), "{output:?}");
-    assert!(String::from_utf8_lossy(&output.stderr).contains("there already"));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("exists already"));
     assert_eq!(std::fs::read(&out).expect("file"), b"yesterday");
     let output = lsfb(folder.path(), &[&scan[..], &["--force"]].concat());
     assert_eq!(output.status.code(), Some(0), "{output:?}");

@@ -13,7 +13,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let seconds = range.end.secs_since(range.start);
     println!("{seconds:.1} s");
     for topic in recording.topics() {
-        let rate_hz = topic.messages as f64 / seconds;
+        // So many messages have one period less.
+        let rate_hz = topic.messages.saturating_sub(1) as f64 / seconds;
         println!("{:32} {:28} {rate_hz:9.1} Hz", topic.topic, topic.schema);
     }
     for damage in recording.damage() {

@@ -47,15 +47,18 @@ impl Residual for Return {
 }
 
 fn main() -> Result<(), lsfb_solver::Error> {
-    // A third of the column is seen.
+    // About half of the column is seen.
     let returns = (0..24).map(|k| {
-        let angle = 0.1 * f64::from(k);
+        let angle = 0.15 * f64::from(k);
         let noise_m = SIGMA_M * (7.0 * angle).sin();
         let radius_m = if k == 5 { 1.1 } else { 0.3 + noise_m };
         Vector2::new(2.0 + radius_m * angle.cos(), 1.0 + radius_m * angle.sin())
     });
+    let returns: Vec<Vector2<f64>> = returns.collect();
+    // From the far side of the returns a circle would bend the other way: the search starts among them.
+    let middle = returns.iter().sum::<Vector2<f64>>() / returns.len() as f64;
     let mut problem = Problem::new();
-    let circle = problem.add_block(Vector3::new(1.5, 1.5, 0.5));
+    let circle = problem.add_block(Vector3::new(middle.x, middle.y, 0.2));
     problem.set_name(circle.id(), "column");
     problem.set_component_names(circle.id(), &["x", "y", "radius"]);
     for seen_m in returns {
