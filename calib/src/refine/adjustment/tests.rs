@@ -14,11 +14,16 @@ const NOISE: Noise = Noise {
     shift_m: 2e-3,
 };
 
+/// Between images.
+const SPACING_S: f64 = 0.25;
+
 struct World {
     lens: Camera,
     truth: Se3,
     /// By how much images are stamped early.
     late_s: f64,
+    /// Whether blocks move as their ways do; else all alike, and a clock that is off is a pose that is off.
+    moves_by_way: bool,
     rng: ChaCha8Rng,
 }
 
@@ -29,6 +34,7 @@ impl World {
             lens: Camera::pinhole(640, 400, [350.0, 350.0], [319.5, 199.5]),
             truth: Se3::new(turn, Vector3::new(0.1, -0.2, 0.05)),
             late_s: 0.0,
+            moves_by_way: false,
             rng: ChaCha8Rng::seed_from_u64(seed),
         }
     }
@@ -54,6 +60,7 @@ impl World {
             values: vec![0.0; 640 * 400],
         };
         let mut poses = Vec::new();
+        let lasts_s = 5.0 * SPACING_S;
         let frames = (0..6)
             .map(|k| {
                 let share = f64::from(k) / 5.0 - 0.5;
@@ -62,10 +69,15 @@ impl World {
                 let off = Vector6::from_fn(|k, _| {
                     self.normal(if k < 3 { NOISE.turn_rad } else { NOISE.shift_m })
                 });
-                let twist = Vector6::new(0.1, 0.2, -0.3, 0.4, 0.5, -0.6);
+                let mut twist = Vector6::new(0.1, 0.2, -0.3, 0.4, 0.5, -0.6);
+                if self.moves_by_way {
+                    let velocity = true_pose.rotation.inverse() * way / lasts_s;
+                    twist.fixed_rows_mut::<3>(0).copy_from(&(turning / lasts_s));
+                    twist.fixed_rows_mut::<3>(3).copy_from(&velocity);
+                }
                 let at_stamp = true_pose.retract(&(twist * -self.late_s));
                 Keyframe {
-                    time_s: f64::from(k) * 0.25,
+                    time_s: f64::from(k) * SPACING_S,
                     levels: [image.clone(), image.clone()],
                     world_from_lidar: at_stamp * Se3::exp(&-off),
                     twist,
@@ -144,6 +156,7 @@ fn a_pose_is_found_and_known_as_well_as_is_said() {
 fn what_blocks_say_adds_up_to_nothing_at_the_minimum() {
     let mut world = World {
         late_s: 2e-3,
+        moves_by_way: true,
         ..World::new(5)
     };
     let mut blocks: Vec<Block> = (0..8).map(|_| world.block()).collect();
