@@ -158,6 +158,14 @@ pub enum Error {
         /// From the first to the last stamp, seconds.
         span_secs: f64,
     },
+    /// A trajectory from whose motion no clock can be read.
+    #[error(
+        "{role} trajectory: it turns evenly or not at all, which tells nothing of the clocks; turn the device this way and that"
+    )]
+    EvenRotation {
+        /// "estimate" or "reference".
+        role: &'static str,
+    },
     /// Two trajectories are never at one time within the search.
     #[error(
         "the trajectories have less than 5 s in common within {search_secs} s of an offset of {around_secs} s (they span {spans}); say \

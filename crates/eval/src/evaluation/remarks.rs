@@ -16,6 +16,16 @@ const LINE_RATIO: f64 = 0.01;
 /// Mean NEES of six between which a covariance is called right.
 const NEES_RANGE: std::ops::RangeInclusive<f64> = 1.5..=12.0;
 
+/// How many times larger an estimate is that has other units of length, and which it has where the truth is in metres.
+const OTHER_UNITS: [(f64, &str); 4] = [
+    (1000.0, "millimetres"),
+    (100.0, "centimetres"),
+    (0.01, "hundreds of metres"),
+    (0.001, "kilometres"),
+];
+/// Sizes that differ by less, as a share, are alike.
+const ALIKE: f64 = 0.05;
+
 /// Poses that repeat a stamp.
 pub(super) fn duplicates(count: usize) -> Option<Finding> {
     let what = match count {
@@ -34,6 +44,7 @@ pub(super) fn left_out(why: &Error) -> Finding {
 /// What the figures themselves tell.
 pub(super) fn of(found: &Evaluation, pairs: &[PosePair]) -> Vec<Finding> {
     let mut findings = vec![coverage(found), matches(found)];
+    findings.extend(unit(found));
     findings.extend(line(pairs));
     findings.extend(covariance(found));
     findings
@@ -61,6 +72,19 @@ fn matches(found: &Evaluation) -> Finding {
         .value(100.0 * share, "%")
         .limit(Limit::AtLeast(100.0 * LEAST_MATCHED))
         .remedy("check that both have one clock, or raise the allowed difference of stamps")
+}
+
+/// An estimate in another unit of length than the truth has errors as large as the walk, and no other sign of it.
+fn unit(found: &Evaluation) -> Option<Finding> {
+    let larger = 1.0 + found.scale_error_percent? / 100.0;
+    let (_, unit) = OTHER_UNITS
+        .iter()
+        .find(|(times, _)| (larger / times - 1.0).abs() < ALIKE)?;
+    let what = format!(
+        "the estimate is {larger:.4} times as large as the ground truth: is it in {unit}, or the truth in another unit than metres?"
+    );
+    let finding = Finding::new("unit", Verdict::Warn, "positions", what).value(larger, "");
+    Some(finding.remedy("write both in metres, and evaluate again"))
 }
 
 /// A walk along a line leaves open how the estimate is turned about it: noise decides.

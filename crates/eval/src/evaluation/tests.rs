@@ -84,6 +84,28 @@ fn alignment_takes_away_what_it_says() {
 }
 
 #[test]
+fn another_unit_of_length_is_noticed() {
+    let truth = curl(100);
+    for (times, unit) in [
+        (1000.0, Some("millimetres")),
+        (0.001, Some("kilometres")),
+        (1.1, None),
+    ] {
+        let estimate = changed(&truth, |_, p| p.world_from_rig.translation *= times);
+        let config = EvalConfig {
+            rpe: Vec::new(),
+            ..EvalConfig::default()
+        };
+        let found = evaluate(&truth, &estimate, &config).expect("valid");
+        let said = found.findings.iter().find(|f| f.code == "unit");
+        assert_eq!(said.is_some(), unit.is_some(), "{said:?}");
+        if let (Some(said), Some(unit)) = (said, unit) {
+            assert!(said.what.contains(unit), "{said:?}");
+        }
+    }
+}
+
+#[test]
 fn seconds_equal_frames_where_poses_are_evenly_timed() {
     let truth = curl(300);
     let estimate = changed(&truth, |i, p| {

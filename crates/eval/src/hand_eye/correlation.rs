@@ -20,6 +20,9 @@ const RIVAL: f64 = 0.98;
 /// Speeds beyond this many times the 95th percentile are jumps of the measurement.
 const LARGEST_SPEED: f64 = 1.5;
 
+/// Angular speeds that differ by less are one, rad/s.
+const EVEN_RAD_S: f64 = 1e-4;
+
 /// An offset that was found.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Correlated {
@@ -62,14 +65,19 @@ pub(super) fn correlate(
         .filter_map(|(s, c)| Some((*s, (*c)?)))
         .max_by(|x, y| x.1.total_cmp(&y.1));
     let Some((best, correlation)) = best else {
+        for (role, speeds) in [("estimate", &a), ("reference", &b)] {
+            if speeds.is_even() {
+                return Err(Error::EvenRotation { role });
+            }
+        }
+        let span = |of: &Continuous| {
+            let [start, end] = of.span_secs().unwrap_or_default();
+            format!("{start:.1} … {end:.1} s")
+        };
         return Err(Error::NoCommonTime {
             search_secs,
             around_secs,
-            spans: format!(
-                "{:?} and {:?} s",
-                estimate.span_secs(),
-                reference.span_secs()
-            ),
+            spans: format!("{} and {}", span(estimate), span(reference)),
         });
     };
     if correlation < LEAST_CORRELATION {
@@ -120,6 +128,16 @@ impl Speeds {
             *value = value.min(LARGEST_SPEED * usual);
         }
         Self { start_secs, values }
+    }
+
+    /// Whether they are the same at all times: they fit others nowhere.
+    fn is_even(&self) -> bool {
+        let mut known = self.values.iter().copied().flatten();
+        let Some(first) = known.next() else {
+            return false;
+        };
+        let (least, most) = known.fold((first, first), |(l, m), v| (l.min(v), m.max(v)));
+        most - least < EVEN_RAD_S
     }
 }
 

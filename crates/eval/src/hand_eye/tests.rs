@@ -212,6 +212,11 @@ fn what_is_not_one_body_is_refused() {
         .for_each(|p| p.time = p.time.plus_secs(4000.0));
     assert!(matches!(refused(&later), Error::NoCommonTime { .. }));
     assert!(matches!(refused(&later[..5]), Error::TooFewPoses { .. }));
+    let still = setup.reference(100.0, 60.0, |_| motion(0.0));
+    assert!(matches!(
+        refused(&still),
+        Error::EvenRotation { role: "reference" }
+    ));
     later[0].time = later[0].time.plus_secs(-1e9);
     assert!(matches!(refused(&later), Error::TooLong { .. }));
     // A motion that repeats itself fits at every period.
