@@ -35,6 +35,7 @@ mod projection;
 mod recorded;
 pub mod refine;
 mod residual_diagnosis;
+mod scatter;
 mod stamps;
 mod transform;
 pub mod verify;

@@ -418,3 +418,114 @@ fn what_can_be_calibrated_all_the_same_is_warned_of() {
         assert!(off.fixed_rows::<3>(3).norm() < 3e-3, "{off}");
     }
 }
+
+/// As in TUM VI's IMU: the clocks of the cameras take part of it, which weights alone know nothing of.
+#[test]
+fn an_accelerometer_that_measures_before_the_gyroscope_is_in_the_standard_deviations() {
+    let simulated = simulate(&Setup {
+        accel_delay_s: -1.6e-3,
+        ..Setup::default()
+    });
+    let found = calibrate(&simulated, &CameraImuConfig::default());
+    let delay = found
+        .findings
+        .iter()
+        .find(|f| f.code == "accelerometer-delay");
+    let delay_ms = delay.and_then(|f| f.value).expect("it is clear");
+    assert!((delay_ms + 1.6).abs() < 0.3, "{delay_ms} ms");
+    for (c, truth) in found.cameras.iter().zip(&simulated.truth) {
+        let off = (c.rig_from_camera_s - truth.rig_from_camera_s) / c.rig_from_camera_sigma_s;
+        assert!(off.abs() < 3.0, "{off} σ");
+        let off = (truth.camera_from_rig.inverse() * c.camera_from_rig).log();
+        for k in 0..6 {
+            let sigma = c.covariance[(k, k)].sqrt();
+            assert!(off[k].abs() < 4.0 * sigma, "{k}: {} ± {sigma}", off[k]);
+        }
+    }
+    let size = found.findings.iter().find(|f| f.code == "board-size");
+    assert_eq!(size.map(|f| f.verdict), Some(Verdict::Pass), "{size:?}");
+    // An accelerometer that measures with the gyroscope has none.
+    let found = calibrate(&simulate(&Setup::default()), &CameraImuConfig::default());
+    assert!(
+        found
+            .findings
+            .iter()
+            .all(|f| f.code != "accelerometer-delay")
+    );
+}
+
+/// Stamps from `from` on, moved by `by_ns`.
+fn stamped_later(known: &mut KnownCamera, from: i64, by_ns: i64) {
+    let moved = std::mem::take(&mut known.views.views).into_iter();
+    known.views.views = moved
+        .map(|(t, corners)| (if t < from { t } else { t + by_ns }, corners))
+        .collect();
+}
+
+/// The middle of what cameras saw, nanoseconds.
+fn middle_ns(known: &[KnownCamera]) -> i64 {
+    let stamps = || known.iter().flat_map(|k| k.views.views.keys().copied());
+    let (first, last) = (stamps().min(), stamps().max());
+    let (first, last) = (first.expect("views"), last.expect("views"));
+    first + (last - first) / 2
+}
+
+/// A clock that jumps in the middle leaves corners that are met well enough, and one offset for both halves that is wrong in each.
+#[test]
+fn halves_that_disagree_are_warned_of() {
+    let simulated = simulate(&Setup {
+        duration_s: 10.0,
+        ..Setup::default()
+    });
+    let mut known = simulated.known();
+    let from = middle_ns(&known);
+    for camera in &mut known {
+        stamped_later(camera, from, 1_000_000);
+    }
+    let found = run(&known, &simulated.imu, &CameraImuConfig::default()).expect("calibrated");
+    let halves = found.findings.iter().find(|f| f.code == "halves");
+    let halves = halves.expect("halves are compared");
+    assert_eq!(halves.verdict, Verdict::Warn, "{halves:?}");
+    assert!(halves.value.expect("a number") > 4.0, "{halves:?}");
+    assert!(found.to_html("Camera–IMU").contains("Either half"));
+}
+
+/// They are read off the normal equations of the whole; this is what they stand for.
+#[test]
+fn halves_are_what_either_half_finds_alone() {
+    let simulated = simulate(&Setup {
+        duration_s: 24.0,
+        view_rate_hz: 10.0,
+        ..Setup::default()
+    });
+    let known = simulated.known();
+    let config = CameraImuConfig::default();
+    let whole = run(&known, &simulated.imu, &config).expect("calibrated");
+    // All but biases and gravity.
+    assert_eq!(whole.halves.len() + 9, whole.covariance.names.len());
+    let middle = middle_ns(&known);
+    for half in 0..2 {
+        let is_own = |t: i64| (t >= middle) == (half == 1);
+        let mut own = known.clone();
+        for camera in &mut own {
+            camera.views.views.retain(|t, _| is_own(*t));
+        }
+        // Of the samples only those around its views are used.
+        let alone = run(&own, &simulated.imu, &config).expect("calibrated");
+        for (c, all) in alone.cameras.iter().zip(&whole.cameras) {
+            let off = (all.camera_from_rig.inverse() * c.camera_from_rig).log();
+            let names = [
+                "turn x", "turn y", "turn z", "shift x", "shift y", "shift z",
+            ];
+            for (k, name) in names.iter().enumerate() {
+                let name = format!("{} {name}", c.name);
+                let split = whole.halves.iter().find(|s| s.name == name);
+                let split = split.expect("in both");
+                let missed = (split.from_whole[half] - off[k]) / split.sigma[half];
+                assert!(missed.abs() < 0.5, "{name}, half {half}: {missed} σ");
+                let sigma = split.sigma[half] / c.covariance[(k, k)].sqrt();
+                assert!((0.7..1.4).contains(&sigma), "{name}, half {half}: {sigma}");
+            }
+        }
+    }
+}

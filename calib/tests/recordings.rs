@@ -5,11 +5,12 @@ use std::path::Path;
 use lsfb_calib::Target;
 use lsfb_calib::camera::{CameraConfig, CameraViews, calibrate_cameras, views_from_folder};
 use lsfb_calib::camera_imu::{
-    CameraImuCalibration, CameraImuConfig, KnownCamera, calibrate_camera_imu, read_imu_table,
+    CameraImuCalibration, CameraImuConfig, calibrate_camera_imu, read_imu_table,
 };
 use lsfb_geometry::align::{Scale, umeyama};
 use lsfb_geometry::camera::LensModel;
-use lsfb_geometry::{ImuNoiseModel, Matrix3, Se3, UnitQuaternion, Vector3};
+use lsfb_geometry::{Matrix3, Se3, UnitQuaternion, Vector3};
+use lsfb_rigs::recorded::{TUM_VI_GRID, TUM_VI_IMU_NOISE, tum_vi_views, with_own_lenses};
 use lsfb_tests::recordings as data;
 use lsfb_types::{Timestamp, Verdict, no_progress};
 
@@ -86,23 +87,13 @@ fn camodocal_fisheye() {
     }
 }
 
-const TUM_VI_GRID: Target = Target::AprilGrid {
-    columns: 6,
-    rows: 6,
-    tag_size_m: 0.088,
-    spacing_ratio: 0.3,
-};
-
 /// Lenses, then all of it with the IMU: 400 pairs of images and 20 s of samples.
 #[test]
 fn tum_vi_stereo_and_imu() {
     let Some(folder) = data("tum_vi_stereo_and_imu", "vision/tumvi_calib_imu1/mav0") else {
         return;
     };
-    let both = ["cam0", "cam1"].map(|c| {
-        let images = folder.join(c).join("data");
-        views_from_folder(c, &images, "", &TUM_VI_GRID, &no_progress).expect("images")
-    });
+    let both = tum_vi_views(&folder);
     assert!(both.iter().all(|v| v.views.len() == 400));
     let config = CameraConfig::default();
     let lenses = calibrate_cameras(&TUM_VI_GRID, &both, &config, &no_progress).expect("calibrated");
@@ -112,23 +103,8 @@ fn tum_vi_stereo_and_imu() {
         assert_eq!(problem, None, "{}", c.name);
     }
 
-    let known: Vec<KnownCamera> = both
-        .into_iter()
-        .zip(&lenses.cameras)
-        .map(|(views, c)| KnownCamera {
-            views,
-            camera: c.camera,
-            camera_from_first: c.camera_from_first,
-            readout_s: 0.0,
-        })
-        .collect();
-    // As the data set states it.
-    let noise = ImuNoiseModel {
-        gyro_noise_density: 0.00016,
-        accel_noise_density: 0.0028,
-        gyro_bias_walk: 2.2e-5,
-        accel_bias_walk: 0.00086,
-    };
+    let known = with_own_lenses(&both, &lenses);
+    let noise = TUM_VI_IMU_NOISE;
     let imu = read_imu_table(&folder.join("imu0/data.csv")).expect("a table");
     let config = CameraImuConfig::default();
     let found = calibrate_camera_imu(&TUM_VI_GRID, &known, &imu, &noise, &config, &no_progress)

@@ -2,10 +2,11 @@
 
 use lsfb_geometry::{Matrix6, Vector2};
 use lsfb_types::{Finding, Limit, Verdict};
+use nalgebra::DMatrix;
 
 use super::adjustment::Solved;
 use super::holdout::Holdout;
-use super::normal::{Covariances, covariances, parameter_count};
+use super::normal::{Doubt, covariances, parameter_count};
 use super::{
     BoardDeformation, CalibratedCamera, CameraCalibration, CameraConfig, CameraViews, Estimate,
 };
@@ -14,7 +15,7 @@ use crate::board::Target;
 use crate::clusters::{Clusters, share_of_board};
 use crate::coverage::{CellErrors, cell, corners_by_cell};
 use crate::findings;
-use crate::residual_diagnosis::{AdjustedCorner, AdjustedView, Diagnosis};
+use crate::residual_diagnosis::{AdjustedCorner, AdjustedView, Diagnosis, Field};
 
 /// Relative standard deviation of a focal length above which it counts as not determined.
 const LARGEST_FOCAL_SIGMA: f64 = 0.02;
@@ -84,10 +85,18 @@ impl Solved<'_> {
         let effects = errors.iter().flat_map(|e| &e.clusters);
         let effect = effects.map(Clusters::design_effect).fold(1.0, f64::max);
         let variance = squares / freedom as f64 * effect;
+        let fields: Vec<Field> = (0..self.cameras.len())
+            .map(|k| {
+                let seen = self.seen(target, k).collect();
+                Diagnosis::new(target, &self.cameras[k].camera, seen).field(variance)
+            })
+            .collect();
+        let doubts = covariances.doubts(target, self, &fields, variance);
         let mut cameras = Vec::with_capacity(given.len());
         for (k, errors) in errors.into_iter().enumerate() {
             let holdout = self.holdout(target, k, config)?;
-            let mut camera = self.camera(k, errors, &covariances, variance, holdout)?;
+            let covariance = &covariances.by_camera[k] * variance;
+            let mut camera = self.camera(k, errors, &covariance, &doubts[k], holdout)?;
             let rms_px = camera.inlier_rms_px;
             let diagnosis = Diagnosis::new(
                 target,
@@ -123,13 +132,17 @@ impl Solved<'_> {
         &self,
         k: usize,
         errors: Errors,
-        covariances: &Covariances,
-        variance: f64,
+        covariance: &DMatrix<f64>,
+        doubt: &Doubt,
         holdout: Option<Holdout>,
     ) -> Result<CalibratedCamera, Error> {
         let start = &self.cameras[k];
         let lens = &start.camera.lens;
-        let covariance = &covariances.by_camera[k] * variance;
+        let by_weights = covariance.map_diagonal(|v| v.max(0.0).sqrt());
+        let covariance = DMatrix::from_fn(covariance.nrows(), covariance.ncols(), |i, j| {
+            let own = covariance[(i, j)] * doubt.factors[i] * doubt.factors[j];
+            own + doubt.bias[i] * doubt.bias[j]
+        });
         let sigmas = covariance.map_diagonal(|v| v.max(0.0).sqrt());
         let names = lens.model().parameter_names();
         let parameters: Vec<Estimate> = names
@@ -142,10 +155,12 @@ impl Solved<'_> {
                 sigma: *sigma,
             })
             .collect();
+        // What is not determined even by the weights.
         let weak: Vec<String> = parameters[..2]
             .iter()
-            .filter(|p| !(p.sigma < LARGEST_FOCAL_SIGMA * p.value))
-            .map(|p| format!("{} = {:.0} ± {:.0} px", p.name, p.value, p.sigma))
+            .zip(by_weights.iter())
+            .filter(|(p, sigma)| !(**sigma < LARGEST_FOCAL_SIGMA * p.value))
+            .map(|(p, sigma)| format!("{} = {:.0} ± {sigma:.0} px", p.name, p.value))
             .collect();
         if !weak.is_empty() {
             return Err(Error::Undetermined {

@@ -89,10 +89,12 @@ impl Residual for Gyro {
     }
 }
 
-/// `r = (M R(t)ᵀ (a(t) − g) + b(t) − z) / σ`. Blocks: [`ORDER`] rotations, [`ORDER`] positions, two control points of the bias,
-/// gravity, [`AccelAxes`].
+/// `r = (M R(t − d)ᵀ (a(t − d) − g) + b(t) − z) / σ` with `d` the delay after the gyroscope. Blocks: [`ORDER`] rotations,
+/// [`ORDER`] positions, two control points of the bias, gravity, [`AccelAxes`], the delay.
 pub(super) struct Accelerometer {
-    pub weights: Weights<ORDER>,
+    /// Stamp of the sample after the start of the first control point's segment, and the spacing, seconds.
+    pub time_in_segment_s: f64,
+    pub spacing_s: f64,
     /// Where between the two control points of the bias.
     pub bias_share: f64,
     pub measured: Vector3<f64>,
@@ -100,16 +102,26 @@ pub(super) struct Accelerometer {
     pub inverse_sigma: Vector3<f64>,
 }
 
-const ACCELEROMETER_SHAPES: [Shape; 2 * ORDER + 4] = {
-    let mut shapes = [Shape::of::<Vector3<f64>>(); 2 * ORDER + 4];
+const ACCELEROMETER_SHAPES: [Shape; 2 * ORDER + 5] = {
+    let mut shapes = [Shape::of::<Vector3<f64>>(); 2 * ORDER + 5];
     let mut k = 0;
     while k < ORDER {
         shapes[k] = Shape::of::<UnitQuaternion<f64>>();
         k += 1;
     }
     shapes[2 * ORDER + 3] = Shape::of::<AccelAxes>();
+    shapes[2 * ORDER + 4] = Shape::of::<Vector1<f64>>();
     shapes
 };
+
+/// Half the step over which accelerations are compared, seconds. They are parabolas, of which differences are exact.
+const HALF_STEP_S: f64 = 1e-3;
+
+impl Accelerometer {
+    fn weights(&self, time_s: f64) -> Weights<ORDER> {
+        Weights::at(time_s / self.spacing_s, self.spacing_s)
+    }
+}
 
 impl Residual for Accelerometer {
     fn dimension(&self) -> usize {
@@ -130,9 +142,11 @@ impl Residual for Accelerometer {
         let [b0, b1, gravity]: [Vector3<f64>; 3] =
             std::array::from_fn(|k| parameters.get(2 * ORDER + k));
         let axes: AccelAxes = parameters.get(2 * ORDER + 3);
-        let rotation =
-            spline::rotation_with_jacobians(&self.weights, &rotations).ok_or(Undefined)?;
-        let position = spline::position(&self.weights, &positions).ok_or(Undefined)?;
+        let delay: Vector1<f64> = parameters.get(2 * ORDER + 4);
+        let time_s = self.time_in_segment_s - delay.x;
+        let weights = self.weights(time_s);
+        let rotation = spline::rotation_with_jacobians(&weights, &rotations).ok_or(Undefined)?;
+        let position = spline::position(&weights, &positions).ok_or(Undefined)?;
         let rig_from_target: Matrix3<f64> = rotation
             .at
             .rotation
@@ -148,7 +162,7 @@ impl Residual for Accelerometer {
         let moved = by_force * rig_from_target;
         for j in 0..ORDER {
             out.set_jacobian(j, &(turned * rotation.rotation_by_control[j]));
-            out.set_jacobian(ORDER + j, &(moved * self.weights.acceleration[j]));
+            out.set_jacobian(ORDER + j, &(moved * weights.acceleration[j]));
         }
         out.set_jacobian(2 * ORDER, &(weight * (1.0 - self.bias_share)));
         out.set_jacobian(2 * ORDER + 1, &(weight * self.bias_share));
@@ -158,6 +172,17 @@ impl Residual for Accelerometer {
             by_axes[(row, k)] = self.inverse_sigma[row] * force[column];
         }
         out.set_jacobian(2 * ORDER + 3, &by_axes);
+        if out.wants_jacobian(2 * ORDER + 4) {
+            let acceleration = |weights: &Weights<ORDER>| -> Vector3<f64> {
+                let terms = positions.iter().zip(weights.acceleration);
+                terms.map(|(p, w)| p * w).sum()
+            };
+            let [before, after] =
+                [-HALF_STEP_S, HALF_STEP_S].map(|step| acceleration(&self.weights(time_s + step)));
+            let jerk = (after - before) / (2.0 * HALF_STEP_S);
+            let force_rate = rig_from_target * jerk - rotation.at.angular_velocity.cross(&force);
+            out.set_jacobian(2 * ORDER + 4, &-(by_force * force_rate));
+        }
         Ok(())
     }
 }
@@ -244,7 +269,7 @@ mod tests {
             .collect();
         let positions: Vec<_> = (0..ORDER)
             .map(|k| {
-                let place = Vector3::new(0.1, 0.2, 1e-3 * (k * k) as f64);
+                let place = Vector3::new(0.1, 2e-4 * (k * k * k) as f64, 1e-3 * (k * k) as f64);
                 problem.add_block(place).id()
             })
             .collect();
@@ -254,6 +279,7 @@ mod tests {
         let error = |k: usize| 0.01 * (k as f64 - 3.0);
         let gyro_axes = problem.add_block(GyroAxes::from_fn(|k, _| error(k))).id();
         let accel_axes = problem.add_block(AccelAxes::from_fn(|k, _| error(k))).id();
+        let delay = problem.add_block(Vector1::new(0.003)).id();
         let weights = Weights::at(0.4, 0.1);
         let measured = Vector3::new(0.1, 0.2, 0.3);
         let inverse_sigma = Vector3::new(2.0, 3.0, 0.0);
@@ -264,7 +290,8 @@ mod tests {
             inverse_sigma,
         };
         let accelerometer = Accelerometer {
-            weights,
+            time_in_segment_s: 0.04,
+            spacing_s: 0.1,
             bias_share: 0.3,
             measured,
             inverse_sigma,
@@ -275,7 +302,8 @@ mod tests {
         };
         let walk = BiasWalk { inverse_sigma: 4.0 };
         let of_gyro = [&rotations[..], &biases, &[gyro_axes]].concat();
-        let of_accel = [&rotations[..], &positions, &biases, &[gravity, accel_axes]].concat();
+        let last = [gravity, accel_axes, delay];
+        let of_accel = [&rotations[..], &positions, &biases, &last].concat();
         let squared = Kernel::Squared;
         problem.add_residual(gyro, &of_gyro, squared).expect("fits");
         problem

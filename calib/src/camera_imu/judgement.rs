@@ -1,10 +1,11 @@
 //! What was looked at in a camera–IMU calibration, and how it came out.
 
+use lsfb_report::{rounded, with_unit};
 use lsfb_types::{Finding, Judgement, Limit, Verdict};
 
 use super::problem::BoardExcess;
 use super::state::State;
-use super::{CameraImuCalibration, CameraOnImu, ORDER, checks};
+use super::{CameraImuCalibration, CameraOnImu, ORDER, SplitEstimate, checks};
 use crate::board::Target;
 use crate::findings;
 use crate::residual_diagnosis::Diagnosis;
@@ -104,6 +105,57 @@ pub(super) fn bend(bend_m: f64, sigma_m: f64) -> Finding {
         .sigma(sigma_m * 1e3)
         .limit(limit)
         .remedy("glue it to a stiff plate: `lsfb calib camera` takes boards for flat")
+}
+
+/// Whether the two halves of the recording agree; `None` where one of them does not tell.
+pub(super) fn halves(halves: &[SplitEstimate]) -> Option<Finding> {
+    let farthest = halves
+        .iter()
+        .max_by(|a, b| a.deviations().total_cmp(&b.deviations()))?;
+    let deviations = farthest.deviations();
+    let limit = Limit::AtMost(DEVIATIONS);
+    let verdict = Verdict::Warn.unless(limit.holds(deviations));
+    let (factor, unit) = shown_in(&farthest.name);
+    let [difference, sigma] = farthest.difference().map(|v| v * factor);
+    let apart = format!("{} ± {}", rounded(difference), rounded(sigma));
+    let what = format!(
+        "the two halves of the recording, each for itself, differ most in {}: by {}, {deviations:.1} standard deviations",
+        farthest.name,
+        with_unit(&apart, unit),
+    );
+    let finding = Finding::new("halves", verdict, "recording", what)
+        .value(deviations, "σ")
+        .limit(limit);
+    Some(finding.remedy(
+        "check that no mount moved and no clock jumped in between, and record again: the standard deviations do not hold this",
+    ))
+}
+
+/// An accelerometer that measures later than the gyroscope, which standard deviations know.
+pub(super) fn accel_delay(delay_s: f64) -> Finding {
+    let delay_ms = delay_s * 1e3;
+    let what = format!(
+        "it measures about {:.1} ms {} the gyroscope, which is in the standard deviations",
+        delay_ms.abs(),
+        if delay_ms > 0.0 { "after" } else { "before" }
+    );
+    Finding::new("accelerometer-delay", Verdict::Pass, "accelerometer", what).value(delay_ms, "ms")
+}
+
+/// By what a number of that name is multiplied where it is shown, and its unit then.
+pub(super) fn shown_in(name: &str) -> (f64, &'static str) {
+    let mut words = name.split(' ');
+    match (
+        words.next().unwrap_or_default(),
+        words.next().unwrap_or_default(),
+    ) {
+        (_, "turn") => (1f64.to_degrees(), "°"),
+        (_, "shift") => (1e3, "mm"),
+        (_, "clock" | "readout") => (1e3, "ms"),
+        (_, "drift") => (1e6, "ppm"),
+        (_, "fx" | "fy" | "cx" | "cy") => (1.0, "px"),
+        _ => (1.0, ""),
+    }
 }
 
 impl State {

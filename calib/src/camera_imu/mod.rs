@@ -3,14 +3,27 @@
 //! The motion is a B-spline on SO(3) × R³ of order [`ORDER`], in the frame of the target. All cameras and the IMU are measured
 //! against it at once. Furgale, Rehder, Siegwart, "Unified temporal and spatial calibration for multi-sensor systems",
 //! IROS 2013.
+//!
+//! Real recordings contradict themselves where the model lacks something. What it takes for that:
+//!
+//! - The filters of an IMU delay its two triads differently: TUM VI's accelerometer measures 1.6 ms before its gyroscope. Without a
+//!   delay between them the clocks of the cameras lie between the two, more or less as the motion has it, and so does the size of
+//!   the board. Where a delay is clear, what it moves is in the standard deviations, and the size is measured with it.
+//! - Boards are bent by a millimetre or two and have hills, lenses are decentred. Few recordings tell these from a focal length:
+//!   searched, they move it more than they mend. What they would move is found from the corners and is in the standard deviations
+//!   (`residual_diagnosis`), unless the board is said to be bent.
+//! - What is left over pulls parts of a recording in different directions: standard deviations come from the scatter of disjoint
+//!   stretches of time where the weights do not explain it (`scatter`), and its two halves are compared (`halves`).
 
 mod bend;
 mod checks;
 mod corner_residual;
 mod gyro_alignment;
+mod halves;
 mod inertial;
 mod judgement;
 mod page;
+mod parts;
 mod problem;
 mod report;
 mod rig;
@@ -27,6 +40,7 @@ use lsfb_geometry::{
 use lsfb_types::{Bounds, Finding, ImuSample, Progress, ProgressFn, Timestamp};
 use serde::{Deserialize, Serialize};
 
+pub use halves::SplitEstimate;
 pub use table::read_imu_table;
 pub use uncertainty::JointCovariance;
 
@@ -79,7 +93,7 @@ pub enum Axes {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum BoardShape {
-    /// It is what its file says.
+    /// It is what its file says; what a bent one would move is in the standard deviations where the views make it likely.
     #[default]
     Flat,
     /// It is a little bent, stretched and sheared: how is searched. For boards that are known not to be flat; it takes views from
@@ -286,6 +300,8 @@ pub struct CameraImuCalibration {
     /// How all of it varies together.
     #[serde(skip)]
     pub covariance: JointCovariance,
+    /// What either half of the recording says for itself; empty where one of them does not determine everything.
+    pub halves: Vec<SplitEstimate>,
     /// What was looked at, and how it came out.
     #[serde(skip)]
     pub findings: Vec<Finding>,
@@ -374,6 +390,7 @@ pub fn calibrate_camera_imu(
         }
     }
     show(ROUNDS)?;
+    state.find_unmodelled(target, config);
     let uncertainty = state.uncertainty(config)?;
     let excess = state.board_excess(config)?;
     let mut calibration = state.report(target, config, &holdout, uncertainty, excess);

@@ -1,11 +1,13 @@
 //! The report as one HTML page.
 
-use lsfb_report::{Normal, Page, bars, scroll};
+use lsfb_report::{
+    Axis, Ink, Layer, Normal, Page, Plot, bars, ink_css, rounded, scroll, with_unit,
+};
 use maud::{Markup, html};
 
-use super::judgement::POOR_AXIS;
+use super::judgement::{POOR_AXIS, shown_in};
 use super::report::HISTOGRAM_SPAN;
-use super::{CameraImuCalibration, CameraOnImu, FoundImu};
+use super::{CameraImuCalibration, CameraOnImu, FoundImu, SplitEstimate};
 use crate::plots::{self, pose_rows};
 
 impl CameraImuCalibration {
@@ -30,6 +32,7 @@ impl CameraImuCalibration {
             @for camera in &self.cameras { (section(camera)) }
             (imu(&self.imu))
             (self.board())
+            @if !self.halves.is_empty() { (halves(&self.halves)) }
         };
         Page::new(title)
             .judged(&self.judgement(), &self.summary())
@@ -179,4 +182,91 @@ fn excitation(name: &str, label: &str, rms: &[f64; 3]) -> Markup {
     let values = AXES.iter().zip(rms);
     let values: Vec<(String, f64)> = values.map(|(axis, v)| ((*axis).to_owned(), *v)).collect();
     bars(name, label, &values).draw()
+}
+
+/// Half the width of an error bar's ends, and how far the two halves stand apart, as shares of the distance between parameters.
+const BAR_END: f64 = 0.12;
+const HALF_APART: f64 = 0.16;
+const SPLIT_PLOT_PX: [u32; 2] = [900, 300];
+
+/// What either half of the recording says for itself.
+fn halves(halves: &[SplitEstimate]) -> Markup {
+    let table = html! {
+        table.numbers {
+            thead { tr { th { "number" } th { "parameter" } th { "first half less the whole" } th { "second half less the whole" } th { "apart, σ" } } }
+            tbody {
+                @for (k, split) in halves.iter().enumerate() {
+                    tr {
+                        td { (k) }
+                        td { (split.name) }
+                        @for half in 0..2 { td { (with_sigma(split, half)) } }
+                        td { (format!("{:.1}", split.deviations())) }
+                    }
+                }
+            }
+        }
+    };
+    html! {
+        section {
+            h2 { "Either half of the recording" }
+            p {
+                "What the first half ("
+                span style=(format!("color:{}", ink_css(0))) { "●" }
+                ") and the second ("
+                span style=(format!("color:{}", ink_css(1))) { "●" }
+                ") would find alone, to first order: in standard deviations of their difference from what the whole finds, with one standard deviation to either side."
+            }
+            (split_plot(halves).draw())
+            (scroll(&table))
+        }
+    }
+}
+
+fn with_sigma(split: &SplitEstimate, half: usize) -> String {
+    let (factor, unit) = shown_in(&split.name);
+    let [value, sigma] = [split.from_whole[half], split.sigma[half]].map(|v| rounded(v * factor));
+    with_unit(&format!("{value} ± {sigma}"), unit)
+}
+
+fn split_plot(halves: &[SplitEstimate]) -> Plot {
+    let mut layers = Vec::new();
+    let mut farthest: f64 = 1.0;
+    for half in 0..2 {
+        let ink = Ink::Series(half);
+        let mut dots = Vec::with_capacity(halves.len());
+        for (k, split) in halves.iter().enumerate() {
+            let [_, of_difference] = split.difference();
+            let in_sigmas = |v: f64| v / of_difference.max(f64::MIN_POSITIVE);
+            let (value, sigma) = (
+                in_sigmas(split.from_whole[half]),
+                in_sigmas(split.sigma[half]),
+            );
+            let at = k as f64 + HALF_APART * (2.0 * half as f64 - 1.0);
+            let [low, high] = [value - sigma, value + sigma];
+            farthest = farthest.max(high.abs()).max(low.abs());
+            for (from, to) in [
+                ([at, low], [at, high]),
+                ([at - BAR_END, low], [at + BAR_END, low]),
+                ([at - BAR_END, high], [at + BAR_END, high]),
+            ] {
+                layers.push(Layer::line(vec![from, to], ink));
+            }
+            dots.push([at, value]);
+        }
+        layers.push(Layer::Dots {
+            points: dots,
+            ink,
+            radius_px: 3.0,
+        });
+    }
+    let reach = 1.05 * farthest;
+    let [width_px, height_px] = SPLIT_PLOT_PX;
+    Plot {
+        name: "either half of the recording".to_owned(),
+        width_px,
+        height_px,
+        x: Axis::linear("number of the parameter", [-0.6, halves.len() as f64 - 0.4]),
+        y: Axis::linear("half less whole (σ)", [-reach, reach]),
+        layers,
+    }
 }

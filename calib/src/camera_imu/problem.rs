@@ -3,13 +3,14 @@
 use lsfb_geometry::camera::MAX_PARAMETERS;
 use lsfb_geometry::{Se3, UnitQuaternion, Vector2, Vector3, spline};
 use lsfb_solver::{
-    Block, BlockId, Diagnosis, Kernel, Problem, SolveConfig, VectorPrior, covariance, solve,
+    Block, BlockId, Diagnosis, Kernel, Problem, ResidualId, SolveConfig, VectorPrior, solve,
 };
-use nalgebra::{SVector, Vector1};
+use nalgebra::{DVector, SVector, Vector1};
 
 use super::bend::{BEND, Bend, SIZE, bends};
 use super::corner_residual::CornerResidual;
 use super::inertial::{AccelAxes, Accelerometer, BiasWalk, GravityNorm, Gyro, GyroAxes};
+use super::parts::{Known, known};
 use super::state::{State, View};
 use super::view_residual::ViewResidual;
 use super::{Axes, BoardShape, CameraImuConfig, Clock, Lenses, ORDER, Readout};
@@ -35,6 +36,9 @@ const SATURATED_SIGMA: f64 = 0.5;
 const SIZE_SIGMA: f64 = 0.1;
 /// Standard deviation of an accelerometer's scale, as data sheets have it.
 const ACCELEROMETER_SCALE_SIGMA: f64 = 0.03;
+/// Standard deviation of how much later than the gyroscope the accelerometer measures, seconds: their filters delay them by up to
+/// several milliseconds, and seldom both alike.
+const ACCEL_DELAY_SIGMA_S: f64 = 5e-3;
 /// Stretch of time in which errors are not independent, seconds.
 const CLUSTER_S: f64 = 0.5;
 /// Least standard deviation of a corner that is believed, pixels.
@@ -56,8 +60,11 @@ pub(super) struct Blocks {
     pub accel_bias: Vec<Block<Vector3<f64>>>,
     pub gyro_axes: Block<GyroAxes>,
     pub accel_axes: Block<AccelAxes>,
+    pub accel_delay: Block<Vector1<f64>>,
     pub gravity: Block<Vector3<f64>>,
     pub bend: Block<Bend>,
+    /// What was measured, with its time, seconds after the origin.
+    pub timed: Vec<(f64, ResidualId)>,
 }
 
 impl Blocks {
@@ -67,6 +74,16 @@ impl Blocks {
         rotations
             .chain(self.positions[range].iter().map(|b| b.id()))
             .collect()
+    }
+
+    /// What the size of the board depends on beside gravity: poses, clocks, lenses and the accelerometer's delay.
+    fn of_cameras(&self, config: &CameraImuConfig) -> Vec<BlockId> {
+        let poses = self.poses.iter().map(|b| b.id());
+        let clocks = self.clocks.iter().map(|b| b.id());
+        let lenses = self.lenses.iter().map(|b| b.id());
+        let lenses = lenses.filter(|_| config.lenses == Lenses::Refined);
+        let delay = std::iter::once(self.accel_delay.id());
+        poses.chain(clocks).chain(lenses).chain(delay).collect()
     }
 }
 
@@ -94,6 +111,10 @@ pub(super) struct Effort {
     /// Whether views that are held back take part.
     all_views: bool,
     size: BoardSize,
+    /// Whether pixels are moved by what the models of lens and board are likely not to know.
+    field: bool,
+    /// Whether the accelerometer may measure later than the gyroscope.
+    is_delay_searched: bool,
 }
 
 impl Effort {
@@ -106,6 +127,8 @@ impl Effort {
             },
             all_views: last,
             size: BoardSize::AsSaid,
+            field: false,
+            is_delay_searched: false,
         }
     }
 
@@ -124,6 +147,17 @@ impl Effort {
             cost_tolerance: 1e-9,
             all_views: true,
             size: BoardSize::Searched,
+            field: false,
+            is_delay_searched: true,
+        }
+    }
+
+    /// What it takes to say how well all is known.
+    pub fn of_uncertainty() -> Self {
+        Self {
+            field: true,
+            is_delay_searched: true,
+            ..Self::of_round(0, true)
         }
     }
 }
@@ -136,13 +170,14 @@ impl State {
         effort: Effort,
     ) -> Result<(Problem, Blocks), Error> {
         let mut problem = Problem::new();
-        let blocks = self.add_blocks(&mut problem, config, effort.size)?;
+        let mut blocks = self.add_blocks(&mut problem, config, effort)?;
         for view in &self.views {
             if effort.all_views || !view.holdout {
-                self.add_view(&mut problem, &blocks, view, config)?;
+                let moved = self.moved_px(view, effort.field);
+                self.add_view(&mut problem, &mut blocks, view, config, &moved)?;
             }
         }
-        self.add_samples(&mut problem, &blocks)?;
+        self.add_samples(&mut problem, &mut blocks)?;
         let norm = GravityNorm {
             expected_m_s2: config.gravity_m_s2,
             inverse_sigma: match effort.size {
@@ -186,7 +221,16 @@ impl State {
         let size = 1.0 + problem.value(blocks.bend)[SIZE];
         let gravity = problem.value(blocks.gravity);
         let share = config.gravity_m_s2 / gravity.norm();
-        let Ok(found) = covariance(&problem, &[blocks.bend.id(), blocks.gravity.id()]) else {
+        let mut asked = vec![blocks.bend.id(), blocks.gravity.id()];
+        asked.extend(blocks.of_cameras(config));
+        let found = known(&problem, &asked, None, &blocks.timed);
+        let Ok(Known {
+            covariance,
+            scatter,
+            bias,
+            ..
+        }) = found
+        else {
             // So little motion that only the prior is left.
             return Ok(BoardExcess {
                 share: 0.0,
@@ -194,14 +238,14 @@ impl State {
                 explains: 0.0,
             });
         };
-        let mut by = SVector::<f64, { BEND + 3 }>::zeros();
+        let mut by = DVector::zeros(bias.len());
         by[SIZE] = share;
         by.fixed_rows_mut::<3>(BEND)
             .copy_from(&(-gravity * (size * share / gravity.norm_squared())));
-        let variance = (by.transpose() * found.joint() * by)[0];
+        let variance = by.dot(&(covariance.joint() * &by));
         Ok(BoardExcess {
             share: size * share - 1.0,
-            sigma: variance.max(0.0).sqrt(),
+            sigma: (variance.max(0.0).sqrt() * scatter.factor_along(&by)).hypot(by.dot(&bias)),
             explains: (report.initial_cost - report.final_cost) / self.cost_of_corners().max(1e-12),
         })
     }
@@ -210,8 +254,9 @@ impl State {
         &self,
         problem: &mut Problem,
         config: &CameraImuConfig,
-        size: BoardSize,
+        effort: Effort,
     ) -> Result<Blocks, Error> {
+        let size = effort.size;
         let mut vectors = |values: &[Vector3<f64>]| -> Vec<Block<Vector3<f64>>> {
             values.iter().map(|v| problem.add_block(*v)).collect()
         };
@@ -234,12 +279,23 @@ impl State {
             accel_bias,
             gyro_axes: problem.add_block(self.gyro_axes),
             accel_axes: problem.add_block(self.accel_axes),
+            accel_delay: problem.add_block(Vector1::zeros()),
             gravity: problem.add_block(self.gravity),
             bend: problem.add_block(self.bend),
+            timed: Vec::new(),
         };
         problem.set_name(blocks.bend.id(), "bend of the board");
+        problem.set_name(blocks.accel_delay.id(), "delay of the accelerometer");
+        if effort.is_delay_searched {
+            let prior = VectorPrior::new(Vector1::zeros(), Vector1::new(ACCEL_DELAY_SIGMA_S));
+            problem.add_residual(prior, &[blocks.accel_delay.id()], Kernel::Squared)?;
+        } else {
+            problem.set_constant(blocks.accel_delay);
+        }
         match config.board {
-            BoardShape::Flat if size == BoardSize::AsSaid => problem.set_constant(blocks.bend),
+            BoardShape::Flat if size == BoardSize::AsSaid => {
+                problem.set_constant(blocks.bend);
+            }
             BoardShape::Flat => {
                 // A rig that does not move says nothing of it.
                 let prior = VectorPrior::new(Bend::zeros(), Bend::repeat(SIZE_SIGMA));
@@ -307,12 +363,17 @@ impl State {
             .segment::<ORDER>(time_s, motion.rotations.len())
     }
 
+    fn segment_start_s(&self, segment: &spline::Segment<ORDER>) -> f64 {
+        self.motion.knots.start_s + segment.first as f64 * self.motion.knots.spacing_s
+    }
+
     fn add_view(
         &self,
         problem: &mut Problem,
-        blocks: &Blocks,
+        blocks: &mut Blocks,
         view: &View,
         config: &CameraImuConfig,
+        moved: &[Vector2<f64>],
     ) -> Result<(), Error> {
         let k = view.camera;
         let camera = &self.cameras[k];
@@ -329,14 +390,17 @@ impl State {
         // The control points that move a time, and the view's stamp in their segment.
         let place = |row_s: f64| {
             let segment = self.segment(self.time_s(view) + row_s)?;
-            let start_s = knots.start_s + segment.first as f64 * knots.spacing_s;
+            let start_s = self.segment_start_s(&segment);
             Some((blocks.motion(segment.first), view.stamp_s - start_s))
         };
         let seen: Vec<(Vector3<f64>, Vector2<f64>)> = view
             .corners
             .iter()
             .zip(&view.inliers)
-            .filter_map(|(corner, inlier)| inlier.then_some(*corner))
+            .zip(moved)
+            .filter_map(|(((point, pixel), inlier), moved)| {
+                inlier.then_some((*point, pixel - moved))
+            })
             .collect();
         if seen.len() < MIN_CORNERS {
             return Ok(());
@@ -356,9 +420,11 @@ impl State {
                 corners: seen,
                 inverse_sigma,
             };
-            problem.add_residual(residual, &ids, Kernel::Squared)?;
+            let id = problem.add_residual(residual, &ids, Kernel::Squared)?;
+            blocks.timed.push((view.stamp_s, id));
             return Ok(());
         }
+        let mut timed = Vec::with_capacity(seen.len());
         for (point, pixel) in seen {
             let Some((mut ids, time_in_segment_s)) = place(camera.row_s(&pixel)) else {
                 continue;
@@ -375,8 +441,10 @@ impl State {
                 pixel,
                 inverse_sigma,
             };
-            problem.add_residual(residual, &ids, Kernel::Squared)?;
+            let id = problem.add_residual(residual, &ids, Kernel::Squared)?;
+            timed.push((view.stamp_s, id));
         }
+        blocks.timed.extend(timed);
         Ok(())
     }
 
@@ -411,7 +479,7 @@ impl State {
         (first, at - first as f64)
     }
 
-    fn add_samples(&self, problem: &mut Problem, blocks: &Blocks) -> Result<(), Error> {
+    fn add_samples(&self, problem: &mut Problem, blocks: &mut Blocks) -> Result<(), Error> {
         let weights = |sigma: f64, measured: &Vector3<f64>, saturated: &[bool; 3]| {
             Vector3::from_fn(|k, _| match saturated[k] {
                 true => 1.0 / (SATURATED_SIGMA * measured[k].abs()).max(sigma),
@@ -435,9 +503,12 @@ impl State {
                 blocks.gyro_bias[bias + 1].id(),
                 blocks.gyro_axes.id(),
             ];
-            problem.add_residual(gyro, &[&motion[..ORDER], &last].concat(), Kernel::Squared)?;
+            let ids = [&motion[..ORDER], &last].concat();
+            let id = problem.add_residual(gyro, &ids, Kernel::Squared)?;
+            blocks.timed.push((sample.time_s, id));
             let accelerometer = Accelerometer {
-                weights: segment.weights,
+                time_in_segment_s: sample.time_s - self.segment_start_s(&segment),
+                spacing_s: self.motion.knots.spacing_s,
                 bias_share,
                 measured: sample.accel,
                 inverse_sigma: weights(self.accel_sigma, &sample.accel, &sample.accel_saturated),
@@ -447,9 +518,11 @@ impl State {
                 blocks.accel_bias[bias + 1].id(),
                 blocks.gravity.id(),
                 blocks.accel_axes.id(),
+                blocks.accel_delay.id(),
             ];
             let ids = [&motion[..], &last].concat();
-            problem.add_residual(accelerometer, &ids, Kernel::Squared)?;
+            let id = problem.add_residual(accelerometer, &ids, Kernel::Squared)?;
+            blocks.timed.push((sample.time_s, id));
         }
         let root = self.bias_spacing_s.sqrt();
         for (bias, density) in [

@@ -3,16 +3,21 @@
 use lsfb_geometry::{Se3, Vector2, Vector3, spline};
 use nalgebra::{RowSVector, SMatrix};
 
-use super::bend::{BEND, bends};
+use super::bend::{BEND, Bend, bends};
 use super::inertial::{accel_matrix, gyro_matrix};
 use super::problem::BoardExcess;
-use super::state::{State, View};
+use super::state::{Mounted, State, View};
 use super::uncertainty::Uncertainty;
-use super::{Axes, CameraImuCalibration, CameraImuConfig, CameraOnImu, FoundImu, ORDER, judgement};
+use super::{
+    Axes, BoardShape, CameraImuCalibration, CameraImuConfig, CameraOnImu, FoundImu, ORDER,
+    judgement,
+};
 use crate::board::Target;
 use crate::camera::Estimate;
 use crate::coverage::CellErrors;
-use crate::residual_diagnosis::{AdjustedCorner, AdjustedView, WORRYING_RMS_PX};
+use crate::residual_diagnosis::{
+    AdjustedCorner, AdjustedView, Diagnosis, Unmodelled, WORRYING_RMS_PX, moved_by_field,
+};
 
 /// Share of the squares that a wrong size must explain where corners are met badly.
 const EXPLAINED_BY_SIZE: f64 = 0.7;
@@ -76,6 +81,8 @@ impl State {
         for (k, camera) in cameras.iter().enumerate() {
             findings.extend(self.camera_findings(target, k, camera));
         }
+        findings.extend(judgement::halves(&uncertainty.halves));
+        findings.extend(uncertainty.accel_delay_s.map(judgement::accel_delay));
         let middle = self.middle_bias();
         let axes = match config.axes {
             Axes::Ideal => vec![],
@@ -112,6 +119,7 @@ impl State {
             board_bend_sigma_m,
             motion: self.motion,
             covariance: uncertainty.joint,
+            halves: uncertainty.halves,
             findings,
         }
     }
@@ -199,6 +207,52 @@ impl State {
     pub(super) fn seen(&self, k: usize) -> impl Iterator<Item = AdjustedView> + '_ {
         let own = self.views.iter().filter(move |v| v.camera == k);
         own.filter_map(move |view| self.seen_view(view))
+    }
+
+    /// Finds what moves the cameras' pixels that models do not know of, each view with a pose of its own.
+    pub fn find_unmodelled(&mut self, target: &Target, config: &CameraImuConfig) {
+        for k in 0..self.cameras.len() {
+            let Mounted {
+                camera, sigma_px, ..
+            } = &self.cameras[k];
+            let diagnosis = Diagnosis::new(target, camera, self.seen(k).collect());
+            let variance = sigma_px * sigma_px;
+            let found = match config.board {
+                BoardShape::Flat => diagnosis.unmodelled(variance),
+                BoardShape::Bent => Unmodelled {
+                    field: diagnosis.field(variance),
+                    ..Unmodelled::none()
+                },
+            };
+            let [stretch, shear, a, b, c]: [f64; 5] = found.board.into();
+            self.cameras[k].field = found.field;
+            self.cameras[k].board = Bend::new(a, b, c, stretch, shear, 0.0);
+        }
+    }
+
+    /// By how much that moves each corner of a view, if it is to be counted.
+    pub fn moved_px(&self, view: &View, field: bool) -> Vec<Vector2<f64>> {
+        let still = vec![Vector2::zeros(); view.corners.len()];
+        let Some(at) = self.at(self.time_s(view)).filter(|_| field) else {
+            return still;
+        };
+        let camera = &self.cameras[view.camera];
+        let camera_from_target = camera.camera_from_rig * at.target_from_rig().inverse();
+        let turn = camera_from_target.rotation_matrix();
+        let corners = view.corners.iter().zip(still);
+        corners
+            .map(|((point, _), still)| {
+                let in_camera = camera_from_target * self.bent(point);
+                let Some(seen) = camera.camera.project_with_jacobian(&in_camera) else {
+                    return still;
+                };
+                let by_point = seen.pixel_by_point * turn;
+                let from_centre = point - self.centre;
+                let place = from_centre / self.half_board_m;
+                let by_field = moved_by_field(&camera.camera, &seen.pixel, &by_point, &place);
+                by_field * camera.field + by_point * (bends(&from_centre) * camera.board)
+            })
+            .collect()
     }
 
     fn seen_view(&self, view: &View) -> Option<AdjustedView> {

@@ -17,6 +17,7 @@ use crate::Error;
 use crate::board::Target;
 use crate::camera::pose_of_target;
 use crate::coverage::corners_by_cell;
+use crate::residual_diagnosis::Field;
 
 /// Corners farther than this from the first pose are outliers from the start, pixels.
 const FIRST_LIMIT_PX: f64 = 4.0;
@@ -101,6 +102,8 @@ impl State {
                 clock: Clock::new(turned.offset_s, 0.0),
                 readout_s: known.readout_s,
                 sigma_px: config.corner_sigma_px,
+                field: Field::zeros(),
+                board: Bend::zeros(),
                 alone_px: own.median_px,
                 cells: corners_by_cell(
                     known.views.views.values().flatten(),

@@ -2,10 +2,12 @@
 
 use lsfb_geometry::camera::MAX_PARAMETERS;
 use lsfb_geometry::{Matrix6, Se3, Vector3, so3};
-use lsfb_solver::{BlockId, covariance};
-use nalgebra::{DMatrix, Matrix3, SMatrix};
+use lsfb_solver::BlockId;
+use nalgebra::{DMatrix, DVector, Matrix3, SMatrix};
 
 use super::bend::BEND;
+use super::halves::{SplitEstimate, halves};
+use super::parts::{Known, known};
 use super::problem::{Blocks, Effort};
 use super::state::State;
 use super::{Axes, BoardShape, CameraImuConfig, Lenses, Readout};
@@ -38,11 +40,15 @@ pub(super) struct Uncertainty {
     pub gyro_bias: Vector3<f64>,
     pub accel_bias: Vector3<f64>,
     pub gravity: Vector3<f64>,
+    /// How much later than the gyroscope the accelerometer measures, seconds, where that is clear.
+    pub accel_delay_s: Option<f64>,
     /// Covariance of the bend; zero where it was not searched.
     pub bend: SMatrix<f64, BEND, BEND>,
     /// Errors of the axes of gyroscope and accelerometer; empty where they were not searched.
     pub axes: Vec<f64>,
     pub joint: JointCovariance,
+    /// What either half of the recording says for itself.
+    pub halves: Vec<SplitEstimate>,
 }
 
 const AXES: [&str; 3] = ["x", "y", "z"];
@@ -54,18 +60,22 @@ impl State {
     }
 
     pub fn uncertainty(&self, config: &CameraImuConfig) -> Result<Uncertainty, Error> {
-        let (problem, blocks) = self.problem(config, Effort::of_round(0, true))?;
-        let axes = match config.axes {
-            Axes::Ideal => vec![],
-            Axes::Estimated => vec![blocks.gyro_axes.id(), blocks.accel_axes.id()],
-        };
+        let (problem, blocks) = self.problem(config, Effort::of_uncertainty())?;
         let named = self.named(&blocks, config);
-        let mut asked: Vec<BlockId> = named.iter().map(|n| n.0).collect();
-        asked.extend(&axes);
-        if config.board == BoardShape::Bent {
-            asked.push(blocks.bend.id());
-        }
-        let found = covariance(&problem, &asked)?;
+        let asked = asked(&named, &blocks, config);
+        let Known {
+            covariance,
+            scatter,
+            bias,
+            delay_s,
+        } = known(
+            &problem,
+            &asked,
+            Some(blocks.accel_delay.id()),
+            &blocks.timed,
+        )?;
+        let factors = scatter.factors(bias.len());
+        let found = covariance.widened(&factors, &bias);
         let sigmas = |block: BlockId| -> Vec<f64> {
             let own = found.between(block, block);
             own.map_or_else(Vec::new, |c| {
@@ -99,14 +109,32 @@ impl State {
             gyro_bias: vector(blocks.gyro_bias[middle].id()),
             accel_bias: vector(blocks.accel_bias[middle].id()),
             gravity: vector(blocks.gravity.id()),
+            accel_delay_s: delay_s,
             bend: found
                 .between(blocks.bend.id(), blocks.bend.id())
                 .map_or_else(SMatrix::zeros, |c| {
                     SMatrix::from_iterator(c.iter().copied())
                 }),
-            axes: axes.into_iter().flat_map(sigmas).collect(),
+            axes: of_axes(&blocks, config)
+                .into_iter()
+                .flat_map(sigmas)
+                .collect(),
             joint: rows_with_names(&named, found.joint()),
+            halves: self.halves(config, &bias)?,
         })
+    }
+
+    /// What either half of the recording finds by the models as they are.
+    fn halves(
+        &self,
+        config: &CameraImuConfig,
+        unmodelled: &DVector<f64>,
+    ) -> Result<Vec<SplitEstimate>, Error> {
+        let (problem, blocks) = self.problem(config, Effort::of_round(0, true))?;
+        let named = self.named(&blocks, config);
+        let asked = asked(&named, &blocks, config);
+        let names: Vec<Option<String>> = named.into_iter().flat_map(|n| n.1).collect();
+        halves(&problem, &asked, &blocks.timed, &names, unmodelled)
     }
 
     /// Blocks of [`JointCovariance`] with the names of their components; components that are not searched have none.
@@ -145,6 +173,27 @@ impl State {
             named.push((block.id(), along(what).to_vec()));
         }
         named
+    }
+}
+
+/// The blocks whose covariance is asked for, those with names first.
+fn asked(
+    named: &[(BlockId, Vec<Option<String>>)],
+    blocks: &Blocks,
+    config: &CameraImuConfig,
+) -> Vec<BlockId> {
+    let mut asked: Vec<BlockId> = named.iter().map(|n| n.0).collect();
+    asked.extend(of_axes(blocks, config));
+    if config.board == BoardShape::Bent {
+        asked.push(blocks.bend.id());
+    }
+    asked
+}
+
+fn of_axes(blocks: &Blocks, config: &CameraImuConfig) -> Vec<BlockId> {
+    match config.axes {
+        Axes::Ideal => vec![],
+        Axes::Estimated => vec![blocks.gyro_axes.id(), blocks.accel_axes.id()],
     }
 }
 

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use lsfb_geometry::{Se3, Vector2, Vector3};
 use lsfb_perception::statistics::median;
-use lsfb_solver::{BlockId, SolveConfig, covariance, solve};
-use nalgebra::Matrix2;
+use lsfb_solver::{BlockId, SolveConfig, covariance, influences, solve};
+use nalgebra::{DVector, Matrix2};
 
 use super::association::Joined;
 use super::plane::{Spread, regress};
@@ -13,6 +13,7 @@ use super::problem::{APPARENT_SIGMA_M, Factors, Reach, Shift, State, build, plan
 use super::solved::{Solved, Used};
 use super::{LidarCameraConfig, MountedBoard, Scene};
 use crate::Error;
+use crate::scatter::Scatter;
 
 /// Median of a chi-square with three degrees of freedom.
 const MEDIAN_CHI_SQUARE: f64 = 2.366;
@@ -226,10 +227,15 @@ fn converge(
         for (u, block) in used.iter_mut().zip(&built.boards) {
             u.camera_from_board = built.problem.value(*block);
         }
-        let mut blocks: Vec<BlockId> = vec![built.camera_from_lidar.id(), built.apparent.id()];
-        blocks.extend(built.boards.iter().map(|b| b.id()));
-        let joint = covariance(&built.problem, &blocks)?;
+        let shared = [built.camera_from_lidar.id(), built.apparent.id()];
         if round + 1 == ROUNDS {
+            let found = influences(&built.problem, &shared, &built.measured)?;
+            let scatter = Scatter::of_strangers(found.covariance.joint(), found.groups);
+            let dimension = found.step.len();
+            let no_bias = DVector::zeros(dimension);
+            let joint = found
+                .covariance
+                .widened(&scatter.factors(dimension), &no_bias);
             let matrix = joint.joint();
             return Ok(Solved {
                 camera_from_lidar: pose,
@@ -245,6 +251,9 @@ fn converge(
             });
         }
         if round > 0 {
+            let boards = built.boards.iter().map(|b| b.id());
+            let blocks: Vec<BlockId> = shared.into_iter().chain(boards).collect();
+            let joint = covariance(&built.problem, &blocks)?;
             let sigma = Vector3::from(APPARENT_SIGMA_M);
             let prior = apparent.component_div(&sigma).norm_squared();
             let squares = 2.0 * report.final_cost - prior;

@@ -11,6 +11,8 @@ mod board_view;
 mod candidates;
 mod checks;
 mod clocks;
+mod halves;
+mod lens_bias;
 mod motion;
 mod outline;
 mod page;
@@ -269,6 +271,15 @@ pub fn calibrate_lidar_camera(
             solved = adjustment::adjust(board, name, &scenes, &joined, config)?;
         }
     }
+    lens_bias::widen(
+        board,
+        name,
+        camera,
+        &mut scenes,
+        &joined,
+        &mut solved,
+        config,
+    );
     let mut calibration =
         summary::summarize(board, name, camera, &scenes, &joined, &solved, config)?;
     // Back in the order given.

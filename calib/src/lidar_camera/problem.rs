@@ -1,7 +1,7 @@
 //! The least-squares problem of one round: corners, planes and outlines of all boards.
 
 use lsfb_geometry::{Matrix6, Se3, Vector2, Vector3};
-use lsfb_solver::{Block, Kernel, PosePrior, Problem, VectorPrior};
+use lsfb_solver::{Block, Kernel, PosePrior, Problem, ResidualId, VectorPrior};
 use nalgebra::DMatrix;
 
 use super::outline::{Edge, nearest_side};
@@ -47,6 +47,8 @@ pub(super) struct Built {
     pub shift: Block<Vector2<f64>>,
     pub boards: Vec<Block<Se3>>,
     pub edges: usize,
+    /// What was measured of each board.
+    pub measured: Vec<Vec<ResidualId>>,
 }
 
 /// The state that a problem starts from.
@@ -95,6 +97,7 @@ pub(super) fn build(
     }
     let mut boards = Vec::with_capacity(used.len());
     let mut edges = 0;
+    let mut measured = Vec::with_capacity(used.len());
     for u in used.iter_mut() {
         let scene = &scenes[u.scene];
         let block = problem.add_block(u.camera_from_board);
@@ -105,7 +108,7 @@ pub(super) fn build(
             value: Se3::new(seen.rotation, seen.translation * *pattern),
             sqrt_information: whitening,
         };
-        problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
+        let mut of_board = vec![problem.add_residual(prior, &[block.id()], Kernel::Squared)?];
         let both = [camera_from_lidar.id(), block.id(), apparent_block.id()];
         let with_shift = [both[0], both[1], both[2], shift_block.id()];
         let factor = u
@@ -117,7 +120,7 @@ pub(super) fn build(
             plane: u.fit.plane,
             whitening: factor.l().transpose() / factors[1],
         };
-        problem.add_residual(plane, &both, Kernel::Squared)?;
+        of_board.push(problem.add_residual(plane, &both, Kernel::Squared)?);
         u.edges_used = 0;
         let lidar_from_board = pose.inverse() * u.camera_from_board;
         for edge in &scene.in_lidar[u.patch].edges {
@@ -142,11 +145,12 @@ pub(super) fn build(
                 sigma_m: residual.sigma_m * factors[2],
                 ..residual
             };
-            problem.add_residual(weighed, &with_shift, kernel)?;
+            of_board.push(problem.add_residual(weighed, &with_shift, kernel)?);
             u.edges_used += 1;
             edges += 1;
         }
         boards.push(block);
+        measured.push(of_board);
     }
     Ok(Built {
         problem,
@@ -155,6 +159,7 @@ pub(super) fn build(
         shift: shift_block,
         boards,
         edges,
+        measured,
     })
 }
 

@@ -10,7 +10,7 @@ use super::problem::edge_errors_m;
 use super::solved::{Solved, Used, patch};
 use super::{
     BoardResiduals, LidarCameraCalibration, LidarCameraConfig, MountedBoard, PoseFit, Scene,
-    checks, clocks,
+    checks, clocks, halves,
 };
 use crate::Error;
 use crate::coverage::COVERAGE_CELLS;
@@ -78,11 +78,7 @@ pub(super) fn summarize(
         .iter()
         .map(|u| scenes[u.scene].in_camera.rms_px.powi(2));
     let corner_rms_px = (squares.sum::<f64>() / n).sqrt();
-    let seen = solved
-        .used
-        .iter()
-        .map(|u| seen(board, lens, &scenes[u.scene]));
-    let diagnosis = Diagnosis::new(&board.target, lens, seen.collect());
+    let diagnosis = diagnosis(board, lens, scenes, solved);
     let fit = diagnosis.finding(camera, corner_rms_px);
     let lens_finding = match fit.verdict {
         Verdict::Pass => diagnosis.given_lens(camera),
@@ -124,7 +120,7 @@ pub(super) fn summarize(
         joined,
         config,
     };
-    let halves = apart.halves();
+    let parts = apart.halves();
     let holdout = apart.holdout(solved);
     let PlateShift {
         shift_m,
@@ -136,7 +132,7 @@ pub(super) fn summarize(
         let corners = 0..board.target.corner_count();
         corners.filter_map(|k| lens.project(&(*pose * board.corner(k))))
     });
-    let difference = halves.map(|[a, b]| (a.inverse() * b).log());
+    let difference = parts.map(|[a, b]| (a.inverse() * b).log());
     let mut calibration = LidarCameraCalibration {
         corner_rms_px,
         camera: camera.to_owned(),
@@ -179,9 +175,26 @@ pub(super) fn summarize(
         findings: vec![fit],
     };
     calibration.findings.extend(lens_finding);
+    if let Some(parts) = parts {
+        let from_whole = parts.map(|part| (solved.camera_from_lidar.inverse() * part).log());
+        let finding = halves::finding(camera, &from_whole, &calibration.sigma);
+        calibration.findings.push(finding);
+    }
     let checked = checks::findings(&calibration, board, scenes, solved);
     calibration.findings.extend(checked);
     Ok(calibration)
+}
+
+/// What the corners of the poses used say.
+pub(super) fn diagnosis<'a>(
+    board: &'a MountedBoard,
+    lens: &'a Camera,
+    scenes: &[Scene],
+    solved: &Solved,
+) -> Diagnosis<'a> {
+    let used = solved.used.iter();
+    let seen = used.map(|u| seen(board, lens, &scenes[u.scene]));
+    Diagnosis::new(&board.target, lens, seen.collect())
 }
 
 /// The corners of a pose, less those that are none.

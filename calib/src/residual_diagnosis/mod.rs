@@ -5,6 +5,7 @@
 //! takes off the squares is its share. With the normal matrix `[N C; Cᵀ M]` of poses and lens (N) and a cause (M), and the
 //! gradients `n` and `m`, that is `(m − Cᵀ N⁻¹ n)ᵀ (M − Cᵀ N⁻¹ C)⁻¹ (m − Cᵀ N⁻¹ n)`.
 
+mod field;
 mod sums;
 
 use lsfb_geometry::{Camera, Se3, Vector2, Vector3};
@@ -13,6 +14,7 @@ use nalgebra::DMatrix;
 use serde::Serialize;
 
 use crate::board::Target;
+pub(crate) use field::{Field, Unmodelled, moved_by_field};
 use sums::{Explained, Sums};
 
 /// Root mean square of the errors above which a calibration is warned of, pixels. Corners leave 0.16 to 0.21 px on TUM VI's and
@@ -160,6 +162,24 @@ impl<'a> Diagnosis<'a> {
     /// A lens that was given, where one of its model fits these views clearly better.
     pub fn given_lens(&self, camera: &str) -> Option<Finding> {
         self.sums.given_lens(camera, self.camera)
+    }
+
+    /// The lens that these views have for themselves, where the one that was given does not fit them.
+    pub fn lens_of_its_own(&self) -> Option<Camera> {
+        self.sums.lens_of_its_own(self.camera)
+    }
+
+    /// What moves pixels that the models of lens and board do not know of; zero where it could be noise. `variance` is that of a
+    /// corner in one direction, px².
+    pub fn field(&self, variance: f64) -> Field {
+        let found = self.sums.field(self.camera, variance);
+        found.unwrap_or_else(Field::zeros)
+    }
+
+    /// The same with the deformations of a board that was taken to be flat.
+    pub fn unmodelled(&self, variance: f64) -> Unmodelled {
+        let found = self.sums.unmodelled(self.camera, variance);
+        found.unwrap_or_else(Unmodelled::none)
     }
 
     /// The board as it would be if it were not what its file says; `variance` is that of a corner in one direction, px².

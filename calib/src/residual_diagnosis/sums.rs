@@ -5,6 +5,7 @@ use lsfb_geometry::{Camera, Matrix6, Vector2, Vector3, Vector6};
 use lsfb_types::{Finding, Verdict};
 use nalgebra::{DMatrix, DVector, RowSVector, SMatrix, SVector};
 
+use super::field::{DEFORMATIONS, FIELD, Field, Unmodelled, moved_by_field, usual_sigma};
 use super::{AdjustedCorner, AdjustedView, BoardDeformation, Deformation, from_middle};
 use crate::board::Target;
 use crate::projection::moved_by_pose;
@@ -14,29 +15,34 @@ const RINGS: usize = 8;
 /// Pivot below which a direction is one that poses and lens have too, as a share of what it was before.
 const SAME: f64 = 1e-9;
 
-/// Gap, stretch, shear, three bends, shutter, rings.
-const EXTRA: usize = 7 + RINGS;
+/// Gap, stretch, shear, three bends, shutter, rings, what models do not know.
+const EXTRA: usize = 7 + RINGS + FIELD;
 const GAP: usize = 0;
 const STRETCH: usize = 1;
 const BENT: usize = 3;
 const SHUTTER: usize = 6;
 const PROFILE: usize = 7;
+const UNMODELLED: usize = PROFILE + RINGS;
 const SIZE: usize = MAX_PARAMETERS + EXTRA;
 
 /// Share of what views' own poses explain that their times alone must, and of all squares: by chance a sixth, and a hundredth.
 const TIMES_OF_POSES: f64 = 0.7;
 const LEAST_OF_TIMES: f64 = 0.15;
 
-/// Stretch, shear and bends: what a board that may not be flat may be off by.
-const DEFORMATIONS: usize = 5;
 /// Standard deviations of a board: how far the middle of an edge is out of its plane, metres; stretch and shear.
 const BEND_SIGMA_M: f64 = 2e-3;
 const STRETCH_SIGMA: f64 = 1e-3;
 /// Chi-square of [`DEFORMATIONS`] that a flat board exceeds once in a thousand recordings.
 const FLAT_CHI_SQUARE: f64 = 20.5;
+/// Chi-square of [`FIELD`] that noise exceeds once in a thousand recordings, and of [`FREED`].
+const FIELD_CHI_SQUARE: f64 = 31.3;
+const UNMODELLED_CHI_SQUARE: f64 = 39.3;
 /// Share of the squares, and of their variance, that another lens must take off one that was given.
 const LENS_SHARE: f64 = 0.2;
 const LENS_CHI_SQUARE: f64 = 60.0;
+/// Standard deviations of lenses about those that were given where these do not fit: focal lengths as a share, the principal
+/// point as a share of the image's width, distortion.
+const LENS_SIGMAS: [f64; 3] = [0.005, 0.01, 0.02];
 
 /// Change of the gap between tags, as a share of their edge, that is no inaccuracy of a print.
 const ANOTHER_GAP: f64 = 0.02;
@@ -120,6 +126,25 @@ pub(super) struct Sums {
     times: [f64; 2],
     corners: f64,
     centre: Vector3<f64>,
+}
+
+/// Deformations of the board and [`Field`].
+const FREED: usize = DEFORMATIONS + FIELD;
+
+/// Both, freed together.
+struct Freed {
+    step: SVector<f64, FREED>,
+    covariance: SMatrix<f64, FREED, FREED>,
+}
+
+/// A step of a lens's own parameters.
+struct OwnLens {
+    inverse: DMatrix<f64>,
+    step: DVector<f64>,
+    /// Squares that it takes off.
+    taken: f64,
+    /// Of a corner in one direction then, px².
+    variance: f64,
 }
 
 /// Causes alone: with the lens eliminated too.
@@ -229,6 +254,9 @@ impl Sums {
         let ring = ((share * RINGS as f64) as usize).min(RINGS - 1);
         let outwards = from_middle.try_normalize(1e-9).unwrap_or_default();
         by.set_column(PROFILE + ring, &outwards);
+        let place = from_centre / self.half_m();
+        by.fixed_columns_mut::<FIELD>(UNMODELLED)
+            .copy_from(&moved_by_field(camera, seen, by_point, &place));
         by
     }
 
@@ -256,19 +284,12 @@ impl Sums {
     /// A lens that was given, beside the one that these views have for themselves: one step of its own parameters.
     pub fn given_lens(&self, name: &str, camera: &Camera) -> Option<Finding> {
         let lens = camera.lens.parameters();
-        let own = self
-            .matrix
-            .view((0, 0), (lens.count, lens.count))
-            .into_owned();
-        let inverse = inverse(&own, &own.diagonal());
-        let gradient = self.gradient.rows(0, lens.count).into_owned();
-        let step = -(&inverse * &gradient);
-        let taken = -gradient.dot(&step);
-        let left = (self.squares - taken).max(1e-12);
-        let variance = left / (2.0 * self.corners - lens.count as f64).max(1.0);
-        if taken < LENS_SHARE * self.squares || taken < LENS_CHI_SQUARE * variance {
-            return None;
-        }
+        let OwnLens {
+            inverse,
+            step,
+            taken,
+            variance,
+        } = self.own_lens(camera)?;
         // Focal lengths and the principal point come first in every model.
         let sigma = |k: usize| (inverse[(k, k)] * variance).max(0.0).sqrt();
         let clearest = (0..4).max_by(|a, b| {
@@ -286,6 +307,55 @@ impl Sums {
         let finding = Finding::new("given-lens", Verdict::Warn, name, what);
         let finding = finding.value(value, "px").sigma(sigma(clearest));
         Some(finding.remedy("calibrate the camera again"))
+    }
+
+    /// The lens that these views have for themselves where that fits clearly better than the one that was given; parameters that few
+    /// views do not tell stay near those given, as lenses usually do.
+    pub fn lens_of_its_own(&self, camera: &Camera) -> Option<Camera> {
+        let OwnLens { variance, .. } = self.own_lens(camera)?;
+        let lens = camera.lens.parameters();
+        let mut information = self
+            .matrix
+            .view((0, 0), (lens.count, lens.count))
+            .into_owned();
+        for k in 0..lens.count {
+            let usual = match k {
+                0 | 1 => LENS_SIGMAS[0] * lens.values[k],
+                2 | 3 => LENS_SIGMAS[1] * f64::from(camera.width),
+                _ => LENS_SIGMAS[2],
+            };
+            information[(k, k)] += variance / (usual * usual);
+        }
+        let gradient = self.gradient.rows(0, lens.count).into_owned();
+        let step = information.cholesky()?.solve(&gradient);
+        let mut values = lens.values;
+        for (value, step) in values.iter_mut().zip(step.iter()) {
+            *value -= step;
+        }
+        let own = camera.lens.model().lens(&values);
+        own.problem().is_none().then_some(Camera {
+            lens: own,
+            ..*camera
+        })
+    }
+
+    /// One step of a lens's own parameters; `None` where it is no clear gain.
+    fn own_lens(&self, camera: &Camera) -> Option<OwnLens> {
+        let count = camera.lens.parameters().count;
+        let own = self.matrix.view((0, 0), (count, count)).into_owned();
+        let inverse = inverse(&own, &own.diagonal());
+        let gradient = self.gradient.rows(0, count).into_owned();
+        let step = -(&inverse * &gradient);
+        let taken = -gradient.dot(&step);
+        let left = (self.squares - taken).max(1e-12);
+        let variance = left / (2.0 * self.corners - count as f64).max(1.0);
+        let clear = taken >= LENS_SHARE * self.squares && taken >= LENS_CHI_SQUARE * variance;
+        clear.then_some(OwnLens {
+            inverse,
+            step,
+            taken,
+            variance,
+        })
     }
 
     /// Views that were not taken when their stamps say, if that is what keeps them off the IMU's motion.
@@ -329,14 +399,68 @@ impl Sums {
         explained.max_by(|a, b| a.share.total_cmp(&b.share))
     }
 
+    /// What moves pixels that lens and board do not know of, beside a board that may be deformed; `None` where it could be noise.
+    pub fn field(&self, camera: &Camera, variance: f64) -> Option<Field> {
+        let Freed { step, covariance } = self.freed(camera, variance)?;
+        let own = covariance.fixed_view::<FIELD, FIELD>(DEFORMATIONS, DEFORMATIONS);
+        let field: Field = step.fixed_rows::<FIELD>(DEFORMATIONS).into_owned();
+        let chi_square = field.dot(&(own.into_owned().try_inverse()? * field));
+        (chi_square > FIELD_CHI_SQUARE).then_some(field)
+    }
+
+    /// The same with the deformations of the board.
+    pub fn unmodelled(&self, camera: &Camera, variance: f64) -> Option<Unmodelled> {
+        let Freed { step, covariance } = self.freed(camera, variance)?;
+        let chi_square = step.dot(&(covariance.try_inverse()? * step));
+        (chi_square > UNMODELLED_CHI_SQUARE).then(|| Unmodelled {
+            field: step.fixed_rows::<FIELD>(DEFORMATIONS).into_owned(),
+            board: step.fixed_rows::<DEFORMATIONS>(0).into_owned(),
+        })
+    }
+
+    /// Deformations of the board and [`Field`], beside the lens, within what is usual.
+    fn freed(&self, camera: &Camera, variance: f64) -> Option<Freed> {
+        let reduced = self.reduced(camera);
+        let rows: [usize; FREED] = std::array::from_fn(|k| match k.checked_sub(DEFORMATIONS) {
+            Some(k) => UNMODELLED + k,
+            None => STRETCH + k,
+        });
+        let variance = variance.max(1e-12);
+        let usual = self.usual_deformation();
+        let information = SMatrix::<f64, FREED, FREED>::from_fn(|i, j| {
+            let prior = match usual.get(i) {
+                Some(usual) => *usual,
+                None => usual_sigma(i - DEFORMATIONS).powi(-2),
+            };
+            let prior = if i == j { prior } else { 0.0 };
+            reduced.matrix[(rows[i], rows[j])] / variance + prior
+        });
+        let covariance = information.try_inverse()?;
+        let gradient = SVector::<f64, FREED>::from_fn(|i, _| reduced.gradient[rows[i]] / variance);
+        Some(Freed {
+            step: -covariance * gradient,
+            covariance,
+        })
+    }
+
+    /// Half the longer edge of the board, metres.
+    fn half_m(&self) -> f64 {
+        self.centre.amax().max(1e-9)
+    }
+
+    /// Information beforehand of stretch, shear and bends, by what boards usually are.
+    fn usual_deformation(&self) -> [f64; DEFORMATIONS] {
+        let half_m = self.half_m();
+        let bend = (half_m * half_m / BEND_SIGMA_M).powi(2);
+        let stretch = STRETCH_SIGMA.powi(-2);
+        [stretch, stretch, bend, bend, bend]
+    }
+
     /// The board if it may be stretched, sheared and bent, by what boards usually are.
     pub fn board(&self, target: &Target, camera: &Camera, variance: f64) -> Deformation {
         let variance = variance.max(1e-12);
         let reduced = self.reduced(camera);
-        let half_m = self.centre.amax().max(1e-9);
-        let bend = (half_m * half_m / BEND_SIGMA_M).powi(2);
-        let stretch = STRETCH_SIGMA.powi(-2);
-        let usual = SVector::from([stretch, stretch, bend, bend, bend]);
+        let usual = SVector::from(self.usual_deformation());
         let own = reduced
             .matrix
             .fixed_view::<DEFORMATIONS, DEFORMATIONS>(STRETCH, STRETCH);

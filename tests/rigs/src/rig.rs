@@ -48,6 +48,8 @@ pub struct Setup {
     pub drift: f64,
     /// Direction of the board's y axis: 1 up, −1 down.
     pub up: f64,
+    /// How much later than the gyroscope the accelerometer measures, seconds.
+    pub accel_delay_s: f64,
     /// Errors of the accelerometer's and gyroscope's scales.
     pub scale_error: f64,
     /// Standard deviation of gravity's magnitude about the standard one, m/s².
@@ -65,6 +67,7 @@ impl Default for Setup {
             readout_s: 0.0,
             drift: 0.0,
             up: 1.0,
+            accel_delay_s: 0.0,
             scale_error: 0.0,
             gravity_sigma_m_s2: 1e-3,
         }
@@ -267,7 +270,9 @@ fn imu(
     let count = (setup.duration_s * RATE_HZ) as i64;
     let samples = (0..count)
         .map(|k| {
-            let [rate, force] = motion.sample(k as f64 / RATE_HZ, gravity);
+            let time_s = k as f64 / RATE_HZ;
+            let [rate, _] = motion.sample(time_s, gravity);
+            let [_, force] = motion.sample(time_s - setup.accel_delay_s, gravity);
             let scale = 1.0 + setup.scale_error;
             let root = RATE_HZ.sqrt();
             let gyro = rate * scale + gyro_bias + normal3(rng) * (noise.gyro_noise_density * root);

@@ -1,0 +1,254 @@
+//! How far disjoint parts of the data scatter, against what their weights explain.
+//!
+//! A part moves the result by `d = −C Jᵀ r`. Were its errors independent and as large as their weights say, that would have the
+//! covariance `E = M − M C⁻¹ M` with `M = C Jᵀ J C`: its own noise, less what it has in common with the result. The squares of `d`
+//! over those of `E` are 1 in the mean, whatever the number of parts and parameters. A model that lacks something (a board that
+//! is not quite as said, a lens that is not quite its model, neighbours that err alike) makes parts pull in different directions, and
+//! the ratio grows: standard deviations then come from the scatter. What all parts have in common is not seen.
+
+use lsfb_solver::Influence;
+use nalgebra::{DMatrix, DVector};
+
+/// Parts needed.
+const MIN_PARTS: usize = 5;
+/// Neighbouring parts are joined so often by two: what errs alike for long is seen in long parts only.
+const LEVELS: u32 = 3;
+/// Standard deviations of a normal number by which the squares of all parameters must exceed what is expected to count.
+const SIGNIFICANT: f64 = 3.0;
+/// Degrees of freedom that the ratio of all parameters counts for beside a parameter's own.
+const COMMON_FREEDOM: f64 = 4.0;
+
+/// The scatter of the parts that scatter most for their length.
+pub(crate) struct Scatter {
+    parts: Vec<Part>,
+    /// Squares over what is expected, over all parameters; `None` where it could be so by accident.
+    ratio: Option<f64>,
+}
+
+struct Part {
+    shift: DVector<f64>,
+    /// What its weights explain.
+    expected: DMatrix<f64>,
+}
+
+impl Scatter {
+    /// Of the parts of a result with this covariance, neighbours of which may err alike. Rows and columns of zeros are of what was
+    /// not searched.
+    pub fn of_neighbours(covariance: &DMatrix<f64>, parts: &[Influence]) -> Self {
+        let information = information(covariance);
+        let mut best = Self {
+            parts: Vec::new(),
+            ratio: None,
+        };
+        for level in 0..LEVELS {
+            let joined = joined(parts, 1 << level);
+            if joined.len() < MIN_PARTS {
+                break;
+            }
+            let of_level = Self::of(joined, &information);
+            if of_level.ratio > best.ratio {
+                best = of_level;
+            }
+        }
+        best
+    }
+
+    /// The same where each part is as far from the next as from all others.
+    pub fn of_strangers(covariance: &DMatrix<f64>, parts: Vec<Influence>) -> Self {
+        match parts.len() < MIN_PARTS {
+            true => Self {
+                parts: Vec::new(),
+                ratio: None,
+            },
+            false => Self::of(parts, &information(covariance)),
+        }
+    }
+
+    fn of(influences: Vec<Influence>, information: &DMatrix<f64>) -> Self {
+        let (mut squares, mut expected, mut variance) = (0.0, 0.0, 0.0);
+        let mut parts = Vec::with_capacity(influences.len());
+        for Influence { shift, noise } in influences {
+            let own = &noise - &noise * information * &noise;
+            let share = information * &own;
+            squares += shift.dot(&(information * &shift));
+            expected += share.trace();
+            // Of a normal vector's square.
+            variance += 2.0 * share.component_mul(&share.transpose()).sum();
+            parts.push(Part {
+                shift,
+                expected: own,
+            });
+        }
+        Self {
+            parts,
+            ratio: is_clear(squares, expected, variance).then(|| squares / expected),
+        }
+    }
+
+    /// What the standard deviation of `along · parameters` is to be multiplied by; 1 where weights explain the scatter.
+    pub fn factor_along(&self, along: &DVector<f64>) -> f64 {
+        let Some(ratio) = self.ratio else {
+            return 1.0;
+        };
+        let (mut squares, mut expected, mut spread) = (0.0, 0.0, 0.0);
+        for part in &self.parts {
+            let own = along.dot(&(&part.expected * along)).max(0.0);
+            squares += along.dot(&part.shift).powi(2);
+            expected += own;
+            spread += own * own;
+        }
+        if !(expected > 0.0) {
+            return 1.0;
+        }
+        let freedom = expected * expected / spread;
+        let both =
+            (COMMON_FREEDOM * ratio + freedom * squares / expected) / (COMMON_FREEDOM + freedom);
+        both.max(1.0).sqrt()
+    }
+
+    /// The same for each parameter.
+    pub fn factors(&self, count: usize) -> Vec<f64> {
+        let unit = |k: usize| DVector::from_fn(count, |i, _| f64::from(u8::from(i == k)));
+        (0..count).map(|k| self.factor_along(&unit(k))).collect()
+    }
+}
+
+/// Whether a sum of squares of normal numbers, of this mean and variance, exceeds what chance makes of it. Such a sum is skewed: by
+/// the cube root that makes it normal (E. B. Wilson, M. M. Hilferty, "The distribution of chi-square", PNAS 17, 1931), for the
+/// degrees of freedom that have its mean and variance (Satterthwaite).
+fn is_clear(squares: f64, expected: f64, variance: f64) -> bool {
+    if !(expected > 0.0 && variance > 0.0) {
+        return false;
+    }
+    let spread = variance / (9.0 * expected * expected);
+    let deviations = ((squares / expected).cbrt() - (1.0 - spread)) / spread.sqrt();
+    deviations > SIGNIFICANT
+}
+
+/// Influences of parts at a result that is `step` away: each then pulls back by its share.
+pub(crate) fn moved(
+    covariance: &DMatrix<f64>,
+    mut parts: Vec<Influence>,
+    step: &DVector<f64>,
+) -> Vec<Influence> {
+    let pull = information(covariance) * step;
+    for part in &mut parts {
+        part.shift -= &part.noise * &pull;
+    }
+    parts
+}
+
+/// Neighbours together, `count` at a time; what is left over goes to the last.
+fn joined(parts: &[Influence], count: usize) -> Vec<Influence> {
+    let mut joined: Vec<Influence> = Vec::with_capacity(parts.len() / count + 1);
+    for (k, part) in parts.iter().enumerate() {
+        match joined.last_mut() {
+            Some(last) if k % count != 0 || parts.len() - k < count => {
+                last.shift += &part.shift;
+                last.noise += &part.noise;
+            }
+            _ => joined.push(part.clone()),
+        }
+    }
+    joined
+}
+
+/// Inverse of a covariance on what was searched.
+fn information(covariance: &DMatrix<f64>) -> DMatrix<f64> {
+    let scale = covariance.map_diagonal(|v| if v > 0.0 { 1.0 / v.sqrt() } else { 0.0 });
+    let scaled = DMatrix::from_fn(covariance.nrows(), covariance.ncols(), |i, j| {
+        covariance[(i, j)] * scale[i] * scale[j]
+    });
+    let eigen = scaled.symmetric_eigen();
+    let floor = eigen.eigenvalues.max() * f64::EPSILON * covariance.nrows() as f64;
+    let values = eigen
+        .eigenvalues
+        .map(|v| if v > floor { 1.0 / v } else { 0.0 });
+    let inverse =
+        &eigen.eigenvectors * DMatrix::from_diagonal(&values) * eigen.eigenvectors.transpose();
+    DMatrix::from_fn(covariance.nrows(), covariance.ncols(), |i, j| {
+        inverse[(i, j)] * scale[i] * scale[j]
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    /// A line fitted to measurements in parts, each with an error of its own beside the measurements'.
+    fn line(
+        seed: u64,
+        parts: usize,
+        in_common: f64,
+    ) -> (DMatrix<f64>, Vec<Influence>, DVector<f64>) {
+        const EACH: usize = 20;
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        // Of variance 1.
+        let mut noise = move || rng.random_range(-1.0..1.0) * 3f64.sqrt();
+        let mut rows = Vec::new();
+        for part in 0..parts {
+            let common = in_common * noise();
+            for k in 0..EACH {
+                let at = (part * EACH + k) as f64 / (parts * EACH) as f64 - 0.3;
+                rows.push((DVector::from_vec(vec![1.0, at]), -(noise() + common)));
+            }
+        }
+        let normal: DMatrix<f64> = rows.iter().map(|(j, _)| j * j.transpose()).sum();
+        let covariance = normal.try_inverse().expect("a line");
+        let gradient: DVector<f64> = rows.iter().map(|(j, r)| j * *r).sum();
+        let found = -(&covariance * gradient);
+        let influences = rows
+            .chunks(EACH)
+            .map(|part| {
+                let gradient: DVector<f64> =
+                    part.iter().map(|(j, r)| j * (r + j.dot(&found))).sum();
+                let normal: DMatrix<f64> = part.iter().map(|(j, _)| j * j.transpose()).sum();
+                Influence {
+                    shift: -(&covariance * gradient),
+                    noise: &covariance * normal * &covariance,
+                }
+            })
+            .collect();
+        (covariance, influences, found)
+    }
+
+    #[test]
+    fn noise_is_left_alone_and_what_parts_have_in_common_is_seen() {
+        let mut alarms = 0;
+        let (mut mean_square, mut naive) = (0.0, 0.0);
+        const SEEDS: u64 = 200;
+        for seed in 0..SEEDS {
+            let (covariance, parts, _) = line(seed, 12, 0.0);
+            alarms +=
+                usize::from(Scatter::of_neighbours(&covariance, &parts).factors(2) != [1.0, 1.0]);
+            // Errors of parts are as large as those of measurements: σ is 4.6 times too small by the weights alone.
+            let (covariance, parts, found) = line(seed, 12, 1.0);
+            let factors = Scatter::of_neighbours(&covariance, &parts).factors(2);
+            for k in 0..2 {
+                let in_sigmas = found[k] / covariance[(k, k)].sqrt();
+                naive += in_sigmas * in_sigmas;
+                mean_square += (in_sigmas / factors[k]).powi(2);
+            }
+        }
+        let count = 2.0 * SEEDS as f64;
+        assert!(alarms <= 4, "{alarms} false alarms");
+        assert!(naive / count > 12.0, "{}", naive / count);
+        // Of Student's t with some ten degrees of freedom.
+        assert!(
+            (0.8..1.6).contains(&(mean_square / count)),
+            "{}",
+            mean_square / count
+        );
+    }
+
+    #[test]
+    fn few_parts_say_nothing() {
+        let (covariance, parts, _) = line(1, 4, 10.0);
+        assert_eq!(
+            Scatter::of_neighbours(&covariance, &parts).factors(2),
+            [1.0, 1.0]
+        );
+    }
+}
