@@ -1,12 +1,12 @@
 //! What the devices hand to the thread that writes.
 
-use lsfb_drivers::sidecar::Receipt;
 use lsfb_geometry::Rig;
 use lsfb_recording::message::{self, Schema};
 use lsfb_recording::{Attachment, LAST_STAMP};
 use lsfb_types::{Image, ImuSample, LidarScan, Packet, Stamped, Timestamp};
 
 use crate::device_note::DeviceNote;
+use crate::receipt::Receipt;
 use crate::report::StreamReport;
 use crate::sync::Group;
 
@@ -60,8 +60,6 @@ pub(crate) enum Entry {
         /// Given back when the message is in the file.
         receipt: Option<Receipt>,
     },
-    /// A message of a sidecar that is not recorded; its sender may forget it when those before it are in the file.
-    Skipped(Receipt),
     /// A file for this part and all that follow.
     Attachment(Attachment),
     /// The rig's poses follow in this part and all that come after it.
@@ -96,7 +94,6 @@ impl Entry {
             Self::Attachment(attachment) => attachment.bytes.len(),
             Self::Own(message) | Self::ClockModel { message, .. } => message.bytes.len(),
             Self::Imu { .. }
-            | Self::Skipped(_)
             | Self::OdometryFollows
             | Self::Device(_)
             | Self::Rig { .. }
@@ -124,7 +121,6 @@ impl Entry {
                 (&mut message.time, message.arrival)
             }
             Self::Packets { .. }
-            | Self::Skipped(_)
             | Self::Attachment(_)
             | Self::OdometryFollows
             | Self::Device(_)

@@ -14,11 +14,9 @@ use crate::health::{Ending, Meter, StreamReport};
 use crate::imu::{self, ImuStream};
 use crate::lidar::LidarStream;
 use crate::recorder::{self, Inlet, Recorder, WriterGone};
-use crate::sidecar::{Origin, Sidecars};
+use crate::sidecar::{Apps, Topics};
 use crate::{CaptureReport, Error};
 
-/// Connection of the one sidecar.
-const CONNECTION: u64 = 1;
 /// Packets between two looks at progress; simulated images among them take their time.
 const SHOW_EVERY: u64 = 64;
 
@@ -99,7 +97,36 @@ struct Streams {
     lidars: Vec<LidarStream>,
     imus: Vec<(ImuStream, Meter)>,
     cameras: Vec<(CameraStream, Meter)>,
-    sidecars: Option<Sidecars>,
+    sidecar: Option<Sidecar>,
+}
+
+/// The one phone or pair of glasses.
+struct Sidecar {
+    apps: Apps,
+    topics: Topics,
+    device: String,
+}
+
+impl Sidecar {
+    fn take(
+        &mut self,
+        arrival: Timestamp,
+        message: SidecarMessage,
+        inlet: &Inlet,
+    ) -> Result<(), WriterGone> {
+        match &message {
+            SidecarMessage::Hello(hello) => self.device.clone_from(&hello.device),
+            SidecarMessage::Advertise(described) => {
+                if let Err(why) = self.topics.admit(&self.device, described) {
+                    self.apps.refuse(why);
+                    return Ok(());
+                }
+            }
+            _ => {}
+        }
+        let device = &self.device;
+        self.apps.message(device, arrival, message, None, inlet)
+    }
 }
 
 impl Streams {
@@ -124,10 +151,11 @@ impl Streams {
                     (CameraStream::new(unit, None, &meter), meter)
                 })
                 .collect(),
-            sidecars: config
-                .sidecar
-                .as_ref()
-                .map(|_| Sidecars::new(&Meter::new("sidecar"))),
+            sidecar: config.sidecar.as_ref().map(|_| Sidecar {
+                apps: Apps::new(&Meter::new("sidecar")),
+                topics: Topics::default(),
+                device: String::new(),
+            }),
         })
     }
 
@@ -145,15 +173,8 @@ impl Streams {
                 Some((stream, meter)) => stream.frame(&packet, inlet, &self.control, meter),
                 None => Ok(()),
             },
-            Incoming::Sidecar { arrival, message } => match &mut self.sidecars {
-                Some(sidecars) => {
-                    let from = Origin {
-                        connection: CONNECTION,
-                        arrival,
-                        receipt: None,
-                    };
-                    sidecars.message(from, message, inlet)
-                }
+            Incoming::Sidecar { arrival, message } => match &mut self.sidecar {
+                Some(sidecar) => sidecar.take(arrival, message, inlet),
                 None => Ok(()),
             },
         }
@@ -178,7 +199,10 @@ impl Streams {
                 ..stream.finish(0)
             });
         }
-        reports.extend(self.sidecars.map(|s| s.finish(ending.clone())));
+        reports.extend(self.sidecar.map(|sidecar| StreamReport {
+            ending: ending.clone(),
+            ..sidecar.apps.into_report()
+        }));
         reports.iter_mut().for_each(StreamReport::name_silence);
         reports
     }

@@ -32,6 +32,7 @@ mod incoming;
 mod lidar;
 mod pace;
 mod poses;
+mod receipt;
 mod recorder;
 mod remark;
 mod replay;
@@ -56,6 +57,7 @@ pub use remark::Remarks;
 pub use replay::{ReplayConfig, ReplayedSensor, replay, replay_recording};
 pub use report::{CaptureReport, Ending, StreamReport};
 pub use session::Session;
+pub use sidecar::{INVITATION, PairingFolder};
 pub use sync::GroupReport;
 // The families of units are the drivers'; a list of devices names one.
 pub use lsfb_drivers::ImuFamily;

@@ -2,9 +2,9 @@
 
 use std::net::SocketAddr;
 use std::path::Path;
+use std::time::Duration;
 
 use lsfb_drivers::mynt_s::MyntCamera;
-use lsfb_drivers::sidecar::{SidecarConfig, SidecarServer};
 use lsfb_drivers::transport::udp::{UdpConfig, UdpSource};
 use lsfb_drivers::velodyne::SensorPage;
 use lsfb_geometry::Rig;
@@ -17,6 +17,7 @@ use crate::poses::{PoseQueue, Poses, poses};
 use crate::recorder::{self, Recorder};
 use crate::remark::{RemarkQueue, Remarks, remarks};
 use crate::report::StreamReport;
+use crate::sidecar::{PairingFolder, Place, SidecarServer};
 use crate::tap::{Tap, TapSender, tap};
 use crate::threads::{Device, Ends, Threads};
 use crate::{CaptureReport, Error, camera, imu, lidar, sidecar};
@@ -50,12 +51,7 @@ impl Session {
         let sidecar = config
             .sidecar
             .as_ref()
-            .map(|s| {
-                SidecarServer::bind(&SidecarConfig {
-                    address: s.listen,
-                    ..SidecarConfig::default()
-                })
-            })
+            .map(|s| SidecarServer::bind(s.listen, PairingFolder::open(&s.folder)?))
             .transpose()?;
         Ok(Self {
             config: config.clone(),
@@ -180,7 +176,12 @@ impl Session {
                 imu::record(line, on.inlet, on.control, on.meter)
             })?;
         }
-        if let Some(server) = self.sidecar {
+        if let (Some(server), Some(sidecar)) = (self.sidecar, &self.config.sidecar) {
+            let place = Place {
+                recording: std::path::absolute(out).unwrap_or_else(|_| out.to_owned()),
+                second_folder: settings.second_folder.clone(),
+            };
+            let come_back = Duration::from_secs(sidecar.come_back_secs.into());
             let device = Device {
                 thread: "sidecar",
                 name: "sidecar",
@@ -188,8 +189,9 @@ impl Session {
                 // Phones send what they like, when they like.
                 expected: Vec::new(),
             };
-            threads.start(device, |on| {
-                sidecar::record(server, &on.inlet.waiting(), on.control, on.meter)
+            threads.start(device, move |on| {
+                let inlet = on.inlet.waiting();
+                sidecar::record(server, place, come_back, &inlet, on.control, on.meter)
             })?;
         }
         let monitor = Monitor::new(

@@ -60,9 +60,10 @@ fn every_key_is_described_and_every_default_is_right() {
         lidars: vec![lidar],
         cameras: vec![CameraUnitConfig::stereo(PathBuf::new(), Default::default())],
         imus: vec![imu],
-        sidecar: Some(SidecarConfig {
-            listen: ([127, 0, 0, 1], 8790).into(),
-        }),
+        sidecar: Some(SidecarConfig::new(
+            ([127, 0, 0, 1], 8790).into(),
+            PathBuf::from("sidecar"),
+        )),
         ..DevicesConfig::default()
     };
     let written: toml::Table = whole.to_toml().parse().expect("TOML");

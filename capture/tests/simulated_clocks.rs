@@ -233,9 +233,10 @@ fn the_clock_of_a_phone_is_told_from_what_it_sends() {
     let dir = tempfile::tempdir().unwrap();
     simulation.write_truth(dir.path()).unwrap();
     let devices = DevicesConfig {
-        sidecar: Some(SidecarConfig {
-            listen: ([127, 0, 0, 1], 0).into(),
-        }),
+        sidecar: Some(SidecarConfig::new(
+            ([127, 0, 0, 1], 0).into(),
+            "sidecar".into(),
+        )),
         ..devices()
     };
     let recording = record(
@@ -339,9 +340,10 @@ fn the_doctor_lists_what_is_around_and_finds_nothing_wrong() {
     let dir = tempfile::tempdir().unwrap();
     let scan = backpack(&simulation, dir.path());
     let walk = DevicesConfig {
-        sidecar: Some(SidecarConfig {
-            listen: ([127, 0, 0, 1], 0).into(),
-        }),
+        sidecar: Some(SidecarConfig::new(
+            ([127, 0, 0, 1], 0).into(),
+            "sidecar".into(),
+        )),
         ..devices()
     };
     let scan = record(

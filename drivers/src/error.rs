@@ -53,6 +53,16 @@ pub enum Error {
         /// What was found, and what was expected or can be done.
         problem: String,
     },
+    /// The other side ended the connection, and said why.
+    #[error("{device}: {reason}")]
+    Refused {
+        /// The device as the user named it.
+        device: String,
+        /// Whether another attempt may go better.
+        may_pass: bool,
+        /// What it said.
+        reason: String,
+    },
     /// The other side does not keep to the protocol, so that nothing after this can be trusted.
     #[error("{device}: {problem}")]
     Protocol {

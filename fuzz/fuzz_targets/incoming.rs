@@ -12,6 +12,7 @@ use lsfb_drivers::mynt_s::wire::{TimeSource, Trailer, emit_frame};
 use lsfb_drivers::xsens::wire::Message;
 use lsfb_drivers::microstrain::wire::MipPacket;
 use lsfb_drivers::sidecar::SidecarMessage;
+use lsfb_drivers::sidecar::credentials::DeviceKey;
 use lsfb_drivers::sidecar::wire::{Advertise, Hello};
 use lsfb_drivers::velodyne::wire::{DATA_PACKET_LEN, POSITION_PACKET_LEN};
 use lsfb_recording::{Compression, Existing, LAST_STAMP};
@@ -43,9 +44,10 @@ fn config(family: u8) -> DevicesConfig {
             baud: 115_200,
             rate_hz: 100,
         }],
-        sidecar: Some(SidecarConfig {
-            listen: ([127, 0, 0, 1], 0).into(),
-        }),
+        sidecar: Some(SidecarConfig::new(
+            ([127, 0, 0, 1], 0).into(),
+            "sidecar".into(),
+        )),
         recorder: RecorderConfig {
             compression: Compression::None,
             existing: Existing::Replace,
@@ -149,6 +151,8 @@ fn said(given: &[u8]) -> SidecarMessage {
             session: "fuzz".to_owned(),
             first_unacked: 1,
             device: "glasses".to_owned(),
+            device_key: DeviceKey([0; 32]),
+            pairing_token: None,
         })),
         1 => SidecarMessage::Advertise(Advertise::parse(rest).unwrap_or_default()),
         2 => SidecarMessage::Data {

@@ -309,6 +309,31 @@ impl ImuLineConfig {
 pub struct SidecarConfig {
     /// Address to listen on; port 0 takes a free one.
     pub listen: SocketAddr,
+    /// Folder of the rig's certificate and of the devices that are paired with it; made where it is not there.
+    #[serde(default = "sidecar_folder")]
+    pub folder: PathBuf,
+    /// How long a device that was lost is waited for where nothing else is recorded, seconds.
+    #[serde(default = "come_back_secs")]
+    pub come_back_secs: u32,
+}
+
+fn sidecar_folder() -> PathBuf {
+    PathBuf::from("sidecar")
+}
+
+fn come_back_secs() -> u32 {
+    120
+}
+
+impl SidecarConfig {
+    /// Listens there, and knows devices by this folder.
+    pub fn new(listen: SocketAddr, folder: PathBuf) -> Self {
+        Self {
+            listen,
+            folder,
+            come_back_secs: come_back_secs(),
+        }
+    }
 }
 
 lsfb_types::bounds! {
@@ -343,6 +368,9 @@ impl DevicesConfig {
         }
         if let Some(second) = &mut config.recorder.second_folder {
             *second = folder.join(&*second);
+        }
+        if let Some(sidecar) = &mut config.sidecar {
+            sidecar.folder = folder.join(&sidecar.folder);
         }
         // A CAN interface is no file.
         for imu in config

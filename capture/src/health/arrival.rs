@@ -5,7 +5,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use lsfb_types::Timestamp;
 
 /// What something that arrives now is stamped.
-pub(super) fn arrival_now() -> Timestamp {
+pub(crate) fn arrival_now() -> Timestamp {
     let since = SystemTime::now()
         .duration_since(UNIX_EPOCH)
         .unwrap_or_default();

@@ -35,6 +35,8 @@ struct MeterState {
     clock_steps: u32,
     exposure_ms: Option<f64>,
     saturated_share: Option<f64>,
+    /// Who of several behind it is gone, and since when.
+    gone: Option<String>,
     /// What it says again and again, and what to check.
     stale: Option<&'static str>,
     temperature_celsius: Option<f64>,
@@ -75,6 +77,7 @@ impl Meter {
             clock_steps: 0,
             exposure_ms: None,
             saturated_share: None,
+            gone: None,
             stale: None,
             temperature_celsius: None,
         })))
@@ -167,6 +170,11 @@ impl Meter {
         state.left = is == Connection::Left;
         let now = Instant::now();
         state.parts.iter_mut().for_each(|part| part.restart(now));
+    }
+
+    /// Who of several behind it is gone, and since when; `None`: nobody.
+    pub(crate) fn set_gone(&self, problem: Option<String>) {
+        self.lock().gone = problem;
     }
 
     /// Whose clock its stamps follow, and how often that was set since the beginning.
@@ -285,6 +293,9 @@ impl MeterState {
     fn judge(&self, silence: Duration, lost: u64, now: Instant) -> (Level, String) {
         if !self.connected {
             return (Level::Error, "gone: check its cable and power".to_owned());
+        }
+        if let Some(gone) = &self.gone {
+            return (Level::Error, gone.clone());
         }
         if !self.ended
             && let Some(problem) = self.parts.iter().find_map(|part| part.problem(now))

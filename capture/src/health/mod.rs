@@ -8,6 +8,7 @@ mod snapshot;
 mod stale;
 
 pub(crate) use crate::report::{Ending, StreamReport};
+pub(crate) use arrival::arrival_now;
 pub(crate) use expected::Expected;
 pub(crate) use meter::{Connection, Meter};
 pub(crate) use monitor::Monitor;

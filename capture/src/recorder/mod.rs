@@ -25,6 +25,7 @@ use crate::tap::TapSender;
 
 pub(crate) use crate::entry::{Entry, OwnMessage};
 
+pub(crate) use parts::parts_of;
 pub(crate) use space::{check as check_space, free_bytes_of};
 
 /// Entries in the queue, whatever their size: some seconds of IMU and LiDAR.

@@ -311,6 +311,19 @@ fn open(
 }
 
 /// `scan.mcap`, `scan-0002.mcap`, …
+/// The parts of a recording that are there, in order.
+pub(crate) fn parts_of(out: &Path, second_folder: Option<&Path>) -> Vec<PathBuf> {
+    let first = path_of(out, 1, None);
+    let others = (2..).map_while(|number| {
+        let folders = [None, second_folder];
+        let mut paths = folders
+            .map(|folder| path_of(out, number, folder))
+            .into_iter();
+        paths.find(|path| path.exists())
+    });
+    std::iter::once(first).chain(others).collect()
+}
+
 fn path_of(out: &Path, number: u32, folder: Option<&Path>) -> PathBuf {
     let numbered = match number {
         1 => out.to_owned(),

@@ -5,7 +5,6 @@ use std::path::Path;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-use lsfb_drivers::sidecar::Receipt;
 use lsfb_recording::{Channel, Summary};
 
 use super::displacement::Displacement;
@@ -14,6 +13,7 @@ use super::parts::{Parts, Turn};
 use super::{Entry, OwnMessage, Queued, Shared, WritingProgress, Written};
 use crate::Error;
 use crate::config::LidarData;
+use crate::receipt::Receipt;
 use crate::report::{HealthAttachment, StreamReport};
 use crate::sync::{Group, Groups};
 
@@ -262,7 +262,7 @@ impl Writing {
                 self.latencies.add(now.saturating_duration_since(at));
             }
             let parts = self.parts.finish()?;
-            self.receipts.iter().for_each(Receipt::acknowledge);
+            self.receipts.drain(..).for_each(Receipt::acknowledge);
             parts
         };
         let mut warnings = self.displaced;
@@ -352,6 +352,9 @@ impl Writing {
                 bytes,
                 receipt,
             } => {
+                if receipt.as_ref().is_some_and(Receipt::comes_again) {
+                    return Ok(None);
+                }
                 let channel = Channel {
                     topic: &topic,
                     schema_name: &schema_name,
@@ -366,7 +369,6 @@ impl Writing {
                 }
                 return Ok(receipt);
             }
-            Entry::Skipped(receipt) => return Ok(Some(receipt)),
             Entry::Attachment(file) => {
                 self.parts
                     .attach(&file.name, &file.media_type, &file.bytes)?;

@@ -202,20 +202,19 @@ fn a_sidecar_is_acknowledged_when_its_message_is_in_the_file() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("walk.mcap");
     let config = DevicesConfig {
-        sidecar: Some(SidecarConfig { listen: LOOPBACK }),
+        sidecar: Some(mock::sidecar(folder.path())),
         ..anywhere()
     };
     let session = Session::open(&config).unwrap();
-    let address = session.sidecar_address().unwrap();
+    let invited = mock::invited(&session, folder.path());
     let recording = {
         let out = out.clone();
         mock::spawn("session", move || run(session, &out))
     };
     let mut client = mock::visor(ClientConfig {
-        address,
         // Each message waits until the one before it is acknowledged.
         window_messages: 1,
-        ..ClientConfig::default()
+        ..invited
     });
     for n in 0..8_u32 {
         mock::send_note(&mut client, n);

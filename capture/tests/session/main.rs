@@ -5,6 +5,8 @@
     reason = "a test file as a whole; clippy.toml only spares #[test] functions"
 )]
 
+mod glasses;
+mod hostile;
 mod live;
 mod mock;
 mod output;
@@ -21,8 +23,8 @@ use std::time::{Duration, Instant};
 
 use lsfb_capture::{
     CameraUnitConfig, CaptureReport, DevicesConfig, Ending, ImuFamily, ImuLineConfig,
-    LidarNetConfig, Overflow, RecorderConfig, ReplayConfig, Session, SidecarConfig, StreamReport,
-    Tapped, replay_recording,
+    LidarNetConfig, Overflow, RecorderConfig, ReplayConfig, Session, StreamReport, Tapped,
+    replay_recording,
 };
 use lsfb_drivers::mynt_s::wire::DeviceInfo;
 use lsfb_recording::message::{self, Remark, decode_remark};
@@ -95,7 +97,7 @@ fn every_packet_of_every_device_is_in_the_recording() {
             unit(&rear, ["cam2", "cam3"]),
         ],
         imus: vec![line(&imu.path)],
-        sidecar: Some(SidecarConfig { listen: LOOPBACK }),
+        sidecar: Some(mock::sidecar(folder.path())),
         ..anywhere()
     };
     let session = Session::open(&config).unwrap();
@@ -105,7 +107,7 @@ fn every_packet_of_every_device_is_in_the_recording() {
         LIDAR_PACKETS,
         Duration::ZERO,
     );
-    let glasses = mock::glasses(session.sidecar_address().unwrap(), NOTES);
+    let glasses = mock::glasses(mock::invited(&session, folder.path()), NOTES);
     let out = folder.path().join("scan.mcap");
     let report = run(session, &out);
     assert_eq!(
@@ -330,7 +332,7 @@ fn stopped_session() -> Duration {
         }],
         cameras: vec![unit(&front, ["cam0", "cam1"])],
         imus: vec![line(&imu.path)],
-        sidecar: Some(SidecarConfig { listen: LOOPBACK }),
+        sidecar: Some(mock::sidecar(folder.path())),
         ..anywhere()
     };
     let session = Session::open(&config).unwrap();

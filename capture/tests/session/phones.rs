@@ -1,22 +1,18 @@
-//! Several phones at one port: what one of them does costs that one only.
+//! Several phones at one port: what one of them does costs that one only, and whoever was cut off goes on where it was.
 
+use std::sync::Arc;
+
+use lsfb_capture::SidecarConfig;
+use lsfb_drivers::Error;
+use lsfb_drivers::sidecar::credentials::DeviceKey;
 use lsfb_drivers::sidecar::model::CLOCK_UTC;
 use lsfb_drivers::sidecar::wire::Advertise;
-use lsfb_drivers::sidecar::{ClientConfig, SidecarClient};
+use lsfb_drivers::sidecar::{ClientClock, ClientConfig, SidecarClient};
 
 use super::live::wait_until;
 use super::*;
 
 const TOPIC: &str = "/sidecar/visor/note";
-
-fn client(address: SocketAddr, device: &str) -> SidecarClient {
-    SidecarClient::connect(ClientConfig {
-        address,
-        device: device.to_owned(),
-        ..ClientConfig::default()
-    })
-    .unwrap()
-}
 
 fn advertise(topic: &str, schema_name: &str, schema: &str) -> Advertise {
     Advertise {
@@ -30,19 +26,33 @@ fn advertise(topic: &str, schema_name: &str, schema: &str) -> Advertise {
     }
 }
 
-/// An advertisement of a used topic with another schema ended the whole recording, the LiDAR's too. Topics belong to who opened
-/// them, and whoever comes later is heard as well.
+fn notes(out: &Path) -> Vec<u32> {
+    let recording = Recording::open(out).unwrap();
+    let notes = recording.messages(TOPIC).unwrap().map(Result::unwrap);
+    notes
+        .map(|note| u32::from_le_bytes(note.bytes[4..8].try_into().unwrap()))
+        .collect()
+}
+
+/// An advertisement of a used topic with another schema ended the whole recording, the LiDAR's too.
 #[test]
 fn one_phones_bad_message_costs_that_phone_only() {
     let folder = tempfile::tempdir().unwrap();
     let imu = mock::imu(None, &[]);
     let config = DevicesConfig {
         imus: vec![line(&imu.path)],
-        sidecar: Some(SidecarConfig { listen: LOOPBACK }),
+        sidecar: Some(mock::sidecar(folder.path())),
         ..anywhere()
     };
     let session = Session::open(&config).unwrap();
-    let address = session.sidecar_address().unwrap();
+    let invited = || mock::invited(&session, folder.path());
+    let visors = invited();
+    let rudes: Vec<ClientConfig> = (0..5)
+        .map(|n| ClientConfig {
+            device: format!("rude{n}"),
+            ..invited()
+        })
+        .collect();
     let counts = session.counts();
     let out = folder.path().join("scan.mcap");
     let stop = AtomicBool::new(false);
@@ -51,44 +61,41 @@ fn one_phones_bad_message_costs_that_phone_only() {
             .name("session".to_owned())
             .spawn_scoped(scope, || session.run(&out, &until(&stop)).unwrap())
             .unwrap();
-        let mut visor = mock::visor(ClientConfig {
-            address,
-            ..ClientConfig::default()
-        });
+        let mut visor = mock::visor(visors.clone());
         mock::send_note(&mut visor, 0);
-
-        // Somebody else's topic, with its schema and with another; a topic of the recorder's own; no sidecar topic.
-        // A number of a channel means one thing per connection, so each comes with its own.
-        for (topic, name, schema) in [
+        // Somebody else's topic, with its schema and with another; topics of the recorder's own; no sidecar topic.
+        for (rude, (topic, name, schema)) in rudes.into_iter().zip([
             (TOPIC, "std_msgs/msg/UInt32", "uint32 data"),
             (TOPIC, "std_msgs/msg/String", "string data"),
             (
-                "/sidecar/rude/x/device_time",
+                "/sidecar/rude2/x/device_time",
+                "std_msgs/msg/UInt32",
+                "uint32 data",
+            ),
+            (
+                "/sidecar/rude3/session",
                 "std_msgs/msg/UInt32",
                 "uint32 data",
             ),
             ("/lidar/points", "std_msgs/msg/UInt32", "uint32 data"),
-        ] {
-            let mut rude = client(address, "rude");
-            rude.advertise(&advertise(topic, name, schema)).unwrap();
-            mock::send_note(&mut rude, 99);
-            rude.bye().unwrap();
+        ]) {
+            let mut client = SidecarClient::connect(rude).unwrap();
+            client.advertise(&advertise(topic, name, schema)).unwrap();
+            let sent = client.send(3, 0, &[0, 1, 0, 0, 99, 0, 0, 0]);
+            let ended = sent.and_then(|()| client.bye().map(|_| ()));
+            assert!(ended.is_err(), "{topic}");
         }
         mock::send_note(&mut visor, 1);
         visor.bye().unwrap();
-
-        // Everybody has gone. The same topic is free again, but not for another schema.
-        let mut stranger = client(address, "stranger");
-        stranger
-            .advertise(&advertise(TOPIC, "std_msgs/msg/String", "string data"))
-            .unwrap();
-        mock::send_note(&mut stranger, 98);
-        stranger.bye().unwrap();
-        let mut heir = client(address, "heir");
-        heir.advertise(&advertise(TOPIC, "std_msgs/msg/UInt32", "uint32 data"))
-            .unwrap();
-        mock::send_note(&mut heir, 2);
-        heir.bye().unwrap();
+        // It comes again, with another session; its topic keeps its schema.
+        let again = ClientConfig {
+            session: "second".to_owned(),
+            pairing_token: None,
+            ..visors.clone()
+        };
+        let mut visor = mock::visor(again.clone());
+        mock::send_note(&mut visor, 2);
+        visor.bye().unwrap();
         let before = counts.imu_samples.load(Ordering::Relaxed);
         wait_until("the IMU goes on", || {
             counts.imu_samples.load(Ordering::Relaxed) > before + 100
@@ -98,13 +105,183 @@ fn one_phones_bad_message_costs_that_phone_only() {
     });
     assert_eq!(report.failure, None, "{report:?}");
     let phones = stream(&report, "sidecar");
-    assert_eq!((phones.decoded, phones.bad), (3, 5), "{phones:?}");
-    assert_eq!(phones.ending, Ending::Stopped);
-    let why = phones.first_bad.as_deref().unwrap();
-    assert!(why.contains("another app") && why.contains(TOPIC), "{why}");
+    assert_eq!((phones.decoded, phones.bad), (3, 0), "{phones:?}");
+    let said = phones.notes.join("\n");
+    assert!(said.contains("5 × bad topic"), "{said}");
+    assert_eq!(notes(&out), [0, 1, 2]);
     let recording = Recording::open(&out).unwrap();
-    let notes = recording.messages(TOPIC).unwrap().map(Result::unwrap);
-    let notes: Vec<u8> = notes.map(|note| note.bytes[4]).collect();
-    assert_eq!(notes, [0, 1, 2]);
     assert!(recording.imu().unwrap().count() > 100);
+}
+
+#[test]
+fn strangers_are_refused_and_counted_and_a_token_is_used_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = DevicesConfig {
+        sidecar: Some(mock::sidecar(folder.path())),
+        ..anywhere()
+    };
+    let session = Session::open(&config).unwrap();
+    let invited = mock::invited(&session, folder.path());
+    let out = folder.path().join("walk.mcap");
+    let running = {
+        let out = out.clone();
+        mock::spawn("session", move || run(session, &out))
+    };
+    let mut visor = mock::visor(invited.clone());
+    mock::send_note(&mut visor, 0);
+    let refused = |config: ClientConfig, why: &str| match SidecarClient::connect(config) {
+        Err(Error::Refused {
+            may_pass: false,
+            reason,
+            ..
+        }) => assert!(reason.contains(why), "{reason}"),
+        other => panic!("{other:?}"),
+    };
+    // The invitation again, for another device; another key for a name that is paired; nobody invited it.
+    let other_name = ClientConfig {
+        device: "other".to_owned(),
+        ..invited.clone()
+    };
+    refused(other_name.clone(), "invitation");
+    let other_key = ClientConfig {
+        device_key: DeviceKey([7; 32]),
+        pairing_token: None,
+        device: "visor".to_owned(),
+        ..invited.clone()
+    };
+    refused(other_key, "not paired");
+    let uninvited = ClientConfig {
+        pairing_token: None,
+        ..other_name
+    };
+    refused(uninvited, "not paired");
+    // A rig that has another key than the code says is not talked to at all.
+    let mut elsewhere = invited;
+    elsewhere.fingerprint.0[0] ^= 1;
+    assert!(matches!(
+        SidecarClient::connect(elsewhere),
+        Err(Error::Open { .. })
+    ));
+    mock::send_note(&mut visor, 1);
+    visor.bye().unwrap();
+    let report = running.join().unwrap();
+    let phones = stream(&report, "sidecar");
+    assert_eq!((phones.decoded, report.lost), (2, 0), "{report:?}");
+    let said = phones.notes.join("\n");
+    for reason in ["2 × not paired", "1 × wrong, used or expired", "no TLS"] {
+        assert!(said.contains(reason), "{reason}: {said}");
+    }
+    // No secret went into the recording.
+    let bytes = std::fs::read(&out).unwrap();
+    assert_eq!(notes(&out), [0, 1]);
+    assert!(!bytes.windows(4).any(|w| w == b"tok="));
+}
+
+/// A device that is cut off at any byte, repeats, damages and skips messages has each of them in the recording once, in order.
+#[test]
+fn faults_on_the_way_lose_nothing_and_repeat_nothing() {
+    const MESSAGES: u32 = 400;
+    let folder = tempfile::tempdir().unwrap();
+    let config = DevicesConfig {
+        sidecar: Some(mock::sidecar(folder.path())),
+        ..anywhere()
+    };
+    let session = Session::open(&config).unwrap();
+    let phones: Vec<ClientConfig> = (0..8)
+        .map(|n| ClientConfig {
+            device: format!("phone{n}"),
+            faults: Some(n),
+            reconnect_secs: 30,
+            clock: Some(ClientClock {
+                id: CLOCK_UTC.to_owned(),
+                offset_ns: 1_000_000,
+                skew_ppm: 50.0,
+            }),
+            ..mock::invited(&session, folder.path())
+        })
+        .collect();
+    let names: Vec<String> = phones.iter().map(|phone| phone.device.clone()).collect();
+    let out = folder.path().join("walk.mcap");
+    let running = {
+        let out = out.clone();
+        mock::spawn("session", move || run(session, &out))
+    };
+    let playing: Vec<_> = phones
+        .into_iter()
+        .map(|phone| {
+            mock::spawn("phone", move || {
+                let topic = format!("/sidecar/{}/note", phone.device);
+                let mut client = SidecarClient::connect(phone).unwrap();
+                client
+                    .advertise(&advertise(&topic, "std_msgs/msg/UInt32", "uint32 data"))
+                    .unwrap();
+                (0..MESSAGES).for_each(|n| mock::send_note(&mut client, n));
+                client.bye().unwrap()
+            })
+        })
+        .collect();
+    let connections: u64 = playing
+        .into_iter()
+        .map(|phone| phone.join().unwrap().connections)
+        .sum();
+    // The faults were there.
+    assert!(connections > 16, "{connections}");
+    let report = running.join().unwrap();
+    assert_eq!(report.failure, None);
+    assert_eq!(stream(&report, "sidecar").missing, 0, "{report:?}");
+    let recording = Recording::open(&out).unwrap();
+    for name in names {
+        let topic = format!("/sidecar/{name}/note");
+        let found = recording.messages(&topic).unwrap().map(Result::unwrap);
+        let found: Vec<u32> = found
+            .map(|note| u32::from_le_bytes(note.bytes[4..8].try_into().unwrap()))
+            .collect();
+        assert_eq!(found, Vec::from_iter(0..MESSAGES), "{name}");
+        let exchanges = recording.messages(&format!("/sidecar/{name}/time_sync"));
+        assert!(exchanges.unwrap().count() > 5, "{name}");
+    }
+}
+
+/// A phone whose recording ends in the middle goes on in the next one where the first has got to, told so or not.
+#[test]
+fn the_next_recording_goes_on_where_the_last_one_has_got_to() {
+    let folder = tempfile::tempdir().unwrap();
+    let listener = std::net::TcpListener::bind(LOOPBACK).unwrap();
+    let listen = listener.local_addr().unwrap();
+    drop(listener);
+    let config = DevicesConfig {
+        sidecar: Some(SidecarConfig {
+            listen,
+            ..mock::sidecar(folder.path())
+        }),
+        ..anywhere()
+    };
+    let [first, second] = ["first", "second"].map(|name| folder.path().join(name));
+    let session = Session::open(&config).unwrap();
+    let invited = mock::invited(&session, folder.path());
+    let stop = Arc::new(AtomicBool::new(false));
+    let running = {
+        let (out, stop) = (first.clone(), Arc::clone(&stop));
+        mock::spawn("session", move || session.run(&out, &until(&stop)).unwrap())
+    };
+    let mut visor = mock::visor(ClientConfig {
+        reconnect_secs: 30,
+        ..invited
+    });
+    (0..200).for_each(|n| mock::send_note(&mut visor, n));
+    stop.store(true, Ordering::Relaxed);
+    running.join().unwrap();
+    let session = Session::open(&config).unwrap();
+    let running = {
+        let out = second.clone();
+        mock::spawn("session", move || run(session, &out))
+    };
+    (200..210).for_each(|n| mock::send_note(&mut visor, n));
+    visor.bye().unwrap();
+    let report = running.join().unwrap();
+    assert_eq!(report.lost, 0, "{report:?}");
+    let (mut found, rest) = (notes(&first), notes(&second));
+    assert!(!found.is_empty() && !rest.is_empty());
+    found.extend(rest);
+    assert_eq!(found, Vec::from_iter(0..210));
 }

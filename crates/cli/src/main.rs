@@ -17,6 +17,7 @@ mod full_disk;
 mod judged;
 mod live;
 mod outcome;
+mod phones;
 mod progress;
 mod simulated;
 mod standing;
@@ -92,6 +93,7 @@ enum Command {
     Sim(commands::sim::Arguments),
     Mock(commands::mock::Arguments),
     Scan(commands::scan::Arguments),
+    Sidecar(commands::sidecar::Arguments),
     Doctor(commands::doctor::Arguments),
     Clock(commands::clock::Arguments),
     Recover(commands::recover::Arguments),
@@ -133,6 +135,7 @@ fn run(arguments: Arguments, context: &Context) -> anyhow::Result<Outcome> {
         Command::Sim(a) => commands::sim::run(&a, context),
         Command::Mock(a) => commands::mock::run(&a, context),
         Command::Scan(a) => commands::scan::run(&a, context),
+        Command::Sidecar(a) => commands::sidecar::run(&a, context),
         Command::Doctor(a) => commands::doctor::run(&a, context),
         Command::Clock(a) => commands::clock::run(&a, context),
         Command::Recover(a) => commands::recover::run(&a, context),

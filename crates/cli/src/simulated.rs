@@ -3,20 +3,26 @@
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 use anyhow::Context as _;
 use lsfb_capture::{
     CameraUnitConfig, CaptureReport, Counts, DevicesConfig, ImuLineConfig, Incoming,
     LidarNetConfig, Overflow, RecorderConfig, Session, SidecarConfig, record_incoming,
 };
+use lsfb_drivers::sidecar::ClientConfig;
 use lsfb_geometry::MAIN_IMU;
 use lsfb_recording::Existing;
 use lsfb_sim::{
-    Clocked, Emitted, FlowControl, GlassesEndpoint, LidarModel, Pace, ReturnMode, ScanEndpoints,
-    SimConfig, SimSession, SimulatedImu, Simulation,
+    Clocked, Emitted, FlowControl, LidarModel, Pace, ReturnMode, ScanEndpoints, SimConfig,
+    SimSession, SimulatedImu, Simulation,
 };
 
 use crate::context::Context;
+use crate::phones;
+
+/// How long glasses look for a recorder in this process.
+const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Name of the file with the settings of a simulated session.
 pub const SETTINGS: &str = "sim.toml";
@@ -175,9 +181,9 @@ pub fn backpack_devices(
 }
 
 /// What a recorder of the glasses listens on.
-pub fn glasses_devices(listen: SocketAddr, overflow: Overflow) -> DevicesConfig {
+pub fn glasses_devices(layout: &Layout, listen: SocketAddr, overflow: Overflow) -> DevicesConfig {
     DevicesConfig {
-        sidecar: Some(SidecarConfig { listen }),
+        sidecar: Some(SidecarConfig::new(listen, layout.file(phones::FOLDER))),
         overflow,
         recorder: short_walk(),
         ..DevicesConfig::default()
@@ -236,7 +242,7 @@ pub fn record_with_simulated_arrivals(
     };
     let mut backpack = backpack_devices(layout, simulation.config(), net, Overflow::Wait);
     backpack.recorder = in_a_folder_of_our_own();
-    let mut glasses = glasses_devices(nowhere, Overflow::Wait);
+    let mut glasses = glasses_devices(layout, nowhere, Overflow::Wait);
     glasses.recorder = in_a_folder_of_our_own();
     Ok(vec![
         record_emitted(
@@ -317,30 +323,42 @@ pub fn record_backpack(
     )
 }
 
+/// How the simulated glasses connect to their recorder.
+pub fn invite_glasses(
+    layout: &Layout,
+    simulation: &Simulation,
+    address: SocketAddr,
+) -> anyhow::Result<ClientConfig> {
+    let session = format!("seed-{}", simulation.config().seed);
+    phones::invite(&layout.file(phones::FOLDER), address, "glasses", &session)
+}
+
 /// Records the simulated glasses, all in this process.
 pub fn record_glasses(
     layout: &Layout,
     simulation: &Arc<Simulation>,
     context: &Context,
 ) -> anyhow::Result<CaptureReport> {
-    let mut devices = glasses_devices(SocketAddr::from(([127, 0, 0, 1], 0)), Overflow::Wait);
+    let any = SocketAddr::from(([127, 0, 0, 1], 0));
+    let mut devices = glasses_devices(layout, any, Overflow::Wait);
     devices.recorder = in_a_folder_of_our_own();
     let recorder = Session::open(&devices)?;
     let address = recorder
         .sidecar_address()
         .context("the recorder has no sidecar address")?;
-    let endpoint = GlassesEndpoint {
-        address,
-        session: format!("seed-{}", simulation.config().seed),
-    };
-    let devices = SimSession::start_glasses(simulation, &endpoint, Pace::Unlimited)?;
-    record(
+    let folder = layout.file(phones::FOLDER);
+    let rig = invite_glasses(layout, simulation, address)?;
+    let devices = SimSession::start_glasses(simulation, &rig, Pace::Unlimited, PATIENCE)?;
+    let recorded = record(
         recorder,
         devices,
         &layout.file("walk.mcap"),
         "recording the walk",
         context,
-    )
+    );
+    // Nobody comes back; if it cannot go, it is in nobody's way.
+    let _ = std::fs::remove_dir_all(folder);
+    recorded
 }
 
 /// What the recorder could not go on with is an error here: nobody waits for the rest.

@@ -60,7 +60,8 @@ fn content(path: &Path) -> Vec<String> {
         // that happened to come first. What the recorder says itself is about its own session.
         let own = ["/health/", "/sync/"]
             .iter()
-            .any(|t| topic.topic.starts_with(t));
+            .any(|t| topic.topic.starts_with(t))
+            || topic.topic.ends_with("/session");
         // Answers to polls are cut wherever their host asked.
         let cut = topic.topic.starts_with("/raw/imu");
         if own || cut || topic.topic.ends_with("tf_static") {

@@ -74,9 +74,8 @@ pub use config::{
 };
 pub use datum::{DatumConfig, Geodetic};
 pub use device::{
-    CameraPlan, Emitted, FlowControl, GlassesEndpoint, MYNT_UNITS, Pace, Playback,
-    PlaybackEndpoints, ScanEmission, ScanEndpoints, SessionReport, SimSession, StopHandle, Turns,
-    WalkEmission,
+    CameraPlan, Emitted, FlowControl, MYNT_UNITS, Pace, Playback, PlaybackEndpoints, ScanEmission,
+    ScanEndpoints, SessionReport, SimSession, StopHandle, Turns, WalkEmission,
 };
 pub use error::Error;
 pub use lsfb_drivers::velodyne::wire::ReturnMode;

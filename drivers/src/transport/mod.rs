@@ -13,6 +13,8 @@ mod host_clock;
 pub mod http;
 #[cfg(feature = "pcap")]
 pub mod pcap;
+#[cfg(feature = "sidecar")]
+mod pinned_tls;
 #[cfg(any(
     feature = "velodyne",
     feature = "mynt-s",

@@ -1,18 +1,18 @@
-//! WebSockets over TCP: whole binary messages in both directions.
-//!
-//! TLS goes between the stream and the WebSocket once pairing exists; nothing above this file will change.
+//! WebSockets over TLS, the side that connects: whole binary messages in both directions.
 
-use std::io;
-use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::io::{self, Read, Write};
+use std::net::{Shutdown, SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
 
 use lsfb_types::Packet;
-use tungstenite::handshake::server::{Callback, ErrorResponse, Request, Response};
-use tungstenite::http::{HeaderValue, StatusCode, Uri, header};
+use rustls::pki_types::ServerName;
+use rustls::{ClientConnection, StreamOwned};
+use tungstenite::http::Uri;
 use tungstenite::protocol::WebSocketConfig;
 use tungstenite::{Bytes, ClientRequestBuilder, HandshakeError, Message, WebSocket};
 
 use super::arrival_now;
+use super::pinned_tls;
 use super::poll::readable;
 use crate::Error;
 
@@ -38,159 +38,85 @@ impl Endpoint {
     }
 }
 
-/// Accepts connections.
+/// A TCP connection that can be made to break.
 #[derive(Debug)]
-pub struct WebSocketListener {
-    listener: TcpListener,
-    address: SocketAddr,
+struct Wire {
+    tcp: TcpStream,
+    /// It breaks when so many more bytes are sent.
+    cut_after: Option<u64>,
 }
 
-impl WebSocketListener {
-    /// Listens on `address`; port 0 picks a free one.
-    pub fn bind(address: SocketAddr) -> Result<Self, Error> {
-        let bound = TcpListener::bind(address).and_then(|listener| {
-            listener.set_nonblocking(true)?;
-            let address = listener.local_addr()?;
-            Ok(Self { listener, address })
-        });
-        bound.map_err(|cause| Error::Open {
-            device: address.to_string(),
-            action: "listen",
-            cause,
-        })
+impl Read for Wire {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        self.tcp.read(into)
     }
+}
 
-    /// Where it listens.
-    pub fn address(&self) -> SocketAddr {
-        self.address
-    }
-
-    /// The next TCP connection, waiting up to `timeout`. Its handshake is a step of its own, since the other side may
-    /// be slow about it.
-    pub fn accept(&self, timeout: Duration) -> Result<Option<PendingWebSocket>, Error> {
-        let lost = |cause| Error::Lost {
-            device: self.address.to_string(),
-            cause,
+impl Write for Wire {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let Some(left) = &mut self.cut_after else {
+            return self.tcp.write(bytes);
         };
-        if !readable(&self.listener, timeout).map_err(lost)? {
-            return Ok(None);
+        let most = usize::try_from(*left).unwrap_or(usize::MAX);
+        let allowed = bytes.get(..most).unwrap_or(bytes);
+        if allowed.is_empty() {
+            self.tcp.shutdown(Shutdown::Both)?;
+            return Err(io::ErrorKind::ConnectionReset.into());
         }
-        match self.listener.accept() {
-            Ok((stream, peer)) => Ok(Some(PendingWebSocket { stream, peer })),
-            // The other side left between the two calls.
-            Err(e)
-                if matches!(
-                    e.kind(),
-                    io::ErrorKind::WouldBlock
-                        | io::ErrorKind::Interrupted
-                        | io::ErrorKind::ConnectionAborted
-                ) =>
-            {
-                Ok(None)
-            }
-            Err(e) => Err(lost(e)),
-        }
+        let sent = self.tcp.write(allowed)?;
+        *left -= sent as u64;
+        Ok(sent)
     }
-}
 
-/// A TCP connection that has not yet become a WebSocket.
-#[derive(Debug)]
-pub struct PendingWebSocket {
-    stream: TcpStream,
-    peer: SocketAddr,
-}
-
-impl PendingWebSocket {
-    /// Answers the opening handshake: another path or subprotocol is refused.
-    pub fn handshake(self, endpoint: Endpoint) -> Result<WebSocketConnection, Error> {
-        let device = self.peer.to_string();
-        let refused = |cause| Error::Open {
-            device: device.clone(),
-            action: "open the WebSocket",
-            cause,
-        };
-        prepare(&self.stream).map_err(refused)?;
-        let socket = tungstenite::accept_hdr_with_config(
-            self.stream,
-            RequestCheck(endpoint),
-            Some(endpoint.limits()),
-        )
-        .map_err(|e| refused(handshake_failed(e)))?;
-        WebSocketConnection::new(socket, device)
+    fn flush(&mut self) -> io::Result<()> {
+        self.tcp.flush()
     }
-}
-
-/// Looks at the opening request.
-struct RequestCheck(Endpoint);
-
-impl Callback for RequestCheck {
-    fn on_request(
-        self,
-        request: &Request,
-        mut response: Response,
-    ) -> Result<Response, ErrorResponse> {
-        let Self(endpoint) = self;
-        if request.uri().path() != endpoint.path {
-            let problem = format!("the stream is at {}", endpoint.path);
-            return Err(refusal(StatusCode::NOT_FOUND, problem));
-        }
-        let offered = request
-            .headers()
-            .get_all(header::SEC_WEBSOCKET_PROTOCOL)
-            .into_iter()
-            .filter_map(|value| value.to_str().ok())
-            .flat_map(|value| value.split(','))
-            .any(|name| name.trim() == endpoint.subprotocol);
-        if !offered {
-            let problem = format!("only subprotocol {} is spoken", endpoint.subprotocol);
-            return Err(refusal(StatusCode::BAD_REQUEST, problem));
-        }
-        response.headers_mut().insert(
-            header::SEC_WEBSOCKET_PROTOCOL,
-            HeaderValue::from_static(endpoint.subprotocol),
-        );
-        Ok(response)
-    }
-}
-
-fn refusal(status: StatusCode, problem: String) -> ErrorResponse {
-    let mut refusal = ErrorResponse::new(Some(problem));
-    *refusal.status_mut() = status;
-    refusal
 }
 
 /// One side of an open WebSocket.
 #[derive(Debug)]
 pub struct WebSocketConnection {
-    socket: WebSocket<TcpStream>,
+    socket: WebSocket<StreamOwned<ClientConnection, Wire>>,
     device: String,
     ended: bool,
 }
 
 impl WebSocketConnection {
-    /// Connects to `ws://address` and the endpoint's path.
-    pub fn connect(address: SocketAddr, endpoint: Endpoint) -> Result<Self, Error> {
-        let device = format!("ws://{address}{}", endpoint.path);
+    /// Connects to `wss://address` and the endpoint's path; the other side must have the public key of this SHA-256.
+    pub fn connect(
+        address: SocketAddr,
+        key_sha256: [u8; 32],
+        endpoint: Endpoint,
+    ) -> Result<Self, Error> {
+        let device = format!("wss://{address}{}", endpoint.path);
         let refused = |cause| Error::Open {
             device: device.clone(),
             action: "open the WebSocket",
             cause,
         };
-        let stream = TcpStream::connect_timeout(&address, HANDSHAKE_TIMEOUT).map_err(refused)?;
-        prepare(&stream).map_err(refused)?;
+        let tcp = TcpStream::connect_timeout(&address, HANDSHAKE_TIMEOUT).map_err(refused)?;
+        prepare(&tcp).map_err(refused)?;
+        let tls = pinned_tls::client(key_sha256)
+            .and_then(|config| {
+                ClientConnection::new(config, ServerName::IpAddress(address.ip().into()))
+            })
+            .map_err(|e| refused(io::Error::other(e)))?;
+        let wire = Wire {
+            tcp,
+            cut_after: None,
+        };
         let uri: Uri = device
             .parse()
             .map_err(|e| refused(io::Error::new(io::ErrorKind::InvalidInput, e)))?;
         let request = ClientRequestBuilder::new(uri).with_sub_protocol(endpoint.subprotocol);
-        let (socket, _) =
-            tungstenite::client::client_with_config(request, stream, Some(endpoint.limits()))
-                .map_err(|e| refused(handshake_failed(e)))?;
-        Self::new(socket, device)
-    }
-
-    fn new(socket: WebSocket<TcpStream>, device: String) -> Result<Self, Error> {
+        let (socket, _) = tungstenite::client::client_with_config(
+            request,
+            StreamOwned::new(tls, wire),
+            Some(endpoint.limits()),
+        )
+        .map_err(|e| refused(handshake_failed(e)))?;
         // From here on a slow reader may block the writer for as long as it likes.
-        match socket.get_ref().set_write_timeout(None) {
+        match socket.get_ref().sock.tcp.set_write_timeout(None) {
             Ok(()) => Ok(Self {
                 socket,
                 device,
@@ -200,9 +126,18 @@ impl WebSocketConnection {
         }
     }
 
+    fn tcp(&self) -> &TcpStream {
+        &self.socket.get_ref().sock.tcp
+    }
+
     /// The other side, for messages.
     pub fn device(&self) -> &str {
         &self.device
+    }
+
+    /// Breaks the connection when so many more bytes are sent, wherever that is.
+    pub fn cut_after(&mut self, bytes: u64) {
+        self.socket.get_mut().sock.cut_after = Some(bytes);
     }
 
     /// Sends one message, waiting for room.
@@ -222,7 +157,7 @@ impl WebSocketConnection {
     /// already buffered: for hints only.
     pub fn has_arrived(&self) -> bool {
         // An error is left to the next call that can report it.
-        readable(self.socket.get_ref(), Duration::ZERO).unwrap_or(true)
+        readable(self.tcp(), Duration::ZERO).unwrap_or(true)
     }
 
     /// The next binary message, waiting up to `timeout`. The other side's close is [`Error::EndOfStream`].
@@ -236,7 +171,7 @@ impl WebSocketConnection {
             let left = deadline
                 .saturating_duration_since(Instant::now())
                 .max(Duration::from_micros(1));
-            if let Err(cause) = self.socket.get_ref().set_read_timeout(Some(left)) {
+            if let Err(cause) = self.tcp().set_read_timeout(Some(left)) {
                 return Err(self.lost(cause));
             }
             match self.socket.read() {
@@ -324,7 +259,6 @@ impl WebSocketConnection {
 
 /// Small messages leave at once, and a silent other side cannot hold a handshake open.
 fn prepare(stream: &TcpStream) -> io::Result<()> {
-    stream.set_nonblocking(false)?;
     stream.set_nodelay(true)?;
     stream.set_read_timeout(Some(HANDSHAKE_TIMEOUT))?;
     stream.set_write_timeout(Some(HANDSHAKE_TIMEOUT))

@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use lsfb_capture::Counts;
+use lsfb_capture::{Counts, INVITATION, PairingFolder, Session, SidecarConfig};
 use lsfb_drivers::microstrain::MipUnit;
 use lsfb_drivers::microstrain::model::set;
 use lsfb_drivers::microstrain::wire::{Field, MipPacket};
@@ -14,6 +14,7 @@ use lsfb_drivers::mynt_s::wire::{
     DeviceInfo, ImuProtocol, ImuSegment, ImuValues, TimeSource, Trailer, Version, XuDevice,
     emit_frame,
 };
+use lsfb_drivers::sidecar::credentials::PairingCode;
 use lsfb_drivers::sidecar::model::CLOCK_UTC;
 use lsfb_drivers::sidecar::wire::Advertise;
 use lsfb_drivers::sidecar::{ClientConfig, SidecarClient};
@@ -405,15 +406,35 @@ pub fn send_note(client: &mut SidecarClient, n: u32) {
 }
 
 /// A [`visor`] that sends `messages`.
-pub fn glasses(address: SocketAddr, messages: u32) -> JoinHandle<()> {
+pub fn glasses(rig: ClientConfig, messages: u32) -> JoinHandle<()> {
     spawn("mock-glasses", move || {
-        let mut client = visor(ClientConfig {
-            address,
-            ..ClientConfig::default()
-        });
+        let mut client = visor(rig);
         for n in 0..messages {
             send_note(&mut client, n);
         }
         client.bye().unwrap();
     })
+}
+
+/// Phones connect to this machine; the rig's certificate and its devices are in a folder of the test's.
+pub fn sidecar(folder: &Path) -> SidecarConfig {
+    SidecarConfig {
+        come_back_secs: 5,
+        ..SidecarConfig::new(
+            SocketAddr::from(([127, 0, 0, 1], 0)),
+            folder.join("sidecar"),
+        )
+    }
+}
+
+/// How an app that was just invited connects.
+pub fn invited(session: &Session, folder: &Path) -> ClientConfig {
+    let address = session.sidecar_address().unwrap();
+    let pairing = PairingFolder::open(&folder.join("sidecar")).unwrap();
+    let code = PairingCode {
+        address: address.to_string(),
+        fingerprint: pairing.fingerprint(),
+        token: pairing.invite(INVITATION).unwrap(),
+    };
+    ClientConfig::invited(address, &code).unwrap()
 }

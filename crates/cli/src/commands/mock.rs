@@ -1,5 +1,6 @@
 //! `lsfb mock`: what was recorded, sent again as if by devices.
 
+use std::collections::BTreeMap;
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -9,17 +10,22 @@ use lsfb_capture::{
     CameraUnitConfig, DevicesConfig, ImuLineConfig, LidarNetConfig, Overflow, SidecarConfig,
 };
 use lsfb_drivers::ImuFamily;
+use lsfb_drivers::sidecar::ClientConfig;
 use lsfb_sim::{Pace, Playback, PlaybackEndpoints, Turns};
 
 use super::sim;
 use crate::context::Context;
 use crate::outcome::Outcome;
+use crate::phones;
 use crate::simulated::{Endpoints, Equipment, short_walk};
 
 /// Name of the IMU among the mock devices.
 const IMU: &str = "imu0";
 /// How long sidecars look for their recorder.
 const PATIENCE: Duration = Duration::from_secs(3600);
+
+/// How long phones look for a recorder that they have lost, seconds.
+const RECONNECT_SECS: u32 = 5;
 
 /// Play a recording, a capture file or the simulator as live devices.
 ///
@@ -67,7 +73,7 @@ pub struct Arguments {
 }
 
 /// A speed at which time can pass.
-fn speed(text: &str) -> Result<f64, String> {
+pub fn speed(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(speed) if speed > 0.0 && speed.is_finite() => Ok(speed),
         _ => Err("expected a positive number, for instance 1 or 0.5".to_owned()),
@@ -105,7 +111,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         camera_sockets: devices.cameras.iter().map(|c| c.path.clone()).collect(),
         can: arguments.can.clone(),
         usb: folder.device(IMU),
-        sidecar: arguments.endpoints.sidecar,
+        sidecars: folder.invite(&playback, arguments)?,
         patience: PATIENCE,
     };
     let turns = match arguments.turns {
@@ -200,6 +206,23 @@ impl Folder {
         self.path.join("devices").join(name)
     }
 
+    /// How the phones connect.
+    fn invite(
+        &self,
+        playback: &Playback,
+        arguments: &Arguments,
+    ) -> anyhow::Result<BTreeMap<String, ClientConfig>> {
+        let (folder, address) = (self.file(phones::FOLDER), arguments.endpoints.sidecar);
+        let invited = playback.sidecars().iter().map(|name| {
+            let rig = ClientConfig {
+                reconnect_secs: RECONNECT_SECS,
+                ..phones::invite(&folder, address, name, "mock")?
+            };
+            Ok((name.clone(), rig))
+        });
+        invited.collect()
+    }
+
     /// The devices as `lsfb scan` sees them.
     fn devices(&self, playback: &Playback, arguments: &Arguments) -> DevicesConfig {
         let endpoints = &arguments.endpoints;
@@ -244,9 +267,8 @@ impl Folder {
                 })
                 .into_iter()
                 .collect(),
-            sidecar: (!playback.sidecars().is_empty()).then_some(SidecarConfig {
-                listen: endpoints.sidecar,
-            }),
+            sidecar: (!playback.sidecars().is_empty())
+                .then(|| SidecarConfig::new(endpoints.sidecar, self.file(phones::FOLDER))),
             recorder: short_walk(),
         }
     }

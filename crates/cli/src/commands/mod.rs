@@ -29,6 +29,7 @@ pub mod odometry;
 mod odometry_input;
 pub mod recover;
 pub mod scan;
+pub mod sidecar;
 pub mod sim;
 pub mod survey;
 #[cfg(feature = "view")]

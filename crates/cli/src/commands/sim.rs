@@ -2,13 +2,13 @@
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::Context as _;
 use lsfb_capture::{DevicesConfig, LidarNetConfig, Overflow};
 use lsfb_sim::{
-    ClocksConfig, DatumConfig, Device, GlassesEndpoint, Pace, PaperMotion, Place, SimConfig,
-    SimSession, Simulation, preview,
+    ClocksConfig, DatumConfig, Device, Pace, PaperMotion, Place, SimConfig, SimSession, Simulation,
+    preview,
 };
 use serde::Serialize;
 
@@ -262,7 +262,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         )?;
         write(
             &glasses_file,
-            simulated::glasses_devices(glasses, Overflow::Drop),
+            simulated::glasses_devices(&absolute, glasses, Overflow::Drop),
         )?;
 
         let devices = simulated::start_backpack(&layout, &simulation, lidar, pace, None)?;
@@ -275,19 +275,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             "waiting for: lsfb scan --devices {} --out walk.mcap",
             glasses_file.display()
         ));
-        let endpoint = GlassesEndpoint {
-            address: glasses,
-            session: format!("seed-{}", config.seed),
-        };
-        let waiting_since = Instant::now();
-        let devices = loop {
-            match SimSession::start_glasses(&simulation, &endpoint, pace) {
-                Ok(devices) => break devices,
-                Err(error) if waiting_since.elapsed() > PATIENCE => return Err(error.into()),
-                Err(_) => std::thread::sleep(Duration::from_millis(200)),
-            }
-            context.check_stop()?;
-        };
+        let rig = simulated::invite_glasses(&absolute, &simulation, glasses)?;
+        let devices = SimSession::start_glasses(&simulation, &rig, pace, PATIENCE)?;
         play(devices, context)?;
     }
     let lost = recordings.iter().any(|r| r.lost > 0);

@@ -4,6 +4,7 @@
 use std::collections::VecDeque;
 
 use lsfb_drivers::sidecar::SidecarMessage;
+use lsfb_drivers::sidecar::credentials::DeviceKey;
 use lsfb_drivers::sidecar::wire::Hello;
 use lsfb_drivers::transport::uvc::FrameFormat;
 use lsfb_types::{Image, Packet, Timestamp};
@@ -240,6 +241,8 @@ impl<'a> WalkEmission<'a> {
             session: format!("seed-{}", simulation.config().seed),
             first_unacked: 1,
             device: DEVICE.to_owned(),
+            device_key: DeviceKey([0; 32]),
+            pairing_token: None,
         })]);
         opening.extend(outbox.channels().into_iter().map(SidecarMessage::Advertise));
         let link = simulation.glasses().clocks().link(Clocked::Walker);

@@ -1,43 +1,48 @@
 //! A phone or AR glasses: images, inertial samples and what is around, through the sidecar stream.
 
-use std::net::SocketAddr;
 use std::sync::Arc;
+use std::time::Duration;
 
-use lsfb_drivers::sidecar::{ClientConfig, SidecarClient};
+use lsfb_drivers::sidecar::ClientConfig;
 
 use super::clock::{SimClock, Turn};
 use super::feed::{Shot, ShotFeed, Which};
 use super::outbox::{Content, DEVICE, Outbox};
+use super::rig_link;
 use crate::{Error, Simulation};
 
 /// The app on the device.
 pub(crate) struct GlassesDevice {
-    client: SidecarClient,
-    sent: u64,
+    rig: ClientConfig,
+    patience: Duration,
 }
 
 impl GlassesDevice {
-    /// Connects to the rig.
-    pub(crate) fn connect(address: SocketAddr, session: &str) -> Result<Self, Error> {
-        let client = SidecarClient::connect(ClientConfig {
-            address,
-            device: DEVICE.to_owned(),
-            session: session.to_owned(),
-            ..ClientConfig::default()
-        })?;
-        Ok(Self { client, sent: 0 })
+    /// Will connect to the rig, as [`DEVICE`], and look for it so long.
+    pub(crate) fn new(rig: &ClientConfig, patience: Duration) -> Self {
+        Self {
+            rig: ClientConfig {
+                device: DEVICE.to_owned(),
+                ..rig.clone()
+            },
+            patience,
+        }
     }
 
-    /// Describes the channels and sends the whole walk in order of time. Returns the messages sent.
+    /// Connects, describes the channels and sends the whole walk in order of time. Returns the messages sent.
     pub(crate) fn run(
-        mut self,
+        self,
         simulation: &Arc<Simulation>,
         clock: &SimClock,
         device: usize,
     ) -> Result<u64, Error> {
+        let Some(mut client) = rig_link::connect(&self.rig, self.patience, clock)? else {
+            return Ok(0);
+        };
+        let mut sent = 0;
         let outbox = Outbox::of(simulation);
         for channel in outbox.channels() {
-            self.client.advertise(&channel)?;
+            client.advertise(&channel)?;
         }
         let feed = ShotFeed::start(
             "sim-glasses-render",
@@ -60,11 +65,10 @@ impl GlassesDevice {
             let Some(message) = outbox.outgoing(item, image) else {
                 continue;
             };
-            self.client
-                .send(message.channel, message.device_time_ns, &message.payload)?;
-            self.sent += 1;
+            client.send(message.channel, message.device_time_ns, &message.payload)?;
+            sent += 1;
         }
-        self.client.bye()?;
-        Ok(self.sent)
+        client.bye()?;
+        Ok(sent)
     }
 }

@@ -16,6 +16,7 @@ mod mynt;
 mod outbox;
 mod playback;
 mod position;
+mod rig_link;
 mod session;
 mod thread;
 
@@ -23,6 +24,4 @@ pub use clock::Pace;
 pub use emission::{Emitted, ScanEmission, WalkEmission};
 pub use lidar::FlowControl;
 pub use playback::{CameraPlan, Playback, PlaybackEndpoints, Turns};
-pub use session::{
-    GlassesEndpoint, MYNT_UNITS, ScanEndpoints, SessionReport, SimSession, StopHandle,
-};
+pub use session::{MYNT_UNITS, ScanEndpoints, SessionReport, SimSession, StopHandle};

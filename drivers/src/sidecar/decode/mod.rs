@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::model::MAX_CHANNELS;
-use super::wire::{Advertise, Envelope, EnvelopeKind, Hello};
+use super::wire::{Advertise, Envelope, EnvelopeKind, Hello, TimeRequest};
 use crate::WireError;
 
 /// What an app said.
@@ -24,10 +24,30 @@ pub enum SidecarMessage {
         /// The message in the channel's encoding.
         payload: Vec<u8>,
     },
+    /// It asks for the time.
+    TimeRequest(TimeRequest),
     /// It has sent everything.
     Bye {
         /// Number of its last DATA.
         last_seq: u64,
+    },
+}
+
+/// Why an app is not listened to any longer: after this nothing of the connection can be trusted. What was not acknowledged
+/// comes again on the next one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum DecodeError {
+    /// An envelope that cannot be read, or has no place there.
+    #[error(transparent)]
+    Wire(#[from] WireError),
+    /// DATA is numbered without a gap.
+    #[error("DATA {got} came where {expected} was expected")]
+    Gap {
+        /// The next number.
+        expected: u64,
+        /// The number that came.
+        got: u64,
     },
 }
 
@@ -38,12 +58,6 @@ pub struct SidecarCounters {
     pub data: u64,
     /// Their payload bytes.
     pub payload_bytes: u64,
-    /// Envelopes dropped because their checksum is wrong.
-    pub bad_checksum: u64,
-    /// Envelopes dropped because they could not be read or did not belong there.
-    pub malformed: u64,
-    /// DATA that the numbers say is missing; damaged ones are among them.
-    pub missing: u64,
     /// DATA dropped because it had come before.
     pub duplicated: u64,
 }
@@ -63,15 +77,14 @@ impl Decoder {
         Self::default()
     }
 
-    /// Decodes one envelope. `None`: a repetition, which changes nothing. An error is counted here, and the connection may go on.
-    pub fn push(&mut self, bytes: &[u8]) -> Result<Option<SidecarMessage>, WireError> {
-        let message = Envelope::parse(bytes).and_then(|envelope| self.message(&envelope));
-        message.inspect_err(|error| {
-            *match error {
-                WireError::Checksum { .. } => &mut self.counters.bad_checksum,
-                _ => &mut self.counters.malformed,
-            } += 1;
-        })
+    /// Decodes one envelope. `None`: a repetition, which changes nothing.
+    pub fn push(&mut self, bytes: &[u8]) -> Result<Option<SidecarMessage>, DecodeError> {
+        self.message(&Envelope::parse(bytes)?)
+    }
+
+    /// After HELLO: everything up to here has been received on earlier connections, and is a repetition where it comes again.
+    pub fn resume_after(&mut self, seq: u64) {
+        self.last_seq = seq;
     }
 
     /// What was met so far.
@@ -79,12 +92,17 @@ impl Decoder {
         self.counters
     }
 
-    /// Number of the last DATA passed on.
+    /// Number of the last DATA passed on, on this connection or before.
     pub fn last_seq(&self) -> u64 {
         self.last_seq
     }
 
-    fn message(&mut self, envelope: &Envelope<'_>) -> Result<Option<SidecarMessage>, WireError> {
+    /// Whether the session is open.
+    pub fn is_greeted(&self) -> bool {
+        self.greeted
+    }
+
+    fn message(&mut self, envelope: &Envelope<'_>) -> Result<Option<SidecarMessage>, DecodeError> {
         if self.greeted == (envelope.kind == EnvelopeKind::Hello) {
             return Err(out_of_place(envelope));
         }
@@ -96,50 +114,62 @@ impl Decoder {
                 self.last_seq = hello.first_unacked.saturating_sub(1);
                 Ok(Some(SidecarMessage::Hello(hello)))
             }
-            EnvelopeKind::Advertise => {
-                let advertise = Advertise::parse(envelope.payload)?;
-                let refused = |field| {
-                    Err(WireError::Value {
-                        field,
-                        offset: 0,
-                        got: advertise.channel.into(),
-                    })
-                };
-                match self.channels.get(&advertise.channel) {
-                    Some(known) if *known == advertise => return Ok(None),
-                    Some(_) => return refused("channel described in two ways"),
-                    None if self.channels.len() == MAX_CHANNELS => {
-                        return refused("channel beyond the limit");
-                    }
-                    None => {}
-                }
-                self.channels.insert(advertise.channel, advertise.clone());
-                Ok(Some(SidecarMessage::Advertise(advertise)))
-            }
+            EnvelopeKind::Advertise => self.advertise(Advertise::parse(envelope.payload)?),
             EnvelopeKind::Data => self.data(envelope),
+            EnvelopeKind::TimeRequest => {
+                let request = TimeRequest::parse(envelope.payload)?;
+                Ok(Some(SidecarMessage::TimeRequest(request)))
+            }
             EnvelopeKind::Bye => {
-                self.count_missing_before(envelope.seq.saturating_add(1));
+                if envelope.seq != self.last_seq {
+                    return Err(self.gap(envelope.seq));
+                }
                 Ok(Some(SidecarMessage::Bye {
                     last_seq: envelope.seq,
                 }))
             }
-            EnvelopeKind::Ack => Err(out_of_place(envelope)),
+            EnvelopeKind::Ack
+            | EnvelopeKind::Credit
+            | EnvelopeKind::TimeResponse
+            | EnvelopeKind::State => Err(out_of_place(envelope)),
         }
     }
 
-    fn data(&mut self, envelope: &Envelope<'_>) -> Result<Option<SidecarMessage>, WireError> {
+    fn advertise(&mut self, described: Advertise) -> Result<Option<SidecarMessage>, DecodeError> {
+        let refused = |field| {
+            Err(DecodeError::Wire(WireError::Value {
+                field,
+                offset: 0,
+                got: described.channel.into(),
+            }))
+        };
+        match self.channels.get(&described.channel) {
+            Some(known) if *known == described => return Ok(None),
+            Some(_) => return refused("channel described in two ways"),
+            None if self.channels.len() == MAX_CHANNELS => {
+                return refused("channel beyond the limit");
+            }
+            None => {}
+        }
+        self.channels.insert(described.channel, described.clone());
+        Ok(Some(SidecarMessage::Advertise(described)))
+    }
+
+    fn data(&mut self, envelope: &Envelope<'_>) -> Result<Option<SidecarMessage>, DecodeError> {
         if !self.channels.contains_key(&envelope.channel) {
-            return Err(WireError::Value {
+            return Err(DecodeError::Wire(WireError::Value {
                 field: "channel without a description",
                 offset: 0,
                 got: envelope.channel.into(),
-            });
+            }));
         }
         if envelope.seq <= self.last_seq {
             self.counters.duplicated += 1;
             return Ok(None);
         }
-        self.count_missing_before(envelope.seq);
+        if envelope.seq - self.last_seq > 1 {
+            return Err(self.gap(envelope.seq));
+        }
         self.last_seq = envelope.seq;
         self.counters.data += 1;
         self.counters.payload_bytes += envelope.payload.len() as u64;
@@ -151,18 +181,20 @@ impl Decoder {
         }))
     }
 
-    fn count_missing_before(&mut self, seq: u64) {
-        let missing = seq.saturating_sub(self.last_seq).saturating_sub(1);
-        self.counters.missing = self.counters.missing.saturating_add(missing);
+    fn gap(&self, got: u64) -> DecodeError {
+        DecodeError::Gap {
+            expected: self.last_seq.saturating_add(1),
+            got,
+        }
     }
 }
 
-fn out_of_place(envelope: &Envelope<'_>) -> WireError {
-    WireError::Value {
+fn out_of_place(envelope: &Envelope<'_>) -> DecodeError {
+    DecodeError::Wire(WireError::Value {
         field: "envelope type at this place",
         offset: 0,
         got: envelope.kind.id(),
-    }
+    })
 }
 
 #[cfg(test)]

@@ -3,19 +3,31 @@
 //! ```text
 //! message Envelope { uint32 type = 1; uint32 channel = 2; uint64 seq = 3; int64 device_time_ns = 4;
 //!                    bytes payload = 5; fixed32 crc32c = 6; }        // crc32c of the payload
-//! message Hello     { string session = 1; uint64 first_unacked = 2; string device = 3; }
+//! message Hello     { string session = 1; uint64 first_unacked = 2; string device = 3;
+//!                     bytes device_key = 4; bytes pairing_token = 5; }
 //! message Advertise { uint32 channel = 1; string topic = 2; string encoding = 3; string schema_name = 4;
 //!                     bytes schema = 5; string clock_id = 6; string metadata_json = 7; }
+//! message TimeRequest  { int64 t1_ns = 1; string clock_id = 2; int64 last_t1_ns = 3; int64 last_t2_ns = 4;
+//!                        int64 last_t3_ns = 5; int64 last_t4_ns = 6; }
+//! message TimeResponse { int64 t1_ns = 1; int64 t2_ns = 2; int64 t3_ns = 3; }
+//! message State     { uint32 code = 1; string text = 2; }
 //! ```
 //!
-//! ACK has no payload: `seq` is the last one stored. BYE has no payload: `seq` is the last one sent. DATA is numbered
-//! from 1. Unknown fields are passed over.
+//! What `seq` of an envelope means by its type: of DATA its number, from 1; of ACK the last one stored; of CREDIT how many
+//! bytes of DATA envelopes may be sent on this connection in all; of BYE the last DATA sent. Unknown fields are passed over.
 
+mod hello;
 mod protobuf;
+mod state;
 #[cfg(test)]
 mod tests;
+mod time;
 
 use protobuf::{Fields, Value, put_bytes, put_fixed32, put_varint};
+
+pub use hello::{Advertise, Hello, is_name};
+pub use state::{Refusal, State};
+pub use time::{TimeExchange, TimeRequest, TimeResponse};
 
 use super::model::MAX_ENVELOPE_BYTES;
 use crate::WireError;
@@ -32,26 +44,43 @@ pub enum EnvelopeKind {
     Data,
     /// Everything up to `seq` is stored.
     Ack,
+    /// Bytes that may be sent.
+    Credit,
+    /// The app asks what time it is.
+    TimeRequest,
+    /// The rig's answer.
+    TimeResponse,
+    /// The rig says why it ends the connection.
+    State,
     /// Nothing follows.
     Bye,
 }
 
 impl EnvelopeKind {
-    const ALL: [Self; 5] = [
+    /// In order of their numbers, from 1.
+    const ALL: [Self; 9] = [
         Self::Hello,
         Self::Advertise,
         Self::Data,
         Self::Ack,
+        Self::Credit,
+        Self::TimeRequest,
+        Self::TimeResponse,
+        Self::State,
         Self::Bye,
     ];
 
-    /// Its number. 5 to 8 belong to credit, time exchange and state, which this version does not speak.
+    /// Its number on the wire.
     pub(super) fn id(self) -> u64 {
         match self {
             Self::Hello => 1,
             Self::Advertise => 2,
             Self::Data => 3,
             Self::Ack => 4,
+            Self::Credit => 5,
+            Self::TimeRequest => 6,
+            Self::TimeResponse => 7,
+            Self::State => 8,
             Self::Bye => 9,
         }
     }
@@ -81,6 +110,14 @@ impl<'a> Envelope<'a> {
             seq,
             device_time_ns: 0,
             payload: &[],
+        }
+    }
+
+    /// An envelope around a message.
+    pub fn around(kind: EnvelopeKind, payload: &'a [u8]) -> Self {
+        Self {
+            payload,
+            ..Self::bare(kind, 0)
         }
     }
 
@@ -141,115 +178,12 @@ impl<'a> Envelope<'a> {
     }
 }
 
-/// Opens a session.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Hello {
-    /// Name of the session, unique among the device's: a UUID. 1 to 64 letters, digits, `-` and `_`.
-    pub session: String,
-    /// First DATA that the device still holds, from 1.
-    pub first_unacked: u64,
-    /// Name of the device: the `<id>` in `/sidecar/<id>/…`. As above.
-    pub device: String,
-}
-
-impl Hello {
-    /// Reads the payload.
-    pub fn parse(payload: &[u8]) -> Result<Self, WireError> {
-        let mut hello = Self::default();
-        for field in Fields::new(payload) {
-            match field? {
-                (1, Value::Bytes(value)) => hello.session = text(value)?,
-                (2, Value::Varint(value)) => hello.first_unacked = value,
-                (3, Value::Bytes(value)) => hello.device = text(value)?,
-                _ => {}
-            }
-        }
-        check_name("session name", &hello.session)?;
-        check_name("device name", &hello.device)?;
-        Ok(hello)
-    }
-
-    /// The payload's bytes.
-    pub fn emit(&self) -> Vec<u8> {
-        let mut out = Vec::new();
-        put_bytes(1, self.session.as_bytes(), &mut out);
-        put_varint(2, self.first_unacked, &mut out);
-        put_bytes(3, self.device.as_bytes(), &mut out);
-        out
-    }
-}
-
-/// Describes a channel: what an MCAP file keeps as schema and channel, so that it can be copied there word for word.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Advertise {
-    /// Number of the channel.
-    pub channel: u32,
-    /// Topic.
-    pub topic: String,
-    /// Encoding of the payloads, for instance `cdr`.
-    pub encoding: String,
-    /// Name of the schema, for instance `sensor_msgs/msg/Imu`.
-    pub schema_name: String,
-    /// Text of the schema.
-    pub schema: Vec<u8>,
-    /// The clock of `device_time_ns`, see [`super::model`].
-    pub clock_id: String,
-    /// What does not change during the session, JSON.
-    pub metadata_json: String,
-}
-
-impl Advertise {
-    /// Reads the payload.
-    pub fn parse(payload: &[u8]) -> Result<Self, WireError> {
-        let mut advertise = Self::default();
-        for field in Fields::new(payload) {
-            match field? {
-                (1, Value::Varint(value)) => advertise.channel = channel_from(value)?,
-                (2, Value::Bytes(value)) => advertise.topic = text(value)?,
-                (3, Value::Bytes(value)) => advertise.encoding = text(value)?,
-                (4, Value::Bytes(value)) => advertise.schema_name = text(value)?,
-                (5, Value::Bytes(value)) => advertise.schema = value.to_vec(),
-                (6, Value::Bytes(value)) => advertise.clock_id = text(value)?,
-                (7, Value::Bytes(value)) => advertise.metadata_json = text(value)?,
-                _ => {}
-            }
-        }
-        Ok(advertise)
-    }
-
-    /// The payload's bytes.
-    pub fn emit(&self) -> Vec<u8> {
-        let mut out = Vec::new();
-        put_varint(1, self.channel.into(), &mut out);
-        put_bytes(2, self.topic.as_bytes(), &mut out);
-        put_bytes(3, self.encoding.as_bytes(), &mut out);
-        put_bytes(4, self.schema_name.as_bytes(), &mut out);
-        put_bytes(5, &self.schema, &mut out);
-        put_bytes(6, self.clock_id.as_bytes(), &mut out);
-        put_bytes(7, self.metadata_json.as_bytes(), &mut out);
-        out
-    }
-}
-
 fn channel_from(value: u64) -> Result<u32, WireError> {
     u32::try_from(value).map_err(|_| WireError::Value {
         field: "channel",
         offset: 0,
         got: value,
     })
-}
-
-/// Names end up in topics and file names.
-fn check_name(field: &'static str, name: &str) -> Result<(), WireError> {
-    let bad = |c: char| !c.is_ascii_alphanumeric() && c != '-' && c != '_';
-    match name.find(bad) {
-        None if (1..=64).contains(&name.len()) => Ok(()),
-        found => Err(WireError::Value {
-            field,
-            offset: found.unwrap_or(0),
-            got: name.len() as u64,
-        }),
-    }
 }
 
 fn text(bytes: &[u8]) -> Result<String, WireError> {

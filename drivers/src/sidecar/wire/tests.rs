@@ -1,6 +1,8 @@
-//! Byte vectors made with Python's `protobuf` package from the message definitions in `wire.rs`.
+//! Byte vectors made with Python's `protobuf` package from the message definitions in `wire/mod.rs`; `docs/sidecar.md` shows them
+//! to whoever writes an app, and a test there reads them back.
 
 use super::*;
+use crate::sidecar::credentials::{DeviceKey, PairingToken, to_hex};
 use crate::test_random::Random;
 
 const DATA: &[u8] = &[
@@ -56,6 +58,8 @@ fn messages_with_every_field() {
         session: "a1".to_owned(),
         first_unacked: 1,
         device: "glasses0".to_owned(),
+        device_key: DeviceKey([0; 32]),
+        pairing_token: None,
     };
     assert_eq!(Hello::parse(HELLO), Ok(hello.clone()));
     assert_eq!(hello.emit(), HELLO);
@@ -123,6 +127,8 @@ fn damage_is_named() {
             session: "s".to_owned(),
             first_unacked: 1,
             device: name.to_owned(),
+            device_key: DeviceKey([1; 32]),
+            pairing_token: None,
         };
         assert!(matches!(
             Hello::parse(&hello.emit()),
@@ -151,7 +157,7 @@ fn random_envelopes_round_trip() {
         let payload = random.bytes(300);
         let shift = random.below(64);
         let envelope = Envelope {
-            kind: EnvelopeKind::ALL[random.below(5)],
+            kind: EnvelopeKind::ALL[random.below(9)],
             channel: random.next() as u32 >> random.below(32),
             seq: random.next() >> shift,
             device_time_ns: random.next().cast_signed() >> shift,
@@ -178,6 +184,130 @@ fn no_bytes_make_the_parsers_panic() {
             }
             let _ = Hello::parse(&bytes);
             let _ = Advertise::parse(&bytes);
+            let _ = TimeRequest::parse(&bytes);
+            let _ = TimeResponse::parse(&bytes);
+            let _ = State::parse(&bytes);
         }
+    }
+}
+
+/// What `docs/sidecar.md` shows to whoever writes an app: whole envelopes by name.
+fn vectors() -> Vec<(String, Vec<u8>)> {
+    let page = include_str!("../../../../docs/sidecar.md");
+    let rows = page.lines().filter_map(|line| {
+        let (name, hex) = line.strip_prefix("VECTOR ")?.split_once(' ')?;
+        let hex = hex.trim();
+        let bytes = (0..hex.len() / 2).map(|at| u8::from_str_radix(&hex[2 * at..2 * at + 2], 16));
+        Some((name.to_owned(), bytes.collect::<Result<_, _>>().unwrap()))
+    });
+    rows.collect()
+}
+
+#[test]
+fn the_vectors_of_the_protocol_document_are_read_and_written() {
+    let hello = Hello {
+        session: "0b2f7c1e-walk".to_owned(),
+        first_unacked: 1,
+        device: "pixel8".to_owned(),
+        device_key: DeviceKey(std::array::from_fn(|at| at as u8)),
+        pairing_token: Some(PairingToken(std::array::from_fn(|at| at as u8 + 16))),
+    };
+    let asked = TimeRequest {
+        t1_ns: 5_000_000_123,
+        clock_id: "android.elapsedRealtime".to_owned(),
+        last: TimeExchange {
+            t1_ns: 4_000_000_000,
+            t2_ns: 1_772_359_200_000_000_000,
+            t3_ns: 1_772_359_200_000_100_000,
+            t4_ns: 4_003_000_000,
+        },
+    };
+    let answered = TimeResponse {
+        t1_ns: 5_000_000_123,
+        t2_ns: 1_772_359_201_000_000_000,
+        t3_ns: 1_772_359_201_000_050_000,
+    };
+    let refused = State {
+        refusal: Some(Refusal::Gap),
+        text: "gap in the numbers".to_owned(),
+    };
+    let (hello, asked) = (hello.emit(), asked.emit());
+    let (answered, refused) = (answered.emit(), refused.emit());
+    let data = Envelope {
+        kind: EnvelopeKind::Data,
+        channel: 300,
+        seq: (1 << 40) + 5,
+        device_time_ns: 1_772_359_200_123_456_789,
+        payload: &[1, 2, 3, 250],
+    };
+    let expected = [
+        ("HELLO", Envelope::around(EnvelopeKind::Hello, &hello)),
+        ("DATA", data),
+        ("ACK", Envelope::bare(EnvelopeKind::Ack, 128)),
+        ("CREDIT", Envelope::bare(EnvelopeKind::Credit, 4 << 20)),
+        (
+            "TIME_REQ",
+            Envelope::around(EnvelopeKind::TimeRequest, &asked),
+        ),
+        (
+            "TIME_RESP",
+            Envelope::around(EnvelopeKind::TimeResponse, &answered),
+        ),
+        ("STATE", Envelope::around(EnvelopeKind::State, &refused)),
+        ("BYE", Envelope::bare(EnvelopeKind::Bye, 5)),
+    ];
+    let vectors = vectors();
+    let names: Vec<&str> = vectors.iter().map(|(name, _)| name.as_str()).collect();
+    assert_eq!(names, expected.map(|(name, _)| name));
+    for ((name, bytes), (_, envelope)) in vectors.iter().zip(expected) {
+        assert_eq!(Envelope::parse(bytes), Ok(envelope), "{name}");
+        assert_eq!(to_hex(&envelope.emit().unwrap()), to_hex(bytes), "{name}");
+    }
+    assert_eq!(Hello::parse(&hello).unwrap().emit(), hello);
+    assert_eq!(TimeRequest::parse(&asked).unwrap().emit(), asked);
+    assert_eq!(TimeResponse::parse(&answered).unwrap().emit(), answered);
+    assert_eq!(State::parse(&refused).unwrap().emit(), refused);
+}
+
+/// The document names every reason by its number.
+#[test]
+fn the_protocol_document_names_every_refusal() {
+    let page = include_str!("../../../../docs/sidecar.md");
+    for refusal in Refusal::ALL {
+        let row = format!("| {} | {} |", refusal.code(), refusal.name());
+        assert!(page.contains(&row), "{row}");
+    }
+}
+
+proptest::proptest! {
+    #[test]
+    fn whatever_is_written_is_read_back(
+        kind in 0..9_usize,
+        channel: u32,
+        seq: u64,
+        device_time_ns: i64,
+        payload in proptest::collection::vec(proptest::num::u8::ANY, 0..600),
+    ) {
+        let kind = EnvelopeKind::ALL[kind];
+        let envelope = Envelope { kind, channel, seq, device_time_ns, payload: &payload };
+        let bytes = envelope.emit().unwrap();
+        proptest::prop_assert_eq!(Envelope::parse(&bytes), Ok(envelope));
+        // One bit of the payload or of its checksum is found out.
+        if !payload.is_empty() {
+            let mut damaged = bytes.clone();
+            let at = damaged.len() - 1 - (seq % (payload.len() as u64 + 4)) as usize;
+            damaged[at] ^= 1 << (channel % 8);
+            proptest::prop_assert_ne!(Envelope::parse(&damaged), Ok(envelope));
+        }
+    }
+
+    #[test]
+    fn any_bytes_give_a_value_or_an_error(bytes in proptest::collection::vec(proptest::num::u8::ANY, 0..200)) {
+        if let Ok(envelope) = Envelope::parse(&bytes) {
+            let written = envelope.emit().unwrap();
+            proptest::prop_assert_eq!(Envelope::parse(&written), Ok(envelope));
+        }
+        let _ = (Hello::parse(&bytes), Advertise::parse(&bytes), State::parse(&bytes));
+        let _ = (TimeRequest::parse(&bytes), TimeResponse::parse(&bytes));
     }
 }

@@ -20,6 +20,7 @@ use std::time::Duration;
 
 use lsfb_drivers::ImuFamily;
 use lsfb_drivers::mynt_s::wire::UnitFile;
+use lsfb_drivers::sidecar::ClientConfig;
 use lsfb_geometry::Rig;
 use lsfb_recording::Recording;
 use lsfb_types::Timestamp;
@@ -57,7 +58,7 @@ impl Turns {
 }
 
 /// Where the devices appear and send to.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct PlaybackEndpoints {
     /// The LiDAR's data packets go here.
     pub lidar_data: SocketAddr,
@@ -69,10 +70,26 @@ pub struct PlaybackEndpoints {
     pub can: String,
     /// Socket that the unit of a Mynt D makes.
     pub usb: PathBuf,
-    /// Sidecars connect here.
-    pub sidecar: SocketAddr,
+    /// How each of [`Playback::sidecars`] connects, by its name; one that is not here does not.
+    pub sidecars: BTreeMap<String, ClientConfig>,
     /// How long sidecars try to connect.
     pub patience: Duration,
+}
+
+impl PlaybackEndpoints {
+    /// No device has a place: for a recording of which only some are played.
+    pub fn nowhere() -> Self {
+        let nowhere = SocketAddr::from(([127, 0, 0, 1], 9));
+        Self {
+            lidar_data: nowhere,
+            lidar_position: nowhere,
+            camera_sockets: Vec::new(),
+            can: String::new(),
+            usb: PathBuf::new(),
+            sidecars: BTreeMap::new(),
+            patience: Duration::ZERO,
+        }
+    }
 }
 
 /// A camera unit as it was recorded.
@@ -202,6 +219,16 @@ impl Playback {
         self.imu.map(|unit| unit.family)
     }
 
+    /// Its sidecars alone.
+    pub fn of_sidecars(self) -> Self {
+        Self {
+            lidar: false,
+            cameras: Vec::new(),
+            imu: None,
+            ..self
+        }
+    }
+
     /// Names of the sidecars.
     pub fn sidecars(&self) -> &[String] {
         &self.sidecars
@@ -234,7 +261,7 @@ impl Playback {
         let devices = usize::from(self.lidar)
             + usize::from(self.imu.is_some())
             + self.cameras.len()
-            + self.sidecars.len();
+            + endpoints.sidecars.len();
         let once = turns == Turns::Times(0) || turns == Turns::Times(1);
         let span_ns = match (self.capture, once) {
             // A capture has one device, which knows where it ends.
@@ -277,7 +304,10 @@ impl Playback {
             })?;
         }
         for id in &self.sidecars {
-            let player = SidecarPlayer::new(id, endpoints);
+            let Some(rig) = endpoints.sidecars.get(id) else {
+                continue;
+            };
+            let player = SidecarPlayer::new(id, rig.clone(), endpoints.patience);
             let play = play.clone();
             session.spawn_device(&format!("mock-{id}"), next(), move |clock, device| {
                 player.run(&play, clock, device)

@@ -1,20 +1,17 @@
 //! A phone or glasses: their messages word for word, through the sidecar stream.
 
-use std::net::SocketAddr;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
+use lsfb_drivers::sidecar::ClientConfig;
 use lsfb_drivers::sidecar::model::CLOCK_UTC;
 use lsfb_drivers::sidecar::wire::Advertise;
-use lsfb_drivers::sidecar::{ClientConfig, SidecarClient};
-use lsfb_recording::Recording;
+use lsfb_recording::{DEVICE_TIME, Recording};
 
-use super::{Play, PlaybackEndpoints, readable};
+use super::{Play, readable};
 use crate::Error;
 use crate::device::clock::{SimClock, Turn};
+use crate::device::rig_link;
 use crate::device::session::SessionReport;
-
-/// Between two attempts to connect.
-const RETRY: Duration = Duration::from_millis(100);
 
 /// The device of a sidecar's topic: `glasses` of `/sidecar/glasses/imu`.
 pub(super) fn id_of(topic: &str) -> Option<&str> {
@@ -34,30 +31,25 @@ pub(super) fn names(recording: &Recording) -> Vec<String> {
     names
 }
 
-/// Intrinsics that the recorder wrote from the rig, and will write again.
-fn is_of_rig(recording: &Recording, topic: &str) -> bool {
-    let camera = topic
-        .strip_suffix("/camera_info")
-        .and_then(|rest| rest.rsplit('/').next());
-    camera.is_some_and(|name| {
-        let rig = recording.rig();
-        rig.is_ok_and(|rig| rig.cameras.contains_key(name))
-    })
+/// What the recorder wrote itself, and will write again.
+pub(super) fn is_recorders(topic: &str) -> bool {
+    let ends = ["/camera_info", "/session", "/time_sync", DEVICE_TIME];
+    ends.iter().any(|end| topic.ends_with(end))
 }
 
 /// One app.
 pub(super) struct SidecarPlayer {
     id: String,
-    address: SocketAddr,
+    rig: ClientConfig,
     patience: Duration,
 }
 
 impl SidecarPlayer {
-    pub(super) fn new(id: &str, endpoints: &PlaybackEndpoints) -> Self {
+    pub(super) fn new(id: &str, rig: ClientConfig, patience: Duration) -> Self {
         Self {
             id: id.to_owned(),
-            address: endpoints.sidecar,
-            patience: endpoints.patience,
+            rig,
+            patience,
         }
     }
 
@@ -69,7 +61,7 @@ impl SidecarPlayer {
         device: usize,
     ) -> Result<SessionReport, Error> {
         let mut report = SessionReport::default();
-        let Some(mut client) = self.connect(clock)? else {
+        let Some(mut client) = rig_link::connect(&self.rig, self.patience, clock)? else {
             return Ok(report);
         };
         let recording = play.recording()?;
@@ -77,7 +69,7 @@ impl SidecarPlayer {
             .topics()
             .iter()
             .map(|t| t.topic.as_str())
-            .filter(|topic| id_of(topic) == Some(&self.id) && !is_of_rig(&recording, topic))
+            .filter(|topic| id_of(topic) == Some(&self.id) && !is_recorders(topic))
             .collect();
         for (channel, topic) in (1..).zip(&topics) {
             client.advertise(&self.advertise(&recording, channel, topic))?;
@@ -115,25 +107,6 @@ impl SidecarPlayer {
         clock.finish(device);
         client.bye()?;
         Ok(report)
-    }
-
-    /// `None`: the session was stopped before.
-    fn connect(&self, clock: &SimClock) -> Result<Option<SidecarClient>, Error> {
-        let began = Instant::now();
-        loop {
-            let config = ClientConfig {
-                address: self.address,
-                device: self.id.clone(),
-                session: "mock".to_owned(),
-                ..ClientConfig::default()
-            };
-            match SidecarClient::connect(config) {
-                Ok(client) => return Ok(Some(client)),
-                Err(e) if began.elapsed() > self.patience => return Err(e.into()),
-                Err(_) if clock.is_stopped() => return Ok(None),
-                Err(_) => std::thread::sleep(RETRY),
-            }
-        }
     }
 
     fn advertise(&self, recording: &Recording, channel: u32, topic: &str) -> Advertise {

@@ -13,7 +13,7 @@ fn topics(recording: &Recording) -> Vec<String> {
     let known = |topic: &str| {
         [lidar::DATA_TOPIC, lidar::POSITION_TOPIC, imu::SAMPLES_TOPIC].contains(&topic)
             || camera::is_meta(topic)
-            || sidecar::id_of(topic).is_some()
+            || sidecar::id_of(topic).is_some() && !sidecar::is_recorders(topic)
     };
     let topics = recording.topics().iter().map(|t| t.topic.clone());
     topics.filter(|topic| known(topic)).collect()

@@ -67,7 +67,7 @@ fn a_host_that_never_comes_does_not_hold_the_mock() {
         camera_sockets: Vec::new(),
         can: String::new(),
         usb: PathBuf::new(),
-        sidecar: ([127, 0, 0, 1], 8790).into(),
+        sidecars: BTreeMap::new(),
         patience: Duration::ZERO,
     };
     let session = playback
@@ -192,7 +192,7 @@ fn a_unit_of_four_cameras_and_its_imu_are_played_to_any_host() {
         camera_sockets: vec![socket.clone()],
         can: String::new(),
         usb: PathBuf::new(),
-        sidecar: ([127, 0, 0, 1], 8790).into(),
+        sidecars: BTreeMap::new(),
         patience: Duration::ZERO,
     };
     let session = playback

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
+use lsfb_drivers::sidecar::ClientConfig;
 use lsfb_types::{Progress, ProgressFn};
 
 use super::clock::{Pace, SimClock};
@@ -31,15 +32,6 @@ pub struct ScanEndpoints {
     pub lidar_position: SocketAddr,
     /// Sockets that the stereo units make: `cam0` and `cam1`, `cam2` and `cam3`.
     pub camera_sockets: [PathBuf; MYNT_UNITS],
-}
-
-/// Where the host of the glasses listens.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct GlassesEndpoint {
-    /// The sidecar server.
-    pub address: SocketAddr,
-    /// Name of the session that the app opens.
-    pub session: String,
 }
 
 /// What the devices have sent.
@@ -155,15 +147,16 @@ impl SimSession {
         Ok(session)
     }
 
-    /// Starts the glasses, which connect to their host at once.
+    /// Starts the glasses, which look for their rig as long as `patience`.
     pub fn start_glasses(
         simulation: &Arc<Simulation>,
-        endpoint: &GlassesEndpoint,
+        rig: &ClientConfig,
         pace: Pace,
+        patience: Duration,
     ) -> Result<Self, Error> {
-        let rig = simulation.glasses();
-        let glasses = GlassesDevice::connect(endpoint.address, &endpoint.session)?;
-        let mut session = Self::empty(1, pace, rig.walk().duration_s());
+        let glasses = GlassesDevice::new(rig, patience);
+        let duration_s = simulation.glasses().walk().duration_s();
+        let mut session = Self::empty(1, pace, duration_s);
         session.spawn(
             "sim-glasses",
             0,

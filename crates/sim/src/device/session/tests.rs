@@ -4,7 +4,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 use lsfb_drivers::mynt_s::{self, CameraConfig, MyntCamera};
-use lsfb_drivers::sidecar::{SidecarConfig, SidecarEvent, SidecarMessage, SidecarServer};
 use lsfb_drivers::transport::PacketSource;
 use lsfb_drivers::transport::uvc::FrameFormat;
 use lsfb_drivers::velodyne::nmea::Rmc;
@@ -13,7 +12,6 @@ use lsfb_drivers::velodyne::wire::{
 };
 use lsfb_drivers::velodyne::{self, VelodyneConfig};
 use lsfb_drivers::xsens::{self, ImuConfig, XsensImu};
-use lsfb_recording::message::{decode_image, decode_imu};
 use lsfb_types::{Packet, no_progress};
 
 use super::*;
@@ -285,79 +283,6 @@ fn the_bytes_do_not_depend_on_the_run() {
     }
     assert!(one.imu.concat() == other.imu.concat());
     assert!(one.frames == other.frames);
-}
-
-#[test]
-fn glasses_arrive_through_the_sidecar() {
-    let simulation = simulation();
-    let mut server = SidecarServer::bind(&SidecarConfig {
-        address: (Ipv4Addr::LOCALHOST, 0).into(),
-        ..SidecarConfig::default()
-    })
-    .expect("port");
-    let endpoint = GlassesEndpoint {
-        address: server.address(),
-        session: "walk".to_owned(),
-    };
-    let sender = {
-        let simulation = Arc::clone(&simulation);
-        let run = move || {
-            SimSession::start_glasses(&simulation, &endpoint, Pace::Unlimited)
-                .and_then(|session| session.join(&no_progress))
-        };
-        spawn("sender", run).expect("thread")
-    };
-    let rig = simulation.glasses();
-    let mut topics = std::collections::BTreeMap::new();
-    let mut images = [0, 0];
-    let mut samples = 0;
-    let mut around = 0;
-    loop {
-        match server.recv(PATIENCE).expect("server").expect("an event") {
-            SidecarEvent::Closed { error, .. } => {
-                assert!(error.is_none());
-                break;
-            }
-            SidecarEvent::Message { message, .. } => match message {
-                SidecarMessage::Advertise(advertise) => {
-                    topics.insert(advertise.channel, advertise.topic);
-                }
-                SidecarMessage::Data {
-                    channel,
-                    device_time_ns,
-                    payload,
-                    ..
-                } => match topics[&channel].as_str() {
-                    "/sidecar/glasses/imu" => {
-                        let expected = &rig.imu()[samples];
-                        assert_eq!(device_time_ns, rig.time(expected.offset_ns).nanos());
-                        assert_eq!(decode_imu(&payload).expect("imu"), expected.sample);
-                        samples += 1;
-                    }
-                    topic if !topic.ends_with("/image") => around += 1,
-                    topic => {
-                        let camera = usize::from(topic == "/sidecar/glasses/cam1/image");
-                        let expected = rig
-                            .image(simulation.world(), camera, images[camera])
-                            .expect("camera");
-                        assert_eq!(device_time_ns, expected.time.nanos());
-                        let got = decode_image(&payload).expect("image");
-                        assert!(got.pixels == expected.sample.pixels);
-                        images[camera] += 1;
-                    }
-                },
-                _ => {}
-            },
-        }
-    }
-    assert_eq!((images, samples), ([12, 12], 241));
-    let report = sender.join().expect("sender").expect("all sent");
-    let messages = simulation
-        .surroundings()
-        .messages(simulation.world(), rig.walk());
-    // A magnetometer and a barometer among them, for 1.2 s.
-    assert!(around > 120 && around == messages.len() as u64);
-    assert_eq!(report.sidecar_messages, 24 + 241 + around);
 }
 
 #[test]

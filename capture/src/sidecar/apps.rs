@@ -1,0 +1,186 @@
+//! What apps describe and send goes into the recording word for word, with the times made of their own.
+
+use std::collections::BTreeMap;
+
+use lsfb_drivers::sidecar::SidecarMessage;
+use lsfb_drivers::sidecar::model::CLOCK_UTC;
+use lsfb_drivers::sidecar::wire::Advertise;
+use lsfb_geometry::Rig;
+use lsfb_recording::DEVICE_TIME;
+use lsfb_recording::message::{self, TimeReference};
+use lsfb_types::Timestamp;
+
+use crate::clock::OneWayClock;
+use crate::health::{Meter, StreamReport};
+use crate::receipt::Receipt;
+use crate::recorder::{Entry, Inlet, OwnMessage, WriterGone};
+
+/// Key of the rig's TOML in a channel's static metadata.
+const RIG_KEY: &str = "rig_toml";
+/// A channel whose stamps step back by more has a clock that began anew.
+const RESET_NS: i64 = 750_000_000;
+
+/// One app, whatever it is connected by.
+#[derive(Default)]
+struct App {
+    channels: BTreeMap<u32, Channel>,
+    /// Clocks that are not UTC, by name: channels that share one tell it together.
+    clocks: BTreeMap<String, AppClock>,
+    rig_seen: bool,
+}
+
+struct Channel {
+    advertised: Advertise,
+    last_device_ns: Option<i64>,
+}
+
+/// A clock of an app.
+#[derive(Default)]
+struct AppClock {
+    one_way: OneWayClock,
+    last_device_ns: Option<i64>,
+}
+
+impl AppClock {
+    /// Time of a stamp. What was measured before other messages that came earlier (a scan that took seconds) says nothing
+    /// about the clock; only a channel that steps back itself shows that it began anew.
+    fn time(&mut self, device_ns: i64, channel_last: Option<i64>, arrival: Timestamp) -> Timestamp {
+        let is_latest = self.last_device_ns.is_none_or(|last| device_ns > last);
+        let began_anew = channel_last.is_some_and(|last| device_ns < last.saturating_sub(RESET_NS));
+        if is_latest || began_anew {
+            self.one_way.push(device_ns, arrival);
+            self.last_device_ns = Some(device_ns);
+        }
+        self.one_way.time(device_ns)
+    }
+}
+
+impl Channel {
+    /// The app's own stamp, beside the one made of it: none is overwritten.
+    fn device_time(
+        &self,
+        time: Timestamp,
+        arrival: Timestamp,
+        device_time_ns: i64,
+    ) -> Option<Entry> {
+        let reference = TimeReference {
+            device_ticks: u64::try_from(device_time_ns).ok()?,
+            source: self.advertised.clock_id.clone(),
+        };
+        Some(Entry::Own(OwnMessage {
+            topic: format!("{}{DEVICE_TIME}", self.advertised.topic),
+            schema: message::TIME_REFERENCE,
+            time,
+            arrival,
+            bytes: message::encode_time_reference(time, &self.advertised.clock_id, &reference)?,
+        }))
+    }
+}
+
+/// All apps of a recording. Who may describe what has been looked at before.
+pub(crate) struct Apps {
+    apps: BTreeMap<String, App>,
+    pub(super) report: StreamReport,
+}
+
+impl Apps {
+    pub(crate) fn new(meter: &Meter) -> Self {
+        Self {
+            apps: BTreeMap::new(),
+            report: meter.report(),
+        }
+    }
+
+    /// Counts what cannot be recorded.
+    pub(crate) fn refuse(&mut self, why: String) {
+        self.report.bad += 1;
+        self.report.first_bad.get_or_insert(why);
+    }
+
+    pub(crate) fn into_report(self) -> StreamReport {
+        self.report
+    }
+
+    pub(crate) fn message(
+        &mut self,
+        device: &str,
+        arrival: Timestamp,
+        message: SidecarMessage,
+        receipt: Option<Receipt>,
+        inlet: &Inlet,
+    ) -> Result<(), WriterGone> {
+        let app = self.apps.entry(device.to_owned()).or_default();
+        match message {
+            SidecarMessage::Advertise(advertised) => {
+                let rig = rig_of(&advertised).filter(|_| !app.rig_seen);
+                app.rig_seen |= rig.is_some();
+                let last = app.channels.get(&advertised.channel);
+                let last_device_ns = last.and_then(|last| last.last_device_ns);
+                app.channels.insert(
+                    advertised.channel,
+                    Channel {
+                        advertised,
+                        last_device_ns,
+                    },
+                );
+                match rig {
+                    Some(Ok(rig)) => inlet.put(
+                        Entry::Rig {
+                            owner: device.to_owned(),
+                            rig: Box::new(rig),
+                        },
+                        &mut self.report,
+                    )?,
+                    Some(Err(problem)) => self.report.notes.push(problem),
+                    None => {}
+                }
+            }
+            SidecarMessage::Data {
+                channel,
+                device_time_ns,
+                payload,
+                ..
+            } => {
+                self.report.received += 1;
+                // A channel whose description was refused; that is counted already.
+                let Some(channel) = app.channels.get_mut(&channel) else {
+                    return Ok(());
+                };
+                let time = if channel.advertised.clock_id == CLOCK_UTC {
+                    Timestamp::from_nanos(device_time_ns)
+                } else {
+                    let name = channel.advertised.clock_id.clone();
+                    let clock = app.clocks.entry(name).or_default();
+                    let time = clock.time(device_time_ns, channel.last_device_ns, arrival);
+                    channel.last_device_ns = Some(device_time_ns);
+                    if let Some(entry) = channel.device_time(time, arrival, device_time_ns) {
+                        inlet.put(entry, &mut self.report)?;
+                    }
+                    time
+                };
+                self.report.decoded += 1;
+                let entry = Entry::Cdr {
+                    topic: channel.advertised.topic.clone(),
+                    schema_name: channel.advertised.schema_name.clone(),
+                    schema_text: String::from_utf8_lossy(&channel.advertised.schema).into_owned(),
+                    time,
+                    arrival,
+                    bytes: payload,
+                    receipt,
+                };
+                inlet.put(entry, &mut self.report)?;
+            }
+            SidecarMessage::Hello(_)
+            | SidecarMessage::TimeRequest(_)
+            | SidecarMessage::Bye { .. } => {}
+        }
+        Ok(())
+    }
+}
+
+/// The rig an app brings, if it does.
+fn rig_of(advertised: &Advertise) -> Option<Result<Rig, String>> {
+    let metadata: serde_json::Value = serde_json::from_str(&advertised.metadata_json).ok()?;
+    let text = metadata.get(RIG_KEY)?.as_str()?;
+    Some(Rig::from_toml(text, &advertised.topic).map_err(|e| e.to_string()))
+}

@@ -1,0 +1,229 @@
+//! The server that phones and glasses send to: HTTPS and WebSockets, on threads of its own.
+//!
+//! Everything that a stranger can reach has a limit in size, number and time. Nothing here touches the recording but the events
+//! in one bounded queue: while that is full, the apps wait.
+
+mod accept;
+mod answers;
+mod doors;
+mod refusals;
+mod routes;
+mod segments;
+mod stream;
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use lsfb_drivers::sidecar::SidecarMessage;
+use lsfb_drivers::sidecar::wire::{Hello, TimeExchange};
+use lsfb_types::Timestamp;
+use tokio::net::TcpListener;
+use tokio::runtime::{Builder, Runtime};
+use tokio::sync::mpsc::{Receiver, Sender, channel};
+use tokio::sync::watch;
+
+use super::pairing::PairingFolder;
+use super::recorded::SessionStart;
+use super::sessions::{Place, Sessions};
+use super::topics::Topics;
+use crate::Error;
+use crate::receipt::Receipt;
+use doors::{Doors, Ticket};
+pub(crate) use refusals::Refusals;
+
+/// Threads of the network side.
+const THREADS: usize = 2;
+/// Events that wait to be taken. When they are full, the apps wait.
+const QUEUE_EVENTS: usize = 64;
+/// How long a connection may take to say who it is.
+const INTRODUCTION: Duration = Duration::from_secs(10);
+/// How long connections have to say goodbye when the recording ends.
+const GOODBYE: Duration = Duration::from_millis(500);
+
+/// What happened.
+#[derive(Debug)]
+pub(crate) enum SidecarEvent {
+    /// A device is there and goes on with a session.
+    Opened {
+        /// Number of its connection.
+        connection: u64,
+        /// Who, without its secrets.
+        hello: Hello,
+        /// When it said so.
+        arrival: Timestamp,
+        /// What the recording must say before anything follows.
+        start: Option<SessionStart>,
+        /// Messages that nobody has any more.
+        missing: u64,
+        /// What an operator should know.
+        note: Option<String>,
+    },
+    /// It said something.
+    Message {
+        /// Name of the device.
+        device: String,
+        /// When it arrived.
+        arrival: Timestamp,
+        /// What it said.
+        message: SidecarMessage,
+        /// For DATA: what is owed for it.
+        receipt: Option<Receipt>,
+    },
+    /// An exchange of times is complete.
+    Time {
+        /// Name of the device.
+        device: String,
+        /// When it was told.
+        arrival: Timestamp,
+        /// Its clock.
+        clock_id: String,
+        /// The four times.
+        exchange: TimeExchange,
+    },
+    /// Its connection is over.
+    Closed {
+        /// Number of the connection.
+        connection: u64,
+        /// Name of the device.
+        device: String,
+        /// Repetitions that were left out.
+        duplicated: u64,
+        /// Why, where it did not end with BYE.
+        why: Option<String>,
+    },
+}
+
+/// What all connections share.
+#[derive(Debug)]
+struct Shared {
+    pairing: PairingFolder,
+    doors: Arc<Doors>,
+    refusals: Arc<Refusals>,
+    /// Set when recording begins.
+    recording: watch::Receiver<Option<Arc<Recorded>>>,
+    events: Sender<SidecarEvent>,
+}
+
+/// One connection, whoever it is.
+#[derive(Clone, Debug)]
+struct Visit {
+    /// Its number.
+    connection: u64,
+    ticket: Arc<Ticket>,
+    shared: Arc<Shared>,
+    running: watch::Receiver<()>,
+}
+
+/// What there is while a recording goes on.
+#[derive(Debug)]
+struct Recorded {
+    sessions: Sessions,
+    topics: Mutex<Topics>,
+}
+
+/// Serves until it is dropped. Apps that come before the recording begins wait.
+#[derive(Debug)]
+pub(crate) struct SidecarServer {
+    address: SocketAddr,
+    runtime: Option<Runtime>,
+    events: Receiver<SidecarEvent>,
+    refusals: Arc<Refusals>,
+    sessions_folder: PathBuf,
+    recording: watch::Sender<Option<Arc<Recorded>>>,
+    /// Changes when the recording has ended.
+    running: watch::Sender<()>,
+}
+
+impl SidecarServer {
+    /// Starts listening.
+    pub(crate) fn bind(address: SocketAddr, pairing: PairingFolder) -> Result<Self, Error> {
+        let unusable = |action| {
+            move |cause| {
+                Error::Device(lsfb_drivers::Error::Open {
+                    device: address.to_string(),
+                    action,
+                    cause,
+                })
+            }
+        };
+        let tls = pairing.tls()?;
+        let runtime = Builder::new_multi_thread()
+            .worker_threads(THREADS)
+            .thread_name("sidecar-net")
+            .enable_io()
+            .enable_time()
+            .build()
+            .map_err(unusable("start threads"))?;
+        let listener = runtime
+            .block_on(TcpListener::bind(address))
+            .map_err(unusable("listen"))?;
+        let bound = listener.local_addr().map_err(unusable("listen"))?;
+        let (events, arriving) = channel(QUEUE_EVENTS);
+        let (recording, begun) = watch::channel(None);
+        let (running, ended) = watch::channel(());
+        let refusals = Arc::new(Refusals::default());
+        let sessions_folder = pairing.sessions();
+        let shared = Arc::new(Shared {
+            pairing,
+            doors: Arc::default(),
+            refusals: Arc::clone(&refusals),
+            recording: begun,
+            events,
+        });
+        runtime.spawn(accept::accept_all(listener, tls, shared, ended));
+        Ok(Self {
+            address: bound,
+            runtime: Some(runtime),
+            events: arriving,
+            refusals,
+            sessions_folder,
+            recording,
+            running,
+        })
+    }
+
+    /// Where it listens.
+    pub(crate) fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Who was refused.
+    pub(crate) fn refusals(&self) -> Arc<Refusals> {
+        Arc::clone(&self.refusals)
+    }
+
+    /// The recording begins, and apps may send.
+    pub(crate) fn begin(&self, place: Place) {
+        let recorded = Recorded {
+            sessions: Sessions::new(self.sessions_folder.clone(), place),
+            topics: Mutex::default(),
+        };
+        self.recording.send_replace(Some(Arc::new(recorded)));
+    }
+
+    /// The next event, waiting up to `timeout`.
+    pub(crate) fn recv(&mut self, timeout: Duration) -> Option<SidecarEvent> {
+        let runtime = self.runtime.as_ref()?;
+        let events = &mut self.events;
+        // An error: nothing came in time.
+        runtime
+            .block_on(async { tokio::time::timeout(timeout, events.recv()).await })
+            .unwrap_or_default()
+    }
+}
+
+impl Drop for SidecarServer {
+    fn drop(&mut self) {
+        // Whoever waits for room sees the queue closed.
+        self.events.close();
+        self.running.send_replace(());
+        if let Some(runtime) = self.runtime.take() {
+            let all_gone = async { tokio::time::timeout(GOODBYE, self.running.closed()).await };
+            // Who has not gone by then is cut off.
+            let _ = runtime.block_on(all_gone);
+            runtime.shutdown_timeout(GOODBYE);
+        }
+    }
+}

@@ -1,0 +1,261 @@
+//! `lsfb sidecar`: phones that are paired with this rig, and a phone to try a rig with.
+
+use std::collections::BTreeMap;
+use std::net::{IpAddr, SocketAddr, ToSocketAddrs as _, UdpSocket};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::{Context as _, bail};
+use lsfb_capture::{DevicesConfig, PairingFolder, SidecarConfig};
+use lsfb_drivers::sidecar::ClientConfig;
+use lsfb_drivers::sidecar::credentials::PairingCode;
+use lsfb_sim::{Pace, Playback, PlaybackEndpoints, Turns};
+use qrcodegen::{QrCode, QrCodeEcc};
+
+use crate::context::Context;
+use crate::outcome::Outcome;
+
+/// An address to ask the way to: nothing is sent there (RFC 5737).
+const ELSEWHERE: (&str, u16) = ("192.0.2.1", 9);
+/// Empty modules around a QR code.
+const QUIET_ZONE: i32 = 4;
+
+/// Pair phones and glasses with this rig, or play a recorded phone to a rig.
+///
+/// A phone is paired once, by a code that is good for one phone and a few minutes; afterwards it connects by itself. What an app
+/// must speak is in docs/sidecar.md.
+///
+/// Examples:
+///   lsfb sidecar pair --devices devices.toml       # show the code; `lsfb scan` may run meanwhile or later
+///   lsfb sidecar list --devices devices.toml
+///   lsfb sidecar unpair pixel8 --devices devices.toml
+///   lsfb sidecar play walk.mcap --code 'lsfb://192.168.8.1:8790?fp=…&tok=…' --faults 7
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(clap::Subcommand)]
+enum Action {
+    Pair(Pair),
+    List(List),
+    Unpair(Unpair),
+    Play(Play),
+}
+
+/// Show a code that pairs one phone.
+#[derive(clap::Args)]
+struct Pair {
+    /// List of devices with a [sidecar].
+    #[arg(long, value_name = "TOML")]
+    devices: PathBuf,
+    /// Address of this machine in the phone's network; by default the one on the way out.
+    #[arg(long, value_name = "IP")]
+    host: Option<IpAddr>,
+    /// How long the code is good for, minutes.
+    #[arg(long, value_name = "MINUTES", default_value_t = 10, value_parser = clap::value_parser!(u16).range(1..=1440))]
+    minutes: u16,
+}
+
+/// Name the phones that are paired.
+#[derive(clap::Args)]
+struct List {
+    /// List of devices with a [sidecar].
+    #[arg(long, value_name = "TOML")]
+    devices: PathBuf,
+}
+
+/// Forget a phone: it must be paired again before it can send.
+#[derive(clap::Args)]
+struct Unpair {
+    /// Its name.
+    name: String,
+    /// List of devices with a [sidecar].
+    #[arg(long, value_name = "TOML")]
+    devices: PathBuf,
+}
+
+/// Play the phones of a recording to a rig, through the protocol that an app speaks.
+#[derive(clap::Args)]
+struct Play {
+    /// Recording with a phone or glasses in it.
+    recording: PathBuf,
+    /// The rig's pairing code.
+    #[arg(long, value_name = "CODE", value_parser = pairing_code)]
+    code: PairingCode,
+    /// Which of the recording's phones to play; needed where there are several.
+    #[arg(long, value_name = "NAME")]
+    device: Option<String>,
+    /// Name of the session.
+    #[arg(long, value_name = "NAME", default_value = "played")]
+    session: String,
+    /// Playback speed: recorded seconds per second.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = super::mock::speed)]
+    speed: f64,
+    /// Make faults, at random with this seed: cut connections, damaged and repeated messages, pauses.
+    #[arg(long, value_name = "N", value_parser = super::seed)]
+    faults: Option<u64>,
+    /// How long a rig that is lost is looked for, seconds.
+    #[arg(long, value_name = "SECS", default_value_t = 120)]
+    reconnect_secs: u32,
+}
+
+fn pairing_code(text: &str) -> Result<PairingCode, String> {
+    text.parse()
+        .map_err(|e: lsfb_drivers::sidecar::credentials::PairingCodeError| e.to_string())
+}
+
+/// Does one of these.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    match &arguments.action {
+        Action::Pair(pair) => pair.run(context),
+        Action::List(list) => {
+            let (_, folder) = open(&list.devices)?;
+            let names = folder.devices();
+            context.print(&serde_json::json!({ "devices": names }), || {
+                match names.len() {
+                    0 => "no phone is paired".to_owned(),
+                    _ => names.join("\n"),
+                }
+            })?;
+            Ok(Outcome::Done)
+        }
+        Action::Unpair(unpair) => {
+            let (_, folder) = open(&unpair.devices)?;
+            if !folder.unpair(&unpair.name)? {
+                bail!(
+                    "no phone called {:?} is paired; `lsfb sidecar list` names them",
+                    unpair.name
+                );
+            }
+            context.print(&serde_json::json!({ "unpaired": unpair.name }), || {
+                format!("{} is forgotten", unpair.name)
+            })?;
+            Ok(Outcome::Done)
+        }
+        Action::Play(play) => play.run(context),
+    }
+}
+
+fn open(devices: &Path) -> anyhow::Result<(SidecarConfig, PairingFolder)> {
+    let config = DevicesConfig::read(devices)?;
+    let sidecar = config
+        .sidecar
+        .with_context(|| format!("{}: there is no [sidecar]", devices.display()))?;
+    let folder = PairingFolder::open(&sidecar.folder)?;
+    Ok((sidecar, folder))
+}
+
+impl Pair {
+    fn run(&self, context: &Context) -> anyhow::Result<Outcome> {
+        let (sidecar, folder) = open(&self.devices)?;
+        let host = match (self.host, sidecar.listen.ip()) {
+            (Some(host), _) => host,
+            (None, listen) if !listen.is_unspecified() => listen,
+            (None, _) => way_out().context("name this machine's address with --host")?,
+        };
+        let valid = Duration::from_secs(60 * u64::from(self.minutes));
+        let code = PairingCode {
+            address: SocketAddr::new(host, sidecar.listen.port()).to_string(),
+            fingerprint: folder.fingerprint(),
+            token: folder.invite(valid)?,
+        };
+        let text = code.to_text();
+        let picture = QrCode::encode_text(&text, QrCodeEcc::Medium)
+            .map(|code| picture(&code))
+            .unwrap_or_default();
+        let minutes = self.minutes;
+        context.print(
+            &serde_json::json!({ "code": text, "minutes": minutes }),
+            || format!("{picture}{text}\nPairs one phone, within {minutes} minutes. Show it to nobody else."),
+        )?;
+        Ok(Outcome::Done)
+    }
+}
+
+/// This machine's address towards other networks.
+fn way_out() -> std::io::Result<IpAddr> {
+    let socket = UdpSocket::bind("0.0.0.0:0")?;
+    socket.connect(ELSEWHERE)?;
+    Ok(socket.local_addr()?.ip())
+}
+
+/// Two rows of modules in each line of text, dark on light whatever the terminal's colours.
+fn picture(code: &QrCode) -> String {
+    let range = -QUIET_ZONE..code.size() + QUIET_ZONE;
+    let mut text = String::new();
+    for y in range.clone().step_by(2) {
+        for x in range.clone() {
+            let is_light = |y| !code.get_module(x, y);
+            text.push(match (is_light(y), is_light(y + 1)) {
+                (true, true) => '█',
+                (true, false) => '▀',
+                (false, true) => '▄',
+                (false, false) => ' ',
+            });
+        }
+        text.push('\n');
+    }
+    text
+}
+
+impl Play {
+    fn run(&self, context: &Context) -> anyhow::Result<Outcome> {
+        let playback = Playback::open(&self.recording)?;
+        let device = match (&self.device, playback.sidecars()) {
+            (Some(name), known) if known.contains(name) => name.clone(),
+            (None, [only]) => only.clone(),
+            (_, known) => bail!(
+                "{}: name one of its phones with --device: {}",
+                self.recording.display(),
+                match known.len() {
+                    0 => "there is none".to_owned(),
+                    _ => known.join(", "),
+                }
+            ),
+        };
+        let mut addresses = self
+            .code
+            .address
+            .to_socket_addrs()
+            .with_context(|| self.code.address.clone())?;
+        let address = addresses
+            .next()
+            .with_context(|| format!("{} has no address", self.code.address))?;
+        let rig = ClientConfig {
+            device: device.clone(),
+            session: self.session.clone(),
+            reconnect_secs: self.reconnect_secs,
+            faults: self.faults,
+            ..ClientConfig::invited(address, &self.code)?
+        };
+        let endpoints = PlaybackEndpoints {
+            sidecars: BTreeMap::from([(device, rig)]),
+            ..PlaybackEndpoints::nowhere()
+        };
+        let session = playback.of_sidecars().start(
+            &endpoints,
+            Pace::RealTimes(self.speed),
+            Turns::Times(1),
+        )?;
+        let sent = session.join(&|p| context.show(p))?;
+        let report = serde_json::json!({
+            "recording": self.recording,
+            "messages": sent.sidecar_messages,
+            "unreadable": sent.unreadable,
+        });
+        context.print(&report, || {
+            format!(
+                "{}: {} messages sent, and all of them stored",
+                self.recording.display(),
+                sent.sidecar_messages
+            )
+        })?;
+        Ok(match sent.unreadable {
+            0 => Outcome::Done,
+            _ => Outcome::DataLost,
+        })
+    }
+}
