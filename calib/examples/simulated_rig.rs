@@ -18,7 +18,7 @@ use rand_chacha::ChaCha8Rng;
 
 type Failure = Box<dyn std::error::Error>;
 
-/// Largest errors that issue 7 allows: degrees, metres, seconds, share of the focal length.
+/// Largest errors allowed: degrees, metres, seconds, share of the focal length.
 const BOUNDS: Worst = Worst {
     turn_deg: 0.02,
     place_m: 1e-3,

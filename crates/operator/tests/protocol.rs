@@ -379,7 +379,7 @@ fn imu_message(arrival: Timestamp) -> LiveMessage<'static> {
     }
 }
 
-/// Issue 4: "also … Foxglove, by its MCAP schemas".
+/// Foxglove knows the messages by their MCAP schemas.
 #[test]
 fn foxglove_gets_the_recordings_own_messages() {
     let foxglove = Foxglove::open(LOOPBACK, "walk").unwrap();
