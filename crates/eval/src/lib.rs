@@ -49,8 +49,8 @@ pub use compare::{Comparison, Contender, compare};
 pub use consistency::Consistency;
 pub use error::Error;
 pub use evaluation::{
-    AlignedError, Coverage, DuplicateStamps, EvalConfig, Evaluation, PoseError, RpeConfig,
-    RpeFigures, SmoothnessFigures, evaluate, evaluate_files,
+    AlignedError, Coverage, DuplicateStamps, EvalConfig, Evaluation, PoseError, Relocalization,
+    RpeConfig, RpeFigures, SmoothnessFigures, evaluate, evaluate_files,
 };
 pub use read::{
     Columns, Orientations, ReadOptions, StampUnit, TrajectoryFile, read_kitti_poses, read_poses,

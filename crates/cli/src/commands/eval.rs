@@ -70,7 +70,7 @@ pub struct Arguments {
     /// Columns of the ground truth, likewise.
     #[arg(long, value_name = "NAMES")]
     truth_columns: Option<Columns>,
-    /// The topic of a recording or the device of a kapture file that holds the estimate.
+    /// The topic of a recording (of transforms with the frames: /tf:odom.rig) or the device of a kapture file that holds the estimate.
     #[arg(long, value_name = "NAME")]
     estimate_stream: Option<String>,
     /// The topic or the device that holds the ground truth.
@@ -256,6 +256,19 @@ fn shaking(e: &Evaluation) -> String {
             "\nNEES mean {:.2} of 6, {:.1} % within 95 %",
             c.nees_mean,
             100.0 * c.within_95
+        );
+    }
+    if !e.relocalizations.is_empty() {
+        let longest = e.relocalizations.iter().map(|r| r.gap_secs);
+        let worst = e.relocalizations.iter().filter_map(|r| r.error_change_m);
+        out += &format!(
+            "\ncame back {} after up to {:.2} s; the error grew by up to {:.3} m",
+            match e.relocalizations.len() {
+                1 => "once".to_owned(),
+                n => format!("{n} times"),
+            },
+            longest.fold(0.0, f64::max),
+            worst.fold(0.0, f64::max)
         );
     }
     out + &format!(

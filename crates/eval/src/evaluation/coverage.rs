@@ -1,7 +1,50 @@
 //! How much of the truth an estimate speaks about.
 
 use lsfb_geometry::StampedPose;
+use lsfb_types::Timestamp;
 use serde::Serialize;
+
+use crate::association::PosePair;
+
+/// A time without poses, and how the estimate came back from it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Relocalization {
+    /// When it came back, seconds after its first pose.
+    pub back_after_secs: f64,
+    /// How long there was no pose, seconds.
+    pub gap_secs: f64,
+    /// By how much the translation error behind the gap differs from that before it, metres: what coming back cost. Absent where the
+    /// truth has no pose there.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub error_change_m: Option<f64>,
+}
+
+/// The gaps of an estimate that are longer than `gap_secs`, in order of time. `errors_m` are those of `aligned`.
+pub(super) fn relocalizations(
+    estimate: &[StampedPose],
+    aligned: &[PosePair],
+    errors_m: &[f64],
+    gap_secs: f64,
+) -> Vec<Relocalization> {
+    let error_at = |time: Timestamp| {
+        let index = aligned.partition_point(|p| p.estimate.time < time);
+        let pair = aligned.get(index).filter(|p| p.estimate.time == time);
+        pair.and(errors_m.get(index)).copied()
+    };
+    let start = estimate
+        .first()
+        .map_or(Timestamp::from_nanos(0), |p| p.time);
+    let neighbours = estimate.windows(2);
+    let gaps = neighbours.filter(|w| w[1].time.secs_since(w[0].time) > gap_secs);
+    gaps.map(|w| Relocalization {
+        back_after_secs: w[1].time.secs_since(start),
+        gap_secs: w[1].time.secs_since(w[0].time),
+        error_change_m: error_at(w[1].time)
+            .zip(error_at(w[0].time))
+            .map(|(after, before)| after - before),
+    })
+    .collect()
+}
 
 /// How much of the truth the estimate speaks about.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

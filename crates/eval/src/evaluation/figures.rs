@@ -4,7 +4,7 @@ use lsfb_geometry::Trajectory;
 use lsfb_types::{Finding, Timestamp};
 use serde::Serialize;
 
-use super::coverage::Coverage;
+use super::coverage::{Coverage, Relocalization};
 use crate::Statistics;
 use crate::consistency::Consistency;
 use crate::pairs::PairSelection;
@@ -82,6 +82,8 @@ pub struct Evaluation {
     pub orientations: Orientations,
     /// How much of the truth the estimate speaks about.
     pub coverage: Coverage,
+    /// Gaps of the estimate that count as lost tracking, and what coming back from them cost.
+    pub relocalizations: Vec<Relocalization>,
     /// Path of the whole truth, metres.
     pub truth_path_m: f64,
     /// Path of the whole estimate, metres of its own scale.

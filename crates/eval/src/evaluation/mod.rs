@@ -20,10 +20,10 @@ use crate::smoothness::smoothness;
 use crate::{Error, Statistics};
 
 pub use config::{DuplicateStamps, EvalConfig, RpeConfig};
-pub use coverage::Coverage;
+pub use coverage::{Coverage, Relocalization};
 pub use figures::{AlignedError, Evaluation, PoseError, RpeFigures, SmoothnessFigures};
 
-use coverage::coverage;
+use coverage::{coverage, relocalizations};
 use input::{check, check_pairs};
 
 /// Judges `estimate` by `truth`. Both must be in order of time.
@@ -117,6 +117,12 @@ fn judge(
         duplicate_stamps,
         orientations: config.orientations,
         coverage,
+        relocalizations: relocalizations(
+            estimate,
+            &aligned,
+            &translation,
+            config.coverage_gap_secs,
+        ),
         truth_path_m: path_m(truth),
         estimate_path_m: path_m(estimate),
         alignment: config.alignment.label(),

@@ -11,6 +11,8 @@ use crate::association::PosePair;
 const LEAST_COVERED: f64 = 0.9;
 /// Share of the estimate's poses that should find one of the truth.
 const LEAST_MATCHED: f64 = 0.5;
+/// Share of the scatter of the truth's positions that an estimate must explain after its best alignment to be one of that walk.
+const LEAST_EXPLAINED: f64 = 0.5;
 /// Positions that extend sideways by less than this share of their length lie on a line.
 const LINE_RATIO: f64 = 0.01;
 /// Mean NEES of six between which a covariance is called right.
@@ -44,6 +46,7 @@ pub(super) fn left_out(why: &Error) -> Finding {
 /// What the figures themselves tell.
 pub(super) fn of(found: &Evaluation, pairs: &[PosePair]) -> Vec<Finding> {
     let mut findings = vec![coverage(found), matches(found)];
+    findings.extend(follows(found, pairs));
     findings.extend(unit(found));
     findings.extend(line(pairs));
     findings.extend(covariance(found));
@@ -72,6 +75,39 @@ fn matches(found: &Evaluation) -> Finding {
         .value(100.0 * share, "%")
         .limit(Limit::AtLeast(100.0 * LEAST_MATCHED))
         .remedy("check that both have one clock, or raise the allowed difference of stamps")
+}
+
+/// Whether the estimate, in its best place and size, describes the truth's motion better than one that stands still: a trajectory of
+/// another walk, on another clock, or of a system that was lost does not.
+fn follows(found: &Evaluation, pairs: &[PosePair]) -> Option<Finding> {
+    let best_m = found
+        .ate_by_alignment
+        .iter()
+        .filter_map(|a| a.rmse_m)
+        .min_by(f64::total_cmp)?;
+    let mean = pairs
+        .iter()
+        .map(|p| p.truth.world_from_rig.translation)
+        .sum::<Vector3<f64>>()
+        / pairs.len().max(1) as f64;
+    let scatter = pairs
+        .iter()
+        .map(|p| (p.truth.world_from_rig.translation - mean).norm_squared())
+        .sum::<f64>();
+    let scatter_m = (scatter / pairs.len().max(1) as f64).sqrt();
+    let explained = 1.0 - (best_m / scatter_m).powi(2);
+    let verdict = Verdict::Fail.unless(explained >= LEAST_EXPLAINED);
+    let what = match verdict {
+        Verdict::Pass => "the estimate follows the truth's motion".to_owned(),
+        _ => format!(
+            "the estimate does not follow the ground truth: it misses by {best_m:.3} m rms in its best place and size, where the truth's positions scatter by {scatter_m:.3} m rms"
+        ),
+    };
+    let finding = Finding::new("follows", verdict, "positions", what)
+        .value(100.0 * explained, "%")
+        .limit(Limit::AtLeast(100.0 * LEAST_EXPLAINED))
+        .remedy("check that both are of one walk, and by `lsfb align` that both have one clock; else the system was lost");
+    explained.is_finite().then_some(finding)
 }
 
 /// An estimate in another unit of length than the truth has errors as large as the walk, and no other sign of it.

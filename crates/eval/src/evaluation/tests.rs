@@ -2,7 +2,7 @@ use super::*;
 use crate::Threshold;
 use crate::pairs::PairSelection;
 use lsfb_geometry::{Se3, Vector3, Vector6};
-use lsfb_types::Timestamp;
+use lsfb_types::{Timestamp, Verdict};
 
 const STEP_NANOS: i64 = 100_000_000;
 
@@ -464,9 +464,65 @@ fn covariances_are_tried() {
     let (right, remark) = judged(1.0);
     assert!((right.nees_mean - 6.0).abs() < 0.3, "{right:?}");
     assert!((right.within_95 - 0.95).abs() < 0.02, "{right:?}");
-    assert_eq!(remark.verdict, lsfb_types::Verdict::Pass);
+    assert_eq!(remark.verdict, Verdict::Pass);
     let (boastful, remark) = judged(0.1);
     assert!((boastful.nees_mean / right.nees_mean - 10.0).abs() < 1e-9);
-    assert_eq!(remark.verdict, lsfb_types::Verdict::Warn);
+    assert_eq!(remark.verdict, Verdict::Warn);
     assert_eq!(right.bad_covariances, 0);
+}
+
+#[test]
+fn an_estimate_of_another_walk_fails() {
+    let truth = curl(100);
+    let verdict = |estimate: &[StampedPose]| {
+        let found = evaluate(&truth, estimate, &EvalConfig::default()).expect("valid");
+        let finding = found.findings.into_iter().find(|f| f.code == "follows");
+        finding.expect("judged").verdict
+    };
+    // Of another size and with errors as large as a poor odometry's it is still an estimate of this walk.
+    let small = changed(&truth, |i, p| {
+        p.world_from_rig.translation *= 0.1;
+        p.world_from_rig.translation.x += 0.02 * (i as f64).sin();
+    });
+    assert_eq!(verdict(&small), Verdict::Pass);
+    // Of a walk in a circle, or of noise, it is none.
+    let circle = changed(&truth, |i, p| {
+        let (y, x) = (0.4 * i as f64).sin_cos();
+        p.world_from_rig.translation = Vector3::new(3.0 * x, 3.0 * y, 0.0);
+    });
+    assert_eq!(verdict(&circle), Verdict::Fail);
+    let noise = changed(&truth, |i, p| {
+        let at = |k: f64| (k * i as f64 * i as f64).sin();
+        p.world_from_rig.translation = Vector3::new(at(1.3), at(2.7), at(0.9));
+    });
+    assert_eq!(verdict(&noise), Verdict::Fail);
+}
+
+#[test]
+fn coming_back_from_a_gap_has_its_cost() {
+    let truth = curl(100);
+    let mut estimate = changed(&truth, |i, p| {
+        if i >= 60 {
+            p.world_from_rig.translation.x += 0.25;
+        }
+    });
+    estimate.drain(40..60);
+    let config = EvalConfig {
+        alignment: AlignmentMode::None,
+        ..EvalConfig::default()
+    };
+    let found = evaluate(&truth, &estimate, &config).expect("valid");
+    let [only] = found.relocalizations[..] else {
+        panic!("{:?}", found.relocalizations);
+    };
+    assert!((only.gap_secs - 2.1).abs() < 1e-9);
+    assert!((only.back_after_secs - 6.0).abs() < 1e-9);
+    assert!((only.error_change_m.expect("matched") - 0.25).abs() < 1e-9);
+    // A break that is no loss is none.
+    assert!(
+        evaluate(&truth, &truth, &config)
+            .expect("valid")
+            .relocalizations
+            .is_empty()
+    );
 }

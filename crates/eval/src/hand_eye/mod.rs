@@ -18,7 +18,7 @@ use crate::{Error, Statistics};
 use closed_form::{Moment, closed_form};
 use continuous::Continuous;
 use correlation::correlate;
-use refine::{Refined, refine};
+use refine::{Apart, Halved, Refined, refine};
 use residual::Interpolated;
 
 pub use closed_form::Excitation;
@@ -61,6 +61,8 @@ const LEAST_POSES: usize = 20;
 const MOST_SIGMA: [f64; 3] = [0.5, 0.02, 2.0];
 /// Share of poses that must fit.
 const LEAST_INLIERS: f64 = 0.7;
+/// Standard deviations by which one of seven numbers of two halves may differ.
+const MOST_APART: f64 = 4.0;
 
 /// A transform with the standard deviations of its tangent.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -168,7 +170,10 @@ pub fn align_trajectories(
     };
     let moments = moments(&estimate, &reference, interpolated, found.offset_secs);
     let (start, excitation) = closed_form(&moments)?;
-    let refined = refine(
+    let Halved {
+        whole: refined,
+        halves,
+    } = refine(
         estimate,
         reference,
         interpolated,
@@ -194,7 +199,7 @@ pub fn align_trajectories(
         world,
         body: refined.body,
     };
-    found.findings = judge(&found, &refined);
+    found.findings = judge(&found, &refined, halves);
     Ok(found)
 }
 
@@ -252,7 +257,7 @@ fn uncertain(pose: &Se3, sigma: &[f64; 6]) -> UncertainPose {
     }
 }
 
-fn judge(found: &HandEye, refined: &Refined) -> Vec<Finding> {
+fn judge(found: &HandEye, refined: &Refined, halves: Option<Apart>) -> Vec<Finding> {
     let largest = |values: &[f64]| values.iter().copied().fold(0.0, f64::max);
     let body = &found.reference_from_estimate_body;
     let limits = [
@@ -302,7 +307,24 @@ fn judge(found: &HandEye, refined: &Refined) -> Vec<Finding> {
         findings
             .push(Finding::new("correlated", Verdict::Pass, "residuals", what).value(factor, ""));
     }
+    findings.extend(halves.map(agreement));
     findings
+}
+
+/// Whether two halves of the walk say the same, as their standard deviations promise.
+fn agreement(halves: Apart) -> Finding {
+    let verdict = Verdict::Warn.unless(halves.sigmas <= MOST_APART);
+    let what = format!(
+        "the two halves of the walk differ by {:.1} mm, {:.3}° and {:.2} ms, {:.1} standard deviations",
+        1000.0 * halves.translation_m,
+        halves.rotation_deg,
+        1000.0 * halves.offset_secs,
+        halves.sigmas
+    );
+    Finding::new("halves", verdict, "halves", what)
+        .value(halves.sigmas, "σ")
+        .limit(Limit::AtMost(MOST_APART))
+        .remedy("something moved between them: the mounting, a clock (--drift), or the estimate's scale; do not trust the standard deviations")
 }
 
 #[cfg(test)]

@@ -45,6 +45,41 @@ pub(super) struct Refined {
     pub correlated_by: Option<f64>,
 }
 
+/// How far two results of one thing are apart.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Apart {
+    pub rotation_deg: f64,
+    pub translation_m: f64,
+    pub offset_secs: f64,
+    /// The largest difference of a number, in standard deviations of the two.
+    pub sigmas: f64,
+}
+
+impl Refined {
+    /// From a result of other data.
+    fn apart(&self, other: &Self) -> Apart {
+        let between = (self.body.inverse() * other.body).log();
+        let offset_secs = other.offset_secs - self.offset_secs;
+        let both = |a: f64, b: f64| a.hypot(b).max(f64::MIN_POSITIVE);
+        let of_body =
+            (0..6).map(|k| between[k].abs() / both(self.sigma_body[k], other.sigma_body[k]));
+        let of_clock = offset_secs.abs() / both(self.sigma_offset_secs, other.sigma_offset_secs);
+        Apart {
+            rotation_deg: between.fixed_rows::<3>(0).norm().to_degrees(),
+            translation_m: between.fixed_rows::<3>(3).norm(),
+            offset_secs,
+            sigmas: of_body.fold(of_clock, f64::max),
+        }
+    }
+}
+
+/// What least squares found of all poses, and how far the results of the first and the second half of them are apart.
+pub(super) struct Halved {
+    pub whole: Refined,
+    /// `None` where a half alone determines nothing, or the offset drifts.
+    pub halves: Option<Apart>,
+}
+
 #[derive(Clone, Copy)]
 struct State {
     world: Se3,
@@ -60,7 +95,7 @@ pub(super) fn refine(
     start: Pair,
     offset_secs: f64,
     clock: ClockModel,
-) -> Result<Refined, Error> {
+) -> Result<Halved, Error> {
     let (sparse, dense, to_dense_secs) = match interpolated {
         Interpolated::Reference => (estimate, reference, offset_secs),
         Interpolated::Estimate => (reference, estimate, -offset_secs),
@@ -91,29 +126,57 @@ pub(super) fn refine(
             sigmas: PAPER_SIGMAS,
         })
         .collect();
-    let mut state = State {
+    let state = State {
         world: start.reference_from_estimate_world,
         body: start.reference_from_estimate_body,
         clock: Vector2::new(offset_secs, 0.0),
     };
+    let mut whole = without_outliers(&all, state, clock)?;
+    if interpolated == Interpolated::Estimate {
+        whole.middle_secs -= whole.offset_secs;
+    }
+    let (first, second) = all.split_at(all.len() / 2);
+    let found = State {
+        world: whole.world,
+        body: whole.body,
+        clock: Vector2::new(whole.offset_secs, 0.0),
+    };
+    let half = |residuals| without_outliers(residuals, found, clock).ok();
+    let halves = match clock {
+        ClockModel::Constant => half(first).zip(half(second)),
+        // Each half has its own middle, and no drift to speak of.
+        ClockModel::Drifting => None,
+    };
+    Ok(Halved {
+        halves: halves.map(|(first, second)| first.apart(&second)),
+        whole,
+    })
+}
+
+/// From a start to what fits.
+fn without_outliers(
+    all: &[BodyResidual],
+    mut state: State,
+    clock: ClockModel,
+) -> Result<Refined, Error> {
     adjust(
-        &all,
+        all,
         PAPER_SIGMAS,
         Kernel::Cauchy { scale: 1.0 },
         clock,
         &mut state,
     )?;
     for _ in 0..2 {
-        let sigmas = sigmas(&errors(&all, &state));
+        let sigmas = sigmas(&errors(all, &state));
         adjust(
-            &all,
+            all,
             sigmas,
             Kernel::Cauchy { scale: 3.0 },
             clock,
             &mut state,
         )?;
     }
-    let found = errors(&all, &state);
+    let found = errors(all, &state);
     let limits = sigmas(&found);
     let fits = |error: &Vector6<f64>| weighted_norm(error, limits) <= OUTLIER;
     let good: Vec<BodyResidual> = all
@@ -147,10 +210,7 @@ pub(super) fn refine(
         offset_secs: state.clock.x,
         sigma_offset_secs: sigma_clock,
         drift: state.clock.y,
-        middle_secs: match interpolated {
-            Interpolated::Reference => middle_secs,
-            Interpolated::Estimate => middle_secs - state.clock.x,
-        },
+        middle_secs: all.first().map_or(0.0, |r| r.middle_secs),
         distances_m: known().map(|e| e.fixed_rows::<3>(3).norm()).collect(),
         angles_deg: known()
             .map(|e| e.fixed_rows::<3>(0).norm().to_degrees())

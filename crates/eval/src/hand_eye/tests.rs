@@ -191,6 +191,26 @@ fn a_clock_that_drifts_is_followed() {
 }
 
 #[test]
+fn halves_that_contradict_each_other_are_told() {
+    let verdict = |setup: &Setup, seed: usize| {
+        let estimate = shaken(&sampled(30.0, 60.0, motion), 0.0005, 0.002, seed);
+        let reference = setup.reference(100.0, 60.0, motion);
+        let found =
+            align_trajectories(&estimate, &reference, &HandEyeConfig::default()).expect("aligned");
+        let halves = found.findings.iter().find(|f| f.code == "halves");
+        halves.expect("compared").verdict
+    };
+    for seed in 1..6 {
+        assert_eq!(verdict(&Setup::new(0.4), seed), Verdict::Pass, "{seed}");
+    }
+    let drifting = Setup {
+        drift: 2e-4,
+        ..Setup::new(0.4)
+    };
+    assert_eq!(verdict(&drifting, 3), Verdict::Warn);
+}
+
+#[test]
 fn what_is_not_one_body_is_refused() {
     let setup = Setup::new(0.0);
     let estimate = sampled(30.0, 60.0, motion);

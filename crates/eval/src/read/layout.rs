@@ -7,18 +7,22 @@ use super::text::{Line, shown};
 /// `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME`.
 const COLMAP_COLUMNS: usize = 10;
 
+/// How the comments of COLMAP's `images.txt` begin.
+pub(super) const COLMAP_HEAD: &str = "Image list with two lines of data per image";
+
 /// Whether comments are those of COLMAP's `images.txt`.
 fn is_colmap(comments: &[Line<'_>]) -> bool {
-    comments.iter().any(|c| {
-        c.text
-            .contains("Image list with two lines of data per image")
-    })
+    comments.iter().any(|c| c.text.contains(COLMAP_HEAD))
 }
 
-/// Leaves the rows that say a pose: in COLMAP's file every other row lists points, three numbers each.
+/// Leaves the rows that say a pose: in COLMAP's file every other row lists points, three numbers each. A row that is neither (the name
+/// of an image has a blank) stays, to be refused.
 pub(super) fn keep_poses(rows: &mut Vec<Line<'_>>, comments: &[Line<'_>]) {
     if is_colmap(comments) {
-        rows.retain(|row| row.text.split_ascii_whitespace().count() == COLMAP_COLUMNS);
+        rows.retain(|row| {
+            let columns: Vec<&str> = row.text.split_ascii_whitespace().collect();
+            !columns.len().is_multiple_of(3) || columns.iter().any(|c| c.parse::<f64>().is_err())
+        });
     }
 }
 

@@ -9,7 +9,7 @@ use super::row::covariance_in_tangent;
 use super::{Orientations, TrajectoryFile};
 use crate::Error;
 
-pub(super) fn read(path: &Path, topic: Option<&str>) -> Result<TrajectoryFile, Error> {
+pub(super) fn read(path: &Path, stream: Option<&str>) -> Result<TrajectoryFile, Error> {
     let recording = Recording::open(path)?;
     let mut findings = Vec::new();
     for damage in recording.damage() {
@@ -22,8 +22,7 @@ pub(super) fn read(path: &Path, topic: Option<&str>) -> Result<TrajectoryFile, E
         findings.push(finding);
     }
     let mut poses = Vec::new();
-    for reading in recording.poses(topic)? {
-        let reading = reading?;
+    for reading in recording.poses(stream)? {
         let covariance = reading.covariance.as_ref();
         // A covariance that is none says nothing about the pose.
         let covariance = covariance.and_then(|c| covariance_in_tangent(c, &reading.pose).ok());
@@ -36,7 +35,7 @@ pub(super) fn read(path: &Path, topic: Option<&str>) -> Result<TrajectoryFile, E
     if poses.is_empty() {
         return Err(Error::NotATrajectory {
             path: path.to_owned(),
-            what: "the topic has no message".to_owned(),
+            what: "the topic has no pose".to_owned(),
         });
     }
     put_in_order(path, poses, Orientations::Known, findings)

@@ -1,6 +1,7 @@
 //! Trajectory files of any program: TUM text, positions, KITTI pose text, EuRoC csv, any table with names, kapture, COLMAP, poses in MCAP;
 //! text gzipped or not. Poses come in order of time; what had to be sorted, guessed or left out is a finding.
 
+mod colmap;
 mod columns;
 mod decimal;
 mod layout;
@@ -29,7 +30,7 @@ pub use columns::Columns;
 pub use stamp_unit::StampUnit;
 
 /// What is understood, in the words of an error.
-const UNDERSTOOD: &str = "TUM text, positions, KITTI poses, EuRoC csv, a table with names, kapture, COLMAP's images.txt or MCAP";
+const UNDERSTOOD: &str = "TUM text, positions, KITTI poses, EuRoC csv, a table with names, kapture, COLMAP's images.txt and images.bin or MCAP";
 
 /// Whether poses say how the body is turned.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]

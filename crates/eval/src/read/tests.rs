@@ -424,3 +424,117 @@ fn colmap_has_the_world_in_the_camera() {
         .to_string();
     assert!(nameless.contains("does not end with a stamp"), "{nameless}");
 }
+
+#[test]
+fn colmap_writes_the_same_in_bytes() {
+    let mut bytes = 2_u64.to_le_bytes().to_vec();
+    for (number, name) in [
+        (2_u32, "cam0/1403636579.813.png"),
+        (1, "1403636579.763.png"),
+    ] {
+        bytes.extend(number.to_le_bytes());
+        for value in [0.6, 0.0, 0.0, 0.8, 1.0, 0.0, 0.1 + 0.2] {
+            bytes.extend(f64::to_le_bytes(value));
+        }
+        bytes.extend(7_u32.to_le_bytes());
+        bytes.extend(name.as_bytes());
+        bytes.push(0);
+        bytes.extend(1_u64.to_le_bytes());
+        bytes.extend([0x11; 24]);
+    }
+    let dir = tempfile::tempdir().expect("scratch");
+    let path = dir.path().join("images.bin");
+    let read = |bytes: &[u8]| {
+        std::fs::write(&path, bytes).expect("written");
+        read_trajectory(&path, &ReadOptions::default())
+    };
+    let poses = read(&bytes).expect("valid").poses;
+    assert_eq!(poses.len(), 2);
+    assert_eq!(poses[0].time.nanos(), 1_403_636_579_763_000_000);
+    let place = poses[0].world_from_rig.translation;
+    assert!((place - Vector3::new(0.28, 0.96, -(0.1 + 0.2))).norm() < 1e-12);
+    // Cut anywhere, with more behind it, or with a count that no file has: refused, and no panic.
+    for length in 0..bytes.len() {
+        let error = read(&bytes[..length]).expect_err("cut short").to_string();
+        assert!(error.contains("images.bin"), "{error}");
+    }
+    assert!(read(&[bytes.clone(), vec![0]].concat()).is_err());
+    bytes[..8].fill(0xff);
+    assert!(read(&bytes).is_err());
+}
+
+#[test]
+fn an_image_whose_name_has_a_blank_is_not_left_out() {
+    let content = "# Image list with two lines of data per image:\n\
+        1 0.6 0 0 0.8 1 0 0 1 1403636579.763.png\n1 2 -1\n\
+        2 0.6 0 0 0.8 1 0 0 1 my cam 1403636579.813.png\n1 2 -1\n";
+    let error = whole(content).expect_err("columns").to_string();
+    assert!(error.contains("line 4: a row of 12 columns"), "{error}");
+}
+
+#[test]
+fn a_path_counts_as_it_was_last_said_and_frames_are_named() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("robot.mcap");
+    let mut writer = Writer::create(&path, &WriterConfig::default()).expect("a file");
+    let stamp = |s: u32| Timestamp::from_nanos(i64::from(s) * 1_000_000_000);
+    let pose = |bytes: &mut Vec<u8>, s: u32, child: Option<&[u8; 4]>| {
+        bytes.extend(s.to_le_bytes());
+        bytes.extend([0, 0, 0, 0, 4, 0, 0, 0]);
+        bytes.extend(*b"map\0");
+        if let Some(child) = child {
+            bytes.extend(4_u32.to_le_bytes());
+            bytes.extend(child);
+        }
+        // Doubles begin at a multiple of eight behind the four bytes at the front.
+        while bytes.len() % 8 != 4 {
+            bytes.push(0);
+        }
+        for value in [f64::from(s), 2.0, 3.0, 0.0, 0.0, 0.0, 1.0] {
+            bytes.extend(value.to_le_bytes());
+        }
+    };
+    let mut write = |topic: &str, schema_name: &str, s: u32, bytes: &[u8]| {
+        let channel = Channel {
+            topic,
+            schema_name,
+            schema_text: "std_msgs/Header header",
+        };
+        let written = writer.write_cdr(&channel, stamp(s), stamp(s), bytes);
+        written.expect("written");
+    };
+    for s in 1..=3_u32 {
+        let mut bytes = vec![0, 1, 0, 0];
+        bytes.extend(s.to_le_bytes());
+        bytes.extend([0, 0, 0, 0, 4, 0, 0, 0]);
+        bytes.extend(*b"map\0");
+        bytes.extend(s.to_le_bytes());
+        for k in 1..=s {
+            pose(&mut bytes, k, None);
+        }
+        write("/path", "nav_msgs/msg/Path", s, &bytes);
+        let mut bytes = vec![0, 1, 0, 0];
+        bytes.extend(2_u32.to_le_bytes());
+        pose(&mut bytes, s, Some(b"rig\0"));
+        pose(&mut bytes, s, Some(b"cam\0"));
+        write("/tf", "tf2_msgs/msg/TFMessage", s, &bytes);
+    }
+    writer.finish().expect("finished");
+    let read = |stream: Option<&str>| {
+        let options = ReadOptions {
+            stream: stream.map(str::to_owned),
+            ..ReadOptions::default()
+        };
+        read_trajectory(&path, &options)
+    };
+    // A path repeats what it said before: three poses, not six; and it is the only topic of one body.
+    assert_eq!(read(None).expect("the path").poses.len(), 3);
+    assert_eq!(read(Some("/tf:map.rig")).expect("an edge").poses.len(), 3);
+    for (stream, said) in [
+        ("/tf", "/tf:map.cam, /tf:map.rig"),
+        ("/tf:map.dog", "/tf:map.cam"),
+    ] {
+        let error = read(Some(stream)).expect_err("no edge").to_string();
+        assert!(error.contains(said), "{error}");
+    }
+}

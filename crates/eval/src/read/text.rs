@@ -6,6 +6,7 @@ use std::path::Path;
 
 use flate2::read::MultiGzDecoder;
 
+use super::colmap;
 use crate::Error;
 
 /// A day at 1 kHz is some 10 GB; a walk is below 1 GiB, and a gzipped bomb is not.
@@ -43,7 +44,7 @@ pub(super) fn is_mcap(path: &Path) -> Result<bool, Error> {
     Ok(head == *b"\x89MCAP")
 }
 
-/// The whole text.
+/// The whole text; that of COLMAP's `images.txt` for its `images.bin`.
 pub(super) fn read(path: &Path) -> Result<String, Error> {
     let io = |source| Error::Io {
         path: path.to_owned(),
@@ -68,6 +69,9 @@ pub(super) fn read(path: &Path) -> Result<String, Error> {
     };
     if bytes.len() as u64 > MAX_TEXT_BYTES {
         return Err(refused(format!("more than {MAX_TEXT_BYTES} bytes of text")));
+    }
+    if colmap::is_binary(path) {
+        return colmap::as_text(&bytes).map_err(refused);
     }
     String::from_utf8(bytes).map_err(|e| {
         refused(format!(

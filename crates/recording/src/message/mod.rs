@@ -35,7 +35,7 @@ pub use lsfb::{
     encode_raw_packet,
 };
 pub use points::{CloudMessage, decode_cloud, encode_points};
-pub use pose::{PoseReading, decode_pose, holds_pose};
+pub use pose::{PoseReading, decode_poses, holds_edges, holds_path, holds_poses};
 pub use radio::{BleAdvert, WifiReading, decode_ble, decode_wifi, encode_ble, encode_wifi};
 pub use recorder::{
     CameraGroup, ClockModel, HealthValue, decode_camera_group, decode_clock_model,

@@ -6,7 +6,7 @@ use nalgebra::{Quaternion, UnitQuaternion};
 
 use crate::cdr::{CdrError, CdrReader};
 
-/// The pose that one message says.
+/// A pose that a message says.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PoseReading {
     /// Stamp of its header.
@@ -22,13 +22,15 @@ pub struct PoseReading {
     pub covariance: Option<[f64; 36]>,
 }
 
-/// A message type that says one pose.
+/// A message type that says poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     Pose,
     PoseWithCovariance,
     Odometry,
     Transform,
+    Path,
+    Transforms,
 }
 
 impl Kind {
@@ -38,24 +40,54 @@ impl Kind {
             "geometry_msgs/msg/PoseWithCovarianceStamped" => Some(Self::PoseWithCovariance),
             "nav_msgs/msg/Odometry" => Some(Self::Odometry),
             "geometry_msgs/msg/TransformStamped" => Some(Self::Transform),
+            "nav_msgs/msg/Path" => Some(Self::Path),
+            "tf2_msgs/msg/TFMessage" => Some(Self::Transforms),
             _ => None,
         }
     }
 }
 
-/// Whether messages of a type say one pose each, as [`decode_pose`] reads it.
-pub fn holds_pose(schema: &str) -> bool {
+/// Whether [`decode_poses`] reads messages of a type.
+pub fn holds_poses(schema: &str) -> bool {
     Kind::of(schema).is_some()
 }
 
-/// The pose in a message of the type `schema`.
-pub fn decode_pose(schema: &str, bytes: &[u8]) -> Result<PoseReading, CdrError> {
+/// Whether each message of a type repeats the whole trajectory, as `nav_msgs/Path` does.
+pub fn holds_path(schema: &str) -> bool {
+    Kind::of(schema) == Some(Kind::Path)
+}
+
+/// Whether the poses of a type are edges between frames of many names, as those of `/tf` are.
+pub fn holds_edges(schema: &str) -> bool {
+    Kind::of(schema) == Some(Kind::Transforms)
+}
+
+/// The poses in a message of the type `schema`.
+pub fn decode_poses(schema: &str, bytes: &[u8]) -> Result<Vec<PoseReading>, CdrError> {
     let kind = Kind::of(schema).ok_or(CdrError::Value { field: "type" })?;
     let mut r = CdrReader::new(bytes)?;
+    let each = match kind {
+        Kind::Path => {
+            r.header()?;
+            Kind::Pose
+        }
+        Kind::Transforms => Kind::Transform,
+        one => return Ok(vec![pose(one, &mut r)?]),
+    };
+    let count = r.u32("poses")?;
+    // The count is not believed: memory grows with what is there.
+    let mut found = Vec::new();
+    for _ in 0..count {
+        found.push(pose(each, &mut r)?);
+    }
+    Ok(found)
+}
+
+fn pose(kind: Kind, r: &mut CdrReader<'_>) -> Result<PoseReading, CdrError> {
     let header = r.header()?;
     let child_frame = match kind {
         Kind::Odometry | Kind::Transform => r.string("child_frame_id")?,
-        Kind::Pose | Kind::PoseWithCovariance => "",
+        _ => "",
     };
     let translation = Vector3::from(r.f64_array("position")?);
     let [x, y, z, w] = r.f64_array("orientation")?;
@@ -70,7 +102,7 @@ pub fn decode_pose(schema: &str, bytes: &[u8]) -> Result<PoseReading, CdrError> 
             let values: [f64; 36] = r.f64_array("covariance")?;
             values.iter().any(|v| *v != 0.0).then_some(values)
         }
-        Kind::Pose | Kind::Transform => None,
+        _ => None,
     };
     Ok(PoseReading {
         time: header.stamp,

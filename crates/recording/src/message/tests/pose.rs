@@ -30,6 +30,18 @@ const ODOMETRY: &str = "0001000007e5926915cd5b07050000006f646f6d000000000a000000
     00000080404000000000000041400000000000804140";
 const TRANSFORM: &str = "0001000007e5926915cd5b0706000000776f726c6400000005000000626f647900000000000000000000f83f00000000000002c00000\
     00000000c03f0000000000000000333333333333e33f00000000000000009a9999999999e93f";
+/// Two poses, a second apart.
+const PATH: &str = "000100000ce5926915cd5b07040000006d6170000200000007e5926915cd5b07040000006d61700000000000000000000000f83f0000\
+    0000000002c0000000000000c03f0000000000000000333333333333e33f00000000000000009a9999999999e93f08e5926915cd5b07\
+    040000006d617000000000000000044000000000000002c0000000000000c03f0000000000000000333333333333e33f000000000000\
+    00009a9999999999e93f";
+/// `world.body` twice, a second apart, and `world.camera_0` between them.
+const TRANSFORMS: &str = "000100000300000007e5926915cd5b0706000000776f726c6400000005000000626f64790000000000000000000000000000f83f0000\
+    0000000002c0000000000000c03f0000000000000000333333333333e33f00000000000000009a9999999999e93f07e5926915cd5b07\
+    06000000776f726c640000000900000063616d6572615f300000000000000000000000000000f83f00000000000002c0000000000000\
+    c03f0000000000000000333333333333e33f00000000000000009a9999999999e93f08e5926915cd5b0706000000776f726c64000000\
+    05000000626f647900000000000000000000044000000000000002c0000000000000c03f0000000000000000333333333333e33f0000\
+    0000000000009a9999999999e93f";
 
 #[test]
 fn every_type_says_the_same_pose() {
@@ -58,9 +70,11 @@ fn every_type_says_the_same_pose() {
             None,
         ),
     ] {
-        assert!(holds_pose(schema));
+        assert!(holds_poses(schema));
         let bytes = unhex(text);
-        let read = decode_pose(schema, &bytes).expect(schema);
+        let [read] = &decode_poses(schema, &bytes).expect(schema)[..] else {
+            panic!("{schema}: not one pose");
+        };
         assert_eq!(read.time, STAMP);
         assert_eq!(
             (read.frame.as_str(), read.child_frame.as_str()),
@@ -71,12 +85,15 @@ fn every_type_says_the_same_pose() {
         assert!((q.j - 0.6).abs() < 1e-15 && (q.w - 0.8).abs() < 1e-15 && q.i == 0.0 && q.k == 0.0);
         assert_eq!(read.covariance, covariance);
         for length in 0..bytes.len() {
-            let cut = decode_pose(schema, &bytes[..length]);
+            let cut = decode_poses(schema, &bytes[..length]);
             // What follows the pose's covariance in an odometry message is not read.
-            assert!(cut.is_err() || cut == Ok(read.clone()), "{schema} {length}");
+            assert!(
+                cut.is_err() || cut == Ok(vec![read.clone()]),
+                "{schema} {length}"
+            );
         }
     }
-    assert!(!holds_pose("sensor_msgs/msg/Imu"));
+    assert!(!holds_poses("sensor_msgs/msg/Imu"));
 }
 
 /// A pose that nobody filled in would be read as the origin, and look like an estimate.
@@ -85,6 +102,35 @@ fn a_pose_that_is_none_is_refused() {
     let mut bytes = unhex(POSE);
     let quaternion = bytes.len() - 32;
     bytes[quaternion..].fill(0);
-    let refused = decode_pose("geometry_msgs/msg/PoseStamped", &bytes);
+    let refused = decode_poses("geometry_msgs/msg/PoseStamped", &bytes);
     assert_eq!(refused, Err(CdrError::Value { field: "pose" }));
+}
+
+#[test]
+fn messages_of_several_poses_say_each() {
+    for (schema, text, frames) in [
+        ("nav_msgs/msg/Path", PATH, vec!["", ""]),
+        (
+            "tf2_msgs/msg/TFMessage",
+            TRANSFORMS,
+            vec!["body", "camera_0", "body"],
+        ),
+    ] {
+        let bytes = unhex(text);
+        let read = decode_poses(schema, &bytes).expect(schema);
+        let children: Vec<&str> = read.iter().map(|p| p.child_frame.as_str()).collect();
+        assert_eq!(children, frames);
+        let last = read.last().expect("poses");
+        assert_eq!(last.time, STAMP.plus_secs(1.0));
+        assert_eq!(last.pose.translation.as_slice(), [2.5, -2.25, 0.125]);
+        for length in 0..bytes.len() {
+            assert!(decode_poses(schema, &bytes[..length]).is_err(), "{length}");
+        }
+        // A count that no message has is no reason to take memory.
+        let mut many = bytes.clone();
+        let at = if schema.starts_with("nav") { 20 } else { 4 };
+        many[at..at + 4].fill(0xff);
+        assert!(decode_poses(schema, &many).is_err(), "{schema}");
+    }
+    assert!(holds_path("nav_msgs/msg/Path") && holds_edges("tf2_msgs/msg/TFMessage"));
 }
