@@ -67,6 +67,17 @@ pub enum Error {
         /// What is wrong.
         problem: String,
     },
+    /// Packets of two sensors that nothing tells apart.
+    #[error(
+        "{lidar}: packets of two sensors{}, more than one sends and out of turn: capture each alone, or give each an address of its own; where only one sent, its packets are of another model or return mode than was forced",
+        address.map_or(String::new(), |ip| format!(" with one address, {ip}"))
+    )]
+    TwoSensors {
+        /// The LiDAR that they would be.
+        lidar: String,
+        /// Where both come from, where that is known.
+        address: Option<std::net::IpAddr>,
+    },
     /// The list of devices names none.
     #[error("no device is configured; name at least one of [lidar], [[camera]], [imu], [sidecar]")]
     NoDevice,

@@ -9,7 +9,7 @@ use lsfb_drivers::any_lidar::Settings;
 use lsfb_drivers::transport::PacketSource;
 use lsfb_geometry::{MAIN_LIDAR, Rig};
 use lsfb_recording::{RecordedPacket, Recording, lidar_position};
-use lsfb_types::{Progress, ProgressFn, Stopped, Timestamp};
+use lsfb_types::{Progress, ProgressFn, Timestamp};
 
 use crate::config::{Overflow, RecorderConfig, check_device_names};
 use crate::health::{Ending, Meter, StreamReport};
@@ -43,8 +43,8 @@ pub struct ReplayedSensor {
 }
 
 /// Records the LiDAR packets of `source` into `out`, with the arrival stamps they have there, each LiDAR under a name of its own. A
-/// file that is damaged in the middle gives what lies before, and the damage is the streams' [`Ending::Lost`]. An import that is told to stop leaves
-/// nothing.
+/// file that is damaged in the middle gives what lies before, and the damage is the streams' [`Ending::Lost`]. An import that is told to stop, or
+/// in which packets of two sensors are mixed, leaves nothing.
 pub fn replay(
     mut source: impl PacketSource,
     config: &ReplayConfig,
@@ -68,7 +68,7 @@ pub fn replay(
         // A file gives its packets or its end at once.
         match source.recv(Duration::ZERO) {
             Ok(Some(packet)) => match lidars.push(packet, source.sender(), inlet) {
-                Ok(_) => Next::Taken,
+                Ok(_) => lidars.mixture().map_or(Next::Taken, Next::Refused),
                 Err(WriterGone) => Next::Ended(Ending::Stopped),
             },
             Ok(None) => Next::Taken,
@@ -76,6 +76,7 @@ pub fn replay(
             Err(error) => Next::Ended(Ending::Lost(error.to_string())),
         }
     });
+    let told = told.and_then(|()| lidars.drain(&import.inlet));
     let reports = lidars.finish(&ending, &import.inlet);
     import.finish(reports, told)
 }
@@ -118,12 +119,16 @@ pub fn replay_recording(
         };
         match source.next() {
             Some(Ok(recorded)) => match stream.push(recorded.packet, inlet) {
-                Ok(()) => Next::Taken,
+                Ok(()) => stream.mixture().map_or(Next::Taken, Next::Refused),
                 Err(WriterGone) => Next::Ended(Ending::Stopped),
             },
             Some(Err(error)) => Next::Ended(Ending::Lost(error.to_string())),
             None => Next::Ended(Ending::EndOfStream),
         }
+    });
+    let told = told.and_then(|()| {
+        let mut streams = streams.iter_mut();
+        streams.try_for_each(|stream| stream.drain(&import.inlet))
     });
     let finish = |stream: LidarStream| stream.finish(ending.clone(), &import.inlet);
     let reports = streams.into_iter().map(finish).collect();
@@ -170,6 +175,8 @@ fn lidar_names(recording: &Recording, topics: &[&str]) -> Vec<String> {
 enum Next {
     Taken,
     Ended(Ending),
+    /// It makes no recording.
+    Refused(Error),
 }
 
 /// The recording that a capture file becomes.
@@ -196,7 +203,7 @@ impl<'a> Import<'a> {
         &self,
         progress: ProgressFn<'_>,
         mut take: impl FnMut(&Inlet) -> Next,
-    ) -> (Ending, Result<(), Stopped>) {
+    ) -> (Ending, Result<(), Error>) {
         for packets in 0.. {
             if u64::is_multiple_of(packets, SHOW_EVERY) {
                 let told = progress(Progress {
@@ -204,12 +211,14 @@ impl<'a> Import<'a> {
                     done: packets,
                     total: 0,
                 });
-                if told.is_err() {
-                    return (Ending::Stopped, told);
+                if let Err(stopped) = told {
+                    return (Ending::Stopped, Err(stopped.into()));
                 }
             }
-            if let Next::Ended(ending) = take(&self.inlet) {
-                return (ending, Ok(()));
+            match take(&self.inlet) {
+                Next::Taken => {}
+                Next::Ended(ending) => return (ending, Ok(())),
+                Next::Refused(error) => return (Ending::Stopped, Err(error)),
             }
         }
         (Ending::EndOfStream, Ok(()))
@@ -218,7 +227,7 @@ impl<'a> Import<'a> {
     fn finish(
         self,
         streams: Vec<StreamReport>,
-        told: Result<(), Stopped>,
+        told: Result<(), Error>,
     ) -> Result<CaptureReport, Error> {
         drop(self.inlet);
         let written = self.recorder.finish(&streams)?;

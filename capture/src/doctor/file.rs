@@ -3,7 +3,7 @@
 use lsfb_recording::{Recording, TopicArrivals};
 use lsfb_types::{Finding, Limit, ProgressFn, Timestamp, Verdict};
 
-use super::{Depth, DoctorConfig, Findings};
+use super::{Depth, DoctorConfig, Findings, last_words};
 use crate::Error;
 
 /// What the recorder counts of each device that is lost, and how it is called.
@@ -118,9 +118,7 @@ impl Findings {
     pub(super) fn losses(&mut self, recording: &Recording) {
         let finding = |verdict, found: String| Finding::new("losses", verdict, "losses", found);
         let Ok(bytes) = recording.attachment("health.json") else {
-            let found =
-                "the recorder left no report: it was interrupted, or another program wrote this";
-            return self.add(finding(Verdict::Warn, found.to_owned()));
+            return self.add(last_words::finding(recording));
         };
         let health: serde_json::Value = serde_json::from_slice(&bytes).unwrap_or_default();
         let Some(lost) = health.get("lost").and_then(serde_json::Value::as_u64) else {

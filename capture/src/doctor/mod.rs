@@ -6,6 +6,7 @@ mod calibration;
 mod clocks;
 mod devices;
 mod file;
+mod last_words;
 mod pace;
 mod rhythm;
 mod stamps;

@@ -1,6 +1,7 @@
 use std::path::Path;
 
-use lsfb_recording::{CameraUnit, Writer, WriterConfig};
+use lsfb_recording::message::{HEALTH_VALUE, HealthValue, encode_health_value};
+use lsfb_recording::{CameraUnit, Channel, HEALTH, Writer, WriterConfig};
 use lsfb_types::{Image, ImuSample, LidarScan, Stamped, Timestamp, no_progress};
 
 use super::*;
@@ -255,4 +256,51 @@ fn a_device_that_names_another_year_is_no_pass() {
     let judgement = diagnosis(&path, Depth::Indexes);
     let apart = judgement.findings().iter().filter(|f| f.code == "stamps");
     assert!(apart.clone().count() > 0 && apart.clone().all(|f| f.verdict != Verdict::Pass));
+}
+
+/// A recording without the recorder's report, as one that crashed is: its health is on topics.
+fn interrupted(path: &Path, values: &[(&str, HealthValue)]) -> Finding {
+    let mut writer = Writer::create(path, &WriterConfig::default()).unwrap();
+    for (n, (quantity, value)) in values.iter().enumerate() {
+        let time = Timestamp::from_nanos(START + n as i64 * PERIOD_NS);
+        let channel = Channel {
+            topic: &format!("{HEALTH}{quantity}"),
+            schema_name: HEALTH_VALUE.name,
+            schema_text: HEALTH_VALUE.text,
+        };
+        let bytes = encode_health_value(time, &value.device, value);
+        writer.write_cdr(&channel, time, time, &bytes).unwrap();
+    }
+    writer.finish().unwrap();
+    found(&diagnosis(path, Depth::Indexes), "losses").clone()
+}
+
+/// Naively a recording that crashed had no losses that anybody knew of: a warning, as for one that lacks nothing.
+#[test]
+fn what_a_crashed_recorder_had_lost_is_read_from_its_health() {
+    let folder = tempfile::tempdir().unwrap();
+    let value = |device: &str, value: f64, level: u8, text: &str| HealthValue {
+        device: device.to_owned(),
+        value,
+        level,
+        text: text.to_owned(),
+    };
+    let whole = [("drops", value("lidar", 0.0, 0, ""))];
+    let losses = interrupted(&folder.path().join("whole.mcap"), &whole);
+    assert_eq!(losses.verdict, Verdict::Warn, "{losses:?}");
+    assert!(losses.what.contains("had lost no packet"), "{losses:?}");
+    let values = [
+        ("drops", value("lidar", 3.0, 0, "")),
+        ("rate", value("imu0", 0.0, 2, "no samples for 0.9 s: check")),
+        ("rate", value("imu0", 0.0, 2, "no samples for 1.4 s: check")),
+        ("drops", value("lidar", 512.0, 2, "")),
+        ("drops", value("imu0", 0.0, 0, "")),
+    ];
+    let losses = interrupted(&folder.path().join("lossy.mcap"), &values);
+    assert_eq!(losses.verdict, Verdict::Fail, "{losses:?}");
+    assert!(
+        losses.what.contains("512 packets") && losses.what.contains("imu0: no samples"),
+        "{losses:?}"
+    );
+    assert_eq!(losses.what.matches("no samples").count(), 1, "{losses:?}");
 }

@@ -19,10 +19,9 @@ const LOST_AT_END: Duration = Duration::from_secs(3);
 const RATE_WINDOW: Duration = Duration::from_secs(1);
 /// … in steps of this.
 const RATE_STEP: Duration = Duration::from_millis(50);
-/// A rate below this share of the one in the list of devices is a problem …
-const SLOW_SHARE: f64 = 0.4;
-/// … and so is one below this share of what came in the first seconds: half of that is too little …
-const SLOWER_SHARE: f64 = 0.6;
+/// A rate below this share of the one in the list of devices, or of what came in the first seconds, is a problem: half of that is too
+/// little …
+const SLOW_SHARE: f64 = 0.6;
 /// … of parts that come at least this often …
 const SLOW_FROM_HZ: f64 = 5.0;
 /// … and has lost data after this long.
@@ -264,10 +263,9 @@ impl Part {
 
     /// The rate that it should have, where it is far from it.
     fn missed_hz(&self, rate_hz: f64) -> Option<f64> {
-        let is_far = |nominal: Option<f64>, share: f64| {
-            nominal.filter(|hz| *hz >= SLOW_FROM_HZ && rate_hz < share * hz)
-        };
-        is_far(self.expected.nominal_hz, SLOW_SHARE).or(is_far(self.learned_hz, SLOWER_SHARE))
+        let is_far = |hz: &f64| *hz >= SLOW_FROM_HZ && rate_hz < SLOW_SHARE * hz;
+        let said = self.expected.nominal_hz.filter(is_far);
+        said.or(self.learned_hz.filter(is_far))
     }
 
     /// Whether the window of rates is full.
@@ -381,6 +379,18 @@ mod tests {
             assert!(part.problem(began + MS * 17_000).is_some());
             assert_eq!(part.slowdowns(), 2);
         }
+    }
+
+    /// Naively what it sends in its first seconds is its rate, whatever the list of devices says: the doctor alone found this, afterwards.
+    #[test]
+    fn half_the_rate_from_the_very_start_is_a_problem_where_the_rate_was_told() {
+        let began = Instant::now();
+        let mut part = Part::new(Expected::required("images", Some(20.0)), began);
+        hear(&mut part, began, 100, 0, 1_100);
+        let alarm = part.problem(began + MS * 1_100).expect("an alarm");
+        assert!(alarm.ends_with("Hz instead of 20 Hz"), "{alarm}");
+        hear(&mut part, began, 100, 1_100, 6_000);
+        assert_eq!(part.slowdowns(), 1);
     }
 
     #[test]

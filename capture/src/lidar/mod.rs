@@ -4,6 +4,7 @@
 mod senders;
 mod shared_ports;
 mod turns;
+mod two_sensors;
 
 use std::net::IpAddr;
 use std::sync::atomic::Ordering;
@@ -17,6 +18,7 @@ use lsfb_drivers::{Decoded, WireError};
 use lsfb_recording::lidar_position;
 use lsfb_types::{LidarScan, Packet, Stamped, Timestamp};
 
+use crate::Error;
 use crate::clock::model_topic::{ModelTopic, Reading};
 use crate::clock::{LidarClock, PositionFix};
 use crate::control::Control;
@@ -25,6 +27,7 @@ use crate::health::{Ending, Expected, Meter, Says, Stale, StreamReport};
 use crate::recorder::{Entry, Inlet, WriterGone};
 pub(crate) use shared_ports::{Admission, Lidars};
 use turns::Turns;
+use two_sensors::TwoSensors;
 
 /// Data packets that wait for the first position packet: one second of single returns. A sensor sends about 107 position
 /// packets a second, so that one without any in this time has none to send.
@@ -40,6 +43,10 @@ const TICKS_PER_HOUR: u64 = 3_600_000_000;
 /// Problems of a sensor that sends, and nothing to see.
 const NO_SCAN: &str = "its data make no scan: is its rotor turning?";
 const NO_RETURN: &str = "not a single return: is its window covered?";
+const ANOTHER_SPEED: &str =
+    "it turns at another speed than it was set to: look at its own web page";
+const TWO_SENSORS: &str =
+    "two sensors send from one address, and make one cloud: give each its own address";
 /// After the other devices have ended, a LiDAR silent for this long has ended too.
 const SILENT: Duration = Duration::from_millis(500);
 
@@ -71,6 +78,7 @@ pub(crate) struct LidarStream {
     /// Data of which no scan is made, and scans without a return.
     without_scan: Stale,
     without_return: Stale,
+    sensors: TwoSensors,
     /// When the first and the last scan began.
     scans: Option<(Timestamp, Timestamp)>,
     turns: Turns,
@@ -98,6 +106,7 @@ impl LidarStream {
             last_data_time: None,
             without_scan: Stale::default(),
             without_return: Stale::default(),
+            sensors: TwoSensors::default(),
             scans: None,
             turns: Turns::default(),
             rate_hz: None,
@@ -228,8 +237,13 @@ impl LidarStream {
     }
 
     fn take_stale(&mut self) {
+        self.sensors.note(self.decoder.counters());
         self.report.stale = self.without_scan.stretches() + self.without_return.stretches();
-        self.meter.set_stale(if self.without_scan.is_problem() {
+        self.meter.set_stale(if self.are_two() {
+            Some(TWO_SENSORS)
+        } else if self.set_hz().is_some_and(|hz| self.turns.misses(hz)) {
+            Some(ANOTHER_SPEED)
+        } else if self.without_scan.is_problem() {
             Some(NO_SCAN)
         } else if self.without_return.is_problem() {
             Some(NO_RETURN)
@@ -299,14 +313,18 @@ impl LidarStream {
         self.report.duplicated = counters.duplicates;
     }
 
+    /// Turns a second that it was set to.
+    fn set_hz(&self) -> Option<f64> {
+        self.set_rpm.map(|rpm| f64::from(rpm) / 60.0)
+    }
+
     /// Says in the recording what the sensor is, where that is new.
     fn note_device(&mut self, inlet: &Inlet) -> Result<(), WriterGone> {
         let Some(found) = self.decoder.found() else {
             return Ok(());
         };
         if self.rate_hz.is_none() {
-            let set_hz = self.set_rpm.map(|rpm| f64::from(rpm) / 60.0);
-            self.rate_hz = set_hz.or(self.turns.rate_hz());
+            self.rate_hz = self.set_hz().or(self.turns.rate_hz());
         }
         let mut note = DeviceNote::new(&self.name)
             .with("model", found.model)
@@ -324,12 +342,35 @@ impl LidarStream {
         inlet.put(Entry::Device(note), &mut self.report)
     }
 
+    /// Whether its packets are those of two sensors.
+    pub(crate) fn are_two(&self) -> bool {
+        self.sensors.are_two()
+    }
+
+    /// That its packets are those of two sensors, where they are.
+    pub(crate) fn mixture(&self) -> Option<Error> {
+        self.are_two().then(|| Error::TwoSensors {
+            lidar: self.name.clone(),
+            address: self.address,
+        })
+    }
+
+    /// Decodes what was held back, as nothing more comes, and refuses packets of two sensors.
+    pub(crate) fn drain(&mut self, inlet: &Inlet) -> Result<(), Error> {
+        // A failed writer reports itself.
+        let _ = self.finish_scans(inlet);
+        self.mixture().map_or(Ok(()), Err)
+    }
+
     /// Ends the stream.
     pub(crate) fn finish(mut self, ending: Ending, inlet: &Inlet) -> StreamReport {
-        self.report.ending = ending;
         // A failed writer reports itself.
         let _ = self.finish_scans(inlet);
         self.take_counters();
+        self.report.ending = match self.are_two() {
+            true => Ending::Lost(TWO_SENSORS.to_owned()),
+            false => ending,
+        };
         let counters = *self.decoder.counters();
         for (count, what) in [
             (

@@ -9,6 +9,7 @@ use lsfb_types::Packet;
 
 use super::LidarStream;
 use super::senders::Strangers;
+use crate::Error;
 use crate::health::{Ending, Meter, StreamReport};
 use crate::recorder::{Inlet, WriterGone};
 
@@ -161,6 +162,17 @@ impl Lidars {
 
     fn is_chosen(&self) -> bool {
         matches!(self.policy, Policy::Chosen)
+    }
+
+    /// One that is two, where there is such a one.
+    pub(crate) fn mixture(&self) -> Option<Error> {
+        self.lidars.iter().find_map(|lidar| lidar.stream.mixture())
+    }
+
+    /// Decodes what was held back, as nothing more comes, and refuses packets of two sensors.
+    pub(crate) fn drain(&mut self, inlet: &Inlet) -> Result<(), Error> {
+        let mut streams = self.lidars.iter_mut();
+        streams.try_for_each(|lidar| lidar.stream.drain(inlet))
     }
 
     /// Ends the streams: one report for each LiDAR.

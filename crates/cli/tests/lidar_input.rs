@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 
 use answer::json;
 use capture_file::{Frame, capture, pcap};
+use lsfb_drivers::velodyne::wire::DataPacket;
 use lsfb_recording::Recording;
 use lsfb_types::{Echo, LidarScan};
 use refusal::refused;
@@ -376,4 +377,46 @@ fn bags_of_hesai_sensors_become_recordings() {
             "{model}"
         );
     }
+}
+
+/// Two sensors at their factory address: the file names one sender, and naively both made one cloud.
+#[test]
+fn two_lidars_with_one_address_are_refused() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path();
+    let merged = |name: &str, second: &dyn Fn(u64) -> Vec<u8>| {
+        let frames = (0..600).flat_map(|n| {
+            let own = Frame::udp(n, 2368, data_packet(n));
+            [own, Frame::udp(n, 2368, second(n))]
+        });
+        write(path, name, &capture(frames));
+        let merged = ["scan", "--pcap", name, "--out", "merged.mcap"];
+        let words = ["packets of two sensors with one address, 192.168.1.201"];
+        refused(path, &merged, &words);
+        assert!(!path.join("merged.mcap").exists(), "{name}");
+    };
+    // Switched on 25 ms, and 10 s, before the other.
+    merged("before.pcap", &|n| data_packet(n + 38));
+    merged("long_before.pcap", &|n| data_packet(n + 15_070));
+    // Both on one pulse: as if one sensor sent twice as fast.
+    merged("in_step.pcap", &|n| sent_later(data_packet(n), 300));
+    // A sensor whose packets go a long way round comes out of turn now and then, and is one.
+    let mut order: Vec<u64> = (0..600).collect();
+    (0..600).step_by(10).for_each(|n| order.swap(n, n + 3));
+    let frames = order.iter().zip(0..);
+    let frames = frames.map(|(sent, n)| Frame::udp(n, 2368, data_packet(*sent)));
+    write(path, "one.pcap", &capture(frames));
+    json(
+        path,
+        &["scan", "--pcap", "one.pcap", "--out", "one.mcap"],
+        0,
+    );
+}
+
+/// A data packet of that much later, by the sensor's clock.
+fn sent_later(packet: Vec<u8>, by_us: u32) -> Vec<u8> {
+    let mut packet = DataPacket::new(packet).expect("a data packet");
+    let time_us = packet.timestamp_us() + by_us;
+    packet.set_timestamp_us(time_us);
+    packet.into_inner()
 }

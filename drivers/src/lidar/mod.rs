@@ -7,7 +7,7 @@ mod scan_builder;
 use lsfb_types::Timestamp;
 
 pub use angles::{AnglesError, BeamAngles};
-pub(crate) use order::{Instants, LATE_NS, MOST_LATE, Step, elapsed_ns, step};
+pub(crate) use order::{Instants, LATE_NS, MOST_LATE, Step, elapsed_ns, is_crowded, step};
 #[cfg(test)]
 pub(crate) use scan_builder::HOUR_NS;
 pub use scan_builder::TURN_CENTIDEG;
@@ -74,6 +74,8 @@ pub struct Counters {
     pub reordered: u64,
     /// Packets that came twice; the second is left out.
     pub duplicates: u64,
+    /// Packets that came too soon after the one before, by the sensor's own time, to be of one sensor.
+    pub crowded: u64,
     /// Times the sensor's clock was set.
     pub clock_jumps: u64,
     /// Times model or return mode changed.

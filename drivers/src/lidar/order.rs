@@ -27,6 +27,11 @@ pub(crate) enum Step {
     ClockJump,
 }
 
+/// Whether a sensor that fills a packet in `period_ns` cannot have sent the next one so soon. One whose clock stands says nothing.
+pub(crate) fn is_crowded(elapsed_ns: i64, period_ns: i64) -> bool {
+    elapsed_ns > 0 && 4 * elapsed_ns < 3 * period_ns
+}
+
 /// From one packet to the one that arrived after it.
 pub(crate) fn step(from: Instants, to: Instants) -> Step {
     let elapsed_ns = elapsed_ns(from.toh_ns, to.toh_ns);

@@ -6,7 +6,7 @@ use super::model::Model;
 use super::wire::{self, DataPacket, ReturnMode};
 use crate::lidar::{
     BeamAngles, Counters, Found, Instants, MOST_LATE, Position, ScanBuilder, ScanSettings, Step,
-    step,
+    is_crowded, step,
 };
 use crate::{Decoded, WireError};
 
@@ -292,6 +292,9 @@ impl Decoder {
             }
         };
         self.late_in_a_row = 0;
+        let shots = next.model.layout().blocks / next.mode.echoes().len();
+        let period_ns = next.model.shot_ns() * shots as i64;
+        self.counters.crowded += u64::from(is_crowded(elapsed_ns, period_ns));
         self.counters.lost += match (previous.sequence, next.sequence) {
             // A larger step is a sensor that was restarted.
             (Some(before), Some(now)) if now.wrapping_sub(before) < MOST_LOST => {
@@ -299,8 +302,6 @@ impl Decoder {
             }
             (Some(_), Some(_)) => 0,
             _ => {
-                let shots = next.model.layout().blocks / next.mode.echoes().len();
-                let period_ns = next.model.shot_ns() * shots as i64;
                 let packets = (elapsed_ns + period_ns / 2) / period_ns;
                 packets.saturating_sub(1).max(0).cast_unsigned()
             }

@@ -11,8 +11,8 @@ use super::wire::{
     identify,
 };
 use crate::lidar::{
-    Counters, Found, Instants, MOST_LATE, Position, Returns, ScanBuilder, ScanSettings, Step, step,
-    turn,
+    Counters, Found, Instants, MOST_LATE, Position, Returns, ScanBuilder, ScanSettings, Step,
+    is_crowded, step, turn,
 };
 use crate::{Decoded, WireError};
 
@@ -315,6 +315,7 @@ impl Decoder {
         if contiguous {
             self.check_rate(&held, elapsed_ns)?;
         }
+        self.counters.crowded += u64::from(is_crowded(elapsed_ns, period));
         let missing = (elapsed_ns - held.layout.span_ns() + period / 2).div_euclid(period);
         let between = Sector {
             from: held.layout.last_azimuth(),
