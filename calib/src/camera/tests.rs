@@ -180,6 +180,39 @@ fn a_double_sphere_that_cannot_start_is_started_from_another_model() {
     }
 }
 
+/// A lens that draws lines outwards where the model asked for only draws them inwards: naively the board was blamed.
+#[test]
+fn a_model_that_cannot_fit_is_refused_with_the_one_that_does() {
+    let lens = Lens::PinholeRadtan {
+        focal_px: [400.0, 401.0],
+        principal_px: [322.0, 238.0],
+        distortion: [0.5, 0.3, 0.0, 0.0, 0.0],
+    };
+    let [views, _] = stereo(lens, 20, 0.6, 0.1, 5);
+    let run = |model: LensModel| {
+        let views = std::slice::from_ref(&views);
+        calibrate_cameras(&GRID, views, &config(model), &no_progress)
+    };
+    let error = run(LensModel::FieldOfView).expect_err("no such lens");
+    let Error::AnotherModelFits {
+        model,
+        rms_px,
+        other,
+        other_rms_px,
+        ..
+    } = &error
+    else {
+        panic!("{error}");
+    };
+    assert_eq!(*model, "field-of-view");
+    assert!(
+        *rms_px > 10.0 * other_rms_px && *other_rms_px < 0.2,
+        "{error}"
+    );
+    let other = LensModel::ALL.into_iter().find(|m| m.name() == *other);
+    run(other.expect("a model")).expect("what is advised works");
+}
+
 #[test]
 fn what_views_do_not_determine_is_named() {
     // Always facing the board: focal length and distance cannot be told apart.
