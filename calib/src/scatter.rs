@@ -100,10 +100,10 @@ impl Scatter {
         if !(expected > 0.0) {
             return 1.0;
         }
-        let freedom = expected * expected / spread;
-        let both =
-            (COMMON_FREEDOM * ratio + freedom * squares / expected) / (COMMON_FREEDOM + freedom);
-        both.max(1.0).sqrt()
+        let own = expected * expected / spread;
+        let freedom = COMMON_FREEDOM + own;
+        let both = (COMMON_FREEDOM * ratio + own * squares / expected) / freedom;
+        (both * of_few(freedom)).max(1.0).sqrt()
     }
 
     /// The same for each parameter.
@@ -111,6 +111,12 @@ impl Scatter {
         let unit = |k: usize| DVector::from_fn(count, |i, _| f64::from(u8::from(i == k)));
         (0..count).map(|k| self.factor_along(&unit(k))).collect()
     }
+}
+
+/// By how much a variance that was found with so many degrees of freedom is to be raised: that of Student's t. So few tell little of their
+/// own spread.
+pub(crate) fn of_few(freedom: f64) -> f64 {
+    freedom / (freedom - 2.0)
 }
 
 /// Whether a sum of squares of normal numbers, of this mean and variance, exceeds what chance makes of it. Such a sum is skewed: by
@@ -235,9 +241,8 @@ mod tests {
         let count = 2.0 * SEEDS as f64;
         assert!(alarms <= 4, "{alarms} false alarms");
         assert!(naive / count > 12.0, "{}", naive / count);
-        // Of Student's t with some ten degrees of freedom.
         assert!(
-            (0.8..1.6).contains(&(mean_square / count)),
+            (0.7..1.3).contains(&(mean_square / count)),
             "{}",
             mean_square / count
         );

@@ -14,7 +14,7 @@ const CLEAR_DELAY: f64 = 4.0;
 
 /// How well blocks are known.
 pub(super) struct Known {
-    /// By the weights alone.
+    /// By the weights alone, whatever the delay is.
     pub covariance: Covariance,
     /// How stretches of time scatter beside that.
     pub scatter: Scatter,
@@ -25,7 +25,7 @@ pub(super) struct Known {
 }
 
 /// What a problem that knows more than the models of lenses and board says of blocks at the values found without. `delay` is the
-/// accelerometer's; where it is none of chance it is one more thing that the models do not know, else it is zero.
+/// accelerometer's, one more thing that the models do not know: hardly an IMU has none, whether it is clear or not.
 pub(super) fn known(
     problem: &Problem,
     blocks: &[BlockId],
@@ -34,25 +34,18 @@ pub(super) fn known(
 ) -> Result<Known, Error> {
     let asked: Vec<BlockId> = blocks.iter().copied().chain(delay).collect();
     let all = stretches(problem, &asked, timed)?;
-    let scatter = all.scatter();
     let mut found = Known {
-        scatter,
-        covariance: all.covariance.clone(),
-        bias: all.step.clone(),
+        scatter: all.scatter(),
+        covariance: all.covariance,
+        bias: all.step,
         delay_s: None,
     };
     if delay.is_some() {
-        let row = all.step.len() - 1;
-        let sigma = all.covariance.joint()[(row, row)].max(0.0).sqrt();
+        let row = found.bias.len() - 1;
+        let sigma = found.covariance.joint()[(row, row)].max(0.0).sqrt();
         let sigma_s = sigma * found.scatter.factors(row + 1)[row];
-        if all.step[row].abs() > CLEAR_DELAY * sigma_s {
-            found.delay_s = Some(all.step[row]);
-        } else {
-            let without = all.conditioned(row);
-            found.scatter = without.scatter();
-            found.covariance = without.covariance;
-            found.bias = without.step;
-        }
+        let delay_s = found.bias[row];
+        found.delay_s = (delay_s.abs() > CLEAR_DELAY * sigma_s).then_some(delay_s);
     }
     Ok(found)
 }
@@ -72,25 +65,6 @@ impl Stretches {
         let covariance = self.covariance.joint();
         let parts = moved(covariance, self.parts.clone(), &self.step);
         Scatter::of_neighbours(covariance, &parts)
-    }
-
-    /// The same were the dimension of a row known.
-    fn conditioned(self, row: usize) -> Self {
-        let gain = self.covariance.joint().column(row) / self.covariance.joint()[(row, row)];
-        let held = |v: &DVector<f64>| v - &gain * v[row];
-        let parts = self.parts.iter().map(|part| {
-            let rows = &part.noise - &gain * part.noise.row(row);
-            let noise = &rows - rows.column(row) * gain.transpose();
-            Influence {
-                shift: held(&part.shift),
-                noise,
-            }
-        });
-        Self {
-            parts: parts.collect(),
-            step: held(&self.step),
-            covariance: self.covariance.conditioned(row),
-        }
     }
 }
 

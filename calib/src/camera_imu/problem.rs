@@ -156,6 +156,13 @@ impl Effort {
     pub fn of_uncertainty() -> Self {
         Self {
             field: true,
+            ..Self::of_delay()
+        }
+    }
+
+    /// What it takes to say what the accelerometer's delay would move.
+    pub fn of_delay() -> Self {
+        Self {
             is_delay_searched: true,
             ..Self::of_round(0, true)
         }

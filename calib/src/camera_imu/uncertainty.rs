@@ -2,12 +2,12 @@
 
 use lsfb_geometry::camera::MAX_PARAMETERS;
 use lsfb_geometry::{Matrix6, Se3, Vector3, so3};
-use lsfb_solver::BlockId;
+use lsfb_solver::{BlockId, influences};
 use nalgebra::{DMatrix, DVector, Matrix3, SMatrix};
 
 use super::bend::BEND;
 use super::halves::{SplitEstimate, halves};
-use super::parts::{Known, known};
+use super::parts::known;
 use super::problem::{Blocks, Effort};
 use super::state::State;
 use super::{Axes, BoardShape, CameraImuConfig, Lenses, Readout};
@@ -62,20 +62,16 @@ impl State {
     pub fn uncertainty(&self, config: &CameraImuConfig) -> Result<Uncertainty, Error> {
         let (problem, blocks) = self.problem(config, Effort::of_uncertainty())?;
         let named = self.named(&blocks, config);
-        let asked = asked(&named, &blocks, config);
-        let Known {
-            covariance,
-            scatter,
-            bias,
-            delay_s,
-        } = known(
-            &problem,
-            &asked,
-            Some(blocks.accel_delay.id()),
-            &blocks.timed,
-        )?;
-        let factors = scatter.factors(bias.len());
-        let found = covariance.widened(&factors, &bias);
+        let ids = asked(&named, &blocks, config);
+        let delay = Some(blocks.accel_delay.id());
+        let known = known(&problem, &ids, delay, &blocks.timed)?;
+        // What two causes would move adds up like independent errors: they may as well not cancel.
+        let by_delay = self.moved_by_delay(config)?;
+        let by_field = &known.bias - &by_delay;
+        let unmodelled = by_delay.zip_map(&by_field, f64::hypot);
+        let factors = known.scatter.factors(known.bias.len());
+        let found = known.covariance.widened(&factors, &by_delay);
+        let found = found.widened(&[], &by_field);
         let sigmas = |block: BlockId| -> Vec<f64> {
             let own = found.between(block, block);
             own.map_or_else(Vec::new, |c| {
@@ -109,7 +105,7 @@ impl State {
             gyro_bias: vector(blocks.gyro_bias[middle].id()),
             accel_bias: vector(blocks.accel_bias[middle].id()),
             gravity: vector(blocks.gravity.id()),
-            accel_delay_s: delay_s,
+            accel_delay_s: known.delay_s,
             bend: found
                 .between(blocks.bend.id(), blocks.bend.id())
                 .map_or_else(SMatrix::zeros, |c| {
@@ -120,8 +116,17 @@ impl State {
                 .flat_map(sigmas)
                 .collect(),
             joint: rows_with_names(&named, found.joint()),
-            halves: self.halves(config, &bias)?,
+            halves: self.halves(config, &unmodelled)?,
         })
+    }
+
+    /// By how much the accelerometer's delay alone would move what is asked for, and the delay itself.
+    fn moved_by_delay(&self, config: &CameraImuConfig) -> Result<DVector<f64>, Error> {
+        let (problem, blocks) = self.problem(config, Effort::of_delay())?;
+        let named = self.named(&blocks, config);
+        let mut ids = asked(&named, &blocks, config);
+        ids.push(blocks.accel_delay.id());
+        Ok(influences(&problem, &ids, &[])?.step)
     }
 
     /// What either half of the recording finds by the models as they are.

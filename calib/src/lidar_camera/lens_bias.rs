@@ -11,6 +11,7 @@ use super::adjustment::adjust;
 use super::association::Joined;
 use super::solved::Solved;
 use super::{LidarCameraConfig, MountedBoard, Scene, board_view, summary};
+use crate::scatter::of_few;
 
 /// Poses without which a scatter says nothing.
 const MIN_LEFT_OUT: usize = 4;
@@ -68,7 +69,8 @@ fn jackknife(
     let count = found.len() as f64;
     let mean = found.iter().sum::<Vector6<f64>>() / count;
     let squares = found.iter().map(|one| (one - mean).map(|v| v * v));
-    Some(squares.sum::<Vector6<f64>>() * ((count - 1.0) / count))
+    let freedom = count - 1.0;
+    Some(squares.sum::<Vector6<f64>>() * (freedom / count * of_few(freedom)))
 }
 
 /// By how much the pose moves with the lens that the images have for themselves, as its tangent.
