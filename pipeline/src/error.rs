@@ -192,6 +192,28 @@ pub enum Error {
         /// Of these, refused.
         rejected: usize,
     },
+    /// Places found in the map explain the walk in more than one way.
+    #[error(
+        "{path}: {agreeing} places found in the map agree with the IMU, and {rival} others agree with it and one another somewhere else: the map has places that look alike, and this walk does not tell them apart; walk on to where the place is unmistakable, or map the other place too", path = path.display()
+    )]
+    AmbiguousPlace {
+        /// The recording.
+        path: PathBuf,
+        /// Localized frames of the best explanation.
+        agreeing: usize,
+        /// Localized frames of the next best that contradict it.
+        rival: usize,
+    },
+    /// A least-squares problem kept moving.
+    #[error(
+        "{stage}: no minimum after {iterations} iterations: raise solve.max_iterations, and check IMU axes, time stamps and intrinsics of the rig file"
+    )]
+    NotConverged {
+        /// What was solved.
+        stage: &'static str,
+        /// Iterations in all.
+        iterations: usize,
+    },
     /// The IMU leaves a time open that is to be integrated over.
     #[error(
         "no IMU samples from {from} s to {to} s: at most {longest_secs} s may be missing, record the IMU without pauses"

@@ -2,7 +2,7 @@
 
 use std::ops::ControlFlow;
 
-use lsfb_solver::{Problem, Report, SolveConfig, solve_controlled};
+use lsfb_solver::{Problem, Report, SolveConfig, Termination, solve_controlled};
 use lsfb_types::{Progress, ProgressFn};
 
 use crate::Error;
@@ -27,5 +27,34 @@ pub(crate) fn solve_or_stop(
         }
     })?;
     told?;
+    Ok(report)
+}
+
+/// Iterations after which a solve that still goes on is given up.
+const MOST_ITERATIONS: usize = 3000;
+
+/// [`solve_or_stop`], taken up again until it stops for another reason than the number of iterations: no result depends on that.
+/// [`Error::NotConverged`] where it never does.
+pub(crate) fn solve_until_converged(
+    stage: &'static str,
+    problem: &mut Problem,
+    config: &SolveConfig,
+    progress: ProgressFn<'_>,
+) -> Result<Report, Error> {
+    let mut report = solve_or_stop(stage, problem, config, progress)?;
+    while report.termination == Termination::MaxIterations {
+        if report.iterations >= MOST_ITERATIONS || config.max_iterations == 0 {
+            return Err(Error::NotConverged {
+                stage,
+                iterations: report.iterations,
+            });
+        }
+        let next = solve_or_stop(stage, problem, config, progress)?;
+        report = Report {
+            initial_cost: report.initial_cost,
+            iterations: report.iterations + next.iterations,
+            ..next
+        };
+    }
     Ok(report)
 }

@@ -21,9 +21,13 @@ pub struct GroundTruthConfig {
     pub localization: LocalizerConfig,
     /// Fewest frames that must be localized in the map.
     pub min_localized_frames: usize,
-    /// Standard deviation of a localized position, metres.
+    /// Least share of the localized frames that must agree with one another through the IMU.
+    pub min_agreeing_share: f64,
+    /// How many times as many localized frames must agree as with any other explanation of the walk that contradicts it.
+    pub min_rival_margin: f64,
+    /// Standard deviation of a localized position beyond what its matches say, metres.
     pub localization_sigma_m: f64,
-    /// Standard deviation of a localized attitude, radians.
+    /// Standard deviation of a localized attitude beyond what its matches say, radians.
     pub localization_sigma_rad: f64,
     /// Steps in frames over which features are followed.
     pub track_steps: Vec<usize>,
@@ -71,6 +75,8 @@ impl Default for GroundTruthConfig {
             triangulation: TriangulationConfig::default(),
             localization: LocalizerConfig::default(),
             min_localized_frames: 5,
+            min_agreeing_share: 0.3,
+            min_rival_margin: 2.0,
             localization_sigma_m: 0.03,
             localization_sigma_rad: 0.01,
             track_steps: vec![1, 3],
@@ -90,7 +96,13 @@ impl Default for GroundTruthConfig {
             min_map_points: 6,
             max_bridge_secs: 3.0,
             max_extrapolation_secs: 1.0,
-            solve: SolveConfig::default(),
+            solve: SolveConfig {
+                cost_tolerance: 1e-9,
+                // Neighbours are held together far more firmly than to the map: damping by a share of that would hold the
+                // whole.
+                initial_damping: 1e-12,
+                ..SolveConfig::default()
+            },
         }
     }
 }
@@ -102,6 +114,8 @@ lsfb_types::bounds! {
         triangulation: section,
         localization: section,
         min_localized_frames: number(Bounds::AtLeast(2.0)),
+        min_agreeing_share: number(Bounds::Within(0.0, 1.0)),
+        min_rival_margin: number(Bounds::AtLeast(1.0)),
         localization_sigma_m: number(Bounds::POSITIVE),
         localization_sigma_rad: number(Bounds::POSITIVE),
         track_steps: each(Bounds::AT_LEAST_ONE),

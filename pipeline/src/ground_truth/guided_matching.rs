@@ -42,6 +42,7 @@ pub(super) fn match_again(
     let mut added = 0;
     for (frame, observations) in walk.frames.iter_mut().zip(found) {
         added += observations.len();
+        frame.recognised.extend(&observations);
         frame.fixed.extend(observations);
     }
     added

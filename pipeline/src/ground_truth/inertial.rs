@@ -1,12 +1,12 @@
-//! First states of all frames: localized poses, joined and checked by the IMU.
+//! The blocks of one state, and what the IMU says of neighbours.
 
-use lsfb_geometry::{Se3, StampedPose, Trajectory, Vector3, so3};
-use lsfb_solver::{Block, Kernel, PosePrior, Problem, solve};
+use lsfb_geometry::{Se3, Vector3};
+use lsfb_solver::{Block, Kernel, Problem};
 
 use super::GroundTruthConfig;
 use super::walk::{State, Walk};
 use crate::Error;
-use crate::preintegration::{ImuBias, NavState, PreintegratedImu, standard_gravity_m_s2};
+use crate::preintegration::{ImuBias, Matrix9, NavState, PreintegratedImu, standard_gravity_m_s2};
 use crate::residuals::{BiasWalk, ImuPreintegration};
 
 /// Blocks of one state.
@@ -42,17 +42,19 @@ impl StateBlocks {
     }
 }
 
-/// Adds `h(C_i, C_i+1)` of eq. (5) for all neighbours, and what is known of the biases beforehand.
+/// Adds `h(C_i, C_i+1)` of eq. (5) for all neighbours, and what is known of the biases beforehand. The IMU is summed up with the
+/// biases that the blocks have now.
 pub(super) fn add_inertial_residuals(
     problem: &mut Problem,
     walk: &Walk,
     states: &[StateBlocks],
-    intervals: &[Option<PreintegratedImu>],
     config: &GroundTruthConfig,
 ) -> Result<(), Error> {
     let Some(first) = states.first() else {
         return Ok(());
     };
+    let now: Vec<State> = states.iter().map(|s| s.read(problem)).collect();
+    let intervals = walk.preintegrate(|k| now[k].bias)?;
     // The map is level only as far as its odometry knew: gravity may lean a little.
     let gravity = problem.add_block(standard_gravity_m_s2());
     for (block, known, sigma) in [
@@ -90,7 +92,8 @@ pub(super) fn add_inertial_residuals(
             };
             problem.add_residual(wander, &[from.id(), to.id()], Kernel::Squared)?;
         }
-        if let Some(residual) = interval.clone().and_then(ImuPreintegration::new) {
+        let interval = interval.unwrap_or_else(|| any_motion(&now[k], duration_secs));
+        if let Some(residual) = ImuPreintegration::new(interval) {
             let blocks = [
                 a.pose.id(),
                 a.velocity.id(),
@@ -106,121 +109,28 @@ pub(super) fn add_inertial_residuals(
     Ok(())
 }
 
-/// States that agree with the IMU and with most localized poses.
-pub(super) struct InertialStart {
-    pub states: Vec<State>,
-    pub rejected_localizations: usize,
-}
+/// Standard deviations of how a body moves of which nothing was measured: turns, rad/s, and accelerates, m/s².
+pub(super) const ANY_TURN_RAD_S: f64 = 2.0;
+pub(super) const ANY_ACCELERATION_M_S2: f64 = 3.0;
 
-/// Solves for the states with robust localized poses; takes those that do not fit out of the walk, with their
-/// observations, and solves again.
-pub(super) fn start_states(
-    walk: &mut Walk,
-    config: &GroundTruthConfig,
-) -> Result<InertialStart, Error> {
-    let mut states = guess(walk);
-    let mut rejected_localizations = 0;
-    loop {
-        let intervals = walk.preintegrate(|k| states[k].bias)?;
-        states = fit(walk, &states, &intervals, config)?;
-        let mut rejected = 0;
-        for (frame, state) in walk.frames.iter_mut().zip(&states) {
-            if let Some(localized) = frame.localized
-                && !agrees(&localized, &state.nav.world_from_rig, config)
-            {
-                frame.localized = None;
-                frame.fixed.clear();
-                rejected += 1;
-            }
+/// What is known where the IMU says nothing: a body goes on as it did, more or less.
+fn any_motion(from: &State, duration_secs: f64) -> PreintegratedImu {
+    let resting = from.nav.world_from_rig.rotation.inverse() * -standard_gravity_m_s2();
+    let mut motion = PreintegratedImu::nothing(from.bias);
+    motion.duration_secs = duration_secs;
+    motion.velocity_m_s = resting * duration_secs;
+    motion.position_m = resting * (0.5 * duration_secs * duration_secs);
+    let sigmas = [
+        ANY_TURN_RAD_S * duration_secs,
+        ANY_ACCELERATION_M_S2 * duration_secs,
+        0.5 * ANY_ACCELERATION_M_S2 * duration_secs * duration_secs,
+    ];
+    motion.covariance = Matrix9::from_fn(|row, column| {
+        if row == column {
+            sigmas[row / 3].powi(2)
+        } else {
+            0.0
         }
-        rejected_localizations += rejected;
-        if rejected == 0 {
-            return Ok(InertialStart {
-                states,
-                rejected_localizations,
-            });
-        }
-    }
-}
-
-/// Within four standard deviations in rotation and in translation.
-fn agrees(localized: &Se3, fitted: &Se3, config: &GroundTruthConfig) -> bool {
-    let error = localized.inverse() * *fitted;
-    so3::log(&error.rotation).norm() <= 4.0 * config.localization_sigma_rad
-        && error.translation.norm() <= 4.0 * config.localization_sigma_m
-}
-
-/// Poses on lines between the localized ones, velocities from them, no bias.
-fn guess(walk: &Walk) -> Vec<State> {
-    let known = Trajectory::new(
-        walk.frames
-            .iter()
-            .filter_map(|frame| {
-                Some(StampedPose {
-                    time: frame.time,
-                    world_from_rig: frame.localized?,
-                })
-            })
-            .collect(),
-    );
-    let poses: Vec<Se3> = walk
-        .frames
-        .iter()
-        .map(|frame| {
-            let end = if known.poses().first().is_some_and(|p| frame.time < p.time) {
-                known.poses().first()
-            } else {
-                known.poses().last()
-            };
-            known
-                .at(frame.time)
-                .or(end.map(|p| p.world_from_rig))
-                .unwrap_or(Se3::identity())
-        })
-        .collect();
-    (0..poses.len())
-        .map(|k| {
-            let (before, after) = (k.saturating_sub(1), (k + 1).min(poses.len() - 1));
-            let span = walk.frames[after].time.secs_since(walk.frames[before].time);
-            let moved = poses[after].translation - poses[before].translation;
-            let velocity_m_s = if span > 0.0 {
-                moved / span
-            } else {
-                Vector3::zeros()
-            };
-            State {
-                nav: NavState {
-                    world_from_rig: poses[k],
-                    velocity_m_s,
-                },
-                bias: ImuBias::default(),
-            }
-        })
-        .collect()
-}
-
-fn fit(
-    walk: &Walk,
-    states: &[State],
-    intervals: &[Option<PreintegratedImu>],
-    config: &GroundTruthConfig,
-) -> Result<Vec<State>, Error> {
-    let mut problem = Problem::new();
-    let blocks: Vec<StateBlocks> = states
-        .iter()
-        .map(|state| StateBlocks::add(&mut problem, state))
-        .collect();
-    for (frame, state) in walk.frames.iter().zip(&blocks) {
-        if let Some(localized) = frame.localized {
-            let prior = PosePrior::isotropic(
-                localized,
-                config.localization_sigma_rad,
-                config.localization_sigma_m,
-            );
-            problem.add_residual(prior, &[state.pose.id()], Kernel::Cauchy { scale: 2.0 })?;
-        }
-    }
-    add_inertial_residuals(&mut problem, walk, &blocks, intervals, config)?;
-    solve(&mut problem, &config.solve)?;
-    Ok(blocks.iter().map(|b| b.read(&problem)).collect())
+    });
+    motion
 }

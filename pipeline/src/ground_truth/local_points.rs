@@ -146,6 +146,7 @@ impl LocalTracks {
                     frame: image / cameras,
                     camera: image % cameras,
                     pixel: features[image].keypoints[k.keypoint as usize].pixel_f64(),
+                    used: true,
                 });
             }
             selected.push(observations);

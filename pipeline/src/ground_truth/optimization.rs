@@ -1,5 +1,6 @@
 //! The batch problem of eq. (5) over all frames.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use lsfb_geometry::Vector2;
@@ -8,10 +9,10 @@ use lsfb_types::ProgressFn;
 
 use super::GroundTruthConfig;
 use super::inertial::{StateBlocks, add_inertial_residuals};
-use super::walk::{FixedObservation, LocalObservation, LocalPoint, State, Walk};
+use super::walk::{FixedObservation, Frame, LocalObservation, LocalPoint, State, Walk};
 use crate::Error;
 use crate::residuals::{FixedPointReprojection, ObservingCamera, Reprojection};
-use crate::solve::solve_or_stop;
+use crate::solve::solve_until_converged;
 
 /// States and local points after a solve.
 pub(super) struct Optimized {
@@ -49,9 +50,13 @@ pub(super) fn optimize(
     }
     let mut point_blocks = Vec::with_capacity(points.len());
     for point in points {
+        if !point.is_determined() {
+            point_blocks.push(None);
+            continue;
+        }
         let block = problem.add_eliminated_point(point.point_in_world);
-        point_blocks.push(block);
-        for seen in &point.observations {
+        point_blocks.push(Some(block));
+        for seen in point.observations.iter().filter(|seen| seen.used) {
             let residual = Reprojection {
                 camera: walk.cameras[seen.camera].clone(),
                 pixel: seen.pixel,
@@ -61,16 +66,15 @@ pub(super) fn optimize(
             problem.add_residual(residual, &[pose.id(), block.id()], kernel)?;
         }
     }
-    let intervals = walk.preintegrate(|k| states[k].bias)?;
-    add_inertial_residuals(&mut problem, walk, &blocks, &intervals, config)?;
-    let report = solve_or_stop("bundle adjustment", &mut problem, &config.solve, progress)?;
+    add_inertial_residuals(&mut problem, walk, &blocks, config)?;
+    let report = solve_until_converged("bundle adjustment", &mut problem, &config.solve, progress)?;
     Ok(Optimized {
         states: blocks.iter().map(|b| b.read(&problem)).collect(),
         points: points
             .iter()
             .zip(point_blocks)
             .map(|(point, block)| LocalPoint {
-                point_in_world: problem.value(block),
+                point_in_world: block.map_or(point.point_in_world, |b| problem.value(b)),
                 observations: point.observations.clone(),
             })
             .collect(),
@@ -104,32 +108,60 @@ fn distance(found: Option<Vector2<f64>>, seen: &Vector2<f64>) -> f64 {
     found.map_or(f64::INFINITY, |pixel| (pixel - seen).norm())
 }
 
-/// Takes out of walk and points what lies farther than the gate from where it should be; points with fewer than two
-/// sights left go too. Returns the number of observations taken out.
-pub(super) fn drop_outliers(
+/// Uses of what was recognised and followed that which now lies within the gate of where it should be, whether it was used
+/// before or not; in each image each keypoint and each point of the map once, at the smaller error. Returns how many
+/// observations came or went.
+pub(super) fn choose_observations(
     walk: &mut Walk,
     states: &[State],
-    points: &mut Vec<LocalPoint>,
+    points: &mut [LocalPoint],
     config: &GroundTruthConfig,
 ) -> usize {
-    let mut dropped = 0;
-    let Walk {
-        cameras, frames, ..
-    } = walk;
-    for (frame, state) in frames.iter_mut().zip(states) {
-        let before = frame.fixed.len();
-        frame
-            .fixed
-            .retain(|seen| fixed_error_px(cameras, state, seen) <= config.max_error_px);
-        dropped += before - frame.fixed.len();
+    let mut changed = 0;
+    for (frame, state) in walk.frames.iter_mut().zip(states) {
+        let within = within_gate(&walk.cameras, state, frame, config);
+        let came = within.iter().filter(|seen| !frame.fixed.contains(seen));
+        changed += came.count();
+        let went = frame.fixed.iter().filter(|seen| !within.contains(seen));
+        changed += went.count();
+        frame.fixed = within;
     }
     for point in points.iter_mut() {
-        let copy = point.clone();
-        point
-            .observations
-            .retain(|seen| local_error_px(walk, states, &copy, seen) <= config.max_error_px);
-        dropped += copy.observations.len() - point.observations.len();
+        for k in 0..point.observations.len() {
+            let error_px = local_error_px(walk, states, point, &point.observations[k]);
+            let used = error_px <= config.max_error_px;
+            changed += usize::from(used != point.observations[k].used);
+            point.observations[k].used = used;
+        }
     }
-    points.retain(|point| point.observations.len() >= 2);
-    dropped
+    changed
+}
+
+/// Of what a frame recognised, that which lies where it should be.
+pub(super) fn within_gate(
+    cameras: &[Arc<ObservingCamera>],
+    state: &State,
+    frame: &Frame,
+    config: &GroundTruthConfig,
+) -> Vec<FixedObservation> {
+    let mut near: Vec<(f64, FixedObservation)> = frame
+        .recognised
+        .iter()
+        .map(|seen| (fixed_error_px(cameras, state, seen), *seen))
+        .filter(|(error_px, _)| *error_px <= config.max_error_px)
+        .collect();
+    near.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+    let mut chosen: Vec<FixedObservation> = Vec::with_capacity(near.len());
+    let (mut keypoints, mut points) = (BTreeSet::new(), BTreeSet::new());
+    for (_, seen) in near {
+        let free = !keypoints.contains(&(seen.camera, seen.keypoint))
+            && !points.contains(&(seen.camera, seen.point));
+        if free {
+            keypoints.insert((seen.camera, seen.keypoint));
+            points.insert((seen.camera, seen.point));
+            chosen.push(seen);
+        }
+    }
+    chosen.sort_by_key(|seen| (seen.camera, seen.keypoint));
+    chosen
 }

@@ -67,6 +67,8 @@ pub struct GroundTruthReport {
     pub localized: u64,
     /// Localizations that disagreed with the IMU and the others, and were dropped.
     pub rejected_localizations: u64,
+    /// Those among them that agree with the IMU and with one another at another place: the next best explanation of the walk.
+    pub rival_localizations: u64,
     /// Frames in the trajectory.
     pub poses: u64,
     /// Frames in the trajectory that see too few map points to be placed alone: IMU and local points carry them.
@@ -75,7 +77,7 @@ pub struct GroundTruthReport {
     pub left_out: Vec<Span>,
     /// Observations of map points added by the search after the first solve.
     pub guided_matching: u64,
-    /// Observations taken out because they were too far from where they should be.
+    /// Observations not used because they are too far from where they should be.
     pub outliers: u64,
     /// Local points.
     pub local_points: u64,
@@ -123,6 +125,7 @@ pub(super) fn local_errors(
         point
             .observations
             .iter()
+            .filter(|seen| seen.used)
             .map(move |seen| local_error_px(walk, states, point, seen))
     }))
 }

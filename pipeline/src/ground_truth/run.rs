@@ -4,9 +4,9 @@ use lsfb_geometry::{ImuNoiseModel, StampedPose, Trajectory};
 use lsfb_recording::Recording;
 use lsfb_types::ProgressFn;
 
-use super::inertial::start_states;
 use super::report::{local_errors, map_errors};
-use super::walk::{FixedObservation, Frame, State, Walk};
+use super::start::{Start, start_states};
+use super::walk::{FixedObservation, Frame, LocalPoint, LocalizedPose, State, Walk};
 use super::{GroundTruth, GroundTruthConfig, GroundTruthReport, Solved, Span, solve_walk};
 use crate::Error;
 use crate::frames::{FeatureFrame, read_frames, read_imu};
@@ -67,16 +67,8 @@ pub fn ground_truth(
         imu,
         noise: inflated(noise, config.imu_noise_factor),
     };
-    let start = start_states(&mut walk, config)?;
-    let rejected = start.rejected_localizations;
-    // Places found by chance contradict one another: most of them is no longer chance.
-    if 2 * rejected > count || count - rejected < config.min_localized_frames {
-        return Err(Error::MapDisagrees {
-            path: recording.path().to_owned(),
-            localized: count,
-            rejected,
-        });
-    }
+    let start = start_states(&walk, config, progress)?;
+    let start = accepted(start, count, recording, config)?;
     let solved = solve_walk(&mut walk, &start, &features, config, progress)?;
 
     let trusted = trusted(&walk, &solved.states, config);
@@ -85,9 +77,40 @@ pub fn ground_truth(
     report.frames = read.frames.len() as u64;
     report.features = read.frames.iter().map(FeatureFrame::feature_count).sum();
     report.localized = count as u64;
-    report.rejected_localizations = rejected as u64;
+    report.rejected_localizations = (count - start.accepted_count) as u64;
+    report.rival_localizations = start.rival_count as u64;
     warn(&mut report, &read.frames, &range, read.damaged);
     Ok(GroundTruth { trajectory, report })
+}
+
+/// The start, where enough agrees with it and not half as much with another.
+fn accepted(
+    start: Option<Start>,
+    localized: usize,
+    recording: &Recording,
+    config: &GroundTruthConfig,
+) -> Result<Start, Error> {
+    let path = || recording.path().to_owned();
+    let agreeing = start.as_ref().map_or(0, |start| start.accepted_count);
+    let needed = config.min_agreeing_share * localized as f64;
+    match start {
+        Some(start) if agreeing >= config.min_localized_frames && agreeing as f64 >= needed => {
+            let rival = start.rival_count;
+            if (agreeing as f64) < config.min_rival_margin * rival as f64 {
+                return Err(Error::AmbiguousPlace {
+                    path: path(),
+                    agreeing,
+                    rival,
+                });
+            }
+            Ok(start)
+        }
+        _ => Err(Error::MapDisagrees {
+            path: path(),
+            localized,
+            rejected: localized - agreeing,
+        }),
+    }
 }
 
 fn inflated(noise: &ImuNoiseModel, factor: f64) -> ImuNoiseModel {
@@ -117,8 +140,12 @@ fn frame_of(frame: &FeatureFrame, found: Option<&Localization>, map: &HdMap) -> 
     let fixed = found.into_iter().flat_map(|found| &found.matches);
     Frame {
         time: frame.time,
-        localized: found.map(|found| found.world_from_rig),
-        fixed: fixed
+        localized: found.map(|found| LocalizedPose {
+            world_from_rig: found.world_from_rig,
+            covariance: found.covariance,
+        }),
+        fixed: Vec::new(),
+        recognised: fixed
             .filter_map(|m| {
                 let keypoint = frame.features[m.frame]
                     .features
@@ -201,12 +228,13 @@ fn report(
         features: 0,
         localized: 0,
         rejected_localizations: 0,
+        rival_localizations: 0,
         poses: trusted.poses.len() as u64,
         bridged: trusted.bridged as u64,
         left_out: trusted.left_out.clone(),
         guided_matching: solved.guided_matching as u64,
-        outliers: solved.outliers as u64,
-        local_points: last.points.len() as u64,
+        outliers: not_used(walk, &last.points) as u64,
+        local_points: last.points.iter().filter(|p| p.is_determined()).count() as u64,
         map_errors: map_errors(walk, states),
         local_errors: local_errors(walk, states, &last.points),
         imu_samples: walk.imu.len() as u64,
@@ -220,6 +248,15 @@ fn report(
         path_length_m: trajectory.path_length_m(),
         warnings: Vec::new(),
     })
+}
+
+pub(super) fn not_used(walk: &Walk, points: &[LocalPoint]) -> usize {
+    let of_map = walk
+        .frames
+        .iter()
+        .map(|f| f.recognised.len() - f.fixed.len());
+    let local = points.iter().flat_map(|p| &p.observations);
+    of_map.sum::<usize>() + local.filter(|seen| !seen.used).count()
 }
 
 fn warn(

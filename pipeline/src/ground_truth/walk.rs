@@ -1,6 +1,6 @@
 use std::sync::Arc;
 
-use lsfb_geometry::{ImuNoiseModel, Se3, Vector2, Vector3};
+use lsfb_geometry::{ImuNoiseModel, Matrix6, Se3, Vector2, Vector3};
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 
 use crate::Error;
@@ -23,9 +23,19 @@ pub(super) struct Walk {
 pub(super) struct Frame {
     pub time: Timestamp,
     /// Pose by visual localization alone, where it succeeded.
-    pub localized: Option<Se3>,
-    /// Points of the HD map seen here.
+    pub localized: Option<LocalizedPose>,
+    /// Points of the HD map that were recognised here, rightly or not.
+    pub recognised: Vec<FixedObservation>,
+    /// Those of them that the optimisation uses.
     pub fixed: Vec<FixedObservation>,
+}
+
+/// What visual localization says about one instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct LocalizedPose {
+    pub world_from_rig: Se3,
+    /// Covariance, tangent `[rotation, translation]` on the right, rad² and m².
+    pub covariance: Matrix6<f64>,
 }
 
 /// A point of the HD map in an image.
@@ -53,6 +63,15 @@ pub(super) struct LocalObservation {
     pub frame: usize,
     pub camera: usize,
     pub pixel: Vector2<f64>,
+    /// Whether the optimisation uses it.
+    pub used: bool,
+}
+
+impl LocalPoint {
+    /// Whether it is seen often enough to say where it is.
+    pub fn is_determined(&self) -> bool {
+        self.observations.iter().filter(|seen| seen.used).count() >= 2
+    }
 }
 
 /// What is searched at each frame: `C_i` of eq. (5).
@@ -63,6 +82,12 @@ pub(super) struct State {
 }
 
 impl Walk {
+    /// Whether the IMU measured all of each interval between neighbouring frames.
+    pub fn is_covered_by_imu(&self) -> Result<Vec<bool>, Error> {
+        let intervals = self.preintegrate(|_| ImuBias::default())?;
+        Ok(intervals.iter().map(Option::is_some).collect())
+    }
+
     /// Sums the IMU up between neighbouring frames, with the bias of the first of each; `None` where samples are missing.
     pub fn preintegrate(
         &self,

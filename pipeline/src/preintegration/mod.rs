@@ -121,8 +121,8 @@ impl Reading {
 const LONGEST_PAUSE_SECS: f64 = 0.05;
 
 impl PreintegratedImu {
-    /// Nothing yet, at the beginning.
-    fn start(bias: ImuBias) -> Self {
+    /// No time at all: where summing begins.
+    pub(crate) fn nothing(bias: ImuBias) -> Self {
         Self {
             duration_secs: 0.0,
             rotation: UnitQuaternion::identity(),
@@ -162,7 +162,7 @@ impl PreintegratedImu {
             .collect();
         check_coverage(&readings, start, end)?;
 
-        let mut sum = Self::start(bias);
+        let mut sum = Self::nothing(bias);
         for (k, pair) in readings.windows(2).enumerate() {
             // The first and last pieces are held where the samples begin or stop just inside.
             let from = if k == 0 { start } else { pair[0].time };

@@ -1,20 +1,21 @@
 //! A walk made up in memory: true motion, IMU, points with descriptors, and all the mistakes a real one has.
 
+mod consensus;
 mod recorded;
 
 use std::sync::Arc;
 
 use lsfb_geometry::{
-    Camera, ImuNoiseModel, Matrix3, RigCamera, Se3, UnitQuaternion, Vector2, Vector3, camera::Lens,
-    so3,
+    Camera, ImuNoiseModel, Matrix3, Matrix6, RigCamera, Se3, UnitQuaternion, Vector2, Vector3,
+    camera::Lens, so3,
 };
 use lsfb_types::{ImuSample, Stamped, Timestamp, no_progress};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::inertial::start_states;
-use super::run::trusted;
-use super::walk::{FixedObservation, Frame, Walk};
+use super::run::{not_used, trusted};
+use super::start::{Start, start_states};
+use super::walk::{FixedObservation, Frame, LocalizedPose, Walk};
 use super::*;
 use crate::features::{DESCRIPTOR_LEN, Keypoint};
 use crate::preintegration::standard_gravity_m_s2;
@@ -179,8 +180,12 @@ fn make_walk(map: usize, local: usize, seen_in_map: impl Fn(usize) -> bool) -> M
         let off = Se3::new(so3::exp(&rng.vector(0.004)), rng.vector(0.012));
         frames.push(Frame {
             time: Timestamp::from_nanos((t * 1e9).round() as i64),
-            localized: seen_in_map(k).then(|| pose * off),
-            fixed,
+            localized: seen_in_map(k).then(|| LocalizedPose {
+                world_from_rig: pose * off,
+                covariance: Matrix6::zeros(),
+            }),
+            fixed: Vec::new(),
+            recognised: fixed,
         });
     }
     MadeUp {
@@ -192,6 +197,11 @@ fn make_walk(map: usize, local: usize, seen_in_map: impl Fn(usize) -> bool) -> M
         },
         features,
     }
+}
+
+fn started(walk: &Walk, config: &GroundTruthConfig) -> Start {
+    let start = start_states(walk, config, &no_progress).expect("solves");
+    start.expect("localized poses agree")
 }
 
 struct Errors {
@@ -226,22 +236,28 @@ fn a_walk_with_wrong_matches_false_places_and_a_blind_stretch() {
     // Two false localizations, consistent in themselves.
     for k in [20, 80] {
         let elsewhere = Se3::new(Default::default(), Vector3::new(1.0, -0.5, 0.2));
-        walk.frames[k].localized = Some(elsewhere * truth(k as f64 * FRAME_SECS));
-        for seen in &mut walk.frames[k].fixed {
+        let localized = walk.frames[k].localized.as_mut().expect("localized");
+        localized.world_from_rig = elsewhere * truth(k as f64 * FRAME_SECS);
+        for seen in &mut walk.frames[k].recognised {
             seen.point_in_world = elsewhere * seen.point_in_world;
         }
     }
-    let before: usize = walk.frames.iter().map(|f| f.fixed.len()).sum();
+    let before: usize = walk.frames.iter().map(|f| f.recognised.len()).sum();
     let config = GroundTruthConfig::default();
-    let start = start_states(&mut walk, &config).expect("starts");
+    let start = started(&walk, &config);
     let solved = solve_walk(&mut walk, &start, &features, &config, &no_progress).expect("solves");
 
     let found = errors(&walk, &solved.states);
     assert!(found.rms_m < 0.002, "rms {} m", found.rms_m);
     assert!(found.worst_m < 0.006, "worst {} m", found.worst_m);
     assert!(found.worst_rad < 0.003, "worst {} rad", found.worst_rad);
-    assert_eq!(start.rejected_localizations, 2);
-    assert!(solved.outliers > 50, "{} outliers", solved.outliers);
+    // All but the false ones and those of the blind stretch.
+    assert_eq!(
+        (start.accepted_count, start.rival_count),
+        (FRAMES - 20 - 2, 0)
+    );
+    let outliers = not_used(&walk, &solved.last.points);
+    assert!(outliers > 50, "{outliers} outliers");
     assert!(
         solved.last.points.len() > 50,
         "{} local points",
@@ -281,7 +297,7 @@ fn local_points_and_imu_carry_a_stretch_the_map_does_not_know() {
         }
     }
     let config = GroundTruthConfig::default();
-    let start = start_states(&mut walk, &config).expect("starts");
+    let start = started(&walk, &config);
     let solved = solve_walk(&mut walk, &start, &features, &config, &no_progress).expect("solves");
     let found = errors(&walk, &solved.states);
     assert!(found.worst_m < 0.1, "worst {} m after 4 s", found.worst_m);
@@ -305,7 +321,7 @@ fn same_bits_on_any_number_of_threads() {
             walk.frames.truncate(30);
             let config = GroundTruthConfig::default();
             let features = &features[..60];
-            let start = start_states(&mut walk, &config).expect("starts");
+            let start = started(&walk, &config);
             solve_walk(&mut walk, &start, features, &config, &no_progress)
                 .expect("solves")
                 .states
