@@ -6,6 +6,7 @@ use crate::features::SiftConfig;
 use crate::features::matching::MatchConfig;
 use crate::features::triangulation::TriangulationConfig;
 use crate::localization::LocalizerConfig;
+use crate::residuals::{CameraCorrection, entry};
 
 /// Parameters of the ground truth of a walk.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -53,6 +54,16 @@ pub struct GroundTruthConfig {
     pub accel_bias_sigma_m_s2: f64,
     /// Standard deviation of gravity in the map, in size and direction, m/s².
     pub gravity_sigma_m_s2: f64,
+    /// Standard deviation of the cameras' attitudes in the rig file, radians.
+    pub extrinsics_sigma_rad: f64,
+    /// Standard deviation of the cameras' positions in the rig file, metres.
+    pub extrinsics_sigma_m: f64,
+    /// Standard deviation of focal lengths in the rig file, as a share of them.
+    pub focal_sigma: f64,
+    /// Standard deviation of the cameras' clocks in the rig file, seconds.
+    pub camera_clock_sigma_s: f64,
+    /// Standard deviation of readout times in the rig file, seconds: many do not state them, and mean zero by it.
+    pub readout_sigma_s: f64,
     /// Map points recognised this long before or after are looked for again, seconds.
     pub guided_matching_window_secs: f64,
     /// How far from the predicted pixel they are looked for, pixels.
@@ -63,6 +74,8 @@ pub struct GroundTruthConfig {
     pub max_bridge_secs: f64,
     /// Longest such stretch at the beginning and end, seconds.
     pub max_extrapolation_secs: f64,
+    /// Largest standard deviation of a position that is exported, metres.
+    pub max_position_sigma_m: f64,
     /// The solver.
     pub solve: SolveConfig,
 }
@@ -91,11 +104,17 @@ impl Default for GroundTruthConfig {
             gyro_bias_sigma_rad_s: 0.05,
             accel_bias_sigma_m_s2: 0.3,
             gravity_sigma_m_s2: 0.05,
+            extrinsics_sigma_rad: 2e-3,
+            extrinsics_sigma_m: 2e-3,
+            focal_sigma: 2e-3,
+            camera_clock_sigma_s: 2e-3,
+            readout_sigma_s: 0.02,
             guided_matching_window_secs: 1.0,
             guided_matching_radius_px: 4.0,
             min_map_points: 6,
             max_bridge_secs: 3.0,
             max_extrapolation_secs: 1.0,
+            max_position_sigma_m: 0.05,
             solve: SolveConfig {
                 cost_tolerance: 1e-9,
                 // Neighbours are held together far more firmly than to the map: damping by a share of that would hold the
@@ -130,11 +149,34 @@ lsfb_types::bounds! {
         gyro_bias_sigma_rad_s: number(Bounds::POSITIVE),
         accel_bias_sigma_m_s2: number(Bounds::POSITIVE),
         gravity_sigma_m_s2: number(Bounds::POSITIVE),
+        extrinsics_sigma_rad: number(Bounds::POSITIVE),
+        extrinsics_sigma_m: number(Bounds::POSITIVE),
+        focal_sigma: number(Bounds::POSITIVE),
+        camera_clock_sigma_s: number(Bounds::POSITIVE),
+        readout_sigma_s: number(Bounds::POSITIVE),
         guided_matching_window_secs: number(Bounds::NOT_NEGATIVE),
         guided_matching_radius_px: number(Bounds::POSITIVE),
         min_map_points: any,
         max_bridge_secs: number(Bounds::NOT_NEGATIVE),
         max_extrapolation_secs: number(Bounds::NOT_NEGATIVE),
+        max_position_sigma_m: number(Bounds::POSITIVE),
         solve: section,
+    }
+}
+
+impl GroundTruthConfig {
+    /// Standard deviations of what the rig file says of a camera, entry by entry.
+    pub(super) fn calibration_sigmas(&self) -> CameraCorrection {
+        let mut sigmas = CameraCorrection::zeros();
+        sigmas
+            .fixed_rows_mut::<3>(entry::TURN)
+            .fill(self.extrinsics_sigma_rad);
+        sigmas
+            .fixed_rows_mut::<3>(entry::SHIFT)
+            .fill(self.extrinsics_sigma_m);
+        sigmas[entry::FOCAL] = self.focal_sigma;
+        sigmas[entry::CLOCK] = self.camera_clock_sigma_s;
+        sigmas[entry::READOUT] = self.readout_sigma_s;
+        sigmas
     }
 }

@@ -32,7 +32,7 @@ pub(super) fn consistent_sets(
     walk: &Walk,
     config: &GroundTruthConfig,
 ) -> Result<Vec<Vec<usize>>, Error> {
-    let intervals = walk.preintegrate(|_| ImuBias::default())?;
+    let intervals = walk.preintegrate(0..walk.frames.len(), |_| ImuBias::default())?;
     let localized: Vec<usize> = (0..walk.frames.len())
         .filter(|k| walk.frames[*k].localized.is_some())
         .collect();

@@ -6,7 +6,8 @@ use lsfb_geometry::Vector3;
 use rayon::prelude::*;
 
 use super::GroundTruthConfig;
-use super::walk::{FixedObservation, State, Walk};
+use super::estimate::Estimate;
+use super::walk::{FixedObservation, Walk};
 use crate::features::matching::{Prediction, match_projected};
 use crate::features::{Descriptor, Features, KeypointGrid};
 
@@ -24,7 +25,7 @@ const LOOKS: usize = 4;
 /// numbered `frame * cameras + camera`. Returns how many were added.
 pub(super) fn match_again(
     walk: &mut Walk,
-    states: &[State],
+    estimate: &Estimate,
     features: &[Features],
     config: &GroundTruthConfig,
 ) -> usize {
@@ -34,7 +35,7 @@ pub(super) fn match_again(
             let candidates = candidates(walk, features, frame, config);
             (0..walk.cameras.len())
                 .flat_map(|camera| {
-                    search_image(walk, states, features, frame, camera, &candidates, config)
+                    search_image(walk, estimate, features, frame, camera, &candidates, config)
                 })
                 .collect()
         })
@@ -83,7 +84,7 @@ fn candidates(
 
 fn search_image(
     walk: &Walk,
-    states: &[State],
+    estimate: &Estimate,
     features: &[Features],
     frame: usize,
     camera: usize,
@@ -97,13 +98,12 @@ fn search_image(
         .iter()
         .filter(|seen| seen.camera == camera)
         .collect();
-    let pose = &states[frame].nav.world_from_rig;
     let (mut points, mut predictions) = (Vec::new(), Vec::new());
     for (point, candidate) in candidates {
         if have.iter().any(|seen| seen.point == *point) {
             continue;
         }
-        if let Some(pixel) = walk.cameras[camera].project(pose, &candidate.point_in_world)
+        if let Some(pixel) = estimate.project(frame, camera, &candidate.point_in_world)
             && lens.contains(&pixel, 0.0)
         {
             points.push((*point, candidate.point_in_world));

@@ -42,11 +42,12 @@ impl StateBlocks {
     }
 }
 
-/// Adds `h(C_i, C_i+1)` of eq. (5) for all neighbours, and what is known of the biases beforehand. The IMU is summed up with the
-/// biases that the blocks have now.
+/// Adds `h(C_i, C_i+1)` of eq. (5) for all neighbours among some frames, from the first on, and what is known of the biases
+/// beforehand. The IMU is summed up with the biases that the blocks have now.
 pub(super) fn add_inertial_residuals(
     problem: &mut Problem,
     walk: &Walk,
+    first_frame: usize,
     states: &[StateBlocks],
     config: &GroundTruthConfig,
 ) -> Result<(), Error> {
@@ -54,7 +55,8 @@ pub(super) fn add_inertial_residuals(
         return Ok(());
     };
     let now: Vec<State> = states.iter().map(|s| s.read(problem)).collect();
-    let intervals = walk.preintegrate(|k| now[k].bias)?;
+    let frames = first_frame..first_frame + states.len();
+    let intervals = walk.preintegrate(frames, |k| now[k - first_frame].bias)?;
     // The map is level only as far as its odometry knew: gravity may lean a little.
     let gravity = problem.add_block(standard_gravity_m_s2());
     for (block, known, sigma) in [
@@ -81,7 +83,10 @@ pub(super) fn add_inertial_residuals(
     }
     for (k, (pair, interval)) in states.windows(2).zip(intervals).enumerate() {
         let [a, b] = [pair[0], pair[1]];
-        let duration_secs = walk.frames[k + 1].time.secs_since(walk.frames[k].time);
+        let frame = first_frame + k;
+        let duration_secs = walk.frames[frame + 1]
+            .time
+            .secs_since(walk.frames[frame].time);
         for (from, to, walk_per_sqrt_s) in [
             (a.gyro_bias, b.gyro_bias, walk.noise.gyro_bias_walk),
             (a.accel_bias, b.accel_bias, walk.noise.accel_bias_walk),

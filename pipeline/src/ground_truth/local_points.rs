@@ -4,12 +4,13 @@ use std::cmp::Reverse;
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use lsfb_geometry::{Se3, Vector3};
+use lsfb_geometry::{Se3, Vector2, Vector3};
 use lsfb_types::{Progress, ProgressFn, Stopped};
 use rayon::prelude::*;
 
 use super::GroundTruthConfig;
-use super::walk::{LocalObservation, LocalPoint, State, Walk};
+use super::estimate::Estimate;
+use super::walk::{LocalObservation, LocalPoint, Walk};
 use crate::features::Features;
 use crate::features::matching::{DescriptorSet, RayFeatures, match_epipolar};
 use crate::features::tracks::{ImagePair, Track, TrackedKeypoint, build_tracks};
@@ -22,10 +23,18 @@ pub(super) struct MatchableImage {
 }
 
 impl MatchableImage {
-    /// A feature outside the lens model gets a ray of zeros, which matches nothing.
-    pub fn new(walk: &Walk, camera: usize, features: &Features) -> Self {
-        let lens = walk.cameras[camera].camera();
-        let ray = |pixel| lens.unproject(&pixel).unwrap_or(Vector3::zeros());
+    /// Rays as the camera would see them were all rows exposed with the middle one: turned by what the rig turned between. A
+    /// feature outside the lens model gets a ray of zeros, which matches nothing.
+    pub fn new(estimate: &Estimate, frame: usize, camera: usize, features: &Features) -> Self {
+        let lens = estimate.cameras[camera].camera();
+        let camera_from_world = camera_pose(estimate, frame, camera).rotation.inverse();
+        let ray = |pixel: Vector2<f64>| {
+            let Some(ray) = lens.unproject(&pixel) else {
+                return Vector3::zeros();
+            };
+            let then = estimate.world_from_camera(frame, camera, pixel.y);
+            camera_from_world * (then.rotation * ray)
+        };
         Self {
             descriptors: DescriptorSet::new(&features.descriptors),
             rays: features
@@ -45,13 +54,13 @@ impl LocalTracks {
     /// joins the matches. Images are numbered `frame * cameras + camera`.
     pub fn follow(
         walk: &Walk,
-        states: &[State],
+        estimate: &Estimate,
         images: &[MatchableImage],
         config: &GroundTruthConfig,
         progress: ProgressFn<'_>,
     ) -> Result<Self, Stopped> {
         let cameras = walk.cameras.len();
-        let pose = |image: usize| camera_pose(walk, states, image / cameras, image % cameras);
+        let pose = |image: usize| camera_pose(estimate, image / cameras, image % cameras);
         let features = |image: usize| RayFeatures {
             descriptors: &images[image].descriptors,
             rays: &images[image].rays,
@@ -94,13 +103,13 @@ impl LocalTracks {
     pub fn locate(
         &self,
         walk: &Walk,
-        states: &[State],
+        estimate: &Estimate,
         features: &[Features],
         config: &GroundTruthConfig,
     ) -> Vec<LocalPoint> {
         self.select(walk, features, config)
             .par_iter()
-            .map(|track| locate_one(walk, states, track, config))
+            .map(|track| locate_one(estimate, track, config))
             .collect::<Vec<Option<LocalPoint>>>()
             .into_iter()
             .flatten()
@@ -173,21 +182,22 @@ fn wanted_pairs(walk: &Walk, config: &GroundTruthConfig) -> Vec<(usize, usize)> 
     wanted
 }
 
-fn camera_pose(walk: &Walk, states: &[State], frame: usize, camera: usize) -> Se3 {
-    states[frame].nav.world_from_rig * walk.cameras[camera].camera_from_rig().inverse()
+/// Pose of a camera when it exposed its middle row.
+fn camera_pose(estimate: &Estimate, frame: usize, camera: usize) -> Se3 {
+    let height = estimate.cameras[camera].camera().height;
+    estimate.world_from_camera(frame, camera, 0.5 * (f64::from(height) - 1.0))
 }
 
 fn locate_one(
-    walk: &Walk,
-    states: &[State],
+    estimate: &Estimate,
     track: &[LocalObservation],
     config: &GroundTruthConfig,
 ) -> Option<LocalPoint> {
     let views: Vec<View> = track
         .iter()
         .map(|seen| View {
-            camera: walk.cameras[seen.camera].camera(),
-            world_from_camera: camera_pose(walk, states, seen.frame, seen.camera),
+            camera: estimate.cameras[seen.camera].camera(),
+            world_from_camera: estimate.world_from_camera(seen.frame, seen.camera, seen.pixel.y),
             pixel: seen.pixel,
         })
         .collect();

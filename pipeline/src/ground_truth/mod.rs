@@ -9,6 +9,7 @@
 mod config;
 mod consensus;
 mod drift;
+mod estimate;
 mod guided_matching;
 mod inertial;
 mod local_points;
@@ -16,37 +17,41 @@ mod optimization;
 mod report;
 mod run;
 mod start;
+mod trusted;
+mod uncertainty;
 mod walk;
 
 #[cfg(test)]
 mod tests;
 
-use lsfb_geometry::Trajectory;
+use lsfb_geometry::{Matrix6, Trajectory};
 use lsfb_types::{Progress, ProgressFn};
 
 pub use config::GroundTruthConfig;
-pub use report::{GroundTruthReport, ReprojectionErrors, Span};
+pub use report::{CameraRefinement, GroundTruthReport, LeftOutReason, ReprojectionErrors, Span};
 pub use run::ground_truth;
 
 use crate::Error;
 use crate::features::Features;
+use estimate::Estimate;
 use local_points::{LocalTracks, MatchableImage};
 use optimization::{Optimized, choose_observations, optimize, within_gate};
 use start::Start;
-use walk::{State, Walk};
+use walk::Walk;
 
 /// The trajectory of a walk in the map's world.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GroundTruth {
     /// Pose of the device's rig at every image that could be placed.
     pub trajectory: Trajectory,
+    /// Covariance of each pose, tangent `[rotation, translation]` on the right, rad² and m².
+    pub covariances: Vec<Matrix6<f64>>,
     /// How it came about, and how far to trust it.
     pub report: GroundTruthReport,
 }
 
 /// A solved walk.
 struct Solved {
-    states: Vec<State>,
     last: Optimized,
     guided_matching: usize,
 }
@@ -55,6 +60,9 @@ struct Solved {
 const ROUNDS: usize = 6;
 /// They have settled once fewer than one in so many comes or goes.
 const SETTLED: usize = 1000;
+/// Features are followed again where a camera reads its rows out so much faster or slower than believed, seconds: their rays were
+/// turned wrongly.
+const READOUT_CHANGE_S: f64 = 1e-3;
 
 /// Solves a walk from its first states; `features` are numbered `frame * cameras + camera`.
 fn solve_walk(
@@ -64,46 +72,66 @@ fn solve_walk(
     config: &GroundTruthConfig,
     progress: ProgressFn<'_>,
 ) -> Result<Solved, Error> {
+    let begin = Estimate::of_states(walk, start.states.clone());
     for (k, frame) in walk.frames.iter_mut().enumerate() {
         // Of a place that was accepted all counts, as far as the kernel lets it; of others what is right all the same.
         frame.fixed = if start.accepted[k] {
             frame.recognised.clone()
         } else {
-            within_gate(&walk.cameras, &start.states[k], frame, config)
+            within_gate(&begin, k, frame, config)
         };
     }
-    let images: Vec<MatchableImage> = features
-        .iter()
-        .enumerate()
-        .map(|(k, features)| MatchableImage::new(walk, k % walk.cameras.len(), features))
-        .collect();
-    let tracks = LocalTracks::follow(walk, &start.states, &images, config, progress)?;
-
-    let mut points = tracks.locate(walk, &start.states, features, config);
-    let first = optimize(walk, &start.states, &points, config, progress)?;
-    choose_observations(walk, &first.states, &mut points, config);
+    let mut tracks = follow(walk, &begin, features, config, progress)?;
+    let mut points = tracks.locate(walk, &begin, features, config);
+    let first = optimize(walk, &begin, &points, config, progress)?.estimate;
+    choose_observations(walk, &first, &mut points, config);
 
     progress(Progress {
         stage: "guided matching",
         done: 0,
         total: 0,
     })?;
-    let guided_matching = guided_matching::match_again(walk, &first.states, features, config);
-    let points = tracks.locate(walk, &first.states, features, config);
-    let mut last = optimize(walk, &first.states, &points, config, progress)?;
+    let guided_matching = guided_matching::match_again(walk, &first, features, config);
+    let before = begin.cameras.iter().map(|c| c.timing().readout_s);
+    let after = first.cameras.iter().map(|c| c.timing().readout_s);
+    if before
+        .zip(after)
+        .any(|(before, after)| (before - after).abs() > READOUT_CHANGE_S)
+    {
+        tracks = follow(walk, &first, features, config, progress)?;
+    }
+    let points = tracks.locate(walk, &first, features, config);
+    let mut last = optimize(walk, &first, &points, config, progress)?;
     for _ in 0..ROUNDS {
-        let changed = choose_observations(walk, &last.states, &mut last.points, config);
+        let changed = choose_observations(walk, &last.estimate, &mut last.points, config);
         if changed == 0 {
             break;
         }
-        last = optimize(walk, &last.states, &last.points, config, progress)?;
+        last = optimize(walk, &last.estimate, &last.points, config, progress)?;
         if changed * SETTLED < last.report.residuals {
             break;
         }
     }
     Ok(Solved {
-        states: last.states.clone(),
         last,
         guided_matching,
     })
+}
+
+fn follow(
+    walk: &Walk,
+    estimate: &Estimate,
+    features: &[Features],
+    config: &GroundTruthConfig,
+    progress: ProgressFn<'_>,
+) -> Result<LocalTracks, Error> {
+    let cameras = walk.cameras.len();
+    let images: Vec<MatchableImage> = features
+        .iter()
+        .enumerate()
+        .map(|(k, features)| MatchableImage::new(estimate, k / cameras, k % cameras, features))
+        .collect();
+    Ok(LocalTracks::follow(
+        walk, estimate, &images, config, progress,
+    )?)
 }

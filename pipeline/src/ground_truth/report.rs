@@ -1,9 +1,24 @@
+use lsfb_geometry::Rig;
 use lsfb_solver::Termination;
 use lsfb_types::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use super::optimization::{fixed_error_px, local_error_px};
-use super::walk::{LocalPoint, State, Walk};
+use super::GroundTruthConfig;
+use super::estimate::Estimate;
+use super::walk::{LocalPoint, Walk};
+use crate::residuals::entry;
+
+/// Why a stretch is left out of the trajectory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LeftOutReason {
+    /// Too little of the map was recognised in its images, for too long.
+    NotRecognised,
+    /// Its poses are less certain than is asked for.
+    Uncertain,
+    /// Its images were found at places that contradict the IMU and the rest of the walk.
+    Contradicted,
+}
 
 /// A stretch of time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -12,11 +27,14 @@ pub struct Span {
     pub from_ns: i64,
     /// Last instant, nanoseconds.
     pub to_ns: i64,
+    /// Why it is left out.
+    pub reason: LeftOutReason,
 }
 
 impl Span {
-    pub(super) fn new(from: Timestamp, to: Timestamp) -> Self {
+    pub(super) fn new(from: Timestamp, to: Timestamp, reason: LeftOutReason) -> Self {
         Self {
+            reason,
             from_ns: from.nanos(),
             to_ns: to.nanos(),
         }
@@ -73,7 +91,7 @@ pub struct GroundTruthReport {
     pub poses: u64,
     /// Frames in the trajectory that see too few map points to be placed alone: IMU and local points carry them.
     pub bridged: u64,
-    /// Stretches left out of the trajectory, because too long without the map.
+    /// Stretches left out of the trajectory.
     pub left_out: Vec<Span>,
     /// Observations of map points added by the search after the first solve.
     pub guided_matching: u64,
@@ -101,31 +119,68 @@ pub struct GroundTruthReport {
     pub gyro_bias_rad_s: [f64; 3],
     /// Accelerometer bias in the middle of the walk, m/s².
     pub accel_bias_m_s2: [f64; 3],
+    /// What the walk makes of the rig file's cameras.
+    pub cameras: Vec<CameraRefinement>,
     /// Length of the path, metres.
     pub path_length_m: f64,
     /// What the reader should know.
     pub warnings: Vec<String>,
 }
 
-pub(super) fn map_errors(walk: &Walk, states: &[State]) -> ReprojectionErrors {
-    ReprojectionErrors::of(walk.frames.iter().zip(states).flat_map(|(frame, state)| {
-        frame
-            .fixed
-            .iter()
-            .map(move |seen| fixed_error_px(&walk.cameras, state, seen))
+/// How a camera differs from the rig file, as far as the walk shows it and the file's standard deviations allow.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CameraRefinement {
+    /// Its name.
+    pub camera: String,
+    /// Turn of the camera frame about its axes, degrees.
+    pub turn_deg: [f64; 3],
+    /// Shift of the camera frame along its axes, metres.
+    pub shift_m: [f64; 3],
+    /// Share by which the focal length is larger.
+    pub focal_share: f64,
+    /// Added to the camera's stamps, seconds.
+    pub clock_s: f64,
+    /// Readout time, that of the rig file included, seconds.
+    pub readout_s: f64,
+    /// Largest of these in standard deviations of the rig file, but for the readout time, which many files do not state.
+    pub largest_sigmas: f64,
+}
+
+pub(super) fn refinements(
+    rig: &Rig,
+    estimate: &Estimate,
+    config: &GroundTruthConfig,
+) -> Vec<CameraRefinement> {
+    let found = estimate.corrections.iter().zip(&estimate.cameras);
+    let named = rig.cameras.keys().zip(found);
+    named
+        .map(|(name, (correction, camera))| {
+            let three = |from: usize| [0, 1, 2].map(|k| correction[from + k]);
+            let mut sigmas = correction.component_div(&config.calibration_sigmas());
+            sigmas[entry::READOUT] = 0.0;
+            CameraRefinement {
+                camera: name.clone(),
+                turn_deg: three(entry::TURN).map(f64::to_degrees),
+                shift_m: three(entry::SHIFT),
+                focal_share: correction[entry::FOCAL],
+                clock_s: correction[entry::CLOCK],
+                readout_s: camera.timing().readout_s,
+                largest_sigmas: sigmas.amax(),
+            }
+        })
+        .collect()
+}
+
+pub(super) fn map_errors(walk: &Walk, estimate: &Estimate) -> ReprojectionErrors {
+    ReprojectionErrors::of(walk.frames.iter().enumerate().flat_map(|(k, frame)| {
+        let error_px = move |seen| estimate.fixed_error_px(k, seen);
+        frame.fixed.iter().map(error_px)
     }))
 }
 
-pub(super) fn local_errors(
-    walk: &Walk,
-    states: &[State],
-    points: &[LocalPoint],
-) -> ReprojectionErrors {
+pub(super) fn local_errors(estimate: &Estimate, points: &[LocalPoint]) -> ReprojectionErrors {
     ReprojectionErrors::of(points.iter().flat_map(|point| {
-        point
-            .observations
-            .iter()
-            .filter(|seen| seen.used)
-            .map(move |seen| local_error_px(walk, states, point, seen))
+        let used = point.observations.iter().filter(|seen| seen.used);
+        used.map(move |seen| estimate.local_error_px(point, seen))
     }))
 }

@@ -1,18 +1,22 @@
 //! The stage as a whole: a recording and a map in, a trajectory out.
 
-use lsfb_geometry::{ImuNoiseModel, StampedPose, Trajectory};
+use lsfb_geometry::{ImuNoiseModel, Trajectory};
 use lsfb_recording::Recording;
 use lsfb_types::ProgressFn;
 
-use super::report::{local_errors, map_errors};
+use super::report::{local_errors, map_errors, refinements};
 use super::start::{Start, start_states};
-use super::walk::{FixedObservation, Frame, LocalPoint, LocalizedPose, State, Walk};
-use super::{GroundTruth, GroundTruthConfig, GroundTruthReport, Solved, Span, solve_walk};
+use super::trusted::{Solution, Trusted, trusted};
+use super::uncertainty::pose_covariances;
+use super::walk::{FixedObservation, Frame, LocalPoint, LocalizedPose, Walk};
+use super::{
+    GroundTruth, GroundTruthConfig, GroundTruthReport, LeftOutReason, Solved, Span, solve_walk,
+};
 use crate::Error;
 use crate::frames::{FeatureFrame, read_frames, read_imu};
 use crate::hd_map::HdMap;
 use crate::localization::{Localization, Localizer, localize_frames};
-use crate::residuals::ObservingCamera;
+use crate::residuals::MovingCamera;
 
 /// Where the device was at each of its images, in the world of the map.
 ///
@@ -62,7 +66,7 @@ pub fn ground_truth(
         features.extend(read.frames[k].features.iter().map(|f| f.features.clone()));
     }
     let mut walk = Walk {
-        cameras: rig.cameras.values().map(ObservingCamera::new).collect(),
+        cameras: rig.cameras.values().map(MovingCamera::new).collect(),
         frames,
         imu,
         noise: inflated(noise, config.imu_noise_factor),
@@ -70,17 +74,33 @@ pub fn ground_truth(
     let start = start_states(&walk, config, progress)?;
     let start = accepted(start, count, recording, config)?;
     let solved = solve_walk(&mut walk, &start, &features, config, progress)?;
+    let (estimate, points) = (&solved.last.estimate, &solved.last.points);
+    let covariances = pose_covariances(&walk, estimate, points, config, progress)?;
 
-    let trusted = trusted(&walk, &solved.states, config);
+    let trusted = trusted(
+        &walk,
+        &Solution {
+            states: &estimate.states,
+            accepted: &start.accepted,
+            covariances: &covariances,
+        },
+        config,
+    );
     let trajectory = Trajectory::new(trusted.poses.clone());
     let mut report = report(&walk, &solved, &trusted, &trajectory)?;
+    report.cameras = refinements(&rig, estimate, config);
     report.frames = read.frames.len() as u64;
     report.features = read.frames.iter().map(FeatureFrame::feature_count).sum();
     report.localized = count as u64;
     report.rejected_localizations = (count - start.accepted_count) as u64;
     report.rival_localizations = start.rival_count as u64;
+    warn_of_cameras(&mut report);
     warn(&mut report, &read.frames, &range, read.damaged);
-    Ok(GroundTruth { trajectory, report })
+    Ok(GroundTruth {
+        trajectory,
+        covariances: trusted.covariances,
+        report,
+    })
 }
 
 /// The start, where enough agrees with it and not half as much with another.
@@ -163,66 +183,19 @@ fn frame_of(frame: &FeatureFrame, found: Option<&Localization>, map: &HdMap) -> 
     }
 }
 
-/// Frames of the trajectory, and what was left out of it.
-pub(super) struct Trusted {
-    pub poses: Vec<StampedPose>,
-    pub bridged: usize,
-    pub left_out: Vec<Span>,
-}
-
-/// Leaves out the stretches that see too little of the map for too long.
-pub(super) fn trusted(walk: &Walk, states: &[State], config: &GroundTruthConfig) -> Trusted {
-    let supported: Vec<bool> = walk
-        .frames
-        .iter()
-        .map(|frame| frame.fixed.len() >= config.min_map_points)
-        .collect();
-    let mut result = Trusted {
-        poses: Vec::new(),
-        bridged: 0,
-        left_out: Vec::new(),
-    };
-    let mut k = 0;
-    while k < supported.len() {
-        let end = (k..supported.len())
-            .find(|j| supported[*j] != supported[k])
-            .unwrap_or(supported.len());
-        let (first, last) = (walk.frames[k].time, walk.frames[end - 1].time);
-        let inside = k > 0 && end < supported.len();
-        let limit = if inside {
-            config.max_bridge_secs
-        } else {
-            config.max_extrapolation_secs
-        };
-        if supported[k] || last.secs_since(first) <= limit {
-            if !supported[k] {
-                result.bridged += end - k;
-            }
-            result.poses.extend((k..end).map(|j| StampedPose {
-                time: walk.frames[j].time,
-                world_from_rig: states[j].nav.world_from_rig,
-            }));
-        } else {
-            result.left_out.push(Span::new(first, last));
-        }
-        k = end;
-    }
-    result
-}
-
 fn report(
     walk: &Walk,
     solved: &Solved,
     trusted: &Trusted,
     trajectory: &Trajectory,
 ) -> Result<GroundTruthReport, Error> {
-    let states = &solved.states;
     let last = &solved.last;
+    let states = &last.estimate.states;
     let bias = states
         .get(states.len() / 2)
         .map(|s| s.bias)
         .unwrap_or_default();
-    let gaps = walk.preintegrate(|_| bias)?;
+    let gaps = walk.preintegrate(0..walk.frames.len(), |_| bias)?;
     Ok(GroundTruthReport {
         frames: 0,
         features: 0,
@@ -235,8 +208,8 @@ fn report(
         guided_matching: solved.guided_matching as u64,
         outliers: not_used(walk, &last.points) as u64,
         local_points: last.points.iter().filter(|p| p.is_determined()).count() as u64,
-        map_errors: map_errors(walk, states),
-        local_errors: local_errors(walk, states, &last.points),
+        map_errors: map_errors(walk, &last.estimate),
+        local_errors: local_errors(&last.estimate, &last.points),
         imu_samples: walk.imu.len() as u64,
         imu_gaps: gaps.iter().filter(|gap| gap.is_none()).count() as u64,
         initial_cost: last.report.initial_cost,
@@ -245,6 +218,7 @@ fn report(
         termination: last.report.termination,
         gyro_bias_rad_s: bias.gyro_rad_s.into(),
         accel_bias_m_s2: bias.accel_m_s2.into(),
+        cameras: Vec::new(),
         path_length_m: trajectory.path_length_m(),
         warnings: Vec::new(),
     })
@@ -259,6 +233,30 @@ pub(super) fn not_used(walk: &Walk, points: &[LocalPoint]) -> usize {
     of_map.sum::<usize>() + local.filter(|seen| !seen.used).count()
 }
 
+/// Standard deviations of the rig file beyond which a camera is not as the file says.
+const UNLIKELY_SIGMAS: f64 = 3.0;
+
+fn warn_of_cameras(report: &mut GroundTruthReport) {
+    for camera in &report.cameras {
+        if camera.largest_sigmas > UNLIKELY_SIGMAS {
+            report.warnings.push(format!(
+                "camera {} is {:.1} standard deviations from what the rig file says (turn {:.2}°, shift {:.1} mm, focal length \
+                 {:+.2} %, clock {:+.1} ms): calibrate it again",
+                camera.camera,
+                camera.largest_sigmas,
+                norm(&camera.turn_deg),
+                norm(&camera.shift_m) * 1e3,
+                camera.focal_share * 1e2,
+                camera.clock_s * 1e3,
+            ));
+        }
+    }
+}
+
+fn norm(values: &[f64; 3]) -> f64 {
+    values.iter().map(|v| v * v).sum::<f64>().sqrt()
+}
+
 fn warn(
     report: &mut GroundTruthReport,
     frames: &[FeatureFrame],
@@ -268,20 +266,38 @@ fn warn(
     let mut beyond = Vec::new();
     if let (Some(first), Some(last)) = (frames.first(), frames.last()) {
         if reach.start > 0 {
-            beyond.push(Span::new(first.time, frames[reach.start - 1].time));
+            let to = frames[reach.start - 1].time;
+            beyond.push(Span::new(first.time, to, LeftOutReason::NotRecognised));
         }
         if reach.end < frames.len() {
-            beyond.push(Span::new(frames[reach.end].time, last.time));
+            let from = frames[reach.end].time;
+            beyond.push(Span::new(from, last.time, LeftOutReason::NotRecognised));
         }
     }
     report.left_out.extend(beyond);
     report.left_out.sort_by_key(|span| span.from_ns);
     let secs = |span: &Span| (span.to_ns - span.from_ns) as f64 / 1e9;
-    if !report.left_out.is_empty() {
-        let total: f64 = report.left_out.iter().map(secs).sum();
-        report.warnings.push(format!(
-            "{total:.1} s of the walk do not see the map and are left out"
-        ));
+    for (reason, why) in [
+        (
+            LeftOutReason::NotRecognised,
+            "too little of the map was recognised in their images",
+        ),
+        (
+            LeftOutReason::Uncertain,
+            "their poses are not certain enough (max_position_sigma_m)",
+        ),
+        (
+            LeftOutReason::Contradicted,
+            "their images were found at places that contradict the IMU and the rest of the walk",
+        ),
+    ] {
+        let spans = report.left_out.iter().filter(|s| s.reason == reason);
+        let total: f64 = spans.map(secs).sum();
+        if total > 0.0 {
+            report
+                .warnings
+                .push(format!("{total:.1} s of the walk are left out: {why}"));
+        }
     }
     if report.imu_gaps > 0 {
         report.warnings.push(format!(

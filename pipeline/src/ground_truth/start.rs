@@ -231,7 +231,7 @@ fn fit(
             problem.add_residual(prior, &[state.pose.id()], KERNEL)?;
         }
     }
-    add_inertial_residuals(&mut problem, walk, &blocks, config)?;
+    add_inertial_residuals(&mut problem, walk, 0, &blocks, config)?;
     let report = solve_until_converged("first states", &mut problem, &config.solve, progress)?;
     Ok(Fitted {
         states: blocks.iter().map(|b| b.read(&problem)).collect(),

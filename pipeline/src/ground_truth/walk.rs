@@ -1,3 +1,4 @@
+use std::ops::Range;
 use std::sync::Arc;
 
 use lsfb_geometry::{ImuNoiseModel, Matrix6, Se3, Vector2, Vector3};
@@ -5,12 +6,12 @@ use lsfb_types::{ImuSample, Stamped, Timestamp};
 
 use crate::Error;
 use crate::preintegration::{ImuBias, NavState, PreintegratedImu};
-use crate::residuals::ObservingCamera;
+use crate::residuals::MovingCamera;
 
 /// A recorded walk as the optimisation sees it: what the images and the IMU say, without pixels.
 pub(super) struct Walk {
-    /// Cameras of the rig, in the order of the rig file.
-    pub cameras: Vec<Arc<ObservingCamera>>,
+    /// Cameras of the rig as its file has them, in their order.
+    pub cameras: Vec<Arc<MovingCamera>>,
     /// Instants at which images were taken, in order.
     pub frames: Vec<Frame>,
     /// Inertial samples, in order.
@@ -84,17 +85,18 @@ pub(super) struct State {
 impl Walk {
     /// Whether the IMU measured all of each interval between neighbouring frames.
     pub fn is_covered_by_imu(&self) -> Result<Vec<bool>, Error> {
-        let intervals = self.preintegrate(|_| ImuBias::default())?;
+        let intervals = self.preintegrate(0..self.frames.len(), |_| ImuBias::default())?;
         Ok(intervals.iter().map(Option::is_some).collect())
     }
 
-    /// Sums the IMU up between neighbouring frames, with the bias of the first of each; `None` where samples are missing.
+    /// Sums the IMU up between neighbours of some frames, with the bias of the first of each; `None` where samples are missing.
     pub fn preintegrate(
         &self,
+        frames: Range<usize>,
         bias_of: impl Fn(usize) -> ImuBias,
     ) -> Result<Vec<Option<PreintegratedImu>>, Error> {
-        let mut intervals = Vec::with_capacity(self.frames.len().saturating_sub(1));
-        for (k, pair) in self.frames.windows(2).enumerate() {
+        let mut intervals = Vec::with_capacity(frames.len().saturating_sub(1));
+        for (k, pair) in frames.clone().zip(self.frames[frames].windows(2)) {
             let sum = PreintegratedImu::integrate(
                 &self.imu,
                 pair[0].time,

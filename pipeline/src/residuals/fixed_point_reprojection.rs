@@ -3,16 +3,19 @@ use std::sync::Arc;
 use lsfb_geometry::{Se3, Vector2, Vector3};
 use lsfb_solver::{Linearization, Parameters, Residual, Shape, Undefined};
 
-use super::ObservingCamera;
+use super::moving_camera::{CameraCorrection, FrameMotion, MovingCamera};
 
-/// A known point of the world, one of the HD map, seen by a camera of the rig. Block: pose `world_from_rig`.
+/// A known point of the world, one of the HD map, seen by a camera of the rig in motion. Blocks: pose `world_from_rig` at the
+/// stamp, correction of the camera.
 ///
-/// `r = (π(T_CR T_WR⁻¹ X*) − x) / σ`, the first sum of eq. (5); the derivative is that of
-/// [`Reprojection`](super::Reprojection) by the pose. Undefined behind the lens.
+/// `r = (π(X*) − x) / σ`, the first sum of eq. (5), from the pose of the row in which the point was seen; the derivatives are
+/// those of [`MovingReprojection`](super::MovingReprojection). Undefined behind the lens.
 #[derive(Clone, Debug)]
 pub struct FixedPointReprojection {
-    /// The camera.
-    pub camera: Arc<ObservingCamera>,
+    /// The camera, as the rig file has it.
+    pub camera: Arc<MovingCamera>,
+    /// Motion of the rig around the stamp.
+    pub motion: FrameMotion,
     /// The known point.
     pub point_in_world: Vector3<f64>,
     /// Where it was seen.
@@ -27,15 +30,19 @@ impl Residual for FixedPointReprojection {
     }
 
     fn blocks(&self) -> &[Shape] {
-        const { &[Shape::of::<Se3>()] }
+        const { &[Shape::of::<Se3>(), Shape::of::<CameraCorrection>()] }
     }
 
     fn evaluate(&self, parameters: &Parameters, out: &mut Linearization) -> Result<(), Undefined> {
-        let world_from_rig: Se3 = parameters.get(0);
-        let seen = self.camera.see(&world_from_rig, &self.point_in_world)?;
+        let (pose, correction): (Se3, CameraCorrection) = (parameters.get(0), parameters.get(1));
+        let (row_px, point) = (self.pixel.y, &self.point_in_world);
+        let seen = self
+            .camera
+            .see(&pose, &self.motion, &correction, row_px, point)?;
         let weight = 1.0 / self.sigma_px;
         out.set_residual(&((seen.pixel - self.pixel) * weight));
         out.set_jacobian(0, &(seen.by_pose * weight));
+        out.set_jacobian(1, &(seen.by_correction * weight));
         Ok(())
     }
 }
@@ -45,32 +52,29 @@ mod tests {
     use lsfb_geometry::Vector6;
     use lsfb_solver::{Kernel, Problem, SolveConfig, check_residual_jacobian, solve};
 
+    use super::super::moving_camera::tests::{correction, motion, phone, pose, sights};
     use super::*;
-    use crate::residuals::reprojection::tests::stereo;
 
     #[test]
     fn known_points_fix_the_pose() {
-        let truth = Se3::exp(&Vector6::new(0.1, -0.2, 0.3, 1.0, 2.0, 0.5));
         let mut problem = Problem::new();
-        let pose = problem.add_block(truth * Se3::exp(&Vector6::repeat(0.05)));
-        for camera in stereo() {
-            for seen_at in [[100.0, 80.0], [320.0, 300.0], [600.0, 50.0]] {
-                let pixel = Vector2::from(seen_at);
-                let ray = camera.camera().unproject(&pixel).expect("inside the lens");
-                let in_rig = camera.camera_from_rig().inverse() * (ray * (2.0 + pixel.x * 0.01));
-                let residual = FixedPointReprojection {
-                    camera: camera.clone(),
-                    point_in_world: truth * in_rig,
-                    pixel,
-                    sigma_px: 0.7,
-                };
-                problem
-                    .add_residual(residual, &[pose.id()], Kernel::Cauchy { scale: 2.0 })
-                    .expect("blocks fit");
-            }
+        let found = problem.add_block(pose() * Se3::exp(&Vector6::repeat(0.02)));
+        let known = problem.add_block(correction());
+        problem.set_constant(known);
+        for (point_in_world, pixel) in sights() {
+            let residual = FixedPointReprojection {
+                camera: phone(),
+                motion: motion(),
+                point_in_world,
+                pixel,
+                sigma_px: 0.7,
+            };
+            problem
+                .add_residual(residual, &[found.id(), known.id()], Kernel::Squared)
+                .expect("blocks fit");
         }
         check_residual_jacobian!(all of problem);
         solve(&mut problem, &SolveConfig::default()).expect("solves");
-        assert!((truth.inverse() * problem.value(pose)).log().norm() < 1e-6);
+        assert!((pose().inverse() * problem.value(found)).log().norm() < 1e-5);
     }
 }

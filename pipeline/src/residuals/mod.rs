@@ -5,6 +5,8 @@ mod fixed_point_reprojection;
 mod imu_preintegration;
 mod lidar_edge;
 mod lidar_plane;
+mod moving_camera;
+mod moving_reprojection;
 mod reprojection;
 #[cfg(test)]
 mod strategies;
@@ -14,4 +16,7 @@ pub use fixed_point_reprojection::FixedPointReprojection;
 pub use imu_preintegration::ImuPreintegration;
 pub use lidar_edge::LidarEdge;
 pub use lidar_plane::LidarPlane;
+pub(crate) use moving_camera::entry;
+pub use moving_camera::{CameraCorrection, FrameMotion, MovingCamera};
+pub use moving_reprojection::MovingReprojection;
 pub use reprojection::{ObservingCamera, Reprojection};

@@ -140,7 +140,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         super::view::write(&recordings, &trajectories, Some(&files.map), rrd, context)?;
         watch.lap("viewer file");
     }
-    let localized = &walk.ground_truth.report;
+    let localized = &walk.report;
     let summary = Summary {
         seed: arguments.seed,
         ate_glasses_rms_m: judged.glasses.ate_translation_m.rmse,
@@ -327,7 +327,7 @@ fn report(
     walk: &WrittenTrajectory,
     sim_config: &SimConfig,
 ) -> anyhow::Result<Report> {
-    let (mapping, walk_report) = (&map.report, &walk.ground_truth.report);
+    let (mapping, walk_report) = (&map.report, &walk.report);
     let stages = [
         ("odometry", &mapping.odometry.warnings),
         ("mapping", &mapping.warnings),

@@ -1,16 +1,23 @@
 //! `lsfb groundtruth`: a walk and an HD map → trajectory.
 
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use lsfb_pipeline::ground_truth::{GroundTruth, GroundTruthConfig, ground_truth};
+use lsfb_geometry::{Matrix6, Trajectory};
+use lsfb_pipeline::ground_truth::{
+    GroundTruth, GroundTruthConfig, GroundTruthReport, ground_truth,
+};
 use lsfb_pipeline::hd_map::HdMap;
 use lsfb_recording::{Provenance, read_tum, write_tum};
 
 use crate::context::Context;
+use crate::files;
 use crate::outcome::Outcome;
 use crate::standing;
 
 /// Compute the ground-truth trajectory of a walk in an HD map.
+///
+/// Beside the trajectory WALK.tum, WALK_covariance.txt has its poses with their covariance, as `lsfb eval` reads it: 44 columns.
 ///
 /// An existing trajectory, made by this program from the same walk and map with the same settings, is not computed again.
 ///
@@ -42,11 +49,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         out: &arguments.out,
         config: &config,
     };
-    let found = job
-        .compute(context, |result| {
-            context.claim(result, &[&arguments.recording])
-        })?
-        .ground_truth;
+    let found = job.compute(context, |result| {
+        context.claim(result, &[&arguments.recording])
+    })?;
     let r = &found.report;
     context.print(r, || {
         let mut text = format!(
@@ -68,7 +73,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
 
 /// A trajectory that was written, and where it comes from.
 pub struct WrittenTrajectory {
-    pub ground_truth: GroundTruth,
+    pub trajectory: Trajectory,
+    pub report: GroundTruthReport,
     pub provenance: Provenance,
 }
 
@@ -94,25 +100,64 @@ impl WalkJob<'_> {
         provenance.add_rig(&super::about(self.recording, walk.rig())?);
         // The map's header has the hashes of its other files.
         provenance.add_input(&self.map.join(HdMap::HEADER))?;
+        let beside = covariance_path(self.out);
         if let Some(report) = context.standing(&[self.out], &provenance) {
-            let trajectory = read_tum(self.out)?;
             return Ok(WrittenTrajectory {
-                ground_truth: GroundTruth { trajectory, report },
+                trajectory: read_tum(self.out)?,
+                report,
                 provenance,
             });
         }
         claim(self.out)?;
+        claim(&beside)?;
         let found = super::about(
             self.recording,
             ground_truth(&walk, &hd_map, self.config, &|p| context.show(p)),
         )?;
         standing::forget(&[self.out])?;
         write_tum(self.out, &found.trajectory)?;
+        files::write(&beside, with_covariances(&found))?;
         provenance.write(self.out)?;
-        standing::finish(&[self.out], &[], &provenance, &found.report)?;
+        standing::finish(&[self.out], &[beside], &provenance, &found.report)?;
         Ok(WrittenTrajectory {
-            ground_truth: found,
+            trajectory: found.trajectory,
+            report: found.report,
             provenance,
         })
     }
+}
+
+/// `walk.tum` → `walk_covariance.txt`.
+fn covariance_path(trajectory: &Path) -> PathBuf {
+    let stem = trajectory.file_stem().unwrap_or_default().to_string_lossy();
+    trajectory.with_file_name(format!("{stem}_covariance.txt"))
+}
+
+/// TUM's columns, then the covariance of x, y, z and of rotations about the world's axes, row by row.
+fn with_covariances(found: &GroundTruth) -> String {
+    let mut text = String::from(
+        "# timestamp_s tx_m ty_m tz_m qx qy qz qw, covariance of x y z (m) and rotations about the world's axes (rad), 36 columns\n",
+    );
+    for (pose, covariance) in found.trajectory.poses().iter().zip(&found.covariances) {
+        let t = &pose.world_from_rig.translation;
+        let q = pose.world_from_rig.rotation.quaternion();
+        // Writing into a string cannot fail.
+        let _ = write!(
+            text,
+            "{} {} {} {} {} {} {} {}",
+            pose.time, t.x, t.y, t.z, q.i, q.j, q.k, q.w
+        );
+        let rotation = pose.world_from_rig.rotation_matrix();
+        let mut to_world = Matrix6::zeros();
+        to_world.fixed_view_mut::<3, 3>(0, 3).copy_from(&rotation);
+        to_world.fixed_view_mut::<3, 3>(3, 0).copy_from(&rotation);
+        let in_world = to_world * covariance * to_world.transpose();
+        // Symmetric to the last bit.
+        let in_world = (in_world + in_world.transpose()) * 0.5;
+        for value in in_world.iter() {
+            let _ = write!(text, " {value:e}");
+        }
+        text.push('\n');
+    }
+    text
 }

@@ -1,5 +1,6 @@
 //! A walk made up in memory: true motion, IMU, points with descriptors, and all the mistakes a real one has.
 
+mod cameras;
 mod consensus;
 mod recorded;
 
@@ -13,13 +14,15 @@ use lsfb_types::{ImuSample, Stamped, Timestamp, no_progress};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::run::{not_used, trusted};
+use super::run::not_used;
 use super::start::{Start, start_states};
-use super::walk::{FixedObservation, Frame, LocalizedPose, Walk};
+use super::trusted::{Solution, trusted};
+use super::uncertainty::pose_covariances;
+use super::walk::{FixedObservation, Frame, LocalizedPose, State, Walk};
 use super::*;
 use crate::features::{DESCRIPTOR_LEN, Keypoint};
 use crate::preintegration::standard_gravity_m_s2;
-use crate::residuals::ObservingCamera;
+use crate::residuals::{CameraCorrection, FrameMotion, MovingCamera};
 
 const FRAMES: usize = 100;
 const FRAME_SECS: f64 = 0.1;
@@ -85,12 +88,12 @@ impl Gauss {
     }
 }
 
-fn glasses() -> Vec<Arc<ObservingCamera>> {
+fn glasses() -> Vec<Arc<MovingCamera>> {
     let forward =
         UnitQuaternion::from_matrix(&Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0));
     [0.055, -0.055]
         .map(|y| {
-            ObservingCamera::new(&RigCamera {
+            MovingCamera::new(&RigCamera {
                 camera: Camera {
                     width: 640,
                     height: 400,
@@ -130,6 +133,30 @@ struct MadeUp {
 
 /// The first `map` of the points are in the map, the others are local.
 fn make_walk(map: usize, local: usize, seen_in_map: impl Fn(usize) -> bool) -> MadeUp {
+    make_walk_with(map, local, seen_in_map, &CameraCorrection::zeros())
+}
+
+/// How the rig truly moves around an instant.
+fn true_motion(t: f64) -> FrameMotion {
+    let h = 1e-3;
+    let (before, here, after) = (truth(t - h), truth(t), truth(t + h));
+    let turned = |a: &Se3, b: &Se3| so3::log(&(a.rotation.inverse() * b.rotation)) / h;
+    FrameMotion {
+        turn_rate_rad_s: turned(&before, &after) / 2.0,
+        turn_acceleration_rad_s2: (turned(&here, &after) - turned(&before, &here)) / h,
+        velocity_m_s: (after.translation - before.translation) / (2.0 * h),
+        acceleration_m_s2: (before.translation + after.translation - here.translation * 2.0)
+            / (h * h),
+    }
+}
+
+/// With cameras that are off from what the rig file says.
+fn make_walk_with(
+    map: usize,
+    local: usize,
+    seen_in_map: impl Fn(usize) -> bool,
+    off: &CameraCorrection,
+) -> MadeUp {
     let mut rng = Gauss(ChaCha8Rng::seed_from_u64(11));
     let points = wall_points(map + local, &mut rng);
     let looks: Vec<[u8; DESCRIPTOR_LEN]> = points
@@ -137,16 +164,17 @@ fn make_walk(map: usize, local: usize, seen_in_map: impl Fn(usize) -> bool) -> M
         .map(|_| std::array::from_fn(|_| rng.0.random_range(0..140u8)))
         .collect();
     let cameras = glasses();
+    let real: Vec<_> = cameras.iter().map(|camera| camera.corrected(off)).collect();
     let mut features = Vec::new();
     let mut frames = Vec::new();
     for k in 0..FRAMES {
         let t = k as f64 * FRAME_SECS;
         let pose = truth(t);
         let mut fixed = Vec::new();
-        for (c, camera) in cameras.iter().enumerate() {
+        for (c, camera) in real.iter().enumerate() {
             let mut image = Features::default();
             for (p, point) in points.iter().enumerate() {
-                let Some(pixel) = camera.project(&pose, point) else {
+                let Some(pixel) = camera.project(&pose, &true_motion(t), point) else {
                     continue;
                 };
                 if !camera.camera().contains(&pixel, 5.0) {
@@ -247,7 +275,7 @@ fn a_walk_with_wrong_matches_false_places_and_a_blind_stretch() {
     let start = started(&walk, &config);
     let solved = solve_walk(&mut walk, &start, &features, &config, &no_progress).expect("solves");
 
-    let found = errors(&walk, &solved.states);
+    let found = errors(&walk, &solved.last.estimate.states);
     assert!(found.rms_m < 0.002, "rms {} m", found.rms_m);
     assert!(found.worst_m < 0.006, "worst {} m", found.worst_m);
     assert!(found.worst_rad < 0.003, "worst {} rad", found.worst_rad);
@@ -270,14 +298,12 @@ fn a_walk_with_wrong_matches_false_places_and_a_blind_stretch() {
         "{before} → {after} map observations"
     );
     assert!(walk.frames[20].fixed.len() > 20 && walk.frames[50].fixed.len() > 20);
-    for (frame, state) in walk.frames.iter().zip(&solved.states) {
+    for (k, frame) in walk.frames.iter().enumerate() {
         for seen in &frame.fixed {
-            assert!(
-                optimization::fixed_error_px(&walk.cameras, state, seen) <= config.max_error_px
-            );
+            assert!(solved.last.estimate.fixed_error_px(k, seen) <= config.max_error_px);
         }
     }
-    let middle = solved.states[FRAMES / 2].bias;
+    let middle = solved.last.estimate.states[FRAMES / 2].bias;
     assert!((middle.gyro_rad_s - Vector3::new(0.004, -0.006, 0.003)).norm() < 1e-3);
 }
 
@@ -299,10 +325,19 @@ fn local_points_and_imu_carry_a_stretch_the_map_does_not_know() {
     let config = GroundTruthConfig::default();
     let start = started(&walk, &config);
     let solved = solve_walk(&mut walk, &start, &features, &config, &no_progress).expect("solves");
-    let found = errors(&walk, &solved.states);
+    let found = errors(&walk, &solved.last.estimate.states);
     assert!(found.worst_m < 0.1, "worst {} m after 4 s", found.worst_m);
 
-    let trusted = trusted(&walk, &solved.states, &config);
+    let estimate = &solved.last.estimate;
+    let covariances = pose_covariances(&walk, estimate, &solved.last.points, &config, &no_progress)
+        .expect("covariances");
+    let found = Solution {
+        states: &estimate.states,
+        accepted: &start.accepted,
+        covariances: &covariances,
+    };
+    let trusted = trusted(&walk, &found, &config);
+    assert_eq!(trusted.covariances.len(), trusted.poses.len());
     assert_eq!(trusted.left_out.len(), 1, "{:?}", trusted.left_out);
     assert_eq!(trusted.left_out[0].to_ns, 9_900_000_000);
     assert!(
@@ -324,6 +359,8 @@ fn same_bits_on_any_number_of_threads() {
             let start = started(&walk, &config);
             solve_walk(&mut walk, &start, features, &config, &no_progress)
                 .expect("solves")
+                .last
+                .estimate
                 .states
         })
     };

@@ -198,6 +198,12 @@ fn a_recorded_walk_is_placed_in_its_map_and_refused_in_another() {
     assert!(report.localized >= 15, "{report:#?}");
     assert!(report.map_errors.rms_px < 1.5, "{report:#?}");
     assert_eq!(report.warnings, [""; 0]);
+    for (pose, covariance) in found.trajectory.poses().iter().zip(&found.covariances) {
+        let t = (pose.time.nanos() as f64) * 1e-9;
+        let error = (truth(t).inverse() * pose.world_from_rig).log();
+        let information = covariance.try_inverse().expect("determined");
+        assert!(error.dot(&(information * error)) < 60.0, "{t} s: {error}");
+    }
 
     // Another room; one without IMU; one that lost a camera.
     let other = folder.path().join("other.mcap");

@@ -1,0 +1,127 @@
+//! Where everything is, as far as it is known: states, cameras and how the rig moves while images are read out.
+
+use std::sync::Arc;
+
+use lsfb_geometry::{Se3, Vector2, Vector3};
+use lsfb_types::{ImuSample, Stamped, Timestamp};
+
+use super::walk::{FixedObservation, LocalObservation, LocalPoint, State, Walk};
+use crate::preintegration::standard_gravity_m_s2;
+use crate::residuals::{CameraCorrection, FrameMotion, MovingCamera};
+
+/// What was found of a walk, and what follows from it.
+#[derive(Clone)]
+pub(super) struct Estimate {
+    /// One for each frame.
+    pub states: Vec<State>,
+    /// One for each camera.
+    pub corrections: Vec<CameraCorrection>,
+    /// The cameras as the corrections make them.
+    pub cameras: Vec<Arc<MovingCamera>>,
+    /// One for each frame.
+    pub motions: Vec<FrameMotion>,
+}
+
+impl Estimate {
+    pub fn new(walk: &Walk, states: Vec<State>, corrections: Vec<CameraCorrection>) -> Self {
+        let corrected = walk.cameras.iter().zip(&corrections);
+        let moving = walk.frames.iter().zip(&states);
+        Self {
+            cameras: corrected.map(|(camera, c)| camera.corrected(c)).collect(),
+            motions: moving
+                .map(|(frame, state)| motion(&walk.imu, frame.time, state))
+                .collect(),
+            states,
+            corrections,
+        }
+    }
+
+    /// With the cameras as the rig file has them.
+    pub fn of_states(walk: &Walk, states: Vec<State>) -> Self {
+        let corrections = vec![CameraCorrection::zeros(); walk.cameras.len()];
+        Self::new(walk, states, corrections)
+    }
+
+    /// Pose of the rig at the stamp of a frame.
+    pub fn pose(&self, frame: usize) -> &Se3 {
+        &self.states[frame].nav.world_from_rig
+    }
+
+    /// Pose of a camera when it exposed a row.
+    pub fn world_from_camera(&self, frame: usize, camera: usize, row_px: f64) -> Se3 {
+        self.cameras[camera].world_from_camera(self.pose(frame), &self.motions[frame], row_px)
+    }
+
+    /// Pixel at which a frame sees a point; `None` behind the lens.
+    pub fn project(
+        &self,
+        frame: usize,
+        camera: usize,
+        point_in_world: &Vector3<f64>,
+    ) -> Option<Vector2<f64>> {
+        self.cameras[camera].project(self.pose(frame), &self.motions[frame], point_in_world)
+    }
+
+    /// Reprojection error of a map point, pixels; infinite behind the lens.
+    pub fn fixed_error_px(&self, frame: usize, seen: &FixedObservation) -> f64 {
+        self.error_px(frame, seen.camera, &seen.pixel, &seen.point_in_world)
+    }
+
+    /// Reprojection error of a local point, pixels; infinite behind the lens.
+    pub fn local_error_px(&self, point: &LocalPoint, seen: &LocalObservation) -> f64 {
+        self.error_px(seen.frame, seen.camera, &seen.pixel, &point.point_in_world)
+    }
+
+    fn error_px(
+        &self,
+        frame: usize,
+        camera: usize,
+        pixel: &Vector2<f64>,
+        point_in_world: &Vector3<f64>,
+    ) -> f64 {
+        let motion = &self.motions[frame];
+        self.cameras[camera]
+            .project_in_row(self.pose(frame), motion, pixel.y, point_in_world)
+            .map_or(f64::INFINITY, |found| (found - pixel).norm())
+    }
+}
+
+/// Inertial samples this near to a stamp say how the rig moves there, seconds: a readout and a little more.
+const REACH_NS: i64 = 20_000_000;
+
+/// Motion around a stamp: the line through the gyroscope's samples, the mean of the accelerometer's. Without samples the rig goes
+/// straight on.
+fn motion(imu: &[Stamped<ImuSample>], stamp: Timestamp, state: &State) -> FrameMotion {
+    let first = imu.partition_point(|s| s.time < stamp.plus_nanos(-REACH_NS));
+    let end = imu.partition_point(|s| s.time <= stamp.plus_nanos(REACH_NS));
+    let near = &imu[first..end.max(first)];
+    let mut motion = FrameMotion {
+        velocity_m_s: state.nav.velocity_m_s,
+        ..FrameMotion::default()
+    };
+    if near.is_empty() {
+        return motion;
+    }
+    let count = near.len() as f64;
+    let (mut rate, mut force) = (Vector3::zeros(), Vector3::zeros());
+    let mut middle_secs = 0.0;
+    for s in near {
+        rate += Vector3::from(s.sample.angular_velocity_rad_s) / count;
+        force += Vector3::from(s.sample.specific_force_m_s2) / count;
+        middle_secs += s.time.secs_since(stamp) / count;
+    }
+    let (mut slope, mut spread) = (Vector3::zeros(), 0.0);
+    for s in near {
+        let secs = s.time.secs_since(stamp) - middle_secs;
+        slope += (Vector3::from(s.sample.angular_velocity_rad_s) - rate) * secs;
+        spread += secs * secs;
+    }
+    if spread > 0.0 {
+        motion.turn_acceleration_rad_s2 = slope / spread;
+    }
+    motion.turn_rate_rad_s =
+        rate - state.bias.gyro_rad_s - motion.turn_acceleration_rad_s2 * middle_secs;
+    motion.acceleration_m_s2 = state.nav.world_from_rig.rotation * (force - state.bias.accel_m_s2)
+        + standard_gravity_m_s2();
+    motion
+}

@@ -1,0 +1,100 @@
+//! Which frames are certain enough for the trajectory, and why the others are not.
+
+use lsfb_geometry::{Matrix6, StampedPose};
+
+use super::GroundTruthConfig;
+use super::report::{LeftOutReason, Span};
+use super::walk::{State, Walk};
+
+/// Frames of the trajectory, and what was left out of it.
+pub(super) struct Trusted {
+    pub poses: Vec<StampedPose>,
+    /// Beside the poses.
+    pub covariances: Vec<Matrix6<f64>>,
+    /// Poses that see too little of the map to be placed alone.
+    pub bridged: usize,
+    pub left_out: Vec<Span>,
+}
+
+/// What the solve says about the frames.
+pub(super) struct Solution<'a> {
+    pub states: &'a [State],
+    /// Frames whose localized pose agrees with the walk.
+    pub accepted: &'a [bool],
+    /// Covariances of the poses; `None` where nothing determines one.
+    pub covariances: &'a [Option<Matrix6<f64>>],
+}
+
+/// Leaves out the stretches that see too little of the map for too long, and poses that are not certain enough.
+pub(super) fn trusted(walk: &Walk, found: &Solution, config: &GroundTruthConfig) -> Trusted {
+    let reasons = reasons(walk, found, config);
+    let mut result = Trusted {
+        poses: Vec::new(),
+        covariances: Vec::new(),
+        bridged: 0,
+        left_out: Vec::new(),
+    };
+    for (k, frame) in walk.frames.iter().enumerate() {
+        let reason = match (reasons[k], &found.covariances[k]) {
+            (None, Some(covariance)) => {
+                result.poses.push(StampedPose {
+                    time: frame.time,
+                    world_from_rig: found.states[k].nav.world_from_rig,
+                });
+                result.covariances.push(*covariance);
+                result.bridged += usize::from(frame.fixed.len() < config.min_map_points);
+                continue;
+            }
+            (reason, _) => reason.unwrap_or(LeftOutReason::Uncertain),
+        };
+        let goes_on = k > 0 && reasons[k - 1] == Some(reason);
+        match result.left_out.last_mut() {
+            Some(span) if goes_on => span.to_ns = frame.time.nanos(),
+            _ => result
+                .left_out
+                .push(Span::new(frame.time, frame.time, reason)),
+        }
+    }
+    result
+}
+
+/// For each frame why it is left out, if it is.
+fn reasons(
+    walk: &Walk,
+    found: &Solution,
+    config: &GroundTruthConfig,
+) -> Vec<Option<LeftOutReason>> {
+    let supported = |k: usize| walk.frames[k].fixed.len() >= config.min_map_points;
+    let count = walk.frames.len();
+    let mut reasons = Vec::with_capacity(count);
+    while reasons.len() < count {
+        let k = reasons.len();
+        let end = (k..count)
+            .find(|j| supported(*j) != supported(k))
+            .unwrap_or(count);
+        let secs = walk.frames[end - 1].time.secs_since(walk.frames[k].time);
+        let limit = if k > 0 && end < count {
+            config.max_bridge_secs
+        } else {
+            config.max_extrapolation_secs
+        };
+        let refused = |j: usize| walk.frames[j].localized.is_some() && !found.accepted[j];
+        let whole = if supported(k) || secs <= limit {
+            None
+        } else if (k..end).any(refused) {
+            Some(LeftOutReason::Contradicted)
+        } else {
+            Some(LeftOutReason::NotRecognised)
+        };
+        reasons.extend((k..end).map(|j| {
+            let uncertain = !found.covariances[j].is_some_and(|c| is_certain(&c, config));
+            whole.or(uncertain.then_some(LeftOutReason::Uncertain))
+        }));
+    }
+    reasons
+}
+
+fn is_certain(covariance: &Matrix6<f64>, config: &GroundTruthConfig) -> bool {
+    let position = covariance.fixed_view::<3, 3>(3, 3);
+    (position.trace() / 3.0).sqrt() <= config.max_position_sigma_m
+}

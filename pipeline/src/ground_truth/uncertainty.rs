@@ -1,0 +1,186 @@
+//! How far each pose may be off.
+//!
+//! Around each pose the problem of eq. (5) is linearized once more, over a few seconds, with what it holds fixed set free: a
+//! point of the map is only known to what the walk itself shows of the map's errors, and errs the same way in all images that see it.
+//! What lies outside the window would make the poses surer, by little: they are rather called too uncertain.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+use lsfb_geometry::{Matrix6, Vector3};
+use lsfb_solver::{BlockId, Kernel, Problem, VectorPrior, covariance};
+use lsfb_types::{Progress, ProgressFn};
+
+use super::GroundTruthConfig;
+use super::estimate::Estimate;
+use super::inertial::{StateBlocks, add_inertial_residuals};
+use super::report::{ReprojectionErrors, local_errors, map_errors};
+use super::walk::{LocalObservation, LocalPoint, Walk};
+use crate::Error;
+use crate::residuals::{CameraCorrection, MovingReprojection};
+
+/// Frames whose covariance one window gives, and time before and after them that it covers, seconds.
+const FRAMES_AT_ONCE: usize = 30;
+const MARGIN_SECS: f64 = 1.5;
+/// Keypoints are no better than this, pixels in each direction.
+const LEAST_PIXEL_SIGMA: f64 = 0.2;
+/// Points of the map are no better than this, metres.
+const LEAST_POINT_SIGMA_M: f64 = 1e-3;
+
+/// Errors that the walk shows, as deviations in each direction.
+struct Deviations {
+    /// Of a keypoint, pixels.
+    pixel_px: f64,
+    /// Of a point of the map, pixels as seen by the walk.
+    map_px: f64,
+}
+
+impl Deviations {
+    /// What the map's points are off more than local points, which lie where the walk wants them, is the map's.
+    fn of(map: &ReprojectionErrors, local: &ReprojectionErrors) -> Self {
+        let local_px2 = 0.5 * local.rms_px.powi(2);
+        let map_px2 = 0.5 * map.rms_px.powi(2);
+        let pixel_px2 = match local.count {
+            0 => map_px2,
+            _ => local_px2,
+        };
+        Self {
+            pixel_px: pixel_px2.sqrt().max(LEAST_PIXEL_SIGMA),
+            map_px: (map_px2 - pixel_px2).max(0.25 * map_px2).sqrt(),
+        }
+    }
+}
+
+/// Covariance of the pose of each frame, tangent `[rotation, translation]` on the right, rad² and m²; `None` where what lies around
+/// it does not determine it.
+pub(super) fn pose_covariances(
+    walk: &Walk,
+    estimate: &Estimate,
+    points: &[LocalPoint],
+    config: &GroundTruthConfig,
+    progress: ProgressFn<'_>,
+) -> Result<Vec<Option<Matrix6<f64>>>, Error> {
+    let shown = Deviations::of(&map_errors(walk, estimate), &local_errors(estimate, points));
+    let count = walk.frames.len();
+    let mut covariances = Vec::with_capacity(count);
+    for first in (0..count).step_by(FRAMES_AT_ONCE) {
+        progress(Progress {
+            stage: "covariance",
+            done: first as u64,
+            total: count as u64,
+        })?;
+        let end = (first + FRAMES_AT_ONCE).min(count);
+        let (from, to) = (walk.frames[first].time, walk.frames[end - 1].time);
+        let begin = walk
+            .frames
+            .partition_point(|f| from.secs_since(f.time) > MARGIN_SECS);
+        let stop = walk
+            .frames
+            .partition_point(|f| f.time.secs_since(to) <= MARGIN_SECS);
+        let window = Window::new(walk, estimate, points, begin..stop, &shown, config)?;
+        covariances.extend(window.covariances(first..end)?);
+    }
+    Ok(covariances)
+}
+
+/// A part of the walk.
+struct Window {
+    problem: Problem,
+    begin: usize,
+    poses: Vec<BlockId>,
+}
+
+impl Window {
+    fn new(
+        walk: &Walk,
+        estimate: &Estimate,
+        points: &[LocalPoint],
+        frames: Range<usize>,
+        shown: &Deviations,
+        config: &GroundTruthConfig,
+    ) -> Result<Self, Error> {
+        let kernel = Kernel::Cauchy {
+            scale: config.kernel_scale,
+        };
+        let mut problem = Problem::new();
+        let mut corrections = Vec::with_capacity(walk.cameras.len());
+        for correction in &estimate.corrections {
+            let block = problem.add_block(*correction);
+            let prior = VectorPrior::new(CameraCorrection::zeros(), config.calibration_sigmas());
+            problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
+            corrections.push(block);
+        }
+        let states: Vec<StateBlocks> = estimate.states[frames.clone()]
+            .iter()
+            .map(|state| StateBlocks::add(&mut problem, state))
+            .collect();
+        let sight = |camera: usize, frame: usize, pixel| MovingReprojection {
+            camera: walk.cameras[camera].clone(),
+            motion: estimate.motions[frame],
+            pixel,
+            sigma_px: shown.pixel_px,
+        };
+        let mut of_map = BTreeMap::new();
+        for k in frames.clone() {
+            for seen in &walk.frames[k].fixed {
+                let point = match of_map.get(&seen.point) {
+                    Some(point) => *point,
+                    None => {
+                        let point = problem.add_eliminated_point(seen.point_in_world);
+                        let away_m = (seen.point_in_world - estimate.pose(k).translation).norm();
+                        let focal_px = estimate.cameras[seen.camera].camera().focal_px()[0];
+                        let sigma_m = (shown.map_px * away_m / focal_px).max(LEAST_POINT_SIGMA_M);
+                        let prior = VectorPrior::new(seen.point_in_world, Vector3::repeat(sigma_m));
+                        problem.add_residual(prior, &[point.id()], Kernel::Squared)?;
+                        of_map.insert(seen.point, point);
+                        point
+                    }
+                };
+                let blocks = [
+                    states[k - frames.start].pose.id(),
+                    corrections[seen.camera].id(),
+                    point.id(),
+                ];
+                problem.add_residual(sight(seen.camera, k, seen.pixel), &blocks, kernel)?;
+            }
+        }
+        for point in points {
+            let inside = |seen: &&LocalObservation| seen.used && frames.contains(&seen.frame);
+            let inside: Vec<_> = point.observations.iter().filter(inside).collect();
+            // One sight says nothing but where the point is.
+            if inside.len() < 2 {
+                continue;
+            }
+            let block = problem.add_eliminated_point(point.point_in_world);
+            for seen in inside {
+                let blocks = [
+                    states[seen.frame - frames.start].pose.id(),
+                    corrections[seen.camera].id(),
+                    block.id(),
+                ];
+                let residual = sight(seen.camera, seen.frame, seen.pixel);
+                problem.add_residual(residual, &blocks, kernel)?;
+            }
+        }
+        add_inertial_residuals(&mut problem, walk, frames.start, &states, config)?;
+        Ok(Self {
+            problem,
+            begin: frames.start,
+            poses: states.iter().map(|s| s.pose.id()).collect(),
+        })
+    }
+
+    fn covariances(&self, frames: Range<usize>) -> Result<Vec<Option<Matrix6<f64>>>, Error> {
+        let asked = &self.poses[frames.start - self.begin..frames.end - self.begin];
+        let found = match covariance(&self.problem, asked) {
+            Ok(found) => found,
+            Err(lsfb_solver::Error::Undetermined { .. }) => return Ok(vec![None; asked.len()]),
+            Err(other) => return Err(other.into()),
+        };
+        let of_pose = |id: &BlockId| {
+            let block = found.between(*id, *id)?;
+            Some(block.fixed_view::<6, 6>(0, 0).into_owned())
+        };
+        Ok(asked.iter().map(of_pose).collect())
+    }
+}
