@@ -204,6 +204,18 @@ pub enum Error {
         /// Localized frames of the next best that contradict it.
         rival: usize,
     },
+    /// No pose of a walk is certain enough.
+    #[error(
+        "{path}: none of {frames} poses is certain enough for the trajectory (max_position_sigma_m is {limit_m} m): walk where more of the map is in view, or allow more", path = path.display()
+    )]
+    NothingCertain {
+        /// The recording.
+        path: PathBuf,
+        /// Poses that were found.
+        frames: usize,
+        /// Largest standard deviation of a position that is exported, metres.
+        limit_m: f64,
+    },
     /// A least-squares problem kept moving.
     #[error(
         "{stage}: no minimum after {iterations} iterations: raise solve.max_iterations, and check IMU axes, time stamps and intrinsics of the rig file"

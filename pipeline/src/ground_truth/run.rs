@@ -86,6 +86,13 @@ pub fn ground_truth(
         },
         config,
     );
+    if trusted.poses.is_empty() {
+        return Err(Error::NothingCertain {
+            path: recording.path().to_owned(),
+            frames: walk.frames.len(),
+            limit_m: config.max_position_sigma_m,
+        });
+    }
     let trajectory = Trajectory::new(trusted.poses.clone());
     let mut report = report(&walk, &solved, &trusted, &trajectory)?;
     report.cameras = refinements(&rig, estimate, config);

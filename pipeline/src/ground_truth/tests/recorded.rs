@@ -205,6 +205,18 @@ fn a_recorded_walk_is_placed_in_its_map_and_refused_in_another() {
         assert!(error.dot(&(information * error)) < 60.0, "{t} s: {error}");
     }
 
+    // Certain to a micrometre is nothing.
+    let strict = GroundTruthConfig {
+        max_position_sigma_m: 1e-6,
+        ..GroundTruthConfig::default()
+    };
+    let recording = Recording::open(&path).expect("recording");
+    let error = ground_truth(&recording, &map, &strict, &no_progress).expect_err("uncertain");
+    assert!(
+        matches!(error, Error::NothingCertain { frames: 16, .. }),
+        "{error}"
+    );
+
     // Another room; one without IMU; one that lost a camera.
     let other = folder.path().join("other.mcap");
     record(&other, 2, 6, &rig(), usize::MAX);
