@@ -9,7 +9,7 @@
 //! are no plane.
 
 use lsfb_geometry::{Matrix3, Se3, Vector3};
-use lsfb_perception::lidar::{LocalMap, LocalMapConfig, Plane, voxel_downsample};
+use lsfb_perception::lidar::{LocalMap, LocalMapConfig, Plane, PlaneMap, voxel_downsample};
 use lsfb_perception::statistics::median;
 use lsfb_types::Bounds;
 use nalgebra::SymmetricEigen;
@@ -65,7 +65,7 @@ pub struct Edge {
 /// Features of one keyframe, in the rig frame of the keyframe.
 #[derive(Clone, Debug)]
 pub struct LidarFeatures {
-    surfaces: LocalMap,
+    surfaces: PlaneMap,
     planes: Vec<Plane>,
     edges: Vec<Edge>,
 }
@@ -168,8 +168,9 @@ impl LidarFeatures {
             }));
         }
         creases.sort_by_key(|c| c.ring);
+        let surfaces = surfaces.into_planes();
         Self {
-            planes: surfaces.finest_planes(),
+            planes: surfaces.finest(),
             edges: join_creases(&creases, range_noise_m),
             surfaces,
         }
@@ -199,7 +200,7 @@ pub fn correspond(
         let normal = m_from_n.rotation * plane.normal;
         let plane_in_m = m
             .surfaces
-            .find_plane(&point, &normal, config.gate_m, min_cosine)?;
+            .find(&point, &normal, config.gate_m, min_cosine)?;
         Some(PlaneMatch {
             point_in_n: plane.point,
             plane_in_m,

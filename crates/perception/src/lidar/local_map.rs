@@ -9,6 +9,7 @@ use nalgebra::{Matrix3, Rotation3};
 use rayon::prelude::*;
 
 use super::plane::{Plane, PointSums};
+use super::plane_map::PlaneMap;
 use super::registration::Match;
 use super::voxels::{CellMap, cell_key, neighbour_key};
 
@@ -161,45 +162,23 @@ impl LocalMap {
         self.levels.last().map_or(0, CellMap::len)
     }
 
-    /// The planes of the finest level, in order of their cells.
-    pub fn finest_planes(&self) -> Vec<Plane> {
-        let Some(finest) = self.levels.last() else {
-            return Vec::new();
+    /// Its planes alone: what is left when nothing more is to be inserted, at a small part of the memory.
+    pub fn into_planes(self) -> PlaneMap {
+        let min_places = self.min_places();
+        let planes_of = |cells: Level| {
+            let flat = cells.into_iter().filter_map(|(key, cell)| {
+                let planes = cell.sides.map(|side| side.plane_from(min_places));
+                planes.iter().any(Option::is_some).then_some((key, planes))
+            });
+            let mut planes: CellMap<[Option<Plane>; 2]> = flat.collect();
+            planes.shrink_to_fit();
+            planes
         };
-        let min_places = self.min_places();
-        let mut keyed: Vec<_> = finest
-            .iter()
-            .flat_map(|(key, cell)| {
-                cell.sides
-                    .iter()
-                    .filter_map(move |s| Some((*key, s.plane_from(min_places)?)))
-            })
-            .collect();
-        keyed.sort_by_key(|(key, _)| *key);
-        keyed.into_iter().map(|(_, plane)| plane).collect()
-    }
-
-    /// The largest plane within `gate_m` of `point` whose normal has a cosine above
-    /// `min_normal_cosine` with `normal`.
-    pub fn find_plane(
-        &self,
-        point: &Vector3<f64>,
-        normal: &Vector3<f64>,
-        gate_m: f64,
-        min_normal_cosine: f64,
-    ) -> Option<Plane> {
-        let in_grid = self.grid_from_world * point;
-        let min_places = self.min_places();
-        self.levels.iter().enumerate().find_map(|(level, cells)| {
-            let cell = cells.get(&cell_key(&in_grid, 1.0 / self.size_m(level)))?;
-            cell.sides
-                .iter()
-                .filter_map(|side| side.plane_from(min_places))
-                .find(|plane| {
-                    plane.normal.dot(normal) > min_normal_cosine
-                        && plane.normal.dot(&(point - plane.point)).abs() < gate_m
-                })
-        })
+        PlaneMap {
+            finest_cell_m: self.size_m(self.levels.len() - 1),
+            grid_from_world: self.grid_from_world,
+            levels: self.levels.into_iter().map(planes_of).collect(),
+        }
     }
 
     fn min_places(&self) -> u32 {
@@ -369,6 +348,20 @@ mod tests {
                 panic!("no plane at {point}");
             };
             assert!((plane.point.x - x_m).abs() < 1e-9 && plane.normal.x * towards > 0.999);
+        }
+        // The same of its planes alone.
+        let planes = map.into_planes();
+        assert!(planes.finest().len() > 10);
+        for (x_m, towards) in [(0.0, -1.0), (0.1, 1.0)] {
+            let normal = Vector3::new(towards, 0.0, 0.0);
+            let plane = planes.find(&Vector3::new(x_m, 0.33, -0.21), &normal, 0.05, 0.9);
+            let plane = plane.expect("a plane on this side");
+            assert!((plane.point.x - x_m).abs() < 1e-9 && plane.normal.x * towards > 0.999);
+            assert!(
+                planes
+                    .find(&Vector3::new(x_m + 5.0, 0.0, 0.0), &normal, 0.05, 0.9)
+                    .is_none()
+            );
         }
     }
 

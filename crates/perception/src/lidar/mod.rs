@@ -3,11 +3,13 @@
 mod deskew;
 mod local_map;
 mod plane;
+mod plane_map;
 mod registration;
 mod voxels;
 
 pub use deskew::{KNOT_NS, Motion, MotionKnot, RangeWindow, deskew, deskew_rings};
 pub use local_map::{LocalMap, LocalMapConfig};
 pub use plane::{Plane, PointSums};
+pub use plane_map::PlaneMap;
 pub use registration::{Match, PosePrior, Registration, RegistrationConfig, Weighting, register};
 pub use voxels::{CellMap, cell_key, neighbour_key, voxel_downsample};
