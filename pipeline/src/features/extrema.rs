@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::scale_space::{Octave, Plane};
+use super::scale_space::Octave;
 
 /// An extremum in the coordinates of its octave.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,22 +26,25 @@ pub(crate) struct Limits {
 /// All extrema of an octave, by level, row and column.
 pub(crate) fn find_extrema(octave: &Octave, limits: &Limits) -> Vec<Extremum> {
     let mut found = Vec::new();
-    let levels = octave.differences.len();
-    let (width, height) = (octave.differences[0].width, octave.differences[0].height);
+    let [width, height] = octave.size();
     if width <= 2 * limits.border || height <= 2 * limits.border {
         return found;
     }
     // Half the contrast on the grid: the peak between pixels is higher.
     let floor = 0.5 * limits.contrast;
     let (mut band, mut peaks) = (Band::default(), Vec::new());
-    for level in 1..levels - 1 {
-        let [below, here, above] = [level - 1, level, level + 1].map(|l| &octave.differences[l]);
+    let mut rows: [Vec<f32>; 3] = Default::default();
+    for level in 1..octave.differences().saturating_sub(1) {
+        for (i, row) in rows.iter_mut().enumerate().skip(1) {
+            octave.difference_row(level, limits.border + i - 2, row);
+        }
         for y in limits.border..height - limits.border {
-            mark_peaks(here, y, floor, &mut band, &mut peaks);
-            let row = here.row(y);
+            rows.rotate_left(1);
+            octave.difference_row(level, y + 1, &mut rows[2]);
+            mark_peaks(&rows, floor, &mut band, &mut peaks);
             let inner = peaks.iter().enumerate().take(width - limits.border);
             for (x, _) in inner.skip(limits.border).filter(|(_, peak)| **peak) {
-                if is_extremum(row[x], [here, below, above], x, y) {
+                if is_extremum(octave, level, x, y) {
                     found.extend(refine(octave, level, x, y, limits));
                 }
             }
@@ -57,18 +60,17 @@ struct Band {
     lowest: Vec<f32>,
 }
 
-/// Marks the pixels of row `y` that no neighbour in their own plane exceeds. Written without branches, for several
+/// Marks the pixels of the middle row that no neighbour in the three rows exceeds. Written without branches, for several
 /// lanes at once: it leaves one pixel in fifty for the full test.
-fn mark_peaks(plane: &Plane, y: usize, floor: f32, band: &mut Band, peaks: &mut Vec<bool>) {
-    let rows = [y - 1, y, y + 1].map(|y| plane.row(y));
-    let width = plane.width;
+fn mark_peaks(rows: &[Vec<f32>; 3], floor: f32, band: &mut Band, peaks: &mut Vec<bool>) {
+    let width = rows[1].len();
     band.highest.resize(width, 0.0);
     band.lowest.resize(width, 0.0);
     peaks.clear();
     peaks.resize(width, false);
     let higher = |a: f32, b: f32| if a > b { a } else { b };
     let lower = |a: f32, b: f32| if a < b { a } else { b };
-    let columns = rows[0].iter().zip(rows[1]).zip(rows[2]);
+    let columns = rows[0].iter().zip(&rows[1]).zip(&rows[2]);
     let bounds = band.highest.iter_mut().zip(&mut band.lowest);
     for ((highest, lowest), ((a, b), c)) in bounds.zip(columns) {
         *highest = higher(higher(*a, *b), *c);
@@ -83,17 +85,17 @@ fn mark_peaks(plane: &Plane, y: usize, floor: f32, band: &mut Band, peaks: &mut 
     }
 }
 
-fn is_extremum(value: f32, planes: [&Plane; 3], x: usize, y: usize) -> bool {
+fn is_extremum(octave: &Octave, level: usize, x: usize, y: usize) -> bool {
+    let value = octave.difference(level, x, y);
     let sign = value.signum();
     let value = value * sign;
-    for (i, plane) in planes.into_iter().enumerate() {
+    for (i, level) in [level, level - 1, level + 1].into_iter().enumerate() {
         for dy in 0..3 {
-            let row = &plane.row(y + dy - 1)[x - 1..x + 2];
-            for (dx, neighbour) in row.iter().enumerate() {
+            for dx in 0..3 {
                 // Of two equal neighbours the later one wins, so that plateaus give one extremum.
                 let itself = i == 0 && dx == 1 && dy == 1;
                 let later = i == 0 && (dy, dx) > (1, 1);
-                let neighbour = neighbour * sign;
+                let neighbour = octave.difference(level, x + dx - 1, y + dy - 1) * sign;
                 if !itself && (neighbour > value || (later && neighbour == value)) {
                     return false;
                 }
@@ -105,11 +107,10 @@ fn is_extremum(value: f32, planes: [&Plane; 3], x: usize, y: usize) -> bool {
 
 /// Fits a quadric (Lowe, section 4) and tests contrast and edge response at its peak.
 fn refine(octave: &Octave, level: usize, x: usize, y: usize, limits: &Limits) -> Option<Extremum> {
-    let planes = &octave.differences;
-    let (width, height) = (planes[0].width, planes[0].height);
+    let [width, height] = octave.size();
     let (mut level, mut x, mut y) = (level, x, y);
     for _ in 0..5 {
-        let at = |l: usize, x: usize, y: usize| planes[l].values[y * width + x];
+        let at = |l: usize, x: usize, y: usize| octave.difference(l, x, y);
         let centre = at(level, x, y);
         let gradient = Vector3::new(
             at(level, x + 1, y) - at(level, x - 1, y),
@@ -149,7 +150,7 @@ fn refine(octave: &Octave, level: usize, x: usize, y: usize, limits: &Limits) ->
         };
         x = moved(x, offset.x, limits.border, width - limits.border)?;
         y = moved(y, offset.y, limits.border, height - limits.border)?;
-        level = moved(level, offset.z, 1, planes.len() - 1)?;
+        level = moved(level, offset.z, 1, octave.differences() - 1)?;
     }
     None
 }

@@ -1,4 +1,5 @@
-//! Gaussian and difference-of-Gaussian images of one octave.
+//! Gaussian images of one octave. Their differences are formed where they are looked at: stored, they would double the memory of
+//! large images.
 
 use lsfb_types::Image;
 
@@ -32,36 +33,35 @@ impl Plane {
     }
 }
 
-/// Gaussians of increasing blur and their differences: `differences[i] = gaussians[i + 1] - gaussians[i]`.
-/// Kept between images, so that its memory is touched for the first time only once.
+/// Gaussians of increasing blur. Kept between images, so that its memory is touched for the first time only once.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Octave {
     pub gaussians: Vec<Plane>,
-    pub differences: Vec<Plane>,
-    source: Plane,
     scratch: Vec<f32>,
 }
 
 impl Octave {
-    /// Fills `source` from the camera's image and blurs it to `sigma` (in pixels of the first octave).
+    /// Takes the camera's image and blurs it to `sigma` (in pixels of the first octave).
     pub fn start(&mut self, image: &Image, doubled: bool, sigma: f32) {
+        self.hold(2);
+        let (base, rest) = self.gaussians.split_at_mut(1);
+        // The next level's memory holds the sharp image until that level is filled.
+        let source = &mut rest[0];
         let blur = if doubled {
-            double(image, &mut self.source);
+            double(image, source);
             2.0 * CAMERA_BLUR_PX
         } else {
-            copy(image, &mut self.source);
+            copy(image, source);
             CAMERA_BLUR_PX
         };
-        self.gaussians.resize_with(1, Plane::default);
         let kernel = kernel((sigma * sigma - blur * blur).max(0.01).sqrt());
-        let (source, base) = (&self.source, &mut self.gaussians[0]);
-        blur_into(source, base, &kernel, &mut self.scratch, None);
+        blur_into(source, &mut base[0], &kernel, &mut self.scratch);
     }
 
     /// Begins the next octave with every second pixel of the Gaussian that has twice the base blur.
     pub fn halve(&mut self, previous: &Octave, scales: usize) {
         let from = &previous.gaussians[scales];
-        self.gaussians.resize_with(1, Plane::default);
+        self.hold(1);
         let base = &mut self.gaussians[0];
         base.resize(from.width / 2, from.height / 2);
         for y in 0..base.height {
@@ -72,23 +72,52 @@ impl Octave {
         }
     }
 
-    /// Adds the remaining Gaussians and all differences of an octave with `scales` detection levels.
+    /// Adds the remaining Gaussians of an octave with `scales` detection levels.
     pub fn fill(&mut self, scales: usize, sigma: f32) {
-        self.gaussians.resize_with(scales + 3, Plane::default);
-        self.differences.resize_with(scales + 2, Plane::default);
+        self.hold(scales + 3);
+        self.gaussians.truncate(scales + 3);
         let step = 2.0f32.powf(1.0 / scales as f32);
         for level in 1..scales + 3 {
             let before = sigma * step.powi(level as i32 - 1);
             let kernel = kernel(before * (step * step - 1.0).sqrt());
             let (done, rest) = self.gaussians.split_at_mut(level);
-            let difference = &mut self.differences[level - 1];
-            blur_into(
-                &done[level - 1],
-                &mut rest[0],
-                &kernel,
-                &mut self.scratch,
-                Some(difference),
-            );
+            blur_into(&done[level - 1], &mut rest[0], &kernel, &mut self.scratch);
+        }
+    }
+
+    /// Number of differences: one fewer than Gaussians.
+    pub fn differences(&self) -> usize {
+        self.gaussians.len().saturating_sub(1)
+    }
+
+    /// Width and height, pixels; zero before the octave is filled.
+    pub fn size(&self) -> [usize; 2] {
+        self.gaussians
+            .first()
+            .map_or([0; 2], |g| [g.width, g.height])
+    }
+
+    /// Gaussian `level + 1` less Gaussian `level`, at one pixel.
+    pub fn difference(&self, level: usize, x: usize, y: usize) -> f32 {
+        let (sharp, blurred) = (&self.gaussians[level], &self.gaussians[level + 1]);
+        let at = y * sharp.width + x;
+        blurred.values[at] - sharp.values[at]
+    }
+
+    /// The same, a row at a time.
+    pub fn difference_row(&self, level: usize, y: usize, row: &mut Vec<f32>) {
+        let (sharp, blurred) = (
+            self.gaussians[level].row(y),
+            self.gaussians[level + 1].row(y),
+        );
+        row.clear();
+        row.extend(blurred.iter().zip(sharp).map(|(b, s)| b - s));
+    }
+
+    /// At least this many planes, those of the image before among them.
+    fn hold(&mut self, count: usize) {
+        if self.gaussians.len() < count {
+            self.gaussians.resize_with(count, Plane::default);
         }
     }
 }
@@ -132,19 +161,10 @@ fn kernel(sigma: f32) -> Vec<f32> {
 }
 
 /// Separable Gaussian with replicated borders: columns first, one row at a time, so that the row between the two
-/// passes stays in the nearest cache. Writes the difference to the source where one is asked for.
-fn blur_into(
-    source: &Plane,
-    target: &mut Plane,
-    kernel: &[f32],
-    scratch: &mut Vec<f32>,
-    mut difference: Option<&mut Plane>,
-) {
+/// passes stays in the nearest cache.
+fn blur_into(source: &Plane, target: &mut Plane, kernel: &[f32], scratch: &mut Vec<f32>) {
     let (width, height, radius) = (source.width, source.height, kernel.len() - 1);
     target.resize(width, height);
-    if let Some(d) = difference.as_deref_mut() {
-        d.resize(width, height);
-    }
     if width == 0 || height == 0 {
         return;
     }
@@ -162,13 +182,7 @@ fn blur_into(
         let (first, last) = (middle[0], middle[width - 1]);
         scratch[..radius].fill(first);
         scratch[radius + width..].fill(last);
-        let out = target.row_mut(y);
-        blur_row(scratch, kernel, out);
-        if let Some(d) = difference.as_deref_mut() {
-            for ((d, blurred), sharp) in d.row_mut(y).iter_mut().zip(&*out).zip(source.row(y)) {
-                *d = blurred - sharp;
-            }
-        }
+        blur_row(scratch, kernel, target.row_mut(y));
     }
 }
 
@@ -234,13 +248,13 @@ mod tests {
         flat.resize(37, 21);
         flat.values.fill(0.7);
         let (mut out, mut scratch) = (Plane::default(), Vec::new());
-        blur_into(&flat, &mut out, &kernel(2.1), &mut scratch, None);
+        blur_into(&flat, &mut out, &kernel(2.1), &mut scratch);
         assert!(out.values.iter().all(|v| (v - 0.7).abs() < 1e-5));
 
         let mut spike = Plane::default();
         spike.resize(41, 41);
         spike.values[20 * 41 + 20] = 1.0;
-        blur_into(&spike, &mut out, &kernel(2.0), &mut scratch, None);
+        blur_into(&spike, &mut out, &kernel(2.0), &mut scratch);
         let (mut variance_x, mut variance_y) = (0.0, 0.0);
         for y in 0..41 {
             for x in 0..41 {
