@@ -98,6 +98,16 @@ pub enum Error {
         /// What is wrong.
         reason: &'static str,
     },
+    /// Images give no map, or one in which nobody would be found.
+    #[error("{points} map points are seen in three images or more, {needed} are needed: {reason}")]
+    TooFewPoints {
+        /// Points there are.
+        points: usize,
+        /// Fewest that make a map.
+        needed: usize,
+        /// What is missing.
+        reason: MapShortage,
+    },
     /// An image belongs to a keyframe that is not there.
     #[error("an image belongs to keyframe {keyframe}, but there are {count}")]
     UnknownKeyframe {
@@ -243,7 +253,63 @@ pub enum Error {
     Stopped(#[from] lsfb_types::Stopped),
 }
 
+/// Why images give too few map points.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum MapShortage {
+    /// The images are blank.
+    #[error("{images} images show {features} features: check focus, exposure and lens caps")]
+    FewFeatures {
+        /// Images.
+        images: usize,
+        /// Features in all of them.
+        features: usize,
+    },
+    /// Nothing is seen from two places.
+    #[error(
+        "no two of the {images} images look the same way from different places: move between them, turning alone gives no depth"
+    )]
+    NoBaseline {
+        /// Images.
+        images: usize,
+    },
+    /// What images share does not agree with their poses.
+    #[error(
+        "too little of what {images} images share agrees with their poses: do they overlap, are the poses those of the cameras (world from camera, z forward), and is the calibration theirs?"
+    )]
+    Disagreement {
+        /// Images.
+        images: usize,
+    },
+}
+
+/// Fewer points localize nobody.
+pub(crate) const MIN_MAP_POINTS: usize = 100;
+/// An image with fewer features on average sees too little.
+pub(crate) const MIN_FEATURES_PER_IMAGE: usize = 50;
+
 impl Error {
+    /// For `points` map points of `images` images with `features` features in all; `no_baseline` where no two of them see one thing from
+    /// two places.
+    pub(crate) fn too_few_points(
+        points: usize,
+        images: usize,
+        features: usize,
+        no_baseline: bool,
+    ) -> Self {
+        let reason = if features < MIN_FEATURES_PER_IMAGE * images.max(1) {
+            MapShortage::FewFeatures { images, features }
+        } else if no_baseline {
+            MapShortage::NoBaseline { images }
+        } else {
+            MapShortage::Disagreement { images }
+        };
+        Self::TooFewPoints {
+            points,
+            needed: MIN_MAP_POINTS,
+            reason,
+        }
+    }
+
     /// Names the path in an I/O error: `fs::read(path).map_err(Error::io(path))`.
     pub fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.to_owned();

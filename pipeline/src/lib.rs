@@ -20,4 +20,4 @@ pub mod preintegration;
 pub mod residuals;
 mod solve;
 
-pub use error::Error;
+pub use error::{Error, MapShortage};

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use lsfb_geometry::{Camera, Matrix3, Rig, RigCamera, Se3, UnitQuaternion, Vector3};
 use lsfb_perception::image;
-use lsfb_pipeline::hd_map::{PosedMapConfig, ReconstructionConfig};
+use lsfb_pipeline::hd_map::PosedMapConfig;
 use lsfb_pipeline::posed_images::{PosedImage, PosedImages};
 use nalgebra::Rotation3;
 
@@ -46,17 +46,10 @@ pub fn read_all(data: &Path) -> Result<Vec<Place>, Box<dyn Error>> {
     let office = PosedImages::read(&vision.join("hololens_office"))?;
     let kitchen = seven_scenes(&vision.join("sevenscenes_redkitchen"))?;
     let fountain = strecha(&vision.join("strecha_fountain_P11_half"))?;
-    let mut fountain = Place::new("fountain", &fountain, 3, 0.3);
-    // Cameras stand metres apart, some ten metres from the wall.
-    fountain.map_config.reconstruction = ReconstructionConfig {
-        best_baseline_m: 2.0,
-        max_baseline_m: 12.0,
-        ..ReconstructionConfig::default()
-    };
     Ok(vec![
         Place::new("office", &office, 5, 0.10),
         Place::new("kitchen", &kitchen, 2, 0.10),
-        fountain,
+        Place::new("fountain", &fountain, 3, 0.3),
     ])
 }
 

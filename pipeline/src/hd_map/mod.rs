@@ -10,7 +10,10 @@ mod index;
 mod kmeans;
 mod mapped_file;
 mod posed;
+mod prepared_image;
 mod reconstruction;
+mod reconstruction_config;
+mod scene_depth;
 mod table;
 #[cfg(test)]
 mod tests;
@@ -29,10 +32,12 @@ pub use file::FORMAT_VERSION;
 pub use index::IndexConfig;
 pub(crate) use index::SearchScratch;
 pub use posed::{PosedMapConfig, build_map_from_posed_images};
+pub use prepared_image::KeyframeImage;
+pub(crate) use reconstruction::expect_map;
 pub use reconstruction::{
-    KeyframeImage, MapPoint, PointObservation, ReconstructionConfig, find_tracks, reconstruct,
-    select_keyframes, triangulate_tracks,
+    MapPoint, PointObservation, find_tracks, reconstruct, select_keyframes, triangulate_tracks,
 };
+pub use reconstruction_config::ReconstructionConfig;
 
 /// Points, keyframes, observations and descriptors, in columns. Cloning shares them.
 #[derive(Clone, Debug)]

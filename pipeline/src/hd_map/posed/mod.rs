@@ -1,0 +1,182 @@
+use std::collections::{BTreeMap, BTreeSet};
+
+use lsfb_geometry::{Se3, StampedPose};
+use lsfb_types::{Bounds, Image, Progress, ProgressFn, Timestamp};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::reconstruction::{depth_of_images, expect_map};
+use super::scene_depth::depth_pairs;
+use super::{
+    HdMap, HdMapConfig, KeyframeImage, MapContent, ReconstructionConfig, reconstruct,
+    select_keyframes,
+};
+use crate::error::{Error, MIN_MAP_POINTS, MapShortage};
+use crate::features::{Features, SiftConfig, detect_all};
+use crate::posed_images::PosedImages;
+
+/// Images in memory at once.
+const BATCH: usize = 32;
+
+/// Configuration of [`build_map_from_posed_images`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PosedMapConfig {
+    /// An image becomes a keyframe this far from the last one, as a share of the depth of the scene …
+    pub keyframe_distance_per_depth: f64,
+    /// … or turned by this much, degrees.
+    pub keyframe_angle_deg: f64,
+    /// Features.
+    pub sift: SiftConfig,
+    /// Matching and triangulation.
+    pub reconstruction: ReconstructionConfig,
+    /// Descriptors and index.
+    pub map: HdMapConfig,
+}
+
+impl Default for PosedMapConfig {
+    fn default() -> Self {
+        Self {
+            keyframe_distance_per_depth: 0.026,
+            keyframe_angle_deg: 6.0,
+            sift: SiftConfig::default(),
+            reconstruction: ReconstructionConfig::default(),
+            map: HdMapConfig::default(),
+        }
+    }
+}
+
+lsfb_types::bounds! {
+    PosedMapConfig {
+        keyframe_distance_per_depth: number(Bounds::NOT_NEGATIVE),
+        keyframe_angle_deg: number(Bounds::NOT_NEGATIVE),
+        sift: section,
+        reconstruction: section,
+        map: section,
+    }
+}
+
+/// Builds a map from images with poses, in the unit of the poses. Keyframe `i` carries `i` ns as its time: the list has none.
+///
+/// Images that give hardly a point are an error that says what is missing.
+pub fn build_map_from_posed_images(
+    posed: &PosedImages,
+    config: &PosedMapConfig,
+    progress: ProgressFn,
+) -> Result<HdMap, Error> {
+    config.check_bounds("posed_map")?;
+    let poses: Vec<Se3> = posed.images.iter().map(|i| i.world_from_rig).collect();
+    let mut detected = DetectedImages {
+        posed,
+        config: &config.sift,
+        features: BTreeMap::new(),
+    };
+    let sample = depth_sample(posed, &config.reconstruction)?;
+    detected.detect(&sample, progress)?;
+    let (keyframes, images) = detected.keyframes(&sample);
+    let depth = depth_of_images(&posed.rig, &keyframes, &images, &config.reconstruction)?;
+    let distance = config.keyframe_distance_per_depth * depth;
+    let chosen = select_keyframes(&poses, distance, config.keyframe_angle_deg);
+    detected.detect(&chosen, progress)?;
+    let (keyframes, images) = detected.keyframes(&chosen);
+    drop(detected);
+    let points = reconstruct(
+        &posed.rig,
+        &keyframes,
+        &images,
+        &config.reconstruction,
+        progress,
+    )?;
+    expect_map(&points, &images)?;
+    let content = MapContent {
+        keyframes: &keyframes,
+        images: &images,
+        points: &points,
+        provenance: &posed.content_hash()?,
+    };
+    HdMap::build(&content, &config.map, progress)
+}
+
+/// Indices of the images that say how deep the scene is.
+fn depth_sample(posed: &PosedImages, config: &ReconstructionConfig) -> Result<Vec<usize>, Error> {
+    let cameras: Vec<Se3> = posed
+        .images
+        .iter()
+        .map(|image| {
+            let mounted = posed.rig.cameras.get(&image.camera);
+            let mounted = mounted.ok_or_else(|| Error::UnknownCamera {
+                camera: image.camera.clone(),
+                rig: posed.rig.name.clone(),
+            })?;
+            Ok(image.world_from_rig * mounted.rig_from_camera)
+        })
+        .collect::<Result<_, Error>>()?;
+    let pairs = depth_pairs(&cameras, config);
+    let sample: BTreeSet<usize> = pairs.iter().flat_map(|(a, b)| [*a, *b]).collect();
+    if sample.is_empty() {
+        let images = cameras.len();
+        let reason = MapShortage::NoBaseline { images };
+        return Err(Error::TooFewPoints {
+            points: 0,
+            needed: MIN_MAP_POINTS,
+            reason,
+        });
+    }
+    Ok(sample.into_iter().collect())
+}
+
+/// Images whose features are known.
+struct DetectedImages<'a> {
+    posed: &'a PosedImages,
+    config: &'a SiftConfig,
+    features: BTreeMap<usize, Features>,
+}
+
+impl DetectedImages<'_> {
+    /// Detects the features of those of `wanted` whose features are not known yet.
+    fn detect(&mut self, wanted: &[usize], progress: ProgressFn) -> Result<(), Error> {
+        let is_new = |i: &&usize| !self.features.contains_key(i);
+        let missing: Vec<usize> = wanted.iter().filter(is_new).copied().collect();
+        let mut before = 0;
+        for batch in missing.chunks(BATCH) {
+            let pixels: Vec<Image> = batch
+                .par_iter()
+                .map(|i| self.posed.images[*i].read(&self.posed.rig))
+                .collect::<Result<_, _>>()?;
+            let borrowed: Vec<&Image> = pixels.iter().collect();
+            let features = detect_all(&borrowed, self.config, &|p| {
+                progress(Progress {
+                    done: before + p.done,
+                    total: missing.len() as u64,
+                    ..p
+                })
+            })?;
+            self.features.extend(batch.iter().copied().zip(features));
+            before += batch.len() as u64;
+        }
+        Ok(())
+    }
+
+    /// These images as keyframes.
+    fn keyframes(&self, chosen: &[usize]) -> (Vec<StampedPose>, Vec<KeyframeImage>) {
+        let keyframes = chosen.iter().enumerate();
+        keyframes
+            .filter_map(|(keyframe, i)| {
+                let image = &self.posed.images[*i];
+                let pose = StampedPose {
+                    time: Timestamp::from_nanos(keyframe as i64),
+                    world_from_rig: image.world_from_rig,
+                };
+                let image = KeyframeImage {
+                    keyframe,
+                    camera: image.camera.clone(),
+                    features: self.features.get(i)?.clone(),
+                };
+                Some((pose, image))
+            })
+            .unzip()
+    }
+}
+
+#[cfg(test)]
+mod tests;

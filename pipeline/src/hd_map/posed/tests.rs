@@ -1,0 +1,151 @@
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use lsfb_geometry::camera::Lens;
+use lsfb_geometry::{Camera, Rig, RigCamera, UnitQuaternion};
+use lsfb_types::no_progress;
+use nalgebra::Matrix3;
+
+use super::*;
+use crate::odometry::tests::room::{Room, render, world_from_rig};
+use crate::posed_images::PosedImage;
+
+/// One camera that looks forward.
+fn rig() -> Rig {
+    let forward =
+        UnitQuaternion::from_matrix(&Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0));
+    let camera = RigCamera {
+        camera: Camera {
+            width: 400,
+            height: 250,
+            lens: Lens::KannalaBrandt {
+                focal_px: [220.0; 2],
+                principal_px: [199.5, 124.5],
+                distortion: [-0.02, 0.006, -0.003, 0.0004],
+            },
+        },
+        rig_from_camera: Se3::new(forward, Default::default()),
+        timing: Default::default(),
+    };
+    Rig {
+        cameras: [("cam0".to_owned(), camera)].into(),
+        ..Rig::empty("hand")
+    }
+}
+
+/// A bitmap of greys: header, then rows from the last to the first, three bytes per pixel.
+fn write_bitmap(path: &Path, image: &Image) {
+    let (width, height) = (image.width, image.height);
+    let mut bytes = b"BM".to_vec();
+    let header = [
+        54 + 3 * width * height,
+        0,
+        54,
+        40,
+        width,
+        height,
+        0x0018_0001,
+    ];
+    for value in header.into_iter().chain([0; 6]) {
+        bytes.extend(value.to_le_bytes());
+    }
+    for row in image.pixels.chunks(width as usize).rev() {
+        bytes.extend(row.iter().flat_map(|grey| [*grey; 3]));
+    }
+    fs::write(path, bytes).expect("image");
+}
+
+/// Images of a walk through a furnished room, their poses in units of `1 / scale` metres.
+fn walk(folder: &Path, scale: f64) -> PosedImages {
+    let (room, rig) = (Room::furnished(), rig());
+    let images = (0..12).map(|i| {
+        let t = 1.5 + 0.25 * f64::from(i);
+        let path: PathBuf = folder.join(format!("{i}.bmp"));
+        if !path.exists() {
+            write_bitmap(&path, &render(&room, &rig.cameras["cam0"], t).sample);
+        }
+        let pose = world_from_rig(t);
+        PosedImage {
+            path,
+            camera: "cam0".to_owned(),
+            world_from_rig: Se3::new(pose.rotation, pose.translation * scale),
+        }
+    });
+    PosedImages {
+        images: images.collect(),
+        rig,
+    }
+}
+
+/// With baselines in metres an image set the size of a street gave an empty map, and said nothing.
+#[test]
+fn a_map_does_not_depend_on_the_unit_of_its_poses() {
+    let folder = tempfile::tempdir().expect("folder");
+    let config = PosedMapConfig::default();
+    let map = |scale: f64| {
+        let posed = walk(folder.path(), scale);
+        build_map_from_posed_images(&posed, &config, &no_progress).expect("a map")
+    };
+    let mean_distance = |map: &HdMap| {
+        let sum: f64 = map.positions().map(|p| p.norm()).sum();
+        sum / map.point_count() as f64
+    };
+    let metres = map(1.0);
+    assert!(metres.point_count() > 300, "{}", metres.point_count());
+    for scale in [0.1, 20.0] {
+        let scaled = map(scale);
+        assert_eq!(scaled.keyframe_count(), metres.keyframe_count());
+        let ratio = scaled.point_count() as f64 / metres.point_count() as f64;
+        assert!((ratio - 1.0).abs() < 0.01, "{ratio} at {scale}");
+        let ratio = mean_distance(&scaled) / (scale * mean_distance(&metres));
+        assert!((ratio - 1.0).abs() < 0.01, "{ratio} at {scale}");
+    }
+}
+
+#[test]
+fn images_that_make_no_map_are_an_error_that_says_why() {
+    let folder = tempfile::tempdir().expect("folder");
+    let config = PosedMapConfig::default();
+    let reason =
+        |posed: &PosedImages| match build_map_from_posed_images(posed, &config, &no_progress)
+            .expect_err("no map")
+        {
+            Error::TooFewPoints { reason, .. } => reason,
+            other => panic!("{other}"),
+        };
+    let good = walk(folder.path(), 1.0);
+
+    // Turned on the spot.
+    let mut turned = good.clone();
+    for image in &mut turned.images {
+        image.world_from_rig.translation = Default::default();
+    }
+    assert_eq!(reason(&turned), MapShortage::NoBaseline { images: 12 });
+
+    // Poses of other images.
+    let mut shuffled = good.clone();
+    let poses: Vec<Se3> = good.images.iter().map(|i| i.world_from_rig).collect();
+    for (i, image) in shuffled.images.iter_mut().enumerate() {
+        image.world_from_rig = poses[(7 * i + 3) % 12].inverse();
+    }
+    assert!(
+        matches!(reason(&shuffled), MapShortage::Disagreement { .. }),
+        "{:?}",
+        reason(&shuffled)
+    );
+
+    // Black images.
+    for image in &good.images {
+        let black = Image {
+            width: 400,
+            height: 250,
+            pixels: vec![0; 100_000],
+            ..Image::default()
+        };
+        write_bitmap(&image.path, &black);
+    }
+    assert!(matches!(
+        reason(&good),
+        MapShortage::FewFeatures { features: 0, .. }
+    ));
+}
