@@ -235,7 +235,7 @@ fn sensors_that_are_not_there() {
         "map",
     ]);
     let path = folder.path();
-    for (name, word) in [("no-imu.mcap", "no IMU"), ("no-cam2.mcap", "cam2")] {
+    for (name, word) in [("no-imu.mcap", "no_imu"), ("no-cam2.mcap", "cam2")] {
         let report = json(path, &["map", name, "--out", &format!("map-of-{name}")], 0);
         let warnings = [
             &report["report"]["odometry"]["warnings"],

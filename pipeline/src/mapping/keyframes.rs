@@ -6,7 +6,7 @@ use lsfb_geometry::{Rig, Se3, StampedPose, Trajectory};
 use lsfb_recording::Recording;
 use lsfb_types::{Image, Progress, ProgressFn, Stamped, Timestamp};
 
-use super::MappingConfig;
+use super::{MappingConfig, MappingWarning};
 use crate::Error;
 use crate::features::{Features, detect_all};
 use crate::hd_map::KeyframeImage;
@@ -49,13 +49,16 @@ const BATCH: usize = 32;
 pub(super) fn find_cameras(
     recording: &Recording,
     rig: &Rig,
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<MappingWarning>,
 ) -> Result<Vec<String>, Error> {
     let mut names = Vec::new();
     for name in rig.cameras.keys() {
         match recording.images(name) {
             Ok(_) => names.push(name.clone()),
-            Err(error) => warnings.push(format!("mapping without {name}: {error}")),
+            Err(error) => warnings.push(MappingWarning::CameraMissing {
+                camera: name.clone(),
+                reason: error.to_string(),
+            }),
         }
     }
     if names.is_empty() {

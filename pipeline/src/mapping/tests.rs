@@ -73,7 +73,10 @@ fn a_walk_becomes_a_map_though_one_camera_is_missing() {
     let result = build_map(&recording, &MappingConfig::default(), &no_progress).expect("map");
     let report = &result.report;
     assert!(
-        report.warnings.iter().any(|w| w.contains("without cam2")),
+        report
+            .warnings
+            .iter()
+            .any(|w| matches!(w, MappingWarning::CameraMissing { camera, .. } if camera == "cam2")),
         "{report:?}"
     );
     assert_eq!(report.images, 2 * report.keyframes);
@@ -190,11 +193,11 @@ fn a_map_is_the_same_on_any_number_of_threads() {
 }
 
 #[test]
-fn weights_must_be_positive() {
+fn limits_must_be_positive() {
     let config = MappingConfig {
-        pixel_sigma_px: 0.0,
+        max_reprojection_px: 0.0,
         ..MappingConfig::default()
     };
-    let error = config.check_bounds("mapping").expect_err("no weight");
-    assert!(error.to_string().contains("pixel_sigma_px"), "{error}");
+    let error = config.check_bounds("mapping").expect_err("no limit");
+    assert!(error.to_string().contains("max_reprojection_px"), "{error}");
 }

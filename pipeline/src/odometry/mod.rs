@@ -11,6 +11,7 @@ mod online;
 mod point_clock;
 mod report;
 mod run;
+mod warning;
 
 #[cfg(test)]
 pub(crate) mod tests;
@@ -31,6 +32,7 @@ pub use point_clock::{DeskewReport, TimedScan};
 pub use report::OdometryReport;
 pub(crate) use run::Damages;
 pub use run::{DeskewedCloud, ImuSamples, OdometryResult, OdometryRun, run_odometry};
+pub use warning::OdometryWarning;
 
 use crate::Error;
 

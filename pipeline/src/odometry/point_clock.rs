@@ -7,6 +7,8 @@ use lsfb_recording::cloud::PointTimes;
 use lsfb_types::{LidarPoint, LidarScan, Stamped};
 use serde::{Deserialize, Serialize};
 
+use super::warning::OdometryWarning;
+
 /// A scan, and where the times of its points come from.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TimedScan {
@@ -33,31 +35,19 @@ pub struct DeskewReport {
 
 impl DeskewReport {
     /// What the reader should know.
-    pub(super) fn warnings(&self) -> Vec<String> {
-        let mut warnings = Vec::new();
-        let all = self.by_times + self.by_azimuth + self.none;
-        if self.none > 0 {
-            let of = format!("{} of {all} scans", self.none);
-            warnings.push(match (&self.field, self.not_believed) {
-                (Some(field), 0) => format!(
-                    "the field `{field}` holds no times of points in {of}: these scans are not deskewed"
-                ),
-                (None, 0) => {
-                    format!("the points of {of} carry no times: these scans are not deskewed")
-                }
-                (field, not_believed) => format!(
-                    "by the times of their points{} {not_believed} scans would take longer than the time between scans: {of} are not deskewed",
-                    field.as_ref().map_or(String::new(), |f| format!(" (`{f}`)"))
-                ),
-            });
-        }
-        if self.by_azimuth > 0 {
-            warnings.push(format!(
-                "{} of {all} scans were deskewed by azimuth: their points are taken to be as the sensor fired them",
-                self.by_azimuth
-            ));
-        }
-        warnings
+    pub(super) fn warnings(&self) -> Vec<OdometryWarning> {
+        let of = self.by_times + self.by_azimuth + self.none;
+        let not_deskewed = (self.none > 0).then(|| OdometryWarning::NotDeskewed {
+            scans: self.none,
+            of,
+            field: self.field.clone(),
+            not_believed: self.not_believed,
+        });
+        let by_azimuth = (self.by_azimuth > 0).then_some(OdometryWarning::DeskewedByAzimuth {
+            scans: self.by_azimuth,
+            of,
+        });
+        not_deskewed.into_iter().chain(by_azimuth).collect()
     }
 }
 
@@ -231,7 +221,10 @@ mod tests {
         let wrong = run(&mut clock, (0..4).map(|i| turn(i, -1.0, |k| k * 1_000_000)));
         assert_eq!(wrong[999], 0);
         assert_eq!((clock.report.by_times, clock.report.not_believed), (0, 4));
-        let said = clock.report.warnings().join("\n");
+        let [warning] = &clock.report.warnings()[..] else {
+            panic!("one warning: {:?}", clock.report)
+        };
+        let said = warning.finding().what;
         assert!(
             said.contains("`time`") && said.contains("4 of 4 scans are not deskewed"),
             "{said}"

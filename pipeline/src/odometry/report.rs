@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::point_clock::DeskewReport;
+use super::warning::OdometryWarning;
 
 /// What the odometry says about its own result.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -34,30 +35,24 @@ pub struct OdometryReport {
     /// Accelerometer bias at the end, m/s²; absent without IMU.
     pub accel_bias_m_s2: Option<[f64; 3]>,
     /// What the reader should know: missing sensors, damage, lost stretches.
-    pub warnings: Vec<String>,
+    pub warnings: Vec<OdometryWarning>,
 }
 
 impl OdometryReport {
-    /// Adds the sentences for people, in the order of their weight.
+    /// Adds what follows from the counts, in the order of its weight.
     pub(super) fn add_warnings(&mut self) {
-        if self.lost > 0 {
-            self.warnings.push(format!(
-                "{} of {} scans found no place in the map and have no pose",
-                self.lost, self.scans
-            ));
+        let (lost, skipped, scans) = (self.lost, self.skipped, self.scans);
+        if lost > 0 {
+            self.warnings.push(OdometryWarning::Lost { lost, scans });
         }
         if self.lost_at_end > 0 {
-            self.warnings.push(format!(
-                "the last {} scans are lost: the trajectory ends before them",
-                self.lost_at_end
-            ));
+            let scans = self.lost_at_end;
+            self.warnings.push(OdometryWarning::LostAtEnd { scans });
         }
         self.warnings.extend(self.deskew.warnings());
-        if self.skipped > 0 {
-            self.warnings.push(format!(
-                "{} of {} scans were empty, out of order, or before the first inertial sample",
-                self.skipped, self.scans
-            ));
+        if skipped > 0 {
+            self.warnings
+                .push(OdometryWarning::Skipped { skipped, scans });
         }
     }
 }

@@ -13,6 +13,7 @@ use lsfb_types::{ImuSample, LidarScan, Progress, ProgressFn, Stamped, Timestamp}
 use super::imu_check::{ImuUnits, mend_units};
 use super::point_clock::{PointClock, TimedScan};
 use super::report::OdometryReport;
+use super::warning::OdometryWarning;
 use super::{InertialState, Odometry, OdometryConfig, StepOutcome};
 use crate::Error;
 
@@ -69,15 +70,16 @@ impl OdometryRun {
         if let Some(samples) = imu.as_mut().map(|imu| &mut imu.samples) {
             match mend_units(samples) {
                 ImuUnits::Right => {}
-                ImuUnits::Gravities => found.report.warnings.push(
-                    "the accelerometer measures in units of gravity: taken times 9.80665 m/s²"
-                        .to_owned(),
-                ),
+                ImuUnits::Gravities => found
+                    .report
+                    .warnings
+                    .push(OdometryWarning::AccelerometerInGravities),
                 ImuUnits::Wrong { problem } => {
+                    let reason = problem;
                     found
                         .report
                         .warnings
-                        .push(format!("the IMU is not used: {problem}"));
+                        .push(OdometryWarning::ImuNotUsed { reason });
                     imu = None;
                 }
             }
@@ -133,11 +135,8 @@ impl OdometryRun {
         let mut result = self.found.finish(self.odometry.inertial_state());
         if result.report.imu_samples == 0 {
             let deskew = &result.report.deskew;
-            let deskewed = match deskew.by_times + deskew.by_azimuth {
-                0 => "",
-                _ => "scans were deskewed by the motion between them, and ",
-            };
-            let warning = format!("no IMU: {deskewed}the world is not level");
+            let deskewed = deskew.by_times + deskew.by_azimuth > 0;
+            let warning = OdometryWarning::NoImu { deskewed };
             result.report.warnings.push(warning);
         }
         Ok(result)
@@ -186,7 +185,11 @@ pub fn run_odometry(
         run.push(TimedScan { scan, times })?;
     }
     let mut result = run.finish()?;
-    damages.report(&mut result.report.warnings);
+    let damaged = damages.into_sentences().into_iter();
+    result
+        .report
+        .warnings
+        .extend(damaged.map(|what| OdometryWarning::Damaged { what }));
     if result.trajectory.is_empty() {
         return Err(Error::NoScan {
             path: recording.path().to_owned(),
@@ -238,13 +241,14 @@ impl Damages {
         .ok()
     }
 
-    /// Adds what was noted to the warnings of a report.
-    pub(crate) fn report(self, warnings: &mut Vec<String>) {
-        warnings.extend(self.first);
+    /// What was noted: the first few by name, and how many more.
+    pub(crate) fn into_sentences(self) -> Vec<String> {
+        let mut sentences = self.first;
         if self.count > NAMED_DAMAGES {
             let more = self.count - NAMED_DAMAGES;
-            warnings.push(format!("{more} more messages could not be read"));
+            sentences.push(format!("{more} more messages could not be read"));
         }
+        sentences
     }
 }
 
@@ -375,8 +379,12 @@ mod tests {
         assert_eq!((report.registered, report.lost), (4, 3));
         assert_eq!(report.lost_at_end, 1);
         assert_eq!(result.clouds.len(), 4);
-        let warnings = report.warnings.join("\n");
-        assert!(warnings.contains("3 of 7 scans"), "{warnings}");
-        assert!(warnings.contains("the last 1 scans are lost"), "{warnings}");
+        let warnings = [
+            OdometryWarning::Lost { lost: 3, scans: 7 },
+            OdometryWarning::LostAtEnd { scans: 1 },
+        ];
+        assert_eq!(report.warnings, warnings);
+        let sentence = warnings[1].finding().sentence();
+        assert!(sentence.contains("the last 1 scans are lost"), "{sentence}");
     }
 }

@@ -119,6 +119,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         recording: &files.scan,
         out: &files.map,
         out_trajectory: Some(&files.scan_trajectory),
+        out_report: None,
         config: &MappingConfig::default(),
     };
     let map = map_job.build(context, replace)?;
@@ -328,15 +329,11 @@ fn report(
     sim_config: &SimConfig,
 ) -> anyhow::Result<Report> {
     let (mapping, walk_report) = (&map.report, &walk.report);
-    let stages = [
-        ("odometry", &mapping.odometry.warnings),
-        ("mapping", &mapping.warnings),
-        ("ground truth", &walk_report.warnings),
-    ];
-    let findings = stages.into_iter().flat_map(|(stage, warnings)| {
-        let finding = move |w: &String| Finding::new("stage", Verdict::Warn, stage, w.clone());
-        warnings.iter().map(finding)
-    });
+    let odometry = mapping.odometry.warnings.iter().map(|w| w.finding());
+    let of_mapping = mapping.warnings.iter().map(|w| w.finding());
+    let of_walk = walk_report.warnings.iter();
+    let of_walk = of_walk.map(|w| Finding::new("stage", Verdict::Warn, "ground truth", w.clone()));
+    let findings = odometry.chain(of_mapping).chain(of_walk);
     let distribution = |title: &str, values| Distribution {
         title: title.to_owned(),
         quantity: "reprojection error".to_owned(),

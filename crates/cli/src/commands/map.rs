@@ -7,21 +7,24 @@ use lsfb_pipeline::hd_map::{HdMap, PosedMapConfig, build_map_from_posed_images};
 use lsfb_pipeline::mapping::{MappingConfig, MappingReport, build_map};
 use lsfb_pipeline::posed_images::PosedImages;
 use lsfb_recording::{Provenance, write_tum};
+use lsfb_types::Judgement;
 use serde::{Deserialize, Serialize};
 
+use super::map_report::{MapPage, coverage, findings};
 use crate::context::Context;
 use crate::outcome::Outcome;
 use crate::standing;
 
 /// Build an HD map from a scanner's recording, or from images with known poses.
 ///
-/// An existing map, built by this program from the same recording with the same settings, is not built again.
+/// An existing map, built by this program from the same recording with the same settings, is not built again. Images may have
+/// poses in any unit of length; the map has the same.
 ///
 /// Examples:
-///   lsfb map scan.mcap --out map --out-trajectory scan.tum
+///   lsfb map scan.mcap --out map --out-trajectory scan.tum --report map.html
 ///   lsfb map --posed-images hololens_office --holdout-every 5 --out office-map
 #[derive(clap::Args)]
-#[command(verbatim_doc_comment)]
+#[command(verbatim_doc_comment, after_long_help = settings())]
 pub struct Arguments {
     /// The scanner's recording.
     #[arg(
@@ -42,17 +45,32 @@ pub struct Arguments {
     /// Also write the scanner's trajectory.
     #[arg(long, value_name = "TUM", conflicts_with = "posed_images")]
     out_trajectory: Option<PathBuf>,
-    /// Settings instead of the defaults.
+    /// Also write a page: residuals before and after Eq. 4, coverage, weak stretches.
+    #[arg(long, value_name = "HTML", conflicts_with = "posed_images")]
+    report: Option<PathBuf>,
+    /// Settings instead of the defaults; `lsfb map --help` names them.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
 }
 
+/// All settings with their defaults, as `--config` takes them.
+fn settings() -> String {
+    let of_recording = toml::to_string(&MappingConfig::default()).unwrap_or_default();
+    let of_images = toml::to_string(&PosedMapConfig::default()).unwrap_or_default();
+    format!(
+        "Settings of --config and their defaults, for a recording:\n\n{of_recording}\n\
+         Settings of --config and their defaults, with --posed-images:\n\n{of_images}"
+    )
+}
+
 #[derive(Serialize)]
-struct MapSummary<R> {
+struct MapSummary<'a, R> {
     map: PathBuf,
     points: usize,
     keyframes: usize,
     observations: usize,
+    #[serde(flatten)]
+    judgement: &'a Judgement,
     report: R,
 }
 
@@ -67,12 +85,15 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         recording,
         out: &arguments.out,
         out_trajectory: arguments.out_trajectory.as_deref(),
+        out_report: arguments.report.as_deref(),
         config: &config,
     };
     let built = job.build(context, |result| context.claim(result, &[recording]))?;
+    let judgement = Judgement::new(findings(&built.map, &built.report));
     let r = &built.report;
-    context.print(&summary(&arguments.out, &built.map, r), || {
-        let mut text = format!(
+    let summary = summary(&arguments.out, &built.map, &judgement, r);
+    context.print(&summary, || {
+        let text = format!(
             "{}: {} points, {} observations in {} images, reprojection {:.3} px rms ({:.3} px before Eq. 4)",
             arguments.out.display(),
             r.points,
@@ -81,10 +102,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             r.reprojection_rms_px,
             r.reprojection_rms_before_px
         );
-        for warning in r.odometry.warnings.iter().chain(&r.warnings) {
-            text += &format!("\n  {warning}");
-        }
-        text
+        text + &sentences(&judgement)
     })?;
     Ok(Outcome::Done)
 }
@@ -110,6 +128,7 @@ pub struct MapJob<'a> {
     pub recording: &'a Path,
     pub out: &'a Path,
     pub out_trajectory: Option<&'a Path>,
+    pub out_report: Option<&'a Path>,
     pub config: &'a MappingConfig,
 }
 
@@ -121,7 +140,7 @@ impl MapJob<'_> {
         context: &Context,
         claim: impl Fn(&Path) -> anyhow::Result<()>,
     ) -> anyhow::Result<WrittenMap> {
-        let outputs: Vec<&Path> = [Some(self.out), self.out_trajectory]
+        let outputs: Vec<&Path> = [Some(self.out), self.out_trajectory, self.out_report]
             .into_iter()
             .flatten()
             .collect();
@@ -158,6 +177,16 @@ impl MapJob<'_> {
             reprojection_errors_px: errors_px.map(|px| *px as f32).collect(),
             report: result.report,
         };
+        if let Some(path) = self.out_report {
+            let page = MapPage {
+                name: &self.recording.display().to_string(),
+                map: &result.map,
+                report: &said.report,
+                reprojection_errors_px: &said.reprojection_errors_px,
+            };
+            super::write(path, page.to_html())?;
+            provenance.write(path)?;
+        }
         standing::finish(&outputs, &[], &provenance, &said)?;
         Ok(WrittenMap {
             map: result.map,
@@ -179,23 +208,38 @@ fn from_posed_images(
     let posed = PosedImages::read(folder)?.without_every(arguments.holdout_every.unwrap_or(0));
     let map = build_map_from_posed_images(&posed, &config, &|p| context.show(p))?;
     map.write(&arguments.out)?;
-    context.print(&summary(&arguments.out, &map, ()), || {
-        format!(
+    let judgement = Judgement::new(vec![coverage(&map)]);
+    let summary = summary(&arguments.out, &map, &judgement, ());
+    context.print(&summary, || {
+        let text = format!(
             "{}: {} points in {} keyframes",
             arguments.out.display(),
             map.point_count(),
             map.keyframe_count()
-        )
+        );
+        text + &sentences(&judgement)
     })?;
     Ok(Outcome::Done)
 }
 
-fn summary<R>(out: &Path, map: &HdMap, report: R) -> MapSummary<R> {
+/// What needs a look, a line each.
+fn sentences(judgement: &Judgement) -> String {
+    let lines = judgement.problems();
+    lines.map(|f| format!("\n  {}", f.sentence())).collect()
+}
+
+fn summary<'a, R>(
+    out: &Path,
+    map: &HdMap,
+    judgement: &'a Judgement,
+    report: R,
+) -> MapSummary<'a, R> {
     MapSummary {
         map: out.to_owned(),
         points: map.point_count(),
         keyframes: map.keyframe_count(),
         observations: map.observation_count(),
+        judgement,
         report,
     }
 }

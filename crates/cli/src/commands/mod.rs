@@ -24,6 +24,7 @@ pub mod eval;
 pub mod groundtruth;
 pub mod localize;
 pub mod map;
+mod map_report;
 pub mod mock;
 pub mod odometry;
 mod odometry_input;

@@ -120,7 +120,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         let deskewed = deskewed.iter().filter(|(scans, _)| *scans > 0);
         let deskewed: Vec<String> = deskewed.map(|(n, how)| format!("{n} {how}")).collect();
         text += &format!("\n  scans deskewed: {}", deskewed.join(", "));
-        for warning in r.warnings.iter().chain(&found.input.warnings) {
+        let of_odometry = r.warnings.iter().map(|w| w.finding().what);
+        for warning in of_odometry.chain(found.input.warnings.iter().cloned()) {
             text += &format!("\n  {warning}");
         }
         text

@@ -1,0 +1,208 @@
+//! The page of a map: residuals before and after Eq. (4), coverage, weak stretches.
+
+use lsfb_eval::report::{Distribution, Figure, Provenance, Report, Track};
+use lsfb_geometry::{StampedPose, Trajectory};
+use lsfb_pipeline::hd_map::HdMap;
+use lsfb_pipeline::mapping::{MappingReport, MappingWarning};
+use lsfb_pipeline::odometry::OdometryWarning;
+use lsfb_types::{Finding, Limit, Verdict};
+
+/// A keyframe with fewer observations of map points than this could hardly be found in its own map.
+const MIN_OBSERVATIONS_PER_KEYFRAME: u64 = 30;
+
+/// What the page is made from.
+pub struct MapPage<'a> {
+    pub name: &'a str,
+    pub map: &'a HdMap,
+    pub report: &'a MappingReport,
+    /// Of every observation, pixels.
+    pub reprojection_errors_px: &'a [f32],
+}
+
+/// What every reader of a map should know: warnings of its odometry and its mapping, and where nobody would be found.
+pub fn findings(map: &HdMap, report: &MappingReport) -> Vec<Finding> {
+    let odometry = report.odometry.warnings.iter();
+    let mut findings: Vec<Finding> = odometry
+        .map(OdometryWarning::finding)
+        .chain(report.warnings.iter().map(MappingWarning::finding))
+        .collect();
+    findings.push(coverage(map));
+    findings
+}
+
+/// Whether enough of the map is seen from everywhere on the way.
+pub fn coverage(map: &HdMap) -> Finding {
+    Coverage::of(map).finding()
+}
+
+impl MapPage<'_> {
+    /// The page as text.
+    pub fn to_html(&self) -> String {
+        let coverage = Coverage::of(self.map);
+        let report = self.report;
+        let (before, after) = (&report.lidar_before, &report.lidar_after);
+        let mm = |name: &str, metres: f64| Figure::new(name, metres * 1e3, "mm");
+        let px = |name: &str, px: f64| Figure::new(name, px, "px");
+        let count = |name: &str, value: u64| Figure::new(name, value as f64, "");
+        Report {
+            title: format!("Map of {}", self.name),
+            figures: vec![
+                px(
+                    "reprojection before Eq. 4, rms",
+                    report.reprojection_rms_before_px,
+                ),
+                px("reprojection, rms", report.reprojection_rms_px),
+                px("reprojection, median", report.reprojection_median_px),
+                mm("distance from planes before, rms", before.plane_rms_m),
+                mm("distance from planes, rms", after.plane_rms_m),
+                mm("distance from edges before, rms", before.edge_rms_m),
+                mm("distance from edges, rms", after.edge_rms_m),
+                count("map points", report.points),
+                count("keyframes", report.keyframes),
+                count("observations", report.observations),
+                count("observations left out", report.dropped_observations),
+                count("weakly covered keyframes", coverage.weak.len() as u64),
+            ],
+            map_points: self.map.positions().collect(),
+            tracks: vec![
+                track("scanner", coverage.keyframes.clone()),
+                track("weakly covered", coverage.weak.clone()),
+            ]
+            .into_iter()
+            .filter(|track| !track.estimate.is_empty())
+            .collect(),
+            histograms: vec![
+                distribution(
+                    "Reprojection",
+                    "reprojection error",
+                    "px",
+                    self.reprojection_errors_px.iter().map(|e| f64::from(*e)),
+                ),
+                distribution(
+                    "Coverage",
+                    "observations per keyframe",
+                    "",
+                    coverage.observations.iter().map(|n| *n as f64),
+                ),
+                distribution(
+                    "Tracks",
+                    "observations per point",
+                    "",
+                    coverage.track_lengths.iter().map(|n| *n as f64),
+                ),
+            ],
+            findings: findings(self.map, report),
+            provenance: vec![Provenance {
+                name: "rounds of Eq. (4)".to_owned(),
+                value: rounds(report),
+            }],
+            ..Report::default()
+        }
+        .to_html()
+    }
+}
+
+/// How many observations of map points each keyframe has.
+struct Coverage {
+    keyframes: Vec<StampedPose>,
+    observations: Vec<u64>,
+    track_lengths: Vec<u64>,
+    weak: Vec<StampedPose>,
+}
+
+impl Coverage {
+    fn of(map: &HdMap) -> Self {
+        let keyframes: Vec<StampedPose> = (0..map.keyframe_count() as u32)
+            .filter_map(|i| map.keyframe(i))
+            .collect();
+        let mut observations = vec![0; keyframes.len()];
+        let mut track_lengths = vec![0; map.point_count()];
+        for (point, length) in track_lengths.iter_mut().enumerate() {
+            for seen in map.observations(point as u32) {
+                *length += 1;
+                if let Some(count) = observations.get_mut(seen.keyframe as usize) {
+                    *count += 1;
+                }
+            }
+        }
+        let of_keyframe = keyframes.iter().zip(&observations);
+        let is_weak = |(_, count): &(&StampedPose, &u64)| **count < MIN_OBSERVATIONS_PER_KEYFRAME;
+        let weak = of_keyframe.filter(is_weak).map(|(pose, _)| *pose).collect();
+        Self {
+            keyframes,
+            observations,
+            track_lengths,
+            weak,
+        }
+    }
+
+    fn finding(&self) -> Finding {
+        let (weak, all) = (self.weak.len(), self.keyframes.len());
+        let limit = MIN_OBSERVATIONS_PER_KEYFRAME;
+        match self.weak.first() {
+            None => Finding::new(
+                "coverage",
+                Verdict::Pass,
+                "coverage",
+                format!("each of {all} keyframes sees {limit} map points or more"),
+            ),
+            Some(first) => {
+                let place = first.world_from_rig.translation;
+                Finding::new(
+                    "coverage",
+                    Verdict::Warn,
+                    "coverage",
+                    format!(
+                        "{weak} of {all} keyframes see fewer than {limit} map points, the first at ({:.1}, {:.1}, {:.1})",
+                        place.x, place.y, place.z
+                    ),
+                )
+                .remedy("walk there more slowly, with light and with texture in view; nobody will be found there")
+            }
+        }
+        .value(weak as f64, "")
+        .limit(Limit::AtMost(0.0))
+    }
+}
+
+fn track(name: &str, poses: Vec<StampedPose>) -> Track {
+    Track {
+        name: name.to_owned(),
+        estimate: Trajectory::new(poses),
+        truth: None,
+        errors: Vec::new(),
+    }
+}
+
+fn distribution(
+    title: &str,
+    quantity: &str,
+    unit: &str,
+    values: impl Iterator<Item = f64>,
+) -> Distribution {
+    Distribution {
+        title: title.to_owned(),
+        quantity: quantity.to_owned(),
+        unit: unit.to_owned(),
+        values: values.collect(),
+    }
+}
+
+/// One line a round.
+fn rounds(report: &MappingReport) -> String {
+    let lines = report.rounds.iter().enumerate().map(|(i, r)| {
+        format!(
+            "{}: {} planes, {} edges, {} observations; cost {:.1} → {:.1} in {} iterations; moved at most {:.1} mm, {:.3}°",
+            i + 1,
+            r.plane_matches,
+            r.edge_matches,
+            r.observations,
+            r.initial_cost,
+            r.final_cost,
+            r.iterations,
+            r.moved_m * 1e3,
+            r.turned_deg
+        )
+    });
+    lines.collect::<Vec<_>>().join("\n")
+}

@@ -1,0 +1,161 @@
+//! What the mapping says about its own result.
+
+use lsfb_types::{Finding, Limit, Verdict};
+use serde::{Deserialize, Serialize};
+
+use crate::odometry::OdometryReport;
+
+/// What the mapping says about its own result.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct MappingReport {
+    /// The odometry's own report.
+    pub odometry: OdometryReport,
+    /// Keyframes.
+    pub keyframes: u64,
+    /// Images of the keyframes.
+    pub images: u64,
+    /// Features in those images.
+    pub features: u64,
+    /// Tracks before triangulation.
+    pub tracks: u64,
+    /// Points in the map.
+    pub points: u64,
+    /// Observations of those points.
+    pub observations: u64,
+    /// Observations left out of the map because their point is seen elsewhere; they count in the reprojection error.
+    pub dropped_observations: u64,
+    /// Root mean square reprojection error with the odometry's poses, pixels, as [`Self::reprojection_rms_px`].
+    pub reprojection_rms_before_px: f64,
+    /// Median reprojection error with the odometry's poses, pixels.
+    pub reprojection_median_before_px: f64,
+    /// Root mean square reprojection error, pixels: over every observation of every track that has a point, those left out
+    /// of the map among them, each counted with at most `max_reprojection_px`.
+    pub reprojection_rms_px: f64,
+    /// Median reprojection error of the same observations, pixels.
+    pub reprojection_median_px: f64,
+    /// Reprojection error of each of them, pixels; the image's diagonal where a point lies behind the camera.
+    #[serde(skip)]
+    pub reprojection_errors_px: Vec<f64>,
+    /// Residuals of the LiDAR terms with the odometry's poses.
+    pub lidar_before: LidarResiduals,
+    /// Residuals of the LiDAR terms of the map.
+    pub lidar_after: LidarResiduals,
+    /// What each round of correspondences and minimisation did.
+    pub rounds: Vec<RoundReport>,
+    /// What the reader should know.
+    pub warnings: Vec<MappingWarning>,
+}
+
+/// How far LiDAR features lie from what they correspond to in other keyframes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LidarResiduals {
+    /// Plane correspondences.
+    pub plane_matches: u64,
+    /// Root mean square distance from planes, metres.
+    pub plane_rms_m: f64,
+    /// Edge correspondences.
+    pub edge_matches: u64,
+    /// Root mean square distance from edges, metres.
+    pub edge_rms_m: f64,
+}
+
+/// One round of new correspondences and Eq. (4).
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct RoundReport {
+    /// Plane correspondences between keyframes.
+    pub plane_matches: u64,
+    /// Edge correspondences between keyframes.
+    pub edge_matches: u64,
+    /// Observations of points.
+    pub observations: u64,
+    /// Standard deviation given to a distance from a plane, metres.
+    pub plane_sigma_m: f64,
+    /// Standard deviation given to a distance from an edge, metres.
+    pub edge_sigma_m: f64,
+    /// Standard deviation given to a pixel coordinate, pixels.
+    pub pixel_sigma_px: f64,
+    /// Cost before.
+    pub initial_cost: f64,
+    /// Cost after.
+    pub final_cost: f64,
+    /// Linearizations.
+    pub iterations: u64,
+    /// Farthest that a keyframe moved, metres.
+    pub moved_m: f64,
+    /// Farthest that a keyframe turned, degrees.
+    pub turned_deg: f64,
+}
+
+/// Something the reader should know of a map.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "kind")]
+#[non_exhaustive]
+pub enum MappingWarning {
+    /// A camera of the rig took no part.
+    CameraMissing {
+        /// The camera.
+        camera: String,
+        /// Why.
+        reason: String,
+    },
+    /// A camera sees too little.
+    FewFeatures {
+        /// The camera.
+        camera: String,
+        /// Features in all of its images.
+        features: u64,
+        /// Its images.
+        images: u64,
+    },
+    /// A part of the recording could not be read.
+    Damaged {
+        /// Which, and why.
+        what: String,
+    },
+    /// Many observations do not agree with the poses.
+    ManyOutliers {
+        /// Share of the observations farther off than `max_px`.
+        share: f64,
+        /// The limit, pixels.
+        max_px: f64,
+    },
+}
+
+/// A share of observations beyond the limit that is more than wrong matches make.
+pub(super) const USUAL_OUTLIER_SHARE: f64 = 0.15;
+
+impl MappingWarning {
+    /// As every command and page says it.
+    pub fn finding(&self) -> Finding {
+        let warn = |code: &'static str, subject: &str, what: String| {
+            Finding::new(code, Verdict::Warn, subject, what)
+        };
+        match self {
+            Self::CameraMissing { camera, reason } => {
+                warn("camera-missing", camera, format!("the map is made without it: {reason}"))
+            }
+            Self::FewFeatures {
+                camera,
+                features,
+                images,
+            } => warn(
+                "few-features",
+                camera,
+                format!("it shows {features} features in {images} images"),
+            )
+            .remedy("check focus, exposure and lens cap"),
+            Self::Damaged { what } => warn("damaged", "", what.clone()),
+            Self::ManyOutliers { share, max_px } => warn(
+                "many-outliers",
+                "",
+                format!(
+                    "{:.0} % of the observations are more than {max_px} px from where their point is seen",
+                    100.0 * share
+                ),
+            )
+            .value(100.0 * share, "%")
+            .limit(Limit::AtMost(100.0 * USUAL_OUTLIER_SHARE))
+            .remedy("check the calibration of the cameras, their place on the rig, and their clocks against the LiDAR's"),
+        }
+    }
+}

@@ -1,0 +1,112 @@
+//! Which keyframes' scans are compared, and what they share.
+
+use std::collections::BTreeSet;
+use std::iter::successors;
+
+use rayon::prelude::*;
+
+use super::MappingConfig;
+use super::keyframes::Keyframe;
+use crate::lidar_features::{Correspondences, correspond};
+
+/// Two keyframes whose scans are compared: features of `n` on surfaces of `m`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct ScanPair {
+    pub n: usize,
+    pub m: usize,
+}
+
+/// Keyframes between two that are compared as a revisit at least.
+const REVISIT_GAP: usize = 8;
+
+/// Each keyframe with those 1, 2, 4, 8 … before it, and with the nearest of earlier visits.
+///
+/// Neighbours alone would make a chain whose errors add up, while the odometry registers each scan to a map of all before it; with doubling
+/// gaps any two keyframes of a walk are a few pairs apart.
+pub(super) fn scan_pairs(keyframes: &[Keyframe], config: &MappingConfig) -> Vec<ScanPair> {
+    let mut pairs = BTreeSet::new();
+    for n in 0..keyframes.len() {
+        let gaps =
+            successors(Some(1), |gap: &usize| gap.checked_mul(2)).take_while(|gap| *gap <= n);
+        pairs.extend(gaps.map(|gap| ScanPair { m: n - gap, n }));
+        let here = keyframes[n].world_from_rig.translation;
+        let mut revisits: Vec<(f64, usize)> = keyframes[..n.saturating_sub(REVISIT_GAP)]
+            .iter()
+            .enumerate()
+            .map(|(m, k)| ((k.world_from_rig.translation - here).norm(), m))
+            .filter(|(distance, _)| *distance < config.revisit_distance_m)
+            .collect();
+        revisits.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        revisits.truncate(config.scan_revisits);
+        pairs.extend(revisits.iter().map(|(_, m)| ScanPair { m: *m, n }));
+    }
+    pairs.into_iter().collect()
+}
+
+/// Correspondences of the scan pairs at the current poses.
+pub(super) fn scan_correspondences(
+    keyframes: &[Keyframe],
+    pairs: &[ScanPair],
+    config: &MappingConfig,
+) -> Vec<(ScanPair, Correspondences)> {
+    pairs
+        .par_iter()
+        .filter_map(|pair| {
+            let (m, n) = (&keyframes[pair.m], &keyframes[pair.n]);
+            let m_from_n = m.world_from_rig.inverse() * n.world_from_rig;
+            let found = correspond(
+                m.lidar.as_ref()?,
+                n.lidar.as_ref()?,
+                &m_from_n,
+                &config.lidar_features,
+            );
+            Some((*pair, found))
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use lsfb_geometry::{Se3, Vector3};
+    use lsfb_types::Timestamp;
+
+    /// Keyframes in a row.
+    fn row(count: usize) -> Vec<Keyframe> {
+        (0..count)
+            .map(|i| Keyframe {
+                time: Timestamp::from_nanos(i as i64),
+                world_from_rig: Se3::new(Default::default(), Vector3::x() * (10 * i) as f64),
+                lidar: None,
+            })
+            .collect()
+    }
+
+    /// A chain of neighbours passes every other check, and adds up its errors over the whole walk.
+    #[test]
+    fn any_two_keyframes_are_a_few_pairs_apart() {
+        let count = 200;
+        let pairs = scan_pairs(&row(count), &MappingConfig::default());
+        let mut steps = vec![usize::MAX; count];
+        steps[0] = 0;
+        for _ in 0..count {
+            for pair in &pairs {
+                let nearer = steps[pair.m].min(steps[pair.n]).saturating_add(1);
+                for end in [pair.m, pair.n] {
+                    steps[end] = steps[end].min(nearer);
+                }
+            }
+        }
+        assert!(steps.iter().all(|s| *s <= 8), "{steps:?}");
+        assert!(pairs.len() <= 8 * count, "{}", pairs.len());
+    }
+
+    #[test]
+    fn a_revisit_is_compared_once() {
+        let mut keyframes = row(17);
+        keyframes[16].world_from_rig = keyframes[0].world_from_rig;
+        let pairs = scan_pairs(&keyframes, &MappingConfig::default());
+        let both = pairs.iter().filter(|p| p.m == 0 && p.n == 16).count();
+        assert_eq!(both, 1);
+    }
+}

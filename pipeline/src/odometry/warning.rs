@@ -1,0 +1,138 @@
+//! What the reader of a trajectory should know.
+
+use lsfb_types::{Finding, Verdict};
+use serde::{Deserialize, Serialize};
+
+/// Something the reader of a trajectory should know.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "kind")]
+#[non_exhaustive]
+pub enum OdometryWarning {
+    /// Scans found no place in the map and have no pose.
+    Lost {
+        /// How many.
+        lost: u64,
+        /// Of how many.
+        scans: u64,
+    },
+    /// The trajectory ends before the recording.
+    LostAtEnd {
+        /// Scans behind the last pose.
+        scans: u64,
+    },
+    /// Scans were empty, out of order, or before the first inertial sample.
+    Skipped {
+        /// How many.
+        skipped: u64,
+        /// Of how many.
+        scans: u64,
+    },
+    /// Scans were used as if the sensor had stood still.
+    NotDeskewed {
+        /// How many.
+        scans: u64,
+        /// Of how many.
+        of: u64,
+        /// Field that should hold the times of the points.
+        field: Option<String>,
+        /// Of all scans, those that would last too long by the times of their points.
+        not_believed: u64,
+    },
+    /// Scans were deskewed by azimuth.
+    DeskewedByAzimuth {
+        /// How many.
+        scans: u64,
+        /// Of how many.
+        of: u64,
+    },
+    /// The accelerometer measures in units of gravity.
+    AccelerometerInGravities,
+    /// There is an IMU that cannot be used.
+    ImuNotUsed {
+        /// Why.
+        reason: String,
+    },
+    /// The world is not level.
+    NoImu {
+        /// Whether scans were deskewed all the same.
+        deskewed: bool,
+    },
+    /// A part of the recording could not be read.
+    Damaged {
+        /// Which, and why.
+        what: String,
+    },
+}
+
+impl OdometryWarning {
+    /// As every command and page says it.
+    pub fn finding(&self) -> Finding {
+        let (code, what) = match self {
+            Self::Lost { lost, scans } => (
+                "lost",
+                format!("{lost} of {scans} scans found no place in the map and have no pose"),
+            ),
+            Self::LostAtEnd { scans } => (
+                "lost-at-end",
+                format!("the last {scans} scans are lost: the trajectory ends before them"),
+            ),
+            Self::Skipped { skipped, scans } => (
+                "skipped",
+                format!(
+                    "{skipped} of {scans} scans were empty, out of order, or before the first inertial sample"
+                ),
+            ),
+            Self::NotDeskewed {
+                scans,
+                of,
+                field,
+                not_believed,
+            } => (
+                "not-deskewed",
+                not_deskewed(*scans, *of, field.as_deref(), *not_believed),
+            ),
+            Self::DeskewedByAzimuth { scans, of } => (
+                "deskewed-by-azimuth",
+                format!(
+                    "{scans} of {of} scans were deskewed by azimuth: their points are taken to be as the sensor fired them"
+                ),
+            ),
+            Self::AccelerometerInGravities => (
+                "accelerometer-unit",
+                "the accelerometer measures in units of gravity: taken times 9.80665 m/s²"
+                    .to_owned(),
+            ),
+            Self::ImuNotUsed { reason } => {
+                ("imu-not-used", format!("the IMU is not used: {reason}"))
+            }
+            Self::NoImu { deskewed } => {
+                let deskewed = match deskewed {
+                    true => "scans were deskewed by the motion between them, and ",
+                    false => "",
+                };
+                (
+                    "no-imu",
+                    format!("no IMU: {deskewed}the world is not level"),
+                )
+            }
+            Self::Damaged { what } => ("damaged", what.clone()),
+        };
+        Finding::new(code, Verdict::Warn, "odometry", what)
+    }
+}
+
+fn not_deskewed(scans: u64, of: u64, field: Option<&str>, not_believed: u64) -> String {
+    let these = format!("{scans} of {of} scans");
+    match (field, not_believed) {
+        (Some(field), 0) => format!(
+            "the field `{field}` holds no times of points in {these}: these scans are not deskewed"
+        ),
+        (None, 0) => {
+            format!("the points of {these} carry no times: these scans are not deskewed")
+        }
+        (field, not_believed) => format!(
+            "by the times of their points{} {not_believed} scans would take longer than the time between scans: {these} are not deskewed",
+            field.map_or(String::new(), |f| format!(" (`{f}`)"))
+        ),
+    }
+}
