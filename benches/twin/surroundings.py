@@ -13,7 +13,8 @@ from mcap.reader import make_reader
 from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-PREFIX = "/sidecar/glasses/"
+# Its topics are /sidecar/DEVICE/REST.
+PREFIX = "/sidecar/"
 
 
 def types_of(schemas):
@@ -32,7 +33,7 @@ def by_mcap(path):
         store = types_of([(s.name, s.data.decode()) for s in summary.schemas.values()])
         for schema, channel, message in reader.iter_messages():
             if channel.topic.startswith(PREFIX) and not channel.topic.endswith("/image"):
-                yield channel.topic[len(PREFIX):], store.deserialize_cdr(message.data, schema.name), message.log_time
+                yield channel.topic[len(PREFIX):].partition("/")[2], store.deserialize_cdr(message.data, schema.name), message.log_time
 
 
 def by_rosbags(path):
@@ -41,7 +42,7 @@ def by_rosbags(path):
     store = types_of([(s.name, s.data) for s in bag.schemas.values()])
     wanted = [c for c in bag.connections if c.topic.startswith(PREFIX) and not c.topic.endswith("/image")]
     for connection, log_time, data in bag.messages(wanted):
-        yield connection.topic[len(PREFIX):], store.deserialize_cdr(data, connection.msgtype), log_time
+        yield connection.topic[len(PREFIX):].partition("/")[2], store.deserialize_cdr(data, connection.msgtype), log_time
     bag.close()
 
 

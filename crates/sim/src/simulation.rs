@@ -13,7 +13,7 @@ use crate::sensor::camera::CameraSim;
 use crate::sensor::imu::{self, BiasedSample};
 use crate::sensor::lidar::{FiringCycle, LidarSim};
 use crate::timing::RigClocks;
-use crate::walk::{Gait, Gaze, Passers, Walk, WalkPlan, Walker};
+use crate::walk::{Gait, Gaze, Passers, Walk, WalkPlan, Walker, off_path};
 use crate::world::{FloorPlan, World};
 use crate::{Error, rigs};
 
@@ -31,6 +31,8 @@ pub struct Simulation {
 #[derive(Clone, Debug)]
 pub struct RigSim {
     rig: Rig,
+    /// What its calibration says, where that is not the truth.
+    calibrated: Option<Rig>,
     start: Timestamp,
     seed: u64,
     walk: Walk,
@@ -92,6 +94,12 @@ impl Simulation {
             glasses,
             surroundings,
         })
+    }
+
+    /// The same, with devices that state the rigs that a calibration found, of backpack and second walk.
+    pub fn calibrated(mut self, [scan, walk]: [Option<Rig>; 2]) -> Self {
+        (self.scan.calibrated, self.glasses.calibrated) = (scan, walk);
+        self
     }
 
     /// What it was made from.
@@ -158,29 +166,37 @@ pub(crate) fn walks(config: &SimConfig, world: &World) -> Result<[Walk; 2], Erro
         ]);
     }
     let on_board = place == Place::Calibration;
-    let scan = WalkPlan {
+    let scan_plan = WalkPlan {
         corners: way(if on_board { Route::Spot } else { Route::Scan }),
         config: config.scan.clone(),
         length_m: on_board.then_some(0.02 * config.scan.duration_s),
         gaze: if on_board { Gaze::Board } else { Gaze::Steady },
         gait: if on_board { Gait::STAND } else { Gait::WALK },
     };
-    let second = match config.paper_motion()? {
-        Some(motion) => WalkPlan {
-            corners: way(motion.route),
-            config: crate::WalkConfig {
-                duration_s: motion.duration_s(config.device),
-                ..config.glasses.clone()
-            },
-            length_m: Some(motion.length_m(config.device)),
-            gaze: motion.gaze,
-            gait: motion.gait,
-        },
+    let scan = Walk::of(&scan_plan, config.seed);
+    let mut second = match config.paper_motion()? {
+        Some(motion) => {
+            let whole_s = motion.duration_s(config.device);
+            let duration_s = match config.glasses.duration_s {
+                0.0 => whole_s,
+                wanted_s => wanted_s,
+            };
+            WalkPlan {
+                corners: way(motion.route),
+                config: crate::WalkConfig {
+                    duration_s,
+                    ..config.glasses.clone()
+                },
+                length_m: Some(motion.length_m(config.device) * duration_s / whole_s),
+                gaze: motion.gaze,
+                gait: motion.gait,
+            }
+        }
         None if on_board => WalkPlan {
             config: config.glasses.clone(),
             gaze: Gaze::Facing,
             length_m: Some(0.02 * config.glasses.duration_s),
-            ..scan.clone()
+            ..scan_plan
         },
         None => WalkPlan {
             corners: way(Route::Loop),
@@ -190,10 +206,34 @@ pub(crate) fn walks(config: &SimConfig, world: &World) -> Result<[Walk; 2], Erro
             gait: Gait::WALK,
         },
     };
-    Ok([
-        Walk::of(&scan, config.seed),
-        Walk::of(&second, hash(config.seed ^ 0x3a1c)),
-    ])
+    if config.off_path_m > 0.0 && !on_board {
+        second.corners = off_the_path(config, world, &scan, second.corners);
+    }
+    Ok([scan, Walk::of(&second, hash(config.seed ^ 0x3a1c))])
+}
+
+/// Beside the scanner's way, in either direction, from anywhere: along `route`, or, where the scan is shorter than its own, along
+/// as much as there is of it.
+fn off_the_path(
+    config: &SimConfig,
+    world: &World,
+    scan: &Walk,
+    route: Vec<[f64; 3]>,
+) -> Vec<[f64; 3]> {
+    let footsteps = off_path::footsteps(scan, config.scan.height_m);
+    // Too short a scan goes nowhere.
+    let is_whole = config.scan.duration_s == 0.0 || footsteps.len() < 3;
+    let mut route = match is_whole {
+        true => route,
+        false => off_path::there_and_back(&footsteps),
+    };
+    let draw = hash(config.seed ^ 0x0ff9);
+    let begin = (draw >> 8) as usize % route.len().max(1);
+    route.rotate_left(begin);
+    if draw & 1 == 1 {
+        route.reverse();
+    }
+    off_path::beside(world, &route, &footsteps, config.off_path_m, draw)
 }
 
 impl RigSim {
@@ -220,6 +260,7 @@ impl RigSim {
             .collect::<Result<_, _>>()?;
         Ok(Self {
             rig,
+            calibrated: None,
             start,
             seed,
             walk,
@@ -239,6 +280,11 @@ impl RigSim {
     /// The rig as built: the truth about its calibration.
     pub fn rig(&self) -> &Rig {
         &self.rig
+    }
+
+    /// The rig as its devices state it: as calibrated, where it was, else as built.
+    pub fn stated_rig(&self) -> &Rig {
+        self.calibrated.as_ref().unwrap_or(&self.rig)
     }
 
     /// Its motion.

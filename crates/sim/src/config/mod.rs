@@ -39,11 +39,16 @@ pub struct SimConfig {
     pub months_later: u32,
     /// Whether people walk about.
     pub people: bool,
+    /// People besides who always is there, on the place's ways: a crowd has a dozen and more.
+    pub crowd: u32,
     /// What the second walk is recorded with.
     pub device: Device,
     /// Sequence of Table VII (`O0` … `S2`) that the second walk follows, which decides its place, length and duration;
     /// empty for a loop through the place.
     pub motion: String,
+    /// How far from the scanner's way the second walk goes at most, where nothing is in the way, metres; 0 takes the place's routes
+    /// as they are, which the scanner takes too.
+    pub off_path_m: f64,
     /// Edge of the texels that surfaces are painted with, metres.
     pub texel_m: f32,
     /// What the IMU of the backpack speaks.
@@ -82,7 +87,7 @@ pub struct SimConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct WalkConfig {
-    /// Length of the recording, seconds; 0, except in the demo's place, is as long as the route takes.
+    /// Length of the recording, seconds; 0, except in the demo's place, is as long as the route or the motion takes.
     pub duration_s: f64,
     /// Standing still at the start, seconds.
     pub rest_s: f64,
@@ -150,8 +155,10 @@ impl Default for SimConfig {
             way_m: Vec::new(),
             months_later: 0,
             people: true,
+            crowd: 0,
             device: Device::Glasses,
             motion: String::new(),
+            off_path_m: 0.0,
             texel_m: 0.003,
             scan_imu_family: SimulatedImu::default(),
             scan: WalkConfig::default(),
@@ -331,8 +338,10 @@ lsfb_types::bounds! {
         way_m: any,
         months_later: any,
         people: any,
+        crowd: number(Bounds::Within(0.0, 150.0)),
         device: any,
         motion: any,
+        off_path_m: number(Bounds::ZeroOr(0.5, 10.0)),
         texel_m: number(Bounds::Within(0.001, 0.1)),
         scan_imu_family: any,
         scan: section,

@@ -13,7 +13,7 @@ use super::feed::Shot;
 use super::inertial::InertialStream;
 use super::lidar::POSITION_NS;
 use super::mynt::frame_bytes;
-use super::outbox::{Content, DEVICE, Outbox};
+use super::outbox::{Content, Outbox};
 use super::position::position_packet;
 use super::session::MYNT_UNITS;
 use crate::timing::Clocked;
@@ -240,7 +240,7 @@ impl<'a> WalkEmission<'a> {
         let mut opening = VecDeque::from([SidecarMessage::Hello(Hello {
             session: format!("seed-{}", simulation.config().seed),
             first_unacked: 1,
-            device: DEVICE.to_owned(),
+            device: simulation.glasses().rig().name.clone(),
             device_key: DeviceKey([0; 32]),
             pairing_token: None,
         })]);

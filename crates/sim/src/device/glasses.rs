@@ -7,7 +7,7 @@ use lsfb_drivers::sidecar::ClientConfig;
 
 use super::clock::{SimClock, Turn};
 use super::feed::{Shot, ShotFeed, Which};
-use super::outbox::{Content, DEVICE, Outbox};
+use super::outbox::{Content, Outbox};
 use super::rig_link;
 use crate::{Error, Simulation};
 
@@ -18,11 +18,11 @@ pub(crate) struct GlassesDevice {
 }
 
 impl GlassesDevice {
-    /// Will connect to the rig, as [`DEVICE`], and look for it so long.
-    pub(crate) fn new(rig: &ClientConfig, patience: Duration) -> Self {
+    /// Will connect to the rig as `device`, and look for it so long.
+    pub(crate) fn new(rig: &ClientConfig, device: &str, patience: Duration) -> Self {
         Self {
             rig: ClientConfig {
-                device: DEVICE.to_owned(),
+                device: device.to_owned(),
                 ..rig.clone()
             },
             patience,

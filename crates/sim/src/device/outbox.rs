@@ -9,8 +9,6 @@ use crate::ambient::{AmbientChannel, AmbientMessage};
 use crate::timing::{Clocked, DeviceClock, Discipline};
 use crate::{RigSim, Simulation};
 
-/// Name of the device in its topics.
-pub(super) const DEVICE: &str = "glasses";
 /// Channel of the inertial samples; the cameras' follow, then those of the surroundings.
 const IMU_CHANNEL: u32 = 1;
 /// What a phone calls the clock that stamps all its sensors and counts from its start.
@@ -100,9 +98,10 @@ impl<'a> Outbox<'a> {
             Discipline::Utc => CLOCK_UTC,
             Discipline::Free => CLOCK_BOOT,
         };
+        let device = &self.rig.rig().name;
         let describe = |channel: u32, topic: &str, schema: Schema| Advertise {
             channel,
-            topic: format!("/sidecar/{DEVICE}/{topic}"),
+            topic: format!("/sidecar/{device}/{topic}"),
             encoding: "cdr".to_owned(),
             schema_name: schema.name.to_owned(),
             schema: schema.text.as_bytes().to_vec(),
@@ -111,7 +110,8 @@ impl<'a> Outbox<'a> {
         };
         // The device's calibration travels with its first channel.
         let mut channels = vec![Advertise {
-            metadata_json: serde_json::json!({ "rig_toml": self.rig.rig().to_toml() }).to_string(),
+            metadata_json: serde_json::json!({ "rig_toml": self.rig.stated_rig().to_toml() })
+                .to_string(),
             ..describe(IMU_CHANNEL, "imu", IMU)
         }];
         for (camera, name) in self.cameras.iter().enumerate() {

@@ -13,6 +13,7 @@ use lsfb_types::ProgressFn;
 use crate::Error;
 use crate::config::{Place, SimConfig};
 use crate::world::World;
+use crate::world::crowd::Stroll;
 pub use calibration::{CalibrationBoard, TAG_M};
 pub(crate) use route::{Route, route};
 use site::{Area, Site};
@@ -39,11 +40,25 @@ impl Place {
             Self::Stairs => indoor::stairs(&mut site, whole),
         }
         site.line_passages();
+        site.plan.strolls.extend(crowd(place, config.crowd));
         if !config.people {
             site.plan.strolls.clear();
         }
         Ok(World::of(&site.plan, seed, texel_m, progress)?)
     }
+}
+
+/// People on the ways that scanner and walks take, each at a pace of their own.
+fn crowd(place: Place, count: u32) -> impl Iterator<Item = Stroll> {
+    (0..count).map(move |k| {
+        let way = [Route::Scan, Route::Loop][(k % 2) as usize];
+        let corners = route(place, way).into_iter();
+        Stroll {
+            corners: corners.map(|corner| corner.map(|v| v as f32)).collect(),
+            speed_m_s: 0.5 + 0.13 * (k % 7) as f32,
+            start_m: 7.3 * k as f32,
+        }
+    })
 }
 
 #[cfg(test)]

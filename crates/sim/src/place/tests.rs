@@ -1,7 +1,8 @@
 use super::*;
 use crate::Simulation;
 use crate::config::Device;
-use crate::walk::PaperMotion;
+use crate::simulation::RigSim;
+use crate::walk::{PaperMotion, Walk};
 use lsfb_types::no_progress;
 
 fn coarse(place: Place) -> SimConfig {
@@ -11,6 +12,26 @@ fn coarse(place: Place) -> SimConfig {
         (cameras.width, cameras.height) = (160, 104);
     }
     config
+}
+
+/// How near something comes to a walk at three heights, metres, and where.
+fn nearest_m(world: &World, walk: &Walk) -> (f32, [f32; 3]) {
+    let mut nearest = (f32::INFINITY, [0.0; 3]);
+    for step in 0..(walk.duration_s() * 1.6) as u32 {
+        let at = walk.at(f64::from(step) * 0.625).world_from_rig.translation;
+        for height in [-0.75, -0.2, 0.3] {
+            let origin = [at.x as f32, at.y as f32, at.z as f32 + height];
+            for k in 0..10_u8 {
+                let (sin, cos) = (f32::from(k) * 0.6283).sin_cos();
+                if let Some(hit) = world.cast(origin, [cos, sin, 0.0])
+                    && hit.distance < nearest.0
+                {
+                    nearest = (hit.distance, origin);
+                }
+            }
+        }
+    }
+    nearest
 }
 
 #[test]
@@ -40,33 +61,72 @@ fn places_have_their_size_and_walks_keep_clear_of_everything() {
                 "{place:?}: {high:?}"
             );
         }
-        for rig in [simulation.scan(), simulation.glasses()] {
-            let name = &rig.rig().name;
-            let mut nearest = (f32::INFINITY, [0.0; 3]);
-            for step in 0..(rig.walk().duration_s() * 1.6) as u32 {
-                let at = rig
-                    .walk()
-                    .at(f64::from(step) * 0.625)
-                    .world_from_rig
-                    .translation;
-                for height in [-0.75, -0.2, 0.3] {
-                    let origin = [at.x as f32, at.y as f32, at.z as f32 + height];
-                    for k in 0..10_u8 {
-                        let (sin, cos) = (f32::from(k) * 0.6283).sin_cos();
-                        if let Some(hit) = world.cast(origin, [cos, sin, 0.0])
-                            && hit.distance < nearest.0
-                        {
-                            nearest = (hit.distance, origin);
-                        }
-                    }
-                }
-            }
+        let walks = [simulation.scan(), simulation.glasses()].map(RigSim::walk);
+        for (name, walk) in ["scan", "walk"].into_iter().zip(walks) {
+            let nearest = nearest_m(world, walk);
             if nearest.0 < 0.2 {
                 blocked.push(format!("{place:?} {name}: {nearest:?}"));
             }
         }
     }
     assert!(blocked.is_empty(), "{blocked:#?}");
+}
+
+/// Distances of a walk from the scanner's, metres, sorted.
+fn off_path_m(scan: &Walk, walk: &Walk) -> Vec<f64> {
+    let points = |walk: &Walk| -> Vec<[f64; 3]> {
+        let at = |k: u32| {
+            walk.at(f64::from(k) * 0.25)
+                .world_from_rig
+                .translation
+                .into()
+        };
+        (0..(walk.duration_s() * 4.0) as u32).map(at).collect()
+    };
+    let scanned = points(scan);
+    let nearest = |p: [f64; 3]| {
+        let same_storey = scanned.iter().filter(|q| (p[2] - q[2]).abs() < 1.5);
+        same_storey
+            .map(|q| (p[0] - q[0]).hypot(p[1] - q[1]))
+            .fold(f64::INFINITY, f64::min)
+    };
+    let mut all: Vec<f64> = points(walk).into_iter().map(nearest).collect();
+    all.sort_by(f64::total_cmp);
+    all
+}
+
+#[test]
+fn walks_off_the_scanners_path_keep_clear_of_everything() {
+    let mut wrong = Vec::new();
+    for place in Place::ENVIRONMENTS {
+        let world = Place::build(&coarse(place), &no_progress).expect("built");
+        // Two metres have no room for two ways, nor have the doors and rooms of the houses.
+        let wanted_m = match place {
+            Place::NarrowCorridor => 0.1,
+            Place::HousePark => 0.2,
+            Place::Stairs | Place::WideCorridor => 0.4,
+            _ => 0.7,
+        };
+        for (seed, scan_s) in [(1, 0.0), (2, 45.0), (3, 45.0)] {
+            let mut config = SimConfig {
+                seed,
+                off_path_m: 6.0,
+                ..coarse(place)
+            };
+            config.scan.duration_s = scan_s;
+            let [scan, walk] = crate::simulation::walks(&config, &world).expect("walks");
+            let off_m = off_path_m(&scan, &walk);
+            let median = off_m[off_m.len() / 2];
+            let nearest = nearest_m(&world, &walk);
+            if nearest.0 < 0.2 || median < wanted_m || off_m[off_m.len() - 1] > 9.0 {
+                wrong.push(format!(
+                    "{place:?} {seed}: {nearest:?}, {median} m off, at most {:?}",
+                    off_m.last()
+                ));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong:#?}");
 }
 
 #[test]

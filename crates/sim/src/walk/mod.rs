@@ -1,5 +1,6 @@
 //! How the rigs move: smooth, known exactly, at rest at both ends.
 
+pub(crate) mod off_path;
 mod paper_motion;
 mod passers;
 mod plan;

@@ -15,6 +15,8 @@ struct Texture {
     size: [f32; 2],
     /// One over the edge of a texel, 1/m.
     texels_per_m: f32,
+    /// Mean brightness, 0–255.
+    mean: f32,
     levels: Vec<Level>,
 }
 
@@ -30,6 +32,7 @@ impl Atlas {
     pub(crate) fn push(&mut self, canvas: &Canvas) {
         let (mut width, mut height) = (canvas.width, canvas.height);
         let mut values: Vec<f32> = canvas.values.clone();
+        let mean = 255.0 * values.iter().sum::<f32>() / values.len() as f32;
         let mut levels = Vec::new();
         loop {
             levels.push(Level {
@@ -58,6 +61,7 @@ impl Atlas {
         self.textures.push(Texture {
             size: [canvas.width as f32, canvas.height as f32],
             texels_per_m: 1.0 / canvas.texel_m[0].max(canvas.texel_m[1]),
+            mean,
             levels,
         });
     }
@@ -79,6 +83,12 @@ impl Atlas {
         let fine = self.bilinear(&texture.levels[level], x, y, level);
         let coarse = self.bilinear(&texture.levels[level + 1], x, y, level + 1);
         fine + blend * (coarse - fine)
+    }
+
+    /// Mean brightness of a picture, 0–255.
+    #[inline]
+    pub(crate) fn mean(&self, texture: usize) -> f32 {
+        self.textures[texture].mean
     }
 
     /// Number of pictures.

@@ -21,6 +21,7 @@ pub(crate) mod light;
 pub(crate) mod material;
 mod mesh;
 mod packet;
+mod patchwork;
 mod pool;
 mod ray;
 mod room;
@@ -44,7 +45,7 @@ pub use floor_plan::FloorPlan;
 use light::{AMBIENT, Lamps, LightGrid, Lighting, SPACING_M, SmallFacets};
 pub use ray::{LANES, NO_FACET, Origin, PacketHit, RayPacket};
 pub(crate) use shade::Seen;
-use skin::{LightMaps, Skin};
+use skin::{Beyond, LightMaps, Skin};
 pub use substance::Substance;
 use vector::norm;
 
@@ -255,8 +256,12 @@ impl World {
     #[inline]
     fn radiance(&self, facet: usize, a: f32, b: f32, footprint_m: f32, time_s: f64) -> f32 {
         let skin = &self.skins[facet];
-        let (texture, [x, y]) = skin.look_up(a, b, time_s);
-        let light = skin.gain * self.light.at(skin.light, a, b);
-        light * self.atlas.sample(texture, x, y, footprint_m * skin.zoom)
+        let (texture, place) = skin.look_up(a, b, time_s);
+        let sample = |[x, y]: [f32; 2]| self.atlas.sample(texture, x, y, footprint_m * skin.zoom);
+        let paint = match &skin.beyond {
+            Beyond::Patched(patchwork) => patchwork.blend(place, self.atlas.mean(texture), sample),
+            Beyond::Nothing | Beyond::Repeated => sample(place),
+        };
+        skin.gain * self.light.at(skin.light, a, b) * paint
     }
 }

@@ -1,7 +1,8 @@
 //! Pictures shared by many facets: a large building has far more surface than memory has room for.
 //!
-//! What has no layout of its own (walls, floors, cloth) shows a window of one large picture of its material, another
-//! window on each facet. What has one (posters, doors, books) shows one of some variants, painted at about its size.
+//! What has no layout of its own (walls, floors, cloth) shows parts of one large picture of its material, others on each facet.
+//! What has one (posters, doors, books) shows a picture painted at about its size: of its own where the real thing is unlike any
+//! other, one of some variants where the real thing comes in series.
 
 use std::collections::BTreeMap;
 
@@ -12,6 +13,7 @@ use lsfb_types::{Progress, ProgressFn, Stopped};
 use super::atlas::Atlas;
 use super::builder::Surface;
 use super::material::{Marks, Material};
+use super::patchwork::Patchwork;
 use super::skin::{Beyond, LightMaps, Skin};
 use super::vector::norm;
 use crate::noise::{hash, unit};
@@ -20,11 +22,9 @@ use crate::noise::{hash, unit};
 const SHEET_M: f32 = 4.0;
 /// Texels along the edge of a shared picture at most.
 const SHEET_TEXELS: f32 = 1400.0;
-/// Variants of a picture with a layout.
-const VARIANTS: u64 = 14;
-/// Variants of a large one, square metres.
-const LARGE_M2: f32 = 0.8;
-const LARGE_VARIANTS: u64 = 6;
+/// Variants of what comes in series: doors and cupboards, editions of books.
+const DOORS: u64 = 6;
+const EDITIONS: u64 = 60;
 /// Tones painted for each material; what is between is made brighter or darker.
 const TONES: f32 = 4.0;
 
@@ -55,8 +55,7 @@ pub(super) fn paint(
 ) -> Result<Vec<Skin>, Stopped> {
     let wanted: Vec<(Key, Order)> = surfaces
         .iter()
-        .enumerate()
-        .map(|(k, surface)| order(surface, texel_m, seed, k as u64))
+        .map(|surface| order(surface, texel_m, seed))
         .collect();
     let mut orders: BTreeMap<&Key, &Order> = BTreeMap::new();
     for (key, order) in &wanted {
@@ -112,7 +111,7 @@ pub(super) fn paint(
     Ok(skins)
 }
 
-fn order(surface: &Surface, texel_m: f32, seed: u64, number: u64) -> (Key, Order) {
+fn order(surface: &Surface, texel_m: f32, seed: u64) -> (Key, Order) {
     let painted_tone = (surface.material.tone * TONES).round().max(0.5) / TONES;
     let material = Material {
         tone: painted_tone.min(0.9),
@@ -125,7 +124,7 @@ fn order(surface: &Surface, texel_m: f32, seed: u64, number: u64) -> (Key, Order
         let edge = size[0].min(size[1]).max(0.1);
         material.largest_m = 0.34 * (0.5 * (2.0 * edge.log2()).round()).exp2();
     }
-    let bits = hash(seed ^ hash(number));
+    let bits = hash(seed ^ place_of(surface));
     let texel_m = 1.33 * texel_m * material.coarseness;
     let (buckets, size_m, variant) = match material.marks {
         Marks::None | Marks::Boards(_) => {
@@ -136,12 +135,12 @@ fn order(surface: &Surface, texel_m: f32, seed: u64, number: u64) -> (Key, Order
         _ => {
             let buckets = size.map(|s| (2.0 * s.max(0.02).log2()).round() as i32);
             let size_m = buckets.map(|b| (0.5 * b as f32).exp2());
-            let variants = if size_m[0] * size_m[1] > LARGE_M2 {
-                LARGE_VARIANTS
-            } else {
-                VARIANTS
+            let variant = match material.marks {
+                Marks::Panel(_) => bits % DOORS,
+                Marks::Spine => bits % EDITIONS,
+                _ => bits,
             };
-            (buckets, size_m, bits % variants)
+            (buckets, size_m, variant)
         }
     };
     let key = Key {
@@ -159,6 +158,15 @@ fn order(surface: &Surface, texel_m: f32, seed: u64, number: u64) -> (Key, Order
         seed: paint_seed,
     };
     (key, order)
+}
+
+/// Tells surfaces apart by where they are: what stays when other things are moved keeps its looks.
+fn place_of(surface: &Surface) -> u64 {
+    let facet = &surface.facet;
+    let numbers = [facet.corner, facet.edge_a, facet.edge_b].concat();
+    numbers
+        .iter()
+        .fold(0, |sum, number| hash(sum ^ u64::from(number.to_bits())))
 }
 
 /// The fields that the painting depends on.
@@ -195,19 +203,23 @@ fn identity(m: &Material) -> [u32; 13] {
 fn skin(surface: &Surface, order: &Order, texture: usize, seed: u64, number: u64) -> Skin {
     let material = &surface.material;
     let size = [norm(surface.facet.edge_a), norm(surface.facet.edge_b)];
-    let sheet = matches!(material.marks, Marks::None | Marks::Boards(_));
-    let bits = hash(seed ^ hash(!number));
-    let (scale, offset, zoom) = if sheet {
-        let scale: [f32; 2] = std::array::from_fn(|i| size[i] / order.size_m[i]);
-        // Small pieces stay clear of the seam; boards stay whole at the corner of large ones.
-        let room = scale.map(|s| (1.0 - s).max(0.0));
-        let offset = [
-            unit(bits) as f32 * room[0],
-            unit(hash(bits)) as f32 * room[1],
-        ];
-        (scale, offset, 1.0)
-    } else {
-        ([1.0; 2], [0.0; 2], order.size_m[0] / size[0].max(1e-3))
+    let bits = hash(!seed ^ place_of(surface));
+    let (scale, offset, zoom, beyond) = match material.marks {
+        Marks::None | Marks::Boards(_) => {
+            let boards_m = match material.marks {
+                Marks::Boards(size_m) => Some(size_m),
+                _ => None,
+            };
+            let patchwork = Patchwork::new(order.size_m, material.coarseness, boards_m, bits);
+            let scale: [f32; 2] = std::array::from_fn(|i| size[i] / order.size_m[i]);
+            let draws = [unit(bits) as f32, unit(hash(bits)) as f32];
+            let corner = patchwork.corner(scale, draws);
+            (scale, corner, 1.0, Beyond::Patched(patchwork))
+        }
+        _ => {
+            let zoom = order.size_m[0] / size[0].max(1e-3);
+            ([1.0; 2], [0.0; 2], zoom, Beyond::Nothing)
+        }
     };
     Skin {
         texture: texture as u32,
@@ -215,7 +227,7 @@ fn skin(surface: &Surface, order: &Order, texture: usize, seed: u64, number: u64
         glass: material.glass,
         edges: [[scale[0], 0.0], [0.0, scale[1]]],
         offset,
-        beyond: Beyond::Mirrored,
+        beyond,
         zoom,
         gain: (material.tone / order.material.tone).max(0.0).sqrt(),
         light: number as u32,
@@ -227,5 +239,44 @@ pub(super) fn unlit(skin: Skin) -> Skin {
     Skin {
         light: LightMaps::NONE,
         ..skin
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use lsfb_types::no_progress;
+
+    use crate::world::material::Material;
+    use crate::world::{Blueprint, World};
+
+    /// Surfaces once were told apart by their numbers: after somebody had moved a chair, every wall looked different.
+    #[test]
+    fn what_is_not_moved_keeps_its_looks() {
+        let built = |chairs: usize| {
+            let mut blueprint = Blueprint {
+                ambient: 1.0,
+                ..Blueprint::default()
+            };
+            for k in 0..chairs {
+                let corner = [300.0 + k as f32, 0.0, 0.0];
+                let (along, up) = ([0.5, 0.0, 0.0], [0.0, 0.0, 0.5]);
+                blueprint.builder.quad(corner, along, up, Material::WOOD);
+            }
+            for (y, material) in [(0.0, Material::PLASTER), (5.0, Material::SIGN)] {
+                let (along, up) = ([6.0, 0.0, 0.0], [0.0, 0.0, 1.0]);
+                blueprint.builder.quad([0.0, y, 0.0], along, up, material);
+            }
+            let world = World::of(&blueprint, 3, 0.01, &no_progress).expect("built");
+            [0.0, 5.0].map(|y| {
+                let facets = world.facets().iter();
+                let wall = facets.enumerate().find(|(_, f)| f.corner == [0.0, y, 0.0]);
+                let number = wall.expect("wall").0;
+                let at = |k: u32| world.radiance(number, 0.005 * k as f32, 0.4, 0.01, 0.0);
+                (0..200).map(at).collect::<Vec<f32>>()
+            })
+        };
+        assert!(built(1) == built(4));
+        let [plaster, sign] = built(1);
+        assert!(plaster != sign);
     }
 }

@@ -4,6 +4,7 @@
 //! their product is the brightness of the image.
 
 use super::light::LightGrid;
+use super::patchwork::Patchwork;
 
 /// The look of one facet.
 #[derive(Clone, Copy, Debug)]
@@ -29,12 +30,14 @@ pub(crate) struct Skin {
 }
 
 /// What is beyond the border of a picture.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) enum Beyond {
-    /// The picture mirrored; places are not negative.
-    Mirrored,
+    /// Its border: the picture covers the facet.
+    Nothing,
     /// The picture again.
     Repeated,
+    /// Other parts of the picture.
+    Patched(Patchwork),
 }
 
 impl Skin {
@@ -46,14 +49,14 @@ impl Skin {
             glass: false,
             edges: [[1.0, 0.0], [0.0, 1.0]],
             offset: [0.0; 2],
-            beyond: Beyond::Mirrored,
+            beyond: Beyond::Nothing,
             zoom: 1.0,
             gain: 1.0,
             light: LightMaps::NONE,
         }
     }
 
-    /// The picture shown at a time, and the place in it.
+    /// The picture shown at a time, and the place in it; of patches, the place on the surface.
     #[inline]
     pub(crate) fn look_up(&self, a: f32, b: f32, time_s: f64) -> (usize, [f32; 2]) {
         let shown = if self.pictures > 1 {
@@ -66,7 +69,7 @@ impl Skin {
         let [along_a, along_b] = self.edges;
         let place = std::array::from_fn(|i| self.offset[i] + a * along_a[i] + b * along_b[i]);
         let place = match self.beyond {
-            Beyond::Mirrored => place.map(mirrored),
+            Beyond::Nothing | Beyond::Patched(_) => place,
             Beyond::Repeated => place.map(|x: f32| x - x.floor()),
         };
         (self.texture as usize + shown, place)
@@ -75,13 +78,6 @@ impl Skin {
 
 /// How long a changing screen shows one picture.
 const SECONDS_PER_PICTURE: f64 = 4.0;
-
-/// Back and forth between 0 and 1.
-#[inline(always)]
-fn mirrored(x: f32) -> f32 {
-    let within = x - 2.0 * ((0.5 * x) as i32 as f32);
-    if within > 1.0 { 2.0 - within } else { within }
-}
 
 /// Light of all facets, as square roots in steps of 1/4096.
 #[derive(Clone, Debug, Default)]

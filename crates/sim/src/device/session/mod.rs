@@ -154,7 +154,7 @@ impl SimSession {
         pace: Pace,
         patience: Duration,
     ) -> Result<Self, Error> {
-        let glasses = GlassesDevice::new(rig, patience);
+        let glasses = GlassesDevice::new(rig, &simulation.glasses().rig().name, patience);
         let duration_s = simulation.glasses().walk().duration_s();
         let mut session = Self::empty(1, pace, duration_s);
         session.spawn(
