@@ -16,6 +16,7 @@ mod files;
 mod full_disk;
 mod judged;
 mod live;
+mod memory;
 mod outcome;
 mod phones;
 mod progress;
@@ -25,6 +26,7 @@ mod stop;
 mod terminal;
 #[cfg(test)]
 mod tests;
+mod twin_truth;
 
 use std::process::ExitCode;
 

@@ -11,7 +11,7 @@ use lsfb_capture::{
     LidarNetConfig, Overflow, RecorderConfig, Session, SidecarConfig, record_incoming,
 };
 use lsfb_drivers::sidecar::ClientConfig;
-use lsfb_geometry::MAIN_IMU;
+use lsfb_geometry::{MAIN_IMU, Rig};
 use lsfb_recording::Existing;
 use lsfb_sim::{
     Clocked, Emitted, FlowControl, LidarModel, Pace, ReturnMode, ScanEndpoints, SimConfig,
@@ -122,16 +122,19 @@ impl Layout {
     }
 }
 
-/// Builds the world and writes what is known beforehand: rigs and settings beside, the truth in a folder of its own.
+/// Builds the world and writes what is known beforehand: rigs and settings beside, the truth in a folder of its own. Rigs of backpack
+/// and second walk that were `calibrated` are what the devices state; without, they state how they were built.
 pub fn prepare(
     layout: &Layout,
     config: &SimConfig,
+    calibrated: [Option<Rig>; 2],
     context: &Context,
 ) -> anyhow::Result<Arc<Simulation>> {
-    let simulation = Arc::new(Simulation::new(config, &|p| context.show(p))?);
+    let simulation = Simulation::new(config, &|p| context.show(p))?;
+    let simulation = Arc::new(simulation.calibrated(calibrated));
     for (name, text) in [
-        ("backpack.toml", simulation.scan().rig().to_toml()),
-        ("glasses.toml", simulation.glasses().rig().to_toml()),
+        ("backpack.toml", simulation.scan().stated_rig().to_toml()),
+        ("glasses.toml", simulation.glasses().stated_rig().to_toml()),
         (SETTINGS, toml::to_string(config)?),
     ] {
         crate::files::write(&layout.file(name), text)?;

@@ -4,25 +4,25 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Context as _;
-use lsfb_eval::alignment::AlignmentMode;
+use lsfb_eval::Evaluation;
 use lsfb_eval::report::{self, Distribution, Figure, Report, StageTime, Track};
-use lsfb_eval::{DuplicateStamps, EvalConfig, Evaluation, evaluate, read_poses};
-use lsfb_geometry::{Quaternion, Se3, StampedPose, Trajectory, UnitQuaternion};
+use lsfb_geometry::{Se3, Trajectory};
 use lsfb_pipeline::ground_truth::{GroundTruthConfig, ReprojectionErrors};
 use lsfb_pipeline::mapping::MappingConfig;
 use lsfb_recording::Provenance;
 use lsfb_sim::SimConfig;
 use lsfb_types::{Finding, Limit, Verdict};
-use nix::sys::resource::{UsageWho, getrusage};
 use serde::Serialize;
 
 use super::groundtruth::{WalkJob, WrittenTrajectory};
 use super::map::{MapJob, WrittenMap};
 use crate::context::Context;
 use crate::existing::expect_free;
+use crate::memory::peak_rss_mb;
 use crate::outcome::Outcome;
 use crate::simulated::{self, Layout};
 use crate::standing;
+use crate::twin_truth::{judge_scan, judge_walk};
 
 /// Simulate, record, map, localize and evaluate: the whole pipeline in a few minutes.
 ///
@@ -39,9 +39,9 @@ pub struct Arguments {
     /// Folder for recordings, map, trajectories and report.
     #[arg(long, value_name = "FOLDER", default_value = "demo-out")]
     out: PathBuf,
-    /// Seed of the building, the walks and the noise.
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = super::seed, allow_hyphen_values = true)]
-    seed: u64,
+    /// Seed of the building, the walks and the noise; without it that of --config, or 1.
+    #[arg(long, value_name = "N", value_parser = super::seed, allow_hyphen_values = true)]
+    seed: Option<u64>,
     /// Settings of the simulation instead of the defaults; --seed overrides its seed.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
@@ -107,7 +107,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         last: began,
     };
     let mut sim_config: SimConfig = super::config_or_default(arguments.config.as_deref())?;
-    sim_config.seed = arguments.seed;
+    sim_config.seed = arguments.seed.unwrap_or(sim_config.seed);
     context.will_write(&arguments.out);
     begin(&arguments.out, &sim_config, context)?;
     let layout = Layout::create(&arguments.out)?;
@@ -143,7 +143,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     }
     let localized = &walk.report;
     let summary = Summary {
-        seed: arguments.seed,
+        seed: sim_config.seed,
         ate_glasses_rms_m: judged.glasses.ate_translation_m.rmse,
         ate_glasses_max_m: judged.glasses.ate_translation_m.max,
         ate_glasses_in_map_rms_m: judged.glasses_in_map.ate_translation_m.rmse,
@@ -227,7 +227,7 @@ fn record(
     if let [Some(scan), Some(walk)] = stand {
         return Ok(scan + walk);
     }
-    let simulation = simulated::prepare(layout, sim_config, context)?;
+    let simulation = simulated::prepare(layout, sim_config, [None, None], context)?;
     watch.lap("building the world");
     if !sim_config.clocks.is_ideal() {
         // Clocks that drift are told from arrivals: those of sockets read as fast as they go tell nothing.
@@ -287,37 +287,20 @@ struct Judged {
 }
 
 fn judge(layout: &Layout, files: &Outputs) -> anyhow::Result<Judged> {
-    let truth = |name: &str| -> anyhow::Result<Vec<StampedPose>> {
-        Ok(read_poses(&layout.truth().join(name))?)
-    };
-    let (truth_scanner, truth_glasses) = (truth("truth_scan.tum")?, truth("truth_walk.tum")?);
-    let glasses_poses = read_poses(&files.walk_trajectory)?;
-    let with = |alignment| EvalConfig {
-        alignment,
-        duplicates: DuplicateStamps::Refuse,
-        ..EvalConfig::default()
-    };
-    let scanner = evaluate(
-        &truth_scanner,
-        &read_poses(&files.scan_trajectory)?,
-        &with(AlignmentMode::Se3),
-    )?;
-    let glasses = evaluate(&truth_glasses, &glasses_poses, &with(AlignmentMode::Se3))?;
-    let [x, y, z, w] = scanner.alignment_rotation_xyzw;
-    let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
-    let truth_from_map = Se3::new(rotation, scanner.alignment_translation_m.into());
-    let glasses_in_map = evaluate(
-        &truth_glasses,
-        &glasses_poses,
-        &with(AlignmentMode::Given(truth_from_map)),
+    let truth = |name: &str| layout.truth().join(name);
+    let scan = judge_scan(&truth("truth_scan.tum"), &files.scan_trajectory)?;
+    let walk = judge_walk(
+        &truth("truth_walk.tum"),
+        &files.walk_trajectory,
+        scan.truth_from_map,
     )?;
     Ok(Judged {
-        scanner,
-        glasses,
-        glasses_in_map,
-        truth_scanner: Trajectory::new(truth_scanner),
-        truth_glasses: Trajectory::new(truth_glasses),
-        truth_from_map,
+        scanner: scan.evaluation,
+        glasses: walk.own,
+        glasses_in_map: walk.in_map,
+        truth_scanner: Trajectory::new(scan.truth),
+        truth_glasses: Trajectory::new(walk.truth),
+        truth_from_map: scan.truth_from_map,
     })
 }
 
@@ -444,11 +427,6 @@ fn spread(errors: &ReprojectionErrors) -> Vec<f64> {
         })
     })
     .collect()
-}
-
-fn peak_rss_mb() -> f64 {
-    // Linux counts kibibytes.
-    getrusage(UsageWho::RUSAGE_SELF).map_or(f64::NAN, |usage| usage.max_rss() as f64 * 1024.0 / 1e6)
 }
 
 fn text(s: &Summary) -> String {

@@ -62,9 +62,9 @@ pub struct Arguments {
     /// Age of the environment in months; furniture and objects move once a month.
     #[arg(long, value_name = "N", default_value_t = 0, conflicts_with = "config")]
     months_later: u32,
-    /// Seed of the building, the walks and the noise.
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = super::seed, allow_hyphen_values = true)]
-    seed: u64,
+    /// Seed of the building, the walks and the noise; without it that of --config, or 1.
+    #[arg(long, value_name = "N", value_parser = super::seed, allow_hyphen_values = true)]
+    seed: Option<u64>,
     /// Settings of the simulation instead of the defaults; --seed overrides its seed.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
@@ -180,7 +180,7 @@ impl Arguments {
             motion: None,
             device: Device::Glasses,
             months_later: 0,
-            seed,
+            seed: Some(seed),
             config: None,
             record: false,
             clocks: None,
@@ -218,7 +218,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         config = SimConfig::for_place(Place::Imported, arguments.device);
         config.scene.clone_from(scene);
     }
-    config.seed = arguments.seed;
+    config.seed = arguments.seed.unwrap_or(config.seed);
     match arguments.clocks {
         Some(Clocks::Ideal) => config.clocks = ClocksConfig::default(),
         Some(Clocks::Quartz) => config.clocks = ClocksConfig::quartz(),
@@ -230,7 +230,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     arguments.equipment.apply(&mut config);
     expect_no_other(out, &config, arguments.record, context)?;
     let layout = Layout::create(out)?;
-    let simulation = simulated::prepare(&layout, &config, context)?;
+    let simulation = simulated::prepare(&layout, &config, [None, None], context)?;
     let mut recordings = Vec::new();
     if arguments.record && with_arrivals {
         recordings = simulated::record_with_simulated_arrivals(&layout, &simulation, context)?;

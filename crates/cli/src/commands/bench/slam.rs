@@ -1,4 +1,4 @@
-//! `lsfb bench`: programs of others on sequences with ground truth.
+//! `lsfb bench slam`: programs of others on sequences with ground truth.
 
 use std::path::PathBuf;
 
@@ -8,22 +8,6 @@ use serde::Serialize;
 use crate::context::Context;
 use crate::files::write;
 use crate::outcome::Outcome;
-
-/// Benchmark other programs on sequences with ground truth.
-///
-/// Examples:
-///   lsfb bench slam plan.toml --out bench
-#[derive(clap::Args)]
-#[command(verbatim_doc_comment)]
-pub struct Arguments {
-    #[command(subcommand)]
-    what: What,
-}
-
-#[derive(clap::Subcommand)]
-enum What {
-    Slam(SlamArguments),
-}
 
 /// Run SLAM systems on sequences, and tabulate their errors as in the paper's Tables VIII and IX.
 ///
@@ -35,7 +19,7 @@ enum What {
 ///   lsfb bench slam plan.toml --out bench
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
-struct SlamArguments {
+pub struct Arguments {
     /// The plan.
     #[arg(value_name = "TOML")]
     plan: PathBuf,
@@ -52,7 +36,6 @@ struct Printed<'a> {
 
 /// Runs what was asked for.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    let What::Slam(arguments) = &arguments.what;
     let plan = read_plan(&arguments.plan)?;
     context.will_write(&arguments.out);
     std::fs::create_dir_all(&arguments.out)?;

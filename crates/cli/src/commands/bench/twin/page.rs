@@ -1,0 +1,116 @@
+//! The page of a trial.
+
+use lsfb_report::{Page, scroll};
+use lsfb_types::Judgement;
+use maud::{Markup, html};
+
+use super::result::Run;
+
+/// The whole page.
+pub fn html(runs: &[Run], judgement: &Judgement, title: &str) -> String {
+    let body = html! {
+        p.note {
+            "Simulated recordings; walks go beside the scanner's path, rigs come from a calibration before a simulated board. \
+             Errors of a walk are those after an alignment of its own, as in the paper's Tables IV and V; what is wrong is \
+             counted where the map places it. What remains too easy is said in docs/twin.md."
+        }
+        section { h2 { "Runs" } (scroll(&errors(runs))) }
+        section { h2 { "Time and memory" } (scroll(&costs(runs))) }
+        section { h2 { "Calibrated rigs against the true ones" } (scroll(&rigs(runs))) }
+    };
+    Page::new(title)
+        .judged(judgement, &format!("{} runs", runs.len()))
+        .body(body)
+        .to_html()
+}
+
+fn number(value: Option<f64>, factor: f64, digits: usize) -> String {
+    value.map_or("–".to_owned(), |v| format!("{:.digits$}", factor * v))
+}
+
+fn errors(runs: &[Run]) -> Markup {
+    html! {
+        table.numbers {
+            thead { tr {
+                th { "run" } th { "motion" } th { "off path, m" } th { "scanner ATE, cm" } th { "drift, %" }
+                th { "reprojection, px" } th { "localized, %" } th { "and right, %" } th { "ATE rms, cm" }
+                th { "ATE max, cm" } th { "in the map, cm" } th { "jitter, mm" } th { "exported" } th { "wrong" }
+                th { "left out, s" } th { "refused" }
+            } }
+            tbody {
+                @for run in runs {
+                    tr {
+                        td { (run.name()) }
+                        td { (run.motion) }
+                        td { (number(run.off_path_m, 1.0, 2)) }
+                        td { (number(run.scanner_ate_rms_m, 100.0, 2)) }
+                        td { (number(run.drift_percent, 1.0, 2)) }
+                        td { (number(run.reprojection_px, 1.0, 2)) }
+                        td { (number(Some(run.localized), 100.0, 0)) }
+                        td { (number(Some(run.localized_right), 100.0, 0)) }
+                        td { (number(run.ate_rms_m, 100.0, 2)) }
+                        td { (number(run.ate_max_m, 100.0, 2)) }
+                        td { (number(run.in_map_rms_m, 100.0, 2)) }
+                        td { (number(run.jitter_m, 1e3, 2)) }
+                        td { (run.exported) }
+                        td { (run.exported_wrong) }
+                        td { (format!("{:.1}", run.dropped_s)) }
+                        td.words { (run.refused.as_deref().unwrap_or_default()) }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn costs(runs: &[Run]) -> Markup {
+    html! {
+        table.numbers {
+            thead { tr { th { "run" } th { "stages, s" } th { "memory at most, MB" } } }
+            tbody {
+                @for run in runs {
+                    tr {
+                        td { (run.name()) }
+                        td.words {
+                            @for (k, (stage, wall_s)) in run.stages_s.iter().enumerate() {
+                                @if k > 0 { ", " }
+                                (stage) " " (format!("{wall_s:.0}"))
+                            }
+                        }
+                        td { (format!("{:.0}", run.peak_rss_mb)) }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn rigs(runs: &[Run]) -> Markup {
+    let mut listed = Vec::new();
+    for run in runs {
+        for off in &run.rigs_off {
+            if !listed.contains(&(run.seed, off)) {
+                listed.push((run.seed, off));
+            }
+        }
+    }
+    html! {
+        table.numbers {
+            thead { tr {
+                th { "sensor" } th { "seed" } th { "rotation, °" } th { "translation, mm" } th { "focal length, %" } th { "clock, ms" }
+            } }
+            tbody {
+                @for (seed, off) in listed {
+                    tr {
+                        td { (off.sensor) }
+                        td { (seed) }
+                        td { (format!("{:.3}", off.rotation_deg)) }
+                        td { (format!("{:.1}", off.translation_mm)) }
+                        td { (number(off.focal_percent, 1.0, 3)) }
+                        td { (number(off.clock_ms, 1.0, 3)) }
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,225 @@
+//! What became of one walk, for JSON, the terminal and the page.
+
+use std::fmt::Write as _;
+
+use lsfb_types::{Finding, Judgement, Limit, Verdict};
+use serde::{Deserialize, Serialize};
+
+use super::rigs::SensorOff;
+use super::trial::Walked;
+
+/// A pose that is further off than this is wrong, metres.
+pub const WRONG_M: f64 = 0.10;
+
+/// One walk through one place with one device. Lengths that are not known, because a stage refused, are null.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Run {
+    pub place: String,
+    /// What became of the place between scan and walk.
+    pub condition: String,
+    pub device: String,
+    pub seed: u64,
+    /// The motion of Table VII.
+    pub motion: String,
+    /// Error of the scanner's trajectory after alignment, rms.
+    pub scanner_ate_rms_m: Option<f64>,
+    /// Mean error of the scanner's trajectory over ten metres of way, relative to them.
+    pub drift_percent: Option<f64>,
+    /// Of the map's observations, rms.
+    pub reprojection_px: Option<f64>,
+    /// Share of instants of the walk for which localization alone gave a pose.
+    pub localized: f64,
+    /// Share of instants whose pose was right: within 10 cm and 5°.
+    pub localized_right: f64,
+    /// Error of the walk's trajectory after an alignment of its own, rms and largest.
+    pub ate_rms_m: Option<f64>,
+    pub ate_max_m: Option<f64>,
+    /// The same, placed by the map alone.
+    pub in_map_rms_m: Option<f64>,
+    /// Motion of the trajectory above 5 Hz that is not in the truth, rms.
+    pub jitter_m: Option<f64>,
+    /// Poses of the trajectory, and those of them that are more than 10 cm off where the map places them.
+    pub exported: u64,
+    pub exported_wrong: u64,
+    /// Time of the walk that is left out of the trajectory.
+    pub dropped_s: f64,
+    /// Why there is no trajectory.
+    pub refused: Option<String>,
+    /// Median horizontal distance of the walk from the scanner's path.
+    pub off_path_m: Option<f64>,
+    /// How far the rigs that the estimators were given are from the true ones.
+    pub rigs_off: Vec<SensorOff>,
+    /// The stages in the order in which they ran. Scan, map and calibration are shared by the runs of a place.
+    pub stages_s: Vec<(String, f64)>,
+    /// The most that any stage held at once.
+    pub peak_rss_mb: f64,
+}
+
+impl Run {
+    /// Of which nothing is known yet.
+    pub fn of(walked: &Walked) -> Self {
+        let scanned = &walked.scanned;
+        Self {
+            place: scanned.place.name().to_owned(),
+            condition: walked.condition.name().to_owned(),
+            device: walked.device.name().to_owned(),
+            seed: scanned.seed,
+            motion: scanned.motion().map_or("", |m| m.name).to_owned(),
+            scanner_ate_rms_m: None,
+            drift_percent: None,
+            reprojection_px: None,
+            localized: 0.0,
+            localized_right: 0.0,
+            ate_rms_m: None,
+            ate_max_m: None,
+            in_map_rms_m: None,
+            jitter_m: None,
+            exported: 0,
+            exported_wrong: 0,
+            dropped_s: 0.0,
+            refused: None,
+            off_path_m: None,
+            rigs_off: Vec::new(),
+            stages_s: Vec::new(),
+            peak_rss_mb: 0.0,
+        }
+    }
+
+    /// What the run is called.
+    pub fn name(&self) -> String {
+        let condition = match self.condition.as_str() {
+            "as-scanned" => String::new(),
+            other => format!(" {other}"),
+        };
+        format!("{}{condition} {} {}", self.place, self.device, self.seed)
+    }
+
+    fn findings(&self) -> Vec<Finding> {
+        let mut findings = Vec::new();
+        if let Some(why) = &self.refused {
+            findings.push(Finding::new(
+                "refused",
+                Verdict::Warn,
+                self.name(),
+                format!("no trajectory: {why}"),
+            ));
+            return findings;
+        }
+        let (wrong, verdict) = match self.exported_wrong {
+            0 => ("no".to_owned(), Verdict::Pass),
+            count => (count.to_string(), Verdict::Fail),
+        };
+        let what = format!(
+            "{wrong} pose of {} is more than 10 cm off where the map places it",
+            self.exported
+        );
+        findings.push(
+            Finding::new("exported_wrong", verdict, self.name(), what)
+                .value(self.exported_wrong as f64, "")
+                .limit(Limit::AtMost(0.0)),
+        );
+        findings
+    }
+}
+
+/// A trial is good where nothing wrong was exported.
+pub fn judge(runs: &[Run]) -> Judgement {
+    Judgement::new(runs.iter().flat_map(Run::findings).collect())
+}
+
+/// A line for each run.
+pub fn table(runs: &[Run]) -> String {
+    let mut text = format!(
+        "{:<38} {:>7} {:>6} {:>6} {:>6} {:>6} {:>7} {:>7} {:>7} {:>6} {:>6}",
+        "",
+        "scanner",
+        "drift",
+        "reproj",
+        "local.",
+        "right",
+        "ATE rms",
+        "ATE max",
+        "in map",
+        "wrong",
+        "left"
+    );
+    text += &format!(
+        "\n{:<38} {:>7} {:>6} {:>6} {:>6} {:>6} {:>7} {:>7} {:>7} {:>6} {:>6}",
+        "", "cm", "%", "px", "%", "%", "cm", "cm", "cm", "poses", "out s"
+    );
+    for run in runs {
+        let number = |value: Option<f64>, factor: f64, digits: usize| match value {
+            Some(value) => format!("{:.digits$}", factor * value),
+            None => "–".to_owned(),
+        };
+        let _ = write!(
+            text,
+            "\n{:<38} {:>7} {:>6} {:>6} {:>6.0} {:>6.0} {:>7} {:>7} {:>7} {:>6} {:>6.1}",
+            run.name(),
+            number(run.scanner_ate_rms_m, 100.0, 2),
+            number(run.drift_percent, 1.0, 2),
+            number(run.reprojection_px, 1.0, 2),
+            100.0 * run.localized,
+            100.0 * run.localized_right,
+            number(run.ate_rms_m, 100.0, 2),
+            number(run.ate_max_m, 100.0, 2),
+            number(run.in_map_rms_m, 100.0, 2),
+            run.exported_wrong,
+            run.dropped_s,
+        );
+        if let Some(why) = &run.refused {
+            let _ = write!(text, "\n  refused: {why}");
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use lsfb_sim::{Device, Place};
+
+    use super::super::trial::{Condition, Scanned, Size};
+    use super::*;
+
+    fn run(exported_wrong: u64, refused: Option<&str>) -> Run {
+        let scanned = Scanned {
+            place: Place::Stairs,
+            seed: 1,
+            size: Size::Quick,
+        };
+        let walked = Walked {
+            scanned,
+            condition: Condition::AsScanned,
+            device: Device::Android,
+        };
+        Run {
+            ate_rms_m: refused.is_none().then_some(0.01),
+            exported: 300,
+            exported_wrong,
+            refused: refused.map(str::to_owned),
+            ..Run::of(&walked)
+        }
+    }
+
+    /// A small error on the whole says "fine" of a walk with a few poses that are metres off.
+    #[test]
+    fn one_wrong_pose_fails_the_trial_and_a_refusal_does_not() {
+        let verdict = |runs: &[Run]| judge(runs).verdict();
+        assert_eq!(verdict(&[run(0, None)]), Verdict::Pass);
+        assert_eq!(
+            verdict(&[run(0, None), run(0, Some("no map"))]),
+            Verdict::Warn
+        );
+        assert_eq!(verdict(&[run(0, None), run(1, None)]), Verdict::Fail);
+    }
+
+    #[test]
+    fn what_is_not_known_is_null() {
+        let json = serde_json::to_value(run(0, Some("no map"))).expect("JSON");
+        assert!(
+            json["ate_rms_m"].is_null() && json["refused"] == "no map",
+            "{json}"
+        );
+        assert!(table(&[run(0, Some("no map"))]).contains("refused: no map"));
+    }
+}

@@ -1,0 +1,264 @@
+//! The stages of a trial: scan → map, walk → ground truth, from recordings only. The truth is opened to judge, by `eval`.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use lsfb_eval::{Smoothness, read_poses};
+use lsfb_geometry::{StampedPose, Trajectory};
+use lsfb_pipeline::ground_truth::GroundTruthConfig;
+use lsfb_pipeline::mapping::MappingConfig;
+use lsfb_recording::Provenance;
+use lsfb_sim::SimConfig;
+use lsfb_types::Stopped;
+
+use super::cost::Costs;
+use super::judging::{self, Localized};
+use super::result::{Run, WRONG_M};
+use super::rigs::Calibrated;
+use super::trial::{Scanned, Walked};
+use crate::commands::groundtruth::WalkJob;
+use crate::commands::map::MapJob;
+use crate::context::{Context, sentence};
+use crate::simulated::{self, Layout};
+use crate::standing;
+use crate::twin_truth::{JudgedScan, judge_scan, judge_walk};
+
+/// What a stage gave, or why it refused: part of the result of a trial, where a full disk or Ctrl-C are not.
+pub type Refusable<T> = Result<T, String>;
+
+const SCAN: &str = "scan";
+const MAP: &str = "map";
+const WALK: &str = "walk";
+const TRUTH: &str = "ground truth";
+
+/// Stages in the order in which they run; first the calibrations.
+pub const STAGES: [&str; 6] = [
+    "calibration of the backpack",
+    "calibration of the device",
+    SCAN,
+    MAP,
+    WALK,
+    TRUTH,
+];
+
+/// Tells what an estimator refused from what stops the trial.
+pub fn refusal<T>(result: anyhow::Result<T>, stage: &str) -> anyhow::Result<Refusable<T>> {
+    match result {
+        Ok(value) => Ok(Ok(value)),
+        Err(error) => {
+            let stops = |cause: &(dyn std::error::Error + 'static)| {
+                cause.is::<Stopped>() || cause.is::<std::io::Error>()
+            };
+            if error.chain().any(stops) {
+                return Err(error);
+            }
+            Ok(Err(format!("{stage}: {}", sentence(&error))))
+        }
+    }
+}
+
+/// A scan with its map.
+pub struct Mapped {
+    map: PathBuf,
+    reprojection_px: f64,
+    judged: JudgedScan,
+}
+
+/// Where the files of one place and seed lie.
+pub struct Session<'a> {
+    pub folder: PathBuf,
+    pub scanned: Scanned,
+    pub context: &'a Context,
+}
+
+impl Session<'_> {
+    /// Scans the place with a backpack that states `rig`, and maps it.
+    pub fn map(&self, rig: &Calibrated, costs: &mut Costs) -> anyhow::Result<Refusable<Mapped>> {
+        let layout = Layout::create(&self.folder)?;
+        let config = self.scanned.config();
+        let recording = layout.file("scan.mcap");
+        let rig_file = layout.file("backpack.toml");
+        let truth = layout.truth().join("truth_scan.tum");
+        let outputs: [&Path; 3] = [&recording, &rig_file, &truth];
+        self.record(SCAN, &outputs, &config, [Some(rig), None], costs, &layout)?;
+        let (map, trajectory) = (layout.file("map"), layout.file("scan.tum"));
+        let job = MapJob {
+            recording: &recording,
+            out: &map,
+            out_trajectory: Some(&trajectory),
+            config: &MappingConfig::default(),
+        };
+        let built = costs.of(MAP, |made| {
+            job.build(self.context, |_| {
+                made.set(true);
+                Ok(())
+            })
+        });
+        Ok(match refusal(built, MAP)? {
+            Ok(built) => Ok(Mapped {
+                map,
+                reprojection_px: built.report.reprojection_rms_px,
+                judged: judge_scan(&truth, &trajectory)?,
+            }),
+            Err(why) => Err(why),
+        })
+    }
+
+    /// Walks through the mapped place with a device that states `rig`, places it, and judges it into `run`.
+    pub fn walk(
+        &self,
+        walked: &Walked,
+        rig: &Calibrated,
+        mapped: &Mapped,
+        costs: &mut Costs,
+        run: &mut Run,
+    ) -> anyhow::Result<()> {
+        let layout = Layout::create(&self.walk_folder(walked))?;
+        let config = walked.config();
+        let recording = layout.file("walk.mcap");
+        let rig_file = layout.file("glasses.toml");
+        let truth = layout.truth().join("truth_walk.tum");
+        let outputs: [&Path; 3] = [&recording, &rig_file, &truth];
+        self.record(WALK, &outputs, &config, [None, Some(rig)], costs, &layout)?;
+        let estimate = layout.file("walk.tum");
+        let job = WalkJob {
+            recording: &recording,
+            map: &mapped.map,
+            out: &estimate,
+            config: &GroundTruthConfig::default(),
+        };
+        let found = costs.of(TRUTH, |made| {
+            job.compute(self.context, |_| {
+                made.set(true);
+                Ok(())
+            })
+        });
+        let true_poses = read_poses(&truth)?;
+        let scan = &mapped.judged;
+        run.off_path_m = Some(off_path_m(&scan.truth, &true_poses));
+        run.scanner_ate_rms_m = Some(scan.evaluation.ate_translation_m.rmse);
+        run.drift_percent = scan.evaluation.rpe.first().and_then(|over| {
+            let mean_m = over.translation_m.as_ref()?.mean;
+            Some(100.0 * mean_m / over.delta)
+        });
+        run.reprojection_px = Some(mapped.reprojection_px);
+        let whole_s = match (true_poses.first(), true_poses.last()) {
+            (Some(first), Some(last)) => last.time.secs_since(first.time),
+            _ => 0.0,
+        };
+        let map = crate::commands::open_map(&mapped.map)?;
+        let Localized { claimed, right } = judging::localize(
+            &self.context.open(&recording)?,
+            &map,
+            &Trajectory::new(true_poses),
+            &scan.truth_from_map,
+            self.context,
+        )?;
+        (run.localized, run.localized_right) = (claimed, right);
+        match refusal(found, TRUTH)? {
+            Err(why) => (run.refused, run.dropped_s) = (Some(why), whole_s),
+            Ok(found) => {
+                let report = &found.ground_truth.report;
+                let judged = judge_walk(&truth, &estimate, scan.truth_from_map)?;
+                run.ate_rms_m = Some(judged.own.ate_translation_m.rmse);
+                run.ate_max_m = Some(judged.own.ate_translation_m.max);
+                run.in_map_rms_m = Some(judged.in_map.ate_translation_m.rmse);
+                let shaking = |s: &Option<Smoothness>| s.as_ref().and_then(|s| s.above_5_hz_rms_m);
+                let smoothness = &judged.own.smoothness;
+                let both = shaking(&smoothness.estimate).zip(shaking(&smoothness.truth));
+                run.jitter_m = both.map(|(own, real)| (own * own - real * real).max(0.0).sqrt());
+                let wrong = |e: &&lsfb_eval::PoseError| e.translation_m > WRONG_M;
+                run.exported = judged.in_map.errors.len() as u64;
+                run.exported_wrong = judged.in_map.errors.iter().filter(wrong).count() as u64;
+                let left_out = report.frames.saturating_sub(report.poses);
+                run.dropped_s = whole_s * left_out as f64 / report.frames.max(1) as f64;
+            }
+        }
+        Ok(())
+    }
+
+    /// The folder of a walk.
+    pub fn walk_folder(&self, walked: &Walked) -> PathBuf {
+        let (device, condition) = (walked.device.name(), walked.condition.name());
+        self.folder.join(format!("{device}-{condition}"))
+    }
+
+    /// Takes a recording away, which is large, and what says that it stands.
+    pub fn remove_recording(path: &Path) -> anyhow::Result<()> {
+        standing::forget(&[path])?;
+        if path.exists() {
+            std::fs::remove_file(path).with_context(|| path.display().to_string())?;
+        }
+        Ok(())
+    }
+
+    /// Simulates and records unless it stands; the first of the `outputs` is the recording.
+    fn record(
+        &self,
+        stage: &str,
+        outputs: &[&Path],
+        config: &SimConfig,
+        rigs: [Option<&Calibrated>; 2],
+        costs: &mut Costs,
+        layout: &Layout,
+    ) -> anyhow::Result<()> {
+        let mut made_from = Provenance::new(config);
+        for calibrated in rigs.into_iter().flatten() {
+            made_from.add_rig(&calibrated.rig);
+        }
+        costs.of(stage, |made| {
+            if self.context.standing::<u64>(outputs, &made_from).is_some() {
+                return Ok(());
+            }
+            made.set(true);
+            standing::forget(outputs)?;
+            let rigs = rigs.map(|calibrated| calibrated.map(|c| c.rig.clone()));
+            let simulation = simulated::prepare(layout, config, rigs, self.context)?;
+            let report = match stage {
+                SCAN => simulated::record_backpack(layout, &simulation, self.context)?,
+                _ => simulated::record_glasses(layout, &simulation, self.context)?,
+            };
+            standing::finish(outputs, &[], &made_from, &report.lost)
+        })
+    }
+}
+
+/// Median horizontal distance of a walk from the scanner's path, metres.
+fn off_path_m(scan: &[StampedPose], walk: &[StampedPose]) -> f64 {
+    /// Of two hundred poses a second, ten are enough.
+    const EVERY: usize = 20;
+    let place = |pose: &StampedPose| pose.world_from_rig.translation;
+    let mut distances: Vec<f64> = walk
+        .iter()
+        .step_by(EVERY)
+        .map(|pose| {
+            let at = place(pose);
+            let scanned = scan.iter().step_by(EVERY).map(place);
+            let apart = scanned.map(|other| (other.x - at.x).hypot(other.y - at.y));
+            apart.fold(f64::INFINITY, f64::min)
+        })
+        .collect();
+    distances.sort_by(f64::total_cmp);
+    distances.get(distances.len() / 2).copied().unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A disk that is full says nothing about an estimator.
+    #[test]
+    fn what_stops_a_trial_is_no_refusal() {
+        let refused = refusal::<()>(Err(anyhow::anyhow!("no loop closes")), MAP);
+        assert_eq!(
+            refused.expect("goes on"),
+            Err("map: no loop closes".to_owned())
+        );
+        for cause in [
+            anyhow::Error::new(Stopped).context("mapping"),
+            anyhow::Error::new(std::io::Error::other("disk full")).context("mapping"),
+        ] {
+            assert!(refusal::<()>(Err(cause), MAP).is_err());
+        }
+    }
+}

@@ -1,0 +1,203 @@
+//! What a trial consists of: which place is walked through with which device, under which seed and condition, and the settings of
+//! the simulation for each.
+
+use lsfb_sim::{Device, PaperMotion, Place, SimConfig};
+use serde::{Deserialize, Serialize};
+
+/// How far walks go from the scanner's path at most, metres.
+const OFF_PATH_M: f64 = 6.0;
+/// Age of the place when the walk is made, under [`Condition::SixMonths`].
+const MONTHS: u32 = 6;
+/// People who were not there during the scan, under [`Condition::Crowd`].
+const CROWD: u32 = 12;
+
+/// What has become of the place between scan and walk.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Condition {
+    /// Nothing but that people walk elsewhere and screens show something else.
+    AsScanned,
+    /// Half of what people move has been moved about.
+    SixMonths,
+    /// A dozen people more on the ways.
+    Crowd,
+}
+
+impl Condition {
+    const ALL: [Self; 3] = [Self::AsScanned, Self::SixMonths, Self::Crowd];
+
+    /// Its name on the command line and in files.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::AsScanned => "as-scanned",
+            Self::SixMonths => "six-months",
+            Self::Crowd => "crowd",
+        }
+    }
+
+    /// The condition of a name.
+    pub fn named(name: &str) -> Result<Self, String> {
+        let found = Self::ALL.into_iter().find(|c| c.name() == name);
+        found.ok_or_else(|| "expected as-scanned, six-months or crowd".to_owned())
+    }
+}
+
+/// How much of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Size {
+    /// Whole routes of scanner and Table VII, full resolution.
+    Full,
+    /// The same difficulty on shorter ways: parts of the routes, smaller images. Walks still have 30 Hz.
+    Quick,
+}
+
+/// A scan of one place, and the map that is made of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Scanned {
+    pub place: Place,
+    pub seed: u64,
+    pub size: Size,
+}
+
+/// A walk in the map of a scan.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Walked {
+    pub scanned: Scanned,
+    pub condition: Condition,
+    pub device: Device,
+}
+
+impl Scanned {
+    /// Settings of the scan.
+    pub fn config(&self) -> SimConfig {
+        self.with(Device::Glasses)
+    }
+
+    /// The motion of Table VII that is walked here: another with each seed.
+    pub fn motion(&self) -> Option<&'static PaperMotion> {
+        let of_place: Vec<_> = PaperMotion::all()
+            .iter()
+            .filter(|motion| motion.place == self.place)
+            .collect();
+        let count = of_place.len().max(1) as u64;
+        of_place.get((self.seed % count) as usize).copied()
+    }
+
+    fn with(&self, device: Device) -> SimConfig {
+        let mut config = match self.motion() {
+            Some(motion) => SimConfig::for_motion(motion, device),
+            None => SimConfig::for_place(self.place, device),
+        };
+        config.seed = self.seed;
+        config.off_path_m = OFF_PATH_M;
+        // Phones are held before the chest, glasses worn; nobody is as tall as the scanner's mast.
+        let held_m = match device {
+            Device::Android => 1.35,
+            Device::Iphone => 1.45,
+            Device::Glasses => 1.62,
+        };
+        config.glasses.height_m = held_m + 0.04 * (self.seed % 5) as f64 - 0.08;
+        if self.size == Size::Quick {
+            shorten(&mut config);
+            config.scan.duration_s = 36.0;
+            config.glasses.duration_s = 10.0;
+        }
+        config
+    }
+}
+
+impl Walked {
+    /// Settings of the walk; its scan is that of [`Scanned::config`].
+    pub fn config(&self) -> SimConfig {
+        let mut config = self.scanned.with(self.device);
+        match self.condition {
+            Condition::AsScanned => {}
+            Condition::SixMonths => config.months_later = MONTHS,
+            Condition::Crowd => config.crowd = CROWD,
+        }
+        config
+    }
+}
+
+/// Settings of the calibration place, for the backpack and a device.
+pub fn calibration(device: Device, seed: u64, size: Size) -> SimConfig {
+    let mut config = SimConfig::for_place(Place::Calibration, device);
+    config.seed = seed;
+    if size == Size::Quick {
+        shorten(&mut config);
+        config.scan.duration_s = 60.0;
+        config.glasses.duration_s = 30.0;
+        for cameras in [&mut config.scan_cameras, &mut config.glasses_cameras] {
+            // Before a board one moves slowly.
+            (cameras.rate_hz, cameras.motion_blur) = (10, false);
+        }
+    }
+    config
+}
+
+/// Smaller images, coarser surfaces, and of the scanner's images as many as a map takes.
+fn shorten(config: &mut SimConfig) {
+    config.texel_m = 0.004;
+    (config.scan_cameras.width, config.scan_cameras.height) = (480, 304);
+    config.scan_cameras.rate_hz = 5;
+    let cameras = &mut config.glasses_cameras;
+    cameras.height = cameras.height * 3 / 4;
+    cameras.width = cameras.width * 3 / 4;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_quick_trial_keeps_what_is_hard() {
+        for place in Place::ENVIRONMENTS {
+            for device in Device::ALL {
+                let of = |size| {
+                    let scanned = Scanned {
+                        place,
+                        seed: 3,
+                        size,
+                    };
+                    let walked = Walked {
+                        scanned,
+                        condition: Condition::AsScanned,
+                        device,
+                    };
+                    walked.config().check().expect("can be simulated");
+                    walked.config()
+                };
+                let (quick, full) = (of(Size::Quick), of(Size::Full));
+                assert_eq!(quick.glasses_cameras.rate_hz, 30);
+                assert_eq!(quick.motion, full.motion, "the same motion");
+                assert_eq!(quick.off_path_m, full.off_path_m);
+                let (q, f) = (&quick.glasses_cameras, &full.glasses_cameras);
+                assert!(q.motion_blur && q.auto_exposure);
+                assert_eq!((q.readout_ns, q.exposure_ns), (f.readout_ns, f.exposure_ns));
+                assert_eq!(q.focal_per_width, f.focal_per_width);
+                assert!(full.scan.duration_s == 0.0 && full.glasses.duration_s == 0.0);
+            }
+        }
+    }
+
+    #[test]
+    fn a_walk_belongs_to_the_scan_of_its_place() {
+        let scanned = Scanned {
+            place: Place::Atrium,
+            seed: 2,
+            size: Size::Quick,
+        };
+        let scan = scanned.config();
+        for device in Device::ALL {
+            let walked = Walked {
+                scanned,
+                condition: Condition::SixMonths,
+                device,
+            };
+            let walk = walked.config();
+            assert_eq!((walk.scan, walk.seed), (scan.scan.clone(), scan.seed));
+            assert_eq!((walk.months_later, scan.months_later), (MONTHS, 0));
+        }
+    }
+}

@@ -1,0 +1,56 @@
+//! `lsfb bench twin`: one walk of the quick trial, and once more.
+
+mod answer;
+mod process;
+
+use answer::json;
+use process::lsfb;
+
+#[test]
+fn a_run_of_the_trial_is_judged_and_stands() {
+    let folder = tempfile::tempdir().expect("folder");
+    let root = folder.path();
+    let arguments = "bench twin --out trial --quick --places stairs --devices glasses --seed 1";
+    let arguments: Vec<&str> = arguments.split(' ').collect();
+    let trial = json(root, &arguments, 0);
+    let run = &trial["runs"][0];
+    assert_eq!(
+        (&run["place"], &run["device"]),
+        (&"stairs".into(), &"glasses".into())
+    );
+    let figure = |name: &str| {
+        run[name]
+            .as_f64()
+            .unwrap_or_else(|| panic!("{name}: {run}"))
+    };
+    assert_eq!(run["exported_wrong"], 0, "{run}");
+    assert!(
+        run["refused"].is_null() && figure("ate_rms_m") < 0.05,
+        "{run}"
+    );
+    assert!(figure("off_path_m") > 0.3, "{run}");
+    assert!(figure("localized_right") <= figure("localized"), "{run}");
+    // Calibrated rigs are near the true ones, and never the true ones.
+    let rigs = run["rigs_off"].as_array().expect("rigs");
+    assert_eq!(rigs.len(), 4 + 1 + 2, "{run}");
+    let off = |rig: &serde_json::Value| rig["rotation_deg"].as_f64().expect("degrees");
+    assert!(
+        rigs.iter().all(|rig| (1e-6..0.5).contains(&off(rig))),
+        "{run}"
+    );
+    for name in ["report.html", "twin.json"] {
+        assert!(root.join("trial").join(name).exists(), "{name}");
+    }
+    assert!(
+        !root.join("trial/stairs-1/scan.mcap").exists(),
+        "recordings are large"
+    );
+    assert_eq!(json(root, &arguments, 0)["runs"], trial["runs"], "stands");
+
+    std::fs::create_dir(root.join("mine")).expect("folder");
+    std::fs::write(root.join("mine/notes.txt"), "mine").expect("file");
+    let refused = lsfb(root, &["bench", "twin", "--out", "mine", "--quick"]);
+    assert_eq!(refused.status.code(), Some(1));
+    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(said.contains("not of a trial"), "{said}");
+}
