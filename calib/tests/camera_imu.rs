@@ -87,6 +87,30 @@ fn three_seeds_are_found_again() {
     }
 }
 
+/// Where images and samples share one clock, the recording ends on a knot of the motion: its last control point was not determined.
+#[test]
+fn a_recording_may_end_on_a_knot() {
+    let simulated = simulate(&Setup {
+        duration_s: 4.0,
+        view_rate_hz: 10.0,
+        ..Setup::default()
+    });
+    const SAMPLE_NS: i64 = 5_000_000;
+    let first_ns = simulated.imu[0].0.nanos();
+    let known = simulated.known().into_iter().map(|mut camera| {
+        let views = std::mem::take(&mut camera.views.views).into_iter();
+        let on_sample = |ns: i64| ns - (ns - first_ns).rem_euclid(SAMPLE_NS);
+        camera.views.views = views.map(|(ns, view)| (on_sample(ns), view)).collect();
+        camera
+    });
+    run(
+        &known.collect::<Vec<_>>(),
+        &simulated.imu,
+        &CameraImuConfig::default(),
+    )
+    .expect("determined");
+}
+
 /// Not a figure (that is `examples/simulated_rig.rs`), but the joint covariance is that of the errors.
 #[test]
 fn the_joint_covariance_holds_what_is_reported() {

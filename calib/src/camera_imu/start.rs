@@ -33,6 +33,8 @@ const MIN_SHARED: usize = 5;
 const MIN_SAMPLES: usize = 200;
 /// Motion before the first and after the last view, seconds.
 const MARGIN_S: f64 = 0.1;
+/// Share of a segment of the motion that samples must cover for its last control point to be known.
+const LEAST_OF_SEGMENT: f64 = 0.1;
 
 /// A camera's views with its own pose of the target in each.
 struct PosedViews {
@@ -121,12 +123,13 @@ impl State {
         let end_s = end.time.secs_since(origin) + MARGIN_S;
         samples.retain(|s| s.time_s >= start_s && s.time_s <= end_s);
         let interval_s = interval_s(&samples);
-        let end_s = samples.last().map_or(end_s, |s| s.time_s);
-
         let knots = spline::UniformKnots {
             start_s,
             spacing_s: config.knot_spacing_s,
         };
+        end_within_a_segment(&mut samples, &knots);
+        let end_s = samples.last().map_or(end_s, |s| s.time_s);
+
         let (rotations, positions) = (0..knots.count::<ORDER>(end_s))
             .map(|k| {
                 let time_s = start_s + (k as f64 - 0.5 * (ORDER - 2) as f64) * knots.spacing_s;
@@ -237,6 +240,15 @@ fn samples_of(
         )));
     }
     Ok((origin, samples))
+}
+
+/// Leaves samples out that lie at the very beginning of the last segment: they say nothing of its last control point.
+fn end_within_a_segment(samples: &mut Vec<Sample>, knots: &spline::UniformKnots) {
+    let segments = |sample: &Sample| (sample.time_s - knots.start_s) / knots.spacing_s;
+    let last = samples.last().map_or(0.0, segments);
+    if last.fract() < LEAST_OF_SEGMENT {
+        samples.retain(|s| segments(s) < last.floor());
+    }
 }
 
 /// Axes at the end of their range.
