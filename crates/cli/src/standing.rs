@@ -76,6 +76,15 @@ pub fn forget(outputs: &[&Path]) -> anyhow::Result<()> {
     }
 }
 
+/// Takes a result away that is needed no more, and what says that it stands.
+pub fn remove(result: &Path) -> anyhow::Result<()> {
+    forget(&[result])?;
+    match result.exists() {
+        true => std::fs::remove_file(result).with_context(|| result.display().to_string()),
+        false => Ok(()),
+    }
+}
+
 fn record_path(outputs: &[&Path]) -> Option<PathBuf> {
     let first = outputs.first()?;
     let mut name = first.file_name()?.to_os_string();
@@ -127,5 +136,9 @@ mod tests {
         assert_eq!(report::<u32>(&[&out], &made_from), Some(7));
         forget(&[&out]).expect("forgotten");
         assert_eq!(report::<u32>(&[&out], &made_from), None, "forgotten");
+        finish(&[&out], &[], &made_from, &7).expect("record");
+        remove(&out).expect("removed");
+        assert!(!out.exists() && report::<u32>(&[&out], &made_from).is_none());
+        remove(&out).expect("nothing to remove");
     }
 }

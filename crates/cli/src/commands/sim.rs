@@ -158,7 +158,8 @@ fn datum(text: &str) -> Result<DatumConfig, String> {
     }
 }
 
-fn device(name: &str) -> Result<Device, String> {
+/// A device by its name on the command line.
+pub fn device(name: &str) -> Result<Device, String> {
     let found = Device::ALL.into_iter().find(|d| d.name() == name);
     found.ok_or_else(|| "expected glasses, android or iphone".to_owned())
 }

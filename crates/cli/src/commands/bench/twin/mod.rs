@@ -18,13 +18,14 @@ use lsfb_recording::Provenance;
 use lsfb_sim::{Device, Place, SimConfig};
 use serde::Serialize;
 
+use crate::commands::sim::device;
 use crate::context::Context;
 use crate::judged::{self, Judged};
 use crate::outcome::Outcome;
 use crate::standing;
-use cost::Costs;
+use cost::{Cost, Costs};
 use result::Run;
-use rigs::{Bearer, Calibrated, calibrated};
+use rigs::{Bearer, Calibrated, Rigs, calibrated, true_rig};
 use session::{Mapped, Refusable, STAGES, Session, refusal};
 use trial::{Condition, Scanned, Size, Walked, calibration};
 
@@ -44,24 +45,27 @@ pub struct Arguments {
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
     /// Environments of `lsfb sim --place`, separated by commas; without it all nine of the paper.
-    #[arg(long, value_name = "NAME", value_parser = place, value_delimiter = ',')]
+    #[arg(long = "place", visible_alias = "places", value_name = "NAME", value_parser = place, value_delimiter = ',')]
     places: Vec<Place>,
     /// Devices of the walks, separated by commas; without it android, iphone and glasses.
-    #[arg(long, value_name = "NAME", value_parser = device, value_delimiter = ',')]
+    #[arg(long = "device", visible_alias = "devices", value_name = "NAME", value_parser = device, value_delimiter = ',')]
     devices: Vec<Device>,
     /// What has become of the place between scan and walk, separated by commas: as-scanned; six-months, in which half of what
     /// people move has been moved; crowd, with a dozen people more.
-    #[arg(long, value_name = "NAME", value_parser = Condition::named, value_delimiter = ',', default_value = "as-scanned")]
+    #[arg(long = "condition", visible_alias = "conditions", value_name = "NAME", value_parser = Condition::named, value_delimiter = ',', default_value = "as-scanned")]
     conditions: Vec<Condition>,
     /// Number of seeds.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=1000))]
     seeds: u64,
     /// The first seed.
-    #[arg(long, value_name = "FIRST", default_value_t = 1, value_parser = super::super::seed, allow_hyphen_values = true)]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = super::super::seed, allow_hyphen_values = true)]
     seed: u64,
     /// Shorter ways and smaller images, for daily use; as hard otherwise.
     #[arg(long)]
     quick: bool,
+    /// Give the estimators the exact rigs instead of calibrated ones: easier than any real trial.
+    #[arg(long)]
+    true_rigs: bool,
     /// Keep all recordings: hundreds of megabytes for each scan, tens of gigabytes without --quick.
     #[arg(long)]
     keep_recordings: bool,
@@ -73,11 +77,6 @@ fn place(name: &str) -> Result<Place, String> {
         let names: Vec<&str> = Place::ENVIRONMENTS.map(Place::name).to_vec();
         format!("expected one of {}", names.join(", "))
     })
-}
-
-fn device(name: &str) -> Result<Device, String> {
-    let found = Device::ALL.into_iter().find(|d| d.name() == name);
-    found.ok_or_else(|| "expected glasses, android or iphone".to_owned())
 }
 
 /// Says that a folder is a trial's own.
@@ -95,6 +94,7 @@ struct Printed<'a> {
 #[derive(Serialize)]
 struct Settings {
     walked: Walked,
+    rigs: Rigs,
     scan: SimConfig,
     walk: SimConfig,
     mapping: MappingConfig,
@@ -109,6 +109,10 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         size: match arguments.quick {
             true => Size::Quick,
             false => Size::Full,
+        },
+        given: match arguments.true_rigs {
+            true => Rigs::True,
+            false => Rigs::Calibrated,
         },
         context,
         rigs: BTreeMap::new(),
@@ -148,7 +152,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
                 }
             }
             if !arguments.keep_recordings {
-                Session::remove_recording(&scan.session.folder.join("scan.mcap"))?;
+                // Large, and its map is there.
+                standing::remove(&scan.session.folder.join("scan.mcap"))?;
             }
         }
     }
@@ -202,16 +207,17 @@ fn finish(out: &Path, runs: &[Run], context: &Context) -> anyhow::Result<Outcome
 struct Trial<'a> {
     out: &'a Path,
     size: Size,
+    given: Rigs,
     context: &'a Context,
     /// Rigs that were calibrated, by seed and name, with what that took.
     rigs: BTreeMap<(u64, &'static str), Rig>,
 }
 
-/// A rig, or why there is none, and what it took to calibrate, seconds and megabytes.
+/// A rig, or why there is none, and what it took to calibrate.
 #[derive(Clone)]
 struct Rig {
     found: Refusable<Calibrated>,
-    cost: cost::Cost,
+    cost: Option<Cost>,
 }
 
 impl Trial<'_> {
@@ -224,8 +230,14 @@ impl Trial<'_> {
         if let Some(rig) = self.rigs.get(&(seed, name)) {
             return Ok(rig.clone());
         }
-        let folder = self.out.join(format!("calibration-{name}-{seed}"));
         let config = calibration(device.unwrap_or_default(), seed, self.size);
+        if self.given == Rigs::True {
+            return Ok(Rig {
+                found: Ok(true_rig(&config, bearer)),
+                cost: None,
+            });
+        }
+        let folder = self.out.join(format!("calibration-{name}-{seed}"));
         std::fs::create_dir_all(&folder)?;
         let mut costs = Costs::open(folder.join("costs.json"));
         let found = costs.of(name, |made| {
@@ -233,7 +245,7 @@ impl Trial<'_> {
         });
         let rig = Rig {
             found: refusal(found, "calibration")?,
-            cost: costs.get(name).unwrap_or_default(),
+            cost: costs.get(name),
         };
         self.rigs.insert((seed, name), rig.clone());
         Ok(rig)
@@ -274,6 +286,7 @@ impl<'a> Scan<'a> {
         let path = folder.join("run.json");
         let made_from = Provenance::new(&Settings {
             walked: *walked,
+            rigs: trial.given,
             scan: walked.scanned.config(),
             walk: walked.config(),
             mapping: MappingConfig::default(),
@@ -288,7 +301,7 @@ impl<'a> Scan<'a> {
         crate::files::write(&path, serde_json::to_vec_pretty(&run)?)?;
         standing::finish(&[&path], &[], &made_from, &run)?;
         if !keep {
-            Session::remove_recording(&folder.join("walk.mcap"))?;
+            standing::remove(&folder.join("walk.mcap"))?;
         }
         Ok((run, true))
     }
@@ -300,7 +313,7 @@ impl<'a> Scan<'a> {
             trial.rig(seed, Some(walked.device))?,
         ];
         let mut costs = Costs::open(folder.join("costs.json"));
-        let mut run = Run::of(walked);
+        let mut run = Run::of(walked, trial.given);
         match (&rigs[0].found, &rigs[1].found) {
             (Err(why), _) | (_, Err(why)) => run.refused = Some(why.clone()),
             (Ok(backpack), Ok(device)) => {
@@ -321,7 +334,7 @@ impl<'a> Scan<'a> {
         let of_rigs = STAGES
             .iter()
             .zip(&rigs)
-            .map(|(name, rig)| (*name, Some(rig.cost)));
+            .map(|(name, rig)| (*name, rig.cost));
         let others = STAGES.iter().skip(rigs.len());
         let others = others.map(|name| (*name, self.costs.get(name).or(costs.get(name))));
         for (name, cost) in of_rigs.chain(others) {

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use lsfb_types::{Finding, Judgement, Limit, Verdict};
 use serde::{Deserialize, Serialize};
 
-use super::rigs::SensorOff;
+use super::rigs::{Rigs, SensorOff};
 use super::trial::Walked;
 
 /// A pose that is further off than this is wrong, metres.
@@ -47,6 +47,8 @@ pub struct Run {
     pub refused: Option<String>,
     /// Median horizontal distance of the walk from the scanner's path.
     pub off_path_m: Option<f64>,
+    /// Which rigs the estimators were given.
+    pub rigs: Rigs,
     /// How far the rigs that the estimators were given are from the true ones.
     pub rigs_off: Vec<SensorOff>,
     /// The stages in the order in which they ran. Scan, map and calibration are shared by the runs of a place.
@@ -57,7 +59,7 @@ pub struct Run {
 
 impl Run {
     /// Of which nothing is known yet.
-    pub fn of(walked: &Walked) -> Self {
+    pub fn of(walked: &Walked, rigs: Rigs) -> Self {
         let scanned = &walked.scanned;
         Self {
             place: scanned.place.name().to_owned(),
@@ -79,6 +81,7 @@ impl Run {
             dropped_s: 0.0,
             refused: None,
             off_path_m: None,
+            rigs,
             rigs_off: Vec::new(),
             stages_s: Vec::new(),
             peak_rss_mb: 0.0,
@@ -197,7 +200,7 @@ mod tests {
             exported: 300,
             exported_wrong,
             refused: refused.map(str::to_owned),
-            ..Run::of(&walked)
+            ..Run::of(&walked, Rigs::Calibrated)
         }
     }
 

@@ -28,6 +28,14 @@ const PLATE_M: f64 = 0.833;
 /// Poses of the board that place the LiDAR, at most.
 const LIDAR_POSES: usize = 60;
 
+/// Which rigs the estimators are given.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Rigs {
+    Calibrated,
+    True,
+}
+
 /// Whose rig.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Bearer {
@@ -72,18 +80,22 @@ pub fn calibrated(
     made();
     let layout = Layout::create(folder)?;
     let simulation = simulated::prepare(&layout, config, [None, None], context)?;
-    let (path, cameras, truth) = match bearer {
-        Bearer::Backpack => {
-            simulated::record_backpack(&layout, &simulation, context)?;
-            let path = layout.file("scan.mcap");
-            (path, &config.scan_cameras, simulation.scan().rig())
-        }
+    let (name, cameras, truth) = match bearer {
+        Bearer::Backpack => ("scan.mcap", &config.scan_cameras, simulation.scan().rig()),
         Bearer::Walker => {
-            simulated::record_glasses(&layout, &simulation, context)?;
-            let path = layout.file("walk.mcap");
-            (path, &config.glasses_cameras, simulation.glasses().rig())
+            let truth = simulation.glasses().rig();
+            ("walk.mcap", &config.glasses_cameras, truth)
         }
     };
+    let path = layout.file(name);
+    if context.standing::<u64>(&[&path], &made_from).is_none() {
+        standing::forget(&[&path])?;
+        let report = match bearer {
+            Bearer::Backpack => simulated::record_backpack(&layout, &simulation, context)?,
+            Bearer::Walker => simulated::record_glasses(&layout, &simulation, context)?,
+        };
+        standing::finish(&[&path], &[], &made_from, &report.lost)?;
+    }
     let recording = context.open(&path)?;
     // Of the device is known what its sheet says: names, the IMU's noise, the shutter.
     let mut rig = Rig {
@@ -112,8 +124,19 @@ pub fn calibrated(
     let off = difference(&rig, truth);
     crate::files::write(&rig_path, rig.to_toml())?;
     standing::finish(&[&rig_path], &[], &made_from, &off)?;
-    std::fs::remove_file(&path).with_context(|| path.display().to_string())?;
+    standing::remove(&path)?;
     Ok(Calibrated { rig, off })
+}
+
+/// The rig as it was built.
+pub fn true_rig(config: &SimConfig, bearer: Bearer) -> Calibrated {
+    Calibrated {
+        rig: match bearer {
+            Bearer::Backpack => lsfb_sim::rigs::backpack(config),
+            Bearer::Walker => lsfb_sim::rigs::walker(config),
+        },
+        off: Vec::new(),
+    }
 }
 
 /// A recording before the board.

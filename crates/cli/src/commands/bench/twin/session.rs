@@ -2,7 +2,6 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
 use lsfb_eval::{Smoothness, read_poses};
 use lsfb_geometry::{StampedPose, Trajectory};
 use lsfb_pipeline::ground_truth::GroundTruthConfig;
@@ -181,15 +180,6 @@ impl Session<'_> {
     pub fn walk_folder(&self, walked: &Walked) -> PathBuf {
         let (device, condition) = (walked.device.name(), walked.condition.name());
         self.folder.join(format!("{device}-{condition}"))
-    }
-
-    /// Takes a recording away, which is large, and what says that it stands.
-    pub fn remove_recording(path: &Path) -> anyhow::Result<()> {
-        standing::forget(&[path])?;
-        if path.exists() {
-            std::fs::remove_file(path).with_context(|| path.display().to_string())?;
-        }
-        Ok(())
     }
 
     /// Simulates and records unless it stands; the first of the `outputs` is the recording.

@@ -126,7 +126,7 @@ pub fn calibration(device: Device, seed: u64, size: Size) -> SimConfig {
     config.seed = seed;
     if size == Size::Quick {
         shorten(&mut config);
-        config.scan.duration_s = 60.0;
+        config.scan.duration_s = 48.0;
         config.glasses.duration_s = 30.0;
         for cameras in [&mut config.scan_cameras, &mut config.glasses_cameras] {
             // Before a board one moves slowly.
