@@ -85,6 +85,7 @@ impl Session<'_> {
             recording: &recording,
             out: &map,
             out_trajectory: Some(&trajectory),
+            out_report: None,
             config: &MappingConfig::default(),
         };
         let built = costs.of(MAP, |made| {
@@ -157,7 +158,7 @@ impl Session<'_> {
         match refusal(found, TRUTH)? {
             Err(why) => (run.refused, run.dropped_s) = (Some(why), whole_s),
             Ok(found) => {
-                let report = &found.ground_truth.report;
+                let report = &found.report;
                 let judged = judge_walk(&truth, &estimate, scan.truth_from_map)?;
                 run.ate_rms_m = Some(judged.own.ate_translation_m.rmse);
                 run.ate_max_m = Some(judged.own.ate_translation_m.max);
