@@ -21,7 +21,7 @@ use crate::standing;
 /// poses in any unit of length; the map has the same.
 ///
 /// Examples:
-///   lsfb map scan.mcap --out map --out-trajectory scan.tum --report map.html
+///   lsfb map scan.mcap --out map --out-trajectory scan.tum --out-report map.html
 ///   lsfb map --posed-images hololens_office --holdout-every 5 --out office-map
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment, after_long_help = settings())]
@@ -47,7 +47,7 @@ pub struct Arguments {
     out_trajectory: Option<PathBuf>,
     /// Also write a page: residuals before and after Eq. 4, coverage, weak stretches.
     #[arg(long, value_name = "HTML", conflicts_with = "posed_images")]
-    report: Option<PathBuf>,
+    out_report: Option<PathBuf>,
     /// Settings instead of the defaults; `lsfb map --help` names them.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
@@ -85,7 +85,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         recording,
         out: &arguments.out,
         out_trajectory: arguments.out_trajectory.as_deref(),
-        out_report: arguments.report.as_deref(),
+        out_report: arguments.out_report.as_deref(),
         config: &config,
     };
     let built = job.build(context, |result| context.claim(result, &[recording]))?;
