@@ -76,7 +76,7 @@ mod tests {
         let mut again = Costs::open(path);
         again.of("map", |_| Ok(())).expect("stands");
         assert_eq!(again.get("map"), Some(before));
-        assert!(again.of("scan", |_| anyhow::bail!("no")).is_err());
+        assert!(again.of::<()>("scan", |_| anyhow::bail!("no")).is_err());
         assert_eq!(again.get("scan"), None);
     }
 }
