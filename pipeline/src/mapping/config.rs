@@ -39,7 +39,7 @@ pub struct MappingConfig {
     pub odometry_translation_sigma_m: f64,
     /// How often correspondences are sought anew at most.
     pub outer_iterations: usize,
-    /// Largest reprojection error of an observation in the map, pixels; larger ones count with this much in the reported error.
+    /// Largest reprojection error of an observation in the map, pixels.
     pub max_reprojection_px: f64,
     /// When each minimisation stops.
     pub solver: SolveConfig,

@@ -28,7 +28,7 @@ use keyframe_scans::add_lidar_features;
 use keyframes::{Keyframe, Keyframes, choose_keyframes, find_cameras};
 use report::USUAL_OUTLIER_SHARE;
 pub use report::{LidarResiduals, MappingReport, MappingWarning, RoundReport};
-use reprojection_errors::{ErrorSummary, drop_outliers, track_errors_px};
+use reprojection_errors::{ErrorSummary, drop_outliers, observation_errors_px, track_errors_px};
 use scan_pairs::{scan_correspondences, scan_pairs};
 use weights::{Weights, lidar_residuals};
 
@@ -147,8 +147,9 @@ fn optimise(
         points = triangulate_round(rig, keyframes, &tracks, round, config)?;
         let scans = scan_correspondences(&keyframes.frames, &pairs, config);
         let lidar = lidar_residuals(&keyframes.frames, &scans);
-        let errors_px = track_errors_px(rig, keyframes, &points, &tracks);
+        let errors_px = observation_errors_px(rig, keyframes, &points);
         if round == 0 {
+            let errors_px = track_errors_px(rig, keyframes, &points, &tracks);
             let errors = ErrorSummary::of(&errors_px, max_px);
             report.reprojection_rms_before_px = errors.rms_px;
             report.reprojection_median_before_px = errors.median_px;
@@ -193,6 +194,7 @@ fn optimise(
     let errors = ErrorSummary::of(&report.reprojection_errors_px, max_px);
     report.reprojection_rms_px = errors.rms_px;
     report.reprojection_median_px = errors.median_px;
+    report.outlier_share = errors.share_beyond;
     drop_outliers(rig, keyframes, &mut points, max_px);
     report.points = points.len() as u64;
     report.observations = points.iter().map(|p| p.observations.len() as u64).sum();

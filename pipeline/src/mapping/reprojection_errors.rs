@@ -69,9 +69,25 @@ fn diagonal_px(rig: &Rig, keyframes: &Keyframes, image: usize) -> f64 {
     })
 }
 
+/// Reprojection errors of the observations that take part in Eq. (4), pixels.
+pub(super) fn observation_errors_px(
+    rig: &Rig,
+    keyframes: &Keyframes,
+    points: &[MapPoint],
+) -> Vec<f64> {
+    points
+        .iter()
+        .flat_map(|p| p.observations.iter().map(move |o| (p, o)))
+        .map(|(p, o)| reprojection_px(rig, keyframes, o, &p.point_in_world))
+        .collect()
+}
+
+/// Root mean square length of a two-dimensional normal error in units of its median length, 1/√(ln 2).
+const RMS_PER_MEDIAN: f64 = 1.201_122_408_786_449_8;
+
 /// How reprojection errors spread.
 pub(super) struct ErrorSummary {
-    /// Root mean square, each error counted with the limit at most.
+    /// Root mean square of the normal distribution that has their median.
     pub rms_px: f64,
     pub median_px: f64,
     /// Share beyond the limit.
@@ -79,15 +95,14 @@ pub(super) struct ErrorSummary {
 }
 
 impl ErrorSummary {
-    /// Of all errors: what is beyond `max_px` counts with that much, so that nothing is left out and a wrong match is no more than
-    /// that.
+    /// Of all errors. None is left out, and how far off a wrong match is makes no difference: its share does.
     pub fn of(errors_px: &[f64], max_px: f64) -> Self {
         let count = errors_px.len().max(1) as f64;
-        let squares: f64 = errors_px.iter().map(|e| e.min(max_px).powi(2)).sum();
         let beyond = errors_px.iter().filter(|e| **e > max_px).count();
+        let median_px = median(errors_px.to_vec()).unwrap_or(0.0);
         Self {
-            rms_px: (squares / count).sqrt(),
-            median_px: median(errors_px.to_vec()).unwrap_or(0.0),
+            rms_px: median_px * RMS_PER_MEDIAN,
+            median_px,
             share_beyond: beyond as f64 / count,
         }
     }
@@ -124,12 +139,16 @@ mod tests {
     /// Errors cut off at 3 px would be 0.5 px rms whatever share of the matches is wrong.
     #[test]
     fn what_is_far_off_counts() {
-        let good = ErrorSummary::of(&[0.5; 10], 3.0);
-        assert!((good.rms_px - 0.5).abs() < 1e-12 && good.share_beyond == 0.0);
-        let errors = [0.5, 0.5, 0.5, 700.0];
-        let mixed = ErrorSummary::of(&errors, 3.0);
-        assert!((mixed.rms_px - (9.75f64 / 4.0).sqrt()).abs() < 1e-12);
-        assert_eq!((mixed.median_px, mixed.share_beyond), (0.5, 0.25));
+        // 0.1 to 1.0 px, and as many more that are wrong.
+        let mut errors: Vec<f64> = (1..=10).map(|i| 0.1 * f64::from(i)).collect();
+        let good = ErrorSummary::of(&errors, 3.0);
+        assert!((good.rms_px - 0.6 * RMS_PER_MEDIAN).abs() < 1e-12 && good.share_beyond == 0.0);
+        errors.extend([700.0; 3]);
+        let some = ErrorSummary::of(&errors, 3.0);
+        assert!(some.rms_px > good.rms_px && some.rms_px < 1.0);
+        assert!((some.share_beyond - 3.0 / 13.0).abs() < 1e-12);
+        errors.extend([700.0; 10]);
+        assert!(ErrorSummary::of(&errors, 3.0).rms_px > 700.0);
         assert_eq!(ErrorSummary::of(&[], 3.0).rms_px, 0.0);
     }
 }

@@ -61,6 +61,11 @@ impl MapPage<'_> {
                 count("keyframes", report.keyframes),
                 count("observations", report.observations),
                 count("observations left out", report.dropped_observations),
+                Figure::new(
+                    "observations left out, share",
+                    100.0 * report.outlier_share,
+                    "%",
+                ),
                 count("weakly covered keyframes", coverage.weak.len() as u64),
             ],
             map_points: self.map.positions().collect(),
