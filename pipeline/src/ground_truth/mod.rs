@@ -44,7 +44,8 @@ use walk::Walk;
 pub struct GroundTruth {
     /// Pose of the device's rig at every image that could be placed.
     pub trajectory: Trajectory,
-    /// Covariance of each pose, tangent `[rotation, translation]` on the right, rad² and m².
+    /// Covariance of each pose, tangent `[rotation, translation]` on the right, rad² and m². Errors that all of the map around shares,
+    /// its scale above all, do not show in a walk and are not in it.
     pub covariances: Vec<Matrix6<f64>>,
     /// How it came about, and how far to trust it.
     pub report: GroundTruthReport,
