@@ -1,7 +1,7 @@
 //! Bulk that follows later: pieces of a device's own recording, by PUT. To send one twice changes nothing.
 
 use std::fs::{DirBuilder, File, OpenOptions};
-use std::io::Write as _;
+use std::io::{self, Write as _};
 use std::os::unix::fs::DirBuilderExt as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -192,12 +192,7 @@ async fn receive(
         if free_bytes_of(std::slice::from_ref(&folder), RESERVE_BYTES) < length {
             return Err(Problem::Full);
         }
-        OpenOptions::new()
-            .write(true)
-            .create(true)
-            .truncate(true)
-            .open(path)
-            .map_err(|_| Problem::Disk)
+        create(&path).map_err(|_| Problem::Disk)
     });
     let mut file = opened.await.unwrap_or(Err(Problem::Disk))?;
     let mut hash = Sha256::new();
@@ -232,6 +227,16 @@ async fn receive(
         .unwrap_or(Err(Problem::Disk))
 }
 
+/// A new file. What a rig that was killed left under this name may be a second name of a segment that is kept: it is taken away,
+/// never written over.
+fn create(path: &Path) -> io::Result<File> {
+    match std::fs::remove_file(path) {
+        Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(e),
+        _ => {}
+    }
+    OpenOptions::new().write(true).create_new(true).open(path)
+}
+
 impl Segment {
     /// Gives the file its name, unless there is one.
     fn keep(&self) -> Result<StatusCode, Problem> {
@@ -246,7 +251,7 @@ impl Segment {
                 synced.map_err(|_| Problem::Disk)?;
                 Ok(StatusCode::CREATED)
             }
-            Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => {
+            Err(e) if e.kind() == io::ErrorKind::AlreadyExists => {
                 let there = std::fs::read(&self.path).map_err(|_| Problem::Disk)?;
                 match Sha256::digest(&there).as_slice() == self.digest {
                     true => Ok(StatusCode::OK),
@@ -255,5 +260,61 @@ impl Segment {
             }
             Err(_) => Err(Problem::Disk),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use lsfb_recording::{Writer, WriterConfig};
+    use lsfb_types::Timestamp;
+
+    use super::*;
+
+    /// A recording of one message.
+    fn recording(path: &Path, text: &[u8]) -> Vec<u8> {
+        let mut writer = Writer::create(path, &WriterConfig::default()).unwrap();
+        let channel = lsfb_recording::Channel {
+            topic: "/note",
+            schema_name: "std_msgs/msg/String",
+            schema_text: "string data",
+        };
+        let time = Timestamp::from_nanos(1_772_359_200_000_000_000);
+        writer.write_cdr(&channel, time, time, text).unwrap();
+        writer.finish().unwrap();
+        std::fs::read(path).unwrap()
+    }
+
+    #[test]
+    fn a_segment_is_kept_once_and_only_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let one = recording(
+            &folder.path().join("one.mcap"),
+            &[0, 1, 0, 0, 1, 0, 0, 0, 0],
+        );
+        let other = recording(
+            &folder.path().join("other.mcap"),
+            &[0, 1, 0, 0, 2, 0, 0, 0, 9, 0],
+        );
+        let path = folder.path().join("3.mcap");
+        let keep = |bytes: &[u8]| {
+            let segment = Segment {
+                path: path.clone(),
+                unfinished: folder.path().join("3-1.part"),
+                digest: Sha256::digest(bytes).to_vec(),
+            };
+            // What was kept before has this name too.
+            let mut file = create(&segment.unfinished).unwrap();
+            file.write_all(bytes).unwrap();
+            segment.keep().map_err(Problem::status)
+        };
+        let torn = one.get(..one.len() / 2).unwrap();
+        for broken in [b"no recording".as_slice(), torn] {
+            assert_eq!(keep(broken), Err(StatusCode::UNPROCESSABLE_ENTITY));
+        }
+        assert!(!path.exists());
+        assert_eq!(keep(&one), Ok(StatusCode::CREATED));
+        assert_eq!(keep(&one), Ok(StatusCode::OK));
+        assert_eq!(keep(&other), Err(StatusCode::CONFLICT));
+        assert_eq!(std::fs::read(&path).unwrap(), one);
     }
 }
