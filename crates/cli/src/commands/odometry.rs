@@ -14,7 +14,7 @@ use crate::outcome::Outcome;
 /// Run LiDAR(-inertial) odometry on a recording, a ROS bag, a capture of packets, or a folder of point clouds.
 ///
 /// A ROS bag (.bag, .db3, .mcap or a folder of rosbag2) has clouds or packets of Velodyne or Hesai on any topic, and may have
-/// an IMU; files of clouds are .pcd, .ply, and .bin of KITTI or .pcd.bin of nuScenes.
+/// an IMU; files of clouds are .pcd, .ply, .las, .laz, and .bin of KITTI or .pcd.bin of nuScenes.
 /// Scans that could not be registered have no pose; exit code 3 if the end of the recording was lost.
 ///
 /// Examples:

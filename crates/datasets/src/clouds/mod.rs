@@ -1,7 +1,8 @@
-//! Point clouds in files: PCD and PLY, and the bare numbers of KITTI and nuScenes.
+//! Point clouds in files: PCD, PLY, LAS and LAZ, and the bare numbers of KITTI and nuScenes.
 
 mod bin;
 mod folder;
+mod las;
 mod lzf;
 mod pcd;
 mod ply;
@@ -20,14 +21,17 @@ enum Format {
     Ply,
     Kitti,
     NuScenes,
+    Las,
 }
 
 /// Endings of names and what they stand for; a longer one stands before the one it ends with.
-const ENDINGS: [(&str, Format); 4] = [
+const ENDINGS: [(&str, Format); 6] = [
     (".pcd.bin", Format::NuScenes),
     (".pcd", Format::Pcd),
     (".ply", Format::Ply),
     (".bin", Format::Kitti),
+    (".las", Format::Las),
+    (".laz", Format::Las),
 ];
 
 /// By the name of a file: its kind, and the name without the ending.
@@ -58,6 +62,7 @@ pub fn read_cloud(path: &Path) -> Result<Cloud, Error> {
         Format::Ply => ply::parse(&bytes),
         Format::Kitti => bin::parse(&bytes, &bin::KITTI),
         Format::NuScenes => bin::parse(&bytes, &bin::NUSCENES),
+        Format::Las => las::parse(bytes),
     };
     let packed = parsed.map_err(|problem| Error::CloudFile {
         path: path.to_owned(),

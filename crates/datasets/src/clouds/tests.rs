@@ -260,3 +260,44 @@ fn plys_of_others_are_read() {
     assert_eq!(cloud.scan.points.len(), 69_792);
     assert_eq!(cloud.times, PointTimes::Absent);
 }
+
+/// The two points as surveying software writes them.
+fn las_file(is_compressed: bool, is_timed: bool) -> Vec<u8> {
+    let mut format = ::las::point::Format::new(if is_timed { 1 } else { 0 }).expect("format");
+    format.is_compressed = is_compressed;
+    let mut builder = ::las::Builder::from((1, 4));
+    builder.point_format = format;
+    let header = builder.into_header().expect("header");
+    let file = std::io::Cursor::new(Vec::new());
+    let mut writer = ::las::Writer::new(file, header).expect("writer");
+    for [x, y, z, intensity, time] in POINTS.map(|p| p.map(f64::from)) {
+        let point = ::las::Point {
+            x,
+            y,
+            z,
+            intensity: intensity as u16,
+            gps_time: is_timed.then_some(time),
+            ..::las::Point::default()
+        };
+        writer.write_point(point).expect("written");
+    }
+    writer.into_inner().expect("closed").into_inner()
+}
+
+#[test]
+fn las_and_laz_are_read() {
+    for name in ["a.las", "a.LAZ"] {
+        let bytes = las_file(name.ends_with('Z'), true);
+        let cloud = read(name, &bytes).expect("valid");
+        expect_two(&cloud, name);
+        expect_times(&cloud, name);
+        let untimed = read(name, &las_file(name.ends_with('Z'), false)).expect("valid");
+        assert!(matches!(untimed.times, PointTimes::Absent), "{name}");
+        for cut in [0, 4, 100, bytes.len() - 20] {
+            let error = read(name, &bytes[..cut])
+                .expect_err("cut short")
+                .to_string();
+            assert!(error.contains(name), "{error}");
+        }
+    }
+}
