@@ -5,10 +5,12 @@
 
 mod accept;
 mod answers;
+mod conversation;
 mod doors;
 mod refusals;
 mod routes;
 mod segments;
+mod socket;
 mod stream;
 
 use std::net::SocketAddr;
