@@ -36,6 +36,9 @@ pub enum Rigs {
     True,
 }
 
+/// Views further apart belong to different stretches of a recording, nanoseconds.
+const GAP_NS: i64 = 1_000_000_000;
+
 /// Whose rig.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Bearer {
@@ -208,6 +211,7 @@ impl Calibration<'_> {
         let views: Vec<CameraViews> = names
             .iter()
             .map(|name| views_from_recording(name, self.recording, &target, &show))
+            .map(|views| views.map(longest_stretch))
             .collect::<Result<_, _>>()?;
         let config = CameraConfig {
             model: match self.cameras.lens {
@@ -246,6 +250,28 @@ impl Calibration<'_> {
         found.put_into(rig);
         Ok((views, found.edges()))
     }
+}
+
+/// The views while the rig was held before the board: those that a camera had in passing, as the rig was turned, are far apart in
+/// time, and nothing says how it moved between them.
+fn longest_stretch(mut views: CameraViews) -> CameraViews {
+    let mut stretches: Vec<Vec<i64>> = Vec::new();
+    for ns in views.views.keys().copied() {
+        match stretches.last_mut() {
+            Some(stretch) if stretch.last().is_some_and(|last| ns - last < GAP_NS) => {
+                stretch.push(ns);
+            }
+            _ => stretches.push(vec![ns]),
+        }
+    }
+    let longest = stretches
+        .into_iter()
+        .max_by_key(Vec::len)
+        .unwrap_or_default();
+    views
+        .views
+        .retain(|ns, _| longest.binary_search(ns).is_ok());
+    views
 }
 
 /// An operator does not use a calibration that failed.
