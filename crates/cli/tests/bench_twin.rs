@@ -1,4 +1,4 @@
-//! `lsfb bench twin`: one walk of the quick trial, and once more.
+//! `lsfb bench twin`: one walk of a trial that is only tried out, and once more.
 
 mod answer;
 mod process;
@@ -10,7 +10,8 @@ use process::lsfb;
 fn a_run_of_the_trial_is_judged_and_stands() {
     let folder = tempfile::tempdir().expect("folder");
     let root = folder.path();
-    let arguments = "bench twin --out trial --quick --places stairs --devices glasses --seed 1";
+    let arguments =
+        "bench twin --out trial --try-out --true-rigs --places stairs --devices glasses --seed 1";
     let arguments: Vec<&str> = arguments.split(' ').collect();
     let trial = json(root, &arguments, 0);
     let run = &trial["runs"][0];
@@ -28,16 +29,7 @@ fn a_run_of_the_trial_is_judged_and_stands() {
         run["refused"].is_null() && figure("ate_rms_m") < 0.05,
         "{run}"
     );
-    assert!(figure("off_path_m") > 0.3, "{run}");
     assert!(figure("localized_right") <= figure("localized"), "{run}");
-    // Calibrated rigs are near the true ones, and never the true ones.
-    let rigs = run["rigs_off"].as_array().expect("rigs");
-    assert_eq!(rigs.len(), 4 + 1 + 2, "{run}");
-    let off = |rig: &serde_json::Value| rig["rotation_deg"].as_f64().expect("degrees");
-    assert!(
-        rigs.iter().all(|rig| (1e-6..0.5).contains(&off(rig))),
-        "{run}"
-    );
     for name in ["report.html", "twin.json"] {
         assert!(root.join("trial").join(name).exists(), "{name}");
     }

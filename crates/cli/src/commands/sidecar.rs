@@ -29,7 +29,7 @@ const QUIET_ZONE: i32 = 4;
 ///   lsfb sidecar pair --devices devices.toml       # show the code; `lsfb scan` may run meanwhile or later
 ///   lsfb sidecar list --devices devices.toml
 ///   lsfb sidecar unpair pixel8 --devices devices.toml
-///   lsfb sidecar play walk.mcap --code 'lsfb://192.168.8.1:8790?fp=…&tok=…' --faults 7
+///   lsfb sidecar play walk.mcap --code 'lsfb://192.168.8.1:8790?fp=4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f&tok=a7a7a7a7a7a7a7a7a7a7a7a7a7a7a7a7' --faults 7
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
@@ -46,21 +46,30 @@ enum Action {
 }
 
 /// Show a code that pairs one phone.
+///
+/// Examples:
+///   lsfb sidecar pair --devices devices.toml
+///   lsfb sidecar pair --devices devices.toml --address 192.168.8.1 --minutes 30
 #[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
 struct Pair {
     /// List of devices with a [sidecar].
     #[arg(long, value_name = "TOML")]
     devices: PathBuf,
     /// Address of this machine in the phone's network; by default the one on the way out.
     #[arg(long, value_name = "IP")]
-    host: Option<IpAddr>,
+    address: Option<IpAddr>,
     /// How long the code is good for, minutes.
     #[arg(long, value_name = "MINUTES", default_value_t = 10, value_parser = clap::value_parser!(u16).range(1..=1440))]
     minutes: u16,
 }
 
 /// Name the phones that are paired.
+///
+/// Examples:
+///   lsfb sidecar list --devices devices.toml
 #[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
 struct List {
     /// List of devices with a [sidecar].
     #[arg(long, value_name = "TOML")]
@@ -68,7 +77,11 @@ struct List {
 }
 
 /// Forget a phone: it must be paired again before it can send.
+///
+/// Examples:
+///   lsfb sidecar unpair pixel8 --devices devices.toml
 #[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
 struct Unpair {
     /// Its name.
     name: String,
@@ -78,7 +91,11 @@ struct Unpair {
 }
 
 /// Play the phones of a recording to a rig, through the protocol that an app speaks.
+///
+/// Examples:
+///   lsfb sidecar play walk.mcap --code 'lsfb://192.168.8.1:8790?fp=4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f&tok=a7a7a7a7a7a7a7a7a7a7a7a7a7a7a7a7'
 #[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
 struct Play {
     /// Recording with a phone or glasses in it.
     recording: PathBuf,
@@ -151,10 +168,10 @@ fn open(devices: &Path) -> anyhow::Result<(SidecarConfig, PairingFolder)> {
 impl Pair {
     fn run(&self, context: &Context) -> anyhow::Result<Outcome> {
         let (sidecar, folder) = open(&self.devices)?;
-        let host = match (self.host, sidecar.listen.ip()) {
+        let host = match (self.address, sidecar.listen.ip()) {
             (Some(host), _) => host,
             (None, listen) if !listen.is_unspecified() => listen,
-            (None, _) => way_out().context("name this machine's address with --host")?,
+            (None, _) => way_out().context("name this machine's address with --address")?,
         };
         let valid = Duration::from_secs(60 * u64::from(self.minutes));
         let code = PairingCode {

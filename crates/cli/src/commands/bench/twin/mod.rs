@@ -63,6 +63,9 @@ pub struct Arguments {
     /// Shorter ways and smaller images, for daily use; as hard otherwise.
     #[arg(long)]
     quick: bool,
+    /// Only see whether everything runs: seconds of scan and walk, of which no figure counts.
+    #[arg(long, conflicts_with = "quick")]
+    try_out: bool,
     /// Give the estimators the exact rigs instead of calibrated ones: easier than any real trial.
     #[arg(long)]
     true_rigs: bool,
@@ -106,9 +109,10 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     take_folder(&arguments.out, context)?;
     let mut trial = Trial {
         out: &arguments.out,
-        size: match arguments.quick {
-            true => Size::Quick,
-            false => Size::Full,
+        size: match (arguments.quick, arguments.try_out) {
+            (true, _) => Size::Quick,
+            (_, true) => Size::TryOut,
+            (false, false) => Size::Full,
         },
         given: match arguments.true_rigs {
             true => Rigs::True,

@@ -50,6 +50,8 @@ pub enum Size {
     Full,
     /// The same difficulty on shorter ways: parts of the routes, smaller images. Walks still have 30 Hz.
     Quick,
+    /// Seconds of either: whether everything runs.
+    TryOut,
 }
 
 /// A scan of one place, and the map that is made of it.
@@ -98,10 +100,15 @@ impl Scanned {
             Device::Glasses => 1.62,
         };
         config.glasses.height_m = held_m + 0.04 * (self.seed % 5) as f64 - 0.08;
-        if self.size == Size::Quick {
+        let durations_s = match self.size {
+            Size::Full => None,
+            Size::Quick => Some([36.0, 10.0]),
+            Size::TryOut => Some([14.0, 3.0]),
+        };
+        if let Some([scan_s, walk_s]) = durations_s {
             shorten(&mut config);
-            config.scan.duration_s = 36.0;
-            config.glasses.duration_s = 10.0;
+            config.scan.duration_s = scan_s;
+            config.glasses.duration_s = walk_s;
         }
         config
     }
@@ -124,7 +131,7 @@ impl Walked {
 pub fn calibration(device: Device, seed: u64, size: Size) -> SimConfig {
     let mut config = SimConfig::for_place(Place::Calibration, device);
     config.seed = seed;
-    if size == Size::Quick {
+    if size != Size::Full {
         shorten(&mut config);
         config.scan.duration_s = 48.0;
         config.glasses.duration_s = 30.0;
