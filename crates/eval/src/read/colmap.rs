@@ -7,8 +7,8 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use super::layout::COLMAP_HEAD;
-
+/// How the comments of `images.txt` begin.
+pub(super) const HEAD: &str = "Image list with two lines of data per image";
 /// Bytes of one image point: two coordinates and the number of its 3D point.
 const POINT_BYTES: u64 = 24;
 /// Longest name of an image that is believed.
@@ -23,7 +23,7 @@ pub(super) fn is_binary(path: &Path) -> bool {
 pub(super) fn as_text(bytes: &[u8]) -> Result<String, String> {
     let mut rest = Rest { bytes, at: 0 };
     let count = rest.u64()?;
-    let mut text = format!("# {COLMAP_HEAD}\n");
+    let mut text = format!("# {HEAD}\n");
     for _ in 0..count {
         let number = rest.u32()?;
         write!(text, "{number}").map_err(|e| e.to_string())?;

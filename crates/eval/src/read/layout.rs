@@ -1,5 +1,6 @@
 //! How the rows of a file are laid out.
 
+use super::colmap;
 use super::columns::{Columns, Header};
 use super::stamp_unit::{StampSize, StampUnit};
 use super::text::{Line, shown};
@@ -7,12 +8,9 @@ use super::text::{Line, shown};
 /// `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME`.
 const COLMAP_COLUMNS: usize = 10;
 
-/// How the comments of COLMAP's `images.txt` begin.
-pub(super) const COLMAP_HEAD: &str = "Image list with two lines of data per image";
-
 /// Whether comments are those of COLMAP's `images.txt`.
 fn is_colmap(comments: &[Line<'_>]) -> bool {
-    comments.iter().any(|c| c.text.contains(COLMAP_HEAD))
+    comments.iter().any(|c| c.text.contains(colmap::HEAD))
 }
 
 /// Leaves the rows that say a pose: in COLMAP's file every other row lists points, three numbers each. A row that is neither (the name
