@@ -53,7 +53,7 @@ enum Action {
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 struct Pair {
-    /// List of devices with a [sidecar].
+    /// List of devices with a section `[sidecar]`.
     #[arg(long, value_name = "TOML")]
     devices: PathBuf,
     /// Address of this machine in the phone's network; by default the one on the way out.
@@ -71,7 +71,7 @@ struct Pair {
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 struct List {
-    /// List of devices with a [sidecar].
+    /// List of devices with a section `[sidecar]`.
     #[arg(long, value_name = "TOML")]
     devices: PathBuf,
 }
@@ -85,7 +85,7 @@ struct List {
 struct Unpair {
     /// Its name.
     name: String,
-    /// List of devices with a [sidecar].
+    /// List of devices with a section `[sidecar]`.
     #[arg(long, value_name = "TOML")]
     devices: PathBuf,
 }
