@@ -569,15 +569,9 @@ fn units_behind_nodes_are_recorded_and_played() {
     let playback = Playback::open(&first).unwrap();
     assert!(playback.unplayed().is_empty());
     let sockets: Vec<PathBuf> = ["a", "b"].map(|name| folder.path().join(name)).to_vec();
-    let nowhere = ([127, 0, 0, 1], 9).into();
     let endpoints = PlaybackEndpoints {
-        lidar_data: nowhere,
-        lidar_position: nowhere,
         camera_sockets: sockets.clone(),
-        can: String::new(),
-        usb: PathBuf::new(),
-        sidecar: nowhere,
-        patience: Duration::ZERO,
+        ..PlaybackEndpoints::nowhere()
     };
     let mock = playback
         .start(&endpoints, Pace::RealTimes(1.0), Turns::Times(1))
