@@ -109,11 +109,12 @@ impl Run {
             return findings;
         }
         let (wrong, verdict) = match self.exported_wrong {
-            0 => ("no".to_owned(), Verdict::Pass),
-            count => (count.to_string(), Verdict::Fail),
+            0 => ("no pose is".to_owned(), Verdict::Pass),
+            1 => ("1 pose is".to_owned(), Verdict::Fail),
+            count => (format!("{count} poses are"), Verdict::Fail),
         };
         let what = format!(
-            "{wrong} pose of {} is more than 10 cm off where the map places it",
+            "of {} poses given {wrong} more than 10 cm off where the map places it",
             self.exported
         );
         findings.push(
