@@ -13,6 +13,8 @@ const LEAST_COVERED: f64 = 0.9;
 const LEAST_MATCHED: f64 = 0.5;
 /// Share of the scatter of the truth's positions that an estimate must explain after its best alignment to be one of that walk.
 const LEAST_EXPLAINED: f64 = 0.5;
+/// Numbers that an alignment by Sim(3) chooses.
+const SIM3_PARAMETERS: f64 = 7.0;
 /// Positions that extend sideways by less than this share of their length lie on a line.
 const LINE_RATIO: f64 = 0.01;
 /// Mean NEES of six between which a covariance is called right.
@@ -85,17 +87,11 @@ fn follows(found: &Evaluation, pairs: &[PosePair]) -> Option<Finding> {
         .iter()
         .filter_map(|a| a.rmse_m)
         .min_by(f64::total_cmp)?;
-    let mean = pairs
-        .iter()
-        .map(|p| p.truth.world_from_rig.translation)
-        .sum::<Vector3<f64>>()
-        / pairs.len().max(1) as f64;
-    let scatter = pairs
-        .iter()
-        .map(|p| (p.truth.world_from_rig.translation - mean).norm_squared())
-        .sum::<f64>();
-    let scatter_m = (scatter / pairs.len().max(1) as f64).sqrt();
-    let explained = 1.0 - (best_m / scatter_m).powi(2);
+    let count = pairs.len() as f64;
+    let scatter_m = (scatter_m2(pairs).trace() / count).sqrt();
+    // Few poses are met by an alignment that fits them alone.
+    let free = (3.0 * count - SIM3_PARAMETERS).max(0.0) / (3.0 * count);
+    let explained = 1.0 - (best_m / scatter_m).powi(2) / free;
     let verdict = Verdict::Fail.unless(explained >= LEAST_EXPLAINED);
     let what = match verdict {
         Verdict::Pass => "the estimate follows the truth's motion".to_owned(),
@@ -123,12 +119,16 @@ fn unit(found: &Evaluation) -> Option<Finding> {
     Some(finding.remedy("write both in metres, and evaluate again"))
 }
 
-/// A walk along a line leaves open how the estimate is turned about it: noise decides.
-fn line(pairs: &[PosePair]) -> Option<Finding> {
+/// How the truth's matched positions scatter about their mean, summed, m².
+fn scatter_m2(pairs: &[PosePair]) -> Matrix3<f64> {
     let places = || pairs.iter().map(|p| p.truth.world_from_rig.translation);
     let mean = places().sum::<Vector3<f64>>() / pairs.len().max(1) as f64;
-    let scatter: Matrix3<f64> = places().map(|p| (p - mean) * (p - mean).transpose()).sum();
-    let mut extents: Vec<f64> = scatter
+    places().map(|p| (p - mean) * (p - mean).transpose()).sum()
+}
+
+/// A walk along a line leaves open how the estimate is turned about it: noise decides.
+fn line(pairs: &[PosePair]) -> Option<Finding> {
+    let mut extents: Vec<f64> = scatter_m2(pairs)
         .symmetric_eigenvalues()
         .iter()
         .map(|v| v.max(0.0).sqrt())
