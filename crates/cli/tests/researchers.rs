@@ -7,7 +7,7 @@ use std::path::Path;
 
 use lsfb_geometry::{Se3, UnitQuaternion, Vector3, Vector6, so3};
 use lsfb_recording::{Channel, Writer, WriterConfig};
-use lsfb_types::Timestamp;
+use lsfb_types::{ImuSample, Stamped, Timestamp};
 use process::lsfb;
 
 const DOCS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/from");
@@ -168,11 +168,32 @@ fn files(root: &Path) {
             let _ = writeln!(
                 rests,
                 "{}",
-                tum(3.0 * k as f64 + 0.05 * f64::from(i), &pose)
+                tum(EPOCH_S + 3.0 * k as f64 + 0.05 * f64::from(i), &pose)
             );
         }
     }
     write(root, "rests.tum", &rests);
+    inertial(&root.join("rests.mcap"), marks.len());
+}
+
+/// The inertial samples of that walk over the marks.
+fn inertial(path: &Path, marks: usize) {
+    let mut writer = Writer::create(path, &WriterConfig::default()).expect("a file");
+    for i in 0..300 * marks as i64 {
+        let shake = if i % 300 < 100 { (i as f64).sin() } else { 0.0 };
+        let time = Timestamp::from_secs_f64(EPOCH_S + 0.01 * i as f64);
+        let sample = Stamped {
+            time,
+            arrival: time,
+            device_ticks: 0,
+            sample: ImuSample {
+                angular_velocity_rad_s: [shake, 0.01, 0.0],
+                specific_force_m_s2: [0.1, 3.0 * shake, 9.8],
+            },
+        };
+        writer.write_imu("imu0", &sample).expect("written");
+    }
+    writer.finish().expect("finished");
 }
 
 /// A robot's bag: odometry and motion capture as `geometry_msgs/PoseStamped`.
@@ -344,4 +365,21 @@ fn a_researchers_folder_is_read_or_refused_by_name() {
         assert_eq!(output.status.code(), Some(1), "{name}");
         assert!(String::from_utf8_lossy(&output.stderr).contains(name));
     }
+}
+
+/// Two recordings that share seven stamps: the error after alignment is small, and no result.
+#[test]
+fn few_shared_stamps_fail() {
+    let folder = tempfile::tempdir().expect("folder");
+    let root = folder.path();
+    let late = |first: f64| rows(10.0, |t, pose| tum(EPOCH_S + first + t, pose));
+    write(root, "truth.tum", &late(0.0));
+    write(root, "later.tum", &late(59.3));
+    let output = lsfb(root, &["eval", "later.tum", "--truth", "truth.tum"]);
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert_eq!(output.status.code(), Some(4), "{said}");
+    assert!(
+        said.contains("only 7 poses match: too few for a result"),
+        "{said}"
+    );
 }

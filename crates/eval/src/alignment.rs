@@ -37,6 +37,16 @@ impl AlignmentMode {
             Self::Given(_) => "given",
         }
     }
+
+    /// Numbers that it takes from the matched poses.
+    pub(crate) fn parameters(self) -> usize {
+        match self {
+            Self::None | Self::Given(_) => 0,
+            Self::Yaw => 4,
+            Self::Se3 | Self::Origin => 6,
+            Self::Sim3 => 7,
+        }
+    }
 }
 
 /// The alignment of matched poses, as a transform of the estimate.

@@ -117,6 +117,16 @@ pub enum Error {
         /// Marks, or visits of marks.
         marks: usize,
     },
+    /// No inertial sample is of the time of the trajectory.
+    #[error(
+        "no inertial samples (of {samples_span}) while there are poses ({poses_span}); are both of one walk, on one clock?"
+    )]
+    NoInertialSamples {
+        /// First and last pose.
+        poses_span: String,
+        /// First and last sample.
+        samples_span: String,
+    },
     /// More rests and marks than can be tried.
     #[error(
         "{rests} rests and {marks} marks are too many to try; ask for longer rests, or check in parts"

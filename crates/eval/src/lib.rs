@@ -43,6 +43,7 @@ pub mod report;
 pub mod slam_bench;
 mod smoothness;
 mod statistics;
+mod success;
 pub mod survey;
 
 pub use compare::{Comparison, Contender, compare};
@@ -59,6 +60,7 @@ pub use read::{
 pub use recall::{Recall, Threshold};
 pub use smoothness::Smoothness;
 pub use statistics::Statistics;
+pub use success::SuccessRate;
 
 /// `1 pose`, `2 poses`.
 fn count(number: usize, one: &str, many: &str) -> String {

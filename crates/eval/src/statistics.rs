@@ -25,18 +25,23 @@ impl Statistics {
     /// Of a list; `None` where it is empty.
     pub fn of(errors: &[f64]) -> Option<Self> {
         let count = errors.len();
-        let mut sorted = errors.to_vec();
-        sorted.sort_by(f64::total_cmp);
-        let (min, max) = (*sorted.first()?, *sorted.last()?);
+        let (min, max) = errors
+            .iter()
+            .fold((*errors.first()?, *errors.first()?), |(l, h), e| {
+                (
+                    if e.total_cmp(&l).is_lt() { *e } else { l },
+                    if e.total_cmp(&h).is_gt() { *e } else { h },
+                )
+            });
         let n = count as f64;
         let sse: f64 = errors.iter().map(|e| e * e).sum();
         let mean = errors.iter().sum::<f64>() / n;
         let variance = errors.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / n;
-        let middle = count / 2;
-        let median = if count % 2 == 1 {
-            sorted[middle]
-        } else {
-            0.5 * (sorted[middle - 1] + sorted[middle])
+        let mut halves = errors.to_vec();
+        let (below, middle, _) = halves.select_nth_unstable_by(count / 2, f64::total_cmp);
+        let median = match count % 2 {
+            1 => *middle,
+            _ => 0.5 * (below.iter().copied().max_by(f64::total_cmp)? + *middle),
         };
         Some(Self {
             count,

@@ -7,8 +7,8 @@ use lsfb_eval::pairs::PairSelection;
 use lsfb_eval::relation::DeltaUnit;
 use lsfb_eval::report::Report;
 use lsfb_eval::{
-    Columns, EvalConfig, Evaluation, Orientations, ReadOptions, RpeConfig, StampUnit,
-    TrajectoryFile, evaluate_files, read_kitti_poses, read_trajectory,
+    Columns, EvalConfig, Evaluation, ReadOptions, RpeConfig, StampUnit, TrajectoryFile,
+    evaluate_files, read_kitti_poses, read_trajectory,
 };
 use lsfb_geometry::Trajectory;
 use lsfb_types::Judgement;
@@ -131,12 +131,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
 
 fn truth(arguments: &Arguments) -> anyhow::Result<TrajectoryFile> {
     if let Some(times) = &arguments.truth_times {
-        return Ok(TrajectoryFile {
-            poses: read_kitti_poses(&arguments.truth, times)?,
-            orientations: Orientations::Known,
-            covariances: Vec::new(),
-            findings: Vec::new(),
-        });
+        let poses = read_kitti_poses(&arguments.truth, times)?;
+        return Ok(TrajectoryFile::of_poses(poses));
     }
     let options = ReadOptions {
         stamp_unit: arguments.truth_stamps,
@@ -221,6 +217,15 @@ fn text(e: &Evaluation) -> String {
     }
     if let (Some(signed), Some(absolute)) = (e.scale_error_percent, e.scale_error_abs_percent) {
         out += &format!("\nscale {signed:+.3} %  |1 − s| {absolute:.3} %");
+    }
+    if let Some(success) = e.success {
+        out += &format!(
+            "\nmore than 30 matches: {} of {} frames ({:.1} %); {} localized",
+            success.succeeded,
+            success.frames,
+            100.0 * success.rate(),
+            success.localized
+        );
     }
     for found in &e.recall {
         let threshold = found.threshold;

@@ -3,11 +3,13 @@
 use std::path::PathBuf;
 
 use lsfb_eval::survey::{
-    CheckConfig, DistanceReport, MarkReport, RestConfig, Survey, SurveySolution, check_marks,
-    compare_distances, read_survey, solve_survey,
+    DistanceReport, MarkReport, Rest, RestConfig, Survey, SurveySolution, check_marks,
+    compare_distances, find_rests, inertial_rests, read_survey, solve_survey,
 };
 use lsfb_eval::{ReadOptions, read_trajectory};
-use lsfb_types::{Finding, Judgement, Verdict};
+use lsfb_geometry::StampedPose;
+use lsfb_recording::Recording;
+use lsfb_types::{Finding, Judgement, Limit, Verdict};
 use serde::Serialize;
 
 use crate::context::Context;
@@ -52,6 +54,7 @@ struct SolveArguments {
 ///
 /// Examples:
 ///   lsfb survey check floor.survey --trajectory walk.tum
+///   lsfb survey check floor.survey --trajectory walk.tum --recording walk.mcap
 ///   lsfb survey check hall.survey
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -62,6 +65,9 @@ struct CheckArguments {
     /// The trajectory, of any program; its z axis points upwards.
     #[arg(long, value_name = "TUM")]
     trajectory: Option<PathBuf>,
+    /// The recording of that walk: rests are then those of its IMU, and not of the poses alone.
+    #[arg(long, value_name = "MCAP", requires = "trajectory")]
+    recording: Option<PathBuf>,
     /// Largest spread of the positions of a rest, metres.
     #[arg(long, default_value_t = 0.01, value_name = "M")]
     rest_spread: f64,
@@ -97,6 +103,9 @@ fn run_solve(arguments: &SolveArguments, context: &Context) -> anyhow::Result<Ou
     Ok(Outcome::of(judgement.verdict()))
 }
 
+/// A map whose distances are further off is none of centimetres.
+const LARGEST_M: f64 = 0.05;
+
 #[derive(Serialize)]
 struct Checked {
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -116,16 +125,12 @@ fn run_check(arguments: &CheckArguments, context: &Context) -> anyhow::Result<Ou
     let at_marks = arguments.trajectory.as_ref().map(|path| {
         let file = read_trajectory(path, &ReadOptions::default())?;
         let solution = solve_survey(&survey)?;
-        let config = CheckConfig {
-            rest: RestConfig {
-                spread_m: arguments.rest_spread,
-                least_secs: arguments.rest_secs,
-                ..RestConfig::default()
-            },
-            reach_m: arguments.reach,
-        };
         findings.extend(file.findings.iter().chain(&solution.findings).cloned());
-        check_marks(&survey, &solution, &file.poses, &config)
+        let rests = rests(&file.poses, arguments, context, &mut findings)?;
+        super::about(
+            path,
+            check_marks(&survey, &solution, &file.poses, &rests, arguments.reach),
+        )
     });
     let checked = Checked {
         at_marks: at_marks.transpose()?,
@@ -141,6 +146,36 @@ fn run_check(arguments: &CheckArguments, context: &Context) -> anyhow::Result<Ou
             .to_owned()
     })?;
     Ok(Outcome::of(judgement.verdict()))
+}
+
+fn rests(
+    poses: &[StampedPose],
+    arguments: &CheckArguments,
+    context: &Context,
+    findings: &mut Vec<Finding>,
+) -> anyhow::Result<Vec<Rest>> {
+    let config = RestConfig {
+        spread_m: arguments.rest_spread,
+        least_secs: arguments.rest_secs,
+        ..RestConfig::default()
+    };
+    let Some(path) = &arguments.recording else {
+        let what = "rests are those of the poses alone: a trajectory that froze rests as well";
+        findings.push(
+            Finding::new("rests", Verdict::Unknown, "trajectory", what)
+                .remedy("name the recording (--recording)"),
+        );
+        return Ok(find_rests(poses, &config));
+    };
+    let recording: Recording = context.open(path)?;
+    // A damaged message is not there; the doctor counts them.
+    let mut samples: Vec<_> = super::about(path, recording.imu())?
+        .filter_map(Result::ok)
+        .collect();
+    samples.sort_by_key(|s| s.time);
+    let found = super::about(path, inertial_rests(poses, &samples, &config))?;
+    findings.extend(found.findings);
+    Ok(found.rests)
 }
 
 /// An error where nothing else was asked for.
@@ -166,13 +201,17 @@ fn completeness(report: &MarkReport) -> Finding {
 }
 
 fn largest(report: &DistanceReport) -> Finding {
+    let verdict = Verdict::Warn.unless(report.error_m.max <= LARGEST_M);
     let what = format!(
         "{} distances off by {:.1} mm on average, at most {:.1} mm",
         report.distances.len(),
         1000.0 * report.error_m.mean,
         1000.0 * report.error_m.max
     );
-    Finding::new("distances", Verdict::Pass, "map", what).value(report.error_m.max, "m")
+    Finding::new("distances", verdict, "map", what)
+        .value(report.error_m.max, "m")
+        .limit(Limit::AtMost(LARGEST_M))
+        .remedy("measure the worst distance again; if it stands, the map is bent there")
 }
 
 fn solution_text(solution: &SurveySolution) -> String {

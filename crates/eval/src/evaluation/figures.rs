@@ -1,7 +1,7 @@
 //! What is known of an estimate once the truth has spoken.
 
 use lsfb_geometry::Trajectory;
-use lsfb_types::{Finding, Timestamp};
+use lsfb_types::{Finding, Timestamp, Verdict};
 use serde::Serialize;
 
 use super::coverage::{Coverage, Relocalization};
@@ -12,6 +12,10 @@ use crate::read::Orientations;
 use crate::recall::Recall;
 use crate::relation::DeltaUnit;
 use crate::smoothness::Smoothness;
+use crate::success::SuccessRate;
+
+/// Findings that leave no result where they fail.
+const NO_RESULT: [&str; 2] = ["matches", "few-poses"];
 
 /// A relative error of both parts of the pose.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -114,6 +118,9 @@ pub struct Evaluation {
     pub rpe: Vec<RpeFigures>,
     /// How often the pose was found; empty without orientations.
     pub recall: Vec<Recall>,
+    /// How many frames matched a map, where the estimate's file says it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub success: Option<SuccessRate>,
     /// How smooth the estimate is.
     pub smoothness: SmoothnessFigures,
     /// Whether the errors are as large as the estimate's covariance says; absent without one.
@@ -128,4 +135,13 @@ pub struct Evaluation {
     /// The whole estimate in the world of the truth; of poses with one stamp the first.
     #[serde(skip)]
     pub aligned_estimate: Trajectory,
+}
+
+impl Evaluation {
+    /// Why these figures are no result: too few poses are shared. They may follow from the alignment alone.
+    pub fn no_result(&self) -> Option<String> {
+        let reason =
+            |f: &&Finding| f.verdict == Verdict::Fail && NO_RESULT.contains(&f.code.as_ref());
+        self.findings.iter().find(reason).map(|f| f.what.clone())
+    }
 }

@@ -62,6 +62,7 @@ pub fn evaluate_files(
         Orientations::Missing => &[],
     };
     let mut found = judge(&truth.poses, &estimate.poses, covariances, &config)?;
+    found.success = estimate.success;
     let of_files = truth.findings.iter().chain(&estimate.findings);
     found.findings.splice(0..0, of_files.cloned());
     Ok(found)
@@ -143,6 +144,7 @@ fn judge(
         recall: thresholds
             .map(|threshold| recall(each_error(), *threshold, coverage.fraction))
             .collect(),
+        success: None,
         smoothness: SmoothnessFigures {
             estimate: smoothness(&aligned_estimate),
             truth: smoothness(truth),
@@ -160,7 +162,7 @@ fn judge(
             .collect(),
         aligned_estimate: Trajectory::new(aligned_estimate),
     };
-    let more = remarks::of(&found, &pairs);
+    let more = remarks::of(&found, &pairs, config.alignment.parameters());
     Ok(Evaluation {
         findings: [found.findings, more].concat(),
         ..found
@@ -204,9 +206,13 @@ fn covariances_of(
 fn by_alignment(pairs: &[PosePair]) -> Vec<AlignedError> {
     use AlignmentMode::{None, Se3, Sim3, Yaw};
     let error = |mode: AlignmentMode| -> Result<f64, Error> {
-        let aligned = aligned_pairs(pairs, &align(pairs, mode)?);
-        let errors = absolute_errors(&aligned, PoseRelation::TranslationPart)?;
-        Ok(statistics(&errors)?.rmse)
+        let alignment = align(pairs, mode)?;
+        let square = |pair: &PosePair| {
+            let found = alignment.apply(&pair.estimate.world_from_rig.translation);
+            (found - pair.truth.world_from_rig.translation).norm_squared()
+        };
+        let sum: f64 = pairs.iter().map(square).sum();
+        Ok((sum / pairs.len().max(1) as f64).sqrt())
     };
     let modes = [None, Yaw, Se3, Sim3].into_iter();
     modes

@@ -9,8 +9,12 @@ use crate::association::PosePair;
 
 /// Share of the truth that an estimate should speak about.
 const LEAST_COVERED: f64 = 0.9;
-/// Share of the estimate's poses that should find one of the truth.
+/// Share of the poses of the shorter file that should find one of the longer.
 const LEAST_MATCHED: f64 = 0.5;
+/// With a smaller share of them the two are of different times or clocks, and what they share is no result.
+const LEAST_SHARED: f64 = 0.1;
+/// Numbers that errors must be made of beyond those that the alignment chose: their root mean square is then known to a tenth of itself.
+const LEAST_FREEDOM: f64 = 50.0;
 /// Share of the scatter of the truth's positions that an estimate must explain after its best alignment to be one of that walk.
 const LEAST_EXPLAINED: f64 = 0.5;
 /// Numbers that an alignment by Sim(3) chooses.
@@ -45,10 +49,14 @@ pub(super) fn left_out(why: &Error) -> Finding {
     Finding::new("rpe", Verdict::Unknown, "relative error", why.to_string())
 }
 
-/// What the figures themselves tell.
-pub(super) fn of(found: &Evaluation, pairs: &[PosePair]) -> Vec<Finding> {
+/// What the figures themselves tell. `parameters` are the numbers that the alignment took from the matched poses.
+pub(super) fn of(found: &Evaluation, pairs: &[PosePair], parameters: usize) -> Vec<Finding> {
     let mut findings = vec![coverage(found), matches(found)];
-    findings.extend(follows(found, pairs));
+    let few = few_poses(found, parameters);
+    if few.is_none() {
+        findings.extend(follows(found, pairs));
+    }
+    findings.extend(few);
     findings.extend(unit(found));
     findings.extend(line(pairs));
     findings.extend(covariance(found));
@@ -68,7 +76,10 @@ fn coverage(found: &Evaluation) -> Finding {
 fn matches(found: &Evaluation) -> Finding {
     let fewer = found.truth_poses.min(found.estimate_poses).max(1);
     let share = found.matched_poses as f64 / fewer as f64;
-    let verdict = Verdict::Warn.unless(share >= LEAST_MATCHED);
+    let verdict = match share {
+        share if share < LEAST_SHARED => Verdict::Fail,
+        share => Verdict::Warn.unless(share >= LEAST_MATCHED),
+    };
     let what = format!(
         "{} of {fewer} poses matched by their stamps",
         found.matched_poses
@@ -79,8 +90,23 @@ fn matches(found: &Evaluation) -> Finding {
         .remedy("check that both have one clock, or raise the allowed difference of stamps")
 }
 
+/// Through few poses everything fits: their errors say nothing, however small.
+fn few_poses(found: &Evaluation, parameters: usize) -> Option<Finding> {
+    let freedom = (3 * found.matched_poses) as f64 - parameters as f64;
+    let what = format!(
+        "only {} poses match: too few for a result, aligned by {} their errors have {freedom} degrees of freedom",
+        found.matched_poses, found.alignment
+    );
+    let finding = Finding::new("few-poses", Verdict::Fail, "stamps", what)
+        .value(freedom, "")
+        .limit(Limit::AtLeast(LEAST_FREEDOM))
+        .remedy("check that both are of one time; evaluate a longer part, or every frame and not keyframes alone");
+    (freedom < LEAST_FREEDOM).then_some(finding)
+}
+
 /// Whether the estimate, in its best place and size, describes the truth's motion better than one that stands still: a trajectory of
-/// another walk, on another clock, or of a system that was lost does not.
+/// another walk, on another clock, or of a system that was lost does not. And better than one that goes straight on at an even speed: of
+/// a walk that is nearly so, any other such walk is as good an estimate.
 fn follows(found: &Evaluation, pairs: &[PosePair]) -> Option<Finding> {
     let best_m = found
         .ate_by_alignment
@@ -88,22 +114,37 @@ fn follows(found: &Evaluation, pairs: &[PosePair]) -> Option<Finding> {
         .filter_map(|a| a.rmse_m)
         .min_by(f64::total_cmp)?;
     let count = pairs.len() as f64;
+    let free = 1.0 - SIM3_PARAMETERS / (3.0 * count);
+    let explained = |scatter_m2: f64| 1.0 - best_m * best_m * count / scatter_m2 / free;
     let scatter_m = (scatter_m2(pairs).trace() / count).sqrt();
-    // Few poses are met by an alignment that fits them alone.
-    let free = (3.0 * count - SIM3_PARAMETERS).max(0.0) / (3.0 * count);
-    let explained = 1.0 - (best_m / scatter_m).powi(2) / free;
-    let verdict = Verdict::Fail.unless(explained >= LEAST_EXPLAINED);
-    let what = match verdict {
-        Verdict::Pass => "the estimate follows the truth's motion".to_owned(),
-        _ => format!(
-            "the estimate does not follow the ground truth: it misses by {best_m:.3} m rms in its best place and size, where the truth's positions scatter by {scatter_m:.3} m rms"
-        ),
+    let of_all = explained(scatter_m * scatter_m * count);
+    let of_bends = explained(bends_m2(pairs));
+    let finding = |verdict, explained: f64, what: String| {
+        Finding::new("follows", verdict, "positions", what)
+            .value(100.0 * explained, "%")
+            .limit(Limit::AtLeast(100.0 * LEAST_EXPLAINED))
     };
-    let finding = Finding::new("follows", verdict, "positions", what)
-        .value(100.0 * explained, "%")
-        .limit(Limit::AtLeast(100.0 * LEAST_EXPLAINED))
-        .remedy("check that both are of one walk, and by `lsfb align` that both have one clock; else the system was lost");
-    explained.is_finite().then_some(finding)
+    if !of_all.is_finite() {
+        return None;
+    }
+    if of_all < LEAST_EXPLAINED {
+        let what = format!(
+            "the estimate does not follow the ground truth: it misses by {best_m:.3} m rms in its best place and size, where the truth's positions scatter by {scatter_m:.3} m rms"
+        );
+        return Some(finding(Verdict::Fail, of_all, what).remedy("check that both are of one walk, and by `lsfb align` that both have one clock; else the system was lost"));
+    }
+    // Exactly straight and even, there are no bends to explain.
+    if !(of_bends >= LEAST_EXPLAINED) {
+        let what = format!(
+            "the walk is nearly straight and even, and any other such walk fits it as well: with errors of {best_m:.3} m rms nothing says that the estimate is of this one"
+        );
+        let of_bends = if of_bends.is_finite() { of_bends } else { 0.0 };
+        return Some(
+            finding(Verdict::Warn, of_bends, what).remedy("evaluate a longer part, with turns"),
+        );
+    }
+    let what = "the estimate follows the truth's motion".to_owned();
+    Some(finding(Verdict::Pass, of_bends, what))
 }
 
 /// An estimate in another unit of length than the truth has errors as large as the walk, and no other sign of it.
@@ -124,6 +165,26 @@ fn scatter_m2(pairs: &[PosePair]) -> Matrix3<f64> {
     let places = || pairs.iter().map(|p| p.truth.world_from_rig.translation);
     let mean = places().sum::<Vector3<f64>>() / pairs.len().max(1) as f64;
     places().map(|p| (p - mean) * (p - mean).transpose()).sum()
+}
+
+/// How the truth's matched positions scatter about an even motion along a line, summed, m².
+fn bends_m2(pairs: &[PosePair]) -> f64 {
+    let Some(first) = pairs.first() else {
+        return 0.0;
+    };
+    let count = pairs.len() as f64;
+    let secs = |p: &PosePair| p.truth.time.secs_since(first.truth.time);
+    let place = |p: &PosePair| p.truth.world_from_rig.translation;
+    let mean_secs = pairs.iter().map(secs).sum::<f64>() / count;
+    let mean = pairs.iter().map(place).sum::<Vector3<f64>>() / count;
+    let (mut along, mut spread) = (Vector3::zeros(), 0.0);
+    for pair in pairs {
+        along += (place(pair) - mean) * (secs(pair) - mean_secs);
+        spread += (secs(pair) - mean_secs).powi(2);
+    }
+    let speed = along / spread;
+    let off = |p: &PosePair| place(p) - mean - speed * (secs(p) - mean_secs);
+    pairs.iter().map(|p| off(p).norm_squared()).sum()
 }
 
 /// A walk along a line leaves open how the estimate is turned about it: noise decides.

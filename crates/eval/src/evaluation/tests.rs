@@ -308,8 +308,7 @@ fn positions_are_judged_without_rotations() {
     let file = |poses: &[StampedPose], orientations| TrajectoryFile {
         poses: poses.to_vec(),
         orientations,
-        covariances: Vec::new(),
-        findings: Vec::new(),
+        ..TrajectoryFile::of_poses(Vec::new())
     };
     let estimate = changed(&truth, |_, p| {
         p.world_from_rig.rotation = Default::default()
@@ -443,10 +442,8 @@ fn covariances_are_tried() {
     let covariance = Matrix6::from_diagonal(&Vector6::from(sigma.map(|s| s * s)));
     let judged = |factor: f64| {
         let file = |poses: &[StampedPose], covariances| TrajectoryFile {
-            poses: poses.to_vec(),
-            orientations: Orientations::Known,
             covariances,
-            findings: Vec::new(),
+            ..TrajectoryFile::of_poses(poses.to_vec())
         };
         let estimate = file(&estimate, vec![covariance * factor; estimate.len()]);
         let config = EvalConfig {
@@ -496,6 +493,66 @@ fn an_estimate_of_another_walk_fails() {
         p.world_from_rig.translation = Vector3::new(at(1.3), at(2.7), at(0.9));
     });
     assert_eq!(verdict(&noise), Verdict::Fail);
+}
+
+/// Seven stamps of two recordings are alike: an alignment brings any two walks so near to each other there.
+#[test]
+fn few_shared_poses_are_no_result() {
+    let truth = curl(500);
+    let shifted = changed(&truth, |i, p| {
+        p.time = p.time.plus_secs(49.3);
+        p.world_from_rig.translation = Vector3::new(0.05 * i as f64, 0.02 * (i as f64).sin(), 0.0);
+    });
+    let config = EvalConfig {
+        rpe: Vec::new(),
+        ..EvalConfig::default()
+    };
+    let judged =
+        |estimate: &[StampedPose]| evaluate(&truth, estimate, &config).expect("figures there are");
+    let verdict = |found: &Evaluation, code: &str| {
+        let finding = found.findings.iter().find(|f| f.code == code);
+        finding.map(|f| f.verdict)
+    };
+    let found = judged(&shifted);
+    assert_eq!(found.matched_poses, 7);
+    assert_eq!(verdict(&found, "matches"), Some(Verdict::Fail));
+    assert_eq!(verdict(&found, "few-poses"), Some(Verdict::Fail));
+    assert_eq!(verdict(&found, "follows"), None);
+    assert!(found.no_result().is_some());
+    // All of seven keyframes match, and are too few all the same.
+    let keyframes: Vec<StampedPose> = truth.iter().step_by(80).copied().collect();
+    let found = judged(&keyframes);
+    assert_eq!(verdict(&found, "matches"), Some(Verdict::Pass));
+    assert_eq!(verdict(&found, "few-poses"), Some(Verdict::Fail));
+    let twenty: Vec<StampedPose> = truth.iter().step_by(25).copied().collect();
+    let found = judged(&twenty);
+    assert_eq!(verdict(&found, "few-poses"), None);
+    assert!(found.no_result().is_none());
+}
+
+/// Two people on two straight ways, each at a speed of its own: after alignment both are one.
+#[test]
+fn a_straight_walk_is_like_any_other() {
+    let sway = |t: f64| Vector3::new(0.05 * (1.1 * t).sin(), 0.03 * (2.3 * t).cos(), 0.0);
+    let straight = |place: &dyn Fn(f64) -> Vector3<f64>| -> Vec<StampedPose> {
+        changed(&curl(200), |i, p| {
+            p.world_from_rig.translation = place(0.1 * i as f64);
+        })
+    };
+    let truth = straight(&|t| Vector3::new(1.2 * t, 0.0, 0.0) + sway(t));
+    let config = EvalConfig {
+        rpe: Vec::new(),
+        ..EvalConfig::default()
+    };
+    let verdict = |estimate: &[StampedPose]| {
+        let found = evaluate(&truth, estimate, &config).expect("valid");
+        let finding = found.findings.into_iter().find(|f| f.code == "follows");
+        finding.expect("judged").verdict
+    };
+    let other = straight(&|t| Vector3::new(0.0, 0.9 * t, 0.0) - sway(1.7 * t + 2.0));
+    assert_eq!(verdict(&other), Verdict::Warn);
+    let same = straight(&|t| Vector3::new(1.2 * t, 0.0, 0.0) + sway(t) * 1.1);
+    assert_eq!(verdict(&same), Verdict::Pass);
 }
 
 #[test]

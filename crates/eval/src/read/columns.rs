@@ -23,6 +23,17 @@ pub(super) struct Header {
     pub count: usize,
     /// Unit of the stamps, where the name says it.
     pub unit: Option<StampUnit>,
+    /// Where the row says how well its frame matched a map.
+    pub frames: Option<FrameColumns>,
+}
+
+/// Which columns say how well a frame matched a map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct FrameColumns {
+    /// Matches that fit the pose.
+    pub matches: usize,
+    /// 0 where the program does not vouch for the pose that it writes.
+    pub localized: Option<usize>,
 }
 
 impl Columns {
@@ -67,7 +78,10 @@ impl Header {
         };
         let find = |wanted: Meaning| names.iter().position(|name| name.meaning == Some(wanted));
         let of_header = names.iter().position(|name| name.is_header_stamp);
-        let time = of_header.or_else(|| find(Meaning::Time))?;
+        let localized = find(Meaning::Localized);
+        // Elsewhere the number of a frame is no stamp.
+        let frame = || localized.and_then(|_| find(Meaning::Frame));
+        let time = of_header.or_else(|| find(Meaning::Time)).or_else(frame)?;
         let all = |kind: fn(char) -> Meaning, letters: &[char]| -> Option<Vec<usize>> {
             letters.iter().map(|letter| find(kind(*letter))).collect()
         };
@@ -81,6 +95,7 @@ impl Header {
             },
             count: names.len(),
             unit: names.get(time)?.unit,
+            frames: find(Meaning::Matches).map(|matches| FrameColumns { matches, localized }),
         })
     }
 }
@@ -90,6 +105,9 @@ enum Meaning {
     Time,
     Position(char),
     Rotation(char),
+    Frame,
+    Matches,
+    Localized,
 }
 
 struct Name {
@@ -120,8 +138,15 @@ impl Name {
                 };
             }
         }
+        let of_frame = match name {
+            "frame" => Some(Meaning::Frame),
+            "localized" => Some(Meaning::Localized),
+            "inliers" | "num_inliers" | "n_inliers" => Some(Meaning::Matches),
+            "matches" | "num_matches" | "n_matches" => Some(Meaning::Matches),
+            _ => None,
+        };
         Self {
-            meaning: component(name),
+            meaning: of_frame.or_else(|| component(name)),
             is_header_stamp: false,
             unit: None,
         }

@@ -1,7 +1,7 @@
 //! How the rows of a file are laid out.
 
 use super::colmap;
-use super::columns::{Columns, Header};
+use super::columns::{Columns, FrameColumns, Header};
 use super::stamp_unit::{StampSize, StampUnit};
 use super::text::{Line, shown};
 
@@ -41,11 +41,24 @@ impl Separator {
 
     /// Columns of a row; one that is empty behind the last separator is none.
     pub(super) fn split(self, row: &str) -> Vec<&str> {
+        let mut columns = Vec::new();
+        self.split_into(row, &mut columns);
+        columns
+    }
+
+    /// The same into what was used for another row.
+    pub(super) fn split_into<'a>(self, row: &'a str, columns: &mut Vec<&'a str>) {
+        columns.clear();
         match self {
-            Self::Blank => row.split_ascii_whitespace().collect(),
+            Self::Blank => columns.extend(row.split_ascii_whitespace()),
             Self::Char(c) => {
                 let row = row.strip_suffix(c).unwrap_or(row);
-                row.split(c).map(str::trim).collect()
+                let mut is_quoted = false;
+                let ends = |letter: char| {
+                    is_quoted ^= letter == '"';
+                    letter == c && !is_quoted
+                };
+                columns.extend(row.split(ends).map(str::trim));
             }
         }
     }
@@ -82,6 +95,8 @@ pub(super) struct Layout {
     pub columns: usize,
     /// Unit of the stamps, where the file says it.
     pub unit: Option<StampUnit>,
+    /// Where rows say how well their frame matched a map.
+    pub frames: Option<FrameColumns>,
     /// Rows of names at the top of the data.
     pub header_rows: usize,
     /// What was assumed and not said by the file.
@@ -105,6 +120,7 @@ impl Layout {
                 content: Content::Colmap,
                 columns: COLMAP_COLUMNS,
                 unit: None,
+                frames: None,
                 header_rows: 0,
                 assumed: None,
             });
@@ -155,6 +171,7 @@ impl Layout {
             content,
             columns: columns.len(),
             unit: header.and_then(|h| h.unit),
+            frames: header.and_then(|h| h.frames),
             header_rows: usize::from(has_names),
             assumed,
         })

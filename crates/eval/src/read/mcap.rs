@@ -29,7 +29,7 @@ pub(super) fn read(path: &Path, stream: Option<&str>) -> Result<TrajectoryFile, 
         poses.push(Unordered {
             time: reading.time,
             world_from_rig: reading.pose,
-            covariance,
+            covariance: covariance.map(Box::new),
         });
     }
     if poses.is_empty() {

@@ -19,6 +19,7 @@ use lsfb_types::{Finding, Timestamp, Verdict};
 use serde::Serialize;
 
 use crate::Error;
+use crate::success::SuccessRate;
 use decimal::decimal_nanos;
 use layout::{Content, Layout};
 use order::{Unordered, put_in_order};
@@ -63,14 +64,30 @@ pub struct TrajectoryFile {
     pub orientations: Orientations,
     /// Beside the poses, in their tangent (`[rotation, translation]`, rad and metres); empty where not every pose has one.
     pub covariances: Vec<Matrix6<f64>>,
+    /// How many frames matched a map, where the rows say it.
+    pub success: Option<SuccessRate>,
     /// What had to be sorted, guessed or left out.
     pub findings: Vec<Finding>,
+}
+
+impl TrajectoryFile {
+    /// Of poses with orientations, in order of time, of which nothing else is known.
+    pub fn of_poses(poses: Vec<StampedPose>) -> Self {
+        Self {
+            poses,
+            orientations: Orientations::Known,
+            covariances: Vec::new(),
+            success: None,
+            findings: Vec::new(),
+        }
+    }
 }
 
 /// Reads a trajectory; the file itself tells its format. Eight columns are TUM's `t x y z qx qy qz qw`; four `t x y z`; twelve or
 /// sixteen a pose matrix (row n gets the stamp n s); eight or more with commas and whole stamps EuRoC's `t,x,y,z,qw,qx,qy,qz,…`; a row
 /// or comment with names overrules all that. Forty-four are TUM's with a covariance of x, y, z and rotations about the world's axes, row
-/// by row. Stamps may be seconds, milliseconds, microseconds or nanoseconds.
+/// by row. A table with a column `matches` or `inliers` is a localization: its success rate is counted, and rows whose column `localized` is 0
+/// have no pose. Stamps may be seconds, milliseconds, microseconds or nanoseconds.
 pub fn read_trajectory(path: &Path, options: &ReadOptions) -> Result<TrajectoryFile, Error> {
     if text::is_mcap(path)? {
         return mcap::read(path, options.stream.as_deref());
@@ -94,8 +111,10 @@ pub fn read_trajectory(path: &Path, options: &ReadOptions) -> Result<TrajectoryF
     let layout = layout.map_err(|(number, what)| bad(number, what))?;
     let mut read: Vec<(Line<'_>, Row<'_>)> = Vec::with_capacity(rows.len());
     let mut left_out = 0;
+    let mut success = layout.frames.map(|_| SuccessRate::default());
+    let mut columns = Vec::with_capacity(layout.columns);
     for line in rows.iter().skip(layout.header_rows) {
-        let columns = layout.separator.split(line.text);
+        layout.separator.split_into(line.text, &mut columns);
         if columns.len() != layout.columns {
             let what = format!(
                 "a row of {} columns among rows of {}",
@@ -104,7 +123,14 @@ pub fn read_trajectory(path: &Path, options: &ReadOptions) -> Result<TrajectoryF
             );
             return Err(bad(line.number, what));
         }
-        match row::parse(layout.content, &columns).map_err(|what| bad(line.number, what))? {
+        let row = row::parse(layout.content, &columns).map_err(|what| bad(line.number, what))?;
+        let mut is_localized = row.is_some();
+        if let (Some(success), Some(at)) = (&mut success, layout.frames) {
+            let frame = row::frame(at, &columns).map_err(|what| bad(line.number, what))?;
+            is_localized &= frame.is_localized;
+            success.add(frame.matches, is_localized);
+        }
+        match row.filter(|_| is_localized) {
             Some(row) => read.push((*line, row)),
             None => left_out += 1,
         }
@@ -113,7 +139,8 @@ pub fn read_trajectory(path: &Path, options: &ReadOptions) -> Result<TrajectoryF
     let mut warn = |code, what: String, remedy: &str| {
         findings.push(Finding::new(code, Verdict::Warn, name(path), what).remedy(remedy));
     };
-    if left_out > 0 {
+    // Of a localization the success rate says it.
+    if left_out > 0 && success.is_none() {
         let what = format!(
             "{} left out",
             crate::count(left_out, "row without a pose", "rows without a pose")
@@ -161,7 +188,10 @@ pub fn read_trajectory(path: &Path, options: &ReadOptions) -> Result<TrajectoryF
         true => Orientations::Known,
         false => Orientations::Missing,
     };
-    put_in_order(path, poses, orientations, findings)
+    Ok(TrajectoryFile {
+        success,
+        ..put_in_order(path, poses, orientations, findings)?
+    })
 }
 
 /// The poses of a file that says what it holds, in order of time, where every pose has a rotation.

@@ -16,7 +16,8 @@ const ONE_PLACE_M: f64 = 1e-6;
 pub(super) struct Unordered {
     pub time: Timestamp,
     pub world_from_rig: Se3,
-    pub covariance: Option<Matrix6<f64>>,
+    /// Boxed: most files have none, and a row is then a fifth of the size.
+    pub covariance: Option<Box<Matrix6<f64>>>,
 }
 
 /// Sorts, and counts what had to be: stamps that go back, and stamps that occur twice.
@@ -68,7 +69,10 @@ pub(super) fn put_in_order(
                 .remedy("keep one pose per stamp"),
         );
     }
-    let covariances: Vec<Matrix6<f64>> = poses.iter().filter_map(|p| p.covariance).collect();
+    let covariances: Vec<Matrix6<f64>> = poses
+        .iter()
+        .filter_map(|p| p.covariance.as_deref().copied())
+        .collect();
     if !covariances.is_empty() && covariances.len() < poses.len() {
         let without = poses.len() - covariances.len();
         let what = format!(
@@ -88,6 +92,7 @@ pub(super) fn put_in_order(
             .collect(),
         orientations,
         covariances: if is_complete { covariances } else { Vec::new() },
+        success: None,
         findings,
     })
 }

@@ -3,7 +3,7 @@
 use lsfb_geometry::{Matrix3, Matrix6, Se3, UnitQuaternion, Vector3};
 use nalgebra::{Quaternion, Rotation3};
 
-use super::columns::Columns;
+use super::columns::{Columns, FrameColumns};
 use super::layout::Content;
 use super::text::shown;
 
@@ -20,7 +20,7 @@ pub(super) struct Row<'a> {
     /// Without rotation where the file has positions only.
     pub world_from_rig: Se3,
     /// In the tangent of the pose; `None` where the file has none.
-    pub covariance: Option<Matrix6<f64>>,
+    pub covariance: Option<Box<Matrix6<f64>>>,
 }
 
 /// `None` for a row that is whole and says no pose: kapture leaves out what is not known.
@@ -32,6 +32,7 @@ pub(super) fn parse<'a>(content: Content, columns: &[&'a str]) -> Result<Option<
         covariance: None,
     };
     Ok(Some(match content {
+        Content::Columns(at) if is_without_pose(columns, at) => return Ok(None),
         Content::Columns(at) => {
             let pose = Se3::new(
                 quaternion(columns, at)?,
@@ -48,7 +49,7 @@ pub(super) fn parse<'a>(content: Content, columns: &[&'a str]) -> Result<Option<
             let covariance: [f64; 36] = numbers(columns, std::array::from_fn(|i| 8 + i))?;
             let covariance = covariance_in_tangent(&covariance, &pose)?;
             Row {
-                covariance: Some(covariance),
+                covariance: Some(Box::new(covariance)),
                 ..row(Some(column(columns, at.time)?), pose)
             }
         }
@@ -80,6 +81,48 @@ pub(super) fn parse<'a>(content: Content, columns: &[&'a str]) -> Result<Option<
             }
         }
     }))
+}
+
+/// Whether all fields of the pose are empty, as in tables that list frames without one.
+fn is_without_pose(columns: &[&str], at: Columns) -> bool {
+    let rotation = at.rotation_xyzw.iter().flatten();
+    let mut fields = at.position.iter().chain(rotation);
+    fields.all(|index| columns.get(*index).is_some_and(|field| field.is_empty()))
+}
+
+/// How well the frame of a row matched a map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Frame {
+    /// A whole number; some programs print it with a point.
+    pub matches: f64,
+    /// Whether the program vouches for its pose.
+    pub is_localized: bool,
+}
+
+/// An empty field is no match.
+pub(super) fn frame(at: FrameColumns, columns: &[&str]) -> Result<Frame, String> {
+    let matches = column(columns, at.matches)?;
+    let localized = at
+        .localized
+        .map(|index| column(columns, index))
+        .transpose()?;
+    let count = match matches.is_empty() {
+        true => Some(0.0),
+        false => matches
+            .parse()
+            .ok()
+            .filter(|m: &f64| *m >= 0.0 && m.is_finite()),
+    };
+    Ok(Frame {
+        matches: count.ok_or_else(|| format!("'{}' is no number of matches", shown(matches)))?,
+        is_localized: match localized {
+            None | Some("1" | "true" | "True") => true,
+            Some("0" | "false" | "False") => false,
+            Some(other) => {
+                return Err(format!("'{}' is neither 0 nor 1 (localized)", shown(other)));
+            }
+        },
+    })
 }
 
 /// A covariance of x y z and of rotations about the world's axes, row by row, as one of `[rotation, translation]` in the body.

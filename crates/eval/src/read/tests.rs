@@ -463,6 +463,38 @@ fn colmap_writes_the_same_in_bytes() {
     assert!(read(&bytes).is_err());
 }
 
+/// As `lsfb localize --out` writes it: frames without a pose, one that is not vouched for, a reason with a comma.
+#[test]
+fn a_localization_tells_its_success() {
+    let text = "frame,localized,probability,inliers,more_than_30_inliers,x_m,y_m,z_m,qx,qy,qz,qw,reprojection_rms_px,reason\n\
+                10.0,1,0.999,120,1,1,2,3,0,0,0,1,0.5,\"\"\n\
+                10.1,0,0.4,31,1,9,9,9,0,0,0,1,0.5,\"too few, too near\"\n\
+                10.2,0,,,,,,,,,,,,\"no match\"\n\
+                10.3,1,0.999,30,0,1.2,2,3,0,0,0,1,0.5,\"\"\n";
+    let found = whole(text).expect("valid");
+    let success = found.success.expect("counted");
+    assert_eq!(
+        (success.frames, success.succeeded, success.localized),
+        (4, 2, 2)
+    );
+    let places: Vec<f64> = found
+        .poses
+        .iter()
+        .map(|p| p.world_from_rig.translation.x)
+        .collect();
+    assert_eq!(places, [1.0, 1.2]);
+    assert_eq!(found.poses[1].time.nanos(), 10_300_000_000);
+    assert!(found.findings.is_empty(), "{:?}", found.findings);
+    // The number of a frame is no stamp where nothing says that this is a localization.
+    assert!(whole("frame,x,y,z,qx,qy,qz,qw\n1,1,2,3,0,0,0,1\n").is_err());
+    let bad = whole(&text.replace(",120,", ",many,")).expect_err("no number");
+    assert!(
+        bad.to_string()
+            .contains("line 2: 'many' is no number of matches"),
+        "{bad}"
+    );
+}
+
 #[test]
 fn an_image_whose_name_has_a_blank_is_not_left_out() {
     let content = "# Image list with two lines of data per image:\n\

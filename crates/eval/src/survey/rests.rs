@@ -1,5 +1,7 @@
 //! When a device rested: while its pose keeps still.
 
+use std::ops::Range;
+
 use lsfb_geometry::{StampedPose, Vector3, so3};
 use lsfb_types::Timestamp;
 
@@ -44,8 +46,28 @@ pub struct Rest {
     pub poses: usize,
 }
 
-/// Rests of a trajectory in order of time.
+/// Rests of a trajectory in order of time, by its poses alone: a trajectory that stops while the device is carried on rests as well.
 pub fn find_rests(poses: &[StampedPose], config: &RestConfig) -> Vec<Rest> {
+    let is_rest = still_poses(poses, config);
+    let runs = runs_of(&is_rest).into_iter();
+    runs.filter_map(|run| rest(&poses[run], config)).collect()
+}
+
+/// Runs of `true`.
+pub(super) fn runs_of(values: &[bool]) -> Vec<Range<usize>> {
+    let mut runs = Vec::new();
+    let mut start = 0;
+    for run in values.chunk_by(|a, b| a == b) {
+        if run[0] {
+            runs.push(start..start + run.len());
+        }
+        start += run.len();
+    }
+    runs
+}
+
+/// Which poses lie in a window that keeps still.
+pub(super) fn still_poses(poses: &[StampedPose], config: &RestConfig) -> Vec<bool> {
     let mut is_rest = vec![false; poses.len()];
     let mut end = 0;
     for start in 0..poses.len() {
@@ -62,18 +84,7 @@ pub fn find_rests(poses: &[StampedPose], config: &RestConfig) -> Vec<Rest> {
             is_rest[start..=end].fill(true);
         }
     }
-    let mut rests = Vec::new();
-    let mut start = 0;
-    while start < poses.len() {
-        if !is_rest[start] {
-            start += 1;
-            continue;
-        }
-        let length = is_rest[start..].iter().take_while(|r| **r).count();
-        rests.extend(rest(&poses[start..start + length], config));
-        start += length;
-    }
-    rests
+    is_rest
 }
 
 fn mean(poses: &[StampedPose]) -> Vector3<f64> {
@@ -93,18 +104,33 @@ fn is_still(poses: &[StampedPose], config: &RestConfig) -> bool {
 
 /// A run of still windows as one rest; `None` where it creeps.
 fn rest(poses: &[StampedPose], config: &RestConfig) -> Option<Rest> {
+    let found = spread(poses)?;
+    (found.largest_m <= WANDERING * config.spread_m).then_some(found.rest)
+}
+
+/// Poses as one rest, and how far the furthest is from its place, metres.
+pub(super) struct Spread {
+    pub rest: Rest,
+    pub largest_m: f64,
+}
+
+/// `None` without a pose.
+pub(super) fn spread(poses: &[StampedPose]) -> Option<Spread> {
     let (first, last) = (poses.first()?, poses.last()?);
     let place = mean(poses);
     let squares = poses
         .iter()
         .map(|p| (p.world_from_rig.translation - place).norm_squared());
     let (largest, sum) = squares.fold((0.0f64, 0.0), |(most, sum), s| (most.max(s), sum + s));
-    (largest.sqrt() <= WANDERING * config.spread_m).then(|| Rest {
-        start: first.time,
-        end: last.time,
-        place,
-        scatter_m: (sum / poses.len() as f64).sqrt(),
-        poses: poses.len(),
+    Some(Spread {
+        rest: Rest {
+            start: first.time,
+            end: last.time,
+            place,
+            scatter_m: (sum / poses.len() as f64).sqrt(),
+            poses: poses.len(),
+        },
+        largest_m: largest.sqrt(),
     })
 }
 

@@ -289,12 +289,7 @@ impl Job<'_> {
             return Ok(failed(Cause::NeverInitialised));
         }
         let estimate = match &times {
-            Some(times) => read_kitti_poses(path, times).map(|poses| TrajectoryFile {
-                poses,
-                orientations: Default::default(),
-                covariances: Vec::new(),
-                findings: Vec::new(),
-            }),
+            Some(times) => read_kitti_poses(path, times).map(TrajectoryFile::of_poses),
             None => read_trajectory(path, &ReadOptions::default()),
         };
         let estimate = match estimate {
@@ -329,6 +324,9 @@ impl Job<'_> {
                 }));
             }
         };
+        if let Some(why) = sim3.no_result() {
+            return Ok(failed(Cause::NotJudged { why }));
+        }
         let covered = sim3.coverage.fraction;
         if covered < self.plan.least_covered {
             return Ok(RunResult {

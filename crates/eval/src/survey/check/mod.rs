@@ -5,27 +5,9 @@ use lsfb_geometry::{StampedPose, Vector2, Vector3};
 use serde::Serialize;
 
 use super::file::Survey;
-use super::rests::{Rest, RestConfig, find_rests};
+use super::rests::Rest;
 use super::solution::SurveySolution;
 use crate::{Error, Statistics};
-
-/// How rests are told to be marks.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CheckConfig {
-    /// What a rest is.
-    pub rest: RestConfig,
-    /// A rest belongs to no mark that is further away than this, metres.
-    pub reach_m: f64,
-}
-
-impl Default for CheckConfig {
-    fn default() -> Self {
-        Self {
-            rest: RestConfig::default(),
-            reach_m: 0.3,
-        }
-    }
-}
 
 /// Marks nearer to each other than this give no heading.
 const LEAST_BASE_M: f64 = 0.5;
@@ -62,14 +44,15 @@ pub struct MarkReport {
     pub missing: Vec<String>,
 }
 
-/// Finds the rests of a trajectory, tells which mark each is, aligns, and measures. The trajectory's z must point upwards.
+/// Tells which mark each rest of a trajectory is, aligns, and measures. The trajectory's z must point upwards. A rest belongs to no mark
+/// that is further away than `reach_m`, metres.
 pub fn check_marks(
     survey: &Survey,
     solution: &SurveySolution,
     poses: &[StampedPose],
-    config: &CheckConfig,
+    rests: &[Rest],
+    reach_m: f64,
 ) -> Result<MarkReport, Error> {
-    let rests = find_rests(poses, &config.rest);
     let visits: Vec<String> = match survey.visits.is_empty() {
         true => solution.marks.iter().map(|m| m.name.clone()).collect(),
         false => survey.visits.clone(),
@@ -86,8 +69,8 @@ pub fn check_marks(
         true => Order::Unknown,
         false => Order::Known,
     };
-    let pairs = assign(&rests, &places, order, config.reach_m)?;
-    report(&visits, &places, &rests, poses, &pairs)
+    let pairs = assign(rests, &places, order, reach_m)?;
+    report(&visits, &places, rests, poses, &pairs)
 }
 
 /// Whether marks were visited in the order of their list.

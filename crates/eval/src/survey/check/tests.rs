@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 
 use super::*;
-use crate::survey::{Tape, TapeKind, solve_survey};
+use crate::survey::{RestConfig, Tape, TapeKind, find_rests, solve_survey};
 use lsfb_geometry::{Se3, UnitQuaternion};
 use lsfb_types::Timestamp;
 
@@ -63,7 +63,8 @@ fn walk(places: &[(f64, f64)], error_m: impl Fn(usize) -> Vector3<f64>) -> Vec<S
 
 fn check(survey: &Survey, poses: &[StampedPose]) -> Result<MarkReport, Error> {
     let solution = solve_survey(survey).expect("determined");
-    check_marks(survey, &solution, poses, &CheckConfig::default())
+    let rests = find_rests(poses, &RestConfig::default());
+    check_marks(survey, &solution, poses, &rests, 0.3)
 }
 
 #[test]
