@@ -211,28 +211,14 @@ fn a_disk_that_is_nearly_full_gives_way_to_the_second_and_that_one_is_closed_in_
     assert_eq!(samples, (0..samples.len() as u32).collect::<Vec<_>>());
 }
 
-/// The part that runs with a limit on the size of files, in a process of its own.
-const LIMITED_FOLDER: &str = "LSFB_TEST_LIMITED_CAPTURE";
-
 #[test]
 fn a_disk_that_takes_nothing_more_leaves_whole_files_and_the_second_goes_on() {
-    if let Some(folder) = std::env::var_os(LIMITED_FOLDER) {
-        return write_until_both_are_full(Path::new(&folder));
+    if let Some(folder) = lsfb_tests::limited_folder() {
+        return write_until_both_are_full(&folder);
     }
     let folder = tempfile::tempdir().unwrap();
-    let child = std::process::Command::new("sh")
-        // Two megabytes; the write fails instead of killing.
-        .args(["-c", "trap '' XFSZ; ulimit -f 4096; exec \"$0\" \"$@\""])
-        .arg(std::env::current_exe().unwrap())
-        .args([
-            "--exact",
-            "a_disk_that_takes_nothing_more_leaves_whole_files_and_the_second_goes_on",
-        ])
-        .env(LIMITED_FOLDER, folder.path())
-        .output()
-        .unwrap();
-    let output = String::from_utf8_lossy(&child.stdout);
-    assert!(child.status.success(), "{output}");
+    let test = "a_disk_that_takes_nothing_more_leaves_whole_files_and_the_second_goes_on";
+    lsfb_tests::run_with_limited_files(test, 2048, folder.path());
 }
 
 fn write_until_both_are_full(folder: &Path) {
@@ -267,7 +253,6 @@ fn a_place_that_cannot_be_written_is_an_error_in_one_sentence() {
 
 /// Runs this test again where `mounts` are carried out first, each on a folder of its own below the one that the test is told
 /// of: by the user's own name space, which needs no rights. `false`: not allowed here, which is said in one line.
-#[allow(clippy::print_stdout, reason = "a skipped test says so")]
 fn run_below_mounts(test: &str, mounts: &[(&str, &str)]) -> bool {
     let folder = tempfile::tempdir().unwrap();
     let mut script = String::new();
@@ -283,7 +268,11 @@ fn run_below_mounts(test: &str, mounts: &[(&str, &str)]) -> bool {
     };
     let allowed = unshared(&format!("{script}true")).output();
     if !allowed.is_ok_and(|output| output.status.success()) {
-        println!("skipped: {test}: no file system may be mounted here");
+        lsfb_tests::skip(
+            test,
+            lsfb_tests::Lacks::Program,
+            "no file system may be mounted here",
+        );
         return false;
     }
     let child = unshared(&format!("{script}exec \"$0\" \"$@\""))

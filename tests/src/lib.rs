@@ -1,10 +1,14 @@
-//! What the end-to-end tests share: where the workspace is, where recordings made by others and built examples are, who could
-//! not run.
+//! What the tests of several crates share: where the workspace is, where recordings made by others and built examples are, who could
+//! not run, packets of a LiDAR, a disk that is full.
 
 pub mod fake_kernel;
+mod limited_files;
+pub mod velodyne;
 
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
+
+pub use limited_files::{limited_folder, run_with_limited_files};
 
 /// The workspace's root.
 pub fn workspace_root() -> PathBuf {

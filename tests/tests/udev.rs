@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use lsfb_tests::workspace_root;
+use lsfb_tests::{Lacks, skip, workspace_root};
 
 fn folder() -> PathBuf {
     workspace_root().join("udev")
@@ -139,8 +139,8 @@ fn every_rule_is_well_formed_and_its_file_sorts_where_it_must() {
 
 /// What systemd itself makes of the rules: `udevadm` reads them in a file system of their own.
 #[test]
-#[allow(clippy::print_stdout, reason = "a skipped test says so")]
 fn udevadm_reads_every_rule_without_complaint() {
+    const TEST: &str = "udevadm_reads_every_rule_without_complaint";
     let read = |extra: &str| {
         let script = format!(
             "mount -t tmpfs tmpfs /run && mkdir -p /run/udev/rules.d && cp {}/*.rules /run/udev/rules.d && {extra} \
@@ -153,15 +153,11 @@ fn udevadm_reads_every_rule_without_complaint() {
     };
     let broken = "echo 'FOO' > /run/udev/rules.d/99-broken.rules;";
     let (Some(said), Some(warned)) = (read(""), read(broken)) else {
-        println!("skipped: udevadm_reads_every_rule_without_complaint: no unshare here");
-        return;
+        return skip(TEST, Lacks::Program, "no unshare here");
     };
     // Where it does not complain about what is wrong, it says nothing about what is right.
     if !warned.contains("99-broken.rules:1") {
-        println!(
-            "skipped: udevadm_reads_every_rule_without_complaint: no udevadm that may be run here"
-        );
-        return;
+        return skip(TEST, Lacks::Program, "no udevadm that may be run here");
     }
     let about_ours: Vec<&str> = said.lines().filter(|line| line.contains("lsfb")).collect();
     let complaints: Vec<_> = about_ours

@@ -3,7 +3,7 @@
 use lsfb_report::{rounded, with_unit};
 use lsfb_types::{Finding, Judgement, Limit, Verdict};
 
-use super::problem::BoardExcess;
+use super::board_size::BoardExcess;
 use super::state::State;
 use super::{CameraImuCalibration, CameraOnImu, ORDER, SplitEstimate, checks};
 use crate::board::Target;

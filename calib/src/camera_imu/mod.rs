@@ -16,12 +16,16 @@
 //!   stretches of time where the weights do not explain it (`scatter`), and its two halves are compared (`halves`).
 
 mod bend;
+mod blocks;
+mod board_size;
 mod checks;
 mod corner_residual;
+mod effort;
 mod gyro_alignment;
 mod halves;
 mod inertial;
 mod judgement;
+mod outliers;
 mod page;
 mod parts;
 mod problem;
@@ -381,7 +385,7 @@ pub fn calibrate_camera_imu(
     for round in 0..ROUNDS {
         show(round)?;
         let last = round + 1 == ROUNDS;
-        state.adjust(config, problem::Effort::of_round(round, last))?;
+        state.adjust(config, effort::Effort::of_round(round, last))?;
         if round + 2 == ROUNDS {
             holdout = state.holdout_rms_px();
         }

@@ -4,8 +4,8 @@ use lsfb_geometry::{Se3, Vector2, Vector3, spline};
 use nalgebra::{RowSVector, SMatrix};
 
 use super::bend::{BEND, Bend, bends};
+use super::board_size::BoardExcess;
 use super::inertial::{accel_matrix, gyro_matrix};
-use super::problem::BoardExcess;
 use super::state::{Mounted, State, View};
 use super::uncertainty::Uncertainty;
 use super::{

@@ -6,9 +6,10 @@ use lsfb_solver::{BlockId, influences};
 use nalgebra::{DMatrix, DVector, Matrix3, SMatrix};
 
 use super::bend::BEND;
+use super::blocks::Blocks;
+use super::effort::Effort;
 use super::halves::{SplitEstimate, halves};
 use super::parts::known;
-use super::problem::{Blocks, Effort};
 use super::state::State;
 use super::{Axes, BoardShape, CameraImuConfig, Lenses, Readout};
 use crate::Error;

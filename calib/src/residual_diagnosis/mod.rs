@@ -5,7 +5,10 @@
 //! takes off the squares is its share. With the normal matrix `[N C; Cᵀ M]` of poses and lens (N) and a cause (M), and the
 //! gradients `n` and `m`, that is `(m − Cᵀ N⁻¹ n)ᵀ (M − Cᵀ N⁻¹ C)⁻¹ (m − Cᵀ N⁻¹ n)`.
 
+mod causes;
+mod deformation;
 mod field;
+mod own_lens;
 mod sums;
 
 use lsfb_geometry::{Camera, Se3, Vector2, Vector3};
@@ -14,8 +17,9 @@ use nalgebra::DMatrix;
 use serde::Serialize;
 
 use crate::board::Target;
+use causes::Explained;
 pub(crate) use field::{Field, Unmodelled, moved_by_field};
-use sums::{Explained, Sums};
+use sums::Sums;
 
 /// Root mean square of the errors above which a calibration is warned of, pixels. Corners leave 0.16 to 0.21 px on TUM VI's and
 /// OpenCV's images and 0.43 px on the worst recording known to be good (camodocal, by hand): above 0.6 px more than half of the squares are

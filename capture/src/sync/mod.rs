@@ -9,10 +9,14 @@
 //! puts it. Late frames and batches change nothing of that. A unit is fitted in when its frames lie within
 //! a quarter of a period of others', and have said the same for a while; until then all of them are kept.
 
-use std::collections::{BTreeMap, VecDeque};
+mod unit;
+
+use std::collections::BTreeMap;
 
 use lsfb_types::{Image, Stamped, Timestamp};
 use serde::Serialize;
+
+use unit::{Frame, Hint, IsNew, OPEN_GROUPS, Placed, RECENT, Unit};
 
 /// Frame counters of Mynt units have 16 bits.
 const COUNTER_PERIOD: i64 = 1 << 16;
@@ -22,24 +26,16 @@ const RESTART_STEP: i64 = 64;
 const TICK_NS: i64 = 1_000;
 /// A unit whose counter is this close to the recording's time names the second itself.
 const NAMED_NS: i64 = 1_000_000_000;
-/// Frames of a unit that tell where its counter lies; few enough that no drift matters.
-const RECENT: usize = 64;
 /// Images of one trigger lie closer than this share of a period …
 const TOLERANCE_SHARE: i64 = 4;
 /// … and than this.
 const MOST_TOLERANCE_NS: i64 = 15_000_000;
-/// Until a unit has sent two frames its period is taken for this.
-const USUAL_PERIOD_NS: i64 = 50_000_000;
 /// Frames that must agree on where a unit began to count …
 const VOTES: usize = 3;
 /// … and frames in a row after which that was the answer: two batches of a slow link.
 const STEADY_FRAMES: u32 = 10;
 /// Frames in a row that are half a period away from where the counter puts them: the unit began anew without our noticing.
 const CONTRADICTIONS: u32 = 5;
-/// Groups that wait for their last image, at most: minutes, since the links of two units may run far apart.
-const OPEN_GROUPS: usize = 4096;
-/// Triggers of a unit whose time is remembered, for units that still have to be fitted in.
-const REMEMBERED: usize = 2 * OPEN_GROUPS;
 
 /// How the images of the cameras fit together.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
@@ -88,46 +84,6 @@ struct Camera {
     unit: usize,
 }
 
-#[derive(Debug, Default)]
-struct Unit {
-    /// Its frame counter, continued.
-    last_index: Option<i64>,
-    /// Add this to the index for the trigger.
-    trigger_from_index: Option<i64>,
-    /// Frames that wait until that is known.
-    unfitted: Vec<Frame>,
-    /// What its last frames say of where its clock lies.
-    recent: VecDeque<Hint>,
-    /// Its frames that are placed, in order of time.
-    placed: VecDeque<Placed>,
-    /// What the frames that wait would have `trigger_from_index` be, and how many frames ago they began to.
-    proposed: Option<(i64, u32)>,
-    contradictions: u32,
-    last_trigger: Option<i64>,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Frame {
-    camera: usize,
-    index: i64,
-    device_ns: i64,
-    time: Timestamp,
-}
-
-/// Recording time less the unit's, at most.
-#[derive(Clone, Copy, Debug)]
-struct Hint {
-    index: i64,
-    device_ns: i64,
-    offset_ns: i64,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Placed {
-    device_ns: i64,
-    trigger: i64,
-}
-
 #[derive(Debug)]
 struct Open {
     /// Whose frame came first, and when that was taken by its own clock.
@@ -135,87 +91,6 @@ struct Open {
     device_ns: i64,
     time: Timestamp,
     seen: Vec<bool>,
-}
-
-impl Unit {
-    /// Takes what a frame says of the clock; of the images of one frame the first.
-    fn hear(&mut self, hint: Hint) -> IsNew {
-        if self
-            .recent
-            .back()
-            .is_some_and(|last| last.index == hint.index)
-        {
-            return IsNew::No;
-        }
-        self.recent.push_back(hint);
-        if self.recent.len() > RECENT {
-            self.recent.pop_front();
-        }
-        IsNew::Yes
-    }
-
-    /// Recording time less the unit's.
-    fn offset_ns(&self) -> i64 {
-        let offsets = self.recent.iter().map(|hint| hint.offset_ns);
-        offsets.min().unwrap_or_default()
-    }
-
-    /// Time between two triggers.
-    fn period_ns(&self) -> i64 {
-        let (Some(first), Some(last)) = (self.recent.front(), self.recent.back()) else {
-            return USUAL_PERIOD_NS;
-        };
-        let span_ns = last.device_ns.saturating_sub(first.device_ns);
-        match last.index.saturating_sub(first.index) {
-            triggers @ 1.. if span_ns > 0 => span_ns / triggers,
-            _ => USUAL_PERIOD_NS,
-        }
-    }
-
-    /// The trigger of the frame taken nearest to a time of the unit, and how far from it.
-    fn nearest(&self, device_ns: i64) -> Option<(i64, i64)> {
-        let after = self.placed.partition_point(|p| p.device_ns < device_ns);
-        let around = after.saturating_sub(1)..(after + 1).min(self.placed.len());
-        self.placed
-            .range(around)
-            .map(|p| {
-                (
-                    p.device_ns.saturating_sub(device_ns).saturating_abs(),
-                    p.trigger,
-                )
-            })
-            .min()
-    }
-
-    fn remember(&mut self, placed: Placed) {
-        // A late frame is no less true, but the search wants them in order.
-        if self
-            .placed
-            .back()
-            .is_none_or(|last| last.device_ns < placed.device_ns)
-        {
-            self.placed.push_back(placed);
-        }
-        if self.placed.len() > REMEMBERED {
-            self.placed.pop_front();
-        }
-    }
-
-    /// Its place among the others is not known any more.
-    fn forget_place(&mut self) {
-        self.trigger_from_index = None;
-        self.recent.clear();
-        self.placed.clear();
-        self.proposed = None;
-        self.contradictions = 0;
-    }
-}
-
-/// Whether an image is the first of its frame.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum IsNew {
-    Yes,
-    No,
 }
 
 impl Groups {

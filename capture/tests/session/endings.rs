@@ -19,11 +19,7 @@ fn stopped_session() -> Duration {
     let unit_thread = mock::stereo_unit(&front, 0, None, Farewell::Sudden);
     let imu = mock::imu(None, &[]);
     let config = DevicesConfig {
-        lidars: vec![LidarNetConfig {
-            data: LOOPBACK,
-            position: LOOPBACK,
-            ..LidarNetConfig::default()
-        }],
+        lidars: vec![lidar()],
         cameras: vec![unit(&front, ["cam0", "cam1"])],
         imus: vec![line(&imu.path)],
         sidecar: Some(mock::sidecar(folder.path())),
@@ -87,11 +83,7 @@ fn devices_that_go_away_send_garbage_or_nothing_are_named_and_the_rest_goes_on()
     let imu = mock::imu(Some(1_000), &[0xFA, 0xFF, 0x36, 0x04, 1, 2, 3, 4, 5]);
     let config = DevicesConfig {
         overflow: Overflow::Wait,
-        lidars: vec![LidarNetConfig {
-            data: LOOPBACK,
-            position: LOOPBACK,
-            ..LidarNetConfig::default()
-        }],
+        lidars: vec![lidar()],
         cameras: vec![
             unit(&front, ["cam0", "cam1"]),
             unit(&rear, ["cam2", "cam3"]),

@@ -47,12 +47,7 @@ fn molest(n: usize, rig: &ClientConfig) -> Option<TcpStream> {
 fn two_hundred_strangers_cost_nobody_anything() {
     let folder = tempfile::tempdir().unwrap();
     let imu = mock::imu(None, &[]);
-    let config = DevicesConfig {
-        imus: vec![line(&imu.path)],
-        sidecar: Some(mock::sidecar(folder.path())),
-        ..anywhere()
-    };
-    let session = Session::open(&config).unwrap();
+    let session = imu_and_phones(&imu.path, folder.path());
     let invited = mock::invited(&session, folder.path());
     let rig = ClientConfig {
         session: "walk".to_owned(),

@@ -83,11 +83,7 @@ fn lost_and_strange_datagrams_are_counted_and_kept() {
     let imu = mock::imu(Some(600), &[]);
     let config = DevicesConfig {
         overflow: Overflow::Wait,
-        lidars: vec![LidarNetConfig {
-            data: LOOPBACK,
-            position: LOOPBACK,
-            ..LidarNetConfig::default()
-        }],
+        lidars: vec![lidar()],
         imus: vec![line(&imu.path)],
         ..anywhere()
     };

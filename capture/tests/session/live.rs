@@ -55,11 +55,7 @@ fn health_is_told_and_recorded_and_the_units_own_imu_too() {
         ..unit(&front, ["cam0", "cam1"])
     };
     let config = DevicesConfig {
-        lidars: vec![LidarNetConfig {
-            data: LOOPBACK,
-            position: LOOPBACK,
-            ..LidarNetConfig::default()
-        }],
+        lidars: vec![lidar()],
         cameras: vec![with_imu],
         imus: vec![line(&imu.path)],
         ..anywhere()

@@ -53,6 +53,15 @@ fn line(path: &Path) -> ImuLineConfig {
     }
 }
 
+/// One on free ports of this machine.
+fn lidar() -> LidarNetConfig {
+    LidarNetConfig {
+        data: LOOPBACK,
+        position: LOOPBACK,
+        ..LidarNetConfig::default()
+    }
+}
+
 /// The tests record megabytes: whatever room there is will do.
 fn anywhere() -> DevicesConfig {
     DevicesConfig {
@@ -62,6 +71,16 @@ fn anywhere() -> DevicesConfig {
         },
         ..DevicesConfig::default()
     }
+}
+
+/// A session with an IMU, to which phones connect.
+fn imu_and_phones(imu: &Path, folder: &Path) -> Session {
+    let config = DevicesConfig {
+        imus: vec![line(imu)],
+        sidecar: Some(mock::sidecar(folder)),
+        ..anywhere()
+    };
+    Session::open(&config).unwrap()
 }
 
 fn stream<'a>(report: &'a CaptureReport, name: &str) -> &'a StreamReport {

@@ -39,12 +39,7 @@ fn notes(out: &Path) -> Vec<u32> {
 fn one_phones_bad_message_costs_that_phone_only() {
     let folder = tempfile::tempdir().unwrap();
     let imu = mock::imu(None, &[]);
-    let config = DevicesConfig {
-        imus: vec![line(&imu.path)],
-        sidecar: Some(mock::sidecar(folder.path())),
-        ..anywhere()
-    };
-    let session = Session::open(&config).unwrap();
+    let session = imu_and_phones(&imu.path, folder.path());
     let invited = || mock::invited(&session, folder.path());
     let visors = invited();
     let rudes: Vec<ClientConfig> = (0..5)

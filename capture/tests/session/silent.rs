@@ -27,11 +27,7 @@ fn record_dead_lidar(alive: Duration, after: Duration) -> DeadLidar {
     let folder = tempfile::tempdir().unwrap();
     let imu = mock::imu(None, &[]);
     let config = DevicesConfig {
-        lidars: vec![LidarNetConfig {
-            data: LOOPBACK,
-            position: LOOPBACK,
-            ..LidarNetConfig::default()
-        }],
+        lidars: vec![lidar()],
         imus: vec![line(&imu.path)],
         ..anywhere()
     };

@@ -17,11 +17,7 @@ fn every_packet_of_every_device_is_in_the_recording() {
     let imu = mock::imu(Some(SAMPLES), &[]);
     let config = DevicesConfig {
         overflow: Overflow::Wait,
-        lidars: vec![LidarNetConfig {
-            data: LOOPBACK,
-            position: LOOPBACK,
-            ..LidarNetConfig::default()
-        }],
+        lidars: vec![lidar()],
         cameras: vec![
             unit(&front, ["cam0", "cam1"]),
             unit(&rear, ["cam2", "cam3"]),

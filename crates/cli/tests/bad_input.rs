@@ -5,7 +5,6 @@ mod capture_file;
 mod process;
 mod refusal;
 mod session;
-mod velodyne_packets;
 
 use std::path::Path;
 

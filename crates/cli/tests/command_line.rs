@@ -141,6 +141,16 @@ fn results_stay_unless_they_may_be_replaced() {
         let left = std::fs::read(path.join(result)).expect("file");
         assert_ne!(left, b"yesterday", "{arguments:?}");
     }
+    let plan = "runs = 1\n[[sequence]]\nname = \"a\"\ninput = \"scan.mcap\"\ntruth = \"new.tum\"\nlonger_side_m = 10.0\n\
+                [[system]]\nname = \"none\"\ncommand = \"false\"\n";
+    std::fs::write(path.join("plan.toml"), plan).expect("plan");
+    std::fs::create_dir(path.join("bench")).expect("folder");
+    std::fs::write(path.join("bench/table.tex"), "yesterday").expect("file");
+    let output = lsfb(path, &["bench", "slam", "plan.toml", "--out", "bench"]);
+    assert_eq!(output.status.code(), Some(1), "{}", said(&output));
+    assert!(said(&output).contains("--force"), "{}", said(&output));
+    let left = std::fs::read(path.join("bench/table.tex")).expect("file");
+    assert_eq!(left, b"yesterday");
     // Nothing takes the place of what it was made from.
     let before = std::fs::read(path.join("scan.mcap")).expect("recording");
     for command in [

@@ -1,7 +1,5 @@
 //! `lsfb scan` that is told to stop, and `lsfb scan` that is killed.
 
-mod velodyne_packets;
-
 use std::net::{SocketAddr, UdpSocket};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -9,9 +7,9 @@ use std::time::{Duration, Instant};
 
 use lsfb_drivers::transport::udp_sender::UdpSender;
 use lsfb_recording::{LIDAR_POSITION, Recording};
+use lsfb_tests::velodyne::{data_packet, data_time_us, position_packet};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
-use velodyne_packets::{data_packet, position_packet};
 
 /// Whatever takes this long has failed.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -71,7 +69,9 @@ impl Scan {
         while began.elapsed() < duration {
             let n = self.data_sent.len() as u64;
             if n.is_multiple_of(14) {
-                self.position.send(&position_packet(n)).expect("sent");
+                self.position
+                    .send(&position_packet(data_time_us(n)))
+                    .expect("sent");
                 self.positions_sent += 1;
             }
             self.data.send(&data_packet(n)).expect("sent");

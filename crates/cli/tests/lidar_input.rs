@@ -4,7 +4,6 @@ mod answer;
 mod capture_file;
 mod process;
 mod refusal;
-mod velodyne_packets;
 
 use std::path::{Path, PathBuf};
 
@@ -12,10 +11,10 @@ use answer::json;
 use capture_file::{Frame, capture, pcap};
 use lsfb_drivers::velodyne::wire::DataPacket;
 use lsfb_recording::Recording;
+use lsfb_tests::velodyne::data_packet;
 use lsfb_types::{Echo, LidarScan};
 use refusal::refused;
 use serde_json::Value;
-use velodyne_packets::data_packet;
 
 /// Protocol number of IP.
 const TCP: u8 = 6;

@@ -2,7 +2,6 @@
 
 mod capture_file;
 mod process;
-mod velodyne_packets;
 
 use std::path::Path;
 

@@ -424,27 +424,14 @@ fn a_full_disk_fails_once_and_stays_failed() {
     );
 }
 
-/// The part that runs with a limit on the size of files, in a process of its own.
-const LIMITED_FOLDER: &str = "LSFB_TEST_LIMITED_FOLDER";
-
 #[test]
 fn a_disk_that_fills_up_leaves_whole_chunks() {
-    if let Some(folder) = std::env::var_os(LIMITED_FOLDER) {
-        return write_until_the_limit(Path::new(&folder));
+    if let Some(folder) = lsfb_tests::limited_folder() {
+        return write_until_the_limit(&folder);
     }
     let dir = tempfile::tempdir().unwrap();
-    let child = std::process::Command::new("sh")
-        .args(["-c", "trap '' XFSZ; ulimit -f 1024; exec \"$0\" \"$@\""])
-        .arg(std::env::current_exe().unwrap())
-        .args(["--exact", "a_disk_that_fills_up_leaves_whole_chunks"])
-        .env(LIMITED_FOLDER, dir.path())
-        .output()
-        .unwrap();
-    assert!(
-        child.status.success(),
-        "{}",
-        String::from_utf8_lossy(&child.stdout)
-    );
+    let test = "a_disk_that_fills_up_leaves_whole_chunks";
+    lsfb_tests::run_with_limited_files(test, 512, dir.path());
     let path = dir.path().join("full.mcap");
     let recording = Recording::open(&path).unwrap();
     let survived = recording.imu().unwrap().map(Result::unwrap).count();

@@ -21,13 +21,9 @@ use lsfb_drivers::sidecar::{ClientConfig, SidecarClient};
 use lsfb_drivers::transport::camera_socket::{CameraListener, UnitRequest};
 use lsfb_drivers::transport::serial::Pty;
 use lsfb_drivers::transport::uvc::FrameFormat;
-use lsfb_drivers::velodyne::model::{Model, Product};
-use lsfb_drivers::velodyne::nmea::Rmc;
-use lsfb_drivers::velodyne::wire::{
-    DATA_PACKET_LEN, DataPacket, POSITION_PACKET_LEN, PositionPacket, PpsStatus, ReturnMode,
-};
 use lsfb_drivers::xsens::model::message;
 use lsfb_drivers::xsens::wire::{Item, Message, OutputSetting, UtcTime, Vector};
+pub use lsfb_tests::velodyne::{data_packet as lidar_packet, position_packet};
 
 /// 2026-03-01T10:00:00Z, where every mock starts.
 pub const START_NS: i64 = 1_772_359_200_000_000_000;
@@ -42,43 +38,6 @@ pub fn spawn<T: Send + 'static>(
         .name(name.to_owned())
         .spawn(work)
         .unwrap()
-}
-
-/// Data packet `n` of a VLP-32C at 600 rpm that sees everything at 8 m.
-pub fn lidar_packet(n: u64) -> Vec<u8> {
-    let mut packet = DataPacket::init(
-        vec![0; DATA_PACKET_LEN],
-        Product::Vlp32c,
-        ReturnMode::Strongest,
-    )
-    .unwrap();
-    let start_ns = n * u64::from(Model::Vlp32c.packet_period_ns(ReturnMode::Strongest));
-    for block in 0..12 {
-        let time_ns =
-            start_ns + u64::from(Model::Vlp32c.block_time_ns(ReturnMode::Strongest, block));
-        packet.set_azimuth_centideg(block, (time_ns * 36 / 100_000 % 36_000) as u16);
-        for channel in 0..32 {
-            packet.set_return(block, channel, 2000, n as u8);
-        }
-    }
-    packet.set_timestamp_us((start_ns / 1000) as u32);
-    packet.into_inner()
-}
-
-pub fn position_packet(toh_us: u32) -> Vec<u8> {
-    let mut packet = PositionPacket::init(vec![0; POSITION_PACKET_LEN]).unwrap();
-    packet.set_timestamp_us(toh_us);
-    packet.set_pps_status(PpsStatus::Locked);
-    let rmc = Rmc {
-        hour: 10,
-        valid: true,
-        day: 1,
-        month: 3,
-        year: 2026,
-        ..Rmc::default()
-    };
-    packet.set_nmea(rmc.emit().as_bytes()).unwrap();
-    packet.into_inner()
 }
 
 /// Sends data packets, a `pause` after each and a position packet before every 14, never more than 200 ahead of the recorder.

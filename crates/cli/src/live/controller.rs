@@ -1,26 +1,22 @@
 //! The thread that reads the tap, answers the operator and shows everything.
 
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
-use lsfb_capture::health::Snapshot;
-use lsfb_capture::{CaptureReport, Poses, Remarks, Tap, Tapped};
-use lsfb_geometry::{MAIN_IMU, MAIN_LIDAR, Rig, Vector3};
+use lsfb_capture::{CaptureReport, Tapped};
+use lsfb_geometry::{Rig, Vector3};
 use lsfb_operator::{
     Command, ControlPoint, Level, LiveMap, MapConfig, Phase, Preview, Request, ScreenState,
     Tracking, Viewer, terminal,
 };
 use lsfb_pipeline::odometry::StepOutcome;
-use lsfb_recording::message::Remark;
-use lsfb_types::Timestamp;
 
 use super::host;
 use super::odometry::{LiveStep, OdometryThread};
-use super::streams::Streams;
+use super::running::{Running, host_now, position};
 use super::{Event, Outputs, Run};
 use crate::context::sentence;
 
@@ -34,12 +30,6 @@ const STATE_EVERY: Duration = Duration::from_millis(200);
 const MAP_EVERY: Duration = Duration::from_millis(500);
 /// Between two looks at disk and battery.
 const HOST_EVERY: Duration = Duration::from_secs(1);
-/// Between two previews of a camera.
-const PREVIEW_EVERY: Duration = Duration::from_secs(1);
-/// A map to which no scan was added for this long shows the past.
-const FROZEN_AFTER: Duration = Duration::from_secs(1);
-/// The odometry needs some scans before the first is registered.
-const BEGUN_AFTER: Duration = Duration::from_secs(5);
 /// Names of remarks in the recording.
 const NOTE: &str = "note";
 const CONTROL_POINT: &str = "control-point";
@@ -72,28 +62,6 @@ struct Shown {
     state: Instant,
     map: Instant,
     host: Instant,
-}
-
-/// The recording that runs.
-struct Running {
-    tap: Tap,
-    remarks: Remarks,
-    health: Receiver<Snapshot>,
-    stop: Arc<AtomicBool>,
-    began: Instant,
-    streams: Streams,
-    odometry: Option<OdometryThread>,
-    /// Whose scans and whose samples it takes.
-    main_lidar: String,
-    main_imu: String,
-    /// Where its poses go.
-    poses: Option<Poses>,
-    /// Synchronized and host time of one sample: how to stamp what people say.
-    clock: Option<(Timestamp, Timestamp)>,
-    cameras_sent: BTreeMap<String, Timestamp>,
-    previews_sent: BTreeMap<String, Instant>,
-    /// When a scan was registered last.
-    registered: Option<Instant>,
 }
 
 impl Controller {
@@ -156,34 +124,13 @@ impl Controller {
             self.state.message_level = Level::Warning;
             None
         });
-        let rig = run.rig.as_ref();
-        let main_lidar = rig.and_then(Rig::main_lidar_name).unwrap_or(MAIN_LIDAR);
-        // As the rig chooses its own.
-        let imus = rig.into_iter().flat_map(|rig| rig.imus.keys());
-        let main_imu = imus.min_by_key(|name| (*name != MAIN_IMU, *name));
-        let main_imu = main_imu.map_or(MAIN_IMU, String::as_str);
         if let Some(screen) = &self.outputs.screen {
             screen.clear_previews();
         }
         if let Some(rig) = &run.rig {
             self.outputs.send_rig(rig, host_now());
         }
-        self.running = Some(Running {
-            tap: run.tap,
-            remarks: run.remarks,
-            health: run.health,
-            stop: run.stop,
-            began: Instant::now(),
-            streams: Streams::new(&run.devices),
-            odometry,
-            main_lidar: main_lidar.to_owned(),
-            main_imu: main_imu.to_owned(),
-            poses: run.poses,
-            clock: None,
-            cameras_sent: BTreeMap::new(),
-            previews_sent: BTreeMap::new(),
-            registered: None,
-        });
+        self.running = Some(Running::new(run, odometry));
     }
 
     fn end(&mut self, outcome: Result<Box<CaptureReport>, String>) {
@@ -296,35 +243,15 @@ impl Controller {
                 self.state.phase = Phase::Recording;
                 running.began = Instant::now();
             }
-            running.streams.note(&entry, Instant::now());
-            running.clock = match &entry {
-                Tapped::Imu { sample, .. } => Some((sample.time, sample.arrival)),
-                Tapped::Scan { scan, .. } => Some((scan.time, scan.arrival)),
-                Tapped::Image { image, .. } => Some((image.time, image.arrival)),
-                Tapped::Message { .. } => running.clock,
-            };
+            running.note(&entry);
             self.outputs.send(&entry, &mut running.cameras_sent);
             if let (Some(screen), Tapped::Image { camera, image }) = (&self.outputs.screen, &entry)
+                && running.preview_is_due(camera)
+                && let Some(preview) = Preview::of(&image.sample)
             {
-                let sent = running.previews_sent.get(camera);
-                if sent.is_none_or(|sent| sent.elapsed() >= PREVIEW_EVERY) {
-                    running.previews_sent.insert(camera.clone(), Instant::now());
-                    if let Some(preview) = Preview::of(&image.sample) {
-                        screen.publish_preview(camera, preview);
-                    }
-                }
+                screen.publish_preview(camera, preview);
             }
-            if let Some(odometry) = &running.odometry {
-                match entry {
-                    Tapped::Imu { imu, sample } if imu == running.main_imu => {
-                        odometry.push_imu(&sample);
-                    }
-                    Tapped::Scan { lidar, scan } if lidar == running.main_lidar => {
-                        odometry.push_scan(scan);
-                    }
-                    _ => {}
-                }
-            }
+            running.feed_odometry(entry);
         }
     }
 
@@ -428,54 +355,6 @@ impl Controller {
             self.state.storage = self.folder.as_deref().and_then(host::idle_storage);
         }
     }
-}
-
-impl Running {
-    /// Why the map does not grow any more, or has not begun to; `None` while it does, and where there is none.
-    fn frozen(&self, now: Instant) -> Option<String> {
-        self.odometry.as_ref()?;
-        let secs = |since: Instant| now.duration_since(since).as_secs_f64();
-        match self.registered {
-            Some(last) if now.duration_since(last) > FROZEN_AFTER => Some(format!(
-                "The map has stood still for {:.1} s: no scan was registered. Is the LiDAR alive?",
-                secs(last)
-            )),
-            None if now.duration_since(self.began) > BEGUN_AFTER => Some(format!(
-                "There is no map after {:.0} s: no scan could be registered. Is the LiDAR alive?",
-                secs(self.began)
-            )),
-            _ => None,
-        }
-    }
-
-    /// Writes what somebody said into the recording, stamped by the devices' clock.
-    fn remark(&self, state: &ScreenState, kind: &str, text: &str) -> Result<(), String> {
-        let arrival = host_now();
-        let time = match self.clock {
-            Some((time, heard)) => time.plus_nanos(arrival - heard),
-            None => arrival,
-        };
-        let remark = Remark {
-            kind: kind.to_owned(),
-            text: text.to_owned(),
-            position_in_world_m: position(state),
-        };
-        self.remarks
-            .put(time, arrival, remark)
-            .map_err(|error| error.to_string())
-    }
-}
-
-fn position(state: &ScreenState) -> Option<[f64; 3]> {
-    state.pose.map(|pose| [pose.x_m, pose.y_m, pose.z_m])
-}
-
-/// The host's clock, as packets are stamped by.
-fn host_now() -> Timestamp {
-    let since = SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .unwrap_or_default();
-    Timestamp::from_nanos(i64::try_from(since.as_nanos()).unwrap_or(i64::MAX))
 }
 
 /// The cameras of a rig, seen from above.

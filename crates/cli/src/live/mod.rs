@@ -7,6 +7,7 @@ mod controller;
 mod host;
 mod messages;
 mod odometry;
+mod running;
 mod streams;
 
 use std::net::SocketAddr;

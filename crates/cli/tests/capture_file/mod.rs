@@ -1,6 +1,6 @@
 //! A pcap file, made in memory.
 
-use crate::velodyne_packets::{data_packet, position_packet};
+use lsfb_tests::velodyne::{data_packet, data_time_us, position_packet};
 
 /// Protocol number of IP.
 const UDP: u8 = 17;
@@ -71,7 +71,7 @@ pub fn pcap(data_packets: u64) -> Vec<u8> {
     capture((0..data_packets).flat_map(|n| {
         let position = n
             .is_multiple_of(14)
-            .then(|| Frame::udp(n, 8308, position_packet(n)));
+            .then(|| Frame::udp(n, 8308, position_packet(data_time_us(n))));
         position
             .into_iter()
             .chain([Frame::udp(n, 2368, data_packet(n))])

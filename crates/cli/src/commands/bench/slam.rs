@@ -13,7 +13,7 @@ use crate::outcome::Outcome;
 ///
 /// The plan (TOML) names sequences (a recording, its truth, the longer side of the place) and systems (a command with {input}, {out},
 /// {trajectory}, {sequence}, {run}; the layout that it reads: as_is, euroc, tum_vi, kitti, images). The median of several runs counts; ×
-/// stands where all failed, with the cause. Runs that are there are not run again. Written are table.txt, .csv, .tex and .html.
+/// stands where all failed, with the cause. Runs that are there are not run again, with --force neither. Written are table.txt, .csv, .tex and .html.
 ///
 /// Examples:
 ///   lsfb bench slam plan.toml --out bench
@@ -37,18 +37,23 @@ struct Printed<'a> {
 /// Runs what was asked for.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     let plan = read_plan(&arguments.plan)?;
-    context.will_write(&arguments.out);
     std::fs::create_dir_all(&arguments.out)?;
+    let tables = ["table.txt", "table.csv", "table.tex", "table.html"];
+    let tables = tables.map(|name| arguments.out.join(name));
+    for table in &tables {
+        context.claim(table, &[&arguments.plan])?;
+    }
     let runs = run_plan(&plan, &arguments.out, &|p| context.show(p))?;
     let table = table_of(&plan, &runs);
     let marked = table.marked();
-    for (name, text) in [
-        ("table.txt", marked.to_text()),
-        ("table.csv", marked.to_csv()),
-        ("table.tex", marked.to_latex()),
-        ("table.html", marked.to_html()),
-    ] {
-        write(&arguments.out.join(name), text)?;
+    let texts = [
+        marked.to_text(),
+        marked.to_csv(),
+        marked.to_latex(),
+        marked.to_html(),
+    ];
+    for (table, text) in tables.iter().zip(texts) {
+        write(table, text)?;
     }
     let printed = Printed {
         table: &table,

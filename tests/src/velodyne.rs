@@ -1,4 +1,4 @@
-//! Packets of a VLP-32C at 600 rpm with GPS that sees everything at 8 m.
+//! Packets of a VLP-32C at 600 rpm that sees everything at 8 m.
 
 use lsfb_drivers::velodyne::model::{Model, Product};
 use lsfb_drivers::velodyne::nmea::Rmc;
@@ -23,14 +23,19 @@ pub fn data_packet(n: u64) -> Vec<u8> {
             packet.set_return(block, channel, 2000, n as u8);
         }
     }
-    packet.set_timestamp_us((start_ns / 1000) as u32);
+    packet.set_timestamp_us(data_time_us(n));
     packet.into_inner()
 }
 
-/// A position packet at the time of data packet `n`: locked, 2026-03-01T10:00:00Z.
-pub fn position_packet(n: u64) -> Vec<u8> {
+/// When data packet `n` is sent, microseconds past the hour.
+pub fn data_time_us(n: u64) -> u32 {
+    (start_ns(n) / 1000) as u32
+}
+
+/// A position packet sent at that time past the hour: locked to the pulse, 2026-03-01T10:00:00Z.
+pub fn position_packet(toh_us: u32) -> Vec<u8> {
     let mut packet = PositionPacket::init(vec![0; POSITION_PACKET_LEN]).expect("length");
-    packet.set_timestamp_us((start_ns(n) / 1000) as u32);
+    packet.set_timestamp_us(toh_us);
     packet.set_pps_status(PpsStatus::Locked);
     let rmc = Rmc {
         hour: 10,

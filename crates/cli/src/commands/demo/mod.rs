@@ -1,21 +1,21 @@
 //! `lsfb demo`: the main job from nothing, in one folder.
 
+mod page;
+
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Context as _;
 use lsfb_eval::Evaluation;
-use lsfb_eval::report::{self, Distribution, Figure, Report, StageTime, Track};
 use lsfb_geometry::{Se3, Trajectory};
-use lsfb_pipeline::ground_truth::{GroundTruthConfig, ReprojectionErrors};
+use lsfb_pipeline::ground_truth::GroundTruthConfig;
 use lsfb_pipeline::mapping::MappingConfig;
 use lsfb_recording::Provenance;
 use lsfb_sim::SimConfig;
-use lsfb_types::{Finding, Limit, Verdict};
 use serde::Serialize;
 
-use super::groundtruth::{WalkJob, WrittenTrajectory};
-use super::map::{MapJob, WrittenMap};
+use super::groundtruth::WalkJob;
+use super::map::MapJob;
 use crate::context::Context;
 use crate::existing::expect_free;
 use crate::memory::peak_rss_mb;
@@ -81,10 +81,6 @@ struct Outputs {
     #[serde(skip_serializing_if = "Option::is_none")]
     rrd: Option<PathBuf>,
 }
-
-/// Limits of the first figures: they make the report's verdict.
-const MAX_ATE_M: f64 = 0.03;
-const MAX_REPROJECTION_PX: f64 = 1.5;
 
 struct Stopwatch {
     stages: Vec<(String, f64)>,
@@ -158,7 +154,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         stages_s: watch.stages,
         outputs: files,
     };
-    report(&summary, &judged, &map, &walk, &sim_config)?.write(&summary.outputs.report)?;
+    page::report(&summary, &judged, &map, &walk, &sim_config)?.write(&summary.outputs.report)?;
     // Last of all: a folder that has it is finished.
     super::write(&layout.file(FINISHED), serde_json::to_vec_pretty(&summary)?)?;
     context.print(&summary, || text(&summary))?;
@@ -302,131 +298,6 @@ fn judge(layout: &Layout, files: &Outputs) -> anyhow::Result<Judged> {
         truth_glasses: Trajectory::new(walk.truth),
         truth_from_map: scan.truth_from_map,
     })
-}
-
-fn report(
-    summary: &Summary,
-    judged: &Judged,
-    map: &WrittenMap,
-    walk: &WrittenTrajectory,
-    sim_config: &SimConfig,
-) -> anyhow::Result<Report> {
-    let (mapping, walk_report) = (&map.report, &walk.report);
-    let odometry = mapping.odometry.warnings.iter().map(|w| w.finding());
-    let of_mapping = mapping.warnings.iter().map(|w| w.finding());
-    let of_walk = walk_report.warnings.iter();
-    let of_walk = of_walk.map(|w| Finding::new("stage", Verdict::Warn, "ground truth", w.clone()));
-    let findings = odometry.chain(of_mapping).chain(of_walk);
-    let distribution = |title: &str, values| Distribution {
-        title: title.to_owned(),
-        quantity: "reprojection error".to_owned(),
-        unit: "px".to_owned(),
-        values,
-    };
-    Ok(Report {
-        title: format!("lsfb demo, seed {}", summary.seed),
-        figures: vec![
-            Figure::new("glasses ATE, rms", summary.ate_glasses_rms_m * 100.0, "cm")
-                .with(Limit::AtMost(MAX_ATE_M * 100.0)),
-            Figure::new("glasses ATE, max", summary.ate_glasses_max_m * 100.0, "cm"),
-            Figure::new(
-                "glasses in the map, rms",
-                summary.ate_glasses_in_map_rms_m * 100.0,
-                "cm",
-            ),
-            Figure::new("scanner ATE, rms", summary.ate_scanner_rms_m * 100.0, "cm")
-                .with(Limit::AtMost(MAX_ATE_M * 100.0)),
-            Figure::new("scanner ATE, max", summary.ate_scanner_max_m * 100.0, "cm"),
-            Figure::new("map reprojection, rms", summary.map_reprojection_px, "px")
-                .with(Limit::AtMost(MAX_REPROJECTION_PX)),
-            Figure::new(
-                "map reprojection before Eq. 4",
-                mapping.reprojection_rms_before_px,
-                "px",
-            ),
-            Figure::new(
-                "glasses reprojection, rms",
-                walk_report.map_errors.rms_px,
-                "px",
-            ),
-            Figure::new("glasses localized", summary.glasses_localized * 100.0, "%"),
-            Figure::new("map points", summary.map_points as f64, ""),
-            Figure::new("messages lost", summary.lost as f64, "").with(Limit::AtMost(0.0)),
-            Figure::new("wall time", summary.wall_s, "s").with(Limit::AtMost(300.0)),
-            Figure::new("peak memory", summary.peak_rss_mb, "MB").with(Limit::AtMost(4096.0)),
-        ],
-        map_points: map
-            .map
-            .positions()
-            .map(|point| judged.truth_from_map * point)
-            .collect(),
-        tracks: vec![
-            Track::of("scanner", &judged.scanner, &judged.truth_scanner),
-            Track::of("glasses", &judged.glasses, &judged.truth_glasses),
-        ],
-        histograms: vec![
-            distribution(
-                "Map",
-                map.reprojection_errors_px
-                    .iter()
-                    .copied()
-                    .map(f64::from)
-                    .collect(),
-            ),
-            distribution("Glasses", spread(&walk_report.map_errors)),
-        ],
-        stages: summary
-            .stages_s
-            .iter()
-            .map(|(name, wall_secs)| StageTime {
-                name: name.clone(),
-                wall_secs: *wall_secs,
-            })
-            .collect(),
-        findings: findings.collect(),
-        provenance: provenance(summary, map, walk, sim_config)?,
-        ..Report::default()
-    })
-}
-
-/// What was run on what, and the hashes of what came out.
-fn provenance(
-    summary: &Summary,
-    map: &WrittenMap,
-    walk: &WrittenTrajectory,
-    sim_config: &SimConfig,
-) -> anyhow::Result<Vec<report::Provenance>> {
-    let mut lines = vec![
-        ("seed".to_owned(), summary.seed.to_string()),
-        ("lsfb".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
-    ];
-    for inputs in [&map.provenance.inputs, &walk.provenance.inputs] {
-        let hashed = inputs.iter();
-        lines.extend(hashed.map(|(name, hash)| (format!("{name}, SHA-256"), hash.clone())));
-    }
-    for path in [
-        &summary.outputs.scan_trajectory,
-        &summary.outputs.walk_trajectory,
-    ] {
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        lines.push((format!("{name}, SHA-256"), lsfb_recording::sha256_of(path)?));
-    }
-    lines.push(("simulation".to_owned(), toml::to_string(sim_config)?));
-    let lines = lines.into_iter();
-    Ok(lines
-        .map(|(name, value)| report::Provenance { name, value })
-        .collect())
-}
-
-/// A value for each error, spread evenly over its bin.
-fn spread(errors: &ReprojectionErrors) -> Vec<f64> {
-    let bins = errors.histogram.iter().enumerate();
-    bins.flat_map(|(bin, &count)| {
-        (0..count).map(move |k| {
-            (bin as f64 + (k as f64 + 0.5) / count as f64) * ReprojectionErrors::BIN_PX
-        })
-    })
-    .collect()
 }
 
 fn text(s: &Summary) -> String {

@@ -1,0 +1,77 @@
+//! How far the batch goes, and what it searches.
+
+use lsfb_solver::{Diagnosis, SolveConfig};
+
+/// What is believed of the board's size.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum BoardSize {
+    AsSaid,
+    /// It is searched, and so is the scale of the accelerometer, which gravity tells.
+    Searched,
+}
+
+/// How far to go.
+#[derive(Clone, Copy)]
+pub(super) struct Effort {
+    pub cost_tolerance: f64,
+    /// Whether views that are held back take part.
+    pub all_views: bool,
+    pub size: BoardSize,
+    /// Whether pixels are moved by what the models of lens and board are likely not to know.
+    pub field: bool,
+    /// Whether the accelerometer may measure later than the gyroscope.
+    pub is_delay_searched: bool,
+}
+
+impl Effort {
+    pub fn of_round(round: usize, last: bool) -> Self {
+        Self {
+            cost_tolerance: match (round, last) {
+                (_, true) => 1e-12,
+                (0, false) => 1e-4,
+                (_, false) => 1e-7,
+            },
+            all_views: last,
+            size: BoardSize::AsSaid,
+            field: false,
+            is_delay_searched: false,
+        }
+    }
+
+    /// Of the solver.
+    pub fn settings(self) -> SolveConfig {
+        SolveConfig {
+            max_iterations: 40,
+            cost_tolerance: self.cost_tolerance,
+            diagnosis: Diagnosis::Off,
+            ..SolveConfig::default()
+        }
+    }
+
+    /// What it takes to measure the board.
+    pub fn of_size() -> Self {
+        Self {
+            cost_tolerance: 1e-9,
+            all_views: true,
+            size: BoardSize::Searched,
+            field: false,
+            is_delay_searched: true,
+        }
+    }
+
+    /// What it takes to say how well all is known.
+    pub fn of_uncertainty() -> Self {
+        Self {
+            field: true,
+            ..Self::of_delay()
+        }
+    }
+
+    /// What it takes to say what the accelerometer's delay would move.
+    pub fn of_delay() -> Self {
+        Self {
+            is_delay_searched: true,
+            ..Self::of_round(0, true)
+        }
+    }
+}

@@ -1,0 +1,39 @@
+//! Where phones and glasses connect.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+
+/// Where phones and glasses connect.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SidecarConfig {
+    /// Address to listen on; port 0 takes a free one.
+    pub listen: SocketAddr,
+    /// Folder of the rig's certificate and of the devices that are paired with it; made where it is not there.
+    #[serde(default = "sidecar_folder")]
+    pub folder: PathBuf,
+    /// How long a device that was lost is waited for where nothing else is recorded, seconds.
+    #[serde(default = "come_back_secs")]
+    pub come_back_secs: u32,
+}
+
+fn sidecar_folder() -> PathBuf {
+    PathBuf::from("sidecar")
+}
+
+fn come_back_secs() -> u32 {
+    120
+}
+
+impl SidecarConfig {
+    /// Listens there, and knows devices by this folder.
+    pub fn new(listen: SocketAddr, folder: PathBuf) -> Self {
+        Self {
+            listen,
+            folder,
+            come_back_secs: come_back_secs(),
+        }
+    }
+}

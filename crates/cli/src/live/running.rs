@@ -1,0 +1,155 @@
+//! The recording that runs, as the controller knows it.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::sync::mpsc::Receiver;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use lsfb_capture::health::Snapshot;
+use lsfb_capture::{Poses, Remarks, Tap, Tapped};
+use lsfb_geometry::{MAIN_IMU, MAIN_LIDAR, Rig};
+use lsfb_operator::ScreenState;
+use lsfb_recording::message::Remark;
+use lsfb_types::Timestamp;
+
+use super::Run;
+use super::odometry::OdometryThread;
+use super::streams::Streams;
+
+/// A map to which no scan was added for this long shows the past.
+const FROZEN_AFTER: Duration = Duration::from_secs(1);
+/// The odometry needs some scans before the first is registered.
+const BEGUN_AFTER: Duration = Duration::from_secs(5);
+/// Between two previews of a camera.
+const PREVIEW_EVERY: Duration = Duration::from_secs(1);
+
+/// The recording that runs.
+pub struct Running {
+    pub tap: Tap,
+    remarks: Remarks,
+    pub health: Receiver<Snapshot>,
+    pub stop: Arc<AtomicBool>,
+    pub began: Instant,
+    pub streams: Streams,
+    pub odometry: Option<OdometryThread>,
+    /// Whose scans and whose samples it takes.
+    main_lidar: String,
+    main_imu: String,
+    /// Where its poses go.
+    pub poses: Option<Poses>,
+    /// Synchronized and host time of one sample: how to stamp what people say.
+    clock: Option<(Timestamp, Timestamp)>,
+    pub cameras_sent: BTreeMap<String, Timestamp>,
+    previews_sent: BTreeMap<String, Instant>,
+    /// When a scan was registered last.
+    pub registered: Option<Instant>,
+}
+
+impl Running {
+    /// A recording that begins.
+    pub fn new(run: Run, odometry: Option<OdometryThread>) -> Self {
+        let rig = run.rig.as_ref();
+        let main_lidar = rig.and_then(Rig::main_lidar_name).unwrap_or(MAIN_LIDAR);
+        // As the rig chooses its own.
+        let imus = rig.into_iter().flat_map(|rig| rig.imus.keys());
+        let main_imu = imus.min_by_key(|name| (*name != MAIN_IMU, *name));
+        let main_imu = main_imu.map_or(MAIN_IMU, String::as_str);
+        Self {
+            main_lidar: main_lidar.to_owned(),
+            main_imu: main_imu.to_owned(),
+            streams: Streams::new(&run.devices),
+            tap: run.tap,
+            remarks: run.remarks,
+            health: run.health,
+            stop: run.stop,
+            began: Instant::now(),
+            odometry,
+            poses: run.poses,
+            clock: None,
+            cameras_sent: BTreeMap::new(),
+            previews_sent: BTreeMap::new(),
+            registered: None,
+        }
+    }
+
+    /// Takes note of what was recorded.
+    pub fn note(&mut self, entry: &Tapped) {
+        self.streams.note(entry, Instant::now());
+        self.clock = match entry {
+            Tapped::Imu { sample, .. } => Some((sample.time, sample.arrival)),
+            Tapped::Scan { scan, .. } => Some((scan.time, scan.arrival)),
+            Tapped::Image { image, .. } => Some((image.time, image.arrival)),
+            Tapped::Message { .. } => self.clock,
+        };
+    }
+
+    /// Whether a camera's preview is due; it counts as sent then.
+    pub fn preview_is_due(&mut self, camera: &str) -> bool {
+        let sent = self.previews_sent.get(camera);
+        let is_due = sent.is_none_or(|sent| sent.elapsed() >= PREVIEW_EVERY);
+        if is_due {
+            self.previews_sent.insert(camera.to_owned(), Instant::now());
+        }
+        is_due
+    }
+
+    /// Hands the odometry its scans and samples.
+    pub fn feed_odometry(&self, entry: Tapped) {
+        let Some(odometry) = &self.odometry else {
+            return;
+        };
+        match entry {
+            Tapped::Imu { imu, sample } if imu == self.main_imu => odometry.push_imu(&sample),
+            Tapped::Scan { lidar, scan } if lidar == self.main_lidar => odometry.push_scan(scan),
+            _ => {}
+        }
+    }
+
+    /// Why the map does not grow any more, or has not begun to; `None` while it does, and where there is none.
+    pub fn frozen(&self, now: Instant) -> Option<String> {
+        self.odometry.as_ref()?;
+        let secs = |since: Instant| now.duration_since(since).as_secs_f64();
+        match self.registered {
+            Some(last) if now.duration_since(last) > FROZEN_AFTER => Some(format!(
+                "The map has stood still for {:.1} s: no scan was registered. Is the LiDAR alive?",
+                secs(last)
+            )),
+            None if now.duration_since(self.began) > BEGUN_AFTER => Some(format!(
+                "There is no map after {:.0} s: no scan could be registered. Is the LiDAR alive?",
+                secs(self.began)
+            )),
+            _ => None,
+        }
+    }
+
+    /// Writes what somebody said into the recording, stamped by the devices' clock.
+    pub fn remark(&self, state: &ScreenState, kind: &str, text: &str) -> Result<(), String> {
+        let arrival = host_now();
+        let time = match self.clock {
+            Some((time, heard)) => time.plus_nanos(arrival - heard),
+            None => arrival,
+        };
+        let remark = Remark {
+            kind: kind.to_owned(),
+            text: text.to_owned(),
+            position_in_world_m: position(state),
+        };
+        self.remarks
+            .put(time, arrival, remark)
+            .map_err(|error| error.to_string())
+    }
+}
+
+/// Where the rig is on the live map, metres.
+pub fn position(state: &ScreenState) -> Option<[f64; 3]> {
+    state.pose.map(|pose| [pose.x_m, pose.y_m, pose.z_m])
+}
+
+/// The host's clock, as packets are stamped by.
+pub fn host_now() -> Timestamp {
+    let since = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .unwrap_or_default();
+    Timestamp::from_nanos(i64::try_from(since.as_nanos()).unwrap_or(i64::MAX))
+}
