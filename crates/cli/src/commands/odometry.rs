@@ -37,7 +37,8 @@ pub struct Arguments {
     /// Settings instead of the defaults.
     #[arg(long, value_name = "TOML", conflicts_with = "outdoor")]
     config: Option<PathBuf>,
-    /// Where the LiDAR is on the IMU, and the noise of both; a recording of ours has it, a bag may say the former in /tf_static.
+    /// Rig with the LiDAR's pose relative to the IMU, and the noise of both; recordings of `lsfb scan` hold one, a bag may give the
+    /// pose in /tf_static.
     #[arg(long, value_name = "TOML")]
     rig: Option<PathBuf>,
     /// Topic of the scans, where a bag has several.
@@ -46,10 +47,11 @@ pub struct Arguments {
     /// Topic of the inertial samples, where a bag has several.
     #[arg(long = "imu-topic", alias = "imu", value_name = "TOPIC")]
     imu: Option<String>,
-    /// Scans per second of a folder of clouds, where neither points, names nor a list beside them say when they were taken.
+    /// Scans per second of a folder of clouds without times: neither in the points, nor in the file names, nor in a list beside them.
     #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = rate_hz)]
     rate_hz: f64,
-    /// The spinning sensor: packets must be its own; clouds are as it fired them, so that azimuths are times where there are no others.
+    /// Model of the spinning LiDAR: packets of another model are refused; where clouds have no times, points are timed by their
+    /// azimuth.
     #[arg(long, value_name = "MODEL", value_parser = super::scan::lidar_model)]
     lidar_model: Option<Model>,
 }

@@ -90,8 +90,8 @@ pub struct Arguments {
     /// Stream live data to Foxglove, which connects to ADDR.
     #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = "127.0.0.1:8765", conflicts_with_all = ["pcap", "db3", "mcap"])]
     foxglove: Option<SocketAddr>,
-    /// Run the odometry while recording, and record where the rig was (/tf), though nobody looks at the live map. It runs in any
-    /// case with --screen, --foxglove and --rerun, and needs a rig with the LiDAR.
+    /// Run the odometry while recording, and record the rig's poses (/tf), even if no live map is shown; with --screen, --foxglove and
+    /// --rerun it always runs. Needs a rig with the LiDAR.
     #[arg(long, requires = "devices")]
     odometry: bool,
     /// Folder with the state of batteries, for hosts where it is not /sys/class/power_supply.
@@ -116,7 +116,7 @@ struct LidarArguments {
     /// Beam angles of this unit (Hesai's angle correction file).
     #[arg(long, value_name = "CSV", conflicts_with = "devices")]
     lidar_angles: Option<PathBuf>,
-    /// Read packets of this sender only, under this name. Can be given more than once; without it every LiDAR of a pcap capture is
+    /// Read packets of this sender only, under this name. May be repeated; without it every LiDAR of a pcap capture is
     /// recorded: lidar, lidar2, … in the order in which they were first heard.
     #[arg(long, value_name = "[NAME=]IP", requires = "pcap", value_parser = lidar_sender)]
     lidar_sender: Vec<Sender>,

@@ -6,7 +6,7 @@ mod twin;
 use crate::context::Context;
 use crate::outcome::Outcome;
 
-/// Benchmark other programs on sequences with ground truth, and lsfb itself in the twin.
+/// Benchmark SLAM systems on sequences with ground truth, and lsfb itself in simulated places.
 ///
 /// Examples:
 ///   lsfb bench slam plan.toml --out bench

@@ -13,7 +13,7 @@ use crate::outcome::Outcome;
 ///
 /// The plan (TOML) names sequences (a recording, its truth, the longer side of the place) and systems (a command with {input}, {out},
 /// {trajectory}, {sequence}, {run}; the layout that it reads: as_is, euroc, tum_vi, kitti, images). The median of several runs counts; ×
-/// stands where all failed, with the cause. Runs that are there are not run again, with --force neither. Written are table.txt, .csv, .tex and .html.
+/// stands where all failed, with the cause. Finished runs are not repeated, not even with --force. Writes table.txt, .csv, .tex and .html.
 ///
 /// Examples:
 ///   lsfb bench slam plan.toml --out bench
