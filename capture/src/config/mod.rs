@@ -11,6 +11,7 @@ use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
 use lsfb_drivers::ImuFamily;
+use lsfb_types::OutOfBounds;
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
@@ -87,18 +88,6 @@ where
     deserializer.deserialize_any(Tables(PhantomData))
 }
 
-lsfb_types::bounds! {
-    DevicesConfig {
-        rig: any,
-        overflow: any,
-        recorder: section,
-        lidars: sections("lidar"),
-        cameras: sections("camera"),
-        imus: sections("imu"),
-        sidecar: any,
-    }
-}
-
 impl DevicesConfig {
     /// Reads `devices.toml`; relative paths in it start at its folder.
     pub fn read(path: &Path) -> Result<Self, Error> {
@@ -143,7 +132,7 @@ impl DevicesConfig {
 
     /// Refuses settings outside their bounds, cameras that cannot be told apart, and images that do not fill a frame.
     pub(crate) fn check(&self) -> Result<(), Error> {
-        self.check_bounds("")?;
+        self.check_bounds()?;
         for lidar in &self.lidars {
             lidar.check_settings()?;
         }
@@ -162,6 +151,24 @@ impl DevicesConfig {
             return Err(Error::Cameras { names, problem });
         }
         self.check_names()
+    }
+
+    /// Refuses settings outside their bounds, by the names that they have in `devices.toml`: `[[lidar]]`, not `lidars`.
+    fn check_bounds(&self) -> Result<(), OutOfBounds> {
+        // Every field is named, so that one that is added is not forgotten here.
+        let Self {
+            rig: _,
+            overflow: _,
+            recorder,
+            lidars,
+            cameras,
+            imus,
+            sidecar: _,
+        } = self;
+        recorder.check_bounds("recorder")?;
+        lidars.iter().try_for_each(|l| l.check_bounds("lidar"))?;
+        cameras.iter().try_for_each(|c| c.check_bounds("camera"))?;
+        imus.iter().try_for_each(|i| i.check_bounds("imu"))
     }
 
     /// Refuses devices of one name, names that are no parts of topics, and LiDARs that would take each other's packets.

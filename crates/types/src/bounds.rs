@@ -111,8 +111,7 @@ impl fmt::Display for Bounds {
 /// forgotten does not compile.
 ///
 /// A field is `number(bounds)`, `each(bounds)` of an array or list, `optional(bounds)`, `section` (settings with bounds of
-/// their own), `sections` of a list of those, `sections("key")` where the user's file calls it otherwise, or `any` where its type
-/// allows nothing wrong.
+/// their own), `sections` of a list of those, or `any` where its type allows nothing wrong.
 ///
 /// ```
 /// use lsfb_types::Bounds;
@@ -155,11 +154,8 @@ macro_rules! bounds {
         $field.check_bounds(&$crate::setting_name($section, stringify!($field)))?
     };
     (@sections $section:ident $field:ident) => {
-        $crate::bounds!(@sections $section $field stringify!($field))
-    };
-    (@sections $section:ident $field:ident $key:expr) => {
         for part in $field.iter() {
-            part.check_bounds(&$crate::setting_name($section, $key))?;
+            part.check_bounds(&$crate::setting_name($section, stringify!($field)))?;
         }
     };
     (@any $section:ident $field:ident) => {
