@@ -42,6 +42,9 @@ pub mod verify;
 
 pub use angles::Angles;
 pub use board::Target;
-pub use error::Error;
+pub use error::{
+    BadImu, Error, JoinProblem, NoRest, PatternExcess, PoorMotion, SeenInstead, TargetProblem,
+    WrongSize, WrongUnit,
+};
 pub use overlay::Overlay;
 pub use transform::TransformEdge;

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crate::Error;
+use crate::{Error, WrongUnit};
 
 /// Rates of IMUs and of cameras that exist, hertz.
 pub(crate) const IMU_HZ: Range<f64> = 5.0..50_000.0;
@@ -37,10 +37,8 @@ pub(crate) fn expect_nanoseconds(
         .iter()
         .find(|(_, unit_ns)| step > 1 && rates_hz.contains(&rate_hz(*unit_ns)));
     let problem = match unit {
-        Some((unit, _)) => {
-            format!("stamps are {step} ns apart: they look like {unit}, nanoseconds are needed")
-        }
-        None => format!("numbers that are {step} apart are no stamps: nanoseconds are needed"),
+        Some((unit, _)) => WrongUnit::Stamps { step, unit },
+        None => WrongUnit::NoStamps { step },
     };
     Err(Error::Unit {
         what: what.to_owned(),

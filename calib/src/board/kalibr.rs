@@ -114,7 +114,8 @@ impl Target {
                 known.join(", ")
             ));
         }
-        target.problem().map_or(Ok(target), Err)
+        let problem = target.problem().map(|problem| problem.to_string());
+        problem.map_or(Ok(target), Err)
     }
 
     /// The Kalibr target file.

@@ -13,6 +13,8 @@ mod tag36h11;
 use lsfb_geometry::Vector3;
 use serde::{Deserialize, Serialize};
 
+use crate::TargetProblem;
+
 pub(crate) use markers::{BORDER_BITS, CODE_BITS, EDGE_BITS, charuco_square, tag_codes};
 pub use markers::{MARKERS, MarkerDictionary, TAGS_36H11, tag_cells};
 pub use pdf::PageSize;
@@ -96,69 +98,63 @@ const EDGES_M: std::ops::Range<f64> = 0.001..1.5;
 
 impl Target {
     /// What is wrong with the numbers, if anything.
-    pub fn problem(&self) -> Option<String> {
-        let positive = |name: &str, value: f64| {
+    pub fn problem(&self) -> Option<TargetProblem> {
+        let positive = |what: &'static str, value: f64| {
             (!(value > 0.0 && value.is_finite()))
-                .then(|| format!("{name} is {value}: it must be positive"))
+                .then_some(TargetProblem::NotPositive { what, value })
         };
-        let edge =
-            |what: &str, value_m: f64| {
-                positive(what, value_m).or_else(|| {
-                if value_m < EDGES_M.start {
-                    Some(format!("{what} of {value_m} m is smaller than a millimetre"))
-                } else if value_m > EDGES_M.end {
-                    let metres = value_m / 1e3;
-                    Some(format!(
-                        "{what} of {value_m} m: lengths are in metres, {metres} for {value_m} mm"
-                    ))
-                } else {
-                    None
-                }
-            })
-            };
+        let edge = |what: &'static str, edge_m: f64| {
+            let small = TargetProblem::TooSmall { what, edge_m };
+            let large = TargetProblem::TooLarge { what, edge_m };
+            positive(what, edge_m)
+                .or((edge_m < EDGES_M.start).then_some(small))
+                .or((edge_m > EDGES_M.end).then_some(large))
+        };
         match *self {
             Target::AprilGrid {
                 columns,
                 rows,
                 tag_size_m,
                 spacing_ratio,
-            } => edge("a tag", tag_size_m)
-                .or_else(|| positive("the gap between tags", spacing_ratio))
-                .or_else(|| {
-                    let tags = u64::from(columns) * u64::from(rows);
-                    (tags == 0 || tags > u64::from(TAGS_36H11)).then(|| {
-                        format!("{columns} × {rows} tags: between 1 and {TAGS_36H11} are possible")
-                    })
-                }),
+            } => {
+                let tags = u64::from(columns) * u64::from(rows);
+                let is_odd = tags == 0 || tags > u64::from(TAGS_36H11);
+                edge("a tag", tag_size_m)
+                    .or(positive("the gap between tags", spacing_ratio))
+                    .or(is_odd.then_some(TargetProblem::Tags {
+                        columns,
+                        rows,
+                        most: TAGS_36H11,
+                    }))
+            }
             Target::Checkerboard {
                 columns,
                 rows,
                 square_m,
-            } => edge("a square", square_m).or_else(|| {
-                let sensible = (2..=100).contains(&columns) && (2..=100).contains(&rows);
-                (!sensible).then(|| {
-                    format!("{columns} × {rows} inner corners: between 2 and 100 are possible")
-                })
-            }),
+            } => {
+                let is_odd = !(2..=100).contains(&columns) || !(2..=100).contains(&rows);
+                edge("a square", square_m)
+                    .or(is_odd.then_some(TargetProblem::InnerCorners { columns, rows }))
+            }
             Target::Charuco {
                 columns,
                 rows,
                 square_m,
                 marker_m,
                 ..
-            } => edge("a square", square_m)
-                .or_else(|| edge("a marker", marker_m))
-                .or_else(|| {
-                    let markers = u64::from(columns) * u64::from(rows) / 2;
-                    (columns < 3 || rows < 3 || markers > u64::from(MARKERS)).then(|| {
-                        format!("{columns} × {rows} squares: at least 3 × 3 and at most {MARKERS} white ones are possible")
-                    })
-                })
-                .or_else(|| {
-                    (marker_m > 0.9 * square_m).then(|| {
-                        format!("markers of {marker_m} m in squares of {square_m} m: at most 0.9 of the square leave its corners free")
-                    })
-                }),
+            } => {
+                let markers = u64::from(columns) * u64::from(rows) / 2;
+                let is_odd = columns < 3 || rows < 3 || markers > u64::from(MARKERS);
+                let large = TargetProblem::LargeMarkers { marker_m, square_m };
+                edge("a square", square_m)
+                    .or_else(|| edge("a marker", marker_m))
+                    .or(is_odd.then_some(TargetProblem::Squares {
+                        columns,
+                        rows,
+                        most: MARKERS,
+                    }))
+                    .or((marker_m > 0.9 * square_m).then_some(large))
+            }
         }
     }
 

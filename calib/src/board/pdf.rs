@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::{Target, charuco_square, tag_cells};
-use crate::Error;
+use crate::{Error, TargetProblem};
 
 /// Points of a PDF per metre.
 const POINTS_PER_M: f64 = 72.0 / 0.0254;
@@ -58,28 +58,24 @@ impl Target {
 
     /// The board as a PDF of the size `page`, centred, with a ruler of 100 mm to check the printer by.
     pub fn to_pdf(&self, page: PageSize) -> Result<Vec<u8>, Error> {
-        let target = |problem| Error::Target { problem };
         if let Some(problem) = self.problem() {
-            return Err(target(problem));
+            return Err(problem.into());
         }
         let size = self.printed_size();
         let (width, height) = (page.width_m * POINTS_PER_M, page.height_m * POINTS_PER_M);
         if !(width > 0.0 && height > 0.0 && width.max(height) <= MAX_POINTS) {
-            return Err(target(format!(
-                "a page of {} × {} m: at most {:.2} m are possible",
-                page.width_m,
-                page.height_m,
-                MAX_POINTS / POINTS_PER_M
-            )));
+            let problem = TargetProblem::Page {
+                page_m: [page.width_m, page.height_m],
+                most_m: MAX_POINTS / POINTS_PER_M,
+            };
+            return Err(problem.into());
         }
         if size.width_m > page.width_m || size.height_m > page.height_m {
-            return Err(target(format!(
-                "the pattern is {:.0} × {:.0} mm and the page {:.0} × {:.0} mm: choose a larger page or smaller squares",
-                size.width_m * 1e3,
-                size.height_m * 1e3,
-                page.width_m * 1e3,
-                page.height_m * 1e3
-            )));
+            let problem = TargetProblem::LargePattern {
+                pattern_m: [size.width_m, size.height_m],
+                page_m: [page.width_m, page.height_m],
+            };
+            return Err(problem.into());
         }
         let mut drawing = String::from("0 g\n");
         let left = 0.5 * (page.width_m - size.width_m);

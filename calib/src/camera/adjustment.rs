@@ -12,8 +12,9 @@ use super::guess::{self, fit_lens, lens_rays, pose_of_target};
 use super::pairing;
 use super::pose_choice::{most_central, spread};
 use super::{CameraConfig, CameraViews};
+use crate::Error;
+use crate::JoinProblem;
 use crate::board::Target;
-use crate::error::{Error, missed};
 use crate::projection::lens_camera;
 
 /// A camera on its way.
@@ -127,10 +128,7 @@ pub(super) fn adjust_each_then_all<'a>(
                 false => camera,
             },
             first,
-            problem: format!(
-                "each for itself sees the target well, together {}: they are not triggered together, their stamps are off, or one of them is loose",
-                missed(rms_px)
-            ),
+            cause: JoinProblem::MissTogether { rms_px },
         },
         other => other,
     })
@@ -168,23 +166,14 @@ fn relative_pose(
         return Err(Error::NotJoined {
             first: first.views.name.clone(),
             second: other.views.name.clone(),
-            problem: "they see the board from opposite ends: for one of them it is upside down, or one of them is mounted so. A checkerboard with an odd number of inner corners along one edge and an even one along the other tells its ends apart"
-                .into(),
+            cause: JoinProblem::OppositeEnds,
         });
     }
     if let Some(by) = pairing::shift(first_from_target, other_from_target) {
-        let (first, other) = (&first.views.name, &other.views.name);
         return Err(Error::NotJoined {
-            first: first.clone(),
-            second: other.clone(),
-            problem: format!(
-                "their pairs are shifted: images of {other} belong to those that {first} took {} {}: they are not triggered together, or one of them lost images before they were numbered",
-                match by.abs() {
-                    1 => "one instant".to_owned(),
-                    n => format!("{n} instants"),
-                },
-                if by > 0 { "before" } else { "after" }
-            ),
+            first: first.views.name.clone(),
+            second: other.views.name.clone(),
+            cause: JoinProblem::ShiftedPairs { by },
         });
     }
     most_central(&candidates)
@@ -192,10 +181,10 @@ fn relative_pose(
         .ok_or_else(|| Error::NotJoined {
             first: first.views.name.clone(),
             second: other.views.name.clone(),
-            problem: format!(
-                "both see the target at {} instants, {MIN_SHARED} are needed: check that they are triggered together and overlap",
-                candidates.len()
-            ),
+            cause: JoinProblem::FewInstants {
+                shared: candidates.len(),
+                needed: MIN_SHARED,
+            },
         })
 }
 

@@ -179,7 +179,7 @@ pub fn calibrate_cameras(
 ) -> Result<CameraCalibration, Error> {
     config.check_bounds("camera")?;
     if let Some(problem) = target.problem() {
-        return Err(Error::Target { problem });
+        return Err(problem.into());
     }
     expect_different_images(cameras)?;
     let ordered = in_order(cameras);

@@ -11,9 +11,9 @@ use lsfb_types::{Image, Progress, ProgressFn, Stopped};
 use rayon::prelude::*;
 
 use super::CameraViews;
-use crate::Error;
 use crate::board::Target;
 use crate::detect::{Corner, Instead, detect, seen_instead};
+use crate::{Error, SeenInstead};
 
 /// The JPEG, PNG and BMP files of a folder in the order of their names; numbers in names count as numbers.
 pub fn image_files(folder: &Path) -> Result<Vec<PathBuf>, Error> {
@@ -221,14 +221,9 @@ fn gather(name: &str, target: &Target, looked: Vec<Looked>) -> Result<CameraView
             camera: name.to_owned(),
             target: target.describe(),
             images,
-            problem: if mirrored >= others {
-                format!(
-                    "{mirrored} show its tags mirrored: have the camera's driver not flip its images, or print the board again"
-                )
-            } else {
-                format!(
-                    "{others} show tags that are none of its own: another family than 36h11, or other numbers than those from 0 on"
-                )
+            instead: match mirrored >= others {
+                true => SeenInstead::Mirrored { images: mirrored },
+                false => SeenInstead::OtherTags { images: others },
             },
         });
     }

@@ -5,10 +5,10 @@ use lsfb_types::{Bounds, Finding, ImuSample, OutOfBounds, Timestamp, Verdict};
 
 use super::state::Sample;
 use super::{CameraImuCalibration, CameraImuConfig, KnownCamera};
-use crate::Error;
 use crate::board::Target;
 use crate::camera::expect_different_images;
 use crate::stamps::{CAMERA_HZ, IMU_HZ, expect_nanoseconds};
+use crate::{BadImu, Error, JoinProblem, WrongUnit};
 
 /// Samples at the end of a range that make it one, and how many of them in a row.
 const SATURATED: usize = 5;
@@ -32,7 +32,7 @@ pub(super) fn before(
     config: &CameraImuConfig,
 ) -> Result<(), Error> {
     if let Some(problem) = target.problem() {
-        return Err(Error::Target { problem });
+        return Err(problem.into());
     }
     config.check_bounds("camera_imu")?;
     for (name, density) in [
@@ -52,7 +52,7 @@ pub(super) fn before(
         return Err(Error::NotJoined {
             first: twice[0].into(),
             second: twice[1].into(),
-            problem: "a camera is named twice".into(),
+            cause: JoinProblem::NamedTwice,
         });
     }
     Ok(())
@@ -79,9 +79,7 @@ pub(super) fn units(cameras: &[KnownCamera], imu: &[(Timestamp, ImuSample)]) -> 
     if fast > FASTEST_RAD_S {
         return Err(Error::Unit {
             what: "the gyroscope".to_owned(),
-            problem: format!(
-                "a tenth of its samples turns faster than {fast:.0} rad/s: they are in degrees per second, radians per second are needed"
-            ),
+            problem: WrongUnit::Degrees { rate_rad_s: fast },
         });
     }
     Ok(())
@@ -114,17 +112,12 @@ pub(super) fn unit_of_accelerometer(
     if RIGHT_UNIT.contains(&share) {
         return Ok(());
     }
-    let advice = if IN_G.contains(&share) {
-        "it counts in g: give m/s²"
-    } else {
-        "check its unit and its range, and that gravity was not taken off"
+    let bad = BadImu::Gravity {
+        mean_m_s2,
+        gravity_m_s2: config.gravity_m_s2,
+        is_in_g: IN_G.contains(&share),
     };
-    Err(Error::Imu {
-        problem: format!(
-            "the accelerometer reads {mean_m_s2:.2} m/s² on average where gravity is {:.2}: {advice}",
-            config.gravity_m_s2
-        ),
-    })
+    Err(bad.into())
 }
 
 impl CameraImuCalibration {
@@ -170,19 +163,14 @@ pub(super) fn agree(first: &str, second: &str, seen: &Se3, from_rig: &Se3) -> Re
         return Ok(());
     }
     let (back_rad, back_m) = apart(&from_rig.inverse(), seen);
-    let problem = if back_rad < MAX_TURN_RAD && back_m < MAX_SHIFT_M {
-        "their views are swapped: each fits the other's place on the rig".to_owned()
-    } else {
-        format!(
-            "seen from each other they stand {:.1}° and {:.0} mm from where the rig has them: check which camera is which, or calibrate the cameras first",
-            turn_rad.to_degrees(),
-            shift_m * 1e3
-        )
+    let cause = match back_rad < MAX_TURN_RAD && back_m < MAX_SHIFT_M {
+        true => JoinProblem::Swapped,
+        false => JoinProblem::Misplaced { turn_rad, shift_m },
     };
     Err(Error::NotJoined {
         first: first.into(),
         second: second.into(),
-        problem,
+        cause,
     })
 }
 

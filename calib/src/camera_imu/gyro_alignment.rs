@@ -6,7 +6,7 @@ use lsfb_perception::gyro::IntegratedGyro;
 
 use super::CameraImuConfig;
 use super::state::Sample;
-use crate::Error;
+use crate::{BadImu, Error, JoinProblem, PoorMotion};
 
 /// Views closer than this give an angular velocity, seconds.
 const NEIGHBOURS_S: f64 = 0.2;
@@ -72,17 +72,18 @@ impl GyroAlignment {
 
     /// Offset and orientation of the camera named `camera`; an error where the clocks cannot belong together.
     pub fn solve(&self, camera: &str, config: &CameraImuConfig) -> Result<Aligned, Error> {
-        let not_joined = |problem: String| Error::NotJoined {
+        let not_joined = |cause: JoinProblem| Error::NotJoined {
             first: camera.to_owned(),
             second: "the IMU".into(),
-            problem,
+            cause,
         };
         if self.seen.len() < MIN_RATES {
             let length_s = self.gyro.span_s().map_or(0.0, |span| span[1]);
-            return Err(not_joined(format!(
-                "{} pairs of neighbouring views lie within the IMU's {length_s:.1} s, {MIN_RATES} are needed: check the clocks",
-                self.seen.len()
-            )));
+            return Err(not_joined(JoinProblem::FewRates {
+                pairs: self.seen.len(),
+                length_s,
+                needed: MIN_RATES,
+            }));
         }
         let all = 0..self.seen.len();
         let offset_s = self.offset_s(all.clone(), config.max_offset_s, OFFSET_STEP_S);
@@ -93,22 +94,20 @@ impl GyroAlignment {
         }
         if self.seen.len() >= 2 * MIN_RATES_OF_PART {
             let half = self.seen.len() / 2;
-            let [start_s, end_s] = [0..half, half..self.seen.len()]
+            let [first_half_s, second_half_s] = [0..half, half..self.seen.len()]
                 .map(|part| self.offset_s(part, config.max_offset_s, OFFSET_STEP_S));
             // Halves are half the recording apart: over all of it the drift is twice that.
-            if 2.0 * (end_s - start_s).abs() > config.max_drift_s + 2.0 * OFFSET_STEP_S {
-                return Err(not_joined(format!(
-                    "their clocks are not synchronised: the offset is {:.1} ms in the first half and {:.1} ms in the second",
-                    start_s * 1e3,
-                    end_s * 1e3
-                )));
+            if 2.0 * (second_half_s - first_half_s).abs() > config.max_drift_s + 2.0 * OFFSET_STEP_S
+            {
+                return Err(not_joined(JoinProblem::ClocksDrift {
+                    first_half_s,
+                    second_half_s,
+                }));
             }
         }
         let (camera_rates, rig_rates) = self.pairs(0..self.seen.len(), offset_s);
         let aligned =
-            umeyama(&rig_rates, &camera_rates, Scale::Fixed).ok_or_else(|| Error::Motion {
-                problem: "it turns about one axis alone: turn the rig about all three".into(),
-            })?;
+            umeyama(&rig_rates, &camera_rates, Scale::Fixed).ok_or(PoorMotion::OneAxis)?;
         let camera_from_rig = aligned.target_from_source.rotation;
         if about_other_axes(&camera_rates, &rig_rates, &camera_from_rig) > OTHER_AXES {
             let mirrored: Vec<Vector3<f64>> = camera_rates.iter().map(|c| -c).collect();
@@ -116,14 +115,12 @@ impl GyroAlignment {
                 let turn = a.target_from_source.rotation;
                 about_other_axes(&mirrored, &rig_rates, &turn) < OTHER_AXES
             });
-            let problem = if left_handed {
-                "the gyroscope's axes are left-handed beside the camera: one has the wrong sign, or two are exchanged"
-            } else {
-                "camera and gyroscope turn equally fast, but about axes that no mounting explains: an axis of the gyroscope has the wrong scale, or its columns are mixed up"
+            let camera = camera.to_owned();
+            let bad = match left_handed {
+                true => BadImu::LeftHanded { camera },
+                false => BadImu::OtherAxes { camera },
             };
-            return Err(Error::Imu {
-                problem: format!("{camera}: {problem}"),
-            });
+            return Err(bad.into());
         }
         Ok(Aligned {
             offset_s,
@@ -132,7 +129,7 @@ impl GyroAlignment {
     }
 
     /// Why no offset that is allowed makes camera and gyroscope turn alike.
-    fn why_apart(&self, agreement: f64, config: &CameraImuConfig) -> String {
+    fn why_apart(&self, agreement: f64, config: &CameraImuConfig) -> JoinProblem {
         let all = 0..self.seen.len();
         // No offset fits samples in degrees, so that the best one is any; the camera's rates in degrees are tried instead.
         let in_degrees = Self {
@@ -145,21 +142,21 @@ impl GyroAlignment {
         };
         let offset_s = in_degrees.offset_s(all.clone(), config.max_offset_s, OFFSET_STEP_S);
         if in_degrees.agreement(all.clone(), offset_s) >= LEAST_AGREEMENT {
-            return "camera and gyroscope turn alike once its samples are taken for degrees: they are in degrees per second, radians per second are needed".to_owned();
+            return JoinProblem::InDegrees;
         }
         let far_s = self.offset_s(all.clone(), FAR_OFFSET_S, FAR_STEP_S);
         let (camera, _) = self.pairs(all.clone(), far_s);
         let enough = camera.len() as f64 > FAR_VIEWS * self.seen.len() as f64;
         if enough && self.agreement(all.clone(), far_s) >= LEAST_AGREEMENT {
-            return format!(
-                "their clocks are not synchronised: they turn alike once {far_s:+.2} s are added to the camera's stamps, more than max_offset_s = {} allows. Correct the stamps (`lsfb clock` compares clocks), or raise max_offset_s",
-                config.max_offset_s
-            );
+            return JoinProblem::FarOffset {
+                offset_s: far_s,
+                largest_s: config.max_offset_s,
+            };
         }
-        format!(
-            "camera and gyroscope do not turn alike at any offset within {FAR_OFFSET_S} s ({:.0} % of their turning agrees): their clocks are not synchronised, jump, or one of them is another device's",
-            100.0 * agreement.max(0.0)
-        )
+        JoinProblem::TurnApart {
+            within_s: FAR_OFFSET_S,
+            agreement,
+        }
     }
 
     /// The integral up to a time, and how many samples before its end say nothing.

@@ -3,9 +3,9 @@
 use lsfb_geometry::Vector2;
 
 use super::state::{State, View};
-use crate::Error;
 use crate::board::Target;
 use crate::clusters::{Clusters, share_of_board};
+use crate::{Error, JoinProblem};
 
 /// Corners that miss by more than this many times the median are outliers.
 const OUTLIER_RATIO: f64 = 5.0;
@@ -90,10 +90,10 @@ impl State {
                 return Err(Error::NotJoined {
                     first: self.cameras[k].name.clone(),
                     second: "the IMU".to_owned(),
-                    problem: format!(
-                        "each view for itself is met to {:.1} px, all of them along one motion with the IMU's samples miss by {median:.1} px: an axis of the accelerometer has the wrong sign or is exchanged, the images are mirrored, or the board is of quite another size",
-                        self.cameras[k].alone_px
-                    ),
+                    cause: JoinProblem::MissAlongMotion {
+                        alone_px: self.cameras[k].alone_px,
+                        together_px: median,
+                    },
                 });
             }
             if !(median < MAX_MEDIAN_PX) {

@@ -13,11 +13,11 @@ use super::gyro_alignment::GyroAlignment;
 use super::inertial::{AccelAxes, GyroAxes};
 use super::state::{Mounted, Sample, State, View};
 use super::{CameraImuConfig, Clock, KnownCamera, Motion, ORDER, checks};
-use crate::Error;
 use crate::board::Target;
 use crate::camera::pose_of_target;
 use crate::coverage::corners_by_cell;
 use crate::residual_diagnosis::Field;
+use crate::{Error, JoinProblem, PoorMotion};
 
 /// Corners farther than this from the first pose are outliers from the start, pixels.
 const FIRST_LIMIT_PX: f64 = 4.0;
@@ -75,11 +75,12 @@ impl State {
             return Err(Error::NotJoined {
                 first: first.views.name.clone(),
                 second: "the IMU".into(),
-                problem: format!(
-                    "{} of the samples from {length_s:.1} s lie within {} s of a view, {MIN_SAMPLES} are needed: check the clocks",
-                    samples.len(),
-                    config.max_offset_s
-                ),
+                cause: JoinProblem::FewSamples {
+                    samples: samples.len(),
+                    length_s,
+                    within_s: config.max_offset_s,
+                    needed: MIN_SAMPLES,
+                },
             });
         }
         checks::unit_of_accelerometer(&samples, config)?;
@@ -115,9 +116,7 @@ impl State {
         }
         let path = path_of(&mounted, &seen, origin);
         let (Some(start), Some(end)) = (path.poses().first(), path.poses().last()) else {
-            return Err(Error::Motion {
-                problem: "the target is never seen".into(),
-            });
+            return Err(PoorMotion::NothingSeen.into());
         };
         let start_s = (start.time.secs_since(origin) - MARGIN_S).max(0.0);
         let end_s = end.time.secs_since(origin) + MARGIN_S;
@@ -189,12 +188,12 @@ fn samples_of(
     imu: &[(Timestamp, ImuSample)],
     cameras: &[KnownCamera],
 ) -> Result<(Timestamp, Vec<Sample>), Error> {
-    let not_joined = |problem: String| Error::NotJoined {
+    let not_joined = |cause: JoinProblem| Error::NotJoined {
         first: cameras
             .first()
             .map_or_else(|| "no camera".into(), |c| c.views.name.clone()),
         second: "the IMU".into(),
-        problem,
+        cause,
     };
     let mut imu: Vec<&(Timestamp, ImuSample)> = imu.iter().collect();
     // Of samples with one stamp the same one stays in whatever order they come.
@@ -210,7 +209,7 @@ fn samples_of(
     });
     imu.dedup_by_key(|s| s.0);
     let Some(first) = imu.first() else {
-        return Err(not_joined("there is no IMU sample".into()));
+        return Err(not_joined(JoinProblem::NoSample));
     };
     let origin = first.0;
     let column = |value: &dyn Fn(&ImuSample) -> f64| {
@@ -234,10 +233,7 @@ fn samples_of(
         .iter()
         .find(|s| !finite(&s.gyro) || !finite(&s.accel))
     {
-        return Err(not_joined(format!(
-            "the IMU sample at {:.3} s is not a number",
-            bad.time_s
-        )));
+        return Err(not_joined(JoinProblem::BadSample { time_s: bad.time_s }));
     }
     Ok((origin, samples))
 }
@@ -385,22 +381,19 @@ fn excitation(samples: &[Sample]) -> [Vector3<f64>; 2] {
 
 /// An error where an axis is not turned about.
 fn check_rotation(rate_rms: &Vector3<f64>, config: &CameraImuConfig) -> Result<(), Error> {
-    let poor: Vec<String> = ["x", "y", "z"]
-        .iter()
-        .zip(rate_rms.iter())
-        .filter(|(_, rate)| !(**rate >= config.min_rate_rad_s))
-        .map(|(axis, rate)| format!("{axis} ({rate:.3} rad/s rms)"))
+    let axes: Vec<(&str, f64)> = ["x", "y", "z"]
+        .into_iter()
+        .zip(rate_rms.iter().copied())
+        .filter(|(_, rate)| !(*rate >= config.min_rate_rad_s))
         .collect();
-    if poor.is_empty() {
+    if axes.is_empty() {
         return Ok(());
     }
-    Err(Error::Motion {
-        problem: format!(
-            "rotate more around {}: at least {} rad/s rms are needed",
-            poor.join(" and "),
-            config.min_rate_rad_s
-        ),
-    })
+    let poor = PoorMotion::FewTurns {
+        axes,
+        needed_rad_s: config.min_rate_rad_s,
+    };
+    Err(poor.into())
 }
 
 /// Compares the poses of two cameras to each other, seen at shared stamps, with the rig's.

@@ -4,7 +4,7 @@ use lsfb_perception::statistics::median;
 use lsfb_types::{Finding, ImuSample, Limit, Timestamp, Verdict};
 
 use super::ImuNoiseConfig;
-use crate::Error;
+use crate::{Error, NoRest};
 
 /// Share of samples that may be missing before it is an error.
 const MOST_MISSING: f64 = 0.01;
@@ -26,19 +26,19 @@ fn value(sample: &ImuSample, axis: usize) -> f64 {
 
 impl Log {
     pub fn new(imu: &[(Timestamp, ImuSample)], config: &ImuNoiseConfig) -> Result<Self, Error> {
-        let refuse = |problem: String| Err(Error::NotAtRest { problem });
         let mut imu: Vec<&(Timestamp, ImuSample)> = imu.iter().collect();
         imu.sort_by_key(|s| s.0);
         imu.dedup_by_key(|s| s.0);
         let (Some(first), Some(last)) = (imu.first(), imu.last()) else {
-            return refuse("there is no sample".into());
+            return Err(NoRest::NoSample.into());
         };
         let duration_s = last.0.secs_since(first.0);
         if !(duration_s >= config.min_duration_s) {
-            return refuse(format!(
-                "it lasts {duration_s:.1} s, at least {} s are needed; for the random walk two hours",
-                config.min_duration_s
-            ));
+            let short = NoRest::Short {
+                length_s: duration_s,
+                needed_s: config.min_duration_s,
+            };
+            return Err(short.into());
         }
         let intervals: Vec<f64> = imu.windows(2).map(|w| w[1].0.secs_since(w[0].0)).collect();
         let median_s = median(intervals.clone()).unwrap_or(f64::INFINITY);
@@ -48,12 +48,10 @@ impl Log {
             .filter(|n| *n > 0.0)
             .sum();
         let all = imu.len() as f64 + missing;
-        let text = format!("{missing:.0} of {all:.0} samples are missing");
         if missing > MOST_MISSING * all {
-            return refuse(format!(
-                "{text}: clusters would not be even; find out why they are lost (lsfb doctor)"
-            ));
+            return Err(NoRest::Missing { missing, all }.into());
         }
+        let text = format!("{missing:.0} of {all:.0} samples are missing");
         let verdict = Verdict::Warn.unless(missing == 0.0);
         let samples = Finding::new("missing-samples", verdict, "samples", text)
             .value(missing, "samples")
@@ -61,18 +59,16 @@ impl Log {
             .remedy("find out why they are lost with `lsfb doctor`: clusters are that much uneven");
         let axes: [Vec<f64>; 6] =
             std::array::from_fn(|axis| imu.iter().map(|s| value(&s.1, axis)).collect());
-        if let Some(bad) = axes
+        if let Some(index) = axes
             .iter()
             .flat_map(|a| a.iter().position(|v| !v.is_finite()))
             .min()
         {
-            return refuse(format!("sample {bad} is not a number"));
+            return Err(NoRest::BadSample { index }.into());
         }
         let interval_s = duration_s / (imu.len() as f64 - 1.0 + missing);
-        if let Some(at_s) = first_motion(&axes, interval_s, config) {
-            return refuse(format!(
-                "it moves {at_s:.0} s after its start: put it on solid ground, away from steps and fans, and record again"
-            ));
+        if let Some(after_s) = first_motion(&axes, interval_s, config) {
+            return Err(NoRest::Moved { after_s }.into());
         }
         Ok(Self {
             axes,

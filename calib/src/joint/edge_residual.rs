@@ -8,7 +8,7 @@ use lsfb_geometry::{Matrix6, Se3, Vector6, se3};
 use lsfb_solver::{Linearization, Parameters, Residual, Shape, Undefined};
 
 use super::{IMU, JointConfig, LIDAR, Weights};
-use crate::{Error, TransformEdge};
+use crate::{Error, JoinProblem, TransformEdge};
 
 /// An edge in the direction that Eq. 3 has it: to the IMU, or from the LiDAR.
 #[derive(Clone, Debug)]
@@ -28,7 +28,7 @@ impl GraphEdge {
             return Err(Error::NotJoined {
                 first: edge.target.clone(),
                 second: edge.source.clone(),
-                problem: "a transform joins two different sensors".to_owned(),
+                cause: JoinProblem::SameSensor,
             });
         }
         let turn = edge.target == LIDAR || edge.source == IMU;

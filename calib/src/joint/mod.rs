@@ -21,7 +21,7 @@ use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
 pub use crate::transform::{IMU, LIDAR};
-use crate::{Error, TransformEdge};
+use crate::{Error, JoinProblem, TransformEdge};
 use edge_residual::GraphEdge;
 
 /// Where covariances come from.
@@ -261,12 +261,12 @@ fn start(graph: &[GraphEdge]) -> Result<BTreeMap<String, Se3>, Error> {
         Some(name) => Err(Error::NotJoined {
             first: IMU.to_owned(),
             second: name.clone(),
-            problem: "no chain of transforms joins them: add one between a camera and the IMU (from a rig, or of `lsfb calib camera-imu`)".to_owned(),
+            cause: JoinProblem::NoChain,
         }),
         None if poses.len() < 2 => Err(Error::NotJoined {
             first: IMU.to_owned(),
             second: "any sensor".to_owned(),
-            problem: "no transform was given".to_owned(),
+            cause: JoinProblem::NoTransform,
         }),
         None => Ok(poses),
     }

@@ -12,8 +12,8 @@ use super::plane::{Spread, regress};
 use super::problem::{APPARENT_SIGMA_M, Factors, Reach, Shift, State, build, plane_error};
 use super::solved::{Solved, Used};
 use super::{LidarCameraConfig, MountedBoard, Scene};
-use crate::Error;
 use crate::scatter::Scatter;
+use crate::{Error, JoinProblem};
 
 /// Median of a chi-square with three degrees of freedom.
 const MEDIAN_CHI_SQUARE: f64 = 2.366;
@@ -102,11 +102,10 @@ pub(super) fn adjust(
                 return Err(Error::NotJoined {
                     first: camera.to_owned(),
                     second: "lidar".to_owned(),
-                    problem: format!(
-                        "{} poses remain, {} are needed: record more",
-                        used.len(),
-                        config.min_poses
-                    ),
+                    cause: JoinProblem::FewPoses {
+                        left: used.len(),
+                        needed: config.min_poses,
+                    },
                 });
             }
             _ => {
@@ -266,7 +265,7 @@ fn converge(
     Err(Error::NotJoined {
         first: "camera".to_owned(),
         second: "lidar".to_owned(),
-        problem: "no round of weights ended".to_owned(),
+        cause: JoinProblem::WeightsUnsettled,
     })
 }
 

@@ -6,7 +6,7 @@ use nalgebra::Matrix3;
 
 use super::candidates::Patch;
 use super::{LidarCameraConfig, MountedBoard, Scene};
-use crate::Error;
+use crate::{Error, JoinProblem, WrongSize};
 
 /// Length at which a normal counts like a point, metres: a degree then weighs like 17 mm.
 const NORMAL_M: f64 = 1.0;
@@ -72,12 +72,12 @@ pub(super) fn join(
     if let Some((other, scale)) = best
         && other < CLEARLY_BETTER * as_said
     {
-        return Err(Error::BoardSize {
-            problem: format!(
-                "images of {camera} fit the LiDAR when the pattern is made about {scale:.2} times as large, {}: measure it",
-                board.target.scaled_words(scale)
-            ),
-        });
+        let wrong = WrongSize::OtherScale {
+            camera: camera.to_owned(),
+            factor: scale,
+            edges: board.target.scaled_words(scale),
+        };
+        return Err(wrong.into());
     }
     let needed = config.min_poses.max(seen.div_ceil(2));
     let agree = found
@@ -87,11 +87,11 @@ pub(super) fn join(
         return Err(Error::NotJoined {
             first: camera.to_owned(),
             second: "lidar".to_owned(),
-            problem: format!(
-                "patches like the board were found in {seen} of {} scans, but no transform takes {} of them to where the camera sees it: check that scans and images belong together and that the board stood still and free",
-                scenes.len(),
-                needed
-            ),
+            cause: JoinProblem::NoTransformFits {
+                found: seen,
+                scans: scenes.len(),
+                needed,
+            },
         });
     }
     let Some(joined) = found else {
@@ -281,19 +281,16 @@ fn check_sides(board: &MountedBoard, scenes: &[Scene], joined: &Joined) -> Resul
         }
     }
     if !square && exchanged > 2 * same {
-        return Err(Error::BoardSize {
-            problem: format!(
-                "the plate's longer side lies along the pattern's {} axis in {exchanged} of {} poses, but {:.0} × {:.0} mm was said: exchange its width and height",
-                if board.width_m > board.height_m {
-                    "y"
-                } else {
-                    "x"
-                },
-                same + exchanged,
-                board.width_m * 1e3,
-                board.height_m * 1e3
-            ),
-        });
+        let wrong = WrongSize::Exchanged {
+            longer_axis: match board.width_m > board.height_m {
+                true => 'y',
+                false => 'x',
+            },
+            exchanged,
+            poses: same + exchanged,
+            plate_m: [board.width_m, board.height_m],
+        };
+        return Err(wrong.into());
     }
     Ok(())
 }

@@ -6,6 +6,7 @@ use lsfb_types::{Finding, Limit, Verdict};
 use super::association::direction_name;
 use super::solved::{Solved, patch};
 use super::{LidarCameraCalibration, MountedBoard, Scene};
+use crate::PatternExcess;
 use crate::findings::unseen_corners;
 
 /// Apparent excess of half the plate that the width of the beam does not explain, metres.
@@ -126,7 +127,7 @@ pub(super) fn findings(
     let limit = (4.0 * c.scale_sigma).max(LARGE_SCALE);
     let off = c.scale - 1.0;
     let what = if off.abs() > limit {
-        size_words(board, c.scale, c.scale_sigma)
+        pattern_excess(board, c.scale, c.scale_sigma).to_string()
     } else {
         format!(
             "the pattern is as large as said, by the LiDAR (± {:.1} %)",
@@ -281,14 +282,11 @@ fn spreads(c: &LidarCameraCalibration) -> impl Iterator<Item = Finding> {
     })
 }
 
-/// What the scale of the camera's scene says of the pattern, in words.
-pub(super) fn size_words(board: &MountedBoard, scale: f64, scale_sigma: f64) -> String {
-    let excess = 1.0 / scale - 1.0;
-    format!(
-        "the pattern is {:.1} ± {:.1} % {} than said, by the LiDAR: {}",
-        excess.abs() * 100.0,
-        scale_sigma / (scale * scale) * 100.0,
-        if excess > 0.0 { "larger" } else { "smaller" },
-        board.target.scaled_words(1.0 / scale)
-    )
+/// What the scale of the camera's scene says of the pattern.
+pub(super) fn pattern_excess(board: &MountedBoard, scale: f64, scale_sigma: f64) -> PatternExcess {
+    PatternExcess {
+        share: 1.0 / scale - 1.0,
+        sigma: scale_sigma / (scale * scale),
+        edges: board.target.scaled_words(1.0 / scale),
+    }
 }

@@ -34,9 +34,9 @@ use nalgebra::Matrix6;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::Error;
 use crate::board::Target;
 use crate::detect::Corner;
+use crate::{Error, TargetProblem};
 use motion::Track;
 
 pub use poses::{RecordingConfig, poses_from_folder, poses_from_recording};
@@ -425,22 +425,19 @@ impl Scene<'_> {
 
 impl MountedBoard {
     fn check(&self) -> Result<(), Error> {
-        let target = |problem: String| Err(Error::Target { problem });
         if let Some(problem) = self.target.problem() {
-            return target(problem);
+            return Err(problem.into());
         }
         let size = self.target.corners_size();
         let room = [self.width_m - size[0], self.height_m - size[1]];
         let fits =
             (0..2).all(|k| room[k].is_finite() && room[k] + 1e-9 >= 2.0 * self.offset_m[k].abs());
         if !fits {
-            return target(format!(
-                "a plate of {:.0} × {:.0} mm does not hold corners over {:.0} × {:.0} mm: give its width along the pattern's x axis, then its height",
-                self.width_m * 1e3,
-                self.height_m * 1e3,
-                size[0] * 1e3,
-                size[1] * 1e3
-            ));
+            let problem = TargetProblem::SmallPlate {
+                plate_m: [self.width_m, self.height_m],
+                corners_m: size,
+            };
+            return Err(problem.into());
         }
         Ok(())
     }

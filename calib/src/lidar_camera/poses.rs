@@ -8,9 +8,9 @@ use lsfb_recording::Recording;
 use rayon::prelude::*;
 
 use super::{BoardPose, BoardSight};
-use crate::Error;
 use crate::camera::{CameraViews, last_number};
 use crate::detect::Corner;
+use crate::{Error, JoinProblem};
 use lsfb_perception::statistics::median;
 
 /// Fails where the board is in no image at all.
@@ -21,10 +21,9 @@ fn seen_at_all(views: &CameraViews) -> Result<(), Error> {
     Err(Error::NotJoined {
         first: views.name.clone(),
         second: "lidar".to_owned(),
-        problem: format!(
-            "the target was found in 0 of {} images: check its kind and size, focus, and that all of the board is lit",
-            views.images
-        ),
+        cause: JoinProblem::NotSeen {
+            images: views.images,
+        },
     })
 }
 
@@ -84,11 +83,10 @@ pub fn poses_from_folder(
         return Err(Error::NotJoined {
             first: views.name.clone(),
             second: folder.display().to_string(),
-            problem: format!(
-                "{} images with the board and {} clouds, but none with the same number",
-                views.views.len(),
-                clouds.len()
-            ),
+            cause: JoinProblem::NoSameNumber {
+                images: views.views.len(),
+                clouds: clouds.len(),
+            },
         });
     }
     pairs
@@ -167,22 +165,19 @@ pub fn poses_from_recording(
     }
     let chosen = stillest(views, &mut around, config.most);
     if chosen.is_empty() {
-        let problem = if around.is_empty() {
-            format!(
-                "{scans} scans and {} of {} images with the board, but none of one time: record both at once, and check with `lsfb clock` that their clocks agree",
-                views.views.len(),
-                views.images
-            )
-        } else {
-            format!(
-                "{scans} scans and {} images with the board, but it always moves too fast: hold board and rig still for two seconds in each pose",
-                views.views.len()
-            )
+        let (seen, images) = (views.views.len(), views.images);
+        let cause = match around.is_empty() {
+            true => JoinProblem::NoSameTime {
+                scans,
+                seen,
+                images,
+            },
+            false => JoinProblem::AlwaysMoving { scans, seen },
         };
         return Err(Error::NotJoined {
             first: views.name.clone(),
             second: "lidar".to_owned(),
-            problem,
+            cause,
         });
     }
     let mut poses = Vec::new();

@@ -8,7 +8,7 @@ use super::outline::{Edge, nearest_side};
 use super::residuals::{EdgeResidual, PlaneResidual, facing};
 use super::solved::{Solved, Used};
 use super::{MountedBoard, Scene};
-use crate::Error;
+use crate::{Error, JoinProblem};
 
 /// What an edge misses beside the angle between rays: beam width, bent plates, metres.
 const EDGE_FLOOR_M: f64 = 0.002;
@@ -301,6 +301,6 @@ fn not_finite(name: &str) -> Error {
     Error::NotJoined {
         first: name.to_owned(),
         second: "lidar".to_owned(),
-        problem: "its points lie on a line: remove this pose".to_owned(),
+        cause: JoinProblem::PointsOnALine,
     }
 }

@@ -12,10 +12,10 @@ use super::{
     BoardResiduals, LidarCameraCalibration, LidarCameraConfig, MountedBoard, PoseFit, Scene,
     checks, clocks, halves,
 };
-use crate::Error;
 use crate::coverage::COVERAGE_CELLS;
 use crate::detect::Corner;
 use crate::residual_diagnosis::{AdjustedCorner, AdjustedView, Diagnosis};
+use crate::{Error, JoinProblem, WrongSize};
 
 /// Poses from which halves are compared, and poses held back.
 const MIN_FOR_PARTS: usize = 8;
@@ -85,19 +85,19 @@ pub(super) fn summarize(
         _ => None,
     };
     // What is wrong with the corners is wrong with all that rests on them.
-    let also = match (fit.verdict, &lens_finding) {
-        (Verdict::Pass, None) => String::new(),
-        (Verdict::Pass, Some(lens)) => format!("; {}", lens.what),
-        _ => format!("; {}", fit.what),
+    let also = match fit.verdict {
+        Verdict::Pass => lens_finding.as_ref(),
+        _ => Some(&fit),
     };
+    let also = also.cloned().map(Box::new);
     if center_rms_m > STRANGERS_M {
         return Err(Error::NotJoined {
             first: camera.to_owned(),
             second: "lidar".to_owned(),
-            problem: format!(
-                "middles of the board are {:.0} mm apart where both sensors agree best: images and scans do not belong together, or the board's size is wrong{also}",
-                center_rms_m * 1e3
-            ),
+            cause: JoinProblem::MiddlesApart {
+                rms_m: center_rms_m,
+                also,
+            },
         });
     }
     let PatternSize {
@@ -106,12 +106,11 @@ pub(super) fn summarize(
     } = pattern_size(board, scenes, solved, config)?;
     let (scale, scale_sigma) = (1.0 / factor, factor_sigma / (factor * factor));
     if (scale - 1.0).abs() > (5.0 * scale_sigma).max(WRONG_SCALE) {
-        return Err(Error::BoardSize {
-            problem: format!(
-                "{}. Measure it and correct the target{also}",
-                checks::size_words(board, scale, scale_sigma)
-            ),
-        });
+        let wrong = WrongSize::Measured {
+            pattern: checks::pattern_excess(board, scale, scale_sigma),
+            also,
+        };
+        return Err(wrong.into());
     }
     let apart = Apart {
         board,

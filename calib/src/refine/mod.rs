@@ -27,7 +27,7 @@ use lsfb_recording::Recording;
 use lsfb_types::{Bounds, Progress, ProgressFn};
 use serde::{Deserialize, Serialize};
 
-use crate::{Error, recorded};
+use crate::{Error, JoinProblem, recorded};
 use camera::CameraRefinement;
 pub use page::Compared;
 pub use report::{Component, Evidence, Refinement, RefinementReport, Transfer};
@@ -83,22 +83,20 @@ pub fn refine(
     progress: ProgressFn,
 ) -> Result<RefinementReport, Error> {
     config.check_bounds("refine")?;
-    let unknown = |problem: String| Error::NotJoined {
+    let unknown = |cause: JoinProblem| Error::NotJoined {
         first: "cameras".to_owned(),
         second: "lidar".to_owned(),
-        problem,
+        cause,
     };
     let Some(lidar) = rig.lidar() else {
-        let problem = "the rig has no LiDAR: give it a pose as measured by hand";
-        return Err(unknown(problem.to_owned()));
+        return Err(unknown(JoinProblem::NoLidar));
     };
     let present = recorded::cameras(recording, rig);
     if present.is_empty() {
-        let problem = "none of the rig's cameras is in the recording: check the names";
-        return Err(unknown(problem.to_owned()));
+        return Err(unknown(JoinProblem::NoCamera));
     }
     if recording.scans().is_err() {
-        return Err(unknown("the recording has no scans".to_owned()));
+        return Err(unknown(JoinProblem::NoScans));
     }
     let gyro = recorded::gyro(recording)?;
     let scans = scan::read(recording, config.longest_s, progress)?;
@@ -107,15 +105,14 @@ pub fn refine(
         _ => 0.0,
     };
     if length_s < SHORTEST_S {
-        return Err(unknown(format!(
-            "scans of {length_s:.1} s are too short, {SHORTEST_S} s are the least and 30 s are better: walk through a furnished place and turn"
-        )));
+        return Err(unknown(JoinProblem::ShortScans {
+            length_s,
+            needed_s: SHORTEST_S,
+        }));
     }
     let followed = lidar_path::follow(&scans, rig, gyro.as_ref(), progress)?;
     let Some((path, place)) = followed.filter(|(_, place)| place.planes() >= LEAST_PLANES) else {
-        return Err(unknown(
-            "scans do not fit on each other: the LiDAR sees too few surfaces, or moves too fast: record a place with walls, floor and furniture within 20 m".to_owned(),
-        ));
+        return Err(unknown(JoinProblem::ScansUnregistered));
     };
     let mut cameras = Vec::new();
     for (k, (name, mounted)) in present.iter().enumerate() {

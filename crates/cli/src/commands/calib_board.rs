@@ -104,5 +104,6 @@ fn length(word: &str) -> Result<f64, String> {
 }
 
 fn checked(target: Target) -> Result<Target, String> {
-    target.problem().map_or(Ok(target), Err)
+    let problem = target.problem().map(|problem| problem.to_string());
+    problem.map_or(Ok(target), Err)
 }

@@ -1,3 +1,13 @@
+//! Why a calibration could not be made.
+
+mod join;
+mod reasons;
+
+pub use join::JoinProblem;
+pub use reasons::{
+    BadImu, NoRest, PatternExcess, PoorMotion, SeenInstead, TargetProblem, WrongSize, WrongUnit,
+};
+
 /// Why a calibration could not be made.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -25,11 +35,8 @@ pub enum Error {
         problem: String,
     },
     /// A board whose numbers are impossible.
-    #[error("the target is impossible: {problem}")]
-    Target {
-        /// What is wrong with it.
-        problem: String,
-    },
+    #[error("the target is impossible: {0}")]
+    Target(#[from] TargetProblem),
     /// A camera saw the target too seldom.
     #[error(
         "camera {camera}: the target was found in {found} of {images} images, {needed} are needed: check the target's kind and size ({target}), focus, and that all of the board is lit"
@@ -47,7 +54,7 @@ pub enum Error {
         target: String,
     },
     /// A camera saw another target.
-    #[error("camera {camera}: the {target} is in none of {images} images, but {problem}")]
+    #[error("camera {camera}: the {target} is in none of {images} images, but {instead}")]
     OtherTarget {
         /// The camera.
         camera: String,
@@ -56,7 +63,7 @@ pub enum Error {
         /// Images looked at.
         images: usize,
         /// What was seen, and what to do.
-        problem: String,
+        instead: SeenInstead,
     },
     /// The views do not fit the model.
     #[error(
@@ -116,36 +123,27 @@ pub enum Error {
         /// Whose numbers they are.
         what: String,
         /// What they look like, and what is needed.
-        problem: String,
+        problem: WrongUnit,
     },
     /// Cameras or sensors do not share enough.
-    #[error("{first} and {second}: {problem}")]
+    #[error("{first} and {second}: {cause}")]
     NotJoined {
         /// A sensor.
         first: String,
         /// The other.
         second: String,
         /// What is missing and what to do.
-        problem: String,
+        cause: JoinProblem,
     },
     /// The motion of the rig does not say enough.
-    #[error("the motion is too poor: {problem}")]
-    Motion {
-        /// What is missing and what to do.
-        problem: String,
-    },
+    #[error("the motion is too poor: {0}")]
+    Motion(#[from] PoorMotion),
     /// Samples of an IMU that contradict what cameras see.
-    #[error("the IMU's samples cannot be right: {problem}")]
-    Imu {
-        /// What contradicts, and what to check.
-        problem: String,
-    },
+    #[error("the IMU's samples cannot be right: {0}")]
+    Imu(#[from] BadImu),
     /// A recording from which an IMU's noise cannot be read.
-    #[error("no noise can be read from this recording: {problem}")]
-    NotAtRest {
-        /// What is wrong with it and what to do.
-        problem: String,
-    },
+    #[error("no noise can be read from this recording: {0}")]
+    NotAtRest(#[from] NoRest),
     /// A setting lies outside its bounds.
     #[error(transparent)]
     Setting(#[from] lsfb_types::OutOfBounds),
@@ -168,11 +166,8 @@ pub enum Error {
         height_m: f64,
     },
     /// What was said of the board's size is not what the sensors see.
-    #[error("the board's size is wrong: {problem}")]
-    BoardSize {
-        /// What differs, and what to measure.
-        problem: String,
-    },
+    #[error("the board's size is wrong: {0}")]
+    BoardSize(#[from] WrongSize),
     /// The board always faced the same way.
     #[error(
         "the boards' normals differ by {tilt_deg:.1}° only about one axis, {needed_deg:.0}° are needed: translation along {direction} rests on outlines alone; {advice}"

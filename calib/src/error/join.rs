@@ -1,0 +1,270 @@
+//! Why two sensors cannot be joined.
+
+use lsfb_types::Finding;
+
+use super::missed;
+
+/// What two sensors lack to be joined, and what to do about it. Times are seconds.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum JoinProblem {
+    /// A rig names one camera twice.
+    #[error("a camera is named twice")]
+    NamedTwice,
+    /// One is joined to itself.
+    #[error("a transform joins two different sensors")]
+    SameSensor,
+    /// No transforms lead from one to the other.
+    #[error(
+        "no chain of transforms joins them: add one between a camera and the IMU (from a rig, or of `lsfb calib camera-imu`)"
+    )]
+    NoChain,
+    /// There is no transform at all.
+    #[error("no transform was given")]
+    NoTransform,
+
+    /// Two cameras see the board together too seldom.
+    #[error(
+        "both see the target at {shared} instants, {needed} are needed: check that they are triggered together and overlap"
+    )]
+    FewInstants {
+        /// Instants at which both see it.
+        shared: usize,
+        /// Instants needed.
+        needed: usize,
+    },
+    /// Poses of two cameras agree if the board is turned by half a turn for one.
+    #[error(
+        "they see the board from opposite ends: for one of them it is upside down, or one of them is mounted so. A checkerboard with an odd number of inner corners along one edge and an even one along the other tells its ends apart"
+    )]
+    OppositeEnds,
+    /// Images of two cameras are paired wrongly.
+    #[error(
+        "their pairs are shifted: images of the second belong to those that the first took {} {}: they are not triggered together, or one of them lost images before they were numbered",
+        instants(*by), if *by > 0 { "before" } else { "after" }
+    )]
+    ShiftedPairs {
+        /// Instants by which the second is late.
+        by: i64,
+    },
+    /// Cameras that fit alone do not fit together.
+    #[error(
+        "each for itself sees the target well, together {}: they are not triggered together, their stamps are off, or one of them is loose",
+        missed(*rms_px)
+    )]
+    MissTogether {
+        /// Root mean square of the reprojection error of all together, pixels.
+        rms_px: f64,
+    },
+    /// Two cameras fit each other's place on the rig.
+    #[error("their views are swapped: each fits the other's place on the rig")]
+    Swapped,
+    /// Two cameras are not where the rig has them.
+    #[error(
+        "seen from each other they stand {:.1}° and {:.0} mm from where the rig has them: check which camera is which, or calibrate the cameras first",
+        turn_rad.to_degrees(), shift_m * 1e3
+    )]
+    Misplaced {
+        /// Angle between both poses, radians.
+        turn_rad: f64,
+        /// Distance between both poses, metres.
+        shift_m: f64,
+    },
+
+    /// The IMU has no sample.
+    #[error("there is no IMU sample")]
+    NoSample,
+    /// The IMU has a sample that is no number.
+    #[error("the IMU sample at {time_s:.3} s is not a number")]
+    BadSample {
+        /// Since the first sample.
+        time_s: f64,
+    },
+    /// The IMU measured while the camera saw nothing.
+    #[error(
+        "{samples} of the samples from {length_s:.1} s lie within {within_s} s of a view, {needed} are needed: check the clocks"
+    )]
+    FewSamples {
+        /// Samples near views.
+        samples: usize,
+        /// Length of all samples.
+        length_s: f64,
+        /// How near a view they must be.
+        within_s: f64,
+        /// Samples needed.
+        needed: usize,
+    },
+    /// The camera saw the board while the IMU did not measure.
+    #[error(
+        "{pairs} pairs of neighbouring views lie within the IMU's {length_s:.1} s, {needed} are needed: check the clocks"
+    )]
+    FewRates {
+        /// Pairs of views.
+        pairs: usize,
+        /// Length of the IMU's samples.
+        length_s: f64,
+        /// Pairs needed.
+        needed: usize,
+    },
+    /// The offset between two clocks is another at the end than at the start.
+    #[error(
+        "their clocks are not synchronised: the offset is {:.1} ms in the first half and {:.1} ms in the second",
+        first_half_s * 1e3, second_half_s * 1e3
+    )]
+    ClocksDrift {
+        /// Offset in the first half.
+        first_half_s: f64,
+        /// Offset in the second half.
+        second_half_s: f64,
+    },
+    /// The offset between two clocks is larger than was to be searched.
+    #[error(
+        "their clocks are not synchronised: they turn alike once {offset_s:+.2} s are added to the camera's stamps, more than max_offset_s = {largest_s} allows. Correct the stamps (`lsfb clock` compares clocks), or raise max_offset_s"
+    )]
+    FarOffset {
+        /// The offset.
+        offset_s: f64,
+        /// The largest that was searched.
+        largest_s: f64,
+    },
+    /// A gyroscope in degrees per second.
+    #[error(
+        "camera and gyroscope turn alike once its samples are taken for degrees: they are in degrees per second, radians per second are needed"
+    )]
+    InDegrees,
+    /// No offset makes a camera and the gyroscope turn alike.
+    #[error(
+        "camera and gyroscope do not turn alike at any offset within {within_s} s ({:.0} % of their turning agrees): their clocks are not synchronised, jump, or one of them is another device's",
+        100.0 * agreement.max(0.0)
+    )]
+    TurnApart {
+        /// Offsets that were tried.
+        within_s: f64,
+        /// Share of the turning that agrees with the best of them.
+        agreement: f64,
+    },
+    /// Views fit alone, but not along one motion with the IMU.
+    #[error(
+        "each view for itself is met to {alone_px:.1} px, all of them along one motion with the IMU's samples miss by {together_px:.1} px: an axis of the accelerometer has the wrong sign or is exchanged, the images are mirrored, or the board is of quite another size"
+    )]
+    MissAlongMotion {
+        /// Median error of views alone, pixels.
+        alone_px: f64,
+        /// Median error of all along one motion, pixels.
+        together_px: f64,
+    },
+
+    /// The camera never sees the board.
+    #[error(
+        "the target was found in 0 of {images} images: check its kind and size, focus, and that all of the board is lit"
+    )]
+    NotSeen {
+        /// Images looked at.
+        images: usize,
+    },
+    /// No cloud has the number of an image.
+    #[error("{images} images with the board and {clouds} clouds, but none with the same number")]
+    NoSameNumber {
+        /// Images with the board.
+        images: usize,
+        /// Clouds.
+        clouds: usize,
+    },
+    /// Scans and images are of different times.
+    #[error(
+        "{scans} scans and {seen} of {images} images with the board, but none of one time: record both at once, and check with `lsfb clock` that their clocks agree"
+    )]
+    NoSameTime {
+        /// Scans.
+        scans: usize,
+        /// Images with the board.
+        seen: usize,
+        /// Images looked at.
+        images: usize,
+    },
+    /// The board is never at rest.
+    #[error(
+        "{scans} scans and {seen} images with the board, but it always moves too fast: hold board and rig still for two seconds in each pose"
+    )]
+    AlwaysMoving {
+        /// Scans.
+        scans: usize,
+        /// Images with the board.
+        seen: usize,
+    },
+    /// Returns of a board do not span a plane.
+    #[error("its points lie on a line: remove this pose")]
+    PointsOnALine,
+    /// What looks like the board in scans is not where the camera sees it.
+    #[error(
+        "patches like the board were found in {found} of {scans} scans, but no transform takes {needed} of them to where the camera sees it: check that scans and images belong together and that the board stood still and free"
+    )]
+    NoTransformFits {
+        /// Scans with such a patch.
+        found: usize,
+        /// Scans looked at.
+        scans: usize,
+        /// Scans that must agree.
+        needed: usize,
+    },
+    /// Too few poses of the board agree.
+    #[error("{left} poses remain, {needed} are needed: record more")]
+    FewPoses {
+        /// Poses that agree.
+        left: usize,
+        /// Poses needed.
+        needed: usize,
+    },
+    /// The weights of camera and LiDAR were made anew without end.
+    #[error("the weights of camera and LiDAR do not settle: record more poses")]
+    WeightsUnsettled,
+    /// Both sensors have the board at different places.
+    #[error(
+        "middles of the board are {:.0} mm apart where both sensors agree best: images and scans do not belong together, or the board's size is wrong{}",
+        rms_m * 1e3, also_words(also)
+    )]
+    MiddlesApart {
+        /// Root mean square of the distances, metres.
+        rms_m: f64,
+        /// What else was found.
+        also: Option<Box<Finding>>,
+    },
+
+    /// The rig has no LiDAR.
+    #[error("the rig has no LiDAR: give it a pose as measured by hand")]
+    NoLidar,
+    /// The recording has other cameras than the rig.
+    #[error("none of the rig's cameras is in the recording: check the names")]
+    NoCamera,
+    /// The recording has no scans.
+    #[error("the recording has no scans")]
+    NoScans,
+    /// The scans last too short a time.
+    #[error(
+        "scans of {length_s:.1} s are too short, {needed_s} s are the least and 30 s are better: walk through a furnished place and turn"
+    )]
+    ShortScans {
+        /// Length of the scans.
+        length_s: f64,
+        /// Length needed.
+        needed_s: f64,
+    },
+    /// Scans cannot be registered to each other.
+    #[error(
+        "scans do not fit on each other: the LiDAR sees too few surfaces, or moves too fast: record a place with walls, floor and furniture within 20 m"
+    )]
+    ScansUnregistered,
+}
+
+fn instants(by: i64) -> String {
+    match by.abs() {
+        1 => "one instant".to_owned(),
+        n => format!("{n} instants"),
+    }
+}
+
+/// What else was found, behind the sentence.
+pub(super) fn also_words(also: &Option<Box<Finding>>) -> String {
+    also.as_ref()
+        .map_or_else(String::new, |finding| format!("; {}", finding.what))
+}
