@@ -17,7 +17,7 @@ const SCALES: [f64; 16] = [
     0.5, 0.6, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95, 1.05, 1.1, 1.15, 1.2, 1.3, 1.45, 1.7, 2.0,
 ];
 
-/// Another scale must lower the misfit to this share.
+/// Another scale must lower the sum of distances to this share.
 const CLEARLY_BETTER: f64 = 0.6;
 /// Pairs of poses that a transform is guessed from.
 const MOST_PAIRS: usize = 2000;
@@ -29,7 +29,7 @@ pub(super) struct Joined {
     pub patch: Vec<Option<usize>>,
     pub camera_from_lidar: Se3,
     /// Sum of what the nearest candidates miss by, those too far off counted as just that.
-    pub misfit_m: f64,
+    pub distance_sum_m: f64,
 }
 
 struct Sight<'a> {
@@ -62,12 +62,12 @@ pub(super) fn join(
         });
     }
     let found = agreeing(scenes, 1.0, MOST_PAIRS);
-    let misfit =
-        |scale: f64| agreeing(scenes, scale, FEW_PAIRS).map_or(f64::INFINITY, |j| j.misfit_m);
-    let as_said = misfit(1.0);
+    let distance_sum_m =
+        |scale: f64| agreeing(scenes, scale, FEW_PAIRS).map_or(f64::INFINITY, |j| j.distance_sum_m);
+    let as_said = distance_sum_m(1.0);
     let best = SCALES
         .iter()
-        .map(|scale| (misfit(*scale), *scale))
+        .map(|scale| (distance_sum_m(*scale), *scale))
         .min_by(|a, b| a.0.total_cmp(&b.0));
     if let Some((other, scale)) = best
         && other < CLEARLY_BETTER * as_said
@@ -154,14 +154,14 @@ fn agreeing(scenes: &[Scene], scale: f64, most_pairs: usize) -> Option<Joined> {
         }
         pose = transform(&chosen)?;
     }
-    let misfit_m = sights
+    let distance_sum_m = sights
         .iter()
         .map(|s| nearest(s, &pose).map_or(FAR_M, |n| n.1))
         .sum();
     Some(Joined {
         patch,
         camera_from_lidar: pose,
-        misfit_m,
+        distance_sum_m,
     })
 }
 

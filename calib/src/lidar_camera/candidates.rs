@@ -88,11 +88,11 @@ pub(super) fn find(
         board.width_m.max(board.height_m),
         board.width_m.min(board.height_m),
     ];
-    let misfit = |p: &Patch| {
+    let size_error = |p: &Patch| {
         let d = [0, 1].map(|k| (p.rectangle.size_m[k] / sides[k]).ln().abs());
         d[0] + d[1]
     };
-    patches.sort_by(|a, b| misfit(a).total_cmp(&misfit(b)));
+    patches.sort_by(|a, b| size_error(a).total_cmp(&size_error(b)));
     patches.truncate(MOST_CANDIDATES);
     patches
 }

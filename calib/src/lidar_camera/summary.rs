@@ -328,7 +328,7 @@ impl Apart<'_> {
         let part = Joined {
             patch: patch.collect(),
             camera_from_lidar: self.joined.camera_from_lidar,
-            misfit_m: self.joined.misfit_m,
+            distance_sum_m: self.joined.distance_sum_m,
         };
         let solved = adjust(self.board, self.camera, self.scenes, &part, self.config).ok()?;
         Some(solved.camera_from_lidar)

@@ -318,7 +318,7 @@ impl CameraRefinement<'_> {
                 needed: LEAST_BLOCKS,
             })
         } else if large.any(|(s, most)| *s > most) {
-            Some(Refusal::Misfit(*noise))
+            Some(Refusal::PoorFit(*noise))
         } else if turn_rad > FARTHEST[0] || shift_m > FARTHEST[1] {
             Some(Refusal::FarAway { turn_rad, shift_m })
         } else if after_px > WORSE[0] * before_px + WORSE[1] {

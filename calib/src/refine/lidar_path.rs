@@ -9,7 +9,7 @@ use lsfb_solver::{Kernel, PosePrior, Problem, SolveConfig, solve};
 use lsfb_types::{Progress, ProgressFn, Stopped};
 use rayon::prelude::*;
 
-use super::lidar_turning::LidarTurning;
+use super::predicted_rotation::PredictedRotation;
 use super::scan::Scan;
 use crate::plane_map::{PlaneMap, PlaneMapBuilder, register_to_planes};
 
@@ -36,7 +36,7 @@ pub(super) struct LidarPath<'a> {
     world_from_lidar: Vec<Se3>,
     /// What each scan knew of its pose, perturbed on the right.
     information: Vec<Matrix6<f64>>,
-    turning: LidarTurning<'a>,
+    turning: PredictedRotation<'a>,
 }
 
 /// The way, and the place as all scans have it; `None` where scans do not fit on each other.
@@ -49,7 +49,7 @@ pub(super) fn follow<'a>(
     let Some(lidar) = rig.lidar() else {
         return Ok(None);
     };
-    let turning = LidarTurning {
+    let turning = PredictedRotation {
         gyro,
         lidar_from_rig: lidar.rig_from_lidar.rotation.inverse(),
         bias_rad_s: Vector3::zeros(),
@@ -85,7 +85,7 @@ pub(super) fn follow<'a>(
 /// Each scan after the one before, onto planes of all before.
 fn register_in_sequence<'a>(
     scans: &[Scan],
-    turning: LidarTurning<'a>,
+    turning: PredictedRotation<'a>,
     progress: ProgressFn,
 ) -> Result<Option<LidarPath<'a>>, Stopped> {
     let mut surfaces = PlaneMapBuilder::default();

@@ -2,7 +2,7 @@
 //!
 //! | step | file |
 //! | --- | --- |
-//! | the LiDAR's path, by its own scans and the gyroscope | `scan.rs`, `lidar_path.rs`, `lidar_turning.rs` |
+//! | the LiDAR's path, by its own scans and the gyroscope | `scan.rs`, `lidar_path.rs`, `predicted_rotation.rs` |
 //! | planes of the place | `../plane_map.rs` |
 //! | corners on planes, found in images from far apart | `landmarks.rs` |
 //! | the pose at which both agree (Eq. 4) | `adjustment/`, `residuals.rs`, `noise.rs` |
@@ -14,9 +14,9 @@ mod camera;
 mod estimate;
 mod landmarks;
 mod lidar_path;
-mod lidar_turning;
 mod noise;
 mod page;
+mod predicted_rotation;
 mod refusal;
 mod report;
 mod residuals;

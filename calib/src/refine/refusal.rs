@@ -27,7 +27,7 @@ pub(super) enum Refusal {
         "corners and surfaces do not fit on each other ({:.2} px, {:.0} mm; images {:.2}° and {:.0} mm off the LiDAR's way): the rig is farther off than 2.5° and 5 cm, or the lens or a clock is wrong; look at the overlays, and run `lsfb calib verify`",
         .0.pixel_px, .0.plane_m * 1e3, .0.turn_rad.to_degrees(), .0.shift_m * 1e3
     )]
-    Misfit(Noise),
+    PoorFit(Noise),
     #[error(
         "the best pose is {:.1}° and {:.0} mm away, farther than can be vouched for: start from a rig that is right within 2.5° and 5 cm, or use `lsfb calib lidar-camera`",
         turn_rad.to_degrees(), shift_m * 1e3

@@ -3,7 +3,7 @@
 use lsfb_recording::{Recording, TopicArrivals};
 use lsfb_types::{Finding, Limit, ProgressFn, Timestamp, Verdict};
 
-use super::{Depth, DoctorConfig, Findings, last_words};
+use super::{Depth, DoctorConfig, Findings, interrupted};
 use crate::Error;
 
 /// What the recorder counts of each device that is lost, and how it is called.
@@ -118,7 +118,7 @@ impl Findings {
     pub(super) fn losses(&mut self, recording: &Recording) {
         let finding = |verdict, found: String| Finding::new("losses", verdict, "losses", found);
         let Ok(bytes) = recording.attachment("health.json") else {
-            return self.add(last_words::finding(recording));
+            return self.add(interrupted::finding(recording));
         };
         let health: serde_json::Value = serde_json::from_slice(&bytes).unwrap_or_default();
         let Some(lost) = health.get("lost").and_then(serde_json::Value::as_u64) else {

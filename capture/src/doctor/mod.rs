@@ -6,7 +6,7 @@ mod calibration;
 mod clocks;
 mod devices;
 mod file;
-mod last_words;
+mod interrupted;
 mod pace;
 mod rhythm;
 mod stamps;

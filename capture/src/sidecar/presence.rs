@@ -5,10 +5,10 @@ use std::time::{Duration, Instant};
 
 /// All that ever came.
 #[derive(Debug, Default)]
-pub(super) struct Presence(BTreeMap<String, Whereabouts>);
+pub(super) struct Presence(BTreeMap<String, DeviceState>);
 
 #[derive(Debug)]
-enum Whereabouts {
+enum DeviceState {
     There { connection: u64 },
     SaidGoodbye,
     Gone { since: Instant, why: String },
@@ -17,9 +17,9 @@ enum Whereabouts {
 impl Presence {
     /// A device is there. What an operator should know: that it was gone.
     pub(super) fn come(&mut self, device: &str, connection: u64) -> Option<String> {
-        let there = Whereabouts::There { connection };
+        let there = DeviceState::There { connection };
         match self.0.insert(device.to_owned(), there) {
-            Some(Whereabouts::Gone { since, why }) => {
+            Some(DeviceState::Gone { since, why }) => {
                 let secs = since.elapsed().as_secs_f64();
                 Some(format!("{device}: gone for {secs:.1} s, and back ({why})"))
             }
@@ -32,12 +32,12 @@ impl Presence {
         let Some(known) = self.0.get_mut(device) else {
             return;
         };
-        if !matches!(known, Whereabouts::There { connection: own } if *own == connection) {
+        if !matches!(known, DeviceState::There { connection: own } if *own == connection) {
             return;
         }
         *known = match why {
-            None => Whereabouts::SaidGoodbye,
-            Some(why) => Whereabouts::Gone {
+            None => DeviceState::SaidGoodbye,
+            Some(why) => DeviceState::Gone {
                 since: Instant::now(),
                 why,
             },
@@ -46,7 +46,7 @@ impl Presence {
 
     /// Whether somebody came and nobody is there.
     pub(super) fn is_all_gone(&self) -> bool {
-        let is_there = |w: &Whereabouts| matches!(w, Whereabouts::There { .. });
+        let is_there = |w: &DeviceState| matches!(w, DeviceState::There { .. });
         !self.0.is_empty() && !self.0.values().any(is_there)
     }
 
@@ -73,7 +73,7 @@ impl Presence {
 
     fn gone(&self) -> impl Iterator<Item = (&String, &Instant, &String)> {
         self.0.iter().filter_map(|(device, known)| match known {
-            Whereabouts::Gone { since, why } => Some((device, since, why)),
+            DeviceState::Gone { since, why } => Some((device, since, why)),
             _ => None,
         })
     }

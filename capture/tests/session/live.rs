@@ -8,7 +8,7 @@ use lsfb_drivers::sidecar::ClientConfig;
 use lsfb_drivers::transport::http::{HttpListener, HttpRequest};
 use lsfb_drivers::velodyne::settings::{SensorInfo, SensorStatus, Settings, Switch};
 use lsfb_drivers::velodyne::wire::{PpsStatus, ReturnMode};
-use lsfb_drivers::velodyne::{Obedience, SensorWeb};
+use lsfb_drivers::velodyne::{SensorWeb, SettingsHandling};
 use lsfb_recording::message::{decode_clock_model, decode_health_value};
 use lsfb_recording::{CLOCK_MODELS, HEALTH};
 
@@ -308,7 +308,7 @@ fn the_lidar_is_set_as_asked_before_it_is_recorded_and_a_refusal_is_found_out() 
     page.sensor
         .lock()
         .unwrap()
-        .set_obedience(Obedience::Ignores);
+        .set_handling(SettingsHandling::Ignores);
     let error = refused(&other);
     assert!(
         error.contains("was set to rpm=900 and reads rpm=1200"),

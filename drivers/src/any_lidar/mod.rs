@@ -120,6 +120,7 @@ macro_rules! lidars {
                         let model = match settings.model {
                             Some(Model::$Lidar(model)) => Ok(Some(model)),
                             None => Ok(None),
+                            #[allow(unreachable_patterns, reason = "where one vendor alone is built")]
                             Some(other) => Err(other),
                         };
                         let config = crate::$module::DecoderConfig::new(model.ok()?, &settings.scans);

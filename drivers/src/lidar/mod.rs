@@ -10,8 +10,10 @@ pub use angles::{AnglesError, BeamAngles};
 pub(crate) use order::{Instants, LATE_NS, MOST_LATE, Step, elapsed_ns, is_crowded, step};
 #[cfg(test)]
 pub(crate) use scan_builder::HOUR_NS;
+pub(crate) use scan_builder::ScanBuilder;
 pub use scan_builder::TURN_CENTIDEG;
-pub(crate) use scan_builder::{ScanBuilder, turn};
+#[cfg(feature = "velodyne")]
+pub(crate) use scan_builder::turn;
 
 /// Which echoes a sensor sends, as one asks for them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

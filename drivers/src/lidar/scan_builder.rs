@@ -111,6 +111,7 @@ impl ScanBuilder {
     }
 
     /// Forgets the scan: what was put into it is not to be believed.
+    #[cfg(feature = "velodyne")]
     pub fn discard(&mut self) {
         self.scan = None;
     }

@@ -33,4 +33,4 @@ pub use device::{VelodyneConfig, open};
 pub use layout::{PacketLayout, Return, returns};
 pub use model::Model;
 pub use points::OpticalOffset;
-pub use web::{Obedience, SensorPage, SensorWeb};
+pub use web::{SensorPage, SensorWeb, SettingsHandling};

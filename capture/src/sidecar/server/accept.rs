@@ -43,7 +43,7 @@ pub(super) async fn accept_all(
             continue;
         };
         connection += 1;
-        let ticket = Arc::new(shared.doors.wait(unmapped(peer.ip())));
+        let ticket = Arc::new(shared.limits.wait(unmapped(peer.ip())));
         let visit = Visit {
             connection,
             ticket: Arc::clone(&ticket),

@@ -5,8 +5,8 @@
 
 mod accept;
 mod answers;
+mod connection_limits;
 mod conversation;
-mod doors;
 mod refusals;
 mod routes;
 mod segments;
@@ -32,7 +32,7 @@ use super::sessions::{Place, Sessions};
 use super::topics::Topics;
 use crate::Error;
 use crate::receipt::Receipt;
-use doors::{Doors, Ticket};
+use connection_limits::{ConnectionLimits, Ticket};
 pub(crate) use refusals::Refusals;
 
 /// Threads of the network side.
@@ -101,7 +101,7 @@ pub(crate) enum SidecarEvent {
 #[derive(Debug)]
 struct Shared {
     pairing: PairingFolder,
-    doors: Arc<Doors>,
+    limits: Arc<ConnectionLimits>,
     refusals: Arc<Refusals>,
     /// Set when recording begins.
     recording: watch::Receiver<Option<Arc<Recorded>>>,
@@ -169,7 +169,7 @@ impl SidecarServer {
         let sessions_folder = pairing.sessions();
         let shared = Arc::new(Shared {
             pairing,
-            doors: Arc::default(),
+            limits: Arc::default(),
             refusals: Arc::clone(&refusals),
             recording: begun,
             events,

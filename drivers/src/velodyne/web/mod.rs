@@ -112,13 +112,13 @@ impl SensorPage {
     }
 }
 
-/// How a sensor takes what it is told.
+/// What a sensor does with settings that are sent to it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Obedience {
-    /// As the manual says.
+pub enum SettingsHandling {
+    /// It takes them, as the manual says.
     #[default]
-    Obeys,
-    /// It says that all is well and changes nothing.
+    Applies,
+    /// It answers that all is well and changes nothing.
     Ignores,
 }
 
@@ -129,7 +129,7 @@ pub struct SensorWeb {
     settings: Settings,
     saved: Settings,
     status: SensorStatus,
-    obedience: Obedience,
+    handling: SettingsHandling,
 }
 
 impl SensorWeb {
@@ -140,13 +140,13 @@ impl SensorWeb {
             settings: Settings::default(),
             saved: Settings::default(),
             status,
-            obedience: Obedience::default(),
+            handling: SettingsHandling::default(),
         }
     }
 
-    /// Changes how it takes what it is told.
-    pub fn set_obedience(&mut self, obedience: Obedience) {
-        self.obedience = obedience;
+    /// Changes what it does with settings that are sent to it.
+    pub fn set_handling(&mut self, handling: SettingsHandling) {
+        self.handling = handling;
     }
 
     /// Its settings now.
@@ -169,7 +169,7 @@ impl SensorWeb {
             (Method::Get, SETTINGS) => document(self.settings.emit()),
             (Method::Get, STATUS) => document(self.status.emit()),
             (Method::Get, _) => empty(404),
-            (Method::Post, _) if self.obedience == Obedience::Ignores => empty(200),
+            (Method::Post, _) if self.handling == SettingsHandling::Ignores => empty(200),
             (Method::Post, SAVE) => {
                 self.saved = self.settings;
                 empty(204)

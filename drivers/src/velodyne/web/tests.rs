@@ -109,8 +109,8 @@ fn settings_are_written_and_read_back_one_by_one() {
 fn a_sensor_that_says_yes_and_does_nothing_is_found_out() {
     let server = Server::start();
     let page = SensorPage::at(server.address);
-    let ignore = Obedience::Ignores;
-    server.sensor.lock().unwrap().set_obedience(ignore);
+    let ignore = SettingsHandling::Ignores;
+    server.sensor.lock().unwrap().set_handling(ignore);
     let error = page.apply(&changes()).unwrap_err().to_string();
     assert!(
         error.contains("was set to rpm=1200 and reads rpm=600"),

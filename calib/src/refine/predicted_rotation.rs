@@ -18,13 +18,13 @@ const STEP_S: f64 = 0.02;
 
 /// How the LiDAR turns as the gyroscope has it.
 #[derive(Clone, Copy)]
-pub(super) struct LidarTurning<'a> {
+pub(super) struct PredictedRotation<'a> {
     pub gyro: Option<&'a IntegratedGyro>,
     pub lidar_from_rig: UnitQuaternion<f64>,
     pub bias_rad_s: Vector3<f64>,
 }
 
-impl LidarTurning<'_> {
+impl PredictedRotation<'_> {
     /// How the LiDAR at one time is turned to itself at another: directions at `to_s` as it had them at `from_s`.
     pub fn between(&self, from_s: f64, to_s: f64) -> UnitQuaternion<f64> {
         self.lidar_from_rig * self.of_rig(from_s, to_s) * self.lidar_from_rig.inverse()
@@ -58,7 +58,7 @@ impl LidarTurning<'_> {
         });
         let before = *self;
         let terms = |(lidar_from_rig, bias_rad_s): &(UnitQuaternion<f64>, Vector3<f64>)| {
-            let own = LidarTurning {
+            let own = PredictedRotation {
                 lidar_from_rig: *lidar_from_rig,
                 bias_rad_s: *bias_rad_s,
                 ..before

@@ -1,4 +1,5 @@
-//! Who may wait at the door. Strangers are many, quick and patient; a paired device must get in whatever they do, so the oldest
+//! How many connections may wait before they have said who they are. Strangers are many, quick and patient; a paired device must get in
+//! whatever they do, so the oldest
 //! stranger of the busiest address makes room for whoever comes.
 
 use std::collections::BTreeMap;
@@ -17,9 +18,9 @@ const FORGOTTEN_AFTER: Duration = Duration::from_secs(60);
 /// Addresses whose failures are remembered at most.
 const MAX_ADDRESSES: usize = 1_024;
 
-/// The doors of the server.
+/// What waits, and which addresses failed too often.
 #[derive(Debug, Default)]
-pub(super) struct Doors {
+pub(super) struct ConnectionLimits {
     waiting: Mutex<Waiting>,
     failures: Mutex<BTreeMap<IpAddr, Failures>>,
 }
@@ -39,14 +40,14 @@ struct Failures {
 /// A place at the door, until it is released or dropped.
 #[derive(Debug)]
 pub(super) struct Ticket {
-    doors: Arc<Doors>,
+    limits: Arc<ConnectionLimits>,
     number: u64,
     address: IpAddr,
     sent_away: Arc<Notify>,
     is_inside: AtomicBool,
 }
 
-impl Doors {
+impl ConnectionLimits {
     /// Takes a place; whoever must make room for it is told.
     pub(super) fn wait(self: &Arc<Self>, address: IpAddr) -> Ticket {
         let sent_away = Arc::new(Notify::new());
@@ -71,7 +72,7 @@ impl Doors {
             .tickets
             .insert(number, (address, Arc::clone(&sent_away)));
         Ticket {
-            doors: Arc::clone(self),
+            limits: Arc::clone(self),
             number,
             address,
             sent_away,
@@ -89,7 +90,7 @@ impl Ticket {
     /// It is known who this is: the place at the door is free.
     pub(super) fn enter(&self) {
         self.is_inside.store(true, Ordering::Release);
-        lock(&self.doors.waiting).tickets.remove(&self.number);
+        lock(&self.limits.waiting).tickets.remove(&self.number);
     }
 
     pub(super) fn is_inside(&self) -> bool {
@@ -98,7 +99,7 @@ impl Ticket {
 
     /// An attempt has failed.
     pub(super) fn fail(&self) {
-        let mut failures = lock(&self.doors.failures);
+        let mut failures = lock(&self.limits.failures);
         failures.retain(|_, f| f.since.elapsed() < FORGOTTEN_AFTER);
         if failures.len() >= MAX_ADDRESSES && !failures.contains_key(&self.address) {
             // Whoever has so many addresses is not slowed down by this; a token has 128 bits.
@@ -113,7 +114,7 @@ impl Ticket {
 
     /// Whether too many attempts of this address failed lately.
     pub(super) fn is_barred(&self) -> bool {
-        let failures = lock(&self.doors.failures);
+        let failures = lock(&self.limits.failures);
         failures
             .get(&self.address)
             .is_some_and(|f| f.count >= MAX_FAILURES && f.since.elapsed() < FORGOTTEN_AFTER)
@@ -122,7 +123,7 @@ impl Ticket {
 
 impl Drop for Ticket {
     fn drop(&mut self) {
-        lock(&self.doors.waiting).tickets.remove(&self.number);
+        lock(&self.limits.waiting).tickets.remove(&self.number);
     }
 }
 
@@ -145,25 +146,25 @@ mod tests {
 
     #[test]
     fn the_oldest_of_the_busiest_address_makes_room() {
-        let doors = Arc::new(Doors::default());
+        let limits = Arc::new(ConnectionLimits::default());
         let (phone, crowd) = (IpAddr::from([10, 0, 0, 1]), IpAddr::from([10, 0, 0, 2]));
-        let first = doors.wait(phone);
-        let strangers: Vec<Ticket> = (0..200).map(|_| doors.wait(crowd)).collect();
+        let first = limits.wait(phone);
+        let strangers: Vec<Ticket> = (0..200).map(|_| limits.wait(crowd)).collect();
         assert!(!is_sent_away(&first));
         let away = strangers.iter().filter(|t| is_sent_away(t)).count();
         assert_eq!(away, 200 - (MAX_WAITING - 1));
         assert!(!is_sent_away(strangers.last().unwrap()));
         first.enter();
         drop(strangers);
-        assert!(lock(&doors.waiting).tickets.is_empty() && first.is_inside());
+        assert!(lock(&limits.waiting).tickets.is_empty() && first.is_inside());
     }
 
     #[test]
     fn an_address_whose_attempts_fail_is_barred_alone() {
-        let doors = Arc::new(Doors::default());
+        let limits = Arc::new(ConnectionLimits::default());
         let (one, other) = (
-            doors.wait([10, 0, 0, 1].into()),
-            doors.wait([10, 0, 0, 2].into()),
+            limits.wait([10, 0, 0, 1].into()),
+            limits.wait([10, 0, 0, 2].into()),
         );
         (0..MAX_FAILURES).for_each(|_| one.fail());
         assert!(one.is_barred() && !other.is_barred());
