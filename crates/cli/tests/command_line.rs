@@ -8,6 +8,7 @@ use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
 use process::lsfb;
+use serde_json::Value;
 use session::with;
 
 fn here() -> &'static Path {
@@ -196,7 +197,7 @@ fn a_map_that_stands_is_not_built_again_and_another_is_not_replaced() {
     assert_eq!(again.status.code(), Some(0), "{}", said(&again));
     assert!(said(&again).contains("up to date"), "{}", said(&again));
     let points = |output: &Output| {
-        let said: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+        let said: Value = serde_json::from_slice(&output.stdout).expect("JSON");
         said["points"].as_u64().expect("points")
     };
     assert_eq!(points(&again), points(&first));
@@ -216,4 +217,52 @@ fn a_map_that_stands_is_not_built_again_and_another_is_not_replaced() {
     let forced = lsfb(path, &[&map[..], &["--force"]].concat());
     assert_eq!(forced.status.code(), Some(0), "{}", said(&forced));
     assert_eq!(forced.stdout, first.stdout);
+}
+
+/// Every command that judges answers programs alike: one verdict, the worst of its findings, and each finding with all of its fields.
+#[test]
+fn every_judgement_has_one_shape() {
+    const FIELDS: [&str; 9] = [
+        "code", "limit", "remedy", "sigma", "unit", "value", "verdict", "what", "where",
+    ];
+    let folder = with(&["scan.mcap"]);
+    let path = folder.path();
+    let walk: String = (0..200)
+        .map(|n| {
+            let t = f64::from(n) * 0.1;
+            format!(
+                "{t:.1} {:.4} {:.4} {:.4} 0 0 0 1\n",
+                t.sin(),
+                t.cos(),
+                0.1 * t
+            )
+        })
+        .collect();
+    std::fs::write(path.join("walk.tum"), walk).expect("trajectory");
+    for command in [
+        "doctor scan.mcap",
+        "clock scan.mcap --out clock.html",
+        "calib verify scan.mcap --out verify.html",
+        "eval walk.tum --truth walk.tum",
+    ] {
+        let arguments: Vec<&str> = command.split(' ').chain(["--json"]).collect();
+        let output = lsfb(path, &arguments);
+        let answer: Value = serde_json::from_slice(&output.stdout)
+            .unwrap_or_else(|error| panic!("{command}: {error}: {}", said(&output)));
+        let verdict = answer["verdict"].as_str().expect("a verdict");
+        assert!(answer["summary"].is_string(), "{command}: {answer}");
+        let findings = answer["findings"].as_array().expect("findings");
+        assert!(!findings.is_empty(), "{command}: {answer}");
+        for finding in findings {
+            let fields: Vec<&String> = finding.as_object().expect("an object").keys().collect();
+            assert_eq!(fields, FIELDS, "{command}: {finding}");
+        }
+        let worst = ["fail", "warn", "pass", "unknown"];
+        let worst = worst
+            .into_iter()
+            .find(|word| findings.iter().any(|f| f["verdict"] == *word));
+        assert_eq!(Some(verdict), worst, "{command}: {answer}");
+        let failed = output.status.code() == Some(4);
+        assert_eq!(failed, verdict == "fail", "{command}: {answer}");
+    }
 }
