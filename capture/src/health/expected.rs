@@ -78,14 +78,23 @@ pub(super) struct Part {
     /// that waited in the kernel meanwhile.
     looked: Option<Instant>,
     count: u64,
-    /// Counts of the last second: end of each step, and how many until then.
-    steps: VecDeque<(Instant, u64)>,
+    /// Counts of the last second.
+    steps: VecDeque<Step>,
     learned_hz: Option<f64>,
     slow_since: Option<Instant>,
     /// Whether this slow stretch is counted already.
     slow_counted: bool,
     silences: u64,
     slowdowns: u64,
+}
+
+/// What came within [`RATE_STEP`].
+#[derive(Clone, Copy, Debug)]
+struct Step {
+    began: Instant,
+    /// When the last of it came, and how many had come until then.
+    last: Instant,
+    count: u64,
 }
 
 /// How a part is doing.
@@ -141,13 +150,19 @@ impl Part {
         self.last_heard = Some(now);
         self.count += count;
         match self.steps.back_mut() {
-            Some((at, until)) if now.duration_since(*at) < RATE_STEP => *until = self.count,
-            _ => self.steps.push_back((now, self.count)),
+            Some(step) if now.duration_since(step.began) < RATE_STEP => {
+                (step.last, step.count) = (now, self.count);
+            }
+            _ => self.steps.push_back(Step {
+                began: now,
+                last: now,
+                count: self.count,
+            }),
         }
         while self
             .steps
             .get(1)
-            .is_some_and(|(at, _)| now.duration_since(*at) >= RATE_WINDOW)
+            .is_some_and(|step| now.duration_since(step.began) >= RATE_WINDOW)
         {
             self.steps.pop_front();
         }
@@ -270,7 +285,7 @@ impl Part {
 
     /// Whether the window of rates is full.
     fn is_watched_long_enough(&self, now: Instant) -> bool {
-        let since = self.steps.front().map(|(at, _)| *at);
+        let since = self.steps.front().map(|step| step.began);
         since.is_some_and(|since| now.duration_since(since) >= RATE_WINDOW - RATE_STEP)
     }
 
@@ -308,13 +323,21 @@ impl Part {
     /// Over the last second.
     fn rate_hz(&self, now: Instant) -> f64 {
         // Steps go when others come: of a part that fell silent they are older than the window.
-        let is_recent = |at: Instant| now.saturating_duration_since(at) <= RATE_WINDOW + RATE_STEP;
-        let Some((first_at, first)) = self.steps.iter().find(|(at, _)| is_recent(*at)) else {
+        let is_recent =
+            |step: &&Step| now.saturating_duration_since(step.last) <= RATE_WINDOW + RATE_STEP;
+        let (Some(first), Some(last)) = (self.steps.iter().find(is_recent), self.steps.back())
+        else {
             return 0.0;
         };
-        // What came with the first step came before it.
-        let secs = now.saturating_duration_since(*first_at).as_secs_f64();
-        (self.count - first) as f64 / secs.max(RATE_STEP.as_secs_f64())
+        let count = last.count - first.count;
+        if count == 0 {
+            return 0.0;
+        }
+        // From one to the next: the next one is not late before a period is over, and until then says nothing about the rate.
+        let heard_s = last.last.duration_since(first.last).as_secs_f64();
+        let waited_s = now.saturating_duration_since(last.last).as_secs_f64();
+        let late_s = (waited_s - heard_s / count as f64).max(0.0);
+        count as f64 / (heard_s + late_s).max(RATE_STEP.as_secs_f64())
     }
 }
 
@@ -391,6 +414,36 @@ mod tests {
         assert!(alarm.ends_with("Hz instead of 20 Hz"), "{alarm}");
         hear(&mut part, began, 100, 1_100, 6_000);
         assert_eq!(part.slowdowns(), 1);
+    }
+
+    /// Naively what came in a second is counted from the first of it until now: of five a second, one period is gone that is not over, and a
+    /// fifth of the rate.
+    #[test]
+    fn a_slow_part_has_its_rate_at_any_instant() {
+        for hz in [5, 10] {
+            let (began, period_ms) = (Instant::now(), 1_000 / hz);
+            let mut part = Part::new(Expected::required("images", Some(f64::from(hz))), began);
+            for ms in 0..6_000 {
+                hear(
+                    &mut part,
+                    began,
+                    period_ms,
+                    ms,
+                    ms + u32::from(ms % period_ms == 0),
+                );
+                let now = began + MS * ms;
+                if ms > 1_200 {
+                    let rate_hz = part.rate_hz(now);
+                    let off = (rate_hz / f64::from(hz) - 1.0).abs();
+                    assert!(off < 1e-9, "{rate_hz} Hz of {hz} at {ms} ms");
+                }
+            }
+            // Two of three stay away.
+            hear(&mut part, began, 3 * period_ms, 6_000, 9_000);
+            let rate_hz = part.rate_hz(began + MS * 9_000);
+            assert!(rate_hz < 0.5 * f64::from(hz), "{rate_hz} Hz of {hz}");
+            assert_eq!(part.slowdowns(), 0);
+        }
     }
 
     #[test]

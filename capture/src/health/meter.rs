@@ -39,6 +39,8 @@ struct MeterState {
     gone: Option<String>,
     /// What it says again and again, and what to check.
     stale: Option<&'static str>,
+    /// Why its time is not UTC from satellites, though it has a receiver.
+    utc: Option<&'static str>,
     temperature_celsius: Option<f64>,
 }
 
@@ -79,6 +81,7 @@ impl Meter {
             saturated_share: None,
             gone: None,
             stale: None,
+            utc: None,
             temperature_celsius: None,
         })))
     }
@@ -193,6 +196,11 @@ impl Meter {
     /// What it says again and again, and what to check; `None` while it says something new.
     pub(crate) fn set_stale(&self, problem: Option<&'static str>) {
         self.lock().stale = problem;
+    }
+
+    /// Why its time is not UTC from satellites; `None` where it is, or nobody knows.
+    pub(crate) fn set_utc(&self, problem: Option<&'static str>) {
+        self.lock().utc = problem;
     }
 
     pub(crate) fn set_temperature(&self, celsius: f64) {
@@ -336,6 +344,9 @@ impl MeterState {
                 Level::Warn,
                 format!("its time is uncertain by {sigma_us:.0} µs"),
             );
+        }
+        if let Some(utc) = self.utc {
+            return (Level::Warn, utc.to_owned());
         }
         if self.clock_steps > 0 {
             let times = match self.clock_steps {

@@ -6,6 +6,7 @@ mod senders;
 mod shared_ports;
 mod turns;
 mod two_sensors;
+mod utc;
 
 use std::net::IpAddr;
 
@@ -25,6 +26,7 @@ pub(crate) use listening::{Listened, Listening, record};
 pub(crate) use shared_ports::Lidars;
 use turns::Turns;
 use two_sensors::TwoSensors;
+use utc::Utc;
 
 /// Data packets that wait for the first position packet: one second of single returns. A sensor sends about 107 position
 /// packets a second, so that one without any in this time has none to send.
@@ -74,6 +76,7 @@ pub(crate) struct LidarStream {
     without_scan: Stale,
     without_return: Stale,
     sensors: TwoSensors,
+    utc: Utc,
     /// When the first and the last scan began.
     scans: Option<(Timestamp, Timestamp)>,
     turns: Turns,
@@ -102,6 +105,7 @@ impl LidarStream {
             without_scan: Stale::default(),
             without_return: Stale::default(),
             sensors: TwoSensors::default(),
+            utc: Utc::default(),
             scans: None,
             turns: Turns::default(),
             rate_hz: None,
@@ -195,6 +199,8 @@ impl LidarStream {
                 if let Some(celsius) = position.temperature_celsius {
                     self.meter.set_temperature(celsius);
                 }
+                self.utc.note(&position, packet.arrival);
+                self.meter.set_utc(self.utc.problem());
                 if self.clock.is_locked() {
                     time = self.clock.time(position.toh_ns, packet.arrival);
                 }
@@ -377,6 +383,10 @@ impl LidarStream {
                 "packets overtook others on the network and were put back in order",
             ),
             (self.clock.lock_losses(), "times the PPS lock was lost"),
+            (
+                self.utc.stretches(),
+                "times UTC was not held by GNSS for more than three seconds: its receiver had no fix",
+            ),
             (
                 self.without_scan.stretches(),
                 "times its data made no scan for more than a second",

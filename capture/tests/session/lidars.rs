@@ -1,5 +1,12 @@
-//! LiDARs recorded by name, and datagrams that are lost or strange.
+//! LiDARs recorded by name, datagrams that are lost or strange, and what an operator is told of sensors that are not as they seem.
 
+use lsfb_capture::health::{DeviceHealth, Level};
+use lsfb_drivers::velodyne::nmea::Rmc;
+use lsfb_drivers::velodyne::wire::PositionPacket;
+use lsfb_recording::HEALTH;
+use lsfb_recording::message::decode_health_value;
+
+use super::live::run_until;
 use super::*;
 
 /// Two LiDARs and two IMUs have topics of their own, and nobody else's packets come into a cloud.
@@ -119,4 +126,130 @@ fn lost_and_strange_datagrams_are_counted_and_kept() {
         .map(Result::unwrap)
         .collect();
     assert_eq!(strange[0].packet.bytes, b"hello");
+}
+
+/// Runs a session with one LiDAR, whose `packets` are sent in their own time, until something is said of it that `is_enough`; the report
+/// and all that was said, on the screen and in the recording.
+fn said_of_lidar(
+    mut packets: impl FnMut(u64) -> Vec<(Port, Vec<u8>)> + Send + 'static,
+    is_enough: impl Fn(&DeviceHealth) -> bool,
+) -> (CaptureReport, DeviceHealth, Vec<(u8, String)>) {
+    let folder = tempfile::tempdir().unwrap();
+    let config = DevicesConfig {
+        lidars: vec![LidarNetConfig {
+            data: LOOPBACK,
+            position: LOOPBACK,
+            ..LidarNetConfig::default()
+        }],
+        ..anywhere()
+    };
+    let session = Session::open(&config).unwrap();
+    let addresses = session.lidar_addresses();
+    let feed = session.health();
+    let snapshots = feed.subscribe();
+    let done = std::sync::Arc::new(AtomicBool::new(false));
+    let sender = mock::spawn("mock-lidar", {
+        let done = done.clone();
+        move || {
+            let socket = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+            let (began, mut n) = (Instant::now(), 0_u64);
+            while !done.load(Ordering::Acquire) {
+                let due_ns = began.elapsed().as_nanos() as u64;
+                while n * PACKET_PERIOD_NS < due_ns {
+                    for (port, bytes) in packets(n) {
+                        socket.send_to(&bytes, addresses[port as usize]).unwrap();
+                    }
+                    n += 1;
+                }
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        }
+    });
+    let out = folder.path().join("scan.mcap");
+    let mut enough = None;
+    let report = run_until(session, &out, || {
+        let devices = snapshots.try_iter().flat_map(|s| s.devices);
+        enough = enough.take().or(devices.into_iter().find(|d| is_enough(d)));
+        enough.is_some()
+    });
+    done.store(true, Ordering::Release);
+    sender.join().unwrap();
+    let recording = Recording::open(&out).unwrap();
+    let recorded = recording.messages(&format!("{HEALTH}rate")).unwrap();
+    let recorded = recorded.map(|m| decode_health_value(&m.unwrap().bytes).unwrap());
+    let recorded = recorded
+        .filter(|value| value.device == "lidar")
+        .map(|value| (value.level, value.text));
+    (report, enough.unwrap(), recorded.collect())
+}
+
+#[derive(Clone, Copy)]
+enum Port {
+    Data,
+    Position,
+}
+
+/// Of a VLP-32C's data packets.
+const PACKET_PERIOD_NS: u64 = 663_552;
+
+/// Two sensors at their factory address: twice the packets of one, each of them sound. Naively "✓ lidar", and one cloud of both rooms.
+#[test]
+fn two_sensors_behind_one_address_are_an_alarm_while_they_are_recorded() {
+    let (report, said, recorded) = said_of_lidar(
+        |n| {
+            [n, n + 50]
+                .map(|n| (Port::Data, mock::lidar_packet(n)))
+                .to_vec()
+        },
+        |lidar| lidar.problem.contains("two sensors"),
+    );
+    assert_eq!(said.level, Level::Error, "{said:?}");
+    let is_recorded = |(level, text): &(u8, String)| {
+        *level == Level::Error as u8 && text.contains("give each its own address")
+    };
+    assert!(recorded.iter().any(is_recorded), "{recorded:?}");
+    let lidar = stream(&report, "lidar");
+    assert!(
+        matches!(&lidar.ending, Ending::Lost(why) if why.contains("two sensors")),
+        "{lidar:?}"
+    );
+    assert!(report.lost > 0);
+}
+
+/// A receiver indoors: its sentences go on, without a fix. Naively "✓ lidar", its time by whatever the host's clock says.
+#[test]
+fn a_receiver_without_a_fix_is_said_on_the_screen_and_in_the_recording() {
+    let without_fix = |n: u64| {
+        let mut packet = PositionPacket::new(mock::position_packet((n * 664) as u32)).unwrap();
+        let rmc = Rmc {
+            hour: 10,
+            valid: false,
+            day: 1,
+            month: 3,
+            year: 2026,
+            ..Rmc::default()
+        };
+        packet.set_nmea(rmc.emit().as_bytes()).unwrap();
+        packet.into_inner()
+    };
+    let (report, said, recorded) = said_of_lidar(
+        move |n| {
+            let mut packets = vec![(Port::Data, mock::lidar_packet(n))];
+            if n % 14 == 0 {
+                packets.push((Port::Position, without_fix(n)));
+            }
+            packets
+        },
+        |lidar| lidar.problem.contains("GNSS"),
+    );
+    assert_eq!(said.level, Level::Warn, "{said:?}");
+    assert!(said.problem.contains("UTC is not held by GNSS"), "{said:?}");
+    let is_recorded =
+        |(level, text): &(u8, String)| *level == Level::Warn as u8 && text.contains("GNSS");
+    assert!(recorded.iter().any(is_recorded), "{recorded:?}");
+    let notes = stream(&report, "lidar").notes.join("\n");
+    assert!(
+        notes.contains("1 times UTC was not held by GNSS"),
+        "{notes}"
+    );
 }
