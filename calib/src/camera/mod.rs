@@ -13,6 +13,7 @@ mod pairing;
 mod pose_choice;
 mod rig;
 mod selection;
+mod shutter;
 mod summary;
 mod views;
 
@@ -34,6 +35,7 @@ pub(crate) use guess::fit_lens;
 pub use guess::pose_of_target;
 pub(crate) use pairing::expect_different_images;
 pub(crate) use pose_choice::most_central;
+pub use shutter::as_global_shutter;
 pub(crate) use views::last_number;
 pub use views::{
     image_files, image_from_folder, views_from_bag, views_from_folder, views_from_recording,

@@ -1,12 +1,13 @@
 //! From an adjustment to what is told about it.
 
-use lsfb_geometry::{Matrix6, Vector2};
+use lsfb_geometry::Matrix6;
 use lsfb_types::{Finding, Limit, Verdict};
 use nalgebra::DMatrix;
 
 use super::adjustment::Solved;
 use super::holdout::Holdout;
 use super::normal::{Doubt, covariances, parameter_count};
+use super::shutter::velocities;
 use super::{
     BoardDeformation, CalibratedCamera, CameraCalibration, CameraConfig, CameraViews, Estimate,
 };
@@ -106,7 +107,9 @@ impl Solved<'_> {
             // What matters most comes first.
             let fit = diagnosis.finding(&camera.name, rms_px);
             let gap = diagnosis.another_gap(&camera.name, rms_px);
-            camera.findings.splice(0..0, [fit].into_iter().chain(gap));
+            let shutter = diagnosis.rolling_shutter(&camera.name, variance);
+            let first = [fit].into_iter().chain(gap).chain(shutter);
+            camera.findings.splice(0..0, first);
             let deformation = diagnosis.board(variance);
             for (p, more) in camera
                 .parameters
@@ -228,6 +231,8 @@ impl Solved<'_> {
     fn seen<'a>(&'a self, target: &'a Target, k: usize) -> impl Iterator<Item = AdjustedView> + 'a {
         let start = &self.cameras[k];
         start.chosen.iter().map(move |instant| {
+            let velocities = velocities(&start.views.views, *instant, 0.0);
+            let velocity = move |index| velocities.get(&index).copied().unwrap_or_default();
             let corners = start.views.views[instant].iter();
             let inliers = corners.zip(&self.inliers[k][instant]);
             AdjustedView {
@@ -237,7 +242,7 @@ impl Solved<'_> {
                     .map(|(corner, _)| AdjustedCorner {
                         point: target.corner(corner.index),
                         pixel: corner.pixel,
-                        velocity_px_s: Vector2::zeros(),
+                        velocity_px_s: velocity(corner.index),
                     })
                     .collect(),
             }

@@ -383,3 +383,94 @@ fn outliers_do_not_move_the_result() {
     assert!((camera.parameters[0].value - 300.0).abs() < 4.5 * camera.parameters[0].sigma);
     assert!(camera.outliers * 21 > camera.corners && camera.outliers * 19 < camera.corners);
 }
+
+/// A board that is moved before a camera whose rows are exposed one after the other, ten images a second.
+fn moved_before(lens: Lens, readout_s: f64, noise_px: f64) -> CameraViews {
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let camera = Camera {
+        width: 640,
+        height: 480,
+        lens,
+    };
+    let centre = Vector3::new(0.33, 0.33, 0.0);
+    let facing = Se3::exp(&Vector6::new(std::f64::consts::PI, 0.0, 0.0, 0.0, 0.0, 0.0));
+    let camera_from_target = |t: f64| {
+        let wave = |size: f64, hz: f64| size * (std::f64::consts::TAU * hz * t).sin();
+        let tilted = Se3::exp(&Vector6::new(
+            wave(0.5, 0.31),
+            wave(0.5, 0.23),
+            wave(0.6, 0.11),
+            0.0,
+            0.0,
+            0.0,
+        ));
+        let place = Vector3::new(wave(0.2, 0.19), wave(0.16, 0.27), 0.8 + wave(0.2, 0.13));
+        Se3::new(Default::default(), place)
+            * (tilted * facing * Se3::new(Default::default(), -centre))
+    };
+    let views = (0..150_i64).map(|k| {
+        let t = 0.1 * k as f64;
+        let corners = (0..GRID.corner_count()).filter_map(|index| {
+            let mut pixel: Vector2<f64> = Vector2::new(319.5, 239.5);
+            for _ in 0..12 {
+                let late_s = readout_s * (pixel.y - 239.5) / 480.0;
+                pixel = camera.project(&(camera_from_target(t + late_s) * GRID.corner(index)))?;
+            }
+            let noise = Vector2::from_fn(|_, _| {
+                (0..12).map(|_| rng.random_range(-0.5..=0.5)).sum::<f64>() * noise_px
+            });
+            let inside = pixel.x > 4.0 && pixel.y > 4.0 && pixel.x < 635.0 && pixel.y < 475.0;
+            inside.then_some(Corner {
+                index,
+                pixel: pixel + noise,
+            })
+        });
+        (k * 100_000_000, corners.collect())
+    });
+    CameraViews {
+        name: "cam0".into(),
+        width: 640,
+        height: 480,
+        images: 150,
+        views: views.collect(),
+    }
+}
+
+/// Naively a lens like any other: a rolling shutter bent the focal length by percents, and was named as one of three likely causes.
+#[test]
+fn a_rolling_shutter_is_named_and_taken_out_where_it_is_known() {
+    let readout_s = 0.024;
+    let lens = lenses()[0];
+    let found = |views: &CameraViews| {
+        let config = CameraConfig {
+            model: lens.model(),
+            ..CameraConfig::default()
+        };
+        let views = std::slice::from_ref(views);
+        let mut found = calibrate_cameras(&GRID, views, &config, &no_progress).expect("calibrated");
+        found.cameras.remove(0)
+    };
+    let shutter = |c: &CalibratedCamera| {
+        c.findings
+            .iter()
+            .find(|f| f.code == "rolling-shutter")
+            .cloned()
+    };
+    let rolling = moved_before(lens, readout_s, 0.1);
+    let naive = found(&rolling);
+    let finding = shutter(&naive).expect("named");
+    let said_ms = finding.value.expect("a number");
+    assert!((said_ms - 24.0).abs() < 8.0, "{finding:?}");
+    let true_px = lens.parameters().values[0];
+    let off = |c: &CalibratedCamera| c.parameters[0].value / true_px - 1.0;
+    let known = found(&as_global_shutter(&rolling, readout_s));
+    assert_eq!(shutter(&known), None);
+    assert!(
+        off(&known).abs() < 0.1 * off(&naive).abs().max(0.01),
+        "{} {}",
+        off(&known),
+        off(&naive)
+    );
+    assert!((known.parameters[0].value - true_px).abs() < 3.0 * known.parameters[0].sigma);
+    assert_eq!(shutter(&found(&moved_before(lens, 0.0, 0.1))), None);
+}

@@ -3,7 +3,7 @@
 use lsfb_geometry::Camera;
 use nalgebra::DVector;
 
-use super::sums::{BENT, GAP, PROFILE, RINGS, SHUTTER, STRETCH, Sums, inverse};
+use super::sums::{BENT, GAP, PROFILE, RINGS, SAME, SHUTTER, STRETCH, Sums, inverse};
 use crate::board::Target;
 
 /// Share of what views' own poses explain that their times alone must, and of all squares: by chance a sixth, and a hundredth.
@@ -79,6 +79,12 @@ pub(super) struct Explained {
     pub is_another_gap: bool,
 }
 
+/// A readout time with its standard deviation.
+pub(super) struct Shutter {
+    pub readout_s: f64,
+    pub sigma_s: f64,
+}
+
 impl Sums {
     /// Views that were not taken when their stamps say, if that is what keeps them off the IMU's motion.
     pub fn off_their_stamps(&self) -> Option<Explained> {
@@ -91,6 +97,16 @@ impl Sums {
                 (self.times[0] / self.times[1].max(1.0)).sqrt() * 1e3
             ),
             is_another_gap: false,
+        })
+    }
+
+    /// The readout time that fits best, one step from none; `None` where nothing moves. `variance` is that of a corner in one direction, px².
+    pub fn shutter(&self, camera: &Camera, variance: f64) -> Option<Shutter> {
+        let reduced = self.reduced(camera);
+        let own = reduced.matrix[(SHUTTER, SHUTTER)];
+        (own > SAME * reduced.size[SHUTTER]).then(|| Shutter {
+            readout_s: -reduced.gradient[SHUTTER] / own,
+            sigma_s: (variance / own).sqrt(),
         })
     }
 

@@ -30,9 +30,15 @@ pub(crate) const FAILED_RMS_PX: f64 = 1.2;
 /// Share of the squares from which on a cause gets the blame, and from which on it is named although corners are met well.
 const BLAME: f64 = 0.3;
 const MOST: f64 = 0.5;
+/// Where corners are met well, a cause that moves them by less harms nothing that standard deviations do not hold, pixels, rms.
+const LEAST_MOVED_PX: f64 = 0.1;
 /// Ratio of errors between outer and inner thirds that is worth a word.
 const GROWS: f64 = 1.5;
 const CORRECT_IT: &str = "measure the board, correct what was said of it, and calibrate again";
+/// A readout time is clear from so many standard deviations on, and worth a word from here on, seconds: at half a metre a second and a metre
+/// away a lens of 500 px is then half a pixel off.
+const CLEAR_SHUTTER: f64 = 6.0;
+const LEAST_READOUT_S: f64 = 2e-3;
 /// Views that are looked at at most, spread over all.
 const MAX_VIEWS: usize = 240;
 
@@ -124,7 +130,9 @@ impl<'a> Diagnosis<'a> {
         }
         let cause = self.sums.explain(self.target, self.camera);
         if limit(WORRYING_RMS_PX) {
-            return match cause.filter(|e| e.share >= MOST) {
+            let is_worth_a_word =
+                |e: &Explained| e.share >= MOST && rms_px * e.share.sqrt() >= LEAST_MOVED_PX;
+            return match cause.filter(is_worth_a_word) {
                 None => (Verdict::Pass, met, ""),
                 Some(e) => (
                     Verdict::Warn,
@@ -161,6 +169,27 @@ impl<'a> Diagnosis<'a> {
             .value(100.0 * cause.share, "%")
             .limit(Limit::AtMost(100.0 * least));
         Some(finding.remedy(CORRECT_IT))
+    }
+
+    /// A shutter that clearly rolls, where it was taken for a global one; `variance` is that of a corner in one direction, px².
+    pub fn rolling_shutter(&self, camera: &str, variance: f64) -> Option<Finding> {
+        let found = self.sums.shutter(self.camera, variance)?;
+        let is_clear = found.readout_s.abs() > CLEAR_SHUTTER * found.sigma_s;
+        if !is_clear || found.readout_s.abs() < LEAST_READOUT_S {
+            return None;
+        }
+        let what = format!(
+            "its shutter rolls, {:.1} ± {:.1} ms from the first row to the last by how far corners miss: the lens is wrong by more than is said",
+            1e3 * found.readout_s,
+            1e3 * found.sigma_s
+        );
+        let finding = Finding::new("rolling-shutter", Verdict::Warn, camera, what)
+            .value(1e3 * found.readout_s, "ms")
+            .sigma(1e3 * found.sigma_s)
+            .limit(Limit::AtMost(1e3 * LEAST_READOUT_S));
+        Some(finding.remedy(
+            "say the camera's readout_s in the rig that is given (--rig), or hold board and camera still for each image",
+        ))
     }
 
     /// A lens that was given, where one of its model fits these views clearly better.

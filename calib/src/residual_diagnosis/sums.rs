@@ -12,7 +12,7 @@ use crate::projection::moved_by_pose;
 /// Rings of the lens's radial profile.
 pub(super) const RINGS: usize = 8;
 /// Pivot below which a direction is one that poses and lens have too, as a share of what it was before.
-const SAME: f64 = 1e-9;
+pub(super) const SAME: f64 = 1e-9;
 
 /// Gap, stretch, shear, three bends, shutter, rings, what models do not know.
 const EXTRA: usize = 7 + RINGS + FIELD;

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use lsfb_calib::camera::{CameraConfig, CameraViews, calibrate_cameras};
+use lsfb_calib::camera::{CameraConfig, CameraViews, as_global_shutter, calibrate_cameras};
 use lsfb_calib::exchange::{ChainOrigin, camera_chain};
 use lsfb_geometry::Rig;
 use lsfb_geometry::camera::LensModel;
@@ -40,7 +40,8 @@ pub struct Arguments {
     /// Lens model of all cameras.
     #[arg(long, value_name = "NAME", value_enum, default_value_t = Model::KannalaBrandt)]
     model: Model,
-    /// Rig to put the cameras into; the rest of it is kept. Cameras that seem to be swapped are named in a warning.
+    /// Rig to put the cameras into; the rest of it is kept. Cameras that seem to be swapped are named in a warning. What it says of their
+    /// shutters (readout_s) is taken out of images that follow each other by less than a quarter of a second.
     #[arg(long, value_name = "TOML")]
     rig: Option<PathBuf>,
     /// The rig to write; a page with plots and, for several cameras, the transforms for `lsfb calib joint` are written beside it.
@@ -73,6 +74,12 @@ impl From<Model> for LensModel {
             Model::FieldOfView => Self::FieldOfView,
         }
     }
+}
+
+/// The views as a global shutter would have them, where the rig says how long the camera's takes to roll.
+fn as_shutter_of(views: CameraViews, rig: &Rig) -> CameraViews {
+    let known = rig.cameras.get(&views.name);
+    as_global_shutter(&views, known.map_or(0.0, |camera| camera.timing.readout_s))
 }
 
 /// Calibrates, writes rig and page, prints the report.
@@ -115,6 +122,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         .cameras
         .iter()
         .map(|camera| views_of(camera, recording.as_ref(), &target, context))
+        .map(|views| Ok(as_shutter_of(views?, &rig)))
         .collect::<anyhow::Result<_>>()?;
     let mut calibration = calibrate_cameras(&target, &views, &config, &show)?;
     calibration.compare_with(&rig);

@@ -3,7 +3,9 @@
 use std::path::Path;
 
 use anyhow::Context as _;
-use lsfb_calib::camera::{CameraConfig, CameraViews, calibrate_cameras, views_from_recording};
+use lsfb_calib::camera::{
+    CameraConfig, CameraViews, as_global_shutter, calibrate_cameras, views_from_recording,
+};
 use lsfb_calib::camera_imu::{CameraImuConfig, KnownCamera, calibrate_camera_imu};
 use lsfb_calib::joint::{JointConfig, LIDAR, join_transforms};
 use lsfb_calib::lidar_camera::{
@@ -220,7 +222,12 @@ impl Calibration<'_> {
             },
             ..CameraConfig::default()
         };
-        let lenses = calibrate_cameras(&target, &views, &config, &show)?;
+        let readout_s = f64::from(self.cameras.readout_ns) * 1e-9;
+        let still: Vec<CameraViews> = views
+            .iter()
+            .map(|views| as_global_shutter(views, readout_s))
+            .collect();
+        let lenses = calibrate_cameras(&target, &still, &config, &show)?;
         accepted(&lenses.judgement(), &lenses.summary())?;
         lenses.put_into(rig);
         let samples = self.recording.imu()?;
@@ -241,7 +248,7 @@ impl Calibration<'_> {
                 views: views.clone(),
                 camera: mounted.camera,
                 camera_from_first: mounted.rig_from_camera.inverse() * rig_from_first,
-                readout_s: f64::from(self.cameras.readout_ns) * 1e-9,
+                readout_s,
             });
         }
         let config = CameraImuConfig::default();
