@@ -226,6 +226,20 @@ pub enum Error {
         /// Largest standard deviation of a position that is exported, metres.
         limit_m: f64,
     },
+    /// Parts of the map place a walk differently.
+    #[error(
+        "{path}: with half of the map's points withheld the {frames} poses move by {moved_m:.2} m (max_disagreement_m is {limit_m} m): the map is poor here; map the place again with more views of it, or walk where more of the map is in view", path = path.display()
+    )]
+    MapPartsDisagree {
+        /// The recording.
+        path: PathBuf,
+        /// Poses that were found.
+        frames: usize,
+        /// How far they move in the middle, metres.
+        moved_m: f64,
+        /// How far a pose that is exported may, metres.
+        limit_m: f64,
+    },
     /// A least-squares problem kept moving.
     #[error(
         "{stage}: no minimum after {iterations} iterations: raise solve.max_iterations, and check IMU axes, time stamps and intrinsics of the rig file"

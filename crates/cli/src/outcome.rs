@@ -9,7 +9,7 @@ use lsfb_types::Verdict;
 pub enum Outcome {
     /// Everything asked for was done.
     Done,
-    /// Finished, but data was lost on the way; the report says which.
+    /// Finished, but data was lost on the way, or parts of a walk have no poses; the report says which.
     DataLost,
     /// Finished, and what was judged failed: a recording, a machine, a calibration; the findings say why.
     JudgementFailed,

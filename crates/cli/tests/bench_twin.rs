@@ -46,3 +46,16 @@ fn a_run_of_the_trial_is_judged_and_stands() {
     let said = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert!(said.contains("not of a trial"), "{said}");
 }
+
+/// A phone that stands before a corridor's door frame, in a map of few points: features slide along the frame, in every image alike. Every
+/// second pose came out more than 10 cm off, with a standard deviation of 1 cm.
+#[test]
+fn a_walk_in_a_poor_map_is_refused_and_not_given_wrongly() {
+    let folder = tempfile::tempdir().expect("folder");
+    let arguments = "bench twin --out trial --try-out --true-rigs --places narrow-corridor --devices android --seed 1";
+    let arguments: Vec<&str> = arguments.split(' ').collect();
+    let run = &json(folder.path(), &arguments, 0)["runs"][0];
+    assert_eq!(run["exported_wrong"], 0, "{run}");
+    let why = run["refused"].as_str().unwrap_or_default();
+    assert!(why.contains("half of the map's points withheld"), "{run}");
+}

@@ -125,6 +125,33 @@ fn the_same_seed_gives_the_same_bytes_also_when_interrupted_and_no_stage_needs_t
         json(&alone, &command.split(' ').collect::<Vec<_>>(), 0);
     }
     assert_same(&expected, &results(&alone));
+    what_is_left_out_is_said(&alone);
+}
+
+/// A trajectory with a gap is not a whole one, for a script as for a person.
+fn what_is_left_out_is_said(folder: &Path) {
+    let checked = std::fs::read_to_string(folder.join("walk_cross_check.txt")).expect("check");
+    let lines = checked.lines().filter(|line| !line.starts_with('#'));
+    let moved_m = lines.map(|line| {
+        let column = line.split(' ').nth(1).expect("a distance");
+        column.parse::<f64>().expect("metres")
+    });
+    let mut moved_m: Vec<f64> = moved_m.collect();
+    moved_m.sort_by(f64::total_cmp);
+    let middle_m = moved_m[moved_m.len() / 2];
+    let settings = format!("max_disagreement_m = {middle_m}\n");
+    std::fs::write(folder.join("strict.toml"), settings).expect("settings");
+    let strict = "groundtruth walk.mcap --map map --out strict.tum --config strict.toml";
+    let strict: Vec<&str> = strict.split(' ').collect();
+    for run in [json(folder, &strict, 3), json(folder, &strict, 3)] {
+        let findings = run["findings"].as_array().expect("findings");
+        let of = |code: &str| findings.iter().find(|f| f["code"] == code);
+        let left_out = of("map-parts-disagree").unwrap_or_else(|| panic!("{run}"));
+        assert_eq!(left_out["verdict"], "warn", "{run}");
+        assert!(left_out["remedy"].is_string(), "{run}");
+        assert_eq!(of("coverage").expect("coverage")["verdict"], "warn");
+        assert!(run["poses"].as_u64() < run["frames"].as_u64(), "{run}");
+    }
 }
 
 #[test]

@@ -76,6 +76,8 @@ pub struct GroundTruthConfig {
     pub max_extrapolation_secs: f64,
     /// Largest standard deviation of a position that is exported, metres.
     pub max_position_sigma_m: f64,
+    /// How far half of the map's points may move a position that is exported, metres.
+    pub max_disagreement_m: f64,
     /// The solver.
     pub solve: SolveConfig,
 }
@@ -115,6 +117,7 @@ impl Default for GroundTruthConfig {
             max_bridge_secs: 3.0,
             max_extrapolation_secs: 1.0,
             max_position_sigma_m: 0.05,
+            max_disagreement_m: 0.08,
             solve: SolveConfig {
                 cost_tolerance: 1e-9,
                 // Neighbours are held together far more firmly than to the map: damping by a share of that would hold the
@@ -160,6 +163,7 @@ lsfb_types::bounds! {
         max_bridge_secs: number(Bounds::NOT_NEGATIVE),
         max_extrapolation_secs: number(Bounds::NOT_NEGATIVE),
         max_position_sigma_m: number(Bounds::POSITIVE),
+        max_disagreement_m: number(Bounds::POSITIVE),
         solve: section,
     }
 }

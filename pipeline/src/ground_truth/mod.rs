@@ -8,8 +8,10 @@
 
 mod config;
 mod consensus;
+mod cross_check;
 mod drift;
 mod estimate;
+mod findings;
 mod guided_matching;
 mod inertial;
 mod local_points;
@@ -28,6 +30,7 @@ use lsfb_geometry::{Matrix6, Trajectory};
 use lsfb_types::{Progress, ProgressFn};
 
 pub use config::GroundTruthConfig;
+pub use findings::GroundTruthWarning;
 pub use report::{CameraRefinement, GroundTruthReport, LeftOutReason, ReprojectionErrors, Span};
 pub use run::ground_truth;
 
@@ -47,6 +50,8 @@ pub struct GroundTruth {
     /// Covariance of each pose, tangent `[rotation, translation]` on the right, rad² and m². Errors that all of the map around shares,
     /// its scale above all, do not show in a walk and are not in it.
     pub covariances: Vec<Matrix6<f64>>,
+    /// How far each position moves when half of the map's points around are withheld, at most, metres.
+    pub disagreements_m: Vec<f64>,
     /// How it came about, and how far to trust it.
     pub report: GroundTruthReport,
 }

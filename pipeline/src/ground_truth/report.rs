@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::GroundTruthConfig;
 use super::estimate::Estimate;
+use super::findings::GroundTruthWarning;
 use super::walk::{LocalPoint, Walk};
 use crate::residuals::entry;
 
@@ -18,6 +19,17 @@ pub enum LeftOutReason {
     Uncertain,
     /// Its images were found at places that contradict the IMU and the rest of the walk.
     Contradicted,
+    /// With parts of the map withheld they lie elsewhere.
+    MapPartsDisagree,
+}
+
+impl LeftOutReason {
+    pub(super) const ALL: [Self; 4] = [
+        Self::NotRecognised,
+        Self::Uncertain,
+        Self::Contradicted,
+        Self::MapPartsDisagree,
+    ];
 }
 
 /// A stretch of time.
@@ -91,6 +103,10 @@ pub struct GroundTruthReport {
     pub poses: u64,
     /// Frames in the trajectory that see too few map points to be placed alone: IMU and local points carry them.
     pub bridged: u64,
+    /// Farthest that half of the map's points move a position of the trajectory, metres.
+    pub largest_disagreement_m: f64,
+    /// How far they may, metres.
+    pub max_disagreement_m: f64,
     /// Stretches left out of the trajectory.
     pub left_out: Vec<Span>,
     /// Observations of map points added by the search after the first solve.
@@ -124,7 +140,7 @@ pub struct GroundTruthReport {
     /// Length of the path, metres.
     pub path_length_m: f64,
     /// What the reader should know.
-    pub warnings: Vec<String>,
+    pub warnings: Vec<GroundTruthWarning>,
 }
 
 /// How a camera differs from the rig file, as far as the walk shows it and the file's standard deviations allow.

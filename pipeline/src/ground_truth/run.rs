@@ -4,13 +4,16 @@ use lsfb_geometry::{ImuNoiseModel, Trajectory};
 use lsfb_recording::Recording;
 use lsfb_types::ProgressFn;
 
+use super::cross_check::disagreements_m;
+use super::findings::UNLIKELY_SIGMAS;
 use super::report::{local_errors, map_errors, refinements};
 use super::start::{Start, start_states};
 use super::trusted::{Solution, Trusted, trusted};
 use super::uncertainty::pose_covariances;
 use super::walk::{FixedObservation, Frame, LocalPoint, LocalizedPose, Walk};
 use super::{
-    GroundTruth, GroundTruthConfig, GroundTruthReport, LeftOutReason, Solved, Span, solve_walk,
+    GroundTruth, GroundTruthConfig, GroundTruthReport, GroundTruthWarning, LeftOutReason, Solved,
+    Span, solve_walk,
 };
 use crate::Error;
 use crate::frames::{FeatureFrame, read_frames, read_imu};
@@ -77,15 +80,26 @@ pub fn ground_truth(
     let (estimate, points) = (&solved.last.estimate, &solved.last.points);
     let covariances = pose_covariances(&walk, estimate, points, config, progress)?;
 
+    let disagreements_m = disagreements_m(&walk, estimate, points, config, progress)?;
     let trusted = trusted(
         &walk,
         &Solution {
             states: &estimate.states,
             accepted: &start.accepted,
             covariances: &covariances,
+            disagreements_m: &disagreements_m,
         },
         config,
     );
+    let disputed = |span: &Span| span.reason == LeftOutReason::MapPartsDisagree;
+    if trusted.poses.is_empty() && trusted.left_out.iter().any(disputed) {
+        return Err(Error::MapPartsDisagree {
+            path: recording.path().to_owned(),
+            frames: walk.frames.len(),
+            moved_m: median(&disagreements_m),
+            limit_m: config.max_disagreement_m,
+        });
+    }
     if trusted.poses.is_empty() {
         return Err(Error::NothingCertain {
             path: recording.path().to_owned(),
@@ -101,11 +115,12 @@ pub fn ground_truth(
     report.localized = count as u64;
     report.rejected_localizations = (count - start.accepted_count) as u64;
     report.rival_localizations = start.rival_count as u64;
-    warn_of_cameras(&mut report);
+    report.max_disagreement_m = config.max_disagreement_m;
     warn(&mut report, &read.frames, &range, read.damaged);
     Ok(GroundTruth {
         trajectory,
         covariances: trusted.covariances,
+        disagreements_m: trusted.disagreements_m,
         report,
     })
 }
@@ -138,6 +153,12 @@ fn accepted(
             rejected: localized - agreeing,
         }),
     }
+}
+
+fn median(values: &[f64]) -> f64 {
+    let mut values = values.to_vec();
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
 fn inflated(noise: &ImuNoiseModel, factor: f64) -> ImuNoiseModel {
@@ -211,6 +232,8 @@ fn report(
         rival_localizations: 0,
         poses: trusted.poses.len() as u64,
         bridged: trusted.bridged as u64,
+        largest_disagreement_m: trusted.disagreements_m.iter().copied().fold(0.0, f64::max),
+        max_disagreement_m: 0.0,
         left_out: trusted.left_out.clone(),
         guided_matching: solved.guided_matching as u64,
         outliers: not_used(walk, &last.points) as u64,
@@ -240,30 +263,6 @@ pub(super) fn not_used(walk: &Walk, points: &[LocalPoint]) -> usize {
     of_map.sum::<usize>() + local.filter(|seen| !seen.used).count()
 }
 
-/// Standard deviations of the rig file beyond which a camera is not as the file says.
-const UNLIKELY_SIGMAS: f64 = 3.0;
-
-fn warn_of_cameras(report: &mut GroundTruthReport) {
-    for camera in &report.cameras {
-        if camera.largest_sigmas > UNLIKELY_SIGMAS {
-            report.warnings.push(format!(
-                "camera {} is {:.1} standard deviations from what the rig file says (turn {:.2}°, shift {:.1} mm, focal length \
-                 {:+.2} %, clock {:+.1} ms): calibrate it again",
-                camera.camera,
-                camera.largest_sigmas,
-                norm(&camera.turn_deg),
-                norm(&camera.shift_m) * 1e3,
-                camera.focal_share * 1e2,
-                camera.clock_s * 1e3,
-            ));
-        }
-    }
-}
-
-fn norm(values: &[f64; 3]) -> f64 {
-    values.iter().map(|v| v * v).sum::<f64>().sqrt()
-}
-
 fn warn(
     report: &mut GroundTruthReport,
     frames: &[FeatureFrame],
@@ -283,38 +282,35 @@ fn warn(
     }
     report.left_out.extend(beyond);
     report.left_out.sort_by_key(|span| span.from_ns);
-    let secs = |span: &Span| (span.to_ns - span.from_ns) as f64 / 1e9;
-    for (reason, why) in [
-        (
-            LeftOutReason::NotRecognised,
-            "too little of the map was recognised in their images",
-        ),
-        (
-            LeftOutReason::Uncertain,
-            "their poses are not certain enough (max_position_sigma_m)",
-        ),
-        (
-            LeftOutReason::Contradicted,
-            "their images were found at places that contradict the IMU and the rest of the walk",
-        ),
-    ] {
+    for reason in LeftOutReason::ALL {
         let spans = report.left_out.iter().filter(|s| s.reason == reason);
-        let total: f64 = spans.map(secs).sum();
-        if total > 0.0 {
+        let (count, ns) = spans.fold((0, 0), |(count, ns), span| {
+            (count + 1, ns + span.to_ns - span.from_ns)
+        });
+        if count > 0 {
+            report.warnings.push(GroundTruthWarning::LeftOut {
+                reason,
+                secs: ns as f64 / 1e9,
+                spans: count,
+            });
+        }
+    }
+    for found in &report.cameras {
+        if found.largest_sigmas > UNLIKELY_SIGMAS {
+            let found = found.clone();
             report
                 .warnings
-                .push(format!("{total:.1} s of the walk are left out: {why}"));
+                .push(GroundTruthWarning::CameraOff { found });
         }
     }
     if report.imu_gaps > 0 {
-        report.warnings.push(format!(
-            "{} of the intervals between frames lack IMU samples",
-            report.imu_gaps
-        ));
+        report.warnings.push(GroundTruthWarning::ImuGaps {
+            intervals: report.imu_gaps,
+        });
     }
     if damaged > 0 {
         report
             .warnings
-            .push(format!("{damaged} images are damaged and were skipped"));
+            .push(GroundTruthWarning::DamagedImages { images: damaged });
     }
 }

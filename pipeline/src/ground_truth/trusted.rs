@@ -11,6 +11,8 @@ pub(super) struct Trusted {
     pub poses: Vec<StampedPose>,
     /// Beside the poses.
     pub covariances: Vec<Matrix6<f64>>,
+    /// Beside the poses: how far halves of the map's points move them, metres.
+    pub disagreements_m: Vec<f64>,
     /// Poses that see too little of the map to be placed alone.
     pub bridged: usize,
     pub left_out: Vec<Span>,
@@ -23,6 +25,8 @@ pub(super) struct Solution<'a> {
     pub accepted: &'a [bool],
     /// Covariances of the poses; `None` where nothing determines one.
     pub covariances: &'a [Option<Matrix6<f64>>],
+    /// How far halves of the map's points move each position, metres.
+    pub disagreements_m: &'a [f64],
 }
 
 /// Leaves out the stretches that see too little of the map for too long, and poses that are not certain enough.
@@ -31,6 +35,7 @@ pub(super) fn trusted(walk: &Walk, found: &Solution, config: &GroundTruthConfig)
     let mut result = Trusted {
         poses: Vec::new(),
         covariances: Vec::new(),
+        disagreements_m: Vec::new(),
         bridged: 0,
         left_out: Vec::new(),
     };
@@ -42,6 +47,7 @@ pub(super) fn trusted(walk: &Walk, found: &Solution, config: &GroundTruthConfig)
                     world_from_rig: found.states[k].nav.world_from_rig,
                 });
                 result.covariances.push(*covariance);
+                result.disagreements_m.push(found.disagreements_m[k]);
                 result.bridged += usize::from(frame.fixed.len() < config.min_map_points);
                 continue;
             }
@@ -88,7 +94,10 @@ fn reasons(
         };
         reasons.extend((k..end).map(|j| {
             let uncertain = !found.covariances[j].is_some_and(|c| is_certain(&c, config));
-            whole.or(uncertain.then_some(LeftOutReason::Uncertain))
+            let disputed = found.disagreements_m[j] > config.max_disagreement_m;
+            whole
+                .or(uncertain.then_some(LeftOutReason::Uncertain))
+                .or(disputed.then_some(LeftOutReason::MapPartsDisagree))
         }));
     }
     reasons

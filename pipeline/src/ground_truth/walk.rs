@@ -21,6 +21,7 @@ pub(super) struct Walk {
 }
 
 /// One instant.
+#[derive(Clone)]
 pub(super) struct Frame {
     pub time: Timestamp,
     /// Pose by visual localization alone, where it succeeded.

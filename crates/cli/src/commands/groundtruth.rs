@@ -9,15 +9,20 @@ use lsfb_pipeline::ground_truth::{
 };
 use lsfb_pipeline::hd_map::HdMap;
 use lsfb_recording::{Provenance, read_tum, write_tum};
+use lsfb_types::Judgement;
 
 use crate::context::Context;
 use crate::files;
+use crate::judged::{Judged, problem_lines};
 use crate::outcome::Outcome;
 use crate::standing;
 
 /// Compute the ground-truth trajectory of a walk in an HD map.
 ///
 /// Beside the trajectory WALK.tum, WALK_covariance.txt has its poses with their covariance, as `lsfb eval` reads it: 44 columns.
+///
+/// What is not certain, or lies elsewhere when parts of the map are withheld, is left out: then the exit code is 3, and the findings say
+/// why. WALK_cross_check.txt has, for each pose, how far half of the map's points move it.
 ///
 /// An existing trajectory, made by this program from the same walk and map with the same settings, is not computed again.
 ///
@@ -53,9 +58,10 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         context.claim(result, &[&arguments.recording])
     })?;
     let r = &found.report;
-    context.print(r, || {
-        let mut text = format!(
-            "{}: {} poses, {} of {} frames localized, {} bridged, reprojection {:.3} px rms",
+    let judgement = Judgement::new(r.findings());
+    context.print(&Judged::new(&judgement, "the trajectory", r), || {
+        let summary = format!(
+            "{}: {} poses, {} of {} frames localized, {} bridged, reprojection {:.3} px rms\n",
             arguments.out.display(),
             found.trajectory.len(),
             r.localized,
@@ -63,12 +69,12 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             r.bridged,
             r.map_errors.rms_px
         );
-        for warning in &r.warnings {
-            text += &format!("\n  {warning}");
-        }
-        text
+        summary + &problem_lines(&judgement)
     })?;
-    Ok(Outcome::Done)
+    Ok(match r.left_out.is_empty() {
+        true => Outcome::Done,
+        false => Outcome::DataLost,
+    })
 }
 
 /// A trajectory that was written, and where it comes from.
@@ -100,7 +106,8 @@ impl WalkJob<'_> {
         provenance.add_rig(&super::about(self.recording, walk.rig())?);
         // The map's header has the hashes of its other files.
         provenance.add_input(&self.map.join(HdMap::HEADER))?;
-        let beside = covariance_path(self.out);
+        let covariances = beside(self.out, "covariance");
+        let cross_check = beside(self.out, "cross_check");
         if let Some(report) = context.standing(&[self.out], &provenance) {
             return Ok(WrittenTrajectory {
                 trajectory: read_tum(self.out)?,
@@ -109,16 +116,19 @@ impl WalkJob<'_> {
             });
         }
         claim(self.out)?;
-        claim(&beside)?;
+        claim(&covariances)?;
+        claim(&cross_check)?;
         let found = super::about(
             self.recording,
             ground_truth(&walk, &hd_map, self.config, &|p| context.show(p)),
         )?;
         standing::forget(&[self.out])?;
         write_tum(self.out, &found.trajectory)?;
-        files::write(&beside, with_covariances(&found))?;
+        files::write(&covariances, with_covariances(&found))?;
+        files::write(&cross_check, disagreements(&found))?;
         provenance.write(self.out)?;
-        standing::finish(&[self.out], &[beside], &provenance, &found.report)?;
+        let beside = [covariances, cross_check];
+        standing::finish(&[self.out], &beside, &provenance, &found.report)?;
         Ok(WrittenTrajectory {
             trajectory: found.trajectory,
             report: found.report,
@@ -128,9 +138,19 @@ impl WalkJob<'_> {
 }
 
 /// `walk.tum` → `walk_covariance.txt`.
-fn covariance_path(trajectory: &Path) -> PathBuf {
+fn beside(trajectory: &Path, what: &str) -> PathBuf {
     let stem = trajectory.file_stem().unwrap_or_default().to_string_lossy();
-    trajectory.with_file_name(format!("{stem}_covariance.txt"))
+    trajectory.with_file_name(format!("{stem}_{what}.txt"))
+}
+
+/// How far half of the map's points move each position.
+fn disagreements(found: &GroundTruth) -> String {
+    let mut text = String::from("# timestamp_s disagreement_m\n");
+    for (pose, moved_m) in found.trajectory.poses().iter().zip(&found.disagreements_m) {
+        // Writing into a string cannot fail.
+        let _ = writeln!(text, "{} {moved_m:.6}", pose.time);
+    }
+    text
 }
 
 /// TUM's columns, then the covariance of x, y, z and of rotations about the world's axes, row by row.

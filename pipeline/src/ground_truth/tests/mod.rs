@@ -2,6 +2,7 @@
 
 mod cameras;
 mod consensus;
+mod cross_check;
 mod recorded;
 
 use std::sync::Arc;
@@ -335,6 +336,7 @@ fn local_points_and_imu_carry_a_stretch_the_map_does_not_know() {
         states: &estimate.states,
         accepted: &start.accepted,
         covariances: &covariances,
+        disagreements_m: &[0.0; FRAMES],
     };
     let trusted = trusted(&walk, &found, &config);
     assert_eq!(trusted.covariances.len(), trusted.poses.len());

@@ -3,7 +3,7 @@
 use lsfb_eval::report::{self, Distribution, Figure, Report, StageTime, Track};
 use lsfb_pipeline::ground_truth::ReprojectionErrors;
 use lsfb_sim::SimConfig;
-use lsfb_types::{Finding, Limit, Verdict};
+use lsfb_types::Limit;
 
 use super::super::groundtruth::WrittenTrajectory;
 use super::super::map::WrittenMap;
@@ -24,9 +24,7 @@ pub(super) fn report(
     let (mapping, walk_report) = (&map.report, &walk.report);
     let odometry = mapping.odometry.warnings.iter().map(|w| w.finding());
     let of_mapping = mapping.warnings.iter().map(|w| w.finding());
-    let of_walk = walk_report.warnings.iter();
-    let of_walk = of_walk.map(|w| Finding::new("stage", Verdict::Warn, "ground truth", w.clone()));
-    let findings = odometry.chain(of_mapping).chain(of_walk);
+    let findings = odometry.chain(of_mapping).chain(walk_report.findings());
     let distribution = |title: &str, values| Distribution {
         title: title.to_owned(),
         quantity: "reprojection error".to_owned(),

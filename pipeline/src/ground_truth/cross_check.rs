@@ -1,0 +1,254 @@
+//! Whether each pose stands where parts of the map are withheld.
+//!
+//! A solve says how well observations agree with one another as if each point erred on its own. Neighbours do not: points of a poor
+//! part of the map lie wrongly together, and along an edge one feature is taken for the next, in one image after the other. So
+//! the points that a stretch of the walk sees are divided into four groups by where they are, and the stretch is solved again with
+//! every two of them. What a group shares moves the halves apart; how far is compared with what is allowed.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use lsfb_geometry::Vector3;
+use lsfb_types::{Progress, ProgressFn, no_progress};
+use rayon::prelude::*;
+
+use super::GroundTruthConfig;
+use super::estimate::Estimate;
+use super::optimization::{choose_observations, optimize};
+use super::walk::{LocalObservation, LocalPoint, Walk};
+use crate::Error;
+
+/// Frames that are checked are this far apart, seconds: neighbours see the same points, and share their errors.
+const STEP_SECS: f64 = 0.095;
+/// Checked frames of one stretch, and those before and after it that are solved with it.
+const FRAMES_AT_ONCE: usize = 30;
+const MARGIN_FRAMES: usize = 10;
+/// Inertial samples from this long before the first frame of a stretch to as long after the last, seconds.
+const IMU_MARGIN_SECS: f64 = 0.1;
+/// Groups of points.
+const GROUPS: usize = 4;
+/// Which groups each half has: every pair.
+const HALVES: [[usize; 2]; 6] = [[0, 1], [2, 3], [0, 2], [1, 3], [0, 3], [1, 2]];
+/// Rounds in which a half chooses its observations, as far from the whole's as its own poses lead.
+const ROUNDS: usize = 2;
+
+/// For each frame the largest distance of its position by one half of the map's points from that by all, metres; infinite where a
+/// half leads nowhere.
+pub(super) fn disagreements_m(
+    walk: &Walk,
+    estimate: &Estimate,
+    points: &[LocalPoint],
+    config: &GroundTruthConfig,
+    progress: ProgressFn<'_>,
+) -> Result<Vec<f64>, Error> {
+    let checked = checked_frames(walk);
+    let mut jobs: Vec<(Range<usize>, [usize; 2])> = Vec::new();
+    for first in (0..checked.len()).step_by(FRAMES_AT_ONCE) {
+        let end = (first + FRAMES_AT_ONCE).min(checked.len());
+        jobs.extend(HALVES.map(|half| (first..end, half)));
+    }
+    let (done, total) = (AtomicU64::new(0), jobs.len() as u64);
+    let found: Vec<(Range<usize>, Vec<f64>)> = jobs
+        .into_par_iter()
+        .map(|(core, half)| {
+            progress(Progress {
+                stage: "cross-check",
+                done: done.fetch_add(1, Ordering::Relaxed) + 1,
+                total,
+            })?;
+            let begin = core.start.saturating_sub(MARGIN_FRAMES);
+            let end = (core.end + MARGIN_FRAMES).min(checked.len());
+            let stretch = Stretch::new(walk, estimate, points, &checked[begin..end]);
+            let poses_m = stretch.positions_by(half, config)?;
+            let apart = core.clone().map(|k| {
+                let whole_m = estimate.pose(checked[k]).translation;
+                let by_half = poses_m.as_ref().map(|poses_m| poses_m[k - begin]);
+                by_half.map_or(f64::INFINITY, |by_half_m| (by_half_m - whole_m).norm())
+            });
+            Ok((core.clone(), apart.collect()))
+        })
+        .collect::<Result<_, Error>>()?;
+    let mut largest_m = vec![0.0f64; checked.len()];
+    for (core, apart_m) in found {
+        for (largest_m, apart_m) in largest_m[core].iter_mut().zip(apart_m) {
+            *largest_m = largest_m.max(apart_m);
+        }
+    }
+    Ok(spread_to_neighbours(walk, &checked, &largest_m))
+}
+
+/// Frames a step apart, the first and the last among them.
+fn checked_frames(walk: &Walk) -> Vec<usize> {
+    let mut checked: Vec<usize> = Vec::new();
+    for (k, frame) in walk.frames.iter().enumerate() {
+        let is_due = checked.last().is_none_or(|last| {
+            let secs = frame.time.secs_since(walk.frames[*last].time);
+            secs >= STEP_SECS || k + 1 == walk.frames.len()
+        });
+        if is_due {
+            checked.push(k);
+        }
+    }
+    checked
+}
+
+/// Of a frame that was not checked what holds for the worse of its two checked neighbours.
+fn spread_to_neighbours(walk: &Walk, checked: &[usize], largest_m: &[f64]) -> Vec<f64> {
+    (0..walk.frames.len())
+        .map(|frame| {
+            let after = checked.partition_point(|k| *k < frame);
+            let before = checked.partition_point(|k| *k <= frame).saturating_sub(1);
+            let of = |k: usize| largest_m.get(k).copied().unwrap_or(0.0);
+            of(before).max(of(after))
+        })
+        .collect()
+}
+
+/// Some frames of a walk, with what is known of them.
+struct Stretch {
+    walk: Walk,
+    estimate: Estimate,
+    points: Vec<LocalPoint>,
+    /// Group of each point of the map.
+    groups: BTreeMap<u32, usize>,
+}
+
+impl Stretch {
+    fn new(walk: &Walk, estimate: &Estimate, points: &[LocalPoint], frames: &[usize]) -> Self {
+        let times = |k: Option<&usize>| k.map_or_else(Default::default, |k| walk.frames[*k].time);
+        let (from, to) = (times(frames.first()), times(frames.last()));
+        let first = walk
+            .imu
+            .partition_point(|s| from.secs_since(s.time) > IMU_MARGIN_SECS);
+        let end = walk
+            .imu
+            .partition_point(|s| s.time.secs_since(to) <= IMU_MARGIN_SECS);
+        let inside = |point: &LocalPoint| {
+            let seen = point.observations.iter().filter_map(|seen| {
+                let frame = frames.binary_search(&seen.frame).ok()?;
+                Some(LocalObservation { frame, ..*seen })
+            });
+            LocalPoint {
+                point_in_world: point.point_in_world,
+                observations: seen.collect(),
+            }
+        };
+        let part = Walk {
+            cameras: walk.cameras.clone(),
+            frames: frames.iter().map(|k| walk.frames[*k].clone()).collect(),
+            imu: walk.imu[first..end.max(first)].to_vec(),
+            noise: walk.noise.clone(),
+        };
+        let at = |k: &usize| (estimate.states[*k], estimate.motions[*k]);
+        let (states, motions) = frames.iter().map(at).unzip();
+        let estimate = Estimate {
+            states,
+            motions,
+            corrections: estimate.corrections.clone(),
+            cameras: estimate.cameras.clone(),
+        };
+        Self {
+            groups: groups(&part, &estimate),
+            walk: part,
+            estimate,
+            points: points.iter().map(inside).collect(),
+        }
+    }
+
+    /// Positions of the frames by the points of two groups, metres; `None` where they lead nowhere.
+    fn positions_by(
+        mut self,
+        half: [usize; 2],
+        config: &GroundTruthConfig,
+    ) -> Result<Option<Vec<Vector3<f64>>>, Error> {
+        let groups = &self.groups;
+        let is_kept = |point: &u32| groups.get(point).is_some_and(|g| half.contains(g));
+        for frame in &mut self.walk.frames {
+            frame.fixed.retain(|seen| is_kept(&seen.point));
+            frame.recognised.retain(|seen| is_kept(&seen.point));
+        }
+        for round in 0..ROUNDS {
+            let (walk, points) = (&self.walk, &self.points);
+            let solved = match optimize(walk, &self.estimate, points, config, &no_progress) {
+                Ok(solved) => solved,
+                Err(Error::NotConverged { .. } | Error::Solver(_)) => return Ok(None),
+                Err(other) => return Err(other),
+            };
+            (self.estimate, self.points) = (solved.estimate, solved.points);
+            let is_last = round + 1 == ROUNDS;
+            if is_last
+                || choose_observations(&mut self.walk, &self.estimate, &mut self.points, config)
+                    == 0
+            {
+                break;
+            }
+        }
+        let states = self.estimate.states.iter();
+        let positions = states.map(|s| s.nav.world_from_rig.translation);
+        Ok(Some(positions.collect()))
+    }
+}
+
+/// A point of the map as a stretch sees it.
+struct Sighted {
+    point: u32,
+    /// Its direction, as long as the logarithm of its distance: near points are as far from one another as distant ones.
+    place: Vector3<f64>,
+    sights: usize,
+}
+
+/// Divides the points of a stretch into groups that lie together, with about as many sights each: halved where they spread
+/// most, and halved again.
+fn groups(walk: &Walk, estimate: &Estimate) -> BTreeMap<u32, usize> {
+    let mut sighted: BTreeMap<u32, Sighted> = BTreeMap::new();
+    for (k, frame) in walk.frames.iter().enumerate() {
+        for seen in &frame.recognised {
+            let entry = sighted.entry(seen.point).or_insert_with(|| {
+                let away_m = seen.point_in_world - estimate.pose(k).translation;
+                let distance_m = away_m.norm();
+                Sighted {
+                    point: seen.point,
+                    place: away_m * (distance_m.ln_1p() / distance_m.max(f64::MIN_POSITIVE)),
+                    sights: 0,
+                }
+            });
+            entry.sights += 1;
+        }
+    }
+    let mut sighted: Vec<Sighted> = sighted.into_values().collect();
+    let mut groups = BTreeMap::new();
+    divide(&mut sighted, 0..GROUPS, &mut groups);
+    groups
+}
+
+fn divide(sighted: &mut [Sighted], numbers: Range<usize>, groups: &mut BTreeMap<u32, usize>) {
+    if numbers.len() == 1 || sighted.len() < 2 {
+        groups.extend(sighted.iter().map(|s| (s.point, numbers.start)));
+        return;
+    }
+    let total: usize = sighted.iter().map(|s| s.sights).sum();
+    let spread = |axis: usize| {
+        let weighted = |of: &dyn Fn(&Sighted) -> f64| {
+            sighted.iter().map(|s| of(s) * s.sights as f64).sum::<f64>() / total as f64
+        };
+        let mean = weighted(&|s| s.place[axis]);
+        weighted(&|s| (s.place[axis] - mean).powi(2))
+    };
+    let widest = (0..3).max_by(|a, b| spread(*a).total_cmp(&spread(*b)));
+    let axis = widest.unwrap_or(0);
+    sighted.sort_by(|a, b| {
+        let along = a.place[axis].total_cmp(&b.place[axis]);
+        along.then(a.point.cmp(&b.point))
+    });
+    let mut below = 0;
+    let half = sighted.iter().position(|s| {
+        below += s.sights;
+        2 * below >= total
+    });
+    let at = half.map_or(1, |k| k + 1).min(sighted.len() - 1);
+    let (low, high) = sighted.split_at_mut(at);
+    let middle = numbers.start + numbers.len() / 2;
+    divide(low, numbers.start..middle, groups);
+    divide(high, middle..numbers.end, groups);
+}

@@ -1,0 +1,159 @@
+//! What the reader of a trajectory should know, as every command and page says it.
+
+use lsfb_types::{Finding, Limit, Verdict};
+use serde::{Deserialize, Serialize};
+
+use super::report::{CameraRefinement, GroundTruthReport, LeftOutReason};
+
+/// Something the reader of a trajectory should know.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "kind")]
+#[non_exhaustive]
+pub enum GroundTruthWarning {
+    /// Stretches of the walk have no poses.
+    LeftOut {
+        /// Why.
+        reason: LeftOutReason,
+        /// How long they are together, seconds.
+        secs: f64,
+        /// How many they are.
+        spans: u64,
+    },
+    /// A camera is not as the rig file says.
+    CameraOff {
+        /// How it differs.
+        found: CameraRefinement,
+    },
+    /// Intervals between frames lack inertial samples.
+    ImuGaps {
+        /// How many.
+        intervals: u64,
+    },
+    /// Images could not be read.
+    DamagedImages {
+        /// How many.
+        images: u64,
+    },
+}
+
+/// Standard deviations of the rig file beyond which a camera is not as the file says.
+pub(super) const UNLIKELY_SIGMAS: f64 = 3.0;
+
+impl GroundTruthWarning {
+    /// As every command and page says it.
+    pub fn finding(&self) -> Finding {
+        let warn = |code: &'static str, subject: &str, what: String| {
+            Finding::new(code, Verdict::Warn, subject, what)
+        };
+        match self {
+            Self::LeftOut {
+                reason,
+                secs,
+                spans,
+            } => {
+                let (what, remedy) = reason.words();
+                let spans = match spans {
+                    1 => "1 stretch".to_owned(),
+                    count => format!("{count} stretches"),
+                };
+                let what = format!("{secs:.1} s of the walk are left out in {spans}: {what}");
+                warn(reason.code(), "trajectory", what)
+                    .value(*secs, "s")
+                    .limit(Limit::AtMost(0.0))
+                    .remedy(remedy)
+            }
+            Self::CameraOff { found } => warn(
+                "camera-off",
+                &found.camera,
+                format!(
+                    "it is {:.1} standard deviations from what the rig file says (turn {:.2}°, shift {:.1} mm, focal length {:+.2} %, \
+                     clock {:+.1} ms)",
+                    found.largest_sigmas,
+                    norm(&found.turn_deg),
+                    norm(&found.shift_m) * 1e3,
+                    found.focal_share * 1e2,
+                    found.clock_s * 1e3,
+                ),
+            )
+            .value(found.largest_sigmas, "")
+            .limit(Limit::AtMost(UNLIKELY_SIGMAS))
+            .remedy("calibrate it again"),
+            Self::ImuGaps { intervals } => warn(
+                "imu-gaps",
+                "IMU",
+                format!("samples are missing in {intervals} of the intervals between frames"),
+            )
+            .value(*intervals as f64, "")
+            .limit(Limit::AtMost(0.0))
+            .remedy("record the IMU without pauses"),
+            Self::DamagedImages { images } => warn(
+                "damaged-images",
+                "images",
+                format!("{images} are damaged and were skipped"),
+            )
+            .value(*images as f64, "")
+            .limit(Limit::AtMost(0.0)),
+        }
+    }
+}
+
+fn norm(values: &[f64; 3]) -> f64 {
+    values.iter().map(|v| v * v).sum::<f64>().sqrt()
+}
+
+impl LeftOutReason {
+    fn code(self) -> &'static str {
+        match self {
+            Self::NotRecognised => "not-recognised",
+            Self::Uncertain => "uncertain",
+            Self::Contradicted => "contradicted",
+            Self::MapPartsDisagree => "map-parts-disagree",
+        }
+    }
+
+    /// What is wrong, and what to do.
+    fn words(self) -> (&'static str, &'static str) {
+        match self {
+            Self::NotRecognised => (
+                "too little of the map was recognised in their images",
+                "map what is seen there too",
+            ),
+            Self::Uncertain => (
+                "their poses are not certain enough (max_position_sigma_m)",
+                "walk where more of the map is in view, or allow more",
+            ),
+            Self::Contradicted => (
+                "their images were found at places that contradict the IMU and the rest of the walk",
+                "check whether the map is of this place as it is now",
+            ),
+            Self::MapPartsDisagree => (
+                "with half of the map's points withheld they lie elsewhere (max_disagreement_m)",
+                "map the place again with more views of it, or walk where more of the map is in view",
+            ),
+        }
+    }
+}
+
+impl GroundTruthReport {
+    /// Everything that was looked at, good or not.
+    pub fn findings(&self) -> Vec<Finding> {
+        let share = 100.0 * self.poses as f64 / self.frames.max(1) as f64;
+        let whole = Verdict::Warn.unless(self.left_out.is_empty());
+        let coverage = format!("{} of {} frames have a pose", self.poses, self.frames);
+        let largest_m = self.largest_disagreement_m;
+        let agreement = format!(
+            "halves of the map's points move no position by more than {:.1} cm",
+            largest_m * 1e2
+        );
+        let mut findings = vec![
+            Finding::new("coverage", whole, "trajectory", coverage)
+                .value(share, "%")
+                .limit(Limit::AtLeast(100.0)),
+            Finding::new("cross-check", Verdict::Pass, "trajectory", agreement)
+                .value(largest_m * 1e2, "cm")
+                .limit(Limit::AtMost(self.max_disagreement_m * 1e2)),
+        ];
+        findings.extend(self.warnings.iter().map(GroundTruthWarning::finding));
+        findings
+    }
+}
