@@ -134,6 +134,21 @@ impl LeftOutReason {
     }
 }
 
+impl CameraRefinement {
+    fn finding(&self) -> Finding {
+        let what = format!(
+            "focal length {:+.2} ± {:.2} %, clock {:+.2} ± {:.2} ms, readout {:.1} ± {:.1} ms",
+            self.focal_share * 1e2,
+            self.focal_sigma * 1e2,
+            self.clock_s * 1e3,
+            self.clock_sigma_s * 1e3,
+            self.readout_s * 1e3,
+            self.readout_sigma_s * 1e3,
+        );
+        Finding::new("camera", Verdict::Pass, &self.camera, what)
+    }
+}
+
 impl GroundTruthReport {
     /// Everything that was looked at, good or not.
     pub fn findings(&self) -> Vec<Finding> {
@@ -153,6 +168,7 @@ impl GroundTruthReport {
                 .value(largest_m * 1e2, "cm")
                 .limit(Limit::AtMost(self.max_disagreement_m * 1e2)),
         ];
+        findings.extend(self.cameras.iter().map(CameraRefinement::finding));
         findings.extend(self.warnings.iter().map(GroundTruthWarning::finding));
         findings
     }

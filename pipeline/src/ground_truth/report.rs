@@ -7,7 +7,7 @@ use super::GroundTruthConfig;
 use super::estimate::Estimate;
 use super::findings::GroundTruthWarning;
 use super::walk::{LocalPoint, Walk};
-use crate::residuals::entry;
+use crate::residuals::{CameraCorrection, entry};
 
 /// Why a stretch is left out of the trajectory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -154,10 +154,16 @@ pub struct CameraRefinement {
     pub shift_m: [f64; 3],
     /// Share by which the focal length is larger.
     pub focal_share: f64,
+    /// Its standard deviation.
+    pub focal_sigma: f64,
     /// Added to the camera's stamps, seconds.
     pub clock_s: f64,
+    /// Its standard deviation, seconds.
+    pub clock_sigma_s: f64,
     /// Readout time, that of the rig file included, seconds.
     pub readout_s: f64,
+    /// Its standard deviation, seconds.
+    pub readout_sigma_s: f64,
     /// Largest of these in standard deviations of the rig file, but for the readout time, which many files do not state.
     pub largest_sigmas: f64,
 }
@@ -165,12 +171,13 @@ pub struct CameraRefinement {
 pub(super) fn refinements(
     rig: &Rig,
     estimate: &Estimate,
+    deviations: &[CameraCorrection],
     config: &GroundTruthConfig,
 ) -> Vec<CameraRefinement> {
     let found = estimate.corrections.iter().zip(&estimate.cameras);
-    let named = rig.cameras.keys().zip(found);
+    let named = rig.cameras.keys().zip(found.zip(deviations));
     named
-        .map(|(name, (correction, camera))| {
+        .map(|(name, ((correction, camera), deviation))| {
             let three = |from: usize| [0, 1, 2].map(|k| correction[from + k]);
             let mut sigmas = correction.component_div(&config.calibration_sigmas());
             sigmas[entry::READOUT] = 0.0;
@@ -179,8 +186,11 @@ pub(super) fn refinements(
                 turn_deg: three(entry::TURN).map(f64::to_degrees),
                 shift_m: three(entry::SHIFT),
                 focal_share: correction[entry::FOCAL],
+                focal_sigma: deviation[entry::FOCAL],
                 clock_s: correction[entry::CLOCK],
+                clock_sigma_s: deviation[entry::CLOCK],
                 readout_s: camera.timing().readout_s,
+                readout_sigma_s: deviation[entry::READOUT],
                 largest_sigmas: sigmas.amax(),
             }
         })

@@ -9,7 +9,7 @@ use super::findings::UNLIKELY_SIGMAS;
 use super::report::{local_errors, map_errors, refinements};
 use super::start::{Start, start_states};
 use super::trusted::{Solution, Trusted, trusted};
-use super::uncertainty::pose_covariances;
+use super::uncertainty::uncertainty;
 use super::walk::{FixedObservation, Frame, LocalPoint, LocalizedPose, Walk};
 use super::{
     GroundTruth, GroundTruthConfig, GroundTruthReport, GroundTruthWarning, LeftOutReason, Solved,
@@ -78,7 +78,7 @@ pub fn ground_truth(
     let start = accepted(start, count, recording, config)?;
     let solved = solve_walk(&mut walk, &start, &features, config, progress)?;
     let (estimate, points) = (&solved.last.estimate, &solved.last.points);
-    let covariances = pose_covariances(&walk, estimate, points, config, progress)?;
+    let uncertainty = uncertainty(&walk, estimate, points, config, progress)?;
 
     let disagreements_m = disagreements_m(&walk, estimate, points, config, progress)?;
     let trusted = trusted(
@@ -86,7 +86,7 @@ pub fn ground_truth(
         &Solution {
             states: &estimate.states,
             accepted: &start.accepted,
-            covariances: &covariances,
+            covariances: &uncertainty.poses,
             disagreements_m: &disagreements_m,
         },
         config,
@@ -109,7 +109,7 @@ pub fn ground_truth(
     }
     let trajectory = Trajectory::new(trusted.poses.clone());
     let mut report = report(&walk, &solved, &trusted, &trajectory)?;
-    report.cameras = refinements(&rig, estimate, config);
+    report.cameras = refinements(&rig, estimate, &uncertainty.corrections, config);
     report.frames = read.frames.len() as u64;
     report.features = read.frames.iter().map(FeatureFrame::feature_count).sum();
     report.localized = count as u64;

@@ -10,6 +10,7 @@ use std::ops::Range;
 use lsfb_geometry::{Matrix6, Vector3};
 use lsfb_solver::{BlockId, Kernel, Problem, VectorPrior, covariance};
 use lsfb_types::{Progress, ProgressFn};
+use nalgebra::SMatrix;
 
 use super::GroundTruthConfig;
 use super::estimate::Estimate;
@@ -51,18 +52,28 @@ impl Deviations {
     }
 }
 
-/// Covariance of the pose of each frame, tangent `[rotation, translation]` on the right, rad² and m²; `None` where what lies around
-/// it does not determine it.
-pub(super) fn pose_covariances(
+/// How far what was found may be off.
+pub(super) struct Uncertainty {
+    /// Covariance of the pose of each frame, tangent `[rotation, translation]` on the right, rad² and m²; `None` where what lies
+    /// around it does not determine it.
+    pub poses: Vec<Option<Matrix6<f64>>>,
+    /// Standard deviations of each camera's correction.
+    pub corrections: Vec<CameraCorrection>,
+}
+
+/// Linearizes around every pose; what the parts of the walk say of the cameras adds up.
+pub(super) fn uncertainty(
     walk: &Walk,
     estimate: &Estimate,
     points: &[LocalPoint],
     config: &GroundTruthConfig,
     progress: ProgressFn<'_>,
-) -> Result<Vec<Option<Matrix6<f64>>>, Error> {
+) -> Result<Uncertainty, Error> {
     let shown = Deviations::of(&map_errors(walk, estimate), &local_errors(estimate, points));
     let count = walk.frames.len();
-    let mut covariances = Vec::with_capacity(count);
+    let mut poses = Vec::with_capacity(count);
+    let known = information_of(&config.calibration_sigmas());
+    let mut learned = vec![known; walk.cameras.len()];
     for first in (0..count).step_by(FRAMES_AT_ONCE) {
         progress(Progress {
             stage: "covariance",
@@ -78,9 +89,40 @@ pub(super) fn pose_covariances(
             .frames
             .partition_point(|f| f.time.secs_since(to) <= MARGIN_SECS);
         let window = Window::new(walk, estimate, points, begin..stop, &shown, config)?;
-        covariances.extend(window.covariances(first..end)?);
+        let found = window.covariances(first..end)?;
+        poses.extend(found.poses);
+        // Neighbours share their margins: each part of the walk counts once.
+        let share = (end - first) as f64 / (stop - begin) as f64;
+        for (learned, covariance) in learned.iter_mut().zip(found.corrections) {
+            if let Some(here) = covariance.try_inverse() {
+                *learned += (here - known) * share;
+            }
+        }
     }
-    Ok(covariances)
+    let corrections = learned.iter().map(|information| {
+        let covariance = information.try_inverse();
+        covariance.map_or(config.calibration_sigmas(), |c| c.diagonal().map(f64::sqrt))
+    });
+    Ok(Uncertainty {
+        poses,
+        corrections: corrections.collect(),
+    })
+}
+
+/// Entries of a camera's correction.
+const CORRECTIONS: usize = 9;
+/// Covariance of a camera's correction, or its inverse.
+type CorrectionMatrix = SMatrix<f64, CORRECTIONS, CORRECTIONS>;
+
+fn information_of(sigmas: &CameraCorrection) -> CorrectionMatrix {
+    CorrectionMatrix::from_diagonal(&sigmas.map(|sigma| sigma.powi(-2)))
+}
+
+/// What one window says.
+struct WindowCovariances {
+    poses: Vec<Option<Matrix6<f64>>>,
+    /// One for each camera, or none at all.
+    corrections: Vec<CorrectionMatrix>,
 }
 
 /// A part of the walk.
@@ -88,6 +130,7 @@ struct Window {
     problem: Problem,
     begin: usize,
     poses: Vec<BlockId>,
+    corrections: Vec<BlockId>,
 }
 
 impl Window {
@@ -167,20 +210,39 @@ impl Window {
             problem,
             begin: frames.start,
             poses: states.iter().map(|s| s.pose.id()).collect(),
+            corrections: corrections.iter().map(|block| block.id()).collect(),
         })
     }
 
-    fn covariances(&self, frames: Range<usize>) -> Result<Vec<Option<Matrix6<f64>>>, Error> {
-        let asked = &self.poses[frames.start - self.begin..frames.end - self.begin];
-        let found = match covariance(&self.problem, asked) {
+    fn covariances(&self, frames: Range<usize>) -> Result<WindowCovariances, Error> {
+        let poses = &self.poses[frames.start - self.begin..frames.end - self.begin];
+        let asked = [poses, &self.corrections].concat();
+        let found = match covariance(&self.problem, &asked) {
             Ok(found) => found,
-            Err(lsfb_solver::Error::Undetermined { .. }) => return Ok(vec![None; asked.len()]),
+            Err(lsfb_solver::Error::Undetermined { .. }) => {
+                return Ok(WindowCovariances {
+                    poses: vec![None; poses.len()],
+                    corrections: Vec::new(),
+                });
+            }
             Err(other) => return Err(other.into()),
         };
         let of_pose = |id: &BlockId| {
             let block = found.between(*id, *id)?;
             Some(block.fixed_view::<6, 6>(0, 0).into_owned())
         };
-        Ok(asked.iter().map(of_pose).collect())
+        let of_camera = |id: &BlockId| {
+            let block = found.between(*id, *id)?;
+            Some(
+                block
+                    .fixed_view::<CORRECTIONS, CORRECTIONS>(0, 0)
+                    .into_owned(),
+            )
+        };
+        let cameras = self.corrections.iter().map(of_camera);
+        Ok(WindowCovariances {
+            poses: poses.iter().map(of_pose).collect(),
+            corrections: cameras.collect::<Option<_>>().unwrap_or_default(),
+        })
     }
 }

@@ -60,7 +60,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let r = &found.report;
     let judgement = Judgement::new(r.findings());
     context.print(&Judged::new(&judgement, "the trajectory", r), || {
-        let summary = format!(
+        let mut text = format!(
             "{}: {} poses, {} of {} frames localized, {} bridged, reprojection {:.3} px rms\n",
             arguments.out.display(),
             found.trajectory.len(),
@@ -69,7 +69,10 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             r.bridged,
             r.map_errors.rms_px
         );
-        summary + &problem_lines(&judgement)
+        for camera in judgement.findings().iter().filter(|f| f.code == "camera") {
+            text += &format!("  {}\n", camera.sentence());
+        }
+        text + &problem_lines(&judgement)
     })?;
     Ok(match r.left_out.is_empty() {
         true => Outcome::Done,
@@ -156,7 +159,9 @@ fn disagreements(found: &GroundTruth) -> String {
 /// TUM's columns, then the covariance of x, y, z and of rotations about the world's axes, row by row.
 fn with_covariances(found: &GroundTruth) -> String {
     let mut text = String::from(
-        "# timestamp_s tx_m ty_m tz_m qx qy qz qw, covariance of x y z (m) and rotations about the world's axes (rad), 36 columns\n",
+        "# timestamp_s tx_m ty_m tz_m qx qy qz qw, covariance of x y z (m) and rotations about the world's axes (rad), 36 columns\n\
+         # In it are errors of images, of the IMU, of the cameras and of single points of the map; what all of the map around shares, its scale and\n\
+         # its place, does not show in a walk and is not in it.\n",
     );
     for (pose, covariance) in found.trajectory.poses().iter().zip(&found.covariances) {
         let t = &pose.world_from_rig.translation;

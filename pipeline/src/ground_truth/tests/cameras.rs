@@ -37,6 +37,22 @@ fn readout_clock_and_lens_are_found() {
         assert!(turn < off()[entry::TURN + 1], "{wrong}");
     }
 
+    // As well as it is said to be known.
+    let config = GroundTruthConfig::default();
+    let points = &found.last.points;
+    let said = uncertainty(&walk, estimate, points, &config, &no_progress).expect("covariances");
+    for (correction, sigmas) in estimate.corrections.iter().zip(&said.corrections) {
+        let wrong = (correction - off()).component_div(sigmas);
+        for named in [entry::FOCAL, entry::CLOCK, entry::READOUT] {
+            assert!(wrong[named].abs() < 4.0, "{named}: {wrong} of {sigmas}");
+        }
+        let known = config.calibration_sigmas();
+        assert!(
+            sigmas[entry::READOUT] < 0.1 * known[entry::READOUT],
+            "{sigmas}"
+        );
+    }
+
     // Taken at its word, the rig file spoils the walk.
     let certain = GroundTruthConfig {
         extrinsics_sigma_rad: 1e-9,

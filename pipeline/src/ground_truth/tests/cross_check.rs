@@ -24,11 +24,11 @@ fn checked(off_m: f64) -> Checked {
     let start = started(&walk, &config);
     let solved = solve_walk(&mut walk, &start, &features, &config, &no_progress).expect("solves");
     let (estimate, points) = (&solved.last.estimate, &solved.last.points);
-    let covariances = pose_covariances(&walk, estimate, points, &config, &no_progress);
+    let uncertainty = uncertainty(&walk, estimate, points, &config, &no_progress);
     let found = disagreements_m(&walk, estimate, points, &config, &no_progress);
     Checked {
         states: estimate.states.clone(),
-        covariances: covariances.expect("covariances"),
+        covariances: uncertainty.expect("covariances").poses,
         disagreements_m: found.expect("checks"),
         walk,
     }

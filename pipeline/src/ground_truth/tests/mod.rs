@@ -18,7 +18,7 @@ use rand_chacha::ChaCha8Rng;
 use super::run::not_used;
 use super::start::{Start, start_states};
 use super::trusted::{Solution, trusted};
-use super::uncertainty::pose_covariances;
+use super::uncertainty::{Uncertainty, uncertainty};
 use super::walk::{FixedObservation, Frame, LocalizedPose, State, Walk};
 use super::*;
 use crate::features::{DESCRIPTOR_LEN, Keypoint};
@@ -330,12 +330,13 @@ fn local_points_and_imu_carry_a_stretch_the_map_does_not_know() {
     assert!(found.worst_m < 0.1, "worst {} m after 4 s", found.worst_m);
 
     let estimate = &solved.last.estimate;
-    let covariances = pose_covariances(&walk, estimate, &solved.last.points, &config, &no_progress)
-        .expect("covariances");
+    let Uncertainty { poses, .. } =
+        uncertainty(&walk, estimate, &solved.last.points, &config, &no_progress)
+            .expect("covariances");
     let found = Solution {
         states: &estimate.states,
         accepted: &start.accepted,
-        covariances: &covariances,
+        covariances: &poses,
         disagreements_m: &[0.0; FRAMES],
     };
     let trusted = trusted(&walk, &found, &config);
