@@ -21,4 +21,4 @@ mod rosbag;
 
 pub use clouds::{CloudFolder, FileScan, ScanTimes, read_cloud};
 pub use error::Error;
-pub use rosbag::{BagImu, LidarMessages, LidarTopic, RosBag, pose_in};
+pub use rosbag::{BagImu, LidarMessages, LidarTopic, RosBag, Unread, pose_in};

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use anyhow::{Context as _, bail};
 use lsfb_capture::{CaptureReport, ReplayConfig, replay};
-use lsfb_datasets::{CloudFolder, LidarMessages, LidarTopic, RosBag, ScanTimes, pose_in};
+use lsfb_datasets::{CloudFolder, LidarMessages, LidarTopic, RosBag, ScanTimes, Unread, pose_in};
 use lsfb_drivers::any_lidar::{Model, Settings};
 use lsfb_drivers::transport::PacketSource;
 use lsfb_drivers::transport::pcap::PcapSource;
@@ -183,6 +183,7 @@ impl Sensors {
             said.warnings.push(format!("no IMU is used: {why}"));
             return Ok(sensors);
         }
+        said.warnings.extend(about_unread(&imu.unread));
         said.imu_topic = Some(imu.topic);
         let noise = rig.as_ref().and_then(Rig::imu_noise).cloned();
         let mut samples: Vec<_> = imu
@@ -224,7 +225,8 @@ fn of_bag(choice: &Choice, config: &OdometryConfig, context: &Context) -> anyhow
     let mut run = sensors.start(choice, config)?;
     if messages == LidarMessages::Packets {
         let scratch = Scratch::new()?;
-        let decoded = decode_bag(&topic, &scratch.scans, choice, context)?;
+        let (decoded, unread) = decode_bag(&topic, &scratch.scans, choice, context)?;
+        said.warnings.extend(about_unread(&unread));
         said.scan_times = "packets".to_owned();
         said.warnings.extend(about_packets(&decoded));
         let result = run_on_scans(&scratch.scans, run, context)?;
@@ -234,7 +236,7 @@ fn of_bag(choice: &Choice, config: &OdometryConfig, context: &Context) -> anyhow
         });
     }
     let mut clocks = 0_u64;
-    bag.clouds(&topic, &mut |message| {
+    let unread = bag.clouds(&topic, &mut |message| {
         context.show(Progress {
             stage: "lidar odometry",
             done: run.taken(),
@@ -253,6 +255,7 @@ fn of_bag(choice: &Choice, config: &OdometryConfig, context: &Context) -> anyhow
         })?;
         anyhow::Ok(())
     })?;
+    said.warnings.extend(about_unread(&unread));
     if clocks > 0 {
         said.warnings.push(format!(
             "the points of {clocks} scans have times of another clock than the stamps of the messages: of them only the differences are used"
@@ -375,7 +378,7 @@ fn decode_bag(
     out: &Path,
     choice: &Choice,
     context: &Context,
-) -> anyhow::Result<CaptureReport> {
+) -> anyhow::Result<(CaptureReport, Unread)> {
     let (send, waiting) = sync_channel(WAITING_MESSAGES);
     let read = move || {
         let bag = RosBag::open(choice.path)?;
@@ -393,7 +396,8 @@ fn decode_bag(
         };
         let decoded = decode(source, out, choice, context)?;
         match reader.join() {
-            Ok(Ok(()) | Err(Ended::Unwanted)) => Ok(decoded),
+            Ok(Ok(unread)) => Ok((decoded, unread)),
+            Ok(Err(Ended::Unwanted)) => Ok((decoded, Unread::default())),
             Ok(Err(Ended::Bag(error))) => Err(error.into()),
             Err(_) => bail!("{}: the thread that reads it failed", choice.path.display()),
         }
@@ -443,6 +447,15 @@ fn decode(
         bail!("{}: no scan was made of it: {why}", choice.path.display());
     }
     Ok(report)
+}
+
+/// What the odometry's reader should know of messages that could not be read.
+fn about_unread(unread: &Unread) -> Option<String> {
+    let first = unread.first.as_ref()?;
+    Some(format!(
+        "{} messages could not be read and are left out; the first: {first}",
+        unread.count
+    ))
 }
 
 /// What the odometry's reader should know of packets.

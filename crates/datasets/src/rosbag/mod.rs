@@ -56,6 +56,24 @@ pub struct BagImu {
     pub frame: String,
     /// Stamps and samples in the order of the bag.
     pub samples: Vec<(Timestamp, ImuSample)>,
+    /// Messages that are not among them.
+    pub unread: Unread,
+}
+
+/// Messages of a bag that could not be read and were passed over.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Unread {
+    /// How many: of messages, or of chunks of them.
+    pub count: u64,
+    /// Where the first is, and what is wrong with it.
+    pub first: Option<String>,
+}
+
+impl Unread {
+    fn note(&mut self, problem: String) {
+        self.count += 1;
+        self.first.get_or_insert(problem);
+    }
 }
 
 /// A bag, in one file or several.
@@ -73,8 +91,8 @@ enum Part {
     Sqlite(sqlite::Database),
 }
 
-/// What a bag gives its messages to.
-type Visit<'a> = &'a mut dyn FnMut(&[u8]) -> Result<(), String>;
+/// What a bag gives its messages to, with those that it cannot read. Answered with an error it gives no more.
+type Visit<'a> = &'a mut dyn FnMut(Result<&[u8], String>) -> Result<(), String>;
 
 impl RosBag {
     /// Whether a file or folder is a bag by its name. An `.mcap` may be one of ours as well as one of rosbag2.
@@ -137,7 +155,14 @@ impl RosBag {
                 return Err(self.wrong(problem).into());
             }
         };
-        self.visit_until(topic, decode, |(stamp, image)| each(stamp, image))
+        let mut unread = Unread::default();
+        let all = |(stamp, image)| each(stamp, image);
+        self.visit_until(topic, decode, &mut unread, all)?;
+        // Who asked for images misses one that is gone.
+        match unread.first {
+            Some(problem) => Err(self.wrong(problem).into()),
+            None => Ok(()),
+        }
     }
 
     /// The topic of a LiDAR: `topic`, or the only one there is; clouds go before packets.
@@ -186,43 +211,55 @@ impl RosBag {
         }
     }
 
-    /// Gives each cloud of a topic in the order of the bag, until all are given or one is answered with an error.
+    /// Gives each cloud of a topic in the order of the bag, until all are given or one is answered with an error. Those that cannot be
+    /// read are passed over and counted.
     pub fn clouds<E: From<Error>>(
         &self,
         topic: &str,
         each: &mut dyn FnMut(CloudMessage) -> Result<(), E>,
-    ) -> Result<(), E> {
+    ) -> Result<Unread, E> {
         let decode = |layout, bytes: &[u8]| decode_cloud(layout, bytes).map_err(|e| e.to_string());
-        self.visit_until(topic, decode, each)
+        let mut unread = Unread::default();
+        self.visit_until(topic, decode, &mut unread, each)?;
+        Ok(unread)
     }
 
     /// Gives the LiDAR packets of each message of a topic in the order of the bag, until all are given or some are answered with
-    /// an error.
+    /// an error. Messages that cannot be read are passed over and counted.
     pub fn packets<E: From<Error>>(
         &self,
         topic: &str,
         each: &mut dyn FnMut(Vec<Packet>) -> Result<(), E>,
-    ) -> Result<(), E> {
+    ) -> Result<Unread, E> {
         let schema = self.type_of(topic)?.replacen('/', "/msg/", 1);
         let decode = |layout, bytes: &[u8]| {
             decode_packets_of(layout, &schema, bytes).map_err(|e| e.to_string())
         };
-        self.visit_until(topic, decode, each)
+        let mut unread = Unread::default();
+        self.visit_until(topic, decode, &mut unread, each)?;
+        Ok(unread)
     }
 
-    /// The frame of the first message of a topic.
+    /// The frame of the first message of a topic that can be read.
     pub fn frame(&self, topic: &str) -> Result<String, Error> {
         let mut frame = None;
         let visited = self.visit(topic, |layout, bytes| {
-            let header = CdrReader::with_layout(layout, bytes)
-                .and_then(|mut r| r.header().map(|h| h.frame_id.to_owned()));
-            frame = Some(header.map_err(|e| e.to_string())?);
+            let header = bytes.ok().and_then(|bytes| {
+                let mut r = CdrReader::with_layout(layout, bytes).ok()?;
+                r.header().ok().map(|h| h.frame_id.to_owned())
+            });
+            frame = header;
             // One is enough.
-            Err(String::new())
+            match frame {
+                Some(_) => Err(String::new()),
+                None => Ok(()),
+            }
         });
         match frame {
             Some(frame) => Ok(frame),
-            None => visited.and_then(|()| Err(self.wrong(format!("no message on {topic}")))),
+            None => {
+                visited.and_then(|()| Err(self.wrong(format!("no message on {topic} can be read"))))
+            }
         }
     }
 
@@ -231,7 +268,7 @@ impl RosBag {
         let mut all = Vec::new();
         if self.topics.get(TF_STATIC).is_some_and(|kind| kind == TF) {
             self.visit(TF_STATIC, |layout, bytes| {
-                all.extend(message::transforms(layout, bytes)?);
+                all.extend(message::transforms(layout, bytes?)?);
                 Ok(())
             })?;
         }
@@ -272,32 +309,46 @@ impl RosBag {
             topic: topic.to_owned(),
             frame: String::new(),
             samples: Vec::new(),
+            unread: Unread::default(),
         };
-        self.visit(topic, |layout, bytes| {
-            let (stamp, frame, sample) = message::imu(layout, bytes)?;
-            if imu.samples.is_empty() {
-                imu.frame = frame;
-            }
-            imu.samples.push((stamp, sample));
-            Ok(())
-        })?;
-        Ok(imu)
+        let mut unread = Unread::default();
+        self.visit_until(
+            topic,
+            message::imu,
+            &mut unread,
+            |(stamp, frame, sample)| {
+                if imu.samples.is_empty() {
+                    imu.frame = frame;
+                }
+                imu.samples.push((stamp, sample));
+                Ok::<_, Error>(())
+            },
+        )?;
+        Ok(BagImu { unread, ..imu })
     }
 
-    /// Gives each message of a topic, decoded, until one is answered with an error.
+    /// Gives each message of a topic, decoded, until one is answered with an error; notes those that cannot be read.
     fn visit_until<T, E: From<Error>>(
         &self,
         topic: &str,
         decode: impl Fn(Layout, &[u8]) -> Result<T, String>,
+        unread: &mut Unread,
         mut each: impl FnMut(T) -> Result<(), E>,
     ) -> Result<(), E> {
         let mut ended = None;
+        let mut number = 0;
         let visited = self.visit(topic, |layout, bytes| {
-            let message = decode(layout, bytes)?;
-            each(message).map_err(|error| {
-                ended = Some(error);
-                String::new()
-            })
+            number += 1;
+            match bytes.and_then(|bytes| decode(layout, bytes)) {
+                Ok(message) => each(message).map_err(|error| {
+                    ended = Some(error);
+                    String::new()
+                }),
+                Err(problem) => {
+                    unread.note(format!("message {number} of {topic}: {problem}"));
+                    Ok(())
+                }
+            }
         });
         ended.map_or(visited.map_err(E::from), Err)
     }
@@ -305,12 +356,12 @@ impl RosBag {
     fn visit(
         &self,
         topic: &str,
-        mut each: impl FnMut(Layout, &[u8]) -> Result<(), String>,
+        mut each: impl FnMut(Layout, Result<&[u8], String>) -> Result<(), String>,
     ) -> Result<(), Error> {
         let mut number = 0;
         for file in &self.parts {
             let layout = file.layout();
-            let mut counted = |bytes: &[u8]| {
+            let mut counted = |bytes: Result<&[u8], String>| {
                 number += 1;
                 each(layout, bytes)
                     .map_err(|problem| format!("message {number} of {topic}: {problem}"))
@@ -391,8 +442,9 @@ impl Part {
                     return Ok(());
                 }
                 for message in recording.messages(topic).map_err(|e| wrong(&e))? {
-                    let message = message.map_err(|e| wrong(&e))?;
-                    each(&message.bytes).map_err(|e| wrong(&e))?;
+                    let message = message.map_err(|e| e.to_string());
+                    let bytes = message.as_ref().map(|m| m.bytes.as_ref());
+                    each(bytes.map_err(String::clone)).map_err(|e| wrong(&e))?;
                 }
                 Ok(())
             }

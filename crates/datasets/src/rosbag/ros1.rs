@@ -33,13 +33,22 @@ impl Bag {
             connections: BTreeMap::new(),
         };
         let mut connections = BTreeMap::new();
+        let mut damage = None;
         bag.read(&mut |record| {
-            if record.kind == CONNECTION {
-                let (id, connection) = record.connection()?;
-                connections.insert(id, connection);
+            match record {
+                Ok(record) if record.kind == CONNECTION => {
+                    let (id, connection) = record.connection()?;
+                    connections.insert(id, connection);
+                }
+                Ok(_) => {}
+                Err(problem) => _ = damage.get_or_insert(problem),
             }
             Ok(())
         })?;
+        // What else is damaged is said of the messages that are missed.
+        if let Some(problem) = damage.filter(|_| connections.is_empty()) {
+            return Err(unreadable(path, problem));
+        }
         bag.connections = connections;
         Ok(bag)
     }
@@ -50,22 +59,29 @@ impl Bag {
             .map(|(topic, kind)| (topic.as_str(), kind.as_str()))
     }
 
-    /// Gives the messages of a topic in the order of the file.
+    /// Gives the messages of a topic in the order of the file, and chunks that cannot be read: whose messages they hold nobody knows.
     pub fn visit(&self, topic: &str, each: Visit<'_>) -> Result<(), Error> {
         self.read(&mut |record| {
+            let record = match record {
+                Ok(record) => record,
+                Err(problem) => return each(Err(problem)),
+            };
             if record.kind != MESSAGE {
                 return Ok(());
             }
             let connection = self.connections.get(&record.u32("conn")?);
             match connection {
-                Some((of, _)) if of == topic => each(record.data),
+                Some((of, _)) if of == topic => each(Ok(record.data)),
                 _ => Ok(()),
             }
         })
     }
 
-    /// Gives every record, those of chunks too.
-    fn read(&self, each: &mut dyn FnMut(&Record<'_>) -> Result<(), String>) -> Result<(), Error> {
+    /// Gives every record, those of chunks too, and instead of chunks that are damaged what is wrong with them.
+    fn read(
+        &self,
+        each: &mut dyn FnMut(Result<&Record<'_>, String>) -> Result<(), String>,
+    ) -> Result<(), Error> {
         let io = |source| Error::Io {
             path: self.path.clone(),
             source,
@@ -87,20 +103,40 @@ impl Bag {
             };
             let record = Record::new(&header, &data).map_err(wrong)?;
             if record.kind == CHUNK {
-                let unpacked = record.unpack().map_err(wrong)?;
+                let unpacked = match record.unpack() {
+                    Ok(unpacked) => unpacked,
+                    Err(problem) => {
+                        each(Err(problem)).map_err(wrong)?;
+                        continue;
+                    }
+                };
                 let mut rest = unpacked.as_slice();
-                while let Some(header) = block(&mut rest, LONGEST_HEADER).map_err(wrong)? {
-                    let Some(data) = block(&mut rest, LONGEST_DATA).map_err(wrong)? else {
-                        return Err(wrong("a chunk that is cut short".to_owned()));
-                    };
-                    let inner = Record::new(&header, &data).map_err(wrong)?;
-                    each(&inner).map_err(wrong)?;
+                while !rest.is_empty() {
+                    match inner(&mut rest) {
+                        Ok((header, data)) => {
+                            let inner = Record::new(&header, &data);
+                            each(inner.as_ref().map_err(String::clone)).map_err(wrong)?;
+                        }
+                        Err(problem) => {
+                            // Where the next one begins is not known.
+                            each(Err(problem)).map_err(wrong)?;
+                            break;
+                        }
+                    }
                 }
             } else {
-                each(&record).map_err(wrong)?;
+                each(Ok(&record)).map_err(wrong)?;
             }
         }
     }
+}
+
+/// Header and data of a record of a chunk.
+fn inner(rest: &mut &[u8]) -> Result<(Vec<u8>, Vec<u8>), String> {
+    let header = block(rest, LONGEST_HEADER)?;
+    let data = block(rest, LONGEST_DATA)?;
+    let both = header.zip(data);
+    both.ok_or_else(|| "a chunk that is cut short".to_owned())
 }
 
 /// A length and as many bytes; `None` where the input ends before them.

@@ -68,10 +68,9 @@ impl Database {
             let mut rows = query.query([id]).map_err(wrong)?;
             while let Some(row) = rows.next().map_err(wrong)? {
                 let data = row.get_ref(0).map_err(wrong)?;
-                let bytes = data
-                    .as_blob()
-                    .map_err(|_| unreadable(&self.path, "a message that is no blob"))?;
-                each(bytes).map_err(|problem| unreadable(&self.path, problem))?;
+                let bytes = data.as_blob();
+                each(bytes.map_err(|_| "a message that is no blob".to_owned()))
+                    .map_err(|problem| unreadable(&self.path, problem))?;
             }
         }
         Ok(())

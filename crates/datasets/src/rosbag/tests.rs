@@ -294,6 +294,55 @@ fn assert_messages(bag: &RosBag) {
     assert!(bag.imu(Some("/cam0/image_raw")).is_err());
 }
 
+/// Naively one bad message in an hour of recording ends the run, or it is left out and nobody hears of it.
+#[test]
+fn a_damaged_message_and_a_damaged_chunk_cost_no_other_message_and_are_counted() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("a.bag");
+    let whole = ros1("none");
+    // A second chunk as the first, its size wrong, and a third that is whole.
+    let start = 13 + record(&[("op", &[3])], &[b' '; 16]).len();
+    let chunk = &whole[start..];
+    let mut damaged = chunk.to_vec();
+    let size = damaged
+        .windows(5)
+        .position(|w| w == b"size=")
+        .expect("size")
+        + 5;
+    damaged[size] ^= 1;
+    std::fs::write(&path, [&whole, damaged.as_slice(), chunk].concat()).expect("bag");
+    let bag = RosBag::open(&path).expect("a bag");
+    let imu = bag.imu(None).expect("samples");
+    assert_eq!((imu.samples.len(), imu.unread.count), (4, 1));
+    let first = imu.unread.first.expect("what is wrong");
+    assert!(
+        first.contains("message 3 of /imu0") && first.contains("announced"),
+        "{first}"
+    );
+
+    // A message that ends before its fields do: its samples are no numbers.
+    let mut holed = whole.clone();
+    let force = 9.8_f64.to_le_bytes();
+    let at = holed.windows(8).position(|w| w == force).expect("force");
+    holed[at..at + 8].copy_from_slice(&f64::NAN.to_le_bytes());
+    std::fs::write(&path, &holed).expect("bag");
+    let imu = RosBag::open(&path)
+        .expect("a bag")
+        .imu(None)
+        .expect("samples");
+    assert_eq!((imu.samples.len(), imu.unread.count), (1, 1));
+    assert_eq!(imu.frame, "cam0");
+
+    let mut clouds = 0;
+    let unread = RosBag::open(&path)
+        .expect("a bag")
+        .clouds("/velodyne_points", &mut |_| {
+            clouds += 1;
+            Ok::<(), Error>(())
+        });
+    assert_eq!((unread.expect("read"), clouds), (Unread::default(), 1));
+}
+
 #[test]
 fn bags_of_ros_1_are_read() {
     let folder = tempfile::tempdir().expect("folder");
