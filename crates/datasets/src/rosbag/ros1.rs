@@ -19,6 +19,9 @@ const CONNECTION: u8 = 7;
 const LONGEST_HEADER: usize = 1 << 20;
 const LONGEST_DATA: usize = 1 << 30;
 
+/// What records are given to, and what is wrong with those that are damaged. Answered with an error it gets no more.
+type Each<'a> = &'a mut dyn FnMut(Result<&Record<'_>, String>) -> Result<(), String>;
+
 pub(super) struct Bag {
     path: PathBuf,
     /// By number: topic and type.
@@ -78,10 +81,7 @@ impl Bag {
     }
 
     /// Gives every record, those of chunks too, and instead of chunks that are damaged what is wrong with them.
-    fn read(
-        &self,
-        each: &mut dyn FnMut(Result<&Record<'_>, String>) -> Result<(), String>,
-    ) -> Result<(), Error> {
+    fn read(&self, each: Each<'_>) -> Result<(), Error> {
         let io = |source| Error::Io {
             path: self.path.clone(),
             source,
