@@ -40,21 +40,26 @@ impl MarkedTable {
     /// For a terminal: grey figures in brackets, the best with a star.
     pub fn to_text(&self) -> String {
         const WIDTH: usize = 14;
+        let names = self
+            .rows
+            .iter()
+            .map(|(sequence, _)| sequence.chars().count() + 1);
+        let first = names.fold(10, usize::max);
         let mut out = format!(
-            "{} (ATE in m, scale error in %; (…) unreliable, * best)\n{:<10}",
+            "{} (ATE in m, scale error in %; (…) unreliable, * best)\n{:<first$}",
             self.title, ""
         );
         for (system, _) in &self.columns {
             let name: String = self.systems[*system].name.chars().take(WIDTH - 1).collect();
             out += &format!("{name:>WIDTH$}");
         }
-        out += &format!("\n{:<10}", "");
+        out += &format!("\n{:<first$}", "");
         for (_, metric) in &self.columns {
             out += &format!("{:>WIDTH$}", metric.label());
         }
         out.push('\n');
         for (sequence, figures) in &self.rows {
-            out += &format!("{sequence:<10}");
+            out += &format!("{sequence:<first$}");
             for figure in figures {
                 let digits = figure.digits();
                 let marked = match (figure.is_grey, figure.is_bold) {
@@ -67,7 +72,7 @@ impl MarkedTable {
             out.push('\n');
         }
         for (name, of) in FOOTER {
-            out += &format!("{name:<10}");
+            out += &format!("{name:<first$}");
             for (system, metric) in &self.columns {
                 let cell = self.count_of(*system, *metric).map(of);
                 let text = cell.map_or(String::new(), |(n, most)| {
