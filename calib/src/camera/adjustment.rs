@@ -4,47 +4,17 @@ use std::collections::BTreeMap;
 
 use lsfb_geometry::camera::LensModel;
 use lsfb_geometry::{Camera, Se3, UnitQuaternion, Vector2, Vector3};
-use lsfb_solver::{Block, Kernel, Problem, SolveConfig, solve};
-use nalgebra::SVector;
+use lsfb_solver::Kernel;
 
-use super::corner_residual::CornerResidual;
+use super::CameraConfig;
+use super::batch::Freedom;
 use super::guess::{self, fit_lens, lens_rays, pose_of_target};
 use super::pairing;
 use super::pose_choice::{most_central, spread};
-use super::{CameraConfig, CameraViews};
+use super::solved::{Solved, Start};
 use crate::Error;
 use crate::JoinProblem;
 use crate::board::Target;
-use crate::projection::lens_camera;
-
-/// A camera on its way.
-#[derive(Clone)]
-pub(super) struct Start<'a> {
-    pub views: &'a CameraViews,
-    /// Instants of the views adjusted.
-    pub chosen: Vec<i64>,
-    pub camera: Camera,
-    pub camera_from_first: Se3,
-    /// Root mean square of its inliers' errors when it was adjusted for itself, pixels; `None` where it is the only camera.
-    pub alone_rms_px: Option<f64>,
-}
-
-/// Cameras, poses and outliers after adjustment.
-pub(super) struct Solved<'a> {
-    pub cameras: Vec<Start<'a>>,
-    pub first_from_target: BTreeMap<i64, Se3>,
-    /// By camera and instant, whether each corner counts.
-    pub inliers: Inliers,
-}
-
-pub(super) type Inliers = Vec<BTreeMap<i64, Vec<bool>>>;
-
-/// What an adjustment may change.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Freedom {
-    Everything,
-    PosesOfTarget,
-}
 
 /// Norm of the error at which a corner's weight is halved while outliers are not yet known, pixels.
 const ROBUST_SCALE_PX: f64 = 1.0;
@@ -290,6 +260,7 @@ fn adjust_from<'a>(
             .collect(),
         cameras,
         first_from_target: poses,
+        undetermined: None,
     };
     for camera in &mut solved.cameras {
         let poses = &solved.first_from_target;
@@ -305,125 +276,6 @@ fn adjust_from<'a>(
 }
 
 impl Solved<'_> {
-    /// Root mean square of the errors of all inliers.
-    fn rms_px(&self, target: &Target) -> f64 {
-        let (mut squares, mut count) = (0.0, 0);
-        for (k, camera) in self.cameras.iter().enumerate() {
-            for instant in &camera.chosen {
-                let errors = self.errors_px(target, k, *instant).into_iter();
-                for (error, inlier) in errors.zip(&self.inliers[k][instant]) {
-                    if let Some(error) = error.filter(|_| *inlier) {
-                        squares += error.norm_squared();
-                        count += 1;
-                    }
-                }
-            }
-        }
-        (squares / f64::from(count.max(1))).sqrt()
-    }
-
-    /// Minimises over the inliers.
-    pub fn adjust(
-        &mut self,
-        target: &Target,
-        kernel: Kernel,
-        freedom: Freedom,
-    ) -> Result<(), Error> {
-        let count = self
-            .cameras
-            .first()
-            .map_or(0, |c| c.camera.lens.model().parameter_count());
-        match count {
-            5 => self.adjust_sized::<5>(target, kernel, freedom),
-            6 => self.adjust_sized::<6>(target, kernel, freedom),
-            8 => self.adjust_sized::<8>(target, kernel, freedom),
-            9 => self.adjust_sized::<9>(target, kernel, freedom),
-            _ => Ok(()),
-        }
-    }
-
-    fn adjust_sized<const N: usize>(
-        &mut self,
-        target: &Target,
-        kernel: Kernel,
-        freedom: Freedom,
-    ) -> Result<(), Error> {
-        let mut problem = Problem::new();
-        let poses: BTreeMap<i64, Block<Se3>> = self
-            .first_from_target
-            .iter()
-            .map(|(t, pose)| (*t, problem.add_block(*pose)))
-            .collect();
-        let mut lenses = Vec::with_capacity(self.cameras.len());
-        for (k, start) in self.cameras.iter().enumerate() {
-            let values = start.camera.lens.parameters().values;
-            let lens = problem.add_block(SVector::<f64, N>::from_column_slice(&values[..N]));
-            let pose = problem.add_block(start.camera_from_first);
-            if freedom == Freedom::PosesOfTarget {
-                problem.set_constant(lens);
-            }
-            if k == 0 || freedom == Freedom::PosesOfTarget {
-                problem.set_constant(pose);
-            }
-            lenses.push((lens, pose));
-            for instant in &start.chosen {
-                let blocks = [lens.id(), pose.id(), poses[instant].id()];
-                let counts = &self.inliers[k][instant];
-                for (corner, _) in start.views.views[instant]
-                    .iter()
-                    .zip(counts)
-                    .filter(|(_, inlier)| **inlier)
-                {
-                    let residual = CornerResidual::<N> {
-                        model: start.camera.lens.model(),
-                        size: [start.camera.width, start.camera.height],
-                        point_in_target: target.corner(corner.index),
-                        pixel: corner.pixel,
-                    };
-                    problem.add_residual(residual, &blocks, kernel)?;
-                }
-            }
-        }
-        let config = SolveConfig {
-            max_iterations: 100,
-            cost_tolerance: 1e-12,
-            ..SolveConfig::default()
-        };
-        solve(&mut problem, &config)?;
-        for (t, block) in poses {
-            self.first_from_target.insert(t, problem.value(block));
-        }
-        for (start, (lens, pose)) in self.cameras.iter_mut().zip(lenses) {
-            let size = [start.camera.width, start.camera.height];
-            start.camera = lens_camera(start.camera.lens.model(), size, &problem.value(lens));
-            start.camera_from_first = problem.value(pose);
-        }
-        Ok(())
-    }
-
-    /// Reprojection errors of a view; `None` for corners that the camera does not see.
-    pub fn errors_px(
-        &self,
-        target: &Target,
-        camera: usize,
-        instant: i64,
-    ) -> Vec<Option<Vector2<f64>>> {
-        let start = &self.cameras[camera];
-        let Some(pose) = self.first_from_target.get(&instant) else {
-            return Vec::new();
-        };
-        let camera_from_target = start.camera_from_first * *pose;
-        start.views.views[&instant]
-            .iter()
-            .map(|c| {
-                let seen = start
-                    .camera
-                    .project(&(camera_from_target * target.corner(c.index)))?;
-                Some(seen - c.pixel)
-            })
-            .collect()
-    }
-
     fn find_outliers(&mut self, target: &Target, config: &CameraConfig) -> Result<(), Error> {
         for k in 0..self.cameras.len() {
             let views: Vec<(i64, Vec<Option<Vector2<f64>>>)> = self.cameras[k]

@@ -13,8 +13,9 @@ use lsfb_types::{Finding, Limit, Verdict};
 use nalgebra::{DMatrix, DVector};
 
 use super::CameraConfig;
-use super::adjustment::{Freedom, Solved, Start};
+use super::batch::Freedom;
 use super::guess::fit_lens;
+use super::solved::{Solved, Start};
 use crate::Error;
 use crate::board::Target;
 
@@ -203,6 +204,7 @@ impl Solved<'_> {
                 }],
                 first_from_target: poses,
                 inliers: vec![inliers],
+                undetermined: None,
             }
         };
         let mut kept = part(split(false), camera);

@@ -4,17 +4,19 @@
 //! together. Robust first; what is an outlier then is left out of the final squares and counted.
 
 mod adjustment;
+mod batch;
 mod corner_residual;
 mod guess;
 mod holdout;
-mod normal;
 mod page;
 mod pairing;
 mod pose_choice;
 mod rig;
 mod selection;
 mod shutter;
+mod solved;
 mod summary;
+mod uncertainty;
 mod views;
 
 use std::collections::BTreeMap;
@@ -203,7 +205,7 @@ pub fn calibrate_cameras(
         }
         let chosen = selection::choose(views, config.max_views);
         let start = guess::camera(target, views, &chosen, config.model)?;
-        alone.push(adjustment::Start {
+        alone.push(solved::Start {
             views,
             chosen,
             camera: start,

@@ -4,10 +4,10 @@ use lsfb_geometry::Matrix6;
 use lsfb_types::{Finding, Limit, Verdict};
 use nalgebra::DMatrix;
 
-use super::adjustment::Solved;
 use super::holdout::Holdout;
-use super::normal::{Doubt, covariances, parameter_count};
 use super::shutter::velocities;
+use super::solved::Solved;
+use super::uncertainty::Uncertainty;
 use super::{
     BoardDeformation, CalibratedCamera, CameraCalibration, CameraConfig, CameraViews, Estimate,
 };
@@ -75,13 +75,12 @@ impl Solved<'_> {
         given: &[CameraViews],
         config: &CameraConfig,
     ) -> Result<CameraCalibration, Error> {
-        let covariances = covariances(target, self)?;
         let errors: Vec<Errors> = (0..self.cameras.len())
             .map(|k| Errors::of(target, self, k))
             .collect();
         let squares: f64 = errors.iter().map(|e| e.inlier_squares).sum();
         let count: usize = errors.iter().map(|e| e.inliers).sum();
-        let freedom = (2 * count).saturating_sub(parameter_count(self)).max(1);
+        let freedom = (2 * count).saturating_sub(self.unknowns()).max(1);
         // The spread of the residuals themselves says how good a corner is, their correlation how many it is worth.
         let effects = errors.iter().flat_map(|e| &e.clusters);
         let effect = effects.map(Clusters::design_effect).fold(1.0, f64::max);
@@ -92,12 +91,11 @@ impl Solved<'_> {
                 Diagnosis::new(target, &self.cameras[k].camera, seen).field(variance)
             })
             .collect();
-        let doubts = covariances.doubts(target, self, &fields, variance);
+        let known = self.uncertainties(target, &fields, variance)?;
         let mut cameras = Vec::with_capacity(given.len());
-        for (k, errors) in errors.into_iter().enumerate() {
+        for ((k, errors), known) in errors.into_iter().enumerate().zip(&known) {
             let holdout = self.holdout(target, k, config)?;
-            let covariance = &covariances.by_camera[k] * variance;
-            let mut camera = self.camera(k, errors, &covariance, &doubts[k], holdout)?;
+            let mut camera = self.camera(k, errors, known, holdout)?;
             let rms_px = camera.inlier_rms_px;
             let diagnosis = Diagnosis::new(
                 target,
@@ -135,16 +133,16 @@ impl Solved<'_> {
         &self,
         k: usize,
         errors: Errors,
-        covariance: &DMatrix<f64>,
-        doubt: &Doubt,
+        known: &Uncertainty,
         holdout: Option<Holdout>,
     ) -> Result<CalibratedCamera, Error> {
         let start = &self.cameras[k];
         let lens = &start.camera.lens;
-        let by_weights = covariance.map_diagonal(|v| v.max(0.0).sqrt());
-        let covariance = DMatrix::from_fn(covariance.nrows(), covariance.ncols(), |i, j| {
-            let own = covariance[(i, j)] * doubt.factors[i] * doubt.factors[j];
-            own + doubt.bias[i] * doubt.bias[j]
+        let by_weights = known.covariance.map_diagonal(|v| v.max(0.0).sqrt());
+        let size = known.bias.len();
+        let covariance = DMatrix::from_fn(size, size, |i, j| {
+            let own = known.covariance[(i, j)] * known.factors[i] * known.factors[j];
+            own + known.bias[i] * known.bias[j]
         });
         let sigmas = covariance.map_diagonal(|v| v.max(0.0).sqrt());
         let names = lens.model().parameter_names();

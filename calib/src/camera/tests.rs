@@ -5,7 +5,8 @@ use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::adjustment::{Start, adjust_alone, adjust_robustly};
+use super::adjustment::{adjust_alone, adjust_robustly};
+use super::solved::Start;
 use super::*;
 
 const GRID: Target = Target::AprilGrid {
