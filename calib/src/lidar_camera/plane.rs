@@ -2,6 +2,7 @@
 //! have in common as an error of its own.
 
 use lsfb_geometry::{Matrix3, Vector3};
+use lsfb_perception::gauss_newton::NormalEquations;
 use lsfb_perception::lidar::PointSums;
 
 /// Noise of the direction of a ray, radians.
@@ -103,12 +104,11 @@ pub(super) fn regress(
     let mut plane = *start;
     let mut information = Matrix3::zeros();
     for _ in 0..4 {
-        information = Matrix3::zeros();
-        let mut right = Vector3::zeros();
+        let mut all = NormalEquations::<3>::default();
         for chord in chords {
-            let mut squares = Matrix3::zeros();
+            let mut own = NormalEquations::<3>::default();
             let mut sums = Vector3::zeros();
-            let (mut total, mut moment, mut first) = (0.0, Vector3::zeros(), 0.0);
+            let (mut total, mut first) = (0.0, 0.0);
             for point in &chord.points {
                 // Where the ray meets the plane, not where noise along the ray has put the return: slopes would be biased.
                 let Some(met) = plane.meet(&(point / point.norm())) else {
@@ -118,8 +118,7 @@ pub(super) fn regress(
                 let height = plane.local(point).z;
                 let (weight, facing) = weight(&plane, point, range_noise_m);
                 let row = Vector3::new(place.x, place.y, 1.0);
-                squares += row * row.transpose() * weight;
-                moment += row * (height * weight);
+                own.add(-height, &row, weight);
                 // A beam's own error lies along the ray: on the normal it is shortened.
                 sums += row * (weight * facing);
                 first += weight * facing * height;
@@ -127,13 +126,13 @@ pub(super) fn regress(
             }
             if beam_noise_m > 0.0 {
                 let shared = 1.0 / (total + 1.0 / (beam_noise_m * beam_noise_m));
-                squares -= sums * sums.transpose() * shared;
-                moment -= sums * (first * shared);
+                own.information -= sums * sums.transpose() * shared;
+                own.gradient += sums * (first * shared);
             }
-            information += squares;
-            right += moment;
+            all.add_all(&own);
         }
-        let [a, b, c]: [f64; 3] = information.cholesky()?.solve(&right).into();
+        information = all.information;
+        let [a, b, c]: [f64; 3] = all.step()?.into();
         let normal = plane.normal - plane.axes[0] * a - plane.axes[1] * b;
         plane = Plane::new(plane.origin + plane.normal * c, normal)?;
         if a.abs() + b.abs() + c.abs() < 1e-9 {
