@@ -180,7 +180,7 @@ fn maps_that_cannot_be_used() {
     };
     let damages: [(Damage<'_>, &[&str]); 5] = [
         (
-            &|f| rewrite(f, "format_version = 1", "format_version = 2"),
+            &|f| rewrite(f, "format_version = 2", "format_version = 3"),
             &["map/map.toml", "version 2", "map again"],
         ),
         (

@@ -1,12 +1,12 @@
 use arrow_buffer::Buffer;
-use lsfb_geometry::StampedPose;
+use lsfb_geometry::{Rig, StampedPose};
 use lsfb_types::{Bounds, ProgressFn};
 use serde::{Deserialize, Serialize};
 
 use super::index::{DescriptorIndex, IndexConfig};
 use super::{
     DescriptorColumns, HdMap, KeyframeColumns, KeyframeImage, MapPoint, ObservationColumns,
-    PointColumns,
+    PointColumns, QualityColumns,
 };
 use crate::Error;
 use crate::features::Descriptor;
@@ -15,6 +15,8 @@ use crate::features::matching::distance_squared;
 /// What a map is made of.
 #[derive(Clone, Copy, Debug)]
 pub struct MapContent<'a> {
+    /// The cameras and where they sit.
+    pub rig: &'a Rig,
     /// The keyframes, with their final poses.
     pub keyframes: &'a [StampedPose],
     /// Their images.
@@ -52,8 +54,8 @@ lsfb_types::bounds! {
 }
 
 impl HdMap {
-    /// Puts a map together and trains its index. Refuses observations of images, keypoints or keyframes that are not
-    /// there, and points that are not finite.
+    /// Puts a map together, measures how well its points are known and trains its index. Refuses observations of images,
+    /// cameras, keypoints or keyframes that are not there, and points that are not finite.
     pub fn build(
         content: &MapContent,
         config: &HdMapConfig,
@@ -93,6 +95,9 @@ impl HdMap {
                     .images
                     .get(o.image)
                     .ok_or(missing("its image is missing"))?;
+                if !content.rig.cameras.contains_key(&image.camera) {
+                    return Err(missing("its camera is not in the rig"));
+                }
                 if image.keyframe >= content.keyframes.len() {
                     return Err(missing("its keyframe is missing"));
                 }
@@ -126,7 +131,11 @@ impl HdMap {
                 .collect::<Vec<f64>>()
         };
         let index = DescriptorIndex::build(&kept, &config.index, progress)?;
+        let mut rig = Rig::empty(&content.rig.name);
+        rig.cameras = content.rig.cameras.clone();
+        rig.cameras.retain(|name, _| cameras.contains(name));
         Ok(Self {
+            rig,
             cameras,
             provenance: content.provenance.to_owned(),
             points: PointColumns {
@@ -148,8 +157,10 @@ impl HdMap {
                 point: owner.into(),
                 values: Buffer::from(kept.into_flattened()),
             },
+            quality: QualityColumns::default(),
             index,
-        })
+        }
+        .with_quality())
     }
 }
 

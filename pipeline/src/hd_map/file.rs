@@ -2,19 +2,23 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use arrow_buffer::{Buffer, ScalarBuffer};
+use lsfb_geometry::Rig;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use super::index::{CODEWORDS, DescriptorIndex, PARTS};
 use super::table::{Column, NamedColumn, map_table, read_table, write_table};
-use super::{DescriptorColumns, HdMap, KeyframeColumns, ObservationColumns, PointColumns};
+use super::{
+    DescriptorColumns, HdMap, KeyframeColumns, ObservationColumns, PointColumns, QualityColumns,
+};
 use crate::Error;
 use crate::features::DESCRIPTOR_LEN;
 
 /// Version of the folder's layout. Another one is refused.
-pub const FORMAT_VERSION: u32 = 1;
+pub const FORMAT_VERSION: u32 = 2;
 
 const HEADER: &str = HdMap::HEADER;
+const RIG: &str = "rig.toml";
 const TABLES: [&str; 7] = [
     "points.arrow",
     "keyframes.arrow",
@@ -24,7 +28,24 @@ const TABLES: [&str; 7] = [
     "index_entries.arrow",
     "index_codebook.arrow",
 ];
-const POINTS: [&str; 5] = ["x_m", "y_m", "z_m", "first_observation", "first_descriptor"];
+const POINTS: [&str; 16] = [
+    "x_m",
+    "y_m",
+    "z_m",
+    "first_observation",
+    "first_descriptor",
+    "cov_xx_m2",
+    "cov_xy_m2",
+    "cov_xz_m2",
+    "cov_yy_m2",
+    "cov_yz_m2",
+    "cov_zz_m2",
+    "rms_px",
+    "view_x",
+    "view_y",
+    "view_z",
+    "view_cos",
+];
 const KEYFRAMES: [&str; 8] = ["time_ns", "qx", "qy", "qz", "qw", "tx_m", "ty_m", "tz_m"];
 const OBSERVATIONS: [&str; 5] = ["point", "keyframe", "camera", "u_px", "v_px"];
 const DESCRIPTORS: [&str; 2] = ["point", "root_sift"];
@@ -43,7 +64,6 @@ struct Version {
 struct Header {
     format_version: u32,
     provenance: String,
-    cameras: Vec<String>,
     points: usize,
     keyframes: usize,
     observations: usize,
@@ -71,8 +91,9 @@ impl HdMap {
     ///
     /// | file | rows | columns |
     /// |---|---|---|
-    /// | `map.toml` | | format version, provenance, cameras, counts, length and SHA-256 of each file |
-    /// | `points.arrow` | points | `x_m y_m z_m` f64, `first_observation first_descriptor` u32 |
+    /// | `map.toml` | | format version, provenance, counts, length and SHA-256 of each other file |
+    /// | `rig.toml` | | the cameras and their poses in the rig, as any rig file |
+    /// | `points.arrow` | points | `x_m y_m z_m` f64, `first_observation first_descriptor` u32, [`PointQuality`](super::PointQuality): `cov_xx_m2 … cov_zz_m2 rms_px view_x view_y view_z view_cos` f32 |
     /// | `keyframes.arrow` | keyframes | `time_ns` i64, `qx qy qz qw tx_m ty_m tz_m` f64 of `world_from_rig` |
     /// | `observations.arrow` | by point | `point keyframe` u32, `camera` u16, `u_px v_px` f32 |
     /// | `descriptors.arrow` | by point | `point` u32, `root_sift` 128 bytes |
@@ -91,7 +112,14 @@ impl HdMap {
             }
             _ => {}
         }
-        let mut files = Vec::new();
+        let rig_path = folder.join(RIG);
+        let rig = self.rig.to_toml();
+        fs::write(&rig_path, &rig).map_err(Error::io(&rig_path))?;
+        let mut files = vec![FileHash {
+            name: RIG.to_owned(),
+            bytes: rig.len() as u64,
+            sha256: sha256_hex(rig.as_bytes()),
+        }];
         for (name, columns) in TABLES.iter().zip(self.tables()) {
             let path = folder.join(name);
             write_table(&path, &columns)?;
@@ -105,7 +133,6 @@ impl HdMap {
         let header = Header {
             format_version: FORMAT_VERSION,
             provenance: self.provenance.clone(),
-            cameras: self.cameras.clone(),
             points: self.point_count(),
             keyframes: self.keyframe_count(),
             observations: self.observation_count(),
@@ -133,6 +160,9 @@ impl HdMap {
             width,
             values: values.clone(),
         };
+        let mut point_columns = vec![f64s(&p.x_m), f64s(&p.y_m), f64s(&p.z_m)];
+        point_columns.extend([u32s(&p.first_observation), u32s(&p.first_descriptor)]);
+        point_columns.extend(self.quality.columns().map(|c| f32s(c)));
         let mut keyframes = vec![Column::I64(k.time_ns.clone())];
         keyframes.extend(k.pose.iter().map(f64s));
         let named = |names: &[&'static str], columns: Vec<Column>| {
@@ -143,16 +173,7 @@ impl HdMap {
                 .collect::<Vec<NamedColumn>>()
         };
         [
-            named(
-                &POINTS,
-                vec![
-                    f64s(&p.x_m),
-                    f64s(&p.y_m),
-                    f64s(&p.z_m),
-                    u32s(&p.first_observation),
-                    u32s(&p.first_descriptor),
-                ],
-            ),
+            named(&POINTS, point_columns),
             named(&KEYFRAMES, keyframes),
             named(
                 &OBSERVATIONS,
@@ -184,6 +205,7 @@ impl HdMap {
     /// the files into memory.
     pub fn open(folder: &Path) -> Result<Self, Error> {
         let header = read_header(folder)?;
+        let rig = open_rig(folder, &header)?;
         let mut tables = Vec::new();
         for name in TABLES {
             tables.push(open_table(folder, &header, name)?);
@@ -200,13 +222,24 @@ impl HdMap {
         else {
             return Err(broken(&folder.join(HEADER), "not all tables are there"));
         };
-        let [x_m, y_m, z_m, first_observation, first_descriptor] = points.columns(POINTS)?;
+        let [
+            x_m,
+            y_m,
+            z_m,
+            first_observation,
+            first_descriptor,
+            quality @ ..,
+        ] = points.columns(POINTS)?;
         let [time_ns, pose @ ..] = keyframes.columns(KEYFRAMES)?;
         let [point, keyframe, camera, u_px, v_px] = observations.columns(OBSERVATIONS)?;
         let [owner, values] = descriptors.columns(DESCRIPTORS)?;
         let [centroids, first_entry] = lists.columns(LISTS)?;
         let [entry, codes, offsets] = entries.columns(ENTRIES)?;
         let [words] = codebook.columns(CODEBOOK)?;
+        let mut quality_columns = Vec::new();
+        for column in quality {
+            quality_columns.push(points.f32(column)?);
+        }
         let mut pose_columns = Vec::new();
         for column in pose {
             pose_columns.push(keyframes.f64(column)?);
@@ -219,6 +252,8 @@ impl HdMap {
                 first_observation: points.u32(first_observation)?,
                 first_descriptor: points.u32(first_descriptor)?,
             },
+            quality: QualityColumns::from_columns(quality_columns)
+                .ok_or_else(|| broken(&points.path, "a point's quality has eleven columns"))?,
             keyframes: KeyframeColumns {
                 time_ns: keyframes.i64(time_ns)?,
                 pose: pose_columns
@@ -244,7 +279,8 @@ impl HdMap {
                 offsets: entries.f32(offsets)?,
                 codebook: codebook.lists(words, CODEWORDS)?,
             },
-            cameras: header.cameras.clone(),
+            cameras: rig.cameras.keys().cloned().collect(),
+            rig,
             provenance: header.provenance.clone(),
         };
         map.check(folder, &header)?;
@@ -280,7 +316,7 @@ impl HdMap {
                     && within(&o.keyframe, header.keyframes)
                     && o.camera
                         .iter()
-                        .all(|c| usize::from(*c) < header.cameras.len()),
+                        .all(|c| usize::from(*c) < self.cameras.len()),
             ),
             (TABLES[3], within(&self.descriptors.point, header.points)),
             (
@@ -334,6 +370,12 @@ fn read_header(folder: &Path) -> Result<Header, Error> {
 struct Table {
     path: PathBuf,
     bytes: Buffer,
+}
+
+fn open_rig(folder: &Path, header: &Header) -> Result<Rig, Error> {
+    let Table { path, bytes } = open_table(folder, header, RIG)?;
+    let text = std::str::from_utf8(&bytes).map_err(|_| broken(&path, "it is no text"))?;
+    Rig::from_toml(text, &path.display().to_string()).map_err(|e| broken(&path, &e.to_string()))
 }
 
 fn open_table(folder: &Path, header: &Header, name: &str) -> Result<Table, Error> {

@@ -9,6 +9,7 @@ mod file;
 mod index;
 mod kmeans;
 mod mapped_file;
+mod point_quality;
 mod posed;
 mod prepared_image;
 mod reconstruction;
@@ -21,7 +22,7 @@ mod tests;
 use std::ops::Range;
 
 use arrow_buffer::{Buffer, ScalarBuffer};
-use lsfb_geometry::{Se3, StampedPose, UnitQuaternion, Vector3};
+use lsfb_geometry::{Matrix3, Rig, Se3, StampedPose, UnitQuaternion, Vector3};
 use lsfb_types::Timestamp;
 use nalgebra::Quaternion;
 
@@ -31,6 +32,7 @@ pub use build::{HdMapConfig, MapContent};
 pub use file::FORMAT_VERSION;
 pub use index::IndexConfig;
 pub(crate) use index::SearchScratch;
+pub use point_quality::PointQuality;
 pub use posed::{PosedMapConfig, build_map_from_posed_images};
 pub use prepared_image::KeyframeImage;
 pub(crate) use reconstruction::expect_map;
@@ -42,9 +44,13 @@ pub use reconstruction_config::ReconstructionConfig;
 /// Points, keyframes, observations and descriptors, in columns. Cloning shares them.
 #[derive(Clone, Debug)]
 pub struct HdMap {
+    /// The cameras that saw the points, with their poses in the rig.
+    rig: Rig,
+    /// Their names, in order.
     cameras: Vec<String>,
     provenance: String,
     points: PointColumns,
+    quality: QualityColumns,
     keyframes: KeyframeColumns,
     observations: ObservationColumns,
     descriptors: DescriptorColumns,
@@ -58,6 +64,16 @@ struct PointColumns {
     z_m: ScalarBuffer<f64>,
     first_observation: ScalarBuffer<u32>,
     first_descriptor: ScalarBuffer<u32>,
+}
+
+/// How well each point is known; [`PointQuality`] says what the columns mean.
+#[derive(Clone, Debug, Default)]
+struct QualityColumns {
+    /// xx, xy, xz, yy, yz, zz.
+    covariance_m2: [ScalarBuffer<f32>; 6],
+    rms_px: ScalarBuffer<f32>,
+    view: [ScalarBuffer<f32>; 3],
+    view_cos: ScalarBuffer<f32>,
 }
 
 #[derive(Clone, Debug)]
@@ -115,6 +131,11 @@ impl HdMap {
         &self.cameras
     }
 
+    /// The cameras that saw the points and where they sit in the rig whose poses the keyframes are.
+    pub fn rig(&self) -> &Rig {
+        &self.rig
+    }
+
     /// What the map was made from: a hash its maker chose.
     pub fn provenance(&self) -> &str {
         &self.provenance
@@ -152,6 +173,20 @@ impl HdMap {
         let p = &self.points;
         let columns = p.x_m.iter().zip(p.y_m.iter()).zip(p.z_m.iter());
         columns.map(|((x, y), z)| Vector3::new(*x, *y, *z))
+    }
+
+    /// How well a point is known; `None` where there is no such point.
+    pub fn quality(&self, point: u32) -> Option<PointQuality> {
+        let (i, q) = (point as usize, &self.quality);
+        let rms_px = f64::from(*q.rms_px.get(i)?);
+        let [xx, xy, xz, yy, yz, zz] = q.covariance_m2.each_ref().map(|c| f64::from(c[i]));
+        let [x, y, z] = q.view.each_ref().map(|c| f64::from(c[i]));
+        Some(PointQuality {
+            covariance_m2: Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz),
+            reprojection_rms_px: rms_px,
+            mean_view: Vector3::new(x, y, z),
+            view_cos: f64::from(q.view_cos[i]),
+        })
     }
 
     /// A keyframe; `None` where there is no such keyframe.

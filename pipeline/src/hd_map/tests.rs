@@ -1,12 +1,28 @@
 use std::fs;
 use std::path::Path;
 
-use lsfb_geometry::{Se3, StampedPose, Vector3};
+use lsfb_geometry::{Camera, CameraTiming, Rig, RigCamera, Se3, StampedPose, Vector3};
 use lsfb_types::{Timestamp, no_progress};
 
 use super::*;
 use crate::Error;
 use crate::features::{Features, Keypoint};
+
+/// Two pinhole cameras that look along z.
+fn rig() -> Rig {
+    let mut rig = Rig::empty("two");
+    rig.cameras = ["cam0", "cam1"]
+        .map(|name| {
+            let camera = RigCamera {
+                camera: Camera::pinhole(640, 480, [400.0, 400.0], [319.5, 239.5]),
+                rig_from_camera: Se3::identity(),
+                timing: CameraTiming::default(),
+            };
+            (name.to_owned(), camera)
+        })
+        .into();
+    rig
+}
 
 /// Two keyframes, two cameras, forty points; point `i` is keypoint `i` of all four images.
 fn small_map() -> HdMap {
@@ -47,6 +63,7 @@ fn small_map() -> HdMap {
         })
         .collect();
     let content = MapContent {
+        rig: &rig(),
         keyframes: &keyframes,
         images: &images,
         points: &points,
@@ -150,7 +167,7 @@ fn damage_is_named() {
     let text = fs::read_to_string(&header).expect("readable");
     fs::write(
         &header,
-        text.replace("format_version = 1", "format_version = 7"),
+        text.replace("format_version = 2", "format_version = 7"),
     )
     .expect("write");
     let error = HdMap::open(folder.path()).expect_err("another version");
@@ -165,6 +182,7 @@ fn damage_is_named() {
 #[test]
 fn content_must_fit_together() {
     let content = MapContent {
+        rig: &rig(),
         keyframes: &[],
         images: &[],
         points: &[],
@@ -214,4 +232,75 @@ fn tables_that_lie_about_themselves_are_refused() {
         }
     }
     assert!(refused > bytes.len() / 10, "{refused} of {}", bytes.len());
+}
+
+/// Two cameras 0.4 m apart see points 4 m ahead, half a pixel beside where they are.
+#[test]
+fn points_are_known_as_well_as_their_rays_cross() {
+    let (baseline_m, depth_m, focal_px, error_px) = (0.4, 4.0, 400.0, 0.5);
+    let keyframes = [-0.5, 0.5].map(|side| StampedPose {
+        time: Timestamp::from_nanos(if side < 0.0 { 0 } else { 1 }),
+        world_from_rig: Se3::new(Se3::identity().rotation, Vector3::x() * (side * baseline_m)),
+    });
+    let position = Vector3::new(0.0, 0.0, depth_m);
+    let images = [0, 1].map(|keyframe| {
+        let in_camera = position - keyframes[keyframe].world_from_rig.translation;
+        KeyframeImage {
+            keyframe,
+            camera: "cam0".to_owned(),
+            features: Features {
+                keypoints: vec![Keypoint {
+                    pixel: [
+                        (focal_px * in_camera.x / depth_m + 319.5) as f32,
+                        (239.5 + error_px) as f32,
+                    ],
+                    scale_px: 2.0,
+                    angle_rad: 0.0,
+                    response: 0.1,
+                }],
+                descriptors: vec![[1; 128]],
+            },
+        }
+    });
+    let seen = |images: &[usize]| MapPoint {
+        point_in_world: position,
+        observations: images
+            .iter()
+            .map(|image| PointObservation {
+                image: *image,
+                keypoint: 0,
+            })
+            .collect(),
+        reprojection_rms_px: error_px,
+    };
+    let content = MapContent {
+        rig: &rig(),
+        keyframes: &keyframes,
+        images: &images,
+        points: &[seen(&[0, 1]), seen(&[0])],
+        provenance: "",
+    };
+    let map = HdMap::build(&content, &HdMapConfig::default(), &no_progress).expect("built");
+    let found = map.quality(0).expect("a point");
+    let sigma_px = error_px / 1.1774;
+    let along_m = sigma_px * depth_m.powi(2) * 2.0_f64.sqrt() / (focal_px * baseline_m);
+    let across_m = sigma_px * depth_m / (focal_px * 2.0_f64.sqrt());
+    let c = found.covariance_m2;
+    let near = |a: f64, b: f64| (a / b - 1.0).abs() < 1e-3;
+    assert!(near(c[(2, 2)].sqrt(), along_m), "{c} instead of {along_m}");
+    assert!(
+        near(c[(1, 1)].sqrt(), across_m),
+        "{c} instead of {across_m}"
+    );
+    assert!(near(found.worst_sigma_m(), along_m));
+    assert!(near(found.reprojection_rms_px, error_px));
+    assert!((found.mean_view + Vector3::z()).norm() < 1e-6);
+    let half_angle = (baseline_m / 2.0 / depth_m).atan();
+    assert!(near(found.view_cos.acos(), half_angle));
+    // One ray says nothing of the depth.
+    assert_eq!(
+        map.quality(1).expect("a point").worst_sigma_m(),
+        f64::INFINITY
+    );
+    assert_eq!(map.quality(2), None);
 }

@@ -94,6 +94,7 @@ pub fn build_map(
     let before = keyframes.poses();
     let points = optimise(&rig, &mut keyframes, &before, config, &mut report, progress)?;
     let content = MapContent {
+        rig: &rig,
         keyframes: &keyframes.poses(),
         images: &keyframes.images,
         points: &points,

@@ -142,6 +142,7 @@ fn map(seed: u64) -> HdMap {
     let config = ReconstructionConfig::default();
     let points = reconstruct(&rig, &keyframes, &images, &config, &no_progress).expect("points");
     let content = MapContent {
+        rig: &rig,
         keyframes: &keyframes,
         images: &images,
         points: &points,

@@ -89,6 +89,7 @@ pub fn build_map_from_posed_images(
     )?;
     expect_map(&points, &images)?;
     let content = MapContent {
+        rig: &posed.rig,
         keyframes: &keyframes,
         images: &images,
         points: &points,
