@@ -98,6 +98,39 @@ pub enum Error {
         /// What is wrong.
         reason: &'static str,
     },
+    /// A format knows no camera of a kind.
+    #[error(
+        "{format} has no camera model {model}: calibrate with another lens model, or export in another format"
+    )]
+    CameraFormat {
+        /// COLMAP's name of the model.
+        model: String,
+        /// The format.
+        format: &'static str,
+    },
+    /// Points do not fit into a LAS file.
+    #[error("the points do not fit into a LAS file: {reason}")]
+    Las {
+        /// Why.
+        reason: String,
+    },
+    /// No point of a map lies in a region.
+    #[error("no point of the map lies in that region: `lsfb map info` says where they lie")]
+    EmptyRegion,
+    /// Two maps are not surely of one place.
+    #[error(
+        "the maps do not surely meet: of {pairs} points that look alike {shared} fit one alignment and {rival} another, and the best is uncertain by {sigma_m:.3} m: merge maps that overlap more, or whose overlap looks like no other place"
+    )]
+    MapsDoNotMeet {
+        /// Pairs of points that look alike.
+        pairs: usize,
+        /// Of these, the pairs that fit the best alignment.
+        shared: usize,
+        /// Those that fit the best other one.
+        rival: usize,
+        /// σ of the best alignment where it is worst, metres.
+        sigma_m: f64,
+    },
     /// Images give no map, or one in which nobody would be found.
     #[error("{points} map points are seen in three images or more, {needed} are needed: {reason}")]
     TooFewPoints {

@@ -1,12 +1,12 @@
-use arrow_buffer::Buffer;
-use lsfb_geometry::{Rig, StampedPose};
-use lsfb_types::{Bounds, ProgressFn};
+use arrow_buffer::{ArrowNativeType, Buffer, ScalarBuffer};
+use lsfb_geometry::{Rig, StampedPose, Vector3};
+use lsfb_types::{Bounds, ProgressFn, Stopped};
 use serde::{Deserialize, Serialize};
 
 use super::index::{DescriptorIndex, IndexConfig};
 use super::{
-    DescriptorColumns, HdMap, KeyframeColumns, KeyframeImage, MapPoint, ObservationColumns,
-    PointColumns, QualityColumns,
+    DescriptorColumns, HdMap, KeyframeColumns, KeyframeImage, MapObservation, MapPoint,
+    ObservationColumns, PointColumns, QualityColumns,
 };
 use crate::Error;
 use crate::features::Descriptor;
@@ -53,6 +53,26 @@ lsfb_types::bounds! {
     }
 }
 
+/// A map row by row, as it is taken apart and put together.
+#[derive(Clone, Debug)]
+pub(super) struct MapRows {
+    /// Cameras by name: an observation's camera is its place among them.
+    pub rig: Rig,
+    pub keyframes: Vec<StampedPose>,
+    pub points: Vec<PointRow>,
+    pub provenance: String,
+}
+
+/// A point with what saw it.
+#[derive(Clone, Debug)]
+pub(super) struct PointRow {
+    /// In the world, metres.
+    pub position: Vector3<f64>,
+    /// By keyframe and camera.
+    pub observations: Vec<MapObservation>,
+    pub descriptors: Vec<Descriptor>,
+}
+
 impl HdMap {
     /// Puts a map together, measures how well its points are known and trains its index. Refuses observations of images,
     /// cameras, keypoints or keyframes that are not there, and points that are not finite.
@@ -71,11 +91,7 @@ impl HdMap {
             .map(|i| camera_of(&i.camera))
             .collect();
 
-        let mut first_observation = Vec::new();
-        let mut first_descriptor = Vec::new();
-        let (mut point, mut keyframe, mut camera) = (Vec::new(), Vec::new(), Vec::new());
-        let (mut u_px, mut v_px) = (Vec::new(), Vec::new());
-        let (mut owner, mut kept): (Vec<u32>, Vec<Descriptor>) = (Vec::new(), Vec::new());
+        let mut rows = Vec::with_capacity(content.points.len());
         for (index, p) in content.points.iter().enumerate() {
             if !p.point_in_world.iter().all(|v| v.is_finite()) {
                 return Err(Error::MapContent {
@@ -83,8 +99,11 @@ impl HdMap {
                     reason: "its position is not finite",
                 });
             }
-            first_observation.push(point.len() as u32);
-            first_descriptor.push(kept.len() as u32);
+            let mut row = PointRow {
+                position: p.point_in_world,
+                observations: Vec::with_capacity(p.observations.len()),
+                descriptors: Vec::new(),
+            };
             let mut seen = Vec::with_capacity(p.observations.len());
             for o in &p.observations {
                 let missing = |reason| Error::MapContent {
@@ -113,31 +132,53 @@ impl HdMap {
                         .get(at)
                         .ok_or(missing("its descriptor is missing"))?,
                 );
-                point.push(index as u32);
-                keyframe.push(image.keyframe as u32);
-                camera.push(camera_of_image[o.image]);
-                u_px.push(keypoint.pixel[0]);
-                v_px.push(keypoint.pixel[1]);
+                row.observations.push(MapObservation {
+                    point: index as u32,
+                    keyframe: image.keyframe as u32,
+                    camera: camera_of_image[o.image],
+                    pixel: keypoint.pixel,
+                });
             }
-            let chosen = typical(&seen, config.max_descriptors_per_point.max(1));
-            owner.extend(std::iter::repeat_n(index as u32, chosen.len()));
-            kept.extend(chosen);
+            row.descriptors = typical(&seen, config.max_descriptors_per_point.max(1));
+            rows.push(row);
         }
-        let axis = |a: usize| {
-            content
-                .points
-                .iter()
-                .map(|p| p.point_in_world[a])
-                .collect::<Vec<f64>>()
-        };
-        let index = DescriptorIndex::build(&kept, &config.index, progress)?;
         let mut rig = Rig::empty(&content.rig.name);
         rig.cameras = content.rig.cameras.clone();
         rig.cameras.retain(|name, _| cameras.contains(name));
-        Ok(Self {
+        let rows = MapRows {
             rig,
-            cameras,
+            keyframes: content.keyframes.to_vec(),
+            points: rows,
             provenance: content.provenance.to_owned(),
+        };
+        Ok(Self::from_rows(rows, &config.index, progress)?)
+    }
+
+    /// Columns from rows whose references lead somewhere; the observations' own `point` is set anew.
+    pub(super) fn from_rows(
+        rows: MapRows,
+        index: &IndexConfig,
+        progress: ProgressFn,
+    ) -> Result<Self, Stopped> {
+        let mut first_observation = Vec::with_capacity(rows.points.len());
+        let mut first_descriptor = Vec::with_capacity(rows.points.len());
+        let mut observations: Vec<MapObservation> = Vec::new();
+        let (mut owner, mut descriptors): (Vec<u32>, Vec<Descriptor>) = (Vec::new(), Vec::new());
+        for (point, row) in rows.points.iter().enumerate() {
+            let point = point as u32;
+            first_observation.push(observations.len() as u32);
+            first_descriptor.push(descriptors.len() as u32);
+            let own = row.observations.iter();
+            observations.extend(own.map(|o| MapObservation { point, ..*o }));
+            owner.extend(std::iter::repeat_n(point, row.descriptors.len()));
+            descriptors.extend(&row.descriptors);
+        }
+        let axis = |a: usize| -> Vec<f64> { rows.points.iter().map(|p| p.position[a]).collect() };
+        let index = DescriptorIndex::build(&descriptors, index, progress)?;
+        let map = Self {
+            cameras: rows.rig.cameras.keys().cloned().collect(),
+            rig: rows.rig,
+            provenance: rows.provenance,
             points: PointColumns {
                 x_m: axis(0).into(),
                 y_m: axis(1).into(),
@@ -145,23 +186,50 @@ impl HdMap {
                 first_observation: first_observation.into(),
                 first_descriptor: first_descriptor.into(),
             },
-            keyframes: keyframe_columns(content.keyframes),
+            quality: QualityColumns::default(),
+            keyframes: keyframe_columns(&rows.keyframes),
             observations: ObservationColumns {
-                point: point.into(),
-                keyframe: keyframe.into(),
-                camera: camera.into(),
-                u_px: u_px.into(),
-                v_px: v_px.into(),
+                point: column(&observations, |o| o.point),
+                keyframe: column(&observations, |o| o.keyframe),
+                camera: column(&observations, |o| o.camera),
+                u_px: column(&observations, |o| o.pixel[0]),
+                v_px: column(&observations, |o| o.pixel[1]),
             },
             descriptors: DescriptorColumns {
                 point: owner.into(),
-                values: Buffer::from(kept.into_flattened()),
+                values: Buffer::from(descriptors.into_flattened()),
             },
-            quality: QualityColumns::default(),
             index,
-        }
-        .with_quality())
+        };
+        Ok(map.with_quality())
     }
+
+    /// The map's own rows.
+    pub(super) fn rows(&self) -> MapRows {
+        let points = 0..self.point_count() as u32;
+        let keyframes = 0..self.keyframe_count() as u32;
+        MapRows {
+            rig: self.rig.clone(),
+            keyframes: keyframes.filter_map(|k| self.keyframe(k)).collect(),
+            points: points
+                .filter_map(|p| {
+                    Some(PointRow {
+                        position: self.position(p)?,
+                        observations: self.observations(p).collect(),
+                        descriptors: self.descriptors(p).to_vec(),
+                    })
+                })
+                .collect(),
+            provenance: self.provenance.clone(),
+        }
+    }
+}
+
+fn column<T: ArrowNativeType>(
+    observations: &[MapObservation],
+    value: impl Fn(&MapObservation) -> T,
+) -> ScalarBuffer<T> {
+    observations.iter().map(value).collect::<Vec<T>>().into()
 }
 
 fn keyframe_columns(keyframes: &[StampedPose]) -> KeyframeColumns {
@@ -181,7 +249,7 @@ fn keyframe_columns(keyframes: &[StampedPose]) -> KeyframeColumns {
 }
 
 /// The descriptor with the smallest sum of distances to all others, then those farthest from the chosen ones.
-fn typical(seen: &[&Descriptor], limit: usize) -> Vec<Descriptor> {
+pub(super) fn typical(seen: &[&Descriptor], limit: usize) -> Vec<Descriptor> {
     let sum = |d: &Descriptor| -> u64 {
         seen.iter()
             .map(|other| u64::from(distance_squared(d, other)))

@@ -5,16 +5,19 @@
 //! may have moved.
 
 mod build;
+mod export;
 mod file;
 mod index;
 mod kmeans;
 mod mapped_file;
+mod merge;
 mod point_quality;
 mod posed;
 mod prepared_image;
 mod reconstruction;
 mod reconstruction_config;
 mod scene_depth;
+mod subset;
 mod table;
 #[cfg(test)]
 mod tests;
@@ -29,9 +32,11 @@ use nalgebra::Quaternion;
 use crate::features::{DESCRIPTOR_LEN, Descriptor};
 
 pub use build::{HdMapConfig, MapContent};
+pub use export::{ColmapCamera, ExportedFile, MapFormat};
 pub use file::FORMAT_VERSION;
 pub use index::IndexConfig;
 pub(crate) use index::SearchScratch;
+pub use merge::{MergeConfig, MergeReport};
 pub use point_quality::PointQuality;
 pub use posed::{PosedMapConfig, build_map_from_posed_images};
 pub use prepared_image::KeyframeImage;
@@ -40,6 +45,7 @@ pub use reconstruction::{
     MapPoint, PointObservation, find_tracks, reconstruct, select_keyframes, triangulate_tracks,
 };
 pub use reconstruction_config::ReconstructionConfig;
+pub use subset::Region;
 
 /// Points, keyframes, observations and descriptors, in columns. Cloning shares them.
 #[derive(Clone, Debug)]

@@ -25,7 +25,7 @@ fn rig() -> Rig {
 }
 
 /// Two keyframes, two cameras, forty points; point `i` is keypoint `i` of all four images.
-fn small_map() -> HdMap {
+pub(super) fn small_map() -> HdMap {
     let keyframes = [0, 1].map(|i| StampedPose {
         time: Timestamp::from_nanos(1_000 * i),
         world_from_rig: Se3::exp(&[0.0, 0.0, 0.1 * i as f64, i as f64, 0.5, 0.0].into()),

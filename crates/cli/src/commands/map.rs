@@ -1,4 +1,4 @@
-//! `lsfb map`: a scan → HD map.
+//! `lsfb map`: a scan → HD map, and the tools for maps.
 
 use std::path::{Path, PathBuf};
 
@@ -11,11 +11,12 @@ use lsfb_types::Judgement;
 use serde::{Deserialize, Serialize};
 
 use super::map_report::{MapPage, coverage, findings};
+use super::map_tools::{self, Tool};
 use crate::context::Context;
 use crate::outcome::Outcome;
 use crate::standing;
 
-/// Build an HD map from a scanner's recording, or from images with known poses.
+/// Build an HD map from a scanner's recording, or from images with known poses; look at one, export, crop or merge it.
 ///
 /// An existing map, built by this program from the same recording with the same settings, is not built again. Images may have
 /// poses in any unit of length; the map has the same.
@@ -23,9 +24,23 @@ use crate::standing;
 /// Examples:
 ///   lsfb map scan.mcap --out map --out-trajectory scan.tum --out-report map.html
 ///   lsfb map --posed-images hololens_office --holdout-every 5 --out office-map
+///   lsfb map info map
 #[derive(clap::Args)]
-#[command(verbatim_doc_comment, after_long_help = settings())]
+#[command(
+    verbatim_doc_comment,
+    after_long_help = settings(),
+    args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true
+)]
 pub struct Arguments {
+    #[command(subcommand)]
+    tool: Option<Tool>,
+    #[command(flatten)]
+    build: Option<BuildArguments>,
+}
+
+#[derive(clap::Args)]
+struct BuildArguments {
     /// The scanner's recording.
     #[arg(
         value_name = "MCAP",
@@ -76,6 +91,10 @@ struct MapSummary<'a, R> {
 
 /// Builds, writes, prints.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    if let Some(tool) = &arguments.tool {
+        return map_tools::run(tool, context);
+    }
+    let arguments = arguments.build.as_ref().context("give a recording")?;
     if let Some(folder) = &arguments.posed_images {
         return from_posed_images(folder, arguments, context);
     }
@@ -199,7 +218,7 @@ impl MapJob<'_> {
 
 fn from_posed_images(
     folder: &Path,
-    arguments: &Arguments,
+    arguments: &BuildArguments,
     context: &Context,
 ) -> anyhow::Result<Outcome> {
     let config: PosedMapConfig = super::config_or_default(arguments.config.as_deref())?;

@@ -25,6 +25,7 @@ pub mod groundtruth;
 pub mod localize;
 pub mod map;
 mod map_report;
+mod map_tools;
 pub mod mock;
 pub mod odometry;
 mod odometry_input;

@@ -1,0 +1,398 @@
+//! `lsfb map info`, `export`, `crop` and `merge`: maps that stand.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use lsfb_calib::exchange::{Format, export};
+use lsfb_geometry::{Rig, Vector3};
+use lsfb_pipeline::hd_map::{
+    ColmapCamera, ExportedFile, HdMap, IndexConfig, MapFormat, MergeConfig, Region,
+};
+use lsfb_recording::Provenance;
+use serde::Serialize;
+
+use crate::context::Context;
+use crate::outcome::Outcome;
+
+/// What to do with a map that stands.
+#[derive(clap::Subcommand)]
+pub enum Tool {
+    Info(InfoArguments),
+    Export(ExportArguments),
+    Crop(CropArguments),
+    Merge(MergeArguments),
+}
+
+/// Show what a map holds: points and how well they are known, keyframes, cameras, extent.
+///
+/// Examples:
+///   lsfb map info map
+///   lsfb --json map info map
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct InfoArguments {
+    /// The map.
+    #[arg(value_name = "MAP")]
+    map: PathBuf,
+}
+
+/// Export a map to the files of another program: COLMAP, kapture, nerfstudio, or a point cloud.
+///
+/// Images are named CAMERA/NANOSECONDS.png, as they would lie beside the model.
+///
+/// Examples:
+///   lsfb map export colmap map --out model
+///   lsfb map export laz map --out cloud
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct ExportArguments {
+    /// The format.
+    #[arg(value_enum)]
+    format: Program,
+    /// The map.
+    #[arg(value_name = "MAP")]
+    map: PathBuf,
+    /// Folder to write the files to.
+    #[arg(long, value_name = "FOLDER")]
+    out: PathBuf,
+}
+
+/// Cut a part out of a map: the points in a box along the world's axes, with all that saw them.
+///
+/// Examples:
+///   lsfb map crop map --min=-5,-5,-1 --max 5,5,3 --out room
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct CropArguments {
+    /// The map.
+    #[arg(value_name = "MAP")]
+    map: PathBuf,
+    /// Smallest coordinates, metres.
+    #[arg(long, value_name = "X,Y,Z", value_parser = coordinates, allow_hyphen_values = true)]
+    min: Vector3<f64>,
+    /// Largest coordinates, metres.
+    #[arg(long, value_name = "X,Y,Z", value_parser = coordinates, allow_hyphen_values = true)]
+    max: Vector3<f64>,
+    /// The map to write, a folder.
+    #[arg(long, value_name = "FOLDER")]
+    out: PathBuf,
+}
+
+/// Merge two maps of one place that overlap: the second is moved into the frame of the first.
+///
+/// Refused where they share too little, where another alignment is nearly as good, or where it would not be known well enough.
+///
+/// Examples:
+///   lsfb map merge ground-floor stairs --out building
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment, after_long_help = merge_settings())]
+pub struct MergeArguments {
+    /// The map whose frame stays.
+    #[arg(value_name = "MAP")]
+    first: PathBuf,
+    /// The map that is moved.
+    #[arg(value_name = "MAP")]
+    second: PathBuf,
+    /// The map to write, a folder.
+    #[arg(long, value_name = "FOLDER")]
+    out: PathBuf,
+    /// Settings instead of the defaults; `lsfb map merge --help` names them.
+    #[arg(long, value_name = "TOML")]
+    config: Option<PathBuf>,
+}
+
+fn merge_settings() -> String {
+    let settings = toml::to_string(&MergeConfig::default()).unwrap_or_default();
+    format!("Settings of --config and their defaults:\n\n{settings}")
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Program {
+    Colmap,
+    ColmapBinary,
+    Kapture,
+    Nerfstudio,
+    Ply,
+    Las,
+    Laz,
+}
+
+impl From<Program> for MapFormat {
+    fn from(program: Program) -> Self {
+        match program {
+            Program::Colmap => Self::ColmapText,
+            Program::ColmapBinary => Self::ColmapBinary,
+            Program::Kapture => Self::Kapture,
+            Program::Nerfstudio => Self::Nerfstudio,
+            Program::Ply => Self::Ply,
+            Program::Las => Self::Las,
+            Program::Laz => Self::Laz,
+        }
+    }
+}
+
+fn coordinates(text: &str) -> Result<Vector3<f64>, String> {
+    let numbers: Vec<f64> = text
+        .split(',')
+        .map(|word| {
+            word.trim()
+                .parse()
+                .map_err(|_| format!("{word:?} is not a number"))
+        })
+        .collect::<Result<_, String>>()?;
+    match numbers[..] {
+        [x, y, z] if numbers.iter().all(|v| v.is_finite()) => Ok(Vector3::new(x, y, z)),
+        _ => Err("expected three numbers: X,Y,Z in metres".to_owned()),
+    }
+}
+
+/// Does it.
+pub fn run(tool: &Tool, context: &Context) -> anyhow::Result<Outcome> {
+    match tool {
+        Tool::Info(arguments) => info(arguments, context),
+        Tool::Export(arguments) => run_export(arguments, context),
+        Tool::Crop(arguments) => crop(arguments, context),
+        Tool::Merge(arguments) => merge(arguments, context),
+    }
+}
+
+#[derive(Serialize)]
+struct Info<'a> {
+    points: usize,
+    keyframes: usize,
+    observations: usize,
+    descriptors: usize,
+    cameras: &'a [String],
+    rig: &'a str,
+    /// Smallest and largest coordinates of the points, metres.
+    min_m: Option<[f64; 3]>,
+    max_m: Option<[f64; 3]>,
+    observations_per_point: f64,
+    /// Median, and what 95 % stay below.
+    reprojection_px: Option<[f64; 2]>,
+    point_sigma_m: Option<[f64; 2]>,
+    bytes: u64,
+    provenance: &'a str,
+}
+
+fn info(arguments: &InfoArguments, context: &Context) -> anyhow::Result<Outcome> {
+    let map = super::open_map(&arguments.map)?;
+    let quality: Vec<_> = (0..map.point_count() as u32)
+        .filter_map(|p| map.quality(p))
+        .collect();
+    let region = map.region();
+    let info = Info {
+        points: map.point_count(),
+        keyframes: map.keyframe_count(),
+        observations: map.observation_count(),
+        descriptors: map.descriptor_count(),
+        cameras: map.cameras(),
+        rig: &map.rig().name,
+        min_m: region.map(|r| r.min.into()),
+        max_m: region.map(|r| r.max.into()),
+        observations_per_point: map.observation_count() as f64 / map.point_count().max(1) as f64,
+        reprojection_px: shares(quality.iter().map(|q| q.reprojection_rms_px)),
+        point_sigma_m: shares(quality.iter().map(|q| q.worst_sigma_m())),
+        bytes: bytes_in(&arguments.map)?,
+        provenance: map.provenance(),
+    };
+    context.print(&info, || text(&arguments.map, &info))?;
+    Ok(Outcome::Done)
+}
+
+fn text(folder: &Path, info: &Info) -> String {
+    let mut lines = vec![
+        format!(
+            "{}: {} points, {} observations ({:.1} each), {} descriptors, {:.1} MB",
+            folder.display(),
+            info.points,
+            info.observations,
+            info.observations_per_point,
+            info.descriptors,
+            info.bytes as f64 / 1e6
+        ),
+        format!(
+            "{} keyframes of {}: {}",
+            info.keyframes,
+            info.rig,
+            info.cameras.join(", ")
+        ),
+    ];
+    if let (Some(min), Some(max)) = (info.min_m, info.max_m) {
+        let side = |i: usize| format!("{} {:.2} to {:.2} m", ["x", "y", "z"][i], min[i], max[i]);
+        lines.push(format!("{}, {}, {}", side(0), side(1), side(2)));
+    }
+    if let Some([half, most]) = info.reprojection_px {
+        lines.push(format!(
+            "reprojection error of a point: median {half:.2} px, 95 % below {most:.2} px"
+        ));
+    }
+    if let Some([half, most]) = info.point_sigma_m {
+        lines.push(format!(
+            "σ of a point where it is known worst, keyframes taken as exact: median {:.1} cm, 95 % below {:.1} cm",
+            100.0 * half,
+            100.0 * most
+        ));
+    }
+    lines.join("\n")
+}
+
+/// The median, and what 95 % stay below; of nothing, nothing.
+fn shares(values: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
+    let mut sorted: Vec<f64> = values.collect();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let at = |share: f64| sorted.get((share * sorted.len() as f64) as usize).copied();
+    Some([at(0.5)?, at(0.95)?])
+}
+
+fn bytes_in(folder: &Path) -> anyhow::Result<u64> {
+    let named = || folder.display().to_string();
+    let mut sum = 0;
+    for entry in std::fs::read_dir(folder).with_context(named)? {
+        sum += entry.and_then(|e| e.metadata()).with_context(named)?.len();
+    }
+    Ok(sum)
+}
+
+fn run_export(arguments: &ExportArguments, context: &Context) -> anyhow::Result<Outcome> {
+    context.claim(&arguments.out, &[&arguments.map])?;
+    let map = super::open_map(&arguments.map)?;
+    let (cameras, rig_config, notes) = colmap_cameras(map.rig())?;
+    let mut files = map.export(arguments.format.into(), &cameras)?;
+    if matches!(arguments.format, Program::Colmap | Program::ColmapBinary) {
+        files.extend(rig_config);
+    }
+    for file in &files {
+        let path = arguments.out.join(&file.path);
+        let folder = path.parent().unwrap_or(&arguments.out);
+        std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+        super::write(&path, &file.bytes)?;
+    }
+    written(&map, &arguments.out, &[&arguments.map], &())?;
+    let summary = serde_json::json!({
+        "files": files.len(),
+        "points": map.point_count(),
+        "notes": &notes,
+    });
+    context.print(&summary, || {
+        let out = arguments.out.display();
+        let mut text = format!("{out}: {} files, {} points", files.len(), map.point_count());
+        for note in &notes {
+            text += &format!("\n  {note}");
+        }
+        text
+    })?;
+    Ok(Outcome::Done)
+}
+
+/// The cameras of a rig as COLMAP describes them, its `rig_config.json`, and what neither can hold.
+fn colmap_cameras(
+    rig: &Rig,
+) -> anyhow::Result<(Vec<ColmapCamera>, Option<ExportedFile>, Vec<String>)> {
+    // No IMU's rate is written.
+    let exported = export(rig, Format::Colmap, 1.0)?;
+    let text_of = |name: &str| exported.files.iter().find(|f| f.name == name);
+    let lines = text_of("cameras.txt").map_or("", |f| &f.text).lines();
+    let cameras = lines.filter(|line| !line.starts_with('#')).map(|line| {
+        let words: Vec<&str> = line.split(' ').collect();
+        let [_, model, width, height, parameters @ ..] = &words[..] else {
+            anyhow::bail!("{line:?} is no camera of COLMAP");
+        };
+        let parameters = parameters.iter().map(|word| word.parse());
+        Ok(ColmapCamera {
+            model: (*model).to_owned(),
+            size: [width.parse()?, height.parse()?],
+            parameters: parameters.collect::<Result<_, _>>()?,
+        })
+    });
+    let rig_config = text_of("rig_config.json").map(|f| ExportedFile {
+        path: f.name.clone(),
+        bytes: f.text.clone().into_bytes(),
+    });
+    Ok((
+        cameras.collect::<anyhow::Result<_>>()?,
+        rig_config,
+        exported.notes.clone(),
+    ))
+}
+
+fn crop(arguments: &CropArguments, context: &Context) -> anyhow::Result<Outcome> {
+    let region = Region {
+        min: arguments.min,
+        max: arguments.max,
+    };
+    anyhow::ensure!(
+        region.contains(&region.min),
+        "--min lies beyond --max: give the smallest coordinates first"
+    );
+    context.claim(&arguments.out, &[&arguments.map])?;
+    let map = super::open_map(&arguments.map)?;
+    let part = map.crop(&region, &IndexConfig::default(), &|p| context.show(p))?;
+    part.write(&arguments.out)?;
+    written(
+        &part,
+        &arguments.out,
+        &[&arguments.map],
+        &[arguments.min, arguments.max].map(<[f64; 3]>::from),
+    )?;
+    let summary = serde_json::json!({
+        "points": part.point_count(),
+        "of_points": map.point_count(),
+        "keyframes": part.keyframe_count(),
+    });
+    context.print(&summary, || {
+        format!(
+            "{}: {} of {} points, {} keyframes",
+            arguments.out.display(),
+            part.point_count(),
+            map.point_count(),
+            part.keyframe_count()
+        )
+    })?;
+    Ok(Outcome::Done)
+}
+
+fn merge(arguments: &MergeArguments, context: &Context) -> anyhow::Result<Outcome> {
+    let config: MergeConfig = super::config_or_default(arguments.config.as_deref())?;
+    let read = [arguments.first.as_path(), &arguments.second];
+    context.claim(&arguments.out, &read)?;
+    let (first, second) = (super::open_map(read[0])?, super::open_map(read[1])?);
+    let (merged, report) = first.merge(&second, &config, &|p| context.show(p))?;
+    merged.write(&arguments.out)?;
+    written(&merged, &arguments.out, &read, &config)?;
+    let q = report.first_from_second.rotation.quaternion();
+    let t = report.first_from_second.translation;
+    let summary = serde_json::json!({
+        "points": merged.point_count(),
+        "keyframes": merged.keyframe_count(),
+        "report": &report,
+        "first_from_second": { "translation_m": [t.x, t.y, t.z], "quaternion_xyzw": [q.i, q.j, q.k, q.w] },
+    });
+    context.print(&summary, || {
+        format!(
+            "{}: {} points, {} of them in both maps, median {:.1} cm apart; the second map is placed to {:.1} cm (1 σ) where it is known worst",
+            arguments.out.display(),
+            merged.point_count(),
+            report.shared,
+            100.0 * report.median_distance_m,
+            100.0 * report.worst_sigma_m
+        )
+    })?;
+    Ok(Outcome::Done)
+}
+
+/// Writes where a result comes from beside it.
+fn written(
+    map: &HdMap,
+    out: &Path,
+    read: &[&Path],
+    settings: &impl Serialize,
+) -> anyhow::Result<()> {
+    let mut provenance = Provenance::new(settings);
+    for folder in read {
+        provenance.add_input(&folder.join(HdMap::HEADER))?;
+    }
+    provenance.add_rig(map.rig());
+    provenance.write(out)?;
+    Ok(())
+}

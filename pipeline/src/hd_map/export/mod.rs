@@ -1,0 +1,151 @@
+//! Maps in the files of other programs.
+//!
+//! | format | files | what it holds |
+//! | --- | --- | --- |
+//! | COLMAP, text or binary | `cameras`, `images`, `points3D` | all but descriptors; images are named `CAMERA/NANOSECONDS.png` |
+//! | kapture 1.1 | `sensors/…`, `reconstruction/…` | all but descriptors |
+//! | nerfstudio | `transforms.json`, `points.ply` | cameras, poses, points |
+//! | PLY | `points.ply` | points with σ, error and number of observations |
+//! | LAS, LAZ | `points.las`, `points.laz` | points |
+
+mod colmap;
+mod kapture;
+mod nerfstudio;
+mod points;
+
+use std::collections::BTreeMap;
+
+use lsfb_geometry::Se3;
+
+use super::HdMap;
+use crate::Error;
+
+/// A format that a map is written in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MapFormat {
+    /// COLMAP's text files.
+    ColmapText,
+    /// COLMAP's binary files.
+    ColmapBinary,
+    /// kapture 1.1.
+    Kapture,
+    /// nerfstudio's `transforms.json`.
+    Nerfstudio,
+    /// A PLY file.
+    Ply,
+    /// A LAS file.
+    Las,
+    /// A LAZ file: LAS compressed.
+    Laz,
+}
+
+/// A file of a format.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ExportedFile {
+    /// Its path below the folder of the export.
+    pub path: String,
+    /// What is in it.
+    pub bytes: Vec<u8>,
+}
+
+/// A camera as COLMAP describes it: one line of `cameras.txt`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ColmapCamera {
+    /// `PINHOLE`, `OPENCV`, `FULL_OPENCV`, `FOV` or `OPENCV_FISHEYE`.
+    pub model: String,
+    /// Width and height, pixels.
+    pub size: [u32; 2],
+    /// The model's parameters; the corner of the first pixel is (0, 0).
+    pub parameters: Vec<f64>,
+}
+
+/// From our pixels, whose (0, 0) is the centre of the first, to those of the formats here, where it is its corner.
+const HALF_PIXEL: f64 = 0.5;
+
+impl HdMap {
+    /// The map as files of `format`. `cameras` are those of [`HdMap::cameras`], in the same order.
+    ///
+    /// Fails where the format cannot describe a camera, or coordinates do not fit in it.
+    pub fn export(
+        &self,
+        format: MapFormat,
+        cameras: &[ColmapCamera],
+    ) -> Result<Vec<ExportedFile>, Error> {
+        let model = Model {
+            map: self,
+            cameras,
+            images: images(self),
+        };
+        match format {
+            MapFormat::ColmapText => Ok(colmap::text(&model)),
+            MapFormat::ColmapBinary => colmap::binary(&model),
+            MapFormat::Kapture => Ok(kapture::files(&model)),
+            MapFormat::Nerfstudio => nerfstudio::files(&model),
+            MapFormat::Ply => Ok(vec![points::ply(self)]),
+            MapFormat::Las => points::las(self, false),
+            MapFormat::Laz => points::las(self, true),
+        }
+    }
+}
+
+/// A map by its images.
+struct Model<'a> {
+    map: &'a HdMap,
+    cameras: &'a [ColmapCamera],
+    images: Vec<Image>,
+}
+
+/// An image that saw points.
+struct Image {
+    /// Place of its camera among the cameras.
+    camera: usize,
+    /// Nanoseconds.
+    time_ns: i64,
+    camera_from_world: Se3,
+    /// `CAMERA/NANOSECONDS.png`.
+    name: String,
+    /// Points seen and where, pixels of the formats here.
+    seen: Vec<(u32, [f64; 2])>,
+}
+
+fn images(map: &HdMap) -> Vec<Image> {
+    let mut found: BTreeMap<(u32, u16), Vec<(u32, [f64; 2])>> = BTreeMap::new();
+    for o in (0..map.point_count() as u32).flat_map(|p| map.observations(p)) {
+        let pixel = o.pixel.map(|v| f64::from(v) + HALF_PIXEL);
+        found
+            .entry((o.keyframe, o.camera))
+            .or_default()
+            .push((o.point, pixel));
+    }
+    let images = found.into_iter().filter_map(|((keyframe, camera), seen)| {
+        let camera = usize::from(camera);
+        let name = map.cameras().get(camera)?;
+        let pose = map.keyframe(keyframe)?;
+        let mounted = map.rig().cameras.get(name)?;
+        let time_ns = pose.time.nanos();
+        Some(Image {
+            camera,
+            time_ns,
+            camera_from_world: (pose.world_from_rig * mounted.rig_from_camera).inverse(),
+            name: format!("{name}/{time_ns}.png"),
+            seen,
+        })
+    });
+    images.collect()
+}
+
+/// `w x y z`.
+fn quaternion(pose: &Se3) -> [f64; 4] {
+    let q = pose.rotation.quaternion();
+    [q.w, q.i, q.j, q.k]
+}
+
+fn file(path: &str, bytes: impl Into<Vec<u8>>) -> ExportedFile {
+    ExportedFile {
+        path: path.to_owned(),
+        bytes: bytes.into(),
+    }
+}
+
+#[cfg(test)]
+mod tests;

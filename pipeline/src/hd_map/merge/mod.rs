@@ -1,0 +1,369 @@
+//! Two maps of one place become one: found by their descriptors, aligned by their points, never on weak evidence.
+
+use std::collections::BTreeMap;
+
+use lsfb_geometry::align::{Scale, umeyama};
+use lsfb_geometry::{Matrix3, Se3, StampedPose, Vector3};
+use lsfb_perception::statistics::median;
+use lsfb_types::{Bounds, ProgressFn};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use super::build::{MapRows, typical};
+use super::{HdMap, HdMapConfig, PointQuality, SearchScratch};
+use crate::Error;
+use crate::features::Descriptor;
+
+/// Neighbours that are looked at for each descriptor, and inverted lists in which they are looked for.
+const NEIGHBOURS: usize = 8;
+const PROBES: usize = 8;
+/// Rounds of alignment and choice of the pairs that fit.
+const REFINEMENTS: usize = 10;
+
+/// Configuration of [`HdMap::merge`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MergeConfig {
+    /// Two points are the same if their descriptors' distance is at most this share of the distance to the next point's …
+    pub max_ratio: f64,
+    /// … and they lie at most this far apart once the maps are aligned, metres.
+    pub gate_m: f64,
+    /// Fewest points the maps must share.
+    pub min_shared: usize,
+    /// Most points that may speak for another alignment, as a share of those that speak for the best.
+    pub max_rival_share: f64,
+    /// Most that the alignment may be uncertain by at any keyframe of the second map, metres (1 σ).
+    pub max_sigma_m: f64,
+    /// Samples of three pairs.
+    pub samples: usize,
+    /// Their seed.
+    pub seed: u64,
+    /// Descriptors and index of the result.
+    pub map: HdMapConfig,
+}
+
+impl Default for MergeConfig {
+    fn default() -> Self {
+        Self {
+            max_ratio: 0.8,
+            gate_m: 0.1,
+            min_shared: 50,
+            max_rival_share: 0.25,
+            max_sigma_m: 0.02,
+            samples: 20_000,
+            seed: 1,
+            map: HdMapConfig::default(),
+        }
+    }
+}
+
+lsfb_types::bounds! {
+    MergeConfig {
+        max_ratio: number(Bounds::POSITIVE),
+        gate_m: number(Bounds::POSITIVE),
+        min_shared: number(Bounds::AT_LEAST_ONE),
+        max_rival_share: number(Bounds::POSITIVE),
+        max_sigma_m: number(Bounds::POSITIVE),
+        samples: number(Bounds::AT_LEAST_ONE),
+        seed: any,
+        map: section,
+    }
+}
+
+/// How two maps were found to meet.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct MergeReport {
+    /// Pairs of points with alike descriptors.
+    pub pairs: usize,
+    /// Of these, the pairs that the alignment brings together: the points that were joined.
+    pub shared: usize,
+    /// Pairs that speak for the best other alignment.
+    pub rival: usize,
+    /// Median distance of shared points after the alignment, metres.
+    pub median_distance_m: f64,
+    /// σ of the alignment at the keyframe of the second map where it is worst, metres.
+    pub worst_sigma_m: f64,
+    /// Pose of the second map in the first.
+    #[serde(skip)]
+    pub first_from_second: Se3,
+}
+
+/// A pair of points that may be one.
+#[derive(Clone, Copy)]
+struct Pair {
+    first: u32,
+    second: u32,
+    in_first: Vector3<f64>,
+    in_second: Vector3<f64>,
+}
+
+impl HdMap {
+    /// `self` with the points and keyframes of `second`, moved into the frame of `self`; points found in both are one, at
+    /// the mean of both positions weighted by their covariances. Cameras of `second` that have the name of another one
+    /// here get a number behind it.
+    ///
+    /// Refused where the maps share too little, where another alignment is nearly as good (places that repeat), or
+    /// where the alignment would not be known well enough at every keyframe of `second`.
+    pub fn merge(
+        &self,
+        second: &Self,
+        config: &MergeConfig,
+        progress: ProgressFn,
+    ) -> Result<(Self, MergeReport), Error> {
+        config.check_bounds("merge")?;
+        let pairs = pairs(self, second, config);
+        let best = align(&pairs, config);
+        let others: Vec<Pair> = pairs
+            .iter()
+            .filter(|p| distance(&best, p) > 3.0 * config.gate_m)
+            .copied()
+            .collect();
+        let rival = shared(&align(&others, config), &others, config.gate_m).len();
+        let shared = shared(&best, &pairs, config.gate_m);
+        let distances: Vec<f64> = shared.iter().map(|p| distance(&best, p)).collect();
+        let report = MergeReport {
+            pairs: pairs.len(),
+            shared: shared.len(),
+            rival,
+            median_distance_m: median(distances).unwrap_or(f64::INFINITY),
+            worst_sigma_m: worst_sigma_m(&best, &shared, second),
+            first_from_second: best,
+        };
+        let is_sure = report.shared >= config.min_shared
+            && report.rival as f64 <= config.max_rival_share * report.shared as f64
+            && report.worst_sigma_m <= config.max_sigma_m;
+        if !is_sure {
+            return Err(Error::MapsDoNotMeet {
+                pairs: report.pairs,
+                shared: report.shared,
+                rival: report.rival,
+                sigma_m: report.worst_sigma_m,
+            });
+        }
+        let rows = joined(self, second, &report, &shared, config);
+        let merged = Self::from_rows(rows, &config.map.index, progress)?;
+        Ok((merged, report))
+    }
+}
+
+/// For each point of `second`, the point of `first` that looks like it, where none other does.
+fn pairs(first: &HdMap, second: &HdMap, config: &MergeConfig) -> Vec<Pair> {
+    let points: Vec<u32> = (0..second.point_count() as u32).collect();
+    let found = points
+        .par_iter()
+        .map_init(SearchScratch::default, |scratch, point| {
+            // The nearest descriptor of each point of the first map, over all descriptors of this one.
+            let mut nearest: BTreeMap<u32, u32> = BTreeMap::new();
+            for descriptor in second.descriptors(*point) {
+                for n in first.nearest(descriptor, NEIGHBOURS, PROBES, scratch) {
+                    let best = nearest.entry(n.point).or_insert(u32::MAX);
+                    *best = n.distance_squared.min(*best);
+                }
+            }
+            let mut by_distance: Vec<(u32, u32)> =
+                nearest.into_iter().map(|(p, d)| (d, p)).collect();
+            by_distance.sort_unstable();
+            let (distance, found) = *by_distance.first()?;
+            let next = by_distance.get(1).map_or(u32::MAX, |(d, _)| *d);
+            let is_alone = f64::from(distance) <= config.max_ratio.powi(2) * f64::from(next);
+            Some(Pair {
+                first: found,
+                second: *point,
+                in_first: first.position(found)?,
+                in_second: second.position(*point)?,
+            })
+            .filter(|_| is_alone)
+        });
+    let mut found: Vec<Pair> = found.flatten().collect();
+    // A point of the first map that several claim is none of theirs.
+    let mut claims: BTreeMap<u32, usize> = BTreeMap::new();
+    found
+        .iter()
+        .for_each(|p| *claims.entry(p.first).or_default() += 1);
+    found.retain(|p| claims.get(&p.first) == Some(&1));
+    found
+}
+
+fn distance(first_from_second: &Se3, pair: &Pair) -> f64 {
+    (*first_from_second * pair.in_second - pair.in_first).norm()
+}
+
+fn shared(first_from_second: &Se3, pairs: &[Pair], gate_m: f64) -> Vec<Pair> {
+    let near = pairs
+        .iter()
+        .filter(|p| distance(first_from_second, p) <= gate_m);
+    near.copied().collect()
+}
+
+fn fit(pairs: &[Pair]) -> Option<Se3> {
+    let (second, first): (Vec<_>, Vec<_>) = pairs.iter().map(|p| (p.in_second, p.in_first)).unzip();
+    umeyama(&second, &first, Scale::Fixed).map(|a| a.target_from_source)
+}
+
+/// The alignment that brings most pairs together: samples of three, then least squares over what fits. Samples are drawn
+/// before they are tried, so that threads change nothing.
+fn align(pairs: &[Pair], config: &MergeConfig) -> Se3 {
+    if pairs.len() < 3 {
+        return Se3::identity();
+    }
+    let mut random = ChaCha8Rng::seed_from_u64(config.seed);
+    let samples: Vec<[usize; 3]> = (0..config.samples)
+        .map(|_| std::array::from_fn(|_| random.random_range(0..pairs.len())))
+        .collect();
+    let tried = samples
+        .par_iter()
+        .enumerate()
+        .filter_map(|(number, sample)| {
+            let three = sample.map(|i| pairs[i]);
+            // A triangle keeps its sides.
+            let keeps = (0..3).all(|i| {
+                let (a, b) = (&three[i], &three[(i + 1) % 3]);
+                let first = (a.in_first - b.in_first).norm();
+                let second = (a.in_second - b.in_second).norm();
+                first > 2.0 * config.gate_m && (first - second).abs() <= 2.0 * config.gate_m
+            });
+            let found = fit(&three).filter(|_| keeps)?;
+            let inliers = shared(&found, pairs, config.gate_m).len();
+            Some((inliers, std::cmp::Reverse(number), found))
+        });
+    let best = tried.max_by_key(|(inliers, number, _)| (*inliers, *number));
+    let mut best = best.map_or_else(Se3::identity, |(_, _, found)| found);
+    for _ in 0..REFINEMENTS {
+        if let Some(found) = fit(&shared(&best, pairs, config.gate_m)) {
+            best = found;
+        }
+    }
+    best
+}
+
+/// σ of the alignment's position at the keyframe of `second` where it is largest: from the scatter of the shared points and
+/// how they are spread, as for any rigid fit.
+fn worst_sigma_m(first_from_second: &Se3, shared: &[Pair], second: &HdMap) -> f64 {
+    let n = shared.len() as f64;
+    if shared.len() < 4 {
+        return f64::INFINITY;
+    }
+    let squares: f64 = shared
+        .iter()
+        .map(|p| distance(first_from_second, p).powi(2))
+        .sum();
+    let sigma = (squares / (3.0 * n - 6.0)).sqrt();
+    let centre = shared.iter().map(|p| p.in_second).sum::<Vector3<f64>>() / n;
+    // Information of a small rotation about the centre: Σ [r]ₓᵀ [r]ₓ.
+    let information = shared.iter().fold(Matrix3::<f64>::zeros(), |sum, p| {
+        let cross = (p.in_second - centre).cross_matrix();
+        sum + cross.tr_mul(&cross)
+    });
+    let Some(covariance) = information.try_inverse() else {
+        return f64::INFINITY;
+    };
+    let keyframes = (0..second.keyframe_count() as u32).filter_map(|k| second.keyframe(k));
+    let variance = keyframes.map(|k| {
+        let cross = (k.world_from_rig.translation - centre).cross_matrix();
+        (cross * covariance * cross.transpose())
+            .symmetric_eigenvalues()
+            .max()
+            + 1.0 / n
+    });
+    sigma * variance.fold(0.0, f64::max).sqrt()
+}
+
+fn joined(
+    first: &HdMap,
+    second: &HdMap,
+    report: &MergeReport,
+    shared: &[Pair],
+    config: &MergeConfig,
+) -> MapRows {
+    let (mut rows, moved) = (first.rows(), second.rows());
+    let before = rows.keyframes.len() as u32;
+    rows.keyframes
+        .extend(moved.keyframes.iter().map(|k| StampedPose {
+            world_from_rig: report.first_from_second * k.world_from_rig,
+            ..*k
+        }));
+    let limit = config.map.max_descriptors_per_point.max(1);
+    let rotation = report.first_from_second.rotation_matrix();
+    let named = place_cameras(&mut rows, &moved);
+    let of_second: BTreeMap<u32, u32> = shared.iter().map(|p| (p.second, p.first)).collect();
+    for (number, mut point) in (0..).zip(moved.points) {
+        for o in &mut point.observations {
+            o.keyframe += before;
+            o.camera = named[usize::from(o.camera)];
+        }
+        point.position = report.first_from_second * point.position;
+        match of_second.get(&number) {
+            Some(same) => {
+                let weights = (first.quality(*same), second.quality(number));
+                let row = &mut rows.points[*same as usize];
+                row.position = weighted(weights, &rotation, (&row.position, &point.position));
+                row.observations.extend(point.observations);
+                row.observations.sort_by_key(|o| (o.keyframe, o.camera));
+                let all: Vec<&Descriptor> =
+                    row.descriptors.iter().chain(&point.descriptors).collect();
+                row.descriptors = typical(&all, limit);
+            }
+            None => rows.points.push(point),
+        }
+    }
+    let mut hash = Sha256::new();
+    hash.update(&first.provenance);
+    hash.update(&second.provenance);
+    rows.provenance = hash.finalize().iter().map(|b| format!("{b:02x}")).collect();
+    rows
+}
+
+/// Takes the cameras of `moved` into the rig of `rows`; gives the place there of each camera of `moved`.
+fn place_cameras(rows: &mut MapRows, moved: &MapRows) -> Vec<u16> {
+    let before: Vec<String> = rows.rig.cameras.keys().cloned().collect();
+    let names: Vec<String> = moved
+        .rig
+        .cameras
+        .iter()
+        .map(|(name, mounted)| {
+            let mut numbered =
+                std::iter::once(name.clone()).chain((2..).map(|number| format!("{name}-{number}")));
+            let cameras = &mut rows.rig.cameras;
+            let is_free = |name: &String| cameras.get(name).is_none_or(|there| there == mounted);
+            let chosen = numbered.find(is_free).unwrap_or_else(|| name.clone());
+            cameras.insert(chosen.clone(), mounted.clone());
+            chosen
+        })
+        .collect();
+    let place = |name: &String| {
+        let at = rows.rig.cameras.keys().position(|n| n == name);
+        at.unwrap_or(0) as u16
+    };
+    let of_first: Vec<u16> = before.iter().map(place).collect();
+    let of_second = names.iter().map(place).collect();
+    for o in rows.points.iter_mut().flat_map(|p| &mut p.observations) {
+        o.camera = of_first[usize::from(o.camera)];
+    }
+    of_second
+}
+
+/// Mean of two positions of one point, weighted by their covariances where both have one.
+fn weighted(
+    (first, second): (Option<PointQuality>, Option<PointQuality>),
+    rotation: &Matrix3<f64>,
+    (a, b): (&Vector3<f64>, &Vector3<f64>),
+) -> Vector3<f64> {
+    let information = |quality: Option<PointQuality>, by: &Matrix3<f64>| {
+        let covariance = by * quality?.covariance_m2 * by.transpose();
+        let inverse = covariance.try_inverse()?;
+        inverse.iter().all(|v| v.is_finite()).then_some(inverse)
+    };
+    let both = information(first, &Matrix3::identity()).zip(information(second, rotation));
+    let mean = both.and_then(|(of_a, of_b)| {
+        let covariance = (of_a + of_b).try_inverse()?;
+        Some(covariance * (of_a * a + of_b * b))
+    });
+    mean.filter(|m| m.iter().all(|v| v.is_finite()))
+        .unwrap_or((a + b) / 2.0)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,242 @@
+use lsfb_geometry::{Camera, CameraTiming, Rig, RigCamera};
+use lsfb_types::{Timestamp, no_progress};
+
+use super::*;
+use crate::hd_map::build::PointRow;
+use crate::hd_map::{IndexConfig, Region};
+
+/// A camera that looks along x.
+fn camera(focal_px: f64) -> RigCamera {
+    let forward = Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
+    let rotation = lsfb_geometry::UnitQuaternion::from_matrix(&forward);
+    RigCamera {
+        camera: Camera::pinhole(640, 480, [focal_px; 2], [319.5, 239.5]),
+        rig_from_camera: Se3::new(rotation, Vector3::zeros()),
+        timing: CameraTiming::default(),
+    }
+}
+
+/// Points of a hall with the looks that `look` gives each, seen from keyframes `along` it; in a frame moved by `world`.
+struct Hall {
+    world: Se3,
+    along: std::ops::Range<i32>,
+    focal_px: f64,
+}
+
+impl Hall {
+    fn map(&self, look: impl Fn(u64) -> u64) -> HdMap {
+        let mut rig = Rig::empty("walker");
+        rig.cameras.insert("cam0".to_owned(), camera(self.focal_px));
+        let keyframes: Vec<StampedPose> = self
+            .along
+            .clone()
+            .map(|x| StampedPose {
+                time: Timestamp::from_nanos(i64::from(x)),
+                world_from_rig: Se3::new(Se3::identity().rotation, Vector3::x() * f64::from(x)),
+            })
+            .collect();
+        let mut points = Vec::new();
+        for number in 0..1_200_u64 {
+            let mut random = ChaCha8Rng::seed_from_u64(number);
+            let position = Vector3::new(
+                random.random_range(0.0..24.0),
+                random.random_range(-3.0..3.0),
+                random.random_range(-1.0..2.0),
+            );
+            let observations: Vec<_> = (0..)
+                .zip(&keyframes)
+                .filter_map(|(keyframe, k)| {
+                    let mounted = &rig.cameras["cam0"];
+                    let in_camera =
+                        (k.world_from_rig * mounted.rig_from_camera).inverse() * position;
+                    let pixel = mounted.camera.project(&in_camera)?;
+                    let is_near = in_camera.z < 8.0 && mounted.camera.contains(&pixel, 0.0);
+                    is_near.then(|| crate::hd_map::MapObservation {
+                        point: 0,
+                        keyframe,
+                        camera: 0,
+                        pixel: [pixel.x as f32, pixel.y as f32 + 0.3],
+                    })
+                })
+                .collect();
+            if observations.len() < 2 {
+                continue;
+            }
+            let mut noise = ChaCha8Rng::seed_from_u64(number + 7_000 * self.along.end as u64);
+            let mut looks = ChaCha8Rng::seed_from_u64(look(number));
+            points.push(PointRow {
+                position: self.world
+                    * (position + Vector3::repeat(noise.random_range(-0.01..0.01))),
+                observations,
+                descriptors: vec![std::array::from_fn(|_| {
+                    looks.random_range(0..120_u8) + noise.random_range(0..9_u8)
+                })],
+            });
+        }
+        let rows = MapRows {
+            rig,
+            keyframes: keyframes
+                .into_iter()
+                .map(|k| StampedPose {
+                    world_from_rig: self.world * k.world_from_rig,
+                    ..k
+                })
+                .collect(),
+            points,
+            provenance: format!("{:?}", self.along),
+        };
+        HdMap::from_rows(rows, &IndexConfig::default(), &no_progress).expect("built")
+    }
+}
+
+fn moved() -> Se3 {
+    Se3::exp(&[0.1, -0.2, 2.0, 30.0, -4.0, 1.0].into())
+}
+
+#[test]
+fn two_scans_of_one_hall_become_one_map() {
+    let first = Hall {
+        world: Se3::identity(),
+        along: 0..14,
+        focal_px: 400.0,
+    };
+    let second = Hall {
+        world: moved(),
+        along: 8..20,
+        focal_px: 410.0,
+    };
+    let (a, b) = (first.map(|n| n), second.map(|n| n));
+    let (merged, report) = a
+        .merge(&b, &MergeConfig::default(), &no_progress)
+        .expect("merged");
+    let error = report.first_from_second * moved();
+    assert!(
+        error.translation.norm() < 0.01 && error.rotation.angle() < 1e-3,
+        "{error:?}"
+    );
+    assert!(
+        report.shared > 200 && report.worst_sigma_m < 0.01,
+        "{report:?}"
+    );
+    assert_eq!(
+        merged.point_count(),
+        a.point_count() + b.point_count() - report.shared
+    );
+    assert_eq!(
+        merged.keyframe_count(),
+        a.keyframe_count() + b.keyframe_count()
+    );
+    assert_eq!(
+        merged.observation_count(),
+        a.observation_count() + b.observation_count()
+    );
+    assert_eq!(merged.cameras(), ["cam0", "cam0-2"]);
+    // Every point is still where its pixels see it, through either camera.
+    let errors = (0..merged.point_count() as u32).filter_map(|p| merged.quality(p));
+    let worst = errors.fold(0.0, |worst: f64, q| worst.max(q.reprojection_rms_px));
+    assert!(worst < 12.0, "{worst} px");
+    let folder = tempfile::tempdir().expect("scratch folder");
+    merged.write(folder.path()).expect("written");
+    HdMap::open(folder.path()).expect("sound");
+}
+
+#[test]
+fn maps_that_do_not_surely_meet_are_refused() {
+    let first = Hall {
+        world: Se3::identity(),
+        along: 0..14,
+        focal_px: 400.0,
+    };
+    let second = Hall {
+        world: moved(),
+        along: 8..20,
+        focal_px: 400.0,
+    };
+    let refusal = |a: &HdMap, b: &HdMap| {
+        let merged = a.merge(b, &MergeConfig::default(), &no_progress);
+        match merged.map(|(_, report)| report) {
+            Err(Error::MapsDoNotMeet { shared, .. }) => shared,
+            other => panic!("{other:?}"),
+        }
+    };
+    let elsewhere = refusal(&first.map(|n| n), &second.map(|n| n + 50_000));
+    assert!(elsewhere < 10, "{elsewhere} points shared");
+    // No overlap.
+    let behind = Hall {
+        world: moved(),
+        along: 15..23,
+        focal_px: 400.0,
+    };
+    refusal(
+        &Hall {
+            along: 0..4,
+            ..first
+        }
+        .map(|n| n),
+        &behind.map(|n| n),
+    );
+}
+
+/// A hall whose second half looks like its first, against a scan of one of the halves.
+#[test]
+fn a_place_that_repeats_is_refused() {
+    let first = Hall {
+        world: Se3::identity(),
+        along: 0..14,
+        focal_px: 400.0,
+    };
+    let a = first.map(|n| n);
+    let mut twice = a.rows();
+    // Every other point stands here, the others there: the scan fits half of each.
+    let points = std::mem::take(&mut twice.points).into_iter().enumerate();
+    twice.points = points
+        .map(|(number, mut p)| {
+            p.position.x += if number % 2 == 0 { 0.0 } else { 40.0 };
+            p
+        })
+        .collect();
+    let index = IndexConfig::default();
+    let twice = HdMap::from_rows(twice, &index, &no_progress).expect("built");
+    let found = twice.merge(&a, &MergeConfig::default(), &no_progress);
+    let Err(Error::MapsDoNotMeet { shared, rival, .. }) = found.map(|(_, report)| report) else {
+        panic!("merged");
+    };
+    assert!(
+        rival * 2 > shared && shared > 100,
+        "{shared} here, {rival} there"
+    );
+}
+
+#[test]
+fn a_part_of_a_map_holds_what_saw_it() {
+    let map = Hall {
+        world: Se3::identity(),
+        along: 0..20,
+        focal_px: 400.0,
+    }
+    .map(|n| n);
+    let region = Region {
+        min: Vector3::new(0.0, -5.0, -5.0),
+        max: Vector3::new(6.0, 5.0, 5.0),
+    };
+    let part = map
+        .crop(&region, &IndexConfig::default(), &no_progress)
+        .expect("points");
+    assert!(part.point_count() > 50 && part.point_count() < map.point_count() / 2);
+    assert!(part.positions().all(|p| region.contains(&p)));
+    assert!(
+        part.keyframe_count() < 8,
+        "{} keyframes",
+        part.keyframe_count()
+    );
+    let seen = (0..part.point_count() as u32).filter_map(|p| part.quality(p));
+    assert!(seen.map(|q| q.reprojection_rms_px).fold(0.0, f64::max) < 12.0);
+    let nowhere = Region {
+        min: Vector3::repeat(90.0),
+        max: Vector3::repeat(91.0),
+    };
+    let error = map
+        .crop(&nowhere, &IndexConfig::default(), &no_progress)
+        .expect_err("empty");
+    assert!(error.to_string().contains("lsfb map info"));
+}
