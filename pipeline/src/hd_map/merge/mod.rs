@@ -20,6 +20,8 @@ use crate::features::Descriptor;
 /// Neighbours that are looked at for each descriptor, and inverted lists in which they are looked for.
 const NEIGHBOURS: usize = 8;
 const PROBES: usize = 8;
+/// Runs of keyframes, one of which is left out at a time to see how firmly the alignment stands.
+const GROUPS: usize = 8;
 /// Rounds of alignment and choice of the pairs that fit.
 const REFINEMENTS: usize = 10;
 
@@ -84,7 +86,7 @@ pub struct MergeReport {
     pub rival: usize,
     /// Median distance of shared points after the alignment, metres.
     pub median_distance_m: f64,
-    /// σ of the alignment at the keyframe of the second map where it is worst, metres.
+    /// σ of the alignment (length of the error, 1 σ) at the keyframe of the second map where it is worst, metres.
     pub worst_sigma_m: f64,
     /// Pose of the second map in the first.
     #[serde(skip)]
@@ -129,7 +131,7 @@ impl HdMap {
             shared: shared.len(),
             rival,
             median_distance_m: median(distances).unwrap_or(f64::INFINITY),
-            worst_sigma_m: worst_sigma_m(&best, &shared, second),
+            worst_sigma_m: worst_sigma_m(&shared, second),
             first_from_second: best,
         };
         let is_sure = report.shared >= config.min_shared
@@ -239,36 +241,31 @@ fn align(pairs: &[Pair], config: &MergeConfig) -> Se3 {
     best
 }
 
-/// σ of the alignment's position at the keyframe of `second` where it is largest: from the scatter of the shared points and
-/// how they are spread, as for any rigid fit.
-fn worst_sigma_m(first_from_second: &Se3, shared: &[Pair], second: &HdMap) -> f64 {
-    let n = shared.len() as f64;
-    if shared.len() < 4 {
-        return f64::INFINITY;
-    }
-    let squares: f64 = shared
-        .iter()
-        .map(|p| distance(first_from_second, p).powi(2))
-        .sum();
-    let sigma = (squares / (3.0 * n - 6.0)).sqrt();
-    let centre = shared.iter().map(|p| p.in_second).sum::<Vector3<f64>>() / n;
-    // Information of a small rotation about the centre: Σ [r]ₓᵀ [r]ₓ.
-    let information = shared.iter().fold(Matrix3::<f64>::zeros(), |sum, p| {
-        let cross = (p.in_second - centre).cross_matrix();
-        sum + cross.tr_mul(&cross)
-    });
-    let Some(covariance) = information.try_inverse() else {
+/// σ of the alignment's position at the keyframe of `second` where it is largest. Points that the same keyframes saw are wrong
+/// together, so that their own scatter promises too much: the alignment is made again without each of [`GROUPS`] runs of
+/// keyframes, and its scatter over these gives σ (the jackknife).
+fn worst_sigma_m(shared: &[Pair], second: &HdMap) -> f64 {
+    let first_seen = |p: &Pair| second.observations(p.second).next().map(|o| o.keyframe);
+    let mut in_order = shared.to_vec();
+    in_order.sort_by_key(|p| (first_seen(p), p.second));
+    let without: Option<Vec<Se3>> = (0..GROUPS)
+        .map(|group| {
+            let ends = [group, group + 1].map(|g| g * in_order.len() / GROUPS);
+            fit(&[&in_order[..ends[0]], &in_order[ends[1]..]].concat())
+        })
+        .collect();
+    let Some(without) = without else {
         return f64::INFINITY;
     };
+    let n = GROUPS as f64;
     let keyframes = (0..second.keyframe_count() as u32).filter_map(|k| second.keyframe(k));
-    let variance = keyframes.map(|k| {
-        let cross = (k.world_from_rig.translation - centre).cross_matrix();
-        (cross * covariance * cross.transpose())
-            .symmetric_eigenvalues()
-            .max()
-            + 1.0 / n
+    let variances = keyframes.map(|k| {
+        let placed = without.iter().map(|a| *a * k.world_from_rig.translation);
+        let mean = placed.clone().sum::<Vector3<f64>>() / n;
+        let squares: f64 = placed.map(|p| (p - mean).norm_squared()).sum();
+        squares * (n - 1.0) / n
     });
-    sigma * variance.fold(0.0, f64::max).sqrt()
+    variances.fold(0.0, f64::max).sqrt()
 }
 
 fn joined(
