@@ -181,7 +181,7 @@ fn maps_that_cannot_be_used() {
     let damages: [(Damage<'_>, &[&str]); 5] = [
         (
             &|f| rewrite(f, "format_version = 2", "format_version = 3"),
-            &["map/map.toml", "version 2", "map again"],
+            &["map/map.toml", "version 3", "map again"],
         ),
         (
             &|f| std::fs::write(header(f), noise(500)).expect("header"),

@@ -1,5 +1,6 @@
 //! What every command shares: refusals in one sentence, exit codes, stdout that is full or closed, results that stay.
 
+mod answer;
 mod process;
 mod session;
 
@@ -7,6 +8,7 @@ use std::fs::File;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
+use answer::json;
 use process::lsfb;
 use serde_json::Value;
 use session::with;
@@ -265,4 +267,58 @@ fn every_judgement_has_one_shape() {
         let failed = output.status.code() == Some(4);
         assert_eq!(failed, verdict == "fail", "{command}: {answer}");
     }
+}
+
+#[test]
+fn maps_that_stand_are_shown_exported_cut_and_joined() {
+    let folder = with(&["map"]);
+    let path = folder.path();
+    let info = json(path, &["map", "info", "map"], 0);
+    let count = |value: &serde_json::Value, name: &str| value[name].as_u64().expect("a count");
+    let points = count(&info, "points");
+    assert_eq!(info["cameras"].as_array().map(Vec::len), Some(4));
+    let median_sigma_m = info["point_sigma_m"][0].as_f64().expect("metres");
+    assert!((1e-4..0.2).contains(&median_sigma_m), "{median_sigma_m} m");
+
+    let formats = [
+        ("colmap", "points3D.txt"),
+        ("colmap-binary", "rig_config.json"),
+        ("kapture", "sensors/sensors.txt"),
+        ("ply", "points.ply"),
+        ("laz", "points.laz"),
+    ];
+    for (format, file) in formats {
+        let said = json(path, &["map", "export", format, "map", "--out", format], 0);
+        assert_eq!(count(&said, "points"), points);
+        assert!(path.join(format).join(file).exists(), "{file}");
+    }
+    let again = lsfb(path, &["map", "export", "ply", "map", "--out", "ply"]);
+    assert_eq!(again.status.code(), Some(1), "{}", said(&again));
+
+    let half = [
+        "map",
+        "crop",
+        "map",
+        "--min=-99,-99,-99",
+        "--max",
+        "99,99,1",
+        "--out",
+        "half",
+    ];
+    let cropped = count(&json(path, &half, 0), "points");
+    assert!(cropped > 0 && cropped < points, "{cropped} of {points}");
+    let turned = [
+        "map", "crop", "map", "--min", "1,1,1", "--max", "0,0,0", "--out", "none",
+    ];
+    assert!(said(&lsfb(path, &turned)).contains("smallest coordinates first"));
+    let merged = json(path, &["map", "merge", "map", "half", "--out", "both"], 0);
+    assert!(merged["report"]["worst_sigma_m"].as_f64().expect("metres") < 0.01);
+    assert_eq!(
+        count(&merged, "points"),
+        points + cropped - count(&merged["report"], "shared")
+    );
+    assert_eq!(
+        count(&json(path, &["map", "info", "both"], 0), "points"),
+        count(&merged, "points")
+    );
 }

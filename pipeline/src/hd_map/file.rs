@@ -87,19 +87,7 @@ fn sha256_hex(bytes: &[u8]) -> String {
 }
 
 impl HdMap {
-    /// Writes the map into a folder, which is made if need be:
-    ///
-    /// | file | rows | columns |
-    /// |---|---|---|
-    /// | `map.toml` | | format version, provenance, counts, length and SHA-256 of each other file |
-    /// | `rig.toml` | | the cameras and their poses in the rig, as any rig file |
-    /// | `points.arrow` | points | `x_m y_m z_m` f64, `first_observation first_descriptor` u32, [`PointQuality`](super::PointQuality): `cov_xx_m2 … cov_zz_m2 rms_px view_x view_y view_z view_cos` f32 |
-    /// | `keyframes.arrow` | keyframes | `time_ns` i64, `qx qy qz qw tx_m ty_m tz_m` f64 of `world_from_rig` |
-    /// | `observations.arrow` | by point | `point keyframe` u32, `camera` u16, `u_px v_px` f32 |
-    /// | `descriptors.arrow` | by point | `point` u32, `root_sift` 128 bytes |
-    /// | `index_lists.arrow` | inverted lists | `centroid` 128 f32, `first_entry` u32 |
-    /// | `index_entries.arrow` | by list | `descriptor` u32, `code` 16 bytes, `offset` f32 |
-    /// | `index_codebook.arrow` | dimensions | `words` 256 f32 |
+    /// Writes the map into a folder, which is made if need be: the files that `FORMAT.md` beside this module describes.
     ///
     /// `map.toml` is removed first and written last: a folder without it is half a map. The same map gives the same
     /// bytes.

@@ -1,6 +1,6 @@
 //! The HD map: points with descriptors, the images that saw them, and an index over the descriptors.
 //!
-//! On disk it is a folder of Arrow IPC files and a `map.toml`, described in [`HdMap::write`]; in memory its columns
+//! On disk it is a folder of Arrow IPC files and a `map.toml`, described in `FORMAT.md`; in memory its columns
 //! are those files, mapped. Built by [`HdMap::build`] from points that [`reconstruct`] triangulated and an optimiser
 //! may have moved.
 
