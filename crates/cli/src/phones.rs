@@ -12,6 +12,9 @@ use lsfb_drivers::sidecar::credentials::PairingCode;
 pub const FOLDER: &str = "sidecar";
 /// How long a mock phone may wait for its recorder.
 const INVITATION: Duration = Duration::from_secs(3600);
+/// How long a mock phone looks for a recorder that it has lost, seconds. On a machine with too much to do either may be silent
+/// for so long that the other takes it for gone.
+const RECONNECT_SECS: u32 = 5;
 
 /// How a mock phone connects: it is invited as any other would be. One that an earlier mock left behind under this name is
 /// forgotten.
@@ -31,6 +34,7 @@ pub fn invite(
     Ok(ClientConfig {
         device: device.to_owned(),
         session: session.to_owned(),
+        reconnect_secs: RECONNECT_SECS,
         ..ClientConfig::invited(address, &code)?
     })
 }

@@ -24,9 +24,6 @@ const IMU: &str = "imu0";
 /// How long sidecars look for their recorder.
 const PATIENCE: Duration = Duration::from_secs(3600);
 
-/// How long phones look for a recorder that they have lost, seconds.
-const RECONNECT_SECS: u32 = 5;
-
 /// Play a recording, a capture file or the simulator as live devices.
 ///
 /// LiDAR packets go to the network, IMU bytes to a pseudo-terminal, a CAN interface or a mock USB device, camera frames to
@@ -214,10 +211,7 @@ impl Folder {
     ) -> anyhow::Result<BTreeMap<String, ClientConfig>> {
         let (folder, address) = (self.file(phones::FOLDER), arguments.endpoints.sidecar);
         let invited = playback.sidecars().iter().map(|name| {
-            let rig = ClientConfig {
-                reconnect_secs: RECONNECT_SECS,
-                ..phones::invite(&folder, address, name, "mock")?
-            };
+            let rig = phones::invite(&folder, address, name, "mock")?;
             Ok((name.clone(), rig))
         });
         invited.collect()
