@@ -263,6 +263,9 @@ fn run_export(arguments: &ExportArguments, context: &Context) -> anyhow::Result<
         files.extend(rig_config);
     }
     for file in &files {
+        context.claim(&arguments.out.join(&file.path), &[])?;
+    }
+    for file in &files {
         let path = arguments.out.join(&file.path);
         let folder = path.parent().unwrap_or(&arguments.out);
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
