@@ -150,7 +150,7 @@ impl HdMap {
         };
         let mut point_columns = vec![f64s(&p.x_m), f64s(&p.y_m), f64s(&p.z_m)];
         point_columns.extend([u32s(&p.first_observation), u32s(&p.first_descriptor)]);
-        point_columns.extend(self.quality.columns().map(|c| f32s(c)));
+        point_columns.extend(self.quality.columns().map(f32s));
         let mut keyframes = vec![Column::I64(k.time_ns.clone())];
         keyframes.extend(k.pose.iter().map(f64s));
         let named = |names: &[&'static str], columns: Vec<Column>| {

@@ -95,6 +95,9 @@ struct Model<'a> {
     images: Vec<Image>,
 }
 
+/// A point and where it was seen, pixels of the formats here.
+type Seen = (u32, [f64; 2]);
+
 /// An image that saw points.
 struct Image {
     /// Place of its camera among the cameras.
@@ -104,12 +107,11 @@ struct Image {
     camera_from_world: Se3,
     /// `CAMERA/NANOSECONDS.png`.
     name: String,
-    /// Points seen and where, pixels of the formats here.
-    seen: Vec<(u32, [f64; 2])>,
+    seen: Vec<Seen>,
 }
 
 fn images(map: &HdMap) -> Vec<Image> {
-    let mut found: BTreeMap<(u32, u16), Vec<(u32, [f64; 2])>> = BTreeMap::new();
+    let mut found: BTreeMap<(u32, u16), Vec<Seen>> = BTreeMap::new();
     for o in (0..map.point_count() as u32).flat_map(|p| map.observations(p)) {
         let pixel = o.pixel.map(|v| f64::from(v) + HALF_PIXEL);
         found
