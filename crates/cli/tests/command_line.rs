@@ -274,7 +274,7 @@ fn maps_that_stand_are_shown_exported_cut_and_joined() {
     let folder = with(&["map"]);
     let path = folder.path();
     let info = json(path, &["map", "info", "map"], 0);
-    let count = |value: &serde_json::Value, name: &str| value[name].as_u64().expect("a count");
+    let count = |value: &Value, name: &str| value[name].as_u64().expect("a count");
     let points = count(&info, "points");
     assert_eq!(info["cameras"].as_array().map(Vec::len), Some(4));
     let median_sigma_m = info["point_sigma_m"][0].as_f64().expect("metres");

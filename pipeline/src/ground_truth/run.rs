@@ -1,6 +1,7 @@
 //! The stage as a whole: a recording and a map in, a trajectory out.
 
 use lsfb_geometry::{ImuNoiseModel, Trajectory};
+use lsfb_perception::statistics::median;
 use lsfb_recording::Recording;
 use lsfb_types::ProgressFn;
 
@@ -96,7 +97,7 @@ pub fn ground_truth(
         return Err(Error::MapPartsDisagree {
             path: recording.path().to_owned(),
             frames: walk.frames.len(),
-            moved_m: median(&disagreements_m),
+            moved_m: median(disagreements_m).unwrap_or(f64::INFINITY),
             limit_m: config.max_disagreement_m,
         });
     }
@@ -153,12 +154,6 @@ fn accepted(
             rejected: localized - agreeing,
         }),
     }
-}
-
-fn median(values: &[f64]) -> f64 {
-    let mut values = values.to_vec();
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
 fn inflated(noise: &ImuNoiseModel, factor: f64) -> ImuNoiseModel {
