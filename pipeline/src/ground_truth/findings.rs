@@ -1,40 +1,8 @@
 //! What the reader of a trajectory should know, as every command and page says it.
 
 use lsfb_types::{Finding, Limit, Verdict};
-use serde::{Deserialize, Serialize};
 
-use super::report::{CameraRefinement, GroundTruthReport, LeftOutReason};
-
-/// Something the reader of a trajectory should know.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case", tag = "kind")]
-#[non_exhaustive]
-pub enum GroundTruthWarning {
-    /// Stretches of the walk have no poses.
-    LeftOut {
-        /// Why.
-        reason: LeftOutReason,
-        /// How long they are together, seconds.
-        secs: f64,
-        /// How many they are.
-        spans: u64,
-    },
-    /// A camera is not as the rig file says.
-    CameraOff {
-        /// How it differs.
-        found: CameraRefinement,
-    },
-    /// Intervals between frames lack inertial samples.
-    ImuGaps {
-        /// How many.
-        intervals: u64,
-    },
-    /// Images could not be read.
-    DamagedImages {
-        /// How many.
-        images: u64,
-    },
-}
+use super::report::{CameraRefinement, GroundTruthReport, GroundTruthWarning, LeftOutReason};
 
 /// Standard deviations of the rig file beyond which a camera is not as the file says.
 pub(super) const UNLIKELY_SIGMAS: f64 = 3.0;

@@ -30,8 +30,10 @@ use lsfb_geometry::{Matrix6, Trajectory};
 use lsfb_types::{Progress, ProgressFn};
 
 pub use config::GroundTruthConfig;
-pub use findings::GroundTruthWarning;
-pub use report::{CameraRefinement, GroundTruthReport, LeftOutReason, ReprojectionErrors, Span};
+pub use report::{
+    CameraRefinement, GroundTruthReport, GroundTruthWarning, LeftOutReason, ReprojectionErrors,
+    Span,
+};
 pub use run::ground_truth;
 
 use crate::Error;

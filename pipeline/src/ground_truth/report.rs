@@ -5,7 +5,6 @@ use serde::{Deserialize, Serialize};
 
 use super::GroundTruthConfig;
 use super::estimate::Estimate;
-use super::findings::GroundTruthWarning;
 use super::walk::{LocalPoint, Walk};
 use crate::residuals::{CameraCorrection, entry};
 
@@ -141,6 +140,37 @@ pub struct GroundTruthReport {
     pub path_length_m: f64,
     /// What the reader should know.
     pub warnings: Vec<GroundTruthWarning>,
+}
+
+/// Something the reader of a trajectory should know.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "kind")]
+#[non_exhaustive]
+pub enum GroundTruthWarning {
+    /// Stretches of the walk have no poses.
+    LeftOut {
+        /// Why.
+        reason: LeftOutReason,
+        /// How long they are together, seconds.
+        secs: f64,
+        /// How many they are.
+        spans: u64,
+    },
+    /// A camera is not as the rig file says.
+    CameraOff {
+        /// How it differs.
+        found: CameraRefinement,
+    },
+    /// Intervals between frames lack inertial samples.
+    ImuGaps {
+        /// How many.
+        intervals: u64,
+    },
+    /// Images could not be read.
+    DamagedImages {
+        /// How many.
+        images: u64,
+    },
 }
 
 /// How a camera differs from the rig file, as far as the walk shows it and the file's standard deviations allow.
