@@ -105,7 +105,7 @@ impl LeftOutReason {
 impl CameraRefinement {
     fn finding(&self) -> Finding {
         let what = format!(
-            "focal length {:+.2} ± {:.2} %, clock {:+.2} ± {:.2} ms, readout {:.1} ± {:.1} ms",
+            "focal length {:+.3} ± {:.3} %, clock {:+.2} ± {:.2} ms, readout {:.2} ± {:.2} ms",
             self.focal_share * 1e2,
             self.focal_sigma * 1e2,
             self.clock_s * 1e3,
