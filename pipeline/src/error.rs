@@ -119,7 +119,7 @@ pub enum Error {
     EmptyRegion,
     /// Two maps are not surely of one place.
     #[error(
-        "the maps do not surely meet: of {pairs} points that look alike {shared} fit one alignment and {rival} another, and the best is uncertain by {sigma_m:.3} m: merge maps that overlap more, or whose overlap looks like no other place"
+        "the maps do not surely meet: of {pairs} points that look alike {shared} fit one alignment and {rival} another, and the best is uncertain by {sigma_m:.3} m, another scale of the second map moves it by {scale_shift_m:.3} m: check that both are in one unit, merge maps that overlap more, or whose overlap looks like no other place"
     )]
     MapsDoNotMeet {
         /// Pairs of points that look alike.
@@ -130,6 +130,8 @@ pub enum Error {
         rival: usize,
         /// σ of the best alignment where it is worst, metres.
         sigma_m: f64,
+        /// How far another scale of the second map would move it at most, metres.
+        scale_shift_m: f64,
     },
     /// Images give no map, or one in which nobody would be found.
     #[error("{points} map points are seen in three images or more, {needed} are needed: {reason}")]

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use lsfb_geometry::align::{Scale, umeyama};
+use lsfb_geometry::align::{Alignment, Scale, umeyama};
 use lsfb_geometry::{Matrix3, Se3, StampedPose, Vector3};
 use lsfb_perception::statistics::median;
 use lsfb_types::{Bounds, ProgressFn};
@@ -37,7 +37,7 @@ pub struct MergeConfig {
     pub min_shared: usize,
     /// Most points that may speak for another alignment, as a share of those that speak for the best.
     pub max_rival_share: f64,
-    /// Most that the alignment may be uncertain by at any keyframe of the second map, metres (1 σ).
+    /// Most that the alignment may be uncertain by at any keyframe of the second map (1 σ), and that another scale may move one, metres.
     pub max_sigma_m: f64,
     /// Samples of three pairs.
     pub samples: usize,
@@ -88,6 +88,8 @@ pub struct MergeReport {
     pub median_distance_m: f64,
     /// σ of the alignment (length of the error, 1 σ) at the keyframe of the second map where it is worst, metres.
     pub worst_sigma_m: f64,
+    /// How far another scale of the second map would move one of its keyframes at most, metres: a metre that is not the other map's.
+    pub scale_shift_m: f64,
     /// Pose of the second map in the first.
     #[serde(skip)]
     pub first_from_second: Se3,
@@ -132,17 +134,20 @@ impl HdMap {
             rival,
             median_distance_m: median(distances).unwrap_or(f64::INFINITY),
             worst_sigma_m: worst_sigma_m(&shared, second),
+            scale_shift_m: scale_shift_m(&best, &shared, second),
             first_from_second: best,
         };
         let is_sure = report.shared >= config.min_shared
             && report.rival as f64 <= config.max_rival_share * report.shared as f64
-            && report.worst_sigma_m <= config.max_sigma_m;
+            && report.worst_sigma_m <= config.max_sigma_m
+            && report.scale_shift_m <= config.max_sigma_m;
         if !is_sure {
             return Err(Error::MapsDoNotMeet {
                 pairs: report.pairs,
                 shared: report.shared,
                 rival: report.rival,
                 sigma_m: report.worst_sigma_m,
+                scale_shift_m: report.scale_shift_m,
             });
         }
         let rows = joined(self, second, &report, &shared, config);
@@ -201,8 +206,12 @@ fn shared(first_from_second: &Se3, pairs: &[Pair], gate_m: f64) -> Vec<Pair> {
 }
 
 fn fit(pairs: &[Pair]) -> Option<Se3> {
+    fit_with(pairs, Scale::Fixed).map(|a| a.target_from_source)
+}
+
+fn fit_with(pairs: &[Pair], scale: Scale) -> Option<Alignment> {
     let (second, first): (Vec<_>, Vec<_>) = pairs.iter().map(|p| (p.in_second, p.in_first)).unzip();
-    umeyama(&second, &first, Scale::Fixed).map(|a| a.target_from_source)
+    umeyama(&second, &first, scale)
 }
 
 /// The alignment that brings most pairs together: samples of three, then least squares over what fits. Samples are drawn
@@ -266,6 +275,20 @@ fn worst_sigma_m(shared: &[Pair], second: &HdMap) -> f64 {
         squares * (n - 1.0) / n
     });
     variances.fold(0.0, f64::max).sqrt()
+}
+
+/// How far an alignment that may change the scale moves a keyframe of `second` from where `best` has it, at most. Scatter does not show
+/// a wrong scale: every part of the maps has it alike.
+fn scale_shift_m(best: &Se3, shared: &[Pair], second: &HdMap) -> f64 {
+    let Some(scaled) = fit_with(shared, Scale::Free) else {
+        return f64::INFINITY;
+    };
+    let keyframes = (0..second.keyframe_count() as u32).filter_map(|k| second.keyframe(k));
+    let shifts = keyframes.map(|k| {
+        let place = k.world_from_rig.translation;
+        (scaled.apply(&place) - *best * place).norm()
+    });
+    shifts.fold(0.0, f64::max)
 }
 
 fn joined(

@@ -207,6 +207,38 @@ fn a_place_that_repeats_is_refused() {
     );
 }
 
+/// One per cent in scale lies within the gate everywhere, and in no scatter.
+#[test]
+fn a_map_of_another_scale_is_refused() {
+    let hall = |along| Hall {
+        world: Se3::identity(),
+        along,
+        focal_px: 400.0,
+    };
+    let (first, second) = (hall(0..14).map(|n| n), hall(8..20).map(|n| n));
+    let mut rows = second.rows();
+    for point in &mut rows.points {
+        point.position *= 1.01;
+    }
+    for keyframe in &mut rows.keyframes {
+        keyframe.world_from_rig.translation *= 1.01;
+    }
+    let larger = HdMap::from_rows(rows, &IndexConfig::default(), &no_progress).expect("built");
+    let merged = first.merge(&larger, &MergeConfig::default(), &no_progress);
+    let Err(Error::MapsDoNotMeet {
+        shared,
+        scale_shift_m,
+        ..
+    }) = merged.map(|(_, report)| report)
+    else {
+        panic!("merged");
+    };
+    assert!(
+        shared > 200 && scale_shift_m > 0.03,
+        "{shared}, {scale_shift_m} m"
+    );
+}
+
 #[test]
 fn a_part_of_a_map_holds_what_saw_it() {
     let map = Hall {
