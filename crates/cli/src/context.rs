@@ -143,9 +143,14 @@ impl Context {
         let recording = Recording::open(path)?;
         for damage in recording.damage() {
             self.say(&format!("warning: {}: {damage}", path.display()));
-            self.data_lost.store(true, Ordering::Relaxed);
+            self.lose_data();
         }
         Ok(recording)
+    }
+
+    /// Remembers that something is missing from what was read: a command that is done otherwise ends with the code for that.
+    pub fn lose_data(&self) {
+        self.data_lost.store(true, Ordering::Relaxed);
     }
 
     /// Whether something was missing from a recording that was opened.

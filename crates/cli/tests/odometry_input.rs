@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use answer::json;
 use lsfb_geometry::UnitQuaternion;
-use lsfb_recording::{Writer, WriterConfig, read_tum};
+use lsfb_recording::{Channel, Writer, WriterConfig, read_tum};
 use lsfb_types::{ImuSample, LidarPoint, LidarScan, Stamped, Timestamp};
 use refusal::refused;
 
@@ -210,4 +210,35 @@ fn packets_in_a_bag_of_a_driver_are_run_on() {
     assert_eq!(report["input"]["scan_times"], "packets");
     let left = std::fs::read_dir(folder.path()).expect("folder").count();
     assert_eq!(left, 2, "the trajectory and its provenance");
+}
+
+/// A message whose bytes end early costs itself, and the exit code says that something is missing.
+#[test]
+fn a_message_that_cannot_be_read_is_left_out_and_told_by_the_exit_code() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path();
+    let mut writer =
+        Writer::create(&path.join("walk.mcap"), &WriterConfig::default()).expect("a file");
+    let channel = Channel {
+        topic: "/lidar/points",
+        schema_name: "sensor_msgs/msg/PointCloud2",
+        schema_text: "",
+    };
+    for number in 0..SCANS {
+        if number == SCANS / 2 {
+            let time = at(number);
+            writer
+                .write_cdr(&channel, time, time, &[0, 1, 0, 0, 7])
+                .expect("half a message");
+            continue;
+        }
+        writer
+            .write_scan("lidar", &stamped(at(number), scan(number)))
+            .expect("a scan");
+    }
+    writer.finish().expect("a file");
+    let report = json(path, &["odometry", "walk.mcap", "--out", "walk.tum"], 3);
+    assert_eq!(report["registered"], SCANS - 1);
+    let said = report["input"]["warnings"].to_string();
+    assert!(said.contains("1 messages could not be read"), "{said}");
 }

@@ -152,6 +152,7 @@ impl Sensors {
         choice: &Choice,
         lidar_frame: &str,
         said: &mut InputReport,
+        context: &Context,
     ) -> anyhow::Result<Self> {
         let mut sensors = Self::lidar_alone(choice)?;
         let rig = choice.rig.map(Rig::read).transpose()?;
@@ -183,7 +184,7 @@ impl Sensors {
             said.warnings.push(format!("no IMU is used: {why}"));
             return Ok(sensors);
         }
-        said.warnings.extend(about_unread(&imu.unread));
+        said.warnings.extend(about_unread(&imu.unread, context));
         said.imu_topic = Some(imu.topic);
         let noise = rig.as_ref().and_then(Rig::imu_noise).cloned();
         let mut samples: Vec<_> = imu
@@ -221,12 +222,12 @@ fn of_bag(choice: &Choice, config: &OdometryConfig, context: &Context) -> anyhow
         scan_times: "stamps of the messages".to_owned(),
         ..InputReport::default()
     };
-    let sensors = Sensors::of_bag(&bag, choice, &bag.frame(&topic)?, &mut said)?;
+    let sensors = Sensors::of_bag(&bag, choice, &bag.frame(&topic)?, &mut said, context)?;
     let mut run = sensors.start(choice, config)?;
     if messages == LidarMessages::Packets {
         let scratch = Scratch::new()?;
         let (decoded, unread) = decode_bag(&topic, &scratch.scans, choice, context)?;
-        said.warnings.extend(about_unread(&unread));
+        said.warnings.extend(about_unread(&unread, context));
         said.scan_times = "packets".to_owned();
         said.warnings.extend(about_packets(&decoded));
         let result = run_on_scans(&scratch.scans, run, context)?;
@@ -255,7 +256,7 @@ fn of_bag(choice: &Choice, config: &OdometryConfig, context: &Context) -> anyhow
         })?;
         anyhow::Ok(())
     })?;
-    said.warnings.extend(about_unread(&unread));
+    said.warnings.extend(about_unread(&unread, context));
     if clocks > 0 {
         said.warnings.push(format!(
             "the points of {clocks} scans have times of another clock than the stamps of the messages: of them only the differences are used"
@@ -449,9 +450,10 @@ fn decode(
     Ok(report)
 }
 
-/// What the odometry's reader should know of messages that could not be read.
-fn about_unread(unread: &Unread) -> Option<String> {
+/// What the odometry's reader should know of messages that could not be read: data is lost then.
+fn about_unread(unread: &Unread, context: &Context) -> Option<String> {
     let first = unread.first.as_ref()?;
+    context.lose_data();
     Some(format!(
         "{} messages could not be read and are left out; the first: {first}",
         unread.count
