@@ -168,6 +168,22 @@ pub enum Error {
         /// From the first to the last stamp, seconds.
         span_secs: f64,
     },
+    /// Inertial samples are missing.
+    #[error(
+        "no inertial samples for {gap_secs:.2} s: nothing says how the device moved; evaluate the parts before and after alone"
+    )]
+    InertialGap {
+        /// The longest gap, seconds.
+        gap_secs: f64,
+    },
+    /// A filter lost its numbers.
+    #[error(
+        "the motion capture and the IMU cannot be joined from {secs:.2} s on; check the units of both (metres, rad/s, m/s²)"
+    )]
+    Unstable {
+        /// Since the IMU's first sample, seconds.
+        secs: f64,
+    },
     /// A trajectory from whose motion no clock can be read.
     #[error(
         "{role} trajectory: it turns evenly or not at all, which tells nothing of the clocks; turn the device this way and that"

@@ -1,28 +1,96 @@
-//! Motion capture beside a real gyroscope: TUM VI's `dataset-calib-imu1`, two parts of one recording.
+//! Motion capture beside a real IMU: TUM VI's `dataset-calib-imu1`, two parts of one recording.
 
-use lsfb_eval::hand_eye::{GyroAlignment, GyroSample, HandEyeConfig, align_gyroscope};
+use lsfb_eval::hand_eye::{
+    GyroAlignment, GyroSample, HandEyeConfig, MocapConfig, UncertainPose, align_gyroscope,
+    align_mocap,
+};
 use lsfb_eval::read_poses;
-use lsfb_geometry::{UnitQuaternion, Vector3};
-use lsfb_types::Timestamp;
+use lsfb_geometry::{StampedPose, UnitQuaternion, Vector3};
+use lsfb_types::{ImuSample, Stamped, Timestamp};
 
-fn aligned(test: &str, name: &str) -> Option<GyroAlignment> {
+struct Part {
+    poses: Vec<StampedPose>,
+    samples: Vec<Stamped<ImuSample>>,
+}
+
+fn part(test: &str, name: &str) -> Option<Part> {
     let folder = lsfb_tests::recordings(test, &format!("vision/{name}/mav0"))?;
     let poses = read_poses(&folder.join("mocap0/data.csv")).expect("motion capture");
     let text = std::fs::read_to_string(folder.join("imu0/data.csv")).expect("inertial samples");
-    let samples: Vec<GyroSample> = text
-        .lines()
-        .filter(|line| !line.starts_with('#'))
-        .map(|line| {
-            let mut cells = line.split(',');
-            let nanos = cells.next().expect("stamp").parse().expect("nanoseconds");
-            let rate: Vec<f64> = cells.take(3).map(|c| c.parse().expect("rate")).collect();
-            GyroSample {
-                time: Timestamp::from_nanos(nanos),
-                rate_rad_s: Vector3::from_column_slice(&rate),
-            }
+    let rows = text.lines().filter(|line| !line.starts_with('#'));
+    let samples = rows.map(|line| {
+        let mut cells = line.split(',');
+        let nanos = cells.next().expect("stamp").parse().expect("nanoseconds");
+        let values: Vec<f64> = cells.map(|c| c.parse().expect("a number")).collect();
+        let three = |at: usize| [values[at], values[at + 1], values[at + 2]];
+        let time = Timestamp::from_nanos(nanos);
+        Stamped {
+            time,
+            arrival: time,
+            device_ticks: 0,
+            sample: ImuSample {
+                angular_velocity_rad_s: three(0),
+                specific_force_m_s2: three(3),
+            },
+        }
+    });
+    Some(Part {
+        poses,
+        samples: samples.collect(),
+    })
+}
+
+fn aligned(test: &str, name: &str) -> Option<GyroAlignment> {
+    let Part { poses, samples } = part(test, name)?;
+    let samples: Vec<GyroSample> = samples
+        .iter()
+        .map(|s| GyroSample {
+            time: s.time,
+            rate_rad_s: s.sample.angular_velocity_rad_s.into(),
         })
         .collect();
     Some(align_gyroscope(&poses, &samples, &HandEyeConfig::default()).expect("one body"))
+}
+
+/// The same with the accelerometer: the IMU sits where the authors say, and both parts put it there.
+#[test]
+fn the_imu_sits_where_the_authors_say() {
+    let test = "the_imu_sits_where_the_authors_say";
+    let parts = ["tumvi_calib_imu1", "tumvi_calib_imu1_next"].map(|name| part(test, name));
+    let [Some(first), Some(second)] = parts else {
+        return;
+    };
+    let [first, second] = [first, second].map(|part| {
+        align_mocap(&part.poses, &part.samples, &MocapConfig::default()).expect("one body")
+    });
+    for part in [&first, &second] {
+        assert!(
+            part.body.rotation.angle().to_degrees() < 1.0,
+            "{:?}",
+            part.markers_from_imu
+        );
+        assert!(
+            part.body.translation.norm() < 0.005,
+            "{:?}",
+            part.markers_from_imu
+        );
+        assert!(part.offset_secs.abs() < 0.005, "{}", part.offset_secs);
+        assert!(part.given > 0.9, "{}", part.given);
+    }
+    let apart = first.body.local(&second.body);
+    for k in 0..3 {
+        let sigma = |of: fn(&UncertainPose) -> [f64; 3]| {
+            of(&first.markers_from_imu)[k].hypot(of(&second.markers_from_imu)[k])
+        };
+        assert!(
+            apart[k].to_degrees().abs() < 4.0 * sigma(|p| p.sigma_rotation_deg),
+            "{apart}"
+        );
+        assert!(
+            apart[3 + k].abs() < 4.0 * sigma(|p| p.sigma_translation_m),
+            "{apart}"
+        );
+    }
 }
 
 /// The authors give the motion capture in the IMU's frame and on its clock: neither turn nor offset is left, and what the two parts

@@ -19,18 +19,29 @@ use crate::outcome::Outcome;
 /// offset of the clocks, with standard deviations; a motion that does not show them is refused (turn about two axes). With --out the
 /// reference is written as ground truth of the estimate's body, on the estimate's clock, for `lsfb eval`.
 ///
+/// Motion capture is better aligned to an IMU on the device (--imu, a recording or a csv): the path of the IMU that is written is smoother
+/// than the markers' jitter, and goes on for a while where they are dropped or swapped.
+///
 /// Examples:
 ///   lsfb align glasses.tum --reference mocap.csv --out truth.tum
 ///   lsfb align glasses.tum --reference novatel.tum --offset-secs 18 --drift --json
+///   lsfb align --imu walk.mcap --reference mocap.csv --out truth.tum
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
     /// The trajectory to align, of any program.
-    #[arg(value_name = "TRAJECTORY")]
-    estimate: PathBuf,
+    #[arg(
+        value_name = "TRAJECTORY",
+        required_unless_present = "imu",
+        conflicts_with = "imu"
+    )]
+    estimate: Option<PathBuf>,
+    /// Inertial samples on the device instead of a trajectory: a recording, or a csv as EuRoC has it.
+    #[arg(long, value_name = "MCAP|CSV")]
+    imu: Option<PathBuf>,
     /// The reference trajectory, of any program.
     #[arg(long, value_name = "TRAJECTORY")]
-    reference: PathBuf,
+    pub(super) reference: PathBuf,
     /// Approximate offset to add to the estimate's stamps to get the reference's.
     #[arg(
         long,
@@ -38,16 +49,16 @@ pub struct Arguments {
         value_name = "SECS",
         allow_negative_numbers = true
     )]
-    offset_secs: f64,
+    pub(super) offset_secs: f64,
     /// Range around --offset-secs in which the offset is searched.
     #[arg(long, default_value_t = 10.0, value_name = "SECS")]
-    search_secs: f64,
+    pub(super) search_secs: f64,
     /// Estimate a constant drift of the offset as well.
     #[arg(long)]
-    drift: bool,
+    pub(super) drift: bool,
     /// Also write the reference as ground truth of the estimate's body.
     #[arg(long, value_name = "TUM")]
-    out: Option<PathBuf>,
+    pub(super) out: Option<PathBuf>,
 }
 
 /// Aligns, writes, prints.
@@ -56,10 +67,17 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         arguments.offset_secs.is_finite() && (0.0..=3600.0).contains(&arguments.search_secs),
         "--offset-secs must be a finite number, --search-secs one from 0 to 3600"
     );
+    let inputs = [arguments.estimate.as_ref(), arguments.imu.as_ref()];
+    let Some(input) = inputs.into_iter().flatten().next() else {
+        anyhow::bail!("name a trajectory, or inertial samples with --imu");
+    };
     if let Some(out) = &arguments.out {
-        context.claim(out, &[&arguments.estimate, &arguments.reference])?;
+        context.claim(out, &[input, &arguments.reference])?;
     }
-    let estimate = read(&arguments.estimate)?;
+    if arguments.imu.is_some() {
+        return super::align_mocap::run(input, arguments, context);
+    }
+    let estimate = read(input)?;
     let reference = read(&arguments.reference)?;
     let config = HandEyeConfig {
         offset_guess_secs: arguments.offset_secs,
@@ -79,7 +97,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         let truth = found.as_truth(&estimate.poses, &reference.poses);
         write_tum(out, &Trajectory::new(truth))?;
     }
-    let judged = Judged::new(&judgement, &name_of(&arguments.estimate), &found);
+    let judged = Judged::new(&judgement, &name_of(input), &found);
     context.print(&judged, || {
         format!("{}\n{}", text(&found), lines(&judgement))
             .trim_end()
@@ -88,7 +106,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     Ok(outcome)
 }
 
-fn read(path: &Path) -> anyhow::Result<TrajectoryFile> {
+pub(super) fn read(path: &Path) -> anyhow::Result<TrajectoryFile> {
     let file = read_trajectory(path, &ReadOptions::default())?;
     match file.orientations {
         Orientations::Known => Ok(file),
@@ -101,22 +119,24 @@ fn read(path: &Path) -> anyhow::Result<TrajectoryFile> {
     }
 }
 
+/// A pose with its uncertainty, a line.
+pub(super) fn pose_text(name: &str, pose: &UncertainPose) -> String {
+    let [x, y, z] = pose.translation_m;
+    let [qx, qy, qz, qw] = pose.rotation_xyzw;
+    let worst = |values: [f64; 3]| values.into_iter().fold(0.0, f64::max);
+    format!(
+        "{name}: translation {x:.4} {y:.4} {z:.4} m (σ up to {:.1} mm), rotation x y z w {qx:.6} {qy:.6} {qz:.6} {qw:.6} (σ up to {:.3}°)\n",
+        1000.0 * worst(pose.sigma_translation_m),
+        worst(pose.sigma_rotation_deg)
+    )
+}
+
 fn text(found: &HandEye) -> String {
-    let pose = |name: &str, pose: &UncertainPose| {
-        let [x, y, z] = pose.translation_m;
-        let [qx, qy, qz, qw] = pose.rotation_xyzw;
-        let worst = |values: [f64; 3]| values.into_iter().fold(0.0, f64::max);
-        format!(
-            "{name}: translation {x:.4} {y:.4} {z:.4} m (σ up to {:.1} mm), rotation x y z w {qx:.6} {qy:.6} {qz:.6} {qw:.6} (σ up to {:.3}°)\n",
-            1000.0 * worst(pose.sigma_translation_m),
-            worst(pose.sigma_rotation_deg)
-        )
-    };
     let [first, second, third] = found.excitation.turn_rms_deg;
-    pose(
+    pose_text(
         "estimate's body on the reference's",
         &found.reference_from_estimate_body,
-    ) + &pose(
+    ) + &pose_text(
         "estimate's world in the reference's",
         &found.reference_from_estimate_world,
     ) + &format!(

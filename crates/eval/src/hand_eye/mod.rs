@@ -7,6 +7,7 @@ mod continuous;
 mod correlation;
 mod gyroscope;
 mod kabsch;
+mod mocap;
 mod refine;
 mod residual;
 
@@ -23,6 +24,7 @@ use residual::Interpolated;
 
 pub use closed_form::Excitation;
 pub use gyroscope::{GyroAlignment, GyroSample, align_gyroscope};
+pub use mocap::{MocapAlignment, MocapConfig, align_mocap};
 
 /// How two trajectories are aligned.
 #[derive(Clone, Copy, Debug, PartialEq)]

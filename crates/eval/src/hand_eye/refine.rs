@@ -233,7 +233,7 @@ fn weighted_norm(error: &Vector6<f64>, sigmas: [f64; 2]) -> f64 {
 }
 
 /// Standard deviations of a component, from medians: outliers do not move them.
-fn sigmas(errors: &[Option<Vector6<f64>>]) -> [f64; 2] {
+pub(super) fn sigmas(errors: &[Option<Vector6<f64>>]) -> [f64; 2] {
     [0, 3].map(|first| {
         let parts = errors.iter().flatten();
         let mut sizes: Vec<f64> = parts
@@ -246,7 +246,7 @@ fn sigmas(errors: &[Option<Vector6<f64>>]) -> [f64; 2] {
 }
 
 /// The same from squares, of what fits.
-fn deviations(errors: &[Option<Vector6<f64>>]) -> [f64; 2] {
+pub(super) fn deviations(errors: &[Option<Vector6<f64>>]) -> [f64; 2] {
     [0, 3].map(|first| {
         let known = errors.iter().flatten();
         let sum: f64 = known
@@ -260,7 +260,7 @@ fn deviations(errors: &[Option<Vector6<f64>>]) -> [f64; 2] {
 
 /// How many neighbouring residuals say the same thing: the root of the sum of their correlations, of the component that hangs
 /// together most.
-fn correlation_factor(errors: &[Option<Vector6<f64>>]) -> f64 {
+pub(super) fn correlation_factor(errors: &[Option<Vector6<f64>>]) -> f64 {
     let known: Vec<&Vector6<f64>> = errors.iter().flatten().collect();
     let longest = known.len() / 4;
     (0..6)

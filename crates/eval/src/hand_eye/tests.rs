@@ -4,12 +4,12 @@ use lsfb_geometry::{Vector6, so3};
 use lsfb_types::Timestamp;
 
 /// Repeatable, nearly normal numbers of σ 1.
-fn normal(i: usize) -> f64 {
+pub fn normal(i: usize) -> f64 {
     let even = |k: usize| ((12 * i + k) as f64 * 12.9898).sin() * 43_758.545;
     (0..12).map(|k| even(k).rem_euclid(1.0)).sum::<f64>() - 6.0
 }
 
-fn shaken(poses: &[StampedPose], turn_rad: f64, shift_m: f64, seed: usize) -> Vec<StampedPose> {
+pub fn shaken(poses: &[StampedPose], turn_rad: f64, shift_m: f64, seed: usize) -> Vec<StampedPose> {
     let shake = |(i, p): (usize, &StampedPose)| {
         let delta = Vector6::from_fn(|k, _| {
             normal(seed + 6 * i + k) * if k < 3 { turn_rad } else { shift_m }

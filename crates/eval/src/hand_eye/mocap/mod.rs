@@ -1,0 +1,235 @@
+//! Motion capture beside an IMU on one body: where the IMU sits on the markers' body, how the clocks run, and the IMU's path, smoother than the
+//! markers' jitter and through times in which they were dropped or swapped.
+//!
+//! The motion is continuous in time: between poses of the motion capture the inertial samples lead along. Unknown beside it are the
+//! markers' body on the IMU, both biases, gravity, and the offset of the clocks, which may wander.
+
+mod clock;
+mod filter;
+mod judge;
+mod motion;
+mod outcome;
+
+use lsfb_geometry::{ImuNoiseModel, Se3, StampedPose, Vector3};
+use lsfb_types::{ImuSample, Stamped};
+
+use super::gyroscope::{GyroSample, align_gyroscope};
+use super::refine::{correlation_factor, deviations, sigmas};
+use super::{ClockModel, HandEyeConfig};
+use crate::Error;
+use clock::{Clock, seen, within};
+use filter::{About, Model, Seen, Smoothed, smooth};
+use motion::{
+    ACCEL_BIAS, CLOCK, GRAVITY, GYRO_BIAS, Inertial, MOUNT_PLACE, MOUNT_ROTATION, Matrix25, PLACE,
+    ROTATION, State, VELOCITY,
+};
+pub use outcome::MocapAlignment;
+use outcome::outcome;
+
+/// How motion capture is aligned to an IMU.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MocapConfig {
+    /// What must be added to the IMU's stamps to have about the motion capture's, seconds.
+    pub offset_guess_secs: f64,
+    /// How far from it is searched, seconds.
+    pub search_secs: f64,
+    /// Whether the offset stays; a drifting one may also wander.
+    pub clock: ClockModel,
+    /// Noise of the IMU.
+    pub noise: ImuNoiseModel,
+}
+
+impl Default for MocapConfig {
+    /// Noise as consumers' IMUs have it, rather too large.
+    fn default() -> Self {
+        Self {
+            offset_guess_secs: 0.0,
+            search_secs: 10.0,
+            clock: ClockModel::Constant,
+            noise: ImuNoiseModel {
+                gyro_noise_density: 3e-4,
+                accel_noise_density: 3e-3,
+                gyro_bias_walk: 3e-5,
+                accel_bias_walk: 3e-4,
+            },
+        }
+    }
+}
+
+/// Fewer say nothing.
+const LEAST_POSES: usize = 100;
+/// Passes through all poses: numbers that stay follow from the last, noise of the markers from that before.
+const PASSES: usize = 4;
+/// No motion capture is better, rad and metres: a model of it that says so would take every pose for an outlier.
+const LEAST_JITTER: [f64; 2] = [1e-4, 5e-5];
+/// Samples further apart leave the motion between them open, seconds.
+const LONGEST_GAP_SECS: f64 = 0.1;
+/// Random walk of a drifting clock about an even drift, s/√s.
+const CLOCK_WALK: f64 = 2e-5;
+/// What is known before: rotation of the IMU, rad, its place, m, velocity, m/s, biases, rad/s and m/s², markers on the IMU, rad and m, clock, s,
+/// gravity, m/s².
+const PRIOR: [f64; 9] = [0.2, 0.5, 2.0, 0.05, 0.5, 0.2, 0.5, 0.005, 0.3];
+const GRAVITY_M_S2: f64 = 9.81;
+
+/// Aligns; both in order of time.
+pub fn align_mocap(
+    markers: &[StampedPose],
+    samples: &[Stamped<ImuSample>],
+    config: &MocapConfig,
+) -> Result<MocapAlignment, Error> {
+    let too_few = |poses: usize| Error::TooFewPoses {
+        role: "reference",
+        poses,
+        needed: LEAST_POSES,
+    };
+    let (Some(first), true) = (samples.first(), markers.len() >= LEAST_POSES) else {
+        return Err(too_few(markers.len().min(samples.len())));
+    };
+    let base = first.time;
+    let inertial = Inertial::new(samples, base);
+    let turned = turned(markers, samples, config)?;
+    let mut clock = Clock {
+        ahead_secs: turned.offset_secs,
+        drift: 0.0,
+        middle_secs: 0.0,
+    };
+    let poses = within(markers, base, &inertial, &mut clock);
+    if poses.len() < LEAST_POSES {
+        return Err(too_few(poses.len()));
+    }
+    let [from, to] = [poses[0].0, poses[poses.len() - 1].0].map(|t| clock.imu_secs(t));
+    let gap_secs = inertial.longest_step_secs(from, to);
+    if gap_secs > LONGEST_GAP_SECS {
+        return Err(Error::InertialGap { gap_secs });
+    }
+    let mut model = Model {
+        noise: config.noise.clone(),
+        clock_walk: match config.clock {
+            ClockModel::Constant => 0.0,
+            ClockModel::Drifting => CLOCK_WALK,
+        },
+        sigmas: at_least(jitter(&poses)),
+    };
+    let start = start(&poses, &clock, &inertial, &turned);
+    let mut seen = seen(&poses, &clock);
+    let mut found = smooth(&inertial, &seen, About::Filter(&start), &prior(), &model)?;
+    for _ in 1..PASSES {
+        let left: Vec<_> = found.iter().map(|f| f.left).collect();
+        if left.iter().flatten().count() < LEAST_POSES {
+            return Err(too_few(left.iter().flatten().count()));
+        }
+        model.sigmas = at_least(sigmas(&left));
+        let states = clock.moved(&found, &mut seen, config.clock);
+        found = smooth(&inertial, &seen, About::States(&states), &prior(), &model)?;
+    }
+    let halves = halves(&inertial, &seen, &found, &model);
+    let left: Vec<_> = found.iter().map(|f| f.left).collect();
+    let factor = correlation_factor(&left);
+    let mut alignment = outcome(&inertial, &seen, &found, &clock, factor)?;
+    alignment.findings = judge::judge(&alignment, deviations(&left), factor, halves.as_ref());
+    Ok(alignment)
+}
+
+/// How the gyroscope is turned on the markers' body, and its clock.
+fn turned(
+    markers: &[StampedPose],
+    samples: &[Stamped<ImuSample>],
+    config: &MocapConfig,
+) -> Result<super::GyroAlignment, Error> {
+    let rates: Vec<GyroSample> = samples
+        .iter()
+        .map(|s| GyroSample {
+            time: s.time,
+            rate_rad_s: s.sample.angular_velocity_rad_s.into(),
+        })
+        .collect();
+    let search = HandEyeConfig {
+        offset_guess_secs: -config.offset_guess_secs,
+        search_secs: config.search_secs,
+        clock: ClockModel::Constant,
+    };
+    align_gyroscope(markers, &rates, &search)
+}
+
+/// Standard deviations of rotations and positions as they follow from what two poses say of the one between them: rather too large, as the
+/// motion is in it.
+fn jitter(poses: &[(f64, Se3)]) -> [f64; 2] {
+    let off = poses.windows(3).map(|w| {
+        let share = (w[1].0 - w[0].0) / (w[2].0 - w[0].0);
+        Some(w[0].1.interpolate(&w[2].1, share).local(&w[1].1))
+    });
+    sigmas(&off.collect::<Vec<_>>())
+}
+
+fn at_least(sigmas: [f64; 2]) -> [f64; 2] {
+    std::array::from_fn(|k| sigmas[k].max(LEAST_JITTER[k]))
+}
+
+fn start(
+    poses: &[(f64, Se3)],
+    clock: &Clock,
+    inertial: &Inertial,
+    turned: &super::GyroAlignment,
+) -> State {
+    let imu_from_markers = lsfb_geometry::UnitQuaternion::new_normalize(
+        lsfb_geometry::Quaternion::from_vector(turned.rotation_xyzw.into()),
+    );
+    let rotation = |pose: &Se3| pose.rotation * imu_from_markers.inverse();
+    let up: Vector3<f64> = poses
+        .iter()
+        .map(|(secs, pose)| rotation(pose) * inertial.at(clock.imu_secs(*secs)).1)
+        .sum();
+    let down = -up.try_normalize(0.0).unwrap_or(Vector3::z());
+    let (first, later) = (&poses[0], &poses[LEAST_POSES / 10]);
+    State {
+        rotation: rotation(&first.1),
+        place: first.1.translation,
+        velocity: (later.1.translation - first.1.translation) / (later.0 - first.0),
+        gyro_bias: turned.bias_rad_s.into(),
+        accel_bias: Vector3::zeros(),
+        mount: Se3::new(imu_from_markers, Vector3::zeros()),
+        clock_secs: 0.0,
+        gravity: down * GRAVITY_M_S2,
+    }
+}
+
+fn prior() -> Matrix25 {
+    let at = [
+        ROTATION,
+        PLACE,
+        VELOCITY,
+        GYRO_BIAS,
+        ACCEL_BIAS,
+        MOUNT_ROTATION,
+        MOUNT_PLACE,
+        CLOCK,
+        GRAVITY,
+    ];
+    let mut known = Matrix25::zeros();
+    for (at, sigma) in at.into_iter().zip(PRIOR) {
+        for k in at..if at == CLOCK { at + 1 } else { at + 3 } {
+            known[(k, k)] = sigma * sigma;
+        }
+    }
+    known
+}
+
+/// What stays, of the first and of the second half of the time alone; `None` where a half does not tell it.
+fn halves(
+    inertial: &Inertial,
+    seen: &[Seen],
+    found: &[Smoothed],
+    model: &Model,
+) -> Option<[Smoothed; 2]> {
+    let middle = seen.len() / 2;
+    let half = |range: std::ops::Range<usize>| {
+        let states: Vec<State> = found[range.clone()].iter().map(|f| f.state).collect();
+        let about = About::States(&states);
+        let found = smooth(inertial, &seen[range], about, &prior(), model).ok()?;
+        found.into_iter().next()
+    };
+    Some([half(0..middle)?, half(middle..seen.len())?])
+}
+
+#[cfg(test)]
+pub(super) mod tests;

@@ -1,0 +1,333 @@
+//! How an IMU moves between two times, by its samples, and how errors of its state grow.
+
+use lsfb_geometry::{ImuNoiseModel, Matrix3, Se3, StampedPose, UnitQuaternion, Vector3, so3};
+use lsfb_types::{ImuSample, Stamped, Timestamp};
+use nalgebra::{SMatrix, SVector};
+
+/// Numbers of an error: rotation, position, velocity, both biases, markers on the IMU (rotation, position), clock, gravity.
+pub(super) const SIZE: usize = 25;
+pub(super) const ROTATION: usize = 0;
+pub(super) const PLACE: usize = 3;
+pub(super) const VELOCITY: usize = 6;
+pub(super) const GYRO_BIAS: usize = 9;
+pub(super) const ACCEL_BIAS: usize = 12;
+pub(super) const MOUNT_ROTATION: usize = 15;
+pub(super) const MOUNT_PLACE: usize = 18;
+pub(super) const CLOCK: usize = 21;
+pub(super) const GRAVITY: usize = 22;
+/// Numbers that change from time to time; those behind them stay, but for the clock.
+const MOVING: usize = 15;
+
+pub(super) type Error25 = SVector<f64, SIZE>;
+pub(super) type Matrix25 = SMatrix<f64, SIZE, SIZE>;
+type Matrix15 = SMatrix<f64, MOVING, MOVING>;
+
+/// An IMU in the world of the motion capture, and what is not known of both.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct State {
+    /// World from IMU.
+    pub rotation: UnitQuaternion<f64>,
+    pub place: Vector3<f64>,
+    /// In the world, m/s.
+    pub velocity: Vector3<f64>,
+    /// rad/s.
+    pub gyro_bias: Vector3<f64>,
+    /// m/s².
+    pub accel_bias: Vector3<f64>,
+    /// IMU from the body of the markers.
+    pub mount: Se3,
+    /// By how much the IMU's clock is ahead of where it was looked at, seconds.
+    pub clock_secs: f64,
+    /// In the world, m/s²; it points down.
+    pub gravity: Vector3<f64>,
+}
+
+impl State {
+    /// Moved by an error; rotations on the right, positions in the world.
+    pub fn retract(&self, by: &Error25) -> Self {
+        let part = |at: usize| by.fixed_rows::<3>(at).into_owned();
+        Self {
+            rotation: so3::retract(&self.rotation, &part(ROTATION)),
+            place: self.place + part(PLACE),
+            velocity: self.velocity + part(VELOCITY),
+            gyro_bias: self.gyro_bias + part(GYRO_BIAS),
+            accel_bias: self.accel_bias + part(ACCEL_BIAS),
+            mount: Se3::new(
+                so3::retract(&self.mount.rotation, &part(MOUNT_ROTATION)),
+                self.mount.translation + part(MOUNT_PLACE),
+            ),
+            clock_secs: self.clock_secs + by[CLOCK],
+            gravity: self.gravity + part(GRAVITY),
+        }
+    }
+
+    /// `self.retract(&self.local(other)) == other`.
+    pub fn local(&self, other: &Self) -> Error25 {
+        let mut by = Error25::zeros();
+        let mut put = |at: usize, value: Vector3<f64>| by.fixed_rows_mut::<3>(at).copy_from(&value);
+        put(ROTATION, so3::local(&self.rotation, &other.rotation));
+        put(PLACE, other.place - self.place);
+        put(VELOCITY, other.velocity - self.velocity);
+        put(GYRO_BIAS, other.gyro_bias - self.gyro_bias);
+        put(ACCEL_BIAS, other.accel_bias - self.accel_bias);
+        let turn = so3::local(&self.mount.rotation, &other.mount.rotation);
+        put(MOUNT_ROTATION, turn);
+        put(
+            MOUNT_PLACE,
+            other.mount.translation - self.mount.translation,
+        );
+        put(GRAVITY, other.gravity - self.gravity);
+        by[CLOCK] = other.clock_secs - self.clock_secs;
+        by
+    }
+
+    pub fn pose(&self) -> Se3 {
+        Se3::new(self.rotation, self.place)
+    }
+
+    /// Where the markers' body should be seen.
+    pub fn markers(&self) -> Se3 {
+        self.pose() * self.mount
+    }
+
+    fn stepped(&self, turn_rad_s: &Vector3<f64>, force_m_s2: &Vector3<f64>, secs: f64) -> Self {
+        let middle = so3::retract(&self.rotation, &(turn_rad_s * (0.5 * secs)));
+        let acceleration = middle * force_m_s2 + self.gravity;
+        Self {
+            rotation: so3::retract(&self.rotation, &(turn_rad_s * secs)),
+            place: self.place + self.velocity * secs + acceleration * (0.5 * secs * secs),
+            velocity: self.velocity + acceleration * secs,
+            ..*self
+        }
+    }
+}
+
+/// A state that was taken along, how an error of it became one of the new state, and what was added to its covariance.
+pub(super) struct Moved {
+    pub state: State,
+    pub transition: Matrix25,
+    pub added: Matrix25,
+}
+
+/// Inertial samples on a line of time.
+#[derive(Clone, Debug)]
+pub(super) struct Inertial {
+    base: Timestamp,
+    secs: Vec<f64>,
+    turn_rad_s: Vec<Vector3<f64>>,
+    force_m_s2: Vec<Vector3<f64>>,
+}
+
+impl Inertial {
+    /// Of samples in order of time; of equal stamps the first counts.
+    pub fn new(samples: &[Stamped<ImuSample>], base: Timestamp) -> Self {
+        let mut kept: Vec<&Stamped<ImuSample>> = samples.iter().collect();
+        kept.dedup_by_key(|s| s.time);
+        Self {
+            base,
+            secs: kept.iter().map(|s| s.time.secs_since(base)).collect(),
+            turn_rad_s: kept
+                .iter()
+                .map(|s| s.sample.angular_velocity_rad_s.into())
+                .collect(),
+            force_m_s2: kept
+                .iter()
+                .map(|s| s.sample.specific_force_m_s2.into())
+                .collect(),
+        }
+    }
+
+    /// First and last sample, seconds since the base.
+    pub fn span_secs(&self) -> Option<[f64; 2]> {
+        Some([*self.secs.first()?, *self.secs.last()?])
+    }
+
+    /// Times of the samples within, and the longest step between neighbours among them, seconds.
+    pub fn longest_step_secs(&self, from: f64, to: f64) -> f64 {
+        let first = self.secs.partition_point(|s| *s < from).saturating_sub(1);
+        let last = self.secs.partition_point(|s| *s <= to);
+        let within = self
+            .secs
+            .get(first..=last.min(self.secs.len().saturating_sub(1)));
+        let steps = within.unwrap_or_default().windows(2).map(|w| w[1] - w[0]);
+        steps.fold(0.0, f64::max)
+    }
+
+    /// Angular velocity and specific force at a time: on the lines between the samples.
+    pub fn at(&self, secs: f64) -> (Vector3<f64>, Vector3<f64>) {
+        let next = self
+            .secs
+            .partition_point(|s| *s < secs)
+            .clamp(1, self.secs.len() - 1);
+        let (a, b) = (self.secs[next - 1], self.secs[next]);
+        let share = ((secs - a) / (b - a)).clamp(0.0, 1.0);
+        let between = |v: &[Vector3<f64>]| v[next - 1].lerp(&v[next], share);
+        (between(&self.turn_rad_s), between(&self.force_m_s2))
+    }
+
+    /// Takes a state along; `clock_walk` is the clock's random walk, s/√s.
+    pub fn moved(
+        &self,
+        start: &State,
+        from_secs: f64,
+        to_secs: f64,
+        noise: &ImuNoiseModel,
+        clock_walk: f64,
+    ) -> Moved {
+        let mut state = *start;
+        let mut moving = Matrix15::identity();
+        let mut by_gravity = SMatrix::<f64, MOVING, 3>::zeros();
+        let mut added = Matrix15::zeros();
+        for [a, b] in self.steps(from_secs, to_secs) {
+            let secs = b - a;
+            let (first, last) = (self.at(a), self.at(b));
+            let turn = (first.0 + last.0) * 0.5 - state.gyro_bias;
+            let force = (first.1 + last.1) * 0.5 - state.accel_bias;
+            let step = transition(&state, &turn, &force, secs);
+            moving = step * moving;
+            by_gravity = step * by_gravity;
+            for k in 0..3 {
+                by_gravity[(VELOCITY + k, k)] += secs;
+                by_gravity[(PLACE + k, k)] += 0.5 * secs * secs;
+            }
+            added = step * added * step.transpose() + step_noise(noise, secs);
+            state = state.stepped(&turn, &force, secs);
+        }
+        let mut whole = Matrix25::identity();
+        whole
+            .fixed_view_mut::<MOVING, MOVING>(0, 0)
+            .copy_from(&moving);
+        whole
+            .fixed_view_mut::<MOVING, 3>(0, GRAVITY)
+            .copy_from(&by_gravity);
+        let mut all = Matrix25::zeros();
+        all.fixed_view_mut::<MOVING, MOVING>(0, 0).copy_from(&added);
+        all[(CLOCK, CLOCK)] = clock_walk * clock_walk * (to_secs - from_secs);
+        Moved {
+            state,
+            transition: whole,
+            added: all,
+        }
+    }
+
+    /// The intervals between two times that samples cut.
+    fn steps(&self, from_secs: f64, to_secs: f64) -> impl Iterator<Item = [f64; 2]> + '_ {
+        let first = self.secs.partition_point(|s| *s <= from_secs);
+        let last = self.secs.partition_point(|s| *s < to_secs).max(first);
+        let inner = self.secs[first..last].iter().copied();
+        let ends = inner.clone().chain([to_secs]);
+        let starts = std::iter::once(from_secs).chain(inner);
+        starts.zip(ends).map(|(a, b)| [a, b]).filter(|[a, b]| b > a)
+    }
+
+    /// Poses at the samples between two states, the later one not included; the state's own time first.
+    pub fn poses_from(&self, start: &State, from_secs: f64, to_secs: f64) -> Vec<StampedPose> {
+        let mut state = *start;
+        let mut poses = Vec::new();
+        for [a, b] in self.steps(from_secs, to_secs) {
+            poses.push(StampedPose {
+                time: self.base.plus_secs(a),
+                world_from_rig: state.pose(),
+            });
+            let (first, last) = (self.at(a), self.at(b));
+            let turn = (first.0 + last.0) * 0.5 - state.gyro_bias;
+            let force = (first.1 + last.1) * 0.5 - state.accel_bias;
+            state = state.stepped(&turn, &force, b - a);
+        }
+        poses
+    }
+}
+
+/// Of one step, linear in the error.
+fn transition(
+    state: &State,
+    turn_rad_s: &Vector3<f64>,
+    force_m_s2: &Vector3<f64>,
+    secs: f64,
+) -> Matrix15 {
+    let rotation = state.rotation.to_rotation_matrix().into_inner();
+    let identity = Matrix3::identity();
+    let mut step = Matrix15::identity();
+    let mut put = |row: usize, column: usize, value: Matrix3<f64>| {
+        step.fixed_view_mut::<3, 3>(row, column).copy_from(&value);
+    };
+    let back = so3::exp(&(turn_rad_s * -secs)).to_rotation_matrix();
+    put(ROTATION, ROTATION, back.into_inner());
+    put(ROTATION, GYRO_BIAS, identity * -secs);
+    let by_turn = -(rotation * so3::hat(force_m_s2));
+    put(VELOCITY, ROTATION, by_turn * secs);
+    put(VELOCITY, ACCEL_BIAS, rotation * -secs);
+    put(PLACE, ROTATION, by_turn * (0.5 * secs * secs));
+    put(PLACE, VELOCITY, identity * secs);
+    put(PLACE, ACCEL_BIAS, rotation * (-0.5 * secs * secs));
+    step
+}
+
+/// White noise and random walks of one step.
+fn step_noise(noise: &ImuNoiseModel, secs: f64) -> Matrix15 {
+    let mut added = Matrix15::zeros();
+    let square = |density: f64| density * density * secs;
+    let force = square(noise.accel_noise_density);
+    for k in 0..3 {
+        added[(ROTATION + k, ROTATION + k)] = square(noise.gyro_noise_density);
+        added[(VELOCITY + k, VELOCITY + k)] = force;
+        added[(PLACE + k, PLACE + k)] = force * secs * secs / 3.0;
+        added[(PLACE + k, VELOCITY + k)] = force * secs / 2.0;
+        added[(VELOCITY + k, PLACE + k)] = force * secs / 2.0;
+        added[(GYRO_BIAS + k, GYRO_BIAS + k)] = square(noise.gyro_bias_walk);
+        added[(ACCEL_BIAS + k, ACCEL_BIAS + k)] = square(noise.accel_bias_walk);
+    }
+    added
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hand_eye::continuous::tests::motion;
+
+    fn inertial() -> Inertial {
+        let samples: Vec<Stamped<ImuSample>> = (0..400)
+            .map(|i| super::super::tests::sample(&motion, f64::from(i) / 200.0, 0.0))
+            .collect();
+        Inertial::new(&samples, Timestamp::from_nanos(0))
+    }
+
+    fn state() -> State {
+        let h = 1e-5;
+        State {
+            rotation: motion(0.5).rotation,
+            place: motion(0.5).translation,
+            velocity: (motion(0.5 + h).translation - motion(0.5 - h).translation) / (2.0 * h),
+            gyro_bias: Vector3::zeros(),
+            accel_bias: Vector3::zeros(),
+            mount: Se3::identity(),
+            clock_secs: 0.0,
+            gravity: Vector3::new(0.0, 0.0, -9.81),
+        }
+    }
+
+    #[test]
+    fn samples_lead_along_the_motion() {
+        let noise = super::super::MocapConfig::default().noise;
+        let found = inertial().moved(&state(), 0.5, 0.8, &noise, 0.0).state;
+        let off = found.pose().local(&motion(0.8));
+        assert!(off.norm() < 2e-4, "{off}");
+    }
+
+    #[test]
+    fn the_transition_is_the_derivative() {
+        let noise = super::super::MocapConfig::default().noise;
+        let inertial = inertial();
+        let end = |state: &State| inertial.moved(state, 0.5, 0.57, &noise, 0.0);
+        let whole = end(&state());
+        for k in 0..SIZE {
+            let h = 1e-6;
+            let mut by = Error25::zeros();
+            by[k] = h;
+            let moved = end(&state().retract(&by)).state;
+            let column = whole.state.local(&moved) / h;
+            let off = (column - whole.transition.column(k)).norm();
+            assert!(off < 2e-3, "{k}: {off}");
+        }
+    }
+}
