@@ -111,7 +111,7 @@ fn files(root: &Path) {
         euroc(EPOCH_S + t + 0.4, &(*pose * body().inverse()))
     });
     write(root, "mav0/mocap0/data.csv", &format!("{header}{mocap}"));
-    let inertial = rows(200.0, |t, _| {
+    let samples = rows(200.0, |t, _| {
         let h = 1e-4;
         let [before, now, after] = [-h, 0.0, h].map(|step| motion(t + step));
         let turn = so3::local(&before.rotation, &after.rotation) / (2.0 * h);
@@ -124,7 +124,7 @@ fn files(root: &Path) {
                 format!("{row},{v:.9}")
             })
     });
-    write(root, "mav0/imu0/data.csv", &inertial);
+    write(root, "mav0/imu0/data.csv", &samples);
     // The phone has been on for an hour; the motion capture is 997 s ahead of it.
     let phone = rows(60.0, |t, pose| {
         let (p, q) = (pose.translation, pose.rotation);
