@@ -2,7 +2,6 @@
 
 pub mod align;
 mod align_mocap;
-mod align_mocap;
 pub mod bench;
 pub mod calib;
 mod calib_board;
