@@ -168,6 +168,20 @@ pub enum Error {
         /// From the first to the last stamp, seconds.
         span_secs: f64,
     },
+    /// Poses of motion capture that hardly ever are where an IMU leads.
+    #[error(
+        "{fit} of {poses} poses of the motion capture fit the inertial samples, {needed} are needed; check units (metres, rad/s, m/s²; the mean specific force is {force_m_s2:.2} m/s², 9.8 is expected), the IMU's axes and signs, the order of the quaternion's components, and that both are on one rigid body"
+    )]
+    NotOneMotion {
+        /// That fit.
+        fit: usize,
+        /// Of so many.
+        poses: usize,
+        /// At least.
+        needed: usize,
+        /// Mean size of the specific force, m/s².
+        force_m_s2: f64,
+    },
     /// Inertial samples are missing.
     #[error(
         "no inertial samples for {gap_secs:.2} s: nothing says how the device moved; evaluate the parts before and after alone"

@@ -62,20 +62,20 @@ pub fn align_gyroscope(
         config.offset_guess_secs,
         config.search_secs,
     )?;
-    // Golden sections: the misfit has one valley within a tenth of a second of the best correlation.
+    // Golden sections: their difference has one valley within a tenth of a second of the best correlation.
     let golden = 0.5 * (5.0f64.sqrt() - 1.0);
     let (mut low, mut high) = (found.offset_secs - 0.1, found.offset_secs + 0.1);
     for _ in 0..REFINEMENTS {
         let (left, right) = (high - golden * (high - low), low + golden * (high - low));
-        match misfit(&body, &gyroscope, left)?.rms_rad_s
-            < misfit(&body, &gyroscope, right)?.rms_rad_s
+        match aligned_rates(&body, &gyroscope, left)?.rms_rad_s
+            < aligned_rates(&body, &gyroscope, right)?.rms_rad_s
         {
             true => high = right,
             false => low = left,
         }
     }
     let offset_secs = 0.5 * (low + high);
-    let best = misfit(&body, &gyroscope, offset_secs)?;
+    let best = aligned_rates(&body, &gyroscope, offset_secs)?;
     Ok(GyroAlignment {
         rotation_xyzw: best.rotation.coords.into(),
         offset_secs,
@@ -105,14 +105,18 @@ fn integrated(samples: &[GyroSample]) -> Vec<StampedPose> {
     poses
 }
 
-struct Misfit {
+struct AlignedRates {
     rotation: UnitQuaternion<f64>,
     bias: Vector3<f64>,
     rms_rad_s: f64,
 }
 
 /// The best turn and bias at an offset (Kabsch on the rates without their means).
-fn misfit(body: &Continuous, gyroscope: &Continuous, offset_secs: f64) -> Result<Misfit, Error> {
+fn aligned_rates(
+    body: &Continuous,
+    gyroscope: &Continuous,
+    offset_secs: f64,
+) -> Result<AlignedRates, Error> {
     let rate = |of: &Continuous, secs: f64| {
         let from = of.at(secs - 0.5 * WINDOW_SECS)?.rotation;
         let to = of.at(secs + 0.5 * WINDOW_SECS)?.rotation;
@@ -151,7 +155,7 @@ fn misfit(body: &Continuous, gyroscope: &Continuous, offset_secs: f64) -> Result
         .iter()
         .map(|(a, b)| (b - bias - rotation * a).norm_squared())
         .sum();
-    Ok(Misfit {
+    Ok(AlignedRates {
         rotation,
         bias,
         rms_rad_s: (squares / n).sqrt(),

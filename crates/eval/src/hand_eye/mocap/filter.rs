@@ -2,8 +2,11 @@
 //!
 //! A first pass linearizes where the filter is. It learns from many a guess of the markers' place on the IMU, and so believes to know more than it
 //! does: by 20 mm where it says 1 mm. The next linearize about what the pass before found, which is Gauss–Newton on all poses at once.
+//!
+//! For the same reason the first pass leaves no pose out: one that is far from the prediction only counts less, so that a filter that believes
+//! too much still comes back to the poses. The next weigh each pose by how far it was from what the pass before found.
 
-use lsfb_geometry::{ImuNoiseModel, Matrix3, Se3, Vector3, Vector6, so3};
+use lsfb_geometry::{ImuNoiseModel, Matrix3, Matrix6, Se3, Vector3, Vector6, so3};
 use nalgebra::SMatrix;
 
 use crate::Error;
@@ -15,7 +18,7 @@ use super::motion::{
 
 type ByState = SMatrix<f64, 6, SIZE>;
 
-/// Squared norm of a prediction's miss, in units of its covariance, beyond which a pose is an outlier: one of 25 000 of six numbers.
+/// Squared norm of a miss, in units of its covariance, beyond which a pose is an outlier: one of 25 000 of six numbers.
 const GATE: f64 = 30.0;
 
 /// A time of the IMU's clock, seconds, and the pose of the markers there; none where they were dropped.
@@ -40,9 +43,26 @@ pub(super) struct Model {
 pub(super) struct Smoothed {
     pub state: State,
     pub covariance: Matrix25,
-    /// What is left over of a pose that was used, `[rotation, translation]` in the markers' body, rad and metres; `None` where markers
-    /// were dropped or swapped.
+    /// What is left over of a pose, `[rotation, translation]` in the markers' body, rad and metres; `None` where markers were dropped.
     pub left: Option<Vector6<f64>>,
+    /// Its squared norm in units of its covariance.
+    squared: f64,
+}
+
+impl Smoothed {
+    /// What is left over of a pose that fits; `None` where markers were dropped or swapped.
+    pub fn fits(&self) -> Option<Vector6<f64>> {
+        self.left.filter(|_| self.squared <= GATE)
+    }
+
+    /// The information of this pose in the next pass, as a share of that of one that fits: what is far counts less, in the last passes not at all.
+    pub fn weight(&self, is_last: bool) -> f64 {
+        match self.squared <= GATE {
+            true => 1.0,
+            false if is_last => 0.0,
+            false => (GATE / self.squared).powi(2),
+        }
+    }
 }
 
 /// A time on the way forward: where it was linearized, and errors from there with their covariances.
@@ -54,7 +74,6 @@ struct Step {
     predicted_covariance: Matrix25,
     filtered: Error25,
     filtered_covariance: Matrix25,
-    is_used: bool,
 }
 
 /// About what to linearize.
@@ -62,8 +81,8 @@ struct Step {
 pub(super) enum About<'a> {
     /// Where the filter is, from a state of the first time.
     Filter(&'a State),
-    /// A state for each time.
-    States(&'a [State]),
+    /// A state for each time, and the weight of its pose, 0 to 1.
+    States(&'a [State], &'a [f64]),
 }
 
 /// `seen` in order of time, all within the samples; `covariance` is known of the first state before.
@@ -79,14 +98,18 @@ pub(super) fn smooth(
     for (k, pose) in seen.iter().enumerate() {
         let given = match about {
             About::Filter(_) => None,
-            About::States(states) => states.get(k).copied(),
+            About::States(states, _) => states.get(k).copied(),
+        };
+        let weight = match about {
+            About::Filter(_) => None,
+            About::States(_, weights) => weights.get(k).copied(),
         };
         let last = steps.last().zip(before);
         let (transition, nominal, predicted, predicted_covariance) = match (last, about) {
             (None, About::Filter(start)) => {
                 (Matrix25::identity(), *start, Error25::zeros(), *covariance)
             }
-            (None, About::States(states)) => {
+            (None, About::States(states, _)) => {
                 let Some(start) = states.first() else { break };
                 (Matrix25::identity(), *start, Error25::zeros(), *covariance)
             }
@@ -114,8 +137,8 @@ pub(super) fn smooth(
             &predicted,
             &predicted_covariance,
             model,
+            weight,
         );
-        let is_used = found.is_some();
         let (filtered, filtered_covariance) = found.unwrap_or((predicted, predicted_covariance));
         steps.push(Step {
             transition,
@@ -124,13 +147,13 @@ pub(super) fn smooth(
             predicted_covariance,
             filtered,
             filtered_covariance,
-            is_used,
         });
     }
-    backward(inertial, &steps, seen)
+    backward(inertial, &steps, seen, model)
 }
 
-/// The error and its covariance with one pose more; `None` for an outlier.
+/// The error and its covariance with one pose more; without a weight it follows from how far the pose is from the prediction. `None` where
+/// nothing is added.
 fn corrected(
     inertial: &Inertial,
     seen: &Seen,
@@ -138,21 +161,34 @@ fn corrected(
     error: &Error25,
     known: &Matrix25,
     model: &Model,
+    weight: Option<f64>,
 ) -> Option<(Error25, Matrix25)> {
     let (miss, by_state) = miss(inertial, seen.secs, &seen.markers?, nominal);
     let miss = miss - by_state * error;
-    let [turn, shift] = model.sigmas.map(|s| s * s);
-    let own =
-        SMatrix::<f64, 6, 6>::from_diagonal(&Vector6::new(turn, turn, turn, shift, shift, shift));
-    let spread = (by_state * known * by_state.transpose() + own).cholesky()?;
-    if !(miss.dot(&spread.solve(&miss)) <= GATE) {
+    let weight = match weight {
+        Some(weight) => weight,
+        None => {
+            let spread = by_state * known * by_state.transpose() + own(model);
+            let squared = miss.dot(&spread.cholesky()?.solve(&miss));
+            (GATE / squared.max(GATE)).powi(2)
+        }
+    };
+    if !(weight > 0.0) {
         return None;
     }
+    let own = own(model) / weight;
+    let spread = (by_state * known * by_state.transpose() + own).cholesky()?;
     let gain = spread.solve(&(by_state * known)).transpose();
     let rest = Matrix25::identity() - gain * by_state;
     // Joseph's form stays positive.
     let surer = rest * known * rest.transpose() + gain * own * gain.transpose();
     Some((error + gain * miss, surer))
+}
+
+/// Covariance of a pose of the motion capture.
+fn own(model: &Model) -> Matrix6<f64> {
+    let [turn, shift] = model.sigmas.map(|s| s * s);
+    Matrix6::from_diagonal(&Vector6::new(turn, turn, turn, shift, shift, shift))
 }
 
 /// A state at the time at which the markers were seen.
@@ -207,7 +243,12 @@ fn miss(inertial: &Inertial, secs: f64, seen: &Se3, state: &State) -> (Vector6<f
     (miss, by_state)
 }
 
-fn backward(inertial: &Inertial, steps: &[Step], seen: &[Seen]) -> Result<Vec<Smoothed>, Error> {
+fn backward(
+    inertial: &Inertial,
+    steps: &[Step],
+    seen: &[Seen],
+    model: &Model,
+) -> Result<Vec<Smoothed>, Error> {
     let mut found: Vec<Smoothed> = Vec::with_capacity(steps.len());
     let mut later: Option<(&Step, Error25, Matrix25)> = None;
     for (step, seen) in steps.iter().zip(seen).rev() {
@@ -222,16 +263,22 @@ fn backward(inertial: &Inertial, steps: &[Step], seen: &[Seen]) -> Result<Vec<Sm
             covariance = (covariance + covariance.transpose()) * 0.5;
         }
         let state = step.nominal.retract(&error);
-        let turn = inertial.at(seen.secs).0 - state.gyro_bias;
-        let expected = on_time(&state, &turn).markers();
-        found.push(Smoothed {
+        let mut smoothed = Smoothed {
             state,
             covariance,
-            left: seen
-                .markers
-                .filter(|_| step.is_used)
-                .map(|m| expected.local(&m)),
-        });
+            left: None,
+            squared: f64::INFINITY,
+        };
+        if let Some(markers) = &seen.markers {
+            let (miss, by_state) = miss(inertial, seen.secs, markers, &state);
+            let spread = by_state * covariance * by_state.transpose() + own(model);
+            if let Some(factor) = spread.cholesky() {
+                smoothed.squared = miss.dot(&factor.solve(&miss));
+            }
+            let turn = inertial.at(seen.secs).0 - state.gyro_bias;
+            smoothed.left = Some(on_time(&state, &turn).markers().local(markers));
+        }
+        found.push(smoothed);
         later = Some((step, error, covariance));
     }
     found.reverse();

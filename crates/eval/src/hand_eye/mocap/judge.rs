@@ -6,6 +6,7 @@ use lsfb_types::{Finding, Limit, Verdict};
 use super::MocapAlignment;
 use super::filter::Smoothed;
 use super::motion::{MOUNT_PLACE, MOUNT_ROTATION};
+use super::outcome::Noise;
 
 /// Standard deviations beyond which the result is not to be used: rotation, degrees, and position, metres, of the IMU on the markers' body,
 /// clock, seconds.
@@ -21,8 +22,7 @@ const MOST_APART: f64 = 4.0;
 
 pub(super) fn judge(
     found: &MocapAlignment,
-    noise: [f64; 2],
-    factor: f64,
+    noise: Noise,
     halves: Option<&[Smoothed; 2]>,
 ) -> Vec<Finding> {
     let mut findings = observability(found);
@@ -30,14 +30,15 @@ pub(super) fn judge(
     findings.push(given(found));
     findings.push(gravity(found));
     let what = format!(
-        "the markers' body shakes by {:.2} mm and {:.3}° per axis, standard deviations raised {factor:.1} times as its errors hang together",
-        1000.0 * noise[1],
-        noise[0].to_degrees()
+        "the markers' body shakes by {:.2} mm and {:.3}° per axis, standard deviations raised {:.1} times as its errors hang together",
+        1000.0 * noise.sigmas[1],
+        noise.sigmas[0].to_degrees(),
+        noise.factor
     );
-    findings
-        .push(Finding::new("jitter", Verdict::Pass, "motion capture", what).value(noise[1], "m"));
+    let jitter = Finding::new("jitter", Verdict::Pass, "motion capture", what);
+    findings.push(jitter.value(noise.sigmas[1], "m"));
     findings.push(match halves {
-        Some(halves) => agreement(halves, factor),
+        Some(halves) => agreement(halves, noise.factor),
         None => Finding::new(
             "halves",
             Verdict::Unknown,

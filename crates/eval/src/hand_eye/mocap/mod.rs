@@ -24,7 +24,7 @@ use motion::{
     ROTATION, State, VELOCITY,
 };
 pub use outcome::MocapAlignment;
-use outcome::outcome;
+use outcome::{Noise, outcome};
 
 /// How motion capture is aligned to an IMU.
 #[derive(Clone, Debug, PartialEq)]
@@ -58,8 +58,10 @@ impl Default for MocapConfig {
 
 /// Fewer say nothing.
 const LEAST_POSES: usize = 100;
-/// Passes through all poses: numbers that stay follow from the last, noise of the markers from that before.
-const PASSES: usize = 4;
+/// Passes through all poses after the first: numbers that stay follow from the last, noise of the markers from that before.
+const PASSES: usize = 6;
+/// Of these the last, in which what does not fit counts nothing.
+const LAST_PASSES: usize = 3;
 /// No motion capture is better, rad and metres: a model of it that says so would take every pose for an outlier.
 const LEAST_JITTER: [f64; 2] = [1e-4, 5e-5];
 /// Samples further apart leave the motion between them open, seconds.
@@ -113,20 +115,32 @@ pub fn align_mocap(
     let start = start(&poses, &clock, &inertial, &turned);
     let mut seen = seen(&poses, &clock);
     let mut found = smooth(&inertial, &seen, About::Filter(&start), &prior(), &model)?;
-    for _ in 1..PASSES {
-        let left: Vec<_> = found.iter().map(|f| f.left).collect();
-        if left.iter().flatten().count() < LEAST_POSES {
-            return Err(too_few(left.iter().flatten().count()));
+    for pass in 0..PASSES {
+        let left: Vec<_> = found.iter().map(Smoothed::fits).collect();
+        let fit = left.iter().flatten().count();
+        if fit < LEAST_POSES {
+            return Err(Error::NotOneMotion {
+                fit,
+                poses: poses.len(),
+                needed: LEAST_POSES,
+                force_m_s2: inertial.mean_force_m_s2(),
+            });
         }
         model.sigmas = at_least(sigmas(&left));
+        let is_last = pass + LAST_PASSES >= PASSES;
+        let weights: Vec<f64> = found.iter().map(|f| f.weight(is_last)).collect();
         let states = clock.moved(&found, &mut seen, config.clock);
-        found = smooth(&inertial, &seen, About::States(&states), &prior(), &model)?;
+        let about = About::States(&states, &weights);
+        found = smooth(&inertial, &seen, about, &prior(), &model)?;
     }
     let halves = halves(&inertial, &seen, &found, &model);
-    let left: Vec<_> = found.iter().map(|f| f.left).collect();
-    let factor = correlation_factor(&left);
-    let mut alignment = outcome(&inertial, &seen, &found, &clock, factor)?;
-    alignment.findings = judge::judge(&alignment, deviations(&left), factor, halves.as_ref());
+    let left: Vec<_> = found.iter().map(Smoothed::fits).collect();
+    let noise = Noise {
+        sigmas: deviations(&left),
+        factor: correlation_factor(&left),
+    };
+    let mut alignment = outcome(&inertial, &seen, &found, &clock, noise)?;
+    alignment.findings = judge::judge(&alignment, noise, halves.as_ref());
     Ok(alignment)
 }
 
@@ -223,8 +237,10 @@ fn halves(
 ) -> Option<[Smoothed; 2]> {
     let middle = seen.len() / 2;
     let half = |range: std::ops::Range<usize>| {
-        let states: Vec<State> = found[range.clone()].iter().map(|f| f.state).collect();
-        let about = About::States(&states);
+        let half = &found[range.clone()];
+        let states: Vec<State> = half.iter().map(|f| f.state).collect();
+        let weights: Vec<f64> = half.iter().map(|f| f.weight(true)).collect();
+        let about = About::States(&states, &weights);
         let found = smooth(inertial, &seen[range], about, &prior(), model).ok()?;
         found.into_iter().next()
     };

@@ -142,6 +142,12 @@ impl Inertial {
         Some([*self.secs.first()?, *self.secs.last()?])
     }
 
+    /// Mean size of the specific force.
+    pub fn mean_force_m_s2(&self) -> f64 {
+        let sum: f64 = self.force_m_s2.iter().map(Vector3::norm).sum();
+        sum / self.force_m_s2.len().max(1) as f64
+    }
+
     /// Times of the samples within, and the longest step between neighbours among them, seconds.
     pub fn longest_step_secs(&self, from: f64, to: f64) -> f64 {
         let first = self.secs.partition_point(|s| *s < from).saturating_sub(1);

@@ -55,15 +55,25 @@ pub struct MocapAlignment {
     pub body: Se3,
 }
 
-/// Standard deviations are raised by `factor`.
+/// How far the motion capture's errors reach.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Noise {
+    /// Standard deviations of a component of what is left over, rotation and position, rad and metres.
+    pub sigmas: [f64; 2],
+    /// By which standard deviations of what all poses tell together are raised, as neighbouring errors hang together.
+    pub factor: f64,
+}
+
+/// Standard deviations are raised by `noise`.
 pub(super) fn outcome(
     inertial: &Inertial,
     seen: &[Seen],
     found: &[Smoothed],
     clock: &Clock,
-    factor: f64,
+    noise: Noise,
 ) -> Result<MocapAlignment, Error> {
-    let left: Vec<_> = found.iter().map(|f| f.left).collect();
+    let factor = noise.factor;
+    let left: Vec<_> = found.iter().map(Smoothed::fits).collect();
     let known = || left.iter().flatten();
     let middle = &found[found.len() / 2];
     let sigma = |at: usize| factor * middle.covariance[(at, at)].max(0.0).sqrt();
@@ -78,7 +88,7 @@ pub(super) fn outcome(
     };
     let seen_poses = seen.iter().filter(|s| s.markers.is_some()).count();
     let used = known().count();
-    let (path, given) = path(inertial, seen, found, factor);
+    let (path, given) = path(inertial, seen, found, noise);
     Ok(MocapAlignment {
         markers_from_imu: uncertain(&body, &inverse_sigmas(&mount, &middle.covariance, factor)),
         offset_secs: offset_secs(middle, &seen[found.len() / 2], clock),
@@ -143,16 +153,19 @@ fn path(
     inertial: &Inertial,
     seen: &[Seen],
     found: &[Smoothed],
-    factor: f64,
+    noise: Noise,
 ) -> (Vec<StampedPose>, f64) {
-    let sigma = |f: &Smoothed, at: usize| {
+    // Errors that hang together do not average out, but no pose of the path is further off by them than they are large.
+    let sigma = |f: &Smoothed, at: usize, own: f64| {
         let largest = (at..at + 3)
             .map(|k| f.covariance[(k, k)])
-            .fold(0.0, f64::max);
-        factor * largest.sqrt()
+            .fold(0.0, f64::max)
+            .sqrt();
+        f64::min(noise.factor * largest, largest.hypot(own))
     };
     let is_certain = |f: &Smoothed| {
-        sigma(f, ROTATION).to_degrees() <= MOST_SIGMA.0 && sigma(f, PLACE) <= MOST_SIGMA.1
+        sigma(f, ROTATION, noise.sigmas[0]).to_degrees() <= MOST_SIGMA.0
+            && sigma(f, PLACE, noise.sigmas[1]) <= MOST_SIGMA.1
     };
     let mut path = Vec::new();
     let (mut given, mut all) = (0.0, 0.0);

@@ -203,6 +203,15 @@ fn what_the_motion_does_not_show_is_refused() {
         &MocapConfig::default(),
     );
     assert!(matches!(few, Err(Error::TooFewPoses { .. })));
+    let mut in_g = setup.samples.clone();
+    for sample in &mut in_g {
+        sample.sample.specific_force_m_s2 = sample.sample.specific_force_m_s2.map(|f| f / 9.81);
+    }
+    let refused = align_mocap(&setup.markers, &in_g, &MocapConfig::default());
+    assert!(
+        matches!(refused, Err(Error::NotOneMotion { force_m_s2, .. }) if force_m_s2 < 2.0),
+        "{refused:?}"
+    );
     let mut gap = setup.samples.clone();
     gap.drain(900..960);
     let refused = align_mocap(&setup.markers, &gap, &MocapConfig::default());
