@@ -48,6 +48,7 @@ pub(crate) struct Receipt {
     settled: Settled,
     seq: u64,
     bytes: u64,
+    is_settled: bool,
     is_given_back: bool,
 }
 
@@ -58,17 +59,26 @@ impl Receipt {
             settled,
             seq,
             bytes,
+            is_settled: false,
             is_given_back: false,
         }
     }
 
-    /// The message, and all before it of its session, are stored: the app is told and may forget them.
+    /// The message is in the file, if not yet on the disk: it takes no memory here any more, and the app may send others.
+    pub(crate) fn settle(&mut self) {
+        if !std::mem::replace(&mut self.is_settled, true) {
+            self.settled.fetch_add(self.bytes, Ordering::AcqRel);
+            self.progress.changed.notify_one();
+        }
+    }
+
+    /// The message, and all before it of its session, are on the disk: the app is told and may forget them.
     pub(crate) fn acknowledge(mut self) {
+        self.settle();
         self.is_given_back = true;
         self.progress
             .stored_seq
             .fetch_max(self.seq, Ordering::AcqRel);
-        self.settled.fetch_add(self.bytes, Ordering::AcqRel);
         self.progress.changed.notify_one();
     }
 

@@ -13,6 +13,7 @@ use super::space;
 use crate::Error;
 use crate::config::{LidarData, RecorderConfig};
 use crate::device_note::DeviceNote;
+use crate::receipt::Receipt;
 
 /// How often the disk is asked how much room it has.
 const SPACE_PERIOD: Duration = Duration::from_millis(200);
@@ -227,9 +228,15 @@ impl Parts {
         self.introduce()
     }
 
-    /// Closes the last part.
-    pub(crate) fn finish(mut self) -> Result<Vec<Summary>, Error> {
+    /// Of messages that are in the open file: acknowledged when that is on the disk.
+    pub(crate) fn acknowledge(&self, receipts: Vec<Receipt>) {
+        self.sync.acknowledge(receipts);
+    }
+
+    /// Closes the last part, and acknowledges what waited for that when it is on the disk.
+    pub(crate) fn finish(mut self, receipts: Vec<Receipt>) -> Result<Vec<Summary>, Error> {
         self.finished.push(self.writer.finish()?);
+        self.sync.acknowledge(receipts);
         Ok(self.finished)
     }
 
@@ -284,7 +291,7 @@ impl Parts {
         for (record, entries) in &self.devices {
             self.writer.write_metadata(record, entries.clone())?;
         }
-        self.sync.follow(self.writer.file());
+        self.sync.follow(self.writer.file(), &self.path());
         Ok(())
     }
 }

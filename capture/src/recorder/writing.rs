@@ -114,10 +114,16 @@ impl Writing {
         if self.parts.writer().open_messages() > 0 {
             self.waiting.push(queued.at);
             self.receipts.extend(receipt);
-        } else if let Some(receipt) = receipt {
-            receipt.acknowledge();
+        } else {
+            self.acknowledge(receipt.into_iter().collect());
         }
         Ok(())
+    }
+
+    /// What is in the file is acknowledged as soon as it is on the disk.
+    fn acknowledge(&self, mut receipts: Vec<Receipt>) {
+        receipts.iter_mut().for_each(Receipt::settle);
+        self.parts.acknowledge(receipts);
     }
 
     fn flush_when_due(&mut self) -> Result<(), Error> {
@@ -191,9 +197,8 @@ impl Writing {
         for at in self.waiting.drain(..) {
             self.latencies.add(now.saturating_duration_since(at));
         }
-        for receipt in self.receipts.drain(..) {
-            receipt.acknowledge();
-        }
+        let receipts = std::mem::take(&mut self.receipts);
+        self.acknowledge(receipts);
     }
 
     /// What a new part must know from its beginning on.
@@ -261,9 +266,7 @@ impl Writing {
             for at in self.waiting.drain(..) {
                 self.latencies.add(now.saturating_duration_since(at));
             }
-            let parts = self.parts.finish()?;
-            self.receipts.drain(..).for_each(Receipt::acknowledge);
-            parts
+            self.parts.finish(self.receipts)?
         };
         let mut warnings = self.displaced;
         let mut lost = lost;
