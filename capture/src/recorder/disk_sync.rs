@@ -5,7 +5,7 @@
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -20,9 +20,14 @@ const PERIOD: Duration = Duration::from_millis(500);
 /// The same while somebody waits for an acknowledgement.
 const OWED_PERIOD: Duration = Duration::from_millis(100);
 
+/// Jobs that wait while the disk is slow.
+const JOBS: usize = 64;
+
 /// The thread; when it is dropped, it brings the last to the disk and ends.
 pub(crate) struct DiskSync {
-    jobs: Option<Sender<Job>>,
+    jobs: Option<SyncSender<Job>>,
+    /// Of the file that is followed, while too many jobs wait.
+    unsent: Vec<Receipt>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -35,39 +40,53 @@ enum Job {
 
 impl DiskSync {
     pub(crate) fn start() -> Result<Self, Error> {
-        let (jobs, arriving) = channel();
+        let (jobs, arriving) = sync_channel(JOBS);
         Ok(Self {
             jobs: Some(jobs),
+            unsent: Vec::new(),
             thread: Some(spawn("disk-sync", move || run(&arriving))?),
         })
     }
 
-    /// From now on the file of this path.
-    pub(crate) fn follow(&self, file: std::io::Result<File>, path: &Path) {
+    /// From now on the file of this path. Waits where too much waits for the last one.
+    pub(crate) fn follow(&mut self, file: std::io::Result<File>, path: &Path) {
         let folder = match path.parent() {
             Some(folder) if !folder.as_os_str().is_empty() => folder,
             _ => Path::new("."),
         };
-        self.send(Job::Follow(file.ok(), folder.to_owned()));
-    }
-
-    /// Of messages that are in the file: they are acknowledged as soon as the file is on the disk, and given up where that fails.
-    pub(crate) fn acknowledge(&self, receipts: Vec<Receipt>) {
-        if !receipts.is_empty() {
-            self.send(Job::Acknowledge(receipts));
+        self.send_all();
+        if let Some(jobs) = &self.jobs {
+            // A thread that is gone has panicked, which the panic hook has reported.
+            let _ = jobs.send(Job::Follow(file.ok(), folder.to_owned()));
         }
     }
 
-    fn send(&self, job: Job) {
+    /// Of messages that are in the file: they are acknowledged as soon as the file is on the disk, and given up where that fails.
+    pub(crate) fn acknowledge(&mut self, receipts: Vec<Receipt>) {
+        self.unsent.extend(receipts);
+        if self.unsent.is_empty() {
+            return;
+        }
         if let Some(jobs) = &self.jobs {
-            // A thread that is gone has panicked, which the panic hook has reported; its receipts are given up.
-            let _ = jobs.send(job);
+            let job = Job::Acknowledge(std::mem::take(&mut self.unsent));
+            // The recorder does not wait for a slow disk; those of a thread that is gone are given up.
+            if let Err(TrySendError::Full(Job::Acknowledge(unsent))) = jobs.try_send(job) {
+                self.unsent = unsent;
+            }
+        }
+    }
+
+    fn send_all(&mut self) {
+        let unsent = std::mem::take(&mut self.unsent);
+        if let Some(jobs) = self.jobs.as_ref().filter(|_| !unsent.is_empty()) {
+            let _ = jobs.send(Job::Acknowledge(unsent));
         }
     }
 }
 
 impl Drop for DiskSync {
     fn drop(&mut self) {
+        self.send_all();
         self.jobs = None;
         if let Some(thread) = self.thread.take() {
             // A panic there has been reported by the panic hook already.
@@ -143,7 +162,7 @@ mod tests {
     fn what_is_on_the_disk_is_acknowledged() {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("walk.mcap");
-        let sync = DiskSync::start().expect("thread");
+        let mut sync = DiskSync::start().expect("thread");
         sync.follow(File::create(&path), &path);
         let progress = Progress::stored_up_to(0);
         sync.acknowledge(vec![receipt(&progress, 1), receipt(&progress, 2)]);
@@ -160,7 +179,7 @@ mod tests {
     #[test]
     fn what_does_not_reach_the_disk_is_not_acknowledged() {
         let (_reader, writer) = std::io::pipe().expect("pipe");
-        let sync = DiskSync::start().expect("thread");
+        let mut sync = DiskSync::start().expect("thread");
         sync.follow(
             Ok(File::from(OwnedFd::from(writer))),
             Path::new("walk.mcap"),

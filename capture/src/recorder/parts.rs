@@ -229,7 +229,7 @@ impl Parts {
     }
 
     /// Of messages that are in the open file: acknowledged when that is on the disk.
-    pub(crate) fn acknowledge(&self, receipts: Vec<Receipt>) {
+    pub(crate) fn acknowledge(&mut self, receipts: Vec<Receipt>) {
         self.sync.acknowledge(receipts);
     }
 
@@ -291,7 +291,8 @@ impl Parts {
         for (record, entries) in &self.devices {
             self.writer.write_metadata(record, entries.clone())?;
         }
-        self.sync.follow(self.writer.file(), &self.path());
+        let path = self.path();
+        self.sync.follow(self.writer.file(), &path);
         Ok(())
     }
 }

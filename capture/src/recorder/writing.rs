@@ -121,7 +121,7 @@ impl Writing {
     }
 
     /// What is in the file is acknowledged as soon as it is on the disk.
-    fn acknowledge(&self, mut receipts: Vec<Receipt>) {
+    fn acknowledge(&mut self, mut receipts: Vec<Receipt>) {
         receipts.iter_mut().for_each(Receipt::settle);
         self.parts.acknowledge(receipts);
     }

@@ -11,6 +11,7 @@ use crate::compare::Comparison;
 use crate::error::Error;
 use crate::evaluation::{Evaluation, PoseError};
 
+mod cumulative;
 mod errors_over_time;
 mod figure;
 mod histogram;

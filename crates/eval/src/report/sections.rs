@@ -5,7 +5,7 @@ use maud::{Markup, html};
 
 use super::errors_over_time::{self, Length, Part};
 use super::histogram::{self, Histogram};
-use super::{Report, top_view};
+use super::{Report, cumulative, top_view};
 use crate::statistics::Statistics;
 
 pub(super) fn from_above(report: &Report) -> Markup {
@@ -75,6 +75,7 @@ pub(super) fn errors(report: &Report) -> Markup {
             (plot("Translation error over time", &translation))
             // Positions alone have no rotation error, not one of zero.
             @if let Some(rotation) = rotation { (plot("Rotation error over time", &rotation)) }
+            @if let Some(shares) = cumulative::draw(tracks) { (plot("Share of poses by translation error", &shares)) }
             @if let Some(spread) = spread {
                 section {
                     h2 { "Distribution of translation errors" }

@@ -7,6 +7,7 @@ mod cause;
 mod command;
 mod export;
 mod format;
+mod pages;
 mod plan;
 mod process;
 mod results;
@@ -14,6 +15,7 @@ mod table;
 
 pub use cause::Cause;
 pub use export::{Layout, export};
+pub use pages::page_of;
 pub use plan::{Plan, Scale, Sequence, System, read_plan};
 pub use results::{RunResult, run_plan, table_of};
 pub use table::{Cell, Column, ColumnCount, Figure, MarkedTable, Metric, SlamRow, SlamTable};

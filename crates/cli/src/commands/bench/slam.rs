@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use lsfb_eval::slam_bench::{RunResult, SlamTable, read_plan, run_plan, table_of};
+use lsfb_eval::slam_bench::{RunResult, SlamTable, page_of, read_plan, run_plan, table_of};
 use serde::Serialize;
 
 use crate::context::Context;
@@ -13,7 +13,8 @@ use crate::outcome::Outcome;
 ///
 /// The plan (TOML) names sequences (a recording, its truth, the longer side of the place) and systems (a command with {input}, {out},
 /// {trajectory}, {sequence}, {run}; the layout that it reads: as_is, euroc, tum_vi, kitti, images). The median of several runs counts; ×
-/// stands where all failed, with the cause. Finished runs are not repeated, not even with --force. Writes table.txt, .csv, .tex and .html.
+/// stands where all failed, with the cause. Finished runs are not repeated, not even with --force. Writes table.txt, .csv, .tex and .html, and
+/// a page of each sequence (SEQUENCE.html) with the trajectories, their errors over time, and the share of poses by error.
 ///
 /// Examples:
 ///   lsfb bench slam plan.toml --out bench
@@ -43,6 +44,13 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     for table in &tables {
         context.claim(table, &[&arguments.plan])?;
     }
+    let pages = plan.sequences.iter();
+    let pages: Vec<PathBuf> = pages
+        .map(|s| arguments.out.join(format!("{}.html", s.name)))
+        .collect();
+    for page in &pages {
+        context.claim(page, &[&arguments.plan])?;
+    }
     let runs = run_plan(&plan, &arguments.out, &|p| context.show(p))?;
     let table = table_of(&plan, &runs);
     let marked = table.marked();
@@ -54,6 +62,11 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     ];
     for (table, text) in tables.iter().zip(texts) {
         write(table, text)?;
+    }
+    for (page, sequence) in pages.iter().zip(&plan.sequences) {
+        if let Some(text) = page_of(&plan, &arguments.out, sequence, &runs)? {
+            write(page, text)?;
+        }
     }
     let printed = Printed {
         table: &table,

@@ -1,5 +1,8 @@
 //! Runs of a plan: started, limited, judged, remembered.
 
+mod judging;
+mod medians;
+
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -15,12 +18,11 @@ use super::command::{filled, words};
 use super::export::{Layout, export};
 use super::plan::{Plan, Scale, Sequence, System};
 use super::process::{self, Limits};
-use super::table::{Cell, Column, SlamRow, SlamTable};
 use crate::alignment::AlignmentMode;
-use crate::{
-    Error, EvalConfig, ReadOptions, TrajectoryFile, evaluate_files, read_kitti_poses,
-    read_trajectory,
-};
+use crate::{Error, ReadOptions, read_trajectory};
+pub(super) use judging::{judge, read_estimate};
+pub(super) use medians::median;
+pub use medians::table_of;
 
 /// What one run came to.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -47,6 +49,21 @@ pub struct RunResult {
     pub sim3_m: Option<f64>,
     /// Why there are no figures.
     pub cause: Option<Cause>,
+    /// Its trajectory, seen from the folder of the run.
+    pub trajectory: PathBuf,
+    /// Stamps of the trajectory's rows, where it has none.
+    pub times: Option<PathBuf>,
+}
+
+impl RunResult {
+    /// Where the run lies in the folder of all.
+    pub fn folder(&self, out: &Path) -> PathBuf {
+        folder_of(out, &self.sequence, &self.system, self.run)
+    }
+}
+
+fn folder_of(out: &Path, sequence: &str, system: &str, run: usize) -> PathBuf {
+    out.join(sequence).join(system).join(format!("run-{run}"))
 }
 
 /// Runs what has not been run before; results lie in `out` by sequence, system and run.
@@ -65,10 +82,7 @@ pub fn run_plan(
                     sequence,
                     system,
                     run,
-                    folder: out
-                        .join(&sequence.name)
-                        .join(&system.name)
-                        .join(format!("run-{run}")),
+                    folder: folder_of(out, &sequence.name, &system.name, run),
                     prepared: prepared.clone(),
                 });
             }
@@ -204,14 +218,16 @@ impl Job<'_> {
             .iter()
             .map(|word| filled(word, &values))
             .collect::<Result<Vec<_>, _>>();
-        let trajectory = filled(&self.system.trajectory, &values).map_err(bad)?;
-        let times = self
-            .system
-            .times
-            .as_ref()
-            .map(|t| filled(t, &values))
-            .transpose()
-            .map_err(bad)?;
+        // A folder of runs may be moved.
+        let within = |template: &String| {
+            let path = PathBuf::from(filled(template, &values)?);
+            Ok(match path.strip_prefix(&folder) {
+                Ok(within) => within.to_owned(),
+                Err(_) => path,
+            })
+        };
+        let trajectory = within(&self.system.trajectory).map_err(bad)?;
+        let times = self.system.times.as_ref().map(within).transpose();
         let limits = Limits {
             time_secs: self.plan.time_limit_secs,
             memory_mb: self.plan.memory_limit_mb,
@@ -229,14 +245,12 @@ impl Job<'_> {
             scale_percent: None,
             sim3_m: None,
             cause: ended.cause,
+            trajectory,
+            times: times.map_err(bad)?,
         };
         let result = match empty.cause {
             Some(_) => empty,
-            None => self.judged(
-                empty,
-                &folder.join(trajectory),
-                times.map(|t| folder.join(t)),
-            )?,
+            None => self.judged(empty)?,
         };
         let text = serde_json::to_string_pretty(&result).map_err(|error| io(error.into()))?;
         let half = self.folder.join("result.part");
@@ -275,24 +289,15 @@ impl Job<'_> {
         ])
     }
 
-    fn judged(
-        &self,
-        run: RunResult,
-        path: &Path,
-        times: Option<PathBuf>,
-    ) -> Result<RunResult, Error> {
+    fn judged(&self, run: RunResult) -> Result<RunResult, Error> {
         let failed = |cause| RunResult {
             cause: Some(cause),
             ..run.clone()
         };
-        if !path.exists() {
+        if !self.folder.join(&run.trajectory).exists() {
             return Ok(failed(Cause::NeverInitialised));
         }
-        let estimate = match &times {
-            Some(times) => read_kitti_poses(path, times).map(TrajectoryFile::of_poses),
-            None => read_trajectory(path, &ReadOptions::default()),
-        };
-        let estimate = match estimate {
+        let estimate = match read_estimate(&self.folder, &run) {
             Ok(estimate) => estimate,
             Err(Error::NotATrajectory { .. }) => return Ok(failed(Cause::NeverInitialised)),
             Err(why) => {
@@ -303,15 +308,7 @@ impl Job<'_> {
         };
         // A truth that cannot be read is the plan's fault, not the system's.
         let truth = read_trajectory(&self.sequence.truth, &ReadOptions::default())?;
-        let judge = |alignment| {
-            let config = EvalConfig {
-                max_difference_secs: self.plan.max_difference_secs,
-                alignment,
-                rpe: Vec::new(),
-                ..EvalConfig::default()
-            };
-            evaluate_files(&truth, &estimate, &config)
-        };
+        let judge = |alignment| judge(self.plan, &truth, &estimate, alignment);
         let metric = match self.system.scale {
             Scale::Metric => Some(judge(AlignmentMode::Se3)),
             Scale::Free => None,
@@ -345,58 +342,5 @@ impl Job<'_> {
     }
 }
 
-/// The table of a plan: of several runs the one whose error is the median; × where all failed, with the cause of the first.
-pub fn table_of(plan: &Plan, results: &[RunResult]) -> SlamTable {
-    let cell = |sequence: &Sequence, system: &System| {
-        let own = || {
-            results
-                .iter()
-                .filter(|r| r.sequence == sequence.name && r.system == system.name)
-        };
-        let error = |r: &RunResult| r.se3_m.or(r.sim3_m);
-        let mut good: Vec<&RunResult> = own()
-            .filter(|r| r.cause.is_none() && error(r).is_some())
-            .collect();
-        good.sort_by(|a, b| {
-            error(a)
-                .unwrap_or_default()
-                .total_cmp(&error(b).unwrap_or_default())
-        });
-        match good.get(good.len().saturating_sub(1) / 2) {
-            Some(median) => Cell {
-                se3_m: median.se3_m,
-                scale_percent: median.scale_percent,
-                sim3_m: median.sim3_m,
-                cause: None,
-            },
-            None => Cell {
-                cause: own().find_map(|r| r.cause.clone()),
-                ..Cell::default()
-            },
-        }
-    };
-    let row = |sequence: &Sequence| SlamRow {
-        sequence: sequence.name.clone(),
-        longer_side_m: sequence.longer_side_m,
-        cells: plan
-            .systems
-            .iter()
-            .map(|system| cell(sequence, system))
-            .collect(),
-    };
-    SlamTable {
-        title: plan.title.clone(),
-        systems: plan
-            .systems
-            .iter()
-            .map(|system| Column {
-                name: system.name.clone(),
-                has_scale: system.scale == Scale::Metric,
-            })
-            .collect(),
-        rows: plan.sequences.iter().map(row).collect(),
-    }
-}
-
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

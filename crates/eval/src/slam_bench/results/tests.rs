@@ -5,7 +5,7 @@ use super::*;
 use lsfb_types::no_progress;
 
 /// A truth of a curl, ten poses a second for ten seconds, its plan, and a folder for the results.
-fn setup(systems: &str) -> (tempfile::TempDir, Plan) {
+pub fn setup(systems: &str) -> (tempfile::TempDir, Plan) {
     let folder = tempfile::tempdir().expect("folder");
     let mut truth = String::new();
     for i in 0..100 {
@@ -23,7 +23,7 @@ fn setup(systems: &str) -> (tempfile::TempDir, Plan) {
     (folder, plan)
 }
 
-fn system(name: &str, script: &str) -> String {
+pub fn system(name: &str, script: &str) -> String {
     format!(
         "[[system]]\nname = '{name}'\ncommand = '''sh -c \"{script}\" sh {{trajectory}} {{run}}'''\n"
     )
