@@ -6,6 +6,7 @@ mod running;
 mod simulated_session;
 
 use std::path::Path;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use chromium::Tab;
@@ -46,8 +47,12 @@ fn check_layout(tab: &mut Tab, size: &str) {
     assert_eq!(wide, json!(false), "{size}");
 }
 
+/// Several rigs, recorders and browsers at once are too much for two cores.
+static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+
 /// A mock rig, and a recorder in front of it whose page a browser shows.
 struct Session {
+    _alone: MutexGuard<'static, ()>,
     mock: Running,
     scan: Running,
     tab: Tab,
@@ -60,6 +65,7 @@ fn start(test: &'static str, root: &Path, more: &[&str]) -> Option<Session> {
         return None;
     };
     drop(probe);
+    let alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     let source = recorded(10).join("scan.mcap");
     let ports = Ports::free().arguments();
     let arguments = ["mock", text(&source), "--out", "mock", "--speed", "0.5"];
@@ -80,7 +86,12 @@ fn start(test: &'static str, root: &Path, more: &[&str]) -> Option<Session> {
     let mut tab = Tab::open(&url_of(&scan)).expect("a browser");
     // The state may arrive before the style does.
     tab.wait_for("document.readyState === 'complete' && document.body.dataset.phase === 'ready' && document.querySelector('#run').textContent === 'START'");
-    Some(Session { mock, scan, tab })
+    Some(Session {
+        _alone: alone,
+        mock,
+        scan,
+        tab,
+    })
 }
 
 #[test]
@@ -99,6 +110,7 @@ fn an_operator_starts_watches_marks_and_stops() {
         return;
     };
     let Session {
+        _alone,
         mock: _mock,
         mut scan,
         mut tab,
@@ -186,6 +198,7 @@ fn devices_that_die_leave_no_arrows_and_no_green_start() {
         return;
     };
     let Session {
+        _alone,
         mock,
         mut scan,
         mut tab,
