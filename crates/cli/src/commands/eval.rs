@@ -216,6 +216,8 @@ fn text(e: &Evaluation) -> String {
         };
     }
     if let (Some(signed), Some(absolute)) = (e.scale_error_percent, e.scale_error_abs_percent) {
+        // Without a minus where it rounds to zero.
+        let signed = if signed.abs() < 5e-4 { 0.0 } else { signed };
         out += &format!("\nscale {signed:+.3} %  |1 − s| {absolute:.3} %");
     }
     if let Some(success) = e.success {

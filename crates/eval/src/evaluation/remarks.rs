@@ -21,6 +21,8 @@ const LEAST_EXPLAINED: f64 = 0.5;
 const SIM3_PARAMETERS: f64 = 7.0;
 /// Positions that extend sideways by less than this share of their length lie on a line.
 const LINE_RATIO: f64 = 0.01;
+/// No estimate is so near the truth, metres: it is the truth.
+const LEAST_ERROR_M: f64 = 1e-6;
 /// Mean NEES of six between which a covariance is called right.
 const NEES_RANGE: std::ops::RangeInclusive<f64> = 1.5..=12.0;
 
@@ -57,6 +59,7 @@ pub(super) fn of(found: &Evaluation, pairs: &[PosePair], parameters: usize) -> V
         findings.extend(follows(found, pairs));
     }
     findings.extend(few);
+    findings.extend(same(found));
     findings.extend(unit(found));
     findings.extend(line(pairs));
     findings.extend(covariance(found));
@@ -145,6 +148,21 @@ fn follows(found: &Evaluation, pairs: &[PosePair]) -> Option<Finding> {
     }
     let what = "the estimate follows the truth's motion".to_owned();
     Some(finding(Verdict::Pass, of_bends, what))
+}
+
+/// A truth that was evaluated in place of an estimate, also one that was moved or scaled.
+fn same(found: &Evaluation) -> Option<Finding> {
+    let errors = found.ate_by_alignment.iter().filter_map(|a| a.rmse_m);
+    let best_m = errors.min_by(f64::total_cmp)?;
+    (best_m < LEAST_ERROR_M).then(|| {
+        let what = format!(
+            "the estimate is the ground truth: {best_m:.1e} m rms is less than any estimate's error"
+        );
+        Finding::new("same", Verdict::Warn, "positions", what)
+            .value(best_m, "m")
+            .limit(Limit::AtLeast(LEAST_ERROR_M))
+            .remedy("check which file was evaluated, and that the system cannot read the truth")
+    })
 }
 
 /// An estimate in another unit of length than the truth has errors as large as the walk, and no other sign of it.

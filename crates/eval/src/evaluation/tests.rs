@@ -495,6 +495,26 @@ fn an_estimate_of_another_walk_fails() {
     assert_eq!(verdict(&noise), Verdict::Fail);
 }
 
+/// An error of zero is no achievement, also where the copy was moved, scaled and rounded.
+#[test]
+fn the_truth_is_no_estimate() {
+    let truth = curl(100);
+    let is_named = |estimate: &[StampedPose]| {
+        let found = evaluate(&truth, estimate, &EvalConfig::default()).expect("valid");
+        found.findings.iter().any(|f| f.code == "same")
+    };
+    assert!(is_named(&truth));
+    let moved = changed(&truth, |_, p| {
+        let place = p.world_from_rig.translation * 1.7 + Vector3::new(3.0, -2.0, 1.0);
+        p.world_from_rig.translation = place.map(|v| (v * 1e7).round() * 1e-7);
+    });
+    assert!(is_named(&moved));
+    let near = changed(&truth, |i, p| {
+        p.world_from_rig.translation.x += 1e-5 * (7.0 * i as f64).sin();
+    });
+    assert!(!is_named(&near));
+}
+
 /// Seven stamps of two recordings are alike: an alignment brings any two walks so near to each other there.
 #[test]
 fn few_shared_poses_are_no_result() {
