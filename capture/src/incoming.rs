@@ -152,7 +152,7 @@ impl Streams {
                 })
                 .collect(),
             sidecar: config.sidecar.as_ref().map(|_| Sidecar {
-                apps: Apps::new(&Meter::new("sidecar")),
+                apps: Apps::new(&Meter::new("sidecar"), None),
                 topics: Topics::default(),
                 device: String::new(),
             }),

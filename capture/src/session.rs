@@ -51,7 +51,11 @@ impl Session {
         let sidecar = config
             .sidecar
             .as_ref()
-            .map(|s| SidecarServer::bind(s.listen, PairingFolder::open(&s.folder)?))
+            .map(|s| {
+                let folder = PairingFolder::open(&s.folder)?;
+                let pseudonyms = s.hash_identifiers.then(|| folder.pseudonyms());
+                SidecarServer::bind(s.listen, folder, pseudonyms.transpose()?)
+            })
             .transpose()?;
         Ok(Self {
             config: config.clone(),

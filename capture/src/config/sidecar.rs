@@ -17,6 +17,9 @@ pub struct SidecarConfig {
     /// How long a device that was lost is waited for where nothing else is recorded, seconds.
     #[serde(default = "come_back_secs")]
     pub come_back_secs: u32,
+    /// Whether identifiers of access points and beacons are replaced by keyed hashes before they are recorded.
+    #[serde(default)]
+    pub hash_identifiers: bool,
 }
 
 fn sidecar_folder() -> PathBuf {
@@ -34,6 +37,7 @@ impl SidecarConfig {
             listen,
             folder,
             come_back_secs: come_back_secs(),
+            hash_identifiers: false,
         }
     }
 }

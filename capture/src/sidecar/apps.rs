@@ -10,6 +10,7 @@ use lsfb_recording::DEVICE_TIME;
 use lsfb_recording::message::{self, TimeReference};
 use lsfb_types::Timestamp;
 
+use super::pseudonyms::Pseudonyms;
 use crate::clock::OneWayClock;
 use crate::health::{Meter, StreamReport};
 use crate::receipt::Receipt;
@@ -80,13 +81,15 @@ impl Channel {
 /// All apps of a recording. Who may describe what has been looked at before.
 pub(crate) struct Apps {
     apps: BTreeMap<String, App>,
+    pseudonyms: Option<Pseudonyms>,
     pub(super) report: StreamReport,
 }
 
 impl Apps {
-    pub(crate) fn new(meter: &Meter) -> Self {
+    pub(crate) fn new(meter: &Meter, pseudonyms: Option<Pseudonyms>) -> Self {
         Self {
             apps: BTreeMap::new(),
+            pseudonyms,
             report: meter.report(),
         }
     }
@@ -158,6 +161,22 @@ impl Apps {
                     }
                     time
                 };
+                let replaced = self
+                    .pseudonyms
+                    .as_ref()
+                    .and_then(|p| p.replace(&channel.advertised.schema_name, &payload));
+                let bytes = match replaced.transpose() {
+                    Ok(replaced) => replaced.unwrap_or(payload),
+                    Err(why) => {
+                        // It may hold an identifier, and is no better when it comes again.
+                        let topic = &channel.advertised.topic;
+                        let why = format!("{topic}: {why}; left out, as identifiers are hashed");
+                        self.report.bad += 1;
+                        self.report.first_bad.get_or_insert(why);
+                        receipt.into_iter().for_each(Receipt::acknowledge);
+                        return Ok(());
+                    }
+                };
                 self.report.decoded += 1;
                 let entry = Entry::Cdr {
                     topic: channel.advertised.topic.clone(),
@@ -165,7 +184,7 @@ impl Apps {
                     schema_text: String::from_utf8_lossy(&channel.advertised.schema).into_owned(),
                     time,
                     arrival,
-                    bytes: payload,
+                    bytes,
                     receipt,
                 };
                 inlet.put(entry, &mut self.report)?;

@@ -6,6 +6,7 @@
 mod apps;
 mod pairing;
 mod presence;
+mod pseudonyms;
 mod recorded;
 mod server;
 mod sessions;
@@ -43,7 +44,7 @@ pub(crate) fn record(
     server.begin(place);
     let refusals = server.refusals();
     let mut recording = Recording {
-        apps: Apps::new(meter),
+        apps: Apps::new(meter, server.pseudonyms().cloned()),
         presence: Presence::default(),
     };
     // Whether everybody who came has gone.

@@ -5,6 +5,7 @@
 //! devices/NAME                 SHA-256 of the device's key; who removes the file unpairs the device
 //! invitations/SHA-256          of a token that was not used yet: until when it may be, seconds since 1970
 //! sessions/NAME                which recordings hold what the device sent
+//! identifiers.key              by which identifiers of others are hashed, where that is asked for
 //! ```
 //!
 //! No secret of a device is in it, only what a secret is recognised by. Only the owner of the folder can read it.
@@ -26,6 +27,7 @@ use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer, PrivatePkcs
 use tokio_rustls::rustls::server::ParsedCertificate;
 use tokio_rustls::rustls::{ServerConfig, version};
 
+use super::pseudonyms::Pseudonyms;
 use crate::Error;
 
 /// How long an invitation holds where nothing else is asked for.
@@ -73,6 +75,17 @@ impl PairingFolder {
             fingerprint: Fingerprint(Sha256::digest(key.as_ref()).into()),
             certificate,
         })
+    }
+
+    /// What identifiers of access points and beacons are hashed by; made when it is first asked for, and kept.
+    pub(crate) fn pseudonyms(&self) -> Result<Pseudonyms, Error> {
+        let path = self.path.join("identifiers.key");
+        if !path.exists() {
+            replace(&path, &DeviceKey::random()?.0)?;
+        }
+        let key = std::fs::read(&path).map_err(|cause| io_error(&path, cause))?;
+        let wrong = || io_error(&path, io::Error::other("not a key of 32 bytes"));
+        Ok(Pseudonyms::new(key.try_into().map_err(|_| wrong())?))
     }
 
     /// What devices know the rig by.

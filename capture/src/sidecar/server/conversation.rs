@@ -16,6 +16,7 @@ use tokio::task::spawn_blocking;
 use tokio::time::{Instant, timeout};
 use tokio_tungstenite::tungstenite::{Bytes, Message};
 
+use super::super::pseudonyms::Pseudonyms;
 use super::socket::{End, Socket, in_time, send};
 use super::{Recorded, SidecarEvent, Visit};
 use crate::health::arrival_now;
@@ -193,6 +194,10 @@ impl<'a> Conversation<'a> {
     }
 
     async fn describe(&self, described: Advertise, arrival: Timestamp) -> Result<(), End> {
+        if self.visit.shared.pseudonyms.is_some() {
+            Pseudonyms::admit(&described.schema_name)
+                .map_err(|why| End::Refused(Refusal::BadTopic, why))?;
+        }
         let admitted = {
             let topics = self.recorded.topics.lock();
             topics

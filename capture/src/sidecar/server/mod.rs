@@ -27,6 +27,7 @@ use tokio::sync::mpsc::{Receiver, Sender, channel};
 use tokio::sync::watch;
 
 use super::pairing::PairingFolder;
+use super::pseudonyms::Pseudonyms;
 use super::recorded::SessionStart;
 use super::sessions::{Place, Sessions};
 use super::topics::Topics;
@@ -101,6 +102,8 @@ pub(crate) enum SidecarEvent {
 #[derive(Debug)]
 struct Shared {
     pairing: PairingFolder,
+    /// Where identifiers are not recorded as they are.
+    pseudonyms: Option<Pseudonyms>,
     limits: Arc<ConnectionLimits>,
     refusals: Arc<Refusals>,
     /// Set when recording begins.
@@ -133,14 +136,19 @@ pub(crate) struct SidecarServer {
     events: Receiver<SidecarEvent>,
     refusals: Arc<Refusals>,
     sessions_folder: PathBuf,
+    pseudonyms: Option<Pseudonyms>,
     recording: watch::Sender<Option<Arc<Recorded>>>,
     /// Changes when the recording has ended.
     running: watch::Sender<()>,
 }
 
 impl SidecarServer {
-    /// Starts listening.
-    pub(crate) fn bind(address: SocketAddr, pairing: PairingFolder) -> Result<Self, Error> {
+    /// Starts listening; with `pseudonyms` no identifier of others is recorded as it is.
+    pub(crate) fn bind(
+        address: SocketAddr,
+        pairing: PairingFolder,
+        pseudonyms: Option<Pseudonyms>,
+    ) -> Result<Self, Error> {
         let unusable = |action| {
             move |cause| {
                 Error::Device(lsfb_drivers::Error::Open {
@@ -169,6 +177,7 @@ impl SidecarServer {
         let sessions_folder = pairing.sessions();
         let shared = Arc::new(Shared {
             pairing,
+            pseudonyms: pseudonyms.clone(),
             limits: Arc::default(),
             refusals: Arc::clone(&refusals),
             recording: begun,
@@ -181,6 +190,7 @@ impl SidecarServer {
             events: arriving,
             refusals,
             sessions_folder,
+            pseudonyms,
             recording,
             running,
         })
@@ -189,6 +199,11 @@ impl SidecarServer {
     /// Where it listens.
     pub(crate) fn address(&self) -> SocketAddr {
         self.address
+    }
+
+    /// By what identifiers are replaced, where they are.
+    pub(crate) fn pseudonyms(&self) -> Option<&Pseudonyms> {
+        self.pseudonyms.as_ref()
     }
 
     /// Who was refused.

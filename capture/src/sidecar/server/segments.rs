@@ -64,6 +64,13 @@ pub(super) async fn put(
     session: &str,
     number: &str,
 ) -> Answer {
+    if visit.shared.pseudonyms.is_some() {
+        visit.shared.refusals.count("segment with identifiers");
+        return said(
+            StatusCode::FORBIDDEN,
+            "identifiers are hashed here, and a segment holds them as they are",
+        );
+    }
     let number = number.parse::<u32>().ok().filter(|n| *n <= MAX_NUMBER);
     let (Some(folder), Some(number)) = (folder_of(visit, device, session), number) else {
         return said(StatusCode::NOT_FOUND, "no such session or segment");
