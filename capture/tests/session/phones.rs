@@ -9,6 +9,8 @@ use lsfb_drivers::sidecar::model::CLOCK_UTC;
 use lsfb_drivers::sidecar::wire::Advertise;
 use lsfb_drivers::sidecar::{ClientClock, ClientConfig, SidecarClient};
 
+use lsfb_recording::message::{WifiReading, decode_wifi, encode_wifi};
+
 use super::live::wait_until;
 use super::*;
 
@@ -170,6 +172,81 @@ fn strangers_are_refused_and_counted_and_a_token_is_used_once() {
     let bytes = std::fs::read(&out).unwrap();
     assert_eq!(notes(&out), [0, 1]);
     assert!(!bytes.windows(4).any(|w| w == b"tok="));
+}
+
+/// What a phone hears of other people is not in the recording, in no form.
+#[test]
+fn hashed_identifiers_are_in_no_file() {
+    const BSSID: &str = "ac:de:48:00:11:22";
+    const SSID: &str = "Ada's flat";
+    let folder = tempfile::tempdir().unwrap();
+    let config = DevicesConfig {
+        sidecar: Some(SidecarConfig {
+            hash_identifiers: true,
+            ..mock::sidecar(folder.path())
+        }),
+        ..anywhere()
+    };
+    let session = Session::open(&config).unwrap();
+    let invited = mock::invited(&session, folder.path());
+    let out = folder.path().join("walk.mcap");
+    let running = {
+        let out = out.clone();
+        mock::spawn("session", move || run(session, &out))
+    };
+    let mut phone = SidecarClient::connect(ClientConfig {
+        device: "visor".to_owned(),
+        ..invited.clone()
+    })
+    .unwrap();
+    let topic = "/sidecar/visor/wifi";
+    let schema = message::WIFI_READING;
+    phone
+        .advertise(&advertise(topic, schema.name, schema.text))
+        .unwrap();
+    for scan in 0..3 {
+        let reading = WifiReading {
+            scan,
+            bssid: BSSID.to_owned(),
+            ssid: SSID.to_owned(),
+            ..WifiReading::default()
+        };
+        let bytes = encode_wifi(Timestamp::from_nanos(5), "phone", &reading);
+        phone.send(3, i64::from(scan), &bytes).unwrap();
+    }
+    // Cut off, it cannot be read, and may hold anything.
+    let cut = encode_wifi(Timestamp::from_nanos(5), BSSID, &WifiReading::default());
+    phone.send(3, 3, &cut[..cut.len() - 12]).unwrap();
+    phone.bye().unwrap();
+    // A text may hold anything.
+    let mut other = SidecarClient::connect(ClientConfig {
+        session: "second".to_owned(),
+        device: "visor".to_owned(),
+        pairing_token: None,
+        ..invited
+    })
+    .unwrap();
+    let text = advertise("/sidecar/visor/note", "std_msgs/msg/String", "string data");
+    other.advertise(&text).unwrap();
+    assert!(other.bye().is_err());
+    let report = running.join().unwrap();
+    let phones = stream(&report, "sidecar");
+    assert_eq!((phones.decoded, phones.bad), (3, 1), "{phones:?}");
+    let recording = Recording::open(&out).unwrap();
+    let heard: Vec<WifiReading> = recording
+        .messages(topic)
+        .unwrap()
+        .map(|m| decode_wifi(&m.unwrap().bytes).unwrap())
+        .collect();
+    assert_eq!(heard.len(), 3);
+    assert!(heard.iter().all(|h| h.bssid == heard[0].bssid));
+    // Chunks are compressed: each message is looked at.
+    for topic in recording.topics() {
+        for message in recording.messages(&topic.topic).unwrap() {
+            let text = String::from_utf8_lossy(&message.unwrap().bytes).into_owned();
+            assert!(!text.contains(BSSID) && !text.contains(SSID), "{topic:?}");
+        }
+    }
 }
 
 /// A device that is cut off at any byte, repeats, damages and skips messages has each of them in the recording once, in order.
