@@ -1,7 +1,10 @@
 //! The normal matrix behind a diagnosis.
 
 use lsfb_geometry::camera::MAX_PARAMETERS;
-use lsfb_geometry::{Camera, Matrix6, Vector2, Vector3, Vector6};
+use lsfb_geometry::{Camera, Se3, Vector2, Vector3};
+use lsfb_solver::{
+    Kernel, Linearization, Marginal, Parameters, Problem, Residual, Shape, Undefined, marginal,
+};
 use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 
 use super::field::{FIELD, moved_by_field};
@@ -49,6 +52,30 @@ pub(super) struct Reduced {
     pub lens_by_cause: DMatrix<f64>,
 }
 
+/// How a corner misses, as its view's pose, the lens and the causes move it.
+struct Linearized {
+    error: Vector2<f64>,
+    by_pose: SMatrix<f64, 2, 6>,
+    by: SMatrix<f64, 2, SIZE>,
+}
+
+impl Residual for Linearized {
+    fn dimension(&self) -> usize {
+        2
+    }
+
+    fn blocks(&self) -> &[Shape] {
+        const { &[Shape::of::<Se3>(), Shape::of::<SVector<f64, SIZE>>()] }
+    }
+
+    fn evaluate(&self, _: &Parameters<'_>, out: &mut Linearization<'_>) -> Result<(), Undefined> {
+        out.set_residual(&self.error);
+        out.set_jacobian(0, &self.by_pose);
+        out.set_jacobian(1, &self.by);
+        Ok(())
+    }
+}
+
 impl Sums {
     pub fn new(target: &Target) -> Self {
         let [width, height] = target.corners_size();
@@ -65,9 +92,9 @@ impl Sums {
     }
 
     pub fn add(&mut self, target: &Target, camera: &Camera, view: &AdjustedView) {
-        let mut of_pose = Matrix6::zeros();
-        let mut gradient_of_pose = Vector6::zeros();
-        let mut coupling = SMatrix::<f64, SIZE, 6>::zeros();
+        let mut problem = Problem::new();
+        let pose = problem.add_block(view.camera_from_target);
+        let unknowns = problem.add_block(SVector::<f64, SIZE>::zeros());
         let (mut of_time, mut gradient_of_time) = (0.0, 0.0);
         for corner in &view.corners {
             let in_camera = view.camera_from_target * corner.point;
@@ -83,13 +110,14 @@ impl Sums {
                 .copy_from(&seen.pixel_by_parameter);
             by.fixed_columns_mut::<EXTRA>(MAX_PARAMETERS)
                 .copy_from(&self.by_causes(target, camera, corner, &seen.pixel, &by_point));
-            self.matrix += by.transpose() * by;
-            self.gradient += by.transpose() * error;
-            self.squares += error.norm_squared();
-            self.corners += 1.0;
-            of_pose += by_pose.transpose() * by_pose;
-            gradient_of_pose += by_pose.transpose() * error;
-            coupling += by.transpose() * by_pose;
+            let residual = Linearized { error, by_pose, by };
+            let on = [pose.id(), unknowns.id()];
+            if problem
+                .add_residual(residual, &on, Kernel::Squared)
+                .is_err()
+            {
+                continue;
+            }
             of_time += corner.velocity_px_s.norm_squared();
             gradient_of_time += corner.velocity_px_s.dot(&error);
         }
@@ -98,12 +126,24 @@ impl Sums {
             self.times[0] += (gradient_of_time / of_time).powi(2);
             self.times[1] += 1.0;
         }
-        if let Some(inverse) = of_pose.try_inverse() {
-            let solved = inverse * gradient_of_pose;
-            self.matrix -= coupling * inverse * coupling.transpose();
-            self.gradient -= coupling * solved;
-            self.squares -= gradient_of_pose.dot(&solved);
-            self.of_poses += gradient_of_pose.dot(&solved);
+        let asked = [unknowns.id()];
+        let found = marginal(&problem, &asked).or_else(|_| {
+            // So few corners determine no pose: it stays.
+            problem.set_constant(pose);
+            marginal(&problem, &asked)
+        });
+        if let Ok(Marginal {
+            information,
+            gradient,
+            squares,
+            taken,
+        }) = found
+        {
+            self.corners += problem.residual_count() as f64;
+            self.matrix += information;
+            self.gradient += gradient;
+            self.squares += squares;
+            self.of_poses += taken;
         }
     }
 
@@ -179,7 +219,8 @@ impl Sums {
     }
 }
 
-/// Inverse on the directions that are there at all, measured by `size`.
+/// Inverse on the directions that are there at all, measured by `size`: lenses that were given are looked at by few views too, which the
+/// solver refuses where they do not determine all of a lens.
 pub(super) fn inverse(matrix: &DMatrix<f64>, size: &DVector<f64>) -> DMatrix<f64> {
     let scale = size.map(|v| if v > 0.0 { 1.0 / v.sqrt() } else { 0.0 });
     let scaled = DMatrix::from_fn(matrix.nrows(), matrix.ncols(), |i, j| {

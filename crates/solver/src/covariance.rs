@@ -33,18 +33,6 @@ impl Covariance {
         Some(view.into_owned())
     }
 
-    /// The same were the dimension of one row of [`Covariance::joint`] known: its row and column are zero.
-    pub fn conditioned(mut self, row: usize) -> Self {
-        let column = self.matrix.column(row).into_owned();
-        let variance = column[row];
-        if variance > 0.0 {
-            self.matrix.ger(-1.0 / variance, &column, &column, 1.0);
-        }
-        self.matrix.fill_row(row, 0.0);
-        self.matrix.fill_column(row, 0.0);
-        self
-    }
-
     /// The same with each standard deviation multiplied, and the square of what a bias may be added: one number of each for a row
     /// of [`Covariance::joint`].
     pub fn widened(mut self, factors: &[f64], bias: &DVector<f64>) -> Self {
@@ -166,20 +154,50 @@ impl Factored {
         self.factorization.solve(solved);
     }
 
+    /// The solution for a right side of the whole normal matrix, in its place: reduced rows, then eliminated points.
+    pub fn solve_whole(&mut self, right: &mut [f64]) {
+        let (rows, points) = right.split_at_mut(self.layout.dimension());
+        let coupling = &self.normal.coupling;
+        let inverses = &self.reduced.point_inverse;
+        for (p, (own, inverse)) in points.chunks_exact(POINT).zip(inverses).enumerate() {
+            let alone = inverse * Vector3::from_column_slice(own);
+            for pair in self.layout.pairs_at(p) {
+                let of_pair = &mut rows[self.layout.rows(pair.reduced as usize)];
+                let n = of_pair.len();
+                for (r, value) in of_pair.iter_mut().enumerate() {
+                    for k in 0..POINT {
+                        *value -= coupling[pair.start + k * n + r] * alone[k];
+                    }
+                }
+            }
+        }
+        self.factorization.solve(rows);
+        for (p, (own, inverse)) in points.chunks_exact_mut(POINT).zip(inverses).enumerate() {
+            let pulled = Vector3::from_column_slice(own) - self.pull_on_point(p, rows);
+            own.copy_from_slice((inverse * pulled).as_slice());
+        }
+    }
+
+    /// `H_pr x_r` of a point, where the reduced rows are moved.
+    fn pull_on_point(&self, point: usize, moved: &[f64]) -> Vector3<f64> {
+        let mut pull = Vector3::zeros();
+        for pair in self.layout.pairs_at(point) {
+            let of_pair = &moved[self.layout.rows(pair.reduced as usize)];
+            let n = of_pair.len();
+            for (r, value) in of_pair.iter().enumerate() {
+                for k in 0..POINT {
+                    pull[k] += self.normal.coupling[pair.start + k * n + r] * value;
+                }
+            }
+        }
+        pull
+    }
+
     /// The rest of that column of the whole inverse: what belongs to eliminated points, one after the other.
     pub fn at_points(&self, column: &Column, solved: &[f64]) -> Vec<f64> {
         let mut at_points = Vec::with_capacity(POINT * self.layout.points.len());
         for (p, inverse) in self.reduced.point_inverse.iter().enumerate() {
-            let mut right = Vector3::zeros();
-            for pair in self.layout.pairs_at(p) {
-                let rows = self.layout.rows(pair.reduced as usize);
-                let n = rows.len();
-                for (r, value) in solved[rows].iter().enumerate() {
-                    for k in 0..POINT {
-                        right[k] -= self.normal.coupling[pair.start + k * n + r] * value;
-                    }
-                }
-            }
+            let mut right = -self.pull_on_point(p, solved);
             if let Some((own, coordinate, _)) = column.point
                 && own == p
             {

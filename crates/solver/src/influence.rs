@@ -133,39 +133,8 @@ mod tests {
     use nalgebra::{SMatrix, SVector, Vector2, Vector3};
 
     use super::*;
-    use crate::{
-        Block, Kernel, Linearization, Parameters, Residual, Shape, SolveConfig, Undefined,
-        covariance, dense_jacobian, solve,
-    };
-
-    /// `A x + B p − z` of a block and a point.
-    struct Linear {
-        a: SMatrix<f64, 2, 2>,
-        b: SMatrix<f64, 2, 3>,
-        z: Vector2<f64>,
-    }
-
-    impl Residual for Linear {
-        fn dimension(&self) -> usize {
-            2
-        }
-
-        fn blocks(&self) -> &[Shape] {
-            const { &[Shape::of::<Vector2<f64>>(), Shape::of::<Vector3<f64>>()] }
-        }
-
-        fn evaluate(
-            &self,
-            parameters: &Parameters<'_>,
-            out: &mut Linearization<'_>,
-        ) -> Result<(), Undefined> {
-            let (x, p): (Vector2<f64>, Vector3<f64>) = (parameters.get(0), parameters.get(1));
-            out.set_residual(&(self.a * x + self.b * p - self.z));
-            out.set_jacobian(0, &self.a);
-            out.set_jacobian(1, &self.b);
-            Ok(())
-        }
-    }
+    use crate::linear_residual::Linear;
+    use crate::{Block, Kernel, SolveConfig, covariance, dense_jacobian, solve};
 
     type Blocks = ([Block<Vector2<f64>>; 2], [Block<Vector3<f64>>; 3]);
 
@@ -197,20 +166,6 @@ mod tests {
         }
         solve(&mut problem, &SolveConfig::default()).expect("solves");
         (problem, (blocks, points), ids)
-    }
-
-    #[test]
-    fn a_dimension_that_is_known_is_one_that_is_held() {
-        let (mut problem, (blocks, points), _) = solved();
-        let [first, second] = blocks.map(|b| b.id());
-        let asked = [first, second, points[1].id()];
-        let free = covariance(&problem, &asked).expect("determined");
-        let known = free.conditioned(0).conditioned(1);
-        problem.set_constant(blocks[0]);
-        let held = covariance(&problem, &asked[1..]).expect("determined");
-        let rest = known.joint().view((2, 2), (5, 5)).into_owned();
-        assert!((rest - held.joint()).amax() < 1e-10);
-        assert_eq!(known.joint().rows(0, 2).amax(), 0.0);
     }
 
     #[test]

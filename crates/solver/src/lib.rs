@@ -16,8 +16,11 @@ mod influence;
 mod jacobian_check;
 mod kernels;
 mod layout;
+#[cfg(test)]
+mod linear_residual;
 mod linear_system;
 mod manifold;
+mod marginal;
 mod minimise;
 mod normal;
 mod priors;
@@ -35,6 +38,7 @@ pub use influence::{Influence, Influences, influences};
 #[doc(hidden)]
 pub use jacobian_check::check_jacobians;
 pub use manifold::{Manifold, Shape, directions_across};
+pub use marginal::{Marginal, marginal};
 pub use minimise::{solve, solve_controlled};
 pub use priors::{DirectionPrior, PosePrior, RotationPrior, VectorPrior};
 pub use problem::{Block, BlockId, Problem, ResidualId};

@@ -2,9 +2,7 @@
 
 use lsfb_geometry::{Camera, Matrix2x3, Se3, Vector2, Vector3};
 use lsfb_perception::gauss_newton::NormalEquations;
-use lsfb_solver::{
-    self as solver, BlockId, Kernel, PosePrior, Problem, covariance, dense_jacobian,
-};
+use lsfb_solver::{self as solver, BlockId, Kernel, PosePrior, Problem, covariance, marginal};
 
 use super::{Normal, Shared, SharedMatrix, SharedVector, Unknown, by_hand};
 use crate::refine::landmarks::{Keyframe, Landmark};
@@ -236,23 +234,13 @@ impl Block {
         let mut problem = Problem::new();
         // Around what was found, so that what is known beforehand pulls nowhere and can be taken off again.
         let unknown = shared.put_into(&mut problem, shared)?;
-        let part = self.put_into(&mut problem, camera, &unknown, noise)?;
+        self.put_into(&mut problem, camera, &unknown, noise)?;
         let ids = [unknown.lidar_from_camera.id(), unknown.delay_s.id()];
-        let joint = covariance(&problem, &ids).ok()?.joint().clone();
-        let whole = SharedMatrix::from_fn(|i, k| joint[(i, k)]).try_inverse()?;
-        let information = whole - SharedMatrix::from_diagonal(&by_hand());
-        // Images and corners are where nothing pulls them: all that is left is the pull on what is shared.
-        for pose in part.world_from_lidar {
-            problem.set_constant(pose);
-        }
-        for (_, corner) in part.corners {
-            problem.set_constant(corner);
-        }
-        let linear = dense_jacobian(&problem).ok()?;
-        let pull = linear.matrix.transpose() * linear.residual;
+        let found = marginal(&problem, &ids).ok()?;
+        let information = SharedMatrix::from_fn(|i, k| found.information[(i, k)]);
         Some(Normal {
-            information: 0.5 * (information + information.transpose()),
-            gradient: SharedVector::from_fn(|k, _| pull[k]),
+            information: information - SharedMatrix::from_diagonal(&by_hand()),
+            gradient: SharedVector::from_fn(|k, _| found.gradient[k]),
         })
     }
 }
