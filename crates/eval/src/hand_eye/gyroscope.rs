@@ -62,20 +62,20 @@ pub fn align_gyroscope(
         config.offset_guess_secs,
         config.search_secs,
     )?;
-    // Golden sections: their difference has one valley within a tenth of a second of the best correlation.
+    // Golden sections: the difference of the rates has one valley within a tenth of a second of the best correlation.
     let golden = 0.5 * (5.0f64.sqrt() - 1.0);
     let (mut low, mut high) = (found.offset_secs - 0.1, found.offset_secs + 0.1);
     for _ in 0..REFINEMENTS {
         let (left, right) = (high - golden * (high - low), low + golden * (high - low));
-        match aligned_rates(&body, &gyroscope, left)?.rms_rad_s
-            < aligned_rates(&body, &gyroscope, right)?.rms_rad_s
+        match align_rates(&body, &gyroscope, left)?.rms_rad_s
+            < align_rates(&body, &gyroscope, right)?.rms_rad_s
         {
             true => high = right,
             false => low = left,
         }
     }
     let offset_secs = 0.5 * (low + high);
-    let best = aligned_rates(&body, &gyroscope, offset_secs)?;
+    let best = align_rates(&body, &gyroscope, offset_secs)?;
     Ok(GyroAlignment {
         rotation_xyzw: best.rotation.coords.into(),
         offset_secs,
@@ -112,7 +112,7 @@ struct AlignedRates {
 }
 
 /// The best turn and bias at an offset (Kabsch on the rates without their means).
-fn aligned_rates(
+fn align_rates(
     body: &Continuous,
     gyroscope: &Continuous,
     offset_secs: f64,

@@ -83,7 +83,7 @@ fn where_circles_meet(
                 let aside = (to_a * to_a - along * along).max(0.0).sqrt();
                 let axis = (b - a) / base;
                 let across = Vector2::new(-axis.y, axis.x);
-                let squares_m2 = |place: &Vector2<f64>| {
+                let squared_residuals = |place: &Vector2<f64>| {
                     let off = circles
                         .iter()
                         .map(|(centre, r)| ((place - centre).norm() - r).powi(2));
@@ -93,7 +93,7 @@ fn where_circles_meet(
                     a + axis * along + across * aside,
                     a + axis * along - across * aside,
                 );
-                let place = if squares_m2(&right) < squares_m2(&left) {
+                let place = if squared_residuals(&right) < squared_residuals(&left) {
                     right
                 } else {
                     left
