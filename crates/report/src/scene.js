@@ -11,6 +11,17 @@ for (const figure of document.querySelectorAll("figure.scene")) {
     low = Math.min(low, data.cloud[i]);
     high = Math.max(high, data.cloud[i]);
   }
+  // How far the whole scene reaches to the sides and up in the first view, so that all of it is in sight.
+  const reach = [1, 1];
+  for (const list of [data.cloud, ...data.paths.flatMap((path) => path.pieces)]) {
+    for (let i = 0; i < list.length; i += 3) {
+      const along = Math.cos(start.yaw) * list[i] - Math.sin(start.yaw) * list[i + 1];
+      const away = Math.sin(start.yaw) * list[i] + Math.cos(start.yaw) * list[i + 1];
+      const up = Math.sin(start.pitch) * away + Math.cos(start.pitch) * list[i + 2];
+      reach[0] = Math.max(reach[0], Math.abs(along));
+      reach[1] = Math.max(reach[1], Math.abs(up));
+    }
+  }
   const color = (name) => getComputedStyle(figure).getPropertyValue(name).trim();
 
   const draw = () => {
@@ -18,7 +29,7 @@ for (const figure of document.querySelectorAll("figure.scene")) {
     const [width, height] = [canvas.clientWidth * ratio, canvas.clientHeight * ratio];
     if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
     context.clearRect(0, 0, width, height);
-    const scale = 0.46 * Math.min(width, height * 1.4) * view.zoom / 10000;
+    const scale = 0.46 * Math.min(width / reach[0], height / reach[1]) * view.zoom;
     const [middleX, middleY] = [width / 2 + view.shift[0] * ratio, height / 2 + view.shift[1] * ratio];
     const [cosYaw, sinYaw] = [Math.cos(view.yaw), Math.sin(view.yaw)];
     const [cosPitch, sinPitch] = [Math.cos(view.pitch), Math.sin(view.pitch)];
