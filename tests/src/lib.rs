@@ -5,6 +5,7 @@ pub mod fake_kernel;
 mod limited_files;
 pub mod velodyne;
 
+use std::ffi::OsString;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -64,6 +65,16 @@ pub fn recordings(test: &str, below: &str) -> Option<PathBuf> {
     let why = format!("no recording at {}", path.display());
     skip(test, Lacks::Recording, &why);
     None
+}
+
+/// The Python with which recordings are opened by programs of others, named by `LSFB_FOREIGN_PYTHON`. `None`, and the test is
+/// [skipped](skip), where there is none.
+pub fn foreign_python(test: &str) -> Option<OsString> {
+    let python = std::env::var_os("LSFB_FOREIGN_PYTHON");
+    if python.is_none() {
+        skip(test, Lacks::Program, "LSFB_FOREIGN_PYTHON names no python");
+    }
+    python
 }
 
 /// The built example of that name, beside the test that runs it: `cargo test` without a filter builds both. `None`, and the test is

@@ -10,7 +10,7 @@ use lsfb_recording::message::{
     self, BleAdvert, GnssFix, GnssReading, MagneticSample, PressureSample, WifiReading,
 };
 use lsfb_recording::{Channel, Compression, LIDAR_POSITION, TF, Writer, WriterConfig};
-use lsfb_tests::{Lacks, skip};
+use lsfb_tests::foreign_python;
 use lsfb_types::{Image, ImuSample, LidarPoint, LidarScan, Packet, Stamped, Timestamp};
 
 const START: Timestamp = Timestamp::from_nanos(1_772_359_200_123_456_789);
@@ -211,9 +211,8 @@ fn write_surroundings(writer: &mut Writer, n: u32) {
 
 #[test]
 fn foreign_readers_read_every_value_and_pair_images_with_intrinsics() {
-    let Some(python) = std::env::var_os("LSFB_FOREIGN_PYTHON") else {
-        let test = "foreign_readers_read_every_value_and_pair_images_with_intrinsics";
-        skip(test, Lacks::Program, "LSFB_FOREIGN_PYTHON names no python");
+    let test = "foreign_readers_read_every_value_and_pair_images_with_intrinsics";
+    let Some(python) = foreign_python(test) else {
         return;
     };
     let dir = tempfile::tempdir().unwrap();
