@@ -17,6 +17,7 @@ use lsfb_sim::{
     Clocked, Emitted, FlowControl, LidarModel, Pace, ReturnMode, ScanEndpoints, SimConfig,
     SimSession, SimulatedImu, Simulation,
 };
+use lsfb_types::Stopped;
 
 use crate::context::Context;
 use crate::phones;
@@ -398,15 +399,40 @@ fn record(
                 report
             })?;
         let sent = devices.join(&|p| context.show(lsfb_types::Progress { stage, ..p }));
-        let report = recording
+        let recorded = recording
             .join()
-            .map_err(|_| anyhow::anyhow!("the recording thread panicked"))??;
-        if let Err(stopped) = context.check_stop() {
-            discard(&report);
-            return Err(stopped.into());
-        }
-        let report = whole(report)?;
+            .map_err(|_| anyhow::anyhow!("the recording thread panicked"))?;
+        let report = unless_stopped(recorded, context.check_stop())?;
         sent?;
         Ok(report)
     })
+}
+
+/// A whole recording. Where an end was asked for there is none, and that a device which was told to end is gone is no failure.
+fn unless_stopped(
+    recorded: Result<CaptureReport, lsfb_capture::Error>,
+    asked: Result<(), Stopped>,
+) -> anyhow::Result<CaptureReport> {
+    if let Err(stopped) = asked {
+        if let Ok(report) = &recorded {
+            discard(report);
+        }
+        return Err(stopped.into());
+    }
+    whole(recorded?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Devices are told to end as well, maybe before the recorder has looked: it has lost one of them then.
+    #[test]
+    fn a_device_that_ends_as_was_asked_for_is_no_failure() {
+        let gone = || Err(lsfb_capture::Error::NoDevice);
+        let stopped = unless_stopped(gone(), Err(Stopped)).expect_err("no recording");
+        assert!(stopped.is::<Stopped>(), "{stopped}");
+        let failed = unless_stopped(gone(), Ok(())).expect_err("no recording");
+        assert!(!failed.is::<Stopped>(), "{failed}");
+    }
 }

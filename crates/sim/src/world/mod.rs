@@ -97,8 +97,9 @@ impl World {
         let total = order.len() as u64;
         let mut atlas = Atlas::default();
         let mut reflectances = Vec::with_capacity(order.len());
-        // In batches, so that the painted pictures in full precision need not all be held at once.
-        for batch in order.chunks(256) {
+        // In batches, so that the painted pictures in full precision need not all be held at once, and whoever wants it to stop need
+        // not wait for long.
+        for batch in order.chunks(32) {
             progress(Progress {
                 stage: "painting world",
                 done: reflectances.len() as u64,
