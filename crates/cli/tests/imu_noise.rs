@@ -6,6 +6,8 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use lsfb_geometry::{ImuNoiseModel, Rig};
+use lsfb_recording::{Channel, Writer, WriterConfig};
+use lsfb_types::{ImuSample, Stamped, Timestamp};
 use process::lsfb;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -118,4 +120,67 @@ fn known_noise_comes_back_within_its_sigma() {
         assert!(!page.contains(fetched), "the page asks for {fetched}");
     }
     assert!(path("noise.html.provenance.json").exists());
+}
+
+/// What a bag lacks is told by the exit code: a message that cannot be read, and all that came after a file was torn.
+#[test]
+fn a_bag_of_which_something_is_missing_is_no_whole_one() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = |name: &str| folder.path().join(name);
+    let write = |name: &str, damaged: Option<i64>| {
+        std::fs::create_dir(path(name)).expect("folder");
+        let file = path(name).join("bag_0.mcap");
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let mut writer = Writer::create(&file, &WriterConfig::default()).expect("a file");
+        for k in 0..100 * RATE_HZ {
+            let time =
+                Timestamp::from_nanos(1_772_359_200_000_000_000 + k * 1_000_000_000 / RATE_HZ);
+            let mut noisy = |mean: [f64; 3]| mean.map(|value| value + 1e-3 * normal(&mut rng));
+            let sample = Stamped {
+                time,
+                arrival: time,
+                device_ticks: 0,
+                sample: ImuSample {
+                    angular_velocity_rad_s: noisy([0.0; 3]),
+                    specific_force_m_s2: noisy([0.0, 0.0, 9.81]),
+                },
+            };
+            if damaged == Some(k) {
+                let channel = Channel {
+                    topic: "/imu0/data_raw",
+                    schema_name: "sensor_msgs/msg/Imu",
+                    schema_text: "",
+                };
+                let half = [0, 1, 0, 0, 7];
+                writer
+                    .write_cdr(&channel, time, time, &half)
+                    .expect("half a message");
+            } else {
+                writer.write_imu("imu0", &sample).expect("a sample");
+            }
+        }
+        writer.finish().expect("a file");
+        file
+    };
+    write("whole", None);
+    write("half-a-message", Some(500));
+    let torn = write("torn", None);
+    let bytes = std::fs::read(&torn).expect("file");
+    std::fs::write(&torn, &bytes[..bytes.len() * 9 / 10]).expect("file");
+    for (name, code, words) in [
+        ("whole", 0, ""),
+        (
+            "half-a-message",
+            3,
+            "1 messages of /imu0/data_raw could not be read",
+        ),
+        ("torn", 3, "bag_0.mcap"),
+    ] {
+        let page = format!("{name}.html");
+        let arguments = ["calib", "imu-noise", "--recording", name, "--out", &page];
+        let output = lsfb(folder.path(), &arguments);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{name}: {said}");
+        assert!(said.contains(words), "{name}: {said}");
+    }
 }

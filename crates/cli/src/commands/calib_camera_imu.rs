@@ -109,7 +109,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     if let Some(path) = arguments.imu.as_deref().filter(|p| p.is_file()) {
         provenance.add_input(path)?;
     }
-    let imu = imu_of(arguments.imu.as_deref(), recording.as_ref())?;
+    let imu = imu_of(arguments.imu.as_deref(), recording.as_ref(), context)?;
     let mut known: Vec<KnownCamera> = Vec::with_capacity(arguments.cameras.len());
     let mut rig_from_first = Se3::identity();
     for camera in &arguments.cameras {

@@ -83,7 +83,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         Some(path) => Some(Source::open(path, &[], context)?),
         None => None,
     };
-    let samples = imu_of(arguments.imu.as_deref(), recording.as_ref())?;
+    let samples = imu_of(arguments.imu.as_deref(), recording.as_ref(), context)?;
     let found = imu_noise(&samples, &config)?;
     write(&arguments.out, found.to_html("IMU noise"))?;
     if let Some(path) = &arguments.out_kalibr {

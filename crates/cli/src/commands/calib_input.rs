@@ -27,7 +27,12 @@ impl Source {
     pub fn open(path: &Path, cameras: &[&str], context: &Context) -> anyhow::Result<Self> {
         if RosBag::is_one(path) || cameras.iter().any(|c| topic_of(c).is_some()) {
             super::expect_file(path, "record one")?;
-            return Ok(Self::Bag(RosBag::open(path)?));
+            let bag = RosBag::open(path)?;
+            for damage in bag.damage() {
+                context.lose_data();
+                context.say(&format!("warning: {damage}"));
+            }
+            return Ok(Self::Bag(bag));
         }
         Ok(Self::Recording(context.open(path)?))
     }
@@ -135,15 +140,25 @@ pub fn name_of_camera(camera: &str) -> &str {
     camera.split_once('=').map_or(camera, |(name, _)| name)
 }
 
-/// The IMU's samples: of a table or, in a bag, of a topic if one is named, else of the recording.
+/// The IMU's samples: of a table or, in a bag, of a topic if one is named, else of the recording. Messages of a bag that cannot be
+/// read are data that is lost.
 pub fn imu_of(
     named: Option<&Path>,
     source: Option<&Source>,
+    context: &Context,
 ) -> anyhow::Result<Vec<(Timestamp, ImuSample)>> {
     let topic = named.and_then(Path::to_str);
     Ok(match (named, source) {
         (_, Some(Source::Bag(bag))) if topic.is_none_or(|t| bag.has_topic(t)) => {
-            bag.imu(topic)?.samples
+            let imu = bag.imu(topic)?;
+            if let Some(first) = &imu.unread.first {
+                context.lose_data();
+                context.say(&format!(
+                    "warning: {} messages of {} could not be read and are left out; the first: {first}",
+                    imu.unread.count, imu.topic
+                ));
+            }
+            imu.samples
         }
         (Some(path), _) => read_imu_table(path)?,
         (None, Some(Source::Recording(recording))) => recording

@@ -132,6 +132,20 @@ impl RosBag {
         Ok(bag)
     }
 
+    /// What is missing from files of ROS 2 that end early or are torn; damage in others is noted beside the messages that it costs.
+    pub fn damage(&self) -> Vec<String> {
+        let files = self.parts.iter().filter_map(|part| match part {
+            Part::Mcap(recording) => Some(recording),
+            Part::Ros1(_) | Part::Sqlite(_) => None,
+        });
+        let of_file = |file: &Recording| {
+            let name = file.path().display().to_string();
+            let all = file.damage().iter().map(|d| format!("{name}: {d}"));
+            all.collect::<Vec<_>>()
+        };
+        files.flat_map(of_file).collect()
+    }
+
     /// Whether it has messages of that topic.
     pub fn has_topic(&self, topic: &str) -> bool {
         self.topics.contains_key(topic)
