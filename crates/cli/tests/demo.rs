@@ -39,6 +39,7 @@ fn finished(root: &Path, arguments: &[&str]) {
     assert!(figure("ate_scanner_rms_m") <= 0.03, "{run}");
     assert!(figure("map_reprojection_px") <= 1.5, "{run}");
     assert_eq!(run["lost"], 0, "{run}");
+    assert_eq!(run["left_out"], 0, "{run}");
 }
 
 /// Refused with these words; nothing was computed.

@@ -61,6 +61,8 @@ struct Summary {
     map_points: u64,
     glasses_localized: f64,
     lost: u64,
+    /// Parts of the walk that have no poses.
+    left_out: u64,
     wall_s: f64,
     peak_rss_mb: f64,
     stages_s: Vec<(String, f64)>,
@@ -80,6 +82,14 @@ struct Outputs {
     report: PathBuf,
     #[serde(skip_serializing_if = "Option::is_none")]
     rrd: Option<PathBuf>,
+}
+
+/// Parts that the ground truth leaves out end the demo as they end `lsfb groundtruth`.
+fn outcome(lost: u64, left_out: u64) -> Outcome {
+    match (lost, left_out) {
+        (0, 0) => Outcome::Done,
+        _ => Outcome::DataLost,
+    }
 }
 
 struct Stopwatch {
@@ -149,6 +159,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         map_points: map.report.points,
         glasses_localized: localized.localized as f64 / localized.frames.max(1) as f64,
         lost,
+        left_out: localized.left_out.len() as u64,
         wall_s: began.elapsed().as_secs_f64(),
         peak_rss_mb: peak_rss_mb(),
         stages_s: watch.stages,
@@ -158,11 +169,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     // Last of all: a folder that has it is finished.
     super::write(&layout.file(FINISHED), serde_json::to_vec_pretty(&summary)?)?;
     context.print(&summary, || text(&summary))?;
-    Ok(if lost == 0 {
-        Outcome::Done
-    } else {
-        Outcome::DataLost
-    })
+    Ok(outcome(summary.lost, summary.left_out))
 }
 
 /// Settings of the demo that a folder belongs to.
@@ -311,7 +318,7 @@ fn text(s: &Summary) -> String {
         "glasses  ATE {:.2} cm rms, {:.2} cm max ({:.2} cm rms in the map); {:.1} % localized\n\
          scanner  ATE {:.2} cm rms, {:.2} cm max\n\
          map      {} points, reprojection {:.3} px rms\n\
-         run      {:.0} s, {:.0} MB at most, {} messages lost\n\
+         run      {:.0} s, {:.0} MB at most, {} messages lost, {} parts of the walk left out\n\
          look at  {}{viewer}",
         s.ate_glasses_rms_m * 100.0,
         s.ate_glasses_max_m * 100.0,
@@ -324,6 +331,19 @@ fn text(s: &Summary) -> String {
         s.wall_s,
         s.peak_rss_mb,
         s.lost,
+        s.left_out,
         s.outputs.report.display(),
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_walk_with_parts_left_out_is_no_whole_one() {
+        assert_eq!(outcome(0, 0), Outcome::Done);
+        assert_eq!(outcome(0, 1), Outcome::DataLost);
+        assert_eq!(outcome(1, 0), Outcome::DataLost);
+    }
 }
