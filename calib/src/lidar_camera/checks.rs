@@ -109,7 +109,8 @@ fn shift(c: &LidarCameraCalibration, board: &MountedBoard) -> Option<Finding> {
     let limit_mm = LARGE_SHIFT_M * 1e3;
     Some(if opposite {
         let what = format!("the pattern is upside down on its plate: {place}");
-        board_finding("plate-offset", what, off_mm, limit_mm).remedy("turn the sign of --offset")
+        board_finding("plate-offset", what, off_mm, limit_mm)
+            .remedy("turn the sign of --plate-offset-m")
     } else {
         board_finding("plate-offset", place, off_mm, limit_mm).remedy("measure it")
     })

@@ -105,7 +105,7 @@ fn hashes(outputs: &[&Path]) -> anyhow::Result<BTreeMap<String, String>> {
 }
 
 fn program_sha256() -> anyhow::Result<String> {
-    let program = std::env::current_exe().context("the program does not find itself")?;
+    let program = std::env::current_exe().context("cannot find the file of this program")?;
     Ok(sha256_of(&program)?)
 }
 

@@ -156,17 +156,91 @@ fn an_option_takes_the_same_thing_everywhere() {
     }
 }
 
-/// Durations, rates and sizes have their unit at the end of their name.
+/// Options of numbers without a unit: counts, seeds, factors, ports.
+const WITHOUT_UNIT: [&str; 13] = [
+    "threads",
+    "seed",
+    "fault-seed",
+    "seeds",
+    "every",
+    "holdout-every",
+    "max-poses",
+    "explain",
+    "loop",
+    "lidar-ports",
+    "months-later",
+    "speed",
+    "rpe-delta",
+];
+/// Options of several numbers, each with a unit of its own, which their help gives.
+const MIXED_UNITS: [&str; 4] = ["april-grid", "checkerboard", "charuco", "datum"];
+
+/// Whether an option's value is text: a name, a path, an address, one of a few words.
+fn takes_text(argument: &Arg, value: &str) -> bool {
+    const TEXTS: [&str; 28] = [
+        "ADDR",
+        "CODE",
+        "CSV",
+        "FILE",
+        "FOLDER",
+        "HTML",
+        "INTERFACE",
+        "IP",
+        "JSON",
+        "KIND",
+        "MCAP",
+        "MODE",
+        "MODEL",
+        "NAME",
+        "NAMES",
+        "PCAP",
+        "PDF",
+        "PIN",
+        "RRD",
+        "SVG",
+        "TOML",
+        "TOPIC",
+        "TRAJECTORY",
+        "TUM",
+        "UNIT",
+        "URL",
+        "YAML",
+        "GLB",
+    ];
+    let is_text = |word: &str| TEXTS.contains(&word) || word == "DB3" || word == "FAMILY";
+    // NAME[=FOLDER] and [NAME=]IP are texts, as CSV|TOPIC is.
+    let mut words = value.split(|c: char| !c.is_ascii_alphanumeric());
+    words.all(|word| word.is_empty() || is_text(word)) || !argument.get_possible_values().is_empty()
+}
+
+/// A quantity has its unit at the end of the option's name, the same everywhere, however many numbers it is of.
 #[test]
 fn units_end_the_names_of_options() {
-    let units = [("SECS", "-secs"), ("HZ", "-hz"), ("MB", "-mb")];
+    const UNITS: [&str; 4] = ["secs", "hz", "mb", "m"];
+    let mut quantities = 0;
     for (name, command) in commands() {
-        for (_, option, value) in options(&command) {
-            assert!(value != "S", "{name} --{option}: seconds are SECS");
-            for (unit, end) in units {
-                assert_eq!(value == unit, option.ends_with(end), "{name} --{option}");
-            }
+        for (argument, option, value) in options(&command) {
+            let unit = option.rsplit('-').next().filter(|end| UNITS.contains(end));
+            let is_free = WITHOUT_UNIT.contains(&option) || MIXED_UNITS.contains(&option);
+            let needs_unit = !takes_text(argument, &value) && !is_free;
+            assert_eq!(unit.is_some(), needs_unit, "{name} --{option} <{value}>");
+            quantities += usize::from(needs_unit);
         }
+    }
+    assert!(quantities >= 15, "{quantities} quantities were found");
+    // What is excused is there, and says its units.
+    for option in WITHOUT_UNIT.iter().chain(&MIXED_UNITS) {
+        let all = commands();
+        let mut found = all.iter().flat_map(|(_, command)| options(command));
+        let known = found.find(|(_, name, _)| name == option);
+        let (argument, ..) = known.unwrap_or_else(|| panic!("there is no --{option}"));
+        let help = argument.get_help().map(ToString::to_string);
+        let is_said =
+            ["metres", "degrees"].map(|unit| help.as_ref().is_some_and(|h| h.contains(unit)));
+        assert!(
+            !MIXED_UNITS.contains(option) || is_said.contains(&true),
+            "--{option}: {help:?}"
+        );
     }
 }
 

@@ -15,7 +15,7 @@ fn boards_are_printed_and_their_files_name_the_same_board() {
         ("--april-grid", "4,3,0.04,0.3", "aprilgrid"),
     ] {
         let print = |board: [&str; 2], out: &str| {
-            let page = ["--page", "0.297,0.21", "--out", out, "--force"];
+            let page = ["--page-m", "0.297,0.21", "--out", out, "--force"];
             let output = lsfb(
                 folder.path(),
                 &[&["calib", "target"], &board[..], &page].concat(),

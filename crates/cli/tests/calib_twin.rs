@@ -39,7 +39,7 @@ fn the_board_of_the_twin_places_the_lidar_and_the_rig_is_verified() {
         "lidar-camera",
         "--april-grid",
         "6,6,0.088,0.3",
-        "--plate",
+        "--plate-m",
         "0.833,0.833",
         "--camera",
         "cam0",

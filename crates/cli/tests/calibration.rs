@@ -110,7 +110,7 @@ fn lengths_in_other_units_are_refused() {
         "a=a",
     ];
     let rest = ["--clouds", "c", "--rig", "r.toml", "--out", "o.toml"];
-    let plate = |size| [&lidar[..], &rest, &["--plate", size]].concat();
+    let plate = |size| [&lidar[..], &rest, &["--plate-m", size]].concat();
     let squares = |board| {
         [
             "calib",
@@ -126,7 +126,7 @@ fn lengths_in_other_units_are_refused() {
         "target",
         "--checkerboard",
         "9,6,0.02",
-        "--page",
+        "--page-m",
         "297,210",
         "--out",
         "b.pdf",

@@ -299,8 +299,8 @@ fn maps_that_stand_are_shown_exported_cut_and_joined() {
         "map",
         "crop",
         "map",
-        "--min=-99,-99,-99",
-        "--max",
+        "--min-m=-99,-99,-99",
+        "--max-m",
         "99,99,1",
         "--out",
         "half",
@@ -308,7 +308,7 @@ fn maps_that_stand_are_shown_exported_cut_and_joined() {
     let cropped = count(&json(path, &half, 0), "points");
     assert!(cropped > 0 && cropped < points, "{cropped} of {points}");
     let turned = [
-        "map", "crop", "map", "--min", "1,1,1", "--max", "0,0,0", "--out", "none",
+        "map", "crop", "map", "--min-m", "1,1,1", "--max-m", "0,0,0", "--out", "none",
     ];
     assert!(said(&lsfb(path, &turned)).contains("smallest coordinates first"));
     let merged = json(path, &["map", "merge", "map", "half", "--out", "both"], 0);

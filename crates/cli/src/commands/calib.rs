@@ -13,11 +13,11 @@ use super::{
 /// All lengths are in metres. docs/calibration.md explains each step.
 ///
 /// Examples (a whole rig, in order):
-///   lsfb calib target --april-grid 6,6,0.088,0.3 --page 0.841,0.841 --out grid.pdf
+///   lsfb calib target --april-grid 6,6,0.088,0.3 --page-m 0.841,0.841 --out grid.pdf
 ///   lsfb calib camera --target grid.yaml --recording board.mcap --camera cam0 --camera cam1 --out rig.toml
 ///   lsfb calib imu-noise --recording rest.mcap --out noise.html --rig rig.toml --out-rig rig.toml
 ///   lsfb calib camera-imu --target grid.yaml --rig rig.toml --recording board.mcap --camera cam0 --camera cam1 --out rig2.toml
-///   lsfb calib lidar-camera --target grid.yaml --plate 0.83,0.75 --camera cam0 --recording poses.mcap --rig rig2.toml --out rig3.toml
+///   lsfb calib lidar-camera --target grid.yaml --plate-m 0.83,0.75 --camera cam0 --recording poses.mcap --rig rig2.toml --out rig3.toml
 ///   lsfb calib joint --rig rig3.toml --transform rig3.cam0-lidar.json --out joined.toml
 ///   lsfb calib verify walk.mcap --rig joined.toml
 #[derive(clap::Args)]

@@ -29,19 +29,19 @@ use crate::outcome::Outcome;
 /// must stand free (nothing within 20 cm behind it) and be tilted differently each time: ten poses are few, thirty are good.
 ///
 /// Examples:
-///   lsfb calib lidar-camera --checkerboard 7,5,0.095 --plate 0.85,0.61 --camera cam0=images --clouds 'pcd/*_full.pcd' --rig rig.toml --out calibrated.toml
-///   lsfb calib lidar-camera --target grid.yaml --plate 0.83,0.75 --camera cam0 --recording scan.mcap --rig rig.toml --out calibrated.toml
+///   lsfb calib lidar-camera --checkerboard 7,5,0.095 --plate-m 0.85,0.61 --camera cam0=images --clouds 'pcd/*_full.pcd' --rig rig.toml --out calibrated.toml
+///   lsfb calib lidar-camera --target grid.yaml --plate-m 0.83,0.75 --camera cam0 --recording scan.mcap --rig rig.toml --out calibrated.toml
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
     #[command(flatten)]
     board: BoardArguments,
-    /// Size of the plate along the pattern's x and y axes, in metres.
+    /// Size of the plate along the pattern's x and y axes.
     #[arg(long, value_name = "W,H", value_parser = two_lengths)]
-    plate: [f64; 2],
-    /// Centre of the plate relative to the centre of the corners, along the pattern's x and y axes, in metres.
+    plate_m: [f64; 2],
+    /// Centre of the plate relative to the centre of the corners, along the pattern's x and y axes.
     #[arg(long, value_name = "X,Y", value_parser = two_lengths, default_value = "0,0", allow_hyphen_values = true)]
-    offset: [f64; 2],
+    plate_offset_m: [f64; 2],
     /// The camera, whose lens is in the rig: NAME in the recording, NAME=FOLDER, or NAME=FOLDER/PREFIX*.
     #[arg(long, value_name = "NAME[=FOLDER]")]
     camera: String,
@@ -74,9 +74,9 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     let board = MountedBoard {
         target: arguments.board.target()?,
-        width_m: arguments.plate[0],
-        height_m: arguments.plate[1],
-        offset_m: arguments.offset,
+        width_m: arguments.plate_m[0],
+        height_m: arguments.plate_m[1],
+        offset_m: arguments.plate_offset_m,
     };
     let name = name_of_camera(&arguments.camera);
     let results = Results {

@@ -11,17 +11,17 @@ use crate::outcome::Outcome;
 /// Print a calibration board: a PDF at true scale, and its Kalibr file.
 ///
 /// Examples:
-///   lsfb calib target --checkerboard 9,6,0.025 --page 0.297,0.21 --out board.pdf
-///   lsfb calib target --april-grid 6,6,0.088,0.3 --page 0.841,0.841 --out grid.pdf
-///   lsfb calib target --charuco 11,8,0.025,0.019,5x5 --page 0.297,0.21 --out charuco.pdf
+///   lsfb calib target --checkerboard 9,6,0.025 --page-m 0.297,0.21 --out board.pdf
+///   lsfb calib target --april-grid 6,6,0.088,0.3 --page-m 0.841,0.841 --out grid.pdf
+///   lsfb calib target --charuco 11,8,0.025,0.019,5x5 --page-m 0.297,0.21 --out charuco.pdf
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
     #[command(flatten)]
     board: BoardArguments,
-    /// Size of the paper: width and height in metres.
+    /// Size of the paper: width and height.
     #[arg(long, value_name = "W,H", default_value = "0.297,0.21", value_parser = two_lengths)]
-    page: [f64; 2],
+    page_m: [f64; 2],
     /// The PDF to write; the Kalibr file is written beside it.
     #[arg(long, value_name = "PDF")]
     out: PathBuf,
@@ -30,7 +30,7 @@ pub struct Arguments {
 /// Writes the board.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     let target = arguments.board.target()?;
-    let [width_m, height_m] = arguments.page;
+    let [width_m, height_m] = arguments.page_m;
     let page = PageSize { width_m, height_m };
     let yaml = arguments.out.with_extension("yaml");
     context.claim(&arguments.out, &[])?;

@@ -16,10 +16,10 @@ use crate::context::Context;
 use crate::outcome::Outcome;
 use crate::standing;
 
-/// Build an HD map from a scanner's recording, or from images with known poses; look at one, export, crop or merge it.
+/// Build an HD map from a scanner's recording, or from images with known poses; inspect, export, crop or merge maps.
 ///
-/// An existing map, built by this program from the same recording with the same settings, is not built again. Images may have
-/// poses in any unit of length; the map has the same.
+/// An existing map, built by this program from the same recording with the same settings, is not built again. The poses of images
+/// may be in any unit of length; the map keeps it.
 ///
 /// Examples:
 ///   lsfb map scan.mcap --out map --out-trajectory scan.tum --out-report map.html

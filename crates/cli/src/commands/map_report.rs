@@ -162,7 +162,7 @@ impl Coverage {
                         place.x, place.y, place.z
                     ),
                 )
-                .remedy("walk there more slowly, with light and with texture in view; nobody will be found there")
+                .remedy("walk there more slowly, with light and texture in view; nothing will be localized there")
             }
         }
         .value(weak as f64, "")

@@ -57,22 +57,22 @@ pub struct ExportArguments {
     out: PathBuf,
 }
 
-/// Cut a part out of a map: the points in a box along the world's axes, with all that saw them.
+/// Crop a map: the points in a box along the world's axes, and the keyframes that see them.
 ///
 /// Examples:
-///   lsfb map crop map --min=-5,-5,-1 --max 5,5,3 --out room
+///   lsfb map crop map --min-m=-5,-5,-1 --max-m 5,5,3 --out room
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct CropArguments {
     /// The map.
     #[arg(value_name = "MAP")]
     map: PathBuf,
-    /// Smallest coordinates, metres.
+    /// Smallest coordinates.
     #[arg(long, value_name = "X,Y,Z", value_parser = coordinates, allow_hyphen_values = true)]
-    min: Vector3<f64>,
-    /// Largest coordinates, metres.
+    min_m: Vector3<f64>,
+    /// Largest coordinates.
     #[arg(long, value_name = "X,Y,Z", value_parser = coordinates, allow_hyphen_values = true)]
-    max: Vector3<f64>,
+    max_m: Vector3<f64>,
     /// The map to write, a folder.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
@@ -321,12 +321,12 @@ fn colmap_cameras(
 
 fn crop(arguments: &CropArguments, context: &Context) -> anyhow::Result<Outcome> {
     let region = Region {
-        min: arguments.min,
-        max: arguments.max,
+        min: arguments.min_m,
+        max: arguments.max_m,
     };
     anyhow::ensure!(
         region.contains(&region.min),
-        "--min lies beyond --max: give the smallest coordinates first"
+        "--min-m lies beyond --max-m: give the smallest coordinates first"
     );
     context.claim(&arguments.out, &[&arguments.map])?;
     let map = super::open_map(&arguments.map)?;
@@ -336,7 +336,7 @@ fn crop(arguments: &CropArguments, context: &Context) -> anyhow::Result<Outcome>
         &part,
         &arguments.out,
         &[&arguments.map],
-        &[arguments.min, arguments.max].map(<[f64; 3]>::from),
+        &[arguments.min_m, arguments.max_m].map(<[f64; 3]>::from),
     )?;
     let summary = serde_json::json!({
         "points": part.point_count(),

@@ -22,14 +22,14 @@ const QUIET_ZONE: i32 = 4;
 
 /// Pair phones and glasses with this rig, or play a recorded phone to a rig.
 ///
-/// A phone is paired once, by a code that is good for one phone and a few minutes; afterwards it connects by itself. What an app
+/// A phone is paired once, by a code that is valid for one phone and a few minutes; afterwards it connects by itself. What an app
 /// must speak is in docs/sidecar.md.
 ///
 /// Examples:
 ///   lsfb sidecar pair --devices devices.toml       # show the code; `lsfb scan` may run meanwhile or later
 ///   lsfb sidecar list --devices devices.toml
 ///   lsfb sidecar unpair pixel8 --devices devices.toml
-///   lsfb sidecar play walk.mcap --code 'lsfb://192.168.8.1:8790?fp=4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f&tok=a7a7a7a7a7a7a7a7a7a7a7a7a7a7a7a7' --faults 7
+///   lsfb sidecar play walk.mcap --code 'lsfb://192.168.8.1:8790?fp=4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f&tok=a7a7a7a7a7a7a7a7a7a7a7a7a7a7a7a7' --fault-seed 7
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
@@ -49,7 +49,7 @@ enum Action {
 ///
 /// Examples:
 ///   lsfb sidecar pair --devices devices.toml
-///   lsfb sidecar pair --devices devices.toml --address 192.168.8.1 --minutes 30
+///   lsfb sidecar pair --devices devices.toml --address 192.168.8.1 --valid-secs 1800
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 struct Pair {
@@ -59,9 +59,9 @@ struct Pair {
     /// Address of this machine in the phone's network; by default the one on the way out.
     #[arg(long, value_name = "IP")]
     address: Option<IpAddr>,
-    /// How long the code is good for, minutes.
-    #[arg(long, value_name = "MINUTES", default_value_t = 10, value_parser = clap::value_parser!(u16).range(1..=1440))]
-    minutes: u16,
+    /// How long the code is valid.
+    #[arg(long, value_name = "SECS", default_value_t = 600, value_parser = clap::value_parser!(u32).range(60..=86_400))]
+    valid_secs: u32,
 }
 
 /// Name the phones that are paired.
@@ -98,6 +98,7 @@ struct Unpair {
 #[command(verbatim_doc_comment)]
 struct Play {
     /// Recording with a phone or glasses in it.
+    #[arg(value_name = "MCAP")]
     recording: PathBuf,
     /// The rig's pairing code.
     #[arg(long, value_name = "CODE", value_parser = pairing_code)]
@@ -111,10 +112,10 @@ struct Play {
     /// Playback speed: recorded seconds per second.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = super::mock::speed)]
     speed: f64,
-    /// Make faults, at random with this seed: cut connections, damaged and repeated messages, pauses.
+    /// Inject random faults with this seed: cut connections, damaged and repeated messages, pauses.
     #[arg(long, value_name = "N", value_parser = super::seed)]
-    faults: Option<u64>,
-    /// How long a rig that is lost is looked for, seconds.
+    fault_seed: Option<u64>,
+    /// How long to try to reconnect to a rig that was lost.
     #[arg(long, value_name = "SECS", default_value_t = 120)]
     reconnect_secs: u32,
 }
@@ -173,7 +174,7 @@ impl Pair {
             (None, listen) if !listen.is_unspecified() => listen,
             (None, _) => way_out().context("name this machine's address with --address")?,
         };
-        let valid = Duration::from_secs(60 * u64::from(self.minutes));
+        let valid = Duration::from_secs(self.valid_secs.into());
         let code = PairingCode {
             address: SocketAddr::new(host, sidecar.listen.port()).to_string(),
             fingerprint: folder.fingerprint(),
@@ -183,10 +184,10 @@ impl Pair {
         let picture = QrCode::encode_text(&text, QrCodeEcc::Medium)
             .map(|code| picture(&code))
             .unwrap_or_default();
-        let minutes = self.minutes;
+        let valid_secs = self.valid_secs;
         context.print(
-            &serde_json::json!({ "code": text, "minutes": minutes }),
-            || format!("{picture}{text}\nPairs one phone, within {minutes} minutes. Show it to nobody else."),
+            &serde_json::json!({ "code": text, "valid_secs": valid_secs }),
+            || format!("{picture}{text}\nPairs one phone, within {valid_secs} s. Show it to nobody else."),
         )?;
         Ok(Outcome::Done)
     }
@@ -245,7 +246,7 @@ impl Play {
             device: device.clone(),
             session: self.session.clone(),
             reconnect_secs: self.reconnect_secs,
-            faults: self.faults,
+            faults: self.fault_seed,
             ..ClientConfig::invited(address, &self.code)?
         };
         let endpoints = PlaybackEndpoints {

@@ -68,15 +68,15 @@ struct CheckArguments {
     /// The recording of that walk: rests are then those of its IMU, and not of the poses alone.
     #[arg(long, value_name = "MCAP", requires = "trajectory")]
     recording: Option<PathBuf>,
-    /// Largest spread of the positions of a rest, metres.
+    /// Largest spread of the positions of a rest.
     #[arg(long, default_value_t = 0.01, value_name = "M")]
-    rest_spread: f64,
+    rest_spread_m: f64,
     /// Shortest rest.
     #[arg(long, default_value_t = 1.0, value_name = "SECS")]
     rest_secs: f64,
-    /// Largest distance of a rest from its mark, metres.
+    /// Largest distance of a rest from its mark.
     #[arg(long, default_value_t = 0.3, value_name = "M")]
-    reach: f64,
+    reach_m: f64,
 }
 
 /// Runs the step.
@@ -116,10 +116,14 @@ struct Checked {
 
 fn run_check(arguments: &CheckArguments, context: &Context) -> anyhow::Result<Outcome> {
     let survey = read_survey(&arguments.survey)?;
-    let positive = [arguments.rest_spread, arguments.rest_secs, arguments.reach];
+    let positive = [
+        arguments.rest_spread_m,
+        arguments.rest_secs,
+        arguments.reach_m,
+    ];
     anyhow::ensure!(
         positive.iter().all(|v| *v > 0.0 && v.is_finite()),
-        "--rest-spread, --rest-secs and --reach must be above zero"
+        "--rest-spread-m, --rest-secs and --reach-m must be above zero"
     );
     let mut findings = Vec::new();
     let at_marks = arguments.trajectory.as_ref().map(|path| {
@@ -129,7 +133,7 @@ fn run_check(arguments: &CheckArguments, context: &Context) -> anyhow::Result<Ou
         let rests = rests(&file.poses, arguments, context, &mut findings)?;
         super::about(
             path,
-            check_marks(&survey, &solution, &file.poses, &rests, arguments.reach),
+            check_marks(&survey, &solution, &file.poses, &rests, arguments.reach_m),
         )
     });
     let checked = Checked {
@@ -155,7 +159,7 @@ fn rests(
     findings: &mut Vec<Finding>,
 ) -> anyhow::Result<Vec<Rest>> {
     let config = RestConfig {
-        spread_m: arguments.rest_spread,
+        spread_m: arguments.rest_spread_m,
         least_secs: arguments.rest_secs,
         ..RestConfig::default()
     };

@@ -85,7 +85,7 @@ fn arguments<'a>(grid: &'a str, plate: &'a str, camera: &'a str) -> Vec<&'a str>
         "--clouds",
         "clouds",
     ];
-    let rest = ["--april-grid", grid, "--plate", plate, "--camera", camera];
+    let rest = ["--april-grid", grid, "--plate-m", plate, "--camera", camera];
     [&command[..], &rest].concat()
 }
 
@@ -134,7 +134,7 @@ fn boards_and_cameras() {
     );
     let exchanged = arguments(OWN, "0.75,1.1", "cam0=images");
     ends(path, &exchanged, "sides.toml", End::Refused, &["board"]);
-    let middle = [&own[..], &["--offset", "0,0.035"]].concat();
+    let middle = [&own[..], &["--plate-offset-m", "0,0.035"]].concat();
     ends(
         path,
         &middle,

@@ -50,7 +50,7 @@ pub struct Arguments {
     /// Devices of the walks, separated by commas; without it android, iphone and glasses.
     #[arg(long = "device", visible_alias = "devices", value_name = "NAME", value_parser = device, value_delimiter = ',')]
     devices: Vec<Device>,
-    /// What has become of the place between scan and walk, separated by commas: as-scanned; six-months, in which half of what
+    /// How the place has changed between scan and walk, separated by commas: as-scanned; six-months, in which half of what
     /// people move has been moved; crowd, with a dozen people more.
     #[arg(long = "condition", visible_alias = "conditions", value_name = "NAME", value_parser = Condition::named, value_delimiter = ',', default_value = "as-scanned")]
     conditions: Vec<Condition>,
@@ -60,10 +60,10 @@ pub struct Arguments {
     /// The first seed.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = super::super::seed, allow_hyphen_values = true)]
     seed: u64,
-    /// Shorter ways and smaller images, for daily use; as hard otherwise.
+    /// Shorter walks and smaller images, for daily use; otherwise as hard.
     #[arg(long)]
     quick: bool,
-    /// Only see whether everything runs: seconds of scan and walk, of which no figure counts.
+    /// Only check that everything runs, on seconds of scan and walk; the figures mean nothing.
     #[arg(long, conflicts_with = "quick")]
     try_out: bool,
     /// Give the estimators the exact rigs instead of calibrated ones: easier than any real trial.
