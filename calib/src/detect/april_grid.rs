@@ -8,7 +8,7 @@ use nalgebra::{SMatrix, SVector};
 
 use super::link::Links;
 use super::saddle::Saddle;
-use super::{RoughCorner, sample};
+use super::{ALONE, RoughCorner, sample};
 use crate::board::{BORDER_BITS, CODE_BITS, EDGE_BITS, tag_codes};
 
 /// White bits that a tag has at least.
@@ -51,10 +51,13 @@ pub(super) fn read(
                 .iter()
                 .flatten()
                 .fold(f64::INFINITY, |a, l| a.min(l.length_px));
+            let gap_px = shortest.min(0.3 * edge_px(saddles, &corners));
             seen.push(RoughCorner {
                 index: 4 * number + k,
                 pixel: saddles[saddle].position,
-                clear_px: 0.45 * shortest.min(0.3 * edge_px(saddles, &corners)),
+                clear_px: 0.45 * gap_px,
+                alone_px: ALONE * gap_px * saddles[saddle].opening(),
+                edges: Some(saddles[saddle].edges()),
             });
         }
     }

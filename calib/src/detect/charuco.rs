@@ -9,7 +9,7 @@ use super::april_grid::homography;
 use super::checkerboard::{Lattice, grow};
 use super::link::Links;
 use super::saddle::Saddle;
-use super::{RoughCorner, sample};
+use super::{ALONE, RoughCorner, sample};
 use crate::board::{MarkerDictionary, charuco_square};
 
 /// Most bits along the edge of a marker's code.
@@ -108,6 +108,8 @@ pub(super) fn read(
                 index,
                 pixel: saddles[node.saddle].position,
                 clear_px: free_px.min(0.45 * square_px),
+                alone_px: free_px.min(ALONE * square_px) * saddles[node.saddle].opening(),
+                edges: Some(saddles[node.saddle].edges()),
             });
         }
     }

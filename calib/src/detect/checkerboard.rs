@@ -5,9 +5,9 @@ use std::collections::{BTreeMap, VecDeque};
 use lsfb_geometry::Vector2;
 use lsfb_perception::statistics::median;
 
-use super::RoughCorner;
 use super::link::Links;
 use super::saddle::Saddle;
+use super::{ALONE, RoughCorner};
 
 /// A saddle's place on the lattice, and which of its rays points along x.
 #[derive(Clone, Copy)]
@@ -207,10 +207,15 @@ fn seen(
         .iter()
         .enumerate()
         .filter_map(|(index, place)| {
+            let square_px = spacing(index).unwrap_or(0.7 * usual);
+            let saddle = board[index].map(|n| &saddles[n.saddle]);
+            let opening = saddle.map_or(1.0, Saddle::opening);
             Some(RoughCorner {
                 index,
                 pixel: (*place)?,
-                clear_px: 0.45 * spacing(index).unwrap_or(0.7 * usual),
+                clear_px: 0.45 * square_px,
+                alone_px: ALONE * square_px * opening,
+                edges: saddle.map(Saddle::edges),
             })
         })
         .collect()

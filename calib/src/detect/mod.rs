@@ -3,7 +3,7 @@
 //! Every corner of either board is a saddle of brightness: dark and light meet in four sectors. So both are found alike:
 //! `saddle` finds such points, `link` joins those that one straight edge connects, `checkerboard` walks the links as a
 //! lattice, `charuco` reads the markers in its white squares, `april_grid` walks the links around dark squares and reads their
-//! bits, and `refine` measures the corners.
+//! bits, and `refine` measures the corners, `saddle_fit` to the end.
 
 mod april_grid;
 mod charuco;
@@ -11,6 +11,7 @@ mod checkerboard;
 mod link;
 mod refine;
 mod saddle;
+mod saddle_fit;
 
 use lsfb_geometry::Vector2;
 use lsfb_types::Image;
@@ -110,7 +111,14 @@ struct RoughCorner {
     pixel: Vector2<f64>,
     /// Half the edge of the window that holds this corner alone, pixels.
     clear_px: f64,
+    /// Radius of the disc that holds this corner and its four edges alone, pixels.
+    alone_px: f64,
+    /// Directions of its two edges; `None` where no saddle was found.
+    edges: Option<[Vector2<f64>; 2]>,
 }
+
+/// Share of the way to the next corner in which neither that nor its edges are seen, blurred as they are.
+const ALONE: f64 = 0.8;
 
 /// Brightness between pixels; `None` off the image.
 fn sample(width: usize, values: &[f32], x: f64, y: f64) -> Option<f32> {

@@ -27,6 +27,17 @@ pub(super) struct Saddle {
 }
 
 impl Saddle {
+    /// Directions of the two edges, each through both of its rays.
+    pub fn edges(&self) -> [Vector2<f64>; 2] {
+        [0, 1].map(|k| (self.directions[k] - self.directions[k + 2]).normalize())
+    }
+
+    /// Sine of the angle at which the two edges meet: how much nearer lines along them are than points on them.
+    pub fn opening(&self) -> f64 {
+        let [first, second] = self.edges();
+        first.perp(&second).abs()
+    }
+
     /// Whether the sector from ray `k` to the next is dark.
     pub fn is_dark(&self, k: usize) -> bool {
         self.first_is_dark == k.is_multiple_of(2)

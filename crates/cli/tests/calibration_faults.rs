@@ -4,6 +4,7 @@
 mod before_a_lidar;
 mod board_walk;
 mod process;
+mod small_board;
 
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;

@@ -34,7 +34,8 @@ pub enum Tags {
 /// The board as `--april-grid` takes it.
 pub const GRID: &str = "4,3,0.14,0.3";
 
-const BOARD: Grid = Grid {
+/// The same as it is printed.
+pub const BOARD: Grid = Grid {
     columns: 4,
     rows: 3,
     tag_m: 0.14,
@@ -48,6 +49,8 @@ const SAMPLE_NS: i64 = 5_000_000;
 const GRAVITY_M_S2: f64 = 9.80665;
 /// Rays per pixel along each axis.
 const RAYS: u32 = 2;
+/// The same where edges must lie where they are to a tenth of a pixel.
+const FINE_RAYS: u32 = 5;
 /// Step of the differences that velocities and accelerations are made of, seconds.
 const STEP_S: f64 = 1e-3;
 
@@ -225,21 +228,42 @@ impl Walk {
 }
 
 /// Directions of all rays of all pixels of a camera, by rows.
-pub fn rays(camera: &Camera) -> Vec<Vector3<f64>> {
-    let part = |r: u32| (f64::from(r) + 0.5) / f64::from(RAYS) - 0.5;
-    let mut rays = Vec::new();
-    for k in 0..camera.width * camera.height {
-        let (x, y) = (f64::from(k % camera.width), f64::from(k / camera.width));
-        for r in 0..RAYS * RAYS {
-            let pixel = Vector2::new(x + part(r % RAYS), y + part(r / RAYS));
-            rays.push(camera.unproject(&pixel).unwrap_or_default());
+pub struct Rays {
+    of_each_pixel: u32,
+    directions: Vec<Vector3<f64>>,
+}
+
+/// As many as images for most faults need.
+pub fn rays(camera: &Camera) -> Rays {
+    Rays::new(camera, RAYS)
+}
+
+/// As many as it takes to measure corners.
+pub fn fine_rays(camera: &Camera) -> Rays {
+    Rays::new(camera, FINE_RAYS)
+}
+
+impl Rays {
+    fn new(camera: &Camera, per_edge: u32) -> Self {
+        let part = |r: u32| (f64::from(r) + 0.5) / f64::from(per_edge) - 0.5;
+        let of_each_pixel = per_edge.pow(2);
+        let mut directions = Vec::new();
+        for k in 0..camera.width * camera.height {
+            let (x, y) = (f64::from(k % camera.width), f64::from(k / camera.width));
+            for r in 0..of_each_pixel {
+                let pixel = Vector2::new(x + part(r % per_edge), y + part(r / per_edge));
+                directions.push(camera.unproject(&pixel).unwrap_or_default());
+            }
+        }
+        Self {
+            of_each_pixel,
+            directions,
         }
     }
-    rays
 }
 
 /// Brightness of all pixels from a place before the board, whose frame begins at its first tag.
-pub fn seen(grid: &Grid, board_from_camera: &Se3, rays: &[Vector3<f64>]) -> Vec<u8> {
+pub fn seen(grid: &Grid, board_from_camera: &Se3, rays: &Rays) -> Vec<u8> {
     let turn = board_from_camera.rotation.to_rotation_matrix();
     let from = board_from_camera.translation;
     let of_ray = |ray: &Vector3<f64>| {
@@ -251,8 +275,9 @@ pub fn seen(grid: &Grid, board_from_camera: &Se3, rays: &[Vector3<f64>]) -> Vec<
             WALL
         }
     };
-    rays.chunks(RAYS.pow(2) as usize)
-        .map(|of_pixel| (of_pixel.iter().map(of_ray).sum::<u32>() / RAYS.pow(2)) as u8)
+    rays.directions
+        .chunks(rays.of_each_pixel as usize)
+        .map(|of_pixel| (of_pixel.iter().map(of_ray).sum::<u32>() / rays.of_each_pixel) as u8)
         .collect()
 }
 
