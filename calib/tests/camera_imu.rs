@@ -553,3 +553,45 @@ fn halves_are_what_either_half_finds_alone() {
         }
     }
 }
+
+/// A phone's shutter: once refused with "clocks are not synchronised", whatever the rig said of it.
+#[test]
+fn shutters_that_roll_are_taken_as_the_rig_has_them_or_named() {
+    let simulated = simulate(&Setup {
+        readout_s: 0.03,
+        duration_s: 8.0,
+        ..Setup::default()
+    });
+    let result = |known_s: f64, readout: Readout| {
+        let mut known = simulated.known();
+        known.iter_mut().for_each(|k| k.readout_s = known_s);
+        let config = CameraImuConfig {
+            readout,
+            ..CameraImuConfig::default()
+        };
+        run(&known, &simulated.imu, &config)
+    };
+    let found = result(0.03, Readout::Known).expect("calibrated");
+    assert_eq!(found.judgement().verdict(), Verdict::Pass, "{found:?}");
+    for (c, truth) in found.cameras.iter().zip(&simulated.truth) {
+        let off_s = c.rig_from_camera_s - truth.rig_from_camera_s;
+        assert!(
+            off_s.abs() < 4.0 * c.rig_from_camera_sigma_s,
+            "{off_s} {c:?}"
+        );
+    }
+    let error = result(0.0, Readout::Known).expect_err("a rolling shutter");
+    let text = error.to_string();
+    assert!(
+        text.contains("cam0 and the IMU: its shutter rolls") && text.contains("readout_s"),
+        "{text}"
+    );
+    let found = result(0.0, Readout::Estimated).expect("calibrated");
+    for c in &found.cameras {
+        let off_s = c.readout_s - 0.03;
+        assert!(
+            off_s.abs() < 5.0 * c.readout_sigma_s && c.readout_sigma_s < 3e-4,
+            "{c:?}"
+        );
+    }
+}

@@ -39,6 +39,8 @@ pub(super) struct GyroAlignment {
 pub(super) struct Aligned {
     pub offset_s: f64,
     pub camera_from_rig: UnitQuaternion<f64>,
+    /// Share of the turning that camera and gyroscope have in common.
+    pub agreement: f64,
 }
 
 impl GyroAlignment {
@@ -125,6 +127,7 @@ impl GyroAlignment {
         Ok(Aligned {
             offset_s,
             camera_from_rig,
+            agreement,
         })
     }
 

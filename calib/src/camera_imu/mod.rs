@@ -31,6 +31,7 @@ mod parts;
 mod problem;
 mod report;
 mod rig;
+mod rolling;
 mod start;
 mod state;
 mod table;
@@ -373,7 +374,13 @@ pub fn calibrate_camera_imu(
     let mut order: Vec<usize> = (0..cameras.len()).collect();
     order.sort_by(|a, b| cameras[*a].views.name.cmp(&cameras[*b].views.name));
     let sorted: Vec<KnownCamera> = order.iter().map(|k| cameras[*k].clone()).collect();
-    let mut state = state::State::new(target, &sorted, imu, noise, config)?;
+    let mut state = state::State::new(&start::Input {
+        target,
+        cameras: &sorted,
+        imu,
+        noise,
+        config,
+    })?;
     let show = |round: usize| {
         progress(Progress {
             stage: "camera-IMU",

@@ -3,6 +3,8 @@
 //! A clock's offset is that at which camera and gyroscope turn equally fast; the orientation is the rotation between their
 //! angular velocities; the motion is the cameras' own, pose by pose.
 
+use std::collections::BTreeMap;
+
 use lsfb_geometry::{
     ImuNoiseModel, Se3, StampedPose, Trajectory, UnitQuaternion, Vector2, Vector3, spline,
 };
@@ -14,7 +16,7 @@ use super::inertial::{AccelAxes, GyroAxes};
 use super::state::{Mounted, Sample, State, View};
 use super::{CameraImuConfig, Clock, KnownCamera, Motion, ORDER, checks};
 use crate::board::Target;
-use crate::camera::pose_of_target;
+use crate::camera::{as_global_shutter, pose_of_target};
 use crate::coverage::corners_by_cell;
 use crate::residual_diagnosis::Field;
 use crate::{Error, JoinProblem, PoorMotion};
@@ -37,28 +39,41 @@ const MARGIN_S: f64 = 0.1;
 const LEAST_OF_SEGMENT: f64 = 0.1;
 
 /// A camera's views with its own pose of the target in each.
-struct PosedViews {
+pub(super) struct PosedViews {
     views: Vec<View>,
     /// Stamp and `target_from_camera`.
-    poses: Vec<(f64, Se3)>,
+    pub poses: Vec<(f64, Se3)>,
     /// Median error of its corners, each view for itself, pixels.
     median_px: f64,
 }
 
+/// What a batch starts from.
+#[derive(Clone, Copy)]
+pub(super) struct Input<'a> {
+    pub target: &'a Target,
+    pub cameras: &'a [KnownCamera],
+    pub imu: &'a [(Timestamp, ImuSample)],
+    pub noise: &'a ImuNoiseModel,
+    pub config: &'a CameraImuConfig,
+}
+
 impl State {
-    pub fn new(
-        target: &Target,
-        cameras: &[KnownCamera],
-        imu: &[(Timestamp, ImuSample)],
-        noise: &ImuNoiseModel,
-        config: &CameraImuConfig,
-    ) -> Result<Self, Error> {
+    /// With the readout times of the cameras as they are known, or others, seconds.
+    pub fn with_readouts(input: &Input, readouts_s: &[f64]) -> Result<Self, Error> {
+        let Input {
+            target,
+            cameras,
+            imu,
+            noise,
+            config,
+        } = *input;
         let (origin, mut samples) = samples_of(imu, cameras)?;
         let findings = saturation(&samples);
         let seen: Vec<PosedViews> = cameras
             .iter()
+            .zip(readouts_s)
             .enumerate()
-            .map(|(k, known)| look(target, known, k, origin, config))
+            .map(|(k, (known, readout_s))| look(input, known, *readout_s, k, origin))
             .collect::<Result<_, _>>()?;
         let Some(first) = cameras.first() else {
             return Err(Error::TargetNotSeen {
@@ -90,7 +105,8 @@ impl State {
             |known: &KnownCamera| known.camera_from_first * first.camera_from_first.inverse();
         let mut mounted = Vec::with_capacity(cameras.len());
         let mut first_from_rig = UnitQuaternion::identity();
-        for (k, (known, own)) in cameras.iter().zip(&seen).enumerate() {
+        for (k, ((known, own), readout_s)) in cameras.iter().zip(&seen).zip(readouts_s).enumerate()
+        {
             let turned =
                 GyroAlignment::new(&samples, &own.poses).solve(&known.views.name, config)?;
             if k == 0 {
@@ -103,7 +119,7 @@ impl State {
                 camera: known.camera,
                 camera_from_rig: from_rig(known) * Se3::new(first_from_rig, Vector3::zeros()),
                 clock: Clock::new(turned.offset_s, 0.0),
-                readout_s: known.readout_s,
+                readout_s: *readout_s,
                 sigma_px: config.corner_sigma_px,
                 field: Field::zeros(),
                 board: Bend::zeros(),
@@ -184,7 +200,7 @@ impl State {
 }
 
 /// The samples in order of time, with the first one's as origin.
-fn samples_of(
+pub(super) fn samples_of(
     imu: &[(Timestamp, ImuSample)],
     cameras: &[KnownCamera],
 ) -> Result<(Timestamp, Vec<Sample>), Error> {
@@ -280,14 +296,17 @@ fn saturation(samples: &[Sample]) -> Vec<Finding> {
     findings
 }
 
-/// A camera's views and its own poses, with corners that one pose explains.
-fn look(
-    target: &Target,
+/// A camera's views and its own poses, with corners that one pose explains. Where the shutter rolls the poses are those at which the middle
+/// row was exposed; the corners stay where they were seen.
+pub(super) fn look(
+    input: &Input,
     known: &KnownCamera,
+    readout_s: f64,
     camera: usize,
     origin: Timestamp,
-    config: &CameraImuConfig,
 ) -> Result<PosedViews, Error> {
+    let Input { target, config, .. } = *input;
+    let still = as_global_shutter(&known.views, readout_s);
     let mut seen = PosedViews {
         views: Vec::new(),
         poses: Vec::new(),
@@ -298,22 +317,25 @@ fn look(
     let instants = known.views.views.iter().step_by(step);
     for (number, (instant, corners)) in instants.enumerate() {
         let stamp_s = Timestamp::from_nanos(*instant).secs_since(origin);
-        let mut corners = corners.clone();
-        corners.retain(|c| c.index < target.corner_count());
-        corners.sort_by_key(|c| c.index);
-        let Some(pose) = pose_of_target(target, &known.camera, &corners) else {
+        let Some(mut at_once) = still.views.get(instant).cloned() else {
             continue;
         };
-        let error_px = |point: &Vector3<f64>, pixel: &Vector2<f64>| {
-            let seen = known.camera.project(&(pose * *point));
-            seen.map_or(f64::INFINITY, |s| (s - pixel).norm())
+        at_once.retain(|c| c.index < target.corner_count());
+        at_once.sort_by_key(|c| c.index);
+        let Some(pose) = pose_of_target(target, &known.camera, &at_once) else {
+            continue;
         };
-        let all = corners.iter().map(|c| (target.corner(c.index), c.pixel));
-        let fitting: Vec<(Vector3<f64>, Vector2<f64>)> = all
-            .filter(|(point, pixel)| {
-                let error = error_px(point, pixel);
+        let pixels: BTreeMap<usize, Vector2<f64>> =
+            corners.iter().map(|c| (c.index, c.pixel)).collect();
+        let fitting: Vec<(Vector3<f64>, Vector2<f64>)> = at_once
+            .iter()
+            .filter_map(|corner| {
+                let point = target.corner(corner.index);
+                let seen = known.camera.project(&(pose * point));
+                let error = seen.map_or(f64::INFINITY, |s| (s - corner.pixel).norm());
                 errors.push(error);
-                error < FIRST_LIMIT_PX
+                let pixel = pixels.get(&corner.index)?;
+                (error < FIRST_LIMIT_PX).then_some((point, *pixel))
             })
             .collect();
         if fitting.len() < MIN_CORNERS {

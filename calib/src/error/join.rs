@@ -143,6 +143,17 @@ pub enum JoinProblem {
         /// Share of the turning that agrees with the best of them.
         agreement: f64,
     },
+    /// Camera and gyroscope turn alike once the rows of its images are taken to be exposed one after the other.
+    #[error(
+        "its shutter rolls: it turns as the gyroscope does if its images take about {:.0} ms from the first row to the last, not {:.0} ms as the rig says. Say the camera's readout_s in the rig (--rig), or have it searched (readout = \"estimated\" in --config)",
+        1e3 * found_s, 1e3 * known_s
+    )]
+    RollingShutter {
+        /// Readout time of the rig.
+        known_s: f64,
+        /// Readout time that fits, to a few milliseconds.
+        found_s: f64,
+    },
     /// Views fit alone, but not along one motion with the IMU.
     #[error(
         "each view for itself is met to {alone_px:.1} px, all of them along one motion with the IMU's samples miss by {together_px:.1} px: an axis of the accelerometer has the wrong sign or is exchanged, the images are mirrored, or the board is of quite another size"
