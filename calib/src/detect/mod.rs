@@ -3,7 +3,7 @@
 //! Every corner of either board is a saddle of brightness: dark and light meet in four sectors. So both are found alike:
 //! `saddle` finds such points, `link` joins those that one straight edge connects, `checkerboard` walks the links as a
 //! lattice, `charuco` reads the markers in its white squares, `april_grid` walks the links around dark squares and reads their
-//! bits, and `refine` measures the corners, `saddle_fit` to the end.
+//! bits, `refine` measures the corners, and `saddle_fit` their last tenths of a pixel.
 
 mod april_grid;
 mod charuco;

@@ -29,11 +29,7 @@ pub(super) fn refine(image: &Image, seen: &mut RoughCorner) -> bool {
 }
 
 /// The point to which gradients are perpendicular.
-pub(super) fn by_gradients(
-    image: &Image,
-    start: &Vector2<f64>,
-    clear_px: f64,
-) -> Option<Vector2<f64>> {
+fn by_gradients(image: &Image, start: &Vector2<f64>, clear_px: f64) -> Option<Vector2<f64>> {
     // A square window turned against the edges reaches √2 farther.
     let half_px = (clear_px / std::f64::consts::SQRT_2 * 1.2).clamp(SMALLEST_PX, LARGEST_PX);
     let mut at = *start;
