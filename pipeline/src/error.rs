@@ -249,6 +249,20 @@ pub enum Error {
         /// Localized frames of the next best that contradict it.
         rival: usize,
     },
+    /// Much of what the map says should be in view is not there.
+    #[error(
+        "{path}: of {certain} points of the map that should be in view {absent} are not there (max_absent_share is {limit}): the place has changed since it was mapped, or this is another that is built alike, such as another floor; map it as it is, or allow more if no other place looks like it", path = path.display()
+    )]
+    PointsAbsent {
+        /// The recording.
+        path: PathBuf,
+        /// Points of which it is certain whether they are there.
+        certain: usize,
+        /// Those that are not.
+        absent: usize,
+        /// Largest share of them that may be absent.
+        limit: f64,
+    },
     /// No pose of a walk is certain enough.
     #[error(
         "{path}: none of {frames} poses is certain enough for the trajectory (max_position_sigma_m is {limit_m} m): walk where more of the map is in view, or allow more", path = path.display()

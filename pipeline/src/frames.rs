@@ -1,6 +1,7 @@
 //! The images of a walk in groups of one instant, their features, and the IMU.
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 
 use lsfb_geometry::Rig;
 use lsfb_recording::Recording;
@@ -28,6 +29,8 @@ pub(crate) struct ReadFrames {
     pub frames: Vec<FeatureFrame>,
     /// Damaged messages.
     pub damaged: u64,
+    /// Images with the stamp of an earlier one of their camera: the first was taken.
+    pub repeated_stamps: u64,
 }
 
 /// Images of one trigger carry one time; this much apart is another.
@@ -52,7 +55,7 @@ pub(crate) fn read_frames(
         .map(|t| t.messages)
         .sum();
     let mut found: BTreeMap<(Timestamp, usize), Features> = BTreeMap::new();
-    let mut damaged = 0;
+    let (mut damaged, mut repeated_stamps) = (0, 0);
     let mut batch: Vec<(Timestamp, usize, Image)> = Vec::with_capacity(BATCH);
     let mut flush = |batch: &mut Vec<(Timestamp, usize, Image)>| -> Result<(), Stopped> {
         let features: Vec<Features> = batch
@@ -63,7 +66,12 @@ pub(crate) fn read_frames(
             )
             .collect();
         for ((time, camera, _), features) in batch.drain(..).zip(features) {
-            found.insert((time, camera), features);
+            match found.entry((time, camera)) {
+                Entry::Vacant(free) => {
+                    free.insert(features);
+                }
+                Entry::Occupied(_) => repeated_stamps += 1,
+            }
         }
         progress(Progress {
             stage: "image features",
@@ -100,7 +108,11 @@ pub(crate) fn read_frames(
             frame.features[camera].features = features;
         }
     }
-    Ok(ReadFrames { frames, damaged })
+    Ok(ReadFrames {
+        frames,
+        damaged,
+        repeated_stamps,
+    })
 }
 
 /// Refuses images of another size than the rig says: its intrinsics are not theirs.

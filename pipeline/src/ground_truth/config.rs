@@ -78,6 +78,9 @@ pub struct GroundTruthConfig {
     pub max_position_sigma_m: f64,
     /// How far half of the map's points may move a position that is exported, metres.
     pub max_disagreement_m: f64,
+    /// Largest share of the map's points that should be in view and are not there: beyond, the place has changed, or is another that is
+    /// built alike.
+    pub max_absent_share: f64,
     /// The solver.
     pub solve: SolveConfig,
 }
@@ -118,6 +121,7 @@ impl Default for GroundTruthConfig {
             max_extrapolation_secs: 1.0,
             max_position_sigma_m: 0.05,
             max_disagreement_m: 0.08,
+            max_absent_share: 0.35,
             solve: SolveConfig {
                 cost_tolerance: 1e-9,
                 // Neighbours are held together far more firmly than to the map: damping by a share of that would hold the
@@ -164,6 +168,7 @@ lsfb_types::bounds! {
         max_extrapolation_secs: number(Bounds::NOT_NEGATIVE),
         max_position_sigma_m: number(Bounds::POSITIVE),
         max_disagreement_m: number(Bounds::POSITIVE),
+        max_absent_share: number(Bounds::Within(0.0, 1.0)),
         solve: section,
     }
 }

@@ -3,13 +3,15 @@
 //! A solve says how well observations agree with one another as if each point erred on its own. Neighbours do not: points of a poor
 //! part of the map lie wrongly together, and along an edge one feature is taken for the next, in one image after the other. So
 //! the points that a stretch of the walk sees are divided into four groups by where they are, and the stretch is solved again with
-//! every two of them. What a group shares moves the halves apart; how far is compared with what is allowed.
+//! every two of them. What a group shares moves the halves apart; how far is compared with what is allowed, and how far it lets the
+//! whole be off is the jackknife's: with half of the groups left out, the mean square by which the halves differ from the whole is the
+//! variance of the whole (Shao and Wu, Annals of Statistics 1989).
 
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use lsfb_geometry::Vector3;
+use lsfb_geometry::{Matrix6, Se3, Vector3};
 use lsfb_types::{Progress, ProgressFn, no_progress};
 use rayon::prelude::*;
 
@@ -33,15 +35,52 @@ const HALVES: [[usize; 2]; 6] = [[0, 1], [2, 3], [0, 2], [1, 3], [0, 3], [1, 2]]
 /// Rounds in which a half chooses its observations, as far from the whole's as its own poses lead.
 const ROUNDS: usize = 2;
 
-/// For each frame the largest distance of its position by one half of the map's points from that by all, metres; infinite where a
-/// half leads nowhere.
-pub(super) fn disagreements_m(
+/// What halves of the map's points say of a pose.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct HalvesCheck {
+    /// Largest distance of the position by one half from that by all, metres; infinite where a half leads nowhere.
+    pub disagreement_m: f64,
+    /// Covariance of the pose by what the points of a group share, tangent `[rotation, translation]` on the right, rad² and m².
+    pub shared: Matrix6<f64>,
+}
+
+impl HalvesCheck {
+    fn of_agreement() -> Self {
+        Self {
+            disagreement_m: 0.0,
+            shared: Matrix6::zeros(),
+        }
+    }
+
+    /// With one half more: how far the pose by it lies from that by all, or `None` where it leads nowhere.
+    fn with(mut self, whole_from_half: Option<Se3>) -> Self {
+        match whole_from_half {
+            Some(apart) => {
+                self.disagreement_m = self.disagreement_m.max(apart.translation.norm());
+                let apart = apart.log();
+                self.shared += apart * apart.transpose() / HALVES.len() as f64;
+            }
+            None => self.disagreement_m = f64::INFINITY,
+        }
+        self
+    }
+
+    fn worse(self, other: Self) -> Self {
+        match self.disagreement_m >= other.disagreement_m {
+            true => self,
+            false => other,
+        }
+    }
+}
+
+/// What halves of the map's points say of each frame.
+pub(super) fn check_halves(
     walk: &Walk,
     estimate: &Estimate,
     points: &[LocalPoint],
     config: &GroundTruthConfig,
     progress: ProgressFn<'_>,
-) -> Result<Vec<f64>, Error> {
+) -> Result<Vec<HalvesCheck>, Error> {
     let checked = checked_frames(walk);
     let mut jobs: Vec<(Range<usize>, [usize; 2])> = Vec::new();
     for first in (0..checked.len()).step_by(FRAMES_AT_ONCE) {
@@ -49,7 +88,7 @@ pub(super) fn disagreements_m(
         jobs.extend(HALVES.map(|half| (first..end, half)));
     }
     let (done, total) = (AtomicU64::new(0), jobs.len() as u64);
-    let found: Vec<(Range<usize>, Vec<f64>)> = jobs
+    let found: Vec<(Range<usize>, Vec<Option<Se3>>)> = jobs
         .into_par_iter()
         .map(|(core, half)| {
             progress(Progress {
@@ -60,22 +99,21 @@ pub(super) fn disagreements_m(
             let begin = core.start.saturating_sub(MARGIN_FRAMES);
             let end = (core.end + MARGIN_FRAMES).min(checked.len());
             let stretch = Stretch::new(walk, estimate, points, &checked[begin..end]);
-            let poses_m = stretch.positions_by(half, config)?;
+            let poses = stretch.poses_by(half, config)?;
             let apart = core.clone().map(|k| {
-                let whole_m = estimate.pose(checked[k]).translation;
-                let by_half = poses_m.as_ref().map(|poses_m| poses_m[k - begin]);
-                by_half.map_or(f64::INFINITY, |by_half_m| (by_half_m - whole_m).norm())
+                let by_half = poses.as_ref()?[k - begin];
+                Some(estimate.pose(checked[k]).inverse() * by_half)
             });
             Ok((core.clone(), apart.collect()))
         })
         .collect::<Result<_, Error>>()?;
-    let mut largest_m = vec![0.0f64; checked.len()];
-    for (core, apart_m) in found {
-        for (largest_m, apart_m) in largest_m[core].iter_mut().zip(apart_m) {
-            *largest_m = largest_m.max(apart_m);
+    let mut said = vec![HalvesCheck::of_agreement(); checked.len()];
+    for (core, apart) in found {
+        for (said, apart) in said[core].iter_mut().zip(apart) {
+            *said = said.with(apart);
         }
     }
-    Ok(spread_to_neighbours(walk, &checked, &largest_m))
+    Ok(spread_to_neighbours(walk, &checked, &said))
 }
 
 /// Frames a step apart, the first and the last among them.
@@ -94,13 +132,17 @@ fn checked_frames(walk: &Walk) -> Vec<usize> {
 }
 
 /// Of a frame that was not checked what holds for the worse of its two checked neighbours.
-fn spread_to_neighbours(walk: &Walk, checked: &[usize], largest_m: &[f64]) -> Vec<f64> {
+fn spread_to_neighbours(walk: &Walk, checked: &[usize], said: &[HalvesCheck]) -> Vec<HalvesCheck> {
     (0..walk.frames.len())
         .map(|frame| {
             let after = checked.partition_point(|k| *k < frame);
             let before = checked.partition_point(|k| *k <= frame).saturating_sub(1);
-            let of = |k: usize| largest_m.get(k).copied().unwrap_or(0.0);
-            of(before).max(of(after))
+            let of = |k: usize| {
+                said.get(k)
+                    .copied()
+                    .unwrap_or_else(HalvesCheck::of_agreement)
+            };
+            of(before).worse(of(after))
         })
         .collect()
 }
@@ -139,6 +181,7 @@ impl Stretch {
             frames: frames.iter().map(|k| walk.frames[*k].clone()).collect(),
             imu: walk.imu[first..end.max(first)].to_vec(),
             noise: walk.noise.clone(),
+            point_covariances_m2: walk.point_covariances_m2.clone(),
         };
         let at = |k: &usize| (estimate.states[*k], estimate.motions[*k]);
         let (states, motions) = frames.iter().map(at).unzip();
@@ -156,12 +199,12 @@ impl Stretch {
         }
     }
 
-    /// Positions of the frames by the points of two groups, metres; `None` where they lead nowhere.
-    fn positions_by(
+    /// Poses of the frames by the points of two groups; `None` where they lead nowhere.
+    fn poses_by(
         mut self,
         half: [usize; 2],
         config: &GroundTruthConfig,
-    ) -> Result<Option<Vec<Vector3<f64>>>, Error> {
+    ) -> Result<Option<Vec<Se3>>, Error> {
         let groups = &self.groups;
         let is_kept = |point: &u32| groups.get(point).is_some_and(|g| half.contains(g));
         for frame in &mut self.walk.frames {
@@ -185,8 +228,7 @@ impl Stretch {
             }
         }
         let states = self.estimate.states.iter();
-        let positions = states.map(|s| s.nav.world_from_rig.translation);
-        Ok(Some(positions.collect()))
+        Ok(Some(states.map(|s| s.nav.world_from_rig).collect()))
     }
 }
 

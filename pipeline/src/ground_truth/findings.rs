@@ -61,6 +61,33 @@ impl GroundTruthWarning {
             )
             .value(*images as f64, "")
             .limit(Limit::AtMost(0.0)),
+            Self::RepeatedStamps { images } => warn(
+                "repeated-stamps",
+                "images",
+                format!("{images} have the stamp of another image of their camera and were not used"),
+            )
+            .value(*images as f64, "")
+            .limit(Limit::AtMost(0.0))
+            .remedy("stamp every image when it is taken"),
+            Self::FrozenImages { images } => warn(
+                "frozen-images",
+                "images",
+                format!("{images} are the image before once more, though the device moved, and were not used"),
+            )
+            .value(*images as f64, "")
+            .limit(Limit::AtMost(0.0))
+            .remedy("check the camera and its driver"),
+            Self::PlaceNotChecked { secs } => warn(
+                "place-not-checked",
+                "trajectory",
+                format!(
+                    "for {secs:.1} s too few of the map's points were mapped from where the walk went to tell the place from another \
+                     that is built alike"
+                ),
+            )
+            .value(*secs, "s")
+            .limit(Limit::AtMost(0.0))
+            .remedy("walk where the scanner went, or make sure that there is no other place like it"),
         }
     }
 }
@@ -76,6 +103,7 @@ impl LeftOutReason {
             Self::Uncertain => "uncertain",
             Self::Contradicted => "contradicted",
             Self::MapPartsDisagree => "map-parts-disagree",
+            Self::PointsAbsent => "points-absent",
         }
     }
 
@@ -97,6 +125,11 @@ impl LeftOutReason {
             Self::MapPartsDisagree => (
                 "with half of the map's points withheld they lie elsewhere (max_disagreement_m)",
                 "map the place again with more views of it, or walk where more of the map is in view",
+            ),
+            Self::PointsAbsent => (
+                "too many points of the map that should be in view are not there (max_absent_share): the place has changed, or is another \
+                 that is built alike",
+                "map it as it is, or allow more if no other place looks like it",
             ),
         }
     }
@@ -128,6 +161,12 @@ impl GroundTruthReport {
             "halves of the map's points move no position by more than {:.1} cm",
             largest_m * 1e2
         );
+        let absent = 100.0 * self.points_absent as f64 / self.points_in_view.max(1) as f64;
+        let in_view = format!(
+            "{} of {} points of the map that should be in view are not there; a place that looks the same in all of them could not be \
+             told from this one",
+            self.points_absent, self.points_in_view
+        );
         let mut findings = vec![
             Finding::new("coverage", whole, "trajectory", coverage)
                 .value(share, "%")
@@ -135,6 +174,7 @@ impl GroundTruthReport {
             Finding::new("cross-check", Verdict::Pass, "trajectory", agreement)
                 .value(largest_m * 1e2, "cm")
                 .limit(Limit::AtMost(self.max_disagreement_m * 1e2)),
+            Finding::new("points-in-view", Verdict::Pass, "trajectory", in_view).value(absent, "%"),
         ];
         findings.extend(self.cameras.iter().map(CameraRefinement::finding));
         findings.extend(self.warnings.iter().map(GroundTruthWarning::finding));

@@ -5,6 +5,10 @@
 //! adjustment over all frames, eq. (5), settles poses, velocities and biases with the map's points held fixed. Then the map's
 //! points are looked for again where the poses now say they must be, and everything is solved until nothing comes or goes any
 //! more. Whatever was not used is looked at again after every solve.
+//!
+//! A pose is given only if it may be believed: its covariance is small enough, halves of the map's points agree on it, and what the map
+//! says should be in view there is there. A place that is the same in every image cannot be told by any of these: a walk through one of
+//! two floors of which only the other is mapped, and which look alike in all that the walk sees, comes out as one on the mapped floor.
 
 mod config;
 mod consensus;
@@ -12,7 +16,9 @@ mod cross_check;
 mod drift;
 mod estimate;
 mod findings;
+mod frozen_images;
 mod guided_matching;
+mod in_view;
 mod inertial;
 mod local_points;
 mod optimization;
@@ -22,6 +28,7 @@ mod start;
 mod trusted;
 mod uncertainty;
 mod walk;
+mod warnings;
 
 #[cfg(test)]
 mod tests;
@@ -49,8 +56,9 @@ use walk::Walk;
 pub struct GroundTruth {
     /// Pose of the device's rig at every image that could be placed.
     pub trajectory: Trajectory,
-    /// Covariance of each pose, tangent `[rotation, translation]` on the right, rad² and m². Errors that all of the map around shares,
-    /// its scale above all, do not show in a walk and are not in it.
+    /// Covariance of each pose, tangent `[rotation, translation]` on the right, rad² and m²: what the solve leaves open, and what groups
+    /// of the map's points that lie together are wrong by together. Errors that all of the map around shares, its scale above all, do not
+    /// show in a walk and are not in it.
     pub covariances: Vec<Matrix6<f64>>,
     /// How far each position moves when half of the map's points around are withheld, at most, metres.
     pub disagreements_m: Vec<f64>,

@@ -20,14 +20,17 @@ pub enum LeftOutReason {
     Contradicted,
     /// With parts of the map withheld they lie elsewhere.
     MapPartsDisagree,
+    /// Much of what the map says should be in view there is not.
+    PointsAbsent,
 }
 
 impl LeftOutReason {
-    pub(super) const ALL: [Self; 4] = [
+    pub(super) const ALL: [Self; 5] = [
         Self::NotRecognised,
         Self::Uncertain,
         Self::Contradicted,
         Self::MapPartsDisagree,
+        Self::PointsAbsent,
     ];
 }
 
@@ -106,6 +109,10 @@ pub struct GroundTruthReport {
     pub largest_disagreement_m: f64,
     /// How far they may, metres.
     pub max_disagreement_m: f64,
+    /// Points of the map that should be in view of which it is certain whether they are there, stretch by stretch.
+    pub points_in_view: u64,
+    /// Those that are not there.
+    pub points_absent: u64,
     /// Stretches left out of the trajectory.
     pub left_out: Vec<Span>,
     /// Observations of map points added by the search after the first solve.
@@ -170,6 +177,21 @@ pub enum GroundTruthWarning {
     DamagedImages {
         /// How many.
         images: u64,
+    },
+    /// Images of one camera carry the stamp of another of its images.
+    RepeatedStamps {
+        /// How many were not used.
+        images: u64,
+    },
+    /// A camera sent the same image again while it was moved.
+    FrozenImages {
+        /// How many were not used.
+        images: u64,
+    },
+    /// Too little of the map was mapped from where the walk went to tell the place from one that is built alike.
+    PlaceNotChecked {
+        /// How long, seconds.
+        secs: f64,
     },
 }
 

@@ -1,21 +1,22 @@
 //! The stage as a whole: a recording and a map in, a trajectory out.
 
+use std::sync::Arc;
+
 use lsfb_geometry::{ImuNoiseModel, Trajectory};
 use lsfb_perception::statistics::median;
 use lsfb_recording::Recording;
 use lsfb_types::ProgressFn;
 
-use super::cross_check::disagreements_m;
-use super::findings::UNLIKELY_SIGMAS;
+use super::cross_check::check_halves;
+use super::frozen_images;
+use super::in_view::look_for_points;
 use super::report::{local_errors, map_errors, refinements};
 use super::start::{Start, start_states};
 use super::trusted::{Solution, Trusted, trusted};
 use super::uncertainty::uncertainty;
 use super::walk::{FixedObservation, Frame, LocalPoint, LocalizedPose, Walk};
-use super::{
-    GroundTruth, GroundTruthConfig, GroundTruthReport, GroundTruthWarning, LeftOutReason, Solved,
-    Span, solve_walk,
-};
+use super::warnings::{not_checked, out_of_reach, warnings};
+use super::{GroundTruth, GroundTruthConfig, GroundTruthReport, LeftOutReason, Solved, solve_walk};
 use crate::Error;
 use crate::frames::{FeatureFrame, read_frames, read_imu};
 use crate::hd_map::HdMap;
@@ -45,7 +46,8 @@ pub fn ground_truth(
     if imu.is_empty() {
         return Err(missing("IMU"));
     }
-    let read = read_frames(recording, &rig, &config.features, progress)?;
+    let mut read = read_frames(recording, &rig, &config.features, progress)?;
+    let frozen = frozen_images::take_out(&mut read.frames, &imu);
     let localizer = Localizer::new(map, &config.localization)?;
     let localized: Vec<Option<Localization>> =
         localize_frames(&localizer, &read.frames, &rig, progress)?
@@ -69,11 +71,15 @@ pub fn ground_truth(
         frames.push(frame_of(&read.frames[k], localized[k].as_ref(), map));
         features.extend(read.frames[k].features.iter().map(|f| f.features.clone()));
     }
+    let seen = frames.iter().flat_map(|f: &Frame| &f.recognised);
+    let stated = seen.filter_map(|s| Some((s.point, map.quality(s.point)?.covariance_m2)));
+    let point_covariances_m2 = Arc::new(stated.collect());
     let mut walk = Walk {
         cameras: rig.cameras.values().map(MovingCamera::new).collect(),
         frames,
         imu,
         noise: inflated(noise, config.imu_noise_factor),
+        point_covariances_m2,
     };
     let start = start_states(&walk, config, progress)?;
     let start = accepted(start, count, recording, config)?;
@@ -81,31 +87,46 @@ pub fn ground_truth(
     let (estimate, points) = (&solved.last.estimate, &solved.last.points);
     let uncertainty = uncertainty(&walk, estimate, points, config, progress)?;
 
-    let disagreements_m = disagreements_m(&walk, estimate, points, config, progress)?;
+    let in_view = look_for_points(&walk, estimate, &features, map, config);
+    let halves = check_halves(&walk, estimate, points, config, progress)?;
+    let with_shared = uncertainty.poses.iter().zip(&halves);
+    let with_shared = with_shared.map(|(pose, halves)| pose.map(|own| own + halves.shared));
+    let covariances: Vec<_> = with_shared.collect();
+    let disagreements_m: Vec<f64> = halves.iter().map(|h| h.disagreement_m).collect();
     let trusted = trusted(
         &walk,
         &Solution {
             states: &estimate.states,
             accepted: &start.accepted,
-            covariances: &uncertainty.poses,
+            covariances: &covariances,
             disagreements_m: &disagreements_m,
+            in_view: &in_view,
         },
         config,
     );
-    let disputed = |span: &Span| span.reason == LeftOutReason::MapPartsDisagree;
-    if trusted.poses.is_empty() && trusted.left_out.iter().any(disputed) {
-        return Err(Error::MapPartsDisagree {
-            path: recording.path().to_owned(),
-            frames: walk.frames.len(),
-            moved_m: median(disagreements_m).unwrap_or(f64::INFINITY),
-            limit_m: config.max_disagreement_m,
-        });
-    }
+    let (certain, absent) = in_view.iter().fold((0, 0), |(certain, absent), v| {
+        (certain + v.certain(), absent + v.absent)
+    });
     if trusted.poses.is_empty() {
-        return Err(Error::NothingCertain {
-            path: recording.path().to_owned(),
-            frames: walk.frames.len(),
-            limit_m: config.max_position_sigma_m,
+        let (path, frames) = (recording.path().to_owned(), walk.frames.len());
+        return Err(match trusted.main_reason() {
+            Some(LeftOutReason::MapPartsDisagree) => Error::MapPartsDisagree {
+                path,
+                frames,
+                moved_m: median(disagreements_m).unwrap_or(f64::INFINITY),
+                limit_m: config.max_disagreement_m,
+            },
+            Some(LeftOutReason::PointsAbsent) => Error::PointsAbsent {
+                path,
+                certain,
+                absent,
+                limit: config.max_absent_share,
+            },
+            _ => Error::NothingCertain {
+                path,
+                frames,
+                limit_m: config.max_position_sigma_m,
+            },
         });
     }
     let trajectory = Trajectory::new(trusted.poses.clone());
@@ -117,7 +138,11 @@ pub fn ground_truth(
     report.rejected_localizations = (count - start.accepted_count) as u64;
     report.rival_localizations = start.rival_count as u64;
     report.max_disagreement_m = config.max_disagreement_m;
-    warn(&mut report, &read.frames, &range, read.damaged);
+    (report.points_in_view, report.points_absent) = (certain as u64, absent as u64);
+    report.left_out.extend(out_of_reach(&read.frames, &range));
+    report.left_out.sort_by_key(|span| span.from_ns);
+    report.warnings = warnings(&report, &read, frozen);
+    report.warnings.extend(not_checked(&walk, &in_view));
     Ok(GroundTruth {
         trajectory,
         covariances: trusted.covariances,
@@ -229,6 +254,8 @@ fn report(
         bridged: trusted.bridged as u64,
         largest_disagreement_m: trusted.disagreements_m.iter().copied().fold(0.0, f64::max),
         max_disagreement_m: 0.0,
+        points_in_view: 0,
+        points_absent: 0,
         left_out: trusted.left_out.clone(),
         guided_matching: solved.guided_matching as u64,
         outliers: not_used(walk, &last.points) as u64,
@@ -256,56 +283,4 @@ pub(super) fn not_used(walk: &Walk, points: &[LocalPoint]) -> usize {
         .map(|f| f.recognised.len() - f.fixed.len());
     let local = points.iter().flat_map(|p| &p.observations);
     of_map.sum::<usize>() + local.filter(|seen| !seen.used).count()
-}
-
-fn warn(
-    report: &mut GroundTruthReport,
-    frames: &[FeatureFrame],
-    reach: &std::ops::Range<usize>,
-    damaged: u64,
-) {
-    let mut beyond = Vec::new();
-    if let (Some(first), Some(last)) = (frames.first(), frames.last()) {
-        if reach.start > 0 {
-            let to = frames[reach.start - 1].time;
-            beyond.push(Span::new(first.time, to, LeftOutReason::NotRecognised));
-        }
-        if reach.end < frames.len() {
-            let from = frames[reach.end].time;
-            beyond.push(Span::new(from, last.time, LeftOutReason::NotRecognised));
-        }
-    }
-    report.left_out.extend(beyond);
-    report.left_out.sort_by_key(|span| span.from_ns);
-    for reason in LeftOutReason::ALL {
-        let spans = report.left_out.iter().filter(|s| s.reason == reason);
-        let (count, ns) = spans.fold((0, 0), |(count, ns), span| {
-            (count + 1, ns + span.to_ns - span.from_ns)
-        });
-        if count > 0 {
-            report.warnings.push(GroundTruthWarning::LeftOut {
-                reason,
-                secs: ns as f64 / 1e9,
-                spans: count,
-            });
-        }
-    }
-    for found in &report.cameras {
-        if found.largest_sigmas > UNLIKELY_SIGMAS {
-            let found = found.clone();
-            report
-                .warnings
-                .push(GroundTruthWarning::CameraOff { found });
-        }
-    }
-    if report.imu_gaps > 0 {
-        report.warnings.push(GroundTruthWarning::ImuGaps {
-            intervals: report.imu_gaps,
-        });
-    }
-    if damaged > 0 {
-        report
-            .warnings
-            .push(GroundTruthWarning::DamagedImages { images: damaged });
-    }
 }

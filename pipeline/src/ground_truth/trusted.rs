@@ -3,6 +3,7 @@
 use lsfb_geometry::{Matrix6, StampedPose};
 
 use super::GroundTruthConfig;
+use super::in_view::InView;
 use super::report::{LeftOutReason, Span};
 use super::walk::{State, Walk};
 
@@ -18,6 +19,16 @@ pub(super) struct Trusted {
     pub left_out: Vec<Span>,
 }
 
+impl Trusted {
+    /// Why most of what is left out is left out.
+    pub fn main_reason(&self) -> Option<LeftOutReason> {
+        LeftOutReason::ALL.into_iter().max_by_key(|reason| {
+            let spans = self.left_out.iter().filter(|span| span.reason == *reason);
+            spans.map(|span| span.to_ns - span.from_ns + 1).sum::<i64>()
+        })
+    }
+}
+
 /// What the solve says about the frames.
 pub(super) struct Solution<'a> {
     pub states: &'a [State],
@@ -27,6 +38,8 @@ pub(super) struct Solution<'a> {
     pub covariances: &'a [Option<Matrix6<f64>>],
     /// How far halves of the map's points move each position, metres.
     pub disagreements_m: &'a [f64],
+    /// What was found of the points that should be in view.
+    pub in_view: &'a [InView],
 }
 
 /// Leaves out the stretches that see too little of the map for too long, and poses that are not certain enough.
@@ -70,6 +83,10 @@ fn reasons(
     found: &Solution,
     config: &GroundTruthConfig,
 ) -> Vec<Option<LeftOutReason>> {
+    let doubtful = |k: usize| {
+        let mut stretches = found.in_view.iter().filter(|v| v.frames.contains(&k));
+        stretches.any(|v| v.is_doubtful(config))
+    };
     let supported = |k: usize| walk.frames[k].fixed.len() >= config.min_map_points;
     let count = walk.frames.len();
     let mut reasons = Vec::with_capacity(count);
@@ -95,9 +112,11 @@ fn reasons(
         reasons.extend((k..end).map(|j| {
             let uncertain = !found.covariances[j].is_some_and(|c| is_certain(&c, config));
             let disputed = found.disagreements_m[j] > config.max_disagreement_m;
+            // What halves of the map say makes a pose uncertain too, and says why.
             whole
-                .or(uncertain.then_some(LeftOutReason::Uncertain))
                 .or(disputed.then_some(LeftOutReason::MapPartsDisagree))
+                .or(doubtful(j).then_some(LeftOutReason::PointsAbsent))
+                .or(uncertain.then_some(LeftOutReason::Uncertain))
         }));
     }
     reasons

@@ -1,13 +1,14 @@
 //! How far each pose may be off.
 //!
 //! Around each pose the problem of eq. (5) is linearized once more, over a few seconds, with what it holds fixed set free: a
-//! point of the map is only known to what the walk itself shows of the map's errors, and errs the same way in all images that see it.
-//! What lies outside the window would make the poses surer, by little: they are rather called too uncertain.
+//! point of the map is only known to what the map says of it and what the walk itself shows of the map's errors, and errs the same
+//! way in all images that see it. What lies outside the window would make the poses surer, by little: they are rather called too
+//! uncertain. Errors that neighbouring points share are not in it: the cross-check tells those.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use lsfb_geometry::{Matrix6, Vector3};
+use lsfb_geometry::{Matrix3, Matrix6, Vector3};
 use lsfb_solver::{BlockId, Kernel, Problem, VectorPrior, covariance};
 use lsfb_types::{Progress, ProgressFn};
 use nalgebra::SMatrix;
@@ -16,7 +17,7 @@ use super::GroundTruthConfig;
 use super::estimate::Estimate;
 use super::inertial::{StateBlocks, add_inertial_residuals};
 use super::report::{ReprojectionErrors, local_errors, map_errors};
-use super::walk::{LocalObservation, LocalPoint, Walk};
+use super::walk::{FixedObservation, LocalObservation, LocalPoint, Walk};
 use crate::Error;
 use crate::residuals::{CameraCorrection, MovingReprojection};
 
@@ -27,6 +28,9 @@ const MARGIN_SECS: f64 = 1.5;
 const LEAST_PIXEL_SIGMA: f64 = 0.2;
 /// Points of the map are no better than this, metres.
 const LEAST_POINT_SIGMA_M: f64 = 1e-3;
+/// Standard deviation of a local point's place beside its sights, as a share of its distance. It was located by the whole walk; the
+/// sights of one window, of somebody who stands, may leave its distance open, and then nothing of the window would be determined.
+const LOCAL_POINT_SHARE: f64 = 1.0;
 
 /// Errors that the walk shows, as deviations in each direction.
 struct Deviations {
@@ -118,6 +122,21 @@ fn information_of(sigmas: &CameraCorrection) -> CorrectionMatrix {
     CorrectionMatrix::from_diagonal(&sigmas.map(|sigma| sigma.powi(-2)))
 }
 
+/// Where a point of the map is: with the covariance that the map states, and `shown_m` in each direction by what the walk shows.
+fn map_point_prior(walk: &Walk, seen: &FixedObservation, shown_m: f64) -> VectorPrior<3> {
+    let shown = Matrix3::from_diagonal_element(shown_m.powi(2));
+    let stated = walk.point_covariances_m2.get(&seen.point);
+    let stated = stated.filter(|c| c.iter().all(|v| v.is_finite()));
+    let factor = stated.and_then(|stated| (stated + shown).cholesky());
+    let sqrt_information =
+        factor.and_then(|factor| factor.l().solve_lower_triangular(&Matrix3::identity()));
+    VectorPrior {
+        value: seen.point_in_world,
+        sqrt_information: sqrt_information
+            .unwrap_or(Matrix3::from_diagonal_element(shown_m.recip())),
+    }
+}
+
 /// What one window says.
 struct WindowCovariances {
     poses: Vec<Option<Matrix6<f64>>>,
@@ -173,7 +192,7 @@ impl Window {
                         let away_m = (seen.point_in_world - estimate.pose(k).translation).norm();
                         let focal_px = estimate.cameras[seen.camera].camera().focal_px()[0];
                         let sigma_m = (shown.map_px * away_m / focal_px).max(LEAST_POINT_SIGMA_M);
-                        let prior = VectorPrior::new(seen.point_in_world, Vector3::repeat(sigma_m));
+                        let prior = map_point_prior(walk, seen, sigma_m);
                         problem.add_residual(prior, &[point.id()], Kernel::Squared)?;
                         of_map.insert(seen.point, point);
                         point
@@ -195,6 +214,13 @@ impl Window {
                 continue;
             }
             let block = problem.add_eliminated_point(point.point_in_world);
+            let nearest_m = inside
+                .iter()
+                .map(|seen| (point.point_in_world - estimate.pose(seen.frame).translation).norm())
+                .fold(f64::INFINITY, f64::min);
+            let sigma_m = (LOCAL_POINT_SHARE * nearest_m).max(LEAST_POINT_SIGMA_M);
+            let prior = VectorPrior::new(point.point_in_world, Vector3::repeat(sigma_m));
+            problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
             for seen in inside {
                 let blocks = [
                     states[seen.frame - frames.start].pose.id(),

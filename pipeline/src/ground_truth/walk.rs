@@ -1,7 +1,8 @@
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
 
-use lsfb_geometry::{ImuNoiseModel, Matrix6, Se3, Vector2, Vector3};
+use lsfb_geometry::{ImuNoiseModel, Matrix3, Matrix6, Se3, Vector2, Vector3};
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 
 use crate::Error;
@@ -18,6 +19,8 @@ pub(super) struct Walk {
     pub imu: Vec<Stamped<ImuSample>>,
     /// Noise of the IMU, as the optimisation should take it.
     pub noise: ImuNoiseModel,
+    /// Covariances that the map states of the points that were recognised, by their index, m².
+    pub point_covariances_m2: Arc<BTreeMap<u32, Matrix3<f64>>>,
 }
 
 /// One instant.

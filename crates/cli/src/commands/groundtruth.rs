@@ -160,8 +160,8 @@ fn disagreements(found: &GroundTruth) -> String {
 fn with_covariances(found: &GroundTruth) -> String {
     let mut text = String::from(
         "# timestamp_s tx_m ty_m tz_m qx qy qz qw, covariance of x y z (m) and rotations about the world's axes (rad), 36 columns\n\
-         # In it are errors of images, of the IMU, of the cameras and of single points of the map; what all of the map around shares, its scale and\n\
-         # its place, does not show in a walk and is not in it.\n",
+         # In it are errors of images, of the IMU, of the cameras, of single points of the map and of those that lie together; what all of the map\n\
+         # around shares, its scale and its place, does not show in a walk and is not in it.\n",
     );
     for (pose, covariance) in found.trajectory.poses().iter().zip(&found.covariances) {
         let t = &pose.world_from_rig.translation;

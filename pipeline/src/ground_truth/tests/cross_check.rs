@@ -1,13 +1,19 @@
 //! Parts of the map that lie wrongly together.
 
-use super::super::cross_check::disagreements_m;
+use super::super::cross_check::{HalvesCheck, check_halves};
 use super::*;
 
 struct Checked {
     walk: Walk,
     states: Vec<State>,
     covariances: Vec<Option<Matrix6<f64>>>,
-    disagreements_m: Vec<f64>,
+    halves: Vec<HalvesCheck>,
+}
+
+impl Checked {
+    fn disagreements_m(&self) -> Vec<f64> {
+        self.halves.iter().map(|h| h.disagreement_m).collect()
+    }
 }
 
 /// A walk in a map whose points beyond the middle of the room are all off by as much, along the wall.
@@ -25,11 +31,11 @@ fn checked(off_m: f64) -> Checked {
     let solved = solve_walk(&mut walk, &start, &features, &config, &no_progress).expect("solves");
     let (estimate, points) = (&solved.last.estimate, &solved.last.points);
     let uncertainty = uncertainty(&walk, estimate, points, &config, &no_progress);
-    let found = disagreements_m(&walk, estimate, points, &config, &no_progress);
+    let halves = check_halves(&walk, estimate, points, &config, &no_progress);
     Checked {
         states: estimate.states.clone(),
         covariances: uncertainty.expect("covariances").poses,
-        disagreements_m: found.expect("checks"),
+        halves: halves.expect("checks"),
         walk,
     }
 }
@@ -37,7 +43,7 @@ fn checked(off_m: f64) -> Checked {
 #[test]
 fn halves_of_a_good_map_agree() {
     let good = checked(0.0);
-    let worst = good.disagreements_m.iter().copied().fold(0.0, f64::max);
+    let worst = good.disagreements_m().into_iter().fold(0.0, f64::max);
     assert!(worst < 0.01, "{worst} m");
     assert!(errors(&good.walk, &good.states).worst_m < 0.006);
 }
@@ -58,15 +64,16 @@ fn half_a_map_that_lies_wrongly_is_noticed() {
             accepted: &[true; FRAMES],
             covariances: &bent.covariances,
             disagreements_m,
+            in_view: &[],
         };
         trusted(&bent.walk, &found, &config).left_out
     };
     assert_eq!(left_out(&[0.0; FRAMES]), [], "σ alone sees nothing");
-    let spans = left_out(&bent.disagreements_m);
+    let spans = left_out(&bent.disagreements_m());
     let reasons: Vec<LeftOutReason> = spans.iter().map(|span| span.reason).collect();
     assert!(
         reasons.contains(&LeftOutReason::MapPartsDisagree),
         "{:?}",
-        bent.disagreements_m
+        bent.disagreements_m()
     );
 }

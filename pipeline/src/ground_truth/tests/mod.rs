@@ -1,9 +1,12 @@
 //! A walk made up in memory: true motion, IMU, points with descriptors, and all the mistakes a real one has.
 
+mod bad_input;
 mod cameras;
 mod consensus;
 mod cross_check;
+mod in_view;
 mod recorded;
+mod standing;
 
 use std::sync::Arc;
 
@@ -223,6 +226,7 @@ fn make_walk_with(
             frames,
             imu: imu(&mut rng),
             noise: NOISE,
+            point_covariances_m2: Default::default(),
         },
         features,
     }
@@ -338,6 +342,7 @@ fn local_points_and_imu_carry_a_stretch_the_map_does_not_know() {
         accepted: &start.accepted,
         covariances: &poses,
         disagreements_m: &[0.0; FRAMES],
+        in_view: &[],
     };
     let trusted = trusted(&walk, &found, &config);
     assert_eq!(trusted.covariances.len(), trusted.poses.len());

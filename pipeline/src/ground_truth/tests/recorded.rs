@@ -37,8 +37,42 @@ fn paint(seed: u64, face: u64, u: f64, v: f64) -> f64 {
         .sum()
 }
 
+/// How a room is painted.
+#[derive(Clone, Copy)]
+pub(super) struct Paint {
+    seed: u64,
+    /// Every second square metre has other paint: what another floor that is built alike looks like.
+    is_other_floor: bool,
+}
+
+impl Paint {
+    pub fn of(seed: u64) -> Self {
+        Self {
+            seed,
+            is_other_floor: false,
+        }
+    }
+
+    pub fn other_floor(seed: u64) -> Self {
+        Self {
+            seed,
+            is_other_floor: true,
+        }
+    }
+
+    fn seed_at(&self, face: u64, u: f64, v: f64) -> u64 {
+        let square = (u.floor() as i64 + v.floor() as i64 + face as i64).rem_euclid(2);
+        self.seed
+            + if self.is_other_floor && square == 0 {
+                1000
+            } else {
+                0
+            }
+    }
+}
+
 /// Grey value seen along a ray in a room of 6 × 6 × 3 m.
-fn shade(seed: u64, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
+fn shade(room: Paint, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
     let (low, high) = (Vector3::new(-3.0, -3.0, 0.0), Vector3::new(3.0, 3.0, 3.0));
     let mut nearest = (f64::INFINITY, 0);
     for axis in 0..3 {
@@ -51,15 +85,11 @@ fn shade(seed: u64, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
     }
     let hit = origin + direction * nearest.0;
     let axis = nearest.1 / 2;
-    paint(
-        seed,
-        nearest.1 as u64,
-        hit[(axis + 1) % 3],
-        hit[(axis + 2) % 3],
-    )
+    let (face, u, v) = (nearest.1 as u64, hit[(axis + 1) % 3], hit[(axis + 2) % 3]);
+    paint(room.seed_at(face, u, v), face, u, v)
 }
 
-fn rig() -> Rig {
+pub(super) fn rig() -> Rig {
     let mut rig = Rig {
         imus: lsfb_geometry::RigImu::from(NOISE).alone(),
         ..Rig::empty("glasses")
@@ -84,7 +114,7 @@ fn rig() -> Rig {
     rig
 }
 
-fn render(seed: u64, camera: &RigCamera, world_from_rig: &Se3) -> Image {
+fn render(room: Paint, camera: &RigCamera, world_from_rig: &Se3) -> Image {
     let world_from_camera = *world_from_rig * camera.rig_from_camera;
     let (width, height) = (camera.camera.width, camera.camera.height);
     let pixels = (0..width * height)
@@ -92,7 +122,7 @@ fn render(seed: u64, camera: &RigCamera, world_from_rig: &Se3) -> Image {
             let pixel = Vector2::new(f64::from(k % width), f64::from(k / width));
             let ray = camera.camera.unproject(&pixel).expect("inside the lens");
             let direction = world_from_camera.rotation * ray;
-            (shade(seed, &world_from_camera.translation, &direction) * 255.0) as u8
+            (shade(room, &world_from_camera.translation, &direction) * 255.0) as u8
         })
         .collect();
     Image {
@@ -105,14 +135,14 @@ fn render(seed: u64, camera: &RigCamera, world_from_rig: &Se3) -> Image {
 }
 
 const WALK_START_SECS: f64 = 0.7;
-const WALK_FRAMES: usize = 16;
+pub(super) const WALK_FRAMES: usize = 16;
 
-fn frame_time(k: usize) -> f64 {
+pub(super) fn frame_time(k: usize) -> f64 {
     WALK_START_SECS + k as f64 * FRAME_SECS
 }
 
 /// A map from images taken beside the walk, with true poses.
-fn map(seed: u64) -> HdMap {
+pub(super) fn map(seed: u64) -> HdMap {
     let rig = rig();
     let beside = Se3::new(Default::default(), Vector3::new(0.1, -0.15, 0.08));
     let keyframes: Vec<StampedPose> = (0..7)
@@ -124,7 +154,7 @@ fn map(seed: u64) -> HdMap {
     let (mut pixels, mut owners) = (Vec::new(), Vec::new());
     for (k, keyframe) in keyframes.iter().enumerate() {
         for (name, camera) in &rig.cameras {
-            pixels.push(render(seed, camera, &keyframe.world_from_rig));
+            pixels.push(render(Paint::of(seed), camera, &keyframe.world_from_rig));
             owners.push((k, name.clone()));
         }
     }
@@ -151,31 +181,55 @@ fn map(seed: u64) -> HdMap {
     HdMap::build(&content, &HdMapConfig::default(), &no_progress).expect("map")
 }
 
-/// Records the walk through a room painted with `seed`.
-fn record(path: &Path, seed: u64, frames: usize, rig_file: &Rig, with_imu: usize) {
-    let mut writer = Writer::create(path, &WriterConfig::default()).expect("create");
-    writer.attach_rig(rig_file).expect("rig");
-    let mut rng = Gauss(ChaCha8Rng::seed_from_u64(4));
-    for sample in imu(&mut rng).iter().take(with_imu) {
-        writer.write_imu("imu0", sample).expect("imu");
-    }
-    for k in 0..frames {
-        let pose = truth(frame_time(k));
-        let time = Timestamp::from_secs_f64(frame_time(k));
-        for (name, camera) in &rig().cameras {
-            let image = Stamped {
-                time,
-                arrival: time,
-                device_ticks: k as u64,
-                sample: render(seed, camera, &pose),
-            };
-            writer.write_image(name, &image).expect("image");
-        }
-    }
-    writer.finish().expect("finish");
+/// What the device measures on the walk.
+pub(super) struct Measured {
+    pub imu: Vec<Stamped<ImuSample>>,
+    /// Camera and image, in order.
+    pub images: Vec<(String, Stamped<Image>)>,
 }
 
-fn run(path: &Path, map: &HdMap) -> Result<GroundTruth, Error> {
+impl Measured {
+    pub fn in_room(room: Paint, frames: usize) -> Self {
+        let mut images = Vec::new();
+        for k in 0..frames {
+            let time = Timestamp::from_secs_f64(frame_time(k));
+            for (name, camera) in &rig().cameras {
+                let image = Stamped {
+                    time,
+                    arrival: time,
+                    device_ticks: k as u64,
+                    sample: render(room, camera, &truth(frame_time(k))),
+                };
+                images.push((name.clone(), image));
+            }
+        }
+        Self {
+            imu: imu(&mut Gauss(ChaCha8Rng::seed_from_u64(4))),
+            images,
+        }
+    }
+
+    pub fn record(&self, path: &Path, rig_file: &Rig) {
+        let mut writer = Writer::create(path, &WriterConfig::default()).expect("create");
+        writer.attach_rig(rig_file).expect("rig");
+        for sample in &self.imu {
+            writer.write_imu("imu0", sample).expect("imu");
+        }
+        for (name, image) in &self.images {
+            writer.write_image(name, image).expect("image");
+        }
+        writer.finish().expect("finish");
+    }
+}
+
+/// Records the walk through a room painted with `seed`.
+fn record(path: &Path, seed: u64, frames: usize, rig_file: &Rig, with_imu: usize) {
+    let mut measured = Measured::in_room(Paint::of(seed), frames);
+    measured.imu.truncate(with_imu);
+    measured.record(path, rig_file);
+}
+
+pub(super) fn run(path: &Path, map: &HdMap) -> Result<GroundTruth, Error> {
     let recording = Recording::open(path)?;
     ground_truth(&recording, map, &GroundTruthConfig::default(), &no_progress)
 }

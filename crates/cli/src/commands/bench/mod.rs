@@ -1,7 +1,8 @@
-//! `lsfb bench`: programs of others on sequences with ground truth, and our own in the twin.
+//! `lsfb bench`: programs of others on sequences with ground truth, our own in the twin, and there in the wrong place.
 
 mod slam;
 mod twin;
+mod wrong_place;
 
 use crate::context::Context;
 use crate::outcome::Outcome;
@@ -11,6 +12,7 @@ use crate::outcome::Outcome;
 /// Examples:
 ///   lsfb bench slam plan.toml --out bench
 ///   lsfb bench twin --out trial --quick
+///   lsfb bench wrong-place trial --out wrong
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
@@ -22,6 +24,7 @@ pub struct Arguments {
 enum What {
     Slam(slam::Arguments),
     Twin(twin::Arguments),
+    WrongPlace(wrong_place::Arguments),
 }
 
 /// Runs what was asked for.
@@ -29,5 +32,6 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     match &arguments.what {
         What::Slam(arguments) => slam::run(arguments, context),
         What::Twin(arguments) => twin::run(arguments, context),
+        What::WrongPlace(arguments) => wrong_place::run(arguments, context),
     }
 }

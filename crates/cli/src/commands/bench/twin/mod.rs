@@ -25,8 +25,11 @@ use crate::outcome::Outcome;
 use crate::standing;
 use cost::{Cost, Costs};
 use result::Run;
+pub use result::WRONG_M;
 use rigs::{Bearer, Calibrated, Rigs, calibrated, true_rig};
-use session::{Mapped, Refusable, STAGES, Session, refusal};
+pub use session::refusal;
+use session::{Mapped, Refusable, STAGES, Session};
+pub use trial::OTHER_FLOOR;
 use trial::{Condition, Scanned, Size, Walked, calibration};
 
 /// Run the standard trial: scan, map, ground truth and evaluation in simulated places, as in the paper's Tables IV and V.
@@ -51,7 +54,8 @@ pub struct Arguments {
     #[arg(long = "device", visible_alias = "devices", value_name = "NAME", value_parser = device, value_delimiter = ',')]
     devices: Vec<Device>,
     /// How the place has changed between scan and walk, separated by commas: as-scanned; six-months, in which half of what
-    /// people move has been moved; crowd, with a dozen people more.
+    /// people move has been moved; crowd, with a dozen people more; other-floor, on another floor that is built alike, where every
+    /// pose is wrong.
     #[arg(long = "condition", visible_alias = "conditions", value_name = "NAME", value_parser = Condition::named, value_delimiter = ',', default_value = "as-scanned")]
     conditions: Vec<Condition>,
     /// Number of seeds.

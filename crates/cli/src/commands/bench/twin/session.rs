@@ -14,7 +14,7 @@ use super::cost::Costs;
 use super::judging::{self, Localized};
 use super::result::{Run, WRONG_M};
 use super::rigs::Calibrated;
-use super::trial::{Scanned, Walked};
+use super::trial::{Condition, Scanned, Walked};
 use crate::commands::groundtruth::WalkJob;
 use crate::commands::map::MapJob;
 use crate::context::{Context, sentence};
@@ -169,7 +169,11 @@ impl Session<'_> {
                 run.jitter_m = both.map(|(own, real)| (own * own - real * real).max(0.0).sqrt());
                 let wrong = |e: &&lsfb_eval::PoseError| e.translation_m > WRONG_M;
                 run.exported = judged.in_map.errors.len() as u64;
-                run.exported_wrong = judged.in_map.errors.iter().filter(wrong).count() as u64;
+                run.exported_wrong = match walked.condition {
+                    // Wherever it is on the mapped floor, it is not there.
+                    Condition::OtherFloor => run.exported,
+                    _ => judged.in_map.errors.iter().filter(wrong).count() as u64,
+                };
                 let left_out = report.frames.saturating_sub(report.poses);
                 run.dropped_s = whole_s * left_out as f64 / report.frames.max(1) as f64;
             }

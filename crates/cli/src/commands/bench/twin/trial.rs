@@ -8,6 +8,10 @@ use serde::{Deserialize, Serialize};
 const OFF_PATH_M: f64 = 6.0;
 /// Age of the place when the walk is made, under [`Condition::SixMonths`].
 const MONTHS: u32 = 6;
+/// Another floor has other things in it, as the same has later on: by so many months, which no other condition has.
+const MONTHS_TO_ANOTHER_FLOOR: u32 = 7;
+/// The name of [`Condition::OtherFloor`].
+pub const OTHER_FLOOR: &str = "other-floor";
 /// People who were not there during the scan, under [`Condition::Crowd`].
 const CROWD: u32 = 12;
 
@@ -21,10 +25,17 @@ pub enum Condition {
     SixMonths,
     /// A dozen people more on the ways.
     Crowd,
+    /// Nothing, but the walk is on another floor that is built alike: half of what people move is another there.
+    OtherFloor,
 }
 
 impl Condition {
-    const ALL: [Self; 3] = [Self::AsScanned, Self::SixMonths, Self::Crowd];
+    const ALL: [Self; 4] = [
+        Self::AsScanned,
+        Self::SixMonths,
+        Self::Crowd,
+        Self::OtherFloor,
+    ];
 
     /// Its name on the command line and in files.
     pub const fn name(self) -> &'static str {
@@ -32,13 +43,14 @@ impl Condition {
             Self::AsScanned => "as-scanned",
             Self::SixMonths => "six-months",
             Self::Crowd => "crowd",
+            Self::OtherFloor => OTHER_FLOOR,
         }
     }
 
     /// The condition of a name.
     pub fn named(name: &str) -> Result<Self, String> {
         let found = Self::ALL.into_iter().find(|c| c.name() == name);
-        found.ok_or_else(|| "expected as-scanned, six-months or crowd".to_owned())
+        found.ok_or_else(|| "expected as-scanned, six-months, crowd or other-floor".to_owned())
     }
 }
 
@@ -122,6 +134,7 @@ impl Walked {
             Condition::AsScanned => {}
             Condition::SixMonths => config.months_later = MONTHS,
             Condition::Crowd => config.crowd = CROWD,
+            Condition::OtherFloor => config.months_later = MONTHS_TO_ANOTHER_FLOOR,
         }
         config
     }

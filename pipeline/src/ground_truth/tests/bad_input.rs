@@ -1,0 +1,134 @@
+//! Devices that are not what their rig file says, and recordings that are not what happened.
+
+use lsfb_geometry::Rig;
+
+use super::recorded::{Measured, Paint, WALK_FRAMES, map, rig, run};
+use super::*;
+use crate::hd_map::HdMap;
+
+/// A walk with something wrong, in the map of its place.
+fn walked(
+    map: &HdMap,
+    rig_file: &Rig,
+    spoil: impl Fn(&mut Measured),
+) -> Result<GroundTruth, Error> {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("walk.mcap");
+    let mut measured = Measured::in_room(Paint::of(1), WALK_FRAMES);
+    spoil(&mut measured);
+    measured.record(&path, rig_file);
+    run(&path, map)
+}
+
+/// Codes of what is warned of.
+fn warned(found: &GroundTruth) -> Vec<String> {
+    let codes = found.report.warnings.iter().map(|w| w.finding().code);
+    codes.map(|code| code.into_owned()).collect()
+}
+
+/// Largest distance of a pose from the truth, metres.
+fn worst_m(found: &GroundTruth) -> f64 {
+    let poses = found.trajectory.poses().iter();
+    let apart_m = poses.map(|pose| {
+        let true_pose = truth(pose.time.nanos() as f64 * 1e-9);
+        (pose.world_from_rig.translation - true_pose.translation).norm()
+    });
+    apart_m.fold(0.0, f64::max)
+}
+
+#[test]
+fn what_is_wrong_with_a_walk_is_said() {
+    let map = map(1);
+    let swapped = walked(&map, &rig(), |m| {
+        for s in &mut m.imu {
+            s.sample.angular_velocity_rad_s.rotate_left(1);
+            s.sample.specific_force_m_s2.rotate_left(1);
+        }
+    });
+    let error = swapped.expect_err("axes of the IMU");
+    assert!(matches!(error, Error::MapDisagrees { .. }), "{error}");
+
+    let late = walked(&map, &rig(), |m| {
+        for (_, image) in &mut m.images {
+            image.time = image.time.plus_nanos(100_000_000);
+        }
+    });
+    let said = warned(&late.expect("100 ms"));
+    assert!(said.contains(&"camera-off".to_owned()), "{said:?}");
+
+    let mut longer = rig();
+    for camera in longer.cameras.values_mut() {
+        if let Lens::KannalaBrandt { focal_px, .. } = &mut camera.camera.lens {
+            *focal_px = focal_px.map(|f| 1.02 * f);
+        }
+    }
+    let said = warned(&walked(&map, &longer, |_| {}).expect("2 %"));
+    assert!(said.contains(&"camera-off".to_owned()), "{said:?}");
+}
+
+/// The last images are one image, again and again: taken for what is seen, they hold the device where it was, and nothing is said.
+#[test]
+fn a_frozen_camera_and_a_stamp_given_twice_are_said_and_move_nothing() {
+    let map = map(1);
+    let cameras = rig().cameras.len();
+    let frozen = walked(&map, &rig(), |m| {
+        let last = m.images.len() - 4 * cameras;
+        for k in last..m.images.len() {
+            m.images[k].1.sample = m.images[k - cameras].1.sample.clone();
+        }
+    });
+    let frozen = frozen.expect("frozen at the end");
+    assert_eq!(warned(&frozen), ["frozen-images"]);
+    assert!(worst_m(&frozen) < 0.03, "{} m", worst_m(&frozen));
+
+    let twice = walked(&map, &rig(), |m| {
+        let time = m.images[5 * cameras].1.time;
+        let later = m.images[9 * cameras..10 * cameras].to_vec();
+        let stamped = later.into_iter().map(|(name, mut image)| {
+            image.time = time;
+            (name, image)
+        });
+        let stamped: Vec<_> = stamped.collect();
+        m.images.splice(6 * cameras..6 * cameras, stamped);
+    });
+    let twice = twice.expect("a stamp given twice");
+    assert_eq!(warned(&twice), ["repeated-stamps"]);
+    assert!(worst_m(&twice) < 0.01, "{} m", worst_m(&twice));
+}
+
+/// Three seconds in which nothing is seen, neither the map nor anything else: the IMU alone carries them, and says how surely.
+#[test]
+fn the_imu_carries_three_seconds_of_darkness() {
+    let dark = 40..70;
+    let MadeUp {
+        mut walk,
+        mut features,
+    } = make_walk(220, 220, |k| !dark.contains(&k));
+    for features in &mut features[2 * dark.start..2 * dark.end] {
+        *features = Features::default();
+    }
+    let config = GroundTruthConfig::default();
+    let start = started(&walk, &config);
+    let solved = solve_walk(&mut walk, &start, &features, &config, &no_progress).expect("solves");
+    let estimate = &solved.last.estimate;
+    let found = uncertainty(&walk, estimate, &solved.last.points, &config, &no_progress);
+    let poses = found.expect("covariances").poses;
+    let mut worst_m = 0.0f64;
+    for k in 0..FRAMES {
+        let error = (truth(k as f64 * FRAME_SECS).inverse() * *estimate.pose(k)).log();
+        let covariance = poses[k].expect("determined");
+        let information = covariance.try_inverse().expect("regular");
+        let nees = error.dot(&(information * error));
+        worst_m = worst_m.max(error.fixed_rows::<3>(3).norm());
+        assert!(nees < 40.0, "frame {k}: {nees}");
+    }
+    assert!(worst_m < 0.05, "{worst_m} m");
+    let found = Solution {
+        states: &estimate.states,
+        accepted: &start.accepted,
+        covariances: &poses,
+        disagreements_m: &[0.0; FRAMES],
+        in_view: &[],
+    };
+    assert_eq!(trusted(&walk, &found, &config).poses.len(), FRAMES);
+}
