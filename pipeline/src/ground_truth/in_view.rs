@@ -109,7 +109,9 @@ fn spans(walk: &Walk) -> Vec<Range<usize>> {
         return Vec::new();
     };
     let whole_secs = last.time.secs_since(first.time);
-    let count = (whole_secs / SPAN_SECS).round().max(1.0);
+    // A stamp that is years off makes no more stretches than there are frames.
+    let most = walk.frames.len() as f64;
+    let count = (whole_secs / SPAN_SECS).round().clamp(1.0, most.max(1.0));
     let border = |k: f64| {
         let until_secs = whole_secs * k / count;
         walk.frames
