@@ -277,11 +277,6 @@ fn judged(frames: Range<usize>, looks: &[Look], map: &HdMap) -> InView {
             })
         })
         .collect();
-    eprintln!(
-        "INVIEW q {} of {}",
-        sought.iter().filter(|s| s.is_found).count(),
-        sought.len()
-    );
     let mut found = InView {
         frames,
         there: 0,

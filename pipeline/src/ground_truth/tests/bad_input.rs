@@ -114,9 +114,9 @@ fn the_imu_carries_three_seconds_of_darkness() {
     let found = uncertainty(&walk, estimate, &solved.last.points, &config, &no_progress);
     let poses = found.expect("covariances").poses;
     let mut worst_m = 0.0f64;
-    for k in 0..FRAMES {
+    for (k, covariance) in poses.iter().enumerate() {
         let error = (truth(k as f64 * FRAME_SECS).inverse() * *estimate.pose(k)).log();
-        let covariance = poses[k].expect("determined");
+        let covariance = covariance.expect("determined");
         let information = covariance.try_inverse().expect("regular");
         let nees = error.dot(&(information * error));
         worst_m = worst_m.max(error.fixed_rows::<3>(3).norm());
