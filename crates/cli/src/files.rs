@@ -1,6 +1,6 @@
 //! Files that commands read and write: errors name them and say what to do.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 
@@ -41,6 +41,12 @@ pub fn is_same(a: &Path, b: &Path) -> bool {
         (Ok(a), Ok(b)) => a == b,
         _ => false,
     }
+}
+
+/// A text file that stands beside a trajectory: `walk.tum` and `covariance` → `walk_covariance.txt`.
+pub fn beside(trajectory: &Path, what: &str) -> PathBuf {
+    let stem = trajectory.file_stem().unwrap_or_default().to_string_lossy();
+    trajectory.with_file_name(format!("{stem}_{what}.txt"))
 }
 
 /// The name of a file without its folder, for pages beside it.

@@ -176,8 +176,18 @@ fn a_folder_of_kitti_is_read_and_nothing_is_left_beside_the_result() {
         .map(|entry| entry.expect("an entry").path())
         .collect();
     there.sort();
-    let names = ["k.tum", "k.tum.provenance.json", "velodyne"].map(|name| path.join(name));
-    assert_eq!(there, names);
+    let names = [
+        "k.tum",
+        "k.tum.provenance.json",
+        "k_covariance.txt",
+        "velodyne",
+    ];
+    assert_eq!(there, names.map(|name| path.join(name)));
+    // A pose and its covariance for each scan, as `lsfb eval` reads them.
+    let text = std::fs::read_to_string(path.join("k_covariance.txt")).expect("covariances");
+    let rows = text.lines().filter(|line| !line.starts_with('#'));
+    let columns: Vec<usize> = rows.map(|row| row.split(' ').count()).collect();
+    assert_eq!(columns, [44; SCANS]);
 
     // The order of its points shows the turn of the sensor.
     let by_azimuth = [&command[..], &["--lidar-model", "vlp-16"]].concat();

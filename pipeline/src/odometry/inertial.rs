@@ -12,6 +12,8 @@ use lsfb_perception::lidar::PosePrior;
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 use nalgebra::{SMatrix, SVector};
 
+use super::uncertainty::once_seen;
+
 type Matrix18 = SMatrix<f64, 18, 18>;
 
 const VELOCITY: usize = 6;
@@ -27,6 +29,9 @@ pub const GRAVITY_M_S2: f64 = 9.80665;
 const MAX_SAMPLE_GAP_S: f64 = 0.08;
 /// Longer than this between two samples a straight line between them misses some of the motion, seconds.
 const SURE_SAMPLE_GAP_S: f64 = 0.02;
+/// Means over a scan that differ from those at the start by more than this are the first step, rad/s and m/s².
+const STANDING_RATE_RAD_S: f64 = 0.03;
+const STANDING_FORCE_M_S2: f64 = 0.2;
 /// What a walker may do unseen: turn rate, rad/s, and acceleration, m/s².
 const UNSEEN_RATE_RAD_S: f64 = 0.5;
 const UNSEEN_ACCELERATION_M_S2: f64 = 2.0;
@@ -50,9 +55,32 @@ pub struct InertialState {
 #[derive(Clone, Debug)]
 pub struct InertialFilter {
     state: InertialState,
+    /// By which scans and prediction are weighed.
     covariance: Matrix18,
+    /// By which the estimate is reported: with scans that share their errors.
+    reported: Matrix18,
+    /// What it felt at the start, as long as it has stood still since.
+    standing: Option<Standing>,
     time: Timestamp,
     noise: ImuNoiseModel,
+}
+
+/// Mean angular velocity and specific force of a carrier that stands.
+#[derive(Clone, Copy, Debug)]
+struct Standing {
+    angular_velocity: Vector3<f64>,
+    specific_force: Vector3<f64>,
+}
+
+impl Standing {
+    /// Whether the mean over samples is still the same.
+    fn goes_on(&self, samples: &[Stamped<ImuSample>]) -> bool {
+        let n = samples.len().max(1) as f64;
+        let turns = samples.iter().map(|s| Reading::from(s).angular_velocity);
+        let forces = samples.iter().map(|s| Reading::from(s).specific_force);
+        (turns.sum::<Vector3<f64>>() / n - self.angular_velocity).norm() < STANDING_RATE_RAD_S
+            && (forces.sum::<Vector3<f64>>() / n - self.specific_force).norm() < STANDING_FORCE_M_S2
+    }
 }
 
 /// Angular velocity and specific force at one time.
@@ -165,6 +193,11 @@ impl InertialFilter {
                 gravity_m_s2: Vector3::new(0.0, 0.0, -GRAVITY_M_S2),
             },
             covariance: Matrix18::from_diagonal(&variance),
+            reported: Matrix18::from_diagonal(&variance),
+            standing: stands.then_some(Standing {
+                angular_velocity: rate,
+                specific_force: force,
+            }),
             time,
             noise: noise.clone(),
         })
@@ -180,15 +213,24 @@ impl InertialFilter {
         self.time
     }
 
+    /// Whether it has not moved since the start, as far as an IMU can tell.
+    pub fn stands(&self) -> bool {
+        self.standing.is_some()
+    }
+
     /// Moves the estimate to `end` with the samples around that span; returns the poses on the way, both ends included.
     pub fn predict(&mut self, samples: &[Stamped<ImuSample>], end: Timestamp) -> Vec<StampedPose> {
         let mut knots = vec![self.knot()];
         let first = samples.partition_point(|s| s.time <= self.time);
         let last = samples.partition_point(|s| s.time < end).max(first);
+        let inside = &samples[first..last];
+        self.standing = self
+            .standing
+            .filter(|standing| inside.is_empty() || standing.goes_on(inside));
         let Some(mut from) = reading_at(samples, self.time) else {
             return knots;
         };
-        let inside = samples[first..last].iter().map(Reading::from);
+        let inside = inside.iter().map(Reading::from);
         for to in inside.chain(reading_at(samples, end)) {
             self.integrate(&from, &to);
             knots.push(self.knot());
@@ -273,10 +315,17 @@ impl InertialFilter {
         add(GYRO_BIAS, self.noise.gyro_bias_walk, 0.0);
         add(ACCEL_BIAS, self.noise.accel_bias_walk, 0.0);
 
-        self.covariance = f * self.covariance * f.transpose() + Matrix18::from_diagonal(&noise);
+        let noise = Matrix18::from_diagonal(&noise);
+        self.covariance = f * self.covariance * f.transpose() + noise;
+        self.reported = f * self.reported * f.transpose() + noise;
         self.state.world_from_rig = end;
         self.state.velocity_m_s += acceleration * dt;
         self.time = to.time;
+    }
+
+    /// How far the pose may be off against the map: covariance of `[rotation, translation]`.
+    pub fn reported_covariance(&self) -> Matrix6<f64> {
+        self.reported.fixed_view::<6, 6>(0, 0).into()
     }
 
     /// The predicted pose as a prior for registration.
@@ -290,8 +339,14 @@ impl InertialFilter {
         }
     }
 
-    /// Takes in the pose found from [`InertialFilter::pose_prior`] and a scan that gave `information` on it.
-    pub fn correct(&mut self, world_from_rig: &Se3, information: &Matrix6<f64>) {
+    /// Takes in the pose found from [`InertialFilter::pose_prior`] and a scan that gave `information` on it, of which `lasting` is what it
+    /// adds to those before it, with which it shares its errors.
+    pub fn correct(
+        &mut self,
+        world_from_rig: &Se3,
+        information: &Matrix6<f64>,
+        lasting: &Matrix6<f64>,
+    ) {
         let p = &self.covariance;
         let prior: Matrix6<f64> = p.fixed_view::<6, 6>(0, 0).into();
         let Some(prior_cholesky) = prior.cholesky() else {
@@ -307,13 +362,12 @@ impl InertialFilter {
         s.gyro_bias_rad_s += delta.fixed_rows::<3>(GYRO_BIAS);
         s.accel_bias_m_s2 += delta.fixed_rows::<3>(ACCEL_BIAS);
         s.gravity_m_s2 += delta.fixed_rows::<3>(GRAVITY);
-        // P⁺ = P − P_:p P_pp⁻¹ (P_pp − (P_pp⁻¹ + H)⁻¹) P_pp⁻¹ P_p:
-        let Some(posterior) = (prior_cholesky.inverse() + information).cholesky() else {
-            return;
-        };
-        let reduced = prior - posterior.inverse();
-        let updated = p - all_by_pose * reduced * all_by_pose.transpose();
-        self.covariance = (updated + updated.transpose()) * 0.5;
+        if let Some(seen) = once_seen(p, information) {
+            self.covariance = seen;
+        }
+        if let Some(seen) = once_seen(&self.reported, lasting) {
+            self.reported = seen;
+        }
     }
 }
 
@@ -443,7 +497,7 @@ mod tests {
         let information = Matrix6::identity() * 1e6;
         for i in 1..19 {
             filter.predict(&samples, Timestamp::from_nanos(i * 100_000_000));
-            filter.correct(&Se3::identity(), &information);
+            filter.correct(&Se3::identity(), &information, &information);
         }
         let state = filter.state();
         // The length of gravity is known to a centimetre per second squared: the rest is bias.

@@ -5,12 +5,15 @@
 //! prior of the registration). Without one, motion is taken to continue as in the last scan, and the start defines a
 //! world that is not level.
 
+mod degeneracy;
 mod imu_check;
 mod inertial;
 mod online;
 mod point_clock;
 mod report;
 mod run;
+mod uncertainty;
+mod unseen;
 mod warning;
 
 #[cfg(test)]
@@ -26,15 +29,19 @@ use lsfb_perception::lidar::{
 use lsfb_types::{Bounds, ImuSample, LidarScan, Stamped, Timestamp};
 use serde::{Deserialize, Serialize};
 
+pub use degeneracy::{MotionKind, Unseen};
 pub use inertial::{GRAVITY_M_S2, InertialFilter, InertialState};
 pub use online::OnlineOdometry;
 pub use point_clock::{DeskewReport, TimedScan};
 pub use report::OdometryReport;
 pub(crate) use run::Damages;
-pub use run::{DeskewedCloud, ImuSamples, OdometryResult, OdometryRun, run_odometry};
+pub use run::{DeskewedCloud, ImuSamples, OdometryResult, OdometryRun, ScanPose, run_odometry};
+pub use unseen::UnseenStretch;
 pub use warning::OdometryWarning;
 
 use crate::Error;
+use degeneracy::Seen;
+use uncertainty::{ConstantMotionCovariance, Uncertainty};
 
 /// Parameters of the odometry. The defaults suit rooms and corridors; outdoors take cells of 2 m and keypoints of 1 m.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -60,6 +67,8 @@ pub struct OdometryConfig {
     pub points_per_independent: f64,
     /// Share of points that must agree with the map; below it the scan is reported as lost.
     pub min_inlier_ratio: f64,
+    /// How many scans in a row share the faults of the surfaces that they see: the covariance counts them as one.
+    pub correlated_scans: f64,
 }
 
 impl OdometryConfig {
@@ -89,6 +98,7 @@ impl Default for OdometryConfig {
             max_iterations: 30,
             points_per_independent: 4.0,
             min_inlier_ratio: 0.2,
+            correlated_scans: 10.0,
         }
     }
 }
@@ -105,6 +115,7 @@ lsfb_types::bounds! {
         max_iterations: number(Bounds::AT_LEAST_ONE),
         points_per_independent: number(Bounds::POSITIVE),
         min_inlier_ratio: number(Bounds::Within(0.0, 1.0)),
+        correlated_scans: number(Bounds::AT_LEAST_ONE),
     }
 }
 
@@ -115,6 +126,10 @@ pub struct OdometryStep {
     pub time: Timestamp,
     /// Pose of the rig then.
     pub world_from_rig: Se3,
+    /// How far that may be off, relative to the first pose: covariance of `[rotation, translation]` in its tangent.
+    pub covariance: Matrix6<f64>,
+    /// The motion that the scan sees least, where it does not see all.
+    pub unseen: Option<Unseen>,
     /// Poses since the scan before, oldest first, ending with this scan's: at IMU rate where there is an IMU.
     pub poses: Vec<StampedPose>,
     /// The deskewed keypoints, in the rig frame at [`OdometryStep::time`].
@@ -149,6 +164,7 @@ enum Motion {
     Constant {
         /// `[rotation, translation]` per second, in the rig frame.
         twist_per_s: Vector6<f64>,
+        covariance: Box<ConstantMotionCovariance>,
     },
 }
 
@@ -166,6 +182,9 @@ pub struct Odometry {
     lidar: RigLidar,
     motion: Motion,
     map: LocalMap,
+    uncertainty: Uncertainty,
+    /// Whether the last scan did not see all of its motion.
+    unseen: bool,
     /// Pose at the end of the last scan.
     last: Option<StampedPose>,
     /// Shortest time from scan to scan so far, nanoseconds.
@@ -184,6 +203,9 @@ struct ReducedScan {
 const USUAL_RANGE_M: f64 = 10.0;
 /// Smallest gate: the noise of a scan needs this much room, metres.
 const MIN_GATE_M: f64 = 0.3;
+/// A scan that is lost is looked for so many times as far, and found where so many times the points agree.
+const FAR_GATES: f64 = 2.0;
+const FAR_INLIERS: f64 = 2.0;
 /// Predictions looked back at for the gate.
 const CORRECTIONS: usize = 10;
 
@@ -203,6 +225,7 @@ impl Odometry {
             }),
             None => Motion::Constant {
                 twist_per_s: Vector6::zeros(),
+                covariance: Box::new(ConstantMotionCovariance::start()),
             },
         };
         Ok(Self {
@@ -214,6 +237,8 @@ impl Odometry {
             config: config.clone(),
             lidar: lidar.clone(),
             motion,
+            uncertainty: Uncertainty::default(),
+            unseen: false,
             last: None,
             interval_ns: None,
             corrections_m: VecDeque::new(),
@@ -250,20 +275,34 @@ impl Odometry {
             reduced = self.reduce(scan, &path);
             found = self.register(&reduced, &path);
         }
-        let outcome = self.judge(&found);
-        if outcome == StepOutcome::Registered {
-            self.correct(&mut path, &found);
+        let mut outcome = self.judge(&found);
+        if outcome == StepOutcome::Lost && matches!(self.motion, Motion::Inertial(_)) {
+            // The IMU led astray: once more from farther away, and then with more that must agree.
+            let far = self.register_within(&reduced, &path, FAR_GATES * self.config.initial_gate_m);
+            if far.inlier_ratio >= FAR_INLIERS * self.config.min_inlier_ratio {
+                (found, outcome) = (far, StepOutcome::Registered);
+            }
         }
+        let predicted = self.predicted_covariance();
+        let mut seen = Seen::default();
+        if outcome == StepOutcome::Registered {
+            seen = self.leave_unseen(&reduced, &path, &mut found);
+            self.unseen = seen.unseen.is_some();
+            self.correct(&mut path, &found, &seen.lasting);
+        }
+        let covariance = self.covariance_of(&reduced, &path, &predicted, &seen.lasting);
         if outcome == StepOutcome::Lost {
             // It may be anywhere near: look as far as at the start.
             self.corrections_m.clear();
         } else {
-            self.insert(&reduced, &path);
+            self.insert(&reduced, &path, &covariance);
         }
         self.finish(&path);
         Ok(OdometryStep {
             time: end,
             world_from_rig: end_pose(&path),
+            covariance,
+            unseen: seen.unseen,
             poses: path,
             keypoints_in_rig: reduced.keypoints,
             inlier_ratio: found.inlier_ratio,
@@ -295,10 +334,15 @@ impl Odometry {
     fn predict(&mut self, start: Timestamp, end: Timestamp) -> Result<Vec<StampedPose>, Error> {
         match &mut self.motion {
             Motion::Inertial(inertial) => inertial.predict(start, end),
-            Motion::Constant { twist_per_s } => {
+            Motion::Constant {
+                twist_per_s,
+                covariance,
+            } => {
                 let predicted = self.last.map_or_else(Se3::identity, |last| {
-                    last.world_from_rig
-                        .retract(&(*twist_per_s * end.secs_since(last.time)))
+                    let secs = end.secs_since(last.time);
+                    let predicted = last.world_from_rig.retract(&(*twist_per_s * secs));
+                    covariance.predict(&last.world_from_rig, &predicted, secs);
+                    predicted
                 });
                 Ok(constant_path(self.last, start, end, &predicted))
             }
@@ -328,7 +372,28 @@ impl Odometry {
     }
 
     fn register(&self, reduced: &ReducedScan, path: &[StampedPose]) -> Registration {
-        let prior = match &self.motion {
+        let gate_m = self.gate_m(path, &self.prior(path));
+        self.register_within(reduced, path, gate_m)
+    }
+
+    fn register_within(
+        &self,
+        reduced: &ReducedScan,
+        path: &[StampedPose],
+        gate_m: f64,
+    ) -> Registration {
+        let prior = self.prior(path);
+        let config = self.registration(gate_m);
+        let sensor_in_rig = self.lidar.rig_from_lidar.translation;
+        register(&reduced.keypoints, &prior, &config, |pose, gate_m| {
+            let points = &reduced.keypoints;
+            self.map.find_all(points, &sensor_in_rig, pose, gate_m)
+        })
+    }
+
+    /// What is known of the end of a predicted path.
+    fn prior(&self, path: &[StampedPose]) -> PosePrior {
+        match &self.motion {
             Motion::Inertial(InertialMotion {
                 filter: Some(filter),
                 ..
@@ -338,23 +403,24 @@ impl Odometry {
                 // Keeps a scan without structure where it is predicted, and weighs nothing against one with.
                 information: Matrix6::identity(),
             },
-        };
+        }
+    }
+
+    fn registration(&self, gate_m: f64) -> RegistrationConfig {
         let noise_m = self.lidar.range_noise_m.max(0.005);
-        let finest_m = self.config.cell_size_m / f64::from(1u32 << (self.config.cell_levels - 1));
-        let config = RegistrationConfig {
+        RegistrationConfig {
             max_iterations: self.config.max_iterations,
-            gate_m: self.gate_m(path, &prior),
+            gate_m,
             min_kernel_m: (3.0 * noise_m).max(0.03),
             range_noise_m: noise_m,
-            point_noise_m: noise_m.hypot(0.3 * finest_m),
+            point_noise_m: noise_m.hypot(0.3 * self.finest_cell_m()),
             points_per_independent: self.config.points_per_independent,
             weighting: Weighting::Tightening,
-        };
-        let sensor_in_rig = self.lidar.rig_from_lidar.translation;
-        register(&reduced.keypoints, &prior, &config, |pose, gate_m| {
-            let points = &reduced.keypoints;
-            self.map.find_all(points, &sensor_in_rig, pose, gate_m)
-        })
+        }
+    }
+
+    fn finest_cell_m(&self) -> f64 {
+        self.config.cell_size_m / f64::from(1u32 << (self.config.cell_levels - 1))
     }
 
     /// Farthest correspondence: three times what predictions were lately wrong by, or what this one says it may be. After a gap
@@ -404,7 +470,7 @@ impl Odometry {
     }
 
     /// Takes in the registered pose and bends the path so that it ends there.
-    fn correct(&mut self, path: &mut [StampedPose], found: &Registration) {
+    fn correct(&mut self, path: &mut [StampedPose], found: &Registration, lasting: &Matrix6<f64>) {
         let correction = end_pose(path).local(&found.world_from_rig);
         let moved_m = correction.fixed_rows::<3>(3).norm()
             + USUAL_RANGE_M * correction.fixed_rows::<3>(0).norm();
@@ -412,12 +478,13 @@ impl Odometry {
         if self.corrections_m.len() > CORRECTIONS {
             self.corrections_m.pop_front();
         }
-        if let Motion::Inertial(InertialMotion {
-            filter: Some(filter),
-            ..
-        }) = &mut self.motion
-        {
-            filter.correct(&found.world_from_rig, &found.information);
+        match &mut self.motion {
+            Motion::Inertial(inertial) => {
+                if let Some(filter) = &mut inertial.filter {
+                    filter.correct(&found.world_from_rig, &found.information, lasting);
+                }
+            }
+            Motion::Constant { covariance, .. } => covariance.correct(lasting),
         }
         let (Some(first), Some(last)) = (path.first().copied(), path.last().copied()) else {
             return;
@@ -434,11 +501,13 @@ impl Odometry {
         }
     }
 
-    fn insert(&mut self, reduced: &ReducedScan, path: &[StampedPose]) {
+    fn insert(&mut self, reduced: &ReducedScan, path: &[StampedPose], covariance: &Matrix6<f64>) {
         let world_from_rig = end_pose(path);
         let sensor_in_rig = self.lidar.rig_from_lidar.translation;
         self.map
             .insert(&reduced.insert_points, &world_from_rig, &sensor_in_rig);
+        self.uncertainty
+            .draw(self.map.place(), &world_from_rig, covariance);
         let range_m = 1.5 * self.config.max_range_m;
         self.map.forget_beyond(&world_from_rig.translation, range_m);
     }
@@ -453,7 +522,7 @@ impl Odometry {
                 let used = inertial.samples.partition_point(|s| s.time <= end.time);
                 inertial.samples.drain(..used.saturating_sub(1));
             }
-            Motion::Constant { twist_per_s } => {
+            Motion::Constant { twist_per_s, .. } => {
                 if let Some(last) = self.last {
                     let moved = last.world_from_rig.local(&end.world_from_rig);
                     *twist_per_s = moved / end.time.secs_since(last.time);

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::point_clock::DeskewReport;
+use super::unseen::UnseenStretch;
 use super::warning::OdometryWarning;
 
 /// What the odometry says about its own result.
@@ -17,6 +18,12 @@ pub struct OdometryReport {
     /// Lost scans behind the last registered one: the trajectory ends before them.
     #[serde(default)]
     pub lost_at_end: u64,
+    /// Stretches in which scans do not see all of the motion.
+    #[serde(default)]
+    pub unseen: Vec<UnseenStretch>,
+    /// The largest standard deviation of the last pose's place, in any direction, relative to the first pose, metres.
+    #[serde(default)]
+    pub sigma_at_end_m: f64,
     /// How motion within scans was undone.
     #[serde(default)]
     pub deskew: DeskewReport,
@@ -38,7 +45,15 @@ pub struct OdometryReport {
     pub warnings: Vec<OdometryWarning>,
 }
 
+/// Where the last pose may be farther off than this in one direction, the end is not found, metres.
+const MAX_SIGMA_AT_END_M: f64 = 1.0;
+
 impl OdometryReport {
+    /// Whether the trajectory leads to the end of the recording: scans found their place there, and the place is known.
+    pub fn reaches_the_end(&self) -> bool {
+        self.lost_at_end == 0 && self.sigma_at_end_m <= MAX_SIGMA_AT_END_M
+    }
+
     /// Adds what follows from the counts, in the order of its weight.
     pub(super) fn add_warnings(&mut self) {
         let (lost, skipped, scans) = (self.lost, self.skipped, self.scans);
@@ -48,6 +63,14 @@ impl OdometryReport {
         if self.lost_at_end > 0 {
             let scans = self.lost_at_end;
             self.warnings.push(OdometryWarning::LostAtEnd { scans });
+        }
+        let unseen = self.unseen.iter().cloned();
+        self.warnings
+            .extend(unseen.map(|stretch| OdometryWarning::Unseen { stretch }));
+        if self.sigma_at_end_m > MAX_SIGMA_AT_END_M {
+            let sigma_m = self.sigma_at_end_m;
+            self.warnings
+                .push(OdometryWarning::EndUncertain { sigma_m });
         }
         self.warnings.extend(self.deskew.warnings());
         if skipped > 0 {

@@ -4,7 +4,8 @@ use std::iter::Peekable;
 use std::vec::IntoIter;
 
 use lsfb_geometry::{
-    ImuNoiseModel, Rig, RigLidar, Se3, StampedPose, Trajectory, UnitQuaternion, Vector3,
+    ImuNoiseModel, Matrix3, Matrix6, Rig, RigLidar, Se3, StampedPose, Trajectory, UnitQuaternion,
+    Vector3,
 };
 use lsfb_recording::Recording;
 use lsfb_recording::cloud::{PointTimes, TimesBegin};
@@ -13,6 +14,7 @@ use lsfb_types::{ImuSample, LidarScan, Progress, ProgressFn, Stamped, Timestamp}
 use super::imu_check::{ImuUnits, mend_units};
 use super::point_clock::{PointClock, TimedScan};
 use super::report::OdometryReport;
+use super::unseen::UnseenStretches;
 use super::warning::OdometryWarning;
 use super::{InertialState, Odometry, OdometryConfig, StepOutcome};
 use crate::Error;
@@ -22,10 +24,21 @@ use crate::Error;
 pub struct OdometryResult {
     /// Pose of the rig at the end of every scan that found its place, and between such scans at the rate of the IMU.
     pub trajectory: Trajectory,
+    /// Pose and covariance at the end of every scan that found its place.
+    pub scan_poses: Vec<ScanPose>,
     /// Every scan that found its place.
     pub clouds: Vec<DeskewedCloud>,
     /// What happened.
     pub report: OdometryReport,
+}
+
+/// The pose of a scan, and how far it may be off.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ScanPose {
+    /// When, and where the rig was.
+    pub pose: StampedPose,
+    /// Relative to the first scan's pose: covariance of `[rotation, translation]` in the tangent of this one.
+    pub covariance: Matrix6<f64>,
 }
 
 /// A scan deskewed to its last firing and downsampled.
@@ -35,6 +48,14 @@ pub struct DeskewedCloud {
     pub time: Timestamp,
     /// Points in the rig frame at that time, metres.
     pub points_in_rig: Vec<[f32; 3]>,
+}
+
+impl ScanPose {
+    /// Standard deviation of the place in its worst direction, metres.
+    fn worst_sigma_m(&self) -> f64 {
+        let place: Matrix3<f64> = self.covariance.fixed_view::<3, 3>(3, 3).into();
+        place.symmetric_eigenvalues().max().max(0.0).sqrt()
+    }
 }
 
 /// Damaged messages named in the report; the rest are counted.
@@ -256,6 +277,8 @@ impl Damages {
 #[derive(Default)]
 struct Found {
     poses: Vec<StampedPose>,
+    scan_poses: Vec<ScanPose>,
+    unseen: UnseenStretches,
     clouds: Vec<DeskewedCloud>,
     report: OdometryReport,
     inlier_ratios: f64,
@@ -280,6 +303,14 @@ impl Found {
             return Ok(());
         }
         self.report.registered += 1;
+        self.unseen.take(&step);
+        self.scan_poses.push(ScanPose {
+            pose: StampedPose {
+                time: step.time,
+                world_from_rig: step.world_from_rig,
+            },
+            covariance: step.covariance,
+        });
         if step.outcome == StepOutcome::Registered {
             self.measured += 1;
             self.inlier_ratios += step.inlier_ratio;
@@ -306,14 +337,16 @@ impl Found {
     fn finish(self, state: Option<&InertialState>) -> OdometryResult {
         let mut report = self.report;
         let mut poses = self.poses;
+        let mut scan_poses = self.scan_poses;
+        let mut level = UnitQuaternion::identity();
         if let Some(state) = state {
             // Gravity is known best at the end of the walk; the whole walk is turned level with it.
             let down = -Vector3::z();
-            let level = UnitQuaternion::rotation_between(&state.gravity_m_s2, &down)
+            level = UnitQuaternion::rotation_between(&state.gravity_m_s2, &down)
                 .unwrap_or_else(UnitQuaternion::identity);
-            let level = Se3::new(level, Vector3::zeros());
-            for pose in &mut poses {
-                pose.world_from_rig = level * pose.world_from_rig;
+            let of_scans = scan_poses.iter_mut().map(|scan| &mut scan.pose);
+            for pose in poses.iter_mut().chain(of_scans) {
+                pose.world_from_rig = Se3::new(level, Vector3::zeros()) * pose.world_from_rig;
             }
             report.gyro_bias_rad_s = Some(state.gyro_bias_rad_s.into());
             report.accel_bias_m_s2 = Some(state.accel_bias_m_s2.into());
@@ -323,9 +356,12 @@ impl Found {
         report.path_length_m = trajectory.path_length_m();
         report.mean_inlier_ratio = self.inlier_ratios / measured;
         report.plane_rms_m = (self.plane_squares / measured).sqrt();
+        report.unseen = self.unseen.finish(&level);
+        report.sigma_at_end_m = scan_poses.last().map_or(0.0, ScanPose::worst_sigma_m);
         report.add_warnings();
         OdometryResult {
             trajectory,
+            scan_poses,
             clouds: self.clouds,
             report,
         }
@@ -350,6 +386,8 @@ mod tests {
         Ok(OdometryStep {
             time: end.time,
             world_from_rig: end.world_from_rig,
+            covariance: Matrix6::identity() * 1e-4,
+            unseen: None,
             poses: vec![pose(tenths * 100_000_000 - 50_000_000), end],
             keypoints_in_rig: Vec::new(),
             inlier_ratio: 0.9,

@@ -3,8 +3,10 @@
 use lsfb_types::{Finding, Verdict};
 use serde::{Deserialize, Serialize};
 
+use super::unseen::UnseenStretch;
+
 /// Something the reader of a trajectory should know.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 #[non_exhaustive]
 pub enum OdometryWarning {
@@ -19,6 +21,16 @@ pub enum OdometryWarning {
     LostAtEnd {
         /// Scans behind the last pose.
         scans: u64,
+    },
+    /// Scans do not see all of the motion.
+    Unseen {
+        /// When, which, and how far it may be off.
+        stretch: UnseenStretch,
+    },
+    /// Where the recording ends is not known.
+    EndUncertain {
+        /// Standard deviation of the last pose's place in its worst direction, metres.
+        sigma_m: f64,
     },
     /// Scans were empty, out of order, or before the first inertial sample.
     Skipped {
@@ -75,6 +87,13 @@ impl OdometryWarning {
             Self::LostAtEnd { scans } => (
                 "lost-at-end",
                 format!("the last {scans} scans are lost: the trajectory ends before them"),
+            ),
+            Self::Unseen { stretch } => ("unseen-motion", stretch.to_string()),
+            Self::EndUncertain { sigma_m } => (
+                "end-uncertain",
+                format!(
+                    "the last pose may be {sigma_m:.1} m off (one standard deviation): the scans do not tell where the recording ends"
+                ),
             ),
             Self::Skipped { skipped, scans } => (
                 "skipped",

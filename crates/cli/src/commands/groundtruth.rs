@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use lsfb_geometry::{Matrix6, Trajectory};
+use lsfb_geometry::Trajectory;
 use lsfb_pipeline::ground_truth::{
     GroundTruth, GroundTruthConfig, GroundTruthReport, ground_truth,
 };
@@ -11,6 +11,7 @@ use lsfb_pipeline::hd_map::HdMap;
 use lsfb_recording::{Provenance, read_tum, write_tum};
 use lsfb_types::Judgement;
 
+use super::covariance_file;
 use crate::context::Context;
 use crate::files;
 use crate::judged::{Judged, problem_lines};
@@ -109,8 +110,8 @@ impl WalkJob<'_> {
         provenance.add_rig(&super::about(self.recording, walk.rig())?);
         // The map's header has the hashes of its other files.
         provenance.add_input(&self.map.join(HdMap::HEADER))?;
-        let covariances = beside(self.out, "covariance");
-        let cross_check = beside(self.out, "cross_check");
+        let covariances = files::beside(self.out, "covariance");
+        let cross_check = files::beside(self.out, "cross_check");
         if let Some(report) = context.standing(&[self.out], &provenance) {
             return Ok(WrittenTrajectory {
                 trajectory: read_tum(self.out)?,
@@ -127,7 +128,8 @@ impl WalkJob<'_> {
         )?;
         standing::forget(&[self.out])?;
         write_tum(self.out, &found.trajectory)?;
-        files::write(&covariances, with_covariances(&found))?;
+        let poses = found.trajectory.poses().iter().zip(&found.covariances);
+        files::write(&covariances, covariance_file::text(NOT_IN_IT, poses))?;
         files::write(&cross_check, disagreements(&found))?;
         provenance.write(self.out)?;
         let beside = [covariances, cross_check];
@@ -140,11 +142,9 @@ impl WalkJob<'_> {
     }
 }
 
-/// `walk.tum` → `walk_covariance.txt`.
-fn beside(trajectory: &Path, what: &str) -> PathBuf {
-    let stem = trajectory.file_stem().unwrap_or_default().to_string_lossy();
-    trajectory.with_file_name(format!("{stem}_{what}.txt"))
-}
+/// What the covariances leave out.
+const NOT_IN_IT: &str = "In it are errors of images, of the IMU, of the cameras, of single points of the map and of those that lie together; what all of\n\
+     the map around shares, its scale and its place, does not show in a walk and is not in it.";
 
 /// How far half of the map's points move each position.
 fn disagreements(found: &GroundTruth) -> String {
@@ -152,37 +152,6 @@ fn disagreements(found: &GroundTruth) -> String {
     for (pose, moved_m) in found.trajectory.poses().iter().zip(&found.disagreements_m) {
         // Writing into a string cannot fail.
         let _ = writeln!(text, "{} {moved_m:.6}", pose.time);
-    }
-    text
-}
-
-/// TUM's columns, then the covariance of x, y, z and of rotations about the world's axes, row by row.
-fn with_covariances(found: &GroundTruth) -> String {
-    let mut text = String::from(
-        "# timestamp_s tx_m ty_m tz_m qx qy qz qw, covariance of x y z (m) and rotations about the world's axes (rad), 36 columns\n\
-         # In it are errors of images, of the IMU, of the cameras, of single points of the map and of those that lie together; what all of the map\n\
-         # around shares, its scale and its place, does not show in a walk and is not in it.\n",
-    );
-    for (pose, covariance) in found.trajectory.poses().iter().zip(&found.covariances) {
-        let t = &pose.world_from_rig.translation;
-        let q = pose.world_from_rig.rotation.quaternion();
-        // Writing into a string cannot fail.
-        let _ = write!(
-            text,
-            "{} {} {} {} {} {} {} {}",
-            pose.time, t.x, t.y, t.z, q.i, q.j, q.k, q.w
-        );
-        let rotation = pose.world_from_rig.rotation_matrix();
-        let mut to_world = Matrix6::zeros();
-        to_world.fixed_view_mut::<3, 3>(0, 3).copy_from(&rotation);
-        to_world.fixed_view_mut::<3, 3>(3, 0).copy_from(&rotation);
-        let in_world = to_world * covariance * to_world.transpose();
-        // Symmetric to the last bit.
-        let in_world = (in_world + in_world.transpose()) * 0.5;
-        for value in in_world.iter() {
-            let _ = write!(text, " {value:e}");
-        }
-        text.push('\n');
     }
     text
 }

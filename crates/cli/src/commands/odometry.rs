@@ -7,15 +7,21 @@ use lsfb_pipeline::odometry::{OdometryConfig, OdometryReport};
 use lsfb_recording::{Provenance, write_tum};
 use serde::Serialize;
 
+use super::covariance_file;
 use super::odometry_input::{Choice, InputReport, run as run_on};
 use crate::context::Context;
+use crate::files;
 use crate::outcome::Outcome;
 
 /// Run LiDAR(-inertial) odometry on a recording, a ROS bag, a capture of packets, or a folder of point clouds.
 ///
 /// A ROS bag (.bag, .db3, .mcap or a folder of rosbag2) has clouds or packets of Velodyne or Hesai on any topic, and may have
 /// an IMU; files of clouds are .pcd, .ply, .las, .laz, and .bin of KITTI or .pcd.bin of nuScenes.
-/// Scans that could not be registered have no pose; exit code 3 if the end of the recording was lost.
+/// Scans that could not be registered have no pose; exit code 3 if the end of the recording was lost, or its place is not known to a metre.
+///
+/// Beside the trajectory WALK.tum, WALK_covariance.txt has the pose of each scan with its covariance relative to the first, as `lsfb eval
+/// --align origin` reads it: 44 columns. Stretches in which scans do not see all of the motion (a corridor without ends, a room without
+/// floor) are named with their direction.
 ///
 /// Examples:
 ///   lsfb odometry scan.mcap --out scan.tum
@@ -64,6 +70,10 @@ struct Report<'a> {
     input: &'a InputReport,
 }
 
+/// What the file of covariances says of itself.
+const WHAT_IS_IN_IT: &str = "Relative to the first pose, which is exact. In it are errors of the scans against the map and those that the map inherits from\n\
+     the poses it was drawn from; errors of the rig (where the LiDAR is on the IMU, the LiDAR's scale and clock) are not in it.";
+
 fn rate_hz(text: &str) -> Result<f64, String> {
     let rate = text.parse().ok().filter(|hz| (0.01..=1000.0).contains(hz));
     rate.ok_or_else(|| "expected a number from 0.01 to 1000".to_owned())
@@ -82,7 +92,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         .chain(&arguments.rig)
         .map(PathBuf::as_path)
         .collect();
+    let beside = files::beside(&arguments.out, "covariance");
     context.claim(&arguments.out, &read)?;
+    context.claim(&beside, &read)?;
     let choice = Choice {
         path: &arguments.input,
         rig: arguments.rig.as_deref(),
@@ -94,6 +106,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let found = run_on(&choice, &config, context)?;
     context.check_stop()?;
     write_tum(&arguments.out, &found.result.trajectory)?;
+    let scan_poses = found.result.scan_poses.iter();
+    let scan_poses = scan_poses.map(|scan| (&scan.pose, &scan.covariance));
+    files::write(&beside, covariance_file::text(WHAT_IS_IN_IT, scan_poses))?;
     let mut provenance = Provenance::new(&config);
     super::calib_input::add_input(&mut provenance, &arguments.input)?;
     if let Some(rig) = &arguments.rig {
@@ -128,8 +143,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         }
         text
     })?;
-    Ok(match r.lost_at_end {
-        0 => Outcome::Done,
-        _ => Outcome::DataLost,
+    Ok(match r.reaches_the_end() {
+        true => Outcome::Done,
+        false => Outcome::DataLost,
     })
 }

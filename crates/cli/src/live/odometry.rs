@@ -171,6 +171,8 @@ mod tests {
         OdometryStep {
             time: end.time,
             world_from_rig: end.world_from_rig,
+            covariance: lsfb_geometry::Matrix6::identity(),
+            unseen: None,
             poses: vec![end],
             keypoints_in_rig: Vec::new(),
             inlier_ratio: 1.0,

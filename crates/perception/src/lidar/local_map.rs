@@ -38,7 +38,7 @@ const MIN_PLACE_DISTANCE_M: f64 = 0.05;
 /// Sine of the least angle between a plane and the rays that see it: the returns of one ring alone spread along their
 /// rays by noise, and would show a plane through the sensor.
 const MIN_SLANT: f64 = 0.1;
-/// The farthest neighbour searched, in cells of the finest level.
+/// The farthest neighbour searched, in cells.
 const MAX_NEIGHBOUR_CELLS: i64 = 4;
 
 /// Points per task.
@@ -48,8 +48,9 @@ const CHUNK: usize = 256;
 #[derive(Clone, Debug, Default)]
 struct Surface {
     sums: PointSums,
-    /// Places it was seen from, and the last of them.
+    /// Places it was seen from, the first and the last of them.
     places: u32,
+    first_place: u32,
     last_place: u32,
     /// Points added from that place.
     count_here: u32,
@@ -98,6 +99,9 @@ impl Surface {
 
     fn enter(&mut self, place: u32) {
         if self.last_place != place {
+            if self.places == 0 {
+                self.first_place = place;
+            }
             self.last_place = place;
             self.places += 1;
             self.count_here = 0;
@@ -234,7 +238,7 @@ impl LocalMap {
     }
 
     /// What a point seen from `sensor` belongs to, at most `gate_m` away: the largest plane it lies on, else the
-    /// nearest mean of the finest level. `None` where the map is empty.
+    /// nearest mean of the finest level that reaches so far. `None` where the map is empty.
     pub fn find(
         &self,
         point: &Vector3<f64>,
@@ -278,21 +282,52 @@ impl LocalMap {
             .collect()
     }
 
+    /// The place from which the newest scan was inserted: places are numbered from 1 in the order of the walk; 0 before the first.
+    pub fn place(&self) -> u32 {
+        self.places
+    }
+
+    /// The place from which the surface at a point was first seen, of the largest cell with a plane there, else of the finest.
+    pub fn first_seen_from(
+        &self,
+        point: &Vector3<f64>,
+        towards_sensor: &Vector3<f64>,
+    ) -> Option<u32> {
+        let in_grid = self.grid_from_world * point;
+        let min_places = self.min_places();
+        let mut finest = None;
+        for (level, cells) in self.levels.iter().enumerate() {
+            let cell = cells.get(&cell_key(&in_grid, 1.0 / self.size_m(level)));
+            let Some(cell) = cell else {
+                continue;
+            };
+            let surface = &cell.sides[cell.side(towards_sensor)];
+            if surface.plane_from(min_places).is_some() {
+                return Some(surface.first_place);
+            }
+            finest = Some(surface.first_place);
+        }
+        finest.filter(|place| *place > 0)
+    }
+
     fn nearest_mean(
         &self,
         point: &Vector3<f64>,
         in_grid: &Vector3<f64>,
         gate_m: f64,
     ) -> Option<Vector3<f64>> {
-        let finest = self.levels.last()?;
-        let size_m = self.size_m(self.levels.len() - 1);
+        // What may be far is looked for in larger cells: as many of the finest would not reach it.
+        let reaches = |level: &usize| self.size_m(*level) * MAX_NEIGHBOUR_CELLS as f64 >= gate_m;
+        let level = (0..self.levels.len()).rev().find(reaches).unwrap_or(0);
+        let cells = self.levels.get(level)?;
+        let size_m = self.size_m(level);
         let reach = ((gate_m / size_m).ceil() as i64).clamp(1, MAX_NEIGHBOUR_CELLS);
         let key = cell_key(in_grid, 1.0 / size_m);
         let mut best: Option<(f64, Vector3<f64>)> = None;
         for dx in -reach..=reach {
             for dy in -reach..=reach {
                 for dz in -reach..=reach {
-                    let Some(cell) = finest.get(&neighbour_key(key, [dx, dy, dz])) else {
+                    let Some(cell) = cells.get(&neighbour_key(key, [dx, dy, dz])) else {
                         continue;
                     };
                     let mean = cell.sides[0].sums.mean();

@@ -2,6 +2,7 @@
 
 mod deskew;
 mod local_map;
+mod observability;
 mod plane;
 mod plane_map;
 mod registration;
@@ -9,6 +10,7 @@ mod voxels;
 
 pub use deskew::{KNOT_NS, Motion, MotionKnot, RangeWindow, deskew, deskew_rings};
 pub use local_map::{LocalMap, LocalMapConfig};
+pub use observability::{Direction, Observability, observability};
 pub use plane::{Plane, PointSums};
 pub use plane_map::PlaneMap;
 pub use registration::{Match, PosePrior, Registration, RegistrationConfig, Weighting, register};

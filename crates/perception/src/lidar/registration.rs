@@ -66,6 +66,9 @@ pub struct Registration {
     pub world_from_rig: Se3,
     /// Information the scan alone gives on the pose, without the prior.
     pub information: Matrix6<f64>,
+    /// The part of it that planes give. Points that are drawn to the nearest mean of a surface hold a scan along that surface too, where
+    /// rings lie on rings: that looks like information and is none.
+    pub plane_information: Matrix6<f64>,
     /// Share of the points that agree with the map within the final kernel.
     pub inlier_ratio: f64,
     /// Root mean square of the plane distances of those, metres.
@@ -78,6 +81,7 @@ pub struct Registration {
 #[derive(Clone, Copy, Default)]
 struct Terms {
     equations: NormalEquations<6>,
+    plane_information: Matrix6<f64>,
     inliers: u32,
     plane_inliers: u32,
     plane_squares: f64,
@@ -128,6 +132,7 @@ pub fn register(
         return Registration {
             world_from_rig: prior.world_from_rig,
             information: Matrix6::zeros(),
+            plane_information: Matrix6::zeros(),
             inlier_ratio: 0.0,
             plane_rms_m: 0.0,
             iterations,
@@ -136,6 +141,7 @@ pub fn register(
     Registration {
         world_from_rig: found.value,
         information: last.equations.information,
+        plane_information: last.plane_information,
         inlier_ratio: f64::from(last.inliers) / points_in_rig.len().max(1) as f64,
         plane_rms_m: (last.plane_squares / f64::from(last.plane_inliers.max(1))).sqrt(),
         iterations: found.iterations,
@@ -173,6 +179,7 @@ fn linearize(
     let mut total = partial.iter().fold(Terms::default(), |a, b| a.plus(b));
     total.equations.information /= config.points_per_independent;
     total.equations.gradient /= config.points_per_independent;
+    total.plane_information /= config.points_per_independent;
     total
 }
 
@@ -205,6 +212,7 @@ impl Terms {
         };
         let weight = share / (sigma * sigma);
         self.equations.add(residual, &derivative, weight);
+        self.plane_information += derivative * (derivative.transpose() * weight);
         if residual.abs() < kernel_m {
             self.inliers += 1;
             self.plane_inliers += 1;
@@ -238,6 +246,7 @@ impl Terms {
 
     fn plus(mut self, other: &Self) -> Self {
         self.equations.add_all(&other.equations);
+        self.plane_information += other.plane_information;
         self.inliers += other.inliers;
         self.plane_inliers += other.plane_inliers;
         self.plane_squares += other.plane_squares;

@@ -6,8 +6,10 @@ use lsfb_types::LidarPoint;
 use super::*;
 use room::Room;
 
+mod degenerate;
 mod gaps;
 mod online;
+mod real;
 mod recorded;
 mod registration;
 pub(crate) mod room;

@@ -44,6 +44,25 @@ impl Room {
         }
     }
 
+    /// The furnished room with floor and ceiling out of sight: nothing but the IMU tells the height.
+    pub fn without_floor() -> Self {
+        let mut room = Self::furnished();
+        for solid in &mut room.solids {
+            (solid.low.z, solid.high.z) = (-40.0, 40.0);
+        }
+        room
+    }
+
+    /// A corridor whose ends are out of sight: nothing but the IMU tells how far one is.
+    pub fn endless_corridor() -> Self {
+        Self {
+            solids: vec![Solid {
+                low: [-300.0, -1.5, 0.0].into(),
+                high: [300.0, 1.5, 2.6].into(),
+            }],
+        }
+    }
+
     /// Distance of a point to the nearest surface.
     pub fn distance_to_surface(&self, point: &Vector3<f64>) -> f64 {
         let off = |solid: &Solid| {

@@ -1,0 +1,161 @@
+//! What a scan does not see is left to the prediction, and said.
+
+use lsfb_geometry::{Matrix6, Se3, StampedPose, Vector3, Vector6};
+use lsfb_perception::lidar::{Direction, Registration, observability};
+use serde::{Deserialize, Serialize};
+
+use super::uncertainty::once_seen;
+use super::{MIN_GATE_M, Motion, Odometry, ReducedScan, end_pose};
+
+/// A motion that a scan does not see.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Unseen {
+    /// Unit vector in the world: the direction of the motion, or the axis of the turn.
+    pub direction_in_world: Vector3<f64>,
+    /// Which of the two.
+    pub kind: MotionKind,
+}
+
+/// A motion along a direction, or about an axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MotionKind {
+    /// Along it.
+    Shift,
+    /// About it.
+    Turn,
+}
+
+/// A direction that one scan determines less well than this is unseen, metres: normals that lean by a few degrees look like so much.
+const UNSEEN_SIGMA_M: f64 = 0.03;
+/// Until one scan determines it so much better again, as a factor of information: what leans leans differently in each scan.
+const SEEN_AGAIN: f64 = 2.0;
+/// Points that tell from which places the surfaces around were first seen, at most.
+const POINTS: usize = 600;
+
+/// What a registered scan sees.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Seen {
+    /// The motion that it sees least, where it does not see all.
+    pub unseen: Option<Unseen>,
+    /// Information on the pose that it adds to the scans before it, with which it shares the faults of the surfaces they all see.
+    pub lasting: Matrix6<f64>,
+}
+
+impl Odometry {
+    /// Takes from a registration what it holds in directions that the scan does not see: where there is an IMU, which is better than a
+    /// guess, its prediction stands there.
+    pub(super) fn leave_unseen(
+        &self,
+        reduced: &ReducedScan,
+        path: &[StampedPose],
+        found: &mut Registration,
+    ) -> Seen {
+        if self.stands() {
+            // Rings lie on rings because nothing moves: what holds the scan holds it where it is.
+            return Seen {
+                unseen: None,
+                lasting: found.information / self.config.correlated_scans,
+            };
+        }
+        let prior = self.prior(path);
+        let config = self.registration(MIN_GATE_M);
+        let sensor_in_rig = self.lidar.rig_from_lidar.translation;
+        let shift_m = 0.5 * self.finest_cell_m();
+        let points = &reduced.keypoints;
+        let seen = observability(points, found, &config, shift_m, |points, pose, gate_m| {
+            self.map.find_all(points, &sensor_in_rig, pose, gate_m)
+        });
+        let Some(seen) = seen else {
+            return Seen::default();
+        };
+        let again = if self.unseen { SEEN_AGAIN } else { 1.0 };
+        let least_per_m2 = again / (UNSEEN_SIGMA_M * UNSEEN_SIGMA_M);
+        let is_unseen = |d: &Direction| d.seen_per_m2() < least_per_m2;
+        // At the best of both the scan pulls as hard as the prior, the other way.
+        let pull = -(prior.information * prior.world_from_rig.local(&found.world_from_rig));
+        found.information = seen.without(&found.information, is_unseen);
+        let left = (found.information + prior.information).cholesky();
+        if let (Motion::Inertial(_), Some(left)) = (&self.motion, left) {
+            let back = left.solve(&seen.gradient_of(&pull, is_unseen));
+            found.world_from_rig = found.world_from_rig.retract(&back);
+        }
+        let unseen = seen.directions.iter().filter(|d| is_unseen(d));
+        let worst = unseen.min_by(|a, b| a.seen_per_m2().total_cmp(&b.seen_per_m2()));
+        Seen {
+            unseen: worst.map(|d| Unseen::of(d, &found.world_from_rig)),
+            lasting: seen.information_of(|d| !is_unseen(d)) / self.config.correlated_scans,
+        }
+    }
+
+    /// Whether the carrier has not moved since the start, by its IMU.
+    fn stands(&self) -> bool {
+        match &self.motion {
+            Motion::Inertial(inertial) => inertial.filter.as_ref().is_some_and(|f| f.stands()),
+            Motion::Constant { .. } => false,
+        }
+    }
+
+    /// Covariance of the pose that a scan led to; `lasting` is what the scan added, nothing where it was not registered.
+    pub(super) fn covariance_of(
+        &mut self,
+        reduced: &ReducedScan,
+        path: &[StampedPose],
+        predicted: &Matrix6<f64>,
+        lasting: &Matrix6<f64>,
+    ) -> Matrix6<f64> {
+        let world_from_rig = end_pose(path);
+        let with_scan = once_seen(predicted, lasting).unwrap_or(*predicted);
+        let gain = with_scan * lasting;
+        let sensor = world_from_rig * self.lidar.rig_from_lidar.translation;
+        let every = reduced.keypoints.len().div_ceil(POINTS).max(1);
+        let points = reduced.keypoints.iter().step_by(every);
+        let first_seen_from: Vec<u32> = points
+            .filter_map(|p| {
+                let in_world = world_from_rig * *p;
+                self.map.first_seen_from(&in_world, &(sensor - in_world))
+            })
+            .collect();
+        self.uncertainty
+            .take(&world_from_rig, &with_scan, &gain, &first_seen_from)
+    }
+
+    /// Covariance of the predicted pose, as if the map were exact.
+    pub(super) fn predicted_covariance(&self) -> Matrix6<f64> {
+        match &self.motion {
+            Motion::Inertial(inertial) => inertial
+                .filter
+                .as_ref()
+                .map_or_else(Matrix6::zeros, |filter| filter.reported_covariance()),
+            Motion::Constant { covariance, .. } => covariance.of_pose(),
+        }
+    }
+}
+
+impl Unseen {
+    fn of(direction: &Direction, world_from_rig: &Se3) -> Self {
+        let turn: Vector3<f64> = direction.along.fixed_rows::<3>(0).into();
+        let shift: Vector3<f64> = direction.along.fixed_rows::<3>(3).into();
+        let (kind, in_rig) = if turn.norm() > shift.norm() {
+            (MotionKind::Turn, turn)
+        } else {
+            (MotionKind::Shift, shift)
+        };
+        Self {
+            direction_in_world: world_from_rig.rotation * in_rig.normalize(),
+            kind,
+        }
+    }
+
+    /// Standard deviation of a pose along or about it: metres or radians.
+    pub fn sigma(&self, world_from_rig: &Se3, covariance: &Matrix6<f64>) -> f64 {
+        let in_rig = world_from_rig.rotation.inverse() * self.direction_in_world;
+        let mut along = Vector6::zeros();
+        let at = match self.kind {
+            MotionKind::Turn => 0,
+            MotionKind::Shift => 3,
+        };
+        along.fixed_rows_mut::<3>(at).copy_from(&in_rig);
+        along.dot(&(covariance * along)).max(0.0).sqrt()
+    }
+}

@@ -1,0 +1,169 @@
+//! How far a pose may be off, relative to the first one.
+//!
+//! Two errors make it up. That of the scan against the map is the filter's: what the scan sees and what carried the rest. That of the
+//! map itself is inherited: a surface is as wrong as the pose from which it was first seen, moved with it as one rigid piece. A scan
+//! takes over the error of the surfaces it is held by, as far as it is held by them; what it adds to the map is as wrong as its own
+//! pose. So uncertainty grows by generations of surfaces and not by scans: in a room that stays in view it stands still, along a
+//! corridor it grows, and what a blind stretch left behind does not vanish where the place is seen well again.
+
+use lsfb_geometry::{Matrix6, Se3};
+use nalgebra::{Cholesky, SMatrix};
+
+type Matrix12 = SMatrix<f64, 12, 12>;
+
+/// Covariance of a state whose first six numbers are a pose, once a scan gave `information` on the pose. `None` where the covariance is
+/// none.
+pub(super) fn once_seen<const N: usize>(
+    covariance: &SMatrix<f64, N, N>,
+    information: &Matrix6<f64>,
+) -> Option<SMatrix<f64, N, N>> {
+    let prior: Matrix6<f64> = covariance.fixed_view::<6, 6>(0, 0).into();
+    let prior_inverse = prior.cholesky()?.inverse();
+    let all_by_pose = covariance.fixed_columns::<6>(0) * prior_inverse;
+    // P⁺ = P − P_:p P_pp⁻¹ (P_pp − (P_pp⁻¹ + H)⁻¹) P_pp⁻¹ P_p:
+    let posterior = (prior_inverse + information).cholesky()?;
+    let reduced = prior - posterior.inverse();
+    let updated = covariance - &all_by_pose * reduced * all_by_pose.transpose();
+    Some((updated + updated.transpose()) * 0.5)
+}
+
+/// A pose, and how far what was drawn from it may be off, in its tangent.
+#[derive(Clone, Copy, Debug)]
+struct Origin {
+    world_from_rig: Se3,
+    covariance: Matrix6<f64>,
+}
+
+/// Follows what poses inherit from the map.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Uncertainty {
+    /// By the number of the place from which surfaces were first seen; the first stands for none.
+    places: Vec<Origin>,
+    /// The last pose, with what it inherited from the map.
+    inherited: Option<Origin>,
+}
+
+impl Uncertainty {
+    /// Covariance of a pose in its tangent `[rotation, translation]`.
+    ///
+    /// `against_map` is the covariance as if the map were exact, `gain` the share of the scan in the pose, and `first_seen_from` the places
+    /// of the surfaces that hold it.
+    pub fn take(
+        &mut self,
+        world_from_rig: &Se3,
+        against_map: &Matrix6<f64>,
+        gain: &Matrix6<f64>,
+        first_seen_from: &[u32],
+    ) -> Matrix6<f64> {
+        let from_before = self
+            .inherited
+            .map_or_else(Matrix6::zeros, |before| moved(&before, world_from_rig));
+        let from_map = self.of_map(world_from_rig, first_seen_from);
+        let from_map = from_map.unwrap_or(from_before);
+        // Both are errors of the same map: they add up, and do not average out.
+        let rest = Matrix6::identity() - gain;
+        let factor = gain * root(&from_map) + rest * root(&from_before);
+        let inherited = factor * factor.transpose();
+        self.inherited = Some(Origin {
+            world_from_rig: *world_from_rig,
+            covariance: inherited,
+        });
+        against_map + inherited
+    }
+
+    /// Notes that surfaces are drawn from this pose, at the map's place of that number.
+    pub fn draw(&mut self, place: u32, world_from_rig: &Se3, covariance: &Matrix6<f64>) {
+        let origin = Origin {
+            world_from_rig: *world_from_rig,
+            covariance: *covariance,
+        };
+        while self.places.len() <= place as usize {
+            self.places.push(origin);
+        }
+    }
+
+    fn of_map(&self, world_from_rig: &Se3, first_seen_from: &[u32]) -> Option<Matrix6<f64>> {
+        let mut counts = vec![0_u32; self.places.len()];
+        for place in first_seen_from {
+            if let Some(count) = counts.get_mut(*place as usize) {
+                *count += 1;
+            }
+        }
+        let all: u32 = counts.iter().sum();
+        let of_places = self.places.iter().zip(&counts).filter(|(_, n)| **n > 0);
+        let sum: Matrix6<f64> = of_places
+            .map(|(place, n)| moved(place, world_from_rig) * f64::from(*n))
+            .sum();
+        (all > 0).then(|| sum / f64::from(all))
+    }
+}
+
+/// The error of an origin, as a rigid motion of all that was drawn from it, in the tangent of another pose.
+fn moved(origin: &Origin, world_from_rig: &Se3) -> Matrix6<f64> {
+    let adjoint = (world_from_rig.inverse() * origin.world_from_rig).adjoint();
+    adjoint * origin.covariance * adjoint.transpose()
+}
+
+/// `L` with `L Lᵀ` the covariance; zero where it is none.
+fn root(covariance: &Matrix6<f64>) -> Matrix6<f64> {
+    // The first pose is exact: next to nothing keeps the factor from failing there.
+    let lifted = covariance + Matrix6::identity() * 1e-18;
+    Cholesky::new((lifted + lifted.transpose()) * 0.5).map_or_else(Matrix6::zeros, |c| c.l())
+}
+
+/// What may change of the motion of a carrier between scans, where no IMU tells: rad/s² and m/s².
+const UNSEEN_TURN_RAD_S2: f64 = 2.0;
+const UNSEEN_ACCELERATION_M_S2: f64 = 2.0;
+/// What is known of the motion at first, rad/s and m/s.
+const FIRST_TURN_RAD_S: f64 = 1.0;
+const FIRST_SPEED_M_S: f64 = 2.0;
+
+/// Covariance of pose and twist where motion is taken to continue as it was.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ConstantMotionCovariance(Matrix12);
+
+impl ConstantMotionCovariance {
+    /// Of the first pose, which is exact, and a motion of which nothing is known.
+    pub fn start() -> Self {
+        let mut covariance = Matrix12::identity() * 1e-10;
+        let mut set = |at: usize, sigma: f64| {
+            let mut block = covariance.fixed_view_mut::<3, 3>(at, at);
+            block.fill_diagonal(sigma * sigma);
+        };
+        set(6, FIRST_TURN_RAD_S);
+        set(9, FIRST_SPEED_M_S);
+        Self(covariance)
+    }
+
+    /// After a step that was predicted to lead from one pose to another in `secs`.
+    pub fn predict(&mut self, start: &Se3, end: &Se3, secs: f64) {
+        let mut f = Matrix12::identity();
+        let back = (end.inverse() * *start).adjoint();
+        f.fixed_view_mut::<6, 6>(0, 0).copy_from(&back);
+        f.fixed_view_mut::<6, 6>(0, 6).fill_diagonal(secs);
+        self.0 = f * self.0 * f.transpose();
+        let changes = [
+            (0, 0.5 * secs * secs * UNSEEN_TURN_RAD_S2),
+            (3, 0.5 * secs * secs * UNSEEN_ACCELERATION_M_S2),
+            (6, secs * UNSEEN_TURN_RAD_S2),
+            (9, secs * UNSEEN_ACCELERATION_M_S2),
+        ];
+        for (at, sigma) in changes {
+            for k in at..at + 3 {
+                self.0[(k, k)] += sigma * sigma;
+            }
+        }
+    }
+
+    /// Once a scan gave `information` on the pose.
+    pub fn correct(&mut self, information: &Matrix6<f64>) {
+        if let Some(seen) = once_seen(&self.0, information) {
+            self.0 = seen;
+        }
+    }
+
+    /// Of the pose.
+    pub fn of_pose(&self) -> Matrix6<f64> {
+        self.0.fixed_view::<6, 6>(0, 0).into()
+    }
+}
