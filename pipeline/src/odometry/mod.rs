@@ -203,9 +203,6 @@ struct ReducedScan {
 const USUAL_RANGE_M: f64 = 10.0;
 /// Smallest gate: the noise of a scan needs this much room, metres.
 const MIN_GATE_M: f64 = 0.3;
-/// A scan that is lost is looked for so many times as far, and found where so many times the points agree.
-const FAR_GATES: f64 = 2.0;
-const FAR_INLIERS: f64 = 2.0;
 /// Predictions looked back at for the gate.
 const CORRECTIONS: usize = 10;
 
@@ -275,14 +272,7 @@ impl Odometry {
             reduced = self.reduce(scan, &path);
             found = self.register(&reduced, &path);
         }
-        let mut outcome = self.judge(&found);
-        if outcome == StepOutcome::Lost && matches!(self.motion, Motion::Inertial(_)) {
-            // The IMU led astray: once more from farther away, and then with more that must agree.
-            let far = self.register_within(&reduced, &path, FAR_GATES * self.config.initial_gate_m);
-            if far.inlier_ratio >= FAR_INLIERS * self.config.min_inlier_ratio {
-                (found, outcome) = (far, StepOutcome::Registered);
-            }
-        }
+        let outcome = self.judge(&found);
         let predicted = self.predicted_covariance();
         let mut seen = Seen::default();
         if outcome == StepOutcome::Registered {
@@ -372,18 +362,8 @@ impl Odometry {
     }
 
     fn register(&self, reduced: &ReducedScan, path: &[StampedPose]) -> Registration {
-        let gate_m = self.gate_m(path, &self.prior(path));
-        self.register_within(reduced, path, gate_m)
-    }
-
-    fn register_within(
-        &self,
-        reduced: &ReducedScan,
-        path: &[StampedPose],
-        gate_m: f64,
-    ) -> Registration {
         let prior = self.prior(path);
-        let config = self.registration(gate_m);
+        let config = self.registration(self.gate_m(path, &prior));
         let sensor_in_rig = self.lidar.rig_from_lidar.translation;
         register(&reduced.keypoints, &prior, &config, |pose, gate_m| {
             let points = &reduced.keypoints;

@@ -167,3 +167,52 @@ impl ConstantMotionCovariance {
         self.0.fixed_view::<6, 6>(0, 0).into()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use lsfb_geometry::Vector6;
+
+    use super::*;
+
+    /// Naively a scan that sees its surroundings to a millimetre is as sure of its place, wherever these surroundings were drawn from.
+    #[test]
+    fn what_a_blind_stretch_left_behind_stays_where_the_place_is_seen_well_again() {
+        let at = |x: f64| Se3::exp(&Vector6::new(0.0, 0.0, 0.0, x, 0.0, 0.0));
+        let sure = Matrix6::identity() * 1e-6;
+        let mut blind = sure;
+        blind[(3, 3)] = 0.25;
+        let mut uncertainty = Uncertainty::default();
+        uncertainty.draw(1, &at(0.0), &sure);
+        uncertainty.draw(2, &at(30.0), &blind);
+        let whole = Matrix6::identity();
+        // Held by what was drawn at the end of the stretch.
+        let new = uncertainty.take(&at(31.0), &sure, &whole, &[2, 2, 2]);
+        assert!((new[(3, 3)].sqrt() - 0.5).abs() < 0.01, "{new}");
+        // Nothing holds it: what it had before is carried on.
+        let carried = uncertainty.take(&at(31.5), &sure, &Matrix6::zeros(), &[]);
+        assert!((carried[(3, 3)].sqrt() - 0.5).abs() < 0.01, "{carried}");
+        // Back where it began.
+        let back = uncertainty.take(&at(1.0), &sure, &whole, &[1, 1, 1]);
+        assert!(back[(3, 3)].sqrt() < 0.01, "{back}");
+        // A turn that the map is off by moves what is far from where it was drawn.
+        let far = uncertainty.take(&at(100.0), &sure, &whole, &[1]);
+        assert!((far[(4, 4)].sqrt() - 0.1).abs() < 0.01, "{far}");
+    }
+
+    /// One scan takes away what it sees of the motion, and leaves the rest.
+    #[test]
+    fn an_even_motion_grows_uncertain_where_it_is_not_seen() {
+        let mut covariance = ConstantMotionCovariance::start();
+        let mut information = Matrix6::identity() * 1e6;
+        information[(3, 3)] = 0.0;
+        for _ in 0..20 {
+            covariance.predict(&Se3::identity(), &Se3::identity(), 0.1);
+            covariance.correct(&information);
+        }
+        let of_pose = covariance.of_pose();
+        assert!(of_pose[(3, 3)].sqrt() > FIRST_SPEED_M_S, "{of_pose}");
+        for k in [0, 1, 2, 4, 5] {
+            assert!(of_pose[(k, k)].sqrt() < 0.002, "{k}: {of_pose}");
+        }
+    }
+}

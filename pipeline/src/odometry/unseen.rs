@@ -10,8 +10,11 @@ use super::degeneracy::MotionKind;
 const JOINED_S: f64 = 1.0;
 /// Directions within this of each other are one: cosine of 30°.
 const SAME_DIRECTION: f64 = 0.866;
-/// Less than this is no news: a direction that one scan alone does not see, seconds.
+/// Shorter ones are no news, seconds: the next scans see what these did not.
 const LEAST_S: f64 = 0.3;
+/// Stretches after which the pose is known better than this are no news: metres and radians.
+const LEAST_SHIFT_M: f64 = 0.05;
+const LEAST_TURN_RAD: f64 = 0.02;
 
 /// A stretch in which scans do not see a motion.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -68,9 +71,15 @@ impl UnseenStretches {
         }
     }
 
-    /// Those that last, in a world turned by `level`.
+    /// Those that leave a pose uncertain, in a world turned by `level`.
     pub fn finish(self, level: &UnitQuaternion<f64>) -> Vec<UnseenStretch> {
-        let lasting = self.all.into_iter().filter(|s| s.to_s - s.from_s > LEAST_S);
+        let lasting = self.all.into_iter().filter(|s| {
+            let least = match s.motion {
+                MotionKind::Shift => LEAST_SHIFT_M,
+                MotionKind::Turn => LEAST_TURN_RAD,
+            };
+            s.to_s - s.from_s > LEAST_S && s.sigma_at_end > least
+        });
         lasting
             .map(|s| UnseenStretch {
                 direction_in_world: positive(&(level * Vector3::from(s.direction_in_world))),
@@ -86,7 +95,7 @@ fn positive(direction: &Vector3<f64>) -> [f64; 3] {
     (direction * largest.signum()).into()
 }
 
-/// `along (0.99, 0.10, 0.00)`, and the limits within which that is known.
+/// As a sentence.
 impl std::fmt::Display for UnseenStretch {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let [x, y, z] = self.direction_in_world;

@@ -38,7 +38,7 @@ const MIN_PLACE_DISTANCE_M: f64 = 0.05;
 /// Sine of the least angle between a plane and the rays that see it: the returns of one ring alone spread along their
 /// rays by noise, and would show a plane through the sensor.
 const MIN_SLANT: f64 = 0.1;
-/// The farthest neighbour searched, in cells.
+/// The farthest neighbour searched, in cells of the finest level.
 const MAX_NEIGHBOUR_CELLS: i64 = 4;
 
 /// Points per task.
@@ -238,7 +238,7 @@ impl LocalMap {
     }
 
     /// What a point seen from `sensor` belongs to, at most `gate_m` away: the largest plane it lies on, else the
-    /// nearest mean of the finest level that reaches so far. `None` where the map is empty.
+    /// nearest mean of the finest level. `None` where the map is empty.
     pub fn find(
         &self,
         point: &Vector3<f64>,
@@ -316,18 +316,15 @@ impl LocalMap {
         in_grid: &Vector3<f64>,
         gate_m: f64,
     ) -> Option<Vector3<f64>> {
-        // What may be far is looked for in larger cells: as many of the finest would not reach it.
-        let reaches = |level: &usize| self.size_m(*level) * MAX_NEIGHBOUR_CELLS as f64 >= gate_m;
-        let level = (0..self.levels.len()).rev().find(reaches).unwrap_or(0);
-        let cells = self.levels.get(level)?;
-        let size_m = self.size_m(level);
+        let finest = self.levels.last()?;
+        let size_m = self.size_m(self.levels.len() - 1);
         let reach = ((gate_m / size_m).ceil() as i64).clamp(1, MAX_NEIGHBOUR_CELLS);
         let key = cell_key(in_grid, 1.0 / size_m);
         let mut best: Option<(f64, Vector3<f64>)> = None;
         for dx in -reach..=reach {
             for dy in -reach..=reach {
                 for dz in -reach..=reach {
-                    let Some(cell) = cells.get(&neighbour_key(key, [dx, dy, dz])) else {
+                    let Some(cell) = finest.get(&neighbour_key(key, [dx, dy, dz])) else {
                         continue;
                     };
                     let mean = cell.sides[0].sums.mean();

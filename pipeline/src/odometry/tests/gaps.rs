@@ -70,15 +70,3 @@ fn gaps_of_45_ms_between_samples_cost_nothing() {
         );
     }
 }
-
-/// The carrier walks and turns when the first sample is taken: what it feels is not gravity alone, and its velocity is unknown.
-#[test]
-fn a_start_in_motion_finds_velocity_and_gravity() {
-    let found = walk(&room::lidar(), true, |i| i >= 30, |i| i >= 600);
-    for (i, (outcome, off_m)) in found.iter().enumerate() {
-        assert!(
-            *outcome != StepOutcome::Lost && *off_m < 0.1,
-            "{i}: {outcome:?} {off_m} m"
-        );
-    }
-}
