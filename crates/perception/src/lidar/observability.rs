@@ -51,7 +51,7 @@ impl Observability {
     pub fn information_of(&self, keep: impl Fn(&Direction) -> bool) -> Matrix6<f64> {
         let kept = self.directions.iter().filter(|d| keep(d));
         let terms = kept.map(|d| d.along * d.along.transpose() * d.seen_per_m2());
-        let scale = Matrix6::from_diagonal(&self.to_scaled());
+        let scale = Matrix6::from_diagonal(&self.metres_per_unit());
         scale * terms.sum::<Matrix6<f64>>() * scale
     }
 
@@ -63,9 +63,9 @@ impl Observability {
     ) -> Matrix6<f64> {
         let dropped = self.directions.iter().filter(|d| drop(d));
         let dropped: Matrix6<f64> = dropped.map(|d| d.along * d.along.transpose()).sum();
-        let to_scaled = Matrix6::from_diagonal(&self.to_scaled());
-        let from_scaled = Matrix6::from_diagonal(&self.to_scaled().map(f64::recip));
-        let kept = to_scaled * (Matrix6::identity() - dropped) * from_scaled;
+        let to_metres = Matrix6::from_diagonal(&self.metres_per_unit());
+        let from_metres = Matrix6::from_diagonal(&self.metres_per_unit().map(f64::recip));
+        let kept = to_metres * (Matrix6::identity() - dropped) * from_metres;
         kept * information * kept.transpose()
     }
 
@@ -76,13 +76,13 @@ impl Observability {
         keep: impl Fn(&Direction) -> bool,
     ) -> Vector6<f64> {
         let kept = self.directions.iter().filter(|d| keep(d));
-        let by_metre = self.to_scaled().map(f64::recip).component_mul(gradient);
+        let by_metre = self.metres_per_unit().map(f64::recip).component_mul(gradient);
         let part: Vector6<f64> = kept.map(|d| d.along * d.along.dot(&by_metre)).sum();
-        self.to_scaled().component_mul(&part)
+        self.metres_per_unit().component_mul(&part)
     }
 
     /// Factors from `[rotation, translation]` to metres.
-    fn to_scaled(&self) -> Vector6<f64> {
+    fn metres_per_unit(&self) -> Vector6<f64> {
         let r = self.usual_range_m;
         Vector6::new(r, r, r, 1.0, 1.0, 1.0)
     }
