@@ -219,7 +219,10 @@ fn packets_in_a_bag_of_a_driver_are_run_on() {
     assert_eq!(report["deskew"]["none"], 0, "{report}");
     assert_eq!(report["input"]["scan_times"], "packets");
     let left = std::fs::read_dir(folder.path()).expect("folder").count();
-    assert_eq!(left, 2, "the trajectory and its provenance");
+    assert_eq!(
+        left, 3,
+        "the trajectory, its covariances and its provenance"
+    );
 }
 
 /// A message whose bytes end early costs itself, and the exit code says that something is missing.

@@ -76,7 +76,10 @@ impl Observability {
         keep: impl Fn(&Direction) -> bool,
     ) -> Vector6<f64> {
         let kept = self.directions.iter().filter(|d| keep(d));
-        let by_metre = self.metres_per_unit().map(f64::recip).component_mul(gradient);
+        let by_metre = self
+            .metres_per_unit()
+            .map(f64::recip)
+            .component_mul(gradient);
         let part: Vector6<f64> = kept.map(|d| d.along * d.along.dot(&by_metre)).sum();
         self.metres_per_unit().component_mul(&part)
     }
