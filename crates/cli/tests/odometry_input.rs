@@ -1,14 +1,17 @@
 //! `lsfb odometry` on what people have: their topics, their files, their packets.
 
 mod answer;
+mod capture_file;
 mod process;
 mod refusal;
 
 use std::path::{Path, PathBuf};
 
 use answer::json;
+use capture_file::{Frame, capture};
 use lsfb_geometry::UnitQuaternion;
 use lsfb_recording::{Channel, Writer, WriterConfig, read_tum};
+use lsfb_tests::velodyne::data_packet;
 use lsfb_types::{ImuSample, LidarPoint, LidarScan, Stamped, Timestamp};
 use refusal::refused;
 
@@ -254,4 +257,35 @@ fn a_message_that_cannot_be_read_is_left_out_and_told_by_the_exit_code() {
     assert_eq!(report["registered"], SCANS - 1);
     let said = report["input"]["warnings"].to_string();
     assert!(said.contains("1 messages could not be read"), "{said}");
+}
+
+/// Six turns of a VLP-32C that stands, without some of its packets.
+fn turns_without(absent: std::ops::Range<u64>) -> Vec<u8> {
+    let sent = (0..900).filter(|n| !absent.contains(n));
+    capture(sent.map(|n| Frame::udp(n, 2368, data_packet(n))))
+}
+
+/// They came as warnings of a run that was fine.
+#[test]
+fn packets_that_are_missing_from_a_capture_are_told_by_the_exit_code() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path();
+    let whole = turns_without(0..0);
+    let captures = [
+        ("whole.pcap", whole.clone(), 0),
+        ("gap.pcap", turns_without(400..420), 3),
+        ("cut.pcap", whole[..whole.len() * 6 / 10].to_vec(), 3),
+    ];
+    for (name, bytes, exit_code) in captures {
+        std::fs::write(path.join(name), bytes).expect("file");
+        let command = ["odometry", name, "--out", "walk.tum", "--force"];
+        let report = json(path, &command, exit_code);
+        assert_eq!(report["registered"], report["scans"], "{report}");
+        let said = report["input"]["warnings"].to_string();
+        assert_eq!(
+            said.contains("packets are missing"),
+            exit_code == 3,
+            "{said}"
+        );
+    }
 }

@@ -1,4 +1,4 @@
-//! What a scan does not see is left to the prediction, and said.
+//! What a scan does not see is said, and counts for nothing in the covariance of its pose.
 
 use lsfb_geometry::{Matrix6, Se3, StampedPose, Vector3, Vector6};
 use lsfb_perception::lidar::{Direction, Registration, observability};
@@ -43,14 +43,9 @@ pub(super) struct Seen {
 }
 
 impl Odometry {
-    /// Takes from a registration what it holds in directions that the scan does not see: where there is an IMU, which is better than a
-    /// guess, its prediction stands there.
-    pub(super) fn leave_unseen(
-        &self,
-        reduced: &ReducedScan,
-        path: &[StampedPose],
-        found: &mut Registration,
-    ) -> Seen {
+    /// What a registered scan sees. The pose is left as it was found: what holds it in directions that no plane tells of is little, and may
+    /// be right.
+    pub(super) fn see(&self, reduced: &ReducedScan, found: &Registration) -> Seen {
         if self.stands() {
             // Rings lie on rings because nothing moves: what holds the scan holds it where it is.
             return Seen {
@@ -58,7 +53,6 @@ impl Odometry {
                 lasting: found.information / self.config.correlated_scans,
             };
         }
-        let prior = self.prior(path);
         let config = self.registration(MIN_GATE_M);
         let sensor_in_rig = self.lidar.rig_from_lidar.translation;
         let shift_m = 0.5 * self.finest_cell_m();
@@ -72,14 +66,6 @@ impl Odometry {
         let again = if self.unseen { SEEN_AGAIN } else { 1.0 };
         let least_per_m2 = again / (UNSEEN_SIGMA_M * UNSEEN_SIGMA_M);
         let is_unseen = |d: &Direction| d.seen_per_m2() < least_per_m2;
-        // At the best of both the scan pulls as hard as the prior, the other way.
-        let pull = -(prior.information * prior.world_from_rig.local(&found.world_from_rig));
-        found.information = seen.without(&found.information, is_unseen);
-        let left = (found.information + prior.information).cholesky();
-        if let (Motion::Inertial(_), Some(left)) = (&self.motion, left) {
-            let back = left.solve(&seen.gradient_of(&pull, is_unseen));
-            found.world_from_rig = found.world_from_rig.retract(&back);
-        }
         let unseen = seen.directions.iter().filter(|d| is_unseen(d));
         let worst = unseen.min_by(|a, b| a.seen_per_m2().total_cmp(&b.seen_per_m2()));
         Seen {

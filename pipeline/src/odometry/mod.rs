@@ -276,7 +276,7 @@ impl Odometry {
         let predicted = self.predicted_covariance();
         let mut seen = Seen::default();
         if outcome == StepOutcome::Registered {
-            seen = self.leave_unseen(&reduced, &path, &mut found);
+            seen = self.see(&reduced, &found);
             self.unseen = seen.unseen.is_some();
             self.correct(&mut path, &found, &seen.lasting);
         }

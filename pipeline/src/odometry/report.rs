@@ -31,6 +31,9 @@ pub struct OdometryReport {
     pub skipped: u64,
     /// Inertial samples used.
     pub imu_samples: u64,
+    /// Usual time from one registered scan to the next (median), seconds; 0 for a single scan.
+    #[serde(default)]
+    pub scan_interval_s: f64,
     /// Length of the path, metres.
     pub path_length_m: f64,
     /// Mean share of keypoints that agreed with the map.
@@ -48,10 +51,21 @@ pub struct OdometryReport {
 /// Where the last pose may be farther off than this in one direction, the end is not found, metres.
 const MAX_SIGMA_AT_END_M: f64 = 1.0;
 
+/// Scans that are farther apart than this see too little in common for their covariances to be relied on, seconds.
+const RARE_SCANS_S: f64 = 1.0;
+
 impl OdometryReport {
-    /// Whether the trajectory leads to the end of the recording: scans found their place there, and the place is known.
-    pub fn reaches_the_end(&self) -> bool {
-        self.lost_at_end == 0 && self.sigma_at_end_m <= MAX_SIGMA_AT_END_M
+    /// Whether nothing is left out: every message was read, every scan found its place, and the place of the last is known.
+    pub fn is_whole(&self) -> bool {
+        let is_damaged = |w: &OdometryWarning| matches!(w, OdometryWarning::Damaged { .. });
+        let is_damaged = self.warnings.iter().any(is_damaged);
+        let has_all = self.lost == 0 && self.skipped == 0 && !is_damaged;
+        has_all && self.sigma_at_end_m <= MAX_SIGMA_AT_END_M
+    }
+
+    /// Whether scans are too rare for their covariances to be relied on.
+    pub fn has_rare_scans(&self) -> bool {
+        self.scan_interval_s > RARE_SCANS_S
     }
 
     /// Adds what follows from the counts, in the order of its weight.
@@ -71,6 +85,11 @@ impl OdometryReport {
             let sigma_m = self.sigma_at_end_m;
             self.warnings
                 .push(OdometryWarning::EndUncertain { sigma_m });
+        }
+        if self.has_rare_scans() {
+            let interval_s = self.scan_interval_s;
+            self.warnings
+                .push(OdometryWarning::RareScans { interval_s });
         }
         self.warnings.extend(self.deskew.warnings());
         if skipped > 0 {

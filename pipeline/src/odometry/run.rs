@@ -7,6 +7,7 @@ use lsfb_geometry::{
     ImuNoiseModel, Matrix3, Matrix6, Rig, RigLidar, Se3, StampedPose, Trajectory, UnitQuaternion,
     Vector3,
 };
+use lsfb_perception::statistics::median;
 use lsfb_recording::Recording;
 use lsfb_recording::cloud::{PointTimes, TimesBegin};
 use lsfb_types::{ImuSample, LidarScan, Progress, ProgressFn, Stamped, Timestamp};
@@ -358,6 +359,7 @@ impl Found {
         report.plane_rms_m = (self.plane_squares / measured).sqrt();
         report.unseen = self.unseen.finish(&level);
         report.sigma_at_end_m = scan_poses.last().map_or(0.0, ScanPose::worst_sigma_m);
+        report.scan_interval_s = usual_interval_s(&scan_poses);
         report.add_warnings();
         OdometryResult {
             trajectory,
@@ -366,6 +368,13 @@ impl Found {
             report,
         }
     }
+}
+
+/// The median time from one pose to the next, seconds; 0 for less than two.
+fn usual_interval_s(scan_poses: &[ScanPose]) -> f64 {
+    let pairs = scan_poses.windows(2);
+    let intervals_s = pairs.map(|pair| pair[1].pose.time.secs_since(pair[0].pose.time));
+    median(intervals_s.collect()).unwrap_or(0.0)
 }
 
 #[cfg(test)]
@@ -416,6 +425,7 @@ mod tests {
         let report = &result.report;
         assert_eq!((report.registered, report.lost), (4, 3));
         assert_eq!(report.lost_at_end, 1);
+        assert!(!report.is_whole());
         assert_eq!(result.clouds.len(), 4);
         let warnings = [
             OdometryWarning::Lost { lost: 3, scans: 7 },
@@ -424,5 +434,23 @@ mod tests {
         assert_eq!(report.warnings, warnings);
         let sentence = warnings[1].finding().sentence();
         assert!(sentence.contains("the last 1 scans are lost"), "{sentence}");
+    }
+
+    #[test]
+    fn scans_that_are_seconds_apart_are_said_to_be() {
+        use StepOutcome::{First, Registered};
+        for (tenths, said) in [([10, 11, 12, 60], false), ([10, 60, 110, 111], true)] {
+            let mut run = Found::default();
+            for (tenths, outcome) in tenths
+                .into_iter()
+                .zip([First, Registered, Registered, Registered])
+            {
+                run.take(step(tenths, outcome)).expect("taken");
+            }
+            let report = run.finish(None).report;
+            let is_it = |w: &OdometryWarning| matches!(w, OdometryWarning::RareScans { .. });
+            assert_eq!(report.warnings.iter().any(is_it), said, "{report:?}");
+            assert!(report.is_whole());
+        }
     }
 }

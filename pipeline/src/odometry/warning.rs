@@ -59,6 +59,11 @@ pub enum OdometryWarning {
     },
     /// The accelerometer measures in units of gravity.
     AccelerometerInGravities,
+    /// Scans are so rare that covariances are not to be relied on.
+    RareScans {
+        /// Usual time from one registered scan to the next, seconds.
+        interval_s: f64,
+    },
     /// There is an IMU that cannot be used.
     ImuNotUsed {
         /// Why.
@@ -120,6 +125,12 @@ impl OdometryWarning {
                 "accelerometer-unit",
                 "the accelerometer measures in units of gravity: taken times 9.80665 m/s²"
                     .to_owned(),
+            ),
+            Self::RareScans { interval_s } => (
+                "rare-scans",
+                format!(
+                    "scans are {interval_s:.1} s apart: where few of them saw a surface one may be registered to the wrong one, and the covariances do not have that in them"
+                ),
             ),
             Self::ImuNotUsed { reason } => {
                 ("imu-not-used", format!("the IMU is not used: {reason}"))

@@ -17,7 +17,8 @@ use crate::outcome::Outcome;
 ///
 /// A ROS bag (.bag, .db3, .mcap or a folder of rosbag2) has clouds or packets of Velodyne or Hesai on any topic, and may have
 /// an IMU; files of clouds are .pcd, .ply, .las, .laz, and .bin of KITTI or .pcd.bin of nuScenes.
-/// Scans that could not be registered have no pose; exit code 3 if the end of the recording was lost, or its place is not known to a metre.
+/// Scans that could not be registered have no pose. Exit code 3 where packets or messages are missing or cannot be read, where scans have
+/// no pose, or where the place of the last is not known to a metre.
 ///
 /// Beside the trajectory WALK.tum, WALK_covariance.txt has the pose of each scan with its covariance relative to the first, as `lsfb eval
 /// --align origin` reads it: 44 columns. Stretches in which scans do not see all of the motion (a corridor without ends, a room without
@@ -73,6 +74,8 @@ struct Report<'a> {
 /// What the file of covariances says of itself.
 const WHAT_IS_IN_IT: &str = "Relative to the first pose, which is exact. In it are errors of the scans against the map and those that the map inherits from\n\
      the poses it was drawn from; errors of the rig (where the LiDAR is on the IMU, the LiDAR's scale and clock) are not in it.";
+/// What it says besides where scans are rare.
+const RARE_SCANS: &str = "\nThe scans are more than a second apart: that one was registered to the wrong surface is not in it. Do not rely on it.";
 
 fn rate_hz(text: &str) -> Result<f64, String> {
     let rate = text.parse().ok().filter(|hz| (0.01..=1000.0).contains(hz));
@@ -108,7 +111,11 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     write_tum(&arguments.out, &found.result.trajectory)?;
     let scan_poses = found.result.scan_poses.iter();
     let scan_poses = scan_poses.map(|scan| (&scan.pose, &scan.covariance));
-    files::write(&beside, covariance_file::text(WHAT_IS_IN_IT, scan_poses))?;
+    let mut says = WHAT_IS_IN_IT.to_owned();
+    if found.result.report.has_rare_scans() {
+        says += RARE_SCANS;
+    }
+    files::write(&beside, covariance_file::text(&says, scan_poses))?;
     let mut provenance = Provenance::new(&config);
     super::calib_input::add_input(&mut provenance, &arguments.input)?;
     if let Some(rig) = &arguments.rig {
@@ -143,7 +150,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         }
         text
     })?;
-    Ok(match r.reaches_the_end() {
+    Ok(match r.is_whole() {
         true => Outcome::Done,
         false => Outcome::DataLost,
     })

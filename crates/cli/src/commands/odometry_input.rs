@@ -6,7 +6,7 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::Duration;
 
 use anyhow::{Context as _, bail};
-use lsfb_capture::{CaptureReport, ReplayConfig, replay};
+use lsfb_capture::{CaptureReport, Ending, ReplayConfig, replay};
 use lsfb_datasets::{CloudFolder, LidarMessages, LidarTopic, RosBag, ScanTimes, Unread, pose_in};
 use lsfb_drivers::any_lidar::{Model, Settings};
 use lsfb_drivers::transport::PacketSource;
@@ -229,7 +229,7 @@ fn of_bag(choice: &Choice, config: &OdometryConfig, context: &Context) -> anyhow
         let (decoded, unread) = decode_bag(&topic, &scratch.scans, choice, context)?;
         said.warnings.extend(about_unread(&unread, context));
         said.scan_times = "packets".to_owned();
-        said.warnings.extend(about_packets(&decoded));
+        said.warnings.extend(about_packets(&decoded, context));
         let result = run_on_scans(&scratch.scans, run, context)?;
         return Ok(Run {
             result,
@@ -278,7 +278,7 @@ fn of_capture(choice: &Choice, config: &OdometryConfig, context: &Context) -> an
         result: run_on_scans(&scratch.scans, run, context)?,
         input: InputReport {
             scan_times: "packets".to_owned(),
-            warnings: about_packets(&decoded),
+            warnings: about_packets(&decoded, context),
             ..InputReport::default()
         },
     })
@@ -460,21 +460,34 @@ fn about_unread(unread: &Unread, context: &Context) -> Option<String> {
     ))
 }
 
-/// What the odometry's reader should know of packets.
-fn about_packets(report: &CaptureReport) -> Vec<String> {
-    let lost = (report.lost > 0).then(|| format!("{} packets are missing", report.lost));
-    let notes = report
-        .streams
-        .iter()
-        .flat_map(|stream| stream.notes.iter().cloned());
-    let others = (report.streams.len() > 1).then(|| {
+/// What the odometry's reader should know of packets: where any are missing or cannot be read, data is lost.
+fn about_packets(report: &CaptureReport, context: &Context) -> Vec<String> {
+    let mut said = Vec::new();
+    if report.lost > 0 {
+        context.lose_data();
+        let bad = report.streams.iter().find_map(|s| s.first_bad.as_ref());
+        let bad = bad.map_or(String::new(), |bad| {
+            format!("; the first of the latter: {bad}")
+        });
+        said.push(format!(
+            "{} packets are missing or cannot be read{bad}",
+            report.lost
+        ));
+        let endings = report.streams.iter().filter_map(|s| match &s.ending {
+            Ending::Lost(why) => Some(why.clone()),
+            Ending::Stopped | Ending::EndOfStream => None,
+        });
+        said.extend(endings);
+    }
+    if report.streams.len() > 1 {
         let names: Vec<&str> = report.streams.iter().map(|s| s.name.as_str()).collect();
-        format!(
+        said.push(format!(
             "there are packets of several LiDARs ({}): the scans of {MAIN_LIDAR} are used",
             names.join(", ")
-        )
-    });
-    lost.into_iter().chain(others).chain(notes).collect()
+        ));
+    }
+    said.extend(report.streams.iter().flat_map(|s| s.notes.iter().cloned()));
+    said
 }
 
 /// A folder for scans between decoder and odometry, away from the result; gone with this.

@@ -8,6 +8,7 @@ use room::Room;
 
 mod degenerate;
 mod gaps;
+mod mounting;
 mod online;
 mod real;
 mod recorded;

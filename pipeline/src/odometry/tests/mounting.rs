@@ -1,0 +1,69 @@
+//! An IMU that hangs upside down, or measures in another unit: the walk is the same.
+
+use lsfb_geometry::UnitQuaternion;
+use lsfb_recording::cloud::{PointTimes, TimesBegin};
+
+use super::room::{self, Room};
+use super::*;
+
+/// Seconds of the walk.
+const WALK_S: f64 = 6.0;
+
+/// Runs the walk in the furnished room with an IMU whose axes are turned against those of the rig of the others, and whose specific forces are
+/// in a unit of so many m/s². Gives what was said, and how far poses are off at most since the start, metres.
+fn walk(rig_from_usual: &UnitQuaternion<f64>, unit_m_s2: f64) -> (OdometryReport, f64) {
+    let turned = |v: [f64; 3], unit: f64| (rig_from_usual * Vector3::from(v) / unit).into();
+    let mut samples = room::imu_samples(WALK_S, 7);
+    for Stamped { sample, .. } in &mut samples {
+        sample.angular_velocity_rad_s = turned(sample.angular_velocity_rad_s, 1.0);
+        sample.specific_force_m_s2 = turned(sample.specific_force_m_s2, unit_m_s2);
+    }
+    let rig_from_usual = Se3::new(*rig_from_usual, Vector3::zeros());
+    let lidar = RigLidar {
+        rig_from_lidar: rig_from_usual * room::lidar().rig_from_lidar,
+        ..room::lidar()
+    };
+    let imu = ImuSamples {
+        noise: room::imu(),
+        samples,
+    };
+    let config = OdometryConfig::default();
+    let mut run = OdometryRun::new(&config, &lidar, Some(imu)).expect("settings");
+    let room = Room::furnished();
+    for i in 0..(WALK_S * 10.0) as u64 - 1 {
+        let times = PointTimes::Field {
+            name: "t".to_owned(),
+            begins: TimesBegin::AfterStamp { nanos: 0 },
+        };
+        let scan = room::scan(&room, i as f64 * 0.1, i);
+        run.push(TimedScan { scan, times }).expect("scan");
+    }
+    let result = run.finish().expect("a trajectory");
+    let truth = |pose: &StampedPose| {
+        room::world_from_rig(pose.time.secs_since(room::time(0.0))) * rig_from_usual.inverse()
+    };
+    let start = result.scan_poses[0].pose;
+    let off_m = result.scan_poses.iter().map(|scan| {
+        let found = start.world_from_rig.inverse() * scan.pose.world_from_rig;
+        let expected = truth(&start).inverse() * truth(&scan.pose);
+        (found.translation - expected.translation).norm()
+    });
+    let worst_m = off_m.fold(0.0, f64::max);
+    (result.report, worst_m)
+}
+
+#[test]
+fn upside_down_the_walk_is_the_same() {
+    let half_turn = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+    let (report, worst_m) = walk(&half_turn, 1.0);
+    assert!(report.warnings.is_empty(), "{:?}", report.warnings);
+    assert!(worst_m < 0.05, "{worst_m} m");
+}
+
+#[test]
+fn in_gravities_the_walk_is_the_same_and_that_is_said() {
+    let upright = UnitQuaternion::identity();
+    let (report, worst_m) = walk(&upright, GRAVITY_M_S2);
+    assert_eq!(report.warnings, [OdometryWarning::AccelerometerInGravities]);
+    assert!(worst_m < 0.05, "{worst_m} m");
+}
