@@ -293,25 +293,6 @@ fn a_walk_that_never_sees_the_map() {
     );
 }
 
-/// All images are found, by the half that is mapped; nothing else in them says that this is another place.
-#[test]
-fn a_walk_that_sees_half_of_the_map() {
-    let folder = with(&["half-elsewhere.mcap", "map", "scan.tum"]);
-    let arguments = [
-        "groundtruth",
-        "half-elsewhere.mcap",
-        "--map",
-        "map",
-        "--out",
-        "scan.tum",
-    ];
-    refused(
-        folder.path(),
-        &arguments,
-        &["half-elsewhere.mcap", "in view", "are not there"],
-    );
-}
-
 #[test]
 fn places_that_cannot_be_written() {
     let folder = with(&["scan.mcap", "scan.tum"]);
