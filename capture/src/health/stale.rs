@@ -8,8 +8,10 @@ const PROBLEM_SECS: f64 = 1.0;
 const PROBLEM_SAMPLES: u64 = 3;
 
 /// What a device sends, sample by sample: new, or the same as before.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(crate) struct Stale {
+    /// How many samples must say nothing.
+    least_samples: u64,
     /// Arrival of the last sample that said something new.
     news: Option<Timestamp>,
     samples: u64,
@@ -17,7 +19,24 @@ pub(crate) struct Stale {
     is_problem: bool,
 }
 
+impl Default for Stale {
+    fn default() -> Self {
+        Self::after(PROBLEM_SAMPLES)
+    }
+}
+
 impl Stale {
+    /// Of a device for which so many samples without news are usual, however slowly they come.
+    pub(crate) fn after(least_samples: u64) -> Self {
+        Self {
+            least_samples,
+            news: None,
+            samples: 0,
+            stretches: 0,
+            is_problem: false,
+        }
+    }
+
     /// Takes a sample that arrived then.
     pub(crate) fn note(&mut self, says: Says, arrival: Timestamp) {
         let news = *self.news.get_or_insert(arrival);
@@ -30,7 +49,7 @@ impl Stale {
             Says::NothingNew => {
                 self.samples += 1;
                 let is_long = arrival.secs_since(news) > PROBLEM_SECS;
-                if is_long && self.samples >= PROBLEM_SAMPLES && !self.is_problem {
+                if is_long && self.samples >= self.least_samples && !self.is_problem {
                     self.is_problem = true;
                     self.stretches += 1;
                 }
@@ -115,6 +134,22 @@ mod tests {
         note(&mut repeats, 6_000, 8_000, |ms| ms as u32);
         assert!(!repeats.stale().is_problem());
         assert_eq!(repeats.stale().stretches(), 1);
+    }
+
+    /// A turn of a LiDAR is a few hundred packets, and takes long where they come slowly, as simulated ones do on a busy machine.
+    #[test]
+    fn packets_of_one_turn_may_take_their_time() {
+        let mut stale = Stale::after(750);
+        let mut note = |from: i64, to: i64, says: Says| {
+            for n in from..to {
+                stale.note(says, Timestamp::from_nanos(n * 10_000_000));
+            }
+            stale.is_problem()
+        };
+        assert!(!note(0, 1, Says::News));
+        assert!(!note(1, 300, Says::NothingNew), "three seconds for a turn");
+        assert!(!note(300, 301, Says::News));
+        assert!(note(301, 1_200, Says::NothingNew), "no turn ends");
     }
 
     /// One image a second of a scene that rests may be the same once.

@@ -39,6 +39,8 @@ const POSITION: &str = "position";
 /// Its counter runs in microseconds and wraps with the hour.
 const TICK_NS: u64 = 1_000;
 const TICKS_PER_HOUR: u64 = 3_600_000_000;
+/// So many packets without a scan are a problem: a turn has 720 at most (a Pandar64 at 5 Hz), and every LiDAR sends as many in a second.
+const PACKETS_OF_NO_SCAN: u64 = 750;
 /// Problems of a sensor that sends, and nothing to see.
 const NO_SCAN: &str = "its data make no scan: is its rotor turning?";
 const NO_RETURN: &str = "not a single return: is its window covered?";
@@ -102,7 +104,7 @@ impl LidarStream {
             meter: meter.clone(),
             report: meter.report(),
             last_data_time: None,
-            without_scan: Stale::default(),
+            without_scan: Stale::after(PACKETS_OF_NO_SCAN),
             without_return: Stale::default(),
             sensors: TwoSensors::default(),
             utc: Utc::default(),

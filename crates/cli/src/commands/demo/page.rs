@@ -60,6 +60,8 @@ pub(super) fn report(
             Figure::new("glasses localized", summary.glasses_localized * 100.0, "%"),
             Figure::new("map points", summary.map_points as f64, ""),
             Figure::new("messages lost", summary.lost as f64, "").with(Limit::AtMost(0.0)),
+            Figure::new("parts of the walk left out", summary.left_out as f64, "")
+                .with(Limit::AtMost(0.0)),
             Figure::new("wall time", summary.wall_s, "s").with(Limit::AtMost(300.0)),
             Figure::new("peak memory", summary.peak_rss_mb, "MB").with(Limit::AtMost(4096.0)),
         ],
