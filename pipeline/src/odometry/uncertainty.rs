@@ -23,7 +23,7 @@ pub(super) fn once_seen<const N: usize>(
     // P⁺ = P − P_:p P_pp⁻¹ (P_pp − (P_pp⁻¹ + H)⁻¹) P_pp⁻¹ P_p:
     let posterior = (prior_inverse + information).cholesky()?;
     let reduced = prior - posterior.inverse();
-    let updated = covariance - &all_by_pose * reduced * all_by_pose.transpose();
+    let updated = covariance - all_by_pose * reduced * all_by_pose.transpose();
     Some((updated + updated.transpose()) * 0.5)
 }
 
