@@ -84,7 +84,7 @@ fn a_recording_that_is_cut_off_is_used_as_far_as_it_goes() {
 fn damaged_captures() {
     let folder = with(&["scan.mcap"]);
     let path = folder.path();
-    let whole = pcap(600);
+    let whole = pcap(0..600);
     std::fs::write(path.join("whole.pcap"), &whole).expect("file");
     assert_eq!(
         json(
@@ -297,7 +297,7 @@ fn a_walk_that_never_sees_the_map() {
 fn places_that_cannot_be_written() {
     let folder = with(&["scan.mcap", "scan.tum"]);
     let path = folder.path();
-    std::fs::write(path.join("whole.pcap"), pcap(300)).expect("file");
+    std::fs::write(path.join("whole.pcap"), pcap(0..300)).expect("file");
     // Permissions do not stop root; a file where a folder should be stops everybody.
     refused(
         path,

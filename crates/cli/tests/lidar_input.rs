@@ -40,7 +40,7 @@ fn notes(report: &Value) -> String {
 fn two_lidars_on_one_port_are_two_and_never_make_one_cloud() {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path();
-    write(path, "one.pcap", &pcap(600));
+    write(path, "one.pcap", &pcap(0..600));
     let second = |n| Frame {
         sender: 202,
         // It looks a quarter of a turn elsewhere.
@@ -191,7 +191,7 @@ fn another_sensor_on_the_lidars_port_is_named() {
 fn packets_that_overtook_each_other_are_put_back() {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path();
-    write(path, "whole.pcap", &pcap(600));
+    write(path, "whole.pcap", &pcap(0..600));
     let order = (0..600).map(|n| match n % 10 {
         4 => n + 1,
         5 => n - 1,
@@ -251,7 +251,7 @@ fn packets_that_overtook_each_other_are_put_back() {
 fn models_that_are_not_there_are_refused_by_name() {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path();
-    write(path, "one.pcap", &pcap(60));
+    write(path, "one.pcap", &pcap(0..60));
     for model in ["vlp-16", "xt32", "vlp-32c"] {
         let out = format!("{model}.mcap");
         let scan = [

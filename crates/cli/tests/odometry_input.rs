@@ -8,10 +8,9 @@ mod refusal;
 use std::path::{Path, PathBuf};
 
 use answer::json;
-use capture_file::{Frame, capture};
+use capture_file::pcap;
 use lsfb_geometry::UnitQuaternion;
 use lsfb_recording::{Channel, Writer, WriterConfig, read_tum};
-use lsfb_tests::velodyne::data_packet;
 use lsfb_types::{ImuSample, LidarPoint, LidarScan, Stamped, Timestamp};
 use refusal::refused;
 
@@ -261,8 +260,7 @@ fn a_message_that_cannot_be_read_is_left_out_and_told_by_the_exit_code() {
 
 /// Six turns of a VLP-32C that stands, without some of its packets.
 fn turns_without(absent: std::ops::Range<u64>) -> Vec<u8> {
-    let sent = (0..900).filter(|n| !absent.contains(n));
-    capture(sent.map(|n| Frame::udp(n, 2368, data_packet(n))))
+    pcap((0..900).filter(|n| !absent.contains(n)))
 }
 
 /// They came as warnings of a run that was fine.

@@ -255,7 +255,7 @@ fn clocks_are_printed_and_plotted() {
 #[test]
 fn a_recording_that_is_there_stays_unless_it_may_be_replaced() {
     let folder = tempfile::tempdir().expect("folder");
-    let pcap = capture_file::pcap(400);
+    let pcap = capture_file::pcap(0..400);
     std::fs::write(folder.path().join("drive.pcap"), pcap).expect("file");
     let out = folder.path().join("drive.mcap");
     std::fs::write(&out, b"yesterday").expect("file");

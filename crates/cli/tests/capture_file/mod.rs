@@ -66,9 +66,9 @@ pub fn capture(frames: impl IntoIterator<Item = Frame>) -> Vec<u8> {
     bytes
 }
 
-/// A capture of a VLP-32C: every position packet is followed by 14 data packets.
-pub fn pcap(data_packets: u64) -> Vec<u8> {
-    capture((0..data_packets).flat_map(|n| {
+/// A capture of data packets of a VLP-32C; a position packet goes before every fourteenth.
+pub fn pcap(data_packets: impl IntoIterator<Item = u64>) -> Vec<u8> {
+    capture(data_packets.into_iter().flat_map(|n| {
         let position = n
             .is_multiple_of(14)
             .then(|| Frame::udp(n, 8308, position_packet(data_time_us(n))));
