@@ -121,7 +121,7 @@ impl Default for GroundTruthConfig {
             max_extrapolation_secs: 1.0,
             max_position_sigma_m: 0.05,
             max_disagreement_m: 0.08,
-            max_absent_share: 0.5,
+            max_absent_share: 0.35,
             solve: SolveConfig {
                 cost_tolerance: 1e-9,
                 // Neighbours are held together far more firmly than to the map: damping by a share of that would hold the
