@@ -188,7 +188,7 @@ fn hashed_identifiers_are_in_no_file() {
         ..anywhere()
     };
     let session = Session::open(&config).unwrap();
-    let invited = mock::invited(&session, folder.path());
+    let [invited, second] = [(); 2].map(|()| mock::invited(&session, folder.path()));
     let out = folder.path().join("walk.mcap");
     let running = {
         let out = out.clone();
@@ -196,7 +196,7 @@ fn hashed_identifiers_are_in_no_file() {
     };
     let mut phone = SidecarClient::connect(ClientConfig {
         device: "visor".to_owned(),
-        ..invited.clone()
+        ..invited
     })
     .unwrap();
     let topic = "/sidecar/visor/wifi";
@@ -217,18 +217,16 @@ fn hashed_identifiers_are_in_no_file() {
     // Cut off, it cannot be read, and may hold anything.
     let cut = encode_wifi(Timestamp::from_nanos(5), BSSID, &WifiReading::default());
     phone.send(3, 3, &cut[..cut.len() - 12]).unwrap();
-    phone.bye().unwrap();
     // A text may hold anything.
     let mut other = SidecarClient::connect(ClientConfig {
-        session: "second".to_owned(),
-        device: "visor".to_owned(),
-        pairing_token: None,
-        ..invited
+        device: "other".to_owned(),
+        ..second
     })
     .unwrap();
-    let text = advertise("/sidecar/visor/note", "std_msgs/msg/String", "string data");
+    let text = advertise("/sidecar/other/note", "std_msgs/msg/String", "string data");
     other.advertise(&text).unwrap();
     assert!(other.bye().is_err());
+    phone.bye().unwrap();
     let report = running.join().unwrap();
     let phones = stream(&report, "sidecar");
     assert_eq!((phones.decoded, phones.bad), (3, 1), "{phones:?}");
