@@ -238,7 +238,7 @@ fn a_screen_that_may_go_dark_is_told() {
         return;
     };
     let tab = &mut session.tab;
-    tab.value("navigator.wakeLock.request = () => Promise.reject(new Error('not a secure page')); stayAwake(); 0");
+    tab.value("navigator.wakeLock.request = () => Promise.reject(new Error('not a secure page')); document.dispatchEvent(new Event('visibilitychange'))");
     tab.wait_for("!document.querySelector('#awake').hidden");
     check_layout(tab, "told");
     tab.press("#awake-ok", TAP);

@@ -227,7 +227,7 @@ fn page_stands_alone_and_shows_everything() {
     ] {
         assert!(page.contains(part), "{part}");
     }
-    assert_eq!(page.matches("<svg").count(), 6);
+    assert_eq!(page.matches("<svg").count(), 7);
     assert_eq!(page.matches("<canvas").count(), 1);
     assert!(page.len() < 1_500_000, "{} bytes", page.len());
     assert_eq!(page, report.to_html());
@@ -261,10 +261,11 @@ fn report_of_one_evaluation() {
         "ATE translation rmse",
         "RPE rotation rmse per 1 m",
         "Scale error",
+        "Share of poses by translation error",
     ] {
         assert!(page.contains(part), "{part}");
     }
-    assert_eq!(page.matches("<svg").count(), 4);
+    assert_eq!(page.matches("<svg").count(), 5);
 }
 
 #[test]
