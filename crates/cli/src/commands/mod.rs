@@ -1,7 +1,6 @@
 //! The subcommands: arguments, one library call, printing.
 
 pub mod align;
-mod align_mocap;
 pub mod bench;
 pub mod calib;
 mod calib_board;

@@ -8,7 +8,7 @@ use lsfb_geometry::Trajectory;
 use lsfb_recording::write_tum;
 use lsfb_types::{Finding, ImuSample, Judgement, Stamped, Timestamp, Verdict};
 
-use super::align::{Arguments, pose_text, read};
+use super::{Arguments, pose_text, read};
 use crate::context::Context;
 use crate::files::name_of;
 use crate::judged::{Judged, lines};
@@ -18,7 +18,7 @@ use crate::outcome::Outcome;
 const MCAP: &str = "mcap";
 
 /// Aligns the motion capture to the IMU, writes, prints.
-pub fn run(imu: &Path, arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+pub(super) fn run(imu: &Path, arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     let reference = read(&arguments.reference)?;
     let mut findings = reference.findings;
     let samples = samples(imu, context, &mut findings)?;
@@ -37,7 +37,7 @@ pub fn run(imu: &Path, arguments: &Arguments, context: &Context) -> anyhow::Resu
     {
         config.noise = imu.noise.clone();
     }
-    let found = super::about(imu, align_mocap(&reference.poses, &samples, &config))?;
+    let found = crate::commands::about(imu, align_mocap(&reference.poses, &samples, &config))?;
     findings.extend(found.findings.iter().cloned());
     let judgement = Judgement::new(findings);
     let outcome = Outcome::of(judgement.verdict());
@@ -64,7 +64,7 @@ fn samples(
         true => {
             let recording = context.open(path)?;
             // A damaged message is not there; the doctor counts them.
-            super::about(path, recording.imu())?
+            crate::commands::about(path, recording.imu())?
                 .filter_map(Result::ok)
                 .collect()
         }

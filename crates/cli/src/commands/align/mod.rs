@@ -1,5 +1,7 @@
 //! `lsfb align`: two trajectories of one body by two systems → both transforms and the offset of their clocks.
 
+mod mocap;
+
 use std::path::{Path, PathBuf};
 
 use lsfb_eval::hand_eye::{ClockModel, HandEye, HandEyeConfig, UncertainPose, align_trajectories};
@@ -41,7 +43,7 @@ pub struct Arguments {
     imu: Option<PathBuf>,
     /// The reference trajectory, of any program.
     #[arg(long, value_name = "TRAJECTORY")]
-    pub(super) reference: PathBuf,
+    reference: PathBuf,
     /// Approximate offset to add to the estimate's stamps to get the reference's.
     #[arg(
         long,
@@ -49,16 +51,16 @@ pub struct Arguments {
         value_name = "SECS",
         allow_negative_numbers = true
     )]
-    pub(super) offset_secs: f64,
+    offset_secs: f64,
     /// Range around --offset-secs in which the offset is searched.
     #[arg(long, default_value_t = 10.0, value_name = "SECS")]
-    pub(super) search_secs: f64,
+    search_secs: f64,
     /// Estimate a constant drift of the offset as well.
     #[arg(long)]
-    pub(super) drift: bool,
+    drift: bool,
     /// Also write the reference as ground truth of the estimate's body.
     #[arg(long, value_name = "TUM")]
-    pub(super) out: Option<PathBuf>,
+    out: Option<PathBuf>,
 }
 
 /// Aligns, writes, prints.
@@ -75,7 +77,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         context.claim(out, &[input, &arguments.reference])?;
     }
     if arguments.imu.is_some() {
-        return super::align_mocap::run(input, arguments, context);
+        return mocap::run(input, arguments, context);
     }
     let estimate = read(input)?;
     let reference = read(&arguments.reference)?;
@@ -106,7 +108,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     Ok(outcome)
 }
 
-pub(super) fn read(path: &Path) -> anyhow::Result<TrajectoryFile> {
+fn read(path: &Path) -> anyhow::Result<TrajectoryFile> {
     let file = read_trajectory(path, &ReadOptions::default())?;
     match file.orientations {
         Orientations::Known => Ok(file),
@@ -120,7 +122,7 @@ pub(super) fn read(path: &Path) -> anyhow::Result<TrajectoryFile> {
 }
 
 /// A pose with its uncertainty, a line.
-pub(super) fn pose_text(name: &str, pose: &UncertainPose) -> String {
+fn pose_text(name: &str, pose: &UncertainPose) -> String {
     let [x, y, z] = pose.translation_m;
     let [qx, qy, qz, qw] = pose.rotation_xyzw;
     let worst = |values: [f64; 3]| values.into_iter().fold(0.0, f64::max);
