@@ -167,7 +167,9 @@ fn an_operator_starts_watches_marks_and_stops() {
     tab.wait_for("document.querySelector('#alarm').textContent.includes('walk.mcap saved')");
     assert_eq!(
         tab.value("document.querySelector('#tile-lost').dataset.level"),
-        json!("good")
+        json!("good"),
+        "{}",
+        scan.said()
     );
 
     scan.signal(Signal::SIGINT);
