@@ -6,7 +6,6 @@ mod running;
 mod simulated_session;
 
 use std::path::Path;
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use chromium::Tab;
@@ -47,25 +46,16 @@ fn check_layout(tab: &mut Tab, size: &str) {
     assert_eq!(wide, json!(false), "{size}");
 }
 
-/// Several rigs, recorders and browsers at once are too much for two cores.
-static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
-
-/// A mock rig, and a recorder in front of it whose page a browser shows.
-struct Session {
-    _alone: MutexGuard<'static, ()>,
-    mock: Running,
-    scan: Running,
-    tab: Tab,
-}
-
-/// `None` where there is no browser, which is said.
-fn start(test: &'static str, root: &Path, more: &[&str]) -> Option<Session> {
+#[test]
+fn an_operator_starts_watches_marks_and_stops() {
     let Some(probe) = Tab::open("about:blank") else {
+        let test = "an_operator_starts_watches_marks_and_stops";
         skip(test, Lacks::Program, "no Chromium is installed");
-        return None;
+        return;
     };
     drop(probe);
-    let alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+    let folder = tempfile::tempdir().expect("folder");
+    let root = folder.path();
     let source = recorded(10).join("scan.mcap");
     let ports = Ports::free().arguments();
     let arguments = ["mock", text(&source), "--out", "mock", "--speed", "0.5"];
@@ -79,42 +69,21 @@ fn start(test: &'static str, root: &Path, more: &[&str]) -> Option<Session> {
         "walk.mcap",
         "--screen",
         "127.0.0.1:0",
+        "--power-supplies",
+        "power",
     ];
-    let arguments = arguments.iter().chain(more).map(|a| (*a).to_owned());
-    let mut scan = Running::lsfb(root, arguments);
-    scan.wait_for("screen: ");
-    let mut tab = Tab::open(&url_of(&scan)).expect("a browser");
-    // The state may arrive before the style does.
-    tab.wait_for("document.readyState === 'complete' && document.body.dataset.phase === 'ready' && document.querySelector('#run').textContent === 'START'");
-    Some(Session {
-        _alone: alone,
-        mock,
-        scan,
-        tab,
-    })
-}
-
-#[test]
-fn an_operator_starts_watches_marks_and_stops() {
-    let folder = tempfile::tempdir().expect("folder");
-    let root = folder.path();
     let battery = root.join("power/BAT0");
     std::fs::create_dir_all(&battery).expect("folder");
     let tell = |file: &str, text: &str| std::fs::write(battery.join(file), text).expect("battery");
     tell("type", "Battery\n");
     tell("status", "Discharging\n");
     tell("capacity", "83\n");
-    let test = "an_operator_starts_watches_marks_and_stops";
-    let more = ["--power-supplies", "power"];
-    let Some(session) = start(test, root, &more) else {
-        return;
-    };
-    let Session {
-        _alone,
-        mock: _mock,
-        mut scan,
-        mut tab,
-    } = session;
+    let mut scan = Running::lsfb(root, arguments.map(str::to_owned));
+    scan.wait_for("screen: ");
+    let mut tab = Tab::open(&url_of(&scan)).expect("a browser");
+
+    // The state may arrive before the style does.
+    tab.wait_for("document.readyState === 'complete' && document.body.dataset.phase === 'ready' && document.querySelector('#run').textContent === 'START'");
     check_layout(&mut tab, "ready");
     let shows = |percent: u32, level: &str| {
         format!(
@@ -167,9 +136,7 @@ fn an_operator_starts_watches_marks_and_stops() {
     tab.wait_for("document.querySelector('#alarm').textContent.includes('walk.mcap saved')");
     assert_eq!(
         tab.value("document.querySelector('#tile-lost').dataset.level"),
-        json!("good"),
-        "{}",
-        scan.said()
+        json!("good")
     );
 
     scan.signal(Signal::SIGINT);
@@ -189,54 +156,4 @@ fn an_operator_starts_watches_marks_and_stops() {
         (("note", "Door moved"), ("control-point", "P1"))
     );
     assert!(remarks[1].position_in_world_m.is_some(), "{remarks:?}");
-}
-
-/// The rig loses its power while it records: the map stands still and sends nobody back, and what follows is no invitation.
-#[test]
-fn devices_that_die_leave_no_arrows_and_no_green_start() {
-    let folder = tempfile::tempdir().expect("folder");
-    let test = "devices_that_die_leave_no_arrows_and_no_green_start";
-    let Some(session) = start(test, folder.path(), &[]) else {
-        return;
-    };
-    let Session {
-        _alone,
-        mock,
-        mut scan,
-        mut tab,
-    } = session;
-    let colour = "getComputedStyle(document.querySelector('#run')).backgroundColor";
-    let inviting = tab.value(colour);
-    tab.press("#run", TAP);
-    tab.wait_for("document.body.dataset.phase === 'recording' && document.querySelector('#map-empty').hidden");
-    mock.signal(Signal::SIGKILL);
-    tab.wait_for("document.querySelector('#alarm').dataset.level === 'bad' && !document.querySelector('#alarm').hidden");
-    tab.wait_for("document.querySelectorAll('#go-back li').length === 0");
-    // With its last device the recording ends by itself.
-    tab.wait_for("document.body.dataset.phase === 'ready'");
-    assert_eq!(
-        tab.value("[document.body.dataset.failed, document.querySelector('#run').textContent]"),
-        json!(["true", "START AGAIN"])
-    );
-    assert_ne!(tab.value(colour), inviting);
-    scan.signal(Signal::SIGINT);
-    assert_eq!(scan.wait().code(), Some(3), "{}", scan.said());
-}
-
-/// Over plain HTTP a browser lets no page keep the screen on: the page says so until the operator knows.
-#[test]
-fn a_screen_that_may_go_dark_is_told() {
-    let folder = tempfile::tempdir().expect("folder");
-    let test = "a_screen_that_may_go_dark_is_told";
-    let Some(mut session) = start(test, folder.path(), &[]) else {
-        return;
-    };
-    let tab = &mut session.tab;
-    tab.value("navigator.wakeLock.request = () => Promise.reject(new Error('not a secure page')); document.dispatchEvent(new Event('visibilitychange'))");
-    tab.wait_for("!document.querySelector('#awake').hidden");
-    check_layout(tab, "told");
-    tab.press("#awake-ok", TAP);
-    tab.wait_for("document.querySelector('#awake').hidden");
-    session.scan.signal(Signal::SIGINT);
-    session.scan.wait();
 }
