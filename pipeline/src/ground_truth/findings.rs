@@ -174,7 +174,12 @@ impl GroundTruthReport {
             Finding::new("cross-check", Verdict::Pass, "trajectory", agreement)
                 .value(largest_m * 1e2, "cm")
                 .limit(Limit::AtMost(self.max_disagreement_m * 1e2)),
-            Finding::new("points-in-view", Verdict::Pass, "trajectory", in_view).value(absent, "%"),
+            // Of nothing that was looked for nothing is known.
+            match self.points_in_view {
+                0 => Finding::new("points-in-view", Verdict::Unknown, "trajectory", in_view),
+                _ => Finding::new("points-in-view", Verdict::Pass, "trajectory", in_view)
+                    .value(absent, "%"),
+            },
         ];
         findings.extend(self.cameras.iter().map(CameraRefinement::finding));
         findings.extend(self.warnings.iter().map(GroundTruthWarning::finding));

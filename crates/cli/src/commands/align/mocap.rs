@@ -63,10 +63,20 @@ fn samples(
     let mut samples: Vec<Stamped<ImuSample>> = match path.extension().is_some_and(|e| e == MCAP) {
         true => {
             let recording = context.open(path)?;
-            // A damaged message is not there; the doctor counts them.
-            crate::commands::about(path, recording.imu())?
-                .filter_map(Result::ok)
-                .collect()
+            let read = crate::commands::about(path, recording.imu())?;
+            let (mut whole, mut damaged) = (Vec::new(), 0_u64);
+            for sample in read {
+                match sample {
+                    Ok(sample) => whole.push(sample),
+                    Err(_) => damaged += 1,
+                }
+            }
+            if damaged > 0 {
+                let what = format!("{damaged} inertial samples cannot be read and were left out");
+                let found = Finding::new("damaged", Verdict::Warn, name_of(path), what);
+                findings.push(found.remedy("look at the recording with lsfb doctor --full"));
+            }
+            whole
         }
         false => read_imu_table(path)?
             .into_iter()
