@@ -342,7 +342,7 @@ fn trimmed_plane(cloud: &[Vector3<f64>], config: &LidarCameraConfig) -> Option<P
     Some(plane)
 }
 
-/// The longest run of neighbours that lie on the patch; one lost or odd return does not end it.
+/// The longest run of neighbours that lie on the patch; one lost or odd return does not end it, nor does the seam of the scan.
 fn longest_run(ring: &Ring, is_member: &dyn Fn(usize) -> bool) -> Option<Vec<usize>> {
     let n = ring.points.len();
     let seam = (0..n).find(|i| !is_member(*i))?;
@@ -352,7 +352,7 @@ fn longest_run(ring: &Ring, is_member: &dyn Fn(usize) -> bool) -> Option<Vec<usi
         let joins = run.last().is_none_or(|last| {
             let turn = (ring.points[i].azimuth_rad - ring.points[*last].azimuth_rad)
                 .rem_euclid(std::f64::consts::TAU);
-            turn < super::scan_grid::NEIGHBOR_STEPS * ring.step_rad
+            turn < super::scan_grid::NEIGHBOR_STEPS * ring.step_rad || ring.is_seam(*last, i)
         });
         if is_member(i) && joins {
             run.push(i);

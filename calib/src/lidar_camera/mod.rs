@@ -24,6 +24,8 @@ mod residuals;
 mod scan_grid;
 mod solved;
 mod summary;
+#[cfg(test)]
+mod tests;
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};

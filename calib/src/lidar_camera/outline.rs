@@ -44,6 +44,10 @@ pub(super) fn ends<'a>(
     ends.into_iter().filter_map(move |(end, direction)| {
         let at = *end?;
         let (next, turn) = ring.neighbor(at, direction);
+        // There the scan ends, not the board.
+        if ring.is_seam(at, next) {
+            return None;
+        }
         let beyond = &ring.points[next];
         let last = &ring.points[at];
         // The outline lies before the next ray that returned from elsewhere; rays between were lost.

@@ -13,6 +13,8 @@ pub(super) struct GridPoint {
     pub position: Vector3<f64>,
     pub azimuth_rad: f64,
     pub range_m: f64,
+    /// After the scan's first firing.
+    pub time_offset_ns: u32,
 }
 
 /// The returns of one beam in order of azimuth, once around.
@@ -23,6 +25,8 @@ pub(super) struct Ring {
     pub points: Vec<GridPoint>,
     /// Angle between neighbours.
     pub step_rad: f64,
+    /// Time that the whole scan took; 0 where its points have no times.
+    pub scan_ns: u32,
 }
 
 /// Returns a ring needs to be of use.
@@ -43,16 +47,18 @@ pub(super) fn rings(scan: &LidarScan) -> Vec<Ring> {
             position,
             azimuth_rad: position.y.atan2(position.x),
             range_m,
+            time_offset_ns: point.time_offset_ns,
         });
     }
+    let scan_ns = scan.points.iter().map(|p| p.time_offset_ns).max();
     by_ring
         .into_iter()
         .filter(|(_, points)| points.len() >= MIN_POINTS)
-        .map(|(number, points)| ring(number, points))
+        .map(|(number, points)| ring(number, points, scan_ns.unwrap_or(0)))
         .collect()
 }
 
-fn ring(number: u16, mut points: Vec<GridPoint>) -> Ring {
+fn ring(number: u16, mut points: Vec<GridPoint>, scan_ns: u32) -> Ring {
     points.sort_by(|a, b| {
         a.azimuth_rad
             .total_cmp(&b.azimuth_rad)
@@ -69,6 +75,7 @@ fn ring(number: u16, mut points: Vec<GridPoint>) -> Ring {
         number,
         points,
         step_rad,
+        scan_ns,
     }
 }
 
@@ -92,6 +99,13 @@ impl Ring {
             Direction::Backward => -turn,
         };
         (next, turn.rem_euclid(TAU))
+    }
+
+    /// Whether the scan began between two neighbours: what lies there was measured a whole turn earlier on one side than on the
+    /// other. Where something moved meanwhile, a strip of it was never met, or the scene behind it was.
+    pub fn is_seam(&self, at: usize, next: usize) -> bool {
+        let [a, b] = [at, next].map(|k| self.points[k].time_offset_ns);
+        a.abs_diff(b) > self.scan_ns / 2
     }
 
     /// Whether the next point continues the same surface.
