@@ -35,8 +35,8 @@ use trial::{Condition, Scanned, Size, Walked, calibration};
 /// Run the standard trial: scan, map, ground truth and evaluation in simulated places, as in the paper's Tables IV and V.
 ///
 /// Walks go 0.5 to 6 m beside the scanner's path where the place has room, with the motions of Table VII, and every rig comes from a
-/// calibration before a simulated board. The exit code is 4 if any exported pose is more than 10 cm off. What is finished is not
-/// run again; recordings are removed once they are judged. Written are twin.json and report.html.
+/// calibration before a simulated board. The exit code is 4 if any exported pose is more than 10 cm off, or if none is exported.
+/// What is finished is not run again; recordings are removed once they are judged. Written are twin.json and report.html.
 ///
 /// Examples:
 ///   lsfb bench twin --out trial --quick
@@ -211,6 +211,9 @@ fn finish(out: &Path, runs: &[Run], context: &Context) -> anyhow::Result<Outcome
     Ok(Outcome::of(judgement.verdict()))
 }
 
+/// How long calibration sessions take compared to the first: whose is refused records another, as an operator would.
+const SESSION_LENGTHS: [f64; 3] = [1.0, 1.5, 2.5];
+
 /// What all places share.
 struct Trial<'a> {
     out: &'a Path,
@@ -245,15 +248,34 @@ impl Trial<'_> {
                 cost: None,
             });
         }
-        let folder = self.out.join(format!("calibration-{name}-{seed}"));
-        std::fs::create_dir_all(&folder)?;
-        let mut costs = Costs::open(folder.join("costs.json"));
-        let found = costs.of(name, |made| {
-            calibrated(&folder, &config, bearer, || made.set(true), self.context)
-        });
-        let rig = Rig {
-            found: refusal(found, "calibration")?,
-            cost: costs.get(name),
+        let mut attempts = SESSION_LENGTHS.iter().enumerate().peekable();
+        let rig = loop {
+            let Some((number, longer)) = attempts.next() else {
+                anyhow::bail!("no calibration session is planned");
+            };
+            let folder = match number {
+                0 => format!("calibration-{name}-{seed}"),
+                again => format!("calibration-{name}-{seed}-again-{again}"),
+            };
+            let folder = self.out.join(folder);
+            std::fs::create_dir_all(&folder)?;
+            let mut config = config.clone();
+            config.scan.duration_s *= longer;
+            config.glasses.duration_s *= longer;
+            let mut costs = Costs::open(folder.join("costs.json"));
+            let found = costs.of(name, |made| {
+                calibrated(&folder, &config, bearer, || made.set(true), self.context)
+            });
+            let found = refusal(found, "calibration")?;
+            if let (Err(why), true) = (&found, attempts.peek().is_some()) {
+                self.context
+                    .note(&format!("{name}: {why}; recorded again, for longer"));
+                continue;
+            }
+            break Rig {
+                found,
+                cost: costs.get(name),
+            };
         };
         self.rigs.insert((seed, name), rig.clone());
         Ok(rig)

@@ -6,7 +6,7 @@ use lsfb_types::{Finding, Judgement, Limit, Verdict};
 use serde::{Deserialize, Serialize};
 
 use super::rigs::{Rigs, SensorOff};
-use super::trial::Walked;
+use super::trial::{OTHER_FLOOR, Walked};
 
 /// A pose that is further off than this is wrong, metres.
 pub const WRONG_M: f64 = 0.10;
@@ -126,9 +126,21 @@ impl Run {
     }
 }
 
-/// A trial is good where nothing wrong was exported.
+/// A trial is good where something was exported, and nothing wrong.
 pub fn judge(runs: &[Run]) -> Judgement {
-    Judgement::new(runs.iter().flat_map(Run::findings).collect())
+    let mut findings: Vec<Finding> = runs.iter().flat_map(Run::findings).collect();
+    // On another floor nothing is to be given.
+    let in_the_map = || runs.iter().filter(|run| run.condition != OTHER_FLOOR);
+    if in_the_map().next().is_some() && in_the_map().all(|run| run.exported == 0) {
+        let what = "no run gave a pose";
+        findings.push(Finding::new(
+            "nothing_exported",
+            Verdict::Fail,
+            "trial",
+            what,
+        ));
+    }
+    Judgement::new(findings)
 }
 
 /// A line for each run.
@@ -215,6 +227,11 @@ mod tests {
             Verdict::Warn
         );
         assert_eq!(verdict(&[run(0, None), run(1, None)]), Verdict::Fail);
+        let refused = Run {
+            exported: 0,
+            ..run(0, Some("no map"))
+        };
+        assert_eq!(verdict(&[refused]), Verdict::Fail);
     }
 
     #[test]
