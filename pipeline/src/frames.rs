@@ -143,10 +143,16 @@ fn empty(cameras: &[&str]) -> Vec<FrameFeatures> {
         .collect()
 }
 
-/// Inertial samples in order of time, each instant once.
-pub(crate) fn read_imu(recording: &Recording) -> Result<Vec<Stamped<ImuSample>>, Error> {
-    let mut samples: Vec<_> = recording.imu()?.filter_map(Result::ok).collect();
+/// Inertial samples in order of time, each instant once, and the number of messages that could not be read.
+pub(crate) fn read_imu(recording: &Recording) -> Result<(Vec<Stamped<ImuSample>>, u64), Error> {
+    let (mut samples, mut damaged) = (Vec::new(), 0);
+    for sample in recording.imu()? {
+        match sample {
+            Ok(sample) => samples.push(sample),
+            Err(_) => damaged += 1,
+        }
+    }
     samples.sort_by_key(|sample| sample.time);
     samples.dedup_by_key(|sample| sample.time);
-    Ok(samples)
+    Ok((samples, damaged))
 }

@@ -61,6 +61,13 @@ impl GroundTruthWarning {
             )
             .value(*images as f64, "")
             .limit(Limit::AtMost(0.0)),
+            Self::DamagedSamples { samples } => warn(
+                "damaged-samples",
+                "IMU",
+                format!("{samples} are damaged and were skipped"),
+            )
+            .value(*samples as f64, "")
+            .limit(Limit::AtMost(0.0)),
             Self::RepeatedStamps { images } => warn(
                 "repeated-stamps",
                 "images",
@@ -151,6 +158,14 @@ impl CameraRefinement {
 }
 
 impl GroundTruthReport {
+    /// Whether nothing is left out: every message was read, every frame has a pose.
+    pub fn is_whole(&self) -> bool {
+        use GroundTruthWarning::{DamagedImages, DamagedSamples};
+        let is_damaged =
+            |w: &GroundTruthWarning| matches!(w, DamagedImages { .. } | DamagedSamples { .. });
+        self.left_out.is_empty() && !self.warnings.iter().any(is_damaged)
+    }
+
     /// Everything that was looked at, good or not.
     pub fn findings(&self) -> Vec<Finding> {
         let share = 100.0 * self.poses as f64 / self.frames.max(1) as f64;

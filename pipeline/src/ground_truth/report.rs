@@ -178,6 +178,11 @@ pub enum GroundTruthWarning {
         /// How many.
         images: u64,
     },
+    /// Inertial samples could not be read.
+    DamagedSamples {
+        /// How many messages, or stretches of the file.
+        samples: u64,
+    },
     /// Images of one camera carry the stamp of another of its images.
     RepeatedStamps {
         /// How many were not used.

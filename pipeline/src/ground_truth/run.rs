@@ -42,7 +42,7 @@ pub fn ground_truth(
     if rig.cameras.is_empty() {
         return Err(missing("camera"));
     }
-    let imu = read_imu(recording)?;
+    let (imu, damaged_samples) = read_imu(recording)?;
     if imu.is_empty() {
         return Err(missing("IMU"));
     }
@@ -141,7 +141,7 @@ pub fn ground_truth(
     (report.points_in_view, report.points_absent) = (certain as u64, absent as u64);
     report.left_out.extend(out_of_reach(&read.frames, &range));
     report.left_out.sort_by_key(|span| span.from_ns);
-    report.warnings = warnings(&report, &read, frozen);
+    report.warnings = warnings(&report, &read, frozen, damaged_samples);
     report.warnings.extend(not_checked(&walk, &in_view));
     Ok(GroundTruth {
         trajectory,

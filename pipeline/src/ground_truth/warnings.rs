@@ -24,6 +24,7 @@ pub(super) fn warnings(
     report: &GroundTruthReport,
     read: &ReadFrames,
     frozen: u64,
+    damaged_samples: u64,
 ) -> Vec<GroundTruthWarning> {
     let mut warnings = Vec::new();
     for reason in LeftOutReason::ALL {
@@ -49,6 +50,7 @@ pub(super) fn warnings(
     let counted = [
         some(report.imu_gaps).map(|intervals| GroundTruthWarning::ImuGaps { intervals }),
         some(read.damaged).map(|images| GroundTruthWarning::DamagedImages { images }),
+        some(damaged_samples).map(|samples| GroundTruthWarning::DamagedSamples { samples }),
         some(read.repeated_stamps).map(|images| GroundTruthWarning::RepeatedStamps { images }),
         some(frozen).map(|images| GroundTruthWarning::FrozenImages { images }),
     ];

@@ -48,6 +48,14 @@ pub struct MappingReport {
     pub warnings: Vec<MappingWarning>,
 }
 
+impl MappingReport {
+    /// Whether every message was read and every scan found its place.
+    pub fn has_all_data(&self) -> bool {
+        let is_damaged = |w: &MappingWarning| matches!(w, MappingWarning::Damaged { .. });
+        self.odometry.has_all_data() && !self.warnings.iter().any(is_damaged)
+    }
+}
+
 /// How far LiDAR features lie from what they correspond to in other keyframes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LidarResiduals {
@@ -159,5 +167,24 @@ impl MappingWarning {
             .limit(Limit::AtMost(100.0 * USUAL_OUTLIER_SHARE))
             .remedy("check the calibration of the cameras, their place on the rig, and their clocks against the LiDAR's"),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_map_of_a_damaged_recording_has_not_all_data() {
+        assert!(MappingReport::default().has_all_data());
+        let what = "chunk does not unpack".to_owned();
+        let images = MappingReport {
+            warnings: vec![MappingWarning::Damaged { what }],
+            ..MappingReport::default()
+        };
+        assert!(!images.has_all_data());
+        let mut scans = MappingReport::default();
+        scans.odometry.skipped = 1;
+        assert!(!scans.has_all_data());
     }
 }

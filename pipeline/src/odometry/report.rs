@@ -57,10 +57,14 @@ const RARE_SCANS_S: f64 = 1.0;
 impl OdometryReport {
     /// Whether nothing is left out: every message was read, every scan found its place, and the place of the last is known.
     pub fn is_whole(&self) -> bool {
+        self.has_all_data() && self.sigma_at_end_m <= MAX_SIGMA_AT_END_M
+    }
+
+    /// Whether every message was read and every scan found its place.
+    pub fn has_all_data(&self) -> bool {
         let is_damaged = |w: &OdometryWarning| matches!(w, OdometryWarning::Damaged { .. });
         let is_damaged = self.warnings.iter().any(is_damaged);
-        let has_all = self.lost == 0 && self.skipped == 0 && !is_damaged;
-        has_all && self.sigma_at_end_m <= MAX_SIGMA_AT_END_M
+        self.lost == 0 && self.skipped == 0 && !is_damaged
     }
 
     /// Whether scans are too rare for their covariances to be relied on.

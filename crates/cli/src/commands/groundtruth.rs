@@ -75,7 +75,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         }
         text + &problem_lines(&judgement)
     })?;
-    Ok(match r.left_out.is_empty() {
+    Ok(match r.is_whole() {
         true => Outcome::Done,
         false => Outcome::DataLost,
     })

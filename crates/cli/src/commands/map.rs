@@ -123,7 +123,10 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         );
         text + &sentences(&judgement)
     })?;
-    Ok(Outcome::Done)
+    Ok(match r.has_all_data() {
+        true => Outcome::Done,
+        false => Outcome::DataLost,
+    })
 }
 
 /// A map that was written, and where it comes from.

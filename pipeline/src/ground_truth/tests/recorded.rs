@@ -295,3 +295,22 @@ fn a_recorded_walk_is_placed_in_its_map_and_refused_in_another() {
     let error = run(&short, &map).expect_err("camera missing");
     assert!(error.to_string().contains("cam2"), "{error}");
 }
+
+#[test]
+fn a_walk_with_a_damaged_stretch_is_not_whole() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("walk.mcap");
+    record(&path, 1, WALK_FRAMES, &rig(), usize::MAX);
+    let map = map(1);
+    let whole = run(&path, &map).expect("ground truth");
+    assert!(whole.report.is_whole());
+    let mut bytes = std::fs::read(&path).expect("read");
+    let at = bytes.len() / 4 * 3;
+    bytes[at..at + 1000].fill(0);
+    std::fs::write(&path, &bytes).expect("written");
+    let damaged = run(&path, &map).expect("ground truth of the rest");
+    assert!(!damaged.report.is_whole(), "{:#?}", damaged.report);
+    let read = damaged.report.warnings.iter();
+    let unread = read.filter(|w| w.finding().code.starts_with("damaged-"));
+    assert!(unread.count() > 0, "{:#?}", damaged.report.warnings);
+}
