@@ -24,14 +24,17 @@ mod effort;
 mod gyro_alignment;
 mod halves;
 mod inertial;
+mod input;
 mod judgement;
 mod outliers;
 mod page;
 mod parts;
+mod posed_views;
 mod problem;
 mod report;
 mod rig;
 mod rolling;
+mod samples;
 mod start;
 mod state;
 mod table;
@@ -374,7 +377,7 @@ pub fn calibrate_camera_imu(
     let mut order: Vec<usize> = (0..cameras.len()).collect();
     order.sort_by(|a, b| cameras[*a].views.name.cmp(&cameras[*b].views.name));
     let sorted: Vec<KnownCamera> = order.iter().map(|k| cameras[*k].clone()).collect();
-    let mut state = state::State::new(&start::Input {
+    let mut state = state::State::new(&input::Input {
         target,
         cameras: &sorted,
         imu,

@@ -4,7 +4,9 @@
 use lsfb_types::Timestamp;
 
 use super::gyro_alignment::GyroAlignment;
-use super::start::{Input, look, samples_of};
+use super::input::Input;
+use super::posed_views::look;
+use super::samples::samples_of;
 use super::state::{Sample, State};
 use super::{KnownCamera, Readout};
 use crate::{Error, JoinProblem};
