@@ -6,6 +6,8 @@ use crate::coverage::{empty_corners, empty_parts};
 
 /// Share of outliers above which a warning is due.
 const MOST_OUTLIERS: f64 = 0.05;
+/// And above which what is left says nothing of the camera: a quarter of all corners belongs to something else.
+const FAILED_OUTLIERS: f64 = 0.25;
 
 /// In how much of a camera's image corners were seen.
 pub(crate) fn coverage(camera: &str, cells: &[u32], least: f64) -> Finding {
@@ -42,8 +44,12 @@ pub(crate) fn unseen_corners(camera: &str, cells: &[u32]) -> Option<Finding> {
 /// How many corners a camera's views could not explain.
 pub(crate) fn outliers(camera: &str, outliers: usize, corners: usize) -> Finding {
     let percent = 100.0 * outliers as f64 / corners.max(1) as f64;
-    let limit = Limit::AtMost(100.0 * MOST_OUTLIERS);
-    let verdict = Verdict::Warn.unless(limit.holds(percent));
+    let failed = Limit::AtMost(100.0 * FAILED_OUTLIERS);
+    let (worst, limit) = match failed.holds(percent) {
+        true => (Verdict::Warn, Limit::AtMost(100.0 * MOST_OUTLIERS)),
+        false => (Verdict::Fail, failed),
+    };
+    let verdict = worst.unless(limit.holds(percent));
     let what = format!("{outliers} of {corners} corners are outliers");
     Finding::new("outliers", verdict, camera, what)
         .value(percent, "%")
@@ -68,6 +74,19 @@ pub(crate) fn holdout(camera: &str, holdout_px: f64, adjusted_px: f64, most_px: 
 mod tests {
     use super::*;
     use crate::coverage::COVERAGE_CELLS;
+
+    /// A rig with 30 % of the corners left out was written, with a warning: half of the images were another camera's.
+    #[test]
+    fn a_quarter_of_outliers_fails() {
+        for (count, verdict) in [
+            (5, Verdict::Pass),
+            (6, Verdict::Warn),
+            (25, Verdict::Warn),
+            (26, Verdict::Fail),
+        ] {
+            assert_eq!(outliers("cam0", count, 100).verdict, verdict, "{count}");
+        }
+    }
 
     /// Three quarters of the image are covered, which is enough; its lower right corner is not, and the lens is not known there.
     #[test]

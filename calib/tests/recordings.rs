@@ -1,6 +1,7 @@
 //! Boards photographed by others, with known results.
 
 use std::path::Path;
+use std::sync::OnceLock;
 
 use lsfb_calib::Target;
 use lsfb_calib::camera::{CameraConfig, CameraViews, calibrate_cameras, views_from_folder};
@@ -12,7 +13,7 @@ use lsfb_geometry::camera::LensModel;
 use lsfb_geometry::{Matrix3, Se3, UnitQuaternion, Vector3};
 use lsfb_rigs::recorded::{TUM_VI_GRID, TUM_VI_IMU_NOISE, tum_vi_views, with_own_lenses};
 use lsfb_tests::recordings as data;
-use lsfb_types::{Timestamp, Verdict, no_progress};
+use lsfb_types::{Finding, Timestamp, Verdict, no_progress};
 
 fn views(folder: &Path, prefix: &str, target: &Target) -> CameraViews {
     views_from_folder(prefix, folder, prefix, target, &no_progress).expect("images")
@@ -87,23 +88,103 @@ fn camodocal_fisheye() {
     }
 }
 
+/// What both cameras of TUM VI saw: looked for once for all tests.
+fn tum_vi(folder: &Path) -> &'static [CameraViews; 2] {
+    static VIEWS: OnceLock<[CameraViews; 2]> = OnceLock::new();
+    VIEWS.get_or_init(|| tum_vi_views(folder))
+}
+
+/// What is said of whether a camera has one lens.
+fn said_of_one_lens(target: &Target, views: CameraViews, model: LensModel) -> Option<Finding> {
+    let config = CameraConfig {
+        model,
+        holdout_every: 0,
+        ..CameraConfig::default()
+    };
+    let found = calibrate_cameras(target, &[views], &config, &no_progress).expect("calibrated");
+    let findings = &found.cameras[0].findings;
+    findings.iter().find(|f| f.code == "one-lens").cloned()
+}
+
+/// Views of one camera, and of another at some of their instants, by number.
+fn mixed(cameras: &[CameraViews; 2], of_second: impl Fn(usize) -> bool) -> CameraViews {
+    let [first, second] = cameras;
+    let mut mixed = first.clone();
+    for (k, (instant, corners)) in mixed.views.iter_mut().enumerate() {
+        if let Some(other) = second.views.get(instant).filter(|_| of_second(k)) {
+            *corners = other.clone();
+        }
+    }
+    mixed
+}
+
+/// Two cameras of one kind, their images mixed in one folder: passed with corners met to 0.1 px, and a principal point a pixel off.
+#[test]
+fn tum_vi_images_of_both_cameras_mixed() {
+    let name = "tum_vi_images_of_both_cameras_mixed";
+    let Some(folder) = data(name, "vision/tumvi_calib_imu1/mav0") else {
+        return;
+    };
+    let both = tum_vi(&folder);
+    let model = LensModel::KannalaBrandt;
+    let said = |of_second: fn(usize) -> bool| {
+        said_of_one_lens(&TUM_VI_GRID, mixed(both, of_second), model).map(|f| f.verdict)
+    };
+    assert_eq!(said(|k| k % 2 == 1), Some(Verdict::Fail));
+    assert_eq!(said(|k| k >= 200), Some(Verdict::Fail));
+    assert_eq!(said(|k| k % 7 == 3), Some(Verdict::Fail));
+    // Each alone, whole and in parts.
+    assert_eq!(said(|_| false), None);
+    assert_eq!(said(|_| true), None);
+    for camera in both {
+        for part in [0, 1] {
+            let views = camera.views.clone().into_iter();
+            let part = CameraViews {
+                views: views.skip(200 * part).take(200).collect(),
+                ..camera.clone()
+            };
+            assert_eq!(said_of_one_lens(&TUM_VI_GRID, part, model), None);
+        }
+    }
+}
+
+/// The same with thirteen images of OpenCV's pair: fewer, and still not passed.
+#[test]
+fn opencv_images_of_both_cameras_mixed() {
+    let name = "opencv_images_of_both_cameras_mixed";
+    let Some(folder) = data(name, "vision/calib_opencv_stereo") else {
+        return;
+    };
+    let target = Target::Checkerboard {
+        columns: 9,
+        rows: 6,
+        square_m: 1.0,
+    };
+    let both = ["left", "right"].map(|side| views(&folder, side, &target));
+    for of_second in [|k| k % 2 == 1, |k: usize| k >= 6] {
+        let mixed = mixed(&both, of_second);
+        let finding = said_of_one_lens(&target, mixed, LensModel::PinholeRadtan);
+        assert!(finding.is_some_and(|f| f.verdict >= Verdict::Warn));
+    }
+}
+
 /// Lenses, then all of it with the IMU: 400 pairs of images and 20 s of samples.
 #[test]
 fn tum_vi_stereo_and_imu() {
     let Some(folder) = data("tum_vi_stereo_and_imu", "vision/tumvi_calib_imu1/mav0") else {
         return;
     };
-    let both = tum_vi_views(&folder);
+    let both = tum_vi(&folder);
     assert!(both.iter().all(|v| v.views.len() == 400));
     let config = CameraConfig::default();
-    let lenses = calibrate_cameras(&TUM_VI_GRID, &both, &config, &no_progress).expect("calibrated");
+    let lenses = calibrate_cameras(&TUM_VI_GRID, both, &config, &no_progress).expect("calibrated");
     assert!(lenses.rms_px <= 0.2);
     for c in &lenses.cameras {
         let problem = c.findings.iter().find(|f| f.verdict > Verdict::Pass);
         assert_eq!(problem, None, "{}", c.name);
     }
 
-    let known = with_own_lenses(&both, &lenses);
+    let known = with_own_lenses(both, &lenses);
     let noise = TUM_VI_IMU_NOISE;
     let imu = read_imu_table(&folder.join("imu0/data.csv")).expect("a table");
     let config = CameraImuConfig::default();

@@ -132,29 +132,33 @@ fn relative_pose(
             Some(*pose * half_turn(target) * first_from_target.get(t)?.inverse())
         })
         .collect();
+    let apart = |cause| Error::NotJoined {
+        first: first.views.name.clone(),
+        second: other.views.name.clone(),
+        cause,
+    };
     if candidates.len() >= MIN_SHARED && spread(&turned) < UPSIDE_DOWN * spread(&candidates) {
-        return Err(Error::NotJoined {
-            first: first.views.name.clone(),
-            second: other.views.name.clone(),
-            cause: JoinProblem::OppositeEnds,
-        });
+        return Err(apart(JoinProblem::OppositeEnds));
+    }
+    let exchanged = pairing::exchanged(first_from_target, other_from_target);
+    if let [first_instant, .., last_instant] = exchanged[..] {
+        return Err(apart(JoinProblem::Exchanged {
+            exchanged: exchanged.len(),
+            shared: candidates.len(),
+            first_instant,
+            last_instant,
+        }));
     }
     if let Some(by) = pairing::shift(first_from_target, other_from_target) {
-        return Err(Error::NotJoined {
-            first: first.views.name.clone(),
-            second: other.views.name.clone(),
-            cause: JoinProblem::ShiftedPairs { by },
-        });
+        return Err(apart(JoinProblem::ShiftedPairs { by }));
     }
     most_central(&candidates)
         .filter(|_| candidates.len() >= MIN_SHARED)
-        .ok_or_else(|| Error::NotJoined {
-            first: first.views.name.clone(),
-            second: other.views.name.clone(),
-            cause: JoinProblem::FewInstants {
+        .ok_or_else(|| {
+            apart(JoinProblem::FewInstants {
                 shared: candidates.len(),
                 needed: MIN_SHARED,
-            },
+            })
         })
 }
 

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use lsfb_geometry::Se3;
 
 use super::CameraViews;
-use super::pose_choice::spread;
+use super::pose_choice::{most_central, spread};
 use crate::Error;
 
 /// Median distance of corners below which two cameras show the same images, pixels: no two cameras stand in one place.
@@ -79,6 +79,42 @@ pub(super) fn shift(
         .map(|(by, _)| by)
 }
 
+/// How many times nearer a relative pose must be to the others' inverse than to the others, and how many must be so: by then it was
+/// the other camera that took the image.
+const NEARER: f64 = 5.0;
+const LEAST_EXCHANGED: usize = 2;
+/// Median distance of the others from each other, as a share of how far these are off: a pair that hardly differs says nothing.
+const ALIKE: f64 = 0.2;
+
+/// Instants at which the images of two cameras were exchanged: each then stands to the other as the other does to it at all others.
+/// None where fewer than two are so, or where it is so of most: they are then the pair that was meant.
+pub(super) fn exchanged(
+    first_from_target: &BTreeMap<i64, Se3>,
+    other_from_target: &BTreeMap<i64, Se3>,
+) -> Vec<i64> {
+    let relative: Vec<(i64, Se3)> = other_from_target
+        .iter()
+        .filter_map(|(t, other)| Some((*t, *other * first_from_target.get(t)?.inverse())))
+        .collect();
+    let distance = |a: &Se3, b: &Se3| (a.inverse() * *b).log().norm();
+    // Of the pair itself or of the exchanged one, whichever is more often: both are one after the other.
+    let Some(usual) = most_central(&relative.iter().map(|r| r.1).collect::<Vec<_>>()) else {
+        return Vec::new();
+    };
+    let is_exchanged =
+        |pose: &Se3| NEARER * distance(&pose.inverse(), &usual) < distance(pose, &usual);
+    type Poses = Vec<(i64, Se3)>;
+    let (exchanged, usually): (Poses, Poses) =
+        relative.into_iter().partition(|r| is_exchanged(&r.1));
+    let usually: Vec<Se3> = usually.iter().map(|r| r.1).collect();
+    let far = exchanged.iter().map(|r| distance(&r.1, &usual));
+    let nearest = far.fold(f64::INFINITY, f64::min);
+    if exchanged.len() < LEAST_EXCHANGED || spread(&usually) > ALIKE * nearest {
+        return Vec::new();
+    }
+    exchanged.into_iter().map(|r| r.0).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -113,32 +149,71 @@ mod tests {
         expect_different_images(&[views("left", 0.0), views("right", 4.0)]).expect("two cameras");
     }
 
+    /// A board in motion.
+    fn pose(t: i64) -> Se3 {
+        let t = t as f64;
+        let turn = [0.3 * t.sin(), 0.2 * (1.7 * t).cos(), 0.1 * t.cos()];
+        Se3::exp(&Vector6::new(
+            turn[0],
+            turn[1],
+            turn[2],
+            0.1 * t.sin(),
+            0.05 * t.cos(),
+            0.6,
+        ))
+    }
+
+    fn other_from_first() -> Se3 {
+        Se3::exp(&Vector6::new(0.01, 0.02, 0.0, -0.1, 0.0, 0.0))
+    }
+
     #[test]
     fn pairs_that_are_shifted_are_found() {
-        let other_from_first = Se3::exp(&Vector6::new(0.01, 0.02, 0.0, -0.1, 0.0, 0.0));
-        let pose = |t: i64| {
-            let t = t as f64;
-            let turn = [0.3 * t.sin(), 0.2 * (1.7 * t).cos(), 0.1 * t.cos()];
-            Se3::exp(&Vector6::new(
-                turn[0],
-                turn[1],
-                turn[2],
-                0.1 * t.sin(),
-                0.05 * t.cos(),
-                0.6,
-            ))
-        };
         let first: BTreeMap<i64, Se3> = (0..12).map(|t| (t, pose(t))).collect();
         for by in [-2, -1, 1, 2] {
             let other = (0..12)
-                .map(|t| (t, other_from_first * pose(t - by)))
+                .map(|t| (t, other_from_first() * pose(t - by)))
                 .collect();
             assert_eq!(shift(&first, &other), Some(by));
         }
-        let other = (0..12).map(|t| (t, other_from_first * pose(t))).collect();
+        let other = (0..12).map(|t| (t, other_from_first() * pose(t))).collect();
         assert_eq!(shift(&first, &other), None);
         // A board at rest says nothing.
         let still: BTreeMap<i64, Se3> = (0..12).map(|t| (t, pose(3))).collect();
         assert_eq!(shift(&still, &still), None);
+    }
+
+    /// Each camera alone is met well: both lenses are of a kind.
+    #[test]
+    fn pairs_that_are_exchanged_part_of_the_time_are_found() {
+        let other = |t| other_from_first() * pose(t);
+        let seen = |is_exchanged: &dyn Fn(i64) -> bool| -> [BTreeMap<i64, Se3>; 2] {
+            let of = |first: bool| {
+                let pose_of = |t| match is_exchanged(t) == first {
+                    true => other(t),
+                    false => pose(t),
+                };
+                (0..12).map(|t| (t, pose_of(t))).collect()
+            };
+            [of(true), of(false)]
+        };
+        let found = |is_exchanged: &dyn Fn(i64) -> bool| {
+            let [first, second] = seen(is_exchanged);
+            exchanged(&first, &second)
+        };
+        assert!(found(&|_| false).is_empty());
+        assert!(found(&|_| true).is_empty());
+        assert_eq!(found(&|t| t >= 8), [8, 9, 10, 11]);
+        assert_eq!(found(&|t| t == 3 || t == 7), [3, 7]);
+        assert_eq!(found(&|t| t % 2 == 0).len(), 6);
+        // Two places that are alike: nobody knows which was which.
+        let near: BTreeMap<i64, Se3> = (0..12)
+            .map(|t| {
+                let off = Vector6::repeat(1e-3 * (t as f64).sin());
+                (t, Se3::exp(&off) * pose(t))
+            })
+            .collect();
+        let first: BTreeMap<i64, Se3> = (0..12).map(|t| (t, pose(t))).collect();
+        assert!(exchanged(&first, &near).is_empty());
     }
 }

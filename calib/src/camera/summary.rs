@@ -106,7 +106,9 @@ impl Solved<'_> {
             let fit = diagnosis.finding(&camera.name, rms_px);
             let gap = diagnosis.another_gap(&camera.name, rms_px);
             let shutter = diagnosis.rolling_shutter(&camera.name, variance);
-            let first = [fit].into_iter().chain(gap).chain(shutter);
+            let names: Vec<String> = self.cameras[k].chosen.iter().map(i64::to_string).collect();
+            let lens = diagnosis.another_lens(&camera.name, &names);
+            let first = lens.into_iter().chain([fit]).chain(gap).chain(shutter);
             camera.findings.splice(0..0, first);
             let deformation = diagnosis.board(variance);
             for (p, more) in camera

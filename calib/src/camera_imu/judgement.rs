@@ -204,8 +204,10 @@ impl State {
         c: &CameraOnImu,
     ) -> Vec<Finding> {
         let name = &c.name;
-        let diagnosis = Diagnosis::new(target, &c.camera, self.seen(k).collect());
-        let mut found = vec![diagnosis.finding(name, c.rms_px)];
+        let (stamps, seen): (Vec<String>, Vec<_>) = self.seen_with_stamps(k).unzip();
+        let diagnosis = Diagnosis::new(target, &c.camera, seen);
+        let mut found = Vec::from_iter(diagnosis.another_lens(name, &stamps));
+        found.push(diagnosis.finding(name, c.rms_px));
         found.extend(diagnosis.another_gap(name, c.rms_px));
         found.push(findings::coverage(name, &c.cells, LEAST_COVERAGE));
         found.push(findings::outliers(name, c.outliers, c.corners + c.outliers));

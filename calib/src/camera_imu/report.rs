@@ -205,8 +205,16 @@ impl State {
 
     /// The corners of a camera that count, as the adjustment leaves them.
     pub(super) fn seen(&self, k: usize) -> impl Iterator<Item = AdjustedView> + '_ {
+        self.seen_with_stamps(k).map(|(_, view)| view)
+    }
+
+    /// The same, each with its stamp in words.
+    pub(super) fn seen_with_stamps(
+        &self,
+        k: usize,
+    ) -> impl Iterator<Item = (String, AdjustedView)> + '_ {
         let own = self.views.iter().filter(move |v| v.camera == k);
-        own.filter_map(move |view| self.seen_view(view))
+        own.filter_map(move |view| Some((format!("{:.2} s", view.stamp_s), self.seen_view(view)?)))
     }
 
     /// Finds what moves the cameras' pixels that models do not know of, each view with a pose of its own.

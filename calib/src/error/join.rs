@@ -47,6 +47,20 @@ pub enum JoinProblem {
         /// Instants by which the second is late.
         by: i64,
     },
+    /// Images of two cameras were exchanged part of the time.
+    #[error(
+        "their images are exchanged at {exchanged} of {shared} instants, from {first_instant} to {last_instant}: there each stands where the other does at all others. Cables, names or device numbers were exchanged on the way"
+    )]
+    Exchanged {
+        /// Instants at which they are.
+        exchanged: usize,
+        /// Instants at which both see the target.
+        shared: usize,
+        /// The first of those, as its images are numbered or stamped.
+        first_instant: i64,
+        /// The last of them.
+        last_instant: i64,
+    },
     /// Cameras that fit alone do not fit together.
     #[error(
         "each for itself sees the target well, together {}: they are not triggered together, their stamps are off, or one of them is loose",

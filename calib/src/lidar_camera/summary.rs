@@ -84,6 +84,8 @@ pub(super) fn summarize(
         Verdict::Pass => diagnosis.given_lens(camera),
         _ => None,
     };
+    let names = solved.used.iter().map(|u| scenes[u.scene].name.clone());
+    let another_lens = diagnosis.another_lens(camera, &names.collect::<Vec<String>>());
     // What is wrong with the corners is wrong with all that rests on them.
     let also = match fit.verdict {
         Verdict::Pass => lens_finding.as_ref(),
@@ -174,6 +176,7 @@ pub(super) fn summarize(
         findings: vec![fit],
     };
     calibration.findings.extend(lens_finding);
+    calibration.findings.extend(another_lens);
     if let Some(parts) = parts {
         let from_whole = parts.map(|part| (solved.camera_from_lidar.inverse() * part).log());
         let finding = halves::finding(camera, &from_whole, &calibration.sigma);

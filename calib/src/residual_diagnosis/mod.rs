@@ -8,6 +8,7 @@
 mod causes;
 mod deformation;
 mod field;
+mod one_lens;
 mod own_lens;
 mod sums;
 
@@ -19,6 +20,7 @@ use serde::Serialize;
 use crate::board::Target;
 use causes::Explained;
 pub(crate) use field::{Field, Unmodelled, moved_by_field};
+use one_lens::OtherLens;
 use sums::Sums;
 
 /// Root mean square of the errors above which a calibration is warned of, pixels. Corners leave 0.16 to 0.21 px on TUM VI's and
@@ -96,7 +98,7 @@ impl<'a> Diagnosis<'a> {
             sums: Sums::new(target),
             places: Places::default(),
         };
-        for view in views.iter().step_by(views.len().div_ceil(MAX_VIEWS).max(1)) {
+        for view in views.iter().step_by(spread_over(views.len())) {
             diagnosis.sums.add(target, camera, view);
             diagnosis.places.add(target, camera, view);
         }
@@ -192,6 +194,14 @@ impl<'a> Diagnosis<'a> {
         ))
     }
 
+    /// Views that were taken through another lens than the rest; `names` are those of the views that were given.
+    pub fn another_lens(&self, camera: &str, names: &[String]) -> Option<Finding> {
+        let every = spread_over(names.len());
+        let names: Vec<&str> = names.iter().step_by(every).map(String::as_str).collect();
+        let other = OtherLens::find(self.camera, &self.sums.by_view)?;
+        Some(other.finding(camera, self.camera, &names))
+    }
+
     /// A lens that was given, where one of its model fits these views clearly better.
     pub fn given_lens(&self, camera: &str) -> Option<Finding> {
         self.sums.given_lens(camera, self.camera)
@@ -219,6 +229,11 @@ impl<'a> Diagnosis<'a> {
     pub fn board(&self, variance: f64) -> Deformation {
         self.sums.board(self.target, self.camera, variance)
     }
+}
+
+/// Every how many of so many views is looked at.
+fn spread_over(views: usize) -> usize {
+    views.div_ceil(MAX_VIEWS).max(1)
 }
 
 fn explained(e: &Explained) -> String {

@@ -8,6 +8,7 @@ use lsfb_solver::{
 use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 
 use super::field::{FIELD, moved_by_field};
+use super::one_lens::LensOfView;
 use super::{AdjustedCorner, AdjustedView, from_middle};
 use crate::board::Target;
 use crate::projection::moved_by_pose;
@@ -39,6 +40,10 @@ pub(super) struct Sums {
     pub times: [f64; 2],
     pub corners: f64,
     pub centre: Vector3<f64>,
+    /// Views that were added, those that meet no pose too.
+    pub views: usize,
+    /// What each view says of the lens.
+    pub by_view: Vec<LensOfView>,
 }
 
 /// Causes alone: with the lens eliminated too.
@@ -88,6 +93,8 @@ impl Sums {
             times: [0.0; 2],
             corners: 0.0,
             centre: Vector3::new(0.5 * width, 0.5 * height, 0.0),
+            views: 0,
+            by_view: Vec::new(),
         }
     }
 
@@ -139,12 +146,22 @@ impl Sums {
             taken,
         }) = found
         {
-            self.corners += problem.residual_count() as f64;
+            let corners = problem.residual_count() as f64;
+            let lens = camera.lens.parameters().count;
+            self.by_view.push(LensOfView {
+                number: self.views,
+                information: information.view((0, 0), (lens, lens)).into_owned(),
+                gradient: gradient.rows(0, lens).into_owned(),
+                squares,
+                corners,
+            });
+            self.corners += corners;
             self.matrix += information;
             self.gradient += gradient;
             self.squares += squares;
             self.of_poses += taken;
         }
+        self.views += 1;
     }
 
     /// How the pixel moves with each cause.
