@@ -107,7 +107,14 @@ impl Solved<'_> {
             let gap = diagnosis.another_gap(&camera.name, rms_px);
             let shutter = diagnosis.rolling_shutter(&camera.name, variance);
             let names: Vec<String> = self.cameras[k].chosen.iter().map(i64::to_string).collect();
-            let lens = diagnosis.another_lens(&camera.name, &names);
+            // A shutter that rolls, and a model that is not the lens's, change the lens of each view with where the board was and how it
+            // moved.
+            let is_explained =
+                shutter.is_some() || camera.findings.iter().any(|f| f.code == "lens-model");
+            let lens = match is_explained {
+                true => None,
+                false => diagnosis.another_lens(&camera.name, &names),
+            };
             let first = lens.into_iter().chain([fit]).chain(gap).chain(shutter);
             camera.findings.splice(0..0, first);
             let deformation = diagnosis.board(variance);

@@ -460,6 +460,8 @@ fn a_rolling_shutter_is_named_and_taken_out_where_it_is_known() {
     let rolling = moved_before(lens, readout_s, 0.1);
     let naive = found(&rolling);
     let finding = shutter(&naive).expect("named");
+    // Each view has another lens then; they are not another camera's.
+    assert!(naive.findings.iter().all(|f| f.code != "one-lens"));
     let said_ms = finding.value.expect("a number");
     assert!((said_ms - 24.0).abs() < 8.0, "{finding:?}");
     let true_px = lens.parameters().values[0];
