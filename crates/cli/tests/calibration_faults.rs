@@ -327,6 +327,57 @@ fn cameras_that_are_not_what_they_are_called() {
     );
 }
 
+/// Images of two cameras by turns: of each, those whose number is said to be its own.
+fn mixed(name: &str, folders: [&Path; 2], of_second: impl Fn(usize) -> bool) {
+    let to = good().join(name);
+    std::fs::create_dir(&to).expect("folder");
+    let entries = std::fs::read_dir(folders[0]).expect("folder");
+    let mut names: Vec<_> = entries.map(|f| f.expect("image").file_name()).collect();
+    names.sort();
+    for (k, name) in names.into_iter().enumerate() {
+        let from = folders[usize::from(of_second(k))].join(&name);
+        std::fs::hard_link(from, to.join(name)).expect("image");
+    }
+}
+
+/// Once PASS, with corners met to a tenth of a pixel: the lens of neither.
+#[test]
+fn images_of_two_cameras_in_one_folder() {
+    let Lens::KannalaBrandt { distortion, .. } = FISHEYE else {
+        panic!("a fisheye")
+    };
+    let other = folder();
+    Walk {
+        lens: Lens::KannalaBrandt {
+            focal_px: [165.6, 166.1],
+            principal_px: [163.0, 116.5],
+            distortion,
+        },
+        cameras: &["cam0"],
+        ..Walk::default()
+    }
+    .write(other.path());
+    let [left, right] = ["cam0", "cam1"].map(|c| good().join(c));
+    let twin = other.path().join("cam0");
+    let folders = [left.as_path(), twin.as_path()];
+    mixed("by_turns", folders, |k| k % 2 == 1);
+    mixed("half_way", folders, |k| k >= 60);
+    let words = &["not all images were taken through one lens", "cx"];
+    for camera in ["by_turns", "half_way"] {
+        let place = format!("cam0={camera}");
+        let lenses = [&LENSES[..5], &[place.as_str()]].concat();
+        ends(good(), &lenses, &format!("{camera}.toml"), End::Fail, words);
+    }
+    // Left is right and right is left from some instant on.
+    let folders = [left.as_path(), right.as_path()];
+    mixed("first", folders, |k| k >= 70);
+    mixed("second", folders, |k| k < 70);
+    let cameras = ["cam0=first", "--camera", "cam1=second"];
+    let pair = [&LENSES[..5], &cameras].concat();
+    let words = &["their images are exchanged at"];
+    ends(good(), &pair, "exchanged.toml", End::Refused, words);
+}
+
 #[test]
 fn motions_that_say_too_little() {
     let base = Walk {
