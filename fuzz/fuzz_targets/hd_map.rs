@@ -6,7 +6,7 @@ use std::sync::LazyLock;
 
 use libfuzzer_sys::fuzz_target;
 use lsfb_geometry::{Se3, StampedPose, Vector3};
-use lsfb_pipeline::features::{Features, Keypoint};
+use lsfb_pipeline::features::{Feature, Features, Keypoint};
 use lsfb_pipeline::hd_map::{
     HdMap, HdMapConfig, KeyframeImage, MapContent, MapPoint, PointObservation,
 };
@@ -57,6 +57,7 @@ static WHOLE: LazyLock<Whole> = LazyLock::new(|| {
         keyframes: &keyframes,
         images: &images,
         points: &points,
+        feature: &Feature::Sift,
         provenance: "fuzz",
     };
     let map = HdMap::build(&content, &HdMapConfig::default(), &lsfb_types::no_progress);

@@ -2,6 +2,8 @@ use std::path::{Path, PathBuf};
 
 use lsfb_types::Timestamp;
 
+use crate::features::Feature;
+
 /// What can go wrong in this crate: what, where, and what to do about it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -89,6 +91,29 @@ pub enum Error {
         path: PathBuf,
         /// What is wrong.
         reason: String,
+    },
+    /// Weights of a network could not be read.
+    #[error(transparent)]
+    Network(#[from] lsfb_networks::Error),
+    /// A file of weights holds others than are asked for.
+    #[error("{path}: holds {found}, not {expected}: add the right weights with `lsfb models add`", path = path.display())]
+    OtherWeights {
+        /// The file.
+        path: PathBuf,
+        /// What is asked for.
+        expected: Feature,
+        /// What it holds.
+        found: Feature,
+    },
+    /// Descriptors of one feature are to be looked up among those of another.
+    #[error(
+        "the map holds {map} features, the images have {images}: their descriptors cannot be compared; localize with the map's feature, or map again with the other"
+    )]
+    WrongFeature {
+        /// The map's.
+        map: Feature,
+        /// The query's.
+        images: Feature,
     },
     /// A map point refers to something that is not there.
     #[error("map point {point}: {reason}")]

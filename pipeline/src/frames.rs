@@ -9,7 +9,7 @@ use lsfb_types::{Image, ImuSample, Progress, ProgressFn, Stamped, Stopped, Times
 use rayon::prelude::*;
 
 use crate::Error;
-use crate::features::{Features, FrameFeatures, SiftConfig, SiftDetector};
+use crate::features::{FeatureDetector, Features, FrameFeatures};
 
 /// Features of all images of one instant, in the order of the rig's cameras; an image that is missing has none.
 pub(crate) struct FeatureFrame {
@@ -43,11 +43,10 @@ const BATCH: usize = 32;
 pub(crate) fn read_frames(
     recording: &Recording,
     rig: &Rig,
-    config: &SiftConfig,
+    detector: &FeatureDetector,
     progress: ProgressFn<'_>,
 ) -> Result<ReadFrames, Error> {
     let cameras: Vec<&str> = rig.cameras.keys().map(String::as_str).collect();
-    let detector = SiftDetector::new(config)?;
     let total: u64 = recording
         .topics()
         .iter()

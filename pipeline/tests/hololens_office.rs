@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use lsfb_geometry::{Camera, Matrix3, Vector3};
 use lsfb_perception::image;
 use lsfb_pipeline::features::matching::{DescriptorSet, MatchConfig, match_mutual};
-use lsfb_pipeline::features::{FrameFeatures, SiftConfig, SiftDetector};
+use lsfb_pipeline::features::{FeatureDetector, FrameFeatures, SiftConfig, SiftDetector};
 use lsfb_pipeline::hd_map::{HdMap, PosedMapConfig, build_map_from_posed_images};
 use lsfb_pipeline::localization::{
     Localization, Localizer, LocalizerConfig, NotLocalized, localize_posed_images,
@@ -34,7 +34,8 @@ fn held_out_images_are_localized() {
     built.write(scratch.path()).expect("written");
     let map = HdMap::open(scratch.path()).expect("opened");
     let localizer = Localizer::new(&map, &LocalizerConfig::default()).expect("valid configuration");
-    let found = localize_posed_images(&localizer, &held_out, &config.sift, &no_progress)
+    let detector = FeatureDetector::sift(&config.sift).expect("valid configuration");
+    let found = localize_posed_images(&localizer, &held_out, &detector, &no_progress)
         .expect("readable images");
     let right = found
         .iter()

@@ -67,6 +67,24 @@ pub fn recordings(test: &str, below: &str) -> Option<PathBuf> {
     None
 }
 
+/// A file of the published weights of learned features (`LSFB_TEST_MODELS`, default `models` beside the recordings made by others).
+/// `None`, and the test is [skipped](skip), where it is absent.
+pub fn published_weights(test: &str, file: &str) -> Option<PathBuf> {
+    let folder = std::env::var_os("LSFB_TEST_MODELS").map(PathBuf::from);
+    let folder = folder.unwrap_or_else(|| {
+        let data = std::env::var_os("LSFB_TEST_DATA").map(PathBuf::from);
+        let data = data.unwrap_or_else(|| workspace_root().join("../shared/data"));
+        data.join("../models")
+    });
+    let path = folder.join(file);
+    if path.exists() {
+        return Some(path);
+    }
+    let why = format!("no weights at {}", path.display());
+    skip(test, Lacks::Program, &why);
+    None
+}
+
 /// The Python with which recordings are opened by programs of others, named by `LSFB_FOREIGN_PYTHON`. `None`, and the test is
 /// [skipped](skip), where there is none.
 pub fn foreign_python(test: &str) -> Option<OsString> {

@@ -19,6 +19,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ),
     ("lsfb-perception", &["types", "geometry", "solver"]),
     ("lsfb-report", &["types"]),
+    ("lsfb-networks", &["types"]),
     (
         "lsfb-datasets",
         &["types", "geometry", "recording", "perception"],
@@ -37,7 +38,14 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ),
     (
         "lsfb-pipeline",
-        &["types", "geometry", "solver", "recording", "perception"],
+        &[
+            "types",
+            "geometry",
+            "solver",
+            "recording",
+            "perception",
+            "networks",
+        ],
     ),
     (
         "lsfb-eval",

@@ -1,12 +1,16 @@
 //! Points that can be found again: detection, description, matching, tracks and triangulation.
 //!
 //! Detection and description follow Lowe, "Distinctive image features from scale-invariant keypoints" (IJCV 2004);
-//! descriptors are RootSIFT (Arandjelović and Zisserman, CVPR 2012), quantised to bytes. Everything after detection
+//! descriptors are RootSIFT (Arandjelović and Zisserman, CVPR 2012), quantised to bytes. A [`FeatureDetector`] may be a network
+//! instead (`lsfb-networks`), whose descriptors are quantised to as many bytes. Everything after detection
 //! works on viewing rays and [`Camera`](lsfb_geometry::Camera)s, so that fisheye and pinhole lenses are treated alike.
 
 mod descriptor;
+mod detector;
 mod extrema;
+mod feature;
 mod keypoint_grid;
+mod learned;
 pub mod matching;
 mod orientation;
 mod scale_space;
@@ -15,13 +19,17 @@ mod sift;
 pub mod tracks;
 pub mod triangulation;
 
+pub use detector::FeatureDetector;
+pub use feature::{Feature, LearnedFeature};
 pub use keypoint_grid::KeypointGrid;
-pub use sift::{FirstOctave, SiftConfig, SiftDetector, detect_all};
+pub use learned::{LearnedConfig, LearnedDetector};
+pub use sift::{FirstOctave, SiftConfig, SiftDetector};
 
 /// Dimensions of a descriptor.
 pub const DESCRIPTOR_LEN: usize = 128;
 
-/// RootSIFT times 512, saturated at 255. The squared distance of two is an integer.
+/// RootSIFT times 512, saturated at 255, or the values of a network at distances of the same scale. The squared distance of two
+/// is an integer.
 pub type Descriptor = [u8; DESCRIPTOR_LEN];
 
 /// Where a feature was found.
@@ -29,11 +37,11 @@ pub type Descriptor = [u8; DESCRIPTOR_LEN];
 pub struct Keypoint {
     /// Position, pixels; (0, 0) is the centre of the top-left pixel.
     pub pixel: [f32; 2],
-    /// Standard deviation of the Gaussian at which it was found, pixels of the image.
+    /// Standard deviation of the Gaussian at which it was found, pixels of the image; a network finds all at one scale.
     pub scale_px: f32,
-    /// Dominant gradient direction, radians from +x towards +y.
+    /// Dominant gradient direction, radians from +x towards +y; zero of networks, which know none.
     pub angle_rad: f32,
-    /// Contrast of the extremum, 0–1.
+    /// Contrast of the extremum, or score of a network, 0–1.
     pub response: f32,
 }
 

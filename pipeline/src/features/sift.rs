@@ -1,7 +1,4 @@
-use std::sync::atomic::{AtomicU64, Ordering};
-
-use lsfb_types::{Bounds, Image, Progress, ProgressFn};
-use rayon::prelude::*;
+use lsfb_types::{Bounds, Image};
 use serde::{Deserialize, Serialize};
 
 use super::descriptor::Lattice;
@@ -162,6 +159,14 @@ impl SiftDetector {
         features
     }
 
+    /// Memory of the scale space of an image, bytes.
+    pub(super) fn scale_space_bytes(&self, image: &Image) -> usize {
+        let doubled = self.config.first_octave == FirstOctave::Doubled;
+        let pixels = image.pixels.len() * if doubled { 4 } else { 1 };
+        // Octaves shrink to a quarter each: a third more than the first.
+        pixels * (self.config.scales_per_octave + 3) * size_of::<f32>() * 4 / 3
+    }
+
     /// The level of the octave nearest to an extremum.
     fn level(&self, extremum: &Extremum) -> usize {
         (extremum.level.round() as usize).clamp(1, self.config.scales_per_octave)
@@ -205,53 +210,6 @@ impl SiftDetector {
             rest[0].fill(scales, sigma);
         }
     }
-}
-
-/// Most memory that scale spaces may take, bytes: large images wait for one another.
-const SCALE_SPACE_BYTES: usize = 2 << 30;
-
-/// Memory of the scale space of an image, bytes.
-fn scale_space_bytes(image: &Image, config: &SiftConfig) -> usize {
-    let doubled = config.first_octave == FirstOctave::Doubled;
-    let pixels = image.pixels.len() * if doubled { 4 } else { 1 };
-    // Octaves shrink to a quarter each: a third more than the first.
-    pixels * (config.scales_per_octave + 3) * size_of::<f32>() * 4 / 3
-}
-
-/// Features of many images, in their order, on as many threads as their memory allows.
-pub fn detect_all(
-    images: &[&Image],
-    config: &SiftConfig,
-    progress: ProgressFn,
-) -> Result<Vec<Features>, Error> {
-    let prototype = SiftDetector::new(config)?;
-    let done = AtomicU64::new(0);
-    let largest = images.iter().map(|i| scale_space_bytes(i, config)).max();
-    let at_once = (SCALE_SPACE_BYTES / largest.unwrap_or(0).max(1)).max(1);
-    let group_len = match at_once < rayon::current_num_threads() {
-        true => at_once,
-        false => images.len().max(1),
-    };
-    let mut features = Vec::with_capacity(images.len());
-    for group in images.chunks(group_len) {
-        let found: Result<Vec<Features>, Error> = group
-            .par_iter()
-            .map_init(
-                || prototype.clone(),
-                |detector, image| {
-                    let features = detector.detect(image);
-                    progress(Progress {
-                        stage: "image features",
-                        done: done.fetch_add(1, Ordering::Relaxed) + 1,
-                        total: images.len() as u64,
-                    })?;
-                    Ok(features)
-                },
-            )
-            .collect();
-        features.extend(found?);
-    }
-    Ok(features)
 }
 
 #[cfg(test)]

@@ -18,6 +18,7 @@ use super::walk::{FixedObservation, Frame, LocalPoint, LocalizedPose, Walk};
 use super::warnings::{not_checked, out_of_reach, warnings};
 use super::{GroundTruth, GroundTruthConfig, GroundTruthReport, LeftOutReason, Solved, solve_walk};
 use crate::Error;
+use crate::features::FeatureDetector;
 use crate::frames::{FeatureFrame, read_frames, read_imu};
 use crate::hd_map::HdMap;
 use crate::localization::{Localization, Localizer, localize_frames};
@@ -46,7 +47,9 @@ pub fn ground_truth(
     if imu.is_empty() {
         return Err(missing("IMU"));
     }
-    let mut read = read_frames(recording, &rig, &config.features, progress)?;
+    let detector = FeatureDetector::sift(&config.features)?;
+    map.expect_feature(&detector.feature())?;
+    let mut read = read_frames(recording, &rig, &detector, progress)?;
     let frozen = frozen_images::take_out(&mut read.frames, &imu);
     let localizer = Localizer::new(map, &config.localization)?;
     let localized: Vec<Option<Localization>> =

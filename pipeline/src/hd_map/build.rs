@@ -9,8 +9,8 @@ use super::{
     ObservationColumns, PointColumns, QualityColumns,
 };
 use crate::Error;
-use crate::features::Descriptor;
 use crate::features::matching::distance_squared;
+use crate::features::{Descriptor, Feature};
 
 /// What a map is made of.
 #[derive(Clone, Copy, Debug)]
@@ -23,6 +23,8 @@ pub struct MapContent<'a> {
     pub images: &'a [KeyframeImage],
     /// The points, with their final positions.
     pub points: &'a [MapPoint],
+    /// What the descriptors of the images are of.
+    pub feature: &'a Feature,
     /// Hash of the inputs, written beside the map.
     pub provenance: &'a str,
 }
@@ -60,6 +62,7 @@ pub(super) struct MapRows {
     pub rig: Rig,
     pub keyframes: Vec<StampedPose>,
     pub points: Vec<PointRow>,
+    pub feature: Feature,
     pub provenance: String,
 }
 
@@ -149,6 +152,7 @@ impl HdMap {
             rig,
             keyframes: content.keyframes.to_vec(),
             points: rows,
+            feature: content.feature.clone(),
             provenance: content.provenance.to_owned(),
         };
         Ok(Self::from_rows(rows, &config.index, progress)?)
@@ -178,6 +182,7 @@ impl HdMap {
         let map = Self {
             cameras: rows.rig.cameras.keys().cloned().collect(),
             rig: rows.rig,
+            feature: rows.feature,
             provenance: rows.provenance,
             points: PointColumns {
                 x_m: axis(0).into(),
@@ -220,6 +225,7 @@ impl HdMap {
                     })
                 })
                 .collect(),
+            feature: self.feature.clone(),
             provenance: self.provenance.clone(),
         }
     }

@@ -12,7 +12,7 @@ use super::{
     DescriptorColumns, HdMap, KeyframeColumns, ObservationColumns, PointColumns, QualityColumns,
 };
 use crate::Error;
-use crate::features::DESCRIPTOR_LEN;
+use crate::features::{DESCRIPTOR_LEN, Feature, LearnedFeature};
 
 /// Version of the folder's layout. Another one is refused.
 pub const FORMAT_VERSION: u32 = 2;
@@ -48,7 +48,8 @@ const POINTS: [&str; 16] = [
 ];
 const KEYFRAMES: [&str; 8] = ["time_ns", "qx", "qy", "qz", "qw", "tx_m", "ty_m", "tz_m"];
 const OBSERVATIONS: [&str; 5] = ["point", "keyframe", "camera", "u_px", "v_px"];
-const DESCRIPTORS: [&str; 2] = ["point", "root_sift"];
+const SIFT_DESCRIPTORS: [&str; 2] = ["point", "root_sift"];
+const LEARNED_DESCRIPTORS: [&str; 2] = ["point", "learned"];
 const LISTS: [&str; 2] = ["centroid", "first_entry"];
 const ENTRIES: [&str; 3] = ["descriptor", "code", "offset"];
 const CODEBOOK: [&str; 1] = ["words"];
@@ -68,6 +69,9 @@ struct Header {
     keyframes: usize,
     observations: usize,
     descriptors: usize,
+    /// The network whose descriptors they are; absent of SIFT's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    learned: Option<LearnedFeature>,
     files: Vec<FileHash>,
 }
 
@@ -125,6 +129,10 @@ impl HdMap {
             keyframes: self.keyframe_count(),
             observations: self.observation_count(),
             descriptors: self.descriptor_count(),
+            learned: match &self.feature {
+                Feature::Sift => None,
+                Feature::Learned(learned) => Some(learned.clone()),
+            },
             files,
         };
         let text = toml::to_string(&header)
@@ -174,7 +182,7 @@ impl HdMap {
                 ],
             ),
             named(
-                &DESCRIPTORS,
+                descriptor_names(&self.feature),
                 vec![u32s(&d.point), bytes(DESCRIPTOR_LEN, &d.values)],
             ),
             named(
@@ -193,6 +201,10 @@ impl HdMap {
     /// the files into memory.
     pub fn open(folder: &Path) -> Result<Self, Error> {
         let header = read_header(folder)?;
+        let feature = header
+            .learned
+            .clone()
+            .map_or(Feature::Sift, Feature::Learned);
         let rig = open_rig(folder, &header)?;
         let mut tables = Vec::new();
         for name in TABLES {
@@ -220,7 +232,7 @@ impl HdMap {
         ] = points.columns(POINTS)?;
         let [time_ns, pose @ ..] = keyframes.columns(KEYFRAMES)?;
         let [point, keyframe, camera, u_px, v_px] = observations.columns(OBSERVATIONS)?;
-        let [owner, values] = descriptors.columns(DESCRIPTORS)?;
+        let [owner, values] = descriptors.columns(*descriptor_names(&feature))?;
         let [centroids, first_entry] = lists.columns(LISTS)?;
         let [entry, codes, offsets] = entries.columns(ENTRIES)?;
         let [words] = codebook.columns(CODEBOOK)?;
@@ -269,6 +281,7 @@ impl HdMap {
             },
             cameras: rig.cameras.keys().cloned().collect(),
             rig,
+            feature,
             provenance: header.provenance.clone(),
         };
         map.check(folder, &header)?;
@@ -323,6 +336,14 @@ impl HdMap {
             Some((name, _)) => Err(broken(&folder.join(name), "a row points to nothing")),
             None => Ok(()),
         }
+    }
+}
+
+/// Names of the descriptors' columns: a reader of one feature finds no other.
+fn descriptor_names(feature: &Feature) -> &'static [&'static str; 2] {
+    match feature {
+        Feature::Sift => &SIFT_DESCRIPTORS,
+        Feature::Learned(_) => &LEARNED_DESCRIPTORS,
     }
 }
 

@@ -29,7 +29,8 @@ use lsfb_geometry::{Matrix3, Rig, Se3, StampedPose, UnitQuaternion, Vector3};
 use lsfb_types::Timestamp;
 use nalgebra::Quaternion;
 
-use crate::features::{DESCRIPTOR_LEN, Descriptor};
+use crate::Error;
+use crate::features::{DESCRIPTOR_LEN, Descriptor, Feature};
 
 pub use build::{HdMapConfig, MapContent};
 pub use export::{ColmapCamera, ExportedFile, MapFormat};
@@ -54,6 +55,7 @@ pub struct HdMap {
     rig: Rig,
     /// Their names, in order.
     cameras: Vec<String>,
+    feature: Feature,
     provenance: String,
     points: PointColumns,
     quality: QualityColumns,
@@ -145,6 +147,22 @@ impl HdMap {
     /// What the map was made from: a hash its maker chose.
     pub fn provenance(&self) -> &str {
         &self.provenance
+    }
+
+    /// What its descriptors are of.
+    pub fn feature(&self) -> &Feature {
+        &self.feature
+    }
+
+    /// Refuses images with another feature than the map's.
+    pub(crate) fn expect_feature(&self, images: &Feature) -> Result<(), Error> {
+        if *images == self.feature {
+            return Ok(());
+        }
+        Err(Error::WrongFeature {
+            map: self.feature.clone(),
+            images: images.clone(),
+        })
     }
 
     /// Number of points.

@@ -6,7 +6,7 @@ use lsfb_types::{Timestamp, no_progress};
 
 use super::*;
 use crate::Error;
-use crate::features::{Features, Keypoint};
+use crate::features::{Feature, Features, Keypoint};
 
 /// Two pinhole cameras that look along z.
 fn rig() -> Rig {
@@ -67,6 +67,7 @@ pub(super) fn small_map() -> HdMap {
         keyframes: &keyframes,
         images: &images,
         points: &points,
+        feature: &Feature::Sift,
         provenance: "made up",
     };
     HdMap::build(&content, &HdMapConfig::default(), &no_progress).expect("consistent content")
@@ -186,6 +187,7 @@ fn content_must_fit_together() {
         keyframes: &[],
         images: &[],
         points: &[],
+        feature: &Feature::Sift,
         provenance: "",
     };
     let folder = tempfile::tempdir().expect("scratch folder");
@@ -278,6 +280,7 @@ fn points_are_known_as_well_as_their_rays_cross() {
         keyframes: &keyframes,
         images: &images,
         points: &[seen(&[0, 1]), seen(&[0])],
+        feature: &Feature::Sift,
         provenance: "",
     };
     let map = HdMap::build(&content, &HdMapConfig::default(), &no_progress).expect("built");

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::{Localization, Localizer, NotLocalized, NotLocalizedReason};
 use crate::Error;
-use crate::features::{FrameFeatures, SiftConfig, SiftDetector};
+use crate::features::{FeatureDetector, FrameFeatures};
 use crate::frames::{FeatureFrame, read_frames};
 use crate::posed_images::{PosedImages, read_image};
 
@@ -42,7 +42,7 @@ impl ImageLocalization {
 pub fn localize_posed_images(
     localizer: &Localizer,
     posed: &PosedImages,
-    sift: &SiftConfig,
+    detector: &FeatureDetector,
     progress: ProgressFn,
 ) -> Result<Vec<ImageLocalization>, Error> {
     let queries: Vec<QueryImage> = posed
@@ -53,7 +53,7 @@ pub fn localize_posed_images(
             camera: image.camera.clone(),
         })
         .collect();
-    let found = localize_images(localizer, &posed.rig, &queries, sift, progress)?;
+    let found = localize_images(localizer, &posed.rig, &queries, detector, progress)?;
     let localized = posed.images.iter().zip(found);
     Ok(localized
         .map(|(image, found)| ImageLocalization {
@@ -73,18 +73,18 @@ pub struct QueryImage {
     pub camera: String,
 }
 
-/// Localizes each image on its own, in their order.
+/// Localizes each image on its own, in their order. Refuses a detector of another feature than the map's.
 pub fn localize_images(
     localizer: &Localizer,
     rig: &Rig,
     images: &[QueryImage],
-    sift: &SiftConfig,
+    detector: &FeatureDetector,
     progress: ProgressFn,
 ) -> Result<Vec<Result<Localization, NotLocalized>>, Error> {
-    let prototype = SiftDetector::new(sift)?;
+    localizer.map().expect_feature(&detector.feature())?;
     let done = AtomicU64::new(0);
     let localized = images.par_iter().map_init(
-        || prototype.clone(),
+        || detector.clone(),
         |detector, image| {
             let found = match read_image(&image.path, &image.camera, rig) {
                 Ok(pixels) => {
@@ -137,15 +137,16 @@ pub struct WalkLocalization {
     pub damaged: u64,
 }
 
-/// Localizes the images of each instant of a walk on their own.
+/// Localizes the images of each instant of a walk on their own. Refuses a detector of another feature than the map's.
 pub fn localize_recording(
     localizer: &Localizer,
     recording: &Recording,
-    sift: &SiftConfig,
+    detector: &FeatureDetector,
     progress: ProgressFn,
 ) -> Result<WalkLocalization, Error> {
     let rig = recording.rig()?;
-    let read = read_frames(recording, &rig, sift, progress)?;
+    localizer.map().expect_feature(&detector.feature())?;
+    let read = read_frames(recording, &rig, detector, progress)?;
     let found = localize_frames(localizer, &read.frames, &rig, progress)?;
     let instants = read.frames.iter().zip(found);
     Ok(WalkLocalization {

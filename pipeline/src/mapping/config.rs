@@ -2,7 +2,7 @@ use lsfb_solver::SolveConfig;
 use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
 
-use crate::features::SiftConfig;
+use crate::features::{LearnedConfig, SiftConfig};
 use crate::hd_map::{HdMapConfig, ReconstructionConfig};
 use crate::lidar_features::LidarFeatureConfig;
 use crate::odometry::OdometryConfig;
@@ -19,6 +19,8 @@ pub struct MappingConfig {
     pub keyframe_angle_deg: f64,
     /// Image features.
     pub sift: SiftConfig,
+    /// A network that finds features instead.
+    pub learned: Option<LearnedConfig>,
     /// Image pairs, matching and triangulation.
     pub reconstruction: ReconstructionConfig,
     /// Descriptors and index of the map.
@@ -78,6 +80,7 @@ impl Default for MappingConfig {
             keyframe_distance_m: 0.35,
             keyframe_angle_deg: 20.0,
             sift: SiftConfig::default(),
+            learned: None,
             reconstruction: ReconstructionConfig::default(),
             map: HdMapConfig::default(),
             lidar_features: LidarFeatureConfig::default(),
@@ -112,6 +115,7 @@ lsfb_types::bounds! {
         keyframe_distance_m: number(Bounds::POSITIVE),
         keyframe_angle_deg: number(Bounds::POSITIVE),
         sift: section,
+        learned: any,
         reconstruction: section,
         map: section,
         lidar_features: section,

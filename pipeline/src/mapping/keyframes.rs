@@ -8,7 +8,7 @@ use lsfb_types::{Image, Progress, ProgressFn, Stamped, Timestamp};
 
 use super::{MappingConfig, MappingWarning};
 use crate::Error;
-use crate::features::{Features, detect_all};
+use crate::features::{FeatureDetector, Features};
 use crate::hd_map::KeyframeImage;
 use crate::lidar_features::LidarFeatures;
 use crate::odometry::Damages;
@@ -92,6 +92,7 @@ pub(super) fn choose_keyframes(
     recording: &Recording,
     cameras: &[String],
     trajectory: &Trajectory,
+    detector: &FeatureDetector,
     config: &MappingConfig,
     damages: &mut Damages,
     progress: ProgressFn<'_>,
@@ -109,7 +110,7 @@ pub(super) fn choose_keyframes(
     let mut detect = |waiting: &mut Vec<Picked>| -> Result<(), Error> {
         let images: Vec<&Image> = waiting.iter().map(|p| &p.image.sample).collect();
         let before = found.len() as u64;
-        let features = detect_all(&images, &config.sift, &|p| {
+        let features = detector.detect_all(&images, &|p| {
             progress(Progress {
                 done: before + p.done,
                 total,

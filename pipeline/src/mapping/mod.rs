@@ -18,6 +18,7 @@ use lsfb_types::ProgressFn;
 use sha2::{Digest, Sha256};
 
 use crate::error::{Error, MIN_FEATURES_PER_IMAGE};
+use crate::features::FeatureDetector;
 use crate::features::tracks::Track;
 use crate::features::triangulation::TriangulationConfig;
 use crate::hd_map::{HdMap, MapContent, MapPoint, expect_map, find_tracks, triangulate_tracks};
@@ -62,10 +63,12 @@ pub fn build_map(
         report: by_odometry,
         ..
     } = run_odometry(recording, &config.odometry, progress)?;
+    let detector = FeatureDetector::new(&config.sift, config.learned.as_ref())?;
     let mut keyframes = choose_keyframes(
         recording,
         &cameras,
         &trajectory,
+        &detector,
         config,
         &mut damages,
         progress,
@@ -98,6 +101,7 @@ pub fn build_map(
         keyframes: &keyframes.poses(),
         images: &keyframes.images,
         points: &points,
+        feature: &detector.feature(),
         provenance: &walk_hash(&rig, &trajectory),
     };
     Ok(MappingResult {

@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::map_report::{MapPage, coverage, findings};
 use super::map_tools::{self, Tool};
+use super::models::ModelFolder;
 use crate::context::Context;
 use crate::outcome::Outcome;
 use crate::standing;
@@ -24,6 +25,7 @@ use crate::standing;
 /// Examples:
 ///   lsfb map scan.mcap --out map --out-trajectory scan.tum --out-report map.html
 ///   lsfb map --posed-images hololens_office --holdout-every 5 --out office-map
+///   lsfb map --posed-images hololens_office --feature xfeat --out office-map
 ///   lsfb map info map
 #[derive(clap::Args)]
 #[command(
@@ -63,6 +65,11 @@ struct BuildArguments {
     /// Also write a page: residuals before and after Eq. 4, coverage, weak stretches.
     #[arg(long, value_name = "HTML", conflicts_with = "posed_images")]
     out_report: Option<PathBuf>,
+    /// What features the map holds: sift, or a network whose weights were added with `lsfb models add`.
+    #[arg(long, value_name = "NAME")]
+    feature: Option<String>,
+    #[command(flatten)]
+    models: ModelFolder,
     /// Settings instead of the defaults; `lsfb map --help` names them.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
@@ -99,7 +106,10 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         return from_posed_images(folder, arguments, context);
     }
     let recording = arguments.recording.as_deref().context("give a recording")?;
-    let config: MappingConfig = super::config_or_default(arguments.config.as_deref())?;
+    let mut config: MappingConfig = super::config_or_default(arguments.config.as_deref())?;
+    if let Some(name) = &arguments.feature {
+        config.learned = arguments.models.feature(name)?;
+    }
     let job = MapJob {
         recording,
         out: &arguments.out,
@@ -224,7 +234,10 @@ fn from_posed_images(
     arguments: &BuildArguments,
     context: &Context,
 ) -> anyhow::Result<Outcome> {
-    let config: PosedMapConfig = super::config_or_default(arguments.config.as_deref())?;
+    let mut config: PosedMapConfig = super::config_or_default(arguments.config.as_deref())?;
+    if let Some(name) = &arguments.feature {
+        config.learned = arguments.models.feature(name)?;
+    }
     super::expect_file(folder, "name a folder of posed images")?;
     context.claim(&arguments.out, &[])?;
     let posed = PosedImages::read(folder)?.without_every(arguments.holdout_every.unwrap_or(0));

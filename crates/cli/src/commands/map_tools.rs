@@ -162,6 +162,8 @@ struct Info<'a> {
     keyframes: usize,
     observations: usize,
     descriptors: usize,
+    /// What the descriptors are of.
+    feature: String,
     cameras: &'a [String],
     rig: &'a str,
     /// Smallest and largest coordinates of the points, metres.
@@ -186,6 +188,7 @@ fn info(arguments: &InfoArguments, context: &Context) -> anyhow::Result<Outcome>
         keyframes: map.keyframe_count(),
         observations: map.observation_count(),
         descriptors: map.descriptor_count(),
+        feature: map.feature().to_string(),
         cameras: map.cameras(),
         rig: &map.rig().name,
         min_m: region.map(|r| r.min.into()),

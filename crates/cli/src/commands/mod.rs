@@ -28,6 +28,7 @@ pub mod map;
 mod map_report;
 mod map_tools;
 pub mod mock;
+pub mod models;
 pub mod odometry;
 mod odometry_input;
 pub mod recover;

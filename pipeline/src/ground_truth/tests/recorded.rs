@@ -7,7 +7,7 @@ use lsfb_recording::{Recording, Writer, WriterConfig};
 use lsfb_types::Image;
 
 use super::*;
-use crate::features::{SiftConfig, detect_all};
+use crate::features::{Feature, FeatureDetector, SiftConfig};
 use crate::hd_map::{
     HdMap, HdMapConfig, KeyframeImage, MapContent, ReconstructionConfig, reconstruct,
 };
@@ -159,7 +159,10 @@ pub(super) fn map(seed: u64) -> HdMap {
         }
     }
     let pixels: Vec<&Image> = pixels.iter().collect();
-    let features = detect_all(&pixels, &SiftConfig::default(), &no_progress).expect("features");
+    let detector = FeatureDetector::sift(&SiftConfig::default()).expect("valid");
+    let features = detector
+        .detect_all(&pixels, &no_progress)
+        .expect("features");
     let images: Vec<KeyframeImage> = owners
         .into_iter()
         .zip(features)
@@ -176,6 +179,7 @@ pub(super) fn map(seed: u64) -> HdMap {
         keyframes: &keyframes,
         images: &images,
         points: &points,
+        feature: &Feature::Sift,
         provenance: "painted room",
     };
     HdMap::build(&content, &HdMapConfig::default(), &no_progress).expect("map")

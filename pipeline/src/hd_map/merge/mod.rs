@@ -118,6 +118,7 @@ impl HdMap {
         progress: ProgressFn,
     ) -> Result<(Self, MergeReport), Error> {
         config.check_bounds("merge")?;
+        self.expect_feature(&second.feature)?;
         let pairs = pairs(self, second, config);
         let best = align(&pairs, config);
         let others: Vec<Pair> = pairs

@@ -2,6 +2,7 @@ use lsfb_geometry::{Camera, CameraTiming, Rig, RigCamera};
 use lsfb_types::{Timestamp, no_progress};
 
 use super::*;
+use crate::features::Feature;
 use crate::hd_map::build::PointRow;
 use crate::hd_map::{IndexConfig, Region};
 
@@ -75,6 +76,7 @@ impl Hall {
         }
         let rows = MapRows {
             rig,
+            feature: Feature::Sift,
             keyframes: keyframes
                 .into_iter()
                 .map(|k| StampedPose {

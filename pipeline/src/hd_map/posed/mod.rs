@@ -12,7 +12,7 @@ use super::{
     select_keyframes,
 };
 use crate::error::{Error, MIN_MAP_POINTS, MapShortage};
-use crate::features::{Features, SiftConfig, detect_all};
+use crate::features::{FeatureDetector, Features, LearnedConfig, SiftConfig};
 use crate::posed_images::PosedImages;
 
 /// Images in memory at once.
@@ -28,6 +28,8 @@ pub struct PosedMapConfig {
     pub keyframe_angle_deg: f64,
     /// Features.
     pub sift: SiftConfig,
+    /// A network that finds features instead.
+    pub learned: Option<LearnedConfig>,
     /// Matching and triangulation.
     pub reconstruction: ReconstructionConfig,
     /// Descriptors and index.
@@ -40,6 +42,7 @@ impl Default for PosedMapConfig {
             keyframe_distance_per_depth: 0.026,
             keyframe_angle_deg: 6.0,
             sift: SiftConfig::default(),
+            learned: None,
             reconstruction: ReconstructionConfig::default(),
             map: HdMapConfig::default(),
         }
@@ -51,6 +54,7 @@ lsfb_types::bounds! {
         keyframe_distance_per_depth: number(Bounds::NOT_NEGATIVE),
         keyframe_angle_deg: number(Bounds::NOT_NEGATIVE),
         sift: section,
+        learned: any,
         reconstruction: section,
         map: section,
     }
@@ -66,9 +70,10 @@ pub fn build_map_from_posed_images(
 ) -> Result<HdMap, Error> {
     config.check_bounds("posed_map")?;
     let poses: Vec<Se3> = posed.images.iter().map(|i| i.world_from_rig).collect();
+    let detector = FeatureDetector::new(&config.sift, config.learned.as_ref())?;
     let mut detected = DetectedImages {
         posed,
-        config: &config.sift,
+        detector: &detector,
         features: BTreeMap::new(),
     };
     let sample = depth_sample(posed, &config.reconstruction)?;
@@ -93,6 +98,7 @@ pub fn build_map_from_posed_images(
         keyframes: &keyframes,
         images: &images,
         points: &points,
+        feature: &detector.feature(),
         provenance: &posed.content_hash()?,
     };
     HdMap::build(&content, &config.map, progress)
@@ -129,7 +135,7 @@ fn depth_sample(posed: &PosedImages, config: &ReconstructionConfig) -> Result<Ve
 /// Images whose features are known.
 struct DetectedImages<'a> {
     posed: &'a PosedImages,
-    config: &'a SiftConfig,
+    detector: &'a FeatureDetector,
     features: BTreeMap<usize, Features>,
 }
 
@@ -145,7 +151,7 @@ impl DetectedImages<'_> {
                 .map(|i| self.posed.images[*i].read(&self.posed.rig))
                 .collect::<Result<_, _>>()?;
             let borrowed: Vec<&Image> = pixels.iter().collect();
-            let features = detect_all(&borrowed, self.config, &|p| {
+            let features = self.detector.detect_all(&borrowed, &|p| {
                 progress(Progress {
                     done: before + p.done,
                     total: missing.len() as u64,

@@ -4,14 +4,18 @@ use std::fmt::Write;
 use std::path::Path;
 
 use lsfb_geometry::{Camera, Se3};
-use lsfb_pipeline::features::{FrameFeatures, SiftConfig, SiftDetector};
+use lsfb_pipeline::features::{FeatureDetector, FrameFeatures};
 use lsfb_pipeline::localization::{Localization, Localizer, NotLocalized};
 
 use super::input::Input;
 
 /// The image with all features (grey), the inliers of the best pose (green), and lines from those to where the pose expects
 /// their points (red), ten times as long. The picture shows the image's file, which it names.
-pub fn draw(localizer: &Localizer, input: &Input) -> anyhow::Result<String> {
+pub fn draw(
+    localizer: &Localizer,
+    detector: &mut FeatureDetector,
+    input: &Input,
+) -> anyhow::Result<String> {
     let Input::Images { rig, images, .. } = input else {
         anyhow::bail!("a walk has no image files to draw over");
     };
@@ -25,7 +29,7 @@ pub fn draw(localizer: &Localizer, input: &Input) -> anyhow::Result<String> {
     let pixels = lsfb_pipeline::posed_images::read_image(&image.path, &image.camera, rig)?;
     let frame = FrameFeatures {
         camera: image.camera.clone(),
-        features: SiftDetector::new(&SiftConfig::default())?.detect(&pixels),
+        features: detector.detect(&pixels),
     };
     let found = localizer.localize(std::slice::from_ref(&frame), rig);
     let best = found.as_ref().map_or_else(NotLocalized::best, Some);

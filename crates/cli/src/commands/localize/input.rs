@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use lsfb_geometry::{Rig, Se3};
-use lsfb_pipeline::features::SiftConfig;
+use lsfb_pipeline::features::FeatureDetector;
 use lsfb_pipeline::localization::{Localizer, QueryImage, localize_images, localize_recording};
 use lsfb_pipeline::posed_images::{PosedImages, rig_of};
 use lsfb_recording::Recording;
@@ -128,15 +128,20 @@ impl Input {
     }
 
     /// Localizes each frame.
-    pub fn localize(&self, localizer: &Localizer, context: &Context) -> anyhow::Result<Found> {
-        let (sift, show) = (SiftConfig::default(), |p| context.show(p));
+    pub fn localize(
+        &self,
+        localizer: &Localizer,
+        detector: &FeatureDetector,
+        context: &Context,
+    ) -> anyhow::Result<Found> {
+        let show = |p| context.show(p);
         match self {
             Self::Images {
                 rig,
                 images,
                 listed,
             } => {
-                let found = localize_images(localizer, rig, images, &sift, &show)?;
+                let found = localize_images(localizer, rig, images, detector, &show)?;
                 let listed = listed.iter().flatten().map(Some);
                 let listed = listed.chain(std::iter::repeat(None));
                 let frames = images.iter().zip(&found).zip(listed);
@@ -150,7 +155,7 @@ impl Input {
                 })
             }
             Self::Walk(walk) => {
-                let found = localize_recording(localizer, walk, &sift, &show)?;
+                let found = localize_recording(localizer, walk, detector, &show)?;
                 let frames = found.instants.iter();
                 Ok(Found {
                     frames: frames

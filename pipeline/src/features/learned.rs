@@ -1,0 +1,147 @@
+//! Features of a network.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use lsfb_networks::{Network, Trust};
+use lsfb_types::Image;
+use serde::{Deserialize, Serialize};
+
+use super::selection::{Candidate, select};
+use super::{DESCRIPTOR_LEN, Descriptor, Features, Keypoint, LearnedFeature};
+use crate::Error;
+
+/// Which network finds features, and how many.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LearnedConfig {
+    /// File of its weights.
+    pub weights: PathBuf,
+    /// The network and weights that must be in it.
+    pub feature: LearnedFeature,
+    /// Most features per image.
+    pub max_features: usize,
+}
+
+/// Features per image, as many as of SIFT.
+const MAX_FEATURES: usize = 900;
+
+impl LearnedConfig {
+    /// With the recommended number of features.
+    pub fn new(weights: PathBuf, feature: LearnedFeature) -> Self {
+        Self {
+            weights,
+            feature,
+            max_features: MAX_FEATURES,
+        }
+    }
+}
+
+/// A network that finds and describes features. Cloning shares it.
+#[derive(Clone, Debug)]
+pub struct LearnedDetector {
+    network: Arc<Network>,
+    feature: LearnedFeature,
+    max_features: usize,
+}
+
+impl LearnedDetector {
+    /// Reads the weights; refuses others than the configuration says.
+    pub fn new(config: &LearnedConfig) -> Result<Self, Error> {
+        let network = Network::read(&config.weights, Trust::Any)?;
+        let feature = LearnedFeature {
+            model: network.model().name().to_owned(),
+            weights_sha256: network.weights_sha256().to_owned(),
+        };
+        if feature != config.feature {
+            return Err(Error::OtherWeights {
+                path: config.weights.clone(),
+                expected: super::Feature::Learned(config.feature.clone()),
+                found: super::Feature::Learned(feature),
+            });
+        }
+        Ok(Self {
+            network: Arc::new(network),
+            feature,
+            max_features: config.max_features,
+        })
+    }
+
+    /// What its descriptors are of.
+    pub fn feature(&self) -> &LearnedFeature {
+        &self.feature
+    }
+
+    /// The features of `image`, by row and column. An image whose pixels do not fill its size, or too small, has none.
+    pub fn detect(&self, image: &Image) -> Features {
+        let Some(maps) = self.network.run(image) else {
+            return Features::default();
+        };
+        let found = maps.keypoints();
+        let candidates: Vec<Candidate> = found
+            .iter()
+            .map(|k| Candidate {
+                x: k.pixel[0],
+                y: k.pixel[1],
+                response: k.score,
+            })
+            .collect();
+        let mut chosen = select(&candidates, image.width, image.height, self.max_features);
+        chosen.sort_unstable();
+        let mut features = Features::default();
+        for k in chosen.into_iter().map(|index| found[index]) {
+            features.keypoints.push(Keypoint {
+                pixel: k.pixel,
+                scale_px: SCALE_PX,
+                angle_rad: 0.0,
+                response: k.score,
+            });
+            features
+                .descriptors
+                .push(quantised(&maps.descriptor(k.pixel)));
+        }
+        features
+    }
+}
+
+/// The size of what these networks call a keypoint, pixels: that of the neighbourhood in which it is the highest.
+const SCALE_PX: f32 = 2.0;
+
+/// Values of unit length as bytes, two of each value: half a step apart, they hold it twice as finely as one would, distances are
+/// those of SIFT's descriptors (512 times the unit), and each part of the index's codes gets its share.
+fn quantised(values: &[f32; DESCRIPTOR_LEN / 2]) -> Descriptor {
+    /// 512 / √2: the squares of both bytes add up.
+    const STEPS_PER_UNIT: f32 = 362.038_67;
+    const ZERO: f32 = 128.0;
+    std::array::from_fn(|i| {
+        let half = if i % 2 == 0 { -0.25 } else { 0.25 };
+        // Beyond ±0.35 a value of 64 saturates; casting does so by itself.
+        (ZERO + STEPS_PER_UNIT * values[i / 2] + half).round() as u8
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::features::matching::distance_squared;
+
+    #[test]
+    fn distances_of_bytes_are_those_of_the_values() {
+        let unit = |seed: usize| {
+            let mut values: [f32; 64] =
+                std::array::from_fn(|i| ((i * 31 + seed * 97 + i * i * seed) % 23) as f32 - 11.0);
+            let norm = values.iter().map(|v| v * v).sum::<f32>().sqrt();
+            values.iter_mut().for_each(|v| *v /= norm);
+            values
+        };
+        for (a, b) in [(1, 2), (3, 3), (5, 8), (2, 9)] {
+            let (a, b) = (unit(a), unit(b));
+            let exact: f32 = a.iter().zip(&b).map(|(a, b)| (a - b).powi(2)).sum();
+            let bytes = distance_squared(&quantised(&a), &quantised(&b)) as f32 / 512f32.powi(2);
+            assert!(
+                (bytes.sqrt() - exact.sqrt()).abs() < 0.01,
+                "{bytes} {exact}"
+            );
+        }
+    }
+}

@@ -1,0 +1,104 @@
+//! Features of networks with their authors' weights: what another program computes, in maps and out of them.
+
+use std::path::Path;
+
+use lsfb_networks::{Network, Trust, agreement};
+use lsfb_pipeline::Error;
+use lsfb_pipeline::features::{
+    Feature, FeatureDetector, LearnedConfig, LearnedFeature, SiftConfig,
+};
+use lsfb_pipeline::hd_map::{HdMap, PosedMapConfig, build_map_from_posed_images};
+use lsfb_pipeline::localization::{Localizer, LocalizerConfig, localize_posed_images};
+use lsfb_pipeline::posed_images::PosedImages;
+use lsfb_tests::{published_weights, recordings};
+use lsfb_types::no_progress;
+
+fn config(weights: &Path) -> LearnedConfig {
+    let network = Network::read(weights, Trust::Published).expect("published weights");
+    let feature = LearnedFeature {
+        model: network.model().name().to_owned(),
+        weights_sha256: network.weights_sha256().to_owned(),
+    };
+    LearnedConfig::new(weights.to_owned(), feature)
+}
+
+#[test]
+fn networks_compute_what_another_program_computes() {
+    for file in ["xfeat.safetensors", "alike-t.safetensors"] {
+        let test = "networks_compute_what_another_program_computes";
+        let Some(path) = published_weights(test, file) else {
+            return;
+        };
+        let network = Network::read(&path, Trust::Published).expect("published weights");
+        let found = agreement(&network);
+        assert!(
+            found.len() == 2 && found.iter().all(|a| a.holds()),
+            "{file}: {found:?}"
+        );
+        // One weight off by a thousandth is another network.
+        let mut bytes = std::fs::read(&path).expect("a file");
+        let last = bytes.len() - 3;
+        bytes[last] ^= 1;
+        let scratch = tempfile::tempdir().expect("folder");
+        let other = scratch.path().join(file);
+        std::fs::write(&other, &bytes).expect("a file");
+        let refused = Network::read(&other, Trust::Published).expect_err("other weights");
+        assert!(
+            refused.to_string().contains("not those published"),
+            "{refused}"
+        );
+        bytes.truncate(bytes.len() / 2);
+        std::fs::write(&other, &bytes).expect("a file");
+        let refused = Network::read(&other, Trust::Any).expect_err("half a file");
+        assert!(refused.to_string().contains("cut off"), "{refused}");
+    }
+}
+
+#[test]
+fn a_map_of_learned_features_localizes_with_them_alone() {
+    let test = "a_map_of_learned_features_localizes_with_them_alone";
+    let Some(folder) = recordings(test, "vision/hololens_office") else {
+        return;
+    };
+    let Some(weights) = published_weights(test, "alike-t.safetensors") else {
+        return;
+    };
+    let mut all = PosedImages::read(&folder).expect("the recording");
+    all.images.truncate(50);
+    let (mapped, held_out) = (all.without_every(5), all.every(5));
+    let config = PosedMapConfig {
+        learned: Some(config(&weights)),
+        ..PosedMapConfig::default()
+    };
+    let bytes = |threads: usize, out: &Path| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+        let pool = pool.build().expect("a pool");
+        let built = pool.install(|| build_map_from_posed_images(&mapped, &config, &no_progress));
+        built.expect("a map").write(out).expect("written");
+        std::fs::read(out.join(HdMap::HEADER)).expect("a header")
+    };
+    let scratch = tempfile::tempdir().expect("scratch folder");
+    let (one, three) = (scratch.path().join("1"), scratch.path().join("3"));
+    assert!(
+        bytes(1, &one) == bytes(3, &three),
+        "another map on other threads"
+    );
+
+    let map = HdMap::open(&one).expect("opened");
+    assert!(matches!(map.feature(), Feature::Learned(f) if f.model == "alike-t"));
+    let localizer = Localizer::new(&map, &LocalizerConfig::default()).expect("valid");
+    let learned = FeatureDetector::new(&config.sift, config.learned.as_ref()).expect("weights");
+    let found = localize_posed_images(&localizer, &held_out, &learned, &no_progress);
+    let found = found.expect("readable images");
+    let right = found
+        .iter()
+        .filter(|f| f.distance_m().is_some_and(|d| d <= 0.10));
+    assert!(right.count() >= 9, "{found:?}");
+
+    let sift = FeatureDetector::sift(&SiftConfig::default()).expect("valid");
+    let refused = localize_posed_images(&localizer, &held_out, &sift, &no_progress);
+    assert!(
+        matches!(refused, Err(Error::WrongFeature { .. })),
+        "{refused:?}"
+    );
+}
