@@ -24,7 +24,7 @@ pub struct Network {
 
 #[derive(Clone, Debug)]
 enum Layers {
-    XFeat(XFeat),
+    XFeat(Box<XFeat>),
     Alike(Alike),
 }
 
@@ -67,7 +67,7 @@ impl Network {
 
     fn new(model: Model, weights: Weights) -> Result<Self, Damage> {
         let layers = match model {
-            Model::XFeat => Layers::XFeat(XFeat::read(&weights)?),
+            Model::XFeat => Layers::XFeat(Box::new(XFeat::read(&weights)?)),
             Model::AlikeT => Layers::Alike(Alike::read(&weights)?),
         };
         Ok(Self {

@@ -68,8 +68,10 @@ struct BuildArguments {
     /// What features the map holds: sift, or a network whose weights were added with `lsfb models add`.
     #[arg(long, value_name = "NAME")]
     feature: Option<String>,
-    #[command(flatten)]
-    models: ModelFolder,
+    /// Folder of added weights; by default LSFB_MODELS, else lsfb/models below XDG_DATA_HOME.
+    // No flattened struct: with one inside, this optional struct would never be there.
+    #[arg(long, value_name = "FOLDER")]
+    models: Option<PathBuf>,
     /// Settings instead of the defaults; `lsfb map --help` names them.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
@@ -108,7 +110,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let recording = arguments.recording.as_deref().context("give a recording")?;
     let mut config: MappingConfig = super::config_or_default(arguments.config.as_deref())?;
     if let Some(name) = &arguments.feature {
-        config.learned = arguments.models.feature(name)?;
+        config.learned = ModelFolder::new(arguments.models.as_deref()).feature(name)?;
     }
     let job = MapJob {
         recording,
@@ -236,7 +238,7 @@ fn from_posed_images(
 ) -> anyhow::Result<Outcome> {
     let mut config: PosedMapConfig = super::config_or_default(arguments.config.as_deref())?;
     if let Some(name) = &arguments.feature {
-        config.learned = arguments.models.feature(name)?;
+        config.learned = ModelFolder::new(arguments.models.as_deref()).feature(name)?;
     }
     super::expect_file(folder, "name a folder of posed images")?;
     context.claim(&arguments.out, &[])?;

@@ -11,23 +11,33 @@ use lsfb_pipeline::features::{
 /// Where weights are kept.
 #[derive(clap::Args, Clone, Debug)]
 pub struct ModelFolder {
-    /// Folder of added weights; by default lsfb/models below XDG_DATA_HOME.
-    #[arg(long, value_name = "FOLDER", env = "LSFB_MODELS")]
+    /// Folder of added weights; by default LSFB_MODELS, else lsfb/models below XDG_DATA_HOME.
+    #[arg(long, value_name = "FOLDER")]
     models: Option<PathBuf>,
 }
 
 /// The name by which everybody knows the built-in feature.
 pub const SIFT: &str = "sift";
+/// Names the folder where no option does.
+const VARIABLE: &str = "LSFB_MODELS";
 /// What the files in the folder are.
 const EXTENSION: &str = "safetensors";
 /// Digits of the hash in the name of weights that were not published.
 const HASH_DIGITS: usize = 8;
 
 impl ModelFolder {
+    /// The folder that is named, else the default one.
+    pub fn new(named: Option<&Path>) -> Self {
+        Self {
+            models: named.map(Path::to_owned),
+        }
+    }
+
     /// The folder.
     pub fn path(&self) -> anyhow::Result<PathBuf> {
-        if let Some(folder) = &self.models {
-            return Ok(folder.clone());
+        let set = std::env::var_os(VARIABLE).map(PathBuf::from);
+        if let Some(folder) = self.models.clone().or(set) {
+            return Ok(folder);
         }
         let absolute = |name| {
             let value = std::env::var_os(name).map(PathBuf::from);

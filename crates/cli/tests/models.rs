@@ -1,0 +1,94 @@
+//! `lsfb models` and `--feature`, as typed.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use lsfb_tests::published_weights;
+
+fn lsfb(models: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_lsfb"))
+        .args(arguments)
+        .env("LSFB_MODELS", models)
+        .output()
+        .expect("lsfb runs")
+}
+
+fn said(output: &Output) -> String {
+    String::from_utf8_lossy(&[&output.stdout[..], &output.stderr].concat()).into_owned()
+}
+
+#[test]
+fn weights_are_added_checked_and_refused() {
+    let scratch = tempfile::tempdir().expect("folder");
+    let models = scratch.path().join("models");
+    let listed = lsfb(&models, &["models", "list"]);
+    assert!(listed.status.success(), "{}", said(&listed));
+    assert!(said(&listed).contains("xfeat: grey images of any size; licence Apache-2.0"));
+
+    let torn = scratch.path().join("torn.pt");
+    std::fs::write(&torn, b"PK\x03\x04 and no more").expect("a file");
+    let refused = lsfb(&models, &["models", "add", &torn.display().to_string()]);
+    assert_eq!(refused.status.code(), Some(1), "{}", said(&refused));
+    assert!(
+        said(&refused).contains("directory of the archive"),
+        "{}",
+        said(&refused)
+    );
+
+    let test = "weights_are_added_checked_and_refused";
+    let Some(weights) = published_weights(test, "xfeat.safetensors") else {
+        return;
+    };
+    let mut bytes = std::fs::read(&weights).expect("a file");
+    let weights = weights.display().to_string();
+    let added = lsfb(&models, &["models", "add", &weights]);
+    assert!(added.status.success(), "{}", said(&added));
+    let checked = lsfb(&models, &["models", "check"]);
+    assert!(said(&checked).starts_with("PASS"), "{}", said(&checked));
+
+    // Other weights of the same network: under their own name, and only where that is asked for.
+    let last = bytes.len() - 3;
+    bytes[last] ^= 1;
+    let own = scratch.path().join("own.safetensors");
+    std::fs::write(&own, &bytes).expect("a file");
+    let own = own.display().to_string();
+    let refused = lsfb(&models, &["models", "add", &own]);
+    assert!(
+        said(&refused).contains("--force-unknown"),
+        "{}",
+        said(&refused)
+    );
+    let added = lsfb(&models, &["models", "add", &own, "--force-unknown"]);
+    assert!(
+        said(&added).contains("not the published ones"),
+        "{}",
+        said(&added)
+    );
+
+    // Weights that changed in the folder are noticed.
+    std::fs::write(models.join("xfeat.safetensors"), &bytes).expect("a file");
+    let checked = lsfb(&models, &["models", "check"]);
+    assert_eq!(checked.status.code(), Some(4), "{}", said(&checked));
+}
+
+/// The option stood in a struct that was never there: `lsfb map` said "give a recording" to whoever gave images.
+#[test]
+fn map_takes_a_feature_and_names_those_there_are() {
+    let scratch = tempfile::tempdir().expect("folder");
+    let [images, map] = ["images", "map"].map(|n| scratch.path().join(n).display().to_string());
+    let arguments = ["map", "--posed-images", &images, "--out", &map, "--feature"];
+    for (feature, expected) in [
+        ("xfeat", "lsfb models add"),
+        ("orb", "there are: sift"),
+        ("../xfeat", "there are: sift"),
+        ("sift", "no such file"),
+    ] {
+        let refused = lsfb(scratch.path(), &[&arguments[..], &[feature]].concat());
+        assert_eq!(refused.status.code(), Some(1), "{}", said(&refused));
+        assert!(
+            said(&refused).contains(expected),
+            "{feature}: {}",
+            said(&refused)
+        );
+    }
+}
