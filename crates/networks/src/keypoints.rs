@@ -1,5 +1,8 @@
 //! Keypoints of a map of scores: its peaks, to a fraction of a pixel.
 
+/// Values of a descriptor.
+pub const DESCRIPTOR_LEN: usize = 64;
+
 /// A keypoint of a network.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NetworkKeypoint {

@@ -5,13 +5,10 @@ use lsfb_types::Image;
 use crate::alike::{Alike, AlikeMaps};
 use crate::error::{Damage, Error};
 use crate::grey::Grey;
-use crate::keypoints::NetworkKeypoint;
+use crate::keypoints::{DESCRIPTOR_LEN, NetworkKeypoint};
 use crate::model::Model;
 use crate::weights::Weights;
 use crate::xfeat::{XFeat, XFeatMaps};
-
-/// Values of a descriptor.
-pub const DESCRIPTOR_LEN: usize = 64;
 
 /// A network with its weights. Shared by threads; runs on all of the pool it is called in, with the same result on any number.
 #[derive(Clone, Debug)]

@@ -17,8 +17,8 @@ use input::Input;
 
 /// Localize images, or the instants of a walk, in an HD map: a pose for each with its probability, or why there is none.
 ///
-/// Features are those that the map holds. Each is localized on its own. A pose is given where it is right with a probability of 0.99. A folder of images needs the
-/// intrinsics of its camera: K.txt in it, or --rig.
+/// Each is localized on its own, by the feature that the map holds. A pose is given where it is right with a probability of
+/// 0.99. A folder of images needs the intrinsics of its camera: K.txt in it, or --rig.
 ///
 /// Examples:
 ///   lsfb localize map walk.mcap --out walk.csv
