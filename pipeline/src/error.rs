@@ -2,8 +2,6 @@ use std::path::{Path, PathBuf};
 
 use lsfb_types::Timestamp;
 
-use crate::features::Feature;
-
 /// What can go wrong in this crate: what, where, and what to do about it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -101,9 +99,9 @@ pub enum Error {
         /// The file.
         path: PathBuf,
         /// What is asked for.
-        expected: Feature,
+        expected: String,
         /// What it holds.
-        found: Feature,
+        found: String,
     },
     /// Descriptors of one feature are to be looked up among those of another.
     #[error(
@@ -111,9 +109,9 @@ pub enum Error {
     )]
     WrongFeature {
         /// The map's.
-        map: Feature,
+        map: String,
         /// The query's.
-        images: Feature,
+        images: String,
     },
     /// A map point refers to something that is not there.
     #[error("map point {point}: {reason}")]

@@ -56,8 +56,8 @@ impl LearnedDetector {
         if feature != config.feature {
             return Err(Error::OtherWeights {
                 path: config.weights.clone(),
-                expected: super::Feature::Learned(config.feature.clone()),
-                found: super::Feature::Learned(feature),
+                expected: super::Feature::Learned(config.feature.clone()).to_string(),
+                found: super::Feature::Learned(feature).to_string(),
             });
         }
         Ok(Self {

@@ -160,8 +160,8 @@ impl HdMap {
             return Ok(());
         }
         Err(Error::WrongFeature {
-            map: self.feature.clone(),
-            images: images.clone(),
+            map: self.feature.to_string(),
+            images: images.to_string(),
         })
     }
 
