@@ -2,8 +2,7 @@
 //! a descriptor for every pixel, both linear in four maps of different fineness.
 //!
 //! The authors enlarge all four maps to the size of the image and multiply them there. As enlarging and multiplying may change
-//! places, the score is multiplied first, and descriptors are made where there are keypoints alone: the same numbers for a tenth
-//! of the work.
+//! places, the score is multiplied first, and descriptors are made where there are keypoints alone: the same numbers, less work.
 
 use crate::convolution::{Affine, Convolution, Shape};
 use crate::error::Damage;
