@@ -6,6 +6,7 @@ mod calibration;
 mod clocks;
 mod devices;
 mod file;
+mod imported;
 mod interrupted;
 mod pace;
 mod rhythm;
@@ -143,9 +144,15 @@ pub fn examine(
     let streams = Stream::all(recording, &arrivals, config)?;
     findings.devices(recording, &streams);
     findings.pace(&streams);
-    findings.stamps(&streams, config);
+    let import = imported::entries(recording);
+    if import.is_none() {
+        findings.stamps(&streams, config);
+    }
     findings.topics(&streams, &arrivals, config);
-    findings.losses(recording);
+    match import {
+        Some(import) => findings.imported(&import),
+        None => findings.losses(recording),
+    }
     findings.clocks(recording, config)?;
     let duration_secs = recording
         .arrival_range()

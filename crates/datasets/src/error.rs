@@ -60,4 +60,50 @@ pub enum Error {
         /// The file.
         path: PathBuf,
     },
+    /// Nobody knows which program a recording is of.
+    #[error("{}: {problem}", path.display())]
+    Unrecognised {
+        /// The file or folder.
+        path: PathBuf,
+        /// What was looked for.
+        problem: String,
+    },
+    /// A recording of another program is damaged, or not what it seems to be.
+    #[error("{}: {problem}", path.display())]
+    Recorded {
+        /// The file or folder.
+        path: PathBuf,
+        /// What is wrong, and where.
+        problem: String,
+    },
+    /// Stamps follow each other as those of no such sensor do.
+    #[error("{}: {what}: its records are {period_s:e} s apart, as of no such sensor: its stamps are in another unit; where the format leaves it open, give it with --stamp-unit", path.display())]
+    StampUnit {
+        /// The file or folder.
+        path: PathBuf,
+        /// Which records.
+        what: String,
+        /// Median time between two of them, seconds.
+        period_s: f64,
+    },
+    /// Records of one source were stamped by clocks that have nothing to do with each other.
+    #[error("{}: {early} lies at {early_s:.3} s and {late} at {late_s:.3} s: they were stamped by different clocks, or in different units", path.display())]
+    ClocksApart {
+        /// The file or folder.
+        path: PathBuf,
+        /// The records with the earliest stamps.
+        early: String,
+        /// The middle of them, seconds.
+        early_s: f64,
+        /// The records with the latest stamps.
+        late: String,
+        /// The middle of them, seconds.
+        late_s: f64,
+    },
+    /// The recording could not be written.
+    #[error(transparent)]
+    Recording(#[from] lsfb_recording::Error),
+    /// The progress callback asked for an early end.
+    #[error("{0}")]
+    Stopped(#[from] lsfb_types::Stopped),
 }

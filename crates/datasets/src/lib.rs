@@ -1,4 +1,5 @@
-//! What other programs recorded: ROS bags ([`RosBag`]) and files of point clouds ([`read_cloud`], [`CloudFolder`]).
+//! What other programs recorded: ROS bags ([`RosBag`]), files of point clouds ([`read_cloud`], [`CloudFolder`]), and walks of phones and
+//! datasets, which become recordings ([`import`]).
 //!
 //! Readers only, and as tolerant as can be without guessing: what a file does not say is asked for or told, never made up.
 //!
@@ -17,6 +18,7 @@
 
 mod clouds;
 mod error;
+pub mod import;
 mod rosbag;
 
 pub use clouds::{CloudFolder, FileScan, ScanTimes, read_cloud};

@@ -23,6 +23,7 @@ pub mod doctor;
 pub mod doctor_host;
 pub mod eval;
 pub mod groundtruth;
+pub mod import;
 pub mod localize;
 pub mod map;
 mod map_report;

@@ -1,7 +1,8 @@
 //! Frames of reference of what sidecars send: each names its own as it likes, `imu` or `cam0`, and so does every other.
 
 use super::schema::{
-    BLE_ADVERT, FLUID_PRESSURE, IMAGE, IMU, MAGNETIC_FIELD, NAV_SAT_FIX, WIFI_READING,
+    BLE_ADVERT, FLUID_PRESSURE, IMAGE, IMU, MAGNETIC_FIELD, NAV_SAT_FIX, ORIENTATION, POSE, VECTOR,
+    WIFI_READING, WIFI_SCAN,
 };
 
 /// Encapsulation of little-endian CDR, and the stamp and the length of the frame's name behind it.
@@ -59,9 +60,16 @@ pub(crate) fn in_frame_of<'a>(
 /// Alignment of the largest number in a message, which is that of the first one behind its header.
 fn alignment(schema_name: &str) -> Option<usize> {
     let is = |schemas: &[super::Schema]| schemas.iter().any(|s| s.name == schema_name);
-    if is(&[IMU, MAGNETIC_FIELD, FLUID_PRESSURE]) {
+    if is(&[
+        IMU,
+        MAGNETIC_FIELD,
+        FLUID_PRESSURE,
+        VECTOR,
+        ORIENTATION,
+        POSE,
+    ]) {
         Some(8)
-    } else if is(&[IMAGE, WIFI_READING, BLE_ADVERT]) {
+    } else if is(&[IMAGE, WIFI_READING, WIFI_SCAN, BLE_ADVERT]) {
         Some(4)
     } else {
         None
@@ -76,6 +84,7 @@ fn pad(head: &mut Vec<u8>, alignment: usize) {
 
 #[cfg(test)]
 mod tests {
+    use lsfb_geometry::Se3;
     use lsfb_types::{Image, ImuSample, Timestamp};
 
     use super::*;
@@ -101,7 +110,8 @@ mod tests {
         let wifi = WifiReading::default();
         let ble = BleAdvert::default();
         type Encode<'a> = &'a dyn Fn(&str) -> Vec<u8>;
-        let encoders: [(Schema, Encode<'_>); 7] = [
+        let scan = WifiScan::default();
+        let encoders: [(Schema, Encode<'_>); 11] = [
             (IMU, &|f| encode_imu(TIME, f, &imu, ImuVariance::UNKNOWN)),
             (IMAGE, &|f| encode_image(TIME, f, &image)),
             (MAGNETIC_FIELD, &|f| {
@@ -113,6 +123,12 @@ mod tests {
             (NAV_SAT_FIX, &|f| encode_gnss(TIME, f, &gnss)),
             (WIFI_READING, &|f| encode_wifi(TIME, f, &wifi)),
             (BLE_ADVERT, &|f| encode_ble(TIME, f, &ble)),
+            (WIFI_SCAN, &|f| encode_wifi_scan(TIME, f, &scan)),
+            (VECTOR, &|f| encode_vector(TIME, f, &[1.0, 2.0, 3.0])),
+            (ORIENTATION, &|f| {
+                encode_orientation(TIME, f, &[0.0, 0.0, 0.0, 1.0])
+            }),
+            (POSE, &|f| encode_pose(TIME, f, &Se3::identity())),
         ];
         for (schema, encode) in encoders {
             for length in 1..20 {

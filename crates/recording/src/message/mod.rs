@@ -3,6 +3,7 @@
 //! Each `encode_*` gives the bytes that ROS 2 would serialise; each `decode_*` checks every length. Topics that carry
 //! them are listed in `FORMAT.md`.
 
+mod axes;
 mod frame;
 mod image;
 mod imu;
@@ -20,6 +21,7 @@ mod transform;
 #[cfg(test)]
 mod tests;
 
+pub use axes::{decode_orientation, decode_vector, encode_orientation, encode_vector};
 pub(crate) use frame::{frame_of, in_frame_of};
 pub(crate) use image::encode_image_head;
 pub use image::{decode_image, encode_camera_info, encode_image};
@@ -35,8 +37,11 @@ pub use lsfb::{
     encode_raw_packet,
 };
 pub use points::{CloudMessage, decode_cloud, encode_points};
-pub use pose::{PoseReading, decode_poses, holds_edges, holds_path, holds_poses};
-pub use radio::{BleAdvert, WifiReading, decode_ble, decode_wifi, encode_ble, encode_wifi};
+pub use pose::{PoseReading, decode_poses, encode_pose, holds_edges, holds_path, holds_poses};
+pub use radio::{
+    BleAdvert, WifiReading, WifiScan, decode_ble, decode_wifi, decode_wifi_scan, encode_ble,
+    encode_wifi, encode_wifi_scan,
+};
 pub use recorder::{
     CameraGroup, ClockModel, HealthValue, decode_camera_group, decode_clock_model,
     decode_health_value, encode_camera_group, encode_clock_model, encode_health_value,
@@ -44,8 +49,9 @@ pub use recorder::{
 pub use remark::{Remark, decode_remark, encode_remark};
 pub use schema::{
     BLE_ADVERT, CAMERA_GROUP, CAMERA_INFO, CLOCK_MODEL, FLUID_PRESSURE, FRAME_META, HEALTH_VALUE,
-    IMAGE, IMU, LIDAR_PACKETS, MAGNETIC_FIELD, NAV_SAT_FIX, PANDAR_SCAN, POINT_CLOUD, RAW_PACKET,
-    REMARK, Schema, TF_MESSAGE, TIME_REFERENCE, VELODYNE_SCAN, WIFI_READING,
+    IMAGE, IMU, LIDAR_PACKETS, MAGNETIC_FIELD, NAV_SAT_FIX, ORIENTATION, PANDAR_SCAN, POINT_CLOUD,
+    POSE, RAW_PACKET, REMARK, Schema, TF_MESSAGE, TIME_REFERENCE, VECTOR, VELODYNE_SCAN,
+    WIFI_READING, WIFI_SCAN,
 };
 pub use surroundings::{
     GnssFix, GnssReading, MagneticSample, PressureSample, decode_gnss, decode_magnetic,

@@ -4,7 +4,7 @@ use lsfb_geometry::{Se3, Vector3};
 use lsfb_types::Timestamp;
 use nalgebra::{Quaternion, UnitQuaternion};
 
-use crate::cdr::{CdrError, CdrReader};
+use crate::cdr::{CdrError, CdrReader, CdrWriter};
 
 /// A pose that a message says.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,6 +20,16 @@ pub struct PoseReading {
     /// Covariance of x y z and of rotations about the fixed axes x y z, row by row, m² and rad²; `None` where the type has none or all
     /// of it is zero.
     pub covariance: Option<[f64; 36]>,
+}
+
+/// `geometry_msgs/msg/PoseStamped`: where a device has itself, in a world of its own called `frame`.
+pub fn encode_pose(time: Timestamp, frame: &str, frame_from_device: &Se3) -> Vec<u8> {
+    let mut w = CdrWriter::with_capacity(96 + frame.len());
+    w.header(time, frame);
+    w.f64s(frame_from_device.translation.as_slice());
+    // nalgebra stores quaternions as x y z w, the order of the message.
+    w.f64s(frame_from_device.rotation.coords.as_slice());
+    w.finish()
 }
 
 /// A message type that says poses.

@@ -44,6 +44,42 @@ pub fn decode_wifi(bytes: &[u8]) -> Result<WifiReading, CdrError> {
     })
 }
 
+/// `lsfb_msgs/msg/WifiScan`: one scan, whose readings carry its number. The header's stamp is when its result was handed out.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct WifiScan {
+    /// Its number.
+    pub scan: u32,
+    /// When it began; zero where nobody said.
+    pub started: Timestamp,
+    /// When it ended; zero where nobody said.
+    pub ended: Timestamp,
+    /// Networks that it found.
+    pub readings: u32,
+}
+
+/// `lsfb_msgs/msg/WifiScan`.
+pub fn encode_wifi_scan(time: Timestamp, frame: &str, scan: &WifiScan) -> Vec<u8> {
+    let mut w = CdrWriter::with_capacity(64 + frame.len());
+    w.header(time, frame);
+    w.u32(scan.scan);
+    w.time(scan.started);
+    w.time(scan.ended);
+    w.u32(scan.readings);
+    w.finish()
+}
+
+/// A `lsfb_msgs/msg/WifiScan`.
+pub fn decode_wifi_scan(bytes: &[u8]) -> Result<WifiScan, CdrError> {
+    let mut r = CdrReader::new(bytes)?;
+    r.header()?;
+    Ok(WifiScan {
+        scan: r.u32("scan")?,
+        started: r.time("started")?,
+        ended: r.time("ended")?,
+        readings: r.u32("readings")?,
+    })
+}
+
 /// `lsfb_msgs/msg/BleAdvert`: one advertisement of a beacon.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct BleAdvert {

@@ -260,3 +260,50 @@ pub const BLE_ADVERT: Schema = Schema {
     name: "lsfb_msgs/msg/BleAdvert",
     text: concat!(include_str!("../../lsfb_msgs/msg/BleAdvert.msg"), header!()),
 };
+
+/// One Wi-Fi scan, whose readings are on a topic of their own.
+pub const WIFI_SCAN: Schema = Schema {
+    name: "lsfb_msgs/msg/WifiScan",
+    text: concat!(include_str!("../../lsfb_msgs/msg/WifiScan.msg"), header!()),
+};
+
+/// Three numbers in the axes of a sensor.
+pub const VECTOR: Schema = Schema {
+    name: "geometry_msgs/msg/Vector3Stamped",
+    text: concat!(
+        "std_msgs/Header header\ngeometry_msgs/Vector3 vector\n",
+        dependency!("geometry_msgs/Vector3", "float64 x\nfloat64 y\nfloat64 z\n"),
+        header!()
+    ),
+};
+
+/// How a device is turned, by its own reckoning.
+pub const ORIENTATION: Schema = Schema {
+    name: "geometry_msgs/msg/QuaternionStamped",
+    text: concat!(
+        "std_msgs/Header header\ngeometry_msgs/Quaternion quaternion\n",
+        dependency!(
+            "geometry_msgs/Quaternion",
+            "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n"
+        ),
+        header!()
+    ),
+};
+
+/// Where a device has itself.
+pub const POSE: Schema = Schema {
+    name: "geometry_msgs/msg/PoseStamped",
+    text: concat!(
+        "std_msgs/Header header\ngeometry_msgs/Pose pose\n",
+        dependency!(
+            "geometry_msgs/Pose",
+            "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n"
+        ),
+        dependency!("geometry_msgs/Point", "float64 x\nfloat64 y\nfloat64 z\n"),
+        dependency!(
+            "geometry_msgs/Quaternion",
+            "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n"
+        ),
+        header!()
+    ),
+};

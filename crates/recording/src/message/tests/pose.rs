@@ -44,6 +44,13 @@ const TRANSFORMS: &str = "000100000300000007e5926915cd5b0706000000776f726c640000
     0000000000009a9999999999e93f";
 
 #[test]
+fn a_pose_is_written_as_ros_has_it() {
+    let poses = decode_poses("geometry_msgs/msg/PoseStamped", &unhex(POSE)).unwrap();
+    let bytes = encode_pose(STAMP, "map", &poses[0].pose);
+    assert_eq!(super::hex(&bytes), POSE);
+}
+
+#[test]
 fn every_type_says_the_same_pose() {
     let counted: [f64; 36] = std::array::from_fn(|i| i as f64);
     for (schema, text, frame, child_frame, covariance) in [

@@ -1,6 +1,8 @@
 //! Against bytes serialised by rosbags 0.11 (ROS 2 Jazzy type store): build each message there with the values below and
 //! stamp 1771234567.123456789, and print `store.serialize_cdr(message, type).hex()`.
 
+use lsfb_types::Timestamp;
+
 use super::{STAMP, hex};
 use crate::cdr::CdrError;
 use crate::message::*;
@@ -16,6 +18,11 @@ const WIFI: &str = "0001000007e5926915cd5b07050000007769666900000000070000001200
     0000050000006c736662000000003c140000bdff";
 const BLE: &str = "0001000007e5926915cd5b0704000000626c65001200000063303a30313a30323a30333a30343a303500000025000000\
     39313935623361642d613964302d343530302d383566662d396662306636356135323031000002010403c8ffacff00000300000002011a";
+const SCAN: &str =
+    "0001000007e5926915cd5b0704000000696d75000700000000e592690500000007e5926915cd5b071f000000";
+const VECTOR_3: &str =
+    "0001000007e5926915cd5b0704000000696d7500000000000000f83f00000000000002c0000000000000c03f";
+const QUATERNION: &str = "0001000007e5926915cd5b0704000000696d75000000000000000000333333333333e33f00000000000000009a9999999999e93f";
 
 pub(super) fn unhex(text: &str) -> Vec<u8> {
     (0..text.len() / 2)
@@ -84,14 +91,39 @@ fn radio() {
 }
 
 #[test]
+fn a_scan_says_when_it_began_and_ended() {
+    let scan = WifiScan {
+        scan: 7,
+        started: Timestamp::from_nanos(1_771_234_560_000_000_005),
+        ended: STAMP,
+        readings: 31,
+    };
+    assert_eq!(hex(&encode_wifi_scan(STAMP, "imu", &scan)), SCAN);
+    assert_eq!(decode_wifi_scan(&unhex(SCAN)), Ok(scan));
+}
+
+#[test]
+fn axes_of_one_sensor() {
+    let vector = [1.5, -2.25, 0.125];
+    assert_eq!(hex(&encode_vector(STAMP, "imu", &vector)), VECTOR_3);
+    assert_eq!(decode_vector(&unhex(VECTOR_3)), Ok(vector));
+    let xyzw = [0.0, 0.6, 0.0, 0.8];
+    assert_eq!(hex(&encode_orientation(STAMP, "imu", &xyzw)), QUATERNION);
+    assert_eq!(decode_orientation(&unhex(QUATERNION)), Ok(xyzw));
+}
+
+#[test]
 fn every_cut_message_of_the_surroundings_is_refused() {
     type Decode = fn(&[u8]) -> Option<CdrError>;
-    let cases: [(&str, Decode); 5] = [
+    let cases: [(&str, Decode); 8] = [
         (MAGNETIC, |b| decode_magnetic(b).err()),
         (PRESSURE, |b| decode_pressure(b).err()),
         (GNSS, |b| decode_gnss(b).err()),
         (WIFI, |b| decode_wifi(b).err()),
         (BLE, |b| decode_ble(b).err()),
+        (SCAN, |b| decode_wifi_scan(b).err()),
+        (VECTOR_3, |b| decode_vector(b).err()),
+        (QUATERNION, |b| decode_orientation(b).err()),
     ];
     for (text, decode) in cases {
         let bytes = unhex(text);

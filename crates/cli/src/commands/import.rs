@@ -1,0 +1,195 @@
+//! `lsfb import`: a recording of another program becomes one of ours.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+use clap::ValueEnum;
+use clap::builder::PossibleValue;
+use lsfb_datasets::import::{Format, ImportConfig, ImportReport, RecordCount, StampUnit, import};
+use lsfb_geometry::Rig;
+use lsfb_recording::Provenance;
+
+use crate::context::Context;
+use crate::files::expect_file;
+use crate::judged::printable;
+use crate::outcome::Outcome;
+
+/// Turn a recording of another program into one of this program: EuRoC and TUM-VI folders, walks of Indoor Location 2.0, ios_logger,
+/// StrayScanner, MARSLogger, VideoIMUCapture, Spectacular Rec, kapture, sessions of LaMAR.
+///
+/// The format is recognised by its content. Every record is counted; what has no place in a recording is listed; ground truth and
+/// trajectories stay beside it. Stamps are the device's own: such a recording says nothing about its clock. Videos need the system's
+/// `ffmpeg`. Exit code 3: records could not be read.
+///
+/// Examples:
+///   lsfb import mav0 --out walk.mcap
+///   lsfb import 5dd9e7c29191710006b57061.txt.gz --out mall.mcap --device oppo
+///   lsfb import maupertuis --out campus.mcap --format kapture --stamp-unit s --rig rig.toml --json
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    /// The recording of the other program.
+    #[arg(value_name = "FILE_OR_FOLDER")]
+    source: PathBuf,
+    /// The new recording.
+    #[arg(long, value_name = "MCAP")]
+    out: PathBuf,
+    /// Format of the source; by default it is recognised.
+    #[arg(long, value_name = "FORMAT", value_enum)]
+    format: Option<NamedFormat>,
+    /// Name of the device in the topics, `/sidecar/NAME/…`: letters, digits, `-` and `_`.
+    #[arg(long, value_name = "NAME", default_value = "phone", value_parser = device_name)]
+    device: String,
+    /// Unit of the stamps where the format leaves it open (kapture, LaMAR); by default it is told by their size.
+    #[arg(long, value_name = "UNIT", value_enum)]
+    stamp_unit: Option<NamedUnit>,
+    /// The device's rig to attach, instead of the calibration that comes with the source.
+    #[arg(long, value_name = "TOML")]
+    rig: Option<PathBuf>,
+}
+
+/// A format by its name.
+#[derive(Clone, Copy)]
+struct NamedFormat(Format);
+
+impl ValueEnum for NamedFormat {
+    fn value_variants<'a>() -> &'a [Self] {
+        const ALL: [NamedFormat; Format::ALL.len()] = {
+            let mut all = [NamedFormat(Format::Euroc); Format::ALL.len()];
+            let mut n = 0;
+            while n < all.len() {
+                all[n] = NamedFormat(Format::ALL[n]);
+                n += 1;
+            }
+            all
+        };
+        &ALL
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        Some(PossibleValue::new(self.0.name()))
+    }
+}
+
+/// A unit by its sign.
+#[derive(Clone, Copy)]
+struct NamedUnit(StampUnit);
+
+impl ValueEnum for NamedUnit {
+    fn value_variants<'a>() -> &'a [Self] {
+        const ALL: [NamedUnit; StampUnit::ALL.len()] = {
+            let mut all = [NamedUnit(StampUnit::Seconds); StampUnit::ALL.len()];
+            let mut n = 0;
+            while n < all.len() {
+                all[n] = NamedUnit(StampUnit::ALL[n]);
+                n += 1;
+            }
+            all
+        };
+        &ALL
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        Some(PossibleValue::new(self.0.sign()))
+    }
+}
+
+fn device_name(text: &str) -> Result<String, String> {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+    match (1..=64).contains(&text.len()) && text.chars().all(is_plain) {
+        true => Ok(text.to_owned()),
+        false => Err("expected 1 to 64 letters, digits, '-' and '_'".to_owned()),
+    }
+}
+
+/// Imports, prints what became of every kind of record.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    expect_file(
+        &arguments.source,
+        "name a file or folder of another program",
+    )?;
+    context.claim(&arguments.out, &[&arguments.source])?;
+    let config = ImportConfig {
+        format: arguments.format.map(|f| f.0),
+        device: arguments.device.clone(),
+        stamp_unit: arguments.stamp_unit.map(|u| u.0),
+        rig: arguments.rig.as_deref().map(Rig::read).transpose()?,
+    };
+    let report = import(&arguments.source, &arguments.out, &config, &|p| {
+        context.show(p)
+    })?;
+    let mut provenance = Provenance::new(&config);
+    for input in &report.inputs {
+        provenance.add_input(input)?;
+    }
+    provenance.write(&arguments.out)?;
+    context.print(&report, || printable(&text(&report)))?;
+    Ok(match report.unreadable() {
+        0 => Outcome::Done,
+        _ => Outcome::DataLost,
+    })
+}
+
+fn text(report: &ImportReport) -> String {
+    let mut out = format!(
+        "{}: {} of {}, {:.1} s, stamps {}\n",
+        report.recording.display(),
+        report.format,
+        report.device,
+        report.duration_secs,
+        match report.clock.name() {
+            "utc" => "of the time of day, by the device's own clock",
+            _ => "since a zero of the device's own",
+        },
+    );
+    for count in &report.records {
+        out.push_str(&line(count));
+    }
+    for left in &report.left_out {
+        let _ = writeln!(
+            out,
+            "  left out: {} {}: {}",
+            left.records, left.what, left.why
+        );
+    }
+    for path in &report.trajectories {
+        let _ = writeln!(out, "  trajectory: {}", path.display());
+    }
+    for note in &report.notes {
+        let _ = writeln!(out, "  note: {note}");
+    }
+    out.push_str(match report.has_rig {
+        true => "  rig attached",
+        false => "  no rig: give one with --rig before images are used",
+    });
+    out
+}
+
+fn line(count: &RecordCount) -> String {
+    let made = match count.derived {
+        true => "made of other records".to_owned(),
+        false => format!("{} read", count.read),
+    };
+    let mut line = format!(
+        "  {:<40} {made}, {} written on {}",
+        count.what, count.written, count.topic
+    );
+    for (number, what) in [
+        (count.repeated, "repeated"),
+        (count.reordered, "out of order"),
+    ] {
+        if number > 0 {
+            let _ = write!(line, ", {number} {what}");
+        }
+    }
+    if count.unreadable > 0 {
+        let first = count.first_problem.as_deref().unwrap_or_default();
+        let _ = write!(
+            line,
+            ", {} UNREADABLE; the first: {first}",
+            count.unreadable
+        );
+    }
+    line.push('\n');
+    line
+}

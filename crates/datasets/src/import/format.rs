@@ -1,0 +1,121 @@
+//! Which program a recording is of, by what is in it.
+
+use std::io::Read as _;
+use std::path::Path;
+
+use flate2::read::MultiGzDecoder;
+use serde::Serialize;
+
+use super::table::find;
+use crate::Error;
+
+/// A program, or a dataset, by the layout of its files.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Format {
+    /// EuRoC MAV and TUM-VI: `mav0/`.
+    Euroc,
+    /// Microsoft Indoor Location 2.0: one text per walk.
+    IndoorLocation,
+    /// ios_logger: `Accel.txt`, `Gyro.txt`, ….
+    IosLogger,
+    /// StrayScanner: `odometry.csv`, `rgb.mp4`.
+    StrayScanner,
+    /// MARSLogger: `gyro_accel.csv`, `movie.mp4`.
+    MarsLogger,
+    /// VideoIMUCapture: `video_meta.pb3`, `video_recording.mp4`.
+    VideoImuCapture,
+    /// Spectacular Rec: `data.jsonl`, `data.mkv`.
+    SpectacularRec,
+    /// kapture: `sensors/sensors.txt`.
+    Kapture,
+    /// A session of LaMAR's capture format: `sensors.txt`, `raw_data/`.
+    Lamar,
+}
+
+/// How a walk of Indoor Location 2.0 begins.
+const WALK_BEGINS: &str = "#\tstartTime:";
+
+impl Format {
+    /// Every format.
+    pub const ALL: [Self; 9] = [
+        Self::Euroc,
+        Self::IndoorLocation,
+        Self::IosLogger,
+        Self::StrayScanner,
+        Self::MarsLogger,
+        Self::VideoImuCapture,
+        Self::SpectacularRec,
+        Self::Kapture,
+        Self::Lamar,
+    ];
+
+    /// Its name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Euroc => "euroc",
+            Self::IndoorLocation => "indoor-location",
+            Self::IosLogger => "ios-logger",
+            Self::StrayScanner => "stray-scanner",
+            Self::MarsLogger => "mars-logger",
+            Self::VideoImuCapture => "video-imu-capture",
+            Self::SpectacularRec => "spectacular-rec",
+            Self::Kapture => "kapture",
+            Self::Lamar => "lamar",
+        }
+    }
+
+    /// Which format a file or folder is in.
+    pub(super) fn of(source: &Path) -> Result<Self, Error> {
+        std::fs::metadata(source).map_err(|e| super::io(source, e))?;
+        let found: Vec<Self> = Self::ALL.into_iter().filter(|f| f.fits(source)).collect();
+        match found[..] {
+            [only] => Ok(only),
+            _ => {
+                let list = |formats: &[Self]| {
+                    let names: Vec<&str> = formats.iter().map(|f| f.name()).collect();
+                    names.join(", ")
+                };
+                Err(Error::Unrecognised {
+                    path: source.to_owned(),
+                    problem: match found.is_empty() {
+                        true => format!(
+                            "no recording of a program that is known: {} are read; name a LaMAR session itself (sessions/NAME), and convert Aria's VRS to an EuRoC folder first",
+                            list(&Self::ALL)
+                        ),
+                        false => format!("it may be {}: say which with --format", list(&found)),
+                    },
+                })
+            }
+        }
+    }
+
+    fn fits(self, source: &Path) -> bool {
+        let has = |name: &str| find(source, name).is_some();
+        match self {
+            Self::Euroc => super::readers::euroc_folder(source).is_some(),
+            Self::IndoorLocation => source.is_file() && begins_with(source, WALK_BEGINS),
+            Self::IosLogger => has("Accel.txt") && has("Gyro.txt"),
+            Self::StrayScanner => has("odometry.csv") && has("camera_matrix.csv"),
+            Self::MarsLogger => has("gyro_accel.csv"),
+            Self::VideoImuCapture => has("video_meta.pb3"),
+            Self::SpectacularRec => has("data.jsonl"),
+            Self::Kapture => source.join("sensors").join("sensors.txt").is_file(),
+            Self::Lamar => {
+                has("sensors.txt") && (has("images.txt") || source.join("raw_data").is_dir())
+            }
+        }
+    }
+}
+
+fn begins_with(path: &Path, text: &str) -> bool {
+    let Ok(file) = std::fs::File::open(path) else {
+        return false;
+    };
+    let mut start = vec![0; text.len()];
+    let read = match path.extension().is_some_and(|e| e == "gz") {
+        true => MultiGzDecoder::new(file).read_exact(&mut start),
+        false => { file }.read_exact(&mut start),
+    };
+    read.is_ok() && start == text.as_bytes()
+}
