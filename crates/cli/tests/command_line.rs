@@ -322,3 +322,54 @@ fn maps_that_stand_are_shown_exported_cut_and_joined() {
         count(&merged, "points")
     );
 }
+
+/// An EuRoC folder of a walk and the walk itself are the same images and samples: so are their poses.
+#[test]
+fn a_walk_that_was_imported_is_localized_as_it_was_recorded() {
+    let folder = with(&["walk.mcap", "map"]);
+    let path = folder.path();
+    let walk = lsfb_recording::Recording::open(&path.join("walk.mcap")).expect("a walk");
+    let rig = walk.rig().expect("a rig");
+    std::fs::write(path.join("rig.toml"), rig.to_toml()).expect("rig");
+    let write = |name: &str, text: String| {
+        let file = path.join("mav0").join(name);
+        std::fs::create_dir_all(file.parent().expect("a folder")).expect("folder");
+        std::fs::write(file, text).expect("file");
+    };
+    let samples = walk.imu().expect("imu").map(|s| s.expect("a sample"));
+    let rows = samples.map(|s| {
+        let ([wx, wy, wz], [ax, ay, az]) = (
+            s.sample.angular_velocity_rad_s,
+            s.sample.specific_force_m_s2,
+        );
+        format!("{},{wx},{wy},{wz},{ax},{ay},{az}\n", s.time.nanos())
+    });
+    write("imu0/data.csv", rows.collect());
+    for camera in rig.cameras.keys() {
+        std::fs::create_dir_all(path.join(format!("mav0/{camera}/data"))).expect("folder");
+        let mut list = String::new();
+        for image in walk.images(camera).expect("images") {
+            let image = image.expect("an image");
+            let name = format!("{}.png", image.time.nanos());
+            let file = path.join(format!("mav0/{camera}/data/{name}"));
+            let file = File::create(file).expect("file");
+            let mut encoder = png::Encoder::new(file, image.sample.width, image.sample.height);
+            encoder.set_color(png::ColorType::Grayscale);
+            let mut writer = encoder.write_header().expect("PNG");
+            writer.write_image_data(&image.sample.pixels).expect("PNG");
+            list += &format!("{},{name}\n", image.time.nanos());
+        }
+        write(&format!("{camera}/data.csv"), list);
+    }
+    let run = |words: &str| {
+        let output = lsfb(path, &words.split(' ').collect::<Vec<_>>());
+        assert_eq!(output.status.code(), Some(0), "{words}: {}", said(&output));
+    };
+    run("import mav0 --out imported.mcap --device glasses --rig rig.toml");
+    run("localize map walk.mcap --out walk.tum");
+    run("localize map imported.mcap --out imported.tum");
+    let poses = |name: &str| std::fs::read(path.join(name)).expect("poses");
+    assert!(poses("walk.tum") == poses("imported.tum"));
+    let found = lsfb_recording::read_tum(&path.join("walk.tum")).expect("poses");
+    assert!(found.poses().len() > 10, "{}", found.poses().len());
+}

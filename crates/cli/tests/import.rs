@@ -172,13 +172,16 @@ fn real_recordings_of_others_come_over_whole() {
     for (below, format, left) in [
         ("vision/tumvi_calib_imu1", "euroc", "mocap0"),
         ("vision/ios_logger_iphone", "ios-logger", "Head.txt"),
+        // Its images and clouds are empty files: each is counted as unreadable.
         ("vision/kapture_samples/m1x", "kapture", ""),
     ] {
+        let is_empty = |kind: &str| ["records_camera.txt", "records_lidar.txt"].contains(&kind);
         let Some(source) = absolute(test, below) else {
             return;
         };
         let folder = tempfile::tempdir().expect("folder");
-        let report = import(folder.path(), &source, &[], 0);
+        let code = if format == "kapture" { 3 } else { 0 };
+        let report = import(folder.path(), &source, &[], code);
         assert_eq!(report["format"], format);
         for (kind, count) in counted(below) {
             let imported = found(&report, kind);
@@ -187,6 +190,7 @@ fn real_recordings_of_others_come_over_whole() {
                     left_out(&report, kind.trim_end_matches("/data.csv")) == count,
                     "{below}: {kind}"
                 ),
+                _ if is_empty(kind) => assert_eq!(imported, [count, 0, count], "{below}: {kind}"),
                 _ => assert_eq!(imported, [count, count, 0], "{below}: {kind}"),
             }
         }
@@ -200,7 +204,11 @@ fn real_recordings_of_others_come_over_whole() {
         let findings = judged["findings"].as_array().expect("findings");
         let said = findings.iter().map(ToString::to_string).collect::<String>();
         assert!(said.contains("no host received it"), "{below}: {said}");
-        assert!(said.contains("records were imported"), "{below}: {said}");
+        assert!(
+            said.contains("records were imported")
+                || said.contains("24 of 36 records could not be read"),
+            "{below}: {said}"
+        );
         assert!(
             !said.contains("clock tell the same time"),
             "{below}: {said}"

@@ -125,6 +125,7 @@ fn files(root: &Path) {
             })
     });
     write(root, "mav0/imu0/data.csv", &samples);
+    phones(root);
     // The phone has been on for an hour; the motion capture is 997 s ahead of it.
     let phone = rows(60.0, |t, pose| {
         let (p, q) = (pose.translation, pose.rotation);
@@ -236,6 +237,40 @@ fn bag(path: &Path) {
         }
     }
     writer.finish().expect("finished");
+}
+
+/// What recorders on phones write: StrayScanner's folder without its video, and a walk of Indoor Location 2.0.
+fn phones(root: &Path) {
+    let mut imu = "timestamp, a_x, a_y, a_z, alpha_x, alpha_y, alpha_z\n".to_owned();
+    let mut walk = "#\tstartTime:1574560118902\n#\tFloorName:F1\n".to_owned();
+    for n in 0..100 {
+        let _ = writeln!(
+            imu,
+            "{}, 0.0, 0.0, -1.0, 0.1, 0.2, 0.3",
+            7.0 + 0.01 * f64::from(n)
+        );
+        let ms = 1_574_560_118_910_i64 + 20 * i64::from(n);
+        for (kind, values) in [
+            ("ACCELEROMETER", "0.0\t0.0\t9.81"),
+            ("GYROSCOPE", "0.1\t0.2\t0.3"),
+        ] {
+            let _ = writeln!(walk, "{ms}\tTYPE_{kind}\t{values}\t3");
+        }
+    }
+    walk += "1574560119021\tTYPE_WIFI\tnet\t06:74:9c:2b:1a:27\t-41\t5200\t1574560118940\n#\tendTime:1574560121000\n";
+    write(root, "mall.txt", &walk);
+    write(root, "stray/imu.csv", &imu);
+    write(
+        root,
+        "stray/camera_matrix.csv",
+        "1596.0, 0.0, 955.0\n0.0, 1596.0, 717.0\n0.0, 0.0, 1.0\n",
+    );
+    let header = "timestamp, frame, x, y, z, qx, qy, qz, qw\n";
+    write(
+        root,
+        "stray/odometry.csv",
+        &format!("{header}7.0, 000000, 0, 0, 0, 0, 0, 0, 1\n"),
+    );
 }
 
 /// Blocks of a page that begin with a fence of this kind.

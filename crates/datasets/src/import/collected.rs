@@ -125,6 +125,15 @@ impl Collected {
                     period_s,
                 });
             }
+            if let Some(median) = stream.impossible_force_m_s2() {
+                return Err(Error::Recorded {
+                    path: source.to_owned(),
+                    problem: format!(
+                        "{}: the median specific force is {median:.3} m/s², and gravity is 9.81: it is in another unit, or gravity was taken off",
+                        stream.what
+                    ),
+                });
+            }
         }
         let middles = self.streams.iter().filter_map(|s| Some((s, s.middle()?)));
         let first = middles.clone().min_by_key(|(_, middle)| *middle);

@@ -153,12 +153,8 @@ fn report(
     let (first, last) = (times.clone().min(), times.max());
     let records = collected.streams.into_iter().zip(written);
     let records = records.map(|(stream, written)| RecordCount {
+        topic: stream.full_topic(said.device),
         what: stream.what,
-        topic: format!(
-            "/sidecar/{}/{}",
-            stream.device.as_deref().unwrap_or(said.device),
-            stream.topic
-        ),
         read: stream.counts.read,
         written,
         unreadable: stream.counts.unreadable,

@@ -10,6 +10,9 @@ const ENOUGH: usize = 10;
 /// A record further than this from the middle of its stream was stamped by another clock, or wrongly: a day.
 const FARTHEST_NS: i64 = 86_400_000_000_000;
 
+/// Gravity is most of what an accelerometer feels.
+const POSSIBLE_FORCE_M_S2: std::ops::Range<f64> = 6.0..15.0;
+
 /// One record with its stamps.
 #[derive(Clone, Debug)]
 pub(super) struct Record {
@@ -46,6 +49,18 @@ pub(super) struct Counts {
 }
 
 impl Stream {
+    /// Its topic in a recording of `device`. LiDARs have theirs at the root, where estimators look for them.
+    pub(super) fn full_topic(&self, device: &str) -> String {
+        match self.kind {
+            Kind::Cloud => format!("/{}", self.topic),
+            _ => format!(
+                "/sidecar/{}/{}",
+                self.device.as_deref().unwrap_or(device),
+                self.topic
+            ),
+        }
+    }
+
     /// Takes a record, or says where and why it is none.
     pub(super) fn take(&mut self, place: impl FnOnce() -> String, record: Result<Record, String>) {
         self.counts.read += 1;
@@ -116,6 +131,24 @@ impl Stream {
             }
         }
         self.records = kept;
+    }
+
+    /// Median length of specific force, m/s², where it is none of a device that is carried about: in another unit, or without gravity.
+    pub(super) fn impossible_force_m_s2(&self) -> Option<f64> {
+        let lengths = self.records.iter().filter_map(|r| match &r.payload {
+            Payload::Imu(sample) => {
+                let [x, y, z] = sample.specific_force_m_s2;
+                Some((x * x + y * y + z * z).sqrt())
+            }
+            _ => None,
+        });
+        let mut lengths: Vec<f64> = lengths.collect();
+        if lengths.len() < ENOUGH {
+            return None;
+        }
+        let middle = lengths.len() / 2;
+        let median = *lengths.select_nth_unstable_by(middle, f64::total_cmp).1;
+        (!POSSIBLE_FORCE_M_S2.contains(&median)).then_some(median)
     }
 
     /// Median of the times between its records, seconds, where no such sensor has it: its stamps are in another unit.

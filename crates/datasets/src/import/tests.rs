@@ -299,6 +299,19 @@ fn stamps_in_another_unit_are_refused() {
 }
 
 #[test]
+fn accelerations_in_g_are_refused() {
+    let folder = euroc();
+    edit(&folder, "mav0/imu0/data.csv", |text| {
+        text.replace(",9.81", ",1.0")
+    });
+    let error = refused(folder.path());
+    assert!(
+        error.contains("the median specific force is 1.000"),
+        "{error}"
+    );
+}
+
+#[test]
 fn records_of_clocks_that_have_nothing_to_do_with_each_other_are_refused() {
     let folder = euroc();
     edit(&folder, "mav0/cam0/data.csv", |text| {

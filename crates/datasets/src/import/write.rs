@@ -232,7 +232,10 @@ impl Writing<'_> {
             ("format", said.format.to_owned()),
             ("source", source.to_string_lossy().into_owned()),
             ("clock", said.clock.name().to_owned()),
-            ("records", count(|s| s.counts.read)),
+            (
+                "records",
+                count(|s| if s.derived { 0 } else { s.counts.read }),
+            ),
             ("unreadable", count(|s| s.counts.unreadable)),
             ("repeated", count(|s| s.counts.repeated)),
             ("reordered", count(|s| s.counts.reordered)),
