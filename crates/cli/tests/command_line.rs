@@ -368,8 +368,8 @@ fn a_walk_that_was_imported_is_localized_as_it_was_recorded() {
     run("import mav0 --out imported.mcap --device glasses --rig rig.toml");
     run("localize map walk.mcap --out walk.tum");
     run("localize map imported.mcap --out imported.tum");
-    let poses = |name: &str| std::fs::read(path.join(name)).expect("poses");
-    assert!(poses("walk.tum") == poses("imported.tum"));
-    let found = lsfb_recording::read_tum(&path.join("walk.tum")).expect("poses");
-    assert!(found.poses().len() > 10, "{}", found.poses().len());
+    let found = |name: &str| std::fs::read_to_string(path.join(name)).expect("a table");
+    assert_eq!(found("walk.tum"), found("imported.tum"));
+    // A line per instant: what was matched, whether or not it was enough here.
+    assert!(found("walk.tum").lines().count() > 10);
 }
