@@ -1,7 +1,7 @@
 //! Which program a recording is of, by what is in it.
 
 use std::io::Read as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use flate2::read::MultiGzDecoder;
 use serde::Serialize;
@@ -93,7 +93,7 @@ impl Format {
     fn fits(self, source: &Path) -> bool {
         let has = |name: &str| find(source, name).is_some();
         match self {
-            Self::Euroc => super::readers::euroc_folder(source).is_some(),
+            Self::Euroc => euroc_folder(source).is_some(),
             Self::IndoorLocation => source.is_file() && begins_with(source, WALK_BEGINS),
             Self::IosLogger => has("Accel.txt") && has("Gyro.txt"),
             Self::StrayScanner => has("odometry.csv") && has("camera_matrix.csv"),
@@ -106,6 +106,17 @@ impl Format {
             }
         }
     }
+}
+
+/// `mav0` of a recording, whichever folder of it is named.
+pub(super) fn euroc_folder(source: &Path) -> Option<PathBuf> {
+    let holds_sensors = |folder: &Path| {
+        ["imu0", "cam0"]
+            .iter()
+            .any(|sensor| folder.join(sensor).join("data.csv").is_file())
+    };
+    let candidates = [source.to_owned(), source.join("mav0")];
+    candidates.into_iter().find(|folder| holds_sensors(folder))
 }
 
 fn begins_with(path: &Path, text: &str) -> bool {

@@ -14,6 +14,7 @@ use super::image_file;
 use crate::Error;
 use crate::import::ImportConfig;
 use crate::import::collected::Collected;
+use crate::import::format::euroc_folder;
 use crate::import::payload::{Kind, Payload};
 use crate::import::stamp::StampUnit;
 use crate::import::table::{Row, Table};
@@ -22,17 +23,6 @@ use crate::import::table::{Row, Table};
 const IMU_CELLS: usize = 7;
 /// A rotation matrix is rounded in a file, by no more than this.
 const ROTATION_ROUNDING: f64 = 1e-3;
-
-/// `mav0` of a recording, whichever folder of it is named.
-pub(in crate::import) fn folder(source: &Path) -> Option<PathBuf> {
-    let holds_sensors = |folder: &Path| {
-        ["imu0", "cam0"]
-            .iter()
-            .any(|sensor| folder.join(sensor).join("data.csv").is_file())
-    };
-    let candidates = [source.to_owned(), source.join("mav0")];
-    candidates.into_iter().find(|folder| holds_sensors(folder))
-}
 
 /// What `sensor.yaml` says, as far as it is used.
 #[derive(Deserialize)]
@@ -61,7 +51,7 @@ pub(super) fn read(
     into: &mut Collected,
     progress: ProgressFn<'_>,
 ) -> Result<(), Error> {
-    let root = folder(source).ok_or_else(|| Error::Recorded {
+    let root = euroc_folder(source).ok_or_else(|| Error::Recorded {
         path: source.to_owned(),
         problem: "neither imu0/data.csv nor cam0/data.csv in it, nor in mav0/".to_owned(),
     })?;

@@ -19,8 +19,6 @@ use super::payload::{ImageRecord, Payload, Pixels};
 use super::{Format, ImportConfig};
 use crate::Error;
 
-pub(super) use euroc::folder as euroc_folder;
-
 /// Standard gravity, m/s²: what phones call 1 g.
 const STANDARD_GRAVITY_M_S2: f64 = 9.806_65;
 /// Microtesla in tesla.
