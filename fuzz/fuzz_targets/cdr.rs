@@ -8,7 +8,7 @@ fuzz_target!(|data: &[u8]| {
     let Some((&kind, data)) = data.split_first() else {
         return;
     };
-    match kind % 16 {
+    match kind % 19 {
         0 => drop(message::decode_image(data)),
         1 => drop(message::decode_imu(data)),
         2 => drop(message::decode_time_reference(data)),
@@ -35,6 +35,9 @@ fuzz_target!(|data: &[u8]| {
         12 => drop(message::decode_ble(data)),
         13 => drop(message::decode_magnetic(data)),
         14 => drop(message::decode_pressure(data)),
-        _ => drop(message::decode_gnss(data)),
+        15 => drop(message::decode_gnss(data)),
+        16 => drop(message::decode_wifi_scan(data)),
+        17 => drop(message::decode_vector(data)),
+        _ => drop(message::decode_orientation(data)),
     }
 });
