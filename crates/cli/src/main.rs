@@ -26,6 +26,7 @@ mod stop;
 mod terminal;
 #[cfg(test)]
 mod tests;
+mod twin_session;
 mod twin_truth;
 
 use std::process::ExitCode;
@@ -109,6 +110,7 @@ enum Command {
     Survey(commands::survey::Arguments),
     Align(commands::align::Arguments),
     Bench(commands::bench::Arguments),
+    Dataset(commands::dataset::Arguments),
     #[cfg(feature = "view")]
     View(commands::view::Arguments),
     Completions(commands::completions::Arguments),
@@ -153,6 +155,7 @@ fn run(arguments: Arguments, context: &Context) -> anyhow::Result<Outcome> {
         Command::Survey(a) => commands::survey::run(&a, context),
         Command::Align(a) => commands::align::run(&a, context),
         Command::Bench(a) => commands::bench::run(&a, context),
+        Command::Dataset(a) => commands::dataset::run(&a, context),
         #[cfg(feature = "view")]
         Command::View(a) => commands::view::run(&a, context),
         Command::Completions(a) => commands::completions::run(&a),

@@ -337,21 +337,52 @@ pub fn invite_glasses(
     phones::invite(&layout.file(phones::FOLDER), address, "glasses", &session)
 }
 
+/// What a recording of a walk says besides what was measured.
+pub struct WalkTold<'a> {
+    /// Name of the session, which is in the recording.
+    pub session: String,
+    /// The key by which identifiers of access points and beacons are hashed; made where it is not there. Without, they are recorded.
+    pub identifiers_key: Option<&'a Path>,
+}
+
 /// Records the simulated glasses, all in this process.
 pub fn record_glasses(
     layout: &Layout,
     simulation: &Arc<Simulation>,
     context: &Context,
 ) -> anyhow::Result<CaptureReport> {
+    let told = WalkTold {
+        session: format!("seed-{}", simulation.config().seed),
+        identifiers_key: None,
+    };
+    record_walk(layout, simulation, &told, context)
+}
+
+/// The same, with what the recording says besides.
+pub fn record_walk(
+    layout: &Layout,
+    simulation: &Arc<Simulation>,
+    told: &WalkTold,
+    context: &Context,
+) -> anyhow::Result<CaptureReport> {
     let any = SocketAddr::from(([127, 0, 0, 1], 0));
     let mut devices = glasses_devices(layout, any, Overflow::Wait);
     devices.recorder = in_a_folder_of_our_own();
+    if let Some(sidecar) = &mut devices.sidecar {
+        sidecar.hash_identifiers = told.identifiers_key.is_some();
+    }
+    let folder = layout.file(phones::FOLDER);
+    if let Some(key) = told.identifiers_key.filter(|key| key.exists()) {
+        phones::give_identifiers_key(&folder, key)?;
+    }
     let recorder = Session::open(&devices)?;
+    if let Some(key) = told.identifiers_key.filter(|key| !key.exists()) {
+        phones::keep_identifiers_key(&folder, key)?;
+    }
     let address = recorder
         .sidecar_address()
         .context("the recorder has no sidecar address")?;
-    let folder = layout.file(phones::FOLDER);
-    let rig = invite_glasses(layout, simulation, address)?;
+    let rig = phones::invite(&folder, address, "glasses", &told.session)?;
     let devices = SimSession::start_glasses(simulation, &rig, Pace::Unlimited, PATIENCE)?;
     let recorded = record(
         recorder,

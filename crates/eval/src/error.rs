@@ -355,6 +355,14 @@ pub enum Error {
         /// That moment, seconds, as text.
         time_secs: String,
     },
+    /// A file of a dataset is not what it should be.
+    #[error("{path}: {what}")]
+    BadDataset {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        what: String,
+    },
     /// A relative error was asked for, and no two poses are so far apart.
     #[error("no two of {poses} matched poses are {delta} {unit} apart; choose a smaller delta")]
     NoPairs {

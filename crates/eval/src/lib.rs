@@ -31,6 +31,7 @@ pub mod alignment;
 pub mod association;
 mod compare;
 mod consistency;
+pub mod dataset;
 mod error;
 mod evaluation;
 pub mod hand_eye;

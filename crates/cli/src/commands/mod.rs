@@ -18,6 +18,7 @@ mod calib_verify;
 pub mod clock;
 pub mod completions;
 mod covariance_file;
+pub mod dataset;
 pub mod demo;
 pub mod doctor;
 pub mod doctor_host;

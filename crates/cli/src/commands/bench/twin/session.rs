@@ -1,13 +1,11 @@
 //! The stages of a trial: scan → map, walk → ground truth, from recordings only. The truth is opened to judge, by `eval`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use lsfb_eval::{Smoothness, read_poses};
 use lsfb_geometry::{StampedPose, Trajectory};
 use lsfb_pipeline::ground_truth::GroundTruthConfig;
 use lsfb_pipeline::mapping::MappingConfig;
-use lsfb_recording::Provenance;
-use lsfb_sim::SimConfig;
 use lsfb_types::Stopped;
 
 use super::cost::Costs;
@@ -18,8 +16,8 @@ use super::trial::{Condition, Scanned, Walked};
 use crate::commands::groundtruth::WalkJob;
 use crate::commands::map::MapJob;
 use crate::context::{Context, sentence};
-use crate::simulated::{self, Layout};
-use crate::standing;
+use crate::simulated::Layout;
+use crate::twin_session::Wanted;
 use crate::twin_truth::{JudgedScan, judge_scan, judge_walk};
 
 /// What a stage gave, or why it refused: part of the result of a trial, where a full disk or Ctrl-C are not.
@@ -75,11 +73,14 @@ impl Session<'_> {
     pub fn map(&self, rig: &Calibrated, costs: &mut Costs) -> anyhow::Result<Refusable<Mapped>> {
         let layout = Layout::create(&self.folder)?;
         let config = self.scanned.config();
-        let recording = layout.file("scan.mcap");
-        let rig_file = layout.file("backpack.toml");
-        let truth = layout.truth().join("truth_scan.tum");
-        let outputs: [&Path; 3] = [&recording, &rig_file, &truth];
-        self.record(SCAN, &outputs, &config, [Some(rig), None], costs, &layout)?;
+        let wanted = Wanted {
+            rig: Some(&rig.rig),
+            ..Wanted::scan(&config)
+        };
+        costs.of(SCAN, |made| {
+            wanted.record(&layout, self.context, || made.set(true))
+        })?;
+        let [recording, _, truth] = wanted.files(&layout);
         let (map, trajectory) = (layout.file("map"), layout.file("scan.tum"));
         let job = MapJob {
             recording: &recording,
@@ -115,11 +116,14 @@ impl Session<'_> {
     ) -> anyhow::Result<()> {
         let layout = Layout::create(&self.walk_folder(walked))?;
         let config = walked.config();
-        let recording = layout.file("walk.mcap");
-        let rig_file = layout.file("glasses.toml");
-        let truth = layout.truth().join("truth_walk.tum");
-        let outputs: [&Path; 3] = [&recording, &rig_file, &truth];
-        self.record(WALK, &outputs, &config, [None, Some(rig)], costs, &layout)?;
+        let wanted = Wanted {
+            rig: Some(&rig.rig),
+            ..Wanted::walk(&config)
+        };
+        costs.of(WALK, |made| {
+            wanted.record(&layout, self.context, || made.set(true))
+        })?;
+        let [recording, _, truth] = wanted.files(&layout);
         let estimate = layout.file("walk.tum");
         let job = WalkJob {
             recording: &recording,
@@ -185,36 +189,6 @@ impl Session<'_> {
     pub fn walk_folder(&self, walked: &Walked) -> PathBuf {
         let (device, condition) = (walked.device.name(), walked.condition.name());
         self.folder.join(format!("{device}-{condition}"))
-    }
-
-    /// Simulates and records unless it stands; the first of the `outputs` is the recording.
-    fn record(
-        &self,
-        stage: &str,
-        outputs: &[&Path],
-        config: &SimConfig,
-        rigs: [Option<&Calibrated>; 2],
-        costs: &mut Costs,
-        layout: &Layout,
-    ) -> anyhow::Result<()> {
-        let mut made_from = Provenance::new(config);
-        for calibrated in rigs.into_iter().flatten() {
-            made_from.add_rig(&calibrated.rig);
-        }
-        costs.of(stage, |made| {
-            if self.context.standing::<u64>(outputs, &made_from).is_some() {
-                return Ok(());
-            }
-            made.set(true);
-            standing::forget(outputs)?;
-            let rigs = rigs.map(|calibrated| calibrated.map(|c| c.rig.clone()));
-            let simulation = simulated::prepare(layout, config, rigs, self.context)?;
-            let report = match stage {
-                SCAN => simulated::record_backpack(layout, &simulation, self.context)?,
-                _ => simulated::record_glasses(layout, &simulation, self.context)?,
-            };
-            standing::finish(outputs, &[], &made_from, &report.lost)
-        })
     }
 }
 

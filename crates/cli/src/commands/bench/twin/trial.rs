@@ -4,8 +4,8 @@
 use lsfb_sim::{Device, PaperMotion, Place, SimConfig};
 use serde::{Deserialize, Serialize};
 
-/// How far walks go from the scanner's path at most, metres.
-const OFF_PATH_M: f64 = 6.0;
+use crate::twin_session::{beside_the_scan, smaller};
+
 /// Age of the place when the walk is made, under [`Condition::SixMonths`].
 const MONTHS: u32 = 6;
 /// Another floor has other things in it, as the same has later on: by so many months, which no other condition has.
@@ -99,26 +99,14 @@ impl Scanned {
     }
 
     fn with(&self, device: Device) -> SimConfig {
-        let mut config = match self.motion() {
-            Some(motion) => SimConfig::for_motion(motion, device),
-            None => SimConfig::for_place(self.place, device),
-        };
-        config.seed = self.seed;
-        config.off_path_m = OFF_PATH_M;
-        // Phones are held before the chest, glasses worn; nobody is as tall as the scanner's mast.
-        let held_m = match device {
-            Device::Android => 1.35,
-            Device::Iphone => 1.45,
-            Device::Glasses => 1.62,
-        };
-        config.glasses.height_m = held_m + 0.04 * (self.seed % 5) as f64 - 0.08;
+        let mut config = beside_the_scan(self.place, self.motion(), device, self.seed);
         let durations_s = match self.size {
             Size::Full => None,
             Size::Quick => Some([36.0, 10.0]),
             Size::TryOut => Some([14.0, 3.0]),
         };
         if let Some([scan_s, walk_s]) = durations_s {
-            shorten(&mut config);
+            smaller(&mut config);
             config.scan.duration_s = scan_s;
             config.glasses.duration_s = walk_s;
         }
@@ -145,7 +133,7 @@ pub fn calibration(device: Device, seed: u64, size: Size) -> SimConfig {
     let mut config = SimConfig::for_place(Place::Calibration, device);
     config.seed = seed;
     if size != Size::Full {
-        shorten(&mut config);
+        smaller(&mut config);
         config.scan.duration_s = 48.0;
         config.glasses.duration_s = 30.0;
         for cameras in [&mut config.scan_cameras, &mut config.glasses_cameras] {
@@ -154,16 +142,6 @@ pub fn calibration(device: Device, seed: u64, size: Size) -> SimConfig {
         }
     }
     config
-}
-
-/// Smaller images, coarser surfaces, and of the scanner's images as many as a map takes.
-fn shorten(config: &mut SimConfig) {
-    config.texel_m = 0.004;
-    (config.scan_cameras.width, config.scan_cameras.height) = (480, 304);
-    config.scan_cameras.rate_hz = 5;
-    let cameras = &mut config.glasses_cameras;
-    cameras.height = cameras.height * 3 / 4;
-    cameras.width = cameras.width * 3 / 4;
 }
 
 #[cfg(test)]
