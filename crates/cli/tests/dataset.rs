@@ -7,7 +7,9 @@ use std::fs;
 use std::path::Path;
 
 use answer::json;
-use lsfb_recording::Recording;
+use lsfb_geometry::{Quaternion, Rig, Se3, Trajectory, UnitQuaternion, Vector3};
+use lsfb_recording::{Recording, read_tum};
+use lsfb_types::Timestamp;
 use process::lsfb;
 use serde_json::Value;
 
@@ -48,15 +50,24 @@ fn a_sequence_is_made_packed_checked_and_measured() {
     let session = recording.last_message("/sidecar/glasses/session");
     let session = session.expect("readable").expect("a session");
     let session = String::from_utf8_lossy(&session.bytes).into_owned();
-    assert!(session.contains("C3-glasses") && !session.contains("4711"), "{session}");
+    assert!(
+        session.contains("C3-glasses") && !session.contains("4711"),
+        "{session}"
+    );
     for name in ["dataset.toml", "README.txt", "calibration/glasses.toml"] {
         let text = fs::read_to_string(at(name)).expect(name);
         assert!(!text.contains("4711"), "{name}: {text}");
     }
     // What is packed is not made again.
-    let before = fs::metadata(at("query/C3-glasses/walk.mcap")).expect("walk").modified().expect("time");
+    let before = fs::metadata(at("query/C3-glasses/walk.mcap"))
+        .expect("walk")
+        .modified()
+        .expect("time");
     assert_eq!(run(root, MAKE, 0), made);
-    let after = fs::metadata(at("query/C3-glasses/walk.mcap")).expect("walk").modified().expect("time");
+    let after = fs::metadata(at("query/C3-glasses/walk.mcap"))
+        .expect("walk")
+        .modified()
+        .expect("time");
     assert_eq!(before, after);
     let other = MAKE.replace("4711", "4712");
     assert!(said(root, &other).contains("of other settings"));
@@ -64,9 +75,18 @@ fn a_sequence_is_made_packed_checked_and_measured() {
     let stats = run(root, "dataset stats ds", 0);
     let sequence = &stats["sequences"][0];
     assert_eq!(sequence["images"]["cameras"][0]["frames"], 90, "{stats}");
-    assert_eq!(sequence["images"]["cameras"].as_array().map(Vec::len), Some(2));
-    assert!(sequence["motion"]["length_m"].as_f64().expect("length") > 1.0, "{stats}");
-    assert!(sequence["blur_px"][1].as_f64().expect("blur") > 0.0, "{stats}");
+    assert_eq!(
+        sequence["images"]["cameras"].as_array().map(Vec::len),
+        Some(2)
+    );
+    assert!(
+        sequence["motion"]["length_m"].as_f64().expect("length") > 1.0,
+        "{stats}"
+    );
+    assert!(
+        sequence["blur_px"][1].as_f64().expect("blur") > 0.0,
+        "{stats}"
+    );
 
     let checked = run(root, "dataset check ds", 0);
     assert_eq!(checked["sums_sha256"], made["sums_sha256"]);
@@ -77,18 +97,32 @@ fn a_sequence_is_made_packed_checked_and_measured() {
     fs::write(at("calibration/glasses.toml"), &rig).expect("rig");
     // Another truth, with hashes of its own, is not the one that was promised.
     let (truth, sums) = (at("truth/query/C3-glasses.tum"), at("truth/SHA256SUMS"));
-    let (poses, list) = (fs::read(&truth).expect("truth"), fs::read(&sums).expect("sums"));
+    let (poses, list) = (
+        fs::read(&truth).expect("truth"),
+        fs::read(&sums).expect("sums"),
+    );
     fs::write(&truth, "0 0 0 0 0 0 0 1\n").expect("truth");
     assert_eq!(verdict("dataset check ds", 4), "FAIL");
     let forged = lsfb_recording::sha256_of(&truth).expect("hash");
     let text = String::from_utf8(list.clone()).expect("text");
     let forged: String = text
         .lines()
-        .map(|l| if l.ends_with("C3-glasses.tum") { format!("{forged}  query/C3-glasses.tum\n") } else { format!("{l}\n") })
+        .map(|l| {
+            if l.ends_with("C3-glasses.tum") {
+                format!("{forged}  query/C3-glasses.tum\n")
+            } else {
+                format!("{l}\n")
+            }
+        })
         .collect();
     fs::write(&sums, forged).expect("sums");
     let found = run(root, "dataset check ds", 4);
-    assert!(found["findings"].to_string().contains("another one than dataset.toml names"), "{found}");
+    assert!(
+        found["findings"]
+            .to_string()
+            .contains("another one than dataset.toml names"),
+        "{found}"
+    );
     fs::write(&truth, poses).expect("truth");
     fs::write(&sums, list).expect("sums");
     assert_eq!(verdict("dataset check ds", 0), checked["verdict"]);
@@ -98,10 +132,106 @@ fn a_sequence_is_made_packed_checked_and_measured() {
     // Held back, it is said to be, and nothing is said of how anybody moved.
     fs::rename(at("truth"), root.join("kept-truth")).expect("held back");
     let checked = run(root, "dataset check ds", 0);
-    assert!(checked["findings"].to_string().contains("held back"), "{checked}");
+    assert!(
+        checked["findings"].to_string().contains("held back"),
+        "{checked}"
+    );
     let stats = run(root, "dataset stats ds", 0);
     assert!(stats["sequences"][0]["motion"].is_null(), "{stats}");
-    assert!(said(root, "dataset export ds C3-glasses --layout colmap --out no").contains("truth"));
+    assert!(
+        said(
+            root,
+            "dataset export ds C3-glasses --layout colmap --out no"
+        )
+        .contains("truth")
+    );
 }
 
-fn exports(_root: &Path) {}
+/// What is exported places and judges as the truth does.
+fn exports(root: &Path) {
+    run(
+        root,
+        "dataset export ds C3-glasses --layout euroc --out euroc",
+        0,
+    );
+    let line = "eval euroc/mav0/state_groundtruth_estimate0/data.csv --truth ds/truth/query/C3-glasses.tum --align none";
+    let ate = &run(root, line, 0)["ate_translation_m"]["max"];
+    assert!(ate.as_f64().expect("error") < 1e-8, "{ate}");
+    let images = fs::read_dir(root.join("euroc/mav0/cam1/data")).expect("images");
+    assert_eq!(images.count(), 90);
+
+    run(
+        root,
+        "dataset export ds C3-glasses --layout colmap --out model",
+        0,
+    );
+    let truth = Trajectory::new(
+        read_tum(&root.join("ds/truth/query/C3-glasses.tum"))
+            .expect("truth")
+            .poses()
+            .to_vec(),
+    );
+    let rig = Rig::read(&root.join("ds/calibration/glasses.toml")).expect("rig");
+    let text = fs::read_to_string(root.join("model/sparse/images.txt")).expect("model");
+    let rows: Vec<&str> = text.lines().filter(|l| l.ends_with(".png")).collect();
+    assert_eq!(rows.len(), 180, "two cameras");
+    for row in rows {
+        let words: Vec<&str> = row.split(' ').collect();
+        let number = |i: usize| words[i].parse::<f64>().expect("number");
+        let (camera, stamp) = words[9]
+            .trim_end_matches(".png")
+            .split_once('/')
+            .expect("name");
+        assert!(root.join("model/images").join(words[9]).is_file(), "{row}");
+        let time = Timestamp::from_nanos(stamp.parse().expect("stamp"));
+        let world_from_camera = truth.at(time).expect("pose") * rig.cameras[camera].rig_from_camera;
+        let rotation = UnitQuaternion::new_normalize(Quaternion::new(
+            number(1),
+            number(2),
+            number(3),
+            number(4),
+        ));
+        let camera_from_world = Se3::new(rotation, Vector3::new(number(5), number(6), number(7)));
+        let off = (camera_from_world * world_from_camera).log().norm();
+        assert!(off < 1e-9, "{row}: {off}");
+    }
+
+    // What is hidden is grey; a region of no image is refused, and nothing is left.
+    fs::write(root.join("faces.txt"), "cam0 - - 10 20 30 40\n").expect("regions");
+    run(
+        root,
+        "dataset export ds C3-glasses --layout kapture --out kapture --hidden-regions faces.txt",
+        0,
+    );
+    let trajectories =
+        fs::read_to_string(root.join("kapture/sensors/trajectories.txt")).expect("kapture");
+    assert_eq!(
+        trajectories.lines().filter(|l| !l.starts_with('#')).count(),
+        180
+    );
+    let records = root.join("kapture/sensors/records_data/cam0");
+    let picture = fs::read_dir(records)
+        .expect("images")
+        .next()
+        .expect("one")
+        .expect("one")
+        .path();
+    let mut reader = png::Decoder::new(std::io::BufReader::new(
+        fs::File::open(picture).expect("image"),
+    ))
+    .read_info()
+    .expect("PNG");
+    let width = reader.info().width as usize;
+    let mut grey = vec![0; reader.output_buffer_size().expect("size")];
+    reader.next_frame(&mut grey).expect("pixels");
+    assert!((20..60).all(|y| (10..40).all(|x| grey[y * width + x] == grey[20 * width + 10])));
+    fs::write(root.join("faces.txt"), "cam7 - - 10 20 30 40\n").expect("regions");
+    let refused = said(
+        root,
+        "dataset export ds C3-glasses --layout images --out no --hidden-regions faces.txt",
+    );
+    assert!(
+        refused.contains("is in no image") && !root.join("no").exists(),
+        "{refused}"
+    );
+}

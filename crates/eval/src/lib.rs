@@ -35,6 +35,7 @@ pub mod dataset;
 mod error;
 mod evaluation;
 pub mod hand_eye;
+pub mod leaderboard;
 pub mod metrics;
 pub mod pairs;
 mod read;

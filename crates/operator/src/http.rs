@@ -1,4 +1,4 @@
-//! Just enough HTTP/1.1: one GET per connection, answered with a small file or turned into a WebSocket.
+//! Just enough HTTP/1.1: one GET per connection, answered with a small file or turned into a WebSocket; where forms are taken, one POST.
 
 use std::io::{self, Read, Write};
 use std::net::TcpStream;
@@ -37,6 +37,12 @@ pub struct Request {
     pub websocket_key: Option<String>,
     /// Subprotocols on offer.
     pub protocols: Vec<String>,
+    /// Whether it brings something: a POST.
+    pub is_post: bool,
+    /// What it brings.
+    pub content_type: Option<String>,
+    /// How many bytes it brings; absent where it does not say, or says it in chunks.
+    pub content_length: Option<usize>,
     /// What has arrived behind the head.
     pub rest: Vec<u8>,
 }
@@ -53,8 +59,24 @@ impl Request {
     }
 }
 
-/// Reads one request. An error has been answered where an answer is due.
+/// Which requests are taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Taken {
+    Get,
+    GetAndPost,
+}
+
+/// Reads one GET. An error has been answered where an answer is due.
 pub fn read(stream: &mut TcpStream) -> io::Result<Request> {
+    read_head(stream, Taken::Get)
+}
+
+/// Reads one GET, or the head of a POST, the same way.
+pub fn read_form(stream: &mut TcpStream) -> io::Result<Request> {
+    read_head(stream, Taken::GetAndPost)
+}
+
+fn read_head(stream: &mut TcpStream, taken: Taken) -> io::Result<Request> {
     stream.set_nonblocking(false)?;
     stream.set_nodelay(true)?;
     stream.set_write_timeout(Some(WRITE_TIMEOUT))?;
@@ -72,7 +94,7 @@ pub fn read(stream: &mut TcpStream) -> io::Result<Request> {
             return Err(io::ErrorKind::UnexpectedEof.into());
         }
         bytes.extend_from_slice(part.get(..got).unwrap_or_default());
-        match parse(&bytes) {
+        match parse(&bytes, taken) {
             Ok(Some(request)) => return Ok(request),
             Ok(None) if bytes.len() <= MAX_HEAD_BYTES => {}
             Ok(None) => {
@@ -80,7 +102,12 @@ pub fn read(stream: &mut TcpStream) -> io::Result<Request> {
                 return Err(io::ErrorKind::InvalidData.into());
             }
             Err(status) => {
-                answer(stream, status, "text/plain", b"only GET is spoken here")?;
+                answer(
+                    stream,
+                    status,
+                    "text/plain",
+                    b"no request that is taken here",
+                )?;
                 return Err(io::ErrorKind::InvalidData.into());
             }
         }
@@ -88,7 +115,7 @@ pub fn read(stream: &mut TcpStream) -> io::Result<Request> {
 }
 
 /// A request out of the bytes so far; `None`: more are needed.
-fn parse(bytes: &[u8]) -> Result<Option<Request>, Status> {
+fn parse(bytes: &[u8], taken: Taken) -> Result<Option<Request>, Status> {
     let mut headers = [httparse::EMPTY_HEADER; MAX_HEADERS];
     let mut head = httparse::Request::new(&mut headers);
     let length = match head.parse(bytes) {
@@ -96,9 +123,11 @@ fn parse(bytes: &[u8]) -> Result<Option<Request>, Status> {
         Ok(httparse::Status::Partial) => return Ok(None),
         Err(_) => return Err(Status::BadRequest),
     };
-    if head.method != Some("GET") {
-        return Err(Status::NotAllowed);
-    }
+    let is_post = match (head.method, taken) {
+        (Some("GET"), _) => false,
+        (Some("POST"), Taken::GetAndPost) => true,
+        _ => return Err(Status::NotAllowed),
+    };
     let mut request = Request {
         path: head
             .path
@@ -106,9 +135,10 @@ fn parse(bytes: &[u8]) -> Result<Option<Request>, Status> {
             .unwrap_or("/")
             .to_owned(),
         rest: bytes.get(length..).unwrap_or_default().to_vec(),
+        is_post,
         ..Request::default()
     };
-    let mut wants_websocket = false;
+    let (mut wants_websocket, mut is_chunked) = (false, false);
     let mut key = None;
     for header in head.headers.iter() {
         let Ok(value) = std::str::from_utf8(header.value) else {
@@ -126,8 +156,19 @@ fn parse(bytes: &[u8]) -> Result<Option<Request>, Status> {
         } else if is("sec-websocket-protocol") {
             let names = value.split(',').map(|name| name.trim().to_owned());
             request.protocols.extend(names);
+        } else if is("content-type") {
+            request.content_type = Some(value.to_owned());
+        } else if is("transfer-encoding") {
+            is_chunked = true;
+        } else if is("content-length") {
+            // Whoever says two lengths wants one of two readers to be wrong.
+            let said: usize = value.trim().parse().map_err(|_| Status::BadRequest)?;
+            if request.content_length.replace(said).is_some() {
+                return Err(Status::BadRequest);
+            }
         }
     }
+    request.content_length = request.content_length.filter(|_| !is_chunked);
     request.websocket_key = key.filter(|_| wants_websocket);
     Ok(Some(request))
 }
@@ -140,8 +181,14 @@ pub enum Status {
     Forbidden,
     NotFound,
     NotAllowed,
+    Timeout,
+    LengthRequired,
+    TooLarge,
     Misdirected,
+    Unprocessable,
+    TooMany,
     TooLong,
+    Unavailable,
 }
 
 impl Status {
@@ -152,14 +199,31 @@ impl Status {
             Self::Forbidden => "403 Forbidden",
             Self::NotFound => "404 Not Found",
             Self::NotAllowed => "405 Method Not Allowed",
+            Self::Timeout => "408 Request Timeout",
+            Self::LengthRequired => "411 Length Required",
+            Self::TooLarge => "413 Content Too Large",
             Self::Misdirected => "421 Misdirected Request",
+            Self::Unprocessable => "422 Unprocessable Content",
+            Self::TooMany => "429 Too Many Requests",
             Self::TooLong => "431 Request Header Fields Too Large",
+            Self::Unavailable => "503 Service Unavailable",
         }
     }
 }
 
-/// Answers and ends the conversation.
+/// Answers and ends the conversation. No other site is told where a reader came from; forms need their own site to be told.
 pub fn answer(
+    stream: &mut TcpStream,
+    status: Status,
+    media_type: &str,
+    body: &[u8],
+) -> io::Result<()> {
+    answer_under(POLICY, stream, status, media_type, body)
+}
+
+/// The same, where the page may do what `policy` says (a `Content-Security-Policy`).
+pub fn answer_under(
+    policy: &str,
     stream: &mut TcpStream,
     status: Status,
     media_type: &str,
@@ -167,7 +231,7 @@ pub fn answer(
 ) -> io::Result<()> {
     let head = format!(
         "HTTP/1.1 {}\r\nContent-Type: {media_type}\r\nContent-Length: {}\r\nConnection: close\r\nCache-Control: no-store\r\n\
-         Content-Security-Policy: {POLICY}\r\nX-Content-Type-Options: nosniff\r\nReferrer-Policy: no-referrer\r\n\r\n",
+         Content-Security-Policy: {policy}\r\nX-Content-Type-Options: nosniff\r\nReferrer-Policy: same-origin\r\n\r\n",
         status.line(),
         body.len()
     );
@@ -233,7 +297,8 @@ mod tests {
     fn requests_are_read_whatever_arrives() {
         let text = b"GET /ws?x=1 HTTP/1.1\r\nHost: rig:8080\r\nUpgrade: WebSocket\r\nOrigin: http://rig:8080\r\n\
             Sec-WebSocket-Key: abc\r\nSec-WebSocket-Protocol: a, b\r\n\r\nmore";
-        let request = parse(text).unwrap().unwrap();
+        let get = |bytes: &[u8]| parse(bytes, Taken::Get);
+        let request = get(text).unwrap().unwrap();
         assert_eq!(request.path, "/ws");
         assert_eq!(request.websocket_key.as_deref(), Some("abc"));
         assert_eq!(request.protocols, ["a", "b"]);
@@ -241,10 +306,26 @@ mod tests {
         assert!(request.is_ours());
         let head = text.len() - 4;
         for length in 0..head {
-            assert_eq!(parse(&text[..length]), Ok(None), "{length}");
+            assert_eq!(get(&text[..length]), Ok(None), "{length}");
         }
-        assert_eq!(parse(b"POST / HTTP/1.1\r\n\r\n"), Err(Status::NotAllowed));
-        assert_eq!(parse(b"\x00\xff\r\n\r\n"), Err(Status::BadRequest));
+        assert_eq!(get(b"POST / HTTP/1.1\r\n\r\n"), Err(Status::NotAllowed));
+        assert_eq!(get(b"\x00\xff\r\n\r\n"), Err(Status::BadRequest));
+        let form = |headers: &str| {
+            let text = format!("POST / HTTP/1.1\r\n{headers}\r\n\r\n");
+            parse(text.as_bytes(), Taken::GetAndPost).map(|r| r.and_then(|r| r.content_length))
+        };
+        assert_eq!(form("Content-Length: 12"), Ok(Some(12)));
+        assert_eq!(
+            form("Content-Length: 12\r\nTransfer-Encoding: chunked"),
+            Ok(None)
+        );
+        for lengths in [
+            "Content-Length: 1\r\ncontent-length: 1",
+            "Content-Length: -1",
+            "Content-Length: 99999999999999999999",
+        ] {
+            assert_eq!(form(lengths), Err(Status::BadRequest), "{lengths}");
+        }
     }
 
     #[test]

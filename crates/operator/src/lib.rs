@@ -25,16 +25,20 @@
 
 mod coverage;
 mod error;
+#[doc(hidden)]
+pub mod form;
 mod foxglove;
 #[doc(hidden)]
 pub mod http;
 mod map;
-mod names;
+#[doc(hidden)]
+pub mod names;
 mod page;
 mod presence;
 mod preview;
 mod screen;
-mod server;
+#[doc(hidden)]
+pub mod server;
 mod state;
 pub mod terminal;
 

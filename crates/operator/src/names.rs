@@ -14,7 +14,7 @@ const LOCAL_DOMAIN: &str = ".local";
 
 /// The names that are ours.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Names(Vec<String>);
+pub struct Names(Vec<String>);
 
 impl Names {
     /// This machine's own names, and those it was `given`.

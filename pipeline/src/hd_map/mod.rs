@@ -33,7 +33,7 @@ use crate::Error;
 use crate::features::{DESCRIPTOR_LEN, Descriptor, Feature};
 
 pub use build::{HdMapConfig, MapContent};
-pub use export::{ColmapCamera, ExportedFile, MapFormat};
+pub use export::{ColmapCamera, ExportedFile, ImagePose, MapFormat, export_image_poses};
 pub use file::FORMAT_VERSION;
 pub use index::IndexConfig;
 pub(crate) use index::SearchScratch;

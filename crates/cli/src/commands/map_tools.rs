@@ -292,7 +292,7 @@ fn run_export(arguments: &ExportArguments, context: &Context) -> anyhow::Result<
 }
 
 /// The cameras of a rig as COLMAP describes them, its `rig_config.json`, and what neither can hold.
-fn colmap_cameras(
+pub fn colmap_cameras(
     rig: &Rig,
 ) -> anyhow::Result<(Vec<ColmapCamera>, Option<ExportedFile>, Vec<String>)> {
     // No IMU's rate is written.

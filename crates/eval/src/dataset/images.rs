@@ -6,6 +6,7 @@ use lsfb_types::{Progress, ProgressFn, Timestamp};
 use serde::Serialize;
 
 use crate::Error;
+use crate::slam_bench::camera_name;
 
 /// Steps longer than this many medians are gaps.
 const GAP: f64 = 1.5;
@@ -68,8 +69,7 @@ pub fn image_figures(
                 total: topic.messages,
             })?;
         }
-        let name = topic.topic.trim_end_matches("/image").rsplit('/').next();
-        let mounted = rig.zip(name).and_then(|(rig, name)| rig.cameras.get(name));
+        let mounted = rig.and_then(|rig| rig.cameras.get(camera_name(&topic.topic)));
         found
             .cameras
             .push(of_camera(&topic.topic, &exposures, size_px, mounted));

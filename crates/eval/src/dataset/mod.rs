@@ -21,6 +21,7 @@ mod plausible;
 mod sequence;
 mod sums;
 mod tables;
+mod truth_file;
 
 pub use description::{Description, MapEntry, QueryEntry};
 pub use folder::{DatasetFolder, TRUTH};
@@ -31,6 +32,7 @@ pub use plausible::{judge_measured, judge_planned};
 pub use sequence::{SequenceFigures, measure};
 pub use sums::{Difference, check_sums, write_sums};
 pub use tables::{cameras_table, environments_table, motion_classes_table, motions_table};
+pub use truth_file::euroc_truth;
 
 #[cfg(test)]
 mod tests;

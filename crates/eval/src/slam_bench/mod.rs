@@ -14,7 +14,7 @@ mod results;
 mod table;
 
 pub use cause::Cause;
-pub use export::{Layout, export};
+pub use export::{HiddenRegions, Layout, camera_name, export, export_without};
 pub use pages::page_of;
 pub use plan::{Plan, Scale, Sequence, System, read_plan};
 pub use results::{RunResult, run_plan, table_of};

@@ -48,7 +48,8 @@ pub fn page_of(
         })
         .collect();
     let truth = lsfb_geometry::Trajectory::new(truth.poses);
-    let drawn = judged.iter().take(MOST_TRACKS);
+    // The best lies over the others.
+    let drawn = judged.iter().take(MOST_TRACKS).rev();
     let tracks = drawn.enumerate().map(|(i, (system, evaluation))| Track {
         // All have the same.
         truth: (i == 0).then(|| truth.clone()),

@@ -6,6 +6,7 @@ use std::fmt::Write as _;
 
 use super::{ExportedFile, Model, file, quaternion};
 use crate::Error;
+use crate::hd_map::HdMap;
 
 /// What a point looks like that nobody gave a colour.
 const GREY: u8 = 128;
@@ -103,7 +104,8 @@ pub(super) fn binary(model: &Model) -> Result<Vec<ExportedFile>, Error> {
             images.extend((u64::from(*point) + 1).to_le_bytes());
         }
     }
-    let mut points = (model.map.point_count() as u64).to_le_bytes().to_vec();
+    let points_count = model.map.map_or(0, HdMap::point_count);
+    let mut points = (points_count as u64).to_le_bytes().to_vec();
     for (number, (position, error_px, track)) in (1_u64..).zip(tracks(model)) {
         points.extend(number.to_le_bytes());
         points.extend(position.iter().flat_map(|v| v.to_le_bytes()));
@@ -132,17 +134,13 @@ fn tracks<'a>(
             of_point.entry(*point).or_default().push((number, place));
         }
     }
-    (0..model.map.point_count() as u32)
-        .zip(model.map.positions())
-        .map(move |(point, position)| {
-            let error_px = model
-                .map
-                .quality(point)
-                .map_or(0.0, |q| q.reprojection_rms_px);
-            (
-                position,
-                error_px,
-                of_point.remove(&point).unwrap_or_default(),
-            )
-        })
+    let points = model.map.into_iter().flat_map(|map| {
+        let numbered = (0..map.point_count() as u32).zip(map.positions());
+        numbered.map(move |(point, position)| (map, point, position))
+    });
+    points.map(move |(map, point, position)| {
+        let error_px = map.quality(point).map_or(0.0, |q| q.reprojection_rms_px);
+        let track = of_point.remove(&point).unwrap_or_default();
+        (position, error_px, track)
+    })
 }

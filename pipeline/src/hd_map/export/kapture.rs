@@ -9,8 +9,9 @@ const HEAD: &str = "# kapture format: 1.1\n";
 /// Name of the kind of keypoints.
 const KEYPOINTS: &str = "lsfb";
 
-pub(super) fn files(model: &Model) -> Vec<ExportedFile> {
-    let names = model.map.cameras();
+/// Cameras, poses and names of images.
+pub(super) fn sensors(model: &Model) -> Vec<ExportedFile> {
+    let names = model.names;
     // Writing to a String cannot fail.
     let mut sensors = format!("{HEAD}# sensor_id, name, sensor_type, [sensor_params]+\n");
     for (name, camera) in names.iter().zip(model.cameras) {
@@ -27,8 +28,6 @@ pub(super) fn files(model: &Model) -> Vec<ExportedFile> {
     }
     let mut trajectories = format!("{HEAD}# timestamp, device_id, qw, qx, qy, qz, tx, ty, tz\n");
     let mut records = format!("{HEAD}# timestamp, device_id, image_path\n");
-    let mut by_point: BTreeMap<u32, String> = BTreeMap::new();
-    let mut files = Vec::new();
     for image in &model.images {
         let camera = names.get(image.camera).map_or("", String::as_str);
         let pose = &image.camera_from_world;
@@ -38,6 +37,19 @@ pub(super) fn files(model: &Model) -> Vec<ExportedFile> {
         }
         trajectories.push('\n');
         let _ = writeln!(records, "{}, {camera}, {}", image.time_ns, image.name);
+    }
+    vec![
+        file("sensors/sensors.txt", sensors),
+        file("sensors/trajectories.txt", trajectories),
+        file("sensors/records_camera.txt", records),
+    ]
+}
+
+/// The same, with what the images saw of the map.
+pub(super) fn files(model: &Model) -> Vec<ExportedFile> {
+    let mut by_point: BTreeMap<u32, String> = BTreeMap::new();
+    let mut files = sensors(model);
+    for image in &model.images {
         let mut keypoints = Vec::with_capacity(8 * image.seen.len());
         for (place, (point, pixel)) in image.seen.iter().enumerate() {
             keypoints.extend(pixel.map(|v| (v as f32).to_le_bytes()).as_flattened());
@@ -51,7 +63,7 @@ pub(super) fn files(model: &Model) -> Vec<ExportedFile> {
         files.push(file(&path, keypoints));
     }
     let mut points = format!("{HEAD}# X, Y, Z, R, G, B\n");
-    for position in model.map.positions() {
+    for position in model.map.iter().flat_map(|map| map.positions()) {
         let [x, y, z]: [f64; 3] = position.into();
         let _ = writeln!(points, "{x:?}, {y:?}, {z:?}, 128, 128, 128");
     }
@@ -62,9 +74,6 @@ pub(super) fn files(model: &Model) -> Vec<ExportedFile> {
     }
     let kind = format!("{HEAD}# name, dtype, dsize\n{KEYPOINTS}, float32, 2\n");
     files.extend([
-        file("sensors/sensors.txt", sensors),
-        file("sensors/trajectories.txt", trajectories),
-        file("sensors/records_camera.txt", records),
         file("reconstruction/points3d.txt", points),
         file("reconstruction/observations.txt", observations),
         file(

@@ -72,7 +72,8 @@ impl HdMap {
         cameras: &[ColmapCamera],
     ) -> Result<Vec<ExportedFile>, Error> {
         let model = Model {
-            map: self,
+            map: Some(self),
+            names: self.cameras(),
             cameras,
             images: images(self),
         };
@@ -80,7 +81,11 @@ impl HdMap {
             MapFormat::ColmapText => Ok(colmap::text(&model)),
             MapFormat::ColmapBinary => colmap::binary(&model),
             MapFormat::Kapture => Ok(kapture::files(&model)),
-            MapFormat::Nerfstudio => nerfstudio::files(&model),
+            MapFormat::Nerfstudio => {
+                let mut files = nerfstudio::files(&model)?;
+                files.push(points::ply(self));
+                Ok(files)
+            }
             MapFormat::Ply => Ok(vec![points::ply(self)]),
             MapFormat::Las => points::las(self, false),
             MapFormat::Laz => points::las(self, true),
@@ -88,9 +93,59 @@ impl HdMap {
     }
 }
 
-/// A map by its images.
+/// Where an image was taken.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImagePose {
+    /// Place of its camera among the cameras.
+    pub camera: usize,
+    /// Its stamp, nanoseconds.
+    pub time_ns: i64,
+    /// Where the world is, seen from the camera.
+    pub camera_from_world: Se3,
+}
+
+/// Poses of images without a map, as files of `format`: a COLMAP model without points, or the sensors of a kapture. Images are named
+/// `CAMERA/NANOSECONDS.png`; `cameras` are those of `names`, in the same order. `None` where the format holds a map or nothing.
+pub fn export_image_poses(
+    format: MapFormat,
+    names: &[String],
+    cameras: &[ColmapCamera],
+    poses: &[ImagePose],
+) -> Result<Option<Vec<ExportedFile>>, Error> {
+    let images = poses.iter().filter_map(|pose| {
+        let name = names.get(pose.camera)?;
+        Some(Image {
+            camera: pose.camera,
+            time_ns: pose.time_ns,
+            camera_from_world: pose.camera_from_world,
+            name: image_name(name, pose.time_ns),
+            seen: Vec::new(),
+        })
+    });
+    let model = Model {
+        map: None,
+        names,
+        cameras,
+        images: images.collect(),
+    };
+    Ok(match format {
+        MapFormat::ColmapText => Some(colmap::text(&model)),
+        MapFormat::ColmapBinary => Some(colmap::binary(&model)?),
+        MapFormat::Kapture => Some(kapture::sensors(&model)),
+        MapFormat::Nerfstudio | MapFormat::Ply | MapFormat::Las | MapFormat::Laz => None,
+    })
+}
+
+/// As images lie beside a model.
+fn image_name(camera: &str, time_ns: i64) -> String {
+    format!("{camera}/{time_ns}.png")
+}
+
+/// Images with what they saw of a map, where there is one.
 struct Model<'a> {
-    map: &'a HdMap,
+    map: Option<&'a HdMap>,
+    /// Names of the cameras.
+    names: &'a [String],
     cameras: &'a [ColmapCamera],
     images: Vec<Image>,
 }
@@ -129,7 +184,7 @@ fn images(map: &HdMap) -> Vec<Image> {
             camera,
             time_ns,
             camera_from_world: (pose.world_from_rig * mounted.rig_from_camera).inverse(),
-            name: format!("{name}/{time_ns}.png"),
+            name: image_name(name, time_ns),
             seen,
         })
     });

@@ -1,10 +1,10 @@
 //! nerfstudio's `transforms.json` (its documentation, "Data conventions"): a camera per frame, poses in OpenGL's axes (y up, looking
-//! along −z), points in a PLY file beside it.
+//! along −z), points in a PLY file that is written beside it.
 
 use lsfb_geometry::Matrix3;
 use serde_json::{Map, Value, json};
 
-use super::{ColmapCamera, ExportedFile, Model, file, points};
+use super::{ColmapCamera, ExportedFile, Model, file};
 use crate::Error;
 
 pub(super) fn files(model: &Model) -> Result<Vec<ExportedFile>, Error> {
@@ -27,10 +27,7 @@ pub(super) fn files(model: &Model) -> Result<Vec<ExportedFile>, Error> {
         })
         .collect();
     let whole = json!({ "ply_file_path": "points.ply", "frames": frames });
-    Ok(vec![
-        file("transforms.json", format!("{whole:#}\n")),
-        points::ply(model.map),
-    ])
+    Ok(vec![file("transforms.json", format!("{whole:#}\n"))])
 }
 
 /// A camera in nerfstudio's names.

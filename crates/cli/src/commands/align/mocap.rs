@@ -4,14 +4,11 @@ use std::path::Path;
 
 use lsfb_calib::camera_imu::read_imu_table;
 use lsfb_eval::hand_eye::{ClockModel, MocapAlignment, MocapConfig, align_mocap};
-use lsfb_geometry::Trajectory;
-use lsfb_recording::write_tum;
 use lsfb_types::{Finding, ImuSample, Judgement, Stamped, Timestamp, Verdict};
 
-use super::{Arguments, pose_text, read};
+use super::{Aligned, Arguments, finish, pose_text, read};
 use crate::context::Context;
 use crate::files::name_of;
-use crate::judged::{Judged, lines};
 use crate::outcome::Outcome;
 
 /// An MCAP file begins so.
@@ -39,19 +36,17 @@ pub(super) fn run(imu: &Path, arguments: &Arguments, context: &Context) -> anyho
     }
     let found = crate::commands::about(imu, align_mocap(&reference.poses, &samples, &config))?;
     findings.extend(found.findings.iter().cloned());
-    let judgement = Judgement::new(findings);
-    let outcome = Outcome::of(judgement.verdict());
-    // What must not be used is not written.
-    if let Some(out) = arguments.out.as_ref().filter(|_| outcome == Outcome::Done) {
-        write_tum(out, &Trajectory::new(found.path.clone()))?;
-    }
-    let judged = Judged::new(&judgement, &name_of(imu), &found);
-    context.print(&judged, || {
-        format!("{}\n{}", text(&found), lines(&judgement))
-            .trim_end()
-            .to_owned()
-    })?;
-    Ok(outcome)
+    finish(
+        &Aligned {
+            name: name_of(imu),
+            judgement: Judgement::new(findings),
+            found: &found,
+            text: text(&found),
+        },
+        || found.path.clone(),
+        arguments,
+        context,
+    )
 }
 
 /// In order of time.

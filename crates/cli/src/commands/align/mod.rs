@@ -6,9 +6,10 @@ use std::path::{Path, PathBuf};
 
 use lsfb_eval::hand_eye::{ClockModel, HandEye, HandEyeConfig, UncertainPose, align_trajectories};
 use lsfb_eval::{Error, Orientations, ReadOptions, TrajectoryFile, read_trajectory};
-use lsfb_geometry::Trajectory;
+use lsfb_geometry::{StampedPose, Trajectory};
 use lsfb_recording::write_tum;
 use lsfb_types::Judgement;
+use serde::Serialize;
 
 use crate::context::Context;
 use crate::files::name_of;
@@ -92,16 +93,45 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let found = align_trajectories(&estimate.poses, &reference.poses, &config)?;
     let mut findings = [estimate.findings, reference.findings].concat();
     findings.extend(found.findings.iter().cloned());
-    let judgement = Judgement::new(findings);
+    finish(
+        &Aligned {
+            name: name_of(input),
+            judgement: Judgement::new(findings),
+            found: &found,
+            text: text(&found),
+        },
+        || found.as_truth(&estimate.poses, &reference.poses),
+        arguments,
+        context,
+    )
+}
+
+/// An alignment of either kind.
+struct Aligned<'a, T: Serialize> {
+    /// What was aligned.
+    name: String,
+    judgement: Judgement,
+    found: &'a T,
+    /// What was found, for people.
+    text: String,
+}
+
+/// Writes the `truth` unless the alignment failed, and prints.
+fn finish<T: Serialize>(
+    aligned: &Aligned<'_, T>,
+    truth: impl FnOnce() -> Vec<StampedPose>,
+    arguments: &Arguments,
+    context: &Context,
+) -> anyhow::Result<Outcome> {
+    let judgement = &aligned.judgement;
     let outcome = Outcome::of(judgement.verdict());
     // What must not be used is not written.
     if let Some(out) = arguments.out.as_ref().filter(|_| outcome == Outcome::Done) {
-        let truth = found.as_truth(&estimate.poses, &reference.poses);
-        write_tum(out, &Trajectory::new(truth))?;
+        write_tum(out, &Trajectory::new(truth()))?;
     }
-    let judged = Judged::new(&judgement, &name_of(input), &found);
+    let judged = Judged::new(judgement, &aligned.name, aligned.found);
     context.print(&judged, || {
-        format!("{}\n{}", text(&found), lines(&judgement))
+        format!("{}\n{}", aligned.text, lines(judgement))
             .trim_end()
             .to_owned()
     })?;

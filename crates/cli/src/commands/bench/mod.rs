@@ -1,5 +1,6 @@
 //! `lsfb bench`: programs of others on sequences with ground truth, our own in the twin, and there in the wrong place.
 
+mod serve;
 mod slam;
 mod twin;
 mod wrong_place;
@@ -7,10 +8,11 @@ mod wrong_place;
 use crate::context::Context;
 use crate::outcome::Outcome;
 
-/// Benchmark SLAM systems on sequences with ground truth, and lsfb itself in simulated places.
+/// Benchmark SLAM systems on sequences with ground truth, others' trajectories on a leaderboard, and lsfb itself in simulated places.
 ///
 /// Examples:
 ///   lsfb bench slam plan.toml --out bench
+///   lsfb bench serve dataset --out board
 ///   lsfb bench twin --out trial --quick
 ///   lsfb bench wrong-place trial --out wrong
 #[derive(clap::Args)]
@@ -22,6 +24,7 @@ pub struct Arguments {
 
 #[derive(clap::Subcommand)]
 enum What {
+    Serve(serve::Arguments),
     Slam(slam::Arguments),
     Twin(twin::Arguments),
     WrongPlace(wrong_place::Arguments),
@@ -30,6 +33,7 @@ enum What {
 /// Runs what was asked for.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     match &arguments.what {
+        What::Serve(arguments) => serve::run(arguments, context),
         What::Slam(arguments) => slam::run(arguments, context),
         What::Twin(arguments) => twin::run(arguments, context),
         What::WrongPlace(arguments) => wrong_place::run(arguments, context),

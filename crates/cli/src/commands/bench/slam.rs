@@ -12,7 +12,7 @@ use crate::outcome::Outcome;
 /// Run SLAM systems on sequences, and tabulate their errors as in the paper's Tables VIII and IX.
 ///
 /// The plan (TOML) names sequences (a recording, its truth, the longer side of the place) and systems (a command with {input}, {out},
-/// {trajectory}, {sequence}, {run}; the layout that it reads: as_is, euroc, tum_vi, kitti, images). The median of several runs counts; ×
+/// {trajectory}, {sequence}, {run}; the layout that it reads: as_is, euroc, tum_vi, kitti, images, stamped). The median of several runs counts; ×
 /// stands where all failed, with the cause. Finished runs are not repeated, not even with --force. Writes table.txt, .csv, .tex and .html, and
 /// a page of each sequence (SEQUENCE.html) with the trajectories, their errors over time, and the share of poses by error.
 ///

@@ -18,6 +18,8 @@ use crate::simulated::{Layout, WalkTold};
 use crate::standing;
 use crate::twin_session::{Wanted, beside_the_scan, smaller};
 
+/// A scan takes so many times as long as the shortest walk at least: on a way of few steps nobody can walk.
+const LEAST_SCAN: f64 = 4.0;
 /// Name of the backpack's rig.
 const BACKPACK: &str = "backpack";
 
@@ -160,7 +162,8 @@ impl Contents<'_> {
         if self.settings.scale_percent < 100.0 {
             let all = self.plan.sequences();
             let here = all.iter().filter(|s| s.motion.environment == *environment);
-            config.scan.duration_s = here.map(|s| self.duration_s(s)).fold(0.0, f64::max);
+            let longest_s = here.map(|s| self.duration_s(s)).fold(0.0, f64::max);
+            config.scan.duration_s = longest_s.max(LEAST_SCAN * self.settings.least_secs);
         }
         if let Wish::Walk(sequence) = wish {
             config.glasses.duration_s = self.duration_s(sequence);
@@ -205,7 +208,9 @@ fn stated_rig(config: &SimConfig, wish: &Wish<'_>) -> Rig {
         Wish::Walk(_) => (lsfb_sim::rigs::walker(config), &config.glasses_cameras),
     };
     for camera in rig.cameras.values_mut() {
-        camera.timing.readout_s = 1e-9 * f64::from(cameras.readout_ns);
+        // A rig counts to below the last row, the simulation to the last row.
+        let rows = f64::from(cameras.height);
+        camera.timing.readout_s = 1e-9 * f64::from(cameras.readout_ns) * rows / (rows - 1.0);
     }
     rig
 }

@@ -1,16 +1,193 @@
-//! `lsfb dataset export`.
+//! `lsfb dataset export`: a sequence in the files of other programs.
 
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use lsfb_eval::dataset::euroc_truth;
+use lsfb_eval::read_poses;
+use lsfb_eval::slam_bench::{HiddenRegions, Layout, camera_name, export_without};
+use lsfb_geometry::Trajectory;
+use lsfb_pipeline::hd_map::{ExportedFile, ImagePose, MapFormat, export_image_poses};
+use lsfb_recording::{Recording, message};
+use lsfb_types::Timestamp;
+use serde::Serialize;
+
+use crate::commands::map_tools::colmap_cameras;
 use crate::context::Context;
+use crate::files::write;
 use crate::outcome::Outcome;
 
-/// Export.
+/// Export a sequence of a dataset to the files of other programs, with its truth where that is there.
+///
+/// EuRoC and TUM-VI folders get images, inertial samples and truth; kitti and images have stamps in a file; all get the rig and
+/// truth.tum. kapture and COLMAP place every image by the truth, and are refused without it. Recordings themselves are ROS 2 bags.
+///
+/// --hidden-regions fills what must not be seen with its mean grey: on each line of the text file CAMERA FROM_S TO_S X Y WIDTH HEIGHT,
+/// with - - for all times. Whoever finds faces writes that file: lsfb does not find them, and hides them in exported images only,
+/// never in the recordings.
 ///
 /// Examples:
-///   lsfb dataset export
+///   lsfb dataset export dataset C3-android --layout euroc --out c3
+///   lsfb dataset export dataset C3-android --layout colmap --out c3-model --hidden-regions faces.txt
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
-pub struct Arguments {}
+pub struct Arguments {
+    /// The dataset.
+    #[arg(value_name = "FOLDER")]
+    dataset: PathBuf,
+    /// The sequence.
+    #[arg(value_name = "NAME")]
+    sequence: String,
+    /// The files.
+    #[arg(long, value_enum)]
+    layout: Program,
+    /// Folder to write them to.
+    #[arg(long, value_name = "FOLDER")]
+    out: PathBuf,
+    /// Regions of images that must not be seen.
+    #[arg(long, value_name = "FILE")]
+    hidden_regions: Option<PathBuf>,
+}
 
-pub fn run(_: &Arguments, _: &Context) -> anyhow::Result<Outcome> {
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Program {
+    Euroc,
+    TumVi,
+    Kitti,
+    Images,
+    Kapture,
+    Colmap,
+}
+
+#[derive(Serialize)]
+struct Exported<'a> {
+    folder: &'a Path,
+    true_poses: usize,
+    /// Images that the truth does not reach to, which have no pose.
+    without_pose: usize,
+}
+
+/// Reads, writes, prints.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    let (folder, description) = super::open(&arguments.dataset)?;
+    let name = &arguments.sequence;
+    anyhow::ensure!(
+        description.query(name).is_some(),
+        "the dataset has no sequence {name:?}"
+    );
+    let out = &arguments.out;
+    context.will_write(out);
+    anyhow::ensure!(
+        !out.exists(),
+        "{}: exists already: choose another name",
+        out.display()
+    );
+    let recording = context.open(&folder.walk(name))?;
+    let truth_path = folder.walk_truth(name);
+    let truth = match truth_path.exists() {
+        true => read_poses(&truth_path)?,
+        false => Vec::new(),
+    };
+    let hidden = match &arguments.hidden_regions {
+        Some(path) => HiddenRegions::read(path)?,
+        None => HiddenRegions::default(),
+    };
+    let mut exported = Exported {
+        folder: out,
+        true_poses: truth.len(),
+        without_pose: 0,
+    };
+    let (layout, images) = match arguments.layout {
+        Program::Euroc => (Layout::Euroc, out.clone()),
+        Program::TumVi => (Layout::TumVi, out.clone()),
+        Program::Kitti => (Layout::Kitti, out.clone()),
+        Program::Images => (Layout::Images, out.clone()),
+        Program::Kapture => (Layout::Stamped, out.join("sensors").join("records_data")),
+        Program::Colmap => (Layout::Stamped, out.join("images")),
+    };
+    let places_images = matches!(arguments.layout, Program::Kapture | Program::Colmap);
+    anyhow::ensure!(
+        !places_images || !truth.is_empty(),
+        "{}: no truth, which places the images there: choose euroc or images",
+        truth_path.display()
+    );
+    let around = images.parent().unwrap_or(out);
+    std::fs::create_dir_all(around).with_context(|| around.display().to_string())?;
+    export_without(&recording, layout, &hidden, &images)?;
+    let truth = Trajectory::new(truth);
+    if places_images {
+        let (format, below) = match arguments.layout {
+            Program::Kapture => (MapFormat::Kapture, out.clone()),
+            _ => (MapFormat::ColmapText, out.join("sparse")),
+        };
+        let (files, without) = placed(&recording, &truth, format)?;
+        exported.without_pose = without;
+        for file in files {
+            put(&below.join(&file.path), &file.bytes)?;
+        }
+    }
+    if !truth.is_empty() {
+        let euroc = match arguments.layout {
+            Program::Euroc => Some("mav0/state_groundtruth_estimate0/data.csv"),
+            Program::TumVi => Some("mav0/mocap0/data.csv"),
+            _ => None,
+        };
+        if let Some(name) = euroc {
+            put(&out.join(name), euroc_truth(truth.poses()).as_bytes())?;
+        }
+        lsfb_recording::write_tum(&out.join("truth.tum"), &truth)?;
+    }
+    context.print(&exported, || {
+        let mut text = format!("{}: {} true poses", out.display(), exported.true_poses);
+        if exported.without_pose > 0 {
+            text += &format!("; {} images have none", exported.without_pose);
+        }
+        text
+    })?;
     Ok(Outcome::Done)
+}
+
+fn put(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    let around = path.parent().unwrap_or(Path::new("."));
+    std::fs::create_dir_all(around).with_context(|| around.display().to_string())?;
+    write(path, bytes)
+}
+
+/// The files that place images by the truth, and how many it does not reach to.
+fn placed(
+    recording: &Recording,
+    truth: &Trajectory,
+    format: MapFormat,
+) -> anyhow::Result<(Vec<ExportedFile>, usize)> {
+    let rig = recording.rig()?;
+    let (cameras, _, _) = colmap_cameras(&rig)?;
+    let names: Vec<String> = rig.cameras.keys().cloned().collect();
+    let topics = recording.topics().iter();
+    let topics = topics.filter(|t| t.schema == message::IMAGE.name && t.messages > 0);
+    let (mut poses, mut without) = (Vec::new(), 0);
+    for topic in topics {
+        let own = camera_name(&topic.topic);
+        let place = names.iter().position(|name| name == own);
+        let (camera, mounted) = place
+            .zip(rig.cameras.get(own))
+            .with_context(|| format!("the rig has no camera {own}"))?;
+        for image in recording.images(&topic.topic)? {
+            let time = image?.time;
+            // Its own clock may not be the rig's.
+            let at = time.plus_secs(mounted.timing.rig_from_camera_s);
+            match truth.at(at) {
+                Some(world_from_rig) => poses.push(ImagePose {
+                    camera,
+                    time_ns: Timestamp::nanos(time),
+                    camera_from_world: (world_from_rig * mounted.rig_from_camera).inverse(),
+                }),
+                None => without += 1,
+            }
+        }
+    }
+    let files = export_image_poses(format, &names, &cameras, &poses)?;
+    Ok((
+        files.context("the format holds no poses of images")?,
+        without,
+    ))
 }

@@ -15,7 +15,7 @@ use crate::outcome::Outcome;
 /// Simulate the sequences of the plan, and pack them as a dataset with rigs, hashes, a licence and the truth in a folder of its own.
 ///
 /// Walks go beside the scanner's path. At less than 100 percent they take that share of their time and way, but no less than
-/// --least-secs; the scanner takes as long as the longest walk of its environment. Goes on where it was stopped: what is packed is not made
+/// --least-secs; the scanner takes as long as the longest walk of its environment, and no less than four times --least-secs. Goes on where it was stopped: what is packed is not made
 /// again. What it needs for that lies in FOLDER.making: the seed, by which the truth can be made again, and the key of the
 /// hashed identifiers. Keep that folder to yourself.
 ///

@@ -62,7 +62,7 @@ fn paper() -> anyhow::Result<DatasetPlan> {
 }
 
 /// A dataset that is there, and what it says it holds.
-fn open(path: &Path) -> anyhow::Result<(DatasetFolder, Description)> {
+pub fn open(path: &Path) -> anyhow::Result<(DatasetFolder, Description)> {
     let folder = DatasetFolder::new(path);
     expect_file(&folder.description(), "make one with `lsfb dataset make`")?;
     let description = Description::read(&folder)?;

@@ -15,7 +15,7 @@ use crate::outcome::Outcome;
 
 /// Measure the sequences of a dataset, in the layout of the paper's Tables III, VI and VII, and judge whether that can be true.
 ///
-/// Images, rates, gaps and angles of view come from the recordings; speed, turning, blur, parallax and classes of motion from the true
+/// Images, rates, gaps and angles of view come from the recordings; speed, turning, parallax, classes of motion, and blur where exposure times were recorded, from the true
 /// trajectories, where they are there. The exit code is 4 where a sequence cannot be as it says: too fast for anybody on foot, cut short,
 /// at another rate.
 ///

@@ -162,7 +162,30 @@ fn turned(
         search_secs: config.search_secs,
         clock: ClockModel::Constant,
     };
-    align_gyroscope(markers, &rates, &search)
+    align_gyroscope(markers, &rates, &search).map_err(seen_from_the_markers)
+}
+
+/// What the search says of offsets is of the other direction; zero minus an offset, so that there is no -0.
+fn seen_from_the_markers(error: Error) -> Error {
+    match error {
+        Error::NoCommonTime {
+            search_secs,
+            around_secs,
+            spans,
+        } => Error::NoCommonTime {
+            search_secs,
+            around_secs: 0.0 - around_secs,
+            spans,
+        },
+        Error::TwoOffsets {
+            first_secs,
+            second_secs,
+        } => Error::TwoOffsets {
+            first_secs: 0.0 - first_secs,
+            second_secs: 0.0 - second_secs,
+        },
+        error => error,
+    }
 }
 
 /// Standard deviations of rotations and positions as they follow from what two poses say of the one between them: rather too large, as the

@@ -220,3 +220,25 @@ fn what_the_motion_does_not_show_is_refused() {
         "{refused:?}"
     );
 }
+
+/// The search runs from markers to IMU: its error said 100 where the user had said −100, and "-0" where he had said nothing.
+#[test]
+fn an_error_names_the_offset_that_was_given() {
+    let setup = simulated(20.0, 0.0);
+    let far: Vec<StampedPose> = setup
+        .markers
+        .iter()
+        .map(|pose| StampedPose {
+            time: pose.time.plus_secs(5000.0),
+            ..*pose
+        })
+        .collect();
+    for (given, words) in [(-100.0, "an offset of -100 s"), (0.0, "an offset of 0 s")] {
+        let config = MocapConfig {
+            offset_guess_secs: given,
+            ..MocapConfig::default()
+        };
+        let error = align_mocap(&far, &setup.samples, &config).expect_err("no common time");
+        assert!(error.to_string().contains(words), "{error}");
+    }
+}

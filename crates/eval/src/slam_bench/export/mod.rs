@@ -1,5 +1,7 @@
 //! Recordings in the layouts that SLAM systems read.
 
+mod hidden;
+
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::fs::{self, File};
@@ -7,10 +9,11 @@ use std::io::{self, BufWriter, Write as _};
 use std::path::{Path, PathBuf};
 
 use lsfb_recording::{Recording, message};
-use lsfb_types::{Image, Timestamp};
+use lsfb_types::{Image, Stamped, Timestamp};
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
+pub use hidden::HiddenRegions;
 
 /// What a system reads.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -28,6 +31,8 @@ pub enum Layout {
     Kitti,
     /// `camN/000000.png` and `camN/times.txt`, seconds.
     Images,
+    /// `CAMERA/<ns>.png`, as images lie beside a COLMAP model or in a kapture.
+    Stamped,
 }
 
 impl Layout {
@@ -39,12 +44,23 @@ impl Layout {
             Self::TumVi => "tum_vi",
             Self::Kitti => "kitti",
             Self::Images => "images",
+            Self::Stamped => "stamped",
         }
     }
 }
 
 /// Writes a recording in a layout, with its rig as `rig.toml` (for `lsfb calib export`). The folder is there whole, or not at all.
 pub fn export(recording: &Recording, layout: Layout, folder: &Path) -> Result<(), Error> {
+    export_without(recording, layout, &HiddenRegions::default(), folder)
+}
+
+/// The same without what must not be seen in its images. A region that is in no image is refused.
+pub fn export_without(
+    recording: &Recording,
+    layout: Layout,
+    hidden: &HiddenRegions,
+    folder: &Path,
+) -> Result<(), Error> {
     let io = |source| Error::Io {
         path: folder.to_owned(),
         source,
@@ -54,13 +70,20 @@ pub fn export(recording: &Recording, layout: Layout, folder: &Path) -> Result<()
         fs::remove_dir_all(&half).map_err(io)?;
     }
     fs::create_dir_all(&half).map_err(io)?;
-    write(recording, layout, &half)?;
+    write(recording, layout, hidden, &half)?;
+    hidden.expect_used()?;
     fs::rename(&half, folder).map_err(io)
 }
 
-fn write(recording: &Recording, layout: Layout, folder: &Path) -> Result<(), Error> {
+fn write(
+    recording: &Recording,
+    layout: Layout,
+    hidden: &HiddenRegions,
+    folder: &Path,
+) -> Result<(), Error> {
     let out = Output {
         folder: folder.to_owned(),
+        hidden,
     };
     if let Ok(rig) = recording.rig() {
         out.text("rig.toml", &rig.to_toml())?;
@@ -76,6 +99,7 @@ fn write(recording: &Recording, layout: Layout, folder: &Path) -> Result<(), Err
         }
         Layout::Kitti => kitti(recording, &names, &out),
         Layout::Images => images(recording, &names, &out),
+        Layout::Stamped => stamped(recording, &names, &out),
     }
 }
 
@@ -86,14 +110,14 @@ fn cameras(recording: &Recording) -> Vec<String> {
     images.map(|t| t.topic.clone()).collect()
 }
 
-fn euroc(recording: &Recording, cameras: &[&str], out: &Output) -> Result<(), Error> {
+fn euroc(recording: &Recording, cameras: &[&str], out: &Output<'_>) -> Result<(), Error> {
     for (i, camera) in cameras.iter().enumerate() {
         let mut list = "#timestamp [ns],filename\n".to_owned();
         for image in recording.images(camera)? {
             let image = image?;
             let name = format!("{}.png", image.time.nanos());
             let _ = writeln!(list, "{},{name}", image.time.nanos());
-            out.png(&format!("mav0/cam{i}/data/{name}"), &image.sample)?;
+            out.png(&format!("mav0/cam{i}/data/{name}"), camera, &image)?;
         }
         out.text(&format!("mav0/cam{i}/data.csv"), &list)?;
     }
@@ -102,7 +126,7 @@ fn euroc(recording: &Recording, cameras: &[&str], out: &Output) -> Result<(), Er
     out.text("mav0/imu0/data.csv", &inertial(recording, heading, ",")?)
 }
 
-fn dso(recording: &Recording, cameras: &[&str], out: &Output) -> Result<(), Error> {
+fn dso(recording: &Recording, cameras: &[&str], out: &Output<'_>) -> Result<(), Error> {
     for (i, camera) in cameras.iter().enumerate() {
         let mut times = "# id timestamp[s] exposure[ms]\n".to_owned();
         for image in recording.images(camera)? {
@@ -116,7 +140,7 @@ fn dso(recording: &Recording, cameras: &[&str], out: &Output) -> Result<(), Erro
     out.text("dso/imu.txt", &inertial(recording, heading, " ")?)
 }
 
-fn kitti(recording: &Recording, cameras: &[&str], out: &Output) -> Result<(), Error> {
+fn kitti(recording: &Recording, cameras: &[&str], out: &Output<'_>) -> Result<(), Error> {
     let mut stamps = Vec::new();
     if !cameras.is_empty() {
         // An image of each camera in every row, or cameras slip against each other.
@@ -126,7 +150,7 @@ fn kitti(recording: &Recording, cameras: &[&str], out: &Output) -> Result<(), Er
             for image in recording.images(camera)? {
                 let image = image?;
                 if shared.contains(&image.time) {
-                    out.png(&format!("image_{i}/{row:06}.png"), &image.sample)?;
+                    out.png(&format!("image_{i}/{row:06}.png"), camera, &image)?;
                     row += 1;
                 }
             }
@@ -166,17 +190,34 @@ fn kitti(recording: &Recording, cameras: &[&str], out: &Output) -> Result<(), Er
     out.text("stamps.txt", &absolute)
 }
 
-fn images(recording: &Recording, cameras: &[&str], out: &Output) -> Result<(), Error> {
+fn images(recording: &Recording, cameras: &[&str], out: &Output<'_>) -> Result<(), Error> {
     for (i, camera) in cameras.iter().enumerate() {
         let mut times = String::new();
         for (row, image) in recording.images(camera)?.enumerate() {
             let image = image?;
             let _ = writeln!(times, "{}", image.time);
-            out.png(&format!("cam{i}/{row:06}.png"), &image.sample)?;
+            out.png(&format!("cam{i}/{row:06}.png"), camera, &image)?;
         }
         out.text(&format!("cam{i}/times.txt"), &times)?;
     }
     Ok(())
+}
+
+fn stamped(recording: &Recording, cameras: &[&str], out: &Output<'_>) -> Result<(), Error> {
+    for camera in cameras {
+        for image in recording.images(camera)? {
+            let image = image?;
+            let name = format!("{}/{}.png", camera_name(camera), image.time.nanos());
+            out.png(&name, camera, &image)?;
+        }
+    }
+    Ok(())
+}
+
+/// The name of a camera in its rig: `cam0` of `/sidecar/glasses/cam0/image`.
+pub fn camera_name(topic: &str) -> &str {
+    let of = topic.strip_suffix("/image").unwrap_or(topic);
+    of.rsplit('/').next().unwrap_or(of)
 }
 
 fn shared_times(recording: &Recording, cameras: &[&str]) -> Result<BTreeSet<Timestamp>, Error> {
@@ -220,11 +261,12 @@ fn inertial(recording: &Recording, heading: &str, separator: &str) -> Result<Str
 }
 
 /// Where is written.
-struct Output {
+struct Output<'a> {
     folder: PathBuf,
+    hidden: &'a HiddenRegions,
 }
 
-impl Output {
+impl Output<'_> {
     fn place(&self, name: &str) -> Result<PathBuf, Error> {
         let path = self.folder.join(name);
         if let Some(parent) = path.parent() {
@@ -245,8 +287,9 @@ impl Output {
         self.bytes(name, text.as_bytes())
     }
 
-    fn png(&self, name: &str, image: &Image) -> Result<(), Error> {
+    fn png(&self, name: &str, camera: &str, image: &Stamped<Image>) -> Result<(), Error> {
         let path = self.place(name)?;
+        let image = self.hidden.hide(camera, image);
         let written = || -> Result<(), io::Error> {
             let mut file = BufWriter::new(File::create(&path)?);
             let mut encoder = png::Encoder::new(&mut file, image.width, image.height);

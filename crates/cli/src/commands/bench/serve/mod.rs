@@ -1,0 +1,82 @@
+//! `lsfb bench serve`: trajectories uploaded, judged by a truth that is not shown, and ranked.
+
+mod kept;
+mod page;
+mod rate;
+mod site;
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::Context as _;
+use lsfb_operator::server::Server;
+
+use crate::commands::dataset;
+use crate::context::Context;
+use crate::outcome::Outcome;
+use site::Site;
+
+/// How often somebody may have asked for an end.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
+
+/// Serve a leaderboard: whoever uploads a trajectory of a dataset's sequence gets its errors, without seeing the truth.
+///
+/// Uploads are text (TUM, EuRoC csv and all else that `lsfb eval` reads), one sequence each, of limited size and number. They are judged
+/// and forgotten; scores are kept in submissions.jsonl. Errors are given to the millimetre after alignment; teams that cover less than
+/// 90 % of a sequence are not ranked. Nobody is asked for a password: give the address to whom you trust, or put a web server with
+/// accounts and TLS before it. Ctrl-C ends it.
+///
+/// Examples:
+///   lsfb bench serve dataset --out board
+///   lsfb bench serve dataset --out board --listen 127.0.0.1:8080 --max-mb 4
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    /// The dataset, with its truth.
+    #[arg(value_name = "FOLDER")]
+    dataset: PathBuf,
+    /// Folder for the scores.
+    #[arg(long, value_name = "FOLDER")]
+    out: PathBuf,
+    /// Address to listen on; port 0 takes a free one.
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8780")]
+    listen: SocketAddr,
+    /// Largest upload.
+    #[arg(long, value_name = "MB", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=256))]
+    max_mb: u32,
+}
+
+/// Serves until it is told to end.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    let (folder, description) = dataset::open(&arguments.dataset)?;
+    let out = &arguments.out;
+    std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
+    context.will_write(out);
+    let site = Site::new(
+        &folder,
+        &description,
+        out,
+        arguments.max_mb as usize * 1_000_000,
+    )?;
+    if site.is_empty() {
+        anyhow::bail!(
+            "{}: no sequence has its truth: it is in the folder truth, which was held back",
+            arguments.dataset.display()
+        );
+    }
+    let site = Arc::new(site);
+    let server = Server::start("leaderboard", arguments.listen, move |stream, _| {
+        site.serve(stream);
+    })?;
+    context.say(&format!("leaderboard: http://{}/", server.address()));
+    if !server.address().ip().is_loopback() {
+        context.say("warning: whoever reaches this machine may upload");
+    }
+    // An end that was asked for is the end, and no error.
+    while context.check_stop().is_ok() {
+        std::thread::sleep(LOOK_EVERY);
+    }
+    Ok(Outcome::Done)
+}
