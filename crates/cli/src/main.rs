@@ -111,6 +111,7 @@ enum Command {
     Align(commands::align::Arguments),
     Bench(commands::bench::Arguments),
     Dataset(commands::dataset::Arguments),
+    Report(commands::report::Arguments),
     #[cfg(feature = "view")]
     View(commands::view::Arguments),
     Completions(commands::completions::Arguments),
@@ -156,6 +157,7 @@ fn run(arguments: Arguments, context: &Context) -> anyhow::Result<Outcome> {
         Command::Align(a) => commands::align::run(&a, context),
         Command::Bench(a) => commands::bench::run(&a, context),
         Command::Dataset(a) => commands::dataset::run(&a, context),
+        Command::Report(a) => commands::report::run(&a, context),
         #[cfg(feature = "view")]
         Command::View(a) => commands::view::run(&a, context),
         Command::Completions(a) => commands::completions::run(&a),

@@ -65,6 +65,7 @@ fn documented() -> Vec<(String, String)> {
     for name in [
         "README.md",
         "docs/calibration.md",
+        "docs/dataset.md",
         "docs/devices.md",
         "docs/odometry.md",
         "docs/twin.md",

@@ -13,7 +13,7 @@ use lsfb_types::Timestamp;
 use process::lsfb;
 use serde_json::Value;
 
-const MAKE: &str = "dataset make --out ds --sequence C3-glasses --scale-percent 0.1 --least-secs 3 --small-images --seed 4711";
+const MAKE: &str = "dataset make --out ds --sequence C3-glasses --scale-percent 0.1 --least-secs 5 --small-images --seed 4711";
 
 fn run(root: &Path, line: &str, code: i32) -> Value {
     json(root, &line.split(' ').collect::<Vec<_>>(), code)
@@ -74,7 +74,7 @@ fn a_sequence_is_made_packed_checked_and_measured() {
 
     let stats = run(root, "dataset stats ds", 0);
     let sequence = &stats["sequences"][0];
-    assert_eq!(sequence["images"]["cameras"][0]["frames"], 90, "{stats}");
+    assert_eq!(sequence["images"]["cameras"][0]["frames"], 150, "{stats}");
     assert_eq!(
         sequence["images"]["cameras"].as_array().map(Vec::len),
         Some(2)
@@ -128,6 +128,7 @@ fn a_sequence_is_made_packed_checked_and_measured() {
     assert_eq!(verdict("dataset check ds", 0), checked["verdict"]);
 
     exports(root);
+    reports(root);
 
     // Held back, it is said to be, and nothing is said of how anybody moved.
     fs::rename(at("truth"), root.join("kept-truth")).expect("held back");
@@ -147,6 +148,37 @@ fn a_sequence_is_made_packed_checked_and_measured() {
     );
 }
 
+/// Maps with walks in them, and an estimate beside its truth.
+fn reports(root: &Path) {
+    fs::create_dir(root.join("found")).expect("folder");
+    fs::copy(
+        root.join("ds/truth/query/C3-glasses.tum"),
+        root.join("found/C3-glasses.tum"),
+    )
+    .expect("estimate");
+    run(
+        root,
+        "report ds --out page.html --estimates found --out-svg figures",
+        0,
+    );
+    let page = fs::read_to_string(root.join("page.html")).expect("page");
+    for shown in [
+        "Corridor (narrow)",
+        "C3-glasses against its truth",
+        "Translation error over time",
+        "480×300",
+    ] {
+        assert!(page.contains(shown), "{shown}");
+    }
+    let svg = fs::read_to_string(root.join("figures/corridor-narrow.svg")).expect("drawing");
+    // The scanned walls, and the walk.
+    assert!(
+        svg.matches("<circle").count() > 500 && svg.contains("#2b8a3e"),
+        "{}",
+        svg.len()
+    );
+}
+
 /// What is exported places and judges as the truth does.
 fn exports(root: &Path) {
     run(
@@ -158,7 +190,7 @@ fn exports(root: &Path) {
     let ate = &run(root, line, 0)["ate_translation_m"]["max"];
     assert!(ate.as_f64().expect("error") < 1e-8, "{ate}");
     let images = fs::read_dir(root.join("euroc/mav0/cam1/data")).expect("images");
-    assert_eq!(images.count(), 90);
+    assert_eq!(images.count(), 150);
 
     run(
         root,
@@ -174,7 +206,7 @@ fn exports(root: &Path) {
     let rig = Rig::read(&root.join("ds/calibration/glasses.toml")).expect("rig");
     let text = fs::read_to_string(root.join("model/sparse/images.txt")).expect("model");
     let rows: Vec<&str> = text.lines().filter(|l| l.ends_with(".png")).collect();
-    assert_eq!(rows.len(), 180, "two cameras");
+    assert_eq!(rows.len(), 300, "two cameras");
     for row in rows {
         let words: Vec<&str> = row.split(' ').collect();
         let number = |i: usize| words[i].parse::<f64>().expect("number");
@@ -207,7 +239,7 @@ fn exports(root: &Path) {
         fs::read_to_string(root.join("kapture/sensors/trajectories.txt")).expect("kapture");
     assert_eq!(
         trajectories.lines().filter(|l| !l.starts_with('#')).count(),
-        180
+        300
     );
     let records = root.join("kapture/sensors/records_data/cam0");
     let picture = fs::read_dir(records)

@@ -246,10 +246,4 @@ fn somebody_uploads_in_a_browser() {
     tab.value("document.querySelector('a').click()");
     tab.wait_for("document.querySelector('form') && document.body.innerText.includes('us & them')");
     assert!(tab.screenshot(&folder.path().join("board.png")) > 10_000);
-    if let Ok(kept) = std::env::var("LSFB_KEEP_PICTURES") {
-        let _ = fs::copy(
-            folder.path().join("board.png"),
-            Path::new(&kept).join("board.png"),
-        );
-    }
 }

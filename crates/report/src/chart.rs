@@ -65,6 +65,13 @@ impl Plot {
     }
 }
 
+impl Plot {
+    /// The drawing as an SVG file of its own, in the colours of paper; what the plotting library says against it.
+    pub fn to_svg(&self) -> Result<String, String> {
+        Ok(theme::on_paper(&svg(self)?))
+    }
+}
+
 /// The plot as SVG, or what the plotting library says against it.
 fn svg(plot: &Plot) -> Result<String, String> {
     let mut svg = String::new();

@@ -5,7 +5,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::findings;
 
-const STYLE: &str = include_str!("style.css");
+pub(crate) const STYLE: &str = include_str!("style.css");
 const SCRIPTS: [&str; 2] = [include_str!("plot.js"), include_str!("scene.js")];
 
 /// A page: a title, a verdict, what is to be seen, and folded away where it comes from.

@@ -4,6 +4,7 @@
 use plotters::style::RGBColor;
 
 use super::layout::{BELOW, FINE, LEFT, MARGIN, SERIES};
+use super::page::STYLE;
 use super::plot::{Plot, SHADES};
 
 /// Text and axes.
@@ -25,6 +26,22 @@ pub(crate) fn series(index: usize) -> RGBColor {
 /// A shade from the lightest, 0.
 pub(crate) fn shade(index: u8) -> RGBColor {
     RGBColor(0, 2, index.min(SHADES - 1))
+}
+
+/// A drawing of a page as a file of its own: colours as the style sheet first says them, for light pages.
+pub(crate) fn on_paper(svg: &str) -> String {
+    let light = STYLE.split(['{', '}']).nth(1).unwrap_or_default();
+    let mut own = svg.replacen(
+        "<svg",
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" font-family=\"sans-serif\"",
+        1,
+    );
+    for rule in light.split(';') {
+        if let Some((name, value)) = rule.split_once(':') {
+            own = own.replace(&format!("var({})", name.trim()), value.trim());
+        }
+    }
+    own
 }
 
 /// Replaces stand-in colours and the fixed size, drops what is the default anyway, and writes down for the page's script where

@@ -173,6 +173,7 @@ impl Coverage {
 fn track(name: &str, poses: Vec<StampedPose>) -> Track {
     Track {
         name: name.to_owned(),
+        series: None,
         estimate: Trajectory::new(poses),
         truth: None,
         errors: Vec::new(),

@@ -34,6 +34,7 @@ pub mod models;
 pub mod odometry;
 mod odometry_input;
 pub mod recover;
+pub mod report;
 pub mod scan;
 pub mod sidecar;
 pub mod sim;

@@ -6,6 +6,7 @@ use std::path::Path;
 
 use lsfb_geometry::{StampedPose, Trajectory, Vector3};
 use lsfb_types::{Finding, Judgement};
+use maud::Markup;
 
 use crate::compare::Comparison;
 use crate::error::Error;
@@ -60,8 +61,10 @@ pub enum View {
 /// One trajectory with what is known of its error.
 #[derive(Clone, Debug)]
 pub struct Track {
-    /// As the legend calls it: scanner, glasses.
+    /// As the legend calls it: scanner, glasses. Several of one name stand there once.
     pub name: String,
+    /// Which colour; that of its place among the tracks where none is said.
+    pub series: Option<usize>,
     /// The estimate, in the world of the map.
     pub estimate: Trajectory,
     /// What it should have been; drawn dashed.
@@ -75,6 +78,7 @@ impl Track {
     pub fn of(name: &str, evaluation: &Evaluation, truth: &Trajectory) -> Self {
         Self {
             name: name.to_owned(),
+            series: None,
             estimate: evaluation.aligned_estimate.clone(),
             truth: Some(truth.clone()),
             errors: evaluation.errors.clone(),
@@ -133,6 +137,11 @@ impl Report {
         Judgement::new(findings)
     }
 
+    /// Map and trajectories from above as an SVG file of its own; `None` where there is neither.
+    pub fn above_svg(&self) -> Option<String> {
+        top_view::draw(self)?.plot.to_svg().ok()
+    }
+
     /// The page as text.
     pub fn to_html(&self) -> String {
         page::render(self)
@@ -145,6 +154,16 @@ impl Report {
             source,
         })
     }
+}
+
+/// Map and trajectories from above, for pages of others.
+pub(crate) fn from_above_section(report: &Report) -> Markup {
+    sections::from_above(report)
+}
+
+/// Errors over time and by size, for pages of others.
+pub(crate) fn errors_section(report: &Report) -> Markup {
+    sections::errors(report)
 }
 
 /// Neighbours further apart in time than this are not joined by a line: nobody knows what lies between.

@@ -9,7 +9,8 @@ use super::{Report, break_secs};
 /// Nothing where there is neither map nor trajectory.
 pub(super) fn in_space(report: &Report) -> Markup {
     let mut paths = Vec::new();
-    for (series, track) in report.tracks.iter().enumerate() {
+    for (place, track) in report.tracks.iter().enumerate() {
+        let series = track.series.unwrap_or(place);
         let path = |trajectory, is_truth| Path {
             name: track.name.clone(),
             series,

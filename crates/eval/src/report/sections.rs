@@ -39,7 +39,9 @@ pub(super) fn from_above(report: &Report) -> Markup {
 fn legend(report: &Report) -> Markup {
     html! {
         @for (i, track) in report.tracks.iter().enumerate() {
-            span.key { span.line style=(format!("border-color:{}", ink_css(i))) { } (track.name) }
+            @if report.tracks[..i].iter().all(|before| before.name != track.name || track.series.is_none()) {
+                span.key { span.line style=(format!("border-color:{}", ink_css(track.series.unwrap_or(i)))) { } (track.name) }
+            }
         }
     }
 }

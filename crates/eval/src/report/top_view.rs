@@ -18,6 +18,8 @@ const MAX_DOTS: usize = 5_000;
 /// A drawn top view.
 pub(super) struct TopView {
     pub drawing: Markup,
+    /// What is drawn.
+    pub plot: Plot,
     /// Lowest and highest map point drawn; absent without a map.
     pub heights_m: Option<[f64; 2]>,
     /// Where the axes of the plane are not x and y: their names.
@@ -95,7 +97,8 @@ pub(super) fn draw(report: &Report) -> Option<TopView> {
         })
         .collect();
     for (i, track) in report.tracks.iter().enumerate() {
-        layers.extend(path(plane, &track.estimate, Ink::Series(i), 2.2));
+        let ink = Ink::Series(track.series.unwrap_or(i));
+        layers.extend(path(plane, &track.estimate, ink, 2.2));
     }
     for (i, track) in report.tracks.iter().enumerate() {
         let truth = track.truth.iter();
@@ -103,7 +106,7 @@ pub(super) fn draw(report: &Report) -> Option<TopView> {
         let start = plane.path(track.estimate.poses()).next();
         layers.push(Layer::Dots {
             points: start.map(<[f64; 2]>::from).into_iter().collect(),
-            ink: Ink::Series(i),
+            ink: Ink::Series(track.series.unwrap_or(i)),
             radius_px: 5.0,
         });
     }
@@ -116,6 +119,7 @@ pub(super) fn draw(report: &Report) -> Option<TopView> {
         heights_m,
         plane: (plane != ABOVE)
             .then(|| format!("{} and {}", axis_name(plane.right), axis_name(plane.up))),
+        plot,
     })
 }
 

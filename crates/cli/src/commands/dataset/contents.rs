@@ -12,7 +12,6 @@ use lsfb_recording::sha256_of;
 use lsfb_sim::{PaperMotion, Place, SimConfig};
 use serde::{Deserialize, Serialize};
 
-use super::make::Settings;
 use crate::context::Context;
 use crate::simulated::{Layout, WalkTold};
 use crate::standing;
@@ -22,6 +21,18 @@ use crate::twin_session::{Wanted, beside_the_scan, smaller};
 const LEAST_SCAN: f64 = 4.0;
 /// Name of the backpack's rig.
 const BACKPACK: &str = "backpack";
+
+/// All that decides what is packed, kept beside the dataset.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Settings {
+    pub seed: u64,
+    pub scale_percent: f64,
+    /// Shortest walk, seconds.
+    pub least_secs: f64,
+    pub small_images: bool,
+    pub sequences: Vec<String>,
+}
 
 /// What a dataset is to hold.
 pub enum Wish<'a> {

@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use lsfb_eval::dataset::{DatasetFolder, Description, Environment, MapEntry};
-use serde::{Deserialize, Serialize};
+use lsfb_eval::dataset::{DatasetFolder, Description, Environment, MapEntry, TRUTH};
+use serde::Serialize;
 
-use super::contents::{Contents, Wish};
+use super::contents::{Contents, Settings, Wish};
 use super::readme::{LICENSE, README};
 use super::seal::seal;
 use crate::context::Context;
@@ -62,19 +62,8 @@ fn percent(text: &str) -> Result<f64, String> {
 
 fn secs(text: &str) -> Result<f64, String> {
     let number: Option<f64> = text.parse().ok();
-    let within = number.filter(|secs| (3.0..=3600.0).contains(secs));
-    within.ok_or_else(|| "expected a number from 3 to 3600".to_owned())
-}
-
-/// All that decides what is packed, kept beside the dataset.
-#[derive(Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Settings {
-    pub seed: u64,
-    pub scale_percent: f64,
-    pub least_secs: f64,
-    pub small_images: bool,
-    pub sequences: Vec<String>,
+    let within = number.filter(|secs| (5.0..=3600.0).contains(secs));
+    within.ok_or_else(|| "expected a number from 5 to 3600".to_owned())
 }
 
 #[derive(Serialize)]
@@ -176,6 +165,14 @@ fn take_folders(out: &Path, settings: &Settings, context: &Context) -> anyhow::R
         "{}: has files that are not of this dataset, or of other settings: choose another --out, or use it with --force",
         out.display()
     );
+    if !is_empty && before.as_ref() != Some(settings) {
+        // What is left of another dataset would be hashed as a part of this one.
+        for old in ["calibration", "map", "query", TRUTH].map(|name| out.join(name)) {
+            if old.is_dir() {
+                crate::files::about(&old, std::fs::remove_dir_all(&old))?;
+            }
+        }
+    }
     for folder in [out, &making] {
         crate::files::about(folder, std::fs::create_dir_all(folder))?;
     }

@@ -1,0 +1,220 @@
+//! `lsfb report`: a dataset on one page.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use lsfb_eval::dataset::{
+    DatasetFolder, DatasetViews, Description, EnvironmentView, EstimateView, judge_measured,
+    measure,
+};
+use lsfb_eval::{
+    DuplicateStamps, EvalConfig, ReadOptions, TrajectoryFile, evaluate_files, read_poses,
+    read_trajectory,
+};
+use lsfb_geometry::{Trajectory, Vector3};
+use lsfb_types::{Finding, Judgement, Verdict};
+use serde::Serialize;
+
+use crate::commands::dataset;
+use crate::context::Context;
+use crate::files::write;
+use crate::judged::{Judged, printable, problem_lines};
+use crate::outcome::Outcome;
+
+/// Scans of a place that are drawn, and every how many of their points.
+const SCANS: usize = 40;
+const EVERY_POINT: usize = 23;
+
+/// Draw a dataset on one page: the maps with all walks in them, estimates against the truth, the tables, and what cannot be true.
+///
+/// Maps are the scans, placed by the truth; walks have a colour for each device. Where the truth is held back, the tables are all there is.
+/// With --estimates, every file SEQUENCE.tum of that folder is drawn and judged against the truth. --out-svg writes the same drawings
+/// for papers; a browser prints the page as PDF or saves it as a picture.
+///
+/// Examples:
+///   lsfb report dataset --out report.html
+///   lsfb report dataset --out report.html --estimates found --out-svg figures
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    /// The dataset.
+    #[arg(value_name = "FOLDER")]
+    dataset: PathBuf,
+    /// The page.
+    #[arg(long, value_name = "HTML")]
+    out: PathBuf,
+    /// Folder of estimated trajectories, SEQUENCE.tum.
+    #[arg(long, value_name = "FOLDER")]
+    estimates: Option<PathBuf>,
+    /// Also write the drawings as SVG files.
+    #[arg(long, value_name = "FOLDER")]
+    out_svg: Option<PathBuf>,
+}
+
+#[derive(Serialize)]
+struct Drawn<'a> {
+    page: &'a Path,
+    drawings: Vec<PathBuf>,
+}
+
+/// Measures, draws, judges, prints.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    let (folder, description) = dataset::open(&arguments.dataset)?;
+    context.claim(&arguments.out, &[&folder.description()])?;
+    let (mut findings, mut measured) = (Vec::new(), Vec::new());
+    for planned in &description.queries {
+        let recording = context.open(&folder.walk(&planned.name))?;
+        let own = measure(&folder, planned, &recording, &|p| context.show(p))?;
+        findings.extend(judge_measured(&own, description.rate_hz));
+        measured.push(own);
+    }
+    let mut views = DatasetViews {
+        environments: environments(&folder, &description, context)?,
+        estimates: Vec::new(),
+    };
+    if let Some(estimates) = &arguments.estimates {
+        views.estimates = judged(estimates, &folder, &description, &mut findings)?;
+    }
+    let judgement = Judgement::new(findings);
+    write(
+        &arguments.out,
+        views.page(&description, &measured, &judgement),
+    )?;
+    let mut drawn = Drawn {
+        page: &arguments.out,
+        drawings: Vec::new(),
+    };
+    if let Some(out) = &arguments.out_svg {
+        std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
+        for (name, svg) in views.drawings() {
+            let path = out.join(format!("{}.svg", file_name(&name)));
+            context.claim(&path, &[])?;
+            write(&path, svg)?;
+            drawn.drawings.push(path);
+        }
+    }
+    let what = format!("{} sequences", measured.len());
+    let judged = Judged::new(&judgement, &what, &drawn);
+    context.print(&judged, || {
+        let (summary, problems) = (&judged.summary, problem_lines(&judgement));
+        printable(&format!(
+            "{summary}\n{problems}See {}",
+            arguments.out.display()
+        ))
+    })?;
+    Ok(Outcome::of(judgement.verdict()))
+}
+
+/// Letters and digits of a title: `Corridor (wide)` → `corridor-wide`.
+fn file_name(title: &str) -> String {
+    let words = title.split(|c: char| !c.is_alphanumeric());
+    let words: Vec<&str> = words.filter(|word| !word.is_empty()).collect();
+    words.join("-").to_lowercase()
+}
+
+/// Maps and walks, where their truth is there.
+fn environments(
+    folder: &DatasetFolder,
+    description: &Description,
+    context: &Context,
+) -> anyhow::Result<Vec<EnvironmentView>> {
+    let mut views = Vec::new();
+    for environment in &description.environments {
+        let mut view = EnvironmentView {
+            title: environment.title.clone(),
+            ..EnvironmentView::default()
+        };
+        let truth = folder.scan_truth(&environment.name);
+        let scan = folder.scan(&environment.name);
+        if truth.exists() && scan.exists() {
+            view.map_points = map_points(&scan, &truth, context)?;
+        }
+        let here = description.queries.iter();
+        for query in here.filter(|q| q.environment == environment.name) {
+            let truth = folder.walk_truth(&query.name);
+            if truth.exists() {
+                view.walks
+                    .push((query.device, query.name.clone(), read_poses(&truth)?));
+            }
+        }
+        if !view.walks.is_empty() {
+            views.push(view);
+        }
+    }
+    Ok(views)
+}
+
+/// Points of some scans in the world; how the rig moved within a turn is left out, as a drawing shows none of it.
+fn map_points(scan: &Path, truth: &Path, context: &Context) -> anyhow::Result<Vec<Vector3<f64>>> {
+    let recording = context.open(scan)?;
+    let rig = recording.rig()?;
+    let Some(lidar) = rig.lidar() else {
+        return Ok(Vec::new());
+    };
+    let truth = Trajectory::new(read_poses(truth)?);
+    let main = recording.main_lidar();
+    let topics = recording.topics().iter();
+    let scans = topics
+        .filter(|t| t.topic == main)
+        .map(|t| t.messages as usize)
+        .sum::<usize>();
+    let step = scans.div_ceil(SCANS).max(1);
+    let mut points = Vec::new();
+    for scan in recording.scans()?.step_by(step) {
+        let scan = scan?;
+        context.check_stop()?;
+        let Some(world_from_rig) = truth.at(scan.time) else {
+            continue;
+        };
+        let world_from_lidar = world_from_rig * lidar.rig_from_lidar;
+        let some = scan.sample.points.iter().step_by(EVERY_POINT);
+        points.extend(some.map(|p| world_from_lidar * Vector3::from(p.position_m.map(f64::from))));
+    }
+    Ok(points)
+}
+
+/// Estimates that are there, judged; what cannot be judged is a finding.
+fn judged(
+    estimates: &Path,
+    folder: &DatasetFolder,
+    description: &Description,
+    findings: &mut Vec<Finding>,
+) -> anyhow::Result<Vec<EstimateView>> {
+    let config = EvalConfig {
+        duplicates: DuplicateStamps::Keep,
+        rpe: Vec::new(),
+        ..EvalConfig::default()
+    };
+    let mut views = Vec::new();
+    for query in &description.queries {
+        let name = &query.name;
+        let path = estimates.join(format!("{name}.tum"));
+        let truth_path = folder.walk_truth(name);
+        if !path.exists() || !truth_path.exists() {
+            let what = "has no estimate, or no truth to judge it by";
+            findings.push(Finding::new("estimate", Verdict::Unknown, name, what));
+            continue;
+        }
+        let truth: TrajectoryFile = read_trajectory(&truth_path, &ReadOptions::default())?;
+        let estimate = read_trajectory(&path, &ReadOptions::default())?;
+        match evaluate_files(&truth, &estimate, &config) {
+            Ok(evaluation) => {
+                findings.extend(evaluation.findings.iter().cloned());
+                views.push(EstimateView {
+                    sequence: name.clone(),
+                    evaluation,
+                    truth: truth.poses,
+                });
+            }
+            Err(error) => {
+                findings.push(Finding::new(
+                    "estimate",
+                    Verdict::Fail,
+                    name,
+                    error.to_string(),
+                ));
+            }
+        }
+    }
+    Ok(views)
+}
