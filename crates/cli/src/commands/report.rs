@@ -199,7 +199,10 @@ fn judged(
         let estimate = read_trajectory(&path, &ReadOptions::default())?;
         match evaluate_files(&truth, &estimate, &config) {
             Ok(evaluation) => {
-                findings.extend(evaluation.findings.iter().cloned());
+                findings.extend(evaluation.findings.iter().map(|found| Finding {
+                    subject: format!("{name} {}", found.subject),
+                    ..found.clone()
+                }));
                 views.push(EstimateView {
                     sequence: name.clone(),
                     evaluation,
