@@ -93,7 +93,7 @@ fn a_sequence_is_made_packed_checked_and_measured() {
     let verdict = |line: &str, code| run(root, line, code)["verdict"].clone();
     let rig = fs::read(at("calibration/glasses.toml")).expect("rig");
     fs::write(at("calibration/glasses.toml"), [&rig[..], b"\n"].concat()).expect("rig");
-    assert_eq!(verdict("dataset check ds", 4), "FAIL");
+    assert_eq!(verdict("dataset check ds", 4), "fail");
     fs::write(at("calibration/glasses.toml"), &rig).expect("rig");
     // Another truth, with hashes of its own, is not the one that was promised.
     let (truth, sums) = (at("truth/query/C3-glasses.tum"), at("truth/SHA256SUMS"));
@@ -102,7 +102,7 @@ fn a_sequence_is_made_packed_checked_and_measured() {
         fs::read(&sums).expect("sums"),
     );
     fs::write(&truth, "0 0 0 0 0 0 0 1\n").expect("truth");
-    assert_eq!(verdict("dataset check ds", 4), "FAIL");
+    assert_eq!(verdict("dataset check ds", 4), "fail");
     let forged = lsfb_recording::sha256_of(&truth).expect("hash");
     let text = String::from_utf8(list.clone()).expect("text");
     let forged: String = text
