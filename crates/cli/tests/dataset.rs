@@ -83,10 +83,6 @@ fn a_sequence_is_made_packed_checked_and_measured() {
         sequence["motion"]["length_m"].as_f64().expect("length") > 1.0,
         "{stats}"
     );
-    assert!(
-        sequence["blur_px"][1].as_f64().expect("blur") > 0.0,
-        "{stats}"
-    );
 
     let checked = run(root, "dataset check ds", 0);
     assert_eq!(checked["sums_sha256"], made["sums_sha256"]);
