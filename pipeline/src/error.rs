@@ -334,6 +334,30 @@ pub enum Error {
         /// Longest gap that is bridged, seconds.
         longest_secs: f64,
     },
+    /// A line of a list of loops cannot be used.
+    #[error("{path}:{line}: {reason}", path = path.display())]
+    LoopLine {
+        /// The file.
+        path: PathBuf,
+        /// Which line, from 1.
+        line: usize,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A loop is of a scan that has no pose.
+    #[error("no scan has a pose at {time} s: give the loops of this walk")]
+    UnknownScan {
+        /// End of the scan.
+        time: Timestamp,
+    },
+    /// A loop is to be closed that was not measured.
+    #[error("the loop from {earlier} s to {later} s was not measured: reject it, or give its pose")]
+    LoopNotMeasured {
+        /// End of the earlier scan.
+        earlier: Timestamp,
+        /// End of the later scan.
+        later: Timestamp,
+    },
     /// The progress callback asked for an early end.
     #[error("{0}")]
     Stopped(#[from] lsfb_types::Stopped),

@@ -5,6 +5,7 @@
 //!
 //! Everything here is deterministic: same input, config and seed give bit-identical results on any number of threads.
 
+mod bending;
 mod camera_fit;
 mod error;
 pub mod features;
@@ -13,8 +14,10 @@ pub mod ground_truth;
 pub mod hd_map;
 pub mod lidar_features;
 pub mod localization;
+pub mod loops;
 pub mod mapping;
 pub mod odometry;
+mod place_search;
 pub mod posed_images;
 pub mod preintegration;
 pub mod residuals;

@@ -258,6 +258,89 @@ fn a_message_that_cannot_be_read_is_left_out_and_told_by_the_exit_code() {
     assert!(said.contains("1 messages could not be read"), "{said}");
 }
 
+/// A bag whose end is torn off was read as if it were whole: its missing end is said, and told by the exit code.
+#[test]
+fn a_bag_whose_end_is_torn_off_is_told_by_the_exit_code() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path();
+    let bag = path.join("walk.mcap");
+    foreign_mcap(&bag);
+    let whole = std::fs::read(&bag).expect("the bag");
+    std::fs::write(&bag, &whole[..whole.len() * 3 / 4]).expect("a torn bag");
+    let report = json(path, &["odometry", "walk.mcap", "--out", "walk.tum"], 3);
+    let warnings = report["input"]["warnings"].as_array().expect("a list");
+    let names_the_file = |w: &serde_json::Value| w.to_string().contains("walk.mcap: ");
+    assert!(warnings.iter().any(names_the_file), "{warnings:?}");
+}
+
+/// A list of loops that is given back as it is leads to the same trajectory, bit by bit; one of another walk is refused.
+#[test]
+fn loops_are_listed_and_a_list_is_taken_back() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path();
+    foreign_mcap(&path.join("walk.mcap"));
+    let found = [
+        "odometry",
+        "walk.mcap",
+        "--out-loops",
+        "loops.txt",
+        "--out",
+        "a.tum",
+    ];
+    let report = json(path, &found, 0);
+    // Half a metre of a way is no return.
+    assert_eq!(report["loops"]["accepted"], 0);
+    let list = std::fs::read_to_string(path.join("loops.txt")).expect("a list");
+    assert!(list.starts_with("# Loops of a walk"), "{list}");
+    let given = [
+        "odometry",
+        "walk.mcap",
+        "--loops",
+        "loops.txt",
+        "--out",
+        "b.tum",
+    ];
+    json(path, &given, 0);
+    let trajectory = |name: &str| std::fs::read(path.join(name)).expect("a trajectory");
+    assert_eq!(trajectory("a.tum"), trajectory("b.tum"));
+
+    // A person's own loop: the last scan 20 cm farther than the odometry has it.
+    let poses = read_tum(&path.join("a.tum")).expect("a trajectory");
+    let (first, last) = (
+        at(0).plus_nanos(89_900_000),
+        poses.poses().last().expect("a pose").time,
+    );
+    let own = format!("accept {first} {last} - - - - - 0.75 0 0 0 0 0 1 0.001 0.001 -\n");
+    std::fs::write(path.join("own.txt"), own).expect("a list");
+    let given = [
+        "odometry",
+        "walk.mcap",
+        "--loops",
+        "own.txt",
+        "--out",
+        "c.tum",
+    ];
+    let report = json(path, &given, 0);
+    assert_eq!(report["loops"]["accepted"], 1);
+    let [x, ..] = moved_m(&path.join("c.tum"));
+    assert!((x - 0.75).abs() < 0.03, "{x}");
+
+    std::fs::write(
+        path.join("other.txt"),
+        "accept 1.000000000 2.000000000 - - - - - 0 0 0 0 0 0 1 1 1 -\n",
+    )
+    .expect("a list");
+    let other = [
+        "odometry",
+        "walk.mcap",
+        "--loops",
+        "other.txt",
+        "--out",
+        "d.tum",
+    ];
+    refused(path, &other, &["other.txt:1", "no scan of this walk"]);
+}
+
 /// Six turns of a VLP-32C that stands, without some of its packets.
 fn turns_without(absent: std::ops::Range<u64>) -> Vec<u8> {
     pcap((0..900).filter(|n| !absent.contains(n)))

@@ -13,6 +13,8 @@ use crate::odometry::OdometryConfig;
 pub struct MappingConfig {
     /// The odometry.
     pub odometry: OdometryConfig,
+    /// Whether loops are looked for and closed before anything is mapped.
+    pub close_loops: bool,
     /// Distance between keyframes, metres.
     pub keyframe_distance_m: f64,
     /// Angle between keyframes, degrees.
@@ -77,6 +79,7 @@ impl Default for MappingConfig {
     fn default() -> Self {
         Self {
             odometry: OdometryConfig::default(),
+            close_loops: false,
             keyframe_distance_m: 0.35,
             keyframe_angle_deg: 20.0,
             sift: SiftConfig::default(),
@@ -112,6 +115,7 @@ lsfb_types::bounds! {
 lsfb_types::bounds! {
     MappingConfig {
         odometry: section,
+        close_loops: any,
         keyframe_distance_m: number(Bounds::POSITIVE),
         keyframe_angle_deg: number(Bounds::POSITIVE),
         sift: section,

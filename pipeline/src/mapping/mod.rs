@@ -12,16 +12,18 @@ mod weights;
 #[cfg(test)]
 mod tests;
 
-use lsfb_geometry::{Rig, StampedPose, Trajectory};
+use lsfb_geometry::{Rig, Se3, StampedPose, Trajectory};
 use lsfb_recording::Recording;
 use lsfb_types::ProgressFn;
 use sha2::{Digest, Sha256};
 
+use crate::bending::bent;
 use crate::error::{Error, MIN_FEATURES_PER_IMAGE};
 use crate::features::FeatureDetector;
 use crate::features::tracks::Track;
 use crate::features::triangulation::TriangulationConfig;
 use crate::hd_map::{HdMap, MapContent, MapPoint, expect_map, find_tracks, triangulate_tracks};
+use crate::loops::{close_loops, find_loops};
 use crate::odometry::{Damages, OdometryResult, run_odometry};
 use adjustment::{Terms, adjust};
 pub use config::{CorrelationConfig, MappingConfig};
@@ -58,11 +60,16 @@ pub fn build_map(
     let mut report = MappingReport::default();
     let mut damages = Damages::default();
     let cameras = find_cameras(recording, &rig, &mut report.warnings)?;
+    let mut odometry = run_odometry(recording, &config.odometry, progress)?;
+    if config.close_loops {
+        let loops = find_loops(&odometry, &config.odometry, progress)?;
+        report.loops = Some(close_loops(&mut odometry, &loops, progress)?);
+    }
     let OdometryResult {
         trajectory,
         report: by_odometry,
         ..
-    } = run_odometry(recording, &config.odometry, progress)?;
+    } = odometry;
     let detector = FeatureDetector::new(&config.sift, config.learned.as_ref())?;
     let mut keyframes = choose_keyframes(
         recording,
@@ -251,37 +258,16 @@ fn describe_images(keyframes: &Keyframes, cameras: &[String], report: &mut Mappi
     }
 }
 
-/// The odometry's trajectory bent through the optimised keyframes: between two of them a pose follows both, each with
-/// the odometry's motion from it, in proportion to time.
+/// The odometry's trajectory bent through the optimised keyframes.
 fn correct_trajectory(
     odometry: &Trajectory,
     before: &[StampedPose],
     keyframes: &[Keyframe],
 ) -> Trajectory {
-    let corrected = odometry.poses().iter().map(|pose| {
-        let from = |index: usize| {
-            let keyframe = keyframes.get(index)?;
-            Some(
-                keyframe.world_from_rig
-                    * before[index].world_from_rig.inverse()
-                    * pose.world_from_rig,
-            )
-        };
-        let next = keyframes.partition_point(|k| k.time < pose.time);
-        let previous = next.checked_sub(1);
-        let world_from_rig = match (previous.and_then(from), from(next)) {
-            (Some(a), Some(b)) => {
-                let start = keyframes[next - 1].time;
-                let fraction = pose.time.secs_since(start) / keyframes[next].time.secs_since(start);
-                a.interpolate(&b, fraction)
-            }
-            (Some(only), None) | (None, Some(only)) => only,
-            (None, None) => pose.world_from_rig,
-        };
-        StampedPose {
-            time: pose.time,
-            world_from_rig,
-        }
+    let after: Vec<Se3> = keyframes.iter().map(|k| k.world_from_rig).collect();
+    let corrected = odometry.poses().iter().map(|pose| StampedPose {
+        time: pose.time,
+        world_from_rig: bent(pose, before, &after),
     });
     Trajectory::new(corrected.collect())
 }

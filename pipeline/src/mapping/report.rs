@@ -3,6 +3,7 @@
 use lsfb_types::{Finding, Limit, Verdict};
 use serde::{Deserialize, Serialize};
 
+use crate::loops::Closing;
 use crate::odometry::OdometryReport;
 
 /// What the mapping says about its own result.
@@ -10,6 +11,9 @@ use crate::odometry::OdometryReport;
 pub struct MappingReport {
     /// The odometry's own report.
     pub odometry: OdometryReport,
+    /// What closing loops did to it; absent where that was not asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub loops: Option<Closing>,
     /// Keyframes.
     pub keyframes: u64,
     /// Images of the keyframes.

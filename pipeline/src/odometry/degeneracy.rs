@@ -55,7 +55,7 @@ impl Odometry {
         }
         let config = self.registration(MIN_GATE_M);
         let sensor_in_rig = self.lidar.rig_from_lidar.translation;
-        let shift_m = 0.5 * self.finest_cell_m();
+        let shift_m = 0.5 * self.config.finest_cell_m();
         let points = &reduced.keypoints;
         let seen = observability(points, found, &config, shift_m, |points, pose, gate_m| {
             self.map.find_all(points, &sensor_in_rig, pose, gate_m)

@@ -6,6 +6,7 @@
 //! world that is not level.
 
 mod degeneracy;
+mod extrinsic_check;
 mod imu_check;
 mod inertial;
 mod online;
@@ -83,7 +84,37 @@ impl OdometryConfig {
             ..Self::default()
         }
     }
+
+    /// The map of the surroundings, for a LiDAR.
+    pub(crate) fn local_map(&self, lidar: &RigLidar) -> LocalMapConfig {
+        LocalMapConfig {
+            cell_size_m: self.cell_size_m,
+            levels: self.cell_levels,
+            range_noise_m: lidar.range_noise_m.max(LEAST_NOISE_M),
+        }
+    }
+
+    /// How scans of a LiDAR are registered to it.
+    pub(crate) fn registration(&self, lidar: &RigLidar, gate_m: f64) -> RegistrationConfig {
+        let noise_m = lidar.range_noise_m.max(LEAST_NOISE_M);
+        RegistrationConfig {
+            max_iterations: self.max_iterations,
+            gate_m,
+            min_kernel_m: (3.0 * noise_m).max(0.03),
+            range_noise_m: noise_m,
+            point_noise_m: noise_m.hypot(0.3 * self.finest_cell_m()),
+            points_per_independent: self.points_per_independent,
+            weighting: Weighting::Tightening,
+        }
+    }
+
+    fn finest_cell_m(&self) -> f64 {
+        self.cell_size_m / f64::from(1u32 << (self.cell_levels - 1))
+    }
 }
+
+/// No LiDAR is better than this, whatever its rig says, metres.
+const LEAST_NOISE_M: f64 = 0.005;
 
 impl Default for OdometryConfig {
     fn default() -> Self {
@@ -126,7 +157,9 @@ pub struct OdometryStep {
     pub time: Timestamp,
     /// Pose of the rig then.
     pub world_from_rig: Se3,
-    /// How far that may be off, relative to the first pose: covariance of `[rotation, translation]` in its tangent.
+    /// What the scan alone says of the pose, without what the prediction adds to it.
+    pub by_scan_alone: Se3,
+    /// How far [`OdometryStep::world_from_rig`] may be off, relative to the first pose: covariance of `[rotation, translation]` in its tangent.
     pub covariance: Matrix6<f64>,
     /// The motion that the scan sees least, where it does not see all.
     pub unseen: Option<Unseen>,
@@ -226,11 +259,7 @@ impl Odometry {
             },
         };
         Ok(Self {
-            map: LocalMap::new(LocalMapConfig {
-                cell_size_m: config.cell_size_m,
-                levels: config.cell_levels,
-                range_noise_m: lidar.range_noise_m.max(0.005),
-            }),
+            map: LocalMap::new(config.local_map(lidar)),
             config: config.clone(),
             lidar: lidar.clone(),
             motion,
@@ -248,6 +277,11 @@ impl Odometry {
             Motion::Inertial(inertial) => inertial.filter.as_ref().map(|f| f.state()),
             Motion::Constant { .. } => None,
         }
+    }
+
+    /// The LiDAR it was made for.
+    pub fn lidar(&self) -> &RigLidar {
+        &self.lidar
     }
 
     /// Takes one inertial sample. Samples must come in order of time, and all up to the end of a scan before the scan.
@@ -273,6 +307,7 @@ impl Odometry {
             found = self.register(&reduced, &path);
         }
         let outcome = self.judge(&found);
+        let by_scan_alone = without(&self.prior(&path), &found);
         let predicted = self.predicted_covariance();
         let mut seen = Seen::default();
         if outcome == StepOutcome::Registered {
@@ -291,6 +326,7 @@ impl Odometry {
         Ok(OdometryStep {
             time: end,
             world_from_rig: end_pose(&path),
+            by_scan_alone,
             covariance,
             unseen: seen.unseen,
             poses: path,
@@ -387,20 +423,7 @@ impl Odometry {
     }
 
     fn registration(&self, gate_m: f64) -> RegistrationConfig {
-        let noise_m = self.lidar.range_noise_m.max(0.005);
-        RegistrationConfig {
-            max_iterations: self.config.max_iterations,
-            gate_m,
-            min_kernel_m: (3.0 * noise_m).max(0.03),
-            range_noise_m: noise_m,
-            point_noise_m: noise_m.hypot(0.3 * self.finest_cell_m()),
-            points_per_independent: self.config.points_per_independent,
-            weighting: Weighting::Tightening,
-        }
-    }
-
-    fn finest_cell_m(&self) -> f64 {
-        self.config.cell_size_m / f64::from(1u32 << (self.config.cell_levels - 1))
+        self.config.registration(&self.lidar, gate_m)
     }
 
     /// Farthest correspondence: three times what predictions were lately wrong by, or what this one says it may be. After a gap
@@ -530,6 +553,17 @@ impl InertialMotion {
         };
         Ok(filter.predict(&self.samples, end))
     }
+}
+
+/// A registered pose without its prior: where the two are balanced, `H_s (x − x_s) + H_p (x − x_p) = 0`.
+fn without(prior: &PosePrior, found: &Registration) -> Se3 {
+    let pulled = prior.information * prior.world_from_rig.local(&found.world_from_rig);
+    // Where the scan says nothing the prior stays.
+    let of_scan = found.information + Matrix6::identity();
+    let back = of_scan.cholesky().map(|c| c.solve(&pulled));
+    back.map_or(found.world_from_rig, |back| {
+        found.world_from_rig.retract(&back)
+    })
 }
 
 /// Where a path ends.

@@ -72,6 +72,19 @@ impl OdometryReport {
         self.scan_interval_s > RARE_SCANS_S
     }
 
+    /// How well the end is known once that has changed: what was said of it before is taken back.
+    pub(super) fn set_sigma_at_end(&mut self, sigma_m: f64) {
+        self.sigma_at_end_m = sigma_m;
+        let is_of_end = |w: &OdometryWarning| matches!(w, OdometryWarning::EndUncertain { .. });
+        self.warnings.retain(|w| !is_of_end(w));
+        self.warnings.extend(self.end_uncertain());
+    }
+
+    fn end_uncertain(&self) -> Option<OdometryWarning> {
+        let sigma_m = self.sigma_at_end_m;
+        (sigma_m > MAX_SIGMA_AT_END_M).then_some(OdometryWarning::EndUncertain { sigma_m })
+    }
+
     /// Adds what follows from the counts, in the order of its weight.
     pub(super) fn add_warnings(&mut self) {
         let (lost, skipped, scans) = (self.lost, self.skipped, self.scans);
@@ -85,11 +98,7 @@ impl OdometryReport {
         let unseen = self.unseen.iter().cloned();
         self.warnings
             .extend(unseen.map(|stretch| OdometryWarning::Unseen { stretch }));
-        if self.sigma_at_end_m > MAX_SIGMA_AT_END_M {
-            let sigma_m = self.sigma_at_end_m;
-            self.warnings
-                .push(OdometryWarning::EndUncertain { sigma_m });
-        }
+        self.warnings.extend(self.end_uncertain());
         if self.has_rare_scans() {
             let interval_s = self.scan_interval_s;
             self.warnings

@@ -12,6 +12,7 @@ use lsfb_recording::Recording;
 use lsfb_recording::cloud::{PointTimes, TimesBegin};
 use lsfb_types::{ImuSample, LidarScan, Progress, ProgressFn, Stamped, Timestamp};
 
+use super::extrinsic_check::rotation_off;
 use super::imu_check::{ImuUnits, mend_units};
 use super::point_clock::{PointClock, TimedScan};
 use super::report::OdometryReport;
@@ -29,6 +30,8 @@ pub struct OdometryResult {
     pub scan_poses: Vec<ScanPose>,
     /// Every scan that found its place.
     pub clouds: Vec<DeskewedCloud>,
+    /// The LiDAR that saw them.
+    pub lidar: RigLidar,
     /// What happened.
     pub report: OdometryReport,
 }
@@ -49,6 +52,15 @@ pub struct DeskewedCloud {
     pub time: Timestamp,
     /// Points in the rig frame at that time, metres.
     pub points_in_rig: Vec<[f32; 3]>,
+}
+
+impl OdometryResult {
+    /// Says in the report what follows from poses that were changed.
+    pub(crate) fn summarise(&mut self) {
+        self.report.path_length_m = self.trajectory.path_length_m();
+        let sigma_m = self.scan_poses.last().map_or(0.0, ScanPose::worst_sigma_m);
+        self.report.set_sigma_at_end(sigma_m);
+    }
 }
 
 impl ScanPose {
@@ -75,6 +87,8 @@ pub struct ImuSamples {
 pub struct OdometryRun {
     odometry: Odometry,
     waiting_imu: Peekable<IntoIter<Stamped<ImuSample>>>,
+    /// All samples, to hold the scans' turns against at the end.
+    samples: Vec<Stamped<ImuSample>>,
     clock: PointClock,
     found: Found,
 }
@@ -109,6 +123,9 @@ impl OdometryRun {
         found.report.imu_samples = imu.as_ref().map_or(0, |imu| imu.samples.len() as u64);
         Ok(Self {
             odometry: Odometry::new(config, lidar, imu.as_ref().map(|imu| &imu.noise))?,
+            samples: imu
+                .as_ref()
+                .map_or_else(Vec::new, |imu| imu.samples.clone()),
             waiting_imu: imu
                 .map_or_else(Vec::new, |imu| imu.samples)
                 .into_iter()
@@ -154,7 +171,19 @@ impl OdometryRun {
             self.register(&last)?;
         }
         self.found.report.deskew = self.clock.report;
-        let mut result = self.found.finish(self.odometry.inertial_state());
+        let by_scans = std::mem::take(&mut self.found.by_scans);
+        let mut result = self
+            .found
+            .finish(self.odometry.inertial_state(), self.odometry.lidar());
+        if let Some(off) = rotation_off(&by_scans, &self.samples) {
+            result
+                .report
+                .warnings
+                .push(OdometryWarning::ExtrinsicRotation {
+                    off_deg: off.off_rad.to_degrees(),
+                    sigma_deg: off.sigma_rad.to_degrees(),
+                });
+        }
         if result.report.imu_samples == 0 {
             let deskew = &result.report.deskew;
             let deskewed = deskew.by_times + deskew.by_azimuth > 0;
@@ -279,6 +308,8 @@ impl Damages {
 struct Found {
     poses: Vec<StampedPose>,
     scan_poses: Vec<ScanPose>,
+    /// What the registered scans alone say of these.
+    by_scans: Vec<StampedPose>,
     unseen: UnseenStretches,
     clouds: Vec<DeskewedCloud>,
     report: OdometryReport,
@@ -313,6 +344,10 @@ impl Found {
             covariance: step.covariance,
         });
         if step.outcome == StepOutcome::Registered {
+            self.by_scans.push(StampedPose {
+                time: step.time,
+                world_from_rig: step.by_scan_alone,
+            });
             self.measured += 1;
             self.inlier_ratios += step.inlier_ratio;
             self.plane_squares += step.plane_rms_m * step.plane_rms_m;
@@ -335,7 +370,7 @@ impl Found {
         Ok(())
     }
 
-    fn finish(self, state: Option<&InertialState>) -> OdometryResult {
+    fn finish(self, state: Option<&InertialState>, lidar: &RigLidar) -> OdometryResult {
         let mut report = self.report;
         let mut poses = self.poses;
         let mut scan_poses = self.scan_poses;
@@ -365,6 +400,7 @@ impl Found {
             trajectory,
             scan_poses,
             clouds: self.clouds,
+            lidar: lidar.clone(),
             report,
         }
     }
@@ -382,6 +418,13 @@ mod tests {
     use super::super::OdometryStep;
     use super::*;
 
+    fn lidar() -> RigLidar {
+        RigLidar {
+            rig_from_lidar: Se3::identity(),
+            range_noise_m: 0.02,
+        }
+    }
+
     /// A step that ends at so many tenths of a second, with a pose in the middle, as an IMU gives it.
     fn step(tenths: i64, outcome: StepOutcome) -> Result<OdometryStep, Error> {
         let pose = |nanos: i64| StampedPose {
@@ -395,6 +438,7 @@ mod tests {
         Ok(OdometryStep {
             time: end.time,
             world_from_rig: end.world_from_rig,
+            by_scan_alone: end.world_from_rig,
             covariance: Matrix6::identity() * 1e-4,
             unseen: None,
             poses: vec![pose(tenths * 100_000_000 - 50_000_000), end],
@@ -414,7 +458,7 @@ mod tests {
         for (tenths, outcome) in (1..).zip(outcomes) {
             run.take(step(tenths, outcome)).expect("taken");
         }
-        let result = run.finish(None);
+        let result = run.finish(None, &lidar());
         let millis: Vec<i64> = result
             .trajectory
             .poses()
@@ -447,7 +491,7 @@ mod tests {
             {
                 run.take(step(tenths, outcome)).expect("taken");
             }
-            let report = run.finish(None).report;
+            let report = run.finish(None, &lidar()).report;
             let is_it = |w: &OdometryWarning| matches!(w, OdometryWarning::RareScans { .. });
             assert_eq!(report.warnings.iter().any(is_it), said, "{report:?}");
             assert!(report.is_whole());

@@ -69,6 +69,13 @@ pub enum OdometryWarning {
         /// Why.
         reason: String,
     },
+    /// Gyroscope and scans turn about different axes: the rig has the LiDAR wrongly on the IMU.
+    ExtrinsicRotation {
+        /// By how much at least, degrees: poses lean on the gyroscope too.
+        off_deg: f64,
+        /// Standard deviation of that, degrees.
+        sigma_deg: f64,
+    },
     /// The world is not level.
     NoImu {
         /// Whether scans were deskewed all the same.
@@ -135,6 +142,12 @@ impl OdometryWarning {
             Self::ImuNotUsed { reason } => {
                 ("imu-not-used", format!("the IMU is not used: {reason}"))
             }
+            Self::ExtrinsicRotation { off_deg, sigma_deg } => (
+                "extrinsic-rotation",
+                format!(
+                    "gyroscope and scans turn about different axes: the LiDAR's rotation on the IMU is off by {off_deg:.1}° ± {sigma_deg:.1}° (one standard deviation) or more, and poses are wrong by it; calibrate the rig, or run without the IMU"
+                ),
+            ),
             Self::NoImu { deskewed } => {
                 let deskewed = match deskewed {
                     true => "scans were deskewed by the motion between them, and ",

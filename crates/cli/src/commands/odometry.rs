@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use lsfb_drivers::any_lidar::Model;
-use lsfb_pipeline::odometry::{OdometryConfig, OdometryReport};
+use lsfb_pipeline::loops::{Closing, Loops, close_loops, find_loops};
+use lsfb_pipeline::odometry::{OdometryConfig, OdometryReport, OdometryResult};
 use lsfb_recording::{Provenance, write_tum};
 use serde::Serialize;
 
@@ -24,8 +25,14 @@ use crate::outcome::Outcome;
 /// --align origin` reads it: 44 columns. Stretches in which scans do not see all of the motion (a corridor without ends, a room without
 /// floor) are named with their direction.
 ///
+/// With --out-loops, places that are visited again are looked for, and what the odometry drifted in between is taken out of trajectory and
+/// covariances. The list names every loop that was looked at, with its scores and its verdict; edit the verdicts and give it back with
+/// --loops, and it is used as it is.
+///
 /// Examples:
 ///   lsfb odometry scan.mcap --out scan.tum
+///   lsfb odometry scan.mcap --out-loops loops.txt --out scan.tum
+///   lsfb odometry scan.mcap --loops loops.txt --out scan.tum --force
 ///   lsfb odometry kitti/velodyne_points/data --outdoor --out kitti.tum
 ///   lsfb odometry walk.bag --lidar-topic /os_cloud_node/points --imu-topic /imu --rig rig.toml --out walk.tum
 ///   lsfb odometry drive.pcap --out drive.tum
@@ -38,6 +45,12 @@ pub struct Arguments {
     /// The trajectory to write.
     #[arg(long, value_name = "TUM")]
     out: PathBuf,
+    /// Look for loops, close them, and write the list of them here.
+    #[arg(long, alias = "loops-out", value_name = "TXT")]
+    out_loops: Option<PathBuf>,
+    /// Close the loops that this list accepts, and look for no others.
+    #[arg(long, value_name = "TXT", conflicts_with = "out_loops")]
+    loops: Option<PathBuf>,
     /// Use settings for streets: long ranges, coarse voxels.
     #[arg(long)]
     outdoor: bool,
@@ -69,17 +82,59 @@ struct Report<'a> {
     #[serde(flatten)]
     odometry: &'a OdometryReport,
     input: &'a InputReport,
+    /// Absent where loops were not asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    loops: Option<Closing>,
 }
 
 /// What the file of covariances says of itself.
 const WHAT_IS_IN_IT: &str = "Relative to the first pose, which is exact. In it are errors of the scans against the map and those that the map inherits from\n\
      the poses it was drawn from; errors of the rig (where the LiDAR is on the IMU, the LiDAR's scale and clock) are not in it.";
+/// What it says besides where loops were closed.
+const LOOPS_CLOSED: &str = "\nLoops are closed: it is that of the graph of steps and loops, and holds only if no closed loop is false.";
 /// What it says besides where scans are rare.
 const RARE_SCANS: &str = "\nThe scans are more than a second apart: that one was registered to the wrong surface is not in it. Do not rely on it.";
 
 fn rate_hz(text: &str) -> Result<f64, String> {
     let rate = text.parse().ok().filter(|hz| (0.01..=1000.0).contains(hz));
     rate.ok_or_else(|| "expected a number from 0.01 to 1000".to_owned())
+}
+
+/// Closes the loops that are asked for; `None` where none are.
+fn close(
+    arguments: &Arguments,
+    config: &OdometryConfig,
+    result: &mut OdometryResult,
+    context: &Context,
+) -> anyhow::Result<Option<Closing>> {
+    let progress = |p| context.show(p);
+    let loops = match (&arguments.out_loops, &arguments.loops) {
+        (Some(list), _) => {
+            let loops = find_loops(result, config, &progress)?;
+            files::write(list, loops.to_text())?;
+            loops
+        }
+        (None, Some(list)) => Loops::read(list, result)?,
+        (None, None) => return Ok(None),
+    };
+    Ok(Some(close_loops(result, &loops, &progress)?))
+}
+
+/// Beyond this a closed loop is far from what was measured, in standard deviations of six numbers: one in a thousand.
+const MISFIT_SIGMAS: f64 = 4.7;
+
+fn about_loops(loops: &Closing) -> String {
+    let mut text = format!(
+        "\n  {} loops closed, {} rejected; poses moved by {:.2} m at most",
+        loops.accepted, loops.rejected, loops.moved_m
+    );
+    if loops.worst_sigmas > MISFIT_SIGMAS {
+        text += &format!(
+            "\n  a closed loop is still {:.0} standard deviations off: the loops contradict one another or the odometry, look for a false one",
+            loops.worst_sigmas
+        );
+    }
+    text
 }
 
 /// Runs the odometry, prints its report.
@@ -93,11 +148,15 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let read: Vec<&Path> = [&arguments.input]
         .into_iter()
         .chain(&arguments.rig)
+        .chain(&arguments.loops)
         .map(PathBuf::as_path)
         .collect();
     let beside = files::beside(&arguments.out, "covariance");
     context.claim(&arguments.out, &read)?;
     context.claim(&beside, &read)?;
+    if let Some(list) = &arguments.out_loops {
+        context.claim(list, &read)?;
+    }
     let choice = Choice {
         path: &arguments.input,
         rig: arguments.rig.as_deref(),
@@ -106,26 +165,31 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         rate_hz: arguments.rate_hz,
         model: arguments.lidar_model,
     };
-    let found = run_on(&choice, &config, context)?;
+    let mut found = run_on(&choice, &config, context)?;
+    let loops = close(arguments, &config, &mut found.result, context)?;
     context.check_stop()?;
     write_tum(&arguments.out, &found.result.trajectory)?;
     let scan_poses = found.result.scan_poses.iter();
     let scan_poses = scan_poses.map(|scan| (&scan.pose, &scan.covariance));
     let mut says = WHAT_IS_IN_IT.to_owned();
+    if loops.is_some_and(|l| l.moved_m > 0.0) {
+        says += LOOPS_CLOSED;
+    }
     if found.result.report.has_rare_scans() {
         says += RARE_SCANS;
     }
     files::write(&beside, covariance_file::text(&says, scan_poses))?;
     let mut provenance = Provenance::new(&config);
     super::calib_input::add_input(&mut provenance, &arguments.input)?;
-    if let Some(rig) = &arguments.rig {
-        provenance.add_input(rig)?;
+    for input in arguments.rig.iter().chain(&arguments.loops) {
+        provenance.add_input(input)?;
     }
     provenance.write(&arguments.out)?;
     let r = &found.result.report;
     let report = Report {
         odometry: r,
         input: &found.input,
+        loops,
     };
     context.print(&report, || {
         let mut text = format!(
@@ -144,6 +208,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         let deskewed = deskewed.iter().filter(|(scans, _)| *scans > 0);
         let deskewed: Vec<String> = deskewed.map(|(n, how)| format!("{n} {how}")).collect();
         text += &format!("\n  scans deskewed: {}", deskewed.join(", "));
+        if let Some(loops) = &loops {
+            text += &about_loops(loops);
+        }
         let of_odometry = r.warnings.iter().map(|w| w.finding().what);
         for warning in of_odometry.chain(found.input.warnings.iter().cloned()) {
             text += &format!("\n  {warning}");

@@ -220,6 +220,7 @@ fn of_bag(choice: &Choice, config: &OdometryConfig, context: &Context) -> anyhow
     let mut said = InputReport {
         lidar_topic: Some(topic.clone()),
         scan_times: "stamps of the messages".to_owned(),
+        warnings: about_damage(&bag, context),
         ..InputReport::default()
     };
     let sensors = Sensors::of_bag(&bag, choice, &bag.frame(&topic)?, &mut said, context)?;
@@ -448,6 +449,15 @@ fn decode(
         bail!("{}: no scan was made of it: {why}", choice.path.display());
     }
     Ok(report)
+}
+
+/// What is missing from a bag that ends early or is torn: data is lost then.
+fn about_damage(bag: &RosBag, context: &Context) -> Vec<String> {
+    let damage = bag.damage();
+    if !damage.is_empty() {
+        context.lose_data();
+    }
+    damage
 }
 
 /// What the odometry's reader should know of messages that could not be read: data is lost then.

@@ -171,6 +171,7 @@ mod tests {
         OdometryStep {
             time: end.time,
             world_from_rig: end.world_from_rig,
+            by_scan_alone: end.world_from_rig,
             covariance: lsfb_geometry::Matrix6::identity(),
             unseen: None,
             poses: vec![end],

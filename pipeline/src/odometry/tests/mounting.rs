@@ -12,6 +12,15 @@ const WALK_S: f64 = 6.0;
 /// Runs the walk in the furnished room with an IMU whose axes are turned against those of the rig of the others, and whose specific forces are
 /// in a unit of so many m/s². Gives what was said, and how far poses are off at most since the start, metres.
 fn walk(rig_from_usual: &UnitQuaternion<f64>, unit_m_s2: f64) -> (OdometryReport, f64) {
+    walk_with_lidar_off_by(&Vector3::zeros(), rig_from_usual, unit_m_s2)
+}
+
+/// The same with a rig in which the LiDAR is turned by so much against where it is, radians.
+fn walk_with_lidar_off_by(
+    off: &Vector3<f64>,
+    rig_from_usual: &UnitQuaternion<f64>,
+    unit_m_s2: f64,
+) -> (OdometryReport, f64) {
     let turned = |v: [f64; 3], unit: f64| (rig_from_usual * Vector3::from(v) / unit).into();
     let mut samples = room::imu_samples(WALK_S, 7);
     for Stamped { sample, .. } in &mut samples {
@@ -19,10 +28,12 @@ fn walk(rig_from_usual: &UnitQuaternion<f64>, unit_m_s2: f64) -> (OdometryReport
         sample.specific_force_m_s2 = turned(sample.specific_force_m_s2, unit_m_s2);
     }
     let rig_from_usual = Se3::new(*rig_from_usual, Vector3::zeros());
-    let lidar = RigLidar {
+    let mut lidar = RigLidar {
         rig_from_lidar: rig_from_usual * room::lidar().rig_from_lidar,
         ..room::lidar()
     };
+    let of_lidar = &mut lidar.rig_from_lidar.rotation;
+    *of_lidar = lsfb_geometry::so3::exp(off) * *of_lidar;
     let imu = ImuSamples {
         noise: room::imu(),
         samples,
@@ -66,4 +77,27 @@ fn in_gravities_the_walk_is_the_same_and_that_is_said() {
     let (report, worst_m) = walk(&upright, GRAVITY_M_S2);
     assert_eq!(report.warnings, [OdometryWarning::AccelerometerInGravities]);
     assert!(worst_m < 0.05, "{worst_m} m");
+}
+
+/// Five degrees cost 25 cm in five seconds, and were not said.
+#[test]
+fn a_lidar_that_is_turned_against_the_rig_is_named() {
+    for off_deg in [[0.0, 5.0, 0.0], [-5.0, 0.0, 0.0]] {
+        let off = Vector3::from(off_deg.map(f64::to_radians));
+        let (report, _) = walk_with_lidar_off_by(&off, &UnitQuaternion::identity(), 1.0);
+        let found = report.warnings.iter().find_map(|w| match w {
+            OdometryWarning::ExtrinsicRotation { off_deg, .. } => Some(*off_deg),
+            _ => None,
+        });
+        // At least so much: the poses lean on the gyroscope.
+        assert!(
+            found.is_some_and(|deg| (2.0..6.0).contains(&deg)),
+            "{:?}",
+            report.warnings
+        );
+    }
+    // Half a degree is left to calibration.
+    let little = Vector3::new(0.0, 0.5f64.to_radians(), 0.0);
+    let (report, _) = walk_with_lidar_off_by(&little, &UnitQuaternion::identity(), 1.0);
+    assert!(report.warnings.is_empty(), "{:?}", report.warnings);
 }

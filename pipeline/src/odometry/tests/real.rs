@@ -14,6 +14,14 @@ fn points(bytes: &[u8], floats_per_point: usize) -> Vec<Vector3<f64>> {
         .collect()
 }
 
+/// Points of a binary PLY of three coordinates and another float.
+fn ply(path: &Path) -> Vec<Vector3<f64>> {
+    let bytes = std::fs::read(path).expect("a cloud");
+    let marker = b"end_header\n";
+    let head = bytes.windows(marker.len()).position(|w| w == marker);
+    points(&bytes[head.expect("a head") + marker.len()..], 4)
+}
+
 /// Poses of a `graph.txt`: a name, a place, a quaternion with its real part last.
 fn graph(path: &Path) -> Vec<Se3> {
     let text = std::fs::read_to_string(path).expect("poses");
@@ -101,5 +109,25 @@ fn features_of_newer_college_lie_where_gtsam_points_has_them() {
     };
     let scans: Vec<_> = (0..poses.len()).map(scan).collect();
     let [off_m, off_deg] = worst_of_pairs(&scans, &poses, &OdometryConfig::outdoor(), 0.3);
+    assert!(off_m < 0.05 && off_deg < 0.5, "{off_m} m, {off_deg}°");
+}
+
+#[test]
+fn the_scans_of_small_gicp_lie_where_it_has_them() {
+    let test = "the_scans_of_small_gicp_lie_where_it_has_them";
+    let Some(folder) = recordings(test, "lidar/small_gicp") else {
+        return;
+    };
+    let text = std::fs::read_to_string(folder.join("T_target_source.txt")).expect("a transform");
+    let words = text.split_whitespace();
+    let n: Vec<f64> = words.map(|w| w.parse().expect("a number")).collect();
+    let turn = nalgebra::Matrix3::new(n[0], n[1], n[2], n[4], n[5], n[6], n[8], n[9], n[10]);
+    let target_from_source = Se3::new(
+        lsfb_geometry::UnitQuaternion::from_matrix(&turn),
+        Vector3::new(n[3], n[7], n[11]),
+    );
+    let scans = ["target.ply", "source.ply"].map(|name| ply(&folder.join(name)));
+    let poses = [Se3::identity(), target_from_source];
+    let [off_m, off_deg] = worst_of_pairs(&scans, &poses, &OdometryConfig::outdoor(), 0.5);
     assert!(off_m < 0.05 && off_deg < 0.5, "{off_m} m, {off_deg}°");
 }

@@ -44,6 +44,41 @@ impl Room {
         }
     }
 
+    /// Boxes, each by its lowest and its highest corner: the first is seen from inside, the rest stand in it.
+    pub fn of(boxes: &[[[f64; 3]; 2]]) -> Self {
+        let solid = |[low, high]: &[[f64; 3]; 2]| Solid {
+            low: (*low).into(),
+            high: (*high).into(),
+        };
+        Self {
+            solids: boxes.iter().map(solid).collect(),
+        }
+    }
+
+    /// What a VLP-32C that stands sees, in its own frame.
+    pub fn seen_from(&self, world_from_lidar: &Se3, noise_m: f64, seed: u64) -> Vec<Vector3<f64>> {
+        const FIRINGS: u64 = 450;
+        (0..FIRINGS)
+            .into_par_iter()
+            .flat_map_iter(|firing| {
+                let mut rng = ChaCha8Rng::seed_from_u64(seed * FIRINGS + firing);
+                let azimuth = std::f64::consts::TAU * firing as f64 / FIRINGS as f64;
+                let points: Vec<_> = ELEVATIONS_DEG
+                    .iter()
+                    .map(|elevation| {
+                        let e = elevation.to_radians();
+                        let ray =
+                            Vector3::new(e.cos() * azimuth.cos(), e.cos() * azimuth.sin(), e.sin());
+                        let in_world = world_from_lidar.rotation * ray;
+                        let range = self.cast(&world_from_lidar.translation, &in_world);
+                        ray * (range + noise_m * gaussian(&mut rng))
+                    })
+                    .collect();
+                points
+            })
+            .collect()
+    }
+
     /// The furnished room with floor and ceiling out of sight: nothing but the IMU tells the height.
     pub fn without_floor() -> Self {
         let mut room = Self::furnished();

@@ -1,0 +1,226 @@
+//! Loops of a walk, by appearance, odometry, registration and agreement.
+
+use lsfb_types::{Progress, ProgressFn};
+use rayon::prelude::*;
+
+use super::agreement::{Measured, agree};
+use super::assessment::Scans;
+use super::closing::reject_misfits;
+use super::descriptor::Descriptor;
+use super::keyframes::{self, Keyframe};
+use super::ways::Ways;
+use super::{Loop, LoopRejection, LoopVerdict, Loops};
+use crate::Error;
+use crate::odometry::{OdometryConfig, OdometryResult};
+
+/// Less far behind, along the way, is no return, metres.
+const MIN_RETURN_M: f64 = 12.0;
+/// Descriptors farther apart than this are of different places.
+const MAX_APPEARANCE: f64 = 0.35;
+/// Earlier keyframes whose descriptors are compared, the nearest by ring key.
+const COMPARED: usize = 50;
+/// Candidates nearer to each other than this are one, metres along the way.
+const CANDIDATES_APART_M: f64 = 3.0;
+/// Candidates of one scan that are registered, at most.
+const REGISTERED: usize = 2;
+/// Candidates of one scan that are looked at, at most.
+const LOOKED_AT: usize = 10;
+/// After a confirmed loop the next is sought so much farther on, metres.
+const REST_M: f64 = 4.0;
+
+/// An earlier keyframe that looks like the present one.
+#[derive(Clone, Copy, Debug)]
+struct Candidate {
+    earlier: usize,
+    appearance: f64,
+}
+
+/// Looks for loops among the scans that found their place.
+pub fn find_loops(
+    result: &OdometryResult,
+    config: &OdometryConfig,
+    progress: ProgressFn<'_>,
+) -> Result<Loops, Error> {
+    config.check_bounds("odometry")?;
+    let keyframes = keyframes::choose(result);
+    let paths_m = keyframes::paths_m(result);
+    let descriptors: Vec<Descriptor> = keyframes
+        .par_iter()
+        .map(|k| {
+            let sensor_in_rig = result.lidar.rig_from_lidar.translation;
+            let points = keyframes::points(&result.clouds[k.scan]);
+            Descriptor::new(points, &k.world_from_rig, &sensor_in_rig)
+        })
+        .collect();
+    let scans = Scans {
+        result,
+        config,
+        paths_m: &paths_m,
+    };
+    let mut search = Search {
+        keyframes: &keyframes,
+        descriptors: &descriptors,
+        scans,
+        ways: Ways::new(&keyframes),
+        measured: Vec::new(),
+        confirmed_m: f64::NEG_INFINITY,
+        found: Loops::default(),
+    };
+    for later in 0..keyframes.len() {
+        progress(Progress {
+            stage: "loops",
+            done: later as u64,
+            total: keyframes.len() as u64,
+        })?;
+        search.look_from(later);
+    }
+    let mut found = search.finish();
+    reject_misfits(&mut found, &keyframes, progress)?;
+    Ok(found)
+}
+
+struct Search<'a> {
+    keyframes: &'a [Keyframe],
+    descriptors: &'a [Descriptor],
+    scans: Scans<'a>,
+    ways: Ways,
+    /// Accepted loops, with their number in the list.
+    measured: Vec<(Measured, usize, Confirmed)>,
+    /// Where on the way the last loop was confirmed, metres.
+    confirmed_m: f64,
+    found: Loops,
+}
+
+/// Whether another loop says the same.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Confirmed {
+    Yes,
+    NotYet,
+}
+
+impl Search<'_> {
+    fn look_from(&mut self, later: usize) {
+        if self.keyframes[later].path_m - self.confirmed_m < REST_M {
+            return;
+        }
+        let candidates = self.candidates(later);
+        if candidates.is_empty() {
+            return;
+        }
+        let ways = self.ways.to(later);
+        let mut registered = 0;
+        let mut unregistered: Option<Loop> = None;
+        for candidate in candidates.iter().take(LOOKED_AT) {
+            let Some(way) = &ways[candidate.earlier] else {
+                continue;
+            };
+            let (a, b) = (&self.keyframes[candidate.earlier], &self.keyframes[later]);
+            let assessment = self.scans.assess(a, b, way, candidate.appearance);
+            if !assessment.is_registered {
+                // The most alike of them is worth a line.
+                unregistered.get_or_insert(assessment.found);
+                continue;
+            }
+            registered += 1;
+            let is_accepted = assessment.found.verdict == LoopVerdict::Accepted;
+            self.take(candidate.earlier, later, assessment.found);
+            if is_accepted || registered == REGISTERED {
+                break;
+            }
+        }
+        if let Some(found) = unregistered.filter(|_| registered == 0) {
+            self.found.all.push(found);
+        }
+    }
+
+    /// Earlier keyframes that look like this one, the most alike first.
+    fn candidates(&self, later: usize) -> Vec<Candidate> {
+        let here = &self.keyframes[later];
+        let is_return = |k: &Keyframe| here.path_m - k.path_m >= MIN_RETURN_M;
+        let count = self.keyframes.iter().take_while(|k| is_return(k)).count();
+        let descriptor = &self.descriptors[later];
+        let key_distance = |k: usize| self.descriptors[k].key_distance(descriptor);
+        let mut by_key: Vec<(f64, usize)> = (0..count).map(|k| (key_distance(k), k)).collect();
+        by_key.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        by_key.truncate(COMPARED);
+        let mut alike: Vec<Candidate> = by_key
+            .par_iter()
+            .map(|(_, earlier)| Candidate {
+                earlier: *earlier,
+                appearance: self.descriptors[*earlier].distance(descriptor),
+            })
+            .filter(|c| c.appearance < MAX_APPEARANCE)
+            .collect();
+        alike.sort_by(|a, b| {
+            let by_appearance = a.appearance.total_cmp(&b.appearance);
+            by_appearance.then(a.earlier.cmp(&b.earlier))
+        });
+        let mut apart: Vec<Candidate> = Vec::new();
+        for candidate in alike {
+            let path_m = |c: &Candidate| self.keyframes[c.earlier].path_m;
+            let is_near =
+                |c: &Candidate| (path_m(c) - path_m(&candidate)).abs() < CANDIDATES_APART_M;
+            if !apart.iter().any(is_near) {
+                apart.push(candidate);
+            }
+        }
+        apart
+    }
+
+    /// Adds a loop that was registered, and confirms it and those that it agrees with.
+    fn take(&mut self, earlier: usize, later: usize, found: Loop) {
+        let number = self.found.all.len();
+        let measured = found.measured;
+        let is_accepted = found.verdict == LoopVerdict::Accepted;
+        self.found.all.push(found);
+        let Some(loop_) = measured.filter(|_| is_accepted) else {
+            return;
+        };
+        let new = Measured {
+            earlier,
+            later,
+            loop_,
+        };
+        let mut agrees = false;
+        for (other, _, confirmed) in &mut self.measured {
+            if agree(other, &new, self.keyframes) {
+                agrees = true;
+                if std::mem::replace(confirmed, Confirmed::Yes) == Confirmed::NotYet {
+                    close(&mut self.ways, other);
+                }
+            }
+        }
+        let confirmed = match agrees {
+            true => Confirmed::Yes,
+            false => Confirmed::NotYet,
+        };
+        if agrees {
+            close(&mut self.ways, &new);
+            self.confirmed_m = self.keyframes[later].path_m;
+        }
+        self.measured.push((new, number, confirmed));
+    }
+
+    fn finish(mut self) -> Loops {
+        for (_, number, confirmed) in &self.measured {
+            if *confirmed == Confirmed::NotYet {
+                self.found.all[*number].verdict = LoopVerdict::Rejected(LoopRejection::Unconfirmed);
+            }
+        }
+        self.found
+    }
+}
+
+fn close(ways: &mut Ways, measured: &Measured) {
+    let Measured {
+        earlier,
+        later,
+        loop_,
+    } = measured;
+    ways.close(
+        *earlier,
+        *later,
+        &loop_.earlier_from_later,
+        &loop_.covariance(),
+    );
+}

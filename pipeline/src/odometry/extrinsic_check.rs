@@ -1,0 +1,142 @@
+//! Whether the LiDAR hangs on the IMU as the rig says: both see the same turns.
+//!
+//! The rotation of a span by the gyroscope, `G`, and by the scans, `S`, are the same motion seen in two frames: `G = E S Eᵀ`, and so
+//! `log G = E log S + b t` with the rotation `E` by which the rig's is off and the gyroscope's bias `b`. Both are found by least squares over
+//! spans of the walk. What is left of the gyroscope in the poses of the scans (their information is no better known than their correspondences) makes
+//! it too little, never too much. About an axis that all turns share nothing is learnt, and then nothing is said.
+
+use lsfb_geometry::{Matrix3, StampedPose, UnitQuaternion, Vector3, Vector6, so3};
+use lsfb_perception::gauss_newton::NormalEquations;
+use lsfb_perception::gyro::IntegratedGyro;
+use lsfb_perception::statistics::median;
+use lsfb_types::{ImuSample, Stamped, Timestamp};
+use nalgebra::Matrix3x6;
+
+/// Length of a span, seconds, at least and at most: longer ones have gaps.
+const SPAN_S: std::ops::RangeInclusive<f64> = 0.45..=1.5;
+/// Fewer spans tell nothing.
+const MIN_SPANS: usize = 8;
+/// What is known beforehand: of the rotation, radians, and of the bias, rad/s.
+const PRIOR_RAD: f64 = 0.5;
+const PRIOR_RAD_S: f64 = 0.05;
+/// Spans are known no better than this, radians.
+const LEAST_SIGMA_RAD: f64 = 5e-4;
+const ITERATIONS: usize = 12;
+/// What is said: more standard deviations than this, and more than a degree.
+const SIGMAS: f64 = 4.0;
+const LEAST_OFF_RAD: f64 = 0.017_453;
+
+/// By how much the rotation of the LiDAR on the IMU is off.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct RotationOff {
+    /// Angle, radians.
+    pub off_rad: f64,
+    /// Its standard deviation, radians.
+    pub sigma_rad: f64,
+}
+
+/// One span of the walk.
+#[derive(Clone, Copy, Debug)]
+struct Span {
+    by_gyro: Vector3<f64>,
+    by_scans: Vector3<f64>,
+    duration_s: f64,
+}
+
+/// What is off, where it is off for certain; of the poses that scans have without the gyroscope's help.
+pub(super) fn rotation_off(
+    by_scans: &[StampedPose],
+    samples: &[Stamped<ImuSample>],
+) -> Option<RotationOff> {
+    let start = samples.first()?.time;
+    let gyro = IntegratedGyro::new(samples.iter().map(|s| {
+        let rate = Vector3::from(s.sample.angular_velocity_rad_s);
+        (s.time.secs_since(start), rate)
+    }));
+    let spans = spans(by_scans, &gyro, start);
+    if spans.len() < MIN_SPANS {
+        return None;
+    }
+    let (mut rotation, mut bias) = (UnitQuaternion::identity(), Vector3::zeros());
+    let mut information = None;
+    for _ in 0..ITERATIONS {
+        let equations = equations(&spans, &rotation, &bias);
+        let step = equations.step()?;
+        rotation = so3::retract(&rotation, &step.fixed_rows::<3>(0).into());
+        bias += step.fixed_rows::<3>(3);
+        information = Some(equations.information);
+    }
+    let covariance = information?.cholesky()?.inverse();
+    let off = so3::log(&rotation);
+    let off_rad = off.norm();
+    let along = off.try_normalize(1e-9)?;
+    let of_rotation: Matrix3<f64> = covariance.fixed_view::<3, 3>(0, 0).into();
+    let sigma_rad = along.dot(&(of_rotation * along)).max(0.0).sqrt();
+    (off_rad > LEAST_OFF_RAD.max(SIGMAS * sigma_rad)).then_some(RotationOff { off_rad, sigma_rad })
+}
+
+fn spans(by_scans: &[StampedPose], gyro: &IntegratedGyro, start: Timestamp) -> Vec<Span> {
+    let mut spans = Vec::new();
+    let mut from: Option<&StampedPose> = None;
+    for pose in by_scans {
+        let Some(begin) = from else {
+            from = Some(pose);
+            continue;
+        };
+        let duration_s = pose.time.secs_since(begin.time);
+        if duration_s < *SPAN_S.start() {
+            continue;
+        }
+        from = Some(pose);
+        let at_s = |pose: &StampedPose| pose.time.secs_since(start);
+        let rate = gyro.mean_rate(at_s(begin), at_s(pose));
+        if let Some(rate) = rate.filter(|_| SPAN_S.contains(&duration_s)) {
+            let turned = so3::local(
+                &begin.world_from_rig.rotation,
+                &pose.world_from_rig.rotation,
+            );
+            spans.push(Span {
+                by_gyro: rate * duration_s,
+                by_scans: turned,
+                duration_s,
+            });
+        }
+    }
+    spans
+}
+
+/// At a rotation and a bias, weighted by how the spans scatter; those that do not fit lose their weight (Cauchy).
+fn equations(
+    spans: &[Span],
+    rotation: &UnitQuaternion<f64>,
+    bias: &Vector3<f64>,
+) -> NormalEquations<6> {
+    let residual = |s: &Span| s.by_gyro - rotation * s.by_scans - bias * s.duration_s;
+    let sizes = spans.iter().flat_map(|s| {
+        let r = residual(s);
+        [r.x.abs(), r.y.abs(), r.z.abs()]
+    });
+    // 1.4826: from the median to the standard deviation of what is normal.
+    let sigma = 1.4826 * median(sizes.collect()).unwrap_or(0.0);
+    let sigma = sigma.max(LEAST_SIGMA_RAD);
+    let mut equations = NormalEquations::default();
+    for span in spans {
+        let r = residual(span);
+        let mut jacobian = Matrix3x6::zeros();
+        let by_rotation = rotation.to_rotation_matrix() * so3::hat(&span.by_scans);
+        jacobian
+            .fixed_view_mut::<3, 3>(0, 0)
+            .copy_from(&by_rotation);
+        jacobian
+            .fixed_view_mut::<3, 3>(0, 3)
+            .copy_from(&(-Matrix3::identity() * span.duration_s));
+        let weight = 1.0 / (sigma * sigma + r.norm_squared() / 9.0);
+        equations.add_block(&r, &jacobian, weight);
+    }
+    let off = so3::log(rotation);
+    let deviation = Vector6::new(off.x, off.y, off.z, bias.x, bias.y, bias.z);
+    let (r, b) = (PRIOR_RAD.powi(-2), PRIOR_RAD_S.powi(-2));
+    let prior = Vector6::new(r, r, r, b, b, b);
+    equations.add_prior(&deviation, &lsfb_geometry::Matrix6::from_diagonal(&prior));
+    equations
+}
