@@ -46,10 +46,10 @@ pub struct Arguments {
     #[arg(long, value_name = "TUM")]
     out: PathBuf,
     /// Look for loops, close them, and write the list of them here.
-    #[arg(long, alias = "loops-out", value_name = "TXT")]
+    #[arg(long, alias = "loops-out", value_name = "FILE")]
     out_loops: Option<PathBuf>,
     /// Close the loops that this list accepts, and look for no others.
-    #[arg(long, value_name = "TXT", conflicts_with = "out_loops")]
+    #[arg(long, value_name = "FILE", conflicts_with = "out_loops")]
     loops: Option<PathBuf>,
     /// Use settings for streets: long ranges, coarse voxels.
     #[arg(long)]
