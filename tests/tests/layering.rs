@@ -129,7 +129,8 @@ fn heavy_and_dangerous_crates_are_seen_where_they_belong() {
         ("libc", &["lsfb-fakekernel"]),
         // Bags of packets, and bags of everything else: neither crate may use the other.
         ("rusqlite", &["lsfb-drivers", "lsfb-datasets"]),
-        ("faer", &["lsfb-solver"]),
+        // Sparse systems, and the products of matrices that convolutions are.
+        ("faer", &["lsfb-solver", "lsfb-networks"]),
         ("anyhow", &["lsfb-cli"]),
     ] {
         for (name, uses) in &dependencies {

@@ -68,7 +68,12 @@ fn stamped<T>(time: Timestamp, sample: T) -> Stamped<T> {
 
 /// A recording without a rig: to this program that of a stranger.
 fn foreign_mcap(path: &Path) {
-    let mut writer = Writer::create(path, &WriterConfig::default()).expect("a file");
+    // Several chunks, so that a torn file still has some.
+    let config = WriterConfig {
+        chunk_bytes: 16 << 10,
+        ..WriterConfig::default()
+    };
+    let mut writer = Writer::create(path, &config).expect("a file");
     for number in 0..SCANS {
         for tenth in 0..10 {
             let level = ImuSample {

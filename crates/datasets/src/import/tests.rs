@@ -152,7 +152,8 @@ fn the_same_source_gives_the_same_bytes() {
 #[test]
 fn damaged_lines_are_counted_and_never_imported() {
     let stamp = |n: i64| START_NS + n * 5_000_000;
-    let cases: [(&str, Box<dyn Fn(String) -> String>, [u64; 4], &str); 8] = [
+    type Change = Box<dyn Fn(String) -> String>;
+    let cases: [(&str, Change, [u64; 4], &str); 8] = [
         (
             "cut",
             Box::new(|t| t[..t.len() - 12].to_owned()),

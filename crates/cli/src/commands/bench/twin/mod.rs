@@ -35,8 +35,8 @@ use trial::{Condition, Scanned, Size, Walked, calibration};
 /// Run the standard trial: scan, map, ground truth and evaluation in simulated places, as in the paper's Tables IV and V.
 ///
 /// Walks go 0.5 to 6 m beside the scanner's path where the place has room, with the motions of Table VII, and every rig comes from a
-/// calibration before a simulated board. The exit code is 4 if any exported pose is more than 10 cm off, or if none is exported.
-/// What is finished is not run again; recordings are removed once they are judged. Written are twin.json and report.html.
+/// calibration before a simulated board. The exit code is 4 if any exported pose is more than 10 cm off, or if no place could
+/// be mapped. What is finished is not run again; recordings are removed once they are judged. Written are twin.json and report.html.
 ///
 /// Examples:
 ///   lsfb bench twin --out trial --quick

@@ -6,7 +6,7 @@ use lsfb_types::{Finding, Judgement, Limit, Verdict};
 use serde::{Deserialize, Serialize};
 
 use super::rigs::{Rigs, SensorOff};
-use super::trial::{OTHER_FLOOR, Walked};
+use super::trial::Walked;
 
 /// A pose that is further off than this is wrong, metres.
 pub const WRONG_M: f64 = 0.10;
@@ -126,19 +126,12 @@ impl Run {
     }
 }
 
-/// A trial is good where something was exported, and nothing wrong.
+/// A trial is good where nothing wrong was exported, and something was tried.
 pub fn judge(runs: &[Run]) -> Judgement {
     let mut findings: Vec<Finding> = runs.iter().flat_map(Run::findings).collect();
-    // On another floor nothing is to be given.
-    let in_the_map = || runs.iter().filter(|run| run.condition != OTHER_FLOOR);
-    if in_the_map().next().is_some() && in_the_map().all(|run| run.exported == 0) {
-        let what = "no run gave a pose";
-        findings.push(Finding::new(
-            "nothing_exported",
-            Verdict::Fail,
-            "trial",
-            what,
-        ));
+    if runs.iter().all(|run| run.scanner_ate_rms_m.is_none()) {
+        let what = "no place was mapped: no walk was tried";
+        findings.push(Finding::new("nothing_tried", Verdict::Fail, "trial", what));
     }
     Judgement::new(findings)
 }
@@ -209,6 +202,7 @@ mod tests {
             device: Device::Android,
         };
         Run {
+            scanner_ate_rms_m: Some(0.01),
             ate_rms_m: refused.is_none().then_some(0.01),
             exported: 300,
             exported_wrong,
@@ -227,11 +221,12 @@ mod tests {
             Verdict::Warn
         );
         assert_eq!(verdict(&[run(0, None), run(1, None)]), Verdict::Fail);
-        let refused = Run {
-            exported: 0,
+        assert_eq!(verdict(&[run(0, Some("uncertain"))]), Verdict::Warn);
+        let untried = Run {
+            scanner_ate_rms_m: None,
             ..run(0, Some("no map"))
         };
-        assert_eq!(verdict(&[refused]), Verdict::Fail);
+        assert_eq!(verdict(&[untried]), Verdict::Fail);
     }
 
     #[test]
