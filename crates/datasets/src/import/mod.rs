@@ -1,6 +1,6 @@
 //! Recordings of other programs become recordings of ours: phones' recorders, and the folders of datasets.
 //!
-//! A reader of [`readers`] knows one format and nothing else: it fills [`collected`] with records. Order, doubles, stamps that cannot
+//! A reader of `readers` knows one format and nothing else: it fills `collected` with records. Order, doubles, stamps that cannot
 //! be, and the file are the same for all. What a source holds and a recording has no place for is listed, and every record is counted.
 //!
 //! There was no host when these records were made: their arrival is the device's own stamp, and nothing is known about its clock
