@@ -432,3 +432,25 @@ fn few_shared_stamps_fail() {
         "{said}"
     );
 }
+
+/// What is damaged in a recording was passed over without a word, and the exit code was 0.
+#[test]
+fn inertial_samples_that_cannot_be_read_are_told() {
+    let folder = tempfile::tempdir().expect("folder");
+    let root = folder.path();
+    files(root);
+    let page = Path::new(DOCS).join("slam.md");
+    let page = std::fs::read_to_string(page).expect("the page");
+    let survey = blocks(&page, "text");
+    write(root, "floor.survey", survey.first().expect("a survey"));
+    let recording = root.join("rests.mcap");
+    let mut bytes = std::fs::read(&recording).expect("read");
+    let middle = bytes.len() / 2;
+    bytes[middle..middle + 100].fill(0);
+    std::fs::write(&recording, bytes).expect("written");
+    let arguments = "survey check floor.survey --trajectory rests.tum --recording rests.mcap";
+    let output = lsfb(root, &arguments.split(' ').collect::<Vec<_>>());
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(said.contains("cannot be read"), "{said}");
+    assert_eq!(output.status.code(), Some(3), "{said}");
+}

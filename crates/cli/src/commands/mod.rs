@@ -25,6 +25,7 @@ pub mod doctor_host;
 pub mod eval;
 pub mod groundtruth;
 pub mod import;
+mod inertial;
 pub mod localize;
 pub mod map;
 mod map_report;

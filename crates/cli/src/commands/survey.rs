@@ -8,7 +8,6 @@ use lsfb_eval::survey::{
 };
 use lsfb_eval::{ReadOptions, read_trajectory};
 use lsfb_geometry::StampedPose;
-use lsfb_recording::Recording;
 use lsfb_types::{Finding, Judgement, Limit, Verdict};
 use serde::Serialize;
 
@@ -171,11 +170,7 @@ fn rests(
         );
         return Ok(find_rests(poses, &config));
     };
-    let recording: Recording = context.open(path)?;
-    // A damaged message is not there; the doctor counts them.
-    let mut samples: Vec<_> = super::about(path, recording.imu())?
-        .filter_map(Result::ok)
-        .collect();
+    let mut samples = super::inertial::inertial_samples(path, context, findings)?;
     samples.sort_by_key(|s| s.time);
     let found = super::about(path, inertial_rests(poses, &samples, &config))?;
     findings.extend(found.findings);

@@ -6,6 +6,7 @@ use lsfb_calib::camera_imu::read_imu_table;
 use lsfb_eval::hand_eye::{ClockModel, MocapAlignment, MocapConfig, align_mocap};
 use lsfb_types::{Finding, ImuSample, Judgement, Stamped, Timestamp, Verdict};
 
+use super::super::inertial::inertial_samples;
 use super::{Aligned, Arguments, finish, pose_text, read};
 use crate::context::Context;
 use crate::files::name_of;
@@ -56,23 +57,7 @@ fn samples(
     findings: &mut Vec<Finding>,
 ) -> anyhow::Result<Vec<Stamped<ImuSample>>> {
     let mut samples: Vec<Stamped<ImuSample>> = match path.extension().is_some_and(|e| e == MCAP) {
-        true => {
-            let recording = context.open(path)?;
-            let read = crate::commands::about(path, recording.imu())?;
-            let (mut whole, mut damaged) = (Vec::new(), 0_u64);
-            for sample in read {
-                match sample {
-                    Ok(sample) => whole.push(sample),
-                    Err(_) => damaged += 1,
-                }
-            }
-            if damaged > 0 {
-                let what = format!("{damaged} inertial samples cannot be read and were left out");
-                let found = Finding::new("damaged", Verdict::Warn, name_of(path), what);
-                findings.push(found.remedy("look at the recording with lsfb doctor --full"));
-            }
-            whole
-        }
+        true => inertial_samples(path, context, findings)?,
         false => read_imu_table(path)?
             .into_iter()
             .map(|(time, sample): (Timestamp, ImuSample)| Stamped {
