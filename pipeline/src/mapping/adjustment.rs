@@ -36,25 +36,7 @@ pub(super) fn adjust(
     progress: ProgressFn<'_>,
 ) -> Result<Report, Error> {
     let mut problem = Problem::new();
-    let poses: Vec<Block<Se3>> = keyframes
-        .frames
-        .iter()
-        .map(|k| problem.add_block(k.world_from_rig))
-        .collect();
-    // The first pose holds the map in place.
-    if let Some(first) = poses.first() {
-        problem.set_constant(*first);
-    }
-    for (pair, measured) in poses.windows(2).zip(terms.odometry.windows(2)) {
-        let root_secs = measured[1].time.secs_since(measured[0].time).sqrt();
-        let residual = RelativePose::isotropic(
-            measured[0].world_from_rig.inverse() * measured[1].world_from_rig,
-            config.odometry_rotation_sigma_deg.to_radians() * root_secs,
-            config.odometry_translation_sigma_m * root_secs,
-        );
-        problem.add_residual(residual, &[pair[0].id(), pair[1].id()], Kernel::Squared)?;
-    }
-    add_scans(&mut problem, &poses, terms)?;
+    let poses = add_keyframes(&mut problem, keyframes, terms, config)?;
     let observing: BTreeMap<&str, Arc<ObservingCamera>> = rig
         .cameras
         .iter()
@@ -87,6 +69,35 @@ pub(super) fn adjust(
         point.point_in_world = problem.value(*block);
     }
     Ok(report)
+}
+
+/// Adds the poses of the keyframes and what holds them besides images: the first, the odometry and the LiDAR.
+pub(super) fn add_keyframes(
+    problem: &mut Problem,
+    keyframes: &Keyframes,
+    terms: &Terms,
+    config: &MappingConfig,
+) -> Result<Vec<Block<Se3>>, Error> {
+    let poses: Vec<Block<Se3>> = keyframes
+        .frames
+        .iter()
+        .map(|k| problem.add_block(k.world_from_rig))
+        .collect();
+    // The first pose holds the map in place.
+    if let Some(first) = poses.first() {
+        problem.set_constant(*first);
+    }
+    for (pair, measured) in poses.windows(2).zip(terms.odometry.windows(2)) {
+        let root_secs = measured[1].time.secs_since(measured[0].time).sqrt();
+        let residual = RelativePose::isotropic(
+            measured[0].world_from_rig.inverse() * measured[1].world_from_rig,
+            config.odometry_rotation_sigma_deg.to_radians() * root_secs,
+            config.odometry_translation_sigma_m * root_secs,
+        );
+        problem.add_residual(residual, &[pair[0].id(), pair[1].id()], Kernel::Squared)?;
+    }
+    add_scans(problem, &poses, terms)?;
+    Ok(poses)
 }
 
 fn add_scans(problem: &mut Problem, poses: &[Block<Se3>], terms: &Terms) -> Result<(), Error> {

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use lsfb_geometry::{Rig, Se3, StampedPose, Trajectory};
+use lsfb_perception::statistics::median;
 use lsfb_recording::Recording;
 use lsfb_types::{Image, Progress, ProgressFn, Stamped, Timestamp};
 
@@ -42,6 +43,8 @@ impl Keyframes {
 
 /// Farthest image from the moment wanted, nanoseconds.
 const IMAGE_TOLERANCE_NS: i64 = 60_000_000;
+/// Offsets of clocks that differ by less are one, seconds: somebody who turns by 60° a second moves a wide image by 0.2 px in that time.
+const ONE_CLOCK_S: f64 = 5e-4;
 /// Images detected at once: bounds the memory.
 const BATCH: usize = 32;
 
@@ -87,9 +90,28 @@ fn moments(trajectory: &Trajectory, distance_m: f64, angle_rad: f64) -> Vec<Time
     moments
 }
 
+/// What the rig file adds to the stamps of each camera. Clocks that differ by less than [`ONE_CLOCK_S`] keep the images of one trigger
+/// together: one keyframe, not four.
+fn clock_offsets_ns(rig: &Rig, cameras: &[String]) -> Vec<i64> {
+    let own = cameras.iter().map(|name| {
+        let camera = rig.cameras.get(name);
+        camera.map_or(0.0, |camera| camera.timing.rig_from_camera_s)
+    });
+    let own: Vec<f64> = own.collect();
+    let middle = median(own.clone()).unwrap_or(0.0);
+    let shared = |offset_s: f64| match (offset_s - middle).abs() < ONE_CLOCK_S {
+        true => middle,
+        false => offset_s,
+    };
+    own.into_iter()
+        .map(|s| (shared(s) * 1e9).round() as i64)
+        .collect()
+}
+
 /// Chooses keyframes along the trajectory and detects the features of their images.
 pub(super) fn choose_keyframes(
     recording: &Recording,
+    rig: &Rig,
     cameras: &[String],
     trajectory: &Trajectory,
     detector: &FeatureDetector,
@@ -122,10 +144,12 @@ pub(super) fn choose_keyframes(
         }
         Ok(())
     };
+    let offsets_ns = clock_offsets_ns(rig, cameras);
     for item in recording.images_of(&names)? {
-        let Some(item) = damages.keep(item) else {
+        let Some(mut item) = damages.keep(item) else {
             continue;
         };
+        item.image.time = item.image.time + offsets_ns[item.camera];
         // Poses are known between the first and the last scan only.
         if trajectory.at(item.image.time).is_none() {
             continue;

@@ -6,6 +6,7 @@ mod keyframe_scans;
 mod keyframes;
 mod report;
 mod reprojection_errors;
+mod rig_check;
 mod scan_pairs;
 mod weights;
 
@@ -32,6 +33,8 @@ use keyframes::{Keyframe, Keyframes, choose_keyframes, find_cameras};
 use report::USUAL_OUTLIER_SHARE;
 pub use report::{LidarResiduals, MappingReport, MappingWarning, RoundReport};
 use reprojection_errors::{ErrorSummary, drop_outliers, observation_errors_px, track_errors_px};
+pub use rig_check::CameraError;
+use rig_check::{Checked, camera_errors};
 use scan_pairs::{scan_correspondences, scan_pairs};
 use weights::{Weights, lidar_residuals};
 
@@ -73,6 +76,7 @@ pub fn build_map(
     let detector = FeatureDetector::new(&config.sift, config.learned.as_ref())?;
     let mut keyframes = choose_keyframes(
         recording,
+        &rig,
         &cameras,
         &trajectory,
         &detector,
@@ -102,7 +106,14 @@ pub fn build_map(
         .extend(damaged.map(|what| MappingWarning::Damaged { what }));
     describe_images(&keyframes, &cameras, &mut report);
     let before = keyframes.poses();
-    let points = optimise(&rig, &mut keyframes, &before, config, &mut report, progress)?;
+    let points = optimise(
+        &rig,
+        &mut keyframes,
+        &trajectory,
+        config,
+        &mut report,
+        progress,
+    )?;
     let content = MapContent {
         rig: &rig,
         keyframes: &keyframes.poses(),
@@ -139,11 +150,12 @@ fn walk_hash(rig: &Rig, odometry: &Trajectory) -> String {
 fn optimise(
     rig: &Rig,
     keyframes: &mut Keyframes,
-    odometry: &[StampedPose],
+    trajectory: &Trajectory,
     config: &MappingConfig,
     report: &mut MappingReport,
     progress: ProgressFn<'_>,
 ) -> Result<Vec<MapPoint>, Error> {
+    let odometry = &keyframes.poses();
     let tracks = find_tracks(
         rig,
         odometry,
@@ -154,10 +166,10 @@ fn optimise(
     report.tracks = tracks.len() as u64;
     let pairs = scan_pairs(&keyframes.frames, config);
     let max_px = config.max_reprojection_px;
-    let mut points = Vec::new();
+    let (mut points, mut scans, mut weights) = (Vec::new(), Vec::new(), Weights::default());
     for round in 0..config.outer_iterations.max(1) {
         points = triangulate_round(rig, keyframes, &tracks, round, config)?;
-        let scans = scan_correspondences(&keyframes.frames, &pairs, config);
+        scans = scan_correspondences(&keyframes.frames, &pairs, config);
         let lidar = lidar_residuals(&keyframes.frames, &scans);
         let errors_px = observation_errors_px(rig, keyframes, &points);
         if round == 0 {
@@ -167,10 +179,11 @@ fn optimise(
             report.reprojection_median_before_px = errors.median_px;
             report.lidar_before = lidar;
         }
+        weights = Weights::estimate(&lidar, &errors_px, &config.correlation);
         let terms = Terms {
             scans: &scans,
             odometry,
-            weights: Weights::estimate(&lidar, &errors_px, &config.correlation),
+            weights,
         };
         let before = keyframes.poses();
         let solved = adjust(rig, keyframes, &mut points, &terms, config, progress)?;
@@ -183,9 +196,9 @@ fn optimise(
             plane_matches: lidar.plane_matches,
             edge_matches: lidar.edge_matches,
             observations: points.iter().map(|p| p.observations.len() as u64).sum(),
-            plane_sigma_m: terms.weights.plane_sigma_m,
-            edge_sigma_m: terms.weights.edge_sigma_m,
-            pixel_sigma_px: terms.weights.pixel_sigma_px,
+            plane_sigma_m: weights.plane_sigma_m,
+            edge_sigma_m: weights.edge_sigma_m,
+            pixel_sigma_px: weights.pixel_sigma_px,
             initial_cost: solved.initial_cost,
             final_cost: solved.final_cost,
             iterations: solved.iterations as u64,
@@ -202,6 +215,18 @@ fn optimise(
             break;
         }
     }
+    let checked = Checked {
+        rig,
+        keyframes,
+        tracks: &tracks,
+        trajectory,
+        terms: Terms {
+            scans: &scans,
+            odometry,
+            weights,
+        },
+    };
+    report.cameras = camera_errors(&checked, config, progress)?;
     report.reprojection_errors_px = track_errors_px(rig, keyframes, &points, &tracks);
     let errors = ErrorSummary::of(&report.reprojection_errors_px, max_px);
     report.reprojection_rms_px = errors.rms_px;

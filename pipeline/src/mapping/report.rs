@@ -3,8 +3,9 @@
 use lsfb_types::{Finding, Limit, Verdict};
 use serde::{Deserialize, Serialize};
 
+use super::CameraError;
 use crate::loops::Closing;
-use crate::odometry::OdometryReport;
+use crate::odometry::{OdometryReport, OdometryWarning};
 
 /// What the mapping says about its own result.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -46,6 +47,8 @@ pub struct MappingReport {
     pub lidar_before: LidarResiduals,
     /// Residuals of the LiDAR terms of the map.
     pub lidar_after: LidarResiduals,
+    /// By how much the cameras differ from the rig file, as the images show it.
+    pub cameras: Vec<CameraError>,
     /// What each round of correspondences and minimisation did.
     pub rounds: Vec<RoundReport>,
     /// What the reader should know.
@@ -53,6 +56,14 @@ pub struct MappingReport {
 }
 
 impl MappingReport {
+    /// Everything that was looked at, good or not.
+    pub fn findings(&self) -> Vec<Finding> {
+        let of_odometry = self.odometry.warnings.iter().map(OdometryWarning::finding);
+        let own = self.warnings.iter().map(MappingWarning::finding);
+        let of_cameras = self.cameras.iter().flat_map(CameraError::findings);
+        of_odometry.chain(own).chain(of_cameras).collect()
+    }
+
     /// Whether every message was read and every scan found its place.
     pub fn has_all_data(&self) -> bool {
         let is_damaged = |w: &MappingWarning| matches!(w, MappingWarning::Damaged { .. });

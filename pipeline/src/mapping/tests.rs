@@ -45,9 +45,21 @@ fn rig() -> Rig {
 
 /// A walk in the furnished room, its images `image_delay_s` late.
 fn record(path: &Path, duration_s: f64, cameras: &[&str], image_delay_s: f64) {
+    record_with(path, duration_s, cameras, image_delay_s, 0, &rig());
+}
+
+/// The same with images whose stamps are `stamp_error_ns` off, and a rig file that says `stated`.
+fn record_with(
+    path: &Path,
+    duration_s: f64,
+    cameras: &[&str],
+    image_delay_s: f64,
+    stamp_error_ns: i64,
+    stated: &Rig,
+) {
     let (room, rig) = (Room::furnished(), rig());
     let mut writer = Writer::create(path, &WriterConfig::default()).expect("create");
-    writer.attach_rig(&rig).expect("rig");
+    writer.attach_rig(stated).expect("rig");
     for sample in room::imu_samples(duration_s, 7) {
         writer.write_imu("imu0", &sample).expect("imu");
     }
@@ -57,7 +69,8 @@ fn record(path: &Path, duration_s: f64, cameras: &[&str], image_delay_s: f64) {
             .write_scan("lidar", &room::scan(&room, t, i))
             .expect("scan");
         for name in cameras {
-            let image = room::render(&room, &rig.cameras[*name], t + image_delay_s);
+            let mut image = room::render(&room, &rig.cameras[*name], t + image_delay_s);
+            image.time = image.time + stamp_error_ns;
             writer.write_image(name, &image).expect("image");
         }
     }
@@ -130,6 +143,72 @@ fn a_walk_becomes_a_map_though_one_camera_is_missing() {
         .collect();
     off.sort_by(f64::total_cmp);
     assert!(off[off.len() / 2] < 0.01, "{} m", off[off.len() / 2]);
+}
+
+/// What is wrong with the cameras of a walk with stamps `stamp_error_ns` off, after a rig file that says `stated`.
+fn camera_faults(stated: &Rig, stamp_error_ns: i64) -> Vec<(String, String)> {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("scan.mcap");
+    record_with(
+        &path,
+        5.0,
+        &["cam0", "cam1", "cam2"],
+        0.03,
+        stamp_error_ns,
+        stated,
+    );
+    let recording = Recording::open(&path).expect("recording");
+    let result = build_map(&recording, &MappingConfig::default(), &no_progress).expect("map");
+    let findings = result.report.cameras.iter().flat_map(CameraError::findings);
+    let faults = findings.filter(|f| f.verdict >= lsfb_types::Verdict::Warn);
+    faults.map(|f| (f.subject, f.code.into_owned())).collect()
+}
+
+#[test]
+fn cameras_that_are_not_as_the_rig_file_says_are_named() {
+    let mut wrong = rig();
+    let camera = wrong.cameras.get_mut("cam0").expect("cam0");
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), 3f64.to_radians());
+    camera.rig_from_camera = camera.rig_from_camera * Se3::new(turn, Vector3::zeros());
+    let camera = wrong.cameras.get_mut("cam1").expect("cam1");
+    let mut lens = camera.camera.lens.parameters().values;
+    lens[..2].iter_mut().for_each(|px| *px *= 1.03);
+    camera.camera.lens = camera.camera.lens.model().lens(&lens);
+    let faults = [("cam0", "camera-turn"), ("cam1", "camera-focal-length")];
+    let faults = faults.map(|(camera, code)| (camera.to_owned(), code.to_owned()));
+    assert_eq!(camera_faults(&wrong, 0), faults);
+}
+
+#[test]
+fn the_cameras_clock_is_taken_from_the_rig_file_and_checked() {
+    let late_ns = 50_000_000;
+    let unsaid = camera_faults(&rig(), late_ns);
+    assert!(
+        unsaid.iter().any(|(_, code)| code == "camera-clock"),
+        "{unsaid:?}"
+    );
+    let mut stated = rig();
+    for camera in stated.cameras.values_mut() {
+        camera.timing.rig_from_camera_s = -0.05;
+    }
+    assert_eq!(camera_faults(&stated, late_ns), []);
+}
+
+#[test]
+fn cameras_that_were_exchanged_are_named() {
+    let mut exchanged = rig();
+    let there = |name: &str| rig().cameras[name].rig_from_camera;
+    for (name, other) in [("cam1", "cam2"), ("cam2", "cam1")] {
+        let camera = exchanged.cameras.get_mut(name).expect("a camera");
+        camera.rig_from_camera = there(other);
+    }
+    let faults = camera_faults(&exchanged, 0);
+    for name in ["cam1", "cam2"] {
+        assert!(
+            faults.iter().any(|(camera, _)| camera == name),
+            "{faults:?}"
+        );
+    }
 }
 
 #[test]

@@ -14,7 +14,7 @@ const MIN_SIGMA_M: f64 = 1e-4;
 const MIN_SIGMA_PX: f64 = 0.05;
 
 /// Standard deviations of the terms.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Weights {
     pub plane_sigma_m: f64,
     pub edge_sigma_m: f64,

@@ -135,9 +135,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         );
         text + &sentences(&judgement)
     })?;
-    Ok(match r.has_all_data() {
-        true => Outcome::Done,
-        false => Outcome::DataLost,
+    Ok(match Outcome::of(judgement.verdict()) {
+        Outcome::Done if !r.has_all_data() => Outcome::DataLost,
+        outcome => outcome,
     })
 }
 

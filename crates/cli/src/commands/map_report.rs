@@ -3,8 +3,7 @@
 use lsfb_eval::report::{Distribution, Figure, Provenance, Report, Track};
 use lsfb_geometry::{StampedPose, Trajectory};
 use lsfb_pipeline::hd_map::HdMap;
-use lsfb_pipeline::mapping::{MappingReport, MappingWarning};
-use lsfb_pipeline::odometry::OdometryWarning;
+use lsfb_pipeline::mapping::MappingReport;
 use lsfb_types::{Finding, Limit, Verdict};
 
 /// A keyframe with fewer observations of map points than this could hardly be found in its own map.
@@ -21,11 +20,7 @@ pub struct MapPage<'a> {
 
 /// What every reader of a map should know: warnings of its odometry and its mapping, and where nobody would be found.
 pub fn findings(map: &HdMap, report: &MappingReport) -> Vec<Finding> {
-    let odometry = report.odometry.warnings.iter();
-    let mut findings: Vec<Finding> = odometry
-        .map(OdometryWarning::finding)
-        .chain(report.warnings.iter().map(MappingWarning::finding))
-        .collect();
+    let mut findings = report.findings();
     findings.push(coverage(map));
     findings
 }

@@ -22,9 +22,8 @@ pub(super) fn report(
     sim_config: &SimConfig,
 ) -> anyhow::Result<Report> {
     let (mapping, walk_report) = (&map.report, &walk.report);
-    let odometry = mapping.odometry.warnings.iter().map(|w| w.finding());
-    let of_mapping = mapping.warnings.iter().map(|w| w.finding());
-    let findings = odometry.chain(of_mapping).chain(walk_report.findings());
+    let of_mapping = mapping.findings().into_iter();
+    let findings = of_mapping.chain(walk_report.findings());
     let distribution = |title: &str, values| Distribution {
         title: title.to_owned(),
         quantity: "reprojection error".to_owned(),

@@ -1,0 +1,392 @@
+//! Whether the cameras are what the rig file says, by what the map shows.
+//!
+//! A camera that is turned by some degrees against the file, or whose focal length is some per cent off, makes points that fit its own
+//! images: reprojection errors grow by a tenth of a pixel, and the points stand elsewhere. So when Eq. (4) is solved, it is solved once
+//! more with the errors of each camera free: turn, shift, focal length and clock. The LiDAR holds the poses of the keyframes; how points
+//! move through the images between them is what tells the errors.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use lsfb_geometry::{Rig, RigCamera, Se3, Trajectory, Vector3, so3};
+use lsfb_solver::{Block, Kernel, Problem, VectorPrior, covariance};
+use lsfb_types::{Finding, Limit, ProgressFn, Timestamp, Verdict};
+use nalgebra::SMatrix;
+use serde::{Deserialize, Serialize};
+
+use super::adjustment::{Terms, add_keyframes};
+use super::keyframes::Keyframes;
+use super::{MappingConfig, triangulate_round};
+use crate::Error;
+use crate::features::tracks::Track;
+use crate::hd_map::MapPoint;
+use crate::residuals::{CameraCorrection, FrameMotion, MovingCamera, MovingReprojection, entry};
+use crate::solve::solve_or_stop;
+
+/// By how much a camera differs from the rig file, as the map's images show it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CameraError {
+    /// Its name.
+    pub camera: String,
+    /// Keypoints in its images that belong to a track.
+    pub tracked: u64,
+    /// Those of them that show a point of the map.
+    pub observations: u64,
+    /// Turn of the camera frame, degrees.
+    pub turn_deg: f64,
+    /// Its standard deviation, in its own direction.
+    pub turn_sigma_deg: f64,
+    /// Shift of the camera frame, metres.
+    pub shift_m: f64,
+    /// Its standard deviation, in its own direction.
+    pub shift_sigma_m: f64,
+    /// Share by which the focal length is larger.
+    pub focal_share: f64,
+    /// Its standard deviation.
+    pub focal_sigma: f64,
+    /// To be added to the camera's stamps, seconds.
+    pub clock_s: f64,
+    /// Its standard deviation, seconds.
+    pub clock_sigma_s: f64,
+}
+
+/// What a map of some centimetres bears of an error, and what it does not: at five metres 0.3° and 0.5 % move a point by 2.6 cm,
+/// and somebody who walks and turns by 40° a second moves it by as much in 5 ms.
+const TURN_LIMITS_DEG: [f64; 2] = [0.3, 1.0];
+const SHIFT_LIMITS_M: [f64; 2] = [0.03, 0.1];
+const FOCAL_LIMITS: [f64; 2] = [0.005, 0.02];
+const CLOCK_LIMITS_S: [f64; 2] = [0.005, 0.015];
+/// Standard deviations beyond a limit that are not chance.
+const CERTAIN_SIGMAS: f64 = 4.0;
+/// Of keypoints that match from image to image most show a point; of a camera that looks another way than the file says, hardly any does.
+const FEWEST_SHOW_A_POINT: [f64; 2] = [0.3, 0.15];
+/// Keypoints below which nothing is said.
+const FEWEST_TRACKED: u64 = 200;
+
+impl CameraError {
+    /// As every command and page says it.
+    pub fn findings(&self) -> Vec<Finding> {
+        let mut findings = vec![
+            self.finding(
+                "camera-turn",
+                "turned by",
+                self.turn_deg,
+                self.turn_sigma_deg,
+                TURN_LIMITS_DEG,
+                "°",
+            ),
+            self.finding(
+                "camera-shift",
+                "shifted by",
+                1e2 * self.shift_m,
+                1e2 * self.shift_sigma_m,
+                SHIFT_LIMITS_M.map(|m| 1e2 * m),
+                "cm",
+            ),
+            self.finding(
+                "camera-focal-length",
+                "its focal length off by",
+                1e2 * self.focal_share.abs(),
+                1e2 * self.focal_sigma,
+                FOCAL_LIMITS.map(|share| 1e2 * share),
+                "%",
+            ),
+            self.finding(
+                "camera-clock",
+                "its clock off by",
+                1e3 * self.clock_s.abs(),
+                1e3 * self.clock_sigma_s,
+                CLOCK_LIMITS_S.map(|s| 1e3 * s),
+                "ms",
+            ),
+        ];
+        if self.tracked >= FEWEST_TRACKED {
+            let share = self.observations as f64 / self.tracked as f64;
+            let [warn, fail] = FEWEST_SHOW_A_POINT;
+            let verdict = [(fail, Verdict::Fail), (warn, Verdict::Warn)]
+                .into_iter()
+                .find(|(limit, _)| share < *limit)
+                .map_or(Verdict::Pass, |(_, verdict)| verdict);
+            let what = format!(
+                "{} of its {} keypoints that match from image to image show a point of the map",
+                self.observations, self.tracked
+            );
+            findings.push(
+                Finding::new("camera-points", verdict, &self.camera, what)
+                    .value(1e2 * share, "%")
+                    .limit(Limit::AtLeast(1e2 * warn))
+                    .remedy("it does not look where the rig file says: check which camera is which, and calibrate the rig"),
+            );
+        }
+        findings
+    }
+
+    fn finding(
+        &self,
+        code: &'static str,
+        what: &str,
+        value: f64,
+        sigma: f64,
+        limits: [f64; 2],
+        unit: &'static str,
+    ) -> Finding {
+        let at_least = value - CERTAIN_SIGMAS * sigma;
+        let [warn, fail] = limits;
+        let verdict = match at_least {
+            at_least if at_least > fail => Verdict::Fail,
+            at_least if at_least > warn => Verdict::Warn,
+            _ => Verdict::Pass,
+        };
+        let space = if unit == "°" { "" } else { " " };
+        let what = format!(
+            "{what} {value:.2}{space}{unit} ± {sigma:.2}{space}{unit} against the rig file, as the map's images show it"
+        );
+        Finding::new(code, verdict, &self.camera, what)
+            .value(value, unit)
+            .sigma(sigma)
+            .limit(Limit::AtMost(warn))
+            .remedy("points that it sees are mapped in the wrong place: calibrate the rig and map again")
+    }
+}
+
+/// What is checked.
+pub(super) struct Checked<'a> {
+    pub rig: &'a Rig,
+    pub keyframes: &'a Keyframes,
+    pub tracks: &'a [Track],
+    /// For the motion around each image.
+    pub trajectory: &'a Trajectory,
+    pub terms: Terms<'a>,
+}
+
+/// What is thought possible, one standard deviation: a rig file with the worst of mistakes that its images still match with.
+const TURN_SIGMA_RAD: f64 = 0.1;
+const SHIFT_SIGMA_M: f64 = 0.1;
+const FOCAL_SIGMA: f64 = 0.1;
+const CLOCK_SIGMA_S: f64 = 0.1;
+/// Readouts are not searched.
+const READOUT_SIGMA_S: f64 = 1e-6;
+
+/// Keeps a point that no camera has before it any more, as its errors change, from being undetermined.
+const POINT_SIGMA_M: f64 = 10.0;
+
+/// Points that are triangulated with wrong cameras are wrong, and some are missed: with the errors found they are again.
+const ROUNDS: usize = 3;
+/// Errors that change by less than this many standard deviations, or this share of what a map bears, are found.
+const FOUND_SIGMAS: f64 = 0.5;
+const FOUND_SHARE: f64 = 0.25;
+/// More observations tell nothing new: all that is common to them is known by then.
+const MOST_OBSERVATIONS: usize = 30_000;
+
+/// Time before and after an image from which its motion follows, nanoseconds.
+const MOTION_NS: i64 = 10_000_000;
+
+/// Finds the errors of all cameras that have images.
+pub(super) fn camera_errors(
+    checked: &Checked,
+    config: &MappingConfig,
+    progress: ProgressFn<'_>,
+) -> Result<Vec<CameraError>, Error> {
+    let images = &checked.keyframes.images;
+    let mut rig = checked.rig.clone();
+    // Images are posed at their own times already.
+    for camera in rig.cameras.values_mut() {
+        camera.timing = Default::default();
+    }
+    rig.cameras
+        .retain(|name, _| images.iter().any(|image| image.camera == *name));
+    let stated = rig.clone();
+    let mut errors = Vec::new();
+    for round in 0..ROUNDS {
+        let mut points = triangulate_round(&rig, checked.keyframes, checked.tracks, round, config)?;
+        points.retain(|point| point.observations.len() > 2);
+        let observations: usize = points.iter().map(|p| p.observations.len()).sum();
+        let every = observations.div_ceil(MOST_OBSERVATIONS).max(1);
+        let counts = counts_of(checked, &points);
+        let points: Vec<MapPoint> = points.into_iter().step_by(every).collect();
+        let found = solve_round(checked, &rig, &points, config, progress)?;
+        let mut rests = true;
+        errors.clear();
+        for ((name, camera), found) in rig.cameras.iter_mut().zip(found) {
+            rests &= found.is_small();
+            *camera = corrected(camera, &found.correction);
+            let stated = stated.cameras.get(name).unwrap_or(camera);
+            let counts = counts.get(name.as_str()).copied().unwrap_or_default();
+            errors.push(error_of(name, counts, stated, camera, &found.covariance));
+        }
+        if rests {
+            break;
+        }
+    }
+    Ok(errors)
+}
+
+/// What one camera is off by, and how well that is known.
+struct Found {
+    correction: CameraCorrection,
+    covariance: SMatrix<f64, 9, 9>,
+}
+
+impl Found {
+    /// Whether it changes nothing that matters.
+    fn is_small(&self) -> bool {
+        let mut matters = CameraCorrection::repeat(TURN_LIMITS_DEG[0].to_radians());
+        matters
+            .fixed_rows_mut::<3>(entry::SHIFT)
+            .fill(SHIFT_LIMITS_M[0]);
+        matters[entry::FOCAL] = FOCAL_LIMITS[0];
+        matters[entry::CLOCK] = CLOCK_LIMITS_S[0];
+        let sigmas = self.covariance.diagonal().map(f64::sqrt);
+        let found = |k: &usize| {
+            let bound = (FOUND_SIGMAS * sigmas[*k]).max(FOUND_SHARE * matters[*k]);
+            self.correction[*k].abs() < bound
+        };
+        (entry::TURN..entry::READOUT).all(|k| found(&k))
+    }
+}
+
+/// Eq. (4) from where it ended, with the errors of the cameras free.
+fn solve_round(
+    checked: &Checked,
+    rig: &Rig,
+    points: &[MapPoint],
+    config: &MappingConfig,
+    progress: ProgressFn<'_>,
+) -> Result<Vec<Found>, Error> {
+    let Keyframes { frames, images } = checked.keyframes;
+    let mut problem = Problem::new();
+    let poses = add_keyframes(&mut problem, checked.keyframes, &checked.terms, config)?;
+    let mut cameras: BTreeMap<&str, (Arc<MovingCamera>, Block<CameraCorrection>)> = BTreeMap::new();
+    for (name, camera) in &rig.cameras {
+        let block = problem.add_block(CameraCorrection::zeros());
+        let prior = VectorPrior::new(CameraCorrection::zeros(), possible());
+        problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
+        cameras.insert(name, (MovingCamera::new(camera), block));
+    }
+    let motions: Vec<FrameMotion> = frames
+        .iter()
+        .map(|k| motion_at(checked.trajectory, k.time, &k.world_from_rig).unwrap_or_default())
+        .collect();
+    for point in points {
+        let block = problem.add_eliminated_point(point.point_in_world);
+        let prior = VectorPrior::new(point.point_in_world, Vector3::repeat(POINT_SIGMA_M));
+        problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
+        for o in &point.observations {
+            let image = &images[o.image];
+            let Some((camera, correction)) = cameras.get(image.camera.as_str()) else {
+                continue;
+            };
+            let residual = MovingReprojection {
+                camera: camera.clone(),
+                motion: motions[image.keyframe],
+                pixel: image.features.keypoints[o.keypoint as usize].pixel_f64(),
+                sigma_px: checked.terms.weights.pixel_sigma_px,
+            };
+            let blocks = [poses[image.keyframe].id(), correction.id(), block.id()];
+            problem.add_residual(residual, &blocks, Kernel::Huber { scale: 2.0 })?;
+        }
+    }
+    solve_or_stop("cameras", &mut problem, &config.solver, progress)?;
+    let blocks: Vec<_> = cameras.values().map(|(_, block)| *block).collect();
+    let ids: Vec<_> = blocks.iter().map(|block| block.id()).collect();
+    let covariance = covariance(&problem, &ids)?;
+    let found = |block: &Block<CameraCorrection>| {
+        let own = covariance.between(block.id(), block.id());
+        Found {
+            correction: problem.value(*block),
+            covariance: own.map_or_else(SMatrix::zeros, |own| own.fixed_view::<9, 9>(0, 0).into()),
+        }
+    };
+    Ok(blocks.iter().map(found).collect())
+}
+
+fn possible() -> CameraCorrection {
+    let mut sigmas = CameraCorrection::repeat(TURN_SIGMA_RAD);
+    sigmas.fixed_rows_mut::<3>(entry::SHIFT).fill(SHIFT_SIGMA_M);
+    sigmas[entry::FOCAL] = FOCAL_SIGMA;
+    sigmas[entry::CLOCK] = CLOCK_SIGMA_S;
+    sigmas[entry::READOUT] = READOUT_SIGMA_S;
+    sigmas
+}
+
+/// Motion of the rig around an image; `None` at the ends of the trajectory.
+fn motion_at(
+    trajectory: &Trajectory,
+    time: Timestamp,
+    world_from_rig: &Se3,
+) -> Option<FrameMotion> {
+    let before = trajectory.at(time + -MOTION_NS)?;
+    let after = trajectory.at(time + MOTION_NS)?;
+    let secs = 2e-9 * MOTION_NS as f64;
+    let moved = before.inverse() * after;
+    // The odometry's world may be turned a little against that of the keyframes.
+    let velocity_in_rig = before
+        .rotation
+        .inverse_transform_vector(&(after.translation - before.translation))
+        / secs;
+    Some(FrameMotion {
+        turn_rate_rad_s: so3::log(&moved.rotation) / secs,
+        velocity_m_s: world_from_rig.rotation * velocity_in_rig,
+        ..FrameMotion::default()
+    })
+}
+
+fn corrected(camera: &RigCamera, correction: &CameraCorrection) -> RigCamera {
+    let corrected = MovingCamera::new(camera).corrected(correction);
+    RigCamera {
+        camera: *corrected.camera(),
+        rig_from_camera: corrected.camera_from_rig().inverse(),
+        timing: *corrected.timing(),
+    }
+}
+
+/// Of each camera the keypoints that belong to a track, and those of them that show a point.
+fn counts_of<'a>(checked: &Checked<'a>, points: &[MapPoint]) -> BTreeMap<&'a str, [u64; 2]> {
+    let mut counts: BTreeMap<&str, [u64; 2]> = BTreeMap::new();
+    let tracked = checked.tracks.iter().flat_map(|track| &track.keypoints);
+    let seen = points.iter().flat_map(|point| &point.observations);
+    let images = tracked
+        .map(|k| (0, k.image as usize))
+        .chain(seen.map(|o| (1, o.image)));
+    for (which, image) in images {
+        if let Some(image) = checked.keyframes.images.get(image) {
+            counts.entry(&image.camera).or_default()[which] += 1;
+        }
+    }
+    counts
+}
+
+fn error_of(
+    name: &str,
+    [tracked, observations]: [u64; 2],
+    stated: &RigCamera,
+    found: &RigCamera,
+    covariance: &SMatrix<f64, 9, 9>,
+) -> CameraError {
+    let moved = found.rig_from_camera.inverse() * stated.rig_from_camera;
+    let focal_px = |camera: &RigCamera| camera.camera.lens.parameters().values[0];
+    let sigma = |k: usize| covariance[(k, k)].sqrt();
+    let turn = so3::log(&moved.rotation);
+    CameraError {
+        camera: name.to_owned(),
+        tracked,
+        observations,
+        turn_deg: turn.norm().to_degrees(),
+        turn_sigma_deg: sigma_along(covariance, entry::TURN, &turn).to_degrees(),
+        shift_m: moved.translation.norm(),
+        shift_sigma_m: sigma_along(covariance, entry::SHIFT, &moved.translation),
+        focal_share: focal_px(found) / focal_px(stated) - 1.0,
+        focal_sigma: sigma(entry::FOCAL),
+        clock_s: found.timing.rig_from_camera_s - stated.timing.rig_from_camera_s,
+        clock_sigma_s: sigma(entry::CLOCK),
+    }
+}
+
+/// Standard deviation of three entries in a direction.
+fn sigma_along(covariance: &SMatrix<f64, 9, 9>, from: usize, along: &Vector3<f64>) -> f64 {
+    let own = covariance.fixed_view::<3, 3>(from, from);
+    match along.try_normalize(0.0) {
+        Some(unit) => unit.dot(&(own * unit)).max(0.0).sqrt(),
+        None => own.trace().max(0.0).sqrt(),
+    }
+}
