@@ -2,6 +2,7 @@
 
 mod adjustment;
 mod config;
+mod image_check;
 mod keyframe_scans;
 mod keyframes;
 mod report;
@@ -19,7 +20,7 @@ use lsfb_types::ProgressFn;
 use sha2::{Digest, Sha256};
 
 use crate::bending::bent;
-use crate::error::{Error, MIN_FEATURES_PER_IMAGE};
+use crate::error::Error;
 use crate::features::FeatureDetector;
 use crate::features::tracks::Track;
 use crate::features::triangulation::TriangulationConfig;
@@ -28,6 +29,7 @@ use crate::loops::{close_loops, find_loops};
 use crate::odometry::{Damages, OdometryResult, run_odometry};
 use adjustment::{Terms, adjust};
 pub use config::{CorrelationConfig, MappingConfig};
+use image_check::describe_images;
 use keyframe_scans::add_lidar_features;
 use keyframes::{Keyframe, Keyframes, choose_keyframes, find_cameras};
 use report::USUAL_OUTLIER_SHARE;
@@ -262,25 +264,6 @@ fn triangulate_round(
     };
     let poses = keyframes.poses();
     triangulate_tracks(rig, &poses, &keyframes.images, tracks, &triangulation)
-}
-
-/// Counts features, and warns of cameras that see too little.
-fn describe_images(keyframes: &Keyframes, cameras: &[String], report: &mut MappingReport) {
-    report.keyframes = keyframes.frames.len() as u64;
-    report.images = keyframes.images.len() as u64;
-    for name in cameras {
-        let images = keyframes.images.iter().filter(|i| i.camera == *name);
-        let count = images.clone().count() as u64;
-        let features: u64 = images.map(|i| i.features.len() as u64).sum();
-        report.features += features;
-        if features < MIN_FEATURES_PER_IMAGE as u64 * count.max(1) {
-            report.warnings.push(MappingWarning::FewFeatures {
-                camera: name.clone(),
-                features,
-                images: count,
-            });
-        }
-    }
 }
 
 /// The odometry's trajectory bent through the optimised keyframes.

@@ -4,6 +4,7 @@ use lsfb_types::{Finding, Limit, Verdict};
 use serde::{Deserialize, Serialize};
 
 use super::CameraError;
+use super::image_check::{BLURRED_SCALE, FEATURELESS_SHARE};
 use crate::loops::Closing;
 use crate::odometry::{OdometryReport, OdometryWarning};
 
@@ -132,6 +133,24 @@ pub enum MappingWarning {
         /// Its images.
         images: u64,
     },
+    /// Many images of a camera show hardly anything.
+    FeaturelessImages {
+        /// The camera.
+        camera: String,
+        /// Its images with hardly a feature.
+        featureless: u64,
+        /// All of its images.
+        images: u64,
+    },
+    /// A camera shows coarse features only.
+    Blurred {
+        /// The camera.
+        camera: String,
+        /// Median scale of its features, pixels.
+        scale_px: f64,
+        /// The same of the other cameras, their median, pixels.
+        of_others_px: f64,
+    },
     /// A part of the recording could not be read.
     Damaged {
         /// Which, and why.
@@ -169,6 +188,33 @@ impl MappingWarning {
                 format!("it shows {features} features in {images} images"),
             )
             .remedy("check focus, exposure and lens cap"),
+            Self::FeaturelessImages {
+                camera,
+                featureless,
+                images,
+            } => warn(
+                "featureless-images",
+                camera,
+                format!("{featureless} of its {images} images show hardly a feature"),
+            )
+            .value(1e2 * *featureless as f64 / (*images).max(1) as f64, "%")
+            .limit(Limit::AtMost(1e2 * FEATURELESS_SHARE))
+            .remedy("check light, exposure and the camera's cable"),
+            Self::Blurred {
+                camera,
+                scale_px,
+                of_others_px,
+            } => warn(
+                "blurred",
+                camera,
+                format!(
+                    "its features are {:.1} times as large as those of the other cameras",
+                    scale_px / of_others_px
+                ),
+            )
+            .value(*scale_px, "px")
+            .limit(Limit::AtMost(BLURRED_SCALE * of_others_px))
+            .remedy("check its focus and clean its lens"),
             Self::Damaged { what } => warn("damaged", "", what.clone()),
             Self::ManyOutliers { share, max_px } => warn(
                 "many-outliers",

@@ -28,7 +28,7 @@ use crate::solve::solve_or_stop;
 pub struct CameraError {
     /// Its name.
     pub camera: String,
-    /// Keypoints in its images that belong to a track.
+    /// Keypoints in its images that match in two others or more.
     pub tracked: u64,
     /// Those of them that show a point of the map.
     pub observations: u64,
@@ -108,7 +108,7 @@ impl CameraError {
                 .find(|(limit, _)| share < *limit)
                 .map_or(Verdict::Pass, |(_, verdict)| verdict);
             let what = format!(
-                "{} of its {} keypoints that match from image to image show a point of the map",
+                "{} of its {} keypoints that match in two other images show a point of the map",
                 self.observations, self.tracked
             );
             findings.push(
@@ -175,6 +175,8 @@ const ROUNDS: usize = 3;
 /// Errors that change by less than this many standard deviations, or this share of what a map bears, are found.
 const FOUND_SIGMAS: f64 = 0.5;
 const FOUND_SHARE: f64 = 0.25;
+/// Two views of anything meet somewhere by chance.
+const CERTAIN_VIEWS: usize = 3;
 /// More observations tell nothing new: all that is common to them is known by then.
 const MOST_OBSERVATIONS: usize = 30_000;
 
@@ -199,10 +201,10 @@ pub(super) fn camera_errors(
     let mut errors = Vec::new();
     for round in 0..ROUNDS {
         let mut points = triangulate_round(&rig, checked.keyframes, checked.tracks, round, config)?;
-        points.retain(|point| point.observations.len() > 2);
+        points.retain(|point| point.observations.len() >= CERTAIN_VIEWS);
+        let counts = counts_of(checked, &points);
         let observations: usize = points.iter().map(|p| p.observations.len()).sum();
         let every = observations.div_ceil(MOST_OBSERVATIONS).max(1);
-        let counts = counts_of(checked, &points);
         let points: Vec<MapPoint> = points.into_iter().step_by(every).collect();
         let found = solve_round(checked, &rig, &points, config, progress)?;
         let mut rests = true;
@@ -340,10 +342,12 @@ fn corrected(camera: &RigCamera, correction: &CameraCorrection) -> RigCamera {
     }
 }
 
-/// Of each camera the keypoints that belong to a track, and those of them that show a point.
+/// Of each camera the keypoints that match in two images or more, and those of them that show a point.
 fn counts_of<'a>(checked: &Checked<'a>, points: &[MapPoint]) -> BTreeMap<&'a str, [u64; 2]> {
     let mut counts: BTreeMap<&str, [u64; 2]> = BTreeMap::new();
-    let tracked = checked.tracks.iter().flat_map(|track| &track.keypoints);
+    let long = |track: &&Track| track.keypoints.len() >= CERTAIN_VIEWS;
+    let tracked = checked.tracks.iter().filter(long);
+    let tracked = tracked.flat_map(|track| &track.keypoints);
     let seen = points.iter().flat_map(|point| &point.observations);
     let images = tracked
         .map(|k| (0, k.image as usize))
