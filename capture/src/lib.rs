@@ -43,6 +43,7 @@ mod sync;
 mod tap;
 mod threads;
 mod topics;
+pub mod walks;
 
 pub use config::{
     CameraUnitConfig, DevicesConfig, ImuLineConfig, LidarData, LidarNetConfig, LidarSettingsConfig,

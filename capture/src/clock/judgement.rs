@@ -19,6 +19,13 @@ impl ClockReport {
 
     /// Whether each clock ran through, and how well its time is known.
     pub fn judgement(&self) -> Judgement {
+        if self.imported {
+            let found = "imported from another program: no host received it, so that its stamps stand alone";
+            let finding = Finding::new("import", Verdict::Unknown, "clocks", found);
+            return Judgement::new(vec![
+                finding.remedy("align it with another recording of the same walk by `lsfb align`"),
+            ]);
+        }
         if let Some(pace) = self.pace {
             let found = format!(
                 "not recorded in real time ({pace:.2} s of the devices' counters per second of arrivals), a replay or a simulation: arrivals say nothing about clocks"

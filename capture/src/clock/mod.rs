@@ -15,7 +15,8 @@ use lsfb_types::Timestamp;
 
 pub use one_way::{ClockEstimate, ClockStep, OneWayClock, StampPair, fit_pairs};
 pub use recorded::{
-    ClockConfig, ClockEpoch, ClockReport, DeviceClock, ResidualSample, estimate_clocks,
+    ClockConfig, ClockEpoch, ClockReport, DeviceClock, Exchange, ExchangedClock, ExchangedTime,
+    ResidualSample, estimate_clocks,
 };
 
 const HOUR_NS: i64 = 3_600_000_000_000;

@@ -12,6 +12,8 @@ use crate::recorder::{Entry, OwnMessage};
 pub(crate) const LOCKED: &str = "locked";
 /// Kind of a model whose device named the second until its pulse was lost.
 pub(crate) const HOLDOVER: &str = "holdover";
+/// Kind of a model made of exchanges of times with the device.
+pub(crate) const EXCHANGED: &str = "exchanged";
 const FITTED: &str = "fitted";
 /// What a quartz may have run away since.
 const HOLDOVER_SKEW: f64 = 20e-6;

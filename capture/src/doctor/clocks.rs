@@ -6,6 +6,7 @@ use lsfb_types::{Finding, Limit, Verdict};
 
 use super::{DoctorConfig, Findings};
 use crate::Error;
+use crate::clock::model_topic::EXCHANGED;
 
 impl Findings {
     pub(super) fn clocks(
@@ -49,8 +50,12 @@ fn judge(model: &ClockModel, config: &DoctorConfig) -> Finding {
         let finding = finding(Verdict::Warn, found).value(sigma_us, "µs");
         return finding.remedy("check the cable and the antenna of the GNSS receiver");
     }
+    let by = match model.kind.as_str() {
+        EXCHANGED => "by exchanges of times",
+        _ => "fitted to arrival",
+    };
     let found = format!(
-        "fitted to arrival: σ {sigma_us:.1} µs, skew {:.2} ± {:.2} ppm, {}",
+        "{by}: σ {sigma_us:.1} µs, skew {:.2} ± {:.2} ppm, {}",
         model.skew * 1e6,
         model.sigma_skew * 1e6,
         match model.epoch {

@@ -22,7 +22,10 @@ use presence::Presence;
 use server::SidecarEvent;
 pub(crate) use server::SidecarServer;
 pub(crate) use sessions::Place;
-pub(crate) use topics::Topics;
+pub(crate) use time_sync::decode_exchange;
+#[cfg(test)]
+pub(crate) use time_sync::encode_exchange;
+pub(crate) use topics::{CAMERA_INFO, TIME_SYNC, Topics};
 
 use crate::control::Control;
 use crate::health::{Connection, Ending, Meter, StreamReport};

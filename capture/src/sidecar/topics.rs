@@ -14,11 +14,11 @@ const MAX_TOPIC_BYTES: usize = 256;
 /// Longest schema, bytes.
 const MAX_SCHEMA_BYTES: usize = 256 << 10;
 /// Where the exchanges of times of a device go, below `/sidecar/<id>`.
-pub(super) const TIME_SYNC: &str = "/time_sync";
+pub(crate) const TIME_SYNC: &str = "/time_sync";
 /// Where a device's sessions begin in a recording, below `/sidecar/<id>`.
 pub(super) const SESSION: &str = "/session";
 /// Intrinsics are made of the device's rig.
-const CAMERA_INFO: &str = "/camera_info";
+pub(crate) const CAMERA_INFO: &str = "/camera_info";
 
 /// A topic of the recorder's own among those of a device.
 pub(super) fn is_recorders_own(topic: &str) -> bool {

@@ -1,6 +1,7 @@
 //! Clocks estimated again from the stamps that a recording keeps: nothing here depends on what was believed while it was
 //! made.
 
+mod exchanged;
 mod lines;
 mod passage;
 mod source;
@@ -13,10 +14,13 @@ use serde::{Deserialize, Serialize};
 use super::model_topic::{HOLDOVER, LOCKED};
 use super::{OneWayClock, fit_pairs};
 use crate::Error;
+pub use exchanged::{Exchange, ExchangedClock, ExchangedTime};
 use lines::{rising, time_of, windows};
 use passage::passage;
 use source::{Triple, devices};
 
+/// Metadata of a recording that was made of files of another program.
+const IMPORT: &str = "lsfb.import";
 /// Points of a plot, at most, per device.
 const PLOTTED: usize = 4_000;
 
@@ -100,6 +104,8 @@ pub struct ClockReport {
     /// Seconds of the devices' counters per second of arrivals where the recording was not made in real time; `None` where it was.
     /// There arrivals say nothing about clocks, and no device is listed.
     pub pace: Option<f64>,
+    /// Whether it is an import: no host received it, arrivals are the devices' stamps again, and no device is listed.
+    pub imported: bool,
     /// One entry per device with a counter.
     pub devices: Vec<DeviceClock>,
 }
@@ -111,6 +117,13 @@ pub fn estimate_clocks(
     progress: ProgressFn<'_>,
 ) -> Result<ClockReport, Error> {
     config.check_bounds("clock")?;
+    if is_import(recording) {
+        return Ok(ClockReport {
+            pace: None,
+            imported: true,
+            devices: Vec::new(),
+        });
+    }
     let start = recording
         .arrival_range()
         .map_or(Timestamp::default(), |range| range.start);
@@ -141,10 +154,17 @@ pub fn estimate_clocks(
     let clocks = counted.into_iter().filter(|_| pace.is_none());
     Ok(ClockReport {
         pace,
+        imported: false,
         devices: clocks
             .map(|(counter, triples)| estimate(counter, &triples, start, config))
             .collect(),
     })
+}
+
+/// Whether `lsfb import` wrote a recording.
+fn is_import(recording: &Recording) -> bool {
+    let import = recording.metadata(IMPORT);
+    import.is_ok_and(|entries| !entries.is_empty())
 }
 
 fn recorded_models(recording: &Recording) -> Result<Vec<ClockModel>, Error> {

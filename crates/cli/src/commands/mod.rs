@@ -38,6 +38,7 @@ pub mod recover;
 pub mod report;
 pub mod scan;
 pub mod sidecar;
+mod sidecar_walks;
 pub mod sim;
 pub mod survey;
 #[cfg(feature = "view")]

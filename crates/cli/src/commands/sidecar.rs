@@ -20,7 +20,7 @@ const ELSEWHERE: (&str, u16) = ("192.0.2.1", 9);
 /// Empty modules around a QR code.
 const QUIET_ZONE: i32 = 4;
 
-/// Pair phones and glasses with this rig, or play a recorded phone to a rig.
+/// Pair phones and glasses with this rig, write the walk of each, or play a recorded phone to a rig.
 ///
 /// A phone is paired once, by a code that is valid for one phone and a few minutes; afterwards it connects by itself. What an app
 /// must speak is in docs/sidecar.md.
@@ -29,6 +29,7 @@ const QUIET_ZONE: i32 = 4;
 ///   lsfb sidecar pair --devices devices.toml       # show the code; `lsfb scan` may run meanwhile or later
 ///   lsfb sidecar list --devices devices.toml
 ///   lsfb sidecar unpair pixel8 --devices devices.toml
+///   lsfb sidecar walks scan.mcap --out walks       # each phone becomes a file of its own
 ///   lsfb sidecar play walk.mcap --code 'lsfb://192.168.8.1:8790?fp=4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f4f&tok=a7a7a7a7a7a7a7a7a7a7a7a7a7a7a7a7' --fault-seed 7
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -43,6 +44,7 @@ enum Action {
     List(List),
     Unpair(Unpair),
     Play(Play),
+    Walks(super::sidecar_walks::Arguments),
 }
 
 /// Show a code that pairs one phone.
@@ -154,6 +156,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             Ok(Outcome::Done)
         }
         Action::Play(play) => play.run(context),
+        Action::Walks(walks) => super::sidecar_walks::run(walks, context),
     }
 }
 

@@ -1,0 +1,203 @@
+//! A recording of two phones, whose stamps are known to the nanosecond.
+
+use lsfb_recording::message::{ImuVariance, decode_clock_model, encode_imu};
+use lsfb_types::{ImuSample, no_progress};
+
+use super::*;
+use crate::doctor::{DoctorConfig, examine};
+use crate::sidecar::encode_exchange;
+
+const START_NS: i64 = 1_772_359_200_000_000_000;
+const BOOT: &str = "android.elapsedRealtime";
+const SECS: i64 = 60;
+
+/// The phone's clock: started 50 s ago, 40 ppm slow.
+fn device_ns(host_ns: i64) -> i64 {
+    let run_ns = host_ns - START_NS;
+    50_000_000_000 + run_ns - run_ns / 25_000
+}
+
+/// Delays that repeat: short ones, and queues of up to 60 ms on the way to the rig.
+fn delay_ns(n: i64) -> i64 {
+    4_000_000
+        + (n * 7_919 % 13) * 100_000
+        + if n % 5 == 0 {
+            n * 31 % 60 * 1_000_000
+        } else {
+            0
+        }
+}
+
+fn write(path: &Path) {
+    let mut writer = Writer::create(path, &WriterConfig::default()).expect("recording");
+    let mut put =
+        |topic: &str, schema: message::Schema, time_ns: i64, arrival_ns: i64, bytes: &[u8]| {
+            let channel = Channel {
+                topic,
+                schema_name: schema.name,
+                schema_text: schema.text,
+            };
+            let (time, arrival) = (
+                Timestamp::from_nanos(time_ns),
+                Timestamp::from_nanos(arrival_ns),
+            );
+            writer
+                .write_cdr(&channel, time, arrival, bytes)
+                .expect("written");
+        };
+    for n in 0..SECS * 100 {
+        let measured_ns = START_NS + n * 10_000_000;
+        let arrival_ns = measured_ns + delay_ns(n);
+        // While it was recorded, the phone's time was the arrival less nothing: too late by a delay.
+        let believed_ns = measured_ns + 4_000_000;
+        let sample = ImuSample {
+            specific_force_m_s2: [0.0, 0.0, n as f64],
+            ..ImuSample::default()
+        };
+        let time = Timestamp::from_nanos(believed_ns);
+        let bytes = encode_imu(time, "imu", &sample, ImuVariance::UNKNOWN);
+        let reference = TimeReference {
+            device_ticks: device_ns(measured_ns).unsigned_abs(),
+            source: BOOT.to_owned(),
+        };
+        let stamp = message::encode_time_reference(time, BOOT, &reference).expect("ticks");
+        put(
+            "/sidecar/pixel/imu/device_time",
+            message::TIME_REFERENCE,
+            believed_ns,
+            arrival_ns,
+            &stamp,
+        );
+        put(
+            "/sidecar/pixel/imu",
+            message::IMU,
+            believed_ns,
+            arrival_ns,
+            &bytes,
+        );
+        put(
+            "/sidecar/watch/imu",
+            message::IMU,
+            measured_ns,
+            arrival_ns,
+            &bytes,
+        );
+        if n % 100 == 0 {
+            let heard_ns = measured_ns + delay_ns(n);
+            let answered_ns = heard_ns + 50_000;
+            let exchange = Exchange {
+                t1_ns: device_ns(measured_ns),
+                t2_ns: heard_ns,
+                t3_ns: answered_ns,
+                t4_ns: device_ns(answered_ns + delay_ns(n + 1)),
+            };
+            let (schema, bytes) = encode_exchange(BOOT, &exchange);
+            put(
+                "/sidecar/pixel/time_sync",
+                schema,
+                answered_ns,
+                answered_ns,
+                &bytes,
+            );
+        }
+    }
+    writer.finish().expect("finished");
+}
+
+#[test]
+fn each_phone_gets_its_own_file_with_three_stamps_and_its_clock() {
+    let folder = tempfile::tempdir().expect("folder");
+    let scan = folder.path().join("scan.mcap");
+    write(&scan);
+    let recording = Recording::open(&scan).expect("recording");
+    assert_eq!(phones(&recording), ["pixel", "watch"]);
+    let path = walk_path(folder.path(), "pixel");
+    let walk = write_walk(&recording, "pixel", &path, &no_progress).expect("a walk");
+    let samples = SECS as u64 * 100;
+    assert_eq!(
+        (walk.messages, walk.mapped, walk.unreadable),
+        (samples + SECS as u64, samples, 0)
+    );
+    let [clock] = walk.clocks.as_slice() else {
+        panic!("{walk:?}")
+    };
+    assert_eq!(
+        (clock.clock_id.as_str(), clock.exchanges, clock.steps),
+        (BOOT, SECS as u64, 0)
+    );
+    let own = Recording::open(&path).expect("a walk");
+    assert!(own.topics().iter().all(|t| !t.topic.contains("watch")));
+    let imu: Vec<_> = own
+        .messages("/sidecar/pixel/imu")
+        .expect("imu")
+        .map(|m| m.expect("one"))
+        .collect();
+    let stamps = own
+        .messages("/sidecar/pixel/imu/device_time")
+        .expect("stamps");
+    let stamps: Vec<_> = stamps.map(|m| m.expect("one")).collect();
+    let before: Vec<_> = recording
+        .messages("/sidecar/pixel/imu")
+        .expect("imu")
+        .map(|m| m.expect("one"))
+        .collect();
+    assert_eq!((imu.len(), stamps.len()), (before.len(), before.len()));
+    for message in &imu {
+        let sample = message::decode_imu(&message.bytes).expect("a sample");
+        let n = sample.specific_force_m_s2[2] as i64;
+        let measured_ns = START_NS + n * 10_000_000;
+        let error_us = (message.time.nanos() - measured_ns) as f64 / 1e3;
+        assert!(error_us.abs() < 500.0, "{n}: {error_us} µs");
+        assert_eq!(message.arrival.nanos(), measured_ns + delay_ns(n));
+        let stamp = stamps
+            .iter()
+            .find(|s| s.time == message.time)
+            .expect("its stamp");
+        let reference = message::decode_time_reference(&stamp.bytes).expect("a stamp");
+        assert_eq!(
+            reference.device_ticks,
+            device_ns(measured_ns).unsigned_abs()
+        );
+    }
+    assert!(
+        clock.sigma_us > 0.0 && clock.sigma_us < 500.0,
+        "{}",
+        clock.sigma_us
+    );
+    let model = own
+        .last_message("/sync/clock/pixel")
+        .expect("read")
+        .expect("a model");
+    let model = decode_clock_model(&model.bytes).expect("a model");
+    assert_eq!((model.kind.as_str(), model.epoch), ("exchanged", 1));
+    // A phone that is slow gives more host seconds than its own.
+    assert!(
+        (model.skew * 1e6 - 40.0).abs() < 20.0,
+        "{}",
+        model.skew * 1e6
+    );
+    let diagnosis = examine(&own, &DoctorConfig::default(), &no_progress).expect("a diagnosis");
+    let findings = diagnosis.judgement.findings();
+    let clock = findings
+        .iter()
+        .find(|f| f.subject == "clock pixel")
+        .expect("its clock");
+    assert!(clock.what.contains("exchanges of times"), "{}", clock.what);
+    // The other one has no exchanges: its stamps stay as they were.
+    let path = walk_path(folder.path(), "watch");
+    let walk = write_walk(&recording, "watch", &path, &no_progress).expect("a walk");
+    assert_eq!((walk.messages, walk.mapped), (samples, 0));
+    assert!(walk.clocks.is_empty());
+}
+
+#[test]
+fn told_to_stop_it_leaves_nothing_behind() {
+    let folder = tempfile::tempdir().expect("folder");
+    let scan = folder.path().join("scan.mcap");
+    write(&scan);
+    let recording = Recording::open(&scan).expect("recording");
+    let path = walk_path(folder.path(), "pixel");
+    let stopped = write_walk(&recording, "pixel", &path, &|_| Err(lsfb_types::Stopped));
+    assert!(stopped.is_err());
+    assert_eq!(std::fs::read_dir(folder.path()).expect("folder").count(), 1);
+}

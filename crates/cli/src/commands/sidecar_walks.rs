@@ -1,0 +1,100 @@
+//! `lsfb sidecar walks`: each phone of a recording becomes a file of its own.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+use anyhow::ensure;
+use lsfb_capture::walks::{Walk, phones, walk_path, write_walk};
+use serde::Serialize;
+
+use crate::context::Context;
+use crate::judged::printable;
+use crate::outcome::Outcome;
+
+/// Write each phone of a recording into a walk of its own, with its clock estimated from all exchanges of times.
+///
+/// Every message keeps three stamps: the phone's own, its arrival, and the time made of it, on the rig's clock. The recording is not
+/// changed. Of a recording in parts, run it on each. Exit code 3: messages could not be read.
+///
+/// Examples:
+///   lsfb sidecar walks scan.mcap --out walks
+///   lsfb sidecar walks scan.mcap --out walks --device pixel8 --json
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    /// Recording with phones in it.
+    #[arg(value_name = "MCAP")]
+    recording: PathBuf,
+    /// Folder for the walks, `NAME.walk.mcap` each.
+    #[arg(long, value_name = "FOLDER")]
+    out: PathBuf,
+    /// Only this phone.
+    #[arg(long, value_name = "NAME")]
+    device: Option<String>,
+}
+
+#[derive(Serialize)]
+struct Report {
+    walks: Vec<Walk>,
+}
+
+/// Writes the walks, prints what is known of their clocks.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    let recording = context.open(&arguments.recording)?;
+    let mut devices = phones(&recording);
+    if let Some(wanted) = &arguments.device {
+        devices.retain(|device| device == wanted);
+    }
+    ensure!(
+        !devices.is_empty(),
+        "{}: no such phone in it",
+        arguments.recording.display()
+    );
+    for device in &devices {
+        context.claim(&walk_path(&arguments.out, device), &[&arguments.recording])?;
+    }
+    let mut walks = Vec::new();
+    for device in &devices {
+        let path = walk_path(&arguments.out, device);
+        walks.push(write_walk(&recording, device, &path, &|p| context.show(p))?);
+    }
+    let lost: u64 = walks.iter().map(|w| w.unreadable).sum();
+    let report = Report { walks };
+    context.print(&report, || printable(text(&report.walks).trim_end()))?;
+    Ok(match lost {
+        0 => Outcome::Done,
+        _ => Outcome::DataLost,
+    })
+}
+
+fn text(walks: &[Walk]) -> String {
+    let mut out = String::new();
+    for walk in walks {
+        let _ = write!(out, "{}: {} messages", walk.path.display(), walk.messages);
+        if walk.unreadable > 0 {
+            let _ = write!(out, ", {} UNREADABLE", walk.unreadable);
+        }
+        out.push('\n');
+        for clock in &walk.clocks {
+            let _ = writeln!(
+                out,
+                "  clock {}: {} exchanges, σ {:.0} µs, wrong by at most {:.1} ms where one way is slower{}",
+                clock.clock_id,
+                clock.exchanges,
+                clock.sigma_us,
+                clock.asymmetry_at_most_us / 1e3,
+                match clock.steps {
+                    0 => String::new(),
+                    steps => format!(", began anew {steps} times"),
+                }
+            );
+        }
+        if walk.mapped == 0 {
+            let _ = writeln!(
+                out,
+                "  no stamps were mapped: they are of UTC, or no exchanges were recorded"
+            );
+        }
+    }
+    out
+}
