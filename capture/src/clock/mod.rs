@@ -16,7 +16,7 @@ use lsfb_types::Timestamp;
 pub use one_way::{ClockEstimate, ClockStep, OneWayClock, StampPair, fit_pairs};
 pub use recorded::{
     ClockConfig, ClockEpoch, ClockReport, DeviceClock, Exchange, ExchangedClock, ExchangedTime,
-    ResidualSample, estimate_clocks,
+    ResidualSample, StampOrder, estimate_clocks,
 };
 
 const HOUR_NS: i64 = 3_600_000_000_000;

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use lsfb_drivers::sidecar::SidecarMessage;
 use lsfb_drivers::sidecar::model::CLOCK_UTC;
-use lsfb_drivers::sidecar::wire::Advertise;
+use lsfb_drivers::sidecar::wire::{Advertise, TimeExchange};
 use lsfb_geometry::Rig;
 use lsfb_recording::DEVICE_TIME;
 use lsfb_recording::message::{self, TimeReference};
@@ -20,6 +20,8 @@ use crate::recorder::{Entry, Inlet, OwnMessage, WriterGone};
 const RIG_KEY: &str = "rig_toml";
 /// A channel whose stamps step back by more has a clock that began anew.
 const RESET_NS: i64 = 750_000_000;
+/// A message that took longer had waited until the phone was in reach again: no queue of a network is as long.
+const WAITED_NS: i64 = 500_000_000;
 
 /// One app, whatever it is connected by.
 #[derive(Default)]
@@ -40,6 +42,8 @@ struct Channel {
 struct AppClock {
     one_way: OneWayClock,
     last_device_ns: Option<i64>,
+    /// Host time less device time at the last exchange of times, nanoseconds.
+    exchanged_ns: Option<i64>,
 }
 
 impl AppClock {
@@ -48,11 +52,20 @@ impl AppClock {
     fn time(&mut self, device_ns: i64, channel_last: Option<i64>, arrival: Timestamp) -> Timestamp {
         let is_latest = self.last_device_ns.is_none_or(|last| device_ns > last);
         let began_anew = channel_last.is_some_and(|last| device_ns < last.saturating_sub(RESET_NS));
-        if is_latest || began_anew {
+        if (is_latest && !self.has_waited(device_ns, arrival)) || began_anew {
             self.one_way.push(device_ns, arrival);
             self.last_device_ns = Some(device_ns);
         }
         self.one_way.time(device_ns)
+    }
+
+    /// Whether a message waited on the phone, which was out of reach: its arrival says nothing about the clock, and many of them in a
+    /// row would look like a clock that was set.
+    fn has_waited(&self, device_ns: i64, arrival: Timestamp) -> bool {
+        self.exchanged_ns.is_some_and(|ahead_ns| {
+            let measured_ns = device_ns.saturating_add(ahead_ns);
+            arrival.nanos().saturating_sub(measured_ns) > WAITED_NS
+        })
     }
 }
 
@@ -98,6 +111,17 @@ impl Apps {
     pub(crate) fn refuse(&mut self, why: String) {
         self.report.bad += 1;
         self.report.first_bad.get_or_insert(why);
+    }
+
+    /// Takes an exchange of times with a clock of a device.
+    pub(super) fn exchange(&mut self, device: &str, clock_id: &str, exchange: &TimeExchange) {
+        if let Some(app) = self.apps.get_mut(device)
+            && let Some(clock) = app.clocks.get_mut(clock_id)
+        {
+            let there = i128::from(exchange.t2_ns) - i128::from(exchange.t1_ns);
+            let back = i128::from(exchange.t3_ns) - i128::from(exchange.t4_ns);
+            clock.exchanged_ns = i64::try_from((there + back) / 2).ok();
+        }
     }
 
     pub(crate) fn into_report(self) -> StreamReport {
@@ -202,4 +226,35 @@ fn rig_of(advertised: &Advertise) -> Option<Result<Rig, String>> {
     let metadata: serde_json::Value = serde_json::from_str(&advertised.metadata_json).ok()?;
     let text = metadata.get(RIG_KEY)?.as_str()?;
     Some(Rig::from_toml(text, &advertised.topic).map_err(|e| e.to_string()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const START_NS: i64 = 1_772_359_200_000_000_000;
+
+    /// Out of reach for a minute, then all that waited at once, three times as fast as it was measured.
+    #[test]
+    fn what_waited_on_a_phone_sets_no_clock() {
+        let mut clock = AppClock::default();
+        let mut last = None;
+        for n in 0..18_000_i64 {
+            let device_ns = n * 10_000_000;
+            let (away_ns, back_ns) = (60_000_000_000, 120_000_000_000);
+            let arrival_ns = match device_ns {
+                0..60_000_000_000 => device_ns,
+                _ => device_ns.max(back_ns + (device_ns - away_ns) / 3),
+            } + 4_000_000;
+            if n % 100 == 0 && (device_ns < away_ns || arrival_ns > back_ns) {
+                clock.exchanged_ns = Some(START_NS);
+            }
+            let arrival = Timestamp::from_nanos(START_NS + arrival_ns);
+            let time = clock.time(device_ns, last, arrival);
+            last = Some(device_ns);
+            let error_ns = time.nanos() - START_NS - device_ns;
+            assert!(error_ns.abs() < 20_000_000, "{n}: {error_ns} ns");
+        }
+        assert!(clock.one_way.steps().is_empty());
+    }
 }

@@ -25,7 +25,7 @@ pub(crate) use sessions::Place;
 pub(crate) use time_sync::decode_exchange;
 #[cfg(test)]
 pub(crate) use time_sync::encode_exchange;
-pub(crate) use topics::{CAMERA_INFO, TIME_SYNC, Topics};
+pub(crate) use topics::{CAMERA_INFO, TIME_SYNC, Topics, is_recorders_own};
 
 use crate::control::Control;
 use crate::health::{Connection, Ending, Meter, StreamReport};
@@ -149,6 +149,7 @@ impl Recording {
                 clock_id,
                 exchange,
             } => {
+                self.apps.exchange(&device, &clock_id, &exchange);
                 let message = time_sync::message(&device, &clock_id, &exchange, arrival);
                 inlet.put(Entry::Own(message), &mut self.apps.report)?;
             }

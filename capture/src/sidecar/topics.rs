@@ -21,7 +21,7 @@ pub(super) const SESSION: &str = "/session";
 pub(crate) const CAMERA_INFO: &str = "/camera_info";
 
 /// A topic of the recorder's own among those of a device.
-pub(super) fn is_recorders_own(topic: &str) -> bool {
+pub(crate) fn is_recorders_own(topic: &str) -> bool {
     [DEVICE_TIME, TIME_SYNC, SESSION, CAMERA_INFO]
         .iter()
         .any(|end| topic.ends_with(end))

@@ -1,5 +1,7 @@
 //! A clock as lines over stretches of time that overlap: the line of a quartz bends with its temperature.
 
+use std::ops::Range;
+
 use lsfb_types::Timestamp;
 
 use super::super::{ClockEstimate, StampPair, fit_pairs};
@@ -31,11 +33,19 @@ pub(super) fn windows(
     tick_ns: u64,
     config: &ClockConfig,
 ) -> Vec<ClockEstimate> {
+    let stretches = stretches(pairs, config).into_iter();
+    stretches
+        .filter_map(|range| fit_pairs(pairs.get(range).unwrap_or_default(), tick_ns))
+        .collect()
+}
+
+/// Stretches of pairs that overlap by half, in order.
+pub(super) fn stretches(pairs: &[StampPair], config: &ClockConfig) -> Vec<Range<usize>> {
     let window_ns = ((config.window_secs.max(1.0)) * 1e9) as i64;
     let (Some(first), Some(last)) = (pairs.first(), pairs.last()) else {
         return Vec::new();
     };
-    let mut lines = Vec::new();
+    let mut found = Vec::new();
     let mut start = first.device_ns;
     loop {
         let end = start.saturating_add(window_ns);
@@ -47,9 +57,9 @@ pub(super) fn windows(
         } else {
             pairs.partition_point(|p| p.device_ns < end)
         };
-        lines.extend(fit_pairs(pairs.get(from..to).unwrap_or_default(), tick_ns));
+        found.push(from..to);
         if is_last {
-            return lines;
+            return found;
         }
         start = start.saturating_add(window_ns / 2);
         // A counter that jumped far ahead leaves nothing in between.

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use super::model_topic::{HOLDOVER, LOCKED};
 use super::{OneWayClock, fit_pairs};
 use crate::Error;
-pub use exchanged::{Exchange, ExchangedClock, ExchangedTime};
+pub use exchanged::{Exchange, ExchangedClock, ExchangedTime, StampOrder};
 use lines::{rising, time_of, windows};
 use passage::passage;
 use source::{Triple, devices};

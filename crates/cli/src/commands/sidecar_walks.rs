@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use anyhow::ensure;
-use lsfb_capture::walks::{Walk, phones, walk_path, write_walk};
+use lsfb_capture::walks::{Walk, WalkClock, phones, walk_path, write_walk};
 use serde::Serialize;
 
 use crate::context::Context;
@@ -14,7 +14,8 @@ use crate::outcome::Outcome;
 /// Write each phone of a recording into a walk of its own, with its clock estimated from all exchanges of times.
 ///
 /// Every message keeps three stamps: the phone's own, its arrival, and the time made of it, on the rig's clock. The recording is not
-/// changed. Of a recording in parts, run it on each. Exit code 3: messages could not be read.
+/// changed. Of a recording in parts, run it on each. Exit code 3: messages could not be read, or keep the time of the recording
+/// because the exchanges do not tell theirs.
 ///
 /// Examples:
 ///   lsfb sidecar walks scan.mcap --out walks
@@ -42,14 +43,19 @@ struct Report {
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     let recording = context.open(&arguments.recording)?;
     let mut devices = phones(&recording);
-    if let Some(wanted) = &arguments.device {
-        devices.retain(|device| device == wanted);
-    }
+    let name = arguments.recording.display();
     ensure!(
         !devices.is_empty(),
-        "{}: no such phone in it",
-        arguments.recording.display()
+        "{name}: there is no phone in it; `lsfb scan` records those that are paired by `lsfb sidecar pair`"
     );
+    if let Some(wanted) = &arguments.device {
+        let known = devices.join(", ");
+        devices.retain(|device| device == wanted);
+        ensure!(
+            !devices.is_empty(),
+            "{name}: there is no phone {wanted:?} in it, but {known}"
+        );
+    }
     for device in &devices {
         context.claim(&walk_path(&arguments.out, device), &[&arguments.recording])?;
     }
@@ -58,7 +64,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         let path = walk_path(&arguments.out, device);
         walks.push(write_walk(&recording, device, &path, &|p| context.show(p))?);
     }
-    let lost: u64 = walks.iter().map(|w| w.unreadable).sum();
+    let lost: u64 = walks.iter().map(|w| w.unreadable + w.unmapped).sum();
     let report = Report { walks };
     context.print(&report, || printable(text(&report.walks).trim_end()))?;
     Ok(match lost {
@@ -75,26 +81,49 @@ fn text(walks: &[Walk]) -> String {
             let _ = write!(out, ", {} UNREADABLE", walk.unreadable);
         }
         out.push('\n');
-        for clock in &walk.clocks {
+        if walk.unmapped > 0 {
             let _ = writeln!(
                 out,
-                "  clock {}: {} exchanges, σ {:.0} µs, wrong by at most {:.1} ms where one way is slower{}",
-                clock.clock_id,
-                clock.exchanges,
-                clock.sigma_us,
-                clock.asymmetry_at_most_us / 1e3,
-                match clock.steps {
-                    0 => String::new(),
-                    steps => format!(", began anew {steps} times"),
-                }
+                "  {} messages KEEP THE TIME OF THE RECORDING: the exchanges of times do not tell theirs",
+                walk.unmapped
             );
         }
-        if walk.mapped == 0 {
-            let _ = writeln!(
-                out,
-                "  no stamps were mapped: they are of UTC, or no exchanges were recorded"
-            );
+        for clock in &walk.clocks {
+            let _ = writeln!(out, "  clock {}: {}", clock.clock_id, words_of(clock));
+        }
+        if walk.mapped == 0 && walk.unmapped == 0 {
+            let _ = writeln!(out, "  its stamps are of UTC, and taken as they are");
         }
     }
     out
+}
+
+/// What is known of a clock.
+fn words_of(clock: &WalkClock) -> String {
+    let Some(asymmetry_us) = clock.asymmetry_at_most_us else {
+        return format!("not known, of {} exchanges of times", clock.unusable);
+    };
+    let mut words = format!("{} exchanges", clock.exchanges);
+    if clock.unusable > 0 {
+        let _ = write!(words, " and {} that are of no use", clock.unusable);
+    }
+    if let Some(sigma_us) = clock.sigma_us {
+        let _ = write!(words, ", σ {sigma_us:.0} µs");
+    }
+    if let Some(apart_us) = clock.utc_apart_us {
+        let _ = write!(words, ", {:+.1} ms from the rig's", apart_us / 1e3);
+    }
+    let _ = write!(
+        words,
+        ", wrong by at most {:.1} ms where one way is slower",
+        asymmetry_us / 1e3
+    );
+    match clock.steps {
+        0 => {}
+        1 => words.push_str(", began anew once"),
+        steps => {
+            let _ = write!(words, ", began anew {steps} times");
+        }
+    }
+    words
 }
