@@ -5,7 +5,7 @@ use lsfb_recording::{Writer, WriterConfig};
 use lsfb_types::{ImuSample, no_progress};
 
 use super::*;
-use crate::clock::Exchange;
+use crate::clock::{ClockConfig, Exchange, estimate_clocks};
 use crate::doctor::{DoctorConfig, examine};
 use crate::sidecar::encode_exchange;
 
@@ -30,7 +30,37 @@ fn delay_ns(n: i64) -> i64 {
         }
 }
 
-fn write(path: &Path) {
+/// What happens to the first phone.
+#[derive(Clone, Copy)]
+struct Story {
+    /// Seconds between which it is out of reach; what it measured comes afterwards, three times as fast.
+    away: (i64, i64),
+    /// Exchanges of times at most.
+    exchanges: i64,
+}
+
+impl Story {
+    const QUIET: Self = Self {
+        away: (SECS, SECS),
+        exchanges: SECS,
+    };
+
+    fn arrival_ns(&self, n: i64) -> i64 {
+        let (from, to) = (self.away.0 * 1_000_000_000, self.away.1 * 1_000_000_000);
+        let after_ns = n * 10_000_000;
+        let back_ns = match after_ns < from {
+            true => after_ns,
+            false => after_ns.max(to + (after_ns - from) / 3),
+        };
+        START_NS + back_ns + delay_ns(n)
+    }
+
+    fn is_away(&self, secs: i64) -> bool {
+        (self.away.0..self.away.1).contains(&secs)
+    }
+}
+
+fn write(path: &Path, story: Story) {
     let mut writer = Writer::create(path, &WriterConfig::default()).expect("recording");
     let mut put =
         |topic: &str, schema: message::Schema, time_ns: i64, arrival_ns: i64, bytes: &[u8]| {
@@ -49,7 +79,7 @@ fn write(path: &Path) {
         };
     for n in 0..SECS * 100 {
         let measured_ns = START_NS + n * 10_000_000;
-        let arrival_ns = measured_ns + delay_ns(n);
+        let arrival_ns = story.arrival_ns(n);
         // While it was recorded, the phone's time was the arrival less nothing: too late by a delay.
         let believed_ns = measured_ns + 4_000_000;
         let sample = ImuSample {
@@ -84,7 +114,8 @@ fn write(path: &Path) {
             arrival_ns,
             &bytes,
         );
-        if n % 100 == 0 {
+        let secs = n / 100;
+        if n % 100 == 0 && secs < story.exchanges && !story.is_away(secs) {
             let heard_ns = measured_ns + delay_ns(n);
             let answered_ns = heard_ns + 50_000;
             let exchange = Exchange {
@@ -110,7 +141,7 @@ fn write(path: &Path) {
 fn each_phone_gets_its_own_file_with_three_stamps_and_its_clock() {
     let folder = tempfile::tempdir().expect("folder");
     let scan = folder.path().join("scan.mcap");
-    write(&scan);
+    write(&scan, Story::QUIET);
     let recording = Recording::open(&scan).expect("recording");
     assert_eq!(phones(&recording), ["pixel", "watch"]);
     let path = walk_path(folder.path(), "pixel");
@@ -194,10 +225,65 @@ fn each_phone_gets_its_own_file_with_three_stamps_and_its_clock() {
 fn told_to_stop_it_leaves_nothing_behind() {
     let folder = tempfile::tempdir().expect("folder");
     let scan = folder.path().join("scan.mcap");
-    write(&scan);
+    write(&scan, Story::QUIET);
     let recording = Recording::open(&scan).expect("recording");
     let path = walk_path(folder.path(), "pixel");
     let stopped = write_walk(&recording, "pixel", &path, &|_| Err(lsfb_types::Stopped));
     assert!(stopped.is_err());
     assert_eq!(std::fs::read_dir(folder.path()).expect("folder").count(), 1);
+}
+
+#[test]
+fn a_phone_that_comes_back_after_half_a_minute_keeps_its_clock() {
+    let folder = tempfile::tempdir().expect("folder");
+    let scan = folder.path().join("scan.mcap");
+    let away = (20, 50);
+    let story = Story {
+        away,
+        ..Story::QUIET
+    };
+    write(&scan, story);
+    let recording = Recording::open(&scan).expect("recording");
+    let path = walk_path(folder.path(), "pixel");
+    let walk = write_walk(&recording, "pixel", &path, &no_progress).expect("a walk");
+    assert_eq!((walk.mapped, walk.unmapped), (SECS as u64 * 100, 0));
+    let own = Recording::open(&path).expect("a walk");
+    for message in own.messages("/sidecar/pixel/imu").expect("imu") {
+        let message = message.expect("one");
+        let sample = message::decode_imu(&message.bytes).expect("a sample");
+        let n = sample.specific_force_m_s2[2] as i64;
+        let error_ns = message.time.nanos() - START_NS - n * 10_000_000;
+        assert!(error_ns.abs() < 500_000, "{n}: {error_ns} ns");
+    }
+    // Its messages were half a minute late, and its clock was never set.
+    let clocks = estimate_clocks(&own, &ClockConfig::default(), &no_progress).expect("clocks");
+    let [clock] = clocks.devices.as_slice() else {
+        panic!("{clocks:?}")
+    };
+    assert_eq!(clock.epochs.len(), 1);
+}
+
+#[test]
+fn of_too_few_exchanges_no_time_is_made() {
+    let folder = tempfile::tempdir().expect("folder");
+    let scan = folder.path().join("scan.mcap");
+    let story = Story {
+        exchanges: 4,
+        ..Story::QUIET
+    };
+    write(&scan, story);
+    let recording = Recording::open(&scan).expect("recording");
+    let path = walk_path(folder.path(), "pixel");
+    let walk = write_walk(&recording, "pixel", &path, &no_progress).expect("a walk");
+    assert_eq!((walk.mapped, walk.unmapped), (0, SECS as u64 * 100));
+    let [clock] = walk.clocks.as_slice() else {
+        panic!("{walk:?}")
+    };
+    assert_eq!((clock.exchanges, clock.unusable), (0, 4));
+    assert_eq!((clock.sigma_us, clock.asymmetry_at_most_us), (None, None));
+    // The times are those of the recording.
+    let own = Recording::open(&path).expect("a walk");
+    let first = own.messages("/sidecar/pixel/imu").expect("imu").next();
+    let first = first.expect("a message").expect("whole");
+    assert_eq!(first.time.nanos(), START_NS + 4_000_000);
 }

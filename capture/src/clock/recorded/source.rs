@@ -9,6 +9,9 @@ use lsfb_types::Timestamp;
 use super::super::{HOUR_NS, Unwrap};
 use crate::{Error, topics};
 
+/// A phone's message that took longer had waited on it, nanoseconds.
+const WAITED_NS: i64 = 500_000_000;
+
 /// A recorded triple of stamps.
 #[derive(Clone, Copy)]
 pub(super) struct Triple {
@@ -128,7 +131,11 @@ impl Source {
                 let topic = format!("{imu}/time_ref");
                 triples = references(recording, &topic, tick_ns, period)?;
             }
-            Self::Sidecar(topic) => triples = references(recording, topic, 1, i64::MAX)?,
+            Self::Sidecar(topic) => {
+                triples = references(recording, topic, 1, i64::MAX)?;
+                // What waited on a phone that was out of reach arrived late by that, and not because its clock was set.
+                triples.retain(|t| t.arrival - t.recorded <= WAITED_NS);
+            }
         }
         Ok(triples)
     }

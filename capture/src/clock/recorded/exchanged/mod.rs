@@ -32,6 +32,9 @@ const LONGEST_NS: i64 = 10_000_000_000;
 const EARLY_NS: f64 = 2_000_000.0;
 /// A line may be wrong by so many standard deviations.
 const EARLY_SIGMAS: f64 = 5.0;
+/// A message that took longer had waited on the device, nanoseconds.
+const WAITED_NS: i64 = 500_000_000;
+
 /// One exchange: `t1` sent and `t4` received by the device's clock, `t2` received and `t3` sent by the host's, nanoseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Exchange {
@@ -118,6 +121,8 @@ impl ExchangedClock {
         let mut of_epochs: Vec<Vec<(i64, i64)>> = vec![Vec::new(); self.epochs.len()];
         for (messages, order) in topics {
             for (message, found) in messages.iter().zip(self.times(messages, *order)) {
+                // What waited says nothing about a rate, and would lengthen the stretch that seems to.
+                let found = found.filter(|f| message.arrival - f.time <= WAITED_NS);
                 let number = found.and_then(|found| (found.epoch as usize).checked_sub(1));
                 if let Some(epoch) = number.and_then(|n| of_epochs.get_mut(n)) {
                     epoch.push((message.device_ns, message.arrival.nanos()));
