@@ -3,40 +3,26 @@
 //! `LSFB_SIDECAR_RUNS` phones, sixteen by default, each with faults of its own; the recorder is killed four times for each
 //! sixteen of them.
 
+mod sidecar_rig;
+
 use std::collections::BTreeMap;
-use std::net::{SocketAddr, TcpListener};
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::path::PathBuf;
+use std::process::Command;
 use std::time::Duration;
 
-use lsfb_capture::{DevicesConfig, INVITATION, PairingFolder, SidecarConfig};
-use lsfb_drivers::sidecar::credentials::PairingCode;
 use lsfb_drivers::sidecar::model::CLOCK_UTC;
 use lsfb_drivers::sidecar::wire::Advertise;
 use lsfb_drivers::sidecar::{ClientConfig, SidecarClient};
-use lsfb_recording::Recording;
+use lsfb_recording::{Recording, Writer, WriterConfig};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
+use sidecar_rig::{SidecarRig, wait_for};
 
 /// Phones at once.
 const AT_ONCE: usize = 16;
 const MESSAGES: u32 = 300;
 const CHANNELS: u32 = 2;
 const KILLS: u32 = 4;
-
-/// A recorder of phones in a process of its own.
-fn recorder(folder: &Path, number: u32) -> (Child, PathBuf) {
-    let out = folder.join(format!("walk{number}.mcap"));
-    let process = Command::new(env!("CARGO_BIN_EXE_lsfb"))
-        .args(["scan", "--devices", "devices.toml", "--out"])
-        .arg(&out)
-        .current_dir(folder)
-        .stdout(Stdio::null())
-        .stderr(Stdio::null())
-        .spawn()
-        .expect("the built binary");
-    (process, out)
-}
 
 fn topic(device: &str, channel: u32) -> String {
     format!("/sidecar/{device}/note{channel}")
@@ -95,26 +81,11 @@ fn recorded(recordings: &[PathBuf]) -> BTreeMap<String, Vec<u32>> {
 }
 
 fn round(first: usize) {
-    let folder = tempfile::tempdir().expect("folder");
-    let address = TcpListener::bind(SocketAddr::from(([127, 0, 0, 1], 0)))
-        .and_then(|listener| listener.local_addr())
-        .expect("a free port");
-    let pairing = PairingFolder::open(&folder.path().join("sidecar")).expect("folder");
-    let config = DevicesConfig {
-        sidecar: Some(SidecarConfig {
-            come_back_secs: 60,
-            ..SidecarConfig::new(address, PathBuf::from("sidecar"))
-        }),
-        ..DevicesConfig::default()
-    };
-    std::fs::write(folder.path().join("devices.toml"), config.to_toml()).expect("written");
+    let rig = SidecarRig::new();
+    let address = rig.address;
     let phones: Vec<ClientConfig> = (first..first + AT_ONCE)
         .map(|number| {
-            let code = PairingCode {
-                address: address.to_string(),
-                fingerprint: pairing.fingerprint(),
-                token: pairing.invite(INVITATION).expect("an invitation"),
-            };
+            let code = rig.invite(address);
             ClientConfig {
                 device: format!("phone{number}"),
                 faults: Some(number as u64),
@@ -124,7 +95,7 @@ fn round(first: usize) {
         })
         .collect();
     let devices: Vec<String> = phones.iter().map(|phone| phone.device.clone()).collect();
-    let (mut running, out) = recorder(folder.path(), 0);
+    let (mut running, out) = rig.recorder(0);
     let mut recordings = vec![out];
     std::thread::scope(|scope| {
         let walks: Vec<_> = phones
@@ -144,7 +115,7 @@ fn round(first: usize) {
             std::thread::sleep(Duration::from_millis(350 + 37 * u64::from(number)));
             running.kill().expect("killed");
             running.wait().expect("an end");
-            let (next, out) = recorder(folder.path(), number);
+            let (next, out) = rig.recorder(number);
             running = next;
             recordings.push(out);
         }
@@ -165,17 +136,6 @@ fn round(first: usize) {
     }
 }
 
-/// Until somebody listens.
-fn wait_for(address: SocketAddr) {
-    for _ in 0..400 {
-        if std::net::TcpStream::connect(address).is_ok() {
-            return;
-        }
-        std::thread::sleep(Duration::from_millis(50));
-    }
-    panic!("nobody listens at {address}");
-}
-
 #[test]
 fn a_rig_that_is_killed_has_every_message_once() {
     let runs = std::env::var("LSFB_SIDECAR_RUNS")
@@ -184,4 +144,22 @@ fn a_rig_that_is_killed_has_every_message_once() {
     (0..runs.unwrap_or(AT_ONCE))
         .step_by(AT_ONCE)
         .for_each(round);
+}
+
+#[test]
+fn a_recording_without_phones_makes_no_walks() {
+    let folder = tempfile::tempdir().expect("folder");
+    let scan = folder.path().join("scan.mcap");
+    let writer = Writer::create(&scan, &WriterConfig::default()).expect("recording");
+    writer.finish().expect("recording");
+    let mut lsfb = Command::new(env!("CARGO_BIN_EXE_lsfb"));
+    let lsfb = lsfb.args(["sidecar", "walks", "scan.mcap", "--out", "walks"]);
+    let made = lsfb
+        .current_dir(folder.path())
+        .output()
+        .expect("the built binary");
+    let said = String::from_utf8_lossy(&made.stderr);
+    assert_eq!(made.status.code(), Some(1), "{said}");
+    assert!(said.contains("there is no phone in it"), "{said}");
+    assert!(!folder.path().join("walks").exists());
 }

@@ -83,6 +83,11 @@ impl PairingCode {
             to_hex(&self.token.0)
         )
     }
+
+    /// A link to the rig's page for browsers. The invitation is in the part that a browser sends to nobody. As secret as the text.
+    pub fn to_link(&self) -> String {
+        format!("https://{}/#tok={}", self.address, to_hex(&self.token.0))
+    }
 }
 
 /// Why a text is no pairing code.

@@ -13,6 +13,11 @@ pub(super) fn said(status: StatusCode, words: &'static str) -> Answer {
     with_body(status, "text/plain", Bytes::from_static(words.as_bytes()))
 }
 
+/// A file that is part of the program.
+pub(super) fn file_of(status: StatusCode, media_type: &'static str, body: &'static str) -> Answer {
+    with_body(status, media_type, Bytes::from_static(body.as_bytes()))
+}
+
 /// Some JSON.
 pub(super) fn json_of(status: StatusCode, value: &serde_json::Value) -> Answer {
     with_body(status, "application/json", Bytes::from(value.to_string()))

@@ -7,6 +7,7 @@ mod accept;
 mod answers;
 mod connection_limits;
 mod conversation;
+mod page;
 mod refusals;
 mod routes;
 mod segments;

@@ -1,4 +1,4 @@
-//! What is asked for by HTTP: the stream, segments of a recording, and how far a session has got.
+//! What is asked for by HTTP: the stream, segments of a recording, how far a session has got, and the page for browsers.
 
 use std::convert::Infallible;
 
@@ -17,7 +17,7 @@ use tokio_tungstenite::tungstenite::handshake::derive_accept_key;
 use tokio_tungstenite::tungstenite::protocol::{Role, WebSocketConfig};
 
 use super::answers::{Answer, json_of, said};
-use super::{Visit, segments, stream};
+use super::{Visit, page, segments, stream};
 
 /// Answers one request.
 pub(super) async fn answer(request: Request<Incoming>, visit: Visit) -> Result<Answer, Infallible> {
@@ -37,8 +37,13 @@ pub(super) async fn answer(request: Request<Incoming>, visit: Visit) -> Result<A
                 Err(refused) => refused,
             }
         }
-        _ => said(StatusCode::NOT_FOUND, "nothing is here"),
+        (Method::GET, [name]) => page::file(name).unwrap_or_else(nothing),
+        _ => nothing(),
     })
+}
+
+fn nothing() -> Answer {
+    said(StatusCode::NOT_FOUND, "nothing is here")
 }
 
 fn hello(visit: &Visit) -> Answer {

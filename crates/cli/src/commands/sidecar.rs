@@ -49,8 +49,12 @@ enum Action {
 
 /// Show a code that pairs one phone.
 ///
+/// With --browser it is a link to the rig's own page, which records by the phone's browser. That warns of the rig's certificate, which
+/// nobody has signed: go on to the page.
+///
 /// Examples:
 ///   lsfb sidecar pair --devices devices.toml
+///   lsfb sidecar pair --devices devices.toml --browser
 ///   lsfb sidecar pair --devices devices.toml --address 192.168.8.1 --valid-secs 1800
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -61,6 +65,9 @@ struct Pair {
     /// Address of this machine in the phone's network; by default the one on the way out.
     #[arg(long, value_name = "IP")]
     address: Option<IpAddr>,
+    /// Show a link for a browser, instead of a code for an app.
+    #[arg(long)]
+    browser: bool,
     /// How long the code is valid.
     #[arg(long, value_name = "SECS", default_value_t = 600, value_parser = clap::value_parser!(u32).range(60..=86_400))]
     valid_secs: u32,
@@ -183,7 +190,10 @@ impl Pair {
             fingerprint: folder.fingerprint(),
             token: folder.invite(valid)?,
         };
-        let text = code.to_text();
+        let text = match self.browser {
+            true => code.to_link(),
+            false => code.to_text(),
+        };
         let picture = QrCode::encode_text(&text, QrCodeEcc::Medium)
             .map(|code| picture(&code))
             .unwrap_or_default();

@@ -40,6 +40,12 @@ impl Tab {
                     "--no-first-run",
                     "--disable-dev-shm-usage",
                 ])
+                // A rig's certificate is its own, and a machine for tests has no camera.
+                .args([
+                    "--ignore-certificate-errors",
+                    "--use-fake-device-for-media-stream",
+                    "--use-fake-ui-for-media-stream",
+                ])
                 .arg(format!("--user-data-dir={}", profile.path().display()))
                 .arg("about:blank")
                 .stdin(Stdio::null())

@@ -43,11 +43,11 @@ impl ExchangedClock {
             let last = found.iter().rev().map(|f| f.epoch).find(|e| *e <= most);
             epoch = last.unwrap_or(epoch);
             times.push(first.zip(last).and_then(|(first, last)| {
-                let of_either = found.iter().filter(|f| (first..=last).contains(&f.epoch));
-                match first == last {
-                    true => of_either.last().copied(),
-                    false => self.latest_of_a_link(of_either, first, last),
+                if first == last {
+                    return found.iter().find(|f| f.epoch == first).copied();
                 }
+                let of_either = found.iter().filter(|f| (first..=last).contains(&f.epoch));
+                self.latest_of_a_link(of_either, first, last)
             }));
         }
         times.reverse();

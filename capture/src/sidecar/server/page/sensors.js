@@ -1,0 +1,152 @@
+// What this device measures: images of its camera, and its motion.
+
+import { image, imu } from "./wire.js";
+import { nowNs } from "./link.js";
+
+const DEGREE = Math.PI / 180;
+const FRAME = { width: 640, height: 480 };
+const IMAGES_PER_SECOND = 10;
+
+const HEADER = `builtin_interfaces/Time stamp
+string frame_id
+`;
+const rule = "=".repeat(80);
+const header = `${rule}
+MSG: std_msgs/Header
+${HEADER}${rule}
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+`;
+
+export const SCHEMAS = {
+  image: {
+    name: "sensor_msgs/msg/Image",
+    text: `std_msgs/Header header
+uint32 height
+uint32 width
+string encoding
+uint8 is_bigendian
+uint32 step
+uint8[] data
+${header}`,
+  },
+  imu: {
+    name: "sensor_msgs/msg/Imu",
+    text: `std_msgs/Header header
+geometry_msgs/Quaternion orientation
+float64[9] orientation_covariance
+geometry_msgs/Vector3 angular_velocity
+float64[9] angular_velocity_covariance
+geometry_msgs/Vector3 linear_acceleration
+float64[9] linear_acceleration_covariance
+${header}${rule}
+MSG: geometry_msgs/Quaternion
+float64 x
+float64 y
+float64 z
+float64 w
+${rule}
+MSG: geometry_msgs/Vector3
+float64 x
+float64 y
+float64 z
+`,
+  },
+};
+
+// Asks for the camera and hands on grey images. `put(timeNs, bytes)`; false: there was no room.
+export class Camera {
+  constructor(video, put) {
+    Object.assign(this, { video, put, images: 0, leftOut: 0 });
+    this.canvas = document.createElement("canvas");
+  }
+
+  async start() {
+    this.stream = await navigator.mediaDevices.getUserMedia({
+      audio: false,
+      video: { facingMode: "environment", width: { ideal: FRAME.width }, height: { ideal: FRAME.height } },
+    });
+    this.video.srcObject = this.stream;
+    await this.video.play();
+    this.nextMs = 0;
+    this.wait();
+  }
+
+  stop() {
+    this.stream?.getTracks().forEach((track) => track.stop());
+    this.stream = null;
+    this.video.srcObject = null;
+  }
+
+  wait() {
+    if (!this.stream) return;
+    if (this.video.requestVideoFrameCallback) {
+      this.video.requestVideoFrameCallback((now, metadata) => this.frame(metadata.captureTime ?? now));
+    } else {
+      setTimeout(() => this.frame(performance.now()), 1_000 / IMAGES_PER_SECOND);
+    }
+  }
+
+  frame(capturedMs) {
+    if (!this.stream) return;
+    if (capturedMs >= this.nextMs) {
+      // The rhythm of the camera is kept: a frame that is a little early is not passed over.
+      this.nextMs = capturedMs + 900 / IMAGES_PER_SECOND;
+      this.take(capturedMs);
+    }
+    this.wait();
+  }
+
+  take(capturedMs) {
+    const { videoWidth: width, videoHeight: height } = this.video;
+    if (width === 0) return;
+    Object.assign(this.canvas, { width, height });
+    const context = this.canvas.getContext("2d", { willReadFrequently: true });
+    context.drawImage(this.video, 0, 0);
+    const { data } = context.getImageData(0, 0, width, height);
+    const grey = new Uint8Array(width * height);
+    for (let n = 0; n < grey.length; n += 1) {
+      // ITU-R BT.601, in 256ths.
+      grey[n] = (77 * data[4 * n] + 150 * data[4 * n + 1] + 29 * data[4 * n + 2]) >> 8;
+    }
+    const timeNs = BigInt(Math.round(capturedMs * 1e6));
+    if (this.put(timeNs, image(timeNs, "cam0", width, height, grey))) this.images += 1;
+    else this.leftOut += 1;
+  }
+}
+
+// Hands on angular velocity and specific force.
+export class Motion {
+  constructor(put) {
+    Object.assign(this, { put, samples: 0 });
+    this.heard = (event) => this.take(event);
+    // Where the browser asks for leave, Safari, forces have the other sign.
+    this.asks = typeof globalThis.DeviceMotionEvent?.requestPermission === "function";
+    this.sign = this.asks ? -1 : 1;
+  }
+
+  // Asks for leave, where that is needed: at once in answer to a finger, or the browser says no.
+  ask() {
+    this.answer = this.asks ? DeviceMotionEvent.requestPermission() : "granted";
+  }
+
+  async start() {
+    if ((await this.answer) !== "granted") throw new Error("motion sensors were not allowed");
+    addEventListener("devicemotion", this.heard);
+  }
+
+  stop() {
+    removeEventListener("devicemotion", this.heard);
+  }
+
+  take({ rotationRate: rate, accelerationIncludingGravity: force }) {
+    // A device without the sensor says so by null.
+    if (rate?.alpha == null || force?.x == null) return;
+    const timeNs = nowNs();
+    const turning = [rate.alpha, rate.beta, rate.gamma].map((degrees) => degrees * DEGREE);
+    const pushing = [force.x, force.y, force.z].map((metres) => metres * this.sign);
+    this.put(timeNs, imu(timeNs, "imu", turning, pushing));
+    this.samples += 1;
+  }
+}
