@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use lsfb_networks::{Network, Trust, agreement};
+use lsfb_networks::{Model, Network, Trust, agreement};
 use lsfb_pipeline::Error;
 use lsfb_pipeline::features::{
     Feature, FeatureDetector, LearnedConfig, LearnedFeature, SiftConfig,
@@ -24,10 +24,11 @@ fn config(weights: &Path) -> LearnedConfig {
 
 #[test]
 fn networks_compute_what_another_program_computes() {
-    for file in ["xfeat.safetensors", "alike-t.safetensors"] {
+    for model in Model::ALL {
         let test = "networks_compute_what_another_program_computes";
+        let file = &format!("{}.safetensors", model.name());
         let Some(path) = published_weights(test, file) else {
-            return;
+            continue;
         };
         let network = Network::read(&path, Trust::Published).expect("published weights");
         let found = agreement(&network);

@@ -4,14 +4,15 @@
 //! The authors enlarge all four maps to the size of the image and multiply them there. As enlarging and multiplying may change
 //! places, the score is multiplied first, and descriptors are made where there are keypoints alone: the same numbers, less work.
 
-use crate::convolution::{Affine, Convolution, Shape};
+use crate::Grey;
+use crate::convolution::{Affine, Convolution, Gate, Shape};
 use crate::error::Damage;
-use crate::keypoints::{NetworkKeypoint, PeakSearch, Scores, normalise};
-use crate::tensor::{Between, Pooling, Tensor, corners};
+use crate::keypoints::{NetworkKeypoint, PeakSearch, Scores, normalise, sigmoid};
+use crate::tensor::{Between, Pooling, Tensor};
 use crate::weights::Weights;
-use crate::xfeat::sigmoid;
-use crate::{DESCRIPTOR_LEN, Grey};
 
+/// Values of a descriptor.
+pub(crate) const DESCRIPTOR_LEN: usize = 64;
 /// Sides of images are multiples of this.
 const GRAIN_PX: usize = 32;
 /// Of the authors' detector, but for the least score: which of the weaker ones are kept is up to who asks.
@@ -89,12 +90,12 @@ impl Alike {
                     Convolution::read(weights, &format!("{name}.conv{half}.weight"), shape)?
                         .normalised(weights, &format!("{name}.bn{half}"), Affine::Learned)
                 };
-            let (mut first, mut second) = (half(1, inputs)?.rectified(), half(2, outputs)?);
+            let (mut first, mut second) = (half(1, inputs)?.gated(Gate::Relu), half(2, outputs)?);
             let mut bypass = None;
             if index == 0 {
                 // Red, green and blue of a grey image are the same.
                 first = first.of_equal_inputs();
-                second = second.rectified();
+                second = second.gated(Gate::Relu);
             } else {
                 let shape = Shape {
                     outputs,
@@ -114,7 +115,7 @@ impl Alike {
                 first,
                 second,
                 bypass,
-                shared: shared.rectified(),
+                shared: shared.gated(Gate::Relu),
             });
         }
         Ok(Self { blocks, head })
@@ -131,38 +132,31 @@ impl Alike {
             let mut next = block.second.apply(&block.first.apply(&map));
             if let Some(bypass) = &block.bypass {
                 next.add(&bypass.apply(&map));
-                next.rectify();
+                Gate::Relu.apply(&mut next.values);
             }
             maps.push(block.shared.apply(&next));
             map = next;
         }
-        let mut logits = vec![0.0f32; width * height];
+        let mut logits = Tensor::zeros(height, width, 1);
         let score_weights = &self.head[DESCRIPTOR_LEN * CHANNELS.len() * SHARED..];
         for (map, weights) in maps.iter().zip(score_weights.chunks_exact(SHARED)) {
             let cells = map.values.chunks_exact(SHARED);
-            let parts = Tensor {
+            logits.add_stretched(&Tensor {
                 height: map.height,
                 width: map.width,
                 channels: 1,
                 values: cells.map(|cell| dot(cell, weights)).collect(),
-            };
-            let (rows, columns) = (corners(map.height, height), corners(map.width, width));
-            for (row, logits) in rows.iter().zip(logits.chunks_exact_mut(width)) {
-                for (column, logit) in columns.iter().zip(logits) {
-                    let mut part = [0.0];
-                    parts.between(row, column, &mut part);
-                    *logit += part[0];
-                }
-            }
+            });
         }
-        logits.iter_mut().for_each(|v| *v = sigmoid(*v));
+        let mut scores = logits.values;
+        scores.iter_mut().for_each(|v| *v = sigmoid(*v));
         AlikeMaps {
             width: image.width,
             height: image.height,
             head: &self.head,
             scores: Scores {
                 width,
-                values: logits,
+                values: scores,
             },
             maps,
         }
@@ -176,13 +170,7 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
 impl AlikeMaps<'_> {
     pub fn keypoints(&self) -> Vec<NetworkKeypoint> {
         let peaks = self.scores.peaks(self.width, self.height, &PEAKS);
-        let peaks = peaks.into_iter();
-        peaks
-            .map(|peak| NetworkKeypoint {
-                pixel: peak.pixel,
-                score: peak.score,
-            })
-            .collect()
+        peaks.iter().map(NetworkKeypoint::from).collect()
     }
 
     /// The descriptor of a whole pixel.
@@ -232,8 +220,7 @@ impl AlikeMaps<'_> {
 
     /// The highest score of a column, to be compared with that of other programs.
     pub fn highest_score(&self, column: usize) -> f32 {
-        let scores = (0..self.height).map(|row| self.scores.at(column, row));
-        scores.fold(0.0, f32::max)
+        self.scores.highest(column, self.height)
     }
 
     /// A channel of the descriptor of a pixel, to be compared with that of other programs.

@@ -25,16 +25,27 @@ impl Grey {
 
     /// As a map whose sides are multiples of `grain`: the last row and column repeated.
     pub fn padded(&self, grain: usize) -> Tensor {
+        self.padded_from(grain, [0, 0])
+    }
+
+    /// As a map whose sides are multiples of `grain`, the rim repeated on all sides, and where in it the image begins: column, row.
+    pub fn padded_around(&self, grain: usize) -> (Tensor, [usize; 2]) {
+        let begin = [self.width, self.height].map(|side| (side.next_multiple_of(grain) - side) / 2);
+        (self.padded_from(grain, begin), begin)
+    }
+
+    fn padded_from(&self, grain: usize, [left, top]: [usize; 2]) -> Tensor {
         let (height, width) = (
             self.height.next_multiple_of(grain),
             self.width.next_multiple_of(grain),
         );
         let mut padded = Tensor::zeros(height, width, 1);
         for (row, target) in padded.values.chunks_exact_mut(width).enumerate() {
-            let from = row.min(self.height - 1) * self.width;
+            let from = row.saturating_sub(top).min(self.height - 1) * self.width;
             let source = &self.values[from..from + self.width];
-            target[..self.width].copy_from_slice(source);
-            target[self.width..].fill(source[self.width - 1]);
+            target[..left].fill(source[0]);
+            target[left..left + self.width].copy_from_slice(source);
+            target[left + self.width..].fill(source[self.width - 1]);
         }
         padded
     }

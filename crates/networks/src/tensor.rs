@@ -1,3 +1,5 @@
+use rayon::prelude::*;
+
 /// A map of `height` × `width` cells with `channels` values each; the values of a cell lie together, cells row by row.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Tensor {
@@ -30,9 +32,39 @@ impl Tensor {
         }
     }
 
-    /// Negative values become zero.
-    pub fn rectify(&mut self) {
-        self.values.iter_mut().for_each(|v| *v = v.max(0.0));
+    /// Adds a smaller map, linear between its cells, of which the first and the last coincide with those of this one.
+    pub fn add_stretched(&mut self, small: &Self) {
+        let (rows, columns) = (
+            corners(small.height, self.height),
+            corners(small.width, self.width),
+        );
+        let channels = self.channels;
+        let targets = self
+            .values
+            .par_chunks_mut((self.width * channels).max(1))
+            .zip(rows);
+        targets.for_each_init(
+            || vec![0.0; channels],
+            |part, (target, row)| {
+                let cells = target.chunks_exact_mut(channels.max(1));
+                for (cell, column) in cells.zip(&columns) {
+                    small.between(&row, column, part);
+                    for (sum, value) in cell.iter_mut().zip(&*part) {
+                        *sum += value;
+                    }
+                }
+            },
+        );
+    }
+
+    /// Adds the values at a place `[x, y]`, linear between the cells around it; beyond the rim there are zeros.
+    pub fn add_sample(&self, [x, y]: [f32; 2], target: &mut [f32]) {
+        for around in cells_around([x, y], [self.width, self.height]) {
+            let cell = self.cell(around.row, around.column);
+            for (sum, value) in target.iter_mut().zip(cell) {
+                *sum += around.weight * value;
+            }
+        }
     }
 
     /// The largest values, or the means, of squares of `side` × `side` cells.
@@ -88,6 +120,39 @@ impl Tensor {
 pub(crate) enum Pooling {
     Largest,
     Mean,
+}
+
+/// A cell beside a place.
+pub(crate) struct Around {
+    pub column: usize,
+    pub row: usize,
+    /// Its part in what is seen at the place, 0–1.
+    pub weight: f32,
+}
+
+/// The cells around a place `[x, y]` among `width` × `height`, as far as they are there.
+pub(crate) fn cells_around(
+    [x, y]: [f32; 2],
+    [width, height]: [usize; 2],
+) -> impl Iterator<Item = Around> {
+    let (left, top) = (x.floor(), y.floor());
+    let (u, v) = (x - left, y - top);
+    let corners = [
+        (left, top, (1.0 - u) * (1.0 - v)),
+        (left + 1.0, top, u * (1.0 - v)),
+        (left, top + 1.0, (1.0 - u) * v),
+        (left + 1.0, top + 1.0, u * v),
+    ];
+    let corners = corners.into_iter();
+    corners.filter_map(move |(column, row, weight)| {
+        let is_inside =
+            (0.0..width as f32).contains(&column) && (0.0..height as f32).contains(&row);
+        is_inside.then_some(Around {
+            column: column as usize,
+            row: row as usize,
+            weight,
+        })
+    })
 }
 
 /// A place between two cells of a row or column.
@@ -153,5 +218,35 @@ mod tests {
             .map(|b| b.first as f32 + b.share)
             .collect();
         assert_eq!(places, [0.0, 0.25, 0.5, 0.75, 1.0]);
+        let mut sum = Tensor {
+            height: 1,
+            width: 5,
+            channels: 1,
+            values: vec![1.0; 5],
+        };
+        sum.add_stretched(&row);
+        assert_eq!(sum.values, [1.0, 2.0, 3.0, 4.0, 5.0]);
+    }
+
+    #[test]
+    fn samples_fade_to_zero_beyond_the_rim() {
+        let map = Tensor {
+            height: 2,
+            width: 2,
+            channels: 1,
+            values: vec![1.0, 2.0, 3.0, 5.0],
+        };
+        let at = |x: f32, y: f32| {
+            let mut value = [0.0];
+            map.add_sample([x, y], &mut value);
+            value[0]
+        };
+        assert_eq!(at(0.5, 0.5), 2.75);
+        assert_eq!(
+            [at(-0.5, 0.0), at(1.0, 1.5), at(1.75, 1.0)],
+            [0.5, 2.5, 1.25]
+        );
+        assert_eq!([at(-1.0, 0.0), at(0.0, 2.0), at(1e30, 0.0)], [0.0; 3]);
+        assert_eq!(at(f32::NAN, 0.0), 0.0);
     }
 }

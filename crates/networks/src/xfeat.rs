@@ -1,13 +1,15 @@
 //! XFeat (Potje et al., "XFeat: Accelerated features for lightweight image matching", CVPR 2024): a score for every pixel, a
 //! descriptor and its reliability for every eight by eight.
 
-use crate::convolution::{Affine, Convolution, Shape};
+use crate::Grey;
+use crate::convolution::{Affine, Convolution, Gate, Shape};
 use crate::error::Damage;
-use crate::keypoints::{NetworkKeypoint, PeakSearch, Scores, normalise};
+use crate::keypoints::{NetworkKeypoint, PeakSearch, Scores, normalise, sigmoid};
 use crate::tensor::{Between, Pooling, Tensor};
 use crate::weights::Weights;
-use crate::{DESCRIPTOR_LEN, Grey};
 
+/// Values of a descriptor.
+pub(crate) const DESCRIPTOR_LEN: usize = 64;
 /// Sides of images are multiples of this.
 const GRAIN_PX: usize = 32;
 /// Pixels of a cell, in each direction.
@@ -101,7 +103,7 @@ impl XFeat {
                     let name = format!("{name}.{i}.layer");
                     let read = Convolution::read(weights, &format!("{name}.0.weight"), shape)?;
                     let read = read.normalised(weights, &format!("{name}.1"), Affine::None)?;
-                    Ok(read.strided(stride).rectified())
+                    Ok(read.strided(stride).gated(Gate::Relu))
                 })
                 .collect()
         };
@@ -214,10 +216,6 @@ fn scores(logits: &Tensor) -> Scores {
         }
     }
     Scores { width, values }
-}
-
-pub(crate) fn sigmoid(value: f32) -> f32 {
-    1.0 / (1.0 + (-value).exp())
 }
 
 impl XFeatMaps {

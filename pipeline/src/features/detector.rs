@@ -16,7 +16,7 @@ pub enum FeatureDetector {
 }
 
 /// Memory that a network takes for each pixel, bytes: its finest maps.
-const LEARNED_BYTES_PER_PIXEL: usize = 160;
+const LEARNED_BYTES_PER_PIXEL: usize = 320;
 /// Most memory that images take at a time, bytes: large ones wait for one another.
 const MAX_BYTES: usize = 2 << 30;
 

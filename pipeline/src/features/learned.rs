@@ -7,6 +7,7 @@ use lsfb_networks::{Network, Trust};
 use lsfb_types::Image;
 use serde::{Deserialize, Serialize};
 
+use super::matching::DESCRIPTOR_NORM;
 use super::selection::{Candidate, select};
 use super::{DESCRIPTOR_LEN, Descriptor, Features, Keypoint, LearnedFeature};
 use crate::Error;
@@ -88,35 +89,43 @@ impl LearnedDetector {
             .collect();
         let mut chosen = select(&candidates, image.width, image.height, self.max_features);
         chosen.sort_unstable();
-        let mut features = Features::default();
-        for k in chosen.into_iter().map(|index| found[index]) {
-            features.keypoints.push(Keypoint {
-                pixel: k.pixel,
+        let keypoints: Vec<Keypoint> = chosen
+            .into_iter()
+            .map(|index| Keypoint {
+                pixel: found[index].pixel,
                 scale_px: SCALE_PX,
                 angle_rad: 0.0,
-                response: k.score,
-            });
-            features
-                .descriptors
-                .push(quantised(&maps.descriptor(k.pixel)));
+                response: found[index].score,
+            })
+            .collect();
+        let pixels: Vec<[f32; 2]> = keypoints.iter().map(|k| k.pixel).collect();
+        let descriptors = maps.descriptors(&pixels);
+        Features {
+            keypoints,
+            descriptors: descriptors
+                .chunks_exact(self.network.model().descriptor_len())
+                .map(quantised)
+                .collect(),
         }
-        features
     }
 }
 
 /// The size of what these networks call a keypoint, pixels: that of the neighbourhood in which it is the highest.
 const SCALE_PX: f32 = 2.0;
 
-/// Values of unit length as bytes, two of each value: half a step apart, they hold it twice as finely as one would, distances are
-/// those of SIFT's descriptors (512 times the unit), and each part of the index's codes gets its share.
-fn quantised(values: &[f32; DESCRIPTOR_LEN / 2]) -> Descriptor {
-    /// 512 / √2: the squares of both bytes add up.
-    const STEPS_PER_UNIT: f32 = 362.038_67;
+/// Values of unit length as bytes: distances are those of SIFT's descriptors (512 times the unit). Of 64 values two bytes each: half a
+/// step apart, they hold it twice as finely as one would, and each part of the index's codes gets its share. Of 128 values one each.
+fn quantised(values: &[f32]) -> Descriptor {
     const ZERO: f32 = 128.0;
+    let bytes_per_value = (DESCRIPTOR_LEN / values.len().max(1)).max(1);
+    // The squares of both bytes of a value add up.
+    let steps_per_unit = DESCRIPTOR_NORM / (bytes_per_value as f32).sqrt();
     std::array::from_fn(|i| {
-        let half = if i % 2 == 0 { -0.25 } else { 0.25 };
-        // Beyond ±0.35 a value of 64 saturates; casting does so by itself.
-        (ZERO + STEPS_PER_UNIT * values[i / 2] + half).round() as u8
+        let between = (i % bytes_per_value) as f32 + 0.5;
+        let part = between / bytes_per_value as f32 - 0.5;
+        let value = values.get(i / bytes_per_value).copied().unwrap_or(0.0);
+        // Beyond ±0.35 a value of 64 saturates, beyond ±0.25 one of 128; casting does so by itself.
+        (ZERO + steps_per_unit * value + part).round() as u8
     })
 }
 
@@ -127,15 +136,16 @@ mod tests {
 
     #[test]
     fn distances_of_bytes_are_those_of_the_values() {
-        let unit = |seed: usize| {
-            let mut values: [f32; 64] =
-                std::array::from_fn(|i| ((i * 31 + seed * 97 + i * i * seed) % 23) as f32 - 11.0);
+        let unit = |seed: usize, count: usize| {
+            let value = |i: usize| ((i * 31 + seed * 97 + i * i * seed) % 23) as f32 - 11.0;
+            let mut values: Vec<f32> = (0..count).map(value).collect();
             let norm = values.iter().map(|v| v * v).sum::<f32>().sqrt();
             values.iter_mut().for_each(|v| *v /= norm);
             values
         };
-        for (a, b) in [(1, 2), (3, 3), (5, 8), (2, 9)] {
-            let (a, b) = (unit(a), unit(b));
+        let pairs = [(1, 2), (3, 3), (5, 8), (2, 9)];
+        for ((a, b), count) in pairs.into_iter().flat_map(|p| [(p, 64), (p, 128)]) {
+            let (a, b) = (unit(a, count), unit(b, count));
             let exact: f32 = a.iter().zip(&b).map(|(a, b)| (a - b).powi(2)).sum();
             let bytes = distance_squared(&quantised(&a), &quantised(&b)) as f32 / 512f32.powi(2);
             assert!(

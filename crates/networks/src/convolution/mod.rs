@@ -1,3 +1,12 @@
+//! Convolutions with what follows them, as products of matrices in strips of rows.
+
+mod deformable;
+mod gate;
+#[cfg(test)]
+mod tests;
+
+use std::ops::Range;
+
 use faer::linalg::matmul::matmul;
 use faer::{Accum, MatMut, MatRef, Par};
 use rayon::prelude::*;
@@ -5,13 +14,15 @@ use rayon::prelude::*;
 use crate::error::Damage;
 use crate::tensor::Tensor;
 use crate::weights::Weights;
+pub(crate) use deformable::DeformableConvolution;
+pub(crate) use gate::Gate;
 
 /// Values of patches that are multiplied at a time: as many as a core's cache holds.
 const PATCH_VALUES: usize = 1 << 17;
 /// Added to variances before their roots are taken, as the networks were trained.
 const BATCH_EPSILON: f32 = 1e-5;
 
-/// A convolution with what follows it folded in: normalisation and rectification. Beyond the rim there are zeros.
+/// A convolution with what follows it folded in: normalisation and gate. Beyond the rim there are zeros.
 #[derive(Clone, Debug)]
 pub(crate) struct Convolution {
     side: usize,
@@ -21,7 +32,7 @@ pub(crate) struct Convolution {
     /// For each input value of a patch, row by row, its weight in each output.
     weights: Vec<f32>,
     bias: Vec<f32>,
-    rectified: bool,
+    gate: Gate,
 }
 
 /// The shape of a convolution.
@@ -54,7 +65,7 @@ impl Convolution {
             outputs,
             weights: sorted,
             bias: vec![0.0; outputs],
-            rectified: false,
+            gate: Gate::None,
         })
     }
 
@@ -92,10 +103,35 @@ impl Convolution {
         self
     }
 
-    /// Followed by a rectification.
-    pub fn rectified(mut self) -> Self {
-        self.rectified = true;
+    /// Followed by a gate.
+    pub fn gated(mut self, gate: Gate) -> Self {
+        self.gate = gate;
         self
+    }
+
+    /// Of an input of one cell per output: the part that these of its channels have in it.
+    pub fn of_channels(&self, channels: Range<usize>) -> Self {
+        let weights = self.outputs * channels.start..self.outputs * channels.end;
+        Self {
+            inputs: channels.len(),
+            weights: self.weights.get(weights).unwrap_or_default().to_vec(),
+            ..self.clone()
+        }
+    }
+
+    /// A product with the matrix in tensor `name`: `shape.inputs` rows of `shape.outputs` values.
+    pub fn product(weights: &Weights, name: &str, dimensions: &[usize]) -> Result<Self, Damage> {
+        let values = weights.tensor(name, dimensions)?;
+        let outputs = dimensions.last().copied().unwrap_or(1).max(1);
+        Ok(Self {
+            side: 1,
+            stride: 1,
+            inputs: values.len() / outputs,
+            outputs,
+            weights: values.to_vec(),
+            bias: vec![0.0; outputs],
+            gate: Gate::None,
+        })
     }
 
     /// For inputs that are all the same: one of them, with the sum of their weights.
@@ -111,25 +147,46 @@ impl Convolution {
         self
     }
 
-    /// The map convolved, in strips of rows.
+    /// The map convolved.
     pub fn apply(&self, input: &Tensor) -> Tensor {
         let rim = self.side / 2;
         let length = |cells: usize| (cells + 2 * rim - self.side) / self.stride + 1;
         let (height, width) = (length(input.height), length(input.width));
+        if self.side == 1 && self.stride == 1 {
+            return self.multiply(height, width, &Patches::Ready(&input.values));
+        }
+        let collect = |rows: Range<usize>, patches: &mut Vec<f32>| {
+            self.collect_patches(input, rows, width, patches);
+        };
+        self.multiply(height, width, &Patches::Collected(&collect))
+    }
+
+    /// Of patches that were collected elsewhere, one cell each.
+    pub fn apply_to_patches(&self, patches: &[f32]) -> Tensor {
+        let count = patches.len() / self.patch_len().max(1);
+        self.multiply(count, 1, &Patches::Ready(patches))
+    }
+
+    fn patch_len(&self) -> usize {
+        self.side * self.side * self.inputs
+    }
+
+    /// The weights times each patch, in strips of rows.
+    fn multiply(&self, height: usize, width: usize, patches: &Patches) -> Tensor {
         let mut output = Tensor::zeros(height, width, self.outputs);
-        let patch_len = self.side * self.side * self.inputs;
+        let patch_len = self.patch_len();
         let rows_at_once = (PATCH_VALUES / (patch_len * width).max(1)).max(1);
-        let strip_len = rows_at_once * width * self.outputs;
+        let strip_len = (rows_at_once * width * self.outputs).max(1);
         let strips = output.values.par_chunks_mut(strip_len).enumerate();
-        strips.for_each_init(Vec::new, |patches, (strip, target)| {
+        strips.for_each_init(Vec::new, |collected, (strip, target)| {
             let first = strip * rows_at_once;
-            let rows = target.len() / (width * self.outputs);
-            let cells = rows * width;
-            let values = if self.side == 1 && self.stride == 1 {
-                &input.values[first * width * self.inputs..][..cells * self.inputs]
-            } else {
-                self.collect_patches(input, first..first + rows, width, patches);
-                &patches[..]
+            let cells = target.len() / self.outputs;
+            let values = match patches {
+                Patches::Ready(values) => &values[first * width * patch_len..][..cells * patch_len],
+                Patches::Collected(collect) => {
+                    collect(first..first + cells / width, collected);
+                    &collected[..]
+                }
             };
             matmul(
                 MatMut::from_column_major_slice_mut(target, self.outputs, cells),
@@ -142,11 +199,9 @@ impl Convolution {
             for cell in target.chunks_exact_mut(self.outputs) {
                 for (value, bias) in cell.iter_mut().zip(&self.bias) {
                     *value += bias;
-                    if self.rectified {
-                        *value = value.max(0.0);
-                    }
                 }
             }
+            self.gate.apply(target);
         });
         output
     }
@@ -155,7 +210,7 @@ impl Convolution {
     fn collect_patches(
         &self,
         input: &Tensor,
-        rows: std::ops::Range<usize>,
+        rows: Range<usize>,
         width: usize,
         patches: &mut Vec<f32>,
     ) {
@@ -188,77 +243,16 @@ impl Convolution {
     }
 }
 
+/// What each output cell sees, one after the other.
+enum Patches<'a> {
+    Ready(&'a [f32]),
+    /// Put together for some rows at a time.
+    Collected(&'a (dyn Fn(Range<usize>, &mut Vec<f32>) + Sync)),
+}
+
 /// Whether a batch normalisation has scales and shifts of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Affine {
     None,
     Learned,
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// By the definition, one value at a time.
-    fn plain(input: &Tensor, weights: &[f32], shape: Shape, stride: usize) -> Vec<f32> {
-        let rim = shape.side / 2;
-        let length = |cells: usize| (cells + 2 * rim - shape.side) / stride + 1;
-        let mut values = Vec::new();
-        for row in 0..length(input.height) {
-            for column in 0..length(input.width) {
-                for output in 0..shape.outputs {
-                    let mut sum = 0.0;
-                    for c in 0..shape.inputs {
-                        for y in 0..shape.side {
-                            for x in 0..shape.side {
-                                let (v, u) = (row * stride + y, column * stride + x);
-                                let inside = v >= rim
-                                    && u >= rim
-                                    && v - rim < input.height
-                                    && u - rim < input.width;
-                                if inside {
-                                    let weight = ((output * shape.inputs + c) * shape.side + y)
-                                        * shape.side
-                                        + x;
-                                    sum += weights[weight] * input.cell(v - rim, u - rim)[c];
-                                }
-                            }
-                        }
-                    }
-                    values.push(sum);
-                }
-            }
-        }
-        values
-    }
-
-    #[test]
-    fn agrees_with_the_definition() {
-        let number = |i: usize| ((i * 7919 + 13) % 101) as f32 / 50.0 - 1.0;
-        for (side, stride, height, width) in
-            [(3, 1, 7, 5), (3, 2, 8, 9), (1, 1, 4, 6), (3, 2, 1, 1)]
-        {
-            let shape = Shape {
-                outputs: 5,
-                inputs: 3,
-                side,
-            };
-            let input = Tensor {
-                height,
-                width,
-                channels: 3,
-                values: (0..height * width * 3).map(number).collect(),
-            };
-            let values: Vec<f32> = (0..5 * 3 * side * side).map(|i| number(i + 1000)).collect();
-            let weights =
-                Weights::from_tensors([("w".to_owned(), vec![5, 3, side, side], values.clone())]);
-            let convolution = Convolution::read(&weights, "w", shape).expect("there");
-            let found = convolution.strided(stride).apply(&input);
-            let expected = plain(&input, &values, shape, stride);
-            assert_eq!(found.values.len(), expected.len());
-            for (a, b) in found.values.iter().zip(&expected) {
-                assert!((a - b).abs() < 1e-4, "{side} {stride}: {a} {b}");
-            }
-        }
-    }
 }
