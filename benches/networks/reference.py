@@ -7,6 +7,7 @@ import numpy as np
 import onnxruntime as ort
 
 from aliked import Aliked
+from superpoint import MAGIC_LEAP, OPEN, SuperPoint, shapes
 from weights import generated, read
 
 
@@ -52,6 +53,17 @@ def aliked(weights, places, step):
     return probe
 
 
+def superpoint(names):
+    network = SuperPoint(generated(dict(shapes(names))))
+
+    def probe(w, h):
+        scores, descriptors = network.maps(pattern(w, h))
+        for i in range(4):
+            c, y = (37*i + 11) % w, (23*i + 7) % h
+            yield scores[:, c].max(), descriptors[41*i % 256, y//8, c//8]
+    return probe
+
+
 exports, published = sys.argv[1:]
 table('XFEAT', ((320, 256), (192, 224)), exported(f'{exports}/xfeat.onnx'))
 table('ALIKE_T', ((320, 256), (192, 224)), exported(f'{exports}/alike-t.onnx'))
@@ -59,3 +71,5 @@ tiny = read(f'{published}/aliked-t16.pth')
 table('ALIKED_T16', ((320, 256), (200, 150)), aliked(tiny, 12, 53))
 table('ALIKED_N16ROT', ((320, 256), (200, 150)), aliked(read(f'{published}/aliked-n16rot.pth'), 12, 53))
 table('ALIKED_GENERATED', ((96, 64), (75, 50)), aliked(generated({k: v.shape for k, v in tiny.items()}), 6, 23))
+table('SUPERPOINT_GENERATED', ((64, 48), (75, 50)), superpoint(MAGIC_LEAP))
+table('SUPERPOINT_OPEN_GENERATED', ((64, 48), (75, 50)), superpoint(OPEN))

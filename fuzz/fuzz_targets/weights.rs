@@ -1,4 +1,4 @@
-//! Files of weights of learned features: archives, pickled lists, safetensors.
+//! Files of weights of learned features: archives, pickled lists, safetensors, ONNX graphs.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

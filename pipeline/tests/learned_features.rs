@@ -55,6 +55,52 @@ fn networks_compute_what_another_program_computes() {
     }
 }
 
+/// Exported, its normalisation is folded into the convolutions: other weights by their hash, and the same network.
+#[test]
+fn exported_graphs_compute_the_same() {
+    let test = "exported_graphs_compute_the_same";
+    for model in [Model::XFeat, Model::AlikeT] {
+        let Some(path) = published_weights(test, &format!("{}.onnx", model.name())) else {
+            continue;
+        };
+        let refused = Network::read(&path, Trust::Published).expect_err("another hash");
+        assert!(
+            matches!(refused, lsfb_networks::Error::UnknownWeights { .. }),
+            "{refused}"
+        );
+        let network = Network::read(&path, Trust::Any).expect("a graph that is known");
+        assert_eq!(network.model(), model);
+        let found = agreement(&network);
+        assert!(
+            found.iter().all(|a| a.holds()),
+            "{}: {found:?}",
+            path.display()
+        );
+        // As it is kept in the folder of weights.
+        let scratch = tempfile::tempdir().expect("folder");
+        let kept = scratch.path().join("kept.safetensors");
+        std::fs::write(&kept, network.to_safetensors()).expect("written");
+        let again = Network::read(&kept, Trust::Any).expect("the same");
+        assert_eq!(again.weights_sha256(), network.weights_sha256());
+    }
+    for (file, expected) in [
+        ("superpoint_arch_random.onnx", None),
+        ("aliked-t16_gs.onnx", Some("36 GridSample")),
+    ] {
+        let Some(path) = published_weights(test, file) else {
+            continue;
+        };
+        let read = Network::read(&path, Trust::Any).map(|n| n.model());
+        match expected {
+            None => assert_eq!(read.expect("known"), Model::SuperPoint),
+            Some(found) => {
+                let refused = read.expect_err("without its head").to_string();
+                assert!(refused.contains(found), "{refused}");
+            }
+        }
+    }
+}
+
 #[test]
 fn a_map_of_learned_features_localizes_with_them_alone() {
     let test = "a_map_of_learned_features_localizes_with_them_alone";

@@ -54,8 +54,8 @@ pub enum Error {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Damage {
-    /// Neither a .safetensors file nor a ZIP archive (.pt, .pth, .whl).
-    #[error("is neither .safetensors nor an archive with weights (.pt, .pth, .whl)")]
+    /// Neither a .safetensors or .onnx file nor a ZIP archive (.pt, .pth, .whl).
+    #[error("is neither .safetensors nor .onnx nor an archive with weights (.pt, .pth, .whl)")]
     UnknownKind,
     /// It ends too early, or something in it points beyond its end.
     #[error("is cut off or damaged: {what} is not whole")]
@@ -69,6 +69,21 @@ pub enum Damage {
     /// An archive without weights in it.
     #[error("holds no weights")]
     NoWeights,
+    /// A file of PyTorch before 1.6.
+    #[error("was written by a PyTorch before 1.6: load it there and save it again")]
+    OldTorch,
+    /// An ONNX file of a network that is not known, or one put together otherwise.
+    #[error(
+        "is an ONNX graph of none of the networks that are read from such files (XFeat, ALIKE, SuperPoint): found {found}; use the authors' \
+         own file of weights"
+    )]
+    UnknownGraph {
+        /// Its operators.
+        found: String,
+    },
+    /// An ONNX file that keeps its values elsewhere.
+    #[error("keeps its values in another file: export it as one file")]
+    ExternalValues,
     /// A tensor that a network needs is absent or has another shape.
     #[error("tensor {name} is absent or has another shape than {shape:?}")]
     Tensor {

@@ -1,5 +1,7 @@
 //! Keypoints of a map of scores: its peaks, to a fraction of a pixel.
 
+use crate::tensor::Tensor;
+
 /// A keypoint of a network.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NetworkKeypoint {
@@ -8,6 +10,9 @@ pub struct NetworkKeypoint {
     /// How well it can be found again, 0–1.
     pub score: f32,
 }
+
+/// Pixels of a cell in each direction, of networks that say for each cell which of its pixels is a keypoint.
+pub(crate) const CELL_PX: usize = 8;
 
 /// Scores of all pixels of an image, row by row.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,6 +51,23 @@ impl From<&Peak> for NetworkKeypoint {
 }
 
 impl Scores {
+    /// From logits of each cell: those of its pixels row by row, and that of none. Scores are probabilities.
+    pub fn of_cells(logits: &Tensor) -> Self {
+        let width = logits.width * CELL_PX;
+        let mut values = vec![0.0; width * logits.height * CELL_PX];
+        for (index, cell) in logits.values.chunks_exact(logits.channels).enumerate() {
+            let largest = cell.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+            let sum: f32 = cell.iter().map(|v| (v - largest).exp()).sum();
+            let top = index / logits.width * CELL_PX;
+            let left = index % logits.width * CELL_PX;
+            for (place, value) in cell.iter().take(CELL_PX * CELL_PX).enumerate() {
+                let at = (top + place / CELL_PX) * width + left + place % CELL_PX;
+                values[at] = (value - largest).exp() / sum;
+            }
+        }
+        Self { width, values }
+    }
+
     pub fn at(&self, column: usize, row: usize) -> f32 {
         self.values[row * self.width + column]
     }

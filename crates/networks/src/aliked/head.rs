@@ -3,7 +3,7 @@
 
 use rayon::prelude::*;
 
-use super::Features;
+use super::features::Features;
 use crate::convolution::{Convolution, Gate, Shape};
 use crate::error::Damage;
 use crate::keypoints::normalise;

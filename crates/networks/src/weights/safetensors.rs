@@ -10,18 +10,26 @@ const LENGTH_BYTES: usize = 8;
 /// The largest list of tensors, bytes.
 const MAX_LIST_BYTES: usize = 16 << 20;
 
+/// Whether it begins with the length of a list, and then the list.
+pub fn is_list(bytes: &[u8]) -> bool {
+    list_len(bytes).is_some()
+}
+
+/// Bytes of the list.
+fn list_len(bytes: &[u8]) -> Option<usize> {
+    let (length, rest) = bytes.split_first_chunk::<LENGTH_BYTES>()?;
+    let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
+    (length <= MAX_LIST_BYTES && rest.first() == Some(&b'{')).then_some(length)
+}
+
 /// The tensors of 32-bit floats; others (counters of training) are left out.
 pub fn parse(bytes: &[u8]) -> Result<Weights, Damage> {
-    let (length, rest) = bytes
-        .split_first_chunk::<LENGTH_BYTES>()
-        .ok_or(Damage::UnknownKind)?;
-    let length = usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX);
-    if length > MAX_LIST_BYTES || rest.first() != Some(&b'{') {
-        return Err(Damage::UnknownKind);
-    }
-    let (list, values) = rest.split_at_checked(length).ok_or(Damage::CutOff {
-        what: "the list of tensors",
-    })?;
+    let length = list_len(bytes).ok_or(Damage::UnknownKind)?;
+    let (list, values) = bytes[LENGTH_BYTES..]
+        .split_at_checked(length)
+        .ok_or(Damage::CutOff {
+            what: "the list of tensors",
+        })?;
     let list: Map<String, Value> = serde_json::from_slice(list).map_err(|_| Damage::List)?;
     let mut tensors = Vec::new();
     for (name, entry) in list {

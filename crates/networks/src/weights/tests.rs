@@ -89,6 +89,15 @@ fn functions_named_in_a_file_are_not_called() {
     assert!(found[0].is_empty());
 }
 
+/// Expected: `git hash-object`.
+#[test]
+fn files_are_known_to_git_and_old_ones_by_their_first_bytes() {
+    let known = "ce013625030ba8dba906f756967f9e9ca394464a";
+    assert_eq!(git_hash(b"hello\n"), known);
+    let old = [&OLD_TORCH[..], b".\x80\x02"].concat();
+    assert_eq!(Weights::parse(&old), Err(Damage::OldTorch));
+}
+
 #[test]
 fn damaged_archives_are_errors() {
     let file = torch_file("torch._utils\n_rebuild_tensor_v2");

@@ -128,7 +128,7 @@ pub fn stem(file: &Path) -> Option<String> {
 
 /// What weights are called in the folder: those that were published have the plain name of the network.
 pub fn file_name(model: &str, weights_sha256: &str) -> String {
-    let published = Model::named(model).map(Model::weights_sha256);
+    let published = Model::named(model).and_then(Model::weights_sha256);
     if published == Some(weights_sha256) {
         return format!("{model}.{EXTENSION}");
     }

