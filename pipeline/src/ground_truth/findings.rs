@@ -2,6 +2,7 @@
 
 use lsfb_types::{Finding, Limit, Verdict};
 
+use super::in_view::FEWEST_CERTAIN;
 use super::report::{CameraRefinement, GroundTruthReport, GroundTruthWarning, LeftOutReason};
 
 /// Standard deviations of the rig file beyond which a camera is not as the file says.
@@ -189,10 +190,10 @@ impl GroundTruthReport {
             Finding::new("cross-check", Verdict::Pass, "trajectory", agreement)
                 .value(largest_m * 1e2, "cm")
                 .limit(Limit::AtMost(self.max_disagreement_m * 1e2)),
-            // Of nothing that was looked for nothing is known.
-            match self.points_in_view {
-                0 => Finding::new("points-in-view", Verdict::Unknown, "trajectory", in_view),
-                _ => Finding::new("points-in-view", Verdict::Pass, "trajectory", in_view)
+            // Of a few points nothing is known.
+            match self.points_in_view < FEWEST_CERTAIN as u64 {
+                true => Finding::new("points-in-view", Verdict::Unknown, "trajectory", in_view),
+                false => Finding::new("points-in-view", Verdict::Pass, "trajectory", in_view)
                     .value(absent, "%"),
             },
         ];

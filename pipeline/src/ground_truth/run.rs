@@ -9,7 +9,7 @@ use lsfb_types::ProgressFn;
 
 use super::cross_check::check_halves;
 use super::frozen_images;
-use super::in_view::look_for_points;
+use super::in_view::{InView, look_for_points};
 use super::report::{local_errors, map_errors, refinements};
 use super::start::{Start, start_states};
 use super::trusted::{Solution, Trusted, trusted};
@@ -107,9 +107,8 @@ pub fn ground_truth(
         },
         config,
     );
-    let (certain, absent) = in_view.iter().fold((0, 0), |(certain, absent), v| {
-        (certain + v.certain(), absent + v.absent)
-    });
+    let whole = InView::of_walk(&in_view);
+    let (certain, absent) = (whole.certain(), whole.absent);
     if trusted.poses.is_empty() {
         let (path, frames) = (recording.path().to_owned(), walk.frames.len());
         return Err(match trusted.main_reason() {

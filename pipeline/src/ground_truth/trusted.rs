@@ -83,9 +83,11 @@ fn reasons(
     found: &Solution,
     config: &GroundTruthConfig,
 ) -> Vec<Option<LeftOutReason>> {
+    // The IMU carries from one stretch to the next: one in which too little was to be seen is where the rest of the walk is.
+    let whole = InView::of_walk(found.in_view);
     let doubtful = |k: usize| {
         let mut stretches = found.in_view.iter().filter(|v| v.frames.contains(&k));
-        stretches.any(|v| v.is_doubtful(config))
+        stretches.any(|v| v.is_doubtful(config) || (!v.is_judged() && whole.is_doubtful(config)))
     };
     let supported = |k: usize| walk.frames[k].fixed.len() >= config.min_map_points;
     let count = walk.frames.len();

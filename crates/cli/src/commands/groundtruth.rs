@@ -25,6 +25,10 @@ use crate::standing;
 /// What is not certain, or lies elsewhere when parts of the map are withheld, is left out: then the exit code is 3, and the findings say
 /// why. WALK_cross_check.txt has, for each pose, how far half of the map's points move it.
 ///
+/// Points of the map that the walk must see are looked for: where many are not there, the place is another or has changed, and its poses are
+/// left out. Far beside the scanner's path few points are certain to be in view; the finding place-not-checked then says for how long the
+/// place could not be told from another that is built alike. Its poses are given: trust them only where there is no such place.
+///
 /// An existing trajectory, made by this program from the same walk and map with the same settings, is not computed again.
 ///
 /// Examples:

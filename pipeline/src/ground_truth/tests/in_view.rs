@@ -1,5 +1,8 @@
 //! A place that is built like the mapped one.
 
+use lsfb_types::Verdict;
+
+use super::super::in_view::InView;
 use super::recorded::{Measured, Paint, WALK_FRAMES, map, rig, run};
 use super::*;
 
@@ -21,6 +24,67 @@ fn another_floor_that_is_built_alike_is_refused() {
         "{}",
         here.points_absent
     );
+    let verdict = |points_in_view| {
+        let report = GroundTruthReport {
+            points_in_view,
+            points_absent: 0,
+            ..here.clone()
+        };
+        let findings = report.findings();
+        let found = findings.iter().find(|f| f.code == "points-in-view");
+        found.map(|f| f.verdict)
+    };
+    assert_eq!(verdict(here.points_in_view), Some(Verdict::Pass));
+    assert_eq!(verdict(20), Some(Verdict::Unknown), "too few to tell");
     let error = walked(Paint::other_floor(1)).expect_err("another floor");
     assert!(matches!(error, Error::PointsAbsent { .. }), "{error}");
+}
+
+/// Stretches of the made-up walk in which so many points were there and absent, and which frames are left out for it.
+fn left_out(counts: &[(usize, usize)]) -> Vec<(i64, i64)> {
+    let MadeUp { mut walk, .. } = make_walk(20, 20, |_| true);
+    for frame in &mut walk.frames {
+        frame.fixed = frame.recognised.clone();
+    }
+    let each = FRAMES / counts.len();
+    let in_view: Vec<InView> = (0..)
+        .zip(counts)
+        .map(|(k, &(there, absent))| InView {
+            frames: k * each..(k + 1) * each,
+            there,
+            absent,
+        })
+        .collect();
+    let config = GroundTruthConfig::default();
+    let start = started(&walk, &config);
+    let found = Solution {
+        states: &start.states,
+        accepted: &start.accepted,
+        covariances: &[Some(Matrix6::identity() * 1e-6); FRAMES],
+        disagreements_m: &[0.0; FRAMES],
+        in_view: &in_view,
+    };
+    let spans = trusted(&walk, &found, &config).left_out;
+    assert!(
+        spans
+            .iter()
+            .all(|s| s.reason == LeftOutReason::PointsAbsent)
+    );
+    spans.iter().map(|s| (s.from_ns, s.to_ns)).collect()
+}
+
+/// The IMU leads from one stretch to the next: where the first is on another floor, so is the second, in which too little was to be seen.
+#[test]
+fn a_stretch_that_cannot_be_judged_is_where_the_rest_of_the_walk_is() {
+    let whole = (0, 9_900_000_000);
+    assert_eq!(left_out(&[(100, 5), (10, 0)]), []);
+    assert_eq!(left_out(&[(30, 70), (100, 5)]), [(0, 4_900_000_000)]);
+    assert_eq!(left_out(&[(30, 70), (10, 0)]), [whole]);
+    assert_eq!(left_out(&[(0, 12), (0, 12)]), [whole]);
+    assert_eq!(left_out(&[(0, 30)]), [whole], "few, but all of them");
+    assert_eq!(
+        left_out(&[(0, 12)]),
+        [],
+        "one group of points proves nothing"
+    );
 }

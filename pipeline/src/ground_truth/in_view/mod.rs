@@ -2,10 +2,11 @@
 //!
 //! A place that looks like another (the floor above, the next bay) gives matches that agree with one another and with the IMU: what
 //! differs is not matched, and leaves no trace in any residual. So points of the map are looked for where the poses say that they must
-//! be: those that an image of the map shows from so near the walk's own camera that nothing is in between and that they look the same.
-//! Each is also looked for beside its place. One that is there looks more like itself in its place than beside it; of one that is not
+//! be: those that nothing hid from around there when the place was mapped, as `expected` says. Each is also looked for beside its place. One that is there looks more like itself in its place than beside it; of one that is not
 //! there, one look is as good as another. A keypoint that is not found again proves nothing; that none of a dozen neighbours is, does:
 //! points that lie together are there or absent together.
+
+mod expected;
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -19,6 +20,7 @@ use super::walk::Walk;
 use crate::features::matching::{DESCRIPTOR_NORM, distance_squared};
 use crate::features::{Features, KeypointGrid};
 use crate::hd_map::HdMap;
+use expected::Views;
 
 /// Time about which one judgement is made, seconds.
 const SPAN_SECS: f64 = 10.0;
@@ -26,8 +28,6 @@ const SPAN_SECS: f64 = 10.0;
 const STEP_SECS: f64 = 0.15;
 /// They have this many times as many map points as are needed to place them: in others it may be dark.
 const WELL_PLACED: usize = 3;
-/// A point is expected where a camera of the map that saw it is no farther away than this share of the point's distance.
-const NEAR_SHARE: f64 = 0.25;
 /// How far from its place a point is looked for, pixels, and how far aside the other places are.
 const RADIUS_PX: f64 = 5.0;
 const ASIDE_PX: f64 = 23.0;
@@ -46,7 +46,9 @@ const FOUND_WHERE_ABSENT: f64 = 0.25;
 const LIKELIER: f64 = 20.0;
 
 /// So many points must be certain before a stretch is judged by them.
-const FEWEST_CERTAIN: usize = 4 * GROUP;
+pub(super) const FEWEST_CERTAIN: usize = 4 * GROUP;
+/// So many that are absent make it doubtful, however few are certain: two groups that lie apart do not go missing by chance.
+const FEWEST_ABSENT: usize = 2 * GROUP;
 
 /// What was found of the points that should be in view, in a stretch of the walk.
 #[derive(Clone, Debug, PartialEq)]
@@ -71,7 +73,19 @@ impl InView {
 
     /// Whether so much is absent that this may be another place.
     pub fn is_doubtful(&self, config: &GroundTruthConfig) -> bool {
-        self.is_judged() && self.absent as f64 > config.max_absent_share * self.certain() as f64
+        let is_enough = self.is_judged() || self.absent >= FEWEST_ABSENT;
+        is_enough && self.absent as f64 > config.max_absent_share * self.certain() as f64
+    }
+
+    /// What was found in all stretches of a walk together.
+    pub fn of_walk(stretches: &[Self]) -> Self {
+        let first = stretches.first().map_or(0, |v| v.frames.start);
+        let end = stretches.last().map_or(0, |v| v.frames.end);
+        Self {
+            frames: first..end,
+            there: stretches.iter().map(|v| v.there).sum(),
+            absent: stretches.iter().map(|v| v.absent).sum(),
+        }
     }
 }
 
@@ -88,7 +102,7 @@ pub(super) fn look_for_points(
         estimate,
         features,
         map,
-        images: map_images(map),
+        views: Views::of(map),
     };
     spans(walk)
         .into_iter()
@@ -142,40 +156,6 @@ fn chosen_frames(walk: &Walk, frames: Range<usize>, config: &GroundTruthConfig) 
     chosen
 }
 
-/// An image of the map.
-struct MapImage {
-    centre_in_world: Vector3<f64>,
-    /// Points that it shows, with their distances, metres.
-    points: Vec<(u32, f64)>,
-    /// The largest of them.
-    farthest_m: f64,
-}
-
-fn map_images(map: &HdMap) -> Vec<MapImage> {
-    let mut images: BTreeMap<(u32, u16), MapImage> = BTreeMap::new();
-    for (point, point_in_world) in (0..).zip(map.positions()) {
-        for seen in map.observations(point) {
-            let name = map.cameras().get(usize::from(seen.camera));
-            let mounted = name.and_then(|name| map.rig().cameras.get(name));
-            let (Some(mounted), Some(keyframe)) = (mounted, map.keyframe(seen.keyframe)) else {
-                continue;
-            };
-            let world_from_camera = keyframe.world_from_rig * mounted.rig_from_camera;
-            let image = images
-                .entry((seen.keyframe, seen.camera))
-                .or_insert_with(|| MapImage {
-                    centre_in_world: world_from_camera.translation,
-                    points: Vec::new(),
-                    farthest_m: 0.0,
-                });
-            let away_m = (point_in_world - image.centre_in_world).norm();
-            image.farthest_m = image.farthest_m.max(away_m);
-            image.points.push((point, away_m));
-        }
-    }
-    images.into_values().collect()
-}
-
 /// A point looked for in one image: squared distances of the most similar descriptors in its place and beside it.
 struct Look {
     point: u32,
@@ -188,7 +168,7 @@ struct Search<'a> {
     estimate: &'a Estimate,
     features: &'a [Features],
     map: &'a HdMap,
-    images: Vec<MapImage>,
+    views: Views,
 }
 
 impl Search<'_> {
@@ -216,7 +196,7 @@ impl Search<'_> {
                 .min()
                 .filter(|d| *d <= (MAX_DISTANCE * DESCRIPTOR_NORM).powi(2) as u32)
         };
-        let expected = self.expected(&centre).into_iter();
+        let expected = self.views.expected(&centre).into_iter();
         let looks = expected.filter_map(|point| {
             let point_in_world = self.map.position(point)?;
             let pixel = self.estimate.project(k, camera, &point_in_world)?;
@@ -231,24 +211,6 @@ impl Search<'_> {
             })
         });
         looks.collect()
-    }
-
-    /// Points that images of the map show from near a place, in order.
-    fn expected(&self, centre: &Vector3<f64>) -> Vec<u32> {
-        let mut points: Vec<u32> = Vec::new();
-        for image in &self.images {
-            let apart_m = (image.centre_in_world - centre).norm();
-            if apart_m <= NEAR_SHARE * image.farthest_m {
-                let near = image
-                    .points
-                    .iter()
-                    .filter(|(_, away_m)| apart_m <= NEAR_SHARE * away_m);
-                points.extend(near.map(|(point, _)| point));
-            }
-        }
-        points.sort_unstable();
-        points.dedup();
-        points
     }
 }
 

@@ -1,0 +1,191 @@
+//! Which points of the map a camera must see from a place, if they are there.
+//!
+//! That an image of the map shows a point does not say that it is seen from beside that image: a stand, a shelf or a corner may be in
+//! between, the more likely the farther away the point is, however small the angle between the two views. What nothing hid while the
+//! scanner went past it does say so: seen from several places, a point is seen from between them, and from a little beyond. So a point is
+//! expected only in views that differ from one of the map's by less than those differ from their mean.
+
+use std::collections::BTreeMap;
+
+use lsfb_geometry::Vector3;
+
+use crate::hd_map::HdMap;
+
+/// A point is expected where a camera of the map that saw it is no farther away than this share of the point's distance: descriptors
+/// change with the view.
+const NEAR_SHARE: f64 = 0.5;
+/// How many times as far from the point as that camera the other may be, and how many times nearer: they change with the scale too.
+const LARGEST_SCALE: f64 = 1.6;
+
+/// Where the images of a map saw its points from.
+pub(super) struct Views {
+    images: Vec<MapImage>,
+}
+
+/// An image of the map.
+struct MapImage {
+    centre_in_world: Vector3<f64>,
+    points: Vec<SeenPoint>,
+    /// The largest of their distances, metres.
+    farthest_m: f64,
+}
+
+/// A point that an image shows.
+struct SeenPoint {
+    point: u32,
+    point_in_world: Vector3<f64>,
+    away_m: f64,
+    /// Cosine of the largest angle between the mean of the map's views of it and one of them.
+    view_cos: f64,
+}
+
+impl Views {
+    /// Of all points.
+    pub fn of(map: &HdMap) -> Self {
+        let mut images: BTreeMap<(u32, u16), MapImage> = BTreeMap::new();
+        for (point, point_in_world) in (0..).zip(map.positions()) {
+            let Some(quality) = map.quality(point) else {
+                continue;
+            };
+            for seen in map.observations(point) {
+                let name = map.cameras().get(usize::from(seen.camera));
+                let mounted = name.and_then(|name| map.rig().cameras.get(name));
+                let (Some(mounted), Some(keyframe)) = (mounted, map.keyframe(seen.keyframe)) else {
+                    continue;
+                };
+                let world_from_camera = keyframe.world_from_rig * mounted.rig_from_camera;
+                let image = images
+                    .entry((seen.keyframe, seen.camera))
+                    .or_insert_with(|| MapImage {
+                        centre_in_world: world_from_camera.translation,
+                        points: Vec::new(),
+                        farthest_m: 0.0,
+                    });
+                let away_m = (point_in_world - image.centre_in_world).norm();
+                image.farthest_m = image.farthest_m.max(away_m);
+                image.points.push(SeenPoint {
+                    point,
+                    point_in_world,
+                    away_m,
+                    view_cos: quality.view_cos,
+                });
+            }
+        }
+        Self {
+            images: images.into_values().collect(),
+        }
+    }
+
+    /// Points that a camera at a place in the world must see if it looks at them, in order.
+    pub fn expected(&self, centre_in_world: &Vector3<f64>) -> Vec<u32> {
+        let mut points: Vec<u32> = Vec::new();
+        for image in &self.images {
+            let apart_m = (image.centre_in_world - centre_in_world).norm();
+            if apart_m <= NEAR_SHARE * image.farthest_m {
+                let seen = image.points.iter();
+                let seen = seen.filter(|seen| {
+                    apart_m <= NEAR_SHARE * seen.away_m && image.is_alike(seen, centre_in_world)
+                });
+                points.extend(seen.map(|seen| seen.point));
+            }
+        }
+        points.sort_unstable();
+        points.dedup();
+        points
+    }
+}
+
+impl MapImage {
+    /// Whether a camera at a place sees a point much as this image does, or from between it and others that see it.
+    fn is_alike(&self, seen: &SeenPoint, centre_in_world: &Vector3<f64>) -> bool {
+        let own = self.centre_in_world - seen.point_in_world;
+        let other = centre_in_world - seen.point_in_world;
+        let (own_m, other_m) = (seen.away_m, other.norm());
+        let scale_is_alike = other_m <= LARGEST_SCALE * own_m && own_m <= LARGEST_SCALE * other_m;
+        scale_is_alike && own.dot(&other) >= seen.view_cos * own_m * other_m
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use lsfb_geometry::{Camera, CameraTiming, Rig, RigCamera, Se3, StampedPose};
+    use lsfb_types::{Timestamp, no_progress};
+
+    use super::*;
+    use crate::features::{Feature, Features, Keypoint};
+    use crate::hd_map::{HdMapConfig, KeyframeImage, MapContent, MapPoint, PointObservation};
+
+    /// Images along a line, at these places in metres; each point is 24 m in front of it, and seen by some of the images.
+    fn map(along_m: &[f64], seen_by: &[&[usize]]) -> HdMap {
+        let mut rig = Rig::empty("one");
+        let camera = RigCamera {
+            camera: Camera::pinhole(640, 480, [400.0, 400.0], [319.5, 239.5]),
+            rig_from_camera: Se3::identity(),
+            timing: CameraTiming::default(),
+        };
+        rig.cameras.insert("cam0".to_owned(), camera);
+        let keyframes: Vec<StampedPose> = (0..)
+            .zip(along_m)
+            .map(|(k, x)| StampedPose {
+                time: Timestamp::from_nanos(k),
+                world_from_rig: Se3::new(Default::default(), Vector3::new(*x, 0.0, 0.0)),
+            })
+            .collect();
+        let keypoint = Keypoint {
+            pixel: [320.0, 240.0],
+            scale_px: 2.0,
+            angle_rad: 0.0,
+            response: 0.1,
+        };
+        let images: Vec<KeyframeImage> = (0..along_m.len())
+            .map(|keyframe| KeyframeImage {
+                keyframe,
+                camera: "cam0".to_owned(),
+                features: Features {
+                    keypoints: vec![keypoint; seen_by.len()],
+                    descriptors: (0..seen_by.len()).map(|k| [k as u8; 128]).collect(),
+                },
+            })
+            .collect();
+        let points: Vec<MapPoint> = (0..)
+            .zip(seen_by)
+            .map(|(keypoint, images)| MapPoint {
+                point_in_world: Vector3::new(0.0, 0.0, 24.0),
+                observations: images
+                    .iter()
+                    .map(|image| PointObservation {
+                        image: *image,
+                        keypoint,
+                    })
+                    .collect(),
+                reprojection_rms_px: 0.5,
+            })
+            .collect();
+        let content = MapContent {
+            rig: &rig,
+            keyframes: &keyframes,
+            images: &images,
+            points: &points,
+            feature: &Feature::Sift,
+            provenance: "made up",
+        };
+        HdMap::build(&content, &HdMapConfig::default(), &no_progress).expect("consistent content")
+    }
+
+    /// In a hall, walked 5 m beside the scanner's path, all points that were looked for were behind the stands, none was found, and right
+    /// walks were refused: two images side by side saw them, at an angle of 12° to the walk's camera.
+    #[test]
+    fn a_point_seen_through_a_gap_is_not_expected_from_far_beside_it() {
+        let through_a_gap: &[usize] = &[1, 2];
+        let from_all_along: &[usize] = &[0, 1, 2, 3];
+        let map = map(&[-9.0, -0.2, 0.2, 9.0], &[through_a_gap, from_all_along]);
+        let views = Views::of(&map);
+        let expected = |x, z| views.expected(&Vector3::new(x, 0.0, z));
+        assert_eq!(expected(0.0, 0.0), [0, 1]);
+        assert_eq!(expected(5.0, 0.0), [1]);
+        assert_eq!(expected(0.0, 4.0), [0, 1], "nearer");
+        assert_eq!(expected(0.0, 16.0), [0u32; 0], "much nearer");
+        assert_eq!(expected(-12.0, 0.0), [1], "a little beyond all");
+        assert_eq!(expected(-24.0, 0.0), [0u32; 0], "far beyond all");
+    }
+}
