@@ -18,7 +18,8 @@ const NEAR_SHARE: f64 = 0.5;
 const LARGEST_SCALE: f64 = 1.6;
 
 /// Where the images of a map saw its points from.
-pub(super) struct Views {
+pub(super) struct Views<'a> {
+    map: &'a HdMap,
     images: Vec<MapImage>,
 }
 
@@ -33,20 +34,14 @@ struct MapImage {
 /// A point that an image shows.
 struct SeenPoint {
     point: u32,
-    point_in_world: Vector3<f64>,
     away_m: f64,
-    /// Cosine of the largest angle between the mean of the map's views of it and one of them.
-    view_cos: f64,
 }
 
-impl Views {
-    /// Of all points.
-    pub fn of(map: &HdMap) -> Self {
+impl<'a> Views<'a> {
+    /// Of all points of a map.
+    pub fn of(map: &'a HdMap) -> Self {
         let mut images: BTreeMap<(u32, u16), MapImage> = BTreeMap::new();
         for (point, point_in_world) in (0..).zip(map.positions()) {
-            let Some(quality) = map.quality(point) else {
-                continue;
-            };
             for seen in map.observations(point) {
                 let name = map.cameras().get(usize::from(seen.camera));
                 let mounted = name.and_then(|name| map.rig().cameras.get(name));
@@ -63,15 +58,11 @@ impl Views {
                     });
                 let away_m = (point_in_world - image.centre_in_world).norm();
                 image.farthest_m = image.farthest_m.max(away_m);
-                image.points.push(SeenPoint {
-                    point,
-                    point_in_world,
-                    away_m,
-                    view_cos: quality.view_cos,
-                });
+                image.points.push(SeenPoint { point, away_m });
             }
         }
         Self {
+            map,
             images: images.into_values().collect(),
         }
     }
@@ -82,27 +73,29 @@ impl Views {
         for image in &self.images {
             let apart_m = (image.centre_in_world - centre_in_world).norm();
             if apart_m <= NEAR_SHARE * image.farthest_m {
-                let seen = image.points.iter();
-                let seen = seen.filter(|seen| {
-                    apart_m <= NEAR_SHARE * seen.away_m && image.is_alike(seen, centre_in_world)
-                });
-                points.extend(seen.map(|seen| seen.point));
+                let near = image.points.iter();
+                let near = near.filter(|seen| apart_m <= NEAR_SHARE * seen.away_m);
+                let alike = near.filter(|seen| self.is_alike(image, seen, centre_in_world));
+                points.extend(alike.map(|seen| seen.point));
             }
         }
         points.sort_unstable();
         points.dedup();
         points
     }
-}
 
-impl MapImage {
-    /// Whether a camera at a place sees a point much as this image does, or from between it and others that see it.
-    fn is_alike(&self, seen: &SeenPoint, centre_in_world: &Vector3<f64>) -> bool {
-        let own = self.centre_in_world - seen.point_in_world;
-        let other = centre_in_world - seen.point_in_world;
+    /// Whether a camera at a place sees a point much as an image does, or from between it and others that see it.
+    fn is_alike(&self, image: &MapImage, seen: &SeenPoint, centre_in_world: &Vector3<f64>) -> bool {
+        let known = self.map.position(seen.point);
+        let Some((point_in_world, quality)) = known.zip(self.map.quality(seen.point)) else {
+            return false;
+        };
+        let own = image.centre_in_world - point_in_world;
+        let other = centre_in_world - point_in_world;
         let (own_m, other_m) = (seen.away_m, other.norm());
         let scale_is_alike = other_m <= LARGEST_SCALE * own_m && own_m <= LARGEST_SCALE * other_m;
-        scale_is_alike && own.dot(&other) >= seen.view_cos * own_m * other_m
+        // `view_cos` is the cosine of the largest angle between the mean of the map's views and one of them.
+        scale_is_alike && own.dot(&other) >= quality.view_cos * own_m * other_m
     }
 }
 

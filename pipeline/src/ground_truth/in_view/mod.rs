@@ -2,8 +2,9 @@
 //!
 //! A place that looks like another (the floor above, the next bay) gives matches that agree with one another and with the IMU: what
 //! differs is not matched, and leaves no trace in any residual. So points of the map are looked for where the poses say that they must
-//! be: those that nothing hid from around there when the place was mapped, as `expected` says. Each is also looked for beside its place. One that is there looks more like itself in its place than beside it; of one that is not
-//! there, one look is as good as another. A keypoint that is not found again proves nothing; that none of a dozen neighbours is, does:
+//! be: those that nothing hid from around there when the place was mapped, as `expected` says. Each is also looked for beside its
+//! place. One that is there looks more like itself in its place than beside it; of one that is not there, one look is as good as
+//! another. A keypoint that is not found again proves nothing; that none of a dozen neighbours is, does:
 //! points that lie together are there or absent together.
 
 mod expected;
@@ -168,7 +169,7 @@ struct Search<'a> {
     estimate: &'a Estimate,
     features: &'a [Features],
     map: &'a HdMap,
-    views: Views,
+    views: Views<'a>,
 }
 
 impl Search<'_> {
