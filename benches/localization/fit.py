@@ -1,8 +1,9 @@
-"""Weights of a localization's evidence, fitted on the table of `localization_acceptance --csv`.
+"""Weights of a localization's evidence, fitted on the tables of `localization_acceptance --csv`.
 
-Usage: fit.py TABLE.csv
+Usage: fit.py TABLE.csv [TABLE.csv ...]
 
-Prints the weights fitted on each place alone, with what they do on the others, and on all of them. Needs NumPy.
+Prints the weights fitted on each place alone, with what they do on the others, and on all of them. Views through a camera
+whose focal length is not the stated one take no part in the fit: the localizer names them apart. Needs NumPy.
 """
 
 import csv
@@ -14,8 +15,15 @@ RIDGE = 0.03
 RIGHT_M = {"office": 0.5, "kitchen": 0.5, "fountain": 1.0}
 RIGHT_DEG = 10.0
 ACCEPTED = 0.99
-OWN_VIEWS = ("left out", "turned by 180°", "half size")
+OWN_VIEWS = ("left out", "turned by 180°", "half size", "focal length -2 %", "focal length +2 %")
+THINNED = ("every 10th feature", "every 30th feature")
 FOREIGN = ("mirrored", "another place")
+WRONG_CAMERA = ("half size in a frame", "focal length -20 %", "focal length -10 %", "focal length +10 %",
+                "focal length +25 %", "focal length +100 %")
+# What pipeline/src/localization/outcome.rs and acceptance.rs take for a focal length that does not fit.
+FOCAL_LOG, FOCAL_SIGMAS, FOCAL_DECADES = 0.05, 3.0, 3.0
+DECADES_TOGETHER = {"sift": 0.04}
+DECADES_TOGETHER_LEARNED = 0.15
 
 
 def evidence(row):
@@ -29,9 +37,24 @@ def evidence(row):
     ]
 
 
+def against_likeness(row):
+    """Probability that the matches are not wrong together, and that no mirror explains them better."""
+    false_alarms = float(row["log10_false_alarms"])
+    decades = max(-false_alarms / max(float(row["first_matches"]), 1), 1e-9)
+    mirror = float(row.get("log10_false_alarms_mirrored", 0))
+    together = DECADES_TOGETHER.get(row["feature"], DECADES_TOGETHER_LEARNED)
+    return 1 / (1 + (together / decades) ** 6) / (1 + 10.0 ** np.clip(false_alarms - mirror, -300, 300))
+
+
 def is_right(row):
     distance_m, angle_deg = float(row["distance_m"]), float(row["angle_deg"])
     return distance_m <= RIGHT_M[row["place"]] and angle_deg <= RIGHT_DEG
+
+
+def focal_contradicted(row):
+    log_scale = abs(np.log(float(row["focal_scale"])))
+    surely = log_scale > FOCAL_SIGMAS * float(row["focal_log_sigma"])
+    return log_scale > FOCAL_LOG and surely and float(row.get("focal_decades", 99)) > FOCAL_DECADES
 
 
 def fit(terms, right):
@@ -51,27 +74,39 @@ def fit(terms, right):
 
 
 def main():
-    with open(sys.argv[1], encoding="utf-8") as table:
-        rows = [row for row in csv.DictReader(table) if row["first_matches"]]
+    rows = []
+    for name in sys.argv[1:]:
+        with open(name, encoding="utf-8") as table:
+            rows += [row for row in csv.DictReader(table) if row["first_matches"]]
     terms = np.array([evidence(row) for row in rows])
     right = np.array([is_right(row) for row in rows], float)
     place = np.array([row["place"] for row in rows])
     kind = np.array([row["kind"] for row in rows])
+    feature = np.array([row["feature"] for row in rows])
     alarms = 10.0 ** np.minimum([float(row["log10_false_alarms"]) for row in rows], 9)
     rival = np.array([float(row["rival_inliers"]) / max(float(row["first_inliers"]), 1) for row in rows])
+    alike = np.array([against_likeness(row) for row in rows])
+    contradicted = np.array([focal_contradicted(row) for row in rows])
+    in_fit = ~np.isin(kind, WRONG_CAMERA)
     for fitted_on in ("office", "kitchen", None):
-        used = place == fitted_on if fitted_on else np.ones(len(rows), bool)
-        judged = ~used if fitted_on else used
+        used = in_fit & (place == fitted_on) if fitted_on else in_fit
         weights = fit(terms[used], right[used])
-        probability = 1 / (1 + np.exp(-terms @ weights)) / (1 + alarms) / (1 + rival**6)
-        accepted = probability >= ACCEPTED
-        own, foreign = judged & np.isin(kind, OWN_VIEWS), judged & np.isin(kind, FOREIGN)
-        print(
-            f"fitted on {fitted_on or 'all'} ({used.sum()} queries): {weights.round(3)}; judged on "
-            f"{'the others' if fitted_on else 'the same'}: {(accepted & judged & (right == 0)).sum()} of "
-            f"{(accepted & judged).sum()} accepted are wrong, {(~accepted & own).sum()} of {own.sum()} own views missed, "
-            f"{(accepted & foreign).sum()} of {foreign.sum()} foreign ones accepted"
-        )
+        probability = 1 / (1 + np.exp(-terms @ weights)) / (1 + alarms) * alike / (1 + rival**6)
+        accepted = (probability >= ACCEPTED) & ~contradicted
+        print(f"fitted on {fitted_on or 'all'} ({used.sum()} queries): {weights.round(3)}")
+        for one in dict.fromkeys(feature):
+            judged = (feature == one) & ((place != fitted_on) if fitted_on else True)
+
+            def count(mask, wanted):
+                return f"{(judged & mask & wanted).sum()} of {(judged & mask).sum()}"
+
+            wrong = in_fit & (right == 0)
+            print(
+                f"  {one}, judged on {'the other places' if fitted_on else 'all'}: accepted: {count(wrong, accepted)} wrong, "
+                f"{count(np.isin(kind, FOREIGN), accepted)} foreign, {count(np.isin(kind, WRONG_CAMERA), accepted)} with another "
+                f"focal length; missed: {count(np.isin(kind, OWN_VIEWS) & (right == 1), ~accepted)} own views that are right, "
+                f"{count(np.isin(kind, THINNED) & (right == 1), ~accepted)} thinned"
+            )
 
 
 if __name__ == "__main__":

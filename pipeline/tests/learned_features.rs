@@ -5,13 +5,13 @@ use std::path::Path;
 use lsfb_networks::{Model, Network, Trust, agreement};
 use lsfb_pipeline::Error;
 use lsfb_pipeline::features::{
-    Feature, FeatureDetector, LearnedConfig, LearnedFeature, SiftConfig,
+    Feature, FeatureDetector, FrameFeatures, LearnedConfig, LearnedFeature, SiftConfig,
 };
 use lsfb_pipeline::hd_map::{HdMap, PosedMapConfig, build_map_from_posed_images};
 use lsfb_pipeline::localization::{Localizer, LocalizerConfig, localize_posed_images};
 use lsfb_pipeline::posed_images::PosedImages;
 use lsfb_tests::{published_weights, recordings};
-use lsfb_types::no_progress;
+use lsfb_types::{Image, no_progress};
 
 fn config(weights: &Path) -> LearnedConfig {
     let network = Network::read(weights, Trust::Published).expect("published weights");
@@ -148,4 +148,49 @@ fn a_map_of_learned_features_localizes_with_them_alone() {
         matches!(refused, Err(Error::WrongFeature { .. })),
         "{refused:?}"
     );
+}
+
+/// A network takes a corner for its own mirror image: 27 of 74 mirrored images were placed in the map by XFeat.
+#[test]
+fn mirrored_images_are_refused_with_learned_features() {
+    let test = "mirrored_images_are_refused_with_learned_features";
+    let Some(folder) = recordings(test, "vision/hololens_office") else {
+        return;
+    };
+    for file in ["xfeat.safetensors", "alike-t.safetensors"] {
+        let Some(weights) = published_weights(test, file) else {
+            return;
+        };
+        let mut all = PosedImages::read(&folder).expect("the recording");
+        all.images.truncate(60);
+        let config = PosedMapConfig {
+            learned: Some(config(&weights)),
+            ..PosedMapConfig::default()
+        };
+        let map = build_map_from_posed_images(&all.without_every(5), &config, &no_progress);
+        let localizer = Localizer::new(&map.expect("a map"), &LocalizerConfig::default());
+        let localizer = localizer.expect("valid");
+        let detector = FeatureDetector::new(&config.sift, config.learned.as_ref());
+        let mut detector = detector.expect("weights");
+        let (mut accepted, mut as_they_are, mut of) = (0, 0, 0);
+        for posed in &all.every(5).images {
+            let mut image = posed.read(&all.rig).expect("an image");
+            let mut localized = |image: &Image| {
+                let frame = FrameFeatures {
+                    camera: posed.camera.clone(),
+                    features: detector.detect(image),
+                };
+                usize::from(localizer.localize(&[frame], &all.rig).is_ok())
+            };
+            as_they_are += localized(&image);
+            let width = image.width as usize;
+            image.pixels.chunks_mut(width).for_each(<[u8]>::reverse);
+            accepted += localized(&image);
+            of += 1;
+        }
+        assert!(
+            accepted == 0 && as_they_are + 1 >= of,
+            "{file}: {accepted} mirrored, {as_they_are} of {of}"
+        );
+    }
 }

@@ -20,6 +20,10 @@ pub enum Disturbance {
     Half,
     /// At half of its size, with the intrinsics of the whole one.
     HalfWithWrongMatrix,
+    /// At half of its size in the middle of a black frame, with the intrinsics of the whole one: a focal length off by two.
+    HalfInFrame,
+    /// As it is, with focal lengths that are off by so many per cent.
+    WrongFocal(i32),
     /// With every tenth of its features only, as of a view that shows little.
     Tenth,
     /// With every thirtieth of its features only.
@@ -29,26 +33,38 @@ pub enum Disturbance {
 }
 
 impl Disturbance {
-    pub const ALL: [Self; 7] = [
+    /// Those that leave the pixels as they are follow one another.
+    pub const ALL: [Self; 15] = [
         Self::None,
+        Self::WrongFocal(-20),
+        Self::WrongFocal(-10),
+        Self::WrongFocal(-2),
+        Self::WrongFocal(2),
+        Self::WrongFocal(10),
+        Self::WrongFocal(25),
+        Self::WrongFocal(100),
+        Self::Tenth,
+        Self::Thirtieth,
         Self::Turned,
         Self::Half,
         Self::HalfWithWrongMatrix,
-        Self::Tenth,
-        Self::Thirtieth,
+        Self::HalfInFrame,
         Self::Mirrored,
     ];
 
-    fn name(self) -> &'static str {
-        match self {
+    fn name(self) -> String {
+        let name = match self {
             Self::None => "left out",
             Self::Turned => "turned by 180°",
             Self::Half => "half size",
             Self::HalfWithWrongMatrix => "half size, wrong matrix",
+            Self::HalfInFrame => "half size in a frame",
+            Self::WrongFocal(percent) => return format!("focal length {percent:+} %"),
             Self::Tenth => "every 10th feature",
             Self::Thirtieth => "every 30th feature",
             Self::Mirrored => "mirrored",
-        }
+        };
+        name.to_owned()
     }
 }
 
@@ -91,8 +107,9 @@ impl Query {
     }
 
     /// Name of the row of the table.
-    pub fn kind(&self) -> &'static str {
-        self.disturbance.map_or("another place", Disturbance::name)
+    pub fn kind(&self) -> String {
+        let elsewhere = || "another place".to_owned();
+        self.disturbance.map_or_else(elsewhere, Disturbance::name)
     }
 
     /// The features that the localizer gets, of those that were found.
@@ -157,6 +174,12 @@ impl Query {
                 let camera = pinhole(&half, focal, [x, y]);
                 (half, camera)
             }
+            Disturbance::HalfInFrame => (framed(&half_size(&image), &image), whole),
+            Disturbance::WrongFocal(percent) => {
+                let factor = 1.0 + f64::from(percent) / 100.0;
+                let camera = pinhole(&image, focal.map(|f| f * factor), [x, y]);
+                (image, camera)
+            }
         }
     }
 }
@@ -185,4 +208,23 @@ fn half_size(image: &Image) -> Image {
             .collect(),
         ..Image::default()
     }
+}
+
+/// An image in the middle of a black one as large as another.
+fn framed(image: &Image, size_of: &Image) -> Image {
+    let mut framed = Image {
+        width: size_of.width,
+        height: size_of.height,
+        pixels: vec![0; size_of.pixels.len()],
+        ..Image::default()
+    };
+    let (left, top) = (
+        (size_of.width - image.width) / 2,
+        (size_of.height - image.height) / 2,
+    );
+    for (y, row) in image.pixels.chunks(image.width.max(1) as usize).enumerate() {
+        let start = (top as usize + y) * size_of.width as usize + left as usize;
+        framed.pixels[start..start + row.len()].copy_from_slice(row);
+    }
+    framed
 }

@@ -1,6 +1,8 @@
 //! What the localizer accepts: images of the place of the map, of other places, mirrored, turned and of the wrong size.
 //!
-//! `cargo run --release -p lsfb-pipeline --example localization_acceptance -- DATA [--maps DIR] [--csv FILE] [--every N]`
+//! `cargo run --release -p lsfb-pipeline --example localization_acceptance -- DATA [--feature F]… [--maps DIR] [--csv FILE] [--every N]`
+//!
+//! `--feature` is `sift` (the default) or a network's file of published weights (`.safetensors`), and may be given several times.
 //!
 //! `DATA` is the folder of recordings made by others. A map of `--maps` that is already there is taken as it is: to be
 //! removed by hand when the making of maps has changed. `--every` takes each N-th of the images that are disturbed or of another place (default 2).
@@ -16,17 +18,21 @@ use std::path::{Path, PathBuf};
 
 use disturbances::{Disturbance, Query};
 use lsfb_geometry::Rig;
+use lsfb_networks::{Network, Trust};
 use lsfb_perception::image;
-use lsfb_pipeline::features::{FrameFeatures, SiftConfig, SiftDetector};
-use lsfb_pipeline::hd_map::{HdMap, build_map_from_posed_images};
+use lsfb_pipeline::features::{
+    FeatureDetector, Features, FrameFeatures, LearnedConfig, LearnedFeature,
+};
+use lsfb_pipeline::hd_map::{HdMap, PosedMapConfig, build_map_from_posed_images};
 use lsfb_pipeline::localization::{Localizer, LocalizerConfig};
-use lsfb_types::no_progress;
+use lsfb_types::{Image, no_progress};
 use places::Place;
 use rayon::prelude::*;
 use table::{Outcome, Row};
 
 struct Arguments {
     data: PathBuf,
+    features: Vec<Option<LearnedConfig>>,
     maps: Option<PathBuf>,
     csv: Option<PathBuf>,
     every: usize,
@@ -37,34 +43,20 @@ fn main() -> Result<(), Box<dyn Error>> {
     let places = places::read_all(&arguments.data)?;
     let strangers = places::strangers(&arguments.data)?;
     let mut rows = Vec::new();
-    for (index, place) in places.iter().enumerate() {
-        let map = map_of(place, arguments.maps.as_deref())?;
-        let localizer = Localizer::new(&map, &LocalizerConfig::default())?;
-        let mut queries: Vec<Query> = Vec::new();
-        for disturbance in Disturbance::ALL {
-            let every = match disturbance {
-                Disturbance::None => 1,
-                _ => arguments.every,
-            };
-            let images = place.queries.images.iter().step_by(every);
-            queries.extend(images.map(|i| Query::of(place, i, disturbance)));
+    for learned in &arguments.features {
+        let config = PosedMapConfig {
+            learned: learned.clone(),
+            ..PosedMapConfig::default()
+        };
+        for (index, place) in places.iter().enumerate() {
+            let queries = queries(&places, index, &strangers, arguments.every);
+            rows.extend(localize(
+                place,
+                &queries,
+                &config,
+                arguments.maps.as_deref(),
+            )?);
         }
-        let others = places
-            .iter()
-            .enumerate()
-            .filter(|(other, _)| *other != index);
-        let elsewhere = others
-            .flat_map(|(_, other)| other.images())
-            .chain(strangers.iter().cloned())
-            .step_by(arguments.every);
-        queries.extend(elsewhere.map(|path| Query::elsewhere(place, path)));
-        let found: Vec<Row> = queries
-            .par_iter()
-            .map_init(detector, |detector, query| {
-                row(&localizer, place, query, detector)
-            })
-            .collect::<Result<_, _>>()?;
-        rows.extend(found);
     }
     print!("{}", table::summary(&rows));
     if let Some(path) = &arguments.csv {
@@ -73,11 +65,79 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
+fn network(weights: &Path) -> Result<LearnedConfig, Box<dyn Error>> {
+    let network = Network::read(weights, Trust::Published)?;
+    let feature = LearnedFeature {
+        model: network.model().name().to_owned(),
+        weights_sha256: network.weights_sha256().to_owned(),
+    };
+    Ok(LearnedConfig::new(weights.to_owned(), feature))
+}
+
+/// Images of the place, disturbed, and every so many of the other places and of strangers.
+fn queries(places: &[Place], index: usize, strangers: &[PathBuf], every: usize) -> Vec<Query> {
+    let place = &places[index];
+    let mut queries: Vec<Query> = Vec::new();
+    for (number, image) in place.queries.images.iter().enumerate() {
+        let disturbances = match number % every {
+            0 => &Disturbance::ALL[..],
+            _ => &[Disturbance::None],
+        };
+        let disturbed = disturbances.iter().map(|d| Query::of(place, image, *d));
+        queries.extend(disturbed);
+    }
+    let others = places
+        .iter()
+        .enumerate()
+        .filter(|(other, _)| *other != index);
+    let elsewhere = others
+        .flat_map(|(_, other)| other.images())
+        .chain(strangers.iter().cloned())
+        .step_by(every);
+    queries.extend(elsewhere.map(|path| Query::elsewhere(place, path)));
+    queries
+}
+
+fn localize(
+    place: &Place,
+    queries: &[Query],
+    config: &PosedMapConfig,
+    maps: Option<&Path>,
+) -> Result<Vec<Row>, Box<dyn Error>> {
+    let detector = FeatureDetector::new(&config.sift, config.learned.as_ref())?;
+    let feature = match &config.learned {
+        Some(learned) => learned.feature.model.clone(),
+        None => "sift".to_owned(),
+    };
+    let map = map_of(place, config, maps.map(|m| m.join(&feature)).as_deref())?;
+    let localizer = Localizer::new(&map, &LocalizerConfig::default())?;
+    let rows: Result<Vec<Row>, String> = queries
+        .par_iter()
+        .map_init(
+            || Memory {
+                detector: detector.clone(),
+                last: None,
+            },
+            |memory, query| {
+                Ok(Row {
+                    feature: feature.clone(),
+                    place: place.name,
+                    kind: query.kind(),
+                    image: query.name(),
+                    outcome: outcome(&localizer, place, query, memory)?,
+                })
+            },
+        )
+        .collect();
+    Ok(rows?)
+}
+
 fn arguments() -> Result<Arguments, Box<dyn Error>> {
     let mut given = std::env::args().skip(1);
     let data = given.next().ok_or("give the folder of recordings")?.into();
     let mut arguments = Arguments {
         data,
+        features: Vec::new(),
         maps: None,
         csv: None,
         every: 2,
@@ -85,38 +145,61 @@ fn arguments() -> Result<Arguments, Box<dyn Error>> {
     while let Some(name) = given.next() {
         let value = given.next().ok_or(format!("{name} needs a value"))?;
         match name.as_str() {
+            "--feature" if value == "sift" => arguments.features.push(None),
+            "--feature" => arguments.features.push(Some(network(Path::new(&value))?)),
             "--maps" => arguments.maps = Some(value.into()),
             "--csv" => arguments.csv = Some(value.into()),
             "--every" => arguments.every = value.parse::<usize>()?.max(1),
             _ => return Err(format!("unknown option {name}").into()),
         }
     }
+    if arguments.features.is_empty() {
+        arguments.features.push(None);
+    }
     Ok(arguments)
 }
 
-fn map_of(place: &Place, maps: Option<&Path>) -> Result<HdMap, Box<dyn Error>> {
+fn map_of(
+    place: &Place,
+    config: &PosedMapConfig,
+    maps: Option<&Path>,
+) -> Result<HdMap, Box<dyn Error>> {
     let folder = maps.map(|m| m.join(place.name));
     if let Some(folder) = folder.as_ref().filter(|f| f.exists()) {
         return Ok(HdMap::open(folder)?);
     }
-    let map = build_map_from_posed_images(&place.mapped, &place.map_config, &no_progress)?;
+    let map = build_map_from_posed_images(&place.mapped, config, &no_progress)?;
     if let Some(folder) = folder {
         map.write(&folder)?;
     }
     Ok(map)
 }
 
-fn detector() -> Option<SiftDetector> {
-    SiftDetector::new(&SiftConfig::default()).ok()
+/// The detector, and what it found last: what is done to the camera alone leaves the features as they are.
+struct Memory {
+    detector: FeatureDetector,
+    last: Option<(Image, Features)>,
 }
 
-fn row(
+impl Memory {
+    fn features(&mut self, image: Image) -> Features {
+        match &self.last {
+            Some((last, features)) if last.pixels == image.pixels => features.clone(),
+            _ => {
+                let features = self.detector.detect(&image);
+                self.last = Some((image, features.clone()));
+                features
+            }
+        }
+    }
+}
+
+fn outcome(
     localizer: &Localizer,
     place: &Place,
     query: &Query,
-    detector: &mut Option<SiftDetector>,
-) -> Result<Row, String> {
-    let detector = detector.as_mut().ok_or("no detector")?;
+    memory: &mut Memory,
+) -> Result<Outcome, String> {
     let image = image::read(&query.path).map_err(|e| e.to_string())?;
     let (image, camera) = query.disturbed(image);
     let mut rig: Rig = place.queries.rig.clone();
@@ -125,12 +208,8 @@ fn row(
     }
     let frame = FrameFeatures {
         camera: places::CAMERA.to_owned(),
-        features: query.thinned(detector.detect(&image)),
+        features: query.thinned(memory.features(image)),
     };
-    Ok(Row {
-        place: place.name,
-        kind: query.kind(),
-        image: query.name(),
-        outcome: Outcome::new(&localizer.localize(&[frame], &rig), query, place),
-    })
+    let found = localizer.localize(&[frame], &rig);
+    Ok(Outcome::new(&found, query, place))
 }

@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 
 use lsfb_geometry::{Camera, Matrix3, Rig, RigCamera, Se3, UnitQuaternion, Vector3};
 use lsfb_perception::image;
-use lsfb_pipeline::hd_map::PosedMapConfig;
 use lsfb_pipeline::posed_images::{PosedImage, PosedImages};
 use nalgebra::Rotation3;
 
@@ -18,7 +17,6 @@ pub struct Place {
     pub name: &'static str,
     pub mapped: PosedImages,
     pub queries: PosedImages,
-    pub map_config: PosedMapConfig,
     /// A pose is right within this distance, metres, and 5°.
     pub right_m: f64,
 }
@@ -29,7 +27,6 @@ impl Place {
             name,
             mapped: all.without_every(every),
             queries: all.every(every),
-            map_config: PosedMapConfig::default(),
             right_m,
         }
     }

@@ -10,8 +10,9 @@ use crate::places::Place;
 
 /// What became of one query.
 pub struct Row {
+    pub feature: String,
     pub place: &'static str,
-    pub kind: &'static str,
+    pub kind: String,
     pub image: String,
     pub outcome: Outcome,
 }
@@ -53,22 +54,47 @@ impl Outcome {
     }
 }
 
-/// A line for each kind of query in each map.
+/// Squared errors in units of the covariance, of six degrees of freedom: 95 of 100 are smaller (χ²).
+const COVERED: f64 = 12.592;
+
+impl Outcome {
+    /// Whether the truth lies in the region of 95 % of the stated covariance.
+    fn is_covered(&self) -> bool {
+        self.normalized_squared <= COVERED
+    }
+}
+
+impl Row {
+    fn key(&self) -> [&str; 3] {
+        [&self.feature, self.place, &self.kind]
+    }
+}
+
+/// A line for each kind of query in each map: *covered* is the share of accepted poses whose error lies in the region of 95 %.
 pub fn summary(rows: &[Row]) -> String {
-    let mut kinds: Vec<(&str, &str)> = Vec::new();
+    let mut kinds: Vec<[&str; 3]> = Vec::new();
     for row in rows {
-        if !kinds.contains(&(row.place, row.kind)) {
-            kinds.push((row.place, row.kind));
+        if !kinds.contains(&row.key()) {
+            kinds.push(row.key());
         }
     }
     let mut text = format!(
-        "{:10} {:24} {:>7} {:>8} {:>6} {:>6} {:>10} {:>8}\n",
-        "map", "images", "queries", "accepted", "right", "wrong", "median m", "deg"
+        "{:8} {:10} {:24} {:>7} {:>8} {:>6} {:>6} {:>10} {:>8} {:>8}\n",
+        "feature",
+        "map",
+        "images",
+        "queries",
+        "accepted",
+        "right",
+        "wrong",
+        "median m",
+        "deg",
+        "covered"
     );
-    for (place, kind) in kinds {
+    for key in kinds {
         let here: Vec<&Outcome> = rows
             .iter()
-            .filter(|r| (r.place, r.kind) == (place, kind))
+            .filter(|r| r.key() == key)
             .map(|r| &r.outcome)
             .collect();
         let accepted = here.iter().filter(|o| o.accepted).count();
@@ -82,9 +108,15 @@ pub fn summary(rows: &[Row]) -> String {
             let median = values.get(values.len() / 2);
             median.map_or("-".to_owned(), |m| format!("{m:.4}"))
         };
+        let covered = here.iter().filter(|o| o.accepted && o.is_covered()).count();
+        let covered = match accepted {
+            0 => "-".to_owned(),
+            _ => format!("{:.2}", covered as f64 / accepted as f64),
+        };
+        let [feature, place, kind] = key;
         let _ = writeln!(
             text,
-            "{place:10} {kind:24} {:7} {accepted:8} {right:6} {:6} {:>10} {:>8}",
+            "{feature:8} {place:10} {kind:24} {:7} {accepted:8} {right:6} {:6} {:>10} {:>8} {covered:>8}",
             here.len(),
             accepted - right,
             errors(|e| e.0),
@@ -96,16 +128,17 @@ pub fn summary(rows: &[Row]) -> String {
 
 /// One line for each query.
 pub fn csv(rows: &[Row]) -> String {
-    let mut text = "place,kind,image,accepted,right,distance_m,angle_deg,normalized_squared,probability,votes,\
+    let mut text = "feature,place,kind,image,accepted,right,distance_m,angle_deg,normalized_squared,probability,votes,\
                     first_matches,first_inliers,chance_level,log10_false_alarms,guided_inliers,decoy_inliers,\
-                    image_spread,rival_inliers,rms_px\n"
+                    image_spread,rival_inliers,rms_px,focal_scale,focal_log_sigma,focal_decades,log10_false_alarms_mirrored,sigma_m\n"
         .to_owned();
     for row in rows {
         let outcome = &row.outcome;
         let (distance_m, angle_deg) = outcome.error.unwrap_or((f64::NAN, f64::NAN));
         let _ = write!(
             text,
-            "{},{},{},{},{},{distance_m},{angle_deg},{}",
+            "{},{},{},{},{},{},{distance_m},{angle_deg},{}",
+            row.feature,
             row.place,
             row.kind.replace(',', ""),
             row.image,
@@ -117,7 +150,7 @@ pub fn csv(rows: &[Row]) -> String {
             let e = &best.evidence;
             let _ = write!(
                 text,
-                ",{},{},{},{},{},{},{},{},{},{},{}",
+                ",{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}",
                 best.probability,
                 best.votes,
                 e.first_matches,
@@ -129,6 +162,11 @@ pub fn csv(rows: &[Row]) -> String {
                 e.image_spread,
                 e.rival_inliers,
                 best.reprojection_rms_px,
+                e.focal_scale,
+                e.focal_log_sigma,
+                e.focal_decades,
+                e.log10_false_alarms_mirrored,
+                best.covariance.fixed_view::<3, 3>(3, 3).trace().sqrt(),
             );
         }
         text.push('\n');

@@ -9,10 +9,14 @@
 //! - **Decoys**: what guided matching finds where the points are not.
 //! - **Spread** of the inliers over the image.
 //! - **The rival**: the best pose that contradicts this one, of another place that looks the same.
+//! - **The mirror**: the best pose with left and right exchanged, and how much each first match says for the pose: features of a network
+//!   know no left and right, and parts that look alike agree with poses of their own.
+//! - **Other focal lengths**: the factor with which most first matches agree. Where that is another than 1 for sure, the pose is refused
+//!   whatever its probability.
 //!
-//! [`Evidence::probability`] is the product of three: a logistic regression on the first three kinds, fitted with a ridge of 0.03 in
-//! units of their standard deviations; the chance that no such pose is expected of wrong matches; the chance that the rival is
-//! wrong. Right means the right view of the right place, within 0.5 m and 10° (outdoors 1 m): how exact it is says the covariance.
+//! [`Evidence::probability`] is the product of four: a logistic regression on the first three kinds, fitted with a ridge of 0.03 in
+//! units of their standard deviations; the chance that no such pose is expected of wrong matches; that they are not wrong together; the
+//! chance that the rival is wrong. Right means the right view of the right place, within 0.5 m and 10° (outdoors 1 m): how exact it is says the covariance.
 //! `benches/localization/fit.py` fitted the weights on 472 queries of `examples/localization_acceptance` in the maps of
 //! `hololens_office`, `sevenscenes_redkitchen` and `strecha_fountain_P11_half`: images left out, turned, halved, thinned to a tenth and
 //! a thirtieth of their features, mirrored, and of other places. Fitted on the office alone, they accept none of the other maps' 138
@@ -23,6 +27,7 @@ use lsfb_geometry::{Matrix2, Se3, Vector2};
 use serde::Serialize;
 
 use super::matches::{MountedCamera, PointMatch};
+use crate::features::Feature;
 
 /// What speaks for a pose: figures that chance, or the search for the pose itself, does not reach.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -43,6 +48,16 @@ pub struct Evidence {
     pub decoy_inliers: f64,
     /// How much of the image the guided inliers are spread over: 1 as evenly as can be, 0 in a point or on a line.
     pub image_spread: f64,
+    /// Factor of the focal lengths that fits the matches best.
+    pub focal_scale: f64,
+    /// Standard deviation of its logarithm; infinite where the matches do not tell.
+    pub focal_log_sigma: f64,
+    /// By how many decades fewer poses are expected by chance with that factor than with the focal lengths as they are given.
+    pub focal_decades: f64,
+    /// [`Evidence::log10_false_alarms`] of the best pose with left and right of the images exchanged, which no camera shows.
+    pub log10_false_alarms_mirrored: f64,
+    /// Decades below one false alarm, for each first match, that matches of this feature reach which are wrong together.
+    pub decades_together: f64,
     /// First inliers of the best pose that contradicts this one and is not to be expected by chance either.
     pub rival_inliers: usize,
 }
@@ -53,6 +68,11 @@ pub(super) struct FirstMatches {
 }
 
 impl FirstMatches {
+    /// The pairs.
+    pub fn matches(&self) -> &[PointMatch] {
+        &self.matches
+    }
+
     /// Of `matches` with their descriptor distances and points; `apart_px` is the radius of a spot.
     pub fn new(mut matches: Vec<(u32, u32, PointMatch)>, apart_px: f64) -> Self {
         matches.sort_by_key(|(distance_squared, point, _)| (*distance_squared, *point));
@@ -68,6 +88,18 @@ impl FirstMatches {
             }
         }
         Self { matches: kept }
+    }
+
+    /// The same pairs with left and right of each image exchanged about its principal point.
+    pub fn mirrored(&self, cameras: &[MountedCamera]) -> Self {
+        let mirrored = self.matches.iter().filter_map(|m| {
+            let [principal_px, _] = cameras.get(m.camera)?.camera.principal_px();
+            let pixel = Vector2::new(2.0 * principal_px - m.pixel.x, m.pixel.y);
+            Some(PointMatch { pixel, ..*m })
+        });
+        Self {
+            matches: mirrored.collect(),
+        }
     }
 
     /// How well they agree with a pose: by the tolerance, `max_error_px` or a share of it, by which that is least likely by chance.
@@ -145,6 +177,15 @@ const SAMPLE: usize = 3;
 const POSES_PER_SAMPLE: f64 = 4.0;
 
 impl Agreement {
+    /// Of so many matches with no pose.
+    pub fn none(matches: usize) -> Self {
+        Self {
+            matches,
+            inliers: 0,
+            chance_level: 1.0,
+        }
+    }
+
     /// Decimal logarithm of the expected number of poses with as many inliers, were all matches wrong and `places` places
     /// tried with each tolerance: `places · tolerances · 4 (n − 3) · C(n, k) · C(k, 3) · p^(k − 3)`.
     pub fn log10_false_alarms(&self, places: usize) -> f64 {
@@ -200,6 +241,21 @@ const WEIGHTS: Weights = Weights {
     spread: 24.539,
 };
 
+/// Decades below one false alarm, for each first match, that matches reach which are wrong together: a network's features know no left
+/// and right, and find what is built alike more often than SIFT.
+pub(super) fn decades_together(feature: &Feature) -> f64 {
+    match feature {
+        Feature::Sift => 0.04,
+        Feature::Learned(_) => 0.15,
+    }
+}
+
+/// Focal lengths may be off by this much, as a logarithm: what is left of calibrations, and of maps that are not quite in scale.
+const MAX_LOG_FOCAL: f64 = 0.05;
+/// Others fit better for sure where they are this many standard deviations away, and this many decades less by chance.
+const SURE_SIGMAS: f64 = 3.0;
+const SURE_DECADES: f64 = 3.0;
+
 impl Evidence {
     /// Probability that the pose is right: that of the evidence, of the search not having reached it by chance, and of the rival
     /// not being the right one.
@@ -212,7 +268,27 @@ impl Evidence {
             + WEIGHTS.spread * self.image_spread.min(0.4);
         let of_evidence = 1.0 / (1.0 + (-logit).exp());
         let no_chance = 1.0 / (1.0 + 10f64.powf(self.log10_false_alarms));
-        of_evidence * no_chance * self.probability_against_rival()
+        of_evidence
+            * no_chance
+            * self.probability_against_likeness()
+            * self.probability_against_rival()
+    }
+
+    /// Against matches that are wrong together: parts that look alike in a mirror or in a row agree with a pose of their own, so many
+    /// of so few at that, however unlikely that were of each alone. And against a mirror, which explains them better.
+    fn probability_against_likeness(&self) -> f64 {
+        let decades = -self.log10_false_alarms / self.first_matches.max(1) as f64;
+        let together = 1.0 / (1.0 + (self.decades_together / decades.max(1e-9)).powi(6));
+        let by_mirror = self.log10_false_alarms - self.log10_false_alarms_mirrored;
+        together / (1.0 + 10f64.powf(by_mirror))
+    }
+
+    /// Whether the matches surely fit another focal length than the cameras are said to have.
+    pub fn contradicts_focal_length(&self) -> bool {
+        let off = self.focal_scale.ln().abs();
+        off > MAX_LOG_FOCAL
+            && off > SURE_SIGMAS * self.focal_log_sigma
+            && self.focal_decades > SURE_DECADES
     }
 
     /// One half where the rival has as many inliers, 0.98 where it has half of them.
@@ -224,7 +300,7 @@ impl Evidence {
 
 #[cfg(test)]
 mod tests {
-    use lsfb_geometry::{Camera, Vector3};
+    use lsfb_geometry::{Camera, Matrix3, Vector3};
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
@@ -234,6 +310,7 @@ mod tests {
         [MountedCamera {
             camera: Camera::pinhole(640, 480, [500.0; 2], [319.5, 239.5]),
             rig_from_camera: Se3::identity(),
+            readout_s: 0.0,
         }]
     }
 
@@ -248,6 +325,7 @@ mod tests {
                 camera: 0,
                 pixel: if i < right { shown } else { pixel() },
                 point_in_world: Vector3::z() * (depth_m - 1.0) + ray / ray.z,
+                point_covariance_m2: Matrix3::zeros(),
             };
             (i as u32, i as u32, m)
         });
@@ -301,6 +379,11 @@ mod tests {
             guided_inliers: 200,
             decoy_inliers: 12.0,
             image_spread: 0.6,
+            focal_scale: 1.0,
+            focal_log_sigma: 0.01,
+            focal_decades: 0.0,
+            log10_false_alarms_mirrored: 3.0,
+            decades_together: 0.15,
             rival_inliers: 0,
         };
         assert!(sure.probability() > 0.999);
@@ -322,11 +405,91 @@ mod tests {
     }
 
     #[test]
+    fn another_focal_length_must_fit_for_sure() {
+        let as_calibrated = Evidence {
+            first_matches: 300,
+            first_inliers: 90,
+            chance_level: 0.001,
+            log10_false_alarms: -120.0,
+            guided_inliers: 200,
+            decoy_inliers: 12.0,
+            image_spread: 0.6,
+            focal_scale: 1.02,
+            focal_log_sigma: 0.003,
+            focal_decades: 30.0,
+            log10_false_alarms_mirrored: 3.0,
+            decades_together: 0.15,
+            rival_inliers: 0,
+        };
+        assert!(!as_calibrated.contradicts_focal_length());
+        // Half-size images in a frame have 200 guided inliers and all else that makes a pose probable.
+        let resized = Evidence {
+            focal_scale: 0.5,
+            ..as_calibrated
+        };
+        assert!(resized.probability() > 0.99 && resized.contradicts_focal_length());
+        let (unsure, no_better) = (
+            Evidence {
+                focal_log_sigma: 0.3,
+                ..resized
+            },
+            Evidence {
+                focal_decades: 1.0,
+                ..resized
+            },
+        );
+        assert!(!unsure.contradicts_focal_length() && !no_better.contradicts_focal_length());
+    }
+
+    #[test]
+    fn what_looks_alike_in_a_mirror_is_no_place() {
+        // A mirrored image with XFeat: 22 of 300 first matches agree.
+        let mirrored = Evidence {
+            first_matches: 300,
+            first_inliers: 22,
+            chance_level: 0.001,
+            log10_false_alarms: -18.0,
+            guided_inliers: 53,
+            decoy_inliers: 6.0,
+            image_spread: 0.35,
+            focal_scale: 1.0,
+            focal_log_sigma: 0.03,
+            focal_decades: 0.0,
+            log10_false_alarms_mirrored: 3.0,
+            decades_together: 0.15,
+            rival_inliers: 0,
+        };
+        assert!(mirrored.probability() < 0.95);
+        let alone = Evidence {
+            log10_false_alarms: -190.0,
+            ..mirrored
+        };
+        assert!(alone.probability() > 0.99);
+        let explained = Evidence {
+            log10_false_alarms_mirrored: -300.0,
+            ..alone
+        };
+        assert!(explained.probability() < 0.01);
+    }
+
+    #[test]
+    fn what_a_mirror_shows_agrees_with_what_is_exchanged() {
+        let pose = Se3::identity();
+        let shown = matches(200, 60, 1.0);
+        let exchanged = shown.mirrored(&camera());
+        let agreement = exchanged.agreement(&camera(), &pose, 3.0);
+        assert!(agreement.log10_false_alarms(1) > 0.0, "{agreement:?}");
+        let back = exchanged.mirrored(&camera());
+        assert!(back.agreement(&camera(), &pose, 3.0).inliers >= 60);
+    }
+
+    #[test]
     fn a_spot_or_a_point_counts_once() {
         let m = |x: f64| PointMatch {
             camera: 0,
             pixel: Vector2::new(x, 10.0),
             point_in_world: Vector3::z(),
+            point_covariance_m2: Matrix3::zeros(),
         };
         let all = vec![
             (5, 1, m(10.0)),

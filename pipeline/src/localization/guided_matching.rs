@@ -1,11 +1,11 @@
 //! The map projected with a pose: pairs near the projections, and the pose that they agree on.
 
-use lsfb_geometry::{Matrix6, Se3, Vector2};
+use lsfb_geometry::{Matrix3, Matrix6, Se3, Vector2};
 
 use super::covariance::pose_covariance;
 use super::matches::{MountedCamera, PointMatch};
 use super::outcome::FeatureMatch;
-use super::refinement::{RefinementConfig, refine_pose};
+use super::refinement::{RefinementConfig, refine_pose, settle};
 use crate::features::matching::{MatchConfig, Prediction, match_projected};
 use crate::features::{FrameFeatures, KeypointGrid};
 use crate::hd_map::HdMap;
@@ -85,10 +85,12 @@ impl Query<'_> {
             .iter()
             .map(|p| {
                 let keypoint = &self.frames[p.frame].features.keypoints[p.keypoint as usize];
+                let quality = self.map.quality(p.point);
                 PointMatch {
                     camera: p.frame,
                     pixel: keypoint.pixel_f64(),
                     point_in_world: self.map.position(p.point).unwrap_or_default(),
+                    point_covariance_m2: quality.map_or_else(Matrix3::zeros, |q| q.covariance_m2),
                 }
             })
             .collect()
@@ -183,6 +185,7 @@ impl Query<'_> {
         let inliers: Vec<usize> = (0..pairs.len()).filter(inlier).collect();
         let agreeing: Vec<PointMatch> = inliers.iter().map(|i| resolved[*i]).collect();
         let refined = refine_pose(cameras, &agreeing, &pose, refinement)?;
+        let refined = settle(cameras, &agreeing, refined, refinement);
         let squares: f64 = inliers.iter().map(|i| errors[*i].powi(2)).sum();
         Some(GuidedPose {
             world_from_rig: refined.world_from_rig,

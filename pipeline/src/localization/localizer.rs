@@ -1,8 +1,10 @@
 use lsfb_geometry::{Rig, Se3};
 
-use super::acceptance::{Agreement, Evidence, FirstMatches, image_spread};
+use super::acceptance::{Agreement, FirstMatches};
 use super::config::LocalizerConfig;
 use super::guided_matching::{GuidedConfig, GuidedPose, Query};
+use super::judging::Found;
+use super::map_error::MapError;
 use super::matches::MountedCamera;
 use super::outcome::{FeatureMatch, Localization, NotLocalized, NotLocalizedReason};
 use super::ransac::estimate_pose;
@@ -16,19 +18,21 @@ use crate::hd_map::{HdMap, MapNeighbour, SearchScratch};
 /// Finds poses in a map. Shared by threads; needs no order of queries.
 #[derive(Clone, Debug)]
 pub struct Localizer {
-    map: HdMap,
+    pub(super) map: HdMap,
     places: Places,
-    config: LocalizerConfig,
+    pub(super) map_error: MapError,
+    pub(super) config: LocalizerConfig,
 }
 
 /// The pose found at one place.
-struct Hypothesis {
-    /// How well it agrees with the matches by look.
-    agreement: Agreement,
+pub(super) struct Hypothesis {
+    /// The matches by look, and how well it agrees with them.
+    pub first: FirstMatches,
+    pub agreement: Agreement,
     /// Points of the place.
-    points: Vec<u32>,
-    pose: GuidedPose,
-    votes: u32,
+    pub points: Vec<u32>,
+    pub pose: GuidedPose,
+    pub votes: u32,
 }
 
 impl Localizer {
@@ -38,6 +42,7 @@ impl Localizer {
         Ok(Self {
             map: map.clone(),
             places: Places::new(map),
+            map_error: MapError::of(map, &config.ransac.refinement),
             config: config.clone(),
         })
     }
@@ -54,6 +59,13 @@ impl Localizer {
         rig: &Rig,
     ) -> Result<Localization, NotLocalized> {
         let best = self.best_pose(frames, rig)?;
+        if best.evidence.contradicts_focal_length() {
+            return Err(NotLocalized {
+                reason: NotLocalizedReason::FocalLength {
+                    best: Box::new(best),
+                },
+            });
+        }
         let needed = self.config.min_probability;
         if best.probability >= needed {
             return Ok(best);
@@ -125,45 +137,17 @@ impl Localizer {
                 && contradict(&best.pose.world_from_rig, &h.pose.world_from_rig)
         });
         let rival_inliers = rivals.map(|h| h.agreement.inliers).max().unwrap_or(0);
-        let evidence = self.evidence(&best, &query, places, rival_inliers);
-        Ok(Localization {
-            world_from_rig: best.pose.world_from_rig,
-            covariance: best.pose.covariance,
-            matches: best.pose.matches,
-            reprojection_rms_px: best.pose.reprojection_rms_px,
-            votes: best.votes,
-            evidence,
-            probability: evidence.probability(),
+        let found = Found {
+            hypothesis: best,
+            places,
+            rival_inliers,
+        };
+        self.judge(found, &query).ok_or(NotLocalized {
+            reason: NotLocalizedReason::NoPose,
         })
     }
 
-    fn evidence(
-        &self,
-        hypothesis: &Hypothesis,
-        query: &Query,
-        places: usize,
-        rival_inliers: usize,
-    ) -> Evidence {
-        let (pose, agreement) = (&hypothesis.pose, &hypothesis.agreement);
-        let resolved = query.resolve(&pose.matches);
-        let spreads = query.cameras.iter().enumerate().map(|(index, mounted)| {
-            let here = resolved.iter().filter(|m| m.camera == index);
-            let pixels: Vec<_> = here.map(|m| m.pixel).collect();
-            image_spread(&pixels, mounted.camera.width, mounted.camera.height)
-        });
-        Evidence {
-            first_matches: agreement.matches,
-            first_inliers: agreement.inliers,
-            chance_level: agreement.chance_level,
-            log10_false_alarms: agreement.log10_false_alarms(places),
-            guided_inliers: pose.matches.len(),
-            decoy_inliers: query.decoy_inliers(&hypothesis.points, pose, &self.guided()),
-            image_spread: spreads.fold(0.0, f64::max),
-            rival_inliers,
-        }
-    }
-
-    fn guided(&self) -> GuidedConfig<'_> {
+    pub(super) fn guided(&self) -> GuidedConfig<'_> {
         GuidedConfig {
             radius_px: self.config.projection_radius_px,
             matching: &self.config.projection_matching,
@@ -232,6 +216,7 @@ impl Localizer {
         let first = FirstMatches::new(judged.collect(), max_error_px);
         Some(Hypothesis {
             agreement: first.agreement(query.cameras, &pose.world_from_rig, max_error_px),
+            first,
             points,
             pose,
             votes: vote.votes,
@@ -271,6 +256,7 @@ fn mount(frames: &[FrameFeatures], rig: &Rig) -> Result<Vec<MountedCamera>, NotL
             Ok(MountedCamera {
                 camera: *camera,
                 rig_from_camera: mounted.rig_from_camera,
+                readout_s: mounted.timing.readout_s,
             })
         })
         .collect()

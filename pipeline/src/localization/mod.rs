@@ -7,14 +7,18 @@
 mod acceptance;
 mod config;
 mod covariance;
+mod focal_length;
 mod guided_matching;
+mod judging;
 mod localizer;
+mod map_error;
 mod matches;
 mod outcome;
 mod p3p;
 mod queries;
 mod ransac;
 mod refinement;
+mod shared_errors;
 mod voting;
 
 pub use acceptance::Evidence;

@@ -23,7 +23,8 @@ pub struct Localization {
     /// Pose of the rig.
     pub world_from_rig: Se3,
     /// Covariance of the pose, tangent `[rotation, translation]` on the right, rad² and m²: of the errors that its matches show, alone
-    /// and in neighbourhoods. Errors that all of the map around shares do not show, and are not in it.
+    /// and in neighbourhoods, those of the map's points among them; of focal lengths that are a little off, of rows that were exposed
+    /// one after the other, and of how far the map's own images are from where its points place them.
     pub covariance: Matrix6<f64>,
     /// Its inliers, by frame and keypoint.
     pub matches: Vec<FeatureMatch>,
@@ -70,6 +71,11 @@ pub enum NotLocalizedReason {
     },
     /// No place gave a pose that more than a handful of features agree with.
     NoPose,
+    /// The matches fit another focal length than the cameras are said to have: the pose is wrong by as much.
+    FocalLength {
+        /// The pose, with what speaks for it: to be shown, not to be used.
+        best: Box<Localization>,
+    },
     /// The best pose may be one of chance.
     Improbable {
         /// The pose, with what speaks for it: to be shown, not to be used.
@@ -121,6 +127,13 @@ impl fmt::Display for NotLocalized {
                 f,
                 "the features agree on no pose: the view may be outside the map"
             ),
+            NotLocalizedReason::FocalLength { best } => write!(
+                f,
+                "the matches fit {:.2} ± {:.2} times the camera's focal length: the image was resized or cropped, or another lens \
+                 took it; give the intrinsics that belong to it",
+                best.evidence.focal_scale,
+                best.evidence.focal_scale * best.evidence.focal_log_sigma,
+            ),
             NotLocalizedReason::Improbable { best, needed } => write!(
                 f,
                 "the best pose, of {} inliers, is right with a probability of {:.3} only, {needed} is needed: the view \
@@ -138,7 +151,8 @@ impl NotLocalized {
     /// The best pose all the same, to be shown and not to be used; `None` where there is none.
     pub fn best(&self) -> Option<&Localization> {
         match &self.reason {
-            NotLocalizedReason::Improbable { best, .. } => Some(best),
+            NotLocalizedReason::Improbable { best, .. }
+            | NotLocalizedReason::FocalLength { best } => Some(best),
             _ => None,
         }
     }

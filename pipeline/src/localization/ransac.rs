@@ -258,7 +258,7 @@ fn samples_needed(inlier_ratio: f64, confidence: f64) -> usize {
 
 #[cfg(test)]
 mod tests {
-    use lsfb_geometry::{Camera, Vector2};
+    use lsfb_geometry::{Camera, Matrix3, Vector2};
 
     use super::*;
     use lsfb_geometry::Vector6;
@@ -277,6 +277,7 @@ mod tests {
         [0.06, -0.06].map(|y| MountedCamera {
             camera,
             rig_from_camera: Se3::exp(&Vector6::new(-1.2, 1.2, -1.2, 0.02, y, 0.0)),
+            readout_s: 0.0,
         })
     }
 
@@ -304,6 +305,7 @@ mod tests {
                 camera,
                 pixel: seen,
                 point_in_world: truth * (mounted.rig_from_camera * (ray * depth)),
+                point_covariance_m2: Matrix3::zeros(),
             });
         }
         (truth, matches)

@@ -6,7 +6,6 @@ mod input;
 
 use std::path::PathBuf;
 
-use lsfb_pipeline::features::Feature;
 use lsfb_pipeline::localization::{Localizer, LocalizerConfig};
 use serde::Serialize;
 
@@ -99,12 +98,6 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         None => input,
     };
     let mut detector = arguments.models.detector(localizer.map().feature())?;
-    if *localizer.map().feature() != Feature::Sift {
-        // 27 of 74 mirrored images were localized with XFeat, 3 with SIFT (docs/figures.md).
-        context.say(
-            "warning: probabilities were calibrated with SIFT and are too high with a learned feature, for images of other places above all",
-        );
-    }
     let found = input.localize(&localizer, &detector, context)?;
     if let Some(path) = &arguments.out_drawing {
         crate::files::write(path, drawing::draw(&localizer, &mut detector, &input)?)?;
