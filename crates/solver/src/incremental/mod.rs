@@ -69,7 +69,7 @@ struct Moved {
 }
 
 /// What an update did.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct UpdateReport {
     /// Rounds until nothing moved any more.
     pub rounds: usize,
@@ -268,15 +268,25 @@ impl Incremental {
     }
 
     /// Takes in what was added and removed since the last update, and solves.
+    ///
+    /// After an error all of it is still to be taken in: the next update ends with the same one unless its cause was removed.
     pub fn update(&mut self) -> Result<UpdateReport, Error> {
-        let mut report = UpdateReport {
-            rounds: 0,
-            converged: false,
-            relinearized_residuals: 0,
-            factored_columns: 0,
-            columns: 0,
-            solved_cold: false,
-        };
+        let mut report = UpdateReport::default();
+        if !self.problem.bounds.is_empty() {
+            // Rounds know no bounds: every update is a cold solve.
+            self.commit();
+            self.solve_cold(&mut report)?;
+            return Ok(report);
+        }
+        let updated = self.run_rounds(&mut report);
+        if updated.is_err() {
+            self.commit();
+            self.restart();
+        }
+        updated.map(|()| report)
+    }
+
+    fn run_rounds(&mut self, report: &mut UpdateReport) -> Result<(), Error> {
         self.linearized.grow(&self.problem);
         let mut residuals = std::mem::take(&mut self.new_residuals);
         let mut touched = std::mem::take(&mut self.touched);
@@ -348,7 +358,7 @@ impl Incremental {
             // The values have moved since they were linearized last.
             self.new_residuals = residuals;
         }
-        Ok(report)
+        Ok(())
     }
 
     /// Moves the values of some blocks by their steps; returns the old values.
@@ -388,12 +398,12 @@ impl Incremental {
     }
 
     /// Where a round went wrong: from the last values that were good, by a method that never raises the cost.
-    fn solve_cold(&mut self, mut report: UpdateReport) -> Result<UpdateReport, Error> {
+    fn solve_cold(&mut self, report: &mut UpdateReport) -> Result<(), Error> {
         solve(&mut self.problem, &self.config.solve)?;
         // Linearizations and factor are made anew by the next update.
         self.restart();
         report.solved_cold = true;
         report.converged = true;
-        Ok(report)
+        Ok(())
     }
 }

@@ -163,3 +163,38 @@ fn held_blocks_are_points_of_the_map() {
     let problem = growing.into_problem();
     assert!((problem.value(block) - Vector2::new(1.0, 2.0)).norm() < 1e-6);
 }
+
+#[test]
+fn bounds_are_kept() {
+    let mut problem = Problem::new();
+    let block = problem.add_block(Vector2::new(0.0, 0.0));
+    problem
+        .set_bounds(block, 0, -1.0, 1.0)
+        .expect("is a component");
+    let mut growing = Incremental::new(problem, IncrementalConfig::default()).expect("starts");
+    let prior = VectorPrior::new(Vector2::new(5.0, 2.0), Vector2::repeat(1.0));
+    growing
+        .add_residual(prior, &[block.id()], Kernel::Squared)
+        .expect("blocks fit");
+    growing.update().expect("updates");
+    assert!((growing.value(block) - Vector2::new(1.0, 2.0)).norm() < 1e-6);
+}
+
+#[test]
+fn what_is_not_finite_is_said_until_it_is_gone() {
+    let mut growing =
+        Incremental::new(Problem::new(), IncrementalConfig::default()).expect("starts");
+    let block = growing.add_block(Vector2::new(0.0, 0.0));
+    let prior = |x: f64| VectorPrior::new(Vector2::new(x, 2.0), Vector2::repeat(1.0));
+    growing
+        .add_residual(prior(1.0), &[block.id()], Kernel::Squared)
+        .expect("blocks fit");
+    let wrong = growing
+        .add_residual(prior(f64::NAN), &[block.id()], Kernel::Squared)
+        .expect("blocks fit");
+    assert!(growing.update().is_err());
+    assert!(growing.update().is_err());
+    growing.remove_residual(wrong);
+    growing.update().expect("updates");
+    assert!((growing.value(block) - Vector2::new(1.0, 2.0)).norm() < 1e-6);
+}
