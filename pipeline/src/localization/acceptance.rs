@@ -383,7 +383,7 @@ mod tests {
             focal_log_sigma: 0.01,
             focal_decades: 0.0,
             log10_false_alarms_mirrored: 3.0,
-            decades_together: 0.15,
+            decades_together: decades_together(&Feature::Sift),
             rival_inliers: 0,
         };
         assert!(sure.probability() > 0.999);

@@ -3,20 +3,11 @@
 use super::acceptance::{Agreement, Evidence, decades_together, image_spread};
 use super::focal_length::{FocalFit, fit_focal_length, other_focal_lengths};
 use super::guided_matching::Query;
-use super::localizer::{Hypothesis, Localizer};
+use super::localizer::{Found, Hypothesis, Localizer};
 use super::matches::{PointMatch, PosedMatches};
 use super::outcome::Localization;
 use super::ransac::estimate_pose;
 use super::shared_errors::shared_covariance;
-
-/// The best pose of a query, and what it was chosen from.
-pub(super) struct Found {
-    pub hypothesis: Hypothesis,
-    /// Places that were tried.
-    pub places: usize,
-    /// First inliers of the best pose that contradicts it.
-    pub rival_inliers: usize,
-}
 
 /// The focal lengths that fit best, as evidence has them.
 struct FocalEvidence {

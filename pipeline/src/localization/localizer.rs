@@ -3,7 +3,6 @@ use lsfb_geometry::{Rig, Se3};
 use super::acceptance::{Agreement, FirstMatches};
 use super::config::LocalizerConfig;
 use super::guided_matching::{GuidedConfig, GuidedPose, Query};
-use super::judging::Found;
 use super::map_error::MapError;
 use super::matches::MountedCamera;
 use super::outcome::{FeatureMatch, Localization, NotLocalized, NotLocalizedReason};
@@ -33,6 +32,15 @@ pub(super) struct Hypothesis {
     pub points: Vec<u32>,
     pub pose: GuidedPose,
     pub votes: u32,
+}
+
+/// The best pose of a query, and what it was chosen from.
+pub(super) struct Found {
+    pub hypothesis: Hypothesis,
+    /// Places that were tried.
+    pub places: usize,
+    /// First inliers of the best pose that contradicts it.
+    pub rival_inliers: usize,
 }
 
 impl Localizer {
