@@ -111,7 +111,6 @@ fn clock_offsets_ns(rig: &Rig, cameras: &[String]) -> Vec<i64> {
 /// Chooses keyframes along the trajectory and detects the features of their images.
 pub(super) fn choose_keyframes(
     recording: &Recording,
-    rig: &Rig,
     cameras: &[String],
     trajectory: &Trajectory,
     detector: &FeatureDetector,
@@ -144,7 +143,7 @@ pub(super) fn choose_keyframes(
         }
         Ok(())
     };
-    let offsets_ns = clock_offsets_ns(rig, cameras);
+    let offsets_ns = clock_offsets_ns(&recording.rig()?, cameras);
     for item in recording.images_of(&names)? {
         let Some(mut item) = damages.keep(item) else {
             continue;

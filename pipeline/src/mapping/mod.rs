@@ -78,7 +78,6 @@ pub fn build_map(
     let detector = FeatureDetector::new(&config.sift, config.learned.as_ref())?;
     let mut keyframes = choose_keyframes(
         recording,
-        &rig,
         &cameras,
         &trajectory,
         &detector,
