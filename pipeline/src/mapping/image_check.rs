@@ -3,14 +3,11 @@
 use lsfb_perception::statistics::median;
 
 use super::keyframes::Keyframes;
-use super::report::{MappingReport, MappingWarning};
+use super::report::{BLURRED_SCALE, FEATURELESS_SHARE, MappingReport, MappingWarning};
 use crate::error::MIN_FEATURES_PER_IMAGE;
 
-/// Share of a camera's images that show hardly a feature before it is said; at the least so many.
-pub(super) const FEATURELESS_SHARE: f64 = 0.2;
+/// The fewest images that are said.
 const FEATURELESS_IMAGES: u64 = 3;
-/// Features of a camera that are so many times as large as those of the other cameras: it is not in focus.
-pub(super) const BLURRED_SCALE: f64 = 1.5;
 
 /// Counts features, and warns of cameras that see too little.
 pub(super) fn describe_images(

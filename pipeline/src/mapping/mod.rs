@@ -1,6 +1,7 @@
 #![doc = include_str!("README.md")]
 
 mod adjustment;
+mod camera_error;
 mod config;
 mod image_check;
 mod keyframe_scans;
@@ -28,6 +29,7 @@ use crate::hd_map::{HdMap, MapContent, MapPoint, expect_map, find_tracks, triang
 use crate::loops::{close_loops, find_loops};
 use crate::odometry::{Damages, OdometryResult, run_odometry};
 use adjustment::{Terms, adjust};
+pub use camera_error::CameraError;
 pub use config::{CorrelationConfig, MappingConfig};
 use image_check::describe_images;
 use keyframe_scans::add_lidar_features;
@@ -35,7 +37,6 @@ use keyframes::{Keyframe, Keyframes, choose_keyframes, find_cameras};
 use report::USUAL_OUTLIER_SHARE;
 pub use report::{LidarResiduals, MappingReport, MappingWarning, RoundReport};
 use reprojection_errors::{ErrorSummary, drop_outliers, observation_errors_px, track_errors_px};
-pub use rig_check::CameraError;
 use rig_check::{Checked, camera_errors};
 use scan_pairs::{scan_correspondences, scan_pairs};
 use weights::{Weights, lidar_residuals};

@@ -3,8 +3,7 @@
 use lsfb_types::{Finding, Limit, Verdict};
 use serde::{Deserialize, Serialize};
 
-use super::CameraError;
-use super::image_check::{BLURRED_SCALE, FEATURELESS_SHARE};
+use super::camera_error::CameraError;
 use crate::loops::Closing;
 use crate::odometry::{OdometryReport, OdometryWarning};
 
@@ -167,6 +166,12 @@ pub enum MappingWarning {
 
 /// Good maps of simulated walks have 15 to 25 % of wrong matches in their tracks; more is something else.
 pub(super) const USUAL_OUTLIER_SHARE: f64 = 0.4;
+
+/// Share of a camera's images that show hardly a feature before it is said, at the least so many: bare walls make a quarter of them on the way
+/// through an office.
+pub(super) const FEATURELESS_SHARE: f64 = 0.4;
+/// Features of a camera that are so many times as large as those of the other cameras: it is not in focus.
+pub(super) const BLURRED_SCALE: f64 = 1.5;
 
 impl MappingWarning {
     /// As every command and page says it.
