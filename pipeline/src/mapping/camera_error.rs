@@ -28,6 +28,8 @@ pub struct CameraError {
     pub clock_s: f64,
     /// Its standard deviation, seconds.
     pub clock_sigma_s: f64,
+    /// Whether the search ended: otherwise the errors are larger than these.
+    pub settled: bool,
 }
 
 /// What a map of some centimetres bears of an error, and what it does not: at five metres 0.3° and 0.5 % move a point by 2.6 cm,
@@ -40,7 +42,7 @@ pub(super) const CLOCK_LIMITS_S: [f64; 2] = [0.005, 0.015];
 const CERTAIN_SIGMAS: f64 = 4.0;
 /// Of keypoints that match from image to image most show a point; of a camera that looks another way than the file says, hardly any does.
 const FEWEST_SHOW_A_POINT: [f64; 2] = [0.3, 0.15];
-/// Keypoints below which nothing is said.
+/// Keypoints below which nothing can be said.
 const FEWEST_TRACKED: u64 = 200;
 
 impl CameraError {
@@ -80,25 +82,33 @@ impl CameraError {
                 "ms",
             ),
         ];
-        if self.tracked >= FEWEST_TRACKED {
-            let share = self.observations as f64 / self.tracked as f64;
-            let [warn, fail] = FEWEST_SHOW_A_POINT;
-            let verdict = [(fail, Verdict::Fail), (warn, Verdict::Warn)]
-                .into_iter()
-                .find(|(limit, _)| share < *limit)
-                .map_or(Verdict::Pass, |(_, verdict)| verdict);
-            let what = format!(
-                "{} of its {} keypoints that match in two other images show a point of the map",
-                self.observations, self.tracked
-            );
-            findings.push(
-                Finding::new("camera-points", verdict, &self.camera, what)
-                    .value(1e2 * share, "%")
-                    .limit(Limit::AtLeast(1e2 * warn))
-                    .remedy("it does not look where the rig file says: check which camera is which, and calibrate the rig"),
-            );
-        }
+        findings.push(self.points_finding());
         findings
+    }
+
+    /// Whether what matches shows points.
+    fn points_finding(&self) -> Finding {
+        let share = self.observations as f64 / self.tracked.max(1) as f64;
+        let [warn, fail] = FEWEST_SHOW_A_POINT;
+        let verdict = match share {
+            _ if self.tracked < FEWEST_TRACKED => Verdict::Warn,
+            share if share < fail => Verdict::Fail,
+            share if share < warn => Verdict::Warn,
+            _ => Verdict::Pass,
+        };
+        let what = format!(
+            "{} of its {} keypoints that match in two other images show a point of the map",
+            self.observations, self.tracked
+        );
+        let finding = Finding::new("camera-points", verdict, &self.camera, what)
+            .remedy("it does not look where the rig file says: check which camera is which, and calibrate the rig");
+        match self.tracked < FEWEST_TRACKED {
+            true => finding
+                .value(self.tracked as f64, "keypoints")
+                .limit(Limit::AtLeast(FEWEST_TRACKED as f64))
+                .remedy("whether it looks where the rig file says is not known: map for longer, and check the rig file"),
+            false => finding.value(1e2 * share, "%").limit(Limit::AtLeast(1e2 * warn)),
+        }
     }
 
     fn finding(
@@ -110,21 +120,103 @@ impl CameraError {
         limits: [f64; 2],
         unit: &'static str,
     ) -> Finding {
-        let at_least = value - CERTAIN_SIGMAS * sigma;
+        let uncertain = CERTAIN_SIGMAS * sigma;
+        let at_least = value - uncertain;
         let [warn, fail] = limits;
         let verdict = match at_least {
             at_least if at_least > fail => Verdict::Fail,
+            at_least if at_least > warn && !self.settled => Verdict::Fail,
             at_least if at_least > warn => Verdict::Warn,
+            // An error that must not be would not have been noticed.
+            _ if !(self.settled && value.is_finite() && uncertain < fail) => Verdict::Unknown,
             _ => Verdict::Pass,
+        };
+        let or_more = match self.settled {
+            true => "",
+            false => " or more",
         };
         let space = if unit == "°" { "" } else { " " };
         let what = format!(
-            "{what} {value:.2}{space}{unit} ± {sigma:.2}{space}{unit} against the rig file, as the map's images show it"
+            "{what} {value:.2}{space}{unit} ± {sigma:.2}{space}{unit}{or_more} against the rig file, as the map's images show it"
         );
         Finding::new(code, verdict, &self.camera, what)
             .value(value, unit)
             .sigma(sigma)
             .limit(Limit::AtMost(warn))
             .remedy("points that it sees are mapped in the wrong place: calibrate the rig and map again")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn right() -> CameraError {
+        CameraError {
+            camera: "cam0".to_owned(),
+            tracked: 5000,
+            observations: 3000,
+            turn_deg: 0.05,
+            turn_sigma_deg: 0.02,
+            shift_m: 0.004,
+            shift_sigma_m: 0.005,
+            focal_share: 0.0003,
+            focal_sigma: 0.0004,
+            clock_s: 0.0003,
+            clock_sigma_s: 0.0003,
+            settled: true,
+        }
+    }
+
+    fn verdict(error: &CameraError, code: &str) -> Option<Verdict> {
+        let findings = error.findings();
+        findings.iter().find(|f| f.code == code).map(|f| f.verdict)
+    }
+
+    #[test]
+    fn what_could_not_have_been_noticed_does_not_pass() {
+        assert!(
+            right()
+                .findings()
+                .iter()
+                .all(|f| f.verdict == Verdict::Pass)
+        );
+        for turn_sigma_deg in [5.7, f64::NAN, f64::INFINITY] {
+            let unknown = CameraError {
+                turn_sigma_deg,
+                ..right()
+            };
+            assert_eq!(verdict(&unknown, "camera-turn"), Some(Verdict::Unknown));
+        }
+        let no_number = CameraError {
+            clock_s: f64::NAN,
+            ..right()
+        };
+        assert_eq!(verdict(&no_number, "camera-clock"), Some(Verdict::Unknown));
+        let unmatched = CameraError {
+            tracked: 0,
+            observations: 0,
+            ..right()
+        };
+        assert_eq!(verdict(&unmatched, "camera-points"), Some(Verdict::Warn));
+    }
+
+    /// A camera turned by 12° was said to be turned by 0.74 ± 0.03°, as the search ended before it was there.
+    #[test]
+    fn an_error_that_still_grows_fails() {
+        let found = CameraError {
+            turn_deg: 0.74,
+            turn_sigma_deg: 0.03,
+            ..right()
+        };
+        assert_eq!(verdict(&found, "camera-turn"), Some(Verdict::Warn));
+        let grows = CameraError {
+            settled: false,
+            ..found
+        };
+        assert_eq!(verdict(&grows, "camera-turn"), Some(Verdict::Fail));
+        assert_eq!(verdict(&grows, "camera-clock"), Some(Verdict::Unknown));
+        let sentence = grows.findings()[0].what.clone();
+        assert!(sentence.contains("or more"), "{sentence}");
     }
 }

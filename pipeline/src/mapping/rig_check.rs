@@ -74,7 +74,7 @@ pub(super) fn camera_errors(
     rig.cameras
         .retain(|name, _| images.iter().any(|image| image.camera == *name));
     let stated = rig.clone();
-    let mut errors = Vec::new();
+    let mut errors: Vec<CameraError> = Vec::new();
     for round in 0..ROUNDS {
         let mut points = triangulate_round(&rig, checked.keyframes, checked.tracks, round, config)?;
         points.retain(|point| point.observations.len() >= CERTAIN_VIEWS);
@@ -86,11 +86,18 @@ pub(super) fn camera_errors(
         let mut rests = true;
         errors.clear();
         for ((name, camera), found) in rig.cameras.iter_mut().zip(found) {
-            rests &= found.is_small();
+            let counts = counts.get(name.as_str()).copied().unwrap_or_default();
+            let settled = found.is_small();
+            rests &= settled;
             *camera = corrected(camera, &found.correction);
             let stated = stated.cameras.get(name).unwrap_or(camera);
-            let counts = counts.get(name.as_str()).copied().unwrap_or_default();
-            errors.push(error_of(name, counts, stated, camera, &found.covariance));
+            errors.push(error_of(
+                name,
+                counts,
+                (stated, camera),
+                &found.covariance,
+                settled,
+            ));
         }
         if rests {
             break;
@@ -218,7 +225,7 @@ fn corrected(camera: &RigCamera, correction: &CameraCorrection) -> RigCamera {
     }
 }
 
-/// Of each camera the keypoints that match in two images or more, and those of them that show a point.
+/// Of each camera the keypoints that match in two others or more, and those of them that show a point.
 fn counts_of<'a>(checked: &Checked<'a>, points: &[MapPoint]) -> BTreeMap<&'a str, [u64; 2]> {
     let mut counts: BTreeMap<&str, [u64; 2]> = BTreeMap::new();
     let long = |track: &&Track| track.keypoints.len() >= CERTAIN_VIEWS;
@@ -239,9 +246,9 @@ fn counts_of<'a>(checked: &Checked<'a>, points: &[MapPoint]) -> BTreeMap<&'a str
 fn error_of(
     name: &str,
     [tracked, observations]: [u64; 2],
-    stated: &RigCamera,
-    found: &RigCamera,
+    (stated, found): (&RigCamera, &RigCamera),
     covariance: &SMatrix<f64, 9, 9>,
+    settled: bool,
 ) -> CameraError {
     let moved = found.rig_from_camera.inverse() * stated.rig_from_camera;
     let focal_px = |camera: &RigCamera| camera.camera.lens.parameters().values[0];
@@ -259,6 +266,7 @@ fn error_of(
         focal_sigma: sigma(entry::FOCAL),
         clock_s: found.timing.rig_from_camera_s - stated.timing.rig_from_camera_s,
         clock_sigma_s: sigma(entry::CLOCK),
+        settled,
     }
 }
 
