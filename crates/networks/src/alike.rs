@@ -30,10 +30,18 @@ const SHARED: usize = 16;
 /// Names of the tensors it is made of.
 pub(crate) fn tensors() -> Vec<String> {
     let mut names = vec!["convhead2.weight".to_owned()];
+    names.extend(backbone_tensors(|_| &["weight"]));
+    names
+}
+
+/// Names of the tensors of the four blocks, in which ALIKE and ALIKED are alike but for `parts` of the convolutions of a block.
+pub(crate) fn backbone_tensors(parts: impl Fn(usize) -> &'static [&'static str]) -> Vec<String> {
+    let mut names = Vec::new();
     for block in 1..=4 {
         names.push(format!("conv{block}.weight"));
         for half in 1..=2 {
-            names.push(format!("block{block}.conv{half}.weight"));
+            let parts = parts(block).iter();
+            names.extend(parts.map(|part| format!("block{block}.conv{half}.{part}")));
             let parts = ["weight", "bias", "running_mean", "running_var"];
             names.extend(parts.map(|part| format!("block{block}.bn{half}.{part}")));
         }

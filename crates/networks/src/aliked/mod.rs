@@ -11,6 +11,7 @@ mod head;
 mod tests;
 
 use crate::Grey;
+use crate::alike::backbone_tensors;
 use crate::convolution::{Affine, Convolution, DeformableConvolution, Gate, Shape};
 use crate::error::Damage;
 use crate::keypoints::{NetworkKeypoint, PeakSearch, Scores, sigmoid};
@@ -65,28 +66,14 @@ impl Size {
 pub(crate) fn tensors() -> Vec<String> {
     let mut names = head::tensors();
     names.extend(SCORE.map(|(name, ..)| format!("{name}.weight")));
-    for block in 1..=4 {
-        names.push(format!("conv{block}.weight"));
-        for half in 1..=2 {
-            let layer = format!("block{block}.conv{half}");
-            match block {
-                1 | 2 => names.push(format!("{layer}.weight")),
-                _ => names.extend(
-                    [
-                        "offset_conv.weight",
-                        "offset_conv.bias",
-                        "regular_conv.weight",
-                    ]
-                    .map(|part| format!("{layer}.{part}")),
-                ),
-            }
-            let parts = ["weight", "bias", "running_mean", "running_var"];
-            names.extend(parts.map(|part| format!("block{block}.bn{half}.{part}")));
-        }
-        if block > 1 {
-            names.extend(["weight", "bias"].map(|p| format!("block{block}.downsample.{p}")));
-        }
-    }
+    names.extend(backbone_tensors(|block| match block {
+        1 | 2 => &["weight"],
+        _ => &[
+            "offset_conv.weight",
+            "offset_conv.bias",
+            "regular_conv.weight",
+        ],
+    }));
     names
 }
 
