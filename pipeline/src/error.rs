@@ -286,6 +286,32 @@ pub enum Error {
         /// Largest share of them that may be absent.
         limit: f64,
     },
+    /// Nothing in a walk without a map tells scale and gravity.
+    #[error(
+        "none of {frames} frames begins a motion that tracks and IMU agree on: begin at rest for half a second, or move by a hand's breadth and more while something with texture is in view"
+    )]
+    NoBeginning {
+        /// Frames that were looked at.
+        frames: usize,
+    },
+    /// Tracks and IMU contradict each other.
+    #[error(
+        "{:.0} % of what was followed in the images fits no point (at most {:.0} %): check the IMU's axes and units, the cameras' lenses and places on it, and both clocks", 100.0 * share, 100.0 * limit
+    )]
+    TracksContradict {
+        /// Share of the followed sights.
+        share: f64,
+        /// Largest that may be.
+        limit: f64,
+    },
+    /// The map was judged a failure when it was made.
+    #[error(
+        "the map failed when it was made: {}; mend that and map the place again, or set accept_failed_map if that does not matter to you", failures.join("; ")
+    )]
+    FailedMap {
+        /// What was found, a sentence each.
+        failures: Vec<String>,
+    },
     /// No pose of a walk is certain enough.
     #[error(
         "{path}: none of {frames} poses is certain enough for the trajectory (max_position_sigma_m is {limit_m} m): walk where more of the map is in view, or allow more", path = path.display()

@@ -1,3 +1,4 @@
+use lsfb_geometry::ImuNoiseModel;
 use lsfb_solver::SolveConfig;
 use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
@@ -81,6 +82,8 @@ pub struct GroundTruthConfig {
     /// Largest share of the map's points that should be in view and are not there: beyond, the place has changed, or is another that is
     /// built alike.
     pub max_absent_share: f64,
+    /// Whether a map that failed when it was made (a camera turned against the rig file, say) is used all the same.
+    pub accept_failed_map: bool,
     /// The solver.
     pub solve: SolveConfig,
 }
@@ -122,6 +125,7 @@ impl Default for GroundTruthConfig {
             max_position_sigma_m: 0.05,
             max_disagreement_m: 0.08,
             max_absent_share: 0.35,
+            accept_failed_map: false,
             solve: SolveConfig {
                 cost_tolerance: 1e-9,
                 // Neighbours are held together far more firmly than to the map: damping by a share of that would hold the
@@ -168,6 +172,7 @@ lsfb_types::bounds! {
         max_extrapolation_secs: number(Bounds::NOT_NEGATIVE),
         max_position_sigma_m: number(Bounds::POSITIVE),
         max_disagreement_m: number(Bounds::POSITIVE),
+        accept_failed_map: any,
         max_absent_share: number(Bounds::Within(0.0, 1.0)),
         solve: section,
     }
@@ -175,6 +180,17 @@ lsfb_types::bounds! {
 
 impl GroundTruthConfig {
     /// Standard deviations of what the rig file says of a camera, entry by entry.
+    /// The IMU's noise as the optimisation takes it.
+    pub(super) fn inflated(&self, noise: &ImuNoiseModel) -> ImuNoiseModel {
+        let factor = self.imu_noise_factor;
+        ImuNoiseModel {
+            gyro_noise_density: noise.gyro_noise_density * factor,
+            accel_noise_density: noise.accel_noise_density * factor,
+            gyro_bias_walk: noise.gyro_bias_walk * factor,
+            accel_bias_walk: noise.accel_bias_walk * factor,
+        }
+    }
+
     pub(super) fn calibration_sigmas(&self) -> CameraCorrection {
         let mut sigmas = CameraCorrection::zeros();
         sigmas

@@ -213,7 +213,7 @@ impl Stretch {
         }
         for round in 0..ROUNDS {
             let (walk, points) = (&self.walk, &self.points);
-            let solved = match optimize(walk, &self.estimate, points, config, &no_progress) {
+            let solved = match optimize(walk, &self.estimate, points, None, config, &no_progress) {
                 Ok(solved) => solved,
                 Err(Error::NotConverged { .. } | Error::Solver(_)) => return Ok(None),
                 Err(other) => return Err(other),

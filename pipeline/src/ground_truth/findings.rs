@@ -96,6 +96,12 @@ impl GroundTruthWarning {
             .value(*secs, "s")
             .limit(Limit::AtMost(0.0))
             .remedy("walk where the scanner went, or make sure that there is no other place like it"),
+            Self::FailedMap { what } => warn(
+                "failed-map",
+                "map",
+                format!("it failed when it was made, and was used as accept_failed_map says: {what}"),
+            )
+            .remedy("mend that and map the place again"),
         }
     }
 }

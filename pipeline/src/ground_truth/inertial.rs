@@ -119,7 +119,7 @@ pub(super) const ANY_TURN_RAD_S: f64 = 2.0;
 pub(super) const ANY_ACCELERATION_M_S2: f64 = 3.0;
 
 /// What is known where the IMU says nothing: a body goes on as it did, more or less.
-fn any_motion(from: &State, duration_secs: f64) -> PreintegratedImu {
+pub(super) fn any_motion(from: &State, duration_secs: f64) -> PreintegratedImu {
     let resting = from.nav.world_from_rig.rotation.inverse() * -standard_gravity_m_s2();
     let mut motion = PreintegratedImu::nothing(from.bias);
     motion.duration_secs = duration_secs;

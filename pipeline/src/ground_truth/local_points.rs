@@ -14,7 +14,7 @@ use super::walk::{LocalObservation, LocalPoint, Walk};
 use crate::features::Features;
 use crate::features::matching::{DescriptorSet, RayFeatures, match_epipolar};
 use crate::features::tracks::{ImagePair, Track, TrackedKeypoint, build_tracks};
-use crate::features::triangulation::{View, triangulate};
+use crate::features::triangulation::{TriangulatedPoint, TriangulationFailure, View, triangulate};
 
 /// Features of one image, ready to be matched.
 pub(super) struct MatchableImage {
@@ -107,13 +107,7 @@ impl LocalTracks {
         features: &[Features],
         config: &GroundTruthConfig,
     ) -> Vec<LocalPoint> {
-        self.select(walk, features, config)
-            .par_iter()
-            .map(|track| locate_one(estimate, track, config))
-            .collect::<Vec<Option<LocalPoint>>>()
-            .into_iter()
-            .flatten()
-            .collect()
+        locate_all(estimate, &self.select(walk, features, config), config)
     }
 
     fn select(
@@ -188,11 +182,55 @@ fn camera_pose(estimate: &Estimate, frame: usize, camera: usize) -> Se3 {
     estimate.world_from_camera(frame, camera, 0.5 * (f64::from(height) - 1.0))
 }
 
+/// The points of some tracks. Those whose rays do not meet, or hardly differ, give none.
+pub(super) fn locate_all(
+    estimate: &Estimate,
+    tracks: &[Vec<LocalObservation>],
+    config: &GroundTruthConfig,
+) -> Vec<LocalPoint> {
+    tracks
+        .par_iter()
+        .map(|track| locate_one(estimate, track, config))
+        .collect::<Vec<Option<LocalPoint>>>()
+        .into_iter()
+        .flatten()
+        .collect()
+}
+
+/// Share of the sights of some tracks that fit no point: those of tracks whose rays are too parallel to tell are left out of it.
+pub(super) fn contradicted_share(
+    estimate: &Estimate,
+    tracks: &[Vec<LocalObservation>],
+    config: &GroundTruthConfig,
+) -> f64 {
+    let counts = tracks
+        .par_iter()
+        .map(|track| match placed(estimate, track, config) {
+            Ok(found) => [track.len() - found.inliers.len(), track.len()],
+            Err(TriangulationFailure::TooLittleParallax) => [0, 0],
+            Err(_) => [track.len(); 2],
+        });
+    let [contradicted, all] = counts.reduce(|| [0, 0], |a, b| [a[0] + b[0], a[1] + b[1]]);
+    contradicted as f64 / all.max(1) as f64
+}
+
 fn locate_one(
     estimate: &Estimate,
     track: &[LocalObservation],
     config: &GroundTruthConfig,
 ) -> Option<LocalPoint> {
+    let found = placed(estimate, track, config).ok()?;
+    Some(LocalPoint {
+        point_in_world: found.point_in_world,
+        observations: found.inliers.iter().map(|k| track[*k]).collect(),
+    })
+}
+
+fn placed(
+    estimate: &Estimate,
+    track: &[LocalObservation],
+    config: &GroundTruthConfig,
+) -> Result<TriangulatedPoint, TriangulationFailure> {
     let views: Vec<View> = track
         .iter()
         .map(|seen| View {
@@ -201,9 +239,5 @@ fn locate_one(
             pixel: seen.pixel,
         })
         .collect();
-    let found = triangulate(&views, &config.triangulation).ok()?;
-    Some(LocalPoint {
-        point_in_world: found.point_in_world,
-        observations: found.inliers.iter().map(|k| track[*k]).collect(),
-    })
+    triangulate(&views, &config.triangulation)
 }

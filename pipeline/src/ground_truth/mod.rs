@@ -9,6 +9,8 @@
 //! A pose is given only if it may be believed: its covariance is small enough, halves of the map's points agree on it, and what the map
 //! says should be in view there is there. A place that is the same in every image cannot be told by any of these: a walk through one of
 //! two floors of which only the other is mapped, and which look alike in all that the walk sees, comes out as one on the mapped floor.
+//!
+//! [`motion_without_map`] has the motion of a walk for which there is no map, from tracks and the IMU, by the same adjustment.
 
 mod config;
 mod consensus;
@@ -29,6 +31,7 @@ mod trusted;
 mod uncertainty;
 mod walk;
 mod warnings;
+mod without_map;
 
 #[cfg(test)]
 mod tests;
@@ -42,6 +45,9 @@ pub use report::{
     Span,
 };
 pub use run::ground_truth;
+pub use without_map::{
+    Beginning, FrontEnd, Motion, Sight, TrackedFrame, TrackedWalk, motion_without_map,
+};
 
 use crate::Error;
 use crate::features::Features;
@@ -99,7 +105,7 @@ fn solve_walk(
     }
     let mut tracks = follow(walk, &begin, features, config, progress)?;
     let mut points = tracks.locate(walk, &begin, features, config);
-    let first = optimize(walk, &begin, &points, config, progress)?.estimate;
+    let first = optimize(walk, &begin, &points, None, config, progress)?.estimate;
     choose_observations(walk, &first, &mut points, config);
 
     progress(Progress {
@@ -117,13 +123,14 @@ fn solve_walk(
         tracks = follow(walk, &first, features, config, progress)?;
     }
     let points = tracks.locate(walk, &first, features, config);
-    let mut last = optimize(walk, &first, &points, config, progress)?;
+    let mut last = optimize(walk, &first, &points, None, config, progress)?;
     for _ in 0..ROUNDS {
         let changed = choose_observations(walk, &last.estimate, &mut last.points, config);
         if changed == 0 {
             break;
         }
-        last = optimize(walk, &last.estimate, &last.points, config, progress)?;
+        let (estimate, points) = (&last.estimate, &last.points);
+        last = optimize(walk, estimate, points, None, config, progress)?;
         if changed * SETTLED < last.report.residuals {
             break;
         }

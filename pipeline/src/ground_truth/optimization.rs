@@ -2,13 +2,14 @@
 
 use std::collections::BTreeSet;
 
-use lsfb_solver::{Kernel, Problem, Report, VectorPrior};
+use lsfb_geometry::{Matrix3, Matrix6, Vector3};
+use lsfb_solver::{Kernel, PosePrior, Problem, Report, VectorPrior};
 use lsfb_types::ProgressFn;
 
 use super::GroundTruthConfig;
 use super::estimate::Estimate;
 use super::inertial::{StateBlocks, add_inertial_residuals};
-use super::walk::{FixedObservation, Frame, LocalPoint, Walk};
+use super::walk::{FixedObservation, Frame, LocalPoint, State, Walk};
 use crate::Error;
 use crate::residuals::{CameraCorrection, FixedPointReprojection, MovingReprojection};
 use crate::solve::solve_until_converged;
@@ -20,12 +21,86 @@ pub(super) struct Optimized {
     pub report: Report,
 }
 
+/// What holds a walk that sees no map: its first frame.
+pub(super) struct Anchor {
+    /// Whether all of its state is known, as one that was settled before; else its position and heading alone are given, as the world's
+    /// own.
+    pub is_known: bool,
+    /// Frames from the first on in which the device is at rest.
+    pub resting: usize,
+}
+
+/// Standard deviations of what is given or known of a first frame.
+const GIVEN_M: f64 = 1e-4;
+const GIVEN_RAD: f64 = 1e-4;
+const KNOWN_M_S: f64 = 0.02;
+const KNOWN_GYRO_BIAS_RAD_S: f64 = 2e-3;
+const KNOWN_ACCEL_BIAS_M_S2: f64 = 0.03;
+/// Of the velocity of a device at rest, m/s.
+const RESTING_M_S: f64 = 5e-3;
+
+impl Anchor {
+    fn hold(
+        &self,
+        problem: &mut Problem,
+        states: &[State],
+        blocks: &[StateBlocks],
+    ) -> Result<(), Error> {
+        let (Some(state), Some(first)) = (states.first(), blocks.first()) else {
+            return Ok(());
+        };
+        let rotation = state.nav.world_from_rig.rotation;
+        let up = rotation.inverse() * Vector3::z();
+        // Gravity tells the lean.
+        let turn = match self.is_known {
+            true => Matrix3::identity(),
+            false => up * up.transpose(),
+        };
+        let mut sqrt_information = Matrix6::zeros();
+        sqrt_information
+            .fixed_view_mut::<3, 3>(0, 0)
+            .copy_from(&(turn / GIVEN_RAD));
+        sqrt_information
+            .fixed_view_mut::<3, 3>(3, 3)
+            .fill_diagonal(1.0 / GIVEN_M);
+        let prior = PosePrior {
+            value: state.nav.world_from_rig,
+            sqrt_information,
+        };
+        problem.add_residual(prior, &[first.pose.id()], Kernel::Squared)?;
+        let mut known = Vec::new();
+        if self.is_known {
+            known.extend([
+                (first.velocity, state.nav.velocity_m_s, KNOWN_M_S),
+                (
+                    first.gyro_bias,
+                    state.bias.gyro_rad_s,
+                    KNOWN_GYRO_BIAS_RAD_S,
+                ),
+                (
+                    first.accel_bias,
+                    state.bias.accel_m_s2,
+                    KNOWN_ACCEL_BIAS_M_S2,
+                ),
+            ]);
+        }
+        let resting = blocks.iter().take(self.resting);
+        known.extend(resting.map(|b| (b.velocity, Vector3::zeros(), RESTING_M_S)));
+        for (block, value, sigma) in known {
+            let prior = VectorPrior::new(value, Vector3::repeat(sigma));
+            problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
+        }
+        Ok(())
+    }
+}
+
 /// Minimises eq. (5) over all states, local points and what is not exactly known of the cameras: fixed points of the HD map,
-/// local points, preintegrated IMU. Rows are seen from where the rig was by the motion of `before`.
+/// local points, preintegrated IMU; where no map is seen, the anchor's first state. Rows are seen from where the rig was by the motion of `before`.
 pub(super) fn optimize(
     walk: &Walk,
     before: &Estimate,
     points: &[LocalPoint],
+    anchor: Option<&Anchor>,
     config: &GroundTruthConfig,
     progress: ProgressFn<'_>,
 ) -> Result<Optimized, Error> {
@@ -85,6 +160,9 @@ pub(super) fn optimize(
         }
     }
     add_inertial_residuals(&mut problem, walk, 0, &blocks, config)?;
+    if let Some(anchor) = anchor {
+        anchor.hold(&mut problem, &before.states, &blocks)?;
+    }
     let report = solve_until_converged("bundle adjustment", &mut problem, &config.solve, progress)?;
     Ok(Optimized {
         estimate: Estimate::new(

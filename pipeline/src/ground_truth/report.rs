@@ -198,6 +198,11 @@ pub enum GroundTruthWarning {
         /// How long, seconds.
         secs: f64,
     },
+    /// The map failed when it was made, and was used all the same.
+    FailedMap {
+        /// What was found.
+        what: String,
+    },
 }
 
 /// How a camera differs from the rig file, as far as the walk shows it and the file's standard deviations allow.

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use lsfb_geometry::{ImuNoiseModel, Trajectory};
+use lsfb_geometry::Trajectory;
 use lsfb_perception::statistics::median;
 use lsfb_recording::Recording;
 use lsfb_types::ProgressFn;
@@ -16,7 +16,10 @@ use super::trusted::{Solution, Trusted, trusted};
 use super::uncertainty::uncertainty;
 use super::walk::{FixedObservation, Frame, LocalPoint, LocalizedPose, Walk};
 use super::warnings::{not_checked, out_of_reach, warnings};
-use super::{GroundTruth, GroundTruthConfig, GroundTruthReport, LeftOutReason, Solved, solve_walk};
+use super::{
+    GroundTruth, GroundTruthConfig, GroundTruthReport, GroundTruthWarning, LeftOutReason, Solved,
+    solve_walk,
+};
 use crate::Error;
 use crate::features::FeatureDetector;
 use crate::frames::{FeatureFrame, read_frames, read_imu};
@@ -26,7 +29,7 @@ use crate::residuals::MovingCamera;
 
 /// Where the device was at each of its images, in the world of the map.
 ///
-/// [`Error::NotLocalized`] where too few images show the map; [`Error::SensorMissing`] without cameras or IMU.
+/// [`Error::FailedMap`] of a map that failed when it was made; [`Error::NotLocalized`] where too few images show the map; [`Error::SensorMissing`] without cameras or IMU.
 pub fn ground_truth(
     recording: &Recording,
     map: &HdMap,
@@ -34,6 +37,11 @@ pub fn ground_truth(
     progress: ProgressFn<'_>,
 ) -> Result<GroundTruth, Error> {
     config.check_bounds("ground_truth")?;
+    if !map.failures().is_empty() && !config.accept_failed_map {
+        return Err(Error::FailedMap {
+            failures: map.failures().to_vec(),
+        });
+    }
     let rig = recording.rig()?;
     let missing = |sensor| Error::SensorMissing {
         sensor,
@@ -81,7 +89,7 @@ pub fn ground_truth(
         cameras: rig.cameras.values().map(MovingCamera::new).collect(),
         frames,
         imu,
-        noise: inflated(noise, config.imu_noise_factor),
+        noise: config.inflated(noise),
         point_covariances_m2,
     };
     let start = start_states(&walk, config, progress)?;
@@ -145,6 +153,10 @@ pub fn ground_truth(
     report.left_out.sort_by_key(|span| span.from_ns);
     report.warnings = warnings(&report, &read, frozen, damaged_samples);
     report.warnings.extend(not_checked(&walk, &in_view));
+    let failures = map.failures().iter();
+    report
+        .warnings
+        .extend(failures.map(|what| GroundTruthWarning::FailedMap { what: what.clone() }));
     Ok(GroundTruth {
         trajectory,
         covariances: trusted.covariances,
@@ -180,15 +192,6 @@ fn accepted(
             localized,
             rejected: localized - agreeing,
         }),
-    }
-}
-
-fn inflated(noise: &ImuNoiseModel, factor: f64) -> ImuNoiseModel {
-    ImuNoiseModel {
-        gyro_noise_density: noise.gyro_noise_density * factor,
-        accel_noise_density: noise.accel_noise_density * factor,
-        gyro_bias_walk: noise.gyro_bias_walk * factor,
-        accel_bias_walk: noise.accel_bias_walk * factor,
     }
 }
 

@@ -64,6 +64,7 @@ pub(super) struct MapRows {
     pub points: Vec<PointRow>,
     pub feature: Feature,
     pub provenance: String,
+    pub failures: Vec<String>,
 }
 
 /// A point with what saw it.
@@ -154,6 +155,7 @@ impl HdMap {
             points: rows,
             feature: content.feature.clone(),
             provenance: content.provenance.to_owned(),
+            failures: Vec::new(),
         };
         Ok(Self::from_rows(rows, &config.index, progress)?)
     }
@@ -184,6 +186,7 @@ impl HdMap {
             rig: rows.rig,
             feature: rows.feature,
             provenance: rows.provenance,
+            failures: rows.failures,
             points: PointColumns {
                 x_m: axis(0).into(),
                 y_m: axis(1).into(),
@@ -227,6 +230,7 @@ impl HdMap {
                 .collect(),
             feature: self.feature.clone(),
             provenance: self.provenance.clone(),
+            failures: self.failures.clone(),
         }
     }
 }

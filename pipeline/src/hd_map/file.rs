@@ -72,6 +72,9 @@ struct Header {
     /// The network whose descriptors they are; absent of SIFT's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     learned: Option<LearnedFeature>,
+    /// What was found wrong with the map when it was made.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    failures: Vec<String>,
     files: Vec<FileHash>,
 }
 
@@ -133,6 +136,7 @@ impl HdMap {
                 Feature::Sift => None,
                 Feature::Learned(learned) => Some(learned.clone()),
             },
+            failures: self.failures.clone(),
             files,
         };
         let text = toml::to_string(&header)
@@ -283,6 +287,7 @@ impl HdMap {
             rig,
             feature,
             provenance: header.provenance.clone(),
+            failures: header.failures.clone(),
         };
         map.check(folder, &header)?;
         Ok(map)

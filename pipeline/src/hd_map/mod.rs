@@ -57,6 +57,8 @@ pub struct HdMap {
     cameras: Vec<String>,
     feature: Feature,
     provenance: String,
+    /// What was found wrong when it was made: a sentence each.
+    failures: Vec<String>,
     points: PointColumns,
     quality: QualityColumns,
     keyframes: KeyframeColumns,
@@ -147,6 +149,16 @@ impl HdMap {
     /// What the map was made from: a hash its maker chose.
     pub fn provenance(&self) -> &str {
         &self.provenance
+    }
+
+    /// What was found wrong with it when it was made, a sentence each: poses in such a map may be far off. Empty where nothing was.
+    pub fn failures(&self) -> &[String] {
+        &self.failures
+    }
+
+    /// With what was found wrong with it: [`HdMap::write`] keeps it beside the map, parts of it and maps that it is merged into have it too.
+    pub fn with_failures(self, failures: Vec<String>) -> Self {
+        Self { failures, ..self }
     }
 
     /// What its descriptors are of.

@@ -96,6 +96,7 @@ fn what_is_written_is_opened_and_written_again_byte_for_byte() {
     let map = small_map();
     map.write(first.path()).expect("written");
     let opened = HdMap::open(first.path()).expect("opened");
+    assert!(opened.failures().is_empty());
     assert_eq!(opened.point_count(), 40);
     assert_eq!(opened.observation_count(), 160);
     assert_eq!(opened.descriptor_count(), 160);

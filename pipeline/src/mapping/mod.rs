@@ -17,7 +17,7 @@ mod tests;
 
 use lsfb_geometry::{Rig, Se3, StampedPose, Trajectory};
 use lsfb_recording::Recording;
-use lsfb_types::ProgressFn;
+use lsfb_types::{Finding, ProgressFn, Verdict};
 use sha2::{Digest, Sha256};
 
 use crate::bending::bent;
@@ -124,8 +124,11 @@ pub fn build_map(
         feature: &detector.feature(),
         provenance: &walk_hash(&rig, &trajectory),
     };
+    let findings = report.findings();
+    let failed = findings.iter().filter(|f| f.verdict == Verdict::Fail);
+    let failures = failed.map(Finding::sentence).collect();
     Ok(MappingResult {
-        map: HdMap::build(&content, &config.map, progress)?,
+        map: HdMap::build(&content, &config.map, progress)?.with_failures(failures),
         trajectory: correct_trajectory(&trajectory, &before, &keyframes.frames),
         report,
     })

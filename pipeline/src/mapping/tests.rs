@@ -5,7 +5,7 @@ use std::sync::Mutex;
 use lsfb_geometry::camera::Lens;
 use lsfb_geometry::{Camera, RigCamera, Se3, UnitQuaternion, Vector3};
 use lsfb_recording::{Writer, WriterConfig};
-use lsfb_types::{Progress, Stopped, no_progress};
+use lsfb_types::{Finding, Progress, Stopped, Verdict, no_progress};
 use nalgebra::Matrix3;
 
 use super::*;
@@ -159,8 +159,16 @@ fn camera_faults(stated: &Rig, stamp_error_ns: i64) -> Vec<(String, String)> {
     );
     let recording = Recording::open(&path).expect("recording");
     let result = build_map(&recording, &MappingConfig::default(), &no_progress).expect("map");
-    let findings = result.report.cameras.iter().flat_map(CameraError::findings);
-    let faults = findings.filter(|f| f.verdict >= lsfb_types::Verdict::Warn);
+    let findings: Vec<Finding> = result
+        .report
+        .cameras
+        .iter()
+        .flat_map(CameraError::findings)
+        .collect();
+    let failed = findings.iter().filter(|f| f.verdict == Verdict::Fail);
+    let failed: Vec<String> = failed.map(Finding::sentence).collect();
+    assert_eq!(result.map.failures(), failed);
+    let faults = findings.into_iter().filter(|f| f.verdict >= Verdict::Warn);
     faults.map(|f| (f.subject, f.code.into_owned())).collect()
 }
 

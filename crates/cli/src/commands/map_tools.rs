@@ -174,6 +174,8 @@ struct Info<'a> {
     reprojection_px: Option<[f64; 2]>,
     point_sigma_m: Option<[f64; 2]>,
     bytes: u64,
+    /// What was found wrong with it when it was made.
+    failures: &'a [String],
     provenance: &'a str,
 }
 
@@ -197,6 +199,7 @@ fn info(arguments: &InfoArguments, context: &Context) -> anyhow::Result<Outcome>
         reprojection_px: shares(quality.iter().map(|q| q.reprojection_rms_px)),
         point_sigma_m: shares(quality.iter().map(|q| q.worst_sigma_m())),
         bytes: bytes_in(&arguments.map)?,
+        failures: map.failures(),
         provenance: map.provenance(),
     };
     context.print(&info, || text(&arguments.map, &info))?;
@@ -237,6 +240,8 @@ fn text(folder: &Path, info: &Info) -> String {
             100.0 * most
         ));
     }
+    let failures = info.failures.iter();
+    lines.extend(failures.map(|what| format!("failed when it was made: {what}")));
     lines.join("\n")
 }
 

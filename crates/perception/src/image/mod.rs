@@ -3,6 +3,7 @@
 mod alignment;
 mod corners;
 mod decode;
+mod following;
 mod gray;
 mod patch;
 mod relative_rotation;
@@ -11,6 +12,7 @@ mod tracking;
 pub use alignment::{Alignment, Frame, align};
 pub use corners::corners;
 pub use decode::{ImageError, MAX_PIXELS, decode, grey_from_16_bits, luma, read};
+pub use following::{Follower, Pyramid};
 pub use gray::Gray;
 pub use patch::{Patch, PatchSearch};
 pub use relative_rotation::{RelativeRotation, relative_rotation};

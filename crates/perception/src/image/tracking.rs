@@ -9,15 +9,14 @@ use super::corners::corners;
 use super::gray::Gray;
 use super::patch::{Patch, PatchSearch};
 
-/// How a corner is looked for in the next image, a moment later.
-const SEARCH: PatchSearch = PatchSearch {
-    there_by_here: Matrix2::new(1.0, 0.0, 0.0, 1.0),
-    most_left: 0.4,
-};
+/// Share of a patch's variance that may be left where a corner is found.
+const MOST_LEFT: f64 = 0.4;
+/// A patch that does not change.
+const STILL: Matrix2<f64> = Matrix2::new(1.0, 0.0, 0.0, 1.0);
 /// Way there and back that still ends where it began, pixels.
 const RETURN_PX: f64 = 0.3;
 /// Gradients that a corner needs, grey levels squared: several times those of noise.
-const FAINT: f64 = 150.0;
+pub(super) const FAINT: f64 = 150.0;
 /// Neighbours whose ways are tried for what was lost.
 const NEIGHBOURS: usize = 3;
 
@@ -71,7 +70,9 @@ fn follow(a: &Frame, b: &Frame, guess: &Alignment) -> Vec<Track> {
         .collect();
     let mut found: Vec<Option<Vector2<f64>>> = wanted
         .iter()
-        .map(|(corner, start)| there_and_back(a, b, corner, start, a.fine.len()))
+        .map(|(corner, start)| {
+            there_and_back(&a.fine, &b.fine, corner, start, a.fine.len(), &STILL)
+        })
         .collect();
     let known: Vec<(Vector2<f64>, Vector2<f64>)> = wanted
         .iter()
@@ -85,10 +86,9 @@ fn follow(a: &Frame, b: &Frame, guess: &Alignment) -> Vec<Track> {
                 .map(|(place, way)| ((place - corner).norm_squared(), *way))
                 .collect();
             near.sort_by(|x, y| x.0.total_cmp(&y.0));
-            *there = near
-                .iter()
-                .take(NEIGHBOURS)
-                .find_map(|(_, way)| there_and_back(a, b, corner, &(start + way), 2));
+            *there = near.iter().take(NEIGHBOURS).find_map(|(_, way)| {
+                there_and_back(&a.fine, &b.fine, corner, &(start + way), 2, &STILL)
+            });
         }
     }
     wanted
@@ -103,16 +103,18 @@ fn follow(a: &Frame, b: &Frame, guess: &Alignment) -> Vec<Track> {
         .collect()
 }
 
-/// Where a corner went, from some level on; `None` where it does not come back.
-fn there_and_back(
-    a: &Frame,
-    b: &Frame,
+/// Where a corner went, from some level on; `None` where it does not come back. `warp` is how the patch changes on the way: pixels there
+/// by pixels here.
+pub(super) fn there_and_back(
+    a: &[Gray],
+    b: &[Gray],
     corner: &Vector2<f64>,
     start: &Vector2<f64>,
     levels: usize,
+    warp: &Matrix2<f64>,
 ) -> Option<Vector2<f64>> {
-    let there = through(&a.fine, &b.fine, corner, start, levels)?;
-    let back = find(b.fine.first()?, a.fine.first()?, &there, corner)?;
+    let there = through(a, b, corner, start, levels, warp)?;
+    let back = find(b.first()?, a.first()?, &there, corner, &warp.try_inverse()?)?;
     ((back - corner).norm() < RETURN_PX).then_some(there)
 }
 
@@ -123,15 +125,17 @@ fn through(
     from: &Vector2<f64>,
     start: &Vector2<f64>,
     levels: usize,
+    warp: &Matrix2<f64>,
 ) -> Option<Vector2<f64>> {
     let mut at = *start;
     for level in (1..levels.min(first.len())).rev() {
         let factor = f64::from(1 << level);
         let smaller = |pixel: &Vector2<f64>| pixel.map(|c| (c + 0.5) / factor - 0.5);
-        let near = find(&first[level], &second[level], &smaller(from), &smaller(&at));
+        let (here, there) = (smaller(from), smaller(&at));
+        let near = find(&first[level], &second[level], &here, &there, warp);
         at = near.map_or(at, |n| n.map(|c| factor * (c + 0.5) - 0.5));
     }
-    find(first.first()?, second.first()?, from, &at)
+    find(first.first()?, second.first()?, from, &at, warp)
 }
 
 /// Where the patch around `from` in one image lies in another.
@@ -140,6 +144,11 @@ fn find(
     second: &Gray,
     from: &Vector2<f64>,
     start: &Vector2<f64>,
+    warp: &Matrix2<f64>,
 ) -> Option<Vector2<f64>> {
-    Patch::new(first, from)?.find(second, start, &SEARCH)
+    let search = PatchSearch {
+        there_by_here: *warp,
+        most_left: MOST_LEFT,
+    };
+    Patch::new(first, from)?.find(second, start, &search)
 }

@@ -1,8 +1,9 @@
 //! Devices that are not what their rig file says, and recordings that are not what happened.
 
 use lsfb_geometry::Rig;
+use lsfb_recording::Recording;
 
-use super::recorded::{Measured, Paint, WALK_FRAMES, map, rig, run};
+use super::recorded::{Measured, Paint, WALK_FRAMES, map, record, rig, run};
 use super::*;
 use crate::hd_map::HdMap;
 
@@ -64,6 +65,25 @@ fn what_is_wrong_with_a_walk_is_said() {
     }
     let said = warned(&walked(&map, &longer, |_| {}).expect("2 %"));
     assert!(said.contains(&"camera-off".to_owned()), "{said:?}");
+}
+
+/// A walk in a map that was found to be bent is no ground truth, however well the walk fits it.
+#[test]
+fn a_map_that_failed_gives_no_ground_truth_unless_it_is_accepted() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("walk.mcap");
+    record(&path, 1, WALK_FRAMES, &rig(), usize::MAX);
+    let map = map(1).with_failures(vec!["cam0: turned by 3°".to_owned()]);
+    let error = run(&path, &map).expect_err("a failed map").to_string();
+    assert!(error.contains("cam0: turned by 3°"), "{error}");
+    assert!(error.contains("accept_failed_map"), "{error}");
+    let config = GroundTruthConfig {
+        accept_failed_map: true,
+        ..GroundTruthConfig::default()
+    };
+    let recording = Recording::open(&path).expect("a recording");
+    let found = ground_truth(&recording, &map, &config, &no_progress).expect("accepted");
+    assert_eq!(warned(&found), ["failed-map"]);
 }
 
 /// The last images are one image, again and again: taken for what is seen, they hold the device where it was, and nothing is said.

@@ -227,7 +227,7 @@ impl Measured {
 }
 
 /// Records the walk through a room painted with `seed`.
-fn record(path: &Path, seed: u64, frames: usize, rig_file: &Rig, with_imu: usize) {
+pub(super) fn record(path: &Path, seed: u64, frames: usize, rig_file: &Rig, with_imu: usize) {
     let mut measured = Measured::in_room(Paint::of(seed), frames);
     measured.imu.truncate(with_imu);
     measured.record(path, rig_file);

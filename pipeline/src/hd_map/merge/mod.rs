@@ -334,6 +334,11 @@ fn joined(
     hash.update(&first.provenance);
     hash.update(&second.provenance);
     rows.provenance = hash.finalize().iter().map(|b| format!("{b:02x}")).collect();
+    for failure in moved.failures {
+        if !rows.failures.contains(&failure) {
+            rows.failures.push(failure);
+        }
+    }
     rows
 }
 

@@ -86,6 +86,7 @@ impl Hall {
                 .collect(),
             points,
             provenance: format!("{:?}", self.along),
+            failures: Vec::new(),
         };
         HdMap::from_rows(rows, &IndexConfig::default(), &no_progress).expect("built")
     }
@@ -107,7 +108,9 @@ fn two_scans_of_one_hall_become_one_map() {
         along: 8..20,
         focal_px: 410.0,
     };
-    let (a, b) = (first.map(|n| n), second.map(|n| n));
+    let bent = "cam0: turned by 3°".to_owned();
+    let b = second.map(|n| n).with_failures(vec![bent.clone()]);
+    let (a, failures) = (first.map(|n| n), [bent]);
     let (merged, report) = a
         .merge(&b, &MergeConfig::default(), &no_progress)
         .expect("merged");
@@ -139,7 +142,11 @@ fn two_scans_of_one_hall_become_one_map() {
     assert!(worst < 12.0, "{worst} px");
     let folder = tempfile::tempdir().expect("scratch folder");
     merged.write(folder.path()).expect("written");
-    HdMap::open(folder.path()).expect("sound");
+    let opened = HdMap::open(folder.path()).expect("sound");
+    assert_eq!(opened.failures(), failures, "of one of them");
+    let (all, index) = (opened.region().expect("points"), IndexConfig::default());
+    let part = opened.crop(&all, &index, &no_progress).expect("points");
+    assert_eq!(part.failures(), failures);
 }
 
 #[test]

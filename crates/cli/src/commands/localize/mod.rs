@@ -6,6 +6,7 @@ mod input;
 
 use std::path::PathBuf;
 
+use lsfb_pipeline::hd_map::HdMap;
 use lsfb_pipeline::localization::{Localizer, LocalizerConfig};
 use serde::Serialize;
 
@@ -75,6 +76,8 @@ struct Summary {
     right: Option<usize>,
     median_distance_m: Option<f64>,
     median_angle_deg: Option<f64>,
+    /// What was found wrong with the map when it was made: poses in it may be far off.
+    map_failures: Vec<String>,
     frames: Vec<Frame>,
 }
 
@@ -105,16 +108,19 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     if let Some(path) = &arguments.out {
         crate::files::write(path, frames::csv(&found.frames))?;
     }
-    let summary = summary(found.frames, &input);
+    let summary = summary(found.frames, &input, localizer.map());
     context.print(&summary, || text(&summary))?;
     if found.damaged > 0 {
         context.say(&format!("{} damaged messages were left out", found.damaged));
         return Ok(Outcome::DataLost);
     }
-    Ok(Outcome::Done)
+    Ok(match summary.map_failures.is_empty() {
+        true => Outcome::Done,
+        false => Outcome::JudgementFailed,
+    })
 }
 
-fn summary(frames: Vec<Frame>, input: &Input) -> Summary {
+fn summary(frames: Vec<Frame>, input: &Input, map: &HdMap) -> Summary {
     let localized: Vec<&Frame> = frames.iter().filter(|f| f.localized).collect();
     let median = |value: fn(&Frame) -> Option<f64>| {
         let mut values: Vec<f64> = localized.iter().filter_map(|f| value(f)).collect();
@@ -135,6 +141,7 @@ fn summary(frames: Vec<Frame>, input: &Input) -> Summary {
             .then(|| localized.iter().filter(is_right).count()),
         median_distance_m: median(|f| f.distance_m),
         median_angle_deg: median(|f| f.angle_deg),
+        map_failures: map.failures().to_vec(),
         frames,
     }
 }
@@ -157,5 +164,12 @@ fn text(s: &Summary) -> String {
         "{} of {} localized ({share:.1} %), each right with a probability of 0.99; {} have more than 30 inliers",
         s.localized, s.images, s.more_than_30_inliers
     );
+    if !s.map_failures.is_empty() {
+        text +=
+            "\nThe map failed when it was made, so that places in it may be far from the truth:";
+    }
+    for failure in &s.map_failures {
+        text += &format!("\n  {failure}");
+    }
     text
 }

@@ -1,0 +1,294 @@
+//! From a beginning to the whole walk: frames are added by the IMU's prediction and settled by tracks, then all at once.
+
+use std::ops::Range;
+
+use lsfb_solver::SolveConfig;
+use lsfb_types::ProgressFn;
+
+use super::LARGEST_CONTRADICTED_SHARE;
+use super::sights::Tracks;
+use crate::Error;
+use crate::ground_truth::GroundTruthConfig;
+use crate::ground_truth::estimate::Estimate;
+use crate::ground_truth::inertial::any_motion;
+use crate::ground_truth::optimization::{Anchor, Optimized, choose_observations, optimize};
+use crate::ground_truth::report::local_errors;
+use crate::ground_truth::walk::{State, Walk};
+use crate::preintegration::{ImuBias, NavState, PreintegratedImu, standard_gravity_m_s2};
+
+/// Frames are added for so long at a time, seconds: the IMU alone leads a few centimetres astray.
+const STEP_SECS: f64 = 0.5;
+/// So much before them is settled together with them, seconds.
+const MEMORY_SECS: f64 = 4.0;
+/// All is settled again when so many times as many frames are known as when it was last.
+const GROWTH: f64 = 1.5;
+/// Share of the cost below which a solve on the way ends.
+const ON_THE_WAY: f64 = 1e-4;
+/// Rounds at most in which observations come and go in the end.
+const ROUNDS: usize = 6;
+/// They have settled once fewer than one in so many comes or goes.
+const SETTLED: usize = 1000;
+/// A beginning is sound where it places this many points, and sees them this well.
+const FEWEST_POINTS: usize = 15;
+const LARGEST_ERROR_PX: f64 = 2.0;
+
+/// States of a stretch of the walk.
+pub(super) struct Extension<'a> {
+    walk: &'a Walk,
+    tracks: &'a Tracks,
+    /// Frame of the first state.
+    first: usize,
+    states: Vec<State>,
+    /// Frames from the first on that are at rest.
+    resting: usize,
+}
+
+impl<'a> Extension<'a> {
+    pub fn of(walk: &'a Walk, tracks: &'a Tracks, first: usize, states: Vec<State>) -> Self {
+        Self {
+            walk,
+            tracks,
+            first,
+            states,
+            resting: 0,
+        }
+    }
+
+    /// With the device at rest in all states so far.
+    pub fn at_rest(self) -> Self {
+        Self {
+            resting: self.states.len(),
+            ..self
+        }
+    }
+
+    /// Settled, where tracks and samples then agree.
+    pub fn if_sound(
+        mut self,
+        config: &GroundTruthConfig,
+        progress: ProgressFn<'_>,
+    ) -> Result<Option<Self>, Error> {
+        let solved = match self.settle_all(config, progress) {
+            Err(Error::Solver(_) | Error::NotConverged { .. }) => return Ok(None),
+            solved => solved?,
+        };
+        let points = solved.points.iter().filter(|p| p.is_determined()).count();
+        let errors = local_errors(&solved.estimate, &solved.points);
+        let frames = self.first..self.end();
+        let tracks = self.tracks;
+        let contradicted = tracks.contradicted_share(&solved.estimate, frames, config);
+        let is_sound = points >= FEWEST_POINTS
+            && errors.rms_px <= LARGEST_ERROR_PX
+            && contradicted <= LARGEST_CONTRADICTED_SHARE;
+        Ok(is_sound.then_some(self))
+    }
+
+    /// Adds all frames after and before.
+    pub fn extend(
+        &mut self,
+        config: &GroundTruthConfig,
+        progress: ProgressFn<'_>,
+    ) -> Result<(), Error> {
+        let on_the_way = GroundTruthConfig {
+            solve: SolveConfig {
+                cost_tolerance: ON_THE_WAY,
+                ..config.solve.clone()
+            },
+            ..config.clone()
+        };
+        let mut settled = self.states.len();
+        while self.end() < self.walk.frames.len() {
+            let known = self.end();
+            self.add_after()?;
+            let oldest = self.frame_before(known, MEMORY_SECS);
+            self.settle(oldest..self.end(), &on_the_way, progress)?;
+            if self.states.len() as f64 >= GROWTH * settled as f64 {
+                self.settle_all(&on_the_way, progress)?;
+                settled = self.states.len();
+            }
+        }
+        while self.first > 0 {
+            self.add_before()?;
+            self.settle_all(&on_the_way, progress)?;
+        }
+        Ok(())
+    }
+
+    /// Solves all frames until no observation comes or goes any more.
+    pub fn finish(
+        mut self,
+        config: &GroundTruthConfig,
+        progress: ProgressFn<'_>,
+    ) -> Result<Optimized, Error> {
+        let mut last = self.settle_all(config, progress)?;
+        for _ in 0..ROUNDS {
+            let changed = self.solve_again(&mut last, config, progress)?;
+            if changed * SETTLED < last.report.residuals {
+                break;
+            }
+        }
+        Ok(last)
+    }
+
+    fn end(&self) -> usize {
+        self.first + self.states.len()
+    }
+
+    /// First known frame that is no longer than this before another.
+    fn frame_before(&self, frame: usize, secs: f64) -> usize {
+        let time = self.walk.frames[frame - 1].time;
+        let known = &self.walk.frames[self.first..frame];
+        self.first + known.partition_point(|f| time.secs_since(f.time) > secs)
+    }
+
+    /// States of the next frames by the IMU.
+    fn add_after(&mut self) -> Result<(), Error> {
+        let begun = self.walk.frames[self.end() - 1].time;
+        loop {
+            let end = self.end();
+            let (before, frame) = (&self.walk.frames[end - 1], &self.walk.frames[end]);
+            let state = self.states[end - 1 - self.first];
+            let change = self.between(before.time, frame.time, &state)?;
+            self.states.push(State {
+                nav: change.predict(&state.nav, &state.bias, &standard_gravity_m_s2()),
+                bias: state.bias,
+            });
+            let next = self.walk.frames.get(end + 1);
+            if next.is_none_or(|f| f.time.secs_since(begun) > STEP_SECS) {
+                return Ok(());
+            }
+        }
+    }
+
+    /// States of the frames before by the IMU.
+    fn add_before(&mut self) -> Result<(), Error> {
+        let begun = self.walk.frames[self.first].time;
+        let mut added = Vec::new();
+        let mut state = self.states[0];
+        while let Some(before) = self.first.checked_sub(1) {
+            let time = self.walk.frames[before].time;
+            if !added.is_empty() && begun.secs_since(time) > STEP_SECS {
+                break;
+            }
+            let change = self.between(time, self.walk.frames[self.first].time, &state)?;
+            state = State {
+                nav: led_back(&change, &state.nav, &state.bias),
+                bias: state.bias,
+            };
+            added.push(state);
+            self.first = before;
+        }
+        added.reverse();
+        self.states.splice(0..0, added);
+        Ok(())
+    }
+
+    fn between(
+        &self,
+        from: lsfb_types::Timestamp,
+        to: lsfb_types::Timestamp,
+        state: &State,
+    ) -> Result<PreintegratedImu, Error> {
+        match PreintegratedImu::integrate(&self.walk.imu, from, to, state.bias, &self.walk.noise) {
+            Err(Error::ImuGap { .. }) => Ok(any_motion(state, to.secs_since(from))),
+            other => other,
+        }
+    }
+
+    fn settle_all(
+        &mut self,
+        config: &GroundTruthConfig,
+        progress: ProgressFn<'_>,
+    ) -> Result<Optimized, Error> {
+        self.settle(self.first..self.end(), config, progress)
+    }
+
+    /// Solves some frames; all of them twice: points are placed anew by what the first solve finds.
+    fn settle(
+        &mut self,
+        frames: Range<usize>,
+        config: &GroundTruthConfig,
+        progress: ProgressFn<'_>,
+    ) -> Result<Optimized, Error> {
+        let (from, to) = (frames.start - self.first, frames.end - self.first);
+        let mut walk = self.part(&frames);
+        let anchor = Anchor {
+            is_known: from > 0,
+            resting: self.resting.saturating_sub(from),
+        };
+        let mut before = Estimate::of_states(&walk, self.states[from..to].to_vec());
+        let mut solved = None;
+        for _ in 0..if from == 0 { 2 } else { 1 } {
+            let mut points = self.tracks.locate(&before, frames.clone(), config);
+            choose_observations(&mut walk, &before, &mut points, config);
+            let next = optimize(&walk, &before, &points, Some(&anchor), config, progress)?;
+            before = next.estimate.clone();
+            solved = Some(next);
+        }
+        self.states[from..to].copy_from_slice(&before.states);
+        solved.ok_or(Error::NoBeginning {
+            frames: walk.frames.len(),
+        })
+    }
+
+    /// Chooses observations by the last solve and solves again; returns how many came or went.
+    fn solve_again(
+        &mut self,
+        last: &mut Optimized,
+        config: &GroundTruthConfig,
+        progress: ProgressFn<'_>,
+    ) -> Result<usize, Error> {
+        let mut walk = self.part(&(self.first..self.end()));
+        let changed = choose_observations(&mut walk, &last.estimate, &mut last.points, config);
+        if changed > 0 {
+            let anchor = Anchor {
+                is_known: false,
+                resting: self.resting,
+            };
+            let (estimate, points) = (&last.estimate, &last.points);
+            *last = optimize(&walk, estimate, points, Some(&anchor), config, progress)?;
+        }
+        Ok(changed)
+    }
+
+    /// The walk's part with some frames.
+    fn part(&self, frames: &Range<usize>) -> Walk {
+        let own = &self.walk.frames[frames.clone()];
+        let reach_ns = 100_000_000;
+        let imu = match (own.first(), own.last()) {
+            (Some(first), Some(last)) => {
+                let (from, to) = (
+                    first.time.plus_nanos(-reach_ns),
+                    last.time.plus_nanos(reach_ns),
+                );
+                let samples = &self.walk.imu;
+                let begin = samples.partition_point(|s| s.time < from);
+                samples[begin..samples.partition_point(|s| s.time <= to)].to_vec()
+            }
+            _ => Vec::new(),
+        };
+        Walk {
+            cameras: self.walk.cameras.clone(),
+            frames: own.to_vec(),
+            imu,
+            noise: self.walk.noise.clone(),
+            point_covariances_m2: self.walk.point_covariances_m2.clone(),
+        }
+    }
+}
+
+/// State at the first instant, given that at the second.
+fn led_back(change: &PreintegratedImu, end: &NavState, bias: &ImuBias) -> NavState {
+    let (secs, gravity) = (change.duration_secs, standard_gravity_m_s2());
+    let change = change.corrected(bias);
+    let rotation = end.world_from_rig.rotation * change.rotation.inverse();
+    let velocity_m_s = end.velocity_m_s - gravity * secs - rotation * change.velocity_m_s;
+    let position = end.world_from_rig.translation
+        - velocity_m_s * secs
+        - gravity * (0.5 * secs * secs)
+        - rotation * change.position_m;
+    NavState {
+        world_from_rig: lsfb_geometry::Se3::new(rotation, position),
+        velocity_m_s,
+    }
+}

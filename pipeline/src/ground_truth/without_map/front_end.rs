@@ -1,0 +1,108 @@
+//! Tracks from images: corners followed in each camera from image to image, and from the first camera into those beside it.
+
+use lsfb_geometry::{ImuNoiseModel, RigCamera, UnitQuaternion, Vector2};
+use lsfb_perception::image::{Follower, Pyramid};
+use lsfb_types::{Image, ImuSample, Stamped, Timestamp};
+
+use super::{Sight, TrackedFrame, TrackedWalk};
+use crate::preintegration::{ImuBias, PreintegratedImu};
+
+/// Cameras number their tracks apart from each other.
+const TRACKS_PER_CAMERA: u32 = 1 << 24;
+
+/// Takes the images of a walk one instant after the other and keeps what they show.
+pub struct FrontEnd {
+    cameras: Vec<RigCamera>,
+    imu: Vec<Stamped<ImuSample>>,
+    noise: ImuNoiseModel,
+    keyframe_secs: f64,
+    followers: Vec<Follower>,
+    last: Option<Timestamp>,
+    frames: Vec<TrackedFrame>,
+}
+
+impl FrontEnd {
+    /// `imu` is in order of time. Corners are followed through all images; instants at least `keyframe_secs` apart become frames.
+    pub fn new(
+        cameras: Vec<RigCamera>,
+        imu: Vec<Stamped<ImuSample>>,
+        noise: ImuNoiseModel,
+        keyframe_secs: f64,
+    ) -> Self {
+        Self {
+            followers: vec![Follower::default(); cameras.len()],
+            cameras,
+            imu,
+            noise,
+            keyframe_secs,
+            last: None,
+            frames: Vec::new(),
+        }
+    }
+
+    /// The images of one instant, later than the last one, in the order of the cameras; `None` where one is missing. Images of another
+    /// size than their camera's are left out.
+    pub fn push(&mut self, time: Timestamp, images: &[Option<&Image>]) {
+        let turn = self.last.and_then(|last| self.turn(last, time));
+        let mut pyramids: Vec<Option<Pyramid>> = Vec::new();
+        for (k, camera) in self.cameras.iter().enumerate() {
+            let fits =
+                |i: &&Image| i.width == camera.camera.width && i.height == camera.camera.height;
+            let image = images.get(k).copied().flatten().filter(fits);
+            pyramids.push(image.map(|image| Pyramid::new(image, &camera.camera)));
+        }
+        let mut sights = Vec::new();
+        let turn_of = |camera: &RigCamera| {
+            let rig_from_camera = camera.rig_from_camera.rotation;
+            turn.map(|turn| rig_from_camera.inverse() * turn * rig_from_camera)
+        };
+        let mut beside: Vec<Vec<(u32, Vector2<f64>)>> = vec![Vec::new(); self.cameras.len()];
+        for k in 0..self.cameras.len() {
+            let Some(image) = pyramids[k].take() else {
+                self.followers[k] = Follower::default();
+                continue;
+            };
+            if k > 0 {
+                let second_from_first =
+                    self.cameras[k].rig_from_camera.inverse() * self.cameras[0].rig_from_camera;
+                beside[k] = self.followers[0].seen_beside(&image, &second_from_first);
+            }
+            let taken: Vec<Vector2<f64>> = beside[k].iter().map(|(_, pixel)| *pixel).collect();
+            self.followers[k].advance(image, turn_of(&self.cameras[k]).as_ref(), &taken);
+            let own = self.followers[k].corners();
+            sights.extend(own.map(|(number, pixel)| Sight {
+                track: k as u32 * TRACKS_PER_CAMERA + number,
+                camera: k,
+                pixel,
+            }));
+            sights.extend(beside[k].iter().map(|(number, pixel)| Sight {
+                track: *number,
+                camera: k,
+                pixel: *pixel,
+            }));
+        }
+        self.last = Some(time);
+        let since = self.frames.last().map(|f| time.secs_since(f.time));
+        // Half a millisecond early is not early.
+        if since.is_none_or(|secs| secs >= self.keyframe_secs - 5e-4) {
+            self.frames.push(TrackedFrame { time, sights });
+        }
+    }
+
+    /// What was followed.
+    pub fn finish(self) -> TrackedWalk {
+        TrackedWalk {
+            cameras: self.cameras,
+            frames: self.frames,
+            imu: self.imu,
+            noise: self.noise,
+        }
+    }
+
+    /// Directions of the rig at the first instant in the rig at the second, by the gyroscope as it is; `None` where it is silent.
+    fn turn(&self, from: Timestamp, to: Timestamp) -> Option<UnitQuaternion<f64>> {
+        let none = ImuBias::default();
+        let between = PreintegratedImu::integrate(&self.imu, from, to, none, &self.noise);
+        Some(between.ok()?.rotation.inverse())
+    }
+}

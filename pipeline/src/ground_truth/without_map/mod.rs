@@ -1,0 +1,205 @@
+//! A walk without a map: the motion by tracks of features and the IMU alone.
+//!
+//! It begins where the device stands ([`standing`]), or else where it moves enough ([`moving`]): there gravity, velocity, scale and the
+//! gyroscope's bias follow from tracks and samples without any guess. From there on frames are added by the IMU's prediction, a second at a
+//! time, and the same adjustment as with a map, less its points, settles all of them ([`extension`]). The world is level; its origin and
+//! heading are those of the first frame of the beginning.
+
+mod extension;
+mod front_end;
+mod gyro_bias;
+mod moving;
+mod sights;
+mod standing;
+
+use lsfb_geometry::{ImuNoiseModel, RigCamera, StampedPose, Trajectory, Vector2, Vector3};
+use lsfb_types::{ImuSample, ProgressFn, Stamped, Timestamp};
+
+use super::GroundTruthConfig;
+use super::estimate::Estimate;
+use super::report::{ReprojectionErrors, local_errors};
+use super::walk::{Frame, LocalPoint, State, Walk};
+use crate::Error;
+use crate::preintegration::{ImuBias, NavState};
+use crate::residuals::MovingCamera;
+use extension::Extension;
+pub use front_end::FrontEnd;
+use sights::Tracks;
+
+/// What a front end followed, and what the IMU felt.
+#[derive(Clone, Debug)]
+pub struct TrackedWalk {
+    /// The cameras; the rig's frame is the IMU's.
+    pub cameras: Vec<RigCamera>,
+    /// Instants with images, in order of time.
+    pub frames: Vec<TrackedFrame>,
+    /// Inertial samples, in order of time.
+    pub imu: Vec<Stamped<ImuSample>>,
+    /// Noise of the IMU.
+    pub noise: ImuNoiseModel,
+}
+
+/// One instant.
+#[derive(Clone, Debug)]
+pub struct TrackedFrame {
+    /// Its stamp.
+    pub time: Timestamp,
+    /// What is seen.
+    pub sights: Vec<Sight>,
+}
+
+/// A tracked feature in an image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sight {
+    /// Number of the track: sights of one track show one point.
+    pub track: u32,
+    /// Index of the camera.
+    pub camera: usize,
+    /// Where, pixels.
+    pub pixel: Vector2<f64>,
+}
+
+/// How the motion began.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Beginning {
+    /// From states that were given.
+    Given,
+    /// At rest.
+    Standing,
+    /// In motion.
+    Moving,
+}
+
+/// The motion of a walk.
+#[derive(Clone, Debug)]
+pub struct Motion {
+    /// Pose of the IMU at each frame.
+    pub trajectory: Trajectory,
+    /// Velocity at each frame, m/s in the world.
+    pub velocities_m_s: Vec<Vector3<f64>>,
+    /// Bias at each frame.
+    pub biases: Vec<ImuBias>,
+    /// Sights of placed points in use at each frame: with hardly any the IMU alone says where the device was.
+    pub sights_in_use: Vec<usize>,
+    /// How it began.
+    pub beginning: Beginning,
+    /// Points that were placed.
+    pub points: usize,
+    /// Reprojection errors of those in use.
+    pub errors: ReprojectionErrors,
+    /// The same errors before anything was solved, where states were given.
+    pub errors_before: Option<ReprojectionErrors>,
+    /// Share of the sights of followed tracks that fit no point.
+    pub contradicted_share: f64,
+}
+
+/// Largest share of the followed sights that may fit no point: up to 0.12 in motions that are right, 0.87 in one without a gyroscope.
+const LARGEST_CONTRADICTED_SHARE: f64 = 0.4;
+
+/// The motion of a walk without a map, from states that are known roughly or from nothing.
+///
+/// [`Error::NoBeginning`] where nothing tells scale and gravity, [`Error::TracksContradict`] where tracks and IMU do not agree; `start`, where given, has a state for each frame.
+pub fn motion_without_map(
+    walk: &TrackedWalk,
+    start: Option<Vec<(NavState, ImuBias)>>,
+    config: &GroundTruthConfig,
+    progress: ProgressFn<'_>,
+) -> Result<Motion, Error> {
+    config.check_bounds("ground_truth")?;
+    let tracks = Tracks::of(walk);
+    let inner = Walk {
+        cameras: walk.cameras.iter().map(MovingCamera::new).collect(),
+        frames: walk.frames.iter().map(|f| empty_frame(f.time)).collect(),
+        imu: walk.imu.clone(),
+        noise: config.inflated(&walk.noise),
+        point_covariances_m2: Default::default(),
+    };
+    let mut errors_before = None;
+    let (mut extension, beginning) = match start {
+        Some(states) if states.len() == walk.frames.len() => {
+            let states = states.into_iter().map(|(nav, bias)| State { nav, bias });
+            let states: Vec<State> = states.collect();
+            let estimate = Estimate::of_states(&inner, states.clone());
+            let points = tracks.locate(&estimate, 0..states.len(), config);
+            errors_before = Some(local_errors(&estimate, &points));
+            (Extension::of(&inner, &tracks, 0, states), Beginning::Given)
+        }
+        _ => begin(&inner, &tracks, config, progress)?,
+    };
+    extension.extend(config, progress)?;
+    let solved = extension.finish(config, progress)?;
+    let frames = 0..walk.frames.len();
+    let contradicted_share = tracks.contradicted_share(&solved.estimate, frames, config);
+    if contradicted_share > LARGEST_CONTRADICTED_SHARE {
+        return Err(Error::TracksContradict {
+            share: contradicted_share,
+            limit: LARGEST_CONTRADICTED_SHARE,
+        });
+    }
+    let states = &solved.estimate.states;
+    let poses = walk.frames.iter().zip(states);
+    Ok(Motion {
+        trajectory: Trajectory::new(
+            poses
+                .map(|(frame, state)| StampedPose {
+                    time: frame.time,
+                    world_from_rig: state.nav.world_from_rig,
+                })
+                .collect(),
+        ),
+        velocities_m_s: states.iter().map(|s| s.nav.velocity_m_s).collect(),
+        biases: states.iter().map(|s| s.bias).collect(),
+        sights_in_use: in_use(&solved.points, walk.frames.len()),
+        beginning,
+        points: solved.points.iter().filter(|p| p.is_determined()).count(),
+        errors: local_errors(&solved.estimate, &solved.points),
+        errors_before,
+        contradicted_share,
+    })
+}
+
+fn in_use(points: &[LocalPoint], frames: usize) -> Vec<usize> {
+    let mut counts = vec![0; frames];
+    let placed = points.iter().filter(|p| p.is_determined());
+    for seen in placed.flat_map(|p| &p.observations).filter(|s| s.used) {
+        counts[seen.frame] += 1;
+    }
+    counts
+}
+
+fn empty_frame(time: Timestamp) -> Frame {
+    Frame {
+        time,
+        localized: None,
+        recognised: Vec::new(),
+        fixed: Vec::new(),
+    }
+}
+
+/// At rest where the walk begins so, else wherever the device first moves enough.
+fn begin<'a>(
+    walk: &'a Walk,
+    tracks: &'a Tracks,
+    config: &GroundTruthConfig,
+    progress: ProgressFn<'_>,
+) -> Result<(Extension<'a>, Beginning), Error> {
+    if let Some(states) = standing::states(walk, tracks) {
+        return Ok((
+            Extension::of(walk, tracks, 0, states).at_rest(),
+            Beginning::Standing,
+        ));
+    }
+    let mut first = 0;
+    while let Some(window) = moving::next_window(walk, first) {
+        if let Some(states) = moving::states(walk, tracks, window.clone(), config)? {
+            let begun = Extension::of(walk, tracks, window.start, states);
+            if let Some(begun) = begun.if_sound(config, progress)? {
+                return Ok((begun, Beginning::Moving));
+            }
+        }
+        first = window.start + window.len().div_ceil(4);
+    }
+    Err(Error::NoBeginning {
+        frames: walk.frames.len(),
+    })
+}
