@@ -1,7 +1,7 @@
 //! What calibration without a target reads of a recording.
 
+use lsfb_geometry::IntegratedGyro;
 use lsfb_geometry::{Rig, RigCamera, Vector3};
-use lsfb_perception::gyro::IntegratedGyro;
 use lsfb_recording::Recording;
 use lsfb_types::Image;
 

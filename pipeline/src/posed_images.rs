@@ -3,14 +3,16 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use lsfb_geometry::{Camera, Matrix3, Rig, RigCamera, Se3, UnitQuaternion, Vector3};
+use lsfb_geometry::{Camera, Matrix3, Rig, RigCamera, Se3, Vector3, so3};
 use lsfb_perception::image;
 use lsfb_types::Image;
-use nalgebra::Rotation3;
 use sha2::{Digest, Sha256};
 
 use crate::Error;
 use crate::camera_fit::principal_point_fits;
+
+/// By how much a matrix of a list may miss being a rotation: some print three digits.
+const ROTATION_ROUNDING: f64 = 1e-2;
 
 /// An image file with the pose at which it was taken.
 #[derive(Clone, Debug, PartialEq)]
@@ -187,12 +189,10 @@ fn rigid(rows: &[f64; 16]) -> Option<Se3> {
     let matrix = Matrix3::new(
         rows[0], rows[1], rows[2], rows[4], rows[5], rows[6], rows[8], rows[9], rows[10],
     );
-    let off = (matrix * matrix.transpose() - Matrix3::identity()).norm();
-    let last_row_right = rows[12..] == [0.0, 0.0, 0.0, 1.0];
-    if !(off < 1e-2 && matrix.determinant() > 0.0 && last_row_right) {
+    if rows[12..] != [0.0, 0.0, 0.0, 1.0] {
         return None;
     }
-    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix(&matrix));
+    let rotation = so3::from_rounded(&matrix, ROTATION_ROUNDING)?;
     Some(Se3::new(rotation, Vector3::new(rows[3], rows[7], rows[11])))
 }
 

@@ -4,9 +4,9 @@
 //! like a plane wins, and the wanted model is fitted to it.
 
 use lsfb_geometry::camera::{Lens, LensModel, MAX_PARAMETERS};
-use lsfb_geometry::{Camera, Matrix3, Se3, UnitQuaternion, Vector2, Vector3};
+use lsfb_geometry::{Camera, Matrix3, Se3, Vector2, Vector3, so3};
 use lsfb_perception::gauss_newton::{NormalEquations, minimise_damped};
-use nalgebra::{Rotation3, SMatrix, SVector};
+use nalgebra::{SMatrix, SVector};
 
 use super::CameraViews;
 use crate::Error;
@@ -177,12 +177,7 @@ pub fn pose_of_target(target: &Target, camera: &Camera, corners: &[Corner]) -> O
         return None;
     }
     let near = Matrix3::from_columns(&[x / scale, y / scale, (x / scale).cross(&(y / scale))]);
-    let svd = near.svd(true, true);
-    let (u, v_t) = (svd.u?, svd.v_t?);
-    let flip = Vector3::new(1.0, 1.0, (u * v_t).determinant());
-    let rotation = u * Matrix3::from_diagonal(&flip) * v_t;
-    let rotation =
-        UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
+    let rotation = so3::nearest(&near)?;
     // The third column is where the centre is, in units of the size.
     let translation = h.column(2) / scale * size - rotation * centre;
     Some(Se3::new(rotation, translation))

@@ -1,8 +1,8 @@
 //! How a camera turned between neighbouring views, beside the IMU's integrated angular velocity: clocks and a first orientation.
 
+use lsfb_geometry::IntegratedGyro;
 use lsfb_geometry::align::{Scale, umeyama};
 use lsfb_geometry::{Se3, UnitQuaternion, Vector3, so3};
-use lsfb_perception::gyro::IntegratedGyro;
 
 use super::CameraImuConfig;
 use super::state::Sample;

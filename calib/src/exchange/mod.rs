@@ -27,9 +27,8 @@ mod yaml;
 use lsfb_geometry::camera::{Lens, LensModel};
 use lsfb_geometry::{
     Camera, ImuNoiseModel, Matrix3, Quaternion, Rig, RigCamera, Se3, UnitQuaternion, Vector2,
-    Vector3,
+    Vector3, so3,
 };
-use nalgebra::Rotation3;
 
 use crate::Error;
 use crate::camera::fit_lens;
@@ -39,6 +38,9 @@ pub use colmap::import_colmap;
 pub use kalibr::{ChainOrigin, camera_chain, import_kalibr, import_kalibr_imu, imu_to_kalibr};
 pub use plausible::implausible;
 pub use ros::{ImportedCamera, import_camera_info};
+
+/// By how much a file's matrix may miss being a rotation (Frobenius norm of `R Rᵀ − 1`).
+const ROTATION_ROUNDING: f64 = 1e-3;
 
 /// A rig from another program's file.
 #[derive(Clone, Debug, PartialEq)]
@@ -174,17 +176,9 @@ fn list(values: &[f64]) -> String {
     format!("[{}]", words.join(", "))
 }
 
-/// A rotation matrix as others write it: rounded, so made orthogonal again; `None` where it is none.
+/// A rotation matrix as others write it: rounded; `None` where it is none.
 fn rotation(rows: &Matrix3<f64>) -> Option<UnitQuaternion<f64>> {
-    let orthogonal = (rows.transpose() * rows - Matrix3::identity()).abs().max() < 1e-3;
-    if !(orthogonal && rows.determinant() > 0.0) {
-        return None;
-    }
-    let svd = rows.svd(true, true);
-    let nearest = svd.u? * svd.v_t?;
-    Some(UnitQuaternion::from_rotation_matrix(
-        &Rotation3::from_matrix_unchecked(nearest),
-    ))
+    so3::from_rounded(rows, ROTATION_ROUNDING)
 }
 
 fn quaternion([w, x, y, z]: [f64; 4]) -> Option<UnitQuaternion<f64>> {

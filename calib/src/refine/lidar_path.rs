@@ -1,9 +1,9 @@
 //! The LiDAR's way through the place, by its own scans: each is registered to planes of all others, each return at its own time. The
 //! gyroscope says how it turned in between.
 
+use lsfb_geometry::IntegratedGyro;
 use lsfb_geometry::{Matrix3, Matrix6, Rig, Se3, UnitQuaternion, Vector3, so3};
 use lsfb_perception::RelativePose;
-use lsfb_perception::gyro::IntegratedGyro;
 use lsfb_perception::lidar::Motion;
 use lsfb_solver::{Kernel, PosePrior, Problem, SolveConfig, solve};
 use lsfb_types::{Progress, ProgressFn, Stopped};

@@ -1,8 +1,8 @@
 //! How the LiDAR turns as the gyroscope has it; how that sits on the LiDAR is found, since the rig may be wrong.
 
+use lsfb_geometry::IntegratedGyro;
 use lsfb_geometry::{Matrix3, Se3, UnitQuaternion, Vector3, Vector6, so3};
 use lsfb_perception::gauss_newton::{Next, NormalEquations, minimise};
-use lsfb_perception::gyro::IntegratedGyro;
 use nalgebra::Matrix3x6;
 
 /// Scans that are compared with the gyroscope are so many apart.

@@ -1,7 +1,7 @@
 //! A camera against the gyroscope: time offset and rotation.
 
+use lsfb_geometry::IntegratedGyro;
 use lsfb_geometry::{RigCamera, so3};
-use lsfb_perception::gyro::IntegratedGyro;
 use lsfb_perception::image::Pair;
 use lsfb_types::Verdict;
 

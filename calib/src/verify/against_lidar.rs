@@ -1,7 +1,7 @@
 //! A camera against the LiDAR: edges of both, and a picture.
 
+use lsfb_geometry::IntegratedGyro;
 use lsfb_geometry::{RigCamera, Se3, Vector3};
-use lsfb_perception::gyro::IntegratedGyro;
 use lsfb_types::Verdict;
 use rayon::prelude::*;
 

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use lsfb_geometry::IntegratedGyro;
 use lsfb_geometry::{Rig, Se3, Vector3, so3};
-use lsfb_perception::gyro::IntegratedGyro;
 use lsfb_perception::lidar::Motion;
 use lsfb_recording::Recording;
 use lsfb_types::{LidarScan, Stamped};

@@ -7,12 +7,12 @@
 
 use std::collections::BTreeMap;
 
+use lsfb_geometry::IntegratedGyro;
 use lsfb_geometry::{Matrix3, RigCamera, UnitQuaternion, Vector3, so3};
 use lsfb_perception::gauss_newton::{NormalEquations, minimise, until_shorter_than};
-use lsfb_perception::gyro::IntegratedGyro;
 use lsfb_perception::image::{Pair, relative_rotation};
 use lsfb_perception::statistics::median;
-use nalgebra::{Rotation3, SMatrix, SVector, Vector1};
+use nalgebra::{SMatrix, SVector, Vector1};
 use rayon::prelude::*;
 
 /// Offsets searched, seconds.
@@ -194,17 +194,7 @@ impl Fit {
         for (turn, rate) in turns.iter().zip(&rates) {
             covariance += (turn.rate - mean_seen) * (rate - mean_gyro).transpose();
         }
-        let svd = covariance.svd(true, true);
-        let rotation = match (svd.u, svd.v_t) {
-            (Some(u), Some(v_t)) => {
-                let mut sign = Vector3::repeat(1.0);
-                sign[svd.singular_values.imin()] = (u * v_t).determinant().signum();
-                u * Matrix3::from_diagonal(&sign) * v_t
-            }
-            _ => Matrix3::identity(),
-        };
-        fit.camera_from_rig =
-            UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
+        fit.camera_from_rig = so3::nearest(&covariance).unwrap_or_else(UnitQuaternion::identity);
         fit.bias = mean_seen - fit.camera_from_rig * mean_gyro;
         fit
     }

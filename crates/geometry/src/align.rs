@@ -1,8 +1,8 @@
 //! Closed-form alignment of two point sets (Umeyama 1991).
 
-use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Vector3};
 
-use crate::Se3;
+use crate::{Se3, so3};
 
 /// What [`umeyama`] may change besides rotation and translation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,24 +51,17 @@ pub fn umeyama(
         variance += centred.norm_squared();
     }
     let svd = covariance.svd(true, true);
-    let (u, v_t) = (svd.u?, svd.v_t?);
     let mut order = [0, 1, 2];
     order.sort_by(|&a, &b| svd.singular_values[b].total_cmp(&svd.singular_values[a]));
     let largest = svd.singular_values[order[0]];
     if !(largest > 0.0) || svd.singular_values[order[1]] <= 1e-12 * largest {
         return None;
     }
-    let mut sign = Vector3::repeat(1.0);
-    if u.determinant() * v_t.determinant() < 0.0 {
-        sign[order[2]] = -1.0;
-    }
-    let rotation = u * Matrix3::from_diagonal(&sign) * v_t;
+    let so3::Nearest { rotation, sign } = so3::nearest_of(&svd)?;
     let scale = match scale {
         Scale::Fixed => 1.0,
         Scale::Free => svd.singular_values.component_mul(&sign).sum() / variance,
     };
-    let rotation =
-        UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
     let translation = mean_target - rotation * (mean_source * scale);
     Some(Alignment {
         target_from_source: Se3::new(rotation, translation),

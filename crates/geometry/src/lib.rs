@@ -1,4 +1,4 @@
-//! Geometry of the sensors: rotations and rigid transforms with their Jacobians, camera models, the [`Rig`],
+//! Geometry of the sensors: rotations and rigid transforms with their Jacobians, integrated angular velocities, camera models, the [`Rig`],
 //! [`Trajectory`] and alignment.
 //!
 //! Conventions, once: a transform is named `target_from_source` and takes coordinates from source to target.
@@ -15,6 +15,7 @@
 
 pub mod align;
 pub mod camera;
+mod integrated_gyro;
 mod rig;
 pub mod rolling_shutter;
 pub mod se3;
@@ -23,6 +24,7 @@ pub mod spline;
 mod trajectory;
 
 pub use camera::Camera;
+pub use integrated_gyro::IntegratedGyro;
 pub use nalgebra::{
     Matrix2, Matrix2x3, Matrix2x6, Matrix3, Matrix3x6, Matrix6, Quaternion, UnitQuaternion,
     Vector2, Vector3, Vector6,

@@ -3,7 +3,7 @@
 //! Formulas: Solà, Deray, Atchuthan, "A micro Lie theory for state estimation in robotics", appendix B. Where a closed
 //! form cancels, its Taylor series stands in, to machine precision.
 
-use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+use nalgebra::{Const, Matrix3, Quaternion, Rotation3, SVD, UnitQuaternion, Vector3};
 
 /// Below this squared angle (1 rad²) the series are used.
 const SERIES_BELOW: f64 = 1.0;
@@ -48,6 +48,39 @@ pub fn retract(rotation: &UnitQuaternion<f64>, phi: &Vector3<f64>) -> UnitQuater
 /// The rotation vector that moves one rotation to another: `retract(a, local(a, b)) == b`.
 pub fn local(from: &UnitQuaternion<f64>, to: &UnitQuaternion<f64>) -> Vector3<f64> {
     log(&(from.inverse() * to))
+}
+
+/// The rotation nearest to a matrix; of a sum of `a bᵀ` that which turns the `b` onto the `a` best (Kabsch), where the `b` span a
+/// plane or more. `None` where the matrix has no singular values.
+pub fn nearest(matrix: &Matrix3<f64>) -> Option<UnitQuaternion<f64>> {
+    Some(nearest_of(&matrix.svd(true, true))?.rotation)
+}
+
+/// The rotation whose matrix stands in a file, rounded: `None` where `R Rᵀ` is farther from 1 than `rounding` (Frobenius norm), and of
+/// mirrors.
+pub fn from_rounded(matrix: &Matrix3<f64>, rounding: f64) -> Option<UnitQuaternion<f64>> {
+    let off = (matrix * matrix.transpose() - Matrix3::identity()).norm();
+    let is_rotation = off < rounding && matrix.determinant() > 0.0;
+    is_rotation.then(|| nearest(matrix)).flatten()
+}
+
+/// The rotation nearest to a matrix, and the signs that its singular values have in it.
+pub(crate) struct Nearest {
+    pub rotation: UnitQuaternion<f64>,
+    pub sign: Vector3<f64>,
+}
+
+pub(crate) fn nearest_of(svd: &SVD<f64, Const<3>, Const<3>>) -> Option<Nearest> {
+    let (u, v_t) = (svd.u?, svd.v_t?);
+    let mut sign = Vector3::repeat(1.0);
+    // A mirror fits as well: the direction that says least is turned round.
+    sign[svd.singular_values.imin()] = (u * v_t).determinant().signum();
+    let matrix = u * Matrix3::from_diagonal(&sign) * v_t;
+    let rotation = Rotation3::from_matrix_unchecked(matrix);
+    Some(Nearest {
+        rotation: UnitQuaternion::from_rotation_matrix(&rotation),
+        sign,
+    })
 }
 
 /// Coefficients `(1 − cos a)/a²` and `(a − sin a)/a³` of the left Jacobian.
@@ -163,6 +196,36 @@ mod tests {
             // At π itself a rotation has two vectors.
             let error = (again - phi).norm().min((again + phi).norm() + (phi.norm() - PI).abs());
             prop_assert!(error <= 4e-16 + 1e-15 * phi.norm(), "{error}");
+        }
+
+        #[test]
+        fn the_nearest_rotation_is_the_one_that_was_stretched(
+            phi in rotation_vector(), axes in rotation_vector(), stretch in prop::array::uniform3(0.2..5.0f64),
+        ) {
+            // A rotation behind a symmetric stretch: its polar decomposition, which is unique.
+            let (rotation, axes) = (exp(&phi), exp(&axes).to_rotation_matrix().into_inner());
+            let stretch = axes * Matrix3::from_diagonal(&Vector3::from(stretch)) * axes.transpose();
+            let found = nearest(&(rotation.to_rotation_matrix().matrix() * stretch)).expect("a rotation");
+            prop_assert!(local(&rotation, &found).norm() < 1e-12);
+        }
+
+        #[test]
+        fn a_rounded_matrix_is_a_rotation_and_a_mirror_is_none(phi in rotation_vector()) {
+            let matrix = exp(&phi).to_rotation_matrix().into_inner();
+            let rounded = matrix.map(|v| (v * 1e4).round() / 1e4);
+            let found = from_rounded(&rounded, 1e-3).expect("a rotation");
+            prop_assert!(local(&exp(&phi), &found).norm() < 2e-4);
+            for none in [-matrix, matrix * 1.01, matrix * f64::NAN, Matrix3::zeros()] {
+                prop_assert!(from_rounded(&none, 1e-3).is_none());
+            }
+        }
+
+        #[test]
+        fn vectors_of_one_plane_are_turned_onto_each_other(phi in rotation_vector()) {
+            let rotation = exp(&phi);
+            let pairs = [Vector3::x(), Vector3::y() * 2.0].map(|b| (rotation * b) * b.transpose());
+            let found = nearest(&(pairs[0] + pairs[1])).expect("a rotation");
+            prop_assert!(local(&rotation, &found).norm() < 1e-12);
         }
 
         #[test]

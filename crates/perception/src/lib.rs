@@ -1,4 +1,4 @@
-//! What is seen, before anything is concluded from it: images, corners, scans, and how the gyroscope turned.
+//! What is seen, before anything is concluded from it: images, corners and scans.
 //!
 //! Calibration and mapping both look at the world through these functions; neither has a second one of its own.
 //!
@@ -6,14 +6,12 @@
 //! | --- | --- |
 //! | [`image`] | grey images from files, reduced images with their cameras, corners, patches followed from image to image, the rotation between two images |
 //! | [`lidar`] | scans deskewed to one instant, planes of points in cells, scans registered to planes |
-//! | [`gyro`] | angular velocity integrated over time |
 //! | [`projection`] | how points move with the poses through which they are seen |
 //! | [`RelativePose`] | a measured transform between two poses, as a residual of the solver |
 //! | [`statistics`] | medians, and peaks between samples |
 //! | [`gauss_newton`] | least squares over a handful of unknowns |
 
 pub mod gauss_newton;
-pub mod gyro;
 pub mod image;
 pub mod lidar;
 pub mod projection;

@@ -5,9 +5,9 @@
 //! spans of the walk. What is left of the gyroscope in the poses of the scans (their information is no better known than their correspondences) makes
 //! it too little, never too much. About an axis that all turns share nothing is learnt, and then nothing is said.
 
+use lsfb_geometry::IntegratedGyro;
 use lsfb_geometry::{Matrix3, StampedPose, UnitQuaternion, Vector3, Vector6, so3};
 use lsfb_perception::gauss_newton::NormalEquations;
-use lsfb_perception::gyro::IntegratedGyro;
 use lsfb_perception::statistics::median;
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 use nalgebra::Matrix3x6;

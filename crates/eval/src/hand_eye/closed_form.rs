@@ -1,6 +1,5 @@
 //! A first answer without a guess: rotation, then translation of one body in the other, from motions that both made.
 
-use super::kabsch::best_rotation;
 use crate::Error;
 use lsfb_geometry::{Matrix3, Se3, UnitQuaternion, Vector3, so3};
 
@@ -63,7 +62,7 @@ pub(super) fn closed_form(moments: &[Moment]) -> Result<(Pair, Excitation), Erro
             second_deg: excitation.turn_rms_deg[1],
         });
     }
-    let rotation = best_rotation(&crossed).ok_or(Error::Degenerate)?;
+    let rotation = so3::nearest(&crossed).ok_or(Error::Degenerate)?;
     let body = Se3::new(rotation, lever(&motions, &rotation)?);
     Ok((
         Pair {

@@ -1,13 +1,12 @@
 //! A trajectory beside a gyroscope on the same body: how the gyroscope is turned on it, its bias, and the offset of the clocks.
 
-use lsfb_geometry::{Matrix3, Se3, StampedPose, UnitQuaternion, Vector3, so3};
+use lsfb_geometry::{IntegratedGyro, Matrix3, Se3, StampedPose, UnitQuaternion, Vector3, so3};
 use lsfb_types::Timestamp;
 use serde::Serialize;
 
 use super::HandEyeConfig;
 use super::continuous::Continuous;
 use super::correlation::correlate;
-use super::kabsch::best_rotation;
 use crate::Error;
 
 /// Rates are compared where this much of them lies around, seconds: white noise averages out.
@@ -55,7 +54,7 @@ pub fn align_gyroscope(
         });
     };
     let body = Continuous::new(poses, first.time);
-    let gyroscope = Continuous::new(&integrated(samples), first.time);
+    let gyroscope = Continuous::new(&integrated(samples, first.time), first.time);
     let found = correlate(
         &body,
         &gyroscope,
@@ -86,23 +85,17 @@ pub fn align_gyroscope(
 }
 
 /// Orientations that follow from the rates, without a place.
-fn integrated(samples: &[GyroSample]) -> Vec<StampedPose> {
-    let mut rotation = UnitQuaternion::identity();
-    let mut poses: Vec<StampedPose> = Vec::with_capacity(samples.len());
-    let mut before: Option<GyroSample> = None;
-    for sample in samples {
-        if let Some(before) = before {
-            let secs = sample.time.secs_since(before.time);
-            let mean = (before.rate_rad_s + sample.rate_rad_s) * 0.5;
-            rotation = so3::retract(&rotation, &(mean * secs));
-        }
-        before = Some(*sample);
-        poses.push(StampedPose {
-            time: sample.time,
-            world_from_rig: Se3::new(rotation, Vector3::zeros()),
-        });
-    }
-    poses
+fn integrated(samples: &[GyroSample], base: Timestamp) -> Vec<StampedPose> {
+    let rates = samples
+        .iter()
+        .map(|s| (s.time.secs_since(base), s.rate_rad_s));
+    let gyro = IntegratedGyro::new(rates);
+    let turned = gyro.rotations().map(|(_, rotation)| rotation);
+    let pose = |(sample, rotation): (&GyroSample, _)| StampedPose {
+        time: sample.time,
+        world_from_rig: Se3::new(rotation, Vector3::zeros()),
+    };
+    samples.iter().zip(turned).map(pose).collect()
 }
 
 struct AlignedRates {
@@ -149,7 +142,7 @@ fn align_rates(
             second_deg: sizes[1].sqrt().to_degrees() * WINDOW_SECS,
         });
     }
-    let rotation = best_rotation(&crossed).ok_or(Error::Degenerate)?;
+    let rotation = so3::nearest(&crossed).ok_or(Error::Degenerate)?;
     let bias = gyro_mean - rotation * body_mean;
     let squares: f64 = rates
         .iter()

@@ -6,7 +6,6 @@ mod closed_form;
 mod continuous;
 mod correlation;
 mod gyroscope;
-mod kabsch;
 mod mocap;
 mod refine;
 mod residual;

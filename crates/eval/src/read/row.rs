@@ -1,7 +1,6 @@
 //! One row of a file.
 
-use lsfb_geometry::{Matrix3, Matrix6, Se3, UnitQuaternion, Vector3};
-use nalgebra::{Quaternion, Rotation3};
+use lsfb_geometry::{Matrix3, Matrix6, Quaternion, Se3, UnitQuaternion, Vector3, so3};
 
 use super::columns::{Columns, FrameColumns};
 use super::layout::Content;
@@ -192,15 +191,9 @@ fn from_matrix_rows(row: &[f64; 12]) -> Result<Se3, String> {
     let matrix = Matrix3::new(
         row[0], row[1], row[2], row[4], row[5], row[6], row[8], row[9], row[10],
     );
-    let off = (matrix * matrix.transpose() - Matrix3::identity()).norm();
-    if !(off < ORTHONORMAL_TOLERANCE) || matrix.determinant() < 0.0 {
-        return Err(format!(
-            "the first three columns are no rotation (off by {off:.1e})"
-        ));
-    }
-    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
-    Ok(Se3::new(
-        UnitQuaternion::new_normalize(rotation.into_inner()),
-        Vector3::new(row[3], row[7], row[11]),
-    ))
+    let rotation = so3::from_rounded(&matrix, ORTHONORMAL_TOLERANCE).ok_or_else(|| {
+        let off = (matrix * matrix.transpose() - Matrix3::identity()).norm();
+        format!("the first three columns are no rotation (off by {off:.1e})")
+    })?;
+    Ok(Se3::new(rotation, Vector3::new(row[3], row[7], row[11])))
 }

@@ -5,9 +5,9 @@
 use std::path::{Path, PathBuf};
 
 use lsfb_geometry::camera::Lens;
-use lsfb_geometry::{Camera, ImuNoiseModel, Rig, RigCamera, RigImu, Se3, Vector3};
+use lsfb_geometry::{Camera, ImuNoiseModel, Rig, RigCamera, RigImu, Se3, Vector3, so3};
 use lsfb_types::{ImuSample, Progress, ProgressFn};
-use nalgebra::{Matrix3, Rotation3, UnitQuaternion};
+use nalgebra::Matrix3;
 use serde::Deserialize;
 
 use super::image_file;
@@ -248,14 +248,11 @@ pub(super) fn pose_of_rows(rows: &[f64]) -> Result<Se3, &'static str> {
         return Err("has not sixteen numbers");
     };
     let rotation = Matrix3::new(a, b, c, d, e, f, g, h, i);
-    let off = rotation * rotation.transpose() - Matrix3::identity();
-    if rows.len() != 16 || !(off.amax() < ROTATION_ROUNDING) || !(rotation.determinant() > 0.0) {
-        return Err("is no rigid transform");
-    }
+    let rotation = so3::from_rounded(&rotation, ROTATION_ROUNDING)
+        .filter(|_| rows.len() == 16)
+        .ok_or("is no rigid transform")?;
     if ![x, y, z].iter().all(|v| v.is_finite()) {
         return Err("is not finite");
     }
-    let rotation =
-        UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
     Ok(Se3::new(rotation, Vector3::new(x, y, z)))
 }

@@ -1,6 +1,8 @@
 //! A gyroscope's samples, integrated over time.
 
-use lsfb_geometry::{UnitQuaternion, Vector3, so3};
+use nalgebra::{UnitQuaternion, Vector3};
+
+use crate::so3;
 
 /// Integral of a gyroscope over time: of its numbers, and of the rotation that they make.
 #[derive(Clone, Debug)]
@@ -56,6 +58,12 @@ impl IntegratedGyro {
         Some([*self.times_s.first()?, *self.times_s.last()?])
     }
 
+    /// Time of each sample, seconds, and `start_from_rig` then.
+    pub fn rotations(&self) -> impl ExactSizeIterator<Item = (f64, UnitQuaternion<f64>)> + '_ {
+        let times_s = self.times_s.iter().copied();
+        times_s.zip(self.start_from_rig.iter().copied())
+    }
+
     /// Number of the last sample at or before a time; `None` outside the samples.
     pub fn sample_before(&self, time_s: f64) -> Option<usize> {
         Some(self.between(time_s)?.before)
@@ -104,5 +112,8 @@ mod tests {
         assert!((angle - Vector3::new(0.8, 0.0, 0.5)).norm() < 2e-3);
         assert!(gyro.angle(-0.1).is_none() && gyro.mean_rate(0.5, 1.1).is_none());
         assert_eq!(gyro.span_s(), Some([0.0, 1.0]));
+        let (end_s, turned) = gyro.rotations().last().expect("samples");
+        let whole = gyro.mean_rate(0.0, 0.999_999).expect("inside");
+        assert!(end_s == 1.0 && (so3::log(&turned) - whole).norm() < 1e-5);
     }
 }
