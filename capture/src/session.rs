@@ -17,7 +17,7 @@ use crate::poses::{PoseQueue, Poses, poses};
 use crate::recorder::{self, Recorder};
 use crate::remark::{RemarkQueue, Remarks, remarks};
 use crate::report::StreamReport;
-use crate::sidecar::{PairingFolder, Place, SidecarServer};
+use crate::sidecar::{PairingFolder, RecordingFolders, SidecarServer};
 use crate::tap::{Tap, TapSender, tap};
 use crate::threads::{Device, Ends, Threads};
 use crate::{CaptureReport, Error, camera, imu, lidar, sidecar};
@@ -181,7 +181,7 @@ impl Session {
             })?;
         }
         if let (Some(server), Some(sidecar)) = (self.sidecar, &self.config.sidecar) {
-            let place = Place {
+            let place = RecordingFolders {
                 recording: std::path::absolute(out).unwrap_or_else(|_| out.to_owned()),
                 second_folder: settings.second_folder.clone(),
             };

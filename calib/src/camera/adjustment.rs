@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use lsfb_geometry::camera::LensModel;
 use lsfb_geometry::{Camera, Se3, UnitQuaternion, Vector2, Vector3};
 use lsfb_solver::Kernel;
+use lsfb_types::median;
 
 use super::CameraConfig;
 use super::batch::Freedom;
@@ -287,22 +288,21 @@ impl Solved<'_> {
                 .iter()
                 .map(|t| (*t, self.errors_px(target, k, *t)))
                 .collect();
-            let mut norms: Vec<f64> = views
+            let norms: Vec<f64> = views
                 .iter()
                 .flat_map(|v| v.1.iter().map(|e| e.map_or(f64::INFINITY, |e| e.norm())))
                 .collect();
-            norms.sort_by(f64::total_cmp);
-            let median = norms.get(norms.len() / 2).copied().unwrap_or(f64::INFINITY);
-            if !(median <= config.max_rms_px) {
+            let median_px = median(norms).unwrap_or(f64::INFINITY);
+            if !(median_px <= config.max_rms_px) {
                 return Err(Error::DoesNotFit {
                     camera: self.cameras[k].views.name.clone(),
-                    rms_px: median,
+                    rms_px: median_px,
                     target: target.describe(),
                     model: self.cameras[k].camera.lens.model().name(),
                 });
             }
             // Of a two-dimensional normal error half lies within 1.177 σ.
-            let limit = (config.outlier_ratio * median / 1.177).max(NEVER_OUTLIER_PX);
+            let limit = (config.outlier_ratio * median_px / 1.177).max(NEVER_OUTLIER_PX);
             for (t, errors) in views {
                 let inliers = errors.iter().map(|e| e.is_some_and(|e| e.norm() <= limit));
                 self.inliers[k].insert(t, inliers.collect());

@@ -6,6 +6,7 @@
 use lsfb_geometry::camera::{Lens, LensModel, MAX_PARAMETERS};
 use lsfb_geometry::{Camera, Matrix3, Se3, Vector2, Vector3, so3};
 use lsfb_perception::gauss_newton::{NormalEquations, minimise_damped};
+use lsfb_types::median;
 use nalgebra::{SMatrix, SVector};
 
 use super::CameraViews;
@@ -106,7 +107,7 @@ fn median_error_px(
     pose: &Se3,
     corners: &[Corner],
 ) -> Option<f64> {
-    let mut errors: Vec<f64> = corners
+    let errors: Vec<f64> = corners
         .iter()
         .filter_map(|c| {
             let seen = camera.project(&(*pose * target.corner(c.index)))?;
@@ -116,8 +117,7 @@ fn median_error_px(
     if 2 * errors.len() < corners.len() {
         return None;
     }
-    errors.sort_by(f64::total_cmp);
-    errors.get(errors.len() / 2).copied()
+    median(errors)
 }
 
 /// Pose of the target in the camera, from the homography between its plane and the viewing rays. `None` with fewer than six

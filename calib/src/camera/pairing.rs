@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use lsfb_geometry::Se3;
+use lsfb_types::median;
 
 use super::CameraViews;
 use super::pose_choice::{most_central, spread};
@@ -47,8 +48,7 @@ fn show_the_same(first: &CameraViews, second: &CameraViews) -> bool {
             .filter_map(|c| Some((by_index.get(&c.index)? - c.pixel).norm()));
         apart_px.extend(both);
     }
-    apart_px.sort_by(f64::total_cmp);
-    apart_px.len() >= LEAST_CORNERS && apart_px[apart_px.len() / 2] < SAME_PX
+    apart_px.len() >= LEAST_CORNERS && median(apart_px).is_some_and(|px| px < SAME_PX)
 }
 
 /// By how many instants the images of another camera come after those of the first one they belong to; `None` where they belong to

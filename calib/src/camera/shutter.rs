@@ -13,7 +13,7 @@ const MOST_NS: i64 = 250_000_000;
 const LEAST_NS: i64 = 1_000_000;
 
 /// Where a corner was, and when.
-type Seen = (Vector2<f64>, f64);
+type CornerTime = (Vector2<f64>, f64);
 
 /// Views as a global shutter would have them that exposes when the middle row was exposed. `readout_s` is the time from the first row to
 /// one row below the last, zero for a global shutter. Corners that neither the view before nor the one after has are left out: nobody
@@ -52,7 +52,7 @@ pub(super) fn velocities(
     instant: i64,
     row_s: f64,
 ) -> BTreeMap<usize, Vector2<f64>> {
-    let near = |other: Option<(&i64, &Vec<Corner>)>| -> BTreeMap<usize, Seen> {
+    let near = |other: Option<(&i64, &Vec<Corner>)>| -> BTreeMap<usize, CornerTime> {
         let other = other.filter(|(at, _)| (LEAST_NS..=MOST_NS).contains(&(*at - instant).abs()));
         let Some((at, corners)) = other else {
             return BTreeMap::new();
@@ -67,7 +67,7 @@ pub(super) fn velocities(
     own.iter()
         .filter_map(|corner| {
             let here = (corner.pixel, row_s * corner.pixel.y);
-            let speed = |from: &Seen, to: &Seen| (to.0 - from.0) / (to.1 - from.1);
+            let speed = |from: &CornerTime, to: &CornerTime| (to.0 - from.0) / (to.1 - from.1);
             let velocity = match (before.get(&corner.index), after.get(&corner.index)) {
                 // The slope at this instant of the parabola through all three.
                 (Some(before), Some(after)) => {

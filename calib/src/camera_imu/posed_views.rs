@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use lsfb_geometry::{Se3, Vector2, Vector3};
-use lsfb_types::Timestamp;
+use lsfb_types::{Timestamp, median};
 
 use super::input::Input;
 use super::state::View;
@@ -95,11 +95,7 @@ pub(super) fn look(
             target: target.describe(),
         });
     }
-    errors.sort_by(f64::total_cmp);
-    let median_px = errors
-        .get(errors.len() / 2)
-        .copied()
-        .unwrap_or(f64::INFINITY);
+    let median_px = median(errors).unwrap_or(f64::INFINITY);
     let fitting =
         seen.views.len() as f64 >= LEAST_FITTING * known.views.views.len() as f64 / step as f64;
     if !(median_px < FIRST_LIMIT_PX && fitting) {

@@ -1,7 +1,7 @@
 //! Samples of the IMU as the batch takes them: in order, near the views, with what they say of the motion.
 
 use lsfb_geometry::{Vector3, spline};
-use lsfb_types::{Finding, ImuSample, Limit, Timestamp, Verdict};
+use lsfb_types::{Finding, ImuSample, Limit, Timestamp, Verdict, median};
 
 use super::posed_views::PosedViews;
 use super::state::Sample;
@@ -154,10 +154,9 @@ pub(super) fn check_rotation(
 
 /// Time between samples: the median, so that gaps do not count.
 pub(super) fn interval_s(samples: &[Sample]) -> f64 {
-    let mut intervals: Vec<f64> = samples
+    let intervals: Vec<f64> = samples
         .windows(2)
         .map(|w| w[1].time_s - w[0].time_s)
         .collect();
-    intervals.sort_by(f64::total_cmp);
-    intervals.get(intervals.len() / 2).copied().unwrap_or(0.005)
+    median(intervals).unwrap_or(0.005)
 }

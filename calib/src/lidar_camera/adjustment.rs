@@ -9,7 +9,7 @@ use nalgebra::{DVector, Matrix2};
 
 use super::association::Joined;
 use super::plane::{Spread, regress};
-use super::problem::{APPARENT_SIGMA_M, Factors, Reach, Shift, State, build, plane_error};
+use super::problem::{APPARENT_SIGMA_M, Factors, ProblemStart, Reach, Shift, build, plane_error};
 use super::solved::{Solved, Used};
 use super::{LidarCameraConfig, MountedBoard, Scene};
 use crate::scatter::Scatter;
@@ -213,7 +213,7 @@ fn converge(
         } else {
             Reach::Agreeing
         };
-        let state = State {
+        let state = ProblemStart {
             camera_from_lidar: &pose,
             apparent_m: &apparent,
             factors: &factors,
@@ -284,7 +284,7 @@ pub(super) fn plate_shift(
 ) -> Result<PlateShift, Error> {
     let mut used = solved.used.clone();
     let nothing = Vector3::zeros();
-    let state = State {
+    let state = ProblemStart {
         camera_from_lidar: &solved.camera_from_lidar,
         apparent_m: &nothing,
         factors: &solved.spread,
@@ -319,7 +319,7 @@ pub(super) fn pattern_size(
 ) -> Result<PatternSize, Error> {
     let cost = |pattern: f64| -> Result<(f64, usize), Error> {
         let mut used = solved.used.clone();
-        let state = State {
+        let state = ProblemStart {
             camera_from_lidar: &solved.camera_from_lidar,
             apparent_m: &Vector3::zeros(),
             factors: &[1.0; 3],

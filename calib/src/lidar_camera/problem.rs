@@ -52,7 +52,7 @@ pub(super) struct Built {
 }
 
 /// The state that a problem starts from.
-pub(super) struct State<'a> {
+pub(super) struct ProblemStart<'a> {
     pub camera_from_lidar: &'a Se3,
     pub apparent_m: &'a Vector3<f64>,
     pub factors: &'a Factors,
@@ -64,11 +64,11 @@ pub(super) fn build(
     board: &MountedBoard,
     scenes: &[Scene],
     used: &mut [Used],
-    state: &State,
+    state: &ProblemStart,
     reach: Reach,
     shift: Shift,
 ) -> Result<Built, Error> {
-    let State {
+    let ProblemStart {
         camera_from_lidar: pose,
         apparent_m: apparent,
         factors,

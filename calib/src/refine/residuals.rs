@@ -27,7 +27,7 @@ pub(super) struct OnPlane {
 }
 
 /// Where a corner is seen, pixels, and how that moves with the corner.
-pub(super) struct Seen {
+pub(super) struct ProjectedCorner {
     pub pixel: Vector2<f64>,
     pub by_corner: Matrix2x3<f64>,
     by_camera: Matrix2x3<f64>,
@@ -36,7 +36,7 @@ pub(super) struct Seen {
     in_lidar: Vector3<f64>,
 }
 
-impl Seen {
+impl ProjectedCorner {
     /// `None` behind the lens, or too near.
     pub fn new(
         camera: &Camera,
@@ -85,8 +85,9 @@ impl Residual for CornerResidual {
         let (at_stamp, corner): (Se3, Vector3<f64>) = (parameters.get(2), parameters.get(3));
         let moved = Se3::exp(&(self.twist * delay_s.x));
         let world_from_lidar = at_stamp * moved;
-        let seen = Seen::new(&self.camera, &lidar_from_camera, &world_from_lidar, &corner)
-            .ok_or(Undefined)?;
+        let seen =
+            ProjectedCorner::new(&self.camera, &lidar_from_camera, &world_from_lidar, &corner)
+                .ok_or(Undefined)?;
         let weight = 1.0 / self.sigma_px;
         out.set_residual(&((seen.pixel - self.pixel) * weight));
         let by_mounting: Matrix2x6<f64> = seen.by_camera * moved_by_inverse(&seen.in_camera);

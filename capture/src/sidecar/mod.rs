@@ -21,7 +21,7 @@ pub use pairing::{INVITATION, PairingFolder};
 use presence::Presence;
 use server::SidecarEvent;
 pub(crate) use server::SidecarServer;
-pub(crate) use sessions::Place;
+pub(crate) use sessions::RecordingFolders;
 pub(crate) use time_sync::decode_exchange;
 #[cfg(test)]
 pub(crate) use time_sync::encode_exchange;
@@ -38,7 +38,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(50);
 /// devices may come, go and come back; where nothing else is recorded, one that was lost is waited for.
 pub(crate) fn record(
     mut server: SidecarServer,
-    place: Place,
+    place: RecordingFolders,
     come_back: Duration,
     inlet: &Inlet,
     control: &Control,

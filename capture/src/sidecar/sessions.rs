@@ -16,7 +16,7 @@ const MAX_SESSIONS: usize = 256;
 
 /// Where the recording is, and what its devices are remembered in.
 #[derive(Clone, Debug)]
-pub(crate) struct Place {
+pub(crate) struct RecordingFolders {
     /// The recording.
     pub(crate) recording: PathBuf,
     /// Where it goes on when its disk is full.
@@ -27,7 +27,7 @@ pub(crate) struct Place {
 #[derive(Debug)]
 pub(super) struct Sessions {
     folder: PathBuf,
-    place: Place,
+    place: RecordingFolders,
     devices: Mutex<BTreeMap<String, Device>>,
 }
 
@@ -65,7 +65,7 @@ pub(super) struct Opened {
 }
 
 impl Sessions {
-    pub(super) fn new(folder: PathBuf, place: Place) -> Self {
+    pub(super) fn new(folder: PathBuf, place: RecordingFolders) -> Self {
         Self {
             folder,
             place,
@@ -74,7 +74,7 @@ impl Sessions {
     }
 
     /// Where the recording is.
-    pub(super) fn place(&self) -> &Place {
+    pub(super) fn place(&self) -> &RecordingFolders {
         &self.place
     }
 

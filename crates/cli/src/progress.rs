@@ -17,12 +17,12 @@ const BOARD: &str = "board";
 
 /// Shows [`Progress`]; one per command, shared by its stages.
 pub struct Display {
-    state: Mutex<State>,
+    state: Mutex<Shown>,
     terminal: bool,
     quiet: bool,
 }
 
-struct State {
+struct Shown {
     stage: &'static str,
     bar: Option<ProgressBar>,
     started: Instant,
@@ -34,7 +34,7 @@ impl Display {
     pub fn new(quiet: bool) -> Self {
         let now = Instant::now();
         Self {
-            state: Mutex::new(State {
+            state: Mutex::new(Shown {
                 stage: "",
                 bar: None,
                 started: now,
@@ -116,7 +116,7 @@ impl Display {
         }
     }
 
-    fn begin(&self, state: &mut State, progress: Progress) {
+    fn begin(&self, state: &mut Shown, progress: Progress) {
         end(state);
         state.stage = progress.stage;
         state.started = Instant::now();
@@ -142,7 +142,7 @@ impl Display {
     }
 }
 
-fn end(state: &mut State) {
+fn end(state: &mut Shown) {
     if state.stage.is_empty() {
         return;
     }
@@ -161,7 +161,7 @@ fn end(state: &mut State) {
     state.stage = "";
 }
 
-fn line(state: &State, progress: Progress) {
+fn line(state: &Shown, progress: Progress) {
     let elapsed = state.started.elapsed().as_secs_f64();
     if progress.total > 0 && progress.done > 0 {
         let eta =

@@ -104,7 +104,8 @@ fn hashes(outputs: &[&Path]) -> anyhow::Result<BTreeMap<String, String>> {
     Ok(found)
 }
 
-fn program_sha256() -> anyhow::Result<String> {
+/// SHA-256 of this program.
+pub fn program_sha256() -> anyhow::Result<String> {
     let program = std::env::current_exe().context("cannot find the file of this program")?;
     Ok(sha256_of(&program)?)
 }

@@ -3,6 +3,7 @@
 use std::f64::consts::PI;
 
 use lsfb_geometry::{StampedPose, Vector3};
+use lsfb_types::median;
 use serde::Serialize;
 
 /// Steps longer than this many medians are gaps, across which nothing is derived.
@@ -42,9 +43,7 @@ pub(crate) fn smoothness(poses: &[StampedPose]) -> Option<Smoothness> {
         .map(|p| (p.time.secs_since(first.time), p.world_from_rig.translation))
         .collect();
     places.dedup_by_key(|p| p.0);
-    let mut steps: Vec<f64> = places.windows(2).map(|w| w[1].0 - w[0].0).collect();
-    steps.sort_by(f64::total_cmp);
-    let step_secs = *steps.get(steps.len() / 2)?;
+    let step_secs = median(places.windows(2).map(|w| w[1].0 - w[0].0).collect())?;
     let (mut accelerations, mut jerks) = (Vec::new(), Vec::new());
     let (mut fast, mut fast_samples) = (0.0, 0);
     for piece in places.chunk_by(|a, b| b.0 - a.0 <= LONGEST_STEP * step_secs) {

@@ -82,7 +82,7 @@ pub struct GoBack {
 pub(crate) type Cell = [i32; 2];
 
 #[derive(Clone, Copy, Debug, Default)]
-struct Seen {
+struct CellViews {
     first_s: f64,
     near: u32,
     faced: u32,
@@ -103,7 +103,7 @@ pub(crate) struct Standpoint {
 #[derive(Clone, Debug)]
 pub(crate) struct Coverage {
     config: CoverageConfig,
-    cells: BTreeMap<Cell, Seen>,
+    cells: BTreeMap<Cell, CellViews>,
     now_s: f64,
 }
 
@@ -145,9 +145,9 @@ impl Coverage {
                 continue;
             }
             let bearing_rad = dy_m.atan2(dx_m);
-            let seen = self.cells.entry(cell).or_insert(Seen {
+            let seen = self.cells.entry(cell).or_insert(CellViews {
                 first_s: from.time_s,
-                ..Seen::default()
+                ..CellViews::default()
             });
             if range_m > self.config.near_m {
                 continue;
@@ -171,7 +171,7 @@ impl Coverage {
         Some(self.judge(self.cells.get(&cell)?))
     }
 
-    fn judge(&self, seen: &Seen) -> Quality {
+    fn judge(&self, seen: &CellViews) -> Quality {
         let config = &self.config;
         if seen.faced >= config.views && seen.directions.count_ones() >= config.directions {
             return Quality::Good;

@@ -51,11 +51,11 @@ pub struct Foxglove {
 #[derive(Debug)]
 struct Shared {
     session: String,
-    state: Mutex<State>,
+    state: Mutex<Connections>,
 }
 
 #[derive(Debug, Default)]
-struct State {
+struct Connections {
     channels: BTreeMap<String, Channel>,
     clients: BTreeMap<u64, ClientEntry>,
     next_client: u64,
@@ -83,7 +83,7 @@ impl Foxglove {
     pub fn open(address: SocketAddr, session: &str) -> Result<Self, Error> {
         let shared = Arc::new(Shared {
             session: session.to_owned(),
-            state: Mutex::new(State::default()),
+            state: Mutex::new(Connections::default()),
         });
         let served = Arc::clone(&shared);
         let server = Server::start("foxglove", address, move |stream, stop| {
@@ -124,12 +124,12 @@ impl Foxglove {
 }
 
 impl Shared {
-    fn lock(&self) -> MutexGuard<'_, State> {
+    fn lock(&self) -> MutexGuard<'_, Connections> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl State {
+impl Connections {
     /// The channel of a topic.
     fn channel(&mut self, message: &LiveMessage<'_>) -> &mut Channel {
         let id = self.channels.len() as u32 + 1;
@@ -306,7 +306,7 @@ impl Client<'_> {
         let mut unknown = Vec::new();
         {
             let mut state = self.shared.lock();
-            let State {
+            let Connections {
                 channels, clients, ..
             } = &mut *state;
             let Some(client) = clients.get_mut(&self.number) else {

@@ -1,14 +1,6 @@
 //! Numbers of many numbers.
 
-/// The middle one; `None` of none.
-pub fn median(mut values: Vec<f64>) -> Option<f64> {
-    let middle = values.len() / 2;
-    if values.is_empty() {
-        return None;
-    }
-    let (_, found, _) = values.select_nth_unstable_by(middle, f64::total_cmp);
-    Some(*found)
-}
+pub use lsfb_types::{median, quantile};
 
 /// Where scores that were taken a step apart are largest: the best of them and, where it has neighbours, the top of the parabola
 /// through all three, in steps from the first. `None` without scores.

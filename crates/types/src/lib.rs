@@ -1,7 +1,7 @@
-//! What every crate shares: [`Timestamp`], [`Packet`], the samples, [`Progress`], [`Judgement`], and the
-//! [`Bounds`] of settings.
+//! What every crate shares: [`Timestamp`], [`Packet`], the samples, [`Progress`], [`Judgement`], the
+//! [`Bounds`] of settings, and what the [`median`] of some numbers is.
 //!
-//! No dependency, no logic beyond exact integer time and how verdicts are put into words. Vectors are plain arrays here;
+//! No dependency, no logic beyond exact integer time, medians, and how verdicts are put into words. Vectors are plain arrays here;
 //! `lsfb-geometry` gives them algebra. With the feature `serde`, verdicts stand in JSON.
 //!
 //! Samples carry no time of their own: a decoder knows only device ticks. [`Stamped`] adds the three stamps
@@ -11,6 +11,7 @@ mod bounds;
 mod packet;
 mod progress;
 mod sample;
+mod statistics;
 mod timestamp;
 mod verdict;
 
@@ -18,5 +19,6 @@ pub use bounds::{Bounds, OutOfBounds, setting_name};
 pub use packet::Packet;
 pub use progress::{Progress, ProgressFn, Stopped, no_progress, until};
 pub use sample::{Echo, Image, ImuSample, LidarPoint, LidarScan, Stamped};
+pub use statistics::{median, quantile};
 pub use timestamp::Timestamp;
 pub use verdict::{Finding, Judgement, Limit, Verdict};

@@ -22,7 +22,7 @@ const CLIP: f32 = 0.2;
 
 /// One place of the lattice: its offset and its part in the cells around it.
 #[derive(Clone, Copy, Debug)]
-struct Place {
+struct LatticeSample {
     /// Offsets from the centre in units of the blur.
     u: f32,
     v: f32,
@@ -33,7 +33,7 @@ struct Place {
 /// The lattice, made once for all keypoints.
 #[derive(Clone, Debug)]
 pub(crate) struct Lattice {
-    places: Vec<Place>,
+    places: Vec<LatticeSample>,
 }
 
 impl Lattice {
@@ -46,7 +46,7 @@ impl Lattice {
                 let centred = |i: usize| (i as f32 + 0.5) * step - 0.5 * (CELLS + 1) as f32;
                 let (u, v) = (centred(column), centred(row));
                 let window = (-(u * u + v * v) / (2.0 * (0.5 * CELLS as f32).powi(2))).exp();
-                let mut place = Place {
+                let mut place = LatticeSample {
                     u: u * CELL_SIGMAS,
                     v: v * CELL_SIGMAS,
                     cells: [(0, 0.0); 4],

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use lsfb_geometry::{Se3, Vector2, Vector3};
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 
-use super::walk::{FixedObservation, LocalObservation, LocalPoint, State, Walk};
+use super::walk::{FixedObservation, FrameState, LocalObservation, LocalPoint, Walk};
 use crate::preintegration::standard_gravity_m_s2;
 use crate::residuals::{CameraCorrection, FrameMotion, MovingCamera};
 
@@ -13,7 +13,7 @@ use crate::residuals::{CameraCorrection, FrameMotion, MovingCamera};
 #[derive(Clone)]
 pub(super) struct Estimate {
     /// One for each frame.
-    pub states: Vec<State>,
+    pub states: Vec<FrameState>,
     /// One for each camera.
     pub corrections: Vec<CameraCorrection>,
     /// The cameras as the corrections make them.
@@ -23,7 +23,7 @@ pub(super) struct Estimate {
 }
 
 impl Estimate {
-    pub fn new(walk: &Walk, states: Vec<State>, corrections: Vec<CameraCorrection>) -> Self {
+    pub fn new(walk: &Walk, states: Vec<FrameState>, corrections: Vec<CameraCorrection>) -> Self {
         let corrected = walk.cameras.iter().zip(&corrections);
         let moving = walk.frames.iter().zip(&states);
         Self {
@@ -37,7 +37,7 @@ impl Estimate {
     }
 
     /// With the cameras as the rig file has them.
-    pub fn of_states(walk: &Walk, states: Vec<State>) -> Self {
+    pub fn of_states(walk: &Walk, states: Vec<FrameState>) -> Self {
         let corrections = vec![CameraCorrection::zeros(); walk.cameras.len()];
         Self::new(walk, states, corrections)
     }
@@ -91,7 +91,7 @@ const REACH_NS: i64 = 20_000_000;
 
 /// Motion around a stamp: the line through the gyroscope's samples, the mean of the accelerometer's. Without samples the rig goes
 /// straight on.
-fn motion(imu: &[Stamped<ImuSample>], stamp: Timestamp, state: &State) -> FrameMotion {
+fn motion(imu: &[Stamped<ImuSample>], stamp: Timestamp, state: &FrameState) -> FrameMotion {
     let first = imu.partition_point(|s| s.time < stamp.plus_nanos(-REACH_NS));
     let end = imu.partition_point(|s| s.time <= stamp.plus_nanos(REACH_NS));
     let near = &imu[first..end.max(first)];

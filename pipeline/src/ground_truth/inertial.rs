@@ -4,7 +4,7 @@ use lsfb_geometry::{Se3, Vector3};
 use lsfb_solver::{Block, Kernel, Problem};
 
 use super::GroundTruthConfig;
-use super::walk::{State, Walk};
+use super::walk::{FrameState, Walk};
 use crate::Error;
 use crate::preintegration::{ImuBias, Matrix9, NavState, PreintegratedImu, standard_gravity_m_s2};
 use crate::residuals::{BiasWalk, ImuPreintegration};
@@ -19,7 +19,7 @@ pub(super) struct StateBlocks {
 }
 
 impl StateBlocks {
-    pub fn add(problem: &mut Problem, state: &State) -> Self {
+    pub fn add(problem: &mut Problem, state: &FrameState) -> Self {
         Self {
             pose: problem.add_block(state.nav.world_from_rig),
             velocity: problem.add_block(state.nav.velocity_m_s),
@@ -28,8 +28,8 @@ impl StateBlocks {
         }
     }
 
-    pub fn read(&self, problem: &Problem) -> State {
-        State {
+    pub fn read(&self, problem: &Problem) -> FrameState {
+        FrameState {
             nav: NavState {
                 world_from_rig: problem.value(self.pose),
                 velocity_m_s: problem.value(self.velocity),
@@ -54,7 +54,7 @@ pub(super) fn add_inertial_residuals(
     let Some(first) = states.first() else {
         return Ok(());
     };
-    let now: Vec<State> = states.iter().map(|s| s.read(problem)).collect();
+    let now: Vec<FrameState> = states.iter().map(|s| s.read(problem)).collect();
     let frames = first_frame..first_frame + states.len();
     let intervals = walk.preintegrate(frames, |k| now[k - first_frame].bias)?;
     // The map is level only as far as its odometry knew: gravity may lean a little.
@@ -119,7 +119,7 @@ pub(super) const ANY_TURN_RAD_S: f64 = 2.0;
 pub(super) const ANY_ACCELERATION_M_S2: f64 = 3.0;
 
 /// What is known where the IMU says nothing: a body goes on as it did, more or less.
-pub(super) fn any_motion(from: &State, duration_secs: f64) -> PreintegratedImu {
+pub(super) fn any_motion(from: &FrameState, duration_secs: f64) -> PreintegratedImu {
     let resting = from.nav.world_from_rig.rotation.inverse() * -standard_gravity_m_s2();
     let mut motion = PreintegratedImu::nothing(from.bias);
     motion.duration_secs = duration_secs;

@@ -9,7 +9,7 @@ use lsfb_types::ProgressFn;
 use super::GroundTruthConfig;
 use super::estimate::Estimate;
 use super::inertial::{StateBlocks, add_inertial_residuals};
-use super::walk::{FixedObservation, Frame, LocalPoint, State, Walk};
+use super::walk::{FixedObservation, Frame, LocalPoint, FrameState, Walk};
 use crate::Error;
 use crate::residuals::{CameraCorrection, FixedPointReprojection, MovingReprojection};
 use crate::solve::solve_until_converged;
@@ -43,7 +43,7 @@ impl Anchor {
     fn hold(
         &self,
         problem: &mut Problem,
-        states: &[State],
+        states: &[FrameState],
         blocks: &[StateBlocks],
     ) -> Result<(), Error> {
         let (Some(state), Some(first)) = (states.first(), blocks.first()) else {

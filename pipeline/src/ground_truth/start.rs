@@ -8,7 +8,7 @@ use super::GroundTruthConfig;
 use super::consensus::consistent_sets;
 use super::drift::drifts;
 use super::inertial::{StateBlocks, add_inertial_residuals};
-use super::walk::{LocalizedPose, State, Walk};
+use super::walk::{FrameState, LocalizedPose, Walk};
 use crate::Error;
 use crate::preintegration::{ImuBias, NavState};
 use crate::solve::solve_until_converged;
@@ -25,7 +25,7 @@ const KERNEL: Kernel = Kernel::Cauchy { scale: 2.0 };
 /// States that agree with the IMU and with all localized poses that are accepted.
 pub(super) struct Start {
     /// One for each frame.
-    pub states: Vec<State>,
+    pub states: Vec<FrameState>,
     /// Which frames have a localized pose that agrees.
     pub accepted: Vec<bool>,
     /// How many do.
@@ -75,7 +75,7 @@ pub(super) fn start_states(
 struct Explanation {
     /// The consistent set that it began with, in order.
     begun_with: Vec<usize>,
-    states: Vec<State>,
+    states: Vec<FrameState>,
     accepted: Vec<bool>,
     /// Cost of the solve, and for each localized pose that is not accepted that of one that just were: to bend the IMU's motion
     /// for one more is no gain.
@@ -152,7 +152,7 @@ fn whitened_norm(localized: &Se3, fitted: &Se3, covariance: &Matrix6<f64>) -> f6
 }
 
 /// Poses on lines between the accepted ones, velocities from them, no bias.
-fn guess(walk: &Walk, accepted: &[bool]) -> Vec<State> {
+fn guess(walk: &Walk, accepted: &[bool]) -> Vec<FrameState> {
     let known = walk.frames.iter().zip(accepted).filter(|(_, a)| **a);
     let known = Trajectory::new(
         known
@@ -189,7 +189,7 @@ fn guess(walk: &Walk, accepted: &[bool]) -> Vec<State> {
             } else {
                 Vector3::zeros()
             };
-            State {
+            FrameState {
                 nav: NavState {
                     world_from_rig: poses[k],
                     velocity_m_s,
@@ -201,14 +201,14 @@ fn guess(walk: &Walk, accepted: &[bool]) -> Vec<State> {
 }
 
 struct Fitted {
-    states: Vec<State>,
+    states: Vec<FrameState>,
     cost: f64,
 }
 
 /// Solves for the states with the accepted localized poses and the IMU.
 fn fit(
     walk: &Walk,
-    states: &[State],
+    states: &[FrameState],
     accepted: &[bool],
     config: &GroundTruthConfig,
     progress: ProgressFn<'_>,

@@ -5,7 +5,7 @@ use lsfb_geometry::{Matrix6, StampedPose};
 use super::GroundTruthConfig;
 use super::in_view::InView;
 use super::report::{LeftOutReason, Span};
-use super::walk::{State, Walk};
+use super::walk::{FrameState, Walk};
 
 /// Frames of the trajectory, and what was left out of it.
 pub(super) struct Trusted {
@@ -31,7 +31,7 @@ impl Trusted {
 
 /// What the solve says about the frames.
 pub(super) struct Solution<'a> {
-    pub states: &'a [State],
+    pub states: &'a [FrameState],
     /// Frames whose localized pose agrees with the walk.
     pub accepted: &'a [bool],
     /// Covariances of the poses; `None` where nothing determines one.

@@ -81,7 +81,7 @@ impl LocalPoint {
 
 /// What is searched at each frame: `C_i` of eq. (5).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct State {
+pub(super) struct FrameState {
     pub nav: NavState,
     pub bias: ImuBias,
 }

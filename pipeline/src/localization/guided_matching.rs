@@ -1,6 +1,7 @@
 //! The map projected with a pose: pairs near the projections, and the pose that they agree on.
 
 use lsfb_geometry::{Matrix3, Matrix6, Se3, Vector2};
+use lsfb_types::median;
 
 use super::covariance::pose_covariance;
 use super::matches::{MountedCamera, PointMatch};
@@ -205,11 +206,9 @@ const MIN_TOLERANCE_PX: f64 = 2.0;
 /// What counts as agreement where these are the errors of the pairs: how exact map, lens and keypoints are differs from place to place.
 fn tolerance_px(errors_px: &[f64], max_error_px: f64) -> f64 {
     let near = errors_px.iter().copied().filter(|e| *e <= max_error_px);
-    let mut near: Vec<f64> = near.collect();
-    near.sort_by(f64::total_cmp);
     // Half of the lengths of errors with standard deviation 1 along each axis lie below √(2 ln 2).
-    let median = near.get(near.len() / 2).copied().unwrap_or(max_error_px);
-    let sigma_px = median / (2.0 * std::f64::consts::LN_2).sqrt();
+    let median_px = median(near.collect()).unwrap_or(max_error_px);
+    let sigma_px = median_px / (2.0 * std::f64::consts::LN_2).sqrt();
     (TOLERATED_SIGMAS * sigma_px).clamp(MIN_TOLERANCE_PX.min(max_error_px), max_error_px)
 }
 

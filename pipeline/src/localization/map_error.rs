@@ -7,6 +7,7 @@
 use std::collections::BTreeMap;
 
 use lsfb_geometry::{Matrix3, Matrix6, Se3, Vector2, Vector3, Vector6};
+use lsfb_types::quantile;
 use rayon::prelude::*;
 
 use super::matches::{MountedCamera, PointMatch};
@@ -50,10 +51,8 @@ impl MapError {
             .filter_map(|image| offset(map, image, config))
             .collect();
         let sigma = |length: fn(&Offset) -> f64| {
-            let mut lengths: Vec<f64> = offsets.iter().map(length).collect();
-            lengths.sort_by(f64::total_cmp);
-            let at = (lengths.len() as f64 * QUANTILE) as usize;
-            lengths.get(at).copied().unwrap_or(0.0) / QUANTILE_PER_SIGMA
+            let lengths = offsets.iter().map(length).collect();
+            quantile(lengths, QUANTILE).unwrap_or(0.0) / QUANTILE_PER_SIGMA
         };
         Self {
             rotation_rad: sigma(|o| o.rotation_rad),

@@ -13,7 +13,7 @@ pub struct ObservingCamera {
 }
 
 /// Where a point of the world is seen, and how that changes.
-pub(super) struct Seen {
+pub(super) struct ProjectedPoint {
     pub pixel: Vector2<f64>,
     pub by_pose: Matrix2x6<f64>,
     pub by_point: Matrix2x3<f64>,
@@ -57,7 +57,7 @@ impl ObservingCamera {
         &self,
         world_from_rig: &Se3,
         point_in_world: &Vector3<f64>,
-    ) -> Result<Seen, Undefined> {
+    ) -> Result<ProjectedPoint, Undefined> {
         let rig_from_world = world_from_rig.rotation_matrix().transpose();
         let point_in_rig = rig_from_world * (point_in_world - world_from_rig.translation);
         let point_in_camera =
@@ -67,7 +67,7 @@ impl ObservingCamera {
             .project_with_jacobian(&point_in_camera)
             .ok_or(Undefined)?;
         let by_point_in_rig = projection.pixel_by_point * self.camera_from_rig_rotation;
-        Ok(Seen {
+        Ok(ProjectedPoint {
             pixel: projection.pixel,
             by_pose: by_point_in_rig * moved_by_inverse(&point_in_rig),
             by_point: by_point_in_rig * rig_from_world,

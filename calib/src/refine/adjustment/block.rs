@@ -7,7 +7,7 @@ use lsfb_solver::{self as solver, BlockId, Kernel, PosePrior, Problem, covarianc
 use super::{Normal, Shared, SharedMatrix, SharedVector, Unknown, by_hand};
 use crate::refine::landmarks::{Keyframe, Landmark};
 use crate::refine::noise::{Left, Noise, ROBUST_SCALE, robust};
-use crate::refine::residuals::{CornerResidual, OnPlane, Seen};
+use crate::refine::residuals::{CornerResidual, OnPlane, ProjectedCorner};
 
 /// Images in which a corner must be in view.
 const MIN_IN_VIEW: usize = 2;
@@ -134,10 +134,11 @@ impl Block {
         camera: &Camera,
         shared: &Shared,
         at_images: &[Se3],
-    ) -> impl Iterator<Item = (Seen, Vector2<f64>)> {
+    ) -> impl Iterator<Item = (ProjectedCorner, Vector2<f64>)> {
         landmark.observations.iter().filter_map(|at| {
             let pose = &at_images[at.frame];
-            let seen = Seen::new(camera, &shared.lidar_from_camera, pose, &landmark.place)?;
+            let seen =
+                ProjectedCorner::new(camera, &shared.lidar_from_camera, pose, &landmark.place)?;
             Some((seen, at.pixel))
         })
     }

@@ -1,5 +1,7 @@
 //! Whether a recording was made in real time: elsewhere arrivals say nothing about clocks.
 
+use lsfb_types::median;
+
 use super::source::Triple;
 
 /// Parts of a recording that are compared at most, at least a second each, and how many are needed.
@@ -47,9 +49,8 @@ pub(super) fn passage(triples: &[Triple]) -> Option<Passage> {
         (pair[1].1 - pair[0].1).abs() > tolerance_secs
     };
     let different = least_delays.windows(2).filter(differ).count();
-    factors.sort_by(f64::total_cmp);
     Some(Passage {
         is_real_time: 3 * different <= 2 * (least_delays.len() - 1),
-        factor: factors[factors.len() / 2],
+        factor: median(factors)?,
     })
 }

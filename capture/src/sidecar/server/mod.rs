@@ -30,7 +30,7 @@ use tokio::sync::watch;
 use super::pairing::PairingFolder;
 use super::pseudonyms::Pseudonyms;
 use super::recorded::SessionStart;
-use super::sessions::{Place, Sessions};
+use super::sessions::{RecordingFolders, Sessions};
 use super::topics::Topics;
 use crate::Error;
 use crate::receipt::Receipt;
@@ -213,7 +213,7 @@ impl SidecarServer {
     }
 
     /// The recording begins, and apps may send.
-    pub(crate) fn begin(&self, place: Place) {
+    pub(crate) fn begin(&self, place: RecordingFolders) {
         let recorded = Recorded {
             sessions: Sessions::new(self.sessions_folder.clone(), place),
             topics: Mutex::default(),

@@ -9,6 +9,7 @@ use lsfb_pipeline::hd_map::{
     ColmapCamera, ExportedFile, HdMap, IndexConfig, MapFormat, MergeConfig, Region,
 };
 use lsfb_recording::Provenance;
+use lsfb_types::{median, quantile};
 use serde::Serialize;
 
 use crate::context::Context;
@@ -247,10 +248,8 @@ fn text(folder: &Path, info: &Info) -> String {
 
 /// The median, and what 95 % stay below; of nothing, nothing.
 fn shares(values: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
-    let mut sorted: Vec<f64> = values.collect();
-    sorted.sort_unstable_by(f64::total_cmp);
-    let at = |share: f64| sorted.get((share * sorted.len() as f64) as usize).copied();
-    Some([at(0.5)?, at(0.95)?])
+    let values: Vec<f64> = values.collect();
+    Some([median(values.clone())?, quantile(values, 0.95)?])
 }
 
 fn bytes_in(folder: &Path) -> anyhow::Result<u64> {

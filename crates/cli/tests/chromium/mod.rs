@@ -121,16 +121,20 @@ impl Tab {
              return [r.x + r.width / 2, r.y + r.height / 2]; }})()"
         );
         let at = self.value(&centre);
-        for (kind, wait) in [
-            ("mousePressed", duration),
-            ("mouseReleased", Duration::ZERO),
-        ] {
-            self.command(
-                "Input.dispatchMouseEvent",
-                &json!({ "type": kind, "x": at[0], "y": at[1], "button": "left", "clickCount": 1 }),
-            );
-            std::thread::sleep(wait);
-        }
+        let at = [0, 1].map(|axis| at[axis].as_f64().expect("a number"));
+        let left = json!({ "button": "left", "clickCount": 1 });
+        self.mouse("mousePressed", at, &left);
+        std::thread::sleep(duration);
+        self.mouse("mouseReleased", at, &left);
+    }
+
+    /// What a mouse does at a place in the window, pixels: `mouseMoved`, `mousePressed`, `mouseReleased` or `mouseWheel`, with the
+    /// parameters that DevTools want of each.
+    pub fn mouse(&mut self, kind: &str, [x, y]: [f64; 2], parameters: &Value) {
+        let mut event = parameters.clone();
+        event["type"] = json!(kind);
+        (event["x"], event["y"]) = (json!(x), json!(y));
+        self.command("Input.dispatchMouseEvent", &event);
     }
 
     /// Saves a picture of the page, and gives its size in bytes.

@@ -2,23 +2,28 @@
 //!
 //! A message's time is that of its header, when it was measured, not that of the bag, when it arrived.
 
+mod file;
 mod frames;
 mod message;
+mod part;
 mod ros1;
 mod sqlite;
+mod taken;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use lsfb_recording::Recording;
 use lsfb_recording::message::{
     CdrReader, CloudMessage, Layout, StaticTransform, decode_cloud, decode_packets_of,
-    holds_lidar_packets,
 };
-use lsfb_types::{Image, ImuSample, Packet, Timestamp};
+use lsfb_types::{Image, Packet};
 
 use crate::Error;
+use file::unreadable;
 pub use frames::pose_in;
+use part::{Part, parts_of};
+use taken::lidar_messages;
+pub use taken::{BagImu, LidarMessages, LidarTopic, Unread};
 
 /// Message types by their names in ROS 1; those of ROS 2 have `msg` between.
 const IMAGE: &str = "sensor_msgs/Image";
@@ -29,53 +34,6 @@ const TF: &str = "tf2_msgs/TFMessage";
 /// Where the poses of sensors on their carrier are told.
 const TF_STATIC: &str = "/tf_static";
 
-/// What a topic of a LiDAR carries.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LidarMessages {
-    /// Clouds of points.
-    Clouds,
-    /// Packets as the sensor sent them.
-    Packets,
-}
-
-/// A topic of a LiDAR.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct LidarTopic {
-    /// Its name.
-    pub topic: String,
-    /// What it carries.
-    pub messages: LidarMessages,
-}
-
-/// The samples of an IMU.
-#[derive(Clone, Debug, PartialEq)]
-pub struct BagImu {
-    /// Its topic.
-    pub topic: String,
-    /// The frame in which it measures, as the first message has it.
-    pub frame: String,
-    /// Stamps and samples in the order of the bag.
-    pub samples: Vec<(Timestamp, ImuSample)>,
-    /// Messages that are not among them.
-    pub unread: Unread,
-}
-
-/// Messages of a bag that could not be read and were passed over.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Unread {
-    /// How many: of messages, or of chunks of them.
-    pub count: u64,
-    /// Where the first is, and what is wrong with it.
-    pub first: Option<String>,
-}
-
-impl Unread {
-    fn note(&mut self, problem: String) {
-        self.count += 1;
-        self.first.get_or_insert(problem);
-    }
-}
-
 /// A bag, in one file or several.
 pub struct RosBag {
     path: PathBuf,
@@ -83,16 +41,6 @@ pub struct RosBag {
     /// Type of the messages of each topic.
     topics: BTreeMap<String, String>,
 }
-
-/// One file of a bag.
-enum Part {
-    Ros1(ros1::Bag),
-    Mcap(Recording),
-    Sqlite(sqlite::Database),
-}
-
-/// What a bag gives its messages to, with those that it cannot read. Answered with an error it gives no more.
-type Visit<'a> = &'a mut dyn FnMut(Result<&[u8], String>) -> Result<(), String>;
 
 impl RosBag {
     /// Whether a file or folder is a bag by its name. An `.mcap` may be one of ours as well as one of rosbag2.
@@ -103,8 +51,7 @@ impl RosBag {
 
     /// Whether a file is a part of a bag of ROS 2 by its name.
     pub fn is_file_of_one(path: &Path) -> bool {
-        let extension = path.extension().and_then(|e| e.to_str());
-        matches!(extension, Some("mcap" | "db3"))
+        part::is_file_of_one(path)
     }
 
     /// Opens a bag: a file, or the folder of rosbag2 with all its parts.
@@ -120,12 +67,7 @@ impl RosBag {
             topics: BTreeMap::new(),
         };
         for part in parts {
-            let extension = part.extension().and_then(|e| e.to_str());
-            let file = match extension {
-                Some("bag") => Part::Ros1(ros1::Bag::open(&part)?),
-                Some("db3") => Part::Sqlite(sqlite::Database::open(&part)?),
-                _ => Part::Mcap(Recording::open(&part).map_err(|e| unreadable(&part, e))?),
-            };
+            let file = Part::open(&part)?;
             bag.topics.extend(file.topics());
             bag.parts.push(file);
         }
@@ -134,16 +76,7 @@ impl RosBag {
 
     /// What is missing from files of ROS 2 that end early or are torn; damage in others is noted beside the messages that it costs.
     pub fn damage(&self) -> Vec<String> {
-        let files = self.parts.iter().filter_map(|part| match part {
-            Part::Mcap(recording) => Some(recording),
-            Part::Ros1(_) | Part::Sqlite(_) => None,
-        });
-        let of_file = |file: &Recording| {
-            let name = file.path().display().to_string();
-            let all = file.damage().iter().map(|d| format!("{name}: {d}"));
-            all.collect::<Vec<_>>()
-        };
-        files.flat_map(of_file).collect()
+        self.parts.iter().flat_map(Part::damage).collect()
     }
 
     /// Whether it has messages of that topic.
@@ -411,97 +344,6 @@ impl RosBag {
 
     fn wrong(&self, problem: String) -> Error {
         unreadable(&self.path, problem)
-    }
-}
-
-/// What messages of a type carry of a LiDAR; nothing where it is another type.
-fn lidar_messages(kind: &str) -> Option<LidarMessages> {
-    if kind == CLOUD {
-        Some(LidarMessages::Clouds)
-    } else if holds_lidar_packets(&kind.replacen('/', "/msg/", 1)) {
-        Some(LidarMessages::Packets)
-    } else {
-        None
-    }
-}
-
-impl Part {
-    /// Topics and the types of their messages, in the words of ROS 1.
-    fn topics(&self) -> Vec<(String, String)> {
-        let named = |(topic, kind): (&str, &str)| (topic.to_owned(), kind.replace("/msg/", "/"));
-        match self {
-            Self::Ros1(bag) => bag.topics().map(named).collect(),
-            Self::Sqlite(database) => database.topics().map(named).collect(),
-            Self::Mcap(recording) => {
-                let topics = recording.topics().iter();
-                topics.map(|t| named((&t.topic, &t.schema))).collect()
-            }
-        }
-    }
-
-    fn layout(&self) -> Layout {
-        match self {
-            Self::Ros1(_) => Layout::Ros1,
-            Self::Mcap(_) | Self::Sqlite(_) => Layout::Cdr,
-        }
-    }
-
-    fn visit(&self, topic: &str, each: Visit<'_>) -> Result<(), Error> {
-        match self {
-            Self::Ros1(bag) => bag.visit(topic, each),
-            Self::Sqlite(database) => database.visit(topic, each),
-            Self::Mcap(recording) => {
-                let wrong = |e: &dyn std::fmt::Display| unreadable(recording.path(), e);
-                if !recording.topics().iter().any(|t| t.topic == topic) {
-                    return Ok(());
-                }
-                for message in recording.messages(topic).map_err(|e| wrong(&e))? {
-                    let message = message.map_err(|e| e.to_string());
-                    let bytes = message.as_ref().map(|m| m.bytes.as_ref());
-                    each(bytes.map_err(String::clone)).map_err(|e| wrong(&e))?;
-                }
-                Ok(())
-            }
-        }
-    }
-}
-
-/// The parts of a rosbag2 folder, in the order of their numbers.
-fn parts_of(folder: &Path) -> Result<Vec<PathBuf>, Error> {
-    let io = |source| Error::Io {
-        path: folder.to_owned(),
-        source,
-    };
-    let mut parts = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(io)? {
-        let path = entry.map_err(io)?.path();
-        let name = path
-            .file_name()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .into_owned();
-        if name.ends_with(".zstd") {
-            return Err(unreadable(
-                &path,
-                "a bag that was compressed as a whole: unpack it with `zstd -d` first",
-            ));
-        }
-        if RosBag::is_file_of_one(&path) {
-            // rosbag2 numbers parts without leading zeros: the shorter name comes first.
-            parts.push((name.len(), path));
-        }
-    }
-    parts.sort();
-    if parts.is_empty() {
-        return Err(unreadable(folder, "no .mcap or .db3 in this folder"));
-    }
-    Ok(parts.into_iter().map(|(_, path)| path).collect())
-}
-
-fn unreadable(path: &Path, problem: impl std::fmt::Display) -> Error {
-    Error::Bag {
-        path: path.to_owned(),
-        problem: problem.to_string(),
     }
 }
 

@@ -7,7 +7,7 @@ use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 
-use super::{Visit, unreadable};
+use super::file::{Visit, unreadable};
 use crate::Error;
 
 const MAGIC: &[u8] = b"#ROSBAG V2.0\n";

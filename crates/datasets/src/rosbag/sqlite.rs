@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use rusqlite::{Connection, OpenFlags};
 
-use super::{Visit, unreadable};
+use super::file::{Visit, unreadable};
 use crate::Error;
 
 pub(super) struct Database {

@@ -1,7 +1,7 @@
 use std::io::Write as _;
 
 use lsfb_recording::{Recording, Writer, WriterConfig};
-use lsfb_types::{Image, Stamped};
+use lsfb_types::{Image, Stamped, Timestamp};
 use rusqlite::Connection;
 
 use super::*;

@@ -2,7 +2,7 @@
 
 use lsfb_geometry::{Rig, StampedPose, Trajectory, Vector3};
 use lsfb_recording::{Recording, message};
-use lsfb_types::{ProgressFn, Timestamp};
+use lsfb_types::{ProgressFn, Timestamp, median, quantile};
 use serde::Serialize;
 
 use super::description::QueryEntry;
@@ -82,7 +82,7 @@ fn view_in_rig(rig: &Rig) -> Vector3<f64> {
 fn blur_px(images: &ImageFigures, poses: &[StampedPose], rig: &Rig) -> Option<[f64; 2]> {
     let focal_px = rig.cameras.values().next()?.camera.focal_px()[0];
     let trajectory = Trajectory::new(poses.to_vec());
-    let mut blurs: Vec<f64> = images
+    let blurs: Vec<f64> = images
         .exposures
         .iter()
         .filter(|(_, exposure_ns)| *exposure_ns > 0)
@@ -93,7 +93,5 @@ fn blur_px(images: &ImageFigures, poses: &[StampedPose], rig: &Rig) -> Option<[f
             Some(before.rotation.angle_to(&after.rotation) * focal_px)
         })
         .collect();
-    blurs.sort_by(f64::total_cmp);
-    let of = |share: f64| blurs.get((share * blurs.len() as f64) as usize).copied();
-    Some([of(0.5)?, of(0.95)?])
+    Some([median(blurs.clone())?, quantile(blurs, 0.95)?])
 }

@@ -1,7 +1,9 @@
 //! A first answer without a guess: rotation, then translation of one body in the other, from motions that both made.
 
-use crate::Error;
 use lsfb_geometry::{Matrix3, Se3, UnitQuaternion, Vector3, so3};
+use lsfb_types::median;
+
+use crate::Error;
 
 /// Times between the two poses of a motion, seconds: short ones for fast turns, long ones for large.
 const LAGS_SECS: [f64; 3] = [0.5, 1.0, 2.0];
@@ -138,14 +140,13 @@ fn lever(motions: &[Motion], rotation: &UnitQuaternion<f64>) -> Result<Vector3<f
     };
     let mut lever = solve(f64::INFINITY, None)?;
     for _ in 0..3 {
-        let mut misses: Vec<f64> = motions
+        let misses = motions
             .iter()
             .map(equation)
             .map(|(a, b)| (a * lever - b).norm())
             .collect();
-        misses.sort_by(f64::total_cmp);
-        let median = misses.get(misses.len() / 2).copied().unwrap_or(0.0);
-        lever = solve(3.0 * median + 1e-9, Some(lever))?;
+        let usual_m = median(misses).unwrap_or(0.0);
+        lever = solve(3.0 * usual_m + 1e-9, Some(lever))?;
     }
     Ok(lever)
 }
@@ -159,7 +160,7 @@ fn world(moments: &[Moment], body: &Se3) -> Se3 {
         .map(|m| m.reference * *body * m.estimate.inverse())
         .collect();
     let distance = |a: &Se3| {
-        let mut off: Vec<f64> = moments
+        let off = moments
             .iter()
             .step_by(step)
             .map(|m| {
@@ -167,8 +168,7 @@ fn world(moments: &[Moment], body: &Se3) -> Se3 {
                 miss.norm()
             })
             .collect();
-        off.sort_by(f64::total_cmp);
-        off.get(off.len() / 2).copied().unwrap_or(f64::INFINITY)
+        median(off).unwrap_or(f64::INFINITY)
     };
     let best = guesses
         .iter()

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use lsfb_geometry::{Se3, Vector2, Vector6};
 use lsfb_solver::{Block, Kernel, Problem, SolveConfig, covariance, solve};
+use lsfb_types::median;
 
 use super::ClockModel;
 use super::closed_form::Pair;
@@ -81,7 +82,7 @@ pub(super) struct Halved {
 }
 
 #[derive(Clone, Copy)]
-struct State {
+struct Unknowns {
     world: Se3,
     body: Se3,
     /// Offset, seconds, and drift.
@@ -126,7 +127,7 @@ pub(super) fn refine(
             sigmas: PAPER_SIGMAS,
         })
         .collect();
-    let state = State {
+    let state = Unknowns {
         world: start.reference_from_estimate_world,
         body: start.reference_from_estimate_body,
         clock: Vector2::new(offset_secs, 0.0),
@@ -136,7 +137,7 @@ pub(super) fn refine(
         whole.middle_secs -= whole.offset_secs;
     }
     let (first, second) = all.split_at(all.len() / 2);
-    let found = State {
+    let found = Unknowns {
         world: whole.world,
         body: whole.body,
         clock: Vector2::new(whole.offset_secs, 0.0),
@@ -156,7 +157,7 @@ pub(super) fn refine(
 /// From a start to what fits.
 fn without_outliers(
     all: &[BodyResidual],
-    mut state: State,
+    mut state: Unknowns,
     clock: ClockModel,
 ) -> Result<Refined, Error> {
     adjust(
@@ -221,7 +222,7 @@ fn without_outliers(
     })
 }
 
-fn errors(residuals: &[BodyResidual], state: &State) -> Vec<Option<Vector6<f64>>> {
+fn errors(residuals: &[BodyResidual], state: &Unknowns) -> Vec<Option<Vector6<f64>>> {
     let error = |r: &BodyResidual| r.error(&state.world, &state.body, &state.clock);
     residuals.iter().map(error).collect()
 }
@@ -236,12 +237,11 @@ fn weighted_norm(error: &Vector6<f64>, sigmas: [f64; 2]) -> f64 {
 pub(super) fn sigmas(errors: &[Option<Vector6<f64>>]) -> [f64; 2] {
     [0, 3].map(|first| {
         let parts = errors.iter().flatten();
-        let mut sizes: Vec<f64> = parts
+        let sizes = parts
             .flat_map(|e| (first..first + 3).map(|k| e[k].abs()))
             .collect();
-        sizes.sort_by(f64::total_cmp);
-        let median = sizes.get(sizes.len() / 2).copied().unwrap_or(0.0);
-        (SIGMA_PER_MEDIAN * median).max(LEAST_SIGMAS[first / 3])
+        let usual = median(sizes).unwrap_or(0.0);
+        (SIGMA_PER_MEDIAN * usual).max(LEAST_SIGMAS[first / 3])
     })
 }
 
@@ -300,7 +300,7 @@ fn adjust(
     sigmas: [f64; 2],
     kernel: Kernel,
     model: ClockModel,
-    state: &mut State,
+    state: &mut Unknowns,
 ) -> Result<Solved, Error> {
     let mut problem = Problem::new();
     let world = problem.add_block(state.world);
@@ -322,7 +322,7 @@ fn adjust(
         ..SolveConfig::default()
     };
     solve(&mut problem, &config)?;
-    *state = State {
+    *state = Unknowns {
         world: problem.value(world),
         body: problem.value(body),
         clock: problem.value(clock),

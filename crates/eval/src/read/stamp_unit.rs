@@ -3,6 +3,8 @@
 use std::fmt;
 use std::str::FromStr;
 
+use lsfb_types::median;
+
 /// Unit of a file's stamps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StampUnit {
@@ -90,10 +92,9 @@ impl StampSize {
     pub(super) fn of(stamps: &[f64]) -> Self {
         let mut steps: Vec<f64> = stamps.windows(2).map(|w| (w[1] - w[0]).abs()).collect();
         steps.retain(|step| *step > 0.0 && step.is_finite());
-        steps.sort_by(f64::total_cmp);
         Self {
             largest: stamps.iter().fold(0.0, |most, s| most.max(s.abs())),
-            step: steps.get(steps.len() / 2).copied().unwrap_or(0.0),
+            step: median(steps).unwrap_or(0.0),
         }
     }
 

@@ -50,7 +50,7 @@ pub fn parse(files: &[ArchivedFile]) -> Result<Weights, Damage> {
 
 /// A tensor that lies in a storage row by row.
 #[derive(Clone, Debug, PartialEq)]
-struct Place {
+struct StoredTensor {
     storage: String,
     offset: usize,
     shape: Vec<usize>,
@@ -64,7 +64,7 @@ enum Item {
     Function(String),
     Tuple(Vec<Item>),
     FloatStorage(String),
-    Tensor(Place),
+    Tensor(StoredTensor),
     Other,
 }
 
@@ -73,7 +73,7 @@ struct Machine<'a> {
     rest: &'a [u8],
     stack: Vec<Item>,
     memo: HashMap<usize, Item>,
-    named: Vec<(String, Place)>,
+    named: Vec<(String, StoredTensor)>,
     steps: usize,
 }
 
@@ -273,7 +273,7 @@ fn called(function: &Item, arguments: &Item) -> Item {
         }
         step = step.saturating_mul(*length);
     }
-    Item::Tensor(Place {
+    Item::Tensor(StoredTensor {
         storage: storage.clone(),
         offset: *offset,
         shape,

@@ -5,7 +5,7 @@ use super::*;
 
 struct Checked {
     walk: Walk,
-    states: Vec<State>,
+    states: Vec<FrameState>,
     covariances: Vec<Option<Matrix6<f64>>>,
     halves: Vec<HalvesCheck>,
 }

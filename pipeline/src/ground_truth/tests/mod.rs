@@ -22,7 +22,7 @@ use super::run::not_used;
 use super::start::{Start, start_states};
 use super::trusted::{Solution, trusted};
 use super::uncertainty::{Uncertainty, uncertainty};
-use super::walk::{FixedObservation, Frame, LocalizedPose, State, Walk};
+use super::walk::{FixedObservation, Frame, FrameState, LocalizedPose, Walk};
 use super::*;
 use crate::features::{DESCRIPTOR_LEN, Keypoint};
 use crate::preintegration::standard_gravity_m_s2;
@@ -243,7 +243,7 @@ struct Errors {
     worst_rad: f64,
 }
 
-fn errors(walk: &Walk, states: &[State]) -> Errors {
+fn errors(walk: &Walk, states: &[FrameState]) -> Errors {
     let mut result = Errors {
         rms_m: 0.0,
         worst_m: 0.0,

@@ -13,7 +13,7 @@ use crate::ground_truth::estimate::Estimate;
 use crate::ground_truth::inertial::any_motion;
 use crate::ground_truth::optimization::{Anchor, Optimized, choose_observations, optimize};
 use crate::ground_truth::report::local_errors;
-use crate::ground_truth::walk::{State, Walk};
+use crate::ground_truth::walk::{FrameState, Walk};
 use crate::preintegration::{ImuBias, NavState, PreintegratedImu, standard_gravity_m_s2};
 
 /// Frames are added for so long at a time, seconds: the IMU alone leads a few centimetres astray.
@@ -38,13 +38,13 @@ pub(super) struct Extension<'a> {
     tracks: &'a Tracks,
     /// Frame of the first state.
     first: usize,
-    states: Vec<State>,
+    states: Vec<FrameState>,
     /// Frames from the first on that are at rest.
     resting: usize,
 }
 
 impl<'a> Extension<'a> {
-    pub fn of(walk: &'a Walk, tracks: &'a Tracks, first: usize, states: Vec<State>) -> Self {
+    pub fn of(walk: &'a Walk, tracks: &'a Tracks, first: usize, states: Vec<FrameState>) -> Self {
         Self {
             walk,
             tracks,
@@ -149,7 +149,7 @@ impl<'a> Extension<'a> {
             let (before, frame) = (&self.walk.frames[end - 1], &self.walk.frames[end]);
             let state = self.states[end - 1 - self.first];
             let change = self.between(before.time, frame.time, &state)?;
-            self.states.push(State {
+            self.states.push(FrameState {
                 nav: change.predict(&state.nav, &state.bias, &standard_gravity_m_s2()),
                 bias: state.bias,
             });
@@ -171,7 +171,7 @@ impl<'a> Extension<'a> {
                 break;
             }
             let change = self.between(time, self.walk.frames[self.first].time, &state)?;
-            state = State {
+            state = FrameState {
                 nav: led_back(&change, &state.nav, &state.bias),
                 bias: state.bias,
             };
@@ -187,7 +187,7 @@ impl<'a> Extension<'a> {
         &self,
         from: lsfb_types::Timestamp,
         to: lsfb_types::Timestamp,
-        state: &State,
+        state: &FrameState,
     ) -> Result<PreintegratedImu, Error> {
         match PreintegratedImu::integrate(&self.walk.imu, from, to, state.bias, &self.walk.noise) {
             Err(Error::ImuGap { .. }) => Ok(any_motion(state, to.secs_since(from))),
@@ -277,7 +277,7 @@ impl<'a> Extension<'a> {
     }
 }
 
-/// State at the first instant, given that at the second.
+/// FrameState at the first instant, given that at the second.
 fn led_back(change: &PreintegratedImu, end: &NavState, bias: &ImuBias) -> NavState {
     let (secs, gravity) = (change.duration_secs, standard_gravity_m_s2());
     let change = change.corrected(bias);

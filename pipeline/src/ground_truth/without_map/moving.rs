@@ -14,7 +14,7 @@ use super::gyro_bias;
 use super::sights::Tracks;
 use crate::Error;
 use crate::ground_truth::GroundTruthConfig;
-use crate::ground_truth::walk::{LocalObservation, State, Walk};
+use crate::ground_truth::walk::{LocalObservation, FrameState, Walk};
 use crate::odometry::GRAVITY_M_S2;
 use crate::preintegration::{ImuBias, NavState, PreintegratedImu};
 
@@ -59,7 +59,7 @@ pub(super) fn states(
     tracks: &Tracks,
     window: Range<usize>,
     config: &GroundTruthConfig,
-) -> Result<Option<Vec<State>>, Error> {
+) -> Result<Option<Vec<FrameState>>, Error> {
     let Some(gyro_rad_s) = gyro_bias::estimate(walk, tracks, &window)? else {
         return Ok(None);
     };
@@ -88,7 +88,7 @@ struct Found {
 }
 
 impl Found {
-    fn states(&self, changes: &[PreintegratedImu]) -> Vec<State> {
+    fn states(&self, changes: &[PreintegratedImu]) -> Vec<FrameState> {
         let level = UnitQuaternion::rotation_between(&-self.gravity_m_s2, &Vector3::z())
             .unwrap_or_else(|| {
                 UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
@@ -98,7 +98,7 @@ impl Found {
             velocity_m_s: level * self.velocity_m_s,
         };
         let gravity_m_s2 = level * self.gravity_m_s2;
-        let state = |change: &PreintegratedImu| State {
+        let state = |change: &PreintegratedImu| FrameState {
             nav: change.predict(&first, &self.bias, &gravity_m_s2),
             bias: self.bias,
         };

@@ -4,7 +4,7 @@ use lsfb_geometry::{Se3, UnitQuaternion, Vector3};
 use lsfb_perception::statistics::median;
 
 use super::sights::Tracks;
-use crate::ground_truth::walk::{State, Walk};
+use crate::ground_truth::walk::{FrameState, Walk};
 use crate::odometry::GRAVITY_M_S2;
 use crate::preintegration::{ImuBias, NavState};
 
@@ -18,7 +18,7 @@ const LARGEST_ERROR_M_S2: f64 = 0.7;
 const FEWEST_TRACKS: usize = 15;
 
 /// States of the frames during which the walk begins at rest; `None` where it does not.
-pub(super) fn states(walk: &Walk, tracks: &Tracks) -> Option<Vec<State>> {
+pub(super) fn states(walk: &Walk, tracks: &Tracks) -> Option<Vec<FrameState>> {
     let count = (1..walk.frames.len()).take_while(|k| rests(walk, tracks, *k));
     let last = count.last()?;
     let (start, end) = (walk.frames[0].time, walk.frames[last].time);
@@ -42,7 +42,7 @@ pub(super) fn states(walk: &Walk, tracks: &Tracks) -> Option<Vec<State>> {
         return None;
     }
     let upright = UnitQuaternion::rotation_between(&force, &Vector3::z())?;
-    let state = State {
+    let state = FrameState {
         nav: NavState {
             world_from_rig: Se3::new(upright, Vector3::zeros()),
             velocity_m_s: Vector3::zeros(),

@@ -4,12 +4,12 @@ use std::fmt::Write;
 
 use lsfb_geometry::Se3;
 use lsfb_pipeline::localization::{Evidence, Localization, NotLocalized};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::PAPER_INLIERS;
 
 /// What became of one frame.
-#[derive(Serialize)]
+#[derive(Clone, PartialEq, Serialize, Deserialize)]
 pub struct Frame {
     /// Name of the image, or time of the instant, seconds.
     pub frame: String,
@@ -26,7 +26,7 @@ pub struct Frame {
 }
 
 /// A pose and what speaks for it.
-#[derive(Serialize)]
+#[derive(Clone, PartialEq, Serialize, Deserialize)]
 pub struct Pose {
     /// Position of the rig in the world of the map, metres.
     pub translation_m: [f64; 3],
@@ -145,5 +145,61 @@ impl Pose {
         ]);
         fields.extend(self.covariance.iter().map(f64::to_string));
         fields
+    }
+}
+
+#[cfg(test)]
+pub mod tests {
+    use super::*;
+
+    /// A frame that was localized at a place along x.
+    pub fn frame(name: String, x_m: f64, listed: Option<&Se3>) -> Frame {
+        let evidence = Evidence {
+            first_matches: 300,
+            first_inliers: 90,
+            chance_level: 1.0 / 3000.0,
+            log10_false_alarms: -120.25,
+            guided_inliers: 200,
+            decoy_inliers: 12.0,
+            image_spread: 0.6,
+            focal_scale: 1.0,
+            // What the matches do not tell.
+            focal_log_sigma: f64::INFINITY,
+            focal_decades: 0.0,
+            log10_false_alarms_mirrored: f64::MIN_POSITIVE,
+            decades_together: 0.04,
+            rival_inliers: 0,
+        };
+        Frame {
+            frame: name,
+            localized: true,
+            reason: None,
+            pose: Some(Pose {
+                translation_m: [x_m, x_m / 3.0, -0.0],
+                rotation_xyzw: [0.1 * x_m, 0.0, 0.0, 1.0],
+                position_sigma_m: 1e-3 * x_m,
+                rotation_sigma_deg: 0.1,
+                covariance: (0..36).map(|k| x_m / f64::from(k + 7)).collect(),
+                probability: 1.0 - 1e-9 * x_m,
+                inliers: 200,
+                more_than_30_inliers: true,
+                reprojection_rms_px: 1.0 / (1.0 + x_m),
+                evidence,
+            }),
+            distance_m: listed.map(|listed| (listed.translation.x - x_m).abs()),
+            angle_deg: listed.map(|_| x_m / 7.0),
+        }
+    }
+
+    /// A frame that was not.
+    pub fn not_found(name: String) -> Frame {
+        Frame {
+            frame: name,
+            localized: false,
+            reason: Some("\"too few\" matches".to_owned()),
+            pose: None,
+            distance_m: None,
+            angle_deg: None,
+        }
     }
 }

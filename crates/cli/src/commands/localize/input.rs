@@ -5,12 +5,17 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use lsfb_geometry::{Rig, Se3};
 use lsfb_pipeline::features::FeatureDetector;
-use lsfb_pipeline::localization::{Localizer, QueryImage, localize_images, localize_recording};
+use lsfb_pipeline::hd_map::HdMap;
+use lsfb_pipeline::localization::{
+    Localizer, LocalizerConfig, QueryImage, localize_images, localize_recording,
+};
 use lsfb_pipeline::posed_images::{PosedImages, rig_of};
-use lsfb_recording::Recording;
+use lsfb_recording::{Provenance, Recording};
+use lsfb_types::Progress;
 
 use super::Arguments;
 use super::frames::Frame;
+use super::unfinished::{Asked, Unfinished};
 use crate::context::Context;
 
 /// The map's folder and the path of what is localized.
@@ -127,35 +132,68 @@ impl Input {
         }
     }
 
-    /// Localizes each frame.
+    /// Images that the same command localized before it was stopped; `None` of a walk, of which nothing is kept.
+    pub fn unfinished(
+        &self,
+        result: &Path,
+        map: &Path,
+        config: &LocalizerConfig,
+    ) -> anyhow::Result<Option<Unfinished>> {
+        let Self::Images { rig, .. } = self else {
+            return Ok(None);
+        };
+        let mut made_from = Provenance::new(config);
+        // The map's header has the hashes of its other files, and names the feature with its weights.
+        made_from.add_input(&map.join(HdMap::HEADER))?;
+        made_from.add_rig(rig);
+        let program = crate::standing::program_sha256()?;
+        Ok(Some(Unfinished::open(result, program, &made_from)?))
+    }
+
+    /// Localizes each frame, but for images that are known from before.
     pub fn localize(
         &self,
         localizer: &Localizer,
         detector: &FeatureDetector,
+        unfinished: Option<&mut Unfinished>,
         context: &Context,
     ) -> anyhow::Result<Found> {
-        let show = |p| context.show(p);
         match self {
             Self::Images {
                 rig,
                 images,
                 listed,
             } => {
-                let found = localize_images(localizer, rig, images, detector, &show)?;
                 let listed = listed.iter().flatten().map(Some);
                 let listed = listed.chain(std::iter::repeat(None));
-                let frames = images.iter().zip(&found).zip(listed);
-                Ok(Found {
-                    frames: frames
-                        .map(|((image, found), listed)| {
-                            Frame::new(crate::files::name_of(&image.path), found, listed)
+                let asked = images.iter().zip(listed);
+                let asked: Vec<Asked> = asked
+                    .map(|(image, listed)| Asked { image, listed })
+                    .collect();
+                let localize = |done: usize, part: &[Asked]| -> anyhow::Result<Vec<Frame>> {
+                    let show = |p: Progress| {
+                        context.show(Progress {
+                            done: done as u64 + p.done,
+                            total: images.len() as u64,
+                            ..p
                         })
-                        .collect(),
-                    damaged: 0,
-                })
+                    };
+                    let queries: Vec<QueryImage> = part.iter().map(|a| a.image.clone()).collect();
+                    let found = localize_images(localizer, rig, &queries, detector, &show)?;
+                    let frames = part.iter().zip(&found).map(|(asked, found)| {
+                        let name = crate::files::name_of(&asked.image.path);
+                        Frame::new(name, found, asked.listed)
+                    });
+                    Ok(frames.collect())
+                };
+                let frames = match unfinished {
+                    Some(unfinished) => unfinished.complete(&asked, localize)?,
+                    None => localize(0, &asked)?,
+                };
+                Ok(Found { frames, damaged: 0 })
             }
             Self::Walk(walk) => {
-                let found = localize_recording(localizer, walk, detector, &show)?;
+                let found = localize_recording(localizer, walk, detector, &|p| context.show(p))?;
                 let frames = found.instants.iter();
                 Ok(Found {
                     frames: frames

@@ -3,11 +3,13 @@
 mod drawing;
 mod frames;
 mod input;
+mod unfinished;
 
 use std::path::PathBuf;
 
 use lsfb_pipeline::hd_map::HdMap;
 use lsfb_pipeline::localization::{Localizer, LocalizerConfig};
+use lsfb_types::median;
 use serde::Serialize;
 
 use super::models::ModelFolder;
@@ -15,11 +17,13 @@ use crate::context::Context;
 use crate::outcome::Outcome;
 use frames::Frame;
 use input::Input;
+use unfinished::Unfinished;
 
 /// Localize images, or the instants of a walk, in an HD map: a pose for each with its probability, or why there is none.
 ///
 /// Each is localized on its own, by the feature that the map holds. A pose is given where it is right with a probability of
-/// 0.99. A folder of images needs the intrinsics of its camera: K.txt in it, or --rig.
+/// 0.99. A folder of images needs the intrinsics of its camera: K.txt in it, or --rig. With --out, the same command continues behind
+/// the images that it had localized when it was stopped.
 ///
 /// Examples:
 ///   lsfb localize map walk.mcap --out walk.csv
@@ -94,19 +98,32 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     {
         context.claim(result, &[&input])?;
     }
-    let localizer = Localizer::new(&super::open_map(&map)?, &LocalizerConfig::default())?;
+    let config = LocalizerConfig::default();
+    let localizer = Localizer::new(&super::open_map(&map)?, &config)?;
     let input = Input::open(&input, arguments, context)?;
     let input = match arguments.explain {
         Some(frame) => input.only(frame)?,
         None => input,
     };
     let mut detector = arguments.models.detector(localizer.map().feature())?;
-    let found = input.localize(&localizer, &detector, context)?;
+    let mut unfinished = match (&arguments.out, arguments.explain) {
+        (Some(out), None) => input.unfinished(out, &map, &config)?,
+        _ => None,
+    };
+    if let Some(before) = unfinished.as_ref().map(Unfinished::len).filter(|n| *n > 0) {
+        context.note(&format!(
+            "going on behind {before} images that were localized before"
+        ));
+    }
+    let found = input.localize(&localizer, &detector, unfinished.as_mut(), context)?;
     if let Some(path) = &arguments.out_drawing {
         crate::files::write(path, drawing::draw(&localizer, &mut detector, &input)?)?;
     }
     if let Some(path) = &arguments.out {
         crate::files::write(path, frames::csv(&found.frames))?;
+    }
+    if let Some(unfinished) = unfinished {
+        unfinished.remove()?;
     }
     let summary = summary(found.frames, &input, localizer.map());
     context.print(&summary, || text(&summary))?;
@@ -122,10 +139,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
 
 fn summary(frames: Vec<Frame>, input: &Input, map: &HdMap) -> Summary {
     let localized: Vec<&Frame> = frames.iter().filter(|f| f.localized).collect();
-    let median = |value: fn(&Frame) -> Option<f64>| {
-        let mut values: Vec<f64> = localized.iter().filter_map(|f| value(f)).collect();
-        values.sort_by(f64::total_cmp);
-        values.get(values.len() / 2).copied()
+    let median_of = |value: fn(&Frame) -> Option<f64>| {
+        median(localized.iter().filter_map(|f| value(f)).collect())
     };
     let is_right = |frame: &&&Frame| {
         frame.distance_m.is_some_and(|d| d <= RIGHT_DISTANCE_M)
@@ -139,8 +154,8 @@ fn summary(frames: Vec<Frame>, input: &Input, map: &HdMap) -> Summary {
         right: input
             .lists_poses()
             .then(|| localized.iter().filter(is_right).count()),
-        median_distance_m: median(|f| f.distance_m),
-        median_angle_deg: median(|f| f.angle_deg),
+        median_distance_m: median_of(|f| f.distance_m),
+        median_angle_deg: median_of(|f| f.angle_deg),
         map_failures: map.failures().to_vec(),
         frames,
     }

@@ -5,7 +5,7 @@
 use std::path::Path;
 
 use lsfb_geometry::{Camera, CameraTiming, Rig, RigCamera, Se3, Vector3};
-use lsfb_types::ImuSample;
+use lsfb_types::{ImuSample, median};
 
 use super::ios_logger::rotation;
 use super::{STANDARD_GRAVITY_M_S2, frame};
@@ -92,16 +92,14 @@ fn samples(table: &Table, into: &mut Collected) {
         let [x, y, z] = acceleration(&row).ok()?;
         Some((x * x + y * y + z * z).sqrt())
     });
-    let mut norms: Vec<f64> = norms.collect();
-    norms.sort_by(f64::total_cmp);
-    let median = norms.get(norms.len() / 2).copied().unwrap_or(0.0);
-    let m_s2_per_unit = if IN_G.contains(&median) {
+    let usual = median(norms.collect()).unwrap_or(0.0);
+    let m_s2_per_unit = if IN_G.contains(&usual) {
         Ok(STANDARD_GRAVITY_M_S2)
-    } else if IN_M_S2.contains(&median) {
+    } else if IN_M_S2.contains(&usual) {
         Ok(1.0)
     } else {
         Err(format!(
-            "the median acceleration is {median:.3}, neither 1 g nor 9.81 m/s²: gravity is not in it"
+            "the median acceleration is {usual:.3}, neither 1 g nor 9.81 m/s²: gravity is not in it"
         ))
     };
     for row in data_rows(table) {

@@ -4,7 +4,7 @@ use lsfb_geometry::{Se3, StampedPose};
 use lsfb_types::Timestamp;
 
 use super::super::ClockModel;
-use super::filter::{Seen, Smoothed};
+use super::filter::{MarkerPose, Smoothed};
 use super::motion::{Inertial, State};
 
 /// Poses of motion capture that are used; more are thinned out evenly.
@@ -34,7 +34,7 @@ impl Clock {
     pub fn moved(
         &mut self,
         found: &[Smoothed],
-        seen: &mut [Seen],
+        seen: &mut [MarkerPose],
         model: ClockModel,
     ) -> Vec<State> {
         let count = found.len().max(1) as f64;
@@ -92,19 +92,19 @@ pub(super) fn within(
 }
 
 /// Poses on the IMU's clock, with times to look at where there are none.
-pub(super) fn seen(poses: &[(f64, Se3)], clock: &Clock) -> Vec<Seen> {
-    let mut seen: Vec<Seen> = Vec::with_capacity(poses.len());
+pub(super) fn seen(poses: &[(f64, Se3)], clock: &Clock) -> Vec<MarkerPose> {
+    let mut seen: Vec<MarkerPose> = Vec::with_capacity(poses.len());
     for (secs, markers) in poses {
         let secs = clock.imu_secs(*secs);
         let mut last = seen.last().map_or(secs, |s| s.secs);
         while secs - last > 2.0 * LOOK_SECS {
             last += LOOK_SECS;
-            seen.push(Seen {
+            seen.push(MarkerPose {
                 secs: last,
                 markers: None,
             });
         }
-        seen.push(Seen {
+        seen.push(MarkerPose {
             secs,
             markers: Some(*markers),
         });

@@ -23,7 +23,7 @@ const GATE: f64 = 30.0;
 
 /// A time of the IMU's clock, seconds, and the pose of the markers there; none where they were dropped.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Seen {
+pub(super) struct MarkerPose {
     pub secs: f64,
     pub markers: Option<Se3>,
 }
@@ -88,7 +88,7 @@ pub(super) enum About<'a> {
 /// `seen` in order of time, all within the samples; `covariance` is known of the first state before.
 pub(super) fn smooth(
     inertial: &Inertial,
-    seen: &[Seen],
+    seen: &[MarkerPose],
     about: About<'_>,
     covariance: &Matrix25,
     model: &Model,
@@ -156,7 +156,7 @@ pub(super) fn smooth(
 /// nothing is added.
 fn corrected(
     inertial: &Inertial,
-    seen: &Seen,
+    seen: &MarkerPose,
     nominal: &State,
     error: &Error25,
     known: &Matrix25,
@@ -246,7 +246,7 @@ fn miss(inertial: &Inertial, secs: f64, seen: &Se3, state: &State) -> (Vector6<f
 fn backward(
     inertial: &Inertial,
     steps: &[Step],
-    seen: &[Seen],
+    seen: &[MarkerPose],
     model: &Model,
 ) -> Result<Vec<Smoothed>, Error> {
     let mut found: Vec<Smoothed> = Vec::with_capacity(steps.len());

@@ -18,7 +18,7 @@ use super::refine::{correlation_factor, deviations, sigmas};
 use super::{ClockModel, HandEyeConfig};
 use crate::Error;
 use clock::{Clock, seen, within};
-use filter::{About, Model, Seen, Smoothed, smooth};
+use filter::{About, MarkerPose, Model, Smoothed, smooth};
 use motion::{
     ACCEL_BIAS, CLOCK, GRAVITY, GYRO_BIAS, Inertial, MOUNT_PLACE, MOUNT_ROTATION, Matrix25, PLACE,
     ROTATION, State, VELOCITY,
@@ -254,7 +254,7 @@ fn prior() -> Matrix25 {
 /// What stays, of the first and of the second half of the time alone; `None` where a half does not tell it.
 fn halves(
     inertial: &Inertial,
-    seen: &[Seen],
+    seen: &[MarkerPose],
     found: &[Smoothed],
     model: &Model,
 ) -> Option<[Smoothed; 2]> {

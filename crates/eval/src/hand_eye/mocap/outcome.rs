@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::super::{UncertainPose, statistics, uncertain};
 use super::clock::Clock;
-use super::filter::{Seen, Smoothed};
+use super::filter::{MarkerPose, Smoothed};
 use super::motion::{CLOCK, Inertial, MOUNT_ROTATION, Matrix25, PLACE, ROTATION};
 use crate::{Error, Statistics};
 
@@ -67,7 +67,7 @@ pub(super) struct Noise {
 /// Standard deviations are raised by `noise`.
 pub(super) fn outcome(
     inertial: &Inertial,
-    seen: &[Seen],
+    seen: &[MarkerPose],
     found: &[Smoothed],
     clock: &Clock,
     noise: Noise,
@@ -121,7 +121,7 @@ pub(super) fn outcome(
 }
 
 /// What must be added to the IMU's stamp at which a pose was looked at to have the motion capture's.
-fn offset_secs(found: &Smoothed, seen: &Seen, clock: &Clock) -> f64 {
+fn offset_secs(found: &Smoothed, seen: &MarkerPose, clock: &Clock) -> f64 {
     let at = seen.secs;
     let mocap_secs =
         (at - clock.ahead_secs + clock.drift * clock.middle_secs) / (1.0 + clock.drift);
@@ -139,7 +139,7 @@ fn inverse_sigmas(mount: &Se3, covariance: &Matrix25, factor: f64) -> [f64; 6] {
     std::array::from_fn(|k| factor * moved[(k, k)].max(0.0).sqrt())
 }
 
-fn longest_gap_secs(seen: &[Seen], left: &[Option<Vector6<f64>>]) -> f64 {
+fn longest_gap_secs(seen: &[MarkerPose], left: &[Option<Vector6<f64>>]) -> f64 {
     let used: Vec<f64> = seen
         .iter()
         .zip(left)
@@ -151,7 +151,7 @@ fn longest_gap_secs(seen: &[Seen], left: &[Option<Vector6<f64>>]) -> f64 {
 /// The IMU's path where it is certain, and the share of the time of which that is.
 fn path(
     inertial: &Inertial,
-    seen: &[Seen],
+    seen: &[MarkerPose],
     found: &[Smoothed],
     noise: Noise,
 ) -> (Vec<StampedPose>, f64) {

@@ -14,10 +14,10 @@ const MOST: usize = 100_000;
 /// Scores in memory and in their file.
 pub struct Kept {
     path: PathBuf,
-    state: Mutex<State>,
+    state: Mutex<Submissions>,
 }
 
-struct State {
+struct Submissions {
     file: File,
     submissions: Vec<Submission>,
 }
@@ -48,7 +48,7 @@ impl Kept {
         }
         Ok(Self {
             path: path.to_owned(),
-            state: Mutex::new(State { file, submissions }),
+            state: Mutex::new(Submissions { file, submissions }),
         })
     }
 

@@ -6,7 +6,7 @@ use lsfb_eval::{Smoothness, read_poses};
 use lsfb_geometry::{StampedPose, Trajectory};
 use lsfb_pipeline::ground_truth::GroundTruthConfig;
 use lsfb_pipeline::mapping::MappingConfig;
-use lsfb_types::Stopped;
+use lsfb_types::{Stopped, median};
 
 use super::cost::Costs;
 use super::judging::{self, Localized};
@@ -197,7 +197,7 @@ fn off_path_m(scan: &[StampedPose], walk: &[StampedPose]) -> f64 {
     /// Of two hundred poses a second, ten are enough.
     const EVERY: usize = 20;
     let place = |pose: &StampedPose| pose.world_from_rig.translation;
-    let mut distances: Vec<f64> = walk
+    let distances: Vec<f64> = walk
         .iter()
         .step_by(EVERY)
         .map(|pose| {
@@ -207,8 +207,7 @@ fn off_path_m(scan: &[StampedPose], walk: &[StampedPose]) -> f64 {
             apart.fold(f64::INFINITY, f64::min)
         })
         .collect();
-    distances.sort_by(f64::total_cmp);
-    distances.get(distances.len() / 2).copied().unwrap_or(0.0)
+    median(distances).unwrap_or(0.0)
 }
 
 #[cfg(test)]

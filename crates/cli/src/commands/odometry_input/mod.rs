@@ -1,0 +1,117 @@
+//! What `lsfb odometry` runs on: a recording of ours, somebody's bag, a capture of packets, a folder of clouds.
+
+mod bag;
+mod clouds;
+mod packets;
+mod sensors;
+
+use std::path::Path;
+
+use anyhow::{Context as _, bail};
+use lsfb_datasets::RosBag;
+use lsfb_drivers::any_lidar::Model;
+use lsfb_pipeline::odometry::{OdometryConfig, OdometryResult, run_odometry};
+use lsfb_recording::Recording;
+use serde::Serialize;
+
+use crate::commands::{about, expect_file};
+use crate::context::Context;
+
+/// What the command line says about the input.
+pub struct Choice<'a> {
+    pub path: &'a Path,
+    pub rig: Option<&'a Path>,
+    pub lidar: Option<&'a str>,
+    pub imu: Option<&'a str>,
+    pub rate_hz: f64,
+    /// The sensor: of packets the one that they must be of; of clouds one whose azimuths are times.
+    pub model: Option<Model>,
+}
+
+/// What the scans and samples were taken from.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct InputReport {
+    /// The topic of the scans.
+    pub lidar_topic: Option<String>,
+    /// The topic of the inertial samples.
+    pub imu_topic: Option<String>,
+    /// Where the LiDAR's pose on the IMU is from; absent without IMU.
+    pub extrinsic: Option<&'static str>,
+    /// When the scans were taken, by what.
+    pub scan_times: String,
+    /// What the reader should know.
+    pub warnings: Vec<String>,
+}
+
+/// The odometry's result, and what it was made from.
+pub struct Run {
+    pub result: OdometryResult,
+    pub input: InputReport,
+}
+
+/// Runs the odometry on whatever the input is.
+pub fn run(choice: &Choice, config: &OdometryConfig, context: &Context) -> anyhow::Result<Run> {
+    expect_file(choice.path, "record one with `lsfb scan`")?;
+    let ending = choice.path.extension().and_then(|e| e.to_str());
+    let ending = ending.map(str::to_lowercase);
+    let run = match ending.as_deref() {
+        Some("mcap") if is_ours(choice)? => of_recording(choice, config, context),
+        Some("pcap" | "pcapng") => packets::run(choice, config, context),
+        Some("mcap" | "db3" | "bag") => bag::run(choice, config, context),
+        _ if choice.path.is_dir() && holds_a_bag(choice.path)? => bag::run(choice, config, context),
+        _ => clouds::run(choice, config, context),
+    }?;
+    if run.result.trajectory.is_empty() {
+        bail!(lsfb_pipeline::Error::NoScan {
+            path: choice.path.to_owned(),
+            scans: run.result.report.scans,
+        });
+    }
+    Ok(run)
+}
+
+/// Whether an MCAP has a rig of its own, good or bad, and no other is asked for.
+fn is_ours(choice: &Choice) -> anyhow::Result<bool> {
+    let is_foreign = choice.lidar.is_some() || choice.imu.is_some() || choice.rig.is_some();
+    let rig = Recording::open(choice.path)?.rig();
+    let has_none = matches!(rig, Err(lsfb_recording::Error::MissingAttachment { .. }));
+    Ok(!is_foreign && !has_none)
+}
+
+fn holds_a_bag(folder: &Path) -> anyhow::Result<bool> {
+    let entries = std::fs::read_dir(folder).with_context(|| folder.display().to_string())?;
+    for entry in entries {
+        if RosBag::is_file_of_one(&entry?.path()) {
+            return Ok(true);
+        }
+    }
+    Ok(false)
+}
+
+fn of_recording(
+    choice: &Choice,
+    config: &OdometryConfig,
+    context: &Context,
+) -> anyhow::Result<Run> {
+    let recording = context.open(choice.path)?;
+    let result = run_odometry(&recording, config, &|p| context.show(p));
+    Ok(Run {
+        result: about(choice.path, result)?,
+        input: InputReport {
+            lidar_topic: Some(format!("/{}/points", recording.main_lidar())),
+            extrinsic: Some("rig"),
+            scan_times: "stamps of the messages".to_owned(),
+            ..InputReport::default()
+        },
+    })
+}
+
+/// Fails where a topic is named that the input cannot have.
+fn expect_no_topics(choice: &Choice) -> anyhow::Result<()> {
+    anyhow::ensure!(
+        choice.imu.is_none() && choice.lidar.is_none(),
+        "--imu-topic and --lidar-topic name topics of a bag, and {} is none",
+        choice.path.display()
+    );
+    Ok(())
+}

@@ -1,0 +1,138 @@
+//! Odometry of packets, which become scans in a file that is gone afterwards.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, bail};
+use lsfb_capture::{CaptureReport, Ending, ReplayConfig, replay};
+use lsfb_drivers::any_lidar::Settings;
+use lsfb_drivers::transport::PacketSource;
+use lsfb_drivers::transport::pcap::PcapSource;
+use lsfb_geometry::MAIN_LIDAR;
+use lsfb_pipeline::odometry::{OdometryConfig, OdometryResult, OdometryRun, TimedScan};
+use lsfb_recording::Recording;
+use lsfb_recording::cloud::{PointTimes, TimesBegin};
+use lsfb_types::Progress;
+
+use super::sensors::Sensors;
+use super::{Choice, InputReport, Run, expect_no_topics};
+use crate::context::Context;
+
+/// Runs the odometry on a capture of packets.
+pub(super) fn run(
+    choice: &Choice,
+    config: &OdometryConfig,
+    context: &Context,
+) -> anyhow::Result<Run> {
+    expect_no_topics(choice)?;
+    let scratch = Scratch::new()?;
+    let source = PcapSource::open(choice.path, &[])?;
+    let decoded = decode(source, &scratch.scans, choice, context)?;
+    let run = Sensors::lidar_alone(choice)?.start(choice, config)?;
+    Ok(Run {
+        result: run_on_scans(&scratch.scans, run, context)?,
+        input: InputReport {
+            scan_times: "packets".to_owned(),
+            warnings: about_packets(&decoded, context),
+            ..InputReport::default()
+        },
+    })
+}
+
+/// The odometry over scans that were decoded from packets.
+pub(super) fn run_on_scans(
+    path: &Path,
+    mut run: OdometryRun,
+    context: &Context,
+) -> anyhow::Result<OdometryResult> {
+    let recording = Recording::open(path)?;
+    for scan in recording.scans_of(MAIN_LIDAR)? {
+        context.show(Progress {
+            stage: "lidar odometry",
+            done: run.taken(),
+            total: 0,
+        })?;
+        let times = PointTimes::Field {
+            name: "t".to_owned(),
+            begins: TimesBegin::AfterStamp { nanos: 0 },
+        };
+        run.push(TimedScan { scan: scan?, times })?;
+    }
+    Ok(run.finish()?)
+}
+
+/// Makes scans of packets.
+pub(super) fn decode(
+    source: impl PacketSource,
+    out: &Path,
+    choice: &Choice,
+    context: &Context,
+) -> anyhow::Result<CaptureReport> {
+    let config = ReplayConfig {
+        lidar: Settings {
+            model: choice.model,
+            ..Settings::default()
+        },
+        ..ReplayConfig::default()
+    };
+    let report = replay(source, &config, out, &|p| context.show(p))?;
+    if report.streams.iter().all(|stream| stream.decoded == 0) {
+        let bad = report.streams.iter().find_map(|s| s.first_bad.as_deref());
+        let why = bad.unwrap_or("no packet of a LiDAR is in it");
+        bail!("{}: no scan was made of it: {why}", choice.path.display());
+    }
+    Ok(report)
+}
+
+/// What the odometry's reader should know of packets: where any are missing or cannot be read, data is lost.
+pub(super) fn about_packets(report: &CaptureReport, context: &Context) -> Vec<String> {
+    let mut said = Vec::new();
+    if report.lost > 0 {
+        context.lose_data();
+        let bad = report.streams.iter().find_map(|s| s.first_bad.as_ref());
+        let bad = bad.map_or(String::new(), |bad| {
+            format!("; the first of the latter: {bad}")
+        });
+        said.push(format!(
+            "{} packets are missing or cannot be read{bad}",
+            report.lost
+        ));
+        let endings = report.streams.iter().filter_map(|s| match &s.ending {
+            Ending::Lost(why) => Some(why.clone()),
+            Ending::Stopped | Ending::EndOfStream => None,
+        });
+        said.extend(endings);
+    }
+    if report.streams.len() > 1 {
+        let names: Vec<&str> = report.streams.iter().map(|s| s.name.as_str()).collect();
+        said.push(format!(
+            "there are packets of several LiDARs ({}): the scans of {MAIN_LIDAR} are used",
+            names.join(", ")
+        ));
+    }
+    said.extend(report.streams.iter().flat_map(|s| s.notes.iter().cloned()));
+    said
+}
+
+/// A folder for scans between decoder and odometry, away from the result; gone with this.
+pub(super) struct Scratch {
+    folder: PathBuf,
+    pub scans: PathBuf,
+}
+
+impl Scratch {
+    pub fn new() -> anyhow::Result<Self> {
+        let folder = std::env::temp_dir().join(format!("lsfb-odometry-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
+        Ok(Self {
+            scans: folder.join("scans.mcap"),
+            folder,
+        })
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        // What stays behind in the system's folder for such files is the system's to clear.
+        let _ = std::fs::remove_dir_all(&self.folder);
+    }
+}

@@ -1,0 +1,160 @@
+//! What speaks for a pose, and how probable that makes it.
+//!
+//! Inliers after guided matching prove little: the map was projected with the pose that they are to prove, and refined on what was
+//! found there, so that images of other places gather 30 of them and more. What is counted here was not searched for with the pose:
+//!
+//! - **First matches**, paired by look before there was a pose. A wrong pair agrees with a pose by chance with a probability that is
+//!   measured on pairs of one match's pixel and another's point; from that follows how many poses with so many inliers are to be
+//!   expected of matches that are all wrong (a-contrario; Moisan and Stival, IJCV 2004).
+//! - **Decoys**: what guided matching finds where the points are not.
+//! - **Spread** of the inliers over the image.
+//! - **The rival**: the best pose that contradicts this one, of another place that looks the same.
+//! - **The mirror**: the best pose with left and right exchanged, and how much each first match says for the pose: features of a network
+//!   know no left and right, and parts that look alike agree with poses of their own.
+//! - **Other focal lengths**: the factor with which most first matches agree. Where that is another than 1 for sure, the pose is refused
+//!   whatever its probability.
+//!
+//! [`Evidence::probability`] is the product of four: a logistic regression on the first three kinds, fitted with a ridge of 0.03 in
+//! units of their standard deviations; the chance that no such pose is expected of wrong matches; that they are not wrong together; the
+//! chance that the rival is wrong. Right means the right view of the right place, within 0.5 m and 10° (outdoors 1 m): how exact it is says the covariance.
+//! `benches/localization/fit.py` fitted the weights on 472 queries of `examples/localization_acceptance` in the maps of
+//! `hololens_office`, `sevenscenes_redkitchen` and `strecha_fountain_P11_half`: images left out, turned, halved, thinned to a tenth and
+//! a thirtieth of their features, mirrored, and of other places. Fitted on the office alone, they accept none of the other maps' 138
+//! mirrored images and images of other places and miss none of 58 views of their own; fitted on the kitchen alone, none of 138 and
+//! none of 126.
+
+mod first_matches;
+
+use lsfb_geometry::{Matrix2, Vector2};
+use serde::{Deserialize, Serialize};
+
+use crate::features::Feature;
+pub(super) use first_matches::{Agreement, FirstMatches};
+
+/// What speaks for a pose: figures that chance, or the search for the pose itself, does not reach.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Evidence {
+    /// Features paired with map points by their look alone, each point and each spot of the image once.
+    pub first_matches: usize,
+    /// Those of them that agree with the pose.
+    pub first_inliers: usize,
+    /// Probability that a pair which is wrong agrees with the pose all the same: measured on pairs of the one's pixel and
+    /// another's point.
+    pub chance_level: f64,
+    /// Decimal logarithm of the number of poses expected to have as many inliers by chance alone, among all poses that
+    /// the matches can be asked for.
+    pub log10_false_alarms: f64,
+    /// Inliers after guided matching: of the points projected with the pose.
+    pub guided_inliers: usize,
+    /// Inliers that the same matching finds where the points are not: projected aside, the mean of four directions.
+    pub decoy_inliers: f64,
+    /// How much of the image the guided inliers are spread over: 1 as evenly as can be, 0 in a point or on a line.
+    pub image_spread: f64,
+    /// Factor of the focal lengths that fits the matches best.
+    pub focal_scale: f64,
+    /// Standard deviation of its logarithm; infinite where the matches do not tell.
+    pub focal_log_sigma: f64,
+    /// By how many decades fewer poses are expected by chance with that factor than with the focal lengths as they are given.
+    pub focal_decades: f64,
+    /// [`Evidence::log10_false_alarms`] of the best pose with left and right of the images exchanged, which no camera shows.
+    pub log10_false_alarms_mirrored: f64,
+    /// Decades below one false alarm, for each first match, that matches of this feature reach which are wrong together.
+    pub decades_together: f64,
+    /// First inliers of the best pose that contradicts this one and is not to be expected by chance either.
+    pub rival_inliers: usize,
+}
+
+/// Spread of pixels over an image of this size: the root of the determinant of their covariance over that of an even
+/// distribution, 1 at most.
+pub(super) fn image_spread(pixels: &[Vector2<f64>], width: u32, height: u32) -> f64 {
+    if pixels.is_empty() {
+        return 0.0;
+    }
+    let count = pixels.len() as f64;
+    let mean = pixels.iter().sum::<Vector2<f64>>() / count;
+    let covariance: Matrix2<f64> = pixels
+        .iter()
+        .map(|p| (p - mean) * (p - mean).transpose())
+        .sum::<Matrix2<f64>>()
+        / count;
+    let even = f64::from(width) * f64::from(height) / 12.0;
+    (covariance.determinant().max(0.0).sqrt() / even.max(1.0)).min(1.0)
+}
+
+/// Weights of the evidence in the logit of the probability; see the head of this module.
+struct Weights {
+    constant: f64,
+    /// Of decades below one false alarm.
+    false_alarms: f64,
+    /// Of the logarithm of guided inliers to decoys.
+    decoys: f64,
+    /// Of the spread over the image.
+    spread: f64,
+}
+
+const WEIGHTS: Weights = Weights {
+    constant: -10.461,
+    false_alarms: 0.785,
+    decoys: 1.975,
+    spread: 24.539,
+};
+
+/// Decades below one false alarm, for each first match, that matches reach which are wrong together: a network's features know no left
+/// and right, and find what is built alike more often than SIFT.
+pub(super) fn decades_together(feature: &Feature) -> f64 {
+    match feature {
+        Feature::Sift => 0.04,
+        Feature::Learned(_) => 0.15,
+    }
+}
+
+/// Focal lengths may be off by this much, as a logarithm: what is left of calibrations, and of maps that are not quite in scale.
+const MAX_LOG_FOCAL: f64 = 0.05;
+/// Others fit better for sure where they are this many standard deviations away, and this many decades less by chance.
+const SURE_SIGMAS: f64 = 3.0;
+const SURE_DECADES: f64 = 3.0;
+
+impl Evidence {
+    /// Probability that the pose is right: that of the evidence, of the search not having reached it by chance, and of the rival
+    /// not being the right one.
+    pub fn probability(&self) -> f64 {
+        let (guided, decoys) = (self.guided_inliers as f64, self.decoy_inliers);
+        // Each kind of evidence is bounded: none can do without the others.
+        let logit = WEIGHTS.constant
+            + WEIGHTS.false_alarms * (-self.log10_false_alarms).clamp(-10.0, 20.0)
+            + WEIGHTS.decoys * ((guided + 1.0) / (decoys + 1.0)).ln().clamp(0.0, 2.0)
+            + WEIGHTS.spread * self.image_spread.min(0.4);
+        let of_evidence = 1.0 / (1.0 + (-logit).exp());
+        let no_chance = 1.0 / (1.0 + 10f64.powf(self.log10_false_alarms));
+        of_evidence
+            * no_chance
+            * self.probability_against_likeness()
+            * self.probability_against_rival()
+    }
+
+    /// Against matches that are wrong together: parts that look alike in a mirror or in a row agree with a pose of their own, so many
+    /// of so few at that, however unlikely that were of each alone. And against a mirror, which explains them better.
+    fn probability_against_likeness(&self) -> f64 {
+        let decades = -self.log10_false_alarms / self.first_matches.max(1) as f64;
+        let together = 1.0 / (1.0 + (self.decades_together / decades.max(1e-9)).powi(6));
+        let by_mirror = self.log10_false_alarms - self.log10_false_alarms_mirrored;
+        together / (1.0 + 10f64.powf(by_mirror))
+    }
+
+    /// Whether the matches surely fit another focal length than the cameras are said to have.
+    pub fn contradicts_focal_length(&self) -> bool {
+        let off = self.focal_scale.ln().abs();
+        off > MAX_LOG_FOCAL
+            && off > SURE_SIGMAS * self.focal_log_sigma
+            && self.focal_decades > SURE_DECADES
+    }
+
+    /// One half where the rival has as many inliers, 0.98 where it has half of them.
+    fn probability_against_rival(&self) -> f64 {
+        let share = self.rival_inliers as f64 / self.first_inliers.max(1) as f64;
+        1.0 / (1.0 + share.powi(6))
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,115 @@
+use super::*;
+
+#[test]
+fn a_place_that_looks_the_same_makes_a_pose_doubtful() {
+    let sure = Evidence {
+        first_matches: 300,
+        first_inliers: 90,
+        chance_level: 0.001,
+        log10_false_alarms: -120.0,
+        guided_inliers: 200,
+        decoy_inliers: 12.0,
+        image_spread: 0.6,
+        focal_scale: 1.0,
+        focal_log_sigma: 0.01,
+        focal_decades: 0.0,
+        log10_false_alarms_mirrored: 3.0,
+        decades_together: decades_together(&Feature::Sift),
+        rival_inliers: 0,
+    };
+    assert!(sure.probability() > 0.999);
+    let with_rival = |rival_inliers| Evidence {
+        rival_inliers,
+        ..sure
+    };
+    assert!(with_rival(85).probability() < 0.6);
+    assert!(with_rival(25).probability() > 0.99);
+    // As many inliers as ever after guided matching, but none that was not searched for.
+    let searched = Evidence {
+        first_inliers: 3,
+        log10_false_alarms: 6.0,
+        decoy_inliers: 60.0,
+        image_spread: 0.1,
+        ..sure
+    };
+    assert!(searched.probability() < 1e-3);
+}
+
+#[test]
+fn another_focal_length_must_fit_for_sure() {
+    let as_calibrated = Evidence {
+        first_matches: 300,
+        first_inliers: 90,
+        chance_level: 0.001,
+        log10_false_alarms: -120.0,
+        guided_inliers: 200,
+        decoy_inliers: 12.0,
+        image_spread: 0.6,
+        focal_scale: 1.02,
+        focal_log_sigma: 0.003,
+        focal_decades: 30.0,
+        log10_false_alarms_mirrored: 3.0,
+        decades_together: 0.15,
+        rival_inliers: 0,
+    };
+    assert!(!as_calibrated.contradicts_focal_length());
+    // Half-size images in a frame have 200 guided inliers and all else that makes a pose probable.
+    let resized = Evidence {
+        focal_scale: 0.5,
+        ..as_calibrated
+    };
+    assert!(resized.probability() > 0.99 && resized.contradicts_focal_length());
+    let (unsure, no_better) = (
+        Evidence {
+            focal_log_sigma: 0.3,
+            ..resized
+        },
+        Evidence {
+            focal_decades: 1.0,
+            ..resized
+        },
+    );
+    assert!(!unsure.contradicts_focal_length() && !no_better.contradicts_focal_length());
+}
+
+#[test]
+fn what_looks_alike_in_a_mirror_is_no_place() {
+    // A mirrored image with XFeat: 22 of 300 first matches agree.
+    let mirrored = Evidence {
+        first_matches: 300,
+        first_inliers: 22,
+        chance_level: 0.001,
+        log10_false_alarms: -18.0,
+        guided_inliers: 53,
+        decoy_inliers: 6.0,
+        image_spread: 0.35,
+        focal_scale: 1.0,
+        focal_log_sigma: 0.03,
+        focal_decades: 0.0,
+        log10_false_alarms_mirrored: 3.0,
+        decades_together: 0.15,
+        rival_inliers: 0,
+    };
+    assert!(mirrored.probability() < 0.95);
+    let alone = Evidence {
+        log10_false_alarms: -190.0,
+        ..mirrored
+    };
+    assert!(alone.probability() > 0.99);
+    let explained = Evidence {
+        log10_false_alarms_mirrored: -300.0,
+        ..alone
+    };
+    assert!(explained.probability() < 0.01);
+}
+
+#[test]
+fn spread_is_that_of_an_even_distribution() {
+    let grid: Vec<Vector2<f64>> = (0..6400)
+        .map(|i| Vector2::new(f64::from(i % 80) * 8.0, f64::from(i / 80) * 6.0))
+        .collect();
+    assert!((image_spread(&grid, 640, 480) - 1.0).abs() < 0.01);
+    let line: Vec<_> = grid.iter().map(|p| Vector2::new(p.x, p.x)).collect();
+    assert!(image_spread(&line, 640, 480) < 1e-6);
+    assert_eq!(image_spread(&[], 640, 480), 0.0);
+}
