@@ -6,6 +6,7 @@ mod process;
 
 use std::fmt::Write as _;
 use std::path::Path;
+use std::time::Duration;
 
 use chromium::Tab;
 use lsfb_tests::{Lacks, skip};
@@ -178,7 +179,8 @@ fn plots_and_scene_answer_the_pointer_and_fit_a_phone() {
     }
     assert!(picture(&mut tab) == first, "reset");
     assert!(tab.screenshot(&root.join("page.png")) > 10_000);
-    // `press` is what fingers do elsewhere: settings open by it.
-    tab.press("summary", std::time::Duration::from_millis(30));
+    // What was set is folded away until somebody wants it.
+    place(&mut tab, "summary", [0.5, 0.5]);
+    tab.press("summary", Duration::from_millis(30));
     tab.wait_for("document.querySelector('details').open");
 }
