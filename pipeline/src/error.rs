@@ -90,6 +90,22 @@ pub enum Error {
         /// What is wrong.
         reason: String,
     },
+    /// A file of descriptors is not what it should be.
+    #[error(
+        "{path}: {reason}: give a .bvecs file of descriptors of 128 bytes", path = path.display()
+    )]
+    DescriptorFile {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// More descriptors than an index has numbers for.
+    #[error("{count} descriptors are more than one index can hold (4294967295): split the map")]
+    TooManyDescriptors {
+        /// Number of descriptors.
+        count: usize,
+    },
     /// Weights of a network could not be read.
     #[error(transparent)]
     Network(#[from] lsfb_networks::Error),

@@ -5,8 +5,10 @@
 //!
 //! Everything here is deterministic: same input, config and seed give bit-identical results on any number of threads.
 
+mod arrow_file;
 mod bending;
 mod camera_fit;
+pub mod descriptor_index;
 mod error;
 pub mod features;
 mod frames;

@@ -1,14 +1,14 @@
 use arrow_buffer::{ArrowNativeType, Buffer, ScalarBuffer};
 use lsfb_geometry::{Rig, StampedPose, Vector3};
-use lsfb_types::{Bounds, ProgressFn, Stopped};
+use lsfb_types::{Bounds, ProgressFn};
 use serde::{Deserialize, Serialize};
 
-use super::index::{DescriptorIndex, IndexConfig};
 use super::{
     DescriptorColumns, HdMap, KeyframeColumns, KeyframeImage, MapObservation, MapPoint,
     ObservationColumns, PointColumns, QualityColumns,
 };
 use crate::Error;
+use crate::descriptor_index::{DescriptorIndex, DescriptorSource, IndexConfig};
 use crate::features::matching::distance_squared;
 use crate::features::{Descriptor, Feature};
 
@@ -157,7 +157,7 @@ impl HdMap {
             provenance: content.provenance.to_owned(),
             failures: Vec::new(),
         };
-        Ok(Self::from_rows(rows, &config.index, progress)?)
+        Self::from_rows(rows, &config.index, progress)
     }
 
     /// Columns from rows whose references lead somewhere; the observations' own `point` is set anew.
@@ -165,7 +165,7 @@ impl HdMap {
         rows: MapRows,
         index: &IndexConfig,
         progress: ProgressFn,
-    ) -> Result<Self, Stopped> {
+    ) -> Result<Self, Error> {
         let mut first_observation = Vec::with_capacity(rows.points.len());
         let mut first_descriptor = Vec::with_capacity(rows.points.len());
         let mut observations: Vec<MapObservation> = Vec::new();
@@ -180,7 +180,8 @@ impl HdMap {
             descriptors.extend(&row.descriptors);
         }
         let axis = |a: usize| -> Vec<f64> { rows.points.iter().map(|p| p.position[a]).collect() };
-        let index = DescriptorIndex::build(&descriptors, index, progress)?;
+        let index =
+            DescriptorIndex::build(DescriptorSource::Memory(&descriptors), index, progress)?;
         let map = Self {
             cameras: rows.rig.cameras.keys().cloned().collect(),
             rig: rows.rig,

@@ -1,17 +1,16 @@
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use arrow_buffer::{Buffer, ScalarBuffer};
 use lsfb_geometry::Rig;
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 
-use super::index::{CODEWORDS, DescriptorIndex, PARTS};
-use super::table::{Column, NamedColumn, map_table, read_table, write_table};
 use super::{
     DescriptorColumns, HdMap, KeyframeColumns, ObservationColumns, PointColumns, QualityColumns,
 };
 use crate::Error;
+use crate::arrow_file::{Column, Fingerprint, NamedColumn, Table, broken, write_table};
+use crate::descriptor_index::{self, DescriptorIndex};
 use crate::features::{DESCRIPTOR_LEN, Feature, LearnedFeature};
 
 /// Version of the folder's layout. Another one is refused.
@@ -19,14 +18,11 @@ pub const FORMAT_VERSION: u32 = 2;
 
 const HEADER: &str = HdMap::HEADER;
 const RIG: &str = "rig.toml";
-const TABLES: [&str; 7] = [
+const TABLES: [&str; 4] = [
     "points.arrow",
     "keyframes.arrow",
     "observations.arrow",
     "descriptors.arrow",
-    "index_lists.arrow",
-    "index_entries.arrow",
-    "index_codebook.arrow",
 ];
 const POINTS: [&str; 16] = [
     "x_m",
@@ -50,9 +46,6 @@ const KEYFRAMES: [&str; 8] = ["time_ns", "qx", "qy", "qz", "qw", "tx_m", "ty_m",
 const OBSERVATIONS: [&str; 5] = ["point", "keyframe", "camera", "u_px", "v_px"];
 const SIFT_DESCRIPTORS: [&str; 2] = ["point", "root_sift"];
 const LEARNED_DESCRIPTORS: [&str; 2] = ["point", "learned"];
-const LISTS: [&str; 2] = ["centroid", "first_entry"];
-const ENTRIES: [&str; 3] = ["descriptor", "code", "offset"];
-const CODEBOOK: [&str; 1] = ["words"];
 
 /// `map.toml`: only what decides whether the rest can be read comes first.
 #[derive(Serialize, Deserialize)]
@@ -86,11 +79,15 @@ struct FileHash {
     sha256: String,
 }
 
-fn sha256_hex(bytes: &[u8]) -> String {
-    Sha256::digest(bytes)
-        .iter()
-        .map(|b| format!("{b:02x}"))
-        .collect()
+impl FileHash {
+    fn of(folder: &Path, name: &str) -> Result<Self, Error> {
+        let Fingerprint { bytes, sha256 } = Fingerprint::of(&folder.join(name))?;
+        Ok(Self {
+            name: name.to_owned(),
+            bytes,
+            sha256,
+        })
+    }
 }
 
 impl HdMap {
@@ -108,22 +105,15 @@ impl HdMap {
             _ => {}
         }
         let rig_path = folder.join(RIG);
-        let rig = self.rig.to_toml();
-        fs::write(&rig_path, &rig).map_err(Error::io(&rig_path))?;
-        let mut files = vec![FileHash {
-            name: RIG.to_owned(),
-            bytes: rig.len() as u64,
-            sha256: sha256_hex(rig.as_bytes()),
-        }];
+        fs::write(&rig_path, self.rig.to_toml()).map_err(Error::io(&rig_path))?;
+        let mut files = vec![FileHash::of(folder, RIG)?];
         for (name, columns) in TABLES.iter().zip(self.tables()) {
-            let path = folder.join(name);
-            write_table(&path, &columns)?;
-            let bytes = map_table(&path)?;
-            files.push(FileHash {
-                name: (*name).to_owned(),
-                bytes: bytes.len() as u64,
-                sha256: sha256_hex(&bytes),
-            });
+            write_table(&folder.join(name), &columns)?;
+            files.push(FileHash::of(folder, name)?);
+        }
+        self.index.write(folder)?;
+        for name in descriptor_index::TABLES {
+            files.push(FileHash::of(folder, name)?);
         }
         let header = Header {
             format_version: FORMAT_VERSION,
@@ -146,17 +136,13 @@ impl HdMap {
         fs::rename(&partial, &header_path).map_err(Error::io(&header_path))
     }
 
-    fn tables(&self) -> [Vec<NamedColumn>; 7] {
+    fn tables(&self) -> [Vec<NamedColumn>; 4] {
         let (p, k, o) = (&self.points, &self.keyframes, &self.observations);
-        let (d, i) = (&self.descriptors, &self.index);
+        let d = &self.descriptors;
         let f64s = |v: &ScalarBuffer<f64>| Column::F64(v.clone());
         let u32s = |v: &ScalarBuffer<u32>| Column::U32(v.clone());
         let f32s = |v: &ScalarBuffer<f32>| Column::F32(v.clone());
         let bytes = |width, values: &Buffer| Column::Bytes {
-            width,
-            values: values.clone(),
-        };
-        let list = |width, values: &ScalarBuffer<f32>| Column::F32List {
             width,
             values: values.clone(),
         };
@@ -189,15 +175,6 @@ impl HdMap {
                 descriptor_names(&self.feature),
                 vec![u32s(&d.point), bytes(DESCRIPTOR_LEN, &d.values)],
             ),
-            named(
-                &LISTS,
-                vec![list(DESCRIPTOR_LEN, &i.centroids), u32s(&i.first_entry)],
-            ),
-            named(
-                &ENTRIES,
-                vec![u32s(&i.entries), bytes(PARTS, &i.codes), f32s(&i.offsets)],
-            ),
-            named(&CODEBOOK, vec![list(CODEWORDS, &i.codebook)]),
         ]
     }
 
@@ -214,16 +191,7 @@ impl HdMap {
         for name in TABLES {
             tables.push(open_table(folder, &header, name)?);
         }
-        let [
-            points,
-            keyframes,
-            observations,
-            descriptors,
-            lists,
-            entries,
-            codebook,
-        ] = &tables[..]
-        else {
+        let [points, keyframes, observations, descriptors] = &tables[..] else {
             return Err(broken(&folder.join(HEADER), "not all tables are there"));
         };
         let [
@@ -237,9 +205,10 @@ impl HdMap {
         let [time_ns, pose @ ..] = keyframes.columns(KEYFRAMES)?;
         let [point, keyframe, camera, u_px, v_px] = observations.columns(OBSERVATIONS)?;
         let [owner, values] = descriptors.columns(*descriptor_names(&feature))?;
-        let [centroids, first_entry] = lists.columns(LISTS)?;
-        let [entry, codes, offsets] = entries.columns(ENTRIES)?;
-        let [words] = codebook.columns(CODEBOOK)?;
+        let mut index = Vec::new();
+        for name in descriptor_index::TABLES {
+            index.push(open_table(folder, &header, name)?);
+        }
         let mut quality_columns = Vec::new();
         for column in quality {
             quality_columns.push(points.f32(column)?);
@@ -275,14 +244,7 @@ impl HdMap {
                 point: descriptors.u32(owner)?,
                 values: descriptors.bytes(values, DESCRIPTOR_LEN)?,
             },
-            index: DescriptorIndex {
-                centroids: lists.lists(centroids, DESCRIPTOR_LEN)?,
-                first_entry: lists.u32(first_entry)?,
-                entries: entries.u32(entry)?,
-                codes: entries.bytes(codes, PARTS)?,
-                offsets: entries.f32(offsets)?,
-                codebook: codebook.lists(words, CODEWORDS)?,
-            },
+            index: DescriptorIndex::from_tables(&index)?,
             cameras: rig.cameras.keys().cloned().collect(),
             rig,
             feature,
@@ -307,10 +269,9 @@ impl HdMap {
             self.keyframe_count() == header.keyframes,
             self.observation_count() == header.observations,
             self.descriptor_count() == header.descriptors,
-            self.index.entries.len() == header.descriptors,
-            self.index.codebook.len() == DESCRIPTOR_LEN * CODEWORDS,
+            self.index.len() == header.descriptors,
         ];
-        let checks: [(&str, bool); 4] = [
+        let checks: [(&str, bool); 3] = [
             (
                 TABLES[0],
                 ascending(&self.points.first_observation, header.observations)
@@ -325,11 +286,6 @@ impl HdMap {
                         .all(|c| usize::from(*c) < self.cameras.len()),
             ),
             (TABLES[3], within(&self.descriptors.point, header.points)),
-            (
-                TABLES[5],
-                within(&self.index.entries, header.descriptors)
-                    && ascending(&self.index.first_entry, header.descriptors),
-            ),
         ];
         if counts_agree.contains(&false) {
             return Err(broken(
@@ -349,13 +305,6 @@ fn descriptor_names(feature: &Feature) -> &'static [&'static str; 2] {
     match feature {
         Feature::Sift => &SIFT_DESCRIPTORS,
         Feature::Learned(_) => &LEARNED_DESCRIPTORS,
-    }
-}
-
-fn broken(path: &Path, reason: &str) -> Error {
-    Error::MapFile {
-        path: path.to_owned(),
-        reason: reason.to_owned(),
     }
 }
 
@@ -380,12 +329,6 @@ fn read_header(folder: &Path) -> Result<Header, Error> {
     toml::from_str(&text).map_err(|e| broken(&path, e.message()))
 }
 
-/// A table's columns, with its path for errors.
-struct Table {
-    path: PathBuf,
-    bytes: Buffer,
-}
-
 fn open_rig(folder: &Path, header: &Header) -> Result<Rig, Error> {
     let Table { path, bytes } = open_table(folder, header, RIG)?;
     let text = std::str::from_utf8(&bytes).map_err(|_| broken(&path, "it is no text"))?;
@@ -400,80 +343,13 @@ fn open_table(folder: &Path, header: &Header, name: &str) -> Result<Table, Error
             &format!("does not list {name}"),
         ));
     };
-    let bytes = map_table(&path)?;
-    if bytes.len() as u64 != expected.bytes {
-        let reason = format!("has {} bytes instead of {}", bytes.len(), expected.bytes);
+    let found = Fingerprint::of(&path)?;
+    if found.bytes != expected.bytes {
+        let reason = format!("has {} bytes instead of {}", found.bytes, expected.bytes);
         return Err(broken(&path, &reason));
     }
-    if sha256_hex(&bytes) != expected.sha256 {
+    if found.sha256 != expected.sha256 {
         return Err(broken(&path, "its SHA-256 is not the one in map.toml"));
     }
-    Ok(Table { path, bytes })
-}
-
-impl Table {
-    fn columns<const N: usize>(&self, names: [&'static str; N]) -> Result<[Column; N], Error> {
-        let columns = read_table(&self.path, &self.bytes, &names)?;
-        columns
-            .try_into()
-            .map_err(|_| broken(&self.path, "a column is missing"))
-    }
-
-    fn wrong_type(&self) -> Error {
-        broken(&self.path, "a column has another type")
-    }
-
-    fn f64(&self, column: Column) -> Result<ScalarBuffer<f64>, Error> {
-        if let Column::F64(v) = column {
-            Ok(v)
-        } else {
-            Err(self.wrong_type())
-        }
-    }
-
-    fn f32(&self, column: Column) -> Result<ScalarBuffer<f32>, Error> {
-        if let Column::F32(v) = column {
-            Ok(v)
-        } else {
-            Err(self.wrong_type())
-        }
-    }
-
-    fn i64(&self, column: Column) -> Result<ScalarBuffer<i64>, Error> {
-        if let Column::I64(v) = column {
-            Ok(v)
-        } else {
-            Err(self.wrong_type())
-        }
-    }
-
-    fn u32(&self, column: Column) -> Result<ScalarBuffer<u32>, Error> {
-        if let Column::U32(v) = column {
-            Ok(v)
-        } else {
-            Err(self.wrong_type())
-        }
-    }
-
-    fn u16(&self, column: Column) -> Result<ScalarBuffer<u16>, Error> {
-        if let Column::U16(v) = column {
-            Ok(v)
-        } else {
-            Err(self.wrong_type())
-        }
-    }
-
-    fn bytes(&self, column: Column, expected: usize) -> Result<Buffer, Error> {
-        match column {
-            Column::Bytes { width, values } if width == expected => Ok(values),
-            _ => Err(self.wrong_type()),
-        }
-    }
-
-    fn lists(&self, column: Column, expected: usize) -> Result<ScalarBuffer<f32>, Error> {
-        match column {
-            Column::F32List { width, values } if width == expected => Ok(values),
-            _ => Err(self.wrong_type()),
-        }
-    }
+    Table::map(path)
 }

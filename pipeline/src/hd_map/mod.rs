@@ -7,9 +7,6 @@
 mod build;
 mod export;
 mod file;
-mod index;
-mod kmeans;
-mod mapped_file;
 mod merge;
 mod point_quality;
 mod posed;
@@ -18,7 +15,6 @@ mod reconstruction;
 mod reconstruction_config;
 mod scene_depth;
 mod subset;
-mod table;
 #[cfg(test)]
 mod tests;
 
@@ -30,13 +26,12 @@ use lsfb_types::Timestamp;
 use nalgebra::Quaternion;
 
 use crate::Error;
+use crate::descriptor_index::{DescriptorIndex, SearchScratch};
 use crate::features::{DESCRIPTOR_LEN, Descriptor, Feature};
 
 pub use build::{HdMapConfig, MapContent};
 pub use export::{ColmapCamera, ExportedFile, ImagePose, MapFormat, export_image_poses};
 pub use file::FORMAT_VERSION;
-pub use index::IndexConfig;
-pub(crate) use index::SearchScratch;
 pub use merge::{MergeConfig, MergeReport};
 pub use point_quality::PointQuality;
 pub use posed::{PosedMapConfig, build_map_from_posed_images};
@@ -64,7 +59,7 @@ pub struct HdMap {
     keyframes: KeyframeColumns,
     observations: ObservationColumns,
     descriptors: DescriptorColumns,
-    index: index::DescriptorIndex,
+    index: DescriptorIndex,
 }
 
 #[derive(Clone, Debug)]
@@ -261,17 +256,18 @@ impl HdMap {
         self.descriptors.values.as_chunks::<DESCRIPTOR_LEN>().0
     }
 
-    /// The `count` descriptors nearest to `query`, nearest first: found by their codes in the `probes` nearest lists,
-    /// ordered by their exact distances.
+    /// The `count` descriptors nearest to `query`, nearest first: `compared` are found by their codes in the `probes` nearest
+    /// lists, and ordered by their exact distances.
     pub(crate) fn nearest(
         &self,
         query: &Descriptor,
         count: usize,
         probes: usize,
+        compared: usize,
         scratch: &mut SearchScratch,
     ) -> Vec<MapNeighbour> {
-        // Codes are coarse: twice as many candidates keep those whose codes flatter others.
-        let candidates = self.index.search(query, 2 * count, probes, scratch);
+        let compared = compared.max(count);
+        let candidates = self.index.search(query, compared, probes, scratch);
         let all = self.all_descriptors();
         let mut found: Vec<MapNeighbour> = candidates
             .iter()

@@ -3,8 +3,9 @@
 use lsfb_geometry::Vector3;
 use lsfb_types::ProgressFn;
 
-use super::{HdMap, IndexConfig};
+use super::HdMap;
 use crate::Error;
+use crate::descriptor_index::IndexConfig;
 
 /// A box along the axes of the world, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,6 +62,6 @@ impl HdMap {
         for o in rows.points.iter_mut().flat_map(|p| &mut p.observations) {
             o.keyframe = number[o.keyframe as usize].unwrap_or(0);
         }
-        Ok(Self::from_rows(rows, index, progress)?)
+        Self::from_rows(rows, index, progress)
     }
 }

@@ -117,7 +117,7 @@ fn what_is_written_is_opened_and_written_again_byte_for_byte() {
     };
     assert_eq!(seen[3], last);
     let query = opened.descriptors(12)[0];
-    let nearest = opened.nearest(&query, 25, 8, &mut SearchScratch::default());
+    let nearest = opened.nearest(&query, 25, 8, 50, &mut SearchScratch::default());
     assert_eq!((nearest[0].point, nearest[0].distance_squared), (12, 0));
 
     opened.write(second.path()).expect("written again");
@@ -225,7 +225,7 @@ fn tables_that_lie_about_themselves_are_refused() {
             lie[at] ^= flip;
             let lie = Buffer::from(lie);
             let names = ["time_ns", "qx", "qy", "qz", "qw", "tx_m", "ty_m", "tz_m"];
-            match table::read_table(&path, &lie, &names) {
+            match crate::arrow_file::read_table(&path, &lie, &names) {
                 Ok(columns) => assert_eq!(columns.len(), names.len()),
                 Err(error) => {
                     assert!(error.to_string().contains("keyframes.arrow"), "{error}");

@@ -12,6 +12,8 @@ pub struct LocalizerConfig {
     pub nearest: usize,
     /// Inverted lists of the index searched for each feature.
     pub probes: usize,
+    /// Map descriptors that are compared with each feature to find the nearest, chosen by their codes in the index.
+    pub compared: usize,
     /// Largest descriptor distance of a candidate, in units of the descriptor's norm.
     pub max_distance: f32,
     /// A candidate may be this much farther than the nearest one.
@@ -37,6 +39,8 @@ impl Default for LocalizerConfig {
         Self {
             nearest: 25,
             probes: 8,
+            // Codes are coarse: twice as many as wanted keep those whose codes flatter others.
+            compared: 50,
             max_distance: 0.75,
             max_candidate_ratio: 1.15,
             min_votes: 6,
@@ -57,6 +61,7 @@ lsfb_types::bounds! {
     LocalizerConfig {
         nearest: number(Bounds::AT_LEAST_ONE),
         probes: number(Bounds::AT_LEAST_ONE),
+        compared: number(Bounds::AT_LEAST_ONE),
         max_distance: number(Bounds::NOT_NEGATIVE),
         max_candidate_ratio: number(Bounds::NOT_NEGATIVE),
         min_votes: any,

@@ -10,9 +10,10 @@ use super::ransac::estimate_pose;
 use super::voting::{Candidates, Places, Vote};
 use crate::Error;
 use crate::camera_fit::principal_point_fits;
+use crate::descriptor_index::SearchScratch;
 use crate::features::matching::DESCRIPTOR_NORM;
 use crate::features::{FrameFeatures, KeypointGrid};
-use crate::hd_map::{HdMap, MapNeighbour, SearchScratch};
+use crate::hd_map::{HdMap, MapNeighbour};
 
 /// Finds poses in a map. Shared by threads; needs no order of queries.
 #[derive(Clone, Debug)]
@@ -174,9 +175,10 @@ impl Localizer {
         descriptors
             .iter()
             .map(|d| {
+                let (nearest, compared) = (config.nearest, config.compared);
                 let mut found = self
                     .map
-                    .nearest(d, config.nearest, config.probes, &mut scratch);
+                    .nearest(d, nearest, config.probes, compared, &mut scratch);
                 let nearest = found.first().map_or(0.0, |n| n.distance_squared as f32);
                 let limit = limit.min(ratio * nearest.max(1.0));
                 found.retain(|n| n.distance_squared as f32 <= limit);

@@ -5,9 +5,8 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use lsfb_calib::exchange::{Format, export};
 use lsfb_geometry::{Rig, Vector3};
-use lsfb_pipeline::hd_map::{
-    ColmapCamera, ExportedFile, HdMap, IndexConfig, MapFormat, MergeConfig, Region,
-};
+use lsfb_pipeline::descriptor_index::IndexConfig;
+use lsfb_pipeline::hd_map::{ColmapCamera, ExportedFile, HdMap, MapFormat, MergeConfig, Region};
 use lsfb_recording::Provenance;
 use lsfb_types::{median, quantile};
 use serde::Serialize;

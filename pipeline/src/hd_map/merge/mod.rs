@@ -17,9 +17,11 @@ use super::{HdMap, HdMapConfig, PointQuality, SearchScratch};
 use crate::Error;
 use crate::features::Descriptor;
 
-/// Neighbours that are looked at for each descriptor, and inverted lists in which they are looked for.
+/// Neighbours that are looked at for each descriptor, inverted lists in which they are looked for, and descriptors of these that are
+/// compared.
 const NEIGHBOURS: usize = 8;
 const PROBES: usize = 8;
+const COMPARED: usize = 16;
 /// Runs of keyframes, one of which is left out at a time to see how firmly the alignment stands.
 const GROUPS: usize = 8;
 /// Rounds of alignment and choice of the pairs that fit.
@@ -166,7 +168,7 @@ fn pairs(first: &HdMap, second: &HdMap, config: &MergeConfig) -> Vec<Pair> {
             // The nearest descriptor of each point of the first map, over all descriptors of this one.
             let mut nearest: BTreeMap<u32, u32> = BTreeMap::new();
             for descriptor in second.descriptors(*point) {
-                for n in first.nearest(descriptor, NEIGHBOURS, PROBES, scratch) {
+                for n in first.nearest(descriptor, NEIGHBOURS, PROBES, COMPARED, scratch) {
                     let best = nearest.entry(n.point).or_insert(u32::MAX);
                     *best = n.distance_squared.min(*best);
                 }

@@ -2,9 +2,10 @@ use lsfb_geometry::{Camera, CameraTiming, Rig, RigCamera};
 use lsfb_types::{Timestamp, no_progress};
 
 use super::*;
+use crate::descriptor_index::IndexConfig;
 use crate::features::Feature;
+use crate::hd_map::Region;
 use crate::hd_map::build::PointRow;
-use crate::hd_map::{IndexConfig, Region};
 
 /// A camera that looks along x.
 fn camera(focal_px: f64) -> RigCamera {

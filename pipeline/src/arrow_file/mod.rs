@@ -1,5 +1,8 @@
 //! Tables as Arrow IPC files: written whole, read through a memory map without copying.
 
+mod mapped;
+mod table;
+
 use std::fs::{self, File};
 use std::path::Path;
 use std::sync::Arc;
@@ -19,8 +22,9 @@ use arrow_ipc::{
 };
 use arrow_schema::{ArrowError, DataType, Field, Schema};
 
-use super::mapped_file::map_file;
 use crate::Error;
+use mapped::map_file;
+pub(crate) use table::{Fingerprint, Table, broken};
 
 /// Length of the footer, and the format's name, at the end of a file.
 const TRAILER_BYTES: usize = 10;
@@ -108,7 +112,7 @@ pub(crate) fn write_table(path: &Path, columns: &[NamedColumn]) -> Result<(), Er
 }
 
 /// The bytes of a table's file, mapped into memory.
-pub(crate) fn map_table(path: &Path) -> Result<Buffer, Error> {
+fn map_table(path: &Path) -> Result<Buffer, Error> {
     Ok(Buffer::from(map_file(path)?))
 }
 
