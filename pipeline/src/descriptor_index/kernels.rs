@@ -1,28 +1,13 @@
 //! The inner loops, compiled for the vector units of the processor they run on. None fuses a product with a sum, so that every
 //! processor finds the same numbers.
+//!
+//! Each is a type of its own, not a closure or a function handed on: nothing could force those to be inlined where the vector
+//! instructions are.
 
-use pulp::{Simd, WithSimd};
+use pulp::{Arch, Simd, WithSimd};
 
 /// Centroids that are looked at together: as many sums as the registers of a processor with AVX2 take.
 const LANES: usize = 64;
-
-/// Calls `body`, an `#[inline(always)]` function of one tuple, where it is compiled with the widest vectors there are.
-pub(super) fn vectorized<R, A>(body: impl FnOnce(A) -> R, arguments: A) -> R {
-    pulp::Arch::new().dispatch(Vectorized(body, arguments))
-}
-
-/// A function and what it is called with. Not a closure, since nothing could force that to be inlined where the vector
-/// instructions are.
-struct Vectorized<F, A>(F, A);
-
-impl<R, A, F: FnOnce(A) -> R> WithSimd for Vectorized<F, A> {
-    type Output = R;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _simd: S) -> R {
-        (self.0)(self.1)
-    }
-}
 
 /// Centroids as the search for the nearest wants them: [`LANES`] side by side, dimension by dimension.
 #[derive(Clone, Debug)]
@@ -60,14 +45,22 @@ impl CentroidBlocks {
     /// The nearest centroid of each of some vectors, of equally near ones the first; 0 where there is none.
     pub fn nearest(&self, values: &[f32]) -> Vec<u32> {
         let mut best = vec![(f32::INFINITY, 0); values.len() / self.dimensions];
-        vectorized(update_nearest, (self, values, best.as_mut_slice()));
+        Arch::new().dispatch(UpdateNearest {
+            centroids: self,
+            values,
+            best: &mut best,
+        });
         best.into_iter().map(|(_, index)| index).collect()
     }
 
     /// `|c|² − 2 v·c` of each centroid: its squared distance less `|v|²`.
     pub fn scores(&self, value: &[f32], scores: &mut Vec<f32>) {
         scores.clear();
-        vectorized(append_scores, (self, value, &mut *scores));
+        Arch::new().dispatch(AppendScores {
+            centroids: self,
+            value,
+            scores,
+        });
         scores.truncate(self.count);
     }
 
@@ -102,25 +95,47 @@ fn smallest(scores: &[f32; LANES]) -> f32 {
     least.into_iter().fold(f32::INFINITY, f32::min)
 }
 
-#[inline(always)]
-fn update_nearest((centroids, values, best): (&CentroidBlocks, &[f32], &mut [(f32, u32)])) {
-    for (block, (rows, norms)) in centroids.blocks().enumerate() {
-        let vectors = values.chunks_exact(centroids.dimensions);
-        for (value, best) in vectors.zip(best.iter_mut()) {
-            let scores = block_scores(value, rows, norms);
-            let least = smallest(&scores);
-            if least < best.0 {
-                let lane = scores.iter().position(|s| *s == least).unwrap_or(0);
-                *best = (least, (block * LANES + lane) as u32);
+/// The nearest so far of each vector, with its score.
+struct UpdateNearest<'a> {
+    centroids: &'a CentroidBlocks,
+    values: &'a [f32],
+    best: &'a mut [(f32, u32)],
+}
+
+impl WithSimd for UpdateNearest<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _simd: S) {
+        for (block, (rows, norms)) in self.centroids.blocks().enumerate() {
+            let vectors = self.values.chunks_exact(self.centroids.dimensions);
+            for (value, best) in vectors.zip(self.best.iter_mut()) {
+                let scores = block_scores(value, rows, norms);
+                let least = smallest(&scores);
+                if least < best.0 {
+                    let lane = scores.iter().position(|s| *s == least).unwrap_or(0);
+                    *best = (least, (block * LANES + lane) as u32);
+                }
             }
         }
     }
 }
 
-#[inline(always)]
-fn append_scores((centroids, value, scores): (&CentroidBlocks, &[f32], &mut Vec<f32>)) {
-    for (rows, norms) in centroids.blocks() {
-        scores.extend_from_slice(&block_scores(value, rows, norms));
+struct AppendScores<'a> {
+    centroids: &'a CentroidBlocks,
+    value: &'a [f32],
+    scores: &'a mut Vec<f32>,
+}
+
+impl WithSimd for AppendScores<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _simd: S) {
+        for (rows, norms) in self.centroids.blocks() {
+            let scores = block_scores(self.value, rows, norms);
+            self.scores.extend_from_slice(&scores);
+        }
     }
 }
 
@@ -129,25 +144,37 @@ pub(super) const WORDS: usize = 256;
 
 /// Products of each part of a query with each word of its part: `words` has for each dimension the values of all words.
 pub(super) fn multiply(query: &[f32], words: &[f32], products: &mut [[f32; WORDS]]) {
-    vectorized(multiply_parts, (query, words, products));
+    Arch::new().dispatch(MultiplyParts {
+        query,
+        words,
+        products,
+    });
 }
 
-#[inline(always)]
-fn multiply_parts((query, words, products): (&[f32], &[f32], &mut [[f32; WORDS]])) {
-    let part_len = (query.len() / products.len().max(1)).max(1);
-    let rows = words.as_chunks::<WORDS>().0;
-    let parts = query
-        .chunks_exact(part_len)
-        .zip(rows.chunks_exact(part_len));
-    for ((query, rows), products) in parts.zip(products) {
-        for lane in 0..WORDS / LANES {
-            let mut sums = [0.0; LANES];
-            for (value, row) in query.iter().zip(rows) {
-                for (sum, word) in sums.iter_mut().zip(&row.as_chunks::<LANES>().0[lane]) {
-                    *sum += value * word;
+struct MultiplyParts<'a> {
+    query: &'a [f32],
+    words: &'a [f32],
+    products: &'a mut [[f32; WORDS]],
+}
+
+impl WithSimd for MultiplyParts<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _simd: S) {
+        let part_len = (self.query.len() / self.products.len().max(1)).max(1);
+        let rows = self.words.as_chunks::<WORDS>().0.chunks_exact(part_len);
+        let parts = self.query.chunks_exact(part_len).zip(rows);
+        for ((query, rows), products) in parts.zip(self.products) {
+            for (group, products) in products.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
+                let mut sums = [0.0; LANES];
+                for (value, row) in query.iter().zip(rows) {
+                    for (sum, word) in sums.iter_mut().zip(&row.as_chunks::<LANES>().0[group]) {
+                        *sum += value * word;
+                    }
                 }
+                *products = sums;
             }
-            products.as_chunks_mut::<LANES>().0[lane] = sums;
         }
     }
 }
@@ -220,6 +247,38 @@ mod tests {
             }
         }
         assert_eq!(CentroidBlocks::new(&[], 8).nearest(&[0.0; 16]), [0, 0]);
+    }
+
+    /// With the vectors of this processor and with those that every processor has.
+    #[test]
+    fn every_processor_finds_the_same_numbers() {
+        let blocks = CentroidBlocks::new(&numbers(128 * 70, 5), 128);
+        let query = numbers(128, 6);
+        let (mut plain, mut wide) = (Vec::new(), Vec::new());
+        let scores = |scores| AppendScores {
+            centroids: &blocks,
+            value: &query,
+            scores,
+        };
+        Arch::Scalar.dispatch(scores(&mut plain));
+        Arch::new().dispatch(scores(&mut wide));
+        assert!(
+            plain
+                .iter()
+                .zip(&wide)
+                .all(|(a, b)| a.to_bits() == b.to_bits())
+        );
+        let words = numbers(128 * WORDS, 8);
+        let mut products = [[[0.0; WORDS]; 16]; 2];
+        let [plain, wide] = &mut products;
+        let multiply = |products| MultiplyParts {
+            query: &query,
+            words: &words,
+            products,
+        };
+        Arch::Scalar.dispatch(multiply(plain.as_mut_slice()));
+        Arch::new().dispatch(multiply(wide.as_mut_slice()));
+        assert!(plain == wide && plain[3][200] != 0.0);
     }
 
     /// `|q − w|²` of codes of four bytes, one dimension each, with all of it in the offset and the products.

@@ -71,8 +71,8 @@ impl Default for IndexConfig {
             max_lists: 4096,
             code_bytes: 16,
             code_bits: 8,
-            training_per_centroid: 40,
-            training_rounds: 6,
+            training_per_centroid: 100,
+            training_rounds: 10,
             seed: 1,
         }
     }

@@ -118,7 +118,7 @@ impl Smallest {
                     self.found.push((*score, whose(group * GROUP + i)));
                 }
             }
-            if self.found.len() >= 8 * self.wanted.max(8) {
+            if self.found.len() >= self.wanted.max(8).saturating_mul(8) {
                 self.drop_rest();
             }
         }
