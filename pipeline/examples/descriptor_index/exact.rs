@@ -11,9 +11,8 @@ use rayon::prelude::*;
 
 /// Neighbours that count.
 pub const NEAREST: usize = 25;
-/// Queries that are compared with all, from the first: so many, and fewer where that would be more comparisons than these.
+/// Queries that are compared with all, from the first.
 const COMPARED: usize = 500;
-const COMPARISONS: usize = 500_000_000;
 const PIECE: usize = 1 << 16;
 const RECORD: usize = 1 + NEAREST;
 
@@ -33,19 +32,15 @@ pub fn nearest(
         let records = numbers.as_chunks::<RECORD>().0.iter();
         return Ok(records.map(|r| std::array::from_fn(|i| r[1 + i])).collect());
     }
-    let asked = COMPARED.min(COMPARISONS / base.len().max(1)).max(1);
-    let asked = &queries[..queries.len().min(asked)];
+    let asked = &queries[..queries.len().min(COMPARED)];
     let mut best: Vec<Vec<(u32, u32)>> = vec![Vec::new(); asked.len()];
     for from in (0..base.len()).step_by(PIECE) {
         let piece = base.read(from..base.len().min(from + PIECE))?;
         best.par_iter_mut().zip(asked).for_each(|(best, query)| {
-            for (descriptor, place) in piece.iter().zip(from as u32..) {
-                let found = (distance_squared(query, descriptor), place);
-                if best.len() < NEAREST || found < best[NEAREST - 1] {
-                    best.truncate(NEAREST - 1);
-                    best.insert(best.partition_point(|b| *b < found), found);
-                }
-            }
+            let places = piece.iter().zip(from as u32..);
+            best.extend(places.map(|(d, place)| (distance_squared(query, d), place)));
+            best.sort_unstable();
+            *best = best[..best.len().min(NEAREST)].to_vec();
         });
     }
     let mut bytes = Vec::new();

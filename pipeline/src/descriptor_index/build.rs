@@ -1,5 +1,5 @@
 use arrow_buffer::Buffer;
-use lsfb_types::{Progress, ProgressFn, Stopped};
+use lsfb_types::{Progress, ProgressFn};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -45,9 +45,8 @@ impl DescriptorIndex {
                 total: 3 * count as u64,
             })
         };
-        let rounds = config.training_rounds.max(1);
-        let trained = |round: usize| step(count / rounds * round);
-        let quantizer = Quantizer::train(source, config, trained)?;
+        step(0)?;
+        let quantizer = Quantizer::train(source, config)?;
 
         let mut list_of: Vec<u32> = Vec::with_capacity(count);
         for from in (0..count).step_by(PIECE) {
@@ -122,11 +121,7 @@ impl Encoded {
 }
 
 impl Quantizer {
-    fn train(
-        source: DescriptorSource,
-        config: &IndexConfig,
-        step: impl Fn(usize) -> Result<(), Stopped>,
-    ) -> Result<Self, Error> {
+    fn train(source: DescriptorSource, config: &IndexConfig) -> Result<Self, Error> {
         let count = source.len();
         let lists = (count / config.list_length).clamp(1, config.max_lists);
         let drawn = |centroids: usize, seed: u64| {
@@ -137,13 +132,7 @@ impl Quantizer {
             values_at(source, wanted, seed)
         };
         let samples = drawn(lists, config.seed)?;
-        let centroids = train(
-            &samples,
-            DESCRIPTOR_LEN,
-            lists,
-            config.training_rounds,
-            step,
-        )?;
+        let centroids = train(&samples, DESCRIPTOR_LEN, lists, config.training_rounds);
         let lists = CentroidBlocks::new(&centroids, DESCRIPTOR_LEN);
         drop(samples);
 
@@ -152,14 +141,13 @@ impl Quantizer {
         let nearest = nearest_of_all(&lists, &residuals, DESCRIPTOR_LEN);
         subtract_centroids(&mut residuals, &nearest, &centroids);
         let part_len = DESCRIPTOR_LEN / config.code_bytes;
-        let words: Result<Vec<Vec<f32>>, Stopped> = (0..config.code_bytes)
+        let words: Vec<Vec<f32>> = (0..config.code_bytes)
             .into_par_iter()
             .map(|part| {
                 let column = part_of(&residuals, part, part_len);
-                train(&column, part_len, words, config.training_rounds, |_| Ok(()))
+                train(&column, part_len, words, config.training_rounds)
             })
             .collect();
-        let words = words?;
         let parts = words.iter().map(|w| CentroidBlocks::new(w, part_len));
         Ok(Self {
             centroids,

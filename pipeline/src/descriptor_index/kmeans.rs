@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use lsfb_types::Stopped;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -13,18 +12,11 @@ use super::kernels::CentroidBlocks;
 const GROUP: usize = 256;
 
 /// As many centroids as wanted, or as there are vectors, one after the other. `samples`, of `dimensions` each, are in random
-/// order: the first of them are where the search begins. `step` is called before each round with how many are done, and may end it.
-pub(super) fn train(
-    samples: &[f32],
-    dimensions: usize,
-    wanted: usize,
-    rounds: usize,
-    step: impl Fn(usize) -> Result<(), Stopped>,
-) -> Result<Vec<f32>, Stopped> {
+/// order: the first of them are where the search begins.
+pub(super) fn train(samples: &[f32], dimensions: usize, wanted: usize, rounds: usize) -> Vec<f32> {
     let count = wanted.min(samples.len() / dimensions);
     let mut centroids = samples[..count * dimensions].to_vec();
-    for round in 0..rounds {
-        step(round)?;
+    for _ in 0..rounds {
         let nearest = nearest_of_all(
             &CentroidBlocks::new(&centroids, dimensions),
             samples,
@@ -48,7 +40,7 @@ pub(super) fn train(
             }
         }
     }
-    Ok(centroids)
+    centroids
 }
 
 /// The nearest centroid of each vector, by all threads.
@@ -89,8 +81,7 @@ mod tests {
             let noise = |k: usize| ((i * 31 + k * 17) % 100) as f32 * 1e-3;
             values.extend((0..8).map(|k| noise(k) + if k == corner { 10.0 } else { 0.0 }));
         }
-        let trained = train(&values, 8, 3, 10, |_| Ok(())).expect("not stopped");
-        let centroids = CentroidBlocks::new(&trained, 8);
+        let centroids = CentroidBlocks::new(&train(&values, 8, 3, 10), 8);
         let owners = centroids.nearest(&values);
         assert!((3..300).all(|i| owners[i] == owners[i % 3]));
         assert!(owners[0] != owners[1] && owners[1] != owners[2] && owners[0] != owners[2]);

@@ -1,4 +1,4 @@
-use lsfb_types::{Progress, Stopped, no_progress};
+use lsfb_types::no_progress;
 use rand::{RngExt, SeedableRng};
 
 use rand_chacha::ChaCha8Rng;
@@ -169,25 +169,6 @@ fn few_descriptors_and_none() {
     empty.write(folder.path()).expect("written");
     let empty = DescriptorIndex::open(folder.path()).expect("opened");
     assert!(empty.search(&stored[0], 25, 8, &mut scratch).is_empty());
-}
-
-/// In each of its three parts, an end that is asked for is the end.
-#[test]
-fn building_can_be_stopped() {
-    let stored = descriptors(2_000, 6);
-    let source = DescriptorSource::Memory(&stored);
-    for least in [400, 2_000, 4_000] {
-        let progress = |p: Progress| {
-            assert!(p.done <= p.total);
-            if p.done >= least {
-                Err(Stopped)
-            } else {
-                Ok(())
-            }
-        };
-        let error = DescriptorIndex::build(source, &IndexConfig::default(), &progress);
-        assert!(matches!(error, Err(Error::Stopped(_))), "{least}");
-    }
 }
 
 #[test]
