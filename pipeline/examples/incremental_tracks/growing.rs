@@ -65,6 +65,11 @@ impl<'a> Growing<'a> {
         self.problem.value(self.states[keyframe].pose)
     }
 
+    /// A keyframe's pose in a copy of the problem.
+    pub fn pose_in(&self, problem: &Problem, keyframe: usize) -> Se3 {
+        problem.value(self.states[keyframe].pose)
+    }
+
     /// Adds a keyframe with all that it saw and felt.
     pub fn add(&mut self, k: usize) -> Result<(), Box<dyn Error>> {
         let keyframe = &self.tracks.keyframes[k];

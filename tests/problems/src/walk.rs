@@ -18,6 +18,11 @@ const CAMERA: StereoCamera = StereoCamera {
     baseline_m: 0.12,
 };
 
+const HUBER_PX: f64 = 1.0;
+const FIRST_SIGMA: f64 = 1e-3;
+const ROTATION_SIGMA: f64 = 2e-3;
+const TRANSLATION_SIGMA: f64 = 0.02;
+
 /// What one keyframe adds.
 pub struct Keyframe {
     /// Pose in the frame before, as odometry has it.
@@ -103,6 +108,34 @@ impl Walk {
             points: places,
         }
     }
+
+    /// What [`Added::add`] makes a problem of, for other programs: lines of a word and numbers. `camera`: focal lengths,
+    /// centre, baseline, scale of the Huber kernel (pixels, metres); `sigmas`: of the first pose, of odometry in rotation and
+    /// translation (radians, metres); `keyframe`: pose in the frame before as quaternion xyzw and translation; `see`: number of
+    /// a point, its column in the left and right image, and its row, in the keyframe above.
+    pub fn to_text(&self) -> String {
+        let [fx, fy] = CAMERA.focal_px;
+        let [cx, cy] = CAMERA.centre_px;
+        let baseline_m = CAMERA.baseline_m;
+        let mut text = format!(
+            "# a growing walk with a stereo camera\ncamera {fx} {fy} {cx} {cy} {baseline_m} {HUBER_PX}\n"
+        );
+        text += &format!("sigmas {FIRST_SIGMA} {ROTATION_SIGMA} {TRANSLATION_SIGMA}\n");
+        let join = |numbers: &[f64]| {
+            let numbers: Vec<String> = numbers.iter().map(f64::to_string).collect();
+            numbers.join(" ")
+        };
+        for keyframe in &self.keyframes {
+            let pose = &keyframe.odometry;
+            let rotation = join(pose.rotation.quaternion().coords.as_slice());
+            let translation = join(pose.translation.as_slice());
+            text += &format!("keyframe {rotation} {translation}\n");
+            for (point, pixel) in &keyframe.seen {
+                text += &format!("see {point} {}\n", join(pixel.as_slice()));
+            }
+        }
+        text
+    }
 }
 
 fn pose(radius: f64, angle: f64) -> Se3 {
@@ -185,7 +218,8 @@ impl Added {
         let pose = target.add_pose(guess);
         match self.poses.last() {
             Some(last) => {
-                let sigmas = Vector6::new(2e-3, 2e-3, 2e-3, 0.02, 0.02, 0.02);
+                let (r, t) = (ROTATION_SIGMA, TRANSLATION_SIGMA);
+                let sigmas = Vector6::new(r, r, r, t, t, t);
                 let between = Between {
                     b_from_a_measured: keyframe.odometry.inverse(),
                     sqrt_information: Matrix6::from_diagonal(&sigmas.map(|s| 1.0 / s)),
@@ -193,7 +227,7 @@ impl Added {
                 target.add_residual(between, &[last.id(), pose.id()], Kernel::Squared)?;
             }
             None => {
-                let prior = PosePrior::isotropic(guess, 1e-3, 1e-3);
+                let prior = PosePrior::isotropic(guess, FIRST_SIGMA, FIRST_SIGMA);
                 target.add_residual(prior, &[pose.id()], Kernel::Squared)?;
             }
         }
@@ -218,7 +252,11 @@ impl Added {
                 camera: CAMERA,
                 measured_px: *pixel,
             };
-            target.add_residual(seen, &[pose.id(), point.id()], Kernel::Huber { scale: 1.0 })?;
+            target.add_residual(
+                seen,
+                &[pose.id(), point.id()],
+                Kernel::Huber { scale: HUBER_PX },
+            )?;
         }
         Ok(())
     }

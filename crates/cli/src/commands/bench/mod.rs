@@ -1,5 +1,7 @@
-//! `lsfb bench`: programs of others on sequences with ground truth, our own in the twin, and there in the wrong place.
+//! `lsfb bench`: programs of others on sequences with ground truth and on growing bundle adjustment, our own in the twin, and there in
+//! the wrong place.
 
+mod ba;
 mod serve;
 mod slam;
 mod twin;
@@ -8,12 +10,14 @@ mod wrong_place;
 use crate::context::Context;
 use crate::outcome::Outcome;
 
-/// Benchmark SLAM systems on sequences with ground truth, others' trajectories on a leaderboard, and lsfb itself in simulated places.
+/// Benchmark SLAM systems on sequences with ground truth, others' trajectories on a leaderboard, solvers on a problem that grows, and lsfb itself
+/// in simulated places.
 ///
 /// Examples:
 ///   lsfb bench slam plan.toml --out bench
 ///   lsfb bench serve dataset --out board
 ///   lsfb bench twin --out trial --quick
+///   lsfb bench ba --out ba
 ///   lsfb bench wrong-place trial --out wrong
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -24,6 +28,7 @@ pub struct Arguments {
 
 #[derive(clap::Subcommand)]
 enum What {
+    Ba(ba::Arguments),
     Serve(serve::Arguments),
     Slam(slam::Arguments),
     Twin(twin::Arguments),
@@ -33,6 +38,7 @@ enum What {
 /// Runs what was asked for.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     match &arguments.what {
+        What::Ba(arguments) => ba::run(arguments, context),
         What::Serve(arguments) => serve::run(arguments, context),
         What::Slam(arguments) => slam::run(arguments, context),
         What::Twin(arguments) => twin::run(arguments, context),

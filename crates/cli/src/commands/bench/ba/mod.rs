@@ -1,0 +1,99 @@
+//! `lsfb bench ba`: what a keyframe costs while a problem grows, ours and that of other solvers, as in the paper's Fig. 4.
+
+mod page;
+mod problem;
+mod runs;
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+use crate::context::Context;
+use crate::files::write;
+use crate::outcome::Outcome;
+use page::page_of;
+use problem::Grown;
+use runs::{Run, Summary, named_file, read_run};
+
+/// Solve a growing bundle adjustment keyframe by keyframe: incrementally, from scratch, and by other solvers.
+///
+/// The problem is a simulated walk with a stereo camera that closes a loop at its end; it is written to problem.txt. A peer is a program
+/// that reads that file and writes one line a keyframe: its number from 1, CPU milliseconds of the update, cost after it
+/// (benches/solver/README.md has one for GTSAM). Writes problem.txt, incremental.csv, batch.csv and ba.html.
+///
+/// Examples:
+///   lsfb bench ba --out ba
+///   lsfb bench ba --out ba --force --peer ISAM2=isam2.csv
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    /// Folder for the problem, the results and the page.
+    #[arg(long, value_name = "FOLDER")]
+    out: PathBuf,
+    /// Keyframes of the walk.
+    #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u32).range(10..=10_000))]
+    keyframes: u32,
+    /// Points for each keyframe of the walk, of which it sees about a third.
+    #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u32).range(20..=1000))]
+    points: u32,
+    /// Seed of the walk.
+    #[arg(long, value_name = "SEED", default_value_t = 7)]
+    seed: u64,
+    /// Solve from scratch at every n-th keyframe.
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..))]
+    batch_every: u32,
+    /// Result of another solver on the same problem; may be given several times.
+    #[arg(long, value_name = "NAME=FILE", value_parser = named_file)]
+    peer: Vec<(String, PathBuf)>,
+}
+
+#[derive(Serialize)]
+struct Printed {
+    keyframes: u32,
+    points: usize,
+    observations: usize,
+    solvers: Vec<Summary>,
+}
+
+/// Runs what was asked for.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    std::fs::create_dir_all(&arguments.out)?;
+    let inputs: Vec<_> = arguments.peer.iter().map(|p| p.1.as_path()).collect();
+    let [problem, incremental, batch, page] =
+        ["problem.txt", "incremental.csv", "batch.csv", "ba.html"]
+            .map(|name| arguments.out.join(name));
+    for result in [&problem, &incremental, &batch, &page] {
+        context.claim(result, &inputs)?;
+    }
+    let peers = arguments.peer.iter();
+    let peers: Vec<Run> = peers
+        .map(|(name, path)| read_run(name, path, arguments.keyframes))
+        .collect::<Result<_, _>>()?;
+    let grown = Grown::solve(arguments, context)?;
+    write(&problem, &grown.problem)?;
+    write(&incremental, grown.incremental.to_csv())?;
+    write(&batch, grown.batch.to_csv())?;
+    let (points, observations) = (grown.points, grown.observations);
+    let mut runs = vec![grown.incremental, grown.batch];
+    runs.extend(peers);
+    let printed = Printed {
+        keyframes: arguments.keyframes,
+        points,
+        observations,
+        solvers: runs.iter().map(|run| run.summary(&runs[1])).collect(),
+    };
+    write(&page, page_of(&runs, &printed.solvers, &about(&printed)))?;
+    context.print(&printed, || {
+        let lines = printed.solvers.iter().map(Summary::line);
+        let lines: Vec<String> = lines.collect();
+        format!("{}\n{}", about(&printed), lines.join("\n"))
+    })?;
+    Ok(Outcome::Done)
+}
+
+fn about(printed: &Printed) -> String {
+    format!(
+        "{} keyframes, {} points, {} observations; one thread, loop at the end",
+        printed.keyframes, printed.points, printed.observations
+    )
+}

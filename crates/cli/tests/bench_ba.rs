@@ -1,0 +1,66 @@
+//! `lsfb bench ba` on a short walk.
+
+mod answer;
+mod process;
+
+use std::process::Output;
+
+use answer::json;
+use process::lsfb;
+
+fn said(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+#[test]
+fn a_growing_problem_is_solved_as_exactly_as_a_whole_one_and_peers_stand_beside() {
+    let folder = tempfile::tempdir().expect("folder");
+    let root = folder.path();
+    std::fs::write(
+        root.join("peer.csv"),
+        "keyframe,cpu_ms,cost\n10,2.5,\n20,4,1e6\n",
+    )
+    .expect("file");
+    let arguments =
+        "bench ba --keyframes 20 --points 60 --batch-every 5 --out ba --peer Peer=peer.csv";
+    let arguments: Vec<&str> = arguments.split(' ').collect();
+    let printed = json(root, &arguments, 0);
+    let solvers = &printed["solvers"];
+    assert_eq!(solvers[0]["solver"], "incremental");
+    assert_eq!(solvers[0]["updates"], 20);
+    assert_eq!(solvers[1]["updates"], 4);
+    let above = solvers[0]["cost_above_batch"].as_f64().expect("a number");
+    assert!(above.abs() < 1e-6, "{above:.1e}");
+    assert_eq!(solvers[2]["solver"], "Peer");
+    assert_eq!(solvers[2]["max_ms"], 4.0);
+    assert!(
+        solvers[2]["cost_above_batch"]
+            .as_f64()
+            .is_some_and(|c| c > 1.0)
+    );
+
+    let problem = std::fs::read_to_string(root.join("ba/problem.txt")).expect("problem");
+    let lines = |word: &str| problem.lines().filter(|l| l.starts_with(word)).count();
+    assert_eq!(lines("keyframe "), 20);
+    assert_eq!(Some(lines("see ") as u64), printed["observations"].as_u64());
+    let page = std::fs::read_to_string(root.join("ba/ba.html")).expect("page");
+    assert!(page.contains("Peer") && page.contains("incremental"));
+
+    let again = lsfb(root, &arguments);
+    assert_eq!(again.status.code(), Some(1), "{}", said(&again));
+    assert!(said(&again).contains("--force"), "{}", said(&again));
+}
+
+#[test]
+fn what_is_no_result_of_a_peer_is_refused_before_anything_is_solved() {
+    let folder = tempfile::tempdir().expect("folder");
+    let root = folder.path();
+    std::fs::write(root.join("peer.csv"), "1,2\n21,2\n").expect("file");
+    let arguments = "bench ba --keyframes 20 --out ba --peer Peer=peer.csv";
+    let output = lsfb(root, &arguments.split(' ').collect::<Vec<_>>());
+    assert_eq!(output.status.code(), Some(1), "{}", said(&output));
+    assert!(said(&output).contains("line 2"), "{}", said(&output));
+    assert!(!root.join("ba/problem.txt").exists());
+    let output = lsfb(root, &["bench", "ba", "--out", "ba", "--peer", "peer.csv"]);
+    assert_eq!(output.status.code(), Some(2), "{}", said(&output));
+}
