@@ -22,13 +22,13 @@ fn a_growing_problem_is_solved_as_exactly_as_a_whole_one_and_peers_stand_beside(
     )
     .expect("file");
     let arguments =
-        "bench ba --keyframes 20 --points 60 --batch-every 5 --out ba --peer Peer=peer.csv";
+        "bench ba --keyframes 60 --points 60 --batch-every 20 --out ba --peer Peer=peer.csv";
     let arguments: Vec<&str> = arguments.split(' ').collect();
     let printed = json(root, &arguments, 0);
     let solvers = &printed["solvers"];
     assert_eq!(solvers[0]["solver"], "incremental");
-    assert_eq!(solvers[0]["updates"], 20);
-    assert_eq!(solvers[1]["updates"], 4);
+    assert_eq!(solvers[0]["updates"], 60);
+    assert_eq!(solvers[1]["updates"], 3);
     let above = solvers[0]["cost_above_batch"].as_f64().expect("a number");
     assert!(above.abs() < 1e-6, "{above:.1e}");
     assert_eq!(solvers[2]["solver"], "Peer");
@@ -41,7 +41,7 @@ fn a_growing_problem_is_solved_as_exactly_as_a_whole_one_and_peers_stand_beside(
 
     let problem = std::fs::read_to_string(root.join("ba/problem.txt")).expect("problem");
     let lines = |word: &str| problem.lines().filter(|l| l.starts_with(word)).count();
-    assert_eq!(lines("keyframe "), 20);
+    assert_eq!(lines("keyframe "), 60);
     assert_eq!(Some(lines("see ") as u64), printed["observations"].as_u64());
     let page = std::fs::read_to_string(root.join("ba/ba.html")).expect("page");
     assert!(page.contains("Peer") && page.contains("incremental"));
@@ -55,8 +55,8 @@ fn a_growing_problem_is_solved_as_exactly_as_a_whole_one_and_peers_stand_beside(
 fn what_is_no_result_of_a_peer_is_refused_before_anything_is_solved() {
     let folder = tempfile::tempdir().expect("folder");
     let root = folder.path();
-    std::fs::write(root.join("peer.csv"), "1,2\n21,2\n").expect("file");
-    let arguments = "bench ba --keyframes 20 --out ba --peer Peer=peer.csv";
+    std::fs::write(root.join("peer.csv"), "1,2\n61,2\n").expect("file");
+    let arguments = "bench ba --keyframes 60 --out ba --peer Peer=peer.csv";
     let output = lsfb(root, &arguments.split(' ').collect::<Vec<_>>());
     assert_eq!(output.status.code(), Some(1), "{}", said(&output));
     assert!(said(&output).contains("line 2"), "{}", said(&output));

@@ -30,8 +30,8 @@ pub struct Arguments {
     /// Folder for the problem, the results and the page.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Keyframes of the walk.
-    #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u32).range(10..=10_000))]
+    /// Keyframes of the walk, half a metre apart: at least 60, so that the loop is wide enough to walk round what is seen inside.
+    #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u32).range(60..=10_000))]
     keyframes: u32,
     /// Points for each keyframe of the walk, of which it sees about a third.
     #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u32).range(20..=1000))]
