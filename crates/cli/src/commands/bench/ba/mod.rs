@@ -6,6 +6,7 @@ mod runs;
 
 use std::path::PathBuf;
 
+use anyhow::Context as _;
 use serde::Serialize;
 
 use crate::context::Context;
@@ -33,7 +34,7 @@ pub struct Arguments {
     /// Keyframes of the walk, half a metre apart: at least 60, so that the loop is wide enough to walk round what is seen inside.
     #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u32).range(60..=10_000))]
     keyframes: u32,
-    /// Points for each keyframe of the walk, of which it sees about a third.
+    /// Points for each keyframe of the walk, of which it sees about half.
     #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u32).range(20..=1000))]
     points: u32,
     /// Seed of the walk.
@@ -57,7 +58,7 @@ struct Printed {
 
 /// Runs what was asked for.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    std::fs::create_dir_all(&arguments.out)?;
+    std::fs::create_dir_all(&arguments.out).with_context(|| arguments.out.display().to_string())?;
     let inputs: Vec<_> = arguments.peer.iter().map(|p| p.1.as_path()).collect();
     let [problem, incremental, batch, page] =
         ["problem.txt", "incremental.csv", "batch.csv", "ba.html"]
