@@ -4,8 +4,9 @@ use lsfb_geometry::{Matrix6, Se3, StampedPose, Vector3, Vector6};
 use lsfb_perception::lidar::{Direction, Registration, observability};
 use serde::{Deserialize, Serialize};
 
+use super::motion::{Motion, end_pose};
 use super::uncertainty::once_seen;
-use super::{MIN_GATE_M, Motion, Odometry, ReducedScan, end_pose};
+use super::{MIN_GATE_M, Odometry, ReducedScan};
 
 /// A motion that a scan does not see.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -5,10 +5,12 @@
 //! prior of the registration). Without one, motion is taken to continue as in the last scan, and the start defines a
 //! world that is not level.
 
+mod config;
 mod degeneracy;
 mod extrinsic_check;
 mod imu_check;
 mod inertial;
+mod motion;
 mod online;
 mod point_clock;
 mod report;
@@ -16,6 +18,7 @@ mod run;
 mod uncertainty;
 mod unseen;
 mod warning;
+mod wide_search;
 
 #[cfg(test)]
 pub(crate) mod tests;
@@ -24,12 +27,12 @@ use std::collections::VecDeque;
 
 use lsfb_geometry::{ImuNoiseModel, Matrix6, RigLidar, Se3, StampedPose, Vector3, Vector6};
 use lsfb_perception::lidar::{
-    KNOT_NS, LocalMap, LocalMapConfig, MotionKnot, PosePrior, RangeWindow, Registration,
-    RegistrationConfig, Weighting, deskew, register, voxel_downsample,
+    LocalMap, MotionKnot, PosePrior, RangeWindow, Registration, RegistrationConfig, deskew,
+    register, voxel_downsample,
 };
-use lsfb_types::{Bounds, ImuSample, LidarScan, Stamped, Timestamp};
-use serde::{Deserialize, Serialize};
+use lsfb_types::{ImuSample, LidarScan, Stamped, Timestamp};
 
+pub use config::OdometryConfig;
 pub use degeneracy::{MotionKind, Unseen};
 pub use inertial::{GRAVITY_M_S2, InertialFilter, InertialState};
 pub use online::OnlineOdometry;
@@ -42,113 +45,9 @@ pub use warning::OdometryWarning;
 
 use crate::Error;
 use degeneracy::Seen;
+use motion::{InertialMotion, Motion, constant_path, end_pose};
 use uncertainty::{ConstantMotionCovariance, Uncertainty};
-
-/// Parameters of the odometry. The defaults suit rooms and corridors; outdoors take cells of 2 m and keypoints of 1 m.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct OdometryConfig {
-    /// Nearest range used, metres: nearer returns are the carrier.
-    pub min_range_m: f64,
-    /// Farthest range used, metres; the map is kept to 1.5 times as far.
-    pub max_range_m: f64,
-    /// Edge of the largest map cell, metres.
-    pub cell_size_m: f64,
-    /// Number of cell sizes, each half the one before.
-    pub cell_levels: u32,
-    /// Edge of the voxels a scan is reduced to for registration, metres.
-    pub keypoint_voxel_m: f64,
-    /// Edge of the voxels a scan is reduced to for insertion into the map, metres.
-    pub insert_voxel_m: f64,
-    /// Farthest correspondence while the motion is still unknown, metres.
-    pub initial_gate_m: f64,
-    /// Gauss–Newton iterations per scan at most.
-    pub max_iterations: u32,
-    /// How many neighbouring points share their errors and count as one measurement.
-    pub points_per_independent: f64,
-    /// Share of points that must agree with the map; below it the scan is reported as lost.
-    pub min_inlier_ratio: f64,
-    /// How many scans in a row share the faults of the surfaces that they see: the covariance counts them as one.
-    pub correlated_scans: f64,
-}
-
-impl OdometryConfig {
-    /// For streets and car-mounted LiDARs: far ranges, coarse cells.
-    pub fn outdoor() -> Self {
-        Self {
-            min_range_m: 3.0,
-            max_range_m: 100.0,
-            cell_size_m: 2.0,
-            keypoint_voxel_m: 1.0,
-            insert_voxel_m: 0.25,
-            ..Self::default()
-        }
-    }
-
-    /// The map of the surroundings, for a LiDAR.
-    pub(crate) fn local_map(&self, lidar: &RigLidar) -> LocalMapConfig {
-        LocalMapConfig {
-            cell_size_m: self.cell_size_m,
-            levels: self.cell_levels,
-            range_noise_m: lidar.range_noise_m.max(LEAST_NOISE_M),
-        }
-    }
-
-    /// How scans of a LiDAR are registered to it.
-    pub(crate) fn registration(&self, lidar: &RigLidar, gate_m: f64) -> RegistrationConfig {
-        let noise_m = lidar.range_noise_m.max(LEAST_NOISE_M);
-        RegistrationConfig {
-            max_iterations: self.max_iterations,
-            gate_m,
-            min_kernel_m: (3.0 * noise_m).max(0.03),
-            range_noise_m: noise_m,
-            point_noise_m: noise_m.hypot(0.3 * self.finest_cell_m()),
-            points_per_independent: self.points_per_independent,
-            weighting: Weighting::Tightening,
-        }
-    }
-
-    fn finest_cell_m(&self) -> f64 {
-        self.cell_size_m / f64::from(1u32 << (self.cell_levels - 1))
-    }
-}
-
-/// No LiDAR is better than this, whatever its rig says, metres.
-const LEAST_NOISE_M: f64 = 0.005;
-
-impl Default for OdometryConfig {
-    fn default() -> Self {
-        Self {
-            min_range_m: 0.7,
-            max_range_m: 80.0,
-            cell_size_m: 1.0,
-            cell_levels: 3,
-            keypoint_voxel_m: 0.2,
-            insert_voxel_m: 0.05,
-            initial_gate_m: 2.0,
-            max_iterations: 30,
-            points_per_independent: 4.0,
-            min_inlier_ratio: 0.2,
-            correlated_scans: 10.0,
-        }
-    }
-}
-
-lsfb_types::bounds! {
-    OdometryConfig {
-        min_range_m: number(Bounds::NOT_NEGATIVE),
-        max_range_m: number(Bounds::POSITIVE),
-        cell_size_m: number(Bounds::POSITIVE),
-        cell_levels: number(Bounds::Within(1.0, 8.0)),
-        keypoint_voxel_m: number(Bounds::POSITIVE),
-        insert_voxel_m: number(Bounds::POSITIVE),
-        initial_gate_m: number(Bounds::POSITIVE),
-        max_iterations: number(Bounds::AT_LEAST_ONE),
-        points_per_independent: number(Bounds::POSITIVE),
-        min_inlier_ratio: number(Bounds::Within(0.0, 1.0)),
-        correlated_scans: number(Bounds::AT_LEAST_ONE),
-    }
-}
+use wide_search::Innovations;
 
 /// What one scan gave.
 #[derive(Clone, Debug, PartialEq)]
@@ -188,26 +87,6 @@ pub enum StepOutcome {
     Lost,
 }
 
-/// How motion between scans is predicted.
-#[derive(Clone, Debug)]
-enum Motion {
-    /// From the IMU.
-    Inertial(InertialMotion),
-    /// As in the scan before.
-    Constant {
-        /// `[rotation, translation]` per second, in the rig frame.
-        twist_per_s: Vector6<f64>,
-        covariance: Box<ConstantMotionCovariance>,
-    },
-}
-
-#[derive(Clone, Debug)]
-struct InertialMotion {
-    noise: ImuNoiseModel,
-    samples: Vec<Stamped<ImuSample>>,
-    filter: Option<Box<InertialFilter>>,
-}
-
 /// The odometry of one walk.
 #[derive(Clone, Debug)]
 pub struct Odometry {
@@ -220,16 +99,27 @@ pub struct Odometry {
     unseen: bool,
     /// Pose at the end of the last scan.
     last: Option<StampedPose>,
+    /// The same of the last that found its place.
+    last_registered: Option<StampedPose>,
     /// Shortest time from scan to scan so far, nanoseconds.
     interval_ns: Option<i64>,
     /// How far registrations moved from their predictions lately, metres.
     corrections_m: VecDeque<f64>,
+    innovations: Innovations,
 }
 
 /// A scan deskewed to its end, reduced twice.
 struct ReducedScan {
     insert_points: Vec<Vector3<f64>>,
     keypoints: Vec<Vector3<f64>>,
+    /// Whether its points carry times.
+    is_timed: bool,
+}
+
+/// What a scan makes of the motion: the pose of scan and prediction together, and what the scan tells of it.
+struct Estimate {
+    world_from_rig: Se3,
+    information: Matrix6<f64>,
 }
 
 /// How far a usual point is: what an error of rotation does to a scan, metres.
@@ -266,8 +156,10 @@ impl Odometry {
             uncertainty: Uncertainty::default(),
             unseen: false,
             last: None,
+            last_registered: None,
             interval_ns: None,
             corrections_m: VecDeque::new(),
+            innovations: Innovations::default(),
         })
     }
 
@@ -299,7 +191,11 @@ impl Odometry {
         let end = self.end_of(scan)?;
         let mut path = self.predict(scan.time, end)?;
         let mut reduced = self.reduce(scan, &path);
-        let mut found = self.register(&reduced, &path);
+        let find = self.search(&reduced, &path);
+        let mut found = match &find {
+            Some(find) => find.registration,
+            None => self.register(&reduced, &path),
+        };
         if let (Motion::Constant { .. }, true) = (&self.motion, end > scan.time) {
             // Without an IMU a first pass finds the motion by which the second deskews.
             path = constant_path(self.last, scan.time, end, &found.world_from_rig);
@@ -307,13 +203,64 @@ impl Odometry {
             found = self.register(&reduced, &path);
         }
         let outcome = self.judge(&found);
-        let by_scan_alone = without(&self.prior(&path), &found);
+        if std::env::var_os("DBG").is_some() {
+            let prior = self.prior(&path);
+            let cov = prior
+                .information
+                .cholesky()
+                .map(|c| c.inverse())
+                .unwrap_or_else(Matrix6::zeros);
+            let corr = prior.world_from_rig.local(&found.world_from_rig);
+            let chi = corr.dot(&(prior.information * corr));
+            let p = found.world_from_rig.translation;
+            eprintln!(
+                "{:?} inlier {:.2} rms {:.3} it {} gate {:.2} at ({:.2} {:.2} {:.2}) sig rot {:.2?} deg, pos {:.3?} corr rot {:.2?} pos {:.3?} chi2 {:.1}",
+                outcome,
+                found.inlier_ratio,
+                found.plane_rms_m,
+                found.iterations,
+                self.gate_m(&path, &prior),
+                p.x,
+                p.y,
+                p.z,
+                [0, 1, 2].map(|k| cov[(k, k)].sqrt().to_degrees()),
+                [3, 4, 5].map(|k| cov[(k, k)].sqrt()),
+                [0, 1, 2].map(|k| corr[k].to_degrees()),
+                [3, 4, 5].map(|k| corr[k]),
+                chi
+            );
+            if let Some(s) = self.inertial_state() {
+                eprintln!(
+                    "   v {:.3?} bg {:.4?} ba {:.3?} g {:.3?}",
+                    s.velocity_m_s.as_slice(),
+                    s.gyro_bias_rad_s.as_slice(),
+                    s.accel_bias_m_s2.as_slice(),
+                    s.gravity_m_s2.as_slice()
+                );
+            }
+        }
+        let by_scan_alone = match &find {
+            Some(find) => find.registration.world_from_rig,
+            None => without(&self.prior(&path), &found),
+        };
         let predicted = self.predicted_covariance();
         let mut seen = Seen::default();
         if outcome == StepOutcome::Registered {
             seen = self.see(&reduced, &found);
             self.unseen = seen.unseen.is_some();
-            self.correct(&mut path, &found, &seen.lasting);
+            let mut estimate = Estimate {
+                world_from_rig: found.world_from_rig,
+                information: found.information,
+            };
+            if let Some(find) = &find {
+                self.innovations.take(find.squared_sigmas);
+                seen.lasting = find.weakened(&seen.lasting);
+                estimate = Estimate {
+                    world_from_rig: find.with_prediction,
+                    information: find.weakened(&found.information),
+                };
+            }
+            self.correct(&mut path, &found.world_from_rig, &estimate, &seen.lasting);
         }
         let covariance = self.covariance_of(&reduced, &path, &predicted, &seen.lasting);
         if outcome == StepOutcome::Lost {
@@ -321,6 +268,7 @@ impl Odometry {
             self.corrections_m.clear();
         } else {
             self.insert(&reduced, &path, &covariance);
+            self.last_registered = path.last().copied();
         }
         self.finish(&path);
         Ok(OdometryStep {
@@ -394,6 +342,7 @@ impl Odometry {
         ReducedScan {
             insert_points,
             keypoints,
+            is_timed: scan.sample.points.iter().any(|p| p.time_offset_ns > 0),
         }
     }
 
@@ -473,8 +422,14 @@ impl Odometry {
     }
 
     /// Takes in the registered pose and bends the path so that it ends there.
-    fn correct(&mut self, path: &mut [StampedPose], found: &Registration, lasting: &Matrix6<f64>) {
-        let correction = end_pose(path).local(&found.world_from_rig);
+    fn correct(
+        &mut self,
+        path: &mut [StampedPose],
+        found: &Se3,
+        estimate: &Estimate,
+        lasting: &Matrix6<f64>,
+    ) {
+        let correction = end_pose(path).local(found);
         let moved_m = correction.fixed_rows::<3>(3).norm()
             + USUAL_RANGE_M * correction.fixed_rows::<3>(0).norm();
         self.corrections_m.push_back(moved_m);
@@ -484,7 +439,7 @@ impl Odometry {
         match &mut self.motion {
             Motion::Inertial(inertial) => {
                 if let Some(filter) = &mut inertial.filter {
-                    filter.correct(&found.world_from_rig, &found.information, lasting);
+                    filter.correct(&estimate.world_from_rig, &estimate.information, lasting);
                 }
             }
             Motion::Constant { covariance, .. } => covariance.correct(lasting),
@@ -540,21 +495,6 @@ impl Odometry {
     }
 }
 
-impl InertialMotion {
-    fn predict(&mut self, start: Timestamp, end: Timestamp) -> Result<Vec<StampedPose>, Error> {
-        let filter = match &mut self.filter {
-            Some(filter) => filter,
-            none => {
-                let before_end = self.samples.partition_point(|s| s.time <= end);
-                let begun = InertialFilter::start(&self.samples[..before_end], start, &self.noise)
-                    .ok_or(Error::ImuMissing { time: end })?;
-                none.insert(Box::new(begun))
-            }
-        };
-        Ok(filter.predict(&self.samples, end))
-    }
-}
-
 /// A registered pose without its prior: where the two are balanced, `H_s (x − x_s) + H_p (x − x_p) = 0`.
 fn without(prior: &PosePrior, found: &Registration) -> Se3 {
     let pulled = prior.information * prior.world_from_rig.local(&found.world_from_rig);
@@ -564,34 +504,4 @@ fn without(prior: &PosePrior, found: &Registration) -> Se3 {
     back.map_or(found.world_from_rig, |back| {
         found.world_from_rig.retract(&back)
     })
-}
-
-/// Where a path ends.
-fn end_pose(path: &[StampedPose]) -> Se3 {
-    path.last()
-        .map_or_else(Se3::identity, |end| end.world_from_rig)
-}
-
-/// A path of constant twist from the last pose through the scan's start to `end_pose` at `end`.
-fn constant_path(
-    last: Option<StampedPose>,
-    start: Timestamp,
-    end: Timestamp,
-    end_pose: &Se3,
-) -> Vec<StampedPose> {
-    let begin = last.unwrap_or(StampedPose {
-        time: start,
-        world_from_rig: *end_pose,
-    });
-    let twist = begin.world_from_rig.local(end_pose);
-    let span_ns = end - begin.time;
-    let steps = (span_ns / KNOT_NS).clamp(1, 100);
-    (0..=steps)
-        .map(|i| StampedPose {
-            time: begin.time.plus_nanos(span_ns * i / steps),
-            world_from_rig: begin
-                .world_from_rig
-                .retract(&(twist * (i as f64 / steps as f64))),
-        })
-        .collect()
 }

@@ -59,6 +59,9 @@ const INTERVALS: usize = 15;
 const MIN_TURN_RAD: f64 = 0.7 * TAU;
 const MAX_TURN_RAD: f64 = 1.1 * TAU;
 const MAX_BEAM_OFFSET_RAD: f64 = 0.4;
+/// No sensor turns more slowly; where scans are rarer some are missing, and a turn takes the usual time (10 Hz), nanoseconds.
+const SLOWEST_TURN_NS: i64 = 250_000_000;
+const USUAL_TURN_NS: i64 = 100_000_000;
 /// Nearer returns have no azimuth to speak of, metres.
 const MIN_HORIZONTAL_M: f32 = 0.3;
 
@@ -118,7 +121,8 @@ impl PointClock {
         }
         self.report.not_believed += u64::from(timed);
         let period_ns = period_ns.filter(|_| self.azimuths_are_times);
-        let by_azimuth = period_ns.and_then(|period_ns| times_by_azimuth(points, period_ns));
+        let by_azimuth =
+            period_ns.and_then(|period_ns| times_by_azimuth(points, turn_ns(period_ns)));
         match &by_azimuth {
             Some(_) => self.report.by_azimuth += 1,
             None => self.report.none += 1,
@@ -129,6 +133,14 @@ impl PointClock {
         }
         scan
     }
+}
+
+/// How long a turn takes where a scan comes every `period_ns`: of clouds that were thinned out in time many turns are missing.
+fn turn_ns(period_ns: i64) -> i64 {
+    if period_ns <= SLOWEST_TURN_NS {
+        return period_ns;
+    }
+    period_ns / ((period_ns + USUAL_TURN_NS / 2) / USUAL_TURN_NS)
 }
 
 /// Nanoseconds after the first point for each, of one turn in `period_ns`, clockwise seen from above as all known sensors spin. `None`

@@ -1,0 +1,244 @@
+//! The inertial half: an error-state filter that predicts the pose between scans and learns velocity, biases and
+//! gravity from the registered poses.
+//!
+//! Error state, in this order: rotation and translation of the pose (right perturbation), velocity, gyroscope bias,
+//! accelerometer bias, gravity; three components each. Model as in Xu et al., "FAST-LIO2", eq. (1)–(8), with the pose
+//! error in the tangent of SE(3).
+
+mod reading;
+mod start;
+
+#[cfg(test)]
+mod tests;
+
+use lsfb_geometry::{ImuNoiseModel, Matrix3, Matrix6, Se3, StampedPose, Vector3, Vector6, so3};
+use lsfb_perception::lidar::PosePrior;
+use lsfb_types::{ImuSample, Stamped, Timestamp};
+use nalgebra::{SMatrix, SVector};
+
+use super::uncertainty::once_seen;
+use reading::{Reading, reading_at};
+use start::Standing;
+
+type Matrix18 = SMatrix<f64, 18, 18>;
+
+const VELOCITY: usize = 6;
+const GYRO_BIAS: usize = 9;
+const ACCEL_BIAS: usize = 12;
+const GRAVITY: usize = 15;
+
+/// Standard gravity, m/s².
+pub const GRAVITY_M_S2: f64 = 9.80665;
+
+/// Beyond this the motion between two samples is not what they say, seconds: steps shake at a few hertz, and a straight line
+/// between samples still follows that.
+const MAX_SAMPLE_GAP_S: f64 = 0.08;
+/// Longer than this between two samples a straight line between them misses some of the motion, seconds.
+const SURE_SAMPLE_GAP_S: f64 = 0.02;
+/// What a walker may do unseen: turn rate, rad/s, and acceleration, m/s².
+const UNSEEN_RATE_RAD_S: f64 = 0.5;
+const UNSEEN_ACCELERATION_M_S2: f64 = 2.0;
+
+/// What the filter estimates.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InertialState {
+    /// Pose of the rig.
+    pub world_from_rig: Se3,
+    /// Velocity of the rig in the world, m/s.
+    pub velocity_m_s: Vector3<f64>,
+    /// Gyroscope bias, rad/s.
+    pub gyro_bias_rad_s: Vector3<f64>,
+    /// Accelerometer bias, m/s².
+    pub accel_bias_m_s2: Vector3<f64>,
+    /// Gravity in the world, m/s²: close to (0, 0, −9.81), and exactly known only as the walk goes on.
+    pub gravity_m_s2: Vector3<f64>,
+}
+
+/// The filter.
+#[derive(Clone, Debug)]
+pub struct InertialFilter {
+    state: InertialState,
+    /// By which scans and prediction are weighed.
+    covariance: Matrix18,
+    /// By which the estimate is reported: with scans that share their errors.
+    reported: Matrix18,
+    /// What it felt at the start, as long as it has stood still since.
+    standing: Option<Standing>,
+    time: Timestamp,
+    noise: ImuNoiseModel,
+}
+
+impl InertialFilter {
+    /// The estimate at [`InertialFilter::time`].
+    pub fn state(&self) -> &InertialState {
+        &self.state
+    }
+
+    /// Time of the estimate.
+    pub fn time(&self) -> Timestamp {
+        self.time
+    }
+
+    /// Whether it has not moved since the start, as far as an IMU can tell.
+    pub fn stands(&self) -> bool {
+        self.standing.is_some()
+    }
+
+    /// Moves the estimate to `end` with the samples around that span; returns the poses on the way, both ends included.
+    pub fn predict(&mut self, samples: &[Stamped<ImuSample>], end: Timestamp) -> Vec<StampedPose> {
+        let mut knots = vec![self.knot()];
+        let first = samples.partition_point(|s| s.time <= self.time);
+        let last = samples.partition_point(|s| s.time < end).max(first);
+        let inside = &samples[first..last];
+        self.standing = self
+            .standing
+            .filter(|standing| inside.is_empty() || standing.goes_on(inside));
+        let Some(mut from) = reading_at(samples, self.time) else {
+            return knots;
+        };
+        let inside = inside.iter().map(Reading::from);
+        for to in inside.chain(reading_at(samples, end)) {
+            self.integrate(&from, &to);
+            knots.push(self.knot());
+            from = to;
+        }
+        knots
+    }
+
+    fn knot(&self) -> StampedPose {
+        StampedPose {
+            time: self.time,
+            world_from_rig: self.state.world_from_rig,
+        }
+    }
+
+    fn integrate(&mut self, from: &Reading, to: &Reading) {
+        let dt = to.time.secs_since(from.time);
+        if !(dt > 0.0) {
+            return;
+        }
+        let s = &self.state;
+        let blind = dt > MAX_SAMPLE_GAP_S;
+        let rate = (from.angular_velocity + to.angular_velocity) * 0.5 - s.gyro_bias_rad_s;
+        let turn = so3::exp(&(rate * dt));
+        // Force at mid-time in the attitude of mid-time.
+        let force = (from.specific_force + to.specific_force) * 0.5 - s.accel_bias_m_s2;
+        let middle = so3::retract(&s.world_from_rig.rotation, &(rate * (0.5 * dt)))
+            .to_rotation_matrix()
+            .into_inner();
+        let acceleration = if blind {
+            Vector3::zeros()
+        } else {
+            middle * force + s.gravity_m_s2
+        };
+        let start = s.world_from_rig;
+        let mut end_rotation = start.rotation * turn;
+        end_rotation.renormalize_fast();
+        let end = Se3::new(
+            end_rotation,
+            start.translation + s.velocity_m_s * dt + acceleration * (0.5 * dt * dt),
+        );
+
+        let start_from_end = turn.inverse().to_rotation_matrix().into_inner();
+        let end_from_world = end.rotation_matrix().transpose();
+        let force_by_rotation = middle * so3::hat(&force);
+        let mut f = Matrix18::identity();
+        let mut set = |row: usize, column: usize, block: Matrix3<f64>| {
+            f.fixed_view_mut::<3, 3>(row, column).copy_from(&block);
+        };
+        set(0, 0, start_from_end);
+        set(0, GYRO_BIAS, so3::right_jacobian(&(rate * dt)) * -dt);
+        set(3, 0, end_from_world * force_by_rotation * (-0.5 * dt * dt));
+        set(3, 3, start_from_end);
+        set(3, VELOCITY, end_from_world * dt);
+        set(3, ACCEL_BIAS, end_from_world * middle * (-0.5 * dt * dt));
+        set(3, GRAVITY, end_from_world * (0.5 * dt * dt));
+        set(VELOCITY, 0, -force_by_rotation * dt);
+        set(VELOCITY, ACCEL_BIAS, middle * -dt);
+        set(VELOCITY, GRAVITY, Matrix3::identity() * dt);
+
+        let mut noise = SVector::<f64, 18>::zeros();
+        // What a straight line misses grows with the square of its length.
+        let missed = if blind {
+            1.0
+        } else if dt > SURE_SAMPLE_GAP_S {
+            (dt / MAX_SAMPLE_GAP_S).powi(2)
+        } else {
+            0.0
+        };
+        let mut add = |at: usize, density: f64, unseen: f64| {
+            let sigma = missed * unseen * dt;
+            let variance = density * density * dt + sigma * sigma;
+            noise.fixed_rows_mut::<3>(at).fill(variance);
+        };
+        add(0, self.noise.gyro_noise_density, UNSEEN_RATE_RAD_S);
+        add(3, 0.0, 0.5 * UNSEEN_ACCELERATION_M_S2 * dt);
+        add(
+            VELOCITY,
+            self.noise.accel_noise_density,
+            UNSEEN_ACCELERATION_M_S2,
+        );
+        add(GYRO_BIAS, self.noise.gyro_bias_walk, 0.0);
+        add(ACCEL_BIAS, self.noise.accel_bias_walk, 0.0);
+
+        let noise = Matrix18::from_diagonal(&noise);
+        self.covariance = f * self.covariance * f.transpose() + noise;
+        self.reported = f * self.reported * f.transpose() + noise;
+        self.state.world_from_rig = end;
+        self.state.velocity_m_s += acceleration * dt;
+        self.time = to.time;
+    }
+
+    /// How far the pose may be off against the map: covariance of `[rotation, translation]`.
+    pub fn reported_covariance(&self) -> Matrix6<f64> {
+        self.reported.fixed_view::<6, 6>(0, 0).into()
+    }
+
+    /// Takes the estimate for less certain: its covariance by so many times, 1 or more.
+    pub fn doubt(&mut self, factor: f64) {
+        self.covariance *= factor;
+        self.reported *= factor;
+    }
+
+    /// The predicted pose as a prior for registration.
+    pub fn pose_prior(&self) -> PosePrior {
+        let covariance: Matrix6<f64> = self.covariance.fixed_view::<6, 6>(0, 0).into();
+        PosePrior {
+            world_from_rig: self.state.world_from_rig,
+            information: covariance
+                .cholesky()
+                .map_or_else(Matrix6::zeros, |c| c.inverse()),
+        }
+    }
+
+    /// Takes in the pose found from [`InertialFilter::pose_prior`] and a scan that gave `information` on it, of which `lasting` is what it
+    /// adds to those before it, with which it shares its errors.
+    pub fn correct(
+        &mut self,
+        world_from_rig: &Se3,
+        information: &Matrix6<f64>,
+        lasting: &Matrix6<f64>,
+    ) {
+        let p = &self.covariance;
+        let prior: Matrix6<f64> = p.fixed_view::<6, 6>(0, 0).into();
+        let Some(prior_cholesky) = prior.cholesky() else {
+            return;
+        };
+        // The pose is already the best of prior and scan; the rest of the state follows it by its correlation.
+        let deviation: Vector6<f64> = self.state.world_from_rig.local(world_from_rig);
+        let all_by_pose = p.fixed_view::<18, 6>(0, 0) * prior_cholesky.inverse();
+        let delta = all_by_pose * deviation;
+        let s = &mut self.state;
+        s.world_from_rig = *world_from_rig;
+        s.velocity_m_s += delta.fixed_rows::<3>(VELOCITY);
+        s.gyro_bias_rad_s += delta.fixed_rows::<3>(GYRO_BIAS);
+        s.accel_bias_m_s2 += delta.fixed_rows::<3>(ACCEL_BIAS);
+        s.gravity_m_s2 += delta.fixed_rows::<3>(GRAVITY);
+        if let Some(seen) = once_seen(p, information) {
+            self.covariance = seen;
+        }
+        if let Some(seen) = once_seen(&self.reported, lasting) {
+            self.reported = seen;
+        }
+    }
+}

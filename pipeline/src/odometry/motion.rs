@@ -1,0 +1,75 @@
+//! How the rig moves between two scans.
+
+use lsfb_geometry::{ImuNoiseModel, Se3, StampedPose, Vector6};
+use lsfb_perception::lidar::KNOT_NS;
+use lsfb_types::{ImuSample, Stamped, Timestamp};
+
+use super::inertial::InertialFilter;
+use super::uncertainty::ConstantMotionCovariance;
+use crate::Error;
+
+/// How motion between scans is predicted.
+#[derive(Clone, Debug)]
+pub(super) enum Motion {
+    /// From the IMU.
+    Inertial(InertialMotion),
+    /// As in the scan before.
+    Constant {
+        /// `[rotation, translation]` per second, in the rig frame.
+        twist_per_s: Vector6<f64>,
+        covariance: Box<ConstantMotionCovariance>,
+    },
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct InertialMotion {
+    pub noise: ImuNoiseModel,
+    pub samples: Vec<Stamped<ImuSample>>,
+    pub filter: Option<Box<InertialFilter>>,
+}
+
+impl InertialMotion {
+    /// Poses from the end of the last scan (or the start of the first) to `end`.
+    pub fn predict(&mut self, start: Timestamp, end: Timestamp) -> Result<Vec<StampedPose>, Error> {
+        let filter = match &mut self.filter {
+            Some(filter) => filter,
+            none => {
+                let before_end = self.samples.partition_point(|s| s.time <= end);
+                let begun = InertialFilter::start(&self.samples[..before_end], start, &self.noise)
+                    .ok_or(Error::ImuMissing { time: end })?;
+                none.insert(Box::new(begun))
+            }
+        };
+        Ok(filter.predict(&self.samples, end))
+    }
+}
+
+/// Where a path ends.
+pub(super) fn end_pose(path: &[StampedPose]) -> Se3 {
+    path.last()
+        .map_or_else(Se3::identity, |end| end.world_from_rig)
+}
+
+/// A path of constant twist from the last pose through the scan's start to `end_pose` at `end`.
+pub(super) fn constant_path(
+    last: Option<StampedPose>,
+    start: Timestamp,
+    end: Timestamp,
+    end_pose: &Se3,
+) -> Vec<StampedPose> {
+    let begin = last.unwrap_or(StampedPose {
+        time: start,
+        world_from_rig: *end_pose,
+    });
+    let twist = begin.world_from_rig.local(end_pose);
+    let span_ns = end - begin.time;
+    let steps = (span_ns / KNOT_NS).clamp(1, 100);
+    (0..=steps)
+        .map(|i| StampedPose {
+            time: begin.time.plus_nanos(span_ns * i / steps),
+            world_from_rig: begin
+                .world_from_rig
+                .retract(&(twist * (i as f64 / steps as f64))),
+        })
+        .collect()
+}

@@ -1,0 +1,209 @@
+//! The steps of a walk, put together.
+
+use lsfb_geometry::{RigLidar, Se3, StampedPose, Trajectory, UnitQuaternion, Vector3};
+use lsfb_perception::statistics::median;
+
+use super::{DeskewedCloud, OdometryResult, ScanPose};
+use crate::Error;
+use crate::odometry::report::OdometryReport;
+use crate::odometry::unseen::UnseenStretches;
+use crate::odometry::{InertialState, OdometryStep, StepOutcome};
+
+/// What has come together so far.
+#[derive(Default)]
+pub(super) struct Found {
+    poses: Vec<StampedPose>,
+    scan_poses: Vec<ScanPose>,
+    /// What the registered scans alone say of these.
+    pub by_scans: Vec<StampedPose>,
+    unseen: UnseenStretches,
+    clouds: Vec<DeskewedCloud>,
+    pub report: OdometryReport,
+    inlier_ratios: f64,
+    plane_squares: f64,
+    measured: u64,
+}
+
+impl Found {
+    pub fn take(&mut self, step: Result<OdometryStep, Error>) -> Result<(), Error> {
+        self.report.scans += 1;
+        let step = match step {
+            Ok(step) => step,
+            Err(Error::EmptyScan { .. } | Error::ScanOrder { .. } | Error::ImuMissing { .. }) => {
+                self.report.skipped += 1;
+                return Ok(());
+            }
+            Err(other) => return Err(other),
+        };
+        if step.outcome == StepOutcome::Lost {
+            self.report.lost += 1;
+            self.report.lost_at_end += 1;
+            return Ok(());
+        }
+        self.report.registered += 1;
+        self.unseen.take(&step);
+        self.scan_poses.push(ScanPose {
+            pose: StampedPose {
+                time: step.time,
+                world_from_rig: step.world_from_rig,
+            },
+            covariance: step.covariance,
+        });
+        if step.outcome == StepOutcome::Registered {
+            self.by_scans.push(StampedPose {
+                time: step.time,
+                world_from_rig: step.by_scan_alone,
+            });
+            self.measured += 1;
+            self.inlier_ratios += step.inlier_ratio;
+            self.plane_squares += step.plane_rms_m * step.plane_rms_m;
+        }
+        let points = step.keypoints_in_rig.iter();
+        self.clouds.push(DeskewedCloud {
+            time: step.time,
+            points_in_rig: points
+                .map(|p| [p.x as f32, p.y as f32, p.z as f32])
+                .collect(),
+        });
+        // After a gap only the pose of the scan itself is more than a prediction.
+        let gap = std::mem::take(&mut self.report.lost_at_end) > 0;
+        let known = if gap {
+            step.poses.len().saturating_sub(1)
+        } else {
+            0
+        };
+        self.poses.extend(step.poses.into_iter().skip(known));
+        Ok(())
+    }
+
+    pub fn finish(self, state: Option<&InertialState>, lidar: &RigLidar) -> OdometryResult {
+        let mut report = self.report;
+        let mut poses = self.poses;
+        let mut scan_poses = self.scan_poses;
+        let mut level = UnitQuaternion::identity();
+        if let Some(state) = state {
+            // Gravity is known best at the end of the walk; the whole walk is turned level with it.
+            let down = -Vector3::z();
+            level = UnitQuaternion::rotation_between(&state.gravity_m_s2, &down)
+                .unwrap_or_else(UnitQuaternion::identity);
+            let of_scans = scan_poses.iter_mut().map(|scan| &mut scan.pose);
+            for pose in poses.iter_mut().chain(of_scans) {
+                pose.world_from_rig = Se3::new(level, Vector3::zeros()) * pose.world_from_rig;
+            }
+            report.gyro_bias_rad_s = Some(state.gyro_bias_rad_s.into());
+            report.accel_bias_m_s2 = Some(state.accel_bias_m_s2.into());
+        }
+        let trajectory = Trajectory::new(poses);
+        let measured = self.measured.max(1) as f64;
+        report.path_length_m = trajectory.path_length_m();
+        report.mean_inlier_ratio = self.inlier_ratios / measured;
+        report.plane_rms_m = (self.plane_squares / measured).sqrt();
+        report.unseen = self.unseen.finish(&level);
+        report.sigma_at_end_m = scan_poses.last().map_or(0.0, ScanPose::worst_sigma_m);
+        report.scan_interval_s = usual_interval_s(&scan_poses);
+        report.add_warnings();
+        OdometryResult {
+            trajectory,
+            scan_poses,
+            clouds: self.clouds,
+            lidar: lidar.clone(),
+            report,
+        }
+    }
+}
+
+/// The median time from one pose to the next, seconds; 0 for less than two.
+fn usual_interval_s(scan_poses: &[ScanPose]) -> f64 {
+    let pairs = scan_poses.windows(2);
+    let intervals_s = pairs.map(|pair| pair[1].pose.time.secs_since(pair[0].pose.time));
+    median(intervals_s.collect()).unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use lsfb_geometry::Matrix6;
+    use lsfb_types::Timestamp;
+
+    use super::*;
+    use crate::odometry::OdometryWarning;
+
+    fn lidar() -> RigLidar {
+        RigLidar {
+            rig_from_lidar: Se3::identity(),
+            range_noise_m: 0.02,
+        }
+    }
+
+    /// A step that ends at so many tenths of a second, with a pose in the middle, as an IMU gives it.
+    fn step(tenths: i64, outcome: StepOutcome) -> Result<OdometryStep, Error> {
+        let pose = |nanos: i64| StampedPose {
+            time: Timestamp::from_nanos(nanos),
+            world_from_rig: Se3::new(
+                UnitQuaternion::identity(),
+                Vector3::x() * nanos as f64 * 1e-9,
+            ),
+        };
+        let end = pose(tenths * 100_000_000);
+        Ok(OdometryStep {
+            time: end.time,
+            world_from_rig: end.world_from_rig,
+            by_scan_alone: end.world_from_rig,
+            covariance: Matrix6::identity() * 1e-4,
+            unseen: None,
+            poses: vec![pose(tenths * 100_000_000 - 50_000_000), end],
+            keypoints_in_rig: Vec::new(),
+            inlier_ratio: 0.9,
+            plane_rms_m: 0.01,
+            iterations: 4,
+            outcome,
+        })
+    }
+
+    #[test]
+    fn lost_scans_are_no_poses() {
+        use StepOutcome::{First, Lost, Registered};
+        let mut run = Found::default();
+        let outcomes = [First, Registered, Lost, Lost, Registered, Registered, Lost];
+        for (tenths, outcome) in (1..).zip(outcomes) {
+            run.take(step(tenths, outcome)).expect("taken");
+        }
+        let result = run.finish(None, &lidar());
+        let millis: Vec<i64> = result
+            .trajectory
+            .poses()
+            .iter()
+            .map(|p| p.time.nanos() / 1_000_000)
+            .collect();
+        assert_eq!(millis, [50, 100, 150, 200, 500, 550, 600]);
+        let report = &result.report;
+        assert_eq!((report.registered, report.lost), (4, 3));
+        assert_eq!(report.lost_at_end, 1);
+        assert!(!report.is_whole());
+        assert_eq!(result.clouds.len(), 4);
+        let warnings = [
+            OdometryWarning::Lost { lost: 3, scans: 7 },
+            OdometryWarning::LostAtEnd { scans: 1 },
+        ];
+        assert_eq!(report.warnings, warnings);
+        let sentence = warnings[1].finding().sentence();
+        assert!(sentence.contains("the last 1 scans are lost"), "{sentence}");
+    }
+
+    #[test]
+    fn scans_that_are_seconds_apart_are_said_to_be() {
+        use StepOutcome::{First, Registered};
+        for (tenths, said) in [([10, 11, 12, 60], false), ([10, 60, 110, 111], true)] {
+            let mut run = Found::default();
+            for (tenths, outcome) in tenths
+                .into_iter()
+                .zip([First, Registered, Registered, Registered])
+            {
+                run.take(step(tenths, outcome)).expect("taken");
+            }
+            let report = run.finish(None, &lidar()).report;
+            let is_it = |w: &OdometryWarning| matches!(w, OdometryWarning::RareScans { .. });
+            assert_eq!(report.warnings.iter().any(is_it), said, "{report:?}");
+            assert!(report.is_whole());
+        }
+    }
+}
