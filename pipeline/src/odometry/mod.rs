@@ -106,6 +106,8 @@ pub struct Odometry {
     /// How far registrations moved from their predictions lately, metres.
     corrections_m: VecDeque<f64>,
     innovations: Innovations,
+    /// When a scan was last searched for since one found its place.
+    searched_in_vain: Option<Timestamp>,
 }
 
 /// A scan deskewed to its end, reduced twice.
@@ -126,6 +128,8 @@ struct Estimate {
 const USUAL_RANGE_M: f64 = 10.0;
 /// Smallest gate: the noise of a scan needs this much room, metres.
 const MIN_GATE_M: f64 = 0.3;
+/// Rounding of poses: radians, metres.
+const LEAST_BEHIND: f64 = 1e-9;
 /// Predictions looked back at for the gate.
 const CORRECTIONS: usize = 10;
 
@@ -160,6 +164,7 @@ impl Odometry {
             interval_ns: None,
             corrections_m: VecDeque::new(),
             innovations: Innovations::default(),
+            searched_in_vain: None,
         })
     }
 
@@ -203,42 +208,6 @@ impl Odometry {
             found = self.register(&reduced, &path);
         }
         let outcome = self.judge(&found);
-        if std::env::var_os("DBG").is_some() {
-            let prior = self.prior(&path);
-            let cov = prior
-                .information
-                .cholesky()
-                .map(|c| c.inverse())
-                .unwrap_or_else(Matrix6::zeros);
-            let corr = prior.world_from_rig.local(&found.world_from_rig);
-            let chi = corr.dot(&(prior.information * corr));
-            let p = found.world_from_rig.translation;
-            eprintln!(
-                "{:?} inlier {:.2} rms {:.3} it {} gate {:.2} at ({:.2} {:.2} {:.2}) sig rot {:.2?} deg, pos {:.3?} corr rot {:.2?} pos {:.3?} chi2 {:.1}",
-                outcome,
-                found.inlier_ratio,
-                found.plane_rms_m,
-                found.iterations,
-                self.gate_m(&path, &prior),
-                p.x,
-                p.y,
-                p.z,
-                [0, 1, 2].map(|k| cov[(k, k)].sqrt().to_degrees()),
-                [3, 4, 5].map(|k| cov[(k, k)].sqrt()),
-                [0, 1, 2].map(|k| corr[k].to_degrees()),
-                [3, 4, 5].map(|k| corr[k]),
-                chi
-            );
-            if let Some(s) = self.inertial_state() {
-                eprintln!(
-                    "   v {:.3?} bg {:.4?} ba {:.3?} g {:.3?}",
-                    s.velocity_m_s.as_slice(),
-                    s.gyro_bias_rad_s.as_slice(),
-                    s.accel_bias_m_s2.as_slice(),
-                    s.gravity_m_s2.as_slice()
-                );
-            }
-        }
         let by_scan_alone = match &find {
             Some(find) => find.registration.world_from_rig,
             None => without(&self.prior(&path), &found),
@@ -269,6 +238,7 @@ impl Odometry {
         } else {
             self.insert(&reduced, &path, &covariance);
             self.last_registered = path.last().copied();
+            self.searched_in_vain = None;
         }
         self.finish(&path);
         Ok(OdometryStep {
@@ -447,6 +417,16 @@ impl Odometry {
         let (Some(first), Some(last)) = (path.first().copied(), path.last().copied()) else {
             return;
         };
+        // After a search the filter goes on from its own pose, which is not quite the scan's.
+        let behind = match self.last {
+            Some(before) => first.world_from_rig.local(&before.world_from_rig),
+            None => Vector6::zeros(),
+        };
+        let behind = if behind.norm() > LEAST_BEHIND {
+            behind
+        } else {
+            Vector6::zeros()
+        };
         let span = last.time.secs_since(first.time);
         for pose in path {
             // A wrong velocity or turn rate moves the pose in proportion to time.
@@ -455,7 +435,8 @@ impl Odometry {
             } else {
                 1.0
             };
-            pose.world_from_rig = pose.world_from_rig.retract(&(correction * fraction));
+            let bend = correction * fraction + behind * (1.0 - fraction);
+            pose.world_from_rig = pose.world_from_rig.retract(&bend);
         }
     }
 

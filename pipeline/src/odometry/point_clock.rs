@@ -269,4 +269,31 @@ mod tests {
         let (times, report) = with(1.0);
         assert_eq!((times[500], report.by_azimuth, report.none), (0, 0, 4));
     }
+
+    /// Of scans thinned out to one in five seconds a turn was taken to last five seconds.
+    #[test]
+    fn a_turn_of_scans_that_were_thinned_out_takes_a_tenth_of_a_second() {
+        let mut clock = PointClock {
+            azimuths_are_times: true,
+            ..PointClock::default()
+        };
+        let untimed = |i: i64| TimedScan {
+            times: PointTimes::Absent,
+            ..turn(50 * i, -1.0, |_| 0)
+        };
+        let times = run(&mut clock, (0..4).map(untimed));
+        assert_eq!(clock.report.by_azimuth, 4);
+        assert!(
+            times[999].abs_diff(99_900_000) < 2_000_000,
+            "{}",
+            times[999]
+        );
+        // A slow sensor's turn is what its scans are apart.
+        assert_eq!(
+            [turn_ns(200_000_000), turn_ns(50_000_000)],
+            [200_000_000, 50_000_000]
+        );
+        // 50 turns of a VLP-16 of 76 packets each.
+        assert_eq!(turn_ns(5_042_900_000), 100_858_000);
+    }
 }

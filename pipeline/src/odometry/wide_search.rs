@@ -16,6 +16,7 @@ use std::collections::VecDeque;
 
 use lsfb_geometry::{Matrix3, Matrix6, Se3, StampedPose};
 use lsfb_perception::lidar::{PosePrior, Registration};
+use lsfb_types::Timestamp;
 
 use super::motion::{Motion, end_pose};
 use super::{Odometry, ReducedScan};
@@ -32,6 +33,10 @@ const RULED_OUT: f64 = 9.0;
 /// The largest region that is searched, one standard deviation in metres: along the ground, and up.
 const LARGEST_ALONG_M: f64 = 8.0 / 3.0;
 const LARGEST_UP_M: f64 = 0.35;
+/// Shares of it, where it is still too large because the heading is open as well.
+const SHARES: [f64; 3] = [1.0, 0.75, 0.5];
+/// After a search in vain the next may begin so much later, seconds: scans that come ten times a second must not wait for one each.
+const PAUSE_S: f64 = 3.0;
 /// A scan without times may have been taken so long before its stamp, seconds: sensors that spin do so ten times a second.
 const SWEEP_S: f64 = 0.1;
 
@@ -99,19 +104,31 @@ const LEAST_OPEN: f64 = 1e-12;
 impl Odometry {
     /// Searches for a scan. `None` where the prediction is good enough to register from, or where there is none to search about.
     pub(super) fn search(&mut self, reduced: &ReducedScan, path: &[StampedPose]) -> Option<Find> {
-        self.region(&self.prior(path))?;
-        let doubt = self.innovations.doubt();
-        if let Motion::Inertial(inertial) = &mut self.motion {
+        let now = path.last()?.time;
+        let is_soon = |last: Timestamp| now.secs_since(last) < PAUSE_S;
+        if self.searched_in_vain.is_some_and(is_soon)
+            || !self.is_known_to_a_region_alone(&self.prior(path))
+        {
+            return None;
+        }
+        // Once for each prediction, however many scans are then searched for with it.
+        let mut doubt = 1.0;
+        if self.searched_in_vain.is_none()
+            && let Motion::Inertial(inertial) = &mut self.motion
+        {
+            doubt = self.innovations.doubt();
             inertial.filter.as_mut()?.doubt(doubt);
         }
+        self.searched_in_vain = Some(now);
         let prior = self.prior(path);
-        let region = self.region(&prior)?;
         let query = Query {
             points_in_rig: &reduced.keypoints,
             sensor_in_rig: self.lidar.rig_from_lidar.translation,
         };
         let config = self.registration(SURE_REACH_M.min(self.config.initial_gate_m));
-        let places = place_search::search(&query, &region, &self.map, &config)?;
+        let mut regions = self.regions(&prior)?.into_iter();
+        let search = |region: Region| place_search::search(&query, &region, &self.map, &config);
+        let places = regions.find_map(search)?;
         let mut registration = *places.best()?;
         if !is_known(&places, &prior) {
             registration.inlier_ratio = 0.0;
@@ -135,46 +152,56 @@ impl Odometry {
         Some(find)
     }
 
-    /// Where to search; `None` where that is not needed.
-    fn region(&self, prior: &PosePrior) -> Option<Region> {
-        let Motion::Inertial(_) = &self.motion else {
-            return None;
-        };
-        if self.map.is_empty() {
-            return None;
-        }
+    /// Whether a registration from the predicted pose may end on the wrong surface.
+    fn is_known_to_a_region_alone(&self, prior: &PosePrior) -> bool {
+        matches!(self.motion, Motion::Inertial(_))
+            && !self.map.is_empty()
+            && sigma_m(prior).is_some_and(|sigma_m| 3.0 * sigma_m >= SURE_REACH_M)
+    }
+
+    /// Where to search: the first of these that is not too large.
+    fn regions(&self, prior: &PosePrior) -> Option<Vec<Region>> {
         let covariance = prior.information.cholesky()?.inverse();
-        let of_place: Matrix3<f64> = covariance.fixed_view::<3, 3>(3, 3).into();
-        let sigma_m = of_place.symmetric_eigenvalues().max().max(0.0).sqrt();
-        if 3.0 * sigma_m < SURE_REACH_M {
-            return None;
-        }
         let down_in_world = self.inertial_state()?.gravity_m_s2;
-        let mut region = Region {
+        let up = -(prior.world_from_rig.rotation.inverse() * down_in_world).normalize();
+        let predicted = Region {
             map_from_rig: prior.world_from_rig,
             covariance,
-            up_in_rig: -(prior.world_from_rig.rotation.inverse() * down_in_world).normalize(),
+            up_in_rig: up,
         };
-        if sigma_m > LARGEST_ALONG_M {
-            // The IMU knows which way it looks, and no more where it is: most likely not far from where it was.
-            region.map_from_rig.translation = self.last_registered?.world_from_rig.translation;
-            let up = region.up_in_rig;
-            let vertical = up * up.transpose();
-            let of_place = (Matrix3::identity() - vertical) * LARGEST_ALONG_M.powi(2)
-                + vertical * LARGEST_UP_M.powi(2);
-            region.covariance.fill(0.0);
-            let of_turn = covariance.fixed_view::<3, 3>(0, 0);
-            region
-                .covariance
-                .fixed_view_mut::<3, 3>(0, 0)
-                .copy_from(&of_turn);
-            region
-                .covariance
-                .fixed_view_mut::<3, 3>(3, 3)
-                .copy_from(&of_place);
+        let mut regions = Vec::new();
+        if sigma_m(prior)? < LARGEST_ALONG_M {
+            regions.push(predicted);
         }
-        Some(region)
+        // Otherwise the IMU knows which way it looks, and no more where it is: most likely not far from where it was.
+        let last = self.last_registered?.world_from_rig.translation;
+        let of_turn = covariance.fixed_view::<3, 3>(0, 0);
+        regions.extend(SHARES.map(|share| {
+            let vertical = up * up.transpose();
+            let of_place = (Matrix3::identity() - vertical) * (share * LARGEST_ALONG_M).powi(2)
+                + vertical * LARGEST_UP_M.powi(2);
+            let mut around = predicted;
+            around.map_from_rig.translation = last;
+            around.covariance.fill(0.0);
+            let mut set = |at: usize, block: &Matrix3<f64>| {
+                around
+                    .covariance
+                    .fixed_view_mut::<3, 3>(at, at)
+                    .copy_from(block);
+            };
+            set(0, &of_turn.into());
+            set(3, &of_place);
+            around
+        }));
+        Some(regions)
     }
+}
+
+/// Standard deviation of the predicted place in its worst direction, metres.
+fn sigma_m(prior: &PosePrior) -> Option<f64> {
+    let covariance = prior.information.cholesky()?.inverse();
+    let of_place: Matrix3<f64> = covariance.fixed_view::<3, 3>(3, 3).into();
+    Some(of_place.symmetric_eigenvalues().max().max(0.0).sqrt())
 }
 
 /// Whether the best place is good, and no other that may be meant is nearly as good.
@@ -211,4 +238,101 @@ fn moved_while_taken(path: &[StampedPose]) -> Matrix6<f64> {
     let moved: Vec<_> = moved.map(|p| end.local(&p.world_from_rig)).collect();
     let sum: Matrix6<f64> = moved.iter().map(|d| d * d.transpose()).sum();
     sum / moved.len().max(1) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use lsfb_geometry::{UnitQuaternion, Vector3, Vector6};
+
+    use super::*;
+
+    /// A place so far along x at which such a share of the scan lies on the map.
+    fn place(x_m: f64, inlier_ratio: f64) -> Registration {
+        Registration {
+            world_from_rig: Se3::new(UnitQuaternion::identity(), Vector3::x() * x_m),
+            information: Matrix6::identity() * 1e6,
+            plane_information: Matrix6::identity() * 1e6,
+            inlier_ratio,
+            plane_rms_m: 0.01,
+            iterations: 5,
+        }
+    }
+
+    /// Predicted at the origin, to a metre in each direction.
+    fn prior() -> PosePrior {
+        PosePrior {
+            world_from_rig: Se3::identity(),
+            information: Matrix6::identity(),
+        }
+    }
+
+    #[test]
+    fn a_place_is_taken_only_without_a_rival_that_may_be_meant() {
+        let is_known_among = |places: &[(f64, f64)]| {
+            let found = places.iter().map(|(x_m, share)| place(*x_m, *share));
+            let places = Places {
+                found: found.collect(),
+            };
+            is_known(&places, &prior())
+        };
+        assert!(is_known_among(&[(0.5, 0.7), (2.0, 0.5)]));
+        // Doors every two metres: both may be meant. Naively the better one was taken.
+        assert!(!is_known_among(&[(0.5, 0.7), (2.5, 0.68)]));
+        // One that is four standard deviations off is not.
+        assert!(is_known_among(&[(0.5, 0.7), (4.5, 0.68)]));
+        // What chance alone makes is no place, and nothing is none.
+        assert!(!is_known_among(&[(0.5, 0.3)]));
+        assert!(!is_known_among(&[]));
+    }
+
+    #[test]
+    fn what_a_carrier_turned_while_a_scan_was_taken_is_open() {
+        let rate_rad_s = 0.2;
+        let pose = |k: i64| StampedPose {
+            time: Timestamp::from_nanos(k * 5_000_000),
+            world_from_rig: Se3::exp(&Vector6::new(
+                rate_rad_s * 0.005 * k as f64,
+                0.0,
+                0.0,
+                0.0,
+                0.0,
+                0.0,
+            )),
+        };
+        let path: Vec<_> = (0..1000).map(pose).collect();
+        let open = moved_while_taken(&path);
+        // The root of the mean square of an even turn is its end over √3.
+        let expected = rate_rad_s * SWEEP_S / 3f64.sqrt();
+        assert!(
+            (open[(0, 0)].sqrt() / expected - 1.0).abs() < 0.05,
+            "{open}"
+        );
+        let find = Find {
+            registration: place(0.0, 0.7),
+            open,
+            with_prediction: Se3::identity(),
+            squared_sigmas: 0.0,
+        };
+        let weakened = find.weakened(&find.registration.information);
+        let turn = weakened[(0, 0)].recip().sqrt();
+        assert!(
+            (turn - expected.hypot(1e-3)).abs() < 0.02 * expected,
+            "{turn}"
+        );
+        assert!((weakened[(5, 5)] / 1e6 - 1.0).abs() < 1e-3, "{weakened}");
+        // Nothing is seen, nothing is told.
+        assert!(find.weakened(&Matrix6::zeros()).norm() < 1e-9);
+    }
+
+    #[test]
+    fn predictions_that_are_off_by_more_than_they_say_are_doubted() {
+        let mut innovations = Innovations::default();
+        assert!(innovations.doubt() > 1.5);
+        (0..20).for_each(|_| innovations.take(6.0));
+        assert!(innovations.doubt() < 1.2);
+        (0..20).for_each(|_| innovations.take(24.0));
+        assert!((3.0..4.5).contains(&innovations.doubt()));
+        (0..20).for_each(|_| innovations.take(1e9));
+        assert!(innovations.doubt() <= MOST_DOUBT);
+    }
 }

@@ -10,6 +10,7 @@ mod degenerate;
 mod gaps;
 mod mounting;
 mod online;
+mod rare;
 mod real;
 mod recorded;
 mod registration;

@@ -15,7 +15,7 @@ fn points(bytes: &[u8], floats_per_point: usize) -> Vec<Vector3<f64>> {
 }
 
 /// Points of a binary PLY of three coordinates and another float.
-fn ply(path: &Path) -> Vec<Vector3<f64>> {
+pub(super) fn ply(path: &Path) -> Vec<Vector3<f64>> {
     let bytes = std::fs::read(path).expect("a cloud");
     let marker = b"end_header\n";
     let head = bytes.windows(marker.len()).position(|w| w == marker);

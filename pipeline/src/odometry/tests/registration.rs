@@ -1,6 +1,8 @@
 //! Registration to the local map, in the synthetic room.
 
 use super::room::{self, Room};
+use lsfb_perception::lidar::{LocalMapConfig, Weighting};
+
 use super::*;
 
 /// A scan taken while the carrier stands.
