@@ -9,7 +9,7 @@ use lsfb_types::ProgressFn;
 use super::GroundTruthConfig;
 use super::estimate::Estimate;
 use super::inertial::{StateBlocks, add_inertial_residuals};
-use super::walk::{FixedObservation, Frame, LocalPoint, FrameState, Walk};
+use super::walk::{FixedObservation, Frame, FrameState, LocalPoint, Walk};
 use crate::Error;
 use crate::residuals::{CameraCorrection, FixedPointReprojection, MovingReprojection};
 use crate::solve::solve_until_converged;

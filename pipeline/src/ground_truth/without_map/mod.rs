@@ -18,7 +18,7 @@ use lsfb_types::{ImuSample, ProgressFn, Stamped, Timestamp};
 use super::GroundTruthConfig;
 use super::estimate::Estimate;
 use super::report::{ReprojectionErrors, local_errors};
-use super::walk::{Frame, LocalPoint, FrameState, Walk};
+use super::walk::{Frame, FrameState, LocalPoint, Walk};
 use crate::Error;
 use crate::preintegration::{ImuBias, NavState};
 use crate::residuals::MovingCamera;
@@ -117,7 +117,9 @@ pub fn motion_without_map(
     let mut errors_before = None;
     let (mut extension, beginning) = match start {
         Some(states) if states.len() == walk.frames.len() => {
-            let states = states.into_iter().map(|(nav, bias)| FrameState { nav, bias });
+            let states = states
+                .into_iter()
+                .map(|(nav, bias)| FrameState { nav, bias });
             let states: Vec<FrameState> = states.collect();
             let estimate = Estimate::of_states(&inner, states.clone());
             let points = tracks.locate(&estimate, 0..states.len(), config);

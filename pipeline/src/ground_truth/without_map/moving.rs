@@ -14,7 +14,7 @@ use super::gyro_bias;
 use super::sights::Tracks;
 use crate::Error;
 use crate::ground_truth::GroundTruthConfig;
-use crate::ground_truth::walk::{LocalObservation, FrameState, Walk};
+use crate::ground_truth::walk::{FrameState, LocalObservation, Walk};
 use crate::odometry::GRAVITY_M_S2;
 use crate::preintegration::{ImuBias, NavState, PreintegratedImu};
 
