@@ -69,8 +69,8 @@ pub use ambient::{
 pub use calendar::{EPOCH, GLASSES_EPOCH};
 pub use config::{
     BarometerConfig, BleConfig, CameraConfig, Device, GnssConfig, ImuConfig, LensKind, LidarConfig,
-    LidarModel, MagneticConfig, NmeaSentence, Place, PulseSource, SimConfig, SimulatedImu,
-    WalkConfig, WifiConfig,
+    LidarModel, LightConfig, MagneticConfig, NmeaSentence, Place, PulseSource, SimConfig,
+    SimulatedImu, WalkConfig, WifiConfig,
 };
 pub use datum::{DatumConfig, Geodetic};
 pub use device::{
@@ -90,4 +90,4 @@ pub use timing::{
 };
 pub use truth::{TrueBias, Truth};
 pub use walk::{Motion, PaperMotion, Walk, Walker};
-pub use world::World;
+pub use world::{LightReport, LitPlace, LitSurface, World};

@@ -4,6 +4,7 @@ mod ambient;
 mod device;
 mod imu;
 mod lidar;
+mod light;
 mod place;
 
 use std::path::PathBuf;
@@ -20,6 +21,7 @@ pub use ambient::{
 pub use device::Device;
 pub use imu::{ImuConfig, SimulatedImu};
 pub use lidar::{LidarConfig, LidarModel};
+pub use light::LightConfig;
 pub use place::Place;
 
 /// A whole simulated session: a scan with the backpack and a walk with the glasses.
@@ -51,6 +53,8 @@ pub struct SimConfig {
     pub off_path_m: f64,
     /// Edge of the texels that surfaces are painted with, metres.
     pub texel_m: f32,
+    /// The light of the place.
+    pub light: LightConfig,
     /// What the IMU of the backpack speaks.
     pub scan_imu_family: SimulatedImu,
     /// The walk with the backpack.
@@ -160,6 +164,7 @@ impl Default for SimConfig {
             motion: String::new(),
             off_path_m: 0.0,
             texel_m: 0.003,
+            light: LightConfig::default(),
             scan_imu_family: SimulatedImu::default(),
             scan: WalkConfig::default(),
             glasses: WalkConfig {
@@ -343,6 +348,7 @@ lsfb_types::bounds! {
         motion: any,
         off_path_m: number(Bounds::ZeroOr(0.5, 10.0)),
         texel_m: number(Bounds::Within(0.001, 0.1)),
+        light: section,
         scan_imu_family: any,
         scan: section,
         glasses: section,

@@ -12,8 +12,8 @@ use lsfb_types::ProgressFn;
 
 use crate::Error;
 use crate::config::{Place, SimConfig};
-use crate::world::World;
 use crate::world::crowd::Stroll;
+use crate::world::{Blueprint, LitPlace, World};
 pub use calibration::{CalibrationBoard, TAG_M};
 pub(crate) use route::{Route, route};
 use site::{Area, Site};
@@ -21,13 +21,27 @@ use site::{Area, Site};
 impl Place {
     /// Builds what is configured.
     pub(crate) fn build(config: &SimConfig, progress: ProgressFn) -> Result<World, Error> {
-        let (place, seed, texel_m) = (config.place, config.seed, config.texel_m);
-        let mut site = Site::new(seed, config.months_later.into());
+        let (seed, texel_m) = (config.seed, config.texel_m);
+        match config.place {
+            Self::Demo => return Ok(World::build(seed, texel_m, progress)?),
+            Self::Imported => return World::of_file(&config.scene),
+            _ => {}
+        }
+        let plan = Self::plan(config);
+        match config.light.baked {
+            true => World::traced(&plan, seed, texel_m, &config.light, progress),
+            false => Ok(World::of(&plan, seed, texel_m, progress)?),
+        }
+    }
+
+    /// What a place consists of; nothing for the demo's and imported ones.
+    fn plan(config: &SimConfig) -> Blueprint {
+        let place = config.place;
+        let mut site = Site::new(config.seed, config.months_later.into());
         let [w, d] = place.size_m().map(|v| v as f32);
         let whole = Area::new([0.0, w], [0.0, d]);
         match place {
-            Self::Demo => return Ok(World::build(seed, texel_m, progress)?),
-            Self::Imported => return World::of_file(&config.scene),
+            Self::Demo | Self::Imported => {}
             Self::Calibration => calibration::room(&mut site),
             Self::OfficePark => park::buildings(&mut site),
             Self::HousePark => park::houses(&mut site),
@@ -44,7 +58,14 @@ impl Place {
         if !config.people {
             site.plan.strolls.clear();
         }
-        Ok(World::of(&site.plan, seed, texel_m, progress)?)
+        site.plan
+    }
+}
+
+impl LitPlace {
+    /// A place with its lamps, sky and sun; empty for the demo's place and imported ones.
+    pub fn of(config: &SimConfig) -> Self {
+        Self::new(&Place::plan(config))
     }
 }
 

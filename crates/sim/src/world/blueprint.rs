@@ -7,15 +7,17 @@ use rayon::prelude::*;
 use lsfb_types::{Progress, ProgressFn, Stopped};
 
 use super::atlas::Atlas;
-use super::builder::Builder;
+use super::builder::{Builder, Surface};
 use super::bvh::Bvh;
 use super::crowd::{Crowd, Stroll};
 use super::facet::{Facet, Outline};
 use super::light::{Lamp, Lamps, LightGrid, Lighting, SmallFacets, Sun};
+use super::lit::{self, Lit};
 use super::skin::{Beyond, LightMaps, Skin};
 use super::vector::{cross, norm, sub};
 use super::{Substance, World, gltf, pool};
 use crate::Error;
+use crate::config::LightConfig;
 
 /// Distance between the points at which light is computed, metres.
 const SPACING_M: f32 = 0.45;
@@ -90,11 +92,80 @@ impl World {
             atlas,
             light: LightMaps::default(),
             crowd: Crowd::default(),
+            lit: None,
         })
     }
 
     /// Paints and lights a place, with texels of `texel_m` metres where surfaces are looked at closely.
     pub(crate) fn of(
+        blueprint: &Blueprint,
+        seed: u64,
+        texel_m: f32,
+        progress: ProgressFn,
+    ) -> Result<Self, Stopped> {
+        let painted = Painted::new(blueprint, seed, texel_m, progress)?;
+        let lighting = Lighting {
+            lamps: Lamps::new(&blueprint.lamps),
+            sun: blueprint.sun,
+            ambient: blueprint.ambient,
+            spacing_m: SPACING_M,
+            small_facets: SmallFacets::Flat,
+        };
+        let (facets, bvh) = (&painted.facets, &painted.bvh);
+        let mut light = LightMaps::default();
+        let total = facets.len() as u64;
+        for (batch, chunk) in facets.chunks(4096).enumerate() {
+            let first = batch * 4096;
+            progress(Progress {
+                stage: "lighting world",
+                done: first as u64,
+                total,
+            })?;
+            let grids: Vec<_> = chunk
+                .par_iter()
+                .enumerate()
+                .map(|(k, facet)| {
+                    LightGrid::bake(facet, (first + k) as u64, bvh, facets, &lighting)
+                })
+                .collect();
+            for (mut grid, surface) in grids.into_iter().zip(&painted.surfaces[first..]) {
+                if surface.material.is_backdrop() {
+                    grid.values.fill(0.0);
+                }
+                light.push(&grid, surface.material.glow);
+            }
+        }
+        Ok(painted.lit_by(light, None))
+    }
+
+    /// Paints a place and traces its light, or reads it where it has been traced before.
+    pub(crate) fn traced(
+        blueprint: &Blueprint,
+        seed: u64,
+        texel_m: f32,
+        config: &LightConfig,
+        progress: ProgressFn,
+    ) -> Result<Self, Error> {
+        let painted = Painted::new(blueprint, seed, texel_m, progress)?;
+        let count = painted.facets.len();
+        let (maps, lit) = lit::light(&painted.surfaces, count, blueprint, config, seed, progress)?;
+        Ok(painted.lit_by(maps, Some(lit)))
+    }
+}
+
+/// A world without its light.
+struct Painted {
+    /// What does not move, then the walkers.
+    surfaces: Vec<Surface>,
+    facets: Vec<Facet>,
+    bvh: Bvh,
+    atlas: Atlas,
+    skins: Vec<Skin>,
+    crowd: Crowd,
+}
+
+impl Painted {
+    fn new(
         blueprint: &Blueprint,
         seed: u64,
         texel_m: f32,
@@ -109,54 +180,33 @@ impl World {
         let facets: Vec<Facet> = surfaces.iter().map(|s| s.facet).collect();
         let (crowd, bodies) = Crowd::new(blueprint.strolls.clone(), seed, facets.len());
         surfaces.extend(bodies);
-
         let mut atlas = Atlas::default();
         let mut skins = pool::paint(&surfaces, texel_m, seed, &mut atlas, progress)?;
         for skin in &mut skins[facets.len()..] {
             *skin = pool::unlit(*skin);
         }
-        let lighting = Lighting {
-            lamps: Lamps::new(&blueprint.lamps),
-            sun: blueprint.sun,
-            ambient: blueprint.ambient,
-            spacing_m: SPACING_M,
-            small_facets: SmallFacets::Flat,
-        };
-        let mut light = LightMaps::default();
-        let total = facets.len() as u64;
-        for (batch, chunk) in facets.chunks(4096).enumerate() {
-            let first = batch * 4096;
-            progress(Progress {
-                stage: "lighting world",
-                done: first as u64,
-                total,
-            })?;
-            let grids: Vec<_> = chunk
-                .par_iter()
-                .enumerate()
-                .map(|(k, facet)| {
-                    LightGrid::bake(facet, (first + k) as u64, &bvh, &facets, &lighting)
-                })
-                .collect();
-            for (mut grid, surface) in grids.into_iter().zip(&surfaces[first..]) {
-                if surface.material.is_backdrop() {
-                    grid.values.fill(0.0);
-                }
-                light.push(&grid, surface.material.glow);
-            }
-        }
         Ok(Self {
-            reflectances: surfaces.iter().map(|s| s.material.tone).collect(),
-            substances: surfaces[..facets.len()]
-                .iter()
-                .map(|s| s.material.substance)
-                .collect(),
+            surfaces,
             facets,
-            skins,
             bvh,
             atlas,
-            light,
+            skins,
             crowd,
         })
+    }
+
+    fn lit_by(self, light: LightMaps, lit: Option<Lit>) -> World {
+        let still = &self.surfaces[..self.facets.len()];
+        World {
+            reflectances: self.surfaces.iter().map(|s| s.material.tone).collect(),
+            substances: still.iter().map(|s| s.material.substance).collect(),
+            facets: self.facets,
+            skins: self.skins,
+            bvh: self.bvh,
+            atlas: self.atlas,
+            light,
+            crowd: self.crowd,
+            lit,
+        }
     }
 }

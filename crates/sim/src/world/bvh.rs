@@ -24,6 +24,13 @@ struct Node {
     count: u32,
 }
 
+/// The nearest facet seen from its front.
+const FRONT: u8 = 0;
+/// The nearest facet seen from either side.
+const EITHER: u8 = 1;
+/// Any facet seen from either side: the nearest need not be found.
+const ANY: u8 = 2;
+
 /// The hierarchy. Its facets are in its own order.
 #[derive(Clone, Debug)]
 pub(crate) struct Bvh {
@@ -47,12 +54,37 @@ impl Bvh {
     /// The nearest facet hit by each ray, seen from its front, closer than `limit`.
     pub(crate) fn cast(&self, facets: &[Facet], rays: &RayPacket, limit: f32x8) -> PacketHit {
         match rays.origin {
-            Origin::Shared(_) => self.traverse(facets, &Prepared::<true>::new(rays), limit),
-            Origin::Each(_) => self.traverse(facets, &Prepared::<false>::new(rays), limit),
+            Origin::Shared(_) => self.traverse::<true, FRONT>(facets, &Prepared::new(rays), limit),
+            Origin::Each(_) => self.traverse::<false, FRONT>(facets, &Prepared::new(rays), limit),
         }
     }
 
-    fn traverse<const SHARED: bool>(
+    /// The nearest facet hit by each ray, from whichever side, closer than `limit`.
+    pub(crate) fn cast_either(
+        &self,
+        facets: &[Facet],
+        rays: &RayPacket,
+        limit: f32x8,
+    ) -> PacketHit {
+        match rays.origin {
+            Origin::Shared(_) => self.traverse::<true, EITHER>(facets, &Prepared::new(rays), limit),
+            Origin::Each(_) => self.traverse::<false, EITHER>(facets, &Prepared::new(rays), limit),
+        }
+    }
+
+    /// Lanes, from the lowest bit, that hit anything closer than `limit` from whichever side.
+    pub(crate) fn any(&self, facets: &[Facet], rays: &RayPacket, limit: f32x8) -> u32 {
+        let hit = match rays.origin {
+            Origin::Shared(_) => self.traverse::<true, ANY>(facets, &Prepared::new(rays), limit),
+            Origin::Each(_) => self.traverse::<false, ANY>(facets, &Prepared::new(rays), limit),
+        };
+        let lanes = hit.facet.into_iter().enumerate();
+        lanes.fold(0, |mask, (lane, facet)| {
+            mask | u32::from(facet != NO_FACET) << lane
+        })
+    }
+
+    fn traverse<const SHARED: bool, const WANTED: u8>(
         &self,
         facets: &[Facet],
         rays: &Prepared<SHARED>,
@@ -60,6 +92,13 @@ impl Bvh {
     ) -> PacketHit {
         let mut best = limit;
         let mut found = [NO_FACET; LANES];
+        if facets.is_empty() {
+            return PacketHit {
+                distance: best,
+                facet: found,
+                carrier: [0; LANES],
+            };
+        }
         let mut stack = [(0_u32, 0.0_f32); MAX_DEPTH + 2];
         let mut depth = 0;
         let mut farthest = largest(best);
@@ -72,7 +111,10 @@ impl Bvh {
                     .iter()
                     .enumerate()
                 {
-                    let mask = rays.meet(facet, &mut best);
+                    let mask = match WANTED {
+                        FRONT => rays.meet(facet, &mut best),
+                        _ => rays.meet_either(facet, &mut best),
+                    };
                     if mask != 0 {
                         for (lane, slot) in found.iter_mut().enumerate() {
                             if mask >> lane & 1 == 1 {
@@ -81,7 +123,15 @@ impl Bvh {
                         }
                     }
                 }
+                if WANTED == ANY {
+                    // What has hit something looks no further.
+                    let left = f32x8::new(found.map(|f| if f == NO_FACET { 1.0 } else { 0.0 }));
+                    best *= left;
+                }
                 farthest = largest(best);
+                if WANTED == ANY && farthest <= 0.0 {
+                    depth = 0;
+                }
             } else {
                 let (left, right) = (node.first, node.first + 1);
                 let near_left = rays.enter(&self.nodes[left as usize].bounds, best);

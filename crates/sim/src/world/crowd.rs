@@ -178,9 +178,21 @@ impl Moment {
         };
         [stand.turn(sub(point, stand.feet)), stand.turn(ray)]
     }
+
+    /// A direction in the frame of a carrier, in the world.
+    pub(crate) fn from_carrier(&self, carrier: u8, direction: [f32; 3]) -> [f32; 3] {
+        let stand = usize::from(carrier).checked_sub(1);
+        let stand = stand.and_then(|k| self.people.get(k));
+        stand.map_or(direction, |stand| stand.turn_back(direction))
+    }
 }
 
 impl Stand {
+    fn turn_back(&self, v: [f32; 3]) -> [f32; 3] {
+        let (s, c) = (self.sin, self.cos);
+        [c * v[0] - s * v[1], c * v[1] + s * v[0], v[2]]
+    }
+
     fn turn(&self, v: [f32; 3]) -> [f32; 3] {
         let (s, c) = (self.sin, self.cos);
         [c * v[0] + s * v[1], c * v[1] - s * v[0], v[2]]

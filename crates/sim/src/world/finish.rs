@@ -16,6 +16,7 @@ impl Material {
         tone: 0.45,
         noise: 0.004,
         longest_m: 1.0,
+        gloss: 0.8,
         ..PLAIN
     };
     /// Office wall paint with dirt and dents.
@@ -47,6 +48,7 @@ impl Material {
         spread: 0.2,
         largest_m: 0.12,
         marks: Marks::Boards([0.8, 0.8]),
+        gloss: 0.5,
         substance: Substance::Concrete,
         ..PLAIN
     };
@@ -145,6 +147,7 @@ impl Material {
         longest_m: 90.0,
         stretch: [2.0, 1.0],
         glow: 1.0,
+        luminance_cd_m2: 5000.0,
         coarseness: 100.0,
         substance: Substance::Sky,
         ..PLAIN
@@ -158,6 +161,8 @@ impl Material {
         largest_m: 0.4,
         marks: Marks::Poster(0.02),
         glow: 0.9,
+        luminance_cd_m2: 250.0,
+        gloss: 0.7,
         pictures: 6,
         coarseness: 1.5,
         ..PLAIN
@@ -171,6 +176,8 @@ impl Material {
         spread: 0.3,
         largest_m: 0.5,
         glow: 1.0,
+        luminance_cd_m2: 3000.0,
+        gloss: 1.0,
         substance: Substance::Glass,
         ..PLAIN
     };
@@ -193,6 +200,7 @@ impl Material {
         noise: 0.006,
         longest_m: 2.0,
         glow: 1.2,
+        luminance_cd_m2: 1500.0,
         coarseness: 3.0,
         substance: Substance::Glass,
         ..PLAIN

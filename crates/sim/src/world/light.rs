@@ -152,6 +152,9 @@ impl LightGrid {
 
     /// Irradiance at `(a, b)`.
     pub(crate) fn at(&self, a: f32, b: f32) -> f32 {
+        if let [single] = self.values[..] {
+            return single;
+        }
         let x = (a * (self.columns - 1) as f32).clamp(0.0, (self.columns - 1) as f32);
         let y = (b * (self.rows - 1) as f32).clamp(0.0, (self.rows - 1) as f32);
         let (i, j) = (

@@ -45,6 +45,10 @@ pub(crate) struct Material {
     pub marks: Marks,
     /// Whether light from the lamps is added by the surface itself (lamps, windows, screens).
     pub glow: f32,
+    /// In baked light: mean luminance of what shines, cd/m².
+    pub luminance_cd_m2: f32,
+    /// In baked light: how much of what a smooth surface would mirror it does mirror, 0–1.
+    pub gloss: f32,
     /// Pictures shown in turn; 1 for what does not change.
     pub pictures: u16,
     /// Whether one sees through it.
@@ -65,6 +69,8 @@ pub(super) const PLAIN: Material = Material {
     largest_m: 0.05,
     marks: Marks::None,
     glow: 0.0,
+    luminance_cd_m2: 0.0,
+    gloss: 0.0,
     pictures: 1,
     glass: false,
     coarseness: 1.0,
@@ -108,6 +114,7 @@ impl Material {
         spread: 0.25,
         largest_m: 0.02,
         marks: Marks::Boards([0.5, 0.08]),
+        gloss: 0.4,
         substance: Substance::Wood,
         ..PLAIN
     };
@@ -118,6 +125,7 @@ impl Material {
         spread: 0.24,
         largest_m: 0.05,
         marks: Marks::Boards([0.5, 0.5]),
+        gloss: 0.6,
         ..PLAIN
     };
     pub(crate) const WOOD: Self = Self {
@@ -226,6 +234,7 @@ impl Material {
         tone: 0.9,
         noise: 0.01,
         glow: 1.6,
+        luminance_cd_m2: 4000.0,
         ..PLAIN
     };
     pub(crate) const WINDOW: Self = Self {
@@ -236,6 +245,8 @@ impl Material {
         spread: 0.35,
         largest_m: 0.25,
         glow: 0.9,
+        luminance_cd_m2: 3000.0,
+        gloss: 1.0,
         ..PLAIN
     };
     pub(crate) const SCREEN: Self = Self {
@@ -246,6 +257,8 @@ impl Material {
         largest_m: 0.12,
         marks: Marks::Text(0.018),
         glow: 0.5,
+        luminance_cd_m2: 120.0,
+        gloss: 0.7,
         ..PLAIN
     };
 

@@ -1,6 +1,6 @@
 //! The world: flat facets with painted, lit textures under a bounding volume hierarchy, and people who walk in it.
 //!
-//! Brightness does not depend on the direction of view (but for glass), so that a point looks alike in all images.
+//! Brightness does not depend on the direction of view (but for glass and, in baked light, gloss), so that a point looks alike in all images.
 
 pub mod april_grid;
 mod atlas;
@@ -17,7 +17,9 @@ pub(crate) mod fittings;
 mod floor_plan;
 pub(crate) mod furniture;
 mod gltf;
+mod irradiance;
 pub(crate) mod light;
+mod lit;
 pub(crate) mod material;
 mod mesh;
 mod packet;
@@ -43,6 +45,8 @@ use crowd::{Crowd, Moment, Passer};
 pub use facet::{Facet, Outline};
 pub use floor_plan::FloorPlan;
 use light::{AMBIENT, Lamps, LightGrid, Lighting, SPACING_M, SmallFacets};
+use lit::Lit;
+pub use lit::{LightReport, LitPlace, LitSurface};
 pub use ray::{LANES, NO_FACET, Origin, PacketHit, RayPacket};
 pub(crate) use shade::Seen;
 use skin::{Beyond, LightMaps, Skin};
@@ -68,6 +72,8 @@ pub struct World {
     atlas: Atlas,
     light: LightMaps,
     crowd: Crowd,
+    /// Where light was traced; `None` for simple light.
+    lit: Option<Lit>,
 }
 
 /// The nearest surface along a ray.
@@ -145,6 +151,7 @@ impl World {
             atlas,
             light: LightMaps::default(),
             crowd: Crowd::default(),
+            lit: None,
         })
     }
 
@@ -165,6 +172,7 @@ impl World {
             atlas,
             light: LightMaps::default(),
             crowd: Crowd::default(),
+            lit: None,
         }
     }
 
@@ -198,6 +206,23 @@ impl World {
     /// Bytes of texture and light.
     pub fn texture_bytes(&self) -> usize {
         self.atlas.bytes() + self.light.bytes()
+    }
+
+    /// What computing its light came to; `None` where light is not traced.
+    pub fn light_report(&self) -> Option<&LightReport> {
+        self.lit.as_ref().map(|lit| &lit.report)
+    }
+
+    /// Whether light is traced, over its whole range.
+    pub(crate) fn is_lit(&self) -> bool {
+        self.lit.is_some()
+    }
+
+    /// Illuminance at `(a, b)` of a facet that does not move, lux; `None` where it shines by itself, and where light is not traced.
+    pub fn illuminance_lx(&self, facet: usize, [a, b]: [f32; 2]) -> Option<f32> {
+        let shines = *self.lit.as_ref()?.shines.get(facet)?;
+        let light = self.light.at(self.skins[facet].light, a, b);
+        (!shines).then_some(light * light * lit::NOMINAL_LX)
     }
 
     /// Whether light goes through a facet.
@@ -251,6 +276,12 @@ impl World {
             0 => self.facets.get(facet),
             _ => self.crowd.facet(moment, carrier, facet),
         }
+    }
+
+    /// How much of what a smooth surface would mirror a facet does mirror.
+    #[inline]
+    fn gloss(&self, facet: usize) -> f32 {
+        self.lit.as_ref().map_or(0.0, |lit| lit.gloss[facet])
     }
 
     /// Brightness at `(a, b)` of a facet, 255 being white, averaged over `footprint_m`.

@@ -128,6 +128,31 @@ impl<'a, const SHARED: bool> Prepared<'a, SHARED> {
         *best = inside.bitselect(distance, *best);
         inside.to_bitmask()
     }
+
+    /// Lanes that hit the facet from either side before `best`, which becomes the distance of the hit.
+    #[inline(always)]
+    pub(super) fn meet_either(&self, facet: &Facet, best: &mut f32x8) -> u32 {
+        let height = f32x8::splat(facet.offset) - dot8(&facet.normal, &self.origin);
+        let distance = height / dot8(&facet.normal, self.direction);
+        let closer = distance.simd_gt(f32x8::splat(0.0)) & distance.simd_lt(*best);
+        if closer.to_bitmask() == 0 {
+            return 0;
+        }
+        let coordinate = |dual: &[f32; 3], offset: f32| {
+            let start = dot8(dual, &self.origin) - f32x8::splat(offset);
+            start + distance * dot8(dual, self.direction)
+        };
+        let a = coordinate(&facet.dual_a, facet.dual_a_offset);
+        let b = coordinate(&facet.dual_b, facet.dual_b_offset);
+        let low = f32x8::splat(-EDGE_SLACK);
+        let high = f32x8::splat(1.0 + EDGE_SLACK);
+        let inside = closer
+            & a.fast_min(b).simd_ge(low)
+            & a.fast_max(b).simd_le(high)
+            & (a + b).simd_le(f32x8::splat(facet.sum_limit));
+        *best = inside.bitselect(distance, *best);
+        inside.to_bitmask()
+    }
 }
 
 #[inline(always)]

@@ -1,4 +1,4 @@
-//! What rays see: brightness of the nearest surface, through glass and reflected in it.
+//! What rays see: brightness of the nearest surface, through glass and reflected in it, and what smooth surfaces mirror.
 
 use wide::f32x8;
 
@@ -13,6 +13,10 @@ const PANES: usize = 3;
 const THROUGH: f32 = 0.86;
 /// Share of light that a pane reflects at normal incidence.
 const REFLECTED: f32 = 0.08;
+/// Share of light that polished floors and screens mirror at normal incidence.
+const POLISHED: f32 = 0.04;
+/// What a floor mirrors is blurred as if seen over a cone of this width, radians.
+const POLISH_RAD: f32 = 0.02;
 /// Behind more panes than are looked through.
 const DIM: f32 = 60.0;
 
@@ -65,6 +69,7 @@ impl World {
             Origin::Each(origin) => origin.map(|o| o.to_array()),
         };
         let mut pane = Pane::default();
+        let mut polish = Pane::default();
         let mut seen: [Seen; LANES] = std::array::from_fn(|lane| {
             if hit.facet[lane] == NO_FACET {
                 return Seen::default();
@@ -92,15 +97,49 @@ impl World {
                     facet.normal,
                     cosine,
                     travelled[lane] + distance[lane],
+                    REFLECTED,
                 );
+            }
+            let gloss = self.gloss(number);
+            // What is mirrored mirrors nothing itself.
+            if gloss > 0.0 && carrier == 0 && panes == PANES {
+                let travelled = travelled[lane] + distance[lane];
+                polish.meet(lane, point, ray, facet.normal, cosine, travelled, POLISHED);
+                polish.mirrored[lane] *= gloss;
             }
             let footprint = (travelled[lane] + distance[lane]) * angle_rad / cosine.sqrt();
             let [a, b] = facet.coordinates(point_there);
+            let mut value = self.radiance(number, a, b, footprint, moment.time_s);
+            if carrier != 0
+                && let Some(lit) = &self.lit
+            {
+                let normal = moment.from_carrier(carrier, facet.normal);
+                value *= lit.around(point, normal);
+            }
             Seen {
-                value: self.radiance(number, a, b, footprint, moment.time_s),
+                value,
                 facet: number as u32,
             }
         });
+        if polish.any {
+            let rays = polish.rays(2e-3, &polish.back);
+            let angle_rad = angle_rad + POLISH_RAD;
+            let mirrored = self.look(
+                &rays,
+                polish.limit(),
+                polish.travelled,
+                angle_rad,
+                moment,
+                0,
+            );
+            for lane in 0..LANES {
+                let share = polish.mirrored[lane];
+                if share > 0.0 {
+                    let light = seen[lane].value.powi(2) + share * mirrored[lane].value.powi(2);
+                    seen[lane].value = light.sqrt();
+                }
+            }
+        }
         if pane.any {
             self.through(&pane, &mut seen, angle_rad, moment, panes);
         }
@@ -116,18 +155,12 @@ impl World {
         moment: &Moment,
         panes: usize,
     ) {
-        let limit = f32x8::new(pane.mirrored.map(|m| if m > 0.0 { FAR_M } else { 0.0 }));
+        let limit = pane.limit();
         let sight = |offset: f32, direction: &[[f32; LANES]; 3]| {
-            let origin: [[f32; LANES]; 3] = std::array::from_fn(|i| {
-                std::array::from_fn(|lane| pane.point[i][lane] + offset * pane.normal[i][lane])
-            });
             if panes == 0 {
                 return [DIM; LANES];
             }
-            let rays = RayPacket {
-                origin: Origin::Each(origin.map(f32x8::new)),
-                direction: direction.map(f32x8::new),
-            };
+            let rays = pane.rays(offset, direction);
             self.look(&rays, limit, pane.travelled, angle_rad, moment, panes - 1)
                 .map(|s| s.value)
         };
@@ -149,7 +182,7 @@ impl World {
     }
 }
 
-/// Where rays of a packet meet glass.
+/// Where rays of a packet meet glass, or what is as smooth.
 #[derive(Default)]
 struct Pane {
     any: bool,
@@ -158,11 +191,15 @@ struct Pane {
     ahead: [[f32; LANES]; 3],
     back: [[f32; LANES]; 3],
     travelled: [f32; LANES],
-    /// Share of the light that is mirrored; 0 for lanes without glass.
+    /// Share of the light that is mirrored; 0 for lanes that met nothing of the kind.
     mirrored: [f32; LANES],
 }
 
 impl Pane {
+    #[allow(
+        clippy::too_many_arguments,
+        reason = "one lane of what a packet met, taken apart"
+    )]
     fn meet(
         &mut self,
         lane: usize,
@@ -171,6 +208,7 @@ impl Pane {
         normal: [f32; 3],
         cosine: f32,
         travelled: f32,
+        head_on: f32,
     ) {
         self.any = true;
         let back = add(ray, scale(normal, 2.0 * cosine));
@@ -182,6 +220,22 @@ impl Pane {
         }
         self.travelled[lane] = travelled;
         // Schlick's approximation.
-        self.mirrored[lane] = REFLECTED + (1.0 - REFLECTED) * (1.0 - cosine).max(0.0).powi(5);
+        self.mirrored[lane] = head_on + (1.0 - head_on) * (1.0 - cosine).max(0.0).powi(5);
+    }
+
+    /// Rays on from here, begun so far before the surface.
+    fn rays(&self, offset: f32, direction: &[[f32; LANES]; 3]) -> RayPacket {
+        let origin: [[f32; LANES]; 3] = std::array::from_fn(|i| {
+            std::array::from_fn(|lane| self.point[i][lane] + offset * self.normal[i][lane])
+        });
+        RayPacket {
+            origin: Origin::Each(origin.map(f32x8::new)),
+            direction: direction.map(f32x8::new),
+        }
+    }
+
+    /// Nothing for lanes that do not go on.
+    fn limit(&self) -> f32x8 {
+        f32x8::new(self.mirrored.map(|m| if m > 0.0 { FAR_M } else { 0.0 }))
     }
 }

@@ -6,6 +6,12 @@ use crate::world::{LANES, NO_FACET, World};
 
 /// Mean grey level that the automatic aims at.
 const TARGET: f32 = 138.0;
+/// The same in traced light: a grey card of 18 % at the root of its reflectance, which is what photographers meter for.
+const GREY_CARD: f32 = 108.0;
+/// Gain of light at least in traced light: a sensor's shortest exposures, for snow in the sun.
+const LEAST_GAIN: f32 = 5e-4;
+/// Grey level above which a place counts no more than this, when it is metered.
+const BRIGHTEST: f32 = 300.0;
 /// How long ago the light was measured that an exposure follows, seconds: cameras lag.
 const LAGS_S: [f64; 3] = [0.08, 0.2, 0.4];
 /// Gain of light at most, and at least.
@@ -36,8 +42,13 @@ impl CameraSim {
         }
         let mut gain = 1.0_f32;
         for lag_s in LAGS_S {
-            let mean = self.mean_level(world, world_from_rig, time_s - lag_s);
-            let wanted = (TARGET / mean.max(1.0)).powi(2).clamp(GAIN[0], GAIN[1]);
+            let levels = self.levels(world, world_from_rig, time_s - lag_s);
+            let wanted = match world.is_lit() {
+                true => gain_over_the_range(&levels),
+                false => (TARGET / mean_level(&levels).max(1.0))
+                    .powi(2)
+                    .clamp(GAIN[0], GAIN[1]),
+            };
             gain *= wanted.powf(1.0 / LAGS_S.len() as f32);
         }
         let longest = self.config.longest_exposure_ns.max(self.config.exposure_ns);
@@ -49,23 +60,21 @@ impl CameraSim {
         }
     }
 
-    /// Mean brightness of some places in the image.
-    fn mean_level(&self, world: &World, world_from_rig: PoseAt, time_s: f64) -> f32 {
+    /// Brightness of some places in the image.
+    fn levels(&self, world: &World, world_from_rig: PoseAt, time_s: f64) -> Vec<f32> {
         let view = self.view(world, world_from_rig, time_s);
         let groups = self.width / LANES;
-        let (mut sum, mut count) = (0.0, 0.0_f32);
+        let mut levels = Vec::new();
         for j in 0..PROBES[1] {
             let row = (2 * j + 1) * self.height / (2 * PROBES[1]);
             for i in 0..PROBES[0] {
                 let group = (2 * i + 1) * groups / (2 * PROBES[0]);
                 let seen = self.look(&view, row, &self.directions[row * groups + group]);
-                for seen in seen.iter().filter(|s| s.facet != NO_FACET) {
-                    sum += seen.value.min(300.0);
-                    count += 1.0;
-                }
+                let met = seen.iter().filter(|s| s.facet != NO_FACET);
+                levels.extend(met.map(|s| s.value));
             }
         }
-        if count > 0.0 { sum / count } else { TARGET }
+        levels
     }
 
     /// Vignetting, shot and read noise, quantisation of row `y`.
@@ -97,4 +106,36 @@ impl CameraSim {
             }
         }
     }
+}
+
+/// Mean of levels; the aim where there is none.
+fn mean_level(levels: &[f32]) -> f32 {
+    let (mut sum, mut count) = (0.0, 0.0_f32);
+    for level in levels {
+        sum += level.min(BRIGHTEST);
+        count += 1.0;
+    }
+    if count > 0.0 { sum / count } else { TARGET }
+}
+
+/// The gain under which the mean of levels becomes that of a grey card, what is too bright counting as just too bright: a window
+/// does not drown the room.
+fn gain_over_the_range(levels: &[f32]) -> f32 {
+    if levels.is_empty() {
+        return 1.0;
+    }
+    let mean = |gain: f32| {
+        let shown = levels.iter().map(|l| (gain.sqrt() * l).min(BRIGHTEST));
+        shown.sum::<f32>() / levels.len() as f32
+    };
+    // By halves of what is left, in octaves.
+    let (mut low, mut high) = (LEAST_GAIN.log2(), GAIN[1].log2());
+    for _ in 0..24 {
+        let middle = 0.5 * (low + high);
+        match mean(middle.exp2()) < GREY_CARD {
+            true => low = middle,
+            false => high = middle,
+        }
+    }
+    (0.5 * (low + high)).exp2()
 }

@@ -1,0 +1,135 @@
+"""Illuminance and pictures of a place by Mitsuba 3, beside ours: mitsuba.py FOLDER [SAMPLES]."""
+
+import json
+import os
+import sys
+
+import numpy as np
+from PIL import Image
+
+import mitsuba as mi
+
+mi.set_variant("llvm_ad_rgb" if "llvm_ad_rgb" in mi.variants() and not os.environ.get("SCALAR") else "scalar_rgb")
+
+folder = sys.argv[1]
+samples = int(sys.argv[2]) if len(sys.argv) > 2 else 4096
+# What our panes let through.
+PANE = 0.79
+
+
+def floats(name, columns):
+    return np.fromfile(os.path.join(folder, name), np.float32).reshape(-1, columns)
+
+
+triangles = floats("triangles.f32", 9).reshape(-1, 3, 3)
+optics = floats("optics.f32", 3)
+place = json.load(open(os.path.join(folder, "place.json")))
+
+
+def mesh(name, chosen, bsdf, luminance=0.0):
+    """One mesh of triangles with a material; vertices are not shared, so that faces stay flat."""
+    props = mi.Properties()
+    props["bsdf"] = mi.load_dict(bsdf)
+    if luminance > 0.0:
+        props["emitter"] = mi.load_dict({"type": "area", "radiance": {"type": "rgb", "value": float(luminance)}})
+    n = len(chosen)
+    made = mi.Mesh(name, 3 * n, n, has_vertex_normals=False, has_vertex_texcoords=False, props=props)
+    params = mi.traverse(made)
+    params["vertex_positions"] = np.ascontiguousarray(chosen.reshape(-1))
+    params["faces"] = np.arange(3 * n, dtype=np.uint32)
+    params.update()
+    return made
+
+
+def grey(value):
+    return {"type": "rgb", "value": float(value)}
+
+
+scene = {"type": "scene", "integrator": {"type": "path", "max_depth": -1, "rr_depth": 8}}
+glass = optics[:, 2] > 0
+# A pane is two facets back to back: one is enough.
+seen, single = set(), []
+for k in np.flatnonzero(glass):
+    key = tuple(sorted(map(tuple, np.round(triangles[k], 3).tolist())))
+    middle = tuple(np.round(triangles[k].mean(0), 2))
+    normal = np.cross(triangles[k][1] - triangles[k][0], triangles[k][2] - triangles[k][0])
+    if tuple(np.sign(np.round(normal, 6))) > tuple(-np.sign(np.round(normal, 6))):
+        single.append(k)
+if single:
+    scene["panes"] = mesh(
+        "panes", triangles[single], {"type": "mask", "opacity": 1.0 - PANE, "bsdf": {"type": "diffuse", "reflectance": grey(0.0)}}
+    )
+groups = {}
+# Where there is a sun, the sky is light from everywhere: as a surface it would hide the sun.
+sky = (optics[:, 1] == optics[:, 1].max()) & bool(place["sun"])
+for k in np.flatnonzero(~glass & ~sky):
+    groups.setdefault((float(optics[k, 0]), float(optics[k, 1])), []).append(k)
+for number, ((albedo, luminance), chosen) in enumerate(sorted(groups.items())):
+    scene[f"m{number}"] = mesh(
+        f"m{number}", triangles[chosen], {"type": "diffuse", "reflectance": grey(albedo)}, luminance
+    )
+if place["sun"]:
+    scene["sky"] = {"type": "constant", "radiance": grey(optics[:, 1].max())}
+    scene["sun"] = {"type": "directional", "direction": [-v for v in place["sun"]["direction"]], "irradiance": grey(place["sun"]["lux"])}
+print(place["place"], len(triangles), "triangles,", len(groups), "materials,", len(single), "panes")
+scene = mi.load_dict(scene)
+
+points = floats("points.f32", 8)
+found = np.zeros((len(points), 2))
+import drjit as dr
+
+integrator = scene.integrator()
+for first in range(0, len(points), 50):
+    part = points[first : first + 50]
+    n = len(part)
+    # A sensor that looks along cosine-distributed rays from each point, by hand: E = π mean(L).
+    rng = np.random.default_rng(first)
+    sums, squares = np.zeros(n), np.zeros(n)
+    sampler = mi.load_dict({"type": "independent"})
+    count = n * samples
+    sampler.seed(first, count)
+    which = np.repeat(np.arange(n), samples)
+    normal = part[which, 3:6]
+    helper = np.where(np.abs(normal[:, :1]) < 0.6, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    side = np.cross(normal, helper)
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    other = np.cross(normal, side)
+    u, v = rng.random(count), 2 * np.pi * rng.random(count)
+    r = np.sqrt(u)[:, None]
+    direction = r * (np.cos(v)[:, None] * side + np.sin(v)[:, None] * other) + np.sqrt(1 - u)[:, None] * normal
+    origin = part[which, 0:3] + 1e-3 * normal
+
+    def trace(position, towards):
+        ray = mi.Ray3f(mi.Point3f(*position.T.astype(np.float32)), mi.Vector3f(*towards.T.astype(np.float32)))
+        return integrator.sample(scene, sampler, mi.RayDifferential3f(ray))[0]
+
+    light = np.pi * np.array(trace(origin, direction)[0])
+    # The sun straight from the point: a path's first ray never meets a direction.
+    if place["sun"]:
+        towards = np.array(place["sun"]["direction"])
+        cosine = part[:, 3:6] @ towards
+        ray = mi.Ray3f(
+            mi.Point3f(*(part[:, 0:3] + 1e-3 * part[:, 3:6]).T.astype(np.float32)),
+            mi.Vector3f(*np.repeat(towards[:, None], n, 1).astype(np.float32)),
+        )
+        hit = scene.ray_intersect(ray)
+        clear = ~np.array(hit.is_valid())
+        straight = place["sun"]["lux"] * np.maximum(cosine, 0.0) * clear
+    else:
+        straight = np.zeros(n)
+    light = light.reshape(n, samples)
+    found[first : first + 50, 0] = light.mean(1) + straight
+    found[first : first + 50, 1] = light.std(1) / np.sqrt(samples)
+np.save(os.path.join(folder, "mitsuba.npy"), found)
+
+reference, sigma = found.T
+for name, ours in [("traced", points[:, 6]), ("baked", points[:, 7])]:
+    off = np.abs(ours - reference) / reference
+    print(
+        f"{name}: off by {100 * np.median(off):.2f} % in the median, 95 % within {100 * np.percentile(off, 95):.1f} %, worst {100 * off.max():.1f} %;"
+        f" within 5 %: {100 * np.mean(off < 0.05):.1f} %; mean ratio {ours.sum() / reference.sum():.4f};"
+        f" Mitsuba's own noise {100 * np.median(sigma / reference):.2f} % median, {100 * np.max(sigma / reference):.1f} % worst"
+    )
+    worst = np.argsort(-off)[:8]
+    for k in worst:
+        print("   ", np.round(points[k, :6], 3), f"ours {ours[k]:.1f} theirs {reference[k]:.1f} ± {sigma[k]:.1f}")

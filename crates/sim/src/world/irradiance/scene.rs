@@ -1,0 +1,190 @@
+//! What light meets on its way: opaque surfaces seen from either side, panes that dim it, emitters, the sun and the sky.
+
+use wide::f32x8;
+
+use super::super::bvh::Bvh;
+use super::super::facet::Facet;
+use super::super::ray::{LANES, NO_FACET, Origin, RayPacket};
+use super::super::vector::{dot, norm};
+use super::emitters::Emitters;
+
+/// How far light is followed, metres.
+pub(super) const FAR_M: f32 = 1e4;
+/// Rays begin this far above the surface they leave, metres.
+pub(super) const CLEARANCE_M: f32 = 1e-3;
+/// Share of light that a pane lets through, averaged over directions: of the order of single clear glazing.
+pub(super) const PANE_TRANSMITTANCE: f32 = 0.79;
+/// Panes that one stretch of a path goes through at most; behind more it is dark.
+const PANES: usize = 6;
+
+/// What a surface does to light.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Optics {
+    /// Share of the light that is scattered, equally in all directions, 0–1.
+    pub albedo: f32,
+    /// Its own luminance, the same in all directions before it, cd/m².
+    pub luminance_cd_m2: f32,
+    /// Whether one sees through it.
+    pub glass: bool,
+    /// Whether it is so far away that nothing lights it and nothing is shaded by it.
+    pub backdrop: bool,
+}
+
+/// The sun, as wide as it is seen from Earth.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct SunDisc {
+    /// Towards its middle, of length 1.
+    pub direction: [f32; 3],
+    /// Illuminance of a surface that faces it, lux.
+    pub illuminance_lx: f32,
+}
+
+/// Mean radius of the sun's disc, radians.
+pub(super) const SUN_RADIUS_RAD: f32 = 0.004_65;
+
+/// A place as light sees it.
+pub(crate) struct Scene {
+    facets: Vec<Facet>,
+    optics: Vec<Optics>,
+    /// Where each was in the list that the scene was made of.
+    sources: Vec<usize>,
+    bvh: Bvh,
+    panes: Option<(Vec<Facet>, Bvh)>,
+    pub(super) emitters: Emitters,
+    pub(super) sun: Option<SunDisc>,
+    /// Luminance where there is nothing at all, cd/m².
+    pub(super) void_cd_m2: f32,
+}
+
+/// Eight numbers.
+pub(super) type Lanes = [f32; LANES];
+
+/// What eight rays came to.
+pub(super) struct Met {
+    /// In lengths of the direction.
+    pub distance: Lanes,
+    pub facet: [u32; LANES],
+    /// Share of light that the panes between let through.
+    pub through: Lanes,
+}
+
+impl Scene {
+    /// Puts surfaces in order. `void_cd_m2` is the luminance of what no surface closes off.
+    pub(crate) fn new(surfaces: &[(Facet, Optics)], sun: Option<SunDisc>, void_cd_m2: f32) -> Self {
+        let tree = |glass: bool| {
+            let chosen: Vec<usize> = (0..surfaces.len())
+                .filter(|&i| surfaces[i].1.glass == glass)
+                .collect();
+            let facets: Vec<Facet> = chosen.iter().map(|&i| surfaces[i].0).collect();
+            let (bvh, order) = Bvh::build(&facets);
+            let sources: Vec<usize> = order.iter().map(|&i| chosen[i]).collect();
+            let facets: Vec<Facet> = order.iter().map(|&i| facets[i]).collect();
+            (facets, sources, bvh)
+        };
+        let (facets, sources, bvh) = tree(false);
+        let (glass, _, glass_bvh) = tree(true);
+        let optics: Vec<Optics> = sources.iter().map(|&i| surfaces[i].1).collect();
+        let emitters = Emitters::new(&facets, &optics);
+        Self {
+            panes: (!glass.is_empty()).then_some((glass, glass_bvh)),
+            facets,
+            optics,
+            sources,
+            bvh,
+            emitters,
+            sun,
+            void_cd_m2,
+        }
+    }
+
+    pub(super) fn facet(&self, number: u32) -> &Facet {
+        &self.facets[number as usize]
+    }
+
+    /// Where a facet was in the list that the scene was made of.
+    pub(super) fn source(&self, number: u32) -> usize {
+        self.sources[number as usize]
+    }
+
+    pub(super) fn optics(&self, number: u32) -> &Optics {
+        &self.optics[number as usize]
+    }
+
+    /// The nearest surfaces within `limit`, seen from either side.
+    pub(super) fn meet(&self, rays: &RayPacket, limit: f32x8) -> Met {
+        let hit = self.bvh.cast_either(&self.facets, rays, limit);
+        Met {
+            distance: hit.distance.to_array(),
+            facet: hit.facet,
+            through: self.transmittance(rays, hit.distance),
+        }
+    }
+
+    /// Share of light that comes along each ray from its end at `limit`.
+    pub(super) fn visibility(&self, rays: &RayPacket, limit: f32x8) -> Lanes {
+        let blocked = self.bvh.any(&self.facets, rays, limit);
+        if blocked == 0xff {
+            return [0.0; LANES];
+        }
+        let through = self.transmittance(rays, limit);
+        std::array::from_fn(|lane| match blocked >> lane & 1 {
+            1 => 0.0,
+            _ => through[lane],
+        })
+    }
+
+    /// Share of light that reaches the beginning of each ray from beyond everything.
+    pub(super) fn visibility_of_sky(&self, rays: &RayPacket, limit: f32x8) -> Lanes {
+        let met = self.meet(rays, limit);
+        std::array::from_fn(|lane| match met.facet[lane] {
+            NO_FACET => met.through[lane],
+            facet if self.optics(facet).backdrop => met.through[lane],
+            _ => 0.0,
+        })
+    }
+
+    fn transmittance(&self, rays: &RayPacket, limit: f32x8) -> Lanes {
+        let mut through = [1.0; LANES];
+        let Some((facets, bvh)) = &self.panes else {
+            return through;
+        };
+        let mut left = limit;
+        let mut rays = *rays;
+        for crossed in 0..=PANES {
+            let hit = bvh.cast(facets, &rays, left);
+            if hit.facet == [NO_FACET; LANES] {
+                return through;
+            }
+            let lengths = rays.direction.map(|d| d.to_array());
+            let step: Lanes = std::array::from_fn(|lane| {
+                if hit.facet[lane] == NO_FACET {
+                    return 0.0;
+                }
+                through[lane] *= match crossed {
+                    PANES => 0.0,
+                    _ => PANE_TRANSMITTANCE,
+                };
+                // On behind the pane, by no more than its thickness would be.
+                let length = norm([lengths[0][lane], lengths[1][lane], lengths[2][lane]]);
+                hit.distance.to_array()[lane] + CLEARANCE_M / length.max(1e-12)
+            });
+            let step = f32x8::new(step);
+            // Lanes without a pane are done: nothing is left of their way.
+            let found = f32x8::new(hit.facet.map(|f| if f == NO_FACET { 0.0 } else { 1.0 }));
+            left = (left - step) * found;
+            let origin = match rays.origin {
+                Origin::Shared(eye) => eye.map(f32x8::splat),
+                Origin::Each(origin) => origin,
+            };
+            rays.origin = Origin::Each(std::array::from_fn(|i| {
+                origin[i] + step * rays.direction[i]
+            }));
+        }
+        through
+    }
+
+    /// Whether a ray along `direction` meets the front of a facet.
+    pub(super) fn is_front(&self, facet: u32, direction: [f32; 3]) -> bool {
+        dot(self.facet(facet).normal, direction) < 0.0
+    }
+}

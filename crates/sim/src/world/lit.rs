@@ -1,0 +1,246 @@
+//! Places in true light: what their materials and lamps are in lux and cd/m², and the light that follows, computed or read.
+
+use std::path::PathBuf;
+
+use lsfb_types::ProgressFn;
+
+use super::blueprint::Blueprint;
+use super::builder::Surface;
+use super::facet::Facet;
+use super::irradiance::{
+    Baked, Baking, Found, Optics, Probes, Scene, Spot, SunDisc, bake, key, path, read, write,
+};
+use super::light::LightGrid;
+use super::material::Material;
+use super::skin::LightMaps;
+use super::substance::Substance;
+use super::vector::{cross, norm};
+use crate::Error;
+use crate::config::LightConfig;
+
+/// Illuminance under which a white surface is white at the nominal exposure, lux: a well lit office (EN 12464-1 asks for 500 on desks).
+pub(crate) const NOMINAL_LX: f32 = 500.0;
+/// Luminance of windows in daylight, seen from outside: a share of the sky mirrored, little from within, cd/m².
+const WINDOW_FROM_OUTSIDE_CD_M2: f32 = 500.0;
+/// Edge of what a crowd may reach beyond its ways, metres.
+const AROUND_WAYS_M: f32 = 3.0;
+
+/// What computing the light of a place came to.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LightReport {
+    /// Points at which light is held.
+    pub points: usize,
+    /// The file it was read from or written to.
+    pub file: Option<PathBuf>,
+    /// Whether it was read, not computed.
+    pub read: bool,
+    /// What was wrong with the file that was there; the light was computed again.
+    pub damaged: Option<String>,
+}
+
+/// Light of a world, beyond what each facet has.
+#[derive(Clone, Debug)]
+pub(super) struct Lit {
+    pub probes: Probes,
+    /// Of all facets: share of a mirror's reflection.
+    pub gloss: Vec<f32>,
+    /// Of the facets that do not move: whether they shine by themselves.
+    pub shines: Vec<bool>,
+    pub report: LightReport,
+}
+
+impl Lit {
+    /// Square root of the light on a small surface in the air, 1 being nominal.
+    pub(super) fn around(&self, point: [f32; 3], normal: [f32; 3]) -> f32 {
+        let lux = self.probes.at(point, normal).unwrap_or(NOMINAL_LX);
+        (lux / NOMINAL_LX).sqrt()
+    }
+}
+
+/// A place as light sees it, for whoever wants to check it: its surfaces and lamps, and the illuminance at any point of it.
+pub struct LitPlace {
+    surfaces: Vec<(Facet, Optics)>,
+    sun: Option<SunDisc>,
+    scene: Scene,
+}
+
+/// A surface of a [`LitPlace`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct LitSurface {
+    /// Three or four, counter-clockwise from the visible side, metres.
+    pub vertices: Vec<[f32; 3]>,
+    /// Share of the light that is scattered, 0–1.
+    pub albedo: f32,
+    /// Its own luminance before it, cd/m².
+    pub luminance_cd_m2: f32,
+    /// Whether one sees through it. A pane consists of two of them, back to back.
+    pub glass: bool,
+}
+
+impl LitPlace {
+    pub(crate) fn new(blueprint: &Blueprint) -> Self {
+        let surfaces = optics_of(&blueprint.builder.surfaces, blueprint);
+        let (sun, void) = sky(blueprint);
+        Self {
+            scene: Scene::new(&surfaces, sun, void),
+            surfaces,
+            sun,
+        }
+    }
+
+    /// All surfaces that do not move.
+    pub fn surfaces(&self) -> impl Iterator<Item = LitSurface> {
+        self.surfaces.iter().map(|(facet, optics)| LitSurface {
+            vertices: facet.vertices(),
+            albedo: optics.albedo,
+            luminance_cd_m2: optics.luminance_cd_m2,
+            glass: optics.glass,
+        })
+    }
+
+    /// Where the sun is (a unit vector towards it), and the illuminance of what faces it, lux; `None` where there is none.
+    pub fn sun(&self) -> Option<([f32; 3], f32)> {
+        self.sun.map(|sun| (sun.direction, sun.illuminance_lx))
+    }
+
+    /// Illuminance of a surface at `point` that faces along the unit vector `normal`, lux, as the mean of so many paths.
+    pub fn illuminance_lx(&self, point: [f32; 3], normal: [f32; 3], paths: u32, seed: u64) -> f32 {
+        let spot = Spot { point, normal };
+        self.scene.illuminance_lx(&spot, paths as usize, seed)
+    }
+}
+
+/// The light of a place: of the `count` first of its surfaces, and around them.
+pub(super) fn light(
+    surfaces: &[Surface],
+    count: usize,
+    blueprint: &Blueprint,
+    config: &LightConfig,
+    seed: u64,
+    progress: ProgressFn,
+) -> Result<(LightMaps, Lit), Error> {
+    let optics = optics_of(&surfaces[..count], blueprint);
+    let (sun, void_cd_m2) = sky(blueprint);
+    let baking = Baking {
+        spacing_m: match config.spacing_m {
+            0.0 => spacing_m(&optics),
+            wanted_m => wanted_m as f32,
+        },
+        paths: config.paths as usize,
+        seed,
+    };
+    let walked = ways(blueprint);
+    let key = key(&optics, sun, void_cd_m2, &baking, walked);
+    let file = (!config.cache.as_os_str().is_empty()).then(|| path(&config.cache, &key));
+    let found = match &file {
+        Some(file) => read(file, &key),
+        None => Found::Nothing,
+    };
+    let (known, damaged) = match found {
+        Found::Light(light) if light.grids.len() == count => (Some(light), None),
+        Found::Light(_) => (None, Some("it is of another place".to_owned())),
+        Found::Nothing => (None, None),
+        Found::Damaged(problem) => (None, Some(problem)),
+    };
+    let is_read = known.is_some();
+    let baked = match known {
+        Some(light) => light,
+        None => {
+            let scene = Scene::new(&optics, sun, void_cd_m2);
+            let light = Baked {
+                grids: bake(&scene, &optics, &baking, progress)?,
+                probes: walked
+                    .map(|area| Probes::bake(&scene, area, seed))
+                    .unwrap_or_default(),
+            };
+            if let Some(file) = &file {
+                write(file, &key, &light)?;
+            }
+            light
+        }
+    };
+    let mut maps = LightMaps::default();
+    for (grid, (_, optics)) in baked.grids.iter().zip(&optics) {
+        let relative = LightGrid {
+            values: grid.values.iter().map(|lx| lx / NOMINAL_LX).collect(),
+            ..*grid
+        };
+        maps.push(&relative, exitance_lx(optics) / NOMINAL_LX);
+    }
+    let report = LightReport {
+        points: baked.grids.iter().map(|grid| grid.values.len()).sum(),
+        file,
+        read: is_read,
+        damaged,
+    };
+    let lit = Lit {
+        probes: baked.probes,
+        gloss: surfaces.iter().map(|s| s.material.gloss).collect(),
+        shines: optics.iter().map(|o| o.1.luminance_cd_m2 > 0.0).collect(),
+        report,
+    };
+    Ok((maps, lit))
+}
+
+/// Illuminance under which a surface would be as bright as it shines, lux.
+fn exitance_lx(optics: &Optics) -> f32 {
+    std::f32::consts::PI * optics.luminance_cd_m2 / optics.albedo.max(0.02)
+}
+
+fn optics_of(surfaces: &[Surface], blueprint: &Blueprint) -> Vec<(Facet, Optics)> {
+    let outside = blueprint.sun.is_some();
+    let optics = |material: &Material| Optics {
+        albedo: material.tone.clamp(0.02, 0.95),
+        luminance_cd_m2: match material.substance {
+            Substance::Glass if outside && material.luminance_cd_m2 > 0.0 => {
+                WINDOW_FROM_OUTSIDE_CD_M2
+            }
+            _ => material.luminance_cd_m2,
+        },
+        glass: material.glass,
+        backdrop: material.is_backdrop(),
+    };
+    let with = |s: &Surface| (s.facet, optics(&s.material));
+    surfaces.iter().map(with).collect()
+}
+
+/// The sun, and the luminance of the sky where no backdrop is.
+fn sky(blueprint: &Blueprint) -> (Option<SunDisc>, f32) {
+    let Some(sun) = blueprint.sun else {
+        return (None, 0.0);
+    };
+    // IES RP-21, "Calculation of Daylight Availability", clear sky: 128 klx outside the atmosphere, extinction 0.21 for each air mass.
+    let air_mass = 1.0 / sun.direction[2].max(0.05);
+    let disc = SunDisc {
+        direction: sun.direction,
+        illuminance_lx: 128_000.0 * (-0.21 * air_mass).exp(),
+    };
+    (Some(disc), Material::SKY.luminance_cd_m2)
+}
+
+/// Distance between the points at which light is computed: contact shadows of chairs where a place is small enough, of furniture elsewhere.
+fn spacing_m(surfaces: &[(Facet, Optics)]) -> f32 {
+    let near = surfaces.iter().filter(|(_, optics)| !optics.backdrop);
+    let area_m2: f32 = near
+        .map(|(facet, _)| norm(cross(facet.edge_a, facet.edge_b)))
+        .sum();
+    match area_m2 {
+        ..1500.0 => 0.05,
+        1500.0..4000.0 => 0.075,
+        _ => 0.1,
+    }
+}
+
+/// The box on the floors that people walk in; `None` where nobody does.
+fn ways(blueprint: &Blueprint) -> Option<[[f32; 3]; 2]> {
+    let corners = blueprint.strolls.iter().flat_map(|s| &s.corners);
+    let mut ends = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]];
+    for corner in corners {
+        for i in 0..3 {
+            let around = if i < 2 { AROUND_WAYS_M } else { 0.0 };
+            ends[0][i] = ends[0][i].min(corner[i] - around);
+            ends[1][i] = ends[1][i].max(corner[i] + around);
+        }
+    }
+    (ends[0][0] <= ends[1][0]).then_some(ends)
+}
