@@ -131,7 +131,19 @@ pub fn prepare(
     calibrated: [Option<Rig>; 2],
     context: &Context,
 ) -> anyhow::Result<Arc<Simulation>> {
-    let simulation = Simulation::new(config, &|p| context.show(p))?;
+    let mut asked = config.clone();
+    if asked.light.baked && asked.light.cache.as_os_str().is_empty() {
+        asked.light.cache = layout.file("light");
+    }
+    let simulation = Simulation::new(&asked, &|p| context.show(p))?;
+    if let Some(report) = simulation.world().light_report()
+        && let (Some(file), Some(problem)) = (&report.file, &report.damaged)
+    {
+        context.note(&format!(
+            "{}: {problem}; the light was computed again",
+            file.display()
+        ));
+    }
     let simulation = Arc::new(simulation.calibrated(calibrated));
     for (name, text) in [
         ("backpack.toml", simulation.scan().stated_rig().to_toml()),

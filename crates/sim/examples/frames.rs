@@ -1,4 +1,5 @@
-//! Writes images with what is true about them, for foreign programs to judge: `frames FOLDER NAME ...`.
+//! Writes images with what is true about them, for foreign programs to judge: `frames FOLDER [--baked] NAME ...`; with `--baked` in
+//! traced light, which is kept in the folder.
 //!
 //! A name is a place, a sequence of Table VII, or `calibration`. For a place or a sequence: pairs of images a tenth of a
 //! second apart through the first camera of the glasses, with the true motion between them. For `calibration`: images of
@@ -25,12 +26,14 @@ const PAIRS: u32 = 16;
 const BOARDS: u32 = 60;
 
 fn main() -> Result<(), Failure> {
-    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let mut arguments: Vec<String> = std::env::args().skip(1).collect();
+    let baked = arguments.iter().any(|a| a == "--baked");
+    arguments.retain(|a| a != "--baked");
     let folder = Path::new(arguments.first().ok_or("usage: frames FOLDER NAME ...")?);
     std::fs::create_dir_all(folder)?;
     for name in &arguments[1..] {
         let truth = if name == Place::Calibration.name() {
-            boards(folder)?
+            boards(folder, baked)?
         } else {
             let mut config = match (Place::named(name), PaperMotion::named(name)) {
                 (Some(place), _) => SimConfig::for_place(place, Device::Glasses),
@@ -39,6 +42,8 @@ fn main() -> Result<(), Failure> {
             };
             // The scanner does not walk here.
             config.scan.duration_s = 1.0;
+            config.light.baked = baked;
+            config.light.cache = folder.join("light");
             pairs(folder, name, &Simulation::new(&config, &no_progress)?)?
         };
         std::fs::write(
@@ -94,7 +99,7 @@ fn pairs(folder: &Path, name: &str, simulation: &Simulation) -> Result<Value, Fa
     Ok(json!({ "camera": camera.camera, "pairs": list }))
 }
 
-fn boards(folder: &Path) -> Result<Value, Failure> {
+fn boards(folder: &Path, baked: bool) -> Result<Value, Failure> {
     let mut all = Vec::new();
     for (kind, device) in [
         ("global", Device::Glasses),
@@ -104,6 +109,8 @@ fn boards(folder: &Path) -> Result<Value, Failure> {
         let mut config = SimConfig::for_place(Place::Calibration, device);
         // Sharp images in good light of a sharp print: what is measured is where corners are.
         config.texel_m = 0.001;
+        config.light.baked = baked;
+        config.light.cache = folder.join("light");
         for cameras in [&mut config.scan_cameras, &mut config.glasses_cameras] {
             *cameras = CameraConfig {
                 motion_blur: false,

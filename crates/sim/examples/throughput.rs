@@ -1,4 +1,4 @@
-//! Measures rays per second of CPU time: `throughput [PLACE] [--export FOLDER]`. Time that other programs take does not
+//! Measures rays per second of CPU time: `throughput [PLACE] [--baked] [--export FOLDER]`. Time that other programs take does not
 //! count; the number of threads is set by `RAYON_NUM_THREADS`.
 //!
 //! With a folder it also writes the triangles and the rays of one image, for another ray caster: see
@@ -28,6 +28,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     config.scan_cameras.motion_blur = false;
     config.scan.duration_s = 20.0;
     config.glasses.duration_s = 5.0;
+    config.light.baked = arguments.iter().any(|a| a == "--baked");
     let simulation = Simulation::new(&config, &no_progress)?;
     let world = simulation.world();
     println!("{}: {} facets", place.name(), world.facets().len());

@@ -17,7 +17,16 @@ pub struct LightConfig {
     /// Paths that are followed from each of these points.
     pub paths: u32,
     /// Folder in which computed light is kept, so that the next simulation of the same place need not compute it; empty keeps none.
+    /// It changes no result, and is not written with the settings.
+    #[serde(skip_serializing)]
     pub cache: PathBuf,
+}
+
+impl LightConfig {
+    /// Whether nothing of this is used, and it need not be written.
+    pub(super) fn is_off(&self) -> bool {
+        !self.baked
+    }
 }
 
 impl Default for LightConfig {

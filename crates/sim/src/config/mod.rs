@@ -54,6 +54,7 @@ pub struct SimConfig {
     /// Edge of the texels that surfaces are painted with, metres.
     pub texel_m: f32,
     /// The light of the place.
+    #[serde(skip_serializing_if = "LightConfig::is_off")]
     pub light: LightConfig,
     /// What the IMU of the backpack speaks.
     pub scan_imu_family: SimulatedImu,

@@ -65,7 +65,8 @@ impl Place {
 impl LitPlace {
     /// A place with its lamps, sky and sun; empty for the demo's place and imported ones.
     pub fn of(config: &SimConfig) -> Self {
-        Self::new(&Place::plan(config))
+        let plan = Place::plan(config);
+        Self::new(&plan.builder.surfaces, plan.sun)
     }
 }
 

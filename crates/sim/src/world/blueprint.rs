@@ -148,7 +148,14 @@ impl World {
     ) -> Result<Self, Error> {
         let painted = Painted::new(blueprint, seed, texel_m, progress)?;
         let count = painted.facets.len();
-        let (maps, lit) = lit::light(&painted.surfaces, count, blueprint, config, seed, progress)?;
+        let (maps, lit) = lit::light(
+            &painted.surfaces,
+            count,
+            (blueprint.sun, &blueprint.strolls),
+            config,
+            seed,
+            progress,
+        )?;
         Ok(painted.lit_by(maps, Some(lit)))
     }
 }

@@ -4,13 +4,13 @@ use std::path::PathBuf;
 
 use lsfb_types::ProgressFn;
 
-use super::blueprint::Blueprint;
 use super::builder::Surface;
+use super::crowd::Stroll;
 use super::facet::Facet;
 use super::irradiance::{
     Baked, Baking, Found, Optics, Probes, Scene, Spot, SunDisc, bake, key, path, read, write,
 };
-use super::light::LightGrid;
+use super::light::{LightGrid, Sun};
 use super::material::Material;
 use super::skin::LightMaps;
 use super::substance::Substance;
@@ -78,9 +78,9 @@ pub struct LitSurface {
 }
 
 impl LitPlace {
-    pub(crate) fn new(blueprint: &Blueprint) -> Self {
-        let surfaces = optics_of(&blueprint.builder.surfaces, blueprint);
-        let (sun, void) = sky(blueprint);
+    pub(crate) fn new(surfaces: &[Surface], sun: Option<Sun>) -> Self {
+        let surfaces = optics_of(surfaces, sun);
+        let (sun, void) = sky(sun);
         Self {
             scene: Scene::new(&surfaces, sun, void),
             surfaces,
@@ -110,17 +110,17 @@ impl LitPlace {
     }
 }
 
-/// The light of a place: of the `count` first of its surfaces, and around them.
+/// The light of a place: of the `count` first of its surfaces, which do not move, and in the air around people's ways.
 pub(super) fn light(
     surfaces: &[Surface],
     count: usize,
-    blueprint: &Blueprint,
+    (sun, strolls): (Option<Sun>, &[Stroll]),
     config: &LightConfig,
     seed: u64,
     progress: ProgressFn,
 ) -> Result<(LightMaps, Lit), Error> {
-    let optics = optics_of(&surfaces[..count], blueprint);
-    let (sun, void_cd_m2) = sky(blueprint);
+    let optics = optics_of(&surfaces[..count], sun);
+    let (sun, void_cd_m2) = sky(sun);
     let baking = Baking {
         spacing_m: match config.spacing_m {
             0.0 => spacing_m(&optics),
@@ -129,7 +129,7 @@ pub(super) fn light(
         paths: config.paths as usize,
         seed,
     };
-    let walked = ways(blueprint);
+    let walked = ways(strolls);
     let key = key(&optics, sun, void_cd_m2, &baking, walked);
     let file = (!config.cache.as_os_str().is_empty()).then(|| path(&config.cache, &key));
     let found = match &file {
@@ -187,8 +187,8 @@ fn exitance_lx(optics: &Optics) -> f32 {
     std::f32::consts::PI * optics.luminance_cd_m2 / optics.albedo.max(0.02)
 }
 
-fn optics_of(surfaces: &[Surface], blueprint: &Blueprint) -> Vec<(Facet, Optics)> {
-    let outside = blueprint.sun.is_some();
+fn optics_of(surfaces: &[Surface], sun: Option<Sun>) -> Vec<(Facet, Optics)> {
+    let outside = sun.is_some();
     let optics = |material: &Material| Optics {
         albedo: material.tone.clamp(0.02, 0.95),
         luminance_cd_m2: match material.substance {
@@ -205,8 +205,8 @@ fn optics_of(surfaces: &[Surface], blueprint: &Blueprint) -> Vec<(Facet, Optics)
 }
 
 /// The sun, and the luminance of the sky where no backdrop is.
-fn sky(blueprint: &Blueprint) -> (Option<SunDisc>, f32) {
-    let Some(sun) = blueprint.sun else {
+fn sky(sun: Option<Sun>) -> (Option<SunDisc>, f32) {
+    let Some(sun) = sun else {
         return (None, 0.0);
     };
     // IES RP-21, "Calculation of Daylight Availability", clear sky: 128 klx outside the atmosphere, extinction 0.21 for each air mass.
@@ -232,8 +232,8 @@ fn spacing_m(surfaces: &[(Facet, Optics)]) -> f32 {
 }
 
 /// The box on the floors that people walk in; `None` where nobody does.
-fn ways(blueprint: &Blueprint) -> Option<[[f32; 3]; 2]> {
-    let corners = blueprint.strolls.iter().flat_map(|s| &s.corners);
+fn ways(strolls: &[Stroll]) -> Option<[[f32; 3]; 2]> {
+    let corners = strolls.iter().flat_map(|s| &s.corners);
     let mut ends = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]];
     for corner in corners {
         for i in 0..3 {
@@ -243,4 +243,96 @@ fn ways(blueprint: &Blueprint) -> Option<[[f32; 3]; 2]> {
         }
     }
     (ends[0][0] <= ends[1][0]).then_some(ends)
+}
+
+#[cfg(test)]
+mod tests {
+    use lsfb_types::no_progress;
+    use wide::f32x8;
+
+    use super::*;
+    use crate::world::builder::{Faces, Placement};
+    use crate::world::{Blueprint, LANES, RayPacket, World};
+
+    /// A polished floor below a lamp, nothing else.
+    fn floor_and_lamp() -> Blueprint {
+        let mut blueprint = Blueprint::default();
+        let out = &mut blueprint.builder;
+        let (along, across) = ([8.0, 0.0, 0.0], [0.0, 8.0, 0.0]);
+        out.quad([-4.0, -4.0, 0.0], along, across, Material::VINYL);
+        let (low, high) = ([-0.15, -0.15, 2.4], [0.15, 0.15, 2.5]);
+        let here = Placement::new([0.0; 3], 0.0);
+        out.cuboid(&here, low, high, Faces::All, Material::LAMP);
+        blueprint
+    }
+
+    fn traced(config: &LightConfig) -> World {
+        World::traced(&floor_and_lamp(), 2, 0.05, config, &no_progress).expect("lit")
+    }
+
+    fn quick() -> LightConfig {
+        LightConfig {
+            baked: true,
+            spacing_m: 0.2,
+            paths: 16,
+            ..LightConfig::default()
+        }
+    }
+
+    /// The brightest place of the floor along y = 0, as seen from an eye above it.
+    fn highlight_x(world: &World, eye: [f32; 3]) -> f32 {
+        let moment = world.moment(0.0, [100.0, 100.0]);
+        let mut best = (0.0, 0.0);
+        for k in 0..400 {
+            let x = -2.0 + 0.01 * k as f32;
+            let to = [x - eye[0], -eye[1], -eye[2]];
+            let length = norm(to);
+            let rays = RayPacket::from_point(eye, to.map(|v| f32x8::splat(v / length)));
+            let value = world.see(&rays, 0.002, &moment)[LANES - 1].value;
+            if value > best.0 {
+                best = (value, x);
+            }
+        }
+        best.1
+    }
+
+    #[test]
+    fn highlights_move_with_the_viewer() {
+        let world = traced(&quick());
+        for x in [-1.2_f32, 0.0, 0.9] {
+            let found = highlight_x(&world, [x, 0.0, 1.5]);
+            // Where the way from the eye to the lamp's image below the floor goes through it.
+            let expected = x + (0.0 - x) * 1.5 / (1.5 + 2.4);
+            assert!((found - expected).abs() < 0.13, "{found} {expected}");
+        }
+    }
+
+    #[test]
+    fn light_that_was_kept_is_read_and_damaged_light_is_made_again() {
+        let folder = tempfile::tempdir().expect("folder");
+        let config = LightConfig {
+            cache: folder.path().join("light"),
+            ..quick()
+        };
+        let at = |world: &World| {
+            (0..world.facets().len())
+                .map(|k| world.illuminance_lx(k, [0.3, 0.6]))
+                .collect::<Vec<_>>()
+        };
+        let first = traced(&config);
+        let report = first.light_report().expect("traced");
+        assert!(!report.read && report.damaged.is_none());
+        let file = report.file.clone().expect("kept");
+        let second = traced(&config);
+        assert!(second.light_report().expect("traced").read);
+        assert_eq!(at(&first), at(&second));
+        let mut bytes = std::fs::read(&file).expect("there");
+        bytes[200] ^= 1;
+        std::fs::write(&file, bytes).expect("written");
+        let third = traced(&config);
+        let report = third.light_report().expect("traced");
+        assert!(!report.read && report.damaged.is_some());
+        assert_eq!(at(&first), at(&third));
+        assert!(traced(&config).light_report().expect("traced").read);
+    }
 }

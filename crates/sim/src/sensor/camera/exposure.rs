@@ -139,3 +139,22 @@ fn gain_over_the_range(levels: &[f32]) -> f32 {
     }
     (0.5 * (low + high)).exp2()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Levels of a room with a window, of a plaza in the sun, of a cellar.
+    #[test]
+    fn any_light_is_brought_to_a_grey_card() {
+        let room = [[40.0; 9], [60.0; 9], [900.0; 9]].concat();
+        for levels in [room, vec![2500.0; 30], vec![25.0; 30]] {
+            let gain = gain_over_the_range(&levels);
+            let shown = levels.iter().map(|l| (gain.sqrt() * l).min(BRIGHTEST));
+            let mean = shown.sum::<f32>() / levels.len() as f32;
+            assert!((mean - GREY_CARD).abs() < 0.5, "{mean} with {gain}");
+        }
+        assert_eq!(gain_over_the_range(&[]), 1.0);
+        assert!(gain_over_the_range(&[0.01; 4]) > 0.99 * GAIN[1]);
+    }
+}

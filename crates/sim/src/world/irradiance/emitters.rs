@@ -9,11 +9,13 @@ use super::scene::Optics;
 /// Larger surfaces are found well enough by rays in random directions, m².
 const LARGEST_M2: f32 = 6.0;
 /// Smaller ones shine too little, m².
-const SMALLEST_M2: f32 = 0.02;
+const SMALLEST_M2: f32 = 0.01;
+/// Under a sky, what is darker than this share of it does no harm when it is found by chance.
+const FAINT: f32 = 0.2;
 /// Emitters tried from one cell at most.
-const MOST: usize = 40;
+const MOST: usize = 128;
 /// Share of the light in a cell that those beyond the list may have by the estimate.
-const REMAINDER: f32 = 0.01;
+const REMAINDER: f32 = 0.001;
 /// Edges of cells, metres, smallest first: the first that needs no more than [`MOST_CELLS`] is taken.
 const CELL_EDGES_M: [f32; 4] = [1.5, 2.5, 4.0, 8.0];
 const MOST_CELLS: usize = 30_000;
@@ -39,14 +41,14 @@ pub(super) struct Choice {
 }
 
 impl Emitters {
-    pub(super) fn new(facets: &[Facet], optics: &[Optics]) -> Self {
+    pub(super) fn new(facets: &[Facet], optics: &[Optics], void_cd_m2: f32) -> Self {
         let shining: Vec<Shining> = facets
             .iter()
             .zip(optics)
             .enumerate()
-            .filter(|(_, (_, optics))| optics.luminance_cd_m2 > 0.0 && !optics.backdrop)
+            .filter(|(_, (facet, optics))| is_compact(facet, optics, void_cd_m2))
             .map(|(k, (facet, optics))| Shining::new(k as u32, facet, optics))
-            .filter(|s| (SMALLEST_M2..=LARGEST_M2).contains(&s.area_m2))
+            .filter(|s| s.area_m2 >= SMALLEST_M2)
             .collect();
         if shining.is_empty() {
             return Self::default();
@@ -98,6 +100,12 @@ impl Emitters {
         }
         self.cells.get(index).map_or(&[], Vec::as_slice)
     }
+}
+
+/// Whether a surface shines so brightly, and is so small, that rays in random directions would find it too rarely.
+pub(super) fn is_compact(facet: &Facet, optics: &Optics, void_cd_m2: f32) -> bool {
+    let bright = optics.luminance_cd_m2 > FAINT * void_cd_m2;
+    bright && !optics.backdrop && area_m2(facet) <= LARGEST_M2
 }
 
 /// The one that a number in [0, 1) draws.

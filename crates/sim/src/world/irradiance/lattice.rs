@@ -282,7 +282,7 @@ impl<'a> Patch<'a> {
         let k = self.index(at);
         if !self.nodes[k].computed && !self.nodes[k].buried {
             let spot = self.sheet.spot(at);
-            let light = Light::IndirectBy(self.straight);
+            let light = Light::Indirect(self.straight);
             let gathered = self
                 .scene
                 .gather(&spot, self.baking.paths, self.seed(at), light);

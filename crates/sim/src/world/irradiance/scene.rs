@@ -6,7 +6,7 @@ use super::super::bvh::Bvh;
 use super::super::facet::Facet;
 use super::super::ray::{LANES, NO_FACET, Origin, RayPacket};
 use super::super::vector::{dot, norm};
-use super::emitters::Emitters;
+use super::emitters::{Emitters, is_compact};
 
 /// How far light is followed, metres.
 pub(super) const FAR_M: f32 = 1e4;
@@ -84,7 +84,7 @@ impl Scene {
         let (facets, sources, bvh) = tree(false);
         let (glass, _, glass_bvh) = tree(true);
         let optics: Vec<Optics> = sources.iter().map(|&i| surfaces[i].1).collect();
-        let emitters = Emitters::new(&facets, &optics);
+        let emitters = Emitters::new(&facets, &optics, void_cd_m2);
         Self {
             panes: (!glass.is_empty()).then_some((glass, glass_bvh)),
             facets,
@@ -181,6 +181,11 @@ impl Scene {
             }));
         }
         through
+    }
+
+    /// Whether a facet shines and is for shadow rays to find.
+    pub(super) fn is_compact(&self, facet: u32) -> bool {
+        is_compact(self.facet(facet), self.optics(facet), self.void_cd_m2)
     }
 
     /// Whether a ray along `direction` meets the front of a facet.

@@ -15,7 +15,7 @@ use super::super::facet::Facet;
 use super::super::light::LightGrid;
 use super::super::ray::{LANES, NO_FACET, Origin, RayPacket};
 use super::super::vector::{add, cross, dot, norm, scale, sub};
-use super::emitters::{Choice, area_m2, draw, point_on};
+use super::emitters::{Choice, area_m2, draw, is_compact, point_on};
 use super::scene::{CLEARANCE_M, FAR_M, Lanes, SUN_RADIUS_RAD, Scene};
 use crate::noise::{hash, unit};
 
@@ -47,17 +47,9 @@ pub(super) struct Gathered {
 pub(super) enum Light<'a> {
     /// All of it.
     Whole,
-    /// All but the sun's and that of the emitters on the spot's list, straight.
-    Indirect,
-    /// The same, from what every facet gets of just these straight, lux; facets as in the list that the scene was made of.
-    IndirectBy(&'a [LightGrid]),
-}
-
-impl Light<'_> {
-    /// Whether paths look for the light that comes straight.
-    fn is_tried(self) -> bool {
-        !matches!(self, Self::IndirectBy(_))
-    }
+    /// All but the sun's and that of compact emitters, straight; from what every facet gets of just these straight, lux, facets as in the list
+    /// that the scene was made of. Compact emitters beyond a spot's list are left out: found by chance, they would be specks.
+    Indirect(&'a [LightGrid]),
 }
 
 /// Numbers in [0, 1), one after another.
@@ -162,14 +154,14 @@ impl Scene {
                 }
                 let optics = *self.optics(facet);
                 if optics.luminance_cd_m2 > 0.0 {
-                    let share = self.share_of_hit(paths, lane, facet, distance, bounce, light);
+                    let share = self.share_of_hit(paths, lane, facet, distance, light);
                     paths.brought[lane] += weight * share * optics.luminance_cd_m2;
                 }
                 if optics.backdrop {
                     continue;
                 }
                 let mut weight = weight * optics.albedo;
-                if let Light::IndirectBy(grids) = light {
+                if let Light::Indirect(grids) = light {
                     let at: [f32; 3] = std::array::from_fn(|i| {
                         paths.origin[i][lane] + distance * paths.along[i][lane]
                     });
@@ -183,7 +175,7 @@ impl Scene {
                 }
                 paths.arrive(lane, distance, self.facet(facet), weight);
             }
-            if light.is_tried() {
+            if matches!(light, Light::Whole) {
                 self.light_straight(paths);
             }
             paths.scatter();
@@ -197,16 +189,19 @@ impl Scene {
         lane: usize,
         facet: u32,
         distance: f32,
-        bounce: usize,
         light: Light,
     ) -> f32 {
+        if matches!(light, Light::Indirect(_)) {
+            return if is_compact(self.facet(facet)) {
+                0.0
+            } else {
+                1.0
+            };
+        }
         let choices = self.emitters.near(paths.point(lane));
         let Some(choice) = choices.iter().find(|c| c.facet == facet) else {
             return 1.0;
         };
-        if !light.is_tried() || bounce == 0 && matches!(light, Light::Indirect) {
-            return 0.0;
-        }
         let ray = paths.direction(lane);
         let cosine_there = -dot(self.facet(facet).normal, ray);
         let by_shadow = choice.chance * distance * distance

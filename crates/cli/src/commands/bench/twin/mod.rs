@@ -30,7 +30,7 @@ use rigs::{Bearer, Calibrated, Rigs, calibrated, true_rig};
 pub use session::refusal;
 use session::{Mapped, Refusable, STAGES, Session};
 pub use trial::OTHER_FLOOR;
-use trial::{Condition, Scanned, Size, Walked, calibration};
+use trial::{Condition, Light, Scanned, Size, Walked, calibration};
 
 /// Run the standard trial: scan, map, ground truth and evaluation in simulated places, as in the paper's Tables IV and V.
 ///
@@ -73,6 +73,9 @@ pub struct Arguments {
     /// Give the estimators the exact rigs instead of calibrated ones: easier than any real trial.
     #[arg(long)]
     true_rigs: bool,
+    /// Light traced from true lamps, sky and sun, with shadows, gloss and windows too bright to see through; computed once for each place.
+    #[arg(long)]
+    baked_light: bool,
     /// Keep all recordings: hundreds of megabytes for each scan, tens of gigabytes without --quick.
     #[arg(long)]
     keep_recordings: bool,
@@ -121,6 +124,9 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         given: match arguments.true_rigs {
             true => Rigs::True,
             false => Rigs::Calibrated,
+        },
+        light: Light {
+            folder: arguments.baked_light.then(|| arguments.out.join("light")),
         },
         context,
         rigs: BTreeMap::new(),
@@ -219,6 +225,7 @@ struct Trial<'a> {
     out: &'a Path,
     size: Size,
     given: Rigs,
+    light: Light,
     context: &'a Context,
     /// Rigs that were calibrated, by seed and name, with what that took.
     rigs: BTreeMap<(u64, &'static str), Rig>,
@@ -242,6 +249,7 @@ impl Trial<'_> {
             return Ok(rig.clone());
         }
         let config = calibration(device.unwrap_or_default(), seed, self.size);
+        let config = self.light.on(config);
         if self.given == Rigs::True {
             return Ok(Rig {
                 found: Ok(true_rig(&config, bearer)),
@@ -299,6 +307,7 @@ impl<'a> Scan<'a> {
             session: Session {
                 folder,
                 scanned,
+                light: trial.light.clone(),
                 context: trial.context,
             },
             mapped: None,
@@ -317,8 +326,8 @@ impl<'a> Scan<'a> {
         let made_from = Provenance::new(&Settings {
             walked: *walked,
             rigs: trial.given,
-            scan: walked.scanned.config(),
-            walk: walked.config(),
+            scan: trial.light.on(walked.scanned.config()),
+            walk: trial.light.on(walked.config()),
             mapping: MappingConfig::default(),
             ground_truth: GroundTruthConfig::default(),
         });

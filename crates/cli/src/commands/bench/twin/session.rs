@@ -12,7 +12,7 @@ use super::cost::Costs;
 use super::judging::{self, Localized};
 use super::result::{Run, WRONG_M};
 use super::rigs::Calibrated;
-use super::trial::{Condition, Scanned, Walked};
+use super::trial::{Condition, Light, Scanned, Walked};
 use crate::commands::groundtruth::WalkJob;
 use crate::commands::map::MapJob;
 use crate::context::{Context, sentence};
@@ -65,6 +65,7 @@ pub struct Mapped {
 pub struct Session<'a> {
     pub folder: PathBuf,
     pub scanned: Scanned,
+    pub light: Light,
     pub context: &'a Context,
 }
 
@@ -72,7 +73,7 @@ impl Session<'_> {
     /// Scans the place with a backpack that states `rig`, and maps it.
     pub fn map(&self, rig: &Calibrated, costs: &mut Costs) -> anyhow::Result<Refusable<Mapped>> {
         let layout = Layout::create(&self.folder)?;
-        let config = self.scanned.config();
+        let config = self.light.on(self.scanned.config());
         let wanted = Wanted {
             rig: Some(&rig.rig),
             ..Wanted::scan(&config)
@@ -115,7 +116,7 @@ impl Session<'_> {
         run: &mut Run,
     ) -> anyhow::Result<()> {
         let layout = Layout::create(&self.walk_folder(walked))?;
-        let config = walked.config();
+        let config = self.light.on(walked.config());
         let wanted = Wanted {
             rig: Some(&rig.rig),
             ..Wanted::walk(&config)

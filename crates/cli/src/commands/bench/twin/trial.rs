@@ -1,6 +1,8 @@
 //! What a trial consists of: which place is walked through with which device, under which seed and condition, and the settings of
 //! the simulation for each.
 
+use std::path::PathBuf;
+
 use lsfb_sim::{Device, PaperMotion, Place, SimConfig};
 use serde::{Deserialize, Serialize};
 
@@ -64,6 +66,24 @@ pub enum Size {
     Quick,
     /// Seconds of either: whether everything runs.
     TryOut,
+}
+
+/// What places are lit by.
+#[derive(Clone, Debug)]
+pub struct Light {
+    /// Folder in which traced light is kept; without, light is simple.
+    pub folder: Option<PathBuf>,
+}
+
+impl Light {
+    /// Settings with this light.
+    pub fn on(&self, mut config: SimConfig) -> SimConfig {
+        if let Some(folder) = &self.folder {
+            config.light.baked = true;
+            config.light.cache.clone_from(folder);
+        }
+        config
+    }
 }
 
 /// A scan of one place, and the map that is made of it.
