@@ -15,7 +15,7 @@ use super::super::facet::Facet;
 use super::super::light::LightGrid;
 use super::super::ray::{LANES, NO_FACET, Origin, RayPacket};
 use super::super::vector::{add, cross, dot, norm, scale, sub};
-use super::emitters::{Choice, area_m2, draw, is_compact, point_on};
+use super::emitters::{Choice, area_m2, draw, point_on};
 use super::scene::{CLEARANCE_M, FAR_M, Lanes, SUN_RADIUS_RAD, Scene};
 use crate::noise::{hash, unit};
 
@@ -192,11 +192,7 @@ impl Scene {
         light: Light,
     ) -> f32 {
         if matches!(light, Light::Indirect(_)) {
-            return if is_compact(self.facet(facet)) {
-                0.0
-            } else {
-                1.0
-            };
+            return if self.is_compact(facet) { 0.0 } else { 1.0 };
         }
         let choices = self.emitters.near(paths.point(lane));
         let Some(choice) = choices.iter().find(|c| c.facet == facet) else {
