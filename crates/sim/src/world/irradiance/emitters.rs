@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use super::super::facet::{Facet, Outline};
 use super::super::vector::{add, cross, dot, norm, scale, sub};
-use super::scene::Optics;
+use super::optics::Optics;
 
 /// Larger surfaces are found well enough by rays in random directions, m².
 const LARGEST_M2: f32 = 6.0;

@@ -9,7 +9,8 @@ use lsfb_types::{Progress, ProgressFn, Stopped};
 use super::super::facet::{Facet, Outline};
 use super::super::light::LightGrid;
 use super::super::vector::norm;
-use super::scene::{Optics, Scene};
+use super::optics::Optics;
+use super::scene::Scene;
 use super::tracer::{Light, Spot};
 use crate::noise::hash;
 
@@ -25,6 +26,8 @@ pub(crate) struct Baking {
 
 /// Nodes along the edge of a piece of work.
 const BLOCK: usize = 64;
+/// Nodes of one facet at most, about: the ground around a park has wider meshes.
+const MOST_NODES: f32 = 400_000.0;
 /// Work between two looks at whether to go on.
 const BATCH: usize = 512;
 /// Longest stretch that indirect light is interpolated over, in harmonic mean distances to what is around.
@@ -136,7 +139,8 @@ struct Sheet<'a> {
 impl<'a> Sheet<'a> {
     fn new(number: usize, facet: &'a Facet, optics: &Optics, baking: &Baking) -> Self {
         let lengths = [norm(facet.edge_a), norm(facet.edge_b)];
-        let spacing_m = baking.spacing_m;
+        let sparsest_m = (lengths[0] * lengths[1] / MOST_NODES).sqrt();
+        let spacing_m = baking.spacing_m.max(sparsest_m);
         let dark = optics.backdrop || optics.glass;
         let single = dark || lengths.iter().all(|l| *l < spacing_m);
         let nodes = |length: f32| match single {

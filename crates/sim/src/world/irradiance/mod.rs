@@ -5,6 +5,7 @@
 
 mod emitters;
 mod lattice;
+mod optics;
 mod probes;
 mod scene;
 mod store;
@@ -12,8 +13,9 @@ mod straight;
 mod tracer;
 
 pub(crate) use lattice::{Baking, bake};
+pub(crate) use optics::Optics;
 pub(crate) use probes::Probes;
-pub(crate) use scene::{Optics, Scene, SunDisc};
+pub(crate) use scene::{Scene, SunDisc};
 pub(crate) use store::{Baked, Found, key, path, read, write};
 pub(crate) use tracer::Spot;
 

@@ -7,6 +7,7 @@ use super::super::facet::Facet;
 use super::super::ray::{LANES, NO_FACET, Origin, RayPacket};
 use super::super::vector::{dot, norm};
 use super::emitters::{Emitters, is_compact};
+use super::optics::Optics;
 
 /// How far light is followed, metres.
 pub(super) const FAR_M: f32 = 1e4;
@@ -16,19 +17,6 @@ pub(super) const CLEARANCE_M: f32 = 1e-3;
 pub(super) const PANE_TRANSMITTANCE: f32 = 0.79;
 /// Panes that one stretch of a path goes through at most; behind more it is dark.
 const PANES: usize = 6;
-
-/// What a surface does to light.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Optics {
-    /// Share of the light that is scattered, equally in all directions, 0–1.
-    pub albedo: f32,
-    /// Its own luminance, the same in all directions before it, cd/m².
-    pub luminance_cd_m2: f32,
-    /// Whether one sees through it.
-    pub glass: bool,
-    /// Whether it is so far away that nothing lights it and nothing is shaded by it.
-    pub backdrop: bool,
-}
 
 /// The sun, as wide as it is seen from Earth.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -7,8 +7,9 @@ use sha2::{Digest, Sha256};
 use super::super::facet::{Facet, Outline};
 use super::super::light::LightGrid;
 use super::lattice::Baking;
+use super::optics::Optics;
 use super::probes::Probes;
-use super::scene::{Optics, SunDisc};
+use super::scene::SunDisc;
 use crate::Error;
 
 /// Changes whenever the same place would get other light.

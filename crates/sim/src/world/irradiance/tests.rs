@@ -235,23 +235,23 @@ fn rooms() -> Vec<(Facet, Optics)> {
     surfaces
 }
 
-fn baked(threads: usize) -> Vec<LightGrid> {
+fn baked(threads: usize, baking: &Baking) -> Vec<LightGrid> {
     let surfaces = rooms();
-    let baking = Baking {
-        spacing_m: 0.1,
-        paths: 192,
-        seed: 5,
-    };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
     pool.expect("pool").install(|| {
         let scene = Scene::new(&surfaces, None, 0.0);
-        bake(&scene, &surfaces, &baking, &no_progress).expect("not stopped")
+        bake(&scene, &surfaces, baking, &no_progress).expect("not stopped")
     })
 }
 
 #[test]
 fn any_number_of_threads_bakes_the_same_light() {
-    let [one, three] = [1, 3].map(baked);
+    let baking = Baking {
+        spacing_m: 0.2,
+        paths: 32,
+        seed: 5,
+    };
+    let [one, three] = [1, 3].map(|threads| baked(threads, &baking));
     let same = |(a, b): (&LightGrid, &LightGrid)| {
         let bits = |grid: &LightGrid| grid.values.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
         a.columns == b.columns && bits(a) == bits(b)
@@ -264,7 +264,12 @@ fn any_number_of_threads_bakes_the_same_light() {
 fn baked_light_is_the_light_of_paths() {
     let surfaces = rooms();
     let scene = Scene::new(&surfaces, None, 0.0);
-    let grids = baked(2);
+    let baking = Baking {
+        spacing_m: 0.1,
+        paths: 192,
+        seed: 5,
+    };
+    let grids = baked(2, &baking);
     let mut off = Vec::new();
     for (k, grid) in grids.iter().enumerate().take(6) {
         let facet = &surfaces[k].0;
