@@ -180,7 +180,7 @@ impl Moment {
     }
 
     /// A direction in the frame of a carrier, in the world.
-    pub(crate) fn from_carrier(&self, carrier: u8, direction: [f32; 3]) -> [f32; 3] {
+    pub(crate) fn in_world(&self, carrier: u8, direction: [f32; 3]) -> [f32; 3] {
         let stand = usize::from(carrier).checked_sub(1);
         let stand = stand.and_then(|k| self.people.get(k));
         stand.map_or(direction, |stand| stand.turn_back(direction))

@@ -113,7 +113,7 @@ impl World {
             if carrier != 0
                 && let Some(lit) = &self.lit
             {
-                let normal = moment.from_carrier(carrier, facet.normal);
+                let normal = moment.in_world(carrier, facet.normal);
                 value *= lit.around(point, normal);
             }
             Seen {

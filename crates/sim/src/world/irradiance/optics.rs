@@ -1,3 +1,5 @@
+//! What surfaces do to light.
+
 /// What a surface does to light.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Optics {

@@ -347,8 +347,9 @@ impl Paths {
 
     fn arrive(&mut self, lane: usize, distance: f32, facet: &Facet, weight: f32) {
         let ray = self.direction(lane);
-        for i in 0..3 {
-            self.origin[i][lane] += distance * ray[i] + CLEARANCE_M * facet.normal[i];
+        let on = add(scale(ray, distance), scale(facet.normal, CLEARANCE_M));
+        for (origin, step) in self.origin.iter_mut().zip(on) {
+            origin[lane] += step;
         }
         self.normals[lane] = facet.normal;
         self.weight[lane] = weight;
