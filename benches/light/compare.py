@@ -9,7 +9,7 @@ from PIL import Image
 
 import mitsuba as mi
 
-mi.set_variant("llvm_ad_rgb" if "llvm_ad_rgb" in mi.variants() and not os.environ.get("SCALAR") else "scalar_rgb")
+mi.set_variant("llvm_ad_rgb")
 
 folder = sys.argv[1]
 samples = int(sys.argv[2]) if len(sys.argv) > 2 else 4096
@@ -48,12 +48,11 @@ def grey(value):
 scene = {"type": "scene", "integrator": {"type": "path", "max_depth": -1, "rr_depth": 8}}
 glass = optics[:, 2] > 0
 # A pane is two facets back to back: one is enough.
-seen, single = set(), []
+single = []
 for k in np.flatnonzero(glass):
-    key = tuple(sorted(map(tuple, np.round(triangles[k], 3).tolist())))
-    middle = tuple(np.round(triangles[k].mean(0), 2))
     normal = np.cross(triangles[k][1] - triangles[k][0], triangles[k][2] - triangles[k][0])
-    if tuple(np.sign(np.round(normal, 6))) > tuple(-np.sign(np.round(normal, 6))):
+    sides = np.sign(np.round(normal, 6))
+    if tuple(sides) > tuple(-sides):
         single.append(k)
 if single:
     scene["panes"] = mesh(
