@@ -2,8 +2,10 @@
 
 use std::path::PathBuf;
 
-use lsfb_types::Bounds;
+use lsfb_types::{Bounds, OutOfBounds};
 use serde::{Deserialize, Serialize};
+
+use super::Place;
 
 /// The light of a place.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -27,6 +29,15 @@ impl LightConfig {
     pub(super) fn is_off(&self) -> bool {
         !self.baked
     }
+
+    /// Refuses what would be left aside without a word.
+    pub(super) fn check(&self, section: &str, place: Place) -> Result<(), OutOfBounds> {
+        if !self.baked || !matches!(place, Place::Demo | Place::Imported) {
+            return Ok(());
+        }
+        let bounds = "false in the demo's place and in scenes of the user's";
+        Err(OutOfBounds::new(section, "baked", &self.baked, &bounds))
+    }
 }
 
 impl Default for LightConfig {
@@ -46,5 +57,24 @@ lsfb_types::bounds! {
         spacing_m: number(Bounds::ZeroOr(0.02, 1.0)),
         paths: number(Bounds::Within(8.0, 65536.0)),
         cache: any,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn baked_light_is_refused_where_there_is_none() {
+        let baked = LightConfig {
+            baked: true,
+            ..LightConfig::default()
+        };
+        assert!(baked.check("light", Place::Stairs).is_ok());
+        let error = baked
+            .check("light", Place::Demo)
+            .expect_err("no such light");
+        assert!(error.to_string().contains("light.baked"), "{error}");
+        assert!(LightConfig::default().check("light", Place::Demo).is_ok());
     }
 }

@@ -332,6 +332,7 @@ impl SimConfig {
         self.scan_imu.check("scan_imu")?;
         self.glasses_imu.check("glasses_imu")?;
         self.lidar.check("lidar")?;
+        self.light.check("light", self.place)?;
         Ok(())
     }
 }

@@ -92,7 +92,7 @@ impl<'a> Extension<'a> {
         let on_the_way = GroundTruthConfig {
             solve: SolveConfig {
                 cost_tolerance: ON_THE_WAY,
-                ..config.solve.clone()
+                ..config.solve
             },
             ..config.clone()
         };
