@@ -121,9 +121,9 @@ export class Motion {
   constructor(put) {
     Object.assign(this, { put, samples: 0 });
     this.heard = (event) => this.take(event);
-    // Where the browser asks for leave, Safari, forces have the other sign.
     this.asks = typeof globalThis.DeviceMotionEvent?.requestPermission === "function";
-    this.sign = this.asks ? -1 : 1;
+    // Apple's engine gives forces the other sign. That it asks for leave tells nothing: Chromium 156 does as well.
+    this.sign = navigator.vendor.startsWith("Apple") ? -1 : 1;
   }
 
   // Asks for leave, where that is needed: at once in answer to a finger, or the browser says no.
