@@ -90,10 +90,14 @@ fn pass_on(mut from: TcpStream, mut to: TcpStream) {
     thread.spawn(pass).expect("thread");
 }
 
-/// Until so many more messages are with the rig than the walk had.
+/// Until so many more messages are with the rig than the walk had, and so many more exchanges of time as a clock takes: each is told
+/// with the next one.
 fn wait_for_more(tab: &mut Tab) {
     let last = tab.value("sidecar.spool.session.last");
-    tab.wait_for(&format!("sidecar.spool.session.stored > {last} + 20"));
+    let asked = tab.value("sidecar.link.exchanges");
+    tab.wait_for(&format!(
+        "sidecar.spool.session.stored > {last} + 20 && sidecar.link.exchanges > {asked} + 7"
+    ));
 }
 
 /// Messages of each topic, by their stamps: clock and time on it.
@@ -153,7 +157,8 @@ fn check_walk(recording: &Path) {
     };
     let made = walks(&[]);
     let said = String::from_utf8_lossy(&made.stderr);
-    assert_eq!(made.status.code(), Some(0), "{said}");
+    let found = String::from_utf8_lossy(&made.stdout);
+    assert_eq!(made.status.code(), Some(0), "{said}{found}");
     let report: serde_json::Value = serde_json::from_slice(&made.stdout).expect("JSON");
     let walk = &report["walks"][0];
     assert_eq!(

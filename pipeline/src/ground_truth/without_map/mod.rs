@@ -1,8 +1,8 @@
 //! A walk without a map: the motion by tracks of features and the IMU alone.
 //!
 //! It begins where the device stands ([`standing`]), or else where it moves enough ([`moving`]): there gravity, velocity, scale and the
-//! gyroscope's bias follow from tracks and samples without any guess. From there on frames are added by the IMU's prediction, a second at a
-//! time, and the same adjustment as with a map, less its points, settles all of them ([`extension`]). The world is level; its origin and
+//! gyroscope's bias follow from tracks and samples without any guess. From there on frames are added by the IMU's prediction, half a second at
+//! a time, and the same adjustment as with a map, less its points, settles all of them ([`extension`]). The world is level; its origin and
 //! heading are those of the first frame of the beginning.
 
 mod extension;
