@@ -119,12 +119,7 @@ impl<'a, const SHARED: bool> Prepared<'a, SHARED> {
         };
         let a = coordinate(&facet.dual_a, facet.dual_a_offset);
         let b = coordinate(&facet.dual_b, facet.dual_b_offset);
-        let low = f32x8::splat(-EDGE_SLACK);
-        let high = f32x8::splat(1.0 + EDGE_SLACK);
-        let inside = closer
-            & a.fast_min(b).simd_ge(low)
-            & a.fast_max(b).simd_le(high)
-            & (a + b).simd_le(f32x8::splat(facet.sum_limit));
+        let inside = closer & covers(facet, a, b);
         *best = inside.bitselect(distance, *best);
         inside.to_bitmask()
     }
@@ -144,15 +139,20 @@ impl<'a, const SHARED: bool> Prepared<'a, SHARED> {
         };
         let a = coordinate(&facet.dual_a, facet.dual_a_offset);
         let b = coordinate(&facet.dual_b, facet.dual_b_offset);
-        let low = f32x8::splat(-EDGE_SLACK);
-        let high = f32x8::splat(1.0 + EDGE_SLACK);
-        let inside = closer
-            & a.fast_min(b).simd_ge(low)
-            & a.fast_max(b).simd_le(high)
-            & (a + b).simd_le(f32x8::splat(facet.sum_limit));
+        let inside = closer & covers(facet, a, b);
         *best = inside.bitselect(distance, *best);
         inside.to_bitmask()
     }
+}
+
+/// Lanes whose place on the plane of a facet, in its own coordinates, lies in it.
+#[inline(always)]
+fn covers(facet: &Facet, a: f32x8, b: f32x8) -> f32x8 {
+    let low = f32x8::splat(-EDGE_SLACK);
+    let high = f32x8::splat(1.0 + EDGE_SLACK);
+    a.fast_min(b).simd_ge(low)
+        & a.fast_max(b).simd_le(high)
+        & (a + b).simd_le(f32x8::splat(facet.sum_limit))
 }
 
 #[inline(always)]
