@@ -24,6 +24,9 @@ use crate::place_search::{self, Places, Query, Region};
 
 /// From nearer than this a registration finds its way by itself, metres (three standard deviations of the prediction).
 const SURE_REACH_M: f64 = 0.75;
+/// Scans that come more often find their way by themselves, seconds: while a walk that begins in motion does not know its speed yet, the
+/// next scan teaches it.
+const RARE_S: f64 = 0.5;
 /// Share of a scan that must lie on the map where it was searched for: wrong places reach 0.3.
 const MIN_OVERLAP: f64 = 0.4;
 /// A rival that fits this share as well as the best place, and that the prediction does not rule out, leaves the place open.
@@ -106,7 +109,9 @@ impl Odometry {
     pub(super) fn search(&mut self, reduced: &ReducedScan, path: &[StampedPose]) -> Option<Find> {
         let now = path.last()?.time;
         let is_soon = |last: Timestamp| now.secs_since(last) < PAUSE_S;
-        if self.searched_in_vain.is_some_and(is_soon)
+        let last = self.last_registered?;
+        if now.secs_since(last.time) < RARE_S
+            || self.searched_in_vain.is_some_and(is_soon)
             || !self.is_known_to_a_region_alone(&self.prior(path))
         {
             return None;
