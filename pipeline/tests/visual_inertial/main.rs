@@ -9,7 +9,7 @@ mod vimap;
 use std::path::PathBuf;
 
 use lsfb_geometry::align::{Alignment, Scale, umeyama};
-use lsfb_geometry::{Se3, StampedPose, Trajectory, Vector3};
+use lsfb_geometry::{Se3, StampedPose, Trajectory, UnitQuaternion, Vector3};
 use lsfb_pipeline::Error;
 use lsfb_pipeline::ground_truth::{
     Beginning, GroundTruthConfig, Motion, TrackedWalk, motion_without_map,
@@ -221,7 +221,10 @@ fn tracks_and_samples_that_contradict_each_other_begin_nothing() {
         motion_without_map(&walk, None, &GroundTruthConfig::default(), &no_progress)
     };
     let right = spoilt(&|_| {}).expect("a motion");
-    println!("as it is: {:.3} contradicted", right.contradicted_share);
+    println!(
+        "as it is: {:.3} contradicted, {:.1?}",
+        right.contradicted_share, right.cameras_off_sigmas
+    );
     let samples = |change: fn(&mut ImuSample)| {
         spoilt(&|walk| walk.imu.iter_mut().for_each(|s| change(&mut s.sample)))
     };
@@ -243,6 +246,23 @@ fn tracks_and_samples_that_contradict_each_other_begin_nothing() {
         }
     });
     let none = spoilt(&|walk| walk.frames.iter_mut().for_each(|f| f.sights.clear()));
+    // What is not far enough off to be refused is said. The tracks' own focal length is 1 % off, 5.8 standard deviations.
+    let late = spoilt(&|walk| {
+        let frames = walk.frames.iter_mut();
+        frames.for_each(|f| f.time = f.time.plus_nanos(50_000_000));
+    });
+    let turned = spoilt(&|walk| {
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), 3f64.to_radians());
+        walk.cameras[0].rig_from_camera.rotation *= turn;
+    });
+    for (what, found) in [("50 ms late", late), ("turned by 3°", turned)] {
+        let off = found.expect("a motion").cameras_off_sigmas;
+        println!("{what}: the camera is {off:.1?} standard deviations off");
+        assert!(
+            off[0] > 10.0 && off[0] > 2.0 * right.cameras_off_sigmas[0],
+            "{what}: {off:?}"
+        );
+    }
     for (what, found) in [
         ("degrees a second", in_degrees),
         ("units of gravity", in_g),

@@ -21,7 +21,7 @@ use super::report::{ReprojectionErrors, local_errors};
 use super::walk::{Frame, FrameState, LocalPoint, Walk};
 use crate::Error;
 use crate::preintegration::{ImuBias, NavState};
-use crate::residuals::MovingCamera;
+use crate::residuals::{CameraCorrection, MovingCamera};
 use extension::Extension;
 pub use front_end::FrontEnd;
 use sights::Tracks;
@@ -91,6 +91,9 @@ pub struct Motion {
     pub errors_before: Option<ReprojectionErrors>,
     /// Share of the sights of followed tracks that fit no point.
     pub contradicted_share: f64,
+    /// How far each camera had to be moved, turned, zoomed or set from what is stated of it, in the standard deviations that the settings
+    /// give these: beyond three it is not as stated, and the motion is bent.
+    pub cameras_off_sigmas: Vec<f64>,
 }
 
 /// Largest share of the followed sights that may fit no point: up to 0.12 in motions that are right, 0.87 in one without a gyroscope.
@@ -157,7 +160,15 @@ pub fn motion_without_map(
         errors: local_errors(&solved.estimate, &solved.points),
         errors_before,
         contradicted_share,
+        cameras_off_sigmas: off_sigmas(&solved.estimate, config),
     })
+}
+
+fn off_sigmas(estimate: &Estimate, config: &GroundTruthConfig) -> Vec<f64> {
+    let sigmas = config.calibration_sigmas();
+    let of_cameras = estimate.corrections.iter();
+    let largest = |off: &CameraCorrection| off.component_div(&sigmas).amax();
+    of_cameras.map(largest).collect()
 }
 
 fn in_use(points: &[LocalPoint], frames: usize) -> Vec<usize> {
