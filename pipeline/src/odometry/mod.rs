@@ -8,6 +8,7 @@
 mod config;
 mod degeneracy;
 mod extrinsic_check;
+mod free_space;
 mod imu_check;
 mod inertial;
 mod motion;
@@ -45,6 +46,7 @@ pub use warning::OdometryWarning;
 
 use crate::Error;
 use degeneracy::Seen;
+use free_space::FreeSpace;
 use motion::{InertialMotion, Motion, constant_path, end_pose};
 use uncertainty::{ConstantMotionCovariance, Uncertainty};
 use wide_search::Innovations;
@@ -106,6 +108,7 @@ pub struct Odometry {
     /// How far registrations moved from their predictions lately, metres.
     corrections_m: VecDeque<f64>,
     innovations: Innovations,
+    free_space: FreeSpace,
     /// When a scan was last searched for since one found its place.
     searched_in_vain: Option<Timestamp>,
 }
@@ -164,6 +167,7 @@ impl Odometry {
             interval_ns: None,
             corrections_m: VecDeque::new(),
             innovations: Innovations::default(),
+            free_space: FreeSpace::default(),
             searched_in_vain: None,
         })
     }
@@ -445,6 +449,8 @@ impl Odometry {
         let sensor_in_rig = self.lidar.rig_from_lidar.translation;
         self.map
             .insert(&reduced.insert_points, &world_from_rig, &sensor_in_rig);
+        self.free_space
+            .insert(&reduced.insert_points, &sensor_in_rig, &world_from_rig);
         self.uncertainty
             .draw(self.map.place(), &world_from_rig, covariance);
         let range_m = 1.5 * self.config.max_range_m;

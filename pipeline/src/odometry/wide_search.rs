@@ -2,7 +2,7 @@
 //!
 //! Scans that are seconds apart are bridged by the IMU to half a metre or two, from where a registration may end on the wrong surface. There
 //! the whole region is searched, from many starts, and a place is taken only where most of the scan lies on the map and nowhere else in reach
-//! nearly as well. After a gap that the IMU does not bridge the region around the last place is searched.
+//! nearly as well, and where its rays pass through nothing that earlier scans saw. After a gap that the IMU does not bridge the region around the last place is searched.
 //!
 //! Over seconds the filter lives on tilt: a degree that the prediction was wrong by is 0.4 m/s after five seconds. A scan whose points carry no
 //! times is turned against its stamp by what the carrier turned while it was taken, and a carrier that sways turns by a degree: so
@@ -14,10 +14,11 @@
 
 use std::collections::VecDeque;
 
-use lsfb_geometry::{Matrix3, Matrix6, Se3, StampedPose};
+use lsfb_geometry::{Matrix3, Matrix6, Se3, StampedPose, Vector3};
 use lsfb_perception::lidar::{PosePrior, Registration};
 use lsfb_types::Timestamp;
 
+use super::free_space::PASSED_M;
 use super::motion::{Motion, end_pose};
 use super::{Odometry, ReducedScan};
 use crate::place_search::{self, Places, Query, Region};
@@ -31,6 +32,9 @@ const RARE_S: f64 = 0.5;
 const MIN_OVERLAP: f64 = 0.4;
 /// A rival that fits this share as well as the best place, and that the prediction does not rule out, leaves the place open.
 const RIVAL_SHARE: f64 = 0.9;
+/// No place is taken where a larger share of what two scans could both see contradicts it. Right places: up to 0.02, where people walk some
+/// more; wrong ones that most of a scan fits: from 0.1.
+const MOST_CONTRADICTED: f64 = 0.05;
 /// By so much more in squared standard deviations a rival is ruled out: three of them.
 const RULED_OUT: f64 = 9.0;
 /// The largest region that is searched, one standard deviation in metres: along the ground, and up.
@@ -133,8 +137,13 @@ impl Odometry {
         let config = self.registration(SURE_REACH_M.min(self.config.initial_gate_m));
         let mut regions = self.regions(&prior)?.into_iter();
         let search = |region: Region| place_search::search(&query, &region, &self.map, &config);
-        let places = regions.find_map(search)?;
+        let mut places = regions.find_map(search)?;
         let mut registration = *places.best()?;
+        let may_be = |place: &Registration| !self.is_contradicted(reduced, &place.world_from_rig);
+        places.found.retain(may_be);
+        if let Some(best) = places.best() {
+            registration = *best;
+        }
         if !is_known(&places, &prior) {
             registration.inlier_ratio = 0.0;
         }
@@ -162,6 +171,22 @@ impl Odometry {
         matches!(self.motion, Motion::Inertial(_))
             && !self.map.is_empty()
             && sigma_m(prior).is_some_and(|sigma_m| 3.0 * sigma_m >= SURE_REACH_M)
+    }
+
+    /// Whether too much speaks against a scan at a place: rays through what was seen, or points where nothing was.
+    fn is_contradicted(&self, reduced: &ReducedScan, world_from_rig: &Se3) -> bool {
+        let sensor_in_rig = self.lidar.rig_from_lidar.translation;
+        let sensor = *world_from_rig * sensor_in_rig;
+        let gate_m = PASSED_M.min(self.config.initial_gate_m);
+        let is_on_map = |point: &Vector3<f64>| {
+            let found = self.map.find(point, &(sensor - point), gate_m);
+            found.is_some()
+        };
+        let points = &reduced.insert_points;
+        let against =
+            self.free_space
+                .contradictions(points, &sensor_in_rig, world_from_rig, is_on_map);
+        against.share() > MOST_CONTRADICTED
     }
 
     /// Where to search: the first of these that is not too large.
@@ -247,7 +272,7 @@ fn moved_while_taken(path: &[StampedPose]) -> Matrix6<f64> {
 
 #[cfg(test)]
 mod tests {
-    use lsfb_geometry::{UnitQuaternion, Vector3, Vector6};
+    use lsfb_geometry::{UnitQuaternion, Vector6};
 
     use super::*;
 

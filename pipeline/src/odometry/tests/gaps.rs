@@ -70,3 +70,44 @@ fn gaps_of_45_ms_between_samples_cost_nothing() {
         );
     }
 }
+
+#[test]
+#[ignore = "scratch"]
+fn scratch_rare() {
+    let room = Room::furnished();
+    let noise = room::imu();
+    let walk_s = 60.0;
+    for every in [30u64, 40, 50, 60] {
+        for seed in 0..6u64 {
+            let config = OdometryConfig::default();
+            let mut odometry =
+                Odometry::new(&config, &room::lidar(), Some(&noise)).expect("config");
+            let samples = room::imu_samples(walk_s, 7 + seed);
+            for sample in &samples {
+                odometry.push_imu(sample);
+            }
+            let mut start: Option<(Se3, Se3)> = None;
+            let mut line = String::new();
+            for i in (seed..(walk_s * 10.0) as u64 - 1).step_by(every as usize) {
+                let scan = room::scan(&room, i as f64 * 0.1, i + 1000 * seed);
+                let step = odometry.push_scan(&scan).expect("scan");
+                let truth = room::world_from_rig(step.time.secs_since(room::time(0.0)));
+                let (fs, ts) = *start.get_or_insert((step.world_from_rig, truth));
+                let found = fs.inverse() * step.world_from_rig;
+                let off = (ts.inverse() * truth).local(&found);
+                let mark = match step.outcome {
+                    StepOutcome::Lost => "L",
+                    _ => "",
+                };
+                let m = step
+                    .covariance
+                    .cholesky()
+                    .map_or(-1.0, |c| off.dot(&c.solve(&off)));
+                let cm = 100.0 * off.fixed_rows::<3>(3).norm();
+
+                line += &format!(" {mark}{cm:.1}/{:.1}/{:.2}", m, step.inlier_ratio);
+            }
+            println!("every {every} seed {seed}:{line}");
+        }
+    }
+}
