@@ -13,11 +13,21 @@ fn walk(
     has_scan: impl Fn(u64) -> bool,
     has_sample: impl Fn(usize) -> bool,
 ) -> Vec<(StepOutcome, f64)> {
+    walk_for(WALK_S, lidar, with_imu, has_scan, has_sample)
+}
+
+fn walk_for(
+    walk_s: f64,
+    lidar: &RigLidar,
+    with_imu: bool,
+    has_scan: impl Fn(u64) -> bool,
+    has_sample: impl Fn(usize) -> bool,
+) -> Vec<(StepOutcome, f64)> {
     let room = Room::furnished();
     let noise = room::imu();
     let config = OdometryConfig::default();
     let mut odometry = Odometry::new(&config, lidar, with_imu.then_some(&noise)).expect("config");
-    for (_, sample) in room::imu_samples(WALK_S, 7)
+    for (_, sample) in room::imu_samples(walk_s, 7)
         .iter()
         .enumerate()
         .filter(|(i, _)| has_sample(*i))
@@ -25,7 +35,7 @@ fn walk(
         odometry.push_imu(sample);
     }
     let mut start: Option<(Se3, Se3)> = None;
-    let scans = (0..(WALK_S * 10.0) as u64 - 1).filter(|i| has_scan(*i));
+    let scans = (0..(walk_s * 10.0) as u64 - 1).filter(|i| has_scan(*i));
     scans
         .map(|i| {
             let scan = room::scan(&room, i as f64 * 0.1, i);
@@ -72,42 +82,19 @@ fn gaps_of_45_ms_between_samples_cost_nothing() {
 }
 
 #[test]
-#[ignore = "scratch"]
-fn scratch_rare() {
-    let room = Room::furnished();
-    let noise = room::imu();
-    let walk_s = 60.0;
-    for every in [30u64, 40, 50, 60] {
-        for seed in 0..6u64 {
-            let config = OdometryConfig::default();
-            let mut odometry =
-                Odometry::new(&config, &room::lidar(), Some(&noise)).expect("config");
-            let samples = room::imu_samples(walk_s, 7 + seed);
-            for sample in &samples {
-                odometry.push_imu(sample);
-            }
-            let mut start: Option<(Se3, Se3)> = None;
-            let mut line = String::new();
-            for i in (seed..(walk_s * 10.0) as u64 - 1).step_by(every as usize) {
-                let scan = room::scan(&room, i as f64 * 0.1, i + 1000 * seed);
-                let step = odometry.push_scan(&scan).expect("scan");
-                let truth = room::world_from_rig(step.time.secs_since(room::time(0.0)));
-                let (fs, ts) = *start.get_or_insert((step.world_from_rig, truth));
-                let found = fs.inverse() * step.world_from_rig;
-                let off = (ts.inverse() * truth).local(&found);
-                let mark = match step.outcome {
-                    StepOutcome::Lost => "L",
-                    _ => "",
-                };
-                let m = step
-                    .covariance
-                    .cholesky()
-                    .map_or(-1.0, |c| off.dot(&c.solve(&off)));
-                let cm = 100.0 * off.fixed_rows::<3>(3).norm();
-
-                line += &format!(" {mark}{cm:.1}/{:.1}/{:.2}", m, step.inlier_ratio);
-            }
-            println!("every {every} seed {seed}:{line}");
+fn the_next_room_is_not_taken_for_the_one_that_was_seen() {
+    // Scans five seconds apart: the third is the first of the next room, and more than half of it fits the room before, 4 m from where it is.
+    for first in 0..3 {
+        let has_scan = |i: u64| i % 50 == first;
+        let found = walk_for(20.0, &room::lidar(), true, has_scan, |_| true);
+        assert_eq!(found.len(), 4);
+        for (i, (outcome, off_m)) in found.iter().enumerate() {
+            assert!(
+                *outcome == StepOutcome::Lost || *off_m < 0.3,
+                "{i}: {outcome:?} {off_m} m"
+            );
         }
+        // Back in the first room it is found again.
+        assert_ne!(found[3].0, StepOutcome::Lost);
     }
 }
