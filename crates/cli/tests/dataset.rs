@@ -5,10 +5,12 @@ mod process;
 
 use std::fs;
 use std::path::Path;
+use std::process::Command;
 
 use answer::json;
 use lsfb_geometry::{Quaternion, Rig, Se3, Trajectory, UnitQuaternion, Vector3};
 use lsfb_recording::{Recording, read_tum};
+use lsfb_tests::foreign_python;
 use lsfb_types::Timestamp;
 use process::lsfb;
 use serde_json::Value;
@@ -124,6 +126,8 @@ fn a_sequence_is_made_packed_checked_and_measured() {
     assert_eq!(verdict("dataset check ds", 0), checked["verdict"]);
 
     exports(root);
+    exports_come_back(root);
+    others_open_exports(root);
     reports(root);
 
     // Held back, it is said to be, and nothing is said of how anybody moved.
@@ -173,6 +177,94 @@ fn reports(root: &Path) {
         "{}",
         svg.len()
     );
+}
+
+/// What is exported and imported again is what it was: images, samples, readings, rig, and poses where the format has them.
+fn exports_come_back(root: &Path) {
+    let rig = Rig::read(&root.join("ds/calibration/glasses.toml")).expect("rig");
+    let truth = "ds/truth/query/C3-glasses.tum";
+    let was = Recording::open(&root.join("ds/query/C3-glasses/walk.mcap")).expect("walk");
+    let messages = |recording: &Recording, end: &str| -> u64 {
+        let topics = recording.topics().iter();
+        let own = topics.filter(|t| t.topic.ends_with(end));
+        own.map(|t| t.messages).sum()
+    };
+    for (layout, source) in [
+        ("euroc", "euroc/mav0"),
+        ("lamar", "lamar"),
+        ("kapture", "kapture-again"),
+        ("indoor-location", "mall/C3-glasses.txt"),
+    ] {
+        let out = source.split('/').next().expect("a folder");
+        if layout != "euroc" {
+            let line = format!("dataset export ds C3-glasses --layout {layout} --out {out}");
+            run(root, &line, 0);
+        }
+        let line = format!("import {source} --out {layout}.mcap --device glasses");
+        run(root, &line, 0);
+        let back = Recording::open(&root.join(format!("{layout}.mcap"))).expect("recording");
+        let (images, samples) = (messages(&was, "/image"), messages(&was, "/imu"));
+        if layout == "indoor-location" {
+            assert_eq!(messages(&back, "/imu"), samples, "{layout}");
+            assert!(messages(&back, "/waypoint") >= 2, "{layout}");
+            continue;
+        }
+        assert_eq!(messages(&back, "/image"), images, "{layout}");
+        if layout == "euroc" {
+            assert_eq!(messages(&back, "/imu"), samples, "{layout}");
+        }
+        let found = back.rig().expect("a rig");
+        for (name, camera) in &rig.cameras {
+            let own = &found.cameras[name];
+            let pixel = camera.camera.principal_px()[0] - own.camera.principal_px()[0];
+            assert!(pixel.abs() < 1e-9, "{layout}: {name}: {pixel}");
+            if layout == "kapture" {
+                // Its images are placed, not its cameras.
+                continue;
+            }
+            let imu_from_rig = match layout {
+                "euroc" => rig.imus["imu0"].rig_from_imu.inverse(),
+                _ => Se3::identity(),
+            };
+            let was = imu_from_rig * camera.rig_from_camera;
+            let off = (own.rig_from_camera.inverse() * was).log().norm();
+            assert!(off < 1e-9, "{layout}: {name}: {off}");
+        }
+        if layout == "lamar" {
+            let line = format!("eval lamar.rig.tum --truth {truth} --align none");
+            let ate = &run(root, &line, 0)["ate_translation_m"]["max"];
+            // Stamps are rounded to microseconds.
+            assert!(ate.as_f64().expect("error") < 1e-4, "{ate}");
+        }
+    }
+}
+
+/// Whatever the Python of others has of evo, kapture, pycolmap and PyYAML finds in the exports what is there.
+fn others_open_exports(root: &Path) {
+    let Some(python) = foreign_python("a_sequence_is_made_packed_checked_and_measured") else {
+        return;
+    };
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/dataset/open.py");
+    let output = Command::new(python).arg(script).arg(root).output();
+    let output = output.expect("python");
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    let poses = read_tum(&root.join("euroc/truth.tum"))
+        .expect("truth")
+        .len();
+    let said = String::from_utf8_lossy(&output.stdout);
+    for line in said.lines() {
+        let (what, count) = line.rsplit_once(' ').expect("two words");
+        let expected = match what {
+            "evo euroc" | "evo tum" => poses,
+            "kapture images" | "kapture poses" | "pycolmap images" => 300,
+            "kapture cameras" | "pycolmap cameras" => 2,
+            "yaml transform" => 16,
+            "yaml intrinsics" => 4,
+            other => panic!("{other}"),
+        };
+        assert_eq!(count.parse(), Ok(expected), "{line}");
+    }
 }
 
 /// What is exported places and judges as the truth does.

@@ -327,6 +327,20 @@ pub enum Error {
         /// What may be wrong with them; empty, or begins with `; `.
         hint: String,
     },
+    /// A position that no walk has.
+    #[error(
+        "pose {index} of the {role}, t = {time_secs} s, is more than {limit_m:e} m from the origin: no unit of length makes a walk of that"
+    )]
+    TooFar {
+        /// Which trajectory.
+        role: &'static str,
+        /// Counted from zero.
+        index: usize,
+        /// Its stamp, seconds, as text.
+        time_secs: String,
+        /// The limit, metres.
+        limit_m: f64,
+    },
     /// Fewer pairs than the computation needs.
     #[error("only {matched} poses match, {needed} are needed for {purpose}")]
     TooFewMatches {

@@ -38,6 +38,7 @@ pub mod hand_eye;
 pub mod leaderboard;
 pub mod metrics;
 pub mod pairs;
+pub mod radio;
 mod read;
 mod recall;
 pub mod relation;

@@ -9,6 +9,9 @@ use crate::association::PosePair;
 /// Pairs below which nothing is judged: through two poses everything fits.
 const LEAST_PAIRS: usize = 3;
 
+/// Nobody walks farther, also in millimetres from the Earth's centre; squares of much larger numbers are no numbers any more, metres.
+const FARTHEST_M: f64 = 1e12;
+
 /// Number of poses that repeat the stamp before them.
 pub(super) fn check(
     poses: &[StampedPose],
@@ -28,6 +31,17 @@ pub(super) fn check(
             role,
             index,
             time_secs: poses[index].time.to_string(),
+        });
+    }
+    let too_far = poses
+        .iter()
+        .position(|p| p.world_from_rig.translation.amax() > FARTHEST_M);
+    if let Some(index) = too_far {
+        return Err(Error::TooFar {
+            role,
+            index,
+            time_secs: poses[index].time.to_string(),
+            limit_m: FARTHEST_M,
         });
     }
     if let Some(index) = poses.windows(2).position(|w| w[1].time < w[0].time) {

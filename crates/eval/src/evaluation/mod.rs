@@ -1,6 +1,7 @@
 //! An estimate judged by the truth.
 
 mod config;
+mod conventions;
 mod coverage;
 mod figures;
 mod input;
@@ -162,7 +163,7 @@ fn judge(
             .collect(),
         aligned_estimate: Trajectory::new(aligned_estimate),
     };
-    let more = remarks::of(&found, &pairs, config.alignment.parameters());
+    let more = remarks::of(&found, &pairs, &aligned, config.alignment.parameters());
     Ok(Evaluation {
         findings: [found.findings, more].concat(),
         ..found

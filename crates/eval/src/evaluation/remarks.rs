@@ -3,7 +3,7 @@
 use lsfb_geometry::{Matrix3, Vector3};
 use lsfb_types::{Finding, Limit, Verdict};
 
-use super::Evaluation;
+use super::{Evaluation, conventions};
 use crate::Error;
 use crate::association::PosePair;
 
@@ -52,11 +52,32 @@ pub(super) fn left_out(why: &Error) -> Finding {
 }
 
 /// What the figures themselves tell. `parameters` are the numbers that the alignment took from the matched poses.
-pub(super) fn of(found: &Evaluation, pairs: &[PosePair], parameters: usize) -> Vec<Finding> {
+pub(super) fn of(
+    found: &Evaluation,
+    pairs: &[PosePair],
+    aligned: &[PosePair],
+    parameters: usize,
+) -> Vec<Finding> {
     let mut findings = vec![coverage(found), matches(found)];
     let few = few_poses(found, parameters);
     if few.is_none() {
-        findings.extend(follows(found, pairs));
+        let followed = follows(found, pairs);
+        let is_lost = followed
+            .as_ref()
+            .is_some_and(|f| f.verdict == Verdict::Fail);
+        findings.extend(followed);
+        let errors = found.ate_by_alignment.iter().filter_map(|a| a.rmse_m);
+        if let Some(best_m) = errors.min_by(f64::total_cmp) {
+            findings.extend(conventions::mirrored(pairs, best_m));
+            findings.extend(
+                (!is_lost)
+                    .then(|| conventions::clock(pairs, best_m))
+                    .flatten(),
+            );
+        }
+        if let Some(rotation) = found.ate_rotation_deg.filter(|_| !is_lost) {
+            findings.extend(conventions::orientations(pairs, aligned, rotation.rmse));
+        }
     }
     findings.extend(few);
     findings.extend(same(found));

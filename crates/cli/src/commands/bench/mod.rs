@@ -1,7 +1,8 @@
-//! `lsfb bench`: programs of others on sequences with ground truth and on growing bundle adjustment, our own in the twin, and there in
-//! the wrong place.
+//! `lsfb bench`: programs of others on sequences with ground truth and on growing bundle adjustment, places by Wi-Fi, our own programs in
+//! the twin, and there in the wrong place.
 
 mod ba;
+mod radio;
 mod serve;
 mod slam;
 mod twin;
@@ -18,6 +19,7 @@ use crate::outcome::Outcome;
 ///   lsfb bench serve dataset --out board
 ///   lsfb bench twin --out trial --quick
 ///   lsfb bench ba --out ba
+///   lsfb bench radio walk1.csv walk2.csv
 ///   lsfb bench wrong-place trial --out wrong
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -29,6 +31,7 @@ pub struct Arguments {
 #[derive(clap::Subcommand)]
 enum What {
     Ba(ba::Arguments),
+    Radio(radio::Arguments),
     Serve(serve::Arguments),
     Slam(slam::Arguments),
     Twin(twin::Arguments),
@@ -39,6 +42,7 @@ enum What {
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     match &arguments.what {
         What::Ba(arguments) => ba::run(arguments, context),
+        What::Radio(arguments) => radio::run(arguments, context),
         What::Serve(arguments) => serve::run(arguments, context),
         What::Slam(arguments) => slam::run(arguments, context),
         What::Twin(arguments) => twin::run(arguments, context),

@@ -3,11 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use lsfb_eval::dataset::euroc_truth;
+use lsfb_eval::dataset::{euroc_truth, indoor_location, lamar_session};
 use lsfb_eval::read_poses;
 use lsfb_eval::slam_bench::{HiddenRegions, Layout, camera_name, export_without};
-use lsfb_geometry::Trajectory;
-use lsfb_pipeline::hd_map::{ExportedFile, ImagePose, MapFormat, export_image_poses};
+use lsfb_geometry::{Rig, Trajectory};
+use lsfb_pipeline::hd_map::{ColmapCamera, ExportedFile, ImagePose, MapFormat, export_image_poses};
 use lsfb_recording::{Recording, message};
 use lsfb_types::Timestamp;
 use serde::Serialize;
@@ -19,8 +19,9 @@ use crate::outcome::Outcome;
 
 /// Export a sequence of a dataset to the files of other programs, with its truth where that is there.
 ///
-/// EuRoC and TUM-VI folders get images, inertial samples and truth; kitti and images have stamps in a file; all get the rig and
-/// truth.tum. kapture and COLMAP place every image by the truth, and are refused without it. Recordings themselves are ROS 2 bags.
+/// EuRoC and TUM-VI folders get images, inertial samples, sensor.yaml and truth; kitti and images have stamps in a file; all get the rig and
+/// truth.tum. kapture, COLMAP and a session of LaMAR's capture format place every image by the truth, and are refused without it, as is a
+/// walk of Indoor Location 2.0, whose waypoints are of the truth. Recordings themselves are ROS 2 bags.
 ///
 /// --hidden-regions fills what must not be seen with its mean grey: on each line of the text file CAMERA FROM_S TO_S X Y WIDTH HEIGHT,
 /// with - - for all times. Whoever finds faces writes that file: lsfb does not find them, and hides them in exported images only,
@@ -57,6 +58,8 @@ enum Program {
     Images,
     Kapture,
     Colmap,
+    Lamar,
+    IndoorLocation,
 }
 
 #[derive(Serialize)]
@@ -104,17 +107,39 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         Program::Images => (Layout::Images, out.clone()),
         Program::Kapture => (Layout::Stamped, out.join("sensors").join("records_data")),
         Program::Colmap => (Layout::Stamped, out.join("images")),
+        Program::Lamar => (Layout::Stamped, out.join("raw_data")),
+        // A text: what is hidden in images is in none.
+        Program::IndoorLocation => (Layout::AsIs, out.clone()),
     };
     let places_images = matches!(arguments.layout, Program::Kapture | Program::Colmap);
+    let needs_truth =
+        places_images || matches!(arguments.layout, Program::Lamar | Program::IndoorLocation);
     anyhow::ensure!(
-        !places_images || !truth.is_empty(),
-        "{}: no truth, which places the images there: choose euroc or images",
+        !needs_truth || !truth.is_empty(),
+        "{}: no truth, which places the images or waypoints there: choose euroc or images",
         truth_path.display()
     );
     let around = images.parent().unwrap_or(out);
     std::fs::create_dir_all(around).with_context(|| around.display().to_string())?;
     export_without(&recording, layout, &hidden, &images)?;
     let truth = Trajectory::new(truth);
+    match arguments.layout {
+        Program::Lamar => {
+            let rig = recording.rig()?;
+            let cameras = camera_rows(&rig)?;
+            for (name, text) in lamar_session(&recording, &rig, &cameras, truth.poses())? {
+                put(&out.join(name), text.as_bytes())?;
+            }
+        }
+        Program::IndoorLocation => {
+            let floor = description
+                .query(name)
+                .map_or("", |query| &query.environment);
+            let text = indoor_location(&recording, truth.poses(), floor)?;
+            put(&out.join(format!("{name}.txt")), text.as_bytes())?;
+        }
+        _ => {}
+    }
     if places_images {
         let (format, below) = match arguments.layout {
             Program::Kapture => (MapFormat::Kapture, out.clone()),
@@ -145,6 +170,21 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         text
     })?;
     Ok(Outcome::Done)
+}
+
+/// Model, size and parameters of each camera of the rig, as COLMAP has them.
+fn camera_rows(rig: &Rig) -> anyhow::Result<Vec<String>> {
+    let (cameras, _, _) = colmap_cameras(rig)?;
+    let row = |camera: &ColmapCamera| {
+        let [width, height] = camera.size;
+        let parameters = camera.parameters.iter().map(|p| format!(", {p:?}"));
+        format!(
+            "{}, {width}, {height}{}",
+            camera.model,
+            parameters.collect::<String>()
+        )
+    };
+    Ok(cameras.iter().map(row).collect())
 }
 
 fn put(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {

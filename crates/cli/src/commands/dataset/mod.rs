@@ -5,6 +5,7 @@ mod contents;
 mod export;
 mod make;
 mod plan;
+mod radio;
 mod readme;
 mod seal;
 mod stats;
@@ -42,6 +43,7 @@ enum What {
     Check(check::Arguments),
     Stats(stats::Arguments),
     Export(export::Arguments),
+    Radio(radio::Arguments),
 }
 
 /// Runs what was asked for.
@@ -53,6 +55,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         What::Check(arguments) => check::run(arguments, context),
         What::Stats(arguments) => stats::run(arguments, context),
         What::Export(arguments) => export::run(arguments, context),
+        What::Radio(arguments) => radio::run(arguments, context),
     }
 }
 

@@ -1,6 +1,7 @@
 //! Recordings in the layouts that SLAM systems read.
 
 mod hidden;
+mod sensors;
 
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -8,6 +9,7 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter, Write as _};
 use std::path::{Path, PathBuf};
 
+use lsfb_geometry::Rig;
 use lsfb_recording::{Recording, message};
 use lsfb_types::{Image, Stamped, Timestamp};
 use serde::{Deserialize, Serialize};
@@ -22,7 +24,8 @@ pub enum Layout {
     /// The recording itself, a ROS 2 MCAP, or the folder that the plan names.
     #[default]
     AsIs,
-    /// EuRoC ASL: `mav0/camN/data/<ns>.png`, `mav0/camN/data.csv`, `mav0/imu0/data.csv`.
+    /// EuRoC ASL: `mav0/camN/data/<ns>.png`, `mav0/camN/data.csv`, `mav0/imu0/data.csv`, and in each folder `sensor.yaml`, where the
+    /// recording has a rig with lenses that the format knows.
     Euroc,
     /// TUM-VI: as EuRoC, and `dso/camN/times.txt`, `dso/imu.txt`.
     TumVi,
@@ -85,16 +88,17 @@ fn write(
         folder: folder.to_owned(),
         hidden,
     };
-    if let Ok(rig) = recording.rig() {
+    let rig = recording.rig().ok();
+    if let Some(rig) = &rig {
         out.text("rig.toml", &rig.to_toml())?;
     }
     let cameras = cameras(recording);
     let names: Vec<&str> = cameras.iter().map(String::as_str).collect();
     match layout {
         Layout::AsIs => Ok(()),
-        Layout::Euroc => euroc(recording, &names, &out),
+        Layout::Euroc => euroc(recording, rig.as_ref(), &names, &out),
         Layout::TumVi => {
-            euroc(recording, &names, &out)?;
+            euroc(recording, rig.as_ref(), &names, &out)?;
             dso(recording, &names, &out)
         }
         Layout::Kitti => kitti(recording, &names, &out),
@@ -110,20 +114,47 @@ fn cameras(recording: &Recording) -> Vec<String> {
     images.map(|t| t.topic.clone()).collect()
 }
 
-fn euroc(recording: &Recording, cameras: &[&str], out: &Output<'_>) -> Result<(), Error> {
+fn euroc(
+    recording: &Recording,
+    rig: Option<&Rig>,
+    cameras: &[&str],
+    out: &Output<'_>,
+) -> Result<(), Error> {
     for (i, camera) in cameras.iter().enumerate() {
         let mut list = "#timestamp [ns],filename\n".to_owned();
+        let mut times = Vec::new();
         for image in recording.images(camera)? {
             let image = image?;
             let name = format!("{}.png", image.time.nanos());
             let _ = writeln!(list, "{},{name}", image.time.nanos());
             out.png(&format!("mav0/cam{i}/data/{name}"), camera, &image)?;
+            times.push(image.time);
         }
         out.text(&format!("mav0/cam{i}/data.csv"), &list)?;
+        let name = camera_name(camera);
+        if let Some(yaml) = rig.and_then(|rig| sensors::camera(rig, name, rate_hz(&times))) {
+            out.text(&format!("mav0/cam{i}/sensor.yaml"), &yaml)?;
+        }
     }
     let heading = "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],\
          a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]";
-    out.text("mav0/imu0/data.csv", &inertial(recording, heading, ",")?)
+    let (rows, times) = inertial(recording, heading, ",")?;
+    out.text("mav0/imu0/data.csv", &rows)?;
+    match rig.and_then(|rig| sensors::imu(rig, rate_hz(&times))) {
+        Some(yaml) if !times.is_empty() => out.text("mav0/imu0/sensor.yaml", &yaml),
+        _ => Ok(()),
+    }
+}
+
+/// How often a sensor spoke, to a thousandth of a hertz; zero where that is not known.
+fn rate_hz(times: &[Timestamp]) -> f64 {
+    match times {
+        [first, .., last] if last > first => {
+            let rate_hz = (times.len() - 1) as f64 / last.secs_since(*first);
+            (1000.0 * rate_hz).round() / 1000.0
+        }
+        _ => 0.0,
+    }
 }
 
 fn dso(recording: &Recording, cameras: &[&str], out: &Output<'_>) -> Result<(), Error> {
@@ -137,7 +168,7 @@ fn dso(recording: &Recording, cameras: &[&str], out: &Output<'_>) -> Result<(), 
         out.text(&format!("dso/cam{i}/times.txt"), &times)?;
     }
     let heading = "# timestamp[ns] w.x w.y w.z a.x a.y a.z";
-    out.text("dso/imu.txt", &inertial(recording, heading, " ")?)
+    out.text("dso/imu.txt", &inertial(recording, heading, " ")?.0)
 }
 
 fn kitti(recording: &Recording, cameras: &[&str], out: &Output<'_>) -> Result<(), Error> {
@@ -236,17 +267,22 @@ fn shared_times(recording: &Recording, cameras: &[&str]) -> Result<BTreeSet<Time
 }
 
 /// Below a heading: stamp, angular velocity, rad/s, and specific force, m/s². No row where there is no IMU.
-fn inertial(recording: &Recording, heading: &str, separator: &str) -> Result<String, Error> {
-    let mut rows = format!("{heading}\n");
+fn inertial(
+    recording: &Recording,
+    heading: &str,
+    separator: &str,
+) -> Result<(String, Vec<Timestamp>), Error> {
+    let (mut rows, mut times) = (format!("{heading}\n"), Vec::new());
     if recording
         .topics()
         .iter()
         .all(|t| t.schema != message::IMU.name)
     {
-        return Ok(rows);
+        return Ok((rows, times));
     }
     for sample in recording.imu()? {
         let sample = sample?;
+        times.push(sample.time);
         rows += &sample.time.nanos().to_string();
         let (w, a) = (
             sample.sample.angular_velocity_rad_s,
@@ -257,7 +293,7 @@ fn inertial(recording: &Recording, heading: &str, separator: &str) -> Result<Str
         }
         rows.push('\n');
     }
-    Ok(rows)
+    Ok((rows, times))
 }
 
 /// Where is written.

@@ -1,0 +1,147 @@
+//! `lsfb dataset radio`: what a phone heard, and where.
+
+use std::path::{Path, PathBuf};
+
+use lsfb_eval::radio::{
+    KnownPlace, PlacedReading, PlacingConfig, RadioKind, place, table, waypoints,
+};
+use lsfb_eval::{ReadOptions, read_trajectory};
+use serde::Serialize;
+
+use crate::context::Context;
+use crate::files::write;
+use crate::outcome::Outcome;
+
+/// Give every reading of Wi-Fi, Bluetooth and the magnetic field its place: where the phone was when it was heard, with its standard deviation.
+///
+/// Places come from a trajectory, or, without one, from the waypoints of an imported walk of Indoor Location 2.0. A scan takes seconds; each
+/// of its readings is placed at its own time. sigma_m is that of each coordinate: of the known places, of the time between hearing and
+/// stamp at the speed then, and of what the body may have done in between. Readings outside of the trajectory or in its gaps get no place,
+/// and are counted. Magnetic fields are in the sensor's axes.
+///
+/// Examples:
+///   lsfb dataset radio walk.mcap --trajectory walk.tum --out radio.csv
+///   lsfb dataset radio mall.mcap --place-sigma-m 0.5 --out mall.csv
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    /// The recording.
+    #[arg(value_name = "MCAP")]
+    recording: PathBuf,
+    /// Where the phone was, on the recording's clock; without it the recording's waypoints.
+    #[arg(long, value_name = "TUM")]
+    trajectory: Option<PathBuf>,
+    /// Standard deviation of each coordinate of a known place that brings none.
+    #[arg(long, value_name = "M", default_value_t = PlacingConfig::default().place_sigma_m)]
+    place_sigma_m: f64,
+    /// The table.
+    #[arg(long, value_name = "CSV")]
+    out: PathBuf,
+}
+
+#[derive(Serialize)]
+struct Found<'a> {
+    table: &'a Path,
+    known_places: usize,
+    wifi: usize,
+    ble: usize,
+    magnetic: usize,
+    outside: usize,
+    in_gaps: usize,
+    /// Root mean square of the readings' standard deviations, metres.
+    sigma_rms_m: Option<f64>,
+}
+
+/// Reads, places, writes, prints.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    let out = &arguments.out;
+    let inputs: Vec<&Path> = std::iter::once(arguments.recording.as_path())
+        .chain(arguments.trajectory.as_deref())
+        .collect();
+    context.claim(out, &inputs)?;
+    let config = PlacingConfig {
+        place_sigma_m: arguments.place_sigma_m,
+        ..PlacingConfig::default()
+    };
+    config.check_bounds("")?;
+    let recording = context.open(&arguments.recording)?;
+    let known = match &arguments.trajectory {
+        Some(path) => of_trajectory(path, context)?,
+        None => waypoints(&recording)?,
+    };
+    anyhow::ensure!(
+        known.len() >= 2,
+        "{}: {} known places: give a trajectory with --trajectory",
+        arguments.recording.display(),
+        known.len()
+    );
+    let placed = place(&recording, &known, &config)?;
+    anyhow::ensure!(
+        !placed.readings.is_empty(),
+        "{}: no reading has a place: {} outside of the known places in time, {} in their gaps; check that both have one clock",
+        arguments.recording.display(),
+        placed.outside,
+        placed.in_gaps
+    );
+    write(out, table(&placed.readings))?;
+    let of = |kind| placed.readings.iter().filter(|r| r.kind == kind).count();
+    let squares: f64 = placed.readings.iter().map(|r| r.sigma_m * r.sigma_m).sum();
+    let found = Found {
+        table: out,
+        known_places: known.len(),
+        wifi: of(RadioKind::Wifi),
+        ble: of(RadioKind::Ble),
+        magnetic: of(RadioKind::Magnetic),
+        outside: placed.outside,
+        in_gaps: placed.in_gaps,
+        sigma_rms_m: Some((squares / placed.readings.len() as f64).sqrt()),
+    };
+    context.print(&found, || text(&found, &placed.readings))?;
+    Ok(Outcome::Done)
+}
+
+fn of_trajectory(path: &Path, context: &Context) -> anyhow::Result<Vec<KnownPlace>> {
+    let file = read_trajectory(path, &ReadOptions::default())?;
+    for finding in &file.findings {
+        context.say(&format!("warning: {}: {}", finding.subject, finding.what));
+    }
+    let mut known: Vec<KnownPlace> = file
+        .poses
+        .iter()
+        .enumerate()
+        .map(|(i, pose)| KnownPlace {
+            time: pose.time,
+            position_m: pose.world_from_rig.translation,
+            // The trace does not depend on the frame.
+            sigma_m: file.covariances.get(i).map(|covariance| {
+                let own = (3..6).map(|k| covariance[(k, k)]).sum::<f64>();
+                (own / 3.0).max(0.0).sqrt()
+            }),
+        })
+        .collect();
+    known.dedup_by_key(|k| k.time);
+    Ok(known)
+}
+
+fn text(found: &Found<'_>, readings: &[PlacedReading]) -> String {
+    let mut text = format!(
+        "{}: {} readings of Wi-Fi, {} of Bluetooth, {} of the magnetic field at their places",
+        found.table.display(),
+        found.wifi,
+        found.ble,
+        found.magnetic
+    );
+    let widest = readings.iter().map(|r| r.sigma_m).fold(0.0, f64::max);
+    if let Some(sigma_m) = found.sigma_rms_m {
+        text += &format!("; σ {sigma_m:.3} m rms, {widest:.3} m at most");
+    }
+    if found.outside + found.in_gaps > 0 {
+        text += &format!(
+            "\n{} readings have no place: {} before or after the known places, {} in their gaps",
+            found.outside + found.in_gaps,
+            found.outside,
+            found.in_gaps
+        );
+    }
+    text
+}
