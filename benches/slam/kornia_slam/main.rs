@@ -49,11 +49,20 @@ fn numbers(text: &str, name: &str) -> Outcome<Vec<f64>> {
 
 fn camera(folder: &Path) -> Outcome<Camera> {
     let text = fs::read_to_string(folder.join("sensor.yaml"))?;
-    let [t, size, k, d] = ["T_BS", "resolution", "intrinsics", "distortion_coefficients"]
-        .map(|name| numbers(&text, name));
+    let [t, size, k, d] = [
+        "T_BS",
+        "resolution",
+        "intrinsics",
+        "distortion_coefficients",
+    ]
+    .map(|name| numbers(&text, name));
     let (t, size, k, d) = (t?, size?, k?, d?);
     if !text.contains("radial-tangential") || t.len() != 16 || k.len() != 4 || d.len() != 4 {
-        return Err(format!("{}: no pinhole with radial-tangential distortion", folder.display()).into());
+        return Err(format!(
+            "{}: no pinhole with radial-tangential distortion",
+            folder.display()
+        )
+        .into());
     }
     let column = |i: usize| Vec3F64::new(t[i], t[4 + i], t[8 + i]);
     Ok(Camera {
@@ -85,14 +94,17 @@ fn camera(folder: &Path) -> Outcome<Camera> {
 /// Rows of a `data.csv`, split at commas.
 fn rows(path: &Path) -> Outcome<Vec<Vec<String>>> {
     let text = fs::read_to_string(path)?;
-    let data = text.lines().filter(|l| !l.starts_with('#') && !l.trim().is_empty());
+    let data = text
+        .lines()
+        .filter(|l| !l.starts_with('#') && !l.trim().is_empty());
     Ok(data
         .map(|l| l.split(',').map(|c| c.trim().to_owned()).collect())
         .collect())
 }
 
 fn image(path: &Path, [width, height]: [usize; 2]) -> Outcome<Image<u8, 1>> {
-    let mut reader = png::Decoder::new(std::io::BufReader::new(fs::File::open(path)?)).read_info()?;
+    let mut reader =
+        png::Decoder::new(std::io::BufReader::new(fs::File::open(path)?)).read_info()?;
     let mut pixels = vec![0; reader.output_buffer_size().ok_or("size")?];
     reader.next_frame(&mut pixels)?;
     Ok(Image::new(ImageSize { width, height }, pixels)?)
@@ -156,7 +168,10 @@ fn main() -> Outcome<()> {
     };
     let root = Path::new(folder).join("mav0");
     let [left, right] = [camera(&root.join("cam0"))?, camera(&root.join("cam1"))?];
-    let right_from_left = right.body_from_camera.inverse().compose(&left.body_from_camera);
+    let right_from_left = right
+        .body_from_camera
+        .inverse()
+        .compose(&left.body_from_camera);
     let rectifier = StereoRectifier::from_calib(
         &left.calib,
         &right.calib,
@@ -165,7 +180,9 @@ fn main() -> Outcome<()> {
     )?;
     let rectified = rectifier.rectified_camera();
     let rectified_from_left = Pose3d::new(rectifier.left_rectifying_rotation(), Vec3F64::ZERO);
-    let body_from_rectified = left.body_from_camera.compose(&rectified_from_left.inverse());
+    let body_from_rectified = left
+        .body_from_camera
+        .compose(&rectified_from_left.inverse());
     let mut rig = SensorRig::new(rectified.clone());
     if with_imu {
         rig = rig.with_imu(body_from_rectified);
@@ -248,7 +265,10 @@ fn main() -> Outcome<()> {
             text.clear();
         }
         if result.status != TrackingStatus::Skipped {
-            let pose = result.pose_world_to_cam.inverse().compose(&body_from_rectified.inverse());
+            let pose = result
+                .pose_world_to_cam
+                .inverse()
+                .compose(&body_from_rectified.inverse());
             let (p, [x, y, z, w]) = (pose.translation, quaternion(&pose));
             writeln!(
                 text,

@@ -330,3 +330,6 @@ fn constant_turn(aligned: &[PosePair], rotation_deg: f64) -> Option<String> {
     }
     Some("the estimate turns as the truth does, but its orientations are of another body and another world than its positions".to_owned())
 }
+
+#[cfg(test)]
+mod tests;
