@@ -1,5 +1,5 @@
-//! Runs the crate `kornia-slam` on an EuRoC folder (`mav0/cam0`, `cam1`, `imu0`, each with its `sensor.yaml`) and writes the live pose of the
-//! body for each image as TUM text. The crate is a library; the program that its authors run on EuRoC is not on crates.io.
+//! Runs the crate `kornia-slam` on an EuRoC folder as `lsfb bench slam` exports it (`mav0/cam0`, `cam1`, `imu0` and `rig.toml`) and writes the
+//! live pose of the body for each image as TUM text. The crate is a library; the program that its authors run on EuRoC is not on crates.io.
 //!
 //! `kornia_slam_euroc FOLDER OUT.tum [stereo|stereo-imu]`, stereo by default. Settings are the crate's, with mapping in the same thread, so
 //! that a run can be repeated; points nearer than 35 baselines enter the map at once, as in the authors' program.
@@ -29,65 +29,83 @@ const LEVELS: usize = 8;
 /// Baselines within which depth by stereo is taken as known.
 const CLOSE_BASELINES: f64 = 35.0;
 
-/// `sensor.yaml` of a camera.
+/// A camera of the rig.
 struct Camera {
     calib: CameraCalib,
     body_from_camera: Pose3d,
 }
 
-/// The numbers in the first brackets behind a name.
-fn numbers(text: &str, name: &str) -> Outcome<Vec<f64>> {
-    let missing = || format!("no {name}");
-    let (_, rest) = text.split_once(name).ok_or_else(missing)?;
-    let (_, rest) = rest.split_once('[').ok_or_else(missing)?;
-    let (list, _) = rest.split_once(']').ok_or_else(missing)?;
+/// The numbers of a line `name = ...` in a table of the rig file.
+fn numbers(rig: &str, table: &str, name: &str) -> Outcome<Vec<f64>> {
+    let missing = || format!("rig.toml: no {name} in [{table}]");
+    let (_, rest) = rig
+        .split_once(&format!("[{table}]\n"))
+        .ok_or_else(missing)?;
+    let own = rest.split("\n[").next().unwrap_or(rest);
+    let line = own
+        .lines()
+        .find_map(|l| l.strip_prefix(name)?.trim_start().strip_prefix('='));
+    let list = line.ok_or_else(missing)?.trim().trim_matches(['[', ']']);
     Ok(list
         .split(',')
         .map(|n| n.trim().parse())
         .collect::<Result<_, _>>()?)
 }
 
-fn camera(folder: &Path) -> Outcome<Camera> {
-    let text = fs::read_to_string(folder.join("sensor.yaml"))?;
-    let [t, size, k, d] = [
-        "T_BS",
-        "resolution",
-        "intrinsics",
-        "distortion_coefficients",
-    ]
-    .map(|name| numbers(&text, name));
-    let (t, size, k, d) = (t?, size?, k?, d?);
-    if !text.contains("radial-tangential") || t.len() != 16 || k.len() != 4 || d.len() != 4 {
-        return Err(format!(
-            "{}: no pinhole with radial-tangential distortion",
-            folder.display()
-        )
-        .into());
-    }
-    let column = |i: usize| Vec3F64::new(t[i], t[4 + i], t[8 + i]);
+/// The camera of that name; the rig's frame is the body's. EuRoC's `sensor.yaml` has no place for the fifth coefficient of a lens.
+fn camera(rig: &str, name: &str) -> Outcome<Camera> {
+    let of = |table: &str, what: &str| numbers(rig, &format!("cameras.{name}.{table}"), what);
+    let (width, height) = (of("camera", "width")?, of("camera", "height")?);
+    let lens = "camera.lens";
+    let (f, c, d) = (
+        of(lens, "focal_px")?,
+        of(lens, "principal_px")?,
+        of(lens, "distortion")?,
+    );
+    let (q, t) = (
+        of("rig_from_camera", "rotation_xyzw")?,
+        of("rig_from_camera", "translation_m")?,
+    );
+    let ([x, y, z, w], 5) = (<[f64; 4]>::try_from(q).map_err(|_| "rotation")?, d.len()) else {
+        return Err(format!("{name}: no pinhole with radial-tangential distortion").into());
+    };
+    let rotation = Mat3F64::from_cols(
+        Vec3F64::new(
+            1.0 - 2.0 * (y * y + z * z),
+            2.0 * (x * y + z * w),
+            2.0 * (x * z - y * w),
+        ),
+        Vec3F64::new(
+            2.0 * (x * y - z * w),
+            1.0 - 2.0 * (x * x + z * z),
+            2.0 * (y * z + x * w),
+        ),
+        Vec3F64::new(
+            2.0 * (x * z + y * w),
+            2.0 * (y * z - x * w),
+            1.0 - 2.0 * (x * x + y * y),
+        ),
+    );
     Ok(Camera {
         calib: CameraCalib {
-            width: size[0] as usize,
-            height: size[1] as usize,
-            fx: k[0],
-            fy: k[1],
-            cx: k[2],
-            cy: k[3],
+            width: width[0] as usize,
+            height: height[0] as usize,
+            fx: f[0],
+            fy: f[1],
+            cx: c[0],
+            cy: c[1],
             distortion: PolynomialDistortion {
                 k1: d[0],
                 k2: d[1],
                 p1: d[2],
                 p2: d[3],
-                k3: 0.0,
+                k3: d[4],
                 k4: 0.0,
                 k5: 0.0,
                 k6: 0.0,
             },
         },
-        body_from_camera: Pose3d::new(
-            Mat3F64::from_cols(column(0), column(1), column(2)),
-            column(3),
-        ),
+        body_from_camera: Pose3d::new(rotation, Vec3F64::new(t[0], t[1], t[2])),
     })
 }
 
@@ -167,7 +185,8 @@ fn main() -> Outcome<()> {
         _ => return Err("stereo or stereo-imu".into()),
     };
     let root = Path::new(folder).join("mav0");
-    let [left, right] = [camera(&root.join("cam0"))?, camera(&root.join("cam1"))?];
+    let rig = fs::read_to_string(Path::new(folder).join("rig.toml"))?;
+    let [left, right] = [camera(&rig, "cam0")?, camera(&rig, "cam1")?];
     let right_from_left = right
         .body_from_camera
         .inverse()
@@ -259,8 +278,8 @@ fn main() -> Outcome<()> {
             samples.push(sample);
         }
         let result = system.process_frame(frame, previous.as_ref(), &one, secs, samples);
-        // Where gravity was found the world is turned: what was said before is of another world.
-        let turned = |line: &String| line.contains("[imu_init]") && line.contains("accepted");
+        // Where gravity was found the world is turned: what was said before is of another world. Later refinements turn it by little.
+        let turned = |line: &String| line.contains("VIBA0 accepted");
         if system.drain_debug_messages().iter().any(turned) {
             text.clear();
         }
