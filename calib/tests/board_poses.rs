@@ -340,3 +340,54 @@ fn cameras_that_were_swapped_are_named() {
         found.findings
     );
 }
+
+/// Once taken for the tilt of each board: 2 cm over half of a plate are 2°.
+#[test]
+fn a_lidar_that_measures_dark_parts_farther_is_seen_through() {
+    let session = Session {
+        dark_excess_m: 0.02,
+        ..few()
+    };
+    for seed in 0..3 {
+        let poses = session.simulate(seed);
+        let found = calibrate(&BOARD, &poses).expect("calibrated");
+        let excess = found.dark_excess_m.zip(found.dark_excess_sigma_m);
+        let (excess_m, sigma_m) = excess.expect("it is clear");
+        assert!(
+            (excess_m - session.dark_excess_m).abs() < 4.0 * sigma_m && sigma_m < 0.003,
+            "{seed}: {excess_m} ± {sigma_m}"
+        );
+        // What a sensor that tells no intensities makes of the same ranges.
+        let mut blind = poses;
+        for pose in &mut blind {
+            pose.scan.points.iter_mut().for_each(|p| p.intensity = 0);
+        }
+        let blind = calibrate(&BOARD, &blind).expect("calibrated");
+        assert_eq!(blind.dark_excess_m, None);
+        let normals_deg = |found: &LidarCameraCalibration| {
+            let squares = found.poses.iter().map(|p| p.normal_error_rad.powi(2));
+            (squares.sum::<f64>() / found.poses.len() as f64)
+                .sqrt()
+                .to_degrees()
+        };
+        let (own_deg, blind_deg) = (normals_deg(&found), normals_deg(&blind));
+        assert!(
+            own_deg < 0.4 && own_deg < 0.3 * blind_deg,
+            "{seed}: normals {own_deg}° off, without intensities {blind_deg}°"
+        );
+        let error = error(&found);
+        for k in 0..6 {
+            let deviations = error[k].abs() / found.sigma[k];
+            assert!(deviations < 4.0, "{seed}: {k} {deviations} σ off");
+        }
+    }
+}
+
+/// Parts that look different but are measured alike are left alone.
+#[test]
+fn a_difference_of_shades_that_could_be_chance_is_not_taken_off() {
+    for seed in 0..3 {
+        let found = calibrate(&BOARD, &few().simulate(seed)).expect("calibrated");
+        assert_eq!(found.dark_excess_m, None, "{seed}");
+    }
+}

@@ -45,7 +45,15 @@ impl<const N: usize> Batch<N> {
         }
         let names = solved.cameras.iter().map(|c| c.views.name.as_str());
         let names: Vec<&str> = names.collect();
-        [names.join(", "), "a pose of the board".to_owned()]
+        let pose = self.first_from_target.iter();
+        let instant = pose
+            .filter(|(_, block)| block.id() == found.block)
+            .map(|p| p.0);
+        let pose = "a pose of the board".to_owned();
+        let pose = instant
+            .last()
+            .map_or(pose.clone(), |instant| format!("{pose} (image {instant})"));
+        [names.join(", "), pose]
     }
 }
 

@@ -11,7 +11,7 @@ use super::association::Joined;
 use super::plane::{Spread, regress};
 use super::problem::{APPARENT_SIGMA_M, Factors, ProblemStart, Reach, Shift, build, plane_error};
 use super::solved::{Solved, Used};
-use super::{LidarCameraConfig, MountedBoard, Scene};
+use super::{LidarCameraConfig, MountedBoard, Scene, shades};
 use crate::scatter::Scatter;
 use crate::{Error, JoinProblem};
 
@@ -60,6 +60,10 @@ pub(super) fn adjust(
         })
         .collect();
     let mut noise = refit(&mut used, config);
+    let dark = shades::take_off(&mut used);
+    if dark.is_some() {
+        noise = refit(&mut used, config);
+    }
     let mut beam_offsets_m: BTreeMap<u16, f64> = BTreeMap::new();
     for _ in 0..BEAM_ROUNDS {
         let more = beam_offsets(&used);
@@ -115,6 +119,7 @@ pub(super) fn adjust(
                     range_noise_m: noise.range_m,
                     beam_noise_m: noise.beam_m,
                     beam_offsets_m,
+                    dark,
                     ..solved
                 });
             }
@@ -246,6 +251,7 @@ fn converge(
                 range_noise_m: 0.0,
                 beam_noise_m: 0.0,
                 beam_offsets_m: BTreeMap::new(),
+                dark: None,
                 spread: factors,
             });
         }

@@ -263,13 +263,11 @@ fn patch(
     let mut edges = Vec::new();
     for (k, run) in &runs {
         edges.extend(outline::ends(&rings[*k], &run.members, &plane, config));
+        let returns = || run.members.iter().map(|i| &rings[*k].points[*i]);
         chords.push(Chord {
             ring: rings[*k].number,
-            points: run
-                .members
-                .iter()
-                .map(|i| rings[*k].points[*i].position)
-                .collect(),
+            points: returns().map(|r| r.position).collect(),
+            intensities: returns().map(|r| r.intensity).collect(),
         });
     }
     let rectangle = outline::rectangle(&plane, &chords, &edges)?;

@@ -22,6 +22,7 @@ mod poses;
 mod problem;
 mod residuals;
 mod scan_grid;
+mod shades;
 mod solved;
 mod summary;
 #[cfg(test)]
@@ -168,6 +169,11 @@ pub struct LidarCameraCalibration {
     /// By how much the ranges of beams are too long, by ring, metres: found along with the pose, and taken off; those of which
     /// nothing is known are not in it.
     pub beam_offsets_m: BTreeMap<u16, f64>,
+    /// By how much ranges to dark parts of the board are longer than those to bright ones, metres: found along with the pose, and taken
+    /// off; `None` where that is not clear.
+    pub dark_excess_m: Option<f64>,
+    /// Standard deviation of [`LidarCameraCalibration::dark_excess_m`], metres.
+    pub dark_excess_sigma_m: Option<f64>,
     /// By how much half the plate looks wider and higher to the LiDAR than was said, metres: width of the beam, or a wrong
     /// size.
     pub edge_excess_m: [f64; 2],

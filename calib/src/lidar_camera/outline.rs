@@ -130,11 +130,13 @@ pub(super) fn within(plane: &Plane, chords: Vec<Chord>, rectangle: &Rectangle) -
     chords
         .into_iter()
         .filter_map(|mut chord| {
-            chord.points.retain(|p| {
+            let is_within = |p: &Vector3<f64>| {
                 let d = plane.local(p).xy() - rectangle.center;
                 d.dot(&rectangle.along).abs() < 0.5 * rectangle.size_m[0] + MARGIN_M
                     && d.dot(&across).abs() < 0.5 * rectangle.size_m[1] + MARGIN_M
-            });
+            };
+            let returns = chord.points.into_iter().zip(chord.intensities);
+            (chord.points, chord.intensities) = returns.filter(|(p, _)| is_within(p)).unzip();
             (!chord.points.is_empty()).then_some(chord)
         })
         .collect()

@@ -119,6 +119,10 @@ impl LidarCameraCalibration {
                 self.spread.map(|s| format!("{s:.2}")).join(", "),
             ),
         ];
+        if let (Some(excess_m), Some(sigma_m)) = (self.dark_excess_m, self.dark_excess_sigma_m) {
+            let excess = with_sigma(excess_m, sigma_m);
+            rows.push(("dark parts farther than bright ones, mm", excess));
+        }
         if let (Some(turn), Some(shift)) = (self.halves_rotation_rad, self.halves_translation_m) {
             let halves = format!("{:.3}°, {:.1} mm", turn.to_degrees(), shift * 1e3);
             rows.push(("every other pose against the rest", halves));

@@ -14,6 +14,8 @@ pub(super) struct Chord {
     /// Number of the beam's ring.
     pub ring: u16,
     pub points: Vec<Vector3<f64>>,
+    /// How bright each of them is, as the sensor says it.
+    pub intensities: Vec<u8>,
 }
 
 /// A plane with its own axes: `point = origin + x·axes₀ + y·axes₁ + z·normal`.

@@ -13,6 +13,8 @@ pub(super) struct GridPoint {
     pub position: Vector3<f64>,
     pub azimuth_rad: f64,
     pub range_m: f64,
+    /// As the sensor says it.
+    pub intensity: u8,
     /// After the scan's first firing.
     pub time_offset_ns: u32,
 }
@@ -47,6 +49,7 @@ pub(super) fn rings(scan: &LidarScan) -> Vec<Ring> {
             position,
             azimuth_rad: position.y.atan2(position.x),
             range_m,
+            intensity: point.intensity,
             time_offset_ns: point.time_offset_ns,
         });
     }

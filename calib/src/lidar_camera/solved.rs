@@ -7,13 +7,14 @@ use lsfb_geometry::{Matrix6, Se3, Vector3};
 use super::Scene;
 use super::candidates::Patch;
 use super::plane::{Chord, PlaneFit};
+use super::shades::DarkExcess;
 
 /// One pose in the adjustment.
 #[derive(Clone)]
 pub(super) struct Used {
     pub scene: usize,
     pub patch: usize,
-    /// Returns on the board, less the offsets of their beams.
+    /// Returns on the board, less the offsets of their beams and of dark parts.
     pub chords: Vec<Chord>,
     pub fit: PlaneFit,
     pub camera_from_board: Se3,
@@ -32,6 +33,7 @@ pub(super) struct Solved {
     pub range_noise_m: f64,
     pub beam_noise_m: f64,
     pub beam_offsets_m: BTreeMap<u16, f64>,
+    pub dark: Option<DarkExcess>,
     pub spread: [f64; 3],
 }
 

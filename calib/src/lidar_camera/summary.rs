@@ -145,6 +145,8 @@ pub(super) fn summarize(
         range_noise_m: solved.range_noise_m,
         beam_noise_m: solved.beam_noise_m,
         beam_offsets_m: solved.beam_offsets_m.clone(),
+        dark_excess_m: solved.dark.map(|d| d.excess_m),
+        dark_excess_sigma_m: solved.dark.map(|d| d.sigma_m),
         edge_excess_m: solved.apparent_m.xy().into(),
         edge_excess_sigma_m: solved.apparent_sigma_m.xy().into(),
         range_excess_m: solved.apparent_m.z,

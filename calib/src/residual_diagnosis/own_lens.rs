@@ -4,7 +4,7 @@ use lsfb_geometry::Camera;
 use lsfb_types::{Finding, Verdict};
 use nalgebra::{DMatrix, DVector};
 
-use super::sums::{Sums, inverse};
+use super::sums::{Sums, inverse, is_determined};
 
 /// Share of the squares, and of their variance, that another lens must take off one that was given.
 const LENS_SHARE: f64 = 0.2;
@@ -16,6 +16,8 @@ const LENS_SIGMAS: [f64; 3] = [0.005, 0.01, 0.02];
 /// A step of a lens's own parameters.
 struct OwnLens {
     inverse: DMatrix<f64>,
+    /// Which parameters the views tell at all.
+    is_determined: Vec<bool>,
     step: DVector<f64>,
     /// Squares that it takes off.
     taken: f64,
@@ -29,27 +31,37 @@ impl Sums {
         let lens = camera.lens.parameters();
         let OwnLens {
             inverse,
+            is_determined,
             step,
             taken,
             variance,
         } = self.own_lens(camera)?;
+        let fits = format!(
+            "the lens that was given does not fit these images: {:.0} % of the squares would be explained by another",
+            100.0 * taken / self.squares
+        );
+        let finding = |what| {
+            Finding::new("given-lens", Verdict::Warn, name, what)
+                .remedy("calibrate the camera again")
+        };
         // Focal lengths and the principal point come first in every model.
         let sigma = |k: usize| (inverse[(k, k)] * variance).max(0.0).sqrt();
-        let clearest = (0..4).max_by(|a, b| {
+        let told = (0..4).filter(|k| is_determined[*k]);
+        let clearest = told.max_by(|a, b| {
             let clear = |k: usize| step[k].abs() / sigma(k).max(1e-12);
             clear(*a).total_cmp(&clear(*b))
-        })?;
+        });
+        let Some(clearest) = clearest else {
+            return Some(finding(format!("{fits}; which, they do not tell")));
+        };
         let value = lens.values[clearest] + step[clearest];
         let what = format!(
-            "the lens that was given does not fit these images: {:.0} % of the squares would be explained by another, with {} = {value:.1} ± {:.1} px instead of {:.1}",
-            100.0 * taken / self.squares,
+            "{fits}, with {} = {value:.1} ± {:.1} px instead of {:.1}",
             camera.lens.model().parameter_names()[clearest],
             sigma(clearest),
             lens.values[clearest]
         );
-        let finding = Finding::new("given-lens", Verdict::Warn, name, what);
-        let finding = finding.value(value, "px").sigma(sigma(clearest));
-        Some(finding.remedy("calibrate the camera again"))
+        Some(finding(what).value(value, "px").sigma(sigma(clearest)))
     }
 
     /// The lens that these views have for themselves where that fits clearly better than the one that was given; parameters that few
@@ -86,6 +98,7 @@ impl Sums {
     fn own_lens(&self, camera: &Camera) -> Option<OwnLens> {
         let count = camera.lens.parameters().count;
         let own = self.matrix.view((0, 0), (count, count)).into_owned();
+        let is_determined = is_determined(&own, &own.diagonal());
         let inverse = inverse(&own, &own.diagonal());
         let gradient = self.gradient.rows(0, count).into_owned();
         let step = -(&inverse * &gradient);
@@ -95,6 +108,7 @@ impl Sums {
         let clear = taken >= LENS_SHARE * self.squares && taken >= LENS_CHI_SQUARE * variance;
         clear.then_some(OwnLens {
             inverse,
+            is_determined,
             step,
             taken,
             variance,

@@ -5,7 +5,7 @@ use lsfb_geometry::{Camera, Se3, Vector2, Vector3};
 use lsfb_solver::{
     Kernel, Linearization, Marginal, Parameters, Problem, Residual, Shape, Undefined, marginal,
 };
-use nalgebra::{DMatrix, DVector, SMatrix, SVector};
+use nalgebra::{DMatrix, DVector, Dyn, SMatrix, SVector, SymmetricEigen};
 
 use super::field::{FIELD, moved_by_field};
 use super::one_lens::LensOfView;
@@ -17,6 +17,9 @@ use crate::projection::moved_by_pose;
 pub(super) const RINGS: usize = 8;
 /// Pivot below which a direction is one that poses and lens have too, as a share of what it was before.
 pub(super) const SAME: f64 = 1e-9;
+
+/// Share of a parameter in directions without information from which on it is not known: its standard deviation there is infinite.
+const UNKNOWN_SHARE: f64 = 1e-6;
 
 /// Gap, stretch, shear, three bends, shutter, rings, what models do not know.
 const EXTRA: usize = 7 + RINGS + FIELD;
@@ -237,13 +240,9 @@ impl Sums {
 }
 
 /// Inverse on the directions that are there at all, measured by `size`: lenses that were given are looked at by few views too, which the
-/// solver refuses where they do not determine all of a lens.
+/// solver refuses where they do not determine all of a lens. It is a covariance only of what [`is_determined`] says.
 pub(super) fn inverse(matrix: &DMatrix<f64>, size: &DVector<f64>) -> DMatrix<f64> {
-    let scale = size.map(|v| if v > 0.0 { 1.0 / v.sqrt() } else { 0.0 });
-    let scaled = DMatrix::from_fn(matrix.nrows(), matrix.ncols(), |i, j| {
-        matrix[(i, j)] * scale[i] * scale[j]
-    });
-    let eigen = scaled.symmetric_eigen();
+    let Scaled { eigen, scale } = Scaled::new(matrix, size);
     let values = eigen
         .eigenvalues
         .map(|v| if v > SAME { 1.0 / v } else { 0.0 });
@@ -252,4 +251,58 @@ pub(super) fn inverse(matrix: &DMatrix<f64>, size: &DVector<f64>) -> DMatrix<f64
     DMatrix::from_fn(matrix.nrows(), matrix.ncols(), |i, j| {
         inverse[(i, j)] * scale[i] * scale[j]
     })
+}
+
+/// Which parameters are known at all: those of no direction without information, in which any value would do.
+pub(super) fn is_determined(matrix: &DMatrix<f64>, size: &DVector<f64>) -> Vec<bool> {
+    let Scaled { eigen, scale } = Scaled::new(matrix, size);
+    let values = eigen.eigenvalues.iter().enumerate();
+    let unknown: Vec<usize> = values.filter(|(_, v)| **v <= SAME).map(|v| v.0).collect();
+    let share = |k: usize| -> f64 {
+        let own = unknown.iter().map(|at| eigen.eigenvectors[(k, *at)]);
+        own.map(|part| part * part).sum()
+    };
+    (0..matrix.nrows())
+        .map(|k| scale[k] > 0.0 && share(k) < UNKNOWN_SHARE)
+        .collect()
+}
+
+/// A normal matrix in units of its own.
+struct Scaled {
+    eigen: SymmetricEigen<f64, Dyn>,
+    /// What its rows were multiplied by; zero where there is nothing.
+    scale: DVector<f64>,
+}
+
+impl Scaled {
+    fn new(matrix: &DMatrix<f64>, size: &DVector<f64>) -> Self {
+        let scale = size.map(|v| if v > 0.0 { 1.0 / v.sqrt() } else { 0.0 });
+        let scaled = DMatrix::from_fn(matrix.nrows(), matrix.ncols(), |i, j| {
+            matrix[(i, j)] * scale[i] * scale[j]
+        });
+        Self {
+            eigen: scaled.symmetric_eigen(),
+            scale,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Once the standard deviation of such a parameter was that of the directions that are there: a small number for what is not known.
+    #[test]
+    fn directions_without_information_are_not_called_certain() {
+        // Only the sum of the first two is measured, the third alone, the fourth not at all.
+        let rows = [[1.0, 1.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0]];
+        let matrix = rows.iter().fold(DMatrix::zeros(4, 4), |sum, row| {
+            let row = DVector::from_row_slice(row);
+            sum + &row * row.transpose()
+        });
+        let inverse = inverse(&matrix, &matrix.diagonal());
+        assert!(inverse[(0, 0)] > 0.0 && inverse[(0, 0)].is_finite());
+        let determined = is_determined(&matrix, &matrix.diagonal());
+        assert_eq!(determined, [false, false, true, false]);
+    }
 }

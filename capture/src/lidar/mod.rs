@@ -42,7 +42,7 @@ const TICKS_PER_HOUR: u64 = 3_600_000_000;
 /// So many packets without a scan are a problem: a turn has 720 at most (a Pandar64 at 5 Hz), and every LiDAR sends as many in a second.
 const PACKETS_OF_NO_SCAN: u64 = 750;
 /// Problems of a sensor that sends, and nothing to see.
-const NO_SCAN: &str = "its data make no scan: is its rotor turning?";
+const NO_SCAN: &str = "its data make no scan of a full turn: is its rotor turning?";
 const NO_RETURN: &str = "not a single return: is its window covered?";
 const ANOTHER_SPEED: &str =
     "it turns at another speed than it was set to: look at its own web page";
@@ -261,13 +261,11 @@ impl LidarStream {
         let has_returns = !scan.sample.points.is_empty();
         self.without_return
             .note(Says::news_if(has_returns), scan.arrival);
-        self.without_scan.note(Says::News, scan.arrival);
-        let time = self
-            .clock
-            .time(scan.device_ticks.cast_signed(), scan.arrival);
-        self.scans = Some((self.scans.map_or(time, |(first, _)| first), time));
         let device_ns = scan.device_ticks.cast_signed();
-        self.turns.note(device_ns);
+        let is_turn = self.turns.note(device_ns);
+        self.without_scan.note(Says::news_if(is_turn), scan.arrival);
+        let time = self.clock.time(device_ns, scan.arrival);
+        self.scans = Some((self.scans.map_or(time, |(first, _)| first), time));
         self.note_device(inlet)?;
         let jumps = self.decoder.counters().clock_jumps;
         let epoch = u32::try_from(jumps).unwrap_or(u32::MAX).saturating_add(1);
@@ -391,7 +389,7 @@ impl LidarStream {
             ),
             (
                 self.without_scan.stretches(),
-                "times its data made no scan for more than a second",
+                "times its data made no scan of a full turn for more than a second",
             ),
             (
                 self.without_return.stretches(),

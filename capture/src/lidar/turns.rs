@@ -20,12 +20,13 @@ pub(super) struct Turns {
 }
 
 impl Turns {
-    /// A scan began at this time of the sensor's own.
-    pub(super) fn note(&mut self, device_ns: i64) {
+    /// A scan began at this time of the sensor's own. Whether the rotor can have turned since the one before it: where it stands or
+    /// trembles, azimuths jump back with each packet, and what looks like scans lasts a few milliseconds.
+    pub(super) fn note(&mut self, device_ns: i64) -> bool {
         let last_ns = self.last_ns.replace(device_ns);
         let interval_ns = last_ns.map(|last_ns| device_ns - last_ns);
         let Some(interval_ns) = interval_ns.filter(|ns| POSSIBLE_NS.contains(ns)) else {
-            return;
+            return interval_ns.is_none_or(|ns| !(0..*POSSIBLE_NS.start()).contains(&ns));
         };
         self.recent_ns.push_back(interval_ns);
         if self.recent_ns.len() > TURNS {
@@ -35,6 +36,7 @@ impl Turns {
             self.intervals_ns.push(interval_ns);
             self.intervals_ns.sort_unstable();
         }
+        true
     }
 
     /// Whether it turns at another speed than this lately: one that was just set takes seconds until it does.
@@ -71,6 +73,19 @@ mod tests {
             turns.note(n * 10_000_000);
         }
         assert!((turns.rate_hz().unwrap() - 10.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_rotor_that_stands_does_not_turn() {
+        let mut turns = Turns::default();
+        assert!(turns.note(0));
+        assert!(turns.note(100_000_000));
+        assert!(!turns.note(101_327_000), "a packet later");
+        assert!(!turns.note(102_654_000));
+        assert!(turns.note(202_654_000));
+        // Packets were lost, or the clock was set.
+        assert!(turns.note(5_000_000_000));
+        assert!(turns.note(1_000_000_000));
     }
 
     /// Five turns a second from the very start, where ten were asked for: their own rate says nothing of that.

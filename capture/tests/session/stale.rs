@@ -69,6 +69,20 @@ fn a_lidar_whose_packets_make_no_scan_is_not_healthy() {
     assert!(all_zeros.lost > 5_000, "{all_zeros:?}");
 }
 
+/// Once healthy: packets come at their rate with new times, and the azimuths that jump back make each of them look like a scan.
+#[test]
+fn a_lidar_whose_rotor_stands_is_not_healthy() {
+    let stands = lidar(|n| {
+        let mut packet = DataPacket::new(mock::lidar_packet(n)).unwrap();
+        let last_turned = DataPacket::new(mock::lidar_packet(n.min(300))).unwrap();
+        for block in 0..12 {
+            packet.set_azimuth_centideg(block, last_turned.azimuth_centideg(block));
+        }
+        packet.into_inner()
+    });
+    assert_stale(&stands, "lidar", "no scan of a full turn");
+}
+
 /// Frames of a unit at 20 Hz, whose number and stamps go on while its pixels are those of `image`.
 fn camera(image: impl Fn(u64) -> u8) -> CaptureReport {
     const PERIOD_NS: u64 = 50_000_000;

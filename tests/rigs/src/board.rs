@@ -100,6 +100,8 @@ pub struct Session {
     pub speed_m_s: f64,
     /// By how much the LiDAR's stamps are late, seconds.
     pub lidar_late_s: f64,
+    /// By how much ranges to its dark half, x below zero, are longer than to its bright one, metres.
+    pub dark_excess_m: f64,
 }
 
 impl Default for Session {
@@ -113,6 +115,7 @@ impl Default for Session {
             turned: false,
             speed_m_s: 0.0,
             lidar_late_s: 0.0,
+            dark_excess_m: 0.0,
         }
     }
 }
@@ -263,8 +266,11 @@ impl Session {
                 let depth = -origin.z / in_board.z;
                 let hit = origin + in_board * depth;
                 let on_board = hit.x.abs() < half[0] && hit.y.abs() < half[1];
-                if depth > 0.0 && on_board && !self.behind_wall {
-                    range = range.min(depth);
+                let mut intensity = BRIGHT;
+                if depth > 0.0 && on_board && !self.behind_wall && depth < range {
+                    let is_dark = hit.x < 0.0;
+                    range = depth + if is_dark { self.dark_excess_m } else { 0.0 };
+                    intensity = if is_dark { DARK } else { BRIGHT };
                 }
                 // A pole of 4 cm from the middle of the board to the floor.
                 let flat = ray.xy().norm_squared();
@@ -279,6 +285,7 @@ impl Session {
                     position_m: (ray * range).map(|x| x as f32).into(),
                     ring: ring as u16,
                     time_offset_ns: (time_s * 1e9) as u32,
+                    intensity,
                     ..LidarPoint::default()
                 });
             }
@@ -286,6 +293,10 @@ impl Session {
         LidarScan { points }
     }
 }
+
+/// Intensities of the two halves of the board.
+const DARK: u8 = 3;
+const BRIGHT: u8 = 60;
 
 /// Beams that meet the board where it is held: by three it could be seen, by as many more it is.
 const MIN_BEAMS: usize = 6;

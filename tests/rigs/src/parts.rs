@@ -8,7 +8,9 @@ use lsfb_calib::camera::{CameraConfig, CameraViews, calibrate_cameras};
 use lsfb_calib::camera_imu::{
     CameraImuCalibration, CameraImuConfig, calibrate_camera_imu, read_imu_table,
 };
-use lsfb_calib::lidar_camera::{BoardPose, LidarCameraConfig, calibrate_lidar_camera};
+use lsfb_calib::lidar_camera::{
+    BoardPose, LidarCameraCalibration, LidarCameraConfig, calibrate_lidar_camera,
+};
 use lsfb_geometry::{Camera, Se3};
 use lsfb_types::{ImuSample, Timestamp, no_progress};
 
@@ -161,14 +163,18 @@ impl TumVi {
     }
 }
 
-/// Calibrates the LiDAR of acfr_cam_lidar by some of its poses, and notes what they say.
-pub fn calibrate_acfr(camera: &Camera, poses: &[BoardPose], said: &mut Said) {
+/// Calibrates the LiDAR of acfr_cam_lidar by some of its poses, and notes what they say; fails where these do not determine it.
+pub fn calibrate_acfr(
+    camera: &Camera,
+    poses: &[BoardPose],
+    said: &mut Said,
+) -> Result<LidarCameraCalibration, lsfb_calib::Error> {
     let config = LidarCameraConfig::default();
-    let found = calibrate_lidar_camera(&ACFR_BOARD, "cam0", camera, poses, &config, &no_progress);
-    let found = found.expect("found");
+    let found = calibrate_lidar_camera(&ACFR_BOARD, "cam0", camera, poses, &config, &no_progress)?;
     said.put_poses(vec![(
         "LiDAR".to_owned(),
         found.camera_from_lidar,
         found.sigma,
     )]);
+    Ok(found)
 }
