@@ -20,6 +20,7 @@ pub mod board;
 pub mod camera;
 pub mod camera_imu;
 mod clusters;
+mod copies;
 mod coverage;
 pub mod detect;
 mod error;

@@ -391,3 +391,22 @@ fn a_difference_of_shades_that_could_be_chance_is_not_taken_off() {
         assert_eq!(found.dark_excess_m, None, "{seed}");
     }
 }
+
+/// Once each copy was one more pose: standard deviations shrank, and halves agreed as each had all of them.
+#[test]
+fn copies_of_poses_say_nothing_more() {
+    let poses = few().simulate(1);
+    let alone = calibrate(&BOARD, &poses).expect("calibrated");
+    let copies = poses.iter().map(|pose| BoardPose {
+        name: format!("{} again", pose.name),
+        ..pose.clone()
+    });
+    let all: Vec<BoardPose> = poses.iter().cloned().chain(copies).collect();
+    let found = calibrate(&BOARD, &all).expect("calibrated");
+    assert_eq!(found.camera_from_lidar, alone.camera_from_lidar);
+    assert_eq!(found.sigma, alone.sigma);
+    assert_eq!(left_out(&found).len(), poses.len());
+    let reason = found.poses[poses.len()].rejected.as_deref();
+    assert!(reason.is_some_and(|why| why.contains("is that of pose 00 once more")));
+    assert_eq!(found.judgement().verdict(), Verdict::Warn);
+}

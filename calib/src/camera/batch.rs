@@ -45,14 +45,11 @@ impl<const N: usize> Batch<N> {
         }
         let names = solved.cameras.iter().map(|c| c.views.name.as_str());
         let names: Vec<&str> = names.collect();
-        let pose = self.first_from_target.iter();
-        let instant = pose
-            .filter(|(_, block)| block.id() == found.block)
-            .map(|p| p.0);
-        let pose = "a pose of the board".to_owned();
-        let pose = instant
-            .last()
-            .map_or(pose.clone(), |instant| format!("{pose} (image {instant})"));
+        let mut poses = self.first_from_target.iter();
+        let pose = match poses.find(|(_, block)| block.id() == found.block) {
+            Some((instant, _)) => format!("a pose of the board (image {instant})"),
+            None => "a pose of the board".to_owned(),
+        };
         [names.join(", "), pose]
     }
 }

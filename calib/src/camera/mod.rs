@@ -194,10 +194,11 @@ pub fn calibrate_cameras(
             done: done as u64,
             total: cameras.len() as u64,
         })?;
-        if views.views.len() < config.min_views {
+        let found = views.views.len() - selection::copied(views).len();
+        if found < config.min_views {
             return Err(Error::TargetNotSeen {
                 camera: views.name.clone(),
-                found: views.views.len(),
+                found,
                 images: views.images,
                 needed: config.min_views,
                 target: target.describe(),
@@ -222,6 +223,8 @@ pub fn calibrate_cameras(
         last.findings.extend(finding);
     }
     for c in &mut calibration.cameras {
+        let views = cameras.iter().find(|views| views.name == c.name);
+        c.findings.extend(views.and_then(copied));
         let far_m = c.camera_from_first.translation.norm();
         if far_m > FARTHEST_M {
             let what = format!("it is {far_m:.1} m from the first camera");
@@ -276,6 +279,21 @@ impl CameraCalibration {
             }
         }
     }
+}
+
+/// Images of a camera that are there more than once.
+fn copied(views: &CameraViews) -> Option<Finding> {
+    let copied = selection::copied(views);
+    let (copy, first) = copied.first()?;
+    let example = [copy, first].map(i64::to_string);
+    let example = [example[0].as_str(), example[1].as_str()];
+    let of = views.views.len();
+    Some(crate::copies::finding(
+        &views.name,
+        copied.len(),
+        of,
+        example,
+    ))
 }
 
 /// Cameras whose names and places contradict each other.

@@ -1,6 +1,9 @@
 //! Which views to adjust: those that differ most in place, distance and tilt.
 
+use std::collections::BTreeSet;
+
 use super::CameraViews;
+use crate::copies::copies;
 use crate::detect::Corner;
 
 /// Centre, size and shape of a view, in units of the image.
@@ -25,13 +28,20 @@ fn descriptor(corners: &[Corner], width: f64) -> [f64; 6] {
     ]
 }
 
-/// Instants of at most `most` views, each the farthest from those chosen before; in order of time.
+/// Instants of views that are copies of earlier ones, and of which.
+pub(super) fn copied(camera: &CameraViews) -> Vec<(i64, i64)> {
+    let views = camera.views.iter();
+    copies(views.map(|(instant, corners)| (*instant, corners.as_slice())))
+}
+
+/// Instants of at most `most` views, each the farthest from those chosen before; in order of time. Copies are left out.
 pub(super) fn choose(camera: &CameraViews, most: usize) -> Vec<i64> {
     let width = f64::from(camera.width);
+    let copied: BTreeSet<i64> = copied(camera).into_iter().map(|c| c.0).collect();
     let all: Vec<(i64, [f64; 6])> = camera
         .views
         .iter()
-        .filter(|(_, corners)| corners.len() >= 8)
+        .filter(|(instant, corners)| corners.len() >= 8 && !copied.contains(instant))
         .map(|(instant, corners)| (*instant, descriptor(corners, width)))
         .collect();
     if all.len() <= most {

@@ -586,3 +586,27 @@ fn cameras_exchanged_half_way_are_refused() {
         "{error}"
     );
 }
+
+/// Once the standard deviations shrank, and holdout views were met as well as those that they were copies of.
+#[test]
+fn copies_of_images_count_once() {
+    let lens = lenses()[0];
+    let [alone, _] = stereo(lens, 24, 0.5, 0.2, 5);
+    let mut twice = alone.clone();
+    let copies = alone.views.iter().map(|(k, v)| (k + 1000, v.clone()));
+    twice.views.extend(copies);
+    twice.images *= 2;
+    let found = |views: CameraViews| {
+        let config = config(lens.model());
+        let found = calibrate_cameras(&GRID, &[views], &config, &no_progress).expect("found");
+        found.cameras.into_iter().next().expect("one")
+    };
+    let (alone, twice) = (found(alone), found(twice));
+    assert_eq!(twice.parameters, alone.parameters);
+    assert_eq!(twice.holdout_rms_px, alone.holdout_rms_px);
+    let copies = |c: &CalibratedCamera| c.findings.iter().find(|f| f.code == "copies").cloned();
+    assert_eq!(copies(&alone), None);
+    let copies = copies(&twice).expect("a finding");
+    assert_eq!(copies.verdict, Verdict::Warn);
+    assert!(copies.what.contains("24 of 48 images"), "{}", copies.what);
+}

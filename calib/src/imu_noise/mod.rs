@@ -23,6 +23,7 @@
 //! ```
 
 mod allan;
+mod checks;
 mod fit;
 mod page;
 mod rest;
@@ -165,7 +166,8 @@ pub fn imu_noise(
             uncertainty::sigma(&noise, &clusters, &recorded(triad.len())),
         )
     });
-    let mut findings = log.findings;
+    let mut findings = checks::findings(&log, gyro.density);
+    findings.splice(0..0, log.findings);
     for (name, noise) in [("gyroscope", &gyro), ("accelerometer", &accel)] {
         findings.push(random_walk(name, noise, log.duration_s));
     }

@@ -14,7 +14,7 @@ fn at_rest(seconds: i64, rate_hz: i64, white: f64) -> Vec<(Timestamp, ImuSample)
         .map(|k| {
             let sample = ImuSample {
                 angular_velocity_rad_s: [0; 3].map(|_| white * normal(&mut rng)),
-                specific_force_m_s2: [0; 3].map(|_| 1.0 + white * normal(&mut rng)),
+                specific_force_m_s2: [0.1, -0.2, 9.8].map(|mean| mean + white * normal(&mut rng)),
             };
             (Timestamp::from_nanos(k * 1_000_000_000 / rate_hz), sample)
         })
@@ -90,6 +90,55 @@ fn errors_are_as_large_as_their_sigma_says() {
             "{name}: {rms} {worst}"
         );
     }
+}
+
+/// Once each of these came with a rig and without a word; of a dead axis the noise was 0 ± 0.
+#[test]
+fn what_no_imu_at_rest_measures_fails() {
+    let samples = at_rest(120, 50, 0.01);
+    let judged = |change: &dyn Fn(usize, &mut ImuSample)| {
+        let mut changed = samples.clone();
+        for (k, (_, sample)) in changed.iter_mut().enumerate() {
+            change(k, sample);
+        }
+        let found = imu_noise(&changed, &ImuNoiseConfig::default()).expect("noise");
+        let is_problem = |f: &&Finding| f.verdict != Verdict::Pass && f.code != "random-walk";
+        let problems = found.findings.iter().filter(is_problem);
+        problems
+            .map(|f| (f.verdict, f.code.to_string()))
+            .collect::<Vec<_>>()
+    };
+    let fail = |code: &str| vec![(Verdict::Fail, code.to_owned())];
+    let scaled = |by: f64| {
+        move |_: usize, s: &mut ImuSample| {
+            s.specific_force_m_s2 = s.specific_force_m_s2.map(|f| by * f);
+        }
+    };
+    assert_eq!(judged(&|_, _| ()), []);
+    assert_eq!(judged(&scaled(1.02)), []);
+    assert_eq!(judged(&scaled(1.0 / 9.81)), fail("gravity"));
+    assert_eq!(judged(&scaled(1e3 / 9.81)), fail("gravity"));
+    // Between two seconds, so that none of them spreads.
+    let turned = judged(&|k, s| {
+        if k >= 3000 {
+            s.specific_force_m_s2[2] *= -1.0;
+        }
+    });
+    assert!(turned.contains(&fail("rest")[0]), "{turned:?}");
+    assert_eq!(
+        judged(&|_, s| s.angular_velocity_rad_s[2] = 0.0),
+        fail("axis")
+    );
+    assert_eq!(
+        judged(&|_, s| s.angular_velocity_rad_s[1] = s.angular_velocity_rad_s[0]),
+        fail("axis")
+    );
+    let held = judged(&|k, s| *s = samples[k / 10 * 10].1);
+    assert_eq!(held, fail("repeated"));
+    let in_degrees = judged(&|_, s| {
+        s.angular_velocity_rad_s = s.angular_velocity_rad_s.map(f64::to_degrees);
+    });
+    assert_eq!(in_degrees, [(Verdict::Warn, "gyro-unit".to_owned())]);
 }
 
 #[test]

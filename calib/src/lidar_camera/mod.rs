@@ -246,6 +246,8 @@ struct Scene<'a> {
     /// Corners of the image that stands for the scan.
     corners: &'a [Corner],
     track: Track,
+    /// The pose whose image this one has as well: it says nothing more.
+    copy_of: Option<String>,
     scan: &'a LidarScan,
     in_lidar: Vec<candidates::Patch>,
 }
@@ -320,11 +322,16 @@ fn scenes<'a>(
     config: &LidarCameraConfig,
     progress: ProgressFn,
 ) -> Result<Vec<Scene<'a>>, Error> {
+    let copies = poses::copied(poses);
     let done = AtomicU64::new(0);
     let looked: Result<Vec<Scene>, Error> = poses
         .par_iter()
-        .map(|pose| {
-            let scene = Scene::new(board, camera, pose, config);
+        .enumerate()
+        .map(|(k, pose)| {
+            let scene = match copies.get(&k) {
+                Some(first) => Scene::copy(pose, &poses[*first].name),
+                None => Scene::new(board, camera, pose, config),
+            };
             progress(Progress {
                 stage: "boards",
                 done: done.fetch_add(1, Ordering::Relaxed) + 1,
@@ -364,6 +371,19 @@ fn hold_still(
 }
 
 impl<'a> Scene<'a> {
+    /// A pose with the image of another one stays in the list, to be named.
+    fn copy(pose: &'a BoardPose, of: &str) -> Self {
+        Self {
+            name: pose.name.clone(),
+            in_camera: InCamera::nothing(),
+            corners: &[],
+            track: Track::new(&pose.scan, std::iter::empty()),
+            copy_of: Some(of.to_owned()),
+            scan: &pose.scan,
+            in_lidar: Vec::new(),
+        }
+    }
+
     /// A pose that the camera did not see stays in the list, to be named.
     fn new(
         board: &MountedBoard,
@@ -398,6 +418,7 @@ impl<'a> Scene<'a> {
             in_camera,
             corners,
             track,
+            copy_of: None,
             scan: &pose.scan,
             in_lidar,
         }

@@ -9,6 +9,7 @@ use rayon::prelude::*;
 
 use super::{BoardPose, BoardSight};
 use crate::camera::{CameraViews, last_number};
+use crate::copies::copies;
 use crate::detect::Corner;
 use crate::{Error, JoinProblem};
 use lsfb_perception::statistics::median;
@@ -257,4 +258,27 @@ fn median_distance_px(a: &[Corner], b: &[Corner]) -> Option<f64> {
         8.. => median(distances),
         _ => None,
     }
+}
+
+/// Poses with the images of earlier ones, and of which. Scans that follow each other may lie between the same images: such are poses of
+/// their own.
+pub(super) fn copied(poses: &[&BoardPose]) -> BTreeMap<usize, usize> {
+    let corners: Vec<Vec<Corner>> = poses
+        .iter()
+        .map(|pose| {
+            pose.sights
+                .iter()
+                .flat_map(|s| &s.corners)
+                .copied()
+                .collect()
+        })
+        .collect();
+    let views = corners.iter().enumerate();
+    copies(views.map(|(k, corners)| (k, corners.as_slice())))
+        .into_iter()
+        .filter(|(k, first)| {
+            let (pose, first) = (poses[*k], poses[*first]);
+            pose.sights.len() == 1 || pose.scan == first.scan
+        })
+        .collect()
 }

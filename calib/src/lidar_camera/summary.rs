@@ -236,9 +236,14 @@ fn unused(scene: &Scene) -> PoseFit {
     } else {
         "no patch in the scan is where the other poses put the board"
     };
+    let of_copy = |of: &String| format!("its image is that of {of} once more");
+    let why = scene
+        .copy_of
+        .as_ref()
+        .map_or_else(|| why.to_owned(), of_copy);
     PoseFit {
         name: scene.name.clone(),
-        rejected: Some(why.to_owned()),
+        rejected: Some(why),
         distance_m: scene.in_camera.camera_from_board.translation.norm(),
         points: 0,
         edges: 0,

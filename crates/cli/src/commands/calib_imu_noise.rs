@@ -6,6 +6,7 @@ use lsfb_calib::exchange::imu_to_kalibr;
 use lsfb_calib::imu_noise::{ImuNoise, ImuNoiseConfig, imu_noise};
 use lsfb_geometry::Rig;
 use lsfb_recording::Provenance;
+use lsfb_types::Verdict;
 
 use super::calib_input::{Source, add_input, imu_of};
 use super::calib_result::Results;
@@ -86,19 +87,20 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let samples = imu_of(arguments.imu.as_deref(), recording.as_ref(), context)?;
     let found = imu_noise(&samples, &config)?;
     write(&arguments.out, found.to_html("IMU noise"))?;
-    if let Some(path) = &arguments.out_kalibr {
+    let judgement = found.judgement();
+    let is_usable = judgement.verdict() != Verdict::Fail;
+    if let Some(path) = arguments.out_kalibr.as_ref().filter(|_| is_usable) {
         let rate_hz = found.rate_hz.round();
         write(
             path,
             imu_to_kalibr(&found.rig_imu(), rate_hz, &arguments.topic),
         )?;
     }
-    if let Some((mut rig, path)) = rig {
+    if let Some((mut rig, path)) = rig.filter(|_| is_usable) {
         rig.set_imu_noise(found.rig_imu());
         write(path, rig.to_toml())?;
     }
     provenance.write(&arguments.out)?;
-    let judgement = found.judgement();
     let judged = Judged::new(&judgement, &found.summary(), &found);
     context.print(&judged, || {
         let mut text = format!("{}: {}", arguments.out.display(), judged.summary);
