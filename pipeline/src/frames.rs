@@ -34,7 +34,7 @@ pub(crate) struct ReadFrames {
 }
 
 /// Images of one trigger carry one time; this much apart is another.
-const SAME_INSTANT_NS: i64 = 2_000_000;
+pub(crate) const SAME_INSTANT_NS: i64 = 2_000_000;
 
 /// Images decoded at a time: enough for all threads, little enough to hold.
 const BATCH: usize = 32;
@@ -115,7 +115,12 @@ pub(crate) fn read_frames(
 }
 
 /// Refuses images of another size than the rig says: its intrinsics are not theirs.
-fn check_size(recording: &Recording, rig: &Rig, camera: &str, image: &Image) -> Result<(), Error> {
+pub(crate) fn check_size(
+    recording: &Recording,
+    rig: &Rig,
+    camera: &str,
+    image: &Image,
+) -> Result<(), Error> {
     let found_px = [image.width, image.height];
     let expected_px = rig
         .cameras

@@ -57,15 +57,22 @@ impl Covariance {
 /// Exact for any blocks, eliminated points included; the work is one factorization and one solve for each dimension
 /// asked for. Where the data does not determine the problem there is no covariance, and the error names a parameter.
 pub fn covariance(problem: &Problem, blocks: &[BlockId]) -> Result<Covariance, Error> {
-    let mut factored = Factored::new(problem, blocks)?;
-    let columns = factored.columns(problem, blocks);
-    let mut matrix = DMatrix::zeros(columns.dimension(), columns.dimension());
-    let mut solved = vec![0.0; factored.layout.dimension()];
-    for column in &columns.list {
-        factored.solve(column, &mut solved);
-        columns.fill(&mut matrix, column, &solved);
-    }
-    Ok(columns.covariance(blocks, matrix))
+    Ok(Factored::new(problem, blocks)?.covariance(problem, blocks))
+}
+
+/// [`covariance`] of each of several groups of blocks, by one factorization: what lies between groups is not computed, so that memory
+/// grows with the largest group alone. Before each group `each` is told how many are done; what it refuses with ends the work.
+pub fn covariance_of_groups<E: From<Error>>(
+    problem: &Problem,
+    groups: &[Vec<BlockId>],
+    mut each: impl FnMut(usize) -> Result<(), E>,
+) -> Result<Vec<Covariance>, E> {
+    let mut factored = Factored::new(problem, &groups.concat())?;
+    let groups = groups.iter().enumerate().map(|(done, blocks)| {
+        each(done)?;
+        Ok(factored.covariance(problem, blocks))
+    });
+    groups.collect()
 }
 
 /// The normal matrix at a problem's values, factored.
@@ -141,6 +148,18 @@ impl Factored {
             reduced,
             factorization,
         })
+    }
+
+    /// Joint covariance of some of the blocks that the factorization was made for.
+    fn covariance(&mut self, problem: &Problem, blocks: &[BlockId]) -> Covariance {
+        let columns = self.columns(problem, blocks);
+        let mut matrix = DMatrix::zeros(columns.dimension(), columns.dimension());
+        let mut solved = vec![0.0; self.layout.dimension()];
+        for column in &columns.list {
+            self.solve(column, &mut solved);
+            columns.fill(&mut matrix, column, &solved);
+        }
+        columns.covariance(blocks, matrix)
     }
 
     /// The dimensions of the blocks.

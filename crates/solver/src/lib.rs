@@ -30,7 +30,7 @@ mod residual;
 mod robust;
 
 pub use config::{Diagnosis, LinearSolver, Method, SolveConfig};
-pub use covariance::{Covariance, covariance};
+pub use covariance::{Covariance, covariance, covariance_of_groups};
 pub use dense_jacobian::{DenseJacobian, dense_jacobian};
 pub use error::Error;
 pub use incremental::{Incremental, IncrementalConfig, UpdateReport};

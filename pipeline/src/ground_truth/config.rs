@@ -3,9 +3,9 @@ use lsfb_solver::SolveConfig;
 use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
 
-use crate::features::SiftConfig;
 use crate::features::matching::MatchConfig;
 use crate::features::triangulation::TriangulationConfig;
+use crate::features::{LearnedConfig, SiftConfig};
 use crate::localization::LocalizerConfig;
 use crate::residuals::{CameraCorrection, entry};
 
@@ -15,6 +15,8 @@ use crate::residuals::{CameraCorrection, entry};
 pub struct GroundTruthConfig {
     /// Features of the walk's images; the map must have been made with the same.
     pub features: SiftConfig,
+    /// A network that finds features instead, where the map was made with one.
+    pub learned: Option<LearnedConfig>,
     /// Matching of features from image to image.
     pub matching: MatchConfig,
     /// Triangulation of local points.
@@ -92,6 +94,7 @@ impl Default for GroundTruthConfig {
     fn default() -> Self {
         Self {
             features: SiftConfig::default(),
+            learned: None,
             matching: MatchConfig::default(),
             triangulation: TriangulationConfig::default(),
             localization: LocalizerConfig::default(),
@@ -140,6 +143,7 @@ impl Default for GroundTruthConfig {
 lsfb_types::bounds! {
     GroundTruthConfig {
         features: section,
+        learned: any,
         matching: section,
         triangulation: section,
         localization: section,
@@ -179,7 +183,6 @@ lsfb_types::bounds! {
 }
 
 impl GroundTruthConfig {
-    /// Standard deviations of what the rig file says of a camera, entry by entry.
     /// The IMU's noise as the optimisation takes it.
     pub(super) fn inflated(&self, noise: &ImuNoiseModel) -> ImuNoiseModel {
         let factor = self.imu_noise_factor;
@@ -191,6 +194,7 @@ impl GroundTruthConfig {
         }
     }
 
+    /// Standard deviations of what the rig file says of a camera, entry by entry.
     pub(super) fn calibration_sigmas(&self) -> CameraCorrection {
         let mut sigmas = CameraCorrection::zeros();
         sigmas

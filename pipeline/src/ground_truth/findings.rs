@@ -118,6 +118,7 @@ impl LeftOutReason {
             Self::Contradicted => "contradicted",
             Self::MapPartsDisagree => "map-parts-disagree",
             Self::PointsAbsent => "points-absent",
+            Self::NotFollowed => "not-followed",
         }
     }
 
@@ -145,12 +146,17 @@ impl LeftOutReason {
                  that is built alike",
                 "map it as it is, or allow more if no other place looks like it",
             ),
+            Self::NotFollowed => (
+                "too few features could be followed in their images (min_sights)",
+                "light the place, keep the lenses free, and look at things with texture",
+            ),
         }
     }
 }
 
 impl CameraRefinement {
-    fn finding(&self) -> Finding {
+    /// What was found of it, where that is as the rig file says.
+    pub(super) fn finding(&self) -> Finding {
         let what = format!(
             "focal length {:+.3} ± {:.3} %, clock {:+.2} ± {:.2} ms, readout {:.2} ± {:.2} ms",
             self.focal_share * 1e2,

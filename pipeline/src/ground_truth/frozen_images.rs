@@ -37,7 +37,8 @@ pub(super) fn take_out(frames: &mut [FeatureFrame], imu: &[Stamped<ImuSample>]) 
     frozen
 }
 
-fn has_turned(imu: &[Stamped<ImuSample>], from: Timestamp, to: Timestamp) -> bool {
+/// Whether the device was turned between two instants.
+pub(super) fn has_turned(imu: &[Stamped<ImuSample>], from: Timestamp, to: Timestamp) -> bool {
     let first = imu.partition_point(|s| s.time < from);
     let end = imu.partition_point(|s| s.time <= to);
     let mut between = imu[first..end.max(first)].iter();

@@ -44,9 +44,10 @@ pub use report::{
     CameraRefinement, GroundTruthReport, GroundTruthWarning, LeftOutReason, ReprojectionErrors,
     Span,
 };
-pub use run::ground_truth;
+pub use run::{RecordedWalk, ground_truth, ground_truth_of};
 pub use without_map::{
-    Beginning, FrontEnd, Motion, Sight, TrackedFrame, TrackedWalk, motion_without_map,
+    Beginning, FrontEnd, Motion, MotionConfig, MotionReport, RecordedMotion, Sight, TrackedFrame,
+    TrackedWalk, motion_of_recording, motion_without_map,
 };
 
 use crate::Error;

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use lsfb_geometry::{Matrix3, Matrix6, Vector3};
-use lsfb_solver::{Kernel, PosePrior, Problem, Report, VectorPrior};
+use lsfb_solver::{Block, Kernel, PosePrior, Problem, Report, VectorPrior};
 use lsfb_types::ProgressFn;
 
 use super::GroundTruthConfig;
@@ -94,8 +94,98 @@ impl Anchor {
     }
 }
 
-/// Minimises eq. (5) over all states, local points and what is not exactly known of the cameras: fixed points of the HD map,
-/// local points, preintegrated IMU; where no map is seen, the anchor's first state. Rows are seen from where the rig was by the motion of `before`.
+/// The problem of eq. (5) at an estimate.
+pub(super) struct Adjustment {
+    pub problem: Problem,
+    /// One for each camera.
+    pub corrections: Vec<Block<CameraCorrection>>,
+    /// One for each frame.
+    pub states: Vec<StateBlocks>,
+    /// Beside the points; `None` for one that nothing determines.
+    pub points: Vec<Option<Block<Vector3<f64>>>>,
+}
+
+impl Adjustment {
+    /// Over all states, local points and what is not exactly known of the cameras: fixed points of the HD map, local points,
+    /// preintegrated IMU; where no map is seen, the anchor's first state. Rows are seen from where the rig was by the motion of
+    /// `before`.
+    pub fn of(
+        walk: &Walk,
+        before: &Estimate,
+        points: &[LocalPoint],
+        anchor: Option<&Anchor>,
+        config: &GroundTruthConfig,
+    ) -> Result<Self, Error> {
+        let kernel = Kernel::Cauchy {
+            scale: config.kernel_scale,
+        };
+        let mut problem = Problem::new();
+        let corrections = before
+            .corrections
+            .iter()
+            .map(|correction| {
+                let block = problem.add_block(*correction);
+                let prior =
+                    VectorPrior::new(CameraCorrection::zeros(), config.calibration_sigmas());
+                problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
+                Ok(block)
+            })
+            .collect::<Result<Vec<_>, Error>>()?;
+        let states: Vec<StateBlocks> = before
+            .states
+            .iter()
+            .map(|state| StateBlocks::add(&mut problem, state))
+            .collect();
+        for (k, (frame, state)) in walk.frames.iter().zip(&states).enumerate() {
+            for seen in &frame.fixed {
+                let residual = FixedPointReprojection {
+                    camera: walk.cameras[seen.camera].clone(),
+                    motion: before.motions[k],
+                    point_in_world: seen.point_in_world,
+                    pixel: seen.pixel,
+                    sigma_px: config.map_sigma_px,
+                };
+                let blocks = [state.pose.id(), corrections[seen.camera].id()];
+                problem.add_residual(residual, &blocks, kernel)?;
+            }
+        }
+        let mut point_blocks = Vec::with_capacity(points.len());
+        for point in points {
+            if !point.is_determined() {
+                point_blocks.push(None);
+                continue;
+            }
+            let block = problem.add_eliminated_point(point.point_in_world);
+            point_blocks.push(Some(block));
+            for seen in point.observations.iter().filter(|seen| seen.used) {
+                let residual = MovingReprojection {
+                    camera: walk.cameras[seen.camera].clone(),
+                    motion: before.motions[seen.frame],
+                    pixel: seen.pixel,
+                    sigma_px: config.local_sigma_px,
+                };
+                let blocks = [
+                    states[seen.frame].pose.id(),
+                    corrections[seen.camera].id(),
+                    block.id(),
+                ];
+                problem.add_residual(residual, &blocks, kernel)?;
+            }
+        }
+        add_inertial_residuals(&mut problem, walk, 0, &states, config)?;
+        if let Some(anchor) = anchor {
+            anchor.hold(&mut problem, &before.states, &states)?;
+        }
+        Ok(Self {
+            problem,
+            corrections,
+            states,
+            points: point_blocks,
+        })
+    }
+}
+
+/// Minimises eq. (5), as [`Adjustment::of`] has it.
 pub(super) fn optimize(
     walk: &Walk,
     before: &Estimate,
@@ -104,75 +194,22 @@ pub(super) fn optimize(
     config: &GroundTruthConfig,
     progress: ProgressFn<'_>,
 ) -> Result<Optimized, Error> {
-    let kernel = Kernel::Cauchy {
-        scale: config.kernel_scale,
-    };
-    let mut problem = Problem::new();
-    let corrections = before
-        .corrections
-        .iter()
-        .map(|correction| {
-            let block = problem.add_block(*correction);
-            let prior = VectorPrior::new(CameraCorrection::zeros(), config.calibration_sigmas());
-            problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
-            Ok(block)
-        })
-        .collect::<Result<Vec<_>, Error>>()?;
-    let blocks: Vec<StateBlocks> = before
-        .states
-        .iter()
-        .map(|state| StateBlocks::add(&mut problem, state))
-        .collect();
-    for (k, (frame, state)) in walk.frames.iter().zip(&blocks).enumerate() {
-        for seen in &frame.fixed {
-            let residual = FixedPointReprojection {
-                camera: walk.cameras[seen.camera].clone(),
-                motion: before.motions[k],
-                point_in_world: seen.point_in_world,
-                pixel: seen.pixel,
-                sigma_px: config.map_sigma_px,
-            };
-            let blocks = [state.pose.id(), corrections[seen.camera].id()];
-            problem.add_residual(residual, &blocks, kernel)?;
-        }
-    }
-    let mut point_blocks = Vec::with_capacity(points.len());
-    for point in points {
-        if !point.is_determined() {
-            point_blocks.push(None);
-            continue;
-        }
-        let block = problem.add_eliminated_point(point.point_in_world);
-        point_blocks.push(Some(block));
-        for seen in point.observations.iter().filter(|seen| seen.used) {
-            let residual = MovingReprojection {
-                camera: walk.cameras[seen.camera].clone(),
-                motion: before.motions[seen.frame],
-                pixel: seen.pixel,
-                sigma_px: config.local_sigma_px,
-            };
-            let blocks = [
-                blocks[seen.frame].pose.id(),
-                corrections[seen.camera].id(),
-                block.id(),
-            ];
-            problem.add_residual(residual, &blocks, kernel)?;
-        }
-    }
-    add_inertial_residuals(&mut problem, walk, 0, &blocks, config)?;
-    if let Some(anchor) = anchor {
-        anchor.hold(&mut problem, &before.states, &blocks)?;
-    }
+    let Adjustment {
+        mut problem,
+        corrections,
+        states,
+        points: blocks,
+    } = Adjustment::of(walk, before, points, anchor, config)?;
     let report = solve_until_converged("bundle adjustment", &mut problem, &config.solve, progress)?;
     Ok(Optimized {
         estimate: Estimate::new(
             walk,
-            blocks.iter().map(|b| b.read(&problem)).collect(),
+            states.iter().map(|b| b.read(&problem)).collect(),
             corrections.iter().map(|c| problem.value(*c)).collect(),
         ),
         points: points
             .iter()
-            .zip(point_blocks)
+            .zip(blocks)
             .map(|(point, block)| LocalPoint {
                 point_in_world: block.map_or(point.point_in_world, |b| problem.value(b)),
                 observations: point.observations.clone(),

@@ -1,4 +1,3 @@
-use lsfb_geometry::Rig;
 use lsfb_solver::Termination;
 use lsfb_types::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -22,15 +21,18 @@ pub enum LeftOutReason {
     MapPartsDisagree,
     /// Much of what the map says should be in view there is not.
     PointsAbsent,
+    /// Without a map: too few features could be followed in its images, for too long.
+    NotFollowed,
 }
 
 impl LeftOutReason {
-    pub(super) const ALL: [Self; 5] = [
+    pub(super) const ALL: [Self; 6] = [
         Self::NotRecognised,
         Self::Uncertain,
         Self::Contradicted,
         Self::MapPartsDisagree,
         Self::PointsAbsent,
+        Self::NotFollowed,
     ];
 }
 
@@ -230,21 +232,21 @@ pub struct CameraRefinement {
     pub largest_sigmas: f64,
 }
 
-pub(super) fn refinements(
-    rig: &Rig,
+pub(super) fn refinements<'a>(
+    names: impl Iterator<Item = &'a str>,
     estimate: &Estimate,
     deviations: &[CameraCorrection],
     config: &GroundTruthConfig,
 ) -> Vec<CameraRefinement> {
     let found = estimate.corrections.iter().zip(&estimate.cameras);
-    let named = rig.cameras.keys().zip(found.zip(deviations));
+    let named = names.zip(found.zip(deviations));
     named
         .map(|(name, ((correction, camera), deviation))| {
             let three = |from: usize| [0, 1, 2].map(|k| correction[from + k]);
             let mut sigmas = correction.component_div(&config.calibration_sigmas());
             sigmas[entry::READOUT] = 0.0;
             CameraRefinement {
-                camera: name.clone(),
+                camera: name.to_owned(),
                 turn_deg: three(entry::TURN).map(f64::to_degrees),
                 shift_m: three(entry::SHIFT),
                 focal_share: correction[entry::FOCAL],

@@ -1,11 +1,12 @@
 //! The stage as a whole: a recording and a map in, a trajectory out.
 
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use lsfb_geometry::Trajectory;
+use lsfb_geometry::{ImuNoiseModel, Rig, Trajectory};
 use lsfb_perception::statistics::median;
 use lsfb_recording::Recording;
-use lsfb_types::ProgressFn;
+use lsfb_types::{ImuSample, ProgressFn, Stamped};
 
 use super::cross_check::check_halves;
 use super::frozen_images;
@@ -21,15 +22,77 @@ use super::{
     solve_walk,
 };
 use crate::Error;
-use crate::features::FeatureDetector;
-use crate::frames::{FeatureFrame, read_frames, read_imu};
+use crate::features::{Feature, FeatureDetector};
+use crate::frames::{FeatureFrame, ReadFrames, read_frames, read_imu};
 use crate::hd_map::HdMap;
 use crate::localization::{Localization, Localizer, localize_frames};
 use crate::residuals::MovingCamera;
 
+/// What a walk's images and its IMU hold, read once: it can be solved in several maps, or in parts of one.
+pub struct RecordedWalk {
+    path: PathBuf,
+    rig: Rig,
+    noise: ImuNoiseModel,
+    imu: Vec<Stamped<ImuSample>>,
+    damaged_samples: u64,
+    read: ReadFrames,
+    frozen: u64,
+    feature: Feature,
+}
+
+impl RecordedWalk {
+    /// Reads samples and images, and finds the features that the settings name.
+    ///
+    /// [`Error::SensorMissing`] without cameras or IMU.
+    pub fn read(
+        recording: &Recording,
+        config: &GroundTruthConfig,
+        progress: ProgressFn<'_>,
+    ) -> Result<Self, Error> {
+        config.check_bounds("ground_truth")?;
+        let rig = recording.rig()?;
+        let missing = |sensor| Error::SensorMissing {
+            sensor,
+            rig: rig.name.clone(),
+        };
+        let noise = rig.imu_noise().ok_or_else(|| missing("IMU"))?.clone();
+        if rig.cameras.is_empty() {
+            return Err(missing("camera"));
+        }
+        let (imu, damaged_samples) = read_imu(recording)?;
+        if imu.is_empty() {
+            return Err(missing("IMU"));
+        }
+        let detector = FeatureDetector::new(&config.features, config.learned.as_ref())?;
+        let mut read = read_frames(recording, &rig, &detector, progress)?;
+        let frozen = frozen_images::take_out(&mut read.frames, &imu);
+        Ok(Self {
+            path: recording.path().to_owned(),
+            noise,
+            rig,
+            imu,
+            damaged_samples,
+            read,
+            frozen,
+            feature: detector.feature(),
+        })
+    }
+}
+
+/// Refuses maps in which no walk is to be solved: those that failed when they were made, and those of other features.
+fn check_map(map: &HdMap, feature: &Feature, config: &GroundTruthConfig) -> Result<(), Error> {
+    if !map.failures().is_empty() && !config.accept_failed_map {
+        return Err(Error::FailedMap {
+            failures: map.failures().to_vec(),
+        });
+    }
+    map.expect_feature(feature)
+}
+
 /// Where the device was at each of its images, in the world of the map.
 ///
-/// [`Error::FailedMap`] of a map that failed when it was made; [`Error::NotLocalized`] where too few images show the map; [`Error::SensorMissing`] without cameras or IMU.
+/// [`Error::FailedMap`] of a map that failed when it was made; [`Error::WrongFeature`] of one with other features than the settings name;
+/// [`Error::NotLocalized`] where too few images show the map; [`Error::SensorMissing`] without cameras or IMU.
 pub fn ground_truth(
     recording: &Recording,
     map: &HdMap,
@@ -37,38 +100,38 @@ pub fn ground_truth(
     progress: ProgressFn<'_>,
 ) -> Result<GroundTruth, Error> {
     config.check_bounds("ground_truth")?;
-    if !map.failures().is_empty() && !config.accept_failed_map {
-        return Err(Error::FailedMap {
-            failures: map.failures().to_vec(),
-        });
-    }
-    let rig = recording.rig()?;
-    let missing = |sensor| Error::SensorMissing {
-        sensor,
-        rig: rig.name.clone(),
+    let wanted = match &config.learned {
+        Some(learned) => Feature::Learned(learned.feature.clone()),
+        None => Feature::Sift,
     };
-    let noise = rig.imu_noise().ok_or_else(|| missing("IMU"))?;
-    if rig.cameras.is_empty() {
-        return Err(missing("camera"));
-    }
-    let (imu, damaged_samples) = read_imu(recording)?;
-    if imu.is_empty() {
-        return Err(missing("IMU"));
-    }
-    let detector = FeatureDetector::sift(&config.features)?;
-    map.expect_feature(&detector.feature())?;
-    let mut read = read_frames(recording, &rig, &detector, progress)?;
-    let frozen = frozen_images::take_out(&mut read.frames, &imu);
+    // Before images are read: that takes a while.
+    check_map(map, &wanted, config)?;
+    let recorded = RecordedWalk::read(recording, config, progress)?;
+    ground_truth_of(&recorded, map, config, progress)
+}
+
+/// [`ground_truth`] of a walk that was read before, with the same features.
+pub fn ground_truth_of(
+    recorded: &RecordedWalk,
+    map: &HdMap,
+    config: &GroundTruthConfig,
+    progress: ProgressFn<'_>,
+) -> Result<GroundTruth, Error> {
+    config.check_bounds("ground_truth")?;
+    check_map(map, &recorded.feature, config)?;
+    let RecordedWalk {
+        path, rig, read, ..
+    } = recorded;
     let localizer = Localizer::new(map, &config.localization)?;
     let localized: Vec<Option<Localization>> =
-        localize_frames(&localizer, &read.frames, &rig, progress)?
+        localize_frames(&localizer, &read.frames, rig, progress)?
             .into_iter()
             .map(Result::ok)
             .collect();
     let count = localized.iter().flatten().count();
     if count < config.min_localized_frames {
         return Err(Error::NotLocalized {
-            path: recording.path().to_owned(),
+            path: path.clone(),
             frames: read.frames.len(),
             localized: count,
             needed: config.min_localized_frames,
@@ -88,12 +151,12 @@ pub fn ground_truth(
     let mut walk = Walk {
         cameras: rig.cameras.values().map(MovingCamera::new).collect(),
         frames,
-        imu,
-        noise: config.inflated(noise),
+        imu: recorded.imu.clone(),
+        noise: config.inflated(&recorded.noise),
         point_covariances_m2,
     };
     let start = start_states(&walk, config, progress)?;
-    let start = accepted(start, count, recording, config)?;
+    let start = accepted(start, count, path, config)?;
     let solved = solve_walk(&mut walk, &start, &features, config, progress)?;
     let (estimate, points) = (&solved.last.estimate, &solved.last.points);
     let uncertainty = uncertainty(&walk, estimate, points, config, progress)?;
@@ -118,7 +181,7 @@ pub fn ground_truth(
     let whole = InView::of_walk(&in_view);
     let (certain, absent) = (whole.certain(), whole.absent);
     if trusted.poses.is_empty() {
-        let (path, frames) = (recording.path().to_owned(), walk.frames.len());
+        let (path, frames) = (path.clone(), walk.frames.len());
         return Err(match trusted.main_reason() {
             Some(LeftOutReason::MapPartsDisagree) => Error::MapPartsDisagree {
                 path,
@@ -141,7 +204,8 @@ pub fn ground_truth(
     }
     let trajectory = Trajectory::new(trusted.poses.clone());
     let mut report = report(&walk, &solved, &trusted, &trajectory)?;
-    report.cameras = refinements(&rig, estimate, &uncertainty.corrections, config);
+    let names = rig.cameras.keys().map(String::as_str);
+    report.cameras = refinements(names, estimate, &uncertainty.corrections, config);
     report.frames = read.frames.len() as u64;
     report.features = read.frames.iter().map(FeatureFrame::feature_count).sum();
     report.localized = count as u64;
@@ -151,7 +215,7 @@ pub fn ground_truth(
     (report.points_in_view, report.points_absent) = (certain as u64, absent as u64);
     report.left_out.extend(out_of_reach(&read.frames, &range));
     report.left_out.sort_by_key(|span| span.from_ns);
-    report.warnings = warnings(&report, &read, frozen, damaged_samples);
+    report.warnings = warnings(&report, read, recorded.frozen, recorded.damaged_samples);
     report.warnings.extend(not_checked(&walk, &in_view));
     let failures = map.failures().iter();
     report
@@ -169,10 +233,10 @@ pub fn ground_truth(
 fn accepted(
     start: Option<Start>,
     localized: usize,
-    recording: &Recording,
+    path: &Path,
     config: &GroundTruthConfig,
 ) -> Result<Start, Error> {
-    let path = || recording.path().to_owned();
+    let path = || path.to_owned();
     let agreeing = start.as_ref().map_or(0, |start| start.accepted_count);
     let needed = config.min_agreeing_share * localized as f64;
     match start {

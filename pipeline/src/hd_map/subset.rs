@@ -1,6 +1,7 @@
 //! A part of a map.
 
 use lsfb_geometry::Vector3;
+use lsfb_perception::statistics::median;
 use lsfb_types::ProgressFn;
 
 use super::HdMap;
@@ -45,8 +46,43 @@ impl HdMap {
         index: &IndexConfig,
         progress: ProgressFn,
     ) -> Result<Self, Error> {
+        self.subset(|point| region.contains(point), index, progress)
+    }
+
+    /// What is left where some quadrants are withheld. Quadrants are those of the plane around the medians of x and y, of which each has
+    /// about a quarter of the points: counted from that of large x and y on, against the clock as seen from above. A map of which nothing
+    /// is left is an error.
+    pub fn without_quadrants(
+        &self,
+        withheld: &[usize],
+        index: &IndexConfig,
+        progress: ProgressFn,
+    ) -> Result<Self, Error> {
+        let middle = |axis: usize| median(self.positions().map(|p| p[axis]).collect());
+        let (Some(x), Some(y)) = (middle(0), middle(1)) else {
+            return Err(Error::EmptyRegion);
+        };
+        let quadrant = |point: &Vector3<f64>| match (point.x >= x, point.y >= y) {
+            (true, true) => 0,
+            (false, true) => 1,
+            (false, false) => 2,
+            (true, false) => 3,
+        };
+        self.subset(
+            |point| !withheld.contains(&quadrant(point)),
+            index,
+            progress,
+        )
+    }
+
+    fn subset(
+        &self,
+        keeps: impl Fn(&Vector3<f64>) -> bool,
+        index: &IndexConfig,
+        progress: ProgressFn,
+    ) -> Result<Self, Error> {
         let mut rows = self.rows();
-        rows.points.retain(|p| region.contains(&p.position));
+        rows.points.retain(|p| keeps(&p.position));
         if rows.points.is_empty() {
             return Err(Error::EmptyRegion);
         }

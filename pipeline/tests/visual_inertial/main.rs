@@ -12,7 +12,7 @@ use lsfb_geometry::align::{Alignment, Scale, umeyama};
 use lsfb_geometry::{Se3, StampedPose, Trajectory, UnitQuaternion, Vector3};
 use lsfb_pipeline::Error;
 use lsfb_pipeline::ground_truth::{
-    Beginning, GroundTruthConfig, Motion, TrackedWalk, motion_without_map,
+    Beginning, Motion, MotionConfig, TrackedWalk, motion_without_map,
 };
 use lsfb_pipeline::preintegration::{ImuBias, NavState};
 use lsfb_types::{ImuSample, no_progress};
@@ -30,10 +30,10 @@ fn recording(test: &str, name: &str) -> Option<PathBuf> {
 }
 
 fn solved(walk: &TrackedWalk, start: Option<Vec<(NavState, ImuBias)>>) -> Motion {
-    let mut config = GroundTruthConfig::default();
+    let mut config = MotionConfig::default();
     if start.is_some() {
         // Keyframes of a map are rare and see each point seldom: all of them count.
-        config.local_points_per_image = 1000;
+        config.adjustment.local_points_per_image = 1000;
     }
     motion_without_map(walk, start, &config, &no_progress).expect("a motion")
 }
@@ -218,12 +218,12 @@ fn tracks_and_samples_that_contradict_each_other_begin_nothing() {
     let spoilt = |spoil: &dyn Fn(&mut TrackedWalk)| {
         let mut walk = whole.clone();
         spoil(&mut walk);
-        motion_without_map(&walk, None, &GroundTruthConfig::default(), &no_progress)
+        motion_without_map(&walk, None, &MotionConfig::default(), &no_progress)
     };
     let right = spoilt(&|_| {}).expect("a motion");
     println!(
         "as it is: {:.3} contradicted, {:.1?}",
-        right.contradicted_share, right.cameras_off_sigmas
+        right.contradicted_share, right.cameras[0].largest_sigmas
     );
     let samples = |change: fn(&mut ImuSample)| {
         spoilt(&|walk| walk.imu.iter_mut().for_each(|s| change(&mut s.sample)))
@@ -256,10 +256,10 @@ fn tracks_and_samples_that_contradict_each_other_begin_nothing() {
         walk.cameras[0].rig_from_camera.rotation *= turn;
     });
     for (what, found) in [("50 ms late", late), ("turned by 3°", turned)] {
-        let off = found.expect("a motion").cameras_off_sigmas;
+        let off = found.expect("a motion").cameras[0].largest_sigmas;
         println!("{what}: the camera is {off:.1?} standard deviations off");
         assert!(
-            off[0] > 10.0 && off[0] > 2.0 * right.cameras_off_sigmas[0],
+            off > 10.0 && off > 2.0 * right.cameras[0].largest_sigmas,
             "{what}: {off:?}"
         );
     }

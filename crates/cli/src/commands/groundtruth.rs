@@ -12,6 +12,7 @@ use lsfb_recording::{Provenance, read_tum, write_tum};
 use lsfb_types::Judgement;
 
 use super::covariance_file;
+use super::models::ModelFolder;
 use crate::context::Context;
 use crate::files;
 use crate::judged::{Judged, problem_lines};
@@ -48,6 +49,8 @@ pub struct Arguments {
     /// Settings instead of the defaults.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
+    #[command(flatten)]
+    models: ModelFolder,
 }
 
 /// Computes, writes, prints.
@@ -58,6 +61,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         map: &arguments.map,
         out: &arguments.out,
         config: &config,
+        models: &arguments.models,
     };
     let found = job.compute(context, |result| {
         context.claim(result, &[&arguments.recording])
@@ -98,6 +102,8 @@ pub struct WalkJob<'a> {
     pub map: &'a Path,
     pub out: &'a Path,
     pub config: &'a GroundTruthConfig,
+    /// Weights for maps of learned features.
+    pub models: &'a ModelFolder,
 }
 
 impl WalkJob<'_> {
@@ -109,7 +115,12 @@ impl WalkJob<'_> {
         claim: impl Fn(&Path) -> anyhow::Result<()>,
     ) -> anyhow::Result<WrittenTrajectory> {
         let (walk, hd_map) = (context.open(self.recording)?, super::open_map(self.map)?);
-        let mut provenance = Provenance::new(self.config);
+        let learned = self.models.learned(hd_map.feature())?;
+        let config = GroundTruthConfig {
+            learned: learned.or_else(|| self.config.learned.clone()),
+            ..self.config.clone()
+        };
+        let mut provenance = Provenance::new(&config);
         provenance.add_input(self.recording)?;
         provenance.add_rig(&super::about(self.recording, walk.rig())?);
         // The map's header has the hashes of its other files.
@@ -128,7 +139,7 @@ impl WalkJob<'_> {
         claim(&cross_check)?;
         let found = super::about(
             self.recording,
-            ground_truth(&walk, &hd_map, self.config, &|p| context.show(p)),
+            ground_truth(&walk, &hd_map, &config, &|p| context.show(p)),
         )?;
         standing::forget(&[self.out])?;
         write_tum(self.out, &found.trajectory)?;

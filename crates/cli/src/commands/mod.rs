@@ -43,6 +43,7 @@ pub mod sim;
 pub mod survey;
 #[cfg(feature = "view")]
 pub mod view;
+pub mod vio;
 
 use std::path::Path;
 

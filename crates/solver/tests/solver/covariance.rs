@@ -2,7 +2,9 @@
 
 use lsfb_problems::bal::{BalProblem, parse};
 use lsfb_problems::gauge::{hold_gauge, solve_to_the_last_bit};
-use lsfb_solver::{BlockId, Error, Kernel, SolveConfig, covariance, dense_jacobian, solve};
+use lsfb_solver::{
+    BlockId, Error, Kernel, SolveConfig, covariance, covariance_of_groups, dense_jacobian, solve,
+};
 use nalgebra::DMatrix;
 
 use crate::bal::ladybug;
@@ -52,6 +54,32 @@ fn covariances_are_blocks_of_the_dense_inverse() {
         }
     }
     assert!(found.between(bal.cameras[0].id(), chosen[0]).is_none());
+}
+
+/// Groups, one block in two of them, are what each is alone; and work that is refused ends.
+#[test]
+fn groups_have_the_covariances_that_they_have_alone() {
+    let mut bal = scattered(4, 40);
+    hold_gauge(&mut bal, 3).expect("cameras have poses");
+    solve(&mut bal.problem, &SolveConfig::default()).expect("solves");
+    let [a, b, c] = [bal.cameras[2].id(), bal.points[7].id(), bal.cameras[1].id()];
+    let groups = [vec![a, b], vec![c, a]];
+    let mut told = Vec::new();
+    let found = covariance_of_groups(&bal.problem, &groups, |done| {
+        told.push(done);
+        Ok::<(), Error>(())
+    });
+    let found = found.expect("determined");
+    assert_eq!(told, [0, 1]);
+    for (found, group) in found.iter().zip(&groups) {
+        assert_eq!(*found, covariance(&bal.problem, group).expect("determined"));
+    }
+    let stopped = Error::UnknownBlock {
+        block: 7,
+        blocks: 7,
+    };
+    let refused = covariance_of_groups(&bal.problem, &groups, |_| Err(stopped.clone()));
+    assert_eq!(refused, Err(stopped));
 }
 
 /// What `benches/solver/ceres_bal FILE sparse analytic covariance` prints after its headings: translation, focal length, k1,

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use lsfb_solver::SolveConfig;
-use lsfb_types::ProgressFn;
+use lsfb_types::{Progress, ProgressFn};
 
 use super::LARGEST_CONTRADICTED_SHARE;
 use super::sights::Tracks;
@@ -31,6 +31,14 @@ const SETTLED: usize = 1000;
 /// A beginning is sound where it places this many points, and sees them this well.
 const FEWEST_POINTS: usize = 15;
 const LARGEST_ERROR_PX: f64 = 2.0;
+
+/// A whole walk, settled.
+pub(super) struct Settled {
+    /// The last solve.
+    pub last: Optimized,
+    /// What held it.
+    pub anchor: Anchor,
+}
 
 /// States of a stretch of the walk.
 pub(super) struct Extension<'a> {
@@ -96,20 +104,30 @@ impl<'a> Extension<'a> {
             },
             ..config.clone()
         };
+        let total = self.walk.frames.len() as u64;
+        // Solves on the way are many and short: what counts is how many frames are known.
+        let known = |done: usize| {
+            progress(Progress {
+                stage: "motion",
+                done: done as u64,
+                total,
+            })
+        };
         let mut settled = self.states.len();
         while self.end() < self.walk.frames.len() {
-            let known = self.end();
+            let (last, done) = (self.end(), self.states.len());
             self.add_after()?;
-            let oldest = self.frame_before(known, MEMORY_SECS);
-            self.settle(oldest..self.end(), &on_the_way, progress)?;
+            let oldest = self.frame_before(last, MEMORY_SECS);
+            self.settle(oldest..self.end(), &on_the_way, &|_| known(done))?;
             if self.states.len() as f64 >= GROWTH * settled as f64 {
-                self.settle_all(&on_the_way, progress)?;
+                self.settle_all(&on_the_way, &|_| known(done))?;
                 settled = self.states.len();
             }
         }
         while self.first > 0 {
+            let done = self.states.len();
             self.add_before()?;
-            self.settle_all(&on_the_way, progress)?;
+            self.settle_all(&on_the_way, &|_| known(done))?;
         }
         Ok(())
     }
@@ -119,7 +137,7 @@ impl<'a> Extension<'a> {
         mut self,
         config: &GroundTruthConfig,
         progress: ProgressFn<'_>,
-    ) -> Result<Optimized, Error> {
+    ) -> Result<Settled, Error> {
         let mut last = self.settle_all(config, progress)?;
         for _ in 0..ROUNDS {
             let changed = self.solve_again(&mut last, config, progress)?;
@@ -127,7 +145,18 @@ impl<'a> Extension<'a> {
                 break;
             }
         }
-        Ok(last)
+        Ok(Settled {
+            last,
+            anchor: self.anchor(),
+        })
+    }
+
+    /// What holds all of the frames.
+    fn anchor(&self) -> Anchor {
+        Anchor {
+            is_known: false,
+            resting: self.resting,
+        }
     }
 
     fn end(&self) -> usize {
@@ -203,7 +232,7 @@ impl<'a> Extension<'a> {
         self.settle(self.first..self.end(), config, progress)
     }
 
-    /// Solves some frames; all of them twice: points are placed anew by what the first solve finds.
+    /// Solves some frames; those from the first on twice: points are placed anew by what the first solve finds.
     fn settle(
         &mut self,
         frames: Range<usize>,
@@ -216,19 +245,19 @@ impl<'a> Extension<'a> {
             is_known: from > 0,
             resting: self.resting.saturating_sub(from),
         };
-        let mut before = Estimate::of_states(&walk, self.states[from..to].to_vec());
-        let mut solved = None;
-        for _ in 0..if from == 0 { 2 } else { 1 } {
-            let mut points = self.tracks.locate(&before, frames.clone(), config);
-            choose_observations(&mut walk, &before, &mut points, config);
-            let next = optimize(&walk, &before, &points, Some(&anchor), config, progress)?;
-            before = next.estimate.clone();
-            solved = Some(next);
+        let begin = Estimate::of_states(&walk, self.states[from..to].to_vec());
+        let tracks = self.tracks;
+        let mut settle_once = |before: &Estimate| {
+            let mut points = tracks.locate(before, frames.clone(), config);
+            choose_observations(&mut walk, before, &mut points, config);
+            optimize(&walk, before, &points, Some(&anchor), config, progress)
+        };
+        let mut solved = settle_once(&begin)?;
+        if from == 0 {
+            solved = settle_once(&solved.estimate)?;
         }
-        self.states[from..to].copy_from_slice(&before.states);
-        solved.ok_or(Error::NoBeginning {
-            frames: walk.frames.len(),
-        })
+        self.states[from..to].copy_from_slice(&solved.estimate.states);
+        Ok(solved)
     }
 
     /// Chooses observations by the last solve and solves again; returns how many came or went.
@@ -241,11 +270,7 @@ impl<'a> Extension<'a> {
         let mut walk = self.part(&(self.first..self.end()));
         let changed = choose_observations(&mut walk, &last.estimate, &mut last.points, config);
         if changed > 0 {
-            let anchor = Anchor {
-                is_known: false,
-                resting: self.resting,
-            };
-            let (estimate, points) = (&last.estimate, &last.points);
+            let (anchor, estimate, points) = (self.anchor(), &last.estimate, &last.points);
             *last = optimize(&walk, estimate, points, Some(&anchor), config, progress)?;
         }
         Ok(changed)

@@ -5,26 +5,35 @@
 //! a time, and the same adjustment as with a map, less its points, settles all of them ([`extension`]). The world is level; its origin and
 //! heading are those of the first frame of the beginning.
 
+mod config;
 mod extension;
 mod front_end;
 mod gyro_bias;
 mod moving;
+mod recorded;
+mod report;
 mod sights;
 mod standing;
+mod uncertainty;
 
-use lsfb_geometry::{ImuNoiseModel, RigCamera, StampedPose, Trajectory, Vector2, Vector3};
+use lsfb_geometry::{ImuNoiseModel, Matrix6, RigCamera, StampedPose, Trajectory, Vector2, Vector3};
 use lsfb_types::{ImuSample, ProgressFn, Stamped, Timestamp};
+use serde::{Deserialize, Serialize};
 
 use super::GroundTruthConfig;
 use super::estimate::Estimate;
-use super::report::{ReprojectionErrors, local_errors};
+use super::report::{CameraRefinement, ReprojectionErrors, local_errors, refinements};
 use super::walk::{Frame, FrameState, LocalPoint, Walk};
 use crate::Error;
 use crate::preintegration::{ImuBias, NavState};
-use crate::residuals::{CameraCorrection, MovingCamera};
+use crate::residuals::MovingCamera;
+pub use config::MotionConfig;
 use extension::Extension;
 pub use front_end::FrontEnd;
+pub use recorded::{RecordedMotion, motion_of_recording};
+pub use report::MotionReport;
 use sights::Tracks;
+use uncertainty::uncertainty;
 
 /// What a front end followed, and what the IMU felt.
 #[derive(Clone, Debug)]
@@ -60,7 +69,8 @@ pub struct Sight {
 }
 
 /// How the motion began.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Beginning {
     /// From states that were given.
     Given,
@@ -75,6 +85,11 @@ pub enum Beginning {
 pub struct Motion {
     /// Pose of the IMU at each frame.
     pub trajectory: Trajectory,
+    /// Covariance of each pose relative to that of [`Motion::first`], tangent `[rotation, translation]` on the right, rad² and m²: what the
+    /// adjustment leaves open of images, IMU and cameras. Corners that were followed wrongly all along are not in it.
+    pub covariances: Vec<Matrix6<f64>>,
+    /// The first frame that sees enough.
+    pub first: usize,
     /// Velocity at each frame, m/s in the world.
     pub velocities_m_s: Vec<Vector3<f64>>,
     /// Bias at each frame.
@@ -91,9 +106,9 @@ pub struct Motion {
     pub errors_before: Option<ReprojectionErrors>,
     /// Share of the sights of followed tracks that fit no point.
     pub contradicted_share: f64,
-    /// How far each camera had to be moved, turned, zoomed or set from what is stated of it, in the standard deviations that the settings
-    /// give these: beyond three it is not as stated, and the motion is bent.
-    pub cameras_off_sigmas: Vec<f64>,
+    /// How far each camera had to be moved, turned, zoomed or set from what is stated of it: beyond three of the standard deviations that
+    /// the settings give these it is not as stated, and the motion is bent. Their names are their numbers.
+    pub cameras: Vec<CameraRefinement>,
 }
 
 /// Largest share of the followed sights that may fit no point: up to 0.12 in motions that are right, 0.87 in one without a gyroscope.
@@ -105,10 +120,11 @@ const LARGEST_CONTRADICTED_SHARE: f64 = 0.4;
 pub fn motion_without_map(
     walk: &TrackedWalk,
     start: Option<Vec<(NavState, ImuBias)>>,
-    config: &GroundTruthConfig,
+    config: &MotionConfig,
     progress: ProgressFn<'_>,
 ) -> Result<Motion, Error> {
-    config.check_bounds("ground_truth")?;
+    config.check_bounds("motion")?;
+    let (min_sights, config) = (config.min_sights, &config.adjustment);
     let tracks = Tracks::of(walk);
     let inner = Walk {
         cameras: walk.cameras.iter().map(MovingCamera::new).collect(),
@@ -132,7 +148,8 @@ pub fn motion_without_map(
         _ => begin(&inner, &tracks, config, progress)?,
     };
     extension.extend(config, progress)?;
-    let solved = extension.finish(config, progress)?;
+    let settled = extension.finish(config, progress)?;
+    let solved = &settled.last;
     let frames = 0..walk.frames.len();
     let contradicted_share = tracks.contradicted_share(&solved.estimate, frames, config);
     if contradicted_share > LARGEST_CONTRADICTED_SHARE {
@@ -141,6 +158,12 @@ pub fn motion_without_map(
             limit: LARGEST_CONTRADICTED_SHARE,
         });
     }
+    let sights_in_use = in_use(&solved.points, walk.frames.len());
+    let sees_enough = |sights: &usize| *sights >= min_sights;
+    let first = sights_in_use.iter().position(sees_enough).unwrap_or(0);
+    let uncertainty = uncertainty(&inner, &settled, first, config, progress)?;
+    let numbers: Vec<String> = (0..walk.cameras.len()).map(|k| k.to_string()).collect();
+    let numbers = numbers.iter().map(String::as_str);
     let states = &solved.estimate.states;
     let poses = walk.frames.iter().zip(states);
     Ok(Motion {
@@ -152,23 +175,18 @@ pub fn motion_without_map(
                 })
                 .collect(),
         ),
+        covariances: uncertainty.poses,
+        first,
         velocities_m_s: states.iter().map(|s| s.nav.velocity_m_s).collect(),
         biases: states.iter().map(|s| s.bias).collect(),
-        sights_in_use: in_use(&solved.points, walk.frames.len()),
+        sights_in_use,
         beginning,
         points: solved.points.iter().filter(|p| p.is_determined()).count(),
         errors: local_errors(&solved.estimate, &solved.points),
         errors_before,
         contradicted_share,
-        cameras_off_sigmas: off_sigmas(&solved.estimate, config),
+        cameras: refinements(numbers, &solved.estimate, &uncertainty.corrections, config),
     })
-}
-
-fn off_sigmas(estimate: &Estimate, config: &GroundTruthConfig) -> Vec<f64> {
-    let sigmas = config.calibration_sigmas();
-    let of_cameras = estimate.corrections.iter();
-    let largest = |off: &CameraCorrection| off.component_div(&sigmas).amax();
-    of_cameras.map(largest).collect()
 }
 
 fn in_use(points: &[LocalPoint], frames: usize) -> Vec<usize> {

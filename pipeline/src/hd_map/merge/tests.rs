@@ -282,3 +282,31 @@ fn a_part_of_a_map_holds_what_saw_it() {
         .expect_err("empty");
     assert!(error.to_string().contains("lsfb map info"));
 }
+
+/// Each quadrant has about a quarter of the points, and what is withheld in one map is what is left in the other.
+#[test]
+fn quadrants_of_a_map_are_withheld() {
+    let map = Hall {
+        world: Se3::identity(),
+        along: 0..20,
+        focal_px: 400.0,
+    }
+    .map(|n| n);
+    let index = IndexConfig::default();
+    let left = |withheld: &[usize]| map.without_quadrants(withheld, &index, &no_progress);
+    let whole: Vec<_> = left(&[]).expect("all points").positions().collect();
+    assert!(whole.into_iter().eq(map.positions()));
+    let mut all = 0;
+    for quadrant in 0..4 {
+        let others: Vec<usize> = (0..4).filter(|k| *k != quadrant).collect();
+        let alone = left(&others).expect("a quarter");
+        let rest = left(&[quadrant]).expect("three quarters");
+        assert_eq!(alone.point_count() + rest.point_count(), map.point_count());
+        assert!(8 * alone.point_count() > map.point_count());
+        let mut of_both = alone.positions();
+        assert!(of_both.all(|p| rest.positions().all(|q| q != p)));
+        all += alone.point_count();
+    }
+    assert_eq!(all, map.point_count());
+    assert!(matches!(left(&[0, 1, 2, 3]), Err(Error::EmptyRegion)));
+}

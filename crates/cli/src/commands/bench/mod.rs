@@ -1,6 +1,7 @@
-//! `lsfb bench`: programs of others on sequences with ground truth and on growing bundle adjustment, places by Wi-Fi, our own programs in
-//! the twin, and there in the wrong place.
+//! `lsfb bench`: programs of others on sequences with ground truth and on growing bundle adjustment, places by Wi-Fi, our own programs
+//! with less and less of a map, in the twin, and there in the wrong place.
 
+mod ablation;
 mod ba;
 mod radio;
 mod serve;
@@ -12,9 +13,10 @@ use crate::context::Context;
 use crate::outcome::Outcome;
 
 /// Benchmark SLAM systems on sequences with ground truth, others' trajectories on a leaderboard, solvers on a problem that grows, and lsfb itself
-/// in simulated places.
+/// with parts of a map and in simulated places.
 ///
 /// Examples:
+///   lsfb bench ablation walk.mcap --map map --truth truth_walk.tum --out ablation
 ///   lsfb bench slam plan.toml --out bench
 ///   lsfb bench serve dataset --out board
 ///   lsfb bench twin --out trial --quick
@@ -30,6 +32,7 @@ pub struct Arguments {
 
 #[derive(clap::Subcommand)]
 enum What {
+    Ablation(ablation::Arguments),
     Ba(ba::Arguments),
     Radio(radio::Arguments),
     Serve(serve::Arguments),
@@ -41,6 +44,7 @@ enum What {
 /// Runs what was asked for.
 pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
     match &arguments.what {
+        What::Ablation(arguments) => ablation::run(arguments, context),
         What::Ba(arguments) => ba::run(arguments, context),
         What::Radio(arguments) => radio::run(arguments, context),
         What::Serve(arguments) => serve::run(arguments, context),

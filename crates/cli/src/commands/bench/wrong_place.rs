@@ -10,6 +10,7 @@ use serde::Serialize;
 
 use super::twin::{OTHER_FLOOR, WRONG_M, refusal};
 use crate::commands::groundtruth::WalkJob;
+use crate::commands::models::ModelFolder;
 use crate::context::Context;
 use crate::files;
 use crate::judged::{self, Judged};
@@ -150,6 +151,7 @@ fn placed(walk: &Path, place: &Path, out: &Path, context: &Context) -> anyhow::R
         map: &place.join("map"),
         out: &estimate,
         config: &GroundTruthConfig::default(),
+        models: &ModelFolder::new(None),
     };
     let mut run = Placed {
         walk: walk_name.join("/"),

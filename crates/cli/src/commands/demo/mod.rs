@@ -16,6 +16,7 @@ use serde::Serialize;
 
 use super::groundtruth::WalkJob;
 use super::map::MapJob;
+use super::models::ModelFolder;
 use crate::context::Context;
 use crate::existing::expect_free;
 use crate::memory::peak_rss_mb;
@@ -135,6 +136,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         map: &files.map,
         out: &files.walk_trajectory,
         config: &GroundTruthConfig::default(),
+        models: &ModelFolder::new(None),
     };
     let walk = walk_job.compute(context, replace)?;
     watch.lap("ground truth");

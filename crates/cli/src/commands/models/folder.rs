@@ -87,8 +87,17 @@ impl ModelFolder {
 
     /// What finds the features that a map holds.
     pub fn detector(&self, feature: &Feature) -> anyhow::Result<FeatureDetector> {
+        let learned = self.learned(feature)?;
+        Ok(FeatureDetector::new(
+            &SiftConfig::default(),
+            learned.as_ref(),
+        )?)
+    }
+
+    /// The weights of the network that finds the features of a map; `None` where these are SIFT's.
+    pub fn learned(&self, feature: &Feature) -> anyhow::Result<Option<LearnedConfig>> {
         let Feature::Learned(learned) = feature else {
-            return Ok(FeatureDetector::sift(&SiftConfig::default())?);
+            return Ok(None);
         };
         let folder = self.path()?;
         let name = file_name(&learned.model, &learned.weights_sha256);
@@ -99,8 +108,7 @@ impl ModelFolder {
              folder with --models",
             folder.display()
         );
-        let config = LearnedConfig::new(path, learned.clone());
-        Ok(FeatureDetector::new(&SiftConfig::default(), Some(&config))?)
+        Ok(Some(LearnedConfig::new(path, learned.clone())))
     }
 }
 

@@ -15,6 +15,7 @@ use super::rigs::Calibrated;
 use super::trial::{Condition, Light, Scanned, Walked};
 use crate::commands::groundtruth::WalkJob;
 use crate::commands::map::MapJob;
+use crate::commands::models::ModelFolder;
 use crate::context::{Context, sentence};
 use crate::simulated::Layout;
 use crate::twin_session::Wanted;
@@ -131,6 +132,7 @@ impl Session<'_> {
             map: &mapped.map,
             out: &estimate,
             config: &GroundTruthConfig::default(),
+            models: &ModelFolder::new(None),
         };
         let found = costs.of(TRUTH, |made| {
             job.compute(self.context, |_| {

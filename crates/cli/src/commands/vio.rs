@@ -1,0 +1,197 @@
+//! `lsfb vio`: a walk without a map → trajectory.
+
+use std::path::{Path, PathBuf};
+
+use lsfb_datasets::import::{ImportConfig, import};
+use lsfb_geometry::Rig;
+use lsfb_pipeline::ground_truth::{
+    Beginning, MotionConfig, MotionReport, RecordedMotion, motion_of_recording,
+};
+use lsfb_recording::{Provenance, write_tum};
+use lsfb_types::{Judgement, Verdict};
+
+use super::covariance_file;
+use crate::context::Context;
+use crate::files;
+use crate::judged::{Judged, problem_lines};
+use crate::outcome::Outcome;
+use crate::standing;
+
+/// Compute the motion of a walk from its images and its IMU alone, without a map.
+///
+/// Features are followed through the images of one camera or several; gravity, velocity and scale follow from a moment at rest or from the
+/// motion itself; then one adjustment over the whole walk. Poses are those of the IMU, ten a second, in a level world whose origin is the
+/// first of them. What is seen again after it was out of view is not recognised: drift grows with the way.
+///
+/// A walk is a recording, or a folder or file of another program that `lsfb import` reads, such as EuRoC's and TUM-VI's. It needs a rig
+/// with the cameras' places on the IMU and its noise: the recording's own, or --rig.
+///
+/// Beside the trajectory WALK.tum, WALK_covariance.txt has the poses with their covariance relative to the first, as `lsfb eval --align
+/// origin` reads it: 44 columns.
+///
+/// Stretches in which too little can be followed (darkness, a covered lens) have no poses; then the exit code is 3. A camera that is not
+/// where or as the rig says bends the motion: the finding camera-off names it, with exit code 4 where that is certain. Images and IMU that
+/// do not belong together are refused.
+///
+/// Examples:
+///   lsfb vio walk.mcap --out walk.tum
+///   lsfb vio walk.mcap --cameras cam0 --out mono.tum --json
+///   lsfb vio MH_01_easy/mav0 --out mh01.tum
+///   lsfb vio dataset-room1_512_16 --rig rig.toml --out room1.tum
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Arguments {
+    /// The walk: a recording, or what `lsfb import` reads.
+    #[arg(value_name = "MCAP|FOLDER")]
+    walk: PathBuf,
+    /// The trajectory to write.
+    #[arg(long, value_name = "TUM")]
+    out: PathBuf,
+    /// Cameras to use; by default all of the rig's.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    cameras: Vec<String>,
+    /// The device's rig, instead of the recording's own.
+    #[arg(long, value_name = "TOML")]
+    rig: Option<PathBuf>,
+    /// Settings instead of the defaults.
+    #[arg(long, value_name = "TOML")]
+    config: Option<PathBuf>,
+}
+
+/// What the file of covariances says of itself.
+const WHAT_IS_IN_IT: &str = "Relative to the first pose, which is exact. In it are errors of images, of the IMU, and of the cameras as far as the rig file may\n\
+     be wrong; that a feature was followed wrongly all along is not in it.";
+
+/// A recording made of another program's, for as long as it is read.
+struct Imported(PathBuf);
+
+impl Imported {
+    fn new(arguments: &Arguments, context: &Context) -> anyhow::Result<Self> {
+        let place = arguments.out.with_extension("imported.mcap");
+        context.claim(&place, &[&arguments.walk])?;
+        let config = ImportConfig {
+            rig: arguments.rig.as_deref().map(Rig::read).transpose()?,
+            ..ImportConfig::default()
+        };
+        let report = import(&arguments.walk, &place, &config, &|p| context.show(p))?;
+        let imported = Self(place);
+        for trajectory in &report.trajectories {
+            // They are others' results, and still stand in the source.
+            std::fs::remove_file(trajectory)?;
+        }
+        if report.unreadable() > 0 {
+            context.lose_data();
+            let count = report.unreadable();
+            context.say(&format!(
+                "warning: {}: {count} records cannot be read; `lsfb import` names them",
+                arguments.walk.display()
+            ));
+        }
+        Ok(imported)
+    }
+}
+
+impl Drop for Imported {
+    fn drop(&mut self) {
+        // It may be gone already; there is nobody to tell.
+        let _ = std::fs::remove_file(&self.0);
+    }
+}
+
+/// Follows, solves, writes, prints.
+pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
+    let config: MotionConfig = super::config_or_default(arguments.config.as_deref())?;
+    files::expect_file(&arguments.walk, "record one with `lsfb scan`")?;
+    let is_recording = arguments.walk.extension().is_some_and(|e| e == "mcap");
+    let imported = match is_recording {
+        true => None,
+        false => Some(Imported::new(arguments, context)?),
+    };
+    let place = imported.as_ref().map_or(&arguments.walk, |i| &i.0);
+    let recording = context.open(place)?;
+    let mut provenance = Provenance::new(&config);
+    super::calib_input::add_input(&mut provenance, &arguments.walk)?;
+    let rig = super::about(
+        place,
+        super::rig_for(&recording, arguments.rig.as_deref(), &mut provenance),
+    )?;
+    let rig = with_cameras(rig, &arguments.cameras)?;
+    provenance.add_rig(&rig);
+    let covariances = files::beside(&arguments.out, "covariance");
+    let report = match context.standing(&[&arguments.out], &provenance) {
+        Some(report) => report,
+        None => {
+            let mut read: Vec<&Path> = vec![&arguments.walk];
+            read.extend(arguments.rig.as_deref());
+            context.claim(&arguments.out, &read)?;
+            context.claim(&covariances, &read)?;
+            let found = super::about(
+                &arguments.walk,
+                motion_of_recording(&recording, &rig, &config, &|p| context.show(p)),
+            )?;
+            write(arguments, &covariances, &found, &provenance)?;
+            found.report
+        }
+    };
+    print(arguments, &report, context)
+}
+
+/// The rig with the cameras that were named, or with all of its own.
+fn with_cameras(mut rig: Rig, names: &[String]) -> anyhow::Result<Rig> {
+    for name in names {
+        anyhow::ensure!(
+            rig.cameras.contains_key(name),
+            "rig {} has no camera {name}: it has {}",
+            rig.name,
+            rig.cameras.keys().cloned().collect::<Vec<_>>().join(", ")
+        );
+    }
+    if !names.is_empty() {
+        rig.cameras.retain(|name, _| names.contains(name));
+    }
+    Ok(rig)
+}
+
+fn write(
+    arguments: &Arguments,
+    covariances: &Path,
+    found: &RecordedMotion,
+    provenance: &Provenance,
+) -> anyhow::Result<()> {
+    standing::forget(&[&arguments.out])?;
+    write_tum(&arguments.out, &found.trajectory)?;
+    let poses = found.trajectory.poses().iter().zip(&found.covariances);
+    files::write(covariances, covariance_file::text(WHAT_IS_IN_IT, poses))?;
+    provenance.write(&arguments.out)?;
+    let beside = [covariances.to_owned()];
+    standing::finish(&[&arguments.out], &beside, provenance, &found.report)
+}
+
+fn print(
+    arguments: &Arguments,
+    report: &MotionReport,
+    context: &Context,
+) -> anyhow::Result<Outcome> {
+    let judgement = Judgement::new(report.findings());
+    context.print(&Judged::new(&judgement, "the motion", report), || {
+        let begun = match report.beginning {
+            Beginning::Given => "from states that were given",
+            Beginning::Standing => "at rest",
+            Beginning::Moving => "in motion",
+        };
+        format!(
+            "{}: {} poses, begun {begun}, {:.2} m of path, {} points, reprojection {:.3} px rms\n{}",
+            arguments.out.display(),
+            report.poses,
+            report.path_length_m,
+            report.points,
+            report.errors.rms_px,
+            problem_lines(&judgement)
+        )
+    })?;
+    Ok(match (judgement.verdict(), report.is_whole()) {
+        (Verdict::Fail, _) => Outcome::JudgementFailed,
+        (_, false) => Outcome::DataLost,
+        _ => Outcome::Done,
+    })
+}

@@ -1,0 +1,208 @@
+//! `lsfb vio` on a hand-held pair of cameras of TUM VI (`LSFB_TEST_DATA`).
+
+mod answer;
+mod process;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use answer::json;
+use lsfb_geometry::camera::Lens;
+use lsfb_geometry::{
+    Camera, ImuNoiseModel, Matrix3, Rig, RigCamera, RigImu, Se3, UnitQuaternion, Vector3,
+};
+use lsfb_recording::read_tum;
+use process::lsfb;
+use serde_json::Value;
+
+/// Images that a part of the walk has: eight seconds.
+const IMAGES: usize = 160;
+
+fn recordings(test: &str, below: &str) -> Option<PathBuf> {
+    let path = lsfb_tests::recordings(test, &format!("vision/{below}"))?;
+    Some(path.canonicalize().expect("a path that exists"))
+}
+
+/// The walk's first seconds, of one camera, as a folder of TUM VI; `dark` of its images show nothing.
+fn part(walk: &Path, dark: std::ops::Range<usize>, folder: &Path) {
+    let (from, to) = (walk.join("mav0"), folder.join("walk/mav0"));
+    let images = to.join("cam0/data");
+    fs::create_dir_all(&images).expect("folder");
+    fs::create_dir_all(to.join("imu0")).expect("folder");
+    fs::copy(from.join("imu0/data.csv"), to.join("imu0/data.csv")).expect("samples");
+    let list = fs::read_to_string(from.join("cam0/data.csv")).expect("list of images");
+    let rows: Vec<&str> = list.lines().take(1 + IMAGES).collect();
+    let black = image::black(512, 512);
+    for (k, row) in rows[1..].iter().enumerate() {
+        let (_, name) = row.split_once(',').expect("two cells");
+        let place = images.join(name);
+        match dark.contains(&k) {
+            true => fs::write(&place, &black).expect("an image"),
+            false => std::os::unix::fs::symlink(from.join("cam0/data").join(name), &place)
+                .expect("an image"),
+        }
+    }
+    fs::write(to.join("cam0/data.csv"), rows.join("\n")).expect("list");
+}
+
+mod image {
+    /// A black image as PNG.
+    pub fn black(width: u32, height: u32) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, width, height);
+        encoder.set_color(png::ColorType::Grayscale);
+        let mut writer = encoder.write_header().expect("a head");
+        let pixels = vec![0; (width * height) as usize];
+        writer.write_image_data(&pixels).expect("pixels");
+        writer.finish().expect("an end");
+        bytes
+    }
+}
+
+/// The first camera's rig by the data set's own calibration, changed.
+fn write_rig(calibrated: &Path, change: impl Fn(&mut Rig), place: &Path) {
+    let text = fs::read_to_string(calibrated.join("reference_calibration.json")).expect("JSON");
+    let value: Value = serde_json::from_str(&text).expect("JSON");
+    let all = |value: &Value| -> Vec<f64> {
+        let numbers = value.as_array().expect("a list").iter();
+        numbers.map(|v| v.as_f64().expect("a number")).collect()
+    };
+    let camera = &value["cam0"];
+    let (f, k) = (all(&camera["intrinsics"]), all(&camera["k"]));
+    let rows = camera["T_cam_imu"].as_array().expect("rows");
+    let m: Vec<f64> = rows[..3].iter().flat_map(all).collect();
+    let rotation = Matrix3::new(m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]);
+    let camera_from_rig = Se3::new(
+        UnitQuaternion::from_matrix(&rotation),
+        Vector3::new(m[3], m[7], m[11]),
+    );
+    let noise = |name: &str| value["imu_noise"][name].as_f64().expect("a number");
+    let mut rig = Rig::empty("tumvi");
+    rig.imus.insert(
+        "imu0".to_owned(),
+        RigImu {
+            rig_from_imu: Se3::identity(),
+            noise: ImuNoiseModel {
+                gyro_noise_density: noise("gyro_density"),
+                accel_noise_density: noise("acc_density"),
+                gyro_bias_walk: noise("gyro_walk"),
+                accel_bias_walk: noise("acc_walk"),
+            },
+        },
+    );
+    rig.cameras.insert(
+        "cam0".to_owned(),
+        RigCamera {
+            camera: Camera {
+                width: 512,
+                height: 512,
+                lens: Lens::KannalaBrandt {
+                    focal_px: [f[0], f[1]],
+                    principal_px: [f[2], f[3]],
+                    distortion: [k[0], k[1], k[2], k[3]],
+                },
+            },
+            rig_from_camera: camera_from_rig.inverse(),
+            timing: Default::default(),
+        },
+    );
+    change(&mut rig);
+    fs::write(place, rig.to_toml()).expect("rig");
+}
+
+fn finding<'a>(judged: &'a Value, code: &str) -> &'a Value {
+    let findings = judged["findings"].as_array().expect("findings");
+    let found = findings.iter().find(|f| f["code"] == code);
+    found.unwrap_or_else(|| panic!("no {code} in {findings:?}"))
+}
+
+/// A folder of TUM VI becomes a trajectory; two seconds of darkness in it are left out, said, and not bridged.
+#[test]
+fn a_walk_has_poses_but_where_it_was_dark() {
+    let test = "a_walk_has_poses_but_where_it_was_dark";
+    let (Some(walk), Some(calibrated)) = (
+        recordings(test, "tumvi_calib_imu1_next"),
+        recordings(test, "tumvi_calib_imu1"),
+    ) else {
+        return;
+    };
+    let folder = tempfile::tempdir().expect("folder");
+    let at = folder.path();
+    let dark = 80..120;
+    part(&walk, dark.clone(), at);
+    write_rig(&calibrated, |_| {}, &at.join("rig.toml"));
+    let arguments = ["vio", "walk", "--rig", "rig.toml", "--out", "walk.tum"];
+    let said = json(at, &arguments, 3);
+    assert_eq!(said["verdict"], "warn");
+    let left_out = finding(&said, "not-followed");
+    let secs = left_out["value"].as_f64().expect("seconds");
+    assert!((1.7..2.4).contains(&secs), "{left_out}");
+    let list = fs::read_to_string(at.join("walk/mav0/cam0/data.csv")).expect("list");
+    let stamp = |k: usize| -> i64 {
+        let row = list.lines().nth(1 + k).expect("a row");
+        row.split(',').next().expect("a stamp").parse().expect("ns")
+    };
+    let (from, to) = (stamp(dark.start), stamp(dark.end - 1));
+    let found = read_tum(&at.join("walk.tum")).expect("a trajectory");
+    let within = found.poses().iter().map(|p| p.time.nanos());
+    assert!(within.clone().all(|ns| ns < from || ns > to));
+    assert!(within.clone().any(|ns| ns < from) && within.clone().any(|ns| ns > to));
+    // What it says of its errors is true, also behind the darkness.
+    let truth = walk.join("mav0/mocap0/data.csv");
+    let truth = truth.to_str().expect("UTF-8");
+    let judge = ["eval", "walk_covariance.txt", "--truth", truth, "--align", "origin"];
+    let judged = json(at, &judge, 0);
+    let within_95 = judged["consistency"]["translation_within_95"].as_f64();
+    assert!(within_95.expect("covariances") > 0.9, "{judged}");
+    // Nothing but the results is left.
+    assert!(!at.join("walk.imported.mcap").exists());
+    let again = lsfb(at, &arguments);
+    let again = String::from_utf8_lossy(&again.stderr).into_owned();
+    assert!(again.contains("up to date"), "{again}");
+}
+
+/// A camera that is not where the rig says fails the judgement; samples in other units are refused.
+#[test]
+fn a_rig_or_an_imu_that_is_not_as_stated_is_said() {
+    let test = "a_rig_or_an_imu_that_is_not_as_stated_is_said";
+    let (Some(walk), Some(calibrated)) = (
+        recordings(test, "tumvi_calib_imu1_next"),
+        recordings(test, "tumvi_calib_imu1"),
+    ) else {
+        return;
+    };
+    let folder = tempfile::tempdir().expect("folder");
+    let at = folder.path();
+    part(&walk, 0..0, at);
+    let turned = |rig: &mut Rig| {
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), 3f64.to_radians());
+        let camera = rig.cameras.get_mut("cam0").expect("cam0");
+        camera.rig_from_camera.rotation *= turn;
+    };
+    write_rig(&calibrated, turned, &at.join("turned.toml"));
+    let said = json(at, &["vio", "walk", "--rig", "turned.toml", "--out", "t.tum"], 4);
+    assert_eq!(said["verdict"], "fail");
+    let off = finding(&said, "camera-off");
+    assert_eq!((&off["where"], &off["verdict"]), (&"cam0".into(), &"fail".into()));
+    assert!(off["value"].as_f64().expect("σ") > 10.0, "{off}");
+
+    write_rig(&calibrated, |_| {}, &at.join("rig.toml"));
+    let samples = at.join("walk/mav0/imu0/data.csv");
+    let text = fs::read_to_string(&samples).expect("samples");
+    let in_degrees = text.lines().map(|line| {
+        let cells: Vec<&str> = line.split(',').collect();
+        let turned = cells[1..].iter().take(3).map(|cell| {
+            let rate: Result<f64, _> = cell.trim().parse();
+            rate.map_or((*cell).to_owned(), |r| r.to_degrees().to_string())
+        });
+        let turned: Vec<String> = turned.collect();
+        format!("{},{},{}", cells[0], turned.join(","), cells[4..].join(","))
+    });
+    let in_degrees: Vec<String> = in_degrees.collect();
+    fs::write(&samples, in_degrees.join("\n")).expect("samples");
+    let refused = lsfb(at, &["vio", "walk", "--rig", "rig.toml", "--out", "d.tum"]);
+    assert_eq!(refused.status.code(), Some(1));
+    let why = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(why.contains("IMU") && !at.join("d.tum").exists(), "{why}");
+    assert!(!at.join("d.imported.mcap").exists());
+}

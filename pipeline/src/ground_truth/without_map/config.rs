@@ -1,0 +1,50 @@
+use lsfb_types::Bounds;
+use serde::{Deserialize, Serialize};
+
+use crate::ground_truth::GroundTruthConfig;
+
+/// Parameters of the motion of a walk without a map.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MotionConfig {
+    /// Features are followed through all images; instants at least so far apart become frames, and get poses, seconds.
+    pub frame_secs: f64,
+    /// A frame with fewer sights of placed points is carried by the IMU alone.
+    pub min_sights: usize,
+    /// Longest time from one frame with enough sights to the next, seconds; what lies within a longer one is left out.
+    pub max_blind_secs: f64,
+    /// Largest standard deviation, relative to the first pose, of a position that is exported, metres.
+    pub max_position_sigma_m: f64,
+    /// Share of the followed sights that fit no point beyond which the walk is doubtful.
+    pub doubtful_contradicted_share: f64,
+    /// Standard deviations that a camera may be from what the rig file says of it before the motion counts as bent by it.
+    pub max_camera_off_sigmas: f64,
+    /// The adjustment; what it says of a map is not used.
+    pub adjustment: GroundTruthConfig,
+}
+
+impl Default for MotionConfig {
+    fn default() -> Self {
+        Self {
+            frame_secs: 0.1,
+            min_sights: 8,
+            max_blind_secs: 0.5,
+            max_position_sigma_m: 1.0,
+            doubtful_contradicted_share: 0.2,
+            max_camera_off_sigmas: 10.0,
+            adjustment: GroundTruthConfig::default(),
+        }
+    }
+}
+
+lsfb_types::bounds! {
+    MotionConfig {
+        frame_secs: number(Bounds::POSITIVE),
+        min_sights: any,
+        max_blind_secs: number(Bounds::POSITIVE),
+        max_position_sigma_m: number(Bounds::POSITIVE),
+        doubtful_contradicted_share: number(Bounds::Within(0.0, 1.0)),
+        max_camera_off_sigmas: number(Bounds::POSITIVE),
+        adjustment: section,
+    }
+}

@@ -1,0 +1,183 @@
+//! A recorded walk without a map: its images followed, its motion found, and what of it can be believed.
+
+use lsfb_geometry::{Matrix6, Rig, Se3, StampedPose, Trajectory};
+use lsfb_recording::Recording;
+use lsfb_types::{Image, ImuSample, Progress, ProgressFn, Stamped, Timestamp};
+
+use super::report::{MotionReport, Read, left_out_reasons, spans};
+use super::{FrontEnd, MotionConfig, TrackedWalk, motion_without_map};
+use crate::Error;
+use crate::frames::{SAME_INSTANT_NS, check_size, read_imu};
+use crate::ground_truth::frozen_images::has_turned;
+
+/// The motion of a recorded walk, where it can be believed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RecordedMotion {
+    /// Pose of the rig at each frame that is not left out. The world is level; its origin is the first of them.
+    pub trajectory: Trajectory,
+    /// Covariance of each pose relative to the first, tangent `[rotation, translation]` on the right, rad² and m².
+    pub covariances: Vec<Matrix6<f64>>,
+    /// How it came about, and how far to trust it.
+    pub report: MotionReport,
+}
+
+/// Where the device was relative to its first pose, by its images and its IMU alone. Of the recording's cameras those of `rig` are used.
+///
+/// [`Error::SensorMissing`] without cameras or IMU, [`Error::NoBeginning`] where nothing tells scale and gravity,
+/// [`Error::TracksContradict`] where images and IMU do not agree.
+pub fn motion_of_recording(
+    recording: &Recording,
+    rig: &Rig,
+    config: &MotionConfig,
+    progress: ProgressFn<'_>,
+) -> Result<RecordedMotion, Error> {
+    config.check_bounds("motion")?;
+    let (walk, read) = follow(recording, rig, config, progress)?;
+    let mut motion = motion_without_map(&walk, None, config, progress)?;
+    for (camera, name) in motion.cameras.iter_mut().zip(rig.cameras.keys()) {
+        camera.camera.clone_from(name);
+    }
+    let reasons = left_out_reasons(&walk, &motion, config);
+    let all = motion.trajectory.poses();
+    let origin = all.get(motion.first).map(|p| p.world_from_rig.translation);
+    let given = reasons.iter().zip(all.iter().zip(&motion.covariances));
+    let given = given.filter(|(reason, _)| reason.is_none());
+    let (poses, covariances): (Vec<StampedPose>, Vec<Matrix6<f64>>) = given
+        .map(|(_, (pose, covariance))| {
+            let Se3 {
+                rotation,
+                translation,
+            } = pose.world_from_rig;
+            let from_origin = translation - origin.unwrap_or_default();
+            let moved = StampedPose {
+                world_from_rig: Se3::new(rotation, from_origin),
+                ..*pose
+            };
+            (moved, *covariance)
+        })
+        .unzip();
+    let trajectory = Trajectory::new(poses);
+    let left_out = spans(&walk, &reasons);
+    let report = MotionReport::new(
+        &read,
+        &walk,
+        &motion,
+        &trajectory,
+        &covariances,
+        left_out,
+        config,
+    );
+    Ok(RecordedMotion {
+        trajectory,
+        covariances,
+        report,
+    })
+}
+
+/// Reads all images of the rig's cameras and follows what they show.
+fn follow(
+    recording: &Recording,
+    rig: &Rig,
+    config: &MotionConfig,
+    progress: ProgressFn<'_>,
+) -> Result<(TrackedWalk, Read), Error> {
+    let missing = |sensor| Error::SensorMissing {
+        sensor,
+        rig: rig.name.clone(),
+    };
+    let noise = rig.imu_noise().ok_or_else(|| missing("IMU"))?;
+    let names: Vec<&str> = rig.cameras.keys().map(String::as_str).collect();
+    if names.is_empty() {
+        return Err(missing("camera"));
+    }
+    let (imu, damaged_samples) = read_imu(recording)?;
+    if imu.is_empty() {
+        return Err(missing("IMU"));
+    }
+    let mut read = Read {
+        damaged_samples,
+        ..Read::default()
+    };
+    let total = total_images(recording, &names);
+    let cameras = rig.cameras.values().cloned().collect();
+    let mut front_end = FrontEnd::new(cameras, imu.clone(), noise.clone(), config.frame_secs);
+    let mut last: Vec<Option<(Timestamp, Image)>> = vec![None; names.len()];
+    let mut instant: Option<Instant> = None;
+    for item in recording.images_of(&names)? {
+        let Ok(item) = item else {
+            read.damaged_images += 1;
+            continue;
+        };
+        let (camera, time, image) = (item.camera, item.image.time, item.image.sample);
+        check_size(recording, rig, names[camera], &image)?;
+        read.images += 1;
+        progress(Progress {
+            stage: "following features",
+            done: read.images,
+            total,
+        })?;
+        if is_frozen(last[camera].as_ref(), time, &image, &imu) {
+            read.frozen_images += 1;
+            continue;
+        }
+        last[camera] = Some((time, image.clone()));
+        match &mut instant {
+            Some(now) if time - now.time <= SAME_INSTANT_NS => {
+                match &mut now.images[camera] {
+                    Some(_) => read.repeated_stamps += 1,
+                    free => *free = Some(image),
+                }
+                continue;
+            }
+            _ => {}
+        }
+        let mut next = Instant {
+            time,
+            images: vec![None; names.len()],
+        };
+        next.images[camera] = Some(image);
+        if let Some(done) = instant.replace(next) {
+            done.push_into(&mut front_end);
+        }
+    }
+    if let Some(done) = instant {
+        done.push_into(&mut front_end);
+    }
+    Ok((front_end.finish(), read))
+}
+
+/// Images of one trigger.
+struct Instant {
+    time: Timestamp,
+    /// One for each camera.
+    images: Vec<Option<Image>>,
+}
+
+impl Instant {
+    fn push_into(self, front_end: &mut FrontEnd) {
+        let images: Vec<Option<&Image>> = self.images.iter().map(Option::as_ref).collect();
+        front_end.push(self.time, &images);
+    }
+}
+
+fn total_images(recording: &Recording, cameras: &[&str]) -> u64 {
+    let topics = recording.topics().iter();
+    let of_cameras = topics.filter(|topic| {
+        let is_of = |camera: &&str| topic.topic.ends_with(&format!("{camera}/image"));
+        cameras.iter().any(is_of)
+    });
+    of_cameras.map(|topic| topic.messages).sum()
+}
+
+/// Whether an image is the one before once more, though the device was turned in between: no two images of a sensor with noise are the
+/// same.
+fn is_frozen(
+    last: Option<&(Timestamp, Image)>,
+    time: Timestamp,
+    image: &Image,
+    imu: &[Stamped<ImuSample>],
+) -> bool {
+    last.is_some_and(|(since, before)| {
+        before.pixels == image.pixels && has_turned(imu, *since, time)
+    })
+}

@@ -1,0 +1,106 @@
+//! How far each pose may be off, relative to the first.
+//!
+//! Where a walk began and which way it faced is chosen: no covariance of poses in such a world means anything but that of the way from
+//! one of them to another. It is taken from the whole adjustment, since drift is what all of the walk up to there leaves open.
+
+use lsfb_geometry::{Matrix6, Vector3};
+use lsfb_solver::{BlockId, Covariance, Kernel, VectorPrior, covariance_of_groups};
+use lsfb_types::{Progress, ProgressFn};
+
+use super::extension::Settled;
+use crate::Error;
+use crate::ground_truth::GroundTruthConfig;
+use crate::ground_truth::optimization::Adjustment;
+use crate::ground_truth::report::local_errors;
+use crate::ground_truth::walk::Walk;
+use crate::residuals::CameraCorrection;
+
+/// Poses whose covariance is asked for at a time: the first pose is solved for anew with each group.
+const AT_ONCE: usize = 12;
+/// Followed corners are no better than this, pixels in each direction.
+const LEAST_PIXEL_SIGMA: f64 = 0.2;
+/// Standard deviation of a point's place beside its sights, in its distances: so loose that it says nothing of the scale, and a point
+/// that is seen from one direction alone leaves nothing undetermined.
+const POINT_DISTANCES: f64 = 30.0;
+
+/// Entries of a camera's correction.
+const CORRECTIONS: usize = 9;
+
+/// How far what was found may be off.
+pub(super) struct Uncertainty {
+    /// Of each pose relative to the one that was chosen, in its tangent `[rotation, translation]` on the right, rad² and m².
+    pub poses: Vec<Matrix6<f64>>,
+    /// Standard deviations of each camera's correction.
+    pub corrections: Vec<CameraCorrection>,
+}
+
+/// Covariances of the last solve relative to the pose of a frame, with the pixels as good as it shows.
+pub(super) fn uncertainty(
+    walk: &Walk,
+    settled: &Settled,
+    reference: usize,
+    config: &GroundTruthConfig,
+    progress: ProgressFn<'_>,
+) -> Result<Uncertainty, Error> {
+    let (estimate, points) = (&settled.last.estimate, &settled.last.points);
+    let shown_px = local_errors(estimate, points).rms_px * std::f64::consts::FRAC_1_SQRT_2;
+    let as_shown = GroundTruthConfig {
+        local_sigma_px: shown_px.max(LEAST_PIXEL_SIGMA),
+        ..config.clone()
+    };
+    let anchor = Some(&settled.anchor);
+    let mut adjustment = Adjustment::of(walk, estimate, points, anchor, &as_shown)?;
+    for (point, block) in points.iter().zip(&adjustment.points) {
+        let Some(block) = block else { continue };
+        let used = point.observations.iter().filter(|seen| seen.used);
+        let away_m = used
+            .map(|seen| (point.point_in_world - estimate.pose(seen.frame).translation).norm())
+            .fold(f64::INFINITY, f64::min);
+        let sigma_m = POINT_DISTANCES * away_m.max(f64::EPSILON);
+        let prior = VectorPrior::new(point.point_in_world, Vector3::repeat(sigma_m));
+        let squared = Kernel::Squared;
+        adjustment
+            .problem
+            .add_residual(prior, &[block.id()], squared)?;
+    }
+    let poses: Vec<BlockId> = adjustment.states.iter().map(|s| s.pose.id()).collect();
+    let cameras: Vec<BlockId> = adjustment.corrections.iter().map(|c| c.id()).collect();
+    let with_reference = |few: &[BlockId]| [&poses[reference..=reference], few].concat();
+    let mut groups: Vec<Vec<BlockId>> = poses.chunks(AT_ONCE).map(with_reference).collect();
+    groups.push(cameras);
+    let total = groups.len() as u64;
+    let mut found = covariance_of_groups(&adjustment.problem, &groups, |done| {
+        progress(Progress {
+            stage: "covariance",
+            done: done as u64,
+            total,
+        })
+        .map_err(Error::from)
+    })?;
+    let of_cameras = found.pop();
+    let mut relative = Vec::with_capacity(poses.len());
+    for joint in found.iter().map(Covariance::joint) {
+        let block = |row: usize, column: usize| joint.fixed_view::<6, 6>(6 * row, 6 * column);
+        for row in 1..joint.nrows() / 6 {
+            if relative.len() == reference {
+                relative.push(Matrix6::zeros());
+                continue;
+            }
+            // An error of the reference moves the pose relative to it by −Ad(T⁻¹ T₀).
+            let to_reference = estimate.pose(relative.len()).inverse() * *estimate.pose(reference);
+            let moved = to_reference.adjoint();
+            let shared = block(row, 0) * moved.transpose();
+            let covariance = block(row, row) + moved * block(0, 0) * moved.transpose()
+                - shared
+                - shared.transpose();
+            relative.push((covariance + covariance.transpose()) * 0.5);
+        }
+    }
+    let variances = of_cameras.map(|c| c.joint().diagonal()).unwrap_or_default();
+    let each = variances.as_slice().chunks_exact(CORRECTIONS);
+    let deviations = each.map(|v| CameraCorrection::from_column_slice(v).map(f64::sqrt));
+    Ok(Uncertainty {
+        poses: relative,
+        corrections: deviations.collect(),
+    })
+}
