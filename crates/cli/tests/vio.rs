@@ -150,7 +150,14 @@ fn a_walk_has_poses_but_where_it_was_dark() {
     // What it says of its errors is true, also behind the darkness.
     let truth = walk.join("mav0/mocap0/data.csv");
     let truth = truth.to_str().expect("UTF-8");
-    let judge = ["eval", "walk_covariance.txt", "--truth", truth, "--align", "origin"];
+    let judge = [
+        "eval",
+        "walk_covariance.txt",
+        "--truth",
+        truth,
+        "--align",
+        "origin",
+    ];
     let judged = json(at, &judge, 0);
     let within_95 = judged["consistency"]["translation_within_95"].as_f64();
     assert!(within_95.expect("covariances") > 0.9, "{judged}");
@@ -180,10 +187,17 @@ fn a_rig_or_an_imu_that_is_not_as_stated_is_said() {
         camera.rig_from_camera.rotation *= turn;
     };
     write_rig(&calibrated, turned, &at.join("turned.toml"));
-    let said = json(at, &["vio", "walk", "--rig", "turned.toml", "--out", "t.tum"], 4);
+    let said = json(
+        at,
+        &["vio", "walk", "--rig", "turned.toml", "--out", "t.tum"],
+        4,
+    );
     assert_eq!(said["verdict"], "fail");
     let off = finding(&said, "camera-off");
-    assert_eq!((&off["where"], &off["verdict"]), (&"cam0".into(), &"fail".into()));
+    assert_eq!(
+        (&off["where"], &off["verdict"]),
+        (&"cam0".into(), &"fail".into())
+    );
     assert!(off["value"].as_f64().expect("σ") > 10.0, "{off}");
 
     write_rig(&calibrated, |_| {}, &at.join("rig.toml"));

@@ -72,6 +72,18 @@ impl Estimate {
         self.error_px(seen.frame, seen.camera, &seen.pixel, &point.point_in_world)
     }
 
+    /// Where a local point should be seen less where it was, pixels; `None` behind the lens.
+    pub fn local_residual_px(
+        &self,
+        point: &LocalPoint,
+        seen: &LocalObservation,
+    ) -> Option<Vector2<f64>> {
+        let (pose, motion) = (self.pose(seen.frame), &self.motions[seen.frame]);
+        let camera = &self.cameras[seen.camera];
+        let found = camera.project_in_row(pose, motion, seen.pixel.y, &point.point_in_world)?;
+        Some(found - seen.pixel)
+    }
+
     fn error_px(
         &self,
         frame: usize,

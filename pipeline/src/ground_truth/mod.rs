@@ -24,6 +24,7 @@ mod in_view;
 mod inertial;
 mod local_points;
 mod optimization;
+mod recorded_walk;
 mod report;
 mod run;
 mod start;
@@ -40,11 +41,12 @@ use lsfb_geometry::{Matrix6, Trajectory};
 use lsfb_types::{Progress, ProgressFn};
 
 pub use config::GroundTruthConfig;
+pub use recorded_walk::RecordedWalk;
 pub use report::{
     CameraRefinement, GroundTruthReport, GroundTruthWarning, LeftOutReason, ReprojectionErrors,
     Span,
 };
-pub use run::{RecordedWalk, ground_truth, ground_truth_of};
+pub use run::{ground_truth, ground_truth_of};
 pub use without_map::{
     Beginning, FrontEnd, Motion, MotionConfig, MotionReport, RecordedMotion, Sight, TrackedFrame,
     TrackedWalk, motion_of_recording, motion_without_map,

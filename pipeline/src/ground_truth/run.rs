@@ -1,16 +1,16 @@
 //! The stage as a whole: a recording and a map in, a trajectory out.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
-use lsfb_geometry::{ImuNoiseModel, Rig, Trajectory};
+use lsfb_geometry::Trajectory;
 use lsfb_perception::statistics::median;
 use lsfb_recording::Recording;
-use lsfb_types::{ImuSample, ProgressFn, Stamped};
+use lsfb_types::ProgressFn;
 
 use super::cross_check::check_halves;
-use super::frozen_images;
 use super::in_view::{InView, look_for_points};
+use super::recorded_walk::RecordedWalk;
 use super::report::{local_errors, map_errors, refinements};
 use super::start::{Start, start_states};
 use super::trusted::{Solution, Trusted, trusted};
@@ -22,62 +22,11 @@ use super::{
     solve_walk,
 };
 use crate::Error;
-use crate::features::{Feature, FeatureDetector};
-use crate::frames::{FeatureFrame, ReadFrames, read_frames, read_imu};
+use crate::features::Feature;
+use crate::frames::FeatureFrame;
 use crate::hd_map::HdMap;
 use crate::localization::{Localization, Localizer, localize_frames};
 use crate::residuals::MovingCamera;
-
-/// What a walk's images and its IMU hold, read once: it can be solved in several maps, or in parts of one.
-pub struct RecordedWalk {
-    path: PathBuf,
-    rig: Rig,
-    noise: ImuNoiseModel,
-    imu: Vec<Stamped<ImuSample>>,
-    damaged_samples: u64,
-    read: ReadFrames,
-    frozen: u64,
-    feature: Feature,
-}
-
-impl RecordedWalk {
-    /// Reads samples and images, and finds the features that the settings name.
-    ///
-    /// [`Error::SensorMissing`] without cameras or IMU.
-    pub fn read(
-        recording: &Recording,
-        config: &GroundTruthConfig,
-        progress: ProgressFn<'_>,
-    ) -> Result<Self, Error> {
-        config.check_bounds("ground_truth")?;
-        let rig = recording.rig()?;
-        let missing = |sensor| Error::SensorMissing {
-            sensor,
-            rig: rig.name.clone(),
-        };
-        let noise = rig.imu_noise().ok_or_else(|| missing("IMU"))?.clone();
-        if rig.cameras.is_empty() {
-            return Err(missing("camera"));
-        }
-        let (imu, damaged_samples) = read_imu(recording)?;
-        if imu.is_empty() {
-            return Err(missing("IMU"));
-        }
-        let detector = FeatureDetector::new(&config.features, config.learned.as_ref())?;
-        let mut read = read_frames(recording, &rig, &detector, progress)?;
-        let frozen = frozen_images::take_out(&mut read.frames, &imu);
-        Ok(Self {
-            path: recording.path().to_owned(),
-            noise,
-            rig,
-            imu,
-            damaged_samples,
-            read,
-            frozen,
-            feature: detector.feature(),
-        })
-    }
-}
 
 /// Refuses maps in which no walk is to be solved: those that failed when they were made, and those of other features.
 fn check_map(map: &HdMap, feature: &Feature, config: &GroundTruthConfig) -> Result<(), Error> {

@@ -2,6 +2,7 @@
 #![cfg(test)]
 
 mod eqvio;
+mod simulated;
 mod table;
 mod tumvi;
 mod vimap;

@@ -5,6 +5,7 @@ mod cameras;
 mod consensus;
 mod cross_check;
 mod in_view;
+mod learned;
 mod recorded;
 mod standing;
 

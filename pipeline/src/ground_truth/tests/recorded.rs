@@ -7,7 +7,7 @@ use lsfb_recording::{Recording, Writer, WriterConfig};
 use lsfb_types::Image;
 
 use super::*;
-use crate::features::{Feature, FeatureDetector, SiftConfig};
+use crate::features::{FeatureDetector, SiftConfig};
 use crate::hd_map::{
     HdMap, HdMapConfig, KeyframeImage, MapContent, ReconstructionConfig, reconstruct,
 };
@@ -143,6 +143,12 @@ pub(super) fn frame_time(k: usize) -> f64 {
 
 /// A map from images taken beside the walk, with true poses.
 pub(super) fn map(seed: u64) -> HdMap {
+    let sift = FeatureDetector::sift(&SiftConfig::default()).expect("valid");
+    map_of(seed, &sift)
+}
+
+/// The same of any features.
+pub(super) fn map_of(seed: u64, detector: &FeatureDetector) -> HdMap {
     let rig = rig();
     let beside = Se3::new(Default::default(), Vector3::new(0.1, -0.15, 0.08));
     let keyframes: Vec<StampedPose> = (0..7)
@@ -159,7 +165,6 @@ pub(super) fn map(seed: u64) -> HdMap {
         }
     }
     let pixels: Vec<&Image> = pixels.iter().collect();
-    let detector = FeatureDetector::sift(&SiftConfig::default()).expect("valid");
     let features = detector
         .detect_all(&pixels, &no_progress)
         .expect("features");
@@ -179,7 +184,7 @@ pub(super) fn map(seed: u64) -> HdMap {
         keyframes: &keyframes,
         images: &images,
         points: &points,
-        feature: &Feature::Sift,
+        feature: &detector.feature(),
         provenance: "painted room",
     };
     HdMap::build(&content, &HdMapConfig::default(), &no_progress).expect("map")

@@ -2,23 +2,31 @@
 //!
 //! Where a walk began and which way it faced is chosen: no covariance of poses in such a world means anything but that of the way from
 //! one of them to another. It is taken from the whole adjustment, since drift is what all of the walk up to there leaves open.
+//!
+//! A corner is followed from image to image: where one step misses by a tenth of a pixel, all that follow do. What the sights of a track
+//! are wrong by is alike from one frame to the next, and a thousand of them say no more than a few that are independent. How alike, the
+//! residuals show; what varies slowly (a pose, a drift) is then known as if the variance of each were `(1 + ρ) / (1 − ρ)` times as large,
+//! as for the mean of a first-order autoregressive series.
 
-use lsfb_geometry::{Matrix6, Vector3};
+use lsfb_geometry::{Matrix6, Vector2, Vector3};
 use lsfb_solver::{BlockId, Covariance, Kernel, VectorPrior, covariance_of_groups};
 use lsfb_types::{Progress, ProgressFn};
 
 use super::extension::Settled;
 use crate::Error;
 use crate::ground_truth::GroundTruthConfig;
+use crate::ground_truth::estimate::Estimate;
 use crate::ground_truth::optimization::Adjustment;
 use crate::ground_truth::report::local_errors;
-use crate::ground_truth::walk::Walk;
+use crate::ground_truth::walk::{LocalPoint, Walk};
 use crate::residuals::CameraCorrection;
 
 /// Poses whose covariance is asked for at a time: the first pose is solved for anew with each group.
 const AT_ONCE: usize = 12;
 /// Followed corners are no better than this, pixels in each direction.
 const LEAST_PIXEL_SIGMA: f64 = 0.2;
+/// Errors of a track's neighbouring sights are taken for no more alike than this: with one they would say nothing.
+const MOST_ALIKE: f64 = 0.98;
 /// Standard deviation of a point's place beside its sights, in its distances: so loose that it says nothing of the scale, and a point
 /// that is seen from one direction alone leaves nothing undetermined.
 const POINT_DISTANCES: f64 = 30.0;
@@ -43,7 +51,10 @@ pub(super) fn uncertainty(
     progress: ProgressFn<'_>,
 ) -> Result<Uncertainty, Error> {
     let (estimate, points) = (&settled.last.estimate, &settled.last.points);
-    let shown_px = local_errors(estimate, points).rms_px * std::f64::consts::FRAC_1_SQRT_2;
+    let alike = correlation(estimate, points).clamp(0.0, MOST_ALIKE);
+    let shown_px = local_errors(estimate, points).rms_px
+        * std::f64::consts::FRAC_1_SQRT_2
+        * ((1.0 + alike) / (1.0 - alike)).sqrt();
     let as_shown = GroundTruthConfig {
         local_sigma_px: shown_px.max(LEAST_PIXEL_SIGMA),
         ..config.clone()
@@ -103,4 +114,31 @@ pub(super) fn uncertainty(
         poses: relative,
         corrections: deviations.collect(),
     })
+}
+
+/// Correlation of the residuals of one point in neighbouring frames of one camera.
+fn correlation(estimate: &Estimate, points: &[LocalPoint]) -> f64 {
+    let (mut products, mut squares) = (0.0, 0.0);
+    for point in points.iter().filter(|p| p.is_determined()) {
+        let used = point.observations.iter().filter(|seen| seen.used);
+        let mut residuals: Vec<(usize, usize, Vector2<f64>)> = used
+            .filter_map(|seen| {
+                let residual = estimate.local_residual_px(point, seen)?;
+                Some((seen.camera, seen.frame, residual))
+            })
+            .collect();
+        residuals.sort_by_key(|(camera, frame, _)| (*camera, *frame));
+        for pair in residuals.windows(2) {
+            let [(camera, frame, a), (next_camera, next_frame, b)] = [pair[0], pair[1]];
+            if camera == next_camera && next_frame == frame + 1 {
+                products += a.dot(&b);
+                squares += 0.5 * (a.norm_squared() + b.norm_squared());
+            }
+        }
+    }
+    if squares > 0.0 {
+        products / squares
+    } else {
+        0.0
+    }
 }

@@ -1,9 +1,9 @@
 //! `lsfb bench ablation`: one walk with less and less of the map, judged by a ground truth that is given.
 
-use std::fmt::Write as _;
+mod table;
+
 use std::path::{Path, PathBuf};
 
-use lsfb_eval::alignment::AlignmentMode;
 use lsfb_eval::{EvalConfig, ReadOptions, TrajectoryFile, evaluate, read_trajectory};
 use lsfb_geometry::Trajectory;
 use lsfb_pipeline::descriptor_index::IndexConfig;
@@ -12,7 +12,6 @@ use lsfb_pipeline::ground_truth::{
 };
 use lsfb_pipeline::hd_map::HdMap;
 use lsfb_recording::{Provenance, Recording, write_tum};
-use serde::Serialize;
 
 use super::twin::refusal;
 use crate::commands::models::ModelFolder;
@@ -20,12 +19,13 @@ use crate::context::Context;
 use crate::files;
 use crate::judged::printable;
 use crate::outcome::Outcome;
+use table::{ALIGNMENT, QUADRANTS, Row, Run, Table, summary, text};
 
 /// Compute one walk with less and less of the map, as in the paper's Table IV, and judge each by a ground truth of your own.
 ///
 /// The map is cut into quadrants around the medians of its points' x and y. For 75 % each of the four is withheld in turn, for 50 % each
 /// pair of neighbours, for 25 % all but each; 100 % is the whole map. 0 % is the motion without a map (`lsfb vio`). Every trajectory is
-/// aligned to the ground truth (SE(3)) before it is judged; the same for all shares, since that of 0 % lies nowhere else.
+/// aligned to the ground truth by SE(3) before it is judged, those in the map too: the motion without a map has no place of its own.
 ///
 /// Each row has the mean over the choices of quadrants with its 95 % interval (Student's t), the worst choice, and the share of the walk's
 /// frames that have a pose; choices with which the walk is refused are counted and said. What is wrong and what is left out trade against
@@ -60,56 +60,10 @@ pub struct Arguments {
 }
 
 const RESULT: &str = "ablation.json";
-const QUADRANTS: usize = 4;
-/// What the motion without a map is compared after, and all others with it.
-const ALIGNMENT: AlignmentMode = AlignmentMode::Se3;
 
 fn percent(text: &str) -> Result<u32, String> {
     let share = text.parse().ok().filter(|p| *p <= 100 && p % 25 == 0);
     share.ok_or_else(|| "expected 100, 75, 50, 25 or 0".to_owned())
-}
-
-/// One choice of quadrants.
-#[derive(Serialize)]
-struct Run {
-    /// Those that were withheld.
-    withheld_quadrants: Vec<usize>,
-    /// Share of the map's points that was left, percent.
-    points_percent: f64,
-    /// Share of the walk's frames that have a pose, percent.
-    poses_percent: f64,
-    /// After alignment; absent where the walk was refused.
-    ate_rms_m: Option<f64>,
-    /// The largest error of a position after alignment.
-    ate_max_m: Option<f64>,
-    /// Why the walk was refused.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    refused: Option<String>,
-}
-
-/// All choices of one share.
-#[derive(Serialize)]
-struct Row {
-    map_percent: u32,
-    method: &'static str,
-    alignment: &'static str,
-    /// Choices that gave a trajectory.
-    given: usize,
-    refused: usize,
-    ate_rms_m: Option<f64>,
-    /// Half of the 95 % interval of that mean; absent for fewer than two choices.
-    ate_rms_interval_m: Option<f64>,
-    /// The worst choice's.
-    worst_ate_rms_m: Option<f64>,
-    poses_percent: f64,
-    runs: Vec<Run>,
-}
-
-#[derive(Serialize)]
-struct Table {
-    walk: String,
-    truth: String,
-    rows: Vec<Row>,
 }
 
 /// Runs all of them.
@@ -184,22 +138,8 @@ impl Bench<'_> {
     fn row(&self, percent: u32) -> anyhow::Result<Row> {
         let mut runs = Vec::new();
         for (k, withheld) in choices(percent).into_iter().enumerate() {
-            let part = match (percent, withheld.is_empty()) {
-                (0, _) => None,
-                (_, true) => Some(None),
-                _ => Some(Some(self.map.without_quadrants(
-                    &withheld,
-                    &IndexConfig::default(),
-                    &|p| self.context.show(p),
-                ))),
-            };
-            let (points, found) = match (part, &self.walk) {
-                (Some(None), Some(walk)) => (self.map.point_count(), self.in_map(walk, self.map)),
-                (Some(Some(Ok(part))), Some(walk)) => {
-                    (part.point_count(), self.in_map(walk, &part))
-                }
-                // A part of the map without points, say.
-                (Some(Some(Err(error))), _) => (0, Err(error.into())),
+            let (points, found) = match &self.walk {
+                Some(walk) if percent > 0 => self.in_part(walk, &withheld),
                 _ => (0, self.without_map()),
             };
             let place = self.out.join(format!("map{percent}_{k}.tum"));
@@ -209,6 +149,19 @@ impl Bench<'_> {
             runs.push(run);
         }
         Ok(summary(percent, runs))
+    }
+
+    /// In the map without some quadrants; how many points that has.
+    fn in_part(&self, walk: &RecordedWalk, withheld: &[usize]) -> (usize, anyhow::Result<Found>) {
+        if withheld.is_empty() {
+            return (self.map.point_count(), self.in_map(walk, self.map));
+        }
+        let show = |p| self.context.show(p);
+        let index = IndexConfig::default();
+        match self.map.without_quadrants(withheld, &index, &show) {
+            Ok(part) => (part.point_count(), self.in_map(walk, &part)),
+            Err(error) => (0, Err(error.into())),
+        }
     }
 
     fn in_map(&self, walk: &RecordedWalk, map: &HdMap) -> anyhow::Result<Found> {
@@ -280,76 +233,6 @@ fn choices(percent: u32) -> Vec<Vec<usize>> {
     }
 }
 
-fn summary(percent: u32, runs: Vec<Run>) -> Row {
-    let rms: Vec<f64> = runs.iter().filter_map(|run| run.ate_rms_m).collect();
-    let shares = runs.iter().map(|run| run.poses_percent);
-    Row {
-        map_percent: percent,
-        method: match percent {
-            0 => "motion without a map",
-            _ => "ground truth",
-        },
-        alignment: ALIGNMENT.label(),
-        given: rms.len(),
-        refused: runs.len() - rms.len(),
-        ate_rms_m: mean(&rms),
-        ate_rms_interval_m: interval(&rms),
-        worst_ate_rms_m: rms.iter().copied().reduce(f64::max),
-        poses_percent: shares.sum::<f64>() / runs.len().max(1) as f64,
-        runs,
-    }
-}
-
-fn mean(values: &[f64]) -> Option<f64> {
-    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
-}
-
-/// Student's t for 95 % on both sides, with one, two and three degrees of freedom.
-const STUDENT_95: [f64; QUADRANTS - 1] = [12.706, 4.303, 3.182];
-
-/// Half of the 95 % interval of the mean.
-fn interval(values: &[f64]) -> Option<f64> {
-    let freedom = values.len().checked_sub(1)?;
-    let student = STUDENT_95.get(freedom.checked_sub(1)?)?;
-    let middle = mean(values)?;
-    let variance = values.iter().map(|v| (v - middle).powi(2)).sum::<f64>() / freedom as f64;
-    Some(student * (variance / values.len() as f64).sqrt())
-}
-
-fn text(table: &Table) -> String {
-    let mut text = format!(
-        "{} against {}, ATE rms in cm after alignment by {}\n  map  runs  refused      ATE   ± 95 %    worst   frames with a pose\n",
-        table.walk,
-        table.truth,
-        ALIGNMENT.label()
-    );
-    let cm = |value: Option<f64>| value.map_or("–".to_owned(), |m| format!("{:.2}", 100.0 * m));
-    for row in &table.rows {
-        // Writing into a string cannot fail.
-        let _ = writeln!(
-            text,
-            "{:>4}%  {:>4}  {:>7}  {:>7}  {:>7}  {:>7}   {:.1} %{}",
-            row.map_percent,
-            row.runs.len(),
-            row.refused,
-            cm(row.ate_rms_m),
-            cm(row.ate_rms_interval_m),
-            cm(row.worst_ate_rms_m),
-            row.poses_percent,
-            match row.map_percent {
-                0 => " (motion without a map)",
-                _ => "",
-            }
-        );
-        for run in &row.runs {
-            if let Some(why) = &run.refused {
-                let _ = writeln!(text, "       without {:?}: {why}", run.withheld_quadrants);
-            }
-        }
-    }
-    text
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -364,14 +247,5 @@ mod tests {
                 assert_eq!(often, each, "{percent} %, quadrant {quadrant}");
             }
         }
-    }
-
-    /// By hand: mean 4.31, s = 1.3776, t = 3.182, n = 4.
-    #[test]
-    fn interval_is_students() {
-        let values = [3.0, 5.5, 5.5, 3.24];
-        let half = interval(&values).expect("four values");
-        assert!((half - 2.1917).abs() < 1e-3, "{half}");
-        assert_eq!(interval(&values[..1]), None);
     }
 }

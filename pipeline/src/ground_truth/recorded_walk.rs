@@ -1,0 +1,65 @@
+//! What is read of a walk before any map is asked.
+
+use std::path::PathBuf;
+
+use lsfb_geometry::{ImuNoiseModel, Rig};
+use lsfb_recording::Recording;
+use lsfb_types::{ImuSample, ProgressFn, Stamped};
+
+use super::{GroundTruthConfig, frozen_images};
+use crate::Error;
+use crate::features::{Feature, FeatureDetector};
+use crate::frames::{ReadFrames, read_frames, read_imu};
+
+/// What a walk's images and its IMU hold, read once: it can be solved in several maps, or in parts of one.
+pub struct RecordedWalk {
+    pub(super) path: PathBuf,
+    pub(super) rig: Rig,
+    pub(super) noise: ImuNoiseModel,
+    pub(super) imu: Vec<Stamped<ImuSample>>,
+    pub(super) damaged_samples: u64,
+    pub(super) read: ReadFrames,
+    /// Images that were sent once more while the device was turned.
+    pub(super) frozen: u64,
+    /// What its features are.
+    pub(super) feature: Feature,
+}
+
+impl RecordedWalk {
+    /// Reads samples and images, and finds the features that the settings name.
+    ///
+    /// [`Error::SensorMissing`] without cameras or IMU.
+    pub fn read(
+        recording: &Recording,
+        config: &GroundTruthConfig,
+        progress: ProgressFn<'_>,
+    ) -> Result<Self, Error> {
+        config.check_bounds("ground_truth")?;
+        let rig = recording.rig()?;
+        let missing = |sensor| Error::SensorMissing {
+            sensor,
+            rig: rig.name.clone(),
+        };
+        let noise = rig.imu_noise().ok_or_else(|| missing("IMU"))?.clone();
+        if rig.cameras.is_empty() {
+            return Err(missing("camera"));
+        }
+        let (imu, damaged_samples) = read_imu(recording)?;
+        if imu.is_empty() {
+            return Err(missing("IMU"));
+        }
+        let detector = FeatureDetector::new(&config.features, config.learned.as_ref())?;
+        let mut read = read_frames(recording, &rig, &detector, progress)?;
+        let frozen = frozen_images::take_out(&mut read.frames, &imu);
+        Ok(Self {
+            path: recording.path().to_owned(),
+            noise,
+            rig,
+            imu,
+            damaged_samples,
+            read,
+            frozen,
+            feature: detector.feature(),
+        })
+    }
+}

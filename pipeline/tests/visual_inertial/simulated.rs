@@ -1,0 +1,193 @@
+//! Walks whose truth is exact: a camera and an IMU are carried through a room of points, and each corner is followed with an error that
+//! grows from image to image and stays.
+
+use lsfb_geometry::{
+    Camera, CameraTiming, ImuNoiseModel, Matrix3, RigCamera, Se3, UnitQuaternion, Vector2, Vector3,
+};
+use lsfb_pipeline::ground_truth::{
+    MotionConfig, Sight, TrackedFrame, TrackedWalk, motion_without_map,
+};
+use lsfb_types::{ImuSample, Stamped, Timestamp, no_progress};
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+
+use crate::vimap::sample;
+
+const SECS: f64 = 7.0;
+const FRAME_SECS: f64 = 0.1;
+const SAMPLE_SECS: f64 = 0.005;
+const POINTS: usize = 260;
+/// Added to a track's error at each frame, and its error at the first, pixels.
+const STEP_PX: f64 = 0.08;
+const FIRST_PX: f64 = 0.1;
+const NOISE: ImuNoiseModel = ImuNoiseModel {
+    gyro_noise_density: 1e-3,
+    accel_noise_density: 1e-2,
+    gyro_bias_walk: 1e-4,
+    accel_bias_walk: 1e-3,
+};
+
+/// Where the device is.
+fn truth(secs: f64, phase: f64) -> Se3 {
+    let wave = |rate: f64, shift: f64| (rate * secs + shift + phase).sin();
+    let position = Vector3::new(
+        1.5 * wave(0.7, 0.0),
+        1.2 * wave(0.9, 1.0),
+        0.3 * wave(1.1, 2.0),
+    );
+    let rotation = UnitQuaternion::from_euler_angles(
+        0.1 * wave(1.6, 0.5),
+        0.2 * wave(1.2, 1.5),
+        0.8 * wave(0.6, 2.5),
+    );
+    Se3::new(rotation, position)
+}
+
+/// One number about zero with a standard deviation of one.
+fn normal(random: &mut ChaCha8Rng) -> f64 {
+    let (u, v): (f64, f64) = (random.random_range(1e-12..1.0), random.random());
+    (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+}
+
+fn three(random: &mut ChaCha8Rng, sigma: f64) -> Vector3<f64> {
+    Vector3::from_fn(|_, _| sigma * normal(random))
+}
+
+fn samples(phase: f64, random: &mut ChaCha8Rng) -> Vec<Stamped<ImuSample>> {
+    let (gyro_bias, accel_bias) = (three(random, 5e-3), three(random, 0.05));
+    let count = ((SECS + 0.2) / SAMPLE_SECS) as i64;
+    let step = 1e-3;
+    let measured = |k: i64, random: &mut ChaCha8Rng| {
+        let secs = k as f64 * SAMPLE_SECS - 0.1;
+        let [before, now, after] = [-step, 0.0, step].map(|d| truth(secs + d, phase));
+        let turn = (before.rotation.inverse() * after.rotation).scaled_axis() / (2.0 * step);
+        let acceleration =
+            (after.translation - 2.0 * now.translation + before.translation) / (step * step);
+        let force = now.rotation.inverse() * (acceleration + Vector3::new(0.0, 0.0, 9.80665));
+        let per_sample = SAMPLE_SECS.sqrt().recip();
+        let turn = turn + gyro_bias + three(random, NOISE.gyro_noise_density * per_sample);
+        let force = force + accel_bias + three(random, NOISE.accel_noise_density * per_sample);
+        let time = Timestamp::from_secs_f64(10.0 + secs);
+        sample(time.nanos(), turn.into(), force.into())
+    };
+    (0..count).map(|k| measured(k, random)).collect()
+}
+
+fn camera() -> RigCamera {
+    let forward = Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
+    RigCamera {
+        camera: Camera::pinhole(640, 480, [320.0; 2], [319.5, 239.5]),
+        rig_from_camera: Se3::new(
+            UnitQuaternion::from_matrix(&forward),
+            Vector3::new(0.02, 0.0, 0.01),
+        ),
+        timing: CameraTiming::default(),
+    }
+}
+
+/// A walk of a seed, with the truth of each frame.
+fn walk(seed: u64) -> (TrackedWalk, Vec<Se3>) {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let phase = random.random_range(0.0..std::f64::consts::TAU);
+    let imu = samples(phase, &mut random);
+    let camera = camera();
+    // Walls of a room around.
+    let points: Vec<Vector3<f64>> = (0..POINTS)
+        .map(|_| {
+            let around = random.random_range(0.0..std::f64::consts::TAU);
+            let away = random.random_range(3.5..6.0);
+            let height = random.random_range(-2.0..2.0);
+            Vector3::new(away * around.cos(), away * around.sin(), height)
+        })
+        .collect();
+    let mut followed: Vec<Option<(u32, Vector2<f64>)>> = vec![None; points.len()];
+    let (mut next, mut frames, mut poses) = (0, Vec::new(), Vec::new());
+    for k in 0..(SECS / FRAME_SECS) as usize {
+        let secs = k as f64 * FRAME_SECS;
+        let pose = truth(secs, phase);
+        let camera_from_world = (pose * camera.rig_from_camera).inverse();
+        let mut sights = Vec::new();
+        for (point, track) in points.iter().zip(&mut followed) {
+            let seen = camera.camera.project(&(camera_from_world * *point));
+            let Some(pixel) = seen.filter(|pixel| camera.camera.contains(pixel, 0.0)) else {
+                *track = None;
+                continue;
+            };
+            let mut error = |px: f64| Vector2::from_fn(|_, _| px * normal(&mut random));
+            let (number, off) = match *track {
+                Some((number, off)) => (number, off + error(STEP_PX)),
+                None => {
+                    next += 1;
+                    (next, error(FIRST_PX))
+                }
+            };
+            *track = Some((number, off));
+            sights.push(Sight {
+                track: number,
+                camera: 0,
+                pixel: pixel + off,
+            });
+        }
+        frames.push(TrackedFrame {
+            time: Timestamp::from_secs_f64(10.0 + secs),
+            sights,
+        });
+        poses.push(pose);
+    }
+    let walk = TrackedWalk {
+        cameras: vec![camera],
+        frames,
+        imu,
+        noise: NOISE,
+    };
+    (walk, poses)
+}
+
+/// 95 % of squared norms of six and of three standard normal numbers are below these.
+const CHI_SQUARED_95: [f64; 2] = [12.591_587, 7.814_728];
+
+/// With the errors of a track taken for independent, 84 % of the poses were within their region, and NEES was 8.9.
+#[test]
+fn covariances_are_honest_though_corners_drift() {
+    let (mut within, mut within_of_position, mut count, mut mean) = (0, 0, 0, 0.0);
+    for seed in 0..6 {
+        let (walk, poses) = walk(seed);
+        let found =
+            motion_without_map(&walk, None, &MotionConfig::default(), &no_progress).expect("moves");
+        let all = found.trajectory.poses();
+        assert!(found.covariances[found.first].iter().all(|v| *v == 0.0));
+        let truth_from_world = poses[found.first] * all[found.first].world_from_rig.inverse();
+        for (k, pose) in all.iter().enumerate().filter(|(k, _)| *k != found.first) {
+            let error = (truth_from_world * pose.world_from_rig).local(&poses[k]);
+            let whole = found.covariances[k].cholesky().expect("positive definite");
+            let squared = error.dot(&whole.solve(&error));
+            let position = found.covariances[k].fixed_view::<3, 3>(3, 3).into_owned();
+            let moved = error.fixed_rows::<3>(3).into_owned();
+            let shift = position
+                .cholesky()
+                .expect("positive definite")
+                .solve(&moved);
+            within += usize::from(squared <= CHI_SQUARED_95[0]);
+            within_of_position += usize::from(moved.dot(&shift) <= CHI_SQUARED_95[1]);
+            mean += squared;
+            count += 1;
+        }
+        println!(
+            "seed {seed}: reprojection {:.2} px, so far {:.2} and {:.2} of {count} within 95 %, NEES {:.1}",
+            found.errors.rms_px,
+            within as f64 / count as f64,
+            within_of_position as f64 / count as f64,
+            mean / count as f64,
+        );
+    }
+    let share = |within: usize| within as f64 / count as f64;
+    assert!(share(within) > 0.93, "{:.3} of poses", share(within));
+    assert!(
+        share(within_of_position) > 0.93,
+        "{:.3} of positions",
+        share(within_of_position)
+    );
+    // Nor are they so wide that they say nothing.
+    let mean = mean / count as f64;
+    assert!((1.0..6.0).contains(&mean), "NEES {mean:.1} of 6");
+}
