@@ -340,6 +340,28 @@ pub enum Error {
         /// Largest standard deviation of a position that is exported, metres.
         limit_m: f64,
     },
+    /// No pose of a walk without a map sees enough and is certain enough.
+    #[error(
+        "none of {frames} poses sees enough (min_sights is {min_sights}) and is certain enough (max_position_sigma_m is {limit_m} m): light the place, keep the lenses free, and look at things with texture"
+    )]
+    NothingFollowed {
+        /// Poses that were found.
+        frames: usize,
+        /// Fewest sights of placed points in a frame.
+        min_sights: usize,
+        /// Largest standard deviation of a position that is exported, metres.
+        limit_m: f64,
+    },
+    /// The motion of a walk was found, but not how far it may be off.
+    #[error(
+        "how far each of {frames} poses may be off cannot be told: check the IMU's noise in the rig file ({problem})"
+    )]
+    UnknownCovariance {
+        /// Poses that were found.
+        frames: usize,
+        /// What the solver says.
+        problem: lsfb_solver::Error,
+    },
     /// Parts of the map place a walk differently.
     #[error(
         "{path}: with half of the map's points withheld the {frames} poses move by {moved_m:.2} m (max_disagreement_m is {limit_m} m): the map is poor here; map the place again with more views of it, or walk where more of the map is in view", path = path.display()

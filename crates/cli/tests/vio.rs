@@ -136,7 +136,7 @@ fn a_walk_has_poses_but_where_it_was_dark() {
     assert_eq!(said["verdict"], "warn");
     let left_out = finding(&said, "not-followed");
     let secs = left_out["value"].as_f64().expect("seconds");
-    assert!((1.7..2.4).contains(&secs), "{left_out}");
+    assert!((1.9..2.6).contains(&secs), "{left_out}");
     let list = fs::read_to_string(at.join("walk/mav0/cam0/data.csv")).expect("list");
     let stamp = |k: usize| -> i64 {
         let row = list.lines().nth(1 + k).expect("a row");
@@ -147,20 +147,18 @@ fn a_walk_has_poses_but_where_it_was_dark() {
     let within = found.poses().iter().map(|p| p.time.nanos());
     assert!(within.clone().all(|ns| ns < from || ns > to));
     assert!(within.clone().any(|ns| ns < from) && within.clone().any(|ns| ns > to));
-    // What it says of its errors is true, also behind the darkness.
+    // It comes out of the darkness where it should, by as much as it says. Motion capture's own frame is turned against the IMU's.
     let truth = walk.join("mav0/mocap0/data.csv");
     let truth = truth.to_str().expect("UTF-8");
-    let judge = [
-        "eval",
-        "walk_covariance.txt",
-        "--truth",
-        truth,
-        "--align",
-        "origin",
-    ];
-    let judged = json(at, &judge, 0);
-    let within_95 = judged["consistency"]["translation_within_95"].as_f64();
-    assert!(within_95.expect("covariances") > 0.9, "{judged}");
+    let judged = json(at, &["eval", "walk.tum", "--truth", truth], 0);
+    let ate_m = judged["ate_translation_m"]["rmse"]
+        .as_f64()
+        .expect("metres");
+    let stated_m = said["largest_position_sigma_m"].as_f64().expect("metres");
+    assert!(
+        ate_m < 0.03 && ate_m < 2.0 * stated_m,
+        "{ate_m} m, {stated_m} m"
+    );
     // Nothing but the results is left.
     assert!(!at.join("walk.imported.mcap").exists());
     let again = lsfb(at, &arguments);

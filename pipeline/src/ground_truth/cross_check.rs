@@ -181,6 +181,7 @@ impl Stretch {
             frames: frames.iter().map(|k| walk.frames[*k].clone()).collect(),
             imu: walk.imu[first..end.max(first)].to_vec(),
             noise: walk.noise.clone(),
+            noise_factors: Default::default(),
             point_covariances_m2: walk.point_covariances_m2.clone(),
         };
         let at = |k: &usize| (estimate.states[*k], estimate.motions[*k]);

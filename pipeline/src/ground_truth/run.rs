@@ -102,6 +102,7 @@ pub fn ground_truth_of(
         frames,
         imu: recorded.imu.clone(),
         noise: config.inflated(&recorded.noise),
+        noise_factors: Default::default(),
         point_covariances_m2,
     };
     let start = start_states(&walk, config, progress)?;

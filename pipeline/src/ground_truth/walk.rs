@@ -19,6 +19,8 @@ pub(super) struct Walk {
     pub imu: Vec<Stamped<ImuSample>>,
     /// Noise of the IMU, as the optimisation should take it.
     pub noise: ImuNoiseModel,
+    /// Factors of that noise in the intervals after some frames; 1 where none stands here.
+    pub noise_factors: BTreeMap<usize, f64>,
     /// Covariances that the map states of the points that were recognised, by their index, m².
     pub point_covariances_m2: Arc<BTreeMap<u32, Matrix3<f64>>>,
 }
@@ -109,7 +111,11 @@ impl Walk {
                 &self.noise,
             );
             intervals.push(match sum {
-                Ok(sum) => Some(sum),
+                Ok(mut sum) => {
+                    let factor = self.noise_factors.get(&k).copied().unwrap_or(1.0);
+                    sum.covariance *= factor * factor;
+                    Some(sum)
+                }
                 Err(Error::ImuGap { .. }) => None,
                 Err(other) => return Err(other),
             });

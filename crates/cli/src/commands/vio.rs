@@ -24,7 +24,7 @@ use crate::standing;
 /// first of them. What is seen again after it was out of view is not recognised: drift grows with the way.
 ///
 /// A walk is a recording, or a folder or file of another program that `lsfb import` reads, such as EuRoC's and TUM-VI's. It needs a rig
-/// with the cameras' places on the IMU and its noise: the recording's own, or --rig.
+/// with the cameras' places on the IMU and its noise: the recording's own, or --rig. ROS bags are not read.
 ///
 /// Beside the trajectory WALK.tum, WALK_covariance.txt has the poses with their covariance relative to the first, as `lsfb eval --align
 /// origin` reads it: 44 columns.
@@ -110,7 +110,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let place = imported.as_ref().map_or(&arguments.walk, |i| &i.0);
     let recording = context.open(place)?;
     let mut provenance = Provenance::new(&config);
-    super::calib_input::add_input(&mut provenance, &arguments.walk)?;
+    // Of a folder the recording that was made of it: it holds all that was read.
+    provenance.add_input(place)?;
     let rig = super::about(
         place,
         super::rig_for(&recording, arguments.rig.as_deref(), &mut provenance),

@@ -227,6 +227,7 @@ fn make_walk_with(
             frames,
             imu: imu(&mut rng),
             noise: NOISE,
+            noise_factors: Default::default(),
             point_covariances_m2: Default::default(),
         },
         features,

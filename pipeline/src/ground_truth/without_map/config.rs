@@ -13,6 +13,9 @@ pub struct MotionConfig {
     pub min_sights: usize,
     /// Longest time from one frame with enough sights to the next, seconds; what lies within a longer one is left out.
     pub max_blind_secs: f64,
+    /// How many times larger the IMU's noise is taken for the covariances where too little is followed for longer than that: no track
+    /// corrects its scale, axes and clock there.
+    pub blind_imu_noise_factor: f64,
     /// Largest standard deviation, relative to the first pose, of a position that is exported, metres.
     pub max_position_sigma_m: f64,
     /// Share of the followed sights that fit no point beyond which the walk is doubtful.
@@ -29,6 +32,7 @@ impl Default for MotionConfig {
             frame_secs: 0.1,
             min_sights: 8,
             max_blind_secs: 0.5,
+            blind_imu_noise_factor: 4.0,
             max_position_sigma_m: 1.0,
             doubtful_contradicted_share: 0.2,
             max_camera_off_sigmas: 10.0,
@@ -42,6 +46,7 @@ lsfb_types::bounds! {
         frame_secs: number(Bounds::POSITIVE),
         min_sights: any,
         max_blind_secs: number(Bounds::POSITIVE),
+        blind_imu_noise_factor: number(Bounds::AtLeast(1.0)),
         max_position_sigma_m: number(Bounds::POSITIVE),
         doubtful_contradicted_share: number(Bounds::Within(0.0, 1.0)),
         max_camera_off_sigmas: number(Bounds::POSITIVE),

@@ -297,6 +297,7 @@ impl<'a> Extension<'a> {
             frames: own.to_vec(),
             imu,
             noise: self.walk.noise.clone(),
+            noise_factors: Default::default(),
             point_covariances_m2: self.walk.point_covariances_m2.clone(),
         }
     }

@@ -5,6 +5,7 @@
 //! a time, and the same adjustment as with a map, less its points, settles all of them ([`extension`]). The world is level; its origin and
 //! heading are those of the first frame of the beginning.
 
+mod blind;
 mod config;
 mod extension;
 mod front_end;
@@ -27,6 +28,7 @@ use super::walk::{Frame, FrameState, LocalPoint, Walk};
 use crate::Error;
 use crate::preintegration::{ImuBias, NavState};
 use crate::residuals::MovingCamera;
+use blind::blind_stretches;
 pub use config::MotionConfig;
 use extension::Extension;
 pub use front_end::FrontEnd;
@@ -124,13 +126,14 @@ pub fn motion_without_map(
     progress: ProgressFn<'_>,
 ) -> Result<Motion, Error> {
     config.check_bounds("motion")?;
-    let (min_sights, config) = (config.min_sights, &config.adjustment);
+    let (settings, config) = (config, &config.adjustment);
     let tracks = Tracks::of(walk);
     let inner = Walk {
         cameras: walk.cameras.iter().map(MovingCamera::new).collect(),
         frames: walk.frames.iter().map(|f| empty_frame(f.time)).collect(),
         imu: walk.imu.clone(),
         noise: config.inflated(&walk.noise),
+        noise_factors: Default::default(),
         point_covariances_m2: Default::default(),
     };
     let mut errors_before = None;
@@ -159,9 +162,17 @@ pub fn motion_without_map(
         });
     }
     let sights_in_use = in_use(&solved.points, walk.frames.len());
-    let sees_enough = |sights: &usize| *sights >= min_sights;
+    let sees_enough = |sights: &usize| *sights >= settings.min_sights;
     let first = sights_in_use.iter().position(sees_enough).unwrap_or(0);
-    let uncertainty = uncertainty(&inner, &settled, first, config, progress)?;
+    let blind = blind_stretches(walk, &sights_in_use, settings);
+    let blind = blind.into_iter().flat_map(|[a, b]| a..b);
+    let less_sure = Walk {
+        noise_factors: blind
+            .map(|k| (k, settings.blind_imu_noise_factor))
+            .collect(),
+        ..inner
+    };
+    let uncertainty = uncertainty(&less_sure, &settled, first, config, progress)?;
     let numbers: Vec<String> = (0..walk.cameras.len()).map(|k| k.to_string()).collect();
     let numbers = numbers.iter().map(String::as_str);
     let states = &solved.estimate.states;

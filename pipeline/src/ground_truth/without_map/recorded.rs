@@ -4,7 +4,7 @@ use lsfb_geometry::{Matrix6, Rig, Se3, StampedPose, Trajectory};
 use lsfb_recording::Recording;
 use lsfb_types::{Image, ImuSample, Progress, ProgressFn, Stamped, Timestamp};
 
-use super::report::{MotionReport, Read, left_out_reasons, spans};
+use super::report::{LeftOut, MotionReport, Read, left_out};
 use super::{FrontEnd, MotionConfig, TrackedWalk, motion_without_map};
 use crate::Error;
 use crate::frames::{SAME_INSTANT_NS, check_size, read_imu};
@@ -24,7 +24,8 @@ pub struct RecordedMotion {
 /// Where the device was relative to its first pose, by its images and its IMU alone. Of the recording's cameras those of `rig` are used.
 ///
 /// [`Error::SensorMissing`] without cameras or IMU, [`Error::NoBeginning`] where nothing tells scale and gravity,
-/// [`Error::TracksContradict`] where images and IMU do not agree.
+/// [`Error::TracksContradict`] where images and IMU do not agree, [`Error::NothingFollowed`] where no pose can be believed and
+/// [`Error::UnknownCovariance`] where that is not known.
 pub fn motion_of_recording(
     recording: &Recording,
     rig: &Rig,
@@ -37,7 +38,7 @@ pub fn motion_of_recording(
     for (camera, name) in motion.cameras.iter_mut().zip(rig.cameras.keys()) {
         camera.camera.clone_from(name);
     }
-    let reasons = left_out_reasons(&walk, &motion, config);
+    let LeftOut { reasons, spans } = left_out(&walk, &motion, config);
     let all = motion.trajectory.poses();
     let origin = all.get(motion.first).map(|p| p.world_from_rig.translation);
     let given = reasons.iter().zip(all.iter().zip(&motion.covariances));
@@ -56,15 +57,21 @@ pub fn motion_of_recording(
             (moved, *covariance)
         })
         .unzip();
+    if poses.is_empty() {
+        return Err(Error::NothingFollowed {
+            frames: walk.frames.len(),
+            min_sights: config.min_sights,
+            limit_m: config.max_position_sigma_m,
+        });
+    }
     let trajectory = Trajectory::new(poses);
-    let left_out = spans(&walk, &reasons);
     let report = MotionReport::new(
         &read,
         &walk,
         &motion,
         &trajectory,
         &covariances,
-        left_out,
+        spans,
         config,
     );
     Ok(RecordedMotion {
@@ -116,26 +123,39 @@ fn follow(
             done: read.images,
             total,
         })?;
-        if is_frozen(last[camera].as_ref(), time, &image, &imu) {
-            read.frozen_images += 1;
+        // The time of one that stands behind a later one cannot be right.
+        if instant
+            .as_ref()
+            .is_some_and(|now| now.time - time > SAME_INSTANT_NS)
+        {
+            read.damaged_images += 1;
             continue;
         }
-        last[camera] = Some((time, image.clone()));
-        match &mut instant {
-            Some(now) if time - now.time <= SAME_INSTANT_NS => {
-                match &mut now.images[camera] {
-                    Some(_) => read.repeated_stamps += 1,
-                    free => *free = Some(image),
-                }
-                continue;
+        // An image that is left out still is an instant at which nothing is seen.
+        let shown = match is_frozen(last[camera].as_ref(), time, &image, &imu) {
+            true => {
+                read.frozen_images += 1;
+                None
             }
-            _ => {}
+            false => {
+                last[camera] = Some((time, image.clone()));
+                Some(image)
+            }
+        };
+        if let Some(now) = &mut instant
+            && time - now.time <= SAME_INSTANT_NS
+        {
+            match &mut now.images[camera] {
+                Some(_) => read.repeated_stamps += 1,
+                free => *free = shown,
+            }
+            continue;
         }
         let mut next = Instant {
             time,
             images: vec![None; names.len()],
         };
-        next.images[camera] = Some(image);
+        next.images[camera] = shown;
         if let Some(done) = instant.replace(next) {
             done.push_into(&mut front_end);
         }
@@ -170,14 +190,14 @@ fn total_images(recording: &Recording, cameras: &[&str]) -> u64 {
 }
 
 /// Whether an image is the one before once more, though the device was turned in between: no two images of a sensor with noise are the
-/// same.
+/// same, but for those that are all black or all white.
 fn is_frozen(
     last: Option<&(Timestamp, Image)>,
     time: Timestamp,
     image: &Image,
     imu: &[Stamped<ImuSample>],
 ) -> bool {
-    last.is_some_and(|(since, before)| {
-        before.pixels == image.pixels && has_turned(imu, *since, time)
-    })
+    let is_uniform = image.pixels.windows(2).all(|pair| pair[0] == pair[1]);
+    let is_same = |before: &Image| before.pixels == image.pixels && !is_uniform;
+    last.is_some_and(|(since, before)| is_same(before) && has_turned(imu, *since, time))
 }

@@ -4,6 +4,7 @@ use lsfb_geometry::{Matrix6, Trajectory};
 use lsfb_types::{Finding, Limit, Verdict};
 use serde::{Deserialize, Serialize};
 
+use super::blind::blind_stretches;
 use super::{Beginning, Motion, MotionConfig, TrackedWalk};
 use crate::ground_truth::findings::UNLIKELY_SIGMAS;
 use crate::ground_truth::report::{
@@ -67,60 +68,45 @@ fn position_sigma_m(covariance: &Matrix6<f64>) -> f64 {
     (covariance.fixed_view::<3, 3>(3, 3).trace() / 3.0).sqrt()
 }
 
-/// For each frame why it is left out, if it is.
-pub(super) fn left_out_reasons(
-    walk: &TrackedWalk,
-    motion: &Motion,
-    config: &MotionConfig,
-) -> Vec<Option<LeftOutReason>> {
+/// What has no place in the trajectory.
+pub(super) struct LeftOut {
+    /// For each frame why it is left out, if it is.
+    pub reasons: Vec<Option<LeftOutReason>>,
+    /// The same as stretches of time, and those in which there was no frame at all.
+    pub spans: Vec<Span>,
+}
+
+/// Leaves out the stretches in which too little is followed for too long, and poses that are not certain enough.
+pub(super) fn left_out(walk: &TrackedWalk, motion: &Motion, config: &MotionConfig) -> LeftOut {
+    let count = walk.frames.len();
+    let time = |k: usize| walk.frames[k].time;
     let sees_enough = |k: &usize| motion.sights_in_use[*k] >= config.min_sights;
-    let uncertain = |k: usize| {
+    let blind = blind_stretches(walk, &motion.sights_in_use, config);
+    let not_followed = LeftOutReason::NotFollowed;
+    let spans = blind
+        .iter()
+        .map(|[a, b]| Span::new(time(*a), time(*b), not_followed));
+    let mut spans: Vec<Span> = spans.collect();
+    let mut reasons = vec![None; count];
+    for k in blind.into_iter().flat_map(|[a, b]| a..=b) {
+        reasons[k] = (!sees_enough(&k)).then_some(not_followed);
+    }
+    let mut before = None;
+    for k in 0..count {
         let sigma_m = position_sigma_m(&motion.covariances[k]);
         // What is no number is not certain.
         let is_certain = sigma_m <= config.max_position_sigma_m;
-        (!is_certain).then_some(LeftOutReason::Uncertain)
-    };
-    let count = walk.frames.len();
-    let mut reasons: Vec<Option<LeftOutReason>> = (0..count).map(uncertain).collect();
-    let seeing: Vec<usize> = (0..count).filter(sees_enough).collect();
-    let ends = [
-        seeing.first().map(|k| 0..*k),
-        seeing.last().map(|k| k + 1..count),
-    ];
-    let between = seeing.windows(2).filter(|pair| {
-        let secs = walk.frames[pair[1]]
-            .time
-            .secs_since(walk.frames[pair[0]].time);
-        secs > config.max_blind_secs
-    });
-    // Before the first and after the last such frame nothing holds the IMU's drift.
-    let blind = between
-        .map(|pair| pair[0] + 1..pair[1])
-        .chain(ends.into_iter().flatten());
-    for k in blind.flatten() {
-        reasons[k] = Some(LeftOutReason::NotFollowed);
-    }
-    if seeing.is_empty() {
-        reasons.fill(Some(LeftOutReason::NotFollowed));
-    }
-    reasons
-}
-
-/// Stretches of the frames that are left out.
-pub(super) fn spans(walk: &TrackedWalk, reasons: &[Option<LeftOutReason>]) -> Vec<Span> {
-    let mut spans: Vec<Span> = Vec::new();
-    let mut before = None;
-    for (frame, reason) in walk.frames.iter().zip(reasons) {
-        match (reason, spans.last_mut()) {
-            (Some(reason), Some(span)) if before == Some(*reason) => {
-                span.to_ns = frame.time.nanos();
+        if reasons[k].is_none() && !is_certain {
+            reasons[k] = Some(LeftOutReason::Uncertain);
+            match (before, spans.last_mut()) {
+                (Some(LeftOutReason::Uncertain), Some(span)) => span.to_ns = time(k).nanos(),
+                _ => spans.push(Span::new(time(k), time(k), LeftOutReason::Uncertain)),
             }
-            (Some(reason), _) => spans.push(Span::new(frame.time, frame.time, *reason)),
-            (None, _) => {}
         }
-        before = *reason;
+        before = reasons[k];
     }
-    spans
+    spans.sort_by_key(|span| span.from_ns);
+    LeftOut { reasons, spans }
 }
 
 impl MotionReport {

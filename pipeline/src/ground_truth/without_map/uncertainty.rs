@@ -76,7 +76,8 @@ pub(super) fn uncertainty(
     }
     let poses: Vec<BlockId> = adjustment.states.iter().map(|s| s.pose.id()).collect();
     let cameras: Vec<BlockId> = adjustment.corrections.iter().map(|c| c.id()).collect();
-    let with_reference = |few: &[BlockId]| [&poses[reference..=reference], few].concat();
+    let known = poses.get(reference..=reference).unwrap_or_default();
+    let with_reference = |few: &[BlockId]| [known, few].concat();
     let mut groups: Vec<Vec<BlockId>> = poses.chunks(AT_ONCE).map(with_reference).collect();
     groups.push(cameras);
     let total = groups.len() as u64;
@@ -87,6 +88,15 @@ pub(super) fn uncertainty(
             total,
         })
         .map_err(Error::from)
+    })
+    .map_err(|error| match error {
+        Error::Solver(problem @ lsfb_solver::Error::Undetermined { .. }) => {
+            Error::UnknownCovariance {
+                frames: poses.len(),
+                problem,
+            }
+        }
+        other => other,
     })?;
     let of_cameras = found.pop();
     let mut relative = Vec::with_capacity(poses.len());
