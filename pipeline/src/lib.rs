@@ -24,5 +24,6 @@ pub mod posed_images;
 pub mod preintegration;
 pub mod residuals;
 mod solve;
+pub mod two_view;
 
 pub use error::{Error, MapShortage};
