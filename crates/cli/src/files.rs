@@ -19,6 +19,34 @@ pub fn expect_file(path: &Path, remedy: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// The image files of a folder, by name.
+pub fn image_files(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
+    let entries = std::fs::read_dir(folder).with_context(|| folder.display().to_string())?;
+    let mut files = Vec::new();
+    for entry in entries {
+        let path = entry.with_context(|| folder.display().to_string())?.path();
+        let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
+        if ["png", "jpg", "jpeg"]
+            .iter()
+            .any(|known| extension == *known)
+        {
+            files.push(path);
+        }
+    }
+    files.sort();
+    Ok(files)
+}
+
+/// `NAME=PATH`.
+pub fn named_path(text: &str) -> Result<(String, PathBuf), String> {
+    match text.split_once('=') {
+        Some((name, path)) if !name.is_empty() && !path.is_empty() => {
+            Ok((name.to_owned(), PathBuf::from(path)))
+        }
+        _ => Err("give a name and a path: PEER=result".to_owned()),
+    }
+}
+
 /// Fails before the work is done where its result could not be written: makes the folder around it and a trial file in it.
 pub fn expect_writable(result: &Path) -> anyhow::Result<()> {
     let folder = match result.parent() {

@@ -1,8 +1,10 @@
-//! `lsfb bench`: programs of others on sequences with ground truth and on growing bundle adjustment, places by Wi-Fi, our own programs
-//! with less and less of a map, in the twin, and there in the wrong place.
+//! `lsfb bench`: programs of others on sequences with ground truth and on growing bundle adjustment, features on pairs of images, places
+//! by Wi-Fi, our own programs with less and less of a map, in the twin, and there in the wrong place.
 
 mod ablation;
 mod ba;
+mod cpu_time;
+mod features;
 mod radio;
 mod serve;
 mod slam;
@@ -12,8 +14,8 @@ mod wrong_place;
 use crate::context::Context;
 use crate::outcome::Outcome;
 
-/// Benchmark SLAM systems on sequences with ground truth, others' trajectories on a leaderboard, solvers on a problem that grows, and lsfb itself
-/// with parts of a map and in simulated places.
+/// Benchmark SLAM systems on sequences with ground truth, others' trajectories on a leaderboard, solvers on a problem that grows, features on
+/// pairs of images, and lsfb itself with parts of a map and in simulated places.
 ///
 /// Examples:
 ///   lsfb bench ablation walk.mcap --map map --truth truth_walk.tum --out ablation
@@ -21,6 +23,7 @@ use crate::outcome::Outcome;
 ///   lsfb bench serve dataset --out board
 ///   lsfb bench twin --out trial --quick
 ///   lsfb bench ba --out ba
+///   lsfb bench features --posed-images hololens_office --out features
 ///   lsfb bench radio walk1.csv walk2.csv
 ///   lsfb bench wrong-place trial --out wrong
 #[derive(clap::Args)]
@@ -34,6 +37,7 @@ pub struct Arguments {
 enum What {
     Ablation(ablation::Arguments),
     Ba(ba::Arguments),
+    Features(features::Arguments),
     Radio(radio::Arguments),
     Serve(serve::Arguments),
     Slam(slam::Arguments),
@@ -46,6 +50,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     match &arguments.what {
         What::Ablation(arguments) => ablation::run(arguments, context),
         What::Ba(arguments) => ba::run(arguments, context),
+        What::Features(arguments) => features::run(arguments, context),
         What::Radio(arguments) => radio::run(arguments, context),
         What::Serve(arguments) => serve::run(arguments, context),
         What::Slam(arguments) => slam::run(arguments, context),

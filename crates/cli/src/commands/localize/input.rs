@@ -60,7 +60,7 @@ impl Input {
             );
             return Ok(Self::Walk(Box::new(context.open(path)?)));
         }
-        let files = image_files(path)?;
+        let files = crate::files::image_files(path)?;
         let Some(first) = files.first() else {
             anyhow::bail!(
                 "{}: no .png, .jpg or .jpeg file here: name the folder that holds the images",
@@ -210,24 +210,6 @@ impl Input {
 pub struct Found {
     pub frames: Vec<Frame>,
     pub damaged: u64,
-}
-
-/// The image files of a folder, by name.
-fn image_files(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
-    let entries = std::fs::read_dir(folder).with_context(|| folder.display().to_string())?;
-    let mut files = Vec::new();
-    for entry in entries {
-        let path = entry.with_context(|| folder.display().to_string())?.path();
-        let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
-        if ["png", "jpg", "jpeg"]
-            .iter()
-            .any(|known| extension == *known)
-        {
-            files.push(path);
-        }
-    }
-    files.sort();
-    Ok(files)
 }
 
 fn camera_of(rig: &Rig, named: Option<&str>) -> anyhow::Result<String> {

@@ -49,6 +49,14 @@ impl ModelFolder {
             .context("neither XDG_DATA_HOME nor HOME says where to keep weights: give --models")
     }
 
+    /// The names that [`ModelFolder::feature`] knows: SIFT first, then the weights that were added.
+    pub fn names(&self) -> anyhow::Result<Vec<String>> {
+        let added = files(&self.path()?)?;
+        let mut names = vec![SIFT.to_owned()];
+        names.extend(added.iter().filter_map(|file| stem(file)));
+        Ok(names)
+    }
+
     /// What `--feature NAME` asks for: `None` for SIFT, else weights that were added.
     pub fn feature(&self, name: &str) -> anyhow::Result<Option<LearnedConfig>> {
         if name == SIFT {
@@ -58,8 +66,7 @@ impl ModelFolder {
         let path = folder.join(format!("{name}.{EXTENSION}"));
         let is_plain_name = Path::new(name).file_name() == Some(name.as_ref());
         if !is_plain_name || !path.is_file() {
-            let mut known = vec![SIFT.to_owned()];
-            known.extend(files(&folder)?.iter().filter_map(|f| stem(f)));
+            let known = self.names()?;
             let hint = match Model::named(name) {
                 Some(model) => format!(
                     "its weights are not in {}: get {}, then `lsfb models add FILE`",

@@ -10,11 +10,11 @@ use anyhow::Context as _;
 use serde::Serialize;
 
 use crate::context::Context;
-use crate::files::write;
+use crate::files::{named_path, write};
 use crate::outcome::Outcome;
 use page::page_of;
 use problem::Grown;
-use runs::{Run, Summary, named_file, read_run};
+use runs::{Run, Summary, read_run};
 
 /// Solve a growing bundle adjustment keyframe by keyframe: incrementally, from scratch, and by other solvers.
 ///
@@ -44,7 +44,7 @@ pub struct Arguments {
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..))]
     batch_every: u32,
     /// Result of another solver on the same problem; may be given several times.
-    #[arg(long, value_name = "NAME=FILE", value_parser = named_file)]
+    #[arg(long, value_name = "NAME=FILE", value_parser = named_path)]
     peer: Vec<(String, PathBuf)>,
 }
 

@@ -3,10 +3,10 @@
 use lsfb_problems::walk::{Added, Target, Walk};
 use lsfb_solver::{Diagnosis, Incremental, IncrementalConfig, Problem, SolveConfig, solve};
 use lsfb_types::Progress;
-use nix::time::{ClockId, clock_gettime};
 
 use super::Arguments;
 use super::runs::{Run, Update};
+use crate::commands::bench::cpu_time::cpu_ms;
 use crate::context::Context;
 
 /// What was solved, and what it cost.
@@ -81,10 +81,4 @@ fn solve_whole(walk: &Walk, added: &Added) -> anyhow::Result<Update> {
         cpu_ms: cpu_ms()? - begun,
         cost: Some(report.final_cost),
     })
-}
-
-/// CPU time of this thread, which is the only one that works.
-fn cpu_ms() -> anyhow::Result<f64> {
-    let time = clock_gettime(ClockId::CLOCK_THREAD_CPUTIME_ID)?;
-    Ok(1e3 * time.tv_sec() as f64 + 1e-6 * time.tv_nsec() as f64)
 }

@@ -1,6 +1,6 @@
 //! What a solver needed for each keyframe.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::Context as _;
 use serde::Serialize;
@@ -123,16 +123,6 @@ impl Summary {
             "{:<16} median {:>8.2} ms, p95 {:>8.2} ms, most {:>8.2} ms a keyframe; grows with exponent {growth}; cost {above} above batch",
             self.solver, self.median_ms, self.p95_ms, self.max_ms
         )
-    }
-}
-
-/// `NAME=FILE`.
-pub fn named_file(text: &str) -> Result<(String, PathBuf), String> {
-    match text.split_once('=') {
-        Some((name, file)) if !name.is_empty() && !file.is_empty() => {
-            Ok((name.to_owned(), PathBuf::from(file)))
-        }
-        _ => Err("give a name and a file: ISAM2=isam2.csv".to_owned()),
     }
 }
 

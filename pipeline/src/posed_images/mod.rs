@@ -1,5 +1,7 @@
 //! Folders of images whose poses are known: the input of a map without a backpack, and queries with an answer.
 
+mod layouts;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -36,14 +38,21 @@ pub struct PosedImages {
 
 /// Intrinsics of the one camera: a 3 × 3 matrix.
 const INTRINSICS: &str = "K.txt";
+/// Name of the one camera.
+const CAMERA: &str = "cam0";
 /// One line per image: file name and the rows of `world_from_camera`, 4 × 4.
 const POSES: &str = "poses_T_world_cam_rowmajor4x4.txt";
 
 impl PosedImages {
-    /// Reads a folder with `K.txt`, `poses_T_world_cam_rowmajor4x4.txt` and `images/`: an undistorted pinhole camera
-    /// (OpenCV axes) that is its own rig.
+    /// Reads a folder of images of one undistorted pinhole camera (OpenCV axes) that is its own rig: with `K.txt`,
+    /// `poses_T_world_cam_rowmajor4x4.txt` and `images/`; a sequence of 7-Scenes; or a scene of Strecha's.
     pub fn read(folder: &Path) -> Result<Self, Error> {
         let poses_path = folder.join(POSES);
+        if !poses_path.exists()
+            && let Some(found) = layouts::read(folder)?
+        {
+            return Ok(found);
+        }
         let text = fs::read_to_string(&poses_path).map_err(Error::io(&poses_path))?;
         let mut images = Vec::new();
         for (index, line) in text
@@ -60,7 +69,7 @@ impl PosedImages {
             let rows: [f64; 16] = numbers(rest).ok_or(refuse("the pose needs 16 numbers"))?;
             images.push(PosedImage {
                 path: folder.join("images").join(name),
-                camera: "cam0".to_owned(),
+                camera: CAMERA.to_owned(),
                 world_from_rig: rigid(&rows).ok_or(refuse("the pose is no rigid transform"))?,
             });
         }
@@ -82,15 +91,20 @@ impl PosedImages {
 pub fn rig_of(folder: &Path, image: &Path) -> Result<Rig, Error> {
     let size = image::read(image)?;
     let camera = read_pinhole(&folder.join(INTRINSICS), size.width, size.height)?;
+    Ok(rig_with(folder, camera))
+}
+
+/// A rig that is one camera, by the name of a folder.
+fn rig_with(folder: &Path, camera: Camera) -> Rig {
     let mounted = RigCamera {
         camera,
         rig_from_camera: Se3::identity(),
         timing: Default::default(),
     };
-    Ok(Rig {
-        cameras: [("cam0".to_owned(), mounted)].into(),
+    Rig {
+        cameras: [(CAMERA.to_owned(), mounted)].into(),
         ..Rig::empty(&folder.file_name().unwrap_or_default().to_string_lossy())
-    })
+    }
 }
 
 impl PosedImage {
@@ -166,10 +180,15 @@ fn read_pinhole(path: &Path, width: u32, height: u32) -> Result<Camera, Error> {
         reason: "the intrinsics need 9 numbers",
     })?;
     let camera = Camera::pinhole(width, height, [k[0], k[4]], [k[2], k[5]]);
+    fitting(path, camera)
+}
+
+/// The camera, unless its principal point is far from the middle of its images.
+fn fitting(path: &Path, camera: Camera) -> Result<Camera, Error> {
     if !principal_point_fits(&camera) {
         return Err(Error::PrincipalPointOffCentre {
             camera: path.display().to_string(),
-            size_px: [width, height],
+            size_px: [camera.width, camera.height],
             principal_px: camera.principal_px(),
         });
     }
