@@ -58,7 +58,7 @@ fn held_out_images_are_localized() {
     // Hardly a wrong pose either: better none.
     assert!(distances_m.len() <= right + 1, "{figures}");
 
-    // The region of 95 % held 1 of 59 when the given poses were taken for exact.
+    // The region of 95 % held 1 of 59 when the given poses were taken for exact, 48 when an image had a word in where its points are.
     let covered = found.iter().filter(|f| {
         let Ok(pose) = &f.found else { return false };
         let off: Vector6<f64> = (pose.world_from_rig.inverse() * f.listed_world_from_rig).log();
@@ -66,7 +66,10 @@ fn held_out_images_are_localized() {
         information.is_some_and(|i| off.dot(&(i * off)) <= CHI_SQUARED_95)
     });
     let share = covered.count() as f64 / distances_m.len() as f64;
-    assert!(share >= 0.65, "{share} in the region of 95 %");
+    assert!(
+        (0.93..=0.985).contains(&share),
+        "{share} in the region of 95 %"
+    );
 
     images_of_elsewhere_are_refused(&folder, &localizer, &held_out);
     mirrored_images_are_refused(&localizer, &held_out);

@@ -30,6 +30,9 @@ impl Model {
         Self::SuperPointOpen,
     ];
 
+    /// The one to begin with where cameras are held upright: `docs/features.md` says why, and which one is for cameras that roll.
+    pub const RECOMMENDED: Self = Self::AlikedT16;
+
     /// Its name, as commands and maps have it.
     pub fn name(self) -> &'static str {
         match self {

@@ -169,8 +169,24 @@ mod tests {
     fn write_image(path: &Path, width: u32, height: u32) {
         let mut bytes = b"BM".to_vec();
         let row = (3 * width).next_multiple_of(4);
-        let header = [54 + row * height, 0, 54, 40, width, height, 0x0018_0001, 0, 0, 0, 0, 0, 0];
-        header.iter().for_each(|value| bytes.extend(value.to_le_bytes()));
+        let header = [
+            54 + row * height,
+            0,
+            54,
+            40,
+            width,
+            height,
+            0x0018_0001,
+            0,
+            0,
+            0,
+            0,
+            0,
+            0,
+        ];
+        header
+            .iter()
+            .for_each(|value| bytes.extend(value.to_le_bytes()));
         bytes.extend(vec![128; (row * height) as usize]);
         fs::write(path, bytes).expect("image");
     }
@@ -182,7 +198,11 @@ mod tests {
         let scratch = tempfile::tempdir().expect("scratch folder");
         let folder = scratch.path();
         for number in [20, 0] {
-            write_image(&folder.join(format!("frame-{number:06}.color.bmp")), 320, 240);
+            write_image(
+                &folder.join(format!("frame-{number:06}.color.bmp")),
+                320,
+                240,
+            );
             fs::write(folder.join(format!("frame-{number:06}.pose.txt")), TURNED).expect("pose");
         }
         let found = PosedImages::read(folder).expect("reads");
@@ -191,7 +211,10 @@ mod tests {
         let moved = found.images[1].world_from_rig * Vector3::new(1.0, 0.0, 0.0);
         assert!((moved - Vector3::new(1.0, 3.0, 3.0)).norm() < 1e-12);
         let camera = found.rig.cameras[CAMERA].camera;
-        assert_eq!((camera.focal_px(), camera.principal_px()), ([262.5; 2], [159.5, 119.5]));
+        assert_eq!(
+            (camera.focal_px(), camera.principal_px()),
+            ([262.5; 2], [159.5, 119.5])
+        );
         // Whoever knows better says so.
         fs::write(folder.join(INTRINSICS), "300 0 159.5 0 301 119.5 0 0 1").expect("intrinsics");
         let found = PosedImages::read(folder).expect("reads");
@@ -222,9 +245,14 @@ mod tests {
         let moved = found.images[0].world_from_rig * Vector3::new(1.0, 0.0, 0.0);
         assert!((moved - Vector3::new(1.0, 3.0, 3.0)).norm() < 1e-12);
         let camera = found.rig.cameras[CAMERA].camera;
-        assert_eq!((camera.focal_px(), camera.principal_px()), ([300.0, 305.0], [159.5, 119.5]));
+        assert_eq!(
+            (camera.focal_px(), camera.principal_px()),
+            ([300.0, 305.0], [159.5, 119.5])
+        );
         fs::write(cameras.join("0001.bmp.camera"), file.replace("600", "x")).expect("camera");
-        let error = PosedImages::read(folder).expect_err("no number").to_string();
+        let error = PosedImages::read(folder)
+            .expect_err("no number")
+            .to_string();
         assert!(error.contains("0001.bmp.camera"), "{error}");
     }
 }

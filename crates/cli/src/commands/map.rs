@@ -50,7 +50,7 @@ struct BuildArguments {
         conflicts_with = "posed_images"
     )]
     recording: Option<PathBuf>,
-    /// Folder with K.txt, poses_T_world_cam_rowmajor4x4.txt and images/.
+    /// Folder with K.txt, poses_T_world_cam_rowmajor4x4.txt and images/; a sequence of 7-Scenes; or a scene of Strecha's.
     #[arg(long, value_name = "FOLDER")]
     posed_images: Option<PathBuf>,
     /// Hold out every N-th of those images, to localize them later.
@@ -65,7 +65,8 @@ struct BuildArguments {
     /// Also write a page: residuals before and after Eq. 4, coverage, weak stretches.
     #[arg(long, value_name = "HTML", conflicts_with = "posed_images")]
     out_report: Option<PathBuf>,
-    /// What features the map holds: sift, or a network whose weights were added with `lsfb models add`.
+    /// What features the map holds: sift (the default), or a network whose weights were added with `lsfb models add`: aliked-t16 is
+    /// recommended, aliked-n16rot for cameras that roll (docs/features.md).
     #[arg(long, value_name = "NAME")]
     feature: Option<String>,
     /// Folder of added weights; by default LSFB_MODELS, else lsfb/models below XDG_DATA_HOME.

@@ -39,7 +39,8 @@ pub struct Arguments {
     /// The map, a folder.
     #[arg(long, value_name = "FOLDER")]
     map: Option<PathBuf>,
-    /// Folder with K.txt, poses_T_world_cam_rowmajor4x4.txt and images/: reports how many were placed correctly.
+    /// Folder with K.txt, poses_T_world_cam_rowmajor4x4.txt and images/, a sequence of 7-Scenes, or a scene of Strecha's: reports how many
+    /// were placed correctly.
     #[arg(long, value_name = "FOLDER")]
     posed_images: Option<PathBuf>,
     /// Use only every N-th image.

@@ -100,6 +100,8 @@ struct Listed {
     /// `None` where it is not known.
     weights_sha256: Option<&'static str>,
     added: bool,
+    /// The learned feature to begin with.
+    recommended: bool,
 }
 
 /// What images the networks take.
@@ -118,6 +120,7 @@ impl Listed {
             input: INPUT,
             weights_sha256: model.weights_sha256(),
             added: file.is_some_and(|file| folder.join(file).is_file()),
+            recommended: model == Model::RECOMMENDED,
         }
     }
 }
@@ -132,9 +135,10 @@ fn list(arguments: &ListArguments, context: &Context) -> anyhow::Result<Outcome>
                 true => format!("added to {}", folder.display()),
                 false => format!("not added: get {}, then `lsfb models add FILE`", l.files),
             };
+            let recommended = if l.recommended { " (recommended)" } else { "" };
             let _ = writeln!(
                 text,
-                "{}: {}; licence {}; {}; {}",
+                "{}{recommended}: {}; licence {}; {}; {}",
                 l.name, l.input, l.licence, l.origin, state
             );
         }

@@ -90,7 +90,9 @@ impl Contestant {
                     let (features, cpu_ms) =
                         parse(&text).with_context(|| path.display().to_string())?;
                     found.features.push(features);
-                    times.extend(cpu_ms);
+                    // By the same images as ours.
+                    let is_timed = done.is_multiple_of(timing_step(images.len()));
+                    times.extend(cpu_ms.filter(|_| is_timed));
                     progress(Progress {
                         stage: "",
                         done: done as u64 + 1,
@@ -109,10 +111,15 @@ pub fn file_of(number: usize, extension: &str) -> String {
     format!("{number:04}.{extension}")
 }
 
+/// Every so many images one tells the time.
+fn timing_step(images: usize) -> usize {
+    images.div_ceil(TIMED).max(1)
+}
+
 /// CPU time of an image, on one thread.
 fn time(detector: &FeatureDetector, images: &[(usize, &Image)]) -> anyhow::Result<Option<f64>> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
-    let step = images.len().div_ceil(TIMED).max(1);
+    let step = timing_step(images.len());
     let chosen: Vec<&Image> = images
         .iter()
         .step_by(step)

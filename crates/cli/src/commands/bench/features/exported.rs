@@ -8,9 +8,19 @@ use serde::Serialize;
 use super::contestants::file_of;
 use super::pairs::Pairs;
 use super::scores::{matched, matchings, pose_error_deg};
+use super::warps::Kind;
 use crate::files::write;
 
-/// The images as `images/NNNN.pgm`.
+/// Two images with a known homography.
+#[derive(Serialize)]
+struct Homography {
+    kind: Kind,
+    images: [usize; 2],
+    /// Rows.
+    target_from_source: [[f64; 3]; 3],
+}
+
+/// The images as `images/NNNN.pgm`, and which of them belong together as `homographies.json`.
 pub fn write_images(out: &Path, pairs: &Pairs) -> anyhow::Result<()> {
     let folder = out.join("images");
     std::fs::create_dir_all(&folder)?;
@@ -19,7 +29,16 @@ pub fn write_images(out: &Path, pairs: &Pairs) -> anyhow::Result<()> {
         bytes.extend(&image.pixels);
         write(&folder.join(file_of(number, "pgm")), bytes)?;
     }
-    Ok(())
+    let homographies = pairs.planar.iter().map(|pair| Homography {
+        kind: pair.kind,
+        images: pair.images,
+        target_from_source: [0, 1, 2].map(|r| [0, 1, 2].map(|c| pair.target_from_source[(r, c)])),
+    });
+    let homographies: Vec<Homography> = homographies.collect();
+    write(
+        &out.join("homographies.json"),
+        serde_json::to_vec(&homographies)?,
+    )
 }
 
 /// A pair of images with known motion.

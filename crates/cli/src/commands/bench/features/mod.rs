@@ -35,7 +35,7 @@ use warps::Kind;
 /// Examples:
 ///   lsfb bench features --posed-images hololens_office --out features
 ///   lsfb bench features --images photos --feature sift --feature xfeat --out features
-///   lsfb bench features --posed-images hololens_office --out features --force --peer OpenCV=opencv-sift
+///   lsfb bench features --posed-images hololens_office --out features --force --peer-features OpenCV=opencv-sift
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
@@ -64,7 +64,7 @@ pub struct Arguments {
     seed: u64,
     /// Folder with what another program found in the images; may be given several times.
     #[arg(long, value_name = "NAME=FOLDER", value_parser = named_path)]
-    peer: Vec<(String, PathBuf)>,
+    peer_features: Vec<(String, PathBuf)>,
     /// Keep the images in the folder, and the matches of pairs with known motions, for other programs.
     #[arg(long)]
     keep_images: bool,
@@ -96,7 +96,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     }
     contestants.extend(
         arguments
-            .peer
+            .peer_features
             .iter()
             .map(|(name, folder)| Contestant::peer(name, folder)),
     );
