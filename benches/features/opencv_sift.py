@@ -1,4 +1,6 @@
-"""OpenCV's SIFT in all images of a folder: usage: opencv_sift.py IMAGES OUT [FEATURES]
+"""OpenCV's SIFT in all images of a folder: usage: opencv_sift.py IMAGES OUT [FEATURES [CONTRAST]]
+
+CONTRAST is OpenCV's contrastThreshold (0.04); 0.021 keeps keypoints as faint as ours.
 
 Writes OUT/NNNN.txt (SIFT) and OUT-root/NNNN.txt (RootSIFT times 512): see README.md.
 """
@@ -22,11 +24,12 @@ def write(path, milliseconds, keypoints, descriptors):
 def main():
     images, out = pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2])
     count = int(sys.argv[3]) if len(sys.argv) > 3 else 900
+    contrast = float(sys.argv[4]) if len(sys.argv) > 4 else 0.04
     root = out.with_name(out.name + "-root")
     out.mkdir(parents=True, exist_ok=True)
     root.mkdir(parents=True, exist_ok=True)
     cv2.setNumThreads(1)
-    sift = cv2.SIFT_create(nfeatures=count)
+    sift = cv2.SIFT_create(nfeatures=count, contrastThreshold=contrast)
     total = []
     for path in sorted(images.glob("*.pgm")):
         image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
