@@ -71,12 +71,12 @@ fn features_are_compared_by_what_is_known_of_the_pairs() {
     let [office, fountain] = [office, fountain].map(|path| path.display().to_string());
     let mut arguments: Vec<&str> = "bench features --out f --images".split(' ').collect();
     arguments.extend([&office[..], "--posed-images", &fountain]);
-    let few = "--homography-images 1 --pose-pairs 6 --feature sift --keep-images";
+    let few = "--homography-images 1 --pose-pairs 4 --feature sift --keep-images";
     arguments.extend(few.split(' '));
     let ours = json(root, &arguments, 0);
     assert_eq!(
         (&ours["homography_pairs"], &ours["pose_pairs"]),
-        (&5.into(), &6.into())
+        (&5.into(), &4.into())
     );
     let again = lsfb(root, &arguments);
     assert_eq!(again.status.code(), Some(1), "{}", said(&again));
@@ -151,4 +151,27 @@ fn no_images_and_features_that_nobody_knows_are_refused() {
         said_of("bench features --images empty --out f --peer-features surf")
             .contains("PEER=result")
     );
+}
+
+#[test]
+fn an_image_without_a_keypoint_has_no_repeatability() {
+    let scratch = tempfile::tempdir().expect("folder");
+    let root = scratch.path();
+    std::fs::create_dir(root.join("black")).expect("folder");
+    let file = std::fs::File::create(root.join("black/a.png")).expect("file");
+    let mut encoder = png::Encoder::new(file, 96, 80);
+    encoder.set_color(png::ColorType::Grayscale);
+    let mut writer = encoder.write_header().expect("header");
+    writer.write_image_data(&[0; 96 * 80]).expect("pixels");
+    writer.finish().expect("image");
+    let arguments = "bench features --images black --feature sift --out f";
+    let mut arguments: Vec<&str> = arguments.split(' ').collect();
+    let printed = json(root, &arguments, 0);
+    let planar = &printed["features"][0]["homographies"];
+    assert_eq!(planar["repeatability"], Value::Null);
+    assert_eq!(planar["right_matches"], 0.0);
+    arguments.extend(["--force", "--homography-images", "0"]);
+    let none = lsfb(root, &arguments);
+    assert_eq!(none.status.code(), Some(1), "{}", said(&none));
+    assert!(said(&none).contains("no pairs"), "{}", said(&none));
 }

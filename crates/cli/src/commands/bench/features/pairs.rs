@@ -73,9 +73,13 @@ impl Pairs {
             arguments.seed,
             context,
         )?;
-        for (folder, posed) in &posed {
+        for (folder, posed) in posed.iter().filter(|_| arguments.pose_pairs > 0) {
             pairs.add_posed(&name_of(folder), posed, arguments.pose_pairs, context)?;
         }
+        anyhow::ensure!(
+            !pairs.images.is_empty(),
+            "no pairs to compare features on: give more than 0 --homography-images, or folders of posed images that overlap and more than 0 --pose-pairs"
+        );
         Ok(pairs)
     }
 

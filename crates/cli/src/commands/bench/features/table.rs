@@ -33,8 +33,8 @@ pub struct Row {
 #[derive(Clone, Copy, Serialize)]
 pub struct Planar {
     pub pairs: usize,
-    /// Share of the keypoints, where the images overlap, with one of the other image within 1 and 3 px.
-    pub repeatability: [f64; 2],
+    /// Share of the keypoints, where the images overlap, with one of the other image within 1 and 3 px; `None` where there are none.
+    pub repeatability: Option<[f64; 2]>,
     /// Share of mutual nearest neighbours within 1 and 3 px, mean over the pairs.
     pub matching_accuracy: [f64; 2],
     /// Matches within 3 px, mean over the pairs.
@@ -56,15 +56,15 @@ pub struct Posed {
 impl Planar {
     /// Means over pairs; `None` of none.
     pub fn mean(scores: &[PlanarScore]) -> Option<Self> {
-        let mean = |value: &dyn Fn(&PlanarScore) -> Option<f64>| {
-            let values: Vec<f64> = scores.iter().filter_map(value).collect();
-            values.iter().sum::<f64>() / values.len().max(1) as f64
-        };
+        let mean = |values: Vec<f64>| values.iter().sum::<f64>() / values.len().max(1) as f64;
+        let of_all = |value: &dyn Fn(&PlanarScore) -> f64| mean(scores.iter().map(value).collect());
+        let repeated: Vec<[f64; 2]> = scores.iter().filter_map(|s| s.repeatability).collect();
+        let repeatability = [0, 1].map(|k| mean(repeated.iter().map(|r| r[k]).collect()));
         (!scores.is_empty()).then(|| Self {
             pairs: scores.len(),
-            repeatability: [0, 1].map(|k| mean(&|s| s.repeatability.map(|r| r[k]))),
-            matching_accuracy: [0, 1].map(|k| mean(&|s| Some(s.accuracy[k]))),
-            right_matches: mean(&|s| Some(s.right as f64)),
+            repeatability: (!repeated.is_empty()).then_some(repeatability),
+            matching_accuracy: [0, 1].map(|k| of_all(&|s| s.accuracy[k])),
+            right_matches: of_all(&|s| s.right as f64),
         })
     }
 }
@@ -111,8 +111,9 @@ fn planar_cells(planar: Option<&Planar>) -> Vec<String> {
     let Some(p) = planar else {
         return vec!["–".to_owned(); 5];
     };
-    let shares = [p.repeatability, p.matching_accuracy].concat();
-    let mut cells: Vec<String> = shares.into_iter().map(percent).collect();
+    let none = ["–", "–"].map(str::to_owned);
+    let mut cells = p.repeatability.map_or(none, |r| r.map(percent)).to_vec();
+    cells.extend(p.matching_accuracy.map(percent));
     cells.push(format!("{:.0}", p.right_matches));
     cells
 }
