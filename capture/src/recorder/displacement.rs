@@ -120,7 +120,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("scan.mcap");
         let other = folder.path().join("other.mcap");
-        let open = std::fs::File::create(&path).unwrap();
+        let open = File::create(&path).unwrap();
         let found = || Displacement::of(&path, open.metadata().unwrap());
         assert_eq!(found(), None);
         std::fs::rename(&path, &other).unwrap();
