@@ -9,20 +9,13 @@
 use nalgebra::{Matrix2, Vector2};
 
 use super::plane::{Chord, Plane};
-use super::solved::Used;
+use super::solved::{DarkExcess, Used};
 
 /// Returns a chord needs to say something.
 const MIN_POINTS: usize = 6;
 /// Chords needed on all boards together, and standard deviations that the difference must be from zero.
 const MIN_CHORDS: usize = 12;
 const DEVIATIONS: f64 = 4.0;
-
-/// By how much ranges to dark parts are longer than those to bright ones.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct DarkExcess {
-    pub excess_m: f64,
-    pub sigma_m: f64,
-}
 
 /// What one chord says of it: sums over its returns, straight lines taken off.
 struct OfChord {

@@ -7,7 +7,6 @@ use lsfb_geometry::{Matrix6, Se3, Vector3};
 use super::Scene;
 use super::candidates::Patch;
 use super::plane::{Chord, PlaneFit};
-use super::shades::DarkExcess;
 
 /// One pose in the adjustment.
 #[derive(Clone)]
@@ -19,6 +18,13 @@ pub(super) struct Used {
     pub fit: PlaneFit,
     pub camera_from_board: Se3,
     pub edges_used: usize,
+}
+
+/// By how much ranges to dark parts are longer than those to bright ones.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct DarkExcess {
+    pub excess_m: f64,
+    pub sigma_m: f64,
 }
 
 pub(super) struct Solved {
