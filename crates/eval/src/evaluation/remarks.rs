@@ -67,7 +67,9 @@ pub(super) fn of(
             .is_some_and(|f| f.verdict == Verdict::Fail);
         findings.extend(followed);
         let errors = found.ate_by_alignment.iter().filter_map(|a| a.rmse_m);
-        if let Some(best_m) = errors.min_by(f64::total_cmp) {
+        let best_m = errors.min_by(f64::total_cmp);
+        // Of the truth itself, errors are those of rounding.
+        if let Some(best_m) = best_m.filter(|best_m| *best_m >= LEAST_ERROR_M) {
             findings.extend(conventions::mirrored(pairs, best_m));
             findings.extend(
                 (!is_lost)

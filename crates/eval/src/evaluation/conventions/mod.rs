@@ -130,7 +130,7 @@ pub(super) fn mirrored(pairs: &[PosePair], best_m: f64) -> Option<Finding> {
     let mirrored_m = error_m(&mirror, AlignmentMode::Sim3)?;
     (mirrored_m < LESS * best_m).then(|| {
         let what = format!(
-            "the estimate is a mirror image: its error is {best_m:.4} m rms, and {mirrored_m:.4} m with one axis turned around"
+            "the estimate is a mirror image: its error is {best_m:.3} m rms, and {mirrored_m:.3} m with one axis turned around"
         );
         Finding::new("mirrored", Verdict::Fail, "positions", what)
             .value(mirrored_m, "m")
