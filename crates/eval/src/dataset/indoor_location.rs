@@ -1,6 +1,7 @@
 //! A walk as a text of Microsoft Indoor Location 2.0: a record on each line, `unix_ms TAB TYPE_… TAB values`, with waypoints on the floor
 //! plan. Columns: `location-competition/indoor-location-competition-20`, README.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use lsfb_geometry::StampedPose;
@@ -66,11 +67,19 @@ pub fn indoor_location(
             }
         }
         if topic.schema == message::WIFI_READING.name {
+            // Readings of a scan are handed out together, behind the newest of them; arrivals are of the recorder's clock.
+            let mut ends: BTreeMap<u32, Timestamp> = BTreeMap::new();
+            for reading in recording.wifi(Some(name))? {
+                let reading = reading?;
+                let end = ends.entry(reading.sample.scan).or_insert(reading.time);
+                *end = (*end).max(reading.time);
+            }
             for reading in recording.wifi(Some(name))? {
                 let reading = reading?;
                 let heard = &reading.sample;
+                let end = ends.get(&heard.scan).copied();
                 rows.push((
-                    millis(reading.arrival),
+                    millis(end.unwrap_or(reading.time)),
                     format!(
                         "TYPE_WIFI\t{}\t{}\t{}\t{}\t{}",
                         word(&heard.ssid),

@@ -75,12 +75,11 @@ pub fn lamar_session(
                 let (heard, at) = (&reading.sample, micros(reading.time));
                 let _ = writeln!(
                     wifi,
-                    "{at}, wifi, {}, {}, {}, {}, {at}, {}",
+                    "{at}, wifi, {}, {}, {}, {}, {at}, {at}",
                     word(&heard.bssid),
                     heard.frequency_mhz,
                     heard.rssi_dbm,
-                    word(&heard.ssid),
-                    micros(reading.arrival)
+                    word(&heard.ssid)
                 );
             }
         }
