@@ -92,18 +92,17 @@ pub(super) fn left_out(walk: &TrackedWalk, motion: &Motion, config: &MotionConfi
         reasons[k] = (!sees_enough(&k)).then_some(not_followed);
     }
     let mut before = None;
-    for k in 0..count {
-        let sigma_m = position_sigma_m(&motion.covariances[k]);
+    for (k, (reason, covariance)) in reasons.iter_mut().zip(&motion.covariances).enumerate() {
         // What is no number is not certain.
-        let is_certain = sigma_m <= config.max_position_sigma_m;
-        if reasons[k].is_none() && !is_certain {
-            reasons[k] = Some(LeftOutReason::Uncertain);
+        let is_certain = position_sigma_m(covariance) <= config.max_position_sigma_m;
+        if reason.is_none() && !is_certain {
+            *reason = Some(LeftOutReason::Uncertain);
             match (before, spans.last_mut()) {
                 (Some(LeftOutReason::Uncertain), Some(span)) => span.to_ns = time(k).nanos(),
                 _ => spans.push(Span::new(time(k), time(k), LeftOutReason::Uncertain)),
             }
         }
-        before = reasons[k];
+        before = *reason;
     }
     spans.sort_by_key(|span| span.from_ns);
     LeftOut { reasons, spans }
