@@ -112,10 +112,10 @@ fn constraints(basis: &[Matrix3<f64>; 4]) -> SMatrix<f64, 10, 20> {
         let norm = p.norm().max(f64::MIN_POSITIVE);
         equations.set_row(row, &(p / norm).transpose());
     };
-    for r in 0..3 {
-        for c in 0..3 {
-            let cubed: Polynomial = (0..3).map(|k| times(&product[r][k], &e[k][c])).sum();
-            put(3 * r + c, &(cubed * 2.0 - times(&trace, &e[r][c])));
+    for (r, of_row) in product.iter().enumerate() {
+        for (c, entry) in e[r].iter().enumerate() {
+            let cubed: Polynomial = (0..3).map(|k| times(&of_row[k], &e[k][c])).sum();
+            put(3 * r + c, &(cubed * 2.0 - times(&trace, entry)));
         }
     }
     let minor = |a: usize, b: usize| times(&e[1][a], &e[2][b]) - times(&e[1][b], &e[2][a]);

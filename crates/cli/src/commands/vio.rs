@@ -112,6 +112,11 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let mut provenance = Provenance::new(&config);
     // Of a folder the recording that was made of it: it holds all that was read.
     provenance.add_input(place)?;
+    anyhow::ensure!(
+        imported.is_none() || recording.rig().is_ok(),
+        "{}: nothing in it says where the cameras are on the IMU; give the rig with --rig",
+        arguments.walk.display()
+    );
     let rig = super::about(
         place,
         super::rig_for(&recording, arguments.rig.as_deref(), &mut provenance),

@@ -29,6 +29,9 @@ const ROUNDS: usize = 40;
 /// Pairs of poses by which it is found.
 const MOST_PAIRS: usize = 500;
 
+/// An orientation as another convention has it.
+type Change<'a> = dyn Fn(UnitQuaternion<f64>) -> UnitQuaternion<f64> + 'a;
+
 /// What helps where the orientations mean nothing.
 const REMEDY: &str = "correct the file, or evaluate its positions alone: rotation errors, recall and relative errors mean nothing";
 
@@ -48,7 +51,7 @@ pub(super) fn orientations(
     };
     let raw = |q: UnitQuaternion<f64>| q.into_inner();
     let of = |w, x, y, z| UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
-    let conventions: [(&str, &dyn Fn(UnitQuaternion<f64>) -> UnitQuaternion<f64>); 3] = [
+    let conventions: [(&str, &Change<'_>); 3] = [
         ("have w first where x, y, z, w was read", &|q| {
             let q = raw(q);
             of(q.i, q.j, q.k, q.w)

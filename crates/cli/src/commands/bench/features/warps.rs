@@ -214,21 +214,23 @@ fn shade(values: &mut [f64], width: usize, rng: &mut ChaCha8Rng) {
 }
 
 /// With a Gaussian, along rows and then along columns; at the rim the outermost pixel counts on.
-fn blur(values: &mut Vec<f64>, width: usize, sigma_px: f64) {
+fn blur(values: &mut [f64], width: usize, sigma_px: f64) {
     let reach = (3.0 * sigma_px).ceil() as i64;
     let weight = |k: i64| (-0.5 * (k as f64 / sigma_px).powi(2)).exp();
-    let total: f64 = (-reach..=reach).map(weight).sum();
+    let weights: Vec<f64> = (-reach..=reach).map(weight).collect();
+    let total: f64 = weights.iter().sum();
     let height = values.len() / width.max(1);
     for along_rows in [true, false] {
-        let before = values.clone();
+        let before = values.to_vec();
         for (index, value) in values.iter_mut().enumerate() {
             let (x, y) = ((index % width) as i64, (index / width) as i64);
             let sum: f64 = (-reach..=reach)
-                .map(|k| {
+                .zip(&weights)
+                .map(|(k, weight)| {
                     let (dx, dy) = if along_rows { (k, 0) } else { (0, k) };
                     let x = (x + dx).clamp(0, width as i64 - 1) as usize;
                     let y = (y + dy).clamp(0, height as i64 - 1) as usize;
-                    weight(k) * before[y * width + x]
+                    weight * before[y * width + x]
                 })
                 .sum();
             *value = sum / total;
