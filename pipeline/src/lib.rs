@@ -23,6 +23,7 @@ mod place_search;
 pub mod posed_images;
 pub mod preintegration;
 pub mod residuals;
+mod sampling;
 mod solve;
 pub mod two_view;
 

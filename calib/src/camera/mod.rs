@@ -194,7 +194,16 @@ pub fn calibrate_cameras(
             done: done as u64,
             total: cameras.len() as u64,
         })?;
-        let found = views.views.len() - selection::copied(views).len();
+        let found = views.views.len();
+        let different = found - selection::copied(views).len();
+        if found >= config.min_views && different < config.min_views {
+            return Err(Error::CopiedImages {
+                camera: views.name.clone(),
+                found,
+                different,
+                needed: config.min_views,
+            });
+        }
         if found < config.min_views {
             return Err(Error::TargetNotSeen {
                 camera: views.name.clone(),

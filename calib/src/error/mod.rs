@@ -53,6 +53,20 @@ pub enum Error {
         /// What was looked for.
         target: String,
     },
+    /// Most images of a camera are one image.
+    #[error(
+        "camera {camera}: the target was found in {found} images, but only {different} of them differ, the others are copies, and {needed} are needed: move the board or the camera between them, and check that the camera does not repeat its images"
+    )]
+    CopiedImages {
+        /// The camera.
+        camera: String,
+        /// Images in which it was found.
+        found: usize,
+        /// Those that are no copies of others.
+        different: usize,
+        /// Images needed.
+        needed: usize,
+    },
     /// A camera saw another target.
     #[error("camera {camera}: the {target} is in none of {images} images, but {instead}")]
     OtherTarget {

@@ -39,7 +39,9 @@ impl Displacement {
     pub(crate) fn of(path: &Path, open: Metadata) -> Option<Self> {
         let there = std::fs::metadata(path);
         if there.is_ok_and(|there| (there.dev(), there.ino()) == (open.dev(), open.ino())) {
-            return begins_with_a_hole(path).then(|| Self {
+            // A pipe has no beginning, and what is read from it is gone.
+            let is_emptied = open.is_file() && begins_with_a_hole(path);
+            return is_emptied.then(|| Self {
                 path: path.to_owned(),
                 how: How::Emptied,
             });

@@ -116,6 +116,19 @@ fn finding<'a>(judged: &'a Value, code: &str) -> &'a Value {
     found.unwrap_or_else(|| panic!("no {code} in {findings:?}"))
 }
 
+/// Lines of a table with some of their columns multiplied; what is no number stays.
+fn scaled(text: &str, columns: std::ops::Range<usize>, by: f64) -> String {
+    let lines = text.lines().map(|line| {
+        let cells = line.split(',').enumerate().map(|(k, cell)| {
+            let value: Option<f64> = cell.trim().parse().ok();
+            let value = value.filter(|_| columns.contains(&k));
+            value.map_or(cell.to_owned(), |value| (value * by).to_string())
+        });
+        cells.collect::<Vec<_>>().join(",")
+    });
+    lines.collect::<Vec<_>>().join("\n")
+}
+
 /// A folder of TUM VI becomes a trajectory; two seconds of darkness in it are left out, said, and not bridged.
 #[test]
 fn a_walk_has_poses_but_where_it_was_dark() {
@@ -201,17 +214,18 @@ fn a_rig_or_an_imu_that_is_not_as_stated_is_said() {
     write_rig(&calibrated, |_| {}, &at.join("rig.toml"));
     let samples = at.join("walk/mav0/imu0/data.csv");
     let text = fs::read_to_string(&samples).expect("samples");
-    let in_degrees = text.lines().map(|line| {
-        let cells: Vec<&str> = line.split(',').collect();
-        let turned = cells[1..].iter().take(3).map(|cell| {
-            let rate: Result<f64, _> = cell.trim().parse();
-            rate.map_or((*cell).to_owned(), |r| r.to_degrees().to_string())
-        });
-        let turned: Vec<String> = turned.collect();
-        format!("{},{},{}", cells[0], turned.join(","), cells[4..].join(","))
-    });
-    let in_degrees: Vec<String> = in_degrees.collect();
-    fs::write(&samples, in_degrees.join("\n")).expect("samples");
+    fs::write(&samples, scaled(&text, 4..7, 1.05)).expect("samples");
+    let said = json(
+        at,
+        &["vio", "walk", "--rig", "rig.toml", "--out", "s.tum"],
+        0,
+    );
+    // The path is 5 % too long with it; once nothing said so.
+    let gravity = finding(&said, "gravity");
+    assert_eq!(gravity["verdict"], "warn");
+    assert!(gravity["value"].as_f64().expect("%") > 4.0, "{gravity}");
+
+    fs::write(&samples, scaled(&text, 1..4, 1f64.to_degrees())).expect("samples");
     let refused = lsfb(at, &["vio", "walk", "--rig", "rig.toml", "--out", "d.tum"]);
     assert_eq!(refused.status.code(), Some(1));
     let why = String::from_utf8_lossy(&refused.stderr).into_owned();

@@ -9,6 +9,14 @@ use super::report::{CameraRefinement, GroundTruthReport, GroundTruthWarning, Lef
 pub(super) const UNLIKELY_SIGMAS: f64 = 3.0;
 
 impl GroundTruthWarning {
+    /// Whether something that was recorded could not be read.
+    pub fn loses_data(&self) -> bool {
+        matches!(
+            self,
+            Self::DamagedImages { .. } | Self::DamagedSamples { .. }
+        )
+    }
+
     /// As every command and page says it.
     pub fn finding(&self) -> Finding {
         let warn = |code: &'static str, subject: &str, what: String| {
@@ -173,10 +181,7 @@ impl CameraRefinement {
 impl GroundTruthReport {
     /// Whether nothing is left out: every message was read, every frame has a pose.
     pub fn is_whole(&self) -> bool {
-        use GroundTruthWarning::{DamagedImages, DamagedSamples};
-        let is_damaged =
-            |w: &GroundTruthWarning| matches!(w, DamagedImages { .. } | DamagedSamples { .. });
-        self.left_out.is_empty() && !self.warnings.iter().any(is_damaged)
+        self.left_out.is_empty() && !self.warnings.iter().any(GroundTruthWarning::loses_data)
     }
 
     /// Everything that was looked at, good or not.

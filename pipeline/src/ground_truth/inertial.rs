@@ -43,16 +43,16 @@ impl StateBlocks {
 }
 
 /// Adds `h(C_i, C_i+1)` of eq. (5) for all neighbours among some frames, from the first on, and what is known of the biases
-/// beforehand. The IMU is summed up with the biases that the blocks have now.
+/// beforehand. The IMU is summed up with the biases that the blocks have now. Gives gravity; `None` without frames.
 pub(super) fn add_inertial_residuals(
     problem: &mut Problem,
     walk: &Walk,
     first_frame: usize,
     states: &[StateBlocks],
     config: &GroundTruthConfig,
-) -> Result<(), Error> {
+) -> Result<Option<Block<Vector3<f64>>>, Error> {
     let Some(first) = states.first() else {
-        return Ok(());
+        return Ok(None);
     };
     let now: Vec<FrameState> = states.iter().map(|s| s.read(problem)).collect();
     let frames = first_frame..first_frame + states.len();
@@ -111,7 +111,7 @@ pub(super) fn add_inertial_residuals(
             problem.add_residual(residual, &blocks, Kernel::Squared)?;
         }
     }
-    Ok(())
+    Ok(Some(gravity))
 }
 
 /// Standard deviations of how a body moves of which nothing was measured: turns, rad/s, and accelerates, m/s².

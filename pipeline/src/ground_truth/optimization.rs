@@ -11,6 +11,7 @@ use super::estimate::Estimate;
 use super::inertial::{StateBlocks, add_inertial_residuals};
 use super::walk::{FixedObservation, Frame, FrameState, LocalPoint, Walk};
 use crate::Error;
+use crate::preintegration::standard_gravity_m_s2;
 use crate::residuals::{CameraCorrection, FixedPointReprojection, MovingReprojection};
 use crate::solve::solve_until_converged;
 
@@ -18,6 +19,8 @@ use crate::solve::solve_until_converged;
 pub(super) struct Optimized {
     pub estimate: Estimate,
     pub points: Vec<LocalPoint>,
+    /// In the world, m/s².
+    pub gravity_m_s2: Vector3<f64>,
     pub report: Report,
 }
 
@@ -103,6 +106,8 @@ pub(super) struct Adjustment {
     pub states: Vec<StateBlocks>,
     /// Beside the points; `None` for one that nothing determines.
     pub points: Vec<Option<Block<Vector3<f64>>>>,
+    /// In the world, m/s²; `None` without frames.
+    pub gravity: Option<Block<Vector3<f64>>>,
 }
 
 impl Adjustment {
@@ -172,7 +177,7 @@ impl Adjustment {
                 problem.add_residual(residual, &blocks, kernel)?;
             }
         }
-        add_inertial_residuals(&mut problem, walk, 0, &states, config)?;
+        let gravity = add_inertial_residuals(&mut problem, walk, 0, &states, config)?;
         if let Some(anchor) = anchor {
             anchor.hold(&mut problem, &before.states, &states)?;
         }
@@ -181,6 +186,7 @@ impl Adjustment {
             corrections,
             states,
             points: point_blocks,
+            gravity,
         })
     }
 }
@@ -199,6 +205,7 @@ pub(super) fn optimize(
         corrections,
         states,
         points: blocks,
+        gravity,
     } = Adjustment::of(walk, before, points, anchor, config)?;
     let report = solve_until_converged("bundle adjustment", &mut problem, &config.solve, progress)?;
     Ok(Optimized {
@@ -215,6 +222,7 @@ pub(super) fn optimize(
                 observations: point.observations.clone(),
             })
             .collect(),
+        gravity_m_s2: gravity.map_or_else(standard_gravity_m_s2, |g| problem.value(g)),
         report,
     })
 }

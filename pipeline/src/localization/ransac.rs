@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::matches::{MountedCamera, PointMatch};
 use super::p3p::solve_p3p;
 use super::refinement::{RefinementConfig, refine_pose};
+use crate::sampling::samples_needed;
 
 /// Configuration of [`estimate_pose`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -123,7 +124,7 @@ pub fn estimate_pose(
             ));
             let (pose, _) = best.as_ref()?;
             let count = inliers(&bearings, &pose.inverse()).count();
-            needed = samples_needed(count as f64 / bearings.len() as f64, config.confidence);
+            needed = samples_needed(count as f64 / bearings.len() as f64, 3, config.confidence);
         }
     }
     let (world_from_rig, _) = best?;
@@ -240,20 +241,6 @@ fn optimise(
         best = (refined.world_from_rig, better);
     }
     best
-}
-
-/// Samples of three until one of inliers only has been drawn with the given probability.
-fn samples_needed(inlier_ratio: f64, confidence: f64) -> usize {
-    let good = inlier_ratio.powi(3);
-    if good >= 1.0 {
-        return 0;
-    }
-    let needed = (1.0 - confidence).max(1e-12).ln() / (1.0 - good).ln();
-    if needed.is_finite() {
-        needed.ceil() as usize
-    } else {
-        usize::MAX
-    }
 }
 
 #[cfg(test)]

@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::epipolar_error::{Linearised, Motion, RayPair, essential_of};
 use super::five_point::essential_matrices;
+use crate::sampling::samples_needed;
 
 /// Configuration of [`estimate_relative_pose`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -92,7 +93,7 @@ pub fn estimate_relative_pose(
             if cost < bound {
                 let found = scorer.optimised(motion, cost);
                 let share = scorer.inliers(&found.0).count() as f64 / pairs.len() as f64;
-                needed = samples_needed(share, config.confidence);
+                needed = samples_needed(share, 5, config.confidence);
                 best = Some(found);
             }
         }
@@ -118,20 +119,6 @@ fn five_of(count: usize, rng: &mut ChaCha8Rng) -> [usize; 5] {
         };
     }
     chosen
-}
-
-/// Samples of five until one of inliers only has been drawn with the given probability.
-fn samples_needed(inlier_ratio: f64, confidence: f64) -> usize {
-    let good = inlier_ratio.powi(5);
-    if good >= 1.0 {
-        return 0;
-    }
-    let needed = (1.0 - confidence).max(1e-12).ln() / (1.0 - good).ln();
-    if needed.is_finite() {
-        needed.ceil() as usize
-    } else {
-        usize::MAX
-    }
 }
 
 /// All pairs, and what an inlier is.

@@ -100,6 +100,8 @@ pub struct Motion {
     pub sights_in_use: Vec<usize>,
     /// How it began.
     pub beginning: Beginning,
+    /// Gravity as the walk has it, m/s²: an accelerometer whose scale is wrong bends it, and the walk's scale with it.
+    pub gravity_m_s2: f64,
     /// Points that were placed.
     pub points: usize,
     /// Reprojection errors of those in use.
@@ -192,6 +194,7 @@ pub fn motion_without_map(
         biases: states.iter().map(|s| s.bias).collect(),
         sights_in_use,
         beginning,
+        gravity_m_s2: solved.gravity_m_s2.norm(),
         points: solved.points.iter().filter(|p| p.is_determined()).count(),
         errors: local_errors(&solved.estimate, &solved.points),
         errors_before,

@@ -10,7 +10,10 @@ use crate::ground_truth::findings::UNLIKELY_SIGMAS;
 use crate::ground_truth::report::{
     CameraRefinement, GroundTruthWarning, LeftOutReason, ReprojectionErrors, Span,
 };
-use crate::preintegration::{ImuBias, PreintegratedImu};
+use crate::preintegration::{ImuBias, PreintegratedImu, standard_gravity_m_s2};
+
+/// By how much gravity may be off, percent: raw accelerometers are off by up to 2.
+const LARGEST_GRAVITY_PERCENT: f64 = 2.5;
 
 /// What was read, and what could not be.
 #[derive(Default)]
@@ -55,6 +58,8 @@ pub struct MotionReport {
     pub accel_bias_m_s2: [f64; 3],
     /// Largest of their components in the standard deviations that the settings give a first bias.
     pub bias_sigmas: f64,
+    /// Gravity as the walk has it, m/s².
+    pub gravity_m_s2: f64,
     /// Length of the path, metres.
     pub path_length_m: f64,
     /// Largest standard deviation of a position of the trajectory relative to its first, metres.
@@ -149,6 +154,7 @@ impl MotionReport {
             gyro_bias_rad_s: bias.gyro_rad_s.into(),
             accel_bias_m_s2: bias.accel_m_s2.into(),
             bias_sigmas: gyro.max(accel),
+            gravity_m_s2: motion.gravity_m_s2,
             path_length_m: trajectory.path_length_m(),
             largest_position_sigma_m: sigmas.fold(0.0, f64::max),
             warnings: counted.into_iter().flatten().collect(),
@@ -157,10 +163,7 @@ impl MotionReport {
 
     /// Whether nothing is left out: every message was read, every frame has a pose.
     pub fn is_whole(&self) -> bool {
-        use GroundTruthWarning::{DamagedImages, DamagedSamples};
-        let is_damaged =
-            |w: &GroundTruthWarning| matches!(w, DamagedImages { .. } | DamagedSamples { .. });
-        self.left_out.is_empty() && !self.warnings.iter().any(is_damaged)
+        self.left_out.is_empty() && !self.warnings.iter().any(GroundTruthWarning::loses_data)
     }
 
     /// Everything that was looked at, good or not.
@@ -196,11 +199,29 @@ impl MotionReport {
                 .value(self.bias_sigmas, "")
                 .limit(Limit::AtMost(UNLIKELY_SIGMAS))
                 .remedy("check the IMU's units, scale and axes"),
+            self.of_gravity(),
         ];
         findings.extend(self.left_out_findings());
         findings.extend(self.cameras.iter().map(|camera| self.of_camera(camera)));
         findings.extend(self.warnings.iter().map(GroundTruthWarning::finding));
         findings
+    }
+
+    /// Nowhere on Earth is gravity more than 0.03 m/s² from the standard: what is more is the accelerometer's scale, by which the path is too
+    /// long or too short as well.
+    fn of_gravity(&self) -> Finding {
+        let standard = standard_gravity_m_s2().norm();
+        let share = 100.0 * (self.gravity_m_s2 / standard - 1.0);
+        let limit = Limit::AtMost(LARGEST_GRAVITY_PERCENT);
+        let what = format!(
+            "the walk's gravity is {:.3} m/s², {share:+.1} % from what it is on Earth",
+            self.gravity_m_s2
+        );
+        let verdict = Verdict::Warn.unless(limit.holds(share.abs()));
+        Finding::new("gravity", verdict, "IMU", what)
+            .value(share.abs(), "%")
+            .limit(limit)
+            .remedy("the path is wrong by as much: calibrate the accelerometer's scale")
     }
 
     /// One for each reason.
