@@ -129,14 +129,18 @@ fn scaled(text: &str, columns: std::ops::Range<usize>, by: f64) -> String {
     lines.collect::<Vec<_>>().join("\n")
 }
 
+/// A walk of TUM VI, and the folder with the calibration of its device; `None` where they are absent.
+fn tumvi(test: &str) -> Option<[PathBuf; 2]> {
+    Some([
+        recordings(test, "tumvi_calib_imu1_next")?,
+        recordings(test, "tumvi_calib_imu1")?,
+    ])
+}
+
 /// A folder of TUM VI becomes a trajectory; two seconds of darkness in it are left out, said, and not bridged.
 #[test]
 fn a_walk_has_poses_but_where_it_was_dark() {
-    let test = "a_walk_has_poses_but_where_it_was_dark";
-    let (Some(walk), Some(calibrated)) = (
-        recordings(test, "tumvi_calib_imu1_next"),
-        recordings(test, "tumvi_calib_imu1"),
-    ) else {
+    let Some([walk, calibrated]) = tumvi("a_walk_has_poses_but_where_it_was_dark") else {
         return;
     };
     let folder = tempfile::tempdir().expect("folder");
@@ -182,11 +186,7 @@ fn a_walk_has_poses_but_where_it_was_dark() {
 /// A camera that is not where the rig says fails the judgement; samples in other units are refused.
 #[test]
 fn a_rig_or_an_imu_that_is_not_as_stated_is_said() {
-    let test = "a_rig_or_an_imu_that_is_not_as_stated_is_said";
-    let (Some(walk), Some(calibrated)) = (
-        recordings(test, "tumvi_calib_imu1_next"),
-        recordings(test, "tumvi_calib_imu1"),
-    ) else {
+    let Some([walk, calibrated]) = tumvi("a_rig_or_an_imu_that_is_not_as_stated_is_said") else {
         return;
     };
     let folder = tempfile::tempdir().expect("folder");

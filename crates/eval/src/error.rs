@@ -341,6 +341,14 @@ pub enum Error {
         /// The limit, metres.
         limit_m: f64,
     },
+    /// A walk that stands in two tables.
+    #[error(
+        "{scans} scans of Wi-Fi stand in two of the walks, with the same readings at the same times: a walk that is compared with its copy is found exactly; give each walk once"
+    )]
+    CopiedScans {
+        /// Scans that are copies.
+        scans: usize,
+    },
     /// Fewer pairs than the computation needs.
     #[error("only {matched} poses match, {needed} are needed for {purpose}")]
     TooFewMatches {

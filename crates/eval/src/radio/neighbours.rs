@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use lsfb_geometry::Vector3;
-use lsfb_types::{Bounds, Finding, Limit, Verdict};
+use lsfb_types::{Bounds, Finding, Limit, Timestamp, Verdict};
 use serde::{Deserialize, Serialize};
 
 use super::placing::{PlacedReading, RadioKind};
@@ -48,6 +48,8 @@ impl Default for NeighbourConfig {
 const REACHES_M: [f64; 2] = [5.0, 10.0];
 /// Cosines that differ by less are alike.
 const SMALLEST: f64 = 1e-3;
+/// Senders from which on no two phones hear the same powers by chance.
+const CHANCE: usize = 3;
 /// Share of the scans that should have another walk's within ten metres.
 const LEAST_REACHED: f64 = 0.8;
 
@@ -83,6 +85,8 @@ pub struct NeighbourFigures {
 /// A scan at its place.
 struct Scan {
     walk: usize,
+    /// Of its newest reading.
+    time: Timestamp,
     position_m: Vector3<f64>,
     sigma_m: f64,
     /// Powers above the floor, raised, and divided by their norm.
@@ -90,6 +94,8 @@ struct Scan {
 }
 
 /// Places every scan by the scans of all other walks.
+///
+/// [`Error::CopiedScans`] where a scan stands in two walks, [`Error::TooFewMatches`] where no two walks share a sender.
 pub fn judge_neighbours(
     walks: &[Vec<PlacedReading>],
     config: &NeighbourConfig,
@@ -99,6 +105,15 @@ pub fn judge_neighbours(
         .enumerate()
         .flat_map(|(walk, readings)| scans_of(walk, readings, config))
         .collect();
+    let is_copy = |scan: &&Scan| {
+        let mut earlier = scans.iter().take_while(|other| other.walk < scan.walk);
+        scan.heard.len() >= CHANCE
+            && earlier.any(|other| other.time == scan.time && other.heard == scan.heard)
+    };
+    let copied = scans.iter().filter(is_copy).count();
+    if copied > 0 {
+        return Err(Error::CopiedScans { scans: copied });
+    }
     let (mut errors_m, mut nearest_m, mut unheard) = (Vec::new(), Vec::new(), 0);
     for scan in &scans {
         let mut others: Vec<(f64, &Scan)> = scans
@@ -199,6 +214,7 @@ fn scans_of(walk: usize, readings: &[PlacedReading], config: &NeighbourConfig) -
         }
         (norm > 0.0).then(|| Scan {
             walk,
+            time: newest,
             position_m: readings.iter().map(|r| r.position_m).sum::<Vector3<f64>>() / count,
             sigma_m: readings.iter().map(|r| r.sigma_m).sum::<f64>() / count,
             heard,

@@ -185,3 +185,27 @@ fn a_scan_is_placed_by_other_walks_and_by_fresh_readings() {
     assert!(judge_neighbours(&[first], &config).is_err());
     assert!(judge_neighbours(&[], &config).is_err());
 }
+
+/// A copy of a walk under another name made the median error 5 cm.
+#[test]
+fn a_walk_and_its_copy_are_refused() {
+    let config = NeighbourConfig::default();
+    let walk = |from: f64| -> Vec<PlacedReading> {
+        let senders = ["a", "b", "c"].into_iter().zip([-50, -60, -70]);
+        let scans = (1..=4).flat_map(|scan| senders.clone().map(move |s| (scan, s)));
+        scans
+            .map(|(scan, (source, rssi_dbm))| {
+                let at = from + f64::from(scan);
+                reading(scan, at, source, rssi_dbm, at)
+            })
+            .collect()
+    };
+    let (one, other) = (walk(0.0), walk(0.5));
+    assert!(judge_neighbours(&[one.clone(), other.clone()], &config).is_ok());
+    let half: Vec<_> = one.iter().take(6).cloned().collect();
+    let said = judge_neighbours(&[one, other, half], &config);
+    assert!(
+        matches!(said, Err(crate::Error::CopiedScans { scans: 2 })),
+        "{said:?}"
+    );
+}

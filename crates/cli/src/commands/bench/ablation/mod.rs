@@ -12,6 +12,7 @@ use lsfb_pipeline::ground_truth::{
 };
 use lsfb_pipeline::hd_map::HdMap;
 use lsfb_recording::{Provenance, Recording, write_tum};
+use lsfb_types::{Finding, Verdict};
 
 use super::twin::refusal;
 use crate::commands::models::ModelFolder;
@@ -27,9 +28,10 @@ use table::{ALIGNMENT, QUADRANTS, Row, Run, Table, summary, text};
 /// pair of neighbours, for 25 % all but each; 100 % is the whole map. 0 % is the motion without a map (`lsfb vio`). Every trajectory is
 /// aligned to the ground truth by SE(3) before it is judged, those in the map too: the motion without a map has no place of its own.
 ///
-/// Each row has the mean over the choices of quadrants with its 95 % interval (Student's t), the worst choice, and the share of the walk's
-/// frames that have a pose; choices with which the walk is refused are counted and said. What is wrong and what is left out trade against
-/// each other: look at both. Writes ablation.json and every trajectory.
+/// Each row has the mean over the choices of quadrants with its 95 % interval (Student's t), the worst choice, the share of the poses that
+/// the ground truth judges (of a shorter one, not all), and the share of the walk's frames that have a pose; choices with which the walk is
+/// refused are counted and said. What is wrong and what is left out trade against each other: look at both. Writes ablation.json and every
+/// trajectory.
 ///
 /// Examples:
 ///   lsfb bench ablation walk.mcap --map map --truth truth_walk.tum --out ablation
@@ -191,7 +193,9 @@ impl Bench<'_> {
             points_percent: 0.0,
             poses_percent: 0.0,
             ate_rms_m: None,
+            judged_percent: 0.0,
             ate_max_m: None,
+            findings: Vec::new(),
             refused: None,
         };
         let found = match found {
@@ -211,7 +215,11 @@ impl Bench<'_> {
         match evaluate(&self.truth.poses, found.trajectory.poses(), &config) {
             Ok(judged) => {
                 run.ate_rms_m = Some(judged.ate_translation_m.rmse);
+                run.judged_percent =
+                    100.0 * judged.matched_poses as f64 / found.trajectory.len().max(1) as f64;
                 run.ate_max_m = Some(judged.ate_translation_m.max);
+                let is_problem = |f: &Finding| f.verdict != Verdict::Pass;
+                run.findings = judged.findings.into_iter().filter(is_problem).collect();
             }
             // Too few of its poses meet the truth.
             Err(why) => run.refused = Some(format!("evaluation: {why}")),

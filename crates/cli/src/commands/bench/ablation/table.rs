@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 
 use lsfb_eval::alignment::AlignmentMode;
+use lsfb_types::Finding;
 use serde::Serialize;
 
 /// Parts that a map is cut into.
@@ -19,10 +20,14 @@ pub struct Run {
     pub points_percent: f64,
     /// Share of the walk's frames that have a pose, percent.
     pub poses_percent: f64,
+    /// Share of those poses that meet one of the ground truth, percent: the others are not judged.
+    pub judged_percent: f64,
     /// After alignment; absent where the walk was refused.
     pub ate_rms_m: Option<f64>,
     /// The largest error of a position after alignment.
     pub ate_max_m: Option<f64>,
+    /// What the evaluation found fault with: half a ground truth, other clocks, other axes.
+    pub findings: Vec<Finding>,
     /// Why the walk was refused.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub refused: Option<String>,
@@ -43,6 +48,8 @@ pub struct Row {
     /// The worst choice's.
     pub worst_ate_rms_m: Option<f64>,
     pub poses_percent: f64,
+    /// The least of any choice that gave a trajectory.
+    pub judged_percent: Option<f64>,
     pub runs: Vec<Run>,
 }
 
@@ -57,6 +64,8 @@ pub struct Table {
 pub fn summary(percent: u32, runs: Vec<Run>) -> Row {
     let rms: Vec<f64> = runs.iter().filter_map(|run| run.ate_rms_m).collect();
     let shares = runs.iter().map(|run| run.poses_percent);
+    let given = runs.iter().filter(|run| run.ate_rms_m.is_some());
+    let judged = given.map(|run| run.judged_percent);
     Row {
         map_percent: percent,
         method: match percent {
@@ -70,6 +79,7 @@ pub fn summary(percent: u32, runs: Vec<Run>) -> Row {
         ate_rms_interval_m: interval(&rms),
         worst_ate_rms_m: rms.iter().copied().reduce(f64::max),
         poses_percent: shares.sum::<f64>() / runs.len().max(1) as f64,
+        judged_percent: judged.reduce(f64::min),
         runs,
     }
 }
@@ -93,7 +103,7 @@ fn interval(values: &[f64]) -> Option<f64> {
 /// The table for people.
 pub fn text(table: &Table) -> String {
     let mut text = format!(
-        "{} against {}, ATE rms in cm after alignment by {}\n  map  runs  refused      ATE   ± 95 %    worst   frames with a pose\n",
+        "{} against {}, ATE rms in cm after alignment by {}\n  map  runs  refused      ATE   ± 95 %    worst   judged   frames with a pose\n",
         table.walk,
         table.truth,
         ALIGNMENT.label()
@@ -103,13 +113,15 @@ pub fn text(table: &Table) -> String {
         // Writing into a string cannot fail.
         let _ = writeln!(
             text,
-            "{:>4}%  {:>4}  {:>7}  {:>7}  {:>7}  {:>7}   {:.1} %{}",
+            "{:>4}%  {:>4}  {:>7}  {:>7}  {:>7}  {:>7}  {:>6}   {:.1} %{}",
             row.map_percent,
             row.runs.len(),
             row.refused,
             cm(row.ate_rms_m),
             cm(row.ate_rms_interval_m),
             cm(row.worst_ate_rms_m),
+            row.judged_percent
+                .map_or("–".to_owned(), |percent| format!("{percent:.0} %")),
             row.poses_percent,
             match row.map_percent {
                 0 => " (motion without a map)",
@@ -119,6 +131,13 @@ pub fn text(table: &Table) -> String {
         for run in &row.runs {
             if let Some(why) = &run.refused {
                 let _ = writeln!(text, "       without {:?}: {why}", run.withheld_quadrants);
+            }
+            for finding in &run.findings {
+                let _ = writeln!(
+                    text,
+                    "       without {:?}: {}  {} {}",
+                    run.withheld_quadrants, finding.verdict, finding.subject, finding.what
+                );
             }
         }
     }
