@@ -48,6 +48,48 @@ fn picture(tab: &mut Tab) -> Value {
     tab.value("document.querySelector('figure.scene canvas').toDataURL()")
 }
 
+/// Every drawing comes out as a file of its own, an SVG without the page's style sheet and a PNG that is not blank.
+fn drawings_are_saved(tab: &mut Tab) {
+    tab.value(
+        "window.saved = []; HTMLAnchorElement.prototype.click = function () { \
+         const name = this.download; fetch(this.href).then((r) => r.blob()).then(async (blob) => { \
+         const text = blob.type === 'image/svg+xml' ? await blob.text() : ''; \
+         const shades = new Set(); let width = 0; \
+         if (blob.type === 'image/png') { const picture = await createImageBitmap(blob); width = picture.width; \
+         const canvas = new OffscreenCanvas(picture.width, picture.height); const context = canvas.getContext('2d'); \
+         context.drawImage(picture, 0, 0); const data = context.getImageData(0, 0, picture.width, picture.height).data; \
+         for (let i = 0; i < data.length; i += 4) { shades.add(data[i] * 65536 + data[i + 1] * 256 + data[i + 2]); \
+         if (data[i + 3] !== 255) shades.add('clear'); } } \
+         window.saved.push({ name, text, width, shades: shades.size, clear: shades.has('clear') }); }); }; 0",
+    );
+    let press = |selector: &str| {
+        format!(
+            "document.querySelectorAll('{selector} > .save button').forEach((b) => b.click()); 0"
+        )
+    };
+    tab.value(&press(".plot"));
+    tab.value(&press("figure.scene"));
+    tab.wait_for(
+        "window.saved.length === document.querySelectorAll('.plot > .save button, figure.scene > .save button').length",
+    );
+    let saved = tab.value("window.saved");
+    let saved = saved.as_array().expect("files");
+    assert!(saved.len() >= 3, "{} files", saved.len());
+    for file in saved {
+        let name = file["name"].as_str().expect("a name");
+        if name.ends_with(".svg") {
+            let text = file["text"].as_str().expect("text");
+            assert!(text.starts_with("<svg xmlns="), "{name}: {text}");
+            assert!(!text.contains("var(--"), "{name}: {text}");
+        } else {
+            assert!(name.ends_with(".png"), "{name}");
+            assert!(file["width"].as_u64() > Some(300), "{file}");
+            assert!(file["shades"].as_u64() > Some(4), "{file}");
+            assert_eq!(file["clear"], json!(false), "{file}");
+        }
+    }
+}
+
 #[test]
 fn plots_and_scene_answer_the_pointer_and_fit_a_phone() {
     let folder = tempfile::tempdir().expect("folder");
@@ -179,6 +221,7 @@ fn plots_and_scene_answer_the_pointer_and_fit_a_phone() {
     }
     assert!(picture(&mut tab) == first, "reset");
     assert!(tab.screenshot(&root.join("page.png")) > 10_000);
+    drawings_are_saved(&mut tab);
     // What was set is folded away until somebody wants it.
     place(&mut tab, "summary", [0.5, 0.5]);
     tab.press("summary", Duration::from_millis(30));

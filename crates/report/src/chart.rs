@@ -6,7 +6,7 @@ use maud::{Markup, PreEscaped, html};
 use plotters::chart::{ChartBuilder, ChartContext};
 use plotters::coord::ranged1d::{KeyPointHint, NoDefaultFormatting, Ranged, ValueFormatter};
 use plotters::drawing::IntoDrawingArea;
-use plotters::element::{Circle, PathElement, Polygon, Rectangle};
+use plotters::element::{Circle, EmptyElement, PathElement, Polygon, Rectangle, Text};
 use plotters::prelude::{Cartesian2d, SVGBackend};
 use plotters::style::{Color, IntoFont, RGBColor, ShapeStyle};
 
@@ -139,6 +139,17 @@ fn draw_layer(chart: &mut Chart<'_, '_>, plot: &Plot, layer: &Layer) -> Result<(
         Layer::Area { outline, ink } => {
             let area = Polygon::new(drawable(outline), color(*ink).mix(AREA_OPACITY).filled());
             chart.draw_series([area]).map(|_| ())
+        }
+        Layer::Names { names } => {
+            let style = ("sans-serif", FONT * FINE).into_font();
+            let style = style.color(&theme::INK);
+            let gap = (5 * FINE) as i32;
+            let names = names.iter().filter(|(at, _)| !drawable(&[*at]).is_empty());
+            let names = names.map(|(at, name)| {
+                let word = Text::new(name.clone(), (gap, -gap - (FONT * FINE) as i32), &style);
+                EmptyElement::at((at[0], at[1])) + word
+            });
+            chart.draw_series(names).map(|_| ())
         }
         Layer::Boxes { boxes } => {
             let boxes = boxes.iter().map(|(from, to, ink)| {

@@ -6,7 +6,11 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 use super::findings;
 
 pub(crate) const STYLE: &str = include_str!("style.css");
-const SCRIPTS: [&str; 2] = [include_str!("plot.js"), include_str!("scene.js")];
+const SCRIPTS: [&str; 3] = [
+    include_str!("plot.js"),
+    include_str!("scene.js"),
+    include_str!("save.js"),
+];
 
 /// A page: a title, a verdict, what is to be seen, and folded away where it comes from.
 #[derive(Clone, Debug, Default)]

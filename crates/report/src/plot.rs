@@ -51,6 +51,11 @@ pub enum Layer {
         /// Its colour.
         ink: Ink,
     },
+    /// A word at the upper right of each point.
+    Names {
+        /// In any order.
+        names: Vec<([f64; 2], String)>,
+    },
     /// Filled rectangles: two opposite corners and the colour of each.
     Boxes {
         /// In any order.

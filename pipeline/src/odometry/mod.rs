@@ -12,6 +12,7 @@ mod free_space;
 mod imu_check;
 mod inertial;
 mod motion;
+mod moving_start;
 mod online;
 mod point_clock;
 mod report;
@@ -48,6 +49,7 @@ use crate::Error;
 use degeneracy::Seen;
 use free_space::FreeSpace;
 use motion::{InertialMotion, Motion, constant_path, end_pose};
+use moving_start::FirstScan;
 use uncertainty::{ConstantMotionCovariance, Uncertainty};
 use wide_search::Innovations;
 
@@ -111,6 +113,10 @@ pub struct Odometry {
     free_space: FreeSpace,
     /// When a scan was last searched for since one found its place.
     searched_in_vain: Option<Timestamp>,
+    /// The first scan of a walk that begins in motion, until the second is there.
+    first_scan: Option<FirstScan>,
+    /// Scans still to come that a map drawn in motion holds badly.
+    unsteady_scans: u32,
 }
 
 /// A scan deskewed to its end, reduced twice.
@@ -149,6 +155,7 @@ impl Odometry {
                 noise: noise.clone(),
                 samples: Vec::new(),
                 filter: None,
+                start: None,
             }),
             None => Motion::Constant {
                 twist_per_s: Vector6::zeros(),
@@ -169,6 +176,8 @@ impl Odometry {
             innovations: Innovations::default(),
             free_space: FreeSpace::default(),
             searched_in_vain: None,
+            first_scan: None,
+            unsteady_scans: 0,
         })
     }
 
@@ -197,6 +206,31 @@ impl Odometry {
 
     /// Takes one scan and gives the pose at its last firing.
     pub fn push_scan(&mut self, scan: &Stamped<LidarScan>) -> Result<OdometryStep, Error> {
+        if let Some(first) = self.first_scan.take()
+            && let Some(begun) = first.begun_again(self, scan)
+        {
+            *self = begun;
+        }
+        let before = self.last.is_none().then(|| self.clone());
+        let mut step = self.take_scan(scan)?;
+        if let Some(before) = before.filter(|_| self.has_begun_in_motion(scan)) {
+            self.first_scan = Some(FirstScan::keep(before, scan));
+            // How it got to the end of its first scan nobody knows yet.
+            step.poses.drain(..step.poses.len().saturating_sub(1));
+        }
+        Ok(step)
+    }
+
+    /// Whether the velocity is not known, and smears the scan.
+    fn has_begun_in_motion(&self, scan: &Stamped<LidarScan>) -> bool {
+        let Motion::Inertial(inertial) = &self.motion else {
+            return false;
+        };
+        let moves = inertial.filter.as_ref().is_some_and(|f| !f.stands());
+        moves && scan.sample.points.iter().any(|p| p.time_offset_ns > 0)
+    }
+
+    fn take_scan(&mut self, scan: &Stamped<LidarScan>) -> Result<OdometryStep, Error> {
         let end = self.end_of(scan)?;
         let mut path = self.predict(scan.time, end)?;
         let mut reduced = self.reduce(scan, &path);
@@ -235,6 +269,7 @@ impl Odometry {
             }
             self.correct(&mut path, &found.world_from_rig, &estimate, &seen.lasting);
         }
+        self.unsteady_scans = self.unsteady_scans.saturating_sub(1);
         let covariance = self.covariance_of(&reduced, &path, &predicted, &seen.lasting);
         if outcome == StepOutcome::Lost {
             // It may be anywhere near: look as far as at the start.
@@ -346,7 +381,11 @@ impl Odometry {
     }
 
     fn registration(&self, gate_m: f64) -> RegistrationConfig {
-        self.config.registration(&self.lidar, gate_m)
+        let mut config = self.config.registration(&self.lidar, gate_m);
+        if self.unsteady_scans > 0 {
+            config.points_per_independent *= moving_start::SHARED_BY;
+        }
+        config
     }
 
     /// Farthest correspondence: three times what predictions were lately wrong by, or what this one says it may be. After a gap

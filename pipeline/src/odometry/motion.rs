@@ -5,6 +5,7 @@ use lsfb_perception::lidar::KNOT_NS;
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 
 use super::inertial::InertialFilter;
+use super::moving_start::StartVelocity;
 use super::uncertainty::ConstantMotionCovariance;
 use crate::Error;
 
@@ -26,21 +27,28 @@ pub(super) struct InertialMotion {
     pub noise: ImuNoiseModel,
     pub samples: Vec<Stamped<ImuSample>>,
     pub filter: Option<Box<InertialFilter>>,
+    /// How fast the walk begins, where that is known by now.
+    pub start: Option<StartVelocity>,
 }
 
 impl InertialMotion {
     /// Poses from the end of the last scan (or the start of the first) to `end`.
     pub fn predict(&mut self, start: Timestamp, end: Timestamp) -> Result<Vec<StampedPose>, Error> {
-        let filter = match &mut self.filter {
-            Some(filter) => filter,
-            none => {
-                let before_end = self.samples.partition_point(|s| s.time <= end);
-                let begun = InertialFilter::start(&self.samples[..before_end], start, &self.noise)
-                    .ok_or(Error::ImuMissing { time: end })?;
-                none.insert(Box::new(begun))
-            }
-        };
-        Ok(filter.predict(&self.samples, end))
+        if let Some(filter) = &mut self.filter {
+            return Ok(filter.predict(&self.samples, end));
+        }
+        let before_end = self.samples.partition_point(|s| s.time <= end);
+        let mut filter = InertialFilter::start(&self.samples[..before_end], start, &self.noise)
+            .ok_or(Error::ImuMissing { time: end })?;
+        if let Some(known) = self.start {
+            filter.moves(known.velocity_m_s, known.sigma_m_s, end.secs_since(start));
+        }
+        let path = filter.predict(&self.samples, end);
+        if self.start.is_some() {
+            filter.become_origin();
+        }
+        self.filter = Some(Box::new(filter));
+        Ok(path)
     }
 }
 

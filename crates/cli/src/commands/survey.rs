@@ -1,9 +1,9 @@
 //! `lsfb survey`: floor marks measured with a tape or a laser, and what is checked by them.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use lsfb_eval::survey::{
-    DistanceReport, MarkReport, Rest, RestConfig, Survey, SurveySolution, check_marks,
+    DistanceReport, MarkReport, Rest, RestConfig, Survey, SurveySolution, SurveyView, check_marks,
     compare_distances, find_rests, inertial_rests, read_survey, solve_survey,
 };
 use lsfb_eval::{ReadOptions, read_trajectory};
@@ -12,7 +12,7 @@ use lsfb_types::{Finding, Judgement, Limit, Verdict};
 use serde::Serialize;
 
 use crate::context::Context;
-use crate::files::name_of;
+use crate::files::{name_of, write};
 use crate::judged::{Judged, problem_lines};
 use crate::outcome::Outcome;
 
@@ -41,19 +41,23 @@ enum Step {
 ///
 /// Examples:
 ///   lsfb survey solve floor.survey
+///   lsfb survey solve floor.survey --out floor.html
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 struct SolveArguments {
     /// The survey.
     #[arg(value_name = "SURVEY")]
     survey: PathBuf,
+    /// Also draw the marks on a page.
+    #[arg(long, value_name = "HTML")]
+    out: Option<PathBuf>,
 }
 
 /// Check a trajectory at the marks on which the device rested, or distances between points of a map.
 ///
 /// Examples:
 ///   lsfb survey check floor.survey --trajectory walk.tum
-///   lsfb survey check floor.survey --trajectory walk.tum --recording walk.mcap
+///   lsfb survey check floor.survey --trajectory walk.tum --recording walk.mcap --out floor.html
 ///   lsfb survey check hall.survey
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -76,6 +80,9 @@ struct CheckArguments {
     /// Largest distance of a rest from its mark.
     #[arg(long, default_value_t = 0.3, value_name = "M")]
     reach_m: f64,
+    /// Also draw marks, trajectory and errors on a page.
+    #[arg(long, value_name = "HTML")]
+    out: Option<PathBuf>,
 }
 
 /// Runs the step.
@@ -90,6 +97,17 @@ fn run_solve(arguments: &SolveArguments, context: &Context) -> anyhow::Result<Ou
     let survey = read_survey(&arguments.survey)?;
     let solution = solve_survey(&survey)?;
     let judgement = Judgement::new(solution.findings.clone());
+    let view = SurveyView {
+        solution: Some(&solution),
+        ..SurveyView::default()
+    };
+    draw(
+        &view,
+        &arguments.survey,
+        arguments.out.as_deref(),
+        &judgement,
+        context,
+    )?;
     let judged = Judged::new(&judgement, &name_of(&arguments.survey), &solution);
     context.print(&judged, || {
         format!(
@@ -125,15 +143,15 @@ fn run_check(arguments: &CheckArguments, context: &Context) -> anyhow::Result<Ou
         "--rest-spread-m, --rest-secs and --reach-m must be above zero"
     );
     let mut findings = Vec::new();
+    let mut solved = None;
     let at_marks = arguments.trajectory.as_ref().map(|path| {
         let file = read_trajectory(path, &ReadOptions::default())?;
         let solution = solve_survey(&survey)?;
         findings.extend(file.findings.iter().chain(&solution.findings).cloned());
         let rests = rests(&file.poses, arguments, context, &mut findings)?;
-        super::about(
-            path,
-            check_marks(&survey, &solution, &file.poses, &rests, arguments.reach_m),
-        )
+        let checked = check_marks(&survey, &solution, &file.poses, &rests, arguments.reach_m);
+        solved = Some(solution);
+        super::about(path, checked)
     });
     let checked = Checked {
         at_marks: at_marks.transpose()?,
@@ -142,6 +160,18 @@ fn run_check(arguments: &CheckArguments, context: &Context) -> anyhow::Result<Ou
     findings.extend(checked.at_marks.as_ref().map(completeness));
     findings.extend(checked.distances.as_ref().map(largest));
     let judgement = Judgement::new(findings);
+    let view = SurveyView {
+        solution: solved.as_ref(),
+        at_marks: checked.at_marks.as_ref(),
+        distances: checked.distances.as_ref(),
+    };
+    draw(
+        &view,
+        &arguments.survey,
+        arguments.out.as_deref(),
+        &judgement,
+        context,
+    )?;
     let judged = Judged::new(&judgement, &name_of(&arguments.survey), &checked);
     context.print(&judged, || {
         format!("{}{}", checked_text(&checked), tail(&judgement))
@@ -149,6 +179,21 @@ fn run_check(arguments: &CheckArguments, context: &Context) -> anyhow::Result<Ou
             .to_owned()
     })?;
     Ok(Outcome::of(judgement.verdict()))
+}
+
+/// The page, where one is asked for.
+fn draw(
+    view: &SurveyView<'_>,
+    survey: &Path,
+    out: Option<&Path>,
+    judgement: &Judgement,
+    context: &Context,
+) -> anyhow::Result<()> {
+    let Some(out) = out else {
+        return Ok(());
+    };
+    context.claim(out, &[survey])?;
+    write(out, view.page(&name_of(survey), judgement))
 }
 
 fn rests(

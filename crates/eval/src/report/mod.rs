@@ -13,6 +13,7 @@ use crate::error::Error;
 use crate::evaluation::{Evaluation, PoseError};
 
 mod cumulative;
+mod equal_scale;
 mod errors_over_time;
 mod figure;
 mod histogram;
@@ -21,6 +22,7 @@ mod scene;
 mod sections;
 mod top_view;
 
+pub(crate) use equal_scale::equal_scale;
 pub use figure::Figure;
 
 /// All that the page shows.

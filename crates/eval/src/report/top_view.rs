@@ -3,15 +3,12 @@
 use std::collections::BTreeMap;
 
 use lsfb_geometry::{StampedPose, Trajectory, Vector3};
-use lsfb_report::{Axis, Ink, Layer, Plot, SHADES, plot_height_px, plot_width_px, tick_step};
+use lsfb_report::{Ink, Layer, Plot, SHADES};
 use maud::Markup;
 
+use super::equal_scale::equal_scale;
 use super::{Report, View, break_secs};
 
-const WIDTH: u32 = 680;
-/// Of the plot itself, pixels.
-const MIN_HEIGHT: u32 = 200;
-const MAX_HEIGHT: u32 = 620;
 /// More dots cannot be told apart, and make the page heavy.
 const MAX_DOTS: usize = 5_000;
 
@@ -184,28 +181,12 @@ impl Bounds {
 
 /// An empty plot of equal scale.
 fn frame(plane: Plane, bounds: Bounds) -> Plot {
-    let [mut x, mut y] = [bounds.x, bounds.y];
-    let plot_w = f64::from(plot_width_px(WIDTH));
-    let wanted = plot_w * (y[1] - y[0]) / (x[1] - x[0]);
-    let plot_h = wanted.round().clamp(MIN_HEIGHT.into(), MAX_HEIGHT.into());
-    let metres_per_pixel = ((x[1] - x[0]) / plot_w).max((y[1] - y[0]) / plot_h);
-    for (range, pixels) in [(&mut x, plot_w), (&mut y, plot_h)] {
-        let missing = metres_per_pixel * pixels - (range[1] - range[0]);
-        *range = [range[0] - 0.5 * missing, range[1] + 0.5 * missing];
-    }
-    // One distance of lines for both axes.
-    let step = tick_step(x[1] - x[0], 8).max(tick_step(y[1] - y[0], 8));
-    let axis = |axis: usize, range: [f64; 2]| {
-        Axis::stepped(format!("{} (m)", axis_name(axis)), range, step)
-    };
-    Plot {
-        name: "map and trajectories".to_owned(),
-        width_px: WIDTH,
-        height_px: plot_height_px(plot_h as u32),
-        x: axis(plane.right, x),
-        y: axis(plane.up, y),
-        layers: Vec::new(),
-    }
+    let label = |axis: usize| format!("{} (m)", axis_name(axis));
+    equal_scale(
+        "map and trajectories",
+        [label(plane.right), label(plane.up)],
+        [bounds.x, bounds.y],
+    )
 }
 
 /// One point, the highest, of each cell of a grid that is as fine as [`MAX_DOTS`] allows.

@@ -6,10 +6,12 @@ use std::fmt::Write as _;
 use super::{ExportedFile, Model, file, quaternion};
 
 const HEAD: &str = "# kapture format: 1.1\n";
+/// Name of the rig, which no camera has.
+const RIG: &str = "rig";
 /// Name of the kind of keypoints.
 const KEYPOINTS: &str = "lsfb";
 
-/// Cameras, poses and names of images.
+/// Cameras, where they are on each other, poses and names of images. Poses are those of the cameras, as most readers want them.
 pub(super) fn sensors(model: &Model) -> Vec<ExportedFile> {
     let names = model.names;
     // Writing to a String cannot fail.
@@ -38,8 +40,20 @@ pub(super) fn sensors(model: &Model) -> Vec<ExportedFile> {
         trajectories.push('\n');
         let _ = writeln!(records, "{}, {camera}, {}", image.time_ns, image.name);
     }
+    let mut rigs = format!("{HEAD}# rig_id, sensor_id, qw, qx, qy, qz, tx, ty, tz\n");
+    for (name, mounted) in names.iter().zip(&model.mounted) {
+        if let Some(rig_from_camera) = mounted {
+            let pose = rig_from_camera.inverse();
+            let _ = write!(rigs, "{RIG}, {name}");
+            for value in quaternion(&pose).iter().chain(pose.translation.iter()) {
+                let _ = write!(rigs, ", {value:?}");
+            }
+            rigs.push('\n');
+        }
+    }
     vec![
         file("sensors/sensors.txt", sensors),
+        file("sensors/rigs.txt", rigs),
         file("sensors/trajectories.txt", trajectories),
         file("sensors/records_camera.txt", records),
     ]

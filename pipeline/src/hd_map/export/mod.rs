@@ -15,7 +15,7 @@ mod points;
 
 use std::collections::BTreeMap;
 
-use lsfb_geometry::Se3;
+use lsfb_geometry::{Rig, Se3};
 
 use super::HdMap;
 use crate::Error;
@@ -75,6 +75,7 @@ impl HdMap {
             map: Some(self),
             names: self.cameras(),
             cameras,
+            mounted: mounted(self.rig(), self.cameras()),
             images: images(self),
         };
         match format {
@@ -105,13 +106,14 @@ pub struct ImagePose {
 }
 
 /// Poses of images without a map, as files of `format`: a COLMAP model without points, or the sensors of a kapture. Images are named
-/// `CAMERA/NANOSECONDS.png`; `cameras` are those of `names`, in the same order. `None` where the format holds a map or nothing.
+/// `CAMERA/NANOSECONDS.png`; `cameras` are those of `rig`, in the same order. `None` where the format holds a map or nothing.
 pub fn export_image_poses(
     format: MapFormat,
-    names: &[String],
+    rig: &Rig,
     cameras: &[ColmapCamera],
     poses: &[ImagePose],
 ) -> Result<Option<Vec<ExportedFile>>, Error> {
+    let names: Vec<String> = rig.cameras.keys().cloned().collect();
     let images = poses.iter().filter_map(|pose| {
         let name = names.get(pose.camera)?;
         Some(Image {
@@ -124,8 +126,9 @@ pub fn export_image_poses(
     });
     let model = Model {
         map: None,
-        names,
+        names: &names,
         cameras,
+        mounted: mounted(rig, &names),
         images: images.collect(),
     };
     Ok(match format {
@@ -144,10 +147,17 @@ fn image_name(camera: &str, time_ns: i64) -> String {
 /// Images with what they saw of a map, where there is one.
 struct Model<'a> {
     map: Option<&'a HdMap>,
-    /// Names of the cameras.
+    /// Of the cameras.
     names: &'a [String],
     cameras: &'a [ColmapCamera],
+    /// `rig_from_camera` of each camera; `None` for one that the rig does not have.
+    mounted: Vec<Option<Se3>>,
     images: Vec<Image>,
+}
+
+fn mounted(rig: &Rig, names: &[String]) -> Vec<Option<Se3>> {
+    let of = |name: &String| rig.cameras.get(name).map(|camera| camera.rig_from_camera);
+    names.iter().map(of).collect()
 }
 
 /// A point and where it was seen, pixels of the formats here.

@@ -93,6 +93,7 @@ fn the_other_formats_hold_the_same() {
             .count()
     };
     assert_eq!(lines("sensors/sensors.txt"), 2);
+    assert_eq!(lines("sensors/rigs.txt"), 2);
     assert_eq!(lines("sensors/trajectories.txt"), 4);
     assert_eq!(lines("reconstruction/points3d.txt"), 40);
     assert_eq!(lines("reconstruction/observations.txt"), 40);

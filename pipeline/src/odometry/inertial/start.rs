@@ -1,6 +1,6 @@
 //! How the filter starts: level, and standing or in motion.
 
-use lsfb_geometry::{ImuNoiseModel, Se3, UnitQuaternion, Vector3, so3};
+use lsfb_geometry::{ImuNoiseModel, Matrix3, Se3, UnitQuaternion, Vector3, so3};
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 use nalgebra::SVector;
 
@@ -12,6 +12,9 @@ use super::{
 /// Means over a scan that differ from those at the start by more than this are the first step, rad/s and m/s².
 const STANDING_RATE_RAD_S: f64 = 0.03;
 const STANDING_FORCE_M_S2: f64 = 0.2;
+
+/// Of a pose that defines the world, radians and metres.
+const EXACT: f64 = 1e-5;
 
 /// Mean angular velocity and specific force of a carrier that stands.
 #[derive(Clone, Copy, Debug)]
@@ -74,8 +77,8 @@ impl InertialFilter {
         let mut variance = SVector::<f64, 18>::zeros();
         let mut set = |at: usize, sigma: f64| variance.fixed_rows_mut::<3>(at).fill(sigma * sigma);
         // The start defines the world, so its pose is exact; what is uncertain is where gravity points in it.
-        set(0, 1e-5);
-        set(3, 1e-5);
+        set(0, EXACT);
+        set(3, EXACT);
         set(VELOCITY, if stands { 0.05 } else { 2.0 });
         set(GYRO_BIAS, if stands { 0.003 } else { 0.02 });
         set(ACCEL_BIAS, 0.1);
@@ -99,5 +102,27 @@ impl InertialFilter {
             time,
             noise: noise.clone(),
         })
+    }
+
+    /// Gives a start its velocity, in the world; the pose `secs` later stays what it would have been without.
+    pub fn moves(&mut self, velocity_m_s: Vector3<f64>, sigma_m_s: f64, secs: f64) {
+        self.state.velocity_m_s = velocity_m_s;
+        self.state.world_from_rig.translation -= velocity_m_s * secs;
+        let variance = Matrix3::identity() * (sigma_m_s * sigma_m_s);
+        for covariance in [&mut self.covariance, &mut self.reported] {
+            let mut block = covariance.fixed_view_mut::<3, 3>(VELOCITY, VELOCITY);
+            block.copy_from(&variance);
+        }
+    }
+
+    /// The pose of now defines the world: it is exact, and nothing is told by it.
+    pub fn become_origin(&mut self) {
+        for covariance in [&mut self.covariance, &mut self.reported] {
+            covariance.fixed_rows_mut::<6>(0).fill(0.0);
+            covariance.fixed_columns_mut::<6>(0).fill(0.0);
+            for at in 0..6 {
+                covariance[(at, at)] = EXACT * EXACT;
+            }
+        }
     }
 }

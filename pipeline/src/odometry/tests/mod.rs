@@ -8,6 +8,7 @@ use room::Room;
 
 mod degenerate;
 mod gaps;
+mod hard;
 mod mounting;
 mod online;
 mod rare;

@@ -193,6 +193,11 @@ pub fn time(t: f64) -> Timestamp {
 
 /// One revolution that begins at `t`, a firing each 111 µs.
 pub fn scan(room: &Room, t: f64, seed: u64) -> Stamped<LidarScan> {
+    scan_on(world_from_rig, room, t, seed)
+}
+
+/// The same on another walk.
+pub fn scan_on(motion: fn(f64) -> Se3, room: &Room, t: f64, seed: u64) -> Stamped<LidarScan> {
     const FIRINGS: u64 = 900;
     let lidar = lidar();
     let points = (0..FIRINGS)
@@ -200,8 +205,7 @@ pub fn scan(room: &Room, t: f64, seed: u64) -> Stamped<LidarScan> {
         .flat_map_iter(|firing| {
             let mut rng = ChaCha8Rng::seed_from_u64(seed * FIRINGS + firing);
             let offset_ns = firing * 100_000_000 / FIRINGS;
-            let world_from_lidar =
-                world_from_rig(t + offset_ns as f64 * 1e-9) * lidar.rig_from_lidar;
+            let world_from_lidar = motion(t + offset_ns as f64 * 1e-9) * lidar.rig_from_lidar;
             let azimuth = -std::f64::consts::TAU * firing as f64 / FIRINGS as f64;
             let points: Vec<_> = ELEVATIONS_DEG
                 .iter()
@@ -238,6 +242,15 @@ pub fn scan(room: &Room, t: f64, seed: u64) -> Stamped<LidarScan> {
 
 /// Inertial samples at 200 Hz with constant biases and white noise.
 pub fn imu_samples(duration_s: f64, seed: u64) -> Vec<Stamped<ImuSample>> {
+    imu_samples_on(world_from_rig, duration_s, seed)
+}
+
+/// The same on another walk.
+pub fn imu_samples_on(
+    motion: fn(f64) -> Se3,
+    duration_s: f64,
+    seed: u64,
+) -> Vec<Stamped<ImuSample>> {
     const RATE_HZ: f64 = 200.0;
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let gyro_bias = Vector3::new(0.004, -0.003, 0.006);
@@ -247,11 +260,7 @@ pub fn imu_samples(duration_s: f64, seed: u64) -> Vec<Stamped<ImuSample>> {
     (0..(duration_s * RATE_HZ) as usize)
         .map(|i| {
             let t = i as f64 / RATE_HZ;
-            let (a, b, c) = (
-                world_from_rig(t - h),
-                world_from_rig(t),
-                world_from_rig(t + h),
-            );
+            let (a, b, c) = (motion(t - h), motion(t), motion(t + h));
             let rate = so3::log(&(a.rotation.inverse() * c.rotation)) / (2.0 * h);
             let acceleration = (a.translation - b.translation * 2.0 + c.translation) / (h * h);
             let force = b.rotation.inverse() * (acceleration + Vector3::new(0.0, 0.0, 9.80665));

@@ -225,7 +225,7 @@ fn placed(
             }
         }
     }
-    let files = export_image_poses(format, &names, &cameras, &poses)?;
+    let files = export_image_poses(format, &rig, &cameras, &poses)?;
     Ok((
         files.context("the format holds no poses of images")?,
         without,

@@ -11,6 +11,8 @@ use crate::{Error, Statistics};
 
 /// Marks nearer to each other than this give no heading.
 const LEAST_BASE_M: f64 = 0.5;
+/// Poses further apart in time are not joined by a line.
+const BREAK_SECS: f64 = 1.0;
 /// Rests times marks beyond which trying all pairs of pairs takes too long.
 const MOST_PAIRS: usize = 10_000;
 /// Another assignment of as many rests makes the best one doubtful where its errors are no larger than this many times.
@@ -40,6 +42,9 @@ pub struct MarkReport {
     pub ate_m: Statistics,
     /// Rests that belong to no mark.
     pub other_rests: usize,
+    /// The trajectory's places in the survey's coordinates, z upwards from the mean of the marks, metres; where it breaks off, a new piece begins.
+    #[serde(skip)]
+    pub pieces: Vec<Vec<Vector3<f64>>>,
     /// Visits for which no rest was found; the marks without a rest where the order of visits is not known.
     pub missing: Vec<String>,
 }
@@ -274,6 +279,13 @@ fn report(
         ate_m: Statistics::of(&lengths).ok_or(Error::Degenerate)?,
         marks: errors,
         other_rests: rests.len() - pairs.len(),
+        pieces: poses
+            .chunk_by(|a, b| b.time.secs_since(a.time) <= BREAK_SECS)
+            .map(|piece| {
+                let places = piece.iter().map(|p| &p.world_from_rig.translation);
+                places.map(|place| alignment.apply(place)).collect()
+            })
+            .collect(),
         missing: missing.map(|k| visits[k].clone()).collect(),
     })
 }
