@@ -2,6 +2,8 @@
 //!
 //! `cargo run --release -p lsfb-pipeline --example map_recording -- scan.mcap [truth.tum] [--map]`
 //!
+//! With `--ablation` the map is made without one of its parts after the other, a line each.
+//!
 //! Writes `odometry.tum` and `mapping.tum` where it is run.
 
 #![allow(clippy::print_stdout)] // a program, not a library
@@ -31,6 +33,20 @@ fn main() -> Result<(), Box<dyn Error>> {
     print_errors(&result.trajectory, truth.as_ref());
     write_tum(Path::new("odometry.tum"), &result.trajectory)?;
 
+    if options.iter().any(|o| o == "--ablation") {
+        for (name, config) in ablations() {
+            let result = build_map(&recording, &config, &no_progress)?;
+            let r = &result.report;
+            println!(
+                "{name}: reprojection {:.3} px rms, planes {:.2} mm, edges {:.2} mm, {} rounds",
+                r.reprojection_rms_px,
+                1e3 * r.lidar_after.plane_rms_m,
+                1e3 * r.lidar_after.edge_rms_m,
+                r.rounds.len()
+            );
+            print_errors(&result.trajectory, truth.as_ref());
+        }
+    }
     if options.iter().any(|o| o == "--map") {
         let begun = Instant::now();
         let result = build_map(&recording, &MappingConfig::default(), &stage_printer())?;
@@ -43,6 +59,32 @@ fn main() -> Result<(), Box<dyn Error>> {
         write_tum(Path::new("mapping.tum"), &result.trajectory)?;
     }
     Ok(())
+}
+
+/// The map as it is, and without each of its parts.
+fn ablations() -> Vec<(&'static str, MappingConfig)> {
+    let with = |change: &dyn Fn(&mut MappingConfig)| {
+        let mut config = MappingConfig {
+            close_loops: true,
+            ..MappingConfig::default()
+        };
+        change(&mut config);
+        config
+    };
+    vec![
+        ("all", with(&|_| {})),
+        ("no plane", with(&|c| c.terms.planes = false)),
+        ("no edge", with(&|c| c.terms.edges = false)),
+        ("no visual", with(&|c| c.terms.images = false)),
+        (
+            "no loops",
+            with(&|c| {
+                c.close_loops = false;
+                c.scan_revisits = 0;
+            }),
+        ),
+        ("one outer iteration", with(&|c| c.outer_iterations = 1)),
+    ]
 }
 
 fn print_errors(trajectory: &Trajectory, truth: Option<&Trajectory>) {

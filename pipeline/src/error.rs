@@ -63,6 +63,14 @@ pub enum Error {
         /// What is wrong.
         reason: &'static str,
     },
+    /// A list of posed images of another program is not what it should be.
+    #[error("{path}: {reason}", path = path.display())]
+    PosedLayout {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
     /// An image file cannot be read.
     #[error(transparent)]
     Image(#[from] lsfb_perception::image::ImageError),
@@ -73,12 +81,14 @@ pub enum Error {
         folder: PathBuf,
     },
     /// A map was written by another version.
-    #[error("{path}: format version {found}, this program reads {expected}: map again, or use the program that wrote it", path = path.display())]
+    #[error("{path}: format version {found}, this program reads {oldest} to {expected}: map again, or use the program that wrote it", path = path.display())]
     MapVersion {
         /// The header file.
         path: PathBuf,
         /// The file's version.
         found: u32,
+        /// The oldest that is read.
+        oldest: u32,
         /// Ours.
         expected: u32,
     },
@@ -156,6 +166,24 @@ pub enum Error {
     /// No point of a map lies in a region.
     #[error("no point of the map lies in that region: `lsfb map info` says where they lie")]
     EmptyRegion,
+    /// A map cannot be made so small.
+    #[error(
+        "so small a map would show {points} points in the image of {camera} in keyframe {keyframe} ({time} s), and fewer than {needed} are too few to be found by there: give {smallest_mb:.2} MB or more, crop the map, or lower fewest_points_per_view"
+    )]
+    MapBudget {
+        /// The keyframe that would be worst off.
+        keyframe: u32,
+        /// Its time.
+        time: Timestamp,
+        /// The camera of the view.
+        camera: String,
+        /// What it would be left with.
+        points: usize,
+        /// What it needs.
+        needed: usize,
+        /// A size that leaves every view enough, megabytes.
+        smallest_mb: f64,
+    },
     /// Two maps are not surely of one place.
     #[error(
         "the maps do not surely meet: of {pairs} points that look alike {shared} fit one alignment and {rival} another, and the best is uncertain by {sigma_m:.3} m, another scale of the second map moves it by {scale_shift_m:.3} m: check that both are in one unit, merge maps that overlap more, or whose overlap looks like no other place"

@@ -6,6 +6,8 @@
 //! | path | what |
 //! | --- | --- |
 //! | `world/map` | points of the HD map |
+//! | `world/surface` | points of a LiDAR map |
+//! | `world/cameras/<name>` | the images of a map's keyframes as pyramids |
 //! | `world/trajectories/<name>` | trajectories as lines |
 //! | `world/<walk>/rig` | pose of the rig |
 //! | `world/<walk>/rig/<camera>` | images below their pinhole; lens distortion is not shown |
@@ -102,6 +104,17 @@ pub struct NamedTrajectory {
     pub color_rgb: [u8; 3],
 }
 
+/// The images that one camera took, each as a pyramid whose tip is the camera's centre and whose base is what it sees.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CameraPyramids {
+    /// The camera's name.
+    pub name: String,
+    /// Lines through points in the world, metres.
+    pub strips_m: Vec<Vec<[f32; 3]>>,
+    /// Red, green, blue.
+    pub color_rgb: [u8; 3],
+}
+
 /// A recording and where its rig was.
 pub struct Walk<'a> {
     /// Its name in the viewer.
@@ -119,6 +132,10 @@ pub struct Walk<'a> {
 pub struct ViewInputs<'a> {
     /// Points of the HD map.
     pub map: MapPoints,
+    /// Points of a LiDAR map.
+    pub surface: MapPoints,
+    /// Images of the map's keyframes.
+    pub cameras: Vec<CameraPyramids>,
     /// Trajectories, one line each.
     pub trajectories: Vec<NamedTrajectory>,
     /// Recordings.
@@ -166,6 +183,8 @@ const APPLICATION: &str = "lsfb";
 /// Radii in points of the screen: visible from any distance.
 const MAP_POINT_RADIUS: f32 = 1.5;
 const LINE_RADIUS: f32 = 2.0;
+const SURFACE_POINT_RADIUS: f32 = 1.0;
+const PYRAMID_RADIUS: f32 = 0.7;
 /// The one timeline.
 const TIMELINE: &str = "time";
 
@@ -176,12 +195,13 @@ pub fn write_rrd(
     config: &ViewConfig,
     progress: ProgressFn<'_>,
 ) -> Result<ViewReport, Error> {
-    let map = &inputs.map;
-    if !map.colors_rgb.is_empty() && map.colors_rgb.len() != map.positions_m.len() {
-        return Err(Error::MapColors {
-            positions: map.positions_m.len(),
-            colors: map.colors_rgb.len(),
-        });
+    for map in [&inputs.map, &inputs.surface] {
+        if !map.colors_rgb.is_empty() && map.colors_rgb.len() != map.positions_m.len() {
+            return Err(Error::MapColors {
+                positions: map.positions_m.len(),
+                colors: map.colors_rgb.len(),
+            });
+        }
     }
     let view = View::create(out, inputs)?;
     let written = log_all(&view, inputs, config, progress);
@@ -199,17 +219,29 @@ fn log_all(
     config: &ViewConfig,
     progress: ProgressFn<'_>,
 ) -> Result<ViewReport, Error> {
-    let map = &inputs.map;
     view.log_static("world", &ViewCoordinates::RIGHT_HAND_Z_UP())?;
-    if !map.positions_m.is_empty() {
+    for (entity, map, radius) in [
+        ("world/map", &inputs.map, MAP_POINT_RADIUS),
+        ("world/surface", &inputs.surface, SURFACE_POINT_RADIUS),
+    ] {
+        if map.positions_m.is_empty() {
+            continue;
+        }
         let points = Points3D::new(map.positions_m.iter().copied())
-            .with_radii([Radius::new_ui_points(MAP_POINT_RADIUS)])
+            .with_radii([Radius::new_ui_points(radius)])
             .with_colors(
                 map.colors_rgb
                     .iter()
                     .map(|c| Color::from_rgb(c[0], c[1], c[2])),
             );
-        view.log_static("world/map", &points)?;
+        view.log_static(entity, &points)?;
+    }
+    for camera in &inputs.cameras {
+        let [r, g, b] = camera.color_rgb;
+        let strips = LineStrips3D::new(camera.strips_m.iter().cloned())
+            .with_colors([Color::from_rgb(r, g, b)])
+            .with_radii([Radius::new_ui_points(PYRAMID_RADIUS)]);
+        view.log_static(&format!("world/cameras/{}", camera.name), &strips)?;
     }
     for line in &inputs.trajectories {
         let strip: Vec<[f32; 3]> = line

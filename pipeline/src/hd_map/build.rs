@@ -1,11 +1,11 @@
 use arrow_buffer::{ArrowNativeType, Buffer, ScalarBuffer};
-use lsfb_geometry::{Rig, StampedPose, Vector3};
+use lsfb_geometry::{Matrix6, Rig, StampedPose, Vector3};
 use lsfb_types::{Bounds, ProgressFn};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    DescriptorColumns, HdMap, KeyframeColumns, KeyframeImage, MapObservation, MapPoint,
-    ObservationColumns, PointColumns, QualityColumns,
+    CovarianceColumns, DescriptorColumns, HdMap, KeyframeColumns, KeyframeImage, MapObservation,
+    MapPoint, ObservationColumns, PointColumns, QualityColumns,
 };
 use crate::Error;
 use crate::descriptor_index::{DescriptorIndex, DescriptorSource, IndexConfig};
@@ -61,6 +61,8 @@ pub(super) struct MapRows {
     /// Cameras by name: an observation's camera is its place among them.
     pub rig: Rig,
     pub keyframes: Vec<StampedPose>,
+    /// How well each of them is known; `None` where that is unknown.
+    pub covariances: Vec<Option<Matrix6<f64>>>,
     pub points: Vec<PointRow>,
     pub feature: Feature,
     pub provenance: String,
@@ -152,6 +154,7 @@ impl HdMap {
         let rows = MapRows {
             rig,
             keyframes: content.keyframes.to_vec(),
+            covariances: vec![None; content.keyframes.len()],
             points: rows,
             feature: content.feature.clone(),
             provenance: content.provenance.to_owned(),
@@ -196,7 +199,7 @@ impl HdMap {
                 first_descriptor: first_descriptor.into(),
             },
             quality: QualityColumns::default(),
-            keyframes: keyframe_columns(&rows.keyframes),
+            keyframes: keyframe_columns(&rows.keyframes, &rows.covariances),
             observations: ObservationColumns {
                 point: column(&observations, |o| o.point),
                 keyframe: column(&observations, |o| o.keyframe),
@@ -217,9 +220,11 @@ impl HdMap {
     pub(super) fn rows(&self) -> MapRows {
         let points = 0..self.point_count() as u32;
         let keyframes = 0..self.keyframe_count() as u32;
+        let covariances = keyframes.clone();
         MapRows {
             rig: self.rig.clone(),
             keyframes: keyframes.filter_map(|k| self.keyframe(k)).collect(),
+            covariances: covariances.map(|k| self.keyframe_covariance(k)).collect(),
             points: points
                 .filter_map(|p| {
                     Some(PointRow {
@@ -243,7 +248,10 @@ fn column<T: ArrowNativeType>(
     observations.iter().map(value).collect::<Vec<T>>().into()
 }
 
-fn keyframe_columns(keyframes: &[StampedPose]) -> KeyframeColumns {
+fn keyframe_columns(
+    keyframes: &[StampedPose],
+    covariances: &[Option<Matrix6<f64>>],
+) -> KeyframeColumns {
     let time_ns: Vec<i64> = keyframes.iter().map(|k| k.time.nanos()).collect();
     let pose = std::array::from_fn(|i| {
         let value = |k: &StampedPose| {
@@ -256,6 +264,7 @@ fn keyframe_columns(keyframes: &[StampedPose]) -> KeyframeColumns {
     KeyframeColumns {
         time_ns: time_ns.into(),
         pose,
+        covariance: CovarianceColumns::new(covariances),
     }
 }
 

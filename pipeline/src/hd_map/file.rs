@@ -6,15 +6,18 @@ use lsfb_geometry::Rig;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    DescriptorColumns, HdMap, KeyframeColumns, ObservationColumns, PointColumns, QualityColumns,
+    CovarianceColumns, DescriptorColumns, HdMap, KeyframeColumns, ObservationColumns, PointColumns,
+    QualityColumns,
 };
 use crate::Error;
 use crate::arrow_file::{Column, Fingerprint, NamedColumn, Table, broken, write_table};
 use crate::descriptor_index::{self, DescriptorIndex};
 use crate::features::{DESCRIPTOR_LEN, Feature, LearnedFeature};
 
-/// Version of the folder's layout. Another one is refused.
-pub const FORMAT_VERSION: u32 = 2;
+/// Version of the folder's layout that is written.
+pub const FORMAT_VERSION: u32 = 3;
+/// The version before: keyframes without covariances. It is read too, and they are unknown there.
+const WITHOUT_COVARIANCES: u32 = 2;
 
 const HEADER: &str = HdMap::HEADER;
 const RIG: &str = "rig.toml";
@@ -43,6 +46,29 @@ const POINTS: [&str; 16] = [
     "view_cos",
 ];
 const KEYFRAMES: [&str; 8] = ["time_ns", "qx", "qy", "qz", "qw", "tx_m", "ty_m", "tz_m"];
+const COVARIANCES: [&str; 21] = [
+    "cov_rx_rx_rad2",
+    "cov_rx_ry_rad2",
+    "cov_rx_rz_rad2",
+    "cov_rx_tx_rad_m",
+    "cov_rx_ty_rad_m",
+    "cov_rx_tz_rad_m",
+    "cov_ry_ry_rad2",
+    "cov_ry_rz_rad2",
+    "cov_ry_tx_rad_m",
+    "cov_ry_ty_rad_m",
+    "cov_ry_tz_rad_m",
+    "cov_rz_rz_rad2",
+    "cov_rz_tx_rad_m",
+    "cov_rz_ty_rad_m",
+    "cov_rz_tz_rad_m",
+    "cov_tx_tx_m2",
+    "cov_tx_ty_m2",
+    "cov_tx_tz_m2",
+    "cov_ty_ty_m2",
+    "cov_ty_tz_m2",
+    "cov_tz_tz_m2",
+];
 const OBSERVATIONS: [&str; 5] = ["point", "keyframe", "camera", "u_px", "v_px"];
 const SIFT_DESCRIPTORS: [&str; 2] = ["point", "root_sift"];
 const LEARNED_DESCRIPTORS: [&str; 2] = ["point", "learned"];
@@ -151,6 +177,7 @@ impl HdMap {
         point_columns.extend(self.quality.columns().map(f32s));
         let mut keyframes = vec![Column::I64(k.time_ns.clone())];
         keyframes.extend(k.pose.iter().map(f64s));
+        keyframes.extend(k.covariance.columns().iter().map(f64s));
         let named = |names: &[&'static str], columns: Vec<Column>| {
             names
                 .iter()
@@ -160,7 +187,7 @@ impl HdMap {
         };
         [
             named(&POINTS, point_columns),
-            named(&KEYFRAMES, keyframes),
+            named(&[&KEYFRAMES[..], &COVARIANCES].concat(), keyframes),
             named(
                 &OBSERVATIONS,
                 vec![
@@ -213,6 +240,11 @@ impl HdMap {
         for column in quality {
             quality_columns.push(points.f32(column)?);
         }
+        let time_ns = keyframes.i64(time_ns)?;
+        let covariance = match header.format_version {
+            WITHOUT_COVARIANCES => CovarianceColumns::unknown(time_ns.len()),
+            _ => covariances(keyframes)?,
+        };
         let mut pose_columns = Vec::new();
         for column in pose {
             pose_columns.push(keyframes.f64(column)?);
@@ -228,10 +260,11 @@ impl HdMap {
             quality: QualityColumns::from_columns(quality_columns)
                 .ok_or_else(|| broken(&points.path, "a point's quality has eleven columns"))?,
             keyframes: KeyframeColumns {
-                time_ns: keyframes.i64(time_ns)?,
+                time_ns,
                 pose: pose_columns
                     .try_into()
                     .map_err(|_| broken(&keyframes.path, "a pose has seven columns"))?,
+                covariance,
             },
             observations: ObservationColumns {
                 point: observations.u32(point)?,
@@ -300,6 +333,16 @@ impl HdMap {
     }
 }
 
+/// What a table of keyframes says of how well they are known.
+fn covariances(keyframes: &Table) -> Result<CovarianceColumns, Error> {
+    let columns = keyframes.columns(COVARIANCES)?.into_iter();
+    let columns: Vec<_> = columns
+        .map(|column| keyframes.f64(column))
+        .collect::<Result<_, _>>()?;
+    CovarianceColumns::from_columns(columns)
+        .ok_or_else(|| broken(&keyframes.path, "a covariance has 21 columns"))
+}
+
 /// Names of the descriptors' columns: a reader of one feature finds no other.
 fn descriptor_names(feature: &Feature) -> &'static [&'static str; 2] {
     match feature {
@@ -319,10 +362,11 @@ fn read_header(folder: &Path) -> Result<Header, Error> {
         other => other.map_err(Error::io(&path))?,
     };
     let version: Version = toml::from_str(&text).map_err(|e| broken(&path, e.message()))?;
-    if version.format_version != FORMAT_VERSION {
+    if ![WITHOUT_COVARIANCES, FORMAT_VERSION].contains(&version.format_version) {
         return Err(Error::MapVersion {
             path,
             found: version.format_version,
+            oldest: WITHOUT_COVARIANCES,
             expected: FORMAT_VERSION,
         });
     }

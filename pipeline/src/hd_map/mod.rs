@@ -7,10 +7,12 @@
 mod build;
 mod export;
 mod file;
+mod keyframe_covariance;
 mod merge;
 mod point_quality;
 mod posed;
 mod prepared_image;
+mod prune;
 mod reconstruction;
 mod reconstruction_config;
 mod scene_depth;
@@ -32,10 +34,12 @@ use crate::features::{DESCRIPTOR_LEN, Descriptor, Feature};
 pub use build::{HdMapConfig, MapContent};
 pub use export::{ColmapCamera, ExportedFile, ImagePose, MapFormat, export_image_poses};
 pub use file::FORMAT_VERSION;
+use keyframe_covariance::CovarianceColumns;
 pub use merge::{MergeConfig, MergeReport};
 pub use point_quality::PointQuality;
 pub use posed::{PosedMapConfig, build_map_from_posed_images};
 pub use prepared_image::KeyframeImage;
+pub use prune::{PruneConfig, PruneReport};
 pub(crate) use reconstruction::expect_map;
 pub use reconstruction::{
     MapPoint, PointObservation, find_tracks, reconstruct, select_keyframes, triangulate_tracks,
@@ -86,6 +90,7 @@ struct KeyframeColumns {
     time_ns: ScalarBuffer<i64>,
     /// `qx qy qz qw tx ty tz` of `world_from_rig`.
     pose: [ScalarBuffer<f64>; 7],
+    covariance: CovarianceColumns,
 }
 
 /// By point, then by keyframe and camera.

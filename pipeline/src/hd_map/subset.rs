@@ -5,6 +5,7 @@ use lsfb_perception::statistics::median;
 use lsfb_types::ProgressFn;
 
 use super::HdMap;
+use super::build::MapRows;
 use crate::Error;
 use crate::descriptor_index::IndexConfig;
 
@@ -83,6 +84,18 @@ impl HdMap {
     ) -> Result<Self, Error> {
         let mut rows = self.rows();
         rows.points.retain(|p| keeps(&p.position));
+        rows.without_idle_keyframes(index, progress)
+    }
+}
+
+impl MapRows {
+    /// The map of these points and the keyframes that saw one of them. No points are an error.
+    pub(super) fn without_idle_keyframes(
+        self,
+        index: &IndexConfig,
+        progress: ProgressFn,
+    ) -> Result<HdMap, Error> {
+        let mut rows = self;
         if rows.points.is_empty() {
             return Err(Error::EmptyRegion);
         }
@@ -95,9 +108,12 @@ impl HdMap {
         let mut seeing = number.iter();
         rows.keyframes
             .retain(|_| seeing.next().is_some_and(Option::is_some));
+        let mut seeing = number.iter();
+        rows.covariances
+            .retain(|_| seeing.next().is_some_and(Option::is_some));
         for o in rows.points.iter_mut().flat_map(|p| &mut p.observations) {
             o.keyframe = number[o.keyframe as usize].unwrap_or(0);
         }
-        Self::from_rows(rows, index, progress)
+        HdMap::from_rows(rows, index, progress)
     }
 }

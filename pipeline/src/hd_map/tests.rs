@@ -1,11 +1,12 @@
 use std::fs;
 use std::path::Path;
 
-use lsfb_geometry::{Camera, CameraTiming, Rig, RigCamera, Se3, StampedPose, Vector3};
+use lsfb_geometry::{Camera, CameraTiming, Matrix6, Rig, RigCamera, Se3, StampedPose, Vector3};
 use lsfb_types::{Timestamp, no_progress};
 
 use super::*;
 use crate::Error;
+use crate::descriptor_index::IndexConfig;
 use crate::features::{Feature, Features, Keypoint};
 
 /// Two pinhole cameras that look along z.
@@ -128,6 +129,166 @@ fn what_is_written_is_opened_and_written_again_byte_for_byte() {
     assert_eq!(opened.position(7), Some(Vector3::new(7.0, 2.0, 3.0)));
 }
 
+/// A covariance that differs in every entry.
+fn covariance() -> Matrix6<f64> {
+    let root = Matrix6::from_fn(|i, j| 0.1 + (i * 6 + j) as f64 + if i == j { 40.0 } else { 0.0 });
+    root * root.transpose() * 1e-6
+}
+
+#[test]
+fn how_well_keyframes_are_known_is_kept() {
+    let folder = tempfile::tempdir().expect("scratch folder");
+    let map = small_map().with_keyframe_covariances(vec![None, Some(covariance())]);
+    map.write(folder.path()).expect("written");
+    let opened = HdMap::open(folder.path()).expect("opened");
+    assert_eq!(opened.keyframe_covariance(0), None);
+    let kept = opened.keyframe_covariance(1).expect("known");
+    assert_eq!(kept.upper_triangle(), covariance().upper_triangle());
+    assert_eq!(kept, kept.transpose());
+    assert_eq!(opened.keyframe_covariance(2), None);
+    let all = opened.region().expect("points");
+    let part = opened.crop(&all, &IndexConfig::default(), &no_progress);
+    let part = part.expect("cropped");
+    assert_eq!(part.keyframe_covariance(1), Some(kept));
+}
+
+#[test]
+fn maps_of_the_version_before_are_read() {
+    let folder = tempfile::tempdir().expect("scratch folder");
+    let known = small_map().with_keyframe_covariances(vec![Some(covariance()); 2]);
+    known.write(folder.path()).expect("written");
+    let header = folder.path().join("map.toml");
+    let text = fs::read_to_string(&header).expect("readable");
+    let before = text.replace("format_version = 3", "format_version = 2");
+    fs::write(&header, before).expect("write");
+    let opened = HdMap::open(folder.path()).expect("opened");
+    assert_eq!(opened.keyframe(1), known.keyframe(1));
+    assert_eq!(opened.keyframe_covariance(1), None);
+}
+
+/// A wall of points before a walk of ten keyframes: each point is seen by those within two metres of it.
+fn wall() -> HdMap {
+    let keyframes: Vec<StampedPose> = (0..10)
+        .map(|i| StampedPose {
+            time: Timestamp::from_nanos(1_000 * i),
+            world_from_rig: Se3::new(Default::default(), Vector3::x() * i as f64),
+        })
+        .collect();
+    let mut points = Vec::new();
+    let mut features = vec![Features::default(); 10];
+    for i in 0..3_000 {
+        // A grid of golden angles: even, and no two alike.
+        let across = 11.0 * (f64::from(i) * 0.618_034).fract() - 1.0;
+        let position = Vector3::new(across, -1.5 + f64::from(i) * 1e-3, 4.0);
+        let mut observations = Vec::new();
+        for (image, keyframe) in keyframes.iter().enumerate() {
+            let seen = position - keyframe.world_from_rig.translation;
+            if seen.x.abs() > 2.0 {
+                continue;
+            }
+            let pixel = [319.5 + 400.0 * seen.x / 4.0, 239.5 + 400.0 * seen.y / 4.0];
+            observations.push(PointObservation {
+                image,
+                keypoint: features[image].keypoints.len() as u32,
+            });
+            features[image].keypoints.push(Keypoint {
+                pixel: pixel.map(|v| v as f32),
+                scale_px: 2.0,
+                angle_rad: 0.0,
+                response: 0.1,
+            });
+            let look = |d: usize| ((i as usize * 7 + d * 13) % 101) as u8 + image as u8;
+            features[image].descriptors.push(std::array::from_fn(look));
+        }
+        points.push(MapPoint {
+            point_in_world: position,
+            observations,
+            reprojection_rms_px: 0.5,
+        });
+    }
+    let images: Vec<KeyframeImage> = features
+        .into_iter()
+        .enumerate()
+        .map(|(keyframe, features)| KeyframeImage {
+            keyframe,
+            camera: "cam0".to_owned(),
+            features,
+        })
+        .collect();
+    let content = MapContent {
+        rig: &rig(),
+        keyframes: &keyframes,
+        images: &images,
+        points: &points,
+        feature: &Feature::Sift,
+        provenance: "a wall",
+    };
+    HdMap::build(&content, &HdMapConfig::default(), &no_progress).expect("consistent content")
+}
+
+fn bytes_on_disk(map: &HdMap) -> usize {
+    let folder = tempfile::tempdir().expect("scratch folder");
+    map.write(folder.path()).expect("written");
+    bytes_of(folder.path()).iter().map(|(_, b)| b.len()).sum()
+}
+
+#[test]
+fn a_pruned_map_fits_and_covers_its_views() {
+    let (map, config) = (wall(), PruneConfig::default());
+    let prune = |bytes: usize| map.prune(bytes, &config, &no_progress);
+    let whole = bytes_on_disk(&map);
+    let (same, report) = prune(2 * whole).expect("room enough");
+    assert_eq!(same.point_count(), map.point_count());
+    assert_eq!(same.descriptor_count(), map.descriptor_count());
+    assert_eq!(report.points, [3_000; 2]);
+    for share in [0.9, 0.6, 0.3] {
+        let budget = (share * whole as f64) as usize;
+        let (small, report) = prune(budget).expect("room enough");
+        let bytes = bytes_on_disk(&small);
+        assert!(
+            bytes <= budget && bytes > budget * 3 / 4,
+            "{bytes} of {budget}"
+        );
+        assert_eq!(small.keyframe_count(), 10);
+        // The views lose alike: none much more than that in the middle.
+        let [before, after] = report.median_points_per_view;
+        let kept = after as f64 / before as f64;
+        let [fewest_before, fewest] = report.fewest_points_per_view;
+        assert!(
+            fewest as f64 > 0.6 * kept * fewest_before as f64,
+            "{report:?}"
+        );
+        // What is left is what was there, and found by what it looks like.
+        let query = small.descriptors(17)[0];
+        let nearest = small.nearest(&query, 5, 8, 50, &mut SearchScratch::default());
+        assert_eq!((nearest[0].point, nearest[0].distance_squared), (17, 0));
+        let position = small.position(17).expect("a point");
+        assert!(map.positions().any(|p| p == position));
+    }
+}
+
+#[test]
+fn a_size_that_empties_views_is_refused_with_one_that_does_not() {
+    let (map, config) = (wall(), PruneConfig::default());
+    let prune = |bytes: usize| map.prune(bytes, &config, &no_progress);
+    for bytes in [1, 100_000, 200_000] {
+        let refused = prune(bytes).expect_err("too small");
+        let Error::MapBudget {
+            points,
+            needed,
+            smallest_mb,
+            ..
+        } = refused
+        else {
+            panic!("{refused}")
+        };
+        assert!(points < needed && needed == 30, "{points} of {needed}");
+        let (small, report) = prune((smallest_mb * 1e6) as usize).expect("as it was said");
+        assert!(report.fewest_points_per_view[1] >= 30, "{report:?}");
+        assert!(bytes_on_disk(&small) as f64 <= smallest_mb * 1e6);
+    }
+}
+
 #[test]
 fn damage_is_named() {
     let folder = tempfile::tempdir().expect("scratch folder");
@@ -169,7 +330,7 @@ fn damage_is_named() {
     let text = fs::read_to_string(&header).expect("readable");
     fs::write(
         &header,
-        text.replace("format_version = 2", "format_version = 7"),
+        text.replace("format_version = 3", "format_version = 7"),
     )
     .expect("write");
     let error = HdMap::open(folder.path()).expect_err("another version");

@@ -48,6 +48,29 @@ fn scan_features(
     ScanFeatures::extract(&rings, &sensor_in_rig, lidar.range_noise_m, config)
 }
 
+/// Patches: their middle lies on a surface of the room, and a step of a decimetre along them stays on it.
+#[test]
+fn planes_lie_on_surfaces_of_the_room() {
+    let room = Room::furnished();
+    let (mut right, mut all) = (0_u32, 0_u32);
+    for t in [1.0, 2.0, 3.5] {
+        let world_from_rig = room::world_from_rig(t);
+        for plane in features_at(&room, t).planes() {
+            let normal = world_from_rig.rotation * plane.normal;
+            let along = normal.cross(&Vector3::new(0.3, 0.5, 0.8)).normalize();
+            let point = world_from_rig * plane.point;
+            let steps = [0.0, 0.1, -0.1].map(|step| point + along * step);
+            let off = steps.map(|p| room.distance_to_surface(&p));
+            all += 1;
+            right += u32::from(off.iter().all(|off| *off < 0.03));
+        }
+    }
+    assert!(
+        all > 300 && f64::from(right) >= 0.95 * f64::from(all),
+        "{right} of {all}"
+    );
+}
+
 #[test]
 fn edges_lie_on_edges_of_the_room() {
     let room = Room::furnished();

@@ -3,15 +3,15 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use lsfb_geometry::{Rig, Se3, StampedPose};
+use lsfb_geometry::{Rig, Se3, StampedPose, Vector3};
 use lsfb_perception::RelativePose;
 use lsfb_solver::{Block, Kernel, Problem, Report};
 use lsfb_types::ProgressFn;
 
-use super::MappingConfig;
 use super::keyframes::Keyframes;
 use super::scan_pairs::ScanPair;
 use super::weights::Weights;
+use super::{MappingConfig, TermConfig};
 use crate::Error;
 use crate::hd_map::MapPoint;
 use crate::lidar_features::Correspondences;
@@ -26,6 +26,15 @@ pub(super) struct Terms<'a> {
     pub weights: Weights,
 }
 
+/// Eq. (4) at the poses and points at hand.
+pub(super) struct Equation {
+    pub problem: Problem,
+    /// The keyframes, the first of which is held.
+    pub poses: Vec<Block<Se3>>,
+    /// The points.
+    pub points: Vec<Block<Vector3<f64>>>,
+}
+
 /// Minimises Eq. (4); `keyframes` and `points` take the result.
 pub(super) fn adjust(
     rig: &Rig,
@@ -35,6 +44,29 @@ pub(super) fn adjust(
     config: &MappingConfig,
     progress: ProgressFn<'_>,
 ) -> Result<Report, Error> {
+    let Equation {
+        mut problem,
+        poses,
+        points: blocks,
+    } = equation(rig, keyframes, points, terms, config)?;
+    let report = solve_or_stop("map adjustment", &mut problem, &config.solver, progress)?;
+    for (keyframe, block) in keyframes.frames.iter_mut().zip(&poses) {
+        keyframe.world_from_rig = problem.value(*block);
+    }
+    for (point, block) in points.iter_mut().zip(&blocks) {
+        point.point_in_world = problem.value(*block);
+    }
+    Ok(report)
+}
+
+/// Sets up Eq. (4).
+pub(super) fn equation(
+    rig: &Rig,
+    keyframes: &Keyframes,
+    points: &[MapPoint],
+    terms: &Terms,
+    config: &MappingConfig,
+) -> Result<Equation, Error> {
     let mut problem = Problem::new();
     let poses = add_keyframes(&mut problem, keyframes, terms, config)?;
     let observing: BTreeMap<&str, Arc<ObservingCamera>> = rig
@@ -46,7 +78,8 @@ pub(super) fn adjust(
         .iter()
         .map(|p| problem.add_eliminated_point(p.point_in_world))
         .collect();
-    for (point, block) in points.iter().zip(&blocks) {
+    let seen = points.iter().zip(&blocks);
+    for (point, block) in seen.filter(|_| config.terms.images) {
         for o in &point.observations {
             let image = &keyframes.images[o.image];
             let Some(camera) = observing.get(image.camera.as_str()) else {
@@ -61,14 +94,11 @@ pub(super) fn adjust(
             problem.add_residual(residual, &[poses[image.keyframe].id(), block.id()], kernel)?;
         }
     }
-    let report = solve_or_stop("map adjustment", &mut problem, &config.solver, progress)?;
-    for (keyframe, block) in keyframes.frames.iter_mut().zip(&poses) {
-        keyframe.world_from_rig = problem.value(*block);
-    }
-    for (point, block) in points.iter_mut().zip(&blocks) {
-        point.point_in_world = problem.value(*block);
-    }
-    Ok(report)
+    Ok(Equation {
+        problem,
+        poses,
+        points: blocks,
+    })
 }
 
 /// Adds the poses of the keyframes and what holds them besides images: the first, the odometry and the LiDAR.
@@ -96,16 +126,21 @@ pub(super) fn add_keyframes(
         );
         problem.add_residual(residual, &[pair[0].id(), pair[1].id()], Kernel::Squared)?;
     }
-    add_scans(problem, &poses, terms)?;
+    add_scans(problem, &poses, terms, config.terms)?;
     Ok(poses)
 }
 
-fn add_scans(problem: &mut Problem, poses: &[Block<Se3>], terms: &Terms) -> Result<(), Error> {
+fn add_scans(
+    problem: &mut Problem,
+    poses: &[Block<Se3>],
+    terms: &Terms,
+    taken: TermConfig,
+) -> Result<(), Error> {
     let weights = &terms.weights;
     let kernel = Kernel::Cauchy { scale: 2.0 };
     for (pair, found) in terms.scans {
         let blocks = [poses[pair.m].id(), poses[pair.n].id()];
-        for f in &found.planes {
+        for f in found.planes.iter().filter(|_| taken.planes) {
             let residual = LidarPlane {
                 point_in_n: f.point_in_n,
                 point_in_m: f.plane_in_m.point,
@@ -114,7 +149,7 @@ fn add_scans(problem: &mut Problem, poses: &[Block<Se3>], terms: &Terms) -> Resu
             };
             problem.add_residual(residual, &blocks, kernel)?;
         }
-        for f in &found.edges {
+        for f in found.edges.iter().filter(|_| taken.edges) {
             let residual = LidarEdge {
                 point_in_n: f.point_in_n,
                 point_in_m: f.edge_in_m.point,

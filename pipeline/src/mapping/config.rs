@@ -29,6 +29,8 @@ pub struct MappingConfig {
     pub map: HdMapConfig,
     /// LiDAR features and correspondences.
     pub lidar_features: LidarFeatureConfig,
+    /// Which measurements Eq. (4) takes.
+    pub terms: TermConfig,
     /// How far errors of one kind go together in Eq. (4).
     pub correlation: CorrelationConfig,
     /// Scans this long before and after a keyframe make its LiDAR features, seconds.
@@ -47,6 +49,36 @@ pub struct MappingConfig {
     pub max_reprojection_px: f64,
     /// When each minimisation stops.
     pub solver: SolveConfig,
+}
+
+/// Which measurements Eq. (4) takes: all of them, but to see what each is good for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TermConfig {
+    /// Distances from planes.
+    pub planes: bool,
+    /// Distances from edges.
+    pub edges: bool,
+    /// Reprojections of map points. Without them points are triangulated with the poses that the LiDAR gives.
+    pub images: bool,
+}
+
+impl Default for TermConfig {
+    fn default() -> Self {
+        Self {
+            planes: true,
+            edges: true,
+            images: true,
+        }
+    }
+}
+
+lsfb_types::bounds! {
+    TermConfig {
+        planes: any,
+        edges: any,
+        images: any,
+    }
 }
 
 /// How many measurements of one kind share their errors and count as one.
@@ -87,6 +119,7 @@ impl Default for MappingConfig {
             reconstruction: ReconstructionConfig::default(),
             map: HdMapConfig::default(),
             lidar_features: LidarFeatureConfig::default(),
+            terms: TermConfig::default(),
             correlation: CorrelationConfig::default(),
             scan_window_secs: 0.35,
             scan_revisits: 3,
@@ -123,6 +156,7 @@ lsfb_types::bounds! {
         reconstruction: section,
         map: section,
         lidar_features: section,
+        terms: section,
         correlation: section,
         scan_window_secs: number(Bounds::NOT_NEGATIVE),
         scan_revisits: any,

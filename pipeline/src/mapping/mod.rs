@@ -6,6 +6,7 @@ mod config;
 mod image_check;
 mod keyframe_scans;
 mod keyframes;
+mod pose_covariance;
 mod report;
 mod reprojection_errors;
 mod rig_check;
@@ -15,7 +16,7 @@ mod weights;
 #[cfg(test)]
 mod tests;
 
-use lsfb_geometry::{Rig, Se3, StampedPose, Trajectory};
+use lsfb_geometry::{Matrix6, Rig, Se3, StampedPose, Trajectory};
 use lsfb_recording::Recording;
 use lsfb_types::{Finding, ProgressFn, Verdict};
 use sha2::{Digest, Sha256};
@@ -30,10 +31,11 @@ use crate::loops::{close_loops, find_loops};
 use crate::odometry::{Damages, OdometryResult, run_odometry};
 use adjustment::{Terms, adjust};
 pub use camera_error::CameraError;
-pub use config::{CorrelationConfig, MappingConfig};
+pub use config::{CorrelationConfig, MappingConfig, TermConfig};
 use image_check::describe_images;
 use keyframe_scans::add_lidar_features;
 use keyframes::{Keyframe, Keyframes, choose_keyframes, find_cameras};
+use pose_covariance::pose_covariances;
 use report::USUAL_OUTLIER_SHARE;
 pub use report::{LidarResiduals, MappingReport, MappingWarning, RoundReport};
 use reprojection_errors::{ErrorSummary, drop_outliers, observation_errors_px, track_errors_px};
@@ -108,7 +110,7 @@ pub fn build_map(
         .extend(damaged.map(|what| MappingWarning::Damaged { what }));
     describe_images(&keyframes, &cameras, &mut report);
     let before = keyframes.poses();
-    let points = optimise(
+    let (points, covariances) = optimise(
         &rig,
         &mut keyframes,
         &trajectory,
@@ -128,7 +130,9 @@ pub fn build_map(
     let failed = findings.iter().filter(|f| f.verdict == Verdict::Fail);
     let failures = failed.map(Finding::sentence).collect();
     Ok(MappingResult {
-        map: HdMap::build(&content, &config.map, progress)?.with_failures(failures),
+        map: HdMap::build(&content, &config.map, progress)?
+            .with_failures(failures)
+            .with_keyframe_covariances(covariances),
         trajectory: correct_trajectory(&trajectory, &before, &keyframes.frames),
         report,
     })
@@ -159,7 +163,7 @@ fn optimise(
     config: &MappingConfig,
     report: &mut MappingReport,
     progress: ProgressFn<'_>,
-) -> Result<Vec<MapPoint>, Error> {
+) -> Result<(Vec<MapPoint>, Vec<Option<Matrix6<f64>>>), Error> {
     let odometry = &keyframes.poses();
     let tracks = find_tracks(
         rig,
@@ -220,6 +224,9 @@ fn optimise(
             break;
         }
     }
+    if !config.terms.images {
+        points = triangulate_round(rig, keyframes, &tracks, 1, config)?;
+    }
     let checked = Checked {
         rig,
         keyframes,
@@ -232,6 +239,13 @@ fn optimise(
         },
     };
     report.cameras = camera_errors(&checked, config, progress)?;
+    let covariances = match pose_covariances(&checked, &points, config, progress)? {
+        Ok(known) => known.into_iter().map(Some).collect(),
+        Err(warning) => {
+            report.warnings.push(warning);
+            Vec::new()
+        }
+    };
     report.reprojection_errors_px = track_errors_px(rig, keyframes, &points, &tracks);
     let errors = ErrorSummary::of(&report.reprojection_errors_px, max_px);
     report.reprojection_rms_px = errors.rms_px;
@@ -249,7 +263,7 @@ fn optimise(
         });
     }
     expect_map(&points, &keyframes.images)?;
-    Ok(points)
+    Ok((points, covariances))
 }
 
 /// Points at the current poses: of observations far off while the poses are still wrong, of close ones later.

@@ -155,6 +155,8 @@ pub enum MappingWarning {
         /// Which, and why.
         what: String,
     },
+    /// The measurements do not determine all keyframes.
+    PosesUndetermined,
     /// Many observations do not agree with the poses.
     ManyOutliers {
         /// Share of the observations farther off than `max_px`.
@@ -221,6 +223,12 @@ impl MappingWarning {
             .limit(Limit::AtMost(BLURRED_SCALE * of_others_px))
             .remedy("check its focus and clean its lens"),
             Self::Damaged { what } => warn("damaged", "", what.clone()),
+            Self::PosesUndetermined => warn(
+                "poses-undetermined",
+                "",
+                "images and scans do not determine all keyframes, so that nothing is said of how well their poses are known".to_owned(),
+            )
+            .remedy("map where the LiDAR sees walls on several sides, or with more images"),
             Self::ManyOutliers { share, max_px } => warn(
                 "many-outliers",
                 "",

@@ -135,6 +135,23 @@ fn a_walk_becomes_a_map_though_one_camera_is_missing() {
     let after_m = rms_error_m(&result.trajectory);
     // No worse than it was, but for its own standard deviation.
     assert!(after_m <= before_m + 0.002, "{before_m} → {after_m} m");
+    // Keyframes are about as far off, relative to the first, as is said of them.
+    let map = &result.map;
+    let first = map.keyframe(0).expect("a keyframe");
+    let truth_of = |pose: &StampedPose| room::world_from_rig(secs(pose.time));
+    let by_first = truth_of(&first) * first.world_from_rig.inverse();
+    assert_eq!(map.keyframe_covariance(0), Some(Matrix6::zeros()));
+    let all = map.keyframe_count() as u32;
+    let squares: Vec<f64> = (1..all)
+        .filter_map(|k| {
+            let (pose, covariance) = (map.keyframe(k)?, map.keyframe_covariance(k)?);
+            let error = ((by_first * pose.world_from_rig).inverse() * truth_of(&pose)).log();
+            Some(error.dot(&covariance.cholesky()?.solve(&error)))
+        })
+        .collect();
+    assert_eq!(squares.len() as u32, all - 1, "each has one");
+    let nees = squares.iter().sum::<f64>() / squares.len() as f64;
+    assert!((1.0..16.0).contains(&nees), "NEES {nees} of 6");
     // Points lie on surfaces of the room.
     let room = Room::furnished();
     let mut off: Vec<f64> = (0..result.map.point_count() as u32)

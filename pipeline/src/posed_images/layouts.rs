@@ -108,6 +108,7 @@ fn seven_scenes(folder: &Path, first: &Path, colour: &[PathBuf]) -> Result<Posed
     Ok(PosedImages {
         rig: rig_with(folder, camera),
         images,
+        notes: Vec::new(),
     })
 }
 
@@ -156,6 +157,7 @@ fn strecha(folder: &Path, cameras: &Path) -> Result<PosedImages, Error> {
     Ok(PosedImages {
         rig: rig_with(folder, camera),
         images,
+        notes: Vec::new(),
     })
 }
 

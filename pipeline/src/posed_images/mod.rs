@@ -1,6 +1,11 @@
 //! Folders of images whose poses are known: the input of a map without a backpack, and queries with an answer.
 
+mod colmap;
+mod kapture;
 mod layouts;
+mod lens;
+mod listed;
+mod nerfstudio;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -34,6 +39,8 @@ pub struct PosedImages {
     pub rig: Rig,
     /// The images.
     pub images: Vec<PosedImage>,
+    /// What is not in it that the folder lists, a sentence each.
+    pub notes: Vec<String>,
 }
 
 /// Intrinsics of the one camera: a 3 × 3 matrix.
@@ -45,13 +52,23 @@ const POSES: &str = "poses_T_world_cam_rowmajor4x4.txt";
 
 impl PosedImages {
     /// Reads a folder of images of one undistorted pinhole camera (OpenCV axes) that is its own rig: with `K.txt`,
-    /// `poses_T_world_cam_rowmajor4x4.txt` and `images/`; a sequence of 7-Scenes; or a scene of Strecha's.
+    /// `poses_T_world_cam_rowmajor4x4.txt` and `images/`; a sequence of 7-Scenes; or a scene of Strecha's. Or images of any cameras, each its
+    /// own rig: nerfstudio's `transforms.json`, a kapture, or a project or model of COLMAP.
     pub fn read(folder: &Path) -> Result<Self, Error> {
         let poses_path = folder.join(POSES);
-        if !poses_path.exists()
-            && let Some(found) = layouts::read(folder)?
-        {
-            return Ok(found);
+        if !poses_path.exists() {
+            if folder.join(nerfstudio::FILE).is_file() {
+                return nerfstudio::read(folder);
+            }
+            if folder.join(kapture::SENSORS).is_file() {
+                return kapture::read(folder);
+            }
+            if let Some(found) = layouts::read(folder)? {
+                return Ok(found);
+            }
+            if let Some(model) = colmap::model_in(folder) {
+                return colmap::read(folder, &model);
+            }
         }
         let text = fs::read_to_string(&poses_path).map_err(Error::io(&poses_path))?;
         let mut images = Vec::new();
@@ -83,6 +100,7 @@ impl PosedImages {
         Ok(Self {
             rig: rig_of(folder, &first.path)?,
             images,
+            notes: Vec::new(),
         })
     }
 }
@@ -150,6 +168,7 @@ impl PosedImages {
         let images = self.images.iter().enumerate();
         Self {
             rig: self.rig.clone(),
+            notes: self.notes.clone(),
             images: images
                 .filter(|(index, _)| wanted(index + 1))
                 .map(|(_, image)| image.clone())

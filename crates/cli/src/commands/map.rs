@@ -7,7 +7,7 @@ use lsfb_pipeline::hd_map::{HdMap, PosedMapConfig, build_map_from_posed_images};
 use lsfb_pipeline::mapping::{MappingConfig, MappingReport, build_map};
 use lsfb_pipeline::posed_images::PosedImages;
 use lsfb_recording::{Provenance, write_tum};
-use lsfb_types::Judgement;
+use lsfb_types::{Finding, Judgement, Verdict};
 use serde::{Deserialize, Serialize};
 
 use super::map_report::{MapPage, coverage, findings};
@@ -26,6 +26,7 @@ use crate::standing;
 ///   lsfb map scan.mcap --out map --out-trajectory scan.tum --out-report map.html
 ///   lsfb map --posed-images hololens_office --holdout-every 5 --out office-map
 ///   lsfb map --posed-images hololens_office --feature xfeat --out office-map
+///   lsfb map --posed-images nerfstudio/scene --out scene-map
 ///   lsfb map info map
 #[derive(clap::Args)]
 #[command(
@@ -50,7 +51,8 @@ struct BuildArguments {
         conflicts_with = "posed_images"
     )]
     recording: Option<PathBuf>,
-    /// Folder with K.txt, poses_T_world_cam_rowmajor4x4.txt and images/; a sequence of 7-Scenes; or a scene of Strecha's.
+    /// Images with known poses: a folder with nerfstudio's transforms.json; a kapture; a project or model of COLMAP; a folder with K.txt,
+    /// poses_T_world_cam_rowmajor4x4.txt and images/; a sequence of 7-Scenes; or a scene of Strecha's.
     #[arg(long, value_name = "FOLDER")]
     posed_images: Option<PathBuf>,
     /// Hold out every N-th of those images, to localize them later.
@@ -246,7 +248,12 @@ fn from_posed_images(
     let posed = PosedImages::read(folder)?.without_every(arguments.holdout_every.unwrap_or(0));
     let map = build_map_from_posed_images(&posed, &config, &|p| context.show(p))?;
     map.write(&arguments.out)?;
-    let judgement = Judgement::new(vec![coverage(&map)]);
+    let mut findings = vec![coverage(&map)];
+    findings.extend(posed.notes.iter().map(|note| {
+        Finding::new("images-left-out", Verdict::Warn, "images", note.clone())
+            .remedy("give the poses of all images")
+    }));
+    let judgement = Judgement::new(findings);
     let summary = summary(&arguments.out, &map, &judgement, ());
     context.print(&summary, || {
         let text = format!(

@@ -165,7 +165,7 @@ impl Coverage {
     }
 }
 
-fn track(name: &str, poses: Vec<StampedPose>) -> Track {
+pub fn track(name: &str, poses: Vec<StampedPose>) -> Track {
     Track {
         name: name.to_owned(),
         series: None,

@@ -1,4 +1,4 @@
-//! `lsfb map info`, `export`, `crop` and `merge`: maps that stand.
+//! `lsfb map info`, `export`, `crop`, `merge` and the others: maps that stand.
 
 use std::path::{Path, PathBuf};
 
@@ -11,6 +11,10 @@ use lsfb_recording::Provenance;
 use lsfb_types::{median, quantile};
 use serde::Serialize;
 
+use super::map_keyframes::{self, KeyframeSigma};
+use super::map_prune::{PruneArguments, prune};
+#[cfg(feature = "view")]
+use super::map_view::{ViewArguments, view};
 use crate::context::Context;
 use crate::outcome::Outcome;
 
@@ -21,6 +25,9 @@ pub enum Tool {
     Export(ExportArguments),
     Crop(CropArguments),
     Merge(MergeArguments),
+    Prune(PruneArguments),
+    #[cfg(feature = "view")]
+    View(ViewArguments),
 }
 
 /// Show what a map holds: points and how well they are known, keyframes, cameras, extent.
@@ -36,13 +43,15 @@ pub struct InfoArguments {
     map: PathBuf,
 }
 
-/// Export a map to the files of another program: COLMAP, kapture, nerfstudio, or a point cloud.
+/// Export a map to the files of another program: COLMAP, kapture, nerfstudio, a point cloud, or the poses of its keyframes.
 ///
-/// Images are named CAMERA/NANOSECONDS.png, as they would lie beside the model.
+/// Images are named CAMERA/NANOSECONDS.png, as they would lie beside the model. The poses are keyframes.tum and keyframes_covariance.txt, which
+/// has the covariance relative to the first keyframe, as `lsfb eval --align origin` reads it.
 ///
 /// Examples:
 ///   lsfb map export colmap map --out model
 ///   lsfb map export laz map --out cloud
+///   lsfb map export keyframes map --out poses
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct ExportArguments {
@@ -115,19 +124,22 @@ enum Program {
     Ply,
     Las,
     Laz,
+    Keyframes,
 }
 
-impl From<Program> for MapFormat {
-    fn from(program: Program) -> Self {
-        match program {
-            Program::Colmap => Self::ColmapText,
-            Program::ColmapBinary => Self::ColmapBinary,
-            Program::Kapture => Self::Kapture,
-            Program::Nerfstudio => Self::Nerfstudio,
-            Program::Ply => Self::Ply,
-            Program::Las => Self::Las,
-            Program::Laz => Self::Laz,
-        }
+impl Program {
+    /// The library's format; `None` where the files are written here.
+    fn format(self) -> Option<MapFormat> {
+        Some(match self {
+            Self::Colmap => MapFormat::ColmapText,
+            Self::ColmapBinary => MapFormat::ColmapBinary,
+            Self::Kapture => MapFormat::Kapture,
+            Self::Nerfstudio => MapFormat::Nerfstudio,
+            Self::Ply => MapFormat::Ply,
+            Self::Las => MapFormat::Las,
+            Self::Laz => MapFormat::Laz,
+            Self::Keyframes => return None,
+        })
     }
 }
 
@@ -153,6 +165,9 @@ pub fn run(tool: &Tool, context: &Context) -> anyhow::Result<Outcome> {
         Tool::Export(arguments) => run_export(arguments, context),
         Tool::Crop(arguments) => crop(arguments, context),
         Tool::Merge(arguments) => merge(arguments, context),
+        Tool::Prune(arguments) => prune(arguments, context),
+        #[cfg(feature = "view")]
+        Tool::View(arguments) => view(arguments, context),
     }
 }
 
@@ -173,6 +188,8 @@ struct Info<'a> {
     /// Median, and what 95 % stay below.
     reprojection_px: Option<[f64; 2]>,
     point_sigma_m: Option<[f64; 2]>,
+    /// Of the keyframes, relative to the first; absent where their covariances are unknown.
+    keyframe_sigma: Option<KeyframeSigma>,
     bytes: u64,
     /// What was found wrong with it when it was made.
     failures: &'a [String],
@@ -198,6 +215,7 @@ fn info(arguments: &InfoArguments, context: &Context) -> anyhow::Result<Outcome>
         observations_per_point: map.observation_count() as f64 / map.point_count().max(1) as f64,
         reprojection_px: shares(quality.iter().map(|q| q.reprojection_rms_px)),
         point_sigma_m: shares(quality.iter().map(|q| q.worst_sigma_m())),
+        keyframe_sigma: KeyframeSigma::of(&map),
         bytes: bytes_in(&arguments.map)?,
         failures: map.failures(),
         provenance: map.provenance(),
@@ -240,6 +258,10 @@ fn text(folder: &Path, info: &Info) -> String {
             100.0 * most
         ));
     }
+    lines.push(match &info.keyframe_sigma {
+        Some(sigma) => sigma.sentence(info.keyframes),
+        None => "σ of the keyframes: unknown".to_owned(),
+    });
     let failures = info.failures.iter();
     lines.extend(failures.map(|what| format!("failed when it was made: {what}")));
     lines.join("\n")
@@ -251,7 +273,7 @@ fn shares(values: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
     Some([median(values.clone())?, quantile(values, 0.95)?])
 }
 
-fn bytes_in(folder: &Path) -> anyhow::Result<u64> {
+pub fn bytes_in(folder: &Path) -> anyhow::Result<u64> {
     let named = || folder.display().to_string();
     let mut sum = 0;
     for entry in std::fs::read_dir(folder).with_context(named)? {
@@ -263,8 +285,13 @@ fn bytes_in(folder: &Path) -> anyhow::Result<u64> {
 fn run_export(arguments: &ExportArguments, context: &Context) -> anyhow::Result<Outcome> {
     context.claim(&arguments.out, &[&arguments.map])?;
     let map = super::open_map(&arguments.map)?;
+    let Some(format) = arguments.format.format() else {
+        let outcome = map_keyframes::export(&map, &arguments.out, context)?;
+        written(&map, &arguments.out, &[&arguments.map], &())?;
+        return Ok(outcome);
+    };
     let (cameras, rig_config, notes) = colmap_cameras(map.rig())?;
-    let mut files = map.export(arguments.format.into(), &cameras)?;
+    let mut files = map.export(format, &cameras)?;
     if matches!(arguments.format, Program::Colmap | Program::ColmapBinary) {
         files.extend(rig_config);
     }
@@ -391,7 +418,7 @@ fn merge(arguments: &MergeArguments, context: &Context) -> anyhow::Result<Outcom
 }
 
 /// Writes where a result comes from beside it.
-fn written(
+pub fn written(
     map: &HdMap,
     out: &Path,
     read: &[&Path],

@@ -28,8 +28,12 @@ pub mod import;
 mod inertial;
 pub mod localize;
 pub mod map;
+mod map_keyframes;
+mod map_prune;
 mod map_report;
 mod map_tools;
+#[cfg(feature = "view")]
+mod map_view;
 pub mod mock;
 pub mod models;
 pub mod odometry;

@@ -308,6 +308,8 @@ fn joined(
             world_from_rig: report.first_from_second * k.world_from_rig,
             ..*k
         }));
+    // Known relative to the first keyframe of a map of their own, and moved by an alignment that has its error too.
+    rows.covariances.resize(rows.keyframes.len(), None);
     let limit = config.map.max_descriptors_per_point.max(1);
     let rotation = report.first_from_second.rotation_matrix();
     let named = place_cameras(&mut rows, &moved);

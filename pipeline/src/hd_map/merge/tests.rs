@@ -1,4 +1,4 @@
-use lsfb_geometry::{Camera, CameraTiming, Rig, RigCamera};
+use lsfb_geometry::{Camera, CameraTiming, Matrix6, Rig, RigCamera};
 use lsfb_types::{Timestamp, no_progress};
 
 use super::*;
@@ -85,6 +85,7 @@ impl Hall {
                     ..k
                 })
                 .collect(),
+            covariances: vec![Some(Matrix6::identity()); self.along.len()],
             points,
             provenance: format!("{:?}", self.along),
             failures: Vec::new(),
@@ -132,6 +133,10 @@ fn two_scans_of_one_hall_become_one_map() {
         merged.keyframe_count(),
         a.keyframe_count() + b.keyframe_count()
     );
+    // Those of the second are moved by an alignment with errors of its own.
+    let known = |k: usize| merged.keyframe_covariance(k as u32).is_some();
+    let of_first = a.keyframe_count();
+    assert!((0..of_first).all(known) && !(of_first..merged.keyframe_count()).any(known));
     assert_eq!(
         merged.observation_count(),
         a.observation_count() + b.observation_count()

@@ -74,6 +74,7 @@ fn walk(folder: &Path, scale: f64) -> PosedImages {
     PosedImages {
         images: images.collect(),
         rig,
+        notes: Vec::new(),
     }
 }
 

@@ -47,9 +47,11 @@ impl Input {
     pub fn open(path: &Path, arguments: &Arguments, context: &Context) -> anyhow::Result<Self> {
         if arguments.posed_images.is_some() {
             crate::files::expect_file(path, "name a folder of posed images")?;
-            return Ok(Self::of_posed(
-                &PosedImages::read(path)?.every(arguments.every),
-            ));
+            let posed = PosedImages::read(path)?;
+            for note in &posed.notes {
+                context.say(&format!("warning: {}: {note}", path.display()));
+            }
+            return Ok(Self::of_posed(&posed.every(arguments.every)));
         }
         crate::files::expect_file(path, "name a walk (MCAP) or a folder of images")?;
         if path.is_file() {

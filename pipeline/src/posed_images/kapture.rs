@@ -1,0 +1,161 @@
+//! kapture 1.1 (its specification, `kapture_format.adoc`): poses take points of the world into the sensor or its rig, and those of `rigs.txt`
+//! points of the rig into the sensor.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use lsfb_geometry::Se3;
+
+use super::PosedImages;
+use super::lens::camera;
+use super::listed::{Listed, pose};
+use crate::Error;
+
+pub(super) const SENSORS: &str = "sensors/sensors.txt";
+/// Rigs on rigs on rigs: more of them is a circle.
+const DEEPEST_RIG: usize = 8;
+
+pub(super) fn read(folder: &Path) -> Result<PosedImages, Error> {
+    let sensors = folder.join("sensors");
+    let records = sensors.join("records_camera.txt");
+    let mut listed = Listed::new(folder, &records);
+    let own = folder.join(SENSORS);
+    for row in Row::of(&own)? {
+        if row.word(2) != Some("camera") {
+            continue;
+        }
+        let fail = |why: String| row.refuse(&own, &why);
+        let (Some(name), Some(model)) = (row.word(0), row.word(3)) else {
+            return Err(fail("a camera needs a model".to_owned()));
+        };
+        let [width, height, parameters @ ..] = &row.words[4..] else {
+            return Err(fail("a camera needs its size".to_owned()));
+        };
+        let side = |word: &str| word.parse::<f64>().ok().filter(|v| *v >= 1.0);
+        let size = side(width)
+            .zip(side(height))
+            .map(|(w, h)| [w as u32, h as u32]);
+        let size = size.ok_or_else(|| fail("a camera needs its size".to_owned()))?;
+        let parameters: Option<Vec<f64>> = parameters.iter().map(|w| w.parse().ok()).collect();
+        let parameters =
+            parameters.ok_or_else(|| fail("a parameter of the lens is no number".to_owned()))?;
+        let found = camera(model, size, &parameters).map_err(fail)?;
+        listed.add_camera(name, found)?;
+    }
+    let in_rig = in_rigs(&sensors.join("rigs.txt"))?;
+    let poses = trajectories(&sensors.join("trajectories.txt"))?;
+    for row in Row::of(&records)? {
+        let (Some(time), Some(name), Some(file)) = (row.word(0), row.word(1), row.word(2)) else {
+            return Err(row.refuse(&records, "expected timestamp, device_id, image_path"));
+        };
+        if !listed.has_camera(name) {
+            return Err(row.refuse(&records, &format!("camera {name} is not in sensors.txt")));
+        }
+        match camera_from_world(time, name, &poses, &in_rig) {
+            Some(pose) => {
+                let file = sensors.join("records_data").join(file);
+                listed.add_image(file, name, pose.inverse());
+            }
+            None => listed.add_unposed(),
+        }
+    }
+    listed.finish()
+}
+
+/// By the stamp as it is written, and the device.
+type Poses = BTreeMap<(String, String), Se3>;
+/// Of each sensor the rig and `sensor_from_rig`.
+type InRig = BTreeMap<String, (String, Se3)>;
+
+fn camera_from_world(time: &str, camera: &str, poses: &Poses, in_rig: &InRig) -> Option<Se3> {
+    let (mut device, mut camera_from_device) = (camera, Se3::identity());
+    for _ in 0..DEEPEST_RIG {
+        if let Some(device_from_world) = poses.get(&(time.to_owned(), device.to_owned())) {
+            return Some(camera_from_device * *device_from_world);
+        }
+        let (rig, device_from_rig) = in_rig.get(device)?;
+        camera_from_device = camera_from_device * *device_from_rig;
+        device = rig;
+    }
+    None
+}
+
+fn in_rigs(path: &Path) -> Result<InRig, Error> {
+    let mut found = InRig::new();
+    if !path.is_file() {
+        return Ok(found);
+    }
+    for row in Row::of(path)? {
+        let (Some(rig), Some(sensor)) = (row.word(0), row.word(1)) else {
+            return Err(row.refuse(path, "expected rig_id, sensor_id and a pose"));
+        };
+        let pose = row.pose(path)?;
+        let pose = pose.ok_or_else(|| row.refuse(path, "the pose is missing"))?;
+        found.insert(sensor.to_owned(), (rig.to_owned(), pose));
+    }
+    Ok(found)
+}
+
+fn trajectories(path: &Path) -> Result<Poses, Error> {
+    let mut found = Poses::new();
+    for row in Row::of(path)? {
+        let (Some(time), Some(device)) = (row.word(0), row.word(1)) else {
+            return Err(row.refuse(path, "expected timestamp, device_id and a pose"));
+        };
+        // What is not known of a pose is left empty.
+        if let Some(pose) = row.pose(path)? {
+            found.insert((time.to_owned(), device.to_owned()), pose);
+        }
+    }
+    Ok(found)
+}
+
+/// A line of a list.
+struct Row {
+    /// From 1.
+    line: usize,
+    words: Vec<String>,
+}
+
+impl Row {
+    fn of(path: &Path) -> Result<Vec<Self>, Error> {
+        let text = std::fs::read_to_string(path).map_err(Error::io(path))?;
+        let lines = text.lines().enumerate();
+        let rows = lines.filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#'));
+        Ok(rows
+            .map(|(index, line)| Self {
+                line: index + 1,
+                words: line.split(',').map(|word| word.trim().to_owned()).collect(),
+            })
+            .collect())
+    }
+
+    /// `None` where it is missing or empty.
+    fn word(&self, index: usize) -> Option<&str> {
+        let word = self.words.get(index).map(String::as_str);
+        word.filter(|word| !word.is_empty())
+    }
+
+    /// qw qx qy qz tx ty tz behind two words; `None` where one of them is left empty.
+    fn pose(&self, path: &Path) -> Result<Option<Se3>, Error> {
+        let mut numbers = [0.0; 7];
+        for (number, index) in numbers.iter_mut().zip(2..) {
+            let Some(word) = self.word(index) else {
+                return Ok(None);
+            };
+            let parsed = word.parse();
+            *number = parsed.map_err(|_| self.refuse(path, &format!("{word} is no number")))?;
+        }
+        let [w, x, y, z, t @ ..] = numbers;
+        let found = pose([w, x, y, z], t);
+        let found = found.ok_or_else(|| self.refuse(path, "the pose is no rigid transform"))?;
+        Ok(Some(found))
+    }
+
+    fn refuse(&self, path: &Path, why: &str) -> Error {
+        Error::PosedLayout {
+            path: path.to_owned(),
+            reason: format!("line {}: {why}", self.line),
+        }
+    }
+}

@@ -1,0 +1,279 @@
+//! Maps exported to other programs' files, read back as posed images.
+
+use std::fs;
+use std::path::Path;
+
+use lsfb_geometry::camera::Lens;
+use lsfb_geometry::{Camera, CameraTiming, Rig, RigCamera, Se3, StampedPose, Vector3};
+use lsfb_pipeline::features::{Feature, Features, Keypoint};
+use lsfb_pipeline::hd_map::{
+    ColmapCamera, HdMap, HdMapConfig, KeyframeImage, MapContent, MapFormat, MapPoint,
+    PointObservation,
+};
+use lsfb_pipeline::posed_images::PosedImages;
+use lsfb_types::{Timestamp, no_progress};
+
+const PRINCIPAL_PX: [f64; 2] = [318.25, 241.5];
+const PINHOLE_PX: [f64; 2] = [400.0, 410.0];
+const FISHEYE_PX: [f64; 2] = [220.0, 221.0];
+const DISTORTION: [f64; 4] = [-0.02, 0.006, -0.003, 0.0004];
+
+fn rig() -> Rig {
+    let pinhole = Camera::pinhole(640, 480, PINHOLE_PX, PRINCIPAL_PX);
+    let fisheye = Camera {
+        lens: Lens::KannalaBrandt {
+            focal_px: FISHEYE_PX,
+            principal_px: PRINCIPAL_PX,
+            distortion: DISTORTION,
+        },
+        ..pinhole
+    };
+    let mounted = |camera, pose: [f64; 6]| RigCamera {
+        camera,
+        rig_from_camera: Se3::exp(&pose.into()),
+        timing: CameraTiming::default(),
+    };
+    Rig {
+        cameras: [
+            (
+                "cam0".to_owned(),
+                mounted(pinhole, [0.3, -0.2, 0.1, 0.1, 0.0, 0.2]),
+            ),
+            (
+                "cam1".to_owned(),
+                mounted(fisheye, [0.0, 1.2, 0.0, -0.1, 0.0, 0.2]),
+            ),
+        ]
+        .into(),
+        ..Rig::empty("two")
+    }
+}
+
+/// As COLMAP describes the two cameras: its pixel (0, 0) is the first one's corner.
+fn cameras() -> [ColmapCamera; 2] {
+    let principal = PRINCIPAL_PX.map(|v| v + 0.5);
+    let camera = |model: &str, parameters: Vec<f64>| ColmapCamera {
+        model: model.to_owned(),
+        size: [640, 480],
+        parameters,
+    };
+    [
+        camera("PINHOLE", [PINHOLE_PX, principal].concat()),
+        camera(
+            "OPENCV_FISHEYE",
+            [&FISHEYE_PX[..], &principal, &DISTORTION].concat(),
+        ),
+    ]
+}
+
+/// Three keyframes whose images of both cameras saw one point.
+fn map() -> HdMap {
+    let keyframes = [0, 1, 2].map(|i| StampedPose {
+        time: Timestamp::from_nanos(1_700_000_000_000_000_000 + i),
+        world_from_rig: Se3::exp(&[0.1 * i as f64, 0.7, -0.3, i as f64, 5.0, -2.0].into()),
+    });
+    let images: Vec<KeyframeImage> = (0..6)
+        .map(|i| KeyframeImage {
+            keyframe: i / 2,
+            camera: format!("cam{}", i % 2),
+            features: Features {
+                keypoints: vec![Keypoint {
+                    pixel: [10.0, 20.0],
+                    scale_px: 2.0,
+                    angle_rad: 0.0,
+                    response: 0.1,
+                }],
+                descriptors: vec![[7; 128]],
+            },
+        })
+        .collect();
+    let point = MapPoint {
+        point_in_world: Vector3::new(1.0, 2.0, 3.0),
+        observations: (0..6)
+            .map(|image| PointObservation { image, keypoint: 0 })
+            .collect(),
+        reprojection_rms_px: 0.5,
+    };
+    let content = MapContent {
+        rig: &rig(),
+        keyframes: &keyframes,
+        images: &images,
+        points: &[point],
+        feature: &Feature::Sift,
+        provenance: "made up",
+    };
+    HdMap::build(&content, &HdMapConfig::default(), &no_progress).expect("consistent content")
+}
+
+fn export(format: MapFormat, folder: &Path) {
+    for file in map().export(format, &cameras()).expect("known cameras") {
+        let path = folder.join(&file.path);
+        fs::create_dir_all(path.parent().expect("a folder")).expect("folder");
+        fs::write(path, file.bytes).expect("written");
+    }
+}
+
+fn message(folder: &Path) -> String {
+    PosedImages::read(folder).expect_err("unusable").to_string()
+}
+
+#[test]
+fn exported_maps_are_read_back_as_posed_images() {
+    let (map, rig) = (map(), rig());
+    for (format, images) in [
+        (MapFormat::Nerfstudio, "."),
+        (MapFormat::Kapture, "sensors/records_data"),
+        (MapFormat::ColmapText, "."),
+        (MapFormat::ColmapBinary, "."),
+    ] {
+        let scratch = tempfile::tempdir().expect("scratch folder");
+        export(format, scratch.path());
+        let found = PosedImages::read(scratch.path()).expect("its own files");
+        assert_eq!(found.images.len(), 6, "{format:?}");
+        assert!(found.notes.is_empty(), "{:?}", found.notes);
+        let images = scratch.path().join(images);
+        for (at, image) in found.images.iter().enumerate() {
+            let keyframe = map.keyframe(at as u32 / 2).expect("a keyframe");
+            let name = format!("cam{}", at % 2);
+            let file = images.join(format!("{name}/{}.png", keyframe.time.nanos()));
+            assert_eq!(
+                image.path.components().collect::<Vec<_>>(),
+                file.components().collect::<Vec<_>>(),
+                "{format:?}"
+            );
+            let own = &found.rig.cameras[&image.camera];
+            assert_eq!(own.rig_from_camera, Se3::identity());
+            let [a, b] = [&own.camera, &rig.cameras[&name].camera];
+            assert_eq!((a.width, a.height), (b.width, b.height));
+            assert_eq!(a.lens.model(), b.lens.model(), "{format:?}");
+            let [a, b] = [a, b].map(|camera| camera.lens.parameters().values);
+            for (a, b) in a.iter().zip(&b) {
+                assert!((a - b).abs() < 1e-9, "{format:?}: {a} {b}");
+            }
+            let pose = keyframe.world_from_rig * rig.cameras[&name].rig_from_camera;
+            let off = (pose.inverse() * image.world_from_rig).log().norm();
+            assert!(off < 1e-9, "{format:?}: {off}");
+        }
+    }
+}
+
+/// Values worked out by hand from nerfstudio's documentation: the camera of this frame looks along the world's x, its image upright.
+#[test]
+fn axes_of_nerfstudio_are_turned_and_angles_give_focal_lengths() {
+    let scratch = tempfile::tempdir().expect("scratch folder");
+    let text = r#"{"camera_angle_x": 1.5707963267948966, "w": 800, "h": 600, "frames": [{"file_path": "./train/r_0",
+        "transform_matrix": [[0, 0, -1, 4], [-1, 0, 0, 5], [0, 1, 0, 6], [0, 0, 0, 1]]}]}"#;
+    fs::write(scratch.path().join("transforms.json"), text).expect("written");
+    let found = PosedImages::read(scratch.path()).expect("read");
+    let image = &found.images[0];
+    assert!(image.path.ends_with("train/r_0.png"));
+    let camera = &found.rig.cameras[&image.camera].camera;
+    let px = [camera.focal_px(), camera.principal_px()].concat();
+    for (px, expected) in px.iter().zip([400.0, 400.0, 399.5, 299.5]) {
+        assert!((px - expected).abs() < 1e-9, "{px} {expected}");
+    }
+    // Ahead of the camera, to its right and below it.
+    for (in_camera, in_world) in [
+        ([0.0, 0.0, 1.0], [5.0, 5.0, 6.0]),
+        ([1.0, 0.0, 0.0], [4.0, 4.0, 6.0]),
+        ([0.0, 1.0, 0.0], [4.0, 5.0, 5.0]),
+    ] {
+        let off = image.world_from_rig * Vector3::from(in_camera) - Vector3::from(in_world);
+        assert!(off.norm() < 1e-9, "{in_camera:?}: {off}");
+    }
+}
+
+#[test]
+fn a_kapture_of_a_rig_is_read_and_images_without_pose_are_said() {
+    let scratch = tempfile::tempdir().expect("scratch folder");
+    let sensors = scratch.path().join("sensors");
+    fs::create_dir(&sensors).expect("folder");
+    let write = |name: &str, text: &str| fs::write(sensors.join(name), text).expect("written");
+    write(
+        "sensors.txt",
+        "# kapture format: 1.1\nleft, , camera, SIMPLE_PINHOLE, 640, 480, 500, 320, 240\ngps, , gnss, EPSG:4326\n",
+    );
+    // A metre to the left of the rig's middle: what is there is a metre to the right of the camera.
+    write("rigs.txt", "pair, left, 1, 0, 0, 0, 1, 0, 0\n");
+    write(
+        "trajectories.txt",
+        "10, pair, 1, 0, 0, 0, 0, 0, -2\n11, pair, , , , , 0, 0, 0\n",
+    );
+    write("records_camera.txt", "10, left, a.jpg\n11, left, b.jpg\n");
+    let found = PosedImages::read(scratch.path()).expect("read");
+    assert_eq!(found.images.len(), 1);
+    let place = found.images[0].world_from_rig.translation;
+    assert_eq!(place, Vector3::new(-1.0, 0.0, 2.0));
+    assert_eq!(found.notes.len(), 1);
+    assert!(
+        found.notes[0].contains("1 of 2 images"),
+        "{:?}",
+        found.notes
+    );
+
+    write("trajectories.txt", "12, pair, 1, 0, 0, 0, 0, 0, -2\n");
+    assert!(message(scratch.path()).contains("none of its 2 images"));
+    write("trajectories.txt", "10, pair, 1, 1, 0, 0, 0, 0, -2\n");
+    let said = message(scratch.path());
+    assert!(said.contains("trajectories.txt: line 1"), "{said}");
+    write(
+        "sensors.txt",
+        "left, , camera, SIMPLE_PINHOLE, 640, 480, 500\n",
+    );
+    let said = message(scratch.path());
+    assert!(said.contains("expected 3"), "{said}");
+    write("sensors.txt", "");
+    write("trajectories.txt", "");
+    let said = message(scratch.path());
+    assert!(said.contains("left is not in sensors.txt"), "{said}");
+}
+
+#[test]
+fn broken_lists_are_named() {
+    let scratch = tempfile::tempdir().expect("scratch folder");
+    let transforms = scratch.path().join("transforms.json");
+    let frame = |rest: &str| {
+        format!(r#"{{"w": 64, "h": 48, "frames": [{{"file_path": "a.png", {rest}}}]}}"#)
+    };
+    let turned = r#""transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]"#;
+    for (text, expected) in [
+        ("{".to_owned(), "no JSON"),
+        ("{}".to_owned(), "frames"),
+        (r#"{"frames": []}"#.to_owned(), "none of its 0 images"),
+        (
+            frame(r#""transform_matrix": [[2,0,0,0],[0,2,0,0],[0,0,2,0],[0,0,0,1]]"#),
+            "frame 0",
+        ),
+        (frame(turned), "fl_x"),
+        (frame(&format!(r#""fl_x": -5, {turned}"#)), "not above zero"),
+        (
+            frame(&format!(r#""fl_x": 50, "cx": 3, {turned}"#)),
+            "principal point",
+        ),
+        (
+            frame(&format!(
+                r#""fl_x": 50, "camera_model": "EQUIRECTANGULAR", {turned}"#
+            )),
+            "EQUIRECTANGULAR",
+        ),
+    ] {
+        fs::write(&transforms, &text).expect("written");
+        let said = message(scratch.path());
+        assert!(said.contains(expected), "{text}: {said}");
+    }
+    fs::remove_file(transforms).expect("removed");
+    export(MapFormat::ColmapBinary, scratch.path());
+    for name in ["cameras.bin", "images.bin"] {
+        let path = scratch.path().join(name);
+        let bytes = fs::read(&path).expect("its own");
+        for (broken, expected) in [
+            (&bytes[..bytes.len() - 3], "cut off"),
+            (&[&bytes[..], b"more"].concat()[..], "too many"),
+        ] {
+            fs::write(&path, broken).expect("written");
+            let said = message(scratch.path());
+            assert!(said.contains(expected) && said.contains(name), "{said}");
+        }
+        fs::write(&path, &bytes).expect("written");
+    }
+}
