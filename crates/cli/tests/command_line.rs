@@ -323,6 +323,101 @@ fn maps_that_stand_are_shown_exported_cut_and_joined() {
     );
 }
 
+#[test]
+fn how_well_keyframes_are_known_is_judged_by_a_truth() {
+    let folder = with(&["map", "scan.tum"]);
+    let path = folder.path();
+    let info = json(path, &["map", "info", "map"], 0);
+    let sigma_m = info["keyframe_sigma"]["position_m"][0]
+        .as_f64()
+        .expect("metres");
+    assert!((1e-5..0.01).contains(&sigma_m), "{sigma_m} m");
+    let export = ["map", "export", "keyframes", "map", "--out", "poses"];
+    let said = json(path, &export, 0);
+    assert_eq!(said["keyframes"], info["keyframes"]);
+    assert_eq!(said["with_covariance"], info["keyframes"]);
+    let judged = json(
+        path,
+        &[
+            "eval",
+            "poses/keyframes_covariance.txt",
+            "--truth",
+            "scan.tum",
+            "--align",
+            "origin",
+        ],
+        // The trajectory was bent through these keyframes, and there are few of them: no result, but it is read.
+        4,
+    );
+    let text = judged.to_string();
+    assert!(text.contains("nees_mean"), "{text}");
+}
+
+#[test]
+fn maps_are_pruned_and_looked_at() {
+    let folder = with(&["map", "scan.mcap", "scan.tum"]);
+    let path = folder.path();
+    let whole = json(path, &["map", "info", "map"], 0);
+    let mb = whole["bytes"].as_f64().expect("bytes") / 1e6;
+    let size = format!("{:.3}", 0.7 * mb);
+    let prune = ["map", "prune", "map", "--size-mb", &size, "--out", "small"];
+    let said = json(path, &prune, 0);
+    let left_mb = said["size_mb"][1].as_f64().expect("a size");
+    assert!(
+        left_mb <= 0.7 * mb && left_mb > 0.4 * mb,
+        "{left_mb} of {mb}"
+    );
+    let small = json(path, &["map", "info", "small"], 0);
+    assert!(small["points"].as_u64() <= whole["points"].as_u64());
+    assert!(small["descriptors"].as_u64() < whole["descriptors"].as_u64());
+    assert!(small["keyframe_sigma"].is_object(), "{small}");
+    let none = ["map", "prune", "map", "--size-mb", "0.01", "--out", "none"];
+    let refused = lsfb(path, &none);
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(
+        self::said(&refused).contains("MB or more"),
+        "{}",
+        self::said(&refused)
+    );
+    assert!(!path.join("none").exists());
+
+    let view = [
+        "map",
+        "view",
+        "map",
+        "--recording",
+        "scan.mcap",
+        "--trajectory",
+        "scan.tum",
+        "--out",
+        "map.rrd",
+        "--out-report",
+        "map.html",
+    ];
+    let said = json(path, &view, 0);
+    assert_eq!(said["points"], whole["points"]);
+    assert!(said["surface_points"].as_u64() > Some(1_000), "{said}");
+    assert!(said["images"].as_u64() >= whole["keyframes"].as_u64());
+    assert!(
+        std::fs::metadata(path.join("map.rrd"))
+            .expect("a file")
+            .len()
+            > 10_000
+    );
+    let page = std::fs::read_to_string(path.join("map.html")).expect("a page");
+    assert!(page.contains("3D view") && page.contains("keyframes"));
+    let alone = [
+        "map",
+        "view",
+        "map",
+        "--recording",
+        "scan.mcap",
+        "--out",
+        "b.rrd",
+    ];
+    assert_eq!(lsfb(path, &alone).status.code(), Some(2));
+}
+
 /// An EuRoC folder of a walk and the walk itself are the same images and samples: so are their poses.
 #[test]
 fn a_walk_that_was_imported_is_localized_as_it_was_recorded() {
