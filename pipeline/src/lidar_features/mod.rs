@@ -100,8 +100,6 @@ pub struct Correspondences {
 /// Points and rings an edge must have.
 const MIN_POINTS_PER_EDGE: usize = 5;
 const MIN_RINGS_PER_EDGE: usize = 4;
-/// An edge whose direction is known no better than this (1 σ, degrees) may be none: a few creases of different things lie in a line as well.
-const MOST_TURN_SIGMA_DEG: f64 = 4.0;
 
 /// What one scan adds to the keyframes around it, in the rig frame at the time the scan was deskewed to.
 #[derive(Clone, Debug)]
@@ -334,14 +332,6 @@ impl Line {
         }
     }
 
-    /// Standard deviation of its direction, where so many points lie evenly along it: that of a slope, which scatter across the line and the
-    /// spread along it (its length over √12) give.
-    fn turn_sigma_rad(&self, points: usize) -> f64 {
-        let spread_m = self.length_m / 12f64.sqrt();
-        // The scatter is in two directions.
-        self.thickness_m * std::f64::consts::FRAC_1_SQRT_2 / (spread_m * (points as f64).sqrt())
-    }
-
     /// The line through one side of an edge; `None` where the points are no line.
     fn fit(points: &[Vector3<f64>], range_noise_m: f64) -> Option<Self> {
         let line = Self::through(points.iter().copied());
@@ -401,10 +391,7 @@ fn join_creases(creases: &[Crease], range_noise_m: f64) -> Vec<Edge> {
             continue;
         }
         let line = Line::through(members.iter().map(|&i| creases[i].point));
-        if line.thickness_m > 1.5 * range_noise_m
-            || line.length_m < 4.0 * line.thickness_m
-            || line.turn_sigma_rad(members.len()) > MOST_TURN_SIGMA_DEG.to_radians()
-        {
+        if line.thickness_m > 1.5 * range_noise_m || line.length_m < 4.0 * line.thickness_m {
             continue;
         }
         for i in members {

@@ -110,7 +110,10 @@ pub fn build_map(
         .extend(damaged.map(|what| MappingWarning::Damaged { what }));
     describe_images(&keyframes, &cameras, &mut report);
     let before = keyframes.poses();
-    let (points, covariances) = optimise(
+    let Optimised {
+        points,
+        covariances,
+    } = optimise(
         &rig,
         &mut keyframes,
         &trajectory,
@@ -155,6 +158,13 @@ fn walk_hash(rig: &Rig, odometry: &Trajectory) -> String {
     hash.finalize().iter().map(|b| format!("{b:02x}")).collect()
 }
 
+/// What Eq. (4) made of tracks and scans.
+struct Optimised {
+    points: Vec<MapPoint>,
+    /// Of the keyframes; none at all where the measurements do not determine them.
+    covariances: Vec<Option<Matrix6<f64>>>,
+}
+
 /// Alternates new correspondences with Eq. (4) until the keyframes rest.
 fn optimise(
     rig: &Rig,
@@ -163,7 +173,7 @@ fn optimise(
     config: &MappingConfig,
     report: &mut MappingReport,
     progress: ProgressFn<'_>,
-) -> Result<(Vec<MapPoint>, Vec<Option<Matrix6<f64>>>), Error> {
+) -> Result<Optimised, Error> {
     let odometry = &keyframes.poses();
     let tracks = find_tracks(
         rig,
@@ -263,7 +273,10 @@ fn optimise(
         });
     }
     expect_map(&points, &keyframes.images)?;
-    Ok((points, covariances))
+    Ok(Optimised {
+        points,
+        covariances,
+    })
 }
 
 /// Points at the current poses: of observations far off while the poses are still wrong, of close ones later.
