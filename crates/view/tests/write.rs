@@ -9,7 +9,8 @@ use lsfb_types::{
     Image, ImuSample, LidarPoint, LidarScan, Progress, Stamped, Stopped, Timestamp, no_progress,
 };
 use lsfb_view::{
-    Error, MapPoints, NamedTrajectory, ViewConfig, ViewInputs, ViewReport, Walk, write_rrd,
+    CameraPyramids, Error, MapPoints, NamedTrajectory, ViewConfig, ViewInputs, ViewReport, Walk,
+    write_rrd,
 };
 
 const START: Timestamp = Timestamp::from_nanos(1_772_359_200_000_000_000);
@@ -121,6 +122,15 @@ fn a_small_walk_is_written_with_everything_in_it() {
             colors_rgb: vec![[250, 120, 40]; positions_m.len()],
             positions_m,
         },
+        surface: MapPoints {
+            positions_m: vec![[4.9, 0.0, 1.0]],
+            colors_rgb: Vec::new(),
+        },
+        cameras: vec![CameraPyramids {
+            name: "cam0".into(),
+            strips_m: vec![vec![[0.0; 3], [0.2, 0.1, 0.1], [0.2, -0.1, 0.1]]],
+            color_rgb: [230, 159, 0],
+        }],
         trajectories: vec![NamedTrajectory {
             name: "scanner".into(),
             trajectory: trajectory.clone(),
@@ -169,6 +179,10 @@ fn a_small_walk_is_written_with_everything_in_it() {
         "{} bytes",
         bytes.len()
     );
+    for entity in ["world/map", "world/surface", "world/cameras/cam0"] {
+        let is_named = bytes.windows(entity.len()).any(|w| w == entity.as_bytes());
+        assert!(is_named, "{entity}");
+    }
 }
 
 #[test]
