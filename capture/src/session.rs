@@ -54,7 +54,7 @@ impl Session {
             .map(|s| {
                 let folder = PairingFolder::open(&s.folder)?;
                 let pseudonyms = s.hash_identifiers.then(|| folder.pseudonyms());
-                SidecarServer::bind(s.listen, folder, pseudonyms.transpose()?)
+                SidecarServer::bind(s.listen, s.push_listen, folder, pseudonyms.transpose()?)
             })
             .transpose()?;
         Ok(Self {
@@ -93,6 +93,11 @@ impl Session {
     /// Where sidecars connect.
     pub fn sidecar_address(&self) -> Option<SocketAddr> {
         self.sidecar.as_ref().map(SidecarServer::address)
+    }
+
+    /// Where apps push by plain HTTP.
+    pub fn push_address(&self) -> Option<SocketAddr> {
+        self.sidecar.as_ref().and_then(SidecarServer::push_address)
     }
 
     /// Live counts; they go on counting while [`Session::run`] runs.

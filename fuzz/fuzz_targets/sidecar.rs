@@ -3,6 +3,7 @@
 
 use libfuzzer_sys::fuzz_target;
 use lsfb_drivers::sidecar::credentials::PairingCode;
+use lsfb_drivers::sidecar::sensor_logger::{PushUnits, PushedBody};
 use lsfb_drivers::sidecar::wire::{
     Advertise, Envelope, Hello, State, TimeRequest, TimeResponse,
 };
@@ -25,6 +26,9 @@ fuzz_target!(|data: &[u8]| {
     }
     if let Ok(response) = TimeResponse::parse(data) {
         assert_eq!(TimeResponse::parse(&response.emit()), Ok(response));
+    }
+    for units in [PushUnits::Standard, PushUnits::Ios] {
+        let _ = PushedBody::parse(data, units);
     }
     if let Ok(state) = State::parse(data) {
         assert_eq!(State::parse(&state.emit()), Ok(state));

@@ -11,6 +11,10 @@ use serde::{Deserialize, Serialize};
 pub struct SidecarConfig {
     /// Address to listen on; port 0 takes a free one.
     pub listen: SocketAddr,
+    /// Address to listen on for apps that push by plain HTTP (Sensor Logger); what they send, and their key, can be read by whoever
+    /// is on the network.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub push_listen: Option<SocketAddr>,
     /// Folder of the rig's certificate and of the devices that are paired with it; made where it is not there.
     #[serde(default = "sidecar_folder")]
     pub folder: PathBuf,
@@ -35,6 +39,7 @@ impl SidecarConfig {
     pub fn new(listen: SocketAddr, folder: PathBuf) -> Self {
         Self {
             listen,
+            push_listen: None,
             folder,
             come_back_secs: come_back_secs(),
             hash_identifiers: false,

@@ -13,6 +13,7 @@ mod rhythm;
 mod stamps;
 mod stream;
 mod topics;
+mod wifi;
 
 use lsfb_recording::Recording;
 use lsfb_types::{Bounds, Finding, Judgement, ProgressFn};
@@ -154,6 +155,7 @@ pub fn examine(
         None => findings.losses(recording),
     }
     findings.clocks(recording, config)?;
+    findings.wifi(recording);
     let duration_secs = recording
         .arrival_range()
         .map_or(0.0, |range| range.end.secs_since(range.start));

@@ -18,6 +18,8 @@ use crate::recorder::{Entry, Inlet, OwnMessage, WriterGone};
 
 /// Key of the rig's TOML in a channel's static metadata.
 const RIG_KEY: &str = "rig_toml";
+/// Kinds of readings without a place that are counted apart.
+const MAX_LEFT_OUT: usize = 1_024;
 /// A channel whose stamps step back by more has a clock that began anew.
 const RESET_NS: i64 = 750_000_000;
 /// A message that took longer had waited until the phone was in reach again: no queue of a network is as long.
@@ -95,6 +97,8 @@ impl Channel {
 pub(crate) struct Apps {
     apps: BTreeMap<String, App>,
     pseudonyms: Option<Pseudonyms>,
+    /// Readings of sensors that have no place in a recording, by device and sensor.
+    left_out: BTreeMap<(String, String), u64>,
     pub(super) report: StreamReport,
 }
 
@@ -103,6 +107,7 @@ impl Apps {
         Self {
             apps: BTreeMap::new(),
             pseudonyms,
+            left_out: BTreeMap::new(),
             report: meter.report(),
         }
     }
@@ -124,7 +129,29 @@ impl Apps {
         }
     }
 
-    pub(crate) fn into_report(self) -> StreamReport {
+    /// Counts readings that have no place in a recording.
+    pub(super) fn leave_out(&mut self, device: &str, readings: BTreeMap<String, u64>) {
+        for (sensor, count) in readings {
+            let is_much = self.left_out.len() >= MAX_LEFT_OUT;
+            let sensor = if is_much { "others".to_owned() } else { sensor };
+            *self
+                .left_out
+                .entry((device.to_owned(), sensor))
+                .or_default() += count;
+        }
+    }
+
+    pub(crate) fn into_report(mut self) -> StreamReport {
+        let words = self.left_out.iter();
+        let words: Vec<String> = words
+            .map(|((device, sensor), count)| format!("{count} × {sensor} of {device}"))
+            .collect();
+        if !words.is_empty() {
+            let words = words.join(", ");
+            self.report.notes.push(format!(
+                "readings that have no place in a recording: {words}"
+            ));
+        }
         self.report
     }
 

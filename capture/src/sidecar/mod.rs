@@ -153,6 +153,24 @@ impl Recording {
                 let message = time_sync::message(&device, &clock_id, &exchange, arrival);
                 inlet.put(Entry::Own(message), &mut self.apps.report)?;
             }
+            SidecarEvent::Pushed {
+                device,
+                missing,
+                missing_before,
+                left_out,
+                bad,
+            } => {
+                self.apps.leave_out(&device, left_out);
+                let report = &mut self.apps.report;
+                report.missing = (report.missing + missing).saturating_sub(missing_before);
+                report.bad += bad;
+                if bad > 0 {
+                    report.first_bad.get_or_insert_with(|| {
+                        format!("{device}: a reading without the values of its sensor")
+                    });
+                }
+                meter.count(report);
+            }
             SidecarEvent::Closed {
                 connection,
                 device,

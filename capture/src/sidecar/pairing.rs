@@ -4,6 +4,7 @@
 //! certificate.der  key.der     made when the folder is first opened, and kept: devices know the rig by it
 //! devices/NAME                 SHA-256 of the device's key; who removes the file unpairs the device
 //! invitations/SHA-256          of a token that was not used yet: until when it may be, seconds since 1970
+//! pushers/NAME                 SHA-256 of the key of an app that pushes, and the units that it is set to
 //! sessions/NAME                which recordings hold what the device sent
 //! identifiers.key              by which identifiers of others are hashed, where that is asked for
 //! ```
@@ -18,6 +19,7 @@ use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use lsfb_drivers::sidecar::credentials::{DeviceKey, Fingerprint, PairingToken, from_hex, to_hex};
+use lsfb_drivers::sidecar::sensor_logger::PushUnits;
 use lsfb_drivers::sidecar::wire::{Refusal, is_name};
 use rcgen::{CertificateParams, KeyPair};
 use sha2::{Digest, Sha256};
@@ -46,7 +48,7 @@ pub struct PairingFolder {
 impl PairingFolder {
     /// Opens the folder; what is missing is made.
     pub fn open(path: &Path) -> Result<Self, Error> {
-        for folder in ["", "devices", "invitations", "sessions"] {
+        for folder in ["", "devices", "invitations", "pushers", "sessions"] {
             let folder = path.join(folder);
             DirBuilder::new()
                 .recursive(true)
@@ -93,10 +95,11 @@ impl PairingFolder {
         self.fingerprint
     }
 
-    /// Names of the devices that are paired.
+    /// Names of the devices that are paired, and of the apps that may push.
     pub fn devices(&self) -> Vec<String> {
-        let entries = std::fs::read_dir(self.path.join("devices"));
-        let names = entries.into_iter().flatten().filter_map(|entry| {
+        let folders = ["devices", "pushers"].map(|name| std::fs::read_dir(self.path.join(name)));
+        let entries = folders.into_iter().flatten().flatten();
+        let names = entries.filter_map(|entry| {
             let name = entry.ok()?.file_name().into_string().ok()?;
             (!name.ends_with(UNFINISHED)).then_some(name)
         });
@@ -110,12 +113,51 @@ impl PairingFolder {
         if !is_name(device) {
             return Ok(false);
         }
-        let path = self.device(device);
-        match std::fs::remove_file(&path) {
-            Ok(()) => Ok(true),
-            Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(false),
-            Err(cause) => Err(io_error(&path, cause)),
+        let mut is_gone = false;
+        for path in [self.device(device), self.pusher_path(device)] {
+            match std::fs::remove_file(&path) {
+                Ok(()) => is_gone = true,
+                Err(e) if e.kind() == io::ErrorKind::NotFound => {}
+                Err(cause) => return Err(io_error(&path, cause)),
+            }
         }
+        Ok(is_gone)
+    }
+
+    /// Lets an app push under a name, set to these units; one of this name could before, and has another key from now on.
+    pub fn invite_pusher(&self, name: &str, units: PushUnits) -> Result<PairingToken, Error> {
+        let path = self.pusher_path(name);
+        if !is_name(name) || self.device(name).exists() {
+            let why =
+                "not 1 to 64 letters, digits, '-' and '_', or the name of a phone that is paired";
+            return Err(io_error(&path, io::Error::other(why)));
+        }
+        let key = PairingToken::random()?;
+        let units = match units {
+            PushUnits::Standard => STANDARD,
+            PushUnits::Ios => IOS,
+        };
+        let text = format!("{} {units}", to_hex(&Sha256::digest(key.0)));
+        replace(&path, text.as_bytes())?;
+        Ok(key)
+    }
+
+    /// How the app is set that pushes under a name with this key; `None`: it may not.
+    pub(super) fn pusher(&self, name: &str, key: &[u8; 16]) -> Option<PushUnits> {
+        let text = std::fs::read_to_string(self.pusher_path(name)).ok()?;
+        let (known_by, units) = text.split_once(' ')?;
+        let expected: [u8; 32] = from_hex(known_by)?;
+        let found: [u8; 32] = Sha256::digest(key).into();
+        let is_known: bool = expected.ct_eq(&found).into();
+        match units {
+            STANDARD if is_known => Some(PushUnits::Standard),
+            IOS if is_known => Some(PushUnits::Ios),
+            _ => None,
+        }
+    }
+
+    fn pusher_path(&self, name: &str) -> PathBuf {
+        self.path.join("pushers").join(name)
     }
 
     /// Invites one device, for so long.
@@ -171,7 +213,7 @@ impl PairingFolder {
             .ok()
             .and_then(|text| text.trim().parse::<u64>().ok())
             .ok_or(Refusal::WrongToken)?;
-        if self.device(device).exists() {
+        if self.device(device).exists() || self.pusher_path(device).exists() {
             return Err(Refusal::NameTaken);
         }
         // Of several who have it, one removes it.
@@ -214,6 +256,9 @@ impl PairingFolder {
     }
 }
 
+/// Units of an app that pushes, as they are kept.
+const STANDARD: &str = "standard";
+const IOS: &str = "ios";
 /// Ending of a file that is not whole yet; no device has a dot in its name.
 const UNFINISHED: &str = ".part";
 

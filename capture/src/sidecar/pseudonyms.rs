@@ -11,7 +11,7 @@ use lsfb_recording::message::{
 use sha2::{Digest as _, Sha256};
 
 /// Types without identifiers of others; what is neither of these nor known here could hold some.
-const WITHOUT: [message::Schema; 8] = [
+const WITHOUT: [message::Schema; 12] = [
     message::IMU,
     message::IMAGE,
     message::CAMERA_INFO,
@@ -20,6 +20,10 @@ const WITHOUT: [message::Schema; 8] = [
     message::NAV_SAT_FIX,
     message::TIME_REFERENCE,
     message::FRAME_META,
+    message::VECTOR,
+    message::ORIENTATION,
+    message::POSE,
+    message::WIFI_SCAN,
 ];
 
 /// What is replaced.
@@ -236,6 +240,8 @@ mod tests {
     fn what_is_not_known_to_be_without_is_not_recorded() {
         assert!(Pseudonyms::admit(message::IMU.name).is_ok());
         assert!(Pseudonyms::admit(message::WIFI_READING.name).is_ok());
+        // A phone that told its scans was refused.
+        assert!(Pseudonyms::admit(message::WIFI_SCAN.name).is_ok());
         assert!(Pseudonyms::admit("std_msgs/msg/String").is_err());
         let pseudonyms = Pseudonyms::new([3; 32]);
         assert!(pseudonyms.replace(message::IMU.name, &[0; 40]).is_none());

@@ -8,12 +8,13 @@
 //! rig's CREDIT, and after a lost connection goes on where the rig has got to. In between it asks for the time.
 //!
 //! [`SidecarClient`] is an app, [`Decoder`] is the receiving side of one connection without the network, [`wire`] the bytes in
-//! both directions, [`credentials`] what the two know each other by. The rig's server is `lsfb-capture`'s.
+//! both directions, [`sensor_logger`] what another app pushes, [`credentials`] what the two know each other by. The rig's server is `lsfb-capture`'s.
 
 mod client;
 pub mod credentials;
 mod decode;
 pub mod model;
+pub mod sensor_logger;
 pub mod wire;
 
 pub use client::{ClientClock, ClientConfig, ClientCounts, SidecarClient};

@@ -1,18 +1,24 @@
 //! TCP and TLS: from a listener to HTTP requests.
 
+use std::convert::Infallible;
 use std::net::IpAddr;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use hyper::Request;
+use hyper::body::Incoming;
 use hyper::server::conn::http1;
-use hyper::service::service_fn;
+use hyper::service::{Service, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 use tokio::time::{sleep, timeout};
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::rustls::ServerConfig;
 
+use super::answers::Answer;
 use super::{INTRODUCTION, Shared, Visit, routes};
 
 /// How long TLS, and then the head of a request, may take.
@@ -22,15 +28,14 @@ const PAUSE: Duration = Duration::from_millis(50);
 /// Longest head of a request, bytes.
 const MAX_HEAD_BYTES: usize = 16 << 10;
 
-/// Accepts until `running` ends.
+/// Accepts until `running` ends; without TLS only what is pushed.
 pub(super) async fn accept_all(
     listener: TcpListener,
-    tls: Arc<ServerConfig>,
+    tls: Option<Arc<ServerConfig>>,
     shared: Arc<Shared>,
     mut running: watch::Receiver<()>,
 ) {
-    let tls = TlsAcceptor::from(tls);
-    let mut connection = 0;
+    let tls = tls.map(TlsAcceptor::from);
     loop {
         let accepted = tokio::select! {
             // Its sender is dropped, never used.
@@ -42,7 +47,7 @@ pub(super) async fn accept_all(
             sleep(PAUSE).await;
             continue;
         };
-        connection += 1;
+        let connection = shared.connections.fetch_add(1, Ordering::Relaxed) + 1;
         let ticket = Arc::new(shared.limits.wait(unmapped(peer.ip())));
         let visit = Visit {
             connection,
@@ -61,17 +66,32 @@ pub(super) async fn accept_all(
     }
 }
 
-async fn serve(tcp: TcpStream, tls: TlsAcceptor, visit: Visit) {
+async fn serve(tcp: TcpStream, tls: Option<TlsAcceptor>, visit: Visit) {
     // An error shows when something is sent.
     let _ = tcp.set_nodelay(true);
+    let Some(tls) = tls else {
+        let service =
+            |visit| service_fn(move |request| routes::answer_pushed(request, Visit::clone(&visit)));
+        return serve_http(tcp, visit.clone(), service(visit)).await;
+    };
     let refusals = Arc::clone(&visit.shared.refusals);
     let stream = match timeout(HANDSHAKE, tls.accept(tcp)).await {
         Ok(Ok(stream)) => stream,
         Ok(Err(_)) => return refusals.count("no TLS"),
         Err(_) => return refusals.count("slow TLS"),
     };
+    let service = |visit| service_fn(move |request| routes::answer(request, Visit::clone(&visit)));
+    serve_http(stream, visit.clone(), service(visit)).await;
+}
+
+async fn serve_http<Io, S>(stream: Io, visit: Visit, service: S)
+where
+    Io: AsyncRead + AsyncWrite + Unpin + Send + 'static,
+    S: Service<Request<Incoming>, Response = Answer, Error = Infallible>,
+    S::Future: Send + 'static,
+{
     let (ticket, mut running) = (Arc::clone(&visit.ticket), visit.running.clone());
-    let service = service_fn(move |request| routes::answer(request, visit.clone()));
+    let refusals = Arc::clone(&visit.shared.refusals);
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(HANDSHAKE)

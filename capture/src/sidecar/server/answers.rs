@@ -13,6 +13,11 @@ pub(super) fn said(status: StatusCode, words: &'static str) -> Answer {
     with_body(status, "text/plain", Bytes::from_static(words.as_bytes()))
 }
 
+/// A sentence that depends on what was asked.
+pub(super) fn said_aloud(status: StatusCode, words: String) -> Answer {
+    with_body(status, "text/plain", Bytes::from(words))
+}
+
 /// A file that is part of the program.
 pub(super) fn file_of(status: StatusCode, media_type: &'static str, body: &'static str) -> Answer {
     with_body(status, media_type, Bytes::from_static(body.as_bytes()))

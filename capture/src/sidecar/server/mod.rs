@@ -8,14 +8,17 @@ mod answers;
 mod connection_limits;
 mod conversation;
 mod page;
+mod push;
 mod refusals;
 mod routes;
 mod segments;
 mod socket;
 mod stream;
 
+use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -86,6 +89,19 @@ pub(crate) enum SidecarEvent {
         /// The four times.
         exchange: TimeExchange,
     },
+    /// What was pushed without a place in the recording, or never came.
+    Pushed {
+        /// Name of the device.
+        device: String,
+        /// Batches of its session that never came, or wait for those.
+        missing: u64,
+        /// The same when it was told last.
+        missing_before: u64,
+        /// Readings of sensors that are not recorded, by the sensors' names.
+        left_out: BTreeMap<String, u64>,
+        /// Readings that could not be read.
+        bad: u64,
+    },
     /// Its connection is over.
     Closed {
         /// Number of the connection.
@@ -110,6 +126,8 @@ struct Shared {
     /// Set when recording begins.
     recording: watch::Receiver<Option<Arc<Recorded>>>,
     events: Sender<SidecarEvent>,
+    /// Connections so far, whoever came by them.
+    connections: AtomicU64,
 }
 
 /// One connection, whoever it is.
@@ -127,12 +145,14 @@ struct Visit {
 struct Recorded {
     sessions: Sessions,
     topics: Mutex<Topics>,
+    pushing: push::Pushing,
 }
 
 /// Serves until it is dropped. Apps that come before the recording begins wait.
 #[derive(Debug)]
 pub(crate) struct SidecarServer {
     address: SocketAddr,
+    push_address: Option<SocketAddr>,
     runtime: Option<Runtime>,
     events: Receiver<SidecarEvent>,
     refusals: Arc<Refusals>,
@@ -144,13 +164,14 @@ pub(crate) struct SidecarServer {
 }
 
 impl SidecarServer {
-    /// Starts listening; with `pseudonyms` no identifier of others is recorded as it is.
+    /// Starts listening, and at `push` to apps that push without TLS; with `pseudonyms` no identifier of others is recorded as it is.
     pub(crate) fn bind(
         address: SocketAddr,
+        push: Option<SocketAddr>,
         pairing: PairingFolder,
         pseudonyms: Option<Pseudonyms>,
     ) -> Result<Self, Error> {
-        let unusable = |action| {
+        let unusable_at = |address: SocketAddr, action| {
             move |cause| {
                 Error::Device(lsfb_drivers::Error::Open {
                     device: address.to_string(),
@@ -159,6 +180,7 @@ impl SidecarServer {
                 })
             }
         };
+        let unusable = |action| unusable_at(address, action);
         let tls = pairing.tls()?;
         let runtime = Builder::new_multi_thread()
             .worker_threads(THREADS)
@@ -171,6 +193,14 @@ impl SidecarServer {
             .block_on(TcpListener::bind(address))
             .map_err(unusable("listen"))?;
         let bound = listener.local_addr().map_err(unusable("listen"))?;
+        let pushed_at = push
+            .map(|address| {
+                runtime
+                    .block_on(TcpListener::bind(address))
+                    .map_err(unusable_at(address, "listen"))
+            })
+            .transpose()?;
+        let push_address = pushed_at.as_ref().and_then(|l| l.local_addr().ok());
         let (events, arriving) = channel(QUEUE_EVENTS);
         let (recording, begun) = watch::channel(None);
         let (running, ended) = watch::channel(());
@@ -183,10 +213,16 @@ impl SidecarServer {
             refusals: Arc::clone(&refusals),
             recording: begun,
             events,
+            connections: AtomicU64::new(0),
         });
-        runtime.spawn(accept::accept_all(listener, tls, shared, ended));
+        if let Some(pushed_at) = pushed_at {
+            let (shared, ended) = (Arc::clone(&shared), ended.clone());
+            runtime.spawn(accept::accept_all(pushed_at, None, shared, ended));
+        }
+        runtime.spawn(accept::accept_all(listener, Some(tls), shared, ended));
         Ok(Self {
             address: bound,
+            push_address,
             runtime: Some(runtime),
             events: arriving,
             refusals,
@@ -200,6 +236,11 @@ impl SidecarServer {
     /// Where it listens.
     pub(crate) fn address(&self) -> SocketAddr {
         self.address
+    }
+
+    /// Where apps push without TLS.
+    pub(crate) fn push_address(&self) -> Option<SocketAddr> {
+        self.push_address
     }
 
     /// By what identifiers are replaced, where they are.
@@ -217,6 +258,7 @@ impl SidecarServer {
         let recorded = Recorded {
             sessions: Sessions::new(self.sessions_folder.clone(), place),
             topics: Mutex::default(),
+            pushing: push::Pushing::default(),
         };
         self.recording.send_replace(Some(Arc::new(recorded)));
     }

@@ -17,7 +17,7 @@ use tokio_tungstenite::tungstenite::handshake::derive_accept_key;
 use tokio_tungstenite::tungstenite::protocol::{Role, WebSocketConfig};
 
 use super::answers::{Answer, json_of, said};
-use super::{Visit, page, segments, stream};
+use super::{Visit, page, push, segments, stream};
 
 /// Answers one request.
 pub(super) async fn answer(request: Request<Incoming>, visit: Visit) -> Result<Answer, Infallible> {
@@ -37,9 +37,31 @@ pub(super) async fn answer(request: Request<Incoming>, visit: Visit) -> Result<A
                 Err(refused) => refused,
             }
         }
+        (Method::POST, ["v1", "push", ..]) => pushed(request, &visit, &parts).await,
         (Method::GET, [name]) => page::file(name).unwrap_or_else(nothing),
         _ => nothing(),
     })
+}
+
+/// Answers one request that came without TLS: nothing that a paired device proves itself with may come this way.
+pub(super) async fn answer_pushed(
+    request: Request<Incoming>,
+    visit: Visit,
+) -> Result<Answer, Infallible> {
+    let path = request.uri().path().to_owned();
+    let parts: Vec<&str> = path.trim_start_matches('/').split('/').collect();
+    Ok(match *request.method() {
+        Method::POST => pushed(request, &visit, &parts).await,
+        _ => nothing(),
+    })
+}
+
+async fn pushed(request: Request<Incoming>, visit: &Visit, parts: &[&str]) -> Answer {
+    match parts {
+        ["v1", "push", device] => push::take(request, visit, device, None).await,
+        ["v1", "push", device, key] => push::take(request, visit, device, Some(key)).await,
+        _ => nothing(),
+    }
 }
 
 fn nothing() -> Answer {

@@ -8,7 +8,8 @@ use std::time::Duration;
 use anyhow::{Context as _, bail};
 use lsfb_capture::{DevicesConfig, PairingFolder, SidecarConfig};
 use lsfb_drivers::sidecar::ClientConfig;
-use lsfb_drivers::sidecar::credentials::PairingCode;
+use lsfb_drivers::sidecar::credentials::{PairingCode, to_hex};
+use lsfb_drivers::sidecar::sensor_logger::PushUnits;
 use lsfb_sim::{Pace, Playback, PlaybackEndpoints, Turns};
 use qrcodegen::{QrCode, QrCodeEcc};
 
@@ -52,10 +53,15 @@ enum Action {
 /// With --browser it is a link to the rig's own page, which records by the phone's browser. That warns of the rig's certificate, which
 /// nobody has signed: go on to the page.
 ///
+/// With --push it is the address at which the app Sensor Logger pushes, until the name is unpaired; `[sidecar] push_listen` must be set. What
+/// it pushes is not encrypted.
+///
 /// Examples:
 ///   lsfb sidecar pair --devices devices.toml
 ///   lsfb sidecar pair --devices devices.toml --browser
 ///   lsfb sidecar pair --devices devices.toml --address 192.168.8.1 --valid-secs 1800
+///   lsfb sidecar pair --devices devices.toml --push ada           # Sensor Logger's address for HTTP push
+///   lsfb sidecar pair --devices devices.toml --push bob --units ios
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 struct Pair {
@@ -68,9 +74,22 @@ struct Pair {
     /// Show a link for a browser, instead of a code for an app.
     #[arg(long)]
     browser: bool,
+    /// Show the address for Sensor Logger's HTTP push; the phone is called NAME from then on.
+    #[arg(long, value_name = "NAME", conflicts_with = "browser")]
+    push: Option<String>,
+    /// How Sensor Logger is set: standard is Android, or "Standardise Units & Frames" on; ios is an iPhone with that off.
+    #[arg(long, requires = "push", default_value = "standard")]
+    units: Units,
     /// How long the code is valid.
-    #[arg(long, value_name = "SECS", default_value_t = 600, value_parser = clap::value_parser!(u32).range(60..=86_400))]
+    #[arg(long, value_name = "SECS", conflicts_with = "push", default_value_t = 600, value_parser = clap::value_parser!(u32).range(60..=86_400))]
     valid_secs: u32,
+}
+
+/// Units of an app that pushes.
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Units {
+    Standard,
+    Ios,
 }
 
 /// Name the phones that are paired.
@@ -184,6 +203,9 @@ impl Pair {
             (None, listen) if !listen.is_unspecified() => listen,
             (None, _) => way_out().context("name this machine's address with --address")?,
         };
+        if let Some(name) = &self.push {
+            return self.invite_pusher(name, host, &sidecar, &folder, context);
+        }
         let valid = Duration::from_secs(self.valid_secs.into());
         let code = PairingCode {
             address: SocketAddr::new(host, sidecar.listen.port()).to_string(),
@@ -202,6 +224,41 @@ impl Pair {
             &serde_json::json!({ "code": text, "valid_secs": valid_secs }),
             || format!("{picture}{text}\nPairs one phone, within {valid_secs} s. Show it to nobody else."),
         )?;
+        Ok(Outcome::Done)
+    }
+}
+
+impl Pair {
+    fn invite_pusher(
+        &self,
+        name: &str,
+        host: IpAddr,
+        sidecar: &SidecarConfig,
+        folder: &PairingFolder,
+        context: &Context,
+    ) -> anyhow::Result<Outcome> {
+        let listen = sidecar.push_listen.with_context(|| {
+            format!(
+                "{}: [sidecar] has no push_listen, the address for apps that push by plain HTTP, such as \"0.0.0.0:8791\"",
+                self.devices.display()
+            )
+        })?;
+        let units = match self.units {
+            Units::Standard => PushUnits::Standard,
+            Units::Ios => PushUnits::Ios,
+        };
+        let key = to_hex(&folder.invite_pusher(name, units)?.0);
+        let at = SocketAddr::new(host, listen.port());
+        let url = format!("http://{at}/v1/push/{name}/{key}");
+        let picture = QrCode::encode_text(&url, QrCodeEcc::Medium)
+            .map(|code| picture(&code))
+            .unwrap_or_default();
+        context.print(&serde_json::json!({ "url": url }), || {
+            format!(
+                "{picture}{url}\nSensor Logger's push URL for {name}, until `lsfb sidecar unpair {name}`. Show it to nobody else; it is not \
+                 encrypted on the network."
+            )
+        })?;
         Ok(Outcome::Done)
     }
 }
