@@ -116,7 +116,7 @@ fn judged(topic: &str, scans: &Scans) -> Finding {
         found += ": the phone's system holds scans back";
     }
     let verdict = Verdict::Warn.unless(!is_slow && *handed_out_again == 0);
-    let finding = Finding::new(topic, verdict, "wifi-scans", found)
+    let finding = Finding::new("wifi-scans", verdict, topic, found)
         .value(*handed_out_again as f64, "")
         .limit(Limit::AtMost(0.0));
     match verdict {

@@ -3,6 +3,7 @@
 mod answer;
 mod process;
 mod running;
+mod sidecar_rig;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -12,6 +13,7 @@ use lsfb_recording::sha256_of;
 use nix::sys::signal::Signal;
 use process::lsfb;
 use running::Running;
+use sidecar_rig::{SidecarRig, wait_for};
 
 /// The demo but for its length.
 const SHORT: &str = "[scan]\nduration_s = 14.0\n[glasses]\nduration_s = 6.0\nheight_m = 1.62\n";
@@ -119,6 +121,8 @@ fn the_same_seed_gives_the_same_bytes_also_when_interrupted_and_no_stage_needs_t
     for name in ["scan.mcap", "walk.mcap"] {
         std::fs::rename(root.join("many").join(name), alone.join(name)).expect("recording");
     }
+    // For who judges, out of reach of who estimates.
+    std::fs::rename(root.join("many/truth"), root.join("truth")).expect("truth");
     std::fs::remove_dir_all(root.join("many")).expect("folder");
     let map = "map scan.mcap --out map --out-trajectory scan.tum";
     let truth = "groundtruth walk.mcap --map map --out walk.tum";
@@ -127,6 +131,44 @@ fn the_same_seed_gives_the_same_bytes_also_when_interrupted_and_no_stage_needs_t
     }
     assert_same(&expected, &results(&alone));
     what_is_left_out_is_said(&alone);
+    a_walk_sent_by_a_phone_is_worth_as_much(&alone, &root.join("truth/truth_walk.tum"));
+}
+
+/// From the phone to the ground truth: played through the protocol, with cut connections and damaged messages, recorded by a rig,
+/// localized in the map and judged.
+fn a_walk_sent_by_a_phone_is_worth_as_much(folder: &Path, truth: &Path) {
+    let rig = SidecarRig::new();
+    let (mut recorder, recording) = rig.recorder(0);
+    wait_for(rig.address);
+    let code = rig.invite(rig.address).to_text();
+    let play = [
+        "sidecar",
+        "play",
+        "walk.mcap",
+        "--code",
+        &code,
+        "--fault-seed",
+        "7",
+        "--speed",
+        "2",
+    ];
+    let played = lsfb(folder, &play);
+    assert_eq!(played.status.code(), Some(0), "{played:?}");
+    // It ends with its only phone.
+    assert!(recorder.wait().expect("an end").success());
+    let text = |path: &Path| path.to_str().expect("UTF-8").to_owned();
+    let walks = ["sidecar", "walks", &text(&recording), "--out", "walks"];
+    let walks = json(folder, &walks, 0);
+    let walk = walks["walks"][0]["path"].as_str().expect("a walk");
+    let estimate = "phone.tum";
+    json(
+        folder,
+        &["groundtruth", walk, "--map", "map", "--out", estimate],
+        0,
+    );
+    let judged = json(folder, &["eval", estimate, "--truth", &text(truth)], 0);
+    let rms_m = judged["ate_translation_m"]["rmse"].as_f64();
+    assert!(rms_m.is_some_and(|rms_m| rms_m <= 0.03), "{judged}");
 }
 
 /// A trajectory with a gap is not a whole one, for a script as for a person.
