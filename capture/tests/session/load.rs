@@ -58,7 +58,7 @@ fn walk(config: ClientConfig, secs: f64, out_until_secs: f64) -> Walked {
         state ^= state << 17;
         state as u8
     })
-    .take(JPEG_BYTES)
+    .take(2 * JPEG_BYTES)
     .collect();
     let began = Instant::now();
     let mut walked = Walked::default();
@@ -79,7 +79,11 @@ fn walk(config: ClientConfig, secs: f64, out_until_secs: f64) -> Walked {
         walked.messages += 1;
         if n as f64 >= images * SAMPLES_TO_IMAGE {
             images += 1.0;
-            client.send(2, time_ns, &jpeg).unwrap();
+            // Another part each time, as no two images are alike.
+            let from = images as usize * 997 % JPEG_BYTES;
+            client
+                .send(2, time_ns, &jpeg[from..from + JPEG_BYTES])
+                .unwrap();
             walked.messages += 1;
         }
     }
@@ -200,7 +204,8 @@ fn carry(from: TcpListener, to: SocketAddr, is_out: Arc<AtomicBool>) {
 
 #[test]
 fn a_phone_that_was_out_of_reach_catches_up_three_times_as_fast_as_it_walks() {
-    let out_secs = if is_long() { 60.0 } else { 3.0 };
+    let away = Duration::from_secs(if is_long() { 60 } else { 3 });
+    let out_secs = away.as_secs_f64();
     let folder = tempfile::tempdir().unwrap();
     let config = DevicesConfig {
         sidecar: Some(lsfb_capture::SidecarConfig {
@@ -231,7 +236,7 @@ fn a_phone_that_was_out_of_reach_catches_up_three_times_as_fast_as_it_walks() {
     });
     std::thread::sleep(Duration::from_secs(1));
     is_out.store(true, Ordering::Relaxed);
-    std::thread::sleep(Duration::from_secs_f64(out_secs));
+    std::thread::sleep(away);
     is_out.store(false, Ordering::Relaxed);
     let walked = walking.join().unwrap();
     let report = running.join().unwrap();
