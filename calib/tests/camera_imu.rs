@@ -479,6 +479,57 @@ fn an_accelerometer_that_measures_before_the_gyroscope_is_in_the_standard_deviat
 }
 
 /// Stamps from `from` on, moved by `by_ns`.
+/// Once the same images under other stamps were as many measurements more.
+#[test]
+fn copies_of_images_count_once() {
+    let simulated = simulate(&Setup {
+        duration_s: 4.0,
+        ..Setup::default()
+    });
+    let config = CameraImuConfig::default();
+    let alone = calibrate(&simulated, &config);
+    let mut known = simulated.known();
+    let views = &mut known[0].views;
+    let count = views.views.len();
+    let copies: Vec<_> = views.views.iter().step_by(4).collect();
+    let copies = copies
+        .into_iter()
+        .map(|(ns, view)| (ns + 25_000_000, view.clone()));
+    let copies: Vec<_> = copies.collect();
+    let more = copies.len();
+    views.images += more;
+    views.views.extend(copies);
+    let twice = run(&known, &simulated.imu, &config).expect("calibrated");
+    assert_eq!(twice.cameras, alone.cameras);
+    let of_copies =
+        |c: &CameraImuCalibration| c.findings.iter().find(|f| f.code == "copies").cloned();
+    assert_eq!(of_copies(&alone), None);
+    let copies = of_copies(&twice).expect("a finding");
+    assert_eq!(
+        (copies.verdict, copies.subject.as_str()),
+        (Verdict::Warn, "cam0")
+    );
+    let said = format!("{more} of {} images are copies", count + more);
+    assert!(copies.what.contains(&said), "{}", copies.what);
+    // One image all along.
+    let one = known[0]
+        .views
+        .views
+        .values()
+        .next()
+        .cloned()
+        .expect("a view");
+    known[0]
+        .views
+        .views
+        .values_mut()
+        .for_each(|view| view.clone_from(&one));
+    let error = run(&known, &simulated.imu, &config)
+        .expect_err("one image")
+        .to_string();
+    assert!(error.contains("only 1 of them differ"), "{error}");
+}
+
 fn stamped_later(known: &mut KnownCamera, from: i64, by_ns: i64) {
     let moved = std::mem::take(&mut known.views.views).into_iter();
     known.views.views = moved

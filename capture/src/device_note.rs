@@ -56,6 +56,11 @@ impl DeviceNote {
         (rate_hz > 0.0 && rate_hz.is_finite()).then_some(rate_hz)
     }
 
+    /// What it is, as its driver calls it.
+    pub(crate) fn model(&self) -> Option<String> {
+        self.entries.get("model").cloned()
+    }
+
     /// The rest in words: `model VLP-32C, returns strongest`.
     pub(crate) fn words(&self) -> String {
         let entries = self.entries.iter().filter(|(what, _)| *what != RATE);

@@ -37,6 +37,7 @@ pub(crate) use guess::fit_lens;
 pub use guess::pose_of_target;
 pub(crate) use pairing::expect_different_images;
 pub(crate) use pose_choice::most_central;
+pub(crate) use selection::copied as copied_views;
 pub use shutter::as_global_shutter;
 pub(crate) use views::last_number;
 pub use views::{
@@ -291,7 +292,7 @@ impl CameraCalibration {
 }
 
 /// Images of a camera that are there more than once.
-fn copied(views: &CameraViews) -> Option<Finding> {
+pub(crate) fn copied(views: &CameraViews) -> Option<Finding> {
     let copied = selection::copied(views);
     let (copy, first) = copied.first()?;
     let example = [copy, first].map(i64::to_string);

@@ -29,7 +29,7 @@ fn descriptor(corners: &[Corner], width: f64) -> [f64; 6] {
 }
 
 /// Instants of views that are copies of earlier ones, and of which.
-pub(super) fn copied(camera: &CameraViews) -> Vec<(i64, i64)> {
+pub(crate) fn copied(camera: &CameraViews) -> Vec<(i64, i64)> {
     let views = camera.views.iter();
     copies(views.map(|(instant, corners)| (*instant, corners.as_slice())))
 }

@@ -1,6 +1,6 @@
 //! What each camera has for itself: its views, a pose of the target in each, and whether these agree with another camera's.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use lsfb_geometry::{Se3, Vector2, Vector3};
 use lsfb_types::{Timestamp, median};
@@ -9,7 +9,7 @@ use super::input::Input;
 use super::state::View;
 use super::{KnownCamera, checks};
 use crate::Error;
-use crate::camera::{as_global_shutter, pose_of_target};
+use crate::camera::{as_global_shutter, copied_views, pose_of_target};
 
 /// Corners farther than this from the first pose are outliers from the start, pixels.
 const FIRST_LIMIT_PX: f64 = 4.0;
@@ -49,7 +49,15 @@ pub(super) fn look(
     };
     let mut errors = Vec::new();
     let step = config.view_step.max(1);
-    let instants = known.views.views.iter().step_by(step);
+    // A camera that repeats an image took it at the first of its stamps.
+    let copies: BTreeSet<i64> = copied_views(&known.views)
+        .into_iter()
+        .map(|c| c.0)
+        .collect();
+    let own = known.views.views.iter();
+    let own = own.filter(|(instant, _)| !copies.contains(instant));
+    let views = own.clone().count();
+    let instants = own.step_by(step);
     for (number, (instant, corners)) in instants.enumerate() {
         let stamp_s = Timestamp::from_nanos(*instant).secs_since(origin);
         let Some(mut at_once) = still.views.get(instant).cloned() else {
@@ -86,18 +94,25 @@ pub(super) fn look(
             holdout: every > 1 && number % every == every / 2,
         });
     }
-    if known.views.views.len() < MIN_VIEWS {
-        return Err(Error::TargetNotSeen {
+    if views < MIN_VIEWS && !copies.is_empty() {
+        return Err(Error::CopiedImages {
             camera: known.views.name.clone(),
             found: known.views.views.len(),
+            different: views,
+            needed: MIN_VIEWS,
+        });
+    }
+    if views < MIN_VIEWS {
+        return Err(Error::TargetNotSeen {
+            camera: known.views.name.clone(),
+            found: views,
             images: known.views.images,
             needed: MIN_VIEWS,
             target: target.describe(),
         });
     }
     let median_px = median(errors).unwrap_or(f64::INFINITY);
-    let fitting =
-        seen.views.len() as f64 >= LEAST_FITTING * known.views.views.len() as f64 / step as f64;
+    let fitting = seen.views.len() as f64 >= LEAST_FITTING * views as f64 / step as f64;
     if !(median_px < FIRST_LIMIT_PX && fitting) {
         return Err(Error::DoesNotFit {
             camera: known.views.name.clone(),

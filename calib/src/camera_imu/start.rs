@@ -17,6 +17,7 @@ use super::samples::{
 };
 use super::state::{Mounted, State, View};
 use super::{Clock, KnownCamera, Motion, ORDER, checks};
+use crate::camera::copied;
 use crate::coverage::corners_by_cell;
 use crate::residual_diagnosis::Field;
 use crate::{Error, JoinProblem, PoorMotion};
@@ -35,7 +36,8 @@ impl State {
             config,
         } = *input;
         let (origin, mut samples) = samples_of(imu, cameras)?;
-        let findings = saturation(&samples);
+        let mut findings = saturation(&samples);
+        findings.extend(cameras.iter().filter_map(|c| copied(&c.views)));
         let seen: Vec<PosedViews> = cameras
             .iter()
             .zip(readouts_s)

@@ -10,6 +10,7 @@ mod imported;
 mod interrupted;
 mod pace;
 mod rhythm;
+mod sight;
 mod stamps;
 mod stream;
 mod topics;
@@ -144,6 +145,7 @@ pub fn examine(
     let calibration = findings.calibration(recording, config)?;
     let streams = Stream::all(recording, &arrivals, config)?;
     findings.devices(recording, &streams);
+    findings.sight(recording, config)?;
     findings.pace(&streams);
     let import = imported::entries(recording);
     if import.is_none() {

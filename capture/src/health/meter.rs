@@ -39,6 +39,8 @@ struct MeterState {
     gone: Option<String>,
     /// What it says again and again, and what to check.
     stale: Option<&'static str>,
+    /// What it sees too little of, though it goes on.
+    partial: Option<String>,
     /// Why its time is not UTC from satellites, though it has a receiver.
     utc: Option<&'static str>,
     temperature_celsius: Option<f64>,
@@ -81,6 +83,7 @@ impl Meter {
             saturated_share: None,
             gone: None,
             stale: None,
+            partial: None,
             utc: None,
             temperature_celsius: None,
         })))
@@ -196,6 +199,11 @@ impl Meter {
     /// What it says again and again, and what to check; `None` while it says something new.
     pub(crate) fn set_stale(&self, problem: Option<&'static str>) {
         self.lock().stale = problem;
+    }
+
+    /// What it sees too little of; `None` where that is nothing.
+    pub(crate) fn set_partial(&self, problem: Option<String>) {
+        self.lock().partial = problem;
     }
 
     /// Why its time is not UTC from satellites; `None` where it is, or nobody knows.
@@ -323,6 +331,9 @@ impl MeterState {
         if lost > self.last_reading.lost {
             let now = lost - self.last_reading.lost;
             return (Level::Error, format!("{now} lost just now, {lost} in all"));
+        }
+        if let Some(partial) = self.partial.as_ref().filter(|_| !self.ended) {
+            return (Level::Warn, partial.clone());
         }
         if let Some(share) = self.saturated_share.filter(|s| *s > SATURATED_SHARE) {
             let percent = 100.0 * share;

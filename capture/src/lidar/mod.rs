@@ -1,9 +1,12 @@
 //! LiDARs: data and position packets → scans on the recording's clock. Live and replayed packets go through one
 //! [`LidarStream`].
 
+mod blocked;
+mod lasers;
 mod listening;
 mod senders;
 mod shared_ports;
+mod sight;
 mod turns;
 mod two_sensors;
 mod utc;
@@ -24,6 +27,7 @@ use crate::health::{Ending, Expected, Meter, Says, Stale, StreamReport};
 use crate::recorder::{Entry, Inlet, WriterGone};
 pub(crate) use listening::{Listened, Listening, record};
 pub(crate) use shared_ports::Lidars;
+pub(crate) use sight::Sight;
 use turns::Turns;
 use two_sensors::TwoSensors;
 use utc::Utc;
@@ -46,6 +50,7 @@ const NO_SCAN: &str = "its data make no scan of a full turn: is its rotor turnin
 const NO_RETURN: &str = "not a single return: is its window covered?";
 const ANOTHER_SPEED: &str =
     "it turns at another speed than it was set to: look at its own web page";
+const POOR_SIGHT: &str = "most of its lasers see nothing: are they dead, or is its window covered?";
 const TWO_SENSORS: &str =
     "two sensors send from one address, and make one cloud: give each its own address";
 
@@ -77,6 +82,7 @@ pub(crate) struct LidarStream {
     /// Data of which no scan is made, and scans without a return.
     without_scan: Stale,
     without_return: Stale,
+    sight: Sight,
     sensors: TwoSensors,
     utc: Utc,
     /// When the first and the last scan began.
@@ -106,6 +112,7 @@ impl LidarStream {
             last_data_time: None,
             without_scan: Stale::after(PACKETS_OF_NO_SCAN),
             without_return: Stale::default(),
+            sight: Sight::default(),
             sensors: TwoSensors::default(),
             utc: Utc::default(),
             scans: None,
@@ -241,7 +248,9 @@ impl LidarStream {
 
     fn take_stale(&mut self) {
         self.sensors.note(self.decoder.counters());
-        self.report.stale = self.without_scan.stretches() + self.without_return.stretches();
+        self.report.stale = self.without_scan.stretches()
+            + self.without_return.stretches()
+            + self.sight.stretches();
         self.meter.set_stale(if self.are_two() {
             Some(TWO_SENSORS)
         } else if self.set_hz().is_some_and(|hz| self.turns.misses(hz)) {
@@ -250,6 +259,8 @@ impl LidarStream {
             Some(NO_SCAN)
         } else if self.without_return.is_problem() {
             Some(NO_RETURN)
+        } else if self.sight.is_poor() {
+            Some(POOR_SIGHT)
         } else {
             None
         });
@@ -261,6 +272,12 @@ impl LidarStream {
         let has_returns = !scan.sample.points.is_empty();
         self.without_return
             .note(Says::news_if(has_returns), scan.arrival);
+        if has_returns {
+            let lasers = self.decoder.found().map(|found| found.model.lasers());
+            let seen = &self.decoder.counters().azimuths;
+            self.sight.note(&scan.sample, lasers, seen);
+            self.meter.set_partial(self.sight.problem());
+        }
         let device_ns = scan.device_ticks.cast_signed();
         let is_turn = self.turns.note(device_ns);
         self.without_scan.note(Says::news_if(is_turn), scan.arrival);
@@ -403,6 +420,9 @@ impl LidarStream {
                 self.report.notes.push(format!("{count} {what}"));
             }
         }
+        let silent = self.sight.worst().map(lasers::Silent::words);
+        let blocked = self.sight.blocked().map(blocked::Blocked::words);
+        self.report.notes.extend(silent.into_iter().chain(blocked));
         if let Some(what) = self.what_it_is() {
             self.report.notes.insert(0, what);
         }

@@ -91,6 +91,16 @@ macro_rules! lidars {
                 )+
                 all
             }
+
+            /// How many lasers it has.
+            pub fn lasers(self) -> usize {
+                match self {
+                    $(
+                        #[cfg(feature = $feature)]
+                        Self::$Lidar(model) => model.lasers(),
+                    )+
+                }
+            }
         }
 
         impl std::fmt::Display for Model {

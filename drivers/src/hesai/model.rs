@@ -25,6 +25,11 @@ impl Model {
         }
     }
 
+    /// How many lasers it has.
+    pub fn lasers(self) -> usize {
+        self.layout().channels
+    }
+
     /// Elevation and azimuth of a channel by the manual, degrees; zero for a channel that it has not.
     pub fn angles_deg(self, channel: usize) -> [f64; 2] {
         let listed = |table: &[(i32, i32)]| {

@@ -1,12 +1,14 @@
 //! What all LiDARs have in common: settings, counters, beam angles, and the cut into scans.
 
 mod angles;
+mod azimuths;
 mod order;
 mod scan_builder;
 
 use lsfb_types::Timestamp;
 
 pub use angles::{AnglesError, BeamAngles};
+pub use azimuths::{Azimuths, SECTORS};
 pub(crate) use order::{Instants, LATE_NS, MOST_LATE, Step, elapsed_ns, is_crowded, step};
 #[cfg(test)]
 pub(crate) use scan_builder::HOUR_NS;
@@ -86,6 +88,16 @@ pub struct Counters {
     pub contradicting: u64,
     /// Scans ended because the rotor did not come round.
     pub overlong: u64,
+    /// Where around the sensor something came back.
+    pub azimuths: Azimuths,
+}
+
+impl Counters {
+    /// Takes a shot of all lasers to which so many echoes came.
+    pub(crate) fn shot(&mut self, azimuth_centideg: u16, echoes: usize) {
+        self.points += echoes as u64;
+        self.azimuths.note(azimuth_centideg, echoes);
+    }
 }
 
 /// What a sensor turned out to be.

@@ -190,6 +190,16 @@ impl Model {
         }
     }
 
+    /// How many lasers it has.
+    pub fn lasers(self) -> usize {
+        let rings = self
+            .table()
+            .channels
+            .iter()
+            .map(|c| usize::from(c.ring) + 1);
+        rings.max().unwrap_or_default()
+    }
+
     /// The product that this model is.
     pub const fn product(self) -> Product {
         match self {

@@ -350,7 +350,8 @@ impl Decoder {
                     });
                 }
             }
-            self.counters.points += (place.points.len() - before) as u64;
+            let echoes = place.points.len() - before;
+            self.counters.shot(azimuth_centideg, echoes);
         }
     }
 }

@@ -404,7 +404,8 @@ impl Decoder {
                     maker.single(&packet, group, &firing, block.points);
                 }
             }
-            self.counters.points += (block.points.len() - before) as u64;
+            let echoes = block.points.len() - before;
+            self.counters.shot(azimuth_centideg, echoes);
         }
         self.maker = Some((layout.model, maker));
         self.spare = packet.into_inner();

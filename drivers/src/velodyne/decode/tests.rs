@@ -187,9 +187,12 @@ fn revolutions_are_cut_at_the_wrap_and_through_the_top_of_the_hour() {
         packets: 500,
         points: 500 * 384,
         scans: 4,
+        azimuths: run.counters.azimuths,
         ..Counters::default()
     };
     assert_eq!(run.counters, expected);
+    let fired: u64 = run.counters.azimuths.fired.iter().sum();
+    assert_eq!(fired, 500 * 12);
     // The twin passes azimuth 0 at every tenth of a second: 3600.0 s is one of them.
     let whole = &run.scans[1];
     assert!(whole.device_ticks < 60_000, "{}", whole.device_ticks);
