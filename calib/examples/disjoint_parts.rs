@@ -7,6 +7,7 @@ use std::ops::Range;
 use std::path::Path;
 
 use lsfb_rigs::parts::{Said, TumVi};
+use lsfb_types::Verdict;
 
 fn range(word: &str) -> Option<Range<usize>> {
     let (from, to) = word.split_once('-')?;
@@ -27,6 +28,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     for part in ranges {
         let found = recorded.calibrate(part.clone(), &mut said);
         println!("{part:?}: {}", found.judgement().verdict());
+        let remarks = found.findings.iter().filter(|f| f.verdict != Verdict::Pass);
+        remarks.for_each(|f| println!("  {} of {}: {}", f.code, f.subject, f.what));
     }
     let mut scatter = said.scatter();
     scatter.sort_by(|a, b| b.1.total_cmp(&a.1));

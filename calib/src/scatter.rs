@@ -13,6 +13,9 @@ use nalgebra::{DMatrix, DVector};
 const MIN_PARTS: usize = 5;
 /// Neighbouring parts are joined so often by two: what errs alike for long is seen in long parts only.
 const LEVELS: u32 = 3;
+/// What errs alike for longer than that (views from one side of a board that is not quite flat) is seen in these many parts, by all
+/// parameters together.
+const LONG_PARTS: [usize; 3] = [4, 3, 2];
 /// Standard deviations of a normal number by which the squares of all parameters must exceed what is expected to count.
 const SIGNIFICANT: f64 = 3.0;
 /// Degrees of freedom that the ratio of all parameters counts for beside a parameter's own.
@@ -23,6 +26,8 @@ pub(crate) struct Scatter {
     parts: Vec<Part>,
     /// Squares over what is expected, over all parameters; `None` where it could be so by accident.
     ratio: Option<f64>,
+    /// How many times as large that is of longer parts, too few to tell it of each parameter.
+    growth: f64,
 }
 
 struct Part {
@@ -39,6 +44,7 @@ impl Scatter {
         let mut best = Self {
             parts: Vec::new(),
             ratio: None,
+            growth: 1.0,
         };
         for level in 0..LEVELS {
             let joined = joined(parts, 1 << level);
@@ -50,6 +56,13 @@ impl Scatter {
                 best = of_level;
             }
         }
+        if let Some(ratio) = best.ratio {
+            for count in LONG_PARTS {
+                let long = Self::of(joined(parts, parts.len() / count), &information);
+                let of_long = long.ratio.unwrap_or(0.0);
+                best.growth = best.growth.max(of_long / ratio);
+            }
+        }
         best
     }
 
@@ -59,6 +72,7 @@ impl Scatter {
             true => Self {
                 parts: Vec::new(),
                 ratio: None,
+                growth: 1.0,
             },
             false => Self::of(parts, &information(covariance)),
         }
@@ -82,6 +96,7 @@ impl Scatter {
         Self {
             parts,
             ratio: is_clear(squares, expected, variance).then(|| squares / expected),
+            growth: 1.0,
         }
     }
 
@@ -103,7 +118,7 @@ impl Scatter {
         let own = expected * expected / spread;
         let freedom = COMMON_FREEDOM + own;
         let both = (COMMON_FREEDOM * ratio + own * squares / expected) / freedom;
-        (both * of_few(freedom)).max(1.0).sqrt()
+        (both * self.growth * of_few(freedom)).max(1.0).sqrt()
     }
 
     /// The same for each parameter.
@@ -246,6 +261,25 @@ mod tests {
             "{}",
             mean_square / count
         );
+    }
+
+    /// Neighbours that err alike for as long as a half: parts of a few neighbours show a fraction of that.
+    #[test]
+    fn what_lasts_long_is_seen() {
+        let (mut with, mut without) = (0.0, 0.0);
+        for seed in 0..50 {
+            let (covariance, mut parts, _) = line(seed, 36, 0.3);
+            let of_few = Scatter::of_neighbours(&covariance, &parts).factors(2);
+            let drift = &covariance * DVector::from_vec(vec![120.0, 0.0]);
+            for (k, part) in parts.iter_mut().enumerate() {
+                let sign = if k < 18 { 1.0 } else { -1.0 };
+                part.shift += &drift * (sign / 36.0);
+            }
+            let of_all = Scatter::of_neighbours(&covariance, &parts).factors(2);
+            without += of_few[0];
+            with += of_all[0];
+        }
+        assert!(with > 1.3 * without, "{with} {without}");
     }
 
     #[test]

@@ -5,7 +5,7 @@ use nalgebra::DVector;
 
 use super::CameraImuConfig;
 use super::bend::{BEND, SIZE};
-use super::blocks::SIZE_SIGMA;
+use super::blocks::{Blocks, SIZE_SIGMA};
 use super::effort::Effort;
 use super::parts::{Known, known};
 use super::state::State;
@@ -30,9 +30,12 @@ impl State {
         let size = 1.0 + problem.value(blocks.bend)[SIZE];
         let gravity = problem.value(blocks.gravity);
         let share = config.gravity_m_s2 / gravity.norm();
-        let mut asked = vec![blocks.bend.id(), blocks.gravity.id()];
-        asked.extend(blocks.of_cameras(config));
-        let found = known(&problem, &asked, None, &blocks.timed);
+        let asked = |blocks: &Blocks| {
+            let mut asked = vec![blocks.bend.id(), blocks.gravity.id()];
+            asked.extend(blocks.of_cameras(config));
+            asked
+        };
+        let found = known(&problem, &asked(&blocks), None, &blocks.timed);
         let Ok(Known {
             covariance,
             scatter,
@@ -52,9 +55,13 @@ impl State {
         by.fixed_rows_mut::<3>(BEND)
             .copy_from(&(-gravity * (size * share / gravity.norm_squared())));
         let variance = by.dot(&(covariance.joint() * &by));
+        let moved = self.moved_by_spread(config, effort, asked)?;
+        let unmodelled: f64 = moved.iter().map(|m| by.dot(m).powi(2)).sum();
         Ok(BoardExcess {
             share: size * share - 1.0,
-            sigma: (variance.max(0.0).sqrt() * scatter.factor_along(&by)).hypot(by.dot(&bias)),
+            sigma: (variance.max(0.0).sqrt() * scatter.factor_along(&by))
+                .hypot(by.dot(&bias))
+                .hypot(unmodelled.sqrt()),
             explains: (report.initial_cost - report.final_cost) / self.cost_of_corners().max(1e-12),
         })
     }

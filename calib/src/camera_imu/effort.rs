@@ -10,6 +10,16 @@ pub(super) enum BoardSize {
     Searched,
 }
 
+/// What the models of lens and board do not know, and pixels are moved by.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Moved {
+    Nothing,
+    /// What it is likely to be.
+    Likely,
+    /// One standard deviation of that, along one of the directions in which it is uncertain.
+    Along(usize),
+}
+
 /// How far to go.
 #[derive(Clone, Copy)]
 pub(super) struct Effort {
@@ -17,8 +27,8 @@ pub(super) struct Effort {
     /// Whether views that are held back take part.
     pub all_views: bool,
     pub size: BoardSize,
-    /// Whether pixels are moved by what the models of lens and board are likely not to know.
-    pub field: bool,
+    /// By what pixels are moved.
+    pub moved: Moved,
     /// Whether the accelerometer may measure later than the gyroscope.
     pub is_delay_searched: bool,
 }
@@ -33,7 +43,7 @@ impl Effort {
             },
             all_views: last,
             size: BoardSize::AsSaid,
-            field: false,
+            moved: Moved::Nothing,
             is_delay_searched: false,
         }
     }
@@ -54,7 +64,7 @@ impl Effort {
             cost_tolerance: 1e-9,
             all_views: true,
             size: BoardSize::Searched,
-            field: false,
+            moved: Moved::Nothing,
             is_delay_searched: true,
         }
     }
@@ -62,7 +72,7 @@ impl Effort {
     /// What it takes to say how well all is known.
     pub fn of_uncertainty() -> Self {
         Self {
-            field: true,
+            moved: Moved::Likely,
             ..Self::of_delay()
         }
     }

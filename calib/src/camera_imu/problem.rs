@@ -33,7 +33,7 @@ impl State {
         let mut blocks = self.add_blocks(&mut problem, config, effort)?;
         for view in &self.views {
             if effort.all_views || !view.holdout {
-                let moved = self.moved_px(view, effort.field);
+                let moved = self.moved_px(view, effort.moved);
                 self.add_view(&mut problem, &mut blocks, view, config, &moved)?;
             }
         }

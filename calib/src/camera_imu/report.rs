@@ -5,6 +5,7 @@ use nalgebra::{RowSVector, SMatrix};
 
 use super::bend::{BEND, Bend, bends};
 use super::board_size::BoardExcess;
+use super::effort::Moved;
 use super::inertial::{accel_matrix, gyro_matrix};
 use super::state::{Mounted, State, View};
 use super::uncertainty::Uncertainty;
@@ -232,19 +233,24 @@ impl State {
                     ..Unmodelled::none()
                 },
             };
-            let [stretch, shear, a, b, c]: [f64; 5] = found.board.into();
-            self.cameras[k].field = found.field;
-            self.cameras[k].board = Bend::new(a, b, c, stretch, shear, 0.0);
+            self.cameras[k].unmodelled = found;
         }
     }
 
     /// By how much that moves each corner of a view, if it is to be counted.
-    pub fn moved_px(&self, view: &View, field: bool) -> Vec<Vector2<f64>> {
+    pub fn moved_px(&self, view: &View, by: Moved) -> Vec<Vector2<f64>> {
         let still = vec![Vector2::zeros(); view.corners.len()];
-        let Some(at) = self.at(self.time_s(view)).filter(|_| field) else {
+        let camera = &self.cameras[view.camera];
+        let (field, board) = match by {
+            Moved::Nothing => return still,
+            Moved::Likely => (camera.unmodelled.field, camera.unmodelled.board),
+            Moved::Along(direction) => camera.unmodelled.spread_along(direction),
+        };
+        let Some(at) = self.at(self.time_s(view)) else {
             return still;
         };
-        let camera = &self.cameras[view.camera];
+        let [stretch, shear, a, b, c]: [f64; 5] = board.into();
+        let board = Bend::new(a, b, c, stretch, shear, 0.0);
         let camera_from_target = camera.camera_from_rig * at.target_from_rig().inverse();
         let turn = camera_from_target.rotation_matrix();
         let corners = view.corners.iter().zip(still);
@@ -258,7 +264,7 @@ impl State {
                 let from_centre = point - self.centre;
                 let place = from_centre / self.half_board_m;
                 let by_field = moved_by_field(&camera.camera, &seen.pixel, &by_point, &place);
-                by_field * camera.field + by_point * (bends(&from_centre) * camera.board)
+                by_field * field + by_point * (bends(&from_centre) * board)
             })
             .collect()
     }

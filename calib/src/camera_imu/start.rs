@@ -19,7 +19,7 @@ use super::state::{Mounted, State, View};
 use super::{Clock, KnownCamera, Motion, ORDER, checks};
 use crate::camera::copied;
 use crate::coverage::corners_by_cell;
-use crate::residual_diagnosis::Field;
+use crate::residual_diagnosis::Unmodelled;
 use crate::{Error, JoinProblem, PoorMotion};
 
 /// Samples of the IMU needed.
@@ -90,8 +90,7 @@ impl State {
                 clock: Clock::new(turned.offset_s, 0.0),
                 readout_s: *readout_s,
                 sigma_px: config.corner_sigma_px,
-                field: Field::zeros(),
-                board: Bend::zeros(),
+                unmodelled: Unmodelled::none(),
                 alone_px: own.median_px,
                 cells: corners_by_cell(
                     known.views.views.values().flatten(),

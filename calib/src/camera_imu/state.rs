@@ -8,7 +8,7 @@ use lsfb_types::Finding;
 use super::bend::Bend;
 use super::inertial::{AccelAxes, GyroAxes};
 use super::{Clock, Motion};
-use crate::residual_diagnosis::Field;
+use crate::residual_diagnosis::Unmodelled;
 
 pub(super) struct View {
     pub camera: usize,
@@ -37,10 +37,9 @@ pub(super) struct Mounted {
     pub readout_s: f64,
     /// Standard deviation of a corner in one direction, pixels.
     pub sigma_px: f64,
-    /// What moves its pixels that the models of lens and board do not know of.
-    pub field: Field,
-    /// What a board that is taken to be flat would be if it need not be, as this camera sees it.
-    pub board: Bend,
+    /// What moves its pixels that the models of lens and board do not know of: a board that is taken to be flat as this camera
+    /// sees it, and the rest.
+    pub unmodelled: Unmodelled,
     /// Median error of its corners with each view for itself, pixels.
     pub alone_px: f64,
     pub cells: Vec<u32>,

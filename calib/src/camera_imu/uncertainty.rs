@@ -4,15 +4,17 @@ use lsfb_geometry::camera::MAX_PARAMETERS;
 use lsfb_geometry::{Matrix6, Se3, Vector3, so3};
 use lsfb_solver::{BlockId, influences};
 use nalgebra::{DMatrix, DVector, Matrix3, SMatrix};
+use rayon::prelude::*;
 
 use super::bend::BEND;
 use super::blocks::Blocks;
-use super::effort::Effort;
+use super::effort::{Effort, Moved};
 use super::halves::{SplitEstimate, halves};
 use super::parts::known;
-use super::state::State;
+use super::state::{Mounted, State};
 use super::{Axes, BoardShape, CameraImuConfig, Lenses, Readout};
 use crate::Error;
+use crate::residual_diagnosis::FREED;
 
 /// Joint covariance of what was found. Poses of cameras are there as right perturbations of `camera_from_rig`, biases as those
 /// in the middle of the recording, gravity in the target's frame.
@@ -72,7 +74,15 @@ impl State {
         let unmodelled = by_delay.zip_map(&by_field, f64::hypot);
         let factors = known.scatter.factors(known.bias.len());
         let found = known.covariance.widened(&factors, &by_delay);
-        let found = found.widened(&[], &by_field);
+        let mut found = found.widened(&[], &by_field);
+        let mut unmodelled = unmodelled;
+        let of = |blocks: &Blocks| asked(&self.named(blocks, config), blocks, config);
+        for by in self.moved_by_spread(config, Effort::of_round(0, true), of)? {
+            // The accelerometer's delay is no matter of lens and board.
+            let by = by.resize_vertically(unmodelled.len(), 0.0);
+            found = found.widened(&[], &by);
+            unmodelled.zip_apply(&by, |own, by| *own = own.hypot(by));
+        }
         let sigmas = |block: BlockId| -> Vec<f64> {
             let own = found.between(block, block);
             own.map_or_else(Vec::new, |c| {
@@ -128,6 +138,27 @@ impl State {
         let mut ids = asked(&named, &blocks, config);
         ids.push(blocks.accel_delay.id());
         Ok(influences(&problem, &ids, &[])?.step)
+    }
+
+    /// By how much what is not known of lens and board would move blocks, one direction after the other: what it is likely to be is
+    /// known no better than the views tell it.
+    pub(super) fn moved_by_spread(
+        &self,
+        config: &CameraImuConfig,
+        effort: Effort,
+        asked: impl Fn(&Blocks) -> Vec<BlockId> + Sync,
+    ) -> Result<Vec<DVector<f64>>, Error> {
+        let is_there = |c: &Mounted| c.unmodelled.spread.iter().any(|v| *v != 0.0);
+        if !self.cameras.iter().any(is_there) {
+            return Ok(Vec::new());
+        }
+        let step = |moved| -> Result<DVector<f64>, Error> {
+            let (problem, blocks) = self.problem(config, Effort { moved, ..effort })?;
+            Ok(influences(&problem, &asked(&blocks), &[])?.step)
+        };
+        let still = step(Moved::Nothing)?;
+        let along = |direction| Ok(step(Moved::Along(direction))? - &still);
+        (0..FREED).into_par_iter().map(along).collect()
     }
 
     /// What either half of the recording finds by the models as they are.

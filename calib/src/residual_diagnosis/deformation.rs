@@ -1,9 +1,9 @@
 //! The board if it may be deformed, and what moves pixels that the models of lens and board do not know of.
 
 use lsfb_geometry::Camera;
-use nalgebra::{DMatrix, RowSVector, SMatrix, SVector};
+use nalgebra::{DMatrix, RowSVector, SMatrix, SVector, SymmetricEigen};
 
-use super::field::{DEFORMATIONS, FIELD, Field, Unmodelled, usual_sigma};
+use super::field::{DEFORMATIONS, FIELD, FREED, Field, Unmodelled, usual_sigma};
 use super::sums::{STRETCH, Sums, UNMODELLED};
 use super::{BoardDeformation, Deformation};
 use crate::board::Target;
@@ -16,8 +16,6 @@ const FLAT_CHI_SQUARE: f64 = 20.5;
 /// Chi-square of [`FIELD`] that noise exceeds once in a thousand recordings, and of [`FREED`].
 const FIELD_CHI_SQUARE: f64 = 31.3;
 const UNMODELLED_CHI_SQUARE: f64 = 39.3;
-/// Deformations of the board and [`Field`].
-const FREED: usize = DEFORMATIONS + FIELD;
 
 /// Both, freed together.
 struct Freed {
@@ -42,6 +40,7 @@ impl Sums {
         (chi_square > UNMODELLED_CHI_SQUARE).then(|| Unmodelled {
             field: step.fixed_rows::<FIELD>(DEFORMATIONS).into_owned(),
             board: step.fixed_rows::<DEFORMATIONS>(0).into_owned(),
+            spread: root(&covariance),
         })
     }
 
@@ -146,4 +145,18 @@ impl Sums {
             lens_covariance,
         }
     }
+}
+
+/// The symmetric root of a covariance.
+fn root(covariance: &SMatrix<f64, FREED, FREED>) -> SMatrix<f64, FREED, FREED> {
+    // Of numbers of one size: heights in metres are far smaller than bends.
+    let scale = covariance
+        .diagonal()
+        .map(|v| v.max(f64::MIN_POSITIVE).sqrt());
+    let scaled =
+        SMatrix::<f64, FREED, FREED>::from_fn(|i, j| covariance[(i, j)] / (scale[i] * scale[j]));
+    let eigen = SymmetricEigen::new(scaled);
+    let roots = eigen.eigenvalues.map(|v: f64| v.max(0.0).sqrt());
+    let root = eigen.eigenvectors * SMatrix::from_diagonal(&roots) * eigen.eigenvectors.transpose();
+    SMatrix::from_diagonal(&scale) * root
 }

@@ -27,7 +27,12 @@ pub(super) const DEFORMATIONS: usize = 5;
 pub(crate) struct Unmodelled {
     pub field: Field,
     pub board: BoardShift,
+    /// Root of their covariance: the board's rows first.
+    pub spread: SMatrix<f64, FREED, FREED>,
 }
+
+/// Deformations of the board and [`Field`].
+pub(crate) const FREED: usize = DEFORMATIONS + FIELD;
 
 impl Unmodelled {
     /// Nothing.
@@ -35,7 +40,17 @@ impl Unmodelled {
         Self {
             field: Field::zeros(),
             board: BoardShift::zeros(),
+            spread: SMatrix::zeros(),
         }
+    }
+
+    /// One of the directions in which they are uncertain, one standard deviation along it.
+    pub fn spread_along(&self, direction: usize) -> (Field, BoardShift) {
+        let along = self.spread.column(direction);
+        (
+            along.fixed_rows::<FIELD>(DEFORMATIONS).into_owned(),
+            along.fixed_rows::<DEFORMATIONS>(0).into_owned(),
+        )
     }
 }
 

@@ -19,7 +19,7 @@ use serde::Serialize;
 
 use crate::board::Target;
 use causes::Explained;
-pub(crate) use field::{Field, Unmodelled, moved_by_field};
+pub(crate) use field::{FREED, Field, Unmodelled, moved_by_field};
 use one_lens::OtherLens;
 use sums::Sums;
 

@@ -6,8 +6,8 @@
 
 use lsfb_drivers::lidar::{Azimuths, SECTORS};
 
-/// Shots in a sector from which on something is said: of ten seconds, more or less.
-const LEAST_SHOTS: u64 = 1_000;
+/// Shots in a sector from which on something is said: of two to five seconds.
+const LEAST_SHOTS: u64 = 400;
 /// Share of the shots of a blocked sector that may bring something back, and of those of others that must.
 const BLOCKED_SHARE: f64 = 0.005;
 const SEEING_SHARE: f64 = 0.9;

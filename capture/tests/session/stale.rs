@@ -60,6 +60,41 @@ fn a_lidar_that_sees_nothing_is_not_healthy() {
     assert_eq!(lidar(mock::lidar_packet).lost, 0);
 }
 
+/// Four seconds of a LiDAR of which some returns never come: by azimuth, 0.01°, and laser.
+fn partly_blind(is_seen: impl Fn(u16, usize) -> bool) -> CaptureReport {
+    lidar(|n| {
+        let mut packet = DataPacket::new(mock::lidar_packet(n)).unwrap();
+        for block in 0..12 {
+            let azimuth_centideg = packet.azimuth_centideg(block);
+            let blind = (0..32).filter(|laser| !is_seen(azimuth_centideg, *laser));
+            blind.for_each(|laser| packet.set_return(block, laser, 0, 0));
+        }
+        packet.into_inner()
+    })
+}
+
+/// Once a scan like any other.
+#[test]
+fn a_lidar_of_which_most_lasers_are_dead_is_not_healthy() {
+    let one_left = partly_blind(|_, laser| laser == 7);
+    assert_stale(&one_left, "lidar", "31 of its 32 lasers see nothing");
+    // What is left is of use: it is said, and nothing is lost.
+    let one_dead = partly_blind(|_, laser| laser != 7);
+    let notes = stream(&one_dead, "lidar").notes.join("\n");
+    assert!(
+        notes.contains("of 32, counted from below, sees nothing"),
+        "{notes}"
+    );
+    assert_eq!(one_dead.lost, 0);
+    let covered = partly_blind(|azimuth, _| !(4_000..7_000).contains(&azimuth));
+    let notes = stream(&covered, "lidar").notes.join("\n");
+    assert!(
+        notes.contains("nothing comes back from 40° to 70°"),
+        "{notes}"
+    );
+    assert_eq!(covered.lost, 0);
+}
+
 /// The same packet again and again is a repetition to be left out, and nothing else comes.
 #[test]
 fn a_lidar_whose_packets_make_no_scan_is_not_healthy() {
