@@ -500,7 +500,7 @@ fn copies_of_images_count_once() {
     views.images += more;
     views.views.extend(copies);
     let twice = run(&known, &simulated.imu, &config).expect("calibrated");
-    assert_eq!(twice.cameras, alone.cameras);
+    assert!(twice.cameras == alone.cameras, "they counted");
     let of_copies =
         |c: &CameraImuCalibration| c.findings.iter().find(|f| f.code == "copies").cloned();
     assert_eq!(of_copies(&alone), None);

@@ -9,7 +9,8 @@ use super::input::Input;
 use super::state::View;
 use super::{KnownCamera, checks};
 use crate::Error;
-use crate::camera::{as_global_shutter, copied_views, pose_of_target};
+use crate::camera::{CameraViews, as_global_shutter, copied_views, pose_of_target};
+use crate::detect::Corner;
 
 /// Corners farther than this from the first pose are outliers from the start, pixels.
 const FIRST_LIMIT_PX: f64 = 4.0;
@@ -49,15 +50,9 @@ pub(super) fn look(
     };
     let mut errors = Vec::new();
     let step = config.view_step.max(1);
-    // A camera that repeats an image took it at the first of its stamps.
-    let copies: BTreeSet<i64> = copied_views(&known.views)
-        .into_iter()
-        .map(|c| c.0)
-        .collect();
-    let own = known.views.views.iter();
-    let own = own.filter(|(instant, _)| !copies.contains(instant));
-    let views = own.clone().count();
-    let instants = own.step_by(step);
+    let own = different_views(&known.views);
+    let views = own.len();
+    let instants = own.into_iter().step_by(step);
     for (number, (instant, corners)) in instants.enumerate() {
         let stamp_s = Timestamp::from_nanos(*instant).secs_since(origin);
         let Some(mut at_once) = still.views.get(instant).cloned() else {
@@ -94,7 +89,7 @@ pub(super) fn look(
             holdout: every > 1 && number % every == every / 2,
         });
     }
-    if views < MIN_VIEWS && !copies.is_empty() {
+    if views < MIN_VIEWS && views < known.views.views.len() {
         return Err(Error::CopiedImages {
             camera: known.views.name.clone(),
             found: known.views.views.len(),
@@ -123,6 +118,15 @@ pub(super) fn look(
     }
     seen.median_px = median_px;
     Ok(seen)
+}
+
+/// Views without those that are copies of others: a camera that repeats an image took it at the first of its stamps.
+pub(super) fn different_views(views: &CameraViews) -> Vec<(&i64, &Vec<Corner>)> {
+    let copies = copied_views(views).into_iter();
+    let copies: BTreeSet<i64> = copies.map(|(copy, _)| copy).collect();
+    let all = views.views.iter();
+    all.filter(|(instant, _)| !copies.contains(instant))
+        .collect()
 }
 
 /// Compares the poses of two cameras to each other, seen at shared stamps, with the rig's.

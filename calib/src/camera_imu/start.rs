@@ -10,7 +10,7 @@ use super::bend::Bend;
 use super::gyro_alignment::GyroAlignment;
 use super::inertial::{AccelAxes, GyroAxes};
 use super::input::Input;
-use super::posed_views::{MIN_VIEWS, PosedViews, compare, look};
+use super::posed_views::{MIN_VIEWS, PosedViews, compare, different_views, look};
 use super::samples::{
     MARGIN_S, check_rotation, crop, end_within_a_segment, excitation, interval_s, samples_of,
     saturation,
@@ -93,7 +93,7 @@ impl State {
                 unmodelled: Unmodelled::none(),
                 alone_px: own.median_px,
                 cells: corners_by_cell(
-                    known.views.views.values().flatten(),
+                    different_views(&known.views).into_iter().flat_map(|v| v.1),
                     [known.views.width, known.views.height],
                 ),
             });

@@ -77,9 +77,20 @@ impl State {
         let mut found = found.widened(&[], &by_field);
         let mut unmodelled = unmodelled;
         let of = |blocks: &Blocks| asked(&self.named(blocks, config), blocks, config);
+        // Poses and clocks rest on the IMU as well, lenses on the board alone.
+        let is_lens: Vec<bool> = named
+            .iter()
+            .flat_map(|(id, names)| {
+                let is_lens = blocks.lenses.iter().any(|lens| lens.id() == *id);
+                std::iter::repeat_n(is_lens, names.len())
+            })
+            .collect();
         for by in self.moved_by_spread(config, Effort::of_round(0, true), of)? {
-            // The accelerometer's delay is no matter of lens and board.
-            let by = by.resize_vertically(unmodelled.len(), 0.0);
+            let of_row = |k: usize, _| match is_lens.get(k) {
+                Some(true) => by[k],
+                _ => 0.0,
+            };
+            let by = DVector::from_fn(unmodelled.len(), of_row);
             found = found.widened(&[], &by);
             unmodelled.zip_apply(&by, |own, by| *own = own.hypot(by));
         }

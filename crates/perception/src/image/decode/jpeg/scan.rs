@@ -126,11 +126,8 @@ pub(super) fn check(bytes: &[u8]) -> Result<(), Damage> {
         at += 2 + length;
         match marker {
             0xc0 | 0xc1 => frame = Frame::parse(segment),
-            0xc4 => {
-                if read_codes(segment, &mut codes).is_none() {
-                    return Ok(());
-                }
-            }
+            0xc4 if read_codes(segment, &mut codes).is_none() => return Ok(()),
+            0xc4 => {}
             // Several passes, no loss, or arithmetic codes.
             0xc2..=0xcf => return Ok(()),
             0xdd => {
