@@ -348,6 +348,17 @@ pub enum Error {
         /// Largest that may be.
         limit: f64,
     },
+    /// Images turn another way than the gyroscope says.
+    #[error(
+        "where the gyroscope of the IMU turns by 1 about its {axis} axis, the images turn by {x:+.2}, {y:+.2}, {z:+.2} about x, y, z: check the IMU's axes, their signs and units, and the cameras' places on it in the rig file",
+        x = images[0], y = images[1], z = images[2]
+    )]
+    GyroContradicts {
+        /// The axis that is farthest off.
+        axis: char,
+        /// What the images make of one unit about it, in the rig's frame.
+        images: [f64; 3],
+    },
     /// The map was judged a failure when it was made.
     #[error(
         "the map failed when it was made: {}; mend that and map the place again, or set accept_failed_map if that does not matter to you", failures.join("; ")

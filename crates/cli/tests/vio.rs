@@ -232,3 +232,80 @@ fn a_rig_or_an_imu_that_is_not_as_stated_is_said() {
     assert!(why.contains("IMU") && !at.join("d.tum").exists(), "{why}");
     assert!(!at.join("d.imported.mcap").exists());
 }
+
+/// The samples of a folder, each line changed; `None` drops it. Numbers count from the stamp, which is given in seconds after the first.
+fn change_samples(at: &Path, change: impl Fn(f64, Vec<f64>) -> Option<Vec<f64>>) {
+    let place = at.join("walk/mav0/imu0/data.csv");
+    let text = fs::read_to_string(&place).expect("samples");
+    let stamp = |line: &str| -> Option<i64> { line.split(',').next()?.trim().parse().ok() };
+    let list = fs::read_to_string(at.join("walk/mav0/cam0/data.csv")).expect("list");
+    let first = list.lines().find_map(stamp).expect("a stamp");
+    let lines = text.lines().filter_map(|line| {
+        let Some(ns) = stamp(line) else {
+            return Some(line.to_owned());
+        };
+        let numbers = line.split(',').skip(1);
+        let numbers = numbers
+            .map(|n| n.trim().parse().expect("a number"))
+            .collect();
+        let changed = change((ns - first) as f64 * 1e-9, numbers)?;
+        let cells: Vec<String> = changed.iter().map(f64::to_string).collect();
+        Some(format!("{ns},{}", cells.join(",")))
+    });
+    let lines: Vec<String> = lines.collect();
+    fs::write(&place, lines.join("\n")).expect("samples");
+}
+
+/// Once it was refused for the IMU's axes and both clocks.
+#[test]
+fn a_pause_of_the_imu_parts_the_walk_and_is_said() {
+    let Some([walk, calibrated]) = tumvi("a_pause_of_the_imu_parts_the_walk_and_is_said") else {
+        return;
+    };
+    let folder = tempfile::tempdir().expect("folder");
+    let at = folder.path();
+    part(&walk, 0..0, at);
+    write_rig(&calibrated, |_| {}, &at.join("rig.toml"));
+    change_samples(at, |secs, all| (!(2.0..3.0).contains(&secs)).then_some(all));
+    let arguments = ["vio", "walk", "--rig", "rig.toml", "--out", "walk.tum"];
+    let said = json(at, &arguments, 3);
+    let pause = finding(&said, "imu-pause");
+    assert!((pause["value"].as_f64().expect("s") - 1.0).abs() < 0.02);
+    let what = pause["what"].as_str().expect("text");
+    assert!(
+        what.contains("from 2.0") || what.contains("from 1.99"),
+        "{what}"
+    );
+    let left_out = finding(&said, "not-measured")["value"].as_f64().expect("s");
+    assert!((1.8..3.2).contains(&left_out), "{left_out} s");
+    let found = read_tum(&at.join("walk.tum")).expect("a trajectory");
+    assert!(found.len() >= 48, "{} poses", found.len());
+    // Without the longest part's neighbours nothing is left.
+    change_samples(at, |secs, all| (secs % 1.0 < 0.4).then_some(all));
+    let refused = lsfb(at, &["vio", "walk", "--rig", "rig.toml", "--out", "p.tum"]);
+    assert_eq!(refused.status.code(), Some(1));
+    let why = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(why.contains("no IMU samples"), "{why}");
+}
+
+/// Once there was no answer for minutes.
+#[test]
+fn an_axis_of_the_gyroscope_with_the_wrong_sign_is_named() {
+    let test = "an_axis_of_the_gyroscope_with_the_wrong_sign_is_named";
+    let Some([walk, calibrated]) = tumvi(test) else {
+        return;
+    };
+    let folder = tempfile::tempdir().expect("folder");
+    let at = folder.path();
+    part(&walk, 0..0, at);
+    write_rig(&calibrated, |_| {}, &at.join("rig.toml"));
+    change_samples(at, |_, mut all| {
+        all[2] = -all[2];
+        Some(all)
+    });
+    let refused = lsfb(at, &["vio", "walk", "--rig", "rig.toml", "--out", "z.tum"]);
+    assert_eq!(refused.status.code(), Some(1));
+    let why = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(why.contains("about its z axis"), "{why}");
+    assert!(!at.join("z.tum").exists());
+}

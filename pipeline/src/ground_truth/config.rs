@@ -55,7 +55,7 @@ pub struct GroundTruthConfig {
     pub gyro_bias_sigma_rad_s: f64,
     /// Standard deviation of the accelerometer's first bias about zero, m/s².
     pub accel_bias_sigma_m_s2: f64,
-    /// Standard deviation of gravity in the map, in size and direction, m/s².
+    /// Standard deviation of gravity in the map, in direction, m/s².
     pub gravity_sigma_m_s2: f64,
     /// Standard deviation of the cameras' attitudes in the rig file, radians.
     pub extrinsics_sigma_rad: f64,
@@ -88,6 +88,59 @@ pub struct GroundTruthConfig {
     pub accept_failed_map: bool,
     /// The solver.
     pub solve: SolveConfig,
+    /// What else may be wrong of the IMU: a map holds a walk so firmly that it is taken for right.
+    #[serde(skip)]
+    pub inertial: InertialPriors,
+}
+
+/// What may be wrong of the IMU and of gravity beside what an adjustment with a map looks at.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct InertialPriors {
+    /// Standard deviation of the gyroscope's scale, each axis by itself, as a share.
+    pub gyro_scale_sigma: f64,
+    /// Standard deviation of the accelerometer's scale, each axis by itself, as a share.
+    pub accel_scale_sigma: f64,
+    /// Standard deviation of how much later the accelerometer's readings are than the gyroscope's, seconds.
+    pub accel_delay_sigma_s: f64,
+    /// Standard deviation of gravity's size about the standard, m/s².
+    pub gravity_size_sigma_m_s2: f64,
+}
+
+impl Default for InertialPriors {
+    fn default() -> Self {
+        Self {
+            // As data sheets of calibrated parts have it.
+            gyro_scale_sigma: 5e-3,
+            accel_scale_sigma: 5e-3,
+            // Low-pass filters of one part differ by so much.
+            accel_delay_sigma_s: 2e-3,
+            // Between pole and equator it differs by 0.05.
+            gravity_size_sigma_m_s2: 0.02,
+        }
+    }
+}
+
+impl InertialPriors {
+    /// Nothing is wrong but, as with a map that is not quite level or to scale, gravity.
+    fn right() -> Self {
+        const HELD: f64 = 1e-5;
+        Self {
+            gyro_scale_sigma: HELD,
+            accel_scale_sigma: HELD,
+            accel_delay_sigma_s: HELD,
+            gravity_size_sigma_m_s2: 0.05,
+        }
+    }
+}
+
+lsfb_types::bounds! {
+    InertialPriors {
+        gyro_scale_sigma: number(Bounds::POSITIVE),
+        accel_scale_sigma: number(Bounds::POSITIVE),
+        accel_delay_sigma_s: number(Bounds::POSITIVE),
+        gravity_size_sigma_m_s2: number(Bounds::POSITIVE),
+    }
 }
 
 impl Default for GroundTruthConfig {
@@ -136,6 +189,7 @@ impl Default for GroundTruthConfig {
                 initial_damping: 1e-12,
                 ..SolveConfig::default()
             },
+            inertial: InertialPriors::right(),
         }
     }
 }
@@ -179,6 +233,7 @@ lsfb_types::bounds! {
         accept_failed_map: any,
         max_absent_share: number(Bounds::Within(0.0, 1.0)),
         solve: section,
+        inertial: section,
     }
 }
 

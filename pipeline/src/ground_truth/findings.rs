@@ -63,6 +63,21 @@ impl GroundTruthWarning {
             .value(*intervals as f64, "")
             .limit(Limit::AtMost(0.0))
             .remedy("record the IMU without pauses"),
+            Self::ImuPause {
+                after_secs,
+                secs,
+                longest_secs,
+            } => warn(
+                "imu-pause",
+                "IMU",
+                format!(
+                    "no samples from {after_secs:.2} s to {:.2} s after the first image: the parts on both sides cannot be joined",
+                    after_secs + secs
+                ),
+            )
+            .value(*secs, "s")
+            .limit(Limit::AtMost(*longest_secs))
+            .remedy("record the IMU without pauses"),
             Self::DamagedImages { images } => warn(
                 "damaged-images",
                 "images",
@@ -127,6 +142,7 @@ impl LeftOutReason {
             Self::MapPartsDisagree => "map-parts-disagree",
             Self::PointsAbsent => "points-absent",
             Self::NotFollowed => "not-followed",
+            Self::NotMeasured => "not-measured",
         }
     }
 
@@ -157,6 +173,10 @@ impl LeftOutReason {
             Self::NotFollowed => (
                 "too few features could be followed in their images (min_sights)",
                 "light the place, keep the lenses free, and look at things with texture",
+            ),
+            Self::NotMeasured => (
+                "the IMU recorded nothing in between, so that they cannot be joined to the longest part of the walk (max_imu_gap_secs)",
+                "record the IMU without pauses",
             ),
         }
     }

@@ -1,12 +1,16 @@
 //! The blocks of one state, and what the IMU says of neighbours.
 
 use lsfb_geometry::{Se3, Vector3};
-use lsfb_solver::{Block, Kernel, Problem};
+use lsfb_solver::{Block, Kernel, Problem, VectorPrior};
 
 use super::GroundTruthConfig;
 use super::walk::{FrameState, Walk};
+use nalgebra::{SVector, Vector1};
+
 use crate::Error;
-use crate::preintegration::{ImuBias, Matrix9, NavState, PreintegratedImu, standard_gravity_m_s2};
+use crate::preintegration::{
+    ImuBias, ImuErrors, Matrix9, NavState, PreintegratedImu, standard_gravity_m_s2,
+};
 use crate::residuals::{BiasWalk, ImuPreintegration};
 
 /// Blocks of one state.
@@ -42,44 +46,85 @@ impl StateBlocks {
     }
 }
 
+/// Blocks of what is the same all along: gravity in the world, and errors of the IMU.
+#[derive(Clone, Copy)]
+pub(super) struct InertialBlocks {
+    pub gravity: Block<Vector3<f64>>,
+    pub gyro_scale: Block<Vector3<f64>>,
+    pub accel_scale: Block<Vector3<f64>>,
+    pub accel_delay_s: Block<Vector1<f64>>,
+}
+
+impl InertialBlocks {
+    /// With what is known of them beforehand.
+    fn add(problem: &mut Problem, config: &GroundTruthConfig) -> Result<Self, Error> {
+        let known = &config.inertial;
+        let (lean, size) = (config.gravity_sigma_m_s2, known.gravity_size_sigma_m_s2);
+        let gravity_sigmas = Vector3::new(lean, lean, size);
+        Ok(Self {
+            // The map is level only as far as its odometry knew: gravity may lean a little.
+            gravity: about(problem, standard_gravity_m_s2(), gravity_sigmas)?,
+            gyro_scale: about(
+                problem,
+                Vector3::zeros(),
+                Vector3::repeat(known.gyro_scale_sigma),
+            )?,
+            accel_scale: about(
+                problem,
+                Vector3::zeros(),
+                Vector3::repeat(known.accel_scale_sigma),
+            )?,
+            accel_delay_s: about(
+                problem,
+                Vector1::zeros(),
+                Vector1::new(known.accel_delay_sigma_s),
+            )?,
+        })
+    }
+
+    pub fn errors(&self, problem: &Problem) -> ImuErrors {
+        ImuErrors {
+            gyro_scale: problem.value(self.gyro_scale),
+            accel_scale: problem.value(self.accel_scale),
+            accel_delay_s: problem.value(self.accel_delay_s).x,
+        }
+    }
+}
+
+/// A block with what is known of it beforehand.
+fn about<const N: usize>(
+    problem: &mut Problem,
+    known: SVector<f64, N>,
+    sigmas: SVector<f64, N>,
+) -> Result<Block<SVector<f64, N>>, Error> {
+    let block = problem.add_block(known);
+    let prior = VectorPrior::new(known, sigmas);
+    problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
+    Ok(block)
+}
+
 /// Adds `h(C_i, C_i+1)` of eq. (5) for all neighbours among some frames, from the first on, and what is known of the biases
-/// beforehand. The IMU is summed up with the biases that the blocks have now. Gives gravity; `None` without frames.
+/// beforehand. The IMU is summed up with the biases that the blocks have now. `None` without frames.
 pub(super) fn add_inertial_residuals(
     problem: &mut Problem,
     walk: &Walk,
     first_frame: usize,
     states: &[StateBlocks],
     config: &GroundTruthConfig,
-) -> Result<Option<Block<Vector3<f64>>>, Error> {
+) -> Result<Option<InertialBlocks>, Error> {
     let Some(first) = states.first() else {
         return Ok(None);
     };
     let now: Vec<FrameState> = states.iter().map(|s| s.read(problem)).collect();
     let frames = first_frame..first_frame + states.len();
     let intervals = walk.preintegrate(frames, |k| now[k - first_frame].bias)?;
-    // The map is level only as far as its odometry knew: gravity may lean a little.
-    let gravity = problem.add_block(standard_gravity_m_s2());
-    for (block, known, sigma) in [
-        (
-            first.gyro_bias,
-            Vector3::zeros(),
-            config.gyro_bias_sigma_rad_s,
-        ),
-        (
-            first.accel_bias,
-            Vector3::zeros(),
-            config.accel_bias_sigma_m_s2,
-        ),
-        (gravity, standard_gravity_m_s2(), config.gravity_sigma_m_s2),
+    let shared = InertialBlocks::add(problem, config)?;
+    for (block, sigma) in [
+        (first.gyro_bias, config.gyro_bias_sigma_rad_s),
+        (first.accel_bias, config.accel_bias_sigma_m_s2),
     ] {
-        let known = problem.add_block(known);
-        problem.set_constant(known);
-        // A prior is a walk of one second from a known value.
-        let prior = BiasWalk {
-            walk_per_sqrt_s: sigma,
-            duration_secs: 1.0,
-        };
-        problem.add_residual(prior, &[known.id(), block.id()], Kernel::Squared)?;
+        let prior = VectorPrior::new(Vector3::zeros(), Vector3::repeat(sigma));
+        problem.add_residual(prior, &[block.id()], Kernel::Squared)?;
     }
     for (k, (pair, interval)) in states.windows(2).zip(intervals).enumerate() {
         let [a, b] = [pair[0], pair[1]];
@@ -106,12 +151,15 @@ pub(super) fn add_inertial_residuals(
                 a.accel_bias.id(),
                 b.pose.id(),
                 b.velocity.id(),
-                gravity.id(),
+                shared.gravity.id(),
+                shared.gyro_scale.id(),
+                shared.accel_scale.id(),
+                shared.accel_delay_s.id(),
             ];
-            problem.add_residual(residual, &blocks, Kernel::Squared)?;
+            problem.add_residual(residual.with_errors(), &blocks, Kernel::Squared)?;
         }
     }
-    Ok(Some(gravity))
+    Ok(Some(shared))
 }
 
 /// Standard deviations of how a body moves of which nothing was measured: turns, rad/s, and accelerates, m/s².

@@ -40,7 +40,7 @@ mod tests;
 use lsfb_geometry::{Matrix6, Trajectory};
 use lsfb_types::{Progress, ProgressFn};
 
-pub use config::GroundTruthConfig;
+pub use config::{GroundTruthConfig, InertialPriors};
 pub use recorded_walk::RecordedWalk;
 pub use report::{
     CameraRefinement, GroundTruthReport, GroundTruthWarning, LeftOutReason, ReprojectionErrors,

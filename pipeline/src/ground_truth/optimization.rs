@@ -8,10 +8,10 @@ use lsfb_types::ProgressFn;
 
 use super::GroundTruthConfig;
 use super::estimate::Estimate;
-use super::inertial::{StateBlocks, add_inertial_residuals};
+use super::inertial::{InertialBlocks, StateBlocks, add_inertial_residuals};
 use super::walk::{FixedObservation, Frame, FrameState, LocalPoint, Walk};
 use crate::Error;
-use crate::preintegration::standard_gravity_m_s2;
+use crate::preintegration::{ImuErrors, standard_gravity_m_s2};
 use crate::residuals::{CameraCorrection, FixedPointReprojection, MovingReprojection};
 use crate::solve::solve_until_converged;
 
@@ -21,6 +21,8 @@ pub(super) struct Optimized {
     pub points: Vec<LocalPoint>,
     /// In the world, m/s².
     pub gravity_m_s2: Vector3<f64>,
+    /// Of the IMU.
+    pub imu_errors: ImuErrors,
     pub report: Report,
 }
 
@@ -106,8 +108,8 @@ pub(super) struct Adjustment {
     pub states: Vec<StateBlocks>,
     /// Beside the points; `None` for one that nothing determines.
     pub points: Vec<Option<Block<Vector3<f64>>>>,
-    /// In the world, m/s²; `None` without frames.
-    pub gravity: Option<Block<Vector3<f64>>>,
+    /// `None` without frames.
+    pub inertial: Option<InertialBlocks>,
 }
 
 impl Adjustment {
@@ -177,7 +179,7 @@ impl Adjustment {
                 problem.add_residual(residual, &blocks, kernel)?;
             }
         }
-        let gravity = add_inertial_residuals(&mut problem, walk, 0, &states, config)?;
+        let inertial = add_inertial_residuals(&mut problem, walk, 0, &states, config)?;
         if let Some(anchor) = anchor {
             anchor.hold(&mut problem, &before.states, &states)?;
         }
@@ -186,7 +188,7 @@ impl Adjustment {
             corrections,
             states,
             points: point_blocks,
-            gravity,
+            inertial,
         })
     }
 }
@@ -205,7 +207,7 @@ pub(super) fn optimize(
         corrections,
         states,
         points: blocks,
-        gravity,
+        inertial,
     } = Adjustment::of(walk, before, points, anchor, config)?;
     let report = solve_until_converged("bundle adjustment", &mut problem, &config.solve, progress)?;
     Ok(Optimized {
@@ -222,7 +224,8 @@ pub(super) fn optimize(
                 observations: point.observations.clone(),
             })
             .collect(),
-        gravity_m_s2: gravity.map_or_else(standard_gravity_m_s2, |g| problem.value(g)),
+        gravity_m_s2: inertial.map_or_else(standard_gravity_m_s2, |i| problem.value(i.gravity)),
+        imu_errors: inertial.map(|i| i.errors(&problem)).unwrap_or_default(),
         report,
     })
 }

@@ -23,16 +23,19 @@ pub enum LeftOutReason {
     PointsAbsent,
     /// Without a map: too few features could be followed in its images, for too long.
     NotFollowed,
+    /// Without a map: the IMU recorded nothing for so long that nothing joins them to the rest.
+    NotMeasured,
 }
 
 impl LeftOutReason {
-    pub(super) const ALL: [Self; 6] = [
+    pub(super) const ALL: [Self; 7] = [
         Self::NotRecognised,
         Self::Uncertain,
         Self::Contradicted,
         Self::MapPartsDisagree,
         Self::PointsAbsent,
         Self::NotFollowed,
+        Self::NotMeasured,
     ];
 }
 
@@ -174,6 +177,15 @@ pub enum GroundTruthWarning {
     ImuGaps {
         /// How many.
         intervals: u64,
+    },
+    /// The IMU recorded nothing for longer than can be bridged.
+    ImuPause {
+        /// Since the first frame, seconds.
+        after_secs: f64,
+        /// How long, seconds.
+        secs: f64,
+        /// Longest that is bridged, seconds.
+        longest_secs: f64,
     },
     /// Images could not be read.
     DamagedImages {

@@ -28,6 +28,17 @@ pub struct ImuBias {
     pub accel_m_s2: Vector3<f64>,
 }
 
+/// Errors of the IMU that stay the same: of what is read beyond the bias `1 - s` is true, `s` the scale error of the axis.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ImuErrors {
+    /// Share by which the gyroscope's axes read too much.
+    pub gyro_scale: Vector3<f64>,
+    /// The same of the accelerometer's.
+    pub accel_scale: Vector3<f64>,
+    /// By how much the accelerometer's readings are later than the gyroscope's of the same stamp (their filters differ), seconds.
+    pub accel_delay_s: f64,
+}
+
 /// Pose and velocity of the rig.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NavState {
@@ -37,7 +48,7 @@ pub struct NavState {
     pub velocity_m_s: Vector3<f64>,
 }
 
-/// Derivatives of the preintegrated changes by the bias.
+/// Derivatives of the preintegrated changes by the bias, or by the scale.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BiasJacobians {
     /// Tangent of the rotation by the gyroscope's bias.
@@ -50,6 +61,48 @@ pub struct BiasJacobians {
     pub position_by_gyro: Matrix3<f64>,
     /// Position by the accelerometer's bias.
     pub position_by_accel: Matrix3<f64>,
+}
+
+/// One piece of constant angular velocity and specific force, as the derivatives of the changes need it.
+struct Piece {
+    secs: f64,
+    /// Tangent of the piece's rotation by the angular velocity, and that of its first half.
+    turn_by_rate: Matrix3<f64>,
+    half_by_rate: Matrix3<f64>,
+    /// The piece's rotation, and that of its first half, both backwards.
+    turned: Matrix3<f64>,
+    turned_half: Matrix3<f64>,
+    /// Rotation from the start to the piece's middle, and what a turn there does to the force.
+    middle: Matrix3<f64>,
+    force_by_rotation: Matrix3<f64>,
+}
+
+impl BiasJacobians {
+    fn none() -> Self {
+        Self {
+            rotation_by_gyro: Matrix3::zeros(),
+            velocity_by_gyro: Matrix3::zeros(),
+            velocity_by_accel: Matrix3::zeros(),
+            position_by_gyro: Matrix3::zeros(),
+            position_by_accel: Matrix3::zeros(),
+        }
+    }
+
+    /// Goes on by a piece. `taken` says how much of angular velocity and force one unit of each parameter takes away.
+    fn advance(&mut self, piece: &Piece, taken: [&Vector3<f64>; 2]) {
+        let dt = piece.secs;
+        let [from_rate, from_force] = taken.map(Matrix3::from_diagonal);
+        let half_by_gyro = piece.half_by_rate * from_rate;
+        let force_by_gyro =
+            piece.force_by_rotation * (piece.turned_half * self.rotation_by_gyro - half_by_gyro);
+        let force_by_accel = piece.middle * from_force;
+        self.position_by_gyro += self.velocity_by_gyro * dt + force_by_gyro * (0.5 * dt * dt);
+        self.position_by_accel += self.velocity_by_accel * dt - force_by_accel * (0.5 * dt * dt);
+        self.velocity_by_gyro += force_by_gyro * dt;
+        self.velocity_by_accel -= force_by_accel * dt;
+        self.rotation_by_gyro =
+            piece.turned * self.rotation_by_gyro - piece.turn_by_rate * from_rate;
+    }
 }
 
 /// What the IMU says about the motion from one instant to another, in the rig frame of the first, without gravity.
@@ -67,6 +120,10 @@ pub struct PreintegratedImu {
     pub bias: ImuBias,
     /// How the changes depend on it.
     pub by_bias: BiasJacobians,
+    /// How they depend on the scale, which was taken for right.
+    pub by_scale: BiasJacobians,
+    /// How velocity and position depend on the accelerometer's delay, which was taken for none.
+    pub by_delay: [Vector3<f64>; 2],
     /// Covariance of `[rotation, velocity, position]` from the white noise.
     pub covariance: Matrix9,
 }
@@ -129,13 +186,9 @@ impl PreintegratedImu {
             velocity_m_s: Vector3::zeros(),
             position_m: Vector3::zeros(),
             bias,
-            by_bias: BiasJacobians {
-                rotation_by_gyro: Matrix3::zeros(),
-                velocity_by_gyro: Matrix3::zeros(),
-                velocity_by_accel: Matrix3::zeros(),
-                position_by_gyro: Matrix3::zeros(),
-                position_by_accel: Matrix3::zeros(),
-            },
+            by_bias: BiasJacobians::none(),
+            by_scale: BiasJacobians::none(),
+            by_delay: [Vector3::zeros(); 2],
             covariance: Matrix9::zeros(),
         }
     }
@@ -177,7 +230,7 @@ impl PreintegratedImu {
                 sum.advance(
                     to.secs_since(from),
                     &((a.gyro + b.gyro) * 0.5),
-                    &((a.accel + b.accel) * 0.5),
+                    [&a.accel, &b.accel],
                     noise,
                 );
             }
@@ -185,17 +238,18 @@ impl PreintegratedImu {
         Ok(sum)
     }
 
-    /// Adds one piece of constant angular velocity and specific force. Eq. (35)–(43), (A.9) with the middle rotation.
+    /// Adds one piece of constant angular velocity, and specific force at its ends. Eq. (35)–(43), (A.9) with the middle rotation.
     fn advance(
         &mut self,
         dt: f64,
         gyro: &Vector3<f64>,
-        accel: &Vector3<f64>,
+        accel: [&Vector3<f64>; 2],
         noise: &ImuNoiseModel,
     ) {
-        let angle = (gyro - self.bias.gyro_rad_s) * dt;
+        let rate = gyro - self.bias.gyro_rad_s;
+        let angle = rate * dt;
         let half = angle * 0.5;
-        let force = accel - self.bias.accel_m_s2;
+        let force = (accel[0] + accel[1]) * 0.5 - self.bias.accel_m_s2;
         let turn = so3::exp(&angle).to_rotation_matrix().into_inner();
         let half_turn = so3::exp(&half);
         let middle = (self.rotation * half_turn)
@@ -206,13 +260,23 @@ impl PreintegratedImu {
         let turn_by_rate = so3::right_jacobian(&angle) * dt;
         let half_by_rate = so3::right_jacobian(&half) * (0.5 * dt);
 
-        let b = &mut self.by_bias;
-        let force_by_gyro = force_by_rotation * (turned_half * b.rotation_by_gyro - half_by_rate);
-        b.position_by_gyro += b.velocity_by_gyro * dt + force_by_gyro * (0.5 * dt * dt);
-        b.position_by_accel += b.velocity_by_accel * dt - middle * (0.5 * dt * dt);
-        b.velocity_by_gyro += force_by_gyro * dt;
-        b.velocity_by_accel -= middle * dt;
-        b.rotation_by_gyro = turn.transpose() * b.rotation_by_gyro - turn_by_rate;
+        let piece = Piece {
+            secs: dt,
+            turn_by_rate,
+            half_by_rate,
+            turned: turn.transpose(),
+            turned_half,
+            middle,
+            force_by_rotation,
+        };
+        let ones = Vector3::repeat(1.0);
+        self.by_bias.advance(&piece, [&ones, &ones]);
+        self.by_scale.advance(&piece, [&rate, &force]);
+        // What is read a delay later is the force of now.
+        let gained = middle * (accel[1] - accel[0]);
+        let [velocity, position] = &mut self.by_delay;
+        *position += *velocity * dt + gained * (0.5 * dt);
+        *velocity += gained;
 
         let mut transition = Matrix9::identity();
         let force_by_start = force_by_rotation * turned_half;
@@ -248,17 +312,31 @@ impl PreintegratedImu {
 
     /// The changes as they would be with another bias. Eq. (44).
     pub fn corrected(&self, bias: &ImuBias) -> CorrectedChange {
+        self.corrected_by(bias, &ImuErrors::default())
+    }
+
+    /// The same for an IMU with other errors too: exact in the accelerometer's scale, to first order in the rest.
+    pub fn corrected_by(&self, bias: &ImuBias, errors: &ImuErrors) -> CorrectedChange {
         let gyro = bias.gyro_rad_s - self.bias.gyro_rad_s;
         let accel = bias.accel_m_s2 - self.bias.accel_m_s2;
-        let b = &self.by_bias;
-        let rotation_correction = b.rotation_by_gyro * gyro;
+        let (b, s) = (&self.by_bias, &self.by_scale);
+        let rotation_correction =
+            b.rotation_by_gyro * gyro + s.rotation_by_gyro * errors.gyro_scale;
         CorrectedChange {
             rotation: self.rotation * so3::exp(&rotation_correction),
             rotation_correction,
             velocity_m_s: self.velocity_m_s
                 + b.velocity_by_gyro * gyro
-                + b.velocity_by_accel * accel,
-            position_m: self.position_m + b.position_by_gyro * gyro + b.position_by_accel * accel,
+                + b.velocity_by_accel * accel
+                + s.velocity_by_gyro * errors.gyro_scale
+                + s.velocity_by_accel * errors.accel_scale
+                + self.by_delay[0] * errors.accel_delay_s,
+            position_m: self.position_m
+                + b.position_by_gyro * gyro
+                + b.position_by_accel * accel
+                + s.position_by_gyro * errors.gyro_scale
+                + s.position_by_accel * errors.accel_scale
+                + self.by_delay[1] * errors.accel_delay_s,
         }
     }
 

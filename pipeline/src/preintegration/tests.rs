@@ -131,6 +131,45 @@ fn bias_jacobians_match_differences() {
     }
 }
 
+/// An IMU whose scales are off and whose accelerometer is late, beside one without errors.
+#[test]
+fn errors_that_are_known_are_taken_off() {
+    let errors = ImuErrors {
+        gyro_scale: Vector3::new(2e-3, -1e-3, 3e-3),
+        accel_scale: Vector3::new(0.02, -0.03, 0.05),
+        accel_delay_s: 2e-3,
+    };
+    let read = |nanos: i64| {
+        let secs = nanos as f64 * 1e-9;
+        let (_, gyro, _) = circle(secs);
+        let (_, _, force) = circle(secs - errors.accel_delay_s);
+        let one = Vector3::repeat(1.0);
+        let gyro = gyro.component_div(&(one - errors.gyro_scale));
+        sample(
+            nanos,
+            gyro,
+            force.component_div(&(one - errors.accel_scale)),
+        )
+    };
+    let samples: Vec<_> = (-2..=82).map(|k| read(k * 2_500_000)).collect();
+    let (start, end) = (Timestamp::from_nanos(0), Timestamp::from_nanos(200_000_000));
+    let none = ImuBias::default();
+    let sum = PreintegratedImu::integrate(&samples, start, end, none, &NOISE).expect("covered");
+    let (begin, _, _) = circle(0.0);
+    let (truth, _, _) = circle(0.2);
+    let gravity = standard_gravity_m_s2();
+    let off = |found: &CorrectedChange| {
+        let rotation = begin.world_from_rig.rotation;
+        let velocity = begin.velocity_m_s + gravity * 0.2 + rotation * found.velocity_m_s;
+        let turn = (rotation * found.rotation).angle_to(&truth.world_from_rig.rotation);
+        [turn, (velocity - truth.velocity_m_s).norm()]
+    };
+    let [turn, velocity] = off(&sum.corrected_by(&none, &errors));
+    assert!(turn < 2e-6 && velocity < 2e-5, "{turn} rad, {velocity} m/s");
+    let [turn, velocity] = off(&sum.corrected(&none));
+    assert!(turn > 5e-4 && velocity > 0.05, "{turn} rad, {velocity} m/s");
+}
+
 /// Covariance against the spread over noisy copies of the same motion.
 #[test]
 fn covariance_is_the_spread_of_noisy_runs() {

@@ -1,11 +1,12 @@
 use lsfb_geometry::{Matrix3, Se3, Vector3, so3};
 use lsfb_solver::{Linearization, Parameters, Residual, Shape, Undefined};
-use nalgebra::{SMatrix, SVector};
+use nalgebra::{SMatrix, SVector, Vector1};
 
-use crate::preintegration::{ImuBias, Matrix9, PreintegratedImu};
+use crate::preintegration::{BiasJacobians, ImuBias, ImuErrors, Matrix9, PreintegratedImu};
 
 /// The IMU's samples between two states, `h` of eq. (5). Blocks: pose, velocity, gyroscope bias, accelerometer bias of the
-/// first state; pose and velocity of the second; gravity in the world.
+/// first state; pose and velocity of the second; gravity in the world; and [with errors](Self::with_errors) the scales of gyroscope and
+/// accelerometer and the delay of the latter.
 ///
 /// Forster et al. 2017, eq. (45), whitened by `L⁻¹` of the preintegrated covariance `L Lᵀ`:
 ///
@@ -20,11 +21,17 @@ use crate::preintegration::{ImuBias, Matrix9, PreintegratedImu};
 /// | r_R | −J_r⁻¹ R_jᵀ R_i | | | −J_r⁻¹ exp(r_R)ᵀ J_r(ΔR_b δb) ΔR_b | | J_r⁻¹ | | | |
 /// | r_v | \[R_iᵀ(…)\]ₓ | | −R_iᵀ | −Δv_bg | −Δv_ba | | | R_iᵀ | −R_iᵀ Δt |
 /// | r_p | \[R_iᵀ(…)\]ₓ | −I | −R_iᵀ Δt | −Δp_bg | −Δp_ba | | R_iᵀ R_j | | −½ R_iᵀ Δt² |
+///
+/// The columns of the scales are those of the biases, with the derivatives by the scales; the delay's are −Δv_d and −Δp_d.
 #[derive(Clone, Debug)]
 pub struct ImuPreintegration {
     preintegrated: PreintegratedImu,
     sqrt_information: Matrix9,
+    has_errors: bool,
 }
+
+/// Blocks but for the errors.
+const WITHOUT_ERRORS: usize = 7;
 
 type Block<const N: usize> = SMatrix<f64, 9, N>;
 
@@ -36,7 +43,16 @@ impl ImuPreintegration {
         Some(Self {
             preintegrated,
             sqrt_information,
+            has_errors: false,
         })
+    }
+
+    /// With the scales of gyroscope and accelerometer and the latter's delay as three more blocks.
+    pub fn with_errors(self) -> Self {
+        Self {
+            has_errors: true,
+            ..self
+        }
     }
 
     /// The summed samples.
@@ -51,27 +67,42 @@ impl Residual for ImuPreintegration {
     }
 
     fn blocks(&self) -> &[Shape] {
-        const {
-            &[
-                Shape::of::<Se3>(),
-                Shape::of::<Vector3<f64>>(),
-                Shape::of::<Vector3<f64>>(),
-                Shape::of::<Vector3<f64>>(),
-                Shape::of::<Se3>(),
-                Shape::of::<Vector3<f64>>(),
-                Shape::of::<Vector3<f64>>(),
-            ]
-        }
+        const ALL: &[Shape] = &[
+            Shape::of::<Se3>(),
+            Shape::of::<Vector3<f64>>(),
+            Shape::of::<Vector3<f64>>(),
+            Shape::of::<Vector3<f64>>(),
+            Shape::of::<Se3>(),
+            Shape::of::<Vector3<f64>>(),
+            Shape::of::<Vector3<f64>>(),
+            Shape::of::<Vector3<f64>>(),
+            Shape::of::<Vector3<f64>>(),
+            Shape::of::<Vector1<f64>>(),
+        ];
+        &ALL[..if self.has_errors {
+            ALL.len()
+        } else {
+            WITHOUT_ERRORS
+        }]
     }
 
     fn evaluate(&self, parameters: &Parameters, out: &mut Linearization) -> Result<(), Undefined> {
         let (pose_i, velocity_i): (Se3, Vector3<f64>) = (parameters.get(0), parameters.get(1));
         let (pose_j, velocity_j): (Se3, Vector3<f64>) = (parameters.get(4), parameters.get(5));
         let gravity: Vector3<f64> = parameters.get(6);
-        let change = self.preintegrated.corrected(&ImuBias {
+        let bias = ImuBias {
             gyro_rad_s: parameters.get(2),
             accel_m_s2: parameters.get(3),
-        });
+        };
+        let errors = match self.has_errors {
+            true => ImuErrors {
+                gyro_scale: parameters.get(WITHOUT_ERRORS),
+                accel_scale: parameters.get(WITHOUT_ERRORS + 1),
+                accel_delay_s: parameters.get::<Vector1<f64>>(WITHOUT_ERRORS + 2).x,
+            },
+            false => ImuErrors::default(),
+        };
+        let change = self.preintegrated.corrected_by(&bias, &errors);
         let dt = self.preintegrated.duration_secs;
         let i_from_world = pose_i.rotation_matrix().transpose();
         let j_from_i = pose_j.rotation.inverse() * pose_i.rotation;
@@ -92,17 +123,15 @@ impl Residual for ImuPreintegration {
             .fixed_rows_mut::<3>(6)
             .copy_from(&(position - change.position_m));
         out.set_residual(&(self.sqrt_information * residual));
-        if !(0..7).any(|k| out.wants_jacobian(k)) {
+        if !(0..self.blocks().len()).any(|k| out.wants_jacobian(k)) {
             return Ok(());
         }
 
         let log_by_turn = so3::right_jacobian_inverse(&rotation);
         let j_from_i = j_from_i.to_rotation_matrix().into_inner();
-        let by = &self.preintegrated.by_bias;
-        let rotation_by_gyro = -log_by_turn
+        let by_rotation_correction = -log_by_turn
             * so3::exp(&-rotation).to_rotation_matrix().into_inner()
-            * so3::right_jacobian(&change.rotation_correction)
-            * by.rotation_by_gyro;
+            * so3::right_jacobian(&change.rotation_correction);
         let zero = Matrix3::zeros();
         let mut by_pose_i = Block::<6>::zeros();
         by_pose_i.fixed_view_mut::<9, 3>(0, 0).copy_from(&stack(
@@ -121,12 +150,14 @@ impl Residual for ImuPreintegration {
             .fixed_view_mut::<3, 3>(6, 3)
             .copy_from(&j_from_i.transpose());
         let by_velocity_i = stack(&zero, &-i_from_world, &(-i_from_world * dt));
-        let by_gyro = stack(
-            &rotation_by_gyro,
-            &-by.velocity_by_gyro,
-            &-by.position_by_gyro,
-        );
-        let by_accel = stack(&zero, &-by.velocity_by_accel, &-by.position_by_accel);
+        let by_gyro = |by: &BiasJacobians| {
+            let rotation = by_rotation_correction * by.rotation_by_gyro;
+            self.sqrt_information * stack(&rotation, &-by.velocity_by_gyro, &-by.position_by_gyro)
+        };
+        let by_accel = |by: &BiasJacobians| {
+            self.sqrt_information * stack(&zero, &-by.velocity_by_accel, &-by.position_by_accel)
+        };
+        let (bias, scale) = (&self.preintegrated.by_bias, &self.preintegrated.by_scale);
         let by_velocity_j = stack(&zero, &i_from_world, &zero);
         let by_gravity = stack(
             &zero,
@@ -135,11 +166,20 @@ impl Residual for ImuPreintegration {
         );
         out.set_jacobian(0, &(self.sqrt_information * by_pose_i));
         out.set_jacobian(1, &(self.sqrt_information * by_velocity_i));
-        out.set_jacobian(2, &(self.sqrt_information * by_gyro));
-        out.set_jacobian(3, &(self.sqrt_information * by_accel));
+        out.set_jacobian(2, &by_gyro(bias));
+        out.set_jacobian(3, &by_accel(bias));
         out.set_jacobian(4, &(self.sqrt_information * by_pose_j));
         out.set_jacobian(5, &(self.sqrt_information * by_velocity_j));
         out.set_jacobian(6, &(self.sqrt_information * by_gravity));
+        if self.has_errors {
+            out.set_jacobian(WITHOUT_ERRORS, &by_gyro(scale));
+            out.set_jacobian(WITHOUT_ERRORS + 1, &by_accel(scale));
+            let mut by_delay = Block::<1>::zeros();
+            let [velocity, position] = &self.preintegrated.by_delay;
+            by_delay.fixed_rows_mut::<3>(3).copy_from(&-velocity);
+            by_delay.fixed_rows_mut::<3>(6).copy_from(&-position);
+            out.set_jacobian(WITHOUT_ERRORS + 2, &(self.sqrt_information * by_delay));
+        }
         Ok(())
     }
 }
@@ -154,7 +194,7 @@ fn stack(rotation: &Matrix3<f64>, velocity: &Matrix3<f64>, position: &Matrix3<f6
 
 #[cfg(test)]
 mod tests {
-    use lsfb_geometry::{ImuNoiseModel, Vector6};
+    use lsfb_geometry::ImuNoiseModel;
     use lsfb_solver::{Kernel, Problem, check_residual_jacobian};
     use lsfb_types::{ImuSample, Stamped, Timestamp};
 
@@ -191,24 +231,43 @@ mod tests {
             &noise,
         )
         .expect("covered");
-        let mut problem = Problem::new();
-        let blocks = [
-            problem
-                .add_block(Se3::exp(&Vector6::new(0.4, -0.1, 0.9, 3.0, -2.0, 1.0)))
-                .id(),
-            problem.add_block(Vector3::new(0.5, -0.7, 0.1)).id(),
-            problem.add_block(Vector3::new(0.1, -0.2, 0.15)).id(),
-            problem.add_block(Vector3::new(-0.3, 0.2, 0.1)).id(),
-            problem
-                .add_block(Se3::exp(&Vector6::new(0.2, 0.3, 0.7, 3.3, -2.1, 1.2)))
-                .id(),
-            problem.add_block(Vector3::new(0.8, -0.2, 0.3)).id(),
-            problem.add_block(Vector3::new(0.1, 0.2, -9.7)).id(),
-        ];
         let residual = ImuPreintegration::new(preintegrated).expect("noise is not zero");
-        problem
-            .add_residual(residual, &blocks, Kernel::Squared)
-            .expect("blocks fit");
-        check_residual_jacobian!(all of problem, within 1e-6);
+        for residual in [residual.clone(), residual.with_errors()] {
+            let mut problem = Problem::new();
+            let poses = [
+                [0.4, -0.1, 0.9, 3.0, -2.0, 1.0],
+                [0.2, 0.3, 0.7, 3.3, -2.1, 1.2],
+            ];
+            let [first, second] = poses.map(|p| problem.add_block(Se3::exp(&p.into())).id());
+            let vectors = [
+                [0.5, -0.7, 0.1],
+                [0.1, -0.2, 0.15],
+                [-0.3, 0.2, 0.1],
+                [0.8, -0.2, 0.3],
+                [0.1, 0.2, -9.7],
+                [0.02, -0.01, 0.03],
+                [-0.01, 0.015, 0.02],
+            ];
+            let [v_i, gyro, accel, v_j, gravity, gyro_scale, accel_scale] =
+                vectors.map(|v| problem.add_block(Vector3::from(v)).id());
+            let delay = problem.add_block(Vector1::new(3e-3)).id();
+            let blocks = [
+                first,
+                v_i,
+                gyro,
+                accel,
+                second,
+                v_j,
+                gravity,
+                gyro_scale,
+                accel_scale,
+                delay,
+            ];
+            let count = residual.blocks().len();
+            problem
+                .add_residual(residual, &blocks[..count], Kernel::Squared)
+                .expect("blocks fit");
+            check_residual_jacobian!(all of problem, within 1e-6);
+        }
     }
 }

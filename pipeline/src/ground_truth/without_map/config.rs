@@ -1,7 +1,7 @@
 use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
 
-use crate::ground_truth::GroundTruthConfig;
+use crate::ground_truth::{GroundTruthConfig, InertialPriors};
 
 /// Parameters of the motion of a walk without a map.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -13,6 +13,9 @@ pub struct MotionConfig {
     pub min_sights: usize,
     /// Longest time from one frame with enough sights to the next, seconds; what lies within a longer one is left out.
     pub max_blind_secs: f64,
+    /// Longest pause of the IMU that is bridged by images and by what bodies do, seconds: a longer one parts the walk, and its longest part
+    /// alone is computed.
+    pub max_imu_gap_secs: f64,
     /// How many times larger the IMU's noise is taken for the covariances where too little is followed for longer than that: no track
     /// corrects its scale, axes and clock there.
     pub blind_imu_noise_factor: f64,
@@ -22,6 +25,8 @@ pub struct MotionConfig {
     pub doubtful_contradicted_share: f64,
     /// Standard deviations that a camera may be from what the rig file says of it before the motion counts as bent by it.
     pub max_camera_off_sigmas: f64,
+    /// What may be wrong of the IMU and of gravity: nothing but these holds the walk's scale.
+    pub inertial: InertialPriors,
     /// The adjustment; what it says of a map is not used.
     pub adjustment: GroundTruthConfig,
 }
@@ -32,10 +37,12 @@ impl Default for MotionConfig {
             frame_secs: 0.1,
             min_sights: 8,
             max_blind_secs: 0.5,
+            max_imu_gap_secs: 0.2,
             blind_imu_noise_factor: 4.0,
             max_position_sigma_m: 1.0,
             doubtful_contradicted_share: 0.2,
             max_camera_off_sigmas: 10.0,
+            inertial: InertialPriors::default(),
             adjustment: GroundTruthConfig::default(),
         }
     }
@@ -46,10 +53,12 @@ lsfb_types::bounds! {
         frame_secs: number(Bounds::POSITIVE),
         min_sights: any,
         max_blind_secs: number(Bounds::POSITIVE),
+        max_imu_gap_secs: number(Bounds::POSITIVE),
         blind_imu_noise_factor: number(Bounds::AtLeast(1.0)),
         max_position_sigma_m: number(Bounds::POSITIVE),
         doubtful_contradicted_share: number(Bounds::Within(0.0, 1.0)),
         max_camera_off_sigmas: number(Bounds::POSITIVE),
+        inertial: section,
         adjustment: section,
     }
 }

@@ -10,11 +10,13 @@ mod config;
 mod extension;
 mod front_end;
 mod gyro_bias;
+mod measured;
 mod moving;
 mod recorded;
 mod report;
 mod sights;
 mod standing;
+mod turns;
 mod uncertainty;
 
 use lsfb_geometry::{ImuNoiseModel, Matrix6, RigCamera, StampedPose, Trajectory, Vector2, Vector3};
@@ -23,10 +25,11 @@ use serde::{Deserialize, Serialize};
 
 use super::GroundTruthConfig;
 use super::estimate::Estimate;
+use super::optimization::Optimized;
 use super::report::{CameraRefinement, ReprojectionErrors, local_errors, refinements};
 use super::walk::{Frame, FrameState, LocalPoint, Walk};
 use crate::Error;
-use crate::preintegration::{ImuBias, NavState};
+use crate::preintegration::{ImuBias, ImuErrors, NavState};
 use crate::residuals::MovingCamera;
 use blind::blind_stretches;
 pub use config::MotionConfig;
@@ -100,8 +103,10 @@ pub struct Motion {
     pub sights_in_use: Vec<usize>,
     /// How it began.
     pub beginning: Beginning,
-    /// Gravity as the walk has it, m/s²: an accelerometer whose scale is wrong bends it, and the walk's scale with it.
+    /// Gravity as the accelerometer feels it, m/s²: nowhere on Earth is it far from the standard, unless the accelerometer's scale is wrong.
     pub gravity_m_s2: f64,
+    /// Errors of the IMU that stay the same, as the walk has them.
+    pub imu_errors: ImuErrors,
     /// Points that were placed.
     pub points: usize,
     /// Reprojection errors of those in use.
@@ -128,7 +133,11 @@ pub fn motion_without_map(
     progress: ProgressFn<'_>,
 ) -> Result<Motion, Error> {
     config.check_bounds("motion")?;
-    let (settings, config) = (config, &config.adjustment);
+    let settings = config;
+    let config = &GroundTruthConfig {
+        inertial: settings.inertial.clone(),
+        ..settings.adjustment.clone()
+    };
     let tracks = Tracks::of(walk);
     let inner = Walk {
         cameras: walk.cameras.iter().map(MovingCamera::new).collect(),
@@ -194,13 +203,26 @@ pub fn motion_without_map(
         biases: states.iter().map(|s| s.bias).collect(),
         sights_in_use,
         beginning,
-        gravity_m_s2: solved.gravity_m_s2.norm(),
+        gravity_m_s2: felt_gravity_m_s2(solved),
+        imu_errors: solved.imu_errors,
         points: solved.points.iter().filter(|p| p.is_determined()).count(),
         errors: local_errors(&solved.estimate, &solved.points),
         errors_before,
         contradicted_share,
         cameras: refinements(numbers, &solved.estimate, &uncertainty.corrections, config),
     })
+}
+
+/// Gravity in the accelerometer's own, wrong units, in the middle of all attitudes.
+fn felt_gravity_m_s2(solved: &Optimized) -> f64 {
+    let gravity = &solved.gravity_m_s2;
+    let states = &solved.estimate.states;
+    let felt = states.iter().map(|state| {
+        let true_m_s2 = state.nav.world_from_rig.rotation.inverse() * gravity;
+        let read = true_m_s2.component_div(&solved.imu_errors.accel_scale.map(|s| 1.0 - s));
+        read.norm()
+    });
+    felt.sum::<f64>() / states.len().max(1) as f64
 }
 
 fn in_use(points: &[LocalPoint], frames: usize) -> Vec<usize> {

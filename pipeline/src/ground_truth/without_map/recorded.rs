@@ -4,11 +4,14 @@ use lsfb_geometry::{Matrix6, Rig, Se3, StampedPose, Trajectory};
 use lsfb_recording::Recording;
 use lsfb_types::{Image, ImuSample, Progress, ProgressFn, Stamped, Timestamp};
 
+use super::measured::{Measured, longest_measured};
 use super::report::{LeftOut, MotionReport, Read, left_out};
+use super::turns::check_turns;
 use super::{FrontEnd, MotionConfig, TrackedWalk, motion_without_map};
 use crate::Error;
 use crate::frames::{SAME_INSTANT_NS, check_size, read_imu};
 use crate::ground_truth::frozen_images::has_turned;
+use crate::ground_truth::report::GroundTruthWarning;
 
 /// The motion of a recorded walk, where it can be believed.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,7 +28,8 @@ pub struct RecordedMotion {
 ///
 /// [`Error::SensorMissing`] without cameras or IMU, [`Error::NoBeginning`] where nothing tells scale and gravity,
 /// [`Error::TracksContradict`] where images and IMU do not agree, [`Error::NothingFollowed`] where no pose can be believed and
-/// [`Error::UnknownCovariance`] where that is not known.
+/// [`Error::UnknownCovariance`] where that is not known; [`Error::GyroContradicts`] where images turn another way than the gyroscope says, and
+/// [`Error::ImuGap`] where pauses of the IMU leave no part of the walk that is long enough.
 pub fn motion_of_recording(
     recording: &Recording,
     rig: &Rig,
@@ -34,11 +38,21 @@ pub fn motion_of_recording(
 ) -> Result<RecordedMotion, Error> {
     config.check_bounds("motion")?;
     let (walk, read) = follow(recording, rig, config, progress)?;
+    let frames = walk.frames.len();
+    let first = walk.frames.first().map(|f| f.time);
+    let Measured {
+        walk,
+        left_out: not_measured,
+        pauses,
+    } = longest_measured(walk, config)?;
+    check_turns(&walk)?;
     let mut motion = motion_without_map(&walk, None, config, progress)?;
     for (camera, name) in motion.cameras.iter_mut().zip(rig.cameras.keys()) {
         camera.camera.clone_from(name);
     }
-    let LeftOut { reasons, spans } = left_out(&walk, &motion, config);
+    let LeftOut { reasons, mut spans } = left_out(&walk, &motion, config);
+    spans.extend(not_measured);
+    spans.sort_by_key(|span| span.from_ns);
     let all = motion.trajectory.poses();
     let origin = all.get(motion.first).map(|p| p.world_from_rig.translation);
     let given = reasons.iter().zip(all.iter().zip(&motion.covariances));
@@ -59,13 +73,13 @@ pub fn motion_of_recording(
         .unzip();
     if poses.is_empty() {
         return Err(Error::NothingFollowed {
-            frames: walk.frames.len(),
+            frames,
             min_sights: config.min_sights,
             limit_m: config.max_position_sigma_m,
         });
     }
     let trajectory = Trajectory::new(poses);
-    let report = MotionReport::new(
+    let mut report = MotionReport::new(
         &read,
         &walk,
         &motion,
@@ -74,6 +88,15 @@ pub fn motion_of_recording(
         spans,
         config,
     );
+    report.frames = frames as u64;
+    let pauses = pauses
+        .iter()
+        .map(|[from, to]| GroundTruthWarning::ImuPause {
+            after_secs: first.map_or(0.0, |first| from.secs_since(first)),
+            secs: to.secs_since(*from),
+            longest_secs: config.max_imu_gap_secs,
+        });
+    report.warnings.extend(pauses);
     Ok(RecordedMotion {
         trajectory,
         covariances,

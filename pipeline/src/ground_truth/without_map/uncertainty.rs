@@ -4,9 +4,10 @@
 //! one of them to another. It is taken from the whole adjustment, since drift is what all of the walk up to there leaves open.
 //!
 //! A corner is followed from image to image: where one step misses by a tenth of a pixel, all that follow do. What the sights of a track
-//! are wrong by is alike from one frame to the next, and a thousand of them say no more than a few that are independent. How alike, the
-//! residuals show; what varies slowly (a pose, a drift) is then known as if the variance of each were `(1 + ρ) / (1 − ρ)` times as large,
-//! as for the mean of a first-order autoregressive series.
+//! are wrong by is alike from one frame to the next, and where the device swings back it is so again: a thousand of them say no more than
+//! a few that are independent. How alike, the residuals show; what varies slowly (a pose, a drift) is then known as if the variance of each
+//! were `1 + 2 (ρ₁ + ρ₂ + …)` times as large, the integrated time of their correlation `ρ` over so many frames, as for the mean of any
+//! stationary series. Of a first-order autoregressive series it would be `(1 + ρ₁) / (1 − ρ₁)`; of real tracks it is up to twice that.
 
 use lsfb_geometry::{Matrix6, Vector2, Vector3};
 use lsfb_solver::{BlockId, Covariance, Kernel, VectorPrior, covariance_of_groups};
@@ -25,8 +26,8 @@ use crate::residuals::CameraCorrection;
 const AT_ONCE: usize = 12;
 /// Followed corners are no better than this, pixels in each direction.
 const LEAST_PIXEL_SIGMA: f64 = 0.2;
-/// Errors of a track's neighbouring sights are taken for no more alike than this: with one they would say nothing.
-const MOST_ALIKE: f64 = 0.98;
+/// Frames over which errors of a track are compared.
+const LAGS: usize = 100;
 /// Standard deviation of a point's place beside its sights, in its distances: so loose that it says nothing of the scale, and a point
 /// that is seen from one direction alone leaves nothing undetermined.
 const POINT_DISTANCES: f64 = 30.0;
@@ -51,10 +52,9 @@ pub(super) fn uncertainty(
     progress: ProgressFn<'_>,
 ) -> Result<Uncertainty, Error> {
     let (estimate, points) = (&settled.last.estimate, &settled.last.points);
-    let alike = correlation(estimate, points).clamp(0.0, MOST_ALIKE);
     let shown_px = local_errors(estimate, points).rms_px
         * std::f64::consts::FRAC_1_SQRT_2
-        * ((1.0 + alike) / (1.0 - alike)).sqrt();
+        * correlated_frames(estimate, points).sqrt();
     let as_shown = GroundTruthConfig {
         local_sigma_px: shown_px.max(LEAST_PIXEL_SIGMA),
         ..config.clone()
@@ -126,9 +126,10 @@ pub(super) fn uncertainty(
     })
 }
 
-/// Correlation of the residuals of one point in neighbouring frames of one camera.
-fn correlation(estimate: &Estimate, points: &[LocalPoint]) -> f64 {
-    let (mut products, mut squares) = (0.0, 0.0);
+/// How many sights of a track say as much as one that is independent: the integrated time of the correlation of residuals of one point in
+/// one camera, in frames, summed until they are not alike any more.
+fn correlated_frames(estimate: &Estimate, points: &[LocalPoint]) -> f64 {
+    let mut products = [(0.0, 0u64); LAGS];
     for point in points.iter().filter(|p| p.is_determined()) {
         let used = point.observations.iter().filter(|seen| seen.used);
         let mut residuals: Vec<(usize, usize, Vector2<f64>)> = used
@@ -138,17 +139,19 @@ fn correlation(estimate: &Estimate, points: &[LocalPoint]) -> f64 {
             })
             .collect();
         residuals.sort_by_key(|(camera, frame, _)| (*camera, *frame));
-        for pair in residuals.windows(2) {
-            let [(camera, frame, a), (next_camera, next_frame, b)] = [pair[0], pair[1]];
-            if camera == next_camera && next_frame == frame + 1 {
-                products += a.dot(&b);
-                squares += 0.5 * (a.norm_squared() + b.norm_squared());
+        for (k, (camera, frame, residual)) in residuals.iter().enumerate() {
+            for (other_camera, other_frame, other) in &residuals[k..] {
+                let lag = other_frame - frame.min(other_frame);
+                if other_camera != camera || lag >= LAGS {
+                    break;
+                }
+                products[lag].0 += residual.dot(other);
+                products[lag].1 += 1;
             }
         }
     }
-    if squares > 0.0 {
-        products / squares
-    } else {
-        0.0
-    }
+    let mean = |(sum, count): &(f64, u64)| sum / (*count).max(1) as f64;
+    let square = mean(&products[0]);
+    let alike = products[1..].iter().map(|p| mean(p) / square);
+    1.0 + 2.0 * alike.take_while(|alike| *alike > 0.0).sum::<f64>()
 }
