@@ -7,7 +7,8 @@
 //! are wrong by is alike from one frame to the next, and where the device swings back it is so again: a thousand of them say no more than
 //! a few that are independent. How alike, the residuals show; what varies slowly (a pose, a drift) is then known as if the variance of each
 //! were `1 + 2 (ρ₁ + ρ₂ + …)` times as large, the integrated time of their correlation `ρ` over so many frames, as for the mean of any
-//! stationary series. Of a first-order autoregressive series it would be `(1 + ρ₁) / (1 − ρ₁)`; of real tracks it is up to twice that.
+//! stationary series. Of a first-order autoregressive series it would be `(1 + ρ₁) / (1 − ρ₁)`; of real tracks it is up to twice that, of
+//! short ones it seems less, since the point takes what stays the same: the larger counts.
 
 use lsfb_geometry::{Matrix6, Vector2, Vector3};
 use lsfb_solver::{BlockId, Covariance, Kernel, VectorPrior, covariance_of_groups};
@@ -28,6 +29,8 @@ const AT_ONCE: usize = 12;
 const LEAST_PIXEL_SIGMA: f64 = 0.2;
 /// Frames over which errors of a track are compared.
 const LAGS: usize = 100;
+/// Errors of a track's neighbouring sights are taken for no more alike than this: with one they would say nothing.
+const MOST_ALIKE: f64 = 0.98;
 /// Standard deviation of a point's place beside its sights, in its distances: so loose that it says nothing of the scale, and a point
 /// that is seen from one direction alone leaves nothing undetermined.
 const POINT_DISTANCES: f64 = 30.0;
@@ -152,6 +155,15 @@ fn correlated_frames(estimate: &Estimate, points: &[LocalPoint]) -> f64 {
     }
     let mean = |(sum, count): &(f64, u64)| sum / (*count).max(1) as f64;
     let square = mean(&products[0]);
-    let alike = products[1..].iter().map(|p| mean(p) / square);
-    1.0 + 2.0 * alike.take_while(|alike| *alike > 0.0).sum::<f64>()
+    let alike = |p: &(f64, u64)| mean(p) / square;
+    let first = alike(&products[1]).clamp(0.0, MOST_ALIKE);
+    let sum: f64 = products[1..]
+        .iter()
+        .map(alike)
+        .take_while(|a| *a > 0.0)
+        .sum();
+    // What is no number, of no residuals, is the smaller of both.
+    ((1.0 + first) / (1.0 - first))
+        .max(1.0 + 2.0 * sum)
+        .max(1.0)
 }
