@@ -58,9 +58,11 @@ impl Scatter {
         }
         if let Some(ratio) = best.ratio {
             for count in LONG_PARTS {
-                let long = Self::of(joined(parts, parts.len() / count), &information);
-                let of_long = long.ratio.unwrap_or(0.0);
-                best.growth = best.growth.max(of_long / ratio);
+                let long = Sums::of(&joined(parts, parts.len() / count), &information);
+                // A few parts are off by more or less by chance.
+                if is_clear(long.squares / ratio, long.expected, long.variance) {
+                    best.growth = best.growth.max(long.squares / long.expected / ratio);
+                }
             }
         }
         best
@@ -79,23 +81,16 @@ impl Scatter {
     }
 
     fn of(influences: Vec<Influence>, information: &DMatrix<f64>) -> Self {
-        let (mut squares, mut expected, mut variance) = (0.0, 0.0, 0.0);
-        let mut parts = Vec::with_capacity(influences.len());
-        for Influence { shift, noise } in influences {
-            let own = &noise - &noise * information * &noise;
-            let share = information * &own;
-            squares += shift.dot(&(information * &shift));
-            expected += share.trace();
-            // Of a normal vector's square.
-            variance += 2.0 * share.component_mul(&share.transpose()).sum();
-            parts.push(Part {
-                shift,
-                expected: own,
-            });
-        }
+        let sums = Sums::of(&influences, information);
+        let parts = influences.into_iter();
+        let parts = parts.map(|Influence { shift, noise }| Part {
+            expected: own(&noise, information),
+            shift,
+        });
         Self {
-            parts,
-            ratio: is_clear(squares, expected, variance).then(|| squares / expected),
+            parts: parts.collect(),
+            ratio: is_clear(sums.squares, sums.expected, sums.variance)
+                .then(|| sums.squares / sums.expected),
             growth: 1.0,
         }
     }
@@ -125,6 +120,36 @@ impl Scatter {
     pub fn factors(&self, count: usize) -> Vec<f64> {
         let unit = |k: usize| DVector::from_fn(count, |i, _| f64::from(u8::from(i == k)));
         (0..count).map(|k| self.factor_along(&unit(k))).collect()
+    }
+}
+
+/// What a part is expected to be off by: its own noise, less what the result took of it.
+fn own(noise: &DMatrix<f64>, information: &DMatrix<f64>) -> DMatrix<f64> {
+    noise - noise * information * noise
+}
+
+/// How far parts are off, all parameters together: the sum of squares, and what chance makes of it.
+struct Sums {
+    squares: f64,
+    expected: f64,
+    variance: f64,
+}
+
+impl Sums {
+    fn of(influences: &[Influence], information: &DMatrix<f64>) -> Self {
+        let mut sums = Self {
+            squares: 0.0,
+            expected: 0.0,
+            variance: 0.0,
+        };
+        for Influence { shift, noise } in influences {
+            let share = information * own(noise, information);
+            sums.squares += shift.dot(&(information * shift));
+            sums.expected += share.trace();
+            // Of a normal vector's square.
+            sums.variance += 2.0 * share.component_mul(&share.transpose()).sum();
+        }
+        sums
     }
 }
 

@@ -231,9 +231,13 @@ fn vlp32c_bag_equals_its_cloud_and_the_reference_counts() {
         packets: 379,
         points: 131_305,
         scans: 6,
+        azimuths: all.counters.azimuths,
         ..Counters::default()
     };
     assert_eq!(all.counters, expected);
+    // Twelve blocks a packet.
+    let fired = all.counters.azimuths.fired;
+    assert_eq!(fired.iter().sum::<u64>(), 12 * 379);
     // A turn at 600 rpm, half of it dark: the last firing is 50 ms after the first, the window's end included.
     for scan in &all.scans[1..5] {
         let last = scan.points.last().unwrap().time_offset_ns;
@@ -309,9 +313,13 @@ fn hdl32e_pcap_counts_equal_the_reference() {
         packets: 500,
         points: 146_705,
         scans: 3,
+        azimuths: decoded.counters.azimuths,
         ..Counters::default()
     };
     assert_eq!(decoded.counters, expected);
+    // Twelve blocks a packet.
+    let fired = decoded.counters.azimuths.fired;
+    assert_eq!(fired.iter().sum::<u64>(), 12 * 500);
 }
 
 #[test]
@@ -340,9 +348,13 @@ fn vlp16_pcap_with_gps_is_read_whole() {
         packets: 293,
         points: 73_486,
         scans: 4,
+        azimuths: decoded.counters.azimuths,
         ..Counters::default()
     };
     assert_eq!(decoded.counters, expected);
+    // Twelve blocks a packet.
+    let fired = decoded.counters.azimuths.fired;
+    assert_eq!(fired.iter().sum::<u64>(), 12 * 293);
 
     let positions = read(&mut PcapSource::open(&path, &[8308]).unwrap());
     assert_eq!(positions.len(), 57);

@@ -43,7 +43,15 @@ impl State {
             .zip(readouts_s)
             .enumerate()
             .map(|(k, (known, readout_s))| look(input, known, *readout_s, k, origin))
-            .collect::<Result<_, _>>()?;
+            .collect::<Result<_, _>>()
+            .map_err(|error| match error {
+                // A rig at rest sees the same again and again: that it rests is what is wrong.
+                Error::CopiedImages { .. } => {
+                    let [rate_rms, _] = excitation(&samples);
+                    check_rotation(&rate_rms, config).err().unwrap_or(error)
+                }
+                error => error,
+            })?;
         let Some(first) = cameras.first() else {
             return Err(Error::TargetNotSeen {
                 camera: "(none given)".into(),

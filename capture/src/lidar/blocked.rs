@@ -80,7 +80,7 @@ mod tests {
         let found = seen(tape).expect("blocked");
         assert_eq!((found.from_deg, found.to_deg), (50, 80));
         // Across the beginning of the turn.
-        let strap = |k: usize| if k >= 70 || k < 3 { 0.0 } else { 1.0 };
+        let strap = |k: usize| if (3..70).contains(&k) { 1.0 } else { 0.0 };
         let found = seen(strap).expect("blocked");
         assert_eq!((found.from_deg, found.to_deg), (350, 15));
         // A sensor on its side under the sky, and one between houses.

@@ -31,24 +31,22 @@
     const text = new XMLSerializer().serializeToString(copy);
     return text.replace(/var\((--[a-z0-9-]+)\)/g, (_, name) => style.getPropertyValue(name).trim());
   };
+  // A canvas is clear where nothing is drawn: on white slides a dark page's lines would be lost.
+  const onPaper = (drawing, width, height, draw) => {
+    const canvas = document.createElement("canvas");
+    [canvas.width, canvas.height] = [width, height];
+    const context = canvas.getContext("2d");
+    context.fillStyle = getComputedStyle(drawing).getPropertyValue("--page").trim();
+    context.fillRect(0, 0, width, height);
+    draw(context);
+    return canvas;
+  };
   const raster = async (svg) => {
     const image = new Image();
     image.src = "data:image/svg+xml;charset=utf-8," + encodeURIComponent(alone(svg));
     await image.decode();
-    const canvas = document.createElement("canvas");
-    [canvas.width, canvas.height] = [2 * image.width, 2 * image.height];
-    canvas.getContext("2d").drawImage(image, 0, 0, canvas.width, canvas.height);
-    return canvas;
-  };
-  // A canvas is clear where nothing is drawn: on white slides a dark page's lines would be lost.
-  const onPaper = (canvas) => {
-    const copy = document.createElement("canvas");
-    [copy.width, copy.height] = [canvas.width, canvas.height];
-    const context = copy.getContext("2d");
-    context.fillStyle = getComputedStyle(canvas).getPropertyValue("--page").trim();
-    context.fillRect(0, 0, copy.width, copy.height);
-    context.drawImage(canvas, 0, 0);
-    return copy;
+    const [width, height] = [2 * image.width, 2 * image.height];
+    return onPaper(svg, width, height, (context) => context.drawImage(image, 0, 0, width, height));
   };
   const png = (drawing, canvas) => canvas.toBlob((blob) => saved(blob, named(drawing, ".png")), "image/png");
 
@@ -68,7 +66,7 @@
       offer("SVG", () => saved(new Blob([alone(drawing)], { type: "image/svg+xml" }), named(drawing, ".svg")));
       offer("PNG", async () => png(drawing, await raster(drawing)));
     } else {
-      offer("PNG", () => png(drawing, onPaper(drawing)));
+      offer("PNG", () => png(drawing, onPaper(drawing, drawing.width, drawing.height, (context) => context.drawImage(drawing, 0, 0))));
     }
     box.classList.add("saveable");
     box.append(buttons);

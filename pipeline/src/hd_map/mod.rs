@@ -5,6 +5,7 @@
 //! may have moved.
 
 mod build;
+mod contradicted;
 mod export;
 mod file;
 mod keyframe_covariance;

@@ -4,7 +4,7 @@ use lsfb_geometry::{Rig, RigCamera, Se3, StampedPose, Vector3};
 
 use super::reconstruction_config::ReconstructionConfig;
 use crate::Error;
-use crate::features::matching::{DescriptorSet, RayFeatures, match_epipolar};
+use crate::features::matching::{DescriptorSet, Match, RayFeatures, match_epipolar, match_mutual};
 use crate::features::tracks::ImagePair;
 use crate::features::triangulation::View;
 use crate::features::{Features, Keypoint};
@@ -117,4 +117,29 @@ pub(super) fn match_pair(
         second,
         matches,
     }
+}
+
+/// Rays that miss one another by less lie where the poses have them, radians: poses are given with errors.
+const MEETING_RAD: f64 = 0.02;
+
+/// How many matches two images have by their descriptors alone, and how many of these lie along their epipolar lines.
+pub(super) fn compare_pair(
+    images: &[PreparedImage],
+    first: usize,
+    second: usize,
+    config: &ReconstructionConfig,
+) -> (usize, usize) {
+    let (a, b) = (&images[first], &images[second]);
+    let second_from_first = b.placed.world_from_camera.inverse() * a.placed.world_from_camera;
+    let matches = match_mutual(&a.descriptors, &b.descriptors, &config.matching);
+    let meets = |m: &&Match| {
+        let (turned, ray) = (
+            second_from_first.rotation * a.rays[m.first as usize],
+            b.rays[m.second as usize],
+        );
+        let normal = second_from_first.translation.cross(&turned);
+        let along = normal.try_normalize(f64::EPSILON);
+        along.is_none_or(|normal| normal.dot(&ray).abs() < MEETING_RAD)
+    };
+    (matches.len(), matches.iter().filter(meets).count())
 }

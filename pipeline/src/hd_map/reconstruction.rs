@@ -7,6 +7,7 @@ use lsfb_geometry::{Rig, Se3, StampedPose, Vector3};
 use lsfb_types::{Progress, ProgressFn, Stopped};
 use rayon::prelude::*;
 
+use super::contradicted::contradicted;
 use super::prepared_image::{
     KeyframeImage, PlacedImage, PreparedImage, match_pair, place, prepare,
 };
@@ -110,6 +111,20 @@ pub(super) fn depth_of_images(
         .map(|image| prepare(rig, keyframes, image))
         .collect::<Result<_, _>>()?;
     depth_of(&prepared, config)
+}
+
+/// What images say against their poses, in words; `None` where they agree.
+pub(super) fn contradiction(
+    rig: &Rig,
+    keyframes: &[StampedPose],
+    images: &[KeyframeImage],
+    config: &ReconstructionConfig,
+) -> Result<Option<String>, Error> {
+    let prepared: Vec<PreparedImage> = images
+        .par_iter()
+        .map(|image| prepare(rig, keyframes, image))
+        .collect::<Result<_, _>>()?;
+    Ok(contradicted(&prepared, config))
 }
 
 /// Refuses what is no map. Only points seen in three images or more count: any two images share some by mistake, whatever their poses.

@@ -1,11 +1,10 @@
 //! How the rig moves between two scans.
 
-use lsfb_geometry::{ImuNoiseModel, Se3, StampedPose, Vector6};
+use lsfb_geometry::{ImuNoiseModel, Se3, StampedPose, Vector3, Vector6};
 use lsfb_perception::lidar::KNOT_NS;
 use lsfb_types::{ImuSample, Stamped, Timestamp};
 
 use super::inertial::InertialFilter;
-use super::moving_start::StartVelocity;
 use super::uncertainty::ConstantMotionCovariance;
 use crate::Error;
 
@@ -20,6 +19,14 @@ pub(super) enum Motion {
         twist_per_s: Vector6<f64>,
         covariance: Box<ConstantMotionCovariance>,
     },
+}
+
+/// How fast a walk begins.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct StartVelocity {
+    /// In the world, which is level and begins at the end of the first scan.
+    pub velocity_m_s: Vector3<f64>,
+    pub sigma_m_s: f64,
 }
 
 #[derive(Clone, Debug)]

@@ -5,8 +5,8 @@
 use lsfb_geometry::Vector3;
 use lsfb_types::{LidarScan, Stamped};
 
-use super::motion::Motion;
-use super::{Odometry, StepOutcome, end_pose};
+use super::motion::{Motion, StartVelocity, end_pose};
+use super::{Odometry, StepOutcome};
 
 /// Beginnings that are tried; each is wrong by a small part of the one before.
 const ROUNDS: usize = 6;
@@ -25,14 +25,6 @@ const UNSTEADY_SCANS: u32 = 10;
 /// So many times more of their points share an error: they hold the pose to a third of a degree and some centimetres, no better than the
 /// IMU does.
 pub(super) const SHARED_BY: f64 = 900.0;
-
-/// What the filter starts from.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct StartVelocity {
-    /// In the world, which is level and begins at the end of the first scan.
-    pub velocity_m_s: Vector3<f64>,
-    pub sigma_m_s: f64,
-}
 
 /// The odometry as it was before its first scan, and that scan.
 #[derive(Clone, Debug)]

@@ -253,6 +253,10 @@ fn from_posed_images(
         Finding::new("images-left-out", Verdict::Warn, "images", note.clone())
             .remedy("give the poses of all images")
     }));
+    findings.extend(map.failures().iter().map(|what| {
+        Finding::new("poses-contradicted", Verdict::Fail, "poses", what.clone())
+            .remedy("give each image its own pose, in the convention of its layout")
+    }));
     let judgement = Judgement::new(findings);
     let summary = summary(&arguments.out, &map, &judgement, ());
     context.print(&summary, || {
@@ -264,7 +268,7 @@ fn from_posed_images(
         );
         text + &sentences(&judgement)
     })?;
-    Ok(Outcome::Done)
+    Ok(Outcome::of(judgement.verdict()))
 }
 
 /// What needs a look, a line each.

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use lsfb_pipeline::hd_map::PruneConfig;
 
-use super::map_tools::{bytes_in, written};
+use super::map_folder::{bytes_in, written};
 use crate::context::Context;
 use crate::outcome::Outcome;
 

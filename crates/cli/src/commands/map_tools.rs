@@ -7,10 +7,10 @@ use lsfb_calib::exchange::{Format, export};
 use lsfb_geometry::{Rig, Vector3};
 use lsfb_pipeline::descriptor_index::IndexConfig;
 use lsfb_pipeline::hd_map::{ColmapCamera, ExportedFile, HdMap, MapFormat, MergeConfig, Region};
-use lsfb_recording::Provenance;
 use lsfb_types::{median, quantile};
 use serde::Serialize;
 
+use super::map_folder::{bytes_in, written};
 use super::map_keyframes::{self, KeyframeSigma};
 use super::map_prune::{PruneArguments, prune};
 #[cfg(feature = "view")]
@@ -273,15 +273,6 @@ fn shares(values: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
     Some([median(values.clone())?, quantile(values, 0.95)?])
 }
 
-pub fn bytes_in(folder: &Path) -> anyhow::Result<u64> {
-    let named = || folder.display().to_string();
-    let mut sum = 0;
-    for entry in std::fs::read_dir(folder).with_context(named)? {
-        sum += entry.and_then(|e| e.metadata()).with_context(named)?.len();
-    }
-    Ok(sum)
-}
-
 fn run_export(arguments: &ExportArguments, context: &Context) -> anyhow::Result<Outcome> {
     context.claim(&arguments.out, &[&arguments.map])?;
     let map = super::open_map(&arguments.map)?;
@@ -415,20 +406,4 @@ fn merge(arguments: &MergeArguments, context: &Context) -> anyhow::Result<Outcom
         )
     })?;
     Ok(Outcome::Done)
-}
-
-/// Writes where a result comes from beside it.
-pub fn written(
-    map: &HdMap,
-    out: &Path,
-    read: &[&Path],
-    settings: &impl Serialize,
-) -> anyhow::Result<()> {
-    let mut provenance = Provenance::new(settings);
-    for folder in read {
-        provenance.add_input(&folder.join(HdMap::HEADER))?;
-    }
-    provenance.add_rig(map.rig());
-    provenance.write(out)?;
-    Ok(())
 }

@@ -28,6 +28,7 @@ pub mod import;
 mod inertial;
 pub mod localize;
 pub mod map;
+mod map_folder;
 mod map_keyframes;
 mod map_prune;
 mod map_report;

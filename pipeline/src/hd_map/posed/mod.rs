@@ -5,7 +5,7 @@ use lsfb_types::{Bounds, Image, Progress, ProgressFn, Timestamp};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::reconstruction::{depth_of_images, expect_map};
+use super::reconstruction::{contradiction, depth_of_images, expect_map};
 use super::scene_depth::depth_pairs;
 use super::{
     HdMap, HdMapConfig, KeyframeImage, MapContent, ReconstructionConfig, reconstruct,
@@ -62,7 +62,8 @@ lsfb_types::bounds! {
 
 /// Builds a map from images with poses, in the unit of the poses. Keyframe `i` carries `i` ns as its time: the list has none.
 ///
-/// Images that give hardly a point are an error that says what is missing.
+/// Images that give hardly a point are an error that says what is missing; images that do not show what their poses say are among the
+/// map's failures.
 pub fn build_map_from_posed_images(
     posed: &PosedImages,
     config: &PosedMapConfig,
@@ -80,6 +81,7 @@ pub fn build_map_from_posed_images(
     detected.detect(&sample, progress)?;
     let (keyframes, images) = detected.keyframes(&sample);
     let depth = depth_of_images(&posed.rig, &keyframes, &images, &config.reconstruction)?;
+    let contradiction = contradiction(&posed.rig, &keyframes, &images, &config.reconstruction)?;
     let distance = config.keyframe_distance_per_depth * depth;
     let chosen = select_keyframes(&poses, distance, config.keyframe_angle_deg);
     detected.detect(&chosen, progress)?;
@@ -101,7 +103,8 @@ pub fn build_map_from_posed_images(
         feature: &detector.feature(),
         provenance: &posed.content_hash()?,
     };
-    HdMap::build(&content, &config.map, progress)
+    let map = HdMap::build(&content, &config.map, progress)?;
+    Ok(map.with_failures(contradiction.into_iter().collect()))
 }
 
 /// Indices of the images that say how deep the scene is.

@@ -93,6 +93,7 @@ fn a_map_does_not_depend_on_the_unit_of_its_poses() {
     };
     let metres = map(1.0);
     assert!(metres.point_count() > 300, "{}", metres.point_count());
+    assert_eq!(metres.failures(), &[] as &[String]);
     for scale in [0.1, 20.0] {
         let scaled = map(scale);
         assert_eq!(scaled.keyframe_count(), metres.keyframe_count());
@@ -100,6 +101,32 @@ fn a_map_does_not_depend_on_the_unit_of_its_poses() {
         assert!((ratio - 1.0).abs() < 0.01, "{ratio} at {scale}");
         let ratio = mean_distance(&scaled) / (scale * mean_distance(&metres));
         assert!((ratio - 1.0).abs() < 0.01, "{ratio} at {scale}");
+    }
+}
+
+/// An office whose images lay under each other's poses gave a map without a word, and images were localized in it metres off.
+#[test]
+fn images_under_the_poses_of_their_neighbours_are_no_sound_map() {
+    let folder = tempfile::tempdir().expect("folder");
+    let good = walk(folder.path(), 1.0);
+    let mut late = good.clone();
+    for (image, other) in late.images.iter_mut().zip(good.images.iter().skip(3)) {
+        image.world_from_rig = other.world_from_rig;
+    }
+    late.images.truncate(9);
+    let config = PosedMapConfig::default();
+    match build_map_from_posed_images(&late, &config, &no_progress) {
+        Err(Error::TooFewPoints { reason, .. }) => {
+            assert!(
+                matches!(reason, MapShortage::Disagreement { .. }),
+                "{reason:?}"
+            );
+        }
+        Err(other) => panic!("{other}"),
+        Ok(map) => {
+            let failures = map.failures().join(" ");
+            assert!(failures.contains("not those of these images"), "{failures}");
+        }
     }
 }
 

@@ -53,11 +53,15 @@ fn a_jpeg_with_bytes_zeroed_inside_is_refused() {
             let share = seen.count() as f64 / places.len() as f64;
             assert!(share >= least, "{what}, {zeroed} bytes of zeros: {share}");
         }
-        // Bytes that are gone.
-        let mut shorter = whole.clone();
-        shorter.drain(from + 20..from + 30);
-        let error = decode(&shorter).expect_err("ten bytes are gone");
-        assert!(error.contains("damaged JPEG"), "{what}: {error}");
+        // Ten bytes that are gone: what is left may by chance be as many blocks.
+        let places: Vec<usize> = (from..to - 10).collect();
+        let seen = places.iter().filter(|at| {
+            let mut shorter = whole.clone();
+            shorter.drain(**at..**at + 10);
+            decode(&shorter).is_err_and(|e| e.contains("damaged JPEG"))
+        });
+        let share = seen.count() as f64 / places.len() as f64;
+        assert!(share >= 0.8, "{what}, ten bytes gone: {share}");
     }
     let mut without = bytes(COLOUR);
     let restart = without.windows(2).position(|w| w == [0xff, 0xd1]);
