@@ -6,7 +6,7 @@ use anyhow::Context as _;
 use lsfb_calib::exchange::{Format, export};
 use lsfb_geometry::{Rig, Vector3};
 use lsfb_pipeline::descriptor_index::IndexConfig;
-use lsfb_pipeline::hd_map::{ColmapCamera, ExportedFile, HdMap, MapFormat, MergeConfig, Region};
+use lsfb_pipeline::hd_map::{ColmapCamera, ExportedFile, MapFormat, MergeConfig, Region};
 use lsfb_types::{median, quantile};
 use serde::Serialize;
 

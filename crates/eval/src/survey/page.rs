@@ -96,12 +96,15 @@ impl SurveyView<'_> {
     }
 }
 
-/// By which power of ten regions are enlarged, so that the largest is seen and does not hide the plan; `None` where there is none.
+/// By which round number regions are enlarged, so that the largest is seen and does not hide the plan; `None` where there is none.
 fn enlargement(marks: &[Mark], width_m: f64) -> Option<f64> {
     let sizes = marks.iter().map(|m| m.sigma_x_m.max(m.sigma_y_m));
     let largest = sizes.filter(|s| s.is_finite()).fold(0.0, f64::max);
     let times = 0.04 * width_m / (REGION_SIGMAS * largest);
-    (largest > 0.0).then(|| 10f64.powf(times.log10().floor()).max(1.0))
+    let power = 10f64.powf(times.log10().floor());
+    let round = [5.0, 2.0, 1.0].map(|f| f * power);
+    let fitting = round.into_iter().find(|r| *r <= times);
+    (largest > 0.0).then(|| fitting.unwrap_or(power).max(1.0))
 }
 
 fn regions(marks: &[Mark], times: Option<f64>) -> Vec<Layer> {
