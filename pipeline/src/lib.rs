@@ -25,6 +25,7 @@ pub mod preintegration;
 pub mod residuals;
 mod sampling;
 mod solve;
+pub mod surface;
 pub mod two_view;
 
 pub use error::{Error, MapShortage};

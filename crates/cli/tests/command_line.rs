@@ -418,6 +418,50 @@ fn maps_are_pruned_and_looked_at() {
     assert_eq!(lsfb(path, &alone).status.code(), Some(2));
 }
 
+#[test]
+fn depth_is_given_where_the_scanner_saw_something() {
+    let folder = with(&["scan.mcap", "scan.tum"]);
+    let path = folder.path();
+    let poses = std::fs::read_to_string(path.join("scan.tum")).expect("poses");
+    let stamped: Vec<&str> = poses.lines().filter(|l| !l.starts_with('#')).collect();
+    let chosen = [stamped[stamped.len() / 3], stamped[stamped.len() / 2]];
+    std::fs::write(path.join("two.tum"), chosen.join("\n")).expect("poses");
+    let far = chosen.map(|line| {
+        let (stamp, rest) = line.split_once(' ').expect("a stamp");
+        let rest = rest.split_once(' ').expect("x").1;
+        format!("{stamp} 500 {rest}")
+    });
+    std::fs::write(path.join("far.tum"), far.join("\n")).expect("poses");
+    let depth = |poses: &str, out: &str| {
+        let words = format!(
+            "--json map depth scan.mcap --trajectory scan.tum --poses {poses} --cameras cam0 --out {out}"
+        );
+        lsfb(path, &words.split(' ').collect::<Vec<_>>())
+    };
+    let given = depth("two.tum", "depths");
+    assert_eq!(given.status.code(), Some(0), "{}", said(&given));
+    let folder = path.join("depths/depth/cam0");
+    let files: Vec<_> = folder.read_dir().expect("a folder").collect();
+    assert_eq!(files.len(), 2);
+    let file = files[0].as_ref().expect("a file").path();
+    let normals = path.join("depths/normals/cam0").join(file.file_name().expect("a name"));
+    assert!(normals.exists());
+    let file = std::io::BufReader::new(File::open(file).expect("a file"));
+    let mut reader = png::Decoder::new(file).read_info().expect("PNG");
+    assert_eq!(reader.info().bit_depth, png::BitDepth::Sixteen);
+    let mut bytes = vec![0; reader.output_buffer_size().expect("a size")];
+    reader.next_frame(&mut bytes).expect("pixels");
+    let depths_mm = bytes.chunks(2).map(|b| u16::from_be_bytes([b[0], b[1]]));
+    let known: Vec<u16> = depths_mm.filter(|d| *d > 0).collect();
+    assert!(known.len() * 20 > bytes.len() / 2, "{} known", known.len());
+    assert!(known.iter().all(|d| (300..20_000).contains(d)), "{known:?}");
+
+    // Poses of another place show nothing, and that is no result.
+    let refused = depth("far.tum", "none");
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(said(&refused).contains("give poses in the world of"), "{}", said(&refused));
+}
+
 /// An EuRoC folder of a walk and the walk itself are the same images and samples: so are their poses.
 #[test]
 fn a_walk_that_was_imported_is_localized_as_it_was_recorded() {

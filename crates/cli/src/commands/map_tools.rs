@@ -10,6 +10,7 @@ use lsfb_pipeline::hd_map::{ColmapCamera, ExportedFile, MapFormat, MergeConfig, 
 use lsfb_types::{median, quantile};
 use serde::Serialize;
 
+use super::map_depth::{DepthArguments, depth};
 use super::map_folder::{bytes_in, written};
 use super::map_keyframes::{self, KeyframeSigma};
 use super::map_prune::{PruneArguments, prune};
@@ -26,6 +27,7 @@ pub enum Tool {
     Crop(CropArguments),
     Merge(MergeArguments),
     Prune(PruneArguments),
+    Depth(DepthArguments),
     #[cfg(feature = "view")]
     View(ViewArguments),
 }
@@ -166,6 +168,7 @@ pub fn run(tool: &Tool, context: &Context) -> anyhow::Result<Outcome> {
         Tool::Crop(arguments) => crop(arguments, context),
         Tool::Merge(arguments) => merge(arguments, context),
         Tool::Prune(arguments) => prune(arguments, context),
+        Tool::Depth(arguments) => depth(arguments, context),
         #[cfg(feature = "view")]
         Tool::View(arguments) => view(arguments, context),
     }

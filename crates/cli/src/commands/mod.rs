@@ -28,6 +28,7 @@ pub mod import;
 mod inertial;
 pub mod localize;
 pub mod map;
+mod map_depth;
 mod map_folder;
 mod map_keyframes;
 mod map_prune;
@@ -98,6 +99,22 @@ fn rig_for(
         None => recording.rig()?,
     };
     provenance.add_rig(&rig);
+    Ok(rig)
+}
+
+/// The rig with the cameras that were named, or with all of its own.
+fn with_cameras(mut rig: Rig, names: &[String]) -> anyhow::Result<Rig> {
+    for name in names {
+        anyhow::ensure!(
+            rig.cameras.contains_key(name),
+            "rig {} has no camera {name}: it has {}",
+            rig.name,
+            rig.cameras.keys().cloned().collect::<Vec<_>>().join(", ")
+        );
+    }
+    if !names.is_empty() {
+        rig.cameras.retain(|name, _| names.contains(name));
+    }
     Ok(rig)
 }
 

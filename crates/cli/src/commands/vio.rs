@@ -121,7 +121,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         place,
         super::rig_for(&recording, arguments.rig.as_deref(), &mut provenance),
     )?;
-    let rig = with_cameras(rig, &arguments.cameras)?;
+    let rig = super::with_cameras(rig, &arguments.cameras)?;
     provenance.add_rig(&rig);
     let covariances = files::beside(&arguments.out, "covariance");
     let report = match context.standing(&[&arguments.out], &provenance) {
@@ -140,22 +140,6 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         }
     };
     print(arguments, &report, context)
-}
-
-/// The rig with the cameras that were named, or with all of its own.
-fn with_cameras(mut rig: Rig, names: &[String]) -> anyhow::Result<Rig> {
-    for name in names {
-        anyhow::ensure!(
-            rig.cameras.contains_key(name),
-            "rig {} has no camera {name}: it has {}",
-            rig.name,
-            rig.cameras.keys().cloned().collect::<Vec<_>>().join(", ")
-        );
-    }
-    if !names.is_empty() {
-        rig.cameras.retain(|name, _| names.contains(name));
-    }
-    Ok(rig)
 }
 
 fn write(

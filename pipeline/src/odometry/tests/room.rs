@@ -131,7 +131,7 @@ impl Room {
     }
 
     /// Distance along a unit ray to the first surface.
-    fn cast(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
+    pub fn cast(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
         let mut nearest = f64::INFINITY;
         for (i, solid) in self.solids.iter().enumerate() {
             let (mut enter, mut leave) = (0.0f64, f64::INFINITY);

@@ -1,0 +1,247 @@
+//! `lsfb map depth`: what the LiDAR saw, as a camera elsewhere in the map would have measured it.
+
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use lsfb_geometry::{Rig, Trajectory};
+use lsfb_pipeline::surface::{Surface, SurfaceBuilder, SurfaceConfig, View};
+use lsfb_recording::{Provenance, Recording, read_tum};
+use lsfb_types::{Progress, median, quantile};
+
+use crate::context::Context;
+use crate::outcome::Outcome;
+
+/// Depth and normals of images, from what the scanner's LiDAR saw.
+///
+/// For each pose and camera OUT/depth/CAMERA/NANOSECONDS.png has 16 bits a pixel, the distance along the optical axis in millimetres,
+/// and OUT/normals/CAMERA/NANOSECONDS.png the normal in the camera's frame, (n + 1) · 127.5 in red, green and blue. Zero: not
+/// certain. That is what no scan saw, what lies on no plane (plants, people), what is hidden by such things, and a few centimetres beside
+/// each outline. Images are taken at one instant: a rolling shutter is not followed.
+///
+/// Examples:
+///   lsfb map depth scan.mcap --trajectory scan.tum --out depth
+///   lsfb map depth scan.mcap --trajectory scan.tum --poses walk.tum --rig glasses.toml --cameras cam0 --every 10 --out depth
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment, after_long_help = settings())]
+pub struct DepthArguments {
+    /// The scanner's recording.
+    #[arg(value_name = "MCAP")]
+    recording: PathBuf,
+    /// The scanner's trajectory in the map, as `lsfb map --out-trajectory` wrote it.
+    #[arg(long, value_name = "TUM")]
+    trajectory: PathBuf,
+    /// Poses in the map of the rig that carries the cameras, one for each image; by default the scanner's.
+    #[arg(long, value_name = "TUM")]
+    poses: Option<PathBuf>,
+    /// The rig that carries the cameras; by default the scanner's.
+    #[arg(long, value_name = "TOML", requires = "poses")]
+    rig: Option<PathBuf>,
+    /// Cameras to use; by default all of the rig's.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    cameras: Vec<String>,
+    /// Every how many poses.
+    #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..))]
+    every: u32,
+    /// Folder to write to.
+    #[arg(long, value_name = "FOLDER")]
+    out: PathBuf,
+    /// Settings instead of the defaults; `lsfb map depth --help` names them.
+    #[arg(long, value_name = "TOML")]
+    config: Option<PathBuf>,
+}
+
+fn settings() -> String {
+    let settings = toml::to_string(&SurfaceConfig::default()).unwrap_or_default();
+    format!("Settings of --config and their defaults:\n\n{settings}")
+}
+
+/// Depths are written in millimetres, 16 bits.
+const MM_PER_M: f32 = 1000.0;
+
+/// Does it.
+pub fn depth(arguments: &DepthArguments, context: &Context) -> anyhow::Result<Outcome> {
+    let config: SurfaceConfig = super::config_or_default(arguments.config.as_deref())?;
+    config.check_bounds("surface")?;
+    let mut read: Vec<&Path> = vec![&arguments.recording, &arguments.trajectory];
+    read.extend(arguments.poses.as_deref());
+    read.extend(arguments.rig.as_deref());
+    context.claim(&arguments.out, &read)?;
+    let mut provenance = Provenance::new(&(&config, arguments.every, &arguments.cameras));
+    for path in read.iter().take(2 + usize::from(arguments.poses.is_some())) {
+        provenance.add_input(path)?;
+    }
+    let recording = context.open(&arguments.recording)?;
+    let rig = super::rig_for(&recording, arguments.rig.as_deref(), &mut provenance)?;
+    let rig = super::with_cameras(rig, &arguments.cameras)?;
+    anyhow::ensure!(
+        !rig.cameras.is_empty(),
+        "rig {} has no camera: give the rig of the walk with --rig",
+        rig.name
+    );
+    let scanned = read_tum(&arguments.trajectory)?;
+    let poses = match &arguments.poses {
+        Some(path) => read_tum(path)?,
+        None => scanned.clone(),
+    };
+    let (surface, scans) = seen(&arguments.recording, &recording, &scanned, &config, context)?;
+    let shares = write_all(arguments, &surface, &rig, &poses, context)?;
+    let blind = shares.iter().filter(|share| **share == 0.0).count();
+    anyhow::ensure!(
+        blind < shares.len(),
+        "none of {} images shows anything of the surface: give poses in the world of {}",
+        shares.len(),
+        arguments.trajectory.display()
+    );
+    provenance.write(&arguments.out)?;
+    let [half, least] = [0.5, 0.05].map(|q| quantile(shares.clone(), q).unwrap_or(0.0));
+    let summary = serde_json::json!({
+        "scans": scans,
+        "images": shares.len(),
+        "images_without_depth": blind,
+        "share_with_depth": { "median": median(shares.clone()), "of_95_percent_above": least },
+    });
+    context.print(&summary, || {
+        format!(
+            "{}: {} images, {blind} of them without any depth; {:.0} % of the pixels of half of them have one, {:.0} % of 95 % of them; from {scans} scans",
+            arguments.out.display(),
+            shares.len(),
+            100.0 * half,
+            100.0 * least
+        )
+    })?;
+    Ok(Outcome::Done)
+}
+
+/// The surface, and from how many scans.
+fn seen(
+    path: &Path,
+    recording: &Recording,
+    world_from_rig: &Trajectory,
+    config: &SurfaceConfig,
+    context: &Context,
+) -> anyhow::Result<(Surface, u64)> {
+    let rig = recording.rig()?;
+    let mut builder = SurfaceBuilder::new(&rig, config).ok_or_else(|| {
+        anyhow::anyhow!(
+            "{}: its rig has no LiDAR: nothing has depth",
+            path.display()
+        )
+    })?;
+    let main = recording.main_lidar();
+    let topics = recording.topics().iter().filter(|t| t.topic == main);
+    let total = topics.map(|t| t.messages).sum();
+    let mut inserted = 0;
+    for (done, scan) in (0..).zip(recording.scans()?) {
+        context.show(Progress {
+            stage: "surface",
+            done,
+            total,
+        })?;
+        match scan {
+            Ok(scan) => inserted += u64::from(builder.insert(&scan, world_from_rig)),
+            Err(damage) => {
+                context.say(&format!("warning: {}: {damage}", path.display()));
+                context.lose_data();
+            }
+        }
+    }
+    anyhow::ensure!(
+        inserted > 0,
+        "{}: no scan lies within the trajectory: give the one that `lsfb map --out-trajectory` wrote of this recording",
+        path.display()
+    );
+    Ok((builder.finish(), inserted))
+}
+
+/// Writes all images; which share of each has a depth.
+fn write_all(
+    arguments: &DepthArguments,
+    surface: &Surface,
+    rig: &Rig,
+    poses: &Trajectory,
+    context: &Context,
+) -> anyhow::Result<Vec<f64>> {
+    let chosen: Vec<_> = poses
+        .poses()
+        .iter()
+        .step_by(arguments.every as usize)
+        .collect();
+    let total = (chosen.len() * rig.cameras.len()) as u64;
+    let mut shares = Vec::new();
+    for (name, mounted) in &rig.cameras {
+        let folders = ["depth", "normals"].map(|kind| arguments.out.join(kind).join(name));
+        for folder in &folders {
+            std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+        }
+        for pose in &chosen {
+            context.show(Progress {
+                stage: "depth",
+                done: shares.len() as u64,
+                total,
+            })?;
+            let world_from_camera = pose.world_from_rig * mounted.rig_from_camera;
+            let view = surface.render(&mounted.camera, &world_from_camera);
+            let file = format!("{}.png", pose.time.nanos());
+            write_depths(&folders[0].join(&file), &view)?;
+            write_normals(&folders[1].join(&file), &view)?;
+            shares.push(view.known_share());
+        }
+    }
+    Ok(shares)
+}
+
+fn write_depths(path: &Path, view: &View) -> anyhow::Result<()> {
+    let millimetres = view.depths_m.iter().map(|depth| {
+        let rounded = depth.map_or(0.0, |m| (m * MM_PER_M).round());
+        // What is farther than 16 bits reach is not known to this file.
+        if rounded <= f32::from(u16::MAX) {
+            rounded as u16
+        } else {
+            0
+        }
+    });
+    let bytes: Vec<u8> = millimetres.flat_map(u16::to_be_bytes).collect();
+    write_png(
+        path,
+        view,
+        png::ColorType::Grayscale,
+        png::BitDepth::Sixteen,
+        &bytes,
+    )
+}
+
+fn write_normals(path: &Path, view: &View) -> anyhow::Result<()> {
+    let pixels = view.normals.iter().flat_map(|normal| match normal {
+        [0.0, 0.0, 0.0] => [0; 3],
+        known => known.map(|n| ((n + 1.0) * 127.5).round() as u8),
+    });
+    let bytes: Vec<u8> = pixels.collect();
+    write_png(
+        path,
+        view,
+        png::ColorType::Rgb,
+        png::BitDepth::Eight,
+        &bytes,
+    )
+}
+
+fn write_png(
+    path: &Path,
+    view: &View,
+    color: png::ColorType,
+    depth: png::BitDepth,
+    bytes: &[u8],
+) -> anyhow::Result<()> {
+    let file = std::fs::File::create(path).with_context(|| path.display().to_string())?;
+    let mut encoder = png::Encoder::new(BufWriter::new(file), view.width, view.height);
+    encoder.set_color(color);
+    encoder.set_depth(depth);
+    let mut writer = encoder
+        .write_header()
+        .with_context(|| path.display().to_string())?;
+    writer
+        .write_image_data(bytes)
+        .and_then(|()| writer.finish())
+        .with_context(|| path.display().to_string())
+}
