@@ -444,7 +444,9 @@ fn depth_is_given_where_the_scanner_saw_something() {
     let files: Vec<_> = folder.read_dir().expect("a folder").collect();
     assert_eq!(files.len(), 2);
     let file = files[0].as_ref().expect("a file").path();
-    let normals = path.join("depths/normals/cam0").join(file.file_name().expect("a name"));
+    let normals = path
+        .join("depths/normals/cam0")
+        .join(file.file_name().expect("a name"));
     assert!(normals.exists());
     let file = std::io::BufReader::new(File::open(file).expect("a file"));
     let mut reader = png::Decoder::new(file).read_info().expect("PNG");
@@ -459,7 +461,11 @@ fn depth_is_given_where_the_scanner_saw_something() {
     // Poses of another place show nothing, and that is no result.
     let refused = depth("far.tum", "none");
     assert_eq!(refused.status.code(), Some(1));
-    assert!(said(&refused).contains("give poses in the world of"), "{}", said(&refused));
+    assert!(
+        said(&refused).contains("give poses in the world of"),
+        "{}",
+        said(&refused)
+    );
 }
 
 /// An EuRoC folder of a walk and the walk itself are the same images and samples: so are their poses.

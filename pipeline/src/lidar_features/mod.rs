@@ -100,6 +100,10 @@ pub struct Correspondences {
 /// Points and rings an edge must have.
 const MIN_POINTS_PER_EDGE: usize = 5;
 const MIN_RINGS_PER_EDGE: usize = 4;
+/// The direction of an edge must be known to 4°: a short and thick one is a corner, where several edges meet.
+const MAX_DIRECTION_SIGMA_RAD: f64 = 0.07;
+/// The shorter of the pieces at an edge, as a share of the longer.
+const LEAST_EVENNESS: f64 = 0.6;
 
 /// What one scan adds to the keyframes around it, in the rig frame at the time the scan was deskewed to.
 #[derive(Clone, Debug)]
@@ -135,7 +139,7 @@ impl ScanFeatures {
             .flat_map(|(ring, points)| {
                 creases_of_ring(points, sensor_in_rig, range_noise_m, config)
                     .into_iter()
-                    .map(move |point| Crease { ring, point })
+                    .map(move |bend| Crease { ring, bend })
             })
             .collect();
         Self {
@@ -163,7 +167,7 @@ impl LidarFeatures {
                 &scan.sensor_in_rig,
             );
             creases.extend(scan.creases.iter().map(|c| Crease {
-                point: placed.keyframe_from_scan * c.point,
+                bend: c.bend.map(|p| placed.keyframe_from_scan * p),
                 ..*c
             }));
         }
@@ -235,7 +239,14 @@ pub fn correspond(
 #[derive(Clone, Copy, Debug)]
 struct Crease {
     ring: usize,
-    point: Vector3<f64>,
+    /// Where its pieces meet, and the middles of the one before and the one behind.
+    bend: [Vector3<f64>; 3],
+}
+
+impl Crease {
+    fn point(&self) -> Vector3<f64> {
+        self.bend[0]
+    }
 }
 
 fn creases_of_ring(
@@ -243,7 +254,7 @@ fn creases_of_ring(
     sensor: &Vector3<f64>,
     range_noise_m: f64,
     config: &LidarFeatureConfig,
-) -> Vec<Vector3<f64>> {
+) -> Vec<[Vector3<f64>; 3]> {
     let Some(step_rad) = azimuth_step_rad(points, sensor) else {
         return Vec::new();
     };
@@ -287,7 +298,11 @@ fn creases_of_ring(
             let left = Line::fit(&points[i - half..i], range_noise_m)?;
             let right = Line::fit(&points[i + 1..i + half + 1], range_noise_m)?;
             let meeting = left.meet(&right, config.min_crease_deg)?;
-            ((meeting - points[i]).norm() < 0.5 * config.edge_window_m).then_some(meeting)
+            ((meeting - points[i]).norm() < 0.5 * config.edge_window_m).then_some([
+                meeting,
+                left.point,
+                right.point,
+            ])
         })
         .collect()
 }
@@ -371,16 +386,16 @@ fn join_creases(creases: &[Crease], range_noise_m: f64) -> Vec<Edge> {
             continue;
         }
         let near: Vec<usize> = (0..creases.len())
-            .filter(|&i| !used[i] && (creases[i].point - creases[seed].point).norm() < RADIUS_M)
+            .filter(|&i| !used[i] && (creases[i].point() - creases[seed].point()).norm() < RADIUS_M)
             .collect();
-        let line = Line::through(near.iter().map(|&i| creases[i].point));
+        let line = Line::through(near.iter().map(|&i| creases[i].point()));
         // Creases of another edge nearby are left out, once.
         let members: Vec<usize> = near
             .into_iter()
             .filter(|&i| {
                 let off = line
                     .direction
-                    .cross(&(creases[i].point - line.point))
+                    .cross(&(creases[i].point() - line.point))
                     .norm();
                 off < 3.0 * range_noise_m
             })
@@ -390,8 +405,16 @@ fn join_creases(creases: &[Crease], range_noise_m: f64) -> Vec<Edge> {
         if members.len() < MIN_POINTS_PER_EDGE || rings.len() < MIN_RINGS_PER_EDGE {
             continue;
         }
-        let line = Line::through(members.iter().map(|&i| creases[i].point));
-        if line.thickness_m > 1.5 * range_noise_m || line.length_m < 4.0 * line.thickness_m {
+        let line = Line::through(members.iter().map(|&i| creases[i].point()));
+        let sigma_rad = (12.0 / members.len() as f64).sqrt() * line.thickness_m / line.length_m;
+        if line.thickness_m > 1.5 * range_noise_m
+            || line.length_m < 4.0 * line.thickness_m
+            || sigma_rad > MAX_DIRECTION_SIGMA_RAD
+        {
+            continue;
+        }
+        let joined: Vec<&Crease> = members.iter().map(|&i| &creases[i]).collect();
+        if !parts_two_planes(&line, &joined, range_noise_m) || !is_seen_evenly(&joined) {
             continue;
         }
         for i in members {
@@ -403,6 +426,31 @@ fn join_creases(creases: &[Crease], range_noise_m: f64) -> Vec<Edge> {
         });
     }
     edges
+}
+
+/// Whether the pieces of the rings on either side of a line lie on one plane through it each. Where they do not, the line joins creases of two
+/// edges, as above and below the top of a cupboard.
+fn parts_two_planes(line: &Line, creases: &[&Crease], range_noise_m: f64) -> bool {
+    [1, 2].iter().all(|side| {
+        let off = |c: &&Crease| c.bend[*side] - line.point;
+        let mean = creases.iter().map(off).sum::<Vector3<f64>>() / creases.len() as f64;
+        let normal = line.direction.cross(&mean).try_normalize(0.0);
+        normal.is_some_and(|normal| {
+            let squares = creases.iter().map(|c| normal.dot(&off(c)).powi(2));
+            let rms_m = (squares.sum::<f64>() / creases.len() as f64).sqrt();
+            rms_m < range_noise_m
+        })
+    })
+}
+
+/// Whether the pieces on both sides are about as long. They have as many returns: where one is much longer, its surface is seen at a flat angle,
+/// the noise of ranges moves returns along it, and where the pieces meet is off by several centimetres alike in all rings.
+fn is_seen_evenly(creases: &[&Crease]) -> bool {
+    let [one, other] = [1, 2].map(|side| {
+        let lengths = creases.iter().map(|c| (c.bend[side] - c.point()).norm());
+        lengths.sum::<f64>()
+    });
+    one.min(other) >= LEAST_EVENNESS * one.max(other)
 }
 
 #[cfg(test)]
