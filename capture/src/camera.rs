@@ -1,5 +1,6 @@
 //! A camera unit's thread: frames → images on the recording's clock, and the samples of the unit's own IMU.
 
+use std::borrow::Cow;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
@@ -15,6 +16,7 @@ use crate::clock::OneWayClock;
 use crate::clock::model_topic::{ModelTopic, Reading};
 use crate::config::CameraUnitConfig;
 use crate::control::Control;
+use crate::grey::{is_black, saturated_share, some_pixels};
 use crate::health::{Ending, Expected, Meter, Repeats, StreamReport};
 use crate::recorder::{Entry, Inlet, WriterGone};
 
@@ -27,11 +29,10 @@ const IMU_PERIOD: Duration = Duration::from_millis(25);
 /// Problems of a unit that sends nothing new.
 const SAME_IMAGE: &str =
     "the same image again and again: is its lens covered, or the camera frozen?";
+const BLACK: &str = "its image is black: is its cap on, or its exposure too short?";
 const SAME_SAMPLE: &str = "its IMU measures the same again and again: restart it";
 /// Samples of the IMU before the first frame that are kept until it comes: some seconds.
 const MOST_EARLY_SAMPLES: usize = 4_096;
-/// Of so many pixels one is looked at for saturation, and for whether it changes.
-const PIXEL_STRIDE: usize = 16;
 
 /// What a unit sends all the time.
 pub(crate) fn expected(unit: &CameraUnitConfig) -> Vec<Expected> {
@@ -125,8 +126,13 @@ pub(crate) struct CameraStream {
     imu: Option<UnitImu>,
     report: StreamReport,
     free_running: u64,
-    /// Some pixels of each frame: sensors have noise, so that not even a dark one sends the same twice.
-    frames: Repeats<Vec<u8>>,
+    /// Some pixels of each camera's images: one that is frozen is not hidden by the others of its unit.
+    images: Vec<Repeats<Vec<u8>>>,
+    /// Whether one of them is frozen, and how often that began.
+    is_frozen: bool,
+    frozen: u64,
+    /// Images of each that showed nothing.
+    black: Vec<u64>,
 }
 
 /// The unit's own IMU; its counter is the unit's.
@@ -172,13 +178,16 @@ impl CameraStream {
                 .iter()
                 .map(|n| ModelTopic::new(n, TICK_NS, 0))
                 .collect(),
+            images: names.iter().map(|_| Repeats::default()).collect(),
+            is_frozen: false,
+            frozen: 0,
+            black: vec![0; names.len()],
             names,
             decoder: Decoder::new(unit.decoder()),
             clock: OneWayClock::ticking(TICK_NS),
             imu,
             report: meter.report(),
             free_running: 0,
-            frames: Repeats::default(),
         }
     }
 
@@ -237,13 +246,8 @@ impl CameraStream {
         if let Some(imu) = &mut self.imu {
             imu.external = Some(external);
         }
-        let pixels = frame.images.iter().flat_map(|image| &image.pixels);
-        let some = pixels.step_by(PIXEL_STRIDE).copied().collect();
-        self.frames.note(some, decoded.arrival);
+        self.look_at(&frame.images, decoded.arrival, meter);
         self.take_stale(meter);
-        if let Some(first) = frame.images.first() {
-            meter.set_frame(f64::from(first.exposure_ns) / 1e6, saturated_share(first));
-        }
         let reading = if external {
             Some(Reading::Locked {
                 device_ns,
@@ -363,15 +367,45 @@ impl CameraStream {
         Ok(())
     }
 
+    /// Whether each camera sees something, and something new.
+    fn look_at(&mut self, images: &[Image], arrival: Timestamp, meter: &Meter) {
+        let mut saturated: f64 = 0.0;
+        let mut black = Vec::new();
+        for (k, image) in images.iter().enumerate().take(self.names.len()) {
+            let some = some_pixels(image);
+            saturated = saturated.max(saturated_share(&some));
+            if is_black(&some) {
+                self.black[k] += 1;
+                black.push(self.names[k].as_str());
+            }
+            self.images[k].note(some, arrival);
+        }
+        if let Some(first) = images.first() {
+            meter.set_frame(f64::from(first.exposure_ns) / 1e6, saturated);
+        }
+        meter.set_partial((!black.is_empty()).then(|| format!("{}: {BLACK}", black.join(", "))));
+    }
+
+    /// The cameras that are frozen.
+    fn frozen_names(&self) -> Vec<&str> {
+        let cameras = self.names.iter().zip(&self.images);
+        cameras
+            .filter(|(_, images)| images.stale().is_problem())
+            .map(|(name, _)| name.as_str())
+            .collect()
+    }
+
     fn take_stale(&mut self, meter: &Meter) {
+        let frozen = self.frozen_names();
+        let same_image =
+            (!frozen.is_empty()).then(|| format!("{}: {SAME_IMAGE}", frozen.join(", ")));
+        self.frozen += u64::from(same_image.is_some() && !self.is_frozen);
+        self.is_frozen = same_image.is_some();
         let of_imu = self.imu.as_ref().map(|imu| imu.samples.stale());
-        self.report.stale =
-            self.frames.stale().stretches() + of_imu.map_or(0, |stale| stale.stretches());
+        self.report.stale = self.frozen + of_imu.map_or(0, |stale| stale.stretches());
         let same_sample = of_imu.filter(|stale| stale.is_problem());
-        meter.set_stale(match self.frames.stale().is_problem() {
-            true => Some(SAME_IMAGE),
-            false => same_sample.map(|_| SAME_SAMPLE),
-        });
+        let same_sample = same_sample.map(|_| SAME_SAMPLE.to_owned());
+        meter.set_stale(same_image.or(same_sample).map(Cow::Owned));
     }
 
     fn take_counters(&mut self) {
@@ -395,6 +429,9 @@ impl CameraStream {
             stale,
             "times the same image, or the same sample of its IMU, for more than a second",
         );
+        for (name, black) in self.names.iter().zip(&self.black) {
+            note(*black, &format!("images of {name} are black"));
+        }
         note(
             self.free_running,
             "frames without external time: their time is fitted to arrival",
@@ -418,11 +455,4 @@ impl CameraStream {
         }
         self.report
     }
-}
-
-/// Share of the pixels that are white, 0–1, from a sample of them.
-fn saturated_share(image: &Image) -> f64 {
-    let looked_at = image.pixels.iter().step_by(PIXEL_STRIDE);
-    let count = looked_at.len().max(1);
-    looked_at.filter(|grey| **grey == u8::MAX).count() as f64 / count as f64
 }

@@ -26,10 +26,12 @@ pub mod doctor;
 mod entry;
 mod error;
 mod feed;
+mod grey;
 pub mod health;
 mod imu;
 mod incoming;
 mod lidar;
+mod order;
 mod pace;
 mod poses;
 mod receipt;
@@ -44,6 +46,7 @@ mod tap;
 mod threads;
 mod topics;
 pub mod walks;
+mod wifi_scans;
 
 pub use config::{
     CameraUnitConfig, DevicesConfig, ImuLineConfig, LidarData, LidarNetConfig, LidarSettingsConfig,

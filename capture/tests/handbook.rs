@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use lsfb_capture::{
     CameraUnitConfig, DevicesConfig, ImuLineConfig, LidarNetConfig, LidarSettingsConfig,
-    SidecarConfig,
+    RecorderConfig, SidecarConfig,
 };
 
 fn handbook() -> String {
@@ -89,4 +89,53 @@ fn every_key_is_described_and_every_default_is_right() {
             .any(|(_, said)| has_no_default.contains(&said.as_str()) || *said == default);
         assert!(right, "{key}: {rows:?}, and it is {default}");
     }
+}
+
+/// Keys that a table may have, by what is said of one that it may not.
+fn keys_of<T: serde::de::DeserializeOwned>() -> Vec<String> {
+    let Err(refused) = toml::from_str::<T>("no-such-key = 1") else {
+        panic!("an unknown key is taken");
+    };
+    let words = refused.message();
+    let listed = words.split_once("expected one of ").expect(words).1;
+    let keys = listed
+        .split(", ")
+        .map(|key| key.trim_matches('`').to_owned());
+    keys.collect()
+}
+
+/// What is left out when nobody sets it has no default to be found by.
+#[test]
+fn every_key_that_is_read_has_its_row() {
+    let handbook = handbook();
+    let described: Vec<String> = described(&handbook)
+        .into_iter()
+        .map(|(key, _)| key)
+        .collect();
+    let settings = keys_of::<LidarSettingsConfig>();
+    let settings = settings
+        .iter()
+        .map(|key| format!("settings.{key}"))
+        .collect();
+    let sections: [Vec<String>; 6] = [
+        keys_of::<LidarNetConfig>(),
+        settings,
+        keys_of::<CameraUnitConfig>(),
+        keys_of::<ImuLineConfig>(),
+        keys_of::<RecorderConfig>(),
+        keys_of::<SidecarConfig>(),
+    ];
+    for key in sections.iter().flatten() {
+        assert!(described.contains(key), "{key} is not described");
+    }
+    // Sections have a heading each, and what else the list has a row.
+    for key in keys_of::<DevicesConfig>() {
+        let is_section = handbook.contains(&format!("[{key}]"));
+        assert!(
+            is_section || described.contains(&key),
+            "{key} is not described"
+        );
+    }
+    let read: usize = sections.iter().map(Vec::len).sum();
+    assert!(read > 40, "{read}");
 }

@@ -149,6 +149,10 @@ fn hdl32e_pcap_becomes_a_recording() {
         (replayed.packets(), replayed.points(), replayed.report.lost),
         (500, 146_705, 0)
     );
+    // Its laser at -2.67° is dead: in the bytes of the capture all 6 000 of its distances are 0, and its neighbours saw something 5 335 and
+    // 4 346 times. Of four turns nothing was said.
+    let notes = replayed.report.streams[0].notes.join("\n");
+    assert!(notes.contains("laser 22 of 32"), "{notes}");
 }
 
 #[test]

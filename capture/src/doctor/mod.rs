@@ -6,7 +6,9 @@ mod calibration;
 mod clocks;
 mod devices;
 mod file;
+mod images;
 mod imported;
+mod inertial;
 mod interrupted;
 mod pace;
 mod rhythm;
@@ -146,6 +148,8 @@ pub fn examine(
     let streams = Stream::all(recording, &arrivals, config)?;
     findings.devices(recording, &streams);
     findings.sight(recording, config)?;
+    findings.images(recording, config)?;
+    findings.inertial(recording, config)?;
     findings.pace(&streams);
     let import = imported::entries(recording);
     if import.is_none() {

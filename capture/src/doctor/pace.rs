@@ -10,6 +10,17 @@ const FASTEST: f64 = 1.5;
 
 impl Findings {
     pub(super) fn pace(&mut self, streams: &[Stream<'_>]) {
+        if let Some(pace) = unreal_pace(streams).filter(|pace| pace.stamped_secs <= 0.0) {
+            let found = format!(
+                "the stamps of all sensors advance by {:.1} s while messages arrive for {:.1} s: they stand still or go back",
+                pace.stamped_secs, pace.arrived_secs
+            );
+            let finding =
+                Finding::new("pace", Verdict::Fail, "pace", found).value(pace.factor(), "");
+            let remedy =
+                "look at the program that wrote them; see when and by how much with `lsfb clock`";
+            return self.add(finding.remedy(remedy));
+        }
         if let Some(pace) = unreal_pace(streams) {
             let found = format!(
                 "not recorded in real time, {:.1} s of stamps arrived within {:.1} s: a replay or a simulation, whose rates and silences are judged by the devices' stamps",
@@ -19,7 +30,12 @@ impl Findings {
             return self.add(finding.value(pace.factor(), ""));
         }
         for stream in streams {
-            let Some(factor) = stream.pace().map(|p| p.factor()).filter(|f| *f > FASTEST) else {
+            let Some(factor) = stream
+                .pace()
+                .filter(|pace| pace.is_real_time() == Some(false))
+                .map(|pace| pace.factor())
+                .filter(|factor| *factor > FASTEST)
+            else {
                 continue;
             };
             let found = format!(

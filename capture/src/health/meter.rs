@@ -1,5 +1,6 @@
 //! What a device's thread says about itself while it runs.
 
+use std::borrow::Cow;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -38,7 +39,7 @@ struct MeterState {
     /// Who of several behind it is gone, and since when.
     gone: Option<String>,
     /// What it says again and again, and what to check.
-    stale: Option<&'static str>,
+    stale: Option<Cow<'static, str>>,
     /// What it sees too little of, though it goes on.
     partial: Option<String>,
     /// Why its time is not UTC from satellites, though it has a receiver.
@@ -197,7 +198,7 @@ impl Meter {
     }
 
     /// What it says again and again, and what to check; `None` while it says something new.
-    pub(crate) fn set_stale(&self, problem: Option<&'static str>) {
+    pub(crate) fn set_stale(&self, problem: Option<Cow<'static, str>>) {
         self.lock().stale = problem;
     }
 
@@ -318,8 +319,8 @@ impl MeterState {
         {
             return (Level::Error, problem);
         }
-        if let Some(stale) = self.stale.filter(|_| !self.ended) {
-            return (Level::Error, stale.to_owned());
+        if let Some(stale) = self.stale.as_ref().filter(|_| !self.ended) {
+            return (Level::Error, stale.clone().into_owned());
         }
         if self.last_heard.is_none() {
             return (Level::Warn, "has sent nothing yet".to_owned());

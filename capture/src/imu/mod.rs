@@ -2,6 +2,7 @@
 
 mod unit;
 
+use std::borrow::Cow;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
@@ -237,7 +238,8 @@ impl ImuStream {
             meter.heard_part(SAMPLES, 1);
             self.samples.note(sample, reading.arrival);
             self.report.stale = self.samples.stale().stretches();
-            meter.set_stale(self.samples.stale().is_problem().then_some(SAME_SAMPLE));
+            let is_same = self.samples.stale().is_problem();
+            meter.set_stale(is_same.then_some(Cow::Borrowed(SAME_SAMPLE)));
             let sample = Stamped {
                 time,
                 arrival: reading.arrival,

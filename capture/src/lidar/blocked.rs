@@ -6,7 +6,9 @@
 
 use lsfb_drivers::lidar::{Azimuths, SECTORS};
 
-/// Shots in a sector from which on something is said: of two to five seconds.
+/// Shots in a sector that are looked at together: of ten to twenty-five seconds, so that whoever walks past a brink is not asked.
+const WINDOW_SHOTS: u64 = 2_000;
+/// Shots in a sector from which on something is said of a recording that is shorter: of two to five seconds.
 const LEAST_SHOTS: u64 = 400;
 /// Share of the shots of a blocked sector that may bring something back, and of those of others that must.
 const BLOCKED_SHARE: f64 = 0.005;
@@ -25,6 +27,16 @@ pub(crate) struct Blocked {
 }
 
 impl Blocked {
+    /// Whether there are shots enough for a window.
+    pub(crate) fn is_full(seen: &Azimuths) -> bool {
+        seen.fired.iter().any(|fired| *fired >= WINDOW_SHOTS)
+    }
+
+    /// Whether there are shots enough to say something.
+    pub(crate) fn is_enough(seen: &Azimuths) -> bool {
+        seen.fired.iter().any(|fired| *fired >= LEAST_SHOTS)
+    }
+
     pub(crate) fn find(seen: &Azimuths) -> Option<Self> {
         let has_fired = |k: usize| seen.fired[k] >= LEAST_SHOTS;
         let share = |k: usize| {

@@ -11,6 +11,7 @@ mod turns;
 mod two_sensors;
 mod utc;
 
+use std::borrow::Cow;
 use std::net::IpAddr;
 
 use lsfb_drivers::any_lidar::{DecodeError, Decoder, Reorder, Settings, device_ns};
@@ -24,6 +25,7 @@ use crate::clock::model_topic::{ModelTopic, Reading};
 use crate::clock::{LidarClock, PositionFix};
 use crate::device_note::DeviceNote;
 use crate::health::{Ending, Expected, Meter, Says, Stale, StreamReport};
+use crate::order::Order;
 use crate::recorder::{Entry, Inlet, WriterGone};
 pub(crate) use listening::{Listened, Listening, record};
 pub(crate) use shared_ports::Lidars;
@@ -45,6 +47,8 @@ const TICK_NS: u64 = 1_000;
 const TICKS_PER_HOUR: u64 = 3_600_000_000;
 /// So many packets without a scan are a problem: a turn has 720 at most (a Pandar64 at 5 Hz), and every LiDAR sends as many in a second.
 const PACKETS_OF_NO_SCAN: u64 = 750;
+/// Copies of each packet that a network may make: switches and captures on several interfaces make one or two.
+const MOST_COPIES: u64 = 9;
 /// Problems of a sensor that sends, and nothing to see.
 const NO_SCAN: &str = "its data make no scan of a full turn: is its rotor turning?";
 const NO_RETURN: &str = "not a single return: is its window covered?";
@@ -82,8 +86,13 @@ pub(crate) struct LidarStream {
     /// Data of which no scan is made, and scans without a return.
     without_scan: Stale,
     without_return: Stale,
+    /// Whether anything ever came back.
+    has_seen: bool,
+    /// Whether nothing more comes.
+    has_ended: bool,
     sight: Sight,
     sensors: TwoSensors,
+    arrivals: Order,
     utc: Utc,
     /// When the first and the last scan began.
     scans: Option<(Timestamp, Timestamp)>,
@@ -112,8 +121,11 @@ impl LidarStream {
             last_data_time: None,
             without_scan: Stale::after(PACKETS_OF_NO_SCAN),
             without_return: Stale::default(),
+            has_seen: false,
+            has_ended: false,
             sight: Sight::default(),
             sensors: TwoSensors::default(),
+            arrivals: Order::default(),
             utc: Utc::default(),
             scans: None,
             turns: Turns::default(),
@@ -127,6 +139,7 @@ impl LidarStream {
         let is_data = self.decoder.is_data(&packet.bytes);
         let position = self.decoder.position(&packet.bytes, packet.arrival);
         self.report.received += 1;
+        self.arrivals.note(packet.arrival);
         self.take_counters();
         self.meter.heard(&self.report, packet.arrival);
         if is_data {
@@ -250,8 +263,10 @@ impl LidarStream {
         self.sensors.note(self.decoder.counters());
         self.report.stale = self.without_scan.stretches()
             + self.without_return.stretches()
-            + self.sight.stretches();
-        self.meter.set_stale(if self.are_two() {
+            + self.sight.stretches()
+            + u64::from(self.was_blind())
+            + u64::from(self.was_stuck());
+        let problem = if self.are_two() {
             Some(TWO_SENSORS)
         } else if self.set_hz().is_some_and(|hz| self.turns.misses(hz)) {
             Some(ANOTHER_SPEED)
@@ -263,7 +278,8 @@ impl LidarStream {
             Some(POOR_SIGHT)
         } else {
             None
-        });
+        };
+        self.meter.set_stale(problem.map(Cow::Borrowed));
     }
 
     fn scan(&mut self, scan: Decoded<LidarScan>, inlet: &Inlet) -> Result<(), WriterGone> {
@@ -273,6 +289,7 @@ impl LidarStream {
         self.without_return
             .note(Says::news_if(has_returns), scan.arrival);
         if has_returns {
+            self.has_seen = true;
             let lasers = self.decoder.found().map(|found| found.model.lasers());
             let seen = &self.decoder.counters().azimuths;
             self.sight.note(&scan.sample, lasers, seen);
@@ -360,6 +377,22 @@ impl LidarStream {
         inlet.put(Entry::Device(note), &mut self.report)
     }
 
+    /// Whether it has ended, after less than what counts as a stretch, without a single return.
+    fn was_blind(&self) -> bool {
+        self.has_ended
+            && self.report.decoded > 0
+            && !self.has_seen
+            && self.without_return.stretches() == 0
+    }
+
+    /// Whether it has ended, after less than what counts as a stretch, and nearly all its packets repeat the one before.
+    fn was_stuck(&self) -> bool {
+        let counters = self.decoder.counters();
+        self.has_ended
+            && counters.duplicates > MOST_COPIES * counters.packets.max(1)
+            && self.without_scan.stretches() == 0
+    }
+
     /// Whether its packets are those of two sensors.
     pub(crate) fn are_two(&self) -> bool {
         self.sensors.are_two()
@@ -385,6 +418,9 @@ impl LidarStream {
         // A failed writer reports itself.
         let _ = self.finish_scans(inlet);
         self.take_counters();
+        self.has_ended = true;
+        self.sight.finish();
+        self.take_stale();
         self.report.ending = match self.are_two() {
             true => Ending::Lost(TWO_SENSORS.to_owned()),
             false => ending,
@@ -412,6 +448,22 @@ impl LidarStream {
                 self.without_return.stretches(),
                 "times its scans had not a single return for more than a second",
             ),
+            (
+                if self.was_blind() {
+                    self.report.decoded
+                } else {
+                    0
+                },
+                "scans, and not a single return in any of them",
+            ),
+            (
+                if self.was_stuck() {
+                    counters.duplicates
+                } else {
+                    0
+                },
+                "packets have the time of the one before, and were left out: the sensor's clock stands",
+            ),
             (counters.clock_jumps, "jumps of the sensor's clock"),
             (counters.mode_changes, "changes of model or return mode"),
             (counters.overlong, "scans without a full turn of the rotor"),
@@ -420,8 +472,13 @@ impl LidarStream {
                 self.report.notes.push(format!("{count} {what}"));
             }
         }
+        if let Some(problem) = self.arrivals.problem() {
+            self.report.notes.push(format!(
+                "arrivals of its packets {problem}: the host's clock was set, captures were joined that do not follow each other, or their stamps were taken away"
+            ));
+        }
         let silent = self.sight.worst().map(lasers::Silent::words);
-        let blocked = self.sight.blocked().map(blocked::Blocked::words);
+        let blocked = self.sight.ever_blocked().map(blocked::Blocked::words);
         self.report.notes.extend(silent.into_iter().chain(blocked));
         if let Some(what) = self.what_it_is() {
             self.report.notes.insert(0, what);

@@ -19,8 +19,9 @@ pub(super) struct TwoSensors {
 impl TwoSensors {
     /// Takes what a decoder has counted until now.
     pub(super) fn note(&mut self, counters: &Counters) {
-        // Sooner than a sensor can, before the one before, or by another clock.
-        let out_of_turn = counters.crowded + counters.reordered + counters.clock_jumps;
+        // Sooner than a sensor can, before the one before, by another clock, or of another model.
+        let out_of_turn =
+            counters.crowded + counters.reordered + counters.clock_jumps + counters.mode_changes;
         let now = [counters.packets + counters.reordered, out_of_turn];
         let [packets, strange] = [0, 1].map(|k| now[k].saturating_sub(self.window[k]));
         if packets >= WINDOW {
@@ -41,6 +42,10 @@ mod tests {
 
     /// Whether two are found where so many of a hundred packets are out of turn, for ten seconds of them.
     fn found(crowded: u64, reordered: u64, clock_jumps: u64) -> bool {
+        found_with(crowded, reordered, clock_jumps, 0)
+    }
+
+    fn found_with(crowded: u64, reordered: u64, clock_jumps: u64, mode_changes: u64) -> bool {
         let mut sensors = TwoSensors::default();
         for n in 1..=75 {
             sensors.note(&Counters {
@@ -48,6 +53,7 @@ mod tests {
                 crowded: n * crowded,
                 reordered: n * reordered,
                 clock_jumps: n * clock_jumps,
+                mode_changes: n * mode_changes,
                 ..Counters::default()
             });
         }
@@ -58,6 +64,8 @@ mod tests {
     fn every_second_packet_out_of_turn_is_a_second_sensor_and_a_bad_network_is_none() {
         assert!(found(50, 0, 0) && found(0, 48, 2) && found(0, 0, 50));
         assert!(!found(0, 0, 0) && !found(5, 10, 1));
+        // Of two models, or in two modes; a mode that is set is one change.
+        assert!(found_with(0, 0, 0, 99) && !found_with(0, 0, 0, 1));
         // A clock that is set once.
         let mut sensors = TwoSensors::default();
         sensors.note(&Counters {

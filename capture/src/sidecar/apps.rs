@@ -15,9 +15,12 @@ use crate::clock::OneWayClock;
 use crate::health::{Meter, StreamReport};
 use crate::receipt::Receipt;
 use crate::recorder::{Entry, Inlet, OwnMessage, WriterGone};
+use crate::wifi_scans::WifiScans;
 
 /// Key of the rig's TOML in a channel's static metadata.
 const RIG_KEY: &str = "rig_toml";
+/// What to do where a phone's system holds Wi-Fi scans back.
+const HELD_BACK: &str = "its system holds Wi-Fi scans back: switch off \"Wi-Fi scan throttling\" in its developer options";
 /// Kinds of readings without a place that are counted apart.
 const MAX_LEFT_OUT: usize = 1_024;
 /// A channel whose stamps step back by more has a clock that began anew.
@@ -31,6 +34,7 @@ struct App {
     channels: BTreeMap<u32, Channel>,
     /// Clocks that are not UTC, by name: channels that share one tell it together.
     clocks: BTreeMap<String, AppClock>,
+    wifi: WifiScans,
     rig_seen: bool,
 }
 
@@ -141,7 +145,24 @@ impl Apps {
         }
     }
 
+    /// Whose system holds Wi-Fi scans back now; `None`: nobody's.
+    pub(super) fn held_back(&self) -> Option<String> {
+        let apps = self.apps.iter();
+        let names: Vec<&str> = apps
+            .filter(|(_, app)| app.wifi.are_held_back())
+            .map(|(device, _)| device.as_str())
+            .collect();
+        (!names.is_empty()).then(|| format!("{}: {HELD_BACK}", names.join(", ")))
+    }
+
     pub(crate) fn into_report(mut self) -> StreamReport {
+        for (device, app) in &mut self.apps {
+            app.wifi.finish();
+            if app.wifi.were_held_back() {
+                let words = app.wifi.words();
+                self.report.notes.push(format!("{device}: {words}"));
+            }
+        }
         let words = self.left_out.iter();
         let words: Vec<String> = words
             .map(|((device, sensor), count)| format!("{count} × {sensor} of {device}"))
@@ -229,6 +250,11 @@ impl Apps {
                     }
                 };
                 self.report.decoded += 1;
+                if channel.advertised.schema_name == message::WIFI_READING.name
+                    && let Ok(reading) = message::decode_wifi(&bytes)
+                {
+                    app.wifi.note(time, reading);
+                }
                 let entry = Entry::Cdr {
                     topic: channel.advertised.topic.clone(),
                     schema_name: channel.advertised.schema_name.clone(),

@@ -64,6 +64,7 @@ pub(crate) fn record(
                 .store(decoded, Ordering::Relaxed);
         }
         meter.set_gone(recording.presence.sentence());
+        meter.set_partial(recording.apps.held_back());
         if recording.presence.is_all_gone() != all_gone {
             all_gone = !all_gone;
             match all_gone {

@@ -250,6 +250,57 @@ fn hashed_identifiers_are_in_no_file() {
     }
 }
 
+/// Only `lsfb doctor` said so, when the walk was over.
+#[test]
+fn wifi_scans_that_are_held_back_are_on_the_screen() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = DevicesConfig {
+        sidecar: Some(mock::sidecar(folder.path())),
+        ..anywhere()
+    };
+    let session = Session::open(&config).unwrap();
+    let snapshots = session.health().subscribe();
+    let invited = mock::invited(&session, folder.path());
+    let out = folder.path().join("walk.mcap");
+    let running = mock::spawn("session", move || run(session, &out));
+    let mut phone = SidecarClient::connect(ClientConfig {
+        device: "visor".to_owned(),
+        ..invited
+    })
+    .unwrap();
+    let schema = message::WIFI_READING;
+    phone
+        .advertise(&advertise("/sidecar/visor/wifi", schema.name, schema.text))
+        .unwrap();
+    let mut scan_of = |scan: u32, heard_ns: i64| {
+        for n in 0..5 {
+            let reading = WifiReading {
+                scan,
+                bssid: format!("ac:de:48:00:11:{n:02x}"),
+                rssi_dbm: -50 - n,
+                ..WifiReading::default()
+            };
+            let bytes = encode_wifi(Timestamp::from_nanos(heard_ns), "phone", &reading);
+            phone.send(3, heard_ns + i64::from(n), &bytes).unwrap();
+        }
+    };
+    scan_of(1, START_NS);
+    // Its results, twice more.
+    scan_of(2, START_NS);
+    scan_of(3, START_NS);
+    let mut problem = String::new();
+    wait_until("the screen says it", || {
+        let devices = snapshots.try_iter().flat_map(|snapshot| snapshot.devices);
+        problem = devices.map(|d| d.problem).last().unwrap_or_default();
+        problem.contains("holds Wi-Fi scans back")
+    });
+    assert!(problem.starts_with("visor: "), "{problem}");
+    phone.bye().unwrap();
+    let report = running.join().unwrap();
+    let notes = stream(&report, "sidecar").notes.join("\n");
+    assert!(notes.contains("visor: 3 Wi-Fi scans; 2 of them"), "{notes}");
+}
+
 /// A device that is cut off at any byte, repeats, damages and skips messages has each of them in the recording once, in order.
 #[test]
 fn faults_on_the_way_lose_nothing_and_repeat_nothing() {

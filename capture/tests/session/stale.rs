@@ -27,8 +27,12 @@ fn record(incoming: impl Iterator<Item = Incoming>, devices: DevicesConfig) -> C
 
 /// Four seconds of a LiDAR.
 fn lidar(bytes: impl Fn(u64) -> Vec<u8>) -> CaptureReport {
+    lidar_of(SECS * 1_000, bytes)
+}
+
+fn lidar_of(millis: u64, bytes: impl Fn(u64) -> Vec<u8>) -> CaptureReport {
     const PERIOD_NS: u64 = 663_552;
-    let packets = (0..SECS * 1_000_000_000 / PERIOD_NS).map(|n| Incoming::Lidar {
+    let packets = (0..millis * 1_000_000 / PERIOD_NS).map(|n| Incoming::Lidar {
         lidar: 0,
         packet: packet(n * PERIOD_NS, bytes(n)),
     });
@@ -62,7 +66,11 @@ fn a_lidar_that_sees_nothing_is_not_healthy() {
 
 /// Four seconds of a LiDAR of which some returns never come: by azimuth, 0.01°, and laser.
 fn partly_blind(is_seen: impl Fn(u16, usize) -> bool) -> CaptureReport {
-    lidar(|n| {
+    partly_blind_of(SECS * 1_000, is_seen)
+}
+
+fn partly_blind_of(millis: u64, is_seen: impl Fn(u16, usize) -> bool) -> CaptureReport {
+    lidar_of(millis, |n| {
         let mut packet = DataPacket::new(mock::lidar_packet(n)).unwrap();
         for block in 0..12 {
             let azimuth_centideg = packet.azimuth_centideg(block);
@@ -95,6 +103,64 @@ fn a_lidar_of_which_most_lasers_are_dead_is_not_healthy() {
     assert_eq!(covered.lost, 0);
 }
 
+/// A capture of three turns has neither twenty scans nor a second: each of these was recorded with nothing lost.
+#[test]
+fn a_short_recording_of_a_lidar_that_is_dead_is_not_healthy() {
+    const MILLIS: u64 = 300;
+    let one_left = partly_blind_of(MILLIS, |_, laser| laser == 7);
+    assert_stale(&one_left, "lidar", "31 of its 32 lasers see nothing");
+    let blind = partly_blind_of(MILLIS, |_, _| false);
+    assert_stale(&blind, "lidar", "not a single return");
+    let stands = lidar_of(MILLIS, |n| mock::lidar_packet(n.min(5)));
+    assert_stale(&stands, "lidar", "the sensor's clock stands");
+    let good = lidar_of(MILLIS, mock::lidar_packet);
+    assert_eq!(good.lost, 0, "{good:?}");
+}
+
+/// Two halves of a capture in the wrong order, and one in which the host's clock was set.
+#[test]
+fn arrivals_that_go_back_are_told() {
+    const PERIOD_NS: u64 = 663_552;
+    for at_ns in [
+        |n: u64| (n + 600) % 1_200 * PERIOD_NS,
+        |n: u64| n * PERIOD_NS + if n < 600 { 3_600_000_000_000 } else { 0 },
+    ] {
+        let packets = (0..1_200).map(|n| Incoming::Lidar {
+            lidar: 0,
+            packet: packet(at_ns(n), mock::lidar_packet(n)),
+        });
+        let devices = DevicesConfig {
+            lidars: vec![LidarNetConfig::default()],
+            ..anywhere()
+        };
+        let report = record(packets, devices);
+        let notes = stream(&report, "lidar").notes.join("\n");
+        assert!(
+            notes.contains("arrivals of its packets go back once"),
+            "{notes}"
+        );
+    }
+}
+
+/// Packets of two models, one after the other: each pair of them looked like scans, fifteen hundred a second, and nothing was lost.
+#[test]
+fn packets_of_two_models_from_one_address_are_of_two_sensors() {
+    let mixed = lidar(|n| {
+        let mut bytes = mock::lidar_packet(n);
+        if n % 2 == 1 {
+            // A VLP-16's factory byte.
+            *bytes.last_mut().unwrap() = 0x22;
+        }
+        bytes
+    });
+    let found = stream(&mixed, "lidar");
+    assert!(
+        matches!(&found.ending, Ending::Lost(why) if why.contains("two sensors")),
+        "{found:?}"
+    );
+    assert!(mixed.lost > 0);
+}
+
 /// The same packet again and again is a repetition to be left out, and nothing else comes.
 #[test]
 fn a_lidar_whose_packets_make_no_scan_is_not_healthy() {
@@ -120,6 +186,11 @@ fn a_lidar_whose_rotor_stands_is_not_healthy() {
 
 /// Frames of a unit at 20 Hz, whose number and stamps go on while its pixels are those of `image`.
 fn camera(image: impl Fn(u64) -> u8) -> CaptureReport {
+    pair(|n| [image(n); 2])
+}
+
+/// The same, each camera with its own.
+fn pair(grey: impl Fn(u64) -> [u8; 2]) -> CaptureReport {
     const PERIOD_NS: u64 = 50_000_000;
     let frames = (0..SECS * 20).map(|n| {
         let trailer = Trailer {
@@ -133,8 +204,8 @@ fn camera(image: impl Fn(u64) -> u8) -> CaptureReport {
             width: 64,
             height: 4,
         };
-        let (mut bytes, grey) = (Vec::new(), image(n));
-        let images: [&[u8]; 2] = [&[grey; 128], &[grey; 128]];
+        let (mut bytes, [left, right]) = (Vec::new(), grey(n));
+        let images: [&[u8]; 2] = [&[left; 128], &[right; 128]];
         emit_frame(format, &images, &trailer.with_checksum(), &mut bytes).unwrap();
         Incoming::Frame {
             unit: 0,
@@ -158,6 +229,17 @@ fn a_camera_that_repeats_an_image_is_not_healthy() {
     assert_stale(&camera(|n| n.min(30) as u8), "cam0+cam1", "the same image");
     // A few repetitions are a dropped frame somewhere in the unit.
     assert_eq!(camera(|n| (n / 4) as u8).lost, 0);
+}
+
+/// The other camera of its unit went on, and hid it.
+#[test]
+fn one_camera_of_a_pair_that_is_frozen_or_capped_is_not_healthy() {
+    let frozen = pair(|n| [20 + n as u8, 20 + n.min(30) as u8]);
+    assert_stale(&frozen, "cam0+cam1", "the same image");
+    let capped = pair(|n| [20 + n as u8, n as u8 % 3]);
+    let notes = stream(&capped, "cam0+cam1").notes.join("\n");
+    assert!(notes.contains("80 images of cam1 are black"), "{notes}");
+    assert!(!notes.contains("cam0 are black"), "{notes}");
 }
 
 /// Samples at 200 Hz whose counters go on while what they measure is that of `measured`.

@@ -191,5 +191,6 @@ pub fn print_error(error: &anyhow::Error, places: &[PathBuf]) {
     if let Some(full) = full_disk::named(error, places) {
         message = format!("{message}: {full}");
     }
-    terminal::say(&format!("error: {message}"));
+    // It quotes names and texts of files.
+    terminal::say(&terminal::printable(&format!("error: {message}")));
 }

@@ -77,6 +77,16 @@ fn painted(text: &str) -> String {
     out
 }
 
+/// Words from a file, without anything that a terminal would obey.
+pub fn printable(text: &str) -> String {
+    let shown = |c: char| match c {
+        '\n' | '\t' => c,
+        c if c.is_control() => char::REPLACEMENT_CHARACTER,
+        c => c,
+    };
+    text.chars().map(shown).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -92,5 +102,11 @@ mod tests {
             plain = plain.replace(code, "");
         }
         assert_eq!(plain, text);
+    }
+
+    #[test]
+    fn a_recording_cannot_command_the_terminal() {
+        let said = printable("\u{1b}]0;owned\u{7} /imu\u{9b}31m\n");
+        assert_eq!(said, "\u{fffd}]0;owned\u{fffd} /imu\u{fffd}31m\n");
     }
 }

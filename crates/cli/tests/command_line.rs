@@ -93,6 +93,18 @@ fn a_full_disk_under_stdout_is_an_error_and_no_panic() {
 }
 
 #[test]
+fn the_name_of_a_file_cannot_command_the_terminal() {
+    let output = lsfb(here(), &["doctor", "no-such\u{1b}]0;owned\u{7}.mcap"]);
+    let text = said(&output);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(
+        text.contains("no-such\u{fffd}]0;owned\u{fffd}.mcap"),
+        "{text:?}"
+    );
+    assert!(!text.contains('\u{1b}'), "{text:?}");
+}
+
+#[test]
 fn a_full_disk_under_stderr_is_no_panic() {
     let full = File::options()
         .write(true)

@@ -24,6 +24,17 @@ impl Default for Azimuths {
 }
 
 impl Azimuths {
+    /// What was seen after `before`.
+    pub fn since(&self, before: &Self) -> Self {
+        let less = |now: &[u64; SECTORS], then: &[u64; SECTORS]| {
+            std::array::from_fn(|k| now[k].saturating_sub(then[k]))
+        };
+        Self {
+            fired: less(&self.fired, &before.fired),
+            empty: less(&self.empty, &before.empty),
+        }
+    }
+
     /// Takes a shot of all lasers to which so many echoes came.
     pub(crate) fn note(&mut self, azimuth_centideg: u16, echoes: usize) {
         let sector =

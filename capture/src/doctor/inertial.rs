@@ -1,0 +1,286 @@
+//! Whether what an IMU measured can come from one that is carried.
+//!
+//! Whoever carries it holds it up: its specific force is that of gravity on average, however it is turned, and walking adds little.
+//! A unit that sends zeros, forces in g or rates in degrees sends as steadily as any other.
+
+use lsfb_recording::Recording;
+use lsfb_recording::message::{self, decode_imu};
+use lsfb_types::{Finding, ImuSample, Timestamp, Verdict, median};
+
+use super::{Depth, DoctorConfig, Findings};
+use crate::health::Repeats;
+use crate::order::Order;
+
+/// Samples that are looked at where not everything is read: 20 s at 200 Hz.
+const SAMPLES: usize = 4_000;
+/// Fewer have no average.
+const LEAST_SAMPLES: usize = 100;
+/// Standard gravity, m/s².
+const GRAVITY_M_S2: f64 = 9.806_65;
+/// Between these shares of gravity lies the middle of the forces on something that is carried: a runner's steps are in it.
+const FORCES: [f64; 2] = [0.8, 1.6];
+/// Nobody turns what he carries faster than this half of the time, rad/s.
+const MOST_RAD_S: f64 = 10.0;
+/// An axis is dead where it never changes though the others of its sensor change by this: rad/s, m/s².
+const TURNS_RAD_S: f64 = 0.3;
+const FORCES_M_S2: f64 = 1.0;
+/// What to do where arrivals go back.
+pub(super) const SET_BEFORE: &str = "set this machine's clock, by chrony or NTP, before recording";
+const AXES: [&str; 3] = ["x", "y", "z"];
+
+/// What an IMU measured.
+#[derive(Default)]
+struct Measured {
+    samples: usize,
+    unreadable: usize,
+    not_finite: usize,
+    forces_m_s2: Vec<f64>,
+    rates_rad_s: Vec<f64>,
+    /// Smallest and largest of each axis, of rates and of forces.
+    ranges: [[[f64; 2]; 3]; 2],
+    repeats: Repeats<ImuSample>,
+    stamps: Order,
+    arrivals: Order,
+}
+
+impl Measured {
+    fn note(&mut self, time: Timestamp, sample: ImuSample) {
+        let values = [sample.angular_velocity_rad_s, sample.specific_force_m_s2];
+        self.stamps.note(time);
+        self.repeats.note(sample, time);
+        if !values.iter().flatten().all(|value| value.is_finite()) {
+            self.not_finite += 1;
+            return;
+        }
+        for (ranges, values) in self.ranges.iter_mut().zip(&values) {
+            for ([least, most], value) in ranges.iter_mut().zip(values) {
+                let is_first = self.samples == 0;
+                *least = if is_first { *value } else { least.min(*value) };
+                *most = if is_first { *value } else { most.max(*value) };
+            }
+        }
+        self.samples += 1;
+        let [rate, force] = values.map(|v| v.iter().map(|value| value * value).sum::<f64>().sqrt());
+        self.rates_rad_s.push(rate);
+        self.forces_m_s2.push(force);
+    }
+
+    /// What cannot be, and what to do about it.
+    fn problems(&self) -> Vec<(String, &'static str)> {
+        const FORMAT: &str = "look at the program that wrote them";
+        let mut problems = Vec::new();
+        if self.unreadable > 0 {
+            let found = format!("{} samples cannot be read", self.unreadable);
+            problems.push((found, FORMAT));
+        }
+        if self.not_finite > 0 {
+            let found = format!("{} samples hold what is no number", self.not_finite);
+            problems.push((found, FORMAT));
+        }
+        if let Some(found) = self.stamps.problem() {
+            problems.push((
+                format!("stamps {found}"),
+                "see when and by how much with `lsfb clock`",
+            ));
+        }
+        if self.samples < LEAST_SAMPLES {
+            return problems;
+        }
+        let stretches = self.repeats.stale().stretches();
+        if stretches > 0 {
+            let found = format!("{stretches} times the same sample for more than a second");
+            problems.push((found, "restart it"));
+        }
+        let force_m_s2 = median(self.forces_m_s2.clone()).unwrap_or_default();
+        let rate_rad_s = median(self.rates_rad_s.clone()).unwrap_or_default();
+        let [least, most] = FORCES.map(|share| share * GRAVITY_M_S2);
+        if !(least..=most).contains(&force_m_s2) {
+            let found = format!(
+                "forces of {force_m_s2:.2} m/s² in the middle, and whatever is carried feels gravity's {GRAVITY_M_S2:.2}"
+            );
+            let remedy = match FORCES {
+                [least, most] if (least..=most).contains(&force_m_s2) => {
+                    "they are in g: forces are in m/s²"
+                }
+                _ => "check its accelerometer, its unit, and that gravity was not taken off",
+            };
+            problems.push((found, remedy));
+        }
+        if rate_rad_s > MOST_RAD_S {
+            let found =
+                format!("turns of {rate_rad_s:.1} rad/s half of the time, which nobody does");
+            problems.push((found, "are they in degrees? Rates are in rad/s"));
+        }
+        let sensors = [("gyroscope", TURNS_RAD_S), ("accelerometer", FORCES_M_S2)];
+        for ((sensor, moving), ranges) in sensors.into_iter().zip(&self.ranges) {
+            let widths = ranges.map(|[least, most]| most - least);
+            let moves = widths.iter().filter(|width| **width > moving).count() == 2;
+            let dead = widths.iter().position(|width| *width == 0.0);
+            if let Some(axis) = dead.filter(|_| moves) {
+                let (name, value) = (AXES[axis], ranges[axis][0]);
+                let found = format!(
+                    "{name} of its {sensor} stands at {value} while the others change: it is dead"
+                );
+                problems.push((found, "repair or exchange it"));
+            }
+        }
+        problems
+    }
+}
+
+impl Findings {
+    /// Each IMU's samples: the first, or all where everything is read.
+    pub(super) fn inertial(
+        &mut self,
+        recording: &Recording,
+        config: &DoctorConfig,
+    ) -> Result<(), lsfb_recording::Error> {
+        let topics = recording.topics().iter();
+        for topic in topics.filter(|topic| topic.schema == message::IMU.name) {
+            let mut measured = Measured::default();
+            for (n, recorded) in recording.messages(&topic.topic)?.enumerate() {
+                // What is damaged is said elsewhere.
+                let is_enough =
+                    config.read == Depth::Indexes && (n >= SAMPLES || recorded.is_err());
+                if is_enough {
+                    break;
+                }
+                let Ok(recorded) = recorded else {
+                    continue;
+                };
+                measured.arrivals.note(recorded.arrival);
+                match decode_imu(&recorded.bytes) {
+                    Ok(sample) => measured.note(recorded.time, sample),
+                    Err(_) => measured.unreadable += 1,
+                }
+            }
+            self.measured(&topic.topic, &measured);
+        }
+        Ok(())
+    }
+
+    fn measured(&mut self, topic: &str, measured: &Measured) {
+        let looked_at = measured.samples + measured.unreadable + measured.not_finite;
+        let of = format!("in {looked_at} samples that were looked at");
+        if let Some(back) = measured.arrivals.back() {
+            let found = format!("arrivals {back}: the host's clock was set, {of}");
+            let finding = Finding::new("inertial", Verdict::Warn, topic, found);
+            self.add(finding.remedy(SET_BEFORE));
+        }
+        let problems = measured.problems();
+        let is_well = problems.is_empty();
+        for (found, remedy) in problems {
+            let found = format!("{found}, {of}");
+            self.add(Finding::new("inertial", Verdict::Fail, topic, found).remedy(remedy));
+        }
+        if measured.samples < LEAST_SAMPLES {
+            let found = format!("whether they can be true cannot be said {of}: too few");
+            self.add(Finding::new("inertial", Verdict::Unknown, topic, found));
+        } else if is_well {
+            let force_m_s2 = median(measured.forces_m_s2.clone()).unwrap_or_default();
+            let found = format!(
+                "forces of {force_m_s2:.2} m/s² in the middle, as of something that is carried, {of}"
+            );
+            self.add(
+                Finding::new("inertial", Verdict::Pass, topic, found).value(force_m_s2, "m/s²"),
+            );
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use lsfb_recording::{Writer, WriterConfig};
+    use lsfb_types::{Stamped, no_progress};
+
+    use super::*;
+    use crate::doctor::examine;
+
+    /// The findings on ten seconds of an IMU at 200 Hz that measures this: rates, and forces.
+    fn found(measured: impl Fn(i64) -> [[f64; 3]; 2]) -> Vec<Finding> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scan.mcap");
+        let mut writer = Writer::create(&path, &WriterConfig::default()).unwrap();
+        for n in 0..2_000 {
+            let time = Timestamp::from_nanos(1_772_359_200_000_000_000 + n * 5_000_000);
+            let [angular_velocity_rad_s, specific_force_m_s2] = measured(n);
+            let sample = Stamped {
+                time,
+                arrival: time,
+                device_ticks: 0,
+                sample: ImuSample {
+                    angular_velocity_rad_s,
+                    specific_force_m_s2,
+                },
+            };
+            writer.write_imu("imu0", &sample).unwrap();
+        }
+        writer.finish().unwrap();
+        let recording = Recording::open(&path).unwrap();
+        let diagnosis = examine(&recording, &DoctorConfig::default(), &no_progress).unwrap();
+        let findings = diagnosis.judgement.findings().iter();
+        findings.filter(|f| f.code == "inertial").cloned().collect()
+    }
+
+    /// Someone who walks: steps at 2 Hz, turns by 30°/s.
+    fn walk(n: i64) -> [[f64; 3]; 2] {
+        let at = n as f64 * 0.005;
+        let wave = |hz: f64| (std::f64::consts::TAU * hz * at).sin();
+        let rates = [0.3 * wave(1.0), 0.2 * wave(1.3), 0.5 * wave(0.4)];
+        [rates, [1.5 * wave(1.9), wave(1.1), 9.81 + 3.0 * wave(2.0)]]
+    }
+
+    #[track_caller]
+    fn fails(measured: impl Fn(i64) -> [[f64; 3]; 2], words: &str) {
+        let found = found(measured);
+        let said = |f: &Finding| format!("{}; {}", f.what, f.remedy.clone().unwrap_or_default());
+        let is_said = |f: &Finding| f.verdict == Verdict::Fail && said(f).contains(words);
+        assert!(found.iter().any(is_said), "{words}: {found:?}");
+    }
+
+    /// At its rate and without a gap, each of them was a good recording.
+    #[test]
+    fn what_no_imu_that_is_carried_measures_is_no_pass() {
+        let good = found(walk);
+        assert!(
+            matches!(&good[..], [one] if one.verdict == Verdict::Pass),
+            "{good:?}"
+        );
+        fails(|_| [[0.0; 3]; 2], "the same sample");
+        fails(|_| [[0.0; 3]; 2], "forces of 0.00 m/s²");
+        let scaled = |n, rate: f64, force: f64| {
+            let [rates, forces] = walk(n);
+            [rates.map(|v| v * rate), forces.map(|v| v * force)]
+        };
+        fails(|n| scaled(n, 1.0, 1.0 / GRAVITY_M_S2), "they are in g");
+        fails(|n| scaled(n, 57.3, 1.0), "in degrees");
+        // Gravity was taken off.
+        fails(
+            |n| {
+                let [rates, [x, y, z]] = walk(n);
+                [rates, [x, y, z - 9.81]]
+            },
+            "gravity was not taken off",
+        );
+        fails(
+            |n| {
+                let [[x, y, _], forces] = walk(n);
+                [[x, y, 0.25], forces]
+            },
+            "z of its gyroscope stands at 0.25",
+        );
+        fails(
+            |n| {
+                let [rates, [x, _, z]] = walk(n);
+                [rates, [x, f64::NAN, z]]
+            },
+            "no number",
+        );
+        // At rest on a table, with noise: nothing moves, and nothing is dead.
+        let rest = found(|n| {
+            let noise = (n * 7919 % 101) as f64 * 1e-5;
+            [[noise, -noise, 0.0], [0.0, noise, 9.81 + noise]]
+        });
+        assert!(rest.iter().all(|f| f.verdict == Verdict::Pass), "{rest:?}");
+    }
+}
