@@ -33,6 +33,15 @@ fn recording_with_rig(path: &Path, rig: &Rig, session: &[(&str, &str)]) -> Write
     writer
 }
 
+/// What an IMU on a table measures: gravity, and noise.
+fn at_rest(n: u32) -> ImuSample {
+    let noise = f64::from(n * 7919 % 101) * 1e-4;
+    ImuSample {
+        angular_velocity_rad_s: [noise, -noise, 0.5 * noise],
+        specific_force_m_s2: [-noise, noise, 9.81 + noise],
+    }
+}
+
 fn fill(mut writer: Writer, silent: std::ops::Range<u32>) {
     for n in (0..2_000).filter(|n| !silent.contains(n)) {
         let time = Timestamp::from_nanos(START + i64::from(n) * 5_000_000);
@@ -40,7 +49,7 @@ fn fill(mut writer: Writer, silent: std::ops::Range<u32>) {
             time,
             arrival: time + 700_000 + i64::from(n * 7919 % 3_000) * 1_000,
             device_ticks: u64::from(n) * 50 + 1,
-            sample: ImuSample::default(),
+            sample: at_rest(n),
         };
         writer.write_imu("imu0", &sample).expect("sample");
     }
