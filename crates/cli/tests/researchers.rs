@@ -12,6 +12,8 @@ use process::lsfb;
 
 const DOCS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/from");
 const EPOCH_S: f64 = 1_403_636_579.0;
+/// By how much the clock of a phone is behind that of a scanner.
+const PHONE_BEHIND_S: f64 = 3.25;
 
 /// A walk of a minute with turns about all axes.
 fn motion(t: f64) -> Se3 {
@@ -111,20 +113,28 @@ fn files(root: &Path) {
         euroc(EPOCH_S + t + 0.4, &(*pose * body().inverse()))
     });
     write(root, "mav0/mocap0/data.csv", &format!("{header}{mocap}"));
-    let samples = rows(200.0, |t, _| {
-        let h = 1e-4;
-        let [before, now, after] = [-h, 0.0, h].map(|step| motion(t + step));
-        let turn = so3::local(&before.rotation, &after.rotation) / (2.0 * h);
-        let moved = after.translation - 2.0 * now.translation + before.translation;
-        let force = now.rotation.inverse() * (moved / (h * h) + Vector3::new(0.0, 0.0, 9.81));
-        let values = [turn.x, turn.y, turn.z, force.x, force.y, force.z];
-        values
-            .iter()
-            .fold(format!("{:.0}", (EPOCH_S + t) * 1e9), |row, v| {
-                format!("{row},{v:.9}")
-            })
-    });
+    let sampled = |own: UnitQuaternion<f64>, clock_s: f64| {
+        rows(200.0, |t, _| {
+            let h = 1e-4;
+            let [before, now, after] = [-h, 0.0, h].map(|step| motion(t + step));
+            let rate = so3::local(&before.rotation, &after.rotation) / (2.0 * h);
+            let moved = after.translation - 2.0 * now.translation + before.translation;
+            let force = now.rotation.inverse() * (moved / (h * h) + Vector3::new(0.0, 0.0, 9.81));
+            let (rate, force) = (own * rate, own * force);
+            let values = [rate.x, rate.y, rate.z, force.x, force.y, force.z];
+            values
+                .iter()
+                .fold(format!("{:.0}", (EPOCH_S + clock_s + t) * 1e9), |row, v| {
+                    format!("{row},{v:.9}")
+                })
+        })
+    };
+    let samples = sampled(UnitQuaternion::identity(), 0.0);
     write(root, "mav0/imu0/data.csv", &samples);
+    write(root, "scanner.csv", &samples);
+    // A phone on the same board, lying on its side, with a clock that is behind.
+    let phone = sampled(body().rotation, -PHONE_BEHIND_S);
+    write(root, "phone.csv", &phone);
     phones(root);
     // The phone has been on for an hour; the motion capture is 997 s ahead of it.
     let phone = rows(60.0, |t, pose| {
@@ -318,6 +328,31 @@ fn every_command_of_every_page_works() {
         pages += 1;
     }
     assert_eq!(pages, 5);
+}
+
+/// What the page of phones claims: a phone and a scanner that were turned together have one clock.
+#[test]
+fn two_devices_that_were_turned_together_have_one_clock() {
+    let folder = tempfile::tempdir().expect("folder");
+    let root = folder.path();
+    files(root);
+    let line = "align --imu phone.csv --reference-imu scanner.csv --json";
+    let output = lsfb(root, &line.split(' ').collect::<Vec<_>>());
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    let found: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    assert_eq!(found["verdict"], "pass", "{found}");
+    let offset_secs = found["offset_secs"].as_f64().expect("seconds");
+    assert!((offset_secs - PHONE_BEHIND_S).abs() < 1e-4, "{found}");
+    // A device that was elsewhere is refused, and so is a table for the other kind of alignment.
+    for line in [
+        "align --imu phone.csv --reference-imu scanner.csv --offset-secs 100",
+        "align trajectory.tum --reference-imu scanner.csv",
+        "align --imu phone.csv --reference-imu scanner.csv --out truth.tum",
+    ] {
+        let output = lsfb(root, &line.split(' ').collect::<Vec<_>>());
+        assert!(!output.status.success(), "{line}");
+    }
 }
 
 /// What the pages claim: after `align` nothing is left of the other body and clock.

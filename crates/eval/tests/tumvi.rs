@@ -2,7 +2,7 @@
 
 use lsfb_eval::hand_eye::{
     GyroAlignment, GyroSample, HandEyeConfig, MocapConfig, UncertainPose, align_gyroscope,
-    align_mocap,
+    align_gyroscopes, align_mocap,
 };
 use lsfb_eval::read_poses;
 use lsfb_geometry::{StampedPose, UnitQuaternion, Vector3};
@@ -119,4 +119,38 @@ fn the_authors_alignment_is_found_again() {
     );
     let apart = Vector3::from(first.bias_rad_s) - Vector3::from(second.bias_rad_s);
     assert!(apart.norm() < 0.005, "{first:?} {second:?}");
+}
+
+/// Two gyroscopes on one board, made of one: every other sample of it, one part turned and on another clock, so that their noise is real
+/// and their own, and the offset is known.
+#[test]
+fn two_gyroscopes_have_one_clock_within_a_millisecond() {
+    let test = "two_gyroscopes_have_one_clock_within_a_millisecond";
+    let Some(Part { samples, .. }) = part(test, "tumvi_calib_imu1") else {
+        return;
+    };
+    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.4, -1.1, 0.6));
+    for offset_secs in [3.217, -7.9] {
+        let every_other = |first: usize| samples.iter().skip(first).step_by(2);
+        let phone: Vec<GyroSample> = every_other(0)
+            .map(|s| GyroSample {
+                time: s.time,
+                rate_rad_s: s.sample.angular_velocity_rad_s.into(),
+            })
+            .collect();
+        let rig: Vec<GyroSample> = every_other(1)
+            .map(|s| GyroSample {
+                time: s.time.plus_secs(offset_secs),
+                rate_rad_s: turn * Vector3::from(s.sample.angular_velocity_rad_s),
+            })
+            .collect();
+        let found = align_gyroscopes(&phone, &rig, &HandEyeConfig::default()).expect("one body");
+        println!("{found:?}");
+        let off_secs = (found.offset_secs - offset_secs).abs();
+        assert!(
+            off_secs < 1e-3 && found.sigma_offset_secs < 1e-3,
+            "{found:?}"
+        );
+        assert!(off_secs < 4.0 * found.sigma_offset_secs, "{found:?}");
+    }
 }

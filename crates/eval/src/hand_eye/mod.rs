@@ -22,7 +22,7 @@ use refine::{Apart, Halved, Refined, refine};
 use residual::Interpolated;
 
 pub use closed_form::Excitation;
-pub use gyroscope::{GyroAlignment, GyroSample, align_gyroscope};
+pub use gyroscope::{GyroAlignment, GyroSample, align_gyroscope, align_gyroscopes};
 pub use mocap::{MocapAlignment, MocapConfig, align_mocap};
 
 /// How two trajectories are aligned.

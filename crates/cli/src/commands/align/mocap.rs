@@ -2,24 +2,25 @@
 
 use std::path::Path;
 
-use lsfb_calib::camera_imu::read_imu_table;
 use lsfb_eval::hand_eye::{ClockModel, MocapAlignment, MocapConfig, align_mocap};
-use lsfb_types::{Finding, ImuSample, Judgement, Stamped, Timestamp, Verdict};
+use lsfb_types::Judgement;
 
-use super::super::inertial::inertial_samples;
+use super::super::inertial::{is_recording, ordered_samples};
 use super::{Aligned, Arguments, finish, pose_text, read};
 use crate::context::Context;
 use crate::files::name_of;
 use crate::outcome::Outcome;
 
-/// An MCAP file begins so.
-const MCAP: &str = "mcap";
-
 /// Aligns the motion capture to the IMU, writes, prints.
-pub(super) fn run(imu: &Path, arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> {
-    let reference = read(&arguments.reference)?;
+pub(super) fn run(
+    imu: &Path,
+    reference: &Path,
+    arguments: &Arguments,
+    context: &Context,
+) -> anyhow::Result<Outcome> {
+    let reference = read(reference)?;
     let mut findings = reference.findings;
-    let samples = samples(imu, context, &mut findings)?;
+    let samples = ordered_samples(imu, context, &mut findings)?;
     let mut config = MocapConfig {
         offset_guess_secs: arguments.offset_secs,
         search_secs: arguments.search_secs,
@@ -29,7 +30,7 @@ pub(super) fn run(imu: &Path, arguments: &Arguments, context: &Context) -> anyho
         },
         ..MocapConfig::default()
     };
-    if imu.extension().is_some_and(|e| e == MCAP)
+    if is_recording(imu)
         && let Ok(rig) = context.open(imu)?.rig()
         && let Some(imu) = rig.imu()
     {
@@ -48,37 +49,6 @@ pub(super) fn run(imu: &Path, arguments: &Arguments, context: &Context) -> anyho
         arguments,
         context,
     )
-}
-
-/// In order of time.
-fn samples(
-    path: &Path,
-    context: &Context,
-    findings: &mut Vec<Finding>,
-) -> anyhow::Result<Vec<Stamped<ImuSample>>> {
-    let mut samples: Vec<Stamped<ImuSample>> = match path.extension().is_some_and(|e| e == MCAP) {
-        true => inertial_samples(path, context, findings)?,
-        false => read_imu_table(path)?
-            .into_iter()
-            .map(|(time, sample): (Timestamp, ImuSample)| Stamped {
-                time,
-                arrival: time,
-                device_ticks: 0,
-                sample,
-            })
-            .collect(),
-    };
-    if samples.windows(2).any(|w| w[1].time < w[0].time) {
-        let what = "inertial samples go back in time; they were sorted";
-        findings.push(Finding::new(
-            "unsorted-stamps",
-            Verdict::Warn,
-            name_of(path),
-            what,
-        ));
-        samples.sort_by_key(|s| s.time);
-    }
-    Ok(samples)
 }
 
 fn text(found: &MocapAlignment) -> String {

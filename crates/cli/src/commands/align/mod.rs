@@ -1,5 +1,6 @@
 //! `lsfb align`: two trajectories of one body by two systems → both transforms and the offset of their clocks.
 
+mod gyroscopes;
 mod mocap;
 
 use std::path::{Path, PathBuf};
@@ -25,10 +26,14 @@ use crate::outcome::Outcome;
 /// Motion capture is better aligned to an IMU on the device (--imu, a recording or a csv): the path of the IMU that is written is smoother
 /// than the markers' jitter, and goes on for a while where they are dropped or swapped.
 ///
+/// Two recordings with an IMU each (--reference-imu) are brought to one clock by their gyroscopes, where there was no network to do it: hold
+/// both devices together and turn them for half a minute about two axes.
+///
 /// Examples:
 ///   lsfb align glasses.tum --reference mocap.csv --out truth.tum
 ///   lsfb align glasses.tum --reference novatel.tum --offset-secs 18 --drift --json
 ///   lsfb align --imu walk.mcap --reference mocap.csv --out truth.tum
+///   lsfb align --imu phone.mcap --reference-imu scan.mcap --offset-secs 3600 --search-secs 60
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
@@ -43,8 +48,20 @@ pub struct Arguments {
     #[arg(long, value_name = "MCAP|CSV")]
     imu: Option<PathBuf>,
     /// The reference trajectory, of any program.
-    #[arg(long, value_name = "TRAJECTORY")]
-    reference: PathBuf,
+    #[arg(
+        long,
+        value_name = "TRAJECTORY",
+        required_unless_present = "reference_imu"
+    )]
+    reference: Option<PathBuf>,
+    /// Inertial samples of another device on the same body instead: a recording, or a csv as EuRoC has it.
+    #[arg(
+        long,
+        value_name = "MCAP|CSV",
+        requires = "imu",
+        conflicts_with_all = ["reference", "drift", "out"]
+    )]
+    reference_imu: Option<PathBuf>,
     /// Approximate offset to add to the estimate's stamps to get the reference's.
     #[arg(
         long,
@@ -74,14 +91,22 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let Some(input) = inputs.into_iter().flatten().next() else {
         anyhow::bail!("name a trajectory, or inertial samples with --imu");
     };
+    if let Some(reference) = &arguments.reference_imu {
+        return gyroscopes::run(input, reference, arguments, context);
+    }
+    let Some(path) = &arguments.reference else {
+        anyhow::bail!(
+            "name a trajectory with --reference, or inertial samples with --reference-imu"
+        );
+    };
     if let Some(out) = &arguments.out {
-        context.claim(out, &[input, &arguments.reference])?;
+        context.claim(out, &[input, path])?;
     }
     if arguments.imu.is_some() {
-        return mocap::run(input, arguments, context);
+        return mocap::run(input, path, arguments, context);
     }
     let estimate = read(input)?;
-    let reference = read(&arguments.reference)?;
+    let reference = read(path)?;
     let config = HandEyeConfig {
         offset_guess_secs: arguments.offset_secs,
         search_secs: arguments.search_secs,
