@@ -37,6 +37,7 @@ fn table(text: &str, device: &str) -> SlamTable {
             scale_percent: scale.parse().ok(),
             sim3_m: sim3.parse().ok(),
             cause: (sim3 == "x").then_some(Cause::NeverInitialised),
+            ..Cell::default()
         };
         table.rows.last_mut().expect("a row").cells.push(cell);
     }

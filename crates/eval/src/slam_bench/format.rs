@@ -85,6 +85,9 @@ impl MarkedTable {
         for (sequence, system, cause) in &self.failures {
             out += &format!("× {sequence} {system}: {cause}\n");
         }
+        for (sequence, system, remark) in &self.remarks {
+            out += &format!("! {sequence} {system}: {remark}\n");
+        }
         out
     }
 
@@ -227,6 +230,12 @@ impl MarkedTable {
                 section {
                     h2 { "Without a result" }
                     ul { @for (sequence, system, cause) in &self.failures { li { (sequence) ", " (system) ": " (cause) } } }
+                }
+            }
+            @if !self.remarks.is_empty() {
+                section {
+                    h2 { "To be looked at" }
+                    ul { @for (sequence, system, remark) in &self.remarks { li { (sequence) ", " (system) ": " (remark) } } }
                 }
             }
         }

@@ -7,7 +7,7 @@ use super::cause::Cause;
 /// An error above this share of the longer side of the place is grey, and so is a scale error above it.
 const UNRELIABLE: f64 = 0.1;
 
-/// Figures of one system on one sequence, metres and per cent; all absent where every run failed.
+/// Figures of one system on one sequence, metres and per cent; all absent where most runs failed.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Cell {
     /// Root mean square error after SE(3) alignment; absent for systems without scale.
@@ -18,6 +18,9 @@ pub struct Cell {
     pub sim3_m: Option<f64>,
     /// Why there are none.
     pub cause: Option<Cause>,
+    /// What the figures do not say.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub remarks: Vec<String>,
 }
 
 /// One sequence.
@@ -66,7 +69,7 @@ pub enum Metric {
 /// A figure as it stands in the table.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Figure {
-    /// Metres, per cent for [`Metric::Scale`]; absent where every run failed: ×.
+    /// Metres, per cent for [`Metric::Scale`]; absent where most runs failed: ×.
     pub value: Option<f64>,
     /// Not to be relied on.
     pub is_grey: bool,
@@ -104,8 +107,10 @@ pub struct MarkedTable {
     pub rows: Vec<(String, Vec<Figure>)>,
     /// Counts of the columns of errors.
     pub counts: Vec<ColumnCount>,
-    /// Sequence, system and why every run failed.
+    /// Sequence, system and why most runs failed.
     pub failures: Vec<(String, String, Cause)>,
+    /// Sequence, system and what their figures do not say.
+    pub remarks: Vec<(String, String, String)>,
 }
 
 impl SlamTable {
@@ -139,7 +144,19 @@ impl SlamTable {
             });
             causes.collect::<Vec<_>>()
         };
+        let remark = |row: &SlamRow| {
+            let cells = row.cells.iter().zip(&self.systems);
+            let of_cell = |(cell, system): (&Cell, &Column)| {
+                let place = (row.sequence.clone(), system.name.clone());
+                let remarks = cell.remarks.iter().cloned();
+                remarks
+                    .map(|remark| (place.0.clone(), place.1.clone(), remark))
+                    .collect::<Vec<_>>()
+            };
+            cells.flat_map(of_cell).collect::<Vec<_>>()
+        };
         MarkedTable {
+            remarks: self.rows.iter().flat_map(remark).collect(),
             title: self.title.clone(),
             systems: self.systems.clone(),
             counts: counts(&columns, &rows),
@@ -249,7 +266,7 @@ mod tests {
             se3_m: Some(se3_m),
             scale_percent: Some(scale_percent),
             sim3_m: Some(sim3_m),
-            cause: None,
+            ..Cell::default()
         }
     }
 

@@ -13,7 +13,8 @@ use crate::outcome::Outcome;
 ///
 /// The plan (TOML) names sequences (a recording, its truth, the longer side of the place) and systems (a command with {input}, {out},
 /// {trajectory}, {sequence}, {run}; the layout that it reads: as_is, euroc, tum_vi, kitti, images, stamped). The median of several runs counts; ×
-/// stands where all failed, with the cause. Finished runs are not repeated, not even with --force. Writes table.txt, .csv, .tex and .html, and
+/// stands where more than half failed, with the cause. Runs that failed beside others, and trajectories that are the truth itself or are odd
+/// otherwise, are named below the table. Finished runs are not repeated, not even with --force, unless a file of their input changed. Writes table.txt, .csv, .tex and .html, and
 /// a page of each sequence (SEQUENCE.html) with the trajectories, their errors over time, and the share of poses by error.
 ///
 /// Examples:

@@ -3,14 +3,15 @@
 mod judging;
 mod medians;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
+use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::thread;
 
 use lsfb_recording::{Recording, sha256_of};
-use lsfb_types::{Progress, ProgressFn};
+use lsfb_types::{Finding, Progress, ProgressFn, Verdict};
 use serde::{Deserialize, Serialize};
 
 use super::cause::Cause;
@@ -23,6 +24,9 @@ use crate::{Error, ReadOptions, read_trajectory};
 pub(super) use judging::{judge, read_estimate};
 pub(super) use medians::median;
 pub use medians::table_of;
+
+/// Findings that make figures doubtful however good they are, the gravest first.
+const ODD: [&str; 5] = ["same", "mirrored", "follows", "clock", "no-stamps"];
 
 /// What one run came to.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -49,6 +53,8 @@ pub struct RunResult {
     pub sim3_m: Option<f64>,
     /// Why there are no figures.
     pub cause: Option<Cause>,
+    /// What the judge found odd where there are figures.
+    pub remark: Option<String>,
     /// Its trajectory, seen from the folder of the run.
     pub trajectory: PathBuf,
     /// Stamps of the trajectory's rows, where it has none.
@@ -142,7 +148,7 @@ fn prepare(plan: &Plan, sequence: &Sequence, out: &Path) -> Result<Prepared, Err
     let is_file = sequence.input.is_file();
     let input = match is_file {
         true => sha256_of(&sequence.input)?,
-        false => sequence.input.display().to_string(),
+        false => contents_of(&sequence.input, out)?,
     };
     let truth = sha256_of(&sequence.truth)?;
     let mut inputs = BTreeMap::new();
@@ -174,6 +180,34 @@ fn prepare(plan: &Plan, sequence: &Sequence, out: &Path) -> Result<Prepared, Err
         inputs,
         made_of: format!("input {input}, truth {truth}"),
     })
+}
+
+/// A folder that systems read: another file, or another size or time of one, makes another run. What is below `out` is no input.
+fn contents_of(folder: &Path, out: &Path) -> Result<String, Error> {
+    let io = |path: &Path| {
+        let path = path.to_owned();
+        move |source| Error::Io { path, source }
+    };
+    let out = out.canonicalize().ok();
+    let mut files = BTreeSet::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(&folder).map_err(io(&folder))? {
+            let path = entry.map_err(io(&folder))?.path();
+            let about = fs::symlink_metadata(&path).map_err(io(&path))?;
+            if about.is_dir() {
+                let is_out = out.is_some() && path.canonicalize().ok() == out;
+                folders.extend((!is_out).then_some(path));
+            } else {
+                let changed = about.modified().map_err(io(&path))?;
+                files.insert((path, about.len(), changed));
+            }
+        }
+    }
+    let mut hasher = DefaultHasher::new();
+    files.hash(&mut hasher);
+    let (place, count, hash) = (folder.display(), files.len(), hasher.finish());
+    Ok(format!("{place} ({count} files, {hash:016x})"))
 }
 
 struct Job<'a> {
@@ -245,6 +279,7 @@ impl Job<'_> {
             scale_percent: None,
             sim3_m: None,
             cause: ended.cause,
+            remark: None,
             trajectory,
             times: times.map_err(bad)?,
         };
@@ -332,7 +367,9 @@ impl Job<'_> {
             });
         }
         let metric = metric.transpose()?;
+        let odd = |f: &&Finding| f.verdict >= Verdict::Warn && ODD.contains(&f.code.as_ref());
         Ok(RunResult {
+            remark: sim3.findings.iter().find(odd).map(|f| f.what.clone()),
             covered: Some(covered),
             se3_m: metric.as_ref().map(|m| m.ate_translation_m.rmse),
             scale_percent: metric.and_then(|m| m.scale_error_abs_percent),

@@ -87,6 +87,10 @@ fn what_was_run_is_remembered() {
     plan.time_limit_secs = 10.0;
     run_plan(&plan, &out, &no_progress).expect("run");
     assert_eq!(runs(), 7);
+    // Results of a folder stood though other images lay in it.
+    fs::write(folder.path().join("room/0.png"), "another image").expect("file");
+    run_plan(&plan, &out, &no_progress).expect("run");
+    assert_eq!(runs(), 10);
 }
 
 /// Of three runs the median; a run that failed does not hide the others.
@@ -102,6 +106,30 @@ fn the_median_run_counts() {
     assert_eq!(table.rows[0].cells[0].se3_m, Some(error(2)));
     assert!(table.rows[0].cells[1].se3_m.is_some_and(|m| m < 1e-9));
     assert!(matches!(results[4].cause, Some(Cause::Crashed { .. })));
+    // That one failed, and that the others are the truth, is said; the noisy ones are as they seem.
+    let remarks = &table.rows[0].cells[1].remarks;
+    assert!(remarks[0].contains("is the ground truth"), "{remarks:?}");
+    assert!(
+        remarks[1].starts_with("1 of 3 runs failed: crashed"),
+        "{remarks:?}"
+    );
+    assert!(table.rows[0].cells[0].remarks.is_empty());
+    let marked = table.marked();
+    for form in [marked.to_text(), marked.to_html()] {
+        assert!(form.contains("1 of 3 runs failed"), "{form}");
+    }
+}
+
+/// Of a system that crashed in two of three runs the table had the third one's error, and no word of the others.
+#[test]
+fn who_fails_most_of_the_time_has_no_figure() {
+    let mostly = "test $2 = 2 && cp ../../../../truth.tum $1";
+    let (folder, plan) = setup(&system("mostly", mostly));
+    let results = run_plan(&plan, &folder.path().join("out"), &no_progress).expect("run");
+    assert!(results[1].se3_m.is_some());
+    let table = table_of(&plan, &results);
+    let cell = &table.rows[0].cells[0];
+    assert!(cell.se3_m.is_none() && matches!(cell.cause, Some(Cause::Crashed { .. })));
 }
 
 #[test]
