@@ -3,7 +3,8 @@
 use std::cmp::Ordering;
 use std::path::Path;
 
-use lsfb_types::Verdict;
+use lsfb_geometry::{StampedPose, Trajectory};
+use lsfb_types::{Finding, Verdict};
 use serde::{Deserialize, Serialize};
 
 use crate::alignment::AlignmentMode;
@@ -18,6 +19,8 @@ use crate::{
 pub const RANKED_COVERAGE: f64 = 0.9;
 /// Poses that are judged at most.
 const MAX_POSES: usize = 300_000;
+/// Poses at true stamps with which an upload is judged there.
+const LEAST_POSES: usize = 3;
 /// Figures are given to the millimetre: finer ones would tell the truth bit by bit to who asks often enough.
 const STEP_M: f64 = 1e-3;
 
@@ -51,7 +54,8 @@ pub struct Submission {
     pub score: Score,
 }
 
-/// Scores a file against the truth, for somebody who must not see the truth: errors say what is wrong with the file alone.
+/// Scores a file against the truth, for somebody who must not see the truth: errors say what is wrong with the file alone. It is judged at
+/// the true stamps, between its own.
 pub fn score(upload: &Path, truth: &TrajectoryFile) -> Result<Score, Error> {
     let estimate = read_trajectory(upload, &ReadOptions::default())?;
     let refuse = |what: String| Error::NotATrajectory {
@@ -74,15 +78,49 @@ pub fn score(upload: &Path, truth: &TrajectoryFile) -> Result<Score, Error> {
         }],
         ..EvalConfig::default()
     };
-    let evaluation = evaluate_files(truth, &estimate, &config)?;
-    let failed = evaluation
-        .findings
-        .iter()
-        .find(|f| f.verdict == Verdict::Fail);
+    let at_truth = at_true_stamps(&truth.poses, &estimate, config.coverage_gap_secs);
+    let evaluation = match at_truth.len() {
+        // Its own stamps say what is wrong with it.
+        ..LEAST_POSES => evaluate_files(truth, &estimate, &config)?,
+        _ => {
+            let poses = at_truth;
+            let judged = TrajectoryFile { poses, ..estimate };
+            evaluate_files(truth, &judged, &config)?
+        }
+    };
+    // Who has the truth, or a part of it, needs no leaderboard.
+    let is_refused = |f: &&Finding| f.verdict == Verdict::Fail || f.code == "same";
+    let failed = evaluation.findings.iter().find(is_refused);
     match failed {
         Some(finding) => Err(refuse(format!("no result: {}", finding.what))),
         None => Ok(of(&evaluation)),
     }
+}
+
+/// Poses of an upload at those true stamps that lie between two of its own which are at most `gap_secs` apart. So every true pose counts
+/// once: nobody gains by poses that come a hundred times as often where they are good, or with stamps that match nothing where they are not.
+fn at_true_stamps(
+    truth: &[StampedPose],
+    estimate: &TrajectoryFile,
+    gap_secs: f64,
+) -> Vec<StampedPose> {
+    let upload = Trajectory::new(estimate.poses.clone());
+    let own = upload.poses();
+    let is_between = |truth: &&StampedPose| {
+        let next = own.partition_point(|p| p.time < truth.time);
+        match (next.checked_sub(1).and_then(|i| own.get(i)), own.get(next)) {
+            (_, Some(after)) if after.time == truth.time => true,
+            (Some(before), Some(after)) => after.time.secs_since(before.time) <= gap_secs,
+            _ => false,
+        }
+    };
+    let at = |truth: &StampedPose| {
+        upload.at(truth.time).map(|world_from_rig| StampedPose {
+            time: truth.time,
+            world_from_rig,
+        })
+    };
+    truth.iter().filter(is_between).filter_map(at).collect()
 }
 
 fn of(evaluation: &Evaluation) -> Score {
@@ -166,6 +204,72 @@ mod tests {
                 covered_percent,
             },
         }
+    }
+
+    /// A truth of a walk in curls, ten poses a second for a minute, and an upload of the times at which `keep` says how far it is off.
+    fn scored(keep: impl Fn(f64) -> Option<f64>) -> Result<Score, Error> {
+        use std::fmt::Write as _;
+        let row = |t: f64, off_m: f64| {
+            let (x, y) = ((0.5 * t).sin() * 4.0, (0.31 * t).cos() * 3.0);
+            format!("{t:.4} {} {y} {} 0 0 0 1\n", x + off_m, 0.2 * t)
+        };
+        let folder = tempfile::tempdir().expect("folder");
+        let [truth, upload] = ["truth.tum", "upload.tum"].map(|name| folder.path().join(name));
+        let true_rows: String = (0..600).map(|i| row(0.1 * f64::from(i), 0.0)).collect();
+        std::fs::write(&truth, true_rows).expect("truth");
+        let mut rows = String::new();
+        for i in 0..600_000 {
+            let t = 1e-4 * f64::from(i);
+            if let Some(off_m) = keep(t) {
+                let _ = write!(rows, "{}", row(t, off_m));
+            }
+        }
+        std::fs::write(&upload, rows).expect("upload");
+        let truth = read_trajectory(&truth, &ReadOptions::default()).expect("truth");
+        score(&upload, &truth)
+    }
+
+    /// A truth that somebody had was the best of all uploads.
+    #[test]
+    fn the_truth_gets_no_score() {
+        let every = |n: f64| move |t: f64| ((t / n) - (t / n).round()).abs() < 1e-6;
+        for secs in [0.1, 0.3] {
+            let refused = scored(|t| every(secs)(t).then_some(0.0)).expect_err("the truth");
+            assert!(refused.to_string().contains("ground truth"), "{refused}");
+        }
+    }
+
+    /// Lost in the second half, which an upload can hide in two ways: stamps between those of the truth, which match none, and a hundred
+    /// times as many poses in the first half.
+    #[test]
+    fn nobody_hides_where_he_was_lost() {
+        let small_m = |t: f64| 0.01 * (5.0 * t).sin();
+        let off_m = |t: f64| {
+            if t < 30.0 {
+                small_m(t)
+            } else {
+                3.0 * (7.0 * t).sin()
+            }
+        };
+        let each = |t: f64, secs: f64, first: f64| {
+            let steps = (t - first) / secs;
+            (steps - steps.round()).abs() < 1e-6
+        };
+        let scored = |keep: &dyn Fn(f64) -> Option<f64>| scored(keep).expect("scored");
+        let plain = scored(&|t| each(t, 0.1, 0.0).then(|| off_m(t)));
+        assert!(plain.ate_se3_m > 0.5, "{plain:?}");
+        let aside = scored(&|t| match t < 30.0 {
+            true => each(t, 0.1, 0.0).then(|| small_m(t)),
+            false => each(t, 0.1, 0.05).then(|| off_m(t)),
+        });
+        assert!(aside.ate_se3_m > 0.5 * plain.ate_se3_m, "{aside:?}");
+        let is_near = |t: f64| (t - (10.0 * t).round() / 10.0).abs() < 0.0101;
+        let weighted = scored(&|t| match t < 2.0 {
+            true => (is_near(t) && each(t, 0.001, 0.0)).then(|| small_m(t)),
+            false => each(t, 1.0, 0.0).then(|| off_m(t)),
+        });
+        assert!(weighted.ate_se3_m > 0.5 * plain.ate_se3_m, "{weighted:?}");
+        assert!(weighted.covered_percent > 98.0, "{weighted:?}");
     }
 
     /// Who tracks the first seconds alone has the smallest error of all.

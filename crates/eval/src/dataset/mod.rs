@@ -35,7 +35,7 @@ pub use page::{DatasetViews, EnvironmentView, EstimateView};
 pub use plan::{DatasetPlan, Device, Environment, Gait, Gaze, Motion, PerDevice, PlannedSequence};
 pub use plausible::{judge_measured, judge_planned};
 pub use sequence::{SequenceFigures, measure};
-pub use session::lamar_session;
+pub use session::{LamarSession, lamar_session};
 pub use sums::{Difference, check_sums, write_sums};
 pub use tables::{cameras_table, environments_table, motion_classes_table, motions_table};
 pub use truth_file::euroc_truth;

@@ -68,6 +68,10 @@ struct Exported<'a> {
     true_poses: usize,
     /// Images that the truth does not reach to, which have no pose.
     without_pose: usize,
+    /// Cameras whose lens the layout's `sensor.yaml` has no name for: `rig.toml` alone has it.
+    without_lens: Vec<String>,
+    /// Bluetooth advertisements that LaMAR's format has no place for.
+    without_beacon: usize,
 }
 
 /// Reads, writes, prints.
@@ -99,6 +103,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         folder: out,
         true_poses: truth.len(),
         without_pose: 0,
+        without_lens: Vec::new(),
+        without_beacon: 0,
     };
     let (layout, images) = match arguments.layout {
         Program::Euroc => (Layout::Euroc, out.clone()),
@@ -122,12 +128,17 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let around = images.parent().unwrap_or(out);
     std::fs::create_dir_all(around).with_context(|| around.display().to_string())?;
     export_without(&recording, layout, &hidden, &images)?;
+    if matches!(arguments.layout, Program::Euroc | Program::TumVi) {
+        exported.without_lens = without_lens(out)?;
+    }
     let truth = Trajectory::new(truth);
     match arguments.layout {
         Program::Lamar => {
             let rig = recording.rig()?;
             let cameras = camera_rows(&rig)?;
-            for (name, text) in lamar_session(&recording, &rig, &cameras, truth.poses())? {
+            let session = lamar_session(&recording, &rig, &cameras, truth.poses())?;
+            exported.without_beacon = session.without_beacon;
+            for (name, text) in session.files {
                 put(&out.join(name), text.as_bytes())?;
             }
         }
@@ -167,9 +178,35 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         if exported.without_pose > 0 {
             text += &format!("; {} images have none", exported.without_pose);
         }
+        if exported.without_beacon > 0 {
+            let left_out = exported.without_beacon;
+            text += &format!(
+                "\n{left_out} Bluetooth advertisements are of no iBeacon and were left out"
+            );
+        }
+        for camera in &exported.without_lens {
+            text += &format!(
+                "\n{camera} has no sensor.yaml, which knows no such lens: rig.toml has it"
+            );
+        }
         text
     })?;
     Ok(Outcome::Done)
+}
+
+/// Cameras of an EuRoC folder that have images and no `sensor.yaml`.
+fn without_lens(out: &Path) -> anyhow::Result<Vec<String>> {
+    let sensors = out.join("mav0");
+    let mut without = Vec::new();
+    for entry in std::fs::read_dir(&sensors).with_context(|| sensors.display().to_string())? {
+        let folder = entry?.path();
+        let name = folder.file_name().unwrap_or_default().to_string_lossy();
+        if name.starts_with("cam") && !folder.join("sensor.yaml").exists() {
+            without.push(name.into_owned());
+        }
+    }
+    without.sort();
+    Ok(without)
 }
 
 /// Model, size and parameters of each camera of the rig, as COLMAP has them.
@@ -230,4 +267,25 @@ fn placed(
         files.context("the format holds no poses of images")?,
         without,
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An exported phone whose lens the format does not know had images without a calibration, and nobody was told.
+    #[test]
+    fn a_camera_without_calibration_is_named() {
+        let folder = tempfile::tempdir().expect("folder");
+        for (sensor, file) in [
+            ("cam0", "sensor.yaml"),
+            ("cam1", "data.csv"),
+            ("imu0", "data.csv"),
+        ] {
+            let around = folder.path().join("mav0").join(sensor);
+            std::fs::create_dir_all(&around).expect("folder");
+            std::fs::write(around.join(file), "").expect("file");
+        }
+        assert_eq!(without_lens(folder.path()).expect("read"), ["cam1"]);
+    }
 }

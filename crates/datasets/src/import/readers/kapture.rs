@@ -24,6 +24,8 @@ use crate::import::table::{Row, Table};
 
 /// COLMAP's pixel (0, 0), and so kapture's, is the corner of the first pixel, ours its middle.
 const HALF_PIXEL: f64 = 0.5;
+/// Characters of a UUID with its hyphens.
+const UUID_CHARS: usize = 36;
 
 /// Which of the two.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -195,7 +197,7 @@ impl Reader<'_> {
                 let reading = WifiReading {
                     scan: scan.scan,
                     bssid: row.text(2).to_owned(),
-                    frequency_mhz: row.whole(3)?,
+                    frequency_mhz: megahertz(row.whole(3)?),
                     rssi_dbm: row.dbm(4)?,
                     ssid: row.text(5).to_owned(),
                 };
@@ -228,9 +230,8 @@ impl Reader<'_> {
         for row in table.rows(',') {
             let record = row.expect_cells(4..=5).and_then(|()| {
                 let advert = BleAdvert {
-                    address: row.text(2).to_owned(),
                     rssi_dbm: row.dbm(3)?,
-                    ..BleAdvert::default()
+                    ..sender(row.text(2))
                 };
                 named += u64::from(!row.text(4).is_empty());
                 Ok((row.stamp(0, unit)?, Payload::Ble(Box::new(advert))))
@@ -399,4 +400,61 @@ fn camera(row: &Row<'_>) -> Result<Camera, String> {
         height,
         lens,
     })
+}
+
+/// Wi-Fi's channels lie between 2.4 and 7.2 GHz: kapture's own files have megahertz, LaMAR's kilohertz.
+fn megahertz(frequency: u32) -> u32 {
+    match frequency {
+        100_000.. => frequency / 1000,
+        _ => frequency,
+    }
+}
+
+/// LaMAR's `guid:major:minor` of an iBeacon; anything else is an address.
+fn sender(id: &str) -> BleAdvert {
+    let parts: Vec<&str> = id.split(':').collect();
+    let beacon = |uuid: &str, major: &str, minor: &str| {
+        (uuid.len() == UUID_CHARS).then_some(())?;
+        Some(BleAdvert {
+            uuid: uuid.to_owned(),
+            major: major.parse().ok()?,
+            minor: minor.parse().ok()?,
+            ..BleAdvert::default()
+        })
+    };
+    let found = match parts[..] {
+        [uuid, major, minor] => beacon(uuid, major, minor),
+        _ => None,
+    };
+    found.unwrap_or_else(|| BleAdvert {
+        address: id.to_owned(),
+        ..BleAdvert::default()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Kilohertz were read as megahertz, and an iBeacon's number as an address.
+    #[test]
+    fn lamar_has_kilohertz_and_beacons() {
+        assert_eq!(
+            [2_437_000, 5_180_000, 2417].map(megahertz),
+            [2437, 5180, 2417]
+        );
+        let beacon = sender("e2c56db5-dffb-48d2-b060-d0f5a71096e0:7:65535");
+        assert_eq!((beacon.major, beacon.minor), (7, 65_535));
+        assert_eq!(beacon.uuid, "e2c56db5-dffb-48d2-b060-d0f5a71096e0");
+        assert!(beacon.address.is_empty());
+        for other in [
+            "35:A8:4B:D9:95:06",
+            "a:1:2",
+            "e2c56db5-dffb-48d2-b060-d0f5a71096e0:7:65536",
+            "",
+        ] {
+            let heard = sender(other);
+            assert_eq!((heard.address.as_str(), heard.uuid.as_str()), (other, ""));
+        }
+    }
 }

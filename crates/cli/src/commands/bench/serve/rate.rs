@@ -5,6 +5,8 @@ use std::net::IpAddr;
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
+use lsfb_operator::server::network_of;
+
 /// Uploads of one sender, and in which time.
 const LIMITS: [(usize, Duration); 2] = [
     (6, Duration::from_secs(60)),
@@ -25,7 +27,7 @@ impl RateLimit {
         };
         let [.., (_, longest)] = LIMITS;
         senders.retain(|_, times| times.back().is_some_and(|last| now - *last < longest));
-        let sender = network(sender);
+        let sender = network_of(sender);
         if !senders.contains_key(&sender) && senders.len() >= MOST_SENDERS {
             return false;
         }
@@ -39,17 +41,6 @@ impl RateLimit {
             times.push_back(now);
         }
         admitted
-    }
-}
-
-/// Who has one IPv6 address has all of its network.
-fn network(address: IpAddr) -> IpAddr {
-    match address {
-        IpAddr::V4(_) => address,
-        IpAddr::V6(own) => match own.to_ipv4_mapped() {
-            Some(own) => IpAddr::V4(own),
-            None => IpAddr::V6((own.to_bits() >> 64 << 64).into()),
-        },
     }
 }
 
