@@ -49,7 +49,7 @@ pub(super) fn relocalizations(
 /// How much of the truth the estimate speaks about.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Coverage {
-    /// Share of the truth's poses between two neighbouring poses of the estimate, 0 to 1.
+    /// Share of the truth's poses between two neighbouring poses of the estimate, with a judged one near, 0 to 1.
     pub fraction: f64,
     /// Longest time between two neighbouring poses of the estimate, seconds.
     pub longest_gap_secs: f64,
@@ -59,9 +59,21 @@ pub struct Coverage {
     pub missing_end_secs: f64,
 }
 
-/// Both in order of time.
-pub(super) fn coverage(truth: &[StampedPose], estimate: &[StampedPose], gap_secs: f64) -> Coverage {
+/// All in order of time; `pairs` are those of the two that are judged. Poses of the estimate whose stamps match no true one are judged
+/// nowhere: where they alone are, nothing is known of their errors, and the truth is not covered.
+pub(super) fn coverage(
+    truth: &[StampedPose],
+    estimate: &[StampedPose],
+    pairs: &[PosePair],
+    gap_secs: f64,
+) -> Coverage {
     let gap = |earlier: &StampedPose, later: &StampedPose| later.time.secs_since(earlier.time);
+    let is_judged = |t: &StampedPose| {
+        let next = pairs.partition_point(|p| p.truth.time < t.time);
+        let around = [next.checked_sub(1), Some(next)];
+        let mut around = around.into_iter().flatten().filter_map(|i| pairs.get(i));
+        around.any(|p| gap(&p.truth, t).abs() <= gap_secs)
+    };
     let covered = truth
         .iter()
         .filter(|t| {
@@ -75,6 +87,7 @@ pub(super) fn coverage(truth: &[StampedPose], estimate: &[StampedPose], gap_secs
                 _ => false,
             }
         })
+        .filter(|t| is_judged(t))
         .count();
     let later = |a: Option<&StampedPose>, b: Option<&StampedPose>| match (a, b) {
         (Some(a), Some(b)) => gap(a, b).max(0.0),

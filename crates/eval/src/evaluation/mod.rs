@@ -66,6 +66,8 @@ pub fn evaluate_files(
     found.success = estimate.success;
     let of_files = truth.findings.iter().chain(&estimate.findings);
     found.findings.splice(0..0, of_files.cloned());
+    let by_number = remarks::rows_by_number(truth, estimate);
+    found.findings.extend(by_number);
     Ok(found)
 }
 
@@ -105,13 +107,17 @@ fn judge(
             Err(error) => return Err(error),
         }
     }
-    let coverage = coverage(truth, estimate, config.coverage_gap_secs);
+    let coverage = coverage(truth, estimate, &pairs, config.coverage_gap_secs);
     let scale = sim3_scale(&pairs);
     let each_error = || translation.iter().copied().zip(rotation.iter().copied());
     let thresholds = config.recall.iter().filter(|_| has_rotations);
     let aligned_estimate: Vec<StampedPose> =
         estimate.iter().map(|p| moved(p, &alignment)).collect();
     let of_pairs = covariances_of(&pairs, estimate, covariances);
+    let consistency = consistency(&aligned, &of_pairs, alignment.scale);
+    if consistency.is_none() && !of_pairs.is_empty() {
+        findings.push(remarks::no_covariance(of_pairs.len()));
+    }
     let found = Evaluation {
         truth_poses: truth.len(),
         estimate_poses: estimate.len(),
@@ -150,7 +156,7 @@ fn judge(
             estimate: smoothness(&aligned_estimate),
             truth: smoothness(truth),
         },
-        consistency: consistency(&aligned, &of_pairs, alignment.scale),
+        consistency,
         findings,
         errors: aligned
             .iter()

@@ -4,8 +4,9 @@ use lsfb_geometry::{Matrix3, Vector3};
 use lsfb_types::{Finding, Limit, Verdict};
 
 use super::{Evaluation, conventions};
-use crate::Error;
 use crate::association::PosePair;
+use crate::read::NO_STAMPS;
+use crate::{Error, TrajectoryFile};
 
 /// Share of the truth that an estimate should speak about.
 const LEAST_COVERED: f64 = 0.9;
@@ -23,8 +24,13 @@ const SIM3_PARAMETERS: f64 = 7.0;
 const LINE_RATIO: f64 = 0.01;
 /// No estimate is so near the truth, metres: it is the truth.
 const LEAST_ERROR_M: f64 = 1e-6;
-/// Mean NEES of six between which a covariance is called right.
-const NEES_RANGE: std::ops::RangeInclusive<f64> = 1.5..=12.0;
+/// So many poses that are the truth's, and such a share of them, are no chance.
+const LEAST_COPIED: usize = 20;
+const COPIED_SHARE: f64 = 0.1;
+/// Share of poses that differ from the truth by no more than their last digit: an estimate as good as a tenth of that has fewer.
+const ROUNDED_SHARE: f64 = 0.99;
+/// Mean NEES, as a multiple of its degrees of freedom, between which a covariance is called right.
+const NEES_RATIO: std::ops::RangeInclusive<f64> = 0.25..=2.0;
 
 /// How many times larger an estimate is that has other units of length, and which it has where the truth is in metres.
 const OTHER_UNITS: [(f64, &str); 4] = [
@@ -49,6 +55,27 @@ pub(super) fn duplicates(count: usize) -> Option<Finding> {
 /// A relative error that nobody asked for, and that does not exist.
 pub(super) fn left_out(why: &Error) -> Finding {
     Finding::new("rpe", Verdict::Unknown, "relative error", why.to_string())
+}
+
+/// Rows without stamps belong together by their numbers, where none is missing in either file.
+pub(super) fn rows_by_number(truth: &TrajectoryFile, estimate: &TrajectoryFile) -> Option<Finding> {
+    let is_numbered = |file: &TrajectoryFile| file.findings.iter().any(|f| f.code == NO_STAMPS);
+    let [all, own] = [truth, estimate].map(|file| file.poses.len());
+    (is_numbered(truth) && is_numbered(estimate) && all != own).then(|| {
+        let what = format!(
+            "neither file has stamps, and {own} rows stand beside {all} of the truth: which belong together is not known"
+        );
+        Finding::new(NO_STAMPS, Verdict::Fail, "stamps", what)
+            .remedy("write both with stamps (TUM), or a row for every frame")
+    })
+}
+
+/// Covariances none of which can be one: ROS has zeros where nothing is known.
+pub(super) fn no_covariance(count: usize) -> Finding {
+    let what = format!(
+        "none of the {count} covariances is one (not positive definite): whether errors are as large as stated is not known"
+    );
+    Finding::new("consistency", Verdict::Unknown, "covariance", what)
 }
 
 /// What the figures themselves tell. `parameters` are the numbers that the alignment took from the matched poses.
@@ -82,10 +109,11 @@ pub(super) fn of(
         }
     }
     findings.extend(few);
-    findings.extend(same(found));
+    findings.extend(same(found).or_else(|| copied(pairs)));
     findings.extend(unit(found));
     findings.extend(line(pairs));
     findings.extend(covariance(found));
+    findings.extend(bad_covariances(found));
     findings
 }
 
@@ -188,6 +216,46 @@ fn same(found: &Evaluation) -> Option<Finding> {
     })
 }
 
+/// Poses of the truth among those of an estimate, or all of it with fewer digits. Where the truth rests nothing is copied: it may stay
+/// where both begin.
+fn copied(pairs: &[PosePair]) -> Option<Finding> {
+    let places = |p: &PosePair| [p.truth, p.estimate].map(|pose| pose.world_from_rig.translation);
+    let moving: Vec<[Vector3<f64>; 2]> = pairs
+        .windows(2)
+        .map(|w| [places(&w[0]), places(&w[1])])
+        .filter(|[before, now]| (now[0] - before[0]).norm() > LEAST_ERROR_M)
+        .map(|[_, now]| now)
+        .collect();
+    let all = moving.len();
+    let is_many =
+        |count: usize, share: f64| count >= LEAST_COPIED && count as f64 >= share * all as f64;
+    let off = |[truth, estimate]: &[Vector3<f64>; 2]| (truth - estimate).amax();
+    let equal = moving.iter().filter(|p| off(p) < LEAST_ERROR_M).count();
+    let finding = |what: String, count: usize| {
+        Finding::new("same", Verdict::Warn, "positions", what)
+            .value(count as f64, "")
+            .remedy("check which file was evaluated, and that the system cannot read the truth")
+    };
+    if is_many(equal, COPIED_SHARE) {
+        let what = format!("{equal} of {all} poses of the estimate are the ground truth's own");
+        return Some(finding(what, equal));
+    }
+    let digits = (1..=6).find(|digits| {
+        let size = 10f64.powi(*digits);
+        // Far from the origin the last bits of the number itself are in it.
+        let is_printed = |v: &f64| {
+            let last = v * size;
+            (last - last.round()).abs() < 1e-6 + 1e-15 * last.abs()
+        };
+        let is_rounded =
+            |p: &&[Vector3<f64>; 2]| p[1].iter().all(is_printed) && off(p) * size <= 0.5 + 1e-6;
+        let rounded = moving.iter().filter(is_rounded).count();
+        is_many(rounded, ROUNDED_SHARE)
+    })?;
+    let what = format!("the estimate is the ground truth with {digits} digits behind the point");
+    Some(finding(what, all))
+}
+
 /// An estimate in another unit of length than the truth has errors as large as the walk, and no other sign of it.
 fn unit(found: &Evaluation) -> Option<Finding> {
     let larger = 1.0 + found.scale_error_percent? / 100.0;
@@ -247,18 +315,47 @@ fn line(pairs: &[PosePair]) -> Option<Finding> {
     })
 }
 
+/// Errors beside the covariance, of the parts as well: where one is far too small and the other right, their sum may look right.
 fn covariance(found: &Evaluation) -> Option<Finding> {
     let consistency = found.consistency?;
-    let mean = consistency.nees_mean;
-    let verdict = Verdict::Warn.unless(NEES_RANGE.contains(&mean));
-    let what = match mean {
-        mean if mean > *NEES_RANGE.end() => {
-            format!("errors are larger than the covariance says (NEES {mean:.1}, 6 expected)")
-        }
-        mean if mean < *NEES_RANGE.start() => {
-            format!("errors are smaller than the covariance says (NEES {mean:.2}, 6 expected)")
-        }
-        mean => format!("errors are as large as the covariance says (NEES {mean:.1}, 6 expected)"),
+    let parts = [
+        ("errors", consistency.nees_mean, 6.0),
+        ("rotation errors", consistency.rotation_nees_mean, 3.0),
+        ("translation errors", consistency.translation_nees_mean, 3.0),
+    ];
+    let is_right = |(_, mean, expected): &(&str, f64, f64)| NEES_RATIO.contains(&(mean / expected));
+    let wrong = parts.iter().find(|part| !is_right(part));
+    let (whose, mean, expected) = *wrong.unwrap_or(&parts[0]);
+    let verdict = Verdict::Warn.unless(wrong.is_none());
+    let size = match mean / expected {
+        ratio if ratio > *NEES_RATIO.end() => "larger than",
+        ratio if ratio < *NEES_RATIO.start() => "smaller than",
+        _ => "as large as",
     };
+    let mut what =
+        format!("{whose} are {size} the covariance says (NEES {mean:.3}, {expected} expected)");
+    for (whose, mean, unit, times) in [
+        (parts[1].0, parts[1].1, "square degrees", 57.3_f64.powi(2)),
+        (parts[2].0, parts[2].1, "square centimetres", 1e4),
+        (parts[2].0, parts[2].1, "square millimetres", 1e6),
+    ] {
+        // Numbers in the smaller unit make the covariance so many times too large; to within a factor of four.
+        if (times * mean / 3.0).log2().abs() < 2.0 {
+            what += &format!("; for {whose} it may be in {unit}");
+        }
+    }
     Some(Finding::new("consistency", verdict, "covariance", what).value(mean, ""))
+}
+
+/// Covariances that are none are not tried, and the others alone count.
+fn bad_covariances(found: &Evaluation) -> Option<Finding> {
+    let consistency = found.consistency?;
+    let bad = consistency.bad_covariances;
+    (bad > 0).then(|| {
+        let all = bad + consistency.poses;
+        let what = format!(
+            "{bad} of {all} covariances are none (not positive definite): the errors of these poses are not tried"
+        );
+        Finding::new("bad-covariances", Verdict::Warn, "covariance", what).value(bad as f64, "")
+    })
 }

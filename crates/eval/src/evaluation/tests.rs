@@ -149,6 +149,23 @@ fn seconds_equal_frames_where_poses_are_evenly_timed() {
 }
 
 #[test]
+fn what_is_judged_nowhere_is_not_covered() {
+    let truth = curl(100);
+    // Lost from the sixth second on, with stamps between those of the truth.
+    let lost = changed(&truth, |i, p| {
+        if i >= 50 {
+            p.time = p.time.plus_secs(0.05);
+            p.world_from_rig.translation.x += 3.0 * (i as f64).sin();
+        }
+    });
+    let found = evaluate(&truth, &lost, &EvalConfig::default()).expect("valid");
+    assert_eq!(found.matched_poses, 50);
+    // Up to a second behind the last that is judged.
+    assert_eq!(found.coverage.fraction, 0.6);
+    assert!(found.recall[0].of_truth <= 0.6);
+}
+
+#[test]
 fn coverage_knows_gaps_and_ends() {
     let truth = curl(100);
     let mut estimate = truth.clone();
@@ -443,24 +460,26 @@ fn covariances_are_tried() {
         p.world_from_rig = p.world_from_rig.retract(&delta);
     });
     let covariance = Matrix6::from_diagonal(&Vector6::from(sigma.map(|s| s * s)));
-    let judged = |factor: f64| {
+    let tried = |covariances: Vec<Matrix6<f64>>| {
         let file = |poses: &[StampedPose], covariances| TrajectoryFile {
             covariances,
             ..TrajectoryFile::of_poses(poses.to_vec())
         };
-        let estimate = file(&estimate, vec![covariance * factor; estimate.len()]);
+        let estimate = file(&estimate, covariances);
         let config = EvalConfig {
             alignment: AlignmentMode::None,
             ..EvalConfig::default()
         };
         let found = evaluate_files(&file(&truth, Vec::new()), &estimate, &config).expect("valid");
-        let remark = found
-            .findings
-            .iter()
-            .find(|f| f.code == "consistency")
-            .cloned();
-        (found.consistency.expect("tried"), remark.expect("said"))
+        let remark = |code: &str| found.findings.iter().find(|f| f.code == code).cloned();
+        let remarks = [remark("consistency"), remark("bad-covariances")];
+        (found.consistency, remarks)
     };
+    let all = |covariance: Matrix6<f64>| {
+        let (found, [remark, _]) = tried(vec![covariance; 4000]);
+        (found.expect("tried"), remark.expect("said"))
+    };
+    let judged = |factor: f64| all(covariance * factor);
     let (right, remark) = judged(1.0);
     assert!((right.nees_mean - 6.0).abs() < 0.3, "{right:?}");
     assert!((right.within_95 - 0.95).abs() < 0.02, "{right:?}");
@@ -469,6 +488,45 @@ fn covariances_are_tried() {
     assert!((boastful.nees_mean / right.nees_mean - 10.0).abs() < 1e-9);
     assert_eq!(remark.verdict, Verdict::Warn);
     assert_eq!(right.bad_covariances, 0);
+    // One part in another unit: the other alone keeps the whole between 1.5 and 12.
+    let parts = |rotation: f64, translation: f64| {
+        let scale = [
+            rotation,
+            rotation,
+            rotation,
+            translation,
+            translation,
+            translation,
+        ];
+        let scale = Matrix6::from_diagonal(&Vector6::from(scale));
+        let (found, remark) = all(scale * covariance * scale);
+        assert!((2.5..4.0).contains(&found.nees_mean), "{found:?}");
+        assert_eq!(remark.verdict, Verdict::Warn);
+        remark.what
+    };
+    let in_degrees = parts(180.0 / std::f64::consts::PI, 1.0);
+    assert!(
+        in_degrees.contains("for rotation errors it may be in square degrees"),
+        "{in_degrees}"
+    );
+    let in_centimetres = parts(1.0, 100.0);
+    assert!(
+        in_centimetres.contains("square centimetres"),
+        "{in_centimetres}"
+    );
+    // What is none is said to be none.
+    let (found, [_, bad]) = tried((0..4000).map(|i| covariance * f64::from(i % 4)).collect());
+    assert_eq!(found.expect("tried").bad_covariances, 1000);
+    assert!(
+        bad.expect("said")
+            .what
+            .starts_with("1000 of 4000 covariances are none")
+    );
+    let (found, [remark, _]) = tried(vec![Matrix6::zeros(); 4000]);
+    assert_eq!(
+        (found, remark.expect("said").verdict),
+        (None, Verdict::Unknown)
+    );
 }
 
 #[test]
@@ -516,6 +574,33 @@ fn the_truth_is_no_estimate() {
         p.world_from_rig.translation.x += 1e-5 * (7.0 * i as f64).sin();
     });
     assert!(!is_named(&near));
+    // With three digits its error is half a millimetre: as good as any estimate's.
+    let rounded = |size: f64, off_m: f64| {
+        changed(&truth, |i, p| {
+            let off = Vector3::repeat(off_m * (7.0 * i as f64).sin());
+            let place = p.world_from_rig.translation + off;
+            p.world_from_rig.translation = place.map(|v| (v * size).round() / size);
+        })
+    };
+    assert!(is_named(&rounded(1e3, 0.0)) && is_named(&rounded(1e2, 0.0)));
+    assert!(
+        !is_named(&rounded(1e3, 2e-4)),
+        "an estimate with few digits"
+    );
+    // In the coordinates of a map of a country, where a number has no more than nine digits behind the point.
+    let far = |p: &mut StampedPose| p.world_from_rig.translation += Vector3::repeat(5e6);
+    let far_truth = changed(&truth, |_, p| far(p));
+    let far_off = changed(&truth, |i, p| {
+        far(p);
+        p.world_from_rig.translation.x += 0.02 * (7.0 * i as f64).sin();
+    });
+    let found = evaluate(&far_truth, &far_off, &EvalConfig::default()).expect("valid");
+    assert!(found.findings.iter().all(|f| f.code != "same"));
+    // A third of it is the truth's.
+    let mixed = changed(&truth, |i, p| {
+        p.world_from_rig.translation.y += if i % 3 == 0 { 0.0 } else { 0.02 };
+    });
+    assert!(is_named(&mixed));
 }
 
 /// Seven stamps of two recordings are alike: an alignment brings any two walks so near to each other there.
@@ -620,4 +705,28 @@ fn positions_that_no_walk_has_are_refused() {
         let said = evaluate(truth, estimate, &config).expect_err("refused");
         assert!(matches!(said, Error::TooFar { .. }), "{said}");
     }
+}
+
+/// KITTI's rows were judged as if they came once a second, and those of other frames beside each other, without a word.
+#[test]
+fn rows_without_stamps_are_told() {
+    let folder = tempfile::tempdir().expect("folder");
+    let read = |first: i64| {
+        let row = |i: i64| {
+            let (y, x) = (0.1 * i as f64).sin_cos();
+            format!("1 0 0 {} 0 1 0 {} 0 0 1 {}\n", 3.0 * x, 3.0 * y, 0.02 * x)
+        };
+        let path = folder.path().join("poses.txt");
+        let text: String = (first..100).map(row).collect();
+        std::fs::write(&path, text).expect("written");
+        crate::read_trajectory(&path, &crate::ReadOptions::default()).expect("poses")
+    };
+    let verdicts = |estimate: &TrajectoryFile| -> Vec<Verdict> {
+        let found = evaluate_files(&read(0), estimate, &EvalConfig::default()).expect("judged");
+        let told = found.findings.iter().filter(|f| f.code == "no-stamps");
+        told.map(|f| f.verdict).collect()
+    };
+    assert_eq!(verdicts(&read(0)), [Verdict::Warn; 2]);
+    let other_frames = verdicts(&read(5));
+    assert_eq!(other_frames, [Verdict::Warn, Verdict::Warn, Verdict::Fail]);
 }

@@ -23,6 +23,8 @@ pub(super) struct Header {
     pub count: usize,
     /// Unit of the stamps, where the name says it.
     pub unit: Option<StampUnit>,
+    /// Unit of the positions, where the names say another one than metres.
+    pub foreign_length: Option<&'static str>,
     /// Where the row says how well its frame matched a map.
     pub frames: Option<FrameColumns>,
 }
@@ -85,16 +87,17 @@ impl Header {
         let all = |kind: fn(char) -> Meaning, letters: &[char]| -> Option<Vec<usize>> {
             letters.iter().map(|letter| find(kind(*letter))).collect()
         };
-        let position = all(Meaning::Position, &['x', 'y', 'z'])?;
+        let position: [usize; 3] = all(Meaning::Position, &['x', 'y', 'z'])?.try_into().ok()?;
         let rotation = all(Meaning::Rotation, &['x', 'y', 'z', 'w']);
         Some(Self {
             columns: Columns {
                 time,
-                position: position.try_into().ok()?,
+                position,
                 rotation_xyzw: rotation.and_then(|columns| columns.try_into().ok()),
             },
             count: names.len(),
             unit: names.get(time)?.unit,
+            foreign_length: position.iter().find_map(|i| names.get(*i)?.foreign_length),
             frames: find(Meaning::Matches).map(|matches| FrameColumns { matches, localized }),
         })
     }
@@ -114,7 +117,11 @@ struct Name {
     meaning: Option<Meaning>,
     is_header_stamp: bool,
     unit: Option<StampUnit>,
+    foreign_length: Option<&'static str>,
 }
+
+/// Units of length that tables are written in and that are no metres.
+const FOREIGN_LENGTHS: [&str; 7] = ["mm", "cm", "dm", "km", "ft", "feet", "inch"];
 
 impl Name {
     fn of(text: &str) -> Self {
@@ -135,6 +142,7 @@ impl Name {
                     meaning: Some(Meaning::Time),
                     is_header_stamp,
                     unit: unit.filter_map(|u| u.parse().ok()).next(),
+                    foreign_length: None,
                 };
             }
         }
@@ -149,6 +157,7 @@ impl Name {
             meaning: of_frame.or_else(|| component(name)),
             is_header_stamp: false,
             unit: None,
+            foreign_length: FOREIGN_LENGTHS.into_iter().find(|known| *known == unit),
         }
     }
 }

@@ -137,10 +137,16 @@ impl Layout {
             true => Header::of(first.text, separator.as_char()),
             false => {
                 let candidates = comments.iter().filter(|c| c.number < data.number);
-                let mut headers =
-                    candidates.filter_map(|c| Header::of(c.text, separator.as_char()));
-                // A comment that names other columns than there are speaks of something else.
-                headers.rfind(|h| h.count == columns.len())
+                // EuRoC's names have commas between them also where a program has written its rows with blanks.
+                let mut headers = candidates.filter_map(|c| {
+                    let own = Header::of(c.text, separator.as_char());
+                    let other = || Header::of(c.text, Separator::of(c.text).as_char());
+                    // A comment that names other columns than there are speaks of something else.
+                    let is_of_rows = |h: &Header| h.count == columns.len();
+                    own.filter(is_of_rows)
+                        .or_else(|| other().filter(is_of_rows))
+                });
+                headers.next_back()
             }
         };
         if has_names && header.is_none() && given.is_none() {
@@ -149,6 +155,10 @@ impl Layout {
                 first.number,
                 format!("'{names}' names no stamp or no position; say what the columns are"),
             ));
+        }
+        if let (Some(unit), None) = (header.and_then(|h| h.foreign_length), given) {
+            let what = format!("positions are in {unit} by their names; write them in metres");
+            return Err((data.number, what));
         }
         // Behind a row of names a word in the second column is somebody else's.
         let is_device = |column: &&&str| column.parse::<f64>().is_err();

@@ -33,6 +33,9 @@ pub use stamp_unit::StampUnit;
 /// What is understood, in the words of an error.
 const UNDERSTOOD: &str = "TUM text, positions, KITTI poses, EuRoC csv, a table with names, kapture, COLMAP's images.txt and images.bin or MCAP";
 
+/// The code of what is said of a file whose rows have no stamps.
+pub(crate) const NO_STAMPS: &str = "no-stamps";
+
 /// Whether poses say how the body is turned.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -92,7 +95,7 @@ pub fn read_trajectory(path: &Path, options: &ReadOptions) -> Result<TrajectoryF
     if text::is_mcap(path)? {
         return mcap::read(path, options.stream.as_deref());
     }
-    let text = text::read(path)?;
+    let text = text::with_points(text::read(path)?);
     let (mut rows, comments) = text::lines(&text);
     layout::keep_poses(&mut rows, &comments);
     let bad = |number: usize, what: String| Error::BadLine {
@@ -159,6 +162,10 @@ pub fn read_trajectory(path: &Path, options: &ReadOptions) -> Result<TrajectoryF
         return Err(nothing());
     }
     let times = if layout.content == Content::Matrix {
+        let what = "rows without stamps, taken for one a second".to_owned();
+        let remedy = "figures over time (relative errors per second, smoothness, gaps) mean nothing; those of an estimate and a truth \
+             whose rows are of other frames mean nothing at all";
+        warn(NO_STAMPS, what, remedy);
         (0..read.len()).map(whole_secs).collect()
     } else {
         let stamps: Vec<(usize, &str)> = read

@@ -217,6 +217,31 @@ fn stamps_of_any_unit_and_any_separator() {
 }
 
 /// A quaternion in the other order is one as well: without a word the file would be judged by wrong rotations.
+/// Seconds with commas: the separator was taken for a comma, and half a number for a column.
+#[test]
+fn numbers_with_commas_are_numbers() {
+    let tum = "1403636579,25 1,5 2 -3,25 0 0 0,8 0,6\n1403636579,3 1,5 2 3 0 0 0,8 0,6\n";
+    for text in [
+        tum.to_owned(),
+        tum.replace(' ', ";"),
+        tum.replace(' ', "; "),
+    ] {
+        let read = whole(&text).expect("valid");
+        assert_eq!(read.poses[0].time.nanos(), 1_403_636_579_250_000_000);
+        let place = read.poses[0].world_from_rig.translation;
+        assert_eq!(place, Vector3::new(1.5, 2.0, -3.25), "{text}");
+        assert_eq!(read.poses[0].world_from_rig.rotation.w, 0.6);
+    }
+    let named = format!("time;x;y;z;qx;qy;qz;qw\n{}", tum.replace(' ', ";"));
+    assert_eq!(whole(&named).expect("valid").poses.len(), 2);
+    // Between columns a comma stays what it is.
+    let read = whole("1.5, 1, 2, 3, 0, 0, 0.8, 0.6\n1.6, 1, 2, 3, 0, 0, 0.8, 0.6\n");
+    assert_eq!(
+        read.expect("valid").poses[0].world_from_rig.translation,
+        Vector3::new(1.0, 2.0, 3.0)
+    );
+}
+
 #[test]
 fn names_overrule_the_order_of_columns() {
     let row = "1.5,1,2,3,0.6,0,0,0.8\n1.6,1,2,3,0.6,0,0,0.8\n";
@@ -230,6 +255,23 @@ fn names_overrule_the_order_of_columns() {
         (0.6, 0)
     );
     assert_eq!(w_of(&format!("t,x,y,z,qx,qy,qz,qw\n{row}")), (0.8, 0));
+    // EuRoC's names above rows that a program has written with blanks, and the other way around.
+    let blanks = row.replace(',', " ");
+    assert_eq!(
+        w_of(&format!(
+            "#t, x [m], y [m], z [m], qw [], qx [], qy [], qz []\n{blanks}"
+        )),
+        (0.6, 0)
+    );
+    assert_eq!(w_of(&format!("# t x y z qw qx qy qz\n{row}")), (0.6, 0));
+    let long = whole(&format!(
+        "#t, x [mm], y [mm], z [mm], qw, qx, qy, qz\n{row}"
+    ));
+    let long = long.expect_err("millimetres").to_string();
+    assert!(
+        long.contains("positions are in mm by their names"),
+        "{long}"
+    );
     // Not said: TUM's order is assumed, with a warning.
     assert_eq!(w_of(row), (0.8, 1));
     let given = ReadOptions {

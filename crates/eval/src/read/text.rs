@@ -12,6 +12,9 @@ use crate::Error;
 /// A day at 1 kHz is some 10 GB; a walk is below 1 GiB, and a gzipped bomb is not.
 const MAX_TEXT_BYTES: u64 = 1 << 30;
 
+/// Columns of a row that has a stamp and a position.
+const LEAST_COLUMNS: usize = 4;
+
 /// A line with something in it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Line<'a> {
@@ -30,6 +33,26 @@ pub(super) fn lines(text: &str) -> (Vec<Line<'_>>, Vec<Line<'_>>) {
     });
     all.filter(|line| !line.text.is_empty())
         .partition(|line| !line.text.starts_with(['#', '%']))
+}
+
+/// Numbers with points where a program wrote them with commas, as in many languages: then there are blanks between the columns, or
+/// semicolons.
+pub(super) fn with_points(text: String) -> String {
+    let (rows, _) = lines(&text);
+    // The first row may be one of names.
+    let Some(row) = rows.get(1).or(rows.first()) else {
+        return text;
+    };
+    let is_column = |column: &str| column.replacen(',', ".", 1).parse::<f64>().is_ok();
+    let mut columns: Vec<&str> = row.text.split([';', ' ', '\t']).collect();
+    columns.retain(|column| !column.is_empty());
+    let is_decimal = row.text.contains(',')
+        && columns.len() >= LEAST_COLUMNS
+        && columns.into_iter().all(is_column);
+    match is_decimal {
+        true => text.replace(',', "."),
+        false => text,
+    }
 }
 
 /// Whether a file begins like an MCAP file.
