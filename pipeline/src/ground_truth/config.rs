@@ -9,6 +9,9 @@ use crate::features::{LearnedConfig, SiftConfig};
 use crate::localization::LocalizerConfig;
 use crate::residuals::{CameraCorrection, entry};
 
+/// Standard deviations of what is known beforehand beyond which a camera, or the IMU, is not as it is said to be.
+pub(super) const UNLIKELY_SIGMAS: f64 = 3.0;
+
 /// Parameters of the ground truth of a walk.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -88,12 +91,11 @@ pub struct GroundTruthConfig {
     pub accept_failed_map: bool,
     /// The solver.
     pub solve: SolveConfig,
-    /// What else may be wrong of the IMU: a map holds a walk so firmly that it is taken for right.
-    #[serde(skip)]
+    /// What may be wrong of the IMU beside its biases, and of gravity.
     pub inertial: InertialPriors,
 }
 
-/// What may be wrong of the IMU and of gravity beside what an adjustment with a map looks at.
+/// What may be wrong of the IMU beside its biases, and of gravity.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct InertialPriors {
@@ -117,19 +119,6 @@ impl Default for InertialPriors {
             accel_delay_sigma_s: 2e-3,
             // Between pole and equator it differs by 0.05.
             gravity_size_sigma_m_s2: 0.02,
-        }
-    }
-}
-
-impl InertialPriors {
-    /// Nothing is wrong but, as with a map that is not quite level or to scale, gravity.
-    fn right() -> Self {
-        const HELD: f64 = 1e-5;
-        Self {
-            gyro_scale_sigma: HELD,
-            accel_scale_sigma: HELD,
-            accel_delay_sigma_s: HELD,
-            gravity_size_sigma_m_s2: 0.05,
         }
     }
 }
@@ -189,7 +178,7 @@ impl Default for GroundTruthConfig {
                 initial_damping: 1e-12,
                 ..SolveConfig::default()
             },
-            inertial: InertialPriors::right(),
+            inertial: InertialPriors::default(),
         }
     }
 }

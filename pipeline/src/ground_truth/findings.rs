@@ -2,11 +2,9 @@
 
 use lsfb_types::{Finding, Limit, Verdict};
 
+use super::config::UNLIKELY_SIGMAS;
 use super::in_view::FEWEST_CERTAIN;
 use super::report::{CameraRefinement, GroundTruthReport, GroundTruthWarning, LeftOutReason};
-
-/// Standard deviations of the rig file beyond which a camera is not as the file says.
-pub(super) const UNLIKELY_SIGMAS: f64 = 3.0;
 
 impl GroundTruthWarning {
     /// Whether something that was recorded could not be read.
@@ -234,6 +232,7 @@ impl GroundTruthReport {
                     .value(absent, "%"),
             },
         ];
+        findings.extend(self.imu.findings());
         findings.extend(self.cameras.iter().map(CameraRefinement::finding));
         findings.extend(self.warnings.iter().map(GroundTruthWarning::finding));
         findings

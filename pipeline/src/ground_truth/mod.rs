@@ -20,6 +20,8 @@ mod estimate;
 mod findings;
 mod frozen_images;
 mod guided_matching;
+mod imu_agreement;
+mod imu_refinement;
 mod in_view;
 mod inertial;
 mod local_points;
@@ -41,6 +43,7 @@ use lsfb_geometry::{Matrix6, Trajectory};
 use lsfb_types::{Progress, ProgressFn};
 
 pub use config::{GroundTruthConfig, InertialPriors};
+pub use imu_refinement::ImuRefinement;
 pub use recorded_walk::RecordedWalk;
 pub use report::{
     CameraRefinement, GroundTruthReport, GroundTruthWarning, LeftOutReason, ReprojectionErrors,

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::GroundTruthConfig;
 use super::estimate::Estimate;
+use super::imu_refinement::ImuRefinement;
 use super::walk::{LocalPoint, Walk};
 use crate::residuals::{CameraCorrection, entry};
 
@@ -148,6 +149,9 @@ pub struct GroundTruthReport {
     pub accel_bias_m_s2: [f64; 3],
     /// What the walk makes of the rig file's cameras.
     pub cameras: Vec<CameraRefinement>,
+    /// What it makes of the IMU.
+    #[serde(flatten)]
+    pub imu: ImuRefinement,
     /// Length of the path, metres.
     pub path_length_m: f64,
     /// What the reader should know.

@@ -9,6 +9,7 @@ use lsfb_recording::Recording;
 use lsfb_types::ProgressFn;
 
 use super::cross_check::check_halves;
+use super::imu_refinement::ImuRefinement;
 use super::in_view::{InView, look_for_points};
 use super::recorded_walk::RecordedWalk;
 use super::report::{local_errors, map_errors, refinements};
@@ -109,6 +110,8 @@ pub fn ground_truth_of(
     let start = accepted(start, count, path, config)?;
     let solved = solve_walk(&mut walk, &start, &features, config, progress)?;
     let (estimate, points) = (&solved.last.estimate, &solved.last.points);
+    let imu = ImuRefinement::of(&walk, &solved.last, config)?;
+    walk.loosen_imu(imu.noise_factor());
     let uncertainty = uncertainty(&walk, estimate, points, config, progress)?;
 
     let in_view = look_for_points(&walk, estimate, &features, map, config);
@@ -153,7 +156,7 @@ pub fn ground_truth_of(
         });
     }
     let trajectory = Trajectory::new(trusted.poses.clone());
-    let mut report = report(&walk, &solved, &trusted, &trajectory)?;
+    let mut report = report(&walk, &solved, &trusted, &trajectory, &imu)?;
     let names = rig.cameras.keys().map(String::as_str);
     report.cameras = refinements(names, estimate, &uncertainty.corrections, config);
     report.frames = read.frames.len() as u64;
@@ -255,6 +258,7 @@ fn report(
     solved: &Solved,
     trusted: &Trusted,
     trajectory: &Trajectory,
+    imu: &ImuRefinement,
 ) -> Result<GroundTruthReport, Error> {
     let last = &solved.last;
     let states = &last.estimate.states;
@@ -290,6 +294,7 @@ fn report(
         gyro_bias_rad_s: bias.gyro_rad_s.into(),
         accel_bias_m_s2: bias.accel_m_s2.into(),
         cameras: Vec::new(),
+        imu: imu.clone(),
         path_length_m: trajectory.path_length_m(),
         warnings: Vec::new(),
     })

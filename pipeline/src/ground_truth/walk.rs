@@ -89,6 +89,12 @@ pub(super) struct FrameState {
 }
 
 impl Walk {
+    /// Takes the noise of the IMU so many times as large in all intervals.
+    pub fn loosen_imu(&mut self, noise_factor: f64) {
+        let frames = 0..self.frames.len();
+        self.noise_factors = frames.map(|k| (k, noise_factor)).collect();
+    }
+
     /// Whether the IMU measured all of each interval between neighbouring frames.
     pub fn is_covered_by_imu(&self) -> Result<Vec<bool>, Error> {
         let intervals = self.preintegrate(0..self.frames.len(), |_| ImuBias::default())?;

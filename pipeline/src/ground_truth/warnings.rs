@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::findings::UNLIKELY_SIGMAS;
+use super::config::UNLIKELY_SIGMAS;
 use super::in_view::InView;
 use super::report::{GroundTruthReport, GroundTruthWarning, LeftOutReason, Span};
 use super::walk::Walk;

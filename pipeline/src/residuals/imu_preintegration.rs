@@ -1,8 +1,10 @@
-use lsfb_geometry::{Matrix3, Se3, Vector3, so3};
+use lsfb_geometry::{Matrix3, Se3, UnitQuaternion, Vector3, so3};
 use lsfb_solver::{Linearization, Parameters, Residual, Shape, Undefined};
 use nalgebra::{SMatrix, SVector, Vector1};
 
-use crate::preintegration::{BiasJacobians, ImuBias, ImuErrors, Matrix9, PreintegratedImu};
+use crate::preintegration::{
+    BiasJacobians, CorrectedChange, ImuBias, ImuErrors, Matrix9, NavState, PreintegratedImu,
+};
 
 /// The IMU's samples between two states, `h` of eq. (5). Blocks: pose, velocity, gyroscope bias, accelerometer bias of the
 /// first state; pose and velocity of the second; gravity in the world; and [with errors](Self::with_errors) the scales of gyroscope and
@@ -59,6 +61,72 @@ impl ImuPreintegration {
     pub fn preintegrated(&self) -> &PreintegratedImu {
         &self.preintegrated
     }
+
+    /// By how much the samples and two states differ, in the standard deviations of the noise: rotation, velocity, position.
+    pub fn whitened(
+        &self,
+        ends: [&NavState; 2],
+        bias: &ImuBias,
+        errors: &ImuErrors,
+        gravity_m_s2: &Vector3<f64>,
+    ) -> SVector<f64, 9> {
+        let difference = self.difference(ends, bias, errors, gravity_m_s2);
+        self.sqrt_information * difference.residual()
+    }
+
+    fn difference(
+        &self,
+        [start, end]: [&NavState; 2],
+        bias: &ImuBias,
+        errors: &ImuErrors,
+        gravity_m_s2: &Vector3<f64>,
+    ) -> Difference {
+        let change = self.preintegrated.corrected_by(bias, errors);
+        let dt = self.preintegrated.duration_secs;
+        let (pose_i, pose_j) = (&start.world_from_rig, &end.world_from_rig);
+        let i_from_world = pose_i.rotation_matrix().transpose();
+        let j_from_i = pose_j.rotation.inverse() * pose_i.rotation;
+        let velocity = i_from_world * (end.velocity_m_s - start.velocity_m_s - gravity_m_s2 * dt);
+        let position = i_from_world
+            * (pose_j.translation
+                - pose_i.translation
+                - start.velocity_m_s * dt
+                - gravity_m_s2 * (0.5 * dt * dt));
+        Difference {
+            rotation: so3::log(&(change.rotation.inverse() * j_from_i.inverse())),
+            change,
+            i_from_world,
+            j_from_i,
+            velocity,
+            position,
+        }
+    }
+}
+
+/// What two states say of the motion between them, beside what the samples say.
+struct Difference {
+    change: CorrectedChange,
+    i_from_world: Matrix3<f64>,
+    j_from_i: UnitQuaternion<f64>,
+    /// `r_R`.
+    rotation: Vector3<f64>,
+    /// `R_iᵀ (…)` of `r_v` and `r_p`.
+    velocity: Vector3<f64>,
+    position: Vector3<f64>,
+}
+
+impl Difference {
+    fn residual(&self) -> SVector<f64, 9> {
+        let mut residual = SVector::<f64, 9>::zeros();
+        for (row, part) in [
+            (0, self.rotation),
+            (3, self.velocity - self.change.velocity_m_s),
+            (6, self.position - self.change.position_m),
+        ] {
+            residual.fixed_rows_mut::<3>(row).copy_from(&part);
+        }
+        residual
+    }
 }
 
 impl Residual for ImuPreintegration {
@@ -87,9 +155,11 @@ impl Residual for ImuPreintegration {
     }
 
     fn evaluate(&self, parameters: &Parameters, out: &mut Linearization) -> Result<(), Undefined> {
-        let (pose_i, velocity_i): (Se3, Vector3<f64>) = (parameters.get(0), parameters.get(1));
-        let (pose_j, velocity_j): (Se3, Vector3<f64>) = (parameters.get(4), parameters.get(5));
-        let gravity: Vector3<f64> = parameters.get(6);
+        let state = |first: usize, velocity: usize| NavState {
+            world_from_rig: parameters.get(first),
+            velocity_m_s: parameters.get(velocity),
+        };
+        let ends = [&state(0, 1), &state(4, 5)];
         let bias = ImuBias {
             gyro_rad_s: parameters.get(2),
             accel_m_s2: parameters.get(3),
@@ -102,31 +172,21 @@ impl Residual for ImuPreintegration {
             },
             false => ImuErrors::default(),
         };
-        let change = self.preintegrated.corrected_by(&bias, &errors);
-        let dt = self.preintegrated.duration_secs;
-        let i_from_world = pose_i.rotation_matrix().transpose();
-        let j_from_i = pose_j.rotation.inverse() * pose_i.rotation;
-        let velocity = i_from_world * (velocity_j - velocity_i - gravity * dt);
-        let position = i_from_world
-            * (pose_j.translation
-                - pose_i.translation
-                - velocity_i * dt
-                - gravity * (0.5 * dt * dt));
-        let rotation = so3::log(&(change.rotation.inverse() * j_from_i.inverse()));
-
-        let mut residual = SVector::<f64, 9>::zeros();
-        residual.fixed_rows_mut::<3>(0).copy_from(&rotation);
-        residual
-            .fixed_rows_mut::<3>(3)
-            .copy_from(&(velocity - change.velocity_m_s));
-        residual
-            .fixed_rows_mut::<3>(6)
-            .copy_from(&(position - change.position_m));
-        out.set_residual(&(self.sqrt_information * residual));
+        let difference = self.difference(ends, &bias, &errors, &parameters.get(6));
+        out.set_residual(&(self.sqrt_information * difference.residual()));
         if !(0..self.blocks().len()).any(|k| out.wants_jacobian(k)) {
             return Ok(());
         }
 
+        let Difference {
+            change,
+            i_from_world,
+            j_from_i,
+            rotation,
+            velocity,
+            position,
+        } = difference;
+        let dt = self.preintegrated.duration_secs;
         let log_by_turn = so3::right_jacobian_inverse(&rotation);
         let j_from_i = j_from_i.to_rotation_matrix().into_inner();
         let by_rotation_correction = -log_by_turn

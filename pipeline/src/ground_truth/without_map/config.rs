@@ -1,7 +1,7 @@
 use lsfb_types::Bounds;
 use serde::{Deserialize, Serialize};
 
-use crate::ground_truth::{GroundTruthConfig, InertialPriors};
+use crate::ground_truth::GroundTruthConfig;
 
 /// Parameters of the motion of a walk without a map.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -25,9 +25,7 @@ pub struct MotionConfig {
     pub doubtful_contradicted_share: f64,
     /// Standard deviations that a camera may be from what the rig file says of it before the motion counts as bent by it.
     pub max_camera_off_sigmas: f64,
-    /// What may be wrong of the IMU and of gravity: nothing but these holds the walk's scale.
-    pub inertial: InertialPriors,
-    /// The adjustment; what it says of a map is not used.
+    /// The adjustment; what it says of a map is not used. Nothing but its `inertial` holds the walk's scale.
     pub adjustment: GroundTruthConfig,
 }
 
@@ -42,7 +40,6 @@ impl Default for MotionConfig {
             max_position_sigma_m: 1.0,
             doubtful_contradicted_share: 0.2,
             max_camera_off_sigmas: 10.0,
-            inertial: InertialPriors::default(),
             adjustment: GroundTruthConfig::default(),
         }
     }
@@ -58,7 +55,6 @@ lsfb_types::bounds! {
         max_position_sigma_m: number(Bounds::POSITIVE),
         doubtful_contradicted_share: number(Bounds::Within(0.0, 1.0)),
         max_camera_off_sigmas: number(Bounds::POSITIVE),
-        inertial: section,
         adjustment: section,
     }
 }

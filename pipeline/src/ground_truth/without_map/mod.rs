@@ -25,11 +25,11 @@ use serde::{Deserialize, Serialize};
 
 use super::GroundTruthConfig;
 use super::estimate::Estimate;
-use super::optimization::Optimized;
+use super::imu_refinement::ImuRefinement;
 use super::report::{CameraRefinement, ReprojectionErrors, local_errors, refinements};
 use super::walk::{Frame, FrameState, LocalPoint, Walk};
 use crate::Error;
-use crate::preintegration::{ImuBias, ImuErrors, NavState};
+use crate::preintegration::{ImuBias, NavState};
 use crate::residuals::MovingCamera;
 use blind::blind_stretches;
 pub use config::MotionConfig;
@@ -103,10 +103,8 @@ pub struct Motion {
     pub sights_in_use: Vec<usize>,
     /// How it began.
     pub beginning: Beginning,
-    /// Gravity as the accelerometer feels it, m/s²: nowhere on Earth is it far from the standard, unless the accelerometer's scale is wrong.
-    pub gravity_m_s2: f64,
-    /// Errors of the IMU that stay the same, as the walk has them.
-    pub imu_errors: ImuErrors,
+    /// What the walk makes of the IMU.
+    pub imu: ImuRefinement,
     /// Points that were placed.
     pub points: usize,
     /// Reprojection errors of those in use.
@@ -134,10 +132,7 @@ pub fn motion_without_map(
 ) -> Result<Motion, Error> {
     config.check_bounds("motion")?;
     let settings = config;
-    let config = &GroundTruthConfig {
-        inertial: settings.inertial.clone(),
-        ..settings.adjustment.clone()
-    };
+    let config = &settings.adjustment;
     let tracks = Tracks::of(walk);
     let inner = Walk {
         cameras: walk.cameras.iter().map(MovingCamera::new).collect(),
@@ -177,12 +172,13 @@ pub fn motion_without_map(
     let first = sights_in_use.iter().position(sees_enough).unwrap_or(0);
     let blind = blind_stretches(walk, &sights_in_use, settings);
     let blind = blind.into_iter().flat_map(|[a, b]| a..b);
-    let less_sure = Walk {
-        noise_factors: blind
-            .map(|k| (k, settings.blind_imu_noise_factor))
-            .collect(),
-        ..inner
-    };
+    let imu = ImuRefinement::of(&inner, solved, config)?;
+    let mut less_sure = inner;
+    less_sure.loosen_imu(imu.noise_factor());
+    for k in blind {
+        let factor = less_sure.noise_factors.entry(k).or_insert(1.0);
+        *factor = factor.max(settings.blind_imu_noise_factor);
+    }
     let uncertainty = uncertainty(&less_sure, &settled, first, config, progress)?;
     let numbers: Vec<String> = (0..walk.cameras.len()).map(|k| k.to_string()).collect();
     let numbers = numbers.iter().map(String::as_str);
@@ -203,26 +199,13 @@ pub fn motion_without_map(
         biases: states.iter().map(|s| s.bias).collect(),
         sights_in_use,
         beginning,
-        gravity_m_s2: felt_gravity_m_s2(solved),
-        imu_errors: solved.imu_errors,
+        imu,
         points: solved.points.iter().filter(|p| p.is_determined()).count(),
         errors: local_errors(&solved.estimate, &solved.points),
         errors_before,
         contradicted_share,
         cameras: refinements(numbers, &solved.estimate, &uncertainty.corrections, config),
     })
-}
-
-/// Gravity in the accelerometer's own, wrong units, in the middle of all attitudes.
-fn felt_gravity_m_s2(solved: &Optimized) -> f64 {
-    let gravity = &solved.gravity_m_s2;
-    let states = &solved.estimate.states;
-    let felt = states.iter().map(|state| {
-        let true_m_s2 = state.nav.world_from_rig.rotation.inverse() * gravity;
-        let read = true_m_s2.component_div(&solved.imu_errors.accel_scale.map(|s| 1.0 - s));
-        read.norm()
-    });
-    felt.sum::<f64>() / states.len().max(1) as f64
 }
 
 fn in_use(points: &[LocalPoint], frames: usize) -> Vec<usize> {

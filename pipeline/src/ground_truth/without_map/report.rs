@@ -6,15 +6,12 @@ use serde::{Deserialize, Serialize};
 
 use super::blind::blind_stretches;
 use super::{Beginning, Motion, MotionConfig, TrackedWalk};
-use crate::ground_truth::InertialPriors;
-use crate::ground_truth::findings::UNLIKELY_SIGMAS;
+use crate::ground_truth::config::UNLIKELY_SIGMAS;
+use crate::ground_truth::imu_refinement::ImuRefinement;
 use crate::ground_truth::report::{
     CameraRefinement, GroundTruthWarning, LeftOutReason, ReprojectionErrors, Span,
 };
-use crate::preintegration::{ImuBias, ImuErrors, PreintegratedImu, standard_gravity_m_s2};
-
-/// By how much gravity may be off, percent: the Earth's own differs by up to half of it, and no standard deviation has the scale in it.
-const LARGEST_GRAVITY_PERCENT: f64 = 1.0;
+use crate::preintegration::{ImuBias, PreintegratedImu};
 
 /// What was read, and what could not be.
 #[derive(Default)]
@@ -59,16 +56,9 @@ pub struct MotionReport {
     pub accel_bias_m_s2: [f64; 3],
     /// Largest of their components in the standard deviations that the settings give a first bias.
     pub bias_sigmas: f64,
-    /// Gravity as the accelerometer feels it, m/s².
-    pub gravity_m_s2: f64,
-    /// Shares by which the gyroscope's axes read too much; the motion is computed without them.
-    pub gyro_scale: [f64; 3],
-    /// The same of the accelerometer's.
-    pub accel_scale: [f64; 3],
-    /// By how much the accelerometer's readings are later than the gyroscope's, seconds; the motion is computed without it.
-    pub accel_delay_s: f64,
-    /// Largest of these in the standard deviations that the settings give them.
-    pub imu_error_sigmas: f64,
+    /// What the walk makes of the IMU.
+    #[serde(flatten)]
+    pub imu: ImuRefinement,
     /// Length of the path, metres.
     pub path_length_m: f64,
     /// Largest standard deviation of a position of the trajectory relative to its first, metres.
@@ -163,11 +153,7 @@ impl MotionReport {
             gyro_bias_rad_s: bias.gyro_rad_s.into(),
             accel_bias_m_s2: bias.accel_m_s2.into(),
             bias_sigmas: gyro.max(accel),
-            gravity_m_s2: motion.gravity_m_s2,
-            gyro_scale: motion.imu_errors.gyro_scale.into(),
-            accel_scale: motion.imu_errors.accel_scale.into(),
-            accel_delay_s: motion.imu_errors.accel_delay_s,
-            imu_error_sigmas: error_sigmas(&motion.imu_errors, &config.inertial),
+            imu: motion.imu.clone(),
             path_length_m: trajectory.path_length_m(),
             largest_position_sigma_m: sigmas.fold(0.0, f64::max),
             warnings: counted.into_iter().flatten().collect(),
@@ -212,46 +198,12 @@ impl MotionReport {
                 .value(self.bias_sigmas, "")
                 .limit(Limit::AtMost(UNLIKELY_SIGMAS))
                 .remedy("check the IMU's units, scale and axes"),
-            self.of_gravity(),
-            self.of_imu_errors(),
         ];
+        findings.extend(self.imu.findings());
         findings.extend(self.left_out_findings());
         findings.extend(self.cameras.iter().map(|camera| self.of_camera(camera)));
         findings.extend(self.warnings.iter().map(GroundTruthWarning::finding));
         findings
-    }
-
-    /// Nowhere on Earth is gravity more than 0.03 m/s² from the standard: what is more is the accelerometer's scale, by which the path were too
-    /// long or too short as well.
-    fn of_gravity(&self) -> Finding {
-        let standard = standard_gravity_m_s2().norm();
-        let share = 100.0 * (self.gravity_m_s2 / standard - 1.0);
-        let limit = Limit::AtMost(LARGEST_GRAVITY_PERCENT);
-        let what = format!(
-            "the accelerometer feels a gravity of {:.3} m/s², {share:+.1} % from what it is on Earth",
-            self.gravity_m_s2
-        );
-        let verdict = Verdict::Warn.unless(limit.holds(share.abs()));
-        Finding::new("gravity", verdict, "IMU", what)
-            .value(share.abs(), "%")
-            .limit(limit)
-            .remedy("of that much only most can be taken off the path: calibrate the accelerometer's scale")
-    }
-
-    /// Beyond what calibrated parts have, the IMU is not what its recording says.
-    fn of_imu_errors(&self) -> Finding {
-        let percent = |axes: &[f64; 3]| axes.map(|share| format!("{:+.1}", 1e2 * share)).join(", ");
-        let what = format!(
-            "scale of the gyroscope {} %, of the accelerometer {} %, the latter {:+.1} ms late: the motion is computed without these",
-            percent(&self.gyro_scale),
-            percent(&self.accel_scale),
-            1e3 * self.accel_delay_s
-        );
-        let usual = Verdict::Warn.unless(self.imu_error_sigmas <= UNLIKELY_SIGMAS);
-        Finding::new("imu-errors", usual, "IMU", what)
-            .value(self.imu_error_sigmas, "")
-            .limit(Limit::AtMost(UNLIKELY_SIGMAS))
-            .remedy("calibrate the IMU's scale, and stamp both of its sensors by one clock")
     }
 
     /// One for each reason.
@@ -291,17 +243,6 @@ impl MotionReport {
         }
         finding
     }
-}
-
-/// The largest of an IMU's errors in the standard deviations of what is known beforehand.
-fn error_sigmas(errors: &ImuErrors, known: &InertialPriors) -> f64 {
-    [
-        errors.gyro_scale.amax() / known.gyro_scale_sigma,
-        errors.accel_scale.amax() / known.accel_scale_sigma,
-        errors.accel_delay_s.abs() / known.accel_delay_sigma_s,
-    ]
-    .into_iter()
-    .fold(0.0, f64::max)
 }
 
 /// Intervals between frames that lack inertial samples.

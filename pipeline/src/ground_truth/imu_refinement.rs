@@ -1,0 +1,131 @@
+//! What a walk makes of its IMU: errors that its noise and biases leave out.
+
+use lsfb_types::{Finding, Limit, Verdict};
+use serde::{Deserialize, Serialize};
+
+use super::GroundTruthConfig;
+use super::config::{InertialPriors, UNLIKELY_SIGMAS};
+use super::imu_agreement::left_sigmas;
+use super::optimization::Optimized;
+use super::walk::Walk;
+use crate::Error;
+use crate::preintegration::{ImuErrors, standard_gravity_m_s2};
+
+/// By how much gravity may be off, percent: the Earth's own differs by up to half of it, and no standard deviation has the scale in it.
+const LARGEST_GRAVITY_PERCENT: f64 = 1.0;
+
+/// Errors of an IMU that stay the same all along; the trajectory is computed without them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ImuRefinement {
+    /// Gravity as the accelerometer feels it, m/s²: nowhere on Earth is it far from the standard, unless the accelerometer's scale is wrong.
+    pub gravity_m_s2: f64,
+    /// Shares by which the gyroscope's axes read too much.
+    pub gyro_scale: [f64; 3],
+    /// The same of the accelerometer's.
+    pub accel_scale: [f64; 3],
+    /// By how much the accelerometer's readings are later than the gyroscope's, seconds.
+    pub accel_delay_s: f64,
+    /// Largest of these in the standard deviations that the settings give them.
+    pub imu_error_sigmas: f64,
+    /// Root mean square of what images and IMU then still differ by, in standard deviations of its noise as the rig file states it.
+    pub imu_left_sigmas: f64,
+}
+
+impl ImuRefinement {
+    pub(super) fn of(
+        walk: &Walk,
+        solved: &Optimized,
+        config: &GroundTruthConfig,
+    ) -> Result<Self, Error> {
+        let errors = &solved.imu_errors;
+        Ok(Self {
+            gravity_m_s2: felt_gravity_m_s2(solved),
+            gyro_scale: errors.gyro_scale.into(),
+            accel_scale: errors.accel_scale.into(),
+            accel_delay_s: errors.accel_delay_s,
+            imu_error_sigmas: error_sigmas(errors, &config.inertial),
+            imu_left_sigmas: left_sigmas(walk, solved)? * config.imu_noise_factor,
+        })
+    }
+
+    /// How many times larger the IMU's noise must be taken for standard deviations to have in them what no unknown stands for: the solve gives
+    /// way to the images, so that what is left is less than what was wrong.
+    pub(super) fn noise_factor(&self) -> f64 {
+        self.imu_left_sigmas.max(1.0)
+    }
+
+    /// Everything that was looked at, good or not.
+    pub(super) fn findings(&self) -> [Finding; 3] {
+        [self.of_gravity(), self.of_errors(), self.of_what_is_left()]
+    }
+
+    fn of_what_is_left(&self) -> Finding {
+        let limit = Limit::AtMost(1.0);
+        let what = format!(
+            "images and IMU differ by {:.1} standard deviations of its noise (rms): where that is more than 1, covariances are computed with so \
+             many times the noise",
+            self.imu_left_sigmas
+        );
+        let verdict = Verdict::Warn.unless(limit.holds(self.imu_left_sigmas));
+        Finding::new("imu-agreement", verdict, "IMU", what)
+            .value(self.imu_left_sigmas, "")
+            .limit(limit)
+            .remedy("check the IMU's noise in the rig file, its axes, its range and its stamps; with a map, the scale of that too")
+    }
+
+    /// Nowhere on Earth is gravity more than 0.03 m/s² from the standard: what is more is the accelerometer's scale, by which the path were too
+    /// long or too short as well.
+    fn of_gravity(&self) -> Finding {
+        let standard = standard_gravity_m_s2().norm();
+        let share = 100.0 * (self.gravity_m_s2 / standard - 1.0);
+        let limit = Limit::AtMost(LARGEST_GRAVITY_PERCENT);
+        let what = format!(
+            "the accelerometer feels a gravity of {:.3} m/s², {share:+.1} % from what it is on Earth",
+            self.gravity_m_s2
+        );
+        let verdict = Verdict::Warn.unless(limit.holds(share.abs()));
+        Finding::new("gravity", verdict, "IMU", what)
+            .value(share.abs(), "%")
+            .limit(limit)
+            .remedy("of that much only most can be taken off the path: calibrate the accelerometer's scale")
+    }
+
+    /// Beyond what calibrated parts have, the IMU is not what its recording says.
+    fn of_errors(&self) -> Finding {
+        let percent = |axes: &[f64; 3]| axes.map(|share| format!("{:+.1}", 1e2 * share)).join(", ");
+        let what = format!(
+            "scale of the gyroscope {} %, of the accelerometer {} %, the latter {:+.1} ms late: the motion is computed without these",
+            percent(&self.gyro_scale),
+            percent(&self.accel_scale),
+            1e3 * self.accel_delay_s
+        );
+        let usual = Verdict::Warn.unless(self.imu_error_sigmas <= UNLIKELY_SIGMAS);
+        Finding::new("imu-errors", usual, "IMU", what)
+            .value(self.imu_error_sigmas, "")
+            .limit(Limit::AtMost(UNLIKELY_SIGMAS))
+            .remedy("calibrate the IMU's scale, and stamp both of its sensors by one clock")
+    }
+}
+
+/// Gravity in the accelerometer's own, wrong units, in the middle of all attitudes.
+fn felt_gravity_m_s2(solved: &Optimized) -> f64 {
+    let gravity = &solved.gravity_m_s2;
+    let states = &solved.estimate.states;
+    let felt = states.iter().map(|state| {
+        let true_m_s2 = state.nav.world_from_rig.rotation.inverse() * gravity;
+        let read = true_m_s2.component_div(&solved.imu_errors.accel_scale.map(|s| 1.0 - s));
+        read.norm()
+    });
+    felt.sum::<f64>() / states.len().max(1) as f64
+}
+
+/// The largest of an IMU's errors in the standard deviations of what is known beforehand.
+fn error_sigmas(errors: &ImuErrors, known: &InertialPriors) -> f64 {
+    [
+        errors.gyro_scale.amax() / known.gyro_scale_sigma,
+        errors.accel_scale.amax() / known.accel_scale_sigma,
+        errors.accel_delay_s.abs() / known.accel_delay_sigma_s,
+    ]
+    .into_iter()
+    .fold(0.0, f64::max)
+}
