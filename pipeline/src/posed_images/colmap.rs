@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use lsfb_geometry::Se3;
+use lsfb_geometry::camera::ColmapModel;
 
 use super::PosedImages;
 use super::lens::camera;
@@ -16,21 +17,6 @@ const MODELS: [&str; 3] = [".", "sparse/0", "sparse"];
 const POINT_BYTES: usize = 24;
 /// Longest name of an image that is believed.
 const MAX_NAME_BYTES: usize = 4_096;
-/// Models by their numbers in binary files, with how many parameters they have (COLMAP's `sensor/models.h`).
-const MODELS_BY_NUMBER: [(&str, usize); 11] = [
-    ("SIMPLE_PINHOLE", 3),
-    ("PINHOLE", 4),
-    ("SIMPLE_RADIAL", 4),
-    ("RADIAL", 5),
-    ("OPENCV", 8),
-    ("OPENCV_FISHEYE", 8),
-    ("FULL_OPENCV", 12),
-    ("FOV", 5),
-    ("SIMPLE_RADIAL_FISHEYE", 4),
-    ("RADIAL_FISHEYE", 5),
-    ("THIN_PRISM_FISHEYE", 12),
-];
-
 /// The folder of the model of a project; `None` where there is none.
 pub(super) fn model_in(folder: &Path) -> Option<PathBuf> {
     let mut models = MODELS.iter().map(|model| folder.join(model));
@@ -183,16 +169,14 @@ mod binary {
         for _ in 0..count {
             let number = rest.u32()?;
             let model = rest.u32()?;
-            let known = usize::try_from(model).ok();
-            let known = known.and_then(|model| MODELS_BY_NUMBER.get(model));
-            let (model, parameters) =
-                known.ok_or_else(|| format!("camera model {model} is not known"))?;
+            let model = ColmapModel::from_number(model)
+                .ok_or_else(|| format!("camera model {model} is not known"))?;
             let side = |v: u64| u32::try_from(v).map_err(|_| "a camera's size is none".to_owned());
             found.push(FoundCamera {
                 number,
-                model: (*model).to_owned(),
+                model: model.name().to_owned(),
                 size: [side(rest.u64()?)?, side(rest.u64()?)?],
-                parameters: (0..*parameters)
+                parameters: (0..model.parameter_count())
                     .map(|_| rest.f64())
                     .collect::<Result<_, _>>()?,
             });

@@ -11,6 +11,7 @@
 //! | extended unified | `extended_unified.rs` | Kalibr `eucm` |
 //! | field of view | `field_of_view.rs` | Kalibr `pinhole-fov`, COLMAP `FOV` |
 
+mod colmap;
 mod double_sphere;
 mod extended_unified;
 mod field_of_view;
@@ -21,6 +22,7 @@ mod radtan;
 use nalgebra::{Matrix2x3, SMatrix, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
+pub use colmap::{ColmapError, ColmapModel};
 pub use parameters::{LensModel, LensParameters, MAX_PARAMETERS};
 
 /// Derivative by the distortion parameters, columns beyond the model's own are zero.

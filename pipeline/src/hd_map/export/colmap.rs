@@ -4,21 +4,14 @@
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
+use lsfb_geometry::camera::ColmapModel;
+
 use super::{ExportedFile, Model, file, quaternion};
 use crate::Error;
 use crate::hd_map::HdMap;
 
 /// What a point looks like that nobody gave a colour.
 const GREY: u8 = 128;
-/// Numbers of the models in binary files (COLMAP's `sensor/models.h`).
-const MODELS: [(&str, i32); 5] = [
-    ("PINHOLE", 1),
-    ("OPENCV", 4),
-    ("OPENCV_FISHEYE", 5),
-    ("FULL_OPENCV", 6),
-    ("FOV", 7),
-];
-
 pub(super) fn text(model: &Model) -> Vec<ExportedFile> {
     // Writing to a String cannot fail.
     let mut cameras = String::from(
@@ -72,13 +65,13 @@ pub(super) fn text(model: &Model) -> Vec<ExportedFile> {
 pub(super) fn binary(model: &Model) -> Result<Vec<ExportedFile>, Error> {
     let mut cameras = (model.cameras.len() as u64).to_le_bytes().to_vec();
     for (number, camera) in (1_u32..).zip(model.cameras) {
-        let known = MODELS.iter().find(|(name, _)| *name == camera.model);
-        let (_, id) = known.ok_or_else(|| Error::CameraFormat {
+        let known = ColmapModel::from_name(&camera.model);
+        let known = known.ok_or_else(|| Error::CameraFormat {
             model: camera.model.clone(),
             format: "COLMAP",
         })?;
         cameras.extend(number.to_le_bytes());
-        cameras.extend(id.to_le_bytes());
+        cameras.extend(known.number().to_le_bytes());
         cameras.extend(
             camera
                 .size

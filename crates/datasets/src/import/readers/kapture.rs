@@ -7,7 +7,6 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use lsfb_geometry::camera::Lens;
 use lsfb_geometry::{Camera, CameraTiming, Rig, RigCamera, Se3, StampedPose, Trajectory, Vector3};
 use lsfb_recording::message::{BleAdvert, WifiReading, WifiScan};
 use lsfb_types::Timestamp;
@@ -22,8 +21,6 @@ use crate::import::stamp::StampUnit;
 use crate::import::stream::Record;
 use crate::import::table::{Row, Table};
 
-/// COLMAP's pixel (0, 0), and so kapture's, is the corner of the first pixel, ours its middle.
-const HALF_PIXEL: f64 = 0.5;
 /// Characters of a UUID with its hyphens.
 const UUID_CHARS: usize = 36;
 
@@ -358,48 +355,7 @@ fn camera(row: &Row<'_>) -> Result<Camera, String> {
     let (width, height) = (row.whole(4)?, row.whole(5)?);
     let parameters: Result<Vec<f64>, String> =
         (6..row.cells.len()).map(|c| row.number(c)).collect();
-    let parameters = parameters?;
-    let (focal_px, principal_px, distortion) = match (model, parameters.as_slice()) {
-        ("SIMPLE_PINHOLE", &[f, cx, cy]) => ([f, f], [cx, cy], [0.0; 5]),
-        ("PINHOLE", &[fx, fy, cx, cy]) => ([fx, fy], [cx, cy], [0.0; 5]),
-        ("SIMPLE_RADIAL", &[f, cx, cy, k]) => ([f, f], [cx, cy], [k, 0.0, 0.0, 0.0, 0.0]),
-        ("RADIAL", &[f, cx, cy, k1, k2]) => ([f, f], [cx, cy], [k1, k2, 0.0, 0.0, 0.0]),
-        ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => {
-            ([fx, fy], [cx, cy], [k1, k2, p1, p2, 0.0])
-        }
-        // A denominator of one leaves the polynomial.
-        ("FULL_OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]) => {
-            ([fx, fy], [cx, cy], [k1, k2, p1, p2, k3])
-        }
-        ("OPENCV_FISHEYE", &[fx, fy, cx, cy, k1, k2, k3, k4]) => {
-            let lens = Lens::KannalaBrandt {
-                focal_px: [fx, fy],
-                principal_px: [cx - HALF_PIXEL, cy - HALF_PIXEL],
-                distortion: [k1, k2, k3, k4],
-            };
-            return Ok(Camera {
-                width,
-                height,
-                lens,
-            });
-        }
-        _ => {
-            return Err(format!(
-                "{model} of {} parameters is no lens that is known",
-                parameters.len()
-            ));
-        }
-    };
-    let lens = Lens::PinholeRadtan {
-        focal_px,
-        principal_px: principal_px.map(|c| c - HALF_PIXEL),
-        distortion,
-    };
-    Ok(Camera {
-        width,
-        height,
-        lens,
-    })
+    Camera::from_colmap(model, [width, height], &parameters?).map_err(|e| e.to_string())
 }
 
 /// Wi-Fi's channels lie between 2.4 and 7.2 GHz: kapture's own files have megahertz, LaMAR's kilohertz.
