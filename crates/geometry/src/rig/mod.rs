@@ -208,15 +208,46 @@ impl Rig {
             path: origin.to_owned(),
             message: toml_problem(text, &e),
         })?;
-        for (name, mounted) in &rig.cameras {
-            if let Some(problem) = mounted.camera.lens.problem() {
-                return Err(RigError::Parse {
-                    path: origin.to_owned(),
-                    message: format!("camera {name}: {problem}"),
-                });
-            }
+        match rig.problem() {
+            Some(message) => Err(RigError::Parse {
+                path: origin.to_owned(),
+                message,
+            }),
+            None => Ok(rig),
         }
-        Ok(rig)
+    }
+
+    /// What in it cannot be: numbers that are none, negative noise, lenses that do not project.
+    pub fn problem(&self) -> Option<String> {
+        let of_cameras = self.cameras.iter().filter_map(|(name, mounted)| {
+            let timing = &mounted.timing;
+            let camera = &mounted.camera;
+            let lens = camera.lens.problem();
+            lens.or_else(|| size_problem([camera.width, camera.height]))
+                .or_else(|| pose_problem(&mounted.rig_from_camera))
+                .or_else(|| number_problem("rig_from_camera_s", timing.rig_from_camera_s))
+                .or_else(|| number_problem("readout_s", timing.readout_s))
+                .map(|problem| format!("camera {name}: {problem}"))
+        });
+        let of_imus = self.imus.iter().filter_map(|(name, imu)| {
+            let noise = &imu.noise;
+            [
+                ("gyro_noise_density", noise.gyro_noise_density),
+                ("accel_noise_density", noise.accel_noise_density),
+                ("gyro_bias_walk", noise.gyro_bias_walk),
+                ("accel_bias_walk", noise.accel_bias_walk),
+            ]
+            .into_iter()
+            .find_map(|(what, value)| noise_problem(what, value))
+            .or_else(|| pose_problem(&imu.rig_from_imu))
+            .map(|problem| format!("IMU {name}: {problem}"))
+        });
+        let of_lidars = self.lidars.iter().filter_map(|(name, lidar)| {
+            noise_problem("range_noise_m", lidar.range_noise_m)
+                .or_else(|| pose_problem(&lidar.rig_from_lidar))
+                .map(|problem| format!("LiDAR {name}: {problem}"))
+        });
+        of_cameras.chain(of_imus).chain(of_lidars).next()
     }
 
     /// Reads a rig file.
@@ -244,6 +275,24 @@ impl RigLidar {
     pub fn alone(self) -> BTreeMap<String, Self> {
         BTreeMap::from([(MAIN_LIDAR.to_owned(), self)])
     }
+}
+
+fn size_problem([width, height]: [u32; 2]) -> Option<String> {
+    (width == 0 || height == 0).then(|| format!("an image of {width} × {height} pixels"))
+}
+
+fn pose_problem(pose: &Se3) -> Option<String> {
+    let (turn, shift) = (pose.rotation.coords, pose.translation);
+    let mut numbers = turn.iter().chain(shift.iter());
+    (!numbers.all(|v| v.is_finite())).then(|| "a pose that is no number".to_owned())
+}
+
+fn number_problem(what: &str, value: f64) -> Option<String> {
+    (!value.is_finite()).then(|| format!("{what} is {value}"))
+}
+
+fn noise_problem(what: &str, value: f64) -> Option<String> {
+    (!(value.is_finite() && value >= 0.0)).then(|| format!("{what} is {value}"))
 }
 
 #[cfg(test)]

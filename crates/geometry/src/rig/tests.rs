@@ -118,6 +118,30 @@ fn toml_round_trip_and_named_errors() {
     let broken = rig.to_toml().replace("1.1", "-1.1");
     let error = Rig::from_toml(&broken, "rig.toml").expect_err("bad lens");
     assert!(error.to_string().contains("beta is -1.1"), "{error}");
+    // TOML has numbers that are none.
+    for (from, to, problem) in [
+        (
+            "range_noise_m = 0.03",
+            "range_noise_m = nan",
+            "LiDAR lidar: range_noise_m is NaN",
+        ),
+        (
+            "range_noise_m = 0.03",
+            "range_noise_m = -0.03",
+            "range_noise_m is -0.03",
+        ),
+        ("readout_s = 0.0", "readout_s = inf", "readout_s is inf"),
+        (
+            "translation_m = [0.0, 0.0, 0.0]",
+            "translation_m = [nan, 0.0, 0.0]",
+            "a pose that is no number",
+        ),
+    ] {
+        let text = rig.to_toml();
+        assert!(text.contains(from), "{from} in {text}");
+        let error = Rig::from_toml(&text.replace(from, to), "rig.toml").expect_err(to);
+        assert!(error.to_string().contains(problem), "{error}");
+    }
 
     for (text, problem) in [
         ("name = 'x'\nwheels = 4\n", "wheels"),
