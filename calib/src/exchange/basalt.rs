@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 
 use super::{
-    Exported, ExportedFile, ImportedRig, checked, in_model, mounted, not_used, parse_error,
-    quaternion,
+    Exported, ExportedFile, ImportedRig, PosesOf, checked, in_model, mounted, not_used,
+    parse_error, quaternion,
 };
 use crate::Error;
 
@@ -91,12 +91,49 @@ struct Pose {
     qy: f64,
     qz: f64,
     qw: f64,
+    #[serde(flatten)]
+    others: Map<String, Value>,
 }
 
 #[derive(Deserialize)]
 struct Intrinsics {
     camera_type: String,
     intrinsics: Map<String, Value>,
+    #[serde(flatten)]
+    others: Map<String, Value>,
+}
+
+impl Intrinsics {
+    /// Names of the distortion parameters of its camera type.
+    fn distortion_names(&self) -> Option<&'static [&'static str]> {
+        Some(match self.camera_type.as_str() {
+            "pinhole" => &[],
+            "pinhole-radtan8" => &["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"],
+            "kb4" => &["k1", "k2", "k3", "k4"],
+            "ds" => &["xi", "alpha"],
+            "eucm" => &["alpha", "beta"],
+            "ucm" => &["alpha"],
+            "fov" => &["w"],
+            _ => return None,
+        })
+    }
+
+    /// What of it makes no lens. A zero changes nothing, and how far from the middle a polynomial holds (`rpmax`) follows from it.
+    fn not_read(&self) -> Vec<&str> {
+        let read = self.distortion_names().unwrap_or_default();
+        let is_read = |name: &str| {
+            matches!(name, "fx" | "fy" | "cx" | "cy" | "rpmax") || read.contains(&name)
+        };
+        let values = self
+            .intrinsics
+            .iter()
+            .filter(|(name, value)| !is_read(name) && value.as_f64() != Some(0.0));
+        let others = self.others.keys().map(String::as_str);
+        values
+            .map(|(name, _)| name.as_str())
+            .chain(others)
+            .collect()
+    }
 }
 
 /// Reads a calibration; `path` names it in errors.
@@ -115,6 +152,7 @@ pub fn import_basalt(text: &str, path: &str) -> Result<ImportedRig, Error> {
         ));
     }
     let mut rig = Rig::empty("basalt");
+    let mut notes = Vec::new();
     for (k, ((pose, intrinsics), size)) in c
         .imu_from_camera
         .iter()
@@ -132,6 +170,11 @@ pub fn import_basalt(text: &str, path: &str) -> Result<ImportedRig, Error> {
             lens: lens(intrinsics).map_err(fail)?,
         })
         .map_err(fail)?;
+        let mut not_read = intrinsics.not_read();
+        not_read.extend(pose.others.keys().map(String::as_str));
+        if !not_read.is_empty() {
+            notes.push(not_used(&name, &not_read));
+        }
         let pose = Se3::new(rotation, Vector3::new(pose.px, pose.py, pose.pz));
         let mut mounted = mounted(camera, pose);
         mounted.timing.rig_from_camera_s = c.cam_time_offset_ns as f64 * 1e-9;
@@ -148,20 +191,30 @@ pub fn import_basalt(text: &str, path: &str) -> Result<ImportedRig, Error> {
         mean(&c.gyro_bias_std),
         mean(&c.accel_bias_std),
     ];
-    if let [Some(gyro), Some(accel), Some(gyro_walk), Some(accel_walk)] = noise {
-        rig.set_imu_noise(ImuNoiseModel {
-            gyro_noise_density: gyro,
-            accel_noise_density: accel,
-            gyro_bias_walk: gyro_walk,
-            accel_bias_walk: accel_walk,
-        });
+    match noise {
+        [Some(gyro), Some(accel), Some(gyro_walk), Some(accel_walk)] => {
+            rig.set_imu_noise(ImuNoiseModel {
+                gyro_noise_density: gyro,
+                accel_noise_density: accel,
+                gyro_bias_walk: gyro_walk,
+                accel_bias_walk: accel_walk,
+            });
+        }
+        [None, None, None, None] => {}
+        _ => notes.push(
+            "the noise of the IMU is not used: one of gyro_noise_std, accel_noise_std, gyro_bias_std and accel_bias_std is missing".to_owned(),
+        ),
     }
-    let mut notes = c.notes();
+    notes.extend(c.notes());
     if !file.others.is_empty() {
         let names: Vec<&str> = file.others.keys().map(String::as_str).collect();
         notes.push(not_used(path, &names));
     }
-    Ok(ImportedRig { rig, notes })
+    Ok(ImportedRig {
+        rig,
+        poses: PosesOf::Imu,
+        notes,
+    })
 }
 
 fn lens(camera: &Intrinsics) -> Result<Lens, String> {
@@ -174,49 +227,51 @@ fn lens(camera: &Intrinsics) -> Result<Lens, String> {
     };
     let focal_px = [get("fx")?, get("fy")?];
     let principal_px = [get("cx")?, get("cy")?];
-    Ok(match camera.camera_type.as_str() {
-        "pinhole" => Lens::PinholeRadtan {
+    let names = camera
+        .distortion_names()
+        .ok_or_else(|| format!("camera_type {} is not known", camera.camera_type))?;
+    let values: Vec<f64> = names
+        .iter()
+        .map(|name| get(name))
+        .collect::<Result<_, _>>()?;
+    Ok(match (camera.camera_type.as_str(), values.as_slice()) {
+        ("kb4", &[k1, k2, k3, k4]) => Lens::KannalaBrandt {
+            focal_px,
+            principal_px,
+            distortion: [k1, k2, k3, k4],
+        },
+        ("ds", &[xi, alpha]) => Lens::DoubleSphere {
+            focal_px,
+            principal_px,
+            distortion: [xi, alpha],
+        },
+        ("eucm", &[alpha, beta]) => Lens::ExtendedUnified {
+            focal_px,
+            principal_px,
+            distortion: [alpha, beta],
+        },
+        // Unified: the extended one of an unstretched sphere.
+        ("ucm", &[alpha]) => Lens::ExtendedUnified {
+            focal_px,
+            principal_px,
+            distortion: [alpha, 1.0],
+        },
+        ("fov", &[w]) => Lens::FieldOfView {
+            focal_px,
+            principal_px,
+            distortion: [w],
+        },
+        ("pinhole-radtan8", &[k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]) => Lens::PinholeRadtan {
+            focal_px,
+            principal_px,
+            distortion: [k1, k2, p1, p2, k3],
+        },
+        ("pinhole", []) => Lens::PinholeRadtan {
             focal_px,
             principal_px,
             distortion: [0.0; 5],
         },
-        "pinhole-radtan8" => {
-            if get("k4")? != 0.0 || get("k5")? != 0.0 || get("k6")? != 0.0 {
-                return Err("rational distortion with k4 to k6 is not known".to_owned());
-            }
-            Lens::PinholeRadtan {
-                focal_px,
-                principal_px,
-                distortion: [get("k1")?, get("k2")?, get("p1")?, get("p2")?, get("k3")?],
-            }
-        }
-        "kb4" => Lens::KannalaBrandt {
-            focal_px,
-            principal_px,
-            distortion: [get("k1")?, get("k2")?, get("k3")?, get("k4")?],
-        },
-        "ds" => Lens::DoubleSphere {
-            focal_px,
-            principal_px,
-            distortion: [get("xi")?, get("alpha")?],
-        },
-        "eucm" => Lens::ExtendedUnified {
-            focal_px,
-            principal_px,
-            distortion: [get("alpha")?, get("beta")?],
-        },
-        // Unified: the extended one of an unstretched sphere.
-        "ucm" => Lens::ExtendedUnified {
-            focal_px,
-            principal_px,
-            distortion: [get("alpha")?, 1.0],
-        },
-        "fov" => Lens::FieldOfView {
-            focal_px,
-            principal_px,
-            distortion: [get("w")?],
-        },
-        other => return Err(format!("camera_type {other} is not known")),
+        _ => return Err("rational distortion with k4 to k6 is not known".to_owned()),
     })
 }
 
@@ -275,6 +330,7 @@ pub(super) fn export(rig: &Rig, imu_rate_hz: f64) -> Exported {
             qy: q.y,
             qz: q.z,
             qw: q.w,
+            others: Map::new(),
         });
         resolution.push([camera.width, camera.height]);
     }

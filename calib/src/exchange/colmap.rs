@@ -1,24 +1,23 @@
-//! COLMAP's `cameras.txt` and `rig_config.json`. Its pixel (0, 0) is the corner of the first pixel, not its centre.
+//! COLMAP's `cameras.txt` and `rig_config.json`.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-use lsfb_geometry::camera::{Lens, LensModel};
+use lsfb_geometry::camera::LensModel;
 use lsfb_geometry::{Camera, Rig, Se3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Exported, ExportedFile, ImportedRig, checked, exact, in_model, mounted, not_used, parse_error,
+    Exported, ExportedFile, ImportedRig, PosesOf, exact, in_model, mounted, not_used, parse_error,
     quaternion,
 };
 use crate::Error;
 
-/// From our pixels to COLMAP's.
-const HALF_PIXEL: f64 = 0.5;
-
 #[derive(Serialize, Deserialize)]
 struct RigFile {
     cameras: Vec<RigMember>,
+    #[serde(flatten)]
+    others: BTreeMap<String, serde_json::Value>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -39,35 +38,26 @@ struct RigMember {
     others: BTreeMap<String, serde_json::Value>,
 }
 
-/// Reads `cameras.txt` and, where given, the first rig of `rig_config.json`, whose members are the cameras in the order of
-/// their numbers; `path` names the former in errors. The first camera of the rig is the origin.
+/// Reads `cameras.txt` and, where given, the first rig of `rig_config.json`; `path` names the former in errors. A member whose
+/// parameters are those of one camera is that camera; where they do not tell, members are the cameras in the order of their numbers.
+/// The camera that the rig refers to is the origin.
 pub fn import_colmap(
     cameras: &str,
     rig_config: Option<&str>,
     path: &str,
 ) -> Result<ImportedRig, Error> {
-    let mut found: Vec<Listed> = Vec::new();
-    for (number, line) in cameras.lines().enumerate() {
-        let line = line.trim();
-        if line.is_empty() || line.starts_with('#') {
-            continue;
-        }
-        let camera =
-            camera(line).map_err(|p| parse_error(path, format!("line {}: {p}", number + 1)))?;
-        found.push(camera);
-    }
-    found.sort_by_key(|c| c.id);
-    if found.is_empty() {
-        return Err(parse_error(path, "no camera in it"));
-    }
+    let found = listed(cameras, path)?;
     let mut rig = Rig::empty("colmap");
     let Some(text) = rig_config else {
         for (k, listed) in found.into_iter().enumerate() {
             rig.cameras
                 .insert(format!("cam{k}"), mounted(listed.camera, Se3::identity()));
         }
-        let notes = vec!["no poses in it: all cameras are at the origin".to_owned()];
-        return Ok(ImportedRig { rig, notes });
+        return Ok(ImportedRig {
+            rig,
+            poses: PosesOf::Nothing,
+            notes: vec!["no poses in it: all cameras are at the origin".to_owned()],
+        });
     };
     let fail = |problem: String| parse_error("rig_config.json", problem);
     let files: Vec<RigFile> = serde_json::from_str(text).map_err(|e| fail(e.to_string()))?;
@@ -78,11 +68,15 @@ pub fn import_colmap(
             files.len()
         ));
     }
-    let members = files
+    let (members, others) = files
         .into_iter()
         .next()
-        .map(|f| f.cameras)
+        .map(|f| (f.cameras, f.others))
         .unwrap_or_default();
+    if !others.is_empty() {
+        let names: Vec<&str> = others.keys().map(String::as_str).collect();
+        notes.push(not_used("rig_config.json", &names));
+    }
     if members.len() != found.len() {
         return Err(fail(format!(
             "{} cameras in the rig, {} in {path}",
@@ -90,14 +84,24 @@ pub fn import_colmap(
             found.len()
         )));
     }
-    for (member, listed) in members.into_iter().zip(found) {
-        let name = member
-            .image_prefix
-            .trim_end_matches('/')
-            .rsplit('/')
-            .next()
-            .unwrap_or_default()
-            .to_owned();
+    let references = members.iter().filter(|m| m.ref_sensor).count();
+    if references != 1 {
+        return Err(fail(format!(
+            "{references} of its cameras are the ref_sensor, expected 1"
+        )));
+    }
+    let places = match places(&members, &found) {
+        Some(places) => places,
+        None => {
+            if found.len() > 1 {
+                notes.push(format!(
+                    "which camera of {path} is which of rig_config.json is not said by their parameters: taken in the order of their numbers"
+                ));
+            }
+            (0..found.len()).collect()
+        }
+    };
+    for ((name, member), place) in names(&members).into_iter().zip(&members).zip(places) {
         if !member.others.is_empty() {
             let names: Vec<&str> = member.others.keys().map(String::as_str).collect();
             notes.push(not_used(&name, &names));
@@ -106,7 +110,12 @@ pub fn import_colmap(
             member.cam_from_rig_rotation,
             member.cam_from_rig_translation,
         ) {
-            _ if member.ref_sensor => Se3::identity(),
+            (None, None) if member.ref_sensor => Se3::identity(),
+            _ if member.ref_sensor => {
+                return Err(fail(format!(
+                    "{name}: it is the ref_sensor, and has a cam_from_rig"
+                )));
+            }
             (Some(q), Some(t)) => {
                 let q = quaternion(q)
                     .ok_or_else(|| fail(format!("{name}: cam_from_rig_rotation has not norm 1")))?;
@@ -114,17 +123,77 @@ pub fn import_colmap(
             }
             _ => return Err(fail(format!("{name}: it has no cam_from_rig"))),
         };
-        if member
-            .camera_params
-            .is_some_and(|p| !same(&p, &listed.parameters))
+        let camera = found[place].camera;
+        if rig
+            .cameras
+            .insert(name.clone(), mounted(camera, pose))
+            .is_some()
         {
-            notes.push(format!(
-                "{name}: camera_params of rig_config.json differ from {path} and are not used"
-            ));
+            return Err(fail(format!("a second camera named {name}")));
         }
-        rig.cameras.insert(name, mounted(listed.camera, pose));
     }
-    Ok(ImportedRig { rig, notes })
+    Ok(ImportedRig {
+        rig,
+        poses: PosesOf::FirstCamera,
+        notes,
+    })
+}
+
+/// Names of a rig's members: the last folders of their images, or all of them where these are alike.
+fn names(members: &[RigMember]) -> Vec<String> {
+    let whole = |m: &RigMember| m.image_prefix.trim_matches('/').replace('/', "_");
+    let last = |m: &RigMember| {
+        let prefix = m.image_prefix.trim_end_matches('/');
+        prefix.rsplit('/').next().unwrap_or_default().to_owned()
+    };
+    let short: Vec<String> = members.iter().map(last).collect();
+    let is_new = |(k, name): (usize, &String)| !short[..k].contains(name);
+    match short.iter().enumerate().all(is_new) {
+        true => short,
+        false => members.iter().map(whole).collect(),
+    }
+}
+
+/// Which of the cameras each member is, by their parameters; `None` where these do not tell.
+fn places(members: &[RigMember], found: &[Listed]) -> Option<Vec<usize>> {
+    let mut places: Vec<usize> = Vec::with_capacity(members.len());
+    for member in members {
+        let parameters = member.camera_params.as_ref()?;
+        let model = member.camera_model_name.as_deref();
+        let is_alike = |listed: &Listed| {
+            same(parameters, &listed.parameters) && model.is_none_or(|m| m == listed.model)
+        };
+        let alike: Vec<usize> = (0..found.len()).filter(|k| is_alike(&found[*k])).collect();
+        // Which one of several that are the same does not matter.
+        let first = &found[*alike.first()?];
+        if alike.iter().any(|k| found[*k].camera != first.camera) {
+            return None;
+        }
+        places.push(alike.into_iter().find(|k| !places.contains(k))?);
+    }
+    Some(places)
+}
+
+/// The cameras of `cameras.txt`, by their numbers.
+fn listed(text: &str, path: &str) -> Result<Vec<Listed>, Error> {
+    let mut found: Vec<Listed> = Vec::new();
+    for (number, line) in text.lines().enumerate() {
+        let line = line.trim();
+        if line.is_empty() || line.starts_with('#') {
+            continue;
+        }
+        let fail = |problem: String| parse_error(path, format!("line {}: {problem}", number + 1));
+        let camera = camera(line).map_err(fail)?;
+        if found.iter().any(|other| other.id == camera.id) {
+            return Err(fail(format!("a second camera {}", camera.id)));
+        }
+        found.push(camera);
+    }
+    found.sort_by_key(|c| c.id);
+    match found.is_empty() {
+        true => Err(parse_error(path, "no camera in it")),
+        false => Ok(found),
+    }
 }
 
 /// Whether two lists of parameters are the same but for the rounding of their texts.
@@ -136,6 +205,7 @@ fn same(a: &[f64], b: &[f64]) -> bool {
 /// A line of `cameras.txt`.
 struct Listed {
     id: u32,
+    model: String,
     camera: Camera,
     parameters: Vec<f64>,
 }
@@ -150,61 +220,12 @@ fn camera(line: &str) -> Result<Listed, String> {
         .iter()
         .map(|w| w.parse().map_err(|_| format!("{w} is not a number")))
         .collect::<Result<_, String>>()?;
-    let camera = checked(Camera {
-        width: count(width)?,
-        height: count(height)?,
-        lens: lens(model, &values)?,
-    })?;
+    let camera = Camera::from_colmap(model, [count(width)?, count(height)?], &values);
     Ok(Listed {
         id: count(id)?,
-        camera,
+        model: (*model).to_owned(),
+        camera: camera.map_err(|e| e.to_string())?,
         parameters: values,
-    })
-}
-
-fn lens(model: &str, values: &[f64]) -> Result<Lens, String> {
-    let (focals, distorted) = match model {
-        "SIMPLE_PINHOLE" => (1, 0),
-        "PINHOLE" => (2, 0),
-        "SIMPLE_RADIAL" | "SIMPLE_RADIAL_FISHEYE" => (1, 1),
-        "RADIAL" | "RADIAL_FISHEYE" => (1, 2),
-        "OPENCV" | "OPENCV_FISHEYE" => (2, 4),
-        "FULL_OPENCV" => (2, 8),
-        "FOV" => (2, 1),
-        other => return Err(format!("model {other} is not known")),
-    };
-    if values.len() != focals + 2 + distorted {
-        return Err(format!(
-            "{} parameters for {model}, expected {}",
-            values.len(),
-            focals + 2 + distorted
-        ));
-    }
-    let (focal, rest) = values.split_at(focals);
-    let focal_px = [focal[0], focal[focals - 1]];
-    let principal_px = [rest[0] - HALF_PIXEL, rest[1] - HALF_PIXEL];
-    let d = &rest[2..];
-    let at = |k: usize| d.get(k).copied().unwrap_or(0.0);
-    Ok(match model {
-        "OPENCV_FISHEYE" | "SIMPLE_RADIAL_FISHEYE" | "RADIAL_FISHEYE" => Lens::KannalaBrandt {
-            focal_px,
-            principal_px,
-            distortion: [at(0), at(1), at(2), at(3)],
-        },
-        "FOV" => Lens::FieldOfView {
-            focal_px,
-            principal_px,
-            distortion: [at(0)],
-        },
-        "FULL_OPENCV" if d[5..].iter().any(|k| *k != 0.0) => {
-            return Err("rational distortion with k4 to k6 is not known".to_owned());
-        }
-        // k1 k2 p1 p2 k3, the latter three only of the OPENCV models.
-        _ => Lens::PinholeRadtan {
-            focal_px,
-            principal_px,
-            distortion: [at(0), at(1), at(2), at(3), at(4)],
-        },
     })
 }
 
@@ -227,31 +248,17 @@ pub(super) fn export(rig: &Rig) -> Exported {
             LensModel::KannalaBrandt,
             &mut out.notes,
         );
-        let ([fx, fy], [cx, cy]) = (camera.focal_px(), camera.principal_px());
-        let pinhole = [fx, fy, cx + HALF_PIXEL, cy + HALF_PIXEL];
-        let (model, distortion) = match camera.lens {
-            Lens::PinholeRadtan {
-                distortion: [0.0, 0.0, 0.0, 0.0, 0.0],
-                ..
-            } => ("PINHOLE", vec![]),
-            Lens::PinholeRadtan {
-                distortion: [k1, k2, p1, p2, 0.0],
-                ..
-            } => ("OPENCV", vec![k1, k2, p1, p2]),
-            Lens::PinholeRadtan {
-                distortion: [k1, k2, p1, p2, k3],
-                ..
-            } => ("FULL_OPENCV", vec![k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]),
-            Lens::FieldOfView { distortion, .. } => ("FOV", distortion.to_vec()),
-            lens => ("OPENCV_FISHEYE", lens.distortion().to_vec()),
+        // All of the models above are COLMAP's.
+        let Some((model, parameters)) = camera.to_colmap() else {
+            continue;
         };
-        let parameters = [&pinhole[..], &distortion].concat();
         let words: Vec<String> = parameters.iter().map(|v| exact(*v)).collect();
         // Writing to a String cannot fail.
         let _ = writeln!(
             cameras,
-            "{} {model} {} {} {}",
+            "{} {} {} {} {}",
             k + 1,
+            model.name(),
             camera.width,
             camera.height,
             words.join(" ")
@@ -265,7 +272,7 @@ pub(super) fn export(rig: &Rig) -> Exported {
             ref_sensor: is_first,
             cam_from_rig_rotation: (!is_first).then_some([q.w, q.i, q.j, q.k]),
             cam_from_rig_translation: (!is_first).then_some(pose.translation.into()),
-            camera_model_name: Some(model.to_owned()),
+            camera_model_name: Some(model.name().to_owned()),
             camera_params: Some(parameters),
             others: BTreeMap::new(),
         });
@@ -275,7 +282,11 @@ pub(super) fn export(rig: &Rig) -> Exported {
         text: cameras,
     });
     // Names and numbers: nothing in it can fail.
-    let text = serde_json::to_string_pretty(&[RigFile { cameras: members }]).unwrap_or_default();
+    let text = serde_json::to_string_pretty(&[RigFile {
+        cameras: members,
+        others: BTreeMap::new(),
+    }])
+    .unwrap_or_default();
     out.files.push(ExportedFile {
         name: "rig_config.json".to_owned(),
         text: text + "\n",

@@ -42,11 +42,24 @@ pub use ros::{ImportedCamera, import_camera_info};
 /// By how much a file's matrix may miss being a rotation (Frobenius norm of `R Rᵀ − 1`).
 const ROTATION_ROUNDING: f64 = 1e-3;
 
+/// Of what the poses of imported cameras are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PosesOf {
+    /// The IMU, which is the rig's origin.
+    Imu,
+    /// One of the cameras: how they stand to each other, not how they stand on a rig.
+    FirstCamera,
+    /// Nothing: all cameras are at the origin.
+    Nothing,
+}
+
 /// A rig from another program's file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImportedRig {
     /// The rig.
     pub rig: Rig,
+    /// Of what its cameras' poses are.
+    pub poses: PosesOf,
     /// What is in the file that a rig does not hold, in words.
     pub notes: Vec<String>,
 }
@@ -205,6 +218,12 @@ fn checked(camera: Camera) -> Result<Camera, String> {
     camera.lens.problem().map_or(Ok(camera), Err)
 }
 
+/// Whether all numbers of a pose are numbers.
+fn is_finite(pose: &Se3) -> bool {
+    pose.translation.iter().all(|v| v.is_finite())
+        && pose.rotation.coords.iter().all(|v| v.is_finite())
+}
+
 /// A note on names in a file that no reader knew.
 fn not_used(what: &str, names: &[&str]) -> String {
     format!("{what}: not understood and not used: {}", names.join(", "))
@@ -225,5 +244,7 @@ fn radtan(lens: &Lens) -> Option<[f64; 5]> {
     }
 }
 
+#[cfg(test)]
+mod odd_files;
 #[cfg(test)]
 mod tests;

@@ -28,8 +28,14 @@ pub fn implausible(rig: &Rig) -> Vec<String> {
                 "{name}: a time offset of {late_s} s: offsets are seconds, not milliseconds"
             ));
         }
-        let width = f64::from(mounted.camera.width);
+        let [width, height] = [mounted.camera.width, mounted.camera.height].map(f64::from);
         let [focal_px, _] = mounted.camera.focal_px();
+        let [x, y] = mounted.camera.principal_px();
+        if !((0.0..width).contains(&x) && (0.0..height).contains(&y)) {
+            notes.push(format!(
+                "{name}: a principal point at ({x:.1}, {y:.1}) px, outside an image of {width} × {height} px: width and height swapped, the order of the numbers, or the lens of another image size"
+            ));
+        }
         if !FOCAL_SHARES.contains(&(focal_px / width)) {
             notes.push(format!(
                 "{name}: a focal length of {focal_px} px in an image {width} px wide: focal lengths are pixels"

@@ -131,16 +131,16 @@ pub fn import_camera_info(text: &str, path: &str) -> Result<ImportedCamera, Erro
             size[0], size[1], roi.x_offset, roi.y_offset, info.width, info.height
         )));
     }
-    let k = info
-        .camera_matrix
-        .map(|m| m.data)
-        .or(info.k)
+    let k = one_of(["camera_matrix", "k"], info.camera_matrix, info.k)
+        .map_err(fail)?
         .unwrap_or_default();
-    let d = info
-        .distortion_coefficients
-        .map(|m| m.data)
-        .or(info.d)
-        .unwrap_or_default();
+    let d = one_of(
+        ["distortion_coefficients", "d"],
+        info.distortion_coefficients,
+        info.d,
+    )
+    .map_err(fail)?
+    .unwrap_or_default();
     if k.len() != 9 {
         return Err(fail(format!(
             "{} numbers in the camera matrix, expected 9",
@@ -153,10 +153,29 @@ pub fn import_camera_info(text: &str, path: &str) -> Result<ImportedCamera, Erro
             k[1]
         )));
     }
+    if [k[3], k[6], k[7], k[8]] != [0.0, 0.0, 0.0, 1.0] {
+        return Err(fail(format!(
+            "the camera matrix is {}, expected fx, 0, cx, 0, fy, cy, 0, 0, 1; is it written by columns?",
+            list(&k)
+        )));
+    }
+    if d.is_empty() {
+        notes.push(format!(
+            "{path}: no distortion coefficients in it: read as a lens that does not distort"
+        ));
+    }
     let focal_px = [k[0], k[4]];
     let principal_px = [k[2] - corner[0], k[5] - corner[1]];
     let at = |i: usize| d.get(i).copied().unwrap_or(0.0);
     let beyond = |n: usize| d.iter().skip(n).any(|x| *x != 0.0);
+    let is_polynomial = matches!(model.as_str(), "plumb_bob" | "rational_polynomial" | "");
+    // As many as OpenCV has; a list that was cut short is not read as zeros.
+    if is_polynomial && ![0, 4, 5, 8, 12, 14].contains(&d.len()) {
+        return Err(fail(format!(
+            "{} distortion coefficients, expected 4, 5 or 8",
+            d.len()
+        )));
+    }
     let lens = match model.as_str() {
         "plumb_bob" | "rational_polynomial" | "" if !beyond(5) => Lens::PinholeRadtan {
             focal_px,
@@ -209,6 +228,21 @@ pub fn import_camera_info(text: &str, path: &str) -> Result<ImportedCamera, Erro
         camera,
         notes,
     })
+}
+
+/// What a file says by either of two names; both must say the same.
+fn one_of(
+    names: [&str; 2],
+    matrix: Option<Matrix>,
+    list: Option<Vec<f64>>,
+) -> Result<Option<Vec<f64>>, String> {
+    match (matrix.map(|m| m.data), list) {
+        (Some(a), Some(b)) if a != b => Err(format!(
+            "{} and {} contradict each other: delete the wrong one",
+            names[0], names[1]
+        )),
+        (a, b) => Ok(a.or(b)),
+    }
 }
 
 pub(super) fn export(rig: &Rig) -> Exported {

@@ -99,7 +99,12 @@ fn kalibr_round_trip() {
 
     // Without the IMU the first camera is the origin.
     let chain: String = text(&out, "camchain-imucam.yaml").replace("T_cam_imu", "T_unknown");
-    let ImportedRig { rig: alone, notes } = import_kalibr(&chain, "own").expect("a chain");
+    let ImportedRig {
+        rig: alone,
+        poses,
+        notes,
+    } = import_kalibr(&chain, "own").expect("a chain");
+    assert_eq!(poses, PosesOf::FirstCamera);
     assert!(
         notes[0].starts_with("no pose to an IMU in it") && notes[1].contains("not used: T_unknown"),
         "{notes:?}"
@@ -243,8 +248,8 @@ fn wrong_files_are_named() {
         assert!(import_basalt(text, "x").is_err(), "{text}");
         assert!(import_colmap(text, None, "x").is_err(), "{text}");
     }
-    let error =
-        import_colmap("1 THIN_PRISM_FISHEYE 6 4 1 1", None, "cameras.txt").expect_err("model");
+    let line = format!("1 THIN_PRISM_FISHEYE 6 4{}", " 1".repeat(12));
+    let error = import_colmap(&line, None, "cameras.txt").expect_err("model");
     assert!(
         error
             .to_string()

@@ -41,6 +41,8 @@ pub(super) fn read<T: DeserializeOwned>(text: &str, path: &str) -> Result<T, Err
             }
         }
     }
+    // A key that stands twice is refused here; a map of our own types would take the last.
+    serde_norway::from_str::<Value>(first).map_err(wrong)?;
     serde_norway::from_str(first).map_err(wrong)
 }
 

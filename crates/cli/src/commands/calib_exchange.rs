@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use lsfb_calib::exchange::{
-    Format, ImportedRig, export, implausible, import_basalt, import_camera_info, import_colmap,
-    import_kalibr, import_kalibr_imu,
+    Format, ImportedRig, PosesOf, export, implausible, import_basalt, import_camera_info,
+    import_colmap, import_kalibr, import_kalibr_imu,
 };
 use lsfb_geometry::{Rig, RigCamera, Se3};
 use lsfb_recording::Provenance;
@@ -94,6 +94,7 @@ pub fn run_import(arguments: &ImportArguments, context: &Context) -> anyhow::Res
     results.claim(context)?;
     let ImportedRig {
         rig: found,
+        poses,
         mut notes,
     } = read(arguments)?;
     notes.extend(implausible(&found));
@@ -105,7 +106,7 @@ pub fn run_import(arguments: &ImportArguments, context: &Context) -> anyhow::Res
         Some(path) => {
             provenance.add_input(path)?;
             let mut rig = Rig::read(path)?;
-            put(&found, arguments.program, &mut rig);
+            notes.extend(put(&found, poses, &mut rig)?);
             if !found.cameras.is_empty() {
                 // None of these files says when it was made.
                 rig.calibrated_unix_s = None;
@@ -114,6 +115,9 @@ pub fn run_import(arguments: &ImportArguments, context: &Context) -> anyhow::Res
         }
         None => found,
     };
+    if let Some(problem) = rig.problem() {
+        anyhow::bail!("{}: {problem}", names_of(&arguments.files));
+    }
     super::write(&arguments.out, rig.to_toml())?;
     provenance.write(&arguments.out)?;
     let names: Vec<&str> = rig.cameras.keys().map(String::as_str).collect();
@@ -130,6 +134,11 @@ pub fn run_import(arguments: &ImportArguments, context: &Context) -> anyhow::Res
         },
     )?;
     Ok(Outcome::Done)
+}
+
+fn names_of(files: &[PathBuf]) -> String {
+    let names: Vec<String> = files.iter().map(|p| p.display().to_string()).collect();
+    names.join(", ")
 }
 
 fn text(path: &Path) -> anyhow::Result<String> {
@@ -153,24 +162,23 @@ fn read(arguments: &ImportArguments) -> anyhow::Result<ImportedRig> {
     };
     let name = first.display().to_string();
     let second = files.get(1);
-    let mut notes = Vec::new();
-    let rig = match arguments.program {
+    Ok(match arguments.program {
         Program::Kalibr => {
-            let ImportedRig { rig, notes: said } = read_kalibr(files)?;
-            notes = said;
+            let found = read_kalibr(files)?;
             anyhow::ensure!(
-                !rig.cameras.is_empty() || arguments.rig.is_some(),
+                !found.rig.cameras.is_empty() || arguments.rig.is_some(),
                 "{name} has no camera: give the rig of its IMU with --rig"
             );
-            rig
+            found
         }
         Program::Colmap => {
             let config = second.map(|p| text(p)).transpose()?;
-            return Ok(import_colmap(&text(first)?, config.as_deref(), &name)?);
+            import_colmap(&text(first)?, config.as_deref(), &name)?
         }
-        Program::Basalt => return Ok(import_basalt(&text(first)?, &name)?),
+        Program::Basalt => import_basalt(&text(first)?, &name)?,
         Program::Ros => {
             let mut rig = Rig::empty("ros");
+            let mut notes = Vec::new();
             for (k, path) in files.iter().enumerate() {
                 let found = import_camera_info(&text(path)?, &path.display().to_string())?;
                 notes.extend(found.notes);
@@ -187,15 +195,22 @@ fn read(arguments: &ImportArguments) -> anyhow::Result<ImportedRig> {
                 };
                 rig.cameras.insert(name, mounted);
             }
-            rig
+            if arguments.rig.is_none() {
+                notes.push("no poses in CameraInfo: all cameras are at the origin".to_owned());
+            }
+            ImportedRig {
+                rig,
+                poses: PosesOf::Nothing,
+                notes,
+            }
         }
-    };
-    Ok(ImportedRig { rig, notes })
+    })
 }
 
 /// A camera chain, the noise of an IMU, or both in either order.
 fn read_kalibr(files: &[PathBuf]) -> anyhow::Result<ImportedRig> {
     let mut rig = Rig::empty("kalibr");
+    let mut poses = PosesOf::Imu;
     let mut notes = Vec::new();
     for path in files {
         let (text, name) = (text(path)?, path.display().to_string());
@@ -208,28 +223,42 @@ fn read_kalibr(files: &[PathBuf]) -> anyhow::Result<ImportedRig> {
             anyhow::ensure!(rig.cameras.is_empty(), "{name}: a second camera chain");
             let found = import_kalibr(&text, &name)?;
             rig.cameras = found.rig.cameras;
+            poses = found.poses;
             notes.extend(found.notes);
         }
     }
-    Ok(ImportedRig { rig, notes })
+    Ok(ImportedRig { rig, poses, notes })
 }
 
-/// What was read put into a rig. Files without an IMU say how cameras stand to each other: the first one that the rig has
-/// too keeps its pose. `CameraInfo` has no poses at all.
-fn put(found: &Rig, program: Program, rig: &mut Rig) {
-    let anchor = found.cameras.iter().find_map(|(name, c)| {
+/// What was read put into a rig, with what is to be said of it. Where poses are those of cameras to each other, the first camera that
+/// the rig has too keeps its own and the others follow; without one they cannot be placed.
+fn put(found: &Rig, poses: PosesOf, rig: &mut Rig) -> anyhow::Result<Vec<String>> {
+    let mut notes = Vec::new();
+    let rig_from_origin = found.cameras.iter().find_map(|(name, c)| {
         Some(rig.cameras.get(name)?.rig_from_camera * c.rig_from_camera.inverse())
     });
-    let has_imu = matches!(program, Program::Kalibr | Program::Basalt);
     for (name, camera) in &found.cameras {
         let before = rig.cameras.get(name).cloned();
-        let pose = match (&before, anchor) {
-            (Some(before), _) if matches!(program, Program::Ros) => before.rig_from_camera,
-            (_, Some(rig_from_origin)) if !has_imu => rig_from_origin * camera.rig_from_camera,
-            _ => camera.rig_from_camera,
+        let pose = match (poses, &before, rig_from_origin) {
+            (PosesOf::Imu, ..) => camera.rig_from_camera,
+            (PosesOf::FirstCamera, _, Some(rig_from_origin)) => {
+                rig_from_origin * camera.rig_from_camera
+            }
+            (PosesOf::Nothing, Some(before), _) => before.rig_from_camera,
+            _ => anyhow::bail!(
+                "nothing says where {name} is on the rig, which has {}: give its cameras these names",
+                rig.cameras.keys().cloned().collect::<Vec<_>>().join(", ")
+            ),
         };
-        let timing = match &before {
-            Some(before) if !has_imu => before.timing,
+        // Clocks are those of the IMU.
+        let timing = match (poses, before) {
+            (PosesOf::FirstCamera | PosesOf::Nothing, Some(before)) => before.timing,
+            (PosesOf::FirstCamera, None) => {
+                notes.push(format!(
+                    "{name}: nothing says how its clock stands to the IMU's: taken for the same"
+                ));
+                camera.timing
+            }
             _ => camera.timing,
         };
         rig.cameras.insert(
@@ -244,6 +273,7 @@ fn put(found: &Rig, program: Program, rig: &mut Rig) {
     if found.imu().is_some() {
         rig.imus.clone_from(&found.imus);
     }
+    Ok(notes)
 }
 
 /// Writes the files.

@@ -1,0 +1,126 @@
+//! Kalibr's camera chain and IMU files.
+
+mod link;
+mod write;
+
+use std::collections::BTreeMap;
+
+use lsfb_geometry::{ImuNoiseModel, Rig, Se3};
+use serde::Deserialize;
+
+use super::yaml::{self, Others};
+use super::{ImportedImu, ImportedRig, PosesOf, mounted, parse_error};
+use crate::Error;
+use link::{Link, camera};
+
+pub(super) use write::export;
+pub use write::{ChainOrigin, camera_chain, imu_to_kalibr};
+
+#[derive(Deserialize)]
+struct ImuFile {
+    accelerometer_noise_density: f64,
+    accelerometer_random_walk: f64,
+    gyroscope_noise_density: f64,
+    gyroscope_random_walk: f64,
+    #[serde(rename = "rostopic")]
+    _topic: Option<String>,
+    #[serde(rename = "update_rate")]
+    _rate_hz: Option<f64>,
+    #[serde(flatten)]
+    others: Others,
+}
+
+/// Reads a camera chain, with or without the IMU; `path` names it in errors. Where no pose to an IMU is given the first camera
+/// is the origin.
+pub fn import_kalibr(text: &str, path: &str) -> Result<ImportedRig, Error> {
+    let chain: BTreeMap<String, Link> = yaml::read(text, path)?;
+    let mut links: Vec<(u32, Link)> = Vec::new();
+    for (name, link) in chain {
+        let number = name.strip_prefix("cam").and_then(|n| n.parse().ok());
+        let number = number
+            .ok_or_else(|| parse_error(path, format!("{name}: expected cam0, cam1 and so on")))?;
+        links.push((number, link));
+    }
+    links.sort_by_key(|l| l.0);
+    let mut rig = Rig::empty("kalibr");
+    let mut notes = Vec::new();
+    let mut before: Option<Se3> = None;
+    let has_imu = links.iter().any(|(_, l)| l.has_imu());
+    for (number, link) in links {
+        let name = format!("cam{number}");
+        let fail = |problem: String| parse_error(path, format!("{name}: {problem}"));
+        let (camera, miss_px) = camera(&link).map_err(fail)?;
+        if miss_px > 0.0 {
+            notes.push(format!(
+                "{name}: the omni lens is read as {}, which misses it by up to {miss_px:.3} px",
+                camera.lens.model().name()
+            ));
+        }
+        let rig_from_camera = match (link.rig_from_camera(before).map_err(fail)?, before) {
+            (Some(pose), _) => pose,
+            (None, None) if !has_imu => {
+                notes.push(format!(
+                    "no pose to an IMU in it (T_cam_imu or T_imu_cam): {name} is the origin"
+                ));
+                Se3::identity()
+            }
+            _ => {
+                return Err(fail(
+                    "neither T_cam_imu, T_imu_cam nor T_cn_cnm1 says where it is".to_owned(),
+                ));
+            }
+        };
+        notes.extend(yaml::unused(&name, &link.others));
+        before = Some(rig_from_camera);
+        let mut mounted = mounted(camera, rig_from_camera);
+        mounted.timing = link.timing(&name, &mut notes).map_err(fail)?;
+        if rig.cameras.insert(name.clone(), mounted).is_some() {
+            return Err(parse_error(path, format!("a second camera named {name}")));
+        }
+    }
+    if rig.cameras.is_empty() {
+        return Err(parse_error(path, "no camera in it"));
+    }
+    let poses = match has_imu {
+        true => PosesOf::Imu,
+        false => PosesOf::FirstCamera,
+    };
+    Ok(ImportedRig { rig, poses, notes })
+}
+
+/// Reads the noise of an IMU: the file that Kalibr is given, which is flat, or that of its calibration, which names the IMU first.
+pub fn import_kalibr_imu(text: &str, path: &str) -> Result<ImportedImu, Error> {
+    let keys: Others = yaml::read(text, path)?;
+    let mut notes = Vec::new();
+    let is_flat = keys.keys().any(|key| key.contains("noise_density"));
+    let (name, file) = match is_flat {
+        true => ("imu".to_owned(), yaml::read(text, path)?),
+        false => {
+            let imus: BTreeMap<String, ImuFile> = yaml::read(text, path)?;
+            let mut imus = imus.into_iter();
+            let first = imus
+                .next()
+                .ok_or_else(|| parse_error(path, "no IMU in it"))?;
+            for (other, _) in imus {
+                notes.push(format!(
+                    "{other} is not used: a rig has one IMU, {} is taken",
+                    first.0
+                ));
+            }
+            first
+        }
+    };
+    let mut others = file.others;
+    // An IMU whose axes are taken as they are.
+    if others.get("model").and_then(|m| m.as_str()) == Some("calibrated") {
+        others.remove("model");
+    }
+    notes.extend(yaml::unused(&name, &others));
+    let noise = ImuNoiseModel {
+        gyro_noise_density: file.gyroscope_noise_density,
+        accel_noise_density: file.accelerometer_noise_density,
+        gyro_bias_walk: file.gyroscope_random_walk,
+        accel_bias_walk: file.accelerometer_random_walk,
+    };
+    Ok(ImportedImu { noise, notes })
+}
