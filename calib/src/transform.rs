@@ -9,6 +9,8 @@ use crate::Error;
 
 /// Name of the IMU, in whose frame all poses of a rig are.
 pub const IMU: &str = "imu";
+/// No two sensors of a rig are farther apart, metres.
+const FARTHEST_M: f64 = 10.0;
 /// Name of the LiDAR.
 pub const LIDAR: &str = "lidar";
 
@@ -59,6 +61,12 @@ impl TransformEdge {
             return Err(format!(
                 "rotation_xyzw has norm {}, expected 1",
                 rotation.norm()
+            ));
+        }
+        let length_m = Vector3::from(file.translation_m).norm();
+        if !(length_m < FARTHEST_M) {
+            return Err(format!(
+                "translation_m is {length_m:.1} m long: lengths are metres, not millimetres"
             ));
         }
         let covariance = file
@@ -125,5 +133,11 @@ mod tests {
             let error = TransformEdge::from_json(&text.replacen(from, to, 1)).expect_err(to);
             assert!(error.contains(problem), "{error}");
         }
+        let millimetres = TransformEdge {
+            target_from_source: Se3::new(UnitQuaternion::identity(), Vector3::new(83.0, 0.0, 0.0)),
+            ..edge
+        };
+        let error = TransformEdge::from_json(&millimetres.to_json()).expect_err("too far");
+        assert!(error.contains("not millimetres"), "{error}");
     }
 }

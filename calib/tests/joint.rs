@@ -129,6 +129,27 @@ fn an_outlier_is_named() {
     }
 }
 
+/// Degrees off, each in its own direction: the paper's weights are relative, and hold that to be chance. It passed once.
+#[test]
+fn loops_that_do_not_close_are_no_pass_by_the_papers_weights() {
+    let config = JointConfig {
+        weights: Weights::Paper,
+        ..JointConfig::default()
+    };
+    let mut edges = Graph::simulate(Errors::Measured, 2).edges;
+    let close = join_transforms(&edges, &config).expect("joined");
+    assert_eq!(close.judgement().verdict(), Verdict::Pass);
+    for (k, edge) in edges.iter_mut().enumerate() {
+        let mut off = Vector6::zeros();
+        off[k % 3] = if k % 2 == 0 { 0.03 } else { -0.03 };
+        edge.target_from_source = edge.target_from_source * Se3::exp(&off);
+    }
+    let wide = join_transforms(&edges, &config).expect("joined");
+    assert!(!wide.edges.iter().any(|e| e.outlier), "{:?}", wide.findings);
+    assert_eq!(wide.judgement().verdict(), Verdict::Warn);
+    assert!(wide.findings.iter().any(|f| f.code == "wide-loop"));
+}
+
 #[test]
 fn bad_graphs_are_named_and_order_does_not_matter() {
     let Graph {
@@ -156,8 +177,21 @@ fn bad_graphs_are_named_and_order_does_not_matter() {
     let own = text(&[edge("cam0", "cam0", lidar)]);
     assert!(own.contains("two different sensors"), "{own}");
 
-    // A tree: nothing checks it, and that is said.
+    // One measurement given twice checked itself once, and was the surer for it.
     let tree = [edge(IMU, "cam0", cameras[0]), edge("cam0", LIDAR, lidar)];
+    let turned = TransformEdge {
+        target: LIDAR.to_owned(),
+        source: "cam0".to_owned(),
+        target_from_source: lidar.inverse(),
+        ..tree[1].clone()
+    };
+    let twice = text(&[tree[0].clone(), tree[1].clone(), turned]);
+    assert!(
+        twice.contains("the same transform is given twice"),
+        "{twice}"
+    );
+
+    // A tree: nothing checks it, and that is said.
     let found = join_transforms(&tree, &config).expect("joined");
     assert_eq!(found.redundancy, 0);
     let judgement = found.judgement();

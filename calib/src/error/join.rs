@@ -22,6 +22,11 @@ pub enum JoinProblem {
     /// There is no transform at all.
     #[error("no transform was given")]
     NoTransform,
+    /// One measurement is there twice.
+    #[error(
+        "the same transform is given twice, which would count as two measurements: leave one of them out"
+    )]
+    GivenTwice,
 
     /// Two cameras see the board together too seldom.
     #[error(

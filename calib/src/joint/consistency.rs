@@ -17,6 +17,10 @@ const RARE: f64 = 3.0902;
 const USUAL: f64 = 1.6449;
 /// Degrees of freedom that stand for infinitely many.
 const MANY: f64 = 1e6;
+/// Loops that are closed worse have harmed: two steps of the LiDAR in azimuth, two centimetres at three metres, half of what the points
+/// of a map may be off (`verify`). Weights that are relative hold any of it to be chance.
+const LARGE_LOOP_DEG: f64 = 0.4;
+const LARGE_LOOP_MM: f64 = 20.0;
 /// Edges whose disagreement is the same within this share cannot be told apart: they lie in one loop only.
 const ALIKE: f64 = 0.02;
 
@@ -111,7 +115,8 @@ pub(super) fn judge(
         }
     }
     findings.extend(contradictions(table));
-    findings.extend(table.iter().filter(|e| !e.outlier).map(agreement));
+    let others = table.iter().filter(|e| !e.outlier);
+    findings.extend(others.map(|e| agreement(e, relative)));
     let factor = chi_square / redundancy.max(1) as f64;
     let most = f_quantile(RARE, redundancy as f64, MANY);
     let are_good = findings
@@ -187,19 +192,28 @@ fn contradictions(table: &[EdgeConsistency]) -> Option<Finding> {
     }
 }
 
-/// How an edge that is no outlier agrees with the others.
-fn agreement(edge: &EdgeConsistency) -> Finding {
+/// How an edge that is no outlier agrees with the others; where weights are `relative`, their spread says nothing of that.
+fn agreement(edge: &EdgeConsistency, relative: bool) -> Finding {
     let subject = name(edge);
     let Some(chi_square) = edge.chi_square else {
         let what = format!("nothing checks {subject}: no other path joins its ends");
         return Finding::new("unchecked", Verdict::Warn, subject, what)
             .remedy("add a transform that closes a loop");
     };
-    let what = format!(
-        "closes its loops to {:.3}° and {:.2} mm",
-        edge.loop_rotation_rad.unwrap_or_default().to_degrees(),
-        edge.loop_translation_m.unwrap_or_default() * 1e3
-    );
+    let turn_deg = edge.loop_rotation_rad.unwrap_or_default().to_degrees();
+    let shift_mm = edge.loop_translation_m.unwrap_or_default() * 1e3;
+    let what = format!("closes its loops to {turn_deg:.3}° and {shift_mm:.2} mm");
+    for (value, unit, most) in [
+        (turn_deg, "°", LARGE_LOOP_DEG),
+        (shift_mm, "mm", LARGE_LOOP_MM),
+    ] {
+        if relative && value > most {
+            return Finding::new("wide-loop", Verdict::Warn, subject, what)
+                .value(value, unit)
+                .limit(Limit::AtMost(most))
+                .remedy("measure the transforms of these sensors again: no rig is better than its loops");
+        }
+    }
     Finding::new("loop", Verdict::Pass, subject, what)
         .value(chi_square, "")
         .limit(Limit::AtMost(NUMBERS * f_quantile(RARE, NUMBERS, MANY)))

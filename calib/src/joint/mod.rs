@@ -130,6 +130,7 @@ pub fn join_transforms(
         .map(|edge| GraphEdge::new(edge, config))
         .collect::<Result<_, _>>()?;
     graph.sort_by(|a, b| a.ends().cmp(&b.ends()).then(a.order(b)));
+    given_once(&graph)?;
     let Adjusted {
         problem,
         blocks,
@@ -188,6 +189,30 @@ pub fn join_transforms(
         variance_factor: factor,
         findings,
     })
+}
+
+/// A file that is given twice, or copied, would close a loop with itself and be twice as sure.
+fn given_once(graph: &[GraphEdge]) -> Result<(), Error> {
+    const SAME: f64 = 1e-12;
+    let is_same = |a: &GraphEdge, b: &GraphEdge| {
+        a.ends() == b.ends()
+            && (a.target_from_source.inverse() * b.target_from_source)
+                .log()
+                .norm()
+                < SAME
+    };
+    let repeated = graph
+        .iter()
+        .enumerate()
+        .find(|(k, edge)| graph[..*k].iter().any(|e| is_same(e, edge)));
+    match repeated {
+        None => Ok(()),
+        Some((_, edge)) => Err(Error::NotJoined {
+            first: edge.target.clone(),
+            second: edge.source.clone(),
+            cause: JoinProblem::GivenTwice,
+        }),
+    }
 }
 
 /// A graph at the least cost.

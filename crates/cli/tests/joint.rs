@@ -2,12 +2,14 @@
 
 mod answer;
 mod process;
+mod refusal;
 mod rig_files;
 
 use answer::json;
 use lsfb_calib::TransformEdge;
 use lsfb_geometry::{Matrix6, Rig, RigLidar, Se3, Vector6};
 use lsfb_sim::SimConfig;
+use refusal::refused;
 use rig_files::{apart, write_rig};
 
 /// A covariance as a good calibration has it: 0.06° and 3 mm.
@@ -93,6 +95,20 @@ fn a_loop_is_closed_and_a_transform_that_contradicts_is_named() {
     for (path, edge) in files.iter().zip([first, second]) {
         std::fs::write(path, edge.to_json()).expect("a transform");
     }
+
+    // A camera that the rig does not have was left out without a word.
+    let stranger = TransformEdge {
+        target: "cam9".to_owned(),
+        ..TransformEdge::read(&files[0]).expect("edge")
+    };
+    std::fs::write(folder.path().join("cam9.json"), stranger.to_json()).expect("a transform");
+    let alone = ["calib", "joint", "--transform", "cam9.json"];
+    let into = ["--rig", "before.toml", "--out", "other.toml"];
+    refused(
+        folder.path(),
+        &[&alone[..], &into].concat(),
+        &["cam9.json: cam9 is neither imu nor lidar nor a camera of before.toml"],
+    );
 
     // One camera was moved between its two calibrations.
     let path = folder.path().join("cam2-lidar.json");

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use lsfb_calib::TransformEdge;
-use lsfb_calib::joint::{IMU, JointConfig, Weights, join_transforms};
+use lsfb_calib::joint::{IMU, JointConfig, LIDAR, Weights, join_transforms};
 use lsfb_geometry::{Rig, RigLidar};
 use lsfb_recording::Provenance;
 use lsfb_types::Verdict;
@@ -60,7 +60,18 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     provenance.add_input(&arguments.rig)?;
     let mut edges = Vec::new();
     for path in &arguments.transforms {
-        edges.push(TransformEdge::read(path)?);
+        let edge = TransformEdge::read(path)?;
+        for name in [&edge.target, &edge.source] {
+            let is_known = [IMU, LIDAR].contains(&name.as_str()) || rig.cameras.contains_key(name);
+            anyhow::ensure!(
+                is_known,
+                "{}: {name} is neither imu nor lidar nor a camera of {}, which has {}",
+                path.display(),
+                arguments.rig.display(),
+                rig.cameras.keys().cloned().collect::<Vec<_>>().join(", ")
+            );
+        }
+        edges.push(edge);
         provenance.add_input(path)?;
     }
     for (name, camera) in &rig.cameras {
@@ -78,7 +89,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         }
     }
     let found = join_transforms(&edges, &config)?;
-    if let Some(lidar) = found.sensor(lsfb_calib::joint::LIDAR) {
+    if let Some(lidar) = found.sensor(LIDAR) {
         let range_noise_m = rig.lidar().map_or(0.03, |l| l.range_noise_m);
         rig.set_lidar(RigLidar {
             rig_from_lidar: lidar.imu_from_sensor,
