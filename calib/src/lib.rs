@@ -41,7 +41,7 @@ mod stamps;
 mod transform;
 pub mod verify;
 
-pub use angles::Angles;
+pub use angles::{Angles, PoseNumbers};
 pub use board::Target;
 pub use error::{
     BadImu, Error, JoinProblem, NoRest, PatternExcess, PoorMotion, SeenInstead, TargetProblem,

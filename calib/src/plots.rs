@@ -1,10 +1,10 @@
 //! What the pages of several steps show alike.
 
-use lsfb_geometry::Se3;
+use lsfb_geometry::{Matrix6, Se3};
 use lsfb_report::{Normal, arrows, coverage, histogram, scatter};
 use maud::{Markup, html};
 
-use crate::angles::Angles;
+use crate::angles::PoseNumbers;
 use crate::coverage::COVERAGE_CELLS;
 
 /// Errors beyond this leave the plots, pixels.
@@ -97,24 +97,25 @@ pub(crate) fn counts(
     histogram(name, (x_label, "count"), span, &[heights], expected).draw()
 }
 
-/// Rows of a pose: angles in degrees and millimetres with their standard deviations (rotation first, radians and metres); `digits`
-/// behind the point of angles and of lengths.
-pub(crate) fn pose_rows(pose: &Se3, sigma: &[f64; 6], digits: [usize; 2]) -> Markup {
-    let angles = Angles::of(pose);
+/// Rows of a pose: angles in degrees and millimetres with their standard deviations, by the covariance of a right perturbation;
+/// `digits` behind the point of angles and of lengths.
+pub(crate) fn pose_rows(pose: &Se3, covariance: &Matrix6<f64>, digits: [usize; 2]) -> Markup {
+    let numbers = PoseNumbers::of(pose, covariance);
+    let angles = numbers.angles;
     let [of_angles, of_lengths] = digits;
     html! {
         @for (k, (name, value)) in angles.names.iter().zip(angles.degrees).enumerate() {
             tr {
                 td { (name) ", °" }
                 td { (format!("{value:.of_angles$}")) }
-                td { (format!("{:.of_angles$}", sigma[k].to_degrees())) }
+                td { (format!("{:.of_angles$}", numbers.angle_sigma_deg[k])) }
             }
         }
         @for (k, name) in ["x", "y", "z"].iter().enumerate() {
             tr {
                 td { (name) ", mm" }
                 td { (format!("{:.of_lengths$}", pose.translation[k] * 1e3)) }
-                td { (format!("{:.*}", of_lengths + 1, sigma[3 + k] * 1e3)) }
+                td { (format!("{:.*}", of_lengths + 1, numbers.translation_sigma_m[k] * 1e3)) }
             }
         }
         @if let Some(remark) = angles.remark { tr { td.words colspan="3" { (remark) } } }

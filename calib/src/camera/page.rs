@@ -66,7 +66,7 @@ fn section(c: &CalibratedCamera) -> Markup {
                 @for p in &c.parameters {
                     tr { td { (p.name) } td { (format!("{:.5}", p.value)) } td { (format!("{:.5}", p.sigma)) } }
                 }
-                @if c.pose_sigma != [0.0; 6] { (pose_rows(&c.camera_from_first, &c.pose_sigma, [4, 2])) }
+                @if c.pose_sigma != [0.0; 6] { (pose_rows(&c.camera_from_first, &c.pose_covariance, [4, 2])) }
             }
         }
     };

@@ -77,13 +77,14 @@ impl CameraImuCalibration {
 const AXES: [&str; 3] = ["x", "y", "z"];
 
 fn section(c: &CameraOnImu) -> Markup {
-    let [rotation, position] = [c.rotation_sigma_rad, c.position_sigma_m];
-    let sigma = std::array::from_fn(|k| if k < 3 { rotation[k] } else { position[k - 3] });
+    // The inverse of a pose is perturbed by what its adjoint makes of that, turned round.
+    let adjoint = c.camera_from_rig.adjoint();
+    let covariance = adjoint * c.covariance * adjoint.transpose();
     let parameters = html! {
         table.numbers {
             thead { tr { th { "parameter" } th { "value" } th { "σ" } } }
             tbody {
-                (pose_rows(&c.camera_from_rig.inverse(), &sigma, [4, 2]))
+                (pose_rows(&c.camera_from_rig.inverse(), &covariance, [4, 2]))
                 tr {
                     td { "clock, ms" }
                     td { (format!("{:+.3}", c.rig_from_camera_s * 1e3)) }

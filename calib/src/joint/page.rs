@@ -5,7 +5,7 @@ use lsfb_types::{Judgement, Verdict};
 use maud::{Markup, html};
 
 use super::{EdgeConsistency, JointCalibration};
-use crate::angles::Angles;
+use crate::angles::PoseNumbers;
 
 impl JointCalibration {
     /// What was joined and how well, in a few words.
@@ -97,17 +97,18 @@ impl JointCalibration {
     fn poses(&self) -> Markup {
         html! {
             table.numbers {
-                thead { tr { th { "sensor" } th { "x, mm" } th { "y, mm" } th { "z, mm" } th { "angles, °" } th { "σ rotation, °" } th { "σ translation, mm" } } }
+                thead { tr { th { "sensor" } th { "x, mm" } th { "y, mm" } th { "z, mm" } th { "angles, °" } th { "σ of the angles, °" } th { "σ translation, mm" } } }
                 tbody {
                     @for s in &self.sensors {
                         @let t = s.imu_from_sensor;
-                        @let angles = Angles::of(&t);
+                        @let numbers = PoseNumbers::of(&t, &s.covariance);
+                        @let angles = numbers.angles;
                         tr {
                             td { (s.name) }
                             @for k in 0..3 { td { (format!("{:.2}", t.translation[k] * 1e3)) } }
                             td { @for (name, angle) in angles.names.iter().zip(angles.degrees) { (name) " " (format!("{angle:.3} ")) } }
-                            td { @for k in 0..3 { (format!("{:.4} ", s.sigma[k].to_degrees())) } }
-                            td { @for k in 3..6 { (format!("{:.2} ", s.sigma[k] * 1e3)) } }
+                            td { @for k in 0..3 { (format!("{:.4} ", numbers.angle_sigma_deg[k])) } }
+                            td { @for k in 0..3 { (format!("{:.2} ", numbers.translation_sigma_m[k] * 1e3)) } }
                         }
                     }
                 }

@@ -144,7 +144,7 @@ pub(super) fn findings(
         )
         .value(100.0 * off, "%")
         .sigma(100.0 * c.scale_sigma)
-        .limit(Limit::AtMost(100.0 * limit))
+        .limit(Limit::AtMost((1e3 * limit).ceil() / 10.0))
         .remedy("measure it, and check the camera's focal length"),
     );
     for (k, side) in ["x", "y"].iter().enumerate() {

@@ -83,8 +83,8 @@ impl LidarCameraCalibration {
     fn pose_table(&self) -> Markup {
         html! {
             table.numbers {
-                thead { tr { th { "parameter" } th { "value" } th { "σ (LiDAR axes)" } } }
-                tbody { (pose_rows(&self.camera_from_lidar, &self.sigma, [3, 1])) }
+                thead { tr { th { "parameter" } th { "value" } th { "σ" } } }
+                tbody { (pose_rows(&self.camera_from_lidar, &self.covariance, [3, 1])) }
             }
         }
     }

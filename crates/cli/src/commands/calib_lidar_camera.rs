@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use lsfb_calib::Angles;
+use lsfb_calib::PoseNumbers;
 use lsfb_calib::joint::LIDAR;
 use lsfb_calib::lidar_camera::{
     BoardPose, LidarCameraConfig, MountedBoard, RecordingConfig, calibrate_lidar_camera,
@@ -180,13 +180,11 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     };
     result.print(context, || {
         let mut text = String::new();
-        let t = &found.camera_from_lidar;
-        let angles = Angles::of(t);
+        let numbers = PoseNumbers::of(&found.camera_from_lidar, &found.covariance);
+        let angles = &numbers.angles;
         for (k, (axis, value)) in angles.names.iter().zip(angles.degrees).enumerate() {
-            text += &format!(
-                "\n  {axis:10} {value:9.3} ± {:.3} °",
-                found.sigma[k].to_degrees()
-            );
+            let sigma = numbers.angle_sigma_deg[k];
+            text += &format!("\n  {axis:10} {value:9.3} ± {sigma:.3} °");
         }
         if let Some(remark) = angles.remark {
             text += &format!("\n  ({remark})");
@@ -194,8 +192,8 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         for (k, axis) in ["x", "y", "z"].iter().enumerate() {
             text += &format!(
                 "\n  {axis:10} {:9.1} ± {:.1} mm",
-                t.translation[k] * 1e3,
-                found.sigma[3 + k] * 1e3
+                numbers.translation_m[k] * 1e3,
+                numbers.translation_sigma_m[k] * 1e3
             );
         }
         for pose in &found.poses {
