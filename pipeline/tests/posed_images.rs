@@ -245,7 +245,10 @@ fn broken_lists_are_named() {
             "frame 0",
         ),
         (frame(turned), "fl_x"),
-        (frame(&format!(r#""fl_x": -5, {turned}"#)), "it must be positive"),
+        (
+            frame(&format!(r#""fl_x": -5, {turned}"#)),
+            "it must be positive",
+        ),
         (
             frame(&format!(r#""fl_x": 50, "cx": 3, {turned}"#)),
             "principal point",

@@ -411,7 +411,7 @@ pub fn record_walk(
 /// What the recorder could not go on with is an error here: nobody waits for the rest.
 fn whole(report: CaptureReport) -> anyhow::Result<CaptureReport> {
     match &report.failure {
-        Some(why) => anyhow::bail!("{}: {why}", report.path.display()),
+        Some(why) => crate::files::about(&report.path, Err(anyhow::anyhow!("{why}"))),
         None => Ok(report),
     }
 }

@@ -254,15 +254,16 @@ fn phones(root: &Path) {
     let mut imu = "timestamp, a_x, a_y, a_z, alpha_x, alpha_y, alpha_z\n".to_owned();
     let mut walk = "#\tstartTime:1574560118902\n#\tFloorName:F1\n".to_owned();
     for n in 0..100 {
+        let noise = 1e-3 * f64::from(n * 37 % 11);
         let _ = writeln!(
             imu,
-            "{}, 0.0, 0.0, -1.0, 0.1, 0.2, 0.3",
+            "{}, {noise}, 0.0, -1.0, 0.1, {noise}, 0.3",
             7.0 + 0.01 * f64::from(n)
         );
         let ms = 1_574_560_118_910_i64 + 20 * i64::from(n);
         for (kind, values) in [
-            ("ACCELEROMETER", "0.0\t0.0\t9.81"),
-            ("GYROSCOPE", "0.1\t0.2\t0.3"),
+            ("ACCELEROMETER", format!("{noise}\t0.0\t9.81")),
+            ("GYROSCOPE", format!("0.1\t{noise}\t0.3")),
         ] {
             let _ = writeln!(walk, "{ms}\tTYPE_{kind}\t{values}\t3");
         }

@@ -101,9 +101,9 @@ impl Surface {
             let key = cell_key(&(block.add_scalar(0.5) * BLOCK_M), 1.0 / BLOCK_M);
             if let Some(found) = self.blocks.get(&key) {
                 let within = enter_m - MARGIN_M..=leave_m + MARGIN_M;
-                let (met, beside_m) = meet(found, origin, direction, |t| within.contains(&t));
-                passed_m = passed_m.min(beside_m);
-                if let Some((reach_m, normal)) = met {
+                let passage = meet(found, origin, direction, |t| within.contains(&t));
+                passed_m = passed_m.min(passage.beside_m);
+                if let Some(Met { reach_m, normal }) = passage.met {
                     let hidden = passed_m < reach_m - TOGETHER_M;
                     return Some(match normal {
                         Some(normal)
@@ -124,18 +124,33 @@ impl Surface {
     }
 }
 
-/// What a ray meets first in a block, with its normal where it is known, and how far away it first passes beside an outline.
+/// Something that a ray meets.
+struct Met {
+    reach_m: f64,
+    /// Where it is a surface that was seen from this side.
+    normal: Option<Vector3<f64>>,
+}
+
+/// What a ray meets on its way through a block.
+struct Passage {
+    /// First of all.
+    met: Option<Met>,
+    /// How far away it first passes beside an outline; infinite where it does not.
+    beside_m: f64,
+}
+
+/// Looks along a ray, as far as it is `within` the block.
 fn meet(
     block: &Block,
     origin: &Vector3<f64>,
     direction: &Vector3<f64>,
     within: impl Fn(f64) -> bool,
-) -> (Option<(f64, Option<Vector3<f64>>)>, f64) {
-    let mut nearest: Option<(f64, Option<Vector3<f64>>)> = None;
-    let mut passed_m = f64::INFINITY;
+) -> Passage {
+    let mut met: Option<Met> = None;
+    let mut beside_m = f64::INFINITY;
     let mut found = |reach_m: f64, normal: Option<Vector3<f64>>| {
-        if nearest.is_none_or(|(nearest_m, _)| reach_m < nearest_m) {
-            nearest = Some((reach_m, normal));
+        if met.as_ref().is_none_or(|nearest| reach_m < nearest.reach_m) {
+            met = Some(Met { reach_m, normal });
         }
     };
     for patch in &block.patches {
@@ -146,7 +161,7 @@ fn meet(
         match patch.meets(&(origin + direction * reach_m)) {
             // From behind it is there, and nobody knows how thick it is.
             Some(Meeting::Surface) => found(reach_m, patch.normal_towards(direction)),
-            Some(Meeting::Outline) => passed_m = passed_m.min(reach_m),
+            Some(Meeting::Outline) => beside_m = beside_m.min(reach_m),
             None => {}
         }
     }
@@ -157,5 +172,5 @@ fn meet(
             found(along, None);
         }
     }
-    (nearest, passed_m)
+    Passage { met, beside_m }
 }
