@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use lsfb_pipeline::ground_truth::GroundTruthConfig;
 use lsfb_pipeline::hd_map::HdMap;
+use lsfb_sim::Place;
 use lsfb_types::{Finding, Judgement, Limit, Verdict};
 use serde::Serialize;
 
@@ -19,8 +20,8 @@ use crate::twin_truth::{judge_scan, judge_walk};
 
 /// Put every walk of a trial into every map of it: a pose in another place's map is wrong, whatever it says.
 ///
-/// The trial is a folder of `lsfb bench twin --keep-recordings`. A walk in the map of its own place and seed is judged by its truth, a
-/// pose more than 10 cm off is wrong; of a walk on another floor (--condition other-floor) and in the map of another place or seed
+/// The trial is a folder of `lsfb bench twin --keep-recordings`. A walk in the map of its own place and seed, or of the large office that holds
+/// that place, is judged by its truth, a pose more than 10 cm off is wrong; of a walk on another floor (--condition other-floor) and in the map of another place or seed
 /// every pose is wrong. The exit code is 4 if any wrong pose is given. What is finished is not run again. Writes wrong-place.json.
 ///
 /// Examples:
@@ -49,6 +50,8 @@ struct Placed {
     map: String,
     /// Whether the map is of the place where the walk was.
     is_own: bool,
+    /// Whether it may be in the map: that is of the place, or of one that holds it or lies in it.
+    is_one_world: bool,
     frames: u64,
     exported: u64,
     exported_wrong: u64,
@@ -157,6 +160,7 @@ fn placed(walk: &Path, place: &Path, out: &Path, context: &Context) -> anyhow::R
         walk: walk_name.join("/"),
         map: files::name_of(place),
         is_own,
+        is_one_world: is_own || is_one_world(&walk_name[0], &files::name_of(place)),
         frames: 0,
         exported: 0,
         exported_wrong: 0,
@@ -173,7 +177,7 @@ fn placed(walk: &Path, place: &Path, out: &Path, context: &Context) -> anyhow::R
                 .iter()
                 .map(|w| w.finding().code.into_owned());
             run.warnings = codes.collect();
-            run.exported_wrong = match is_own && !run.walk.ends_with(OTHER_FLOOR) {
+            run.exported_wrong = match run.is_one_world && !run.walk.ends_with(OTHER_FLOOR) {
                 false => run.exported,
                 true => wrong_poses(walk, place, &estimate)?,
             };
@@ -182,7 +186,21 @@ fn placed(walk: &Path, place: &Path, out: &Path, context: &Context) -> anyhow::R
     Ok(run)
 }
 
-/// Poses of a walk in the map of its own place that are not where the truth has them.
+/// Whether folders of a trial, PLACE-SEED, are parts of one world.
+fn is_one_world(one: &str, other: &str) -> bool {
+    let [one, other] = [one, other].map(|name| {
+        let (place, seed) = name.rsplit_once('-')?;
+        Some((Place::named(place)?, seed))
+    });
+    match (one, other) {
+        (Some((one, of_one)), Some((other, of_other))) => {
+            of_one == of_other && one.is_one_with(other)
+        }
+        _ => false,
+    }
+}
+
+/// Poses of a walk in the map of its own world that are not where the truth has them.
 fn wrong_poses(walk: &Path, place: &Path, estimate: &Path) -> anyhow::Result<u64> {
     let truth = |folder: &Path, name: &str| folder.join("truth").join(name);
     let scan = judge_scan(&truth(place, "truth_scan.tum"), &place.join("scan.tum"))?;
@@ -208,4 +226,20 @@ fn subfolders(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
     }
     found.sort();
     Ok(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A walk through the hall, in the map of the large office around it, counted as wrong though it was 4 mm off.
+    #[test]
+    fn the_hall_lies_in_the_large_office_of_its_seed() {
+        assert!(is_one_world("exhibition-hall-21", "large-office-21"));
+        assert!(is_one_world("large-office-21", "stairs-21"));
+        assert!(!is_one_world("exhibition-hall-21", "large-office-22"));
+        assert!(!is_one_world("exhibition-hall-21", "stairs-21"));
+        assert!(!is_one_world("medium-office-21", "large-office-21"));
+        assert!(!is_one_world("kitchen", "large-office-21"));
+    }
 }
