@@ -14,6 +14,7 @@ pub mod features;
 mod frames;
 pub mod ground_truth;
 pub mod hd_map;
+pub mod kept_stages;
 pub mod lidar_features;
 pub mod localization;
 pub mod loops;

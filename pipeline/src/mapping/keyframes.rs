@@ -39,6 +39,13 @@ impl Keyframes {
         };
         self.frames.iter().map(pose).collect()
     }
+
+    /// Puts each keyframe where a pose in their order has it.
+    pub(super) fn place(&mut self, poses: &[StampedPose]) {
+        for (keyframe, pose) in self.frames.iter_mut().zip(poses) {
+            keyframe.world_from_rig = pose.world_from_rig;
+        }
+    }
 }
 
 /// Farthest image from the moment wanted, nanoseconds.

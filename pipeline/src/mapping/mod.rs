@@ -4,6 +4,7 @@ mod adjustment;
 mod camera_error;
 mod config;
 mod image_check;
+mod kept;
 mod keyframe_scans;
 mod keyframes;
 mod pose_covariance;
@@ -27,14 +28,15 @@ use crate::features::FeatureDetector;
 use crate::features::tracks::Track;
 use crate::features::triangulation::TriangulationConfig;
 use crate::hd_map::{HdMap, MapContent, MapPoint, expect_map, find_tracks, triangulate_tracks};
+use crate::kept_stages::KeptStages;
 use crate::loops::{close_loops, find_loops};
-use crate::odometry::{Damages, OdometryResult, run_odometry};
+use crate::odometry::{Damages, run_odometry};
 use adjustment::{Terms, adjust};
 pub use camera_error::CameraError;
 pub use config::{CorrelationConfig, MappingConfig, TermConfig};
 use image_check::describe_images;
 use keyframe_scans::add_lidar_features;
-use keyframes::{Keyframe, Keyframes, choose_keyframes, find_cameras};
+use keyframes::{Keyframes, choose_keyframes, find_cameras};
 use pose_covariance::pose_covariances;
 use report::USUAL_OUTLIER_SHARE;
 pub use report::{LidarResiduals, MappingReport, MappingWarning, RoundReport};
@@ -63,67 +65,80 @@ pub fn build_map(
     config: &MappingConfig,
     progress: ProgressFn<'_>,
 ) -> Result<MappingResult, Error> {
+    build_map_in_stages(recording, config, &KeptStages::none(), progress)
+}
+
+/// [`build_map`] that goes on behind the stages that are kept already, and keeps those it finishes: the odometry, the features of the
+/// images, each round of Eq. (4), its result. The map is the same bit for bit.
+pub fn build_map_in_stages(
+    recording: &Recording,
+    config: &MappingConfig,
+    stages: &KeptStages,
+    progress: ProgressFn<'_>,
+) -> Result<MappingResult, Error> {
     config.check_bounds("mapping")?;
     let rig = recording.rig()?;
     let mut report = MappingReport::default();
-    let mut damages = Damages::default();
     let cameras = find_cameras(recording, &rig, &mut report.warnings)?;
-    let mut odometry = run_odometry(recording, &config.odometry, progress)?;
-    if config.close_loops {
-        let loops = find_loops(&odometry, &config.odometry, progress)?;
-        report.loops = Some(close_loops(&mut odometry, &loops, progress)?);
-    }
-    let OdometryResult {
-        trajectory,
-        report: by_odometry,
-        ..
-    } = odometry;
+    let (trajectory, by_odometry) =
+        stages.once("odometry", || walk(recording, config, progress))?;
+    report.odometry = by_odometry.odometry;
+    report.loops = by_odometry.loops;
     let detector = FeatureDetector::new(&config.sift, config.learned.as_ref())?;
-    let mut keyframes = choose_keyframes(
-        recording,
-        &cameras,
-        &trajectory,
-        &detector,
-        config,
-        &mut damages,
-        progress,
-    )?;
+    let (mut keyframes, damaged) = stages.once("images", || {
+        let mut damages = Damages::default();
+        let keyframes = choose_keyframes(
+            recording,
+            &cameras,
+            &trajectory,
+            &detector,
+            config,
+            &mut damages,
+            progress,
+        )?;
+        Ok((keyframes, damages.into_sentences()))
+    })?;
     if keyframes.images.is_empty() {
         return Err(Error::NoKeyframe {
             path: recording.path().to_owned(),
         });
     }
-    if let Some(lidar) = rig.lidar() {
-        add_lidar_features(
-            recording,
-            lidar,
-            &mut keyframes.frames,
-            &trajectory,
-            config,
-            progress,
-        )?;
-    }
-    report.odometry = by_odometry;
-    let damaged = damages.into_sentences().into_iter();
+    let damaged = damaged.into_iter();
     report
         .warnings
         .extend(damaged.map(|what| MappingWarning::Damaged { what }));
     describe_images(&keyframes, &cameras, &mut report);
     let before = keyframes.poses();
+    let (optimised, report) = stages.once("adjusted", || {
+        if let Some(lidar) = rig.lidar() {
+            add_lidar_features(
+                recording,
+                lidar,
+                &mut keyframes.frames,
+                &trajectory,
+                config,
+                progress,
+            )?;
+        }
+        let optimised = optimise(
+            &rig,
+            &mut keyframes,
+            &trajectory,
+            config,
+            &mut report,
+            stages,
+            progress,
+        )?;
+        Ok((optimised, std::mem::take(&mut report)))
+    })?;
     let Optimised {
+        poses,
         points,
         covariances,
-    } = optimise(
-        &rig,
-        &mut keyframes,
-        &trajectory,
-        config,
-        &mut report,
-        progress,
-    )?;
+    } = optimised;
     let content = MapContent {
         rig: &rig,
-        keyframes: &keyframes.poses(),
+        keyframes: &poses,
         images: &keyframes.images,
         points: &points,
         feature: &detector.feature(),
@@ -136,9 +151,25 @@ pub fn build_map(
         map: HdMap::build(&content, &config.map, progress)?
             .with_failures(failures)
             .with_keyframe_covariances(covariances),
-        trajectory: correct_trajectory(&trajectory, &before, &keyframes.frames),
+        trajectory: correct_trajectory(&trajectory, &before, &poses),
         report,
     })
+}
+
+/// Where the rig went: by the odometry, and by loops where these are asked for. The report has what both say of it.
+fn walk(
+    recording: &Recording,
+    config: &MappingConfig,
+    progress: ProgressFn<'_>,
+) -> Result<(Trajectory, MappingReport), Error> {
+    let mut report = MappingReport::default();
+    let mut odometry = run_odometry(recording, &config.odometry, progress)?;
+    if config.close_loops {
+        let loops = find_loops(&odometry, &config.odometry, progress)?;
+        report.loops = Some(close_loops(&mut odometry, &loops, progress)?);
+    }
+    report.odometry = odometry.report;
+    Ok((odometry.trajectory, report))
 }
 
 /// SHA-256 of the rig and the walk, as hexadecimal digits. Not of the recording: that holds arrival times, and the same
@@ -160,9 +191,21 @@ fn walk_hash(rig: &Rig, odometry: &Trajectory) -> String {
 
 /// What Eq. (4) made of tracks and scans.
 struct Optimised {
+    /// Of the keyframes.
+    poses: Vec<StampedPose>,
     points: Vec<MapPoint>,
     /// Of the keyframes; none at all where the measurements do not determine them.
     covariances: Vec<Option<Matrix6<f64>>>,
+}
+
+/// Where Eq. (4) stands behind one of its rounds.
+struct Rounds {
+    /// Rounds that are finished.
+    done: usize,
+    /// Of the keyframes.
+    poses: Vec<StampedPose>,
+    /// The report so far.
+    told: MappingReport,
 }
 
 /// Alternates new correspondences with Eq. (4) until the keyframes rest.
@@ -172,6 +215,7 @@ fn optimise(
     trajectory: &Trajectory,
     config: &MappingConfig,
     report: &mut MappingReport,
+    stages: &KeptStages,
     progress: ProgressFn<'_>,
 ) -> Result<Optimised, Error> {
     let odometry = &keyframes.poses();
@@ -186,7 +230,15 @@ fn optimise(
     let pairs = scan_pairs(&keyframes.frames, config);
     let max_px = config.max_reprojection_px;
     let (mut points, mut scans, mut weights) = (Vec::new(), Vec::new(), Weights::default());
-    for round in 0..config.outer_iterations.max(1) {
+    let mut first_round = 0;
+    if let Some(Rounds { done, poses, told }) = stages.get("rounds")
+        && poses.len() == keyframes.frames.len()
+    {
+        first_round = done;
+        keyframes.place(&poses);
+        *report = told;
+    }
+    for round in first_round..config.outer_iterations.max(1) {
         points = triangulate_round(rig, keyframes, &tracks, round, config)?;
         scans = scan_correspondences(&keyframes.frames, &pairs, config);
         let lidar = lidar_residuals(&keyframes.frames, &scans);
@@ -230,9 +282,15 @@ fn optimise(
         let rests = done.moved_m < 1e-3 && done.turned_deg < 0.02;
         report.rounds.push(done);
         report.lidar_after = lidar_residuals(&keyframes.frames, &scans);
-        if rests {
+        if rests || round + 1 == config.outer_iterations {
             break;
         }
+        let rounds = Rounds {
+            done: round + 1,
+            poses: keyframes.poses(),
+            told: report.clone(),
+        };
+        stages.keep("rounds", &rounds)?;
     }
     if !config.terms.images {
         points = triangulate_round(rig, keyframes, &tracks, 1, config)?;
@@ -274,6 +332,7 @@ fn optimise(
     }
     expect_map(&points, &keyframes.images)?;
     Ok(Optimised {
+        poses: keyframes.poses(),
         points,
         covariances,
     })
@@ -300,7 +359,7 @@ fn triangulate_round(
 fn correct_trajectory(
     odometry: &Trajectory,
     before: &[StampedPose],
-    keyframes: &[Keyframe],
+    keyframes: &[StampedPose],
 ) -> Trajectory {
     let after: Vec<Se3> = keyframes.iter().map(|k| k.world_from_rig).collect();
     let corrected = odometry.poses().iter().map(|pose| StampedPose {

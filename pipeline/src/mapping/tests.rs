@@ -1,4 +1,3 @@
-use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Mutex;
 
@@ -237,28 +236,75 @@ fn cameras_that_were_exchanged_are_named() {
 }
 
 #[test]
-fn a_map_can_be_stopped_in_each_of_its_stages() {
+fn a_map_that_is_stopped_in_each_of_its_stages_goes_on_to_the_same_map() {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("scan.mcap");
     record(&path, 4.0, &["cam0", "cam1"], 0.03);
     let recording = Recording::open(&path).expect("recording");
     let config = MappingConfig::default();
-    let stages = Mutex::new(BTreeSet::new());
-    let seen = |p: Progress| {
-        stages.lock().expect("stages").insert(p.stage);
+    let shown = Mutex::new(Vec::new());
+    let show = |p: Progress| {
+        let mut shown = shown.lock().expect("stages");
+        if !shown.contains(&p.stage) {
+            shown.push(p.stage);
+        }
         Ok(())
     };
-    build_map(&recording, &config, &seen).expect("map");
-    let stages = stages.into_inner().expect("stages");
+    let whole = build_map(&recording, &config, &show).expect("map");
+    let stages = std::mem::take(&mut *shown.lock().expect("stages"));
     assert!(stages.len() >= 6, "{stages:?}");
-    for stage in stages {
-        let stop = |p: Progress| match p.stage == stage {
+
+    let unfinished = folder.path().join("map.unfinished");
+    let go_on = |stop: &(dyn Fn(Progress) -> bool + Sync)| {
+        let kept = KeptStages::in_folder(&unfinished, "scan").expect("folder");
+        shown.lock().expect("stages").clear();
+        let progress = |p: Progress| match stop(p) {
             true => Err(Stopped),
-            false => Ok(()),
+            false => show(p),
         };
-        let stopped = build_map(&recording, &config, &stop);
+        build_map_in_stages(&recording, &config, &kept, &progress)
+    };
+    for stage in &stages {
+        let stopped = go_on(&|p| p.stage == *stage);
         assert!(matches!(stopped, Err(Error::Stopped(_))), "{stage}");
     }
+    let round = unfinished.join("rounds.stage");
+    assert!(round.exists(), "several rounds of Eq. (4)");
+    assert_eq!(
+        *shown.lock().expect("stages"),
+        Vec::<&str>::new(),
+        "the rest is kept"
+    );
+    // In the middle of Eq. (4): its result is gone, its rounds are there.
+    std::fs::remove_file(unfinished.join("adjusted.stage")).expect("a result");
+    let last = go_on(&|_| false).expect("map");
+    let shown = shown.lock().expect("stages").clone();
+    for stage in ["lidar odometry", "image features"] {
+        assert!(
+            stages.contains(&stage) && !shown.contains(&stage),
+            "{stage} was kept"
+        );
+    }
+    assert!(shown.contains(&"map adjustment"), "{shown:?}");
+    assert_eq!(last.trajectory, whole.trajectory);
+    assert_eq!(last.report, whole.report);
+    let [last, whole] = [(&last, "last"), (&whole, "whole")].map(|(result, name)| {
+        let map = folder.path().join(name);
+        result.map.write(&map).expect("written");
+        bytes_of(&map)
+    });
+    assert_eq!(last, whole);
+}
+
+/// Of each file of a map, in the order of their names.
+fn bytes_of(map: &Path) -> Vec<Vec<u8>> {
+    let entries = std::fs::read_dir(map).expect("a folder");
+    let mut files: Vec<_> = entries
+        .map(|entry| entry.expect("an entry").path())
+        .collect();
+    files.sort();
+    let bytes = files.iter().map(|f| std::fs::read(f).expect("a file"));
+    bytes.collect()
 }
 
 #[test]
@@ -300,15 +346,7 @@ fn a_map_is_the_same_on_any_number_of_threads() {
             .expect("map");
         let map = folder.path().join(format!("map{threads}"));
         result.map.write(&map).expect("written");
-        let mut files: Vec<_> = std::fs::read_dir(&map)
-            .expect("a folder")
-            .map(|entry| entry.expect("an entry").path())
-            .collect();
-        files.sort();
-        let bytes: Vec<Vec<u8>> = files
-            .iter()
-            .map(|f| std::fs::read(f).expect("a file"))
-            .collect();
+        let bytes = bytes_of(&map);
         (bytes, result.trajectory, result.report)
     };
     assert_eq!(run(1), run(3));

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use lsfb_pipeline::hd_map::{HdMap, PosedMapConfig, build_map_from_posed_images};
-use lsfb_pipeline::mapping::{MappingConfig, MappingReport, build_map};
+use lsfb_pipeline::kept_stages::KeptStages;
+use lsfb_pipeline::mapping::{MappingConfig, MappingReport, build_map_in_stages};
 use lsfb_pipeline::posed_images::PosedImages;
 use lsfb_recording::{Provenance, write_tum};
 use lsfb_types::{Finding, Judgement, Verdict};
@@ -19,7 +20,8 @@ use crate::standing;
 
 /// Build an HD map from a scanner's recording, or from images with known poses; inspect, export, crop or merge maps.
 ///
-/// An existing map, built by this program from the same recording with the same settings, is not built again. The poses of images
+/// An existing map, built by this program from the same recording with the same settings, is not built again, and one that was stopped
+/// goes on where it was: what is finished of it is kept in OUT.unfinished until then. The poses of images
 /// may be in any unit of length; the map keeps it.
 ///
 /// Examples:
@@ -198,9 +200,16 @@ impl MapJob<'_> {
             });
         }
         outputs.iter().try_for_each(|result| claim(result))?;
+        let stages = self.kept_stages(&provenance)?;
+        if stages.has_any() {
+            context.note(&format!(
+                "{}: goes on where it was stopped",
+                self.out.display()
+            ));
+        }
         let result = super::about(
             self.recording,
-            build_map(&scan, self.config, &|p| context.show(p)),
+            build_map_in_stages(&scan, self.config, &stages, &|p| context.show(p)),
         )?;
         standing::forget(&outputs)?;
         result.map.write(self.out)?;
@@ -225,12 +234,24 @@ impl MapJob<'_> {
             provenance.write(path)?;
         }
         standing::finish(&outputs, &[], &provenance, &said)?;
+        stages.remove()?;
         Ok(WrittenMap {
             map: result.map,
             report: said.report,
             reprojection_errors_px: said.reprojection_errors_px,
             provenance,
         })
+    }
+}
+
+impl MapJob<'_> {
+    /// What was finished of this map before it was stopped, in `OUT.unfinished`.
+    fn kept_stages(&self, made_from: &Provenance) -> anyhow::Result<KeptStages> {
+        let mut name = self.out.file_name().unwrap_or_default().to_os_string();
+        name.push(".unfinished");
+        let made_from = serde_json::to_string(&(standing::program_sha256()?, made_from))?;
+        let folder = self.out.with_file_name(name);
+        Ok(KeptStages::in_folder(&folder, &made_from)?)
     }
 }
 
