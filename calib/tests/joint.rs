@@ -150,6 +150,28 @@ fn loops_that_do_not_close_are_no_pass_by_the_papers_weights() {
     assert!(wide.findings.iter().any(|f| f.code == "wide-loop"));
 }
 
+/// A transform and one the other way round between the same sensors, beside a camera whose covariance nobody measured: 123° apart, a rig
+/// was written all the same, with a warning.
+#[test]
+fn transforms_that_contradict_are_no_rig_beside_one_without_covariance() {
+    let Graph { cameras, lidar, .. } = Graph::simulate(Errors::Measured, 2);
+    let from_lidar = cameras[0].inverse() * lidar;
+    for covariance in [Some(Matrix6::identity() * 1e-5), None] {
+        let measured = |pose: Se3| TransformEdge {
+            covariance,
+            ..edge("cam0", LIDAR, pose)
+        };
+        let edges = [
+            edge(IMU, "cam0", cameras[0]),
+            measured(from_lidar),
+            measured(from_lidar.inverse()),
+        ];
+        let found = join_transforms(&edges, &JointConfig::default()).expect("joined");
+        let judgement = found.judgement();
+        assert_eq!(judgement.verdict(), Verdict::Fail, "{judgement:?}");
+    }
+}
+
 #[test]
 fn bad_graphs_are_named_and_order_does_not_matter() {
     let Graph {

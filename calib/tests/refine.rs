@@ -5,7 +5,7 @@ use lsfb_geometry::{Rig, Se3, Vector6};
 use lsfb_recording::Recording;
 use lsfb_rigs::walk::Walk;
 use lsfb_sim::SimConfig;
-use lsfb_types::no_progress;
+use lsfb_types::{Verdict, no_progress};
 
 fn walk() -> Walk {
     let mut config = SimConfig {
@@ -76,4 +76,20 @@ fn the_pose_is_found_whatever_the_threads_and_the_clock() {
     );
     let clock = late.cameras[0].evidence.as_ref().expect("evidence").clock_s;
     assert!((clock[0] + 0.004).abs() < 1.5e-3, "{clock:?}");
+    let warns = |found: &RefinementReport, code: &str| {
+        let judgement = found.judgement();
+        let mut own = judgement.findings().iter();
+        own.any(|f| f.code == code && f.verdict == Verdict::Warn)
+    };
+    assert!(warns(&late, "clock"), "{:?}", late.judgement());
+
+    // A lens that is not that of the images moved the camera by centimetres, and passed.
+    assert!(!warns(&found, "images"), "{:?}", found.judgement());
+    let mut other = walk.rig.clone();
+    let camera = &mut other.cameras.get_mut("cam0").expect("a camera").camera;
+    let mut values = camera.lens.parameters().values;
+    values[..2].iter_mut().for_each(|focal| *focal *= 1.02);
+    camera.lens = camera.lens.model().lens(&values);
+    let found = refined(&recording, &other, 2);
+    assert!(warns(&found, "images"), "{:?}", found.judgement());
 }

@@ -162,6 +162,16 @@ fn check(killed: &Killed) {
         .iter()
         .any(|f| f.subject == "file" && f.what.contains("last message arrived at"));
     assert!(named, "{diagnosis:?}");
+    // A copy of two thirds of a recording was said to lack a second at most, and to hold all messages that were written.
+    let findings = diagnosis.judgement.findings().iter();
+    let file = findings.clone().find(|f| f.subject == "file").unwrap();
+    assert!(
+        file.what
+            .contains("a copy that was cut off may lack any length"),
+        "{file:?}"
+    );
+    let counts = findings.clone().find(|f| f.code == "counts").unwrap();
+    assert_eq!(counts.verdict, Verdict::Unknown, "{counts:?}");
 
     let whole = killed.out.with_extension("whole.mcap");
     let recovered = recover(&killed.out, &whole, &no_progress).unwrap();

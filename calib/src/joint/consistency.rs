@@ -21,6 +21,8 @@ const MANY: f64 = 1e6;
 /// of a map may be off (`verify`). Weights that are relative hold any of it to be chance.
 const LARGE_LOOP_DEG: f64 = 0.4;
 const LARGE_LOOP_MM: f64 = 20.0;
+/// Loops that are closed so many times worse than that are none: a transform in them is of other sensors or the other way round.
+const BROKEN: f64 = 10.0;
 /// Edges whose disagreement is the same within this share cannot be told apart: they lie in one loop only.
 const ALIKE: f64 = 0.02;
 
@@ -94,9 +96,11 @@ pub(super) fn judge(
     relative: bool,
 ) -> Vec<Finding> {
     let mut findings = Vec::new();
+    // Measured covariances mean what they say also beside the paper's, which are too wide to make anything strange.
+    let by_spread = graph.iter().all(|e| !e.measured);
     let strange = |own: f64| {
         let rest = redundancy as f64 - NUMBERS;
-        if relative {
+        if by_spread {
             // Against the spread that all others have among themselves.
             let others = (chi_square - own).max(1e-12) / rest;
             rest > 0.0 && own / NUMBERS / others > f_quantile(RARE, NUMBERS, rest)
@@ -208,7 +212,11 @@ fn agreement(edge: &EdgeConsistency, relative: bool) -> Finding {
         (shift_mm, "mm", LARGE_LOOP_MM),
     ] {
         if relative && value > most {
-            return Finding::new("wide-loop", Verdict::Warn, subject, what)
+            let verdict = match value > BROKEN * most {
+                true => Verdict::Fail,
+                false => Verdict::Warn,
+            };
+            return Finding::new("wide-loop", verdict, subject, what)
                 .value(value, unit)
                 .limit(Limit::AtMost(most))
                 .remedy("measure the transforms of these sensors again: no rig is better than its loops");

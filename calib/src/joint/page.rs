@@ -97,7 +97,7 @@ impl JointCalibration {
     fn poses(&self) -> Markup {
         html! {
             table.numbers {
-                thead { tr { th { "sensor" } th { "x, mm" } th { "y, mm" } th { "z, mm" } th { "angles, °" } th { "σ of the angles, °" } th { "σ translation, mm" } } }
+                thead { tr { th { "sensor" } th { "x ± σ, mm" } th { "y ± σ, mm" } th { "z ± σ, mm" } th { "angles ± σ, °" } } }
                 tbody {
                     @for s in &self.sensors {
                         @let t = s.imu_from_sensor;
@@ -105,10 +105,14 @@ impl JointCalibration {
                         @let angles = numbers.angles;
                         tr {
                             td { (s.name) }
-                            @for k in 0..3 { td { (format!("{:.2}", t.translation[k] * 1e3)) } }
-                            td { @for (name, angle) in angles.names.iter().zip(angles.degrees) { (name) " " (format!("{angle:.3} ")) } }
-                            td { @for k in 0..3 { (format!("{:.4} ", numbers.angle_sigma_deg[k])) } }
-                            td { @for k in 0..3 { (format!("{:.2} ", numbers.translation_sigma_m[k] * 1e3)) } }
+                            @for k in 0..3 {
+                                td { (format!("{:.2} ± {:.2}", t.translation[k] * 1e3, numbers.translation_sigma_m[k] * 1e3)) }
+                            }
+                            td {
+                                @for k in 0..3 {
+                                    div { (angles.names[k]) (format!(" {:.3} ± {:.4}", angles.degrees[k], numbers.angle_sigma_deg[k])) }
+                                }
+                            }
                         }
                     }
                 }

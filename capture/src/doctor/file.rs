@@ -20,6 +20,11 @@ const COUNTS: &[(&str, &str)] = &[
 ];
 const RECOVER: &str = "make a whole file of what is left with `lsfb recover`";
 
+/// Whether what was found wrong is that the file ends too early.
+fn is_cut_off(reason: &str) -> bool {
+    reason.contains("breaks off") || reason.contains("no end")
+}
+
 impl Findings {
     /// Whether index and end are there, and where in time what is missing was.
     pub(super) fn file(&mut self, recording: &Recording, arrivals: &[TopicArrivals]) {
@@ -32,9 +37,10 @@ impl Findings {
             format!("; the last message arrived at {}", utc(*last))
         });
         for damage in recording.damage() {
-            let at_end = damage.reason.contains("breaks off") || damage.reason.contains("no end");
-            let found = if at_end {
-                format!("{damage}{until}; at most one second after it is missing")
+            let found = if is_cut_off(&damage.reason) {
+                format!(
+                    "{damage}{until}; a recorder that was interrupted had at most one second more, a copy that was cut off may lack any length"
+                )
             } else {
                 damage.to_string()
             };
@@ -65,7 +71,15 @@ impl Findings {
                 .value(indexed as f64, "messages")
                 .limit(Limit::AtLeast(written as f64))
         };
-        self.add(if missing.is_empty() {
+        // An index that was made from the data has counted itself.
+        let counted = |reason: &str| !is_cut_off(reason) && !reason.contains("index was rebuilt");
+        let nobody_counted = recording.damage().iter().any(|d| !counted(&d.reason));
+        self.add(if missing.is_empty() && nobody_counted {
+            let found = format!(
+                "{indexed} messages were found; how many were written is not known without the file's own end"
+            );
+            finding(Verdict::Unknown, found).remedy(RECOVER)
+        } else if missing.is_empty() {
             let found = format!("the index holds all {written} messages that were written");
             finding(Verdict::Pass, found)
         } else {
