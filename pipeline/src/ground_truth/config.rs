@@ -103,8 +103,14 @@ pub struct InertialPriors {
     pub gyro_scale_sigma: f64,
     /// Standard deviation of the accelerometer's scale, each axis by itself, as a share.
     pub accel_scale_sigma: f64,
+    /// Standard deviation of the share of one axis that another reads too, of both sensors.
+    pub shear_sigma: f64,
+    /// Standard deviation of how the accelerometer's axes are turned on the gyroscope's, about each axis, radians.
+    pub accel_turn_sigma_rad: f64,
     /// Standard deviation of how much later the accelerometer's readings are than the gyroscope's, seconds.
     pub accel_delay_sigma_s: f64,
+    /// Standard deviation of the map's scale, as a share.
+    pub map_scale_sigma: f64,
     /// Standard deviation of gravity's size about the standard, m/s².
     pub gravity_size_sigma_m_s2: f64,
 }
@@ -115,8 +121,13 @@ impl Default for InertialPriors {
             // As data sheets of calibrated parts have it.
             gyro_scale_sigma: 5e-3,
             accel_scale_sigma: 5e-3,
+            // Cross-axis sensitivity of 1 %, two standard deviations of it.
+            shear_sigma: 5e-3,
+            accel_turn_sigma_rad: 5e-3,
             // Low-pass filters of one part differ by so much.
             accel_delay_sigma_s: 2e-3,
+            // A LiDAR's ranges, and what odometry and adjustment make of them.
+            map_scale_sigma: 3e-3,
             // Between pole and equator it differs by 0.05.
             gravity_size_sigma_m_s2: 0.02,
         }
@@ -127,7 +138,10 @@ lsfb_types::bounds! {
     InertialPriors {
         gyro_scale_sigma: number(Bounds::POSITIVE),
         accel_scale_sigma: number(Bounds::POSITIVE),
+        shear_sigma: number(Bounds::POSITIVE),
+        accel_turn_sigma_rad: number(Bounds::POSITIVE),
         accel_delay_sigma_s: number(Bounds::POSITIVE),
+        map_scale_sigma: number(Bounds::POSITIVE),
         gravity_size_sigma_m_s2: number(Bounds::POSITIVE),
     }
 }

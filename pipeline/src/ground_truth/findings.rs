@@ -233,6 +233,7 @@ impl GroundTruthReport {
             },
         ];
         findings.extend(self.imu.findings());
+        findings.extend(self.map.findings());
         findings.extend(self.cameras.iter().map(CameraRefinement::finding));
         findings.extend(self.warnings.iter().map(GroundTruthWarning::finding));
         findings

@@ -23,6 +23,12 @@ pub struct ImuRefinement {
     pub gyro_scale: [f64; 3],
     /// The same of the accelerometer's.
     pub accel_scale: [f64; 3],
+    /// Shares of one axis that another of the gyroscope's reads too: y and z, x and z, x and y.
+    pub gyro_shear: [f64; 3],
+    /// The same of the accelerometer's.
+    pub accel_shear: [f64; 3],
+    /// By how much the accelerometer's readings are turned on the gyroscope's axes, about each, degrees.
+    pub accel_turn_deg: [f64; 3],
     /// By how much the accelerometer's readings are later than the gyroscope's, seconds.
     pub accel_delay_s: f64,
     /// Largest of these in the standard deviations that the settings give them.
@@ -42,8 +48,11 @@ impl ImuRefinement {
             gravity_m_s2: felt_gravity_m_s2(solved),
             gyro_scale: errors.gyro_scale.into(),
             accel_scale: errors.accel_scale.into(),
+            gyro_shear: errors.gyro_shear.into(),
+            accel_shear: errors.accel_shear.into(),
+            accel_turn_deg: errors.accel_turn_rad.map(f64::to_degrees).into(),
             accel_delay_s: errors.accel_delay_s,
-            imu_error_sigmas: error_sigmas(errors, &config.inertial),
+            imu_error_sigmas: config.inertial.sigmas_of(errors),
             imu_left_sigmas: left_sigmas(walk, solved)? * config.imu_noise_factor,
         })
     }
@@ -94,16 +103,22 @@ impl ImuRefinement {
     fn of_errors(&self) -> Finding {
         let percent = |axes: &[f64; 3]| axes.map(|share| format!("{:+.1}", 1e2 * share)).join(", ");
         let what = format!(
-            "scale of the gyroscope {} %, of the accelerometer {} %, the latter {:+.1} ms late: the motion is computed without these",
+            "scale of the gyroscope {} %, of the accelerometer {} %, shear {} and {} %, the latter turned by {:.2}° and {:+.1} ms late: the \
+             motion is computed without these",
             percent(&self.gyro_scale),
             percent(&self.accel_scale),
+            percent(&self.gyro_shear),
+            percent(&self.accel_shear),
+            nalgebra::Vector3::from(self.accel_turn_deg).norm(),
             1e3 * self.accel_delay_s
         );
         let usual = Verdict::Warn.unless(self.imu_error_sigmas <= UNLIKELY_SIGMAS);
         Finding::new("imu-errors", usual, "IMU", what)
             .value(self.imu_error_sigmas, "")
             .limit(Limit::AtMost(UNLIKELY_SIGMAS))
-            .remedy("calibrate the IMU's scale, and stamp both of its sensors by one clock")
+            .remedy(
+                "calibrate the IMU's scale and axes, and stamp both of its sensors by one clock",
+            )
     }
 }
 
@@ -119,13 +134,36 @@ fn felt_gravity_m_s2(solved: &Optimized) -> f64 {
     felt.sum::<f64>() / states.len().max(1) as f64
 }
 
-/// The largest of an IMU's errors in the standard deviations of what is known beforehand.
-fn error_sigmas(errors: &ImuErrors, known: &InertialPriors) -> f64 {
-    [
-        errors.gyro_scale.amax() / known.gyro_scale_sigma,
-        errors.accel_scale.amax() / known.accel_scale_sigma,
-        errors.accel_delay_s.abs() / known.accel_delay_sigma_s,
-    ]
-    .into_iter()
-    .fold(0.0, f64::max)
+impl InertialPriors {
+    /// The largest of an IMU's errors in the standard deviations of what is known beforehand.
+    pub(super) fn sigmas_of(&self, errors: &ImuErrors) -> f64 {
+        [
+            errors.gyro_scale.amax() / self.gyro_scale_sigma,
+            errors.accel_scale.amax() / self.accel_scale_sigma,
+            errors.gyro_shear.amax().max(errors.accel_shear.amax()) / self.shear_sigma,
+            errors.accel_turn_rad.amax() / self.accel_turn_sigma_rad,
+            errors.accel_delay_s.abs() / self.accel_delay_sigma_s,
+        ]
+        .into_iter()
+        .fold(0.0, f64::max)
+    }
+
+    /// What is to be taken for known of IMU and map with such errors instead, where these are unlikely: as large as they are. What was said of it
+    /// is not true then, would draw the errors back, bend the walk, and not show in its covariances. `None` where all is likely.
+    pub(super) fn allowing(&self, errors: &ImuErrors) -> Option<Self> {
+        let of_map = errors.world_scale.abs() / self.map_scale_sigma;
+        (self.sigmas_of(errors).max(of_map) > UNLIKELY_SIGMAS).then(|| Self {
+            map_scale_sigma: errors.world_scale.abs().max(self.map_scale_sigma),
+            gyro_scale_sigma: errors.gyro_scale.amax().max(self.gyro_scale_sigma),
+            accel_scale_sigma: errors.accel_scale.amax().max(self.accel_scale_sigma),
+            shear_sigma: errors
+                .gyro_shear
+                .amax()
+                .max(errors.accel_shear.amax())
+                .max(self.shear_sigma),
+            accel_turn_sigma_rad: errors.accel_turn_rad.amax().max(self.accel_turn_sigma_rad),
+            accel_delay_sigma_s: errors.accel_delay_s.abs().max(self.accel_delay_sigma_s),
+            ..self.clone()
+        })
+    }
 }

@@ -5,7 +5,7 @@ use lsfb_solver::{Block, Kernel, Problem, VectorPrior};
 
 use super::GroundTruthConfig;
 use super::walk::{FrameState, Walk};
-use nalgebra::{SVector, Vector1};
+use nalgebra::{SVector, Vector1, Vector6};
 
 use crate::Error;
 use crate::preintegration::{
@@ -50,45 +50,79 @@ impl StateBlocks {
 #[derive(Clone, Copy)]
 pub(super) struct InertialBlocks {
     pub gravity: Block<Vector3<f64>>,
-    pub gyro_scale: Block<Vector3<f64>>,
-    pub accel_scale: Block<Vector3<f64>>,
+    /// Scale and shear.
+    pub gyro_axes: Block<Vector6<f64>>,
+    pub accel_axes: Block<Vector6<f64>>,
+    pub accel_turn_rad: Block<Vector3<f64>>,
     pub accel_delay_s: Block<Vector1<f64>>,
+    pub world_scale: Block<Vector1<f64>>,
 }
 
 impl InertialBlocks {
-    /// With what is known of them beforehand.
-    fn add(problem: &mut Problem, config: &GroundTruthConfig) -> Result<Self, Error> {
+    /// With what is known of them beforehand. `has_map` says whether the world is a map's: without one lengths are the IMU's.
+    fn add(
+        problem: &mut Problem,
+        config: &GroundTruthConfig,
+        has_map: bool,
+    ) -> Result<Self, Error> {
         let known = &config.inertial;
+        let world_scale = about(
+            problem,
+            Vector1::zeros(),
+            Vector1::new(known.map_scale_sigma),
+        )?;
+        if !has_map {
+            problem.set_constant(world_scale);
+        }
         let (lean, size) = (config.gravity_sigma_m_s2, known.gravity_size_sigma_m_s2);
         let gravity_sigmas = Vector3::new(lean, lean, size);
         Ok(Self {
             // The map is level only as far as its odometry knew: gravity may lean a little.
             gravity: about(problem, standard_gravity_m_s2(), gravity_sigmas)?,
-            gyro_scale: about(
+            gyro_axes: about(
                 problem,
-                Vector3::zeros(),
-                Vector3::repeat(known.gyro_scale_sigma),
+                Vector6::zeros(),
+                axes(known.gyro_scale_sigma, known.shear_sigma),
             )?,
-            accel_scale: about(
+            accel_axes: about(
+                problem,
+                Vector6::zeros(),
+                axes(known.accel_scale_sigma, known.shear_sigma),
+            )?,
+            accel_turn_rad: about(
                 problem,
                 Vector3::zeros(),
-                Vector3::repeat(known.accel_scale_sigma),
+                Vector3::repeat(known.accel_turn_sigma_rad),
             )?,
             accel_delay_s: about(
                 problem,
                 Vector1::zeros(),
                 Vector1::new(known.accel_delay_sigma_s),
             )?,
+            world_scale,
         })
     }
 
     pub fn errors(&self, problem: &Problem) -> ImuErrors {
+        let (gyro, accel) = (
+            problem.value(self.gyro_axes),
+            problem.value(self.accel_axes),
+        );
         ImuErrors {
-            gyro_scale: problem.value(self.gyro_scale),
-            accel_scale: problem.value(self.accel_scale),
+            gyro_scale: gyro.fixed_rows::<3>(0).into(),
+            gyro_shear: gyro.fixed_rows::<3>(3).into(),
+            accel_scale: accel.fixed_rows::<3>(0).into(),
+            accel_shear: accel.fixed_rows::<3>(3).into(),
+            accel_turn_rad: problem.value(self.accel_turn_rad),
             accel_delay_s: problem.value(self.accel_delay_s).x,
+            world_scale: problem.value(self.world_scale).x,
         }
     }
+}
+
+/// Scales of three axes, and shears of three pairs.
+fn axes(scale: f64, shear: f64) -> Vector6<f64> {
+    Vector6::new(scale, scale, scale, shear, shear, shear)
 }
 
 /// A block with what is known of it beforehand.
@@ -118,7 +152,8 @@ pub(super) fn add_inertial_residuals(
     let now: Vec<FrameState> = states.iter().map(|s| s.read(problem)).collect();
     let frames = first_frame..first_frame + states.len();
     let intervals = walk.preintegrate(frames, |k| now[k - first_frame].bias)?;
-    let shared = InertialBlocks::add(problem, config)?;
+    let has_map = walk.frames.iter().any(|frame| !frame.fixed.is_empty());
+    let shared = InertialBlocks::add(problem, config, has_map)?;
     for (block, sigma) in [
         (first.gyro_bias, config.gyro_bias_sigma_rad_s),
         (first.accel_bias, config.accel_bias_sigma_m_s2),
@@ -152,9 +187,11 @@ pub(super) fn add_inertial_residuals(
                 b.pose.id(),
                 b.velocity.id(),
                 shared.gravity.id(),
-                shared.gyro_scale.id(),
-                shared.accel_scale.id(),
+                shared.gyro_axes.id(),
+                shared.accel_axes.id(),
+                shared.accel_turn_rad.id(),
                 shared.accel_delay_s.id(),
+                shared.world_scale.id(),
             ];
             problem.add_residual(residual.with_errors(), &blocks, Kernel::Squared)?;
         }

@@ -15,6 +15,7 @@
 mod config;
 mod consensus;
 mod cross_check;
+mod dense;
 mod drift;
 mod estimate;
 mod findings;
@@ -25,6 +26,7 @@ mod imu_refinement;
 mod in_view;
 mod inertial;
 mod local_points;
+mod map_agreement;
 mod optimization;
 mod recorded_walk;
 mod report;
@@ -39,11 +41,13 @@ mod without_map;
 #[cfg(test)]
 mod tests;
 
-use lsfb_geometry::{Matrix6, Trajectory};
+use lsfb_geometry::{Matrix6, Trajectory, Vector3};
 use lsfb_types::{Progress, ProgressFn};
 
 pub use config::{GroundTruthConfig, InertialPriors};
+pub use dense::DenseState;
 pub use imu_refinement::ImuRefinement;
+pub use map_agreement::{MapAgreement, MapScale};
 pub use recorded_walk::RecordedWalk;
 pub use report::{
     CameraRefinement, GroundTruthReport, GroundTruthWarning, LeftOutReason, ReprojectionErrors,
@@ -74,6 +78,10 @@ pub struct GroundTruth {
     pub covariances: Vec<Matrix6<f64>>,
     /// How far each position moves when half of the map's points around are withheld, at most, metres.
     pub disagreements_m: Vec<f64>,
+    /// Motion at each of these poses, and at every inertial sample between two of neighbouring images.
+    pub states: Vec<DenseState>,
+    /// Gravity in the map's world, m/s².
+    pub gravity_m_s2: Vector3<f64>,
     /// How it came about, and how far to trust it.
     pub report: GroundTruthReport,
 }
@@ -81,6 +89,8 @@ pub struct GroundTruth {
 /// A solved walk.
 struct Solved {
     last: Optimized,
+    /// Settings of the last solve: of an IMU that is not as good as they say, less is taken for known.
+    config: GroundTruthConfig,
     guided_matching: usize,
 }
 
@@ -130,19 +140,24 @@ fn solve_walk(
     }
     let points = tracks.locate(walk, &first, features, config);
     let mut last = optimize(walk, &first, &points, None, config, progress)?;
+    let mut used = config.clone();
     for _ in 0..ROUNDS {
         let changed = choose_observations(walk, &last.estimate, &mut last.points, config);
-        if changed == 0 {
+        let allowing = used.inertial.allowing(&last.imu_errors);
+        let is_settled = allowing.is_none() && changed * SETTLED < last.report.residuals;
+        if is_settled && changed == 0 {
             break;
         }
+        used.inertial = allowing.unwrap_or(used.inertial);
         let (estimate, points) = (&last.estimate, &last.points);
-        last = optimize(walk, estimate, points, None, config, progress)?;
-        if changed * SETTLED < last.report.residuals {
+        last = optimize(walk, estimate, points, None, &used, progress)?;
+        if is_settled {
             break;
         }
     }
     Ok(Solved {
         last,
+        config: used,
         guided_matching,
     })
 }

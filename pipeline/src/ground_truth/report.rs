@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::GroundTruthConfig;
 use super::estimate::Estimate;
 use super::imu_refinement::ImuRefinement;
+use super::map_agreement::MapAgreement;
 use super::walk::{LocalPoint, Walk};
 use crate::residuals::{CameraCorrection, entry};
 
@@ -152,6 +153,8 @@ pub struct GroundTruthReport {
     /// What it makes of the IMU.
     #[serde(flatten)]
     pub imu: ImuRefinement,
+    /// What the IMU says of the map's size and vertical.
+    pub map: MapAgreement,
     /// Length of the path, metres.
     pub path_length_m: f64,
     /// What the reader should know.

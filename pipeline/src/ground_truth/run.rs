@@ -9,8 +9,10 @@ use lsfb_recording::Recording;
 use lsfb_types::ProgressFn;
 
 use super::cross_check::check_halves;
+use super::dense::dense_states;
 use super::imu_refinement::ImuRefinement;
 use super::in_view::{InView, look_for_points};
+use super::map_agreement::MapAgreement;
 use super::recorded_walk::RecordedWalk;
 use super::report::{local_errors, map_errors, refinements};
 use super::start::{Start, start_states};
@@ -112,10 +114,12 @@ pub fn ground_truth_of(
     let (estimate, points) = (&solved.last.estimate, &solved.last.points);
     let imu = ImuRefinement::of(&walk, &solved.last, config)?;
     walk.loosen_imu(imu.noise_factor());
-    let uncertainty = uncertainty(&walk, estimate, points, config, progress)?;
+    let used = &solved.config;
+    let agreement = MapAgreement::of(&walk, &solved.last, used)?;
+    let uncertainty = uncertainty(&walk, estimate, points, used, progress)?;
 
     let in_view = look_for_points(&walk, estimate, &features, map, config);
-    let halves = check_halves(&walk, estimate, points, config, progress)?;
+    let halves = check_halves(&walk, estimate, points, used, progress)?;
     let with_shared = uncertainty.poses.iter().zip(&halves);
     let with_shared = with_shared.map(|(pose, halves)| pose.map(|own| own + halves.shared));
     let covariances: Vec<_> = with_shared.collect();
@@ -156,7 +160,7 @@ pub fn ground_truth_of(
         });
     }
     let trajectory = Trajectory::new(trusted.poses.clone());
-    let mut report = report(&walk, &solved, &trusted, &trajectory, &imu)?;
+    let mut report = report(&walk, &solved, &trusted, &trajectory, (&imu, agreement))?;
     let names = rig.cameras.keys().map(String::as_str);
     report.cameras = refinements(names, estimate, &uncertainty.corrections, config);
     report.frames = read.frames.len() as u64;
@@ -178,6 +182,8 @@ pub fn ground_truth_of(
         trajectory,
         covariances: trusted.covariances,
         disagreements_m: trusted.disagreements_m,
+        states: dense_states(&walk, &solved.last, &trusted.frames)?,
+        gravity_m_s2: solved.last.gravity_m_s2,
         report,
     })
 }
@@ -258,7 +264,7 @@ fn report(
     solved: &Solved,
     trusted: &Trusted,
     trajectory: &Trajectory,
-    imu: &ImuRefinement,
+    (imu, map): (&ImuRefinement, MapAgreement),
 ) -> Result<GroundTruthReport, Error> {
     let last = &solved.last;
     let states = &last.estimate.states;
@@ -295,6 +301,7 @@ fn report(
         accel_bias_m_s2: bias.accel_m_s2.into(),
         cameras: Vec::new(),
         imu: imu.clone(),
+        map,
         path_length_m: trajectory.path_length_m(),
         warnings: Vec::new(),
     })

@@ -10,6 +10,8 @@ use super::walk::{FrameState, Walk};
 /// Frames of the trajectory, and what was left out of it.
 pub(super) struct Trusted {
     pub poses: Vec<StampedPose>,
+    /// Beside the poses: the frames of the walk.
+    pub frames: Vec<usize>,
     /// Beside the poses.
     pub covariances: Vec<Matrix6<f64>>,
     /// Beside the poses: how far halves of the map's points move them, metres.
@@ -47,6 +49,7 @@ pub(super) fn trusted(walk: &Walk, found: &Solution, config: &GroundTruthConfig)
     let reasons = reasons(walk, found, config);
     let mut result = Trusted {
         poses: Vec::new(),
+        frames: Vec::new(),
         covariances: Vec::new(),
         disagreements_m: Vec::new(),
         bridged: 0,
@@ -59,6 +62,7 @@ pub(super) fn trusted(walk: &Walk, found: &Solution, config: &GroundTruthConfig)
                     time: frame.time,
                     world_from_rig: found.states[k].nav.world_from_rig,
                 });
+                result.frames.push(k);
                 result.covariances.push(*covariance);
                 result.disagreements_m.push(found.disagreements_m[k]);
                 result.bridged += usize::from(frame.fixed.len() < config.min_map_points);

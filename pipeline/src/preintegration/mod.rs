@@ -6,7 +6,7 @@
 
 use lsfb_geometry::{ImuNoiseModel, Matrix3, Se3, UnitQuaternion, Vector3, so3};
 use lsfb_types::{ImuSample, Stamped, Timestamp};
-use nalgebra::SMatrix;
+use nalgebra::{SMatrix, Vector6};
 
 use crate::Error;
 use crate::odometry::GRAVITY_M_S2;
@@ -28,15 +28,56 @@ pub struct ImuBias {
     pub accel_m_s2: Vector3<f64>,
 }
 
-/// Errors of the IMU that stay the same: of what is read beyond the bias `1 - s` is true, `s` the scale error of the axis.
+/// Errors that stay the same, of the IMU and of the world in which its motion is sought: of what is read beyond the bias `1 - s` is true, `s`
+/// the scale error of the axis, and so of lengths in the world.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ImuErrors {
     /// Share by which the gyroscope's axes read too much.
     pub gyro_scale: Vector3<f64>,
     /// The same of the accelerometer's.
     pub accel_scale: Vector3<f64>,
+    /// Shares of one axis that another of the gyroscope's reads too, and the other way round: y and z, x and z, x and y. With the scale it is
+    /// the symmetric part of what its axes are off; the rest, a turn, is that of the cameras.
+    pub gyro_shear: Vector3<f64>,
+    /// The same of the accelerometer's.
+    pub accel_shear: Vector3<f64>,
+    /// By how much the accelerometer reads forces turned on the gyroscope's axes: `exp(turn)` of the true ones, radians.
+    pub accel_turn_rad: Vector3<f64>,
     /// By how much the accelerometer's readings are later than the gyroscope's of the same stamp (their filters differ), seconds.
     pub accel_delay_s: f64,
+    /// Share by which lengths in the world are too large: a map's scale.
+    pub world_scale: f64,
+}
+
+impl ImuErrors {
+    /// What of an angular velocity without bias is true.
+    pub fn true_turn_rate(&self, read: &Vector3<f64>) -> Vector3<f64> {
+        read - scaled_and_sheared(read) * self.gyro_axes()
+    }
+
+    /// Scale and shear of the gyroscope.
+    pub fn gyro_axes(&self) -> Vector6<f64> {
+        joined(&self.gyro_scale, &self.gyro_shear)
+    }
+
+    /// Scale and shear of the accelerometer.
+    pub fn accel_axes(&self) -> Vector6<f64> {
+        joined(&self.accel_scale, &self.accel_shear)
+    }
+}
+
+fn joined(a: &Vector3<f64>, b: &Vector3<f64>) -> Vector6<f64> {
+    Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z)
+}
+
+/// How much of what is read one unit of each axis' scale, and of each pair's shear, takes away.
+fn scaled_and_sheared(read: &Vector3<f64>) -> Matrix3xN<6> {
+    let (x, y, z) = (read.x, read.y, read.z);
+    Matrix3xN::from_row_slice(&[
+        x, 0.0, 0.0, 0.0, z, y, //
+        0.0, y, 0.0, z, 0.0, x, //
+        0.0, 0.0, z, y, x, 0.0,
+    ])
 }
 
 /// Pose and velocity of the rig.
@@ -48,19 +89,22 @@ pub struct NavState {
     pub velocity_m_s: Vector3<f64>,
 }
 
-/// Derivatives of the preintegrated changes by the bias, or by the scale.
+/// 3 × `N`.
+type Matrix3xN<const N: usize> = SMatrix<f64, 3, N>;
+
+/// Derivatives of the preintegrated changes by the bias (`N` is 3), or by scale and shear (6).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct BiasJacobians {
-    /// Tangent of the rotation by the gyroscope's bias.
-    pub rotation_by_gyro: Matrix3<f64>,
-    /// Velocity by the gyroscope's bias.
-    pub velocity_by_gyro: Matrix3<f64>,
-    /// Velocity by the accelerometer's bias.
-    pub velocity_by_accel: Matrix3<f64>,
-    /// Position by the gyroscope's bias.
-    pub position_by_gyro: Matrix3<f64>,
-    /// Position by the accelerometer's bias.
-    pub position_by_accel: Matrix3<f64>,
+pub struct BiasJacobians<const N: usize> {
+    /// Tangent of the rotation by the gyroscope's.
+    pub rotation_by_gyro: Matrix3xN<N>,
+    /// Velocity by the gyroscope's.
+    pub velocity_by_gyro: Matrix3xN<N>,
+    /// Velocity by the accelerometer's.
+    pub velocity_by_accel: Matrix3xN<N>,
+    /// Position by the gyroscope's.
+    pub position_by_gyro: Matrix3xN<N>,
+    /// Position by the accelerometer's.
+    pub position_by_accel: Matrix3xN<N>,
 }
 
 /// One piece of constant angular velocity and specific force, as the derivatives of the changes need it.
@@ -77,21 +121,20 @@ struct Piece {
     force_by_rotation: Matrix3<f64>,
 }
 
-impl BiasJacobians {
+impl<const N: usize> BiasJacobians<N> {
     fn none() -> Self {
         Self {
-            rotation_by_gyro: Matrix3::zeros(),
-            velocity_by_gyro: Matrix3::zeros(),
-            velocity_by_accel: Matrix3::zeros(),
-            position_by_gyro: Matrix3::zeros(),
-            position_by_accel: Matrix3::zeros(),
+            rotation_by_gyro: Matrix3xN::zeros(),
+            velocity_by_gyro: Matrix3xN::zeros(),
+            velocity_by_accel: Matrix3xN::zeros(),
+            position_by_gyro: Matrix3xN::zeros(),
+            position_by_accel: Matrix3xN::zeros(),
         }
     }
 
     /// Goes on by a piece. `taken` says how much of angular velocity and force one unit of each parameter takes away.
-    fn advance(&mut self, piece: &Piece, taken: [&Vector3<f64>; 2]) {
+    fn advance(&mut self, piece: &Piece, [from_rate, from_force]: [&Matrix3xN<N>; 2]) {
         let dt = piece.secs;
-        let [from_rate, from_force] = taken.map(Matrix3::from_diagonal);
         let half_by_gyro = piece.half_by_rate * from_rate;
         let force_by_gyro =
             piece.force_by_rotation * (piece.turned_half * self.rotation_by_gyro - half_by_gyro);
@@ -119,9 +162,11 @@ pub struct PreintegratedImu {
     /// The bias that was subtracted.
     pub bias: ImuBias,
     /// How the changes depend on it.
-    pub by_bias: BiasJacobians,
-    /// How they depend on the scale, which was taken for right.
-    pub by_scale: BiasJacobians,
+    pub by_bias: BiasJacobians<3>,
+    /// How they depend on scale and shear, which were taken for none.
+    pub by_scale: BiasJacobians<6>,
+    /// How velocity and position depend on the turn of the accelerometer's axes, which was taken for none.
+    pub by_turn: [Matrix3<f64>; 2],
     /// How velocity and position depend on the accelerometer's delay, which was taken for none.
     pub by_delay: [Vector3<f64>; 2],
     /// Covariance of `[rotation, velocity, position]` from the white noise.
@@ -188,6 +233,7 @@ impl PreintegratedImu {
             bias,
             by_bias: BiasJacobians::none(),
             by_scale: BiasJacobians::none(),
+            by_turn: [Matrix3::zeros(); 2],
             by_delay: [Vector3::zeros(); 2],
             covariance: Matrix9::zeros(),
         }
@@ -269,9 +315,17 @@ impl PreintegratedImu {
             middle,
             force_by_rotation,
         };
-        let ones = Vector3::repeat(1.0);
+        let ones = Matrix3::identity();
         self.by_bias.advance(&piece, [&ones, &ones]);
-        self.by_scale.advance(&piece, [&rate, &force]);
+        self.by_scale.advance(
+            &piece,
+            [&scaled_and_sheared(&rate), &scaled_and_sheared(&force)],
+        );
+        // `exp(-turn) force` is true, of which `turn × force` is missing to first order.
+        let turned_back = middle * so3::hat(&force);
+        let [velocity, position] = &mut self.by_turn;
+        *position += *velocity * dt + turned_back * (0.5 * dt * dt);
+        *velocity += turned_back * dt;
         // What is read a delay later is the force of now.
         let gained = middle * (accel[1] - accel[0]);
         let [velocity, position] = &mut self.by_delay;
@@ -315,27 +369,30 @@ impl PreintegratedImu {
         self.corrected_by(bias, &ImuErrors::default())
     }
 
-    /// The same for an IMU with other errors too: exact in the accelerometer's scale, to first order in the rest.
+    /// The same for an IMU with other errors too, whatever the world's scale: exact in the accelerometer's scale and shear, to first order in
+    /// the rest.
     pub fn corrected_by(&self, bias: &ImuBias, errors: &ImuErrors) -> CorrectedChange {
         let gyro = bias.gyro_rad_s - self.bias.gyro_rad_s;
         let accel = bias.accel_m_s2 - self.bias.accel_m_s2;
         let (b, s) = (&self.by_bias, &self.by_scale);
-        let rotation_correction =
-            b.rotation_by_gyro * gyro + s.rotation_by_gyro * errors.gyro_scale;
+        let (gyro_axes, accel_axes) = (errors.gyro_axes(), errors.accel_axes());
+        let rotation_correction = b.rotation_by_gyro * gyro + s.rotation_by_gyro * gyro_axes;
         CorrectedChange {
             rotation: self.rotation * so3::exp(&rotation_correction),
             rotation_correction,
             velocity_m_s: self.velocity_m_s
                 + b.velocity_by_gyro * gyro
                 + b.velocity_by_accel * accel
-                + s.velocity_by_gyro * errors.gyro_scale
-                + s.velocity_by_accel * errors.accel_scale
+                + s.velocity_by_gyro * gyro_axes
+                + s.velocity_by_accel * accel_axes
+                + self.by_turn[0] * errors.accel_turn_rad
                 + self.by_delay[0] * errors.accel_delay_s,
             position_m: self.position_m
                 + b.position_by_gyro * gyro
                 + b.position_by_accel * accel
-                + s.position_by_gyro * errors.gyro_scale
-                + s.position_by_accel * errors.accel_scale
+                + s.position_by_gyro * gyro_axes
+                + s.position_by_accel * accel_axes
+                + self.by_turn[1] * errors.accel_turn_rad
                 + self.by_delay[1] * errors.accel_delay_s,
         }
     }

@@ -131,24 +131,36 @@ fn bias_jacobians_match_differences() {
     }
 }
 
-/// An IMU whose scales are off and whose accelerometer is late, beside one without errors.
+/// An IMU whose scales are off and whose accelerometer is turned and late, beside one without errors.
 #[test]
 fn errors_that_are_known_are_taken_off() {
     let errors = ImuErrors {
         gyro_scale: Vector3::new(2e-3, -1e-3, 3e-3),
         accel_scale: Vector3::new(0.02, -0.03, 0.05),
+        gyro_shear: Vector3::new(2e-4, 1e-4, -2e-4),
+        accel_shear: Vector3::new(-1e-3, 2e-3, 1e-3),
+        // What is turned by more is off by what scale and turn do together.
+        accel_turn_rad: Vector3::new(5e-5, -3e-5, 4e-5),
         accel_delay_s: 2e-3,
+        world_scale: 0.0,
     };
     let read = |nanos: i64| {
         let secs = nanos as f64 * 1e-9;
         let (_, gyro, _) = circle(secs);
         let (_, _, force) = circle(secs - errors.accel_delay_s);
-        let one = Vector3::repeat(1.0);
-        let gyro = gyro.component_div(&(one - errors.gyro_scale));
+        let force = so3::exp(&errors.accel_turn_rad) * force;
+        let read = |true_part: Vector3<f64>, scale: &Vector3<f64>, shear: &Vector3<f64>| {
+            let off = Matrix3::from_diagonal(scale)
+                + Matrix3::new(
+                    0.0, shear.z, shear.y, shear.z, 0.0, shear.x, shear.y, shear.x, 0.0,
+                );
+            let left = (Matrix3::identity() - off).try_inverse();
+            left.expect("regular") * true_part
+        };
         sample(
             nanos,
-            gyro,
-            force.component_div(&(one - errors.accel_scale)),
+            read(gyro, &errors.gyro_scale, &errors.gyro_shear),
+            read(force, &errors.accel_scale, &errors.accel_shear),
         )
     };
     let samples: Vec<_> = (-2..=82).map(|k| read(k * 2_500_000)).collect();

@@ -1,14 +1,14 @@
 use lsfb_geometry::{Matrix3, Se3, UnitQuaternion, Vector3, so3};
 use lsfb_solver::{Linearization, Parameters, Residual, Shape, Undefined};
-use nalgebra::{SMatrix, SVector, Vector1};
+use nalgebra::{SMatrix, SVector, Vector1, Vector6};
 
 use crate::preintegration::{
     BiasJacobians, CorrectedChange, ImuBias, ImuErrors, Matrix9, NavState, PreintegratedImu,
 };
 
 /// The IMU's samples between two states, `h` of eq. (5). Blocks: pose, velocity, gyroscope bias, accelerometer bias of the
-/// first state; pose and velocity of the second; gravity in the world; and [with errors](Self::with_errors) the scales of gyroscope and
-/// accelerometer and the delay of the latter.
+/// first state; pose and velocity of the second; gravity in the world; and [with errors](Self::with_errors) scale and shear of gyroscope and of
+/// accelerometer, the latter's turn and delay, and the world's scale `s`, by which `1 − s` of `v` and `p` are true.
 ///
 /// Forster et al. 2017, eq. (45), whitened by `L⁻¹` of the preintegrated covariance `L Lᵀ`:
 ///
@@ -24,7 +24,8 @@ use crate::preintegration::{
 /// | r_v | \[R_iᵀ(…)\]ₓ | | −R_iᵀ | −Δv_bg | −Δv_ba | | | R_iᵀ | −R_iᵀ Δt |
 /// | r_p | \[R_iᵀ(…)\]ₓ | −I | −R_iᵀ Δt | −Δp_bg | −Δp_ba | | R_iᵀ R_j | | −½ R_iᵀ Δt² |
 ///
-/// The columns of the scales are those of the biases, with the derivatives by the scales; the delay's are −Δv_d and −Δp_d.
+/// The columns of scale and shear are those of the biases, with the derivatives by these; those of turn and delay are −Δv and −Δp by these.
+/// With the world's scale, the columns of `ρ` and `v` are `1 − s` as large, and its own are `−R_iᵀ (v_j − v_i)` and `−R_iᵀ (p_j − p_i − v_i Δt)`.
 #[derive(Clone, Debug)]
 pub struct ImuPreintegration {
     preintegrated: PreintegratedImu,
@@ -49,7 +50,7 @@ impl ImuPreintegration {
         })
     }
 
-    /// With the scales of gyroscope and accelerometer and the latter's delay as three more blocks.
+    /// With scale and shear of gyroscope and of accelerometer, the latter's turn and delay, and the world's scale as five more blocks.
     pub fn with_errors(self) -> Self {
         Self {
             has_errors: true,
@@ -74,6 +75,21 @@ impl ImuPreintegration {
         self.sqrt_information * difference.residual()
     }
 
+    /// Columns of what gyroscope and accelerometer are off by.
+    fn by_both<const N: usize>(
+        &self,
+        by: &BiasJacobians<N>,
+        by_rotation_correction: &Matrix3<f64>,
+    ) -> [Block<N>; 2] {
+        let rotation = by_rotation_correction * by.rotation_by_gyro;
+        let none = SMatrix::<f64, 3, N>::zeros();
+        [
+            stack(&rotation, &-by.velocity_by_gyro, &-by.position_by_gyro),
+            stack(&none, &-by.velocity_by_accel, &-by.position_by_accel),
+        ]
+        .map(|columns| self.sqrt_information * columns)
+    }
+
     fn difference(
         &self,
         [start, end]: [&NavState; 2],
@@ -83,15 +99,16 @@ impl ImuPreintegration {
     ) -> Difference {
         let change = self.preintegrated.corrected_by(bias, errors);
         let dt = self.preintegrated.duration_secs;
+        let true_share = 1.0 - errors.world_scale;
         let (pose_i, pose_j) = (&start.world_from_rig, &end.world_from_rig);
         let i_from_world = pose_i.rotation_matrix().transpose();
         let j_from_i = pose_j.rotation.inverse() * pose_i.rotation;
-        let velocity = i_from_world * (end.velocity_m_s - start.velocity_m_s - gravity_m_s2 * dt);
-        let position = i_from_world
-            * (pose_j.translation
-                - pose_i.translation
-                - start.velocity_m_s * dt
-                - gravity_m_s2 * (0.5 * dt * dt));
+        let gained = i_from_world * (end.velocity_m_s - start.velocity_m_s);
+        let moved =
+            i_from_world * (pose_j.translation - pose_i.translation - start.velocity_m_s * dt);
+        let fallen = i_from_world * gravity_m_s2 * dt;
+        let velocity = gained * true_share - fallen;
+        let position = moved * true_share - fallen * (0.5 * dt);
         Difference {
             rotation: so3::log(&(change.rotation.inverse() * j_from_i.inverse())),
             change,
@@ -99,6 +116,8 @@ impl ImuPreintegration {
             j_from_i,
             velocity,
             position,
+            by_scale: [-gained, -moved],
+            true_share,
         }
     }
 }
@@ -113,6 +132,9 @@ struct Difference {
     /// `R_iᵀ (…)` of `r_v` and `r_p`.
     velocity: Vector3<f64>,
     position: Vector3<f64>,
+    /// How these depend on the world's scale, and what it leaves of lengths.
+    by_scale: [Vector3<f64>; 2],
+    true_share: f64,
 }
 
 impl Difference {
@@ -143,8 +165,10 @@ impl Residual for ImuPreintegration {
             Shape::of::<Se3>(),
             Shape::of::<Vector3<f64>>(),
             Shape::of::<Vector3<f64>>(),
+            Shape::of::<Vector6<f64>>(),
+            Shape::of::<Vector6<f64>>(),
             Shape::of::<Vector3<f64>>(),
-            Shape::of::<Vector3<f64>>(),
+            Shape::of::<Vector1<f64>>(),
             Shape::of::<Vector1<f64>>(),
         ];
         &ALL[..if self.has_errors {
@@ -164,11 +188,22 @@ impl Residual for ImuPreintegration {
             gyro_rad_s: parameters.get(2),
             accel_m_s2: parameters.get(3),
         };
+        let axes = |block: usize| match self.has_errors {
+            true => parameters.get::<Vector6<f64>>(WITHOUT_ERRORS + block),
+            false => Vector6::zeros(),
+        };
+        let (gyro, accel) = (axes(0), axes(1));
+        let first = |v: &Vector6<f64>| v.fixed_rows::<3>(0).into_owned();
+        let last = |v: &Vector6<f64>| v.fixed_rows::<3>(3).into_owned();
         let errors = match self.has_errors {
             true => ImuErrors {
-                gyro_scale: parameters.get(WITHOUT_ERRORS),
-                accel_scale: parameters.get(WITHOUT_ERRORS + 1),
-                accel_delay_s: parameters.get::<Vector1<f64>>(WITHOUT_ERRORS + 2).x,
+                gyro_scale: first(&gyro),
+                gyro_shear: last(&gyro),
+                accel_scale: first(&accel),
+                accel_shear: last(&accel),
+                accel_turn_rad: parameters.get(WITHOUT_ERRORS + 2),
+                accel_delay_s: parameters.get::<Vector1<f64>>(WITHOUT_ERRORS + 3).x,
+                world_scale: parameters.get::<Vector1<f64>>(WITHOUT_ERRORS + 4).x,
             },
             false => ImuErrors::default(),
         };
@@ -185,6 +220,8 @@ impl Residual for ImuPreintegration {
             rotation,
             velocity,
             position,
+            by_scale,
+            true_share,
         } = difference;
         let dt = self.preintegrated.duration_secs;
         let log_by_turn = so3::right_jacobian_inverse(&rotation);
@@ -201,24 +238,18 @@ impl Residual for ImuPreintegration {
         ));
         by_pose_i
             .fixed_view_mut::<3, 3>(6, 3)
-            .copy_from(&-Matrix3::identity());
+            .copy_from(&-Matrix3::from_diagonal_element(true_share));
         let mut by_pose_j = Block::<6>::zeros();
         by_pose_j
             .fixed_view_mut::<3, 3>(0, 0)
             .copy_from(&log_by_turn);
         by_pose_j
             .fixed_view_mut::<3, 3>(6, 3)
-            .copy_from(&j_from_i.transpose());
-        let by_velocity_i = stack(&zero, &-i_from_world, &(-i_from_world * dt));
-        let by_gyro = |by: &BiasJacobians| {
-            let rotation = by_rotation_correction * by.rotation_by_gyro;
-            self.sqrt_information * stack(&rotation, &-by.velocity_by_gyro, &-by.position_by_gyro)
-        };
-        let by_accel = |by: &BiasJacobians| {
-            self.sqrt_information * stack(&zero, &-by.velocity_by_accel, &-by.position_by_accel)
-        };
+            .copy_from(&(j_from_i.transpose() * true_share));
+        let scaled = i_from_world * true_share;
+        let by_velocity_i = stack(&zero, &-scaled, &(-scaled * dt));
         let (bias, scale) = (&self.preintegrated.by_bias, &self.preintegrated.by_scale);
-        let by_velocity_j = stack(&zero, &i_from_world, &zero);
+        let by_velocity_j = stack(&zero, &scaled, &zero);
         let by_gravity = stack(
             &zero,
             &(-i_from_world * dt),
@@ -226,28 +257,41 @@ impl Residual for ImuPreintegration {
         );
         out.set_jacobian(0, &(self.sqrt_information * by_pose_i));
         out.set_jacobian(1, &(self.sqrt_information * by_velocity_i));
-        out.set_jacobian(2, &by_gyro(bias));
-        out.set_jacobian(3, &by_accel(bias));
+        let [by_gyro, by_accel] = self.by_both(bias, &by_rotation_correction);
+        out.set_jacobian(2, &by_gyro);
+        out.set_jacobian(3, &by_accel);
         out.set_jacobian(4, &(self.sqrt_information * by_pose_j));
         out.set_jacobian(5, &(self.sqrt_information * by_velocity_j));
         out.set_jacobian(6, &(self.sqrt_information * by_gravity));
         if self.has_errors {
-            out.set_jacobian(WITHOUT_ERRORS, &by_gyro(scale));
-            out.set_jacobian(WITHOUT_ERRORS + 1, &by_accel(scale));
-            let mut by_delay = Block::<1>::zeros();
-            let [velocity, position] = &self.preintegrated.by_delay;
-            by_delay.fixed_rows_mut::<3>(3).copy_from(&-velocity);
-            by_delay.fixed_rows_mut::<3>(6).copy_from(&-position);
-            out.set_jacobian(WITHOUT_ERRORS + 2, &(self.sqrt_information * by_delay));
+            let [by_gyro, by_accel] = self.by_both(scale, &by_rotation_correction);
+            out.set_jacobian(WITHOUT_ERRORS, &by_gyro);
+            out.set_jacobian(WITHOUT_ERRORS + 1, &by_accel);
+            let [velocity, position] = &self.preintegrated.by_turn;
+            let by_turn = stack(&zero, &-velocity, &-position);
+            out.set_jacobian(WITHOUT_ERRORS + 2, &(self.sqrt_information * by_turn));
+            let column = |[velocity, position]: [Vector3<f64>; 2]| {
+                let mut by = Block::<1>::zeros();
+                by.fixed_rows_mut::<3>(3).copy_from(&velocity);
+                by.fixed_rows_mut::<3>(6).copy_from(&position);
+                self.sqrt_information * by
+            };
+            let by_delay = self.preintegrated.by_delay.map(|changed| -changed);
+            out.set_jacobian(WITHOUT_ERRORS + 3, &column(by_delay));
+            out.set_jacobian(WITHOUT_ERRORS + 4, &column(by_scale));
         }
         Ok(())
     }
 }
 
-fn stack(rotation: &Matrix3<f64>, velocity: &Matrix3<f64>, position: &Matrix3<f64>) -> Block<3> {
-    let mut block = Block::<3>::zeros();
+fn stack<const N: usize>(
+    rotation: &SMatrix<f64, 3, N>,
+    velocity: &SMatrix<f64, 3, N>,
+    position: &SMatrix<f64, 3, N>,
+) -> Block<N> {
+    let mut block = Block::<N>::zeros();
     for (row, part) in [(0, rotation), (3, velocity), (6, position)] {
-        block.fixed_view_mut::<3, 3>(row, 0).copy_from(part);
+        block.fixed_view_mut::<3, N>(row, 0).copy_from(part);
     }
     block
 }
@@ -305,23 +349,19 @@ mod tests {
                 [-0.3, 0.2, 0.1],
                 [0.8, -0.2, 0.3],
                 [0.1, 0.2, -9.7],
-                [0.02, -0.01, 0.03],
-                [-0.01, 0.015, 0.02],
+                [0.01, 0.02, -0.015],
             ];
-            let [v_i, gyro, accel, v_j, gravity, gyro_scale, accel_scale] =
+            let [v_i, gyro, accel, v_j, gravity, accel_turn] =
                 vectors.map(|v| problem.add_block(Vector3::from(v)).id());
-            let delay = problem.add_block(Vector1::new(3e-3)).id();
+            let axes = [
+                [0.02, -0.01, 0.03, 0.01, -0.02, 0.005],
+                [-0.01, 0.015, 0.02, -0.02, 0.01, 0.03],
+            ];
+            let [gyro_axes, accel_axes] = axes.map(|v| problem.add_block(Vector6::from(v)).id());
+            let [delay, scale] = [3e-3, 0.02].map(|v| problem.add_block(Vector1::new(v)).id());
             let blocks = [
-                first,
-                v_i,
-                gyro,
-                accel,
-                second,
-                v_j,
-                gravity,
-                gyro_scale,
-                accel_scale,
-                delay,
+                first, v_i, gyro, accel, second, v_j, gravity, gyro_axes, accel_axes, accel_turn,
+                delay, scale,
             ];
             let count = residual.blocks().len();
             problem

@@ -9,7 +9,7 @@ use lsfb_pipeline::ground_truth::{
 };
 use lsfb_pipeline::hd_map::HdMap;
 use lsfb_recording::{Provenance, read_tum, write_tum};
-use lsfb_types::Judgement;
+use lsfb_types::{Judgement, Verdict};
 
 use super::covariance_file;
 use super::models::ModelFolder;
@@ -23,12 +23,17 @@ use crate::standing;
 ///
 /// Beside the trajectory WALK.tum, WALK_covariance.txt has its poses with their covariance, as `lsfb eval` reads it: 44 columns.
 ///
+/// WALK_states.csv has poses, velocities, biases and turn rates at the IMU's rate, in EuRoC's columns, and gravity.
+///
 /// What is not certain, or lies elsewhere when parts of the map are withheld, is left out: then the exit code is 3, and the findings say
 /// why. WALK_cross_check.txt has, for each pose, how far half of the map's points move it.
 ///
 /// Points of the map that the walk must see are looked for: where many are not there, the place is another or has changed, and its poses are
 /// left out. Far beside the scanner's path few points are certain to be in view; the finding place-not-checked then says for how long the
 /// place could not be told from another that is built alike. Its poses are given: trust them only where there is no such place.
+///
+/// The IMU measures lengths and the vertical: a map of another scale, or one that leans, is told by it (map-scale, map-level), as far as the
+/// accelerometer is calibrated; beyond 5 % the exit code is 4.
 ///
 /// An existing trajectory, made by this program from the same walk and map with the same settings, is not computed again.
 ///
@@ -83,9 +88,10 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         }
         text + &problem_lines(&judgement)
     })?;
-    Ok(match r.is_whole() {
-        true => Outcome::Done,
-        false => Outcome::DataLost,
+    Ok(match (judgement.verdict(), r.is_whole()) {
+        (Verdict::Fail, _) => Outcome::JudgementFailed,
+        (_, false) => Outcome::DataLost,
+        _ => Outcome::Done,
     })
 }
 
@@ -127,6 +133,7 @@ impl WalkJob<'_> {
         provenance.add_input(&self.map.join(HdMap::HEADER))?;
         let covariances = files::beside(self.out, "covariance");
         let cross_check = files::beside(self.out, "cross_check");
+        let states = files::beside(self.out, "states").with_extension("csv");
         if let Some(report) = context.standing(&[self.out], &provenance) {
             return Ok(WrittenTrajectory {
                 trajectory: read_tum(self.out)?,
@@ -137,6 +144,7 @@ impl WalkJob<'_> {
         claim(self.out)?;
         claim(&covariances)?;
         claim(&cross_check)?;
+        claim(&states)?;
         let found = super::about(
             self.recording,
             ground_truth(&walk, &hd_map, &config, &|p| context.show(p)),
@@ -146,8 +154,9 @@ impl WalkJob<'_> {
         let poses = found.trajectory.poses().iter().zip(&found.covariances);
         files::write(&covariances, covariance_file::text(NOT_IN_IT, poses))?;
         files::write(&cross_check, disagreements(&found))?;
+        files::write(&states, states_text(&found))?;
         provenance.write(self.out)?;
-        let beside = [covariances, cross_check];
+        let beside = [covariances, cross_check, states];
         standing::finish(&[self.out], &beside, &provenance, &found.report)?;
         Ok(WrittenTrajectory {
             trajectory: found.trajectory,
@@ -160,6 +169,35 @@ impl WalkJob<'_> {
 /// What the covariances leave out.
 const NOT_IN_IT: &str = "In it are errors of images, of the IMU, of the cameras, of single points of the map and of those that lie together; what all of\n\
      the map around shares, its scale and its place, does not show in a walk and is not in it.";
+
+/// EuRoC's columns of a state (position and velocity in the world, rotation, biases of the IMU), and the turn rate, at the IMU's rate.
+fn states_text(found: &GroundTruth) -> String {
+    let [x, y, z]: [f64; 3] = found.gravity_m_s2.into();
+    let mut text = format!(
+        "# gravity in the world of these states: {x:.6} {y:.6} {z:.6} m/s^2\n\
+         #timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [], \
+         v_RS_R_x [m s^-1], v_RS_R_y [m s^-1], v_RS_R_z [m s^-1], b_w_RS_S_x [rad s^-1], b_w_RS_S_y [rad s^-1], b_w_RS_S_z [rad s^-1], \
+         b_a_RS_S_x [m s^-2], b_a_RS_S_y [m s^-2], b_a_RS_S_z [m s^-2], w_RS_S_x [rad s^-1], w_RS_S_y [rad s^-1], w_RS_S_z [rad s^-1]\n"
+    );
+    for state in &found.states {
+        let pose = &state.nav.world_from_rig;
+        let q = pose.rotation.quaternion();
+        let vectors = [
+            state.nav.velocity_m_s,
+            state.bias.gyro_rad_s,
+            state.bias.accel_m_s2,
+            state.turn_rate_rad_s,
+        ];
+        let turned = [q.w, q.i, q.j, q.k];
+        let cells = pose.translation.iter().chain(&turned);
+        let _ = write!(text, "{}", state.time.nanos());
+        for cell in cells.chain(vectors.iter().flatten()) {
+            let _ = write!(text, ",{cell:.9}");
+        }
+        text.push('\n');
+    }
+    text
+}
 
 /// How far half of the map's points move each position.
 fn disagreements(found: &GroundTruth) -> String {

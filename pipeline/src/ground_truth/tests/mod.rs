@@ -4,6 +4,7 @@ mod bad_input;
 mod cameras;
 mod consensus;
 mod cross_check;
+mod dense;
 mod imu;
 mod in_view;
 mod learned;

@@ -38,6 +38,8 @@ pub(super) struct Settled {
     pub last: Optimized,
     /// What held it.
     pub anchor: Anchor,
+    /// Settings of the last solve: of an IMU that is not as good as they say, less is taken for known.
+    pub config: GroundTruthConfig,
 }
 
 /// States of a stretch of the walk.
@@ -139,15 +141,20 @@ impl<'a> Extension<'a> {
         progress: ProgressFn<'_>,
     ) -> Result<Settled, Error> {
         let mut last = self.settle_all(config, progress)?;
+        let mut used = config.clone();
         for _ in 0..ROUNDS {
-            let changed = self.solve_again(&mut last, config, progress)?;
-            if changed * SETTLED < last.report.residuals {
+            let allowing = used.inertial.allowing(&last.imu_errors);
+            let is_allowed = allowing.is_some();
+            used.inertial = allowing.unwrap_or(used.inertial);
+            let changed = self.solve_again(&mut last, &used, is_allowed, progress)?;
+            if !is_allowed && changed * SETTLED < last.report.residuals {
                 break;
             }
         }
         Ok(Settled {
             last,
             anchor: self.anchor(),
+            config: used,
         })
     }
 
@@ -260,16 +267,17 @@ impl<'a> Extension<'a> {
         Ok(solved)
     }
 
-    /// Chooses observations by the last solve and solves again; returns how many came or went.
+    /// Chooses observations by the last solve and solves again, where some came or went or settings changed; returns how many did.
     fn solve_again(
         &mut self,
         last: &mut Optimized,
         config: &GroundTruthConfig,
+        has_other_settings: bool,
         progress: ProgressFn<'_>,
     ) -> Result<usize, Error> {
         let mut walk = self.part(&(self.first..self.end()));
         let changed = choose_observations(&mut walk, &last.estimate, &mut last.points, config);
-        if changed > 0 {
+        if changed > 0 || has_other_settings {
             let (anchor, estimate, points) = (self.anchor(), &last.estimate, &last.points);
             *last = optimize(&walk, estimate, points, Some(&anchor), config, progress)?;
         }

@@ -179,7 +179,7 @@ pub fn motion_without_map(
         let factor = less_sure.noise_factors.entry(k).or_insert(1.0);
         *factor = factor.max(settings.blind_imu_noise_factor);
     }
-    let uncertainty = uncertainty(&less_sure, &settled, first, config, progress)?;
+    let uncertainty = uncertainty(&less_sure, &settled, first, progress)?;
     let numbers: Vec<String> = (0..walk.cameras.len()).map(|k| k.to_string()).collect();
     let numbers = numbers.iter().map(String::as_str);
     let states = &solved.estimate.states;

@@ -51,7 +51,6 @@ pub(super) fn uncertainty(
     walk: &Walk,
     settled: &Settled,
     reference: usize,
-    config: &GroundTruthConfig,
     progress: ProgressFn<'_>,
 ) -> Result<Uncertainty, Error> {
     let (estimate, points) = (&settled.last.estimate, &settled.last.points);
@@ -60,7 +59,7 @@ pub(super) fn uncertainty(
         * correlated_frames(estimate, points).sqrt();
     let as_shown = GroundTruthConfig {
         local_sigma_px: shown_px.max(LEAST_PIXEL_SIGMA),
-        ..config.clone()
+        ..settled.config.clone()
     };
     let anchor = Some(&settled.anchor);
     let mut adjustment = Adjustment::of(walk, estimate, points, anchor, &as_shown)?;
