@@ -113,9 +113,6 @@ const MAX_LOG_FOCAL: f64 = 0.05;
 /// Others fit better for sure where they are this many standard deviations away, and this many decades less by chance.
 const SURE_SIGMAS: f64 = 3.0;
 const SURE_DECADES: f64 = 3.0;
-/// And where so large a share of the decades is their merit: points of a map whose poses are off fit any focal length somewhat better
-/// somewhere (in the kitchen of 7-Scenes by up to 0.12, on images that were placed within 6 cm).
-const SURE_SHARE: f64 = 0.15;
 
 impl Evidence {
     /// Probability that the pose is right: that of the evidence, of the search not having reached it by chance, and of the rival
@@ -150,7 +147,6 @@ impl Evidence {
         off > MAX_LOG_FOCAL
             && off > SURE_SIGMAS * self.focal_log_sigma
             && self.focal_decades > SURE_DECADES
-            && self.focal_decades > SURE_SHARE * -self.log10_false_alarms
     }
 
     /// One half where the rival has as many inliers, 0.98 where it has half of them.
