@@ -66,8 +66,9 @@ fn held_out_images_are_localized() {
         information.is_some_and(|i| off.dot(&(i * off)) <= CHI_SQUARED_95)
     });
     let share = covered.count() as f64 / distances_m.len() as f64;
+    // All of so few would be there one time in twenty where 95 of 100 are.
     assert!(
-        (0.93..=0.985).contains(&share),
+        (0.93..=1.0).contains(&share),
         "{share} in the region of 95 %"
     );
 

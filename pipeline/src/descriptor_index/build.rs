@@ -1,11 +1,11 @@
 use arrow_buffer::Buffer;
-use lsfb_types::{Progress, ProgressFn};
+use lsfb_types::{Progress, ProgressFn, Stopped};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use super::kernels::{CentroidBlocks, WORDS};
-use super::kmeans::{nearest_of_all, sample, train};
+use super::kmeans::{GoOn, nearest_of_all, sample, train};
 use super::source::DescriptorSource;
 use super::{Columns, DESCRIPTOR_LEN, DescriptorIndex, IndexConfig};
 use crate::Error;
@@ -38,7 +38,7 @@ impl DescriptorIndex {
         if u32::try_from(count).is_err() {
             return Err(Error::TooManyDescriptors { count });
         }
-        let step = |done: usize| {
+        let step = |done: usize| -> Result<(), Stopped> {
             progress(Progress {
                 stage: "descriptor index",
                 done: done as u64,
@@ -46,13 +46,16 @@ impl DescriptorIndex {
             })
         };
         step(0)?;
-        let quantizer = Quantizer::train(source, config)?;
+        // Twice as many rounds as each search has: of the lists, and of the words.
+        let rounds = 2 * config.training_rounds.max(1);
+        let quantizer = Quantizer::train(source, config, &|round| step(count * round / rounds))?;
 
         let mut list_of: Vec<u32> = Vec::with_capacity(count);
         for from in (0..count).step_by(PIECE) {
             step(count + from)?;
             let values = widened(&source.read(from..count.min(from + PIECE))?);
-            list_of.extend(nearest_of_all(&quantizer.lists, &values, DESCRIPTOR_LEN));
+            let nearest = nearest_of_all(&quantizer.lists, &values, DESCRIPTOR_LEN, &|| Ok(()))?;
+            list_of.extend(nearest);
         }
         let mut first_entry = vec![0u32; quantizer.centroids.len() / DESCRIPTOR_LEN];
         let mut lengths = first_entry.clone();
@@ -121,7 +124,8 @@ impl Encoded {
 }
 
 impl Quantizer {
-    fn train(source: DescriptorSource, config: &IndexConfig) -> Result<Self, Error> {
+    /// `go_on` is told the rounds that are done, of all.
+    fn train(source: DescriptorSource, config: &IndexConfig, go_on: &GoOn) -> Result<Self, Error> {
         let count = source.len();
         let lists = (count / config.list_length).clamp(1, config.max_lists);
         let drawn = |centroids: usize, seed: u64| {
@@ -132,22 +136,25 @@ impl Quantizer {
             values_at(source, wanted, seed)
         };
         let samples = drawn(lists, config.seed)?;
-        let centroids = train(&samples, DESCRIPTOR_LEN, lists, config.training_rounds);
+        let rounds = config.training_rounds;
+        let centroids = train(&samples, DESCRIPTOR_LEN, lists, rounds, go_on)?;
         let lists = CentroidBlocks::new(&centroids, DESCRIPTOR_LEN);
         drop(samples);
 
         let words = 1 << config.code_bits;
         let mut residuals = drawn(words, config.seed.wrapping_add(1))?;
-        let nearest = nearest_of_all(&lists, &residuals, DESCRIPTOR_LEN);
+        let nearest = nearest_of_all(&lists, &residuals, DESCRIPTOR_LEN, &|| go_on(rounds))?;
         subtract_centroids(&mut residuals, &nearest, &centroids);
         let part_len = DESCRIPTOR_LEN / config.code_bytes;
-        let words: Vec<Vec<f32>> = (0..config.code_bytes)
+        let words: Result<Vec<Vec<f32>>, Stopped> = (0..config.code_bytes)
             .into_par_iter()
             .map(|part| {
                 let column = part_of(&residuals, part, part_len);
-                train(&column, part_len, words, config.training_rounds)
+                // All parts are trained at once: none tells how far all of them are.
+                train(&column, part_len, words, rounds, &|_| go_on(rounds))
             })
             .collect();
+        let words = words?;
         let parts = words.iter().map(|w| CentroidBlocks::new(w, part_len));
         Ok(Self {
             centroids,

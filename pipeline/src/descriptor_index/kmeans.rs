@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use lsfb_types::Stopped;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -11,17 +12,27 @@ use super::kernels::CentroidBlocks;
 /// Vectors that one thread takes at a time.
 const GROUP: usize = 256;
 
+/// Whether a round of the training is to go on.
+pub(super) type GoOn<'a> = dyn Fn(usize) -> Result<(), Stopped> + Sync + 'a;
+
 /// As many centroids as wanted, or as there are vectors, one after the other. `samples`, of `dimensions` each, are in random
-/// order: the first of them are where the search begins.
-pub(super) fn train(samples: &[f32], dimensions: usize, wanted: usize, rounds: usize) -> Vec<f32> {
+/// order: the first of them are where the search begins. `go_on` is asked before each group of samples, with the number of the round.
+pub(super) fn train(
+    samples: &[f32],
+    dimensions: usize,
+    wanted: usize,
+    rounds: usize,
+    go_on: &GoOn,
+) -> Result<Vec<f32>, Stopped> {
     let count = wanted.min(samples.len() / dimensions);
     let mut centroids = samples[..count * dimensions].to_vec();
-    for _ in 0..rounds {
+    for round in 0..rounds {
         let nearest = nearest_of_all(
             &CentroidBlocks::new(&centroids, dimensions),
             samples,
             dimensions,
-        );
+            &|| go_on(round),
+        )?;
         let mut sums = vec![0.0f64; centroids.len()];
         let mut counts = vec![0u32; count];
         for (value, nearest) in samples.chunks_exact(dimensions).zip(nearest) {
@@ -40,7 +51,7 @@ pub(super) fn train(samples: &[f32], dimensions: usize, wanted: usize, rounds: u
             }
         }
     }
-    centroids
+    Ok(centroids)
 }
 
 /// The nearest centroid of each vector, by all threads.
@@ -48,10 +59,16 @@ pub(super) fn nearest_of_all(
     centroids: &CentroidBlocks,
     values: &[f32],
     dimensions: usize,
-) -> Vec<u32> {
+    go_on: &(dyn Fn() -> Result<(), Stopped> + Sync),
+) -> Result<Vec<u32>, Stopped> {
     let groups = values.par_chunks(GROUP * dimensions);
-    let found: Vec<Vec<u32>> = groups.map(|group| centroids.nearest(group)).collect();
-    found.concat()
+    let found: Result<Vec<Vec<u32>>, Stopped> = groups
+        .map(|group| {
+            go_on()?;
+            Ok(centroids.nearest(group))
+        })
+        .collect();
+    Ok(found?.concat())
 }
 
 /// `count` different numbers below `total` in random order; all of them where `count` is larger. Memory for `count` numbers,
@@ -81,7 +98,8 @@ mod tests {
             let noise = |k: usize| ((i * 31 + k * 17) % 100) as f32 * 1e-3;
             values.extend((0..8).map(|k| noise(k) + if k == corner { 10.0 } else { 0.0 }));
         }
-        let centroids = CentroidBlocks::new(&train(&values, 8, 3, 10), 8);
+        let centroids = train(&values, 8, 3, 10, &|_| Ok(())).expect("trained");
+        let centroids = CentroidBlocks::new(&centroids, 8);
         let owners = centroids.nearest(&values);
         assert!((3..300).all(|i| owners[i] == owners[i % 3]));
         assert!(owners[0] != owners[1] && owners[1] != owners[2] && owners[0] != owners[2]);

@@ -151,6 +151,19 @@ fn file_or_memory_one_thread_or_several_give_the_same_bytes() {
     }
 }
 
+/// Who stopped a training of minutes waited for its end.
+#[test]
+fn a_training_is_stopped_on_its_way() {
+    let stored = descriptors(20_000, 5);
+    let in_training = |p: lsfb_types::Progress| match (1..stored.len() as u64).contains(&p.done) {
+        true => Err(lsfb_types::Stopped),
+        false => Ok(()),
+    };
+    let source = DescriptorSource::Memory(&stored);
+    let stopped = DescriptorIndex::build(source, &IndexConfig::default(), &in_training);
+    assert!(matches!(stopped, Err(Error::Stopped(_))), "{stopped:?}");
+}
+
 #[test]
 fn few_descriptors_and_none() {
     let stored = descriptors(40, 3);

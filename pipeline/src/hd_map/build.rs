@@ -1,5 +1,7 @@
+use std::collections::BTreeMap;
+
 use arrow_buffer::{ArrowNativeType, Buffer, ScalarBuffer};
-use lsfb_geometry::{Matrix6, Rig, StampedPose, Vector3};
+use lsfb_geometry::{Matrix6, Rig, RigCamera, StampedPose, Vector3};
 use lsfb_types::{Bounds, ProgressFn};
 use serde::{Deserialize, Serialize};
 
@@ -60,6 +62,8 @@ lsfb_types::bounds! {
 pub(super) struct MapRows {
     /// Cameras by name: an observation's camera is its place among them.
     pub rig: Rig,
+    /// Those of them that were stated otherwise, as they were stated.
+    pub stated: BTreeMap<String, RigCamera>,
     pub keyframes: Vec<StampedPose>,
     /// How well each of them is known; `None` where that is unknown.
     pub covariances: Vec<Option<Matrix6<f64>>>,
@@ -153,6 +157,7 @@ impl HdMap {
         rig.cameras.retain(|name, _| cameras.contains(name));
         let rows = MapRows {
             rig,
+            stated: BTreeMap::new(),
             keyframes: content.keyframes.to_vec(),
             covariances: vec![None; content.keyframes.len()],
             points: rows,
@@ -188,6 +193,7 @@ impl HdMap {
         let map = Self {
             cameras: rows.rig.cameras.keys().cloned().collect(),
             rig: rows.rig,
+            stated: rows.stated,
             feature: rows.feature,
             provenance: rows.provenance,
             failures: rows.failures,
@@ -223,6 +229,7 @@ impl HdMap {
         let covariances = keyframes.clone();
         MapRows {
             rig: self.rig.clone(),
+            stated: self.stated.clone(),
             keyframes: keyframes.filter_map(|k| self.keyframe(k)).collect(),
             covariances: covariances.map(|k| self.keyframe_covariance(k)).collect(),
             points: points

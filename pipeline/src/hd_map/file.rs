@@ -1,3 +1,4 @@
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
@@ -21,6 +22,8 @@ const WITHOUT_COVARIANCES: u32 = 2;
 
 const HEADER: &str = HdMap::HEADER;
 const RIG: &str = "rig.toml";
+/// Cameras as they were stated, where `RIG` has them as their images showed them; absent where there is none.
+const STATED: &str = "rig_stated.toml";
 const TABLES: [&str; 4] = [
     "points.arrow",
     "keyframes.arrow",
@@ -133,6 +136,13 @@ impl HdMap {
         let rig_path = folder.join(RIG);
         fs::write(&rig_path, self.rig.to_toml()).map_err(Error::io(&rig_path))?;
         let mut files = vec![FileHash::of(folder, RIG)?];
+        if !self.stated.is_empty() {
+            let mut stated = Rig::empty(&self.rig.name);
+            stated.cameras = self.stated.clone();
+            let path = folder.join(STATED);
+            fs::write(&path, stated.to_toml()).map_err(Error::io(&path))?;
+            files.push(FileHash::of(folder, STATED)?);
+        }
         for (name, columns) in TABLES.iter().zip(self.tables()) {
             write_table(&folder.join(name), &columns)?;
             files.push(FileHash::of(folder, name)?);
@@ -213,7 +223,11 @@ impl HdMap {
             .learned
             .clone()
             .map_or(Feature::Sift, Feature::Learned);
-        let rig = open_rig(folder, &header)?;
+        let rig = open_rig(folder, &header, RIG)?;
+        let stated = match header.files.iter().any(|f| f.name == STATED) {
+            true => open_rig(folder, &header, STATED)?.cameras,
+            false => BTreeMap::new(),
+        };
         let mut tables = Vec::new();
         for name in TABLES {
             tables.push(open_table(folder, &header, name)?);
@@ -280,6 +294,7 @@ impl HdMap {
             index: DescriptorIndex::from_tables(&index)?,
             cameras: rig.cameras.keys().cloned().collect(),
             rig,
+            stated,
             feature,
             provenance: header.provenance.clone(),
             failures: header.failures.clone(),
@@ -373,8 +388,8 @@ fn read_header(folder: &Path) -> Result<Header, Error> {
     toml::from_str(&text).map_err(|e| broken(&path, e.message()))
 }
 
-fn open_rig(folder: &Path, header: &Header) -> Result<Rig, Error> {
-    let Table { path, bytes } = open_table(folder, header, RIG)?;
+fn open_rig(folder: &Path, header: &Header, name: &str) -> Result<Rig, Error> {
+    let Table { path, bytes } = open_table(folder, header, name)?;
     let text = std::str::from_utf8(&bytes).map_err(|_| broken(&path, "it is no text"))?;
     Rig::from_toml(text, &path.display().to_string()).map_err(|e| broken(&path, &e.to_string()))
 }

@@ -21,10 +21,11 @@ mod subset;
 #[cfg(test)]
 mod tests;
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 use arrow_buffer::{Buffer, ScalarBuffer};
-use lsfb_geometry::{Matrix3, Rig, Se3, StampedPose, UnitQuaternion, Vector3};
+use lsfb_geometry::{Matrix3, Rig, RigCamera, Se3, StampedPose, UnitQuaternion, Vector3};
 use lsfb_types::Timestamp;
 use nalgebra::Quaternion;
 
@@ -53,6 +54,8 @@ pub use subset::Region;
 pub struct HdMap {
     /// The cameras that saw the points, with their poses in the rig.
     rig: Rig,
+    /// Those of them that images showed to be other than stated, as they were stated.
+    stated: BTreeMap<String, RigCamera>,
     /// Their names, in order.
     cameras: Vec<String>,
     feature: Feature,
@@ -145,6 +148,27 @@ impl HdMap {
     /// The cameras that saw the points and where they sit in the rig whose poses the keyframes are.
     pub fn rig(&self) -> &Rig {
         &self.rig
+    }
+
+    /// The cameras that the map's images showed to be other than was stated of them, as they were stated: in [`HdMap::rig`] they are as
+    /// they were found.
+    pub fn stated_cameras(&self) -> &BTreeMap<String, RigCamera> {
+        &self.stated
+    }
+
+    /// With what was stated of cameras that [`HdMap::rig`] has as they were found.
+    pub(crate) fn with_stated_cameras(self, stated: BTreeMap<String, RigCamera>) -> Self {
+        Self { stated, ..self }
+    }
+
+    /// A camera as the map's images showed it, where it is stated just as one of theirs was; the camera of the same name before others.
+    /// As stated where none of them is it.
+    pub fn as_found(&self, name: &str, stated: &RigCamera) -> RigCamera {
+        let mut same = self.stated.iter().filter(|(_, s)| is_same(s, stated));
+        let first = same.clone().next();
+        let found = same.find(|(other, _)| *other == name).or(first);
+        let found = found.and_then(|(name, _)| self.rig.cameras.get(name));
+        found.unwrap_or(stated).clone()
     }
 
     /// What the map was made from: a hash its maker chose.
@@ -289,6 +313,12 @@ impl HdMap {
         found.truncate(count);
         found
     }
+}
+
+/// Whether two cameras are stated alike: poses are rounded on their way through a file.
+fn is_same(a: &RigCamera, b: &RigCamera) -> bool {
+    let off = a.rig_from_camera.inverse() * b.rig_from_camera;
+    a.camera == b.camera && a.timing == b.timing && off.log().norm() < 1e-9
 }
 
 /// Rows that belong to `owner` where `first` holds the first row of each; empty for an owner that is not there.

@@ -22,6 +22,8 @@ pub struct LocalizerConfig {
     pub min_votes: u32,
     /// Places tried, most votes first.
     pub max_places: usize,
+    /// Places tried while none of them gives a pose that chance surely does not.
+    pub max_places_in_doubt: usize,
     /// Map images taken together as one place: those that share most points.
     pub place_images: usize,
     /// The pose search.
@@ -45,6 +47,7 @@ impl Default for LocalizerConfig {
             max_candidate_ratio: 1.15,
             min_votes: 6,
             max_places: 3,
+            max_places_in_doubt: 10,
             place_images: 12,
             ransac: RansacConfig::default(),
             projection_radius_px: 10.0,
@@ -66,6 +69,7 @@ lsfb_types::bounds! {
         max_candidate_ratio: number(Bounds::NOT_NEGATIVE),
         min_votes: any,
         max_places: any,
+        max_places_in_doubt: any,
         place_images: any,
         ransac: section,
         projection_radius_px: number(Bounds::POSITIVE),

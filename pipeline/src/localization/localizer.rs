@@ -89,7 +89,7 @@ impl Localizer {
 
     /// The pose that most speaks for, however little that is.
     fn best_pose(&self, frames: &[FrameFeatures], rig: &Rig) -> Result<Localization, NotLocalized> {
-        let cameras = mount(frames, rig)?;
+        let cameras = self.mount(frames, rig)?;
         let candidates: Vec<Vec<Candidates>> = frames.iter().map(|f| self.look_up(f)).collect();
         let all: Vec<Candidates> = candidates.iter().flatten().cloned().collect();
         let votes = self.places.vote(&all, self.config.min_votes);
@@ -118,7 +118,14 @@ impl Localizer {
         let mut tried: Vec<u32> = Vec::new();
         let mut places = 0;
         for vote in &votes {
-            if places == self.config.max_places {
+            let in_doubt = hypotheses
+                .iter()
+                .all(|h| h.agreement.log10_false_alarms(places) > NO_CHANCE_LOG10);
+            let most = match in_doubt {
+                true => self.config.max_places_in_doubt,
+                false => 0,
+            };
+            if places >= self.config.max_places.max(most) {
                 break;
             }
             if tried.contains(&vote.image) {
@@ -154,6 +161,38 @@ impl Localizer {
         self.judge(found, &query).ok_or(NotLocalized {
             reason: NotLocalizedReason::NoPose,
         })
+    }
+
+    /// The cameras of the frames: those of the map's own images as these showed them.
+    fn mount(
+        &self,
+        frames: &[FrameFeatures],
+        rig: &Rig,
+    ) -> Result<Vec<MountedCamera>, NotLocalized> {
+        let mounted = frames.iter().map(|frame| {
+            let stated = rig.cameras.get(&frame.camera).ok_or(NotLocalized {
+                reason: NotLocalizedReason::UnknownCamera {
+                    camera: frame.camera.clone(),
+                },
+            })?;
+            let mounted = self.map.as_found(&frame.camera, stated);
+            let camera = &mounted.camera;
+            if !principal_point_fits(camera) {
+                return Err(NotLocalized {
+                    reason: NotLocalizedReason::PrincipalPointOffCentre {
+                        camera: frame.camera.clone(),
+                        size_px: [camera.width, camera.height],
+                        principal_px: camera.principal_px(),
+                    },
+                });
+            }
+            Ok(MountedCamera {
+                camera: *camera,
+                rig_from_camera: mounted.rig_from_camera,
+                readout_s: mounted.timing.readout_s,
+            })
+        });
+        mounted.collect()
     }
 
     pub(super) fn guided(&self) -> GuidedConfig<'_> {
@@ -234,6 +273,9 @@ impl Localizer {
     }
 }
 
+/// Decimal logarithm of the false alarms below which a pose was surely not found by chance.
+const NO_CHANCE_LOG10: f64 = -10.0;
+
 /// Poses that differ by more than this are two answers, not one with errors.
 const SAME_POSE_M: f64 = 0.5;
 const SAME_POSE_DEG: f64 = 10.0;
@@ -242,32 +284,4 @@ const SAME_POSE_DEG: f64 = 10.0;
 fn contradict(a: &Se3, b: &Se3) -> bool {
     let off = a.inverse() * *b;
     off.translation.norm() > SAME_POSE_M || off.rotation.angle().to_degrees() > SAME_POSE_DEG
-}
-
-fn mount(frames: &[FrameFeatures], rig: &Rig) -> Result<Vec<MountedCamera>, NotLocalized> {
-    frames
-        .iter()
-        .map(|frame| {
-            let mounted = rig.cameras.get(&frame.camera).ok_or(NotLocalized {
-                reason: NotLocalizedReason::UnknownCamera {
-                    camera: frame.camera.clone(),
-                },
-            })?;
-            let camera = &mounted.camera;
-            if !principal_point_fits(camera) {
-                return Err(NotLocalized {
-                    reason: NotLocalizedReason::PrincipalPointOffCentre {
-                        camera: frame.camera.clone(),
-                        size_px: [camera.width, camera.height],
-                        principal_px: camera.principal_px(),
-                    },
-                });
-            }
-            Ok(MountedCamera {
-                camera: *camera,
-                rig_from_camera: mounted.rig_from_camera,
-                readout_s: mounted.timing.readout_s,
-            })
-        })
-        .collect()
 }

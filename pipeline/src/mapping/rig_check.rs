@@ -89,7 +89,9 @@ pub(super) fn camera_errors(
             let counts = counts.get(name.as_str()).copied().unwrap_or_default();
             let settled = found.is_small();
             rests &= settled;
-            *camera = corrected(camera, &found.correction);
+            *camera = MovingCamera::new(camera)
+                .corrected(&found.correction)
+                .mounted();
             let stated = stated.cameras.get(name).unwrap_or(camera);
             errors.push(error_of(
                 name,
@@ -214,15 +216,6 @@ fn motion_at(
         velocity_m_s: world_from_rig.rotation * velocity_in_rig,
         ..FrameMotion::default()
     })
-}
-
-fn corrected(camera: &RigCamera, correction: &CameraCorrection) -> RigCamera {
-    let corrected = MovingCamera::new(camera).corrected(correction);
-    RigCamera {
-        camera: *corrected.camera(),
-        rig_from_camera: corrected.camera_from_rig().inverse(),
-        timing: *corrected.timing(),
-    }
 }
 
 /// Of each camera the keypoints that match in two others or more, and those of them that show a point.

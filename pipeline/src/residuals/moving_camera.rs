@@ -118,6 +118,15 @@ impl MovingCamera {
         ))
     }
 
+    /// As a rig file says it.
+    pub fn mounted(&self) -> RigCamera {
+        RigCamera {
+            camera: self.camera,
+            rig_from_camera: self.camera_from_rig.inverse(),
+            timing: self.timing,
+        }
+    }
+
     /// Size and lens.
     pub fn camera(&self) -> &Camera {
         &self.camera

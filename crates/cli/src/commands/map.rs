@@ -274,6 +274,7 @@ fn from_posed_images(
         Finding::new("images-left-out", Verdict::Warn, "images", note.clone())
             .remedy("give the poses of all images")
     }));
+    findings.extend(cameras(&map));
     findings.extend(map.failures().iter().map(|what| {
         Finding::new("poses-contradicted", Verdict::Fail, "poses", what.clone())
             .remedy("give each image its own pose, in the convention of its layout")
@@ -290,6 +291,27 @@ fn from_posed_images(
         text + &sentences(&judgement)
     })?;
     Ok(Outcome::of(judgement.verdict()))
+}
+
+/// Cameras that the images showed to be other than the list says.
+fn cameras(map: &HdMap) -> Vec<Finding> {
+    let stated = map.stated_cameras().iter();
+    let found = stated.filter_map(|(name, stated)| {
+        let found = map.rig().cameras.get(name)?;
+        let [stated_px, found_px] = [stated, found].map(|c| c.camera.focal_px()[0]);
+        let moved = found.rig_from_camera.inverse() * stated.rig_from_camera;
+        let what = format!(
+            "its focal length is {found_px:.1} px as the images show it, {stated_px:.1} px as the list says; turned by {:.2}°, shifted by {:.3} (in \
+             the unit of the poses): the map has it as the images show it",
+            moved.rotation.angle().to_degrees(),
+            moved.translation.norm()
+        );
+        let finding = Finding::new("camera-differs", Verdict::Warn, name, what)
+            .value(100.0 * (found_px / stated_px - 1.0), "%")
+            .remedy("calibrate it; refine_cameras = false in --config takes it as the list says");
+        Some(finding)
+    });
+    found.collect()
 }
 
 /// What needs a look, a line each.

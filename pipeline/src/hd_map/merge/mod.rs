@@ -360,6 +360,9 @@ fn place_cameras(rows: &mut MapRows, moved: &MapRows) -> Vec<u16> {
             let is_free = |name: &String| cameras.get(name).is_none_or(|there| there == mounted);
             let chosen = numbered.find(is_free).unwrap_or_else(|| name.clone());
             cameras.insert(chosen.clone(), mounted.clone());
+            let stated = moved.stated.get(name).cloned();
+            rows.stated
+                .extend(stated.map(|stated| (chosen.clone(), stated)));
             chosen
         })
         .collect();

@@ -77,6 +77,7 @@ impl Hall {
         }
         let rows = MapRows {
             rig,
+            stated: BTreeMap::new(),
             feature: Feature::Sift,
             keyframes: keyframes
                 .into_iter()

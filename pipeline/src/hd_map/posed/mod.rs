@@ -1,3 +1,6 @@
+mod cameras;
+mod strangers;
+
 use std::collections::{BTreeMap, BTreeSet};
 
 use lsfb_geometry::{Se3, StampedPose};
@@ -8,12 +11,14 @@ use serde::{Deserialize, Serialize};
 use super::reconstruction::{contradiction, depth_of_images, expect_map};
 use super::scene_depth::depth_pairs;
 use super::{
-    HdMap, HdMapConfig, KeyframeImage, MapContent, ReconstructionConfig, reconstruct,
+    HdMap, HdMapConfig, KeyframeImage, MapContent, ReconstructionConfig, find_tracks, reconstruct,
     select_keyframes,
 };
 use crate::error::{Error, MIN_MAP_POINTS, MapShortage};
 use crate::features::{FeatureDetector, Features, LearnedConfig, SiftConfig};
 use crate::posed_images::PosedImages;
+use cameras::{Shown, found_cameras};
+use strangers::strangers;
 
 /// Images in memory at once.
 const BATCH: usize = 32;
@@ -26,6 +31,8 @@ pub struct PosedMapConfig {
     pub keyframe_distance_per_depth: f64,
     /// … or turned by this much, degrees.
     pub keyframe_angle_deg: f64,
+    /// Whether cameras whose images show surely that they are other than stated are taken as the images show them.
+    pub refine_cameras: bool,
     /// Features.
     pub sift: SiftConfig,
     /// A network that finds features instead.
@@ -41,6 +48,7 @@ impl Default for PosedMapConfig {
         Self {
             keyframe_distance_per_depth: 0.026,
             keyframe_angle_deg: 6.0,
+            refine_cameras: true,
             sift: SiftConfig::default(),
             learned: None,
             reconstruction: ReconstructionConfig::default(),
@@ -53,6 +61,7 @@ lsfb_types::bounds! {
     PosedMapConfig {
         keyframe_distance_per_depth: number(Bounds::NOT_NEGATIVE),
         keyframe_angle_deg: number(Bounds::NOT_NEGATIVE),
+        refine_cameras: any,
         sift: section,
         learned: any,
         reconstruction: section,
@@ -61,6 +70,9 @@ lsfb_types::bounds! {
 }
 
 /// Builds a map from images with poses, in the unit of the poses. Keyframe `i` carries `i` ns as its time: the list has none.
+///
+/// Cameras that the images show to be other than stated are taken as they show them ([`HdMap::stated_cameras`]), and images of the same
+/// cameras are localized with those.
 ///
 /// Images that give hardly a point are an error that says what is missing; images that do not show what their poses say are among the
 /// map's failures.
@@ -87,16 +99,25 @@ pub fn build_map_from_posed_images(
     detected.detect(&chosen, progress)?;
     let (keyframes, images) = detected.keyframes(&chosen);
     drop(detected);
-    let points = reconstruct(
-        &posed.rig,
-        &keyframes,
-        &images,
-        &config.reconstruction,
-        progress,
-    )?;
+    let (rig, stated) = match config.refine_cameras {
+        true => {
+            let reconstruction = &config.reconstruction;
+            let tracks = find_tracks(&posed.rig, &keyframes, &images, reconstruction, progress)?;
+            let shown = Shown {
+                keyframes: &keyframes,
+                images: &images,
+                tracks: &tracks,
+                depth,
+                triangulation: &reconstruction.triangulation,
+            };
+            found_cameras(&posed.rig, &shown, progress)?
+        }
+        false => (posed.rig.clone(), BTreeMap::new()),
+    };
+    let points = reconstruct(&rig, &keyframes, &images, &config.reconstruction, progress)?;
     expect_map(&points, &images)?;
     let content = MapContent {
-        rig: &posed.rig,
+        rig: &rig,
         keyframes: &keyframes,
         images: &images,
         points: &points,
@@ -104,7 +125,9 @@ pub fn build_map_from_posed_images(
         provenance: &posed.content_hash()?,
     };
     let map = HdMap::build(&content, &config.map, progress)?;
-    Ok(map.with_failures(contradiction.into_iter().collect()))
+    let map = map.with_stated_cameras(stated);
+    let strangers = strangers(&images, &points);
+    Ok(map.with_failures(contradiction.into_iter().chain(strangers).collect()))
 }
 
 /// Indices of the images that say how deep the scene is.

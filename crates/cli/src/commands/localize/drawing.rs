@@ -26,6 +26,8 @@ pub fn draw(
         .cameras
         .get(&image.camera)
         .ok_or_else(|| anyhow::anyhow!("camera {} is not on the rig", image.camera))?;
+    // As the pose was found.
+    let mounted = localizer.map().as_found(&image.camera, mounted);
     let pixels = lsfb_pipeline::posed_images::read_image(&image.path, &image.camera, rig)?;
     let frame = FrameFeatures {
         camera: image.camera.clone(),
