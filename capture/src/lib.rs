@@ -61,7 +61,7 @@ pub use remark::Remarks;
 pub use replay::{ReplayConfig, ReplayedSensor, replay, replay_recording};
 pub use report::{CaptureReport, Ending, StreamReport};
 pub use session::Session;
-pub use sidecar::{INVITATION, PairingFolder};
+pub use sidecar::{INVITATION, PairingFolder, PhonesListener};
 pub use sync::GroupReport;
 // The families of units are the drivers'; a list of devices names one.
 pub use lsfb_drivers::ImuFamily;

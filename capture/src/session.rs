@@ -17,7 +17,7 @@ use crate::poses::{PoseQueue, Poses, poses};
 use crate::recorder::{self, Recorder};
 use crate::remark::{RemarkQueue, Remarks, remarks};
 use crate::report::StreamReport;
-use crate::sidecar::{PairingFolder, RecordingFolders, SidecarServer};
+use crate::sidecar::{PairingFolder, PhonesListener, RecordingFolders, SidecarServer};
 use crate::tap::{Tap, TapSender, tap};
 use crate::threads::{Device, Ends, Threads};
 use crate::{CaptureReport, Error, camera, imu, lidar, sidecar};
@@ -38,6 +38,14 @@ pub struct Session {
 impl Session {
     /// Reads the rig, sets the LiDAR where that is asked for, and begins to listen for it and for sidecars.
     pub fn open(config: &DevicesConfig) -> Result<Self, Error> {
+        Self::open_with(config, None)
+    }
+
+    /// The same, where phones connect at an address that is open already.
+    pub fn open_with(
+        config: &DevicesConfig,
+        phones: Option<&PhonesListener>,
+    ) -> Result<Self, Error> {
         if config.lidars.is_empty()
             && config.cameras.is_empty()
             && config.imus.is_empty()
@@ -54,7 +62,11 @@ impl Session {
             .map(|s| {
                 let folder = PairingFolder::open(&s.folder)?;
                 let pseudonyms = s.hash_identifiers.then(|| folder.pseudonyms());
-                SidecarServer::bind(s.listen, s.push_listen, folder, pseudonyms.transpose()?)
+                let phones = match phones {
+                    Some(phones) => phones.clone(),
+                    None => PhonesListener::start(s.listen, &folder)?,
+                };
+                SidecarServer::open(phones, s.push_listen, folder, pseudonyms.transpose()?)
             })
             .transpose()?;
         Ok(Self {

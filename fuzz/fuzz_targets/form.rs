@@ -2,7 +2,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use lsfb_operator::form::fields;
+use lsfb_web::fields;
 
 fuzz_target!(|data: &[u8]| {
     let found = fields("multipart/form-data; boundary=b", data);

@@ -1,15 +1,13 @@
 //! What clients of the operator's screen say: heads of requests, messages of the page, messages of Foxglove.
 #![no_main]
-#![feature(tcp_linger)]
 
-use std::io::Write;
-use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::io::{Read, Write};
+use std::net::{Shutdown, SocketAddr, TcpStream};
 use std::sync::mpsc::Receiver;
 use std::sync::{LazyLock, Mutex, PoisonError};
 use std::time::Duration;
 
 use libfuzzer_sys::fuzz_target;
-use lsfb_operator::http;
 use lsfb_operator::{Command, Foxglove, Request, Screen, ScreenConfig};
 use tungstenite::{Message, WebSocket};
 
@@ -26,18 +24,19 @@ struct Clients {
     page: WebSocket<TcpStream>,
     foxglove: WebSocket<TcpStream>,
     number: u32,
+    address: SocketAddr,
     _servers: (Screen, Foxglove),
 }
 
 static CLIENTS: LazyLock<Mutex<Clients>> = LazyLock::new(|| {
     let config = ScreenConfig {
-        address: anywhere(),
+        address: Some(anywhere()),
         ..ScreenConfig::default()
     };
     let (screen, requests) = Screen::open(&config).expect("a free port");
     let foxglove = Foxglove::open(anywhere(), "fuzz").expect("a free port");
-    let url = screen.url().replace("http://", "ws://");
-    let page = connect(&format!("{}/live", url.trim_end_matches('/')), None);
+    let address = screen.address().expect("it listens");
+    let page = connect(&format!("ws://{address}/live"), None);
     let app = connect(
         &format!("ws://{}/", foxglove.address()),
         Some("foxglove.sdk.v1"),
@@ -47,6 +46,7 @@ static CLIENTS: LazyLock<Mutex<Clients>> = LazyLock::new(|| {
         page,
         foxglove: app,
         number: 0,
+        address,
         _servers: (screen, foxglove),
     })
 });
@@ -76,35 +76,14 @@ fn wait(socket: &mut WebSocket<TcpStream>, mut count: usize, is_it: impl Fn(&str
     }
 }
 
-/// What a server makes of a connection.
-fn ask(data: &[u8]) {
-    static LISTENER: LazyLock<TcpListener> =
-        LazyLock::new(|| TcpListener::bind(anywhere()).expect("a free port"));
-    let mut client = TcpStream::connect(LISTENER.local_addr().expect("bound")).expect("it listens");
-    let (mut server, _) = LISTENER.accept().expect("it connected");
-    client.write_all(data).expect("it fits the buffer");
-    client.shutdown(Shutdown::Write).expect("it is open");
-    // Closed at once, so that ports are not used up.
-    client.set_linger(Some(Duration::ZERO)).expect("a socket");
-    let Ok(request) = http::read(&mut server) else {
-        return;
-    };
-    if request.websocket_key.is_some() {
-        let protocol = request.protocols.first().cloned();
-        let mut socket = http::upgrade(server, request, protocol.as_deref()).expect("it has a key");
-        while let Err(error) = socket.read().map(drop) {
-            if !http::is_quiet(&error) {
-                break;
-            }
-        }
-        return;
-    }
-    let status = match request.path.as_str() {
-        _ if !request.is_ours() => http::Status::Forbidden,
-        "/" => http::Status::Ok,
-        _ => http::Status::NotFound,
-    };
-    http::answer(&mut server, status, "text/plain", &request.rest).expect("it fits the buffer");
+/// What the server makes of a connection.
+fn ask(address: SocketAddr, data: &[u8]) {
+    let mut client = TcpStream::connect(address).expect("it listens");
+    client.set_read_timeout(Some(PATIENCE)).expect("a socket");
+    // It may be closed before it has said all.
+    let _ = client.write_all(data);
+    let _ = client.shutdown(Shutdown::Write);
+    let _ = client.read_to_end(&mut Vec::new());
 }
 
 fuzz_target!(|data: &[u8]| {
@@ -112,10 +91,10 @@ fuzz_target!(|data: &[u8]| {
     let Some((&kind, said)) = data.split_first() else {
         return;
     };
-    if !matches!(kind, b'{' | b'[') {
-        return ask(data);
-    }
     let mut clients = CLIENTS.lock().unwrap_or_else(PoisonError::into_inner);
+    if !matches!(kind, b'{' | b'[') {
+        return ask(clients.address, data);
+    }
     let Clients {
         requests,
         page,

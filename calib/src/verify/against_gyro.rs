@@ -7,7 +7,7 @@ use lsfb_types::Verdict;
 
 use super::judgement::{judged, unclear};
 use super::time_offset::{self, Agreement, Inconclusive};
-use super::{Check, VerifyConfig};
+use super::{Check, VerifyConfig, rotation_name, time_offset_name};
 
 /// Both checks.
 pub(super) fn against_gyro(
@@ -19,13 +19,13 @@ pub(super) fn against_gyro(
 ) -> Vec<Check> {
     let mut time = Check::unknown(
         "time-offset",
-        format!("{name} time offset"),
+        time_offset_name(name),
         "ms",
         config.time_offset_ms,
     );
     let mut rotation = Check::unknown(
         "imu-rotation",
-        format!("{name} rotation to the IMU"),
+        rotation_name(name),
         "°",
         config.imu_rotation_deg,
     );

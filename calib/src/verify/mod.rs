@@ -13,6 +13,7 @@ mod against_gyro;
 mod against_lidar;
 mod alignment;
 mod camera_images;
+mod clocks;
 mod epipolar;
 mod judgement;
 mod mutual_information;
@@ -29,6 +30,7 @@ use serde::{Deserialize, Serialize, Serializer};
 
 use crate::{Error, Overlay, recorded};
 use camera_images::CameraImages;
+pub use clocks::MeasuredClock;
 use scans::scans;
 
 /// Settings of [`verify`].
@@ -171,6 +173,16 @@ pub fn verify(
         });
     }
     Ok(Verification { checks, overlays })
+}
+
+/// Name of the check of a camera's clock.
+fn time_offset_name(camera: &str) -> String {
+    format!("{camera} time offset")
+}
+
+/// Name of the check of a camera's axes against the gyroscope's.
+fn rotation_name(camera: &str) -> String {
+    format!("{camera} rotation to the IMU")
 }
 
 /// As it stands in tables: `PASS`.

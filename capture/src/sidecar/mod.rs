@@ -19,6 +19,7 @@ use std::time::Duration;
 pub(crate) use apps::Apps;
 pub use pairing::{INVITATION, PairingFolder};
 use presence::Presence;
+pub use server::PhonesListener;
 use server::SidecarEvent;
 pub(crate) use server::SidecarServer;
 pub(crate) use sessions::RecordingFolders;

@@ -178,7 +178,7 @@ impl PairingFolder {
     }
 
     /// What TLS works with: the key is read here and kept nowhere else.
-    pub(super) fn tls(&self) -> Result<Arc<ServerConfig>, Error> {
+    pub fn tls(&self) -> Result<Arc<ServerConfig>, Error> {
         let path = self.path.join("key.der");
         let key = std::fs::read(&path).map_err(|cause| io_error(&path, cause))?;
         let key = PrivateKeyDer::Pkcs8(PrivatePkcs8KeyDer::from(key));

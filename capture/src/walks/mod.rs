@@ -15,6 +15,7 @@ use std::path::{Path, PathBuf};
 use std::vec::IntoIter;
 
 use lsfb_drivers::sidecar::wire::is_name;
+use lsfb_geometry::Rig;
 use lsfb_recording::{CdrMessage, Channel, DEVICE_TIME, Recording};
 use lsfb_types::{Progress, ProgressFn, Timestamp};
 use serde::Serialize;
@@ -84,15 +85,16 @@ pub fn walk_path(folder: &Path, device: &str) -> PathBuf {
     folder.join(format!("{device}.walk.mcap"))
 }
 
-/// Writes the walk of a phone. The file gets its name when it is whole.
+/// Writes the walk of a phone, with the rig that it brought, or another: calibrated since, say. The file gets its name when it is whole.
 pub fn write_walk(
     recording: &Recording,
     device: &str,
+    rig: Option<&Rig>,
     path: &Path,
     progress: ProgressFn<'_>,
 ) -> Result<Walk, Error> {
     let unfinished = path.with_extension("mcap.part");
-    let written = write(recording, device, &unfinished, progress);
+    let written = write(recording, device, rig, &unfinished, progress);
     let walk = written
         .and_then(|walk| {
             std::fs::rename(&unfinished, path).map_err(|cause| Error::Io {
@@ -137,6 +139,7 @@ impl TopicMessages<'_> {
 fn write(
     recording: &Recording,
     device: &str,
+    rig: Option<&Rig>,
     path: &Path,
     progress: ProgressFn<'_>,
 ) -> Result<Walk, Error> {
@@ -164,7 +167,7 @@ fn write(
                 .map(|own| own.into_iter().peekable()),
         });
     }
-    let mut writing = Writing::begin(recording, device, &stamps.clocks, path)?;
+    let mut writing = Writing::begin(recording, device, rig, &stamps.clocks, path)?;
     let mut done = 0;
     while let Some(next) = earliest(&mut topics) {
         if done % SHOW_EVERY == 0 {

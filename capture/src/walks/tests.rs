@@ -145,7 +145,7 @@ fn each_phone_gets_its_own_file_with_three_stamps_and_its_clock() {
     let recording = Recording::open(&scan).expect("recording");
     assert_eq!(phones(&recording), ["pixel", "watch"]);
     let path = walk_path(folder.path(), "pixel");
-    let walk = write_walk(&recording, "pixel", &path, &no_progress).expect("a walk");
+    let walk = write_walk(&recording, "pixel", None, &path, &no_progress).expect("a walk");
     let samples = SECS as u64 * 100;
     assert_eq!(
         (walk.messages, walk.mapped, walk.unreadable),
@@ -216,9 +216,15 @@ fn each_phone_gets_its_own_file_with_three_stamps_and_its_clock() {
     assert!(clock.what.contains("exchanges of times"), "{}", clock.what);
     // The other one has no exchanges: its stamps stay as they were.
     let path = walk_path(folder.path(), "watch");
-    let walk = write_walk(&recording, "watch", &path, &no_progress).expect("a walk");
+    let walk = write_walk(&recording, "watch", None, &path, &no_progress).expect("a walk");
     assert_eq!((walk.messages, walk.mapped, walk.unmapped), (samples, 0, 0));
     assert!(walk.clocks.is_empty());
+    // A rig that was calibrated since takes the place of the one that it brought.
+    let since = Rig::from_toml("name = \"calibrated since\"\n", "a test").expect("a rig");
+    let walk = write_walk(&recording, "watch", Some(&since), &path, &no_progress);
+    assert_eq!(walk.expect("a walk").messages, samples);
+    let own = Recording::open(&path).expect("a walk").rig();
+    assert_eq!(own.expect("a rig"), since);
 }
 
 #[test]
@@ -228,7 +234,9 @@ fn told_to_stop_it_leaves_nothing_behind() {
     write(&scan, Story::QUIET);
     let recording = Recording::open(&scan).expect("recording");
     let path = walk_path(folder.path(), "pixel");
-    let stopped = write_walk(&recording, "pixel", &path, &|_| Err(lsfb_types::Stopped));
+    let stopped = write_walk(&recording, "pixel", None, &path, &|_| {
+        Err(lsfb_types::Stopped)
+    });
     assert!(stopped.is_err());
     assert_eq!(std::fs::read_dir(folder.path()).expect("folder").count(), 1);
 }
@@ -245,7 +253,7 @@ fn a_phone_that_comes_back_after_half_a_minute_keeps_its_clock() {
     write(&scan, story);
     let recording = Recording::open(&scan).expect("recording");
     let path = walk_path(folder.path(), "pixel");
-    let walk = write_walk(&recording, "pixel", &path, &no_progress).expect("a walk");
+    let walk = write_walk(&recording, "pixel", None, &path, &no_progress).expect("a walk");
     assert_eq!((walk.mapped, walk.unmapped), (SECS as u64 * 100, 0));
     let own = Recording::open(&path).expect("a walk");
     for message in own.messages("/sidecar/pixel/imu").expect("imu") {
@@ -274,7 +282,7 @@ fn of_too_few_exchanges_no_time_is_made() {
     write(&scan, story);
     let recording = Recording::open(&scan).expect("recording");
     let path = walk_path(folder.path(), "pixel");
-    let walk = write_walk(&recording, "pixel", &path, &no_progress).expect("a walk");
+    let walk = write_walk(&recording, "pixel", None, &path, &no_progress).expect("a walk");
     assert_eq!((walk.mapped, walk.unmapped), (0, SECS as u64 * 100));
     let [clock] = walk.clocks.as_slice() else {
         panic!("{walk:?}")

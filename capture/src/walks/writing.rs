@@ -38,11 +38,12 @@ impl<'a> Writing<'a> {
     pub(super) fn begin(
         recording: &Recording,
         device: &'a str,
+        rig: Option<&Rig>,
         clocks: &'a BTreeMap<String, Clock>,
         path: &Path,
     ) -> Result<Self, Error> {
         let mut writer = Writer::create(path, &config(recording, device))?;
-        if let Some(rig) = rig_of(recording, device) {
+        if let Some(rig) = rig.cloned().or_else(|| rig_of(recording, device)) {
             writer.attach_rig(&rig)?;
             writer.place_sidecar(device, &rig);
         }

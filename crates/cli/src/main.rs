@@ -20,6 +20,7 @@ mod memory;
 mod outcome;
 mod phones;
 mod progress;
+mod qr_code;
 mod simulated;
 mod standing;
 mod stop;

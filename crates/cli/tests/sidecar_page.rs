@@ -1,6 +1,8 @@
 //! A browser records a walk beside a rig that is killed and cut off, and its page is loaded again: everything is in the recordings, once.
 
 mod chromium;
+mod running;
+mod screen_network;
 mod sidecar_rig;
 
 use std::collections::BTreeMap;

@@ -4,14 +4,16 @@ use std::net::SocketAddr;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The address cannot be listened on.
-    #[error("cannot listen on {address}: {cause}; is another program there?")]
-    Listen {
+    /// The server does not serve.
+    #[error(transparent)]
+    Server(#[from] lsfb_web::Error),
+    /// Other machines can reach the address, and could read and change what is said there.
+    #[error(
+        "{address} can be reached from other machines: there the screen is served by TLS alone"
+    )]
+    Plain {
         /// The address.
         address: SocketAddr,
-        /// Why.
-        #[source]
-        cause: std::io::Error,
     },
     /// Other machines can reach the address, and nothing keeps them out.
     #[error(
@@ -20,14 +22,5 @@ pub enum Error {
     Pin {
         /// The address.
         address: SocketAddr,
-    },
-    /// No thread could be started.
-    #[error("thread {name}: {cause}")]
-    Thread {
-        /// The thread.
-        name: &'static str,
-        /// Why.
-        #[source]
-        cause: std::io::Error,
     },
 }

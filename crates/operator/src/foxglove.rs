@@ -4,20 +4,25 @@
 //! a bounded queue: one that is slow misses messages, and is told how many.
 
 use std::collections::BTreeMap;
-use std::net::{SocketAddr, TcpStream};
+use std::net::SocketAddr;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
+use futures_util::StreamExt as _;
 use lsfb_types::Timestamp;
+use lsfb_web::{
+    Listener, Mount, Server, Socket, StatusCode, Visit, handler, offered, said, upgrade,
+};
 use serde::Deserialize;
 use serde_json::json;
-use tungstenite::{Bytes, Message, WebSocket};
+use tokio::sync::mpsc::error::TrySendError;
+use tokio::sync::mpsc::{Receiver, Sender, channel};
+use tokio::time::sleep;
+use tokio_tungstenite::tungstenite::{self, Bytes, Message};
 
 use crate::error::Error;
-use crate::http::{self, Status};
-use crate::presence::Presence;
-use crate::server::{Server, Stop};
+use crate::socket::{Gone, MAX_MESSAGE_BYTES, Presence, close, send};
 
 /// Names of the protocol, the newer first; the messages used here are the same in both.
 const PROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
@@ -27,6 +32,10 @@ const MESSAGE_DATA: u8 = 1;
 const QUEUE_MESSAGES: usize = 128;
 /// Missed messages are told in steps of this many.
 const MISSED_STEP: u64 = 500;
+/// Apps at a time.
+const MAX_CLIENTS: usize = 16;
+/// How often it is looked whether there is something to tell.
+const LOOK_EVERY: Duration = Duration::from_millis(25);
 
 /// What a message is about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,7 +53,9 @@ pub struct LiveMessage<'a> {
 /// The server. Dropping it disconnects everybody.
 #[derive(Debug)]
 pub struct Foxglove {
-    server: Server,
+    // Before the address that it is mounted at.
+    _mount: Mount,
+    listener: Listener,
     shared: Arc<Shared>,
 }
 
@@ -72,7 +83,7 @@ struct Channel {
 
 #[derive(Debug)]
 struct ClientEntry {
-    queue: SyncSender<Message>,
+    queue: Sender<Message>,
     /// Subscription by channel.
     subscriptions: BTreeMap<u32, u32>,
     missed: Arc<AtomicU64>,
@@ -85,17 +96,31 @@ impl Foxglove {
             session: session.to_owned(),
             state: Mutex::new(Connections::default()),
         });
+        let listener = Listener::open(&Server::start("foxglove")?, address, None)?;
         let served = Arc::clone(&shared);
-        let server = Server::start("foxglove", address, move |stream, stop| {
-            // Whatever ends a connection, the app connects anew.
-            let _ = serve(stream, &served, stop);
-        })?;
-        Ok(Self { server, shared })
+        let serve = handler(move |request, visit| {
+            let shared = Arc::clone(&served);
+            async move {
+                let Some(protocol) = offered(&request, &PROTOCOLS) else {
+                    let problem =
+                        "open this address in Foxglove: Open connection, Foxglove WebSocket";
+                    return said(StatusCode::BAD_REQUEST, problem);
+                };
+                upgrade(request, Some(protocol), MAX_MESSAGE_BYTES, |socket| {
+                    serve(socket, visit, shared)
+                })
+            }
+        });
+        Ok(Self {
+            _mount: listener.mount("", serve),
+            listener,
+            shared,
+        })
     }
 
     /// Where it listens.
     pub fn address(&self) -> SocketAddr {
-        self.server.address()
+        self.listener.address()
     }
 
     /// Sends a message to whoever has subscribed; `bytes` is not asked where nobody has. Never waits.
@@ -196,15 +221,7 @@ struct Subscription {
     channel_id: u32,
 }
 
-fn serve(mut stream: TcpStream, shared: &Shared, stop: &Stop) -> Result<(), tungstenite::Error> {
-    let request = http::read(&mut stream)?;
-    let offered = |name: &&&str| request.protocols.iter().any(|p| p == **name);
-    let Some(protocol) = PROTOCOLS.iter().find(offered).copied() else {
-        let problem = b"open this address in Foxglove: Open connection, Foxglove WebSocket";
-        http::answer(&mut stream, Status::BadRequest, "text/plain", problem)?;
-        return Ok(());
-    };
-    let mut socket = http::upgrade(stream, request, Some(protocol))?;
+async fn serve(mut socket: Socket, visit: Visit, shared: Arc<Shared>) {
     let info = json!({
         "op": "serverInfo",
         "name": "lsfb",
@@ -213,8 +230,15 @@ fn serve(mut stream: TcpStream, shared: &Shared, stop: &Stop) -> Result<(), tung
         "metadata": {},
         "sessionId": shared.session,
     });
-    socket.send(Message::text(info.to_string()))?;
-    let (queue, waiting) = sync_channel(QUEUE_MESSAGES);
+    if shared.lock().clients.len() >= MAX_CLIENTS
+        || send(&mut socket, Message::text(info.to_string()))
+            .await
+            .is_err()
+    {
+        return;
+    }
+    visit.ticket.enter();
+    let (queue, waiting) = channel(QUEUE_MESSAGES);
     let missed = Arc::new(AtomicU64::new(0));
     let number = {
         let mut state = shared.lock();
@@ -232,7 +256,7 @@ fn serve(mut stream: TcpStream, shared: &Shared, stop: &Stop) -> Result<(), tung
     };
     let mut client = Client {
         socket,
-        shared,
+        shared: &shared,
         number,
         waiting,
         missed,
@@ -240,14 +264,19 @@ fn serve(mut stream: TcpStream, shared: &Shared, stop: &Stop) -> Result<(), tung
         advertised: 0,
         presence: Presence::new(),
     };
-    let outcome = client.run(stop);
+    let mut running = visit.running.clone();
+    // Whatever ends a connection, the app connects anew.
+    tokio::select! {
+        _ = client.run() => {}
+        _ = running.changed() => {}
+    }
     shared.lock().clients.remove(&number);
-    outcome
+    close(client.socket).await;
 }
 
 /// One app.
 struct Client<'a> {
-    socket: WebSocket<TcpStream>,
+    socket: Socket,
     shared: &'a Shared,
     number: u64,
     waiting: Receiver<Message>,
@@ -258,31 +287,38 @@ struct Client<'a> {
     presence: Presence,
 }
 
+/// What an app or the recording has.
+enum News {
+    Heard(Option<Result<Message, tungstenite::Error>>),
+    Recorded(Message),
+    Nothing,
+}
+
 impl Client<'_> {
-    fn run(&mut self, stop: &Stop) -> Result<(), tungstenite::Error> {
-        while !stop.is_set() {
-            self.advertise()?;
-            match self.socket.read() {
-                Ok(Message::Text(text)) => {
+    async fn run(&mut self) -> Result<(), Gone> {
+        loop {
+            self.advertise().await?;
+            let news = tokio::select! {
+                heard = self.socket.next() => News::Heard(heard),
+                Some(message) = self.waiting.recv() => News::Recorded(message),
+                () = sleep(LOOK_EVERY) => News::Nothing,
+            };
+            match news {
+                News::Heard(Some(Ok(Message::Text(text)))) => {
                     self.presence.heard();
-                    self.take(&text)?;
+                    self.take(&text).await?;
                 }
-                Ok(Message::Close(_)) => return Ok(()),
-                Ok(_) => self.presence.heard(),
-                Err(error) if http::is_quiet(&error) => {}
-                Err(error) => return Err(error),
+                News::Heard(None | Some(Err(_) | Ok(Message::Close(_)))) => return Err(Gone),
+                News::Heard(Some(Ok(_))) => self.presence.heard(),
+                News::Recorded(message) => send(&mut self.socket, message).await?,
+                News::Nothing => {}
             }
-            while let Ok(message) = self.waiting.try_recv() {
-                self.socket.write(message)?;
-            }
-            self.socket.flush()?;
-            self.tell_missed()?;
-            self.presence.check(&mut self.socket)?;
+            self.tell_missed().await?;
+            self.presence.check(&mut self.socket).await?;
         }
-        self.socket.close(None)
     }
 
-    fn advertise(&mut self) -> Result<(), tungstenite::Error> {
+    async fn advertise(&mut self) -> Result<(), Gone> {
         let channels: Vec<serde_json::Value> = {
             let state = self.shared.lock();
             let known = state.channels.len() as u32;
@@ -295,13 +331,13 @@ impl Client<'_> {
             new
         };
         let advertise = json!({ "op": "advertise", "channels": channels });
-        self.socket.send(Message::text(advertise.to_string()))
+        send(&mut self.socket, Message::text(advertise.to_string())).await
     }
 
-    fn take(&mut self, text: &str) -> Result<(), tungstenite::Error> {
+    async fn take(&mut self, text: &str) -> Result<(), Gone> {
         let message = match serde_json::from_str::<ClientMessage>(text) {
             Ok(message) => message,
-            Err(error) => return self.status(1, &format!("not understood: {error}")),
+            Err(error) => return self.status(1, &format!("not understood: {error}")).await,
         };
         let mut unknown = Vec::new();
         {
@@ -333,12 +369,13 @@ impl Client<'_> {
             }
         }
         for channel in unknown {
-            self.status(1, &format!("there is no channel {channel}"))?;
+            self.status(1, &format!("there is no channel {channel}"))
+                .await?;
         }
         Ok(())
     }
 
-    fn tell_missed(&mut self) -> Result<(), tungstenite::Error> {
+    async fn tell_missed(&mut self) -> Result<(), Gone> {
         let missed = self.missed.load(Ordering::Relaxed);
         if missed < self.missed_told + MISSED_STEP {
             return Ok(());
@@ -348,11 +385,12 @@ impl Client<'_> {
             1,
             &format!("{missed} messages were left out here because the connection is slow; the recording has them"),
         )
+        .await
     }
 
     /// Level 1 is a warning.
-    fn status(&mut self, level: u8, words: &str) -> Result<(), tungstenite::Error> {
+    async fn status(&mut self, level: u8, words: &str) -> Result<(), Gone> {
         let status = json!({ "op": "status", "level": level, "message": words });
-        self.socket.send(Message::text(status.to_string()))
+        send(&mut self.socket, Message::text(status.to_string())).await
     }
 }

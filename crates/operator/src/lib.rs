@@ -13,7 +13,7 @@
 //! ```no_run
 //! use lsfb_operator::{Screen, ScreenConfig, ScreenState};
 //! let (screen, requests) = Screen::open(&ScreenConfig::default())?;
-//! println!("open {}", screen.url());
+//! println!("open {}", screen.links().join(" or "));
 //! screen.publish(&ScreenState::default());
 //! for request in requests {
 //!     request.answer(Err("nothing is connected".to_owned()));
@@ -21,24 +21,19 @@
 //! # Ok::<(), lsfb_operator::Error>(())
 //! ```
 //!
-//! Plain threads serve the few clients there are; no async runtime is built for them.
+//! All of them are mounted at addresses of the one HTTP server, `lsfb-web`: on this machine the page needs no TLS, and from elsewhere
+//! it is asked for by TLS alone, where a browser may keep the screen awake.
 
+mod client;
 mod coverage;
 mod error;
-#[doc(hidden)]
-pub mod form;
 mod foxglove;
-#[doc(hidden)]
-pub mod http;
 mod map;
-#[doc(hidden)]
-pub mod names;
 mod page;
-mod presence;
 mod preview;
 mod screen;
-#[doc(hidden)]
-pub mod server;
+mod shared;
+mod socket;
 mod state;
 pub mod terminal;
 
@@ -47,7 +42,8 @@ pub use error::Error;
 pub use foxglove::{Foxglove, LiveMessage};
 pub use map::{LiveMap, MapConfig, MapSnapshot};
 pub use preview::Preview;
-pub use screen::{Command, Request, Screen, ScreenConfig};
+pub use screen::{Screen, ScreenConfig, SecureScreen};
+pub use shared::{Command, Request};
 pub use state::{
     BatteryState, ControlPoint, CoverageState, Level, Phase, PoseState, ScreenState, StorageState,
     StreamState, SyncState, Tracking,

@@ -7,16 +7,18 @@
 
 use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
+use std::sync::Arc;
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
 use lsfb_geometry::{Se3, Vector3};
 use lsfb_operator::{
     Command, Error, Foxglove, LiveMap, LiveMessage, MapConfig, Phase, Preview, Request, Screen,
-    ScreenConfig, ScreenState,
+    ScreenConfig, ScreenState, SecureScreen,
 };
 use lsfb_recording::message;
 use lsfb_types::{Image, ImuSample, Timestamp};
+use lsfb_web::{Listener, Server};
 use serde_json::{Value, json};
 use tungstenite::{ClientRequestBuilder, Message, WebSocket};
 
@@ -26,7 +28,7 @@ const PATIENCE: Duration = Duration::from_secs(10);
 
 fn open(pin: Option<&str>) -> (Screen, Receiver<Request>) {
     let config = ScreenConfig {
-        address: LOOPBACK,
+        address: Some(LOOPBACK),
         pin: pin.map(str::to_owned),
         ..ScreenConfig::default()
     };
@@ -60,8 +62,12 @@ fn connect(address: SocketAddr, path: &str, protocol: &str) -> WebSocket<TcpStre
     socket
 }
 
+fn at(screen: &Screen) -> SocketAddr {
+    screen.address().unwrap()
+}
+
 fn live(screen: &Screen) -> WebSocket<TcpStream> {
-    connect(screen.address(), "/live", "lsfb.operator.v1")
+    connect(at(screen), "/live", "lsfb.operator.v1")
 }
 
 /// The next JSON message for which `wanted` holds.
@@ -93,22 +99,25 @@ fn send(socket: &mut WebSocket<TcpStream>, value: &Value) {
 #[test]
 fn the_page_is_served_whole_and_loads_nothing_from_elsewhere() {
     let (screen, _requests) = open(None);
-    let page = get(screen.address(), "/");
+    let page = get(at(&screen), "/");
     assert!(page.starts_with("HTTP/1.1 200 OK\r\n"), "{page}");
     assert!(page.contains("default-src 'none'"));
     let mut files = 0;
-    let is_path = |part: &&str| {
-        let plain = |c: char| c.is_ascii_alphanumeric() || "/.-_".contains(c);
-        part.len() > 1 && part.starts_with('/') && part.chars().all(plain)
+    let is_file = |part: &&str| {
+        let plain = |c: char| c.is_ascii_alphanumeric() || ".-_".contains(c);
+        part.chars().all(plain)
+            && [".js", ".css", ".svg", ".json"]
+                .iter()
+                .any(|e| part.ends_with(e))
     };
-    for part in page.split(['"', '\'']).filter(is_path) {
-        let file = get(screen.address(), part);
+    for part in page.split(['"', '\'']).filter(is_file) {
+        let file = get(at(&screen), &format!("/{part}"));
         assert!(file.starts_with("HTTP/1.1 200 OK\r\n"), "{part}");
         files += 1;
     }
     assert!(files >= 4, "{files}");
     for path in ["/", "/style.css", "/screen.js", "/map.js"] {
-        let text = get(screen.address(), path);
+        let text = get(at(&screen), path);
         let body = text.split_once("\r\n\r\n").unwrap().1;
         // The only address in it is that of a drawing's namespace.
         assert!(
@@ -116,17 +125,17 @@ fn the_page_is_served_whole_and_loads_nothing_from_elsewhere() {
             "{path}"
         );
     }
-    assert!(get(screen.address(), "/../Cargo.toml").starts_with("HTTP/1.1 404"));
-    assert!(get(screen.address(), "/nothing").starts_with("HTTP/1.1 404"));
+    assert!(get(at(&screen), "/../Cargo.toml").starts_with("HTTP/1.1 404"));
+    assert!(get(at(&screen), "/nothing").starts_with("HTTP/1.1 404"));
 }
 
 #[test]
 fn odd_requests_are_refused_and_the_server_goes_on() {
     let (screen, _requests) = open(None);
-    let address = screen.address();
+    let address = at(&screen);
     assert!(ask(address, "POST / HTTP/1.1\r\n\r\n").starts_with("HTTP/1.1 405"));
     assert!(ask(address, "\u{0}\u{1}\r\n\r\n").starts_with("HTTP/1.1 400"));
-    let endless = format!("GET / HTTP/1.1\r\nX: {}\r\n", "x".repeat(9_000));
+    let endless = format!("GET / HTTP/1.1\r\nX: {}\r\n", "x".repeat(20_000));
     assert!(ask(address, &endless).starts_with("HTTP/1.1 431"));
     // A page of somebody else must not press keys here.
     let stranger = format!(
@@ -142,13 +151,13 @@ fn odd_requests_are_refused_and_the_server_goes_on() {
 #[test]
 fn a_page_that_rebinds_its_name_presses_no_keys() {
     let (screen, _requests) = open(None);
-    let port = screen.address().port();
+    let port = at(&screen).port();
     let asked_as = |host: &str, path: &str| {
         let request = format!(
             "GET {path} HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\
              Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
         );
-        let mut stream = TcpStream::connect(screen.address()).unwrap();
+        let mut stream = TcpStream::connect(at(&screen)).unwrap();
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
         stream.write_all(request.as_bytes()).unwrap();
         let mut status = [0; 12];
@@ -163,16 +172,16 @@ fn a_page_that_rebinds_its_name_presses_no_keys() {
         asked_as(&format!("localhost:{port}"), "/live"),
         "HTTP/1.1 101"
     );
-    assert!(ask(screen.address(), "GET / HTTP/1.1\r\n\r\n").starts_with("HTTP/1.1 421"));
+    assert!(ask(at(&screen), "GET / HTTP/1.1\r\n\r\n").starts_with("HTTP/1.1 421"));
     drop(screen);
     let config = ScreenConfig {
-        address: LOOPBACK,
+        address: Some(LOOPBACK),
         names: vec!["scanner.example".to_owned()],
         ..ScreenConfig::default()
     };
     let (screen, _requests) = Screen::open(&config).unwrap();
     let request = "GET / HTTP/1.1\r\nHost: Scanner.example\r\n\r\n";
-    assert!(ask(screen.address(), request).starts_with("HTTP/1.1 200"));
+    assert!(ask(at(&screen), request).starts_with("HTTP/1.1 200"));
 }
 
 /// Phones that left the network take no place for ever: sixteen of them used to lock the operator out.
@@ -183,9 +192,9 @@ fn clients_that_have_gone_make_room() {
     let began = Instant::now();
     let mut operator = loop {
         assert!(began.elapsed() < 2 * PATIENCE, "locked out");
-        let stream = TcpStream::connect(screen.address()).unwrap();
+        let stream = TcpStream::connect(at(&screen)).unwrap();
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
-        let uri = format!("ws://{}/live", screen.address()).parse().unwrap();
+        let uri = format!("ws://{}/live", at(&screen)).parse().unwrap();
         let request = ClientRequestBuilder::new(uri).with_sub_protocol("lsfb.operator.v1");
         match tungstenite::client(request, stream) {
             Ok((socket, _)) => break socket,
@@ -338,16 +347,45 @@ fn without_the_pin_nothing_is_shown_and_nothing_is_taken() {
     json_until(&mut socket, |v| v["phase"] == "ready");
 }
 
+/// What is said on the network is read by whoever is there: without TLS the screen is served to this machine alone.
 #[test]
-fn an_address_that_others_can_reach_needs_a_pin() {
-    for pin in [None, Some("123".to_owned()), Some(String::new())] {
-        let config = ScreenConfig {
-            address: SocketAddr::from(([0, 0, 0, 0], 0)),
-            pin,
-            ..ScreenConfig::default()
-        };
-        assert!(matches!(Screen::open(&config), Err(Error::Pin { .. })));
+fn an_address_that_others_can_reach_needs_tls() {
+    let config = ScreenConfig {
+        address: Some(SocketAddr::from(([0, 0, 0, 0], 0))),
+        pin: Some("4711".to_owned()),
+        ..ScreenConfig::default()
+    };
+    assert!(matches!(Screen::open(&config), Err(Error::Plain { .. })));
+    let plain = Listener::open(&Server::start("test").unwrap(), LOOPBACK, None).unwrap();
+    let config = ScreenConfig {
+        secure: Some(SecureScreen {
+            listeners: vec![Arc::new(plain)],
+            pin: "4711".to_owned(),
+        }),
+        ..ScreenConfig::default()
+    };
+    assert!(matches!(Screen::open(&config), Err(Error::Plain { .. })));
+}
+
+/// Nobody tries all PINs from one address: after ten wrong ones within a minute the right one is not taken there either.
+#[test]
+fn an_address_that_guesses_is_not_let_in() {
+    let (screen, requests) = open(Some("4711"));
+    let guesses = (0..10).map(|guess| {
+        let mut socket = live(&screen);
+        json_until(&mut socket, |v| v["pin"] == "needed");
+        send(&mut socket, &json!({ "pin": format!("{guess:04}") }));
+        socket
+    });
+    let mut guessing: Vec<_> = guesses.collect();
+    for socket in &mut guessing {
+        assert_eq!(json_until(socket, |_| true)["pin"], "wrong");
     }
+    let mut socket = live(&screen);
+    json_until(&mut socket, |v| v["pin"] == "needed");
+    send(&mut socket, &json!({ "pin": "4711" }));
+    assert_eq!(json_until(&mut socket, |_| true)["pin"], "barred");
+    assert!(requests.try_recv().is_err());
 }
 
 #[test]

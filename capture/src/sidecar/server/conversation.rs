@@ -12,12 +12,13 @@ use lsfb_drivers::sidecar::wire::{
 };
 use lsfb_drivers::sidecar::{Decoder, SidecarMessage};
 use lsfb_types::Timestamp;
+use lsfb_web::Socket;
 use tokio::task::spawn_blocking;
 use tokio::time::{Instant, timeout};
 use tokio_tungstenite::tungstenite::{Bytes, Message};
 
 use super::super::pseudonyms::Pseudonyms;
-use super::socket::{End, Socket, in_time, send};
+use super::socket::{End, in_time, send};
 use super::{Recorded, SidecarEvent, Visit};
 use crate::health::arrival_now;
 use crate::receipt::{Receipt, Settled};
@@ -115,7 +116,7 @@ impl<'a> Conversation<'a> {
         socket: &mut Socket,
         decoder: &mut Decoder,
     ) -> Result<(), End> {
-        let mut running = self.visit.running.clone();
+        let mut running = self.visit.shared.running.clone();
         self.send_ack(socket).await?;
         self.send_credit(socket).await?;
         let (mut heard, mut asked) = (Instant::now(), Instant::now());

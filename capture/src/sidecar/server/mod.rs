@@ -1,15 +1,11 @@
-//! The server that phones and glasses send to: HTTPS and WebSockets, on threads of its own.
+//! What phones and glasses send to: mounted at an address of the HTTP server (`lsfb-web`), by TLS.
 //!
 //! Everything that a stranger can reach has a limit in size, number and time. Nothing here touches the recording but the events
 //! in one bounded queue: while that is full, the apps wait.
 
-mod accept;
-mod answers;
-mod connection_limits;
 mod conversation;
 mod page;
 mod push;
-mod refusals;
 mod routes;
 mod segments;
 mod socket;
@@ -18,15 +14,13 @@ mod stream;
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::path::PathBuf;
-use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use lsfb_drivers::sidecar::SidecarMessage;
 use lsfb_drivers::sidecar::wire::{Hello, TimeExchange};
 use lsfb_types::Timestamp;
-use tokio::net::TcpListener;
-use tokio::runtime::{Builder, Runtime};
+use lsfb_web::{Listener, Mount, Refusals, Server, Ticket};
 use tokio::sync::mpsc::{Receiver, Sender, channel};
 use tokio::sync::watch;
 
@@ -37,14 +31,10 @@ use super::sessions::{RecordingFolders, Sessions};
 use super::topics::Topics;
 use crate::Error;
 use crate::receipt::Receipt;
-use connection_limits::{ConnectionLimits, Ticket};
-pub(crate) use refusals::Refusals;
 
-/// Threads of the network side.
-const THREADS: usize = 2;
 /// Events that wait to be taken. When they are full, the apps wait.
 const QUEUE_EVENTS: usize = 64;
-/// How long a connection may take to say who it is.
+/// How long a WebSocket may take to say who it is.
 const INTRODUCTION: Duration = Duration::from_secs(10);
 /// How long connections have to say goodbye when the recording ends.
 const GOODBYE: Duration = Duration::from_millis(500);
@@ -121,13 +111,12 @@ struct Shared {
     pairing: PairingFolder,
     /// Where identifiers are not recorded as they are.
     pseudonyms: Option<Pseudonyms>,
-    limits: Arc<ConnectionLimits>,
     refusals: Arc<Refusals>,
     /// Set when recording begins.
     recording: watch::Receiver<Option<Arc<Recorded>>>,
     events: Sender<SidecarEvent>,
-    /// Connections so far, whoever came by them.
-    connections: AtomicU64,
+    /// Changes when the recording has ended.
+    running: watch::Receiver<()>,
 }
 
 /// One connection, whoever it is.
@@ -137,7 +126,6 @@ struct Visit {
     connection: u64,
     ticket: Arc<Ticket>,
     shared: Arc<Shared>,
-    running: watch::Receiver<()>,
 }
 
 /// What there is while a recording goes on.
@@ -148,12 +136,41 @@ struct Recorded {
     pushing: push::Pushing,
 }
 
+/// The address at which phones connect, open for longer than one recording; other pages may be mounted there as well.
+#[derive(Clone, Debug)]
+pub struct PhonesListener(Arc<Listener>);
+
+impl PhonesListener {
+    /// Begins to listen at `address`, with the certificate that devices know this rig by, on a server of its own.
+    pub fn start(address: SocketAddr, pairing: &PairingFolder) -> Result<Self, Error> {
+        let server = Server::start("sidecar-net").map_err(unusable)?;
+        let listener = Listener::open(&server, address, Some(pairing.tls()?)).map_err(unusable)?;
+        Ok(Self(Arc::new(listener)))
+    }
+
+    /// The address, where others may mount their pages.
+    pub fn listener(&self) -> &Arc<Listener> {
+        &self.0
+    }
+}
+
+fn unusable(error: lsfb_web::Error) -> Error {
+    let device = match &error {
+        lsfb_web::Error::Listen { address, .. } => address.to_string(),
+        _ => "sidecar".to_owned(),
+    };
+    Error::Device(lsfb_drivers::Error::Open {
+        device,
+        action: "listen",
+        cause: std::io::Error::other(error),
+    })
+}
+
 /// Serves until it is dropped. Apps that come before the recording begins wait.
 #[derive(Debug)]
 pub(crate) struct SidecarServer {
-    address: SocketAddr,
-    push_address: Option<SocketAddr>,
-    runtime: Option<Runtime>,
+    mounts: Vec<Mount>,
+    push: Option<Listener>,
     events: Receiver<SidecarEvent>,
     refusals: Arc<Refusals>,
     sessions_folder: PathBuf,
@@ -161,86 +178,67 @@ pub(crate) struct SidecarServer {
     recording: watch::Sender<Option<Arc<Recorded>>>,
     /// Changes when the recording has ended.
     running: watch::Sender<()>,
+    phones: PhonesListener,
 }
 
 impl SidecarServer {
-    /// Starts listening, and at `push` to apps that push without TLS; with `pseudonyms` no identifier of others is recorded as it is.
-    pub(crate) fn bind(
-        address: SocketAddr,
+    /// Takes phones at `phones`, and at `push` those apps that push without TLS; with `pseudonyms` no identifier of others is recorded as
+    /// it is.
+    pub(crate) fn open(
+        phones: PhonesListener,
         push: Option<SocketAddr>,
         pairing: PairingFolder,
         pseudonyms: Option<Pseudonyms>,
     ) -> Result<Self, Error> {
-        let unusable_at = |address: SocketAddr, action| {
-            move |cause| {
-                Error::Device(lsfb_drivers::Error::Open {
-                    device: address.to_string(),
-                    action,
-                    cause,
-                })
-            }
-        };
-        let unusable = |action| unusable_at(address, action);
-        let tls = pairing.tls()?;
-        let runtime = Builder::new_multi_thread()
-            .worker_threads(THREADS)
-            .thread_name("sidecar-net")
-            .enable_io()
-            .enable_time()
-            .build()
-            .map_err(unusable("start threads"))?;
-        let listener = runtime
-            .block_on(TcpListener::bind(address))
-            .map_err(unusable("listen"))?;
-        let bound = listener.local_addr().map_err(unusable("listen"))?;
-        let pushed_at = push
-            .map(|address| {
-                runtime
-                    .block_on(TcpListener::bind(address))
-                    .map_err(unusable_at(address, "listen"))
-            })
-            .transpose()?;
-        let push_address = pushed_at.as_ref().and_then(|l| l.local_addr().ok());
+        let server = phones.0.server();
+        let push = push
+            .map(|address| Listener::open(server, address, None))
+            .transpose()
+            .map_err(unusable)?;
+        let refusals = server.refusals();
+        // What was refused before belongs to no recording, or to the one before.
+        refusals.clear();
         let (events, arriving) = channel(QUEUE_EVENTS);
         let (recording, begun) = watch::channel(None);
         let (running, ended) = watch::channel(());
-        let refusals = Arc::new(Refusals::default());
         let sessions_folder = pairing.sessions();
         let shared = Arc::new(Shared {
             pairing,
             pseudonyms: pseudonyms.clone(),
-            limits: Arc::default(),
             refusals: Arc::clone(&refusals),
             recording: begun,
             events,
-            connections: AtomicU64::new(0),
+            running: ended,
         });
-        if let Some(pushed_at) = pushed_at {
-            let (shared, ended) = (Arc::clone(&shared), ended.clone());
-            runtime.spawn(accept::accept_all(pushed_at, None, shared, ended));
+        let mut mounts = vec![
+            phones
+                .0
+                .mount("", routes::answering(&shared, routes::answer)),
+        ];
+        if let Some(push) = &push {
+            mounts.push(push.mount("", routes::answering(&shared, routes::answer_pushed)));
         }
-        runtime.spawn(accept::accept_all(listener, Some(tls), shared, ended));
         Ok(Self {
-            address: bound,
-            push_address,
-            runtime: Some(runtime),
+            mounts,
+            push,
             events: arriving,
             refusals,
             sessions_folder,
             pseudonyms,
             recording,
             running,
+            phones,
         })
     }
 
     /// Where it listens.
     pub(crate) fn address(&self) -> SocketAddr {
-        self.address
+        self.phones.0.address()
     }
 
     /// Where apps push without TLS.
     pub(crate) fn push_address(&self) -> Option<SocketAddr> {
-        self.push_address
+        self.push.as_ref().map(Listener::address)
     }
 
     /// By what identifiers are replaced, where they are.
@@ -265,25 +263,21 @@ impl SidecarServer {
 
     /// The next event, waiting up to `timeout`.
     pub(crate) fn recv(&mut self, timeout: Duration) -> Option<SidecarEvent> {
-        let runtime = self.runtime.as_ref()?;
         let events = &mut self.events;
+        let event = async { tokio::time::timeout(timeout, events.recv()).await };
         // An error: nothing came in time.
-        runtime
-            .block_on(async { tokio::time::timeout(timeout, events.recv()).await })
-            .unwrap_or_default()
+        self.phones.0.server().wait_for(event)?.unwrap_or_default()
     }
 }
 
 impl Drop for SidecarServer {
     fn drop(&mut self) {
+        self.mounts.clear();
         // Whoever waits for room sees the queue closed.
         self.events.close();
         self.running.send_replace(());
-        if let Some(runtime) = self.runtime.take() {
-            let all_gone = async { tokio::time::timeout(GOODBYE, self.running.closed()).await };
-            // Who has not gone by then is cut off.
-            let _ = runtime.block_on(all_gone);
-            runtime.shutdown_timeout(GOODBYE);
-        }
+        let all_gone = async { tokio::time::timeout(GOODBYE, self.running.closed()).await };
+        // Who has not gone by then goes without a word, or with the server.
+        let _ = self.phones.0.server().wait_for(all_gone);
     }
 }

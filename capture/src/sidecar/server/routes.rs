@@ -1,30 +1,52 @@
 //! What is asked for by HTTP: the stream, segments of a recording, how far a session has got, and the page for browsers.
 
-use std::convert::Infallible;
+use std::sync::Arc;
 
 use hyper::body::Incoming;
-use hyper::header::{
-    AUTHORIZATION, CONTENT_TYPE, HeaderValue, SEC_WEBSOCKET_KEY, SEC_WEBSOCKET_PROTOCOL, UPGRADE,
-};
+use hyper::header::AUTHORIZATION;
 use hyper::{Method, Request, StatusCode};
-use hyper_util::rt::TokioIo;
 use lsfb_drivers::sidecar::credentials::{DeviceKey, from_hex};
 use lsfb_drivers::sidecar::model::{MAX_ENVELOPE_BYTES, STREAM_PATH, SUBPROTOCOL};
 use lsfb_drivers::sidecar::wire::is_name;
+use lsfb_web::{Answer, Handler, handler, json_of, offered, said};
 use serde_json::json;
-use tokio_tungstenite::WebSocketStream;
-use tokio_tungstenite::tungstenite::handshake::derive_accept_key;
-use tokio_tungstenite::tungstenite::protocol::{Role, WebSocketConfig};
 
-use super::answers::{Answer, json_of, said};
-use super::{Visit, page, push, segments, stream};
+use super::{Shared, Visit, page, push, segments, stream};
+
+/// Answers requests for as long as the recording goes on.
+pub(super) fn answering<F>(
+    shared: &Arc<Shared>,
+    answer: impl Fn(Request<Incoming>, Visit) -> F + Copy + Send + Sync + 'static,
+) -> Handler
+where
+    F: Future<Output = Answer> + Send + 'static,
+{
+    let shared = Arc::clone(shared);
+    handler(move |request, connection: lsfb_web::Visit| {
+        let shared = Arc::clone(&shared);
+        async move {
+            let mut running = shared.running.clone();
+            let visit = Visit {
+                connection: connection.connection,
+                ticket: connection.ticket,
+                shared,
+            };
+            tokio::select! {
+                answer = answer(request, visit) => answer,
+                _ = running.changed() => {
+                    said(StatusCode::SERVICE_UNAVAILABLE, "the recording has ended")
+                }
+            }
+        }
+    })
+}
 
 /// Answers one request.
-pub(super) async fn answer(request: Request<Incoming>, visit: Visit) -> Result<Answer, Infallible> {
+pub(super) async fn answer(request: Request<Incoming>, visit: Visit) -> Answer {
     let path = request.uri().path().to_owned();
     let parts: Vec<&str> = path.trim_start_matches('/').split('/').collect();
     let method = request.method().clone();
-    Ok(match (method, parts.as_slice()) {
+    match (method, parts.as_slice()) {
         (Method::GET, ["v1", "hello"]) => hello(&visit),
         (Method::GET, _) if path == STREAM_PATH => upgrade(request, visit),
         (Method::GET, ["v1", "sessions", session]) => match admitted(&request, &visit).await {
@@ -40,20 +62,17 @@ pub(super) async fn answer(request: Request<Incoming>, visit: Visit) -> Result<A
         (Method::POST, ["v1", "push", ..]) => pushed(request, &visit, &parts).await,
         (Method::GET, [name]) => page::file(name).unwrap_or_else(nothing),
         _ => nothing(),
-    })
+    }
 }
 
 /// Answers one request that came without TLS: nothing that a paired device proves itself with may come this way.
-pub(super) async fn answer_pushed(
-    request: Request<Incoming>,
-    visit: Visit,
-) -> Result<Answer, Infallible> {
+pub(super) async fn answer_pushed(request: Request<Incoming>, visit: Visit) -> Answer {
     let path = request.uri().path().to_owned();
     let parts: Vec<&str> = path.trim_start_matches('/').split('/').collect();
-    Ok(match *request.method() {
+    match *request.method() {
         Method::POST => pushed(request, &visit, &parts).await,
         _ => nothing(),
-    })
+    }
 }
 
 async fn pushed(request: Request<Incoming>, visit: &Visit, parts: &[&str]) -> Answer {
@@ -72,60 +91,20 @@ fn hello(visit: &Visit) -> Answer {
     let is_recording = visit.shared.recording.borrow().is_some();
     json_of(
         StatusCode::OK,
-        &json!({ "protocols": [SUBPROTOCOL], "recording": is_recording }),
+        json!({ "protocols": [SUBPROTOCOL], "recording": is_recording }).to_string(),
     )
 }
 
 /// Turns the connection into a WebSocket. Who it is, it says there.
-fn upgrade(mut request: Request<Incoming>, visit: Visit) -> Answer {
-    let headers = request.headers();
-    let wants = headers
-        .get(UPGRADE)
-        .is_some_and(|value| value.as_bytes().eq_ignore_ascii_case(b"websocket"));
-    let key = headers.get(SEC_WEBSOCKET_KEY).filter(|_| wants);
-    let Some(accepted) = key.map(|key| derive_accept_key(key.as_bytes())) else {
-        return said(StatusCode::BAD_REQUEST, "this is a WebSocket");
-    };
-    let speaks = headers
-        .get_all(SEC_WEBSOCKET_PROTOCOL)
-        .iter()
-        .filter_map(|value| value.to_str().ok())
-        .flat_map(|value| value.split(','))
-        .any(|name| name.trim() == SUBPROTOCOL);
-    if !speaks {
+fn upgrade(request: Request<Incoming>, visit: Visit) -> Answer {
+    let Some(protocol) = offered(&request, &[SUBPROTOCOL]) else {
         return said(
             StatusCode::BAD_REQUEST,
-            "only subprotocol lsfb.sidecar.v1 is spoken",
+            "this is a WebSocket; only subprotocol lsfb.sidecar.v1 is spoken",
         );
-    }
-    let upgraded = hyper::upgrade::on(&mut request);
-    tokio::spawn(async move {
-        let limits = WebSocketConfig::default()
-            .max_message_size(Some(MAX_ENVELOPE_BYTES))
-            .max_frame_size(Some(MAX_ENVELOPE_BYTES));
-        // An error: it has gone meanwhile.
-        if let Ok(upgraded) = upgraded.await {
-            let io = TokioIo::new(upgraded);
-            let socket = WebSocketStream::from_raw_socket(io, Role::Server, Some(limits)).await;
-            stream::serve(socket, visit).await;
-        }
-    });
-    let mut answer = said(StatusCode::SWITCHING_PROTOCOLS, "");
-    let headers = answer.headers_mut();
-    headers.remove(CONTENT_TYPE);
-    headers.insert(UPGRADE, HeaderValue::from_static("websocket"));
-    headers.insert(
-        hyper::header::CONNECTION,
-        HeaderValue::from_static("Upgrade"),
-    );
-    headers.insert(
-        SEC_WEBSOCKET_PROTOCOL,
-        HeaderValue::from_static(SUBPROTOCOL),
-    );
-    if let Ok(accepted) = HeaderValue::from_str(&accepted) {
-        headers.insert(hyper::header::SEC_WEBSOCKET_ACCEPT, accepted);
-    }
-    answer
+    };
+    let serve = |socket| stream::serve(socket, visit);
+    lsfb_web::upgrade(request, Some(protocol), MAX_ENVELOPE_BYTES, serve)
 }
 
 /// The device behind a request: `Authorization: Bearer DEVICE.KEY`.

@@ -14,13 +14,13 @@ use hyper::header::{CONTENT_LENGTH, HeaderValue};
 use hyper::{Request, StatusCode};
 use lsfb_drivers::sidecar::wire::is_name;
 use lsfb_recording::Recording;
+use lsfb_web::{Answer, json_of, said};
 use serde_json::json;
 use sha2::{Digest as _, Sha256};
 use tokio::task::spawn_blocking;
 use tokio::time::timeout;
 
 use super::Visit;
-use super::answers::{Answer, json_of, said};
 use crate::recorder::free_bytes_of;
 
 /// Longest segment, bytes.
@@ -52,7 +52,7 @@ pub(super) async fn session(visit: &Visit, device: &str, session: &str) -> Answe
     let segments = listed.await.unwrap_or_default();
     json_of(
         StatusCode::OK,
-        &json!({ "stored": stored, "segments": segments }),
+        json!({ "stored": stored, "segments": segments }).to_string(),
     )
 }
 

@@ -3,18 +3,14 @@
 use std::time::Duration;
 
 use futures_util::{SinkExt as _, StreamExt as _};
-use hyper::upgrade::Upgraded;
-use hyper_util::rt::TokioIo;
 use lsfb_drivers::sidecar::DecodeError;
 use lsfb_drivers::sidecar::wire::{Envelope, Refusal};
+use lsfb_web::Socket;
 use tokio::time::timeout;
-use tokio_tungstenite::WebSocketStream;
 use tokio_tungstenite::tungstenite::{Bytes, Message};
 
 /// How long an app may take to make room for what it is told.
 pub(super) const SEND_TIMEOUT: Duration = Duration::from_secs(15);
-
-pub(super) type Socket = WebSocketStream<TokioIo<Upgraded>>;
 
 /// Why a connection ends.
 #[derive(Debug)]

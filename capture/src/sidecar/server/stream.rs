@@ -6,11 +6,12 @@ use std::time::Duration;
 use lsfb_drivers::sidecar::model::MAX_DEVICES;
 use lsfb_drivers::sidecar::wire::{Envelope, EnvelopeKind, Hello, Refusal, State};
 use lsfb_drivers::sidecar::{Decoder, SidecarMessage};
+use lsfb_web::Socket;
 use tokio::task::spawn_blocking;
 use tokio::time::timeout;
 
 use super::conversation::Conversation;
-use super::socket::{End, SEND_TIMEOUT, Socket, hear, send};
+use super::socket::{End, SEND_TIMEOUT, hear, send};
 use super::{INTRODUCTION, Recorded, SidecarEvent, Visit};
 
 /// How long the last goodbye may take.

@@ -1,9 +1,12 @@
 //! `lsfb calib verify`: whether a rig fits a recording.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use lsfb_calib::verify::{VerifyConfig, verify};
-use lsfb_recording::Provenance;
+use anyhow::{bail, ensure};
+use lsfb_calib::verify::{MeasuredClock, VerifyConfig, verify};
+use lsfb_geometry::Rig;
+use lsfb_recording::{Provenance, Recording};
+use lsfb_types::Verdict;
 use serde::Serialize;
 
 use super::calib_result::Results;
@@ -19,6 +22,7 @@ use crate::outcome::Outcome;
 /// Examples:
 ///   lsfb calib verify scan.mcap
 ///   lsfb calib verify scan.mcap --rig rig.toml --out report.html --json
+///   lsfb calib verify phone.mcap --rig phone.toml --clock-rig phone-clock.toml
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
@@ -31,6 +35,10 @@ pub struct Arguments {
     /// The page to write, with pictures beside it; by default beside the recording.
     #[arg(long, value_name = "HTML")]
     out: Option<PathBuf>,
+    /// Also write the rig with the clock of each camera as its images and the gyroscope have it, for cameras that do not say by which clock
+    /// they stamp (rig_from_camera_s). It is checked once more before it is written.
+    #[arg(long, value_name = "TOML")]
+    clock_rig: Option<PathBuf>,
     /// Settings instead of the defaults.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
@@ -41,6 +49,7 @@ struct Printed<'a> {
     outcome: &'static str,
     page: PathBuf,
     pictures: &'a [PathBuf],
+    clocks: &'a [MeasuredClock],
     #[serde(flatten)]
     verification: &'a lsfb_calib::verify::Verification,
 }
@@ -56,15 +65,22 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         Some(path) => path.clone(),
         None => arguments.recording.with_extension("verify.html"),
     };
-    if let Some(said) = judged::said_before(context, &page, &provenance) {
+    // The same page says nothing of a rig that is asked for.
+    if arguments.clock_rig.is_none()
+        && let Some(said) = judged::said_before(context, &page, &provenance)
+    {
         return said;
     }
     let results = Results {
         out: &page,
         transforms: &[],
-        others: &[],
+        others: &[arguments.clock_rig.as_deref()],
         rig: None,
-        read: vec![&arguments.recording],
+        read: [Some(&arguments.recording), arguments.rig.as_ref()]
+            .into_iter()
+            .flatten()
+            .map(PathBuf::as_path)
+            .collect(),
     };
     results.claim(context)?;
     let show = |p| context.show(p);
@@ -79,11 +95,21 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let beside = |camera: &str| super::name_of(&picture(camera));
     super::write(&page, found.to_html("Rig verification", &beside))?;
     provenance.write(&page)?;
+    let clocks = match &arguments.clock_rig {
+        Some(out) => {
+            let (corrected, clocks) = found.with_measured_clocks(&rig);
+            write_clocks(out, &recording, &corrected, &clocks, &config, context)?;
+            provenance.write(out)?;
+            clocks
+        }
+        None => Vec::new(),
+    };
     let judgement = found.judgement();
     let printed = Printed {
         outcome: judgement.verdict().name(),
         page: page.clone(),
         pictures: &pictures,
+        clocks: &clocks,
         verification: &found,
     };
     let judged = Judged::new(&judgement, &found.summary(), &printed);
@@ -98,6 +124,13 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
             c.outcome, c.name, c.sentence
         );
     }
+    for clock in &clocks {
+        text += &format!(
+            "\n  {}: {}",
+            super::name_of(arguments.clock_rig.as_deref().unwrap_or(&page)),
+            in_words(clock)
+        );
+    }
     for path in &pictures {
         text += &format!("\n  {}", path.display());
     }
@@ -107,4 +140,53 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         made_from: &provenance,
     };
     finished.finish(context, &judged, &text)
+}
+
+/// Writes the rig with the clocks that were measured, where it fits the recording then; what was measured, and by what, stands above.
+fn write_clocks(
+    out: &Path,
+    recording: &Recording,
+    rig: &Rig,
+    clocks: &[MeasuredClock],
+    config: &VerifyConfig,
+    context: &Context,
+) -> anyhow::Result<()> {
+    ensure!(
+        !clocks.is_empty(),
+        "{}: no camera's clock was measured to half a millisecond with its axes right, so that no rig is written; the checks say why",
+        out.display()
+    );
+    let again = verify(recording, rig, config, &|p| context.show(p))?;
+    let misfit = again
+        .checks
+        .iter()
+        .find(|c| c.code == "time-offset" && c.outcome == Verdict::Fail);
+    if let Some(check) = misfit {
+        bail!(
+            "{}: not written, with the measured clocks the rig does not fit either: {}: {}",
+            out.display(),
+            check.name,
+            check.sentence
+        );
+    }
+    let measured: String = clocks
+        .iter()
+        .map(|clock| format!("# {}\n", in_words(clock)))
+        .collect();
+    let text = format!(
+        "# rig_from_camera_s by `lsfb calib verify`, from images and gyroscope of one recording:\n{measured}\n{}",
+        rig.to_toml()
+    );
+    super::write(out, text.as_bytes())?;
+    Ok(())
+}
+
+fn in_words(clock: &MeasuredClock) -> String {
+    format!(
+        "{} {:+.3} ± {:.3} ms, {:+.3} ms before",
+        clock.camera,
+        clock.rig_from_camera_s * 1e3,
+        clock.sigma_s * 1e3,
+        clock.stated_s * 1e3
+    )
 }

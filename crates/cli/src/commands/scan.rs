@@ -4,23 +4,27 @@ use std::fmt::Write as _;
 use std::io::Read as _;
 use std::net::{IpAddr, SocketAddr};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use anyhow::{Context as _, bail};
 use lsfb_capture::{
-    CaptureReport, DevicesConfig, RecorderConfig, ReplayConfig, ReplayedSensor, replay,
-    replay_recording,
+    CaptureReport, DevicesConfig, PairingFolder, PhonesListener, RecorderConfig, ReplayConfig,
+    ReplayedSensor, replay, replay_recording,
 };
 use lsfb_drivers::any_lidar::{self, Model, Settings};
 use lsfb_drivers::lidar::{BeamAngles, Returns, ScanSettings};
 use lsfb_drivers::transport::pcap::PcapSource;
 use lsfb_drivers::transport::rosbag2::Rosbag2Source;
 use lsfb_geometry::{MAIN_LIDAR, Rig};
-use lsfb_operator::ScreenConfig;
+use lsfb_operator::{ScreenConfig, SecureScreen};
 use lsfb_recording::Existing;
 
 use crate::context::{Context, sentence};
 use crate::live::{Live, LiveConfig, Odometry};
 use crate::outcome::Outcome;
+
+/// Where the rig's certificate is, beside a list of devices without a `[sidecar]`.
+const SIDECAR_FOLDER: &str = "sidecar";
 
 /// Record devices, or the packets of a capture file, into one MCAP file.
 ///
@@ -29,8 +33,9 @@ use crate::outcome::Outcome;
 /// --screen serves a page for the operator's phone or tablet: live map, state of every sensor, disk and battery, start and
 /// stop, notes and control points (which are recorded). Recordings are then started and stopped there; each gets its own file
 /// (scan.mcap, scan-2.mcap, …), no existing file is overwritten, and Ctrl-C ends the program. The page needs no internet. By
-/// default it can be opened on this machine only; at an address that other machines can reach (0.0.0.0:8700) it asks for a PIN,
-/// which is printed at the start. It is not encrypted: use it in a private network.
+/// default it can be opened on this machine only; at an address that other machines can reach (0.0.0.0:8700) it is served by TLS,
+/// below /operator/, and asks for a PIN, which is printed at the start with a QR code of the link. With a [sidecar] in the list of
+/// devices it lies at the address of the phones as well. The browser warns of the rig's certificate, which nobody has signed.
 ///
 /// Examples:
 ///   lsfb scan --devices devices.toml --out scan.mcap
@@ -74,10 +79,11 @@ pub struct Arguments {
     /// Folder on another disk, to continue in when the first is nearly full.
     #[arg(long, value_name = "FOLDER")]
     out_second_disk: Option<PathBuf>,
-    /// Serve the operator's screen; only this machine can open it unless ADDR says otherwise.
+    /// Serve the operator's screen; only this machine can open it unless ADDR says otherwise, or phones have an address
+    /// ([sidecar]).
     #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = "127.0.0.1:8700", conflicts_with_all = ["pcap", "db3", "mcap"])]
     screen: Option<SocketAddr>,
-    /// PIN of the screen, at least four characters; by default a random one where other machines can reach the screen.
+    /// PIN of the screen, at least four characters; by default a random one, which is asked of other machines alone.
     #[arg(long, value_name = "PIN", requires = "screen", value_parser = pin)]
     pin: Option<String>,
     /// Another name of this machine (e.g. a DNS name), besides its host name and addresses; the screen answers to no others. May
@@ -235,7 +241,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     if let Some(devices) = &arguments.devices {
         let mut devices = DevicesConfig::read(devices)?;
         arguments.apply(&mut devices.recorder, context);
-        let live = Live::start(&arguments.live()?, &arguments.out)?;
+        let live = Live::start(&arguments.live(&devices)?, &arguments.out)?;
         live.say_where(context);
         if arguments.screen.is_some() {
             return record_on_demand(arguments, &devices, &live, context);
@@ -294,20 +300,17 @@ fn nothing(report: &CaptureReport, beside: &str) -> String {
 }
 
 impl Arguments {
-    fn live(&self) -> anyhow::Result<LiveConfig> {
-        let screen = match self.screen {
-            Some(address) => Some(ScreenConfig {
-                address,
-                pin: match &self.pin {
-                    None if !address.ip().is_loopback() => Some(random_pin()?),
-                    pin => pin.clone(),
-                },
-                names: self.screen_name.clone(),
-            }),
-            None => None,
+    fn live(&self, devices: &DevicesConfig) -> anyhow::Result<LiveConfig> {
+        let (screen, phones) = match self.screen {
+            Some(address) => {
+                let (screen, phones) = self.open_screen(address, devices)?;
+                (Some(screen), phones)
+            }
+            None => (None, None),
         };
         Ok(LiveConfig {
             screen,
+            phones,
             foxglove: self.foxglove,
             odometry: match self.odometry {
                 true => Odometry::Always,
@@ -317,6 +320,51 @@ impl Arguments {
             #[cfg(feature = "view")]
             rerun: self.rerun.clone(),
         })
+    }
+
+    /// Where the screen is served: on this machine as it is, to others by TLS, and where phones have an address there.
+    fn open_screen(
+        &self,
+        address: SocketAddr,
+        devices: &DevicesConfig,
+    ) -> anyhow::Result<(ScreenConfig, Option<PhonesListener>)> {
+        let is_local = address.ip().is_loopback();
+        let mut listeners = Vec::new();
+        let mut phones = None;
+        if let Some(sidecar) = &devices.sidecar {
+            let folder = PairingFolder::open(&sidecar.folder)?;
+            let open = PhonesListener::start(sidecar.listen, &folder)?;
+            listeners.push(Arc::clone(open.listener()));
+            phones = Some(open);
+        }
+        if !is_local && devices.sidecar.as_ref().map(|s| s.listen) != Some(address) {
+            let folder = match &devices.sidecar {
+                Some(sidecar) => sidecar.folder.clone(),
+                // As a list of devices has it where it says nothing.
+                None => self.beside_devices(SIDECAR_FOLDER),
+            };
+            let own = PhonesListener::start(address, &PairingFolder::open(&folder)?)?;
+            listeners.push(Arc::clone(own.listener()));
+        }
+        let secure = match listeners.is_empty() {
+            true => None,
+            false => Some(SecureScreen {
+                listeners,
+                pin: self.pin.clone().map_or_else(random_pin, Ok)?,
+            }),
+        };
+        let config = ScreenConfig {
+            address: is_local.then_some(address),
+            pin: self.pin.clone(),
+            secure,
+            names: self.screen_name.clone(),
+        };
+        Ok((config, phones))
+    }
+
+    fn beside_devices(&self, name: &str) -> PathBuf {
+        let folder = self.devices.as_deref().and_then(Path::parent);
+        folder.unwrap_or(Path::new("")).join(name)
     }
 }
 

@@ -11,15 +11,13 @@ use lsfb_drivers::sidecar::ClientConfig;
 use lsfb_drivers::sidecar::credentials::{PairingCode, to_hex};
 use lsfb_drivers::sidecar::sensor_logger::PushUnits;
 use lsfb_sim::{Pace, Playback, PlaybackEndpoints, Turns};
-use qrcodegen::{QrCode, QrCodeEcc};
 
 use crate::context::Context;
 use crate::outcome::Outcome;
+use crate::qr_code;
 
 /// An address to ask the way to: nothing is sent there (RFC 5737).
 const ELSEWHERE: (&str, u16) = ("192.0.2.1", 9);
-/// Empty modules around a QR code.
-const QUIET_ZONE: i32 = 4;
 
 /// Pair phones and glasses with this rig, write the walk of each, or play a recorded phone to a rig.
 ///
@@ -216,9 +214,7 @@ impl Pair {
             true => code.to_link(),
             false => code.to_text(),
         };
-        let picture = QrCode::encode_text(&text, QrCodeEcc::Medium)
-            .map(|code| picture(&code))
-            .unwrap_or_default();
+        let picture = qr_code::of(&text);
         let valid_secs = self.valid_secs;
         context.print(
             &serde_json::json!({ "code": text, "valid_secs": valid_secs }),
@@ -250,9 +246,7 @@ impl Pair {
         let key = to_hex(&folder.invite_pusher(name, units)?.0);
         let at = SocketAddr::new(host, listen.port());
         let url = format!("http://{at}/v1/push/{name}/{key}");
-        let picture = QrCode::encode_text(&url, QrCodeEcc::Medium)
-            .map(|code| picture(&code))
-            .unwrap_or_default();
+        let picture = qr_code::of(&url);
         context.print(&serde_json::json!({ "url": url }), || {
             format!(
                 "{picture}{url}\nSensor Logger's push URL for {name}, until `lsfb sidecar unpair {name}`. Show it to nobody else; it is not \
@@ -268,25 +262,6 @@ fn way_out() -> std::io::Result<IpAddr> {
     let socket = UdpSocket::bind("0.0.0.0:0")?;
     socket.connect(ELSEWHERE)?;
     Ok(socket.local_addr()?.ip())
-}
-
-/// Two rows of modules in each line of text, dark on light whatever the terminal's colours.
-fn picture(code: &QrCode) -> String {
-    let range = -QUIET_ZONE..code.size() + QUIET_ZONE;
-    let mut text = String::new();
-    for y in range.clone().step_by(2) {
-        for x in range.clone() {
-            let is_light = |y| !code.get_module(x, y);
-            text.push(match (is_light(y), is_light(y + 1)) {
-                (true, true) => '█',
-                (true, false) => '▀',
-                (false, true) => '▄',
-                (false, false) => ' ',
-            });
-        }
-        text.push('\n');
-    }
-    text
 }
 
 impl Play {

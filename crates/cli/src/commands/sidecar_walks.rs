@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::ensure;
 use lsfb_capture::walks::{Walk, WalkClock, phones, walk_path, write_walk};
+use lsfb_geometry::Rig;
 use serde::Serialize;
 
 use crate::context::Context;
@@ -20,6 +21,7 @@ use crate::outcome::Outcome;
 /// Examples:
 ///   lsfb sidecar walks scan.mcap --out walks
 ///   lsfb sidecar walks scan.mcap --out walks --device pixel8 --json
+///   lsfb sidecar walks scan.mcap --out walks --device pixel8 --rig pixel8-clock.toml --force
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
@@ -32,6 +34,9 @@ pub struct Arguments {
     /// Only this phone.
     #[arg(long, value_name = "NAME")]
     device: Option<String>,
+    /// Its rig, instead of the one that it brought: calibrated since, or with the clocks that `lsfb calib verify --clock-rig` measured.
+    #[arg(long, value_name = "TOML", requires = "device")]
+    rig: Option<PathBuf>,
 }
 
 #[derive(Serialize)]
@@ -59,10 +64,13 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     for device in &devices {
         context.claim(&walk_path(&arguments.out, device), &[&arguments.recording])?;
     }
+    let rig = arguments.rig.as_deref().map(Rig::read).transpose()?;
     let mut walks = Vec::new();
     for device in &devices {
         let path = walk_path(&arguments.out, device);
-        walks.push(write_walk(&recording, device, &path, &|p| context.show(p))?);
+        walks.push(write_walk(&recording, device, rig.as_ref(), &path, &|p| {
+            context.show(p)
+        })?);
     }
     let lost: u64 = walks.iter().map(|w| w.unreadable + w.unmapped).sum();
     let report = Report { walks };

@@ -20,19 +20,22 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use lsfb_capture::health::Snapshot;
-use lsfb_capture::{CaptureReport, DevicesConfig, Poses, Remarks, Session, Tap};
+use lsfb_capture::{CaptureReport, DevicesConfig, PhonesListener, Poses, Remarks, Session, Tap};
 use lsfb_geometry::Rig;
 use lsfb_operator::{Foxglove, Request, Screen, ScreenConfig};
 use lsfb_types::Stopped;
 
 use crate::context::{Context, sentence};
+use crate::qr_code;
 use controller::{Channels, Controller};
 
 /// Who looks.
 #[derive(Clone, Debug, Default)]
 pub struct LiveConfig {
-    /// The page, and its PIN.
+    /// The page, and its PINs.
     pub screen: Option<ScreenConfig>,
+    /// Where phones connect, open for all recordings; without it each recording opens its own.
+    pub phones: Option<PhonesListener>,
     /// Where Foxglove connects.
     pub foxglove: Option<SocketAddr>,
     /// Whether the odometry runs where nobody looks, for the recording alone.
@@ -128,8 +131,9 @@ pub struct Live {
     board: Arc<Mutex<String>>,
     has_odometry: bool,
     thread: Option<JoinHandle<()>>,
-    url: Option<String>,
-    pin: Option<String>,
+    /// Addresses of the screen, with their PINs.
+    screens: Vec<(String, Option<String>)>,
+    phones: Option<PhonesListener>,
     foxglove: Option<SocketAddr>,
 }
 
@@ -137,7 +141,7 @@ impl Live {
     /// Opens the outputs and starts the controller; `out`: the first recording.
     pub fn start(config: &LiveConfig, out: &Path) -> anyhow::Result<Self> {
         let (outputs, requests) = Outputs::open(config)?;
-        let url = outputs.screen.as_ref().map(Screen::url);
+        let screens = screens(config, outputs.screen.as_ref());
         let foxglove = outputs.foxglove.as_ref().map(Foxglove::address);
         let has_odometry = outputs.show_map() || config.odometry == Odometry::Always;
         let (events, happened) = sync_channel(4);
@@ -171,18 +175,26 @@ impl Live {
             board,
             has_odometry,
             thread: Some(thread),
-            url,
-            pin: config.screen.as_ref().and_then(|s| s.pin.clone()),
+            screens,
+            phones: config.phones.clone(),
             foxglove,
         })
     }
 
     /// What to open, and where.
     pub fn say_where(&self, context: &Context) {
-        if let Some(url) = &self.url {
-            match &self.pin {
-                Some(pin) => context.say(&format!("screen: {url}#pin={pin}  (PIN {pin})")),
-                None => context.say(&format!("screen: {url}")),
+        for (url, pin) in &self.screens {
+            let Some(pin) = pin else {
+                context.say(&format!("screen: {url}"));
+                continue;
+            };
+            let link = format!("{url}#pin={pin}");
+            context.say(&format!("screen: {link}  (PIN {pin})"));
+            if url.starts_with("https:") {
+                context.note(qr_code::of(&link).trim_end());
+                context.note(
+                    "the browser warns of the rig's certificate, which nobody has signed: go on to the page",
+                );
             }
         }
         if let Some(address) = self.foxglove {
@@ -226,7 +238,7 @@ impl Live {
         out: &Path,
         context: &Context,
     ) -> anyhow::Result<CaptureReport> {
-        let mut session = Session::open(devices)?;
+        let mut session = Session::open_with(devices, self.phones.as_ref())?;
         let stop = Arc::new(AtomicBool::new(false));
         let rig = devices.rig.as_deref().map(Rig::read).transpose()?;
         let can_run = rig.as_ref().is_some_and(|rig| rig.lidar().is_some());
@@ -251,6 +263,19 @@ impl Live {
             }
         })?)
     }
+}
+
+/// Each address of the screen, and what must be typed there.
+fn screens(config: &LiveConfig, screen: Option<&Screen>) -> Vec<(String, Option<String>)> {
+    let (Some(config), Some(screen)) = (&config.screen, screen) else {
+        return Vec::new();
+    };
+    let pin_of = |link: &String| match link.starts_with("https:") {
+        true => config.secure.as_ref().map(|secure| secure.pin.clone()),
+        false => config.pin.clone(),
+    };
+    let links = screen.links().iter();
+    links.map(|link| (link.clone(), pin_of(link))).collect()
 }
 
 /// Where a recording goes: what exists of its folder.

@@ -40,6 +40,8 @@ impl Tab {
                     "--no-first-run",
                     "--disable-dev-shm-usage",
                 ])
+                // A name of this machine that is not trusted for being local, as addresses of a network are not.
+                .arg("--host-resolver-rules=MAP rig.example 127.0.0.1")
                 // A rig's certificate is its own, and a machine for tests has no camera.
                 .args([
                     "--ignore-certificate-errors",

@@ -6,16 +6,16 @@ pub(crate) struct PageFile {
     pub body: &'static str,
 }
 
-/// The file at a path; `None` where there is none.
-pub(crate) fn file(path: &str) -> Option<PageFile> {
-    let (media_type, body) = match path {
-        "/" | "/index.html" => ("text/html; charset=utf-8", include_str!("index.html")),
-        "/style.css" => ("text/css; charset=utf-8", include_str!("style.css")),
-        "/screen.js" => ("text/javascript; charset=utf-8", include_str!("screen.js")),
-        "/map.js" => ("text/javascript; charset=utf-8", include_str!("map.js")),
-        "/cameras.js" => ("text/javascript; charset=utf-8", include_str!("cameras.js")),
-        "/icon.svg" => ("image/svg+xml", include_str!("icon.svg")),
-        "/manifest.json" => ("application/manifest+json", include_str!("manifest.json")),
+/// The file of that name; `None` where there is none.
+pub(crate) fn file(name: &str) -> Option<PageFile> {
+    let (media_type, body) = match name {
+        "" | "index.html" => ("text/html; charset=utf-8", include_str!("index.html")),
+        "style.css" => ("text/css; charset=utf-8", include_str!("style.css")),
+        "screen.js" => ("text/javascript; charset=utf-8", include_str!("screen.js")),
+        "map.js" => ("text/javascript; charset=utf-8", include_str!("map.js")),
+        "cameras.js" => ("text/javascript; charset=utf-8", include_str!("cameras.js")),
+        "icon.svg" => ("image/svg+xml", include_str!("icon.svg")),
+        "manifest.json" => ("application/manifest+json", include_str!("manifest.json")),
         _ => return None,
     };
     Some(PageFile { media_type, body })

@@ -1,13 +1,18 @@
 // State in, keys out. The page decides nothing: it shows what the recorder says, and asks it for what is pressed.
 
-import { MapView } from "/map.js";
-import { Cameras } from "/cameras.js";
+import { MapView } from "./map.js";
+import { Cameras } from "./cameras.js";
 
 const HOLD_MS = 900;
 const SILENT_MS = 3000;
 const RETRY_MS = 700;
 const QUICK_NOTES = ["Door moved", "People here", "Glass or mirror", "Repeat this part"];
 const LACKS = { far: "only seen from far away", unfaced: "not seen by a camera", "one-sided": "seen from one side only" };
+const ASKS = {
+  needed: "It is shown on the scanner's terminal.",
+  wrong: "Wrong PIN. It is shown on the scanner's terminal.",
+  barred: "Too many wrong PINs came from here: wait a minute.",
+};
 const MARKS = { good: "✓", warning: "!", bad: "✕", unknown: "·" };
 
 const $ = (id) => document.getElementById(id);
@@ -20,7 +25,8 @@ let state = null;
 // ---- connection
 
 function connect() {
-  socket = new WebSocket(`ws://${location.host}/live`, "lsfb.operator.v1");
+  // Of a page that came by TLS, wss: it lies beside the page.
+  socket = new WebSocket(new URL("live", location.href).href.replace(/^http/, "ws"), "lsfb.operator.v1");
   socket.binaryType = "arraybuffer";
   socket.onmessage = ({ data }) => {
     lastHeard = performance.now();
@@ -61,7 +67,7 @@ function askPin(what) {
     pinOfLink = null;
     return;
   }
-  $("ask-why").textContent = what === "wrong" ? "Wrong PIN. It is shown on the scanner's terminal." : "It is shown on the scanner's terminal.";
+  $("ask-why").textContent = ASKS[what] ?? ASKS.needed;
   $("ask-pin").value = "";
   if (!$("ask").open) $("ask").showModal();
 }

@@ -2,10 +2,7 @@
 //!
 //! Nothing secret is in it: the invitation comes in the part of the link that browsers send to nobody.
 
-use hyper::StatusCode;
-use hyper::header::{CACHE_CONTROL, CONNECTION, CONTENT_SECURITY_POLICY, HeaderValue};
-
-use super::answers::{Answer, file_of};
+use lsfb_web::{Answer, StatusCode, file_of, under};
 
 /// What the page may do: load itself, and talk to this rig.
 const POLICY: &str = "default-src 'self'; connect-src 'self' wss:; img-src 'self' data:; media-src 'self' blob: mediastream:; frame-ancestors 'none'";
@@ -23,11 +20,5 @@ pub(super) fn file(name: &str) -> Option<Answer> {
         "wire.js" => (SCRIPT, include_str!("wire.js")),
         _ => return None,
     };
-    let mut answer = file_of(StatusCode::OK, media_type, body);
-    let headers = answer.headers_mut();
-    headers.insert(CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY));
-    headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
-    // A browser would keep the connection, and count as somebody who never said who it is.
-    headers.insert(CONNECTION, HeaderValue::from_static("close"));
-    Some(answer)
+    Some(under(POLICY, file_of(StatusCode::OK, media_type, body)))
 }

@@ -18,11 +18,11 @@ use hyper::{Request, StatusCode};
 use lsfb_drivers::sidecar::credentials::from_hex;
 use lsfb_drivers::sidecar::sensor_logger::{PushError, PushUnits, PushedBody};
 use lsfb_drivers::sidecar::wire::is_name;
+use lsfb_web::{Answer, said, said_aloud};
 use tokio::sync::Mutex;
 use tokio::task::spawn_blocking;
 use tokio::time::{Instant, sleep, timeout};
 
-use super::answers::{Answer, said, said_aloud};
 use super::{Recorded, Visit};
 use crate::receipt::Progress;
 use session::{NotStored, Place, PushSession, SILENT};
@@ -210,7 +210,7 @@ async fn stored(progress: &Progress, seq: u64) -> Result<(), NotStored> {
 
 /// Looks after a session until it is silent, or replaced, or the recording ends.
 async fn watch(visit: Visit, slot: Arc<Mutex<Option<PushSession>>>) {
-    let mut running = visit.running.clone();
+    let mut running = visit.shared.running.clone();
     loop {
         tokio::select! {
             _ = running.changed() => return,

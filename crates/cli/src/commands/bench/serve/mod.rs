@@ -11,7 +11,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context as _;
-use lsfb_operator::server::Server;
+use lsfb_web::{Listener, Server, handler};
 
 use crate::commands::dataset;
 use crate::context::Context;
@@ -67,11 +67,13 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         );
     }
     let site = Arc::new(site);
-    let server = Server::start("leaderboard", arguments.listen, move |stream, _| {
-        site.serve(stream);
-    })?;
-    context.say(&format!("leaderboard: http://{}/", server.address()));
-    if !server.address().ip().is_loopback() {
+    let listener = Listener::open(&Server::start("leaderboard")?, arguments.listen, None)?;
+    let _mount = listener.mount(
+        "",
+        handler(move |request, visit| Site::answer(Arc::clone(&site), request, visit)),
+    );
+    context.say(&format!("leaderboard: http://{}/", listener.address()));
+    if !listener.address().ip().is_loopback() {
         context.say("warning: whoever reaches this machine may upload");
     }
     // An end that was asked for is the end, and no error.

@@ -5,7 +5,7 @@ use std::net::IpAddr;
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
-use lsfb_operator::server::network_of;
+use lsfb_web::network_of;
 
 /// Uploads of one sender, and in which time.
 const LIMITS: [(usize, Duration); 2] = [

@@ -1,17 +1,18 @@
 //! What is asked of the leaderboard, and answered.
 
 use std::collections::BTreeMap;
-use std::net::{IpAddr, Ipv4Addr, TcpStream};
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use lsfb_eval::dataset::{DatasetFolder, Description};
 use lsfb_eval::leaderboard::{Score, Submission, score};
 use lsfb_eval::{ReadOptions, TrajectoryFile, read_trajectory};
-use lsfb_operator::form::{self, Field};
-use lsfb_operator::http::{self, Request, Status};
-use lsfb_operator::names::Names;
+use lsfb_web::{
+    Answer, Field, Incoming, Method, Names, Request, StatusCode, Visit, blocking, body, fields,
+    file_of, is_own_page, json_of, said, under,
+};
 
 use super::kept::Kept;
 use super::page;
@@ -24,6 +25,8 @@ const UPLOAD_TIMEOUT: Duration = Duration::from_secs(30);
 const FORM_BYTES: usize = 16 << 10;
 /// Longest name of a team, characters.
 const LONGEST_TEAM: usize = 40;
+/// Uploads that are taken at once at most, whoever sends them: each is held in memory until it is judged.
+const MOST_UPLOADS: usize = 8;
 /// What a page may do: look as it looks, and send its form here.
 const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'";
 
@@ -38,18 +41,20 @@ pub struct Site {
     names: Names,
     most_bytes: usize,
     rate: RateLimit,
+    /// Uploads that are being taken.
+    uploads: AtomicUsize,
     /// One upload is judged at a time: many must not fill the memory.
     judging: Mutex<()>,
 }
 
 /// An upload that gets no score.
 struct Refusal {
-    status: Status,
+    status: StatusCode,
     why: String,
 }
 
 impl Refusal {
-    fn new(status: Status, why: impl Into<String>) -> Self {
+    fn new(status: StatusCode, why: impl Into<String>) -> Self {
         Self {
             status,
             why: why.into(),
@@ -81,6 +86,7 @@ impl Site {
             names: Names::new(&[]),
             most_bytes,
             rate: RateLimit::default(),
+            uploads: AtomicUsize::new(0),
             judging: Mutex::new(()),
         })
     }
@@ -90,26 +96,23 @@ impl Site {
         self.truths.is_empty()
     }
 
-    /// Talks to one client. Nobody is left to be told where that fails.
-    pub fn serve(&self, mut stream: TcpStream) {
-        let Ok(mut request) = http::read_form(&mut stream) else {
-            return;
+    /// Answers one request.
+    pub async fn answer(self: Arc<Self>, request: Request<Incoming>, visit: Visit) -> Answer {
+        let path = request.uri().path().to_owned();
+        let answer = match (request.method().clone(), path.as_str()) {
+            (Method::GET | Method::POST, _) if !self.names.are_asked(&request) => {
+                said(StatusCode::MISDIRECTED_REQUEST, "no such site here")
+            }
+            (Method::GET, "/") => html(StatusCode::OK, self.board()),
+            (Method::GET, "/scores.json") => self.scores(),
+            (Method::GET, _) => said(StatusCode::NOT_FOUND, "no such page"),
+            (Method::POST, "/submit") => match self.judged(request, &visit).await {
+                Ok(submission) => html(StatusCode::OK, page::scored(&submission)),
+                Err(refusal) => html(refusal.status, page::refused(&refusal.why)),
+            },
+            _ => said(StatusCode::METHOD_NOT_ALLOWED, "nothing is taken here"),
         };
-        let is_known = request
-            .host
-            .as_deref()
-            .is_some_and(|host| self.names.include(host));
-        let answered = match (request.is_post, request.path.as_str()) {
-            _ if !is_known => refuse(&mut stream, Status::Misdirected, "no such site here"),
-            (false, "/") => html(&mut stream, Status::Ok, &self.board()),
-            (false, "/scores.json") => self.scores(&mut stream),
-            (true, "/submit") => self.submit(&mut stream, &mut request),
-            (true, _) => refuse(&mut stream, Status::NotAllowed, "nothing is taken here"),
-            (false, _) => refuse(&mut stream, Status::NotFound, "no such page"),
-        };
-        if answered.is_ok() && request.is_post {
-            form::end_refused(&mut stream);
-        }
+        under(POLICY, answer)
     }
 
     fn board(&self) -> String {
@@ -120,46 +123,58 @@ impl Site {
         page::board(&self.title, &sequences.collect::<Vec<_>>(), self.most_bytes)
     }
 
-    fn scores(&self, stream: &mut TcpStream) -> std::io::Result<()> {
+    fn scores(&self) -> Answer {
         let all: BTreeMap<_, _> = self
             .truths
             .keys()
             .map(|name| (name, self.kept.ranking(name)))
             .collect();
-        let text = serde_json::to_vec_pretty(&all)?;
-        http::answer(stream, Status::Ok, "application/json", &text)
-    }
-
-    fn submit(&self, stream: &mut TcpStream, request: &mut Request) -> std::io::Result<()> {
-        match self.judged(stream, request) {
-            Ok(submission) => html(stream, Status::Ok, &page::scored(&submission)),
-            Err(refusal) => html(stream, refusal.status, &page::refused(&refusal.why)),
+        match serde_json::to_string_pretty(&all) {
+            Ok(text) => json_of(StatusCode::OK, text),
+            Err(_) => said(StatusCode::INTERNAL_SERVER_ERROR, "no scores"),
         }
     }
 
-    fn judged(&self, stream: &mut TcpStream, request: &mut Request) -> Result<Submission, Refusal> {
-        if !request.is_ours() {
+    async fn judged(
+        self: &Arc<Self>,
+        request: Request<Incoming>,
+        visit: &Visit,
+    ) -> Result<Submission, Refusal> {
+        if !is_own_page(&request, visit.is_secure) {
             let why = "the form of another site";
-            return Err(Refusal::new(Status::Forbidden, why));
+            return Err(Refusal::new(StatusCode::FORBIDDEN, why));
         }
-        let sender = stream
-            .peer_addr()
-            .map_or(IpAddr::V4(Ipv4Addr::UNSPECIFIED), |a| a.ip());
-        if !self.rate.admits(sender, Instant::now()) {
+        if !self.rate.admits(visit.peer, Instant::now()) {
             let why = "too many uploads: six a minute, sixty an hour";
-            return Err(Refusal::new(Status::TooMany, why));
+            return Err(Refusal::new(StatusCode::TOO_MANY_REQUESTS, why));
         }
+        let Some(_place) = Place::take(&self.uploads) else {
+            let why = "others are uploading: come back in a minute";
+            return Err(Refusal::new(StatusCode::SERVICE_UNAVAILABLE, why));
+        };
+        // It may take its time now, which strangers may not.
+        visit.ticket.enter();
+        let content_type = request.headers().get("content-type");
+        let content_type = content_type.and_then(|value| value.to_str().ok());
+        let content_type = content_type.unwrap_or_default().to_owned();
         let most = self.most_bytes + FORM_BYTES;
-        let body = form::body(stream, request, most, UPLOAD_TIMEOUT)
+        let body = body(request, most, UPLOAD_TIMEOUT)
+            .await
             .map_err(|status| Refusal::new(status, "the upload is too large, too slow or cut"))?;
-        let content_type = request.content_type.as_deref().unwrap_or_default();
-        let fields = form::fields(content_type, &body)
-            .ok_or_else(|| Refusal::new(Status::BadRequest, "no form that was sent whole"))?;
+        let site = Arc::clone(self);
+        let judged = blocking(move || site.judge(&content_type, &body)).await;
+        let unknown = || Refusal::new(StatusCode::INTERNAL_SERVER_ERROR, "it was not judged");
+        judged.ok_or_else(unknown)?
+    }
+
+    fn judge(&self, content_type: &str, body: &[u8]) -> Result<Submission, Refusal> {
+        let fields = fields(content_type, body)
+            .ok_or_else(|| Refusal::new(StatusCode::BAD_REQUEST, "no form that was sent whole"))?;
         let text = |name: &str| -> Option<&str> {
             let bytes = &field(&fields, name)?.bytes;
             Some(std::str::from_utf8(bytes).ok()?.trim())
         };
-        let bad = |why: &str| Refusal::new(Status::BadRequest, why);
+        let bad = |why: &str| Refusal::new(StatusCode::BAD_REQUEST, why);
         let is_name = |name: &&str| {
             (1..=LONGEST_TEAM).contains(&name.chars().count())
                 && !name.chars().any(char::is_control)
@@ -178,7 +193,7 @@ impl Site {
             score: self.score(&upload.bytes, truth)?,
         };
         let kept = self.kept.add(submission.clone());
-        kept.map_err(|error| Refusal::new(Status::Unavailable, error.to_string()))?;
+        kept.map_err(|error| Refusal::new(StatusCode::SERVICE_UNAVAILABLE, error.to_string()))?;
         Ok(submission)
     }
 
@@ -186,10 +201,14 @@ impl Site {
         // Neither archives, which may grow without end, nor recordings.
         let is_text = std::str::from_utf8(upload).is_ok_and(|text| !text.contains('\0'));
         if !is_text {
-            return Err(Refusal::new(Status::BadRequest, "a trajectory is text"));
+            return Err(Refusal::new(
+                StatusCode::BAD_REQUEST,
+                "a trajectory is text",
+            ));
         }
-        let unavailable =
-            |error: std::io::Error| Refusal::new(Status::Unavailable, error.to_string());
+        let unavailable = |error: std::io::Error| {
+            Refusal::new(StatusCode::SERVICE_UNAVAILABLE, error.to_string())
+        };
         let _one = self.judging.lock();
         std::fs::write(&self.upload, upload).map_err(unavailable)?;
         let found = score(&self.upload, truth);
@@ -198,7 +217,7 @@ impl Site {
             // Where this machine puts files is nobody's business.
             let own = self.upload.display().to_string();
             let why = printable(&error.to_string()).replace(&own, "your file");
-            Refusal::new(Status::Unprocessable, why)
+            Refusal::new(StatusCode::UNPROCESSABLE_ENTITY, why)
         })
     }
 }
@@ -207,16 +226,23 @@ fn field<'a>(fields: &'a [Field], name: &str) -> Option<&'a Field> {
     fields.iter().find(|field| field.name == name)
 }
 
-fn html(stream: &mut TcpStream, status: Status, page: &str) -> std::io::Result<()> {
-    http::answer_under(
-        POLICY,
-        stream,
-        status,
-        "text/html; charset=utf-8",
-        page.as_bytes(),
-    )
+fn html(status: StatusCode, page: String) -> Answer {
+    file_of(status, "text/html; charset=utf-8", page)
 }
 
-fn refuse(stream: &mut TcpStream, status: Status, why: &str) -> std::io::Result<()> {
-    http::answer(stream, status, "text/plain", why.as_bytes())
+/// A place among those who upload, until it is dropped.
+struct Place<'a>(&'a AtomicUsize);
+
+impl<'a> Place<'a> {
+    fn take(uploads: &'a AtomicUsize) -> Option<Self> {
+        let free = |taken: usize| (taken < MOST_UPLOADS).then_some(taken + 1);
+        let taken = uploads.fetch_update(Ordering::AcqRel, Ordering::Acquire, free);
+        taken.is_ok().then_some(Self(uploads))
+    }
+}
+
+impl Drop for Place<'_> {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::AcqRel);
+    }
 }

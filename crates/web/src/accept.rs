@@ -1,38 +1,41 @@
 //! TCP and TLS: from a listener to HTTP requests.
 
 use std::convert::Infallible;
-use std::net::IpAddr;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use hyper::Request;
-use hyper::body::Incoming;
 use hyper::server::conn::http1;
-use hyper::service::{Service, service_fn};
+use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
-use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::io::{AsyncRead, AsyncWrite, AsyncWriteExt as _};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 use tokio::time::{sleep, timeout};
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::rustls::ServerConfig;
 
-use super::answers::Answer;
-use super::{INTRODUCTION, Shared, Visit, routes};
+use crate::routes::{Door, Routes, Visit};
 
 /// How long TLS, and then the head of a request, may take.
 const HANDSHAKE: Duration = Duration::from_secs(5);
+/// How long a connection may take to say who it is.
+const INTRODUCTION: Duration = Duration::from_secs(10);
 /// Pause after a connection could not be accepted: for want of file descriptors, say.
 const PAUSE: Duration = Duration::from_millis(50);
 /// Longest head of a request, bytes.
 const MAX_HEAD_BYTES: usize = 16 << 10;
+/// What is said to a browser that was sent here by a link without TLS.
+const SPEAKS_TLS: &[u8] =
+    b"HTTP/1.1 400 Bad Request\r\nContent-Type: text/plain\r\nConnection: close\r\n\r\n\
+    this address speaks TLS: open it with https:// before it\n";
 
-/// Accepts until `running` ends; without TLS only what is pushed.
-pub(super) async fn accept_all(
+/// Accepts until `running` ends.
+pub(crate) async fn accept_all(
     listener: TcpListener,
     tls: Option<Arc<ServerConfig>>,
-    shared: Arc<Shared>,
+    routes: Routes,
+    door: Door,
     mut running: watch::Receiver<()>,
 ) {
     let tls = tls.map(TlsAcceptor::from);
@@ -47,55 +50,69 @@ pub(super) async fn accept_all(
             sleep(PAUSE).await;
             continue;
         };
-        let connection = shared.connections.fetch_add(1, Ordering::Relaxed) + 1;
-        let ticket = Arc::new(shared.limits.wait(unmapped(peer.ip())));
+        let peer = peer.ip().to_canonical();
+        let ticket = Arc::new(door.limits.wait(peer));
         let visit = Visit {
-            connection,
+            connection: door.connections.fetch_add(1, Ordering::Relaxed) + 1,
+            peer,
+            is_secure: tls.is_some(),
             ticket: Arc::clone(&ticket),
-            shared: Arc::clone(&shared),
+            refusals: Arc::clone(&door.refusals),
             running: running.clone(),
         };
-        let refusals = Arc::clone(&shared.refusals);
-        let tls = tls.clone();
+        let refusals = Arc::clone(&door.refusals);
+        let (tls, routes) = (tls.clone(), routes.clone());
         tokio::spawn(async move {
             tokio::select! {
-                () = serve(tcp, tls, visit) => {}
+                () = serve(tcp, tls, routes, visit) => {}
                 () = ticket.sent_away() => refusals.count("made room for others"),
             }
         });
     }
 }
 
-async fn serve(tcp: TcpStream, tls: Option<TlsAcceptor>, visit: Visit) {
+async fn serve(mut tcp: TcpStream, tls: Option<TlsAcceptor>, routes: Routes, visit: Visit) {
     // An error shows when something is sent.
     let _ = tcp.set_nodelay(true);
     let Some(tls) = tls else {
-        let service =
-            |visit| service_fn(move |request| routes::answer_pushed(request, Visit::clone(&visit)));
-        return serve_http(tcp, visit.clone(), service(visit)).await;
+        return serve_http(tcp, routes, visit).await;
     };
-    let refusals = Arc::clone(&visit.shared.refusals);
-    let stream = match timeout(HANDSHAKE, tls.accept(tcp)).await {
-        Ok(Ok(stream)) => stream,
-        Ok(Err(_)) => return refusals.count("no TLS"),
-        Err(_) => return refusals.count("slow TLS"),
-    };
-    let service = |visit| service_fn(move |request| routes::answer(request, Visit::clone(&visit)));
-    serve_http(stream, visit.clone(), service(visit)).await;
+    let mut first = [0];
+    match timeout(HANDSHAKE, tcp.peek(&mut first)).await {
+        // The first letter of a method of HTTP; TLS begins with 22.
+        Ok(Ok(1..)) if first.first().is_some_and(u8::is_ascii_uppercase) => {
+            visit.refusals.count("no TLS");
+            // It may have gone.
+            let _ = timeout(HANDSHAKE, tcp.write_all(SPEAKS_TLS)).await;
+            let _ = timeout(HANDSHAKE, tcp.shutdown()).await;
+            return;
+        }
+        Ok(_) => {}
+        Err(_) => return visit.refusals.count("slow TLS"),
+    }
+    match timeout(HANDSHAKE, tls.accept(tcp)).await {
+        Ok(Ok(stream)) => serve_http(stream, routes, visit).await,
+        Ok(Err(_)) => visit.refusals.count("no TLS"),
+        Err(_) => visit.refusals.count("slow TLS"),
+    }
 }
 
-async fn serve_http<Io, S>(stream: Io, visit: Visit, service: S)
+async fn serve_http<Io>(stream: Io, routes: Routes, visit: Visit)
 where
     Io: AsyncRead + AsyncWrite + Unpin + Send + 'static,
-    S: Service<Request<Incoming>, Response = Answer, Error = Infallible>,
-    S::Future: Send + 'static,
 {
     let (ticket, mut running) = (Arc::clone(&visit.ticket), visit.running.clone());
-    let refusals = Arc::clone(&visit.shared.refusals);
+    let refusals = Arc::clone(&visit.refusals);
+    let service = service_fn(move |request| {
+        let (routes, visit) = (routes.clone(), visit.clone());
+        async move { Ok::<_, Infallible>(routes.answer(request, visit).await) }
+    });
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(HANDSHAKE)
         .max_buf_size(MAX_HEAD_BYTES)
+        // Who has said all gets an answer all the same.
+        .half_close(true)
         .serve_connection(TokioIo::new(stream), service)
         .with_upgrades();
     let mut connection = std::pin::pin!(connection);
@@ -112,9 +129,4 @@ where
         () = introduced => refusals.count("did not say who it is"),
         _ = running.changed() => {}
     }
-}
-
-/// An IPv4 address as such, where the socket hears both families.
-fn unmapped(address: IpAddr) -> IpAddr {
-    address.to_canonical()
 }

@@ -7,6 +7,10 @@
 
 use std::net::IpAddr;
 
+use hyper::Request;
+use hyper::body::Incoming;
+use hyper::header::{HOST, ORIGIN};
+
 /// Where the kernel tells the machine's name.
 const HOST_NAME: &str = "/proc/sys/kernel/hostname";
 /// What multicast DNS adds to it.
@@ -32,6 +36,13 @@ impl Names {
         Self(names)
     }
 
+    /// Whether a request asks for one of them.
+    pub fn are_asked(&self, request: &Request<Incoming>) -> bool {
+        let host = request.headers().get(HOST);
+        host.and_then(|host| host.to_str().ok())
+            .is_some_and(|host| self.include(host))
+    }
+
     /// Whether a request's `Host` (a name or an address, with or without a port) is one of ours.
     pub fn include(&self, host: &str) -> bool {
         let name = without_port(host);
@@ -41,6 +52,23 @@ impl Names {
         let name = name.trim_end_matches('.');
         is_address || self.0.iter().any(|ours| ours.eq_ignore_ascii_case(name))
     }
+}
+
+/// Whether a request comes from a page that was served here, or from no page at all. A script of any other site that the operator's
+/// browser happens to show must not start or stop a recording.
+pub fn is_own_page(request: &Request<Incoming>, is_secure: bool) -> bool {
+    let text = |name| request.headers().get(name).map(|value| value.to_str().ok());
+    match (text(ORIGIN), text(HOST)) {
+        (None, _) => true,
+        (Some(Some(origin)), Some(Some(host))) => is_of(origin, host, is_secure),
+        _ => false,
+    }
+}
+
+/// Whether an origin is the page of this host.
+fn is_of(origin: &str, host: &str, is_secure: bool) -> bool {
+    let scheme = if is_secure { "https://" } else { "http://" };
+    origin.strip_prefix(scheme) == Some(host)
 }
 
 fn without_port(host: &str) -> &str {
@@ -53,6 +81,16 @@ fn without_port(host: &str) -> &str {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn scripts_of_other_sites_are_strangers() {
+        let (own, host) = ("http://127.0.0.1:8080", "127.0.0.1:8080");
+        assert!(is_of(own, host, false) && is_of("https://127.0.0.1:8080", host, true));
+        assert!(!is_of(own, host, true), "read on the way");
+        for stranger in ["http://evil.example", "https://127.0.0.1:8080", "null", ""] {
+            assert!(!is_of(stranger, host, false), "{stranger}");
+        }
+    }
 
     #[test]
     fn addresses_and_own_names_are_ours_and_no_others() {

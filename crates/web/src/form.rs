@@ -1,11 +1,13 @@
 //! What a browser's form sends: a POST whose body is `multipart/form-data` (RFC 7578). Hostile until parsed: sizes and numbers are
 //! limited, names of files are not looked at, and whatever is not as the standard says is refused.
 
-use std::io::{self, Read as _};
-use std::net::{Shutdown, TcpStream};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use crate::http::{Request, Status};
+use http_body_util::{BodyExt as _, Limited};
+use hyper::body::{Bytes, Incoming};
+use hyper::header::CONTENT_LENGTH;
+use hyper::{Request, StatusCode};
+use tokio::time::{Instant, timeout, timeout_at};
 
 /// Fields of a form at most.
 const MAX_FIELDS: usize = 16;
@@ -28,53 +30,37 @@ pub struct Field {
 }
 
 /// Takes the body of a request, of no more than `most` bytes and within a time; which status says why not.
-pub fn body(
-    stream: &mut TcpStream,
-    request: &mut Request,
+pub async fn body(
+    request: Request<Incoming>,
     most: usize,
-    timeout: Duration,
-) -> Result<Vec<u8>, Status> {
-    // Without a length nobody knows where it ends; chunks are no part of what is spoken here.
-    let length = request.content_length.ok_or(Status::LengthRequired)?;
-    if length > most {
-        return Err(Status::TooLarge);
-    }
-    let mut bytes = std::mem::take(&mut request.rest);
-    if bytes.len() > length {
-        return Err(Status::BadRequest);
-    }
-    let deadline = Instant::now() + timeout;
-    let mut part = [0; 16 << 10];
-    while bytes.len() < length {
-        let left = deadline.saturating_duration_since(Instant::now());
-        if left.is_zero() || stream.set_read_timeout(Some(left)).is_err() {
-            return Err(Status::Timeout);
+    within: Duration,
+) -> Result<Bytes, StatusCode> {
+    let length = request.headers().get(CONTENT_LENGTH);
+    let length = length.and_then(|value| value.to_str().ok()?.parse::<usize>().ok());
+    let body = request.into_body();
+    let refused = match length {
+        // Without a length nobody knows where it ends; chunks are no part of what is spoken here.
+        None => StatusCode::LENGTH_REQUIRED,
+        Some(length) if length > most => StatusCode::PAYLOAD_TOO_LARGE,
+        Some(_) => {
+            let taken = timeout(within, Limited::new(body, most).collect()).await;
+            return match taken {
+                Ok(Ok(body)) => Ok(body.to_bytes()),
+                Ok(Err(_)) => Err(StatusCode::BAD_REQUEST),
+                Err(_) => Err(StatusCode::REQUEST_TIMEOUT),
+            };
         }
-        let room = part.len().min(length - bytes.len());
-        let got = match stream.read(part.get_mut(..room).unwrap_or_default()) {
-            Ok(0) => return Err(Status::BadRequest),
-            Ok(got) => got,
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
-            Err(_) => return Err(Status::Timeout),
-        };
-        bytes.extend_from_slice(part.get(..got).unwrap_or_default());
-    }
-    Ok(bytes)
+    };
+    pass_over(body).await;
+    Err(refused)
 }
 
-/// Ends a conversation whose request was refused before its body was read: closed at once, the answer would be lost.
-pub fn end_refused(stream: &mut TcpStream) {
-    // Whoever is gone already needs no goodbye.
-    let _ = stream.shutdown(Shutdown::Write);
-    let deadline = Instant::now() + REFUSED_TIMEOUT;
-    let (mut part, mut taken) = ([0; 16 << 10], 0);
+/// Takes some of what was refused: were the connection closed at once, the answer would be lost.
+async fn pass_over(mut body: Incoming) {
+    let (deadline, mut taken) = (Instant::now() + REFUSED_TIMEOUT, 0);
     while taken < MAX_REFUSED_BYTES {
-        let left = deadline.saturating_duration_since(Instant::now());
-        if left.is_zero() || stream.set_read_timeout(Some(left)).is_err() {
-            return;
-        }
-        match stream.read(&mut part) {
-            Ok(got) if got > 0 => taken += got,
+        match timeout_at(deadline, body.frame()).await {
+            Ok(Some(Ok(frame))) => taken += frame.data_ref().map_or(0, Bytes::len),
             _ => return,
         }
     }

@@ -18,9 +18,17 @@ const FORGOTTEN_AFTER: Duration = Duration::from_secs(60);
 /// Addresses whose failures are remembered at most.
 const MAX_ADDRESSES: usize = 1_024;
 
+/// Who has one IPv6 address has all of its network: the network of an address, which is itself in IPv4.
+pub fn network_of(address: IpAddr) -> IpAddr {
+    match address.to_canonical() {
+        IpAddr::V6(own) => IpAddr::V6((own.to_bits() >> 64 << 64).into()),
+        own => own,
+    }
+}
+
 /// What waits, and which addresses failed too often.
 #[derive(Debug, Default)]
-pub(super) struct ConnectionLimits {
+pub(crate) struct ConnectionLimits {
     waiting: Mutex<Waiting>,
     failures: Mutex<BTreeMap<IpAddr, Failures>>,
 }
@@ -39,7 +47,7 @@ struct Failures {
 
 /// A place at the door, until it is released or dropped.
 #[derive(Debug)]
-pub(super) struct Ticket {
+pub struct Ticket {
     limits: Arc<ConnectionLimits>,
     number: u64,
     address: IpAddr,
@@ -49,7 +57,8 @@ pub(super) struct Ticket {
 
 impl ConnectionLimits {
     /// Takes a place; whoever must make room for it is told.
-    pub(super) fn wait(self: &Arc<Self>, address: IpAddr) -> Ticket {
+    pub(crate) fn wait(self: &Arc<Self>, address: IpAddr) -> Ticket {
+        let address = network_of(address);
         let sent_away = Arc::new(Notify::new());
         let mut waiting = lock(&self.waiting);
         if waiting.tickets.len() >= MAX_WAITING {
@@ -83,22 +92,23 @@ impl ConnectionLimits {
 
 impl Ticket {
     /// Until somebody else needs the place.
-    pub(super) async fn sent_away(&self) {
+    pub async fn sent_away(&self) {
         self.sent_away.notified().await;
     }
 
     /// It is known who this is: the place at the door is free.
-    pub(super) fn enter(&self) {
+    pub fn enter(&self) {
         self.is_inside.store(true, Ordering::Release);
         lock(&self.limits.waiting).tickets.remove(&self.number);
     }
 
-    pub(super) fn is_inside(&self) -> bool {
+    /// Whether it is known who this is.
+    pub fn is_inside(&self) -> bool {
         self.is_inside.load(Ordering::Acquire)
     }
 
     /// An attempt has failed.
-    pub(super) fn fail(&self) {
+    pub fn fail(&self) {
         let mut failures = lock(&self.limits.failures);
         failures.retain(|_, f| f.since.elapsed() < FORGOTTEN_AFTER);
         if failures.len() >= MAX_ADDRESSES && !failures.contains_key(&self.address) {
@@ -113,7 +123,7 @@ impl Ticket {
     }
 
     /// Whether too many attempts of this address failed lately.
-    pub(super) fn is_barred(&self) -> bool {
+    pub fn is_barred(&self) -> bool {
         let failures = lock(&self.limits.failures);
         failures
             .get(&self.address)
@@ -157,6 +167,18 @@ mod tests {
         first.enter();
         drop(strangers);
         assert!(lock(&limits.waiting).tickets.is_empty() && first.is_inside());
+    }
+
+    /// Whoever has one address of an IPv6 network has all of them.
+    #[test]
+    fn a_network_is_one_stranger() {
+        let of = |text: &str| text.parse().expect("address");
+        let limits = Arc::new(ConnectionLimits::default());
+        let one = limits.wait(of("2001:db8::1"));
+        (0..MAX_FAILURES).for_each(|_| one.fail());
+        assert!(limits.wait(of("2001:db8::2:3")).is_barred());
+        assert!(!limits.wait(of("2001:db8:0:1::1")).is_barred());
+        assert_eq!(network_of(of("::ffff:10.0.0.1")), of("10.0.0.1"));
     }
 
     #[test]
