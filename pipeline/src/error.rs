@@ -243,12 +243,14 @@ pub enum Error {
         rig: String,
     },
     /// No scan of a recording could be used.
-    #[error("{path}: none of the {scans} LiDAR scans could be used: check the LiDAR and its time against the IMU's", path = path.display())]
+    #[error("{path}: none of the {scans} LiDAR scans could be used: {why}", path = path.display())]
     NoScan {
         /// The recording.
         path: PathBuf,
         /// Scans in it.
         scans: u64,
+        /// What may be the reason, or what to look at.
+        why: String,
     },
     /// No camera of the rig is in the recording.
     #[error("{path}: no images of any camera of rig {rig}: record with the cameras on, or give the rig of this device", path = path.display())]

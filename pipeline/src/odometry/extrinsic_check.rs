@@ -21,6 +21,8 @@ const PRIOR_RAD: f64 = 0.5;
 const PRIOR_RAD_S: f64 = 0.05;
 /// Spans are known no better than this, radians.
 const LEAST_SIGMA_RAD: f64 = 5e-4;
+/// A start far from the rig's must leave less than this share of the squares.
+const FAR_BETTER: f64 = 0.25;
 const ITERATIONS: usize = 12;
 /// What is said: more standard deviations than this, and more than a degree.
 const SIGMAS: f64 = 4.0;
@@ -57,7 +59,7 @@ pub(super) fn rotation_off(
     if spans.len() < MIN_SPANS {
         return None;
     }
-    let (mut rotation, mut bias) = (UnitQuaternion::identity(), Vector3::zeros());
+    let (mut rotation, mut bias) = (start_rotation(&spans), Vector3::zeros());
     let mut information = None;
     for _ in 0..ITERATIONS {
         let equations = equations(&spans, &rotation, &bias);
@@ -73,6 +75,31 @@ pub(super) fn rotation_off(
     let of_rotation: Matrix3<f64> = covariance.fixed_view::<3, 3>(0, 0).into();
     let sigma_rad = along.dot(&(of_rotation * along)).max(0.0).sqrt();
     (off_rad > LEAST_OFF_RAD.max(SIGMAS * sigma_rad)).then_some(RotationOff { off_rad, sigma_rad })
+}
+
+/// The rotation from which to search: that of the rig, unless another by far fits better, as where clouds are in another frame than the rig
+/// says. That which turns the scans' turns best into the gyroscope's (Wahba's problem).
+fn start_rotation(spans: &[Span]) -> UnitQuaternion<f64> {
+    let sum: Matrix3<f64> = spans
+        .iter()
+        .map(|s| s.by_gyro * s.by_scans.transpose())
+        .sum();
+    let svd = sum.svd(true, true);
+    let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {
+        return UnitQuaternion::identity();
+    };
+    let sign = (u * v_t).determinant().signum();
+    let best = u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v_t;
+    let left = |rotation: &Matrix3<f64>| -> f64 {
+        let each = spans.iter();
+        each.map(|s| (s.by_gyro - rotation * s.by_scans).norm_squared())
+            .sum()
+    };
+    if left(&best) < FAR_BETTER * left(&Matrix3::identity()) {
+        UnitQuaternion::from_matrix(&best)
+    } else {
+        UnitQuaternion::identity()
+    }
 }
 
 fn spans(by_scans: &[StampedPose], gyro: &IntegratedGyro, start: Timestamp) -> Vec<Span> {

@@ -15,8 +15,10 @@ mod motion;
 mod moving_start;
 mod online;
 mod point_clock;
+mod range_check;
 mod report;
 mod run;
+mod scale_check;
 mod uncertainty;
 mod unseen;
 mod warning;
@@ -87,7 +89,7 @@ pub enum StepOutcome {
     First,
     /// Registered to the map.
     Registered,
-    /// Too few points agreed with the map: the pose is the prediction, and the map was left alone.
+    /// Too few points, or too few that agreed with the map: the pose is the prediction, and the map was left alone.
     Lost,
 }
 
@@ -139,6 +141,8 @@ const USUAL_RANGE_M: f64 = 10.0;
 const MIN_GATE_M: f64 = 0.3;
 /// Rounding of poses: radians, metres.
 const LEAST_BEHIND: f64 = 1e-9;
+/// Fewer points draw no map and find no place.
+const LEAST_KEYPOINTS: usize = 10;
 /// Predictions looked back at for the gate.
 const CORRECTIONS: usize = 10;
 
@@ -245,7 +249,7 @@ impl Odometry {
             reduced = self.reduce(scan, &path);
             found = self.register(&reduced, &path);
         }
-        let outcome = self.judge(&found);
+        let outcome = self.judge(&reduced, &found);
         let by_scan_alone = match &find {
             Some(find) => find.registration.world_from_rig,
             None => without(&self.prior(&path), &found),
@@ -424,8 +428,10 @@ impl Odometry {
                 .is_some_and(|(passed, usual)| passed > 2 * usual)
     }
 
-    fn judge(&self, found: &Registration) -> StepOutcome {
-        if self.map.is_empty() {
+    fn judge(&self, reduced: &ReducedScan, found: &Registration) -> StepOutcome {
+        if reduced.keypoints.len() < LEAST_KEYPOINTS {
+            StepOutcome::Lost
+        } else if self.map.is_empty() {
             StepOutcome::First
         } else if found.inlier_ratio < self.config.min_inlier_ratio {
             StepOutcome::Lost

@@ -76,6 +76,23 @@ pub enum OdometryWarning {
         /// Standard deviation of that, degrees.
         sigma_deg: f64,
     },
+    /// Scans and accelerometer measure in different units.
+    Scale {
+        /// Accelerations by the scans as a multiple of those by the accelerometer.
+        scale: f64,
+        /// Its standard deviation.
+        sigma: f64,
+    },
+    /// Little of the scans agrees with the map.
+    LittleAgreement {
+        /// Mean share of a scan that does.
+        share: f64,
+    },
+    /// Scans have hardly a point where points are used.
+    OutOfRange {
+        /// How many of how many, where they are instead, and why that may be.
+        what: String,
+    },
     /// The world is not level.
     NoImu {
         /// Whether scans were deskewed all the same.
@@ -148,6 +165,15 @@ impl OdometryWarning {
                     "gyroscope and scans turn about different axes: the LiDAR's rotation on the IMU is off by {off_deg:.1}° ± {sigma_deg:.1}° (one standard deviation) or more, and poses are wrong by it; calibrate the rig, or run without the IMU"
                 ),
             ),
+            Self::Scale { scale, sigma } => ("scale", scale_sentence(*scale, *sigma)),
+            Self::LittleAgreement { share } => (
+                "little-agreement",
+                format!(
+                    "only {:.0} % of a scan agrees with the map on average, where IMU and scans that fit each other have 80 % and more: poses may be metres off; is an axis or the sign of the IMU wrong (at rest it feels 9.81 m/s² upwards), or the LiDAR's rotation on it? Run without the IMU to see",
+                    share * 100.0
+                ),
+            ),
+            Self::OutOfRange { what } => ("out-of-range", what.clone()),
             Self::NoImu { deskewed } => {
                 let deskewed = match deskewed {
                     true => "scans were deskewed by the motion between them, and ",
@@ -162,6 +188,35 @@ impl OdometryWarning {
         };
         Finding::new(code, Verdict::Warn, "odometry", what)
     }
+}
+
+/// Factors that units make, as far as one scatters about them, and what they are.
+const UNITS: [(f64, &str); 6] = [
+    (1000.0, "clouds in millimetres"),
+    (100.0, "clouds in centimetres"),
+    (39.37, "clouds in inches"),
+    (9.807, "an accelerometer in units of gravity"),
+    (3.281, "clouds in feet"),
+    (0.102, "an accelerometer that was multiplied by 9.81 twice"),
+];
+/// A factor within this of one of them, as a share, is taken for it.
+const NEAR_UNIT: f64 = 0.2;
+
+fn scale_sentence(scale: f64, sigma: f64) -> String {
+    let unit = UNITS
+        .iter()
+        .find(|(factor, _)| (scale / factor - 1.0).abs() < NEAR_UNIT);
+    let why = match unit {
+        _ if scale < 0.0 => {
+            "the accelerometer has the wrong sign: at rest it must feel 9.81 m/s² upwards"
+                .to_owned()
+        }
+        Some((_, unit)) => format!("as with {unit}"),
+        None => "a unit is wrong, or the IMU is not on this LiDAR".to_owned(),
+    };
+    format!(
+        "by the scans the carrier accelerates {scale:.2} ± {sigma:.2} times as much as by its accelerometer: {why}; trajectory and covariances are wrong by it"
+    )
 }
 
 fn not_deskewed(scans: u64, of: u64, field: Option<&str>, not_believed: u64) -> String {

@@ -4,6 +4,7 @@ mod damages;
 mod found;
 
 use std::iter::Peekable;
+use std::path::Path;
 use std::vec::IntoIter;
 
 use lsfb_geometry::{ImuNoiseModel, Matrix3, Matrix6, Rig, RigLidar, StampedPose, Trajectory};
@@ -14,7 +15,9 @@ use lsfb_types::{ImuSample, LidarScan, Progress, ProgressFn, Stamped, Timestamp}
 use super::extrinsic_check::rotation_off;
 use super::imu_check::{ImuUnits, mend_units};
 use super::point_clock::{PointClock, TimedScan};
+use super::range_check::RangeCheck;
 use super::report::OdometryReport;
+use super::scale_check::scale_off;
 use super::warning::OdometryWarning;
 use super::{Odometry, OdometryConfig};
 use crate::Error;
@@ -55,6 +58,24 @@ pub struct DeskewedCloud {
 }
 
 impl OdometryResult {
+    /// Fails where no scan has a pose; `path` is what they were read from.
+    pub fn expect_poses(&self, path: &Path) -> Result<(), Error> {
+        if !self.trajectory.is_empty() {
+            return Ok(());
+        }
+        let why = self.report.warnings.iter().find_map(|w| match w {
+            OdometryWarning::OutOfRange { what } => Some(what.clone()),
+            _ => None,
+        });
+        let why =
+            why.unwrap_or_else(|| "check the LiDAR and its time against the IMU's".to_owned());
+        Err(Error::NoScan {
+            path: path.to_owned(),
+            scans: self.report.scans,
+            why,
+        })
+    }
+
     /// Says in the report what follows from poses that were changed.
     pub(crate) fn summarise(&mut self) {
         self.report.path_length_m = self.trajectory.path_length_m();
@@ -87,6 +108,8 @@ pub struct OdometryRun {
     /// All samples, to hold the scans' turns against at the end.
     samples: Vec<Stamped<ImuSample>>,
     clock: PointClock,
+    config: OdometryConfig,
+    ranges: RangeCheck,
     found: Found,
 }
 
@@ -128,6 +151,8 @@ impl OdometryRun {
                 .into_iter()
                 .peekable(),
             clock: PointClock::default(),
+            config: config.clone(),
+            ranges: RangeCheck::default(),
             found,
         })
     }
@@ -154,6 +179,7 @@ impl OdometryRun {
     }
 
     fn register(&mut self, scan: &Stamped<LidarScan>) -> Result<(), Error> {
+        self.ranges.take(&scan.sample, &self.config);
         // Half a second ahead: more than one revolution of the slowest LiDAR.
         let ahead = scan.time.plus_nanos(500_000_000);
         while let Some(sample) = self.waiting_imu.next_if(|s| s.time <= ahead) {
@@ -172,7 +198,10 @@ impl OdometryRun {
         let mut result = self
             .found
             .finish(self.odometry.inertial_state(), self.odometry.lidar());
-        if let Some(off) = rotation_off(&by_scans, &self.samples) {
+        // A scan that is not deskewed is turned by what the carrier turned while it was taken: that looks like a rig that is off.
+        let deskew = &result.report.deskew;
+        let is_deskewed = deskew.by_times + deskew.by_azimuth > deskew.none;
+        if let Some(off) = rotation_off(&by_scans, &self.samples).filter(|_| is_deskewed) {
             result
                 .report
                 .warnings
@@ -180,6 +209,21 @@ impl OdometryRun {
                     off_deg: off.off_rad.to_degrees(),
                     sigma_deg: off.sigma_rad.to_degrees(),
                 });
+        }
+        if let Some(off) = scale_off(&by_scans, &self.samples) {
+            result.report.warnings.push(OdometryWarning::Scale {
+                scale: off.scale,
+                sigma: off.sigma,
+            });
+        }
+        let little = result.report.little_agreement();
+        result.report.warnings.extend(little);
+        if let Some(ranges) = self.ranges.finish() {
+            let what = ranges.sentence(&self.config);
+            result
+                .report
+                .warnings
+                .push(OdometryWarning::OutOfRange { what });
         }
         if result.report.imu_samples == 0 {
             let deskew = &result.report.deskew;
@@ -238,12 +282,7 @@ pub fn run_odometry(
         .report
         .warnings
         .extend(damaged.map(|what| OdometryWarning::Damaged { what }));
-    if result.trajectory.is_empty() {
-        return Err(Error::NoScan {
-            path: recording.path().to_owned(),
-            scans: result.report.scans,
-        });
-    }
+    result.expect_poses(recording.path())?;
     Ok(result)
 }
 

@@ -7,7 +7,7 @@ mod sensors;
 
 use std::path::Path;
 
-use anyhow::{Context as _, bail};
+use anyhow::Context as _;
 use lsfb_datasets::RosBag;
 use lsfb_drivers::any_lidar::Model;
 use lsfb_pipeline::odometry::{OdometryConfig, OdometryResult, run_odometry};
@@ -61,12 +61,7 @@ pub fn run(choice: &Choice, config: &OdometryConfig, context: &Context) -> anyho
         _ if choice.path.is_dir() && holds_a_bag(choice.path)? => bag::run(choice, config, context),
         _ => clouds::run(choice, config, context),
     }?;
-    if run.result.trajectory.is_empty() {
-        bail!(lsfb_pipeline::Error::NoScan {
-            path: choice.path.to_owned(),
-            scans: run.result.report.scans,
-        });
-    }
+    run.result.expect_poses(choice.path)?;
     Ok(run)
 }
 
