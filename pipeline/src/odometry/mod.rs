@@ -43,7 +43,9 @@ pub use online::OnlineOdometry;
 pub use point_clock::{DeskewReport, TimedScan};
 pub use report::OdometryReport;
 pub(crate) use run::Damages;
-pub use run::{DeskewedCloud, ImuSamples, OdometryResult, OdometryRun, ScanPose, run_odometry};
+pub use run::{
+    DeskewedCloud, ImuSamples, OdometryResult, OdometryRun, ScanPose, run_odometry, scan_count,
+};
 pub use unseen::UnseenStretch;
 pub use warning::OdometryWarning;
 

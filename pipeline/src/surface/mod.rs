@@ -6,6 +6,7 @@
 //! only, and what one sees through space that no beam went through: the leg of a table may stand there. A pixel has a depth where all of that is
 //! certain, else none.
 
+mod agreement;
 mod free_space;
 mod patch;
 mod render;
@@ -16,8 +17,10 @@ use lsfb_types::{Bounds, LidarScan, Stamped};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+pub use agreement::Agreement;
 pub use render::View;
 
+use agreement::Beam;
 use free_space::FreeSpace;
 use patch::Patch;
 
@@ -67,6 +70,8 @@ const LEVELS: u32 = 4;
 const LEAST_RETURNS: u32 = 2;
 /// Beams of a scan whose way is remembered as free: evenly taken, more add little.
 const BEAMS_PER_SCAN: usize = 8000;
+/// Beams of a scan that are asked at the end whether the surface is where they ended: evenly taken.
+const ASKED_PER_SCAN: usize = 64;
 
 /// Returns of one voxel.
 #[derive(Clone, Copy, Debug)]
@@ -85,6 +90,7 @@ pub struct SurfaceBuilder {
     free: FreeSpace,
     index_of: CellMap<usize>,
     voxels: Vec<Voxel>,
+    asked: Vec<Beam>,
 }
 
 impl SurfaceBuilder {
@@ -102,6 +108,7 @@ impl SurfaceBuilder {
             free: FreeSpace::default(),
             index_of: CellMap::default(),
             voxels: Vec::new(),
+            asked: Vec::new(),
         })
     }
 
@@ -133,10 +140,14 @@ impl SurfaceBuilder {
         self.planes.insert(&seen, &world_from_middle, &sensor);
         let sensor = world_from_middle * sensor;
         let nth = seen.len().div_ceil(BEAMS_PER_SCAN).max(1);
+        let asked = seen.len().div_ceil(ASKED_PER_SCAN).max(1);
         for (number, point) in seen.into_iter().enumerate() {
             let point = world_from_middle * point;
             if number % nth == 0 {
                 self.free.pass(&sensor, &point);
+            }
+            if number % asked == 0 {
+                self.asked.push(Beam { sensor, end: point });
             }
             let next = self.voxels.len();
             let key = cell_key(&point, 1.0 / VOXEL_M);
@@ -154,6 +165,11 @@ impl SurfaceBuilder {
             voxel.count += 1;
         }
         true
+    }
+
+    /// Means of the returns of each voxel.
+    pub fn points_m(&self) -> impl Iterator<Item = Vector3<f64>> {
+        self.voxels.iter().map(|v| v.sum / f64::from(v.count))
     }
 
     /// What all of them saw.
@@ -187,11 +203,17 @@ impl SurfaceBuilder {
         blocks
             .par_iter_mut()
             .for_each(|(_, block)| block.patches.iter_mut().for_each(Patch::close));
-        Surface {
+        let known = placed.iter().flatten();
+        let flat = known.clone().filter(|p| matches!(p, Placed::Flat(..)));
+        let on_planes = flat.count() as f64 / known.count().max(1) as f64;
+        let mut surface = Surface {
             blocks,
             free: self.free,
             max_depth_m: self.config.max_depth_m,
-        }
+            agreement: Agreement::default(),
+        };
+        surface.agreement = surface.agreement_with(on_planes, &self.asked);
+        surface
     }
 }
 
@@ -265,9 +287,15 @@ pub struct Surface {
     blocks: CellMap<Block>,
     free: FreeSpace,
     max_depth_m: f64,
+    agreement: Agreement,
 }
 
 impl Surface {
+    /// How well the scans, at the poses that were given, agree with one another.
+    pub fn agreement(&self) -> &Agreement {
+        &self.agreement
+    }
+
     /// Whether nothing is in it.
     pub fn is_empty(&self) -> bool {
         self.blocks.is_empty()

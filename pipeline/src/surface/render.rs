@@ -32,7 +32,7 @@ impl View {
 const TOGETHER_M: f64 = 0.12;
 
 /// What a ray meets first.
-enum Sight {
+pub(super) enum Sight {
     /// Surface, so far away, with this normal.
     Surface(f64, Vector3<f64>),
     /// Something without a depth of its own.
@@ -75,7 +75,7 @@ impl Surface {
     }
 
     /// What a ray of unit length meets; `None` where it meets nothing within reach.
-    fn sight(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> Option<Sight> {
+    pub(super) fn sight(&self, origin: &Vector3<f64>, direction: &Vector3<f64>) -> Option<Sight> {
         // The nearest place beside an outline.
         let mut passed_m = f64::INFINITY;
         // Block by block (Amanatides and Woo, "A fast voxel traversal algorithm", 1987).

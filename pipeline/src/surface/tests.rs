@@ -1,16 +1,22 @@
 use super::*;
 use crate::odometry::tests::room::{self, Room};
 use lsfb_geometry::{Camera, Se3, StampedPose, UnitQuaternion};
+use lsfb_types::Verdict;
 
-/// What a LiDAR carried through the furnished room saw of it in six seconds.
+/// What a LiDAR carried through the furnished room saw of it in twelve seconds.
 fn surface_of(room: &Room) -> Surface {
+    surface_at(room, room::world_from_rig)
+}
+
+/// The same with poses that are given for it, at seconds.
+fn surface_at(room: &Room, pose_at: impl Fn(f64) -> Se3) -> Surface {
     let mut rig = Rig::empty("backpack");
     rig.lidars.insert("lidar".to_owned(), room::lidar());
     let poses = (0..2400).map(|i| {
         let t = 1.0 + f64::from(i) * 0.005;
         StampedPose {
             time: room::time(t),
-            world_from_rig: room::world_from_rig(t),
+            world_from_rig: pose_at(t),
         }
     });
     let trajectory = Trajectory::new(poses.collect());
@@ -91,6 +97,35 @@ fn depths_are_those_of_the_room() {
     assert!(wrong * 100 < known && turned * 100 < known, "{said}");
 }
 
+/// `map depth` took any trajectory: that of another walk gave depth to every sixth pixel, without a word.
+#[test]
+fn scans_at_poses_of_another_walk_disagree() {
+    let room = Room::furnished();
+    let verdict = |pose_at: &dyn Fn(f64) -> Se3| {
+        let surface = surface_at(&room, pose_at);
+        let finding = surface.agreement().finding();
+        (finding.verdict, finding.what)
+    };
+    let own = room::world_from_rig;
+    let (right, what) = verdict(&own);
+    assert_eq!(right, Verdict::Pass, "{what}");
+    let off = |t: f64, metres: [f64; 3]| {
+        let pose = own(t);
+        Se3::new(pose.rotation, pose.translation + Vector3::from(metres))
+    };
+    let backwards = |t: f64| own(14.0 - t);
+    let late = |t: f64| own(t - 1.0);
+    let still = |_: f64| own(1.0);
+    let wrong: [&dyn Fn(f64) -> Se3; 3] = [&backwards, &late, &still];
+    for (number, pose_at) in wrong.into_iter().enumerate() {
+        let (found, what) = verdict(pose_at);
+        assert_eq!(found, Verdict::Fail, "{number}: {what}");
+    }
+    let drifting = |t: f64| off(t, [0.1 * t, 0.0, 0.0]);
+    let (found, what) = verdict(&drifting);
+    assert!(found >= Verdict::Warn, "{what}");
+}
+
 /// A room that nobody has been in, and one that is seen from behind its walls, has no depth.
 #[test]
 fn what_nobody_saw_has_no_depth() {
@@ -102,6 +137,7 @@ fn what_nobody_saw_has_no_depth() {
         blocks: CellMap::default(),
         free: FreeSpace::default(),
         max_depth_m: 10.0,
+        agreement: Agreement::default(),
     };
     assert!(empty.is_empty());
     assert_eq!(empty.render(&camera(), &outside).known_share(), 0.0);

@@ -5,11 +5,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use lsfb_geometry::{Rig, Trajectory};
-use lsfb_pipeline::surface::{Surface, SurfaceBuilder, SurfaceConfig, View};
-use lsfb_recording::{Provenance, Recording, read_tum};
-use lsfb_types::{Progress, median, quantile};
+use lsfb_pipeline::surface::{Surface, SurfaceConfig, View};
+use lsfb_recording::{Provenance, read_tum};
+use lsfb_types::{Judgement, Progress, Verdict, median, quantile};
 
+use super::map_surface::{check_source, insert_scans};
 use crate::context::Context;
+use crate::judged::{Judged, printable, problem_lines};
 use crate::outcome::Outcome;
 
 /// Depth and normals of images, from what the scanner's LiDAR saw.
@@ -18,6 +20,9 @@ use crate::outcome::Outcome;
 /// and OUT/normals/CAMERA/NANOSECONDS.png the normal in the camera's frame, (n + 1) · 127.5 in red, green and blue. Zero: not
 /// certain. That is what no scan saw, what lies on no plane (plants, people), what is hidden by such things, and a few centimetres beside
 /// each outline. Images are taken at one instant: a rolling shutter is not followed.
+///
+/// Scans must agree at the poses of the trajectory: where beams end behind what other scans saw, or walls are smeared, it is of another walk or
+/// clock, and no image is written (exit code 4).
 ///
 /// Examples:
 ///   lsfb map depth scan.mcap --trajectory scan.tum --out depth
@@ -84,7 +89,22 @@ pub fn depth(arguments: &DepthArguments, context: &Context) -> anyhow::Result<Ou
         Some(path) => read_tum(path)?,
         None => scanned.clone(),
     };
-    let (surface, scans) = seen(&arguments.recording, &recording, &scanned, &config, context)?;
+    check_source(&arguments.trajectory, &arguments.recording)?;
+    let (builder, scans) =
+        insert_scans(&arguments.recording, &recording, &scanned, &config, context)?;
+    let surface = builder.finish();
+    let judgement = Judgement::new(vec![surface.agreement().finding()]);
+    let name = printable(&arguments.trajectory.display().to_string());
+    if judgement.verdict() == Verdict::Fail {
+        let made = serde_json::json!({ "scans": scans, "agreement": surface.agreement() });
+        let judged = Judged::new(&judgement, &name, &made);
+        context.print(&judged, || {
+            format!("no image was written\n{}", problem_lines(&judgement))
+                .trim_end()
+                .to_owned()
+        })?;
+        return Ok(Outcome::JudgementFailed);
+    }
     let shares = write_all(arguments, &surface, &rig, &poses, context)?;
     let blind = shares.iter().filter(|share| **share == 0.0).count();
     anyhow::ensure!(
@@ -97,61 +117,25 @@ pub fn depth(arguments: &DepthArguments, context: &Context) -> anyhow::Result<Ou
     let [half, least] = [0.5, 0.05].map(|q| quantile(shares.clone(), q).unwrap_or(0.0));
     let summary = serde_json::json!({
         "scans": scans,
+        "agreement": surface.agreement(),
         "images": shares.len(),
         "images_without_depth": blind,
         "share_with_depth": { "median": median(shares.clone()), "of_95_percent_above": least },
     });
-    context.print(&summary, || {
-        format!(
+    let judged = Judged::new(&judgement, &name, &summary);
+    context.print(&judged, || {
+        let made = format!(
             "{}: {} images, {blind} of them without any depth; {:.0} % of the pixels of half of them have one, {:.0} % of 95 % of them; from {scans} scans",
             arguments.out.display(),
             shares.len(),
             100.0 * half,
             100.0 * least
-        )
+        );
+        format!("{made}\n{}", problem_lines(&judgement))
+            .trim_end()
+            .to_owned()
     })?;
     Ok(Outcome::Done)
-}
-
-/// The surface, and from how many scans.
-fn seen(
-    path: &Path,
-    recording: &Recording,
-    world_from_rig: &Trajectory,
-    config: &SurfaceConfig,
-    context: &Context,
-) -> anyhow::Result<(Surface, u64)> {
-    let rig = recording.rig()?;
-    let mut builder = SurfaceBuilder::new(&rig, config).ok_or_else(|| {
-        anyhow::anyhow!(
-            "{}: its rig has no LiDAR: nothing has depth",
-            path.display()
-        )
-    })?;
-    let main = recording.main_lidar();
-    let topics = recording.topics().iter().filter(|t| t.topic == main);
-    let total = topics.map(|t| t.messages).sum();
-    let mut inserted = 0;
-    for (done, scan) in (0..).zip(recording.scans()?) {
-        context.show(Progress {
-            stage: "surface",
-            done,
-            total,
-        })?;
-        match scan {
-            Ok(scan) => inserted += u64::from(builder.insert(&scan, world_from_rig)),
-            Err(damage) => {
-                context.say(&format!("warning: {}: {damage}", path.display()));
-                context.lose_data();
-            }
-        }
-    }
-    anyhow::ensure!(
-        inserted > 0,
-        "{}: no scan lies within the trajectory: give the one that `lsfb map --out-trajectory` wrote of this recording",
-        path.display()
-    );
-    Ok((builder.finish(), inserted))
 }
 
 /// Writes all images; which share of each has a depth.

@@ -6,13 +6,16 @@ use std::path::{Path, PathBuf};
 use lsfb_eval::report::{Figure, Report};
 use lsfb_geometry::{Se3, Trajectory, Vector2, Vector3};
 use lsfb_pipeline::hd_map::HdMap;
-use lsfb_recording::{Recording, read_tum};
-use lsfb_types::{Progress, Verdict, median, quantile};
+use lsfb_pipeline::surface::SurfaceConfig;
+use lsfb_recording::read_tum;
+use lsfb_types::{Finding, Judgement, Verdict, median, quantile};
 use lsfb_view::{CameraPyramids, MapPoints, NamedTrajectory, ViewConfig, ViewInputs, write_rrd};
 
 use super::map_report::{coverage, track};
+use super::map_surface::{check_source, insert_scans};
 use crate::context::Context;
 use crate::files;
+use crate::judged::{Judged, printable, problem_lines};
 use crate::outcome::Outcome;
 
 /// Colours of the cameras, in order: distinguishable without red and green, and none of the points'.
@@ -73,10 +76,15 @@ pub fn view(arguments: &ViewArguments, context: &Context) -> anyhow::Result<Outc
         context.claim(page, &read)?;
     }
     let map = super::open_map(&arguments.map)?;
-    let surface = match (&arguments.recording, &arguments.trajectory) {
-        (Some(recording), Some(trajectory)) => surface(recording, &read_tum(trajectory)?, context)?,
-        _ => Vec::new(),
+    let seen = match (&arguments.recording, &arguments.trajectory) {
+        (Some(recording), Some(trajectory)) => Some(surface(recording, trajectory, context)?),
+        _ => None,
     };
+    let (surface, agreement): (Vec<Vector3<f64>>, Vec<Finding>) = match seen {
+        Some((points, finding)) => (points, vec![finding]),
+        None => (Vec::new(), Vec::new()),
+    };
+    let judgement = Judgement::new(agreement);
     let keyframes = (0..map.keyframe_count() as u32).filter_map(|k| map.keyframe(k));
     let keyframes = Trajectory::new(keyframes.collect());
     let cameras = pyramids(&map);
@@ -103,20 +111,26 @@ pub fn view(arguments: &ViewArguments, context: &Context) -> anyhow::Result<Outc
     })?;
     if let Some(page) = &arguments.out_report {
         let name = arguments.map.display().to_string();
-        files::write(page, to_html(&name, &map, keyframes, &surface))?;
+        files::write(page, to_html(&name, &map, keyframes, &surface, &judgement))?;
     }
     let summary = serde_json::json!({
         "points": map.point_count(),
         "images": images,
         "surface_points": surface.len(),
     });
-    context.print(&summary, || {
+    let name = printable(&arguments.map.display().to_string());
+    context.print(&Judged::new(&judgement, &name, &summary), || {
         let out = arguments.out.display();
         let points = map.point_count();
         let seen = surface.len();
-        format!("{out}: {points} points, {images} images, {seen} points of the LiDAR's surface")
+        let made = format!(
+            "{out}: {points} points, {images} images, {seen} points of the LiDAR's surface"
+        );
+        format!("{made}\n{}", problem_lines(&judgement))
+            .trim_end()
+            .to_owned()
     })?;
-    Ok(Outcome::Done)
+    Ok(Outcome::of(judgement.verdict()))
 }
 
 /// By how well each point is known, from that of half of the map to that of 95 %.
@@ -185,53 +199,20 @@ fn strip(world_from_camera: &Se3, rays: &[Vector3<f64>], length: f64) -> Vec<[f3
     std::iter::once(tip).chain(corners).collect()
 }
 
-/// What the LiDAR saw, one point a cell, each at the pose of its own time.
+/// What the LiDAR saw, one point a cell, and whether its scans agree at the poses of the trajectory.
 fn surface(
     recording: &Path,
-    world_from_rig: &Trajectory,
+    trajectory: &Path,
     context: &Context,
-) -> anyhow::Result<Vec<Vector3<f64>>> {
-    let opened: Recording = context.open(recording)?;
-    let rig = opened.rig()?;
-    let lidar = rig.lidar().ok_or_else(|| {
-        anyhow::anyhow!(
-            "{}: its rig has no LiDAR: there is no surface to show",
-            recording.display()
-        )
-    })?;
+) -> anyhow::Result<(Vec<Vector3<f64>>, Finding)> {
+    check_source(trajectory, recording)?;
+    let opened = context.open(recording)?;
+    let world_from_rig = read_tum(trajectory)?;
+    let config = SurfaceConfig::default();
+    let (builder, _) = insert_scans(recording, &opened, &world_from_rig, &config, context)?;
     let mut cells = Cells::new();
-    let main = opened.main_lidar();
-    let topics = opened.topics().iter().filter(|t| t.topic == main);
-    let total = topics.map(|t| t.messages).sum();
-    for (done, scan) in (0..).zip(opened.scans()?) {
-        context.show(Progress {
-            stage: "surface",
-            done,
-            total,
-        })?;
-        let scan = match scan {
-            Ok(scan) => scan,
-            Err(damage) => {
-                context.say(&format!("warning: {}: {damage}", recording.display()));
-                context.lose_data();
-                continue;
-            }
-        };
-        for point in &scan.sample.points {
-            let time = scan.time + i64::from(point.time_offset_ns);
-            let Some(pose) = world_from_rig.at(time) else {
-                continue;
-            };
-            let in_lidar = Vector3::from(point.position_m.map(f64::from));
-            cells.insert(pose * (lidar.rig_from_lidar * in_lidar));
-        }
-    }
-    anyhow::ensure!(
-        !cells.points.is_empty(),
-        "{}: no scan lies within the trajectory: give the trajectory that was written with this map",
-        recording.display()
-    );
-    Ok(cells.points)
+    builder.points_m().for_each(|point| cells.insert(point));
+    Ok((cells.points, builder.finish().agreement().finding()))
 }
 
 /// The first point of each cell.
@@ -266,7 +247,13 @@ impl Cells {
 }
 
 /// The page.
-fn to_html(name: &str, map: &HdMap, keyframes: Trajectory, surface: &[Vector3<f64>]) -> String {
+fn to_html(
+    name: &str,
+    map: &HdMap,
+    keyframes: Trajectory,
+    surface: &[Vector3<f64>],
+    of_surface: &Judgement,
+) -> String {
     let quality: Vec<_> = (0..map.point_count() as u32)
         .filter_map(|p| map.quality(p))
         .collect();
@@ -276,9 +263,12 @@ fn to_html(name: &str, map: &HdMap, keyframes: Trajectory, surface: &[Vector3<f6
     let error_px = median(errors.collect()).unwrap_or(f64::INFINITY);
     let count = |name: &str, value: usize| Figure::new(name, value as f64, "");
     let mut findings = vec![coverage(map)];
-    findings.extend(map.failures().iter().map(|failure| {
-        lsfb_types::Finding::new("failed-map", Verdict::Fail, "the map", failure.clone())
-    }));
+    findings.extend(of_surface.findings().iter().cloned());
+    findings.extend(
+        map.failures()
+            .iter()
+            .map(|failure| Finding::new("failed-map", Verdict::Fail, "the map", failure.clone())),
+    );
     Report {
         title: format!("Map {name}"),
         figures: vec![

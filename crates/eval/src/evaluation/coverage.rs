@@ -59,6 +59,12 @@ pub struct Coverage {
     pub missing_end_secs: f64,
 }
 
+/// The first item from an index on that holds.
+fn first_from<T>(items: &[T], from: usize, holds: impl Fn(&T) -> bool) -> usize {
+    let rest = items.get(from..).unwrap_or_default();
+    from + rest.iter().take_while(|item| !holds(item)).count()
+}
+
 /// All in order of time; `pairs` are those of the two that are judged. Poses of the estimate whose stamps match no true one are judged
 /// nowhere: where they alone are, nothing is known of their errors, and the truth is not covered.
 pub(super) fn coverage(
@@ -68,16 +74,22 @@ pub(super) fn coverage(
     gap_secs: f64,
 ) -> Coverage {
     let gap = |earlier: &StampedPose, later: &StampedPose| later.time.secs_since(earlier.time);
-    let is_judged = |t: &StampedPose| {
-        let next = pairs.partition_point(|p| p.truth.time < t.time);
+    // The first that is not before a true pose; it only moves on.
+    let mut next_judged = 0;
+    let mut is_judged = |t: &StampedPose| {
+        let later = |p: &PosePair| p.truth.time >= t.time;
+        next_judged = first_from(pairs, next_judged, later);
+        let next = next_judged;
         let around = [next.checked_sub(1), Some(next)];
         let mut around = around.into_iter().flatten().filter_map(|i| pairs.get(i));
         around.any(|p| gap(&p.truth, t).abs() <= gap_secs)
     };
+    let mut next_estimated = 0;
     let covered = truth
         .iter()
         .filter(|t| {
-            let next = estimate.partition_point(|e| e.time < t.time);
+            next_estimated = first_from(estimate, next_estimated, |e| e.time >= t.time);
+            let next = next_estimated;
             match (
                 next.checked_sub(1).and_then(|i| estimate.get(i)),
                 estimate.get(next),

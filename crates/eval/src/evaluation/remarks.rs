@@ -4,6 +4,7 @@ use lsfb_geometry::{Matrix3, Vector3};
 use lsfb_types::{Finding, Limit, Verdict};
 
 use super::{Evaluation, conventions};
+use crate::alignment::AlignmentMode;
 use crate::association::PosePair;
 use crate::read::NO_STAMPS;
 use crate::{Error, TrajectoryFile};
@@ -39,6 +40,10 @@ const OTHER_UNITS: [(f64, &str); 4] = [
     (0.01, "hundreds of metres"),
     (0.001, "kilometres"),
 ];
+/// An estimate that is larger or smaller by more, as a share, is of another size.
+const MOST_SCALE: f64 = 0.1;
+/// By how much a scale must lessen its errors to be named.
+const LESS: f64 = 0.5;
 /// Sizes that differ by less, as a share, are alike.
 const ALIKE: f64 = 0.05;
 
@@ -46,8 +51,8 @@ const ALIKE: f64 = 0.05;
 pub(super) fn duplicates(count: usize) -> Option<Finding> {
     let what = match count {
         0 => return None,
-        1 => "one pose repeats the stamp of the pose before it; both count".to_owned(),
-        n => format!("{n} poses repeat the stamp of the pose before them; all count"),
+        1 => "one pose repeats the stamp of the pose before it".to_owned(),
+        n => format!("{n} poses repeat the stamp of the pose before them"),
     };
     Some(Finding::new("duplicate-stamps", Verdict::Warn, "stamps", what).value(count as f64, ""))
 }
@@ -98,23 +103,37 @@ pub(super) fn of(
         // Of the truth itself, errors are those of rounding.
         if let Some(best_m) = best_m.filter(|best_m| *best_m >= LEAST_ERROR_M) {
             findings.extend(conventions::mirrored(pairs, best_m));
-            findings.extend(
-                (!is_lost)
-                    .then(|| conventions::clock(pairs, best_m))
-                    .flatten(),
-            );
+            let named = (!is_lost).then(|| one_cause(found, pairs, best_m));
+            findings.extend(named.flatten());
         }
         if let Some(rotation) = found.ate_rotation_deg.filter(|_| !is_lost) {
             findings.extend(conventions::orientations(pairs, aligned, rotation.rmse));
         }
     }
     findings.extend(few);
-    findings.extend(same(found).or_else(|| copied(pairs)));
-    findings.extend(unit(found));
+    let has_rotations = found.ate_rotation_deg.is_some();
+    findings.extend(same(found).or_else(|| copied(pairs)).or_else(|| {
+        has_rotations
+            .then(|| conventions::copied_orientations(aligned))
+            .flatten()
+    }));
+    findings.extend(unit(found).or_else(|| scale(found)));
     findings.extend(line(pairs));
     findings.extend(covariance(found));
     findings.extend(bad_covariances(found));
     findings
+}
+
+/// The one cause, if there is one, that explains most of the errors.
+fn one_cause(found: &Evaluation, pairs: &[PosePair], best_m: f64) -> Option<Finding> {
+    let turns = found.ate_rotation_deg.is_some();
+    let of_turns = |cause: fn(&[PosePair], f64) -> Option<Finding>| {
+        turns.then(|| cause(pairs, best_m)).flatten()
+    };
+    conventions::clock(pairs, best_m)
+        .or_else(|| of_turns(conventions::lever))
+        .or_else(|| conventions::axes(pairs, best_m))
+        .or_else(|| of_turns(conventions::running_clock))
 }
 
 fn coverage(found: &Evaluation) -> Finding {
@@ -267,6 +286,24 @@ fn unit(found: &Evaluation) -> Option<Finding> {
     );
     let finding = Finding::new("unit", Verdict::Warn, "positions", what).value(larger, "");
     Some(finding.remedy("write both in metres, and evaluate again"))
+}
+
+/// An estimate of another size, aligned as if it had that of the truth: its errors are of its size.
+fn scale(found: &Evaluation) -> Option<Finding> {
+    let larger = 1.0 + found.scale_error_percent? / 100.0;
+    let free = AlignmentMode::Sim3.label();
+    let of_free = found.ate_by_alignment.iter().find(|a| a.alignment == free);
+    let free_m = of_free?.rmse_m?;
+    let own_m = found.ate_translation_m.rmse;
+    let is_of_size = found.alignment != free && free_m < LESS * own_m;
+    (is_of_size && !(1.0 - MOST_SCALE..1.0 + MOST_SCALE).contains(&larger)).then(|| {
+        let what = format!(
+            "the estimate is {larger:.4} times as large as the ground truth: aligned with a scale, its error is {free_m:.4} m rms and not {own_m:.4} m"
+        );
+        Finding::new("scale", Verdict::Warn, "positions", what)
+            .value(larger, "")
+            .remedy("align by sim3 what cannot know its scale; else look for another unit (a foot has 0.3048 m)")
+    })
 }
 
 /// How the truth's matched positions scatter about their mean, summed, m².

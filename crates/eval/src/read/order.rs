@@ -10,6 +10,9 @@ use crate::Error;
 
 /// Two poses of one stamp that are further apart than this are two answers.
 const ONE_PLACE_M: f64 = 1e-6;
+/// Second answers that lie farther apart than this, metres, and are a larger share of all poses, make the file no trajectory.
+const OTHER_M: f64 = 0.01;
+const MOST_OTHER: f64 = 0.1;
 
 /// A pose as it stands in the file.
 #[derive(Clone, Debug)]
@@ -58,13 +61,20 @@ pub(super) fn put_in_order(
         let lines = crate::count(repeated.len(), "pose repeats", "poses repeat");
         let apart_m = repeated.iter().copied().fold(0.0, f64::max);
         let what = match differing {
-            0 => format!("{lines} the stamp before, at the same place; all count"),
+            0 => format!("{lines} the stamp before, at the same place"),
             n => format!(
-                "{lines} the stamp before, {n} of them elsewhere (up to {apart_m:.3} m); all count"
+                "{lines} the stamp before, {n} of them elsewhere (up to {apart_m:.3} m): which is meant is not known, and not all of them are judged"
             ),
         };
+        // Of few the rest is still a result.
+        let is_other = differing as f64 > MOST_OTHER * poses.len() as f64 && apart_m > OTHER_M;
+        let verdict = if is_other {
+            Verdict::Fail
+        } else {
+            Verdict::Warn
+        };
         findings.push(
-            Finding::new("duplicate-stamps", Verdict::Warn, &subject, what)
+            Finding::new("duplicate-stamps", verdict, &subject, what)
                 .value(repeated.len() as f64, "")
                 .remedy("keep one pose per stamp"),
         );

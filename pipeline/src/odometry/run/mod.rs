@@ -299,7 +299,8 @@ fn imu_samples(recording: &Recording, rig: &Rig, damages: &mut Damages) -> Vec<S
     samples
 }
 
-fn scan_count(recording: &Recording) -> u64 {
+/// How many scans of the main LiDAR a recording has.
+pub fn scan_count(recording: &Recording) -> u64 {
     let points = format!("/{}/points", recording.main_lidar());
     recording
         .topics()

@@ -1,14 +1,22 @@
 //! Files of other conventions that fit the truth's positions and yet are wrong: quaternions in another order or of the inverse, bodies or
 //! worlds with other axes, mirrored positions, stamps that are late. None of it shows in the figures but by their size.
 
+mod explained;
+
 use lsfb_geometry::{Matrix3, Quaternion, Se3, UnitQuaternion, Vector3, so3};
 use lsfb_types::{Finding, Limit, Verdict};
 
 use crate::alignment::{AlignmentMode, align};
 use crate::association::PosePair;
 
+pub(super) use explained::{axes, lever, running_clock};
+
 /// Rotations that are as near to the truth as this need no explanation, degrees rms.
 const NEAR_DEG: f64 = 10.0;
+/// A constant turn of the body that is smaller is not told, degrees.
+const LEAST_BODY_TURN_DEG: f64 = 2.0;
+/// Orientations that differ from the truth's by less, once their world is turned, are the truth's, radians rms.
+const COPIED_RAD: f64 = 1e-5;
 /// Turns are compared over about this time, seconds.
 const TURN_SECS: f64 = 1.0;
 /// Shorter turns than this, radians rms, tell nothing.
@@ -35,6 +43,9 @@ type Change<'a> = dyn Fn(UnitQuaternion<f64>) -> UnitQuaternion<f64> + 'a;
 /// What helps where the orientations mean nothing.
 const REMEDY: &str = "correct the file, or evaluate its positions alone: rotation errors, recall and relative errors mean nothing";
 
+/// What helps where a constant turn is all that is wrong.
+const TURNED: &str = "express both in one body and one world (`lsfb align` finds the transforms); rotation errors and recall are of this turn";
+
 /// What the orientations say, of pairs as they were read and as their positions are aligned; `rotation_deg` is the error of the latter, rms.
 pub(super) fn orientations(
     unaligned: &[PosePair],
@@ -42,7 +53,7 @@ pub(super) fn orientations(
     rotation_deg: f64,
 ) -> Option<Finding> {
     if rotation_deg < NEAR_DEG {
-        return None;
+        return small_turn(aligned, rotation_deg);
     }
     let finding = |verdict, explained: f64, what: String| {
         Finding::new("orientations", verdict, "orientations", what)
@@ -80,8 +91,7 @@ pub(super) fn orientations(
     let as_is = turns.explained_by(|q| q);
     if as_is >= EXPLAINED {
         let off = constant_turn(aligned, rotation_deg)?;
-        let remedy = "express both in one body and one world (`lsfb align` finds the transforms); rotation errors and recall are of this turn";
-        return Some(finding(Verdict::Warn, as_is, off).remedy(remedy));
+        return Some(finding(Verdict::Warn, as_is, off).remedy(TURNED));
     }
     let untouched = Turns::of(unaligned)?;
     let best = conventions
@@ -285,50 +295,80 @@ impl Turns {
     }
 }
 
+/// How constant turns are, degrees: their scatter about their mean, rms, and the mean.
+fn scatter_deg(
+    aligned: &[PosePair],
+    off: impl Fn(UnitQuaternion<f64>, UnitQuaternion<f64>) -> UnitQuaternion<f64>,
+) -> Option<(f64, f64)> {
+    let turns = || {
+        aligned.iter().map(|p| {
+            off(
+                p.truth.world_from_rig.rotation,
+                p.estimate.world_from_rig.rotation,
+            )
+        })
+    };
+    let sum: Matrix3<f64> = turns().map(|q| *q.to_rotation_matrix().matrix()).sum();
+    let mean = so3::nearest(&sum)?;
+    let square: f64 = turns().map(|q| so3::local(&mean, &q).norm_squared()).sum();
+    let rms = (square / aligned.len() as f64).sqrt();
+    Some((rms.to_degrees(), mean.angle().to_degrees()))
+}
+
+/// Turns between the bodies, and between the worlds.
+fn body_turn_deg(aligned: &[PosePair]) -> Option<(f64, f64)> {
+    scatter_deg(aligned, |truth, estimate| truth.inverse() * estimate)
+}
+
+fn world_turn_deg(aligned: &[PosePair]) -> Option<(f64, f64)> {
+    scatter_deg(aligned, |truth, estimate| estimate * truth.inverse())
+}
+
+fn other_body((left_deg, turn_deg): (f64, f64)) -> String {
+    format!(
+        "the estimate's body has other axes than the truth's, turned by {turn_deg:.1}° throughout, to within {left_deg:.2}° rms: rotation errors are of this turn"
+    )
+}
+
+/// A body that is mounted a few degrees off.
+fn small_turn(aligned: &[PosePair], rotation_deg: f64) -> Option<Finding> {
+    if rotation_deg < LEAST_BODY_TURN_DEG {
+        return None;
+    }
+    Turns::of(aligned)?;
+    let (body, world) = (body_turn_deg(aligned)?, world_turn_deg(aligned)?);
+    let is_named = body.0 < LESS * rotation_deg && body.0 <= world.0;
+    let finding = Finding::new(
+        "orientations",
+        Verdict::Warn,
+        "orientations",
+        other_body(body),
+    );
+    is_named.then(|| finding.value(body.1, "°").remedy(TURNED))
+}
+
+/// Orientations of the truth under positions of an estimate.
+pub(super) fn copied_orientations(aligned: &[PosePair]) -> Option<Finding> {
+    Turns::of(aligned)?;
+    let (left_deg, _) = world_turn_deg(aligned)?;
+    (left_deg < COPIED_RAD.to_degrees()).then(|| {
+        let what = "the orientations of the estimate are the ground truth's own".to_owned();
+        Finding::new("same-orientations", Verdict::Warn, "orientations", what)
+            .value(left_deg, "°")
+            .remedy("check which file was evaluated, and that the system cannot read the truth")
+    })
+}
+
 /// Which constant turn makes the orientations alike, where one does.
 fn constant_turn(aligned: &[PosePair], rotation_deg: f64) -> Option<String> {
-    let scatter = |off: &dyn Fn(&PosePair) -> UnitQuaternion<f64>| -> Option<(f64, f64)> {
-        let sum: Matrix3<f64> = aligned
-            .iter()
-            .map(|p| *off(p).to_rotation_matrix().matrix())
-            .sum();
-        let mean = so3::nearest(&sum)?;
-        let square: f64 = aligned
-            .iter()
-            .map(|p| so3::local(&mean, &off(p)).norm_squared())
-            .sum();
-        let rms = (square / aligned.len() as f64).sqrt();
-        Some((rms.to_degrees(), mean.angle().to_degrees()))
-    };
-    let rotations = |p: &PosePair| {
-        (
-            p.truth.world_from_rig.rotation,
-            p.estimate.world_from_rig.rotation,
-        )
-    };
-    let body = scatter(&|p| {
-        let (truth, estimate) = rotations(p);
-        truth.inverse() * estimate
-    })?;
-    let world = scatter(&|p| {
-        let (truth, estimate) = rotations(p);
-        estimate * truth.inverse()
-    })?;
-    let of = |who: &str, (left_deg, turn_deg): (f64, f64)| {
-        format!(
-            "{who} turned by {turn_deg:.1}° throughout, to within {left_deg:.2}° rms: rotation errors are of this turn"
-        )
-    };
+    let (body, world) = (body_turn_deg(aligned)?, world_turn_deg(aligned)?);
     if body.0 <= world.0 && body.0 < LESS * rotation_deg {
-        return Some(of(
-            "the estimate's body has other axes than the truth's,",
-            body,
-        ));
+        return Some(other_body(body));
     }
     if world.0 < LESS * rotation_deg {
-        return Some(of(
-            "the estimate's orientations are of another world than its positions,",
-            world,
+        let (left_deg, turn_deg) = world;
+        return Some(format!(
+            "the estimate's orientations are of another world than its positions, turned by {turn_deg:.1}° throughout, to within {left_deg:.2}° rms: rotation errors are of this turn"
         ));
     }
     Some("the estimate turns as the truth does, but its orientations are of another body and another world than its positions".to_owned())

@@ -26,7 +26,16 @@ pub(super) use medians::median;
 pub use medians::table_of;
 
 /// Findings that make figures doubtful however good they are, the gravest first.
-const ODD: [&str; 5] = ["same", "mirrored", "follows", "clock", "no-stamps"];
+const ODD: [&str; 8] = [
+    "same",
+    "mirrored",
+    "follows",
+    "clock",
+    "lever",
+    "axes",
+    "duplicate-stamps",
+    "no-stamps",
+];
 
 /// What one run came to.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -1,0 +1,103 @@
+//! What the LiDAR of a recording saw, at the poses of a trajectory: read once for `lsfb map depth` and `lsfb map view`.
+
+use std::path::{Path, PathBuf};
+
+use lsfb_geometry::Trajectory;
+use lsfb_pipeline::odometry::scan_count;
+use lsfb_pipeline::surface::{SurfaceBuilder, SurfaceConfig};
+use lsfb_recording::{Provenance, Recording};
+use lsfb_types::Progress;
+
+use crate::context::Context;
+
+/// Inserts all scans that the trajectory reaches, and counts them.
+pub fn insert_scans(
+    path: &Path,
+    recording: &Recording,
+    world_from_rig: &Trajectory,
+    config: &SurfaceConfig,
+    context: &Context,
+) -> anyhow::Result<(SurfaceBuilder, u64)> {
+    let rig = recording.rig()?;
+    let mut builder = SurfaceBuilder::new(&rig, config).ok_or_else(|| {
+        anyhow::anyhow!(
+            "{}: its rig has no LiDAR: there is no surface",
+            path.display()
+        )
+    })?;
+    let total = scan_count(recording);
+    let mut inserted = 0;
+    for (done, scan) in (0..).zip(recording.scans()?) {
+        context.show(Progress {
+            stage: "surface",
+            done,
+            total,
+        })?;
+        match scan {
+            Ok(scan) => inserted += u64::from(builder.insert(&scan, world_from_rig)),
+            Err(damage) => {
+                context.say(&format!("warning: {}: {damage}", path.display()));
+                context.lose_data();
+            }
+        }
+    }
+    anyhow::ensure!(
+        inserted > 0,
+        "{}: no scan lies within the trajectory: give the one that `lsfb map --out-trajectory` wrote of this recording",
+        path.display()
+    );
+    Ok((builder, inserted))
+}
+
+/// Refuses a trajectory that says itself, by the provenance beside it, that it is of another recording.
+pub fn check_source(trajectory: &Path, recording: &Path) -> anyhow::Result<()> {
+    let mut beside = trajectory.as_os_str().to_owned();
+    beside.push(".provenance.json");
+    let beside = PathBuf::from(beside);
+    let Ok(text) = std::fs::read_to_string(&beside) else {
+        return Ok(());
+    };
+    // What another program wrote under that name says nothing.
+    let Ok(of_trajectory) = serde_json::from_str::<Provenance>(&text) else {
+        return Ok(());
+    };
+    let mut own = Provenance::new(&());
+    own.add_input(recording)?;
+    let is_own = |hash: &String| own.inputs.values().any(|h| h == hash);
+    let sources = &of_trajectory.inputs;
+    anyhow::ensure!(
+        sources.is_empty() || sources.values().any(is_own),
+        "{} was made from {}, not from {}: its provenance says so ({}); give the recording that it is of",
+        trajectory.display(),
+        sources.keys().cloned().collect::<Vec<_>>().join(" and "),
+        recording.display(),
+        beside.display()
+    );
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_trajectory_of_another_recording_is_refused_by_its_provenance() {
+        let folder = tempfile::tempdir().expect("folder");
+        let at = |name: &str| folder.path().join(name);
+        for name in ["a.mcap", "b.mcap"] {
+            std::fs::write(at(name), name).expect("a file");
+        }
+        let trajectory = at("a.tum");
+        check_source(&trajectory, &at("b.mcap")).expect("nothing says of what it is");
+        let mut provenance = Provenance::new(&());
+        provenance.add_input(&at("a.mcap")).expect("a hash");
+        provenance.write(&trajectory).expect("a file");
+        check_source(&trajectory, &at("a.mcap")).expect("its own");
+        // The same bytes under another name are the same recording.
+        std::fs::copy(at("a.mcap"), at("copy.mcap")).expect("a copy");
+        check_source(&trajectory, &at("copy.mcap")).expect("its own");
+        let error = check_source(&trajectory, &at("b.mcap")).expect_err("another's");
+        let said = error.to_string();
+        assert!(said.contains("made from a.mcap, not from"), "{said}");
+    }
+}
