@@ -56,14 +56,16 @@ pub(crate) fn paragraphs(
         let is_gap = below(rng, 7) == 0;
         let end = low[0] + (high[0] - low[0]) * uniform(rng, 0.6, 1.0);
         let mut x = low[0];
-        while !is_gap {
-            let word = words::word(rng);
-            let length = face.length_m(&word, height_m);
-            if x + length > end {
-                break;
+        if !is_gap {
+            loop {
+                let word = words::word(rng);
+                let length = face.length_m(&word, height_m);
+                if x + length > end {
+                    break;
+                }
+                write(canvas, &face, &word, [x, foot], height_m, ink);
+                x += length + 0.4 * height_m;
             }
-            write(canvas, &face, &word, [x, foot], height_m, ink);
-            x += length + 0.4 * height_m;
         }
         foot -= 1.7 * height_m;
     }
