@@ -1,5 +1,5 @@
-//! Writes images with what is true about them, for foreign programs to judge: `frames FOLDER [--baked] NAME ...`; with `--baked` in
-//! traced light, which is kept in the folder.
+//! Writes images with what is true about them, for foreign programs to judge: `frames FOLDER [--baked] [--detailed] NAME ...`; with
+//! `--baked` in traced light, which is kept in the folder, with `--detailed` in the detailed look.
 //!
 //! A name is a place, a sequence of Table VII, or `calibration`. For a place or a sequence: pairs of images a tenth of a
 //! second apart through the first camera of the glasses, with the true motion between them. For `calibration`: images of
@@ -12,8 +12,8 @@ use std::path::Path;
 
 use lsfb_geometry::{Se3, Vector2, Vector3};
 use lsfb_sim::{
-    CalibrationBoard, CameraConfig, Device, PaperMotion, Place, RigSim, SimConfig, Simulation,
-    preview::Picture,
+    CalibrationBoard, CameraConfig, Device, Look, PaperMotion, Place, RigSim, SimConfig,
+    Simulation, preview::Picture,
 };
 use lsfb_types::no_progress;
 use serde_json::{Value, json};
@@ -28,7 +28,11 @@ const BOARDS: u32 = 60;
 fn main() -> Result<(), Failure> {
     let mut arguments: Vec<String> = std::env::args().skip(1).collect();
     let baked = arguments.iter().any(|a| a == "--baked");
-    arguments.retain(|a| a != "--baked");
+    let look = match arguments.iter().any(|a| a == "--detailed") {
+        true => Look::Detailed,
+        false => Look::Plain,
+    };
+    arguments.retain(|a| a != "--baked" && a != "--detailed");
     let folder = Path::new(arguments.first().ok_or("usage: frames FOLDER NAME ...")?);
     std::fs::create_dir_all(folder)?;
     for name in &arguments[1..] {
@@ -43,6 +47,7 @@ fn main() -> Result<(), Failure> {
             // The scanner does not walk here.
             config.scan.duration_s = 1.0;
             config.light.baked = baked;
+            config.look = look;
             config.light.cache = folder.join("light");
             pairs(folder, name, &Simulation::new(&config, &no_progress)?)?
         };

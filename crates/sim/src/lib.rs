@@ -69,7 +69,7 @@ pub use ambient::{
 pub use calendar::{EPOCH, GLASSES_EPOCH};
 pub use config::{
     BarometerConfig, BleConfig, CameraConfig, Device, GnssConfig, ImuConfig, LensKind, LidarConfig,
-    LidarModel, LightConfig, MagneticConfig, NmeaSentence, Place, PulseSource, SimConfig,
+    LidarModel, LightConfig, Look, MagneticConfig, NmeaSentence, Place, PulseSource, SimConfig,
     SimulatedImu, WalkConfig, WifiConfig,
 };
 pub use datum::{DatumConfig, Geodetic};

@@ -5,6 +5,7 @@ mod device;
 mod imu;
 mod lidar;
 mod light;
+mod look;
 mod place;
 
 use std::path::PathBuf;
@@ -22,6 +23,7 @@ pub use device::Device;
 pub use imu::{ImuConfig, SimulatedImu};
 pub use lidar::{LidarConfig, LidarModel};
 pub use light::LightConfig;
+pub use look::Look;
 pub use place::Place;
 
 /// A whole simulated session: a scan with the backpack and a walk with the glasses.
@@ -53,6 +55,9 @@ pub struct SimConfig {
     pub off_path_m: f64,
     /// Edge of the texels that surfaces are painted with, metres.
     pub texel_m: f32,
+    /// How surfaces are painted.
+    #[serde(skip_serializing_if = "Look::is_plain")]
+    pub look: Look,
     /// The light of the place.
     #[serde(skip_serializing_if = "LightConfig::is_off")]
     pub light: LightConfig,
@@ -165,6 +170,7 @@ impl Default for SimConfig {
             motion: String::new(),
             off_path_m: 0.0,
             texel_m: 0.003,
+            look: Look::default(),
             light: LightConfig::default(),
             scan_imu_family: SimulatedImu::default(),
             scan: WalkConfig::default(),
@@ -333,6 +339,10 @@ impl SimConfig {
         self.glasses_imu.check("glasses_imu")?;
         self.lidar.check("lidar")?;
         self.light.check("light", self.place)?;
+        if !self.look.is_plain() && matches!(self.place, Place::Demo | Place::Imported) {
+            let bounds = "plain in the demo's place and in scenes of the user's";
+            return Err(OutOfBounds::new("", "look", &"detailed", &bounds).into());
+        }
         Ok(())
     }
 }
@@ -350,6 +360,7 @@ lsfb_types::bounds! {
         motion: any,
         off_path_m: number(Bounds::ZeroOr(0.5, 10.0)),
         texel_m: number(Bounds::Within(0.001, 0.1)),
+        look: any,
         light: section,
         scan_imu_family: any,
         scan: section,

@@ -58,6 +58,7 @@ impl Place {
         if !config.people {
             site.plan.strolls.clear();
         }
+        site.plan.look = config.look;
         site.plan
     }
 }

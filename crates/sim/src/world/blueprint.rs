@@ -11,13 +11,15 @@ use super::builder::{Builder, Surface};
 use super::bvh::Bvh;
 use super::crowd::{Crowd, Stroll};
 use super::facet::{Facet, Outline};
+use super::grain::Grain;
 use super::light::{Lamp, Lamps, LightGrid, Lighting, SmallFacets, Sun};
 use super::lit::{self, Lit};
+use super::outlook;
 use super::skin::{Beyond, LightMaps, Skin};
 use super::vector::{cross, norm, sub};
 use super::{Substance, World, gltf, pool};
 use crate::Error;
-use crate::config::LightConfig;
+use crate::config::{LightConfig, Look};
 
 /// Distance between the points at which light is computed, metres.
 const SPACING_M: f32 = 0.45;
@@ -30,6 +32,7 @@ pub(crate) struct Blueprint {
     pub sun: Option<Sun>,
     pub ambient: f32,
     pub strolls: Vec<Stroll>,
+    pub look: Look,
 }
 
 impl World {
@@ -188,9 +191,33 @@ impl Painted {
         let (crowd, bodies) = Crowd::new(blueprint.strolls.clone(), seed, facets.len());
         surfaces.extend(bodies);
         let mut atlas = Atlas::default();
-        let mut skins = pool::paint(&surfaces, texel_m, seed, &mut atlas, progress)?;
+        let mut skins = pool::paint(
+            &surfaces,
+            (texel_m, blueprint.look),
+            seed,
+            &mut atlas,
+            progress,
+        )?;
         for skin in &mut skins[facets.len()..] {
             *skin = pool::unlit(*skin);
+        }
+        if blueprint.look == Look::Detailed {
+            // Where there is a sun, one stands outside and sees in a window what it mirrors.
+            let view = if blueprint.sun.is_some() {
+                Beyond::Mirrored
+            } else {
+                Beyond::Outlook
+            };
+            let texture = atlas.count() as u32;
+            let mut canvas = outlook::paint(seed);
+            for value in &mut canvas.values {
+                *value = (super::EXPOSURE * *value).sqrt();
+            }
+            atlas.push(&canvas);
+            let windows = skins.iter_mut().zip(&surfaces);
+            for (skin, _) in windows.filter(|(_, s)| s.material.grain == Grain::Outlook) {
+                (skin.texture, skin.beyond, skin.gain) = (texture, view, 1.0);
+            }
         }
         Ok(Self {
             surfaces,

@@ -173,7 +173,8 @@ impl Canvas {
         });
     }
 
-    fn ellipse(&mut self, centre: [f32; 2], axes: [f32; 2], turn: f32, tone: f32) {
+    /// Fills an ellipse, its first axis turned by `turn`, radians.
+    pub(crate) fn ellipse(&mut self, centre: [f32; 2], axes: [f32; 2], turn: f32, tone: f32) {
         let (sin, cos) = turn.sin_cos();
         let r = axes[0].max(axes[1]);
         self.fill(
@@ -189,6 +190,51 @@ impl Canvas {
                 ((p * p + q * q).sqrt() - 1.0) * axes[0].min(axes[1])
             },
         );
+    }
+
+    /// Replaces every tone by that of a place, metres from the corner.
+    pub(crate) fn shade(&mut self, tone: impl Fn(f32, f32) -> f32) {
+        self.vary(|x, y, _| tone(x, y));
+    }
+
+    /// Replaces every tone by one that depends on a place, metres from the corner, and what was there.
+    pub(crate) fn vary(&mut self, tone: impl Fn(f32, f32, f32) -> f32) {
+        let [tx, ty] = self.texel_m;
+        for (y, row) in self.values.chunks_mut(self.width).enumerate() {
+            for (x, value) in row.iter_mut().enumerate() {
+                *value = tone((x as f32 + 0.5) * tx, (y as f32 + 0.5) * ty, *value);
+            }
+        }
+    }
+
+    /// Paints whatever lies where something holds.
+    pub(crate) fn paint_where(&mut self, tone: f32, holds: impl Fn(f32, f32) -> bool) {
+        self.vary(|x, y, value| if holds(x, y) { tone } else { value });
+    }
+
+    /// An empty picture of the size of a part of it.
+    pub(crate) fn cut(&self, low: [f32; 2], high: [f32; 2]) -> Self {
+        let count = |i: usize| ((high[i] - low[i]) / self.texel_m[i]).round().max(2.0) as usize;
+        let (width, height) = (count(0), count(1));
+        Self {
+            width,
+            height,
+            texel_m: self.texel_m,
+            values: vec![0.0; width * height],
+        }
+    }
+
+    /// Puts a picture with texels of the same size over it, as far as it has room.
+    pub(crate) fn paste(&mut self, part: &Self, low: [f32; 2]) {
+        let first = [0, 1].map(|i| (low[i] / self.texel_m[i]).round().max(0.0) as usize);
+        let columns = part.width.min(self.width.saturating_sub(first[0]));
+        for (k, row) in part.values.chunks(part.width).enumerate() {
+            let y = first[1] + k;
+            if y < self.height && columns > 0 {
+                let begin = y * self.width + first[0];
+                self.values[begin..begin + columns].copy_from_slice(&row[..columns]);
+            }
+        }
     }
 
     /// Paints where the signed distance to the outline, metres, is negative; half a texel of transition either way.

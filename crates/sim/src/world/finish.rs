@@ -1,5 +1,6 @@
 //! Materials of large buildings and of what is outside them.
 
+use super::grain::Grain;
 use super::material::{Marks, Material, PLAIN};
 use super::substance::Substance;
 
@@ -9,6 +10,7 @@ impl Material {
         tone: 0.68,
         noise: 0.0025,
         longest_m: 1.5,
+        grain: Grain::Plaster,
         ..PLAIN
     };
     /// A floor as blank as that wall.
@@ -27,6 +29,7 @@ impl Material {
         coverage: 0.015,
         spread: 0.14,
         largest_m: 0.05,
+        grain: Grain::Plaster,
         ..PLAIN
     };
     pub(crate) const CARPET: Self = Self {
@@ -38,6 +41,7 @@ impl Material {
         largest_m: 0.05,
         marks: Marks::Boards([0.5, 0.5]),
         substance: Substance::Soft,
+        grain: Grain::Carpet,
         ..PLAIN
     };
     pub(crate) const STONE: Self = Self {
@@ -50,6 +54,7 @@ impl Material {
         marks: Marks::Boards([0.8, 0.8]),
         gloss: 0.5,
         substance: Substance::Concrete,
+        grain: Grain::Stone,
         ..PLAIN
     };
     pub(crate) const CONCRETE: Self = Self {
@@ -60,6 +65,7 @@ impl Material {
         spread: 0.18,
         largest_m: 0.1,
         substance: Substance::Concrete,
+        grain: Grain::Concrete,
         ..PLAIN
     };
     pub(crate) const BRICK: Self = Self {
@@ -72,6 +78,7 @@ impl Material {
         marks: Marks::Boards([0.24, 0.075]),
         coarseness: 1.5,
         substance: Substance::Brick,
+        grain: Grain::Brick,
         ..PLAIN
     };
     pub(crate) const CLADDING: Self = Self {
@@ -84,6 +91,7 @@ impl Material {
         marks: Marks::Boards([1.2, 0.6]),
         coarseness: 1.5,
         substance: Substance::Brick,
+        grain: Grain::Stone,
         ..PLAIN
     };
     pub(crate) const PAVEMENT: Self = Self {
@@ -96,6 +104,7 @@ impl Material {
         marks: Marks::Boards([0.4, 0.4]),
         coarseness: 1.5,
         substance: Substance::Concrete,
+        grain: Grain::Aggregate,
         ..PLAIN
     };
     pub(crate) const ASPHALT: Self = Self {
@@ -107,6 +116,7 @@ impl Material {
         largest_m: 0.08,
         coarseness: 1.5,
         substance: Substance::Concrete,
+        grain: Grain::Aggregate,
         ..PLAIN
     };
     pub(crate) const GRASS: Self = Self {
@@ -117,6 +127,7 @@ impl Material {
         spread: 0.12,
         largest_m: 0.12,
         coarseness: 1.5,
+        grain: Grain::Grass,
         ..PLAIN
     };
     pub(crate) const FOLIAGE: Self = Self {
@@ -127,6 +138,7 @@ impl Material {
         spread: 0.15,
         largest_m: 0.15,
         substance: Substance::Leaves,
+        grain: Grain::Leaves,
         ..PLAIN
     };
     pub(crate) const BARK: Self = Self {
@@ -138,6 +150,7 @@ impl Material {
         spread: 0.12,
         largest_m: 0.04,
         substance: Substance::Wood,
+        grain: Grain::Wood,
         ..PLAIN
     };
     /// Clouds, seen two hundred metres away.
@@ -179,6 +192,7 @@ impl Material {
         luminance_cd_m2: 3000.0,
         gloss: 1.0,
         substance: Substance::Glass,
+        grain: Grain::Outlook,
         ..PLAIN
     };
     pub(crate) const GLASS: Self = Self {
@@ -213,6 +227,7 @@ impl Material {
         spread: 0.2,
         largest_m: 0.08,
         substance: Substance::Soft,
+        grain: Grain::Cloth,
         ..PLAIN
     };
     pub(crate) const SKIN: Self = Self {

@@ -2,6 +2,7 @@
 
 use super::april_grid;
 use super::canvas::{Canvas, Leaves};
+use super::grain::Grain;
 use super::substance::Substance;
 use crate::noise::{Dice, below, stream, uniform};
 
@@ -57,6 +58,8 @@ pub(crate) struct Material {
     pub coarseness: f32,
     /// What it is made of.
     pub substance: Substance,
+    /// What it is like close by, in the detailed look.
+    pub grain: Grain,
 }
 
 pub(super) const PLAIN: Material = Material {
@@ -75,6 +78,7 @@ pub(super) const PLAIN: Material = Material {
     glass: false,
     coarseness: 1.0,
     substance: Substance::Board,
+    grain: Grain::None,
 };
 
 impl Material {
@@ -94,6 +98,7 @@ impl Material {
         coverage: 0.08,
         spread: 0.2,
         largest_m: 0.06,
+        grain: Grain::Plaster,
         ..PLAIN
     };
     pub(crate) const CEILING: Self = Self {
@@ -103,6 +108,7 @@ impl Material {
         spread: 0.3,
         largest_m: 0.02,
         marks: Marks::Boards([0.6, 0.6]),
+        grain: Grain::Fibreboard,
         ..PLAIN
     };
     pub(crate) const PARQUET: Self = Self {
@@ -116,6 +122,7 @@ impl Material {
         marks: Marks::Boards([0.5, 0.08]),
         gloss: 0.4,
         substance: Substance::Wood,
+        grain: Grain::Wood,
         ..PLAIN
     };
     pub(crate) const LINOLEUM: Self = Self {
@@ -126,6 +133,7 @@ impl Material {
         largest_m: 0.05,
         marks: Marks::Boards([0.5, 0.5]),
         gloss: 0.6,
+        grain: Grain::Stone,
         ..PLAIN
     };
     pub(crate) const WOOD: Self = Self {
@@ -137,6 +145,7 @@ impl Material {
         spread: 0.2,
         largest_m: 0.015,
         substance: Substance::Wood,
+        grain: Grain::Wood,
         ..PLAIN
     };
     pub(crate) const CUPBOARD: Self = Self {
@@ -148,6 +157,7 @@ impl Material {
         largest_m: 0.02,
         marks: Marks::Panel(0.03),
         substance: Substance::Wood,
+        grain: Grain::Wood,
         ..PLAIN
     };
     pub(crate) const FABRIC: Self = Self {
@@ -157,6 +167,7 @@ impl Material {
         spread: 0.25,
         largest_m: 0.06,
         substance: Substance::Soft,
+        grain: Grain::Cloth,
         ..PLAIN
     };
     pub(crate) const RUG: Self = Self {
@@ -191,6 +202,7 @@ impl Material {
         coverage: 0.12,
         spread: 0.14,
         largest_m: 0.015,
+        grain: Grain::Aggregate,
         ..PLAIN
     };
     pub(crate) const METAL: Self = Self {
@@ -201,6 +213,7 @@ impl Material {
         spread: 0.25,
         largest_m: 0.02,
         substance: Substance::Metal,
+        grain: Grain::Metal,
         ..PLAIN
     };
     pub(crate) const BOOK: Self = Self {
@@ -228,6 +241,7 @@ impl Material {
         spread: 0.15,
         largest_m: 0.02,
         substance: Substance::Leaves,
+        grain: Grain::Leaves,
         ..PLAIN
     };
     pub(crate) const LAMP: Self = Self {
@@ -283,7 +297,8 @@ impl Material {
         let rng = stream(seed, "material", 0);
         let mut canvas = Canvas::new(size_m, texel_m, self.tone);
         if let Marks::Boards(board_m) = self.marks {
-            boards(&mut canvas, board_m, self.tone, &rng);
+            let joint = (0.0015, 0.5 * self.tone);
+            boards(&mut canvas, board_m, self.tone, [0.8, 1.2], joint, &rng);
         }
         let inset = match self.marks {
             Marks::Poster(margin_m) => margin_m,
@@ -332,11 +347,17 @@ impl Material {
     }
 }
 
-/// Rows of boards, every row shifted, with dark joints.
-fn boards(canvas: &mut Canvas, board_m: [f32; 2], tone: f32, rng: &Dice) {
+/// Rows of boards, every row shifted: their tones are `tones` times `tone`; joints of half a width, metres, and a tone.
+pub(super) fn boards(
+    canvas: &mut Canvas,
+    board_m: [f32; 2],
+    tone: f32,
+    tones: [f32; 2],
+    (joint, joint_tone): (f32, f32),
+    rng: &Dice,
+) {
     let [w, h] = canvas.size_m();
-    canvas.values.fill(0.5 * tone);
-    let joint = 0.0015;
+    canvas.values.fill(joint_tone);
     let mut y = 0.0;
     while y < h {
         let mut x = if board_m[0] > 2.0 * board_m[1] {
@@ -345,7 +366,7 @@ fn boards(canvas: &mut Canvas, board_m: [f32; 2], tone: f32, rng: &Dice) {
             0.0
         };
         while x < w {
-            let shade = tone * uniform(rng, 0.8, 1.2);
+            let shade = tone * uniform(rng, tones[0], tones[1]);
             canvas.rectangle(
                 [x + joint, y + joint],
                 [x + board_m[0] - joint, y + board_m[1] - joint],
@@ -449,7 +470,7 @@ fn sign(canvas: &mut Canvas, tone: f32, rng: &Dice) {
     text(canvas, low, [0.96 * w, 0.86 * h], 0.55 * h, ink, rng);
 }
 
-fn panel(canvas: &mut Canvas, margin: f32, tone: f32) {
+pub(super) fn panel(canvas: &mut Canvas, margin: f32, tone: f32) {
     let [w, h] = canvas.size_m();
     let (low, high) = ([margin, margin], [w - margin, h - margin]);
     let (dark, light) = (0.35 * tone, (1.4 * tone).min(0.9));

@@ -1,6 +1,6 @@
 //! The world: flat facets with painted, lit textures under a bounding volume hierarchy, and people who walk in it.
 //!
-//! Brightness does not depend on the direction of view (but for glass and, in baked light, gloss), so that a point looks alike in all images.
+//! Brightness does not depend on the direction of view (but for glass, windows in the detailed look and, in baked light, gloss), so that a point looks alike in all images.
 
 pub mod april_grid;
 mod atlas;
@@ -11,26 +11,32 @@ mod bvh;
 pub(crate) mod canvas;
 mod corridor;
 pub(crate) mod crowd;
+mod detail;
 mod facet;
 mod finish;
 pub(crate) mod fittings;
 mod floor_plan;
 pub(crate) mod furniture;
 mod gltf;
+mod grain;
 mod irradiance;
+mod letters;
 pub(crate) mod light;
 mod lit;
 pub(crate) mod material;
 mod mesh;
+mod outlook;
 mod packet;
 mod patchwork;
 mod pool;
+mod print;
 mod ray;
 mod room;
 mod shade;
 mod skin;
 mod substance;
 pub(crate) mod vector;
+mod words;
 
 use rayon::prelude::*;
 use wide::f32x8;
@@ -284,6 +290,28 @@ impl World {
         self.lit.as_ref().map_or(0.0, |lit| lit.gloss[facet])
     }
 
+    /// Brightness of what is seen far behind a window along a ray of unit length, or mirrored in it; `None` for what is no window.
+    #[inline]
+    fn outlook(
+        &self,
+        facet: usize,
+        [a, b]: [f32; 2],
+        (ray, normal): ([f32; 3], [f32; 3]),
+        angle_rad: f32,
+    ) -> Option<f32> {
+        let skin = &self.skins[facet];
+        let towards = match skin.beyond {
+            Beyond::Outlook => ray,
+            Beyond::Mirrored => {
+                vector::add(ray, vector::scale(normal, -2.0 * vector::dot(ray, normal)))
+            }
+            _ => return None,
+        };
+        let [x, y] = outlook::place(towards);
+        let paint = self.atlas.sample(skin.texture as usize, x, y, angle_rad);
+        Some(self.light.at(skin.light, a, b) * paint)
+    }
+
     /// Brightness at `(a, b)` of a facet, 255 being white, averaged over `footprint_m`.
     #[inline]
     fn radiance(&self, facet: usize, a: f32, b: f32, footprint_m: f32, time_s: f64) -> f32 {
@@ -292,7 +320,7 @@ impl World {
         let sample = |[x, y]: [f32; 2]| self.atlas.sample(texture, x, y, footprint_m * skin.zoom);
         let paint = match &skin.beyond {
             Beyond::Patched(patchwork) => patchwork.blend(place, self.atlas.mean(texture), sample),
-            Beyond::Nothing | Beyond::Repeated => sample(place),
+            _ => sample(place),
         };
         skin.gain * self.light.at(skin.light, a, b) * paint
     }

@@ -12,10 +12,13 @@ use lsfb_types::{Progress, ProgressFn, Stopped};
 
 use super::atlas::Atlas;
 use super::builder::Surface;
+use super::detail;
+use super::grain::Grain;
 use super::material::{Marks, Material};
 use super::patchwork::Patchwork;
 use super::skin::{Beyond, LightMaps, Skin};
 use super::vector::norm;
+use crate::config::Look;
 use crate::noise::{hash, unit};
 
 /// Edge of a shared picture, metres, before its material's coarseness.
@@ -25,6 +28,10 @@ const SHEET_TEXELS: f32 = 1400.0;
 /// Variants of what comes in series: doors and cupboards, editions of books.
 const DOORS: u64 = 6;
 const EDITIONS: u64 = 60;
+/// Editions of books with titles.
+const TITLES: u64 = 600;
+/// In the detailed look, what is no larger than this, square metres, has texels of half the size: there is writing on it.
+const CLOSE_M2: f32 = 0.3;
 /// Tones painted for each material; what is between is made brighter or darker.
 const TONES: f32 = 4.0;
 
@@ -35,6 +42,7 @@ struct Key {
     /// Size in half octaves, 0 for shared sheets.
     size: [i32; 2],
     variant: u64,
+    grain: Grain,
 }
 
 /// A picture to be painted.
@@ -48,14 +56,14 @@ struct Order {
 /// Paints what `surfaces` need, and says what each shows. Lights are numbered as the surfaces are.
 pub(super) fn paint(
     surfaces: &[Surface],
-    texel_m: f32,
+    (texel_m, look): (f32, Look),
     seed: u64,
     atlas: &mut Atlas,
     progress: ProgressFn,
 ) -> Result<Vec<Skin>, Stopped> {
     let wanted: Vec<(Key, Order)> = surfaces
         .iter()
-        .map(|surface| order(surface, texel_m, seed))
+        .map(|surface| order(surface, texel_m, look, seed))
         .collect();
     let mut orders: BTreeMap<&Key, &Order> = BTreeMap::new();
     for (key, order) in &wanted {
@@ -78,7 +86,11 @@ pub(super) fn paint(
                 (0..order.material.pictures)
                     .map(|picture| {
                         let seed = hash(order.seed ^ u64::from(picture));
-                        let mut canvas = order.material.paint(order.size_m, order.texel_m, seed);
+                        let (material, size_m) = (&order.material, order.size_m);
+                        let mut canvas = match look {
+                            Look::Plain => material.paint(size_m, order.texel_m, seed),
+                            Look::Detailed => detail::paint(material, size_m, order.texel_m, seed),
+                        };
                         for value in &mut canvas.values {
                             *value = (super::EXPOSURE * *value).sqrt();
                         }
@@ -111,7 +123,7 @@ pub(super) fn paint(
     Ok(skins)
 }
 
-fn order(surface: &Surface, texel_m: f32, seed: u64) -> (Key, Order) {
+fn order(surface: &Surface, texel_m: f32, look: Look, seed: u64) -> (Key, Order) {
     let painted_tone = (surface.material.tone * TONES).round().max(0.5) / TONES;
     let material = Material {
         tone: painted_tone.min(0.9),
@@ -125,7 +137,7 @@ fn order(surface: &Surface, texel_m: f32, seed: u64) -> (Key, Order) {
         material.largest_m = 0.34 * (0.5 * (2.0 * edge.log2()).round()).exp2();
     }
     let bits = hash(seed ^ place_of(surface));
-    let texel_m = 1.33 * texel_m * material.coarseness;
+    let mut texel_m = 1.33 * texel_m * material.coarseness;
     let (buckets, size_m, variant) = match material.marks {
         Marks::None | Marks::Boards(_) => {
             let edge = (SHEET_M * material.coarseness).min(SHEET_TEXELS * texel_m);
@@ -137,9 +149,13 @@ fn order(surface: &Surface, texel_m: f32, seed: u64) -> (Key, Order) {
             let size_m = buckets.map(|b| (0.5 * b as f32).exp2());
             let variant = match material.marks {
                 Marks::Panel(_) => bits % DOORS,
+                Marks::Spine if look == Look::Detailed => bits % TITLES,
                 Marks::Spine => bits % EDITIONS,
                 _ => bits,
             };
+            if look == Look::Detailed && size_m[0] * size_m[1] < CLOSE_M2 {
+                texel_m *= 0.5;
+            }
             (buckets, size_m, variant)
         }
     };
@@ -147,6 +163,7 @@ fn order(surface: &Surface, texel_m: f32, seed: u64) -> (Key, Order) {
         material: identity(&material),
         size: buckets,
         variant,
+        grain: material.grain,
     };
     let paint_seed = key.material.iter().fold(hash(seed ^ variant), |sum, bits| {
         hash(sum ^ u64::from(*bits))

@@ -109,7 +109,9 @@ impl World {
             }
             let footprint = (travelled[lane] + distance[lane]) * angle_rad / cosine.sqrt();
             let [a, b] = facet.coordinates(point_there);
-            let mut value = self.radiance(number, a, b, footprint, moment.time_s);
+            let far = self.outlook(number, [a, b], (ray_there, facet.normal), angle_rad);
+            let mut value =
+                far.unwrap_or_else(|| self.radiance(number, a, b, footprint, moment.time_s));
             if carrier != 0
                 && let Some(lit) = &self.lit
             {

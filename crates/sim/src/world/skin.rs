@@ -38,6 +38,10 @@ pub(crate) enum Beyond {
     Repeated,
     /// Other parts of the picture.
     Patched(Patchwork),
+    /// Not on the facet at all: what lies far behind it.
+    Outlook,
+    /// The same, as the facet mirrors it.
+    Mirrored,
 }
 
 impl Skin {
@@ -69,7 +73,7 @@ impl Skin {
         let [along_a, along_b] = self.edges;
         let place = std::array::from_fn(|i| self.offset[i] + a * along_a[i] + b * along_b[i]);
         let place = match self.beyond {
-            Beyond::Nothing | Beyond::Patched(_) => place,
+            Beyond::Nothing | Beyond::Patched(_) | Beyond::Outlook | Beyond::Mirrored => place,
             Beyond::Repeated => place.map(|x: f32| x - x.floor()),
         };
         (self.texture as usize + shown, place)

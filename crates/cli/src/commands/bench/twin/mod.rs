@@ -15,7 +15,7 @@ use std::time::Instant;
 use lsfb_pipeline::ground_truth::GroundTruthConfig;
 use lsfb_pipeline::mapping::MappingConfig;
 use lsfb_recording::Provenance;
-use lsfb_sim::{Device, Place, SimConfig};
+use lsfb_sim::{Device, Look, Place, SimConfig};
 use serde::Serialize;
 
 use crate::commands::sim::device;
@@ -76,6 +76,9 @@ pub struct Arguments {
     /// Light traced from true lamps, sky and sun, with shadows, gloss and windows too bright to see through; computed once for each place.
     #[arg(long)]
     baked_light: bool,
+    /// Surfaces painted each in its own way, with signs, books, screens and papers that have words on them, and a view out of the windows.
+    #[arg(long)]
+    detailed_look: bool,
     /// Keep all recordings: hundreds of megabytes for each scan, tens of gigabytes without --quick.
     #[arg(long)]
     keep_recordings: bool,
@@ -127,6 +130,10 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         },
         light: Light {
             folder: arguments.baked_light.then(|| arguments.out.join("light")),
+            look: match arguments.detailed_look {
+                true => Look::Detailed,
+                false => Look::Plain,
+            },
         },
         context,
         rigs: BTreeMap::new(),

@@ -3,7 +3,7 @@
 
 use std::path::PathBuf;
 
-use lsfb_sim::{Device, PaperMotion, Place, SimConfig};
+use lsfb_sim::{Device, Look, PaperMotion, Place, SimConfig};
 use serde::{Deserialize, Serialize};
 
 use crate::twin_session::{beside_the_scan, smaller};
@@ -68,16 +68,19 @@ pub enum Size {
     TryOut,
 }
 
-/// What places are lit by.
+/// What places are lit by, and how they are painted.
 #[derive(Clone, Debug)]
 pub struct Light {
     /// Folder in which traced light is kept; without, light is simple.
     pub folder: Option<PathBuf>,
+    /// How surfaces are painted.
+    pub look: Look,
 }
 
 impl Light {
-    /// Settings with this light.
+    /// Settings with this light and look.
     pub fn on(&self, mut config: SimConfig) -> SimConfig {
+        config.look = self.look;
         if let Some(folder) = &self.folder {
             config.light.baked = true;
             config.light.cache.clone_from(folder);
