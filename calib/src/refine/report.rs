@@ -9,8 +9,8 @@ use crate::{Overlay, TransformEdge};
 /// Squared σ of six numbers that chance leaves between halves in all but one of a thousand recordings (χ² of six).
 const HALVES_AGREE: f64 = 22.5;
 /// By how much the LiDAR's way may turn wrong from image to image, degrees: four cameras of a simulated walk have 0.008 to 0.011, and
-/// 0.05 and 0.08 with a focal length that is 2 % off and a principal point that is 6 px off.
-const WORRYING_TURN_DEG: f64 = 0.03;
+/// 0.05 and 0.08 with a focal length that is 2 % off and a principal point that is 6 px off; small images (320 × 200 px) 0.034 and 0.24.
+const WORRYING_TURN_DEG: f64 = 0.045;
 /// Offset of a camera's clock that one which is synchronised does not have, milliseconds.
 const WORRYING_CLOCK_MS: f64 = 3.0;
 /// Standard deviations beyond which a clock is none of chance.

@@ -22,7 +22,7 @@ use crate::outcome::Outcome;
 /// Examples:
 ///   lsfb calib verify scan.mcap
 ///   lsfb calib verify scan.mcap --rig rig.toml --out report.html --json
-///   lsfb calib verify phone.mcap --rig phone.toml --clock-rig phone-clock.toml
+///   lsfb calib verify phone.mcap --rig phone.toml --out-rig phone-clock.toml
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Arguments {
@@ -38,7 +38,7 @@ pub struct Arguments {
     /// Also write the rig with the clock of each camera as its images and the gyroscope have it, for cameras that do not say by which clock
     /// they stamp (rig_from_camera_s). It is checked once more before it is written.
     #[arg(long, value_name = "TOML")]
-    clock_rig: Option<PathBuf>,
+    out_rig: Option<PathBuf>,
     /// Settings instead of the defaults.
     #[arg(long, value_name = "TOML")]
     config: Option<PathBuf>,
@@ -66,7 +66,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
         None => arguments.recording.with_extension("verify.html"),
     };
     // The same page says nothing of a rig that is asked for.
-    if arguments.clock_rig.is_none()
+    if arguments.out_rig.is_none()
         && let Some(said) = judged::said_before(context, &page, &provenance)
     {
         return said;
@@ -74,7 +74,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let results = Results {
         out: &page,
         transforms: &[],
-        others: &[arguments.clock_rig.as_deref()],
+        others: &[arguments.out_rig.as_deref()],
         rig: None,
         read: [Some(&arguments.recording), arguments.rig.as_ref()]
             .into_iter()
@@ -95,7 +95,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     let beside = |camera: &str| super::name_of(&picture(camera));
     super::write(&page, found.to_html("Rig verification", &beside))?;
     provenance.write(&page)?;
-    let clocks = match &arguments.clock_rig {
+    let clocks = match &arguments.out_rig {
         Some(out) => {
             let (corrected, clocks) = found.with_measured_clocks(&rig);
             write_clocks(out, &recording, &corrected, &clocks, &config, context)?;
@@ -127,7 +127,7 @@ pub fn run(arguments: &Arguments, context: &Context) -> anyhow::Result<Outcome> 
     for clock in &clocks {
         text += &format!(
             "\n  {}: {}",
-            super::name_of(arguments.clock_rig.as_deref().unwrap_or(&page)),
+            super::name_of(arguments.out_rig.as_deref().unwrap_or(&page)),
             in_words(clock)
         );
     }

@@ -34,7 +34,7 @@ pub struct Arguments {
     /// Only this phone.
     #[arg(long, value_name = "NAME")]
     device: Option<String>,
-    /// Its rig, instead of the one that it brought: calibrated since, or with the clocks that `lsfb calib verify --clock-rig` measured.
+    /// Its rig, instead of the one that it brought: calibrated since, or with the clocks that `lsfb calib verify --out-rig` measured.
     #[arg(long, value_name = "TOML", requires = "device")]
     rig: Option<PathBuf>,
 }
