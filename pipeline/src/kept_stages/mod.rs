@@ -1,7 +1,7 @@
 //! Stages of a long computation that are finished, kept in a folder until its result is there: stopped or killed, the same
 //! computation goes on behind them, to the same result bit for bit.
 //!
-//! A file a stage, `NAME.stage`: the SHA-256 of what follows, then the values as [`Keep`] writes them. `made_from` beside them says of
+//! A file a stage, `NAME.stage`: the SHA-256 of what follows, then the values as `keep` writes them. `made_from` beside them says of
 //! what; of something else they are removed. A stage that cannot be read back whole is computed again.
 
 mod keep;

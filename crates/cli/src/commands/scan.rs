@@ -34,7 +34,7 @@ const SIDECAR_FOLDER: &str = "sidecar";
 /// stop, notes and control points (which are recorded). Recordings are then started and stopped there; each gets its own file
 /// (scan.mcap, scan-2.mcap, …), no existing file is overwritten, and Ctrl-C ends the program. The page needs no internet. By
 /// default it can be opened on this machine only; at an address that other machines can reach (0.0.0.0:8700) it is served by TLS,
-/// below /operator/, and asks for a PIN, which is printed at the start with a QR code of the link. With a [sidecar] in the list of
+/// below /operator/, and asks for a PIN, which is printed at the start with a QR code of the link. With a `[sidecar]` in the list of
 /// devices it lies at the address of the phones as well. The browser warns of the rig's certificate, which nobody has signed.
 ///
 /// Examples:
@@ -80,7 +80,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FOLDER")]
     out_second_disk: Option<PathBuf>,
     /// Serve the operator's screen; only this machine can open it unless ADDR says otherwise, or phones have an address
-    /// ([sidecar]).
+    /// (`[sidecar]`).
     #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = "127.0.0.1:8700", conflicts_with_all = ["pcap", "db3", "mcap"])]
     screen: Option<SocketAddr>,
     /// PIN of the screen, at least four characters; by default a random one, which is asked of other machines alone.
