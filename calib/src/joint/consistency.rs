@@ -22,7 +22,7 @@ const MANY: f64 = 1e6;
 const LARGE_LOOP_DEG: f64 = 0.4;
 const LARGE_LOOP_MM: f64 = 20.0;
 /// Loops that are closed so many times worse than that are none: a transform in them is of other sensors or the other way round.
-const BROKEN: f64 = 10.0;
+const BROKEN: f64 = 25.0;
 /// Edges whose disagreement is the same within this share cannot be told apart: they lie in one loop only.
 const ALIKE: f64 = 0.02;
 

@@ -268,6 +268,10 @@ fn a_map_that_is_stopped_in_each_of_its_stages_goes_on_to_the_same_map() {
         let stopped = go_on(&|p| p.stage == *stage);
         assert!(matches!(stopped, Err(Error::Stopped(_))), "{stage}");
     }
+    // All but the index is kept by now.
+    let last = stages.last().expect("a stage");
+    let stopped = go_on(&|p| p.stage == *last);
+    assert!(matches!(stopped, Err(Error::Stopped(_))), "{last}");
     let round = unfinished.join("rounds.stage");
     assert!(round.exists(), "several rounds of Eq. (4)");
     assert_eq!(

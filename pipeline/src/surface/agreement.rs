@@ -20,6 +20,8 @@ const MOST_CONTRADICTED: f64 = 0.10;
 const FAR_TOO_MANY: f64 = 0.30;
 /// Share of the voxels on planes, likewise 0.69 and more, and up to 0.44.
 const LEAST_ON_PLANES: f64 = 0.5;
+/// Where so little lies on planes there is no surface left to ask beams about: 0.05 of walks that are a second late.
+const HARDLY_ANY_PLANES: f64 = 0.15;
 
 /// A beam of a scan in the world, at the pose that was given.
 #[derive(Clone, Copy, Debug)]
@@ -45,6 +47,7 @@ impl Agreement {
         let smeared = self.on_planes < LEAST_ON_PLANES;
         let asked = self.beams >= LEAST_ASKED;
         let verdict = match self.contradicted {
+            _ if self.on_planes < HARDLY_ANY_PLANES => Verdict::Fail,
             share if asked && (share > FAR_TOO_MANY || smeared && share > MOST_CONTRADICTED) => {
                 Verdict::Fail
             }

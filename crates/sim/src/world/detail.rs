@@ -34,7 +34,8 @@ pub(super) fn paint(material: &Material, size_m: [f32; 2], texel_m: f32, seed: u
         }
         canvas.add_noise(material.noise, material.longest_m, material.stretch, seed);
     }
-    material.grain.work(&mut canvas, material, seed);
+    let (tone, stretch) = (material.tone, material.stretch);
+    material.grain.work(&mut canvas, tone, stretch, seed);
     let is_screen = material.glow > 0.0;
     match material.marks {
         Marks::None | Marks::Boards(_) | Marks::AprilGrid(_) => {}

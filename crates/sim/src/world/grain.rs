@@ -1,7 +1,6 @@
 //! What surfaces are like close by: fibres, weave, pores, blades of grass, wear and scratches.
 
 use super::canvas::Canvas;
-use super::material::Material;
 use crate::noise::{Dice, below, hash, stream, uniform, unit};
 
 /// How a material is built.
@@ -51,12 +50,12 @@ impl Grain {
         }
     }
 
-    /// Works it into a picture, whose mean becomes the material's tone again.
-    pub(crate) fn work(self, canvas: &mut Canvas, material: &Material, seed: u64) {
+    /// Works it into a picture, whose mean becomes `tone` again; `stretch` says along which of its sides the grain runs.
+    pub(crate) fn work(self, canvas: &mut Canvas, tone: f32, stretch: [f32; 2], seed: u64) {
         let rng = stream(seed, "grain", 0);
         match self {
             Self::None | Self::Outlook => return,
-            Self::Wood => wood(canvas, material, &rng),
+            Self::Wood => wood(canvas, stretch, &rng),
             Self::Carpet => carpet(canvas, &rng),
             Self::Plaster => plaster(canvas, &rng),
             Self::Fibreboard => dots(canvas, 260.0, [0.002, 0.005], [0.45, 0.75], &rng),
@@ -76,7 +75,7 @@ impl Grain {
             Self::Grass => blades(canvas, &rng),
             Self::Leaves => leaves(canvas, &rng),
             Self::Metal => {
-                let along = match material.stretch[0] > material.stretch[1] {
+                let along = match stretch[0] > stretch[1] {
                     true => [24.0, 1.0],
                     false => [1.0, 24.0],
                 };
@@ -87,7 +86,7 @@ impl Grain {
             Self::Cloth => cloth(canvas, &rng),
         }
         let mean = canvas.values.iter().sum::<f32>() / canvas.values.len() as f32;
-        let factor = material.tone / mean.max(1e-3);
+        let factor = tone / mean.max(1e-3);
         for value in &mut canvas.values {
             *value *= factor;
         }
@@ -185,8 +184,8 @@ fn stains(canvas: &mut Canvas, per_m2: f32, share: f32, rng: &Dice) {
     });
 }
 
-fn wood(canvas: &mut Canvas, material: &Material, rng: &Dice) {
-    let is_along_a = material.stretch[0] >= material.stretch[1];
+fn wood(canvas: &mut Canvas, stretch: [f32; 2], rng: &Dice) {
+    let is_along_a = stretch[0] >= stretch[1];
     let along = |n: f32| if is_along_a { [n, 1.0] } else { [1.0, n] };
     let warp = field(canvas, 0.25, along(8.0), rng.bits());
     let fibres = field(canvas, 0.012, along(30.0), rng.bits());

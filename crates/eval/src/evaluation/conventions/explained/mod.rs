@@ -148,7 +148,7 @@ pub fn running_clock(pairs: &[PosePair], best_m: f64) -> Option<Finding> {
         (1.0 - (at - knot as f64).abs()).max(0.0)
     };
     let (found, left_m) = beside_similarity::<{ SIMILARITY + KNOTS }>(&some, |s, knot| {
-        -s.velocity_m_s * weight(s, knot)
+        s.velocity_m_s * weight(s, knot)
     })?;
     if !(left_m < LESS * best_m) {
         return None;
